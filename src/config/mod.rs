@@ -1,0 +1,379 @@
+//! The whole experiment as data: nested sections whose defaults are the paper's, presets,
+//! `--set a.b=v`, and checks across fields.
+//!
+//! Layers, later over earlier: defaults, preset, configuration file, `--data`/`--method`/`--seed`,
+//! `--set`. The result is what stands in every run's `config.toml`.
+
+use serde::{Deserialize, Serialize};
+
+mod layers;
+mod perturb;
+mod validate;
+
+pub use layers::{Preset, build, parse_assignment};
+pub use perturb::{
+    Attack, DeltaConfig, LEVELS, Level, Norm, Objective, OutputPlace, Passes, PerturbConfig, PerturbField, PerturbKind,
+    Radius, Resample, StepUnit,
+};
+
+use crate::error::{Error, Result};
+
+/// One experiment. Everything that can change a number is in here; what cannot (device, threads,
+/// output folder) is not.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Config {
+    /// Seed of every random stream.
+    pub seed: u64,
+    /// What is trained: `nerf` (clean pass only) or `aug-nerf` (clean + perturbed pass, section
+    /// `perturb`).
+    pub method: Method,
+    /// The scene.
+    pub data: DataConfig,
+    /// The network.
+    pub field: FieldConfig,
+    /// Samples along a ray.
+    pub sampling: SamplingConfig,
+    /// Optimisation.
+    pub train: TrainConfig,
+    /// The perturbed pass; read only where `method = "aug-nerf"`.
+    pub perturb: PerturbConfig,
+    /// Evaluation and its pictures.
+    pub eval: EvalConfig,
+}
+
+/// What is trained.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Method {
+    /// The clean pass alone.
+    #[default]
+    Nerf,
+    /// Clean pass and perturbed pass, as section `perturb` says.
+    AugNerf,
+}
+
+/// Which reader a scene folder is given to.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum DataKind {
+    /// Decided by the files found: `poses_bounds.npy`, `transforms_train.json`, `transforms.json`.
+    #[default]
+    Auto,
+    /// `poses_bounds.npy` with `images_{factor}` or `images`.
+    Llff,
+    /// `transforms_{train,val,test}.json` with RGBA PNGs.
+    Blender,
+    /// One `transforms.json` as instant-ngp and nerfstudio write it.
+    Transforms,
+    /// The embedded scene seen from all around, like a Blender scene.
+    BuiltinBlender,
+    /// The embedded scene seen from the front, like an LLFF scene.
+    BuiltinForward,
+}
+
+impl DataKind {
+    /// Seen from the front only, which is where LLFF's defaults (noise, batches, decay) belong.
+    pub fn forward_facing(self) -> bool {
+        matches!(self, DataKind::Llff | DataKind::BuiltinForward)
+    }
+
+    /// The name in files and tables.
+    pub fn name(self) -> &'static str {
+        match self {
+            DataKind::Auto => "auto",
+            DataKind::Llff => "llff",
+            DataKind::Blender => "blender",
+            DataKind::Transforms => "transforms",
+            DataKind::BuiltinBlender => "builtin-blender",
+            DataKind::BuiltinForward => "builtin-forward",
+        }
+    }
+}
+
+/// What transparent pixels of RGBA images are composited on.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Background {
+    /// (1, 1, 1); rendering fills missing accumulation with it.
+    #[default]
+    White,
+    /// (0, 0, 0).
+    Black,
+}
+
+/// Which views a Blender scene is evaluated on.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum EvalSplit {
+    /// `transforms_test.json`.
+    #[default]
+    Test,
+    /// `transforms_val.json`.
+    Val,
+}
+
+/// Where in a pixel its ray goes through.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum PixelOrigin {
+    /// Integer pixel coordinates, as nerf-pytorch.
+    #[default]
+    Corner,
+    /// Integer coordinates + 0.5.
+    Centre,
+}
+
+/// The scene and how it is read.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct DataConfig {
+    /// Scene folder; empty for the embedded scene.
+    pub dir: String,
+    /// Reader.
+    pub kind: DataKind,
+    /// Integer factor by which images are smaller than the originals. LLFF: `images_{factor}`,
+    /// or `images` averaged down. Blender and transforms: area averaging. 1 = as stored.
+    /// Empty = the paper's: 8 for LLFF, 2 for Blender, 1 otherwise.
+    pub downscale: Option<u32>,
+    /// Exact width in pixels instead of `downscale` (0 = use `downscale`); height follows the aspect.
+    pub width: u32,
+    /// Every N-th view is held out (LLFF, transforms, embedded forward scene), starting with the first.
+    pub holdout: usize,
+    /// Keep every N-th evaluation view (1 = all).
+    pub test_skip: usize,
+    /// Which split a Blender scene is evaluated on.
+    pub eval_split: EvalSplit,
+    /// Background of RGBA images.
+    pub background: Background,
+    /// LLFF: rays in normalised device coordinates.
+    pub ndc: bool,
+    /// LLFF: poses recentred onto their mean pose.
+    pub recentre: bool,
+    /// LLFF: poses and bounds scaled by 1 / (bound_factor * nearest bound); 0 = not scaled.
+    pub bound_factor: f64,
+    /// LLFF: poses mapped to a sphere around the point they look at (for inward-facing captures).
+    pub spherify: bool,
+    /// Overrides the scene's near bound; empty = the scene's own.
+    pub near: Option<f64>,
+    /// Overrides the scene's far bound; empty = the scene's own.
+    pub far: Option<f64>,
+    /// Where in a pixel its ray goes through.
+    pub pixel_origin: PixelOrigin,
+}
+
+impl Default for DataConfig {
+    fn default() -> Self {
+        DataConfig {
+            dir: String::new(),
+            kind: DataKind::Auto,
+            downscale: None,
+            width: 0,
+            holdout: 8,
+            test_skip: 1,
+            eval_split: EvalSplit::Test,
+            background: Background::White,
+            ndc: true,
+            recentre: true,
+            bound_factor: 0.75,
+            spherify: false,
+            near: None,
+            far: None,
+            pixel_origin: PixelOrigin::Corner,
+        }
+    }
+}
+
+/// How weights are drawn.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Init {
+    /// Glorot uniform weights, zero biases (original NeRF).
+    #[default]
+    Glorot,
+    /// Uniform in +-1/sqrt(inputs) for weights and biases (PyTorch's linear layer, nerf-pytorch).
+    Torch,
+}
+
+/// The coarse and the fine network; both have this shape.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct FieldConfig {
+    /// Neurons of a trunk layer (D).
+    pub width: usize,
+    /// Trunk layers.
+    pub depth: usize,
+    /// The encoding is concatenated to the output of these layers (1-based).
+    pub skips: Vec<usize>,
+    /// Octaves of the position's encoding (10: 63 channels).
+    pub position_octaves: usize,
+    /// Octaves of the view direction's encoding (4: 27 channels).
+    pub view_octaves: usize,
+    /// How weights are drawn.
+    pub init: Init,
+}
+
+impl Default for FieldConfig {
+    fn default() -> Self {
+        FieldConfig { width: 256, depth: 8, skips: vec![5], position_octaves: 10, view_octaves: 4, init: Init::Glorot }
+    }
+}
+
+/// Samples along a ray.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct SamplingConfig {
+    /// Stratified samples of the coarse pass.
+    pub coarse: usize,
+    /// Further inverse-CDF samples of the fine pass (0 = coarse field only).
+    pub fine: usize,
+    /// Jitter in training.
+    pub jitter: bool,
+    /// Standard deviation of the noise on raw density in training. Empty = 1 for forward-facing
+    /// scenes, 0 otherwise.
+    pub density_noise: Option<f64>,
+}
+
+impl Default for SamplingConfig {
+    fn default() -> Self {
+        SamplingConfig { coarse: 64, fine: 64, jitter: true, density_noise: None }
+    }
+}
+
+/// Where a step's rays come from.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Batching {
+    /// Shuffled over all training images, epoch by epoch.
+    #[default]
+    AllImages,
+    /// Distinct pixels of one random image.
+    OneImage,
+}
+
+/// Optimisation.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct TrainConfig {
+    /// Weight updates.
+    pub steps: u64,
+    /// Rays of one step.
+    pub rays: usize,
+    /// Where a step's rays come from. Empty = `one-image` for scenes seen from all around,
+    /// `all-images` for forward-facing ones.
+    pub batching: Option<Batching>,
+    /// Adam's initial learning rate.
+    pub learning_rate: f64,
+    /// The learning rate is multiplied by this every `decay_steps`, continuously.
+    pub decay_rate: f64,
+    /// See `decay_rate`. Empty = 250,000 for forward-facing scenes, 500,000 otherwise.
+    pub decay_steps: Option<u64>,
+    /// For so many steps, one-image batches come from the central part only. Empty = 500 where
+    /// batches are of one image, 0 otherwise.
+    pub precrop_steps: Option<u64>,
+    /// The central part's share of each side.
+    pub precrop_fraction: f64,
+    /// Steps between two rows of `scalars.csv`.
+    pub log_every: u64,
+    /// Steps between two evaluations during training (0 = only at the end).
+    pub eval_every: u64,
+    /// Steps between two checkpoints (0 = by time only).
+    pub checkpoint_every: u64,
+    /// Minutes between two checkpoints (0 = by steps only).
+    pub checkpoint_minutes: f64,
+    /// Checkpoints kept.
+    pub keep_checkpoints: usize,
+    /// A start with a smaller share of positive densities on the first batch is drawn again.
+    pub dead_start_share: f64,
+    /// A run whose rays all accumulate under 1e-3 for so many steps has collapsed (0 = never).
+    pub collapse_steps: u64,
+}
+
+impl Default for TrainConfig {
+    fn default() -> Self {
+        TrainConfig {
+            steps: 500_000,
+            rays: 1024,
+            batching: None,
+            learning_rate: 5e-4,
+            decay_rate: 0.1,
+            decay_steps: None,
+            precrop_steps: None,
+            precrop_fraction: 0.5,
+            log_every: 100,
+            eval_every: 0,
+            checkpoint_every: 10_000,
+            checkpoint_minutes: 10.0,
+            keep_checkpoints: 2,
+            dead_start_share: 0.05,
+            collapse_steps: 200,
+        }
+    }
+}
+
+/// Evaluation and its pictures.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct EvalConfig {
+    /// Rays rendered at once; bounds memory, changes no number.
+    pub chunk: usize,
+    /// How many held-out views `train` writes pictures of (0 = none; metrics cover all views).
+    pub pictures: usize,
+}
+
+impl Default for EvalConfig {
+    fn default() -> Self {
+        EvalConfig { chunk: 1024, pictures: 4 }
+    }
+}
+
+impl Config {
+    /// Parses TOML text over the defaults. `origin` names the file in messages.
+    pub fn from_toml(text: &str, origin: &str) -> Result<Config> {
+        let config: Config = toml::from_str(text).map_err(|e| Error::Config(format!("{origin}: {e}")))?;
+        config.validate()?;
+        Ok(config)
+    }
+
+    /// The configuration as TOML, every field written out.
+    pub fn to_toml(&self) -> String {
+        toml::to_string(self).expect("a configuration is plain data")
+    }
+
+    /// Fills the fields whose default depends on the kind of scene.
+    pub fn resolve_kind(&mut self, kind: DataKind) {
+        let forward = kind.forward_facing();
+        self.data.kind = kind;
+        self.data.downscale.get_or_insert(match kind {
+            DataKind::Llff => 8,
+            DataKind::Blender => 2,
+            _ => 1,
+        });
+        self.sampling.density_noise.get_or_insert(if forward { 1.0 } else { 0.0 });
+        let batching =
+            *self.train.batching.get_or_insert(if forward { Batching::AllImages } else { Batching::OneImage });
+        self.train.decay_steps.get_or_insert(if forward { 250_000 } else { 500_000 });
+        self.train.precrop_steps.get_or_insert(if batching == Batching::OneImage { 500 } else { 0 });
+    }
+
+    /// Fills the fields whose default depends on the scene's bounds (in the units of `t_vals`).
+    pub fn resolve_bounds(&mut self, near: f64, far: f64) {
+        self.perturb.resolve((far - near) / self.sampling.coarse as f64);
+    }
+
+    /// A 12-digit content hash of everything that can change a number: equal hashes, equal runs.
+    /// The scene counts by its folder's name, not by where that folder lies.
+    pub fn hash(&self) -> String {
+        use sha2::{Digest, Sha256};
+        let mut portable = self.clone();
+        portable.data.dir = scene_name(&self.data.dir);
+        let digest = Sha256::digest(portable.to_toml().as_bytes());
+        digest.iter().take(6).map(|byte| format!("{byte:02x}")).collect()
+    }
+}
+
+/// The last component of a scene's folder, or `builtin` where there is none.
+pub fn scene_name(dir: &str) -> String {
+    let name = std::path::Path::new(dir).file_name().map(|n| n.to_string_lossy().into_owned());
+    name.unwrap_or_else(|| "builtin".into())
+}

@@ -1,0 +1,189 @@
+//! Checks of ranges and across fields. Each message names the field, what was found and what is
+//! allowed.
+
+use super::{Attack, Config, LEVELS, Level, Method, Norm, PerturbField, PerturbKind, StepUnit};
+use crate::error::{Error, Result};
+
+/// Refuses with `field = value: allowed` unless `ok`.
+fn require(ok: bool, field: &str, value: impl std::fmt::Display, allowed: &str) -> Result<()> {
+    if ok {
+        return Ok(());
+    }
+    Err(Error::Config(format!("{field} = {value} is out of range: it must be {allowed}")))
+}
+
+impl Config {
+    /// Checks every field, and the fields against one another.
+    pub fn validate(&self) -> Result<()> {
+        require(self.seed <= i64::MAX as u64, "seed", self.seed, "at most 2^63 - 1")?;
+        self.validate_data()?;
+        self.validate_field()?;
+        self.validate_sampling()?;
+        self.validate_train()?;
+        self.validate_perturb()?;
+        require((1..=1 << 20).contains(&self.eval.chunk), "eval.chunk", self.eval.chunk, "1 to 1048576 rays")
+    }
+
+    fn validate_data(&self) -> Result<()> {
+        let data = &self.data;
+        if let Some(downscale) = data.downscale {
+            require((1..=64).contains(&downscale), "data.downscale", downscale, "1 to 64")?;
+        }
+        require(data.width <= 16_384, "data.width", data.width, "0 (use data.downscale) to 16384 pixels")?;
+        require(data.holdout >= 2, "data.holdout", data.holdout, "at least 2, so that views are left to train on")?;
+        require(data.test_skip >= 1, "data.test_skip", data.test_skip, "at least 1")?;
+        let factor = data.bound_factor;
+        require(factor.is_finite() && factor >= 0.0, "data.bound_factor", factor, "0 (not scaled) or positive")?;
+        if data.spherify && data.ndc && data.kind == super::DataKind::Llff {
+            return Err(Error::Config(
+                "data.spherify and data.ndc exclude each other: NDC is for cameras that face forward; \
+                 set data.ndc=false"
+                    .into(),
+            ));
+        }
+        for (name, bound) in [("data.near", data.near), ("data.far", data.far)] {
+            if let Some(bound) = bound {
+                require(bound.is_finite() && bound >= 0.0, name, bound, "a finite distance of at least 0")?;
+            }
+        }
+        if let (Some(near), Some(far)) = (data.near, data.far) {
+            require(near < far, "data.far", far, &format!("beyond data.near = {near}"))?;
+        }
+        Ok(())
+    }
+
+    fn validate_field(&self) -> Result<()> {
+        let field = &self.field;
+        require((4..=4096).contains(&field.width), "field.width", field.width, "4 to 4096 neurons")?;
+        require(field.width % 2 == 0, "field.width", field.width, "even (the view layer has half of it)")?;
+        require((1..=64).contains(&field.depth), "field.depth", field.depth, "1 to 64 layers")?;
+        require(field.position_octaves <= 20, "field.position_octaves", field.position_octaves, "0 to 20")?;
+        require(field.view_octaves <= 20, "field.view_octaves", field.view_octaves, "0 to 20")?;
+        for (i, &skip) in field.skips.iter().enumerate() {
+            let allowed = format!("a layer from 1 to {} (field.depth - 1)", field.depth - 1);
+            require(skip >= 1 && skip < field.depth, "field.skips", skip, &allowed)?;
+            require(!field.skips[..i].contains(&skip), "field.skips", skip, "named once")?;
+        }
+        Ok(())
+    }
+
+    fn validate_sampling(&self) -> Result<()> {
+        let sampling = &self.sampling;
+        require((3..=4096).contains(&sampling.coarse), "sampling.coarse", sampling.coarse, "3 to 4096 samples")?;
+        require(sampling.fine <= 4096, "sampling.fine", sampling.fine, "0 (coarse only) to 4096 samples")?;
+        let noise = sampling.density_noise.unwrap_or(0.0);
+        require(noise.is_finite() && noise >= 0.0, "sampling.density_noise", noise, "0 or positive")
+    }
+
+    fn validate_train(&self) -> Result<()> {
+        let train = &self.train;
+        let positive = |name: &str, value: f64| require(value.is_finite() && value > 0.0, name, value, "positive");
+        require(train.steps >= 1, "train.steps", train.steps, "at least 1")?;
+        require((1..=1 << 20).contains(&train.rays), "train.rays", train.rays, "1 to 1048576")?;
+        positive("train.learning_rate", train.learning_rate)?;
+        positive("train.decay_rate", train.decay_rate)?;
+        if let Some(decay) = train.decay_steps {
+            require(decay >= 1, "train.decay_steps", decay, "at least 1")?;
+        }
+        let fraction = train.precrop_fraction;
+        require(fraction > 0.0 && fraction <= 1.0, "train.precrop_fraction", fraction, "above 0, at most 1")?;
+        require(train.log_every >= 1, "train.log_every", train.log_every, "at least 1")?;
+        let minutes = train.checkpoint_minutes;
+        require(minutes.is_finite() && minutes >= 0.0, "train.checkpoint_minutes", minutes, "0 (off) or positive")?;
+        require(train.keep_checkpoints >= 1, "train.keep_checkpoints", train.keep_checkpoints, "at least 1")?;
+        let share = train.dead_start_share;
+        require((0.0..1.0).contains(&share), "train.dead_start_share", share, "0 (off) to below 1")
+    }
+
+    fn validate_perturb(&self) -> Result<()> {
+        let perturb = &self.perturb;
+        let lambda = perturb.lambda;
+        let largest = match perturb.objective {
+            super::Objective::Paper => f64::MAX,
+            super::Objective::Released => 1.0,
+        };
+        let allowed = "0 or positive, and at most 1 with perturb.objective = \"released\"";
+        require(lambda.is_finite() && (0.0..=largest).contains(&lambda), "perturb.lambda", lambda, allowed)?;
+        let layer = perturb.injection_layer;
+        if self.method == Method::AugNerf && perturb.feature.on() {
+            let allowed = format!("1 to {} (field.depth)", self.field.depth);
+            require((1..=self.field.depth).contains(&layer), "perturb.injection_layer", layer, &allowed)?;
+        }
+        for level in LEVELS {
+            self.validate_delta(level)?;
+        }
+        if perturb.attack == Attack::Calibrated && perturb.step_unit == Some(StepUnit::Absolute) {
+            return Err(Error::Config(
+                "perturb.attack = \"calibrated\" measures steps in radii; leave perturb.step_unit empty or set it to \
+                 \"relative\""
+                    .into(),
+            ));
+        }
+        let on = LEVELS.iter().any(|&level| perturb.delta(level).on());
+        if self.method == Method::AugNerf && perturb.kind != PerturbKind::FreshJitter && !on {
+            return Err(Error::Config(
+                "method = \"aug-nerf\" with every perturb.*.passes = \"off\" perturbs nothing; \
+                 use method = \"nerf\", or perturb.kind = \"fresh-jitter\" for the control"
+                    .into(),
+            ));
+        }
+        if perturb.kind == PerturbKind::FreshJitter && perturb.field == PerturbField::Separate {
+            return Err(Error::Config(
+                "perturb.kind = \"fresh-jitter\" is a second pass of the same fields; perturb.field must be \"shared\""
+                    .into(),
+            ));
+        }
+        Ok(())
+    }
+
+    fn validate_delta(&self, level: Level) -> Result<()> {
+        let delta = self.perturb.delta(level);
+        let name = |field: &str| format!("perturb.{}.{field}", level.name());
+        if let Some(steps) = delta.steps {
+            require(steps <= 1000, &name("steps"), steps, "0 to 1000")?;
+        }
+        if let Some(size) = delta.step_size {
+            require(size.is_finite() && size >= 0.0, &name("step_size"), size, "0 or positive")?;
+        }
+        if let Some(epsilon) = delta.epsilon {
+            let largest = if level == Level::T { 0.5 } else { f64::MAX };
+            let allowed = if level == Level::T {
+                "0 to 0.5 of the gap to the nearer sample, so that samples stay sorted"
+            } else {
+                "0 or positive"
+            };
+            require(epsilon.is_finite() && (0.0..=largest).contains(&epsilon), &name("epsilon"), epsilon, allowed)?;
+        }
+        // A scalar per sample: both norms are the same set, one name for it.
+        if matches!(level, Level::T | Level::Density) && delta.norm == Some(Norm::L2) {
+            return Err(Error::Config(format!(
+                "{} = \"l2\": this delta is one number a sample, for which l2 and linf are the same; use \"linf\"",
+                name("norm")
+            )));
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::{build, parse_assignment};
+
+    #[test]
+    fn messages_name_field_value_and_range() {
+        for (assignment, words) in [
+            ("train.steps=0", vec!["train.steps", "0", "at least 1"]),
+            ("field.width=7", vec!["field.width", "7", "even"]),
+            ("perturb.t.epsilon=0.6", vec!["perturb.t.epsilon", "0.6", "0.5"]),
+            ("field.skips=[8]", vec!["field.skips", "8", "1 to 7"]),
+            ("train.learning_rate=nan", vec!["train.learning_rate", "positive"]),
+            ("data.holdout=1", vec!["data.holdout", "at least 2"]),
+        ] {
+            let set = vec![parse_assignment(assignment).unwrap()];
+            let message = build(None, None, &set).unwrap_err().to_string();
+            for word in words {
+                assert!(message.contains(word), "{assignment}: {message}");
+            }
+        }
+    }
+}
