@@ -5,4 +5,8 @@
 pub mod config;
 pub mod data;
 pub mod error;
+pub mod field;
+pub mod perturbations;
+pub mod render;
 pub mod rng;
+pub mod sampling;

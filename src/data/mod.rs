@@ -1,8 +1,10 @@
 //! Scenes: posed images split into training, validation and held-out views.
 
 pub mod camera;
+pub mod rays;
 
 pub use camera::{Camera, Ndc};
+pub use rays::{RayBuffer, Rays};
 
 /// An image in memory: row-major, `pixels[(y * width + x) * channels + c]`, values in 0..=1.
 #[derive(Clone, Debug, PartialEq)]

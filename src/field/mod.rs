@@ -1,0 +1,216 @@
+//! The radiance field: an encoding, a trunk with skips, a density head and a view-dependent
+//! colour head.
+//!
+//! A field knows nothing of rays or attacks. It maps points and directions to raw colour and raw
+//! density and accepts a delta that is added to one trunk layer's output.
+//!
+//! This is the reference path, in f32 or f64 on any device. A fused core for one processor is to
+//! replace [`Field::forward`] behind the same signature and be tested against it.
+
+use candle_core::{DType, Device, Tensor, Var};
+
+use crate::config::{FieldConfig, Init};
+use crate::error::Result;
+use crate::rng::{Random, Stream};
+
+mod dense;
+mod encoding;
+
+pub use dense::{dense, dense_reference};
+pub use encoding::{encode, encoded_channels};
+
+/// One layer's parameters, `[outputs, inputs]` and `[outputs]`.
+#[derive(Clone)]
+struct Layer {
+    name: String,
+    weight: Tensor,
+    bias: Tensor,
+}
+
+/// A network `(points, viewdirs) -> (raw rgb, raw density)`.
+#[derive(Clone)]
+pub struct Field {
+    config: FieldConfig,
+    trunk: Vec<Layer>,
+    density: Layer,
+    feature: Layer,
+    view: Layer,
+    rgb: Layer,
+    /// The parameters as variables, in the order of [`Field::parameter_names`]; empty when frozen.
+    variables: Vec<(String, Var)>,
+}
+
+/// What a field says before its activations.
+pub struct RawOutput {
+    /// Colour before the sigmoid, `[n, 3]`.
+    pub rgb: Tensor,
+    /// Density before the ReLU, `[n]`, 1 / length.
+    pub density: Tensor,
+}
+
+/// A delta added to the output of one trunk layer.
+pub struct FeatureDelta<'a> {
+    /// 1-based trunk layer; the delta is added after its ReLU, before a skip's concatenation.
+    pub layer: usize,
+    /// `[n, width]`.
+    pub delta: &'a Tensor,
+}
+
+/// `(name, outputs, inputs)` of every layer, in the fixed order of parameters.
+fn layer_shapes(config: &FieldConfig) -> Vec<(String, usize, usize)> {
+    let position = encoded_channels(config.position_octaves);
+    let direction = encoded_channels(config.view_octaves);
+    let width = config.width;
+    let mut shapes: Vec<(String, usize, usize)> = (0..config.depth)
+        .map(|i| {
+            let inputs = match i {
+                0 => position,
+                i if config.skips.contains(&i) => width + position,
+                _ => width,
+            };
+            (format!("trunk.{i}"), width, inputs)
+        })
+        .collect();
+    shapes.push(("density".into(), 1, width));
+    shapes.push(("feature".into(), width, width));
+    shapes.push(("view".into(), width / 2, width + direction));
+    shapes.push(("rgb".into(), 3, width / 2));
+    shapes
+}
+
+impl Field {
+    /// Names and shapes of all parameters in their fixed order: `trunk.0.weight`, `trunk.0.bias`,
+    /// ..., `rgb.bias`.
+    pub fn parameter_names(config: &FieldConfig) -> Vec<(String, Vec<usize>)> {
+        layer_shapes(config)
+            .into_iter()
+            .flat_map(|(name, outputs, inputs)| {
+                [(format!("{name}.weight"), vec![outputs, inputs]), (format!("{name}.bias"), vec![outputs])]
+            })
+            .collect()
+    }
+
+    /// A field with weights drawn from `seed`'s stream `Init` at `index`.
+    pub fn init(config: &FieldConfig, seed: u64, index: u64, dtype: DType, device: &Device) -> Result<Field> {
+        let mut random = Random::new(seed, Stream::Init, index);
+        let mut draw = |shape: &[usize], bound: f64| -> Result<Tensor> {
+            let unit = random.uniform_tensor(shape, dtype, device)?;
+            Ok(unit.affine(2.0 * bound, -bound)?)
+        };
+        let mut parameters = Vec::new();
+        for (_, outputs, inputs) in layer_shapes(config) {
+            let (weight, bias) = match config.init {
+                // Glorot and Bengio 2010, equation 16.
+                Init::Glorot => (
+                    draw(&[outputs, inputs], (6.0 / (inputs + outputs) as f64).sqrt())?,
+                    Tensor::zeros(outputs, dtype, device)?,
+                ),
+                Init::Torch => {
+                    let bound = 1.0 / (inputs as f64).sqrt();
+                    (draw(&[outputs, inputs], bound)?, draw(&[outputs], bound)?)
+                }
+            };
+            parameters.extend([weight, bias]);
+        }
+        Field::from_parameters(config, parameters)
+    }
+
+    /// A field over given parameter values, in the order of [`Field::parameter_names`]. The
+    /// values are copied.
+    pub fn from_parameters(config: &FieldConfig, values: Vec<Tensor>) -> Result<Field> {
+        let expected = Field::parameter_names(config);
+        if values.len() != expected.len() {
+            return Err(tensor_error(format!("{} parameters given, {} expected", values.len(), expected.len())));
+        }
+        let mut variables = Vec::with_capacity(values.len());
+        for ((name, shape), value) in expected.into_iter().zip(values) {
+            if value.dims() != shape {
+                return Err(tensor_error(format!("{name} has shape {:?}, expected {shape:?}", value.dims())));
+            }
+            variables.push((name, Var::from_tensor(&value.copy()?)?));
+        }
+        let tensors = variables.iter().map(|(_, var)| var.as_tensor().clone()).collect();
+        Ok(Field { variables, ..Field::assemble(config, tensors) })
+    }
+
+    fn assemble(config: &FieldConfig, tensors: Vec<Tensor>) -> Field {
+        let mut tensors = tensors.into_iter();
+        let mut next = |name: String| Layer {
+            name,
+            weight: tensors.next().expect("one weight a layer"),
+            bias: tensors.next().expect("one bias a layer"),
+        };
+        let mut layers: Vec<Layer> = layer_shapes(config).into_iter().map(|(name, _, _)| next(name)).collect();
+        let mut pop = || layers.pop().expect("four heads");
+        let (rgb, view, feature, density) = (pop(), pop(), pop(), pop());
+        Field { config: config.clone(), trunk: layers, density, feature, view, rgb, variables: Vec::new() }
+    }
+
+    /// The same weights (shared, not copied) for which no gradient is ever computed.
+    pub fn frozen(&self) -> Field {
+        let layers = self.trunk.iter().chain([&self.density, &self.feature, &self.view, &self.rgb]);
+        let tensors = layers.flat_map(|layer| [layer.weight.detach(), layer.bias.detach()]).collect();
+        Field::assemble(&self.config, tensors)
+    }
+
+    /// The parameters in their fixed order; empty for a frozen field.
+    pub fn variables(&self) -> &[(String, Var)] {
+        &self.variables
+    }
+
+    /// The shape that the field was built with.
+    pub fn config(&self) -> &FieldConfig {
+        &self.config
+    }
+
+    fn layer(&self, layer: &Layer, x: &Tensor, relu: bool) -> candle_core::Result<Tensor> {
+        dense(x, &layer.weight, &layer.bias, relu, !self.variables.is_empty())
+            .map_err(|e| e.context(format!("layer {}", layer.name)))
+    }
+
+    /// Raw colour and density of points `[n, 3]` seen along unit directions whose encoding is
+    /// `encoded_views [n, 3 + 6 view_octaves]` (see [`Field::encode_views`]).
+    pub fn forward(&self, points: &Tensor, encoded_views: &Tensor, delta: Option<FeatureDelta>) -> Result<RawOutput> {
+        let hidden = self.trunk(points, delta)?;
+        let density = self.layer(&self.density, &hidden, false)?.squeeze(1)?;
+        let feature = self.layer(&self.feature, &hidden, false)?;
+        let view = self.layer(&self.view, &Tensor::cat(&[&feature, encoded_views], 1)?, true)?;
+        Ok(RawOutput { rgb: self.layer(&self.rgb, &view, false)?, density })
+    }
+
+    /// Raw density alone, `[n]`.
+    pub fn raw_density(&self, points: &Tensor) -> Result<Tensor> {
+        let hidden = self.trunk(points, None)?;
+        Ok(self.layer(&self.density, &hidden, false)?.squeeze(1)?)
+    }
+
+    /// The trunk's last output, `[n, width]`.
+    fn trunk(&self, points: &Tensor, delta: Option<FeatureDelta>) -> Result<Tensor> {
+        let encoded = encode(points, self.config.position_octaves)?;
+        let mut hidden = encoded.clone();
+        for (i, layer) in self.trunk.iter().enumerate() {
+            if self.config.skips.contains(&i) {
+                hidden = Tensor::cat(&[&encoded, &hidden], 1)?;
+            }
+            hidden = self.layer(layer, &hidden, true)?;
+            if let Some(delta) = delta.as_ref().filter(|delta| delta.layer == i + 1) {
+                hidden = (hidden + delta.delta)?;
+            }
+        }
+        Ok(hidden)
+    }
+
+    /// Encodes unit directions `[rays, 3]` once a ray and repeats them for its samples:
+    /// `[rays * samples, 3 + 6 view_octaves]`.
+    pub fn encode_views(&self, viewdirs: &Tensor, samples: usize) -> Result<Tensor> {
+        let (rays, _) = viewdirs.dims2()?;
+        let encoded = encode(viewdirs, self.config.view_octaves)?; // [rays, channels]
+        let channels = encoded.dim(1)?;
+        let repeated = encoded.unsqueeze(1)?.broadcast_as((rays, samples, channels))?;
+        Ok(repeated.contiguous()?.reshape((rays * samples, channels))?)
+    }
+}
+
+fn tensor_error(message: String) -> crate::error::Error {
+    candle_core::Error::Msg(message).into()
+}

@@ -1,0 +1,202 @@
+//! Rendering of rays: one pass through one field, and coarse plus fine for evaluation.
+
+use candle_core::{D, Tensor};
+
+use crate::config::{Level, OutputPlace};
+use crate::data::Rays;
+use crate::error::Result;
+use crate::field::{FeatureDelta, Field, RawOutput};
+use crate::perturbations::{Deltas, Sets};
+use crate::sampling;
+
+pub mod volume;
+
+pub use volume::Composite;
+
+/// What one pass needs besides the field.
+#[derive(Clone, Copy)]
+pub struct Pass<'a> {
+    /// The rays.
+    pub rays: &'a Rays,
+    /// Sample positions, `[rays, samples]`.
+    pub t_vals: &'a Tensor,
+    /// Added to raw density, `[rays, samples]`.
+    pub density_noise: Option<&'a Tensor>,
+    /// Fills missing accumulation.
+    pub background: Option<[f32; 3]>,
+}
+
+/// Deltas of a perturbed pass and how they enter it.
+#[derive(Clone, Copy)]
+pub struct Perturbation<'a> {
+    /// The deltas.
+    pub deltas: &'a Deltas,
+    /// Their sets, for the projection of the output level onto what this forward leaves it.
+    pub sets: &'a Sets,
+    /// Trunk layer (1-based) that the feature delta is added to.
+    pub injection_layer: usize,
+    /// Where the output deltas are added.
+    pub output: OutputPlace,
+}
+
+/// What one pass gives.
+pub struct PassOutput {
+    /// Colour, depth, accumulation, weights.
+    pub composite: Composite,
+    /// Colour of each sample after activation and delta, `[rays, samples, 3]`.
+    pub rgb: Tensor,
+    /// Density of each sample after activation and delta, `[rays, samples]`.
+    pub density: Tensor,
+    /// The deltas as used: `rgb` and `density` projected for this forward, the others as given.
+    pub used: Deltas,
+}
+
+/// Renders one pass without perturbation.
+pub fn clean_pass(field: &Field, pass: Pass) -> Result<PassOutput> {
+    let points = points_at(pass.rays, pass.t_vals)?;
+    let raw = query(field, &points, &pass.rays.viewdirs, None)?;
+    let (rgb, density) = activate(&raw, pass.density_noise)?;
+    finish(pass, pass.t_vals, rgb, density, Deltas::default())
+}
+
+/// Renders one pass with perturbation (paper, algorithm 1, lines 9 to 13).
+pub fn perturbed_pass(field: &Field, pass: Pass, perturbation: Perturbation) -> Result<PassOutput> {
+    let deltas = perturbation.deltas;
+    let t_vals = match deltas.get(Level::T) {
+        Some(delta) => (pass.t_vals + delta)?,
+        None => pass.t_vals.clone(),
+    };
+    let mut points = points_at(pass.rays, &t_vals)?;
+    if let Some(delta) = deltas.get(Level::Xyz) {
+        points = (points + delta)?;
+    }
+    let viewdirs = match deltas.get(Level::View) {
+        Some(delta) => tilt(pass.rays, delta)?,
+        None => pass.rays.viewdirs.clone(),
+    };
+    let feature = deltas.get(Level::Feature).map(|delta| (perturbation.injection_layer, delta));
+    let raw = query(field, &points, &viewdirs, feature)?;
+    let mut used = deltas.clone();
+    let (rgb, density) = match perturbation.output {
+        OutputPlace::After => {
+            let (rgb, density) = activate(&raw, pass.density_noise)?;
+            add_after(perturbation, rgb, density, &mut used)?
+        }
+        OutputPlace::Before => {
+            let raw = add_before(perturbation, raw, &mut used)?;
+            activate(&raw, pass.density_noise)?
+        }
+    };
+    finish(pass, &t_vals, rgb, density, used)
+}
+
+fn finish(pass: Pass, t_vals: &Tensor, rgb: Tensor, density: Tensor, used: Deltas) -> Result<PassOutput> {
+    let composite = volume::composite(&rgb, &density, t_vals, &pass.rays.direction_norm, pass.background)?;
+    Ok(PassOutput { composite, rgb, density, used })
+}
+
+/// origin + t * direction, `[rays, samples, 3]`.
+fn points_at(rays: &Rays, t_vals: &Tensor) -> Result<Tensor> {
+    let along = t_vals.unsqueeze(2)?.broadcast_mul(&rays.directions.unsqueeze(1)?)?;
+    Ok(along.broadcast_add(&rays.origins.unsqueeze(1)?)?)
+}
+
+/// Moves unit view directions by two small angles `[rays, 2]` in their tangent planes.
+fn tilt(rays: &Rays, angles: &Tensor) -> Result<Tensor> {
+    let along = |axis: usize, tangents: &Tensor| angles.narrow(1, axis, 1)?.broadcast_mul(tangents);
+    let moved = ((&rays.viewdirs + along(0, &rays.tangents_u)?)? + along(1, &rays.tangents_w)?)?;
+    let norm = moved.sqr()?.sum_keepdim(1)?.sqrt()?;
+    Ok(moved.broadcast_div(&norm)?)
+}
+
+/// Raw output with shapes restored: rgb `[rays, samples, 3]`, density `[rays, samples]`.
+fn query(field: &Field, points: &Tensor, viewdirs: &Tensor, feature: Option<(usize, &Tensor)>) -> Result<RawOutput> {
+    let (rays, samples, _) = points.dims3()?;
+    let flat = points.reshape((rays * samples, 3))?;
+    let views = field.encode_views(viewdirs, samples)?;
+    let delta = feature.map(|(layer, delta)| Ok((layer, delta.flatten(0, 1)?))).transpose();
+    let delta: Option<(usize, Tensor)> = delta.map_err(|e: candle_core::Error| e)?;
+    let delta = delta.as_ref().map(|(layer, delta)| FeatureDelta { layer: *layer, delta });
+    let raw = field.forward(&flat, &views, delta)?;
+    Ok(RawOutput { rgb: raw.rgb.reshape((rays, samples, 3))?, density: raw.density.reshape((rays, samples))? })
+}
+
+/// Sigmoid on colour, noise and ReLU on density.
+fn activate(raw: &RawOutput, density_noise: Option<&Tensor>) -> Result<(Tensor, Tensor)> {
+    let rgb = candle_nn::ops::sigmoid(&raw.rgb)?;
+    let density = match density_noise {
+        Some(noise) => (&raw.density + noise)?.relu()?,
+        None => raw.density.relu()?,
+    };
+    Ok((rgb, density))
+}
+
+/// Adds the output deltas to colour and density, projected so that colour stays in 0..=1 and
+/// density does not turn negative. The projected value counts; gradients pass to delta and field
+/// as if nothing had been projected.
+fn add_after(p: Perturbation, rgb: Tensor, density: Tensor, used: &mut Deltas) -> Result<(Tensor, Tensor)> {
+    let mut add = |level: Level, value: Tensor| -> Result<Tensor> {
+        let (Some(delta), Some(set)) = (p.deltas.get(level), p.sets.get(level)) else { return Ok(value) };
+        let now = value.detach();
+        let upper = match level {
+            Level::Rgb => now.affine(-1.0, 1.0)?,
+            _ => (now.zeros_like()? + f64::from(f32::MAX))?,
+        };
+        let projected = set.within(now.neg()?, upper).project(&delta.detach())?;
+        let correction = (&projected - delta.detach())?;
+        used.set(level, projected);
+        // (delta + correction) rounds; where it would leave the range by an ulp, clamp the value.
+        let moved = ((value + delta)? + correction)?;
+        let legal = match level {
+            Level::Rgb => moved.detach().clamp(0f64, 1f64)?,
+            _ => moved.detach().relu()?,
+        };
+        let rounding = (legal - moved.detach())?;
+        Ok((moved + rounding)?)
+    };
+    Ok((add(Level::Rgb, rgb)?, add(Level::Density, density)?))
+}
+
+/// Adds the output deltas before the activations: the box alone limits them.
+fn add_before(p: Perturbation, raw: RawOutput, used: &mut Deltas) -> Result<RawOutput> {
+    let mut add = |level: Level, value: Tensor| -> Result<Tensor> {
+        let (Some(delta), Some(set)) = (p.deltas.get(level), p.sets.get(level)) else { return Ok(value) };
+        let projected = set.project(&delta.detach())?;
+        let correction = (&projected - delta.detach())?;
+        used.set(level, projected);
+        Ok(((value + delta)? + correction)?)
+    };
+    Ok(RawOutput { rgb: add(Level::Rgb, raw.rgb)?, density: add(Level::Density, raw.density)? })
+}
+
+/// The deterministic image of rays for evaluation: no jitter, no noise, evenly spaced u. Without a
+/// fine field the coarse pass is the result.
+pub fn render_rays(
+    coarse: &Field,
+    fine: Option<&Field>,
+    rays: &Rays,
+    (near, far): (f64, f64),
+    (coarse_samples, fine_samples): (usize, usize),
+    background: Option<[f32; 3]>,
+) -> Result<Composite> {
+    let t_vals = sampling::stratified(near, far, rays.len(), coarse_samples, None, &rays.origins)?;
+    let pass = Pass { rays, t_vals: &t_vals, density_noise: None, background };
+    let Some(fine) = fine else { return Ok(clean_pass(coarse, pass)?.composite) };
+    // The coarse pass only places samples: density alone will do.
+    let points = points_at(rays, &t_vals)?.flatten(0, 1)?;
+    let density = coarse.raw_density(&points)?.relu()?.reshape(t_vals.shape())?;
+    let weights = volume::weights_from_density(&density, &volume::intervals(&t_vals, &rays.direction_norm)?)?;
+    let u = sampling::even_u(rays.len(), fine_samples, &t_vals)?;
+    let t_vals = sampling::importance(&t_vals, &weights, &u)?;
+    Ok(clean_pass(fine, Pass { t_vals: &t_vals, ..pass })?.composite)
+}
+
+/// Mean squared error over rays and channels between colours `[rays, 3]`.
+pub fn photometric_loss(rgb: &Tensor, target: &Tensor) -> Result<Tensor> {
+    Ok((rgb - target)?.sqr()?.mean_all()?)
+}
+
+/// Squared error per ray, mean over channels, `[rays]`.
+pub fn loss_per_ray(rgb: &Tensor, target: &Tensor) -> Result<Tensor> {
+    Ok((rgb - target)?.sqr()?.mean(D::Minus1)?)
+}

@@ -1,0 +1,120 @@
+//! Sample positions along rays: stratified and inverse-CDF.
+//!
+//! `t_vals` are points, `[rays, samples]`, sorted, in units of the ray direction's length. No
+//! gradient flows through any of this.
+
+use candle_core::{DType, Tensor};
+use rayon::prelude::*;
+
+use crate::error::Result;
+
+/// Stratified samples: `samples` points linspace(near, far), each moved uniformly within the bin
+/// that its mid-points to the neighbours bound. `jitter` is uniform in 0..1, `[rays, samples]`;
+/// without it the points themselves are repeated for `rays` rays.
+pub fn stratified(
+    near: f64,
+    far: f64,
+    rays: usize,
+    samples: usize,
+    jitter: Option<&Tensor>,
+    like: &Tensor,
+) -> Result<Tensor> {
+    let points: Vec<f64> = (0..samples)
+        .map(|i| {
+            let s = i as f64 / (samples - 1) as f64;
+            near * (1.0 - s) + far * s
+        })
+        .collect();
+    let mid = |i: usize| 0.5 * (points[i] + points[i + 1]);
+    let lower: Vec<f64> = (0..samples).map(|i| if i == 0 { points[0] } else { mid(i - 1) }).collect();
+    let upper: Vec<f64> = (0..samples).map(|i| if i + 1 == samples { points[i] } else { mid(i) }).collect();
+    let row = |values: Vec<f64>| Tensor::from_vec(values, (1, samples), like.device())?.to_dtype(like.dtype());
+    let Some(jitter) = jitter else {
+        return Ok(row(points)?.broadcast_as((rays, samples))?.contiguous()?);
+    };
+    let width = row(upper.iter().zip(&lower).map(|(u, l)| u - l).collect())?;
+    Ok(jitter.broadcast_mul(&width)?.broadcast_add(&row(lower)?)?)
+}
+
+/// The fine pass's positions: `t_vals` united with samples of the piecewise-constant density that
+/// the coarse pass's interior weights put on the mid-points between coarse samples, sorted,
+/// `[rays, coarse + fine]`. `weights` `[rays, coarse]`; `u` `[rays, fine]` in 0..1.
+pub fn importance(t_vals: &Tensor, weights: &Tensor, u: &Tensor) -> Result<Tensor> {
+    let (rays, coarse) = t_vals.dims2()?;
+    let (_, fine) = u.dims2()?;
+    let (t, w, u) = (host_rows(t_vals)?, host_rows(weights)?, host_rows(u)?);
+    let mut merged = vec![0f64; rays * (coarse + fine)];
+    merged.par_chunks_mut(coarse + fine).enumerate().for_each(|(ray, out)| {
+        let t = &t[ray * coarse..][..coarse];
+        let bins: Vec<f64> = t.windows(2).map(|pair| 0.5 * (pair[0] + pair[1])).collect();
+        let interior = &w[ray * coarse + 1..][..coarse - 2];
+        out[..coarse].copy_from_slice(t);
+        inverse_cdf(&bins, interior, &u[ray * fine..][..fine], &mut out[coarse..]);
+        // total_cmp orders NaN, too: a broken weight is to be reported, not to panic here.
+        out.sort_unstable_by(f64::total_cmp);
+    });
+    Ok(Tensor::from_vec(merged, (rays, coarse + fine), t_vals.device())?.to_dtype(t_vals.dtype())?)
+}
+
+/// `fine` equally spaced u in 0..=1 for each ray: sampling at test time.
+pub fn even_u(rays: usize, fine: usize, like: &Tensor) -> Result<Tensor> {
+    let last = (fine.max(2) - 1) as f64;
+    let row: Vec<f64> = (0..fine).map(|i| i as f64 / last).collect();
+    let row = Tensor::from_vec(row, (1, fine), like.device())?.to_dtype(like.dtype())?;
+    Ok(row.broadcast_as((rays, fine))?.contiguous()?)
+}
+
+/// Maps `u` through the inverse of the CDF that `weights + 1e-5` (one a bin, `bins.len() - 1`)
+/// define on the edges `bins`. A bin with a share under 1e-5 counts as of width 1, as in the
+/// original implementation: its u all but never occur and map next to the lower edge.
+pub fn inverse_cdf(bins: &[f64], weights: &[f64], u: &[f64], out: &mut [f64]) {
+    const FLOOR: f64 = 1e-5;
+    let total: f64 = weights.iter().map(|w| w + FLOOR).sum();
+    let mut cdf = Vec::with_capacity(bins.len());
+    let mut sum = 0.0;
+    cdf.push(0.0);
+    for w in weights {
+        sum += (w + FLOOR) / total;
+        cdf.push(sum);
+    }
+    let last = cdf.len() - 1;
+    for (out, &u) in out.iter_mut().zip(u) {
+        let above = cdf.partition_point(|&c| c <= u);
+        let (lower, upper) = (above.saturating_sub(1), above.min(last));
+        let share = cdf[upper] - cdf[lower];
+        let fraction = (u - cdf[lower]) / if share < FLOOR { 1.0 } else { share };
+        *out = bins[lower] + fraction * (bins[upper] - bins[lower]);
+    }
+}
+
+fn host_rows(tensor: &Tensor) -> Result<Vec<f64>> {
+    Ok(tensor.detach().to_dtype(DType::F64)?.flatten_all()?.to_vec1()?)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use candle_core::Device;
+
+    #[test]
+    fn stratified_samples_stay_in_their_bins_and_are_sorted() {
+        let like = Tensor::zeros(1, DType::F64, &Device::Cpu).unwrap();
+        let jitter = Tensor::new(&[[0.0, 0.0, 0.0, 0.0], [0.999, 0.999, 0.999, 0.999]], &Device::Cpu).unwrap();
+        let t = stratified(2.0, 5.0, 2, 4, Some(&jitter), &like).unwrap().to_vec2::<f64>().unwrap();
+        assert_eq!(t[0], [2.0, 2.5, 3.5, 4.5]);
+        assert!(t[1].iter().zip([2.5, 3.5, 4.5, 5.0]).all(|(a, b)| (a - b).abs() < 2e-3 && *a < b));
+        let still = stratified(2.0, 5.0, 1, 4, None, &like).unwrap().to_vec2::<f64>().unwrap();
+        assert_eq!(still[0], [2.0, 3.0, 4.0, 5.0]);
+    }
+
+    #[test]
+    fn inverse_cdf_puts_samples_where_the_weight_is() {
+        let bins = [0.0, 1.0, 2.0, 3.0];
+        let u: Vec<f64> = (0..1000).map(|i| (i as f64 + 0.5) / 1000.0).collect();
+        let mut out = vec![0.0; 1000];
+        inverse_cdf(&bins, &[1.0, 0.0, 3.0], &u, &mut out);
+        let share = |lo: f64, hi: f64| out.iter().filter(|t| **t >= lo && **t < hi).count();
+        assert!(share(0.0, 1.0).abs_diff(250) <= 1 && share(2.0, 3.1).abs_diff(750) <= 1);
+        assert!(out.windows(2).all(|pair| pair[0] <= pair[1]));
+    }
+}
