@@ -143,18 +143,22 @@ fn add_after(p: Perturbation, rgb: Tensor, density: Tensor, used: &mut Deltas) -
             _ => (now.zeros_like()? + f64::from(f32::MAX))?,
         };
         let projected = set.within(now.neg()?, upper).project(&delta.detach())?;
-        let correction = (&projected - delta.detach())?;
-        used.set(level, projected);
-        // (delta + correction) rounds; where it would leave the range by an ulp, clamp the value.
-        let moved = ((value + delta)? + correction)?;
+        let moved = (&now + &projected)?;
+        // The projected sum can leave the range by a rounding.
         let legal = match level {
-            Level::Rgb => moved.detach().clamp(0f64, 1f64)?,
-            _ => moved.detach().relu()?,
+            Level::Rgb => moved.clamp(0f64, 1f64)?,
+            _ => moved.relu()?,
         };
-        let rounding = (legal - moved.detach())?;
-        Ok((moved + rounding)?)
+        used.set(level, projected);
+        straight_through(legal, &value, delta)
     };
     Ok((add(Level::Rgb, rgb)?, add(Level::Density, density)?))
+}
+
+/// The tensor `exact`, with the gradient of `value + delta`. The two differences are exactly 0.
+fn straight_through(exact: Tensor, value: &Tensor, delta: &Tensor) -> Result<Tensor> {
+    let gradient = ((value - value.detach())? + (delta - delta.detach())?)?;
+    Ok((exact + gradient)?)
 }
 
 /// Adds the output deltas before the activations: the box alone limits them.
@@ -162,9 +166,9 @@ fn add_before(p: Perturbation, raw: RawOutput, used: &mut Deltas) -> Result<RawO
     let mut add = |level: Level, value: Tensor| -> Result<Tensor> {
         let (Some(delta), Some(set)) = (p.deltas.get(level), p.sets.get(level)) else { return Ok(value) };
         let projected = set.project(&delta.detach())?;
-        let correction = (&projected - delta.detach())?;
+        let moved = (value.detach() + &projected)?;
         used.set(level, projected);
-        Ok(((value + delta)? + correction)?)
+        straight_through(moved, &value, delta)
     };
     Ok(RawOutput { rgb: add(Level::Rgb, raw.rgb)?, density: add(Level::Density, raw.density)? })
 }
