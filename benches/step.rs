@@ -1,1 +1,67 @@
-fn main() {}
+//! Seconds of one training step at the paper's network size, plain and with the search.
+//!
+//! The same work as a PyTorch implementation's `--rays 256`: 256 rays, 64 + 64 samples, two fields
+//! of 8 x 256, Adam.
+
+use std::hint::black_box;
+use std::time::Duration;
+
+use augnerf::config::{Config, DataKind, Method};
+use augnerf::data::{Camera, Image, Scene, View};
+use augnerf::train::Trainer;
+use candle_core::{DType, Device};
+use criterion::{Criterion, criterion_group, criterion_main};
+
+/// One 64 x 64 view of noise: a step's work does not depend on what it sees.
+fn scene() -> Scene {
+    let camera = Camera {
+        width: 64,
+        height: 64,
+        focal: [80.0, 80.0],
+        centre: [32.0, 32.0],
+        pose: [[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 4.0]],
+    };
+    let pixels = (0..64 * 64 * 3).map(|i| (i * 7919 % 256) as f32 / 255.0).collect();
+    let image = Image { width: 64, height: 64, channels: 3, pixels };
+    let view = View { name: "noise".into(), camera, image, depth: None };
+    Scene {
+        name: "noise".into(),
+        kind: "blender",
+        train: vec![view],
+        test: vec![],
+        near: 2.0,
+        far: 6.0,
+        ndc: None,
+        background: None,
+        path: vec![],
+    }
+}
+
+fn step(criterion: &mut Criterion) {
+    augnerf::allocator::keep_freed_memory();
+    let mut group = criterion.benchmark_group("step");
+    group.sample_size(10).warm_up_time(Duration::from_secs(4)).measurement_time(Duration::from_secs(20));
+    for (name, method, width) in [
+        ("nerf-256", Method::Nerf, 256),
+        ("aug-nerf-256", Method::AugNerf, 256),
+        ("nerf-64", Method::Nerf, 64),
+        ("aug-nerf-64", Method::AugNerf, 64),
+    ] {
+        let mut config = Config { method, ..Config::default() };
+        config.train.rays = 256;
+        config.field.width = width;
+        config.resolve_kind(DataKind::Blender);
+        config.resolve_bounds(2.0, 6.0);
+        config.train.collapse_steps = 0;
+        config.train.dead_start_share = 0.0;
+        if let Some(chunk) = std::env::var("CHUNK").ok().and_then(|c| c.parse().ok()) {
+            config.train.chunk = chunk;
+        }
+        let mut trainer = Trainer::new(&config, &scene(), DType::F32, &Device::Cpu).expect("a trainer");
+        group.bench_function(name, |bencher| bencher.iter(|| black_box(trainer.step(false).expect("a step"))));
+    }
+    group.finish();
+}
+
+criterion_group!(benches, step);
+criterion_main!(benches);

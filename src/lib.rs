@@ -2,11 +2,14 @@
 
 #![warn(missing_docs)]
 
+pub mod allocator;
 pub mod config;
 pub mod data;
 pub mod error;
 pub mod field;
+pub mod model;
 pub mod perturbations;
 pub mod render;
 pub mod rng;
 pub mod sampling;
+pub mod train;

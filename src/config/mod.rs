@@ -259,6 +259,8 @@ pub struct TrainConfig {
     pub steps: u64,
     /// Rays of one step.
     pub rays: usize,
+    /// Rays whose gradients are computed at once; bounds memory. Changes results by rounding only.
+    pub chunk: usize,
     /// Where a step's rays come from. Empty = `one-image` for scenes seen from all around,
     /// `all-images` for forward-facing ones.
     pub batching: Option<Batching>,
@@ -294,6 +296,7 @@ impl Default for TrainConfig {
         TrainConfig {
             steps: 500_000,
             rays: 1024,
+            chunk: 256,
             batching: None,
             learning_rate: 5e-4,
             decay_rate: 0.1,

@@ -80,6 +80,7 @@ impl Config {
         let positive = |name: &str, value: f64| require(value.is_finite() && value > 0.0, name, value, "positive");
         require(train.steps >= 1, "train.steps", train.steps, "at least 1")?;
         require((1..=1 << 20).contains(&train.rays), "train.rays", train.rays, "1 to 1048576")?;
+        require((1..=1 << 20).contains(&train.chunk), "train.chunk", train.chunk, "1 to 1048576 rays")?;
         positive("train.learning_rate", train.learning_rate)?;
         positive("train.decay_rate", train.decay_rate)?;
         if let Some(decay) = train.decay_steps {

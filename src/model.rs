@@ -1,0 +1,86 @@
+//! The trained networks of one experiment, and their parameters by name.
+
+use candle_core::{DType, Device, Tensor, Var};
+
+use crate::config::{Config, Method, PerturbField};
+use crate::error::Result;
+use crate::field::Field;
+
+/// Coarse and fine field, and the further field of the released code's perturbed pass.
+#[derive(Clone)]
+pub struct Model {
+    /// Places samples, and is the whole model where there is no fine field.
+    pub coarse: Field,
+    /// Rendered and evaluated.
+    pub fine: Option<Field>,
+    /// The perturbed pass's own field (`perturb.field = "separate"`); never evaluated.
+    pub adversarial: Option<Field>,
+}
+
+/// Which fields a configuration has, in the fixed order of parameters.
+fn roles(config: &Config) -> Vec<&'static str> {
+    let mut roles = vec!["coarse"];
+    if config.sampling.fine > 0 {
+        roles.push("fine");
+    }
+    if config.method == Method::AugNerf && config.perturb.field == PerturbField::Separate {
+        roles.push("adversarial");
+    }
+    roles
+}
+
+impl Model {
+    /// Freshly drawn fields. `draws` says how often each field of [`Model::roles`] was drawn
+    /// before: 0 for the first draw, one more for each dead start.
+    pub fn init(config: &Config, draws: &[u64], dtype: DType, device: &Device) -> Result<Model> {
+        // Far apart, so that redraws of one field never meet another's numbers.
+        const ROLE_STRIDE: u64 = 1 << 32;
+        let fields = draws.iter().enumerate().map(|(role, draw)| {
+            Field::init(&config.field, config.seed, role as u64 * ROLE_STRIDE + draw, dtype, device)
+        });
+        Ok(Model::from_fields(config, fields.collect::<Result<Vec<Field>>>()?))
+    }
+
+    /// Names of the fields that a configuration has: `coarse`, `fine`, `adversarial`.
+    pub fn roles(config: &Config) -> Vec<&'static str> {
+        roles(config)
+    }
+
+    /// Names and shapes of all parameters (`coarse.trunk.0.weight`, ...), in their fixed order.
+    pub fn parameter_names(config: &Config) -> Vec<(String, Vec<usize>)> {
+        let of_field = Field::parameter_names(&config.field);
+        let named = |role| of_field.iter().map(move |(name, shape)| (format!("{role}.{name}"), shape.clone()));
+        roles(config).into_iter().flat_map(named).collect()
+    }
+
+    /// A model over given values, in the order of [`Model::parameter_names`].
+    pub fn from_parameters(config: &Config, values: Vec<Tensor>) -> Result<Model> {
+        let per_field = Field::parameter_names(&config.field).len();
+        let fields = values.chunks(per_field).map(|part| Field::from_parameters(&config.field, part.to_vec()));
+        Ok(Model::from_fields(config, fields.collect::<Result<Vec<Field>>>()?))
+    }
+
+    fn from_fields(config: &Config, fields: Vec<Field>) -> Model {
+        let mut fields = roles(config).into_iter().zip(fields).collect::<std::collections::HashMap<_, _>>();
+        Model {
+            coarse: fields.remove("coarse").expect("there is always a coarse field"),
+            fine: fields.remove("fine"),
+            adversarial: fields.remove("adversarial"),
+        }
+    }
+
+    /// The fields with their names, in the fixed order.
+    pub fn fields(&self) -> Vec<(&'static str, &Field)> {
+        let optional = [("fine", &self.fine), ("adversarial", &self.adversarial)];
+        let further = optional.into_iter().filter_map(|(role, field)| field.as_ref().map(|field| (role, field)));
+        std::iter::once(("coarse", &self.coarse)).chain(further).collect()
+    }
+
+    /// All parameters with their names, in the fixed order.
+    pub fn variables(&self) -> Vec<(String, Var)> {
+        let named = |(role, field): (&str, &Field)| -> Vec<(String, Var)> {
+            field.variables().iter().map(|(name, var)| (format!("{role}.{name}"), var.clone())).collect()
+        };
+        self.fields().into_iter().flat_map(named).collect()
+    }
+}

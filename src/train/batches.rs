@@ -1,0 +1,189 @@
+//! Which rays a step trains on.
+
+use crate::config::{Batching, Config, PixelOrigin};
+use crate::data::{Camera, Ndc, RayBuffer, Scene};
+use crate::rng::{Random, Stream};
+
+/// The training views' pixels and the order in which they are drawn. A batch is a function of the
+/// seed and the step.
+pub struct Batches {
+    seed: u64,
+    rays: usize,
+    batching: Batching,
+    precrop_steps: u64,
+    precrop_fraction: f64,
+    cameras: Vec<Camera>,
+    images: Vec<Vec<f32>>,
+    ndc: Option<Ndc>,
+    pixel_origin: PixelOrigin,
+    /// The shuffled pixels of one epoch of all images.
+    epoch: Option<(u64, Vec<u32>)>,
+}
+
+/// One step's rays and their true colours.
+pub struct Batch {
+    /// The rays.
+    pub rays: RayBuffer,
+    /// RGB, `[rays, 3]`.
+    pub target: Vec<f32>,
+}
+
+impl Batches {
+    /// Batches over the training views of `scene`.
+    pub fn new(config: &Config, scene: &Scene) -> Batches {
+        Batches {
+            seed: config.seed,
+            rays: config.train.rays,
+            batching: config.train.batching.expect("resolved"),
+            precrop_steps: config.train.precrop_steps.expect("resolved"),
+            precrop_fraction: config.train.precrop_fraction,
+            cameras: scene.train.iter().map(|view| view.camera).collect(),
+            images: scene.train.iter().map(|view| view.image.pixels.clone()).collect(),
+            ndc: scene.ndc,
+            pixel_origin: config.data.pixel_origin,
+            epoch: None,
+        }
+    }
+
+    /// The batch of a step.
+    pub fn batch(&mut self, step: u64) -> Batch {
+        let pixels = match self.batching {
+            Batching::AllImages => self.shuffled(step),
+            Batching::OneImage => self.of_one_image(step),
+        };
+        let rays: Vec<(&Camera, u32, u32)> = pixels.iter().map(|&(view, x, y)| (&self.cameras[view], x, y)).collect();
+        let rays = RayBuffer::new(&rays, self.ndc.as_ref(), self.pixel_origin);
+        let target = pixels.iter().flat_map(|&(view, x, y)| {
+            let start = (y as usize * self.cameras[view].width + x as usize) * 3;
+            self.images[view][start..start + 3].iter().copied()
+        });
+        Batch { target: target.collect(), rays }
+    }
+
+    /// The next stretch of a permutation of all pixels; every epoch has its own.
+    fn shuffled(&mut self, step: u64) -> Vec<(usize, u32, u32)> {
+        let sizes: Vec<usize> = self.cameras.iter().map(|camera| camera.width * camera.height).collect();
+        let total: usize = sizes.iter().sum();
+        let rays = self.rays.min(total);
+        let per_epoch = (total / rays) as u64;
+        let epoch = step / per_epoch;
+        if self.epoch.as_ref().is_none_or(|(cached, _)| *cached != epoch) {
+            let order = Random::new(self.seed, Stream::Batches, epoch).distinct(total, total as u32);
+            self.epoch = Some((epoch, order));
+        }
+        let (_, order) = self.epoch.as_ref().expect("just made");
+        let start = (step % per_epoch) as usize * rays;
+        let locate = |&flat: &u32| {
+            let mut rest = flat as usize;
+            let mut view = 0;
+            while rest >= sizes[view] {
+                rest -= sizes[view];
+                view += 1;
+            }
+            let width = self.cameras[view].width;
+            (view, (rest % width) as u32, (rest / width) as u32)
+        };
+        order[start..start + rays].iter().map(locate).collect()
+    }
+
+    /// Distinct pixels of one image, of its central part during pre-crop.
+    fn of_one_image(&self, step: u64) -> Vec<(usize, u32, u32)> {
+        let mut random = Random::new(self.seed, Stream::Batches, step);
+        let view = random.below(self.cameras.len() as u32) as usize;
+        let camera = &self.cameras[view];
+        let central = |size: usize| {
+            if step >= self.precrop_steps {
+                return (0, size as u32);
+            }
+            let kept = ((size as f64 * self.precrop_fraction).round() as usize).clamp(1, size);
+            (((size - kept) / 2) as u32, kept as u32)
+        };
+        let ((x0, width), (y0, height)) = (central(camera.width), central(camera.height));
+        let chosen = random.distinct(self.rays, width * height);
+        chosen.iter().map(|&flat| (view, x0 + flat % width, y0 + flat / width)).collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::data::{Image, View};
+
+    fn scene() -> Scene {
+        let camera = |width, height| Camera {
+            width,
+            height,
+            focal: [10.0, 10.0],
+            centre: [width as f64 / 2.0, height as f64 / 2.0],
+            pose: [[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 4.0]],
+        };
+        let view = |index: usize| {
+            let camera = camera(8, 6);
+            // Every pixel's colour names it.
+            let pixels = (0..48).flat_map(|p| [index as f32, (p % 8) as f32, (p / 8) as f32]).collect();
+            let image = Image { width: 8, height: 6, channels: 3, pixels };
+            View { name: index.to_string(), camera, image, depth: None }
+        };
+        Scene {
+            name: "test".into(),
+            kind: "blender",
+            train: (0..3).map(view).collect(),
+            test: vec![],
+            near: 2.0,
+            far: 6.0,
+            ndc: None,
+            background: None,
+            path: vec![],
+        }
+    }
+
+    fn batches(batching: Batching, rays: usize) -> Batches {
+        let mut config = Config::default();
+        config.train.rays = rays;
+        config.train.batching = Some(batching);
+        config.resolve_kind(crate::config::DataKind::Blender);
+        config.train.precrop_steps = Some(5);
+        Batches::new(&config, &scene())
+    }
+
+    #[test]
+    fn an_epoch_shows_every_pixel_once_and_the_next_in_another_order() {
+        let mut batches = batches(Batching::AllImages, 12);
+        let mut epoch = |first: u64| -> Vec<Vec<f32>> {
+            let targets: Vec<f32> = (first..first + 12).flat_map(|step| batches.batch(step).target).collect();
+            targets.chunks(3).map(<[f32]>::to_vec).collect()
+        };
+        let (first, second) = (epoch(0), epoch(12));
+        assert_ne!(first, second);
+        let sorted = |mut pixels: Vec<Vec<f32>>| {
+            pixels.sort_by(|a, b| a.partial_cmp(b).unwrap());
+            pixels.dedup();
+            pixels.len()
+        };
+        assert_eq!((sorted(first), sorted(second)), (144, 144));
+    }
+
+    #[test]
+    fn one_image_batches_are_distinct_pixels_of_one_view_and_central_at_first() {
+        let mut batches = batches(Batching::OneImage, 10);
+        for step in 0..10 {
+            let target = batches.batch(step).target;
+            let pixels: Vec<&[f32]> = target.chunks(3).collect();
+            assert!(pixels.iter().all(|p| p[0] == pixels[0][0]));
+            let distinct = |i: usize| pixels[..i].iter().all(|p| *p != pixels[i]);
+            assert!((0..pixels.len()).all(distinct));
+            if step < 5 {
+                assert!(pixels.iter().all(|p| (2.0..6.0).contains(&p[1]) && (1.0..5.0).contains(&p[2])), "{pixels:?}");
+            }
+        }
+    }
+
+    #[test]
+    fn batches_are_a_function_of_the_step() {
+        let (mut a, mut b) = (batches(Batching::AllImages, 10), batches(Batching::AllImages, 10));
+        a.batch(3);
+        a.batch(40);
+        assert_eq!(a.batch(17).target, b.batch(17).target);
+        assert_eq!(a.batch(17).rays.directions, b.batch(17).rays.directions);
+    }
+}

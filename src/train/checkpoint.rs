@@ -1,0 +1,202 @@
+//! Checkpoints: parameters, moments and counters of a run.
+//!
+//! A checkpoint is a folder `checkpoints/step_000001000` with `state.safetensors` (parameters
+//! `coarse.trunk.0.weight`, moments `adam.first.coarse...`, `adam.second.coarse...`), `state.json`
+//! and `config.toml`. The folder appears whole or not at all. Random numbers are functions of
+//! the step, so no generator state is kept.
+
+use std::path::{Path, PathBuf};
+
+use candle_core::{DType, Device, Tensor};
+use serde::{Deserialize, Serialize};
+
+use crate::config::Config;
+use crate::data::Scene;
+use crate::error::{Error, Result};
+use crate::model::Model;
+use crate::output::{AtomicDir, clean_temporaries};
+
+use super::{Adam, Moments, Trainer};
+
+const FORMAT: u32 = 1;
+const TENSORS: &str = "state.safetensors";
+const STATE: &str = "state.json";
+const CONFIG: &str = "config.toml";
+
+/// The counters of a checkpoint.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct State {
+    /// Layout version of the checkpoint folder.
+    pub format: u32,
+    /// Steps finished.
+    pub step: u64,
+    /// Steps in a row on which every ray was empty.
+    pub empty_steps: u64,
+    /// Redraws of each field before it was alive.
+    pub redraws: Vec<u64>,
+    /// Hash of the configuration.
+    pub config_hash: String,
+}
+
+/// The folder of a step below a run's `checkpoints`.
+fn folder(checkpoints: &Path, step: u64) -> PathBuf {
+    checkpoints.join(format!("step_{step:09}"))
+}
+
+/// All checkpoints below `checkpoints`, `(step, folder)`, oldest first.
+pub fn list(checkpoints: &Path) -> Result<Vec<(u64, PathBuf)>> {
+    let entries = match std::fs::read_dir(checkpoints) {
+        Ok(entries) => entries,
+        Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(Vec::new()),
+        Err(error) => return Err(Error::unreadable(checkpoints, &error)),
+    };
+    let mut found = Vec::new();
+    for entry in entries {
+        let entry = entry.map_err(|error| Error::unreadable(checkpoints, &error))?;
+        let name = entry.file_name().to_string_lossy().into_owned();
+        if let Some(step) = name.strip_prefix("step_").and_then(|digits| digits.parse().ok()) {
+            found.push((step, entry.path()));
+        }
+    }
+    found.sort();
+    Ok(found)
+}
+
+/// The newest checkpoint.
+pub fn latest(checkpoints: &Path) -> Result<PathBuf> {
+    let newest = list(checkpoints)?.pop();
+    newest.map(|(_, folder)| folder).ok_or_else(|| {
+        Error::Checkpoint(format!(
+            "{} holds no checkpoint: the run was stopped before its first one; start it again with --overwrite",
+            checkpoints.display()
+        ))
+    })
+}
+
+/// Values of all parameters as stored, in the order of [`Model::parameter_names`].
+pub fn load_model(checkpoint: &Path, config: &Config, dtype: DType, device: &Device) -> Result<Model> {
+    let tensors = Tensors::open(checkpoint, dtype, device)?;
+    Model::from_parameters(config, tensors.all("", &Model::parameter_names(config))?)
+}
+
+/// The counters of a checkpoint.
+pub fn load_state(checkpoint: &Path) -> Result<State> {
+    let path = checkpoint.join(STATE);
+    let text = std::fs::read_to_string(&path).map_err(|e| damaged(&path, &e.to_string()))?;
+    let state: State = serde_json::from_str(&text).map_err(|e| damaged(&path, &e.to_string()))?;
+    if state.format != FORMAT {
+        let found = format!("its format is {}, this program reads {FORMAT}", state.format);
+        return Err(damaged(&path, &found));
+    }
+    Ok(state)
+}
+
+fn damaged(path: &Path, found: &str) -> Error {
+    Error::Checkpoint(format!("cannot use the checkpoint file {}: {found}", path.display()))
+}
+
+/// The tensors of a checkpoint by name.
+struct Tensors {
+    path: PathBuf,
+    tensors: std::collections::HashMap<String, Tensor>,
+    dtype: DType,
+}
+
+impl Tensors {
+    fn open(checkpoint: &Path, dtype: DType, device: &Device) -> Result<Tensors> {
+        let path = checkpoint.join(TENSORS);
+        let bytes = std::fs::read(&path).map_err(|e| damaged(&path, &e.to_string()))?;
+        let tensors = candle_core::safetensors::load_buffer(&bytes, device)
+            .map_err(|e| damaged(&path, &format!("it is not a whole safetensors file ({e})")))?;
+        Ok(Tensors { path, tensors, dtype })
+    }
+
+    fn all(&self, prefix: &str, names: &[(String, Vec<usize>)]) -> Result<Vec<Tensor>> {
+        names.iter().map(|(name, shape)| self.get(&format!("{prefix}{name}"), shape)).collect()
+    }
+
+    fn get(&self, name: &str, shape: &[usize]) -> Result<Tensor> {
+        let other = "the configuration describes another architecture (sections field, sampling, perturb.field)";
+        let Some(tensor) = self.tensors.get(name) else {
+            return Err(damaged(&self.path, &format!("it has no tensor {name}; {other}")));
+        };
+        if tensor.dims() != shape {
+            let found = format!("{name} has shape {:?}, expected {shape:?}; {other}", tensor.dims());
+            return Err(damaged(&self.path, &found));
+        }
+        Ok(tensor.to_dtype(self.dtype)?)
+    }
+}
+
+impl Trainer {
+    /// Writes a checkpoint below `checkpoints` and removes all but the newest `keep`. Returns its
+    /// folder.
+    pub fn save(&self, checkpoints: &Path, keep: usize) -> Result<PathBuf> {
+        std::fs::create_dir_all(checkpoints).map_err(|e| Error::unwritable(checkpoints, &e))?;
+        clean_temporaries(checkpoints)?;
+        let target = folder(checkpoints, self.step);
+        if target.exists() {
+            return Ok(target);
+        }
+        let dir = AtomicDir::new(&target)?;
+        dir.write(TENSORS, &self.tensor_bytes()?)?;
+        dir.write(STATE, state_json(&self.state()).as_bytes())?;
+        dir.write(CONFIG, self.config.to_toml().as_bytes())?;
+        dir.commit()?;
+        let mut all = list(checkpoints)?;
+        all.truncate(all.len().saturating_sub(keep));
+        for (_, old) in all {
+            std::fs::remove_dir_all(&old).map_err(|e| Error::unwritable(&old, &e))?;
+        }
+        Ok(target)
+    }
+
+    fn state(&self) -> State {
+        State {
+            format: FORMAT,
+            step: self.step,
+            empty_steps: self.empty_steps,
+            redraws: self.redraws.clone(),
+            config_hash: self.config.hash(),
+        }
+    }
+
+    fn tensor_bytes(&self) -> Result<Vec<u8>> {
+        let mut named: Vec<(String, Tensor)> = Vec::new();
+        for ((name, var), moments) in self.adam.variables().iter().zip(self.adam.moments()) {
+            named.push((name.clone(), var.as_tensor().clone()));
+            named.push((format!("adam.first.{name}"), moments.first.clone()));
+            named.push((format!("adam.second.{name}"), moments.second.clone()));
+        }
+        // No metadata: its map has no fixed order.
+        safetensors::serialize(named, None)
+            .map_err(|e| Error::Checkpoint(format!("cannot serialise the checkpoint: {e}")))
+    }
+
+    /// Continues from a checkpoint folder.
+    pub fn resume(checkpoint: &Path, config: &Config, scene: &Scene, dtype: DType, device: &Device) -> Result<Trainer> {
+        let state = load_state(checkpoint)?;
+        if state.config_hash != config.hash() {
+            return Err(Error::Checkpoint(format!(
+                "{} was written under configuration {}, the run's config.toml is {}: it was changed since; \
+                 restore it, or start a new run",
+                checkpoint.display(),
+                state.config_hash,
+                config.hash()
+            )));
+        }
+        let names = Model::parameter_names(config);
+        let tensors = Tensors::open(checkpoint, dtype, device)?;
+        let model = Model::from_parameters(config, tensors.all("", &names)?)?;
+        let first = tensors.all("adam.first.", &names)?;
+        let second = tensors.all("adam.second.", &names)?;
+        let moments = first.into_iter().zip(second).map(|(first, second)| Moments { first, second }).collect();
+        let adam = Adam::restore(model.variables(), moments);
+        let trainer = Trainer::with_model(config, scene, model, dtype, device)?;
+        Ok(Trainer { adam, step: state.step, empty_steps: state.empty_steps, redraws: state.redraws, ..trainer })
+    }
+}
+
+fn state_json(state: &State) -> String {
+    serde_json::to_string_pretty(state).expect("plain data") + "\n"
+}

@@ -1,0 +1,86 @@
+//! Does the attack do anything? Measured per level at log steps, forward passes only.
+
+use crate::config::Level;
+use crate::error::Result;
+use crate::perturbations::{Deltas, Draw};
+use crate::render::photometric_loss;
+use crate::rng::{Random, Stream};
+
+use super::{PerturbedPass, Trainer, scalar};
+
+/// A level whose gain is under this share of the clean loss is inactive.
+const INACTIVE_SHARE: f64 = 1e-4;
+
+/// What one level's deltas did in one step, coarse + fine.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct LevelDiagnostics {
+    /// The level.
+    pub level: Level,
+    /// Loss with this level's deltas alone, minus the loss without any.
+    pub gain: f64,
+    /// The same minus the loss with uniform random deltas of the same set.
+    pub gain_over_random: f64,
+    /// Share of entries at the set's bound, mean of the passes.
+    pub share_at_bound: f64,
+    /// The gain is under 1e-4 of the clean loss.
+    pub inactive: bool,
+}
+
+/// Sums over chunks and passes.
+#[derive(Default)]
+pub(super) struct Sums(Vec<LevelSums>);
+
+struct LevelSums {
+    level: Level,
+    gain: f64,
+    gain_over_random: f64,
+    at_bound: f64,
+    passes: f64,
+}
+
+impl Sums {
+    fn add(&mut self, level: Level, share: f64, gain: f64, gain_over_random: f64, at_bound: f64) {
+        let index = self.0.iter().position(|sums| sums.level == level).unwrap_or_else(|| {
+            self.0.push(LevelSums { level, gain: 0.0, gain_over_random: 0.0, at_bound: 0.0, passes: 0.0 });
+            self.0.len() - 1
+        });
+        let sums = &mut self.0[index];
+        sums.gain += share * gain;
+        sums.gain_over_random += share * gain_over_random;
+        sums.at_bound += share * at_bound;
+        sums.passes += share;
+    }
+
+    pub(super) fn finish(self, clean_loss: f64) -> Vec<LevelDiagnostics> {
+        let finish = |sums: LevelSums| LevelDiagnostics {
+            level: sums.level,
+            gain: sums.gain,
+            gain_over_random: sums.gain_over_random,
+            share_at_bound: sums.at_bound / sums.passes,
+            inactive: sums.gain < INACTIVE_SHARE * clean_loss,
+        };
+        self.0.into_iter().map(finish).collect()
+    }
+}
+
+impl Trainer {
+    /// Measures each level of a perturbed pass by itself, with the deltas `used` in it.
+    pub(super) fn diagnose(&self, passing: &PerturbedPass, used: &Deltas, share: f64, sums: &mut Sums) -> Result<()> {
+        let frozen = passing.field.frozen();
+        let loss = |deltas: &Deltas| -> Result<f64> {
+            let out = self.run(passing, &frozen, deltas)?;
+            scalar(&photometric_loss(&out.composite.rgb, passing.target)?)
+        };
+        let mut random = Random::new(self.config.seed, Stream::Diagnostics, self.step);
+        let drawn = passing.sets.draw(Draw::Uniform, &mut random)?;
+        let without = loss(&Deltas::default())?;
+        for level in passing.sets.levels() {
+            let with = loss(&used.only(level))?;
+            let with_random = loss(&drawn.only(level))?;
+            let set = passing.sets.get(level).expect("is on");
+            let at_bound = set.share_at_bound(used.get(level).expect("is on"))?;
+            sums.add(level, share, with - without, with - with_random, at_bound);
+        }
+        Ok(())
+    }
+}

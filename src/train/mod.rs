@@ -1,0 +1,507 @@
+//! Training: one step is a clean pass, where asked for a search and a perturbed pass, and an
+//! update.
+//!
+//! Rays are worked through in chunks whose gradients add up: memory is bounded by the chunk, and
+//! small chunks stay in a processor's cache.
+
+use candle_core::backprop::GradStore;
+use candle_core::{DType, Device, Tensor};
+
+use crate::config::{Config, Method, Objective, PerturbConfig, PerturbKind, Resample};
+use crate::data::{Rays, Scene};
+use crate::error::{Error, Result};
+use crate::field::Field;
+use crate::model::Model;
+use crate::perturbations::{Deltas, Draw, PixelScale, Sets, StepSizes, worst_case};
+use crate::render::{Pass, PassOutput, Perturbation, clean_pass, perturbed_pass, photometric_loss};
+use crate::rng::{Random, Stream};
+use crate::sampling;
+
+mod batches;
+//pub mod checkpoint;
+mod diagnostics;
+mod optimizer;
+
+pub use batches::{Batch, Batches};
+pub use diagnostics::LevelDiagnostics;
+pub use optimizer::{Adam, Moments, learning_rate};
+
+/// Accumulation under which a ray counts as empty.
+const EMPTY_ACC: f64 = 1e-3;
+/// Times that a dead start is drawn again before the configuration is blamed.
+const MOST_REDRAWS: u64 = 100;
+
+/// What a scene contributes to the numerics besides rays.
+#[derive(Clone, Copy, Debug)]
+pub struct Volume {
+    /// Start and end of a ray's interval, in units of `t_vals`.
+    pub bounds: (f64, f64),
+    /// Fills missing accumulation.
+    pub background: Option<[f32; 3]>,
+    /// A pixel's size.
+    pub pixel: PixelScale,
+}
+
+impl Volume {
+    /// That of a scene; the first training camera stands for all.
+    pub fn of(scene: &Scene) -> Volume {
+        let camera = &scene.train[0].camera;
+        let pixel = PixelScale {
+            width: camera.width as f64,
+            height: camera.height as f64,
+            focal: camera.focal[0],
+            ndc: scene.ndc.is_some(),
+        };
+        Volume { bounds: (scene.near, scene.far), background: scene.background, pixel }
+    }
+}
+
+/// What one step measured.
+#[derive(Clone, Debug)]
+pub struct StepStats {
+    /// Steps finished, this one included.
+    pub step: u64,
+    /// Learning rate of this step's update.
+    pub learning_rate: f64,
+    /// Photometric loss of the clean coarse pass.
+    pub loss_coarse: f64,
+    /// That of the clean fine pass, where there is one.
+    pub loss_fine: Option<f64>,
+    /// Loss of the perturbed passes (coarse + fine, unweighted), where there are any.
+    pub loss_perturbed: Option<f64>,
+    /// What was minimised: clean and perturbed loss as the objective mixes them.
+    pub loss: f64,
+    /// Largest accumulation of a ray in the pass that is evaluated.
+    pub largest_acc: f64,
+    /// Per level that is on, at log steps.
+    pub levels: Vec<LevelDiagnostics>,
+}
+
+impl StepStats {
+    /// PSNR of the batch in the pass that is evaluated, dB, unrounded.
+    pub fn psnr(&self) -> f64 {
+        -10.0 * self.loss_fine.unwrap_or(self.loss_coarse).log10()
+    }
+}
+
+/// State of a run in memory.
+pub struct Trainer {
+    config: Config,
+    volume: Volume,
+    device: Device,
+    dtype: DType,
+    model: Model,
+    adam: Adam,
+    batches: Batches,
+    step: u64,
+    /// Steps in a row on which every ray was empty.
+    empty_steps: u64,
+    /// Redraws of each field before it was alive.
+    redraws: Vec<u64>,
+}
+
+/// A chunk of one step: rays, targets and the clean pass's random numbers.
+struct Chunk {
+    rays: Rays,
+    target: Tensor,
+    t_coarse: Tensor,
+    noise_coarse: Option<Tensor>,
+    noise_fine: Option<Tensor>,
+    /// Positions in the inverse CDF, `[rays, fine]`.
+    u: Option<Tensor>,
+    /// Share of the step's rays.
+    share: f64,
+}
+
+impl Chunk {
+    fn narrow(&self, start: usize, count: usize) -> Result<Chunk> {
+        let part = |tensor: &Tensor| tensor.narrow(0, start, count)?.contiguous();
+        let maybe = |tensor: &Option<Tensor>| tensor.as_ref().map(part).transpose();
+        Ok(Chunk {
+            rays: self.rays.narrow(start, count)?,
+            target: part(&self.target)?,
+            t_coarse: part(&self.t_coarse)?,
+            noise_coarse: maybe(&self.noise_coarse)?,
+            noise_fine: maybe(&self.noise_fine)?,
+            u: maybe(&self.u)?,
+            share: count as f64 / self.rays.len() as f64,
+        })
+    }
+}
+
+/// One perturbed pass: which field, which samples, which sets.
+struct PerturbedPass<'a> {
+    field: &'a Field,
+    pass: Pass<'a>,
+    target: &'a Tensor,
+    sets: Sets,
+}
+
+/// Gradients in the order of the optimizer's variables.
+struct Gradients(Vec<Option<Tensor>>);
+
+impl Gradients {
+    fn add(&mut self, adam: &Adam, store: &GradStore) -> Result<()> {
+        for ((_, var), sum) in adam.variables().iter().zip(&mut self.0) {
+            if let Some(gradient) = store.get(var) {
+                let gradient = gradient.detach();
+                *sum = Some(match sum.take() {
+                    Some(sum) => (sum + gradient)?,
+                    None => gradient,
+                });
+            }
+        }
+        Ok(())
+    }
+
+    /// The first parameter whose gradient is not finite.
+    fn find_non_finite(&self, adam: &Adam) -> Result<Option<String>> {
+        let named = adam.variables().iter().zip(&self.0).filter_map(|((name, _), g)| g.as_ref().map(|g| (name, g)));
+        let (names, sums): (Vec<&String>, Vec<_>) = named.map(|(name, g)| (name, g.sum_all())).unzip();
+        let sums: Vec<Tensor> = sums.into_iter().collect::<candle_core::Result<_>>()?;
+        let sums: Vec<f64> = Tensor::stack(&sums, 0)?.to_dtype(DType::F64)?.to_vec1()?;
+        Ok(names.into_iter().zip(sums).find(|(_, sum)| !sum.is_finite()).map(|(name, _)| name.clone()))
+    }
+}
+
+impl Trainer {
+    /// A run at step 0. `config` is resolved. Dead starts are drawn again.
+    pub fn new(config: &Config, scene: &Scene, dtype: DType, device: &Device) -> Result<Trainer> {
+        let mut redraws = vec![0; Model::roles(config).len()];
+        let mut trainer =
+            Trainer::with_model(config, scene, Model::init(config, &redraws, dtype, device)?, dtype, device)?;
+        let first = trainer.chunk(0)?;
+        let points = first.t_coarse.unsqueeze(2)?.broadcast_mul(&first.rays.directions.unsqueeze(1)?)?;
+        let points = points.broadcast_add(&first.rays.origins.unsqueeze(1)?)?.flatten(0, 1)?;
+        loop {
+            let dead = trainer.dead_fields(&points)?;
+            if dead.is_empty() {
+                trainer.redraws = redraws;
+                return Ok(trainer);
+            }
+            for field in dead {
+                redraws[field] += 1;
+                if redraws[field] > MOST_REDRAWS {
+                    return Err(Error::Diverged(format!(
+                        "{MOST_REDRAWS} draws of the {} field all start with under {} of densities positive; \
+                         lower train.dead_start_share or change field.init",
+                        Model::roles(config)[field],
+                        config.train.dead_start_share
+                    )));
+                }
+            }
+            let model = Model::init(config, &redraws, dtype, device)?;
+            trainer = Trainer::with_model(config, scene, model, dtype, device)?;
+        }
+    }
+
+    fn with_model(config: &Config, scene: &Scene, model: Model, dtype: DType, device: &Device) -> Result<Trainer> {
+        Ok(Trainer {
+            volume: Volume::of(scene),
+            device: device.clone(),
+            dtype,
+            adam: Adam::new(model.variables())?,
+            redraws: vec![0; model.fields().len()],
+            model,
+            batches: Batches::new(config, scene),
+            step: 0,
+            empty_steps: 0,
+            config: config.clone(),
+        })
+    }
+
+    /// Fields whose share of positive densities at `points` is under the configured one.
+    fn dead_fields(&self, points: &Tensor) -> Result<Vec<usize>> {
+        let mut dead = Vec::new();
+        for (index, (_, field)) in self.model.fields().into_iter().enumerate() {
+            let positive = field.frozen().raw_density(points)?.gt(0f64)?.to_dtype(DType::F64)?;
+            if positive.mean_all()?.to_scalar::<f64>()? < self.config.train.dead_start_share {
+                dead.push(index);
+            }
+        }
+        Ok(dead)
+    }
+
+    /// The resolved configuration.
+    pub fn config(&self) -> &Config {
+        &self.config
+    }
+
+    /// The networks.
+    pub fn model(&self) -> &Model {
+        &self.model
+    }
+
+    /// Steps finished.
+    pub fn step_count(&self) -> u64 {
+        self.step
+    }
+
+    /// How often each field (see [`Model::roles`]) was drawn again because it started dead.
+    pub fn redraws(&self) -> &[u64] {
+        &self.redraws
+    }
+
+    /// The whole batch of a step with the clean pass's random numbers.
+    fn chunk(&mut self, step: u64) -> Result<Chunk> {
+        let batch = self.batches.batch(step);
+        let rays = batch.rays.to_tensors(self.dtype, &self.device)?;
+        let target = Tensor::from_vec(batch.target, (rays.len(), 3), &self.device)?.to_dtype(self.dtype)?;
+        let mut random = Random::new(self.config.seed, Stream::Jitter, step);
+        self.draw_clean(rays, target, &mut random)
+    }
+
+    /// Draws jitter, density noise and inverse-CDF positions of a clean pass, in a fixed order.
+    fn draw_clean(&self, rays: Rays, target: Tensor, random: &mut Random) -> Result<Chunk> {
+        let sampling = &self.config.sampling;
+        let (n, coarse, fine) = (rays.len(), sampling.coarse, sampling.fine);
+        let jitter = match sampling.jitter {
+            true => Some(random.uniform_tensor(&[n, coarse], self.dtype, &self.device)?),
+            false => None,
+        };
+        let (near, far) = self.volume.bounds;
+        let t_coarse = sampling::stratified(near, far, n, coarse, jitter.as_ref(), &rays.origins)?;
+        let std = sampling.density_noise.expect("resolved");
+        let mut noise = |samples: usize| -> Result<Option<Tensor>> {
+            if std == 0.0 {
+                return Ok(None);
+            }
+            Ok(Some((random.normal_tensor(&[n, samples], self.dtype, &self.device)? * std)?))
+        };
+        let noise_coarse = noise(coarse)?;
+        let noise_fine = if fine > 0 { noise(coarse + fine)? } else { None };
+        let u = match (fine, sampling.jitter) {
+            (0, _) => None,
+            (_, true) => Some(random.uniform_tensor(&[n, fine], self.dtype, &self.device)?),
+            (_, false) => Some(sampling::even_u(n, fine, &t_coarse)?),
+        };
+        Ok(Chunk { rays, target, t_coarse, noise_coarse, noise_fine, u, share: 1.0 })
+    }
+
+    /// Takes one step. `log` asks for the diagnostics of the perturbed levels.
+    pub fn step(&mut self, log: bool) -> Result<StepStats> {
+        let whole = self.chunk(self.step)?;
+        let augmented = self.config.method == Method::AugNerf;
+        let (clean_weight, perturbed_weight) = mixing(&self.config);
+        let mut attack = Random::new(self.config.seed, Stream::Attack, self.step);
+        let mut gradients = Gradients(vec![None; self.adam.variables().len()]);
+        let mut stats = StepStats {
+            step: self.step + 1,
+            learning_rate: learning_rate(&self.config.train, self.step),
+            loss_coarse: 0.0,
+            loss_fine: None,
+            loss_perturbed: None,
+            loss: 0.0,
+            largest_acc: 0.0,
+            levels: Vec::new(),
+        };
+        let mut diagnostics = diagnostics::Sums::default();
+        for start in (0..whole.rays.len()).step_by(self.config.train.chunk) {
+            let count = self.config.train.chunk.min(whole.rays.len() - start);
+            let chunk = whole.narrow(start, count)?;
+            let t_fine = self.clean(&chunk, clean_weight, &mut gradients, &mut stats)?;
+            if augmented {
+                let loss = if self.config.perturb.kind == PerturbKind::FreshJitter {
+                    self.second_clean(&chunk, perturbed_weight, &mut attack, &mut gradients)?
+                } else {
+                    let log = log.then_some(&mut diagnostics);
+                    self.perturbed(&chunk, t_fine.as_ref(), perturbed_weight, &mut attack, &mut gradients, log)?
+                };
+                *stats.loss_perturbed.get_or_insert(0.0) += loss * chunk.share;
+            }
+        }
+        let clean = stats.loss_coarse + stats.loss_fine.unwrap_or(0.0);
+        stats.loss = clean_weight * clean + stats.loss_perturbed.map_or(0.0, |loss| perturbed_weight * loss);
+        stats.levels = diagnostics.finish(clean);
+        self.check_finite(&stats, &gradients)?;
+        self.check_alive(&stats)?;
+        self.adam.update(&gradients.0, stats.learning_rate, stats.step)?;
+        self.step += 1;
+        Ok(stats)
+    }
+
+    /// Clean passes of a chunk; returns the fine pass's samples.
+    fn clean(
+        &self,
+        chunk: &Chunk,
+        weight: f64,
+        gradients: &mut Gradients,
+        stats: &mut StepStats,
+    ) -> Result<Option<Tensor>> {
+        let pass = self.coarse_pass(chunk);
+        let coarse = clean_pass(&self.model.coarse, pass)?;
+        stats.loss_coarse += chunk.share * self.descend(&coarse, &chunk.target, weight * chunk.share, gradients)?;
+        let (Some(field), Some(u)) = (&self.model.fine, &chunk.u) else {
+            stats.largest_acc = stats.largest_acc.max(largest(&coarse.composite.acc)?);
+            return Ok(None);
+        };
+        let t_vals = sampling::importance(&chunk.t_coarse, &coarse.composite.weights, u)?;
+        drop(coarse);
+        let fine = clean_pass(field, self.fine_pass(chunk, &t_vals))?;
+        let loss = self.descend(&fine, &chunk.target, weight * chunk.share, gradients)?;
+        *stats.loss_fine.get_or_insert(0.0) += chunk.share * loss;
+        stats.largest_acc = stats.largest_acc.max(largest(&fine.composite.acc)?);
+        Ok(Some(t_vals))
+    }
+
+    fn coarse_pass<'a>(&self, chunk: &'a Chunk) -> Pass<'a> {
+        Pass {
+            rays: &chunk.rays,
+            t_vals: &chunk.t_coarse,
+            density_noise: chunk.noise_coarse.as_ref(),
+            background: self.volume.background,
+        }
+    }
+
+    fn fine_pass<'a>(&self, chunk: &'a Chunk, t_vals: &'a Tensor) -> Pass<'a> {
+        Pass { t_vals, density_noise: chunk.noise_fine.as_ref(), ..self.coarse_pass(chunk) }
+    }
+
+    /// Adds the gradients of `weight` times the photometric loss; returns the loss.
+    fn descend(&self, out: &PassOutput, target: &Tensor, weight: f64, gradients: &mut Gradients) -> Result<f64> {
+        let loss = photometric_loss(&out.composite.rgb, target)?;
+        gradients.add(&self.adam, &(&loss * weight)?.backward()?)?;
+        scalar(&loss)
+    }
+
+    /// The control of equal compute: another clean pass with its own jitter, noise and samples.
+    fn second_clean(&self, chunk: &Chunk, weight: f64, random: &mut Random, gradients: &mut Gradients) -> Result<f64> {
+        let mut fresh = self.draw_clean(chunk.rays.clone(), chunk.target.clone(), random)?;
+        fresh.share = chunk.share;
+        let coarse = clean_pass(&self.model.coarse, self.coarse_pass(&fresh))?;
+        let mut loss = self.descend(&coarse, &fresh.target, weight * fresh.share, gradients)?;
+        if let (Some(field), Some(u)) = (&self.model.fine, &fresh.u) {
+            let t_vals = sampling::importance(&fresh.t_coarse, &coarse.composite.weights, u)?;
+            drop(coarse);
+            let fine = clean_pass(field, self.fine_pass(&fresh, &t_vals))?;
+            loss += self.descend(&fine, &fresh.target, weight * fresh.share, gradients)?;
+        }
+        Ok(loss)
+    }
+
+    /// Searches and descends the perturbed passes of a chunk; returns their loss, coarse + fine.
+    fn perturbed(
+        &self,
+        chunk: &Chunk,
+        t_fine: Option<&Tensor>,
+        weight: f64,
+        random: &mut Random,
+        gradients: &mut Gradients,
+        mut diagnostics: Option<&mut diagnostics::Sums>,
+    ) -> Result<f64> {
+        let mut total = 0.0;
+        let mut resampled = None;
+        for is_coarse in [true, false] {
+            let own = if is_coarse { Some(&self.model.coarse) } else { self.model.fine.as_ref() };
+            let Some(own) = own else { continue };
+            let pass = match (is_coarse, &resampled, t_fine) {
+                (true, _, _) => self.coarse_pass(chunk),
+                (false, Some(t_vals), _) | (false, None, Some(t_vals)) => self.fine_pass(chunk, t_vals),
+                (false, None, None) => continue,
+            };
+            let field = self.model.adversarial.as_ref().unwrap_or(own);
+            let passing = PerturbedPass { field, pass, target: &chunk.target, sets: self.sets(is_coarse, pass)? };
+            let deltas = self.find_deltas(&passing, random)?;
+            let out = self.run(&passing, field, &deltas)?;
+            total += self.descend(&out, &chunk.target, weight * chunk.share, gradients)?;
+            if let Some(sums) = diagnostics.as_deref_mut() {
+                self.diagnose(&passing, &out.used, chunk.share, sums)?;
+            }
+            if let (true, Resample::Perturbed, Some(u)) = (is_coarse, self.config.perturb.resample, &chunk.u) {
+                let moved = match deltas.get(crate::config::Level::T) {
+                    Some(delta) => (pass.t_vals + delta)?,
+                    None => pass.t_vals.clone(),
+                };
+                resampled = Some(sampling::importance(&moved, &out.composite.weights, u)?);
+            }
+        }
+        Ok(total)
+    }
+
+    fn sets(&self, is_coarse: bool, pass: Pass) -> Result<Sets> {
+        Sets::new(
+            &self.config.perturb,
+            is_coarse,
+            pass.t_vals,
+            &pass.rays.direction_norm,
+            self.volume.bounds,
+            self.config.sampling.coarse,
+            self.config.field.width,
+            &self.volume.pixel,
+        )
+    }
+
+    /// The pass with `deltas` through `field` (live or frozen).
+    fn run(&self, passing: &PerturbedPass, field: &Field, deltas: &Deltas) -> Result<PassOutput> {
+        let PerturbConfig { injection_layer, output, .. } = self.config.perturb;
+        perturbed_pass(field, passing.pass, Perturbation { deltas, sets: &passing.sets, injection_layer, output })
+    }
+
+    /// Random or worst-case deltas, detached.
+    fn find_deltas(&self, passing: &PerturbedPass, random: &mut Random) -> Result<Deltas> {
+        match self.config.perturb.kind {
+            PerturbKind::Gaussian => return passing.sets.draw(Draw::Gaussian, random),
+            PerturbKind::Uniform => return passing.sets.draw(Draw::Uniform, random),
+            PerturbKind::WorstCase | PerturbKind::FreshJitter => {}
+        }
+        let start = passing.sets.draw(Draw::Uniform, random)?;
+        let frozen = passing.field.frozen();
+        worst_case(&passing.sets, &StepSizes::new(&self.config.perturb), start, |deltas| {
+            let out = self.run(passing, &frozen, deltas)?;
+            Ok((photometric_loss(&out.composite.rgb, passing.target)?, out.used))
+        })
+    }
+
+    fn check_finite(&self, stats: &StepStats, gradients: &Gradients) -> Result<()> {
+        let losses = [
+            ("loss of the clean coarse pass", Some(stats.loss_coarse)),
+            ("loss of the clean fine pass", stats.loss_fine),
+            ("loss of the perturbed pass", stats.loss_perturbed),
+        ];
+        let loss = losses.into_iter().find(|(_, loss)| loss.is_some_and(|loss| !loss.is_finite()));
+        let tensor = match loss {
+            Some((name, _)) => Some(name.to_string()),
+            None => gradients.find_non_finite(&self.adam)?.map(|name| format!("gradient of {name}")),
+        };
+        match tensor {
+            None => Ok(()),
+            Some(tensor) => Err(Error::Diverged(format!(
+                "training went non-finite at step {}: the {tensor} is not a number; lower train.learning_rate \
+                 ({}), or the step sizes of section perturb, and start again or resume from the last checkpoint",
+                stats.step, self.config.train.learning_rate
+            ))),
+        }
+    }
+
+    fn check_alive(&mut self, stats: &StepStats) -> Result<()> {
+        self.empty_steps = if stats.largest_acc < EMPTY_ACC { self.empty_steps + 1 } else { 0 };
+        let limit = self.config.train.collapse_steps;
+        if limit == 0 || self.empty_steps < limit {
+            return Ok(());
+        }
+        Err(Error::Diverged(format!(
+            "training collapsed at step {}: acc (accumulated weight) stayed under {EMPTY_ACC} on every ray for {} steps; \
+             try another seed, a lower train.learning_rate, or precropping (train.precrop_steps); \
+             train.collapse_steps = 0 switches this check off",
+            stats.step, self.empty_steps
+        )))
+    }
+}
+
+/// Weights of clean and perturbed loss.
+fn mixing(config: &Config) -> (f64, f64) {
+    let lambda = config.perturb.lambda;
+    match (config.method, config.perturb.objective) {
+        (Method::Nerf, _) => (1.0, 0.0),
+        (Method::AugNerf, Objective::Paper) => (1.0, lambda),
+        (Method::AugNerf, Objective::Released) => (1.0 - lambda, lambda),
+    }
+}
+
+fn scalar(tensor: &Tensor) -> Result<f64> {
+    Ok(tensor.to_dtype(DType::F64)?.to_scalar()?)
+}
+
+fn largest(tensor: &Tensor) -> Result<f64> {
+    scalar(&tensor.flatten_all()?.max(0)?)
+}

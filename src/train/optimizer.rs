@@ -1,0 +1,114 @@
+//! Adam with moments that can be saved, and the learning-rate curve.
+
+use candle_core::{Tensor, Var};
+
+use crate::config::TrainConfig;
+use crate::error::Result;
+
+const BETA1: f64 = 0.9;
+const BETA2: f64 = 0.999;
+const EPSILON: f64 = 1e-8;
+
+/// The learning rate of the update that follows `step` finished ones:
+/// learning_rate * decay_rate^(step / decay_steps).
+pub fn learning_rate(config: &TrainConfig, step: u64) -> f64 {
+    let decay_steps = config.decay_steps.expect("resolved") as f64;
+    config.learning_rate * config.decay_rate.powf(step as f64 / decay_steps)
+}
+
+/// First and second moment of one parameter.
+pub struct Moments {
+    /// Mean of gradients.
+    pub first: Tensor,
+    /// Mean of squared gradients.
+    pub second: Tensor,
+}
+
+/// Adam (Kingma and Ba 2015) without weight decay.
+pub struct Adam {
+    variables: Vec<(String, Var)>,
+    moments: Vec<Moments>,
+}
+
+impl Adam {
+    /// Moments at zero.
+    pub fn new(variables: Vec<(String, Var)>) -> Result<Adam> {
+        let zero = |(_, var): &(String, Var)| -> Result<Moments> {
+            Ok(Moments { first: var.zeros_like()?, second: var.zeros_like()? })
+        };
+        let moments = variables.iter().map(zero).collect::<Result<_>>()?;
+        Ok(Adam { variables, moments })
+    }
+
+    /// Saved moments, in the order of the variables.
+    pub fn restore(variables: Vec<(String, Var)>, moments: Vec<Moments>) -> Adam {
+        assert_eq!(variables.len(), moments.len(), "one pair of moments a parameter");
+        Adam { variables, moments }
+    }
+
+    /// The parameters that are updated.
+    pub fn variables(&self) -> &[(String, Var)] {
+        &self.variables
+    }
+
+    /// The moments, in the order of the variables.
+    pub fn moments(&self) -> &[Moments] {
+        &self.moments
+    }
+
+    /// One update with `gradients` in the order of the variables; `updates` counts this one, too
+    /// (1 for the first). A parameter without gradient has gradient 0.
+    pub fn update(&mut self, gradients: &[Option<Tensor>], learning_rate: f64, updates: u64) -> Result<()> {
+        let correction1 = 1.0 - BETA1.powf(updates as f64);
+        let correction2 = 1.0 - BETA2.powf(updates as f64);
+        for (((_, var), moments), gradient) in self.variables.iter().zip(&mut self.moments).zip(gradients) {
+            let zero;
+            let gradient = match gradient {
+                Some(gradient) => gradient,
+                None => {
+                    zero = var.zeros_like()?;
+                    &zero
+                }
+            };
+            moments.first = ((&moments.first * BETA1)? + (gradient * (1.0 - BETA1))?)?;
+            moments.second = ((&moments.second * BETA2)? + (gradient.sqr()? * (1.0 - BETA2))?)?;
+            let scale = ((&moments.second / correction2)?.sqrt()? + EPSILON)?;
+            let step = ((&moments.first * (learning_rate / correction1))? / scale)?;
+            var.set(&(var.as_tensor() - step)?)?;
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use candle_core::Device;
+
+    /// By hand: with one gradient g the first step is learning_rate * sign(g), whatever |g|.
+    #[test]
+    fn the_first_step_is_the_learning_rate() {
+        let var = Var::new(&[1.0f64, -2.0, 3.0], &Device::Cpu).unwrap();
+        let mut adam = Adam::new(vec![("p".into(), var.clone())]).unwrap();
+        let gradient = Tensor::new(&[4.0f64, -0.5, 0.0], &Device::Cpu).unwrap();
+        adam.update(&[Some(gradient)], 0.1, 1).unwrap();
+        let found = var.to_vec1::<f64>().unwrap();
+        assert!(found.iter().zip([0.9, -1.9, 3.0]).all(|(a, b)| (a - b).abs() < 1e-6), "{found:?}");
+    }
+
+    /// The scalar recursion of the paper, algorithm 1, written out.
+    #[test]
+    fn many_steps_follow_the_scalar_recursion() {
+        let var = Var::new(&[0.3f64], &Device::Cpu).unwrap();
+        let mut adam = Adam::new(vec![("p".into(), var.clone())]).unwrap();
+        let (mut p, mut m, mut v) = (0.3f64, 0.0f64, 0.0f64);
+        for t in 1..=20 {
+            let g = (t as f64).sin();
+            m = 0.9 * m + 0.1 * g;
+            v = 0.999 * v + 0.001 * g * g;
+            p -= 0.01 * (m / (1.0 - 0.9f64.powi(t))) / ((v / (1.0 - 0.999f64.powi(t))).sqrt() + 1e-8);
+            adam.update(&[Some(Tensor::new(&[g], &Device::Cpu).unwrap())], 0.01, t as u64).unwrap();
+        }
+        assert!((var.to_vec1::<f64>().unwrap()[0] - p).abs() < 1e-12);
+    }
+}
