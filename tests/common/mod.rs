@@ -1,0 +1,76 @@
+//! Small things that several test files share.
+
+use augnerf::config::{Config, DataKind, Method};
+use augnerf::data::{Camera, Image, Scene, View};
+use augnerf::train::Trainer;
+use candle_core::{DType, Device};
+
+/// Three 16 x 16 views of a soft ball on white, seen from three sides.
+pub fn tiny_scene() -> Scene {
+    let view = |index: usize| {
+        let (sin, cos) = (index as f64 * 0.8 - 0.8).sin_cos();
+        let camera = Camera {
+            width: 16,
+            height: 16,
+            focal: [20.0, 20.0],
+            centre: [8.0, 8.0],
+            pose: [[cos, 0.0, sin, 4.0 * sin], [0.0, 1.0, 0.0, 0.0], [-sin, 0.0, cos, 4.0 * cos]],
+        };
+        let pixels = (0..256).flat_map(|p| {
+            let (x, y) = ((p % 16) as f64 - 8.0, (p / 16) as f64 - 8.0);
+            let inside = 1.0 / (1.0 + (x.hypot(y) - 5.0).exp());
+            [1.0 - 0.2 * inside, 1.0 - 0.7 * inside, 1.0 - inside].map(|v| v as f32)
+        });
+        let image = Image { width: 16, height: 16, channels: 3, pixels: pixels.collect() };
+        View { name: format!("view{index}"), camera, image, depth: None }
+    };
+    Scene {
+        name: "ball".into(),
+        kind: "blender",
+        train: (0..3).map(view).collect(),
+        test: vec![view(1)],
+        near: 2.0,
+        far: 6.0,
+        ndc: None,
+        background: Some([1.0; 3]),
+        path: vec![],
+    }
+}
+
+/// A resolved configuration that trains in milliseconds.
+pub fn tiny_config(method: Method, change: impl FnOnce(&mut Config)) -> Config {
+    let mut config = Config { method, ..Config::default() };
+    config.field.width = 16;
+    config.field.depth = 4;
+    config.field.skips = vec![2];
+    config.field.position_octaves = 4;
+    config.field.view_octaves = 2;
+    config.perturb.injection_layer = 2;
+    config.sampling.coarse = 8;
+    config.sampling.fine = 8;
+    config.train.rays = 64;
+    config.train.chunk = 48;
+    config.train.learning_rate = 5e-3;
+    config.train.precrop_steps = Some(0);
+    change(&mut config);
+    config.resolve_kind(DataKind::Blender);
+    config.resolve_bounds(2.0, 6.0);
+    config.validate().unwrap();
+    config
+}
+
+/// A trainer on the tiny scene after `steps` steps.
+pub fn trained(config: &Config, steps: u64) -> Trainer {
+    let mut trainer = Trainer::new(config, &tiny_scene(), DType::F32, &Device::Cpu).unwrap();
+    for _ in 0..steps {
+        trainer.step(false).unwrap();
+    }
+    trainer
+}
+
+/// All parameters of the fields whose role is among `roles`, flat.
+pub fn parameters(trainer: &Trainer, roles: &[&str]) -> Vec<f32> {
+    let variables = trainer.model().variables();
+    let chosen = variables.iter().filter(|(name, _)| roles.iter().any(|role| name.starts_with(role)));
+    chosen.flat_map(|(_, var)| var.flatten_all().unwrap().to_vec1::<f32>().unwrap()).collect()
+}

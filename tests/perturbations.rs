@@ -1,0 +1,393 @@
+//! What the perturbed pass and the search promise.
+
+mod common;
+
+use augnerf::config::{Attack, LEVELS, Level, Method, Norm, OutputPlace, PerturbConfig, PerturbField, PerturbKind};
+use augnerf::data::{RayBuffer, Rays};
+use augnerf::field::Field;
+use augnerf::perturbations::{Deltas, Draw, PixelScale, Sets, StepSizes, worst_case};
+use augnerf::render::{Pass, Perturbation, clean_pass, perturbed_pass, photometric_loss};
+use augnerf::rng::{Random, Stream};
+use augnerf::sampling;
+use candle_core::{DType, Device, Tensor, Var};
+use common::{parameters, tiny_config, tiny_scene, trained};
+use proptest::prelude::*;
+
+const CPU: Device = Device::Cpu;
+
+/// A pass of a small f64 field: all that a loss of the deltas needs.
+struct Setting {
+    field: Field,
+    rays: Rays,
+    t_vals: Tensor,
+    noise: Tensor,
+    target: Tensor,
+    sets: Sets,
+    config: PerturbConfig,
+}
+
+impl Setting {
+    fn new(seed: u64, rays: usize, samples: usize, change: impl FnOnce(&mut PerturbConfig)) -> Setting {
+        let config = tiny_config(Method::AugNerf, |config| {
+            // Large enough that f64 differences see them.
+            config.perturb.feature.epsilon = Some(0.05);
+            config.perturb.rgb.epsilon = Some(0.03);
+            config.perturb.density.epsilon = Some(0.1);
+            change(&mut config.perturb);
+        });
+        let scene = tiny_scene();
+        let mut random = Random::new(seed, Stream::Jitter, 0);
+        let pixels: Vec<_> = (0..rays).map(|_| (&scene.train[0].camera, random.below(16), random.below(16))).collect();
+        let rays = RayBuffer::new(&pixels, None, Default::default()).to_tensors(DType::F64, &CPU).unwrap();
+        let draw = |random: &mut Random, shape: &[usize]| random.uniform_tensor(shape, DType::F64, &CPU).unwrap();
+        let jitter = draw(&mut random, &[rays.len(), samples]);
+        let t_vals = sampling::stratified(2.0, 6.0, rays.len(), samples, Some(&jitter), &rays.origins).unwrap();
+        let noise = draw(&mut random, &[rays.len(), samples]);
+        let target = draw(&mut random, &[rays.len(), 3]);
+        let pixel = PixelScale { width: 16.0, height: 16.0, focal: 20.0, ndc: false };
+        let norm = &rays.direction_norm;
+        let sets = Sets::new(&config.perturb, true, &t_vals, norm, (2.0, 6.0), samples, 16, &pixel).unwrap();
+        let field = Field::init(&config.field, seed, 0, DType::F64, &CPU).unwrap();
+        Setting { field, rays, t_vals, noise, target, sets, config: config.perturb }
+    }
+
+    fn pass(&self) -> Pass<'_> {
+        Pass { rays: &self.rays, t_vals: &self.t_vals, density_noise: Some(&self.noise), background: Some([1.0; 3]) }
+    }
+
+    fn perturbation<'a>(&'a self, deltas: &'a Deltas) -> Perturbation<'a> {
+        let PerturbConfig { injection_layer, output, .. } = self.config;
+        Perturbation { deltas, sets: &self.sets, injection_layer, output }
+    }
+
+    /// Loss with a tracked graph, and the deltas as used.
+    fn loss(&self, deltas: &Deltas) -> (Tensor, Deltas) {
+        let out = perturbed_pass(&self.field, self.pass(), self.perturbation(deltas)).unwrap();
+        (photometric_loss(&out.composite.rgb, &self.target).unwrap(), out.used)
+    }
+
+    fn loss_value(&self, deltas: &Deltas) -> f64 {
+        self.loss(deltas).0.to_scalar().unwrap()
+    }
+
+    fn draw(&self, index: u64) -> Deltas {
+        self.sets.draw(Draw::Uniform, &mut Random::new(3, Stream::Attack, index)).unwrap()
+    }
+
+    fn search(&self, start: Deltas) -> Deltas {
+        let frozen = self.field.frozen();
+        worst_case(&self.sets, &StepSizes::new(&self.config), start, |deltas| {
+            let out = perturbed_pass(&frozen, self.pass(), self.perturbation(deltas))?;
+            Ok((photometric_loss(&out.composite.rgb, &self.target)?, out.used))
+        })
+        .unwrap()
+    }
+}
+
+/// `tensor` with entry `index` moved by `by`.
+fn nudged(tensor: &Tensor, index: usize, by: f64) -> Tensor {
+    let mut values = tensor.flatten_all().unwrap().to_vec1::<f64>().unwrap();
+    values[index] += by;
+    Tensor::from_vec(values, tensor.shape(), &CPU).unwrap()
+}
+
+/// Compares gradients with central differences; entries at a kink (ReLU, projection) disagree and
+/// may be a tenth of all.
+fn compare(what: &str, pairs: Vec<(f64, f64)>) {
+    let scale = pairs.iter().fold(1e-12f64, |m, (g, _)| m.max(g.abs()));
+    let off = pairs.iter().filter(|(g, d)| (g - d).abs() > 1e-5 * scale).count();
+    assert!(pairs.iter().any(|(g, _)| *g != 0.0), "{what}: all gradients are 0");
+    assert!(off * 10 <= pairs.len(), "{what}: {off} of {} disagree: {pairs:?}", pairs.len());
+}
+
+const H: f64 = 1e-6;
+
+#[test]
+fn loss_gradients_in_every_delta_equal_finite_differences() {
+    for output in [OutputPlace::After, OutputPlace::Before] {
+        let setting = Setting::new(1, 4, 6, |config| config.output = output);
+        // Half-size deltas: away from the bounds of their sets.
+        let mut deltas = setting.draw(0);
+        for level in LEVELS {
+            let half = (deltas.get(level).unwrap() * 0.5).unwrap();
+            deltas.set(level, half);
+        }
+        let mut tracked = deltas.clone();
+        let variables = LEVELS.map(|level| Var::from_tensor(deltas.get(level).unwrap()).unwrap());
+        for level in LEVELS {
+            tracked.set(level, variables[level as usize].as_tensor().clone());
+        }
+        let gradients = setting.loss(&tracked).0.backward().unwrap();
+        for level in LEVELS {
+            let gradient = gradients.get(&variables[level as usize]).unwrap();
+            let gradient = gradient.flatten_all().unwrap().to_vec1::<f64>().unwrap();
+            // A projected colour or density passes its gradient on although its value is fixed;
+            // the last density has no perturbation at all.
+            let used = setting.loss(&deltas).1.get(level).unwrap().flatten_all().unwrap().to_vec1::<f64>().unwrap();
+            let given = deltas.get(level).unwrap().flatten_all().unwrap().to_vec1::<f64>().unwrap();
+            let samples = 6;
+            let free = |i: &usize| used[*i] == given[*i] && (level != Level::Density || i % samples != samples - 1);
+            let difference = |i: usize| {
+                let at = |by: f64| {
+                    let mut moved = deltas.clone();
+                    moved.set(level, nudged(deltas.get(level).unwrap(), i, by));
+                    setting.loss_value(&moved)
+                };
+                (at(H) - at(-H)) / (2.0 * H)
+            };
+            let step = (gradient.len() / 24).max(1);
+            let pairs = (0..gradient.len()).step_by(step).filter(free).map(|i| (gradient[i], difference(i)));
+            compare(&format!("{output:?} {}", level.name()), pairs.collect());
+        }
+    }
+}
+
+#[test]
+fn loss_gradients_in_weights_equal_finite_differences() {
+    let setting = Setting::new(1, 4, 6, |_| {});
+    let deltas = setting.search(setting.draw(0));
+    let gradients = setting.loss(&deltas).0.backward().unwrap();
+    for (name, var) in setting.field.variables() {
+        let gradient = gradients.get(var).unwrap().flatten_all().unwrap().to_vec1::<f64>().unwrap();
+        let original = var.as_tensor().copy().unwrap();
+        let at = |i: usize, by: f64| {
+            var.set(&nudged(&original, i, by)).unwrap();
+            let loss = setting.loss_value(&deltas);
+            var.set(&original).unwrap();
+            loss
+        };
+        let step = (gradient.len() / 12).max(1);
+        let pairs = (0..gradient.len()).step_by(step).map(|i| (gradient[i], (at(i, H) - at(i, -H)) / (2.0 * H)));
+        let pairs: Vec<(f64, f64)> = pairs.collect();
+        if pairs.iter().any(|(g, d)| *g != 0.0 || *d != 0.0) {
+            compare(name, pairs);
+        }
+    }
+}
+
+#[test]
+fn epsilon_zero_is_the_clean_pass_exactly() {
+    let setting = Setting::new(2, 5, 7, |config| {
+        for level in LEVELS {
+            config.delta_mut(level).epsilon = Some(0.0);
+        }
+    });
+    let deltas = setting.search(setting.draw(0));
+    let perturbed = perturbed_pass(&setting.field, setting.pass(), setting.perturbation(&deltas)).unwrap();
+    let clean = clean_pass(&setting.field, setting.pass()).unwrap();
+    let rows = |tensor: &Tensor| tensor.to_vec2::<f64>().unwrap();
+    assert_eq!(rows(&perturbed.composite.rgb), rows(&clean.composite.rgb));
+    assert_eq!(rows(&perturbed.composite.weights), rows(&clean.composite.weights));
+}
+
+/// Every delta within its set, colours in 0..=1, densities not negative, samples sorted.
+fn assert_legal(setting: &Setting, deltas: &Deltas) -> Result<(), TestCaseError> {
+    let out = perturbed_pass(&setting.field, setting.pass(), setting.perturbation(deltas)).unwrap();
+    for level in setting.sets.levels() {
+        let set = setting.sets.get(level).unwrap();
+        let delta = out.used.get(level).unwrap();
+        let size = match set.norm {
+            Norm::Linf => delta.abs().unwrap(),
+            Norm::L2 => delta.sqr().unwrap().sum_keepdim(delta.rank() - 1).unwrap().sqrt().unwrap(),
+        };
+        let radius = set.radius.broadcast_as(size.shape()).unwrap();
+        let excess = (size - radius).unwrap().flatten_all().unwrap().max(0).unwrap().to_scalar::<f64>().unwrap();
+        // A ball's projection divides by a rounded norm.
+        let rounding = 1e-15 * (1.0 + set.radius.max_all().unwrap().to_scalar::<f64>().unwrap());
+        prop_assert!(excess <= rounding, "{} exceeds its radius by {excess:e}", level.name());
+    }
+    let flat = |t: &Tensor| t.flatten_all().unwrap().to_vec1::<f64>().unwrap();
+    prop_assert!(flat(&out.rgb).iter().all(|c| (0.0..=1.0).contains(c)));
+    prop_assert!(flat(&out.density).iter().all(|d| *d >= 0.0));
+    let t_vals = (&setting.t_vals + out.used.get(Level::T).unwrap()).unwrap().to_vec2::<f64>().unwrap();
+    for ray in t_vals {
+        prop_assert!(ray.windows(2).all(|pair| pair[0] <= pair[1]), "{ray:?}");
+        prop_assert!(ray.iter().all(|t| (2.0..=6.0).contains(t)), "{ray:?}");
+    }
+    Ok(())
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(24))]
+
+    #[test]
+    fn deltas_never_leave_their_sets_and_samples_stay_sorted(
+        seed in 0u64..1000,
+        epsilon_t in 0.0f64..=0.5,
+        epsilon in 1e-6f64..10.0,
+        step_size in 1e-6f64..10.0,
+        steps in 0usize..4,
+        l2 in any::<bool>(),
+    ) {
+        let setting = Setting::new(seed, 3, 5, |config| {
+            for level in LEVELS {
+                let delta = config.delta_mut(level);
+                (delta.epsilon, delta.step_size, delta.steps) = (Some(epsilon), Some(step_size), Some(steps));
+                if !matches!(level, Level::T | Level::Density) {
+                    delta.norm = Some(if l2 { Norm::L2 } else { Norm::Linf });
+                }
+            }
+            config.t.epsilon = Some(epsilon_t.max(1e-9));
+        });
+        let start = setting.draw(seed);
+        assert_legal(&setting, &start)?;
+        assert_legal(&setting, &setting.search(start))?;
+        let gaussian = setting.sets.draw(Draw::Gaussian, &mut Random::new(seed, Stream::Attack, 1)).unwrap();
+        assert_legal(&setting, &gaussian)?;
+    }
+
+    /// In f32, where roundings are largest, with gaps over many orders of magnitude.
+    #[test]
+    fn samples_stay_sorted_in_single_precision(mut t in prop::collection::vec(0.0f32..1.0, 3..12), power in 1i32..6) {
+        for value in &mut t {
+            *value = value.powi(power);
+        }
+        t.sort_by(f32::total_cmp);
+        let samples = t.len();
+        let t_vals = Tensor::from_vec(t, (1, samples), &CPU).unwrap();
+        let norm = Tensor::ones((1, 1), DType::F32, &CPU).unwrap();
+        let mut config = PerturbConfig::default();
+        config.t.epsilon = Some(0.5);
+        config.resolve(1.0);
+        let pixel = PixelScale { width: 16.0, height: 16.0, focal: 20.0, ndc: true };
+        let sets = Sets::new(&config, true, &t_vals, &norm, (0.0, 1.0), samples, 4, &pixel).unwrap();
+        let set = sets.get(Level::T).unwrap();
+        for signs in 0..(1usize << samples.min(6)) {
+            let far: Vec<f32> = (0..samples).map(|i| if signs >> (i % 6) & 1 == 1 { 9.0 } else { -9.0 }).collect();
+            let delta = set.project(&Tensor::from_vec(far, (1, samples), &CPU).unwrap()).unwrap();
+            let moved = (&t_vals + delta).unwrap().to_vec2::<f32>().unwrap().remove(0);
+            prop_assert!(moved.windows(2).all(|pair| pair[0] <= pair[1]), "{moved:?}");
+            prop_assert!(moved.iter().all(|t| (0.0..=1.0).contains(t)), "{moved:?}");
+        }
+    }
+}
+
+#[test]
+fn the_search_raises_the_loss_and_beats_random_deltas_on_a_trained_field() {
+    let config = tiny_config(Method::Nerf, |_| {});
+    let trainer = trained(&config, 300);
+    let field = &trainer.model().coarse;
+    let weights: Vec<Tensor> =
+        field.variables().iter().map(|(_, var)| var.as_tensor().to_dtype(DType::F64).unwrap()).collect();
+    // Each level by itself, then all together, in the calibrated sizes.
+    for only in LEVELS.map(Some).into_iter().chain([None]) {
+        let (mut clean, mut random, mut worst) = (0.0, 0.0, 0.0);
+        for batch in 0..8 {
+            let mut setting = Setting::new(batch, 32, 8, |config| {
+                *config = PerturbConfig { attack: Attack::Calibrated, injection_layer: 2, ..PerturbConfig::default() };
+                for level in LEVELS {
+                    if only.is_some_and(|only| only != level) {
+                        config.delta_mut(level).passes = augnerf::config::Passes::Off;
+                    }
+                }
+            });
+            setting.field = Field::from_parameters(&config.field, weights.clone()).unwrap();
+            setting.noise = setting.noise.zeros_like().unwrap();
+            clean += setting.loss_value(&Deltas::default());
+            random += setting.loss_value(&setting.draw(batch));
+            worst += setting.loss_value(&setting.search(setting.draw(batch)));
+        }
+        let name = only.map_or("all", Level::name);
+        assert!(worst > clean, "{name}: {worst} after the search, {clean} clean");
+        assert!(worst > random, "{name}: {worst} after the search, {random} at random");
+    }
+}
+
+const EVALUATED: [&str; 2] = ["coarse", "fine"];
+
+#[test]
+fn a_shared_field_learns_from_the_perturbed_loss_and_a_separate_one_leaves_the_evaluated_fields_alone() {
+    let with = |method, field| tiny_config(method, |config| config.perturb.field = field);
+    let nerf = trained(&with(Method::Nerf, PerturbField::Shared), 1);
+    let shared = trained(&with(Method::AugNerf, PerturbField::Shared), 1);
+    let separate = trained(&with(Method::AugNerf, PerturbField::Separate), 1);
+    for role in EVALUATED {
+        assert_ne!(parameters(&nerf, &[role]), parameters(&shared, &[role]), "{role}");
+        assert_eq!(parameters(&nerf, &[role]), parameters(&separate, &[role]), "{role}");
+    }
+    let start = trained(&with(Method::AugNerf, PerturbField::Separate), 0);
+    assert_ne!(parameters(&start, &["adversarial"]), parameters(&separate, &["adversarial"]));
+}
+
+#[test]
+fn the_search_leaves_weights_batches_and_jitter_untouched() {
+    // With lambda = 0 everything of the search runs and nothing of it may show.
+    let nerf = trained(&tiny_config(Method::Nerf, |_| {}), 5);
+    let searched = trained(&tiny_config(Method::AugNerf, |config| config.perturb.lambda = 0.0), 5);
+    assert_eq!(parameters(&nerf, &EVALUATED), parameters(&searched, &EVALUATED));
+}
+
+#[test]
+fn calibrated_changes_the_weights_and_an_empty_attack_does_not() {
+    // Against the same objective with all deltas 0, so that only the attack differs.
+    let run = |attack, epsilon: Option<f64>| {
+        let config = tiny_config(Method::AugNerf, |config| {
+            config.perturb.attack = attack;
+            for level in LEVELS {
+                config.perturb.delta_mut(level).epsilon = epsilon;
+                if epsilon.is_some() {
+                    config.perturb.delta_mut(level).step_size = Some(0.0);
+                }
+            }
+        });
+        parameters(&trained(&config, 1), &EVALUATED)
+    };
+    let empty = run(Attack::Paper, Some(0.0));
+    assert_eq!(empty, run(Attack::Calibrated, Some(0.0)));
+    assert_ne!(empty, run(Attack::Calibrated, None));
+}
+
+#[test]
+fn every_kind_and_place_trains() {
+    for kind in [PerturbKind::WorstCase, PerturbKind::Gaussian, PerturbKind::Uniform, PerturbKind::FreshJitter] {
+        for output in [OutputPlace::After, OutputPlace::Before] {
+            for resample in [augnerf::config::Resample::Clean, augnerf::config::Resample::Perturbed] {
+                let config = tiny_config(Method::AugNerf, |config| {
+                    (config.perturb.kind, config.perturb.output, config.perturb.resample) = (kind, output, resample);
+                });
+                let mut trainer = trained(&config, 2);
+                let stats = trainer.step(true).unwrap();
+                assert!(stats.loss_perturbed.unwrap() > 0.0);
+                let expected = if kind == PerturbKind::FreshJitter { 0 } else { 6 };
+                assert_eq!(stats.levels.len(), expected, "{kind:?}");
+            }
+        }
+    }
+}
+
+#[test]
+fn a_level_too_small_to_matter_is_inactive_and_a_large_one_is_not() {
+    let levels = |epsilon: f64| {
+        let config = tiny_config(Method::AugNerf, |config| {
+            config.perturb.rgb.epsilon = Some(epsilon);
+            config.perturb.rgb.step_size = Some(epsilon);
+        });
+        let stats = trained(&config, 20).step(true).unwrap();
+        *stats.levels.iter().find(|level| level.level == Level::Rgb).unwrap()
+    };
+    let (small, large) = (levels(1e-9), levels(0.1));
+    assert!(small.inactive && !large.inactive, "{small:?} {large:?}");
+    assert!(large.gain > 0.0 && large.gain_over_random > 0.0 && large.share_at_bound > 0.2, "{large:?}");
+}
+
+#[test]
+fn density_noise_cannot_make_an_empty_white_scene_opaque() {
+    // All densities 0, the density delta at +epsilon everywhere: what it adds to each ray is at
+    // most epsilon * (far - near) * |d|, because the last sample's is kept at 0.
+    let mut setting = Setting::new(5, 6, 9, |config| {
+        config.density.epsilon = Some(0.01);
+        for level in [Level::T, Level::Xyz, Level::View, Level::Feature, Level::Rgb] {
+            config.delta_mut(level).passes = augnerf::config::Passes::Off;
+        }
+    });
+    setting.noise = (setting.noise.zeros_like().unwrap() - 1e3).unwrap();
+    let mut deltas = Deltas::default();
+    deltas.set(Level::Density, Tensor::full(0.01f64, (6, 9), &CPU).unwrap());
+    let out = perturbed_pass(&setting.field, setting.pass(), setting.perturbation(&deltas)).unwrap();
+    let norms = setting.rays.direction_norm.flatten_all().unwrap().to_vec1::<f64>().unwrap();
+    for (rgb, norm) in out.composite.rgb.to_vec2::<f64>().unwrap().iter().zip(norms) {
+        let limit = 0.01 * 4.0 * norm;
+        assert!(rgb.iter().all(|c| (1.0 - c) <= limit && *c <= 1.0 + 1e-12), "{rgb:?} beyond {limit}");
+    }
+    assert!(out.composite.acc.max(0).unwrap().to_scalar::<f64>().unwrap() > 0.0);
+}
