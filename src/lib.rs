@@ -10,6 +10,7 @@ pub mod field;
 pub mod model;
 pub mod perturbations;
 pub mod render;
+pub mod output;
 pub mod rng;
 pub mod sampling;
 pub mod train;
