@@ -11,6 +11,7 @@ pub mod model;
 pub mod perturbations;
 pub mod render;
 pub mod output;
+pub mod metrics;
 pub mod rng;
 pub mod sampling;
 pub mod train;
