@@ -1,5 +1,6 @@
 //! Scenes: posed images split into training, validation and held-out views.
 
+pub mod builtin;
 pub mod camera;
 pub mod rays;
 

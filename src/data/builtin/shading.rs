@@ -1,0 +1,211 @@
+//! Materials, the sky and the light, all in closed form. Colours are linear in here and become
+//! display values (0..=1, gamma 2.2) in [`display`].
+
+use std::f64::consts::{PI, TAU};
+
+use super::stage::{Hit, Stage};
+use super::vector::{Vec3, add, along, axes_along, dot, mix, mul, scale, sub, unit};
+
+/// Rays of one pixel along each side; also the square root of the number of light samples.
+pub const SIDE: usize = 4;
+/// Samples of one pixel.
+pub const SAMPLES: usize = SIDE * SIDE;
+
+const TO_KEY: Vec3 = [-0.42, -0.52, 0.74];
+/// Half the key light's angular size as a tangent: what makes its shadows soft.
+const KEY_SPREAD: f64 = 0.10;
+const KEY: Vec3 = [1.10, 1.03, 0.92];
+const AMBIENT: Vec3 = [0.66, 0.68, 0.72];
+/// Light that arrives from directions in which another surface is near.
+const BOUNCE: f64 = 0.22;
+/// Surfaces further away than this do not darken, in still-life units.
+const BOUNCE_REACH: f64 = 0.9;
+/// Shadow rays start so far off the surface.
+const LIFT: f64 = 1e-6;
+
+/// How colour varies over a solid, as a function of its local coordinates.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Pattern {
+    /// One colour.
+    Plain,
+    /// Cubes of the given edge.
+    Checker(f64),
+    /// Bands across local z of the given period; the second colour has the share `1`.
+    Bands(f64, f64),
+    /// So many stripes around local z.
+    Flutes(f64),
+    /// Year rings of the given width around an axis next to the solid.
+    Wood(f64),
+    /// Cloth: two sets of stripes across x and y, of the given period, mixed.
+    Gingham(f64),
+    /// Courses in the xz plane of the given height.
+    Bricks(f64),
+}
+
+/// What a solid is made of.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Material {
+    /// Distribution of the two colours.
+    pub pattern: Pattern,
+    /// Linear albedo, 0..=1.
+    pub colours: [Vec3; 2],
+    /// Strength of the Blinn-Phong highlight and of the sky's reflection, 0 for matte.
+    pub gloss: f64,
+    /// Exponent of the highlight.
+    pub shininess: f64,
+    /// Share of light that is mirrored, tinted by the first colour.
+    pub mirror: f64,
+}
+
+impl Material {
+    /// Matte, one colour, given as display values 0..=1.
+    pub fn matte(colour: Vec3) -> Material {
+        Material::patterned(Pattern::Plain, colour, colour)
+    }
+
+    /// Matte, two colours, given as display values 0..=1.
+    pub fn patterned(pattern: Pattern, first: Vec3, second: Vec3) -> Material {
+        let colours = [first, second].map(|c| c.map(|v| v.powf(2.2)));
+        Material { pattern, colours, gloss: 0.0, shininess: 1.0, mirror: 0.0 }
+    }
+
+    /// The same with highlights.
+    pub fn glossy(self, gloss: f64, shininess: f64) -> Material {
+        Material { gloss, shininess, ..self }
+    }
+
+    /// The same as metal.
+    pub fn metal(self, mirror: f64) -> Material {
+        Material { mirror, ..self }.glossy(1.0, 300.0)
+    }
+
+    /// Linear albedo at a point in the solid's local coordinates.
+    pub fn albedo(&self, p: Vec3) -> Vec3 {
+        let [first, second] = self.colours;
+        mix(first, second, self.pattern.share(p))
+    }
+}
+
+impl Pattern {
+    /// Share of the second colour, 0..=1.
+    fn share(self, p: Vec3) -> f64 {
+        let half = |v: f64| f64::from(u8::from(v.rem_euclid(1.0) < 0.5));
+        match self {
+            Pattern::Plain => 0.0,
+            Pattern::Checker(edge) => p.map(|v| (v / edge + 1e-6).floor()).iter().sum::<f64>().rem_euclid(2.0),
+            Pattern::Bands(period, share) => f64::from(u8::from((p[2] / period).rem_euclid(1.0) < share)),
+            Pattern::Flutes(count) => half(p[1].atan2(p[0]) / TAU * count),
+            Pattern::Wood(width) => wood_share(p, width),
+            Pattern::Gingham(period) => 0.5 * (half(p[0] / period) + half(p[1] / period)),
+            Pattern::Bricks(height) => brick_share(p, height),
+        }
+    }
+}
+
+fn wood_share(p: Vec3, width: f64) -> f64 {
+    let wobble = 0.03 * (5.0 * p[0]).sin() + 0.015 * (13.0 * p[0] + 4.0 * p[1]).sin();
+    let ring = ((p[1] + 1.7 + wobble).hypot(0.35 * p[0]) / width).rem_euclid(1.0);
+    ring * ring * (3.0 - 2.0 * ring)
+}
+
+fn brick_share(p: Vec3, height: f64) -> f64 {
+    const MORTAR: f64 = 0.1;
+    let row = p[2] / height;
+    let column = p[0] / (2.2 * height) + 0.5 * row.floor().rem_euclid(2.0);
+    let joint = row.rem_euclid(1.0) < MORTAR || column.rem_euclid(1.0) < MORTAR / 2.2;
+    let tone = 0.35 * (0.5 + 0.5 * (row.floor() * 2.4 + column.floor() * 4.1).sin());
+    if joint { 1.0 } else { tone }
+}
+
+/// Direction of the key light for one of a pixel's samples, spread over the light's disc by the
+/// golden angle.
+fn to_key(sample: usize) -> Vec3 {
+    let [x, y, z] = axes_along(TO_KEY);
+    // 7 is odd: a permutation that keeps light and pixel positions unrelated.
+    let i = (sample * 7 % SAMPLES) as f64;
+    let radius = KEY_SPREAD * ((i + 0.5) / SAMPLES as f64).sqrt();
+    let (s, c) = (i * PI * (3.0 - 5f64.sqrt())).sin_cos();
+    unit(add(z, add(scale(x, radius * c), scale(y, radius * s))))
+}
+
+/// One of a pixel's points on the unit sphere; added to a normal it is cosine-distributed.
+fn on_sphere(sample: usize) -> Vec3 {
+    let i = (sample * 11 % SAMPLES) as f64;
+    let z = 1.0 - 2.0 * (i + 0.5) / SAMPLES as f64;
+    let (s, c) = (i * PI * (3.0 - 5f64.sqrt()) + 0.4).sin_cos();
+    let r = (1.0 - z * z).sqrt();
+    [r * c, r * s, z]
+}
+
+/// Radiance from a unit direction in which there is nothing: a bright zenith, a dim ground.
+fn sky(direction: Vec3) -> Vec3 {
+    let up = direction[2];
+    let horizon = [0.80, 0.82, 0.86];
+    if up >= 0.0 {
+        mix(horizon, [0.38, 0.55, 0.90], up.sqrt())
+    } else {
+        mix(horizon, [0.22, 0.20, 0.19], (-4.0 * up).min(1.0))
+    }
+}
+
+/// Linear colour of a hit seen along `direction` (still-life frame, any length).
+///
+/// `sample` (`0..SAMPLES`) picks the points of the key light and the sky that light this one of a
+/// pixel's samples; their mean over a pixel is what its colour is. `bounces` mirror reflections
+/// are followed.
+pub fn shade(stage: &Stage, hit: &Hit, origin: Vec3, direction: Vec3, sample: usize, bounces: u32) -> Vec3 {
+    let solid = &stage.solids()[hit.solid];
+    let material = &solid.material;
+    let point = along(origin, direction, hit.t);
+    let ahead = unit(direction);
+    let start = along(point, hit.normal, LIFT);
+    let albedo = material.albedo(solid.local(point));
+    let (key, highlight) = key_light(stage, hit.normal, start, ahead, sample, material.shininess);
+    let diffuse = mul(albedo, add(key, ambient(stage, hit.normal, start, sample)));
+    let facing = -dot(hit.normal, ahead);
+    let mirrored = sub(ahead, scale(hit.normal, -2.0 * facing));
+    let fresnel = (1.0 - facing.clamp(0.0, 1.0)).powi(5);
+    let glint = scale(KEY, material.gloss * highlight);
+    if material.mirror > 0.0 {
+        let tint = mix(material.colours[0], [1.0; 3], fresnel);
+        let seen = mul(tint, reflection(stage, start, mirrored, sample, bounces));
+        return add(mix(diffuse, seen, material.mirror), glint);
+    }
+    let film = material.gloss.min(1.0) * (0.04 + 0.6 * fresnel);
+    add(mix(diffuse, sky(mirrored), film), glint)
+}
+
+/// Diffuse irradiance of the key light and the strength of its highlight.
+fn key_light(stage: &Stage, normal: Vec3, start: Vec3, ahead: Vec3, sample: usize, shininess: f64) -> (Vec3, f64) {
+    let light = to_key(sample);
+    let cosine = dot(normal, light);
+    if cosine <= 0.0 || stage.blocked(start, light, f64::INFINITY) {
+        return ([0.0; 3], 0.0);
+    }
+    let half = unit(sub(light, ahead));
+    (scale(KEY, cosine), dot(normal, half).max(0.0).powf(shininess) * cosine.sqrt())
+}
+
+/// Sky light, less where other surfaces are near.
+fn ambient(stage: &Stage, normal: Vec3, start: Vec3, sample: usize) -> Vec3 {
+    let direction = add(normal, on_sphere(sample));
+    let direction = unit(if dot(direction, direction) < 1e-9 { normal } else { direction });
+    let open = if stage.blocked(start, direction, BOUNCE_REACH) { BOUNCE } else { 1.0 };
+    mul(AMBIENT, scale(sky(direction), open))
+}
+
+fn reflection(stage: &Stage, start: Vec3, direction: Vec3, sample: usize, bounces: u32) -> Vec3 {
+    match stage.nearest(start, direction) {
+        Some(hit) if bounces > 0 => shade(stage, &hit, start, direction, sample, bounces - 1),
+        Some(hit) => stage.solids()[hit.solid].material.colours[0],
+        None => sky(direction),
+    }
+}
+
+/// Linear light to display values: a soft shoulder above 0.8, then gamma 2.2.
+pub fn display(linear: Vec3) -> Vec3 {
+    linear.map(|v| {
+        let soft = if v > 0.8 { 0.8 + 0.2 * (1.0 - (-(v - 0.8) / 0.2).exp()) } else { v.max(0.0) };
+        soft.powf(1.0 / 2.2)
+    })
+}
