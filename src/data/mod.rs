@@ -6,6 +6,40 @@ pub mod rays;
 
 pub use camera::{Camera, Ndc};
 pub use rays::{RayBuffer, Rays};
+pub mod blender;
+pub mod camera;
+mod describe;
+mod detect;
+pub mod images;
+mod json;
+pub mod llff;
+pub mod npy;
+pub mod pose;
+pub mod resample;
+pub mod transforms;
+
+pub use camera::{Camera, Ndc};
+pub use detect::detect;
+
+use crate::config::{Background, DataConfig, DataKind, scene_name};
+use crate::error::{Error, Result};
+
+/// Who is told how far a load has got. The library itself prints nothing.
+pub trait Progress: Sync {
+    /// A stretch of `total` steps begins.
+    fn start(&self, label: &str, total: u64);
+    /// One step is done; called from several threads.
+    fn advance(&self);
+    /// The stretch is over.
+    fn finish(&self);
+}
+
+/// Tells nobody.
+impl Progress for () {
+    fn start(&self, _label: &str, _total: u64) {}
+    fn advance(&self) {}
+    fn finish(&self) {}
+}
 
 /// An image in memory: row-major, `pixels[(y * width + x) * channels + c]`, values in 0..=1.
 #[derive(Clone, Debug, PartialEq)]
@@ -55,4 +89,69 @@ pub struct Scene {
     pub background: Option<[f32; 3]>,
     /// Cameras of the scene's usual video path (spiral or orbit), at the working resolution.
     pub path: Vec<Camera>,
+}
+
+/// Loads the scene that `config` names. Its kind must be settled ([`detect`]) and `downscale` filled.
+pub fn load(config: &DataConfig, progress: &dyn Progress) -> Result<Scene> {
+    let mut scene = match config.kind {
+        DataKind::Llff => llff::load(config, progress)?,
+        DataKind::Blender => blender::load(config, progress)?,
+        DataKind::Transforms => transforms::load(config, progress)?,
+        DataKind::BuiltinBlender | DataKind::BuiltinForward => {
+            return Err(Error::Config("the embedded scene is not part of this build; set data.dir".into()));
+        }
+        DataKind::Auto => {
+            return Err(Error::Config("data.kind = \"auto\" has to be settled before the scene is loaded".into()));
+        }
+    };
+    scene.near = config.near.unwrap_or(scene.near);
+    scene.far = config.far.unwrap_or(scene.far);
+    check(&scene, config)?;
+    Ok(scene)
+}
+
+fn check(scene: &Scene, config: &DataConfig) -> Result<()> {
+    if scene.train.is_empty() || scene.test.is_empty() {
+        return Err(Error::Data(format!(
+            "{} leaves {} views to train on and {} held out (data.holdout = {}, data.test_skip = {}): \
+             both need at least one",
+            config.dir,
+            scene.train.len(),
+            scene.test.len(),
+            config.holdout,
+            config.test_skip
+        )));
+    }
+    if scene.near < scene.far {
+        return Ok(());
+    }
+    Err(Error::Config(format!(
+        "data.near = {} is not below data.far = {}, the scene's own bounds where one is not set: change one of them",
+        scene.near, scene.far
+    )))
+}
+
+/// The colour that see-through pixels are put on.
+fn background(config: &DataConfig) -> [f32; 3] {
+    match config.background {
+        Background::White => [1.0; 3],
+        Background::Black => [0.0; 3],
+    }
+}
+
+fn name_of(config: &DataConfig) -> String {
+    scene_name(&config.dir)
+}
+
+/// Splits into training views and every `holdout`-th view, of which every `test_skip`-th is kept.
+fn split_every(views: Vec<View>, holdout: usize, test_skip: usize) -> (Vec<View>, Vec<View>) {
+    let (mut train, mut test) = (Vec::new(), Vec::new());
+    for (i, view) in views.into_iter().enumerate() {
+        if i % holdout.max(1) != 0 {
+            train.push(view);
+        } else if (i / holdout.max(1)).is_multiple_of(test_skip.max(1)) {
+            test.push(view);
+        }
+    }
+    (train, test)
 }

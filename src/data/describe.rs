@@ -1,0 +1,36 @@
+//! A scene in words, for `data check`.
+
+use super::{Camera, Scene, View};
+
+/// Names of so many views are written out.
+const NAMES: usize = 6;
+
+impl Scene {
+    /// Label and value of everything that a user should check before training.
+    pub fn describe(&self) -> Vec<(String, String)> {
+        let mut rows: Vec<(String, String)> = Vec::new();
+        let mut row = |label: &str, value: String| rows.push((label.into(), value));
+        row("scene", self.name.clone());
+        row("kind", self.kind.into());
+        row("training views", names(&self.train));
+        row("held-out views", names(&self.test));
+        if let Some(view) = self.train.first() {
+            let Camera { width, height, focal, centre, .. } = view.camera;
+            row("resolution", format!("{width} x {height} pixels"));
+            row("focal length", format!("{:.3} x {:.3} pixels (first view)", focal[0], focal[1]));
+            row("principal point", format!("{:.3}, {:.3} (first view)", centre[0], centre[1]));
+        }
+        row("near, far", format!("{:.4} to {:.4}", self.near, self.far));
+        row("coordinates", if self.ndc.is_some() { "NDC" } else { "world" }.into());
+        row("background", self.background.map_or("none (opaque photographs)".into(), |c| format!("{c:?}")));
+        row("exact depth", if self.test.iter().any(|v| v.depth.is_some()) { "yes" } else { "no" }.into());
+        row("video path", format!("{} cameras", self.path.len()));
+        rows
+    }
+}
+
+fn names(views: &[View]) -> String {
+    let shown: Vec<&str> = views.iter().take(NAMES).map(|v| v.name.as_str()).collect();
+    let more = if views.len() > NAMES { ", ..." } else { "" };
+    format!("{} ({}{more})", views.len(), shown.join(", "))
+}

@@ -1,0 +1,79 @@
+//! Which reader a scene folder is for.
+
+use std::path::Path;
+
+use super::blender::transforms_file;
+use super::llff::POSES_FILE;
+use super::transforms::TRANSFORMS_FILE;
+use crate::config::{DataConfig, DataKind};
+use crate::error::{Error, Result};
+
+/// The kind of scene that `config` names: `config.kind` where it is set, by the files in the folder
+/// otherwise (`poses_bounds.npy`, `transforms_train.json`, `transforms.json`, in this order). No
+/// folder means the embedded scene.
+pub fn detect(config: &DataConfig) -> Result<DataKind> {
+    let embedded = matches!(config.kind, DataKind::BuiltinBlender | DataKind::BuiltinForward);
+    if config.dir.is_empty() {
+        return match config.kind {
+            DataKind::Auto => Ok(DataKind::BuiltinBlender),
+            kind if embedded => Ok(kind),
+            kind => Err(Error::Config(format!(
+                "data.kind = \"{}\" reads a scene folder, but data.dir is empty: set it, or leave data.kind to \"auto\" \
+                 for the embedded scene",
+                kind.name()
+            ))),
+        };
+    }
+    if embedded {
+        return Err(Error::Config(format!(
+            "data.kind = \"{}\" is the embedded scene, but data.dir = \"{}\": leave one of them empty",
+            config.kind.name(),
+            config.dir
+        )));
+    }
+    let dir = Path::new(&config.dir);
+    check_folder(dir)?;
+    if config.kind != DataKind::Auto {
+        return Ok(config.kind);
+    }
+    kind_of(dir).ok_or_else(|| unknown(dir))
+}
+
+fn check_folder(dir: &Path) -> Result<()> {
+    let found = std::fs::metadata(dir).map_err(|e| Error::unreadable(dir, &e))?;
+    if !found.is_dir() {
+        return Err(Error::Data(format!("{} is a file, but a scene is a folder; name the folder", dir.display())));
+    }
+    Ok(())
+}
+
+fn kind_of(dir: &Path) -> Option<DataKind> {
+    let has = |file: &str| dir.join(file).is_file();
+    if has(POSES_FILE) {
+        return Some(DataKind::Llff);
+    }
+    if has(&transforms_file("train")) {
+        return Some(DataKind::Blender);
+    }
+    has(TRANSFORMS_FILE).then_some(DataKind::Transforms)
+}
+
+/// Says what was looked for, and which subfolders would do.
+fn unknown(dir: &Path) -> Error {
+    let entries = std::fs::read_dir(dir).into_iter().flatten().flatten();
+    let mut scenes: Vec<String> = entries
+        .filter(|entry| kind_of(&entry.path()).is_some())
+        .map(|entry| entry.file_name().to_string_lossy().into_owned())
+        .collect();
+    scenes.sort();
+    let hint = match scenes.len() {
+        0 => String::new(),
+        _ => format!("; scenes lie one level deeper: {}", scenes.join(", ")),
+    };
+    Error::Data(format!(
+        "{} is no scene: it has none of {POSES_FILE} (LLFF), {} (Blender) and {TRANSFORMS_FILE} (instant-ngp, \
+         nerfstudio){hint}",
+        dir.display(),
+        transforms_file("train")
+    ))
+}

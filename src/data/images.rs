@@ -1,0 +1,229 @@
+//! Image files: finding out their sizes, decoding them in parallel, bringing them to the working
+//! resolution.
+//!
+//! Pixels are taken as stored: an EXIF orientation is not applied, as COLMAP does not apply it either.
+
+use std::io::Cursor;
+use std::path::{Path, PathBuf};
+
+use image::{DynamicImage, ImageFormat, ImageReader};
+use rayon::prelude::*;
+
+use super::{Image, Progress, resample};
+use crate::config::DataConfig;
+use crate::error::{Error, Result};
+
+/// Endings of files that count as images, lower case.
+pub const ENDINGS: [&str; 3] = ["png", "jpg", "jpeg"];
+
+/// The working resolution, as the configuration asks for it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Size {
+    /// Smaller by an integer factor; what does not divide is rounded down.
+    Factor(usize),
+    /// Exactly so many columns; rows follow the aspect.
+    Width(usize),
+}
+
+impl Size {
+    /// `data.width` where it is set, `data.downscale` otherwise.
+    pub fn of(config: &DataConfig) -> Size {
+        match config.width {
+            0 => Size::Factor(config.downscale.unwrap_or(1).max(1) as usize),
+            width => Size::Width(width as usize),
+        }
+    }
+
+    /// Width and height that images of `from` are brought to. Refuses to enlarge them.
+    pub fn apply(self, from: (usize, usize), file: &Path) -> Result<(usize, usize)> {
+        match self {
+            Size::Factor(factor) => Ok(((from.0 / factor).max(1), (from.1 / factor).max(1))),
+            Size::Width(width) if width <= from.0 => {
+                let height = (from.1 as f64 * width as f64 / from.0 as f64).round() as usize;
+                Ok((width, height.max(1)))
+            }
+            Size::Width(width) => Err(Error::Config(format!(
+                "data.width = {width} is more than the {} columns of {}: images are only made smaller; \
+                 choose at most {}",
+                from.0,
+                file.display(),
+                from.0
+            ))),
+        }
+    }
+}
+
+/// Whether a file's ending is one of [`ENDINGS`].
+pub fn is_image(path: &Path) -> bool {
+    let ending = path.extension().map(|e| e.to_string_lossy().to_ascii_lowercase());
+    ending.is_some_and(|ending| ENDINGS.contains(&ending.as_str()))
+}
+
+/// The image files of a folder, sorted by name.
+pub fn list(dir: &Path) -> Result<Vec<PathBuf>> {
+    let entries = std::fs::read_dir(dir).map_err(|e| Error::unreadable(dir, &e))?;
+    let mut paths = Vec::new();
+    for entry in entries {
+        let path = entry.map_err(|e| Error::unreadable(dir, &e))?.path();
+        // Files whose names start with a dot are a system's notes about images, not images.
+        let hidden = path.file_name().is_some_and(|name| name.to_string_lossy().starts_with('.'));
+        if !hidden && is_image(&path) {
+            paths.push(path);
+        }
+    }
+    paths.sort();
+    Ok(paths)
+}
+
+/// Width and height that a file's header states.
+pub fn size(path: &Path) -> Result<(usize, usize)> {
+    let reader = ImageReader::open(path).and_then(ImageReader::with_guessed_format);
+    let reader = reader.map_err(|e| Error::unreadable(path, &e))?;
+    let (width, height) = reader.into_dimensions().map_err(|e| undecodable(path, &e))?;
+    if width == 0 || height == 0 {
+        return Err(Error::Data(format!("{} is an image of {width}x{height} pixels: it is empty", path.display())));
+    }
+    Ok((width as usize, height as usize))
+}
+
+/// The one size that all files have.
+pub fn common_size(paths: &[PathBuf]) -> Result<(usize, usize)> {
+    let Some(first) = paths.first() else {
+        return Err(Error::Data("no image files to read".into()));
+    };
+    let expected = size(first)?;
+    for path in paths {
+        let found = size(path)?;
+        if found != expected {
+            return Err(Error::Data(format!(
+                "{} is {}x{} pixels but {} is {}x{}: all images of a scene must have one size",
+                first.display(),
+                expected.0,
+                expected.1,
+                path.display(),
+                found.0,
+                found.1
+            )));
+        }
+    }
+    Ok(expected)
+}
+
+/// Decodes one PNG or JPEG file of 8 or 16 bits.
+pub fn decode(path: &Path) -> Result<DynamicImage> {
+    let bytes = std::fs::read(path).map_err(|e| Error::unreadable(path, &e))?;
+    let format = image::guess_format(&bytes).map_err(|e| undecodable(path, &e))?;
+    if format == ImageFormat::Jpeg && !jpeg_is_complete(&bytes) {
+        return Err(undecodable(path, &"its end-of-image marker is missing"));
+    }
+    let decoded = ImageReader::with_format(Cursor::new(&bytes), format).decode();
+    decoded.map_err(|e| undecodable(path, &e))
+}
+
+/// Whether the last scan of a JPEG is closed by an end-of-image marker. The decoder fills what is
+/// missing with grey, which would be trained on.
+fn jpeg_is_complete(bytes: &[u8]) -> bool {
+    let scan = bytes.windows(2).rposition(|pair| pair == [0xff, 0xda]);
+    scan.is_some_and(|at| bytes[at..].windows(2).any(|pair| pair == [0xff, 0xd9]))
+}
+
+fn undecodable(path: &Path, error: &dyn std::fmt::Display) -> Error {
+    Error::Data(format!(
+        "cannot decode {} as an image: {error}; PNG and JPEG files are read, this one may be truncated or damaged",
+        path.display()
+    ))
+}
+
+/// A decoded file as RGB or RGBA of `to` (width x height), averaged over the area of each pixel.
+pub fn averaged(decoded: &DynamicImage, to: (usize, usize)) -> Image {
+    let from = (decoded.width() as usize, decoded.height() as usize);
+    let colour = decoded.color();
+    let deep = colour.bytes_per_pixel() > colour.channel_count();
+    match (deep, colour.has_alpha()) {
+        (false, false) => resample::average(decoded.to_rgb8().as_raw(), from, 3, 255.0, to),
+        (false, true) => resample::average(decoded.to_rgba8().as_raw(), from, 4, 255.0, to),
+        (true, false) => resample::average(decoded.to_rgb16().as_raw(), from, 3, 65535.0, to),
+        (true, true) => resample::average(decoded.to_rgba16().as_raw(), from, 4, 65535.0, to),
+    }
+}
+
+/// Reads one file at `to` (width x height), RGB or RGBA with straight alpha.
+pub fn read(path: &Path, to: (usize, usize)) -> Result<Image> {
+    Ok(averaged(&decode(path)?, to))
+}
+
+/// Runs `read` over all files in parallel. Of several failures the first file's is reported,
+/// whichever came first in time.
+pub(super) fn each<T: Send>(
+    paths: &[PathBuf],
+    label: &str,
+    progress: &dyn Progress,
+    read: impl Fn(usize, &Path) -> Result<T> + Sync,
+) -> Result<Vec<T>> {
+    progress.start(label, paths.len() as u64);
+    let work = |(i, path): (usize, &PathBuf)| {
+        let result = read(i, path);
+        progress.advance();
+        result
+    };
+    let results: Vec<Result<T>> = paths.par_iter().enumerate().map(work).collect();
+    progress.finish();
+    results.into_iter().collect()
+}
+
+/// Reads all files at `to` onto `background`. The flag says whether anything was see-through.
+pub(super) fn read_all(
+    paths: &[PathBuf],
+    to: (usize, usize),
+    background: [f32; 3],
+    label: &str,
+    progress: &dyn Progress,
+) -> Result<(Vec<Image>, bool)> {
+    let read = |_, path: &Path| Ok(resample::composite(read(path, to)?, background));
+    let (images, clear): (Vec<Image>, Vec<bool>) = each(paths, label, progress, read)?.into_iter().unzip();
+    Ok((images, clear.contains(&true)))
+}
+
+/// A name for each view: its file's stem; the whole path where stems repeat.
+pub(super) fn names(paths: &[PathBuf]) -> Vec<String> {
+    let stem = |path: &PathBuf| path.file_stem().map(|s| s.to_string_lossy().into_owned()).unwrap_or_default();
+    let mut names: Vec<String> = paths.iter().map(stem).collect();
+    let distinct = |names: &[String]| names.iter().collect::<std::collections::HashSet<_>>().len() == names.len();
+    if !distinct(&names) {
+        names = paths.iter().map(|p| p.with_extension("").to_string_lossy().replace(['/', '\\'], "_")).collect();
+    }
+    if !distinct(&names) {
+        names.iter_mut().enumerate().for_each(|(i, name)| name.push_str(&format!("_{i}")));
+    }
+    names
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn sixteen_bits_and_grey_become_rgb_in_unit_range() {
+        let deep = DynamicImage::ImageLuma16(image::ImageBuffer::from_pixel(2, 2, image::Luma([65535u16])));
+        assert_eq!(averaged(&deep, (1, 1)), Image { width: 1, height: 1, channels: 3, pixels: vec![1.0; 3] });
+        let clear = DynamicImage::ImageLumaA8(image::ImageBuffer::from_pixel(1, 1, image::LumaA([51u8, 0])));
+        assert_eq!(averaged(&clear, (1, 1)).pixels, [0.2, 0.2, 0.2, 0.0]);
+    }
+
+    #[test]
+    fn sizes_follow_factor_or_width_and_never_grow() {
+        let file = Path::new("a.png");
+        assert_eq!(Size::Factor(2).apply((801, 401), file).unwrap(), (400, 200));
+        assert_eq!(Size::Factor(64).apply((8, 8), file).unwrap(), (1, 1));
+        assert_eq!(Size::Width(100).apply((800, 600), file).unwrap(), (100, 75));
+        let message = Size::Width(900).apply((800, 600), file).unwrap_err().to_string();
+        assert!(message.contains("data.width = 900") && message.contains("800"), "{message}");
+    }
+
+    #[test]
+    fn repeated_stems_get_longer_names() {
+        let paths = ["a/0.png", "b/0.png"].map(PathBuf::from);
+        assert_eq!(names(&paths), ["a_0", "b_0"]);
+        assert_eq!(names(&["a/0.png", "a/1.png"].map(PathBuf::from)), ["0", "1"]);
+    }
+}

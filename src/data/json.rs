@@ -1,0 +1,150 @@
+//! Fields of a JSON document, with messages that name the file and the key.
+
+use std::path::{Path, PathBuf};
+
+use serde_json::Value;
+
+use super::pose::{self, Pose};
+use crate::error::{Error, Result};
+
+/// One object of a JSON file and where it stands.
+#[derive(Clone, Copy)]
+pub(super) struct Object<'a> {
+    file: &'a Path,
+    /// `""` for the document, `"frame 3: "` for a frame.
+    place: Option<usize>,
+    value: &'a Value,
+}
+
+/// Reads a JSON file.
+pub(super) fn read(file: &Path) -> Result<Value> {
+    let text = std::fs::read(file).map_err(|e| Error::unreadable(file, &e))?;
+    serde_json::from_slice(&text).map_err(|e| Error::Data(format!("{} is not valid JSON: {e}", file.display())))
+}
+
+impl<'a> Object<'a> {
+    /// The document itself.
+    pub(super) fn document(file: &'a Path, value: &'a Value) -> Result<Object<'a>> {
+        let object = Object { file, place: None, value };
+        if !value.is_object() {
+            return Err(object.error(&format!("the document is {}, but it must be an object", kind(value))));
+        }
+        Ok(object)
+    }
+
+    /// An error about this object.
+    pub(super) fn error(&self, what: &str) -> Error {
+        let place = self.place.map(|i| format!("frame {i} (counted from 0): ")).unwrap_or_default();
+        Error::Data(format!("{}: {place}{what}", self.file.display()))
+    }
+
+    /// The elements of `frames`, at least one.
+    pub(super) fn frames(&self) -> Result<Vec<Object<'a>>> {
+        let frames = self.required("frames")?;
+        let list = frames.as_array().ok_or_else(|| self.wrong("frames", frames, "an array"))?;
+        if list.is_empty() {
+            return Err(self.error("\"frames\" is empty, but at least one view is needed"));
+        }
+        let frame = |(i, value)| {
+            let object = Object { file: self.file, place: Some(i), value };
+            let found = kind(value);
+            value.is_object().then_some(object).ok_or_else(|| object.error(&format!("{found} instead of an object")))
+        };
+        list.iter().enumerate().map(frame).collect()
+    }
+
+    /// A key that may be missing or null.
+    pub(super) fn get(&self, key: &str) -> Option<&'a Value> {
+        self.value.get(key).filter(|value| !value.is_null())
+    }
+
+    /// A finite number that may be missing.
+    pub(super) fn number(&self, key: &str) -> Result<Option<f64>> {
+        let Some(value) = self.get(key) else { return Ok(None) };
+        let number = value.as_f64().filter(|v| v.is_finite());
+        number.map(Some).ok_or_else(|| self.wrong(key, value, "a finite number"))
+    }
+
+    /// A text that may be missing.
+    pub(super) fn text(&self, key: &str) -> Result<Option<&'a str>> {
+        let Some(value) = self.get(key) else { return Ok(None) };
+        value.as_str().map(Some).ok_or_else(|| self.wrong(key, value, "a text"))
+    }
+
+    /// `camera_angle_x` or `camera_angle_y`: a field of view in radians, if it is there.
+    pub(super) fn angle(&self, key: &str) -> Result<Option<f64>> {
+        let angle = self.number(key)?;
+        match angle {
+            Some(v) if !(v > 0.0 && v < std::f64::consts::PI) => {
+                Err(self.error(&format!("\"{key}\" is {v}, but a field of view lies between 0 and pi radians")))
+            }
+            angle => Ok(angle),
+        }
+    }
+
+    /// `transform_matrix`: camera to world, 4x4 or 3x4.
+    pub(super) fn pose(&self) -> Result<Pose> {
+        const KEY: &str = "transform_matrix";
+        let value = self.required(KEY)?;
+        let wrong = || self.wrong(KEY, value, "a 4x4 matrix of finite numbers");
+        let rows = value.as_array().filter(|rows| (3..=4).contains(&rows.len())).ok_or_else(wrong)?;
+        let mut pose = [[0.0; 4]; 3];
+        for (row, target) in rows.iter().zip(&mut pose) {
+            let numbers = row.as_array().filter(|row| row.len() == 4).ok_or_else(wrong)?;
+            for (number, target) in numbers.iter().zip(target) {
+                *target = number.as_f64().filter(|v| v.is_finite()).ok_or_else(wrong)?;
+            }
+        }
+        pose::check_rotation(&pose).map_err(|what| {
+            self.error(&format!("the left 3x3 part of \"{KEY}\" must be a rotation, but it has {what}"))
+        })?;
+        Ok(pose)
+    }
+
+    /// The image file that `file_path` names, relative to the JSON file, with or without an ending.
+    pub(super) fn image(&self) -> Result<PathBuf> {
+        let value = self.required("file_path")?;
+        let text = value.as_str().ok_or_else(|| self.wrong("file_path", value, "a text"))?;
+        let relative = text.replace('\\', "/");
+        let folder = self.file.parent().unwrap_or(Path::new(""));
+        let path = folder.join(relative.trim_start_matches("./"));
+        if path.is_file() && super::images::is_image(&path) {
+            return Ok(path);
+        }
+        for ending in ["png", "jpg", "jpeg", "PNG", "JPG", "JPEG"] {
+            let candidate = PathBuf::from(format!("{}.{ending}", path.display()));
+            if candidate.is_file() {
+                return Ok(candidate);
+            }
+        }
+        Err(self.error(&format!(
+            "\"file_path\" is \"{text}\", but there is no image {} (also not with .png, .jpg or .jpeg added)",
+            path.display()
+        )))
+    }
+
+    /// A key that must be there.
+    pub(super) fn required(&self, key: &str) -> Result<&'a Value> {
+        self.get(key).ok_or_else(|| self.error(&format!("the key \"{key}\" is missing")))
+    }
+
+    fn wrong(&self, key: &str, found: &Value, needed: &str) -> Error {
+        let mut shown = found.to_string();
+        if let Some((end, _)) = shown.char_indices().nth(60) {
+            shown.truncate(end);
+            shown.push_str("...");
+        }
+        self.error(&format!("\"{key}\" is {shown}, but it must be {needed}"))
+    }
+}
+
+fn kind(value: &Value) -> &'static str {
+    match value {
+        Value::Null => "null",
+        Value::Bool(_) => "a truth value",
+        Value::Number(_) => "a number",
+        Value::String(_) => "a text",
+        Value::Array(_) => "an array",
+        Value::Object(_) => "an object",
+    }
+}
