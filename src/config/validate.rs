@@ -55,7 +55,7 @@ impl Config {
     fn validate_field(&self) -> Result<()> {
         let field = &self.field;
         require((4..=4096).contains(&field.width), "field.width", field.width, "4 to 4096 neurons")?;
-        require(field.width % 2 == 0, "field.width", field.width, "even (the view layer has half of it)")?;
+        require(field.width.is_multiple_of(2), "field.width", field.width, "even (the view layer has half of it)")?;
         require((1..=64).contains(&field.depth), "field.depth", field.depth, "1 to 64 layers")?;
         require(field.position_octaves <= 20, "field.position_octaves", field.position_octaves, "0 to 20")?;
         require(field.view_octaves <= 20, "field.view_octaves", field.view_octaves, "0 to 20")?;

@@ -1,12 +1,7 @@
 //! Scenes: posed images split into training, validation and held-out views.
 
-pub mod builtin;
-pub mod camera;
-pub mod rays;
-
-pub use camera::{Camera, Ndc};
-pub use rays::{RayBuffer, Rays};
 pub mod blender;
+pub mod builtin;
 pub mod camera;
 mod describe;
 mod detect;
@@ -15,11 +10,13 @@ mod json;
 pub mod llff;
 pub mod npy;
 pub mod pose;
+pub mod rays;
 pub mod resample;
 pub mod transforms;
 
 pub use camera::{Camera, Ndc};
 pub use detect::detect;
+pub use rays::{RayBuffer, Rays};
 
 use crate::config::{Background, DataConfig, DataKind, scene_name};
 use crate::error::{Error, Result};
@@ -97,9 +94,7 @@ pub fn load(config: &DataConfig, progress: &dyn Progress) -> Result<Scene> {
         DataKind::Llff => llff::load(config, progress)?,
         DataKind::Blender => blender::load(config, progress)?,
         DataKind::Transforms => transforms::load(config, progress)?,
-        DataKind::BuiltinBlender | DataKind::BuiltinForward => {
-            return Err(Error::Config("the embedded scene is not part of this build; set data.dir".into()));
-        }
+        DataKind::BuiltinBlender | DataKind::BuiltinForward => builtin::load(config)?,
         DataKind::Auto => {
             return Err(Error::Config("data.kind = \"auto\" has to be settled before the scene is loaded".into()));
         }

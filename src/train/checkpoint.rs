@@ -14,7 +14,7 @@ use crate::config::Config;
 use crate::data::Scene;
 use crate::error::{Error, Result};
 use crate::model::Model;
-use crate::output::{AtomicDir, clean_temporaries};
+use crate::output::{AtomicDir, clean_temporaries, write_atomic, write_json};
 
 use super::{Adam, Moments, Trainer};
 
@@ -139,9 +139,9 @@ impl Trainer {
             return Ok(target);
         }
         let dir = AtomicDir::new(&target)?;
-        dir.write(TENSORS, &self.tensor_bytes()?)?;
-        dir.write(STATE, state_json(&self.state()).as_bytes())?;
-        dir.write(CONFIG, self.config.to_toml().as_bytes())?;
+        write_atomic(&dir.path().join(TENSORS), &self.tensor_bytes()?)?;
+        write_json(&dir.path().join(STATE), &self.state())?;
+        write_atomic(&dir.path().join(CONFIG), self.config.to_toml().as_bytes())?;
         dir.commit()?;
         let mut all = list(checkpoints)?;
         all.truncate(all.len().saturating_sub(keep));
@@ -195,8 +195,4 @@ impl Trainer {
         let trainer = Trainer::with_model(config, scene, model, dtype, device)?;
         Ok(Trainer { adam, step: state.step, empty_steps: state.empty_steps, redraws: state.redraws, ..trainer })
     }
-}
-
-fn state_json(state: &State) -> String {
-    serde_json::to_string_pretty(state).expect("plain data") + "\n"
 }

@@ -18,7 +18,7 @@ use crate::rng::{Random, Stream};
 use crate::sampling;
 
 mod batches;
-//pub mod checkpoint;
+pub mod checkpoint;
 mod diagnostics;
 mod optimizer;
 
