@@ -420,3 +420,56 @@ fn sizes(values: &[Value]) -> Parsed<Vec<u64>> {
     };
     values.iter().map(size).collect()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A file as `torch.save` wrote it before version 1.6: an OrderedDict with one tensor "w" of
+    /// 2x2 values from the second of its storage's five values on, with the given strides.
+    fn legacy_file(strides: [u8; 2], values: usize) -> Vec<u8> {
+        let mut file = LEGACY_MAGIC.to_vec();
+        file.extend(b"\x80\x02M\xe9\x03."); // protocol 1001
+        file.extend(b"\x80\x02}q\x01U\x0dlittle_endianq\x02\x88s.");
+        file.extend(b"\x80\x02ccollections\nOrderedDict\nq\x00)Rq\x01(X\x01\x00\x00\x00wq\x02");
+        file.extend(
+            b"ctorch._utils\n_rebuild_tensor_v2\nq\x03((X\x07\x00\x00\x00storageq\x04ctorch\nFloatStorage\nq\x05",
+        );
+        file.extend(b"X\x02\x00\x00\x0042q\x06U\x03cpuq\x07\x8a\x01\x05NtQK\x01K\x02K\x02\x86");
+        file.extend([b'K', strides[0], b'K', strides[1], 0x86]);
+        file.extend(b"\x89NtRq\x08u}q\x09b.");
+        file.extend(b"\x80\x02]q\x01X\x02\x00\x00\x0042q\x02a.");
+        file.extend(5u64.to_le_bytes());
+        file.extend((0..values).flat_map(|v| (v as f32).to_le_bytes()));
+        file
+    }
+
+    fn read(bytes: &[u8], shape: &[usize]) -> Result<Tensor> {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("file.pth");
+        std::fs::write(&path, bytes).unwrap();
+        Weights::open(&path)?.get(&["v".to_string(), "w".to_string()], shape, &Device::Cpu)
+    }
+
+    #[test]
+    fn legacy_files_give_their_tensors() {
+        let tensor = read(&legacy_file([2, 1], 5), &[2, 2]).unwrap();
+        assert_eq!(tensor.to_vec2::<f32>().unwrap(), [[1.0, 2.0], [3.0, 4.0]]);
+    }
+
+    #[test]
+    fn broken_legacy_files_are_errors() {
+        let whole = legacy_file([2, 1], 5);
+        for keep in 0..whole.len() {
+            let error = read(&whole[..keep], &[2, 2]).unwrap_err();
+            assert!(error.exit_code() == 3 && error.to_string().contains("file.pth"), "{keep}: {error}");
+        }
+        for i in LEGACY_MAGIC.len()..whole.len() {
+            let mut file = whole.clone();
+            file[i] ^= 0xff;
+            let _ = read(&file, &[2, 2]); // an error or other values, never a panic
+        }
+        assert!(read(&legacy_file([1, 2], 5), &[2, 2]).unwrap_err().to_string().contains("not contiguous"));
+        assert!(read(&whole, &[4]).unwrap_err().to_string().contains("w has shape [2, 2], expected [4]"));
+    }
+}

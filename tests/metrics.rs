@@ -1,0 +1,562 @@
+//! Image metrics against closed forms, slow references, another implementation and the paper.
+//!
+//! Two tests need files that are not in the repository: real photographs from the folder in
+//! `AUGNERF_DATA` (its parent holds `reference/`) and LPIPS weights from the folder in
+//! `AUGNERF_LPIPS_WEIGHTS`. Where a variable is unset they say SKIPPED and pass.
+
+use std::collections::HashMap;
+use std::io::Write;
+use std::path::{Path, PathBuf};
+
+use augnerf::data::Image;
+use augnerf::metrics::{self, Backbone, Lpips, MeanMetrics, ViewMetrics};
+use candle_core::{Device, Tensor};
+
+/// PSNR and SSIM are computed in f64 here and there; images are 8-bit.
+const PSNR_SSIM_TOLERANCE: f64 = 1e-4;
+/// LPIPS runs in f32 through up to 26 convolutions.
+const LPIPS_TOLERANCE: f64 = 1e-3;
+/// The same f32 network against f64 loops, relative.
+const NETWORK_TOLERANCE: f64 = 1e-4;
+/// Closed forms in f64 of f32 pixels.
+const CLOSED_FORM_TOLERANCE: f64 = 1e-6;
+
+/// A small generator, so that these tests depend on no other part of the crate.
+struct Lcg(u64);
+
+impl Lcg {
+    /// Uniform in 0..1.
+    fn uniform(&mut self) -> f32 {
+        self.0 = self.0.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407);
+        (self.0 >> 40) as f32 / (1u64 << 24) as f32
+    }
+}
+
+fn noise(width: usize, height: usize, channels: usize, seed: u64) -> Image {
+    let mut lcg = Lcg(seed);
+    let pixels = (0..width * height * channels).map(|_| lcg.uniform()).collect();
+    Image { width, height, channels, pixels }
+}
+
+fn constant(width: usize, height: usize, value: f32) -> Image {
+    Image { width, height, channels: 3, pixels: vec![value; width * height * 3] }
+}
+
+fn assert_close(what: &str, found: f64, expected: f64, tolerance: f64) {
+    assert!((found - expected).abs() <= tolerance, "{what}: found {found}, expected {expected} within {tolerance}");
+}
+
+fn folder(variable: &str, test: &str) -> Option<PathBuf> {
+    let folder = std::env::var_os(variable).map(PathBuf::from);
+    if folder.is_none() {
+        // Not `eprintln`, which the test harness hides for tests that pass.
+        let line = format!("SKIPPED {test}: set {variable}\n");
+        std::io::stderr().write_all(line.as_bytes()).unwrap();
+    }
+    folder
+}
+
+#[test]
+fn psnr_of_a_constant_offset_is_its_closed_form() {
+    let (a, b) = (constant(7, 5, 0.25), constant(7, 5, 0.35));
+    let found = metrics::psnr_float(&a, &b).unwrap().unwrap();
+    assert_close("psnr_float", found, 20.0, CLOSED_FORM_TOLERANCE);
+    // 63.75 and 89.25 of 255 round to 64 and 89.
+    let found = metrics::psnr(&a, &b).unwrap().unwrap();
+    assert_close("psnr", found, -20.0 * (25.0f64 / 255.0).log10(), CLOSED_FORM_TOLERANCE);
+}
+
+#[test]
+fn quantise_clamps_and_rounds_to_multiples_of_one_255th() {
+    let image = Image { width: 5, height: 1, channels: 1, pixels: vec![-0.5, 1.5, 0.0019, 0.002, 0.5] };
+    let expected = vec![0.0, 1.0, 0.0, 1.0 / 255.0, 128.0 / 255.0];
+    assert_eq!(metrics::quantise(&image).pixels, expected);
+    assert_eq!(metrics::quantise(&metrics::quantise(&image)).pixels, expected);
+}
+
+#[test]
+fn equal_images_have_no_psnr_and_an_ssim_of_one() {
+    let image = noise(23, 19, 3, 1);
+    let view = metrics::measure("view", &image, &image, &[]).unwrap();
+    assert_eq!((view.psnr, view.psnr_float, view.mse), (None, None, 0.0));
+    assert_close("ssim", view.ssim.unwrap(), 1.0, 1e-12);
+    assert_close(
+        "ssim of black",
+        metrics::ssim(&constant(11, 11, 0.0), &constant(11, 11, 0.0)).unwrap().unwrap(),
+        1.0,
+        0.0,
+    );
+}
+
+#[test]
+fn ssim_equals_the_window_by_window_definition() {
+    for (width, height, channels) in [(11, 11, 3), (17, 13, 3), (12, 24, 1)] {
+        let (a, b) = (noise(width, height, channels, 2), noise(width, height, channels, 3));
+        let found = metrics::ssim(&a, &b).unwrap().unwrap();
+        assert_close("ssim", found, slow_ssim(&a, &b), 1e-10);
+    }
+}
+
+/// SSIM with one two-dimensional window per position and centred moments.
+fn slow_ssim(a: &Image, b: &Image) -> f64 {
+    let mut values = Vec::new();
+    for c in 0..a.channels {
+        for (y, x) in (5..a.height - 5).flat_map(|y| (5..a.width - 5).map(move |x| (y, x))) {
+            let mut window = Vec::new();
+            for (dy, dx) in (-5i32..=5).flat_map(|dy| (-5i32..=5).map(move |dx| (dy, dx))) {
+                let i = ((y as i32 + dy) as usize * a.width + (x as i32 + dx) as usize) * a.channels + c;
+                let weight = (-f64::from(dx * dx + dy * dy) / (2.0 * 1.5 * 1.5)).exp();
+                window.push((weight, f64::from(a.pixels[i]), f64::from(b.pixels[i])));
+            }
+            values.push(window_ssim(&window));
+        }
+    }
+    values.iter().sum::<f64>() / values.len() as f64
+}
+
+fn window_ssim(window: &[(f64, f64, f64)]) -> f64 {
+    let total: f64 = window.iter().map(|w| w.0).sum();
+    let mean = |f: &dyn Fn(f64, f64) -> f64| window.iter().map(|(w, p, q)| w * f(*p, *q)).sum::<f64>() / total;
+    let (ma, mb) = (mean(&|p, _| p), mean(&|_, q| q));
+    let (va, vb) = (mean(&|p, _| (p - ma).powi(2)), mean(&|_, q| (q - mb).powi(2)));
+    let cov = mean(&|p, q| (p - ma) * (q - mb));
+    (2.0 * ma * mb + 1e-4) * (2.0 * cov + 9e-4) / ((ma * ma + mb * mb + 1e-4) * (va + vb + 9e-4))
+}
+
+#[test]
+fn images_below_the_window_have_no_ssim() {
+    for (width, height) in [(10, 11), (11, 10), (1, 1)] {
+        let view =
+            metrics::measure("small", &constant(width, height, 0.2), &constant(width, height, 0.3), &[]).unwrap();
+        assert_eq!(view.ssim, None);
+        assert!(view.psnr.is_some());
+    }
+}
+
+#[test]
+fn images_that_cannot_be_compared_are_errors() {
+    let image = noise(12, 12, 3, 4);
+    let error = metrics::measure("v", &image, &noise(12, 13, 3, 4), &[]).unwrap_err();
+    assert!(error.to_string().contains("12x12 with 3 channels") && error.to_string().contains("12x13"), "{error}");
+    let short = Image { pixels: vec![0.0; 5], ..image.clone() };
+    assert_eq!(metrics::ssim(&short, &short).unwrap_err().exit_code(), 3);
+    let empty = Image { width: 0, height: 0, channels: 3, pixels: Vec::new() };
+    assert_eq!(metrics::mse(&empty, &empty).unwrap_err().exit_code(), 3);
+    let mut broken = image.clone();
+    broken.pixels[7] = f32::NAN;
+    let error = metrics::measure("v", &broken, &image, &[]).unwrap_err();
+    assert!(error.to_string().contains("1 values"), "{error}");
+}
+
+fn view(psnr: Option<f64>, mse: f64, lpips_squeeze: Option<f64>) -> ViewMetrics {
+    let (psnr_float, ssim, name) = (psnr, Some(0.5), "v".to_string());
+    ViewMetrics { name, psnr, psnr_float, mse, ssim, lpips_alex: None, lpips_vgg: None, lpips_squeeze }
+}
+
+#[test]
+fn means_are_over_all_views_or_missing() {
+    let views = [view(Some(20.0), 0.01, Some(0.2)), view(Some(10.0), 0.1, Some(0.4))];
+    let means = MeanMetrics::from_views(&views);
+    assert_eq!((means.psnr, means.ssim, means.lpips_alex, means.average_alex), (Some(15.0), Some(0.5), None, None));
+    assert_close("psnr_of_mean", means.psnr_of_mean.unwrap(), -10.0 * 0.055f64.log10(), 1e-12);
+    assert_close("average", means.average_squeeze.unwrap(), metrics::average(15.0, 0.5, 0.3), 1e-12);
+
+    let partly = MeanMetrics::from_views(&[views[0].clone(), view(None, 0.0, None)]);
+    assert_eq!((partly.psnr, partly.lpips_squeeze, partly.average_squeeze), (None, None, None));
+    assert_close("psnr_of_mean", partly.psnr_of_mean.unwrap(), -10.0 * 0.005f64.log10(), 1e-12);
+    assert_eq!(MeanMetrics::from_views(&[]), MeanMetrics::default());
+}
+
+#[test]
+fn missing_metrics_are_null_in_json_and_empty_in_csv() {
+    let views = [view(None, 0.0, Some(0.25))];
+    let json = serde_json::to_value(MeanMetrics::from_views(&views)).unwrap();
+    for name in ["psnr", "psnr_float", "psnr_of_mean", "lpips_alex", "lpips_vgg", "average_vgg", "average_squeeze"] {
+        assert_eq!(json.get(name), Some(&serde_json::Value::Null), "{name}");
+    }
+    assert_eq!((&json["ssim"], &json["lpips_squeeze"]), (&0.5.into(), &0.25.into()));
+    let text = serde_json::to_string(&views[0]).unwrap();
+    assert_eq!(serde_json::from_str::<ViewMetrics>(&text).unwrap(), views[0]);
+
+    let mut csv = csv::Writer::from_writer(Vec::new());
+    csv.serialize(&views[0]).unwrap();
+    let text = String::from_utf8(csv.into_inner().unwrap()).unwrap();
+    assert_eq!(text, "name,psnr,psnr_float,mse,ssim,lpips_alex,lpips_vgg,lpips_squeeze\nv,,,0.0,0.5,,,0.25\n");
+}
+
+/// Rows of the paper whose average is cut off instead of rounded.
+const TRUNCATED: [&str; 2] = ["tabA1 width_256_half_res Aug-NeRF", "tabA2 pepper_noise Aug-NeRF"];
+
+#[test]
+fn average_gives_every_published_average() {
+    let mut reader = csv::Reader::from_path("tests/fixtures/published.csv").unwrap();
+    let rows: Vec<HashMap<String, String>> = reader.deserialize().map(|row| row.unwrap()).collect();
+    assert_eq!(rows.len(), 57);
+    let mut truncated = Vec::new();
+    for row in &rows {
+        let number = |name: &str| row[name].parse::<f64>().unwrap();
+        let average = metrics::average(number("psnr"), number("ssim"), number("lpips"));
+        if format!("{average:.3}") != row["average"] {
+            assert_eq!(format!("{:.3}", (average * 1000.0).floor() / 1000.0), row["average"], "{row:?}");
+            truncated.push(format!("{} {} {}", row["table"], row["condition"], row["method"]));
+        }
+    }
+    assert_eq!(truncated, TRUNCATED);
+}
+
+#[derive(serde::Deserialize)]
+struct Reference {
+    a: String,
+    b: String,
+    psnr: f64,
+    ssim_gaussian_11_sigma_1_5_valid_crop: f64,
+    lpips_squeeze_v0_1: f64,
+    average: f64,
+}
+
+fn read_png(path: &Path) -> Image {
+    let image = image::open(path).unwrap_or_else(|e| panic!("{}: {e}", path.display())).to_rgb8();
+    let (width, height) = (image.width() as usize, image.height() as usize);
+    let pixels = image.into_raw().into_iter().map(|v| f32::from(v) / 255.0).collect();
+    Image { width, height, channels: 3, pixels }
+}
+
+#[test]
+fn photographs_give_the_numbers_of_other_implementations() {
+    let test = "photographs_give_the_numbers_of_other_implementations";
+    let Some(data) = folder("AUGNERF_DATA", test) else { return };
+    let weights = folder("AUGNERF_LPIPS_WEIGHTS", &format!("LPIPS part of {test}"));
+    let lpips: Vec<Lpips> =
+        weights.iter().filter_map(|dir| Lpips::load(dir, Backbone::Squeeze, &Device::Cpu).unwrap()).collect();
+    assert_eq!(lpips.len(), usize::from(weights.is_some()), "the weights folder lacks the squeeze backbone");
+    let text = std::fs::read_to_string("tests/fixtures/metrics.json").unwrap();
+    let references: Vec<Reference> = serde_json::from_str(&text).unwrap();
+    assert_eq!(references.len(), 3);
+    let root = data.parent().unwrap();
+    for reference in references {
+        let (a, b) = (read_png(&root.join(&reference.a)), read_png(&root.join(&reference.b)));
+        check_reference(&reference, &a, &b, &lpips);
+    }
+}
+
+fn check_reference(reference: &Reference, a: &Image, b: &Image, lpips: &[Lpips]) {
+    let started = std::time::Instant::now();
+    let view = metrics::measure(&reference.a, a, b, lpips).unwrap();
+    let (psnr, ssim) = (view.psnr.unwrap(), view.ssim.unwrap());
+    let expected_ssim = reference.ssim_gaussian_11_sigma_1_5_valid_crop;
+    eprintln!("psnr {:+.1e} ssim {:+.1e}", psnr - reference.psnr, ssim - expected_ssim);
+    assert_close("psnr", psnr, reference.psnr, PSNR_SSIM_TOLERANCE);
+    assert_close("psnr_float", view.psnr_float.unwrap(), reference.psnr, PSNR_SSIM_TOLERANCE);
+    assert_close("ssim", ssim, expected_ssim, PSNR_SSIM_TOLERANCE);
+    let average = metrics::average(psnr, ssim, reference.lpips_squeeze_v0_1);
+    assert_close("average", average, reference.average, PSNR_SSIM_TOLERANCE);
+    if let Some(distance) = view.lpips_squeeze {
+        eprintln!("lpips {:+.1e} in {:?}", distance - reference.lpips_squeeze_v0_1, started.elapsed());
+        assert_close("lpips_squeeze", distance, reference.lpips_squeeze_v0_1, LPIPS_TOLERANCE);
+    }
+}
+
+#[test]
+fn released_weights_load_and_incomplete_copies_are_refused() {
+    let Some(dir) = folder("AUGNERF_LPIPS_WEIGHTS", "released_weights_load_and_incomplete_copies_are_refused") else {
+        return;
+    };
+    assert!(Lpips::available(&dir).unwrap().contains(&Backbone::Squeeze));
+    let copy = tempfile::tempdir().unwrap();
+    let linear = std::fs::read(dir.join("squeeze_lin_v0.1.pth")).unwrap();
+    let features = std::fs::read(dir.join("squeezenet1_1_features.pth")).unwrap();
+    std::fs::write(copy.path().join("squeeze_lin_v0.1.pth"), linear).unwrap();
+    for keep in [features.len() - 1, features.len() / 2, 3000, 40, 15, 3, 0] {
+        let path = copy.path().join("squeezenet1_1_features.pth");
+        std::fs::write(&path, &features[..keep]).unwrap();
+        let error = load_error(copy.path(), Backbone::Squeeze);
+        assert!(error.contains("squeezenet1_1_features.pth") && error.contains("not a readable"), "{keep}: {error}");
+    }
+}
+
+fn load_error(dir: &Path, backbone: Backbone) -> String {
+    match Lpips::load(dir, backbone, &Device::Cpu) {
+        Err(error) => {
+            assert_eq!(error.exit_code(), 3, "{error}");
+            error.to_string()
+        }
+        Ok(_) => panic!("{} loaded", backbone.name()),
+    }
+}
+
+// Synthetic networks: every backbone with random weights, against loops over plain arrays.
+
+/// Channels, height, width and values of a feature map.
+#[derive(Clone)]
+struct Map(usize, usize, usize, Vec<f64>);
+
+type Tensors = HashMap<String, Tensor>;
+
+/// A network in torchvision's order of modules, as a list of module names: `conv index inputs
+/// outputs kernel stride padding`, `fire index inputs squeeze expand`, `pool kernel`,
+/// `poolceil kernel` and `tap`.
+fn modules(backbone: Backbone) -> &'static str {
+    match backbone {
+        Backbone::Alex => {
+            "conv 0 3 64 11 4 2|tap|pool 3|conv 3 64 192 5 1 2|tap|pool 3|conv 6 192 384 3 1 1|tap|\
+             conv 8 384 256 3 1 1|tap|conv 10 256 256 3 1 1|tap"
+        }
+        Backbone::Vgg => {
+            "conv 0 3 64 3 1 1|conv 2 64 64 3 1 1|tap|pool 2|conv 5 64 128 3 1 1|conv 7 128 128 3 1 1|tap|pool 2|\
+             conv 10 128 256 3 1 1|conv 12 256 256 3 1 1|conv 14 256 256 3 1 1|tap|pool 2|conv 17 256 512 3 1 1|\
+             conv 19 512 512 3 1 1|conv 21 512 512 3 1 1|tap|pool 2|conv 24 512 512 3 1 1|conv 26 512 512 3 1 1|\
+             conv 28 512 512 3 1 1|tap"
+        }
+        Backbone::Squeeze => {
+            "conv 0 3 64 3 2 0|tap|poolceil 3|fire 3 64 16 64|fire 4 128 16 64|tap|poolceil 3|fire 6 128 32 128|\
+             fire 7 256 32 128|tap|poolceil 3|fire 9 256 48 192|tap|fire 10 384 48 192|tap|fire 11 384 64 256|tap|\
+             fire 12 512 64 256|tap"
+        }
+    }
+}
+
+/// A module's kind and numbers.
+type Module = (&'static str, Vec<usize>);
+
+fn parsed(backbone: Backbone) -> Vec<Module> {
+    let parse = |module: &'static str| {
+        let mut words = module.split_whitespace();
+        (words.next().unwrap(), words.map(|word| word.parse().unwrap()).collect())
+    };
+    modules(backbone).split('|').map(parse).collect()
+}
+
+fn random_conv(tensors: &mut Tensors, lcg: &mut Lcg, name: &str, shape: [usize; 4]) {
+    let fan_in = (shape[1] * shape[2] * shape[3]) as f32;
+    let mut random =
+        |count: usize, bound: f32| -> Vec<f32> { (0..count).map(|_| (2.0 * lcg.uniform() - 1.0) * bound).collect() };
+    let (weight, bias) = (random(shape.iter().product(), (6.0 / fan_in).sqrt()), random(shape[0], 0.1));
+    tensors.insert(format!("{name}.weight"), Tensor::from_vec(weight, &shape, &Device::Cpu).unwrap());
+    tensors.insert(format!("{name}.bias"), Tensor::from_vec(bias, shape[0], &Device::Cpu).unwrap());
+}
+
+/// Random feature and linear weights of a backbone, the feature names led by `prefix`.
+fn synthetic(backbone: Backbone, prefix: &str) -> (Tensors, Tensors) {
+    let (mut features, mut linear, mut lcg) = (Tensors::new(), Tensors::new(), Lcg(5));
+    let mut channels = 0;
+    for (kind, n) in parsed(backbone) {
+        match kind {
+            "conv" => {
+                random_conv(&mut features, &mut lcg, &format!("{prefix}{}", n[0]), [n[2], n[1], n[3], n[3]]);
+                channels = n[2];
+            }
+            "fire" => {
+                let name = format!("{prefix}{}", n[0]);
+                random_conv(&mut features, &mut lcg, &format!("{name}.squeeze"), [n[2], n[1], 1, 1]);
+                random_conv(&mut features, &mut lcg, &format!("{name}.expand1x1"), [n[3], n[2], 1, 1]);
+                random_conv(&mut features, &mut lcg, &format!("{name}.expand3x3"), [n[3], n[2], 3, 3]);
+                channels = 2 * n[3];
+            }
+            "tap" => {
+                let name = format!("lin{}.model.1.weight", linear.len());
+                let values: Vec<f32> = (0..channels).map(|_| lcg.uniform()).collect();
+                linear.insert(name, Tensor::from_vec(values, (1, channels, 1, 1), &Device::Cpu).unwrap());
+            }
+            _ => {}
+        }
+    }
+    (features, linear)
+}
+
+fn feature_file(backbone: Backbone) -> &'static str {
+    match backbone {
+        Backbone::Alex => "alexnet-owt-7be5be79.safetensors",
+        Backbone::Vgg => "vgg16-397923af.safetensors",
+        Backbone::Squeeze => "squeezenet1_1_features.safetensors",
+    }
+}
+
+fn write(dir: &Path, backbone: Backbone, features: &Tensors, linear: &Tensors) {
+    candle_core::safetensors::save(features, dir.join(feature_file(backbone))).unwrap();
+    let name = format!("{}_lin_v0.1.safetensors", backbone.name());
+    candle_core::safetensors::save(linear, dir.join(name)).unwrap();
+}
+
+fn values(tensors: &Tensors, name: &str) -> Vec<f64> {
+    let tensor = tensors[name].flatten_all().unwrap().to_vec1::<f32>().unwrap();
+    tensor.into_iter().map(f64::from).collect()
+}
+
+fn slow_conv(x: &Map, tensors: &Tensors, name: &str, stride: usize, padding: usize) -> Map {
+    let Map(inputs, height, width, pixels) = x;
+    let (weight, bias) = (values(tensors, &format!("{name}.weight")), values(tensors, &format!("{name}.bias")));
+    let kernel = tensors[&format!("{name}.weight")].dim(3).unwrap();
+    let size = |n: usize| (n + 2 * padding - kernel) / stride + 1;
+    let (out_h, out_w) = (size(*height), size(*width));
+    let mut out = Vec::with_capacity(bias.len() * out_h * out_w);
+    for o in 0..bias.len() {
+        for (y, x) in (0..out_h).flat_map(|y| (0..out_w).map(move |x| (y, x))) {
+            let mut sum = bias[o];
+            for (ky, kx) in (0..kernel).flat_map(|ky| (0..kernel).map(move |kx| (ky, kx))) {
+                let (sy, sx) = ((y * stride + ky).wrapping_sub(padding), (x * stride + kx).wrapping_sub(padding));
+                if sy < *height && sx < *width {
+                    for i in 0..*inputs {
+                        let w = weight[((o * inputs + i) * kernel + ky) * kernel + kx];
+                        sum += w * pixels[(i * height + sy) * width + sx];
+                    }
+                }
+            }
+            out.push(sum.max(0.0));
+        }
+    }
+    Map(bias.len(), out_h, out_w, out)
+}
+
+fn slow_pool(Map(channels, height, width, pixels): &Map, kernel: usize, ceil: bool) -> Map {
+    let size = |n: usize| {
+        let mut count = 0;
+        // A window counts if it lies inside or, with `ceil`, if it begins inside and its
+        // predecessor did not reach the end.
+        while count * 2 + kernel <= n || (ceil && count * 2 < n && (count == 0 || (count - 1) * 2 + kernel < n)) {
+            count += 1;
+        }
+        count
+    };
+    let (out_h, out_w) = (size(*height), size(*width));
+    let mut out = Vec::new();
+    for c in 0..*channels {
+        for (y, x) in (0..out_h).flat_map(|y| (0..out_w).map(move |x| (y, x))) {
+            let mut largest = f64::NEG_INFINITY;
+            for sy in (2 * y..2 * y + kernel).filter(|sy| sy < height) {
+                for sx in (2 * x..2 * x + kernel).filter(|sx| sx < width) {
+                    largest = largest.max(pixels[(c * height + sy) * width + sx]);
+                }
+            }
+            out.push(largest);
+        }
+    }
+    Map(*channels, out_h, out_w, out)
+}
+
+fn slow_fire(x: &Map, tensors: &Tensors, name: &str) -> Map {
+    let x = slow_conv(x, tensors, &format!("{name}.squeeze"), 1, 0);
+    let Map(c1, h, w, mut values) = slow_conv(&x, tensors, &format!("{name}.expand1x1"), 1, 0);
+    let Map(c3, _, _, more) = slow_conv(&x, tensors, &format!("{name}.expand3x3"), 1, 1);
+    values.extend(more);
+    Map(c1 + c3, h, w, values)
+}
+
+/// The compared feature maps.
+fn slow_taps(image: &Image, modules: &[Module], tensors: &Tensors) -> Vec<Map> {
+    let (shift, scale) = ([-0.030, -0.088, -0.188], [0.458, 0.448, 0.450]);
+    let count = image.width * image.height;
+    let pixel = |i: usize| {
+        (2.0 * f64::from(image.pixels[i % count * 3 + i / count]) - 1.0 - shift[i / count]) / scale[i / count]
+    };
+    let mut x = Map(3, image.height, image.width, (0..3 * count).map(pixel).collect());
+    let mut taps = Vec::new();
+    for (kind, n) in modules {
+        match *kind {
+            "conv" => x = slow_conv(&x, tensors, &n[0].to_string(), n[4], n[5]),
+            "fire" => x = slow_fire(&x, tensors, &n[0].to_string()),
+            "tap" => taps.push(x.clone()),
+            pool => x = slow_pool(&x, n[0], pool == "poolceil"),
+        }
+    }
+    taps
+}
+
+fn slow_distance(a: &Image, b: &Image, modules: &[Module], features: &Tensors, linear: &Tensors) -> f64 {
+    let (a, b) = (slow_taps(a, modules, features), slow_taps(b, modules, features));
+    let mut distance = 0.0;
+    for (i, (Map(channels, h, w, p), Map(_, _, _, q))) in a.iter().zip(&b).enumerate() {
+        let weights = values(linear, &format!("lin{i}.model.1.weight"));
+        let mut sum = 0.0;
+        for at in 0..h * w {
+            let length = |v: &[f64]| (0..*channels).map(|c| v[c * h * w + at].powi(2)).sum::<f64>().sqrt() + 1e-10;
+            let (np, nq) = (length(p), length(q));
+            sum += (0..*channels)
+                .map(|c| weights[c] * (p[c * h * w + at] / np - q[c * h * w + at] / nq).powi(2))
+                .sum::<f64>();
+        }
+        distance += sum / (h * w) as f64;
+    }
+    distance
+}
+
+fn check_network(backbone: Backbone, sizes: &[(usize, usize)]) {
+    let dir = tempfile::tempdir().unwrap();
+    let (features, linear) = synthetic(backbone, "");
+    write(dir.path(), backbone, &features, &linear);
+    assert_eq!(Lpips::available(dir.path()).unwrap(), [backbone]);
+    let lpips = Lpips::load(dir.path(), backbone, &Device::Cpu).unwrap().unwrap();
+    for (width, height) in sizes {
+        let (a, b) = (noise(*width, *height, 3, 6), noise(*width, *height, 3, 7));
+        let found = lpips.distance(&a, &b).unwrap();
+        let expected = slow_distance(&a, &b, &parsed(backbone), &features, &linear);
+        eprintln!("{} {width}x{height}: {found} {expected}", backbone.name());
+        assert_close(backbone.name(), found, expected, expected * NETWORK_TOLERANCE);
+        assert_eq!(lpips.distance(&a, &a).unwrap(), 0.0);
+    }
+    let side = backbone.min_side();
+    let small = noise(side - 1, side, 3, 8);
+    let error = lpips.distance(&small, &small).unwrap_err();
+    assert!(error.exit_code() == 3 && error.to_string().contains(&format!("{side}x{side}")), "{error}");
+    assert_eq!(metrics::measure("v", &small, &small, &[lpips]).unwrap().lpips_squeeze, None);
+}
+
+#[test]
+fn alex_equals_plain_loops() {
+    check_network(Backbone::Alex, &[(31, 31), (43, 36)]);
+}
+
+#[test]
+fn vgg_equals_plain_loops() {
+    check_network(Backbone::Vgg, &[(19, 16)]);
+}
+
+#[test]
+fn squeeze_equals_plain_loops_also_where_pooling_rounds_up() {
+    check_network(Backbone::Squeeze, &[(17, 17), (21, 23), (26, 29), (33, 19)]);
+}
+
+#[test]
+fn convolutions_in_strips_of_rows_give_the_same_distance() {
+    let dir = tempfile::tempdir().unwrap();
+    let (features, mut linear) = synthetic(Backbone::Vgg, "features.");
+    // Only the first compared layer counts, which the loops reach quickly.
+    for i in 1..5 {
+        let name = format!("lin{i}.model.1.weight");
+        let zeros = linear[&name].zeros_like().unwrap();
+        linear.insert(name, zeros);
+    }
+    write(dir.path(), Backbone::Vgg, &features, &linear);
+    let lpips = Lpips::load(dir.path(), Backbone::Vgg, &Device::Cpu).unwrap().unwrap();
+    // The second convolution unfolds 64 * 9 * 700 values a row: two strips.
+    let (a, b) = (noise(700, 48, 3, 9), noise(700, 48, 3, 10));
+    let short =
+        features.iter().map(|(name, v)| (name.trim_start_matches("features.").to_string(), v.clone())).collect();
+    let expected = slow_distance(&a, &b, &parsed(Backbone::Vgg)[..3], &short, &linear);
+    assert_close("vgg in strips", lpips.distance(&a, &b).unwrap(), expected, expected * NETWORK_TOLERANCE);
+}
+
+#[test]
+fn weight_folders_that_lack_something_are_told_apart() {
+    let dir = tempfile::tempdir().unwrap();
+    assert!(Lpips::load(dir.path(), Backbone::Squeeze, &Device::Cpu).unwrap().is_none());
+    assert_eq!(Lpips::available(dir.path()).unwrap(), []);
+    let missing = dir.path().join("missing");
+    assert_eq!(Lpips::available(&missing).unwrap_err().exit_code(), 3);
+    assert!(load_error(&missing, Backbone::Squeeze).contains("missing"));
+
+    let (features, linear) = synthetic(Backbone::Squeeze, "");
+    let mut wrong = features.clone();
+    wrong.insert("3.squeeze.weight".into(), features["4.squeeze.weight"].clone());
+    write(dir.path(), Backbone::Squeeze, &wrong, &linear);
+    let error = load_error(dir.path(), Backbone::Squeeze);
+    for part in ["squeezenet1_1_features.safetensors", "3.squeeze.weight", "[16, 128, 1, 1]", "[16, 64, 1, 1]"] {
+        assert!(error.contains(part), "{error}");
+    }
+    wrong.remove("3.squeeze.weight");
+    write(dir.path(), Backbone::Squeeze, &wrong, &linear);
+    let error = load_error(dir.path(), Backbone::Squeeze);
+    assert!(error.contains("lacks the tensor 3.squeeze.weight"), "{error}");
+
+    std::fs::write(dir.path().join(feature_file(Backbone::Squeeze)), b"not a weight file").unwrap();
+    assert!(load_error(dir.path(), Backbone::Squeeze).contains("not a readable weight file"));
+}
