@@ -1,0 +1,52 @@
+//! Compiles the code revision in.
+
+use std::path::Path;
+use std::process::Command;
+
+/// What the program is built from. Only a change of these makes it `-dirty`, and they are what is
+/// watched: the git index is not, since every `git status` may rewrite it.
+const SOURCES: [&str; 4] = ["src", "build.rs", "Cargo.toml", "Cargo.lock"];
+
+/// Files below the git folder that change when another commit is checked out or made.
+const GIT_FILES: [&str; 3] = ["HEAD", "logs/HEAD", "packed-refs"];
+
+fn main() {
+    for source in SOURCES.into_iter().filter(|source| Path::new(source).exists()) {
+        println!("cargo:rerun-if-changed={source}");
+    }
+    let revision = git_revision().or_else(packaged_revision).unwrap_or_else(|| "unknown".to_string());
+    println!("cargo:rustc-env=AUGNERF_REVISION={revision}");
+}
+
+/// The standard output of a successful git command. No optional locks: asking must not write.
+fn git(arguments: &[&str]) -> Option<String> {
+    let output = Command::new("git").arg("--no-optional-locks").args(arguments).output().ok()?;
+    let text = String::from_utf8(output.stdout).ok()?;
+    output.status.success().then(|| text.trim().to_string())
+}
+
+fn git_revision() -> Option<String> {
+    // A package unpacked inside some other project's repository must not report that one's commit.
+    if !git(&["rev-parse", "--show-prefix"])?.is_empty() {
+        return None;
+    }
+    let reference = git(&["symbolic-ref", "-q", "HEAD"]);
+    for file in GIT_FILES.into_iter().chain(reference.as_deref()) {
+        // A watched file that does not exist would run this script in every build.
+        if let Some(path) = git(&["rev-parse", "--git-path", file]).filter(|path| Path::new(path).exists()) {
+            println!("cargo:rerun-if-changed={path}");
+        }
+    }
+    let commit = git(&["rev-parse", "--short=12", "HEAD"])?;
+    let status = [&["status", "--porcelain", "--untracked-files=no", "--"], &SOURCES[..]].concat();
+    let dirty = !git(&status)?.is_empty();
+    Some(commit.chars().take(12).collect::<String>() + if dirty { "-dirty" } else { "" })
+}
+
+/// The commit that `cargo package` noted in the crate's archive.
+fn packaged_revision() -> Option<String> {
+    let text = std::fs::read_to_string(".cargo_vcs_info.json").ok()?;
+    let (_, rest) = text.split_once("\"sha1\"")?;
+    let commit = rest.split('"').nth(1)?.get(..12)?;
+    commit.bytes().all(|byte| byte.is_ascii_hexdigit()).then(|| commit.to_string())
+}

@@ -1,0 +1,25 @@
+//! Which code made a result.
+
+/// The commit this program was built from: twelve hex digits, with `-dirty` if the sources
+/// differed from it; `unknown` where neither git nor the package said.
+pub fn revision() -> &'static str {
+    env!("AUGNERF_REVISION")
+}
+
+/// The crate's version.
+pub fn version() -> &'static str {
+    env!("CARGO_PKG_VERSION")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_revision_has_its_form() {
+        let commit = revision().strip_suffix("-dirty").unwrap_or(revision());
+        let hexadecimal = commit.len() == 12 && commit.bytes().all(|byte| byte.is_ascii_hexdigit());
+        assert!(hexadecimal || revision() == "unknown", "{}", revision());
+        assert!(version().split('.').count() == 3);
+    }
+}
