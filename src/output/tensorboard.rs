@@ -3,7 +3,7 @@
 //!
 //! A record is the payload's length (u64), a checksum of those eight bytes (u32), the payload and
 //! its checksum, all little-endian; the checksum is CRC-32C, rotated and offset. The payload is an
-//! `Event` message, of which the fields used here are named in [`event`].
+//! `Event` message, of which the modules at the end of this file name the fields in use.
 //!
 //! Event files hold wall times: they are the part of a run that differs between two equal runs.
 
@@ -191,7 +191,7 @@ mod tests {
             }
         }
         let sum = !sum;
-        (sum >> 15 | sum << 17).wrapping_add(0xa282_ead8)
+        sum.rotate_right(15).wrapping_add(0xa282_ead8)
     }
 
     fn number(bytes: &[u8]) -> u64 {
