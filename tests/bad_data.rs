@@ -1,0 +1,284 @@
+//! Broken scenes: each message names the file and says what was found.
+
+use std::fs;
+use std::path::Path;
+
+use augnerf::config::{DataConfig, DataKind, EvalSplit};
+use augnerf::data;
+use tempfile::TempDir;
+
+/// A row of `poses_bounds.npy`: the camera at (x, 0, 0) that looks along -z.
+fn row(x: f64) -> Vec<f64> {
+    // Columns down, right, back, origin, (height, width, focal).
+    vec![0.0, 1.0, 0.0, x, 12.0, -1.0, 0.0, 0.0, 0.0, 16.0, 0.0, 0.0, 1.0, 0.0, 14.0, 1.0, 5.0]
+}
+
+fn npy(descr: &str, shape: (usize, usize), bytes: &[u8]) -> Vec<u8> {
+    let shape = format!("({}, {})", shape.0, shape.1);
+    let header = format!("{{'descr': '{descr}', 'fortran_order': False, 'shape': {shape}, }}\n");
+    let mut file = b"\x93NUMPY\x01\x00".to_vec();
+    file.extend((header.len() as u16).to_le_bytes());
+    file.extend(header.as_bytes());
+    file.extend(bytes);
+    file
+}
+
+fn write_poses(dir: &Path, rows: &[Vec<f64>]) {
+    let bytes: Vec<u8> = rows.iter().flatten().flat_map(|v| v.to_le_bytes()).collect();
+    fs::write(dir.join("poses_bounds.npy"), npy("<f8", (rows.len(), rows[0].len()), &bytes)).unwrap();
+}
+
+fn write_image(path: &Path, width: u32, height: u32) {
+    fs::create_dir_all(path.parent().unwrap()).unwrap();
+    let paint = |x: u32, y: u32| image::Rgb([(x * 13) as u8, (y * 17) as u8, (x * y) as u8]);
+    image::RgbImage::from_fn(width, height, paint).save(path).unwrap();
+}
+
+/// A sound LLFF scene of four views.
+fn llff() -> TempDir {
+    let dir = TempDir::new().unwrap();
+    write_poses(dir.path(), &[0.0, 0.1, 0.2, 0.3].map(row));
+    for i in 0..4 {
+        write_image(&dir.path().join(format!("images/{i}.png")), 16, 12);
+    }
+    dir
+}
+
+const MATRIX: &str = "[[1,0,0,0.5],[0,1,0,0],[0,0,1,4],[0,0,0,1]]";
+
+fn frames(folder: &str) -> String {
+    let frame = |i: usize| {
+        let matrix = MATRIX.replace("0.5", &format!("0.{i}"));
+        format!("{{\"file_path\": \"./{folder}/{i}\", \"transform_matrix\": {matrix}}}")
+    };
+    format!("[{}]", (0..4).map(frame).collect::<Vec<_>>().join(","))
+}
+
+/// A sound Blender scene of four views a split, or capture with `transforms.json`.
+fn transforms(splits: &[&str], keys: &str) -> TempDir {
+    let dir = TempDir::new().unwrap();
+    for split in splits {
+        let text = format!("{{{keys}, \"frames\": {}}}", frames("views"));
+        let name = if split.is_empty() { "transforms.json".into() } else { format!("transforms_{split}.json") };
+        fs::write(dir.path().join(name), text).unwrap();
+    }
+    for i in 0..4 {
+        write_image(&dir.path().join(format!("views/{i}.png")), 16, 12);
+    }
+    dir
+}
+
+const ANGLE: &str = "\"camera_angle_x\": 0.7";
+
+fn config(dir: &Path) -> DataConfig {
+    DataConfig { dir: dir.display().to_string(), downscale: Some(1), ..DataConfig::default() }
+}
+
+fn try_load(mut config: DataConfig) -> augnerf::error::Result<data::Scene> {
+    config.kind = data::detect(&config)?;
+    data::load(&config, &())
+}
+
+/// The message of a scene that must be refused as bad data, which has to hold all `words`.
+#[track_caller]
+fn refuses(config: DataConfig, words: &[&str]) {
+    let error = try_load(config).expect_err("must be refused");
+    let message = error.to_string();
+    for word in words {
+        assert!(message.contains(word), "{word:?} is not in: {message}");
+    }
+    assert_eq!(error.exit_code(), 3, "{message}");
+    println!("{message}");
+}
+
+fn edit(path: &Path, from: &str, to: &str) {
+    let text = fs::read_to_string(path).unwrap();
+    assert!(text.contains(from), "{from}");
+    fs::write(path, text.replacen(from, to, 1)).unwrap();
+}
+
+#[test]
+fn the_sound_scenes_load() {
+    let scene = try_load(config(llff().path())).unwrap();
+    assert_eq!((scene.kind, scene.train.len(), scene.test.len()), ("llff", 3, 1));
+    let scene = try_load(config(transforms(&["train", "test"], ANGLE).path())).unwrap();
+    assert_eq!((scene.kind, scene.train.len(), scene.test.len()), ("blender", 4, 4));
+    let keys = format!("{ANGLE}, \"aabb_scale\": 4, \"k1\": 0.05, \"p1\": 0.001, \"w\": 32, \"h\": 24, \"fl_x\": 30");
+    let scene = try_load(config(transforms(&[""], &keys).path())).unwrap();
+    assert_eq!((scene.kind, scene.train.len(), scene.test.len()), ("transforms", 3, 1));
+    // Intrinsics are written for twice the size; k1 > 0 enlarges the focal length.
+    let focal = scene.train[0].camera.focal[0];
+    assert!(focal > 15.0 && focal < 16.0, "{focal}");
+    let far = scene.train.iter().chain(&scene.test).map(|v| v.camera.pose[0][3].abs()).fold(0.0, f64::max);
+    assert!((far - 1.0).abs() < 1e-12, "cameras reach {far}");
+}
+
+#[test]
+fn folders() {
+    let dir = TempDir::new().unwrap();
+    refuses(config(&dir.path().join("nowhere")), &["nowhere", "cannot read"]);
+    refuses(config(dir.path()), &["poses_bounds.npy", "transforms_train.json", "transforms.json"]);
+    fs::create_dir(dir.path().join("fern")).unwrap();
+    write_poses(&dir.path().join("fern"), &[row(0.0)]);
+    refuses(config(dir.path()), &["one level deeper", "fern"]);
+    refuses(config(&dir.path().join("fern/poses_bounds.npy")), &["poses_bounds.npy", "is a file"]);
+    let llff = DataConfig { kind: DataKind::Llff, ..config(dir.path()) };
+    refuses(llff, &["poses_bounds.npy", "cannot read"]);
+}
+
+#[test]
+fn settings_that_contradict_the_scene() {
+    let dir = llff();
+    let spherified = DataConfig { spherify: true, ..config(dir.path()) };
+    assert_eq!(try_load(spherified).unwrap_err().exit_code(), 2);
+    let enlarged = DataConfig { width: 17, ..config(dir.path()) };
+    refuses(enlarged, &["data.width = 17", "images"]);
+    let bounds = DataConfig { near: Some(1.5), ..config(dir.path()) };
+    assert!(try_load(bounds).unwrap_err().to_string().contains("data.near = 1.5"));
+    let nothing = DataConfig { kind: DataKind::Llff, ..DataConfig::default() };
+    assert!(try_load(nothing).unwrap_err().to_string().contains("data.dir is empty"));
+}
+
+#[test]
+fn image_folders() {
+    let dir = llff();
+    fs::rename(dir.path().join("images"), dir.path().join("images_4")).unwrap();
+    refuses(DataConfig { downscale: Some(8), ..config(dir.path()) }, &["images_8", "images_4", "data.downscale"]);
+    fs::remove_dir_all(dir.path().join("images_4")).unwrap();
+    refuses(config(dir.path()), &["no images_* folder at all"]);
+    fs::create_dir(dir.path().join("images")).unwrap();
+    refuses(config(dir.path()), &["images", "no PNG or JPEG"]);
+}
+
+#[test]
+fn images_that_cannot_be_decoded() {
+    for name in ["2.png", "2.jpg"] {
+        let dir = llff();
+        fs::remove_file(dir.path().join("images/2.png")).unwrap();
+        let path = dir.path().join("images").join(name);
+        write_image(&path, 16, 12);
+        let whole = fs::read(&path).unwrap();
+        fs::write(&path, &whole[..whole.len() - 40]).unwrap();
+        refuses(config(dir.path()), &[name, "cannot decode", "truncated"]);
+        fs::write(&path, &whole[..20]).unwrap();
+        refuses(config(dir.path()), &[name, "cannot decode"]);
+        fs::write(&path, b"hello").unwrap();
+        refuses(config(dir.path()), &[name]);
+        fs::write(&path, b"").unwrap();
+        refuses(config(dir.path()), &[name]);
+    }
+}
+
+#[test]
+fn images_that_do_not_fit() {
+    let dir = llff();
+    write_image(&dir.path().join("images/2.png"), 12, 16);
+    refuses(config(dir.path()), &["0.png is 16x12", "2.png is 12x16"]);
+    let dir = llff();
+    write_image(&dir.path().join("images/4.png"), 16, 12);
+    refuses(config(dir.path()), &["5 images", "4 poses", "poses_bounds.npy"]);
+    let dir = llff();
+    for i in 0..4 {
+        write_image(&dir.path().join(format!("images/{i}.png")), 12, 16);
+    }
+    refuses(config(dir.path()), &["0.png is 12x16", "made for 16x12", "poses_bounds.npy"]);
+}
+
+#[test]
+fn pose_files() {
+    let dir = llff();
+    let file = dir.path().join("poses_bounds.npy");
+    for (bytes, words) in [
+        (npy("<f8", (4, 15), &[0; 4 * 15 * 8]), vec!["4 x 15", "17"]),
+        (npy("<f8", (0, 17), &[]), vec!["0 x 17"]),
+        (npy("<i8", (4, 17), &[0; 4 * 17 * 8]), vec!["<i8", "float64"]),
+        (npy("<f8", (4, 17), &[0; 100]), vec!["4 x 17", "100 bytes", "truncated"]),
+        (npy("<f8", (4, 17), &[0; 4 * 17 * 8]), vec!["view 0", "bounds 0 and 0"]),
+        (b"PK\x03\x04 zipped".to_vec(), vec!["no .npy file"]),
+        (b"\x93NUMPY".to_vec(), vec!["truncated"]),
+    ] {
+        fs::write(&file, bytes).unwrap();
+        refuses(config(dir.path()), &[vec!["poses_bounds.npy"], words].concat());
+    }
+}
+
+#[test]
+fn pose_values() {
+    let dir = llff();
+    let with = |column: usize, value: f64| {
+        let mut rows = [0.0, 0.1, 0.2, 0.3].map(row);
+        rows[2][column] = value;
+        write_poses(dir.path(), &rows);
+    };
+    for (column, value, words) in [
+        (3, f64::NAN, ["view 2", "NaN in column 3"]),
+        (16, f64::INFINITY, ["view 2", "inf in column 16"]),
+        (15, 9.0, ["view 2", "bounds 9 and 5"]),
+        (14, 28.0, ["view 2", "one camera"]),
+        (12, -1.0, ["view 2", "mirrored"]),
+        (12, 3.0, ["view 2", "length 1.0000, 1.0000 and 3.0000"]),
+    ] {
+        with(column, value);
+        refuses(config(dir.path()), &[&words[..], &["poses_bounds.npy"]].concat());
+    }
+    // Turned by half a turn about the up axis: still a rotation, but not facing forward.
+    let mut rows = [0.0, 0.1, 0.2, 0.3].map(row);
+    rows[2][1] = -1.0;
+    rows[2][12] = -1.0;
+    write_poses(dir.path(), &rows);
+    refuses(config(dir.path()), &["view 2", "data.ndc=false"]);
+    write_poses(dir.path(), &[row(0.0)]);
+    for i in 1..4 {
+        fs::remove_file(dir.path().join(format!("images/{i}.png"))).unwrap();
+    }
+    refuses(config(dir.path()), &["0 views to train on", "1 held out"]);
+}
+
+#[test]
+fn blender_files() {
+    let dir = transforms(&["train", "test"], ANGLE);
+    let val = DataConfig { eval_split: EvalSplit::Val, ..config(dir.path()) };
+    refuses(val, &["transforms_val.json", "data.eval_split=test"]);
+    fs::remove_file(dir.path().join("transforms_test.json")).unwrap();
+    refuses(config(dir.path()), &["transforms_test.json", "no views to evaluate on"]);
+    let file = "transforms_train.json";
+    for (from, to, words) in [
+        ("camera_angle_x", "camera_angle", vec!["\"camera_angle_x\" is missing"]),
+        ("0.7", "3.5", vec!["camera_angle_x", "3.5"]),
+        ("0.7", "\"wide\"", vec!["camera_angle_x", "wide", "finite number"]),
+        ("file_path", "path", vec!["frame 0", "\"file_path\" is missing"]),
+        ("./views/0", "./views/zero", vec!["frame 0", "./views/zero"]),
+        ("transform_matrix", "matrix", vec!["frame 0", "\"transform_matrix\" is missing"]),
+        ("[[1,0,0,0.0]", "[[1,0,0]", vec!["frame 0", "transform_matrix", "4x4"]),
+        ("[[1,0,0,0.0]", "[[2,0,0,0.0]", vec!["frame 0", "rotation", "2.0000"]),
+        ("\"frames\"", "\"views\"", vec!["\"frames\" is missing"]),
+        ("}]}", "}]", vec!["not valid JSON", "line 1"]),
+        ("[{", "[3, {", vec!["frame 0", "a number"]),
+    ] {
+        let dir = transforms(&["train", "test"], ANGLE);
+        edit(&dir.path().join(file), from, to);
+        refuses(config(dir.path()), &[vec![file], words].concat());
+    }
+    let dir = transforms(&["train", "test"], ANGLE);
+    for (text, word) in [("[]", "an array"), ("{\"camera_angle_x\": 0.7, \"frames\": []}", "empty")] {
+        fs::write(dir.path().join(file), text).unwrap();
+        refuses(config(dir.path()), &[file, word]);
+    }
+}
+
+#[test]
+fn captures_of_unknown_lenses() {
+    for (keys, words) in [
+        ("\"scale\": 1", vec!["fl_x", "camera_angle_x"]),
+        ("\"fl_x\": -3", vec!["fl_x", "-3", "positive"]),
+        ("\"fl_x\": 20, \"camera_model\": \"OPENCV_FISHEYE\"", vec!["OPENCV_FISHEYE", "PINHOLE", "undistort"]),
+        ("\"fl_x\": 20, \"is_fisheye\": true", vec!["is_fisheye"]),
+        ("\"fl_x\": 20, \"k4\": 0.1", vec!["k4", "0.1", "undistort"]),
+        ("\"fl_x\": 20, \"k1\": -5", vec!["cannot be undone"]),
+        ("\"fl_x\": 20, \"w\": 12, \"h\": 16", vec!["16x12", "12x16"]),
+        ("\"fl_x\": 20, \"k1\": \"small\"", vec!["k1", "small"]),
+    ] {
+        let dir = transforms(&[""], keys);
+        refuses(config(dir.path()), &[vec!["transforms.json"], words].concat());
+    }
+}
