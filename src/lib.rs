@@ -6,6 +6,7 @@ pub mod allocator;
 pub mod config;
 pub mod data;
 pub mod error;
+pub mod evaluate;
 pub mod field;
 pub mod metrics;
 pub mod model;

@@ -53,6 +53,16 @@ pub enum Method {
     AugNerf,
 }
 
+impl Method {
+    /// The name in files and tables.
+    pub fn name(self) -> &'static str {
+        match self {
+            Method::Nerf => "nerf",
+            Method::AugNerf => "aug-nerf",
+        }
+    }
+}
+
 /// Which reader a scene folder is given to.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]

@@ -1,7 +1,11 @@
 //! Does the attack do anything? Measured per level at log steps, forward passes only.
 
-use crate::config::Level;
-use crate::error::Result;
+use std::path::Path;
+
+use serde::Serialize;
+
+use crate::config::{LEVELS, Level};
+use crate::error::{Error, Result};
 use crate::perturbations::{Deltas, Draw};
 use crate::render::photometric_loss;
 use crate::rng::{Random, Stream};
@@ -24,6 +28,63 @@ pub struct LevelDiagnostics {
     pub share_at_bound: f64,
     /// The gain is under 1e-4 of the clean loss.
     pub inactive: bool,
+}
+
+/// What a level's deltas did over all logged steps of a run, read back from `scalars.csv`.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct AttackSummary {
+    /// The level's name.
+    pub level: &'static str,
+    /// Logged steps.
+    pub steps: usize,
+    /// Mean gain over the loss without deltas.
+    pub mean_gain: f64,
+    /// Mean gain over random deltas of the same set.
+    pub mean_gain_over_random: f64,
+    /// Mean share of entries at the set's bound.
+    pub mean_share_at_bound: f64,
+    /// Share of logged steps at which the level was inactive.
+    pub inactive_share: f64,
+    /// Inactive at more than half of the logged steps: the row does not test this level.
+    pub inactive: bool,
+}
+
+/// The columns of `scalars.csv` that hold one level's diagnostics.
+pub(super) fn columns(level: Level) -> [String; 4] {
+    ["gain", "gain_over_random", "share_at_bound", "inactive"].map(|what| format!("{what}.{}", level.name()))
+}
+
+impl AttackSummary {
+    /// Summarises every level that has diagnostics in a run's `scalars.csv`.
+    pub fn read(scalars: &Path) -> Result<Vec<AttackSummary>> {
+        let broken = |error: csv::Error| Error::Checkpoint(format!("cannot read {}: {error}", scalars.display()));
+        let mut reader = csv::Reader::from_path(scalars).map_err(broken)?;
+        let header = reader.headers().map_err(broken)?.clone();
+        let rows = reader.records().collect::<std::result::Result<Vec<_>, _>>().map_err(broken)?;
+        let column = |name: &str| -> Vec<f64> {
+            let Some(index) = header.iter().position(|found| found == name) else { return Vec::new() };
+            rows.iter().filter_map(|row| row.get(index).and_then(|cell| cell.parse().ok())).collect()
+        };
+        let summarise = |level: Level| {
+            let values = columns(level).map(|name| column(&name));
+            let steps = values[0].len();
+            if steps == 0 {
+                return None;
+            }
+            let [mean_gain, mean_gain_over_random, mean_share_at_bound, inactive_share] =
+                values.map(|values| values.iter().sum::<f64>() / steps as f64);
+            Some(AttackSummary {
+                level: level.name(),
+                steps,
+                mean_gain,
+                mean_gain_over_random,
+                mean_share_at_bound,
+                inactive_share,
+                inactive: inactive_share > 0.5,
+            })
+        };
+        Ok(LEVELS.into_iter().filter_map(summarise).collect())
+    }
 }
 
 /// Sums over chunks and passes.

@@ -21,10 +21,12 @@ mod batches;
 pub mod checkpoint;
 mod diagnostics;
 mod optimizer;
+mod session;
 
 pub use batches::{Batch, Batches};
-pub use diagnostics::LevelDiagnostics;
+pub use diagnostics::{AttackSummary, LevelDiagnostics};
 pub use optimizer::{Adam, Moments, learning_rate};
+pub use session::{EVALUATION_COLUMNS, Observer, Outcome, Session, interrupted};
 
 /// Accumulation under which a ray counts as empty.
 const EMPTY_ACC: f64 = 1e-3;

@@ -1,0 +1,170 @@
+//! The loop around the steps: logs, checkpoints, stops.
+
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::time::{Duration, Instant};
+
+use crate::config::{Config, LEVELS, Method, PerturbKind};
+use crate::error::{Error, Result};
+use crate::output::{EventWriter, RunDir, Scalars};
+
+use super::{StepStats, Trainer, diagnostics};
+
+/// Who is told how training goes. The library itself prints nothing.
+pub trait Observer {
+    /// A step is done. Called for every step; `logged` at those that went into the logs.
+    fn stepped(&mut self, stats: &StepStats, logged: bool);
+    /// It is time for an evaluation during training; returns scalars to be logged.
+    fn evaluate(&mut self, trainer: &Trainer) -> Result<Vec<(&'static str, f64)>>;
+    /// A checkpoint was written; `seconds` were spent on steps in this session so far.
+    fn saved(&mut self, step: u64, seconds: f64) -> Result<()>;
+}
+
+/// How a session ended.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Outcome {
+    /// All steps are done.
+    Finished,
+    /// A signal asked for the stop; a checkpoint was written.
+    Stopped {
+        /// The signal's number.
+        signal: i32,
+    },
+}
+
+/// Columns that an evaluation during training fills.
+pub const EVALUATION_COLUMNS: [&str; 2] = ["test_psnr", "test_psnr_float"];
+
+/// A training session of one process in one run folder.
+pub struct Session<'a> {
+    run: &'a RunDir,
+    trainer: Trainer,
+    scalars: Scalars,
+    events: EventWriter,
+    /// Time spent on steps, logs and evaluations left out.
+    stepping: Duration,
+}
+
+/// Columns of `scalars.csv` after `step`.
+fn columns(config: &Config) -> Vec<String> {
+    let mut columns: Vec<String> = ["learning_rate", "loss", "loss_coarse"].map(String::from).to_vec();
+    if config.sampling.fine > 0 {
+        columns.push("loss_fine".into());
+    }
+    columns.push("psnr".into());
+    if config.train.eval_every > 0 {
+        columns.extend(EVALUATION_COLUMNS.map(String::from));
+    }
+    if config.method == Method::AugNerf {
+        columns.push("loss_perturbed".into());
+        if config.perturb.kind != PerturbKind::FreshJitter {
+            let on = LEVELS.into_iter().filter(|&level| config.perturb.delta(level).on());
+            columns.extend(on.flat_map(diagnostics::columns));
+        }
+    }
+    columns
+}
+
+/// One row of the logs.
+fn values(stats: &StepStats) -> Vec<(String, f64)> {
+    let mut values = vec![
+        ("learning_rate".to_string(), stats.learning_rate),
+        ("loss".into(), stats.loss),
+        ("loss_coarse".into(), stats.loss_coarse),
+        ("psnr".into(), stats.psnr()),
+    ];
+    values.extend(stats.loss_fine.map(|loss| ("loss_fine".into(), loss)));
+    values.extend(stats.loss_perturbed.map(|loss| ("loss_perturbed".into(), loss)));
+    for level in &stats.levels {
+        let numbers = [level.gain, level.gain_over_random, level.share_at_bound, f64::from(u8::from(level.inactive))];
+        values.extend(diagnostics::columns(level.level).into_iter().zip(numbers));
+    }
+    values
+}
+
+impl<'a> Session<'a> {
+    /// A session that goes on from the trainer's step: 0, or that of the checkpoint it was resumed
+    /// from.
+    pub fn new(run: &'a RunDir, trainer: Trainer) -> Result<Session<'a>> {
+        let columns = columns(trainer.config());
+        let columns: Vec<&str> = columns.iter().map(String::as_str).collect();
+        let step = trainer.step_count();
+        let scalars = Scalars::resume(&run.scalars(), &columns, step)?;
+        let events = EventWriter::create(&run.tensorboard(), (step > 0).then_some(step))?;
+        Ok(Session { run, trainer, scalars, events, stepping: Duration::ZERO })
+    }
+
+    /// The trainer.
+    pub fn trainer(&self) -> &Trainer {
+        &self.trainer
+    }
+
+    /// Seconds spent on steps in this session.
+    pub fn seconds(&self) -> f64 {
+        self.stepping.as_secs_f64()
+    }
+
+    /// Trains to the last step, or until `signal` holds a signal's number. Checkpoints are written
+    /// every N steps, every T minutes, at a stop and at the end.
+    pub fn run(&mut self, signal: &AtomicUsize, observer: &mut dyn Observer) -> Result<Outcome> {
+        let train = self.trainer.config().train.clone();
+        let mut saved_at = Instant::now();
+        let mut saved_step = self.trainer.step_count();
+        while self.trainer.step_count() < train.steps {
+            let next = self.trainer.step_count() + 1;
+            let last = next == train.steps;
+            let log = next % train.log_every == 0 || last;
+            let started = Instant::now();
+            let stats = self.trainer.step(log)?;
+            self.stepping += started.elapsed();
+            let evaluate = train.eval_every > 0 && (next % train.eval_every == 0 || last);
+            if log || evaluate {
+                self.log(&stats, evaluate, observer)?;
+            }
+            observer.stepped(&stats, log);
+            let by_step = train.checkpoint_every > 0 && next % train.checkpoint_every == 0;
+            let minutes = saved_at.elapsed().as_secs_f64() / 60.0;
+            let by_time = train.checkpoint_minutes > 0.0 && minutes >= train.checkpoint_minutes;
+            let stop = signal.load(Ordering::SeqCst);
+            if by_step || by_time || last || stop != 0 {
+                self.save(observer)?;
+                (saved_at, saved_step) = (Instant::now(), next);
+            }
+            if stop != 0 && !last {
+                return Ok(Outcome::Stopped { signal: stop as i32 });
+            }
+        }
+        debug_assert!(saved_step == self.trainer.step_count());
+        Ok(Outcome::Finished)
+    }
+
+    fn log(&mut self, stats: &StepStats, evaluate: bool, observer: &mut dyn Observer) -> Result<()> {
+        let mut values = values(stats);
+        if evaluate {
+            values.extend(observer.evaluate(&self.trainer)?.into_iter().map(|(name, value)| (name.to_string(), value)));
+        }
+        let named: Vec<(&str, f64)> = values.iter().map(|(name, value)| (name.as_str(), *value)).collect();
+        self.scalars.append(stats.step, &named)?;
+        // TensorBoard groups by what stands before a slash: gain.t -> gain/t.
+        let tags: Vec<String> = values.iter().map(|(name, _)| name.replace('.', "/")).collect();
+        let tagged: Vec<(&str, f64)> = tags.iter().map(String::as_str).zip(values.iter().map(|v| v.1)).collect();
+        self.events.scalars(stats.step, &tagged)
+    }
+
+    fn save(&mut self, observer: &mut dyn Observer) -> Result<()> {
+        self.scalars.sync()?;
+        let train = &self.trainer.config().train;
+        self.trainer.save(&self.run.checkpoints(), train.keep_checkpoints)?;
+        observer.saved(self.trainer.step_count(), self.seconds())
+    }
+}
+
+/// The error that a stopped session ends the program with.
+pub fn interrupted(signal: i32, step: u64, run: &std::path::Path) -> Error {
+    Error::Interrupted {
+        signal,
+        message: format!(
+            "stopped by signal {signal} at step {step}; nothing is lost: augnerf resume {} goes on from there",
+            run.display()
+        ),
+    }
+}
