@@ -128,6 +128,9 @@ fn jpeg_is_complete(bytes: &[u8]) -> bool {
 }
 
 fn undecodable(path: &Path, error: &dyn std::fmt::Display) -> Error {
+    // Some of the decoders' messages end in a full stop or a line break.
+    let error = error.to_string();
+    let error = error.trim_end_matches(['.', '\n', ' ']);
     Error::Data(format!(
         "cannot decode {} as an image: {error}; PNG and JPEG files are read, this one may be truncated or damaged",
         path.display()

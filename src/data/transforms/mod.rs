@@ -85,8 +85,9 @@ fn read_frames(file: &Path) -> Result<(Vec<Frame>, (usize, usize))> {
         let lens = Lens::read(object, document, stored)?;
         let Some(pinhole) = distortion::pinhole(lens.intrinsics, &lens.distortion, stored) else {
             return Err(object.error(&format!(
-                "the lens distortion ({:?}) cannot be undone over the whole image: its coefficients are too large",
-                lens.distortion
+                "the lens distortion (k1, k2, k3 = {:?}, p1, p2 = {:?}) cannot be undone over the whole image: \
+                 its coefficients are too large",
+                lens.distortion.radial, lens.distortion.tangential
             )));
         };
         Ok(Frame { path, pose, lens, pinhole })
