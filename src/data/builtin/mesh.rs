@@ -48,11 +48,11 @@ impl Mesh {
 
     /// Writes binary little-endian PLY: x, y, z as floats, red, green, blue as bytes.
     pub fn write_ply(&self, out: &mut impl Write) -> std::io::Result<()> {
-        write!(out, "ply\nformat binary_little_endian 1.0\ncomment surfaces of the augnerf builtin scene\n")?;
-        write!(out, "element vertex {}\n", self.vertices.len())?;
-        write!(out, "property float x\nproperty float y\nproperty float z\n")?;
-        write!(out, "property uchar red\nproperty uchar green\nproperty uchar blue\n")?;
-        write!(out, "element face {}\nproperty list uchar int vertex_indices\nend_header\n", self.triangles.len())?;
+        writeln!(out, "ply\nformat binary_little_endian 1.0\ncomment surfaces of the augnerf builtin scene")?;
+        writeln!(out, "element vertex {}", self.vertices.len())?;
+        writeln!(out, "property float x\nproperty float y\nproperty float z")?;
+        writeln!(out, "property uchar red\nproperty uchar green\nproperty uchar blue")?;
+        writeln!(out, "element face {}\nproperty list uchar int vertex_indices\nend_header", self.triangles.len())?;
         for (position, colour) in self.vertices.iter().zip(&self.colours) {
             position.iter().try_for_each(|v| out.write_all(&v.to_le_bytes()))?;
             out.write_all(colour)?;

@@ -1,7 +1,8 @@
 //! Materials, the sky and the light, all in closed form. Colours are linear in here and become
 //! display values (0..=1, gamma 2.2) in [`display`].
 
-use std::f64::consts::{PI, TAU};
+use std::f64::consts::TAU;
+use std::sync::LazyLock;
 
 use super::stage::{Hit, Stage};
 use super::vector::{Vec3, add, along, axes_along, dot, mix, mul, scale, sub, unit};
@@ -11,6 +12,7 @@ pub const SIDE: usize = 4;
 /// Samples of one pixel.
 pub const SAMPLES: usize = SIDE * SIDE;
 
+const GOLDEN_ANGLE: f64 = 2.399_963_229_728_653;
 const TO_KEY: Vec3 = [-0.42, -0.52, 0.74];
 /// Half the key light's angular size as a tangent: what makes its shadows soft.
 const KEY_SPREAD: f64 = 0.10;
@@ -30,7 +32,7 @@ pub enum Pattern {
     Plain,
     /// Cubes of the given edge.
     Checker(f64),
-    /// Bands across local z of the given period; the second colour has the share `1`.
+    /// Bands across local z: their period, and the second colour's share of it.
     Bands(f64, f64),
     /// So many stripes around local z.
     Flutes(f64),
@@ -117,22 +119,32 @@ fn brick_share(p: Vec3, height: f64) -> f64 {
     if joint { 1.0 } else { tone }
 }
 
-/// Direction of the key light for one of a pixel's samples, spread over the light's disc by the
-/// golden angle.
+/// Where a pixel's samples of the lights lie; the same for every pixel.
+struct Lights {
+    /// Unit directions to points of the key light's disc.
+    key: [Vec3; SAMPLES],
+    /// Points on the unit sphere; added to a normal they are cosine-distributed around it.
+    sphere: [Vec3; SAMPLES],
+}
+
+static LIGHTS: LazyLock<Lights> =
+    LazyLock::new(|| Lights { key: std::array::from_fn(to_key), sphere: std::array::from_fn(on_sphere) });
+
+/// A direction to the key light's disc, filled by the golden angle.
 fn to_key(sample: usize) -> Vec3 {
     let [x, y, z] = axes_along(TO_KEY);
     // 7 is odd: a permutation that keeps light and pixel positions unrelated.
     let i = (sample * 7 % SAMPLES) as f64;
     let radius = KEY_SPREAD * ((i + 0.5) / SAMPLES as f64).sqrt();
-    let (s, c) = (i * PI * (3.0 - 5f64.sqrt())).sin_cos();
+    let (s, c) = (i * GOLDEN_ANGLE).sin_cos();
     unit(add(z, add(scale(x, radius * c), scale(y, radius * s))))
 }
 
-/// One of a pixel's points on the unit sphere; added to a normal it is cosine-distributed.
+/// A point on the unit sphere, filled by the golden angle; 11 permutes as 7 does above.
 fn on_sphere(sample: usize) -> Vec3 {
     let i = (sample * 11 % SAMPLES) as f64;
     let z = 1.0 - 2.0 * (i + 0.5) / SAMPLES as f64;
-    let (s, c) = (i * PI * (3.0 - 5f64.sqrt()) + 0.4).sin_cos();
+    let (s, c) = (i * GOLDEN_ANGLE + 0.4).sin_cos();
     let r = (1.0 - z * z).sqrt();
     [r * c, r * s, z]
 }
@@ -160,7 +172,7 @@ pub fn shade(stage: &Stage, hit: &Hit, origin: Vec3, direction: Vec3, sample: us
     let ahead = unit(direction);
     let start = along(point, hit.normal, LIFT);
     let albedo = material.albedo(solid.local(point));
-    let (key, highlight) = key_light(stage, hit.normal, start, ahead, sample, material.shininess);
+    let (key, highlight) = key_light(stage, material, hit.normal, start, ahead, sample);
     let diffuse = mul(albedo, add(key, ambient(stage, hit.normal, start, sample)));
     let facing = -dot(hit.normal, ahead);
     let mirrored = sub(ahead, scale(hit.normal, -2.0 * facing));
@@ -176,19 +188,20 @@ pub fn shade(stage: &Stage, hit: &Hit, origin: Vec3, direction: Vec3, sample: us
 }
 
 /// Diffuse irradiance of the key light and the strength of its highlight.
-fn key_light(stage: &Stage, normal: Vec3, start: Vec3, ahead: Vec3, sample: usize, shininess: f64) -> (Vec3, f64) {
-    let light = to_key(sample);
+fn key_light(stage: &Stage, material: &Material, normal: Vec3, start: Vec3, ahead: Vec3, sample: usize) -> (Vec3, f64) {
+    let light = LIGHTS.key[sample];
     let cosine = dot(normal, light);
     if cosine <= 0.0 || stage.blocked(start, light, f64::INFINITY) {
         return ([0.0; 3], 0.0);
     }
-    let half = unit(sub(light, ahead));
-    (scale(KEY, cosine), dot(normal, half).max(0.0).powf(shininess) * cosine.sqrt())
+    let half = dot(normal, unit(sub(light, ahead))).max(0.0);
+    let highlight = if material.gloss > 0.0 { half.powf(material.shininess) * cosine.sqrt() } else { 0.0 };
+    (scale(KEY, cosine), highlight)
 }
 
 /// Sky light, less where other surfaces are near.
 fn ambient(stage: &Stage, normal: Vec3, start: Vec3, sample: usize) -> Vec3 {
-    let direction = add(normal, on_sphere(sample));
+    let direction = add(normal, LIGHTS.sphere[sample]);
     let direction = unit(if dot(direction, direction) < 1e-9 { normal } else { direction });
     let open = if stage.blocked(start, direction, BOUNCE_REACH) { BOUNCE } else { 1.0 };
     mul(AMBIENT, scale(sky(direction), open))

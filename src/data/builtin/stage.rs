@@ -60,6 +60,7 @@ impl Frame {
 struct Group {
     centre: Vec3,
     radius: f64,
+    /// Index of each solid and the radius of its own ball.
     members: Vec<(usize, f64)>,
 }
 
@@ -126,7 +127,7 @@ impl Stage {
     /// First hit of a ray in still-life coordinates.
     pub(super) fn nearest(&self, origin: Vec3, direction: Vec3) -> Option<Hit> {
         let mut best = (f64::INFINITY, usize::MAX);
-        for (index, _) in self.candidates(origin, direction) {
+        for index in self.candidates(origin, direction) {
             match self.solids[index].first_crossing(origin, direction, 0.0) {
                 Some(t) if t < best.0 => best = (t, index),
                 _ => {}
@@ -140,11 +141,11 @@ impl Stage {
     /// Whether anything lies on a still-life ray before `reach`.
     pub(super) fn blocked(&self, origin: Vec3, direction: Vec3, reach: f64) -> bool {
         self.candidates(origin, direction)
-            .any(|(index, _)| self.solids[index].first_crossing(origin, direction, 0.0).is_some_and(|t| t < reach))
+            .any(|index| self.solids[index].first_crossing(origin, direction, 0.0).is_some_and(|t| t < reach))
     }
 
     /// Solids whose bounding balls a ray meets.
-    fn candidates(&self, origin: Vec3, direction: Vec3) -> impl Iterator<Item = (usize, f64)> {
+    fn candidates(&self, origin: Vec3, direction: Vec3) -> impl Iterator<Item = usize> {
         let speed2 = dot(direction, direction);
         let meets = move |centre: Vec3, radius: f64| {
             let offset = sub(centre, origin);
@@ -154,7 +155,7 @@ impl Stage {
         };
         let groups = self.groups.iter().filter(move |group| meets(group.centre, group.radius));
         let members = groups.flat_map(|group| group.members.iter().copied());
-        members.filter(move |&(index, radius)| meets(self.solids[index].centre, radius))
+        members.filter(move |&(index, radius)| meets(self.solids[index].centre, radius)).map(|(index, _)| index)
     }
 
     /// Renders a view; the bytes do not depend on the number of threads.

@@ -1,50 +1,7 @@
-use super::*;
-
-/// Not run by default: writes a picture to look at.
-#[test]
-#[ignore]
-fn montage() {
-    let started = std::time::Instant::now();
-    let mut tiles = Vec::new();
-    for kind in [DataKind::BuiltinBlender, DataKind::BuiltinForward] {
-        let config = DataConfig { kind, ..DataConfig::default() };
-        let scene = load(&config).unwrap();
-        println!("{}: {:?}", scene.kind, started.elapsed());
-        tiles.push(scene);
-    }
-    let paste = |canvas: &mut image::RgbImage, view: &Image, x0: usize, y0: usize| {
-        for y in 0..view.height {
-            for x in 0..view.width {
-                let i = 3 * (y * view.width + x);
-                let rgb = std::array::from_fn(|c| (255.0 * view.pixels[i + c]).round() as u8);
-                canvas.put_pixel((x0 + x) as u32, (y0 + y) as u32, image::Rgb(rgb));
-            }
-        }
-    };
-    let mut canvas = image::RgbImage::from_pixel(1000, 1210, image::Rgb([255; 3]));
-    for (i, view) in tiles[0].test.iter().chain(&tiles[0].train[1..]).take(10).enumerate() {
-        paste(&mut canvas, &view.image, 100 * i, 0);
-    }
-    for (i, view) in tiles[1].test.iter().chain(&tiles[1].train).take(10).enumerate() {
-        paste(&mut canvas, &view.image, 100 * i, 110);
-    }
-    let big = |kind| DataConfig { kind, width: 480, ..DataConfig::default() };
-    for (i, n) in [7, 1, 2].into_iter().enumerate() {
-        let stage = blender_stage();
-        let camera = views::around(Split::Test, 480)[n].1;
-        let view = view(&stage, "x", &camera, &big(DataKind::BuiltinBlender), [1.0; 3]);
-        paste(&mut canvas, &view.image, 500 * (i % 2), 200 + 460 * (i / 2));
-    }
-    let stage = forward_stage();
-    let view = view(&stage, "x", &views::before(480)[12].1, &big(DataKind::BuiltinForward), [1.0; 3]);
-    paste(&mut canvas, &view.image, 500, 720);
-    println!("{:?}", started.elapsed());
-    canvas.save("/tmp/builtin-montage.png").unwrap();
-}
-
 use super::shading::Material;
 use super::shapes::{Shape, Solid};
 use super::vector::{add, along, cross, dot, length, scale, sub, unit};
+use super::*;
 
 /// Agreement of a closed-form crossing with sphere tracing, which stops this near the surface.
 const MARCH_TOLERANCE: f64 = 1e-6;
@@ -187,12 +144,10 @@ fn config(kind: DataKind, width: u32) -> DataConfig {
     DataConfig { kind, width, ..DataConfig::default() }
 }
 
-/// A camera straight above looks down its axis at the vase's open neck ring or the board: the
-/// depth is the camera's height less the height of what is there.
+/// A camera straight above the bare board: the depth is its height less the board's.
 #[test]
 fn depth_is_exact_on_a_known_pixel() {
     let stage = blender_stage();
-    // Down onto the bare board between the objects.
     let (x, y) = (0.25, -0.1);
     let pose = [[1.0, 0.0, 0.0, x], [0.0, 1.0, 0.0, y], [0.0, 0.0, 1.0, 4.0]];
     let camera = Camera { width: 9, height: 9, focal: [400.0; 2], centre: [4.0; 2], pose };
