@@ -1,8 +1,66 @@
-//! augnerf trains neural radiance fields and Aug-NeRF.
+//! augnerf trains neural radiance fields, plain (NeRF) and with worst-case augmentation
+//! (Aug-NeRF), and measures both under one protocol.
+//!
+//! # The pipeline
+//!
+//! ```text
+//!  data ── views ──► train::Batches ── Rays, target ─────────────────────────────┐
+//!                                                                                │
+//!  one step (train)                                                              ▼
+//!  ┌─ clean pass (render) ──────────────────────────────────────────────────────────────────┐
+//!  │ sampling ─► points ─► field: encoding ─► trunk ─► density, rgb ─► volume ─► rgb, weights │
+//!  └──────┬──────────▲────────────────────────▲──────────────▲──────────────────────┬─────────┘
+//!         │ t_vals   │ t, xyz, view           │ feature      │ rgb, density         │ loss
+//!         │       ┌──┴────────────────────────┴──────────────┴──┐                   │
+//!         └──────►│ perturbations: sets ─► PGD ascends the loss │◄── gradients ─────┤
+//!                 └─────────────────────────────────────────────┘                   ▼
+//!                          perturbed pass, lambda ─────────────────────────► train::Adam
+//!
+//!  checkpoint ─► evaluate ─► metrics ─► output (metrics.json, CSV, pictures)
+//! ```
+//!
+//! # Symbols
+//!
+//! | name | shape | unit | what |
+//! |---|---|---|---|
+//! | `origins`, `directions` | `[rays, 3]` | scene units (NDC where used) | a point is origin + t * direction |
+//! | `viewdirs` | `[rays, 3]` | 1 | unit direction of the world ray |
+//! | `near`, `far` | scalars | as `t_vals` | ends of a ray's interval |
+//! | `t_vals` | `[rays, samples]` | lengths of `directions` | sorted sample positions (points, not fenceposts) |
+//! | `points` | `[rays, samples, 3]` | scene units | what the field is asked at |
+//! | `rgb` | `[rays, samples, 3]` or `[rays, 3]` | 0..1 | colour of samples, of rays |
+//! | `density` | `[rays, samples]` | 1 / scene unit | extinction, not negative |
+//! | `alpha` | `[rays, samples]` | 0..1 | 1 - exp(-density * interval) |
+//! | `weights` | `[rays, samples]` | 0..1 | transmittance * alpha |
+//! | `acc` | `[rays]` | 0..1 | sum of weights |
+//! | `depth` | `[rays]` | as `t_vals` | sum of weights * t |
+//! | `delta` | see [`perturbations::Deltas`] | the level's own | a perturbation |
+//! | `epsilon` | scalar | see README | size of a delta's set |
+//! | `step_size` | scalar | the delta's unit, or radii | length of one ascent step |
+//! | `lambda` | scalar | 1 | weight of the perturbed loss |
+//!
+//! # Layers
+//!
+//! Each module uses those of lower rows only; `tests/layering.rs` holds this table.
+//!
+//! | tier | modules |
+//! |---|---|
+//! | 7 | `cli` |
+//! | 6 | `evaluate` |
+//! | 5 | `train` |
+//! | 4 | `model`, `render` |
+//! | 3 | `field`, `sampling`, `perturbations`, `metrics`, `output` |
+//! | 2 | `data` |
+//! | 1 | `config`, `rng` |
+//! | 0 | `error`, `allocator` |
+//!
+//! Randomness comes from [`rng`] alone, a function of seed, stream and step. The numeric core is
+//! generic over f32 and f64; training runs in f32, the tests' oracles in f64.
 
 #![warn(missing_docs)]
 
 pub mod allocator;
+pub mod cli;
 pub mod config;
 pub mod data;
 pub mod error;

@@ -1,0 +1,128 @@
+//! The command line: arguments, devices, progress on the screen. Nothing else prints.
+
+use std::path::PathBuf;
+use std::process::ExitCode;
+
+use candle_core::Device;
+use clap::{Args, Parser, Subcommand};
+
+use crate::error::{Error, Result};
+
+mod data;
+mod eval;
+mod progress;
+mod render;
+mod train;
+
+/// Trains neural radiance fields, plain (NeRF) and with worst-case augmentation (Aug-NeRF), and
+/// measures them under one protocol.
+///
+/// Start with `augnerf train`: it needs no data and takes less than a minute.
+#[derive(Parser)]
+#[command(version, max_term_width = 100, after_help = EXIT_CODES)]
+struct Arguments {
+    #[command(subcommand)]
+    command: Command,
+}
+
+const EXIT_CODES: &str = "Exit codes: 0 done, 1 internal error, 2 wrong setting or usage, 3 bad input data, 4 output \
+cannot be written or is in the way, 5 bad checkpoint or run folder, 6 training collapsed or went non-finite, \
+130 or 143 stopped by Ctrl-C or SIGTERM with a checkpoint (resume it).";
+
+#[derive(Subcommand)]
+enum Command {
+    /// Train one scene, evaluate it and render held-out views
+    Train(train::TrainArguments),
+    /// Go on with a run that was stopped or killed
+    Resume(train::ResumeArguments),
+    /// Measure a trained run on its held-out views again
+    Eval(eval::EvalArguments),
+    /// Render held-out views or a camera path: PNG frames, depth maps and GIFs
+    Render(render::RenderArguments),
+    /// Look at scenes
+    #[command(subcommand)]
+    Data(data::DataCommand),
+}
+
+/// Where the numbers are computed; changes no setting of a run.
+#[derive(Args)]
+struct Machine {
+    /// cpu, cuda, cuda:N or metal
+    #[arg(long, default_value = "cpu", value_name = "DEVICE")]
+    device: String,
+    /// Processor threads [default: all cores]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
+    threads: Option<u16>,
+    /// No progress bars and no summary; errors are still printed
+    #[arg(long, short)]
+    quiet: bool,
+}
+
+/// Where a run's scene and LPIPS weights are, if not where they were.
+#[derive(Args)]
+struct Sources {
+    /// Scene folder, if it has moved since training
+    #[arg(long, value_name = "DIR")]
+    data: Option<PathBuf>,
+    #[command(flatten)]
+    weights: LpipsWeights,
+}
+
+/// LPIPS needs networks that are not part of this program.
+#[derive(Args)]
+struct LpipsWeights {
+    /// Folder with LPIPS weights (squeeze_lin_v0.1.pth, squeezenet1_1_features.pth, ...; also .safetensors); without
+    /// it the lpips and average columns stay empty
+    #[arg(long, env = "AUGNERF_LPIPS_WEIGHTS", value_name = "DIR")]
+    lpips_weights: Option<PathBuf>,
+}
+
+impl Machine {
+    /// Opens the device; sets the number of threads, which must happen before the first tensor.
+    fn device(&self) -> Result<Device> {
+        if let Some(threads) = self.threads {
+            // SAFETY: called from the only thread, before any other could read the environment.
+            unsafe {
+                std::env::set_var("RAYON_NUM_THREADS", threads.to_string());
+                std::env::set_var("CANDLE_NUM_THREADS", threads.to_string());
+            }
+        }
+        let refuse = |found: String| Error::Config(format!("--device {}: {found}", self.device));
+        let (kind, index) = self.device.split_once(':').unwrap_or((&self.device, "0"));
+        let index: usize = index.parse().map_err(|_| refuse(format!("'{index}' is not a device number")))?;
+        match kind {
+            "cpu" => Ok(Device::Cpu),
+            "cuda" if cfg!(feature = "cuda") => Device::new_cuda(index).map_err(|e| refuse(e.to_string())),
+            "metal" if cfg!(feature = "metal") => Device::new_metal(index).map_err(|e| refuse(e.to_string())),
+            "cuda" | "metal" => {
+                Err(refuse(format!("this program was built without {kind}; build it with --features {kind}")))
+            }
+            _ => Err(refuse("choose cpu, cuda, cuda:N or metal".into())),
+        }
+    }
+
+    /// The number of threads in use.
+    fn thread_count(&self) -> usize {
+        self.threads.map_or_else(rayon::current_num_threads, usize::from)
+    }
+}
+
+/// Runs the program; the exit code is that of the error's class.
+pub fn main() -> ExitCode {
+    let arguments = Arguments::parse();
+    let done = match arguments.command {
+        Command::Train(arguments) => arguments.run(),
+        Command::Resume(arguments) => arguments.run(),
+        Command::Eval(arguments) => arguments.run(),
+        Command::Render(arguments) => arguments.run(),
+        Command::Data(command) => command.run(),
+    };
+    match done {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            let word = if matches!(error, Error::Interrupted { .. }) { "stopped" } else { "error" };
+            eprintln!("{word}: {error}");
+            ExitCode::from(error.exit_code())
+        }
+    }
+}

@@ -1,0 +1,114 @@
+//! Progress bars on a terminal, plain lines elsewhere.
+
+use std::io::IsTerminal;
+use std::sync::Mutex;
+use std::time::{Duration, Instant};
+
+use indicatif::{ProgressBar, ProgressStyle};
+
+use crate::data::Progress;
+
+/// Where there is no terminal, a line at most so often.
+const LINE_EVERY: Duration = Duration::from_secs(10);
+
+/// Draws loading and rendering, on standard error.
+pub struct Screen {
+    quiet: bool,
+    bar: Mutex<ProgressBar>,
+}
+
+impl Screen {
+    /// A screen that shows nothing if `quiet`.
+    pub fn new(quiet: bool) -> Screen {
+        Screen { quiet, bar: Mutex::new(ProgressBar::hidden()) }
+    }
+
+    /// Prints a line unless quiet.
+    pub fn say(&self, line: &str) {
+        if !self.quiet {
+            eprintln!("{line}");
+        }
+    }
+}
+
+impl Progress for Screen {
+    fn start(&self, label: &str, total: u64) {
+        let mut bar = self.bar.lock().expect("no panic while drawing");
+        *bar = if self.quiet || !std::io::stderr().is_terminal() {
+            ProgressBar::hidden()
+        } else {
+            let style = ProgressStyle::with_template("{msg:>12} {wide_bar} {pos}/{len} ETA {eta}");
+            ProgressBar::new(total).with_style(style.expect("a valid template")).with_message(label.to_string())
+        };
+    }
+
+    fn advance(&self) {
+        self.bar.lock().expect("no panic while drawing").inc(1);
+    }
+
+    fn finish(&self) {
+        self.bar.lock().expect("no panic while drawing").finish_and_clear();
+    }
+}
+
+/// Draws training: step, loss, PSNR, rays/s and ETA.
+pub struct TrainingBar {
+    quiet: bool,
+    bar: Option<ProgressBar>,
+    rays: f64,
+    first: u64,
+    total: u64,
+    started: Instant,
+    line_at: Instant,
+}
+
+impl TrainingBar {
+    /// A bar from step `first` to `total`, of `rays` rays each.
+    pub fn new(quiet: bool, first: u64, total: u64, rays: usize) -> TrainingBar {
+        let bar = (!quiet && std::io::stderr().is_terminal()).then(|| {
+            let style = ProgressStyle::with_template("{msg} {wide_bar} {pos}/{len} ETA {eta}");
+            let bar = ProgressBar::new(total).with_style(style.expect("a valid template")).with_position(first);
+            bar.reset_eta();
+            bar
+        });
+        let now = Instant::now();
+        TrainingBar { quiet, bar, rays: rays as f64, first, total, started: now, line_at: now - LINE_EVERY }
+    }
+
+    /// Shows a finished step.
+    pub fn stepped(&mut self, step: u64, loss: f64, psnr: f64) {
+        let done = step - self.first;
+        let seconds = self.started.elapsed().as_secs_f64();
+        let rate = done as f64 / seconds;
+        let state = format!("loss {loss:.4}  PSNR {psnr:.2} dB  {:.0} rays/s", rate * self.rays);
+        match &self.bar {
+            Some(bar) => {
+                bar.set_message(state);
+                bar.set_position(step);
+            }
+            None if self.quiet => {}
+            None if self.line_at.elapsed() >= LINE_EVERY || step == self.total => {
+                self.line_at = Instant::now();
+                let left = Duration::from_secs_f64((self.total - step) as f64 / rate);
+                eprintln!("step {step}/{}  {state}  ETA {}", self.total, indicatif::HumanDuration(left));
+            }
+            None => {}
+        }
+    }
+
+    /// Prints a line above the bar.
+    pub fn say(&self, line: &str) {
+        match &self.bar {
+            Some(bar) => bar.println(line),
+            None if self.quiet => {}
+            None => eprintln!("{line}"),
+        }
+    }
+
+    /// Takes the bar away.
+    pub fn finish(&self) {
+        if let Some(bar) = &self.bar {
+            bar.finish_and_clear();
+        }
+    }
+}

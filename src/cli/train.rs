@@ -1,0 +1,335 @@
+//! `augnerf train` and `augnerf resume`.
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::AtomicUsize;
+use std::time::Instant;
+
+use candle_core::{DType, Device};
+use clap::Args;
+use toml::Value;
+
+use crate::config::{Config, DataKind, Method, Preset, build, parse_assignment, scene_name};
+use crate::data::{self, Scene};
+use crate::error::{Error, Result};
+use crate::evaluate::{Protocol, Report, evaluate};
+use crate::metrics::{Lpips, MeanMetrics};
+use crate::model::Model;
+use crate::output::{Host, RunDir, Timing, host, peak_memory_mib, write_atomic};
+use crate::train::{
+    AttackSummary, EVALUATION_COLUMNS, Observer, Outcome, Session, StepStats, Trainer, checkpoint, interrupted,
+};
+
+use super::eval::{self, load_lpips};
+use super::progress::{Screen, TrainingBar};
+use super::render::Pictures;
+use super::{LpipsWeights, Machine, Sources};
+
+#[derive(Args)]
+pub struct TrainArguments {
+    /// Scene folder: LLFF, NeRF-Synthetic (Blender) or transforms.json [default: the embedded scene]
+    #[arg(long, value_name = "DIR")]
+    data: Option<PathBuf>,
+    /// smoke (seconds), cpu (minutes), paper-llff, paper-blender, released-llff or released-blender [default: smoke for
+    /// the embedded scene, the paper's settings for a real one]
+    #[arg(long, value_name = "NAME")]
+    preset: Option<String>,
+    /// TOML file with settings over the preset's; config.toml of another run works, too
+    #[arg(long, value_name = "FILE")]
+    config: Option<PathBuf>,
+    /// nerf or aug-nerf [default: the preset's]
+    #[arg(long, value_name = "METHOD")]
+    method: Option<String>,
+    /// Seed of every random stream [default: 0]
+    #[arg(long, value_name = "N")]
+    seed: Option<u64>,
+    /// Any setting, over everything else: --set train.steps=2000 --set perturb.rgb.passes=off
+    #[arg(long, value_name = "FIELD=VALUE")]
+    set: Vec<String>,
+    /// Run folder [default: runs/SCENE-METHOD-HASH]
+    #[arg(long, value_name = "DIR")]
+    out: Option<PathBuf>,
+    /// Replace the run that the folder holds
+    #[arg(long)]
+    overwrite: bool,
+    /// Print the resolved configuration and stop
+    #[arg(long)]
+    print_config: bool,
+    #[command(flatten)]
+    weights: LpipsWeights,
+    #[command(flatten)]
+    machine: Machine,
+}
+
+#[derive(Args)]
+pub struct ResumeArguments {
+    /// Run folder
+    run: PathBuf,
+    #[command(flatten)]
+    sources: Sources,
+    #[command(flatten)]
+    machine: Machine,
+}
+
+impl TrainArguments {
+    pub fn run(self) -> Result<()> {
+        let device = self.machine.device()?;
+        let screen = Screen::new(self.machine.quiet);
+        let mut config = self.config()?;
+        let lpips = load_lpips(self.weights.lpips_weights.as_deref(), &device)?;
+        let scene = load_scene(&mut config, &screen)?;
+        if self.print_config {
+            print!("{}", config.to_toml());
+            return Ok(());
+        }
+        let folder = self.out.clone().unwrap_or_else(|| default_folder(&config));
+        let run = RunDir::create(&folder, self.overwrite)?;
+        run.check_writable(bytes_needed(&config, &scene))?;
+        write_atomic(&run.config(), config.to_toml().as_bytes())?;
+        let trainer = Trainer::new(&config, &scene, DType::F32, &device)?;
+        Job { run, config, scene, lpips, device, machine: self.machine, screen, earlier: None }.train(trainer)
+    }
+
+    /// Preset, file and assignments, in that order.
+    fn config(&self) -> Result<Config> {
+        let mut assignments = Vec::new();
+        let mut assign = |path: &[&str], value: Value| {
+            assignments.push((path.iter().map(|part| part.to_string()).collect::<Vec<_>>(), value));
+        };
+        if let Some(data) = &self.data {
+            let data = std::path::absolute(data).map_err(|e| Error::unreadable(data, &e))?;
+            assign(&["data", "dir"], Value::String(data.to_string_lossy().into_owned()));
+        }
+        if let Some(method) = &self.method {
+            assign(&["method"], Value::String(method.clone()));
+        }
+        if let Some(seed) = self.seed {
+            let seed = i64::try_from(seed)
+                .map_err(|_| Error::Config(format!("--seed {seed} is out of range: it must be at most 2^63 - 1")))?;
+            assign(&["seed"], Value::Integer(seed));
+        }
+        for text in &self.set {
+            assignments.push(parse_assignment(text)?);
+        }
+        let named = self.preset.as_deref().map(Preset::parse).transpose()?;
+        let config = build(named, self.config.as_deref(), &assignments)?;
+        if named.is_some() || self.config.is_some() {
+            return Ok(config);
+        }
+        // No preset: what the scene asks for.
+        let preset = match data::detect(&config.data)? {
+            DataKind::Llff => Preset::PaperLlff,
+            DataKind::Blender | DataKind::Transforms => Preset::PaperBlender,
+            _ => Preset::Smoke,
+        };
+        build(Some(preset), None, &assignments)
+    }
+}
+
+impl ResumeArguments {
+    pub fn run(self) -> Result<()> {
+        let device = self.machine.device()?;
+        let screen = Screen::new(self.machine.quiet);
+        let mut run = RunDir::open(&self.run)?;
+        run.lock()?;
+        let mut config = eval::run_config(&run)?;
+        if let Some(dir) = &self.sources.data {
+            config.data.dir = dir.to_string_lossy().into_owned();
+        }
+        let earlier = read_timing(&run);
+        let lpips = load_lpips(self.sources.weights.lpips_weights.as_deref(), &device)?;
+        let scene = load_scene(&mut config, &screen)?;
+        run.check_writable(bytes_needed(&config, &scene))?;
+        let trainer = match checkpoint::list(&run.checkpoints())?.pop() {
+            Some((_, newest)) => Trainer::resume(&newest, &config, &scene, DType::F32, &device)?,
+            // Killed before its first checkpoint: step 0 is a function of the configuration.
+            None => Trainer::new(&config, &scene, DType::F32, &device)?,
+        };
+        screen.say(&format!("{} goes on at step {}", self.run.display(), trainer.step_count()));
+        Job { run, config, scene, lpips, device, machine: self.machine, screen, earlier }.train(trainer)
+    }
+}
+
+/// Finds the kind of scene, fills what depends on it, and loads.
+pub fn load_scene(config: &mut Config, screen: &Screen) -> Result<Scene> {
+    let kind = data::detect(&config.data)?;
+    config.resolve_kind(kind);
+    config.validate()?;
+    let scene = data::load(&config.data, screen)?;
+    config.resolve_bounds(scene.near, scene.far);
+    Ok(scene)
+}
+
+fn default_folder(config: &Config) -> PathBuf {
+    let scene = scene_name(&config.data.dir);
+    Path::new("runs").join(format!("{scene}-{}-{}", config.method.name(), config.hash()))
+}
+
+/// A generous estimate of what a run writes: checkpoints, logs, pictures.
+fn bytes_needed(config: &Config, scene: &Scene) -> u64 {
+    let parameters: usize =
+        Model::parameter_names(config).iter().map(|(_, shape)| shape.iter().product::<usize>()).sum();
+    let checkpoints = parameters * 3 * 4 * (config.train.keep_checkpoints + 1);
+    let pixels = scene.test.first().map_or(0, |view| view.camera.width * view.camera.height);
+    let pictures = config.eval.pictures.min(scene.test.len()) * pixels * 16;
+    let logs = (config.train.steps / config.train.log_every) as usize * 1024;
+    (checkpoints + pictures + logs + (1 << 20)) as u64
+}
+
+fn read_timing(run: &RunDir) -> Option<Timing> {
+    serde_json::from_slice(&std::fs::read(run.timing()).ok()?).ok()
+}
+
+/// Everything that a training needs once its settings are known.
+struct Job {
+    run: RunDir,
+    config: Config,
+    scene: Scene,
+    lpips: Vec<Lpips>,
+    device: Device,
+    machine: Machine,
+    screen: Screen,
+    /// Timing of the sessions before this one.
+    earlier: Option<Timing>,
+}
+
+impl Job {
+    fn train(self, trainer: Trainer) -> Result<()> {
+        let started_unix = host::unix_seconds() as u64;
+        for (role, redraws) in Model::roles(&self.config).iter().zip(trainer.redraws()) {
+            if *redraws > 0 && trainer.step_count() == 0 {
+                let share = self.config.train.dead_start_share;
+                self.screen.say(&format!(
+                    "the {role} field started dead (under {share} of densities positive) and was drawn again {redraws} x"
+                ));
+            }
+        }
+        let signal = catch_signals()?;
+        let first = trainer.step_count();
+        let mut watcher = Watcher {
+            bar: TrainingBar::new(self.machine.quiet, first, self.config.train.steps, self.config.train.rays),
+            job: &self,
+            started_unix,
+        };
+        let mut session = Session::new(&self.run, trainer)?;
+        let outcome = session.run(&signal, &mut watcher);
+        watcher.bar.finish();
+        if let Outcome::Stopped { signal } = outcome? {
+            return Err(interrupted(signal, session.trainer().step_count(), self.run.path()));
+        }
+        let evaluating = Instant::now();
+        let report = self.evaluate(session.trainer())?;
+        let seconds = evaluating.elapsed().as_secs_f64();
+        self.timing(session.trainer().step_count(), session.seconds(), seconds, started_unix)
+            .write(&self.run.timing())?;
+        self.summarise(&report.mean, session.seconds());
+        Ok(())
+    }
+
+    fn evaluate(&self, trainer: &Trainer) -> Result<Report> {
+        let attack = AttackSummary::read(&self.run.scalars())?;
+        let renders = self.run.renders();
+        let pictures = Pictures::new(&renders, &self.scene, self.config.eval.pictures);
+        let model = trainer.model();
+        let views = evaluate(
+            model,
+            &self.config,
+            &self.scene,
+            &self.lpips,
+            DType::F32,
+            &self.device,
+            &self.screen,
+            |index, view, rendered| pictures.write(index, view, rendered),
+        )?;
+        pictures.finish()?;
+        let report = Report {
+            mean: MeanMetrics::from_views(&views),
+            views,
+            protocol: Protocol::new(&self.config, &self.scene, trainer.step_count(), trainer.redraws()),
+            attack,
+        };
+        report.write(&self.run.metrics_json(), &self.run.metrics_csv())?;
+        Ok(report)
+    }
+
+    fn timing(&self, step: u64, training: f64, evaluation: f64, started_unix: u64) -> Timing {
+        let earlier = |get: fn(&Timing) -> f64| self.earlier.as_ref().map_or(0.0, get);
+        let training = training + earlier(|timing| timing.seconds_training);
+        Timing {
+            seconds_training: training,
+            seconds_evaluation: evaluation + earlier(|timing| timing.seconds_evaluation),
+            rays_per_second: (training > 0.0).then(|| step as f64 * self.config.train.rays as f64 / training),
+            peak_memory_mib: peak_memory_mib(),
+            device: self.machine.device.clone(),
+            threads: self.machine.thread_count(),
+            host: Host::current(),
+            started_unix,
+            finished_unix: host::unix_seconds() as u64,
+            sessions: self.earlier.as_ref().map_or(0, |timing| timing.sessions) + 1,
+        }
+    }
+
+    fn summarise(&self, mean: &MeanMetrics, seconds: f64) {
+        let number = |value: Option<f64>, digits: usize| value.map_or("-".into(), |value| format!("{value:.digits$}"));
+        self.screen.say(&format!(
+            "{} held-out views: PSNR {} dB  SSIM {}  LPIPS(squeeze) {}  ({} steps, {seconds:.0} s)",
+            self.scene.test.len(),
+            number(mean.psnr, 2),
+            number(mean.ssim, 3),
+            number(mean.lpips_squeeze, 3),
+            self.config.train.steps,
+        ));
+        if self.config.method == Method::AugNerf {
+            let inactive = AttackSummary::read(&self.run.scalars()).unwrap_or_default();
+            let inactive: Vec<&str> = inactive.iter().filter(|level| level.inactive).map(|level| level.level).collect();
+            if !inactive.is_empty() {
+                self.screen.say(&format!("inactive levels (no effect on the loss): {}", inactive.join(", ")));
+            }
+        }
+        self.screen.say(&format!("results: {}", self.run.path().display()));
+    }
+}
+
+/// Draws training, evaluates in between, keeps `timing.json` current.
+struct Watcher<'a> {
+    bar: TrainingBar,
+    job: &'a Job,
+    started_unix: u64,
+}
+
+impl Observer for Watcher<'_> {
+    fn stepped(&mut self, stats: &StepStats, _logged: bool) {
+        self.bar.stepped(stats.step, stats.loss, stats.psnr());
+    }
+
+    fn evaluate(&mut self, trainer: &Trainer) -> Result<Vec<(&'static str, f64)>> {
+        let job = self.job;
+        let views =
+            evaluate(trainer.model(), &job.config, &job.scene, &[], DType::F32, &job.device, &(), |_, _, _| Ok(()))?;
+        let mean = MeanMetrics::from_views(&views);
+        let step = trainer.step_count();
+        if let Some(psnr) = mean.psnr {
+            self.bar.say(&format!("step {step}: held-out PSNR {psnr:.2} dB"));
+        }
+        let values = EVALUATION_COLUMNS.into_iter().zip([mean.psnr, mean.psnr_float]);
+        Ok(values.filter_map(|(name, value)| value.map(|value| (name, value))).collect())
+    }
+
+    fn saved(&mut self, step: u64, seconds: f64) -> Result<()> {
+        self.job.timing(step, seconds, 0.0, self.started_unix).write(&self.job.run.timing())
+    }
+}
+
+/// A flag that the first Ctrl-C or SIGTERM sets; the second one ends the program at once.
+fn catch_signals() -> Result<Arc<AtomicUsize>> {
+    use signal_hook::consts::{SIGINT, SIGTERM};
+    let flag = Arc::new(AtomicUsize::new(0));
+    let asked = Arc::new(std::sync::atomic::AtomicBool::new(false));
+    for signal in [SIGINT, SIGTERM] {
+        let failed = |e: std::io::Error| Error::Output(format!("cannot catch signal {signal}: {e}"));
+        signal_hook::flag::register_conditional_shutdown(signal, 128 + signal, asked.clone()).map_err(failed)?;
+        signal_hook::flag::register_usize(signal, flag.clone(), signal as usize).map_err(failed)?;
+        signal_hook::flag::register(signal, asked.clone()).map_err(failed)?;
+    }
+    Ok(flag)
+}
