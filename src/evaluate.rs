@@ -3,6 +3,7 @@
 use std::path::Path;
 
 use candle_core::{DType, Device};
+use rayon::prelude::*;
 use serde::Serialize;
 
 use crate::config::{Config, DataKind, EvalSplit, scene_name};
@@ -42,14 +43,22 @@ pub fn render_view(
     let (coarse, fine) = (model.coarse.frozen(), model.fine.as_ref().map(|field| field.frozen()));
     let (width, height) = (camera.width as u32, camera.height as u32);
     let pixels: Vec<(&Camera, u32, u32)> = (0..height).flat_map(|y| (0..width).map(move |x| (camera, x, y))).collect();
-    let (mut rgb, mut depth, mut acc) = (Vec::new(), Vec::new(), Vec::new());
-    for part in pixels.chunks(config.eval.chunk) {
+    let render = |part: &[(&Camera, u32, u32)]| -> Result<[Vec<f32>; 3]> {
         let rays = RayBuffer::new(part, scene.ndc.as_ref(), config.data.pixel_origin).to_tensors(dtype, device)?;
         let out = render_rays(&coarse, fine.as_ref(), &rays, volume.bounds, samples, volume.background)?;
         let host = |tensor: &candle_core::Tensor| tensor.to_dtype(DType::F32)?.flatten_all()?.to_vec1::<f32>();
-        rgb.extend(host(&out.rgb)?);
-        acc.extend(host(&out.acc)?);
-        depth.extend(host(&(out.depth / out.acc)?)?);
+        Ok([host(&out.rgb)?, host(&(out.depth / &out.acc)?)?, host(&out.acc)?])
+    };
+    let parts: Result<Vec<[Vec<f32>; 3]>> = if device.is_cpu() {
+        pixels.par_chunks(config.eval.chunk).map(render).collect()
+    } else {
+        pixels.chunks(config.eval.chunk).map(render).collect()
+    };
+    let (mut rgb, mut depth, mut acc) = (Vec::new(), Vec::new(), Vec::new());
+    for [part_rgb, part_depth, part_acc] in parts? {
+        rgb.extend(part_rgb);
+        depth.extend(part_depth);
+        acc.extend(part_acc);
     }
     if let Some(bad) = rgb.iter().position(|value| !value.is_finite()) {
         return Err(Error::Diverged(format!(

@@ -50,10 +50,16 @@ pub struct Random {
 impl Random {
     /// The numbers of `stream` at `index` under `seed`.
     pub fn new(seed: u64, stream: Stream, index: u64) -> Random {
+        Random::part(seed, stream, index, 0)
+    }
+
+    /// The numbers of one part (a chunk of rays, say) of `stream` at `index`.
+    pub fn part(seed: u64, stream: Stream, index: u64, part: u64) -> Random {
         let mut key = [0u8; 32];
         key[..8].copy_from_slice(&seed.to_le_bytes());
         key[8..16].copy_from_slice(&stream.key().to_le_bytes());
         key[16..24].copy_from_slice(&index.to_le_bytes());
+        key[24..].copy_from_slice(&part.to_le_bytes());
         Random { chacha: ChaCha8Rng::from_seed(key) }
     }
 

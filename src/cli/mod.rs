@@ -80,13 +80,7 @@ struct LpipsWeights {
 impl Machine {
     /// Opens the device; sets the number of threads, which must happen before the first tensor.
     fn device(&self) -> Result<Device> {
-        if let Some(threads) = self.threads {
-            // SAFETY: called from the only thread, before any other could read the environment.
-            unsafe {
-                std::env::set_var("RAYON_NUM_THREADS", threads.to_string());
-                std::env::set_var("CANDLE_NUM_THREADS", threads.to_string());
-            }
-        }
+        set_threads(self.threads.map(usize::from));
         let refuse = |found: String| Error::Config(format!("--device {}: {found}", self.device));
         let (kind, index) = self.device.split_once(':').unwrap_or((&self.device, "0"));
         let index: usize = index.parse().map_err(|_| refuse(format!("'{index}' is not a device number")))?;
@@ -100,11 +94,20 @@ impl Machine {
             _ => Err(refuse("choose cpu, cuda, cuda:N or metal".into())),
         }
     }
+}
 
-    /// The number of threads in use.
-    fn thread_count(&self) -> usize {
-        self.threads.map_or_else(rayon::current_num_threads, usize::from)
+/// Sets up the threads, before the first tensor: `threads` of our own (default: all cores), each
+/// working on a chunk of rays of its own, and none inside tensor operations, where they would wait
+/// for one another more than they compute.
+pub fn set_threads(threads: Option<usize>) {
+    // SAFETY: called at the start of the program's only thread.
+    unsafe {
+        std::env::set_var("RAYON_NUM_THREADS", "1");
+        std::env::set_var("CANDLE_NUM_THREADS", "1");
     }
+    let threads = threads.unwrap_or_else(|| std::thread::available_parallelism().map_or(1, usize::from));
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(threads);
+    pool.build_global().expect("the pool is set up once");
 }
 
 /// Runs the program; the exit code is that of the error's class.

@@ -261,7 +261,7 @@ impl Job {
             rays_per_second: (training > 0.0).then(|| step as f64 * self.config.train.rays as f64 / training),
             peak_memory_mib: peak_memory_mib(),
             device: self.machine.device.clone(),
-            threads: self.machine.thread_count(),
+            threads: rayon::current_num_threads(),
             host: Host::current(),
             started_unix,
             finished_unix: host::unix_seconds() as u64,

@@ -269,7 +269,8 @@ pub struct TrainConfig {
     pub steps: u64,
     /// Rays of one step.
     pub rays: usize,
-    /// Rays whose gradients are computed at once; bounds memory. Changes results by rounding only.
+    /// Rays that one thread works on at once; bounds memory (a GPU wants thousands). Changes results by rounding,
+    /// and the attack's random draws.
     pub chunk: usize,
     /// Where a step's rays come from. Empty = `one-image` for scenes seen from all around,
     /// `all-images` for forward-facing ones.
@@ -306,7 +307,7 @@ impl Default for TrainConfig {
         TrainConfig {
             steps: 500_000,
             rays: 1024,
-            chunk: 256,
+            chunk: 64,
             batching: None,
             learning_rate: 5e-4,
             decay_rate: 0.1,
@@ -336,7 +337,7 @@ pub struct EvalConfig {
 
 impl Default for EvalConfig {
     fn default() -> Self {
-        EvalConfig { chunk: 1024, pictures: 4 }
+        EvalConfig { chunk: 256, pictures: 4 }
     }
 }
 

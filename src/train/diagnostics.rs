@@ -8,7 +8,7 @@ use crate::config::{LEVELS, Level};
 use crate::error::{Error, Result};
 use crate::perturbations::{Deltas, Draw};
 use crate::render::photometric_loss;
-use crate::rng::{Random, Stream};
+use crate::rng::Random;
 
 use super::{PerturbedPass, Trainer, scalar};
 
@@ -101,15 +101,30 @@ struct LevelSums {
 
 impl Sums {
     fn add(&mut self, level: Level, share: f64, gain: f64, gain_over_random: f64, at_bound: f64) {
-        let index = self.0.iter().position(|sums| sums.level == level).unwrap_or_else(|| {
-            self.0.push(LevelSums { level, gain: 0.0, gain_over_random: 0.0, at_bound: 0.0, passes: 0.0 });
-            self.0.len() - 1
-        });
+        let index = self.index(level);
         let sums = &mut self.0[index];
         sums.gain += share * gain;
         sums.gain_over_random += share * gain_over_random;
         sums.at_bound += share * at_bound;
         sums.passes += share;
+    }
+
+    pub(super) fn merge(&mut self, other: Sums) {
+        for sums in other.0 {
+            let index = self.index(sums.level);
+            let mine = &mut self.0[index];
+            mine.gain += sums.gain;
+            mine.gain_over_random += sums.gain_over_random;
+            mine.at_bound += sums.at_bound;
+            mine.passes += sums.passes;
+        }
+    }
+
+    fn index(&mut self, level: Level) -> usize {
+        self.0.iter().position(|sums| sums.level == level).unwrap_or_else(|| {
+            self.0.push(LevelSums { level, gain: 0.0, gain_over_random: 0.0, at_bound: 0.0, passes: 0.0 });
+            self.0.len() - 1
+        })
     }
 
     pub(super) fn finish(self, clean_loss: f64) -> Vec<LevelDiagnostics> {
@@ -126,14 +141,20 @@ impl Sums {
 
 impl Trainer {
     /// Measures each level of a perturbed pass by itself, with the deltas `used` in it.
-    pub(super) fn diagnose(&self, passing: &PerturbedPass, used: &Deltas, share: f64, sums: &mut Sums) -> Result<()> {
+    pub(super) fn diagnose(
+        &self,
+        passing: &PerturbedPass,
+        used: &Deltas,
+        share: f64,
+        random: &mut Random,
+        sums: &mut Sums,
+    ) -> Result<()> {
         let frozen = passing.field.frozen();
         let loss = |deltas: &Deltas| -> Result<f64> {
             let out = self.run(passing, &frozen, deltas)?;
             scalar(&photometric_loss(&out.composite.rgb, passing.target)?)
         };
-        let mut random = Random::new(self.config.seed, Stream::Diagnostics, self.step);
-        let drawn = passing.sets.draw(Draw::Uniform, &mut random)?;
+        let drawn = passing.sets.draw(Draw::Uniform, random)?;
         let without = loss(&Deltas::default())?;
         for level in passing.sets.levels() {
             let with = loss(&used.only(level))?;

@@ -6,6 +6,7 @@
 
 use candle_core::backprop::GradStore;
 use candle_core::{DType, Device, Tensor};
+use rayon::prelude::*;
 
 use crate::config::{Config, Method, Objective, PerturbConfig, PerturbKind, Resample};
 use crate::data::{Rays, Scene};
@@ -141,6 +142,34 @@ struct PerturbedPass<'a> {
 
 /// Gradients in the order of the optimizer's variables.
 struct Gradients(Vec<Option<Tensor>>);
+
+/// What one chunk adds to a step.
+struct ChunkResult {
+    gradients: Gradients,
+    loss_coarse: f64,
+    loss_fine: Option<f64>,
+    loss_perturbed: Option<f64>,
+    largest_acc: f64,
+    diagnostics: diagnostics::Sums,
+}
+
+impl ChunkResult {
+    fn add(&mut self, other: ChunkResult) -> Result<()> {
+        let both = |a: Option<f64>, b: Option<f64>| a.zip(b).map(|(a, b)| a + b);
+        for (sum, gradient) in self.gradients.0.iter_mut().zip(other.gradients.0) {
+            *sum = match (sum.take(), gradient) {
+                (Some(sum), Some(gradient)) => Some((sum + gradient)?),
+                (sum, gradient) => sum.or(gradient),
+            };
+        }
+        self.loss_coarse += other.loss_coarse;
+        self.loss_fine = both(self.loss_fine, other.loss_fine);
+        self.loss_perturbed = both(self.loss_perturbed, other.loss_perturbed);
+        self.largest_acc = self.largest_acc.max(other.largest_acc);
+        self.diagnostics.merge(other.diagnostics);
+        Ok(())
+    }
+}
 
 impl Gradients {
     fn add(&mut self, adam: &Adam, store: &GradStore) -> Result<()> {
@@ -283,66 +312,83 @@ impl Trainer {
     /// Takes one step. `log` asks for the diagnostics of the perturbed levels.
     pub fn step(&mut self, log: bool) -> Result<StepStats> {
         let whole = self.chunk(self.step)?;
-        let augmented = self.config.method == Method::AugNerf;
+        let size = self.config.train.chunk;
+        let starts: Vec<usize> = (0..whole.rays.len()).step_by(size).collect();
+        let work = |(index, &start): (usize, &usize)| -> Result<ChunkResult> {
+            let count = size.min(whole.rays.len() - start);
+            self.work(&whole.narrow(start, count)?, index as u64, log)
+        };
+        // One thread a chunk: a chunk's tensors stay in its core's cache. The sums below are in
+        // the chunks' order, so the number of threads changes no bit.
+        let chunks: Result<Vec<ChunkResult>> = if self.device.is_cpu() {
+            starts.par_iter().enumerate().map(work).collect()
+        } else {
+            starts.iter().enumerate().map(work).collect()
+        };
+        let mut chunks = chunks?.into_iter();
+        let mut sum = chunks.next().expect("a batch has rays");
+        for chunk in chunks {
+            sum.add(chunk)?;
+        }
         let (clean_weight, perturbed_weight) = mixing(&self.config);
-        let mut attack = Random::new(self.config.seed, Stream::Attack, self.step);
-        let mut gradients = Gradients(vec![None; self.adam.variables().len()]);
-        let mut stats = StepStats {
+        let clean = sum.loss_coarse + sum.loss_fine.unwrap_or(0.0);
+        let stats = StepStats {
             step: self.step + 1,
             learning_rate: learning_rate(&self.config.train, self.step),
-            loss_coarse: 0.0,
-            loss_fine: None,
-            loss_perturbed: None,
-            loss: 0.0,
-            largest_acc: 0.0,
-            levels: Vec::new(),
+            loss_coarse: sum.loss_coarse,
+            loss_fine: sum.loss_fine,
+            loss_perturbed: sum.loss_perturbed,
+            loss: clean_weight * clean + sum.loss_perturbed.map_or(0.0, |loss| perturbed_weight * loss),
+            largest_acc: sum.largest_acc,
+            levels: sum.diagnostics.finish(clean),
         };
-        let mut diagnostics = diagnostics::Sums::default();
-        for start in (0..whole.rays.len()).step_by(self.config.train.chunk) {
-            let count = self.config.train.chunk.min(whole.rays.len() - start);
-            let chunk = whole.narrow(start, count)?;
-            let t_fine = self.clean(&chunk, clean_weight, &mut gradients, &mut stats)?;
-            if augmented {
-                let loss = if self.config.perturb.kind == PerturbKind::FreshJitter {
-                    self.second_clean(&chunk, perturbed_weight, &mut attack, &mut gradients)?
-                } else {
-                    let log = log.then_some(&mut diagnostics);
-                    self.perturbed(&chunk, t_fine.as_ref(), perturbed_weight, &mut attack, &mut gradients, log)?
-                };
-                *stats.loss_perturbed.get_or_insert(0.0) += loss * chunk.share;
-            }
-        }
-        let clean = stats.loss_coarse + stats.loss_fine.unwrap_or(0.0);
-        stats.loss = clean_weight * clean + stats.loss_perturbed.map_or(0.0, |loss| perturbed_weight * loss);
-        stats.levels = diagnostics.finish(clean);
-        self.check_finite(&stats, &gradients)?;
+        self.check_finite(&stats, &sum.gradients)?;
         self.check_alive(&stats)?;
-        self.adam.update(&gradients.0, stats.learning_rate, stats.step)?;
+        self.adam.update(&sum.gradients.0, stats.learning_rate, stats.step)?;
         self.step += 1;
         Ok(stats)
     }
 
+    /// Everything that a step does with the chunk of number `index`. Losses and gradients are
+    /// weighted with the chunk's share, so that chunks add up.
+    fn work(&self, chunk: &Chunk, index: u64, log: bool) -> Result<ChunkResult> {
+        let (clean_weight, perturbed_weight) = mixing(&self.config);
+        let mut result = ChunkResult {
+            gradients: Gradients(vec![None; self.adam.variables().len()]),
+            loss_coarse: 0.0,
+            loss_fine: None,
+            loss_perturbed: None,
+            largest_acc: 0.0,
+            diagnostics: diagnostics::Sums::default(),
+        };
+        let t_fine = self.clean(chunk, clean_weight, &mut result)?;
+        if self.config.method == Method::AugNerf {
+            let mut random = Random::part(self.config.seed, Stream::Attack, self.step, index);
+            let loss = if self.config.perturb.kind == PerturbKind::FreshJitter {
+                self.second_clean(chunk, perturbed_weight, &mut random, &mut result.gradients)?
+            } else {
+                self.perturbed(chunk, index, t_fine.as_ref(), perturbed_weight, &mut random, &mut result, log)?
+            };
+            result.loss_perturbed = Some(loss * chunk.share);
+        }
+        Ok(result)
+    }
+
     /// Clean passes of a chunk; returns the fine pass's samples.
-    fn clean(
-        &self,
-        chunk: &Chunk,
-        weight: f64,
-        gradients: &mut Gradients,
-        stats: &mut StepStats,
-    ) -> Result<Option<Tensor>> {
-        let pass = self.coarse_pass(chunk);
-        let coarse = clean_pass(&self.model.coarse, pass)?;
-        stats.loss_coarse += chunk.share * self.descend(&coarse, &chunk.target, weight * chunk.share, gradients)?;
+    fn clean(&self, chunk: &Chunk, weight: f64, result: &mut ChunkResult) -> Result<Option<Tensor>> {
+        let coarse = clean_pass(&self.model.coarse, self.coarse_pass(chunk))?;
+        let weight = weight * chunk.share;
+        result.loss_coarse = chunk.share * self.descend(&coarse, &chunk.target, weight, &mut result.gradients)?;
         let (Some(field), Some(u)) = (&self.model.fine, &chunk.u) else {
-            stats.largest_acc = stats.largest_acc.max(largest(&coarse.composite.acc)?);
+            result.largest_acc = largest(&coarse.composite.acc)?;
             return Ok(None);
         };
         let t_vals = sampling::importance(&chunk.t_coarse, &coarse.composite.weights, u)?;
         drop(coarse);
         let fine = clean_pass(field, self.fine_pass(chunk, &t_vals))?;
-        let loss = self.descend(&fine, &chunk.target, weight * chunk.share, gradients)?;
-        *stats.loss_fine.get_or_insert(0.0) += chunk.share * loss;
-        stats.largest_acc = stats.largest_acc.max(largest(&fine.composite.acc)?);
+        let loss = self.descend(&fine, &chunk.target, weight, &mut result.gradients)?;
+        result.loss_fine = Some(chunk.share * loss);
+        result.largest_acc = largest(&fine.composite.acc)?;
         Ok(Some(t_vals))
     }
 
@@ -382,14 +428,16 @@ impl Trainer {
     }
 
     /// Searches and descends the perturbed passes of a chunk; returns their loss, coarse + fine.
+    #[allow(clippy::too_many_arguments)]
     fn perturbed(
         &self,
         chunk: &Chunk,
+        index: u64,
         t_fine: Option<&Tensor>,
         weight: f64,
         random: &mut Random,
-        gradients: &mut Gradients,
-        mut diagnostics: Option<&mut diagnostics::Sums>,
+        result: &mut ChunkResult,
+        log: bool,
     ) -> Result<f64> {
         let mut total = 0.0;
         let mut resampled = None;
@@ -405,9 +453,11 @@ impl Trainer {
             let passing = PerturbedPass { field, pass, target: &chunk.target, sets: self.sets(is_coarse, pass)? };
             let deltas = self.find_deltas(&passing, random)?;
             let out = self.run(&passing, field, &deltas)?;
-            total += self.descend(&out, &chunk.target, weight * chunk.share, gradients)?;
-            if let Some(sums) = diagnostics.as_deref_mut() {
-                self.diagnose(&passing, &out.used, chunk.share, sums)?;
+            total += self.descend(&out, &chunk.target, weight * chunk.share, &mut result.gradients)?;
+            if log {
+                let mut random =
+                    Random::part(self.config.seed, Stream::Diagnostics, self.step, 2 * index + u64::from(is_coarse));
+                self.diagnose(&passing, &out.used, chunk.share, &mut random, &mut result.diagnostics)?;
             }
             if let (true, Resample::Perturbed, Some(u)) = (is_coarse, self.config.perturb.resample, &chunk.u) {
                 let moved = match deltas.get(crate::config::Level::T) {
