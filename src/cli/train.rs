@@ -2,14 +2,14 @@
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-use std::sync::atomic::AtomicUsize;
+use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::Instant;
 
 use candle_core::{DType, Device};
 use clap::Args;
 use toml::Value;
 
-use crate::config::{Config, DataKind, Method, Preset, build, parse_assignment, scene_name};
+use crate::config::{Config, DataKind, Method, Preset, build, data_section, parse_assignment, scene_name};
 use crate::data::{self, Scene};
 use crate::error::{Error, Result};
 use crate::evaluate::{Protocol, Report, evaluate};
@@ -111,18 +111,16 @@ impl TrainArguments {
         for text in &self.set {
             assignments.push(parse_assignment(text)?);
         }
-        let named = self.preset.as_deref().map(Preset::parse).transpose()?;
-        let config = build(named, self.config.as_deref(), &assignments)?;
-        if named.is_some() || self.config.is_some() {
-            return Ok(config);
+        let mut preset = self.preset.as_deref().map(Preset::parse).transpose()?;
+        if preset.is_none() && self.config.is_none() {
+            // What the scene asks for.
+            preset = Some(match data::detect(&data_section(&assignments)?)? {
+                DataKind::Llff => Preset::PaperLlff,
+                DataKind::Blender | DataKind::Transforms => Preset::PaperBlender,
+                _ => Preset::Smoke,
+            });
         }
-        // No preset: what the scene asks for.
-        let preset = match data::detect(&config.data)? {
-            DataKind::Llff => Preset::PaperLlff,
-            DataKind::Blender | DataKind::Transforms => Preset::PaperBlender,
-            _ => Preset::Smoke,
-        };
-        build(Some(preset), None, &assignments)
+        build(preset, self.config.as_deref(), &assignments)
     }
 }
 
@@ -218,7 +216,7 @@ impl Job {
             return Err(interrupted(signal, session.trainer().step_count(), self.run.path()));
         }
         let evaluating = Instant::now();
-        let report = self.evaluate(session.trainer())?;
+        let report = self.evaluate(session.trainer(), &signal)?;
         let seconds = evaluating.elapsed().as_secs_f64();
         self.timing(session.trainer().step_count(), session.seconds(), seconds, started_unix)
             .write(&self.run.timing())?;
@@ -226,7 +224,7 @@ impl Job {
         Ok(())
     }
 
-    fn evaluate(&self, trainer: &Trainer) -> Result<Report> {
+    fn evaluate(&self, trainer: &Trainer, signal: &AtomicUsize) -> Result<Report> {
         let attack = AttackSummary::read(&self.run.scalars())?;
         let renders = self.run.renders();
         let pictures = Pictures::new(&renders, &self.scene, self.config.eval.pictures);
@@ -239,7 +237,13 @@ impl Job {
             DType::F32,
             &self.device,
             &self.screen,
-            |index, view, rendered| pictures.write(index, view, rendered),
+            |index, view, rendered| {
+                pictures.write(index, view, rendered)?;
+                match signal.load(Ordering::SeqCst) {
+                    0 => Ok(()),
+                    signal => Err(interrupted(signal as i32, trainer.step_count(), self.run.path())),
+                }
+            },
         )?;
         pictures.finish()?;
         let report = Report {

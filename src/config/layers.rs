@@ -4,7 +4,7 @@ use std::path::Path;
 
 use toml::{Table, Value};
 
-use super::Config;
+use super::{Config, DataConfig};
 use crate::error::{Error, Result};
 
 /// A named set of settings.
@@ -90,6 +90,18 @@ pub fn build(preset: Option<Preset>, file: Option<&Path>, assignments: &[(Vec<St
     // Through text, so that a wrong value is reported with the line that it stands in.
     let text = toml::to_string(&table).expect("a table of settings is plain data");
     Config::from_toml(&text, "settings")
+}
+
+/// Section `data` of the defaults with assignments over them: what decides the preset where none
+/// is named. Nothing else is checked yet.
+pub fn data_section(assignments: &[(Vec<String>, Value)]) -> Result<DataConfig> {
+    let mut table = Table::new();
+    for (path, value) in assignments.iter().filter(|(path, _)| path[0] == "data") {
+        assign(&mut table, path, value.clone())?;
+    }
+    let text = toml::to_string(&table).expect("a table of settings is plain data");
+    let config: Config = toml::from_str(&text).expect("each assignment was checked");
+    Ok(config.data)
 }
 
 /// Lays `over` on `base`, table by table.

@@ -10,7 +10,7 @@ mod layers;
 mod perturb;
 mod validate;
 
-pub use layers::{Preset, build, parse_assignment};
+pub use layers::{Preset, build, data_section, parse_assignment};
 pub use perturb::{
     Attack, DeltaConfig, LEVELS, Level, Norm, Objective, OutputPlace, Passes, PerturbConfig, PerturbField, PerturbKind,
     Radius, Resample, StepUnit,

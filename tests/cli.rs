@@ -1,0 +1,361 @@
+//! The program as a user meets it: runs, results, resumption, refusals.
+
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Output, Stdio};
+use std::time::{Duration, Instant};
+
+use tempfile::TempDir;
+
+const PROGRAM: &str = env!("CARGO_BIN_EXE_augnerf");
+
+fn augnerf(arguments: &[&str]) -> Command {
+    let mut command = Command::new(PROGRAM);
+    command.args(arguments).env_remove("AUGNERF_LPIPS_WEIGHTS").env("RUST_BACKTRACE", "0");
+    command
+}
+
+fn run(arguments: &[&str]) -> Output {
+    augnerf(arguments).output().unwrap()
+}
+
+fn text(path: &Path) -> String {
+    std::fs::read_to_string(path).unwrap_or_else(|e| panic!("{}: {e}", path.display()))
+}
+
+/// Runs and demands success.
+fn succeed(arguments: &[&str]) -> Output {
+    let output = run(arguments);
+    assert!(output.status.success(), "{arguments:?}: {}", String::from_utf8_lossy(&output.stderr));
+    output
+}
+
+/// Runs and demands the exit code and words of a refusal: one sentence, no panic.
+fn refuse(arguments: &[&str], code: i32, words: &[&str]) {
+    let output = run(arguments);
+    let message = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert_eq!(output.status.code(), Some(code), "{arguments:?}: {message}");
+    assert!(!message.contains("panicked"), "{message}");
+    for word in words {
+        assert!(message.contains(word), "'{word}' is not in: {message}");
+    }
+}
+
+/// Settings of a run that takes a second: the embedded scene at 16 x 16.
+const TINY: [&str; 14] = [
+    "--set",
+    "data.width=16",
+    "--set",
+    "field.width=16",
+    "--set",
+    "sampling.coarse=8",
+    "--set",
+    "sampling.fine=8",
+    "--set",
+    "train.rays=96",
+    "--set",
+    "train.chunk=32",
+    "--set",
+    "train.steps=40",
+];
+
+fn tiny<'a>(out: &'a Path, further: &[&'a str]) -> Vec<&'a str> {
+    let mut arguments = vec!["train", "--quiet", "--out", out.to_str().unwrap()];
+    arguments.extend(TINY);
+    arguments.extend([
+        "--set",
+        "train.checkpoint_every=10",
+        "--set",
+        "train.log_every=5",
+        "--set",
+        "train.precrop_steps=3",
+    ]);
+    arguments.extend(further);
+    arguments
+}
+
+/// Everything of a run that must repeat: all files but clocks, locks and event files.
+fn content(run: &Path) -> Vec<(PathBuf, Vec<u8>)> {
+    fn walk(dir: &Path, root: &Path, found: &mut Vec<(PathBuf, Vec<u8>)>) {
+        for entry in std::fs::read_dir(dir).unwrap() {
+            let path = entry.unwrap().path();
+            let name = path.strip_prefix(root).unwrap().to_path_buf();
+            if ["timing.json", "run.lock", "tensorboard"].iter().any(|other| name.starts_with(other)) {
+                continue;
+            }
+            if path.is_dir() {
+                walk(&path, root, found);
+            } else {
+                found.push((name, std::fs::read(&path).unwrap()));
+            }
+        }
+    }
+    let mut found = Vec::new();
+    walk(run, run, &mut found);
+    found.sort();
+    found
+}
+
+fn assert_same(a: &Path, b: &Path) {
+    let (a, b) = (content(a), content(b));
+    let names = |files: &[(PathBuf, Vec<u8>)]| files.iter().map(|(name, _)| name.clone()).collect::<Vec<_>>();
+    assert_eq!(names(&a), names(&b));
+    for ((name, left), (_, right)) in a.iter().zip(&b) {
+        assert!(left == right, "{} differs", name.display());
+    }
+}
+
+/// Waits until the run has written the checkpoint of `step`.
+fn wait_for_checkpoint(run: &Path, step: u64, child: &mut Child) {
+    let folder = run.join(format!("checkpoints/step_{step:09}"));
+    let started = Instant::now();
+    while !folder.exists() {
+        assert!(child.try_wait().unwrap().is_none(), "the run ended before step {step}");
+        assert!(started.elapsed() < Duration::from_secs(120), "no checkpoint of step {step}");
+        std::thread::sleep(Duration::from_millis(2));
+    }
+}
+
+fn start(arguments: &[&str]) -> Child {
+    augnerf(arguments).stderr(Stdio::piped()).stdout(Stdio::null()).spawn().unwrap()
+}
+
+#[test]
+fn a_run_leaves_everything_it_promises() {
+    let dir = TempDir::new().unwrap();
+    let out = dir.path().join("run");
+    succeed(&tiny(&out, &["--method", "aug-nerf"]));
+    for file in ["config.toml", "metrics.json", "metrics.csv", "scalars.csv", "timing.json", "renders/depth.json"] {
+        assert!(out.join(file).is_file(), "{file}");
+    }
+    for view in ["rgb", "truth", "depth", "depth16", "beside"] {
+        assert!(out.join(format!("renders/r_0_{view}.png")).is_file(), "{view}");
+    }
+    assert!(out.join("checkpoints/step_000000040/state.safetensors").is_file());
+    assert_eq!(std::fs::read_dir(out.join("checkpoints")).unwrap().count(), 2, "the last two are kept");
+    assert_eq!(std::fs::read_dir(out.join("tensorboard")).unwrap().count(), 1);
+    let metrics: serde_json::Value = serde_json::from_str(&text(&out.join("metrics.json"))).unwrap();
+    assert!(metrics["mean"]["psnr"].as_f64().unwrap() > 3.0);
+    assert!(metrics["mean"]["ssim"].is_number());
+    assert!(metrics["mean"]["lpips_squeeze"].is_null(), "missing is empty, not 0");
+    assert_eq!(metrics["views"].as_array().unwrap().len(), 8);
+    let protocol = &metrics["protocol"];
+    for (field, value) in [("dataset", "builtin-blender"), ("scene", "builtin"), ("background", "white")] {
+        assert_eq!(protocol[field], value);
+    }
+    assert_eq!((&protocol["steps"], &protocol["seed"], &protocol["width"]), (&40.into(), &0.into(), &16.into()));
+    assert_eq!(metrics["attack"].as_array().unwrap().len(), 6, "one summary a level");
+    let scalars = text(&out.join("scalars.csv"));
+    assert_eq!(scalars.lines().count(), 1 + 8);
+    assert!(scalars.lines().next().unwrap().contains("gain.rgb,gain_over_random.rgb,share_at_bound.rgb,inactive.rgb"));
+    // The resolved configuration reproduces the run.
+    let again = dir.path().join("again");
+    succeed(&[
+        "train",
+        "--quiet",
+        "--config",
+        out.join("config.toml").to_str().unwrap(),
+        "--out",
+        again.to_str().unwrap(),
+    ]);
+    assert_same(&out, &again);
+}
+
+#[test]
+fn equal_seeds_give_equal_bytes_with_one_thread_and_with_two() {
+    let dir = TempDir::new().unwrap();
+    for method in ["nerf", "aug-nerf"] {
+        let runs: Vec<PathBuf> = ["1", "2", "3"]
+            .map(|threads| {
+                let out = dir.path().join(format!("{method}-{threads}"));
+                succeed(&tiny(&out, &["--method", method, "--threads", threads, "--set", "train.steps=20"]));
+                out
+            })
+            .into();
+        assert_same(&runs[0], &runs[1]);
+        assert_same(&runs[0], &runs[2]);
+    }
+    let other = dir.path().join("other");
+    succeed(&tiny(&other, &["--seed", "1", "--set", "train.steps=20"]));
+    assert_ne!(content(&other), content(&dir.path().join("nerf-1")));
+}
+
+#[test]
+fn killed_and_resumed_equals_not_having_stopped() {
+    let dir = TempDir::new().unwrap();
+    let straight = dir.path().join("straight");
+    let further = ["--method", "aug-nerf", "--set", "train.steps=120", "--set", "train.eval_every=40"];
+    succeed(&tiny(&straight, &further));
+    let killed = dir.path().join("killed");
+    let mut child = start(&tiny(&killed, &further));
+    wait_for_checkpoint(&killed, 60, &mut child);
+    child.kill().unwrap(); // SIGKILL
+    child.wait().unwrap();
+    assert!(!killed.join("metrics.json").exists(), "it was killed too late to test anything");
+    succeed(&["resume", "--quiet", killed.to_str().unwrap()]);
+    assert_same(&straight, &killed);
+    // A finished run is only evaluated again.
+    succeed(&["resume", "--quiet", killed.to_str().unwrap()]);
+    assert_same(&straight, &killed);
+}
+
+#[cfg(unix)]
+#[test]
+fn sigterm_leaves_a_checkpoint_and_its_own_exit_code() {
+    let dir = TempDir::new().unwrap();
+    let straight = dir.path().join("straight");
+    let further =
+        ["--set", "train.steps=400", "--set", "train.checkpoint_every=0", "--set", "train.checkpoint_minutes=0"];
+    succeed(&tiny(&straight, &further));
+    let stopped = dir.path().join("stopped");
+    let child = start(&tiny(&stopped, &further));
+    // The event file is made right before the first step.
+    let events = stopped.join("tensorboard");
+    let started = Instant::now();
+    let is_event_file = |entry: std::io::Result<std::fs::DirEntry>| {
+        entry.is_ok_and(|entry| entry.file_name().to_string_lossy().starts_with("events."))
+    };
+    while !std::fs::read_dir(&events).is_ok_and(|mut entries| entries.any(is_event_file)) {
+        assert!(started.elapsed() < Duration::from_secs(60));
+        std::thread::sleep(Duration::from_millis(2));
+    }
+    Command::new("kill").args(["-TERM", &child.id().to_string()]).status().unwrap();
+    let output = child.wait_with_output().unwrap();
+    let message = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(output.status.code(), Some(143), "{:?} {message}", output.status);
+    assert!(message.contains("augnerf resume"), "{message}");
+    assert_eq!(std::fs::read_dir(stopped.join("checkpoints")).unwrap().count(), 1);
+    succeed(&["resume", "--quiet", stopped.to_str().unwrap()]);
+    // The stop left one more checkpoint behind; everything else is equal.
+    let without_checkpoints =
+        |run: &Path| content(run).into_iter().filter(|(name, _)| !name.starts_with("checkpoints")).collect::<Vec<_>>();
+    assert!(without_checkpoints(&straight) == without_checkpoints(&stopped));
+    let last = "checkpoints/step_000000400/state.safetensors";
+    assert!(std::fs::read(straight.join(last)).unwrap() == std::fs::read(stopped.join(last)).unwrap());
+}
+
+#[test]
+fn eval_and_render_read_a_run_back() {
+    let dir = TempDir::new().unwrap();
+    let out = dir.path().join("run");
+    let folder = out.to_str().unwrap();
+    succeed(&tiny(&out, &[]));
+    let trained = text(&out.join("metrics.json"));
+    std::fs::remove_file(out.join("metrics.json")).unwrap();
+    let printed = succeed(&["eval", "--quiet", folder]);
+    assert!(String::from_utf8_lossy(&printed.stdout).contains("\"psnr\""));
+    assert_eq!(text(&out.join("metrics.json")), trained, "the checkpoint gives the same numbers as the trained fields");
+    succeed(&["render", "--quiet", folder, "--frames", "3"]);
+    for file in ["rgb_002.png", "depth_002.png", "depth16_002.png", "rgb.gif", "depth.gif", "depth.json"] {
+        assert!(out.join("renders/path").join(file).is_file(), "{file}");
+    }
+    succeed(&["render", "--quiet", folder, "--what", "views"]);
+    assert!(out.join("renders/views/r_7_beside.png").is_file());
+}
+
+#[test]
+fn the_exported_scene_trains_like_any_other() {
+    let dir = TempDir::new().unwrap();
+    let scene = dir.path().join("scene");
+    let exported = succeed(&["data", "export-builtin", scene.to_str().unwrap(), "--width", "16"]);
+    assert!(String::from_utf8_lossy(&exported.stdout).contains("mesh"));
+    let checked = succeed(&["data", "check", scene.to_str().unwrap(), "--set", "data.downscale=1"]);
+    let said = String::from_utf8_lossy(&checked.stdout).into_owned();
+    for words in ["blender", "16 x 16", "2.0000 to 6.0000", "40 (", "8 ("] {
+        assert!(said.contains(words), "'{words}' is not in: {said}");
+    }
+    let out = dir.path().join("run");
+    succeed(&tiny(&out, &["--data", scene.to_str().unwrap(), "--set", "data.width=0", "--set", "data.downscale=1"]));
+    let metrics: serde_json::Value = serde_json::from_str(&text(&out.join("metrics.json"))).unwrap();
+    assert_eq!(metrics["protocol"]["dataset"], "blender");
+}
+
+#[test]
+fn the_forward_facing_embedded_scene_trains_in_ndc() {
+    let dir = TempDir::new().unwrap();
+    let out = dir.path().join("run");
+    succeed(&tiny(&out, &["--set", "data.kind=builtin-forward"]));
+    let metrics: serde_json::Value = serde_json::from_str(&text(&out.join("metrics.json"))).unwrap();
+    assert_eq!(metrics["protocol"]["ndc"], true);
+    assert_eq!(metrics["protocol"]["split"], "every-8");
+}
+
+#[test]
+fn wrong_settings_are_refused_with_exit_code_2() {
+    refuse(&["train", "--set", "train.stepz=3"], 2, &["train.stepz", "train.steps"]);
+    refuse(&["train", "--set", "train.steps=0"], 2, &["train.steps", "at least 1"]);
+    refuse(&["train", "--set", "train.steps=many"], 2, &["train.steps", "many"]);
+    refuse(&["train", "--set", "train.steps"], 2, &["section.field=value"]);
+    refuse(&["train", "--preset", "papr"], 2, &["papr", "paper-llff"]);
+    refuse(&["train", "--method", "nerv"], 2, &["nerv", "aug-nerf"]);
+    refuse(&["train", "--device", "tpu"], 2, &["tpu", "cuda"]);
+    refuse(
+        &["train", "--method", "aug-nerf", "--set", "perturb.injection_layer=9"],
+        2,
+        &["perturb.injection_layer", "9", "1 to 4"],
+    );
+    refuse(&["train", "--config", "nowhere.toml"], 2, &["nowhere.toml"]);
+    refuse(&["train", "--no-such-flag"], 2, &["--no-such-flag"]);
+    let dir = TempDir::new().unwrap();
+    let file = dir.path().join("mine.toml");
+    std::fs::write(&file, "[train]\nsteps = \n").unwrap();
+    refuse(&["train", "--config", file.to_str().unwrap()], 2, &["mine.toml"]);
+    std::fs::write(&file, "[trian]\nsteps = 1\n").unwrap();
+    refuse(&["train", "--config", file.to_str().unwrap()], 2, &["mine.toml", "trian.steps", "train.steps"]);
+}
+
+#[test]
+fn bad_data_is_refused_with_exit_code_3() {
+    let dir = TempDir::new().unwrap();
+    let path = |name: &str| dir.path().join(name).to_str().unwrap().to_string();
+    refuse(&["train", "--data", &path("missing")], 3, &["missing"]);
+    refuse(&["data", "check", &path("missing")], 3, &["missing"]);
+    std::fs::create_dir(dir.path().join("empty")).unwrap();
+    refuse(&["train", "--data", &path("empty")], 3, &["empty", "poses_bounds.npy"]);
+    refuse(&["train", "--lpips-weights", &path("empty")], 3, &["empty", "squeeze"]);
+    // A scene with one truncated picture.
+    succeed(&["data", "export-builtin", &path("scene"), "--width", "16"]);
+    let picture = dir.path().join("scene/train/r_3.png");
+    let bytes = std::fs::read(&picture).unwrap();
+    std::fs::write(&picture, &bytes[..bytes.len() / 2]).unwrap();
+    refuse(&["train", "--data", &path("scene")], 3, &["r_3.png"]);
+    assert!(!dir.path().join("runs").exists());
+}
+
+#[test]
+fn output_in_the_way_is_refused_with_exit_code_4_before_training() {
+    let dir = TempDir::new().unwrap();
+    let out = dir.path().join("run");
+    succeed(&tiny(&out, &["--set", "train.steps=2"]));
+    refuse(&tiny(&out, &[]), 4, &["run", "--overwrite", "resume"]);
+    succeed(&tiny(&out, &["--set", "train.steps=2", "--overwrite"]));
+    let file = dir.path().join("file");
+    std::fs::write(&file, "not a folder").unwrap();
+    refuse(&tiny(&file.join("run"), &[]), 4, &["file"]);
+    refuse(&["data", "export-builtin", dir.path().to_str().unwrap()], 4, &["empty"]);
+}
+
+#[test]
+fn a_checkpoint_of_another_architecture_is_refused_with_exit_code_5() {
+    let dir = TempDir::new().unwrap();
+    let out = dir.path().join("run");
+    let folder = out.to_str().unwrap();
+    succeed(&tiny(&out, &["--set", "train.steps=2"]));
+    let config = text(&out.join("config.toml"));
+    std::fs::write(out.join("config.toml"), config.replace("[field]\nwidth = 16", "[field]\nwidth = 32")).unwrap();
+    refuse(&["eval", folder], 5, &["state.safetensors", "trunk.0.weight", "[16", "[32", "architecture"]);
+    refuse(&["resume", folder], 5, &["config.toml", "changed"]);
+    std::fs::write(out.join("config.toml"), &config).unwrap();
+    let tensors = out.join("checkpoints/step_000000002/state.safetensors");
+    let bytes = std::fs::read(&tensors).unwrap();
+    std::fs::write(&tensors, &bytes[..bytes.len() / 2]).unwrap();
+    refuse(&["resume", folder], 5, &["state.safetensors"]);
+    refuse(&["eval", dir.path().to_str().unwrap()], 5, &["config.toml"]);
+    refuse(&["resume", dir.path().join("nothing").to_str().unwrap()], 5, &["nothing"]);
+}
+
+#[test]
+fn non_finite_training_stops_with_exit_code_6_and_advice() {
+    let dir = TempDir::new().unwrap();
+    let out = dir.path().join("run");
+    refuse(&tiny(&out, &["--set", "train.learning_rate=1e30"]), 6, &["step", "train.learning_rate"]);
+}

@@ -1,0 +1,148 @@
+//! What training promises besides the numbers of one step.
+
+mod common;
+
+use augnerf::config::{Method, PerturbField};
+use augnerf::data::{Camera, View};
+use augnerf::error::Error;
+use augnerf::evaluate::render_view;
+use augnerf::metrics::psnr_float;
+use augnerf::train::{Trainer, learning_rate};
+use candle_core::{DType, Device, Tensor};
+use common::{parameters, tiny_config, tiny_scene, trained};
+
+#[test]
+fn training_fits_the_scene() {
+    let config = tiny_config(Method::Nerf, |_| {});
+    let held_out = |steps: u64| {
+        let scene = tiny_scene();
+        let trainer = trained(&config, steps);
+        let View { camera, image, .. } = &scene.test[0];
+        let view = render_view(trainer.model(), &config, &scene, camera, DType::F32, &Device::Cpu).unwrap();
+        psnr_float(&view.image, image).unwrap().unwrap()
+    };
+    let (start, end) = (held_out(0), held_out(400));
+    assert!(end > start + 5.0 && end > 18.0, "{start} dB at the start, {end} dB at the end");
+}
+
+/// Rays to the scene's chunk size: results change by rounding only, and rendering not at all.
+#[test]
+fn chunks_bound_memory_and_change_no_picture() {
+    let config = tiny_config(Method::Nerf, |_| {});
+    let trainer = trained(&config, 20);
+    let scene = tiny_scene();
+    let render = |chunk: usize| {
+        let mut config = config.clone();
+        config.eval.chunk = chunk;
+        let camera: &Camera = &scene.test[0].camera;
+        let view = render_view(trainer.model(), &config, &scene, camera, DType::F32, &Device::Cpu).unwrap();
+        view.image.pixels
+    };
+    let whole = render(256);
+    let largest = |other: Vec<f32>| whole.iter().zip(other).map(|(a, b)| (a - b).abs()).fold(0f32, f32::max);
+    // Matrix kernels handle the last rows of a block in another order.
+    assert!(largest(render(7)) < 1e-5);
+    let losses = |chunk: usize| {
+        let config = tiny_config(Method::Nerf, |config| config.train.chunk = chunk);
+        let stats = trained(&config, 3).step(false).unwrap();
+        (stats.loss_coarse, stats.loss_fine.unwrap())
+    };
+    let ((a, b), (c, d)) = (losses(64), losses(5));
+    assert!((a - c).abs() < 1e-5 && (b - d).abs() < 1e-5, "{a} {b} {c} {d}");
+}
+
+#[test]
+fn a_run_whose_rays_are_all_empty_is_stopped() {
+    let config = tiny_config(Method::Nerf, |config| config.train.collapse_steps = 4);
+    let mut trainer = trained(&config, 0);
+    for (name, var) in trainer.model().variables() {
+        if name.ends_with("density.bias") {
+            var.set(&Tensor::new(&[-1e3f32], &Device::Cpu).unwrap()).unwrap();
+        }
+    }
+    for _ in 0..3 {
+        trainer.step(false).unwrap();
+    }
+    let error = trainer.step(false).unwrap_err();
+    assert!(matches!(error, Error::Diverged(_)));
+    for words in ["step 4", "acc", "4 steps", "seed"] {
+        assert!(error.to_string().contains(words), "'{words}' is not in: {error}");
+    }
+}
+
+#[test]
+fn a_weight_that_is_not_a_number_is_reported_with_step_and_tensor() {
+    let config = tiny_config(Method::Nerf, |_| {});
+    let mut trainer = trained(&config, 2);
+    let (_, var) = &trainer.model().variables()[0];
+    var.set(&(var.as_tensor() * f64::NAN).unwrap()).unwrap();
+    let message = trainer.step(false).unwrap_err().to_string();
+    assert!(message.contains("step 3") && message.contains("coarse"), "{message}");
+}
+
+#[test]
+fn dead_starts_are_drawn_again_the_same_for_all_rows_of_a_seed() {
+    // Almost every start has some share of dead densities; half is asked for here.
+    let redraws = |method, seed| {
+        let config = tiny_config(method, |config| {
+            config.seed = seed;
+            config.train.dead_start_share = 0.5;
+        });
+        trained(&config, 0).redraws().to_vec()
+    };
+    let drawn: Vec<Vec<u64>> = (0..6).map(|seed| redraws(Method::Nerf, seed)).collect();
+    assert!(drawn.iter().flatten().any(|&count| count > 0), "{drawn:?}");
+    assert!(drawn.iter().flatten().any(|&count| count == 0), "{drawn:?}");
+    for (seed, expected) in drawn.iter().enumerate() {
+        assert_eq!(&redraws(Method::AugNerf, seed as u64), expected);
+    }
+}
+
+#[test]
+fn rows_of_a_seed_start_from_the_same_weights() {
+    let start = |method, field| {
+        let config = tiny_config(method, |config| config.perturb.field = field);
+        parameters(&trained(&config, 0), &["coarse", "fine"])
+    };
+    let nerf = start(Method::Nerf, PerturbField::Shared);
+    assert_eq!(nerf, start(Method::AugNerf, PerturbField::Shared));
+    assert_eq!(nerf, start(Method::AugNerf, PerturbField::Separate));
+}
+
+#[test]
+fn the_learning_rate_decays_exponentially() {
+    let config = tiny_config(Method::Nerf, |config| {
+        config.train.learning_rate = 5e-4;
+        config.train.decay_steps = Some(1000);
+    });
+    for (step, expected) in [(0, 5e-4), (1000, 5e-5), (500, 5e-4 * 0.1f64.sqrt())] {
+        assert!((learning_rate(&config.train, step) - expected).abs() < 1e-12);
+    }
+}
+
+#[test]
+fn a_model_without_fine_samples_trains_its_coarse_field_alone() {
+    let config = tiny_config(Method::AugNerf, |config| config.sampling.fine = 0);
+    let mut trainer = trained(&config, 2);
+    assert!(trainer.model().fine.is_none());
+    let stats = trainer.step(true).unwrap();
+    assert!(stats.loss_fine.is_none() && stats.levels.len() == 6);
+    let scene = tiny_scene();
+    let camera = &scene.test[0].camera;
+    render_view(trainer.model(), &config, &scene, camera, DType::F32, &Device::Cpu).unwrap();
+}
+
+#[test]
+fn the_step_uses_its_own_numbers_whatever_came_before() {
+    // Step 5 after four others, and step 5 of a trainer with the same weights that never took
+    // them: resuming needs no generator state.
+    let config = tiny_config(Method::AugNerf, |_| {});
+    let dir = tempfile::TempDir::new().unwrap();
+    let mut straight = trained(&config, 4);
+    let checkpoint = straight.save(dir.path(), 1).unwrap();
+    let mut resumed = Trainer::resume(&checkpoint, &config, &tiny_scene(), DType::F32, &Device::Cpu).unwrap();
+    let (a, b) = (straight.step(true).unwrap(), resumed.step(true).unwrap());
+    assert_eq!((a.loss, a.levels), (b.loss, b.levels));
+    let roles = ["coarse", "fine"];
+    assert_eq!(parameters(&straight, &roles), parameters(&resumed, &roles));
+}
