@@ -29,47 +29,78 @@ pub struct RenderedView {
     pub acc: Vec<f32>,
 }
 
-/// Renders the view of a camera without any randomness, `config.eval.chunk` rays at a time.
-pub fn render_view(
-    model: &Model,
-    config: &Config,
-    scene: &Scene,
-    camera: &Camera,
-    dtype: DType,
-    device: &Device,
-) -> Result<RenderedView> {
-    let volume = Volume::of(scene);
-    let samples = (config.sampling.coarse, config.sampling.fine);
-    let (coarse, fine) = (model.coarse.frozen(), model.fine.as_ref().map(|field| field.frozen()));
-    let (width, height) = (camera.width as u32, camera.height as u32);
-    let pixels: Vec<(&Camera, u32, u32)> = (0..height).flat_map(|y| (0..width).map(move |x| (camera, x, y))).collect();
-    let render = |part: &[(&Camera, u32, u32)]| -> Result<[Vec<f32>; 3]> {
-        let rays = RayBuffer::new(part, scene.ndc.as_ref(), config.data.pixel_origin).to_tensors(dtype, device)?;
-        let out = render_rays(&coarse, fine.as_ref(), &rays, volume.bounds, samples, volume.background)?;
-        let host = |tensor: &candle_core::Tensor| tensor.to_dtype(DType::F32)?.flatten_all()?.to_vec1::<f32>();
-        Ok([host(&out.rgb)?, host(&(out.depth / &out.acc)?)?, host(&out.acc)?])
-    };
-    let parts: Result<Vec<[Vec<f32>; 3]>> = if device.is_cpu() {
-        pixels.par_chunks(config.eval.chunk).map(render).collect()
-    } else {
-        pixels.chunks(config.eval.chunk).map(render).collect()
-    };
-    let (mut rgb, mut depth, mut acc) = (Vec::new(), Vec::new(), Vec::new());
-    for [part_rgb, part_depth, part_acc] in parts? {
-        rgb.extend(part_rgb);
-        depth.extend(part_depth);
-        acc.extend(part_acc);
-    }
-    if let Some(bad) = rgb.iter().position(|value| !value.is_finite()) {
-        return Err(Error::Diverged(format!(
-            "the rendered colour of pixel ({}, {}) is not a number: the weights are broken; go back to an earlier \
+/// A trained model in its scene, ready to be looked at.
+#[derive(Clone, Copy)]
+pub struct Viewer<'a> {
+    /// The networks.
+    pub model: &'a Model,
+    /// The resolved configuration that they were trained under.
+    pub config: &'a Config,
+    /// The scene.
+    pub scene: &'a Scene,
+    /// Where to compute.
+    pub device: &'a Device,
+}
+
+impl Viewer<'_> {
+    /// Renders the view of a camera without any randomness, `config.eval.chunk` rays at a time.
+    pub fn render(&self, camera: &Camera) -> Result<RenderedView> {
+        let Viewer { model, config, scene, device } = *self;
+        let volume = Volume::of(scene);
+        let samples = (config.sampling.coarse, config.sampling.fine);
+        let (coarse, fine) = (model.coarse.frozen(), model.fine.as_ref().map(|field| field.frozen()));
+        let (width, height) = (camera.width as u32, camera.height as u32);
+        let pixels: Vec<(&Camera, u32, u32)> =
+            (0..height).flat_map(|y| (0..width).map(move |x| (camera, x, y))).collect();
+        let render = |part: &[(&Camera, u32, u32)]| -> Result<[Vec<f32>; 3]> {
+            let rays =
+                RayBuffer::new(part, scene.ndc.as_ref(), config.data.pixel_origin).to_tensors(DType::F32, device)?;
+            let out = render_rays(&coarse, fine.as_ref(), &rays, volume.bounds, samples, volume.background)?;
+            let host = |tensor: &candle_core::Tensor| tensor.to_dtype(DType::F32)?.flatten_all()?.to_vec1::<f32>();
+            Ok([host(&out.rgb)?, host(&(out.depth / &out.acc)?)?, host(&out.acc)?])
+        };
+        let parts: Result<Vec<[Vec<f32>; 3]>> = if device.is_cpu() {
+            pixels.par_chunks(config.eval.chunk).map(render).collect()
+        } else {
+            pixels.chunks(config.eval.chunk).map(render).collect()
+        };
+        let (mut rgb, mut depth, mut acc) = (Vec::new(), Vec::new(), Vec::new());
+        for [part_rgb, part_depth, part_acc] in parts? {
+            rgb.extend(part_rgb);
+            depth.extend(part_depth);
+            acc.extend(part_acc);
+        }
+        if let Some(bad) = rgb.iter().position(|value| !value.is_finite()) {
+            return Err(Error::Diverged(format!(
+                "the rendered colour of pixel ({}, {}) is not a number: the weights are broken; go back to an earlier \
              checkpoint",
-            bad / 3 % camera.width,
-            bad / 3 / camera.width
-        )));
+                bad / 3 % camera.width,
+                bad / 3 / camera.width
+            )));
+        }
+        let image = Image { width: camera.width, height: camera.height, channels: 3, pixels: rgb };
+        Ok(RenderedView { image, depth, acc })
     }
-    let image = Image { width: camera.width, height: camera.height, channels: 3, pixels: rgb };
-    Ok(RenderedView { image, depth, acc })
+
+    /// Renders and measures every held-out view. `each` is handed each view when it is done.
+    pub fn evaluate(
+        &self,
+        lpips: &[Lpips],
+        progress: &dyn Progress,
+        mut each: impl FnMut(usize, &View, &RenderedView) -> Result<()>,
+    ) -> Result<Vec<ViewMetrics>> {
+        let views = &self.scene.test;
+        progress.start("evaluating", views.len() as u64);
+        let mut metrics = Vec::with_capacity(views.len());
+        for (index, view) in views.iter().enumerate() {
+            let rendered = self.render(&view.camera)?;
+            metrics.push(measure(&view.name, &rendered.image, &view.image, lpips)?);
+            each(index, view, &rendered)?;
+            progress.advance();
+        }
+        progress.finish();
+        Ok(metrics)
+    }
 }
 
 /// Where a number comes from: everything that two numbers must share to be compared.
@@ -165,30 +196,6 @@ pub struct Report {
     pub protocol: Protocol,
     /// What the attack did over the logged steps, one entry a level; empty without one.
     pub attack: Vec<AttackSummary>,
-}
-
-/// Renders and measures every held-out view. `each` is handed each view when it is done.
-#[allow(clippy::too_many_arguments)]
-pub fn evaluate(
-    model: &Model,
-    config: &Config,
-    scene: &Scene,
-    lpips: &[Lpips],
-    dtype: DType,
-    device: &Device,
-    progress: &dyn Progress,
-    mut each: impl FnMut(usize, &View, &RenderedView) -> Result<()>,
-) -> Result<Vec<ViewMetrics>> {
-    progress.start("evaluating", scene.test.len() as u64);
-    let mut views = Vec::with_capacity(scene.test.len());
-    for (index, view) in scene.test.iter().enumerate() {
-        let rendered = render_view(model, config, scene, &view.camera, dtype, device)?;
-        views.push(measure(&view.name, &rendered.image, &view.image, lpips)?);
-        each(index, view, &rendered)?;
-        progress.advance();
-    }
-    progress.finish();
-    Ok(views)
 }
 
 impl Report {

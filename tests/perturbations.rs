@@ -5,7 +5,7 @@ mod common;
 use augnerf::config::{Attack, LEVELS, Level, Method, Norm, OutputPlace, PerturbConfig, PerturbField, PerturbKind};
 use augnerf::data::{RayBuffer, Rays};
 use augnerf::field::Field;
-use augnerf::perturbations::{Deltas, Draw, PixelScale, Sets, StepSizes, worst_case};
+use augnerf::perturbations::{Deltas, Draw, PassGeometry, PixelScale, Sets, StepSizes, worst_case};
 use augnerf::render::{Pass, Perturbation, clean_pass, perturbed_pass, photometric_loss};
 use augnerf::rng::{Random, Stream};
 use augnerf::sampling;
@@ -14,6 +14,18 @@ use common::{parameters, tiny_config, tiny_scene, trained};
 use proptest::prelude::*;
 
 const CPU: Device = Device::Cpu;
+
+/// The coarse pass on `t_vals`.
+fn geometry<'a>(
+    t_vals: &'a Tensor,
+    direction_norm: &'a Tensor,
+    bounds: (f64, f64),
+    width: usize,
+    pixel: PixelScale,
+) -> PassGeometry<'a> {
+    let coarse_samples = t_vals.dims()[1];
+    PassGeometry { is_coarse: true, t_vals, direction_norm, bounds, coarse_samples, width, pixel }
+}
 
 /// A pass of a small f64 field: all that a loss of the deltas needs.
 struct Setting {
@@ -46,7 +58,7 @@ impl Setting {
         let target = draw(&mut random, &[rays.len(), 3]);
         let pixel = PixelScale { width: 16.0, height: 16.0, focal: 20.0, ndc: false };
         let norm = &rays.direction_norm;
-        let sets = Sets::new(&config.perturb, true, &t_vals, norm, (2.0, 6.0), samples, 16, &pixel).unwrap();
+        let sets = Sets::new(&config.perturb, &geometry(&t_vals, norm, (2.0, 6.0), 16, pixel)).unwrap();
         let field = Field::init(&config.field, seed, 0, DType::F64, &CPU).unwrap();
         Setting { field, rays, t_vals, noise, target, sets, config: config.perturb }
     }
@@ -250,7 +262,7 @@ proptest! {
         config.t.epsilon = Some(0.5);
         config.resolve(1.0);
         let pixel = PixelScale { width: 16.0, height: 16.0, focal: 20.0, ndc: true };
-        let sets = Sets::new(&config, true, &t_vals, &norm, (0.0, 1.0), samples, 4, &pixel).unwrap();
+        let sets = Sets::new(&config, &geometry(&t_vals, &norm, (0.0, 1.0), 4, pixel)).unwrap();
         let set = sets.get(Level::T).unwrap();
         for signs in 0..(1usize << samples.min(6)) {
             let far: Vec<f32> = (0..samples).map(|i| if signs >> (i % 6) & 1 == 1 { 9.0 } else { -9.0 }).collect();

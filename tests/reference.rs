@@ -7,7 +7,7 @@ use std::collections::HashMap;
 use augnerf::config::{FieldConfig, LEVELS, Level, Norm, OutputPlace, PerturbConfig};
 use augnerf::data::Rays;
 use augnerf::field::{Field, encode};
-use augnerf::perturbations::{DeltaSet, Deltas, PixelScale, Sets, StepSizes, worst_case};
+use augnerf::perturbations::{DeltaSet, Deltas, PassGeometry, PixelScale, Sets, StepSizes, worst_case};
 use augnerf::render::{Pass, PassOutput, Perturbation, clean_pass, perturbed_pass, photometric_loss, volume};
 use augnerf::sampling::inverse_cdf;
 use candle_core::{DType, Device, Tensor, Var};
@@ -158,7 +158,19 @@ impl Attack {
         // A focal length of 50 pixels makes the view's half pixel 0.01; the position's radius
         // (0.02 for every ray) is given outright.
         let pixel = PixelScale { width: 100.0, height: 100.0, focal: 50.0, ndc: false };
-        let mut sets = Sets::new(&config, true, &t_vals, &rays.direction_norm, (0.2, 1.8), 7, 16, &pixel).unwrap();
+        let mut sets = Sets::new(
+            &config,
+            &PassGeometry {
+                is_coarse: true,
+                t_vals: &t_vals,
+                direction_norm: &rays.direction_norm,
+                bounds: (0.2, 1.8),
+                coarse_samples: 7,
+                width: 16,
+                pixel,
+            },
+        )
+        .unwrap();
         let radius = Tensor::new(&[[[0.02f64]]], &Device::Cpu).unwrap();
         sets.set(Level::Xyz, DeltaSet::new(Norm::L2, radius, &[5, 7, 3]));
         Attack { sizes: StepSizes::new(&config), reference, field, rays, t_vals, target, sets }

@@ -5,7 +5,7 @@ mod common;
 use augnerf::config::{Method, PerturbField};
 use augnerf::data::{Camera, View};
 use augnerf::error::Error;
-use augnerf::evaluate::render_view;
+use augnerf::evaluate::Viewer;
 use augnerf::metrics::psnr_float;
 use augnerf::train::{Trainer, learning_rate};
 use candle_core::{DType, Device, Tensor};
@@ -18,7 +18,8 @@ fn training_fits_the_scene() {
         let scene = tiny_scene();
         let trainer = trained(&config, steps);
         let View { camera, image, .. } = &scene.test[0];
-        let view = render_view(trainer.model(), &config, &scene, camera, DType::F32, &Device::Cpu).unwrap();
+        let viewer = Viewer { model: trainer.model(), config: &config, scene: &scene, device: &Device::Cpu };
+        let view = viewer.render(camera).unwrap();
         psnr_float(&view.image, image).unwrap().unwrap()
     };
     let (start, end) = (held_out(0), held_out(400));
@@ -35,7 +36,8 @@ fn chunks_bound_memory_and_change_no_picture() {
         let mut config = config.clone();
         config.eval.chunk = chunk;
         let camera: &Camera = &scene.test[0].camera;
-        let view = render_view(trainer.model(), &config, &scene, camera, DType::F32, &Device::Cpu).unwrap();
+        let viewer = Viewer { model: trainer.model(), config: &config, scene: &scene, device: &Device::Cpu };
+        let view = viewer.render(camera).unwrap();
         view.image.pixels
     };
     let whole = render(256);
@@ -129,7 +131,8 @@ fn a_model_without_fine_samples_trains_its_coarse_field_alone() {
     assert!(stats.loss_fine.is_none() && stats.levels.len() == 6);
     let scene = tiny_scene();
     let camera = &scene.test[0].camera;
-    render_view(trainer.model(), &config, &scene, camera, DType::F32, &Device::Cpu).unwrap();
+    let viewer = Viewer { model: trainer.model(), config: &config, scene: &scene, device: &Device::Cpu };
+    viewer.render(camera).unwrap();
 }
 
 #[test]

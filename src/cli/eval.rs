@@ -8,7 +8,7 @@ use clap::Args;
 use crate::config::Config;
 use crate::data::Scene;
 use crate::error::{Error, Result};
-use crate::evaluate::{Protocol, Report, evaluate};
+use crate::evaluate::{Protocol, Report, Viewer};
 use crate::metrics::{Backbone, Lpips, MeanMetrics};
 use crate::model::Model;
 use crate::output::RunDir;
@@ -87,7 +87,8 @@ impl EvalArguments {
         let mut trained = Trained::open(&self.run, self.sources.data.as_deref(), &device, &screen)?;
         trained.run.lock()?;
         let Trained { run, config, scene, state, model } = &trained;
-        let views = evaluate(model, config, scene, &lpips, DType::F32, &device, &screen, |_, _, _| Ok(()))?;
+        let viewer = Viewer { model, config, scene, device: &device };
+        let views = viewer.evaluate(&lpips, &screen, |_, _, _| Ok(()))?;
         let report = Report {
             mean: MeanMetrics::from_views(&views),
             views,

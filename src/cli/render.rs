@@ -3,13 +3,12 @@
 use std::cell::RefCell;
 use std::path::{Path, PathBuf};
 
-use candle_core::DType;
 use clap::{Args, ValueEnum};
 use serde::Serialize;
 
 use crate::data::{Camera, Image, Progress, Scene, View};
 use crate::error::{Error, Result};
-use crate::evaluate::{RenderedView, render_view};
+use crate::evaluate::{RenderedView, Viewer};
 use crate::output::{beside, depth_colour, depth_range, write_depth16, write_gif, write_json, write_png8};
 
 use super::eval::Trained;
@@ -66,8 +65,9 @@ impl RenderArguments {
             (None, What::Views) => renders.join("views"),
         };
         std::fs::create_dir_all(&folder).map_err(|e| Error::unwritable(&folder, &e))?;
+        let viewer = Viewer { model: &trained.model, config: &trained.config, scene, device: &device };
         let render = |camera: &Camera| {
-            let rendered = render_view(&trained.model, &trained.config, scene, camera, DType::F32, &device);
+            let rendered = viewer.render(camera);
             screen.advance();
             rendered
         };
@@ -86,7 +86,7 @@ impl RenderArguments {
                     return Err(Error::Data(format!("scene {} has no camera path; use --what views", scene.name)));
                 }
                 screen.start("rendering", cameras.len() as u64);
-                let frames = cameras.iter().map(|camera| render(camera)).collect::<Result<Vec<_>>>()?;
+                let frames = cameras.iter().map(render).collect::<Result<Vec<_>>>()?;
                 write_path(&folder, scene, &frames, self.fps)?;
             }
         }

@@ -12,7 +12,7 @@ use toml::Value;
 use crate::config::{Config, DataKind, Method, Preset, build, data_section, parse_assignment, scene_name};
 use crate::data::{self, Scene};
 use crate::error::{Error, Result};
-use crate::evaluate::{Protocol, Report, evaluate};
+use crate::evaluate::{Protocol, Report, Viewer};
 use crate::metrics::{Lpips, MeanMetrics};
 use crate::model::Model;
 use crate::output::{Host, RunDir, Timing, host, peak_memory_mib, write_atomic};
@@ -224,27 +224,21 @@ impl Job {
         Ok(())
     }
 
+    fn viewer<'a>(&'a self, trainer: &'a Trainer) -> Viewer<'a> {
+        Viewer { model: trainer.model(), config: &self.config, scene: &self.scene, device: &self.device }
+    }
+
     fn evaluate(&self, trainer: &Trainer, signal: &AtomicUsize) -> Result<Report> {
         let attack = AttackSummary::read(&self.run.scalars())?;
         let renders = self.run.renders();
         let pictures = Pictures::new(&renders, &self.scene, self.config.eval.pictures);
-        let model = trainer.model();
-        let views = evaluate(
-            model,
-            &self.config,
-            &self.scene,
-            &self.lpips,
-            DType::F32,
-            &self.device,
-            &self.screen,
-            |index, view, rendered| {
-                pictures.write(index, view, rendered)?;
-                match signal.load(Ordering::SeqCst) {
-                    0 => Ok(()),
-                    signal => Err(interrupted(signal as i32, trainer.step_count(), self.run.path())),
-                }
-            },
-        )?;
+        let views = self.viewer(trainer).evaluate(&self.lpips, &self.screen, |index, view, rendered| {
+            pictures.write(index, view, rendered)?;
+            match signal.load(Ordering::SeqCst) {
+                0 => Ok(()),
+                signal => Err(interrupted(signal as i32, trainer.step_count(), self.run.path())),
+            }
+        })?;
         pictures.finish()?;
         let report = Report {
             mean: MeanMetrics::from_views(&views),
@@ -307,9 +301,7 @@ impl Observer for Watcher<'_> {
     }
 
     fn evaluate(&mut self, trainer: &Trainer) -> Result<Vec<(&'static str, f64)>> {
-        let job = self.job;
-        let views =
-            evaluate(trainer.model(), &job.config, &job.scene, &[], DType::F32, &job.device, &(), |_, _, _| Ok(()))?;
+        let views = self.job.viewer(trainer).evaluate(&[], &(), |_, _, _| Ok(()))?;
         let mean = MeanMetrics::from_views(&views);
         let step = trainer.step_count();
         if let Some(psnr) = mean.psnr {

@@ -12,7 +12,7 @@ mod search;
 mod sets;
 
 pub use search::{StepSizes, worst_case};
-pub use sets::{DeltaSet, Draw, PixelScale, Sets};
+pub use sets::{DeltaSet, Draw, PassGeometry, PixelScale, Sets};
 
 /// The deltas of one pass. Shapes: `t` `[rays, samples]`, `xyz` `[rays, samples, 3]`, `view`
 /// `[rays, 2]`, `feature` `[rays, samples, width]`, `rgb` `[rays, samples, 3]`, `density`

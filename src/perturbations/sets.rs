@@ -41,6 +41,25 @@ impl PixelScale {
     }
 }
 
+/// What the sets of a pass depend on besides the configuration.
+#[derive(Clone, Copy)]
+pub struct PassGeometry<'a> {
+    /// The coarse pass, otherwise the fine one.
+    pub is_coarse: bool,
+    /// Unperturbed sample positions, `[rays, samples]`.
+    pub t_vals: &'a Tensor,
+    /// Lengths of the ray directions, `[rays, 1]`.
+    pub direction_norm: &'a Tensor,
+    /// Near and far, in the units of `t_vals`.
+    pub bounds: (f64, f64),
+    /// N of the cap (far - near) |d| / (2 (N - 1)) on the radius of `xyz`.
+    pub coarse_samples: usize,
+    /// The field's width.
+    pub width: usize,
+    /// A pixel's size.
+    pub pixel: PixelScale,
+}
+
 /// One delta's set.
 #[derive(Clone)]
 pub struct DeltaSet {
@@ -172,19 +191,9 @@ fn l2_norm(delta: &Tensor) -> TensorResult<Tensor> {
 pub struct Sets([Option<DeltaSet>; 6]);
 
 impl Sets {
-    /// The sets that `config` (resolved) describes for a pass on `t_vals` `[rays, samples]` with
-    /// direction lengths `direction_norm` `[rays, 1]`. `coarse_samples` is N of the cap
-    /// (far - near) |d| / (2 (N - 1)) on the radius of `xyz`; `width` that of the field.
-    pub fn new(
-        config: &PerturbConfig,
-        is_coarse: bool,
-        t_vals: &Tensor,
-        direction_norm: &Tensor,
-        (near, far): (f64, f64),
-        coarse_samples: usize,
-        width: usize,
-        pixel: &PixelScale,
-    ) -> Result<Sets> {
+    /// The sets that `config` (resolved) describes for a pass.
+    pub fn new(config: &PerturbConfig, pass: &PassGeometry) -> Result<Sets> {
+        let PassGeometry { is_coarse, t_vals, direction_norm, bounds: (near, far), .. } = *pass;
         let (rays, samples) = t_vals.dims2()?;
         let scalar = |value: f64| Tensor::new(value, t_vals.device())?.to_dtype(t_vals.dtype());
         let mut sets = Sets::default();
@@ -204,16 +213,18 @@ impl Sets {
             let set = match level {
                 Level::T => along_ray(t_vals, epsilon, near, far)?,
                 Level::Xyz => {
-                    let cap = (direction_norm * ((far - near) / (2.0 * (coarse_samples as f64 - 1.0))))?;
-                    let pixel = scalar(pixel.radius(config.xyz_radius))?;
+                    let cap = (direction_norm * ((far - near) / (2.0 * (pass.coarse_samples as f64 - 1.0))))?;
+                    let pixel = scalar(pass.pixel.radius(config.xyz_radius))?;
                     let radius = (cap.broadcast_minimum(&pixel)? * epsilon)?.unsqueeze(2)?; // [rays, 1, 1]
                     DeltaSet::new(norm, radius, &[rays, samples, 3])
                 }
                 Level::View => {
-                    let radius = scalar(epsilon / (2.0 * pixel.focal))?.reshape((1, 1))?;
+                    let radius = scalar(epsilon / (2.0 * pass.pixel.focal))?.reshape((1, 1))?;
                     DeltaSet::new(norm, radius, &[rays, 2])
                 }
-                Level::Feature => DeltaSet::new(norm, scalar(epsilon)?.reshape((1, 1, 1))?, &[rays, samples, width]),
+                Level::Feature => {
+                    DeltaSet::new(norm, scalar(epsilon)?.reshape((1, 1, 1))?, &[rays, samples, pass.width])
+                }
                 Level::Rgb => DeltaSet::new(norm, scalar(epsilon)?.reshape((1, 1, 1))?, &[rays, samples, 3]),
                 Level::Density => {
                     let mut set = DeltaSet::new(norm, scalar(epsilon)?.reshape((1, 1))?, &[rays, samples]);

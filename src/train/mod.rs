@@ -13,7 +13,7 @@ use crate::data::{Rays, Scene};
 use crate::error::{Error, Result};
 use crate::field::Field;
 use crate::model::Model;
-use crate::perturbations::{Deltas, Draw, PixelScale, Sets, StepSizes, worst_case};
+use crate::perturbations::{Deltas, Draw, PassGeometry, PixelScale, Sets, StepSizes, worst_case};
 use crate::render::{Pass, PassOutput, Perturbation, clean_pass, perturbed_pass, photometric_loss};
 use crate::rng::{Random, Stream};
 use crate::sampling;
@@ -114,10 +114,12 @@ struct Chunk {
     u: Option<Tensor>,
     /// Share of the step's rays.
     share: f64,
+    /// Number of the chunk within the step.
+    index: u64,
 }
 
 impl Chunk {
-    fn narrow(&self, start: usize, count: usize) -> Result<Chunk> {
+    fn narrow(&self, index: usize, start: usize, count: usize) -> Result<Chunk> {
         let part = |tensor: &Tensor| tensor.narrow(0, start, count)?.contiguous();
         let maybe = |tensor: &Option<Tensor>| tensor.as_ref().map(part).transpose();
         Ok(Chunk {
@@ -128,6 +130,7 @@ impl Chunk {
             noise_fine: maybe(&self.noise_fine)?,
             u: maybe(&self.u)?,
             share: count as f64 / self.rays.len() as f64,
+            index: index as u64,
         })
     }
 }
@@ -306,7 +309,7 @@ impl Trainer {
             (_, true) => Some(random.uniform_tensor(&[n, fine], self.dtype, &self.device)?),
             (_, false) => Some(sampling::even_u(n, fine, &t_coarse)?),
         };
-        Ok(Chunk { rays, target, t_coarse, noise_coarse, noise_fine, u, share: 1.0 })
+        Ok(Chunk { rays, target, t_coarse, noise_coarse, noise_fine, u, share: 1.0, index: 0 })
     }
 
     /// Takes one step. `log` asks for the diagnostics of the perturbed levels.
@@ -316,7 +319,7 @@ impl Trainer {
         let starts: Vec<usize> = (0..whole.rays.len()).step_by(size).collect();
         let work = |(index, &start): (usize, &usize)| -> Result<ChunkResult> {
             let count = size.min(whole.rays.len() - start);
-            self.work(&whole.narrow(start, count)?, index as u64, log)
+            self.work(&whole.narrow(index, start, count)?, log)
         };
         // One thread a chunk: a chunk's tensors stay in its core's cache. The sums below are in
         // the chunks' order, so the number of threads changes no bit.
@@ -349,9 +352,9 @@ impl Trainer {
         Ok(stats)
     }
 
-    /// Everything that a step does with the chunk of number `index`. Losses and gradients are
+    /// Everything that a step does with a chunk. Losses and gradients are
     /// weighted with the chunk's share, so that chunks add up.
-    fn work(&self, chunk: &Chunk, index: u64, log: bool) -> Result<ChunkResult> {
+    fn work(&self, chunk: &Chunk, log: bool) -> Result<ChunkResult> {
         let (clean_weight, perturbed_weight) = mixing(&self.config);
         let mut result = ChunkResult {
             gradients: Gradients(vec![None; self.adam.variables().len()]),
@@ -363,11 +366,11 @@ impl Trainer {
         };
         let t_fine = self.clean(chunk, clean_weight, &mut result)?;
         if self.config.method == Method::AugNerf {
-            let mut random = Random::part(self.config.seed, Stream::Attack, self.step, index);
+            let mut random = Random::part(self.config.seed, Stream::Attack, self.step, chunk.index);
             let loss = if self.config.perturb.kind == PerturbKind::FreshJitter {
                 self.second_clean(chunk, perturbed_weight, &mut random, &mut result.gradients)?
             } else {
-                self.perturbed(chunk, index, t_fine.as_ref(), perturbed_weight, &mut random, &mut result, log)?
+                self.perturbed(chunk, t_fine.as_ref(), perturbed_weight, &mut random, &mut result, log)?
             };
             result.loss_perturbed = Some(loss * chunk.share);
         }
@@ -428,11 +431,9 @@ impl Trainer {
     }
 
     /// Searches and descends the perturbed passes of a chunk; returns their loss, coarse + fine.
-    #[allow(clippy::too_many_arguments)]
     fn perturbed(
         &self,
         chunk: &Chunk,
-        index: u64,
         t_fine: Option<&Tensor>,
         weight: f64,
         random: &mut Random,
@@ -455,8 +456,12 @@ impl Trainer {
             let out = self.run(&passing, field, &deltas)?;
             total += self.descend(&out, &chunk.target, weight * chunk.share, &mut result.gradients)?;
             if log {
-                let mut random =
-                    Random::part(self.config.seed, Stream::Diagnostics, self.step, 2 * index + u64::from(is_coarse));
+                let mut random = Random::part(
+                    self.config.seed,
+                    Stream::Diagnostics,
+                    self.step,
+                    2 * chunk.index + u64::from(is_coarse),
+                );
                 self.diagnose(&passing, &out.used, chunk.share, &mut random, &mut result.diagnostics)?;
             }
             if let (true, Resample::Perturbed, Some(u)) = (is_coarse, self.config.perturb.resample, &chunk.u) {
@@ -471,16 +476,16 @@ impl Trainer {
     }
 
     fn sets(&self, is_coarse: bool, pass: Pass) -> Result<Sets> {
-        Sets::new(
-            &self.config.perturb,
+        let geometry = PassGeometry {
             is_coarse,
-            pass.t_vals,
-            &pass.rays.direction_norm,
-            self.volume.bounds,
-            self.config.sampling.coarse,
-            self.config.field.width,
-            &self.volume.pixel,
-        )
+            t_vals: pass.t_vals,
+            direction_norm: &pass.rays.direction_norm,
+            bounds: self.volume.bounds,
+            coarse_samples: self.config.sampling.coarse,
+            width: self.config.field.width,
+            pixel: self.volume.pixel,
+        };
+        Sets::new(&self.config.perturb, &geometry)
     }
 
     /// The pass with `deltas` through `field` (live or frozen).

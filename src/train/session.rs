@@ -112,16 +112,17 @@ impl<'a> Session<'a> {
         while self.trainer.step_count() < train.steps {
             let next = self.trainer.step_count() + 1;
             let last = next == train.steps;
-            let log = next % train.log_every == 0 || last;
+            let log = next.is_multiple_of(train.log_every) || last;
             let started = Instant::now();
             let stats = self.trainer.step(log)?;
             self.stepping += started.elapsed();
-            let evaluate = train.eval_every > 0 && (next % train.eval_every == 0 || last);
+            // Nothing but 0 is a multiple of 0, which is "never" here.
+            let evaluate = next.is_multiple_of(train.eval_every) || (last && train.eval_every > 0);
             if log || evaluate {
                 self.log(&stats, evaluate, observer)?;
             }
             observer.stepped(&stats, log);
-            let by_step = train.checkpoint_every > 0 && next % train.checkpoint_every == 0;
+            let by_step = next.is_multiple_of(train.checkpoint_every);
             let minutes = saved_at.elapsed().as_secs_f64() / 60.0;
             let by_time = train.checkpoint_minutes > 0.0 && minutes >= train.checkpoint_minutes;
             let stop = signal.load(Ordering::SeqCst);
