@@ -39,7 +39,7 @@ fn scene() -> Scene {
 
 fn step(criterion: &mut Criterion) {
     augnerf::allocator::keep_freed_memory();
-    augnerf::cli::set_threads(None);
+    augnerf::cli::set_threads(None).expect("threads");
     let mut group = criterion.benchmark_group("step");
     group.sample_size(10).warm_up_time(Duration::from_secs(4)).measurement_time(Duration::from_secs(20));
     for (name, method, width) in [

@@ -6,7 +6,10 @@ use candle_core::{DType, Device};
 use rayon::prelude::*;
 use serde::Serialize;
 
-use crate::config::{Config, DataKind, EvalSplit, scene_name};
+use crate::config::{
+    Attack, Config, DataKind, EvalSplit, Init, LEVELS, Method, Objective, OutputPlace, Passes, PerturbConfig,
+    PerturbField, PerturbKind, PixelOrigin, Resample, StepUnit,
+};
 use crate::data::{Camera, Image, Progress, RayBuffer, Scene, View};
 use crate::error::{Error, Result};
 use crate::metrics::{Lpips, MeanMetrics, ViewMetrics, measure};
@@ -126,8 +129,44 @@ pub struct Protocol {
     pub views_trained: usize,
     /// Views that were evaluated.
     pub views_evaluated: usize,
+    /// Where in a pixel its ray goes through: `corner` or `centre`.
+    pub pixel_origin: PixelOrigin,
     /// `nerf` or `aug-nerf`.
     pub method: String,
+    /// What fills the perturbed pass; this and all to `lambda` are empty without one.
+    pub perturb_kind: Option<PerturbKind>,
+    /// Levels that are on, with their passes where these are not both: `t xyz view feature:fine`.
+    pub levels: Option<String>,
+    /// Which numbers fill the perturbation's unset fields: `paper` or `calibrated`.
+    pub attack: Option<Attack>,
+    /// Steps, step size and epsilon of each level that is on: `t 3/0.01/0.5, ...`.
+    pub attack_numbers: Option<String>,
+    /// Unit of the step sizes.
+    pub step_unit: Option<StepUnit>,
+    /// Trunk layer that the feature delta is added to.
+    pub injection_layer: Option<usize>,
+    /// Network of the perturbed pass.
+    pub perturb_field: Option<PerturbField>,
+    /// How clean and perturbed loss are mixed.
+    pub objective: Option<Objective>,
+    /// Where the output deltas are added.
+    pub output: Option<OutputPlace>,
+    /// Where the perturbed fine pass takes its samples from.
+    pub resample: Option<Resample>,
+    /// Weight of the perturbed loss.
+    pub lambda: Option<f64>,
+    /// Width of the trunk.
+    pub field_width: usize,
+    /// Layers of the trunk.
+    pub field_depth: usize,
+    /// How weights are drawn.
+    pub init: Init,
+    /// Samples of the coarse pass.
+    pub samples_coarse: usize,
+    /// Further samples of the fine pass.
+    pub samples_fine: usize,
+    /// Rays of a step.
+    pub rays: usize,
     /// Weight updates.
     pub steps: u64,
     /// Seed of all random streams.
@@ -146,11 +185,13 @@ impl Protocol {
     /// The protocol of a run after `steps` steps.
     pub fn new(config: &Config, scene: &Scene, steps: u64, redraws: &[u64]) -> Protocol {
         let camera = scene.test.first().or(scene.train.first()).map(|view| view.camera);
+        let perturb = (config.method == Method::AugNerf).then_some(&config.perturb);
+        let deltas = perturb.filter(|perturb| perturb.kind != PerturbKind::FreshJitter);
         let named = Model::roles(config).into_iter().zip(redraws).map(|(role, draws)| format!("{role} {draws}"));
         Protocol {
             protocol: PROTOCOL,
             dataset: scene.kind.to_string(),
-            scene: scene_name(&config.data.dir),
+            scene: config.data.name.clone(),
             width: camera.map_or(0, |camera| camera.width),
             height: camera.map_or(0, |camera| camera.height),
             background: match scene.background {
@@ -162,7 +203,25 @@ impl Protocol {
             split: split_name(config),
             views_trained: scene.train.len(),
             views_evaluated: scene.test.len(),
+            pixel_origin: config.data.pixel_origin,
             method: config.method.name().into(),
+            perturb_kind: perturb.map(|perturb| perturb.kind),
+            levels: deltas.map(levels),
+            attack: deltas.map(|perturb| perturb.attack),
+            attack_numbers: deltas.map(attack_numbers),
+            step_unit: deltas.and_then(|perturb| perturb.step_unit),
+            injection_layer: deltas.filter(|perturb| perturb.feature.on()).map(|perturb| perturb.injection_layer),
+            perturb_field: perturb.map(|perturb| perturb.field),
+            objective: perturb.map(|perturb| perturb.objective),
+            output: deltas.map(|perturb| perturb.output),
+            resample: deltas.map(|perturb| perturb.resample),
+            lambda: perturb.map(|perturb| perturb.lambda),
+            field_width: config.field.width,
+            field_depth: config.field.depth,
+            init: config.field.init,
+            samples_coarse: config.sampling.coarse,
+            samples_fine: config.sampling.fine,
+            rays: config.train.rays,
             steps,
             seed: config.seed,
             redraws: named.collect::<Vec<String>>().join(", "),
@@ -173,9 +232,29 @@ impl Protocol {
     }
 }
 
+fn levels(perturb: &PerturbConfig) -> String {
+    let named =
+        LEVELS.into_iter().filter(|&level| perturb.delta(level).on()).map(|level| match perturb.delta(level).passes {
+            Passes::Coarse => format!("{}:coarse", level.name()),
+            Passes::Fine => format!("{}:fine", level.name()),
+            Passes::Both | Passes::Off => level.name().to_string(),
+        });
+    named.collect::<Vec<String>>().join(" ")
+}
+
+fn attack_numbers(perturb: &PerturbConfig) -> String {
+    let numbers = LEVELS.into_iter().filter(|&level| perturb.delta(level).on()).map(|level| {
+        let delta = perturb.delta(level);
+        let text = |number: Option<f64>| number.map_or(String::new(), |number| number.to_string());
+        let steps = delta.steps.map_or(String::new(), |steps| steps.to_string());
+        format!("{} {steps}/{}/{}", level.name(), text(delta.step_size), text(delta.epsilon))
+    });
+    numbers.collect::<Vec<String>>().join(", ")
+}
+
 fn split_name(config: &Config) -> String {
     let split = match (config.data.kind, config.data.eval_split) {
-        (DataKind::Blender, EvalSplit::Val) => "val".to_string(),
+        (DataKind::Blender | DataKind::BuiltinBlender, EvalSplit::Val) => "val".to_string(),
         (DataKind::Blender | DataKind::BuiltinBlender, _) => "test".to_string(),
         _ => format!("every-{}", config.data.holdout),
     };

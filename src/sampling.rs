@@ -4,7 +4,6 @@
 //! gradient flows through any of this.
 
 use candle_core::{DType, Tensor};
-use rayon::prelude::*;
 
 use crate::error::Result;
 
@@ -44,7 +43,7 @@ pub fn importance(t_vals: &Tensor, weights: &Tensor, u: &Tensor) -> Result<Tenso
     let (_, fine) = u.dims2()?;
     let (t, w, u) = (host_rows(t_vals)?, host_rows(weights)?, host_rows(u)?);
     let mut merged = vec![0f64; rays * (coarse + fine)];
-    merged.par_chunks_mut(coarse + fine).enumerate().for_each(|(ray, out)| {
+    for (ray, out) in merged.chunks_mut(coarse + fine).enumerate() {
         let t = &t[ray * coarse..][..coarse];
         let bins: Vec<f64> = t.windows(2).map(|pair| 0.5 * (pair[0] + pair[1])).collect();
         let interior = &w[ray * coarse + 1..][..coarse - 2];
@@ -52,7 +51,7 @@ pub fn importance(t_vals: &Tensor, weights: &Tensor, u: &Tensor) -> Result<Tenso
         inverse_cdf(&bins, interior, &u[ray * fine..][..fine], &mut out[coarse..]);
         // total_cmp orders NaN, too: a broken weight is to be reported, not to panic here.
         out.sort_unstable_by(f64::total_cmp);
-    });
+    }
     Ok(Tensor::from_vec(merged, (rays, coarse + fine), t_vals.device())?.to_dtype(t_vals.dtype())?)
 }
 

@@ -51,7 +51,7 @@ const TINY: [&str; 14] = [
     "--set",
     "sampling.fine=8",
     "--set",
-    "train.rays=96",
+    "train.rays=64",
     "--set",
     "train.chunk=32",
     "--set",
@@ -139,7 +139,13 @@ fn a_run_leaves_everything_it_promises() {
     assert!(metrics["mean"]["lpips_squeeze"].is_null(), "missing is empty, not 0");
     assert_eq!(metrics["views"].as_array().unwrap().len(), 8);
     let protocol = &metrics["protocol"];
-    for (field, value) in [("dataset", "builtin-blender"), ("scene", "builtin"), ("background", "white")] {
+    for (field, value) in [
+        ("dataset", "builtin-blender"),
+        ("scene", "builtin"),
+        ("background", "white"),
+        ("attack", "paper"),
+        ("levels", "t xyz view feature rgb density"),
+    ] {
         assert_eq!(protocol[field], value);
     }
     assert_eq!((&protocol["steps"], &protocol["seed"], &protocol["width"]), (&40.into(), &0.into(), &16.into()));
@@ -265,8 +271,17 @@ fn the_exported_scene_trains_like_any_other() {
     }
     let out = dir.path().join("run");
     succeed(&tiny(&out, &["--data", scene.to_str().unwrap(), "--set", "data.width=0", "--set", "data.downscale=1"]));
-    let metrics: serde_json::Value = serde_json::from_str(&text(&out.join("metrics.json"))).unwrap();
-    assert_eq!(metrics["protocol"]["dataset"], "blender");
+    let before = text(&out.join("metrics.json"));
+    let metrics: serde_json::Value = serde_json::from_str(&before).unwrap();
+    assert_eq!((&metrics["protocol"]["dataset"], &metrics["protocol"]["scene"]), (&"blender".into(), &"scene".into()));
+    // A scene that has moved keeps its name and its numbers.
+    let moved = dir.path().join("elsewhere");
+    std::fs::rename(&scene, &moved).unwrap();
+    let folder = out.to_str().unwrap();
+    refuse(&["eval", folder], 3, &["scene"]);
+    succeed(&["eval", "--quiet", folder, "--data", moved.to_str().unwrap()]);
+    assert_eq!(text(&out.join("metrics.json")), before);
+    succeed(&["resume", "--quiet", folder, "--data", moved.to_str().unwrap()]);
 }
 
 #[test]
@@ -293,6 +308,7 @@ fn wrong_settings_are_refused_with_exit_code_2() {
         2,
         &["perturb.injection_layer", "9", "1 to 4"],
     );
+    refuse(&["train", "--set", "data.width=16", "--set", "train.rays=100"], 2, &["train.rays", "100", "64"]);
     refuse(&["train", "--config", "nowhere.toml"], 2, &["nowhere.toml"]);
     refuse(&["train", "--no-such-flag"], 2, &["--no-such-flag"]);
     let dir = TempDir::new().unwrap();
@@ -344,6 +360,12 @@ fn a_checkpoint_of_another_architecture_is_refused_with_exit_code_5() {
     std::fs::write(out.join("config.toml"), config.replace("[field]\nwidth = 16", "[field]\nwidth = 32")).unwrap();
     refuse(&["eval", folder], 5, &["state.safetensors", "trunk.0.weight", "[16", "[32", "architecture"]);
     refuse(&["resume", folder], 5, &["config.toml", "changed"]);
+    // The same architecture under other settings is another run, too.
+    std::fs::write(out.join("config.toml"), config.replace("pixel_origin = \"corner\"", "pixel_origin = \"centre\""))
+        .unwrap();
+    for command in ["eval", "render", "resume"] {
+        refuse(&[command, folder], 5, &["config.toml", "changed"]);
+    }
     std::fs::write(out.join("config.toml"), &config).unwrap();
     let tensors = out.join("checkpoints/step_000000002/state.safetensors");
     let bytes = std::fs::read(&tensors).unwrap();

@@ -55,7 +55,11 @@ fn chunks_bound_memory_and_change_no_picture() {
 
 #[test]
 fn a_run_whose_rays_are_all_empty_is_stopped() {
-    let config = tiny_config(Method::Nerf, |config| config.train.collapse_steps = 4);
+    // Density noise must not hide it: the field that is evaluated has none.
+    let config = tiny_config(Method::Nerf, |config| {
+        config.train.collapse_steps = 4;
+        config.sampling.density_noise = Some(1e4);
+    });
     let mut trainer = trained(&config, 0);
     for (name, var) in trainer.model().variables() {
         if name.ends_with("density.bias") {

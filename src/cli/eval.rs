@@ -41,7 +41,9 @@ pub struct Trained {
 impl Trained {
     /// The newest checkpoint of a run with its scene.
     pub fn open(run: &Path, data: Option<&Path>, device: &Device, screen: &Screen) -> Result<Trained> {
-        let run = RunDir::open(run)?;
+        let mut run = RunDir::open(run)?;
+        // No training may prune the checkpoint that is being read.
+        run.lock()?;
         let mut config = run_config(&run)?;
         if let Some(dir) = data {
             config.data.dir = dir.to_string_lossy().into_owned();
@@ -49,6 +51,7 @@ impl Trained {
         let newest = checkpoint::latest(&run.checkpoints())?;
         let state = checkpoint::load_state(&newest)?;
         let model = checkpoint::load_model(&newest, &config, DType::F32, device)?;
+        checkpoint::check_config(&newest, &state, &config)?;
         let scene = load_scene(&mut config, screen)?;
         Ok(Trained { run, config, scene, state, model })
     }
@@ -84,8 +87,7 @@ impl EvalArguments {
         let device = self.machine.device()?;
         let screen = Screen::new(self.machine.quiet);
         let lpips = load_lpips(self.sources.weights.lpips_weights.as_deref(), &device)?;
-        let mut trained = Trained::open(&self.run, self.sources.data.as_deref(), &device, &screen)?;
-        trained.run.lock()?;
+        let trained = Trained::open(&self.run, self.sources.data.as_deref(), &device, &screen)?;
         let Trained { run, config, scene, state, model } = &trained;
         let viewer = Viewer { model, config, scene, device: &device };
         let views = viewer.evaluate(&lpips, &screen, |_, _, _| Ok(()))?;

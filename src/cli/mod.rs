@@ -80,7 +80,7 @@ struct LpipsWeights {
 impl Machine {
     /// Opens the device; sets the number of threads, which must happen before the first tensor.
     fn device(&self) -> Result<Device> {
-        set_threads(self.threads.map(usize::from));
+        set_threads(self.threads.map(usize::from))?;
         let refuse = |found: String| Error::Config(format!("--device {}: {found}", self.device));
         let (kind, index) = self.device.split_once(':').unwrap_or((&self.device, "0"));
         let index: usize = index.parse().map_err(|_| refuse(format!("'{index}' is not a device number")))?;
@@ -99,7 +99,7 @@ impl Machine {
 /// Sets up the threads, before the first tensor: `threads` of our own (default: all cores), each
 /// working on a chunk of rays of its own, and none inside tensor operations, where they would wait
 /// for one another more than they compute.
-pub fn set_threads(threads: Option<usize>) {
+pub fn set_threads(threads: Option<usize>) -> Result<()> {
     // SAFETY: called at the start of the program's only thread.
     unsafe {
         std::env::set_var("RAYON_NUM_THREADS", "1");
@@ -107,7 +107,7 @@ pub fn set_threads(threads: Option<usize>) {
     }
     let threads = threads.unwrap_or_else(|| std::thread::available_parallelism().map_or(1, usize::from));
     let pool = rayon::ThreadPoolBuilder::new().num_threads(threads);
-    pool.build_global().expect("the pool is set up once");
+    pool.build_global().map_err(|e| Error::Config(format!("--threads {threads}: cannot start the threads: {e}")))
 }
 
 /// Runs the program; the exit code is that of the error's class.

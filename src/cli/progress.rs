@@ -76,11 +76,12 @@ impl TrainingBar {
     }
 
     /// Shows a finished step.
-    pub fn stepped(&mut self, step: u64, loss: f64, psnr: f64) {
+    pub fn stepped(&mut self, step: u64, loss: f64, psnr: Option<f64>) {
         let done = step - self.first;
         let seconds = self.started.elapsed().as_secs_f64();
         let rate = done as f64 / seconds;
-        let state = format!("loss {loss:.4}  PSNR {psnr:.2} dB  {:.0} rays/s", rate * self.rays);
+        let psnr = psnr.map_or("-".into(), |psnr| format!("{psnr:.2}"));
+        let state = format!("loss {loss:.4}  PSNR {psnr} dB  {:.0} rays/s", rate * self.rays);
         match &self.bar {
             Some(bar) => {
                 bar.set_message(state);
@@ -89,7 +90,7 @@ impl TrainingBar {
             None if self.quiet => {}
             None if self.line_at.elapsed() >= LINE_EVERY || step == self.total => {
                 self.line_at = Instant::now();
-                let left = Duration::from_secs_f64((self.total - step) as f64 / rate);
+                let left = Duration::try_from_secs_f64((self.total - step) as f64 / rate).unwrap_or(Duration::MAX);
                 eprintln!("step {step}/{}  {state}  ETA {}", self.total, indicatif::HumanDuration(left));
             }
             None => {}

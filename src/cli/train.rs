@@ -9,7 +9,7 @@ use candle_core::{DType, Device};
 use clap::Args;
 use toml::Value;
 
-use crate::config::{Config, DataKind, Method, Preset, build, data_section, parse_assignment, scene_name};
+use crate::config::{Config, DataKind, Preset, build, data_section, parse_assignment, scene_name};
 use crate::data::{self, Scene};
 use crate::error::{Error, Result};
 use crate::evaluate::{Protocol, Report, Viewer};
@@ -34,7 +34,8 @@ pub struct TrainArguments {
     /// the embedded scene, the paper's settings for a real one]
     #[arg(long, value_name = "NAME")]
     preset: Option<String>,
-    /// TOML file with settings over the preset's; config.toml of another run works, too
+    /// TOML file with settings over the preset's; a run's config.toml repeats that run (it has every number filled
+    /// in, so it is no base for another scene or attack)
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
     /// nerf or aug-nerf [default: the preset's]
@@ -83,10 +84,11 @@ impl TrainArguments {
             return Ok(());
         }
         let folder = self.out.clone().unwrap_or_else(|| default_folder(&config));
+        // Whatever can be refused is refused before --overwrite deletes anything.
+        let trainer = Trainer::new(&config, &scene, DType::F32, &device)?;
         let run = RunDir::create(&folder, self.overwrite)?;
         run.check_writable(bytes_needed(&config, &scene))?;
         write_atomic(&run.config(), config.to_toml().as_bytes())?;
-        let trainer = Trainer::new(&config, &scene, DType::F32, &device)?;
         Job { run, config, scene, lpips, device, machine: self.machine, screen, earlier: None }.train(trainer)
     }
 
@@ -134,7 +136,7 @@ impl ResumeArguments {
         if let Some(dir) = &self.sources.data {
             config.data.dir = dir.to_string_lossy().into_owned();
         }
-        let earlier = read_timing(&run);
+        let earlier = read_timing(&run)?;
         let lpips = load_lpips(self.sources.weights.lpips_weights.as_deref(), &device)?;
         let scene = load_scene(&mut config, &screen)?;
         run.check_writable(bytes_needed(&config, &scene))?;
@@ -151,6 +153,15 @@ impl ResumeArguments {
 /// Finds the kind of scene, fills what depends on it, and loads.
 pub fn load_scene(config: &mut Config, screen: &Screen) -> Result<Scene> {
     let kind = data::detect(&config.data)?;
+    if !config.data.dir.is_empty() {
+        // Found again from any working directory; `.` gets its real name.
+        let dir = Path::new(&config.data.dir);
+        let dir = std::fs::canonicalize(dir).map_err(|e| Error::unreadable(dir, &e))?;
+        config.data.dir = dir.to_string_lossy().into_owned();
+    }
+    if config.data.name.is_empty() {
+        config.data.name = scene_name(&config.data.dir);
+    }
     config.resolve_kind(kind);
     config.validate()?;
     let scene = data::load(&config.data, screen)?;
@@ -159,8 +170,7 @@ pub fn load_scene(config: &mut Config, screen: &Screen) -> Result<Scene> {
 }
 
 fn default_folder(config: &Config) -> PathBuf {
-    let scene = scene_name(&config.data.dir);
-    Path::new("runs").join(format!("{scene}-{}-{}", config.method.name(), config.hash()))
+    Path::new("runs").join(format!("{}-{}-{}", config.data.name, config.method.name(), config.hash()))
 }
 
 /// A generous estimate of what a run writes: checkpoints, logs, pictures.
@@ -174,8 +184,15 @@ fn bytes_needed(config: &Config, scene: &Scene) -> u64 {
     (checkpoints + pictures + logs + (1 << 20)) as u64
 }
 
-fn read_timing(run: &RunDir) -> Option<Timing> {
-    serde_json::from_slice(&std::fs::read(run.timing()).ok()?).ok()
+fn read_timing(run: &RunDir) -> Result<Option<Timing>> {
+    let path = run.timing();
+    let bytes = match std::fs::read(&path) {
+        Ok(bytes) => bytes,
+        Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(None),
+        Err(error) => return Err(Error::unreadable(&path, &error)),
+    };
+    let damaged = |error| Error::Checkpoint(format!("cannot read {}: {error}; delete it to go on", path.display()));
+    serde_json::from_slice(&bytes).map(Some).map_err(damaged)
 }
 
 /// Everything that a training needs once its settings are known.
@@ -208,8 +225,10 @@ impl Job {
             bar: TrainingBar::new(self.machine.quiet, first, self.config.train.steps, self.config.train.rays),
             job: &self,
             started_unix,
+            seconds_evaluation: 0.0,
         };
-        let mut session = Session::new(&self.run, trainer)?;
+        let resumed = self.earlier.is_some() || first > 0;
+        let mut session = Session::new(&self.run, trainer, resumed)?;
         let outcome = session.run(&signal, &mut watcher);
         watcher.bar.finish();
         if let Outcome::Stopped { signal } = outcome? {
@@ -217,10 +236,10 @@ impl Job {
         }
         let evaluating = Instant::now();
         let report = self.evaluate(session.trainer(), &signal)?;
-        let seconds = evaluating.elapsed().as_secs_f64();
+        let seconds = evaluating.elapsed().as_secs_f64() + watcher.seconds_evaluation;
         self.timing(session.trainer().step_count(), session.seconds(), seconds, started_unix)
             .write(&self.run.timing())?;
-        self.summarise(&report.mean, session.seconds());
+        self.summarise(&report, session.seconds());
         Ok(())
     }
 
@@ -267,7 +286,8 @@ impl Job {
         }
     }
 
-    fn summarise(&self, mean: &MeanMetrics, seconds: f64) {
+    fn summarise(&self, report: &Report, seconds: f64) {
+        let mean = &report.mean;
         let number = |value: Option<f64>, digits: usize| value.map_or("-".into(), |value| format!("{value:.digits$}"));
         self.screen.say(&format!(
             "{} held-out views: PSNR {} dB  SSIM {}  LPIPS(squeeze) {}  ({} steps, {seconds:.0} s)",
@@ -277,12 +297,10 @@ impl Job {
             number(mean.lpips_squeeze, 3),
             self.config.train.steps,
         ));
-        if self.config.method == Method::AugNerf {
-            let inactive = AttackSummary::read(&self.run.scalars()).unwrap_or_default();
-            let inactive: Vec<&str> = inactive.iter().filter(|level| level.inactive).map(|level| level.level).collect();
-            if !inactive.is_empty() {
-                self.screen.say(&format!("inactive levels (no effect on the loss): {}", inactive.join(", ")));
-            }
+        let inactive: Vec<&str> =
+            report.attack.iter().filter(|level| level.inactive).map(|level| level.level).collect();
+        if !inactive.is_empty() {
+            self.screen.say(&format!("inactive levels (no effect on the loss): {}", inactive.join(", ")));
         }
         self.screen.say(&format!("results: {}", self.run.path().display()));
     }
@@ -293,6 +311,8 @@ struct Watcher<'a> {
     bar: TrainingBar,
     job: &'a Job,
     started_unix: u64,
+    /// Seconds spent on evaluations during training.
+    seconds_evaluation: f64,
 }
 
 impl Observer for Watcher<'_> {
@@ -301,7 +321,9 @@ impl Observer for Watcher<'_> {
     }
 
     fn evaluate(&mut self, trainer: &Trainer) -> Result<Vec<(&'static str, f64)>> {
+        let started = Instant::now();
         let views = self.job.viewer(trainer).evaluate(&[], &(), |_, _, _| Ok(()))?;
+        self.seconds_evaluation += started.elapsed().as_secs_f64();
         let mean = MeanMetrics::from_views(&views);
         let step = trainer.step_count();
         if let Some(psnr) = mean.psnr {
@@ -312,7 +334,7 @@ impl Observer for Watcher<'_> {
     }
 
     fn saved(&mut self, step: u64, seconds: f64) -> Result<()> {
-        self.job.timing(step, seconds, 0.0, self.started_unix).write(&self.job.run.timing())
+        self.job.timing(step, seconds, self.seconds_evaluation, self.started_unix).write(&self.job.run.timing())
     }
 }
 

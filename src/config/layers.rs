@@ -222,10 +222,30 @@ mod tests {
     }
 
     #[test]
+    fn the_released_presets_are_the_released_code() {
+        for preset in [Preset::ReleasedLlff, Preset::ReleasedBlender] {
+            let mut config = build(Some(preset), None, &[]).unwrap();
+            config.perturb.resolve(0.1);
+            let p = &config.perturb;
+            assert_eq!((p.lambda, p.injection_layer, p.perturb_last), (0.5, 8, true));
+            assert_eq!(p.output, crate::config::OutputPlace::Before);
+            let numbers = |level| (p.delta(level).steps, p.delta(level).step_size, p.delta(level).epsilon);
+            for level in [crate::config::Level::Feature, crate::config::Level::Density] {
+                assert_eq!(numbers(level), (Some(1), Some(1e-5), Some(1e-5)));
+            }
+            assert!(!p.rgb.on() && !p.view.on() && !config.sampling.jitter);
+        }
+    }
+
+    #[test]
     fn the_hash_follows_content_and_not_the_folder_above_the_scene() {
         let hash = |texts: &[&str]| set(texts).unwrap().hash();
         assert_eq!(hash(&["data.dir=/a/fern"]), hash(&["data.dir=/b/c/fern"]));
         assert_ne!(hash(&["data.dir=/a/fern"]), hash(&["data.dir=/a/trex"]));
         assert_ne!(hash(&["seed=1"]), hash(&["seed=2"]));
+        assert_eq!(hash(&["train.log_every=7"]), hash(&["eval.pictures=0"]));
+        // The perturbed pass counts only where there is one.
+        assert_eq!(hash(&["perturb.lambda=1"]), hash(&[]));
+        assert_ne!(hash(&["method=aug-nerf", "perturb.lambda=1"]), hash(&["method=aug-nerf"]));
     }
 }

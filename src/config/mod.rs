@@ -140,6 +140,8 @@ pub enum PixelOrigin {
 pub struct DataConfig {
     /// Scene folder; empty for the embedded scene.
     pub dir: String,
+    /// The scene's name in results. Empty = the folder's name, `builtin` for the embedded scene.
+    pub name: String,
     /// Reader.
     pub kind: DataKind,
     /// Integer factor by which images are smaller than the originals. LLFF: `images_{factor}`,
@@ -176,6 +178,7 @@ impl Default for DataConfig {
     fn default() -> Self {
         DataConfig {
             dir: String::new(),
+            name: String::new(),
             kind: DataKind::Auto,
             downscale: None,
             width: 0,
@@ -375,12 +378,29 @@ impl Config {
         self.perturb.resolve((far - near) / self.sampling.coarse as f64);
     }
 
-    /// A 12-digit content hash of everything that can change a number: equal hashes, equal runs.
-    /// The scene counts by its folder's name, not by where that folder lies.
+    /// A 12-digit content hash of everything that can change a weight or a metric. The scene counts
+    /// by its name, not by where its folder lies; how often a run logs, evaluates or saves does
+    /// not count, and neither does section `perturb` without a perturbed pass.
     pub fn hash(&self) -> String {
         use sha2::{Digest, Sha256};
         let mut portable = self.clone();
-        portable.data.dir = scene_name(&self.data.dir);
+        if portable.data.name.is_empty() {
+            portable.data.name = scene_name(&self.data.dir);
+        }
+        portable.data.dir = String::new();
+        portable.eval = EvalConfig::default();
+        let defaults = TrainConfig::default();
+        portable.train = TrainConfig {
+            log_every: defaults.log_every,
+            eval_every: defaults.eval_every,
+            checkpoint_every: defaults.checkpoint_every,
+            checkpoint_minutes: defaults.checkpoint_minutes,
+            keep_checkpoints: defaults.keep_checkpoints,
+            ..portable.train
+        };
+        if self.method == Method::Nerf {
+            portable.perturb = PerturbConfig::default();
+        }
         let digest = Sha256::digest(portable.to_toml().as_bytes());
         digest.iter().take(6).map(|byte| format!("{byte:02x}")).collect()
     }

@@ -13,7 +13,8 @@ pub enum PerturbKind {
     Gaussian,
     /// Uniform draws in the same sets.
     Uniform,
-    /// No perturbation: a second clean pass with fresh jitter, the control of equal compute.
+    /// No perturbation: a second clean pass with fresh jitter, the control of equal loss weight and almost equal
+    /// compute (nothing is searched).
     FreshJitter,
 }
 
@@ -97,7 +98,8 @@ pub enum Norm {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Radius {
-    /// A pixel: 2/W under NDC, 1/f otherwise, at most half a mean sample distance.
+    /// A pixel: 2/W under NDC, 1/f otherwise, at most half a mean sample distance along the ray in scene units.
+    /// The cap is on one epsilon's worth, not on epsilon times it.
     #[default]
     Pixel,
     /// min(2/max(H, W), half a mean sample distance), as the released code.
@@ -277,7 +279,7 @@ impl PerturbConfig {
     /// opacity by about 4/255.
     pub fn resolve(&mut self, interval: f64) {
         let attack = self.attack;
-        let unit = *self.step_unit.get_or_insert(match attack {
+        self.step_unit.get_or_insert(match attack {
             Attack::Paper => StepUnit::Absolute,
             Attack::Calibrated => StepUnit::Relative,
         });
@@ -287,7 +289,7 @@ impl PerturbConfig {
                 Level::T | Level::Xyz | Level::View => 3,
                 Level::Feature | Level::Rgb | Level::Density => 1,
             });
-            let epsilon = *delta.epsilon.get_or_insert(match (attack, level) {
+            delta.epsilon.get_or_insert(match (attack, level) {
                 (Attack::Paper, Level::T) => 0.5,
                 (Attack::Calibrated, Level::T) => 0.25,
                 (_, Level::Xyz | Level::View) => 1.0,
@@ -304,8 +306,8 @@ impl PerturbConfig {
                 (Attack::Paper, Level::Rgb | Level::Density) => 1e-5,
                 // 2.5 epsilon / steps; a step of zero length where no step is taken.
                 (Attack::Calibrated, _) if steps == 0 => 0.0,
-                (Attack::Calibrated, _) if unit == StepUnit::Relative => 2.5 / steps as f64,
-                (Attack::Calibrated, _) => 2.5 * epsilon / steps as f64,
+                // In radii, which is the only unit that validation lets it have.
+                (Attack::Calibrated, _) => 2.5 / steps as f64,
             });
         }
     }

@@ -78,7 +78,7 @@ impl Config {
     fn validate_train(&self) -> Result<()> {
         let train = &self.train;
         let positive = |name: &str, value: f64| require(value.is_finite() && value > 0.0, name, value, "positive");
-        require(train.steps >= 1, "train.steps", train.steps, "at least 1")?;
+        require((1..=1_000_000_000).contains(&train.steps), "train.steps", train.steps, "at least 1, at most 10^9")?;
         require((1..=1 << 20).contains(&train.rays), "train.rays", train.rays, "1 to 1048576")?;
         require((1..=1 << 20).contains(&train.chunk), "train.chunk", train.chunk, "1 to 1048576 rays")?;
         positive("train.learning_rate", train.learning_rate)?;
@@ -91,7 +91,8 @@ impl Config {
         require(train.log_every >= 1, "train.log_every", train.log_every, "at least 1")?;
         let minutes = train.checkpoint_minutes;
         require(minutes.is_finite() && minutes >= 0.0, "train.checkpoint_minutes", minutes, "0 (off) or positive")?;
-        require(train.keep_checkpoints >= 1, "train.keep_checkpoints", train.keep_checkpoints, "at least 1")?;
+        let keep = train.keep_checkpoints;
+        require((1..=10_000).contains(&keep), "train.keep_checkpoints", keep, "1 to 10000")?;
         let share = train.dead_start_share;
         require((0.0..1.0).contains(&share), "train.dead_start_share", share, "0 (off) to below 1")
     }
@@ -106,7 +107,8 @@ impl Config {
         let allowed = "0 or positive, and at most 1 with perturb.objective = \"released\"";
         require(lambda.is_finite() && (0.0..=largest).contains(&lambda), "perturb.lambda", lambda, allowed)?;
         let layer = perturb.injection_layer;
-        if self.method == Method::AugNerf && perturb.feature.on() {
+        let perturbs = self.method == Method::AugNerf && perturb.kind != PerturbKind::FreshJitter;
+        if perturbs && perturb.feature.on() {
             let allowed = format!("1 to {} (field.depth)", self.field.depth);
             require((1..=self.field.depth).contains(&layer), "perturb.injection_layer", layer, &allowed)?;
         }
@@ -121,10 +123,28 @@ impl Config {
             ));
         }
         let on = LEVELS.iter().any(|&level| perturb.delta(level).on());
-        if self.method == Method::AugNerf && perturb.kind != PerturbKind::FreshJitter && !on {
+        if perturbs && !on {
             return Err(Error::Config(
                 "method = \"aug-nerf\" with every perturb.*.passes = \"off\" perturbs nothing; \
                  use method = \"nerf\", or perturb.kind = \"fresh-jitter\" for the control"
+                    .into(),
+            ));
+        }
+        if perturb.attack == Attack::Paper && perturb.step_unit == Some(StepUnit::Relative) {
+            let unset = LEVELS.into_iter().find(|&level| perturb.delta(level).step_size.is_none());
+            if let Some(level) = unset {
+                return Err(Error::Config(format!(
+                    "perturb.step_unit = \"relative\" measures steps in radii, which the paper's step sizes are not; \
+                     set perturb.{}.step_size, too",
+                    level.name()
+                )));
+            }
+        }
+        let still = !self.sampling.jitter && self.sampling.density_noise == Some(0.0);
+        if self.method == Method::AugNerf && perturb.kind == PerturbKind::FreshJitter && still {
+            return Err(Error::Config(
+                "perturb.kind = \"fresh-jitter\" needs sampling.jitter = true or sampling.density_noise above 0: \
+                 otherwise the second pass equals the first"
                     .into(),
             ));
         }

@@ -9,10 +9,6 @@
 use candle_core::backend::BackendStorage;
 use candle_core::op::{Add, Relu};
 use candle_core::{CpuStorage, CudaStorage, CustomOp2, CustomOp3, Layout, MetalStorage, Result, Shape, Tensor};
-use rayon::prelude::*;
-
-/// Elements that one task of an element-wise loop works on.
-const BLOCK: usize = 1 << 14;
 
 /// `activation(x @ weight^T + bias)`: x `[n, inputs]`, weight `[outputs, inputs]`, bias
 /// `[outputs]` -> `[n, outputs]`. The activation is ReLU or none; ReLU's derivative at 0 is 0.
@@ -74,24 +70,15 @@ impl Dense {
     }
 }
 
-fn add_bias<T: Copy + Send + Sync + PartialOrd + Default + std::ops::Add<Output = T>>(
-    y: &mut [T],
-    bias: &[T],
-    relu: bool,
-) {
-    if bias.is_empty() {
-        return;
-    }
-    let rows = (BLOCK / bias.len()).max(1);
-    y.par_chunks_mut(rows * bias.len()).for_each(|block| {
-        for row in block.chunks_exact_mut(bias.len()) {
-            for (value, &b) in row.iter_mut().zip(bias) {
-                let sum = *value + b;
-                // Not `max`: a NaN must stay one, to be found and reported.
-                *value = if relu && sum < T::default() { T::default() } else { sum };
-            }
+/// One thread: chunks of rays, not operations, are shared among cores.
+fn add_bias<T: Copy + PartialOrd + Default + std::ops::Add<Output = T>>(y: &mut [T], bias: &[T], relu: bool) {
+    for row in y.chunks_exact_mut(bias.len().max(1)) {
+        for (value, &b) in row.iter_mut().zip(bias) {
+            let sum = *value + b;
+            // Not `max`: a NaN must stay one, to be found and reported.
+            *value = if relu && sum < T::default() { T::default() } else { sum };
         }
-    });
+    }
 }
 
 impl CustomOp3 for Dense {
@@ -166,14 +153,8 @@ fn mask_where_zero(gradient: &Tensor, y: &Tensor) -> Result<Tensor> {
 
 struct ReluMask;
 
-fn masked<T: Copy + Send + Sync + PartialOrd + Default>(gradient: &[T], y: &[T]) -> Vec<T> {
-    let mut out = vec![T::default(); y.len()];
-    out.par_chunks_mut(BLOCK).zip(gradient.par_chunks(BLOCK)).zip(y.par_chunks(BLOCK)).for_each(|((out, g), y)| {
-        for ((out, &g), &y) in out.iter_mut().zip(g).zip(y) {
-            *out = if y > T::default() { g } else { T::default() };
-        }
-    });
-    out
+fn masked<T: Copy + PartialOrd + Default>(gradient: &[T], y: &[T]) -> Vec<T> {
+    gradient.iter().zip(y).map(|(&g, &y)| if y > T::default() { g } else { T::default() }).collect()
 }
 
 impl CustomOp2 for ReluMask {

@@ -157,8 +157,8 @@ impl DeltaSet {
     }
 
     /// Share of entries (of samples, for a ball) within 0.1 % of the radius or on a bound, among
-    /// those that may move at all.
-    pub fn share_at_bound(&self, delta: &Tensor) -> Result<f64> {
+    /// those that may move at all; none if none may.
+    pub fn share_at_bound(&self, delta: &Tensor) -> Result<Option<f64>> {
         let size = match self.norm {
             Norm::Linf => delta.abs()?,
             Norm::L2 => l2_norm(delta)?,
@@ -177,7 +177,7 @@ impl DeltaSet {
         }
         let total = movable.sum_all()?.to_scalar::<f64>()?;
         let share = (at_bound * movable)?.sum_all()?.to_scalar::<f64>()?;
-        Ok(if total > 0.0 { share / total } else { 0.0 })
+        Ok((total > 0.0).then(|| share / total))
     }
 }
 
@@ -215,7 +215,12 @@ impl Sets {
                 Level::Xyz => {
                     let cap = (direction_norm * ((far - near) / (2.0 * (pass.coarse_samples as f64 - 1.0))))?;
                     let pixel = scalar(pass.pixel.radius(config.xyz_radius))?;
-                    let radius = (cap.broadcast_minimum(&pixel)? * epsilon)?.unsqueeze(2)?; // [rays, 1, 1]
+                    let radius = match config.xyz_radius {
+                        Radius::Pixel => cap.broadcast_minimum(&pixel)?,
+                        // The released code's cap knows no length of the direction.
+                        Radius::Released => cap.broadcast_div(direction_norm)?.broadcast_minimum(&pixel)?,
+                    };
+                    let radius = (radius * epsilon)?.unsqueeze(2)?; // [rays, 1, 1]
                     DeltaSet::new(norm, radius, &[rays, samples, 3])
                 }
                 Level::View => {
@@ -254,11 +259,12 @@ impl Sets {
         LEVELS.into_iter().filter(|&level| self.get(level).is_some())
     }
 
-    /// A random point of every set.
-    pub fn draw(&self, draw: Draw, random: &mut Random) -> Result<Deltas> {
+    /// A random point of every set. Each level has numbers of its own, so that switching one on or
+    /// off leaves the others' as they were.
+    pub fn draw(&self, draw: Draw, random: impl Fn(Level) -> Random) -> Result<Deltas> {
         let mut deltas = Deltas::default();
         for level in self.levels() {
-            deltas.set(level, self.get(level).expect("is on").draw(draw, random)?);
+            deltas.set(level, self.get(level).expect("is on").draw(draw, &mut random(level))?);
         }
         Ok(deltas)
     }

@@ -47,8 +47,12 @@ pub struct PassOutput {
     pub rgb: Tensor,
     /// Density of each sample after activation and delta, `[rays, samples]`.
     pub density: Tensor,
+    /// Raw density of each sample without noise, detached, `[rays, samples]`.
+    pub raw_density: Tensor,
     /// The deltas as used: `rgb` and `density` projected for this forward, the others as given.
     pub used: Deltas,
+    /// The sets that they were projected onto: `rgb` and `density` cut by what this forward left.
+    pub sets: Sets,
 }
 
 /// Renders one pass without perturbation.
@@ -56,7 +60,7 @@ pub fn clean_pass(field: &Field, pass: Pass) -> Result<PassOutput> {
     let points = points_at(pass.rays, pass.t_vals)?;
     let raw = query(field, &points, &pass.rays.viewdirs, None)?;
     let (rgb, density) = activate(&raw, pass.density_noise)?;
-    finish(pass, pass.t_vals, rgb, density, Deltas::default())
+    finish(pass, pass.t_vals, &raw, (rgb, density), (Deltas::default(), Sets::default()))
 }
 
 /// Renders one pass with perturbation (paper, algorithm 1, lines 9 to 13).
@@ -76,27 +80,39 @@ pub fn perturbed_pass(field: &Field, pass: Pass, perturbation: Perturbation) -> 
     };
     let feature = deltas.get(Level::Feature).map(|delta| (perturbation.injection_layer, delta));
     let raw = query(field, &points, &viewdirs, feature)?;
-    let mut used = deltas.clone();
-    let (rgb, density) = match perturbation.output {
+    let (mut used, mut sets) = (deltas.clone(), perturbation.sets.clone());
+    let activated = match perturbation.output {
         OutputPlace::After => {
             let (rgb, density) = activate(&raw, pass.density_noise)?;
-            add_after(perturbation, rgb, density, &mut used)?
+            add_after(perturbation, rgb, density, (&mut used, &mut sets))?
         }
-        OutputPlace::Before => {
-            let raw = add_before(perturbation, raw, &mut used)?;
-            activate(&raw, pass.density_noise)?
-        }
+        OutputPlace::Before => activate(&add_before(perturbation, &raw, &mut used)?, pass.density_noise)?,
     };
-    finish(pass, &t_vals, rgb, density, used)
+    finish(pass, &t_vals, &raw, activated, (used, sets))
 }
 
-fn finish(pass: Pass, t_vals: &Tensor, rgb: Tensor, density: Tensor, used: Deltas) -> Result<PassOutput> {
+fn finish(
+    pass: Pass,
+    t_vals: &Tensor,
+    raw: &RawOutput,
+    (rgb, density): (Tensor, Tensor),
+    (used, sets): (Deltas, Sets),
+) -> Result<PassOutput> {
     let composite = volume::composite(&rgb, &density, t_vals, &pass.rays.direction_norm, pass.background)?;
-    Ok(PassOutput { composite, rgb, density, used })
+    Ok(PassOutput { composite, rgb, density, raw_density: raw.density.detach(), used, sets })
+}
+
+/// Accumulation of rays without density noise, `[rays]`: what an evaluation would see.
+pub fn noiseless_acc(out: &PassOutput, pass: Pass) -> Result<Tensor> {
+    if pass.density_noise.is_none() {
+        return Ok(out.composite.acc.detach());
+    }
+    let intervals = volume::intervals(pass.t_vals, &pass.rays.direction_norm)?;
+    Ok(volume::weights_from_density(&out.raw_density.relu()?, &intervals)?.sum(D::Minus1)?)
 }
 
 /// origin + t * direction, `[rays, samples, 3]`.
-fn points_at(rays: &Rays, t_vals: &Tensor) -> Result<Tensor> {
+pub fn points_at(rays: &Rays, t_vals: &Tensor) -> Result<Tensor> {
     let along = t_vals.unsqueeze(2)?.broadcast_mul(&rays.directions.unsqueeze(1)?)?;
     Ok(along.broadcast_add(&rays.origins.unsqueeze(1)?)?)
 }
@@ -134,7 +150,12 @@ fn activate(raw: &RawOutput, density_noise: Option<&Tensor>) -> Result<(Tensor, 
 /// Adds the output deltas to colour and density, projected so that colour stays in 0..=1 and
 /// density does not turn negative. The projected value counts; gradients pass to delta and field
 /// as if nothing had been projected.
-fn add_after(p: Perturbation, rgb: Tensor, density: Tensor, used: &mut Deltas) -> Result<(Tensor, Tensor)> {
+fn add_after(
+    p: Perturbation,
+    rgb: Tensor,
+    density: Tensor,
+    (used, sets): (&mut Deltas, &mut Sets),
+) -> Result<(Tensor, Tensor)> {
     let mut add = |level: Level, value: Tensor| -> Result<Tensor> {
         let (Some(delta), Some(set)) = (p.deltas.get(level), p.sets.get(level)) else { return Ok(value) };
         let now = value.detach();
@@ -142,7 +163,9 @@ fn add_after(p: Perturbation, rgb: Tensor, density: Tensor, used: &mut Deltas) -
             Level::Rgb => now.affine(-1.0, 1.0)?,
             _ => (now.zeros_like()? + f64::from(f32::MAX))?,
         };
-        let projected = set.within(now.neg()?, upper).project(&delta.detach())?;
+        let cut = set.within(now.neg()?, upper);
+        let projected = cut.project(&delta.detach())?;
+        sets.set(level, cut);
         let moved = (&now + &projected)?;
         // The projected sum can leave the range by a rounding.
         let legal = match level {
@@ -162,15 +185,15 @@ fn straight_through(exact: Tensor, value: &Tensor, delta: &Tensor) -> Result<Ten
 }
 
 /// Adds the output deltas before the activations: the box alone limits them.
-fn add_before(p: Perturbation, raw: RawOutput, used: &mut Deltas) -> Result<RawOutput> {
-    let mut add = |level: Level, value: Tensor| -> Result<Tensor> {
-        let (Some(delta), Some(set)) = (p.deltas.get(level), p.sets.get(level)) else { return Ok(value) };
+fn add_before(p: Perturbation, raw: &RawOutput, used: &mut Deltas) -> Result<RawOutput> {
+    let mut add = |level: Level, value: &Tensor| -> Result<Tensor> {
+        let (Some(delta), Some(set)) = (p.deltas.get(level), p.sets.get(level)) else { return Ok(value.clone()) };
         let projected = set.project(&delta.detach())?;
         let moved = (value.detach() + &projected)?;
         used.set(level, projected);
-        straight_through(moved, &value, delta)
+        straight_through(moved, value, delta)
     };
-    Ok(RawOutput { rgb: add(Level::Rgb, raw.rgb)?, density: add(Level::Density, raw.density)? })
+    Ok(RawOutput { rgb: add(Level::Rgb, &raw.rgb)?, density: add(Level::Density, &raw.density)? })
 }
 
 /// The deterministic image of rays for evaluation: no jitter, no noise, evenly spaced u. Without a
@@ -198,9 +221,4 @@ pub fn render_rays(
 /// Mean squared error over rays and channels between colours `[rays, 3]`.
 pub fn photometric_loss(rgb: &Tensor, target: &Tensor) -> Result<Tensor> {
     Ok((rgb - target)?.sqr()?.mean_all()?)
-}
-
-/// Squared error per ray, mean over channels, `[rays]`.
-pub fn loss_per_ray(rgb: &Tensor, target: &Tensor) -> Result<Tensor> {
-    Ok((rgb - target)?.sqr()?.mean(D::Minus1)?)
 }

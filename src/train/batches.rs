@@ -2,6 +2,7 @@
 
 use crate::config::{Batching, Config, PixelOrigin};
 use crate::data::{Camera, Ndc, RayBuffer, Scene};
+use crate::error::{Error, Result};
 use crate::rng::{Random, Stream};
 
 /// The training views' pixels and the order in which they are drawn. A batch is a function of the
@@ -29,9 +30,10 @@ pub struct Batch {
 }
 
 impl Batches {
-    /// Batches over the training views of `scene`.
-    pub fn new(config: &Config, scene: &Scene) -> Batches {
-        Batches {
+    /// Batches over the training views of `scene`. A batch larger than what it is drawn from is
+    /// refused: it would be smaller than the configuration says.
+    pub fn new(config: &Config, scene: &Scene) -> Result<Batches> {
+        let batches = Batches {
             seed: config.seed,
             rays: config.train.rays,
             batching: config.train.batching.expect("resolved"),
@@ -42,7 +44,44 @@ impl Batches {
             ndc: scene.ndc,
             pixel_origin: config.data.pixel_origin,
             epoch: None,
+        };
+        batches.check()?;
+        Ok(batches)
+    }
+
+    fn check(&self) -> Result<()> {
+        let pixels = |camera: &Camera| camera.width * camera.height;
+        let (available, of) = match self.batching {
+            Batching::AllImages => (self.cameras.iter().map(pixels).sum(), "all training images have"),
+            Batching::OneImage => {
+                let smallest = self.cameras.iter().map(|camera| {
+                    let side = |size| self.part(size, 0).1 as usize;
+                    side(camera.width) * side(camera.height)
+                });
+                (smallest.min().unwrap_or(0), "one image (its central part during train.precrop_steps) has")
+            }
+        };
+        if u32::try_from(available).is_err() {
+            return Err(Error::Config(format!(
+                "the training images have {available} pixels, more than 2^32 - 1; raise data.downscale"
+            )));
         }
+        if self.rays > available {
+            return Err(Error::Config(format!(
+                "train.rays = {} is out of range: it must be at most {available}, the pixels that {of}",
+                self.rays
+            )));
+        }
+        Ok(())
+    }
+
+    /// First pixel and number of pixels that a step draws from along a side of `size`.
+    fn part(&self, size: usize, step: u64) -> (u32, u32) {
+        if step >= self.precrop_steps {
+            return (0, size as u32);
+        }
+        let kept = ((size as f64 * self.precrop_fraction).round() as usize).clamp(1, size);
+        (((size - kept) / 2) as u32, kept as u32)
     }
 
     /// The batch of a step.
@@ -64,7 +103,7 @@ impl Batches {
     fn shuffled(&mut self, step: u64) -> Vec<(usize, u32, u32)> {
         let sizes: Vec<usize> = self.cameras.iter().map(|camera| camera.width * camera.height).collect();
         let total: usize = sizes.iter().sum();
-        let rays = self.rays.min(total);
+        let rays = self.rays;
         let per_epoch = (total / rays) as u64;
         let epoch = step / per_epoch;
         if self.epoch.as_ref().is_none_or(|(cached, _)| *cached != epoch) {
@@ -91,14 +130,7 @@ impl Batches {
         let mut random = Random::new(self.seed, Stream::Batches, step);
         let view = random.below(self.cameras.len() as u32) as usize;
         let camera = &self.cameras[view];
-        let central = |size: usize| {
-            if step >= self.precrop_steps {
-                return (0, size as u32);
-            }
-            let kept = ((size as f64 * self.precrop_fraction).round() as usize).clamp(1, size);
-            (((size - kept) / 2) as u32, kept as u32)
-        };
-        let ((x0, width), (y0, height)) = (central(camera.width), central(camera.height));
+        let ((x0, width), (y0, height)) = (self.part(camera.width, step), self.part(camera.height, step));
         let chosen = random.distinct(self.rays, width * height);
         chosen.iter().map(|&flat| (view, x0 + flat % width, y0 + flat / width)).collect()
     }
@@ -143,7 +175,7 @@ mod tests {
         config.train.batching = Some(batching);
         config.resolve_kind(crate::config::DataKind::Blender);
         config.train.precrop_steps = Some(5);
-        Batches::new(&config, &scene())
+        Batches::new(&config, &scene()).unwrap()
     }
 
     #[test]

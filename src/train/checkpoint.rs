@@ -79,6 +79,20 @@ pub fn load_model(checkpoint: &Path, config: &Config, dtype: DType, device: &Dev
     Model::from_parameters(config, tensors.all("", &Model::parameter_names(config))?)
 }
 
+/// Refuses a checkpoint that was written under another configuration.
+pub fn check_config(checkpoint: &Path, state: &State, config: &Config) -> Result<()> {
+    if state.config_hash == config.hash() {
+        return Ok(());
+    }
+    Err(Error::Checkpoint(format!(
+        "{} was written under configuration {}, the run's config.toml is {}: it was changed since; restore it, or \
+         start a new run",
+        checkpoint.display(),
+        state.config_hash,
+        config.hash()
+    )))
+}
+
 /// The counters of a checkpoint.
 pub fn load_state(checkpoint: &Path) -> Result<State> {
     let path = checkpoint.join(STATE);
@@ -176,15 +190,7 @@ impl Trainer {
     /// Continues from a checkpoint folder.
     pub fn resume(checkpoint: &Path, config: &Config, scene: &Scene, dtype: DType, device: &Device) -> Result<Trainer> {
         let state = load_state(checkpoint)?;
-        if state.config_hash != config.hash() {
-            return Err(Error::Checkpoint(format!(
-                "{} was written under configuration {}, the run's config.toml is {}: it was changed since; \
-                 restore it, or start a new run",
-                checkpoint.display(),
-                state.config_hash,
-                config.hash()
-            )));
-        }
+        check_config(checkpoint, &state, config)?;
         let names = Model::parameter_names(config);
         let tensors = Tensors::open(checkpoint, dtype, device)?;
         let model = Model::from_parameters(config, tensors.all("", &names)?)?;

@@ -6,9 +6,8 @@ use serde::Serialize;
 
 use crate::config::{LEVELS, Level};
 use crate::error::{Error, Result};
-use crate::perturbations::{Deltas, Draw};
-use crate::render::photometric_loss;
-use crate::rng::Random;
+use crate::perturbations::Deltas;
+use crate::render::{PassOutput, photometric_loss};
 
 use super::{PerturbedPass, Trainer, scalar};
 
@@ -24,8 +23,8 @@ pub struct LevelDiagnostics {
     pub gain: f64,
     /// The same minus the loss with uniform random deltas of the same set.
     pub gain_over_random: f64,
-    /// Share of entries at the set's bound, mean of the passes.
-    pub share_at_bound: f64,
+    /// Share of entries at the set's bound, mean of the passes; none where nothing may move.
+    pub share_at_bound: Option<f64>,
     /// The gain is under 1e-4 of the clean loss.
     pub inactive: bool,
 }
@@ -41,8 +40,8 @@ pub struct AttackSummary {
     pub mean_gain: f64,
     /// Mean gain over random deltas of the same set.
     pub mean_gain_over_random: f64,
-    /// Mean share of entries at the set's bound.
-    pub mean_share_at_bound: f64,
+    /// Mean share of entries at the set's bound; none where nothing may move.
+    pub mean_share_at_bound: Option<f64>,
     /// Share of logged steps at which the level was inactive.
     pub inactive_share: f64,
     /// Inactive at more than half of the logged steps: the row does not test this level.
@@ -71,14 +70,14 @@ impl AttackSummary {
             if steps == 0 {
                 return None;
             }
-            let [mean_gain, mean_gain_over_random, mean_share_at_bound, inactive_share] =
-                values.map(|values| values.iter().sum::<f64>() / steps as f64);
+            let mean = |values: &[f64]| values.iter().sum::<f64>() / values.len() as f64;
+            let inactive_share = mean(&values[3]);
             Some(AttackSummary {
                 level: level.name(),
                 steps,
-                mean_gain,
-                mean_gain_over_random,
-                mean_share_at_bound,
+                mean_gain: mean(&values[0]),
+                mean_gain_over_random: mean(&values[1]),
+                mean_share_at_bound: (!values[2].is_empty()).then(|| mean(&values[2])),
                 inactive_share,
                 inactive: inactive_share > 0.5,
             })
@@ -96,17 +95,20 @@ struct LevelSums {
     gain: f64,
     gain_over_random: f64,
     at_bound: f64,
-    passes: f64,
+    /// Shares of chunks that `at_bound` counts.
+    bounded: f64,
 }
 
 impl Sums {
-    fn add(&mut self, level: Level, share: f64, gain: f64, gain_over_random: f64, at_bound: f64) {
+    fn add(&mut self, level: Level, share: f64, gain: f64, gain_over_random: f64, at_bound: Option<f64>) {
         let index = self.index(level);
         let sums = &mut self.0[index];
         sums.gain += share * gain;
         sums.gain_over_random += share * gain_over_random;
-        sums.at_bound += share * at_bound;
-        sums.passes += share;
+        if let Some(at_bound) = at_bound {
+            sums.at_bound += share * at_bound;
+            sums.bounded += share;
+        }
     }
 
     pub(super) fn merge(&mut self, other: Sums) {
@@ -116,13 +118,13 @@ impl Sums {
             mine.gain += sums.gain;
             mine.gain_over_random += sums.gain_over_random;
             mine.at_bound += sums.at_bound;
-            mine.passes += sums.passes;
+            mine.bounded += sums.bounded;
         }
     }
 
     fn index(&mut self, level: Level) -> usize {
         self.0.iter().position(|sums| sums.level == level).unwrap_or_else(|| {
-            self.0.push(LevelSums { level, gain: 0.0, gain_over_random: 0.0, at_bound: 0.0, passes: 0.0 });
+            self.0.push(LevelSums { level, gain: 0.0, gain_over_random: 0.0, at_bound: 0.0, bounded: 0.0 });
             self.0.len() - 1
         })
     }
@@ -132,7 +134,7 @@ impl Sums {
             level: sums.level,
             gain: sums.gain,
             gain_over_random: sums.gain_over_random,
-            share_at_bound: sums.at_bound / sums.passes,
+            share_at_bound: (sums.bounded > 0.0).then(|| sums.at_bound / sums.bounded),
             inactive: sums.gain < INACTIVE_SHARE * clean_loss,
         };
         self.0.into_iter().map(finish).collect()
@@ -140,13 +142,14 @@ impl Sums {
 }
 
 impl Trainer {
-    /// Measures each level of a perturbed pass by itself, with the deltas `used` in it.
+    /// Measures each level of a perturbed pass by itself: with the deltas that it used, and with
+    /// the random ones in `drawn`.
     pub(super) fn diagnose(
         &self,
         passing: &PerturbedPass,
-        used: &Deltas,
+        out: &PassOutput,
+        drawn: &Deltas,
         share: f64,
-        random: &mut Random,
         sums: &mut Sums,
     ) -> Result<()> {
         let frozen = passing.field.frozen();
@@ -154,14 +157,18 @@ impl Trainer {
             let out = self.run(passing, &frozen, deltas)?;
             scalar(&photometric_loss(&out.composite.rgb, passing.target)?)
         };
-        let drawn = passing.sets.draw(Draw::Uniform, random)?;
         let without = loss(&Deltas::default())?;
-        for level in passing.sets.levels() {
-            let with = loss(&used.only(level))?;
+        for level in LEVELS {
+            let (Some(set), Some(used)) = (out.sets.get(level), out.used.get(level)) else {
+                // Switched on with a set of size 0: there is no perturbation, and no gain.
+                if self.config.perturb.delta(level).on() && self.config.perturb.delta(level).epsilon == Some(0.0) {
+                    sums.add(level, share, 0.0, 0.0, None);
+                }
+                continue;
+            };
+            let with = loss(&out.used.only(level))?;
             let with_random = loss(&drawn.only(level))?;
-            let set = passing.sets.get(level).expect("is on");
-            let at_bound = set.share_at_bound(used.get(level).expect("is on"))?;
-            sums.add(level, share, with - without, with - with_random, at_bound);
+            sums.add(level, share, with - without, with - with_random, set.share_at_bound(used)?);
         }
         Ok(())
     }

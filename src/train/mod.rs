@@ -8,13 +8,15 @@ use candle_core::backprop::GradStore;
 use candle_core::{DType, Device, Tensor};
 use rayon::prelude::*;
 
-use crate::config::{Config, Method, Objective, PerturbConfig, PerturbKind, Resample};
+use crate::config::{Config, Level, Method, Objective, PerturbConfig, PerturbKind, Resample};
 use crate::data::{Rays, Scene};
 use crate::error::{Error, Result};
 use crate::field::Field;
 use crate::model::Model;
 use crate::perturbations::{Deltas, Draw, PassGeometry, PixelScale, Sets, StepSizes, worst_case};
-use crate::render::{Pass, PassOutput, Perturbation, clean_pass, perturbed_pass, photometric_loss};
+use crate::render::{
+    Pass, PassOutput, Perturbation, clean_pass, noiseless_acc, perturbed_pass, photometric_loss, points_at,
+};
 use crate::rng::{Random, Stream};
 use crate::sampling;
 
@@ -74,7 +76,7 @@ pub struct StepStats {
     pub loss_perturbed: Option<f64>,
     /// What was minimised: clean and perturbed loss as the objective mixes them.
     pub loss: f64,
-    /// Largest accumulation of a ray in the pass that is evaluated.
+    /// Largest accumulation of a ray in the pass that is evaluated, without density noise.
     pub largest_acc: f64,
     /// Per level that is on, at log steps.
     pub levels: Vec<LevelDiagnostics>,
@@ -82,8 +84,10 @@ pub struct StepStats {
 
 impl StepStats {
     /// PSNR of the batch in the pass that is evaluated, dB, unrounded.
-    pub fn psnr(&self) -> f64 {
-        -10.0 * self.loss_fine.unwrap_or(self.loss_coarse).log10()
+    /// None where the error is 0.
+    pub fn psnr(&self) -> Option<f64> {
+        let mse = self.loss_fine.unwrap_or(self.loss_coarse);
+        (mse > 0.0).then(|| -10.0 * mse.log10())
     }
 }
 
@@ -143,7 +147,7 @@ struct PerturbedPass<'a> {
     sets: Sets,
 }
 
-/// Gradients in the order of the optimizer's variables.
+/// Gradients (or other tensors of the parameters' shapes) in the order of the optimizer's variables.
 struct Gradients(Vec<Option<Tensor>>);
 
 /// What one chunk adds to a step.
@@ -188,7 +192,7 @@ impl Gradients {
         Ok(())
     }
 
-    /// The first parameter whose gradient is not finite.
+    /// The first parameter whose tensor is not finite.
     fn find_non_finite(&self, adam: &Adam) -> Result<Option<String>> {
         let named = adam.variables().iter().zip(&self.0).filter_map(|((name, _), g)| g.as_ref().map(|g| (name, g)));
         let (names, sums): (Vec<&String>, Vec<_>) = named.map(|(name, g)| (name, g.sum_all())).unzip();
@@ -205,8 +209,7 @@ impl Trainer {
         let mut trainer =
             Trainer::with_model(config, scene, Model::init(config, &redraws, dtype, device)?, dtype, device)?;
         let first = trainer.chunk(0)?;
-        let points = first.t_coarse.unsqueeze(2)?.broadcast_mul(&first.rays.directions.unsqueeze(1)?)?;
-        let points = points.broadcast_add(&first.rays.origins.unsqueeze(1)?)?.flatten(0, 1)?;
+        let points = points_at(&first.rays, &first.t_coarse)?.flatten(0, 1)?;
         loop {
             let dead = trainer.dead_fields(&points)?;
             if dead.is_empty() {
@@ -237,7 +240,7 @@ impl Trainer {
             adam: Adam::new(model.variables())?,
             redraws: vec![0; model.fields().len()],
             model,
-            batches: Batches::new(config, scene),
+            batches: Batches::new(config, scene)?,
             step: 0,
             empty_steps: 0,
             config: config.clone(),
@@ -348,6 +351,11 @@ impl Trainer {
         self.check_finite(&stats, &sum.gradients)?;
         self.check_alive(&stats)?;
         self.adam.update(&sum.gradients.0, stats.learning_rate, stats.step)?;
+        let parameters =
+            Gradients(self.adam.variables().iter().map(|(_, var)| Some(var.as_detached_tensor())).collect());
+        if let Some(name) = parameters.find_non_finite(&self.adam)? {
+            return Err(self.non_finite(stats.step, &format!("parameter {name}")));
+        }
         self.step += 1;
         Ok(stats)
     }
@@ -366,11 +374,10 @@ impl Trainer {
         };
         let t_fine = self.clean(chunk, clean_weight, &mut result)?;
         if self.config.method == Method::AugNerf {
-            let mut random = Random::part(self.config.seed, Stream::Attack, self.step, chunk.index);
             let loss = if self.config.perturb.kind == PerturbKind::FreshJitter {
-                self.second_clean(chunk, perturbed_weight, &mut random, &mut result.gradients)?
+                self.second_clean(chunk, perturbed_weight, &mut result.gradients)?
             } else {
-                self.perturbed(chunk, t_fine.as_ref(), perturbed_weight, &mut random, &mut result, log)?
+                self.perturbed(chunk, t_fine.as_ref(), perturbed_weight, &mut result, log)?
             };
             result.loss_perturbed = Some(loss * chunk.share);
         }
@@ -383,7 +390,7 @@ impl Trainer {
         let weight = weight * chunk.share;
         result.loss_coarse = chunk.share * self.descend(&coarse, &chunk.target, weight, &mut result.gradients)?;
         let (Some(field), Some(u)) = (&self.model.fine, &chunk.u) else {
-            result.largest_acc = largest(&coarse.composite.acc)?;
+            result.largest_acc = largest(&noiseless_acc(&coarse, self.coarse_pass(chunk))?)?;
             return Ok(None);
         };
         let t_vals = sampling::importance(&chunk.t_coarse, &coarse.composite.weights, u)?;
@@ -391,7 +398,7 @@ impl Trainer {
         let fine = clean_pass(field, self.fine_pass(chunk, &t_vals))?;
         let loss = self.descend(&fine, &chunk.target, weight, &mut result.gradients)?;
         result.loss_fine = Some(chunk.share * loss);
-        result.largest_acc = largest(&fine.composite.acc)?;
+        result.largest_acc = largest(&noiseless_acc(&fine, self.fine_pass(chunk, &t_vals))?)?;
         Ok(Some(t_vals))
     }
 
@@ -416,8 +423,9 @@ impl Trainer {
     }
 
     /// The control of equal compute: another clean pass with its own jitter, noise and samples.
-    fn second_clean(&self, chunk: &Chunk, weight: f64, random: &mut Random, gradients: &mut Gradients) -> Result<f64> {
-        let mut fresh = self.draw_clean(chunk.rays.clone(), chunk.target.clone(), random)?;
+    fn second_clean(&self, chunk: &Chunk, weight: f64, gradients: &mut Gradients) -> Result<f64> {
+        let mut random = Random::part(self.config.seed, Stream::Attack, self.step, chunk.index);
+        let mut fresh = self.draw_clean(chunk.rays.clone(), chunk.target.clone(), &mut random)?;
         fresh.share = chunk.share;
         let coarse = clean_pass(&self.model.coarse, self.coarse_pass(&fresh))?;
         let mut loss = self.descend(&coarse, &fresh.target, weight * fresh.share, gradients)?;
@@ -436,7 +444,6 @@ impl Trainer {
         chunk: &Chunk,
         t_fine: Option<&Tensor>,
         weight: f64,
-        random: &mut Random,
         result: &mut ChunkResult,
         log: bool,
     ) -> Result<f64> {
@@ -452,20 +459,19 @@ impl Trainer {
             };
             let field = self.model.adversarial.as_ref().unwrap_or(own);
             let passing = PerturbedPass { field, pass, target: &chunk.target, sets: self.sets(is_coarse, pass)? };
-            let deltas = self.find_deltas(&passing, random)?;
+            let random = |stream: Stream| {
+                let pass = 2 * chunk.index + u64::from(is_coarse);
+                move |level: Level| Random::part(self.config.seed, stream, self.step, 8 * pass + level as u64)
+            };
+            let deltas = self.find_deltas(&passing, random(Stream::Attack))?;
             let out = self.run(&passing, field, &deltas)?;
             total += self.descend(&out, &chunk.target, weight * chunk.share, &mut result.gradients)?;
             if log {
-                let mut random = Random::part(
-                    self.config.seed,
-                    Stream::Diagnostics,
-                    self.step,
-                    2 * chunk.index + u64::from(is_coarse),
-                );
-                self.diagnose(&passing, &out.used, chunk.share, &mut random, &mut result.diagnostics)?;
+                let drawn = passing.sets.draw(Draw::Uniform, random(Stream::Diagnostics))?;
+                self.diagnose(&passing, &out, &drawn, chunk.share, &mut result.diagnostics)?;
             }
             if let (true, Resample::Perturbed, Some(u)) = (is_coarse, self.config.perturb.resample, &chunk.u) {
-                let moved = match deltas.get(crate::config::Level::T) {
+                let moved = match deltas.get(Level::T) {
                     Some(delta) => (pass.t_vals + delta)?,
                     None => pass.t_vals.clone(),
                 };
@@ -495,7 +501,7 @@ impl Trainer {
     }
 
     /// Random or worst-case deltas, detached.
-    fn find_deltas(&self, passing: &PerturbedPass, random: &mut Random) -> Result<Deltas> {
+    fn find_deltas(&self, passing: &PerturbedPass, random: impl Fn(Level) -> Random) -> Result<Deltas> {
         match self.config.perturb.kind {
             PerturbKind::Gaussian => return passing.sets.draw(Draw::Gaussian, random),
             PerturbKind::Uniform => return passing.sets.draw(Draw::Uniform, random),
@@ -520,14 +526,15 @@ impl Trainer {
             Some((name, _)) => Some(name.to_string()),
             None => gradients.find_non_finite(&self.adam)?.map(|name| format!("gradient of {name}")),
         };
-        match tensor {
-            None => Ok(()),
-            Some(tensor) => Err(Error::Diverged(format!(
-                "training went non-finite at step {}: the {tensor} is not a number; lower train.learning_rate \
-                 ({}), or the step sizes of section perturb, and start again or resume from the last checkpoint",
-                stats.step, self.config.train.learning_rate
-            ))),
-        }
+        tensor.map_or(Ok(()), |tensor| Err(self.non_finite(stats.step, &tensor)))
+    }
+
+    fn non_finite(&self, step: u64, tensor: &str) -> Error {
+        Error::Diverged(format!(
+            "training went non-finite at step {step}: the {tensor} is not a number; lower train.learning_rate ({}), \
+             or the step sizes of section perturb, and start again or resume from the last checkpoint",
+            self.config.train.learning_rate
+        ))
     }
 
     fn check_alive(&mut self, stats: &StepStats) -> Result<()> {

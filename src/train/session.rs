@@ -70,26 +70,28 @@ fn values(stats: &StepStats) -> Vec<(String, f64)> {
         ("learning_rate".to_string(), stats.learning_rate),
         ("loss".into(), stats.loss),
         ("loss_coarse".into(), stats.loss_coarse),
-        ("psnr".into(), stats.psnr()),
     ];
+    values.extend(stats.psnr().map(|psnr| ("psnr".into(), psnr)));
     values.extend(stats.loss_fine.map(|loss| ("loss_fine".into(), loss)));
     values.extend(stats.loss_perturbed.map(|loss| ("loss_perturbed".into(), loss)));
     for level in &stats.levels {
-        let numbers = [level.gain, level.gain_over_random, level.share_at_bound, f64::from(u8::from(level.inactive))];
-        values.extend(diagnostics::columns(level.level).into_iter().zip(numbers));
+        let inactive = f64::from(u8::from(level.inactive));
+        let numbers = [Some(level.gain), Some(level.gain_over_random), level.share_at_bound, Some(inactive)];
+        let named = diagnostics::columns(level.level).into_iter().zip(numbers);
+        values.extend(named.filter_map(|(name, number)| number.map(|number| (name, number))));
     }
     values
 }
 
 impl<'a> Session<'a> {
     /// A session that goes on from the trainer's step: 0, or that of the checkpoint it was resumed
-    /// from.
-    pub fn new(run: &'a RunDir, trainer: Trainer) -> Result<Session<'a>> {
+    /// from. `resumed` says that an earlier session may have left later steps in the logs.
+    pub fn new(run: &'a RunDir, trainer: Trainer, resumed: bool) -> Result<Session<'a>> {
         let columns = columns(trainer.config());
         let columns: Vec<&str> = columns.iter().map(String::as_str).collect();
         let step = trainer.step_count();
         let scalars = Scalars::resume(&run.scalars(), &columns, step)?;
-        let events = EventWriter::create(&run.tensorboard(), (step > 0).then_some(step))?;
+        let events = EventWriter::create(&run.tensorboard(), resumed.then_some(step))?;
         Ok(Session { run, trainer, scalars, events, stepping: Duration::ZERO })
     }
 
@@ -108,7 +110,6 @@ impl<'a> Session<'a> {
     pub fn run(&mut self, signal: &AtomicUsize, observer: &mut dyn Observer) -> Result<Outcome> {
         let train = self.trainer.config().train.clone();
         let mut saved_at = Instant::now();
-        let mut saved_step = self.trainer.step_count();
         while self.trainer.step_count() < train.steps {
             let next = self.trainer.step_count() + 1;
             let last = next == train.steps;
@@ -116,8 +117,8 @@ impl<'a> Session<'a> {
             let started = Instant::now();
             let stats = self.trainer.step(log)?;
             self.stepping += started.elapsed();
-            // Nothing but 0 is a multiple of 0, which is "never" here.
-            let evaluate = next.is_multiple_of(train.eval_every) || (last && train.eval_every > 0);
+            // Nothing but 0 is a multiple of 0, which is "never" here. The last step's evaluation is the run's.
+            let evaluate = next.is_multiple_of(train.eval_every) && !last;
             if log || evaluate {
                 self.log(&stats, evaluate, observer)?;
             }
@@ -128,13 +129,12 @@ impl<'a> Session<'a> {
             let stop = signal.load(Ordering::SeqCst);
             if by_step || by_time || last || stop != 0 {
                 self.save(observer)?;
-                (saved_at, saved_step) = (Instant::now(), next);
+                saved_at = Instant::now();
             }
             if stop != 0 && !last {
                 return Ok(Outcome::Stopped { signal: stop as i32 });
             }
         }
-        debug_assert!(saved_step == self.trainer.step_count());
         Ok(Outcome::Finished)
     }
 
