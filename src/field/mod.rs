@@ -17,7 +17,7 @@ mod dense;
 mod encoding;
 
 pub use dense::{dense, dense_reference};
-pub use encoding::{encode, encoded_channels};
+pub use encoding::{encode, encode_reference, encoded_channels};
 
 /// One layer's parameters, `[outputs, inputs]` and `[outputs]`.
 #[derive(Clone)]
