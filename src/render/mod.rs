@@ -47,6 +47,8 @@ pub struct PassOutput {
     pub rgb: Tensor,
     /// Density of each sample after activation and delta, `[rays, samples]`.
     pub density: Tensor,
+    /// Sample positions with their delta, `[rays, samples]`.
+    pub t_vals: Tensor,
     /// Raw density of each sample without noise, detached, `[rays, samples]`.
     pub raw_density: Tensor,
     /// The deltas as used: `rgb` and `density` projected for this forward, the others as given.
@@ -99,7 +101,8 @@ fn finish(
     (used, sets): (Deltas, Sets),
 ) -> Result<PassOutput> {
     let composite = volume::composite(&rgb, &density, t_vals, &pass.rays.direction_norm, pass.background)?;
-    Ok(PassOutput { composite, rgb, density, raw_density: raw.density.detach(), used, sets })
+    let (t_vals, raw_density) = (t_vals.detach(), raw.density.detach());
+    Ok(PassOutput { composite, rgb, density, t_vals, raw_density, used, sets })
 }
 
 /// Accumulation of rays without density noise, `[rays]`: what an evaluation would see.

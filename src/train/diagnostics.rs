@@ -9,7 +9,8 @@ use crate::error::{Error, Result};
 use crate::perturbations::Deltas;
 use crate::render::{PassOutput, photometric_loss};
 
-use super::{PerturbedPass, Trainer, scalar};
+use super::perturbed::Perturbed;
+use super::{Trainer, scalar};
 
 /// A level whose gain is under this share of the clean loss is inactive.
 const INACTIVE_SHARE: f64 = 1e-4;
@@ -146,12 +147,12 @@ impl Trainer {
     /// the random ones in `drawn`.
     pub(super) fn diagnose(
         &self,
-        passing: &PerturbedPass,
+        passing: &Perturbed,
         out: &PassOutput,
         drawn: &Deltas,
-        share: f64,
         sums: &mut Sums,
     ) -> Result<()> {
+        let share = passing.share;
         let frozen = passing.field.frozen();
         let loss = |deltas: &Deltas| -> Result<f64> {
             let out = self.run(passing, &frozen, deltas)?;

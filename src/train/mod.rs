@@ -8,15 +8,12 @@ use candle_core::backprop::GradStore;
 use candle_core::{DType, Device, Tensor};
 use rayon::prelude::*;
 
-use crate::config::{Config, Level, Method, Objective, PerturbConfig, PerturbKind, Resample};
+use crate::config::{Config, Method, Objective, PerturbKind};
 use crate::data::{Rays, Scene};
 use crate::error::{Error, Result};
-use crate::field::Field;
 use crate::model::Model;
-use crate::perturbations::{Deltas, Draw, PassGeometry, PixelScale, Sets, StepSizes, worst_case};
-use crate::render::{
-    Pass, PassOutput, Perturbation, clean_pass, noiseless_acc, perturbed_pass, photometric_loss, points_at,
-};
+use crate::perturbations::PixelScale;
+use crate::render::{Pass, PassOutput, clean_pass, noiseless_acc, photometric_loss, points_at};
 use crate::rng::{Random, Stream};
 use crate::sampling;
 
@@ -24,6 +21,7 @@ mod batches;
 pub mod checkpoint;
 mod diagnostics;
 mod optimizer;
+mod perturbed;
 mod session;
 
 pub use batches::{Batch, Batches};
@@ -139,14 +137,6 @@ impl Chunk {
     }
 }
 
-/// One perturbed pass: which field, which samples, which sets.
-struct PerturbedPass<'a> {
-    field: &'a Field,
-    pass: Pass<'a>,
-    target: &'a Tensor,
-    sets: Sets,
-}
-
 /// Gradients (or other tensors of the parameters' shapes) in the order of the optimizer's variables.
 struct Gradients(Vec<Option<Tensor>>);
 
@@ -161,14 +151,25 @@ struct ChunkResult {
 }
 
 impl ChunkResult {
+    fn new(parameters: usize) -> ChunkResult {
+        ChunkResult {
+            gradients: Gradients(vec![None; parameters]),
+            loss_coarse: 0.0,
+            loss_fine: None,
+            loss_perturbed: None,
+            largest_acc: 0.0,
+            diagnostics: diagnostics::Sums::default(),
+        }
+    }
+
+    /// Loss of the passes that [`Trainer::clean`] descended.
+    fn loss(&self) -> f64 {
+        self.loss_coarse + self.loss_fine.unwrap_or(0.0)
+    }
+
     fn add(&mut self, other: ChunkResult) -> Result<()> {
         let both = |a: Option<f64>, b: Option<f64>| a.zip(b).map(|(a, b)| a + b);
-        for (sum, gradient) in self.gradients.0.iter_mut().zip(other.gradients.0) {
-            *sum = match (sum.take(), gradient) {
-                (Some(sum), Some(gradient)) => Some((sum + gradient)?),
-                (sum, gradient) => sum.or(gradient),
-            };
-        }
+        self.gradients.merge(other.gradients)?;
         self.loss_coarse += other.loss_coarse;
         self.loss_fine = both(self.loss_fine, other.loss_fine);
         self.loss_perturbed = both(self.loss_perturbed, other.loss_perturbed);
@@ -188,6 +189,16 @@ impl Gradients {
                     None => gradient,
                 });
             }
+        }
+        Ok(())
+    }
+
+    fn merge(&mut self, other: Gradients) -> Result<()> {
+        for (sum, gradient) in self.0.iter_mut().zip(other.0) {
+            *sum = match (sum.take(), gradient) {
+                (Some(sum), Some(gradient)) => Some((sum + gradient)?),
+                (sum, gradient) => sum.or(gradient),
+            };
         }
         Ok(())
     }
@@ -337,7 +348,7 @@ impl Trainer {
             sum.add(chunk)?;
         }
         let (clean_weight, perturbed_weight) = mixing(&self.config);
-        let clean = sum.loss_coarse + sum.loss_fine.unwrap_or(0.0);
+        let clean = sum.loss();
         let stats = StepStats {
             step: self.step + 1,
             learning_rate: learning_rate(&self.config.train, self.step),
@@ -364,14 +375,7 @@ impl Trainer {
     /// weighted with the chunk's share, so that chunks add up.
     fn work(&self, chunk: &Chunk, log: bool) -> Result<ChunkResult> {
         let (clean_weight, perturbed_weight) = mixing(&self.config);
-        let mut result = ChunkResult {
-            gradients: Gradients(vec![None; self.adam.variables().len()]),
-            loss_coarse: 0.0,
-            loss_fine: None,
-            loss_perturbed: None,
-            largest_acc: 0.0,
-            diagnostics: diagnostics::Sums::default(),
-        };
+        let mut result = ChunkResult::new(self.adam.variables().len());
         let t_fine = self.clean(chunk, clean_weight, &mut result)?;
         if self.config.method == Method::AugNerf {
             let loss = if self.config.perturb.kind == PerturbKind::FreshJitter {
@@ -379,7 +383,7 @@ impl Trainer {
             } else {
                 self.perturbed(chunk, t_fine.as_ref(), perturbed_weight, &mut result, log)?
             };
-            result.loss_perturbed = Some(loss * chunk.share);
+            result.loss_perturbed = Some(loss);
         }
         Ok(result)
     }
@@ -420,99 +424,6 @@ impl Trainer {
         let loss = photometric_loss(&out.composite.rgb, target)?;
         gradients.add(&self.adam, &(&loss * weight)?.backward()?)?;
         scalar(&loss)
-    }
-
-    /// The control of equal compute: another clean pass with its own jitter, noise and samples.
-    fn second_clean(&self, chunk: &Chunk, weight: f64, gradients: &mut Gradients) -> Result<f64> {
-        let mut random = Random::part(self.config.seed, Stream::Attack, self.step, chunk.index);
-        let mut fresh = self.draw_clean(chunk.rays.clone(), chunk.target.clone(), &mut random)?;
-        fresh.share = chunk.share;
-        let coarse = clean_pass(&self.model.coarse, self.coarse_pass(&fresh))?;
-        let mut loss = self.descend(&coarse, &fresh.target, weight * fresh.share, gradients)?;
-        if let (Some(field), Some(u)) = (&self.model.fine, &fresh.u) {
-            let t_vals = sampling::importance(&fresh.t_coarse, &coarse.composite.weights, u)?;
-            drop(coarse);
-            let fine = clean_pass(field, self.fine_pass(&fresh, &t_vals))?;
-            loss += self.descend(&fine, &fresh.target, weight * fresh.share, gradients)?;
-        }
-        Ok(loss)
-    }
-
-    /// Searches and descends the perturbed passes of a chunk; returns their loss, coarse + fine.
-    fn perturbed(
-        &self,
-        chunk: &Chunk,
-        t_fine: Option<&Tensor>,
-        weight: f64,
-        result: &mut ChunkResult,
-        log: bool,
-    ) -> Result<f64> {
-        let mut total = 0.0;
-        let mut resampled = None;
-        for is_coarse in [true, false] {
-            let own = if is_coarse { Some(&self.model.coarse) } else { self.model.fine.as_ref() };
-            let Some(own) = own else { continue };
-            let pass = match (is_coarse, &resampled, t_fine) {
-                (true, _, _) => self.coarse_pass(chunk),
-                (false, Some(t_vals), _) | (false, None, Some(t_vals)) => self.fine_pass(chunk, t_vals),
-                (false, None, None) => continue,
-            };
-            let field = self.model.adversarial.as_ref().unwrap_or(own);
-            let passing = PerturbedPass { field, pass, target: &chunk.target, sets: self.sets(is_coarse, pass)? };
-            let random = |stream: Stream| {
-                let pass = 2 * chunk.index + u64::from(is_coarse);
-                move |level: Level| Random::part(self.config.seed, stream, self.step, 8 * pass + level as u64)
-            };
-            let deltas = self.find_deltas(&passing, random(Stream::Attack))?;
-            let out = self.run(&passing, field, &deltas)?;
-            total += self.descend(&out, &chunk.target, weight * chunk.share, &mut result.gradients)?;
-            if log {
-                let drawn = passing.sets.draw(Draw::Uniform, random(Stream::Diagnostics))?;
-                self.diagnose(&passing, &out, &drawn, chunk.share, &mut result.diagnostics)?;
-            }
-            if let (true, Resample::Perturbed, Some(u)) = (is_coarse, self.config.perturb.resample, &chunk.u) {
-                let moved = match deltas.get(Level::T) {
-                    Some(delta) => (pass.t_vals + delta)?,
-                    None => pass.t_vals.clone(),
-                };
-                resampled = Some(sampling::importance(&moved, &out.composite.weights, u)?);
-            }
-        }
-        Ok(total)
-    }
-
-    fn sets(&self, is_coarse: bool, pass: Pass) -> Result<Sets> {
-        let geometry = PassGeometry {
-            is_coarse,
-            t_vals: pass.t_vals,
-            direction_norm: &pass.rays.direction_norm,
-            bounds: self.volume.bounds,
-            coarse_samples: self.config.sampling.coarse,
-            width: self.config.field.width,
-            pixel: self.volume.pixel,
-        };
-        Sets::new(&self.config.perturb, &geometry)
-    }
-
-    /// The pass with `deltas` through `field` (live or frozen).
-    fn run(&self, passing: &PerturbedPass, field: &Field, deltas: &Deltas) -> Result<PassOutput> {
-        let PerturbConfig { injection_layer, output, .. } = self.config.perturb;
-        perturbed_pass(field, passing.pass, Perturbation { deltas, sets: &passing.sets, injection_layer, output })
-    }
-
-    /// Random or worst-case deltas, detached.
-    fn find_deltas(&self, passing: &PerturbedPass, random: impl Fn(Level) -> Random) -> Result<Deltas> {
-        match self.config.perturb.kind {
-            PerturbKind::Gaussian => return passing.sets.draw(Draw::Gaussian, random),
-            PerturbKind::Uniform => return passing.sets.draw(Draw::Uniform, random),
-            PerturbKind::WorstCase | PerturbKind::FreshJitter => {}
-        }
-        let start = passing.sets.draw(Draw::Uniform, random)?;
-        let frozen = passing.field.frozen();
-        worst_case(&passing.sets, &StepSizes::new(&self.config.perturb), start, |deltas| {
-            let out = self.run(passing, &frozen, deltas)?;
-            Ok((photometric_loss(&out.composite.rgb, passing.target)?, out.used))
-        })
     }
 
     fn check_finite(&self, stats: &StepStats, gradients: &Gradients) -> Result<()> {

@@ -1,0 +1,134 @@
+//! The perturbed pass of a step: sets, search, descent; or its control.
+
+use candle_core::Tensor;
+
+use crate::config::{Level, PerturbConfig, PerturbKind, Resample};
+use crate::error::Result;
+use crate::field::Field;
+use crate::perturbations::{Deltas, Draw, PassGeometry, Sets, StepSizes, worst_case};
+use crate::render::{Pass, PassOutput, Perturbation, perturbed_pass, photometric_loss};
+use crate::rng::{Random, Stream};
+use crate::sampling;
+
+use super::{Chunk, ChunkResult, Gradients, Trainer};
+
+/// One perturbed pass of a chunk: which field, which samples, which sets.
+pub(super) struct Perturbed<'a> {
+    pub(super) field: &'a Field,
+    pub(super) pass: Pass<'a>,
+    pub(super) target: &'a Tensor,
+    pub(super) sets: Sets,
+    /// Share of the step's rays.
+    pub(super) share: f64,
+    /// Number of the pass within the step: its random numbers are its own.
+    number: u64,
+}
+
+impl Trainer {
+    /// The control: another clean pass with its own jitter, noise and samples. Returns its loss,
+    /// weighted with the chunk's share.
+    pub(super) fn second_clean(&self, chunk: &Chunk, weight: f64, gradients: &mut Gradients) -> Result<f64> {
+        let mut random = Random::part(self.config.seed, Stream::Attack, self.step, chunk.index);
+        let drawn = self.draw_clean(chunk.rays.clone(), chunk.target.clone(), &mut random)?;
+        let fresh = Chunk { share: chunk.share, ..drawn };
+        let mut second = ChunkResult::new(gradients.0.len());
+        self.clean(&fresh, weight, &mut second)?;
+        let loss = second.loss();
+        gradients.merge(second.gradients)?;
+        Ok(loss)
+    }
+
+    /// Searches and descends the perturbed passes of a chunk on the clean pass's samples. Returns
+    /// their loss, coarse + fine, weighted with the chunk's share.
+    pub(super) fn perturbed(
+        &self,
+        chunk: &Chunk,
+        t_fine: Option<&Tensor>,
+        weight: f64,
+        result: &mut ChunkResult,
+        log: bool,
+    ) -> Result<f64> {
+        let coarse = self.perturbed_pass(chunk, &self.model.coarse, self.coarse_pass(chunk), true)?;
+        let (mut loss, out) = self.attack(&coarse, weight, result, log)?;
+        let (Some(field), Some(t_fine), Some(u)) = (&self.model.fine, t_fine, &chunk.u) else { return Ok(loss) };
+        let resampled;
+        let t_vals = match self.config.perturb.resample {
+            Resample::Clean => t_fine,
+            Resample::Perturbed => {
+                resampled = sampling::importance(&out.t_vals, &out.composite.weights, u)?;
+                &resampled
+            }
+        };
+        let fine = self.perturbed_pass(chunk, field, self.fine_pass(chunk, t_vals), false)?;
+        loss += self.attack(&fine, weight, result, log)?.0;
+        Ok(loss)
+    }
+
+    fn perturbed_pass<'a>(
+        &'a self,
+        chunk: &'a Chunk,
+        own: &'a Field,
+        pass: Pass<'a>,
+        is_coarse: bool,
+    ) -> Result<Perturbed<'a>> {
+        let geometry = PassGeometry {
+            is_coarse,
+            t_vals: pass.t_vals,
+            direction_norm: &pass.rays.direction_norm,
+            bounds: self.volume.bounds,
+            coarse_samples: self.config.sampling.coarse,
+            width: self.config.field.width,
+            pixel: self.volume.pixel,
+        };
+        Ok(Perturbed {
+            field: self.model.adversarial.as_ref().unwrap_or(own),
+            pass,
+            target: &chunk.target,
+            sets: Sets::new(&self.config.perturb, &geometry)?,
+            share: chunk.share,
+            number: 2 * chunk.index + u64::from(is_coarse),
+        })
+    }
+
+    /// Finds the deltas of a pass and descends its loss, which is returned weighted with its share.
+    fn attack(
+        &self,
+        passing: &Perturbed,
+        weight: f64,
+        result: &mut ChunkResult,
+        log: bool,
+    ) -> Result<(f64, PassOutput)> {
+        let random = |stream: Stream| {
+            move |level: Level| Random::part(self.config.seed, stream, self.step, 8 * passing.number + level as u64)
+        };
+        let deltas = self.find_deltas(passing, random(Stream::Attack))?;
+        let out = self.run(passing, passing.field, &deltas)?;
+        let loss = self.descend(&out, passing.target, weight * passing.share, &mut result.gradients)?;
+        if log {
+            let drawn = passing.sets.draw(Draw::Uniform, random(Stream::Diagnostics))?;
+            self.diagnose(passing, &out, &drawn, &mut result.diagnostics)?;
+        }
+        Ok((loss * passing.share, out))
+    }
+
+    /// The pass with `deltas` through `field` (live or frozen).
+    pub(super) fn run(&self, passing: &Perturbed, field: &Field, deltas: &Deltas) -> Result<PassOutput> {
+        let PerturbConfig { injection_layer, output, .. } = self.config.perturb;
+        perturbed_pass(field, passing.pass, Perturbation { deltas, sets: &passing.sets, injection_layer, output })
+    }
+
+    /// Random or worst-case deltas, detached.
+    fn find_deltas(&self, passing: &Perturbed, random: impl Fn(Level) -> Random) -> Result<Deltas> {
+        match self.config.perturb.kind {
+            PerturbKind::Gaussian => return passing.sets.draw(Draw::Gaussian, random),
+            PerturbKind::Uniform => return passing.sets.draw(Draw::Uniform, random),
+            PerturbKind::WorstCase | PerturbKind::FreshJitter => {}
+        }
+        let start = passing.sets.draw(Draw::Uniform, random)?;
+        let frozen = passing.field.frozen();
+        worst_case(&passing.sets, &StepSizes::new(&self.config.perturb), start, |deltas| {
+            let out = self.run(passing, &frozen, deltas)?;
+            Ok((photometric_loss(&out.composite.rgb, passing.target)?, out.used))
+        })
+    }
+}
