@@ -55,9 +55,6 @@ fn step(criterion: &mut Criterion) {
         config.resolve_bounds(2.0, 6.0);
         config.train.collapse_steps = 0;
         config.train.dead_start_share = 0.0;
-        if let Some(chunk) = std::env::var("CHUNK").ok().and_then(|c| c.parse().ok()) {
-            config.train.chunk = chunk;
-        }
         let mut trainer = Trainer::new(&config, &scene(), DType::F32, &Device::Cpu).expect("a trainer");
         group.bench_function(name, |bencher| bencher.iter(|| black_box(trainer.step(false).expect("a step"))));
     }

@@ -75,8 +75,8 @@ impl Viewer<'_> {
         }
         if let Some(bad) = rgb.iter().position(|value| !value.is_finite()) {
             return Err(Error::Diverged(format!(
-                "the rendered colour of pixel ({}, {}) is not a number: the weights are broken; go back to an earlier \
-             checkpoint",
+                "the rendered colour of pixel ({}, {}) is not a number: the weights are broken; delete the \
+                 newest checkpoint to fall back on the one before it",
                 bad / 3 % camera.width,
                 bad / 3 / camera.width
             )));

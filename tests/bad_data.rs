@@ -282,3 +282,24 @@ fn captures_of_unknown_lenses() {
         refuses(config(dir.path()), &[vec!["transforms.json"], words].concat());
     }
 }
+
+/// Not broken at all: a capture that has only its full-size `images`.
+#[test]
+fn full_size_images_are_averaged_down_and_nothing_is_left_in_the_data() {
+    let dir = llff();
+    let names = || {
+        let mut names: Vec<_> = fs::read_dir(dir.path()).unwrap().map(|entry| entry.unwrap().file_name()).collect();
+        names.sort();
+        names
+    };
+    let before = names();
+    let scene = try_load(DataConfig { downscale: Some(2), holdout: 2, ..config(dir.path()) }).unwrap();
+    assert_eq!(names(), before);
+    let view = &scene.train[0];
+    assert_eq!((view.camera.width, view.camera.height), (8, 6));
+    assert_eq!(view.camera.focal, [7.0, 7.0]);
+    // The four pixels at the top left, by hand: red 0 and 13, green 0 and 17, blue 0, 0, 0 and 1.
+    let expected = [6.5 / 255.0, 8.5 / 255.0, 0.25 / 255.0];
+    let close = |(found, expected): (&f32, f64)| (f64::from(*found) - expected).abs() < 1e-6;
+    assert!(view.image.pixels.iter().zip(expected).all(close), "{:?}", &view.image.pixels[..3]);
+}

@@ -11,7 +11,7 @@ use augnerf::output::{
 };
 
 fn finished_run(path: &Path) {
-    let run = RunDir::create(path, false).unwrap();
+    let run = RunDir::create(path, false, 0).unwrap();
     write_atomic(&run.config(), b"seed = 1\n").unwrap();
     fs::write(run.checkpoints().join("weights"), "w").unwrap();
 }
@@ -22,13 +22,13 @@ fn an_existing_run_is_refused_unless_it_may_be_overwritten() {
     let path = dir.path().join("run");
     finished_run(&path);
     fs::write(path.join("notes.txt"), "mine").unwrap();
-    let error = RunDir::create(&path, false).unwrap_err();
+    let error = RunDir::create(&path, false, 0).unwrap_err();
     assert_eq!(error.exit_code(), 4);
     for part in [path.to_str().unwrap(), "--overwrite", "augnerf resume"] {
         assert!(error.to_string().contains(part), "{error}");
     }
     assert!(path.join("config.toml").exists());
-    let run = RunDir::create(&path, true).unwrap();
+    let run = RunDir::create(&path, true, 0).unwrap();
     assert!(!run.config().exists() && !run.checkpoints().join("weights").exists());
     assert_eq!(fs::read_to_string(path.join("notes.txt")).unwrap(), "mine");
 }
@@ -39,7 +39,7 @@ fn a_strangers_folder_is_never_touched() {
     fs::write(dir.path().join("config.toml"), "theirs").unwrap();
     fs::write(dir.path().join("main.py"), "theirs").unwrap();
     for overwrite in [false, true] {
-        let error = RunDir::create(dir.path(), overwrite).unwrap_err();
+        let error = RunDir::create(dir.path(), overwrite, 0).unwrap_err();
         assert!(error.to_string().contains("not a run folder"), "{error}");
     }
     assert_eq!(fs::read_dir(dir.path()).unwrap().count(), 2);
@@ -51,7 +51,7 @@ fn a_file_in_the_way_is_named() {
     let file = dir.path().join("file");
     fs::write(&file, "keep").unwrap();
     for path in [file.clone(), file.join("below/run")] {
-        let error = RunDir::create(&path, true).unwrap_err();
+        let error = RunDir::create(&path, true, 0).unwrap_err();
         assert_eq!(error.exit_code(), 4);
         assert!(error.to_string().contains("file"), "{error}");
     }
@@ -75,9 +75,9 @@ fn only_a_run_is_opened() {
 fn two_trainers_do_not_share_a_run() {
     let dir = tempfile::tempdir().unwrap();
     let path = dir.path().join("run");
-    let first = RunDir::create(&path, false).unwrap();
+    let first = RunDir::create(&path, false, 0).unwrap();
     write_atomic(&first.config(), b"").unwrap();
-    let error = RunDir::create(&path, true).unwrap_err();
+    let error = RunDir::create(&path, true, 0).unwrap_err();
     assert!(error.to_string().contains("run") && error.exit_code() == 4, "{error}");
     assert!(first.config().exists());
     let mut second = RunDir::open(&path).unwrap();

@@ -146,7 +146,7 @@ fn the_step_uses_its_own_numbers_whatever_came_before() {
     let config = tiny_config(Method::AugNerf, |_| {});
     let dir = tempfile::TempDir::new().unwrap();
     let mut straight = trained(&config, 4);
-    let checkpoint = straight.save(dir.path(), 1).unwrap();
+    let checkpoint = straight.save(dir.path()).unwrap();
     let mut resumed = Trainer::resume(&checkpoint, &config, &tiny_scene(), DType::F32, &Device::Cpu).unwrap();
     let (a, b) = (straight.step(true).unwrap(), resumed.step(true).unwrap());
     assert_eq!((a.loss, a.levels), (b.loss, b.levels));

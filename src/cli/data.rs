@@ -4,11 +4,11 @@ use std::path::PathBuf;
 
 use clap::{Args, Subcommand};
 
-use crate::config::{Preset, build, parse_assignment};
+use crate::config::{build, parse_assignment};
 use crate::data::builtin::export;
 use crate::error::Result;
 
-use super::progress::Screen;
+use super::progress::{Screen, print};
 use super::train::load_scene;
 
 #[derive(Subcommand)]
@@ -46,13 +46,13 @@ impl DataCommand {
             DataCommand::Check(arguments) => arguments.run(),
             DataCommand::ExportBuiltin(arguments) => {
                 let exported = export::export(&arguments.dir, arguments.width)?;
-                println!(
+                print(&format!(
                     "{}: {} pictures, {} depth maps, a mesh of {} triangles",
                     arguments.dir.display(),
                     exported.pictures,
                     exported.depths,
                     exported.triangles
-                );
+                ));
                 Ok(())
             }
         }
@@ -66,11 +66,10 @@ impl CheckArguments {
             let dir = toml::Value::String(dir.to_string_lossy().into_owned());
             assignments.push((vec!["data".into(), "dir".into()], dir));
         }
-        let preset = if self.dir.is_none() { Some(Preset::Smoke) } else { None };
-        let mut config = build(preset, None, &assignments)?;
+        let mut config = build(None, None, &assignments)?;
         let scene = load_scene(&mut config, &Screen::new(self.quiet))?;
         for (label, value) in scene.describe() {
-            println!("{label:>16}  {value}");
+            print(&format!("{label:>16}  {value}"));
         }
         Ok(())
     }

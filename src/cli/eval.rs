@@ -15,7 +15,7 @@ use crate::output::RunDir;
 use crate::train::AttackSummary;
 use crate::train::checkpoint::{self, State};
 
-use super::progress::Screen;
+use super::progress::{Screen, print};
 use super::train::load_scene;
 use super::{Machine, Sources};
 
@@ -65,9 +65,12 @@ pub fn run_config(run: &RunDir) -> Result<Config> {
     Config::from_toml(&text, &path.display().to_string())
 }
 
-/// Every LPIPS backbone whose weights the folder holds.
-pub fn load_lpips(dir: Option<&Path>, device: &Device) -> Result<Vec<Lpips>> {
-    let Some(dir) = dir else { return Ok(Vec::new()) };
+/// Every LPIPS backbone whose weights the folder holds; none for an empty name.
+pub fn load_lpips(dir: &str, device: &Device) -> Result<Vec<Lpips>> {
+    if dir.is_empty() {
+        return Ok(Vec::new());
+    }
+    let dir = Path::new(dir);
     let found = Lpips::available(dir)?;
     if found.is_empty() {
         let names: Vec<&str> = Backbone::ALL.iter().map(|backbone| backbone.name()).collect();
@@ -86,8 +89,8 @@ impl EvalArguments {
     pub fn run(self) -> Result<()> {
         let device = self.machine.device()?;
         let screen = Screen::new(self.machine.quiet);
-        let lpips = load_lpips(self.sources.weights.lpips_weights.as_deref(), &device)?;
         let trained = Trained::open(&self.run, self.sources.data.as_deref(), &device, &screen)?;
+        let lpips = load_lpips(&self.sources.weights.or(&trained.config), &device)?;
         let Trained { run, config, scene, state, model } = &trained;
         let viewer = Viewer { model, config, scene, device: &device };
         let views = viewer.evaluate(&lpips, &screen, |_, _, _| Ok(()))?;
@@ -95,11 +98,11 @@ impl EvalArguments {
             mean: MeanMetrics::from_views(&views),
             views,
             protocol: Protocol::new(config, scene, state.step, &state.redraws),
-            attack: AttackSummary::read(&run.scalars())?,
+            attack: AttackSummary::read(&run.scalars(), state.step)?,
         };
         report.write(&run.metrics_json(), &run.metrics_csv())?;
         let mean = serde_json::to_string_pretty(&report.mean).expect("plain data");
-        println!("{mean}");
+        print(&mean);
         screen.say(&format!("step {} of {}: {}", state.step, config.train.steps, run.metrics_json().display()));
         Ok(())
     }

@@ -6,6 +6,7 @@ use std::process::ExitCode;
 use candle_core::Device;
 use clap::{Args, Parser, Subcommand};
 
+use crate::config::Config;
 use crate::error::{Error, Result};
 
 mod data;
@@ -47,9 +48,8 @@ enum Command {
 /// Where the numbers are computed; changes no setting of a run.
 #[derive(Args)]
 struct Machine {
-    /// cpu, cuda, cuda:N or metal
-    #[arg(long, default_value = "cpu", value_name = "DEVICE")]
-    device: String,
+    #[arg(long, value_name = "DEVICE", help = "cpu, cuda, cuda:N or metal [default: cpu, resume: the run's]")]
+    device: Option<String>,
     /// Processor threads [default: all cores]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
     threads: Option<u16>,
@@ -77,15 +77,29 @@ struct LpipsWeights {
     lpips_weights: Option<PathBuf>,
 }
 
+impl LpipsWeights {
+    /// The folder that the command line names, otherwise the one that the run was trained with.
+    fn or(&self, config: &Config) -> String {
+        let named = self.lpips_weights.as_ref().map(|dir| dir.to_string_lossy().into_owned());
+        named.unwrap_or_else(|| config.eval.lpips_weights.clone())
+    }
+}
+
 impl Machine {
     /// Opens the device; sets the number of threads, which must happen before the first tensor.
     fn device(&self) -> Result<Device> {
+        self.device_or("cpu")
+    }
+
+    /// The same with another default.
+    fn device_or(&self, default: &str) -> Result<Device> {
         set_threads(self.threads.map(usize::from))?;
-        let refuse = |found: String| Error::Config(format!("--device {}: {found}", self.device));
-        let (kind, index) = self.device.split_once(':').unwrap_or((&self.device, "0"));
+        let name = self.device.as_deref().unwrap_or(default);
+        let refuse = |found: String| Error::Config(format!("--device {name}: {found}"));
+        let (kind, index) = name.split_once(':').unwrap_or((name, "0"));
         let index: usize = index.parse().map_err(|_| refuse(format!("'{index}' is not a device number")))?;
         match kind {
-            "cpu" => Ok(Device::Cpu),
+            "cpu" if name == "cpu" => Ok(Device::Cpu),
             "cuda" if cfg!(feature = "cuda") => Device::new_cuda(index).map_err(|e| refuse(e.to_string())),
             "metal" if cfg!(feature = "metal") => Device::new_metal(index).map_err(|e| refuse(e.to_string())),
             "cuda" | "metal" => {
@@ -124,7 +138,7 @@ pub fn main() -> ExitCode {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
             let word = if matches!(error, Error::Interrupted { .. }) { "stopped" } else { "error" };
-            eprintln!("{word}: {error}");
+            progress::report(&format!("{word}: {error}"));
             ExitCode::from(error.exit_code())
         }
     }

@@ -1,6 +1,6 @@
 //! Progress bars on a terminal, plain lines elsewhere.
 
-use std::io::IsTerminal;
+use std::io::{IsTerminal, Write};
 use std::sync::Mutex;
 use std::time::{Duration, Instant};
 
@@ -10,6 +10,17 @@ use crate::data::Progress;
 
 /// Where there is no terminal, a line at most so often.
 const LINE_EVERY: Duration = Duration::from_secs(10);
+
+/// Prints a line on standard error. A reader that has gone away (`2>&1 | head`) is no reason to
+/// stop training.
+pub fn report(line: &str) {
+    let _ = writeln!(std::io::stderr(), "{line}");
+}
+
+/// Prints a result on standard output; a reader that has seen enough may close it.
+pub fn print(text: &str) {
+    let _ = writeln!(std::io::stdout(), "{text}");
+}
 
 /// Draws loading and rendering, on standard error.
 pub struct Screen {
@@ -26,7 +37,7 @@ impl Screen {
     /// Prints a line unless quiet.
     pub fn say(&self, line: &str) {
         if !self.quiet {
-            eprintln!("{line}");
+            report(line);
         }
     }
 }
@@ -59,7 +70,7 @@ pub struct TrainingBar {
     first: u64,
     total: u64,
     started: Instant,
-    line_at: Instant,
+    line_at: Option<Instant>,
 }
 
 impl TrainingBar {
@@ -71,8 +82,7 @@ impl TrainingBar {
             bar.reset_eta();
             bar
         });
-        let now = Instant::now();
-        TrainingBar { quiet, bar, rays: rays as f64, first, total, started: now, line_at: now - LINE_EVERY }
+        TrainingBar { quiet, bar, rays: rays as f64, first, total, started: Instant::now(), line_at: None }
     }
 
     /// Shows a finished step.
@@ -88,10 +98,10 @@ impl TrainingBar {
                 bar.set_position(step);
             }
             None if self.quiet => {}
-            None if self.line_at.elapsed() >= LINE_EVERY || step == self.total => {
-                self.line_at = Instant::now();
+            None if self.line_at.is_none_or(|at| at.elapsed() >= LINE_EVERY) || step == self.total => {
+                self.line_at = Some(Instant::now());
                 let left = Duration::try_from_secs_f64((self.total - step) as f64 / rate).unwrap_or(Duration::MAX);
-                eprintln!("step {step}/{}  {state}  ETA {}", self.total, indicatif::HumanDuration(left));
+                report(&format!("step {step}/{}  {state}  ETA {}", self.total, indicatif::HumanDuration(left)));
             }
             None => {}
         }
@@ -102,7 +112,7 @@ impl TrainingBar {
         match &self.bar {
             Some(bar) => bar.println(line),
             None if self.quiet => {}
-            None => eprintln!("{line}"),
+            None => report(line),
         }
     }
 

@@ -21,7 +21,7 @@ use crate::train::{
 };
 
 use super::eval::{self, load_lpips};
-use super::progress::{Screen, TrainingBar};
+use super::progress::{Screen, TrainingBar, print};
 use super::render::Pictures;
 use super::{LpipsWeights, Machine, Sources};
 
@@ -77,19 +77,23 @@ impl TrainArguments {
         let device = self.machine.device()?;
         let screen = Screen::new(self.machine.quiet);
         let mut config = self.config()?;
-        let lpips = load_lpips(self.weights.lpips_weights.as_deref(), &device)?;
+        let lpips = load_lpips(&config.eval.lpips_weights, &device)?;
         let scene = load_scene(&mut config, &screen)?;
         if self.print_config {
-            print!("{}", config.to_toml());
+            print(config.to_toml().trim_end());
             return Ok(());
         }
         let folder = self.out.clone().unwrap_or_else(|| default_folder(&config));
         // Whatever can be refused is refused before --overwrite deletes anything.
         let trainer = Trainer::new(&config, &scene, DType::F32, &device)?;
-        let run = RunDir::create(&folder, self.overwrite)?;
-        run.check_writable(bytes_needed(&config, &scene))?;
+        let needed = bytes_needed(&config, &scene);
+        let run = RunDir::create(&folder, self.overwrite, needed)?;
+        run.check_writable(needed)?;
         write_atomic(&run.config(), config.to_toml().as_bytes())?;
-        Job { run, config, scene, lpips, device, machine: self.machine, screen, earlier: None }.train(trainer)
+        let device_name = self.machine.device.unwrap_or_else(|| "cpu".into());
+        let quiet = self.machine.quiet;
+        Job { run, config, scene, lpips, device, device_name, quiet, screen, earlier: None, resumed: false }
+            .train(trainer)
     }
 
     /// Preset, file and assignments, in that order.
@@ -101,6 +105,10 @@ impl TrainArguments {
         if let Some(data) = &self.data {
             let data = std::path::absolute(data).map_err(|e| Error::unreadable(data, &e))?;
             assign(&["data", "dir"], Value::String(data.to_string_lossy().into_owned()));
+        }
+        if let Some(weights) = &self.weights.lpips_weights {
+            let weights = std::path::absolute(weights).map_err(|e| Error::unreadable(weights, &e))?;
+            assign(&["eval", "lpips_weights"], Value::String(weights.to_string_lossy().into_owned()));
         }
         if let Some(method) = &self.method {
             assign(&["method"], Value::String(method.clone()));
@@ -128,25 +136,34 @@ impl TrainArguments {
 
 impl ResumeArguments {
     pub fn run(self) -> Result<()> {
-        let device = self.machine.device()?;
         let screen = Screen::new(self.machine.quiet);
         let mut run = RunDir::open(&self.run)?;
         run.lock()?;
+        run.clean()?;
         let mut config = eval::run_config(&run)?;
+        let earlier = read_timing(&run)?;
+        let device_name = self.machine.device.clone();
+        let device_name = device_name
+            .or_else(|| earlier.as_ref().map(|timing| timing.device.clone()))
+            .unwrap_or_else(|| "cpu".into());
+        let device = self.machine.device_or(&device_name)?;
         if let Some(dir) = &self.sources.data {
             config.data.dir = dir.to_string_lossy().into_owned();
         }
-        let earlier = read_timing(&run)?;
-        let lpips = load_lpips(self.sources.weights.lpips_weights.as_deref(), &device)?;
+        config.eval.lpips_weights = self.sources.weights.or(&config);
+        let lpips = load_lpips(&config.eval.lpips_weights, &device)?;
         let scene = load_scene(&mut config, &screen)?;
         run.check_writable(bytes_needed(&config, &scene))?;
+        // Where scene and weights are now, for the next time.
+        write_atomic(&run.config(), config.to_toml().as_bytes())?;
         let trainer = match checkpoint::list(&run.checkpoints())?.pop() {
             Some((_, newest)) => Trainer::resume(&newest, &config, &scene, DType::F32, &device)?,
             // Killed before its first checkpoint: step 0 is a function of the configuration.
             None => Trainer::new(&config, &scene, DType::F32, &device)?,
         };
         screen.say(&format!("{} goes on at step {}", self.run.display(), trainer.step_count()));
-        Job { run, config, scene, lpips, device, machine: self.machine, screen, earlier }.train(trainer)
+        let quiet = self.machine.quiet;
+        Job { run, config, scene, lpips, device, device_name, quiet, screen, earlier, resumed: true }.train(trainer)
     }
 }
 
@@ -202,10 +219,13 @@ struct Job {
     scene: Scene,
     lpips: Vec<Lpips>,
     device: Device,
-    machine: Machine,
+    device_name: String,
+    quiet: bool,
     screen: Screen,
     /// Timing of the sessions before this one.
     earlier: Option<Timing>,
+    /// The run was begun by an earlier session.
+    resumed: bool,
 }
 
 impl Job {
@@ -222,13 +242,12 @@ impl Job {
         let signal = catch_signals()?;
         let first = trainer.step_count();
         let mut watcher = Watcher {
-            bar: TrainingBar::new(self.machine.quiet, first, self.config.train.steps, self.config.train.rays),
+            bar: TrainingBar::new(self.quiet, first, self.config.train.steps, self.config.train.rays),
             job: &self,
             started_unix,
             seconds_evaluation: 0.0,
         };
-        let resumed = self.earlier.is_some() || first > 0;
-        let mut session = Session::new(&self.run, trainer, resumed)?;
+        let mut session = Session::new(&self.run, trainer, self.resumed)?;
         let outcome = session.run(&signal, &mut watcher);
         watcher.bar.finish();
         if let Outcome::Stopped { signal } = outcome? {
@@ -248,7 +267,7 @@ impl Job {
     }
 
     fn evaluate(&self, trainer: &Trainer, signal: &AtomicUsize) -> Result<Report> {
-        let attack = AttackSummary::read(&self.run.scalars())?;
+        let attack = AttackSummary::read(&self.run.scalars(), trainer.step_count())?;
         let renders = self.run.renders();
         let pictures = Pictures::new(&renders, &self.scene, self.config.eval.pictures);
         let views = self.viewer(trainer).evaluate(&self.lpips, &self.screen, |index, view, rendered| {
@@ -277,12 +296,12 @@ impl Job {
             seconds_evaluation: evaluation + earlier(|timing| timing.seconds_evaluation),
             rays_per_second: (training > 0.0).then(|| step as f64 * self.config.train.rays as f64 / training),
             peak_memory_mib: peak_memory_mib(),
-            device: self.machine.device.clone(),
+            device: self.device_name.clone(),
             threads: rayon::current_num_threads(),
             host: Host::current(),
             started_unix,
             finished_unix: host::unix_seconds() as u64,
-            sessions: self.earlier.as_ref().map_or(0, |timing| timing.sessions) + 1,
+            sessions: self.earlier.as_ref().map_or(usize::from(self.resumed), |timing| timing.sessions) + 1,
         }
     }
 
@@ -316,7 +335,7 @@ struct Watcher<'a> {
 }
 
 impl Observer for Watcher<'_> {
-    fn stepped(&mut self, stats: &StepStats, _logged: bool) {
+    fn stepped(&mut self, stats: &StepStats) {
         self.bar.stepped(stats.step, stats.loss, stats.psnr());
     }
 

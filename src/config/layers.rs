@@ -82,12 +82,13 @@ pub fn build(preset: Option<Preset>, file: Option<&Path>, assignments: &[(Vec<St
             .map_err(|e| Error::Config(format!("cannot read the configuration file {}: {e}", path.display())))?;
         let layer: Table = toml::from_str(&text).map_err(|e| Error::Config(format!("{}: {e}", path.display())))?;
         check_keys(&layer, &path.display().to_string())?;
+        // Types and choices, too, while the file and its lines can be named.
+        toml::from_str::<Config>(&text).map_err(|e| Error::Config(format!("{}: {e}", path.display())))?;
         merge(&mut table, layer);
     }
     for (path, value) in assignments {
         assign(&mut table, path, value.clone())?;
     }
-    // Through text, so that a wrong value is reported with the line that it stands in.
     let text = toml::to_string(&table).expect("a table of settings is plain data");
     Config::from_toml(&text, "settings")
 }

@@ -332,15 +332,17 @@ impl Default for TrainConfig {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct EvalConfig {
-    /// Rays rendered at once; bounds memory, changes no number.
+    /// Rays rendered at once; bounds memory. Changes results by rounding only.
     pub chunk: usize,
+    /// Folder with LPIPS weights; empty = LPIPS is not measured.
+    pub lpips_weights: String,
     /// How many held-out views `train` writes pictures of (0 = none; metrics cover all views).
     pub pictures: usize,
 }
 
 impl Default for EvalConfig {
     fn default() -> Self {
-        EvalConfig { chunk: 256, pictures: 4 }
+        EvalConfig { chunk: 256, lpips_weights: String::new(), pictures: 4 }
     }
 }
 
@@ -388,7 +390,8 @@ impl Config {
             portable.data.name = scene_name(&self.data.dir);
         }
         portable.data.dir = String::new();
-        portable.eval = EvalConfig::default();
+        // A chunk's size can move a metric by a rounding.
+        portable.eval = EvalConfig { chunk: portable.eval.chunk, ..EvalConfig::default() };
         let defaults = TrainConfig::default();
         portable.train = TrainConfig {
             log_every: defaults.log_every,

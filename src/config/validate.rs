@@ -1,7 +1,7 @@
 //! Checks of ranges and across fields. Each message names the field, what was found and what is
 //! allowed.
 
-use super::{Attack, Config, LEVELS, Level, Method, Norm, PerturbField, PerturbKind, StepUnit};
+use super::{Attack, Config, DataKind, EvalSplit, LEVELS, Level, Method, Norm, PerturbField, PerturbKind, StepUnit};
 use crate::error::{Error, Result};
 
 /// Refuses with `field = value: allowed` unless `ok`.
@@ -32,9 +32,24 @@ impl Config {
         require(data.width <= 16_384, "data.width", data.width, "0 (use data.downscale) to 16384 pixels")?;
         require(data.holdout >= 2, "data.holdout", data.holdout, "at least 2, so that views are left to train on")?;
         require(data.test_skip >= 1, "data.test_skip", data.test_skip, "at least 1")?;
+        let plain = !data.name.contains(['/', '\\']) && data.name != "." && data.name != "..";
+        require(plain, "data.name", format!("\"{}\"", data.name), "a name without path separators")?;
+        let other = |kinds: &[DataKind]| data.kind != DataKind::Auto && !kinds.contains(&data.kind);
+        if data.spherify && other(&[DataKind::Llff]) {
+            return Err(Error::Config(format!(
+                "data.spherify = true is for LLFF scenes; this one is {}",
+                data.kind.name()
+            )));
+        }
+        if data.eval_split == EvalSplit::Val && other(&[DataKind::Blender, DataKind::BuiltinBlender]) {
+            return Err(Error::Config(format!(
+                "data.eval_split = \"val\" is for scenes with a validation split (Blender); this one is {}",
+                data.kind.name()
+            )));
+        }
         let factor = data.bound_factor;
         require(factor.is_finite() && factor >= 0.0, "data.bound_factor", factor, "0 (not scaled) or positive")?;
-        if data.spherify && data.ndc && data.kind == super::DataKind::Llff {
+        if data.spherify && data.ndc && data.kind == DataKind::Llff {
             return Err(Error::Config(
                 "data.spherify and data.ndc exclude each other: NDC is for cameras that face forward; \
                  set data.ndc=false"

@@ -22,7 +22,7 @@ const OUTLIERS: f64 = 0.02;
 /// Accumulation from which on a pixel's depth counts in [`depth_range`].
 const SOLID: f32 = 0.5;
 /// Sampling factor of the colour quantisation: 1 is best and slowest, 30 worst.
-const GIF_SPEED: i32 = 10;
+const GIF_SPEED: i32 = 1;
 /// Shortest frame of a GIF in hundredths of a second; viewers slow down what is shorter.
 const GIF_SHORTEST: u64 = 2;
 

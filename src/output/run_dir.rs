@@ -6,7 +6,7 @@ use std::fs::{self, File, TryLockError};
 use std::io::{self, Read, Write};
 use std::path::{Path, PathBuf};
 
-use super::atomic::{is_temporary, remove, write_synced};
+use super::atomic::{clean_temporaries, is_temporary, remove, write_synced};
 use crate::error::{Error, Result};
 
 const CONFIG: &str = "config.toml";
@@ -38,8 +38,9 @@ pub struct RunDir {
 impl RunDir {
     /// A locked, empty run folder at `path`; parents are created. A folder that holds a run is
     /// refused unless `overwrite`, which deletes the run's own entries and nothing else. A folder
-    /// that holds anything but a run is always refused.
-    pub fn create(path: &Path, overwrite: bool) -> Result<RunDir> {
+    /// that holds anything but a run is always refused, and so is a disk without room for
+    /// `bytes_needed`, before anything is deleted.
+    pub fn create(path: &Path, overwrite: bool, bytes_needed: u64) -> Result<RunDir> {
         if path.exists() {
             check_vacant(path, overwrite)?;
         }
@@ -47,6 +48,7 @@ impl RunDir {
         let lock = RunLock::acquire(path)?;
         // Again under the lock: another process may have started a run here in between.
         check_vacant(path, overwrite)?;
+        check_space(path, bytes_needed)?;
         clear(path).map_err(|error| Error::unwritable(path, &error))?;
         for folder in FOLDERS {
             let folder = path.join(folder);
@@ -68,6 +70,12 @@ impl RunDir {
             )));
         }
         Ok(RunDir { path: path.to_path_buf(), lock: None })
+    }
+
+    /// Puts right what a killed session left half-written. Call it while holding the lock.
+    pub fn clean(&self) -> Result<()> {
+        let folders = [self.path.clone(), self.checkpoints(), self.renders()];
+        folders.iter().filter(|folder| folder.is_dir()).try_for_each(|folder| clean_temporaries(folder).map(|_| ()))
     }
 
     /// Takes the run for this process until the value is dropped.
@@ -303,9 +311,9 @@ mod tests {
     fn a_started_run_that_wrote_nothing_is_free() {
         let dir = tempfile::tempdir().unwrap();
         let path = dir.path().join("a/b/run");
-        drop(RunDir::create(&path, false).unwrap());
+        drop(RunDir::create(&path, false, 0).unwrap());
         fs::write(path.join(".augnerf-tmp-1-0-config.toml"), "half").unwrap();
-        drop(RunDir::create(&path, false).unwrap());
+        drop(RunDir::create(&path, false, 0).unwrap());
         assert!(!path.join(".augnerf-tmp-1-0-config.toml").exists());
     }
 
@@ -313,17 +321,17 @@ mod tests {
     fn a_half_deleted_run_can_be_overwritten_again() {
         let dir = tempfile::tempdir().unwrap();
         fs::write(dir.path().join(METRICS_CSV), "").unwrap();
-        assert!(RunDir::create(dir.path(), true).is_err());
+        assert!(RunDir::create(dir.path(), true, 0).is_err());
         fs::write(dir.path().join(LOCK), "").unwrap();
-        assert!(RunDir::create(dir.path(), false).is_err());
-        RunDir::create(dir.path(), true).unwrap();
+        assert!(RunDir::create(dir.path(), false, 0).is_err());
+        RunDir::create(dir.path(), true, 0).unwrap();
         assert!(!dir.path().join(METRICS_CSV).exists());
     }
 
     #[test]
     fn room_is_compared_with_the_need() {
         let dir = tempfile::tempdir().unwrap();
-        let run = RunDir::create(&dir.path().join("run"), false).unwrap();
+        let run = RunDir::create(&dir.path().join("run"), false, 0).unwrap();
         run.check_writable(1).unwrap();
         if free_bytes(dir.path()).is_some() {
             let error = run.check_writable(u64::MAX).unwrap_err().to_string();
@@ -334,7 +342,7 @@ mod tests {
     #[test]
     fn probes_leave_nothing_and_notice_what_is_in_the_way() {
         let dir = tempfile::tempdir().unwrap();
-        let run = RunDir::create(&dir.path().join("run"), false).unwrap();
+        let run = RunDir::create(&dir.path().join("run"), false, 0).unwrap();
         run.check_writable(0).unwrap();
         assert!(is_empty_folder(&run.checkpoints()) && is_empty_folder(&run.renders()));
         fs::create_dir(run.scalars()).unwrap();

@@ -67,7 +67,7 @@ pub fn latest(checkpoints: &Path) -> Result<PathBuf> {
     let newest = list(checkpoints)?.pop();
     newest.map(|(_, folder)| folder).ok_or_else(|| {
         Error::Checkpoint(format!(
-            "{} holds no checkpoint: the run was stopped before its first one; start it again with --overwrite",
+            "{} holds no checkpoint: the run was stopped before its first one; `augnerf resume` starts it again",
             checkpoints.display()
         ))
     })
@@ -96,8 +96,8 @@ pub fn check_config(checkpoint: &Path, state: &State, config: &Config) -> Result
 /// The counters of a checkpoint.
 pub fn load_state(checkpoint: &Path) -> Result<State> {
     let path = checkpoint.join(STATE);
-    let text = std::fs::read_to_string(&path).map_err(|e| damaged(&path, &e.to_string()))?;
-    let state: State = serde_json::from_str(&text).map_err(|e| damaged(&path, &e.to_string()))?;
+    let text = std::fs::read_to_string(&path).map_err(|e| broken(&path, &e.to_string()))?;
+    let state: State = serde_json::from_str(&text).map_err(|e| broken(&path, &e.to_string()))?;
     if state.format != FORMAT {
         let found = format!("its format is {}, this program reads {FORMAT}", state.format);
         return Err(damaged(&path, &found));
@@ -107,6 +107,12 @@ pub fn load_state(checkpoint: &Path) -> Result<State> {
 
 fn damaged(path: &Path, found: &str) -> Error {
     Error::Checkpoint(format!("cannot use the checkpoint file {}: {found}", path.display()))
+}
+
+/// A file that is not whole: the checkpoint before it may be.
+fn broken(path: &Path, found: &str) -> Error {
+    let folder = path.parent().unwrap_or(path).display();
+    damaged(path, &format!("{found}; delete {folder} to fall back on the checkpoint before it"))
 }
 
 /// The tensors of a checkpoint by name.
@@ -119,9 +125,9 @@ struct Tensors {
 impl Tensors {
     fn open(checkpoint: &Path, dtype: DType, device: &Device) -> Result<Tensors> {
         let path = checkpoint.join(TENSORS);
-        let bytes = std::fs::read(&path).map_err(|e| damaged(&path, &e.to_string()))?;
+        let bytes = std::fs::read(&path).map_err(|e| broken(&path, &e.to_string()))?;
         let tensors = candle_core::safetensors::load_buffer(&bytes, device)
-            .map_err(|e| damaged(&path, &format!("it is not a whole safetensors file ({e})")))?;
+            .map_err(|e| broken(&path, &format!("it is not a whole safetensors file ({e})")))?;
         Ok(Tensors { path, tensors, dtype })
     }
 
@@ -143,26 +149,41 @@ impl Tensors {
 }
 
 impl Trainer {
-    /// Writes a checkpoint below `checkpoints` and removes all but the newest `keep`. Returns its
-    /// folder.
-    pub fn save(&self, checkpoints: &Path, keep: usize) -> Result<PathBuf> {
+    /// Writes a checkpoint below `checkpoints` and returns its folder. Kept are the newest
+    /// `train.keep_checkpoints` of the scheduled ones (every `train.checkpoint_every` steps, and the
+    /// last) and the newest of all: what the clock or a stop added is gone when the next one comes,
+    /// so that a stopped run ends with the same folders as one that never stopped.
+    pub fn save(&self, checkpoints: &Path) -> Result<PathBuf> {
         std::fs::create_dir_all(checkpoints).map_err(|e| Error::unwritable(checkpoints, &e))?;
         clean_temporaries(checkpoints)?;
         let target = folder(checkpoints, self.step);
-        if target.exists() {
-            return Ok(target);
+        if !target.exists() {
+            self.write(&target)?;
         }
-        let dir = AtomicDir::new(&target)?;
+        self.prune(checkpoints)?;
+        Ok(target)
+    }
+
+    fn write(&self, target: &Path) -> Result<()> {
+        let dir = AtomicDir::new(target)?;
         write_atomic(&dir.path().join(TENSORS), &self.tensor_bytes()?)?;
         write_json(&dir.path().join(STATE), &self.state())?;
         write_atomic(&dir.path().join(CONFIG), self.config.to_toml().as_bytes())?;
-        dir.commit()?;
-        let mut all = list(checkpoints)?;
-        all.truncate(all.len().saturating_sub(keep));
-        for (_, old) in all {
-            std::fs::remove_dir_all(&old).map_err(|e| Error::unwritable(&old, &e))?;
+        dir.commit()
+    }
+
+    fn prune(&self, checkpoints: &Path) -> Result<()> {
+        let train = &self.config.train;
+        let scheduled = |step: u64| step.is_multiple_of(train.checkpoint_every) || step == train.steps;
+        let mut kept = 0;
+        for (step, old) in list(checkpoints)?.into_iter().rev() {
+            kept += usize::from(scheduled(step));
+            let keep = if scheduled(step) { kept <= train.keep_checkpoints } else { step == self.step };
+            if !keep {
+                std::fs::remove_dir_all(&old).map_err(|e| Error::unwritable(&old, &e))?;
+            }
         }
-        Ok(target)
+        Ok(())
     }
 
     fn state(&self) -> State {

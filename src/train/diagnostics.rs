@@ -55,12 +55,16 @@ pub(super) fn columns(level: Level) -> [String; 4] {
 }
 
 impl AttackSummary {
-    /// Summarises every level that has diagnostics in a run's `scalars.csv`.
-    pub fn read(scalars: &Path) -> Result<Vec<AttackSummary>> {
+    /// Summarises every level that has diagnostics in a run's `scalars.csv`, up to the step of the
+    /// checkpoint in question: a killed run may have logged further, and half a line at the end.
+    pub fn read(scalars: &Path, last_step: u64) -> Result<Vec<AttackSummary>> {
         let broken = |error: csv::Error| Error::Checkpoint(format!("cannot read {}: {error}", scalars.display()));
-        let mut reader = csv::Reader::from_path(scalars).map_err(broken)?;
+        let text = std::fs::read_to_string(scalars).map_err(|error| broken(error.into()))?;
+        let whole = text.rfind('\n').map_or("", |end| &text[..end]);
+        let mut reader = csv::Reader::from_reader(whole.as_bytes());
         let header = reader.headers().map_err(broken)?.clone();
-        let rows = reader.records().collect::<std::result::Result<Vec<_>, _>>().map_err(broken)?;
+        let mut rows = reader.records().collect::<std::result::Result<Vec<_>, _>>().map_err(broken)?;
+        rows.retain(|row| row.get(0).and_then(|step| step.parse::<u64>().ok()).is_some_and(|step| step <= last_step));
         let column = |name: &str| -> Vec<f64> {
             let Some(index) = header.iter().position(|found| found == name) else { return Vec::new() };
             rows.iter().filter_map(|row| row.get(index).and_then(|cell| cell.parse().ok())).collect()

@@ -443,7 +443,7 @@ impl Trainer {
     fn non_finite(&self, step: u64, tensor: &str) -> Error {
         Error::Diverged(format!(
             "training went non-finite at step {step}: the {tensor} is not a number; lower train.learning_rate ({}), \
-             or the step sizes of section perturb, and start again or resume from the last checkpoint",
+             or the step sizes of section perturb, and start a new run",
             self.config.train.learning_rate
         ))
     }

@@ -11,8 +11,8 @@ use super::{StepStats, Trainer, diagnostics};
 
 /// Who is told how training goes. The library itself prints nothing.
 pub trait Observer {
-    /// A step is done. Called for every step; `logged` at those that went into the logs.
-    fn stepped(&mut self, stats: &StepStats, logged: bool);
+    /// A step is done. Called for every step.
+    fn stepped(&mut self, stats: &StepStats);
     /// It is time for an evaluation during training; returns scalars to be logged.
     fn evaluate(&mut self, trainer: &Trainer) -> Result<Vec<(&'static str, f64)>>;
     /// A checkpoint was written; `seconds` were spent on steps in this session so far.
@@ -122,7 +122,7 @@ impl<'a> Session<'a> {
             if log || evaluate {
                 self.log(&stats, evaluate, observer)?;
             }
-            observer.stepped(&stats, log);
+            observer.stepped(&stats);
             let by_step = next.is_multiple_of(train.checkpoint_every);
             let minutes = saved_at.elapsed().as_secs_f64() / 60.0;
             let by_time = train.checkpoint_minutes > 0.0 && minutes >= train.checkpoint_minutes;
@@ -153,8 +153,7 @@ impl<'a> Session<'a> {
 
     fn save(&mut self, observer: &mut dyn Observer) -> Result<()> {
         self.scalars.sync()?;
-        let train = &self.trainer.config().train;
-        self.trainer.save(&self.run.checkpoints(), train.keep_checkpoints)?;
+        self.trainer.save(&self.run.checkpoints())?;
         observer.saved(self.trainer.step_count(), self.seconds())
     }
 }
