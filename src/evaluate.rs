@@ -252,7 +252,8 @@ fn attack_numbers(perturb: &PerturbConfig) -> String {
     numbers.collect::<Vec<String>>().join(", ")
 }
 
-fn split_name(config: &Config) -> String {
+/// Which views are evaluated: `test`, `val`, or `every-8` for every 8th view held out.
+pub fn split_name(config: &Config) -> String {
     let split = match (config.data.kind, config.data.eval_split) {
         (DataKind::Blender | DataKind::BuiltinBlender, EvalSplit::Val) => "val".to_string(),
         (DataKind::Blender | DataKind::BuiltinBlender, _) => "test".to_string(),

@@ -29,7 +29,7 @@ fn sources(dir: &Path) -> Vec<PathBuf> {
         .collect()
 }
 
-/// The top-level modules that a source names after `crate::` or `augnerf::`, test code left out.
+/// The top-level modules that a source names after `crate::`, test code left out.
 fn used(text: &str) -> Vec<String> {
     let code = text.split("#[cfg(test)]\nmod tests").next().unwrap();
     let lines = code.lines().filter(|line| !line.trim_start().starts_with("//"));
@@ -60,7 +60,9 @@ fn imports_go_down() {
         let relative = path.strip_prefix(root()).unwrap();
         let module = relative.iter().next().unwrap().to_string_lossy().trim_end_matches(".rs").to_string();
         let Some(tier) = tiers.get(&module) else { continue };
-        for name in used(&std::fs::read_to_string(&path).unwrap()) {
+        let text = std::fs::read_to_string(&path).unwrap();
+        assert!(!text.contains("crate::{"), "{}: name one module an import", relative.display());
+        for name in used(&text) {
             let Some(other) = tiers.get(&name).filter(|_| name != module) else { continue };
             assert!(other < tier, "{} (tier {tier}) uses {name} (tier {other})", relative.display());
             checked += 1;

@@ -7,6 +7,7 @@ use clap::{Args, Subcommand};
 use crate::config::{build, parse_assignment};
 use crate::data::builtin::export;
 use crate::error::Result;
+use crate::evaluate::split_name;
 
 use super::progress::{Screen, print};
 use super::train::load_scene;
@@ -68,7 +69,8 @@ impl CheckArguments {
         }
         let mut config = build(None, None, &assignments)?;
         let scene = load_scene(&mut config, &Screen::new(self.quiet))?;
-        for (label, value) in scene.describe() {
+        let split = ("split".to_string(), split_name(&config));
+        for (label, value) in scene.describe().into_iter().chain([split]) {
             print(&format!("{label:>16}  {value}"));
         }
         Ok(())

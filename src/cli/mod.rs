@@ -30,9 +30,18 @@ const EXIT_CODES: &str = "Exit codes: 0 done, 1 internal error, 2 wrong setting 
 cannot be written or is in the way, 5 bad checkpoint or run folder, 6 training collapsed or went non-finite, \
 130 or 143 stopped by Ctrl-C or SIGTERM with a checkpoint (resume it).";
 
+const TRAIN_EXAMPLES: &str = "Examples:
+  augnerf train                                            the embedded scene, under a minute
+  augnerf train --data fern --preset cpu                   NeRF on a real scene, minutes
+  augnerf train --data fern --preset cpu --method aug-nerf the same with worst-case augmentation
+  augnerf train --data fern --preset cpu --method aug-nerf --set perturb.attack=calibrated
+  augnerf train --data fern --preset cpu --method aug-nerf --set perturb.rgb.passes=off --set perturb.density.passes=off
+  augnerf train --data fern --preset paper-llff --print-config";
+
 #[derive(Subcommand)]
 enum Command {
     /// Train one scene, evaluate it and render held-out views
+    #[command(after_help = TRAIN_EXAMPLES)]
     Train(train::TrainArguments),
     /// Go on with a run that was stopped or killed
     Resume(train::ResumeArguments),

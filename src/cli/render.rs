@@ -9,14 +9,12 @@ use serde::Serialize;
 use crate::data::{Camera, Image, Progress, Scene, View};
 use crate::error::{Error, Result};
 use crate::evaluate::{RenderedView, Viewer};
-use crate::output::{beside, depth_colour, depth_range, write_depth16, write_gif, write_json, write_png8};
+use crate::output::{SOLID, beside, depth_colour, depth_range, write_depth16, write_gif, write_json, write_png8};
 
 use super::eval::Trained;
 use super::progress::Screen;
 use super::{Machine, Sources};
 
-/// Accumulation under which a pixel counts as empty in depth pictures.
-const SOLID: f32 = 0.5;
 /// Pixels between pictures that stand side by side.
 const GAP: usize = 4;
 
@@ -127,17 +125,18 @@ fn solid_depth(view: &RenderedView) -> Vec<f32> {
 
 fn depth_picture(view: &RenderedView, (near, far): (f32, f32)) -> Result<Image> {
     let Image { width, height, .. } = view.image;
-    depth_colour(&solid_depth(view), width, height, near, far, None)
+    depth_colour(&view.depth, width, height, near, far, Some(&view.acc))
 }
 
 /// Frames of a path: `rgb_000.png`, `depth_000.png` (colours), `depth16_000.png`, `rgb.gif`,
 /// `depth.gif`, `depth.json`.
 fn write_path(folder: &Path, scene: &Scene, frames: &[RenderedView], fps: f64) -> Result<()> {
     // One range for all frames, so that a colour means the same depth throughout.
-    let all: Vec<f32> = frames.iter().flat_map(solid_depth).collect();
-    let range = depth_range(&all, None);
+    let depths: Vec<f32> = frames.iter().flat_map(|frame| frame.depth.iter().copied()).collect();
+    let accs: Vec<f32> = frames.iter().flat_map(|frame| frame.acc.iter().copied()).collect();
+    let range = depth_range(&depths, Some(&accs));
     let scale = DepthScale::new(scene, range);
-    let mut depths = Vec::with_capacity(frames.len());
+    let mut pictures = Vec::with_capacity(frames.len());
     for (index, frame) in frames.iter().enumerate() {
         let Image { width, height, .. } = frame.image;
         write_png8(&folder.join(format!("rgb_{index:03}.png")), &frame.image)?;
@@ -145,11 +144,11 @@ fn write_path(folder: &Path, scene: &Scene, frames: &[RenderedView], fps: f64) -
         write_depth16(&path, &solid_depth(frame), width, height, scale.max)?;
         let picture = depth_picture(frame, range.unwrap_or((scene.near as f32, scene.far as f32)))?;
         write_png8(&folder.join(format!("depth_{index:03}.png")), &picture)?;
-        depths.push(picture);
+        pictures.push(picture);
     }
     let colours: Vec<Image> = frames.iter().map(|frame| frame.image.clone()).collect();
     write_gif(&folder.join("rgb.gif"), &colours, fps)?;
-    write_gif(&folder.join("depth.gif"), &depths, fps)?;
+    write_gif(&folder.join("depth.gif"), &pictures, fps)?;
     write_json(&folder.join("depth.json"), &scale)
 }
 
@@ -168,24 +167,26 @@ impl<'a> Pictures<'a> {
         Pictures { folder, scene, count, range: RefCell::new(None) }
     }
 
-    /// Writes the pictures of a view, if it is among the first.
-    pub fn write(&self, index: usize, view: &View, rendered: &RenderedView) -> Result<()> {
+    /// Writes the pictures of a view, if it is among the first; returns the one of all side by side.
+    pub fn write(&self, index: usize, view: &View, rendered: &RenderedView) -> Result<Option<Image>> {
         if index >= self.count {
-            return Ok(());
+            return Ok(None);
         }
         let Image { width, height, .. } = rendered.image;
         let file = |what: &str| self.folder.join(format!("{}_{what}.png", view.name));
-        let depth = solid_depth(rendered);
         // The first view's range colours all.
         let range = *self.range.borrow_mut().get_or_insert_with(|| {
-            depth_range(&depth, None).unwrap_or((self.scene.near as f32, self.scene.far as f32))
+            let range = depth_range(&rendered.depth, Some(&rendered.acc));
+            range.unwrap_or((self.scene.near as f32, self.scene.far as f32))
         });
         let colours = depth_picture(rendered, range)?;
         write_png8(&file("rgb"), &rendered.image)?;
         write_png8(&file("truth"), &view.image)?;
         write_png8(&file("depth"), &colours)?;
-        write_depth16(&file("depth16"), &depth, width, height, self.scene.far as f32)?;
-        write_png8(&file("beside"), &beside(&[&rendered.image, &view.image, &colours], GAP)?)
+        write_depth16(&file("depth16"), &solid_depth(rendered), width, height, self.scene.far as f32)?;
+        let all = beside(&[&rendered.image, &view.image, &colours], GAP)?;
+        write_png8(&file("beside"), &all)?;
+        Ok(Some(all))
     }
 
     /// Writes `depth.json`.

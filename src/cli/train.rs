@@ -10,7 +10,7 @@ use clap::Args;
 use toml::Value;
 
 use crate::config::{Config, DataKind, Preset, build, data_section, parse_assignment, scene_name};
-use crate::data::{self, Scene};
+use crate::data::{self, Image, Scene};
 use crate::error::{Error, Result};
 use crate::evaluate::{Protocol, Report, Viewer};
 use crate::metrics::{Lpips, MeanMetrics};
@@ -181,7 +181,8 @@ pub fn load_scene(config: &mut Config, screen: &Screen) -> Result<Scene> {
     }
     config.resolve_kind(kind);
     config.validate()?;
-    let scene = data::load(&config.data, screen)?;
+    let mut scene = data::load(&config.data, screen)?;
+    scene.name.clone_from(&config.data.name);
     config.resolve_bounds(scene.near, scene.far);
     Ok(scene)
 }
@@ -254,7 +255,10 @@ impl Job {
             return Err(interrupted(signal, session.trainer().step_count(), self.run.path()));
         }
         let evaluating = Instant::now();
-        let report = self.evaluate(session.trainer(), &signal)?;
+        let (report, picture) = self.evaluate(session.trainer(), &signal)?;
+        if let Some(picture) = picture {
+            session.picture("view", &picture)?;
+        }
         let seconds = evaluating.elapsed().as_secs_f64() + watcher.seconds_evaluation;
         self.timing(session.trainer().step_count(), session.seconds(), seconds, started_unix)
             .write(&self.run.timing())?;
@@ -266,12 +270,15 @@ impl Job {
         Viewer { model: trainer.model(), config: &self.config, scene: &self.scene, device: &self.device }
     }
 
-    fn evaluate(&self, trainer: &Trainer, signal: &AtomicUsize) -> Result<Report> {
+    /// Measures every held-out view; returns the first one's picture, too, where pictures are made.
+    fn evaluate(&self, trainer: &Trainer, signal: &AtomicUsize) -> Result<(Report, Option<Image>)> {
         let attack = AttackSummary::read(&self.run.scalars(), trainer.step_count())?;
         let renders = self.run.renders();
         let pictures = Pictures::new(&renders, &self.scene, self.config.eval.pictures);
+        let mut picture = None;
         let views = self.viewer(trainer).evaluate(&self.lpips, &self.screen, |index, view, rendered| {
-            pictures.write(index, view, rendered)?;
+            let beside = pictures.write(index, view, rendered)?;
+            picture = picture.take().or(beside);
             match signal.load(Ordering::SeqCst) {
                 0 => Ok(()),
                 signal => Err(interrupted(signal as i32, trainer.step_count(), self.run.path())),
@@ -285,7 +292,7 @@ impl Job {
             attack,
         };
         report.write(&self.run.metrics_json(), &self.run.metrics_csv())?;
-        Ok(report)
+        Ok((report, picture))
     }
 
     fn timing(&self, step: u64, training: f64, evaluation: f64, started_unix: u64) -> Timing {

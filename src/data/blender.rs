@@ -95,6 +95,14 @@ impl Split {
         let value = json::read(&file)?;
         let document = Object::document(&file, &value)?;
         document.required("camera_angle_x")?;
+        for key in ["k1", "k2", "k3", "p1", "p2"] {
+            if let Some(value) = document.number(key)?.filter(|value| *value != 0.0) {
+                return Err(document.error(&format!(
+                    "\"{key}\" is {value}, but Blender scenes are read without distortion; merge the splits into one \
+                     transforms.json, for which it is undone"
+                )));
+            }
+        }
         let angle = document.angle("camera_angle_x")?.unwrap_or_default();
         let mut split = Split { angle, paths: Vec::new(), poses: Vec::new() };
         for frame in document.frames()? {

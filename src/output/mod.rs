@@ -16,7 +16,7 @@ pub mod tensorboard;
 
 pub use atomic::{AtomicDir, clean_temporaries, write_atomic, write_json};
 pub use host::{Host, Timing, peak_memory_mib};
-pub use picture::{beside, depth_colour, depth_range, quantise, write_depth16, write_gif, write_png8};
+pub use picture::{SOLID, beside, depth_colour, depth_range, quantise, write_depth16, write_gif, write_png8};
 pub use revision::{revision, version};
 pub use run_dir::{RunDir, RunLock};
 pub use scalars::Scalars;

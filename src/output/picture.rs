@@ -20,14 +20,14 @@ const NOTHING: [f32; 3] = [0.5, 0.5, 0.5];
 /// Share of depths that [`depth_range`] leaves out at either end.
 const OUTLIERS: f64 = 0.02;
 /// Accumulation from which on a pixel's depth counts in [`depth_range`].
-const SOLID: f32 = 0.5;
+pub const SOLID: f32 = 0.5;
 /// Sampling factor of the colour quantisation: 1 is best and slowest, 30 worst.
 const GIF_SPEED: i32 = 1;
 /// Shortest frame of a GIF in hundredths of a second; viewers slow down what is shorter.
 const GIF_SHORTEST: u64 = 2;
 
-/// The nearest 8-bit value of each number, clamped to 0..=1 first. Metrics and pictures both use
-/// it, so that what is measured is what is seen.
+/// The nearest 8-bit value of each number, clamped to 0..=1 first: the rounding of
+/// the metrics, so that what is measured is what is seen.
 pub fn quantise(pixels: &[f32]) -> Vec<u8> {
     pixels.iter().map(|&value| (value.clamp(0.0, 1.0) * 255.0).round() as u8).collect()
 }

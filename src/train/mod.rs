@@ -238,8 +238,8 @@ impl Trainer {
                     )));
                 }
             }
-            let model = Model::init(config, &redraws, dtype, device)?;
-            trainer = Trainer::with_model(config, scene, model, dtype, device)?;
+            trainer.model = Model::init(config, &redraws, dtype, device)?;
+            trainer.adam = Adam::new(trainer.model.variables())?;
         }
     }
 

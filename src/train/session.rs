@@ -4,6 +4,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::{Duration, Instant};
 
 use crate::config::{Config, LEVELS, Method, PerturbKind};
+use crate::data::Image;
 use crate::error::{Error, Result};
 use crate::output::{EventWriter, RunDir, Scalars};
 
@@ -103,6 +104,11 @@ impl<'a> Session<'a> {
     /// Seconds spent on steps in this session.
     pub fn seconds(&self) -> f64 {
         self.stepping.as_secs_f64()
+    }
+
+    /// Adds a picture to the TensorBoard events, at the step reached.
+    pub fn picture(&mut self, tag: &str, picture: &Image) -> Result<()> {
+        self.events.image(self.trainer.step_count(), tag, picture)
     }
 
     /// Trains to the last step, or until `signal` holds a signal's number. Checkpoints are written
