@@ -17,18 +17,6 @@ pub struct Model {
     pub adversarial: Option<Field>,
 }
 
-/// Which fields a configuration has, in the fixed order of parameters.
-fn roles(config: &Config) -> Vec<&'static str> {
-    let mut roles = vec!["coarse"];
-    if config.sampling.fine > 0 {
-        roles.push("fine");
-    }
-    if config.method == Method::AugNerf && config.perturb.field == PerturbField::Separate {
-        roles.push("adversarial");
-    }
-    roles
-}
-
 impl Model {
     /// Freshly drawn fields. `draws` says how often each field of [`Model::roles`] was drawn
     /// before: 0 for the first draw, one more for each dead start.
@@ -41,16 +29,24 @@ impl Model {
         Ok(Model::from_fields(config, fields.collect::<Result<Vec<Field>>>()?))
     }
 
-    /// Names of the fields that a configuration has: `coarse`, `fine`, `adversarial`.
+    /// Names of the fields that a configuration has, in the fixed order of parameters: `coarse`,
+    /// `fine`, `adversarial`.
     pub fn roles(config: &Config) -> Vec<&'static str> {
-        roles(config)
+        let mut roles = vec!["coarse"];
+        if config.sampling.fine > 0 {
+            roles.push("fine");
+        }
+        if config.method == Method::AugNerf && config.perturb.field == PerturbField::Separate {
+            roles.push("adversarial");
+        }
+        roles
     }
 
     /// Names and shapes of all parameters (`coarse.trunk.0.weight`, ...), in their fixed order.
     pub fn parameter_names(config: &Config) -> Vec<(String, Vec<usize>)> {
         let of_field = Field::parameter_names(&config.field);
         let named = |role| of_field.iter().map(move |(name, shape)| (format!("{role}.{name}"), shape.clone()));
-        roles(config).into_iter().flat_map(named).collect()
+        Model::roles(config).into_iter().flat_map(named).collect()
     }
 
     /// A model over given values, in the order of [`Model::parameter_names`].
@@ -61,7 +57,7 @@ impl Model {
     }
 
     fn from_fields(config: &Config, fields: Vec<Field>) -> Model {
-        let mut fields = roles(config).into_iter().zip(fields).collect::<std::collections::HashMap<_, _>>();
+        let mut fields = Model::roles(config).into_iter().zip(fields).collect::<std::collections::HashMap<_, _>>();
         Model {
             coarse: fields.remove("coarse").expect("there is always a coarse field"),
             fine: fields.remove("fine"),

@@ -315,6 +315,9 @@ fn eval_and_render_read_a_run_back() {
     for file in ["rgb_002.png", "depth_002.png", "depth16_002.png", "rgb.gif", "depth.gif", "depth.json"] {
         assert!(out.join("renders/path").join(file).is_file(), "{file}");
     }
+    succeed(&["render", "--quiet", folder, "--frames", "2"]);
+    assert!(!out.join("renders/path/rgb_002.png").exists(), "frames of an earlier rendering are left");
+    refuse(&["render", folder, "--out", folder], 4, &["not empty"]);
     succeed(&["render", "--quiet", folder, "--what", "views"]);
     assert!(out.join("renders/views/r_7_beside.png").is_file());
 }

@@ -9,7 +9,9 @@ use serde::Serialize;
 use crate::data::{Camera, Image, Progress, Scene, View};
 use crate::error::{Error, Result};
 use crate::evaluate::{RenderedView, Viewer};
-use crate::output::{SOLID, beside, depth_colour, depth_range, write_depth16, write_gif, write_json, write_png8};
+use crate::output::{
+    AtomicDir, SOLID, beside, depth_colour, depth_range, write_depth16, write_gif, write_json, write_png8,
+};
 
 use super::eval::Trained;
 use super::progress::Screen;
@@ -62,7 +64,14 @@ impl RenderArguments {
             (None, What::Path) => renders.join("path"),
             (None, What::Views) => renders.join("views"),
         };
-        std::fs::create_dir_all(&folder).map_err(|e| Error::unwritable(&folder, &e))?;
+        // All or nothing: an earlier rendering's frames are not left among the new ones. What is not
+        // ours is not replaced.
+        if self.out.is_some() && std::fs::read_dir(&folder).is_ok_and(|mut entries| entries.next().is_some()) {
+            return Err(Error::Output(format!("{} is not empty; give --out a new or empty folder", folder.display())));
+        }
+        let parent = folder.parent().unwrap_or(Path::new("."));
+        std::fs::create_dir_all(parent).map_err(|e| Error::unwritable(parent, &e))?;
+        let pictures_dir = AtomicDir::new(&folder)?;
         let viewer = Viewer { model: &trained.model, config: &trained.config, scene, device: &device };
         let render = |camera: &Camera| {
             let rendered = viewer.render(camera);
@@ -71,7 +80,7 @@ impl RenderArguments {
         };
         match self.what {
             What::Views => {
-                let pictures = Pictures::new(&folder, scene, scene.test.len());
+                let pictures = Pictures::new(pictures_dir.path(), scene, scene.test.len());
                 screen.start("rendering", scene.test.len() as u64);
                 for (index, view) in scene.test.iter().enumerate() {
                     pictures.write(index, view, &render(&view.camera)?)?;
@@ -85,9 +94,10 @@ impl RenderArguments {
                 }
                 screen.start("rendering", cameras.len() as u64);
                 let frames = cameras.iter().map(render).collect::<Result<Vec<_>>>()?;
-                write_path(&folder, scene, &frames, self.fps)?;
+                write_path(pictures_dir.path(), scene, &frames, self.fps)?;
             }
         }
+        pictures_dir.commit()?;
         screen.finish();
         screen.say(&format!("pictures: {}", folder.display()));
         Ok(())

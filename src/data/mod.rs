@@ -13,6 +13,7 @@ pub mod pose;
 pub mod rays;
 pub mod resample;
 pub mod transforms;
+pub mod vector;
 
 pub use camera::{Camera, Ndc};
 pub use detect::detect;

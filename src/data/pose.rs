@@ -1,10 +1,9 @@
 //! Rigid poses: camera-to-world matrices `[R | origin]` with columns right, up, back.
 
+pub use super::vector::{Vec3, cross, dot, length, sub};
+
 /// A camera-to-world matrix; see [`crate::data::Camera::pose`].
 pub type Pose = [[f64; 4]; 3];
-
-/// A vector or a point in scene units.
-pub type Vec3 = [f64; 3];
 
 /// How far a rotation's columns may be from orthonormal: files print few digits.
 const ROTATION_TOLERANCE: f64 = 1e-2;
@@ -12,26 +11,6 @@ const ROTATION_TOLERANCE: f64 = 1e-2;
 /// `a + s * b`.
 pub fn add_scaled(a: Vec3, s: f64, b: Vec3) -> Vec3 {
     std::array::from_fn(|i| a[i] + s * b[i])
-}
-
-/// `a - b`.
-pub fn sub(a: Vec3, b: Vec3) -> Vec3 {
-    add_scaled(a, -1.0, b)
-}
-
-/// Inner product.
-pub fn dot(a: Vec3, b: Vec3) -> f64 {
-    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-}
-
-/// Euclidean length.
-pub fn length(a: Vec3) -> f64 {
-    dot(a, a).sqrt()
-}
-
-/// Right-handed cross product.
-pub fn cross(a: Vec3, b: Vec3) -> Vec3 {
-    [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
 }
 
 /// `a` at unit length; `None` where it has no direction.

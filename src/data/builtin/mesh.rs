@@ -6,7 +6,7 @@ use std::ops::Range;
 
 use super::shapes::{Shape, Solid};
 use super::stage::Stage;
-use super::vector::Vec3;
+use crate::data::vector::Vec3;
 
 /// Facets around each round solid.
 const AROUND: usize = 64;

@@ -7,7 +7,6 @@ pub mod shading;
 pub mod shapes;
 pub mod stage;
 mod still_life;
-mod vector;
 mod views;
 
 use rayon::prelude::*;
@@ -16,8 +15,10 @@ pub use export::{Exported, export};
 pub use mesh::Mesh;
 pub use stage::{Frame, Hit, Picture, Stage};
 
-use crate::config::{Background, DataConfig, DataKind, EvalSplit};
-use crate::data::{Camera, Image, Ndc, Scene, View};
+use super::resample::composite;
+use super::{background, split_every};
+use crate::config::{DataConfig, DataKind, EvalSplit};
+use crate::data::{Camera, Ndc, Scene, View};
 use crate::error::{Error, Result};
 use views::Split;
 
@@ -38,7 +39,7 @@ pub fn forward_stage() -> Stage {
 }
 
 /// Renders the embedded scene as `config` asks: its kind (`BuiltinBlender` or `BuiltinForward`),
-/// width or downscale, splits, background, bounds and pixel origin.
+/// width or downscale, splits, background and pixel origin.
 pub fn load(config: &DataConfig) -> Result<Scene> {
     match config.kind {
         DataKind::BuiltinBlender => load_blender(config),
@@ -53,10 +54,7 @@ pub fn load(config: &DataConfig) -> Result<Scene> {
 fn load_blender(config: &DataConfig) -> Result<Scene> {
     let width = columns(config)?;
     let stage = blender_stage();
-    let background = match config.background {
-        Background::White => [1.0; 3],
-        Background::Black => [0.0; 3],
-    };
+    let background = background(config);
     let split = match config.eval_split {
         EvalSplit::Test => Split::Test,
         EvalSplit::Val => Split::Val,
@@ -65,14 +63,13 @@ fn load_blender(config: &DataConfig) -> Result<Scene> {
         cameras.par_iter().map(|(name, camera)| view(&stage, name, camera, config, background)).collect()
     };
     let held_out: Vec<_> = views::around(split, width).into_iter().step_by(config.test_skip.max(1)).collect();
-    let (near, far) = bounds(config, 2.0, 6.0)?;
     Ok(Scene {
         name: "builtin".into(),
         kind: DataKind::BuiltinBlender.name(),
         train: render(&views::around(Split::Train, width)),
         test: render(&held_out),
-        near,
-        far,
+        near: 2.0,
+        far: 6.0,
         ndc: None,
         background: Some(background),
         path: views::orbit(width),
@@ -88,15 +85,12 @@ fn load_forward(config: &DataConfig) -> Result<Scene> {
     let camera = cameras[0].1;
     let ndc = Ndc { width: camera.width as f64, height: camera.height as f64, focal: camera.focal[0] };
     let (near, far) = if config.ndc { (0.0, 1.0) } else { depth_range(&all) };
-    let (near, far) = bounds(config, near, far)?;
-    let holdout = config.holdout.max(2);
-    let (held_out, train): (Vec<_>, Vec<_>) = all.into_iter().enumerate().partition(|(i, _)| i % holdout == 0);
-    let views = |numbered: Vec<(usize, View)>| numbered.into_iter().map(|(_, view)| view);
+    let (train, test) = split_every(all, config.holdout, config.test_skip);
     Ok(Scene {
         name: "builtin".into(),
         kind: DataKind::BuiltinForward.name(),
-        train: views(train).collect(),
-        test: views(held_out).step_by(config.test_skip.max(1)).collect(),
+        train,
+        test,
         near,
         far,
         ndc: config.ndc.then_some(ndc),
@@ -121,17 +115,6 @@ fn columns(config: &DataConfig) -> Result<usize> {
     )))
 }
 
-/// The interval along rays, with the configuration's overrides.
-fn bounds(config: &DataConfig, near: f64, far: f64) -> Result<(f64, f64)> {
-    let (near, far) = (config.near.unwrap_or(near), config.far.unwrap_or(far));
-    if near < far {
-        return Ok((near, far));
-    }
-    Err(Error::Config(format!(
-        "data.near = {near} is not before data.far = {far}: set both, or leave both empty for the scene's own"
-    )))
-}
-
 /// Bounds of the depths in all views, with a tenth of room in front, as LLFF scenes without NDC.
 fn depth_range(views: &[View]) -> (f64, f64) {
     let depths = || views.iter().filter_map(|view| view.depth.as_ref()).flatten().copied();
@@ -144,19 +127,8 @@ fn view(stage: &Stage, name: &str, camera: &Camera, config: &DataConfig, backgro
     View {
         name: name.into(),
         camera: *camera,
-        image: composite(&picture.image, background),
+        image: composite(picture.image, background).0,
         depth: Some(picture.depth),
-    }
-}
-
-/// RGBA over a background colour.
-fn composite(rgba: &Image, background: [f32; 3]) -> Image {
-    let over = |p: &[f32]| -> [f32; 3] { std::array::from_fn(|c| p[c] * p[3] + background[c] * (1.0 - p[3])) };
-    Image {
-        width: rgba.width,
-        height: rgba.height,
-        channels: 3,
-        pixels: rgba.pixels.chunks_exact(4).flat_map(over).collect(),
     }
 }
 

@@ -5,7 +5,7 @@ use std::f64::consts::TAU;
 use std::sync::LazyLock;
 
 use super::stage::{Hit, Stage};
-use super::vector::{Vec3, add, along, axes_along, dot, mix, mul, scale, sub, unit};
+use crate::data::vector::{Vec3, add, along, axes_along, dot, mix, mul, scale, sub, unit};
 
 /// Rays of one pixel along each side; also the square root of the number of light samples.
 pub const SIDE: usize = 4;

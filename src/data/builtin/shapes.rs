@@ -1,7 +1,7 @@
 //! Solids with exact ray intersections and exact signed distances.
 
 use super::shading::Material;
-use super::vector::{Vec3, add, along, axes_along, dot, length, scale, sub, unit};
+use crate::data::vector::{Vec3, add, along, axes_along, dot, length, scale, sub, unit};
 
 /// A solid around its own origin; lengths in scene units.
 #[derive(Clone, Copy, Debug, PartialEq)]

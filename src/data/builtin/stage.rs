@@ -4,8 +4,8 @@ use rayon::prelude::*;
 
 use super::shading::{SAMPLES, SIDE, display, shade};
 use super::shapes::Solid;
-use super::vector::{Vec3, add, along, dot, length, scale, sub};
 use crate::config::PixelOrigin;
+use crate::data::vector::{Vec3, add, along, dot, length, scale, sub};
 use crate::data::{Camera, Image};
 
 /// Mirror reflections that are followed.

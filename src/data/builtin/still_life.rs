@@ -4,7 +4,7 @@ use std::f64::consts::TAU;
 
 use super::shading::{Material, Pattern};
 use super::shapes::{Shape, Solid};
-use super::vector::{Vec3, add, axes_along, scale};
+use crate::data::vector::{Vec3, add, axes_along, scale};
 
 /// Height of the surface that everything stands on.
 const TOP: f64 = -0.72;

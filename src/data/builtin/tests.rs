@@ -1,7 +1,7 @@
 use super::shading::Material;
 use super::shapes::{Shape, Solid};
-use super::vector::{add, along, cross, dot, length, scale, sub, unit};
 use super::*;
+use crate::data::vector::{add, along, cross, dot, length, scale, sub, unit};
 
 /// Agreement of a closed-form crossing with sphere tracing, which stops this near the surface.
 const MARCH_TOLERANCE: f64 = 1e-6;
@@ -203,10 +203,11 @@ fn a_forward_scene_fills_every_pixel_beyond_the_near_plane() {
 #[test]
 fn settings_are_honoured() {
     let base = config(DataKind::BuiltinBlender, 24);
-    let black = load(&DataConfig { background: Background::Black, ..base.clone() }).unwrap();
+    let black = load(&DataConfig { background: crate::config::Background::Black, ..base.clone() }).unwrap();
     assert_eq!(black.background, Some([0.0; 3]));
     assert_eq!(black.test[0].image.pixels[..3], [0.0; 3]);
-    let few = load(&DataConfig { test_skip: 3, near: Some(2.5), far: Some(5.5), ..base.clone() }).unwrap();
+    let few = DataConfig { test_skip: 3, near: Some(2.5), far: Some(5.5), ..base.clone() };
+    let few = crate::data::load(&few, &()).unwrap();
     assert_eq!((few.test.len(), few.near, few.far), (3, 2.5, 5.5));
     assert_eq!(few.test[1].name, "r_3");
     let val = load(&DataConfig { eval_split: EvalSplit::Val, ..base.clone() }).unwrap();
@@ -226,10 +227,9 @@ fn settings_that_make_no_scene_are_refused_in_words() {
         (DataConfig { width: 10_000, ..config(DataKind::BuiltinBlender, 0) }, "data.width"),
         (DataConfig { downscale: Some(64), ..config(DataKind::BuiltinForward, 0) }, "data.downscale"),
         (DataConfig { near: Some(7.0), ..config(DataKind::BuiltinBlender, 16) }, "data.near"),
-        (config(DataKind::Llff, 16), "builtin-blender"),
     ];
     for (config, words) in cases {
-        let error = load(&config).unwrap_err();
+        let error = crate::data::load(&config, &()).unwrap_err();
         assert!(error.to_string().contains(words), "{error}");
         assert_eq!(error.exit_code(), 2);
     }

@@ -3,8 +3,8 @@
 use std::f64::consts::{PI, TAU};
 
 use super::stage::Frame;
-use super::vector::{Vec3, add, cross, scale, sub, unit};
 use crate::data::Camera;
+use crate::data::vector::{Vec3, add, cross, scale, sub, unit};
 
 /// Horizontal field of view of the Blender-style cameras in radians, as NeRF-synthetic's.
 pub const ANGLE_X: f64 = 0.691_111_207_008_361_8;
