@@ -15,6 +15,7 @@
 //!         └──────►│ perturbations: sets ─► PGD ascends the loss │◄── gradients ─────┤
 //!                 └─────────────────────────────────────────────┘                   ▼
 //!                          perturbed pass, lambda ─────────────────────────► train::Adam
+//!    box of points ─► field: density, gradient, Laplacian ─► regularizers ──────────▲
 //!
 //!  checkpoint ─► evaluate ─► metrics ─► output (metrics.json, CSV, pictures)
 //! ```
@@ -38,6 +39,7 @@
 //! | `epsilon` | scalar | see README | size of a delta's set |
 //! | `step_size` | scalar | the delta's unit, or radii | length of one ascent step |
 //! | `lambda` | scalar | 1 | weight of the perturbed loss |
+//! | `laplacian` | `[n]` | 1 / scene unit^3 | divergence of density's gradient |
 //!
 //! # Layers
 //!
@@ -48,7 +50,7 @@
 //! | 7 | `cli` |
 //! | 6 | `evaluate` |
 //! | 5 | `train` |
-//! | 4 | `model`, `render` |
+//! | 4 | `model`, `regularizers`, `render` |
 //! | 3 | `field`, `sampling`, `perturbations`, `metrics`, `output` |
 //! | 2 | `data` |
 //! | 1 | `config`, `rng` |
@@ -70,6 +72,7 @@ pub mod metrics;
 pub mod model;
 pub mod output;
 pub mod perturbations;
+pub mod regularizers;
 pub mod render;
 pub mod rng;
 pub mod sampling;

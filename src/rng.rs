@@ -5,6 +5,8 @@
 //! switching one stream's user off moves no other stream. Numbers are made on the host, so that
 //! every device sees the same.
 
+use std::collections::HashMap;
+
 use candle_core::{DType, Device, Tensor};
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
@@ -26,6 +28,8 @@ pub enum Stream {
     Diagnostics,
     /// Corruption of training images and poses.
     Corruption,
+    /// Lattice cells of explicit regularizers, and points in them.
+    Regularizer,
 }
 
 impl Stream {
@@ -38,6 +42,7 @@ impl Stream {
             Stream::Attack => 4,
             Stream::Diagnostics => 5,
             Stream::Corruption => 6,
+            Stream::Regularizer => 7,
         }
     }
 }
@@ -90,6 +95,11 @@ impl Random {
 
     /// `count` distinct integers of 0..bound in random order (partial Fisher-Yates).
     pub fn distinct(&mut self, count: usize, bound: u32) -> Vec<u32> {
+        // A few of many: only what differs from 0..bound is kept.
+        if count < bound as usize / 8 { self.distinct_few(count, bound) } else { self.distinct_many(count, bound) }
+    }
+
+    fn distinct_many(&mut self, count: usize, bound: u32) -> Vec<u32> {
         let mut pool: Vec<u32> = (0..bound).collect();
         let count = count.min(pool.len());
         for i in 0..count {
@@ -98,6 +108,18 @@ impl Random {
         }
         pool.truncate(count);
         pool
+    }
+
+    fn distinct_few(&mut self, count: usize, bound: u32) -> Vec<u32> {
+        let mut moved: HashMap<u32, u32> = HashMap::with_capacity(2 * count);
+        let mut drawn = Vec::with_capacity(count);
+        for i in 0..count as u32 {
+            let j = i + self.below(bound - i);
+            let displaced = moved.get(&i).copied().unwrap_or(i);
+            // Entry i is never read again.
+            drawn.push(if j == i { displaced } else { moved.insert(j, displaced).unwrap_or(j) });
+        }
+        drawn
     }
 
     /// A tensor of uniform numbers in 0..1.
@@ -157,6 +179,11 @@ mod tests {
         }
         // 2000 expected, standard deviation about 35.
         assert!(counts.iter().all(|c| c.abs_diff(2000) < 200), "{counts:?}");
+        for (count, bound) in [(1, 1), (10, 10), (40, 50), (50, 4000)] {
+            let [few, many] = [Random::distinct_few, Random::distinct_many]
+                .map(|draw| draw(&mut Random::new(3, Stream::Batches, 0), count, bound));
+            assert_eq!(few, many, "{count} of {bound}");
+        }
         let mut all = Random::new(1, Stream::Batches, 0).distinct(100, 100);
         all.sort_unstable();
         assert_eq!(all, (0..100).collect::<Vec<u32>>());

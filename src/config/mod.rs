@@ -8,6 +8,7 @@ use serde::{Deserialize, Serialize};
 
 mod layers;
 mod perturb;
+mod regularizer;
 mod validate;
 
 pub use layers::{Preset, build, data_section, parse_assignment};
@@ -15,6 +16,7 @@ pub use perturb::{
     Attack, DeltaConfig, LEVELS, Level, Norm, Objective, OutputPlace, Passes, PerturbConfig, PerturbField, PerturbKind,
     Radius, Resample, StepUnit,
 };
+pub use regularizer::{LatticePoints, REGULARIZERS, RegularizedFields, Regularizer, RegularizerConfig};
 
 use crate::error::{Error, Result};
 
@@ -38,6 +40,8 @@ pub struct Config {
     pub train: TrainConfig,
     /// The perturbed pass; read only where `method = "aug-nerf"`.
     pub perturb: PerturbConfig,
+    /// Explicit smoothness terms, with either method.
+    pub regularizer: RegularizerConfig,
     /// Evaluation and its pictures.
     pub eval: EvalConfig,
 }
@@ -208,6 +212,17 @@ pub enum Init {
     Torch,
 }
 
+/// What turns a network's raw density into density.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum DensityActivation {
+    /// max(raw, 0) (NeRF).
+    #[default]
+    Relu,
+    /// ln(1 + exp(raw - 1)) (MipNeRF).
+    Softplus,
+}
+
 /// The coarse and the fine network; both have this shape.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
@@ -224,11 +239,21 @@ pub struct FieldConfig {
     pub view_octaves: usize,
     /// How weights are drawn.
     pub init: Init,
+    /// What turns raw density into density.
+    pub density_activation: DensityActivation,
 }
 
 impl Default for FieldConfig {
     fn default() -> Self {
-        FieldConfig { width: 256, depth: 8, skips: vec![5], position_octaves: 10, view_octaves: 4, init: Init::Glorot }
+        FieldConfig {
+            width: 256,
+            depth: 8,
+            skips: vec![5],
+            position_octaves: 10,
+            view_octaves: 4,
+            init: Init::Glorot,
+            density_activation: DensityActivation::Relu,
+        }
     }
 }
 
@@ -359,7 +384,7 @@ impl Config {
         toml::to_string(self).expect("a configuration is plain data")
     }
 
-    /// Fills the fields whose default depends on the kind of scene.
+    /// Fills the fields whose default depends on the kind of scene, and drops what has no effect.
     pub fn resolve_kind(&mut self, kind: DataKind) {
         let forward = kind.forward_facing();
         self.data.kind = kind;
@@ -373,6 +398,7 @@ impl Config {
             *self.train.batching.get_or_insert(if forward { Batching::AllImages } else { Batching::OneImage });
         self.train.decay_steps.get_or_insert(if forward { 250_000 } else { 500_000 });
         self.train.precrop_steps.get_or_insert(if batching == Batching::OneImage { 500 } else { 0 });
+        self.regularizer.resolve();
     }
 
     /// Fills the fields whose default depends on the scene's bounds (in the units of `t_vals`).
@@ -382,7 +408,7 @@ impl Config {
 
     /// A 12-digit content hash of everything that can change a weight or a metric. The scene counts
     /// by its name, not by where its folder lies; how often a run logs, evaluates or saves does
-    /// not count, and neither does section `perturb` without a perturbed pass.
+    /// not count, and neither do section `perturb` without a perturbed pass and regularizers of weight 0.
     pub fn hash(&self) -> String {
         use sha2::{Digest, Sha256};
         let mut portable = self.clone();
@@ -404,6 +430,7 @@ impl Config {
         if self.method == Method::Nerf {
             portable.perturb = PerturbConfig::default();
         }
+        portable.regularizer.resolve();
         let digest = Sha256::digest(portable.to_toml().as_bytes());
         digest.iter().take(6).map(|byte| format!("{byte:02x}")).collect()
     }

@@ -144,7 +144,7 @@ impl CustomOp3 for Dense {
 }
 
 /// ReLU's backward pass: the gradient where `y > 0`, otherwise 0.
-fn mask_where_zero(gradient: &Tensor, y: &Tensor) -> Result<Tensor> {
+pub(super) fn mask_where_zero(gradient: &Tensor, y: &Tensor) -> Result<Tensor> {
     if y.device().is_cpu() {
         return gradient.contiguous()?.apply_op2_no_bwd(&y.contiguous()?, &ReluMask);
     }

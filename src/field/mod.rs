@@ -13,11 +13,14 @@ use crate::config::{FieldConfig, Init};
 use crate::error::Result;
 use crate::rng::{Random, Stream};
 
+mod activation;
 mod dense;
 mod encoding;
+mod spatial;
 
 pub use dense::{dense, dense_reference};
 pub use encoding::{encode, encode_reference, encoded_channels};
+pub use spatial::{Cotangents, Spatial, spatial_reference};
 
 /// One layer's parameters, `[outputs, inputs]` and `[outputs]`.
 #[derive(Clone)]
@@ -44,7 +47,7 @@ pub struct Field {
 pub struct RawOutput {
     /// Colour before the sigmoid, `[n, 3]`.
     pub rgb: Tensor,
-    /// Density before the ReLU, `[n]`, 1 / length.
+    /// Density before its activation, `[n]`, 1 / length.
     pub density: Tensor,
 }
 
@@ -146,10 +149,14 @@ impl Field {
         Field { config: config.clone(), trunk: layers, density, feature, view, rgb, variables: Vec::new() }
     }
 
+    /// All layers in the order of parameters.
+    fn layers(&self) -> impl Iterator<Item = &Layer> {
+        self.trunk.iter().chain([&self.density, &self.feature, &self.view, &self.rgb])
+    }
+
     /// The same weights (shared, not copied) for which no gradient is ever computed.
     pub fn frozen(&self) -> Field {
-        let layers = self.trunk.iter().chain([&self.density, &self.feature, &self.view, &self.rgb]);
-        let tensors = layers.flat_map(|layer| [layer.weight.detach(), layer.bias.detach()]).collect();
+        let tensors = self.layers().flat_map(|layer| [layer.weight.detach(), layer.bias.detach()]).collect();
         Field::assemble(&self.config, tensors)
     }
 
@@ -184,20 +191,32 @@ impl Field {
         Ok(self.layer(&self.density, &hidden, false)?.squeeze(1)?)
     }
 
+    /// Density from raw density, of any shape.
+    pub fn activate_density(&self, raw: &Tensor) -> Result<Tensor> {
+        Ok(activation::activate_density(self.config.density_activation, raw)?)
+    }
+
     /// The trunk's last output, `[n, width]`.
     fn trunk(&self, points: &Tensor, delta: Option<FeatureDelta>) -> Result<Tensor> {
         let encoded = encode(points, self.config.position_octaves)?;
-        let mut hidden = encoded.clone();
+        let mut hidden = None;
         for (i, layer) in self.trunk.iter().enumerate() {
-            if self.config.skips.contains(&i) {
-                hidden = Tensor::cat(&[&encoded, &hidden], 1)?;
-            }
-            hidden = self.layer(layer, &hidden, true)?;
+            let mut output = self.layer(layer, &self.trunk_input(i, &encoded, hidden.as_ref())?, true)?;
             if let Some(delta) = delta.as_ref().filter(|delta| delta.layer == i + 1) {
-                hidden = (hidden + delta.delta)?;
+                output = (output + delta.delta)?;
             }
+            hidden = Some(output);
         }
-        Ok(hidden)
+        Ok(hidden.expect("a trunk has layers"))
+    }
+
+    /// What trunk layer `i` (from 0) reads: the encoding, the layer below, or both.
+    fn trunk_input(&self, i: usize, encoded: &Tensor, hidden: Option<&Tensor>) -> Result<Tensor> {
+        Ok(match hidden {
+            None => encoded.clone(),
+            Some(hidden) if self.config.skips.contains(&i) => Tensor::cat(&[encoded, hidden], 1)?,
+            Some(hidden) => hidden.clone(),
+        })
     }
 
     /// Encodes unit directions `[rays, 3]` once a ray and repeats them for its samples:

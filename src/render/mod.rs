@@ -61,7 +61,7 @@ pub struct PassOutput {
 pub fn clean_pass(field: &Field, pass: Pass) -> Result<PassOutput> {
     let points = points_at(pass.rays, pass.t_vals)?;
     let raw = query(field, &points, &pass.rays.viewdirs, None)?;
-    let (rgb, density) = activate(&raw, pass.density_noise)?;
+    let (rgb, density) = activate(field, &raw, pass.density_noise)?;
     finish(pass, pass.t_vals, &raw, (rgb, density), (Deltas::default(), Sets::default()))
 }
 
@@ -85,10 +85,10 @@ pub fn perturbed_pass(field: &Field, pass: Pass, perturbation: Perturbation) -> 
     let (mut used, mut sets) = (deltas.clone(), perturbation.sets.clone());
     let activated = match perturbation.output {
         OutputPlace::After => {
-            let (rgb, density) = activate(&raw, pass.density_noise)?;
+            let (rgb, density) = activate(field, &raw, pass.density_noise)?;
             add_after(perturbation, rgb, density, (&mut used, &mut sets))?
         }
-        OutputPlace::Before => activate(&add_before(perturbation, &raw, &mut used)?, pass.density_noise)?,
+        OutputPlace::Before => activate(field, &add_before(perturbation, &raw, &mut used)?, pass.density_noise)?,
     };
     finish(pass, &t_vals, &raw, activated, (used, sets))
 }
@@ -106,12 +106,12 @@ fn finish(
 }
 
 /// Accumulation of rays without density noise, `[rays]`: what an evaluation would see.
-pub fn noiseless_acc(out: &PassOutput, pass: Pass) -> Result<Tensor> {
+pub fn noiseless_acc(field: &Field, out: &PassOutput, pass: Pass) -> Result<Tensor> {
     if pass.density_noise.is_none() {
         return Ok(out.composite.acc.detach());
     }
     let intervals = volume::intervals(pass.t_vals, &pass.rays.direction_norm)?;
-    Ok(volume::weights_from_density(&out.raw_density.relu()?, &intervals)?.sum(D::Minus1)?)
+    Ok(volume::weights_from_density(&field.activate_density(&out.raw_density)?, &intervals)?.sum(D::Minus1)?)
 }
 
 /// origin + t * direction, `[rays, samples, 3]`.
@@ -140,12 +140,12 @@ fn query(field: &Field, points: &Tensor, viewdirs: &Tensor, feature: Option<(usi
     Ok(RawOutput { rgb: raw.rgb.reshape((rays, samples, 3))?, density: raw.density.reshape((rays, samples))? })
 }
 
-/// Sigmoid on colour, noise and ReLU on density.
-fn activate(raw: &RawOutput, density_noise: Option<&Tensor>) -> Result<(Tensor, Tensor)> {
+/// Sigmoid on colour, noise and the field's activation on density.
+fn activate(field: &Field, raw: &RawOutput, density_noise: Option<&Tensor>) -> Result<(Tensor, Tensor)> {
     let rgb = candle_nn::ops::sigmoid(&raw.rgb)?;
     let density = match density_noise {
-        Some(noise) => (&raw.density + noise)?.relu()?,
-        None => raw.density.relu()?,
+        Some(noise) => field.activate_density(&(&raw.density + noise)?)?,
+        None => field.activate_density(&raw.density)?,
     };
     Ok((rgb, density))
 }
@@ -214,7 +214,7 @@ pub fn render_rays(
     let Some(fine) = fine else { return Ok(clean_pass(coarse, pass)?.composite) };
     // The coarse pass only places samples: density alone will do.
     let points = points_at(rays, &t_vals)?.flatten(0, 1)?;
-    let density = coarse.raw_density(&points)?.relu()?.reshape(t_vals.shape())?;
+    let density = coarse.activate_density(&coarse.raw_density(&points)?)?.reshape(t_vals.shape())?;
     let weights = volume::weights_from_density(&density, &volume::intervals(&t_vals, &rays.direction_norm)?)?;
     let u = sampling::even_u(rays.len(), fine_samples, &t_vals)?;
     let t_vals = sampling::importance(&t_vals, &weights, &u)?;

@@ -8,7 +8,7 @@ use candle_core::backprop::GradStore;
 use candle_core::{DType, Device, Tensor};
 use rayon::prelude::*;
 
-use crate::config::{Config, Method, Objective, PerturbKind};
+use crate::config::{Config, DensityActivation, Method, Objective, PerturbKind, Regularizer};
 use crate::data::{Rays, Scene};
 use crate::error::{Error, Result};
 use crate::model::Model;
@@ -22,11 +22,13 @@ pub mod checkpoint;
 mod diagnostics;
 mod optimizer;
 mod perturbed;
+mod regularized;
 mod session;
 
 pub use batches::{Batch, Batches};
 pub use diagnostics::{AttackSummary, LevelDiagnostics};
 pub use optimizer::{Adam, Moments, learning_rate};
+pub use regularized::Balance;
 pub use session::{EVALUATION_COLUMNS, Observer, Outcome, Session, interrupted};
 
 /// Accumulation under which a ray counts as empty.
@@ -72,7 +74,10 @@ pub struct StepStats {
     pub loss_fine: Option<f64>,
     /// Loss of the perturbed passes (coarse + fine, unweighted), where there are any.
     pub loss_perturbed: Option<f64>,
-    /// What was minimised: clean and perturbed loss as the objective mixes them.
+    /// Each regularizer's term, unweighted, summed over the fields that it holds for.
+    pub regularizers: Vec<(Regularizer, f64)>,
+    /// What was minimised: clean and perturbed loss as the objective mixes them, plus weighted
+    /// regularizers.
     pub loss: f64,
     /// Largest accumulation of a ray in the pass that is evaluated, without density noise.
     pub largest_acc: f64,
@@ -216,6 +221,9 @@ impl Gradients {
 impl Trainer {
     /// A run at step 0. `config` is resolved. Dead starts are drawn again.
     pub fn new(config: &Config, scene: &Scene, dtype: DType, device: &Device) -> Result<Trainer> {
+        if !config.regularizer.kind.is_empty() {
+            regularized::lattice(&config.regularizer).check_meets(scene)?;
+        }
         let mut redraws = vec![0; Model::roles(config).len()];
         let mut trainer =
             Trainer::with_model(config, scene, Model::init(config, &redraws, dtype, device)?, dtype, device)?;
@@ -225,6 +233,7 @@ impl Trainer {
             let dead = trainer.dead_fields(&points)?;
             if dead.is_empty() {
                 trainer.redraws = redraws;
+                trainer.check_duration()?;
                 return Ok(trainer);
             }
             for field in dead {
@@ -258,8 +267,12 @@ impl Trainer {
         })
     }
 
-    /// Fields whose share of positive densities at `points` is under the configured one.
+    /// Fields whose share of positive densities at `points` is under the configured one. Softplus has none: it is
+    /// positive, and has a slope, everywhere.
     fn dead_fields(&self, points: &Tensor) -> Result<Vec<usize>> {
+        if self.config.field.density_activation == DensityActivation::Softplus {
+            return Ok(Vec::new());
+        }
         let mut dead = Vec::new();
         for (index, (_, field)) in self.model.fields().into_iter().enumerate() {
             let positive = field.frozen().raw_density(points)?.gt(0f64)?.to_dtype(DType::F64)?;
@@ -329,6 +342,42 @@ impl Trainer {
     /// Takes one step. `log` asks for the diagnostics of the perturbed levels.
     pub fn step(&mut self, log: bool) -> Result<StepStats> {
         let whole = self.chunk(self.step)?;
+        let mut sum = self.passes(&whole, log)?;
+        let (clean_weight, perturbed_weight) = mixing(&self.config);
+        let clean = sum.loss();
+        let mut loss = clean_weight * clean + sum.loss_perturbed.map_or(0.0, |loss| perturbed_weight * loss);
+        let mut regularizers = Vec::new();
+        if let Some((values, gradients)) = self.regularize(&self.config.regularizer)? {
+            loss +=
+                self.config.regularizer.terms().zip(&values).map(|((_, weight), value)| weight * value).sum::<f64>();
+            regularizers = self.config.regularizer.kind.iter().copied().zip(values).collect();
+            sum.gradients.merge(gradients)?;
+        }
+        let stats = StepStats {
+            step: self.step + 1,
+            learning_rate: learning_rate(&self.config.train, self.step),
+            loss_coarse: sum.loss_coarse,
+            loss_fine: sum.loss_fine,
+            loss_perturbed: sum.loss_perturbed,
+            regularizers,
+            loss,
+            largest_acc: sum.largest_acc,
+            levels: sum.diagnostics.finish(clean),
+        };
+        self.check_finite(&stats, &sum.gradients)?;
+        self.check_alive(&stats)?;
+        self.adam.update(&sum.gradients.0, stats.learning_rate, stats.step)?;
+        let parameters =
+            Gradients(self.adam.variables().iter().map(|(_, var)| Some(var.as_detached_tensor())).collect());
+        if let Some(name) = parameters.find_non_finite(&self.adam)? {
+            return Err(self.non_finite(stats.step, &format!("parameter {name}")));
+        }
+        self.step += 1;
+        Ok(stats)
+    }
+
+    /// All passes through the rays of a step, chunk by chunk.
+    fn passes(&self, whole: &Chunk, log: bool) -> Result<ChunkResult> {
         let size = self.config.train.chunk;
         let starts: Vec<usize> = (0..whole.rays.len()).step_by(size).collect();
         let work = |(index, &start): (usize, &usize)| -> Result<ChunkResult> {
@@ -347,28 +396,7 @@ impl Trainer {
         for chunk in chunks {
             sum.add(chunk)?;
         }
-        let (clean_weight, perturbed_weight) = mixing(&self.config);
-        let clean = sum.loss();
-        let stats = StepStats {
-            step: self.step + 1,
-            learning_rate: learning_rate(&self.config.train, self.step),
-            loss_coarse: sum.loss_coarse,
-            loss_fine: sum.loss_fine,
-            loss_perturbed: sum.loss_perturbed,
-            loss: clean_weight * clean + sum.loss_perturbed.map_or(0.0, |loss| perturbed_weight * loss),
-            largest_acc: sum.largest_acc,
-            levels: sum.diagnostics.finish(clean),
-        };
-        self.check_finite(&stats, &sum.gradients)?;
-        self.check_alive(&stats)?;
-        self.adam.update(&sum.gradients.0, stats.learning_rate, stats.step)?;
-        let parameters =
-            Gradients(self.adam.variables().iter().map(|(_, var)| Some(var.as_detached_tensor())).collect());
-        if let Some(name) = parameters.find_non_finite(&self.adam)? {
-            return Err(self.non_finite(stats.step, &format!("parameter {name}")));
-        }
-        self.step += 1;
-        Ok(stats)
+        Ok(sum)
     }
 
     /// Everything that a step does with a chunk. Losses and gradients are
@@ -394,7 +422,7 @@ impl Trainer {
         let weight = weight * chunk.share;
         result.loss_coarse = chunk.share * self.descend(&coarse, &chunk.target, weight, &mut result.gradients)?;
         let (Some(field), Some(u)) = (&self.model.fine, &chunk.u) else {
-            result.largest_acc = largest(&noiseless_acc(&coarse, self.coarse_pass(chunk))?)?;
+            result.largest_acc = largest(&noiseless_acc(&self.model.coarse, &coarse, self.coarse_pass(chunk))?)?;
             return Ok(None);
         };
         let t_vals = sampling::importance(&chunk.t_coarse, &coarse.composite.weights, u)?;
@@ -402,7 +430,7 @@ impl Trainer {
         let fine = clean_pass(field, self.fine_pass(chunk, &t_vals))?;
         let loss = self.descend(&fine, &chunk.target, weight, &mut result.gradients)?;
         result.loss_fine = Some(chunk.share * loss);
-        result.largest_acc = largest(&noiseless_acc(&fine, self.fine_pass(chunk, &t_vals))?)?;
+        result.largest_acc = largest(&noiseless_acc(field, &fine, self.fine_pass(chunk, &t_vals))?)?;
         Ok(Some(t_vals))
     }
 
@@ -432,9 +460,11 @@ impl Trainer {
             ("loss of the clean fine pass", stats.loss_fine),
             ("loss of the perturbed pass", stats.loss_perturbed),
         ];
-        let loss = losses.into_iter().find(|(_, loss)| loss.is_some_and(|loss| !loss.is_finite()));
+        let passes = losses.into_iter().filter_map(|(name, loss)| loss.map(|loss| (name.to_string(), loss)));
+        let terms = stats.regularizers.iter().map(|(term, value)| (format!("regularizer {}", term.name()), *value));
+        let loss = passes.chain(terms).find(|(_, loss)| !loss.is_finite());
         let tensor = match loss {
-            Some((name, _)) => Some(name.to_string()),
+            Some((name, _)) => Some(name),
             None => gradients.find_non_finite(&self.adam)?.map(|name| format!("gradient of {name}")),
         };
         tensor.map_or(Ok(()), |tensor| Err(self.non_finite(stats.step, &tensor)))
@@ -443,7 +473,7 @@ impl Trainer {
     fn non_finite(&self, step: u64, tensor: &str) -> Error {
         Error::Diverged(format!(
             "training went non-finite at step {step}: the {tensor} is not a number; lower train.learning_rate ({}), \
-             or the step sizes of section perturb, and start a new run",
+             the step sizes of section perturb or regularizer.weight, and start a new run",
             self.config.train.learning_rate
         ))
     }

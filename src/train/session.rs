@@ -3,7 +3,7 @@
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::{Duration, Instant};
 
-use crate::config::{Config, LEVELS, Method, PerturbKind};
+use crate::config::{Config, LEVELS, Method, PerturbKind, Regularizer};
 use crate::data::Image;
 use crate::error::{Error, Result};
 use crate::output::{EventWriter, RunDir, Scalars};
@@ -55,6 +55,7 @@ fn columns(config: &Config) -> Vec<String> {
     if config.train.eval_every > 0 {
         columns.extend(EVALUATION_COLUMNS.map(String::from));
     }
+    columns.extend(config.regularizer.kind.iter().map(|term| regularizer_column(*term)));
     if config.method == Method::AugNerf {
         columns.push("loss_perturbed".into());
         if config.perturb.kind != PerturbKind::FreshJitter {
@@ -63,6 +64,11 @@ fn columns(config: &Config) -> Vec<String> {
         }
     }
     columns
+}
+
+/// The column of a regularizer's unweighted term.
+fn regularizer_column(term: Regularizer) -> String {
+    format!("regularizer.{}", term.name())
 }
 
 /// One row of the logs.
@@ -75,6 +81,7 @@ fn values(stats: &StepStats) -> Vec<(String, f64)> {
     values.extend(stats.psnr().map(|psnr| ("psnr".into(), psnr)));
     values.extend(stats.loss_fine.map(|loss| ("loss_fine".into(), loss)));
     values.extend(stats.loss_perturbed.map(|loss| ("loss_perturbed".into(), loss)));
+    values.extend(stats.regularizers.iter().map(|(term, value)| (regularizer_column(*term), *value)));
     for level in &stats.levels {
         let inactive = f64::from(u8::from(level.inactive));
         let numbers = [Some(level.gain), Some(level.gain_over_random), level.share_at_bound, Some(inactive)];

@@ -1,0 +1,273 @@
+//! Density with its exact gradient and Laplacian in space, and the weights' gradients of anything
+//! made of the three.
+//!
+//! A trunk of ReLU layers is linear between its kinks: with the masks m of its active units held,
+//! raw density is a linear function of the encoding e(x), whose slope e_bar the adjoint recursion
+//! gives, from the density head down to the first layer:
+//!
+//! ```text
+//! s_D = w m_D,   s_(l-1) = (s_l W_l) m_(l-1),   e_bar = s_1 W_1  (+ a skip layer's share)
+//! d raw / dx_i = sum over the channels c of axis i of e'_c e_bar_c,   Laplacian(raw) = sum_c e''_c e_bar_c
+//! ```
+//!
+//! Masks are constant almost everywhere, so nothing is lost by holding them; the jumps of the
+//! gradient on the kinks themselves are not seen. A loss L of (raw, gradient, Laplacian) pulls on
+//! the weights through one forward recursion, started at r = dL/d e_bar + dL/d raw e:
+//!
+//! ```text
+//! u_0 = r,   u_l = (W_l u_(l-1) + b_l dL/d raw) m_l,   dL/dW_l = s_l^T u_(l-1),   dL/db_l = s_l^T dL/d raw
+//! ```
+//!
+//! Both are first-order, so candle's second derivatives are never asked for.
+//! [`spatial_reference`] finds the same with forward tangents in plain candle operations.
+
+use candle_core::{Device, Tensor};
+
+use crate::error::Result;
+
+use super::activation::Activated;
+use super::dense::mask_where_zero;
+use super::{Field, Layer, encode, encode_reference, encoded_channels};
+
+/// Density and its derivatives in space at `n` points, detached.
+pub struct Spatial<'a> {
+    /// After the activation, `[n]`, 1 / length.
+    pub density: Tensor,
+    /// `[n, 3]`, 1 / length^2.
+    pub gradient: Tensor,
+    /// `[n]`, 1 / length^3.
+    pub laplacian: Tensor,
+    tape: Tape<'a>,
+}
+
+/// What a loss's derivatives need to reach the weights.
+struct Tape<'a> {
+    field: &'a Field,
+    /// Encoding of the points, `[n, channels]`.
+    encoded: Tensor,
+    /// Derivatives of the encoding, channel by channel, `[n, channels]`.
+    slopes: Slopes,
+    /// Output of each trunk layer, `[n, width]`.
+    hidden: Vec<Tensor>,
+    /// d raw / d (layer's output before its ReLU), `[n, width]`.
+    adjoints: Vec<Tensor>,
+    activated: Activated,
+    raw_gradient: Tensor,
+    raw_laplacian: Tensor,
+}
+
+/// Derivatives of a loss in density, its gradient and its Laplacian; what is absent is 0.
+#[derive(Default)]
+pub struct Cotangents {
+    /// `[n]`.
+    pub density: Option<Tensor>,
+    /// `[n, 3]`.
+    pub gradient: Option<Tensor>,
+    /// `[n]`.
+    pub laplacian: Option<Tensor>,
+}
+
+/// First and second derivatives of each channel of an encoding in its own coordinate, and which
+/// channel belongs to which coordinate.
+struct Slopes {
+    first: Tensor,
+    second: Tensor,
+    /// `[channels, 3]`, 1 where the channel belongs to the axis.
+    axes: Tensor,
+}
+
+impl Slopes {
+    /// From the encoding itself: sine's slope is the frequency times the cosine beside it.
+    fn new(encoded: &Tensor, octaves: usize) -> Result<Slopes> {
+        let channels = encoded_channels(octaves);
+        // first = encoded @ turn + identity: each wave reads its partner.
+        let (mut turn, mut constant) = (vec![0f64; channels * channels], vec![0f64; channels]);
+        let (mut curvature, mut axes) = (vec![0f64; channels], vec![0f64; channels * 3]);
+        for axis in 0..3 {
+            constant[axis] = 1.0;
+            axes[axis * 3 + axis] = 1.0;
+            for octave in 0..octaves {
+                let frequency = 2f64.powi(octave as i32);
+                let (sin, cos) = (3 + 6 * octave + axis, 6 + 6 * octave + axis);
+                turn[cos * channels + sin] = frequency;
+                turn[sin * channels + cos] = -frequency;
+                for channel in [sin, cos] {
+                    curvature[channel] = -frequency * frequency;
+                    axes[channel * 3 + axis] = 1.0;
+                }
+            }
+        }
+        let (dtype, device) = (encoded.dtype(), encoded.device());
+        let tensor = |values: Vec<f64>, shape: (usize, usize)| {
+            Tensor::from_vec(values, shape, &Device::Cpu)?.to_dtype(dtype)?.to_device(device)
+        };
+        let first = encoded.matmul(&tensor(turn, (channels, channels))?)?;
+        Ok(Slopes {
+            first: first.broadcast_add(&tensor(constant, (1, channels))?)?,
+            second: encoded.broadcast_mul(&tensor(curvature, (1, channels))?)?,
+            axes: tensor(axes, (channels, 3))?,
+        })
+    }
+}
+
+impl Field {
+    /// Density, gradient and Laplacian at `points [n, 3]`.
+    pub fn spatial(&self, points: &Tensor) -> Result<Spatial<'_>> {
+        let frozen = self.frozen();
+        let encoded = encode(&points.detach(), self.config.position_octaves)?;
+        let hidden = frozen.trunk_outputs(&encoded)?;
+        let last = hidden.last().expect("a trunk has layers");
+        let raw = frozen.layer(&frozen.density, last, false)?.squeeze(1)?;
+
+        let slope = frozen.density.weight.broadcast_as(last.shape())?;
+        let mut adjoints = vec![mask_where_zero(&slope, last)?];
+        let mut e_bar: Option<Tensor> = None;
+        for i in (0..frozen.trunk.len()).rev() {
+            let (of_encoding, of_hidden) = frozen.split_inputs(i)?;
+            let adjoint = adjoints.last().expect("starts with one");
+            if let Some(weight) = of_encoding {
+                let share = adjoint.matmul(&weight)?;
+                e_bar = Some(match e_bar {
+                    Some(sum) => (sum + share)?,
+                    None => share,
+                });
+            }
+            if let Some(weight) = of_hidden {
+                adjoints.push(mask_where_zero(&adjoint.matmul(&weight)?, &hidden[i - 1])?);
+            }
+        }
+        adjoints.reverse();
+        let e_bar = e_bar.expect("the first layer reads the encoding");
+
+        let slopes = Slopes::new(&encoded, self.config.position_octaves)?;
+        let raw_gradient = (&e_bar * &slopes.first)?.matmul(&slopes.axes)?;
+        let raw_laplacian = (&e_bar * &slopes.second)?.sum(1)?;
+        let activated = Activated::new(self.config.density_activation, &raw)?;
+        let (gradient, laplacian) = activated.chain(&raw_gradient, &raw_laplacian)?;
+        let density = activated.value.clone();
+        let tape = Tape { field: self, encoded, slopes, hidden, adjoints, activated, raw_gradient, raw_laplacian };
+        Ok(Spatial { density, gradient, laplacian, tape })
+    }
+
+    /// The outputs of all trunk layers, each `[n, width]`.
+    fn trunk_outputs(&self, encoded: &Tensor) -> Result<Vec<Tensor>> {
+        let mut outputs: Vec<Tensor> = Vec::with_capacity(self.trunk.len());
+        for (i, layer) in self.trunk.iter().enumerate() {
+            let input = self.trunk_input(i, encoded, outputs.last())?;
+            outputs.push(self.layer(layer, &input, true)?);
+        }
+        Ok(outputs)
+    }
+
+    /// The columns of trunk layer `i`'s weight that read the encoding and the layer below.
+    fn split_inputs(&self, i: usize) -> Result<(Option<Tensor>, Option<Tensor>)> {
+        let weight = &self.trunk[i].weight;
+        let channels = encoded_channels(self.config.position_octaves);
+        if i == 0 {
+            return Ok((Some(weight.clone()), None));
+        }
+        if !self.config.skips.contains(&i) {
+            return Ok((None, Some(weight.clone())));
+        }
+        let part = |start: usize, count: usize| weight.narrow(1, start, count)?.contiguous();
+        Ok((Some(part(0, channels)?), Some(part(channels, self.config.width)?)))
+    }
+}
+
+impl Spatial<'_> {
+    /// Gradients of a loss with these derivatives, in the order of [`Field::parameter_names`];
+    /// none for layers that density does not depend on.
+    pub fn weight_gradients(&self, loss: &Cotangents) -> Result<Vec<Option<Tensor>>> {
+        let tape = &self.tape;
+        let field = tape.field.frozen();
+        let raw = tape.activated.pull_back(loss, &tape.raw_gradient, &tape.raw_laplacian)?;
+        let d_raw = raw.density.map(|d| d.unsqueeze(1)).transpose()?; // [n, 1]
+        let pull = tape.pull_on_encoding(&raw.gradient, &raw.laplacian)?;
+
+        let mut gradients = vec![None; 2 * field.layers().count()];
+        let mut u: Option<Tensor> = None;
+        let u_0 = match (&pull, &d_raw) {
+            (Some(pull), Some(d)) => Some((pull + tape.encoded.broadcast_mul(d)?)?),
+            (Some(pull), None) => Some(pull.clone()),
+            (None, Some(d)) => Some(tape.encoded.broadcast_mul(d)?),
+            (None, None) => None,
+        };
+        let Some(u_0) = u_0 else { return Ok(gradients) };
+        for (i, layer) in field.trunk.iter().enumerate() {
+            let input = field.trunk_input(i, &u_0, u.as_ref())?;
+            let adjoint = tape.adjoints[i].t()?;
+            gradients[2 * i] = Some(adjoint.matmul(&input)?);
+            gradients[2 * i + 1] = d_raw.as_ref().map(|d| adjoint.matmul(d)?.squeeze(1)).transpose()?;
+            u = Some(match (&pull, &d_raw) {
+                (Some(_), _) => {
+                    let moved = input.matmul(&layer.weight.t()?)?;
+                    let moved = match &d_raw {
+                        Some(d) => (moved + d.matmul(&layer.bias.unsqueeze(0)?)?)?,
+                        None => moved,
+                    };
+                    mask_where_zero(&moved, &tape.hidden[i])?
+                }
+                // Of raw density alone: the recursion is the forward pass, scaled point by point.
+                (None, Some(d)) => tape.hidden[i].broadcast_mul(d)?,
+                (None, None) => unreachable!("something pulls"),
+            });
+        }
+        let head = 2 * field.trunk.len();
+        let u = u.expect("a trunk has layers");
+        let ones = Tensor::ones((1, u.dim(0)?), u.dtype(), u.device())?;
+        gradients[head] = Some(ones.matmul(&u)?);
+        gradients[head + 1] = d_raw.map(|d| ones.matmul(&d)?.squeeze(0)).transpose()?;
+        Ok(gradients)
+    }
+}
+
+impl Tape<'_> {
+    /// dL/d e_bar, `[n, channels]`.
+    fn pull_on_encoding(&self, gradient: &Option<Tensor>, laplacian: &Option<Tensor>) -> Result<Option<Tensor>> {
+        let through_gradient = gradient
+            .as_ref()
+            .map(|gradient| gradient.matmul(&self.slopes.axes.t()?)? * &self.slopes.first)
+            .transpose()?;
+        let through_laplacian = laplacian
+            .as_ref()
+            .map(|laplacian| self.slopes.second.broadcast_mul(&laplacian.unsqueeze(1)?))
+            .transpose()?;
+        Ok(match (through_gradient, through_laplacian) {
+            (Some(a), Some(b)) => Some((a + b)?),
+            (a, b) => a.or(b),
+        })
+    }
+}
+
+/// Density, gradient and Laplacian (`[n]`, `[n, 3]`, `[n]`) by forward tangents in plain candle
+/// operations, differentiable in the weights: the slow and obvious way.
+pub fn spatial_reference(field: &Field, points: &Tensor) -> Result<(Tensor, Tensor, Tensor)> {
+    let config = field.config();
+    let encoded = encode_reference(points, config.position_octaves)?;
+    let slopes = Slopes::new(&encoded, config.position_octaves)?;
+    let along = |axis: usize| slopes.first.broadcast_mul(&slopes.axes.narrow(1, axis, 1)?.t()?);
+    // Three tangents and the sum of second derivatives: linear maps and masks carry all four.
+    let start = [along(0)?, along(1)?, along(2)?, slopes.second.clone()];
+    let (mut hidden, mut tangents) = (encoded.clone(), start.clone());
+    let linear = |x: &Tensor, layer: &Layer| x.matmul(&layer.weight.t()?);
+    for (i, layer) in field.trunk.iter().enumerate() {
+        if config.skips.contains(&i) {
+            hidden = Tensor::cat(&[&encoded, &hidden], 1)?;
+            for (tangent, start) in tangents.iter_mut().zip(&start) {
+                *tangent = Tensor::cat(&[start, &*tangent], 1)?;
+            }
+        }
+        let before = linear(&hidden, layer)?.broadcast_add(&layer.bias)?;
+        let mask = before.detach().gt(0f64)?.to_dtype(before.dtype())?;
+        hidden = (before * &mask)?;
+        for tangent in &mut tangents {
+            *tangent = (linear(tangent, layer)? * &mask)?;
+        }
+    }
+    let raw = linear(&hidden, &field.density)?.broadcast_add(&field.density.bias)?.squeeze(1)?;
+    let [x, y, z, laplacian] = tangents.map(|tangent| linear(&tangent, &field.density));
+    let gradient = Tensor::cat(&[x?, y?, z?], 1)?;
+    let activated = Activated::new(config.density_activation, &raw)?;
+    let (gradient, laplacian) = activated.chain(&gradient, &laplacian?.squeeze(1)?)?;
+    Ok((activated.value, gradient, laplacian))
+}

@@ -1,0 +1,109 @@
+//! The explicit regularizers of a step, and how hard they pull on the weights.
+
+use candle_core::DType;
+
+use crate::config::{LatticePoints, REGULARIZERS, RegularizedFields, Regularizer, RegularizerConfig};
+use crate::error::{Error, Result};
+use crate::field::Field;
+use crate::regularizers::{Lattice, Points, Regularized, estimate_seconds, regularize};
+
+use super::{Gradients, Trainer, scalar};
+
+/// A run whose regularizers alone would take longer is refused.
+const MOST_DAYS: f64 = 30.0;
+const SECONDS_PER_DAY: f64 = 86_400.0;
+
+/// How hard a term at weight 1 pulls on the weights, beside the photometric loss.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Balance {
+    /// The term.
+    pub term: Regularizer,
+    /// Norm of the photometric loss's gradient in all weights of coarse and fine field.
+    pub photometric_norm: f64,
+    /// Norm of the term's gradient in the same weights.
+    pub term_norm: f64,
+}
+
+/// The lattice that a configuration trains on.
+pub(super) fn lattice(config: &RegularizerConfig) -> Lattice {
+    Lattice { domain: config.domain, side: config.lattice }
+}
+
+impl Trainer {
+    /// Values and gradients of the weighted terms at this step; none without terms.
+    pub(super) fn regularize(&self, config: &RegularizerConfig) -> Result<Option<(Vec<f64>, Gradients)>> {
+        let terms: Vec<(Regularizer, f64)> = config.terms().collect();
+        if terms.is_empty() {
+            return Ok(None);
+        }
+        let lattice = lattice(config);
+        let points = Points::draw(config, &lattice, self.config.seed, self.step);
+        let mut values = vec![0.0; terms.len()];
+        let mut gradients = Vec::new();
+        for (role, field) in self.model.fields() {
+            if !self.regularizes(config, role) {
+                gradients.extend(vec![None; field.variables().len()]);
+                continue;
+            }
+            let Regularized { values: of_field, gradients: its } =
+                regularize(field, &lattice, &points, &terms, (self.dtype, &self.device))?;
+            values.iter_mut().zip(of_field).for_each(|(sum, value)| *sum += value);
+            gradients.extend(its);
+        }
+        Ok(Some((values, Gradients(gradients))))
+    }
+
+    fn regularizes(&self, config: &RegularizerConfig, role: &str) -> bool {
+        let evaluated = if self.model.fine.is_some() { "fine" } else { "coarse" };
+        match config.fields {
+            RegularizedFields::Both => role != "adversarial",
+            RegularizedFields::Fine => role == evaluated,
+        }
+    }
+
+    /// Refuses a full lattice that this machine would not get through.
+    pub(super) fn check_duration(&self) -> Result<()> {
+        let config = &self.config.regularizer;
+        if config.kind.is_empty() || config.points == LatticePoints::Sampled {
+            return Ok(());
+        }
+        let lattice = lattice(config);
+        let fields: Vec<&Field> =
+            self.model.fields().into_iter().filter(|(role, _)| self.regularizes(config, role)).map(|f| f.1).collect();
+        let step = estimate_seconds(fields[0], &lattice, lattice.cells(), true, (self.dtype, &self.device))?
+            * fields.len() as f64;
+        let days = step * self.config.train.steps as f64 / SECONDS_PER_DAY;
+        if days <= MOST_DAYS {
+            return Ok(());
+        }
+        Err(Error::Config(format!(
+            "regularizer.lattice = {} with points = \"full\" asks for {} points in every step: about {step:.0} s a step \
+             here, {days:.0} days for {} steps (at most {MOST_DAYS} are allowed); set regularizer.points = \"sampled\", or \
+             a smaller lattice",
+            lattice.side,
+            lattice.cells() * fields.len(),
+            self.config.train.steps
+        )))
+    }
+
+    /// Measures the pull of every term at weight 1 and that of the photometric loss, on the batch
+    /// of the next step. `config` says where terms are evaluated. Moves nothing.
+    pub fn balance(&mut self, config: &RegularizerConfig) -> Result<Vec<Balance>> {
+        let whole = self.chunk(self.step)?;
+        let photometric_norm = self.passes(&whole, false)?.gradients.norm()?;
+        let of_term = |term: Regularizer| {
+            let alone = RegularizerConfig { kind: vec![term], weight: vec![1.0], ..config.clone() };
+            let (_, gradients) = self.regularize(&alone)?.expect("one term");
+            Ok(Balance { term, photometric_norm, term_norm: gradients.norm()? })
+        };
+        REGULARIZERS.into_iter().map(of_term).collect()
+    }
+}
+
+impl Gradients {
+    /// Euclidean norm over all weights.
+    fn norm(&self) -> Result<f64> {
+        let squares = self.0.iter().flatten().map(|g| scalar(&g.to_dtype(DType::F64)?.sqr()?.sum_all()?));
+        Ok(squares.sum::<Result<f64>>()?.sqrt())
+    }
+}

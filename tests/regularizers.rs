@@ -1,0 +1,472 @@
+//! What explicit regularizers promise: exact derivatives, unbiased estimates, and fields that are
+//! smoother for them.
+
+mod common;
+
+use augnerf::config::{
+    DensityActivation, FieldConfig, LatticePoints, Method, REGULARIZERS, RegularizedFields, Regularizer,
+    RegularizerConfig,
+};
+use augnerf::field::{Cotangents, Field, spatial_reference};
+use augnerf::regularizers::{Lattice, Points, measure, regularize, regularize_at};
+use augnerf::rng::{Random, Stream};
+use augnerf::train::Trainer;
+use candle_core::{DType, Device, Tensor};
+use common::{parameters, tiny_config, tiny_scene, trained};
+
+const CPU: Device = Device::Cpu;
+const BOX: [[f64; 3]; 2] = [[-1.0; 3], [1.0; 3]];
+
+fn shape(depth: usize, skips: &[usize], octaves: usize, density_activation: DensityActivation) -> FieldConfig {
+    FieldConfig {
+        width: 16,
+        depth,
+        skips: skips.to_vec(),
+        position_octaves: octaves,
+        view_octaves: 1,
+        density_activation,
+        init: augnerf::config::Init::Glorot,
+    }
+}
+
+fn points(seed: u64, n: usize) -> Tensor {
+    let unit = Random::new(seed, Stream::Jitter, 0).uniform_tensor(&[n, 3], DType::F64, &CPU).unwrap();
+    unit.affine(2.0, -1.0).unwrap()
+}
+
+/// A field whose density is positive somewhere at `points`.
+fn field(config: &FieldConfig, seed: u64, points: &Tensor) -> Field {
+    let drawn = (0..50).map(|index| Field::init(config, seed, index, DType::F64, &CPU).unwrap());
+    let alive = |field: &Field| {
+        let positive = field.raw_density(points).unwrap().gt(0f64).unwrap().to_dtype(DType::F64).unwrap();
+        (0.1..0.9).contains(&positive.mean_all().unwrap().to_scalar::<f64>().unwrap())
+    };
+    drawn.into_iter().find(alive).expect("a field that is alive")
+}
+
+fn flat(tensor: &Tensor) -> Vec<f64> {
+    tensor.to_dtype(DType::F64).unwrap().flatten_all().unwrap().to_vec1().unwrap()
+}
+
+/// Largest difference over the largest magnitude.
+fn relative(found: &Tensor, expected: &Tensor) -> f64 {
+    assert_eq!(found.dims(), expected.dims());
+    let (found, expected) = (flat(found), flat(expected));
+    let scale = expected.iter().fold(1e-300, |m: f64, v| m.max(v.abs()));
+    found.iter().zip(&expected).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max) / scale
+}
+
+/// Trunks with no skip, one, several, one at the end; activations; octaves from 0.
+fn shapes() -> Vec<FieldConfig> {
+    use DensityActivation::{Relu, Softplus};
+    vec![
+        shape(1, &[], 3, Relu),
+        shape(2, &[1], 0, Softplus),
+        shape(4, &[2], 6, Softplus),
+        shape(5, &[1, 4], 4, Relu),
+        shape(8, &[5], 10, Relu),
+    ]
+}
+
+/// Cotangents that no term has, so that every path counts.
+fn odd_cotangents(n: usize) -> Cotangents {
+    let wave = |phase: f64, shape: &[usize]| {
+        let count: usize = shape.iter().product();
+        let values: Vec<f64> = (0..count).map(|i| (i as f64 * 0.7 + phase).sin()).collect();
+        Some(Tensor::from_vec(values, shape, &CPU).unwrap())
+    };
+    Cotangents { density: wave(0.0, &[n]), gradient: wave(1.0, &[n, 3]), laplacian: wave(2.0, &[n]) }
+}
+
+#[test]
+fn the_adjoint_equals_forward_tangents() {
+    for (i, config) in shapes().iter().enumerate() {
+        let points = points(i as u64, 33);
+        let field = field(config, i as u64, &points);
+        let (density, gradient, laplacian) = spatial_reference(&field, &points).unwrap();
+        let spatial = field.spatial(&points).unwrap();
+        assert!(relative(&spatial.density, &density) < 1e-12, "{config:?}");
+        assert!(relative(&spatial.gradient, &gradient) < 1e-11, "{config:?}");
+        assert!(relative(&spatial.laplacian, &laplacian) < 1e-10, "{config:?}");
+
+        let odd = odd_cotangents(33);
+        let parts = [(&density, &odd.density), (&gradient, &odd.gradient), (&laplacian, &odd.laplacian)];
+        for used in [[true, false, false], [false, true, false], [false, false, true], [true, true, true]] {
+            let chosen = |index: usize, part: &Option<Tensor>| used[index].then(|| part.clone().unwrap());
+            let cotangents = Cotangents {
+                density: chosen(0, &odd.density),
+                gradient: chosen(1, &odd.gradient),
+                laplacian: chosen(2, &odd.laplacian),
+            };
+            let found = spatial.weight_gradients(&cotangents).unwrap();
+            let terms = parts.iter().zip(used).filter(|(_, used)| *used);
+            let terms: Vec<Tensor> =
+                terms.map(|((value, d), _)| (*value * d.as_ref().unwrap()).unwrap().sum_all().unwrap()).collect();
+            let expected = Tensor::stack(&terms, 0).unwrap().sum_all().unwrap().backward().unwrap();
+            for ((name, var), found) in field.variables().iter().zip(found) {
+                match (found, expected.get(var)) {
+                    (Some(found), Some(expected)) => {
+                        assert!(relative(&found, expected) < 1e-9, "{name} {used:?} {config:?}")
+                    }
+                    // candle gives a gradient of exact zeros where the path is there but flat.
+                    (None, Some(expected)) => assert!(flat(expected).iter().all(|v| *v == 0.0), "{name} {used:?}"),
+                    (Some(_), None) => panic!("{name} {used:?} {config:?}"),
+                    (None, None) => {}
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn single_precision_is_enough_to_train_with() {
+    let config = shape(8, &[5], 10, DensityActivation::Relu);
+    let points = points(4, 64);
+    let exact = field(&config, 4, &points);
+    let values = exact.variables().iter().map(|(_, var)| var.to_dtype(DType::F32).unwrap()).collect();
+    let single = Field::from_parameters(&config, values).unwrap();
+    let terms = REGULARIZERS.map(|term| (term, 1.0));
+    let exact = regularize_at(&exact, &points, &terms, 1.0).unwrap();
+    let single = regularize_at(&single, &points.to_dtype(DType::F32).unwrap(), &terms, 1.0).unwrap();
+    for (a, b) in single.values.iter().zip(&exact.values) {
+        assert!((a / b - 1.0).abs() < 1e-4, "{a} {b}");
+    }
+    for (a, b) in single.gradients.iter().zip(&exact.gradients) {
+        if let (Some(a), Some(b)) = (a, b) {
+            assert!(relative(a, b) < 1e-3);
+        }
+    }
+}
+
+/// density = 0.5 (sin x + 2) + 0.25 (cos 2y + 3) + 0.1 (z + 5): every unit always active.
+fn known(density_activation: DensityActivation) -> Field {
+    let config = FieldConfig { width: 4, ..shape(1, &[], 2, density_activation) };
+    let names = Field::parameter_names(&config);
+    let tensor = |(name, shape): &(String, Vec<usize>)| {
+        let count: usize = shape.iter().product();
+        let mut values = vec![0.0; count];
+        match name.as_str() {
+            // Channels: x y z | sin x y z | cos x y z | sin 2x 2y 2z | cos 2x 2y 2z.
+            "trunk.0.weight" => {
+                [(0, 3), (1, 13), (2, 2)].iter().for_each(|&(row, column)| values[row * 15 + column] = 1.0)
+            }
+            "trunk.0.bias" => values.copy_from_slice(&[2.0, 3.0, 5.0, 0.0]),
+            "density.weight" => values.copy_from_slice(&[0.5, 0.25, 0.1, 0.0]),
+            _ => {}
+        }
+        Tensor::from_vec(values, shape.as_slice(), &CPU).unwrap()
+    };
+    Field::from_parameters(&config, names.iter().map(tensor).collect()).unwrap()
+}
+
+#[test]
+fn a_field_with_known_derivatives() {
+    let points = points(7, 20);
+    let rows = points.to_vec2::<f64>().unwrap();
+    let raw = |p: &[f64]| 0.5 * (p[0].sin() + 2.0) + 0.25 * ((2.0 * p[1]).cos() + 3.0) + 0.1 * (p[2] + 5.0);
+    let slope = |p: &[f64]| [0.5 * p[0].cos(), -0.5 * (2.0 * p[1]).sin(), 0.1];
+    let curvature = |p: &[f64]| -0.5 * p[0].sin() - (2.0 * p[1]).cos();
+    for activation in [DensityActivation::Relu, DensityActivation::Softplus] {
+        let field = known(activation);
+        let spatial = field.spatial(&points).unwrap();
+        let (density, gradient, laplacian) =
+            (flat(&spatial.density), spatial.gradient.to_vec2::<f64>().unwrap(), flat(&spatial.laplacian));
+        for (i, p) in rows.iter().enumerate() {
+            let sigmoid = 1.0 / (1.0 + (1.0 - raw(p)).exp());
+            let (value, first, second) = match activation {
+                DensityActivation::Relu => (raw(p), 1.0, 0.0),
+                DensityActivation::Softplus => ((raw(p) - 1.0).exp().ln_1p(), sigmoid, sigmoid * (1.0 - sigmoid)),
+            };
+            let square: f64 = slope(p).iter().map(|g| g * g).sum();
+            assert!((density[i] - value).abs() < 1e-13);
+            gradient[i].iter().zip(slope(p)).for_each(|(a, b)| assert!((a - first * b).abs() < 1e-13));
+            assert!((laplacian[i] - (first * curvature(p) + second * square)).abs() < 1e-13);
+        }
+    }
+    // Integrals over [-1, 1]^3: sin x and z vanish, cos 2y gives sin 2 over its side.
+    let lattice = Lattice { domain: BOX, side: 40 };
+    let found = measure(&known(DensityActivation::Relu), &lattice, (DType::F64, &CPU), |_| Ok(())).unwrap();
+    let l1 = 8.0 * (0.5 * 2.0 + 0.25 * 3.0 + 0.1 * 5.0) + 4.0 * 0.25 * 2f64.sin();
+    // The midpoint rule's error is of second order in the cell: 2e-4 here.
+    assert!((found.l1 / l1 - 1.0).abs() < 1e-4, "{} {l1}", found.l1);
+    assert_eq!(found.occupied, 1.0);
+    assert!((found.largest_density - 3.02).abs() < 0.03, "{}", found.largest_density);
+}
+
+/// Central differences of density, f64. A stencil that crosses a ReLU kink disagrees, as it must:
+/// most do not.
+#[test]
+fn gradient_and_laplacian_equal_finite_differences() {
+    const H: f64 = 1e-4;
+    for (i, config) in shapes().into_iter().filter(|config| config.position_octaves <= 6).enumerate() {
+        let points = points(20 + i as u64, 60);
+        let field = field(&config, 20 + i as u64, &points);
+        let spatial = field.spatial(&points).unwrap();
+        let density = |points: &Tensor| flat(&field.activate_density(&field.raw_density(points).unwrap()).unwrap());
+        let middle = density(&points);
+        let mut gradient = vec![[0.0; 3]; middle.len()];
+        let mut laplacian = vec![0.0; middle.len()];
+        for axis in 0..3 {
+            let moved = |by: f64| {
+                let mut step = [0.0; 3];
+                step[axis] = by;
+                density(&points.broadcast_add(&Tensor::new(&step, &CPU).unwrap()).unwrap())
+            };
+            for (point, (up, down)) in moved(H).into_iter().zip(moved(-H)).enumerate() {
+                gradient[point][axis] = (up - down) / (2.0 * H);
+                laplacian[point] += (up - 2.0 * middle[point] + down) / (H * H);
+            }
+        }
+        let median = |mut errors: Vec<f64>| {
+            errors.sort_by(f64::total_cmp);
+            errors[errors.len() / 2]
+        };
+        let found = spatial.gradient.to_vec2::<f64>().unwrap();
+        let size = |g: &[f64]| g.iter().map(|v| v * v).sum::<f64>().sqrt();
+        let off = |a: &[f64], b: &[f64; 3]| size(&[a[0] - b[0], a[1] - b[1], a[2] - b[2]]) / (size(b) + 1e-6);
+        let error = median(found.iter().zip(&gradient).map(|(a, b)| off(a, b)).collect());
+        assert!(error < 1e-5, "gradient {error} {config:?}");
+        let error = median(
+            flat(&spatial.laplacian).iter().zip(&laplacian).map(|(a, b)| (a - b).abs() / (b.abs() + 1e-2)).collect(),
+        );
+        assert!(error < 1e-4, "laplacian {error} {config:?}");
+    }
+}
+
+#[test]
+fn weight_gradients_equal_finite_differences_to_five_digits() {
+    for (i, config) in shapes().iter().enumerate() {
+        let points = points(40 + i as u64, 9);
+        let field = field(config, 40 + i as u64, &points);
+        let values: Vec<Tensor> = field.variables().iter().map(|(_, var)| var.copy().unwrap()).collect();
+        for term in REGULARIZERS {
+            let value = |values: &[Tensor]| {
+                let field = Field::from_parameters(config, values.to_vec()).unwrap();
+                regularize_at(&field, &points, &[(term, 1.0)], 0.1).unwrap().values[0]
+            };
+            let exact = regularize_at(&field, &points, &[(term, 1.0)], 0.1).unwrap().gradients;
+            // Along random directions of each tensor that has a gradient.
+            for (index, gradient) in exact.iter().enumerate() {
+                let Some(gradient) = gradient else { continue };
+                let unit = Random::new(index as u64, Stream::Init, 0)
+                    .uniform_tensor(gradient.dims(), DType::F64, &CPU)
+                    .unwrap()
+                    .affine(2.0, -1.0)
+                    .unwrap();
+                let slope = (gradient * &unit).unwrap().sum_all().unwrap().to_scalar::<f64>().unwrap();
+                let moved = |h: f64| {
+                    let mut values = values.clone();
+                    values[index] = (&values[index] + (&unit * h).unwrap()).unwrap();
+                    value(&values)
+                };
+                // Kinks spoil large steps and rounding small ones: one of these is free of both.
+                let best = [1e-4, 1e-5, 1e-6, 1e-7, 1e-8]
+                    .map(|h| ((moved(h) - moved(-h)) / (2.0 * h) - slope).abs() / (slope.abs() + 1e-6))
+                    .into_iter()
+                    .fold(f64::INFINITY, f64::min);
+                assert!(best < 1e-5, "{} parameter {index}: {best:e} of {slope} {config:?}", term.name());
+            }
+        }
+    }
+}
+
+/// Most of space at the start: flat, empty, without a direction.
+#[test]
+fn a_flat_density_has_no_pull_and_no_nan() {
+    for (bias, flat_density) in [(-5.0, 0.0), (0.0, 0.0), (5.0, 5.0)] {
+        let config = shape(3, &[1], 4, DensityActivation::Relu);
+        let names = Field::parameter_names(&config);
+        let values = names.iter().map(|(name, shape)| match name.as_str() {
+            "density.bias" => Tensor::new(&[bias], &CPU).unwrap(),
+            "density.weight" => Tensor::zeros(shape.as_slice(), DType::F64, &CPU).unwrap(),
+            _ => Tensor::ones(shape.as_slice(), DType::F64, &CPU).unwrap(),
+        });
+        let field = Field::from_parameters(&config, values.collect()).unwrap();
+        let found = regularize_at(&field, &points(1, 10), &REGULARIZERS.map(|term| (term, 1.0)), 0.1).unwrap();
+        assert_eq!(found.values, [flat_density, 0.0, 0.0]);
+        for ((name, _), gradient) in names.iter().zip(found.gradients) {
+            let Some(gradient) = gradient else { continue };
+            let values = flat(&gradient);
+            assert!(values.iter().all(|v| v.is_finite()), "{name}");
+            let pulled = flat_density > 0.0 && name.starts_with("density");
+            assert_eq!(values.iter().any(|v| *v != 0.0), pulled, "{name} {values:?}");
+        }
+    }
+}
+
+fn sampled(side: usize, points_per_step: usize, jitter: bool) -> RegularizerConfig {
+    RegularizerConfig { lattice: side, points_per_step, jitter, ..RegularizerConfig::default() }
+}
+
+/// Mean and standard error of the three terms over `seeds` draws.
+fn estimates(field: &Field, config: &RegularizerConfig, lattice: &Lattice, seeds: u64) -> [(f64, f64); 3] {
+    let terms = REGULARIZERS.map(|term| (term, 1.0));
+    let draws: Vec<Vec<f64>> = (0..seeds)
+        .map(|seed| {
+            let points = Points::draw(config, lattice, seed, 3);
+            regularize(field, lattice, &points, &terms, (DType::F64, &CPU)).unwrap().values
+        })
+        .collect();
+    std::array::from_fn(|term| {
+        let n = seeds as f64;
+        let mean = draws.iter().map(|draw| draw[term]).sum::<f64>() / n;
+        let variance = draws.iter().map(|draw| (draw[term] - mean).powi(2)).sum::<f64>() / (n - 1.0);
+        (mean, (variance / n).sqrt())
+    })
+}
+
+#[test]
+fn the_estimate_is_unbiased() {
+    // Midpoints of random cells: unbiased for the lattice's own sum, however rough the field.
+    let rough = field(&shape(8, &[5], 10, DensityActivation::Relu), 60, &points(60, 40));
+    let lattice = Lattice { domain: BOX, side: 16 };
+    let full = measure(&rough, &lattice, (DType::F64, &CPU), |_| Ok(())).unwrap();
+    let found = estimates(&rough, &sampled(16, 128, false), &lattice, 200);
+    for ((mean, error), full) in found.into_iter().zip([full.l1, full.tv, full.laplacian]) {
+        assert!((mean - full).abs() < 3.5 * error && error < 0.05 * full, "{mean} +- {error}, full {full}");
+    }
+    // Random points in them: unbiased for the integral, which a fine lattice finds on a smooth field.
+    let smooth = field(&shape(4, &[2], 1, DensityActivation::Softplus), 61, &points(61, 40));
+    let fine = Lattice { domain: BOX, side: 64 };
+    let full = measure(&smooth, &fine, (DType::F64, &CPU), |_| Ok(())).unwrap();
+    let found = estimates(&smooth, &sampled(16, 128, true), &lattice, 200);
+    for ((mean, error), full) in found.into_iter().zip([full.l1, full.tv, full.laplacian]) {
+        assert!((mean - full).abs() < 3.5 * error && error < 0.05 * full, "{mean} +- {error}, full {full}");
+    }
+}
+
+#[test]
+fn all_cells_once_are_the_full_lattice() {
+    let lattice = Lattice { domain: [[-1.0, 0.0, 2.0], [1.0, 0.5, 5.0]], side: 5 };
+    assert!((lattice.volume() - 3.0).abs() < 1e-12);
+    let config = RegularizerConfig { points: LatticePoints::Sampled, ..sampled(5, 125, false) };
+    let field = field(&shape(4, &[2], 3, DensityActivation::Softplus), 9, &points(9, 40));
+    let run = |points: &Points| {
+        regularize(&field, &lattice, points, &REGULARIZERS.map(|term| (term, 2.0)), (DType::F64, &CPU)).unwrap()
+    };
+    let (some, all) = (run(&Points::draw(&config, &lattice, 0, 0)), run(&Points::Full));
+    for (a, b) in some.values.iter().zip(&all.values) {
+        assert!((a / b - 1.0).abs() < 1e-12);
+    }
+    for (a, b) in some.gradients.iter().zip(&all.gradients) {
+        if let (Some(a), Some(b)) = (a, b) {
+            assert!(relative(a, b) < 1e-9);
+        }
+    }
+}
+
+#[test]
+fn points_stay_in_their_cells_and_are_fresh_in_each_step() {
+    let lattice = Lattice { domain: BOX, side: 8 };
+    let draw = |seed, step| {
+        let points = Points::draw(&sampled(8, 100, true), &lattice, seed, step);
+        points.tensor(&lattice, 0, 100, DType::F64, &CPU).unwrap().to_vec2::<f64>().unwrap()
+    };
+    let first = draw(0, 0);
+    let mut cells: Vec<[i64; 3]> =
+        first.iter().map(|p| std::array::from_fn(|axis| ((p[axis] + 1.0) * 4.0).floor() as i64)).collect();
+    assert!(cells.iter().flatten().all(|c| (0..8).contains(c)));
+    cells.sort_unstable();
+    cells.dedup();
+    assert_eq!(cells.len(), 100, "a cell was drawn twice");
+    assert_eq!(first, draw(0, 0));
+    assert!(first != draw(0, 1) && first != draw(1, 0));
+}
+
+fn regularized(kind: Regularizer, weight: f64, change: impl FnOnce(&mut RegularizerConfig)) -> augnerf::config::Config {
+    tiny_config(Method::Nerf, |config| {
+        config.regularizer.kind = vec![kind];
+        config.regularizer.weight = vec![weight];
+        config.regularizer.lattice = 16;
+        config.regularizer.points_per_step = 256;
+        change(&mut config.regularizer);
+    })
+}
+
+#[test]
+fn each_term_lowers_what_it_measures() {
+    let lattice = Lattice { domain: BOX, side: 24 };
+    let smoothness = |trainer: &Trainer| {
+        let field = trainer.model().fine.as_ref().unwrap();
+        let found = measure(field, &lattice, (DType::F32, &CPU), |_| Ok(())).unwrap();
+        [found.l1, found.tv, found.laplacian]
+    };
+    let plain = smoothness(&trained(&tiny_config(Method::Nerf, |_| {}), 150));
+    for (i, (term, weight)) in REGULARIZERS.into_iter().zip([1e-3, 1e-4, 1e-6]).enumerate() {
+        for points in [LatticePoints::Sampled, LatticePoints::Full] {
+            let config = regularized(term, weight, |regularizer| regularizer.points = points);
+            let found = smoothness(&trained(&config, 150));
+            assert!(found[i] < 0.9 * plain[i], "{} {points:?}: {found:?}, plain {plain:?}", term.name());
+        }
+    }
+}
+
+#[test]
+fn terms_are_reported_unweighted_and_minimised_weighted() {
+    let mut plain = trained(&tiny_config(Method::Nerf, |_| {}), 0);
+    let mut tv = trained(&regularized(Regularizer::Tv, 1e-3, |_| {}), 0);
+    let (plain, tv) = (plain.step(false).unwrap(), tv.step(false).unwrap());
+    assert_eq!((plain.loss_coarse, plain.loss_fine), (tv.loss_coarse, tv.loss_fine));
+    let [(Regularizer::Tv, value)] = tv.regularizers[..] else { panic!("{:?}", tv.regularizers) };
+    assert!(value > 0.0 && (tv.loss - plain.loss - 1e-3 * value).abs() < 1e-12, "{} {} {value}", tv.loss, plain.loss);
+}
+
+#[test]
+fn fine_only_leaves_the_coarse_field_alone() {
+    let plain = trained(&tiny_config(Method::Nerf, |_| {}), 3);
+    let fine = trained(&regularized(Regularizer::L1, 1e-2, |r| r.fields = RegularizedFields::Fine), 3);
+    let both = trained(&regularized(Regularizer::L1, 1e-2, |_| {}), 3);
+    assert_eq!(parameters(&plain, &["coarse"]), parameters(&fine, &["coarse"]));
+    assert_ne!(parameters(&plain, &["coarse"]), parameters(&both, &["coarse"]));
+    assert_eq!(parameters(&fine, &["fine"]).len(), parameters(&both, &["fine"]).len());
+    assert_ne!(parameters(&plain, &["fine"]), parameters(&fine, &["fine"]));
+}
+
+#[test]
+fn weight_zero_is_no_term() {
+    let plain = tiny_config(Method::Nerf, |_| {});
+    let off = regularized(Regularizer::Tv, 0.0, |regularizer| regularizer.lattice = 99);
+    assert_eq!(plain.to_toml(), off.to_toml());
+    assert_eq!(plain.hash(), off.hash());
+    assert_ne!(plain.hash(), regularized(Regularizer::Tv, 1.0, |_| {}).hash());
+    assert_eq!(
+        parameters(&trained(&plain, 3), &["coarse", "fine"]),
+        parameters(&trained(&off, 3), &["coarse", "fine"])
+    );
+}
+
+#[test]
+fn the_balance_is_a_ratio_of_gradient_norms_and_moves_nothing() {
+    let mut trainer = trained(&tiny_config(Method::Nerf, |_| {}), 5);
+    let before = parameters(&trainer, &["coarse", "fine"]);
+    let balances = trainer.balance(&sampled(16, 256, true)).unwrap();
+    assert_eq!(balances.len(), 3);
+    assert!(balances.iter().all(|b| b.term_norm > 0.0 && b.photometric_norm == balances[0].photometric_norm));
+    assert!(balances[0].photometric_norm > 0.0);
+    assert_eq!(before, parameters(&trainer, &["coarse", "fine"]));
+}
+
+#[test]
+fn what_would_never_finish_or_meets_nothing_is_refused_with_words() {
+    let refused = |config: &augnerf::config::Config| {
+        Trainer::new(config, &tiny_scene(), DType::F32, &CPU).err().expect("refused").to_string()
+    };
+    let far = regularized(Regularizer::Tv, 1.0, |regularizer| regularizer.domain = [[50.0; 3], [51.0; 3]]);
+    let message = refused(&far);
+    for words in ["50.000", "outside", "run from", "regularizer.domain"] {
+        assert!(message.contains(words), "'{words}' is not in: {message}");
+    }
+    let endless = tiny_config(Method::Nerf, |config| {
+        config.train.steps = 1_000_000_000;
+        config.regularizer = RegularizerConfig {
+            kind: vec![Regularizer::Tv],
+            points: LatticePoints::Full,
+            lattice: 1024,
+            ..RegularizerConfig::default()
+        };
+    });
+    let message = refused(&endless);
+    for words in ["lattice = 1024", "2147483648 points", "days", "sampled"] {
+        assert!(message.contains(words), "'{words}' is not in: {message}");
+    }
+}
