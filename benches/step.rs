@@ -81,9 +81,7 @@ fn space(criterion: &mut Criterion) {
         sum.backward().expect("gradients")
     };
     group.bench_function("trunk", |bencher| {
-        bencher.iter(|| {
-            (0..8192).step_by(CHUNK).collect::<Vec<usize>>().into_par_iter().map(plain).collect::<Vec<_>>()
-        })
+        bencher.iter(|| (0..8192).step_by(CHUNK).collect::<Vec<usize>>().into_par_iter().map(plain).collect::<Vec<_>>())
     });
     for (name, terms) in [
         ("l1", vec![(Regularizer::L1, 1.0)]),

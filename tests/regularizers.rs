@@ -185,7 +185,7 @@ fn a_field_with_known_derivatives() {
     }
     // Integrals over [-1, 1]^3: sin x and z vanish, cos 2y gives sin 2 over its side.
     let lattice = Lattice { domain: BOX, side: 40 };
-    let found = measure(&known(DensityActivation::Relu), &lattice, (DType::F64, &CPU), |_| Ok(())).unwrap();
+    let found = measure(&known(DensityActivation::Relu), &lattice, (DType::F64, &CPU), || ()).unwrap();
     let l1 = 8.0 * (0.5 * 2.0 + 0.25 * 3.0 + 0.1 * 5.0) + 4.0 * 0.25 * 2f64.sin();
     // The midpoint rule's error is of second order in the cell: 2e-4 here.
     assert!((found.l1 / l1 - 1.0).abs() < 1e-4, "{} {l1}", found.l1);
@@ -320,7 +320,7 @@ fn the_estimate_is_unbiased() {
     // Midpoints of random cells: unbiased for the lattice's own sum, however rough the field.
     let rough = field(&shape(8, &[5], 10, DensityActivation::Relu), 60, &points(60, 40));
     let lattice = Lattice { domain: BOX, side: 16 };
-    let full = measure(&rough, &lattice, (DType::F64, &CPU), |_| Ok(())).unwrap();
+    let full = measure(&rough, &lattice, (DType::F64, &CPU), || ()).unwrap();
     let found = estimates(&rough, &sampled(16, 128, false), &lattice, 200);
     for ((mean, error), full) in found.into_iter().zip([full.l1, full.tv, full.laplacian]) {
         assert!((mean - full).abs() < 3.5 * error && error < 0.05 * full, "{mean} +- {error}, full {full}");
@@ -328,7 +328,7 @@ fn the_estimate_is_unbiased() {
     // Random points in them: unbiased for the integral, which a fine lattice finds on a smooth field.
     let smooth = field(&shape(4, &[2], 1, DensityActivation::Softplus), 61, &points(61, 40));
     let fine = Lattice { domain: BOX, side: 64 };
-    let full = measure(&smooth, &fine, (DType::F64, &CPU), |_| Ok(())).unwrap();
+    let full = measure(&smooth, &fine, (DType::F64, &CPU), || ()).unwrap();
     let found = estimates(&smooth, &sampled(16, 128, true), &lattice, 200);
     for ((mean, error), full) in found.into_iter().zip([full.l1, full.tv, full.laplacian]) {
         assert!((mean - full).abs() < 3.5 * error && error < 0.05 * full, "{mean} +- {error}, full {full}");
@@ -388,7 +388,7 @@ fn each_term_lowers_what_it_measures() {
     let lattice = Lattice { domain: BOX, side: 24 };
     let smoothness = |trainer: &Trainer| {
         let field = trainer.model().fine.as_ref().unwrap();
-        let found = measure(field, &lattice, (DType::F32, &CPU), |_| Ok(())).unwrap();
+        let found = measure(field, &lattice, (DType::F32, &CPU), || ()).unwrap();
         [found.l1, found.tv, found.laplacian]
     };
     let plain = smoothness(&trained(&tiny_config(Method::Nerf, |_| {}), 150));

@@ -9,8 +9,8 @@ use crate::data::builtin::export;
 use crate::error::Result;
 use crate::evaluate::split_name;
 
+use super::experiment::load_scene;
 use super::progress::{Screen, print};
-use super::train::load_scene;
 
 #[derive(Subcommand)]
 pub enum DataCommand {

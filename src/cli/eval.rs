@@ -15,8 +15,8 @@ use crate::output::RunDir;
 use crate::train::AttackSummary;
 use crate::train::checkpoint::{self, State};
 
+use super::experiment::load_scene;
 use super::progress::{Screen, print};
-use super::train::load_scene;
 use super::{Machine, Sources};
 
 #[derive(Args)]

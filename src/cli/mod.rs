@@ -11,6 +11,8 @@ use crate::error::{Error, Result};
 
 mod data;
 mod eval;
+mod experiment;
+mod measure;
 mod progress;
 mod render;
 mod train;
@@ -36,7 +38,21 @@ const TRAIN_EXAMPLES: &str = "Examples:
   augnerf train --data fern --preset cpu --method aug-nerf the same with worst-case augmentation
   augnerf train --data fern --preset cpu --method aug-nerf --set perturb.attack=calibrated
   augnerf train --data fern --preset cpu --method aug-nerf --set perturb.rgb.passes=off --set perturb.density.passes=off
+  augnerf train --data fern --preset cpu --set regularizer.kind=tv --set regularizer.weight=1e-5
+  augnerf train --data fern --preset cpu --set 'regularizer.kind=[\"tv\",\"l1\"]' --set 'regularizer.weight=[1e-5,1e-3]'
   augnerf train --data fern --preset paper-llff --print-config";
+
+const MEASURE_EXAMPLES: &str = "Examples:
+  augnerf measure runs/fern-nerf-*                         coarse and fine field, the box [-1,1]^3, 64 cells a side
+  augnerf measure runs/fern-nerf-* --lattice 128 > smoothness.csv
+
+Each run's own smoothness.csv has the same numbers with the run's whole protocol.";
+
+const BALANCE_EXAMPLES: &str = "Examples:
+  augnerf balance --data fern --preset cpu                 after 100 steps of plain NeRF
+  augnerf balance --data fern --preset cpu --set regularizer.points_per_step=16384
+
+For each term the weights at which its gradient is 0.1 %, 1 %, 10 %, 100 % and 1000 % as long as the photometric loss's.";
 
 #[derive(Subcommand)]
 enum Command {
@@ -47,6 +63,12 @@ enum Command {
     Resume(train::ResumeArguments),
     /// Measure a trained run on its held-out views again
     Eval(eval::EvalArguments),
+    /// Measure how smooth runs are: l1, total variation and Laplacian of density on a full lattice, as CSV
+    #[command(after_help = MEASURE_EXAMPLES)]
+    Measure(measure::MeasureArguments),
+    /// Measure which regularizer weights balance the photometric loss, as CSV: the grid for a search
+    #[command(after_help = BALANCE_EXAMPLES)]
+    Balance(measure::BalanceArguments),
     /// Render held-out views or a camera path: PNG frames, depth maps and GIFs
     Render(render::RenderArguments),
     /// Look at scenes
@@ -140,6 +162,8 @@ pub fn main() -> ExitCode {
         Command::Train(arguments) => arguments.run(),
         Command::Resume(arguments) => arguments.run(),
         Command::Eval(arguments) => arguments.run(),
+        Command::Measure(arguments) => arguments.run(),
+        Command::Balance(arguments) => arguments.run(),
         Command::Render(arguments) => arguments.run(),
         Command::Data(command) => command.run(),
     };

@@ -7,10 +7,9 @@ use std::time::Instant;
 
 use candle_core::{DType, Device};
 use clap::Args;
-use toml::Value;
 
-use crate::config::{Config, DataKind, Preset, build, data_section, parse_assignment, scene_name};
-use crate::data::{self, Image, Scene};
+use crate::config::Config;
+use crate::data::{Image, Scene};
 use crate::error::{Error, Result};
 use crate::evaluate::{Protocol, Report, Viewer};
 use crate::metrics::{Lpips, MeanMetrics};
@@ -21,32 +20,15 @@ use crate::train::{
 };
 
 use super::eval::{self, load_lpips};
+use super::experiment::{Experiment, load_scene};
 use super::progress::{Screen, TrainingBar, print};
 use super::render::Pictures;
-use super::{LpipsWeights, Machine, Sources};
+use super::{Machine, Sources};
 
 #[derive(Args)]
 pub struct TrainArguments {
-    /// Scene folder: LLFF, NeRF-Synthetic (Blender) or transforms.json [default: the embedded scene]
-    #[arg(long, value_name = "DIR")]
-    data: Option<PathBuf>,
-    /// smoke (seconds), cpu (minutes), paper-llff, paper-blender, released-llff or released-blender [default: smoke for
-    /// the embedded scene, the paper's settings for a real one]
-    #[arg(long, value_name = "NAME")]
-    preset: Option<String>,
-    /// TOML file with settings over the preset's; a run's config.toml repeats that run (it has every number filled
-    /// in, so it is no base for another scene or attack)
-    #[arg(long, value_name = "FILE")]
-    config: Option<PathBuf>,
-    /// nerf or aug-nerf [default: the preset's]
-    #[arg(long, value_name = "METHOD")]
-    method: Option<String>,
-    /// Seed of every random stream [default: 0]
-    #[arg(long, value_name = "N")]
-    seed: Option<u64>,
-    /// Any setting, over everything else: --set train.steps=2000 --set perturb.rgb.passes=off
-    #[arg(long, value_name = "FIELD=VALUE")]
-    set: Vec<String>,
+    #[command(flatten)]
+    experiment: Experiment,
     /// Run folder [default: runs/SCENE-METHOD-HASH]
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
@@ -56,8 +38,6 @@ pub struct TrainArguments {
     /// Print the resolved configuration and stop
     #[arg(long)]
     print_config: bool,
-    #[command(flatten)]
-    weights: LpipsWeights,
     #[command(flatten)]
     machine: Machine,
 }
@@ -76,7 +56,7 @@ impl TrainArguments {
     pub fn run(self) -> Result<()> {
         let device = self.machine.device()?;
         let screen = Screen::new(self.machine.quiet);
-        let mut config = self.config()?;
+        let mut config = self.experiment.config()?;
         let lpips = load_lpips(&config.eval.lpips_weights, &device)?;
         let scene = load_scene(&mut config, &screen)?;
         if self.print_config {
@@ -94,43 +74,6 @@ impl TrainArguments {
         let quiet = self.machine.quiet;
         Job { run, config, scene, lpips, device, device_name, quiet, screen, earlier: None, resumed: false }
             .train(trainer)
-    }
-
-    /// Preset, file and assignments, in that order.
-    fn config(&self) -> Result<Config> {
-        let mut assignments = Vec::new();
-        let mut assign = |path: &[&str], value: Value| {
-            assignments.push((path.iter().map(|part| part.to_string()).collect::<Vec<_>>(), value));
-        };
-        if let Some(data) = &self.data {
-            let data = std::path::absolute(data).map_err(|e| Error::unreadable(data, &e))?;
-            assign(&["data", "dir"], Value::String(data.to_string_lossy().into_owned()));
-        }
-        if let Some(weights) = &self.weights.lpips_weights {
-            let weights = std::path::absolute(weights).map_err(|e| Error::unreadable(weights, &e))?;
-            assign(&["eval", "lpips_weights"], Value::String(weights.to_string_lossy().into_owned()));
-        }
-        if let Some(method) = &self.method {
-            assign(&["method"], Value::String(method.clone()));
-        }
-        if let Some(seed) = self.seed {
-            let seed = i64::try_from(seed)
-                .map_err(|_| Error::Config(format!("--seed {seed} is out of range: it must be at most 2^63 - 1")))?;
-            assign(&["seed"], Value::Integer(seed));
-        }
-        for text in &self.set {
-            assignments.push(parse_assignment(text)?);
-        }
-        let mut preset = self.preset.as_deref().map(Preset::parse).transpose()?;
-        if preset.is_none() && self.config.is_none() {
-            // What the scene asks for.
-            preset = Some(match data::detect(&data_section(&assignments)?)? {
-                DataKind::Llff => Preset::PaperLlff,
-                DataKind::Blender | DataKind::Transforms => Preset::PaperBlender,
-                _ => Preset::Smoke,
-            });
-        }
-        build(preset, self.config.as_deref(), &assignments)
     }
 }
 
@@ -167,28 +110,10 @@ impl ResumeArguments {
     }
 }
 
-/// Finds the kind of scene, fills what depends on it, and loads.
-pub fn load_scene(config: &mut Config, screen: &Screen) -> Result<Scene> {
-    let kind = data::detect(&config.data)?;
-    if !config.data.dir.is_empty() {
-        // Found again from any working directory; `.` gets its real name.
-        let dir = Path::new(&config.data.dir);
-        let dir = std::fs::canonicalize(dir).map_err(|e| Error::unreadable(dir, &e))?;
-        config.data.dir = dir.to_string_lossy().into_owned();
-    }
-    if config.data.name.is_empty() {
-        config.data.name = scene_name(&config.data.dir);
-    }
-    config.resolve_kind(kind);
-    config.validate()?;
-    let mut scene = data::load(&config.data, screen)?;
-    scene.name.clone_from(&config.data.name);
-    config.resolve_bounds(scene.near, scene.far);
-    Ok(scene)
-}
-
 fn default_folder(config: &Config) -> PathBuf {
-    Path::new("runs").join(format!("{}-{}-{}", config.data.name, config.method.name(), config.hash()))
+    let terms = config.regularizer.kind.iter().map(|term| format!("-{}", term.name()));
+    let method = std::iter::once(config.method.name().to_string()).chain(terms).collect::<String>();
+    Path::new("runs").join(format!("{}-{method}-{}", config.data.name, config.hash()))
 }
 
 /// A generous estimate of what a run writes: checkpoints, logs, pictures.

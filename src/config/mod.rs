@@ -17,6 +17,7 @@ pub use perturb::{
     Radius, Resample, StepUnit,
 };
 pub use regularizer::{LatticePoints, REGULARIZERS, RegularizedFields, Regularizer, RegularizerConfig};
+pub use validate::validate_regularizer;
 
 use crate::error::{Error, Result};
 

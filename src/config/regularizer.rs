@@ -32,9 +32,9 @@ impl Regularizer {
     /// measures it after 100 steps of preset `cpu` on fern, rounded to a power of ten.
     fn default_weight(self) -> f64 {
         match self {
-            Regularizer::L1 => 1e-3,
-            Regularizer::Tv => 1e-5,
-            Regularizer::Laplacian => 1e-8,
+            Regularizer::L1 => 1e-4,
+            Regularizer::Tv => 1e-6,
+            Regularizer::Laplacian => 1e-9,
         }
     }
 }

@@ -3,7 +3,7 @@
 
 use super::{
     Attack, Config, DataKind, EvalSplit, LEVELS, LatticePoints, Level, Method, Norm, PerturbField, PerturbKind,
-    StepUnit,
+    RegularizerConfig, StepUnit,
 };
 use crate::error::{Error, Result};
 
@@ -15,6 +15,44 @@ fn require(ok: bool, field: &str, value: impl std::fmt::Display, allowed: &str) 
     Err(Error::Config(format!("{field} = {value} is out of range: it must be {allowed}")))
 }
 
+/// Checks section `regularizer`.
+pub fn validate_regularizer(regularizer: &RegularizerConfig) -> Result<()> {
+    let kinds = &regularizer.kind;
+    for (i, kind) in kinds.iter().enumerate() {
+        require(!kinds[..i].contains(kind), "regularizer.kind", kind.name(), "named once")?;
+    }
+    for &weight in &regularizer.weight {
+        require(weight.is_finite() && weight >= 0.0, "regularizer.weight", weight, "0 (off) or positive")?;
+    }
+    if !regularizer.weight.is_empty() && regularizer.weight.len() != kinds.len() {
+        return Err(Error::Config(format!(
+            "regularizer.weight has {} numbers and regularizer.kind names {} terms; give one weight for each term, \
+             or none for the defaults",
+            regularizer.weight.len(),
+            kinds.len()
+        )));
+    }
+    let [lower, upper] = regularizer.domain;
+    let is_box = lower.iter().zip(&upper).all(|(a, b)| a.is_finite() && b.is_finite() && a < b);
+    require(
+        is_box,
+        "regularizer.domain",
+        format!("{:?}", regularizer.domain),
+        "two corners [[x, y, z], [x, y, z]], each number of the first under that of the second",
+    )?;
+    let lattice = regularizer.lattice;
+    let allowed = "4 to 1024 cells a side: fewer say nothing about smoothness, more would never finish";
+    require((4..=1024).contains(&lattice), "regularizer.lattice", lattice, allowed)?;
+    let (points, cells) = (regularizer.points_per_step, lattice.pow(3));
+    if regularizer.points == LatticePoints::Sampled {
+        let allowed = format!(
+            "1 to {cells}, the cells of a lattice of {lattice} a side (regularizer.points = \"full\" asks for all)"
+        );
+        require((1..=cells).contains(&points), "regularizer.points_per_step", points, &allowed)?;
+    }
+    Ok(())
+}
+
 impl Config {
     /// Checks every field, and the fields against one another.
     pub fn validate(&self) -> Result<()> {
@@ -24,7 +62,7 @@ impl Config {
         self.validate_sampling()?;
         self.validate_train()?;
         self.validate_perturb()?;
-        self.validate_regularizer()?;
+        validate_regularizer(&self.regularizer)?;
         require((1..=1 << 20).contains(&self.eval.chunk), "eval.chunk", self.eval.chunk, "1 to 1048576 rays")
     }
 
@@ -172,44 +210,6 @@ impl Config {
                 "perturb.kind = \"fresh-jitter\" is a second pass of the same fields; perturb.field must be \"shared\""
                     .into(),
             ));
-        }
-        Ok(())
-    }
-
-    fn validate_regularizer(&self) -> Result<()> {
-        let regularizer = &self.regularizer;
-        let kinds = &regularizer.kind;
-        for (i, kind) in kinds.iter().enumerate() {
-            require(!kinds[..i].contains(kind), "regularizer.kind", kind.name(), "named once")?;
-        }
-        for &weight in &regularizer.weight {
-            require(weight.is_finite() && weight >= 0.0, "regularizer.weight", weight, "0 (off) or positive")?;
-        }
-        if !regularizer.weight.is_empty() && regularizer.weight.len() != kinds.len() {
-            return Err(Error::Config(format!(
-                "regularizer.weight has {} numbers and regularizer.kind names {} terms; give one weight for each term, \
-                 or none for the defaults",
-                regularizer.weight.len(),
-                kinds.len()
-            )));
-        }
-        let [lower, upper] = regularizer.domain;
-        let is_box = lower.iter().zip(&upper).all(|(a, b)| a.is_finite() && b.is_finite() && a < b);
-        require(
-            is_box,
-            "regularizer.domain",
-            format!("{:?}", regularizer.domain),
-            "two corners [[x, y, z], [x, y, z]], each number of the first under that of the second",
-        )?;
-        let lattice = regularizer.lattice;
-        let allowed = "4 to 1024 cells a side: fewer say nothing about smoothness, more would never finish";
-        require((4..=1024).contains(&lattice), "regularizer.lattice", lattice, allowed)?;
-        let (points, cells) = (regularizer.points_per_step, lattice.pow(3));
-        if regularizer.points == LatticePoints::Sampled {
-            let allowed = format!(
-                "1 to {cells}, the cells of a lattice of {lattice} a side (regularizer.points = \"full\" asks for all)"
-            );
-            require((1..=cells).contains(&points), "regularizer.points_per_step", points, &allowed)?;
         }
         Ok(())
     }

@@ -12,6 +12,7 @@ use crate::error::{Error, Result};
 const CONFIG: &str = "config.toml";
 const METRICS_JSON: &str = "metrics.json";
 const METRICS_CSV: &str = "metrics.csv";
+const SMOOTHNESS: &str = "smoothness.csv";
 const SCALARS: &str = "scalars.csv";
 const TIMING: &str = "timing.json";
 const TENSORBOARD: &str = "tensorboard";
@@ -20,7 +21,7 @@ const RENDERS: &str = "renders";
 const LOCK: &str = "run.lock";
 
 /// The files of a run, apart from the lock.
-const FILES: [&str; 5] = [CONFIG, METRICS_JSON, METRICS_CSV, SCALARS, TIMING];
+const FILES: [&str; 6] = [CONFIG, METRICS_JSON, METRICS_CSV, SMOOTHNESS, SCALARS, TIMING];
 /// The folders of a run.
 const FOLDERS: [&str; 3] = [TENSORBOARD, CHECKPOINTS, RENDERS];
 
@@ -124,6 +125,11 @@ impl RunDir {
     /// `metrics.csv`: one row per held-out view.
     pub fn metrics_csv(&self) -> PathBuf {
         self.path.join(METRICS_CSV)
+    }
+
+    /// `smoothness.csv`: l1, TV and Laplacian of density, one row per network.
+    pub fn smoothness(&self) -> PathBuf {
+        self.path.join(SMOOTHNESS)
     }
 
     /// `scalars.csv`: losses and the like over training.

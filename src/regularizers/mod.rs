@@ -13,6 +13,7 @@
 
 use candle_core::{DType, Device, Tensor};
 use rayon::prelude::*;
+use serde::Serialize;
 
 use crate::config::{REGULARIZERS, Regularizer};
 use crate::error::Result;
@@ -85,7 +86,7 @@ impl Regularized {
 }
 
 /// How smooth a field is on the full lattice.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct Smoothness {
     /// Integral of abs(density), length^2.
     pub l1: f64,
@@ -99,12 +100,12 @@ pub struct Smoothness {
     pub occupied: f64,
 }
 
-/// Measures a field on every cell's midpoint. `advance` hears of every chunk's points.
+/// Measures a field on every cell's midpoint. `advance` is called after each of [`chunk_count`] chunks.
 pub fn measure(
     field: &Field,
     lattice: &Lattice,
     (dtype, device): (DType, &Device),
-    mut advance: impl FnMut(usize) -> Result<()>,
+    mut advance: impl FnMut(),
 ) -> Result<Smoothness> {
     let scale = lattice.volume() / lattice.cells() as f64;
     let mut sum = Smoothness::default();
@@ -116,16 +117,16 @@ pub fn measure(
             let [l1, tv, laplacian] = REGULARIZERS.map(|term| term_sum(term, &spatial));
             let positive = spatial.density.gt(0f64)?.to_dtype(DType::F64)?.sum_all()?.to_scalar::<f64>()?;
             let largest_density = spatial.density.max(0)?.to_dtype(DType::F64)?.to_scalar()?;
-            let count = spatial.density.dim(0)?;
-            Ok((count, Smoothness { l1: l1?, tv: tv?, laplacian: laplacian?, largest_density, occupied: positive }))
+            Ok(Smoothness { l1: l1?, tv: tv?, laplacian: laplacian?, largest_density, occupied: positive })
         },
-        |(count, chunk)| {
+        |chunk: Smoothness| {
             sum.l1 += scale * chunk.l1;
             sum.tv += scale * chunk.tv;
             sum.laplacian += scale * chunk.laplacian;
             sum.largest_density = sum.largest_density.max(chunk.largest_density);
             sum.occupied += chunk.occupied;
-            advance(count)
+            advance();
+            Ok(())
         },
     )?;
     sum.occupied /= lattice.cells() as f64;
@@ -156,6 +157,11 @@ pub fn estimate_seconds(
     work()?;
     let threads = if device.is_cpu() { rayon::current_num_threads() } else { 1 };
     Ok(work()? * count as f64 / chunk as f64 / threads as f64)
+}
+
+/// Chunks that a pass over `count` points takes.
+pub fn chunk_count(count: usize, device: &Device) -> usize {
+    count.div_ceil(chunk_size(device))
 }
 
 fn chunk_size(device: &Device) -> usize {

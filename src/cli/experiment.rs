@@ -1,0 +1,99 @@
+//! The arguments that describe an experiment, and what becomes of them.
+
+use std::path::{Path, PathBuf};
+
+use clap::Args;
+use toml::Value;
+
+use crate::config::{Config, DataKind, Preset, build, data_section, parse_assignment, scene_name};
+use crate::data::{self, Scene};
+use crate::error::{Error, Result};
+
+use super::LpipsWeights;
+use super::progress::Screen;
+
+/// Scene and settings of one experiment.
+#[derive(Args)]
+pub struct Experiment {
+    /// Scene folder: LLFF, NeRF-Synthetic (Blender) or transforms.json [default: the embedded scene]
+    #[arg(long, value_name = "DIR")]
+    data: Option<PathBuf>,
+    /// smoke (seconds), cpu (minutes), paper-llff, paper-blender, released-llff or released-blender [default: smoke for
+    /// the embedded scene, the paper's settings for a real one]
+    #[arg(long, value_name = "NAME")]
+    preset: Option<String>,
+    /// TOML file with settings over the preset's; a run's config.toml repeats that run (it has every number filled
+    /// in, so it is no base for another scene or attack)
+    #[arg(long, value_name = "FILE")]
+    config: Option<PathBuf>,
+    /// nerf or aug-nerf [default: the preset's]
+    #[arg(long, value_name = "METHOD")]
+    method: Option<String>,
+    /// Seed of every random stream [default: 0]
+    #[arg(long, value_name = "N")]
+    seed: Option<u64>,
+    /// Any setting, over everything else: --set train.steps=2000 --set perturb.rgb.passes=off
+    #[arg(long, value_name = "FIELD=VALUE")]
+    set: Vec<String>,
+    #[command(flatten)]
+    weights: LpipsWeights,
+}
+
+impl Experiment {
+    /// Preset, file and assignments, in that order.
+    pub fn config(&self) -> Result<Config> {
+        let mut assignments = Vec::new();
+        let mut assign = |path: &[&str], value: Value| {
+            assignments.push((path.iter().map(|part| part.to_string()).collect::<Vec<_>>(), value));
+        };
+        if let Some(data) = &self.data {
+            let data = std::path::absolute(data).map_err(|e| Error::unreadable(data, &e))?;
+            assign(&["data", "dir"], Value::String(data.to_string_lossy().into_owned()));
+        }
+        if let Some(weights) = &self.weights.lpips_weights {
+            let weights = std::path::absolute(weights).map_err(|e| Error::unreadable(weights, &e))?;
+            assign(&["eval", "lpips_weights"], Value::String(weights.to_string_lossy().into_owned()));
+        }
+        if let Some(method) = &self.method {
+            assign(&["method"], Value::String(method.clone()));
+        }
+        if let Some(seed) = self.seed {
+            let seed = i64::try_from(seed)
+                .map_err(|_| Error::Config(format!("--seed {seed} is out of range: it must be at most 2^63 - 1")))?;
+            assign(&["seed"], Value::Integer(seed));
+        }
+        for text in &self.set {
+            assignments.push(parse_assignment(text)?);
+        }
+        let mut preset = self.preset.as_deref().map(Preset::parse).transpose()?;
+        if preset.is_none() && self.config.is_none() {
+            // What the scene asks for.
+            preset = Some(match data::detect(&data_section(&assignments)?)? {
+                DataKind::Llff => Preset::PaperLlff,
+                DataKind::Blender | DataKind::Transforms => Preset::PaperBlender,
+                _ => Preset::Smoke,
+            });
+        }
+        build(preset, self.config.as_deref(), &assignments)
+    }
+}
+
+/// Finds the kind of scene, fills what depends on it, and loads.
+pub fn load_scene(config: &mut Config, screen: &Screen) -> Result<Scene> {
+    let kind = data::detect(&config.data)?;
+    if !config.data.dir.is_empty() {
+        // Found again from any working directory; `.` gets its real name.
+        let dir = Path::new(&config.data.dir);
+        let dir = std::fs::canonicalize(dir).map_err(|e| Error::unreadable(dir, &e))?;
+        config.data.dir = dir.to_string_lossy().into_owned();
+    }
+    if config.data.name.is_empty() {
+        config.data.name = scene_name(&config.data.dir);
+    }
+    config.resolve_kind(kind);
+    config.validate()?;
+    let mut scene = data::load(&config.data, screen)?;
+    scene.name.clone_from(&config.data.name);
+    config.resolve_bounds(scene.near, scene.far);
+    Ok(scene)
+}

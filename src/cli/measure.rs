@@ -1,0 +1,140 @@
+//! `augnerf measure` and `augnerf balance`.
+
+use std::path::PathBuf;
+
+use candle_core::DType;
+use clap::Args;
+
+use crate::config::{LatticePoints, RegularizerConfig, validate_regularizer};
+use crate::error::{Error, Result};
+use crate::evaluate::{Protocol, SmoothnessReport};
+use crate::regularizers::Lattice;
+use crate::train::Trainer;
+
+use super::Machine;
+use super::eval::Trained;
+use super::experiment::{Experiment, load_scene};
+use super::progress::{Screen, TrainingBar, print};
+
+/// The share of the photometric pull that the middle of a grid of weights has.
+const MIDDLE_SHARE: f64 = 0.1;
+/// The grid: two decades to each side of the middle.
+const GRID: [f64; 5] = [1e-2, 1e-1, 1.0, 1e1, 1e2];
+
+#[derive(Args)]
+pub struct MeasureArguments {
+    /// Run folders; each run's newest checkpoint is measured
+    #[arg(required = true)]
+    runs: Vec<PathBuf>,
+    /// Cells along each side of the box; numbers of different lattices are not comparable
+    #[arg(long, value_name = "N", default_value_t = 64)]
+    lattice: usize,
+    /// Corners of the box in the units that the field is asked in (NDC where the run uses it)
+    #[arg(long, value_name = "X,Y,Z,X,Y,Z", default_value = "-1,-1,-1,1,1,1", allow_hyphen_values = true)]
+    domain: String,
+    /// Scene folder, if it has moved since training
+    #[arg(long, value_name = "DIR")]
+    data: Option<PathBuf>,
+    #[command(flatten)]
+    machine: Machine,
+}
+
+impl MeasureArguments {
+    pub fn run(self) -> Result<()> {
+        let device = self.machine.device()?;
+        let screen = Screen::new(self.machine.quiet);
+        let domain = parse_domain(&self.domain)?;
+        let lattice = Lattice { domain, side: self.lattice };
+        validate_regularizer(&RegularizerConfig {
+            domain,
+            lattice: self.lattice,
+            points: LatticePoints::Full,
+            ..RegularizerConfig::default()
+        })?;
+        print("run,field,l1,tv,laplacian,largest_density,occupied");
+        for run in &self.runs {
+            let trained = Trained::open(run, self.data.as_deref(), &device, &screen)?;
+            let Trained { run: folder, config, scene, state, model } = &trained;
+            let protocol = Protocol::new(config, scene, state.step, &state.redraws);
+            let report = SmoothnessReport::measure(model, scene, &lattice, protocol, &device, &screen)?;
+            report.write(&folder.smoothness())?;
+            for field in &report.fields {
+                let s = field.smoothness;
+                print(&format!(
+                    "{},{},{},{},{},{},{}",
+                    run.display(),
+                    field.field,
+                    s.l1,
+                    s.tv,
+                    s.laplacian,
+                    s.largest_density,
+                    s.occupied
+                ));
+            }
+            screen.say(&format!("with the run's protocol: {}", folder.smoothness().display()));
+        }
+        Ok(())
+    }
+}
+
+fn parse_domain(text: &str) -> Result<[[f64; 3]; 2]> {
+    let numbers: std::result::Result<Vec<f64>, _> = text.split(',').map(|part| part.trim().parse()).collect();
+    match numbers.as_deref() {
+        Ok(&[a, b, c, d, e, f]) => Ok([[a, b, c], [d, e, f]]),
+        _ => Err(Error::Config(format!(
+            "--domain {text}: give the two corners of the box as six numbers, such as -1,-1,-1,1,1,1"
+        ))),
+    }
+}
+
+#[derive(Args)]
+pub struct BalanceArguments {
+    #[command(flatten)]
+    experiment: Experiment,
+    /// Steps of plain training before the measurement
+    #[arg(long, value_name = "N", default_value_t = 100)]
+    steps: u64,
+    #[command(flatten)]
+    machine: Machine,
+}
+
+impl BalanceArguments {
+    pub fn run(self) -> Result<()> {
+        let device = self.machine.device()?;
+        let screen = Screen::new(self.machine.quiet);
+        let mut config = self.experiment.config()?;
+        // Where terms are evaluated; the training itself is without any.
+        let regularizer = std::mem::take(&mut config.regularizer);
+        let scene = load_scene(&mut config, &screen)?;
+        Lattice { domain: regularizer.domain, side: regularizer.lattice }.check_meets(&scene)?;
+        let mut trainer = Trainer::new(&config, &scene, DType::F32, &device)?;
+        let mut bar = TrainingBar::new(self.machine.quiet, 0, self.steps, config.train.rays);
+        for _ in 0..self.steps {
+            let stats = trainer.step(false)?;
+            bar.stepped(stats.step, stats.loss, stats.psnr());
+        }
+        bar.finish();
+        print("scene,steps,term,photometric_norm,term_norm,share,weight");
+        for balance in trainer.balance(&regularizer)? {
+            for factor in GRID {
+                let share = MIDDLE_SHARE * factor;
+                // Nothing to divide by where the term has no pull: no weight, rather than a wrong one.
+                let weight = share * balance.photometric_norm / balance.term_norm;
+                let weight = if weight.is_finite() { format!("{weight:.2e}") } else { String::new() };
+                print(&format!(
+                    "{},{},{},{:e},{:e},{share:.3},{weight}",
+                    config.data.name,
+                    self.steps,
+                    balance.term.name(),
+                    balance.photometric_norm,
+                    balance.term_norm
+                ));
+            }
+        }
+        screen.say(
+            "share: the term's pull on the weights at that weight, over the photometric loss's; use a weight with \
+             --set regularizer.kind=TERM --set regularizer.weight=WEIGHT",
+        );
+        Ok(())
+    }
+}
