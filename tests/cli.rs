@@ -188,6 +188,81 @@ fn equal_seeds_give_equal_bytes_with_one_thread_and_with_two() {
 }
 
 #[test]
+fn a_regularizer_of_weight_zero_leaves_the_bytes_of_plain_nerf() {
+    let dir = TempDir::new().unwrap();
+    let [plain, zero, one] = ["plain", "zero", "one"].map(|name| dir.path().join(name));
+    succeed(&tiny(&plain, &[]));
+    let kind = ["--set", "regularizer.kind=[\"tv\",\"laplacian\"]", "--set", "regularizer.points_per_step=512"];
+    let with = |weight: &'static str| [&kind[..], &["--set", weight]].concat();
+    succeed(&tiny(&zero, &with("regularizer.weight=[0,0]")));
+    assert_same(&plain, &zero);
+    // One term off is as good as not named.
+    succeed(&tiny(&one, &with("regularizer.weight=[1e-3,0]")));
+    let header = text(&one.join("scalars.csv")).lines().next().unwrap().to_string();
+    assert!(header.contains("regularizer.tv") && !header.contains("laplacian"), "{header}");
+    let metrics = text(&one.join("metrics.json"));
+    assert!(metrics.contains(r#""regularizers": "tv 0.001""#) && metrics.contains("sampled 512 of 64^3"), "{metrics}");
+    assert!(text(&plain.join("metrics.json")).contains(r#""regularizers": null"#));
+}
+
+#[test]
+fn regularized_runs_repeat_with_any_number_of_threads_and_after_a_stop() {
+    let dir = TempDir::new().unwrap();
+    let [a, b] = ["a", "b"].map(|name| dir.path().join(name));
+    let terms = ["--method", "aug-nerf", "--set", "regularizer.kind=[\"l1\",\"tv\",\"laplacian\"]"];
+    let full = ["--set", "regularizer.points=full", "--set", "regularizer.lattice=12", "--threads"];
+    succeed(&tiny(&a, &[&terms[..], &full[..], &["1"]].concat()));
+    let mut child = start(&tiny(&b, &[&terms[..], &full[..], &["3"]].concat()));
+    wait_for_checkpoint(&b, 20, &mut child);
+    child.kill().unwrap();
+    child.wait().unwrap();
+    succeed(&["resume", "--quiet", "--threads", "2", b.to_str().unwrap()]);
+    assert_same(&a, &b);
+}
+
+#[test]
+fn smoothness_is_measured_on_one_lattice_for_all_runs() {
+    let dir = TempDir::new().unwrap();
+    let [nerf, aug] = ["nerf", "aug"].map(|name| dir.path().join(name));
+    succeed(&tiny(&nerf, &[]));
+    succeed(&tiny(&aug, &["--method", "aug-nerf", "--set", "perturb.field=separate"]));
+    let runs = [nerf.to_str().unwrap(), aug.to_str().unwrap()];
+    let output = succeed(&["measure", "--quiet", "--lattice", "12", runs[0], runs[1]]);
+    let table = String::from_utf8(output.stdout).unwrap();
+    let lines: Vec<&str> = table.lines().collect();
+    assert_eq!(lines[0], "run,field,l1,tv,laplacian,largest_density,occupied");
+    assert_eq!(lines.len(), 5, "coarse and fine of two runs: {table}");
+    for (line, field) in lines[1..].iter().zip(["coarse", "fine", "coarse", "fine"]) {
+        let cells: Vec<&str> = line.split(',').collect();
+        assert_eq!(cells[1], field);
+        assert!(cells[2..].iter().all(|cell| cell.parse::<f64>().unwrap() >= 0.0), "{line}");
+    }
+    let file = text(&nerf.join("smoothness.csv"));
+    for column in ["lattice", "domain", "tv", "config_hash", "code_revision", "seed", "steps"] {
+        assert!(file.lines().next().unwrap().split(',').any(|name| name == column), "{column}: {file}");
+    }
+    refuse(&["measure", "--lattice", "2", runs[0]], 2, &["regularizer.lattice", "2", "4 to 1024"]);
+    refuse(&["measure", "--domain", "1,2,3", runs[0]], 2, &["--domain", "six numbers"]);
+    refuse(&["measure", "--domain=1,1,1,0,0,0", runs[0]], 2, &["domain", "corners"]);
+    refuse(&["measure", "--domain=90,90,90,91,91,91", runs[0]], 2, &["outside", "90.000", "run from"]);
+    refuse(&["measure", dir.path().to_str().unwrap()], 5, &["not a run folder"]);
+}
+
+#[test]
+fn balance_prints_a_grid_of_weights() {
+    let mut arguments = vec!["balance", "--quiet", "--steps", "3", "--set", "regularizer.points_per_step=256"];
+    arguments.extend(TINY);
+    let table = String::from_utf8(succeed(&arguments).stdout).unwrap();
+    let rows: Vec<Vec<&str>> = table.lines().skip(1).map(|line| line.split(',').collect()).collect();
+    assert_eq!(rows.len(), 15, "{table}");
+    for row in rows {
+        let number = |i: usize| row[i].parse::<f64>().unwrap();
+        let (photometric, term, share, weight) = (number(3), number(4), number(5), number(6));
+        assert!((weight * term / photometric / share - 1.0).abs() < 0.02, "{row:?}");
+    }
+}
+
+#[test]
 fn killed_and_resumed_equals_not_having_stopped() {
     let dir = TempDir::new().unwrap();
     let straight = dir.path().join("straight");
@@ -385,6 +460,31 @@ fn wrong_settings_are_refused_with_exit_code_2() {
     refuse(&["train", "--config", file.to_str().unwrap()], 2, &["mine.toml", "line 2", "steps"]);
     refuse(&["train", "--set", "data.name=a/b"], 2, &["data.name", "a/b"]);
     refuse(&["train", "--set", "data.spherify=true"], 2, &["data.spherify", "builtin-blender"]);
+}
+
+#[test]
+fn wrong_regularizers_are_refused_with_exit_code_2() {
+    let dir = TempDir::new().unwrap();
+    let out = dir.path().join("run");
+    let check = |settings: &[&str], words: &[&str]| {
+        let set: Vec<&str> = settings.iter().flat_map(|setting| ["--set", *setting]).collect();
+        refuse(&tiny(&out, &set), 2, words);
+        assert!(!out.exists());
+    };
+    check(&["regularizer.kind=tvv"], &["regularizer.kind", "l1, tv or laplacian"]);
+    check(&["regularizer.kind=tv", "regularizer.weight=-1"], &["regularizer.weight", "-1", "0 (off) or positive"]);
+    check(&["regularizer.kind=tv", "regularizer.weight=nan"], &["regularizer.weight", "positive"]);
+    check(&["regularizer.kind=tv", "regularizer.weight=[1,2]"], &["2 numbers", "1 terms"]);
+    check(&["regularizer.kind=[\"tv\",\"tv\"]"], &["regularizer.kind", "tv", "once"]);
+    check(&["regularizer.lattice=3"], &["regularizer.lattice", "3", "4 to 1024"]);
+    check(&["regularizer.lattice=100000"], &["regularizer.lattice", "100000", "4 to 1024"]);
+    check(&["regularizer.lattice=8"], &["regularizer.points_per_step", "4096", "1 to 512", "full"]);
+    check(&["regularizer.domain=[[1,1,1],[0,0,0]]"], &["regularizer.domain", "corners"]);
+    let away = ["regularizer.kind=tv", "regularizer.domain=[[40,40,40],[41,41,41]]"];
+    check(&away, &["outside of builtin", "run from", "regularizer.domain"]);
+    let endless =
+        ["regularizer.kind=tv", "regularizer.points=full", "regularizer.lattice=1024", "train.steps=1000000000"];
+    check(&endless, &["lattice = 1024", "days", "sampled"]);
 }
 
 #[test]
