@@ -47,7 +47,8 @@
 //!
 //! | tier | modules |
 //! |---|---|
-//! | 7 | `cli` |
+//! | 8 | `cli` |
+//! | 7 | `sweep` |
 //! | 6 | `evaluate` |
 //! | 5 | `train` |
 //! | 4 | `model`, `regularizers`, `render` |
@@ -76,4 +77,5 @@ pub mod regularizers;
 pub mod render;
 pub mod rng;
 pub mod sampling;
+pub mod sweep;
 pub mod train;

@@ -1,0 +1,6 @@
+//! Sweeps: a definition expanded to points, points run wherever there is room, tables and plots
+//! from what they left.
+
+mod record;
+
+pub use record::{AxisValue, PublishedKey, Record, RowSpec, Status, TableSpec};

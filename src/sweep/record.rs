@@ -1,0 +1,128 @@
+//! What tables and plots are made of: the points of a sweep as read back from files.
+
+use serde::Serialize;
+
+/// One point of a sweep: a configuration with its seed, and what came of it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Record {
+    /// Content hash: the name of the point's folder.
+    pub id: String,
+    /// The scene's name.
+    pub scene: String,
+    /// The row as the table prints it, without axis values.
+    pub row: String,
+    /// Values of the axes that the point lies on, in the definition's order; empty for a plain row.
+    pub axes: Vec<AxisValue>,
+    /// Seed of every random stream.
+    pub seed: u64,
+    /// How far the point has come.
+    pub status: Status,
+    /// First line of why it failed or has no data; empty otherwise.
+    pub reason: String,
+    /// Name and value of each metric; a missing one is absent or none.
+    pub metrics: Vec<(String, Option<f64>)>,
+    /// Name and text of each field of the protocol; empty until the point is done.
+    pub protocol: Vec<(String, String)>,
+    /// Levels of the attack that had no effect on the loss.
+    pub inactive_levels: Vec<String>,
+}
+
+/// A point's place on one axis.
+#[derive(Clone, Debug, PartialEq)]
+pub struct AxisValue {
+    /// What is varied, as the plot's x axis names it: `steps`, `step size`, `injection layer`.
+    pub axis: String,
+    /// What it is varied of: `input coordinates`, `features`, `output`; empty where there is one panel.
+    pub panel: String,
+    /// The value as the definition wrote it.
+    pub value: String,
+}
+
+/// How far a point has come.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Status {
+    /// Measured; has metrics.
+    Done,
+    /// Being trained right now.
+    Running,
+    /// Not begun, or stopped with a checkpoint.
+    Waiting,
+    /// Ended with an error.
+    Failed,
+    /// Its scene is not on this machine.
+    NoData,
+}
+
+impl Status {
+    /// The word in files and tables.
+    pub fn name(self) -> &'static str {
+        match self {
+            Status::Done => "done",
+            Status::Running => "running",
+            Status::Waiting => "waiting",
+            Status::Failed => "failed",
+            Status::NoData => "no data",
+        }
+    }
+}
+
+impl Record {
+    /// The row with its axis values: `Aug-NeRF, features steps = 3`.
+    pub fn label(&self) -> String {
+        let values = self.axes.iter().map(|a| match a.panel.as_str() {
+            "" => format!(", {} = {}", a.axis, a.value),
+            panel => format!(", {panel} {} = {}", a.axis, a.value),
+        });
+        std::iter::once(self.row.clone()).chain(values).collect()
+    }
+
+    /// A metric's value, where there is one.
+    pub fn metric(&self, name: &str) -> Option<f64> {
+        self.metrics.iter().find(|(known, _)| known == name).and_then(|(_, value)| *value)
+    }
+
+    /// A protocol field's text; empty where there is none.
+    pub fn protocol(&self, name: &str) -> &str {
+        self.protocol.iter().find(|(known, _)| known == name).map_or("", |(_, text)| text)
+    }
+}
+
+/// What a definition says about its table.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct TableSpec {
+    /// The sweep's name.
+    pub name: String,
+    /// What the table answers, one line.
+    pub title: String,
+    /// Metrics to print, best first: `psnr`, `ssim`, `lpips_squeeze`, ...
+    pub metrics: Vec<String>,
+    /// The rows in printing order.
+    pub rows: Vec<RowSpec>,
+    /// Protocol fields that must be equal in all rows of a scene.
+    pub must_match: Vec<String>,
+}
+
+/// One row of the definition.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct RowSpec {
+    /// As the table prints it.
+    pub name: String,
+    /// The row that it is compared with, seed by seed; none for a baseline.
+    pub baseline: Option<String>,
+    /// A row of ours that the paper does not have.
+    pub ours: bool,
+    /// Where the paper's numbers are: table, condition and method of `published.csv`; the scene is the record's.
+    pub published: Option<PublishedKey>,
+}
+
+/// Finds rows of `published.csv`.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct PublishedKey {
+    /// `tab1`, ...
+    pub table: String,
+    /// `clean`, `gaussian`, ...
+    pub condition: String,
+    /// The method as the paper names it.
+    pub method: String,
+}
