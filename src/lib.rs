@@ -47,8 +47,9 @@
 //!
 //! | tier | modules |
 //! |---|---|
-//! | 8 | `cli` |
-//! | 7 | `sweep` |
+//! | 9 | `cli` |
+//! | 8 | `sweep` |
+//! | 7 | `job` |
 //! | 6 | `evaluate` |
 //! | 5 | `train` |
 //! | 4 | `model`, `regularizers`, `render` |
@@ -69,6 +70,7 @@ pub mod data;
 pub mod error;
 pub mod evaluate;
 pub mod field;
+pub mod job;
 pub mod metrics;
 pub mod model;
 pub mod output;

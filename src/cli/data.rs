@@ -8,8 +8,8 @@ use crate::config::{build, parse_assignment};
 use crate::data::builtin::export;
 use crate::error::Result;
 use crate::evaluate::split_name;
+use crate::job::load_scene;
 
-use super::experiment::load_scene;
 use super::progress::{Screen, print};
 
 #[derive(Subcommand)]

@@ -7,15 +7,15 @@ use clap::Args;
 
 use crate::config::Config;
 use crate::data::Scene;
-use crate::error::{Error, Result};
+use crate::error::Result;
 use crate::evaluate::{Protocol, Report, Viewer};
-use crate::metrics::{Backbone, Lpips, MeanMetrics};
+use crate::job::{load_lpips, load_scene, run_config};
+use crate::metrics::MeanMetrics;
 use crate::model::Model;
 use crate::output::RunDir;
 use crate::train::AttackSummary;
 use crate::train::checkpoint::{self, State};
 
-use super::experiment::load_scene;
 use super::progress::{Screen, print};
 use super::{Machine, Sources};
 
@@ -55,34 +55,6 @@ impl Trained {
         let scene = load_scene(&mut config, screen)?;
         Ok(Trained { run, config, scene, state, model })
     }
-}
-
-/// The resolved configuration of a run.
-pub fn run_config(run: &RunDir) -> Result<Config> {
-    let path = run.config();
-    let text = std::fs::read_to_string(&path)
-        .map_err(|e| Error::Checkpoint(format!("cannot read {}: {e}", path.display())))?;
-    Config::from_toml(&text, &path.display().to_string())
-}
-
-/// Every LPIPS backbone whose weights the folder holds; none for an empty name.
-pub fn load_lpips(dir: &str, device: &Device) -> Result<Vec<Lpips>> {
-    if dir.is_empty() {
-        return Ok(Vec::new());
-    }
-    let dir = Path::new(dir);
-    let found = Lpips::available(dir)?;
-    if found.is_empty() {
-        let names: Vec<&str> = Backbone::ALL.iter().map(|backbone| backbone.name()).collect();
-        return Err(Error::Data(format!(
-            "--lpips-weights {}: no backbone ({}) is complete there; each needs its linear layers (NAME_lin_v0.1.pth) \
-             and its features",
-            dir.display(),
-            names.join(", ")
-        )));
-    }
-    let loaded = found.into_iter().map(|backbone| Lpips::load(dir, backbone, device)).collect::<Result<Vec<_>>>()?;
-    Ok(loaded.into_iter().flatten().collect())
 }
 
 impl EvalArguments {

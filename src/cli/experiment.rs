@@ -1,16 +1,15 @@
-//! The arguments that describe an experiment, and what becomes of them.
+//! The arguments that describe an experiment.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use clap::Args;
 use toml::Value;
 
-use crate::config::{Config, DataKind, Preset, build, data_section, parse_assignment, scene_name};
-use crate::data::{self, Scene};
+use crate::config::{Config, DataKind, Preset, build, data_section, parse_assignment};
+use crate::data;
 use crate::error::{Error, Result};
 
 use super::LpipsWeights;
-use super::progress::Screen;
 
 /// Scene and settings of one experiment.
 #[derive(Args)]
@@ -76,24 +75,4 @@ impl Experiment {
         }
         build(preset, self.config.as_deref(), &assignments)
     }
-}
-
-/// Finds the kind of scene, fills what depends on it, and loads.
-pub fn load_scene(config: &mut Config, screen: &Screen) -> Result<Scene> {
-    let kind = data::detect(&config.data)?;
-    if !config.data.dir.is_empty() {
-        // Found again from any working directory; `.` gets its real name.
-        let dir = Path::new(&config.data.dir);
-        let dir = std::fs::canonicalize(dir).map_err(|e| Error::unreadable(dir, &e))?;
-        config.data.dir = dir.to_string_lossy().into_owned();
-    }
-    if config.data.name.is_empty() {
-        config.data.name = scene_name(&config.data.dir);
-    }
-    config.resolve_kind(kind);
-    config.validate()?;
-    let mut scene = data::load(&config.data, screen)?;
-    scene.name.clone_from(&config.data.name);
-    config.resolve_bounds(scene.near, scene.far);
-    Ok(scene)
 }

@@ -8,12 +8,13 @@ use clap::Args;
 use crate::config::{LatticePoints, RegularizerConfig, validate_regularizer};
 use crate::error::{Error, Result};
 use crate::evaluate::{Protocol, SmoothnessReport};
+use crate::job::load_scene;
 use crate::regularizers::Lattice;
 use crate::train::Trainer;
 
 use super::Machine;
 use super::eval::Trained;
-use super::experiment::{Experiment, load_scene};
+use super::experiment::Experiment;
 use super::progress::{Screen, TrainingBar, print};
 
 /// The share of the photometric pull that the middle of a grid of weights has.

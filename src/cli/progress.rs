@@ -7,6 +7,8 @@ use std::time::{Duration, Instant};
 use indicatif::{ProgressBar, ProgressStyle};
 
 use crate::data::Progress;
+use crate::job::Reporter;
+use crate::train::StepStats;
 
 /// Where there is no terminal, a line at most so often.
 const LINE_EVERY: Duration = Duration::from_secs(10);
@@ -59,6 +61,52 @@ impl Progress for Screen {
 
     fn finish(&self) {
         self.bar.lock().expect("no panic while drawing").finish_and_clear();
+    }
+}
+
+/// Tells a person at a terminal how one experiment goes.
+pub struct Console {
+    screen: Screen,
+    bar: Mutex<Option<TrainingBar>>,
+}
+
+impl Console {
+    /// A console that shows nothing if `quiet`.
+    pub fn new(quiet: bool) -> Console {
+        Console { screen: Screen::new(quiet), bar: Mutex::new(None) }
+    }
+
+    fn bar(&self) -> std::sync::MutexGuard<'_, Option<TrainingBar>> {
+        self.bar.lock().expect("no panic while drawing")
+    }
+}
+
+impl Reporter for Console {
+    fn say(&self, line: &str) {
+        match &*self.bar() {
+            Some(bar) => bar.say(line),
+            None => self.screen.say(line),
+        }
+    }
+
+    fn begin(&self, first: u64, total: u64, rays: usize) {
+        *self.bar() = Some(TrainingBar::new(self.screen.quiet, first, total, rays));
+    }
+
+    fn stepped(&self, stats: &StepStats) {
+        if let Some(bar) = &mut *self.bar() {
+            bar.stepped(stats.step, stats.loss, stats.psnr());
+        }
+    }
+
+    fn trained(&self) {
+        if let Some(bar) = self.bar().take() {
+            bar.finish();
+        }
+    }
+
+    fn progress(&self) -> &dyn Progress {
+        &self.screen
     }
 }
 

@@ -15,9 +15,11 @@ use crate::output::{write_atomic, write_json};
 use crate::render::render_rays;
 use crate::train::{AttackSummary, Volume};
 
+mod pictures;
 mod protocol;
 mod smoothness;
 
+pub use pictures::{Pictures, write_path};
 pub use protocol::{PROTOCOL, Protocol, split_name};
 pub use smoothness::SmoothnessReport;
 
@@ -126,9 +128,14 @@ impl Report {
         write_atomic(csv, &self.csv(csv)?)
     }
 
+    /// Levels of the attack that had no effect on the loss.
+    pub fn inactive_levels(&self) -> Vec<&'static str> {
+        self.attack.iter().filter(|level| level.inactive).map(|level| level.level).collect()
+    }
+
     /// One row a view, each with the whole protocol; a missing metric is an empty cell.
     fn csv(&self, path: &Path) -> Result<Vec<u8>> {
-        let inactive: Vec<&str> = self.attack.iter().filter(|level| level.inactive).map(|level| level.level).collect();
+        let inactive = self.inactive_levels();
         let rows = self.views.iter().map(|view| {
             let mut row = columns(view);
             row.extend(columns(&self.protocol));
