@@ -29,6 +29,12 @@ pub enum Error {
         /// What was saved and how to go on.
         message: String,
     },
+    /// A sweep that ran to its end while some of its points failed.
+    #[error("{0}")]
+    PointsFailed(String),
+    /// A sweep that ran to its end while scenes of some of its points are not on this machine.
+    #[error("{0}")]
+    PointsWithoutData(String),
     /// A failure inside the tensor library: a defect of this program or of the device.
     #[error("tensor operation failed: {0}")]
     Tensor(#[from] candle_core::Error),
@@ -47,6 +53,8 @@ impl Error {
             Error::Output(_) => 4,
             Error::Checkpoint(_) => 5,
             Error::Diverged(_) => 6,
+            Error::PointsFailed(_) => 7,
+            Error::PointsWithoutData(_) => 8,
             Error::Interrupted { signal, .. } => 128 + *signal as u8,
         }
     }

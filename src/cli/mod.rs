@@ -15,6 +15,7 @@ mod experiment;
 mod measure;
 mod progress;
 mod render;
+mod sweep;
 mod train;
 
 /// Trains neural radiance fields, plain (NeRF) and with worst-case augmentation (Aug-NeRF), and
@@ -29,8 +30,8 @@ struct Arguments {
 }
 
 const EXIT_CODES: &str = "Exit codes: 0 done, 1 internal error, 2 wrong setting or usage, 3 bad input data, 4 output \
-cannot be written or is in the way, 5 bad checkpoint or run folder, 6 training collapsed or went non-finite, \
-130 or 143 stopped by Ctrl-C or SIGTERM with a checkpoint (resume it).";
+cannot be written or is in the way, 5 bad checkpoint or run folder, 6 training collapsed or went non-finite, 7 points of a sweep failed, \
+8 points of a sweep have no data, 130 or 143 stopped by Ctrl-C or SIGTERM with a checkpoint (resume it).";
 
 const TRAIN_EXAMPLES: &str = "Examples:
   augnerf train                                            the embedded scene, under a minute
@@ -61,6 +62,9 @@ enum Command {
     Train(train::TrainArguments),
     /// Go on with a run that was stopped or killed
     Resume(train::ResumeArguments),
+    /// Run many experiments as one table: rows, axes, seeds, paired differences
+    #[command(subcommand)]
+    Sweep(sweep::SweepCommand),
     /// Measure a trained run on its held-out views again
     Eval(eval::EvalArguments),
     /// Measure how smooth runs are: l1, total variation and Laplacian of density on a full lattice, as CSV
@@ -161,6 +165,7 @@ pub fn main() -> ExitCode {
     let done = match arguments.command {
         Command::Train(arguments) => arguments.run(),
         Command::Resume(arguments) => arguments.run(),
+        Command::Sweep(command) => command.run(),
         Command::Eval(arguments) => arguments.run(),
         Command::Measure(arguments) => arguments.run(),
         Command::Balance(arguments) => arguments.run(),

@@ -110,6 +110,34 @@ impl Reporter for Console {
     }
 }
 
+/// Tells a person how several experiments at once go: lines, no bars.
+pub struct Lines {
+    screen: Screen,
+}
+
+impl Lines {
+    /// Lines that are not printed if `quiet`.
+    pub fn new(quiet: bool) -> Lines {
+        Lines { screen: Screen::new(quiet) }
+    }
+}
+
+impl Reporter for Lines {
+    fn say(&self, line: &str) {
+        self.screen.say(line);
+    }
+
+    fn begin(&self, _first: u64, _total: u64, _rays: usize) {}
+
+    fn stepped(&self, _stats: &StepStats) {}
+
+    fn trained(&self) {}
+
+    fn progress(&self) -> &dyn Progress {
+        &()
+    }
+}
+
 /// Draws training: step, loss, PSNR, rays/s and ETA.
 pub struct TrainingBar {
     quiet: bool,

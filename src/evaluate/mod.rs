@@ -160,7 +160,7 @@ fn csv_text(rows: impl Iterator<Item = Vec<(String, String)>>, path: &Path) -> R
 }
 
 /// The fields of a flat struct as text, in their order; null is an empty cell.
-fn columns(row: &impl Serialize) -> Vec<(String, String)> {
+pub fn columns(row: &impl Serialize) -> Vec<(String, String)> {
     let serde_json::Value::Object(fields) = serde_json::to_value(row).expect("plain data") else {
         unreachable!("rows are structs")
     };

@@ -15,7 +15,7 @@ pub mod scalars;
 pub mod tensorboard;
 
 pub use atomic::{AtomicDir, clean_temporaries, write_atomic, write_json};
-pub use host::{Host, Timing, peak_memory_mib};
+pub use host::{Host, Timing, host_name, peak_memory_mib};
 pub use picture::{SOLID, beside, depth_colour, depth_range, quantise, write_depth16, write_gif, write_png8};
 pub use revision::{revision, version};
 pub use run_dir::{RunDir, RunLock};

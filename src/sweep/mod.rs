@@ -1,6 +1,29 @@
 //! Sweeps: a definition expanded to points, points run wherever there is room, tables and plots
 //! from what they left.
+//!
+//! ```text
+//! sweeps/NAME.toml ─► definition ─► points (one configuration and seed each, named by content)
+//!                                     │
+//!          folder: result, failure, claim of each ◄── runner ◄── training (or a fake one)
+//!                                     │
+//!                                     ▼
+//!                                  records ─► tables, plots
+//! ```
 
+mod budget;
+mod claim;
+mod definition;
+mod folder;
+mod points;
 mod record;
+mod runner;
+mod training;
 
-pub use record::{AxisValue, PublishedKey, Record, RowSpec, Status, TableSpec};
+pub use budget::{StepCosts, evaluations_per_step, shape, steps_within};
+pub use claim::{Beat, Claim, Claimed};
+pub use definition::{Axis, Budget, BudgetKind, Combine, Definition, METRICS, Overrides, Row, SMOOTHNESS_METRICS};
+pub use folder::{Change, Failure, PointFolder, PointResult, PointState, SweepFolder};
+pub use points::{Place, Point, expand};
+pub use record::{AxisValue, PublishedKey, Record, RowSpec, Status, TableSpec, label};
+pub use runner::{Options, Runner, Watch, Work};
+pub use training::{Cost, Trainings};

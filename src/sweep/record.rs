@@ -38,6 +38,19 @@ pub struct AxisValue {
     pub value: String,
 }
 
+impl std::fmt::Display for AxisValue {
+    /// `features steps = 3`.
+    fn fmt(&self, f: &mut std::fmt::Formatter) -> std::fmt::Result {
+        let space = if self.panel.is_empty() { "" } else { " " };
+        write!(f, "{}{space}{} = {}", self.panel, self.axis, self.value)
+    }
+}
+
+/// A row with the values of its axes: `Aug-NeRF, features steps = 3`.
+pub fn label(row: &str, axes: &[AxisValue]) -> String {
+    std::iter::once(row.to_string()).chain(axes.iter().map(|value| format!(", {value}"))).collect()
+}
+
 /// How far a point has come.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
@@ -70,11 +83,7 @@ impl Status {
 impl Record {
     /// The row with its axis values: `Aug-NeRF, features steps = 3`.
     pub fn label(&self) -> String {
-        let values = self.axes.iter().map(|a| match a.panel.as_str() {
-            "" => format!(", {} = {}", a.axis, a.value),
-            panel => format!(", {panel} {} = {}", a.axis, a.value),
-        });
-        std::iter::once(self.row.clone()).chain(values).collect()
+        label(&self.row, &self.axes)
     }
 
     /// A metric's value, where there is one.

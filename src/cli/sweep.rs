@@ -1,0 +1,408 @@
+//! `augnerf sweep`.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::sync::Mutex;
+
+use clap::{Args, Subcommand};
+
+use crate::config::{Config, parse_assignment};
+use crate::error::{Error, Result};
+use crate::job::{self, Reporter, load_lpips};
+use crate::output::write_json;
+use crate::sweep::{
+    Change, Definition, Failure, Options, Overrides, Point, PointResult, Runner, SMOOTHNESS_METRICS, Status, StepCosts,
+    SweepFolder, Trainings, Watch, expand, shape,
+};
+
+use super::progress::{Console, Lines, print};
+use super::train::catch_signals;
+use super::{LpipsWeights, Machine};
+
+const RUN_EXAMPLES: &str = "Examples:
+  augnerf sweep run sweeps/smoke.toml                      two minutes on the embedded scene
+  augnerf sweep run sweeps/tab4_ablation.toml --scenes builtin --preset smoke --name tab4_builtin
+  AUGNERF_DATA=~/data augnerf sweep run sweeps/tab1_llff.toml --jobs 2
+  augnerf sweep run sweeps/tab1_llff.toml --retry-failed   once more, with what failed
+
+The same command goes on where it was stopped or killed; several on one folder share the points.
+Exit codes: 0 done, 7 some points failed, 8 scenes of some points are missing, 130 or 143 stopped (run it again), 2 the
+definition is wrong (do not run it again).";
+
+#[derive(Subcommand)]
+pub enum SweepCommand {
+    /// Run all points of a sweep, or go on with it, and write its tables
+    #[command(after_help = RUN_EXAMPLES)]
+    Run(RunArguments),
+    /// List the points and measure what they will cost, without running them
+    Plan(PlanArguments),
+    /// Show what is done, running, failed
+    Status(StatusArguments),
+}
+
+impl SweepCommand {
+    pub fn run(self) -> Result<()> {
+        match self {
+            SweepCommand::Run(arguments) => arguments.run(),
+            SweepCommand::Plan(arguments) => arguments.run(),
+            SweepCommand::Status(arguments) => arguments.run(),
+        }
+    }
+}
+
+/// Which sweep, and where it lies.
+#[derive(Args)]
+struct Place {
+    /// Sweep file
+    file: PathBuf,
+    /// The sweep's name: points in runs/NAME, tables in results/NAME [default: the file's]
+    #[arg(long)]
+    name: Option<String>,
+    /// Folder for points and tables instead of runs/NAME and results/NAME
+    #[arg(long, value_name = "DIR")]
+    out: Option<PathBuf>,
+    /// Folder that the definition's scenes lie in
+    #[arg(long, env = "AUGNERF_DATA", value_name = "DIR")]
+    data_root: Option<PathBuf>,
+}
+
+/// What the command line changes in a definition.
+#[derive(Args)]
+struct Changes {
+    /// Another preset than the file's
+    #[arg(long, value_name = "NAME")]
+    preset: Option<String>,
+    /// Other scenes: folders below the data root, builtin, builtin-forward
+    #[arg(long, value_delimiter = ',', value_name = "SCENE,...")]
+    scenes: Option<Vec<String>>,
+    /// Other seeds
+    #[arg(long, value_delimiter = ',', value_name = "N,...")]
+    seeds: Option<Vec<u64>>,
+    /// A setting for all points, under what rows and axes set: --set train.steps=1000
+    #[arg(long, value_name = "FIELD=VALUE")]
+    set: Vec<String>,
+}
+
+impl Place {
+    fn name(&self) -> Result<String> {
+        let stem = || self.file.file_stem().map(|stem| stem.to_string_lossy().into_owned());
+        let name = self.name.clone().or_else(stem).unwrap_or_default();
+        if name.is_empty() || name.contains(['/', '\\']) || name == "." || name == ".." {
+            return Err(Error::Config(format!("--name '{name}': give a name without path separators")));
+        }
+        Ok(name)
+    }
+
+    fn folder(&self) -> Result<SweepFolder> {
+        Ok(SweepFolder::new(&match &self.out {
+            Some(out) => out.clone(),
+            None => Path::new("runs").join(self.name()?),
+        }))
+    }
+}
+
+impl Changes {
+    fn definition(self, place: &Place) -> Result<Definition> {
+        let mut definition = Definition::read(&place.file)?;
+        let set = self.set.iter().map(|text| parse_assignment(text)).collect::<Result<Vec<_>>>()?;
+        definition.apply(Overrides { preset: self.preset, scenes: self.scenes, seeds: self.seeds, set })?;
+        Ok(definition)
+    }
+}
+
+/// Seconds of a step: those measured when the sweep began, kept with it so that its points never
+/// change.
+struct KeptCosts<'a> {
+    path: PathBuf,
+    known: Mutex<BTreeMap<String, f64>>,
+    /// Measures what is not known; none where only files are read.
+    measure: Option<&'a Trainings<'a>>,
+}
+
+impl<'a> KeptCosts<'a> {
+    fn new(folder: &SweepFolder, measure: Option<&'a Trainings<'a>>) -> Result<KeptCosts<'a>> {
+        let path = folder.step_seconds();
+        let known = match std::fs::read(&path) {
+            Ok(bytes) => serde_json::from_slice(&bytes)
+                .map_err(|e| Error::Checkpoint(format!("cannot read {}: {e}", path.display())))?,
+            Err(_) => BTreeMap::new(),
+        };
+        Ok(KeptCosts { path, known: Mutex::new(known), measure })
+    }
+}
+
+impl StepCosts for KeptCosts<'_> {
+    fn seconds_per_step(&self, config: &Config) -> Result<f64> {
+        let mut known = self.known.lock().expect("no panic while measuring");
+        let shape = shape(config);
+        if let Some(seconds) = known.get(&shape) {
+            return Ok(*seconds);
+        }
+        let Some(trainings) = self.measure else {
+            return Err(Error::Checkpoint(format!(
+                "{} does not hold the step time of every row; `augnerf sweep run` measures them",
+                self.path.display()
+            )));
+        };
+        let seconds = trainings.seconds_per_step(config)?;
+        known.insert(shape, seconds);
+        if let Some(parent) = self.path.parent() {
+            std::fs::create_dir_all(parent).map_err(|e| Error::unwritable(parent, &e))?;
+        }
+        write_json(&self.path, &*known)?;
+        Ok(seconds)
+    }
+}
+
+#[derive(Args)]
+pub struct RunArguments {
+    #[command(flatten)]
+    place: Place,
+    #[command(flatten)]
+    changes: Changes,
+    /// Points at once; the threads are shared among them
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u16).range(1..=1024))]
+    jobs: u16,
+    /// Go on after a point failed (the default)
+    #[arg(long, conflicts_with = "fail_fast")]
+    keep_going: bool,
+    /// Stop at the first point that fails
+    #[arg(long)]
+    fail_fast: bool,
+    /// Try points that failed again
+    #[arg(long)]
+    retry_failed: bool,
+    /// Take a definition that has changed since the folder was begun; points that it no longer has stay on disk
+    #[arg(long)]
+    extend: bool,
+    /// A point with which so many runners were killed in a row counts as failed
+    #[arg(long, value_name = "N", default_value_t = 10)]
+    max_deaths: u32,
+    #[command(flatten)]
+    weights: LpipsWeights,
+    #[command(flatten)]
+    machine: Machine,
+}
+
+impl RunArguments {
+    pub fn run(self) -> Result<()> {
+        let device = self.machine.device()?;
+        let quiet = self.machine.quiet;
+        let console: Box<dyn Reporter> =
+            if self.jobs == 1 { Box::new(Console::new(quiet)) } else { Box::new(Lines::new(quiet)) };
+        let definition = self.changes.definition(&self.place)?;
+        let folder = self.place.folder()?;
+        let change = folder.compare(&definition)?;
+        let weights = self.weights.lpips_weights.map(std::path::absolute).transpose();
+        let weights = weights.map_err(|e| Error::Config(format!("--lpips-weights: {e}")))?;
+        let weights = weights.map_or(String::new(), |dir| dir.to_string_lossy().into_owned());
+        let lpips = load_lpips(&weights, &device)?;
+        let name = self.machine.device.clone().unwrap_or_else(|| "cpu".into());
+        let smoothness = definition.metrics.iter().any(|metric| SMOOTHNESS_METRICS.contains(&metric.as_str()));
+        let trainings = Trainings::new(job::Machine { device, name }, (lpips, weights), smoothness, &*console);
+        let costs = KeptCosts::new(&folder, Some(&trainings))?;
+        let points = expand(&definition, self.place.data_root.as_deref(), &costs)?;
+        begin(&folder, &definition, &points, change, self.extend, &costs)?;
+        let options = Options {
+            jobs: usize::from(self.jobs),
+            fail_fast: self.fail_fast,
+            retry_failed: self.retry_failed,
+            most_deaths: self.max_deaths,
+        };
+        let stop = catch_signals()?;
+        let watch = Announcer { console: &*console };
+        let runner = Runner { folder: &folder, points: &points, work: &trainings, options, watch: &watch, stop: &stop };
+        let ran = runner.run();
+        ran?;
+        summarise(&folder, &definition, &points)
+    }
+}
+
+/// Makes the folder, or checks that it is this definition's.
+fn begin(
+    folder: &SweepFolder,
+    definition: &Definition,
+    points: &[Point],
+    change: Change,
+    extend: bool,
+    costs: &KeptCosts,
+) -> Result<()> {
+    match change {
+        Change::None => Ok(()),
+        Change::New => folder.begin(definition),
+        Change::Changed if extend => folder.begin(definition),
+        Change::Changed => {
+            let before = expand(&folder.definition()?, None, costs)?;
+            let missing = |from: &[Point], other: &[Point]| {
+                from.iter().filter(|point| other.iter().all(|known| known.id != point.id)).count()
+            };
+            Err(Error::Config(format!(
+                "{} was begun with another definition: this one has {} points that it had not, and lacks {} that it had; \
+                 --extend goes on with this definition (nothing is deleted), another --name or --out starts a new sweep",
+                folder.path().display(),
+                missing(points, &before),
+                missing(&before, points)
+            )))
+        }
+    }
+}
+
+/// Says what became of the points; an error where not all are done.
+fn summarise(folder: &SweepFolder, definition: &Definition, points: &[Point]) -> Result<()> {
+    let states = points.iter().map(|point| folder.point(&point.id).state(point)).collect::<Result<Vec<_>>>()?;
+    let count = |status| states.iter().filter(|state| state.status == status).count();
+    let reasons = points.iter().zip(&states).filter(|(_, state)| state.status == Status::Failed);
+    let reasons: Vec<String> =
+        reasons.map(|(point, state)| format!("\n  {}: {}", point.label(), state.reason)).collect();
+    let (done, failed, no_data) = (count(Status::Done), count(Status::Failed), count(Status::NoData));
+    let _ = definition;
+    if failed > 0 {
+        return Err(Error::PointsFailed(format!(
+            "{failed} of {} points failed ({done} are done); --retry-failed tries them again:{}",
+            points.len(),
+            reasons.concat()
+        )));
+    }
+    if no_data > 0 {
+        let first = states.iter().find(|state| state.status == Status::NoData).expect("counted");
+        return Err(Error::PointsWithoutData(format!(
+            "{no_data} of {} points have no data here ({done} are done): {}; put the scenes below --data-root \
+             (AUGNERF_DATA) and run the sweep again",
+            points.len(),
+            first.reason
+        )));
+    }
+    Ok(())
+}
+
+/// Prints a line for each point.
+struct Announcer<'a> {
+    console: &'a dyn Reporter,
+}
+
+impl Watch for Announcer<'_> {
+    fn began(&self, point: &Point, ended: usize, points: usize) {
+        self.console.say(&format!("[{}/{points}] {} ({} steps)", ended + 1, point.label(), point.config.train.steps));
+    }
+
+    fn ended(&self, point: &Point, outcome: &std::result::Result<PointResult, Failure>) {
+        match outcome {
+            Ok(result) => {
+                let psnr = result.metrics.iter().find(|(name, _)| name == "psnr").and_then(|(_, value)| *value);
+                let psnr = psnr.map_or(String::new(), |psnr| format!(", PSNR {psnr:.2} dB"));
+                self.console.say(&format!("done: {}{psnr}", point.label()));
+            }
+            Err(failure) => self.console.say(&format!("FAILED: {}: {}", point.label(), failure.reason)),
+        }
+    }
+}
+
+#[derive(Args)]
+pub struct PlanArguments {
+    #[command(flatten)]
+    place: Place,
+    #[command(flatten)]
+    changes: Changes,
+    #[command(flatten)]
+    machine: Machine,
+}
+
+impl PlanArguments {
+    pub fn run(self) -> Result<()> {
+        let device = self.machine.device()?;
+        let console = Console::new(self.machine.quiet);
+        let definition = self.changes.definition(&self.place)?;
+        let folder = self.place.folder()?;
+        let name = self.machine.device.clone().unwrap_or_else(|| "cpu".into());
+        let trainings = Trainings::new(job::Machine { device, name }, (Vec::new(), String::new()), false, &console);
+        let costs = KeptCosts::new(&folder, Some(&trainings))?;
+        let points = expand(&definition, self.place.data_root.as_deref(), &costs)?;
+        print(&format!("{} points", points.len()));
+        let mut shapes: BTreeMap<String, (usize, &Point)> = BTreeMap::new();
+        for point in points.iter().filter(|point| point.no_data.is_none()) {
+            shapes.entry(shape(&point.config)).or_insert((0, point)).0 += 1;
+        }
+        let mut total = 0.0;
+        for (shape, (count, example)) in &shapes {
+            let cost = trainings.cost(&example.config)?;
+            let of_shape = points.iter().filter(|point| crate::sweep::shape(&point.config) == *shape);
+            let seconds: f64 = of_shape.map(|point| cost.seconds(point.config.train.steps)).sum();
+            total += seconds;
+            let memory = cost.peak_memory_mib.map_or("-".into(), |mib| format!("{mib:.0} MiB"));
+            print(&format!(
+                "{count:4} x {:44} {:8.3} s/step  {:9} a point  {memory}",
+                example.label(),
+                cost.seconds_per_step,
+                duration(cost.seconds(example.config.train.steps)),
+            ));
+        }
+        let missing = points.iter().filter(|point| point.no_data.is_some()).count();
+        if missing > 0 {
+            print(&format!("{missing:4} x no data"));
+        }
+        print(&format!("{} in all, one point after the other", duration(total)));
+        Ok(())
+    }
+}
+
+/// Seconds for a person.
+fn duration(seconds: f64) -> String {
+    match seconds {
+        s if s < 120.0 => format!("{s:.0} s"),
+        s if s < 7200.0 => format!("{:.0} min", s / 60.0),
+        s if s < 172_800.0 => format!("{:.1} h", s / 3600.0),
+        s => format!("{:.1} days", s / 86_400.0),
+    }
+}
+
+#[derive(Args)]
+pub struct StatusArguments {
+    /// Folder of a sweep: runs/NAME, or what --out named
+    folder: PathBuf,
+    /// Folder that the definition's scenes lie in
+    #[arg(long, env = "AUGNERF_DATA", value_name = "DIR")]
+    data_root: Option<PathBuf>,
+    /// Show it again every so many seconds, until all points have ended
+    #[arg(long, value_name = "SECONDS", value_parser = clap::value_parser!(u16).range(1..))]
+    watch: Option<u16>,
+}
+
+impl StatusArguments {
+    pub fn run(self) -> Result<()> {
+        let folder = SweepFolder::new(&self.folder);
+        let definition = folder.definition()?;
+        let points = expand(&definition, self.data_root.as_deref(), &KeptCosts::new(&folder, None)?)?;
+        loop {
+            let left = show(&folder, &points)?;
+            match self.watch {
+                Some(seconds) if left > 0 => std::thread::sleep(std::time::Duration::from_secs(seconds.into())),
+                _ => return Ok(()),
+            }
+        }
+    }
+}
+
+/// Prints the points' states; returns how many have not ended.
+fn show(folder: &SweepFolder, points: &[Point]) -> Result<usize> {
+    let mut counts: BTreeMap<&str, usize> = BTreeMap::new();
+    for point in points {
+        let state = folder.point(&point.id).state(point)?;
+        *counts.entry(state.status.name()).or_default() += 1;
+        let what = match (state.status, &state.claim) {
+            (Status::Running, Some(claim)) => {
+                let left = claim.seconds_left.map_or(String::new(), |left| format!(", {} left", duration(left)));
+                format!("step {} of {}{left} ({}, process {})", claim.step, claim.steps, claim.host, claim.pid)
+            }
+            (Status::Done, _) => {
+                let psnr = state.result.metrics.iter().find(|(name, _)| name == "psnr").and_then(|(_, value)| *value);
+                psnr.map_or(String::new(), |psnr| format!("PSNR {psnr:.2} dB"))
+            }
+            _ => state.reason.clone(),
+        };
+        print(&format!("{:8} {} {}  {what}", state.status.name(), point.id, point.label()));
+    }
+    let counts: Vec<String> = counts.iter().map(|(status, count)| format!("{count} {status}")).collect();
+    print(&format!("{}: {}", folder.path().display(), counts.join(", ")));
+    let left = |point: &&Point| point.no_data.is_none() && !folder.point(&point.id).ended();
+    Ok(points.iter().filter(left).count())
+}

@@ -1,0 +1,94 @@
+//! What a step costs, and how many steps of one row cost as much as another row's.
+
+use sha2::{Digest, Sha256};
+
+use crate::config::{
+    Config, LEVELS, LatticePoints, Method, PerturbConfig, PerturbKind, RegularizedFields, RegularizerConfig,
+};
+use crate::error::Result;
+
+use super::definition::BudgetKind;
+
+/// Seconds of a step, wherever they come from.
+pub trait StepCosts {
+    /// Seconds of one training step of a configuration.
+    fn seconds_per_step(&self, config: &Config) -> Result<f64>;
+}
+
+/// Steps of `config` that cost as much as all steps of `like`; at least 1.
+pub fn steps_within(kind: BudgetKind, config: &Config, like: &Config, costs: &dyn StepCosts) -> Result<u64> {
+    let (own, other) = match kind {
+        BudgetKind::Evaluations => (evaluations_per_step(config), evaluations_per_step(like)),
+        BudgetKind::Seconds => (costs.seconds_per_step(config)?, costs.seconds_per_step(like)?),
+    };
+    Ok(((like.train.steps as f64 * other / own).round() as u64).max(1))
+}
+
+/// Network evaluations of one step: passes through a network at one point, where a forward pass
+/// counts one, and a backward pass one for the gradient of the layers' inputs and one for that of
+/// the weights.
+pub fn evaluations_per_step(config: &Config) -> f64 {
+    let sampling = &config.sampling;
+    let samples = if sampling.fine > 0 { 2 * sampling.coarse + sampling.fine } else { sampling.coarse };
+    let points = (config.train.rays * samples) as f64;
+    let clean = 3.0 * points;
+    let perturbed = match (config.method, config.perturb.kind) {
+        (Method::Nerf, _) => 0.0,
+        (Method::AugNerf, PerturbKind::WorstCase) => {
+            3.0 * points + 2.0 * points * f64::from(search_steps(&config.perturb))
+        }
+        (Method::AugNerf, _) => 3.0 * points,
+    };
+    clean + perturbed + regularizer_evaluations(config)
+}
+
+/// Ascent steps of the search: a level with fewer waits for the one with most.
+fn search_steps(perturb: &PerturbConfig) -> u32 {
+    let mut resolved = perturb.clone();
+    // Steps do not depend on the scene.
+    resolved.resolve(1.0);
+    LEVELS
+        .into_iter()
+        .filter(|&level| resolved.delta(level).on())
+        .filter_map(|level| resolved.delta(level).steps)
+        .max()
+        .unwrap_or(0) as u32
+}
+
+/// Forward pass, adjoint and the two products of its backward pass; the colour head counts as if it were there.
+fn regularizer_evaluations(config: &Config) -> f64 {
+    let RegularizerConfig { kind, points, points_per_step, lattice, fields, .. } = &config.regularizer;
+    if kind.is_empty() {
+        return 0.0;
+    }
+    let points = match points {
+        LatticePoints::Sampled => *points_per_step,
+        LatticePoints::Full => lattice.pow(3),
+    };
+    let fields = if *fields == RegularizedFields::Both && config.sampling.fine > 0 { 2.0 } else { 1.0 };
+    4.0 * fields * points as f64
+}
+
+/// A name for all configurations whose steps take equally long: what does not change the work is
+/// left out.
+pub fn shape(config: &Config) -> String {
+    let mut shape = config.clone();
+    shape.seed = 0;
+    shape.train.steps = 1;
+    shape.train.learning_rate = 1.0;
+    shape.train.decay_rate = 0.1;
+    shape.train.decay_steps = None;
+    if shape.method == Method::Nerf {
+        shape.perturb = PerturbConfig::default();
+    } else {
+        shape.perturb.resolve(1.0);
+        shape.perturb.lambda = 0.1;
+        for level in LEVELS {
+            let delta = shape.perturb.delta_mut(level);
+            (delta.step_size, delta.epsilon) = (None, None);
+        }
+    }
+    shape.regularizer.weight = shape.regularizer.kind.iter().map(|_| 1.0).collect();
+    let digest = Sha256::digest(shape.to_toml().as_bytes());
+    digest.iter().take(6).map(|byte| format!("{byte:02x}")).collect()
+}

@@ -1,0 +1,327 @@
+//! A sweep as its file describes it: what all points share, named rows, axes, seeds, scenes.
+
+use std::path::Path;
+
+use serde::{Deserialize, Serialize};
+use toml::{Table, Value};
+
+use crate::error::{Error, Result};
+
+use super::{PublishedKey, RowSpec, TableSpec};
+
+/// More points than anyone means.
+const MOST_POINTS: usize = 10_000;
+
+/// Metrics that a table can be asked for.
+pub const METRICS: [&str; 15] = [
+    "psnr",
+    "psnr_float",
+    "psnr_of_mean",
+    "ssim",
+    "lpips_alex",
+    "lpips_vgg",
+    "lpips_squeeze",
+    "average_alex",
+    "average_vgg",
+    "average_squeeze",
+    "l1",
+    "tv",
+    "laplacian",
+    "largest_density",
+    "occupied",
+];
+
+/// Those of [`METRICS`] that are measured on a lattice.
+pub const SMOOTHNESS_METRICS: [&str; 5] = ["l1", "tv", "laplacian", "largest_density", "occupied"];
+
+/// A sweep file.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Definition {
+    /// What the table answers, one line.
+    pub title: String,
+    /// Settings that every point starts from.
+    pub preset: String,
+    /// Scene folders below the data root, or `builtin`, `builtin-forward`.
+    pub scenes: Vec<String>,
+    /// Every row is trained once with each.
+    pub seeds: Vec<u64>,
+    /// What the table shows, best first.
+    #[serde(default = "default_metrics")]
+    pub metrics: Vec<String>,
+    /// The row that others are compared with, seed by seed; a row may name another.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub baseline: Option<String>,
+    /// The table of the paper that this one answers: `tab4`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub published: Option<String>,
+    /// Condition of the published rows: `clean`, `gaussian`, ...
+    #[serde(default = "clean")]
+    pub condition: String,
+    /// How axes combine.
+    #[serde(default)]
+    pub combine: Combine,
+    /// What rows have in common instead of steps.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub budget: Option<Budget>,
+    /// Settings of every point over the preset's, by their dotted names.
+    #[serde(default)]
+    pub set: Table,
+    /// The rows.
+    #[serde(default)]
+    pub row: Vec<Row>,
+    /// What is varied besides.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub axis: Vec<Axis>,
+}
+
+fn default_metrics() -> Vec<String> {
+    ["psnr", "ssim", "lpips_squeeze"].map(String::from).to_vec()
+}
+
+fn clean() -> String {
+    "clean".into()
+}
+
+/// How axes combine.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Combine {
+    /// Every value of every axis with every other.
+    #[default]
+    Product,
+    /// One axis at a time, the others as the row has them.
+    OneAtATime,
+}
+
+/// Rows of equal cost: each gets as many steps as `like` costs with its own.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Budget {
+    /// What is equal.
+    pub kind: BudgetKind,
+    /// The row whose `train.steps` sets the budget.
+    pub like: String,
+}
+
+/// What rows of equal budget have in common.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum BudgetKind {
+    /// Network evaluations: passes forward or back through a network at one point.
+    Evaluations,
+    /// Wall time of the steps, as measured on the machine that starts the sweep.
+    Seconds,
+}
+
+/// One row of the table: a diff from what all points share.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Row {
+    /// As the table prints it.
+    pub name: String,
+    /// Settings by their dotted names.
+    #[serde(default)]
+    pub set: Table,
+    /// Not in the paper.
+    #[serde(default, skip_serializing_if = "is_false")]
+    pub ours: bool,
+    /// The paper's name of the row, where it is another.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub published: Option<String>,
+    /// Compared with this row instead of the sweep's baseline.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub baseline: Option<String>,
+    /// `false`: the row has one point whatever the axes say, as a line to compare with.
+    #[serde(default = "yes", skip_serializing_if = "is_true")]
+    pub axes: bool,
+    /// A budget of its own instead of the sweep's.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub budget: Option<Budget>,
+}
+
+fn yes() -> bool {
+    true
+}
+
+fn is_true(value: &bool) -> bool {
+    *value
+}
+
+fn is_false(value: &bool) -> bool {
+    !*value
+}
+
+/// A setting, or several that move together, with the values that it takes.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Axis {
+    /// What is varied, as the plot's x axis names it.
+    pub name: String,
+    /// What it is varied of: one panel of the plot each.
+    #[serde(default, skip_serializing_if = "String::is_empty")]
+    pub panel: String,
+    /// Dotted names of the settings, which all take the value.
+    pub keys: Vec<String>,
+    /// The values.
+    pub values: Vec<Value>,
+}
+
+/// What the command line changes in a definition.
+#[derive(Clone, Debug, Default)]
+pub struct Overrides {
+    /// Another preset.
+    pub preset: Option<String>,
+    /// Other scenes.
+    pub scenes: Option<Vec<String>>,
+    /// Other seeds.
+    pub seeds: Option<Vec<u64>>,
+    /// Further settings for all points, under what rows and axes set.
+    pub set: Vec<(Vec<String>, Value)>,
+}
+
+impl Definition {
+    /// Reads a sweep file and checks it as far as that is possible without configurations.
+    pub fn read(path: &Path) -> Result<Definition> {
+        let text = std::fs::read_to_string(path)
+            .map_err(|e| Error::Config(format!("cannot read the sweep file {}: {e}", path.display())))?;
+        Definition::parse(&text, &path.display().to_string())
+    }
+
+    /// The same from text; `origin` names it in messages.
+    pub fn parse(text: &str, origin: &str) -> Result<Definition> {
+        let in_file = |message: String| Error::Config(format!("{origin}: {message}"));
+        let definition: Definition = toml::from_str(text).map_err(|e| in_file(e.to_string()))?;
+        definition.check().map_err(in_file)?;
+        Ok(definition)
+    }
+
+    /// The definition as TOML.
+    pub fn to_toml(&self) -> String {
+        toml::to_string(self).expect("a definition is plain data")
+    }
+
+    /// Lays what the command line asks for over the file.
+    pub fn apply(&mut self, overrides: Overrides) -> Result<()> {
+        if let Some(preset) = overrides.preset {
+            self.preset = preset;
+        }
+        if let Some(scenes) = overrides.scenes {
+            self.scenes = scenes;
+        }
+        if let Some(seeds) = overrides.seeds {
+            self.seeds = seeds;
+        }
+        for (path, value) in overrides.set {
+            self.set.insert(path.join("."), value);
+        }
+        self.check().map_err(Error::Config)
+    }
+
+    fn check(&self) -> std::result::Result<(), String> {
+        not_empty_and_distinct("scenes", &self.scenes)?;
+        not_empty_and_distinct("seeds", &self.seeds)?;
+        not_empty_and_distinct("metrics", &self.metrics)?;
+        let names: Vec<&str> = self.row.iter().map(|row| row.name.as_str()).collect();
+        not_empty_and_distinct("rows", &names)?;
+        if let Some(row) = names.iter().find(|name| name.trim().is_empty()) {
+            return Err(format!("a row's name is '{row}'; give it the name that the table prints"));
+        }
+        if let Some(metric) = self.metrics.iter().find(|metric| !METRICS.contains(&metric.as_str())) {
+            return Err(format!("metric '{metric}' does not exist; choose from {}", METRICS.join(", ")));
+        }
+        let known = |what: &str, name: &str| match names.contains(&name) {
+            true => Ok(()),
+            false => Err(format!("{what} = '{name}' is no row; the rows are {}", names.join(", "))),
+        };
+        if let Some(baseline) = &self.baseline {
+            known("baseline", baseline)?;
+        }
+        if let Some(budget) = &self.budget {
+            known("budget.like", &budget.like)?;
+        }
+        for row in &self.row {
+            if let Some(baseline) = &row.baseline {
+                known(&format!("the baseline of row '{}'", row.name), baseline)?;
+            }
+            if let Some(budget) = &row.budget {
+                known(&format!("budget.like of row '{}'", row.name), &budget.like)?;
+            }
+        }
+        for axis in &self.axis {
+            let what = format!("axis '{}' {}", axis.name, axis.panel);
+            not_empty_and_distinct(&format!("keys of {what}"), &axis.keys)?;
+            let values: Vec<String> = axis.values.iter().map(Value::to_string).collect();
+            not_empty_and_distinct(&format!("values of {what}"), &values)?;
+        }
+        let count = self.count();
+        if count > MOST_POINTS {
+            return Err(format!(
+                "{count} points ({} scenes x {} seeds x rows and axes) are more than {MOST_POINTS}: split the sweep, or \
+                 set combine = \"one-at-a-time\"",
+                self.scenes.len(),
+                self.seeds.len()
+            ));
+        }
+        Ok(())
+    }
+
+    /// Points before equal ones are merged.
+    fn count(&self) -> usize {
+        let of_axes = match self.combine {
+            Combine::Product => self.axis.iter().map(|axis| axis.values.len()).fold(1, usize::saturating_mul),
+            Combine::OneAtATime => self.axis.iter().map(|axis| axis.values.len()).sum::<usize>().max(1),
+        };
+        let of_rows: usize =
+            self.row.iter().map(|row| if row.axes { of_axes } else { 1 }).fold(0, usize::saturating_add);
+        of_rows.saturating_mul(self.scenes.len()).saturating_mul(self.seeds.len())
+    }
+
+    /// The row that a row is compared with; none for a baseline.
+    fn baseline_of(&self, row: &Row) -> Option<String> {
+        let named = row.baseline.as_ref().or(self.baseline.as_ref())?;
+        (*named != row.name).then(|| named.clone())
+    }
+
+    /// What tables and plots need to know.
+    pub fn table(&self, name: &str) -> TableSpec {
+        let rows = self.row.iter().map(|row| RowSpec {
+            name: row.name.clone(),
+            baseline: self.baseline_of(row),
+            ours: row.ours,
+            published: self.published.clone().filter(|_| !row.ours).map(|table| PublishedKey {
+                table,
+                condition: self.condition.clone(),
+                method: row.published.clone().unwrap_or_else(|| row.name.clone()),
+            }),
+        });
+        TableSpec {
+            name: name.to_string(),
+            title: self.title.clone(),
+            metrics: self.metrics.clone(),
+            rows: rows.collect(),
+            must_match: self.must_match(),
+        }
+    }
+
+    /// Protocol fields that no row and no axis may move.
+    fn must_match(&self) -> Vec<String> {
+        let always = ["protocol", "program", "code_revision", "dataset", "scene", "split"];
+        let of_data = ["width", "height", "background", "ndc", "views_trained", "views_evaluated", "pixel_origin"];
+        let keys = self.row.iter().flat_map(|row| row.set.keys()).chain(self.axis.iter().flat_map(|axis| &axis.keys));
+        let moves_data = keys.into_iter().any(|key| key.starts_with("data.") && !key.starts_with("data.corruption"));
+        let of_data = of_data.into_iter().filter(|_| !moves_data);
+        always.into_iter().chain(of_data).map(String::from).collect()
+    }
+}
+
+fn not_empty_and_distinct<T: PartialEq + std::fmt::Display>(
+    what: &str,
+    values: &[T],
+) -> std::result::Result<(), String> {
+    if values.is_empty() {
+        return Err(format!("{what}: there are none; name at least one"));
+    }
+    let twice = values.iter().enumerate().find(|(i, value)| values[..*i].contains(value));
+    twice.map_or(Ok(()), |(_, value)| Err(format!("{what}: '{value}' is named twice")))
+}

@@ -1,0 +1,276 @@
+//! The folder of a sweep: its definition, one folder a point, and what became of each point.
+//!
+//! ```text
+//! sweep.toml              the definition that the points below belong to
+//! step_seconds.json       measured seconds of a step, where budgets are in seconds
+//! points/ID/config.toml   the point's configuration, before its scene fills it
+//! points/ID/run/          the run folder, as `augnerf train` leaves it
+//! points/ID/result.json   metrics and protocol: the point is done
+//! points/ID/failed.json   why it is not
+//! points/ID/claim.json    who works on it, and how far it is
+//! ```
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use serde::{Deserialize, Serialize};
+
+use crate::error::{Error, Result};
+use crate::output::{write_atomic, write_json};
+
+use super::claim::{Claim, Claimed};
+use super::definition::Definition;
+use super::points::Point;
+use super::{Record, Status};
+
+const DEFINITION: &str = "sweep.toml";
+const POINTS: &str = "points";
+
+/// What a finished point leaves.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct PointResult {
+    /// Name and value of each metric.
+    pub metrics: Vec<(String, Option<f64>)>,
+    /// Name and text of each field of the protocol.
+    pub protocol: Vec<(String, String)>,
+    /// Levels of the attack that had no effect on the loss.
+    pub inactive_levels: Vec<String>,
+}
+
+/// Why a point ended without a result.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Failure {
+    /// The error's sentence.
+    pub reason: String,
+    /// The exit code of its class.
+    pub exit_code: u8,
+}
+
+/// The folder of one sweep.
+#[derive(Clone, Debug)]
+pub struct SweepFolder {
+    path: PathBuf,
+}
+
+/// How a definition relates to the one that a folder was begun with.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Change {
+    /// The folder is new.
+    New,
+    /// They are equal.
+    None,
+    /// They differ.
+    Changed,
+}
+
+impl SweepFolder {
+    /// The folder at `path`, whether it exists or not.
+    pub fn new(path: &Path) -> SweepFolder {
+        SweepFolder { path: path.to_path_buf() }
+    }
+
+    /// The folder itself.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// `step_seconds.json`.
+    pub fn step_seconds(&self) -> PathBuf {
+        self.path.join("step_seconds.json")
+    }
+
+    /// The definition that the folder was begun with.
+    pub fn definition(&self) -> Result<Definition> {
+        let path = self.path.join(DEFINITION);
+        let text = fs::read_to_string(&path).map_err(|e| {
+            Error::Checkpoint(format!(
+                "{} is not the folder of a sweep: cannot read {}: {e}; `augnerf sweep run FILE` makes one",
+                self.path.display(),
+                path.display()
+            ))
+        })?;
+        Definition::parse(&text, &path.display().to_string())
+    }
+
+    /// Compares a definition with the one that the folder was begun with.
+    pub fn compare(&self, definition: &Definition) -> Result<Change> {
+        if !self.path.join(DEFINITION).exists() {
+            return Ok(Change::New);
+        }
+        Ok(if self.definition()? == *definition { Change::None } else { Change::Changed })
+    }
+
+    /// Makes the folder and writes the definition that it is for.
+    pub fn begin(&self, definition: &Definition) -> Result<()> {
+        let points = self.path.join(POINTS);
+        fs::create_dir_all(&points).map_err(|e| Error::unwritable(&points, &e))?;
+        write_atomic(&self.path.join(DEFINITION), definition.to_toml().as_bytes())
+    }
+
+    /// The folder of a point.
+    pub fn point(&self, id: &str) -> PointFolder {
+        PointFolder { path: self.path.join(POINTS).join(id) }
+    }
+
+    /// All points as records, one for each place in the table, in the definition's order of scenes,
+    /// rows, axes and seeds.
+    pub fn records(&self, definition: &Definition, points: &[Point]) -> Result<Vec<Record>> {
+        let mut records = Vec::new();
+        for point in points {
+            let state = self.point(&point.id).state(point)?;
+            for place in &point.places {
+                records.push(Record {
+                    id: point.id.clone(),
+                    scene: point.scene.clone(),
+                    row: place.row.clone(),
+                    axes: place.axes.clone(),
+                    seed: point.config.seed,
+                    status: state.status,
+                    reason: state.reason.clone(),
+                    metrics: state.result.metrics.clone(),
+                    protocol: state.result.protocol.clone(),
+                    inactive_levels: state.result.inactive_levels.clone(),
+                });
+            }
+        }
+        let position = |list: &[String], name: &str| list.iter().position(|known| known == name);
+        let rows: Vec<String> = definition.row.iter().map(|row| row.name.clone()).collect();
+        // Stable: axes keep the order of expansion.
+        records.sort_by_key(|record| (position(&definition.scenes, &record.scene), position(&rows, &record.row)));
+        Ok(group_seeds(records))
+    }
+}
+
+/// Brings the seeds of equal cells together, cells in order of first appearance.
+fn group_seeds(records: Vec<Record>) -> Vec<Record> {
+    let mut cells: Vec<Vec<Record>> = Vec::new();
+    for record in records {
+        let same = |cell: &&mut Vec<Record>| {
+            cell[0].scene == record.scene && cell[0].row == record.row && cell[0].axes == record.axes
+        };
+        match cells.iter_mut().find(same) {
+            Some(cell) => cell.push(record),
+            None => cells.push(vec![record]),
+        }
+    }
+    cells.into_iter().flatten().collect()
+}
+
+/// What the files of a point say.
+#[derive(Clone, Debug)]
+pub struct PointState {
+    /// How far it is.
+    pub status: Status,
+    /// Why it failed or waits; empty otherwise.
+    pub reason: String,
+    /// Its result; empty unless done.
+    pub result: PointResult,
+    /// Who works on it.
+    pub claim: Option<Claimed>,
+}
+
+/// The folder of one point.
+#[derive(Clone, Debug)]
+pub struct PointFolder {
+    path: PathBuf,
+}
+
+impl PointFolder {
+    /// The folder itself.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// The run folder of its training.
+    pub fn run(&self) -> PathBuf {
+        self.path.join("run")
+    }
+
+    fn result_file(&self) -> PathBuf {
+        self.path.join("result.json")
+    }
+
+    fn failure_file(&self) -> PathBuf {
+        self.path.join("failed.json")
+    }
+
+    /// Makes the folder with the point's configuration, which is never changed afterwards.
+    pub fn begin(&self, point: &Point) -> Result<()> {
+        fs::create_dir_all(&self.path).map_err(|e| Error::unwritable(&self.path, &e))?;
+        let config = self.path.join("config.toml");
+        if config.exists() {
+            return Ok(());
+        }
+        write_atomic(&config, format!("# {}\n{}", point.label(), point.config.to_toml()).as_bytes())
+    }
+
+    /// The result, if the point is done.
+    pub fn result(&self) -> Result<Option<PointResult>> {
+        read_json(&self.result_file())
+    }
+
+    /// Why the point failed, if it did.
+    pub fn failure(&self) -> Result<Option<Failure>> {
+        read_json(&self.failure_file())
+    }
+
+    /// Done or failed: nothing is left to do.
+    pub fn ended(&self) -> bool {
+        self.result_file().exists() || self.failure_file().exists()
+    }
+
+    /// Marks the point as done.
+    pub fn finish(&self, result: &PointResult) -> Result<()> {
+        write_json(&self.result_file(), result)
+    }
+
+    /// Marks the point as failed.
+    pub fn fail(&self, failure: &Failure) -> Result<()> {
+        write_json(&self.failure_file(), failure)
+    }
+
+    /// Takes a failure back, so that the point is tried again.
+    pub fn forgive(&self) -> Result<()> {
+        let path = self.failure_file();
+        match fs::remove_file(&path) {
+            Err(error) if error.kind() != std::io::ErrorKind::NotFound => Err(Error::unwritable(&path, &error)),
+            _ => Ok(()),
+        }
+    }
+
+    /// What the files say about a point.
+    pub fn state(&self, point: &Point) -> Result<PointState> {
+        let state = |status, reason: String| PointState { status, reason, result: PointResult::default(), claim: None };
+        if let Some(result) = self.result()? {
+            return Ok(PointState { result, ..state(Status::Done, String::new()) });
+        }
+        if let Some(failure) = self.failure()? {
+            let first = failure.reason.lines().next().unwrap_or_default().to_string();
+            return Ok(state(Status::Failed, first));
+        }
+        match Claim::look(&self.path) {
+            Some(claim) if claim.alive => {
+                Ok(PointState { claim: Some(claim), ..state(Status::Running, String::new()) })
+            }
+            Some(claim) => {
+                let reason = format!("its runner ({}, process {}) died at step {}", claim.host, claim.pid, claim.step);
+                Ok(PointState { claim: Some(claim), ..state(Status::Waiting, reason) })
+            }
+            None => Ok(match &point.no_data {
+                Some(reason) => state(Status::NoData, reason.clone()),
+                None => state(Status::Waiting, String::new()),
+            }),
+        }
+    }
+}
+
+fn read_json<T: for<'de> Deserialize<'de>>(path: &Path) -> Result<Option<T>> {
+    let bytes = match fs::read(path) {
+        Ok(bytes) => bytes,
+        Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(None),
+        Err(error) => return Err(Error::unreadable(path, &error)),
+    };
+    let damaged =
+        |e| Error::Checkpoint(format!("cannot read {}: {e}; delete it to have the point done again", path.display()));
+    serde_json::from_slice(&bytes).map(Some).map_err(damaged)
+}

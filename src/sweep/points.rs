@@ -1,0 +1,198 @@
+//! From a definition to points: every configuration built and checked before the first training.
+
+use std::collections::HashMap;
+use std::path::{Path, PathBuf};
+
+use toml::Value;
+
+use crate::config::{Config, Preset, build};
+use crate::error::{Error, Result};
+use crate::job::locate_scene;
+
+use super::budget::{StepCosts, steps_within};
+use super::definition::{Axis, Budget, Combine, Definition, Row};
+use super::{AxisValue, label};
+
+/// One training: a configuration with its seed. Rows that come to the same share it.
+#[derive(Clone, Debug)]
+pub struct Point {
+    /// Content hash of the configuration: the name of the point's folder.
+    pub id: String,
+    /// The scene as the definition names it.
+    pub scene: String,
+    /// The configuration before its scene fills what depends on it.
+    pub config: Config,
+    /// Where it stands in the table; at least one place.
+    pub places: Vec<Place>,
+    /// Why its scene cannot be read; none where it can.
+    pub no_data: Option<String>,
+}
+
+/// A cell of the table.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Place {
+    /// The row's name.
+    pub row: String,
+    /// The values of axes.
+    pub axes: Vec<AxisValue>,
+}
+
+impl Point {
+    /// For a person: scene, row, seed.
+    pub fn label(&self) -> String {
+        let place = &self.places[0];
+        format!("{} · {} · seed {}", label(&place.row, &place.axes), self.scene, self.config.seed)
+    }
+}
+
+/// Expands a definition in the order in which points are run: seed by seed, so that a part of a
+/// sweep is a table already. `data_root` is where relative scenes lie.
+pub fn expand(definition: &Definition, data_root: Option<&Path>, costs: &dyn StepCosts) -> Result<Vec<Point>> {
+    let preset = Preset::parse(&definition.preset)?;
+    let mut points: Vec<Point> = Vec::new();
+    let mut known: HashMap<String, usize> = HashMap::new();
+    for &seed in &definition.seeds {
+        for scene in &definition.scenes {
+            let builder = Builder { definition, preset, scene, folder: scene_folder(scene, data_root), seed, costs };
+            let mut plain: Vec<(String, &str)> = Vec::new();
+            for row in &definition.row {
+                for axes in combinations(definition, row) {
+                    let (config, no_data) = builder.config(row, &axes)?;
+                    let id = config.hash();
+                    if axes.is_empty() {
+                        if let Some((_, other)) = plain.iter().find(|(known, _)| *known == id) {
+                            return Err(Error::Config(format!(
+                                "rows '{other}' and '{}' are the same experiment; change or remove one",
+                                row.name
+                            )));
+                        }
+                        plain.push((id.clone(), &row.name));
+                    }
+                    let place = Place { row: row.name.clone(), axes: named(&axes) };
+                    match known.get(&id) {
+                        Some(&index) => points[index].places.push(place),
+                        None => {
+                            known.insert(id.clone(), points.len());
+                            points.push(Point { id, scene: scene.clone(), config, places: vec![place], no_data });
+                        }
+                    }
+                }
+            }
+        }
+    }
+    Ok(points)
+}
+
+fn named(axes: &Combination) -> Vec<AxisValue> {
+    let named = |(axis, value): &(&Axis, &Value)| {
+        let value = match value {
+            Value::String(text) => text.clone(),
+            other => other.to_string(),
+        };
+        AxisValue { axis: axis.name.clone(), panel: axis.panel.clone(), value }
+    };
+    axes.iter().map(named).collect()
+}
+
+type Combination<'a> = Vec<(&'a Axis, &'a Value)>;
+
+/// The axis values that a row is trained with; one empty combination for a plain row.
+fn combinations<'a>(definition: &'a Definition, row: &Row) -> Vec<Combination<'a>> {
+    if !row.axes || definition.axis.is_empty() {
+        return vec![Vec::new()];
+    }
+    match definition.combine {
+        Combine::OneAtATime => {
+            definition.axis.iter().flat_map(|axis| axis.values.iter().map(move |value| vec![(axis, value)])).collect()
+        }
+        Combine::Product => definition.axis.iter().fold(vec![Vec::new()], |partial: Vec<Combination>, axis| {
+            let extended = |combination: &Combination<'a>| -> Vec<Combination<'a>> {
+                axis.values.iter().map(|value| [combination.as_slice(), &[(axis, value)]].concat()).collect()
+            };
+            partial.iter().flat_map(extended).collect()
+        }),
+    }
+}
+
+/// Where a scene is; empty for the embedded ones.
+fn scene_folder(scene: &str, data_root: Option<&Path>) -> PathBuf {
+    match scene {
+        "builtin" | "builtin-forward" => PathBuf::new(),
+        folder => data_root.map_or_else(|| PathBuf::from(folder), |root| root.join(folder)),
+    }
+}
+
+struct Builder<'a> {
+    definition: &'a Definition,
+    preset: Preset,
+    scene: &'a str,
+    folder: PathBuf,
+    seed: u64,
+    costs: &'a dyn StepCosts,
+}
+
+impl Builder<'_> {
+    /// The configuration of a point with the steps that its budget allows, and why its scene
+    /// cannot be read here, if it cannot.
+    fn config(&self, row: &Row, axes: &Combination) -> Result<(Config, Option<String>)> {
+        let mut config = self.plain_config(row, axes)?;
+        let no_data = self.no_data(&config).map_err(|error| in_row(row, axes, error))?;
+        if let Some(Budget { kind, like }) = row.budget.as_ref().or(self.definition.budget.as_ref())
+            && *like != row.name
+            && no_data.is_none()
+        {
+            let other = self.definition.row.iter().find(|row| row.name == *like).expect("checked");
+            config.train.steps = steps_within(*kind, &config, &self.plain_config(other, &Vec::new())?, self.costs)?;
+            config.validate().map_err(|error| in_row(row, axes, error))?;
+        }
+        Ok((config, no_data))
+    }
+
+    fn plain_config(&self, row: &Row, axes: &Combination) -> Result<Config> {
+        let mut assignments: Vec<(Vec<String>, Value)> = Vec::new();
+        let mut assign = |key: &str, value: Value| {
+            assignments.push((key.split('.').map(String::from).collect(), value));
+        };
+        for (table, value) in [&self.definition.set, &row.set].into_iter().flatten() {
+            flatten(table, value, &mut assign);
+        }
+        for (axis, value) in axes {
+            axis.keys.iter().for_each(|key| assign(key, (*value).clone()));
+        }
+        match self.scene {
+            "builtin" => {}
+            "builtin-forward" => assign("data.kind", Value::String("builtin-forward".into())),
+            _ => assign("data.dir", Value::String(self.folder.to_string_lossy().into_owned())),
+        }
+        assign("seed", Value::Integer(self.seed as i64));
+        build(Some(self.preset), None, &assignments).map_err(|error| in_row(row, axes, error))
+    }
+
+    /// Why the scene cannot be read here. A scene that is there and does not fit the settings is
+    /// an error of the definition.
+    fn no_data(&self, config: &Config) -> Result<Option<String>> {
+        match locate_scene(&mut config.clone()) {
+            Ok(()) => Ok(None),
+            Err(Error::Data(message)) => Ok(Some(message)),
+            Err(error) => Err(error),
+        }
+    }
+}
+
+/// The same error with the row that it is about.
+fn in_row(row: &Row, axes: &Combination, error: Error) -> Error {
+    match error {
+        Error::Config(message) => Error::Config(format!("row '{}': {message}", label(&row.name, &named(axes)))),
+        other => other,
+    }
+}
+
+/// `a.b = v` and nested tables alike, as dotted names.
+fn flatten(key: &str, value: &Value, assign: &mut impl FnMut(&str, Value)) {
+    match value {
+        Value::Table(table) => {
+            table.iter().for_each(|(inner, value)| flatten(&format!("{key}.{inner}"), value, assign))
+        }
+        value => assign(key, value.clone()),
+    }
+}

@@ -1,0 +1,181 @@
+//! Runs the points of a sweep: alone or beside other runners on the same folder, from wherever an
+//! earlier one was stopped or killed.
+
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::time::Duration;
+
+use crate::error::{Error, Result};
+
+use super::claim::{Beat, Claim};
+use super::folder::{Failure, PointFolder, PointResult, SweepFolder};
+use super::points::Point;
+
+/// Between two looks at points that other runners work on.
+const LOOK_EVERY: Duration = Duration::from_millis(500);
+
+/// What trains a point.
+pub trait Work: Sync {
+    /// Trains and measures a point, going on from what an earlier try left in `folder`. A signal's
+    /// number in `stop` asks for a stop with [`Error::Interrupted`].
+    fn run(&self, point: &Point, folder: &PointFolder, beat: &Beat, stop: &AtomicUsize) -> Result<PointResult>;
+}
+
+/// How a sweep is run.
+#[derive(Clone, Copy, Debug)]
+pub struct Options {
+    /// Points at once; the cores are shared among them.
+    pub jobs: usize,
+    /// Stop at the first failure.
+    pub fail_fast: bool,
+    /// Try failed points again.
+    pub retry_failed: bool,
+    /// A point with which so many runners died is failed.
+    pub most_deaths: u32,
+}
+
+/// What is told while a sweep runs.
+pub trait Watch: Sync {
+    /// A point is begun; `ended` of `points` are done or failed.
+    fn began(&self, point: &Point, ended: usize, points: usize);
+    /// A point is done or failed.
+    fn ended(&self, point: &Point, outcome: &std::result::Result<PointResult, Failure>);
+}
+
+/// One runner.
+pub struct Runner<'a> {
+    /// The sweep's folder.
+    pub folder: &'a SweepFolder,
+    /// What is to be run, in this order.
+    pub points: &'a [Point],
+    /// What trains a point.
+    pub work: &'a dyn Work,
+    /// How.
+    pub options: Options,
+    /// Who is told.
+    pub watch: &'a dyn Watch,
+    /// Holds a signal's number when it is time to stop.
+    pub stop: &'a AtomicUsize,
+}
+
+/// What a runner does next.
+enum Next<'a> {
+    Run(&'a Point, PointFolder, Claim),
+    /// Others work on all that is left.
+    Wait,
+    Nothing,
+}
+
+impl Runner<'_> {
+    /// Runs until nothing is left, a signal comes, or, with `fail_fast`, a point fails. An error is
+    /// one of the whole sweep (a full disk, a signal); failed points are in the folder.
+    pub fn run(&self) -> Result<()> {
+        let runnable: Vec<&Point> = self.points.iter().filter(|point| point.no_data.is_none()).collect();
+        for point in &runnable {
+            let folder = self.folder.point(&point.id);
+            folder.begin(point)?;
+            if self.options.retry_failed {
+                folder.forgive()?;
+            }
+        }
+        let failed = AtomicBool::new(false);
+        let threads = (rayon::current_num_threads() / self.options.jobs).max(1);
+        let worker = || -> Result<()> {
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build();
+            let pool = pool.map_err(|e| Error::Config(format!("cannot start {threads} threads: {e}")))?;
+            loop {
+                if failed.load(Ordering::SeqCst) && self.options.fail_fast {
+                    return Ok(());
+                }
+                match self.next(&runnable)? {
+                    Next::Nothing => return Ok(()),
+                    Next::Wait => std::thread::sleep(LOOK_EVERY),
+                    Next::Run(point, folder, claim) => {
+                        if pool.install(|| self.run_point(point, &folder, claim))?.is_err() {
+                            failed.store(true, Ordering::SeqCst);
+                        }
+                    }
+                }
+            }
+        };
+        std::thread::scope(|scope| {
+            let workers: Vec<_> = (0..self.options.jobs).map(|_| scope.spawn(worker)).collect();
+            let ended: Vec<Result<()>> = workers
+                .into_iter()
+                .map(|worker| worker.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic)))
+                .collect();
+            ended.into_iter().collect()
+        })
+    }
+
+    fn next<'a>(&self, points: &[&'a Point]) -> Result<Next<'a>> {
+        let mut others = false;
+        for point in points {
+            self.check_stop()?;
+            let folder = self.folder.point(&point.id);
+            if folder.ended() {
+                continue;
+            }
+            let Some(claim) = Claim::take(folder.path())? else {
+                others = true;
+                continue;
+            };
+            // Another runner may have finished it between the look and the claim.
+            if !folder.ended() {
+                return Ok(Next::Run(point, folder, claim));
+            }
+        }
+        Ok(if others { Next::Wait } else { Next::Nothing })
+    }
+
+    fn check_stop(&self) -> Result<()> {
+        match self.stop.load(Ordering::SeqCst) {
+            0 => Ok(()),
+            signal => Err(Error::Interrupted {
+                signal: signal as i32,
+                message: format!(
+                    "stopped by signal {signal}; nothing is lost: the same command goes on with {}",
+                    self.folder.path().display()
+                ),
+            }),
+        }
+    }
+
+    /// Runs a claimed point. The outer error is one of the sweep, the inner one of the point.
+    fn run_point(&self, point: &Point, folder: &PointFolder, claim: Claim) -> Result<std::result::Result<(), ()>> {
+        let ended = self.points.iter().filter(|point| self.folder.point(&point.id).ended()).count();
+        self.watch.began(point, ended, self.points.len());
+        let outcome = if claim.deaths >= self.options.most_deaths {
+            Err(Failure {
+                reason: format!(
+                    "{} runners died with this point (killed, perhaps for memory); --retry-failed tries again",
+                    claim.deaths
+                ),
+                exit_code: 1,
+            })
+        } else {
+            match self.work(point, folder, &claim) {
+                Ok(result) => Ok(result),
+                Err(error @ Error::Interrupted { .. }) => {
+                    self.check_stop()?;
+                    return Err(error);
+                }
+                Err(error) => Err(Failure { reason: error.to_string(), exit_code: error.exit_code() }),
+            }
+        };
+        match &outcome {
+            Ok(result) => folder.finish(result)?,
+            Err(failure) => folder.fail(failure)?,
+        }
+        self.watch.ended(point, &outcome);
+        Ok(outcome.map(|_| ()).map_err(|_| ()))
+    }
+
+    /// A panic is a defect of this program; it fails its point and no other.
+    fn work(&self, point: &Point, folder: &PointFolder, claim: &Claim) -> Result<PointResult> {
+        let run = std::panic::AssertUnwindSafe(|| self.work.run(point, folder, &claim.beat, self.stop));
+        std::panic::catch_unwind(run).unwrap_or_else(|panic| {
+            let text = panic.downcast_ref::<String>().map(String::as_str).or(panic.downcast_ref::<&str>().copied());
+            Err(Error::Tensor(candle_core::Error::Msg(format!("panic: {}", text.unwrap_or("without words")))))
+        })
+    }
+}

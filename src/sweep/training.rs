@@ -1,0 +1,238 @@
+//! Trains and measures points for real.
+
+use std::sync::atomic::AtomicUsize;
+use std::sync::{Arc, Mutex};
+
+use candle_core::DType;
+
+use crate::config::Config;
+use crate::data::{self, Progress, Scene};
+use crate::error::{Error, Result};
+use crate::evaluate::{Report, SmoothnessReport, Viewer, columns};
+use crate::job::{Finished, Job, Machine, Reporter, locate_scene, run_config};
+use crate::metrics::Lpips;
+use crate::output::{RunDir, peak_memory_mib};
+use crate::regularizers::Lattice;
+use crate::train::{StepStats, Trainer};
+
+use super::budget::StepCosts;
+use super::claim::Beat;
+use super::folder::{PointFolder, PointResult};
+use super::points::Point;
+use super::runner::Work;
+
+/// The lattice that tables measure smoothness on, whatever a row was trained with.
+const SMOOTHNESS: Lattice = Lattice { domain: [[-1.0; 3], [1.0; 3]], side: 64 };
+/// Scenes in memory at once: points come scene by scene.
+const SCENES: usize = 2;
+/// Steps that a measurement of step time takes, after as many that warm up.
+const MEASURED_STEPS: u32 = 4;
+
+/// Everything that the trainings of a sweep share.
+pub struct Trainings<'a> {
+    /// Where they are computed.
+    pub machine: Machine,
+    /// Backbones to measure LPIPS with.
+    pub lpips: Vec<Lpips>,
+    /// Where those came from; goes into each run's settings.
+    pub lpips_weights: String,
+    /// Smoothness is among the sweep's metrics.
+    pub smoothness: bool,
+    /// Who is told.
+    pub reporter: &'a dyn Reporter,
+    scenes: Mutex<Vec<(String, Arc<Scene>)>>,
+}
+
+impl<'a> Trainings<'a> {
+    /// With no scene loaded yet.
+    pub fn new(
+        machine: Machine,
+        (lpips, lpips_weights): (Vec<Lpips>, String),
+        smoothness: bool,
+        reporter: &'a dyn Reporter,
+    ) -> Trainings<'a> {
+        Trainings { machine, lpips, lpips_weights, smoothness, reporter, scenes: Mutex::default() }
+    }
+
+    /// The scene of a configuration, which is resolved with it.
+    pub fn scene(&self, config: &mut Config) -> Result<Arc<Scene>> {
+        locate_scene(config)?;
+        let key = toml::to_string(&config.data).expect("settings are plain data");
+        let mut scenes = self.scenes.lock().expect("loading does not panic");
+        let scene = match scenes.iter().position(|(known, _)| *known == key) {
+            Some(index) => scenes[index].1.clone(),
+            None => {
+                let mut scene = data::load(&config.data, self.reporter.progress())?;
+                scene.name.clone_from(&config.data.name);
+                if scenes.len() >= SCENES {
+                    scenes.remove(0);
+                }
+                scenes.push((key, Arc::new(scene)));
+                scenes[scenes.len() - 1].1.clone()
+            }
+        };
+        config.resolve_bounds(scene.near, scene.far);
+        Ok(scene)
+    }
+
+    /// A trainer of a configuration at step 0, for measurements.
+    pub fn trainer(&self, config: &Config) -> Result<(Trainer, Arc<Scene>, Config)> {
+        let mut config = config.clone();
+        let scene = self.scene(&mut config)?;
+        Ok((Trainer::new(&config, &scene, DType::F32, &self.machine.device)?, scene, config))
+    }
+}
+
+/// What a point costs on this machine.
+#[derive(Clone, Copy, Debug)]
+pub struct Cost {
+    /// Seconds of a training step.
+    pub seconds_per_step: f64,
+    /// Seconds of the evaluation at the end.
+    pub seconds_evaluation: f64,
+    /// Highest resident memory while measuring; none where the system does not say.
+    pub peak_memory_mib: Option<f64>,
+}
+
+impl Cost {
+    /// Seconds of a point with so many steps.
+    pub fn seconds(&self, steps: u64) -> f64 {
+        self.seconds_per_step * steps as f64 + self.seconds_evaluation
+    }
+}
+
+impl Trainings<'_> {
+    /// Measures a few real steps and a piece of a held-out view.
+    pub fn cost(&self, config: &Config) -> Result<Cost> {
+        reset_peak_memory();
+        let seconds_per_step = self.seconds_per_step(config)?;
+        let (trainer, scene, config) = self.trainer(config)?;
+        let mut seconds_evaluation = 0.0;
+        if let Some(view) = scene.test.first() {
+            // Some rows of the picture for every thread, as the whole picture has them.
+            let mut camera = view.camera;
+            let rows = (2 * rayon::current_num_threads() * config.eval.chunk).div_ceil(camera.width);
+            camera.height = rows.min(view.camera.height);
+            let viewer =
+                Viewer { model: trainer.model(), config: &config, scene: &scene, device: &self.machine.device };
+            let started = std::time::Instant::now();
+            viewer.render(&camera)?;
+            let share = camera.height as f64 / view.camera.height as f64;
+            seconds_evaluation = started.elapsed().as_secs_f64() / share * scene.test.len() as f64;
+        }
+        Ok(Cost { seconds_per_step, seconds_evaluation, peak_memory_mib: peak_memory_mib() })
+    }
+}
+
+/// Starts the system's record of the highest memory anew, where it keeps one (Linux).
+fn reset_peak_memory() {
+    // Where it fails the record stays that of the whole process: too high, never too low.
+    let _ = std::fs::write("/proc/self/clear_refs", "5");
+}
+
+impl StepCosts for Trainings<'_> {
+    fn seconds_per_step(&self, config: &Config) -> Result<f64> {
+        let (mut trainer, _, _) = self.trainer(config)?;
+        for _ in 0..MEASURED_STEPS {
+            trainer.step(false)?;
+        }
+        let started = std::time::Instant::now();
+        for _ in 0..MEASURED_STEPS {
+            trainer.step(false)?;
+        }
+        Ok(started.elapsed().as_secs_f64() / f64::from(MEASURED_STEPS))
+    }
+}
+
+impl Work for Trainings<'_> {
+    fn run(&self, point: &Point, folder: &PointFolder, beat: &Beat, stop: &AtomicUsize) -> Result<PointResult> {
+        let mut config = point.config.clone();
+        config.eval.lpips_weights.clone_from(&self.lpips_weights);
+        let scene = self.scene(&mut config)?;
+        let shared = (&*scene, self.lpips.as_slice());
+        let path = folder.run();
+        let job = match RunDir::open(&path) {
+            Ok(mut run) => {
+                run.lock()?;
+                run.clean()?;
+                let found = run_config(&run)?;
+                if found.hash() != config.hash() {
+                    return Err(Error::Checkpoint(format!(
+                        "{} holds a run of other settings ({} instead of {}): delete it to train the point again",
+                        path.display(),
+                        found.hash(),
+                        config.hash()
+                    )));
+                }
+                Job::resume(run, config.clone(), shared, self.machine.clone())?
+            }
+            // Nothing there yet, or a run that was killed before its first file.
+            Err(_) => Job::create(&path, true, config.clone(), shared, self.machine.clone())?,
+        };
+        let finished = job.train(&Beating { reporter: self.reporter, beat }, stop)?;
+        self.result(&config, &scene, &path, &finished)
+    }
+}
+
+impl Trainings<'_> {
+    fn result(
+        &self,
+        config: &Config,
+        scene: &Scene,
+        path: &std::path::Path,
+        finished: &Finished,
+    ) -> Result<PointResult> {
+        let Finished { report, model, .. } = finished;
+        let mut metrics = numbers(&report.mean);
+        if self.smoothness {
+            let device = &self.machine.device;
+            let (protocol, progress) = (report.protocol.clone(), self.reporter.progress());
+            let smoothness = SmoothnessReport::measure(model, scene, &SMOOTHNESS, protocol, device, progress)?;
+            smoothness.write(&RunDir::open(path)?.smoothness())?;
+            let evaluated = smoothness.fields.last().expect("there is a field");
+            metrics.extend(numbers(&evaluated.smoothness));
+        }
+        debug_assert_eq!(report.protocol.config_hash, config.hash());
+        let Report { protocol, .. } = report;
+        let inactive_levels = report.inactive_levels().into_iter().map(String::from).collect();
+        Ok(PointResult { metrics, protocol: columns(protocol), inactive_levels })
+    }
+}
+
+/// The fields of a flat struct of numbers.
+fn numbers(row: &impl serde::Serialize) -> Vec<(String, Option<f64>)> {
+    let serde_json::Value::Object(fields) = serde_json::to_value(row).expect("plain data") else {
+        unreachable!("rows are structs")
+    };
+    fields.into_iter().map(|(name, value)| (name, value.as_f64())).collect()
+}
+
+/// Passes everything on and keeps the heartbeat's step current.
+struct Beating<'a> {
+    reporter: &'a dyn Reporter,
+    beat: &'a Beat,
+}
+
+impl Reporter for Beating<'_> {
+    fn say(&self, line: &str) {
+        self.reporter.say(line);
+    }
+
+    fn begin(&self, first: u64, total: u64, rays: usize) {
+        self.beat.begin(first, total);
+        self.reporter.begin(first, total, rays);
+    }
+
+    fn stepped(&self, stats: &StepStats) {
+        self.beat.stepped(stats.step);
+        self.reporter.stepped(stats);
+    }
+
+    fn trained(&self) {
+        self.reporter.trained();
+    }
+
+    fn progress(&self) -> &dyn Progress {
+        self.reporter.progress()
+    }
+}
