@@ -120,6 +120,9 @@ pub enum BudgetKind {
 pub struct Row {
     /// As the table prints it.
     pub name: String,
+    /// Settings that the row starts from instead of the sweep's.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub preset: Option<String>,
     /// Settings by their dotted names.
     #[serde(default)]
     pub set: Table,
@@ -129,6 +132,9 @@ pub struct Row {
     /// The paper's name of the row, where it is another.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub published: Option<String>,
+    /// Condition of the published row, where it is another than the sweep's.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub condition: Option<String>,
     /// Compared with this row instead of the sweep's baseline.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub baseline: Option<String>,
@@ -219,7 +225,8 @@ impl Definition {
     }
 
     fn check(&self) -> std::result::Result<(), String> {
-        not_empty_and_distinct("scenes", &self.scenes)?;
+        let scenes: Vec<&str> = self.scenes.iter().map(|scene| scene_name(scene)).collect();
+        not_empty_and_distinct("scenes", &scenes)?;
         not_empty_and_distinct("seeds", &self.seeds)?;
         not_empty_and_distinct("metrics", &self.metrics)?;
         let names: Vec<&str> = self.row.iter().map(|row| row.name.as_str()).collect();
@@ -291,7 +298,7 @@ impl Definition {
             ours: row.ours,
             published: self.published.clone().filter(|_| !row.ours).map(|table| PublishedKey {
                 table,
-                condition: self.condition.clone(),
+                condition: row.condition.clone().unwrap_or_else(|| self.condition.clone()),
                 method: row.published.clone().unwrap_or_else(|| row.name.clone()),
             }),
         });
@@ -309,10 +316,17 @@ impl Definition {
         let always = ["protocol", "program", "code_revision", "dataset", "scene", "split"];
         let of_data = ["width", "height", "background", "ndc", "views_trained", "views_evaluated", "pixel_origin"];
         let keys = self.row.iter().flat_map(|row| row.set.keys()).chain(self.axis.iter().flat_map(|axis| &axis.keys));
-        let moves_data = keys.into_iter().any(|key| key.starts_with("data.") && !key.starts_with("data.corruption"));
+        let presets = self.row.iter().any(|row| row.preset.is_some());
+        let moves_data =
+            presets || keys.into_iter().any(|key| key.starts_with("data.") && !key.starts_with("data.corruption"));
         let of_data = of_data.into_iter().filter(|_| !moves_data);
         always.into_iter().chain(of_data).map(String::from).collect()
     }
+}
+
+/// The name of a scene in tables: its folder's last component.
+pub(super) fn scene_name(scene: &str) -> &str {
+    scene.trim_end_matches('/').rsplit('/').next().unwrap_or(scene)
 }
 
 fn not_empty_and_distinct<T: PartialEq + std::fmt::Display>(

@@ -19,12 +19,14 @@ use crate::error::{Error, Result};
 use crate::output::{write_atomic, write_json};
 
 use super::claim::{Claim, Claimed};
-use super::definition::Definition;
+use super::definition::{Definition, scene_name};
 use super::points::Point;
 use super::{Record, Status};
 
 const DEFINITION: &str = "sweep.toml";
 const POINTS: &str = "points";
+/// Exit code of [`Error::Checkpoint`].
+const BAD_CHECKPOINT: u8 = 5;
 
 /// What a finished point leaves.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -134,9 +136,10 @@ impl SweepFolder {
             }
         }
         let position = |list: &[String], name: &str| list.iter().position(|known| known == name);
+        let scenes: Vec<String> = definition.scenes.iter().map(|scene| scene_name(scene).to_string()).collect();
         let rows: Vec<String> = definition.row.iter().map(|row| row.name.clone()).collect();
         // Stable: axes keep the order of expansion.
-        records.sort_by_key(|record| (position(&definition.scenes, &record.scene), position(&rows, &record.row)));
+        records.sort_by_key(|record| (position(&scenes, &record.scene), position(&rows, &record.row)));
         Ok(group_seeds(records))
     }
 }
@@ -229,13 +232,16 @@ impl PointFolder {
         write_json(&self.failure_file(), failure)
     }
 
-    /// Takes a failure back, so that the point is tried again.
+    /// Takes a failure back, so that the point is tried again: from its last checkpoint, or, where
+    /// that was what failed, from the start.
     pub fn forgive(&self) -> Result<()> {
-        let path = self.failure_file();
-        match fs::remove_file(&path) {
-            Err(error) if error.kind() != std::io::ErrorKind::NotFound => Err(Error::unwritable(&path, &error)),
-            _ => Ok(()),
+        let Some(failure) = self.failure()? else { return Ok(()) };
+        let run = self.run();
+        if failure.exit_code == BAD_CHECKPOINT && run.exists() {
+            fs::remove_dir_all(&run).map_err(|e| Error::unwritable(&run, &e))?;
         }
+        let path = self.failure_file();
+        fs::remove_file(&path).map_err(|e| Error::unwritable(&path, &e))
     }
 
     /// What the files say about a point.

@@ -10,7 +10,7 @@ use crate::error::{Error, Result};
 use crate::job::locate_scene;
 
 use super::budget::{StepCosts, steps_within};
-use super::definition::{Axis, Budget, Combine, Definition, Row};
+use super::definition::{Axis, Budget, Combine, Definition, Row, scene_name};
 use super::{AxisValue, label};
 
 /// One training: a configuration with its seed. Rows that come to the same share it.
@@ -18,7 +18,7 @@ use super::{AxisValue, label};
 pub struct Point {
     /// Content hash of the configuration: the name of the point's folder.
     pub id: String,
-    /// The scene as the definition names it.
+    /// The scene's name.
     pub scene: String,
     /// The configuration before its scene fills what depends on it.
     pub config: Config,
@@ -59,7 +59,8 @@ pub fn expand(definition: &Definition, data_root: Option<&Path>, costs: &dyn Ste
                 for axes in combinations(definition, row) {
                     let (config, no_data) = builder.config(row, &axes)?;
                     let id = config.hash();
-                    if axes.is_empty() {
+                    // Without the scene a budget in seconds is unknown, and rows may look equal.
+                    if axes.is_empty() && no_data.is_none() {
                         if let Some((_, other)) = plain.iter().find(|(known, _)| *known == id) {
                             return Err(Error::Config(format!(
                                 "rows '{other}' and '{}' are the same experiment; change or remove one",
@@ -73,7 +74,13 @@ pub fn expand(definition: &Definition, data_root: Option<&Path>, costs: &dyn Ste
                         Some(&index) => points[index].places.push(place),
                         None => {
                             known.insert(id.clone(), points.len());
-                            points.push(Point { id, scene: scene.clone(), config, places: vec![place], no_data });
+                            points.push(Point {
+                                id,
+                                scene: scene_name(scene).to_string(),
+                                config,
+                                places: vec![place],
+                                no_data,
+                            });
                         }
                     }
                 }
@@ -149,6 +156,7 @@ impl Builder<'_> {
     }
 
     fn plain_config(&self, row: &Row, axes: &Combination) -> Result<Config> {
+        let preset = row.preset.as_deref().map_or(Ok(self.preset), Preset::parse)?;
         let mut assignments: Vec<(Vec<String>, Value)> = Vec::new();
         let mut assign = |key: &str, value: Value| {
             assignments.push((key.split('.').map(String::from).collect(), value));
@@ -165,7 +173,7 @@ impl Builder<'_> {
             _ => assign("data.dir", Value::String(self.folder.to_string_lossy().into_owned())),
         }
         assign("seed", Value::Integer(self.seed as i64));
-        build(Some(self.preset), None, &assignments).map_err(|error| in_row(row, axes, error))
+        build(Some(preset), None, &assignments).map_err(|error| in_row(row, axes, error))
     }
 
     /// Why the scene cannot be read here. A scene that is there and does not fit the settings is

@@ -1,0 +1,400 @@
+//! Sweeps without training: definitions, expansion, order, claims, failures. A fake trainer takes
+//! microseconds.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+use std::sync::Mutex;
+use std::sync::atomic::{AtomicUsize, Ordering};
+
+use augnerf::config::Config;
+use augnerf::error::{Error, Result};
+use augnerf::sweep::{
+    Beat, Change, Claim, Definition, Failure, Options, Overrides, Point, PointFolder, PointResult, Runner, Status,
+    StepCosts, SweepFolder, Watch, Work, evaluations_per_step, expand, shape,
+};
+use tempfile::TempDir;
+
+const BASE: &str = r#"
+title = "a test"
+preset = "smoke"
+scenes = ["builtin"]
+seeds = [0, 1]
+baseline = "NeRF"
+
+[[row]]
+name = "NeRF"
+
+[[row]]
+name = "Aug-NeRF"
+set = { method = "aug-nerf", "perturb.t.steps" = 3 }
+"#;
+
+/// A step of a width-64 network takes a second, one with a perturbed pass four.
+struct Costs;
+
+impl StepCosts for Costs {
+    fn seconds_per_step(&self, config: &Config) -> Result<f64> {
+        Ok(if config.method.name() == "nerf" { 1.0 } else { 4.0 })
+    }
+}
+
+fn parse(text: &str) -> Result<Definition> {
+    Definition::parse(text, "test.toml")
+}
+
+fn points_of(text: &str) -> Result<Vec<Point>> {
+    expand(&parse(text)?, None, &Costs)
+}
+
+fn labels(points: &[Point]) -> Vec<String> {
+    points.iter().map(Point::label).collect()
+}
+
+/// Counts how often each point was trained; fails where it is told to.
+#[derive(Default)]
+struct Fake {
+    trained: Mutex<BTreeMap<String, usize>>,
+    fails: Vec<&'static str>,
+    panics: Vec<&'static str>,
+    /// Sets the stop flag when so many points were begun.
+    stop_at: Option<usize>,
+    milliseconds: u64,
+}
+
+impl Fake {
+    fn count(&self) -> usize {
+        self.trained.lock().unwrap().values().sum()
+    }
+}
+
+impl Work for Fake {
+    fn run(&self, point: &Point, _: &PointFolder, beat: &Beat, stop: &AtomicUsize) -> Result<PointResult> {
+        let label = point.label();
+        *self.trained.lock().unwrap().entry(label.clone()).or_default() += 1;
+        beat.begin(0, 10);
+        std::thread::sleep(std::time::Duration::from_millis(self.milliseconds));
+        if self.stop_at == Some(self.count()) {
+            stop.store(15, Ordering::SeqCst);
+            return Err(Error::Interrupted { signal: 15, message: "stopped".into() });
+        }
+        if self.fails.contains(&label.as_str()) {
+            return Err(Error::Diverged("the loss is not a number\nsecond line".into()));
+        }
+        assert!(!self.panics.contains(&label.as_str()), "a defect");
+        let psnr = 20.0 + point.config.seed as f64;
+        Ok(PointResult { metrics: vec![("psnr".into(), Some(psnr))], ..PointResult::default() })
+    }
+}
+
+struct Silent;
+
+impl Watch for Silent {
+    fn began(&self, _: &Point, _: usize, _: usize) {}
+    fn ended(&self, _: &Point, _: &std::result::Result<PointResult, Failure>) {}
+}
+
+const OPTIONS: Options = Options { jobs: 1, fail_fast: false, retry_failed: false, most_deaths: 10 };
+
+fn sweep(dir: &Path, text: &str) -> (SweepFolder, Definition, Vec<Point>) {
+    let folder = SweepFolder::new(dir);
+    let definition = parse(text).unwrap();
+    let points = expand(&definition, None, &Costs).unwrap();
+    folder.begin(&definition).unwrap();
+    (folder, definition, points)
+}
+
+fn run(folder: &SweepFolder, points: &[Point], work: &dyn Work, options: Options) -> Result<()> {
+    let stop = AtomicUsize::new(0);
+    Runner { folder, points, work, options, watch: &Silent, stop: &stop }.run()
+}
+
+fn statuses(folder: &SweepFolder, points: &[Point]) -> Vec<Status> {
+    points.iter().map(|point| folder.point(&point.id).state(point).unwrap().status).collect()
+}
+
+#[test]
+fn points_come_seed_by_seed_in_the_order_of_rows() {
+    let points = points_of(BASE).unwrap();
+    assert_eq!(
+        labels(&points),
+        [
+            "NeRF · builtin · seed 0",
+            "Aug-NeRF · builtin · seed 0",
+            "NeRF · builtin · seed 1",
+            "Aug-NeRF · builtin · seed 1"
+        ]
+    );
+    assert!(points.iter().all(|point| point.id == point.config.hash() && point.no_data.is_none()));
+}
+
+#[test]
+fn axes_combine_as_a_product_or_one_at_a_time_and_equal_points_are_one() {
+    let axes = r#"
+[[axis]]
+name = "steps"
+keys = ["perturb.t.steps", "perturb.xyz.steps"]
+values = [1, 3]
+
+[[axis]]
+name = "layer"
+panel = "features"
+keys = ["perturb.injection_layer"]
+values = [1, 2, 3]
+"#;
+    let product = points_of(&format!("{BASE}{axes}")).unwrap();
+    // Steps and layer change nothing in a NeRF: all its six places are one point.
+    assert_eq!(product.len(), 2 * (1 + 6));
+    assert_eq!(product[0].places.len(), 6);
+    assert!(labels(&product).contains(&"Aug-NeRF, steps = 1, features layer = 3 · builtin · seed 0".to_string()));
+    let config = &product[1].config.perturb;
+    assert_eq!((config.t.steps, config.xyz.steps, config.injection_layer), (Some(1), Some(1), 1));
+    let single = points_of(&format!("combine = \"one-at-a-time\"\n{BASE}{axes}")).unwrap();
+    assert_eq!(single.len(), 2 * (1 + 5));
+    let plain = BASE.replace("name = \"NeRF\"", "name = \"NeRF\"\naxes = false");
+    assert!(points_of(&format!("{plain}{axes}")).unwrap()[0].places[0].axes.is_empty());
+}
+
+#[test]
+fn wrong_definitions_are_refused_with_words() {
+    let replace = |from: &str, to: &str| BASE.replace(from, to);
+    let axis =
+        |keys: &str, values: &str| format!("{BASE}[[axis]]\nname = \"a\"\nkeys = [{keys}]\nvalues = [{values}]\n");
+    let cases: Vec<(String, Vec<&str>)> = vec![
+        (replace("\"perturb.t.steps\"", "\"perturb.t.stepz\""), vec!["Aug-NeRF", "unknown key", "perturb.t.steps"]),
+        (replace("\"perturb.t.steps\" = 3", "\"perturb.t.epsilon\" = 0.9"), vec!["Aug-NeRF", "0.9", "0.5"]),
+        (replace("name = \"Aug-NeRF\"", "name = \"NeRF\""), vec!["rows", "NeRF", "twice"]),
+        (replace("name = \"Aug-NeRF\"", "name = \" \""), vec!["name"]),
+        (
+            replace("set = { method = \"aug-nerf\", \"perturb.t.steps\" = 3 }", ""),
+            vec!["NeRF", "Aug-NeRF", "same experiment"],
+        ),
+        (replace("seeds = [0, 1]", "seeds = []"), vec!["seeds", "none"]),
+        (replace("seeds = [0, 1]", "seeds = [1, 1]"), vec!["seeds", "1", "twice"]),
+        (replace("scenes = [\"builtin\"]", "scenes = []"), vec!["scenes", "none"]),
+        (replace("scenes = [\"builtin\"]", "scenes = [\"a/fern\", \"b/fern\"]"), vec!["scenes", "fern", "twice"]),
+        (replace("preset = \"smoke\"", "preset = \"smok\""), vec!["smok", "choose one of"]),
+        (replace("baseline = \"NeRF\"", "baseline = \"NERF\""), vec!["baseline", "NERF", "Aug-NeRF"]),
+        (replace("title", "titel"), vec!["titel"]),
+        (format!("metrics = [\"pnsr\"]\n{BASE}"), vec!["metric", "pnsr", "psnr"]),
+        (axis("\"train.rays\"", ""), vec!["axis 'a'", "none"]),
+        (axis("\"train.rays\"", "8, 8"), vec!["axis 'a'", "8", "twice"]),
+        (axis("", "8"), vec!["axis 'a'", "keys"]),
+        (axis("\"train.raise\"", "8"), vec!["unknown key", "train.rays"]),
+        (
+            axis("\"train.rays\"", &(1..6000).map(|i| format!("{i},")).collect::<String>()),
+            vec!["23996 points", "10000"],
+        ),
+    ];
+    for (text, words) in cases {
+        let error = points_of(&text).expect_err(&text);
+        assert_eq!(error.exit_code(), 2, "{error}");
+        for word in words {
+            assert!(error.to_string().contains(word), "'{word}' is not in: {error}");
+        }
+    }
+}
+
+#[test]
+fn a_finished_sweep_is_not_run_again() {
+    let dir = TempDir::new().unwrap();
+    let (folder, definition, points) = sweep(dir.path(), BASE);
+    let fake = Fake::default();
+    run(&folder, &points, &fake, OPTIONS).unwrap();
+    run(&folder, &points, &fake, OPTIONS).unwrap();
+    assert_eq!(fake.count(), 4);
+    let records = folder.records(&definition, &points).unwrap();
+    let cells: Vec<(&str, u64, Option<f64>)> =
+        records.iter().map(|r| (r.row.as_str(), r.seed, r.metric("psnr"))).collect();
+    let expected = [("NeRF", 0, 20.0), ("NeRF", 1, 21.0), ("Aug-NeRF", 0, 20.0), ("Aug-NeRF", 1, 21.0)];
+    assert_eq!(cells, expected.map(|(row, seed, psnr)| (row, seed, Some(psnr))));
+}
+
+#[test]
+fn failures_and_panics_cost_their_own_point_and_are_retried_when_asked() {
+    let dir = TempDir::new().unwrap();
+    let (folder, definition, points) = sweep(dir.path(), BASE);
+    let fake =
+        Fake {
+            fails: vec!["Aug-NeRF · builtin · seed 0"], panics: vec!["NeRF · builtin · seed 1"], ..Fake::default()
+        };
+    run(&folder, &points, &fake, OPTIONS).unwrap();
+    assert_eq!(statuses(&folder, &points), [Status::Done, Status::Failed, Status::Failed, Status::Done]);
+    let records = folder.records(&definition, &points).unwrap();
+    assert_eq!(records[2].reason, "the loss is not a number");
+    assert!(records[1].reason.contains("a defect"), "{}", records[1].reason);
+    assert!(records[2].metrics.is_empty());
+    // Not by themselves.
+    run(&folder, &points, &Fake::default(), OPTIONS).unwrap();
+    assert_eq!(statuses(&folder, &points)[1], Status::Failed);
+    let second = Fake::default();
+    run(&folder, &points, &second, Options { retry_failed: true, ..OPTIONS }).unwrap();
+    assert_eq!((second.count(), statuses(&folder, &points)), (2, vec![Status::Done; 4]));
+}
+
+#[test]
+fn fail_fast_leaves_the_rest_waiting() {
+    let dir = TempDir::new().unwrap();
+    let (folder, _, points) = sweep(dir.path(), BASE);
+    let fake = Fake { fails: vec!["NeRF · builtin · seed 0"], ..Fake::default() };
+    run(&folder, &points, &fake, Options { fail_fast: true, ..OPTIONS }).unwrap();
+    assert_eq!(statuses(&folder, &points), [Status::Failed, Status::Waiting, Status::Waiting, Status::Waiting]);
+}
+
+#[test]
+fn a_stop_leaves_the_rest_for_the_next_run() {
+    let dir = TempDir::new().unwrap();
+    let (folder, _, points) = sweep(dir.path(), BASE);
+    let error = run(&folder, &points, &Fake { stop_at: Some(3), ..Fake::default() }, OPTIONS).unwrap_err();
+    assert_eq!(error.exit_code(), 143);
+    assert_eq!(statuses(&folder, &points), [Status::Done, Status::Done, Status::Waiting, Status::Waiting]);
+    let second = Fake::default();
+    run(&folder, &points, &second, OPTIONS).unwrap();
+    assert_eq!(second.count(), 2);
+}
+
+#[test]
+fn runners_and_jobs_share_the_points() {
+    let dir = TempDir::new().unwrap();
+    let text = BASE.replace("[0, 1]", "[0, 1, 2, 3, 4, 5, 6, 7, 8, 9]");
+    let (folder, _, points) = sweep(dir.path(), &text);
+    let fake = Fake { milliseconds: 5, ..Fake::default() };
+    std::thread::scope(|scope| {
+        for _ in 0..2 {
+            scope.spawn(|| run(&folder, &points, &fake, Options { jobs: 2, ..OPTIONS }).unwrap());
+        }
+    });
+    assert!(fake.trained.lock().unwrap().values().all(|&times| times == 1), "{:?}", fake.trained);
+    assert_eq!(statuses(&folder, &points), [Status::Done; 20]);
+}
+
+#[test]
+fn a_claim_is_seen_and_the_claim_of_the_dead_is_taken_over() {
+    let dir = TempDir::new().unwrap();
+    let (folder, _, points) = sweep(dir.path(), BASE);
+    let point = folder.point(&points[0].id);
+    point.begin(&points[0]).unwrap();
+    let claim = Claim::take(point.path()).unwrap().unwrap();
+    assert!(Claim::take(point.path()).unwrap().is_none());
+    assert_eq!(statuses(&folder, &points)[0], Status::Running);
+    let seen = Claim::look(point.path()).unwrap();
+    assert!(seen.alive && seen.pid == std::process::id() && seen.deaths == 0);
+    // Death: the lock goes, the sign stays.
+    let sign = std::fs::read(point.path().join("claim.json")).unwrap();
+    drop(claim);
+    assert!(Claim::look(point.path()).is_none());
+    std::fs::write(point.path().join("claim.json"), sign).unwrap();
+    let state = point.state(&points[0]).unwrap();
+    assert_eq!(state.status, Status::Waiting);
+    assert!(state.reason.contains("died"), "{}", state.reason);
+    let claim = Claim::take(point.path()).unwrap().unwrap();
+    assert_eq!(claim.deaths, 1);
+    // A second one after it: counted on.
+    let sign = std::fs::read(point.path().join("claim.json")).unwrap();
+    drop(claim);
+    std::fs::write(point.path().join("claim.json"), sign).unwrap();
+    let fake = Fake::default();
+    run(&folder, &points[..1], &fake, Options { most_deaths: 2, ..OPTIONS }).unwrap();
+    assert_eq!(fake.count(), 0);
+    assert!(point.failure().unwrap().unwrap().reason.contains("2 runners died"));
+}
+
+#[test]
+fn another_machine_s_claim_holds_while_it_beats() {
+    let dir = TempDir::new().unwrap();
+    let (folder, _, points) = sweep(dir.path(), BASE);
+    let point = folder.point(&points[0].id);
+    point.begin(&points[0]).unwrap();
+    let file = point.path().join("claim.json");
+    let sign = r#"{"host":"elsewhere","pid":1,"step":50,"steps":100,"seconds":10.0,"first":0,"deaths":0}"#;
+    std::fs::write(&file, sign).unwrap();
+    assert!(Claim::take(point.path()).unwrap().is_none());
+    assert_eq!(Claim::look(point.path()).unwrap().seconds_left, Some(10.0));
+    let long_ago = std::time::SystemTime::now() - std::time::Duration::from_secs(3600);
+    std::fs::File::options().write(true).open(&file).unwrap().set_modified(long_ago).unwrap();
+    assert_eq!(statuses(&folder, &points)[0], Status::Waiting);
+    assert_eq!(Claim::take(point.path()).unwrap().unwrap().deaths, 1);
+}
+
+#[test]
+fn a_changed_definition_is_noticed() {
+    let dir = TempDir::new().unwrap();
+    let (folder, definition, _) = sweep(dir.path(), BASE);
+    assert_eq!(folder.compare(&definition).unwrap(), Change::None);
+    let mut more = definition.clone();
+    more.apply(Overrides { seeds: Some(vec![0, 1, 2]), ..Overrides::default() }).unwrap();
+    assert_eq!(folder.compare(&more).unwrap(), Change::Changed);
+    let fresh = TempDir::new().unwrap();
+    assert_eq!(SweepFolder::new(fresh.path()).compare(&more).unwrap(), Change::New);
+    assert!(SweepFolder::new(fresh.path()).definition().unwrap_err().to_string().contains("augnerf sweep run"));
+}
+
+#[test]
+fn scenes_that_are_not_here_have_no_data_and_the_others_run() {
+    let dir = TempDir::new().unwrap();
+    let (folder, _, points) =
+        sweep(dir.path(), &BASE.replace("[\"builtin\"]", "[\"nerf_llff_data/orchids\", \"builtin\"]"));
+    run(&folder, &points, &Fake::default(), OPTIONS).unwrap();
+    let found = statuses(&folder, &points);
+    assert_eq!(found.iter().filter(|status| **status == Status::NoData).count(), 4);
+    assert_eq!(found.iter().filter(|status| **status == Status::Done).count(), 4);
+    assert!(points[0].no_data.as_ref().unwrap().contains("orchids"));
+}
+
+#[test]
+fn budgets_give_cheap_rows_more_steps() {
+    let text = |kind: &str| format!("{BASE}budget = {{ kind = \"{kind}\", like = \"NeRF\" }}\n");
+    let points = points_of(&text("seconds")).unwrap();
+    let nerf = points[0].config.train.steps;
+    assert_eq!(points[1].config.train.steps, nerf / 4);
+    let points = points_of(&text("evaluations")).unwrap();
+    // A clean pass 3, a perturbed pass 3, three search steps of 2 each.
+    assert_eq!(points[1].config.train.steps, nerf / 4);
+    let ratio = evaluations_per_step(&points[1].config) / evaluations_per_step(&points[0].config);
+    assert_eq!(ratio, 4.0);
+}
+
+#[test]
+fn shapes_are_what_decides_the_time_of_a_step() {
+    let points = points_of(BASE).unwrap();
+    assert_eq!(shape(&points[0].config), shape(&points[2].config));
+    assert_ne!(shape(&points[0].config), shape(&points[1].config));
+    let mut other = points[1].config.clone();
+    other.perturb.lambda = 0.7;
+    other.perturb.t.epsilon = Some(0.1);
+    assert_eq!(shape(&other), shape(&points[1].config));
+    other.perturb.t.steps = Some(9);
+    assert_ne!(shape(&other), shape(&points[1].config));
+}
+
+/// Every shipped sweep expands; those that wait for corruptions say so.
+#[test]
+fn shipped_sweeps_are_valid() {
+    let dir = Path::new(env!("CARGO_MANIFEST_DIR")).join("sweeps");
+    let mut found = 0;
+    for entry in std::fs::read_dir(dir).unwrap() {
+        let path = entry.unwrap().path();
+        let definition = Definition::read(&path).unwrap_or_else(|e| panic!("{e}"));
+        let name = path.file_stem().unwrap().to_string_lossy().into_owned();
+        match expand(&definition, None, &Costs) {
+            Err(error) if name.ends_with("_noise") => assert!(error.to_string().contains("data.corruption"), "{error}"),
+            points => {
+                let points = points.unwrap_or_else(|e| panic!("{name}: {e}"));
+                assert!(points.len() >= 2 * definition.seeds.len(), "{name}");
+            }
+        }
+        found += 1;
+    }
+    assert_eq!(found, 12);
+}
+
+#[test]
+fn the_figure_has_the_paper_s_axes_around_one_best_point() {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("sweeps/fig_strength_location.toml");
+    let mut definition = Definition::read(&path).unwrap();
+    definition.seeds = vec![0];
+    let points = expand(&definition, None, &Costs).unwrap();
+    // NeRF; 7 axes with 5, 5, 5, 5, 5, 5 and 8 values that share the best point, plus equal sizes within a fixed epsilon.
+    let best = points.iter().max_by_key(|point| point.places.len()).unwrap();
+    assert_eq!(best.places.len(), 7, "{:?}", best.places);
+    assert_eq!(points.len(), 1 + 6 * 4 + 7 + 1);
+}
