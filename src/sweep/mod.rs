@@ -2,5 +2,6 @@
 //! from what they left.
 
 mod record;
+pub mod statistics;
 
 pub use record::{AxisValue, PublishedKey, Record, RowSpec, Status, TableSpec};
