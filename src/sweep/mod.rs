@@ -4,6 +4,7 @@
 mod published;
 mod record;
 pub mod statistics;
+pub mod tables;
 
 pub use published::{PUBLISHED_NOTE, PublishedProtocol, PublishedRow, published_rows};
 pub use record::{AxisValue, PublishedKey, Record, RowSpec, Status, TableSpec};
