@@ -189,7 +189,7 @@ const TRUNCATED: [&str; 2] = ["tabA1 width_256_half_res Aug-NeRF", "tabA2 pepper
 
 #[test]
 fn average_gives_every_published_average() {
-    let mut reader = csv::Reader::from_path("tests/fixtures/published.csv").unwrap();
+    let mut reader = csv::Reader::from_path("src/sweep/published.csv").unwrap();
     let rows: Vec<HashMap<String, String>> = reader.deserialize().map(|row| row.unwrap()).collect();
     assert_eq!(rows.len(), 57);
     let mut truncated = Vec::new();

@@ -1,0 +1,41 @@
+//! The table for a terminal: a column a metric, so that few columns do.
+
+use comfy_table::presets::UTF8_HORIZONTAL_ONLY;
+use comfy_table::{ContentArrangement, Table as Drawing};
+
+use super::text::{
+    difference_text, general_notes, marked_label, mean_text, protocol_text, published_text, scene_notes,
+};
+use super::{Cell, Line, Table};
+
+/// Title, then a drawing for each scene with its notes. `width` is the terminal's, in characters;
+/// notes are left to its own line breaks.
+pub fn table_terminal(table: &Table, width: u16) -> String {
+    let mut text = format!("{} ({})\n", table.title, table.name);
+    for (scene, lines) in table.scenes() {
+        text += &format!("\n{scene}: {}\n", protocol_text(&lines));
+        text += &format!("{}\n", drawing(table, &lines, width));
+        text.extend(scene_notes(&lines).iter().map(|note| format!("{note}\n")));
+    }
+    text += "\n";
+    text.extend(general_notes(table).iter().map(|note| format!("{note}\n")));
+    text
+}
+
+fn drawing(table: &Table, lines: &[&Line], width: u16) -> Drawing {
+    let mut drawing = Drawing::new();
+    drawing.load_style(UTF8_HORIZONTAL_ONLY).set_content_arrangement(ContentArrangement::Dynamic).set_width(width);
+    drawing.set_header(std::iter::once("row").chain(table.metrics.iter().map(String::as_str)));
+    for line in lines {
+        drawing.add_row(std::iter::once(marked_label(line)).chain(line.cells.iter().map(cell_text)));
+    }
+    drawing
+}
+
+/// Mean, difference and the paper's number below one another.
+fn cell_text(cell: &Cell) -> String {
+    let published = Some(published_text(cell)).filter(|text| !text.is_empty());
+    let parts =
+        [mean_text(cell), difference_text(cell), published.map_or(String::new(), |text| format!("paper {text}"))];
+    parts.into_iter().filter(|part| !part.is_empty()).collect::<Vec<String>>().join("\n")
+}

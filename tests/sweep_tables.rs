@@ -1,0 +1,313 @@
+//! Tables of a sweep from hand-made points: 2 scenes, 3 seeds, axes, a failure, an inactive level.
+
+use std::collections::HashMap;
+
+use augnerf::error::Error;
+use augnerf::sweep::tables::{
+    Line, Table, Verdict, points_csv, table_csv, table_latex, table_markdown, table_terminal,
+};
+use augnerf::sweep::{AxisValue, PublishedKey, Record, RowSpec, Status, TableSpec};
+
+fn row(name: &str, baseline: Option<&str>, method: &str) -> RowSpec {
+    let key = PublishedKey { table: "tab4".into(), condition: "clean".into(), method: method.into() };
+    RowSpec {
+        name: name.into(),
+        baseline: baseline.map(str::to_string),
+        ours: method.is_empty(),
+        published: (!method.is_empty()).then_some(key),
+    }
+}
+
+fn spec() -> TableSpec {
+    TableSpec {
+        name: "tab4".into(),
+        title: "Which level helps?".into(),
+        metrics: vec!["psnr".into(), "average_vgg".into()],
+        rows: vec![
+            row("NeRF", None, "NeRF"),
+            row("Aug-NeRF", Some("NeRF"), "Aug-NeRF"),
+            row("+ TV Reg.", Some("NeRF"), "+ TV Reg."),
+            row("output & only", Some("NeRF"), ""),
+        ],
+        must_match: vec!["width".into(), "code_revision".into()],
+    }
+}
+
+fn point(scene: &str, row: &str, seed: u64, psnr: f64) -> Record {
+    let seed_text = seed.to_string();
+    let fields = [
+        ("dataset", "llff"),
+        ("scene", scene),
+        ("width", "101"),
+        ("height", "76"),
+        ("steps", "2000"),
+        ("seed", seed_text.as_str()),
+        ("config_hash", seed_text.as_str()),
+        ("code_revision", "abc"),
+    ];
+    Record {
+        id: format!("{scene}-{row}-{seed}"),
+        scene: scene.into(),
+        row: row.into(),
+        axes: Vec::new(),
+        seed,
+        status: Status::Done,
+        reason: String::new(),
+        metrics: vec![("psnr".into(), Some(psnr)), ("average_vgg".into(), None)],
+        protocol: fields.map(|(name, text)| (name.to_string(), text.to_string())).to_vec(),
+        inactive_levels: Vec::new(),
+    }
+}
+
+fn at_steps(mut record: Record, steps: &str) -> Record {
+    record.axes = vec![AxisValue { axis: "steps".into(), panel: "features".into(), value: steps.into() }];
+    record.id += steps;
+    record
+}
+
+fn unmeasured(mut record: Record, status: Status, reason: &str) -> Record {
+    (record.status, record.reason) = (status, reason.into());
+    record.protocol.clear();
+    record
+}
+
+/// The rows come in another order than the definition's.
+fn records() -> Vec<Record> {
+    let mut records = vec![
+        point("fern", "Aug-NeRF", 0, 25.5),
+        point("fern", "Aug-NeRF", 1, 25.25),
+        point("fern", "Aug-NeRF", 2, 25.75),
+        point("fern", "NeRF", 0, 25.0),
+        point("fern", "NeRF", 1, 24.875),
+        point("fern", "NeRF", 2, 25.125),
+        at_steps(point("fern", "+ TV Reg.", 0, 25.5), "3"),
+        at_steps(point("fern", "+ TV Reg.", 1, 24.5), "3"),
+        // The metrics of an attempt that failed later must not count.
+        at_steps(unmeasured(point("fern", "+ TV Reg.", 2, 99.0), Status::Failed, "collapsed | at step 7"), "3"),
+        at_steps(point("fern", "+ TV Reg.", 0, 24.0), "1"),
+        point("fern", "output & only", 1, 25.0),
+        point("chair", "NeRF", 0, 30.0),
+        unmeasured(point("chair", "Aug-NeRF", 0, 0.0), Status::NoData, "chair is not on this machine"),
+    ];
+    records[1].inactive_levels = vec!["rgb".into()];
+    records[2].inactive_levels = vec!["rgb".into(), "density".into()];
+    records[3].metrics.push(("lpips_vgg".into(), Some(0.25)));
+    records
+}
+
+fn table() -> Table {
+    Table::new(&spec(), &records(), false).unwrap()
+}
+
+fn find<'a>(table: &'a Table, scene: &str, label: &str) -> &'a Line {
+    table.lines.iter().find(|line| line.scene == scene && line.label == label).unwrap()
+}
+
+fn read(text: &str) -> Vec<HashMap<String, String>> {
+    csv::Reader::from_reader(text.as_bytes()).deserialize().map(|row| row.unwrap()).collect()
+}
+
+fn cells<'a>(row: &'a HashMap<String, String>, names: &[&str]) -> Vec<&'a str> {
+    names.iter().map(|&name| row[name].as_str()).collect()
+}
+
+#[test]
+fn lines_go_by_scene_then_row_then_axes() {
+    let lines: Vec<(String, String)> = table().lines.into_iter().map(|line| (line.scene, line.label)).collect();
+    let expected = [
+        ("fern", "NeRF"),
+        ("fern", "Aug-NeRF"),
+        ("fern", "+ TV Reg., features steps = 3"),
+        ("fern", "+ TV Reg., features steps = 1"),
+        ("fern", "output & only"),
+        ("chair", "NeRF"),
+        ("chair", "Aug-NeRF"),
+    ];
+    assert_eq!(lines, expected.map(|(scene, label)| (scene.to_string(), label.to_string())));
+}
+
+#[test]
+fn lines_are_compared_with_their_baseline_by_seed() {
+    let table = table();
+    let cell = &find(&table, "fern", "Aug-NeRF").cells[0];
+    assert_eq!((cell.n, cell.mean, cell.deviation), (3, Some(25.5), Some(0.25)));
+    let comparison = cell.comparison.unwrap();
+    // scipy 1.17.1: r = scipy.stats.ttest_rel([25.5, 25.25, 25.75], [25.0, 24.875, 25.125]);
+    // r.pvalue, *r.confidence_interval(0.95)
+    assert_eq!((comparison.pairs, comparison.difference), (3, 0.5));
+    let (low, high) = comparison.interval.unwrap();
+    assert!((comparison.p.unwrap() - 0.020204102886728758).abs() < 1e-12);
+    assert!((low - 0.18948278603120877).abs() < 1e-9 && (high - 0.8105172139687913).abs() < 1e-9);
+    assert_eq!(comparison.verdict(), Some(Verdict::Higher));
+    // Two lines of the scene have a p value: this one's, the smaller, is doubled.
+    assert_eq!(comparison.p_holm, comparison.p.map(|p| 2.0 * p));
+
+    let unsure = find(&table, "fern", "+ TV Reg., features steps = 3");
+    assert_eq!(unsure.baseline.as_deref(), Some("NeRF"));
+    assert_eq!(unsure.cells[0].comparison.unwrap().verdict(), Some(Verdict::NotDistinguishable));
+    let single = find(&table, "fern", "output & only").cells[0].comparison.unwrap();
+    assert_eq!((single.difference, single.interval, single.p, single.p_holm), (0.125, None, None, None));
+    assert_eq!(find(&table, "fern", "NeRF").cells[0].comparison, None);
+    assert_eq!(find(&table, "chair", "Aug-NeRF").cells[0].comparison, None);
+}
+
+#[test]
+fn baselines_at_the_same_axis_values_come_first() {
+    let mut records = records();
+    records.push(at_steps(point("fern", "NeRF", 0, 20.0), "3"));
+    let table = Table::new(&spec(), &records, false).unwrap();
+    let line = find(&table, "fern", "+ TV Reg., features steps = 3");
+    assert_eq!(line.baseline.as_deref(), Some("NeRF, features steps = 3"));
+    assert_eq!(line.cells[0].comparison.map(|c| (c.pairs, c.difference)), Some((1, 5.5)));
+    assert_eq!(find(&table, "fern", "+ TV Reg., features steps = 1").baseline.as_deref(), Some("NeRF"));
+}
+
+#[test]
+fn lines_say_what_is_missing_inactive_and_published() {
+    let table = table();
+    let failed = find(&table, "fern", "+ TV Reg., features steps = 3");
+    assert_eq!((failed.status.as_str(), failed.reason.as_str()), ("done 2, failed 1", "collapsed | at step 7"));
+    assert_eq!((failed.points, failed.ids.len(), failed.cells[0].n, failed.cells[0].mean), (3, 2, 2, Some(25.0)));
+    let aug = find(&table, "fern", "Aug-NeRF");
+    assert_eq!(aug.inactive_levels, ["rgb", "density"]);
+    assert_eq!((aug.cells[0].published, aug.cells[1].published), (Some(26.51), Some(0.054)));
+    assert_eq!((aug.cells[1].n, aug.cells[1].mean), (0, None));
+    assert_eq!(aug.protocol_difference, "101x76 instead of 504x378, steps 2000 instead of 500000");
+    assert_eq!((aug.protocol("steps"), aug.protocol("seed"), aug.differs.len()), ("2000", "", 0));
+    assert_eq!(find(&table, "chair", "NeRF").cells[0].published, None);
+}
+
+#[test]
+fn uncontrolled_settings_are_refused_or_marked() {
+    let mut records = records();
+    records[1].protocol.last_mut().unwrap().1 = "def".into();
+    let Err(Error::Config(message)) = Table::new(&spec(), &records, false) else { panic!("not refused") };
+    for part in ["fern", "code_revision", "`abc` in NeRF (seed 0)", "`def` in Aug-NeRF (seed 1)", "--force"] {
+        assert!(message.contains(part), "{part}: {message}");
+    }
+    let table = Table::new(&spec(), &records, true).unwrap();
+    let line = find(&table, "fern", "Aug-NeRF");
+    assert_eq!(
+        (line.mixed.as_slice(), line.differs.as_slice()),
+        (&["code_revision".into()][..], &["code_revision".into()][..])
+    );
+    assert!(find(&table, "fern", "NeRF").mixed.is_empty());
+    assert_eq!(read(&table_csv(&table, &[]))[1]["mixed"], "code_revision");
+    for text in [table_markdown(&table), table_terminal(&table, 80)] {
+        assert!(text.contains("‡ NOT COMPARABLE"), "{text}");
+    }
+    assert!(table_latex(&table).contains("$\\ddagger$ NOT COMPARABLE"));
+}
+
+#[test]
+fn what_cannot_be_placed_is_refused() {
+    let refusal = |spec: &TableSpec, records: &[Record]| Table::new(spec, records, true).unwrap_err().to_string();
+    let twice = [point("fern", "NeRF", 0, 1.0), point("fern", "NeRF", 0, 2.0)];
+    assert!(refusal(&spec(), &twice).contains("a seed counts once"));
+    assert!(refusal(&spec(), &[point("fern", "NeRv", 0, 1.0)]).contains("`NeRv`"));
+    let mut unknown = spec();
+    unknown.rows[1].baseline = Some("MipNeRF".into());
+    assert!(refusal(&unknown, &[]).contains("`MipNeRF`"));
+    unknown.rows[1] = row("Aug-NeRF", None, "Aug-NeRv");
+    assert!(refusal(&unknown, &[]).contains("`Aug-NeRv`"));
+}
+
+#[test]
+fn points_csv_has_every_point() {
+    let timing = [("fern-NeRF-0".to_string(), vec![("seconds_training".to_string(), Some(12.5))])];
+    let rows = read(&points_csv(&records(), &timing));
+    assert_eq!(rows.len(), records().len());
+    let names = ["id", "psnr", "lpips_vgg", "average_vgg", "width", "seconds_training"];
+    assert_eq!(cells(&rows[3], &names), ["fern-NeRF-0", "25", "0.25", "", "101", "12.5"]);
+    let names = ["axes", "seed", "status", "reason", "psnr", "width", "seconds_training"];
+    let failed = ["features steps = 3", "2", "failed", "collapsed | at step 7", "", "", ""];
+    assert_eq!(cells(&rows[8], &names), failed);
+    assert_eq!(rows[2]["inactive_levels"], "rgb density");
+}
+
+#[test]
+fn table_csv_has_every_line() {
+    let timing = [0, 1].map(|seed| (format!("fern-NeRF-{seed}"), vec![("seconds".to_string(), Some(seed as f64))]));
+    let rows = read(&table_csv(&table(), &timing));
+    assert_eq!(rows.len(), 7);
+    let names = [
+        "row",
+        "ours",
+        "points",
+        "psnr_n",
+        "psnr_mean",
+        "psnr_std",
+        "psnr_difference",
+        "psnr_verdict",
+        "psnr_published",
+    ];
+    assert_eq!(cells(&rows[0], &names), ["NeRF", "false", "3", "3", "25", "0.125", "", "", "25.17"]);
+    assert_eq!(cells(&rows[1], &names), ["Aug-NeRF", "false", "3", "3", "25.5", "0.25", "0.5", "higher", "26.51"]);
+    assert_eq!(cells(&rows[4], &names), ["output & only", "true", "1", "1", "25", "", "0.125", "", ""]);
+    assert_eq!(cells(&rows[6], &names), ["Aug-NeRF", "false", "1", "0", "", "", "", "", ""]);
+    assert_eq!(cells(&rows[0], &["width", "height", "steps", "seconds_mean"]), ["101", "76", "2000", "0.5"]);
+    assert_eq!(rows[0]["published_protocol"], "quoted from the NeRF paper, 1008x756, width 256, 4096 rays a step");
+    let low: f64 = rows[1]["psnr_low"].parse().unwrap();
+    assert_eq!(low, table().lines[1].cells[0].comparison.unwrap().interval.unwrap().0);
+}
+
+#[test]
+fn markdown_tells_everything_beside_the_numbers() {
+    let text = table_markdown(&table());
+    for line in [
+        "**Which level helps?** (tab4)",
+        "### fern",
+        "All rows: dataset llff, width 101, height 76, steps 2000, code_revision abc",
+        "| row | psnr | psnr difference | psnr in the paper | average_vgg | average_vgg in the paper |",
+        "|---|---:|---:|---:|---:|---:|",
+        "| NeRF | 25.00 ± 0.12 (3) |  | 25.17 |  | 0.073 |",
+        "| Aug-NeRF † | 25.50 ± 0.25 (3) | +0.50 [+0.19, +0.81], p 0.040 | 26.51 |  | 0.054 |",
+        "| + TV Reg., features steps = 3 § | 25.00 ± 0.71 (2) | +0.06 [-5.50, +5.62], p 0.910, not distinguishable | \
+         26.05 |  | 0.062 |",
+        "- baseline: NeRF",
+        "| output & only \\* | 25.00 (1) | +0.12, no interval |  |  |  |",
+        "- \\* not in the paper: output & only",
+        "- † levels without effect on the loss: Aug-NeRF (rgb, density)",
+        "- § points without numbers: + TV Reg., features steps = 3 (done 2, failed 1: collapsed \\| at step 7)",
+        "- in the paper, NeRF: quoted from the NeRF paper, 1008x756, width 256, 4096 rays a step; here 101x76 instead of \
+         1008x756",
+        "### chair",
+        "| Aug-NeRF § |  |  |  |  |  |",
+        "- § points without numbers: Aug-NeRF (no data 1: chair is not on this machine)",
+    ] {
+        assert!(text.lines().any(|found| found == line), "{line}\n\n{text}");
+    }
+}
+
+#[test]
+fn latex_is_escaped_and_closed() {
+    let text = table_latex(&table());
+    for part in [
+        "\\begin{tabular}{lrrrrr}\n\\toprule\n",
+        "{Aug-NeRF $\\dagger$} & {25.50 $\\pm$ 0.25 (3)} & {+0.50 [+0.19, +0.81], p 0.040} & {26.51} & {} & {0.054} \\\\\n",
+        "{output \\& only *}",
+        "\\midrule\n\\multicolumn{6}{l}{\\emph{chair}} \\\\\n",
+        "average\\_vgg",
+        "\\bottomrule\n\\end{tabular}",
+    ] {
+        assert!(text.contains(part), "{part}\n\n{text}");
+    }
+    for environment in ["table", "tabular", "minipage"] {
+        let count = |what: &str| text.matches(&format!("\\{what}{{{environment}}}")).count();
+        assert_eq!((count("begin"), count("end")), (1, 1), "{environment}");
+    }
+    let rows = text.lines().filter(|line| line.starts_with('{') && line.ends_with("\\\\"));
+    assert!(rows.clone().count() == 8 && rows.into_iter().all(|row| row.matches(" & ").count() == 5), "{text}");
+}
+
+#[test]
+fn terminal_tables_fit_their_width() {
+    let text = table_terminal(&table(), 60);
+    let drawn = text.lines().filter(|line| line.starts_with(['─', '═', ' ']));
+    assert!(drawn.clone().count() > 20 && drawn.into_iter().all(|line| line.chars().count() <= 60), "{text}");
+    let text = table_terminal(&table(), 120);
+    for part in ["25.50 ± 0.25 (3)", "paper 26.51", "Aug-NeRF †", "p 0.910, not distinguishable", "* not in the paper"]
+    {
+        assert!(text.contains(part), "{part}\n\n{text}");
+    }
+}
