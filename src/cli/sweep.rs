@@ -1,6 +1,7 @@
 //! `augnerf sweep`.
 
 use std::collections::BTreeMap;
+use std::io::IsTerminal;
 use std::path::{Path, PathBuf};
 use std::sync::Mutex;
 
@@ -10,9 +11,10 @@ use crate::config::{Config, parse_assignment};
 use crate::error::{Error, Result};
 use crate::job::{self, Reporter, load_lpips};
 use crate::output::write_json;
+use crate::sweep::tables::table_terminal;
 use crate::sweep::{
-    Change, Definition, Failure, Options, Overrides, Point, PointResult, Runner, SMOOTHNESS_METRICS, Status, StepCosts,
-    SweepFolder, Trainings, Watch, expand, shape,
+    Change, Collector, Definition, Failure, Options, Overrides, Point, PointResult, Runner, SMOOTHNESS_METRICS, Status,
+    StepCosts, SweepFolder, Trainings, Watch, expand, shape,
 };
 
 use super::progress::{Console, Lines, print};
@@ -29,6 +31,11 @@ The same command goes on where it was stopped or killed; several on one folder s
 Exit codes: 0 done, 7 some points failed, 8 scenes of some points are missing, 130 or 143 stopped (run it again), 2 the
 definition is wrong (do not run it again).";
 
+/// Points of the sweep NAME are in `runs/NAME`.
+const RUNS: &str = "runs";
+/// Its tables are in `results/NAME`, or in `DIR/results` below `--out DIR`.
+const RESULTS: &str = "results";
+
 #[derive(Subcommand)]
 pub enum SweepCommand {
     /// Run all points of a sweep, or go on with it, and write its tables
@@ -38,6 +45,8 @@ pub enum SweepCommand {
     Plan(PlanArguments),
     /// Show what is done, running, failed
     Status(StatusArguments),
+    /// Write tables and figures from what is done, from files alone
+    Collect(CollectArguments),
 }
 
 impl SweepCommand {
@@ -46,6 +55,7 @@ impl SweepCommand {
             SweepCommand::Run(arguments) => arguments.run(),
             SweepCommand::Plan(arguments) => arguments.run(),
             SweepCommand::Status(arguments) => arguments.run(),
+            SweepCommand::Collect(arguments) => arguments.run(),
         }
     }
 }
@@ -96,8 +106,15 @@ impl Place {
     fn folder(&self) -> Result<SweepFolder> {
         Ok(SweepFolder::new(&match &self.out {
             Some(out) => out.clone(),
-            None => Path::new("runs").join(self.name()?),
+            None => Path::new(RUNS).join(self.name()?),
         }))
+    }
+
+    fn results(&self) -> Result<PathBuf> {
+        Ok(match &self.out {
+            Some(out) => out.join(RESULTS),
+            None => Path::new(RESULTS).join(self.name()?),
+        })
     }
 }
 
@@ -178,6 +195,9 @@ pub struct RunArguments {
     /// A point with which so many runners were killed in a row counts as failed
     #[arg(long, value_name = "N", default_value_t = 10)]
     max_deaths: u32,
+    /// Put rows side by side that differ in an uncontrolled setting, such as the code's revision, and mark them
+    #[arg(long)]
+    force: bool,
     #[command(flatten)]
     weights: LpipsWeights,
     #[command(flatten)]
@@ -213,8 +233,25 @@ impl RunArguments {
         let watch = Announcer { console: &*console };
         let runner = Runner { folder: &folder, points: &points, work: &trainings, options, watch: &watch, stop: &stop };
         let ran = runner.run();
+        let name = self.place.name()?;
+        let collector = Collector {
+            folder: &folder,
+            definition: &definition,
+            points: &points,
+            name: &name,
+            results: &self.place.results()?,
+            force: self.force,
+            with_timing: false,
+        };
+        // A stopped sweep leaves the table of what is done, too.
+        let table = collector.write();
         ran?;
-        summarise(&folder, &definition, &points)
+        let table = table?;
+        if !quiet {
+            print(&table_terminal(&table, terminal_width()));
+        }
+        console.say(&format!("tables: {}", collector.results.display()));
+        summarise(&folder, &points)
     }
 }
 
@@ -248,14 +285,13 @@ fn begin(
 }
 
 /// Says what became of the points; an error where not all are done.
-fn summarise(folder: &SweepFolder, definition: &Definition, points: &[Point]) -> Result<()> {
+fn summarise(folder: &SweepFolder, points: &[Point]) -> Result<()> {
     let states = points.iter().map(|point| folder.point(&point.id).state(point)).collect::<Result<Vec<_>>>()?;
     let count = |status| states.iter().filter(|state| state.status == status).count();
     let reasons = points.iter().zip(&states).filter(|(_, state)| state.status == Status::Failed);
     let reasons: Vec<String> =
         reasons.map(|(point, state)| format!("\n  {}: {}", point.label(), state.reason)).collect();
     let (done, failed, no_data) = (count(Status::Done), count(Status::Failed), count(Status::NoData));
-    let _ = definition;
     if failed > 0 {
         return Err(Error::PointsFailed(format!(
             "{failed} of {} points failed ({done} are done); --retry-failed tries them again:{}",
@@ -294,6 +330,58 @@ impl Watch for Announcer<'_> {
             }
             Err(failure) => self.console.say(&format!("FAILED: {}: {}", point.label(), failure.reason)),
         }
+    }
+}
+
+/// Columns of the terminal; a file or a pipe gets lines as long as they come.
+fn terminal_width() -> u16 {
+    let (_, columns) = console::Term::stdout().size();
+    if std::io::stdout().is_terminal() { columns.max(60) } else { u16::MAX }
+}
+
+#[derive(Args)]
+pub struct CollectArguments {
+    /// Folder of a sweep: runs/NAME, or what --out named
+    folder: PathBuf,
+    /// Folder for tables and figures [default: results/NAME of runs/NAME, otherwise FOLDER/results]
+    #[arg(long, value_name = "DIR")]
+    results: Option<PathBuf>,
+    /// Put rows side by side that differ in an uncontrolled setting, such as the code's revision, and mark them
+    #[arg(long)]
+    force: bool,
+    /// Join seconds and memory to the tables
+    #[arg(long)]
+    with_timing: bool,
+    /// Folder that the definition's scenes lie in
+    #[arg(long, env = "AUGNERF_DATA", value_name = "DIR")]
+    data_root: Option<PathBuf>,
+}
+
+impl CollectArguments {
+    pub fn run(self) -> Result<()> {
+        let folder = SweepFolder::new(&self.folder);
+        let definition = folder.definition()?;
+        let points = expand(&definition, self.data_root.as_deref(), &KeptCosts::new(&folder, None)?)?;
+        let path = std::path::absolute(&self.folder).map_err(|e| Error::unreadable(&self.folder, &e))?;
+        let name = path.file_name().map_or("sweep".into(), |name| name.to_string_lossy().into_owned());
+        let runs = path.parent().filter(|parent| parent.file_name().is_some_and(|name| name == RUNS));
+        let results = self.results.clone().unwrap_or_else(|| match runs {
+            Some(runs) => runs.with_file_name(RESULTS).join(&name),
+            None => path.join(RESULTS),
+        });
+        let (force, with_timing) = (self.force, self.with_timing);
+        let collector = Collector {
+            folder: &folder,
+            definition: &definition,
+            points: &points,
+            name: &name,
+            results: &results,
+            force,
+            with_timing,
+        };
+        print(&table_terminal(&collector.write()?, terminal_width()));
+        print(&format!("tables: {}", results.display()));
+        Ok(())
     }
 }
 

@@ -12,6 +12,7 @@
 
 mod budget;
 mod claim;
+mod collect;
 mod definition;
 mod folder;
 mod points;
@@ -24,6 +25,7 @@ mod training;
 
 pub use budget::{StepCosts, evaluations_per_step, shape, steps_within};
 pub use claim::{Beat, Claim, Claimed};
+pub use collect::Collector;
 pub use definition::{Axis, Budget, BudgetKind, Combine, Definition, METRICS, Overrides, Row, SMOOTHNESS_METRICS};
 pub use folder::{Change, Failure, PointFolder, PointResult, PointState, SweepFolder};
 pub use points::{Place, Point, expand};

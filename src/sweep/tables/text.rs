@@ -142,13 +142,14 @@ pub(super) fn published_text(cell: &Cell) -> String {
     cell.published.map_or(String::new(), |value| number(&cell.metric, value))
 }
 
-/// Two digits for dB, three for what lies in 0..=1, as the paper prints them.
+/// Two digits for dB, three for what lies in 0..=1, as the paper prints them; four figures otherwise.
 fn number(metric: &str, value: f64) -> String {
     let ratio = ["ssim", "lpips", "average"].iter().any(|name| metric.starts_with(name));
     match metric.starts_with("psnr") {
         true => format!("{value:.2}"),
         false if ratio => format!("{value:.3}"),
-        false => format!("{value:.3e}"),
+        false if value != 0.0 && !(1e-3..1e5).contains(&value.abs()) => format!("{value:.3e}"),
+        false => format!("{value:.0$}", (3.0 - value.abs().max(1e-3).log10().floor()).max(0.0) as usize),
     }
 }
 

@@ -1,0 +1,103 @@
+//! Tables and figures of a sweep, from its files alone.
+
+use std::path::{Path, PathBuf};
+
+use crate::error::{Error, Result};
+use crate::output::{Timing, write_atomic};
+
+use super::definition::Definition;
+use super::folder::SweepFolder;
+use super::points::Point;
+use super::tables::{PointTiming, Table, points_csv, table_csv, table_latex, table_markdown};
+use super::{Record, Status, TableSpec};
+
+/// What is collected, and how.
+pub struct Collector<'a> {
+    /// Where the points are.
+    pub folder: &'a SweepFolder,
+    /// What they are points of.
+    pub definition: &'a Definition,
+    /// The points.
+    pub points: &'a [Point],
+    /// The sweep's name.
+    pub name: &'a str,
+    /// Where tables and figures go.
+    pub results: &'a Path,
+    /// Put rows side by side that differ in an uncontrolled setting, and mark them.
+    pub force: bool,
+    /// Join clocks to the tables, which then no longer repeat.
+    pub with_timing: bool,
+}
+
+impl Collector<'_> {
+    /// Writes `points.csv`, `timing.csv`, `table.csv`, `table.md`, `table.tex`. The first two are
+    /// written even where rows may not be put side by side. Returns the table.
+    pub fn write(&self) -> Result<Table> {
+        std::fs::create_dir_all(self.results).map_err(|e| Error::unwritable(self.results, &e))?;
+        let spec = self.definition.table(self.name);
+        let records = self.folder.records(self.definition, self.points)?;
+        let timing = self.timing()?;
+        let joined = if self.with_timing { timing.as_slice() } else { &[] };
+        self.file("points.csv", points_csv(&records, joined).as_bytes())?;
+        self.file("timing.csv", self.timing_csv(&timing)?.as_slice())?;
+        let table = Table::new(&spec, &records, self.force)?;
+        self.file("table.csv", table_csv(&table, joined).as_bytes())?;
+        self.file("table.md", table_markdown(&table).as_bytes())?;
+        self.file("table.tex", table_latex(&table).as_bytes())?;
+        self.figures(&spec, &records, &table)?;
+        Ok(table)
+    }
+
+    fn file(&self, name: &str, bytes: &[u8]) -> Result<PathBuf> {
+        let path = self.results.join(name);
+        write_atomic(&path, bytes)?;
+        Ok(path)
+    }
+
+    fn figures(&self, _spec: &TableSpec, _records: &[Record], _table: &Table) -> Result<()> {
+        Ok(())
+    }
+
+    /// Clocks of the points that are done.
+    fn timing(&self) -> Result<Vec<PointTiming>> {
+        let mut timing = Vec::new();
+        for point in self.points {
+            let folder = self.folder.point(&point.id);
+            let path = folder.run().join("timing.json");
+            if folder.state(point)?.status != Status::Done || !path.exists() {
+                continue;
+            }
+            let bytes = std::fs::read(&path).map_err(|e| Error::unreadable(&path, &e))?;
+            let read: Timing = serde_json::from_slice(&bytes)
+                .map_err(|e| Error::Checkpoint(format!("cannot read {}: {e}; delete it to go on", path.display())))?;
+            let clocks = [
+                ("seconds_training", Some(read.seconds_training)),
+                ("seconds_evaluation", Some(read.seconds_evaluation)),
+                ("rays_per_second", read.rays_per_second),
+                ("peak_memory_mib", read.peak_memory_mib),
+                ("threads", Some(read.threads as f64)),
+                ("sessions", Some(read.sessions as f64)),
+            ];
+            timing.push((point.id.clone(), clocks.map(|(name, value)| (name.to_string(), value)).to_vec()));
+        }
+        Ok(timing)
+    }
+
+    /// One line a measured point; a point that stands in several rows has one.
+    fn timing_csv(&self, timing: &[PointTiming]) -> Result<Vec<u8>> {
+        let unwritable = |e: &dyn std::fmt::Display| {
+            Error::Output(format!("cannot write {}: {e}", self.results.join("timing.csv").display()))
+        };
+        let mut writer = csv::Writer::from_writer(Vec::new());
+        let names = timing.first().map(|(_, clocks)| clocks.iter().map(|(name, _)| name.as_str()).collect::<Vec<_>>());
+        let header = ["id", "point"].into_iter().chain(names.unwrap_or_default());
+        writer.write_record(header).map_err(|e| unwritable(&e))?;
+        for (id, clocks) in timing {
+            let point = self.points.iter().find(|point| point.id == *id).expect("its timing was read");
+            let clocks = clocks.iter().map(|(_, value)| value.map_or(String::new(), |value| value.to_string()));
+            let row = [id.clone(), point.label()].into_iter().chain(clocks);
+            writer.write_record(row).map_err(|e| unwritable(&e))?;
+        }
+        writer.into_inner().map_err(|e| unwritable(&e))
+    }
+}

@@ -1,0 +1,223 @@
+//! `augnerf sweep` as a user meets it: killed, shared, failing, resumed, collected.
+
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Output, Stdio};
+use std::time::Duration;
+
+use augnerf::rng::{Random, Stream};
+use tempfile::TempDir;
+
+/// Runs of about a second: two methods, two seeds, the embedded scene at 16 x 16.
+const TINY: &str = r#"
+title = "tiny"
+preset = "smoke"
+scenes = ["builtin"]
+seeds = [0, 1]
+metrics = ["psnr", "ssim", "tv"]
+baseline = "NeRF"
+
+[set]
+"data.width" = 16
+"field.width" = 16
+"sampling.coarse" = 8
+"sampling.fine" = 8
+"train.rays" = 64
+"train.chunk" = 32
+"train.steps" = 60
+"train.checkpoint_every" = 10
+"eval.pictures" = 0
+
+[[row]]
+name = "NeRF"
+
+[[row]]
+name = "Aug-NeRF"
+set = { method = "aug-nerf", "perturb.attack" = "calibrated" }
+"#;
+
+fn augnerf(arguments: &[&str], dir: &Path) -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_augnerf"));
+    command.args(arguments).current_dir(dir).env("RUST_BACKTRACE", "0");
+    command.env_remove("AUGNERF_LPIPS_WEIGHTS").env_remove("AUGNERF_DATA");
+    command
+}
+
+fn run(arguments: &[&str], dir: &Path) -> Output {
+    augnerf(arguments, dir).output().unwrap()
+}
+
+fn demand(arguments: &[&str], dir: &Path, code: i32) -> String {
+    let output = run(arguments, dir);
+    let message = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert_eq!(output.status.code(), Some(code), "{arguments:?}: {message}");
+    assert!(!message.contains("panicked"), "{message}");
+    message + &String::from_utf8_lossy(&output.stdout)
+}
+
+/// A working folder with a sweep file in it.
+fn workplace(definition: &str) -> TempDir {
+    let dir = TempDir::new().unwrap();
+    std::fs::write(dir.path().join("tiny.toml"), definition).unwrap();
+    dir
+}
+
+fn start(dir: &Path) -> Child {
+    let mut command = augnerf(&["sweep", "run", "tiny.toml", "--quiet", "--max-deaths", "1000"], dir);
+    command.stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap()
+}
+
+/// The tables and figures of the sweep, but for what depends on the clock.
+fn tables(dir: &Path) -> Vec<(PathBuf, Vec<u8>)> {
+    let folder = dir.join("results/tiny");
+    let mut files: Vec<_> = std::fs::read_dir(&folder)
+        .unwrap_or_else(|e| panic!("{}: {e}", folder.display()))
+        .map(|entry| entry.unwrap().path())
+        .filter(|path| path.file_name().unwrap() != "timing.csv")
+        .map(|path| (path.file_name().unwrap().into(), std::fs::read(&path).unwrap()))
+        .collect();
+    files.sort();
+    files
+}
+
+fn assert_same_tables(a: &Path, b: &Path) {
+    let (a, b) = (tables(a), tables(b));
+    let names = |files: &[(PathBuf, Vec<u8>)]| files.iter().map(|(name, _)| name.clone()).collect::<Vec<_>>();
+    assert_eq!(names(&a), names(&b));
+    for ((name, left), (_, right)) in a.iter().zip(&b) {
+        assert!(left == right, "{} differs", name.display());
+    }
+}
+
+/// `AUGNERF_SWEEP_KILLS` kills instead of 20.
+#[test]
+fn killed_at_random_moments_equals_undisturbed() {
+    let kills = std::env::var("AUGNERF_SWEEP_KILLS").map_or(20, |n| n.parse().expect("a number of kills"));
+    let (undisturbed, disturbed) = (workplace(TINY), workplace(TINY));
+    demand(&["sweep", "run", "tiny.toml", "--quiet"], undisturbed.path(), 0);
+    let mut random = Random::new(7, Stream::Attack, 0);
+    for _ in 0..kills {
+        let mut child = start(disturbed.path());
+        std::thread::sleep(Duration::from_secs_f64(0.02 + 0.4 * random.uniform()));
+        child.kill().unwrap();
+        child.wait().unwrap();
+    }
+    demand(&["sweep", "run", "tiny.toml", "--quiet", "--max-deaths", "1000"], disturbed.path(), 0);
+    assert_same_tables(undisturbed.path(), disturbed.path());
+    let points = std::fs::read_dir(disturbed.path().join("runs/tiny/points")).unwrap();
+    for point in points {
+        let point = point.unwrap().path();
+        assert!(point.join("result.json").is_file() && !point.join("claim.json").exists(), "{}", point.display());
+    }
+}
+
+#[test]
+fn two_runners_share_a_folder() {
+    let (alone, shared) = (workplace(TINY), workplace(TINY));
+    demand(&["sweep", "run", "tiny.toml", "--quiet"], alone.path(), 0);
+    let runners = [start(shared.path()), start(shared.path())];
+    for mut runner in runners {
+        assert!(runner.wait().unwrap().success());
+    }
+    assert_same_tables(alone.path(), shared.path());
+    // One session each: no point was begun twice.
+    for point in std::fs::read_dir(shared.path().join("runs/tiny/points")).unwrap() {
+        let timing = std::fs::read_to_string(point.unwrap().path().join("run/timing.json")).unwrap();
+        assert!(timing.contains("\"sessions\": 1"), "{timing}");
+    }
+}
+
+#[test]
+fn failures_are_listed_and_the_rest_is_done() {
+    let broken = TINY.replace(
+        "[[row]]\nname = \"Aug-NeRF\"",
+        "[[row]]\nname = \"broken\"\nset = { \"train.learning_rate\" = 1e30 }\n\n[[row]]\nname = \"Aug-NeRF\"",
+    );
+    let dir = workplace(&broken);
+    let message = demand(&["sweep", "run", "tiny.toml", "--quiet"], dir.path(), 7);
+    for words in ["2 of 6 points failed", "4 are done", "--retry-failed", "broken · builtin · seed 1", "not a number"]
+    {
+        assert!(message.contains(words), "'{words}' is not in: {message}");
+    }
+    let status = demand(&["sweep", "status", "runs/tiny"], dir.path(), 0);
+    assert!(status.contains("failed") && status.contains("not a number") && status.contains("4 done"), "{status}");
+    let points = std::fs::read_to_string(dir.path().join("results/tiny/points.csv")).unwrap();
+    let failed: Vec<&str> = points.lines().filter(|line| line.contains(",failed,")).collect();
+    assert_eq!(failed.len(), 2, "{points}");
+}
+
+#[test]
+fn a_scene_that_is_missing_and_a_definition_that_changed_are_said() {
+    let dir = workplace(TINY);
+    let quick = ["--set", "train.steps=5", "--seeds", "0", "--quiet"];
+    let args = |further: &[&'static str]| [&["sweep", "run", "tiny.toml"], &quick[..], further].concat();
+    let message = demand(&args(&["--scenes", "builtin,orchids"]), dir.path(), 8);
+    for words in ["2 of 4 points have no data", "2 are done", "orchids", "AUGNERF_DATA"] {
+        assert!(message.contains(words), "'{words}' is not in: {message}");
+    }
+    let message = demand(&args(&[]), dir.path(), 2);
+    for words in ["another definition", "lacks 2", "--extend", "--name"] {
+        assert!(message.contains(words), "'{words}' is not in: {message}");
+    }
+    demand(&args(&["--extend"]), dir.path(), 0);
+    let plan = demand(&["sweep", "plan", "tiny.toml", "--seeds", "0"], dir.path(), 0);
+    assert!(plan.contains("2 points") && plan.contains("s/step") && plan.contains("in all"), "{plan}");
+    demand(&["sweep", "run", "nothing.toml"], dir.path(), 2);
+    demand(&["sweep", "status", "nothing"], dir.path(), 5);
+}
+
+#[test]
+fn sigterm_stops_with_the_signal_s_code_and_the_next_run_ends_it() {
+    let dir = workplace(&TINY.replace("\"train.steps\" = 60", "\"train.steps\" = 400"));
+    let mut child = start(dir.path());
+    std::thread::sleep(Duration::from_millis(700));
+    Command::new("kill").args(["-TERM", &child.id().to_string()]).status().unwrap();
+    assert_eq!(child.wait().unwrap().code(), Some(143));
+    demand(&["sweep", "run", "tiny.toml", "--quiet"], dir.path(), 0);
+}
+
+#[test]
+fn the_smoke_sweep_leaves_every_table_and_figure() {
+    let dir = TempDir::new().unwrap();
+    let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("sweeps/smoke.toml");
+    let file = file.to_str().unwrap();
+    demand(&["sweep", "run", file, "--quiet", "--set", "train.steps=20", "--jobs", "2"], dir.path(), 0);
+    let results = dir.path().join("results/smoke");
+    for name in [
+        "points.csv",
+        "table.csv",
+        "table.md",
+        "table.tex",
+        "timing.csv",
+        "rows_builtin_psnr.svg",
+        "rows_builtin_psnr.png",
+        "curves_builtin_psnr.svg",
+    ] {
+        assert!(results.join(name).is_file(), "{name}");
+    }
+    let first = tables_of(&results);
+    demand(&["sweep", "collect", "runs/smoke"], dir.path(), 0);
+    assert_eq!(first, tables_of(&results), "collected from files alone, the tables are the same");
+    let table = std::fs::read_to_string(results.join("table.csv")).unwrap();
+    let header: Vec<&str> = table.lines().next().unwrap().split(',').collect();
+    for column in [
+        "row",
+        "psnr_mean",
+        "psnr_std",
+        "psnr_n",
+        "psnr_difference",
+        "psnr_low",
+        "psnr_high",
+        "psnr_p_holm",
+        "psnr_verdict",
+    ] {
+        assert!(header.contains(&column), "{column} is not in {header:?}");
+    }
+    assert_eq!(table.lines().count(), 4);
+}
+
+fn tables_of(folder: &Path) -> Vec<(PathBuf, Vec<u8>)> {
+    let entries = std::fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path());
+    let mut files: Vec<_> = entries.map(|path| (path.clone(), std::fs::read(path).unwrap())).collect();
+    files.sort();
+    files
+}
