@@ -384,7 +384,7 @@ fn shipped_sweeps_are_valid() {
         }
         found += 1;
     }
-    assert_eq!(found, 12);
+    assert_eq!(found, 13);
 }
 
 #[test]
