@@ -14,6 +14,7 @@ fn row(name: &str, baseline: Option<&str>, method: &str) -> RowSpec {
         name: name.into(),
         baseline: baseline.map(str::to_string),
         ours: method.is_empty(),
+        quoted: false,
         published: (!method.is_empty()).then_some(key),
     }
 }
@@ -310,4 +311,34 @@ fn terminal_tables_fit_their_width() {
     {
         assert!(text.contains(part), "{part}\n\n{text}");
     }
+}
+
+#[test]
+fn methods_that_are_not_run_carry_the_paper_s_numbers_alone() {
+    let mut spec = spec();
+    let key = PublishedKey { table: "tab1".into(), condition: "clean".into(), method: "SRN".into() };
+    let srn = RowSpec { name: "SRN".into(), quoted: true, published: Some(key), ..RowSpec::default() };
+    spec.rows.insert(0, srn);
+    let table = Table::new(&spec, &records(), false).unwrap();
+    let line = find(&table, "fern", "SRN");
+    assert_eq!((line.cells[0].mean, line.cells[0].n, line.cells[0].published), (None, 0, Some(21.37)));
+    // The paper has no such row for the other scene.
+    assert_eq!(table.lines.iter().filter(|line| line.quoted).count(), 1);
+    let rows = read(&table_csv(&table, &[]));
+    assert_eq!(cells(&rows[0], &["row", "source", "psnr_mean", "psnr_published"]), ["SRN", "published", "", "21.37"]);
+    assert_eq!(cells(&rows[1], &["source"]), ["run"]);
+    let markdown = table_markdown(&table);
+    assert!(markdown.contains("SRN #") && markdown.contains("not run here"), "{markdown}");
+}
+
+#[test]
+fn what_rows_differ_in_by_design_is_said() {
+    let mut records = records();
+    for record in records.iter_mut().filter(|record| record.row == "Aug-NeRF" && record.axes.is_empty()) {
+        for (name, text) in record.protocol.iter_mut().filter(|(name, _)| name == "steps") {
+            *text = format!("{name} 500");
+        }
+    }
+    let markdown = table_markdown(&Table::new(&spec(), &records, false).unwrap());
+    assert!(markdown.contains("rows differ in steps: 2000 (NeRF") && markdown.contains("500 (Aug-NeRF"), "{markdown}");
 }

@@ -58,6 +58,9 @@ pub struct Definition {
     /// Condition of the published rows: `clean`, `gaussian`, ...
     #[serde(default = "clean")]
     pub condition: String,
+    /// Methods that the published table has and this program has not: their rows carry the paper's numbers alone.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub quoted: Vec<String>,
     /// How axes combine.
     #[serde(default)]
     pub combine: Combine,
@@ -247,6 +250,12 @@ impl Definition {
         if let Some(budget) = &self.budget {
             known("budget.like", &budget.like)?;
         }
+        if !self.quoted.is_empty() && self.published.is_none() {
+            return Err("quoted names methods of a published table; say which with published = \"tab1\"".into());
+        }
+        if let Some(quoted) = self.quoted.iter().find(|quoted| names.contains(&quoted.as_str())) {
+            return Err(format!("quoted = '{quoted}' is a row that is run; remove one of them"));
+        }
         for row in &self.row {
             if let Some(baseline) = &row.baseline {
                 known(&format!("the baseline of row '{}'", row.name), baseline)?;
@@ -292,16 +301,27 @@ impl Definition {
 
     /// What tables and plots need to know.
     pub fn table(&self, name: &str) -> TableSpec {
+        let key = |condition: Option<&String>, method: &str| {
+            self.published.clone().map(|table| PublishedKey {
+                table,
+                condition: condition.unwrap_or(&self.condition).clone(),
+                method: method.to_string(),
+            })
+        };
+        let quoted = self.quoted.iter().map(|method| RowSpec {
+            name: method.clone(),
+            quoted: true,
+            published: key(None, method),
+            ..RowSpec::default()
+        });
         let rows = self.row.iter().map(|row| RowSpec {
             name: row.name.clone(),
             baseline: self.baseline_of(row),
             ours: row.ours,
-            published: self.published.clone().filter(|_| !row.ours).map(|table| PublishedKey {
-                table,
-                condition: row.condition.clone().unwrap_or_else(|| self.condition.clone()),
-                method: row.published.clone().unwrap_or_else(|| row.name.clone()),
-            }),
+            quoted: false,
+            published: key(row.condition.as_ref(), row.published.as_ref().unwrap_or(&row.name)).filter(|_| !row.ours),
         });
+        let rows = quoted.chain(rows);
         TableSpec {
             name: name.to_string(),
             title: self.title.clone(),

@@ -121,6 +121,8 @@ pub struct RowSpec {
     pub baseline: Option<String>,
     /// A row of ours that the paper does not have.
     pub ours: bool,
+    /// Not run here: the paper's numbers alone.
+    pub quoted: bool,
     /// Where the paper's numbers are: table, condition and method of `published.csv`; the scene is the record's.
     pub published: Option<PublishedKey>,
 }

@@ -8,8 +8,9 @@ use crate::sweep::{Record, Status};
 pub type PointTiming = (String, Vec<(String, Option<f64>)>);
 
 const POINT_COLUMNS: [&str; 8] = ["id", "scene", "row", "axes", "seed", "status", "reason", "inactive_levels"];
-const LINE_COLUMNS: [&str; 12] = [
+const LINE_COLUMNS: [&str; 13] = [
     "scene",
+    "source",
     "row",
     "axes",
     "baseline",
@@ -83,6 +84,7 @@ pub fn table_csv(table: &Table, timing: &[PointTiming]) -> String {
 fn line_cells(line: &Line) -> Vec<String> {
     vec![
         line.scene.clone(),
+        if line.quoted { "published" } else { "run" }.into(),
         line.row.clone(),
         line.axes.clone(),
         line.baseline.clone().unwrap_or_default(),

@@ -51,6 +51,8 @@ pub struct Line {
     pub baseline: Option<String>,
     /// A row that the paper does not have.
     pub ours: bool,
+    /// The paper's numbers alone; not run here.
+    pub quoted: bool,
     /// Folder names of the measured points.
     pub ids: Vec<String>,
     /// Points that the definition asks for.
@@ -159,7 +161,11 @@ impl Table {
         if !force {
             checks::check_controlled(spec, &groups)?;
         }
-        let mut lines: Vec<Line> = groups.iter().map(|group| line(spec, group, &groups)).collect();
+        let mut lines: Vec<Line> = Vec::new();
+        for scene in distinct(groups.iter().map(|group| group.scene)) {
+            lines.extend(spec.rows.iter().filter(|row| row.quoted).filter_map(|row| quoted_line(spec, row, scene)));
+            lines.extend(groups.iter().filter(|group| group.scene == scene).map(|group| line(spec, group, &groups)));
+        }
         correct_p_values(&mut lines);
         Ok(Table { name: spec.name.clone(), title: spec.title.clone(), metrics: spec.metrics.clone(), lines })
     }
@@ -240,6 +246,7 @@ fn line(spec: &TableSpec, group: &Group, groups: &[Group]) -> Line {
         label,
         baseline: baseline.map(|baseline| baseline.points[0].label()),
         ours: group.row.ours,
+        quoted: false,
         ids: group.done().map(|point| point.id.clone()).collect(),
         points: group.points.len(),
         status: status_text(&group.points),
@@ -252,6 +259,39 @@ fn line(spec: &TableSpec, group: &Group, groups: &[Group]) -> Line {
         differs,
         mixed: checks::mixed_fields(spec, group, groups),
     }
+}
+
+/// A method that is not run here; none where the paper has no number for the scene.
+fn quoted_line(spec: &TableSpec, row: &RowSpec, scene: &str) -> Option<Line> {
+    let published = row.published.as_ref()?.find(scene)?;
+    let cell = |metric: &String| Cell {
+        metric: metric.clone(),
+        n: 0,
+        mean: None,
+        deviation: None,
+        comparison: None,
+        published: published.metric(metric),
+    };
+    Some(Line {
+        scene: scene.into(),
+        row: row.name.clone(),
+        axes: String::new(),
+        label: row.name.clone(),
+        baseline: None,
+        ours: false,
+        quoted: true,
+        ids: Vec::new(),
+        points: 0,
+        status: String::new(),
+        reason: String::new(),
+        inactive_levels: Vec::new(),
+        cells: spec.metrics.iter().map(cell).collect(),
+        published_protocol: published.protocol().text(),
+        protocol_difference: String::new(),
+        protocol: Vec::new(),
+        differs: Vec::new(),
+        mixed: Vec::new(),
+    })
 }
 
 fn cell(metric: &str, group: &Group, baseline: Option<&Group>, published: Option<&PublishedRow>) -> Cell {

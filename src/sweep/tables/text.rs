@@ -30,7 +30,8 @@ const CAPTION_FIELDS: [&str; 19] = [
 /// what there is to say of that line.
 type Mark = (char, &'static str, fn(&Line) -> Option<String>);
 
-const MARKS: [Mark; 5] = [
+const MARKS: [Mark; 6] = [
+    ('#', "not run here: the paper's numbers alone", |line| line.quoted.then(String::new)),
     ('*', "not in the paper", |line| line.ours.then(String::new)),
     ('†', "levels without effect on the loss", |line| joined(&line.inactive_levels)),
     ('‡', "NOT COMPARABLE, built by force: differs from the scene's first row in", |line| joined(&line.mixed)),
@@ -156,6 +157,7 @@ fn number(metric: &str, value: f64) -> String {
 /// What stands below the lines of a scene.
 pub(super) fn scene_notes(lines: &[&Line]) -> Vec<String> {
     let mut notes = baseline_notes(lines);
+    notes.extend(varied_notes(lines));
     notes.extend(MARKS.iter().filter_map(|mark| mark_note(mark, lines)));
     notes.extend(published_notes(lines));
     notes
@@ -182,6 +184,17 @@ fn baseline_notes(lines: &[&Line]) -> Vec<String> {
         [(baseline, _)] => vec![format!("baseline: {baseline}")],
         several => several.iter().map(|(baseline, labels)| format!("baseline of {labels}: {baseline}")).collect(),
     }
+}
+
+/// What the definition makes different between the lines, where a reader would take it as equal.
+fn varied_notes(lines: &[&Line]) -> Vec<String> {
+    let value = |line: &Line, name: &str| Some(line.protocol(name).to_string()).filter(|text| !text.is_empty());
+    let varied = CAPTION_FIELDS.into_iter().filter_map(|name| {
+        let values = labels_by(lines, |line| value(line, name));
+        let told: Vec<String> = values.iter().map(|(value, labels)| format!("{value} ({labels})")).collect();
+        (values.len() > 1).then(|| format!("rows differ in {name}: {}", told.join("; ")))
+    });
+    varied.collect()
 }
 
 fn mark_note((symbol, meaning, of): &Mark, lines: &[&Line]) -> Option<String> {
