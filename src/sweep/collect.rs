@@ -7,6 +7,7 @@ use crate::output::{Timing, write_atomic};
 
 use super::definition::Definition;
 use super::folder::SweepFolder;
+use super::plots::{Curve, Figure, axes_figure, curves_figure, rows_figure};
 use super::points::Point;
 use super::tables::{PointTiming, Table, points_csv, table_csv, table_latex, table_markdown};
 use super::{Record, Status, TableSpec};
@@ -54,8 +55,48 @@ impl Collector<'_> {
         Ok(path)
     }
 
-    fn figures(&self, _spec: &TableSpec, _records: &[Record], _table: &Table) -> Result<()> {
+    /// `rows_SCENE_METRIC`, `axes_SCENE_METRIC` and `curves_SCENE_psnr`, each as SVG and PNG.
+    fn figures(&self, spec: &TableSpec, records: &[Record], table: &Table) -> Result<()> {
+        for (scene, _) in table.scenes() {
+            for metric in &table.metrics {
+                let rows =
+                    if self.definition.axis.is_empty() { rows_figure(table, records, scene, metric)? } else { None };
+                self.figure(&format!("rows_{scene}_{metric}"), rows)?;
+                self.figure(&format!("axes_{scene}_{metric}"), axes_figure(spec, records, scene, metric)?)?;
+            }
+            let title = format!("{}: training on {scene}", self.definition.title);
+            let curves = curves_figure(&title, "PSNR of the step's rays (dB)", &self.curves(spec, scene)?)?;
+            self.figure(&format!("curves_{scene}_psnr"), curves)?;
+        }
         Ok(())
+    }
+
+    fn figure(&self, name: &str, figure: Option<Figure>) -> Result<()> {
+        let Some(figure) = figure else { return Ok(()) };
+        self.file(&format!("{name}.svg"), figure.svg.as_bytes())?;
+        self.file(&format!("{name}.png"), &figure.png)?;
+        Ok(())
+    }
+
+    /// Training PSNR of the points without axis values, row by row.
+    fn curves(&self, spec: &TableSpec, scene: &str) -> Result<Vec<Curve>> {
+        let mut curves = Vec::new();
+        for row in &spec.rows {
+            let own = |point: &&Point| {
+                point.scene == scene && point.places.iter().any(|place| place.row == row.name && place.axes.is_empty())
+            };
+            let mut seeds = Vec::new();
+            for point in self.points.iter().filter(own) {
+                let folder = self.folder.point(&point.id);
+                if folder.state(point)?.status == Status::Done {
+                    seeds.push(psnr_curve(&folder.run().join("scalars.csv"))?);
+                }
+            }
+            if !seeds.is_empty() {
+                curves.push(Curve { label: row.name.clone(), seeds });
+            }
+        }
+        Ok(curves)
     }
 
     /// Clocks of the points that are done.
@@ -100,4 +141,20 @@ impl Collector<'_> {
         }
         writer.into_inner().map_err(|e| unwritable(&e))
     }
+}
+
+/// Step and PSNR of a run's log; empty where it has none.
+fn psnr_curve(path: &Path) -> Result<Vec<(f64, f64)>> {
+    let unreadable = |e: csv::Error| Error::Checkpoint(format!("cannot read {}: {e}", path.display()));
+    let mut reader = csv::Reader::from_path(path).map_err(unreadable)?;
+    let header = reader.headers().map_err(unreadable)?;
+    let column = |name: &str| header.iter().position(|known| known == name);
+    let (Some(step), Some(psnr)) = (column("step"), column("psnr")) else { return Ok(Vec::new()) };
+    let mut points = Vec::new();
+    for row in reader.records() {
+        let row = row.map_err(unreadable)?;
+        let cell = |column: usize| row.get(column).and_then(|cell| cell.parse().ok());
+        points.extend(cell(step).zip(cell(psnr)));
+    }
+    Ok(points)
 }

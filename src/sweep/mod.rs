@@ -15,6 +15,7 @@ mod claim;
 mod collect;
 mod definition;
 mod folder;
+pub mod plots;
 mod points;
 mod published;
 mod record;

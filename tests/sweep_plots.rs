@@ -1,0 +1,178 @@
+//! Figures of a sweep from hand-made points. `AUGNERF_PLOTS=DIR` keeps them to look at.
+
+use augnerf::rng::{Random, Stream};
+use augnerf::sweep::plots::{Curve, Figure, axes_figure, curves_figure, rows_figure};
+use augnerf::sweep::tables::Table;
+use augnerf::sweep::{AxisValue, Record, RowSpec, Status, TableSpec};
+
+const ROWS: [&str; 14] = [
+    "NeRF",
+    "+ l1 Reg.",
+    "+ Lap. Reg.",
+    "+ TV Reg.",
+    "+ Random Aug.",
+    "+ Input Aug.",
+    "+ Feature Aug.",
+    "+ Feature & (Pre-) Output Aug.",
+    "+ Tri-level Random Noise",
+    "Aug-NeRF",
+    "+ Output Aug.",
+    "Aug-NeRF calibrated",
+    "NeRF + second clean pass",
+    "NeRF, equal seconds",
+];
+
+fn spec(rows: &[&str]) -> TableSpec {
+    let row = |(i, name): (usize, &&str)| RowSpec {
+        name: name.to_string(),
+        baseline: (i > 0).then(|| rows[0].to_string()),
+        ..RowSpec::default()
+    };
+    TableSpec {
+        name: "test".into(),
+        title: "Ablation of the three levels (paper, table 4)".into(),
+        metrics: vec!["psnr".into()],
+        rows: rows.iter().enumerate().map(row).collect(),
+        must_match: vec![],
+    }
+}
+
+fn record(row: &str, axes: Vec<AxisValue>, seed: u64, psnr: Option<f64>) -> Record {
+    Record {
+        id: format!("{row}{axes:?}{seed}"),
+        scene: "fern".into(),
+        row: row.into(),
+        axes,
+        seed,
+        status: if psnr.is_some() { Status::Done } else { Status::Waiting },
+        reason: String::new(),
+        metrics: vec![("psnr".into(), psnr)],
+        protocol: vec![],
+        inactive_levels: if row == "Aug-NeRF" { vec!["rgb".into(), "density".into()] } else { vec![] },
+    }
+}
+
+/// Of a seed at a place: different for every pair, the same every time.
+fn noise(seed: u64, place: u64) -> f64 {
+    Random::new(seed, Stream::Attack, place).uniform() - 0.5
+}
+
+fn keep(name: &str, figure: &Figure) {
+    if let Ok(dir) = std::env::var("AUGNERF_PLOTS") {
+        std::fs::create_dir_all(&dir).unwrap();
+        std::fs::write(format!("{dir}/{name}.png"), &figure.png).unwrap();
+        std::fs::write(format!("{dir}/{name}.svg"), &figure.svg).unwrap();
+    }
+    let picture = image::load_from_memory(&figure.png).unwrap();
+    assert!(picture.width() > 800 && picture.height() > 300, "{} x {}", picture.width(), picture.height());
+}
+
+fn axis_value(axis: &str, panel: &str, value: &str) -> AxisValue {
+    AxisValue { axis: axis.into(), panel: panel.into(), value: value.into() }
+}
+
+/// 2 axes of 3 levels and one of 1, 3 seeds; features matter, output does not; one value is missing.
+fn figure_records() -> Vec<Record> {
+    let mut records: Vec<Record> =
+        (0..3).map(|seed| record("NeRF", vec![], seed, Some(19.3 + 0.1 * noise(seed, 1)))).collect();
+    for (axis, values) in [
+        ("steps", vec!["0", "1", "3", "5", "10"]),
+        ("step size", vec!["1e-5", "1e-4", "1e-3", "1e-2", "1e-1"]),
+        ("injection layer", vec!["1", "2", "3", "4", "5", "6", "7", "8"]),
+    ] {
+        let panels: &[&str] =
+            if axis == "injection layer" { &["features"] } else { &["input coordinates", "features", "output"] };
+        for panel in panels {
+            for (i, value) in values.iter().enumerate() {
+                for seed in 0..3 {
+                    let effect = if *panel == "features" { 0.2 * i as f64 } else { 0.0 };
+                    let psnr = 19.0 + effect + 0.2 * noise(seed, i as u64);
+                    let missing = *panel == "output" && *value == "3";
+                    let axes = vec![axis_value(axis, panel, value)];
+                    records.push(record("Aug-NeRF", axes, seed, (!missing).then_some(psnr)));
+                }
+            }
+        }
+    }
+    records
+}
+
+#[test]
+fn the_paper_s_figure() {
+    let (spec, records) = (spec(&["NeRF", "Aug-NeRF"]), figure_records());
+    let figure = axes_figure(&spec, &records, "fern", "psnr").unwrap().unwrap();
+    keep("axes", &figure);
+    assert_eq!(figure, axes_figure(&spec, &records, "fern", "psnr").unwrap().unwrap());
+    for words in ["input coordinates: steps", "features: injection layer", "1e-5", "PSNR (dB)", "Dashed: NeRF"] {
+        assert!(figure.svg.contains(words), "{words}");
+    }
+    // Panels of coordinates and output show nothing; those of features do.
+    assert_eq!(figure.svg.matches("3 seeds: within the seeds").count(), 4);
+    assert!(figure.svg.contains("output steps = 3 (Aug-NeRF)"), "the missing value is named");
+    assert!(axes_figure(&spec, &records, "orchids", "psnr").unwrap().is_none());
+    assert!(axes_figure(&spec, &records, "fern", "ssim").unwrap().is_none());
+}
+
+#[test]
+fn a_table_as_points() {
+    let spec = spec(&ROWS);
+    let mut records = Vec::new();
+    for (i, row) in ROWS.iter().enumerate() {
+        for seed in 0..3 {
+            let effect = if i == 11 { 0.9 } else { 0.02 * i as f64 };
+            let missing = i == 4 || (i == 5 && seed > 0);
+            let psnr = 19.0 + effect + 0.3 * noise(seed, 99) + 0.1 * noise(seed, i as u64);
+            records.push(record(row, vec![], seed, (!missing).then_some(psnr)));
+        }
+    }
+    let table = Table::new(&spec, &records, false).unwrap();
+    let figure = rows_figure(&table, &records, "fern", "psnr").unwrap().unwrap();
+    keep("rows", &figure);
+    assert_eq!(figure, rows_figure(&table, &records, "fern", "psnr").unwrap().unwrap());
+    for words in [
+        "Feature &amp; (Pre-) Output",
+        "no data",
+        "one seed: no interval",
+        "not distinguishable",
+        "higher",
+        "Aug-NeRF †",
+    ] {
+        assert!(figure.svg.contains(words), "{words}");
+    }
+    assert!(rows_figure(&table, &records, "orchids", "psnr").unwrap().is_none());
+}
+
+#[test]
+fn training_curves() {
+    let curve = |label: &str, level: f64| Curve {
+        label: label.into(),
+        seeds: (0..3)
+            .map(|seed| (1..=60).map(|i| (50.0 * i as f64, level - 8.0 / i as f64 + noise(seed, i))).collect())
+            .collect(),
+    };
+    let curves: Vec<Curve> = ROWS[..10].iter().enumerate().map(|(i, row)| curve(row, 18.0 + 0.3 * i as f64)).collect();
+    let figure = curves_figure("Ablation: training on fern", "PSNR of the step's rays (dB)", &curves).unwrap().unwrap();
+    keep("curves", &figure);
+    assert!(figure.svg.contains("moving averages") && figure.svg.contains("stroke-dasharray"));
+    assert!(curves_figure("t", "u", &[]).unwrap().is_none());
+    assert!(curves_figure("t", "u", &[Curve { label: "empty".into(), seeds: vec![vec![]] }]).unwrap().is_none());
+}
+
+#[test]
+fn odd_input_draws_or_says_that_there_is_nothing() {
+    let two = spec(&["NeRF", "Aug-NeRF"]);
+    assert!(axes_figure(&two, &[], "fern", "psnr").unwrap().is_none());
+    let word = |value: &str, seed, psnr| record("Aug-NeRF", vec![axis_value("kind", "", value)], seed, psnr);
+    let one = [word("worst-case", 0, Some(20.0))];
+    let figure = axes_figure(&two, &one, "fern", "psnr").unwrap().unwrap();
+    assert!(figure.svg.contains("one seed: no spread known") && figure.svg.contains("worst-case"));
+    let equal: Vec<Record> = (0..6).map(|i| word(["a", "b"][i as usize % 2], i / 2, Some(20.0))).collect();
+    assert!(axes_figure(&two, &equal, "fern", "psnr").unwrap().unwrap().svg.contains("within the seeds"));
+    let broken = [word("a", 0, Some(f64::NAN)), word("b", 0, None)];
+    assert!(axes_figure(&two, &broken, "fern", "psnr").unwrap().is_none());
+    let plain = [record("NeRF", vec![], 0, Some(20.0)), record("Aug-NeRF", vec![], 0, None)];
+    let table = Table::new(&two, &plain, false).unwrap();
+    assert!(rows_figure(&table, &plain, "fern", "psnr").unwrap().unwrap().svg.contains("no data"));
+    let flat = Curve { label: "flat".into(), seeds: vec![vec![(1.0, 20.0)]] };
+    assert!(curves_figure("t", "u", &[flat]).unwrap().is_some());
+}
