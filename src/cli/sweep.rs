@@ -333,10 +333,10 @@ impl Watch for Announcer<'_> {
     }
 }
 
-/// Columns of the terminal; a file or a pipe gets lines as long as they come.
+/// Columns of the terminal; a file or a pipe gets lines that most screens show.
 fn terminal_width() -> u16 {
     let (_, columns) = console::Term::stdout().size();
-    if std::io::stdout().is_terminal() { columns.max(60) } else { u16::MAX }
+    if std::io::stdout().is_terminal() { columns.max(60) } else { 160 }
 }
 
 #[derive(Args)]

@@ -79,9 +79,8 @@ fn series<'a>(records: &[&'a Record], metric: &str) -> Vec<Series<'a>> {
     let mut all: Vec<Series> = Vec::new();
     for record in records {
         let [AxisValue { axis, panel, value }] = record.axes.as_slice() else { continue };
-        let same =
-            |s: &&mut Series<'a>| (s.axis, s.panel, s.row) == (axis.as_str(), panel.as_str(), record.row.as_str());
-        let index = match all.iter_mut().position(|mut s| same(&&mut s)) {
+        let same = |s: &Series| (s.axis, s.panel, s.row) == (axis.as_str(), panel.as_str(), record.row.as_str());
+        let index = match all.iter().position(same) {
             Some(index) => index,
             None => {
                 all.push(Series { axis, panel, row: &record.row, points: Vec::new() });
