@@ -349,6 +349,8 @@ fn budgets_give_cheap_rows_more_steps() {
     let points = points_of(&text("evaluations")).unwrap();
     // A clean pass 3, a perturbed pass 3, three search steps of 2 each.
     assert_eq!(points[1].config.train.steps, nerf / 4);
+    let decay = |index: usize| points[index].config.train.decay_steps.unwrap() as f64;
+    assert_eq!(decay(1) / decay(0), points[1].config.train.steps as f64 / nerf as f64, "the schedule is stretched too");
     let ratio = evaluations_per_step(&points[1].config) / evaluations_per_step(&points[0].config);
     assert_eq!(ratio, 4.0);
 }
@@ -384,7 +386,39 @@ fn shipped_sweeps_are_valid() {
         }
         found += 1;
     }
-    assert_eq!(found, 13);
+    assert_eq!(found, 14);
+}
+
+#[test]
+fn a_file_extends_another() {
+    let dir = tempfile::tempdir().unwrap();
+    let write = |name: &str, text: &str| std::fs::write(dir.path().join(name), text).unwrap();
+    let read = |name: &str| Definition::read(&dir.path().join(name));
+    write("base.toml", BASE);
+    write(
+        "small.toml",
+        "extends = \"base.toml\"\nseeds = [7]\n[set]\n\"train.steps\" = 3\n\
+         [[row]]\nname = \"Aug-NeRF\"\nset = { \"perturb.lambda\" = 0.7 }\n[[row]]\nname = \"New\"\nset = { \"train.rays\" = 7 }\n",
+    );
+    let (base, small) = (read("base.toml").unwrap(), read("small.toml").unwrap());
+    let names = |definition: &Definition| definition.row.iter().map(|row| row.name.clone()).collect::<Vec<_>>();
+    assert_eq!(names(&small), [names(&base), vec!["New".into()]].concat());
+    let row = |definition: &Definition| definition.row.iter().find(|row| row.name == "Aug-NeRF").unwrap().set.clone();
+    assert_eq!(row(&small).len(), row(&base).len() + 1, "settings of the row are kept");
+    assert_eq!(small.seeds, [7]);
+    assert_eq!(small.preset, base.preset);
+    assert_eq!(
+        Definition::parse(&small.to_toml(), "written").unwrap(),
+        small,
+        "what is kept with the points stands alone"
+    );
+
+    write("missing.toml", "extends = \"nowhere.toml\"\n");
+    assert!(read("missing.toml").unwrap_err().to_string().contains("nowhere.toml"));
+    write("self.toml", "extends = \"self.toml\"\n");
+    assert!(read("self.toml").unwrap_err().to_string().contains("extend each other"));
+    write("number.toml", "extends = 3\n");
+    assert!(read("number.toml").unwrap_err().to_string().contains("in quotes"));
 }
 
 #[test]

@@ -7,7 +7,7 @@ use toml::{Table, Value};
 
 use crate::error::{Error, Result};
 
-use super::{PublishedKey, RowSpec, TableSpec};
+use super::{PublishedKey, RowSpec, TableSpec, extends};
 
 /// More points than anyone means.
 const MOST_POINTS: usize = 10_000;
@@ -97,7 +97,8 @@ pub enum Combine {
     OneAtATime,
 }
 
-/// Rows of equal cost: each gets as many steps as `like` costs with its own.
+/// Rows of equal cost: each gets as many steps as `like` costs with its own, and its learning rate
+/// falls over them as it would have over the row's own steps.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Budget {
@@ -190,19 +191,16 @@ pub struct Overrides {
 }
 
 impl Definition {
-    /// Reads a sweep file and checks it as far as that is possible without configurations.
+    /// Reads a sweep file, over the one that it extends if it does, and checks it as far as that is
+    /// possible without configurations.
     pub fn read(path: &Path) -> Result<Definition> {
-        let text = std::fs::read_to_string(path)
-            .map_err(|e| Error::Config(format!("cannot read the sweep file {}: {e}", path.display())))?;
-        Definition::parse(&text, &path.display().to_string())
+        let table = extends::read(path)?;
+        checked(Value::Table(table).try_into(), &path.display().to_string())
     }
 
-    /// The same from text; `origin` names it in messages.
+    /// A definition from text that extends nothing; `origin` names it in messages.
     pub fn parse(text: &str, origin: &str) -> Result<Definition> {
-        let in_file = |message: String| Error::Config(format!("{origin}: {message}"));
-        let definition: Definition = toml::from_str(text).map_err(|e| in_file(e.to_string()))?;
-        definition.check().map_err(in_file)?;
-        Ok(definition)
+        checked(toml::from_str(text), origin)
     }
 
     /// The definition as TOML.
@@ -342,6 +340,13 @@ impl Definition {
         let of_data = of_data.into_iter().filter(|_| !moves_data);
         always.into_iter().chain(of_data).map(String::from).collect()
     }
+}
+
+fn checked(parsed: std::result::Result<Definition, toml::de::Error>, origin: &str) -> Result<Definition> {
+    let in_file = |message: String| Error::Config(format!("{origin}: {message}"));
+    let definition = parsed.map_err(|e| in_file(e.to_string()))?;
+    definition.check().map_err(in_file)?;
+    Ok(definition)
 }
 
 /// The name of a scene in tables: its folder's last component.

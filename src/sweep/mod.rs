@@ -14,6 +14,7 @@ mod budget;
 mod claim;
 mod collect;
 mod definition;
+mod extends;
 mod folder;
 pub mod plots;
 mod points;

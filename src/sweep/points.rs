@@ -143,13 +143,24 @@ impl Builder<'_> {
     /// cannot be read here, if it cannot.
     fn config(&self, row: &Row, axes: &Combination) -> Result<(Config, Option<String>)> {
         let mut config = self.plain_config(row, axes)?;
-        let no_data = self.no_data(&config).map_err(|error| in_row(row, axes, error))?;
+        let mut located = config.clone();
+        let no_data = match locate_scene(&mut located) {
+            Ok(()) => None,
+            Err(Error::Data(message)) => Some(message),
+            // A scene that is there and does not fit the settings is an error of the definition.
+            Err(error) => return Err(in_row(row, axes, error)),
+        };
         if let Some(Budget { kind, like }) = row.budget.as_ref().or(self.definition.budget.as_ref())
             && *like != row.name
             && no_data.is_none()
         {
             let other = self.definition.row.iter().find(|row| row.name == *like).expect("checked");
-            config.train.steps = steps_within(*kind, &config, &self.plain_config(other, &Vec::new())?, self.costs)?;
+            let steps = steps_within(*kind, &config, &self.plain_config(other, &Vec::new())?, self.costs)?;
+            // The decay of the learning rate is stretched too: at the old one a long run would stand still at its end.
+            let stretch = steps as f64 / config.train.steps as f64;
+            let decay_steps = located.train.decay_steps.expect("resolved") as f64 * stretch;
+            config.train.decay_steps = Some((decay_steps.round() as u64).max(1));
+            config.train.steps = steps;
             config.validate().map_err(|error| in_row(row, axes, error))?;
         }
         Ok((config, no_data))
@@ -174,16 +185,6 @@ impl Builder<'_> {
         }
         assign("seed", Value::Integer(self.seed as i64));
         build(Some(preset), None, &assignments).map_err(|error| in_row(row, axes, error))
-    }
-
-    /// Why the scene cannot be read here. A scene that is there and does not fit the settings is
-    /// an error of the definition.
-    fn no_data(&self, config: &Config) -> Result<Option<String>> {
-        match locate_scene(&mut config.clone()) {
-            Ok(()) => Ok(None),
-            Err(Error::Data(message)) => Ok(Some(message)),
-            Err(error) => Err(error),
-        }
     }
 }
 

@@ -1,0 +1,64 @@
+//! A sweep file that starts from another: `extends = "tab4_ablation.toml"`.
+
+use std::path::{Path, PathBuf};
+
+use toml::{Table, Value};
+
+use crate::error::{Error, Result};
+
+const EXTENDS: &str = "extends";
+/// Deeper than anyone means: most likely files that extend each other.
+const DEEPEST: usize = 8;
+
+/// The file's table laid over those of the files that it extends, each named relative to the one
+/// that extends it. Tables and rows of equal name are merged, key by key; anything else is
+/// replaced.
+pub fn read(path: &Path) -> Result<Table> {
+    read_at(path, 0)
+}
+
+fn read_at(path: &Path, depth: usize) -> Result<Table> {
+    let text = std::fs::read_to_string(path)
+        .map_err(|e| Error::Config(format!("cannot read the sweep file {}: {e}", path.display())))?;
+    let in_file = |message: String| Error::Config(format!("{}: {message}", path.display()));
+    let mut table: Table = toml::from_str(&text).map_err(|e| in_file(e.to_string()))?;
+    let Some(base) = table.remove(EXTENDS) else {
+        return Ok(table);
+    };
+    let Value::String(base) = base else {
+        return Err(in_file(format!("extends = {base} is not the name of a sweep file in quotes")));
+    };
+    if depth == DEEPEST {
+        return Err(in_file(format!(
+            "extends = \"{base}\" goes more than {DEEPEST} files deep; do they extend each other?"
+        )));
+    }
+    let folder = path.parent().map_or_else(PathBuf::new, Path::to_path_buf);
+    let mut merged = read_at(&folder.join(&base), depth + 1)?;
+    lay_over(&mut merged, table);
+    Ok(merged)
+}
+
+fn lay_over(base: &mut Table, table: Table) {
+    for (key, value) in table {
+        match (base.get_mut(&key), value) {
+            (Some(Value::Table(below)), Value::Table(above)) => lay_over(below, above),
+            (Some(Value::Array(below)), Value::Array(above)) if key == "row" => merge_rows(below, above),
+            (_, value) => {
+                base.insert(key, value);
+            }
+        }
+    }
+}
+
+/// Rows of a known name are laid over it, others come after.
+fn merge_rows(base: &mut Vec<Value>, rows: Vec<Value>) {
+    for row in rows {
+        let name = row.get("name");
+        let known = base.iter_mut().find(|known| name.is_some() && known.get("name") == name);
+        match (known, row) {
+            (Some(Value::Table(below)), Value::Table(above)) => lay_over(below, above),
+            (_, row) => base.push(row),
+        }
+    }
+}
