@@ -63,7 +63,6 @@ fn step(criterion: &mut Criterion) {
         group.bench_function(name, |bencher| bencher.iter(|| black_box(trainer.step(false).expect("a step"))));
     }
     group.finish();
-    space(criterion);
 }
 
 /// 8,192 points: the trunk's value and weight gradients by candle's backward pass, and a
@@ -95,5 +94,5 @@ fn space(criterion: &mut Criterion) {
     group.finish();
 }
 
-criterion_group!(benches, step);
+criterion_group!(benches, step, space);
 criterion_main!(benches);

@@ -229,19 +229,20 @@ fn smoothness_is_measured_on_one_lattice_for_all_runs() {
     let runs = [nerf.to_str().unwrap(), aug.to_str().unwrap()];
     let output = succeed(&["measure", "--quiet", "--lattice", "12", runs[0], runs[1]]);
     let table = String::from_utf8(output.stdout).unwrap();
-    let lines: Vec<&str> = table.lines().collect();
-    assert_eq!(lines[0], "run,field,l1,tv,laplacian,largest_density,occupied");
-    assert_eq!(lines.len(), 5, "coarse and fine of two runs: {table}");
-    for (line, field) in lines[1..].iter().zip(["coarse", "fine", "coarse", "fine"]) {
-        let cells: Vec<&str> = line.split(',').collect();
-        assert_eq!(cells[1], field);
-        assert!(cells[2..].iter().all(|cell| cell.parse::<f64>().unwrap() >= 0.0), "{line}");
+    let mut reader = csv::Reader::from_reader(table.as_bytes());
+    let names = ["run", "field", "lattice", "domain", "l1", "tv", "laplacian", "largest_density", "occupied"];
+    assert_eq!(reader.headers().unwrap(), &names[..]);
+    let rows: Vec<csv::StringRecord> = reader.records().collect::<Result<_, _>>().unwrap();
+    assert_eq!(rows.len(), 4, "coarse and fine of two runs: {table}");
+    for (row, field) in rows.iter().zip(["coarse", "fine", "coarse", "fine"]) {
+        assert_eq!([&row[1], &row[2]], [field, "12"]);
+        assert!(row.iter().skip(4).all(|cell| cell.parse::<f64>().unwrap() >= 0.0), "{row:?}");
     }
     let file = text(&nerf.join("smoothness.csv"));
     for column in ["lattice", "domain", "tv", "config_hash", "code_revision", "seed", "steps"] {
         assert!(file.lines().next().unwrap().split(',').any(|name| name == column), "{column}: {file}");
     }
-    refuse(&["measure", "--lattice", "2", runs[0]], 2, &["regularizer.lattice", "2", "4 to 1024"]);
+    refuse(&["measure", "--lattice", "2", runs[0]], 2, &["--lattice", "2", "4 to 1024"]);
     refuse(&["measure", "--domain", "1,2,3", runs[0]], 2, &["--domain", "six numbers"]);
     refuse(&["measure", "--domain=1,1,1,0,0,0", runs[0]], 2, &["domain", "corners"]);
     refuse(&["measure", "--domain=90,90,90,91,91,91", runs[0]], 2, &["outside", "90.000", "run from"]);
@@ -260,6 +261,7 @@ fn balance_prints_a_grid_of_weights() {
         let (photometric, term, share, weight) = (number(3), number(4), number(5), number(6));
         assert!((weight * term / photometric / share - 1.0).abs() < 0.02, "{row:?}");
     }
+    refuse(&["balance", "--method", "aug-nerf"], 2, &["aug-nerf", "plain NeRF"]);
 }
 
 #[test]

@@ -5,9 +5,9 @@ use std::path::PathBuf;
 use candle_core::DType;
 use clap::Args;
 
-use crate::config::{LatticePoints, RegularizerConfig, validate_regularizer};
+use crate::config::{LatticePoints, Method, REGULARIZERS, RegularizerConfig, validate_regularizer};
 use crate::error::{Error, Result};
-use crate::evaluate::{Protocol, SmoothnessReport};
+use crate::evaluate::{Protocol, SmoothnessReport, columns};
 use crate::job::load_scene;
 use crate::regularizers::Lattice;
 use crate::train::Trainer;
@@ -51,8 +51,9 @@ impl MeasureArguments {
             lattice: self.lattice,
             points: LatticePoints::Full,
             ..RegularizerConfig::default()
-        })?;
-        print("run,field,l1,tv,laplacian,largest_density,occupied");
+        })
+        .map_err(|error| Error::Config(error.to_string().replace("regularizer.", "--")))?;
+        let mut header = true;
         for run in &self.runs {
             let trained = Trained::open(run, self.data.as_deref(), &device, &screen)?;
             let Trained { run: folder, config, scene, state, model } = &trained;
@@ -60,22 +61,26 @@ impl MeasureArguments {
             let report = SmoothnessReport::measure(model, scene, &lattice, protocol, &device, &screen)?;
             report.write(&folder.smoothness())?;
             for field in &report.fields {
-                let s = field.smoothness;
-                print(&format!(
-                    "{},{},{},{},{},{},{}",
-                    run.display(),
-                    field.field,
-                    s.l1,
-                    s.tv,
-                    s.laplacian,
-                    s.largest_density,
-                    s.occupied
-                ));
+                let (mut names, mut values): (Vec<_>, Vec<_>) = columns(field).into_iter().unzip();
+                names.insert(0, "run".into());
+                values.insert(0, run.display().to_string());
+                if std::mem::take(&mut header) {
+                    print(&csv_line(&names));
+                }
+                print(&csv_line(&values));
             }
             screen.say(&format!("with the run's protocol: {}", folder.smoothness().display()));
         }
         Ok(())
     }
+}
+
+/// Cells as a line of CSV.
+fn csv_line(cells: &[String]) -> String {
+    let mut writer = csv::Writer::from_writer(Vec::new());
+    writer.write_record(cells).expect("memory holds it");
+    let line = writer.into_inner().expect("memory holds it");
+    String::from_utf8(line).expect("text stays text").trim_end().to_string()
 }
 
 fn parse_domain(text: &str) -> Result<[[f64; 3]; 2]> {
@@ -104,11 +109,18 @@ impl BalanceArguments {
         let device = self.machine.device()?;
         let screen = Screen::new(self.machine.quiet);
         let mut config = self.experiment.config()?;
+        if config.method != Method::Nerf {
+            return Err(Error::Config(format!(
+                "balance measures regularizers beside the loss of plain NeRF: leave method {} out",
+                config.method.name()
+            )));
+        }
         // Where terms are evaluated; the training itself is without any.
         let regularizer = std::mem::take(&mut config.regularizer);
         let scene = load_scene(&mut config, &screen)?;
         Lattice { domain: regularizer.domain, side: regularizer.lattice }.check_meets(&scene)?;
         let mut trainer = Trainer::new(&config, &scene, DType::F32, &device)?;
+        trainer.check_duration(&regularizer, REGULARIZERS.len() as u64)?;
         let mut bar = TrainingBar::new(self.machine.quiet, 0, self.steps, config.train.rays);
         for _ in 0..self.steps {
             let stats = trainer.step(false)?;
@@ -122,14 +134,15 @@ impl BalanceArguments {
                 // Nothing to divide by where the term has no pull: no weight, rather than a wrong one.
                 let weight = share * balance.photometric_norm / balance.term_norm;
                 let weight = if weight.is_finite() { format!("{weight:.2e}") } else { String::new() };
-                print(&format!(
-                    "{},{},{},{:e},{:e},{share:.3},{weight}",
-                    config.data.name,
-                    self.steps,
-                    balance.term.name(),
-                    balance.photometric_norm,
-                    balance.term_norm
-                ));
+                print(&csv_line(&[
+                    config.data.name.clone(),
+                    self.steps.to_string(),
+                    balance.term.name().into(),
+                    format!("{:e}", balance.photometric_norm),
+                    format!("{:e}", balance.term_norm),
+                    format!("{share:.3}"),
+                    weight,
+                ]));
             }
         }
         screen.say(

@@ -39,8 +39,8 @@ const TRAIN_EXAMPLES: &str = "Examples:
   augnerf train --data fern --preset cpu --method aug-nerf the same with worst-case augmentation
   augnerf train --data fern --preset cpu --method aug-nerf --set perturb.attack=calibrated
   augnerf train --data fern --preset cpu --method aug-nerf --set perturb.rgb.passes=off --set perturb.density.passes=off
-  augnerf train --data fern --preset cpu --set regularizer.kind=tv --set regularizer.weight=1e-5
-  augnerf train --data fern --preset cpu --set 'regularizer.kind=[\"tv\",\"l1\"]' --set 'regularizer.weight=[1e-5,1e-3]'
+  augnerf train --data fern --preset cpu --set regularizer.kind=tv --set regularizer.weight=8e-7
+  augnerf train --data fern --preset cpu --set 'regularizer.kind=[\"tv\",\"l1\"]' --set 'regularizer.weight=[8e-7,3e-5]'
   augnerf train --data fern --preset paper-llff --print-config";
 
 const MEASURE_EXAMPLES: &str = "Examples:

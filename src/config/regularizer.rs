@@ -28,8 +28,8 @@ impl Regularizer {
         }
     }
 
-    /// The weight where none is set: a tenth of the photometric loss's pull on the weights, as `augnerf balance`
-    /// measures it after 100 steps of preset `cpu` on fern, rounded to a power of ten.
+    /// The weight where none is set: about a tenth of the photometric loss's pull on the weights of small networks
+    /// on fern. What balances another scene can be a thousand times as much; `augnerf balance` measures it.
     fn default_weight(self) -> f64 {
         match self {
             Regularizer::L1 => 1e-4,
@@ -108,7 +108,8 @@ impl RegularizerConfig {
         self.kind.iter().copied().zip(self.weight.iter().copied())
     }
 
-    /// Fills empty weights and drops terms of weight 0, after which nothing may tell the run from one without them.
+    /// Fills empty weights and drops what has no effect: terms of weight 0, after which nothing may tell the run from
+    /// one without them, and how to sample a lattice that is not sampled.
     pub(super) fn resolve(&mut self) {
         if self.weight.is_empty() {
             self.weight = self.kind.iter().map(|kind| kind.default_weight()).collect();
@@ -116,6 +117,10 @@ impl RegularizerConfig {
         (self.kind, self.weight) = self.terms().filter(|(_, weight)| *weight != 0.0).unzip();
         if self.kind.is_empty() {
             *self = RegularizerConfig::default();
+        }
+        if self.points == LatticePoints::Full {
+            let RegularizerConfig { points_per_step, jitter, .. } = RegularizerConfig::default();
+            (self.points_per_step, self.jitter) = (points_per_step, jitter);
         }
     }
 }

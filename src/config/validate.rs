@@ -7,6 +7,9 @@ use super::{
 };
 use crate::error::{Error, Result};
 
+/// Points of a step are drawn at once: so many take a few hundred megabytes.
+const MOST_POINTS_PER_STEP: usize = 1 << 22;
+
 /// Refuses with `field = value: allowed` unless `ok`.
 fn require(ok: bool, field: &str, value: impl std::fmt::Display, allowed: &str) -> Result<()> {
     if ok {
@@ -45,10 +48,11 @@ pub fn validate_regularizer(regularizer: &RegularizerConfig) -> Result<()> {
     require((4..=1024).contains(&lattice), "regularizer.lattice", lattice, allowed)?;
     let (points, cells) = (regularizer.points_per_step, lattice.pow(3));
     if regularizer.points == LatticePoints::Sampled {
+        let most = cells.min(MOST_POINTS_PER_STEP);
         let allowed = format!(
-            "1 to {cells}, the cells of a lattice of {lattice} a side (regularizer.points = \"full\" asks for all)"
+            "1 to {most} on a lattice of {lattice} a side (regularizer.points = \"full\" asks for all {cells} cells)"
         );
-        require((1..=cells).contains(&points), "regularizer.points_per_step", points, &allowed)?;
+        require((1..=most).contains(&points), "regularizer.points_per_step", points, &allowed)?;
     }
     Ok(())
 }

@@ -96,7 +96,7 @@ pub struct Smoothness {
     pub laplacian: f64,
     /// Largest density, 1 / length.
     pub largest_density: f64,
-    /// Share of points with positive density.
+    /// Share of points with positive density: all of them where density is a softplus.
     pub occupied: f64,
 }
 
@@ -155,7 +155,7 @@ pub fn estimate_seconds(
     };
     // The first pays for fresh memory.
     work()?;
-    let threads = if device.is_cpu() { rayon::current_num_threads() } else { 1 };
+    let threads = if device.is_cpu() { rayon::current_num_threads().min(CHUNKS_AT_ONCE) } else { 1 };
     Ok(work()? * count as f64 / chunk as f64 / threads as f64)
 }
 
@@ -197,7 +197,7 @@ fn term_sum(term: Regularizer, spatial: &Spatial) -> Result<f64> {
     Ok(at_points.to_dtype(DType::F64)?.sum_all()?.to_scalar()?)
 }
 
-/// Derivatives of the sum of `volume * weight * term` over points.
+/// Derivatives of the sum of `volume * weight * term` over points; each term is named once.
 fn cotangents(spatial: &Spatial, terms: &[(Regularizer, f64)], volume: f64) -> Result<Cotangents> {
     let mut cotangents = Cotangents::default();
     for &(term, weight) in terms {

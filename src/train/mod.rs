@@ -233,7 +233,9 @@ impl Trainer {
             let dead = trainer.dead_fields(&points)?;
             if dead.is_empty() {
                 trainer.redraws = redraws;
-                trainer.check_duration()?;
+                if !config.regularizer.kind.is_empty() {
+                    trainer.check_duration(&config.regularizer, config.train.steps)?;
+                }
                 return Ok(trainer);
             }
             for field in dead {

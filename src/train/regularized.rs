@@ -12,6 +12,8 @@ use super::{Gradients, Trainer, scalar};
 /// A run whose regularizers alone would take longer is refused.
 const MOST_DAYS: f64 = 30.0;
 const SECONDS_PER_DAY: f64 = 86_400.0;
+/// So few points a step need no estimate.
+const SURELY_FINISHED: usize = 1 << 16;
 
 /// How hard a term at weight 1 pulls on the weights, beside the photometric loss.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -61,28 +63,31 @@ impl Trainer {
         }
     }
 
-    /// Refuses a full lattice that this machine would not get through.
-    pub(super) fn check_duration(&self) -> Result<()> {
-        let config = &self.config.regularizer;
-        if config.kind.is_empty() || config.points == LatticePoints::Sampled {
+    /// Refuses terms whose points this machine would not get through in `steps` steps.
+    pub fn check_duration(&self, config: &RegularizerConfig, steps: u64) -> Result<()> {
+        let lattice = lattice(config);
+        let points = match config.points {
+            LatticePoints::Sampled => config.points_per_step,
+            LatticePoints::Full => lattice.cells(),
+        };
+        if points <= SURELY_FINISHED {
             return Ok(());
         }
-        let lattice = lattice(config);
         let fields: Vec<&Field> =
             self.model.fields().into_iter().filter(|(role, _)| self.regularizes(config, role)).map(|f| f.1).collect();
-        let step = estimate_seconds(fields[0], &lattice, lattice.cells(), true, (self.dtype, &self.device))?
+        let step = estimate_seconds(fields[0], &lattice, points, true, (self.dtype, &self.device))?
             * fields.len() as f64;
-        let days = step * self.config.train.steps as f64 / SECONDS_PER_DAY;
+        let days = step * steps as f64 / SECONDS_PER_DAY;
         if days <= MOST_DAYS {
             return Ok(());
         }
         Err(Error::Config(format!(
-            "regularizer.lattice = {} with points = \"full\" asks for {} points in every step: about {step:.0} s a step \
-             here, {days:.0} days for {} steps (at most {MOST_DAYS} are allowed); set regularizer.points = \"sampled\", or \
-             a smaller lattice",
+            "regularizer.lattice = {}, points = \"{}\" asks for {} points in every step: about {step:.0} s a step here, \
+             {days:.0} days for {steps} steps (at most {MOST_DAYS} are allowed); set regularizer.points = \"sampled\" with \
+             fewer points_per_step, or a smaller lattice",
             lattice.side,
-            lattice.cells() * fields.len(),
-            self.config.train.steps
+            if config.points == LatticePoints::Full { "full" } else { "sampled" },
+            points * fields.len()
         )))
     }
 
