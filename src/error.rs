@@ -35,6 +35,9 @@ pub enum Error {
     /// A sweep that ran to its end while scenes of some of its points are not on this machine.
     #[error("{0}")]
     PointsWithoutData(String),
+    /// A table whose rows differ in what its definition does not vary.
+    #[error("{0}")]
+    NotComparable(String),
     /// A failure inside the tensor library: a defect of this program or of the device.
     #[error("tensor operation failed: {0}")]
     Tensor(#[from] candle_core::Error),
@@ -55,6 +58,7 @@ impl Error {
             Error::Diverged(_) => 6,
             Error::PointsFailed(_) => 7,
             Error::PointsWithoutData(_) => 8,
+            Error::NotComparable(_) => 9,
             Error::Interrupted { signal, .. } => 128 + *signal as u8,
         }
     }

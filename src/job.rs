@@ -275,7 +275,7 @@ impl Desk<'_> {
         let report = Report {
             mean: MeanMetrics::from_views(&views),
             views,
-            protocol: Protocol::new(&self.config, self.scene, trainer.step_count(), trainer.redraws()),
+            protocol: Protocol::new(&self.config, self.scene, &trainer.state()),
             attack,
         };
         report.write(&self.run.metrics_json(), &self.run.metrics_csv())?;

@@ -62,7 +62,7 @@ fn workplace(definition: &str) -> TempDir {
 }
 
 fn start(dir: &Path) -> Child {
-    let mut command = augnerf(&["sweep", "run", "tiny.toml", "--quiet", "--max-deaths", "1000"], dir);
+    let mut command = augnerf(&["sweep", "run", "tiny.toml", "--quiet"], dir);
     command.stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap()
 }
 
@@ -101,15 +101,24 @@ fn killed_at_random_moments_equals_undisturbed() {
         child.kill().unwrap();
         child.wait().unwrap();
     }
-    demand(&["sweep", "run", "tiny.toml", "--quiet", "--max-deaths", "1000"], disturbed.path(), 0);
+    demand(&["sweep", "run", "tiny.toml", "--quiet"], disturbed.path(), 0);
     assert_same_tables(undisturbed.path(), disturbed.path());
     let points = std::fs::read_dir(disturbed.path().join("runs/tiny/points")).unwrap();
+    let mut sessions = 0;
     for point in points {
         let point = point.unwrap().path();
-        assert!(point.join("result.json").is_file() && !point.join("claim.json").exists(), "{}", point.display());
+        let left: Vec<_> = std::fs::read_dir(&point).unwrap().map(|entry| entry.unwrap().file_name()).collect();
+        let known = ["claim.lock", "config.toml", "result.json", "run"];
+        assert!(left.iter().all(|name| known.iter().any(|known| name == known)), "{left:?}");
+        assert!(point.join("result.json").is_file(), "{}", point.display());
+        let timing = std::fs::read_to_string(point.join("run/timing.json")).unwrap();
+        let timing: serde_json::Value = serde_json::from_str(&timing).unwrap();
+        sessions += timing["sessions"].as_u64().unwrap();
     }
+    assert!(kills == 0 || sessions > 4, "no kill hit a training: {sessions} sessions of 4 points");
 }
 
+/// A budget in seconds, too: whoever begins the folder measures it, for both.
 #[test]
 fn two_runners_share_a_folder() {
     let (alone, shared) = (workplace(TINY), workplace(TINY));
@@ -119,6 +128,13 @@ fn two_runners_share_a_folder() {
         assert!(runner.wait().unwrap().success());
     }
     assert_same_tables(alone.path(), shared.path());
+    let budget = format!("{TINY}[[row]]\nname = \"equal\"\nbudget = {{ kind = \"seconds\", like = \"Aug-NeRF\" }}\n");
+    let equal = workplace(&budget);
+    let runners = [start(equal.path()), start(equal.path())];
+    for mut runner in runners {
+        assert!(runner.wait().unwrap().success());
+    }
+    assert_eq!(std::fs::read_dir(equal.path().join("runs/tiny/points")).unwrap().count(), 6);
     // One session each: no point was begun twice.
     for point in std::fs::read_dir(shared.path().join("runs/tiny/points")).unwrap() {
         let timing = std::fs::read_to_string(point.unwrap().path().join("run/timing.json")).unwrap();
@@ -141,8 +157,18 @@ fn failures_are_listed_and_the_rest_is_done() {
     let status = demand(&["sweep", "status", "runs/tiny"], dir.path(), 0);
     assert!(status.contains("failed") && status.contains("not a number") && status.contains("4 done"), "{status}");
     let points = std::fs::read_to_string(dir.path().join("results/tiny/points.csv")).unwrap();
-    let failed: Vec<&str> = points.lines().filter(|line| line.contains(",failed,")).collect();
+    let mut reader = csv::Reader::from_reader(points.as_bytes());
+    let header = reader.headers().unwrap().clone();
+    let column = |name: &str| header.iter().position(|known| known == name).unwrap();
+    let rows: Vec<csv::StringRecord> = reader.records().collect::<Result<_, _>>().unwrap();
+    let failed: Vec<_> = rows.iter().filter(|row| &row[column("status")] == "failed").collect();
     assert_eq!(failed.len(), 2, "{points}");
+    for row in failed {
+        assert!(row[column("reason")].contains("not a number"), "{row:?}");
+        for metric in ["psnr", "ssim", "tv", "config_hash"] {
+            assert_eq!(&row[column(metric)], "", "missing is empty: {row:?}");
+        }
+    }
 }
 
 #[test]
@@ -165,11 +191,47 @@ fn a_scene_that_is_missing_and_a_definition_that_changed_are_said() {
     demand(&["sweep", "status", "nothing"], dir.path(), 5);
 }
 
+/// Waits until a point is in training.
+fn wait_for_claim(dir: &Path) {
+    for _ in 0..600 {
+        std::thread::sleep(Duration::from_millis(50));
+        let points = std::fs::read_dir(dir.join("runs/tiny/points")).into_iter().flatten().flatten();
+        if points.into_iter().any(|point| point.path().join("run/config.toml").exists()) {
+            return;
+        }
+    }
+    panic!("nothing was begun within half a minute");
+}
+
+/// Rows that were trained by different programs are not put side by side; the points are all there.
+#[test]
+fn rows_of_two_revisions_are_refused_and_what_became_of_points_is_still_said() {
+    let dir = workplace(TINY);
+    demand(&["sweep", "run", "tiny.toml", "--quiet", "--set", "train.steps=5"], dir.path(), 0);
+    let point = std::fs::read_dir(dir.path().join("runs/tiny/points")).unwrap().next().unwrap().unwrap().path();
+    let result = point.join("result.json");
+    let text = std::fs::read_to_string(&result).unwrap();
+    let value: serde_json::Value = serde_json::from_str(&text).unwrap();
+    let fields = value["protocol"].as_array().unwrap();
+    let revision = fields.iter().find(|field| field[0] == "code_revision").unwrap()[1].as_str().unwrap();
+    std::fs::write(&result, text.replace(revision, "another")).unwrap();
+    let message = demand(&["sweep", "run", "tiny.toml", "--quiet", "--set", "train.steps=5"], dir.path(), 9);
+    assert!(
+        message.contains("code_revision") && message.contains("another") && message.contains("--force"),
+        "{message}"
+    );
+    let results = dir.path().join("results/tiny");
+    assert!(results.join("points.csv").is_file());
+    assert!(!results.join("table.csv").exists() && !results.join("rows_builtin_psnr.svg").exists(), "no stale table");
+    demand(&["sweep", "collect", "runs/tiny", "--force"], dir.path(), 0);
+    assert!(std::fs::read_to_string(results.join("table.md")).unwrap().contains("code_revision"));
+}
+
 #[test]
 fn sigterm_stops_with_the_signal_s_code_and_the_next_run_ends_it() {
     let dir = workplace(&TINY.replace("\"train.steps\" = 60", "\"train.steps\" = 400"));
     let mut child = start(dir.path());
-    std::thread::sleep(Duration::from_millis(700));
+    wait_for_claim(dir.path());
     Command::new("kill").args(["-TERM", &child.id().to_string()]).status().unwrap();
     assert_eq!(child.wait().unwrap().code(), Some(143));
     demand(&["sweep", "run", "tiny.toml", "--quiet"], dir.path(), 0);

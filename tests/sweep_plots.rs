@@ -85,7 +85,7 @@ fn figure_records() -> Vec<Record> {
         for panel in panels {
             for (i, value) in values.iter().enumerate() {
                 for seed in 0..3 {
-                    let effect = if *panel == "features" { 0.2 * i as f64 } else { 0.0 };
+                    let effect = if *panel == "features" { i as f64 } else { 0.0 };
                     let psnr = 19.0 + effect + 0.2 * noise(seed, i as u64);
                     let missing = *panel == "output" && *value == "3";
                     let axes = vec![axis_value(axis, panel, value)];
@@ -107,7 +107,8 @@ fn the_paper_s_figure() {
         assert!(figure.svg.contains(words), "{words}");
     }
     // Panels of coordinates and output show nothing; those of features do.
-    assert_eq!(figure.svg.matches("3 seeds: within the seeds").count(), 4);
+    assert_eq!(figure.svg.matches("3 seeds: not distinguishable").count(), 4);
+    assert_eq!(figure.svg.matches("differ, p 0.").count(), 3);
     assert!(figure.svg.contains("output steps = 3 (Aug-NeRF)"), "the missing value is named");
     assert!(axes_figure(&spec, &records, "orchids", "psnr").unwrap().is_none());
     assert!(axes_figure(&spec, &records, "fern", "ssim").unwrap().is_none());
@@ -167,7 +168,7 @@ fn odd_input_draws_or_says_that_there_is_nothing() {
     let figure = axes_figure(&two, &one, "fern", "psnr").unwrap().unwrap();
     assert!(figure.svg.contains("one seed: no spread known") && figure.svg.contains("worst-case"));
     let equal: Vec<Record> = (0..6).map(|i| word(["a", "b"][i as usize % 2], i / 2, Some(20.0))).collect();
-    assert!(axes_figure(&two, &equal, "fern", "psnr").unwrap().unwrap().svg.contains("within the seeds"));
+    assert!(axes_figure(&two, &equal, "fern", "psnr").unwrap().unwrap().svg.contains("3 seeds: not distinguishable"));
     let broken = [word("a", 0, Some(f64::NAN)), word("b", 0, None)];
     assert!(axes_figure(&two, &broken, "fern", "psnr").unwrap().is_none());
     let plain = [record("NeRF", vec![], 0, Some(20.0)), record("Aug-NeRF", vec![], 0, None)];

@@ -49,9 +49,10 @@ impl Trained {
             config.data.dir = dir.to_string_lossy().into_owned();
         }
         let newest = checkpoint::latest(&run.checkpoints())?;
-        let state = checkpoint::load_state(&newest)?;
+        let mut state = checkpoint::load_state(&newest)?;
         let model = checkpoint::load_model(&newest, &config, DType::F32, device)?;
         checkpoint::check_config(&newest, &state, &config)?;
+        state.touch(device);
         let scene = load_scene(&mut config, screen)?;
         Ok(Trained { run, config, scene, state, model })
     }
@@ -69,7 +70,7 @@ impl EvalArguments {
         let report = Report {
             mean: MeanMetrics::from_views(&views),
             views,
-            protocol: Protocol::new(config, scene, state.step, &state.redraws),
+            protocol: Protocol::new(config, scene, state),
             attack: AttackSummary::read(&run.scalars(), state.step)?,
         };
         report.write(&run.metrics_json(), &run.metrics_csv())?;

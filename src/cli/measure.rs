@@ -57,7 +57,7 @@ impl MeasureArguments {
         for run in &self.runs {
             let trained = Trained::open(run, self.data.as_deref(), &device, &screen)?;
             let Trained { run: folder, config, scene, state, model } = &trained;
-            let protocol = Protocol::new(config, scene, state.step, &state.redraws);
+            let protocol = Protocol::new(config, scene, state);
             let report = SmoothnessReport::measure(model, scene, &lattice, protocol, &device, &screen)?;
             report.write(&folder.smoothness())?;
             for field in &report.fields {

@@ -31,7 +31,7 @@ struct Arguments {
 
 const EXIT_CODES: &str = "Exit codes: 0 done, 1 internal error, 2 wrong setting or usage, 3 bad input data, 4 output \
 cannot be written or is in the way, 5 bad checkpoint or run folder, 6 training collapsed or went non-finite, 7 points of a sweep failed, \
-8 points of a sweep have no data, 130 or 143 stopped by Ctrl-C or SIGTERM with a checkpoint (resume it).";
+8 points of a sweep have no data, 9 rows of a table are not comparable, 130 or 143 stopped by Ctrl-C or SIGTERM with a checkpoint (resume it).";
 
 const TRAIN_EXAMPLES: &str = "Examples:
   augnerf train                                            the embedded scene, under a minute

@@ -3,18 +3,17 @@
 use std::collections::BTreeMap;
 use std::io::IsTerminal;
 use std::path::{Path, PathBuf};
-use std::sync::Mutex;
 
 use clap::{Args, Subcommand};
 
-use crate::config::{Config, parse_assignment};
+use crate::config::parse_assignment;
 use crate::error::{Error, Result};
 use crate::job::{self, Reporter, load_lpips};
-use crate::output::write_json;
+use crate::metrics::Lpips;
 use crate::sweep::tables::table_terminal;
 use crate::sweep::{
-    Change, Collector, Definition, Failure, Options, Overrides, Point, PointResult, Runner, SMOOTHNESS_METRICS, Status,
-    StepCosts, SweepFolder, Trainings, Watch, expand, shape,
+    Change, Collector, Cost, Definition, Failure, Options, Overrides, Point, PointResult, Runner, SMOOTHNESS_METRICS,
+    Status, SweepFolder, Trainings, Watch, begin, expand, shape,
 };
 
 use super::progress::{Console, Lines, print};
@@ -28,7 +27,8 @@ const RUN_EXAMPLES: &str = "Examples:
   augnerf sweep run sweeps/tab1_llff.toml --retry-failed   once more, with what failed
 
 The same command goes on where it was stopped or killed; several on one folder share the points.
-Exit codes: 0 done, 7 some points failed, 8 scenes of some points are missing, 130 or 143 stopped (run it again), 2 the
+Exit codes: 0 done, 7 some points failed, 8 scenes of some points are missing, 9 rows may not stand in one
+table (see --force), 130 or 143 stopped (run it again), 2 the
 definition is wrong (do not run it again).";
 
 /// Points of the sweep NAME are in `runs/NAME`.
@@ -127,50 +127,6 @@ impl Changes {
     }
 }
 
-/// Seconds of a step: those measured when the sweep began, kept with it so that its points never
-/// change.
-struct KeptCosts<'a> {
-    path: PathBuf,
-    known: Mutex<BTreeMap<String, f64>>,
-    /// Measures what is not known; none where only files are read.
-    measure: Option<&'a Trainings<'a>>,
-}
-
-impl<'a> KeptCosts<'a> {
-    fn new(folder: &SweepFolder, measure: Option<&'a Trainings<'a>>) -> Result<KeptCosts<'a>> {
-        let path = folder.step_seconds();
-        let known = match std::fs::read(&path) {
-            Ok(bytes) => serde_json::from_slice(&bytes)
-                .map_err(|e| Error::Checkpoint(format!("cannot read {}: {e}", path.display())))?,
-            Err(_) => BTreeMap::new(),
-        };
-        Ok(KeptCosts { path, known: Mutex::new(known), measure })
-    }
-}
-
-impl StepCosts for KeptCosts<'_> {
-    fn seconds_per_step(&self, config: &Config) -> Result<f64> {
-        let mut known = self.known.lock().expect("no panic while measuring");
-        let shape = shape(config);
-        if let Some(seconds) = known.get(&shape) {
-            return Ok(*seconds);
-        }
-        let Some(trainings) = self.measure else {
-            return Err(Error::Checkpoint(format!(
-                "{} does not hold the step time of every row; `augnerf sweep run` measures them",
-                self.path.display()
-            )));
-        };
-        let seconds = trainings.seconds_per_step(config)?;
-        known.insert(shape, seconds);
-        if let Some(parent) = self.path.parent() {
-            std::fs::create_dir_all(parent).map_err(|e| Error::unwritable(parent, &e))?;
-        }
-        write_json(&self.path, &*known)?;
-        Ok(seconds)
-    }
-}
-
 #[derive(Args)]
 pub struct RunArguments {
     #[command(flatten)]
@@ -192,9 +148,12 @@ pub struct RunArguments {
     /// Take a definition that has changed since the folder was begun; points that it no longer has stay on disk
     #[arg(long)]
     extend: bool,
-    /// A point with which so many runners were killed in a row counts as failed
-    #[arg(long, value_name = "N", default_value_t = 10)]
+    /// A point with which so many runners were killed in a row, none at a later checkpoint, counts as failed
+    #[arg(long, value_name = "N", default_value_t = 25, value_parser = clap::value_parser!(u32).range(1..))]
     max_deaths: u32,
+    /// Measure finished points again that lack a metric which can be measured now, such as LPIPS
+    #[arg(long)]
+    remeasure: bool,
     /// Put rows side by side that differ in an uncontrolled setting, such as the code's revision, and mark them
     #[arg(long)]
     force: bool,
@@ -212,22 +171,29 @@ impl RunArguments {
             if self.jobs == 1 { Box::new(Console::new(quiet)) } else { Box::new(Lines::new(quiet)) };
         let definition = self.changes.definition(&self.place)?;
         let folder = self.place.folder()?;
-        let change = folder.compare(&definition)?;
         let weights = self.weights.lpips_weights.map(std::path::absolute).transpose();
         let weights = weights.map_err(|e| Error::Config(format!("--lpips-weights: {e}")))?;
         let weights = weights.map_or(String::new(), |dir| dir.to_string_lossy().into_owned());
         let lpips = load_lpips(&weights, &device)?;
+        let (measured, missing): (Vec<_>, Vec<_>) =
+            definition.metrics.iter().cloned().partition(|metric| measurable(metric, &lpips));
+        if !missing.is_empty() {
+            console.say(&format!(
+                "not measured, for want of LPIPS weights (--lpips-weights, AUGNERF_LPIPS_WEIGHTS): {}; with --remeasure a \
+                 later run measures them from the points' checkpoints",
+                missing.join(", ")
+            ));
+        }
         let name = self.machine.device.clone().unwrap_or_else(|| "cpu".into());
         let smoothness = definition.metrics.iter().any(|metric| SMOOTHNESS_METRICS.contains(&metric.as_str()));
         let trainings = Trainings::new(job::Machine { device, name }, (lpips, weights), smoothness, &*console);
-        let costs = KeptCosts::new(&folder, Some(&trainings))?;
-        let points = expand(&definition, self.place.data_root.as_deref(), &costs)?;
-        begin(&folder, &definition, &points, change, self.extend, &costs)?;
+        let points = begin(&folder, &definition, self.place.data_root.as_deref(), self.extend, &trainings)?;
         let options = Options {
             jobs: usize::from(self.jobs),
             fail_fast: self.fail_fast,
             retry_failed: self.retry_failed,
             most_deaths: self.max_deaths,
+            remeasure: if self.remeasure { measured } else { Vec::new() },
         };
         let stop = catch_signals()?;
         let watch = Announcer { console: &*console };
@@ -246,42 +212,22 @@ impl RunArguments {
         // A stopped sweep leaves the table of what is done, too.
         let table = collector.write();
         ran?;
-        let table = table?;
-        if !quiet {
-            print(&table_terminal(&table, terminal_width()));
+        if let Ok(table) = &table
+            && !quiet
+        {
+            print(&table_terminal(table, terminal_width()));
         }
         console.say(&format!("tables: {}", collector.results.display()));
-        summarise(&folder, &points)
+        // What became of the points comes before what became of the table.
+        summarise(&folder, &points)?;
+        table.map(|_| ())
     }
 }
 
-/// Makes the folder, or checks that it is this definition's.
-fn begin(
-    folder: &SweepFolder,
-    definition: &Definition,
-    points: &[Point],
-    change: Change,
-    extend: bool,
-    costs: &KeptCosts,
-) -> Result<()> {
-    match change {
-        Change::None => Ok(()),
-        Change::New => folder.begin(definition),
-        Change::Changed if extend => folder.begin(definition),
-        Change::Changed => {
-            let before = expand(&folder.definition()?, None, costs)?;
-            let missing = |from: &[Point], other: &[Point]| {
-                from.iter().filter(|point| other.iter().all(|known| known.id != point.id)).count()
-            };
-            Err(Error::Config(format!(
-                "{} was begun with another definition: this one has {} points that it had not, and lacks {} that it had; \
-                 --extend goes on with this definition (nothing is deleted), another --name or --out starts a new sweep",
-                folder.path().display(),
-                missing(points, &before),
-                missing(&before, points)
-            )))
-        }
-    }
+/// Whether a metric can be had with these LPIPS backbones.
+fn measurable(metric: &str, lpips: &[Lpips]) -> bool {
+    let backbone = metric.strip_prefix("lpips_").or(metric.strip_prefix("average_"));
+    backbone.is_none_or(|name| lpips.iter().any(|lpips| lpips.backbone().name() == name))
 }
 
 /// Says what became of the points; an error where not all are done.
@@ -339,6 +285,13 @@ fn terminal_width() -> u16 {
     if std::io::stdout().is_terminal() { columns.max(60) } else { 160 }
 }
 
+/// The points of a folder that a sweep was begun in.
+fn begun(folder: &SweepFolder, data_root: Option<&Path>) -> Result<Vec<Point>> {
+    folder.points(data_root)?.ok_or_else(|| {
+        Error::Checkpoint(format!("{} has no points.json: `augnerf sweep run` writes it", folder.path().display()))
+    })
+}
+
 #[derive(Args)]
 pub struct CollectArguments {
     /// Folder of a sweep: runs/NAME, or what --out named
@@ -361,7 +314,7 @@ impl CollectArguments {
     pub fn run(self) -> Result<()> {
         let folder = SweepFolder::new(&self.folder);
         let definition = folder.definition()?;
-        let points = expand(&definition, self.data_root.as_deref(), &KeptCosts::new(&folder, None)?)?;
+        let points = begun(&folder, self.data_root.as_deref())?;
         let path = std::path::absolute(&self.folder).map_err(|e| Error::unreadable(&self.folder, &e))?;
         let name = path.file_name().map_or("sweep".into(), |name| name.to_string_lossy().into_owned());
         let runs = path.parent().filter(|parent| parent.file_name().is_some_and(|name| name == RUNS));
@@ -403,34 +356,58 @@ impl PlanArguments {
         let folder = self.place.folder()?;
         let name = self.machine.device.clone().unwrap_or_else(|| "cpu".into());
         let trainings = Trainings::new(job::Machine { device, name }, (Vec::new(), String::new()), false, &console);
-        let costs = KeptCosts::new(&folder, Some(&trainings))?;
-        let points = expand(&definition, self.place.data_root.as_deref(), &costs)?;
+        let data_root = self.place.data_root.as_deref();
+        let points = match folder.points(data_root)? {
+            Some(points) if folder.compare(&definition)? == Change::None => points,
+            _ => expand(&definition, data_root, &trainings)?,
+        };
         print(&format!("{} points", points.len()));
-        let mut shapes: BTreeMap<String, (usize, &Point)> = BTreeMap::new();
-        for point in points.iter().filter(|point| point.no_data.is_none()) {
-            shapes.entry(shape(&point.config)).or_insert((0, point)).0 += 1;
+        let left: Vec<&Point> =
+            points.iter().filter(|point| point.no_data.is_none() && !folder.point(&point.id).ended()).collect();
+        // Points of equal steps and shape cost the same.
+        let mut kinds: BTreeMap<(String, u64), Vec<&Point>> = BTreeMap::new();
+        for point in &left {
+            kinds.entry((shape(&point.config), point.config.train.steps)).or_default().push(point);
         }
-        let mut total = 0.0;
-        for (shape, (count, example)) in &shapes {
-            let cost = trainings.cost(&example.config)?;
-            let of_shape = points.iter().filter(|point| crate::sweep::shape(&point.config) == *shape);
-            let seconds: f64 = of_shape.map(|point| cost.seconds(point.config.train.steps)).sum();
-            total += seconds;
-            let memory = cost.peak_memory_mib.map_or("-".into(), |mib| format!("{mib:.0} MiB"));
+        let mut costs: BTreeMap<&str, Cost> = BTreeMap::new();
+        let (mut total, mut memory) = (0.0, None);
+        for ((shape, steps), points) in &kinds {
+            let cost = match costs.get(shape.as_str()) {
+                Some(cost) => *cost,
+                None => trainings.cost(&points[0].config)?,
+            };
+            costs.insert(shape, cost);
+            total += points.len() as f64 * cost.seconds(*steps);
+            memory = [memory, cost.peak_memory_mib].into_iter().flatten().reduce(f64::max);
             print(&format!(
-                "{count:4} x {:44} {:8.3} s/step  {:9} a point  {memory}",
-                example.label(),
+                "{:4} x {:44} {:8.3} s/step  {:9} a point  {}",
+                points.len(),
+                points[0].label(),
                 cost.seconds_per_step,
-                duration(cost.seconds(example.config.train.steps)),
+                duration(cost.seconds(*steps)),
+                mebibytes(cost.peak_memory_mib)
             ));
         }
         let missing = points.iter().filter(|point| point.no_data.is_some()).count();
         if missing > 0 {
             print(&format!("{missing:4} x no data"));
         }
-        print(&format!("{} in all, one point after the other", duration(total)));
+        let ended = points.len() - missing - left.len();
+        if ended > 0 {
+            print(&format!("{ended:4} x done or failed before"));
+        }
+        print(&format!(
+            "{} in all, one point after the other, and {} of memory; --jobs N needs N times as much. Rendering is counted; \
+             LPIPS and smoothness are not",
+            duration(total),
+            mebibytes(memory)
+        ));
         Ok(())
     }
+}
+
+fn mebibytes(memory: Option<f64>) -> String {
+    memory.map_or("unknown".into(), |mib| format!("{mib:.0} MiB"))
 }
 
 /// Seconds for a person.
@@ -458,20 +435,34 @@ pub struct StatusArguments {
 impl StatusArguments {
     pub fn run(self) -> Result<()> {
         let folder = SweepFolder::new(&self.folder);
-        let definition = folder.definition()?;
-        let points = expand(&definition, self.data_root.as_deref(), &KeptCosts::new(&folder, None)?)?;
+        let points = begun(&folder, self.data_root.as_deref())?;
+        let terminal = console::Term::stdout();
+        let mut shown = 0;
         loop {
-            let left = show(&folder, &points)?;
+            let (lines, left) = states(&folder, &points)?;
+            // On a screen the table stays in its place.
+            terminal
+                .clear_last_lines(shown)
+                .map_err(|e| Error::Output(format!("cannot write to the terminal: {e}")))?;
+            lines.iter().for_each(|line| print(line));
             match self.watch {
                 Some(seconds) if left > 0 => std::thread::sleep(std::time::Duration::from_secs(seconds.into())),
                 _ => return Ok(()),
             }
+            shown = if terminal.is_term() { screen_lines(&lines, terminal.size()) } else { 0 };
         }
     }
 }
 
-/// Prints the points' states; returns how many have not ended.
-fn show(folder: &SweepFolder, points: &[Point]) -> Result<usize> {
+/// Lines that a screen of `(rows, columns)` shows for these, as far as it can still reach them.
+fn screen_lines(lines: &[String], (rows, columns): (u16, u16)) -> usize {
+    let of_line = |line: &String| line.chars().count().div_ceil(usize::from(columns).max(1)).max(1);
+    lines.iter().map(of_line).sum::<usize>().min(usize::from(rows).saturating_sub(1))
+}
+
+/// The points' states, and how many have not ended.
+fn states(folder: &SweepFolder, points: &[Point]) -> Result<(Vec<String>, usize)> {
+    let mut lines = Vec::new();
     let mut counts: BTreeMap<&str, usize> = BTreeMap::new();
     for point in points {
         let state = folder.point(&point.id).state(point)?;
@@ -487,10 +478,10 @@ fn show(folder: &SweepFolder, points: &[Point]) -> Result<usize> {
             }
             _ => state.reason.clone(),
         };
-        print(&format!("{:8} {} {}  {what}", state.status.name(), point.id, point.label()));
+        lines.push(format!("{:8} {} {}  {what}", state.status.name(), point.id, point.label()));
     }
     let counts: Vec<String> = counts.iter().map(|(status, count)| format!("{count} {status}")).collect();
-    print(&format!("{}: {}", folder.path().display(), counts.join(", ")));
+    lines.push(format!("{}: {}", folder.path().display(), counts.join(", ")));
     let left = |point: &&Point| point.no_data.is_none() && !folder.point(&point.id).ended();
-    Ok(points.iter().filter(left).count())
+    Ok((lines, points.iter().filter(left).count()))
 }

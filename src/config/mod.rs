@@ -5,6 +5,7 @@
 //! `--set`. The result is what stands in every run's `config.toml`.
 
 use serde::{Deserialize, Serialize};
+use sha2::{Digest, Sha256};
 
 mod layers;
 mod perturb;
@@ -411,7 +412,6 @@ impl Config {
     /// by its name, not by where its folder lies; how often a run logs, evaluates or saves does
     /// not count, and neither do section `perturb` without a perturbed pass and regularizers of weight 0.
     pub fn hash(&self) -> String {
-        use sha2::{Digest, Sha256};
         let mut portable = self.clone();
         if portable.data.name.is_empty() {
             portable.data.name = scene_name(&self.data.dir);
@@ -432,9 +432,13 @@ impl Config {
             portable.perturb = PerturbConfig::default();
         }
         portable.regularizer.resolve();
-        let digest = Sha256::digest(portable.to_toml().as_bytes());
-        digest.iter().take(6).map(|byte| format!("{byte:02x}")).collect()
+        short_hash(Sha256::new_with_prefix(portable.to_toml()))
     }
+}
+
+/// The first 12 hexadecimal digits of a hash: enough to tell experiments apart, short enough to read.
+pub fn short_hash(hash: Sha256) -> String {
+    hash.finalize().iter().take(6).map(|byte| format!("{byte:02x}")).collect()
 }
 
 /// The last component of a scene's folder, or `builtin` where there is none.

@@ -19,7 +19,9 @@ pub use camera::{Camera, Ndc};
 pub use detect::detect;
 pub use rays::{RayBuffer, Rays};
 
-use crate::config::{Background, DataConfig, DataKind, scene_name};
+use sha2::{Digest, Sha256};
+
+use crate::config::{Background, DataConfig, DataKind, scene_name, short_hash};
 use crate::error::{Error, Result};
 
 /// Who is told how far a load has got. The library itself prints nothing.
@@ -87,6 +89,29 @@ pub struct Scene {
     pub background: Option<[f32; 3]>,
     /// Cameras of the scene's usual video path (spiral or orbit), at the working resolution.
     pub path: Vec<Camera>,
+}
+
+impl Scene {
+    /// A 12-digit hash of all views: what a number was trained and measured on.
+    pub fn hash(&self) -> String {
+        let mut digest = Sha256::new();
+        digest.update(self.near.to_le_bytes());
+        digest.update(self.far.to_le_bytes());
+        for (split, views) in [("train", &self.train), ("test", &self.test)] {
+            digest.update(split);
+            for View { name, camera, image, .. } in views {
+                digest.update(name);
+                let Camera { focal, centre, pose, .. } = camera;
+                let geometry = focal.iter().chain(centre).chain(pose.iter().flatten());
+                geometry.for_each(|value| digest.update(value.to_le_bytes()));
+                // In pieces: one call a number would take longer than the hash.
+                for pixels in image.pixels.chunks(1024) {
+                    digest.update(pixels.iter().flat_map(|value| value.to_le_bytes()).collect::<Vec<u8>>());
+                }
+            }
+        }
+        short_hash(digest)
+    }
 }
 
 /// Loads the scene that `config` names. Its kind must be settled ([`detect`]) and `downscale` filled.

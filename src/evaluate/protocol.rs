@@ -8,7 +8,8 @@ use crate::config::{
 };
 use crate::data::Scene;
 use crate::model::Model;
-use crate::output::{revision, version};
+use crate::output::version;
+use crate::train::checkpoint::State;
 
 /// Version of the evaluation protocol; numbers of different versions are not comparable.
 pub const PROTOCOL: u32 = 1;
@@ -93,20 +94,24 @@ pub struct Protocol {
     pub redraws: String,
     /// Hash of the resolved configuration.
     pub config_hash: String,
+    /// Hash of everything that was loaded of the scene: poses and pixels of all views.
+    pub data_hash: String,
     /// Version of the program.
     pub program: String,
-    /// Revision of its code.
+    /// Revision of its code; all of them where several worked on the run.
     pub code_revision: String,
+    /// `cpu`, `cuda`, `metal`; all of them where several did.
+    pub device: String,
 }
 
 impl Protocol {
-    /// The protocol of a run after `steps` steps.
-    pub fn new(config: &Config, scene: &Scene, steps: u64, redraws: &[u64]) -> Protocol {
+    /// The protocol of a run at a checkpoint's state.
+    pub fn new(config: &Config, scene: &Scene, state: &State) -> Protocol {
         let camera = scene.test.first().or(scene.train.first()).map(|view| view.camera);
         let perturb = (config.method == Method::AugNerf).then_some(&config.perturb);
         let regularizer = Some(&config.regularizer).filter(|regularizer| !regularizer.kind.is_empty());
         let deltas = perturb.filter(|perturb| perturb.kind != PerturbKind::FreshJitter);
-        let named = Model::roles(config).into_iter().zip(redraws).map(|(role, draws)| format!("{role} {draws}"));
+        let named = Model::roles(config).into_iter().zip(&state.redraws).map(|(role, draws)| format!("{role} {draws}"));
         Protocol {
             protocol: PROTOCOL,
             dataset: scene.kind.to_string(),
@@ -155,12 +160,14 @@ impl Protocol {
             samples_coarse: config.sampling.coarse,
             samples_fine: config.sampling.fine,
             rays: config.train.rays,
-            steps,
+            steps: state.step,
             seed: config.seed,
             redraws: named.collect::<Vec<String>>().join(", "),
             config_hash: config.hash(),
+            data_hash: scene.hash(),
             program: version().into(),
-            code_revision: revision().into(),
+            code_revision: state.revisions.join(" + "),
+            device: state.devices.join(" + "),
         }
     }
 }

@@ -3,7 +3,8 @@
 use sha2::{Digest, Sha256};
 
 use crate::config::{
-    Config, LEVELS, LatticePoints, Method, PerturbConfig, PerturbKind, RegularizedFields, RegularizerConfig,
+    Config, EvalConfig, LEVELS, LatticePoints, Method, PerturbConfig, PerturbKind, RegularizedFields,
+    RegularizerConfig, scene_name, short_hash,
 };
 use crate::error::Result;
 
@@ -73,6 +74,12 @@ fn regularizer_evaluations(config: &Config) -> f64 {
 /// left out.
 pub fn shape(config: &Config) -> String {
     let mut shape = config.clone();
+    // The scene by its name, as in the configuration's hash: where its folder lies changes no work.
+    if shape.data.name.is_empty() {
+        shape.data.name = scene_name(&shape.data.dir);
+    }
+    shape.data.dir = String::new();
+    shape.eval = EvalConfig::default();
     shape.seed = 0;
     shape.train.steps = 1;
     shape.train.learning_rate = 1.0;
@@ -89,6 +96,5 @@ pub fn shape(config: &Config) -> String {
         }
     }
     shape.regularizer.weight = shape.regularizer.kind.iter().map(|_| 1.0).collect();
-    let digest = Sha256::digest(shape.to_toml().as_bytes());
-    digest.iter().take(6).map(|byte| format!("{byte:02x}")).collect()
+    short_hash(Sha256::new_with_prefix(shape.to_toml()))
 }

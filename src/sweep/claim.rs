@@ -1,6 +1,6 @@
 //! Who works on a point. Runners on one machine are kept apart by the operating system's lock,
-//! which dies with its process; runners on several by a heartbeat beside it, for file systems
-//! whose locks do not reach that far.
+//! which dies with its process; runners on several, and on file systems without locks, by
+//! `claim.json`, which appears whole or not at all and whose heartbeat says that its runner lives.
 
 use std::fs::{self, File, TryLockError};
 use std::path::{Path, PathBuf};
@@ -18,21 +18,26 @@ const LOCK: &str = "claim.lock";
 const CLAIM: &str = "claim.json";
 /// Between two heartbeats.
 const BEAT: Duration = Duration::from_secs(5);
-/// A claim of another machine without a heartbeat for so long is dead.
+/// A claim that no lock speaks for is dead after so long without a heartbeat.
 const DEAD_AFTER: Duration = Duration::from_secs(180);
+/// Two runners that take over the claim of a dead third see within this who wrote last.
+const SETTLING: Duration = Duration::from_secs(2);
 
 /// `claim.json`.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 struct Sign {
     host: String,
     pid: u32,
+    /// Tells this claim from every other.
+    #[serde(default)]
+    nonce: u64,
     step: u64,
     steps: u64,
     /// Seconds since the claim.
     seconds: f64,
-    /// Step at the claim: a rate needs it.
+    /// Step at the claim: a rate needs it, and a later first step is progress.
     first: u64,
-    /// Runners that died with this point, one after the other.
+    /// Runners that died with this point, one after the other, none of them further than the one before.
     deaths: u32,
 }
 
@@ -82,10 +87,13 @@ impl Beat {
 pub struct Claim {
     file: PathBuf,
     _lock: File,
+    nonce: u64,
     /// How far the point is.
     pub beat: Arc<Beat>,
-    /// Runners that died with this point before.
+    /// Runners that died with this point before without getting further than the first of them.
     pub deaths: u32,
+    /// Where the last of them had begun.
+    died_from: u64,
     over: Arc<AtomicBool>,
     heart: Option<JoinHandle<()>>,
 }
@@ -96,46 +104,96 @@ impl Claim {
         let path = folder.join(LOCK);
         let lock = File::options().create(true).truncate(false).write(true).open(&path);
         let lock = lock.map_err(|e| Error::unwritable(&path, &e))?;
-        match lock.try_lock() {
-            Ok(()) => {}
+        let locked = match lock.try_lock() {
+            Ok(()) => true,
             Err(TryLockError::WouldBlock) => return Ok(None),
-            Err(TryLockError::Error(error)) if error.kind() == std::io::ErrorKind::Unsupported => {}
+            Err(TryLockError::Error(error)) if error.kind() == std::io::ErrorKind::Unsupported => false,
             Err(TryLockError::Error(error)) => return Err(Error::unwritable(&path, &error)),
-        }
-        let file = folder.join(CLAIM);
-        let deaths = match read(&file) {
-            // Held by a lock that this machine cannot see.
-            Some(sign) if sign.host != host_name() && beats(&file) => return Ok(None),
-            Some(sign) => sign.deaths + 1,
-            None => 0,
         };
-        let mut claim = Claim { file, _lock: lock, beat: Arc::default(), deaths, over: Arc::default(), heart: None };
-        let signed = claim.signer();
-        signed(0.0)?;
-        claim.heart = Some(claim.start_heart(signed));
+        let mut claim = Claim {
+            file: folder.join(CLAIM),
+            _lock: lock,
+            nonce: nonce(),
+            beat: Arc::default(),
+            deaths: 0,
+            died_from: 0,
+            over: Arc::default(),
+            heart: None,
+        };
+        if !claim.sign_first(locked)? {
+            return Ok(None);
+        }
+        claim.heart = Some(claim.start_heart());
         Ok(Some(claim))
+    }
+
+    /// Writes `claim.json` unless a living runner has.
+    fn sign_first(&mut self, locked: bool) -> Result<bool> {
+        if !self.file.exists() {
+            return self.create();
+        }
+        let sign = read(&self.file);
+        // The lock speaks for this machine's runners; the heartbeat for all others.
+        let unseen = !locked || sign.as_ref().is_none_or(|sign| sign.host != host_name());
+        if unseen && beats(&self.file) {
+            return Ok(false);
+        }
+        if let Some(sign) = sign {
+            (self.deaths, self.died_from) = (sign.deaths + 1, sign.first);
+        }
+        self.signer()(0.0)?;
+        if unseen {
+            std::thread::sleep(SETTLING);
+        }
+        Ok(self.holds())
+    }
+
+    /// Creates `claim.json`, whole, unless another runner just did.
+    fn create(&self) -> Result<bool> {
+        let whole = self.file.with_file_name(format!("{CLAIM}.{}", self.nonce));
+        write_json(&whole, &self.sign(0.0))?;
+        let linked = fs::hard_link(&whole, &self.file);
+        let _ = fs::remove_file(&whole);
+        match linked {
+            Ok(()) => Ok(true),
+            Err(error) if error.kind() == std::io::ErrorKind::AlreadyExists => Ok(false),
+            // No hard links here: the lock, or settling, has to do.
+            Err(_) => self.signer()(0.0).map(|()| self.holds()),
+        }
+    }
+
+    /// Whether the point is still this runner's: another one takes over what has not beaten for minutes, as after a
+    /// machine was suspended.
+    pub fn holds(&self) -> bool {
+        read(&self.file).is_some_and(|sign| sign.nonce == self.nonce)
+    }
+
+    /// `claim.json` as the next heartbeat writes it.
+    pub fn signed(&self) -> String {
+        serde_json::to_string(&self.sign(0.0)).expect("plain data")
+    }
+
+    fn sign(&self, seconds: f64) -> Sign {
+        sign(&self.beat, (self.nonce, self.deaths, self.died_from), seconds)
     }
 
     /// What writes `claim.json`, given the seconds since the claim.
     fn signer(&self) -> impl Fn(f64) -> Result<()> + Send + 'static {
-        let (file, beat, deaths) = (self.file.clone(), self.beat.clone(), self.deaths);
-        let (host, pid) = (host_name(), std::process::id());
-        move |seconds| {
-            let load = |value: &AtomicU64| value.load(Ordering::Relaxed);
-            let (step, steps, first) = (load(&beat.step), load(&beat.steps), load(&beat.first));
-            write_json(&file, &Sign { host: host.clone(), pid, step, steps, seconds, first, deaths })
-        }
+        let (file, beat) = (self.file.clone(), self.beat.clone());
+        let who = (self.nonce, self.deaths, self.died_from);
+        move |seconds| write_json(&file, &sign(&beat, who, seconds))
     }
 
-    fn start_heart(&self, sign: impl Fn(f64) -> Result<()> + Send + 'static) -> JoinHandle<()> {
-        let over = self.over.clone();
+    fn start_heart(&self) -> JoinHandle<()> {
+        let (over, file, nonce, signed) = (self.over.clone(), self.file.clone(), self.nonce, self.signer());
         let started = std::time::Instant::now();
         std::thread::spawn(move || {
             while !over.load(Ordering::Relaxed) {
                 std::thread::park_timeout(BEAT);
-                if !over.load(Ordering::Relaxed) {
+                let own = read(&file).is_some_and(|sign| sign.nonce == nonce);
+                if own && !over.load(Ordering::Relaxed) {
                     // A full disk shows where results are written; a missed beat does no harm.
-                    let _ = sign(started.elapsed().as_secs_f64());
+                    let _ = signed(started.elapsed().as_secs_f64());
                 }
             }
         })
@@ -145,7 +203,8 @@ impl Claim {
     pub fn look(folder: &Path) -> Option<Claimed> {
         let file = folder.join(CLAIM);
         let sign = read(&file)?;
-        let alive = if sign.host == host_name() { is_locked(&folder.join(LOCK)) } else { beats(&file) };
+        let here = sign.host == host_name();
+        let alive = if here { is_locked(&folder.join(LOCK)).unwrap_or_else(|| beats(&file)) } else { beats(&file) };
         let done = sign.step.saturating_sub(sign.first);
         let left = sign.steps.saturating_sub(sign.step);
         Some(Claimed {
@@ -168,8 +227,27 @@ impl Drop for Claim {
             let _ = heart.join();
         }
         // Before the lock goes: whoever takes it next finds no trace of a death.
-        let _ = fs::remove_file(&self.file);
+        if self.holds() {
+            let _ = fs::remove_file(&self.file);
+        }
     }
+}
+
+fn sign(beat: &Beat, (nonce, deaths, died_from): (u64, u32, u64), seconds: f64) -> Sign {
+    let load = |value: &AtomicU64| value.load(Ordering::Relaxed);
+    let (step, steps, first) = (load(&beat.step), load(&beat.steps), load(&beat.first));
+    let further = steps > 0 && first > died_from;
+    // Until training begins the point is where the last one left it.
+    let first = if steps > 0 { first } else { died_from };
+    let deaths = if further { 0 } else { deaths };
+    Sign { host: host_name(), pid: std::process::id(), nonce, step: step.max(first), steps, seconds, first, deaths }
+}
+
+/// A number that no other claim has.
+fn nonce() -> u64 {
+    static COUNT: AtomicU64 = AtomicU64::new(0);
+    let nanoseconds = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH).unwrap_or_default().as_nanos() as u64;
+    nanoseconds ^ (u64::from(std::process::id()) << 40) ^ (COUNT.fetch_add(1, Ordering::Relaxed) << 32)
 }
 
 fn read(file: &Path) -> Option<Sign> {
@@ -181,6 +259,12 @@ fn beats(file: &Path) -> bool {
     modified.is_ok_and(|at| SystemTime::now().duration_since(at).unwrap_or_default() < DEAD_AFTER)
 }
 
-fn is_locked(path: &Path) -> bool {
-    File::open(path).is_ok_and(|file| matches!(file.try_lock_shared(), Err(TryLockError::WouldBlock)))
+/// None where the file system has no locks.
+fn is_locked(path: &Path) -> Option<bool> {
+    let Ok(file) = File::open(path) else { return Some(false) };
+    match file.try_lock_shared() {
+        Ok(()) => Some(false),
+        Err(TryLockError::WouldBlock) => Some(true),
+        Err(TryLockError::Error(_)) => None,
+    }
 }

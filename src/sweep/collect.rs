@@ -35,7 +35,8 @@ impl Collector<'_> {
     /// written even where rows may not be put side by side. Returns the table.
     pub fn write(&self) -> Result<Table> {
         std::fs::create_dir_all(self.results).map_err(|e| Error::unwritable(self.results, &e))?;
-        let spec = self.definition.table(self.name);
+        self.clear()?;
+        let spec = self.definition.table(self.name, self.points);
         let records = self.folder.records(self.definition, self.points)?;
         let timing = self.timing()?;
         let joined = if self.with_timing { timing.as_slice() } else { &[] };
@@ -47,6 +48,21 @@ impl Collector<'_> {
         self.file("table.tex", table_latex(&table).as_bytes())?;
         self.figures(&spec, &records, &table)?;
         Ok(table)
+    }
+
+    /// Deletes tables and figures of an earlier time, which may not be written again.
+    fn clear(&self) -> Result<()> {
+        let own = |name: &str| {
+            let figure = ["rows_", "axes_", "curves_"].iter().any(|kind| name.starts_with(kind));
+            name.starts_with("table.") || figure && (name.ends_with(".svg") || name.ends_with(".png"))
+        };
+        for entry in std::fs::read_dir(self.results).map_err(|e| Error::unreadable(self.results, &e))? {
+            let path = entry.map_err(|e| Error::unreadable(self.results, &e))?.path();
+            if path.file_name().is_some_and(|name| own(&name.to_string_lossy())) {
+                std::fs::remove_file(&path).map_err(|e| Error::unwritable(&path, &e))?;
+            }
+        }
+        Ok(())
     }
 
     fn file(&self, name: &str, bytes: &[u8]) -> Result<PathBuf> {
@@ -89,7 +105,8 @@ impl Collector<'_> {
             for point in self.points.iter().filter(own) {
                 let folder = self.folder.point(&point.id);
                 if folder.state(point)?.status == Status::Done {
-                    seeds.push(psnr_curve(&folder.run().join("scalars.csv"))?);
+                    seeds
+                        .extend(Some(psnr_curve(&folder.run().join("scalars.csv"))?).filter(|curve| !curve.is_empty()));
                 }
             }
             if !seeds.is_empty() {
@@ -143,8 +160,11 @@ impl Collector<'_> {
     }
 }
 
-/// Step and PSNR of a run's log; empty where it has none.
+/// Step and PSNR of a run's log; empty where it has none, or is gone.
 fn psnr_curve(path: &Path) -> Result<Vec<(f64, f64)>> {
+    if !path.exists() {
+        return Ok(Vec::new());
+    }
     let unreadable = |e: csv::Error| Error::Checkpoint(format!("cannot read {}: {e}", path.display()));
     let mut reader = csv::Reader::from_path(path).map_err(unreadable)?;
     let header = reader.headers().map_err(unreadable)?;

@@ -5,8 +5,10 @@ use std::path::Path;
 use serde::{Deserialize, Serialize};
 use toml::{Table, Value};
 
+use crate::config::DataConfig;
 use crate::error::{Error, Result};
 
+use super::points::Point;
 use super::{PublishedKey, RowSpec, TableSpec, extends};
 
 /// More points than anyone means.
@@ -55,7 +57,7 @@ pub struct Definition {
     /// The table of the paper that this one answers: `tab4`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub published: Option<String>,
-    /// Condition of the published rows: `clean`, `gaussian`, ...
+    /// Condition of the published rows: `clean`, `gaussian_noise`, ...
     #[serde(default = "clean")]
     pub condition: String,
     /// Methods that the published table has and this program has not: their rows carry the paper's numbers alone.
@@ -229,6 +231,9 @@ impl Definition {
         let scenes: Vec<&str> = self.scenes.iter().map(|scene| scene_name(scene)).collect();
         not_empty_and_distinct("scenes", &scenes)?;
         not_empty_and_distinct("seeds", &self.seeds)?;
+        if let Some(seed) = self.seeds.iter().find(|seed| i64::try_from(**seed).is_err()) {
+            return Err(format!("seeds: {seed} is out of range: a seed is at most 2^63 - 1"));
+        }
         not_empty_and_distinct("metrics", &self.metrics)?;
         let names: Vec<&str> = self.row.iter().map(|row| row.name.as_str()).collect();
         not_empty_and_distinct("rows", &names)?;
@@ -268,6 +273,10 @@ impl Definition {
             let values: Vec<String> = axis.values.iter().map(Value::to_string).collect();
             not_empty_and_distinct(&format!("values of {what}"), &values)?;
         }
+        self.rows()
+            .iter()
+            .filter_map(|row| Some((row, row.published.as_ref()?)))
+            .try_for_each(|(row, key)| key.check().map_err(|message| format!("row '{}' {message}", row.name)))?;
         let count = self.count();
         if count > MOST_POINTS {
             return Err(format!(
@@ -297,8 +306,18 @@ impl Definition {
         (*named != row.name).then(|| named.clone())
     }
 
-    /// What tables and plots need to know.
-    pub fn table(&self, name: &str) -> TableSpec {
+    /// What tables and plots of these points need to know.
+    pub fn table(&self, name: &str, points: &[Point]) -> TableSpec {
+        TableSpec {
+            name: name.to_string(),
+            title: self.title.clone(),
+            metrics: self.metrics.clone(),
+            rows: self.rows(),
+            must_match: must_match(points),
+        }
+    }
+
+    fn rows(&self) -> Vec<RowSpec> {
         let key = |condition: Option<&String>, method: &str| {
             self.published.clone().map(|table| PublishedKey {
                 table,
@@ -319,27 +338,37 @@ impl Definition {
             quoted: false,
             published: key(row.condition.as_ref(), row.published.as_ref().unwrap_or(&row.name)).filter(|_| !row.ours),
         });
-        let rows = quoted.chain(rows);
-        TableSpec {
-            name: name.to_string(),
-            title: self.title.clone(),
-            metrics: self.metrics.clone(),
-            rows: rows.collect(),
-            must_match: self.must_match(),
-        }
+        quoted.chain(rows).collect()
     }
+}
 
-    /// Protocol fields that no row and no axis may move.
-    fn must_match(&self) -> Vec<String> {
-        let always = ["protocol", "program", "code_revision", "dataset", "scene", "split"];
-        let of_data = ["width", "height", "background", "ndc", "views_trained", "views_evaluated", "pixel_origin"];
-        let keys = self.row.iter().flat_map(|row| row.set.keys()).chain(self.axis.iter().flat_map(|axis| &axis.keys));
-        let presets = self.row.iter().any(|row| row.preset.is_some());
-        let moves_data =
-            presets || keys.into_iter().any(|key| key.starts_with("data.") && !key.starts_with("data.corruption"));
-        let of_data = of_data.into_iter().filter(|_| !moves_data);
-        always.into_iter().chain(of_data).map(String::from).collect()
-    }
+/// Protocol fields that must be equal in all rows of a scene: all of the evaluation, but for those
+/// that the points differ in by definition.
+fn must_match(points: &[Point]) -> Vec<String> {
+    let always = ["protocol", "program", "code_revision", "device", "dataset", "scene"];
+    let varies = |setting: fn(&DataConfig) -> String| {
+        points.iter().any(|point| {
+            let first = points.iter().find(|first| first.scene == point.scene).expect("the point itself");
+            setting(&first.config.data) != setting(&point.config.data)
+        })
+    };
+    // What of the evaluation hangs on which setting; `data_hash` on all of them.
+    let size = varies(|data| format!("{:?} {}", data.downscale, data.width));
+    let views = varies(|data| format!("{} {} {:?}", data.holdout, data.test_skip, data.eval_split));
+    let background = varies(|data| format!("{:?}", data.background));
+    let ndc = varies(|data| data.ndc.to_string());
+    let pixel_origin = varies(|data| format!("{:?}", data.pixel_origin));
+    let data = varies(|data| toml::to_string(&DataConfig { dir: String::new(), ..data.clone() }).expect("plain data"));
+    let of_settings = [
+        (size, &["width", "height"][..]),
+        (views, &["split", "views_trained", "views_evaluated"]),
+        (background, &["background"]),
+        (ndc, &["ndc"]),
+        (pixel_origin, &["pixel_origin"]),
+        (data, &["data_hash"]),
+    ];
+    let controlled = of_settings.into_iter().filter(|(varies, _)| !varies).flat_map(|(_, fields)| fields);
+    always.iter().chain(controlled).map(|field| field.to_string()).collect()
 }
 
 fn checked(parsed: std::result::Result<Definition, toml::de::Error>, origin: &str) -> Result<Definition> {

@@ -11,8 +11,8 @@ const EXTENDS: &str = "extends";
 const DEEPEST: usize = 8;
 
 /// The file's table laid over those of the files that it extends, each named relative to the one
-/// that extends it. Tables and rows of equal name are merged, key by key; anything else is
-/// replaced.
+/// that extends it. Tables and rows of equal name are merged, key by key; a row with `remove = true`
+/// takes the row of its name out; anything else is replaced.
 pub fn read(path: &Path) -> Result<Table> {
     read_at(path, 0)
 }
@@ -54,8 +54,12 @@ fn lay_over(base: &mut Table, table: Table) {
 /// Rows of a known name are laid over it, others come after.
 fn merge_rows(base: &mut Vec<Value>, rows: Vec<Value>) {
     for row in rows {
-        let name = row.get("name");
-        let known = base.iter_mut().find(|known| name.is_some() && known.get("name") == name);
+        let name = row.get("name").cloned();
+        if row.get("remove").and_then(Value::as_bool) == Some(true) {
+            base.retain(|known| known.get("name") != name.as_ref());
+            continue;
+        }
+        let known = base.iter_mut().find(|known| name.is_some() && known.get("name") == name.as_ref());
         match (known, row) {
             (Some(Value::Table(below)), Value::Table(above)) => lay_over(below, above),
             (_, row) => base.push(row),

@@ -2,6 +2,8 @@
 //!
 //! ```text
 //! sweep.toml              the definition that the points below belong to
+//! points.json             the points that it asks for, with their configurations: fixed from then on
+//! begin.lock              held while these two are made
 //! step_seconds.json       measured seconds of a step, where budgets are in seconds
 //! points/ID/config.toml   the point's configuration, before its scene fills it
 //! points/ID/run/          the run folder, as `augnerf train` leaves it
@@ -15,8 +17,9 @@ use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 
+use crate::config::Config;
 use crate::error::{Error, Result};
-use crate::output::{write_atomic, write_json};
+use crate::output::{clean_temporaries, write_atomic, write_json};
 
 use super::claim::{Claim, Claimed};
 use super::definition::{Definition, scene_name};
@@ -24,6 +27,8 @@ use super::points::Point;
 use super::{Record, Status};
 
 const DEFINITION: &str = "sweep.toml";
+const PLAN: &str = "points.json";
+const BEGIN_LOCK: &str = "begin.lock";
 const POINTS: &str = "points";
 /// Exit code of [`Error::Checkpoint`].
 const BAD_CHECKPOINT: u8 = 5;
@@ -52,6 +57,14 @@ pub struct Failure {
 #[derive(Clone, Debug)]
 pub struct SweepFolder {
     path: PathBuf,
+}
+
+/// `points.json`.
+#[derive(Serialize, Deserialize)]
+struct Plan {
+    /// Where scenes lay.
+    data_root: Option<PathBuf>,
+    points: Vec<Point>,
 }
 
 /// How a definition relates to the one that a folder was begun with.
@@ -102,11 +115,34 @@ impl SweepFolder {
         Ok(if self.definition()? == *definition { Change::None } else { Change::Changed })
     }
 
-    /// Makes the folder and writes the definition that it is for.
-    pub fn begin(&self, definition: &Definition) -> Result<()> {
+    /// Makes the folder and keeps others from beginning it until the value is dropped.
+    pub fn lock(&self) -> Result<fs::File> {
         let points = self.path.join(POINTS);
         fs::create_dir_all(&points).map_err(|e| Error::unwritable(&points, &e))?;
+        let path = self.path.join(BEGIN_LOCK);
+        let file = fs::File::options().create(true).truncate(false).write(true).open(&path);
+        let file = file.map_err(|e| Error::unwritable(&path, &e))?;
+        match file.lock() {
+            Err(error) if error.kind() != std::io::ErrorKind::Unsupported => Err(Error::unwritable(&path, &error)),
+            _ => Ok(file),
+        }
+    }
+
+    /// Writes what the folder is for: its points, then the definition that they belong to.
+    pub fn begin(&self, definition: &Definition, points: &[Point], data_root: Option<&Path>) -> Result<()> {
+        let data_root = data_root.map(|root| std::path::absolute(root).unwrap_or_else(|_| root.to_path_buf()));
+        write_json(&self.path.join(PLAN), &Plan { data_root, points: points.to_vec() })?;
         write_atomic(&self.path.join(DEFINITION), definition.to_toml().as_bytes())
+    }
+
+    /// The points that the folder was begun with, their scenes looked for below `data_root` or
+    /// where they were then; none before it was begun.
+    pub fn points(&self, data_root: Option<&Path>) -> Result<Option<Vec<Point>>> {
+        let plan: Option<Plan> = read_json(&self.path.join(PLAN))?;
+        Ok(plan.map(|Plan { data_root: then, mut points }| {
+            points.iter_mut().for_each(|point| point.locate(data_root.or(then.as_deref())));
+            points
+        }))
     }
 
     /// The folder of a point.
@@ -128,7 +164,11 @@ impl SweepFolder {
                     axes: place.axes.clone(),
                     seed: point.config.seed,
                     status: state.status,
-                    reason: state.reason.clone(),
+                    // What else a state has to say depends on the clock.
+                    reason: match state.status {
+                        Status::Failed | Status::NoData => state.reason.clone(),
+                        _ => String::new(),
+                    },
                     metrics: state.result.metrics.clone(),
                     protocol: state.result.protocol.clone(),
                     inactive_levels: state.result.inactive_levels.clone(),
@@ -202,7 +242,18 @@ impl PointFolder {
         fs::create_dir_all(&self.path).map_err(|e| Error::unwritable(&self.path, &e))?;
         let config = self.path.join("config.toml");
         if config.exists() {
-            return Ok(());
+            let text = fs::read_to_string(&config).map_err(|e| Error::unreadable(&config, &e))?;
+            let found = Config::from_toml(&text, &config.display().to_string())?;
+            if point.id.starts_with(&found.hash()) || found.hash() == point.config.hash() {
+                return Ok(());
+            }
+            return Err(Error::Checkpoint(format!(
+                "{} was changed after the point was begun: its hash is {}; restore it, or delete {} to train the point \
+                 again",
+                config.display(),
+                found.hash(),
+                self.path.display()
+            )));
         }
         write_atomic(&config, format!("# {}\n{}", point.label(), point.config.to_toml()).as_bytes())
     }
@@ -220,6 +271,18 @@ impl PointFolder {
     /// Done or failed: nothing is left to do.
     pub fn ended(&self) -> bool {
         self.result_file().exists() || self.failure_file().exists()
+    }
+
+    /// The point is done and lacks one of these metrics.
+    pub fn lacks(&self, metrics: &[String]) -> Result<bool> {
+        let Some(result) = self.result()? else { return Ok(false) };
+        let has = |name: &String| result.metrics.iter().any(|(known, value)| known == name && value.is_some());
+        Ok(!metrics.iter().all(has))
+    }
+
+    /// When the point failed; tells one failure from another.
+    pub fn failed_at(&self) -> Option<std::time::SystemTime> {
+        fs::metadata(self.failure_file()).and_then(|metadata| metadata.modified()).ok()
     }
 
     /// Marks the point as done.
@@ -242,6 +305,11 @@ impl PointFolder {
         }
         let path = self.failure_file();
         fs::remove_file(&path).map_err(|e| Error::unwritable(&path, &e))
+    }
+
+    /// Deletes what a killed runner left half-written. Call it while holding the point's claim.
+    pub fn clean(&self) -> Result<()> {
+        clean_temporaries(&self.path).map(|_| ())
     }
 
     /// What the files say about a point.

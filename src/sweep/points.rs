@@ -3,6 +3,7 @@
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
+use serde::{Deserialize, Serialize};
 use toml::Value;
 
 use crate::config::{Config, Preset, build};
@@ -14,22 +15,27 @@ use super::definition::{Axis, Budget, Combine, Definition, Row, scene_name};
 use super::{AxisValue, label};
 
 /// One training: a configuration with its seed. Rows that come to the same share it.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Point {
     /// Content hash of the configuration: the name of the point's folder.
     pub id: String,
     /// The scene's name.
     pub scene: String,
+    /// The scene as the definition names it.
+    pub source: String,
     /// The configuration before its scene fills what depends on it.
     pub config: Config,
     /// Where it stands in the table; at least one place.
     pub places: Vec<Place>,
+    /// Its steps are those of a budget that could not be told without the scene.
+    pub without_budget: bool,
     /// Why its scene cannot be read; none where it can.
+    #[serde(skip)]
     pub no_data: Option<String>,
 }
 
 /// A cell of the table.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Place {
     /// The row's name.
     pub row: String,
@@ -43,6 +49,21 @@ impl Point {
         let place = &self.places[0];
         format!("{} · {} · seed {}", label(&place.row, &place.axes), self.scene, self.config.seed)
     }
+
+    /// Looks for the scene below `data_root`.
+    pub(super) fn locate(&mut self, data_root: Option<&Path>) {
+        self.config.data.dir = scene_folder(&self.source, data_root).to_string_lossy().into_owned();
+        self.no_data = missing(&self.config);
+    }
+}
+
+/// Why there is no scene where a configuration looks for it. One that is there and broken fails
+/// its points instead.
+fn missing(config: &Config) -> Option<String> {
+    match locate_scene(&mut config.clone()) {
+        Err(Error::Data(message)) if !Path::new(&config.data.dir).exists() => Some(message),
+        _ => None,
+    }
 }
 
 /// Expands a definition in the order in which points are run: seed by seed, so that a part of a
@@ -54,35 +75,23 @@ pub fn expand(definition: &Definition, data_root: Option<&Path>, costs: &dyn Ste
     for &seed in &definition.seeds {
         for scene in &definition.scenes {
             let builder = Builder { definition, preset, scene, folder: scene_folder(scene, data_root), seed, costs };
-            let mut plain: Vec<(String, &str)> = Vec::new();
             for row in &definition.row {
                 for axes in combinations(definition, row) {
-                    let (config, no_data) = builder.config(row, &axes)?;
-                    let id = config.hash();
-                    // Without the scene a budget in seconds is unknown, and rows may look equal.
-                    if axes.is_empty() && no_data.is_none() {
-                        if let Some((_, other)) = plain.iter().find(|(known, _)| *known == id) {
-                            return Err(Error::Config(format!(
-                                "rows '{other}' and '{}' are the same experiment; change or remove one",
-                                row.name
-                            )));
-                        }
-                        plain.push((id.clone(), &row.name));
+                    let point = builder.point(row, &axes)?;
+                    let Some(&index) = known.get(&point.id) else {
+                        known.insert(point.id.clone(), points.len());
+                        points.push(point);
+                        continue;
+                    };
+                    let places = &mut points[index].places;
+                    let [place] = &point.places[..] else { unreachable!("a new point has one place") };
+                    if let Some(same) = places.iter().find(|other| other.row != place.row && other.axes == place.axes) {
+                        return Err(Error::Config(format!(
+                            "rows '{}' and '{}' are the same experiment; change or remove one",
+                            same.row, place.row
+                        )));
                     }
-                    let place = Place { row: row.name.clone(), axes: named(&axes) };
-                    match known.get(&id) {
-                        Some(&index) => points[index].places.push(place),
-                        None => {
-                            known.insert(id.clone(), points.len());
-                            points.push(Point {
-                                id,
-                                scene: scene_name(scene).to_string(),
-                                config,
-                                places: vec![place],
-                                no_data,
-                            });
-                        }
-                    }
+                    places.push(place.clone());
                 }
             }
         }
@@ -139,21 +148,15 @@ struct Builder<'a> {
 }
 
 impl Builder<'_> {
-    /// The configuration of a point with the steps that its budget allows, and why its scene
-    /// cannot be read here, if it cannot.
-    fn config(&self, row: &Row, axes: &Combination) -> Result<(Config, Option<String>)> {
+    fn point(&self, row: &Row, axes: &Combination) -> Result<Point> {
         let mut config = self.plain_config(row, axes)?;
         let mut located = config.clone();
-        let no_data = match locate_scene(&mut located) {
-            Ok(()) => None,
-            Err(Error::Data(message)) => Some(message),
-            // A scene that is there and does not fit the settings is an error of the definition.
-            Err(error) => return Err(in_row(row, axes, error)),
+        let found = match locate_scene(&mut located) {
+            Err(error @ Error::Config(_)) => return Err(in_row(row, axes, error)),
+            found => found.is_ok(),
         };
-        if let Some(Budget { kind, like }) = row.budget.as_ref().or(self.definition.budget.as_ref())
-            && *like != row.name
-            && no_data.is_none()
-        {
+        let budget = row.budget.as_ref().or(self.definition.budget.as_ref()).filter(|budget| budget.like != row.name);
+        if let Some(Budget { kind, like }) = budget.filter(|_| found) {
             let other = self.definition.row.iter().find(|row| row.name == *like).expect("checked");
             let steps = steps_within(*kind, &config, &self.plain_config(other, &Vec::new())?, self.costs)?;
             // The decay of the learning rate is stretched too: at the old one a long run would stand still at its end.
@@ -163,7 +166,17 @@ impl Builder<'_> {
             config.train.steps = steps;
             config.validate().map_err(|error| in_row(row, axes, error))?;
         }
-        Ok((config, no_data))
+        let without_budget = budget.is_some() && !found;
+        Ok(Point {
+            // Not the point that the row would be without its budget.
+            id: config.hash() + if without_budget { "-without-budget" } else { "" },
+            scene: scene_name(self.scene).to_string(),
+            source: self.scene.to_string(),
+            no_data: missing(&config),
+            config,
+            places: vec![Place { row: row.name.clone(), axes: named(axes) }],
+            without_budget,
+        })
     }
 
     fn plain_config(&self, row: &Row, axes: &Combination) -> Result<Config> {

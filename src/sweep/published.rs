@@ -63,6 +63,17 @@ impl PublishedKey {
         (&self.table, &self.condition, &self.method) == (&row.table, &row.condition, &row.method)
     }
 
+    /// Refuses a key that no row of the paper's tables has.
+    pub fn check(&self) -> std::result::Result<(), String> {
+        if published_rows().iter().any(|row| self.names(row)) {
+            return Ok(());
+        }
+        Err(format!(
+            "names method `{}` under condition `{}` of the paper's {}, which published.csv lacks",
+            self.method, self.condition, self.table
+        ))
+    }
+
     /// The paper's row for a scene; none where the paper does not have the scene.
     pub fn find(&self, scene: &str) -> Option<PublishedRow> {
         published_rows().into_iter().find(|row| self.names(row) && row.scene == scene)

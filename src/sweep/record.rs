@@ -1,6 +1,6 @@
 //! What tables and plots are made of: the points of a sweep as read back from files.
 
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 /// One point of a sweep: a configuration with its seed, and what came of it.
 #[derive(Clone, Debug, PartialEq)]
@@ -28,7 +28,7 @@ pub struct Record {
 }
 
 /// A point's place on one axis.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct AxisValue {
     /// What is varied, as the plot's x axis names it: `steps`, `step size`, `injection layer`.
     pub axis: String,
@@ -132,7 +132,7 @@ pub struct RowSpec {
 pub struct PublishedKey {
     /// `tab1`, ...
     pub table: String,
-    /// `clean`, `gaussian`, ...
+    /// `clean`, `gaussian_noise`, ...
     pub condition: String,
     /// The method as the paper names it.
     pub method: String,

@@ -1,8 +1,9 @@
 //! Runs the points of a sweep: alone or beside other runners on the same folder, from wherever an
 //! earlier one was stopped or killed.
 
+use std::collections::HashMap;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
-use std::time::Duration;
+use std::time::{Duration, SystemTime};
 
 use crate::error::{Error, Result};
 
@@ -21,7 +22,7 @@ pub trait Work: Sync {
 }
 
 /// How a sweep is run.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Debug)]
 pub struct Options {
     /// Points at once; the cores are shared among them.
     pub jobs: usize,
@@ -29,8 +30,10 @@ pub struct Options {
     pub fail_fast: bool,
     /// Try failed points again.
     pub retry_failed: bool,
-    /// A point with which so many runners died is failed.
+    /// A point with which so many runners died, none further than the one before, is failed.
     pub most_deaths: u32,
+    /// Measure finished points again that lack one of these metrics.
+    pub remeasure: Vec<String>,
 }
 
 /// What is told while a sweep runs.
@@ -71,12 +74,9 @@ impl Runner<'_> {
     pub fn run(&self) -> Result<()> {
         let runnable: Vec<&Point> = self.points.iter().filter(|point| point.no_data.is_none()).collect();
         for point in &runnable {
-            let folder = self.folder.point(&point.id);
-            folder.begin(point)?;
-            if self.options.retry_failed {
-                folder.forgive()?;
-            }
+            self.folder.point(&point.id).begin(point)?;
         }
+        let failed_before = self.failed_before(&runnable);
         let failed = AtomicBool::new(false);
         let threads = (rayon::current_num_threads() / self.options.jobs).max(1);
         let worker = || -> Result<()> {
@@ -86,7 +86,7 @@ impl Runner<'_> {
                 if failed.load(Ordering::SeqCst) && self.options.fail_fast {
                     return Ok(());
                 }
-                match self.next(&runnable)? {
+                match self.next(&runnable, &failed_before)? {
                     Next::Nothing => return Ok(()),
                     Next::Wait => std::thread::sleep(LOOK_EVERY),
                     Next::Run(point, folder, claim) => {
@@ -107,12 +107,22 @@ impl Runner<'_> {
         })
     }
 
-    fn next<'a>(&self, points: &[&'a Point]) -> Result<Next<'a>> {
+    /// The failures to be tried again: those that are there now, and no later ones.
+    fn failed_before(&self, points: &[&Point]) -> HashMap<String, SystemTime> {
+        let failed = |point: &&Point| Some((point.id.clone(), self.folder.point(&point.id).failed_at()?));
+        if self.options.retry_failed { points.iter().filter_map(failed).collect() } else { HashMap::new() }
+    }
+
+    fn next<'a>(&self, points: &[&'a Point], failed_before: &HashMap<String, SystemTime>) -> Result<Next<'a>> {
         let mut others = false;
         for point in points {
             self.check_stop()?;
             let folder = self.folder.point(&point.id);
-            if folder.ended() {
+            let again = || match folder.failed_at() {
+                Some(at) => Ok(failed_before.get(&point.id) == Some(&at)),
+                None => folder.lacks(&self.options.remeasure),
+            };
+            if folder.ended() && !again()? {
                 continue;
             }
             let Some(claim) = Claim::take(folder.path())? else {
@@ -120,7 +130,9 @@ impl Runner<'_> {
                 continue;
             };
             // Another runner may have finished it between the look and the claim.
-            if !folder.ended() {
+            if !folder.ended() || again()? {
+                folder.clean()?;
+                folder.forgive()?;
                 return Ok(Next::Run(point, folder, claim));
             }
         }
@@ -147,7 +159,8 @@ impl Runner<'_> {
         let outcome = if claim.deaths >= self.options.most_deaths {
             Err(Failure {
                 reason: format!(
-                    "{} runners died with this point (killed, perhaps for memory); --retry-failed tries again",
+                    "{} runners died with this point without getting any further (killed, perhaps for memory); \
+                     --retry-failed tries again",
                     claim.deaths
                 ),
                 exit_code: 1,
@@ -159,9 +172,15 @@ impl Runner<'_> {
                     self.check_stop()?;
                     return Err(error);
                 }
+                // A full disk is no point's fault, and every other one's as well.
+                Err(error @ Error::Output(_)) => return Err(error),
                 Err(error) => Err(Failure { reason: error.to_string(), exit_code: error.exit_code() }),
             }
         };
+        if !claim.holds() {
+            // Taken over while this machine slept: the other runner's result counts.
+            return Ok(Ok(()));
+        }
         match &outcome {
             Ok(result) => folder.finish(result)?,
             Err(failure) => folder.fail(failure)?,

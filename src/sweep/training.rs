@@ -1,7 +1,7 @@
 //! Trains and measures points for real.
 
 use std::sync::atomic::AtomicUsize;
-use std::sync::{Arc, Mutex};
+use std::sync::{Arc, Mutex, PoisonError};
 
 use candle_core::DType;
 
@@ -58,7 +58,7 @@ impl<'a> Trainings<'a> {
     pub fn scene(&self, config: &mut Config) -> Result<Arc<Scene>> {
         locate_scene(config)?;
         let key = toml::to_string(&config.data).expect("settings are plain data");
-        let mut scenes = self.scenes.lock().expect("loading does not panic");
+        let mut scenes = self.scenes.lock().unwrap_or_else(PoisonError::into_inner);
         let scene = match scenes.iter().position(|(known, _)| *known == key) {
             Some(index) => scenes[index].1.clone(),
             None => {

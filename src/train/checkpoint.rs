@@ -14,7 +14,7 @@ use crate::config::Config;
 use crate::data::Scene;
 use crate::error::{Error, Result};
 use crate::model::Model;
-use crate::output::{AtomicDir, clean_temporaries, write_atomic, write_json};
+use crate::output::{AtomicDir, clean_temporaries, revision, write_atomic, write_json};
 
 use super::{Adam, Moments, Trainer};
 
@@ -36,6 +36,28 @@ pub struct State {
     pub redraws: Vec<u64>,
     /// Hash of the configuration.
     pub config_hash: String,
+    /// Revisions of the code that took the steps, in their order.
+    #[serde(default)]
+    pub revisions: Vec<String>,
+    /// Kinds of devices that they were taken on.
+    #[serde(default)]
+    pub devices: Vec<String>,
+}
+
+impl State {
+    /// Notes that this program goes on with the run, or measures it, on `device`.
+    pub fn touch(&mut self, device: &Device) {
+        let kind = match device {
+            Device::Cpu => "cpu",
+            Device::Cuda(_) => "cuda",
+            Device::Metal(_) => "metal",
+        };
+        for (list, now) in [(&mut self.revisions, revision()), (&mut self.devices, kind)] {
+            if !list.iter().any(|known| known == now) {
+                list.push(now.to_string());
+            }
+        }
+    }
 }
 
 /// The folder of a step below a run's `checkpoints`.
@@ -186,14 +208,19 @@ impl Trainer {
         Ok(())
     }
 
-    fn state(&self) -> State {
-        State {
+    /// Counters and provenance at this step.
+    pub fn state(&self) -> State {
+        let mut state = State {
             format: FORMAT,
             step: self.step,
             empty_steps: self.empty_steps,
             redraws: self.redraws.clone(),
             config_hash: self.config.hash(),
-        }
+            revisions: self.revisions.clone(),
+            devices: self.devices.clone(),
+        };
+        state.touch(&self.device);
+        state
     }
 
     fn tensor_bytes(&self) -> Result<Vec<u8>> {
@@ -220,6 +247,7 @@ impl Trainer {
         let moments = first.into_iter().zip(second).map(|(first, second)| Moments { first, second }).collect();
         let adam = Adam::restore(model.variables(), moments);
         let trainer = Trainer::with_model(config, scene, model, dtype, device)?;
-        Ok(Trainer { adam, step: state.step, empty_steps: state.empty_steps, redraws: state.redraws, ..trainer })
+        let State { step, empty_steps, redraws, revisions, devices, .. } = state;
+        Ok(Trainer { adam, step, empty_steps, redraws, revisions, devices, ..trainer })
     }
 }

@@ -108,6 +108,9 @@ pub struct Trainer {
     empty_steps: u64,
     /// Redraws of each field before it was alive.
     redraws: Vec<u64>,
+    /// Revisions of the code and kinds of devices that took earlier steps.
+    revisions: Vec<String>,
+    devices: Vec<String>,
 }
 
 /// A chunk of one step: rays, targets and the clean pass's random numbers.
@@ -265,6 +268,8 @@ impl Trainer {
             batches: Batches::new(config, scene)?,
             step: 0,
             empty_steps: 0,
+            revisions: Vec::new(),
+            devices: Vec::new(),
             config: config.clone(),
         })
     }

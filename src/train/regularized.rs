@@ -75,8 +75,8 @@ impl Trainer {
         }
         let fields: Vec<&Field> =
             self.model.fields().into_iter().filter(|(role, _)| self.regularizes(config, role)).map(|f| f.1).collect();
-        let step = estimate_seconds(fields[0], &lattice, points, true, (self.dtype, &self.device))?
-            * fields.len() as f64;
+        let step =
+            estimate_seconds(fields[0], &lattice, points, true, (self.dtype, &self.device))? * fields.len() as f64;
         let days = step * steps as f64 / SECONDS_PER_DAY;
         if days <= MOST_DAYS {
             return Ok(());

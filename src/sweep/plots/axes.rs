@@ -5,10 +5,13 @@ use super::{
     number, range, rises, text_width,
 };
 use crate::error::Result;
+use crate::sweep::statistics::{holm, p_value, paired_differences};
 use crate::sweep::{AxisValue, Record, Status, TableSpec};
 
 const PANEL: (f64, f64) = (250.0, 190.0);
 const GAP: (f64, f64) = (30.0, 92.0);
+/// Differences with a smaller p value count.
+const SIGNIFICANT: f64 = 0.05;
 const MARGIN: (f64, f64) = (76.0, 66.0);
 
 /// One line of one panel: values of an axis with what was measured there.
@@ -16,13 +19,14 @@ struct Series<'a> {
     axis: &'a str,
     panel: &'a str,
     row: &'a str,
-    points: Vec<(&'a str, Vec<f64>)>,
+    /// Value, then seed and number of each point.
+    points: Vec<(&'a str, Vec<(u64, f64)>)>,
 }
 
 impl Series<'_> {
     fn means(&self) -> Vec<(usize, Spread)> {
-        let spread = |(index, (_, seeds)): (usize, &(&str, Vec<f64>))| Some((index, Spread::new(seeds)?));
-        self.points.iter().enumerate().filter_map(spread).collect()
+        let spread = |index: usize| Some((index, Spread::new(&numbers(&self.points[index].1))?));
+        (0..self.points.len()).filter_map(spread).collect()
     }
 }
 
@@ -32,7 +36,9 @@ pub fn axes_figure(spec: &TableSpec, records: &[Record], scene: &str, metric: &s
     let records: Vec<&Record> = records.iter().filter(|record| record.scene == scene).collect();
     let series = series(&records, metric);
     let baseline = baseline(spec, &records, metric);
-    let values = series.iter().flat_map(|series| series.points.iter().flat_map(|(_, seeds)| seeds.iter().copied()));
+    let values = series
+        .iter()
+        .flat_map(|series| series.points.iter().flat_map(|(_, seeds)| seeds.iter().map(|(_, number)| *number)));
     let Some(range) = range(values.chain(baseline.iter().flat_map(|(_, seeds)| seeds.iter().copied()))) else {
         return Ok(None);
     };
@@ -93,7 +99,7 @@ fn series<'a>(records: &[&'a Record], metric: &str) -> Vec<Series<'a>> {
         }
         let seeds = points.iter_mut().find(|(known, _)| known == value).expect("just put there");
         let measured = Some(record).filter(|r| r.status == Status::Done).and_then(|r| r.metric(metric));
-        seeds.1.extend(measured.filter(|value| value.is_finite()));
+        seeds.1.extend(measured.filter(|value| value.is_finite()).map(|value| (record.seed, value)));
     }
     all
 }
@@ -133,7 +139,7 @@ fn draw_values(drawing: &mut Drawing, panel: &Panel, lines: &[&Series], metric: 
         draw_series(drawing, panel, series, colour, &x);
     }
     for (index, series) in lines.iter().enumerate() {
-        let verdict = verdict(series, metric);
+        let verdict = verdict(series);
         let text = if lines.len() > 1 { format!("{}: {verdict}", series.row) } else { verdict };
         let colour = if lines.len() > 1 { super::PALETTE[index % super::PALETTE.len()] } else { GREY };
         drawing.text(
@@ -172,7 +178,7 @@ fn draw_series(drawing: &mut Drawing, panel: &Panel, series: &Series, colour: su
         line.iter().for_each(|at| drawing.dot(*at, 3.5, colour, 1.0));
     }
     for (value, seeds) in &series.points {
-        seeds.iter().for_each(|seed| drawing.dot((x(value), panel.y(*seed)), 2.0, colour, 0.45));
+        seeds.iter().for_each(|(_, number)| drawing.dot((x(value), panel.y(*number)), 2.0, colour, 0.45));
     }
 }
 
@@ -190,17 +196,30 @@ fn best_index(series: &Series, metric: &str) -> usize {
     best_and_worst(series, metric).map_or(0, |((index, _), _)| index)
 }
 
-/// Whether the seeds' spread hides what the axis does, in words.
-fn verdict(series: &Series, metric: &str) -> String {
+/// Whether any two values of the axis are told apart by seeds that they share, in words.
+fn verdict(series: &Series) -> String {
     let seeds = series.points.iter().map(|(_, seeds)| seeds.len()).max().unwrap_or(0);
-    let Some(((_, best), (_, worst))) = best_and_worst(series, metric) else { return "no data".into() };
-    match (best.band, worst.band) {
-        (Some(best), Some(worst)) if best.0 <= worst.1 && worst.0 <= best.1 => {
-            format!("{seeds} seeds: within the seeds' spread")
-        }
-        (Some(_), Some(_)) => format!("{seeds} seeds"),
-        _ => "one seed: no spread known".into(),
+    match (seeds, largest_difference(series)) {
+        (0, _) => "no data".into(),
+        (1, _) => "one seed: no spread known".into(),
+        (_, Some((a, b, p))) if p < SIGNIFICANT => format!("{seeds} seeds: {a} and {b} differ, p {p:.3}"),
+        _ => format!("{seeds} seeds: not distinguishable"),
     }
+}
+
+/// The two values that are told apart best, with the p value of their paired t test after Holm's
+/// correction over all pairs.
+fn largest_difference<'a>(series: &Series<'a>) -> Option<(&'a str, &'a str, f64)> {
+    let pairs: Vec<_> = (0..series.points.len()).flat_map(|j| (0..j).map(move |i| (i, j))).collect();
+    let p_values: Vec<Option<f64>> =
+        pairs.iter().map(|&(i, j)| p_value(&paired_differences(&series.points[i].1, &series.points[j].1))).collect();
+    let corrected = holm(&p_values).into_iter().zip(pairs).filter_map(|(p, pair)| Some((p?, pair)));
+    let (p, (i, j)) = corrected.min_by(|a, b| a.0.total_cmp(&b.0))?;
+    Some((series.points[i].0, series.points[j].0, p))
+}
+
+fn numbers(seeds: &[(u64, f64)]) -> Vec<f64> {
+    seeds.iter().map(|(_, number)| *number).collect()
 }
 
 fn caption(series: &[Series], baseline: Option<&str>) -> String {
@@ -213,7 +232,8 @@ fn caption(series: &[Series], baseline: Option<&str>) -> String {
     if let Some(baseline) = baseline {
         text += &format!(" Dashed: {baseline}.");
     }
-    text += " \"Within the seeds' spread\": the bands of the best and the worst value overlap, so the panel shows no effect.";
+    text +=
+        " \"Not distinguishable\": no two values of the panel differ (paired t tests over seeds, Holm over all pairs).";
     if !missing.is_empty() {
         text += &format!(" Without data: {}.", missing.join("; "));
     }
@@ -235,14 +255,23 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_words_follow_the_bands() {
-        let series = |points: Vec<(&'static str, Vec<f64>)>| Series { axis: "steps", panel: "", row: "r", points };
-        let apart = series(vec![("1", vec![20.0, 20.1, 20.2]), ("3", vec![25.0, 25.1, 25.2])]);
-        assert_eq!(verdict(&apart, "psnr"), "3 seeds");
-        assert_eq!((best_index(&apart, "psnr"), best_index(&apart, "lpips_alex")), (1, 0));
-        let same = series(vec![("1", vec![20.0, 20.5, 21.0]), ("3", vec![20.1, 20.6, 21.1])]);
-        assert_eq!(verdict(&same, "psnr"), "3 seeds: within the seeds' spread");
-        assert_eq!(verdict(&series(vec![("1", vec![20.0]), ("3", vec![21.0])]), "psnr"), "one seed: no spread known");
-        assert_eq!(verdict(&series(vec![("1", vec![])]), "psnr"), "no data");
+    fn the_words_follow_the_paired_differences() {
+        let series = |points: Vec<(&'static str, Vec<f64>)>| Series {
+            axis: "steps",
+            panel: "",
+            row: "r",
+            points: points.into_iter().map(|(value, seeds)| (value, (0..).zip(seeds).collect())).collect(),
+        };
+        // The seeds lie further apart than the values do, and agree on the difference.
+        let paired = series(vec![("1", vec![20.0, 22.0, 24.0]), ("3", vec![20.5, 22.51, 24.49])]);
+        assert_eq!(verdict(&paired), "3 seeds: 1 and 3 differ, p 0.000");
+        assert_eq!((best_index(&paired, "psnr"), best_index(&paired, "lpips_alex")), (1, 0));
+        let same = series(vec![("1", vec![20.0, 20.5, 21.0]), ("3", vec![20.3, 20.4, 21.1])]);
+        assert_eq!(verdict(&same), "3 seeds: not distinguishable");
+        // Two seeds that differ by nearly the same: p 0.02 for one pair, and there are three.
+        let few = series(vec![("1", vec![20.0, 20.0]), ("3", vec![21.0, 21.06]), ("5", vec![20.5, 20.2])]);
+        assert_eq!(verdict(&few), "2 seeds: not distinguishable");
+        assert_eq!(verdict(&series(vec![("1", vec![20.0]), ("3", vec![21.0])])), "one seed: no spread known");
+        assert_eq!(verdict(&series(vec![("1", vec![])])), "no data");
     }
 }

@@ -2,7 +2,6 @@
 
 use super::Group;
 use crate::error::{Error, Result};
-use crate::sweep::published::published_rows;
 use crate::sweep::{Record, RowSpec, TableSpec};
 
 /// Refuses rows that name what does not exist, and points that the table could not place.
@@ -47,13 +46,8 @@ fn check_row(spec: &TableSpec, row: &RowSpec) -> Result<()> {
             row_names(spec)
         )));
     }
-    if let Some(key) = row.published.as_ref().filter(|key| !published_rows().iter().any(|known| key.names(known))) {
-        return Err(Error::Config(format!(
-            "row `{}` names method `{}` under condition `{}` of the paper's {}, which published.csv lacks",
-            row.name, key.method, key.condition, key.table
-        )));
-    }
-    Ok(())
+    let published = row.published.as_ref().map_or(Ok(()), |key| key.check());
+    published.map_err(|message| Error::Config(format!("row `{}` {message}", row.name)))
 }
 
 fn row_names(spec: &TableSpec) -> String {
@@ -68,7 +62,7 @@ pub(super) fn check_controlled(spec: &TableSpec, groups: &[Group]) -> Result<()>
         if let Some(field) = spec.must_match.iter().find(|field| point.protocol(field) != first.protocol(field)) {
             let value_in =
                 |record: &Record| format!("`{}` in {} (seed {})", record.protocol(field), record.label(), record.seed);
-            return Err(Error::Config(format!(
+            return Err(Error::NotComparable(format!(
                 "the rows of scene {} are not comparable, {field} is {} and {}: run them under one setting, or \
                  build the table anyway with --force, which marks the rows that differ",
                 point.scene,

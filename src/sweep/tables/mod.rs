@@ -313,10 +313,17 @@ fn correct_p_values(lines: &mut [Line]) {
     for scene in lines.chunk_by_mut(|a, b| a.scene == b.scene) {
         for metric in 0..scene[0].cells.len() {
             let comparison = |line: &Line| line.cells[metric].comparison;
-            let p_values: Vec<Option<f64>> = scene.iter().map(|line| comparison(line).and_then(|c| c.p)).collect();
-            for (line, corrected) in scene.iter_mut().zip(holm(&p_values)) {
+            // A point that stands in several lines, as the best one of a figure does, is one comparison.
+            let same = |a: &Line, b: &Line| (&a.ids, &a.baseline) == (&b.ids, &b.baseline);
+            let firsts: Vec<usize> = (0..scene.len())
+                .map(|i| scene[..i].iter().position(|line| same(line, &scene[i])).unwrap_or(i))
+                .collect();
+            let p_value = |(i, line)| comparison(line).and_then(|c| c.p).filter(|_| firsts[i] == i);
+            let p_values: Vec<Option<f64>> = scene.iter().enumerate().map(p_value).collect();
+            let corrected = holm(&p_values);
+            for (line, first) in scene.iter_mut().zip(firsts) {
                 if let Some(comparison) = &mut line.cells[metric].comparison {
-                    comparison.p_holm = corrected;
+                    comparison.p_holm = corrected[first];
                 }
             }
         }

@@ -1,0 +1,123 @@
+//! The points of a sweep: decided once, when its folder is begun, and read from there afterwards.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::sync::Mutex;
+
+use crate::config::Config;
+use crate::error::{Error, Result};
+use crate::output::write_json;
+
+use super::budget::{StepCosts, shape};
+use super::definition::Definition;
+use super::folder::{Change, SweepFolder};
+use super::points::{Point, expand};
+
+/// The points that `folder` was begun with; a new folder is begun with those of `definition`. A
+/// folder of another definition is refused, or with `extend` goes on with this one. `measure` gives
+/// seconds of steps, where budgets ask for them.
+pub fn begin(
+    folder: &SweepFolder,
+    definition: &Definition,
+    data_root: Option<&Path>,
+    extend: bool,
+    measure: &dyn StepCosts,
+) -> Result<Vec<Point>> {
+    // A wrong definition leaves no folder.
+    expand(definition, data_root, &Unmeasured)?;
+    let _lock = folder.lock()?;
+    let change = folder.compare(definition)?;
+    let begun = folder.points(data_root)?;
+    match (change, begun) {
+        (Change::None, Some(points)) if !budgets_can_be_told(&points) => return Ok(points),
+        (Change::Changed, begun) if !extend => {
+            return Err(refusal(folder, definition, &begun.unwrap_or_default()));
+        }
+        _ => {}
+    }
+    let costs = KeptCosts::new(folder, measure)?;
+    let points = expand(definition, data_root, &costs)?;
+    folder.begin(definition, &points, data_root)?;
+    Ok(points)
+}
+
+/// A scene has come since, so that budgets which hang on it are known.
+fn budgets_can_be_told(points: &[Point]) -> bool {
+    points.iter().any(|point| point.without_budget && point.no_data.is_none())
+}
+
+fn refusal(folder: &SweepFolder, definition: &Definition, before: &[Point]) -> Error {
+    let counted = match expand(definition, None, &Unknown) {
+        Ok(now) => {
+            let missing = |from: &[Point], other: &[Point]| {
+                from.iter().filter(|point| other.iter().all(|known| known.id != point.id)).count()
+            };
+            format!(
+                ": this one has {} points that it had not, and lacks {} that it had",
+                missing(&now, before),
+                missing(before, &now)
+            )
+        }
+        // Budgets in seconds would have to be measured first.
+        Err(_) => String::new(),
+    };
+    Error::Config(format!(
+        "{} was begun with another definition{counted}; --extend goes on with this definition (nothing is deleted), \
+         another --name or --out starts a new sweep",
+        folder.path().display()
+    ))
+}
+
+/// Any numbers, other ones for other shapes: enough to see whether a definition is right.
+struct Unmeasured;
+
+impl StepCosts for Unmeasured {
+    fn seconds_per_step(&self, config: &Config) -> Result<f64> {
+        let digits = u32::from_str_radix(&shape(config)[..6], 16).expect("a hexadecimal hash");
+        Ok(1.0 + f64::from(digits) / f64::from(1 << 24))
+    }
+}
+
+/// No number.
+struct Unknown;
+
+impl StepCosts for Unknown {
+    fn seconds_per_step(&self, _: &Config) -> Result<f64> {
+        Err(Error::Config("not measured".into()))
+    }
+}
+
+/// Seconds of a step as measured when the sweep was begun, kept with it: an extended sweep keeps
+/// its points. Used under the folder's lock.
+struct KeptCosts<'a> {
+    path: PathBuf,
+    known: Mutex<BTreeMap<String, f64>>,
+    measure: &'a dyn StepCosts,
+}
+
+impl<'a> KeptCosts<'a> {
+    fn new(folder: &SweepFolder, measure: &'a dyn StepCosts) -> Result<KeptCosts<'a>> {
+        let path = folder.step_seconds();
+        let known = match std::fs::read(&path) {
+            Ok(bytes) => serde_json::from_slice(&bytes)
+                .map_err(|e| Error::Checkpoint(format!("cannot read {}: {e}; delete it", path.display())))?,
+            Err(error) if error.kind() == std::io::ErrorKind::NotFound => BTreeMap::new(),
+            Err(error) => return Err(Error::unreadable(&path, &error)),
+        };
+        Ok(KeptCosts { path, known: Mutex::new(known), measure })
+    }
+}
+
+impl StepCosts for KeptCosts<'_> {
+    fn seconds_per_step(&self, config: &Config) -> Result<f64> {
+        let mut known = self.known.lock().expect("no panic while measuring");
+        let shape = shape(config);
+        if let Some(seconds) = known.get(&shape) {
+            return Ok(*seconds);
+        }
+        let seconds = self.measure.seconds_per_step(config)?;
+        known.insert(shape, seconds);
+        write_json(&self.path, &*known)?;
+        Ok(seconds)
+    }
+}
