@@ -72,6 +72,28 @@ impl Model {
         std::iter::once(("coarse", &self.coarse)).chain(further).collect()
     }
 
+    /// The same weights, each field with a record of their gradients of its own.
+    pub fn recording(&self) -> Model {
+        let recording = |field: &Option<Field>| field.as_ref().map(Field::recording);
+        Model {
+            coarse: self.coarse.recording(),
+            fine: recording(&self.fine),
+            adversarial: recording(&self.adversarial),
+        }
+    }
+
+    /// What the fields recorded, in the order of all parameters; none where a field does not record.
+    pub fn recorded(&self) -> Result<Vec<Option<Tensor>>> {
+        let mut gradients = Vec::new();
+        for (_, field) in self.fields() {
+            match field.recorded()? {
+                Some(recorded) => gradients.extend(recorded.into_iter().map(Some)),
+                None => gradients.extend(vec![None; field.variables().len()]),
+            }
+        }
+        Ok(gradients)
+    }
+
     /// All parameters with their names, in the fixed order.
     pub fn variables(&self) -> Vec<(String, Var)> {
         let named = |(role, field): (&str, &Field)| -> Vec<(String, Var)> {

@@ -76,7 +76,7 @@ fn field_output_and_weight_gradients() {
     let r = Reference::load("numeric_core");
     let field = r.field(&width(64), |name| format!("mlp.{}", nerf_pytorch_name(name)));
     let (x, d) = (r.get("encode.x"), r.get("encode.d"));
-    let raw = field.forward(&x, &encode(&d, 4).unwrap(), None).unwrap();
+    let raw = field.forward(&x, &d, None).unwrap();
     let out = Tensor::cat(&[&raw.rgb, &raw.density.unsqueeze(1).unwrap()], 1).unwrap();
     // The encoding's error (see above) passes through ten layers of gain about 1; gradients sum it
     // over 64 points.

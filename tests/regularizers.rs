@@ -26,6 +26,7 @@ fn shape(depth: usize, skips: &[usize], octaves: usize, density_activation: Dens
         view_octaves: 1,
         density_activation,
         init: augnerf::config::Init::Glorot,
+        core: augnerf::config::Core::Fused,
     }
 }
 

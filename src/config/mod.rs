@@ -203,6 +203,17 @@ impl Default for DataConfig {
     }
 }
 
+/// Which implementation of the networks computes.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Core {
+    /// Fused where there is one for the device, plain elsewhere.
+    #[default]
+    Fused,
+    /// candle's operations: the reference.
+    Plain,
+}
+
 /// How weights are drawn.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
@@ -243,6 +254,9 @@ pub struct FieldConfig {
     pub init: Init,
     /// What turns raw density into density.
     pub density_activation: DensityActivation,
+    /// What computes the networks: `fused` (where there is one for the device) or `plain`, the reference. They differ by
+    /// roundings.
+    pub core: Core,
 }
 
 impl Default for FieldConfig {
@@ -255,6 +269,7 @@ impl Default for FieldConfig {
             view_octaves: 4,
             init: Init::Glorot,
             density_activation: DensityActivation::Relu,
+            core: Core::Fused,
         }
     }
 }

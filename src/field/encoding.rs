@@ -37,7 +37,7 @@ struct Encode {
 }
 
 /// Scalars that the loops below are written for.
-trait Real: Copy {
+pub(super) trait Real: Copy {
     fn to_f64(self) -> f64;
     fn from_f64(value: f64) -> Self;
 }
@@ -60,9 +60,9 @@ impl Real for f64 {
     }
 }
 
-fn encode_rows<T: Real>(x: &[T], octaves: usize) -> Vec<T> {
+/// Encodes 3-vectors row by row.
+pub(super) fn encode_into<T: Real>(x: &[T], octaves: usize, out: &mut [T]) {
     let channels = encoded_channels(octaves);
-    let mut out = vec![T::from_f64(0.0); x.len() / 3 * channels];
     for (x, out) in x.chunks_exact(3).zip(out.chunks_exact_mut(channels)) {
         out[..3].copy_from_slice(x);
         for (axis, value) in x.iter().enumerate() {
@@ -74,15 +74,14 @@ fn encode_rows<T: Real>(x: &[T], octaves: usize) -> Vec<T> {
             }
         }
     }
-    out
 }
 
 /// d/dx of sin(f x) is f cos(f x), of cos(f x) it is -f sin(f x).
-fn gradient_rows<T: Real>(encoded: &[T], gradient: &[T], octaves: usize) -> Vec<T> {
+pub(super) fn gradient_into<T: Real>(encoded: &[T], gradient: &[T], octaves: usize, out: &mut [T]) {
     let channels = encoded_channels(octaves);
-    let mut out = Vec::with_capacity(encoded.len() / channels * 3);
-    for (encoded, gradient) in encoded.chunks_exact(channels).zip(gradient.chunks_exact(channels)) {
-        for axis in 0..3 {
+    let rows = encoded.chunks_exact(channels).zip(gradient.chunks_exact(channels));
+    for ((encoded, gradient), out) in rows.zip(out.chunks_exact_mut(3)) {
+        for (axis, out) in out.iter_mut().enumerate() {
             let mut sum = gradient[axis].to_f64();
             let mut frequency = 1.0;
             for (wave, g) in encoded[3..].chunks_exact(6).zip(gradient[3..].chunks_exact(6)) {
@@ -90,9 +89,20 @@ fn gradient_rows<T: Real>(encoded: &[T], gradient: &[T], octaves: usize) -> Vec<
                 sum += frequency * turned;
                 frequency *= 2.0;
             }
-            out.push(T::from_f64(sum));
+            *out = T::from_f64(sum);
         }
     }
+}
+
+fn encode_rows<T: Real>(x: &[T], octaves: usize) -> Vec<T> {
+    let mut out = vec![T::from_f64(0.0); x.len() / 3 * encoded_channels(octaves)];
+    encode_into(x, octaves, &mut out);
+    out
+}
+
+fn gradient_rows<T: Real>(encoded: &[T], gradient: &[T], octaves: usize) -> Vec<T> {
+    let mut out = vec![T::from_f64(0.0); encoded.len() / encoded_channels(octaves) * 3];
+    gradient_into(encoded, gradient, octaves, &mut out);
     out
 }
 

@@ -4,18 +4,22 @@
 //! A field knows nothing of rays or attacks. It maps points and directions to raw colour and raw
 //! density and accepts a delta that is added to one trunk layer's output.
 //!
-//! This is the reference path, in f32 or f64 on any device. A fused core for one processor is to
-//! replace [`Field::forward`] behind the same signature and be tested against it.
+//! A field is asked in one of two ways behind one signature. The plain one, of candle's operations,
+//! works in f32 and f64 on any device and is the reference. The fused one ([`fused`]) serves
+//! [`Field::frozen`] and [`Field::recording`] fields in f32 on a processor.
 
 use candle_core::{DType, Device, Tensor, Var};
 
-use crate::config::{FieldConfig, Init};
+use std::sync::Arc;
+
+use crate::config::{Core, FieldConfig, Init};
 use crate::error::Result;
 use crate::rng::{Random, Stream};
 
 mod activation;
 mod dense;
 mod encoding;
+mod fused;
 mod spatial;
 
 pub use dense::{dense, dense_reference};
@@ -41,6 +45,8 @@ pub struct Field {
     rgb: Layer,
     /// The parameters as variables, in the order of [`Field::parameter_names`]; empty when frozen.
     variables: Vec<(String, Var)>,
+    /// Takes the gradients of the weights past candle's graph.
+    recorder: Option<Arc<fused::Recorder>>,
 }
 
 /// What a field says before its activations.
@@ -146,7 +152,43 @@ impl Field {
         let mut layers: Vec<Layer> = layer_shapes(config).into_iter().map(|(name, _, _)| next(name)).collect();
         let mut pop = || layers.pop().expect("four heads");
         let (rgb, view, feature, density) = (pop(), pop(), pop(), pop());
-        Field { config: config.clone(), trunk: layers, density, feature, view, rgb, variables: Vec::new() }
+        Field {
+            config: config.clone(),
+            trunk: layers,
+            density,
+            feature,
+            view,
+            rgb,
+            variables: Vec::new(),
+            recorder: None,
+        }
+    }
+
+    /// The same weights with a record of their gradients of its own: backward passes through the returned field add
+    /// up in it (see [`Field::recorded`]). Where the fused core does not apply, candle's gradient store has them.
+    pub fn recording(&self) -> Field {
+        let recorder = self.can_fuse().then(|| Arc::new(fused::Recorder::new(&self.config)));
+        Field { recorder, ..self.clone() }
+    }
+
+    /// The gradients of the weights that backward passes through this field have added up, in the order of
+    /// parameters; none for a field that does not record.
+    pub fn recorded(&self) -> Result<Option<Vec<Tensor>>> {
+        Ok(self.recorder.as_ref().map(|recorder| recorder.gradients(&self.config)).transpose()?)
+    }
+
+    fn can_fuse(&self) -> bool {
+        let weight = &self.density.weight;
+        self.config.core == Core::Fused && weight.device().is_cpu() && weight.dtype() == DType::F32
+    }
+
+    /// Asks the fused core where it applies: nobody expects gradients of the weights in candle's graph.
+    fn query(&self) -> Option<fused::Query<'_>> {
+        (self.can_fuse() && (self.recorder.is_some() || self.variables.is_empty())).then(|| fused::Query {
+            config: &self.config,
+            parameters: self.layers().flat_map(|layer| [layer.weight.clone(), layer.bias.clone()]).collect(),
+            recorder: self.recorder.clone(),
+        })
     }
 
     /// All layers in the order of parameters.
@@ -175,18 +217,27 @@ impl Field {
             .map_err(|e| e.context(format!("layer {}", layer.name)))
     }
 
-    /// Raw colour and density of points `[n, 3]` seen along unit directions whose encoding is
-    /// `encoded_views [n, 3 + 6 view_octaves]` (see [`Field::encode_views`]).
-    pub fn forward(&self, points: &Tensor, encoded_views: &Tensor, delta: Option<FeatureDelta>) -> Result<RawOutput> {
+    /// Raw colour and density of points `[n, 3]` seen along unit directions `viewdirs [rays, 3]`; each ray has the
+    /// same number of points, one ray's behind another's.
+    pub fn forward(&self, points: &Tensor, viewdirs: &Tensor, delta: Option<FeatureDelta>) -> Result<RawOutput> {
+        let (n, _) = points.dims2()?;
+        if let Some(query) = self.query() {
+            let raw = query.ask(points, viewdirs, delta.map(|delta| (delta.layer, delta.delta)))?;
+            return Ok(RawOutput { rgb: raw.narrow(0, 0, 3 * n)?.reshape((n, 3))?, density: raw.narrow(0, 3 * n, n)? });
+        }
+        let encoded_views = self.encode_views(viewdirs, n / viewdirs.dim(0)?.max(1))?;
         let hidden = self.trunk(points, delta)?;
         let density = self.layer(&self.density, &hidden, false)?.squeeze(1)?;
         let feature = self.layer(&self.feature, &hidden, false)?;
-        let view = self.layer(&self.view, &Tensor::cat(&[&feature, encoded_views], 1)?, true)?;
+        let view = self.layer(&self.view, &Tensor::cat(&[&feature, &encoded_views], 1)?, true)?;
         Ok(RawOutput { rgb: self.layer(&self.rgb, &view, false)?, density })
     }
 
     /// Raw density alone, `[n]`.
     pub fn raw_density(&self, points: &Tensor) -> Result<Tensor> {
+        if let Some(query) = self.query().filter(|query| query.recorder.is_none() && !points.track_op()) {
+            return Ok(query.density(points)?);
+        }
         let hidden = self.trunk(points, None)?;
         Ok(self.layer(&self.density, &hidden, false)?.squeeze(1)?)
     }
@@ -221,7 +272,7 @@ impl Field {
 
     /// Encodes unit directions `[rays, 3]` once a ray and repeats them for its samples:
     /// `[rays * samples, 3 + 6 view_octaves]`.
-    pub fn encode_views(&self, viewdirs: &Tensor, samples: usize) -> Result<Tensor> {
+    fn encode_views(&self, viewdirs: &Tensor, samples: usize) -> Result<Tensor> {
         let (rays, _) = viewdirs.dims2()?;
         let encoded = encode(viewdirs, self.config.view_octaves)?; // [rays, channels]
         let channels = encoded.dim(1)?;

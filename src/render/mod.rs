@@ -132,11 +132,10 @@ fn tilt(rays: &Rays, angles: &Tensor) -> Result<Tensor> {
 fn query(field: &Field, points: &Tensor, viewdirs: &Tensor, feature: Option<(usize, &Tensor)>) -> Result<RawOutput> {
     let (rays, samples, _) = points.dims3()?;
     let flat = points.reshape((rays * samples, 3))?;
-    let views = field.encode_views(viewdirs, samples)?;
     let delta = feature.map(|(layer, delta)| Ok((layer, delta.flatten(0, 1)?))).transpose();
     let delta: Option<(usize, Tensor)> = delta.map_err(|e: candle_core::Error| e)?;
     let delta = delta.as_ref().map(|(layer, delta)| FeatureDelta { layer: *layer, delta });
-    let raw = field.forward(&flat, &views, delta)?;
+    let raw = field.forward(&flat, viewdirs, delta)?;
     Ok(RawOutput { rgb: raw.rgb.reshape((rays, samples, 3))?, density: raw.density.reshape((rays, samples))? })
 }
 

@@ -33,6 +33,8 @@ pub use session::{EVALUATION_COLUMNS, Observer, Outcome, Session, interrupted};
 
 /// Accumulation under which a ray counts as empty.
 const EMPTY_ACC: f64 = 1e-3;
+/// Parts of a step that threads share; each sums its gradients in place.
+const PARTS: usize = 16;
 /// Times that a dead start is drawn again before the configuration is blamed.
 const MOST_REDRAWS: u64 = 100;
 
@@ -386,37 +388,49 @@ impl Trainer {
     /// All passes through the rays of a step, chunk by chunk.
     fn passes(&self, whole: &Chunk, log: bool) -> Result<ChunkResult> {
         let size = self.config.train.chunk;
-        let starts: Vec<usize> = (0..whole.rays.len()).step_by(size).collect();
-        let work = |(index, &start): (usize, &usize)| -> Result<ChunkResult> {
-            let count = size.min(whole.rays.len() - start);
-            self.work(&whole.narrow(index, start, count)?, log)
+        let starts: Vec<(usize, usize)> = (0..whole.rays.len()).step_by(size).enumerate().collect();
+        let work = |part: &[(usize, usize)]| -> Result<ChunkResult> {
+            let model = self.model.recording();
+            let mut sum: Option<ChunkResult> = None;
+            for &(index, start) in part {
+                let count = size.min(whole.rays.len() - start);
+                let chunk = self.work(&model, &whole.narrow(index, start, count)?, log)?;
+                match &mut sum {
+                    Some(sum) => sum.add(chunk)?,
+                    None => sum = Some(chunk),
+                }
+            }
+            let mut sum = sum.expect("a part has chunks");
+            sum.gradients.merge(Gradients(model.recorded()?))?;
+            Ok(sum)
         };
-        // One thread a chunk: a chunk's tensors stay in its core's cache. The sums below are in
-        // the chunks' order, so the number of threads changes no bit.
-        let chunks: Result<Vec<ChunkResult>> = if self.device.is_cpu() {
-            starts.par_iter().enumerate().map(work).collect()
+        // One thread a part: a chunk's tensors stay in its core's cache. Parts are the same whatever
+        // the number of threads, and the sums below are in their order: it changes no bit.
+        let parts: Vec<&[(usize, usize)]> = starts.chunks(starts.len().div_ceil(PARTS)).collect();
+        let parts: Result<Vec<ChunkResult>> = if self.device.is_cpu() {
+            parts.into_par_iter().map(work).collect()
         } else {
-            starts.iter().enumerate().map(work).collect()
+            parts.into_iter().map(work).collect()
         };
-        let mut chunks = chunks?.into_iter();
-        let mut sum = chunks.next().expect("a batch has rays");
-        for chunk in chunks {
-            sum.add(chunk)?;
+        let mut parts = parts?.into_iter();
+        let mut sum = parts.next().expect("a batch has rays");
+        for part in parts {
+            sum.add(part)?;
         }
         Ok(sum)
     }
 
     /// Everything that a step does with a chunk. Losses and gradients are
     /// weighted with the chunk's share, so that chunks add up.
-    fn work(&self, chunk: &Chunk, log: bool) -> Result<ChunkResult> {
+    fn work(&self, model: &Model, chunk: &Chunk, log: bool) -> Result<ChunkResult> {
         let (clean_weight, perturbed_weight) = mixing(&self.config);
         let mut result = ChunkResult::new(self.adam.variables().len());
-        let t_fine = self.clean(chunk, clean_weight, &mut result)?;
+        let t_fine = self.clean(model, chunk, clean_weight, &mut result)?;
         if self.config.method == Method::AugNerf {
             let loss = if self.config.perturb.kind == PerturbKind::FreshJitter {
-                self.second_clean(chunk, perturbed_weight, &mut result.gradients)?
+                self.second_clean(model, chunk, perturbed_weight, &mut result.gradients)?
             } else {
-                self.perturbed(chunk, t_fine.as_ref(), perturbed_weight, &mut result, log)?
+                self.perturbed(model, chunk, t_fine.as_ref(), perturbed_weight, (&mut result, log))?
             };
             result.loss_perturbed = Some(loss);
         }
@@ -424,12 +438,12 @@ impl Trainer {
     }
 
     /// Clean passes of a chunk; returns the fine pass's samples.
-    fn clean(&self, chunk: &Chunk, weight: f64, result: &mut ChunkResult) -> Result<Option<Tensor>> {
-        let coarse = clean_pass(&self.model.coarse, self.coarse_pass(chunk))?;
+    fn clean(&self, model: &Model, chunk: &Chunk, weight: f64, result: &mut ChunkResult) -> Result<Option<Tensor>> {
+        let coarse = clean_pass(&model.coarse, self.coarse_pass(chunk))?;
         let weight = weight * chunk.share;
         result.loss_coarse = chunk.share * self.descend(&coarse, &chunk.target, weight, &mut result.gradients)?;
-        let (Some(field), Some(u)) = (&self.model.fine, &chunk.u) else {
-            result.largest_acc = largest(&noiseless_acc(&self.model.coarse, &coarse, self.coarse_pass(chunk))?)?;
+        let (Some(field), Some(u)) = (&model.fine, &chunk.u) else {
+            result.largest_acc = largest(&noiseless_acc(&model.coarse, &coarse, self.coarse_pass(chunk))?)?;
             return Ok(None);
         };
         let t_vals = sampling::importance(&chunk.t_coarse, &coarse.composite.weights, u)?;

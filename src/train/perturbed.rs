@@ -5,6 +5,7 @@ use candle_core::Tensor;
 use crate::config::{Level, PerturbConfig, PerturbKind, Resample};
 use crate::error::Result;
 use crate::field::Field;
+use crate::model::Model;
 use crate::perturbations::{Deltas, Draw, PassGeometry, Sets, StepSizes, worst_case};
 use crate::render::{Pass, PassOutput, Perturbation, perturbed_pass, photometric_loss};
 use crate::rng::{Random, Stream};
@@ -27,12 +28,18 @@ pub(super) struct Perturbed<'a> {
 impl Trainer {
     /// The control: another clean pass with its own jitter, noise and samples. Returns its loss,
     /// weighted with the chunk's share.
-    pub(super) fn second_clean(&self, chunk: &Chunk, weight: f64, gradients: &mut Gradients) -> Result<f64> {
+    pub(super) fn second_clean(
+        &self,
+        model: &Model,
+        chunk: &Chunk,
+        weight: f64,
+        gradients: &mut Gradients,
+    ) -> Result<f64> {
         let mut random = Random::part(self.config.seed, Stream::Attack, self.step, chunk.index);
         let drawn = self.draw_clean(chunk.rays.clone(), chunk.target.clone(), &mut random)?;
         let fresh = Chunk { share: chunk.share, ..drawn };
         let mut second = ChunkResult::new(gradients.0.len());
-        self.clean(&fresh, weight, &mut second)?;
+        self.clean(model, &fresh, weight, &mut second)?;
         let loss = second.loss();
         gradients.merge(second.gradients)?;
         Ok(loss)
@@ -42,15 +49,17 @@ impl Trainer {
     /// their loss, coarse + fine, weighted with the chunk's share.
     pub(super) fn perturbed(
         &self,
+        model: &Model,
         chunk: &Chunk,
         t_fine: Option<&Tensor>,
         weight: f64,
-        result: &mut ChunkResult,
-        log: bool,
+        (result, log): (&mut ChunkResult, bool),
     ) -> Result<f64> {
-        let coarse = self.perturbed_pass(chunk, &self.model.coarse, self.coarse_pass(chunk), true)?;
+        let adversarial = model.adversarial.as_ref();
+        let own = adversarial.unwrap_or(&model.coarse);
+        let coarse = self.perturbed_pass(chunk, own, self.coarse_pass(chunk), true)?;
         let (mut loss, out) = self.attack(&coarse, weight, result, log)?;
-        let (Some(field), Some(t_fine), Some(u)) = (&self.model.fine, t_fine, &chunk.u) else { return Ok(loss) };
+        let (Some(field), Some(t_fine), Some(u)) = (&model.fine, t_fine, &chunk.u) else { return Ok(loss) };
         let resampled;
         let t_vals = match self.config.perturb.resample {
             Resample::Clean => t_fine,
@@ -59,7 +68,7 @@ impl Trainer {
                 &resampled
             }
         };
-        let fine = self.perturbed_pass(chunk, field, self.fine_pass(chunk, t_vals), false)?;
+        let fine = self.perturbed_pass(chunk, adversarial.unwrap_or(field), self.fine_pass(chunk, t_vals), false)?;
         loss += self.attack(&fine, weight, result, log)?.0;
         Ok(loss)
     }
@@ -67,7 +76,7 @@ impl Trainer {
     fn perturbed_pass<'a>(
         &'a self,
         chunk: &'a Chunk,
-        own: &'a Field,
+        field: &'a Field,
         pass: Pass<'a>,
         is_coarse: bool,
     ) -> Result<Perturbed<'a>> {
@@ -81,7 +90,7 @@ impl Trainer {
             pixel: self.volume.pixel,
         };
         Ok(Perturbed {
-            field: self.model.adversarial.as_ref().unwrap_or(own),
+            field,
             pass,
             target: &chunk.target,
             sets: Sets::new(&self.config.perturb, &geometry)?,

@@ -1,0 +1,228 @@
+//! The field on a processor as one differentiable operation: encoding and all layers over tiles of
+//! points, computing exactly the gradients that are asked for.
+//!
+//! candle's graph carries gradients of points, view directions and feature delta. Those of the
+//! weights go past it, into a [`Recorder`]: an operation has at most three arguments, and the
+//! gradients of many chunks add up in place. The plain path ([`Field::forward`] on a field that
+//! neither records nor is frozen) is the reference that this one is tested against.
+
+mod kernels;
+mod network;
+
+use std::ops::Deref;
+use std::sync::{Arc, Mutex, PoisonError};
+
+use candle_core::backend::BackendStorage;
+use candle_core::{CpuStorage, CustomOp3, DType, Layout, Result, Shape, Storage, Tensor, Var};
+
+use crate::config::FieldConfig;
+
+use super::layer_shapes;
+use network::{InputGradients, Inputs, Kept, Linear, Network, Wanted};
+
+/// Sums gradients of a field's weights, flat in the order of its parameters.
+#[derive(Debug)]
+pub struct Recorder(Mutex<Vec<f32>>);
+
+impl Recorder {
+    /// With a sum of zero.
+    pub fn new(config: &FieldConfig) -> Recorder {
+        let size = layer_shapes(config).iter().map(|(_, outputs, inputs)| outputs * (inputs + 1)).sum();
+        Recorder(Mutex::new(vec![0.0; size]))
+    }
+
+    /// The sums as tensors, in the order of parameters.
+    pub fn gradients(&self, config: &FieldConfig) -> Result<Vec<Tensor>> {
+        let sums = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut rest = sums.as_slice();
+        let mut take = |shape: Shape| {
+            let (values, after) = rest.split_at(shape.elem_count());
+            rest = after;
+            Tensor::from_slice(values, shape, &candle_core::Device::Cpu)
+        };
+        let layers = layer_shapes(config);
+        let tensors = layers.iter().flat_map(|(_, outputs, inputs)| [(*outputs, *inputs).into(), (*outputs).into()]);
+        tensors.map(&mut take).collect()
+    }
+}
+
+/// One query of a field.
+pub struct Query<'a> {
+    pub config: &'a FieldConfig,
+    /// Weight and bias of every layer in the order of parameters, f32 on the processor.
+    pub parameters: Vec<Tensor>,
+    /// Takes the gradients of the weights; without one they are constants.
+    pub recorder: Option<Arc<Recorder>>,
+}
+
+impl Query<'_> {
+    /// Raw colour `[3 n]` and raw density `[n]` behind each other. `points` `[n, 3]`, `viewdirs` `[rays, 3]`, `delta`
+    /// `[n, width]` of a 1-based trunk layer.
+    pub fn ask(self, points: &Tensor, viewdirs: &Tensor, delta: Option<(usize, &Tensor)>) -> Result<Tensor> {
+        let wanted = Wanted {
+            weights: self.recorder.is_some(),
+            points: points.track_op(),
+            viewdirs: viewdirs.track_op(),
+            delta: delta.is_some_and(|(_, delta)| delta.track_op()),
+        };
+        // Where nothing else is tracked, the graph would never come back for the weights.
+        let tracked;
+        let viewdirs = if wanted == (Wanted { weights: true, ..Wanted::default() }) {
+            tracked = Var::from_tensor(viewdirs)?;
+            tracked.as_tensor()
+        } else {
+            viewdirs
+        };
+        let none = Tensor::zeros(1, DType::F32, points.device())?;
+        let operation = Fused {
+            config: self.config.clone(),
+            parameters: self.parameters,
+            recorder: self.recorder,
+            delta_layer: delta.map(|(layer, _)| layer),
+            wanted,
+            kept: Mutex::default(),
+        };
+        let delta = delta.map_or(Ok(none), |(_, delta)| delta.contiguous())?;
+        points.contiguous()?.apply_op3(&viewdirs.contiguous()?, &delta, operation)
+    }
+
+    /// Raw density `[n]` alone, without gradients.
+    pub fn density(self, points: &Tensor) -> Result<Tensor> {
+        let points = points.detach().contiguous()?;
+        let values = Values::of(&points);
+        let parameters: Vec<Values> = self.parameters.iter().map(Values::of).collect();
+        let inputs = Inputs { points: values.slice()?, viewdirs: &[], delta: None };
+        let (raw, _) = network(self.config, &parameters)?.forward(inputs, Wanted::default());
+        let n = raw.len();
+        Tensor::from_vec(raw, n, points.device())
+    }
+}
+
+/// A tensor's values, readable while this lives.
+struct Values<'a> {
+    storage: Box<dyn Deref<Target = Storage> + 'a>,
+    layout: &'a Layout,
+}
+
+impl<'a> Values<'a> {
+    fn of(tensor: &'a Tensor) -> Values<'a> {
+        let (storage, layout) = tensor.storage_and_layout();
+        Values { storage: Box::new(storage), layout }
+    }
+
+    fn slice(&self) -> Result<&[f32]> {
+        match &**self.storage {
+            Storage::Cpu(storage) => slice(storage, self.layout),
+            _ => candle_core::bail!("the fused field is for processors"),
+        }
+    }
+}
+
+fn slice<'a>(storage: &'a CpuStorage, layout: &Layout) -> Result<&'a [f32]> {
+    let Some((start, end)) = layout.contiguous_offsets() else {
+        candle_core::bail!("the fused field needs contiguous arguments");
+    };
+    match storage {
+        CpuStorage::F32(values) => Ok(&values[start..end]),
+        other => candle_core::bail!("the fused field is for f32, got {:?}", other.dtype()),
+    }
+}
+
+fn network<'a>(config: &'a FieldConfig, parameters: &'a [Values<'a>]) -> Result<Network<'a>> {
+    let mut offset = 0;
+    let mut layers = Vec::new();
+    for ((_, outputs, inputs), pair) in layer_shapes(config).into_iter().zip(parameters.chunks_exact(2)) {
+        let (weight, bias) = (pair[0].slice()?, pair[1].slice()?);
+        layers.push(Linear { weight, bias, inputs, weight_offset: offset, bias_offset: offset + outputs * inputs });
+        offset += outputs * (inputs + 1);
+    }
+    let mut heads = layers.split_off(config.depth).into_iter();
+    let mut head = || heads.next().expect("four heads");
+    let (density, feature, view, rgb) = (head(), head(), head(), head());
+    Ok(Network { config, trunk: layers, density, feature, view, rgb })
+}
+
+struct Fused {
+    config: FieldConfig,
+    parameters: Vec<Tensor>,
+    recorder: Option<Arc<Recorder>>,
+    delta_layer: Option<usize>,
+    wanted: Wanted,
+    /// From the forward to the backward pass.
+    kept: Mutex<Option<Kept>>,
+}
+
+impl Fused {
+    fn inputs<'a>(&self, points: &'a [f32], viewdirs: &'a [f32], delta: &'a [f32]) -> Inputs<'a> {
+        Inputs { points, viewdirs, delta: self.delta_layer.map(|layer| (layer, delta)) }
+    }
+
+    fn values(&self) -> Vec<Values<'_>> {
+        self.parameters.iter().map(Values::of).collect()
+    }
+}
+
+impl CustomOp3 for Fused {
+    fn name(&self) -> &'static str {
+        "fused-field"
+    }
+
+    fn cpu_fwd(
+        &self,
+        points: &CpuStorage,
+        points_layout: &Layout,
+        viewdirs: &CpuStorage,
+        viewdirs_layout: &Layout,
+        delta: &CpuStorage,
+        delta_layout: &Layout,
+    ) -> Result<(CpuStorage, Shape)> {
+        let (points, viewdirs) = (slice(points, points_layout)?, slice(viewdirs, viewdirs_layout)?);
+        let (n, rays, delta) = (points.len() / 3, viewdirs.len() / 3, slice(delta, delta_layout)?);
+        if rays == 0 && n > 0 || rays > 0 && n % rays != 0 {
+            candle_core::bail!("fused field: {n} points of {rays} rays");
+        }
+        if self.delta_layer.is_some() && delta.len() != n * self.config.width {
+            candle_core::bail!("fused field: a delta of {} values for {n} points", delta.len());
+        }
+        let parameters = self.values();
+        let network = network(&self.config, &parameters)?;
+        let (raw, kept) = network.forward(self.inputs(points, viewdirs, delta), self.wanted);
+        *self.kept.lock().unwrap_or_else(PoisonError::into_inner) = Some(kept);
+        Ok((CpuStorage::F32(raw), Shape::from(4 * n)))
+    }
+
+    fn bwd(
+        &self,
+        points: &Tensor,
+        viewdirs: &Tensor,
+        delta: &Tensor,
+        _raw: &Tensor,
+        gradient: &Tensor,
+    ) -> Result<(Option<Tensor>, Option<Tensor>, Option<Tensor>)> {
+        let kept = self.kept.lock().unwrap_or_else(PoisonError::into_inner).take();
+        let Some(kept) = kept else {
+            candle_core::bail!("fused field: a second backward pass through one forward pass");
+        };
+        let gradient = gradient.contiguous()?;
+        let (p, v, d, g) = (Values::of(points), Values::of(viewdirs), Values::of(delta), Values::of(&gradient));
+        let inputs = self.inputs(p.slice()?, v.slice()?, d.slice()?);
+        let parameters = self.values();
+        let network = network(&self.config, &parameters)?;
+        let found = match &self.recorder {
+            Some(recorder) => {
+                let mut sums = recorder.0.lock().unwrap_or_else(PoisonError::into_inner);
+                network.backward(inputs, &kept, g.slice()?, self.wanted, &mut sums)
+            }
+            None => network.backward(inputs, &kept, g.slice()?, self.wanted, &mut []),
+        };
+        let InputGradients { points: d_points, viewdirs: d_viewdirs, delta: d_delta } = found;
+        let tensor = |wanted: bool, values: Vec<f32>, like: &Tensor| {
+            wanted.then(|| Tensor::from_vec(values, like.shape(), like.device())).transpose()
+        };
+        Ok((
+            tensor(self.wanted.points, d_points, points)?,
+            tensor(self.wanted.viewdirs, d_viewdirs, viewdirs)?,
+            tensor(self.wanted.delta, d_delta, delta)?,
+        ))
+    }
+}

@@ -1,0 +1,215 @@
+//! The fused field against the plain one: outputs, every gradient, odd sizes, NaN, threads.
+
+use augnerf::config::{Core, FieldConfig};
+use augnerf::field::{FeatureDelta, Field};
+use augnerf::rng::{Random, Stream};
+use candle_core::{DType, Device, Tensor, Var};
+use proptest::prelude::*;
+
+const CPU: Device = Device::Cpu;
+
+#[derive(Clone, Debug)]
+struct Case {
+    field: FieldConfig,
+    rays: usize,
+    samples: usize,
+    /// 0: no delta.
+    layer: usize,
+    seed: u64,
+}
+
+fn case() -> impl Strategy<Value = Case> {
+    let shape = (1usize..40, 1usize..9, 0usize..11, 0usize..5, prop::collection::vec(1usize..8, 0..3));
+    (shape, 1usize..6, prop::sample::select(vec![1usize, 2, 7, 64, 129]), 0usize..9, any::<u32>()).prop_map(
+        |((half, depth, position_octaves, view_octaves, skips), rays, samples, layer, seed)| {
+            let mut skips: Vec<usize> = skips.into_iter().filter(|&skip| skip < depth).collect();
+            skips.sort();
+            skips.dedup();
+            let field =
+                FieldConfig { width: 2 * half, depth, skips, position_octaves, view_octaves, ..FieldConfig::default() };
+            Case { field, rays, samples, layer: if layer > depth { 0 } else { layer }, seed: seed.into() }
+        },
+    )
+}
+
+/// Everything that a case gives: raw colour, raw density, gradients of points, view directions and delta, then of the
+/// weights.
+struct Found {
+    outputs: Vec<Tensor>,
+    inputs: Vec<Tensor>,
+    weights: Vec<Tensor>,
+}
+
+fn random(seed: u64, index: u64, shape: &[usize]) -> Tensor {
+    Random::new(seed, Stream::Jitter, index).uniform_tensor(shape, DType::F64, &CPU).unwrap().affine(2.0, -1.0).unwrap()
+}
+
+fn field(case: &Case, core: Core, dtype: DType) -> Field {
+    let config = FieldConfig { core, ..case.field.clone() };
+    let exact = Field::init(&config, case.seed, 0, DType::F64, &CPU).unwrap();
+    // Biases that are not 0, and the same numbers in every precision.
+    let values = exact.variables().iter().enumerate().map(|(i, (_, var))| {
+        let value =
+            if var.rank() == 1 { random(case.seed, 100 + i as u64, var.dims()) } else { var.as_tensor().clone() };
+        value.to_dtype(DType::F32).unwrap().to_dtype(dtype).unwrap()
+    });
+    Field::from_parameters(&config, values.collect()).unwrap()
+}
+
+/// Asks a field and pulls back a random combination of what it says. `frozen`: no gradients of weights.
+fn ask(case: &Case, field: &Field, dtype: DType, frozen: bool) -> Found {
+    let n = case.rays * case.samples;
+    let input = |index: u64, shape: &[usize]| {
+        let single = random(case.seed, index, shape).to_dtype(DType::F32).unwrap();
+        Var::from_tensor(&single.to_dtype(dtype).unwrap()).unwrap()
+    };
+    let (points, viewdirs) = (input(0, &[n, 3]), input(1, &[case.rays, 3]));
+    let delta = input(2, &[n, case.field.width]);
+    let recording = if frozen { field.frozen() } else { field.recording() };
+    let at = (case.layer > 0).then(|| FeatureDelta { layer: case.layer, delta: delta.as_tensor() });
+    let raw = recording.forward(&points, &viewdirs, at).unwrap();
+    let pull = |index: u64, out: &Tensor| {
+        let weights = random(case.seed, index, out.dims()).to_dtype(DType::F32).unwrap().to_dtype(dtype).unwrap();
+        (out * weights).unwrap().sum_all().unwrap()
+    };
+    let gradients = (pull(3, &raw.rgb) + pull(4, &raw.density)).unwrap().backward().unwrap();
+    let of = |var: &Tensor| match gradients.get(var) {
+        Some(gradient) => gradient.clone(),
+        None => var.zeros_like().unwrap(),
+    };
+    let weights = match recording.recorded().unwrap() {
+        Some(recorded) => recorded,
+        None => recording.variables().iter().map(|(_, var)| of(var)).collect(),
+    };
+    Found { outputs: vec![raw.rgb, raw.density], inputs: vec![of(&points), of(&viewdirs), of(&delta)], weights }
+}
+
+fn flat(tensor: &Tensor) -> Vec<f64> {
+    tensor.to_dtype(DType::F64).unwrap().flatten_all().unwrap().to_vec1().unwrap()
+}
+
+/// Differences over the largest magnitude of either; ReLU kinks leave single values far off, means close.
+fn assert_close(what: &str, found: &[Tensor], expected: &[Tensor], mean: f64) {
+    assert_eq!(found.len(), expected.len(), "{what}");
+    for (i, (found, expected)) in found.iter().zip(expected).enumerate() {
+        assert_eq!(found.dims(), expected.dims(), "{what} {i}");
+        let (found, expected) = (flat(found), flat(expected));
+        let scale = expected.iter().fold(1e-6, |m: f64, v| m.max(v.abs()));
+        let off: f64 = found.iter().zip(&expected).map(|(a, b)| (a - b).abs()).sum::<f64>() / found.len().max(1) as f64;
+        assert!(off / scale < mean, "{what} {i}: off by {off:e} of {scale:e} in the mean");
+    }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 60, failure_persistence: None, ..ProptestConfig::default() })]
+
+    /// The plain field in f64 is the oracle.
+    #[test]
+    fn fused_equals_plain(case in case()) {
+        let exact = ask(&case, &field(&case, Core::Plain, DType::F64), DType::F64, false);
+        let fused = ask(&case, &field(&case, Core::Fused, DType::F32), DType::F32, false);
+        assert_close("outputs", &fused.outputs, &exact.outputs, 2e-5);
+        // In a small case one ReLU that a rounding flips is a good part of a gradient.
+        assert_close("weights", &fused.weights, &exact.weights, 2e-2);
+        assert_close("inputs", &fused.inputs, &exact.inputs, 2e-2);
+        let frozen = ask(&case, &field(&case, Core::Fused, DType::F32), DType::F32, true);
+        for (a, b) in frozen.inputs.iter().chain(&frozen.outputs).zip(fused.inputs.iter().chain(&fused.outputs)) {
+            prop_assert_eq!(flat(a), flat(b), "frozen weights change no bit of the rest");
+        }
+        prop_assert!(frozen.weights.is_empty());
+    }
+}
+
+fn paper() -> Case {
+    Case { field: FieldConfig::default(), rays: 3, samples: 130, layer: 4, seed: 5 }
+}
+
+#[test]
+fn the_paper_s_shape() {
+    let exact = ask(&paper(), &field(&paper(), Core::Plain, DType::F64), DType::F64, false);
+    let plain = ask(&paper(), &field(&paper(), Core::Plain, DType::F32), DType::F32, false);
+    let fused = ask(&paper(), &field(&paper(), Core::Fused, DType::F32), DType::F32, false);
+    for found in [&plain, &fused] {
+        assert_close("outputs", &found.outputs, &exact.outputs, 1e-5);
+        assert_close("weights", &found.weights, &exact.weights, 1e-4);
+        // The top octave multiplies an argument's rounding by 512.
+        assert_close("inputs", &found.inputs, &exact.inputs, 1e-3);
+    }
+}
+
+/// Only what is wanted is computed, and it is the same.
+#[test]
+fn each_gradient_alone_equals_it_among_all() {
+    let case = paper();
+    let frozen = field(&case, Core::Fused, DType::F32).frozen();
+    let n = case.rays * case.samples;
+    let single = |index: u64, shape: &[usize]| random(case.seed, index, shape).to_dtype(DType::F32).unwrap();
+    let inputs = [single(0, &[n, 3]), single(1, &[case.rays, 3]), single(2, &[n, case.field.width])];
+    let gradients = |tracked: [bool; 3]| {
+        let vars = inputs.clone().map(|input| Var::from_tensor(&input).unwrap());
+        let pick = |i: usize| if tracked[i] { vars[i].as_tensor().clone() } else { inputs[i].clone() };
+        let delta = pick(2);
+        let raw = frozen.forward(&pick(0), &pick(1), Some(FeatureDelta { layer: case.layer, delta: &delta })).unwrap();
+        let loss = (raw.rgb.sqr().unwrap().sum_all().unwrap() + raw.density.sum_all().unwrap()).unwrap();
+        let store = loss.backward().unwrap();
+        vars.map(|var| store.get(&var).map(flat))
+    };
+    let all = gradients([true; 3]);
+    for i in 0..3 {
+        let mut alone = [false; 3];
+        alone[i] = true;
+        let found = gradients(alone);
+        assert_eq!(found[i], all[i], "input {i}");
+        assert!((0..3).all(|j| found[j].is_some() == (j == i)));
+    }
+}
+
+#[test]
+fn no_points_and_one_point() {
+    let field = field(&paper(), Core::Fused, DType::F32).frozen();
+    let empty = |shape: &[usize]| Tensor::zeros(shape, DType::F32, &CPU).unwrap();
+    let raw = field.forward(&empty(&[0, 3]), &empty(&[0, 3]), None).unwrap();
+    assert_eq!((raw.rgb.dims(), raw.density.dims()), (&[0, 3][..], &[0][..]));
+    assert_eq!(field.raw_density(&empty(&[0, 3])).unwrap().dims(), [0]);
+    let one = random(1, 0, &[1, 3]).to_dtype(DType::F32).unwrap();
+    let both = field.forward(&one, &one, None).unwrap().density;
+    assert_eq!(flat(&both), flat(&field.raw_density(&one).unwrap()), "density alone is the same density");
+}
+
+/// A NaN is not swallowed by a ReLU, so that training finds it.
+#[test]
+fn nan_stays_nan() {
+    let case = paper();
+    let field = field(&case, Core::Fused, DType::F32).frozen();
+    let mut values = vec![0.1f32; 6];
+    values[4] = f32::NAN;
+    let points = Tensor::from_vec(values, (2, 3), &CPU).unwrap();
+    let viewdirs = random(1, 0, &[2, 3]).to_dtype(DType::F32).unwrap();
+    let raw = field.forward(&points, &viewdirs, None).unwrap();
+    let density = flat(&raw.density);
+    assert!(density[0].is_finite() && density[1].is_nan(), "{density:?}");
+    assert!(flat(&raw.rgb)[3..].iter().all(|value| value.is_nan()));
+}
+
+/// What a gradient is handed as is not always row after row.
+#[test]
+fn strided_gradients() {
+    let case = Case { samples: 5, ..paper() };
+    let field = field(&case, Core::Fused, DType::F32);
+    let loss_of = |strided: bool| {
+        let recording = field.recording();
+        let n = case.rays * case.samples;
+        let points = random(7, 0, &[n, 3]).to_dtype(DType::F32).unwrap();
+        let viewdirs = random(7, 1, &[case.rays, 3]).to_dtype(DType::F32).unwrap();
+        let raw = recording.forward(&points, &viewdirs, None).unwrap();
+        let weights = random(7, 2, &[3, n]).to_dtype(DType::F32).unwrap();
+        let product = if strided {
+            (raw.rgb.t().unwrap() * weights).unwrap()
+        } else {
+            (&raw.rgb * weights.t().unwrap().contiguous().unwrap()).unwrap()
+        };
+        product.sum_all().unwrap().backward().unwrap();
+        recording.recorded().unwrap().unwrap().iter().flat_map(flat).collect::<Vec<f64>>()
+    };
+    assert_eq!(loss_of(true), loss_of(false));
+}
