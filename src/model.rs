@@ -73,13 +73,22 @@ impl Model {
     }
 
     /// The same weights, each field with a record of their gradients of its own.
-    pub fn recording(&self) -> Model {
-        let recording = |field: &Option<Field>| field.as_ref().map(Field::recording);
-        Model {
-            coarse: self.coarse.recording(),
-            fine: recording(&self.fine),
-            adversarial: recording(&self.adversarial),
-        }
+    pub fn recording(&self) -> Result<Model> {
+        self.map(Field::recording)
+    }
+
+    /// The same weights, laid out for the fused core where it applies (see [`Field::prepared`]).
+    pub fn prepared(&self) -> Result<Model> {
+        self.map(Field::prepared)
+    }
+
+    fn map(&self, change: impl Fn(&Field) -> Result<Field>) -> Result<Model> {
+        let optional = |field: &Option<Field>| field.as_ref().map(&change).transpose();
+        Ok(Model {
+            coarse: change(&self.coarse)?,
+            fine: optional(&self.fine)?,
+            adversarial: optional(&self.adversarial)?,
+        })
     }
 
     /// What the fields recorded, in the order of all parameters; none where a field does not record.

@@ -65,7 +65,7 @@ fn ask(case: &Case, field: &Field, dtype: DType, frozen: bool) -> Found {
     };
     let (points, viewdirs) = (input(0, &[n, 3]), input(1, &[case.rays, 3]));
     let delta = input(2, &[n, case.field.width]);
-    let recording = if frozen { field.frozen() } else { field.recording() };
+    let recording = if frozen { field.frozen().unwrap() } else { field.recording().unwrap() };
     let at = (case.layer > 0).then(|| FeatureDelta { layer: case.layer, delta: delta.as_tensor() });
     let raw = recording.forward(&points, &viewdirs, at).unwrap();
     let pull = |index: u64, out: &Tensor| {
@@ -141,7 +141,7 @@ fn the_paper_s_shape() {
 #[test]
 fn each_gradient_alone_equals_it_among_all() {
     let case = paper();
-    let frozen = field(&case, Core::Fused, DType::F32).frozen();
+    let frozen = field(&case, Core::Fused, DType::F32).frozen().unwrap();
     let n = case.rays * case.samples;
     let single = |index: u64, shape: &[usize]| random(case.seed, index, shape).to_dtype(DType::F32).unwrap();
     let inputs = [single(0, &[n, 3]), single(1, &[case.rays, 3]), single(2, &[n, case.field.width])];
@@ -166,7 +166,7 @@ fn each_gradient_alone_equals_it_among_all() {
 
 #[test]
 fn no_points_and_one_point() {
-    let field = field(&paper(), Core::Fused, DType::F32).frozen();
+    let field = field(&paper(), Core::Fused, DType::F32).frozen().unwrap();
     let empty = |shape: &[usize]| Tensor::zeros(shape, DType::F32, &CPU).unwrap();
     let raw = field.forward(&empty(&[0, 3]), &empty(&[0, 3]), None).unwrap();
     assert_eq!((raw.rgb.dims(), raw.density.dims()), (&[0, 3][..], &[0][..]));
@@ -180,7 +180,7 @@ fn no_points_and_one_point() {
 #[test]
 fn nan_stays_nan() {
     let case = paper();
-    let field = field(&case, Core::Fused, DType::F32).frozen();
+    let field = field(&case, Core::Fused, DType::F32).frozen().unwrap();
     let mut values = vec![0.1f32; 6];
     values[4] = f32::NAN;
     let points = Tensor::from_vec(values, (2, 3), &CPU).unwrap();
@@ -197,7 +197,7 @@ fn strided_gradients() {
     let case = Case { samples: 5, ..paper() };
     let field = field(&case, Core::Fused, DType::F32);
     let loss_of = |strided: bool| {
-        let recording = field.recording();
+        let recording = field.recording().unwrap();
         let n = case.rays * case.samples;
         let points = random(7, 0, &[n, 3]).to_dtype(DType::F32).unwrap();
         let viewdirs = random(7, 1, &[case.rays, 3]).to_dtype(DType::F32).unwrap();

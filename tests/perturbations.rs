@@ -87,7 +87,7 @@ impl Setting {
     }
 
     fn search(&self, start: Deltas) -> Deltas {
-        let frozen = self.field.frozen();
+        let frozen = self.field.frozen().unwrap();
         worst_case(&self.sets, &StepSizes::new(&self.config), start, |deltas| {
             let out = perturbed_pass(&frozen, self.pass(), self.perturbation(deltas))?;
             Ok((photometric_loss(&out.composite.rgb, &self.target)?, out.used))

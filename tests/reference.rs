@@ -234,7 +234,7 @@ fn gradients_of_the_perturbed_loss_in_every_delta() {
         for level in LEVELS {
             tracked.set(level, variables[level as usize].as_tensor().clone());
         }
-        let out = a.perturbed(&a.field.frozen(), &tracked);
+        let out = a.perturbed(&a.field.frozen().unwrap(), &tracked);
         let loss = photometric_loss(&out.composite.rgb, &a.target).unwrap();
         assert!((loss.to_scalar::<f64>().unwrap() - a.expected_loss(loss_name)).abs() < 1e-12, "{stage}");
         let gradients = loss.backward().unwrap();
@@ -249,7 +249,7 @@ fn gradients_of_the_perturbed_loss_in_every_delta() {
 #[test]
 fn two_search_steps_and_the_final_pass() {
     let a = Attack::load();
-    let frozen = a.field.frozen();
+    let frozen = a.field.frozen().unwrap();
     let iterates = std::cell::RefCell::new(Vec::new());
     // The fixture's start is projected already: densities on the floor are 0 there and an ulp above
     // it here, which decides whether a colour's gradient is 0 or has a sign. A start that lies

@@ -53,7 +53,7 @@ impl Viewer<'_> {
         let Viewer { model, config, scene, device } = *self;
         let volume = Volume::of(scene);
         let samples = (config.sampling.coarse, config.sampling.fine);
-        let (coarse, fine) = (model.coarse.frozen(), model.fine.as_ref().map(|field| field.frozen()));
+        let (coarse, fine) = (model.coarse.frozen()?, model.fine.as_ref().map(|field| field.frozen()).transpose()?);
         let (width, height) = (camera.width as u32, camera.height as u32);
         let pixels: Vec<(&Camera, u32, u32)> =
             (0..height).flat_map(|y| (0..width).map(move |x| (camera, x, y))).collect();

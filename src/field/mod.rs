@@ -45,6 +45,8 @@ pub struct Field {
     rgb: Layer,
     /// The parameters as variables, in the order of [`Field::parameter_names`]; empty when frozen.
     variables: Vec<(String, Var)>,
+    /// The weights laid out for the fused core, where it applies: a copy (see [`Field::prepared`]).
+    network: Option<Arc<fused::Network>>,
     /// Takes the gradients of the weights past candle's graph.
     recorder: Option<Arc<fused::Recorder>>,
 }
@@ -160,35 +162,48 @@ impl Field {
             view,
             rgb,
             variables: Vec::new(),
+            network: None,
             recorder: None,
         }
     }
 
+    /// The same field with its weights, as they are now, laid out for the fused core, where it applies. What is made of
+    /// the returned field need not do that again; after an update of the weights it is out of date.
+    pub fn prepared(&self) -> Result<Field> {
+        let weight = &self.density.weight;
+        if self.network.is_some()
+            || self.config.core == Core::Plain
+            || !weight.device().is_cpu()
+            || weight.dtype() != DType::F32
+        {
+            return Ok(self.clone());
+        }
+        let parameters: Vec<Tensor> =
+            self.layers().flat_map(|layer| [layer.weight.clone(), layer.bias.clone()]).collect();
+        Ok(Field { network: Some(Arc::new(fused::prepare(&self.config, &parameters)?)), ..self.clone() })
+    }
+
     /// The same weights with a record of their gradients of its own: backward passes through the returned field add
     /// up in it (see [`Field::recorded`]). Where the fused core does not apply, candle's gradient store has them.
-    pub fn recording(&self) -> Field {
-        let recorder = self.can_fuse().then(|| Arc::new(fused::Recorder::new(&self.config)));
-        Field { recorder, ..self.clone() }
+    pub fn recording(&self) -> Result<Field> {
+        let field = self.prepared()?;
+        let recorder = field.network.clone().map(|network| Arc::new(fused::Recorder::new(network)));
+        Ok(Field { recorder, ..field })
     }
 
     /// The gradients of the weights that backward passes through this field have added up, in the order of
     /// parameters; none for a field that does not record.
     pub fn recorded(&self) -> Result<Option<Vec<Tensor>>> {
-        Ok(self.recorder.as_ref().map(|recorder| recorder.gradients(&self.config)).transpose()?)
+        let Some(recorder) = &self.recorder else { return Ok(None) };
+        let shapes = Field::parameter_names(&self.config).into_iter().map(|(_, shape)| shape).collect();
+        Ok(Some(recorder.gradients(shapes)?))
     }
 
-    fn can_fuse(&self) -> bool {
-        let weight = &self.density.weight;
-        self.config.core == Core::Fused && weight.device().is_cpu() && weight.dtype() == DType::F32
-    }
-
-    /// Asks the fused core where it applies: nobody expects gradients of the weights in candle's graph.
-    fn query(&self) -> Option<fused::Query<'_>> {
-        (self.can_fuse() && (self.recorder.is_some() || self.variables.is_empty())).then(|| fused::Query {
-            config: &self.config,
-            parameters: self.layers().flat_map(|layer| [layer.weight.clone(), layer.bias.clone()]).collect(),
-            recorder: self.recorder.clone(),
-        })
+    /// The fused core, where it applies and nobody expects gradients of the weights in candle's graph.
+    fn query(&self) -> Option<fused::Query> {
+        let network = self.network.clone()?;
+        let asked = self.recorder.is_some() || self.variables.is_empty();
+        asked.then(|| fused::Query { network, recorder: self.recorder.clone() })
     }
 
     /// All layers in the order of parameters.
@@ -197,9 +212,13 @@ impl Field {
     }
 
     /// The same weights (shared, not copied) for which no gradient is ever computed.
-    pub fn frozen(&self) -> Field {
+    pub fn frozen(&self) -> Result<Field> {
+        self.detached().prepared()
+    }
+
+    fn detached(&self) -> Field {
         let tensors = self.layers().flat_map(|layer| [layer.weight.detach(), layer.bias.detach()]).collect();
-        Field::assemble(&self.config, tensors)
+        Field { network: self.network.clone(), ..Field::assemble(&self.config, tensors) }
     }
 
     /// The parameters in their fixed order; empty for a frozen field.

@@ -113,7 +113,7 @@ impl Slopes {
 impl Field {
     /// Density, gradient and Laplacian at `points [n, 3]`.
     pub fn spatial(&self, points: &Tensor) -> Result<Spatial<'_>> {
-        let frozen = self.frozen();
+        let frozen = self.detached();
         let encoded = encode(&points.detach(), self.config.position_octaves)?;
         let hidden = frozen.trunk_outputs(&encoded)?;
         let last = hidden.last().expect("a trunk has layers");
@@ -179,7 +179,7 @@ impl Spatial<'_> {
     /// none for layers that density does not depend on.
     pub fn weight_gradients(&self, loss: &Cotangents) -> Result<Vec<Option<Tensor>>> {
         let tape = &self.tape;
-        let field = tape.field.frozen();
+        let field = tape.field.detached();
         let raw = tape.activated.pull_back(loss, &tape.raw_gradient, &tape.raw_laplacian)?;
         let d_raw = raw.density.map(|d| d.unsqueeze(1)).transpose()?; // [n, 1]
         let pull = tape.pull_on_encoding(&raw.gradient, &raw.laplacian)?;

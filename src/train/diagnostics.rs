@@ -157,7 +157,7 @@ impl Trainer {
         sums: &mut Sums,
     ) -> Result<()> {
         let share = passing.share;
-        let frozen = passing.field.frozen();
+        let frozen = passing.field.frozen()?;
         let loss = |deltas: &Deltas| -> Result<f64> {
             let out = self.run(passing, &frozen, deltas)?;
             scalar(&photometric_loss(&out.composite.rgb, passing.target)?)

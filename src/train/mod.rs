@@ -284,7 +284,7 @@ impl Trainer {
         }
         let mut dead = Vec::new();
         for (index, (_, field)) in self.model.fields().into_iter().enumerate() {
-            let positive = field.frozen().raw_density(points)?.gt(0f64)?.to_dtype(DType::F64)?;
+            let positive = field.frozen()?.raw_density(points)?.gt(0f64)?.to_dtype(DType::F64)?;
             if positive.mean_all()?.to_scalar::<f64>()? < self.config.train.dead_start_share {
                 dead.push(index);
             }
@@ -389,8 +389,9 @@ impl Trainer {
     fn passes(&self, whole: &Chunk, log: bool) -> Result<ChunkResult> {
         let size = self.config.train.chunk;
         let starts: Vec<(usize, usize)> = (0..whole.rays.len()).step_by(size).enumerate().collect();
+        let prepared = self.model.prepared()?;
         let work = |part: &[(usize, usize)]| -> Result<ChunkResult> {
-            let model = self.model.recording();
+            let model = prepared.recording()?;
             let mut sum: Option<ChunkResult> = None;
             for &(index, start) in part {
                 let count = size.min(whole.rays.len() - start);

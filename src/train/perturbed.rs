@@ -134,7 +134,7 @@ impl Trainer {
             PerturbKind::WorstCase | PerturbKind::FreshJitter => {}
         }
         let start = passing.sets.draw(Draw::Uniform, random)?;
-        let frozen = passing.field.frozen();
+        let frozen = passing.field.frozen()?;
         worst_case(&passing.sets, &StepSizes::new(&self.config.perturb), start, |deltas| {
             let out = self.run(passing, &frozen, deltas)?;
             Ok((photometric_loss(&out.composite.rgb, passing.target)?, out.used))

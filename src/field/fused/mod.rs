@@ -13,49 +13,50 @@ use std::ops::Deref;
 use std::sync::{Arc, Mutex, PoisonError};
 
 use candle_core::backend::BackendStorage;
-use candle_core::{CpuStorage, CustomOp3, DType, Layout, Result, Shape, Storage, Tensor, Var};
+use candle_core::{CpuStorage, CustomOp3, DType, Device, Layout, Result, Shape, Storage, Tensor, Var};
 
 use crate::config::FieldConfig;
 
-use super::layer_shapes;
-use network::{InputGradients, Inputs, Kept, Linear, Network, Wanted};
+use network::{InputGradients, Inputs, Kept, Wanted};
 
-/// Sums gradients of a field's weights, flat in the order of its parameters.
-#[derive(Debug)]
-pub struct Recorder(Mutex<Vec<f32>>);
+pub use network::Network;
+
+/// Lays a field's weights out: `parameters` are weight and bias of every layer in the order of
+/// parameters, f32 on the processor.
+pub fn prepare(config: &FieldConfig, parameters: &[Tensor]) -> Result<Network> {
+    let values = parameters.iter().map(|tensor| Ok(Values::of(&tensor.contiguous()?).slice()?.to_vec()));
+    Ok(Network::new(config, values.collect::<Result<_>>()?))
+}
+
+/// Sums gradients of a field's weights.
+pub struct Recorder {
+    network: Arc<Network>,
+    sum: Mutex<Vec<f32>>,
+}
 
 impl Recorder {
     /// With a sum of zero.
-    pub fn new(config: &FieldConfig) -> Recorder {
-        let size = layer_shapes(config).iter().map(|(_, outputs, inputs)| outputs * (inputs + 1)).sum();
-        Recorder(Mutex::new(vec![0.0; size]))
+    pub fn new(network: Arc<Network>) -> Recorder {
+        Recorder { sum: Mutex::new(vec![0.0; network.gradient_size]), network }
     }
 
-    /// The sums as tensors, in the order of parameters.
-    pub fn gradients(&self, config: &FieldConfig) -> Result<Vec<Tensor>> {
-        let sums = self.0.lock().unwrap_or_else(PoisonError::into_inner);
-        let mut rest = sums.as_slice();
-        let mut take = |shape: Shape| {
-            let (values, after) = rest.split_at(shape.elem_count());
-            rest = after;
-            Tensor::from_slice(values, shape, &candle_core::Device::Cpu)
-        };
-        let layers = layer_shapes(config);
-        let tensors = layers.iter().flat_map(|(_, outputs, inputs)| [(*outputs, *inputs).into(), (*outputs).into()]);
-        tensors.map(&mut take).collect()
+    /// The sums, in the order of parameters, each in the shape of its entry in `shapes`.
+    pub fn gradients(&self, shapes: Vec<Vec<usize>>) -> Result<Vec<Tensor>> {
+        let sum = self.sum.lock().unwrap_or_else(PoisonError::into_inner);
+        let gradients = self.network.parameter_gradients(&sum).into_iter().zip(shapes);
+        gradients.map(|(values, shape)| Tensor::from_vec(values, shape, &Device::Cpu)).collect()
     }
 }
 
 /// One query of a field.
-pub struct Query<'a> {
-    pub config: &'a FieldConfig,
-    /// Weight and bias of every layer in the order of parameters, f32 on the processor.
-    pub parameters: Vec<Tensor>,
+pub struct Query {
+    /// Its weights.
+    pub network: Arc<Network>,
     /// Takes the gradients of the weights; without one they are constants.
     pub recorder: Option<Arc<Recorder>>,
 }
 
-impl Query<'_> {
+impl Query {
     /// Raw colour `[3 n]` and raw density `[n]` behind each other. `points` `[n, 3]`, `viewdirs` `[rays, 3]`, `delta`
     /// `[n, width]` of a 1-based trunk layer.
     pub fn ask(self, points: &Tensor, viewdirs: &Tensor, delta: Option<(usize, &Tensor)>) -> Result<Tensor> {
@@ -75,8 +76,7 @@ impl Query<'_> {
         };
         let none = Tensor::zeros(1, DType::F32, points.device())?;
         let operation = Fused {
-            config: self.config.clone(),
-            parameters: self.parameters,
+            network: self.network,
             recorder: self.recorder,
             delta_layer: delta.map(|(layer, _)| layer),
             wanted,
@@ -90,9 +90,8 @@ impl Query<'_> {
     pub fn density(self, points: &Tensor) -> Result<Tensor> {
         let points = points.detach().contiguous()?;
         let values = Values::of(&points);
-        let parameters: Vec<Values> = self.parameters.iter().map(Values::of).collect();
         let inputs = Inputs { points: values.slice()?, viewdirs: &[], delta: None };
-        let (raw, _) = network(self.config, &parameters)?.forward(inputs, Wanted::default());
+        let (raw, _) = self.network.forward(inputs, Wanted::default());
         let n = raw.len();
         Tensor::from_vec(raw, n, points.device())
     }
@@ -128,23 +127,8 @@ fn slice<'a>(storage: &'a CpuStorage, layout: &Layout) -> Result<&'a [f32]> {
     }
 }
 
-fn network<'a>(config: &'a FieldConfig, parameters: &'a [Values<'a>]) -> Result<Network<'a>> {
-    let mut offset = 0;
-    let mut layers = Vec::new();
-    for ((_, outputs, inputs), pair) in layer_shapes(config).into_iter().zip(parameters.chunks_exact(2)) {
-        let (weight, bias) = (pair[0].slice()?, pair[1].slice()?);
-        layers.push(Linear { weight, bias, inputs, weight_offset: offset, bias_offset: offset + outputs * inputs });
-        offset += outputs * (inputs + 1);
-    }
-    let mut heads = layers.split_off(config.depth).into_iter();
-    let mut head = || heads.next().expect("four heads");
-    let (density, feature, view, rgb) = (head(), head(), head(), head());
-    Ok(Network { config, trunk: layers, density, feature, view, rgb })
-}
-
 struct Fused {
-    config: FieldConfig,
-    parameters: Vec<Tensor>,
+    network: Arc<Network>,
     recorder: Option<Arc<Recorder>>,
     delta_layer: Option<usize>,
     wanted: Wanted,
@@ -155,10 +139,6 @@ struct Fused {
 impl Fused {
     fn inputs<'a>(&self, points: &'a [f32], viewdirs: &'a [f32], delta: &'a [f32]) -> Inputs<'a> {
         Inputs { points, viewdirs, delta: self.delta_layer.map(|layer| (layer, delta)) }
-    }
-
-    fn values(&self) -> Vec<Values<'_>> {
-        self.parameters.iter().map(Values::of).collect()
     }
 }
 
@@ -181,12 +161,10 @@ impl CustomOp3 for Fused {
         if rays == 0 && n > 0 || rays > 0 && n % rays != 0 {
             candle_core::bail!("fused field: {n} points of {rays} rays");
         }
-        if self.delta_layer.is_some() && delta.len() != n * self.config.width {
+        if self.delta_layer.is_some() && delta.len() != n * self.network.width() {
             candle_core::bail!("fused field: a delta of {} values for {n} points", delta.len());
         }
-        let parameters = self.values();
-        let network = network(&self.config, &parameters)?;
-        let (raw, kept) = network.forward(self.inputs(points, viewdirs, delta), self.wanted);
+        let (raw, kept) = self.network.forward(self.inputs(points, viewdirs, delta), self.wanted);
         *self.kept.lock().unwrap_or_else(PoisonError::into_inner) = Some(kept);
         Ok((CpuStorage::F32(raw), Shape::from(4 * n)))
     }
@@ -206,11 +184,10 @@ impl CustomOp3 for Fused {
         let gradient = gradient.contiguous()?;
         let (p, v, d, g) = (Values::of(points), Values::of(viewdirs), Values::of(delta), Values::of(&gradient));
         let inputs = self.inputs(p.slice()?, v.slice()?, d.slice()?);
-        let parameters = self.values();
-        let network = network(&self.config, &parameters)?;
+        let network = &self.network;
         let found = match &self.recorder {
             Some(recorder) => {
-                let mut sums = recorder.0.lock().unwrap_or_else(PoisonError::into_inner);
+                let mut sums = recorder.sum.lock().unwrap_or_else(PoisonError::into_inner);
                 network.backward(inputs, &kept, g.slice()?, self.wanted, &mut sums)
             }
             None => network.backward(inputs, &kept, g.slice()?, self.wanted, &mut []),
