@@ -9,7 +9,7 @@ use crate::config::DataConfig;
 use crate::error::{Error, Result};
 
 use super::points::Point;
-use super::{PublishedKey, RowSpec, TableSpec, extends};
+use super::{AxisValue, PublishedKey, RowSpec, TableSpec, extends};
 
 /// More points than anyone means.
 const MOST_POINTS: usize = 10_000;
@@ -179,6 +179,17 @@ pub struct Axis {
     pub values: Vec<Value>,
 }
 
+impl Axis {
+    /// A value as tables and plots name it.
+    pub(super) fn named(&self, value: &Value) -> AxisValue {
+        let value = match value {
+            Value::String(text) => text.clone(),
+            other => other.to_string(),
+        };
+        AxisValue { axis: self.name.clone(), panel: self.panel.clone(), value }
+    }
+}
+
 /// What the command line changes in a definition.
 #[derive(Clone, Debug, Default)]
 pub struct Overrides {
@@ -304,6 +315,12 @@ impl Definition {
     fn baseline_of(&self, row: &Row) -> Option<String> {
         let named = row.baseline.as_ref().or(self.baseline.as_ref())?;
         (*named != row.name).then(|| named.clone())
+    }
+
+    /// Which axis a value is of, and where on it: the definition's order.
+    pub(super) fn axis_position(&self, named: &AxisValue) -> Option<(usize, usize)> {
+        let on = |axis: &Axis| axis.values.iter().position(|value| axis.named(value) == *named);
+        self.axis.iter().enumerate().find_map(|(index, axis)| Some((index, on(axis)?)))
     }
 
     /// What tables and plots of these points need to know.

@@ -178,8 +178,10 @@ impl SweepFolder {
         let position = |list: &[String], name: &str| list.iter().position(|known| known == name);
         let scenes: Vec<String> = definition.scenes.iter().map(|scene| scene_name(scene).to_string()).collect();
         let rows: Vec<String> = definition.row.iter().map(|row| row.name.clone()).collect();
-        // Stable: axes keep the order of expansion.
-        records.sort_by_key(|record| (position(&scenes, &record.scene), position(&rows, &record.row)));
+        records.sort_by_key(|record| {
+            let axes: Vec<_> = record.axes.iter().map(|value| definition.axis_position(value)).collect();
+            (position(&scenes, &record.scene), position(&rows, &record.row), axes)
+        });
         Ok(group_seeds(records))
     }
 }

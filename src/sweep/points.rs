@@ -100,14 +100,7 @@ pub fn expand(definition: &Definition, data_root: Option<&Path>, costs: &dyn Ste
 }
 
 fn named(axes: &Combination) -> Vec<AxisValue> {
-    let named = |(axis, value): &(&Axis, &Value)| {
-        let value = match value {
-            Value::String(text) => text.clone(),
-            other => other.to_string(),
-        };
-        AxisValue { axis: axis.name.clone(), panel: axis.panel.clone(), value }
-    };
-    axes.iter().map(named).collect()
+    axes.iter().map(|(axis, value)| axis.named(value)).collect()
 }
 
 type Combination<'a> = Vec<(&'a Axis, &'a Value)>;

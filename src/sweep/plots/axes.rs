@@ -113,7 +113,7 @@ fn baseline<'a>(spec: &'a TableSpec, records: &[&Record], metric: &str) -> Optio
 }
 
 fn draw_baseline(drawing: &mut Drawing, panel: &Panel, baseline: Option<&(&str, Vec<f64>)>) {
-    let Some((name, seeds)) = baseline else { return };
+    let Some((_, seeds)) = baseline else { return };
     let Some(spread) = Spread::new(seeds) else { return };
     if let Some((low, high)) = spread.band {
         let (left, right) = (panel.left, panel.right());
@@ -122,7 +122,6 @@ fn draw_baseline(drawing: &mut Drawing, panel: &Panel, baseline: Option<&(&str, 
     }
     let y = panel.y(spread.mean);
     drawing.dashed(&[(panel.left, y), (panel.right(), y)], GREY, 1.5);
-    drawing.text((panel.right() - 4.0, y - 8.0), name, TEXT, Anchor::Right, GREY);
 }
 
 fn draw_values(drawing: &mut Drawing, panel: &Panel, lines: &[&Series], metric: &str) {
