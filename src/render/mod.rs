@@ -9,6 +9,7 @@ use crate::field::{FeatureDelta, Field, RawOutput};
 use crate::perturbations::{Deltas, Sets};
 use crate::sampling;
 
+mod scan;
 pub mod volume;
 
 pub use volume::Composite;

@@ -1,8 +1,10 @@
 //! Emission-absorption compositing along rays (paper, equation 1). Pure functions of tensors.
 
-use candle_core::{D, Tensor};
+use candle_core::{D, DType, Tensor};
 
 use crate::error::Result;
+
+use super::scan::Scan;
 
 /// Length of a ray's last interval, as in the original implementation: whatever density the last
 /// sample has makes the ray opaque.
@@ -58,6 +60,29 @@ pub fn composite(
     direction_norm: &Tensor,
     background: Option<[f32; 3]>,
 ) -> Result<Composite> {
+    if !rgb.device().is_cpu() {
+        return composite_reference(rgb, density, t_vals, direction_norm, background);
+    }
+    let (rays, samples) = density.dims2()?;
+    let direction_norm = direction_norm.to_dtype(DType::F64)?.flatten_all()?.to_vec1()?;
+    let scan = Scan { direction_norm, last_interval: LAST_INTERVAL, background };
+    let out = rgb.contiguous()?.apply_op3(&density.contiguous()?, &t_vals.contiguous()?, scan)?;
+    Ok(Composite {
+        rgb: out.narrow(0, 0, 3 * rays)?.reshape((rays, 3))?,
+        depth: out.narrow(0, 3 * rays, rays)?,
+        acc: out.narrow(0, 4 * rays, rays)?,
+        weights: out.narrow(0, 5 * rays, rays * samples)?.reshape((rays, samples))?,
+    })
+}
+
+/// The same in plain candle operations.
+pub fn composite_reference(
+    rgb: &Tensor,
+    density: &Tensor,
+    t_vals: &Tensor,
+    direction_norm: &Tensor,
+    background: Option<[f32; 3]>,
+) -> Result<Composite> {
     let weights = weights_from_density(density, &intervals(t_vals, direction_norm)?)?;
     let acc = weights.sum(D::Minus1)?;
     let depth = (&weights * t_vals)?.sum(D::Minus1)?;
@@ -73,7 +98,7 @@ pub fn composite(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use candle_core::{DType, Device};
+    use candle_core::{Device, Var};
 
     #[test]
     fn two_slabs_by_hand() {
@@ -88,6 +113,51 @@ mod tests {
         assert_eq!(out.rgb.to_vec2::<f64>().unwrap()[0], [0.5, 0.25, 0.25]);
         assert_eq!(out.depth.to_vec1::<f64>().unwrap(), [0.5 + 0.5 + 0.75]);
         assert_eq!(out.acc.to_vec1::<f64>().unwrap(), [1.0]);
+    }
+
+    /// Every output pulled at once, every input's gradient; random rays, one of them empty, one opaque.
+    #[test]
+    fn the_scan_equals_plain_candle() {
+        let (rays, samples) = (5, 9);
+        let wave = |shape: &[usize], phase: f64| {
+            let n: usize = shape.iter().product();
+            let values: Vec<f64> = (0..n).map(|i| 0.5 + 0.5 * (i as f64 * 1.7 + phase).sin()).collect();
+            Tensor::from_vec(values, shape, &Device::Cpu).unwrap()
+        };
+        let gaps = (wave(&[rays, samples], 0.3) + 0.01).unwrap();
+        let scale = Tensor::new(&[[0.0f64], [1e4], [1.0], [3.0], [0.1]], &Device::Cpu).unwrap();
+        let density = wave(&[rays, samples], 1.0).broadcast_mul(&scale).unwrap();
+        let norm = Tensor::new(&[[1.0f64], [2.0], [0.5], [1.0], [1.5]], &Device::Cpu).unwrap();
+        for (dtype, tolerance) in [(DType::F64, 1e-12), (DType::F32, 2e-5)] {
+            let var = |tensor: &Tensor| Var::from_tensor(&tensor.to_dtype(dtype).unwrap()).unwrap();
+            let inputs = [var(&wave(&[rays, samples, 3], 2.0)), var(&density), var(&gaps.cumsum(1).unwrap())];
+            let norm = norm.to_dtype(dtype).unwrap();
+            let pulled = |reference: bool| {
+                let composite = if reference { composite_reference } else { composite };
+                let [rgb, density, t_vals] = inputs.each_ref().map(|var| var.as_tensor());
+                let out = composite(rgb, density, t_vals, &norm, Some([0.2, 0.5, 0.9])).unwrap();
+                let outputs = [out.rgb, out.depth, out.acc, out.weights];
+                let pull = |(i, out): (usize, &Tensor)| {
+                    let weights = wave(out.dims(), i as f64).to_dtype(dtype).unwrap();
+                    (out * weights).unwrap().sum_all().unwrap()
+                };
+                let loss = outputs.iter().enumerate().map(pull).reduce(|a, b| (a + b).unwrap()).unwrap();
+                let store = loss.backward().unwrap();
+                let gradients = inputs.each_ref().map(|var| store.get(var).unwrap().clone());
+                outputs.into_iter().chain(gradients).collect::<Vec<Tensor>>()
+            };
+            for (i, (found, expected)) in pulled(false).iter().zip(pulled(true)).enumerate() {
+                let values = |tensor: &Tensor| {
+                    tensor.to_dtype(DType::F64).unwrap().flatten_all().unwrap().to_vec1::<f64>().unwrap()
+                };
+                let (found, expected) = (values(found), values(&expected));
+                // The opaque end's interval of 1e10 times a density's gradient is beyond any comparison in f32.
+                let pairs = found.iter().zip(&expected).filter(|(_, expected)| expected.abs() < 1e8);
+                let scale = pairs.clone().fold(1.0, |m: f64, (_, e)| m.max(e.abs()));
+                let off = pairs.fold(0.0, |m: f64, (f, e)| m.max((f - e).abs()));
+                assert!(off <= tolerance * scale, "{dtype:?} {i}: {off:e} of {scale:e}");
+            }
+        }
     }
 
     #[test]

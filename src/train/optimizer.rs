@@ -1,6 +1,7 @@
 //! Adam with moments that can be saved, and the learning-rate curve.
 
-use candle_core::{Tensor, Var};
+use candle_core::{CpuStorage, InplaceOp2, InplaceOp3, Layout, Tensor, Var};
+use rayon::prelude::*;
 
 use crate::config::TrainConfig;
 use crate::error::Result;
@@ -61,6 +62,11 @@ impl Adam {
     pub fn update(&mut self, gradients: &[Option<Tensor>], learning_rate: f64, updates: u64) -> Result<()> {
         let correction1 = 1.0 - BETA1.powf(updates as f64);
         let correction2 = 1.0 - BETA2.powf(updates as f64);
+        if self.variables.iter().all(|(_, var)| var.device().is_cpu()) {
+            let update = Update { rate: learning_rate / correction1, correction2 };
+            let all = self.variables.par_iter().zip(&self.moments).zip(gradients);
+            return all.try_for_each(|(((_, var), moments), gradient)| update.apply(var, moments, gradient.as_ref()));
+        }
         for (((_, var), moments), gradient) in self.variables.iter().zip(&mut self.moments).zip(gradients) {
             let zero;
             let gradient = match gradient {
@@ -77,6 +83,107 @@ impl Adam {
             var.set(&(var.as_tensor() - step)?)?;
         }
         Ok(())
+    }
+}
+
+/// The update in place, on a processor.
+struct Update {
+    /// The learning rate over the first moment's correction.
+    rate: f64,
+    correction2: f64,
+}
+
+/// A moment moves towards the gradient, or its square.
+struct Move {
+    beta: f64,
+    squared: bool,
+}
+
+impl Update {
+    fn apply(&self, var: &Var, moments: &Moments, gradient: Option<&Tensor>) -> Result<()> {
+        let zero;
+        let gradient = match gradient {
+            Some(gradient) => &gradient.contiguous()?,
+            None => {
+                zero = var.zeros_like()?;
+                &zero
+            }
+        };
+        moments.first.inplace_op2(gradient, &Move { beta: BETA1, squared: false })?;
+        moments.second.inplace_op2(gradient, &Move { beta: BETA2, squared: true })?;
+        Ok(var.inplace_op3(&moments.first, &moments.second, self)?)
+    }
+}
+
+/// The values of whole tensors: one to change, others to read.
+macro_rules! whole {
+    ($storage:expr, $layout:expr, $kind:ident) => {
+        match ($storage, $layout.contiguous_offsets()) {
+            (CpuStorage::$kind(values), Some((start, end))) => &values[start..end],
+            _ => candle_core::bail!("adam: parameters, moments and gradients are of one type and whole"),
+        }
+    };
+}
+
+impl InplaceOp2 for Move {
+    fn name(&self) -> &'static str {
+        "adam-moment"
+    }
+
+    fn cpu_fwd(
+        &self,
+        moment: &mut CpuStorage,
+        at: &Layout,
+        gradient: &CpuStorage,
+        layout: &Layout,
+    ) -> candle_core::Result<()> {
+        macro_rules! update {
+            ($kind:ident, $real:ty, $moments:expr) => {{
+                let gradient = whole!(gradient, layout, $kind);
+                let (keep, take) = (self.beta as $real, (1.0 - self.beta) as $real);
+                for (moment, g) in $moments[at.start_offset()..].iter_mut().zip(gradient) {
+                    *moment = *moment * keep + take * if self.squared { g * g } else { *g };
+                }
+                Ok(())
+            }};
+        }
+        match moment {
+            CpuStorage::F32(moments) => update!(F32, f32, moments),
+            CpuStorage::F64(moments) => update!(F64, f64, moments),
+            _ => candle_core::bail!("adam is for f32 and f64"),
+        }
+    }
+}
+
+impl InplaceOp3 for Update {
+    fn name(&self) -> &'static str {
+        "adam-update"
+    }
+
+    fn cpu_fwd(
+        &self,
+        parameters: &mut CpuStorage,
+        at: &Layout,
+        first: &CpuStorage,
+        first_layout: &Layout,
+        second: &CpuStorage,
+        second_layout: &Layout,
+    ) -> candle_core::Result<()> {
+        macro_rules! update {
+            ($kind:ident, $real:ty, $parameters:expr) => {{
+                let (first, second) = (whole!(first, first_layout, $kind), whole!(second, second_layout, $kind));
+                let (rate, correction2, epsilon) = (self.rate as $real, self.correction2 as $real, EPSILON as $real);
+                for ((p, m), v) in $parameters[at.start_offset()..].iter_mut().zip(first).zip(second) {
+                    *p -= m * rate / ((v / correction2).sqrt() + epsilon);
+                }
+                Ok(())
+            }};
+        }
+        match parameters {
+            CpuStorage::F32(parameters) => update!(F32, f32, parameters),
+            CpuStorage::F64(parameters) => update!(F64, f64, parameters),
+            _ => candle_core::bail!("adam is for f32 and f64"),
+        }
     }
 }
 

@@ -6,8 +6,10 @@
 //! gradients of many chunks add up in place. The plain path ([`Field::forward`] on a field that
 //! neither records nor is frozen) is the reference that this one is tested against.
 
+mod encode;
 mod kernels;
 mod network;
+mod pool;
 
 use std::ops::Deref;
 use std::sync::{Arc, Mutex, PoisonError};

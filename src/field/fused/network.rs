@@ -7,10 +7,12 @@
 //! ([`Network::parameter_gradients`]).
 
 use crate::config::FieldConfig;
-use crate::field::encoding::{encode_into, encoded_channels, gradient_into};
+use crate::field::encoding::{encoded_channels, gradient_into};
 use crate::field::layer_shapes;
 
+use super::encode::encode_tile;
 use super::kernels::{Matrix, add, add_bias, add_bias_relu, add_rows, apply_mask, multiply};
+use super::pool::Buffer;
 
 /// Points worked through at once: their layers stay in a core's second-level cache.
 const TILE: usize = 256;
@@ -76,14 +78,14 @@ impl Wanted {
 /// What is kept of a forward pass; what the wanted gradients do not need is empty.
 #[derive(Default)]
 pub struct Kept {
-    encoded: Vec<f32>,
-    encoded_views: Vec<f32>,
+    encoded: Buffer<f32>,
+    encoded_views: Buffer<f32>,
     /// Each trunk layer's output, delta included.
-    hidden: Vec<Vec<f32>>,
+    hidden: Vec<Buffer<f32>>,
     /// Where each trunk layer's output was positive.
-    masks: Vec<Vec<u8>>,
-    view: Vec<f32>,
-    view_mask: Vec<u8>,
+    masks: Vec<Buffer<u8>>,
+    view: Buffer<f32>,
+    view_mask: Buffer<u8>,
 }
 
 /// Gradients of a backward pass; what was not wanted is empty.
@@ -239,20 +241,20 @@ impl Network {
         let samples = n.checked_div(rays).unwrap_or(0);
         let colours = if rays > 0 { 3 * n } else { 0 };
         let mut raw = vec![0f32; colours + n];
-        let whole = |wanted: bool, size: usize| vec![0f32; if wanted { n * size } else { 0 }];
-        let mask = |size: usize| vec![0u8; if wanted.any() { n * size } else { 0 }];
+        let whole = |wanted: bool, size: usize| Buffer::new(if wanted { n * size } else { 0 });
+        let mask = |size: usize| Buffer::new(if wanted.any() { n * size } else { 0 });
         let mut kept = Kept {
             encoded: whole(wanted.weights || wanted.points, position),
-            encoded_views: vec![0f32; rays * direction],
+            encoded_views: Buffer::new(rays * direction),
             hidden: (0..depth).map(|_| whole(wanted.weights, width)).collect(),
             masks: (0..depth).map(|_| mask(width)).collect(),
             view: whole(wanted.weights && rays > 0, width / 2),
-            view_mask: if rays > 0 { mask(width / 2) } else { Vec::new() },
+            view_mask: if rays > 0 { mask(width / 2) } else { Buffer::default() },
         };
-        encode_into(inputs.viewdirs, self.config.view_octaves, &mut kept.encoded_views);
-        let mut encoded = vec![0f32; TILE * position];
-        let mut layers = [vec![0f32; TILE * width], vec![0f32; TILE * width]];
-        let (mut view, mut views) = (vec![0f32; TILE * width / 2], vec![0f32; TILE * direction]);
+        encode_tile(inputs.viewdirs, self.config.view_octaves, &mut kept.encoded_views);
+        let mut encoded = Buffer::new(TILE * position);
+        let mut layers = [Buffer::new(TILE * width), Buffer::new(TILE * width)];
+        let (mut view, mut views) = (Buffer::new(TILE * width / 2), Buffer::new(TILE * direction));
         let (raw_colour, raw_density) = raw.split_at_mut(colours);
         for tile in tiles(n) {
             let encoded = if kept.encoded.is_empty() {
@@ -260,7 +262,7 @@ impl Network {
             } else {
                 tile.of_mut(&mut kept.encoded, position)
             };
-            encode_into(tile.of(inputs.points, 3), self.config.position_octaves, encoded);
+            encode_tile(tile.of(inputs.points, 3), self.config.position_octaves, encoded);
             for (l, layer) in self.trunk.iter().enumerate() {
                 // Layers are kept whole where weights want gradients, otherwise they take turns in two tiles.
                 let (below, output) = if wanted.weights {
@@ -349,19 +351,18 @@ impl Network {
             .filter(|&i| g_density[i] != 0.0 || rays > 0 && g_colour[3 * i..][..3].iter().any(|&g| g != 0.0))
             .collect();
         let mut scratch = Scratch::default();
-        let (mut dv, mut d_output, mut d_input) = (Vec::new(), Vec::new(), Vec::new());
-        let (mut views, mut de) = (Vec::new(), Vec::new());
+        let (mut room_a, mut room_b) = (Buffer::new(TILE * width), Buffer::new(TILE * width));
+        let (mut room_view, mut room_views) = (Buffer::new(TILE * width / 2), Buffer::new(TILE * direction));
+        let mut room_encoded = Buffer::new(TILE * position);
         for rows in active.chunks(TILE) {
             let count = rows.len();
-            d_output.resize(count * width, 0.0);
-            d_input.resize(count * width, 0.0);
+            let (mut d_output, mut d_input) = (&mut room_a[..count * width], &mut room_b[..count * width]);
+            let (dv, views) = (&mut room_view[..count * (width / 2)], &mut room_views[..count * direction]);
             let density = scratch.density.rows(g_density, 1, rows);
             if rays > 0 {
                 let colour = scratch.colour.rows(g_colour, 3, rows);
-                dv.resize(count * (width / 2), 0.0);
-                views.resize(count * direction, 0.0);
-                self.rgb.input_gradient(colour, 0, width / 2, &mut dv, false);
-                apply_mask(&mut dv, scratch.mask.rows(&kept.view_mask, width / 2, rows));
+                self.rgb.input_gradient(colour, 0, width / 2, dv, false);
+                apply_mask(dv, scratch.mask.rows(&kept.view_mask, width / 2, rows));
                 if wanted.weights {
                     let view = scratch.input.rows(&kept.view, width / 2, rows);
                     self.rgb.weight_gradient(colour, view, 0, width / 2, weights);
@@ -369,19 +370,19 @@ impl Network {
                     for (view, &row) in views.chunks_exact_mut(direction).zip(rows) {
                         view.copy_from_slice(&kept.encoded_views[row / samples * direction..][..direction]);
                     }
-                    self.view.weight_gradient(&dv, &views, width, direction, weights);
-                    self.view.bias_gradient(&dv, weights);
+                    self.view.weight_gradient(dv, views, width, direction, weights);
+                    self.view.bias_gradient(dv, weights);
                     let hidden = scratch.input.rows(&kept.hidden[depth - 1], width, rows);
-                    self.view.weight_gradient(&dv, hidden, 0, width, weights);
+                    self.view.weight_gradient(dv, hidden, 0, width, weights);
                 }
                 if wanted.viewdirs {
-                    self.view.input_gradient(&dv, width, direction, &mut views, false);
+                    self.view.input_gradient(dv, width, direction, views, false);
                     for (view, &row) in views.chunks_exact(direction).zip(rows) {
                         add(&mut d_views[row / samples * direction..][..direction], view);
                     }
                 }
                 if into_trunk {
-                    self.view.input_gradient(&dv, 0, width, &mut d_output, false);
+                    self.view.input_gradient(dv, 0, width, d_output, false);
                 }
             }
             if wanted.weights {
@@ -392,43 +393,43 @@ impl Network {
             if !into_trunk {
                 continue;
             }
-            self.density.input_gradient(density, 0, width, &mut d_output, rays > 0);
-            de.clear();
-            de.resize(count * position, 0.0);
+            self.density.input_gradient(density, 0, width, d_output, rays > 0);
+            let de = &mut room_encoded[..count * position];
+            de.fill(0.0);
             for (l, layer) in self.trunk.iter().enumerate().rev() {
                 if l + 1 == delta_layer && wanted.delta {
-                    scatter(&d_output, width, rows, &mut out.delta);
+                    scatter(d_output, width, rows, &mut out.delta);
                 }
                 if l < lowest {
                     break;
                 }
-                apply_mask(&mut d_output, scratch.mask.rows(&kept.masks[l], width, rows));
+                apply_mask(d_output, scratch.mask.rows(&kept.masks[l], width, rows));
                 let skips = self.skips(l);
                 let encodes = l == 0 || skips;
                 let from = if skips { position } else { 0 };
                 if wanted.weights {
                     if encodes {
                         let encoded = scratch.input.rows(&kept.encoded, position, rows);
-                        layer.weight_gradient(&d_output, encoded, 0, position, weights);
+                        layer.weight_gradient(d_output, encoded, 0, position, weights);
                     }
                     if l > 0 {
                         let hidden = scratch.input.rows(&kept.hidden[l - 1], width, rows);
-                        layer.weight_gradient(&d_output, hidden, from, width, weights);
+                        layer.weight_gradient(d_output, hidden, from, width, weights);
                     }
-                    layer.bias_gradient(&d_output, weights);
+                    layer.bias_gradient(d_output, weights);
                 }
                 if encodes && wanted.points {
-                    layer.input_gradient(&d_output, 0, position, &mut de, true);
+                    layer.input_gradient(d_output, 0, position, de, true);
                 }
                 if l > 0 {
-                    layer.input_gradient(&d_output, from, width, &mut d_input, false);
+                    layer.input_gradient(d_output, from, width, d_input, false);
                     std::mem::swap(&mut d_output, &mut d_input);
                 }
             }
             if wanted.points {
                 let encoded = scratch.input.rows(&kept.encoded, position, rows);
                 let mut d_points = vec![0f32; 3 * count];
-                gradient_into(encoded, &de, self.config.position_octaves, &mut d_points);
+                gradient_into(encoded, de, self.config.position_octaves, &mut d_points);
                 scatter(&d_points, 3, rows, &mut out.points);
             }
         }

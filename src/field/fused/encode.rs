@@ -1,0 +1,118 @@
+//! The encoding of a tile in f32: sines and cosines of eight numbers at a time.
+
+use std::f64::consts::FRAC_2_PI;
+
+use pulp::Arch;
+
+use crate::field::encoding::{encode_into, encoded_channels};
+
+/// Numbers worked on at once.
+const LANES: usize = 8;
+/// Beyond it the reduction below loses digits.
+const LARGEST: f32 = 1e5;
+
+/// `[n, 3]` -> `[n, 3 + 6 octaves]`, as [`crate::field::encode`].
+pub fn encode_tile(x: &[f32], octaves: usize, out: &mut [f32]) {
+    if octaves == 0 || x.iter().any(|value| value.abs() > LARGEST) {
+        return encode_into(x, octaves, out);
+    }
+    Arch::new().dispatch(
+        #[inline(always)]
+        || {
+            let channels = encoded_channels(octaves);
+            for (row, x) in out.chunks_exact_mut(channels).zip(x.chunks_exact(3)) {
+                row[..3].copy_from_slice(x);
+            }
+            let mut start = 0;
+            for block in x.chunks(LANES) {
+                let mut angles = [0f64; LANES];
+                angles.iter_mut().zip(block).for_each(|(angle, x)| *angle = f64::from(*x));
+                let (mut sin, mut cos) = ([0f64; LANES], [0f64; LANES]);
+                for i in 0..LANES {
+                    (sin[i], cos[i]) = sin_cos(angles[i]);
+                }
+                for octave in 0..octaves {
+                    for i in 0..block.len() {
+                        let (row, axis) = ((start + i) / 3, (start + i) % 3);
+                        let wave = &mut out[row * channels + 3 + 6 * octave..][..6];
+                        wave[axis] = sin[i] as f32;
+                        wave[3 + axis] = cos[i] as f32;
+                    }
+                    for i in 0..LANES {
+                        (sin[i], cos[i]) = (2.0 * sin[i] * cos[i], (cos[i] - sin[i]) * (cos[i] + sin[i]));
+                    }
+                }
+                start += block.len();
+            }
+        },
+    );
+}
+
+/// Sine and cosine without branches, for magnitudes up to [`LARGEST`]: reduction to a quarter turn in two
+/// parts of pi / 2, and the polynomials of fdlibm (`k_sin.c`, `k_cos.c`).
+#[inline(always)]
+fn sin_cos(x: f64) -> (f64, f64) {
+    // Adding 1.5 * 2^52 rounds to the next integer, which the sum's low bits then hold.
+    const ROUND: f64 = 6_755_399_441_055_744.0;
+    const HALF_PI: [f64; 2] = [1.570_796_326_734_125_614_17, 6.077_100_506_506_192_249_32e-11];
+    const SIN: [f64; 6] = [
+        -1.666_666_666_666_663_243_48e-1,
+        8.333_333_333_322_489_461_24e-3,
+        -1.984_126_982_985_794_931_34e-4,
+        2.755_731_370_707_006_767_89e-6,
+        -2.505_076_025_340_686_341_95e-8,
+        1.589_690_995_211_550_102_21e-10,
+    ];
+    const COS: [f64; 6] = [
+        4.166_666_666_666_660_190_37e-2,
+        -1.388_888_888_887_410_957_49e-3,
+        2.480_158_728_947_672_941_78e-5,
+        -2.755_731_435_139_066_330_35e-7,
+        2.087_572_321_298_174_827_9e-9,
+        -1.135_964_755_778_819_482_65e-11,
+    ];
+    let rounded = x * FRAC_2_PI + ROUND;
+    let (quarter, turns) = (rounded.to_bits(), rounded - ROUND);
+    let r = (x - turns * HALF_PI[0]) - turns * HALF_PI[1];
+    let z = r * r;
+    let horner = |c: &[f64; 6]| c[0] + z * (c[1] + z * (c[2] + z * (c[3] + z * (c[4] + z * c[5]))));
+    let (sin, cos) = (r + r * z * horner(&SIN), 1.0 - 0.5 * z + z * z * horner(&COS));
+    let odd = 0u64.wrapping_sub(quarter & 1);
+    let pick = |a: f64, b: f64| (a.to_bits() & !odd) | (b.to_bits() & odd);
+    let sign = |negative: u64| (negative & 2) << 62;
+    (f64::from_bits(pick(sin, cos) ^ sign(quarter)), f64::from_bits(pick(cos, sin) ^ sign(quarter.wrapping_add(1))))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn sines_and_cosines_are_the_library_s() {
+        for i in -200_000..200_000i32 {
+            let x = f64::from(i) * 0.37 + f64::from(i).sin();
+            let (sin, cos) = sin_cos(x);
+            let (expected_sin, expected_cos) = x.sin_cos();
+            assert!((sin - expected_sin).abs() < 1e-11 && (cos - expected_cos).abs() < 1e-11, "{x}: {sin} {cos}");
+        }
+        let (sin, cos) = sin_cos(f64::NAN);
+        assert!(sin.is_nan() && cos.is_nan());
+    }
+
+    #[test]
+    fn a_tile_equals_the_encoding_of_rows() {
+        for n in [0, 1, 2, 3, 8, 85] {
+            for octaves in [0, 1, 4, 10] {
+                for scale in [3.0, 2e5] {
+                    let x: Vec<f32> = (0..3 * n).map(|i| scale * (i as f32 * 0.77).sin()).collect();
+                    let mut found = vec![0f32; n * encoded_channels(octaves)];
+                    let mut expected = found.clone();
+                    encode_tile(&x, octaves, &mut found);
+                    encode_into(&x, octaves, &mut expected);
+                    let off = found.iter().zip(&expected).fold(0f32, |m, (a, b)| m.max((a - b).abs()));
+                    assert!(off <= 1e-7, "{n} {octaves} {scale}: {off}");
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,233 @@
+//! Compositing as one differentiable operation on processors: a scan along each ray, and one back.
+
+use candle_core::{CpuStorage, CustomOp3, Layout, Result, Shape, Tensor, WithDType};
+
+/// Scalars that the scans are written for. Sums along a ray are in f64.
+trait Real: WithDType {
+    fn wide(self) -> f64;
+    fn narrow(value: f64) -> Self;
+    fn exp_neg(self) -> Self;
+}
+
+impl Real for f32 {
+    fn wide(self) -> f64 {
+        self.into()
+    }
+    fn narrow(value: f64) -> f32 {
+        value as f32
+    }
+    fn exp_neg(self) -> f32 {
+        (-self).exp()
+    }
+}
+
+impl Real for f64 {
+    fn wide(self) -> f64 {
+        self
+    }
+    fn narrow(value: f64) -> f64 {
+        value
+    }
+    fn exp_neg(self) -> f64 {
+        (-self).exp()
+    }
+}
+
+/// Colours `[rays, samples, 3]`, densities and positions `[rays, samples]` to one flat tensor: colour `[3 rays]`,
+/// depth `[rays]`, acc `[rays]`, weights `[rays * samples]`.
+pub(super) struct Scan {
+    /// Lengths of the rays' directions.
+    pub direction_norm: Vec<f64>,
+    pub last_interval: f64,
+    pub background: Option<[f32; 3]>,
+}
+
+/// One ray's samples.
+struct Ray<'a, T> {
+    rgb: &'a [T],
+    density: &'a [T],
+    t_vals: &'a [T],
+    norm: f64,
+    last_interval: f64,
+}
+
+impl<T: Real> Ray<'_, T> {
+    /// Interval `k` in scene units.
+    fn interval(&self, k: usize) -> T {
+        let length = match self.t_vals.get(k + 1) {
+            Some(next) => (*next - self.t_vals[k]).wide(),
+            None => self.last_interval,
+        };
+        T::narrow(length * self.norm)
+    }
+
+    /// For each sample: its weight, and the transmittance behind it (`T_k (1 - alpha_k)`).
+    fn scan(&self, mut visit: impl FnMut(usize, f64, f64)) {
+        let mut before = 0.0;
+        for (k, density) in self.density.iter().enumerate() {
+            let optical = *density * self.interval(k);
+            let kept = optical.exp_neg();
+            let transmittance = T::narrow(before).exp_neg();
+            let alpha = T::narrow(1.0) - kept;
+            visit(k, (alpha * transmittance).wide(), (kept * transmittance).wide());
+            before += optical.wide();
+        }
+    }
+}
+
+impl Scan {
+    fn ray<'a, T>(&self, ray: usize, samples: usize, rgb: &'a [T], density: &'a [T], t_vals: &'a [T]) -> Ray<'a, T> {
+        let row = ray * samples..(ray + 1) * samples;
+        Ray {
+            rgb: &rgb[3 * row.start..3 * row.end],
+            density: &density[row.clone()],
+            t_vals: &t_vals[row],
+            norm: self.direction_norm[ray],
+            last_interval: self.last_interval,
+        }
+    }
+
+    fn fill(&self) -> [f64; 3] {
+        self.background.unwrap_or_default().map(f64::from)
+    }
+
+    fn forward<T: Real>(&self, rgb: &[T], density: &[T], t_vals: &[T]) -> Vec<T> {
+        let rays = self.direction_norm.len();
+        let samples = density.len().checked_div(rays).unwrap_or(0);
+        let mut out = vec![T::narrow(0.0); rays * (5 + samples)];
+        let (colours, rest) = out.split_at_mut(3 * rays);
+        let (depths, rest) = rest.split_at_mut(rays);
+        let (accs, weights) = rest.split_at_mut(rays);
+        for i in 0..rays {
+            let ray = self.ray(i, samples, rgb, density, t_vals);
+            let (mut colour, mut depth, mut acc) = ([0f64; 3], 0.0, 0.0);
+            let weights = &mut weights[i * samples..][..samples];
+            ray.scan(|k, weight, _| {
+                weights[k] = T::narrow(weight);
+                for (sum, c) in colour.iter_mut().zip(&ray.rgb[3 * k..3 * k + 3]) {
+                    *sum += weight * c.wide();
+                }
+                depth += weight * ray.t_vals[k].wide();
+                acc += weight;
+            });
+            for (out, (sum, fill)) in colours[3 * i..][..3].iter_mut().zip(colour.into_iter().zip(self.fill())) {
+                *out = T::narrow(sum + (1.0 - acc) * fill);
+            }
+            depths[i] = T::narrow(depth);
+            accs[i] = T::narrow(acc);
+        }
+        out
+    }
+
+    /// With G_k the gradient of weight k: that of the optical depth o_k = density_k * interval_k is
+    /// G_k T_k exp(-o_k) - sum over l > k of G_l w_l, where the last interval's o takes part in no other weight.
+    fn backward<T: Real>(&self, rgb: &[T], density: &[T], t_vals: &[T], gradient: &[T]) -> [Vec<T>; 3] {
+        let rays = self.direction_norm.len();
+        let samples = density.len().checked_div(rays).unwrap_or(0);
+        let (g_colours, rest) = gradient.split_at(3 * rays);
+        let (g_depths, rest) = rest.split_at(rays);
+        let (g_accs, g_weights) = rest.split_at(rays);
+        let zeros = |n: usize| vec![T::narrow(0.0); n];
+        let mut out = [zeros(rgb.len()), zeros(density.len()), zeros(t_vals.len())];
+        let [d_rgb, d_density, d_t] = &mut out;
+        let (mut weights, mut behind) = (vec![0f64; samples], vec![0f64; samples]);
+        for i in 0..rays {
+            let ray = self.ray(i, samples, rgb, density, t_vals);
+            ray.scan(|k, weight, after| (weights[k], behind[k]) = (weight, after));
+            let g_colour: [f64; 3] = std::array::from_fn(|c| g_colours[3 * i + c].wide());
+            let (g_depth, fill) = (g_depths[i].wide(), self.fill());
+            let g_acc = g_accs[i].wide() - (0..3).map(|c| g_colour[c] * fill[c]).sum::<f64>();
+            let row = i * samples;
+            let mut later = 0.0;
+            for k in (0..samples).rev() {
+                let colour = &ray.rgb[3 * k..3 * k + 3];
+                let of_colour: f64 = (0..3).map(|c| g_colour[c] * colour[c].wide()).sum();
+                let g_weight = of_colour + g_depth * ray.t_vals[k].wide() + g_acc + g_weights[row + k].wide();
+                for c in 0..3 {
+                    d_rgb[3 * (row + k) + c] = T::narrow(weights[k] * g_colour[c]);
+                }
+                // Behind the last sample lies nothing that it could hide.
+                let hidden = if k + 1 < samples { later } else { 0.0 };
+                let d_optical = g_weight * behind[k] - hidden;
+                d_density[row + k] = T::narrow(d_optical * ray.interval(k).wide());
+                let d_length = d_optical * ray.density[k].wide() * ray.norm;
+                d_t[row + k] = T::narrow(d_t[row + k].wide() + g_depth * weights[k]);
+                if k + 1 < samples {
+                    d_t[row + k] = T::narrow(d_t[row + k].wide() - d_length);
+                    d_t[row + k + 1] = T::narrow(d_t[row + k + 1].wide() + d_length);
+                }
+                later += g_weight * weights[k];
+            }
+        }
+        out
+    }
+}
+
+fn slice<'a, T>(values: &'a [T], layout: &Layout) -> Result<&'a [T]> {
+    match layout.contiguous_offsets() {
+        Some((start, end)) => Ok(&values[start..end]),
+        None => candle_core::bail!("compositing needs contiguous arguments"),
+    }
+}
+
+impl CustomOp3 for Scan {
+    fn name(&self) -> &'static str {
+        "composite"
+    }
+
+    fn cpu_fwd(
+        &self,
+        rgb: &CpuStorage,
+        rgb_layout: &Layout,
+        density: &CpuStorage,
+        density_layout: &Layout,
+        t_vals: &CpuStorage,
+        t_layout: &Layout,
+    ) -> Result<(CpuStorage, Shape)> {
+        macro_rules! forward {
+            ($kind:ident, $rgb:expr, $density:expr, $t_vals:expr) => {{
+                let (rgb, density, t_vals) =
+                    (slice($rgb, rgb_layout)?, slice($density, density_layout)?, slice($t_vals, t_layout)?);
+                let out = self.forward(rgb, density, t_vals);
+                let n = out.len();
+                Ok((CpuStorage::$kind(out), Shape::from(n)))
+            }};
+        }
+        match (rgb, density, t_vals) {
+            (CpuStorage::F32(rgb), CpuStorage::F32(density), CpuStorage::F32(t)) => forward!(F32, rgb, density, t),
+            (CpuStorage::F64(rgb), CpuStorage::F64(density), CpuStorage::F64(t)) => forward!(F64, rgb, density, t),
+            _ => candle_core::bail!("compositing is for f32 and f64"),
+        }
+    }
+
+    fn bwd(
+        &self,
+        rgb: &Tensor,
+        density: &Tensor,
+        t_vals: &Tensor,
+        _out: &Tensor,
+        gradient: &Tensor,
+    ) -> Result<(Option<Tensor>, Option<Tensor>, Option<Tensor>)> {
+        match gradient.dtype() {
+            candle_core::DType::F64 => self.pull_back::<f64>([rgb, density, t_vals], gradient),
+            _ => self.pull_back::<f32>([rgb, density, t_vals], gradient),
+        }
+    }
+}
+
+impl Scan {
+    fn pull_back<T: Real>(
+        &self,
+        arguments: [&Tensor; 3],
+        gradient: &Tensor,
+    ) -> Result<(Option<Tensor>, Option<Tensor>, Option<Tensor>)> {
+        let values = |tensor: &Tensor| tensor.flatten_all()?.to_vec1::<T>();
+        let [rgb, density, t_vals] = arguments;
+        let found = self.backward(&values(rgb)?, &values(density)?, &values(t_vals)?, &values(gradient)?);
+        let [d_rgb, d_density, d_t] = found;
+        let tensor = |values: Vec<T>, like: &Tensor| {
+            like.track_op().then(|| Tensor::from_vec(values, like.shape(), like.device())).transpose()
+        };
+        Ok((tensor(d_rgb, rgb)?, tensor(d_density, density)?, tensor(d_t, t_vals)?))
+    }
+}
