@@ -8,38 +8,12 @@ use std::hint::black_box;
 use std::time::Duration;
 
 use augnerf::config::{Config, DataKind, FieldConfig, Method, Regularizer, RegularizerConfig};
-use augnerf::data::{Camera, Image, Scene, View};
 use augnerf::field::Field;
 use augnerf::regularizers::{CHUNK, Lattice, Points, regularize};
 use augnerf::train::Trainer;
 use candle_core::{DType, Device};
 use criterion::{Criterion, criterion_group, criterion_main};
 use rayon::prelude::*;
-
-/// One 64 x 64 view of noise: a step's work does not depend on what it sees.
-fn scene() -> Scene {
-    let camera = Camera {
-        width: 64,
-        height: 64,
-        focal: [80.0, 80.0],
-        centre: [32.0, 32.0],
-        pose: [[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 4.0]],
-    };
-    let pixels = (0..64 * 64 * 3).map(|i| (i * 7919 % 256) as f32 / 255.0).collect();
-    let image = Image { width: 64, height: 64, channels: 3, pixels };
-    let view = View { name: "noise".into(), camera, image, depth: None };
-    Scene {
-        name: "noise".into(),
-        kind: "blender",
-        train: vec![view],
-        test: vec![],
-        near: 2.0,
-        far: 6.0,
-        ndc: None,
-        background: None,
-        path: vec![],
-    }
-}
 
 fn step(criterion: &mut Criterion) {
     augnerf::allocator::keep_freed_memory();
@@ -59,7 +33,7 @@ fn step(criterion: &mut Criterion) {
         config.resolve_bounds(2.0, 6.0);
         config.train.collapse_steps = 0;
         config.train.dead_start_share = 0.0;
-        let mut trainer = Trainer::new(&config, &scene(), DType::F32, &Device::Cpu).expect("a trainer");
+        let mut trainer = Trainer::new(&config, &augnerf::bench::scene(), DType::F32, &Device::Cpu).expect("a trainer");
         group.bench_function(name, |bencher| bencher.iter(|| black_box(trainer.step(false).expect("a step"))));
     }
     group.finish();

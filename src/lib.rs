@@ -49,7 +49,7 @@
 //! |---|---|
 //! | 9 | `cli` |
 //! | 8 | `sweep` |
-//! | 7 | `job` |
+//! | 7 | `job`, `bench` |
 //! | 6 | `evaluate` |
 //! | 5 | `train` |
 //! | 4 | `model`, `regularizers`, `render` |
@@ -64,6 +64,7 @@
 #![warn(missing_docs)]
 
 pub mod allocator;
+pub mod bench;
 pub mod cli;
 pub mod config;
 pub mod data;

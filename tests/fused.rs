@@ -164,6 +164,33 @@ fn each_gradient_alone_equals_it_among_all() {
     }
 }
 
+/// A search that leaves the points alone computes the trunk below the delta once, and finds the same.
+#[test]
+fn a_remembered_trunk_changes_nothing() {
+    for (skips, layer) in [(vec![5], 4), (vec![5], 6), (vec![2], 1), (vec![], 8)] {
+        let case = Case { field: FieldConfig { width: 24, skips, ..FieldConfig::default() }, layer, ..paper() };
+        let field = field(&case, Core::Fused, DType::F32);
+        let n = case.rays * case.samples;
+        let single = |index: u64, shape: &[usize]| random(case.seed, index, shape).to_dtype(DType::F32).unwrap();
+        let (points, viewdirs) = (single(0, &[n, 3]), single(1, &[case.rays, 3]));
+        let (plain, searching) = (field.frozen().unwrap(), field.searching().unwrap());
+        for index in 2..5 {
+            let ask = |field: &Field, with_delta: bool| {
+                let delta = Var::from_tensor(&single(index, &[n, 24])).unwrap();
+                let views = Var::from_tensor(&viewdirs).unwrap();
+                let at = with_delta.then(|| FeatureDelta { layer, delta: delta.as_tensor() });
+                let raw = field.forward(&points, &views, at).unwrap();
+                let loss = (raw.rgb.sqr().unwrap().sum_all().unwrap() + raw.density.sum_all().unwrap()).unwrap();
+                let store = loss.backward().unwrap();
+                let gradients = [store.get(&delta), store.get(&views)].map(|gradient| gradient.map(flat));
+                (flat(&raw.rgb), flat(&raw.density), gradients)
+            };
+            assert_eq!(ask(&searching, true), ask(&plain, true), "layer {layer}");
+            assert_eq!(ask(&searching, false), ask(&plain, false), "without a delta");
+        }
+    }
+}
+
 #[test]
 fn no_points_and_one_point() {
     let field = field(&paper(), Core::Fused, DType::F32).frozen().unwrap();

@@ -64,7 +64,13 @@ impl Setting {
     }
 
     fn pass(&self) -> Pass<'_> {
-        Pass { rays: &self.rays, t_vals: &self.t_vals, density_noise: Some(&self.noise), background: Some([1.0; 3]) }
+        Pass {
+            rays: &self.rays,
+            t_vals: &self.t_vals,
+            density_noise: Some(&self.noise),
+            background: Some([1.0; 3]),
+            points: None,
+        }
     }
 
     fn perturbation<'a>(&'a self, deltas: &'a Deltas) -> Perturbation<'a> {

@@ -9,6 +9,7 @@ use clap::{Args, Parser, Subcommand};
 use crate::config::Config;
 use crate::error::{Error, Result};
 
+mod bench;
 mod data;
 mod eval;
 mod experiment;
@@ -78,6 +79,8 @@ enum Command {
     /// Look at scenes
     #[command(subcommand)]
     Data(data::DataCommand),
+    /// Time training steps on made-up rays, as one line of JSON
+    Bench(bench::BenchArguments),
 }
 
 /// Where the numbers are computed; changes no setting of a run.
@@ -169,6 +172,7 @@ pub fn main() -> ExitCode {
         Command::Eval(arguments) => arguments.run(),
         Command::Measure(arguments) => arguments.run(),
         Command::Balance(arguments) => arguments.run(),
+        Command::Bench(arguments) => arguments.run(),
         Command::Render(arguments) => arguments.run(),
         Command::Data(command) => command.run(),
     };

@@ -21,6 +21,7 @@ mod dense;
 mod encoding;
 mod fused;
 mod spatial;
+pub mod work;
 
 pub use dense::{dense, dense_reference};
 pub use encoding::{encode, encode_reference, encoded_channels};
@@ -49,6 +50,8 @@ pub struct Field {
     network: Option<Arc<fused::Network>>,
     /// Takes the gradients of the weights past candle's graph.
     recorder: Option<Arc<fused::Recorder>>,
+    /// Remembers the trunk at points that are asked for again.
+    memo: Option<Arc<fused::Memo>>,
 }
 
 /// What a field says before its activations.
@@ -164,6 +167,7 @@ impl Field {
             variables: Vec::new(),
             network: None,
             recorder: None,
+            memo: None,
         }
     }
 
@@ -203,7 +207,7 @@ impl Field {
     fn query(&self) -> Option<fused::Query> {
         let network = self.network.clone()?;
         let asked = self.recorder.is_some() || self.variables.is_empty();
-        asked.then(|| fused::Query { network, recorder: self.recorder.clone() })
+        asked.then(|| fused::Query { network, recorder: self.recorder.clone(), memo: self.memo.clone() })
     }
 
     /// All layers in the order of parameters.
@@ -214,6 +218,12 @@ impl Field {
     /// The same weights (shared, not copied) for which no gradient is ever computed.
     pub fn frozen(&self) -> Result<Field> {
         self.detached().prepared()
+    }
+
+    /// A frozen field for a search: where it is asked for the very same points again, and nobody wants their gradient,
+    /// it computes the trunk below the feature delta, or all of it, once.
+    pub fn searching(&self) -> Result<Field> {
+        Ok(Field { memo: Some(Arc::default()), ..self.frozen()? })
     }
 
     fn detached(&self) -> Field {

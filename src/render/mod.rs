@@ -25,6 +25,9 @@ pub struct Pass<'a> {
     pub density_noise: Option<&'a Tensor>,
     /// Fills missing accumulation.
     pub background: Option<[f32; 3]>,
+    /// The samples' points, `[rays * samples, 3]`, where they are known already: a search that does not move them asks
+    /// for the very same tensor again and again (see [`Field::searching`]).
+    pub points: Option<&'a Tensor>,
 }
 
 /// Deltas of a perturbed pass and how they enter it.
@@ -60,8 +63,8 @@ pub struct PassOutput {
 
 /// Renders one pass without perturbation.
 pub fn clean_pass(field: &Field, pass: Pass) -> Result<PassOutput> {
-    let points = points_at(pass.rays, pass.t_vals)?;
-    let raw = query(field, &points, &pass.rays.viewdirs, None)?;
+    let points = points_at(pass.rays, pass.t_vals)?.flatten(0, 1)?;
+    let raw = query(field, &points, pass.t_vals, &pass.rays.viewdirs, None)?;
     let (rgb, density) = activate(field, &raw, pass.density_noise)?;
     finish(pass, pass.t_vals, &raw, (rgb, density), (Deltas::default(), Sets::default()))
 }
@@ -73,16 +76,20 @@ pub fn perturbed_pass(field: &Field, pass: Pass, perturbation: Perturbation) -> 
         Some(delta) => (pass.t_vals + delta)?,
         None => pass.t_vals.clone(),
     };
-    let mut points = points_at(pass.rays, &t_vals)?;
-    if let Some(delta) = deltas.get(Level::Xyz) {
-        points = (points + delta)?;
-    }
+    let xyz = deltas.get(Level::Xyz);
+    let points = match pass.points.filter(|_| deltas.get(Level::T).is_none() && xyz.is_none()) {
+        Some(points) => points.clone(),
+        None => {
+            let points = points_at(pass.rays, &t_vals)?;
+            xyz.map_or(Ok(points.clone()), |delta| points + delta)?.flatten(0, 1)?
+        }
+    };
     let viewdirs = match deltas.get(Level::View) {
         Some(delta) => tilt(pass.rays, delta)?,
         None => pass.rays.viewdirs.clone(),
     };
     let feature = deltas.get(Level::Feature).map(|delta| (perturbation.injection_layer, delta));
-    let raw = query(field, &points, &viewdirs, feature)?;
+    let raw = query(field, &points, &t_vals, &viewdirs, feature)?;
     let (mut used, mut sets) = (deltas.clone(), perturbation.sets.clone());
     let activated = match perturbation.output {
         OutputPlace::After => {
@@ -129,14 +136,19 @@ fn tilt(rays: &Rays, angles: &Tensor) -> Result<Tensor> {
     Ok(moved.broadcast_div(&norm)?)
 }
 
-/// Raw output with shapes restored: rgb `[rays, samples, 3]`, density `[rays, samples]`.
-fn query(field: &Field, points: &Tensor, viewdirs: &Tensor, feature: Option<(usize, &Tensor)>) -> Result<RawOutput> {
-    let (rays, samples, _) = points.dims3()?;
-    let flat = points.reshape((rays * samples, 3))?;
+/// Raw output at points `[rays * samples, 3]`: rgb `[rays, samples, 3]`, density `[rays, samples]`.
+fn query(
+    field: &Field,
+    points: &Tensor,
+    t_vals: &Tensor,
+    viewdirs: &Tensor,
+    feature: Option<(usize, &Tensor)>,
+) -> Result<RawOutput> {
+    let (rays, samples) = t_vals.dims2()?;
     let delta = feature.map(|(layer, delta)| Ok((layer, delta.flatten(0, 1)?))).transpose();
     let delta: Option<(usize, Tensor)> = delta.map_err(|e: candle_core::Error| e)?;
     let delta = delta.as_ref().map(|(layer, delta)| FeatureDelta { layer: *layer, delta });
-    let raw = field.forward(&flat, viewdirs, delta)?;
+    let raw = field.forward(points, viewdirs, delta)?;
     Ok(RawOutput { rgb: raw.rgb.reshape((rays, samples, 3))?, density: raw.density.reshape((rays, samples))? })
 }
 
@@ -210,7 +222,7 @@ pub fn render_rays(
     background: Option<[f32; 3]>,
 ) -> Result<Composite> {
     let t_vals = sampling::stratified(near, far, rays.len(), coarse_samples, None, &rays.origins)?;
-    let pass = Pass { rays, t_vals: &t_vals, density_noise: None, background };
+    let pass = Pass { rays, t_vals: &t_vals, density_noise: None, background, points: None };
     let Some(fine) = fine else { return Ok(clean_pass(coarse, pass)?.composite) };
     // The coarse pass only places samples: density alone will do.
     let points = points_at(rays, &t_vals)?.flatten(0, 1)?;

@@ -462,6 +462,7 @@ impl Trainer {
             t_vals: &chunk.t_coarse,
             density_noise: chunk.noise_coarse.as_ref(),
             background: self.volume.background,
+            points: None,
         }
     }
 

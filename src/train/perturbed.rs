@@ -7,13 +7,14 @@ use crate::error::Result;
 use crate::field::Field;
 use crate::model::Model;
 use crate::perturbations::{Deltas, Draw, PassGeometry, Sets, StepSizes, worst_case};
-use crate::render::{Pass, PassOutput, Perturbation, perturbed_pass, photometric_loss};
+use crate::render::{Pass, PassOutput, Perturbation, perturbed_pass, photometric_loss, points_at};
 use crate::rng::{Random, Stream};
 use crate::sampling;
 
 use super::{Chunk, ChunkResult, Gradients, Trainer};
 
 /// One perturbed pass of a chunk: which field, which samples, which sets.
+#[derive(Clone)]
 pub(super) struct Perturbed<'a> {
     pub(super) field: &'a Field,
     pub(super) pass: Pass<'a>,
@@ -134,9 +135,11 @@ impl Trainer {
             PerturbKind::WorstCase | PerturbKind::FreshJitter => {}
         }
         let start = passing.sets.draw(Draw::Uniform, random)?;
-        let frozen = passing.field.frozen()?;
+        let field = passing.field.searching()?;
+        let points = points_at(passing.pass.rays, passing.pass.t_vals)?.flatten(0, 1)?;
+        let still = Perturbed { pass: Pass { points: Some(&points), ..passing.pass }, ..passing.clone() };
         worst_case(&passing.sets, &StepSizes::new(&self.config.perturb), start, |deltas| {
-            let out = self.run(passing, &frozen, deltas)?;
+            let out = self.run(&still, &field, deltas)?;
             Ok((photometric_loss(&out.composite.rgb, passing.target)?, out.used))
         })
     }

@@ -4,6 +4,8 @@
 use gemm::Parallelism;
 use pulp::Arch;
 
+use crate::field::work::count_multiply_adds;
+
 /// A read-only matrix inside a slice.
 #[derive(Clone, Copy)]
 pub struct Matrix<'a> {
@@ -44,6 +46,7 @@ pub fn multiply(out: &mut [f32], stride: usize, a: Matrix, b: Matrix, accumulate
     let (m, n, k) = (a.rows, b.columns, a.columns);
     assert!(a.columns == b.rows && a.fits() && b.fits(), "matrices do not fit");
     assert!(m == 0 || n == 0 || (n <= stride && (m - 1) * stride + n <= out.len()), "the product does not fit");
+    count_multiply_adds(m * n * k);
     // SAFETY: every index that the product reads or writes was checked to lie within its slice; `out` is borrowed
     // mutably, so that it overlaps neither operand.
     unsafe {

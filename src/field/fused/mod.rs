@@ -7,7 +7,7 @@
 //! neither records nor is frozen) is the reference that this one is tested against.
 
 mod encode;
-mod kernels;
+pub mod kernels;
 mod network;
 mod pool;
 
@@ -15,11 +15,11 @@ use std::ops::Deref;
 use std::sync::{Arc, Mutex, PoisonError};
 
 use candle_core::backend::BackendStorage;
-use candle_core::{CpuStorage, CustomOp3, DType, Device, Layout, Result, Shape, Storage, Tensor, Var};
+use candle_core::{CpuStorage, CustomOp3, DType, Device, Layout, Result, Shape, Storage, Tensor, TensorId, Var};
 
 use crate::config::FieldConfig;
 
-use network::{InputGradients, Inputs, Kept, Wanted};
+use network::{InputGradients, Inputs, Kept, Prefix, Wanted};
 
 pub use network::Network;
 
@@ -50,12 +50,33 @@ impl Recorder {
     }
 }
 
+/// The trunk's lower part at the points that were asked for last.
+#[derive(Default)]
+pub struct Memo(Mutex<Option<(TensorId, usize, Arc<Prefix>)>>);
+
+impl Memo {
+    /// That of `points` up to layer `layer`, computed once for as long as the same tensor is asked for.
+    fn prefix(&self, network: &Network, points: &Tensor, layer: usize) -> Result<Arc<Prefix>> {
+        let mut known = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some((id, to, prefix)) = &*known
+            && (*id, *to) == (points.id(), layer)
+        {
+            return Ok(prefix.clone());
+        }
+        let prefix = Arc::new(network.prefix(Values::of(&points.contiguous()?).slice()?, layer));
+        *known = Some((points.id(), layer, prefix.clone()));
+        Ok(prefix)
+    }
+}
+
 /// One query of a field.
 pub struct Query {
     /// Its weights.
     pub network: Arc<Network>,
     /// Takes the gradients of the weights; without one they are constants.
     pub recorder: Option<Arc<Recorder>>,
+    /// Remembers the trunk below a delta, where many queries share their points.
+    pub memo: Option<Arc<Memo>>,
 }
 
 impl Query {
@@ -76,12 +97,16 @@ impl Query {
         } else {
             viewdirs
         };
+        let memo = self.memo.filter(|_| !wanted.points && !wanted.weights && points.dim(0).is_ok_and(|n| n > 0));
+        let layer = delta.map_or(self.network.depth(), |(layer, _)| layer);
+        let prefix = memo.map(|memo| memo.prefix(&self.network, points, layer)).transpose()?;
         let none = Tensor::zeros(1, DType::F32, points.device())?;
         let operation = Fused {
             network: self.network,
             recorder: self.recorder,
             delta_layer: delta.map(|(layer, _)| layer),
             wanted,
+            prefix,
             kept: Mutex::default(),
         };
         let delta = delta.map_or(Ok(none), |(_, delta)| delta.contiguous())?;
@@ -92,7 +117,7 @@ impl Query {
     pub fn density(self, points: &Tensor) -> Result<Tensor> {
         let points = points.detach().contiguous()?;
         let values = Values::of(&points);
-        let inputs = Inputs { points: values.slice()?, viewdirs: &[], delta: None };
+        let inputs = Inputs { points: values.slice()?, viewdirs: &[], delta: None, prefix: None };
         let (raw, _) = self.network.forward(inputs, Wanted::default());
         let n = raw.len();
         Tensor::from_vec(raw, n, points.device())
@@ -134,13 +159,15 @@ struct Fused {
     recorder: Option<Arc<Recorder>>,
     delta_layer: Option<usize>,
     wanted: Wanted,
+    prefix: Option<Arc<Prefix>>,
     /// From the forward to the backward pass.
     kept: Mutex<Option<Kept>>,
 }
 
 impl Fused {
-    fn inputs<'a>(&self, points: &'a [f32], viewdirs: &'a [f32], delta: &'a [f32]) -> Inputs<'a> {
-        Inputs { points, viewdirs, delta: self.delta_layer.map(|layer| (layer, delta)) }
+    fn inputs<'a>(&'a self, points: &'a [f32], viewdirs: &'a [f32], delta: &'a [f32]) -> Inputs<'a> {
+        let delta = self.delta_layer.map(|layer| (layer, delta));
+        Inputs { points, viewdirs, delta, prefix: self.prefix.as_deref() }
     }
 }
 

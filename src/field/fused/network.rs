@@ -9,6 +9,7 @@
 use crate::config::FieldConfig;
 use crate::field::encoding::{encoded_channels, gradient_into};
 use crate::field::layer_shapes;
+use crate::field::work::count_points;
 
 use super::encode::encode_tile;
 use super::kernels::{Matrix, add, add_bias, add_bias_relu, add_rows, apply_mask, multiply};
@@ -58,6 +59,15 @@ pub struct Inputs<'a> {
     pub viewdirs: &'a [f32],
     /// Trunk layer (1-based) and what is added to its output, `[n, width]`.
     pub delta: Option<(usize, &'a [f32])>,
+    /// The trunk up to the delta's layer, from an earlier pass with the same points.
+    pub prefix: Option<&'a Prefix>,
+}
+
+/// The trunk's lower part at some points: the same for every delta above it.
+pub struct Prefix {
+    encoded: Buffer<f32>,
+    /// Output of the layer that the delta is added to, or of the last one; without the delta.
+    hidden: Buffer<f32>,
 }
 
 /// What a backward pass will be asked.
@@ -214,6 +224,11 @@ impl Network {
         gradients
     }
 
+    /// Trunk layers.
+    pub fn depth(&self) -> usize {
+        self.config.depth
+    }
+
     /// Neurons of a trunk layer.
     pub fn width(&self) -> usize {
         self.config.width
@@ -229,6 +244,39 @@ impl Network {
 
     fn skips(&self, layer: usize) -> bool {
         layer > 0 && self.config.skips.contains(&layer)
+    }
+
+    /// The trunk up to layer `layer` (1-based) at points `[n, 3]`.
+    pub fn prefix(&self, points: &[f32], layer: usize) -> Prefix {
+        let n = points.len() / 3;
+        let (width, position) = (self.config.width, self.position_channels());
+        let mut prefix = Prefix { encoded: Buffer::new(n * position), hidden: Buffer::new(n * width) };
+        let mut layers = [Buffer::new(TILE * width), Buffer::new(TILE * width)];
+        for tile in tiles(n) {
+            let encoded = tile.of_mut(&mut prefix.encoded, position);
+            encode_tile(tile.of(points, 3), self.config.position_octaves, encoded);
+            for l in 0..layer {
+                let [a, b] = &mut layers;
+                let (below, output) = if l % 2 == 0 { (&*b, a) } else { (&*a, b) };
+                self.trunk_layer(l, encoded, &below[..tile.rows * width], &mut output[..tile.rows * width], None);
+            }
+            tile.of_mut(&mut prefix.hidden, width).copy_from_slice(&layers[(layer - 1) % 2][..tile.rows * width]);
+        }
+        prefix
+    }
+
+    /// Trunk layer `l` (from 0) of a tile, with its ReLU. The lowest layer does not read `below`.
+    fn trunk_layer(&self, l: usize, encoded: &[f32], below: &[f32], output: &mut [f32], mask: Option<&mut [u8]>) {
+        let (layer, width, position) = (&self.trunk[l], self.config.width, self.position_channels());
+        if l == 0 {
+            layer.forward(encoded, 0, position, output, false);
+        } else if self.skips(l) {
+            layer.forward(encoded, 0, position, output, false);
+            layer.forward(below, position, width, output, true);
+        } else {
+            layer.forward(below, 0, width, output, false);
+        }
+        add_bias_relu(output, &layer.bias, mask);
     }
 
     /// Raw colours `[n, 3]` followed by raw densities `[n]`, or raw densities alone; and what a backward pass for
@@ -257,32 +305,37 @@ impl Network {
         let (mut view, mut views) = (Buffer::new(TILE * width / 2), Buffer::new(TILE * direction));
         let (raw_colour, raw_density) = raw.split_at_mut(colours);
         for tile in tiles(n) {
-            let encoded = if kept.encoded.is_empty() {
-                &mut encoded[..tile.rows * position]
-            } else {
-                tile.of_mut(&mut kept.encoded, position)
+            let encoded = match inputs.prefix {
+                Some(prefix) => tile.of(&prefix.encoded, position),
+                None => {
+                    let encoded = if kept.encoded.is_empty() {
+                        &mut encoded[..tile.rows * position]
+                    } else {
+                        tile.of_mut(&mut kept.encoded, position)
+                    };
+                    encode_tile(tile.of(inputs.points, 3), self.config.position_octaves, encoded);
+                    encoded
+                }
             };
-            encode_tile(tile.of(inputs.points, 3), self.config.position_octaves, encoded);
-            for (l, layer) in self.trunk.iter().enumerate() {
+            let first = if inputs.prefix.is_some() { inputs.delta.map_or(depth, |(layer, _)| layer) - 1 } else { 0 };
+            for l in first..depth {
                 // Layers are kept whole where weights want gradients, otherwise they take turns in two tiles.
                 let (below, output) = if wanted.weights {
                     let (below, rest) = kept.hidden.split_at_mut(l);
-                    (below.last().map(|below| tile.of(below, width)), tile.of_mut(&mut rest[0], width))
+                    let below = below.last().map_or(&[][..], |below| tile.of(below, width));
+                    (below, tile.of_mut(&mut rest[0], width))
                 } else {
                     let [a, b] = &mut layers;
                     let (below, output) = if l % 2 == 0 { (&*b, a) } else { (&*a, b) };
-                    ((l > 0).then(|| &below[..tile.rows * width]), &mut output[..tile.rows * width])
+                    (&below[..tile.rows * width], &mut output[..tile.rows * width])
                 };
-                match below {
-                    None => layer.forward(encoded, 0, position, output, false),
-                    Some(below) if self.skips(l) => {
-                        layer.forward(encoded, 0, position, output, false);
-                        layer.forward(below, position, width, output, true);
+                match inputs.prefix.filter(|_| l == first) {
+                    Some(prefix) => output.copy_from_slice(tile.of(&prefix.hidden, width)),
+                    None => {
+                        let mask = wanted.any().then(|| tile.of_mut(&mut kept.masks[l], width));
+                        self.trunk_layer(l, encoded, below, output, mask);
                     }
-                    Some(below) => layer.forward(below, 0, width, output, false),
                 }
-                let mask = wanted.any().then(|| tile.of_mut(&mut kept.masks[l], width));
-                add_bias_relu(output, &layer.bias, mask);
                 if let Some((_, delta)) = inputs.delta.filter(|(at, _)| *at == l + 1) {
                     add(output, tile.of(delta, width));
                 }
@@ -350,6 +403,7 @@ impl Network {
         let active: Vec<usize> = (0..n)
             .filter(|&i| g_density[i] != 0.0 || rays > 0 && g_colour[3 * i..][..3].iter().any(|&g| g != 0.0))
             .collect();
+        count_points(n, active.len());
         let mut scratch = Scratch::default();
         let (mut room_a, mut room_b) = (Buffer::new(TILE * width), Buffer::new(TILE * width));
         let (mut room_view, mut room_views) = (Buffer::new(TILE * width / 2), Buffer::new(TILE * direction));

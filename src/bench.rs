@@ -1,0 +1,172 @@
+//! The time of training steps on made-up rays: what `augnerf bench` prints and `benches/` times.
+
+use std::time::Instant;
+
+use candle_core::{DType, Device};
+use serde::Serialize;
+
+use crate::config::{Config, DataKind, Init, Method, REGULARIZERS, RegularizedFields, Regularizer};
+use crate::data::{Camera, Image, Scene, View};
+use crate::error::{Error, Result};
+use crate::field::work;
+use crate::output::{peak_memory_mib, revision};
+use crate::train::Trainer;
+
+/// Steps before the clock starts.
+const WARM_UP: usize = 2;
+
+/// What a step is made of.
+#[derive(Clone, Debug)]
+pub struct Workload {
+    /// `nerf`, `aug`, `tv` or `laplacian`.
+    pub method: String,
+    /// Rays of a step.
+    pub rays: usize,
+    /// Samples of the coarse pass.
+    pub coarse: usize,
+    /// Further samples of the fine pass.
+    pub fine: usize,
+    /// Width of both 8-layer networks.
+    pub width: usize,
+    /// Steps that are timed.
+    pub steps: usize,
+    /// Settings over these.
+    pub set: Vec<(Vec<String>, toml::Value)>,
+}
+
+/// One line of `augnerf bench`.
+#[derive(Clone, Debug, Serialize)]
+pub struct Timed {
+    /// Program and revision.
+    pub peer: String,
+    /// As asked.
+    pub method: String,
+    /// As asked.
+    pub rays: usize,
+    /// As asked.
+    pub coarse: usize,
+    /// As asked.
+    pub fine: usize,
+    /// As asked.
+    pub width: usize,
+    /// As asked.
+    pub steps: usize,
+    /// Threads that worked.
+    pub threads: usize,
+    /// As asked.
+    pub device: String,
+    /// Median over the steps.
+    pub seconds_per_step: f64,
+    /// Rays over that.
+    pub rays_per_second: f64,
+    /// Points of a clean pass through both networks.
+    pub points_per_clean_pass: usize,
+    /// Multiply-adds of matrix products that the fused core did in a step; none where it does not apply.
+    pub multiply_adds_per_step: Option<f64>,
+    /// Share of points whose gradient was not 0, and which a backward pass therefore saw.
+    pub active_share: Option<f64>,
+    /// Twice the multiply-adds over the time.
+    pub gflops: Option<f64>,
+    /// The same of large matrix products alone, on all threads.
+    pub gemm_peak_gflops: Option<f64>,
+    /// `gflops` over that.
+    pub share_of_peak: Option<f64>,
+    /// Highest resident memory of the process.
+    pub peak_memory_mib: Option<f64>,
+}
+
+/// One 64 x 64 view of noise, seen from (0, 0, 4) along -z between 2 and 6.
+pub fn scene() -> Scene {
+    let camera = Camera {
+        width: 64,
+        height: 64,
+        focal: [80.0, 80.0],
+        centre: [32.0, 32.0],
+        pose: [[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 4.0]],
+    };
+    let pixels = (0..64 * 64 * 3).map(|i| (i * 7919 % 256) as f32 / 255.0).collect();
+    let image = Image { width: 64, height: 64, channels: 3, pixels };
+    let view = View { name: "noise".into(), camera, image, depth: None };
+    Scene {
+        name: "noise".into(),
+        kind: "blender",
+        train: vec![view],
+        test: vec![],
+        near: 2.0,
+        far: 6.0,
+        ndc: None,
+        background: None,
+        path: vec![],
+    }
+}
+
+impl Workload {
+    /// The configuration: PyTorch's initial weights, Adam, no noise; otherwise the defaults.
+    pub fn config(&self) -> Result<Config> {
+        let mut config = crate::config::build(None, None, &self.set)?;
+        config.field.init = Init::Torch;
+        (config.sampling.coarse, config.sampling.fine) = (self.coarse, self.fine);
+        (config.train.rays, config.field.width) = (self.rays, self.width);
+        config.train.collapse_steps = 0;
+        match self.method.as_str() {
+            "nerf" => {}
+            "aug" => config.method = Method::AugNerf,
+            name => {
+                let term = REGULARIZERS.into_iter().find(|term| term.name() == name && *term != Regularizer::L1);
+                let unknown = || Error::Config(format!("--method {name}: choose nerf, aug, tv or laplacian"));
+                config.regularizer.kind = vec![term.ok_or_else(unknown)?];
+                config.regularizer.fields = RegularizedFields::Both;
+            }
+        }
+        config.resolve_kind(DataKind::Blender);
+        config.train.precrop_steps = Some(0);
+        config.resolve_bounds(2.0, 6.0);
+        config.validate()?;
+        Ok(config)
+    }
+
+    /// Takes the steps and times them.
+    pub fn run(&self, device: &Device, device_name: &str) -> Result<Timed> {
+        let config = self.config()?;
+        let mut trainer = Trainer::new(&config, &scene(), DType::F32, device)?;
+        for _ in 0..WARM_UP {
+            trainer.step(false)?;
+        }
+        work::reset();
+        let mut seconds = Vec::new();
+        for _ in 0..self.steps {
+            let started = Instant::now();
+            trainer.step(false)?;
+            device.synchronize()?;
+            seconds.push(started.elapsed().as_secs_f64());
+        }
+        let done = work::done();
+        let fused = done.multiply_adds > 0;
+        let memory = peak_memory_mib();
+        seconds.sort_by(f64::total_cmp);
+        let median = 0.5 * (seconds[(self.steps - 1) / 2] + seconds[self.steps / 2]);
+        let multiply_adds = done.multiply_adds as f64 / self.steps as f64;
+        let gflops = 2e-9 * multiply_adds / median;
+        let peak = fused.then(work::peak_gflops);
+        Ok(Timed {
+            peer: format!("augnerf {}", revision()),
+            method: self.method.clone(),
+            rays: self.rays,
+            coarse: self.coarse,
+            fine: self.fine,
+            width: self.width,
+            steps: self.steps,
+            threads: rayon::current_num_threads(),
+            device: device_name.to_string(),
+            seconds_per_step: median,
+            rays_per_second: self.rays as f64 / median,
+            points_per_clean_pass: self.rays * if self.fine > 0 { 2 * self.coarse + self.fine } else { self.coarse },
+            multiply_adds_per_step: fused.then_some(multiply_adds),
+            active_share: fused.then(|| done.active_points as f64 / done.points as f64),
+            gflops: fused.then_some(gflops),
+            gemm_peak_gflops: peak,
+            share_of_peak: peak.map(|peak| gflops / peak),
+            peak_memory_mib: memory,
+        })
+    }
+}

@@ -1,0 +1,55 @@
+//! `augnerf bench`.
+
+use clap::Args;
+
+use crate::bench::Workload;
+use crate::config::parse_assignment;
+use crate::error::Result;
+
+use super::Machine;
+use super::progress::print;
+
+#[derive(Args)]
+pub struct BenchArguments {
+    /// nerf, aug, tv or laplacian
+    #[arg(long, default_value = "nerf", value_parser = ["nerf", "aug", "tv", "laplacian"])]
+    method: String,
+    /// Rays of a step
+    #[arg(long, value_name = "N", default_value_t = 1024, value_parser = clap::value_parser!(u16).range(1..=4096))]
+    rays: u16,
+    /// Samples of the coarse pass
+    #[arg(long, value_name = "N", default_value_t = 64, value_parser = clap::value_parser!(u16).range(3..=4096))]
+    coarse: u16,
+    /// Further samples of the fine pass
+    #[arg(long, value_name = "N", default_value_t = 64, value_parser = clap::value_parser!(u16).range(..=4096))]
+    fine: u16,
+    /// Width of both networks, which have 8 layers
+    #[arg(long, value_name = "N", default_value_t = 256, value_parser = clap::value_parser!(u16).range(2..=4096))]
+    width: u16,
+    /// Steps that are timed, after two that are not
+    #[arg(long, value_name = "N", default_value_t = 5, value_parser = clap::value_parser!(u16).range(1..))]
+    steps: u16,
+    /// Any setting over the defaults: --set field.core=plain
+    #[arg(long, value_name = "FIELD=VALUE")]
+    set: Vec<String>,
+    #[command(flatten)]
+    machine: Machine,
+}
+
+impl BenchArguments {
+    pub fn run(self) -> Result<()> {
+        let device = self.machine.device()?;
+        let workload = Workload {
+            method: self.method,
+            rays: self.rays.into(),
+            coarse: self.coarse.into(),
+            fine: self.fine.into(),
+            width: self.width.into(),
+            steps: self.steps.into(),
+            set: self.set.iter().map(|text| parse_assignment(text)).collect::<Result<_>>()?,
+        };
+        let timed = workload.run(&device, self.machine.device.as_deref().unwrap_or("cpu"))?;
+        print(&serde_json::to_string(&timed).expect("plain data"));
+        Ok(())
+    }
+}
