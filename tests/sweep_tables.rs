@@ -182,7 +182,7 @@ fn lines_say_what_is_missing_inactive_and_published() {
 fn uncontrolled_settings_are_refused_or_marked() {
     let mut records = records();
     records[1].protocol.last_mut().unwrap().1 = "def".into();
-    let Err(Error::Config(message)) = Table::new(&spec(), &records, false) else { panic!("not refused") };
+    let Err(Error::NotComparable(message)) = Table::new(&spec(), &records, false) else { panic!("not refused") };
     for part in ["fern", "code_revision", "`abc` in NeRF (seed 0)", "`def` in Aug-NeRF (seed 1)", "--force"] {
         assert!(message.contains(part), "{part}: {message}");
     }
