@@ -5,7 +5,7 @@
 //! density and accepts a delta that is added to one trunk layer's output.
 //!
 //! A field is asked in one of two ways behind one signature. The plain one, of candle's operations,
-//! works in f32 and f64 on any device and is the reference. The fused one ([`fused`]) serves
+//! works in f32 and f64 on any device and is the reference. The fused one (`fused`) serves
 //! [`Field::frozen`] and [`Field::recording`] fields in f32 on a processor.
 
 use candle_core::{DType, Device, Tensor, Var};
