@@ -39,6 +39,14 @@ pub fn stratified(
 /// the coarse pass's interior weights put on the mid-points between coarse samples, sorted,
 /// `[rays, coarse + fine]`. `weights` `[rays, coarse]`; `u` `[rays, fine]` in 0..1.
 pub fn importance(t_vals: &Tensor, weights: &Tensor, u: &Tensor) -> Result<Tensor> {
+    if t_vals.device().is_cpu() {
+        importance_on_host(t_vals, weights, u)
+    } else {
+        importance_on_device(t_vals, weights, u)
+    }
+}
+
+fn importance_on_host(t_vals: &Tensor, weights: &Tensor, u: &Tensor) -> Result<Tensor> {
     let (rays, coarse) = t_vals.dims2()?;
     let (_, fine) = u.dims2()?;
     let (t, w, u) = (host_rows(t_vals)?, host_rows(weights)?, host_rows(u)?);
@@ -55,6 +63,30 @@ pub fn importance(t_vals: &Tensor, weights: &Tensor, u: &Tensor) -> Result<Tenso
     Ok(Tensor::from_vec(merged, (rays, coarse + fine), t_vals.device())?.to_dtype(t_vals.dtype())?)
 }
 
+/// The same without leaving an accelerator. In f64, as on the host: the CDF's sums go through a matrix product, which
+/// some devices would round to ten bits.
+fn importance_on_device(t_vals: &Tensor, weights: &Tensor, u: &Tensor) -> Result<Tensor> {
+    let f64_of = |tensor: &Tensor| tensor.detach().to_dtype(DType::F64);
+    let (t, u) = (f64_of(t_vals)?, f64_of(u)?);
+    let (rays, coarse) = t.dims2()?;
+    let bins = ((t.narrow(1, 0, coarse - 1)? + t.narrow(1, 1, coarse - 1)?)? * 0.5)?;
+    let floored = (f64_of(weights)?.narrow(1, 1, coarse - 2)? + FLOOR)?;
+    let shares = floored.broadcast_div(&floored.sum_keepdim(1)?)?;
+    let cdf = Tensor::cat(&[&Tensor::zeros((rays, 1), DType::F64, t.device())?, &shares.cumsum(1)?], 1)?;
+    // Number of edges at or below u, as f64 [rays, fine].
+    let above = cdf.unsqueeze(1)?.broadcast_le(&u.unsqueeze(2)?)?.to_dtype(DType::F64)?.sum(2)?;
+    let lower = (&above - 1.0)?.maximum(0f64)?.to_dtype(DType::U32)?;
+    let upper = above.minimum((coarse - 2) as f64)?.to_dtype(DType::U32)?;
+    let at = |values: &Tensor, index: &Tensor| values.contiguous()?.gather(index, 1);
+    let below = at(&cdf, &lower)?;
+    let share = (at(&cdf, &upper)? - &below)?;
+    let width = share.lt(FLOOR)?.where_cond(&share.ones_like()?, &share)?;
+    let from = at(&bins, &lower)?;
+    let samples = (&from + ((u - below)? / width)? * (at(&bins, &upper)? - &from)?)?;
+    let (merged, _) = Tensor::cat(&[t, samples], 1)?.sort_last_dim(true)?;
+    Ok(merged.to_dtype(t_vals.dtype())?)
+}
+
 /// `fine` equally spaced u in 0..=1 for each ray: sampling at test time.
 pub fn even_u(rays: usize, fine: usize, like: &Tensor) -> Result<Tensor> {
     let last = (fine.max(2) - 1) as f64;
@@ -63,11 +95,13 @@ pub fn even_u(rays: usize, fine: usize, like: &Tensor) -> Result<Tensor> {
     Ok(row.broadcast_as((rays, fine))?.contiguous()?)
 }
 
+/// Added to each weight before it counts as a probability.
+const FLOOR: f64 = 1e-5;
+
 /// Maps `u` through the inverse of the CDF that `weights + 1e-5` (one a bin, `bins.len() - 1`)
 /// define on the edges `bins`. A bin with a share under 1e-5 counts as of width 1, as in the
 /// original implementation: its u all but never occur and map next to the lower edge.
 pub fn inverse_cdf(bins: &[f64], weights: &[f64], u: &[f64], out: &mut [f64]) {
-    const FLOOR: f64 = 1e-5;
     let total: f64 = weights.iter().map(|w| w + FLOOR).sum();
     let mut cdf = Vec::with_capacity(bins.len());
     let mut sum = 0.0;
@@ -115,5 +149,21 @@ mod tests {
         let share = |lo: f64, hi: f64| out.iter().filter(|t| **t >= lo && **t < hi).count();
         assert!(share(0.0, 1.0).abs_diff(250) <= 1 && share(2.0, 3.1).abs_diff(750) <= 1);
         assert!(out.windows(2).all(|pair| pair[0] <= pair[1]));
+    }
+
+    #[test]
+    fn the_device_places_samples_as_the_host_does() {
+        let mut random = crate::rng::Random::new(3, crate::rng::Stream::Jitter, 0);
+        let mut draw = |shape: &[usize]| random.uniform_tensor(shape, DType::F64, &Device::Cpu).unwrap();
+        let (rays, coarse, fine) = (40, 16, 24);
+        let t_vals = stratified(2.0, 6.0, rays, coarse, Some(&draw(&[rays, coarse])), &draw(&[1])).unwrap();
+        // Empty rays, and rays with all weight in one place, among the others.
+        let weights = draw(&[rays, coarse]).powf(8.0).unwrap();
+        let scale = Tensor::from_vec((0..rays).map(|i| (i % 3) as f64).collect(), (rays, 1), &Device::Cpu).unwrap();
+        let (weights, u) = (weights.broadcast_mul(&scale).unwrap(), draw(&[rays, fine]));
+        let host = importance_on_host(&t_vals, &weights, &u).unwrap();
+        let device = importance_on_device(&t_vals, &weights, &u).unwrap();
+        let worst = (host - device).unwrap().abs().unwrap().flatten_all().unwrap().max(0).unwrap();
+        assert!(worst.to_scalar::<f64>().unwrap() < 1e-12, "{worst:?}");
     }
 }

@@ -352,7 +352,7 @@ impl Default for TrainConfig {
         TrainConfig {
             steps: 500_000,
             rays: 1024,
-            chunk: 64,
+            chunk: 32,
             batching: None,
             learning_rate: 5e-4,
             decay_rate: 0.1,

@@ -74,6 +74,81 @@ pub fn multiply(out: &mut [f32], stride: usize, a: Matrix, b: Matrix, accumulate
     }
 }
 
+/// Sums of a dot product that run side by side.
+const LANES: usize = 16;
+
+/// `y [rows, outputs] = x W^T` for few outputs, where a matrix product would fill whole vectors with them, `weight [outputs, columns]`: a dot product each.
+pub fn few_forward(x: &[f32], weight: &[f32], outputs: usize, y: &mut [f32]) {
+    let columns = weight.len() / outputs;
+    count_multiply_adds(y.len() * columns);
+    Arch::new().dispatch(
+        #[inline(always)]
+        || {
+            for (x, y) in x.chunks_exact(columns).zip(y.chunks_exact_mut(outputs)) {
+                for (y, weight) in y.iter_mut().zip(weight.chunks_exact(columns)) {
+                    *y = dot(x, weight);
+                }
+            }
+        },
+    );
+}
+
+#[inline(always)]
+fn dot(a: &[f32], b: &[f32]) -> f32 {
+    let mut sums = [0f32; LANES];
+    let (a_blocks, a_rest) = a.as_chunks::<LANES>();
+    let (b_blocks, b_rest) = b.as_chunks::<LANES>();
+    for (a, b) in a_blocks.iter().zip(b_blocks) {
+        for ((sum, a), b) in sums.iter_mut().zip(a).zip(b) {
+            *sum += a * b;
+        }
+    }
+    let rest: f32 = a_rest.iter().zip(b_rest).map(|(a, b)| a * b).sum();
+    sums.iter().sum::<f32>() + rest
+}
+
+/// `dx [rows, columns] = dz W`, or `dx += dz W`, for few outputs, `dz [rows, outputs]`.
+pub fn few_input_gradient(dz: &[f32], weight: &[f32], outputs: usize, dx: &mut [f32], accumulate: bool) {
+    let columns = weight.len() / outputs;
+    count_multiply_adds(dz.len() * columns);
+    Arch::new().dispatch(
+        #[inline(always)]
+        || {
+            for (dz, dx) in dz.chunks_exact(outputs).zip(dx.chunks_exact_mut(columns)) {
+                if !accumulate {
+                    dx.fill(0.0);
+                }
+                for (dz, weight) in dz.iter().zip(weight.chunks_exact(columns)) {
+                    add_scaled(dx, *dz, weight);
+                }
+            }
+        },
+    );
+}
+
+/// Adds `dz^T x` to `sum [outputs, columns]`, for few outputs.
+pub fn few_weight_gradient(dz: &[f32], x: &[f32], outputs: usize, sum: &mut [f32]) {
+    let columns = sum.len() / outputs;
+    count_multiply_adds(dz.len() * columns);
+    Arch::new().dispatch(
+        #[inline(always)]
+        || {
+            for (dz, x) in dz.chunks_exact(outputs).zip(x.chunks_exact(columns)) {
+                for (dz, sum) in dz.iter().zip(sum.chunks_exact_mut(columns)) {
+                    add_scaled(sum, *dz, x);
+                }
+            }
+        },
+    );
+}
+
+#[inline(always)]
+fn add_scaled(sum: &mut [f32], scale: f32, values: &[f32]) {
+    for (sum, value) in sum.iter_mut().zip(values) {
+        *sum += scale * value;
+    }
+}
+
 /// Adds `bias` to every row.
 pub fn add_bias(rows: &mut [f32], bias: &[f32]) {
     Arch::new().dispatch(|| {
@@ -88,25 +163,44 @@ pub fn add_bias(rows: &mut [f32], bias: &[f32]) {
 /// Adds `bias` to every row, then ReLU; `mask` is 1 where the sum was positive. NaN stays NaN, to be found and
 /// reported.
 pub fn add_bias_relu(rows: &mut [f32], bias: &[f32], mask: Option<&mut [u8]>) {
+    add_relu(rows, bias.len(), |_| bias, mask);
+}
+
+/// The same with a bias for each ray, `[rays, columns]`: the rows are points from number `start` on, `samples` a ray.
+pub fn add_of_rays_relu(
+    rows: &mut [f32],
+    of_rays: &[f32],
+    columns: usize,
+    (start, samples): (usize, usize),
+    mask: Option<&mut [u8]>,
+) {
+    add_relu(rows, columns, |row| &of_rays[(start + row) / samples * columns..][..columns], mask);
+}
+
+#[inline(always)]
+fn add_relu<'a>(rows: &mut [f32], columns: usize, bias: impl Fn(usize) -> &'a [f32], mask: Option<&mut [u8]>) {
     let relu = |sum: f32| if sum < 0.0 { 0.0 } else { sum };
-    Arch::new().dispatch(|| match mask {
-        Some(mask) => {
-            for (row, mask) in rows.chunks_exact_mut(bias.len()).zip(mask.chunks_exact_mut(bias.len())) {
-                for ((value, b), mask) in row.iter_mut().zip(bias).zip(mask) {
-                    let sum = *value + b;
-                    *value = relu(sum);
-                    *mask = u8::from(sum > 0.0);
+    Arch::new().dispatch(
+        #[inline(always)]
+        || match mask {
+            Some(mask) => {
+                for (i, (row, mask)) in rows.chunks_exact_mut(columns).zip(mask.chunks_exact_mut(columns)).enumerate() {
+                    for ((value, b), mask) in row.iter_mut().zip(bias(i)).zip(mask) {
+                        let sum = *value + b;
+                        *value = relu(sum);
+                        *mask = u8::from(sum > 0.0);
+                    }
                 }
             }
-        }
-        None => {
-            for row in rows.chunks_exact_mut(bias.len()) {
-                for (value, b) in row.iter_mut().zip(bias) {
-                    *value = relu(*value + b);
+            None => {
+                for (i, row) in rows.chunks_exact_mut(columns).enumerate() {
+                    for (value, b) in row.iter_mut().zip(bias(i)) {
+                        *value = relu(*value + b);
+                    }
                 }
             }
-        }
-    });
+        },
+    );
 }
 
 /// Puts 0 where the mask is 0.

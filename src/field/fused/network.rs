@@ -12,11 +12,14 @@ use crate::field::layer_shapes;
 use crate::field::work::count_points;
 
 use super::encode::encode_tile;
-use super::kernels::{Matrix, add, add_bias, add_bias_relu, add_rows, apply_mask, multiply};
+use super::kernels::{
+    Matrix, add, add_bias, add_bias_relu, add_of_rays_relu, add_rows, apply_mask, few_forward, few_input_gradient,
+    few_weight_gradient, multiply,
+};
 use super::pool::Buffer;
 
 /// Points worked through at once: their layers stay in a core's second-level cache.
-const TILE: usize = 256;
+const TILE: usize = 512;
 
 /// One layer's weights `[outputs, inputs]`, the same transposed, biases, and where weights and biases start in the
 /// flat gradient.
@@ -29,14 +32,17 @@ struct Linear {
     bias_offset: usize,
 }
 
+/// A layer of few outputs.
+struct Head(Linear);
+
 /// A field's weights, laid out for tiles: a copy, made once a step.
 pub struct Network {
     config: FieldConfig,
     trunk: Vec<Linear>,
-    density: Linear,
+    density: Head,
     /// Feature and view layer in one, `[width / 2, width + view channels]`.
     view: Linear,
-    rgb: Linear,
+    rgb: Head,
     /// What `view` was made of.
     parts: Parts,
     /// Numbers of the flat gradient.
@@ -173,6 +179,26 @@ impl Linear {
     }
 }
 
+impl Head {
+    /// `y [rows, outputs]` of `x [rows, inputs]`.
+    fn forward(&self, x: &[f32], y: &mut [f32]) {
+        few_forward(x, &self.0.weight, self.0.outputs(), y);
+        add_bias(y, &self.0.bias);
+    }
+
+    /// `x = dz W`, or `x += dz W`.
+    fn input_gradient(&self, dz: &[f32], x: &mut [f32], accumulate: bool) {
+        few_input_gradient(dz, &self.0.weight, self.0.outputs(), x, accumulate);
+    }
+
+    /// Adds to the gradients of weights and biases.
+    fn gradients(&self, dz: &[f32], x: &[f32], sum: &mut [f32]) {
+        let weights = &mut sum[self.0.weight_offset..self.0.bias_offset];
+        few_weight_gradient(dz, x, self.0.outputs(), weights);
+        self.0.bias_gradient(dz, sum);
+    }
+}
+
 impl Network {
     /// Lays out `values`, weight and bias of every layer in the order of parameters.
     pub fn new(config: &FieldConfig, values: Vec<Vec<f32>>) -> Network {
@@ -188,14 +214,14 @@ impl Network {
         let (density, feature, view, rgb) = (head(), head(), head(), head());
         let mut linear = |(weight, bias, inputs)| Linear::new(weight, bias, inputs, &mut offset);
         let trunk = layers.into_iter().map(&mut linear).collect();
-        let density = linear(density);
+        let density = Head(linear(density));
         let (width, inputs) = (config.width, view.2);
         let (mut joint, mut joint_bias) = (view.0.clone(), view.1);
         let of_feature = Matrix::new(&view.0, width / 2, width, inputs);
         multiply(&mut joint, inputs, of_feature, Matrix::new(&feature.0, width, width, width), false);
         multiply(&mut joint_bias, 1, of_feature, Matrix::new(&feature.1, width, 1, 1), true);
         let joint = linear((joint, joint_bias, inputs));
-        let rgb = linear(rgb);
+        let rgb = Head(linear(rgb));
         let parts = Parts { feature: feature.0, feature_bias: feature.1, view: view.0 };
         Network { config: config.clone(), trunk, density, view: joint, rgb, parts, gradient_size: offset }
     }
@@ -206,7 +232,7 @@ impl Network {
             let bias_end = layer.bias_offset + layer.outputs();
             [sum[layer.weight_offset..layer.bias_offset].to_vec(), sum[layer.bias_offset..bias_end].to_vec()]
         };
-        let mut gradients: Vec<Vec<f32>> = self.trunk.iter().chain([&self.density]).flat_map(of).collect();
+        let mut gradients: Vec<Vec<f32>> = self.trunk.iter().chain([&self.density.0]).flat_map(of).collect();
         let [mut view, view_bias] = of(&self.view);
         let (width, inputs) = (self.config.width, self.view.inputs);
         // With G and s the gradients of V W and of the bias: dW = V^T G, db = V^T s, dV = G W^T + s b^T.
@@ -220,7 +246,7 @@ impl Network {
         multiply(&mut view, inputs, joint, weight.transposed(), false);
         multiply(&mut view, inputs, of_bias, Matrix::new(&self.parts.feature_bias, 1, width, width), true);
         gradients.extend([feature, feature_bias, view, view_bias]);
-        gradients.extend(of(&self.rgb));
+        gradients.extend(of(&self.rgb.0));
         gradients
     }
 
@@ -279,6 +305,16 @@ impl Network {
         add_bias_relu(output, &layer.bias, mask);
     }
 
+    /// What a ray's direction and the bias add to the view layer at each of its points, `[rays, width / 2]`.
+    fn view_of_rays(&self, encoded_views: &[f32], rays: usize) -> Buffer<f32> {
+        let mut of_rays = Buffer::new(rays * (self.config.width / 2));
+        if rays > 0 {
+            self.view.forward(encoded_views, self.config.width, self.view_channels(), &mut of_rays, false);
+            add_bias(&mut of_rays, &self.view.bias);
+        }
+        of_rays
+    }
+
     /// Raw colours `[n, 3]` followed by raw densities `[n]`, or raw densities alone; and what a backward pass for
     /// `wanted` needs.
     pub fn forward(&self, inputs: Inputs, wanted: Wanted) -> (Vec<f32>, Kept) {
@@ -302,7 +338,8 @@ impl Network {
         encode_tile(inputs.viewdirs, self.config.view_octaves, &mut kept.encoded_views);
         let mut encoded = Buffer::new(TILE * position);
         let mut layers = [Buffer::new(TILE * width), Buffer::new(TILE * width)];
-        let (mut view, mut views) = (Buffer::new(TILE * width / 2), Buffer::new(TILE * direction));
+        let mut view = Buffer::new(TILE * width / 2);
+        let of_rays = self.view_of_rays(&kept.encoded_views, rays);
         let (raw_colour, raw_density) = raw.split_at_mut(colours);
         for tile in tiles(n) {
             let encoded = match inputs.prefix {
@@ -346,8 +383,7 @@ impl Network {
                 &layers[(depth - 1) % 2][..tile.rows * width]
             };
             let density = tile.of_mut(raw_density, 1);
-            self.density.forward(last, 0, width, density, false);
-            add_bias(density, &self.density.bias);
+            self.density.forward(last, density);
             if rays == 0 {
                 continue;
             }
@@ -356,15 +392,11 @@ impl Network {
             } else {
                 &mut view[..tile.rows * (width / 2)]
             };
-            let views = &mut views[..tile.rows * direction];
-            spread(&kept.encoded_views, tile, samples, direction, views);
             self.view.forward(last, 0, width, view, false);
-            self.view.forward(views, width, direction, view, true);
             let mask = wanted.any().then(|| tile.of_mut(&mut kept.view_mask, width / 2));
-            add_bias_relu(view, &self.view.bias, mask);
+            add_of_rays_relu(view, &of_rays, width / 2, (tile.start, samples), mask);
             let colour = tile.of_mut(raw_colour, 3);
-            self.rgb.forward(view, 0, width / 2, colour, false);
-            add_bias(colour, &self.rgb.bias);
+            self.rgb.forward(view, colour);
         }
         (raw, kept)
     }
@@ -398,7 +430,8 @@ impl Network {
             viewdirs: vec![0f32; if wanted.viewdirs { 3 * rays } else { 0 }],
             delta: vec![0f32; if wanted.delta { n * width } else { 0 }],
         };
-        let mut d_views = vec![0f32; if wanted.viewdirs { rays * direction } else { 0 }];
+        let by_rays = rays > 0 && (wanted.weights || wanted.viewdirs);
+        let mut d_rays = vec![0f32; if by_rays { rays * (width / 2) } else { 0 }];
         let (g_colour, g_density) = gradient.split_at(if rays > 0 { 3 * n } else { 0 });
         let active: Vec<usize> = (0..n)
             .filter(|&i| g_density[i] != 0.0 || rays > 0 && g_colour[3 * i..][..3].iter().any(|&g| g != 0.0))
@@ -406,33 +439,26 @@ impl Network {
         count_points(n, active.len());
         let mut scratch = Scratch::default();
         let (mut room_a, mut room_b) = (Buffer::new(TILE * width), Buffer::new(TILE * width));
-        let (mut room_view, mut room_views) = (Buffer::new(TILE * width / 2), Buffer::new(TILE * direction));
+        let mut room_view = Buffer::new(TILE * width / 2);
         let mut room_encoded = Buffer::new(TILE * position);
         for rows in active.chunks(TILE) {
             let count = rows.len();
             let (mut d_output, mut d_input) = (&mut room_a[..count * width], &mut room_b[..count * width]);
-            let (dv, views) = (&mut room_view[..count * (width / 2)], &mut room_views[..count * direction]);
+            let dv = &mut room_view[..count * (width / 2)];
             let density = scratch.density.rows(g_density, 1, rows);
             if rays > 0 {
                 let colour = scratch.colour.rows(g_colour, 3, rows);
-                self.rgb.input_gradient(colour, 0, width / 2, dv, false);
+                self.rgb.input_gradient(colour, dv, false);
                 apply_mask(dv, scratch.mask.rows(&kept.view_mask, width / 2, rows));
                 if wanted.weights {
                     let view = scratch.input.rows(&kept.view, width / 2, rows);
-                    self.rgb.weight_gradient(colour, view, 0, width / 2, weights);
-                    self.rgb.bias_gradient(colour, weights);
-                    for (view, &row) in views.chunks_exact_mut(direction).zip(rows) {
-                        view.copy_from_slice(&kept.encoded_views[row / samples * direction..][..direction]);
-                    }
-                    self.view.weight_gradient(dv, views, width, direction, weights);
-                    self.view.bias_gradient(dv, weights);
+                    self.rgb.gradients(colour, view, weights);
                     let hidden = scratch.input.rows(&kept.hidden[depth - 1], width, rows);
                     self.view.weight_gradient(dv, hidden, 0, width, weights);
                 }
-                if wanted.viewdirs {
-                    self.view.input_gradient(dv, width, direction, views, false);
-                    for (view, &row) in views.chunks_exact(direction).zip(rows) {
-                        add(&mut d_views[row / samples * direction..][..direction], view);
+                if by_rays {
+                    for (dv, &row) in dv.chunks_exact(width / 2).zip(rows) {
+                        add(&mut d_rays[row / samples * (width / 2)..][..width / 2], dv);
                     }
                 }
                 if into_trunk {
@@ -441,13 +467,12 @@ impl Network {
             }
             if wanted.weights {
                 let hidden = scratch.input.rows(&kept.hidden[depth - 1], width, rows);
-                self.density.weight_gradient(density, hidden, 0, width, weights);
-                self.density.bias_gradient(density, weights);
+                self.density.gradients(density, hidden, weights);
             }
             if !into_trunk {
                 continue;
             }
-            self.density.input_gradient(density, 0, width, d_output, rays > 0);
+            self.density.input_gradient(density, d_output, rays > 0);
             let de = &mut room_encoded[..count * position];
             de.fill(0.0);
             for (l, layer) in self.trunk.iter().enumerate().rev() {
@@ -487,7 +512,13 @@ impl Network {
                 scatter(&d_points, 3, rows, &mut out.points);
             }
         }
+        if wanted.weights && rays > 0 {
+            self.view.weight_gradient(&d_rays, &kept.encoded_views, width, direction, weights);
+            self.view.bias_gradient(&d_rays, weights);
+        }
         if wanted.viewdirs {
+            let mut d_views = vec![0f32; rays * direction];
+            self.view.input_gradient(&d_rays, width, direction, &mut d_views, false);
             gradient_into(&kept.encoded_views, &d_views, self.config.view_octaves, &mut out.viewdirs);
         }
         out
@@ -523,13 +554,5 @@ impl<T: Copy> Room<T> {
 fn scatter(values: &[f32], columns: usize, rows: &[usize], out: &mut [f32]) {
     for (value, &row) in values.chunks_exact(columns).zip(rows) {
         out[row * columns..][..columns].copy_from_slice(value);
-    }
-}
-
-/// Repeats each ray's row for its points within the tile.
-fn spread(of_rays: &[f32], tile: Tile, samples: usize, columns: usize, out: &mut [f32]) {
-    for (i, row) in out.chunks_exact_mut(columns).enumerate() {
-        let ray = (tile.start + i) / samples;
-        row.copy_from_slice(&of_rays[ray * columns..][..columns]);
     }
 }
