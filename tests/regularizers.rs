@@ -141,6 +141,51 @@ fn single_precision_is_enough_to_train_with() {
     }
 }
 
+/// The fused core against the plain one in f64: densities, terms and weight gradients, with points that matter and others,
+/// within a tile and beyond it.
+#[test]
+fn the_fused_slope_equals_the_plain_one() {
+    for (activation, count) in [
+        (DensityActivation::Relu, 1),
+        (DensityActivation::Relu, 513),
+        (DensityActivation::Relu, 1100),
+        (DensityActivation::Softplus, 700),
+    ] {
+        let config = FieldConfig { width: 48, ..shape(5, &[2, 4], 4, activation) };
+        let some = points(9, 64);
+        let points = points(9, count).to_dtype(DType::F32).unwrap().to_dtype(DType::F64).unwrap();
+        let exact = field(&config, 9, &some);
+        let values: Vec<Tensor> = exact.variables().iter().map(|(_, var)| var.to_dtype(DType::F32).unwrap()).collect();
+        let double = values.iter().map(|value| value.to_dtype(DType::F64).unwrap()).collect();
+        let exact = Field::from_parameters(&config, double).unwrap();
+        let fused = Field::from_parameters(&config, values).unwrap().prepared().unwrap();
+        let single = points.to_dtype(DType::F32).unwrap();
+        let (a, b) = (fused.spatial(&single).unwrap(), exact.spatial(&points).unwrap());
+        for (name, a, b) in [
+            ("density", &a.density, &b.density),
+            ("gradient", &a.gradient, &b.gradient),
+            ("laplacian", &a.laplacian, &b.laplacian),
+        ] {
+            assert!(relative(a, b) < 1e-4, "{name} {activation:?} {count}");
+        }
+        for terms in [&REGULARIZERS[..], &[Regularizer::L1], &[Regularizer::Tv], &[Regularizer::Laplacian]] {
+            let terms: Vec<(Regularizer, f64)> = terms.iter().map(|term| (*term, 1.0)).collect();
+            let a = regularize_at(&fused, &single, &terms, 1.0).unwrap();
+            let b = regularize_at(&exact, &points, &terms, 1.0).unwrap();
+            for ((name, _), (a, b)) in Field::parameter_names(&config).iter().zip(a.gradients.iter().zip(&b.gradients))
+            {
+                match (a, b) {
+                    (Some(a), Some(b)) => assert!(relative(a, b) < 1e-3, "{name} {terms:?} {activation:?} {count}"),
+                    // What the plain path leaves out is 0 here.
+                    (Some(a), None) => assert!(flat(a).iter().all(|v| *v == 0.0), "{name} {terms:?}"),
+                    (None, None) => {}
+                    (None, Some(_)) => panic!("{name} {terms:?}"),
+                }
+            }
+        }
+    }
+}
+
 /// density = 0.5 (sin x + 2) + 0.25 (cos 2y + 3) + 0.1 (z + 5): every unit always active.
 fn known(density_activation: DensityActivation) -> Field {
     let config = FieldConfig { width: 4, ..shape(1, &[], 2, density_activation) };

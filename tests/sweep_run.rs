@@ -540,7 +540,7 @@ fn shipped_sweeps_are_valid() {
         }
         found += 1;
     }
-    assert_eq!(found, 15);
+    assert_eq!(found, 16);
 }
 
 #[test]

@@ -23,10 +23,12 @@
 
 use candle_core::{Device, Tensor};
 
+use crate::config::DensityActivation;
 use crate::error::Result;
 
 use super::activation::Activated;
 use super::dense::mask_where_zero;
+use super::fused::Slope;
 use super::{Field, Layer, encode, encode_reference, encoded_channels};
 
 /// Density and its derivatives in space at `n` points, detached.
@@ -43,17 +45,25 @@ pub struct Spatial<'a> {
 /// What a loss's derivatives need to reach the weights.
 struct Tape<'a> {
     field: &'a Field,
-    /// Encoding of the points, `[n, channels]`.
-    encoded: Tensor,
     /// Derivatives of the encoding, channel by channel, `[n, channels]`.
     slopes: Slopes,
-    /// Output of each trunk layer, `[n, width]`.
-    hidden: Vec<Tensor>,
-    /// d raw / d (layer's output before its ReLU), `[n, width]`.
-    adjoints: Vec<Tensor>,
+    trunk: Trunk,
     activated: Activated,
     raw_gradient: Tensor,
     raw_laplacian: Tensor,
+}
+
+/// The trunk's part of the tape.
+enum Trunk {
+    Plain {
+        /// Encoding of the points, `[n, channels]`.
+        encoded: Tensor,
+        /// Output of each layer, `[n, width]`.
+        hidden: Vec<Tensor>,
+        /// d raw / d (layer's output before its ReLU), `[n, width]`.
+        adjoints: Vec<Tensor>,
+    },
+    Fused(Slope),
 }
 
 /// Derivatives of a loss in density, its gradient and its Laplacian; what is absent is 0.
@@ -111,10 +121,32 @@ impl Slopes {
 }
 
 impl Field {
-    /// Density, gradient and Laplacian at `points [n, 3]`.
+    /// Density, gradient and Laplacian at `points [n, 3]`; by the fused core where the field is prepared for it
+    /// ([`Field::prepared`]).
     pub fn spatial(&self, points: &Tensor) -> Result<Spatial<'_>> {
-        let frozen = self.detached();
         let encoded = encode(&points.detach(), self.config.position_octaves)?;
+        let slopes = Slopes::new(&encoded, self.config.position_octaves)?;
+        let (raw, e_bar, trunk) = match &self.network {
+            Some(network) => {
+                // Behind a ReLU nothing else has a derivative.
+                let positive_alone = self.config.density_activation == DensityActivation::Relu;
+                let fused = Slope::new(network.clone(), points, positive_alone)?;
+                (fused.raw.clone(), fused.slope.clone(), Trunk::Fused(fused))
+            }
+            None => self.plain_slope(encoded)?,
+        };
+        let raw_gradient = (&e_bar * &slopes.first)?.matmul(&slopes.axes)?;
+        let raw_laplacian = (&e_bar * &slopes.second)?.sum(1)?;
+        let activated = Activated::new(self.config.density_activation, &raw)?;
+        let (gradient, laplacian) = activated.chain(&raw_gradient, &raw_laplacian)?;
+        let density = activated.value.clone();
+        let tape = Tape { field: self, slopes, trunk, activated, raw_gradient, raw_laplacian };
+        Ok(Spatial { density, gradient, laplacian, tape })
+    }
+
+    /// Raw density `[n]` and its slope in the encoding, `[n, channels]`.
+    fn plain_slope(&self, encoded: Tensor) -> Result<(Tensor, Tensor, Trunk)> {
+        let frozen = self.detached();
         let hidden = frozen.trunk_outputs(&encoded)?;
         let last = hidden.last().expect("a trunk has layers");
         let raw = frozen.layer(&frozen.density, last, false)?.squeeze(1)?;
@@ -137,16 +169,7 @@ impl Field {
             }
         }
         adjoints.reverse();
-        let e_bar = e_bar.expect("the first layer reads the encoding");
-
-        let slopes = Slopes::new(&encoded, self.config.position_octaves)?;
-        let raw_gradient = (&e_bar * &slopes.first)?.matmul(&slopes.axes)?;
-        let raw_laplacian = (&e_bar * &slopes.second)?.sum(1)?;
-        let activated = Activated::new(self.config.density_activation, &raw)?;
-        let (gradient, laplacian) = activated.chain(&raw_gradient, &raw_laplacian)?;
-        let density = activated.value.clone();
-        let tape = Tape { field: self, encoded, slopes, hidden, adjoints, activated, raw_gradient, raw_laplacian };
-        Ok(Spatial { density, gradient, laplacian, tape })
+        Ok((raw, e_bar.expect("the first layer reads the encoding"), Trunk::Plain { encoded, hidden, adjoints }))
     }
 
     /// The outputs of all trunk layers, each `[n, width]`.
@@ -179,46 +202,69 @@ impl Spatial<'_> {
     /// none for layers that density does not depend on.
     pub fn weight_gradients(&self, loss: &Cotangents) -> Result<Vec<Option<Tensor>>> {
         let tape = &self.tape;
-        let field = tape.field.detached();
         let raw = tape.activated.pull_back(loss, &tape.raw_gradient, &tape.raw_laplacian)?;
-        let d_raw = raw.density.map(|d| d.unsqueeze(1)).transpose()?; // [n, 1]
         let pull = tape.pull_on_encoding(&raw.gradient, &raw.laplacian)?;
-
+        let field = tape.field;
         let mut gradients = vec![None; 2 * field.layers().count()];
-        let mut u: Option<Tensor> = None;
-        let u_0 = match (&pull, &d_raw) {
-            (Some(pull), Some(d)) => Some((pull + tape.encoded.broadcast_mul(d)?)?),
-            (Some(pull), None) => Some(pull.clone()),
-            (None, Some(d)) => Some(tape.encoded.broadcast_mul(d)?),
-            (None, None) => None,
-        };
-        let Some(u_0) = u_0 else { return Ok(gradients) };
-        for (i, layer) in field.trunk.iter().enumerate() {
-            let input = field.trunk_input(i, &u_0, u.as_ref())?;
-            let adjoint = tape.adjoints[i].t()?;
-            gradients[2 * i] = Some(adjoint.matmul(&input)?);
-            gradients[2 * i + 1] = d_raw.as_ref().map(|d| adjoint.matmul(d)?.squeeze(1)).transpose()?;
-            u = Some(match (&pull, &d_raw) {
-                (Some(_), _) => {
-                    let moved = input.matmul(&layer.weight.t()?)?;
-                    let moved = match &d_raw {
-                        Some(d) => (moved + d.matmul(&layer.bias.unsqueeze(0)?)?)?,
-                        None => moved,
-                    };
-                    mask_where_zero(&moved, &tape.hidden[i])?
-                }
-                // Of raw density alone: the recursion is the forward pass, scaled point by point.
-                (None, Some(d)) => tape.hidden[i].broadcast_mul(d)?,
-                (None, None) => unreachable!("something pulls"),
-            });
+        if pull.is_none() && raw.density.is_none() {
+            return Ok(gradients);
         }
-        let head = 2 * field.trunk.len();
-        let u = u.expect("a trunk has layers");
-        let ones = Tensor::ones((1, u.dim(0)?), u.dtype(), u.device())?;
-        gradients[head] = Some(ones.matmul(&u)?);
-        gradients[head + 1] = d_raw.map(|d| ones.matmul(&d)?.squeeze(0)).transpose()?;
+        match &tape.trunk {
+            Trunk::Plain { encoded, hidden, adjoints } => {
+                plain_gradients(&field.detached(), (encoded, hidden, adjoints), pull, raw.density, &mut gradients)?;
+            }
+            Trunk::Fused(slope) => {
+                let found = slope.gradients(pull.as_ref(), raw.density.as_ref())?;
+                let shapes = Field::parameter_names(&field.config).into_iter().map(|(_, shape)| shape);
+                for ((gradient, values), shape) in gradients.iter_mut().zip(found).zip(shapes) {
+                    *gradient = Some(Tensor::from_vec(values, shape, &Device::Cpu)?);
+                }
+            }
+        }
         Ok(gradients)
     }
+}
+
+/// The forward recursion on the weights' gradients. Something pulls.
+fn plain_gradients(
+    field: &Field,
+    (encoded, hidden, adjoints): (&Tensor, &[Tensor], &[Tensor]),
+    pull: Option<Tensor>,
+    d_raw: Option<Tensor>,
+    gradients: &mut [Option<Tensor>],
+) -> Result<()> {
+    let d_raw = d_raw.map(|d| d.unsqueeze(1)).transpose()?; // [n, 1]
+    let of_raw = d_raw.as_ref().map(|d| encoded.broadcast_mul(d)).transpose()?;
+    let u_0 = match (&pull, of_raw) {
+        (Some(pull), Some(of_raw)) => (pull + of_raw)?,
+        (pull, of_raw) => pull.clone().or(of_raw).expect("something pulls"),
+    };
+    let mut u: Option<Tensor> = None;
+    for (i, layer) in field.trunk.iter().enumerate() {
+        let input = field.trunk_input(i, &u_0, u.as_ref())?;
+        let adjoint = adjoints[i].t()?;
+        gradients[2 * i] = Some(adjoint.matmul(&input)?);
+        gradients[2 * i + 1] = d_raw.as_ref().map(|d| adjoint.matmul(d)?.squeeze(1)).transpose()?;
+        u = Some(match (&pull, &d_raw) {
+            (Some(_), _) => {
+                let moved = input.matmul(&layer.weight.t()?)?;
+                let moved = match &d_raw {
+                    Some(d) => (moved + d.matmul(&layer.bias.unsqueeze(0)?)?)?,
+                    None => moved,
+                };
+                mask_where_zero(&moved, &hidden[i])?
+            }
+            // Of raw density alone: the recursion is the forward pass, scaled point by point.
+            (None, Some(d)) => hidden[i].broadcast_mul(d)?,
+            (None, None) => unreachable!("something pulls"),
+        });
+    }
+    let head = 2 * field.trunk.len();
+    let u = u.expect("a trunk has layers");
+    let ones = Tensor::ones((1, u.dim(0)?), u.dtype(), u.device())?;
+    gradients[head] = Some(ones.matmul(&u)?);
+    gradients[head + 1] = d_raw.map(|d| ones.matmul(&d)?.squeeze(0)).transpose()?;
+    Ok(())
 }
 
 impl Tape<'_> {

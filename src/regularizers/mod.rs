@@ -48,6 +48,7 @@ pub fn regularize(
 ) -> Result<Regularized> {
     let count = points.count(lattice);
     let scale = lattice.volume() / count as f64;
+    let field = &field.prepared()?;
     let mut sum: Option<Regularized> = None;
     over_chunks(
         (lattice, points),
@@ -108,6 +109,7 @@ pub fn measure(
     mut advance: impl FnMut(),
 ) -> Result<Smoothness> {
     let scale = lattice.volume() / lattice.cells() as f64;
+    let field = &field.prepared()?;
     let mut sum = Smoothness::default();
     over_chunks(
         (lattice, &Points::Full),
@@ -142,6 +144,7 @@ pub fn estimate_seconds(
     with_gradients: bool,
     (dtype, device): (DType, &Device),
 ) -> Result<f64> {
+    let field = &field.prepared()?;
     let chunk = chunk_size(device).min(lattice.cells());
     let points = Points::Full.tensor(lattice, 0, chunk, dtype, device)?;
     let work = || -> Result<f64> {

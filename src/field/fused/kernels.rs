@@ -212,6 +212,27 @@ pub fn apply_mask(values: &mut [f32], mask: &[u8]) {
     });
 }
 
+/// Puts 0 where the other value is 0.
+pub fn mask_where_zero(values: &mut [f32], others: &[f32]) {
+    Arch::new().dispatch(|| {
+        for (value, &other) in values.iter_mut().zip(others) {
+            *value = if other == 0.0 { 0.0 } else { *value };
+        }
+    });
+}
+
+/// `out = rows`, each row times its number in `scales`.
+pub fn scale_rows(rows: &[f32], scales: &[f32], out: &mut [f32]) {
+    let columns = rows.len() / scales.len();
+    Arch::new().dispatch(|| {
+        for ((row, out), scale) in rows.chunks_exact(columns).zip(out.chunks_exact_mut(columns)).zip(scales) {
+            for (value, out) in row.iter().zip(out) {
+                *out = value * scale;
+            }
+        }
+    });
+}
+
 /// `sum += values`, element by element.
 pub fn add(sum: &mut [f32], values: &[f32]) {
     Arch::new().dispatch(|| {

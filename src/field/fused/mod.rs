@@ -10,6 +10,7 @@ mod encode;
 pub mod kernels;
 mod network;
 mod pool;
+mod slope;
 
 use std::ops::Deref;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -20,6 +21,7 @@ use candle_core::{CpuStorage, CustomOp3, DType, Device, Layout, Result, Shape, S
 use crate::config::FieldConfig;
 
 use network::{InputGradients, Inputs, Kept, Prefix, Wanted};
+use slope::Tape;
 
 pub use network::Network;
 
@@ -121,6 +123,40 @@ impl Query {
         let (raw, _) = self.network.forward(inputs, Wanted::default());
         let n = raw.len();
         Tensor::from_vec(raw, n, points.device())
+    }
+}
+
+/// Raw density and its slope in the encoding, with the way back to the weights.
+pub struct Slope {
+    /// `[n]`.
+    pub raw: Tensor,
+    /// `[n, channels]`.
+    pub slope: Tensor,
+    network: Arc<Network>,
+    tape: Tape,
+}
+
+impl Slope {
+    /// At points `[n, 3]`. Where raw density is not positive the slope is left 0 if `positive_alone` is set.
+    pub fn new(network: Arc<Network>, points: &Tensor, positive_alone: bool) -> Result<Slope> {
+        let points = points.detach().contiguous()?;
+        // NaN matters: it is to be found and reported.
+        let found = network.slope(Values::of(&points).slice()?, |raw| !positive_alone || raw > 0.0 || raw.is_nan());
+        let n = found.raw.len();
+        let channels = found.slope.len() / n.max(1);
+        let raw = Tensor::from_vec(found.raw, n, points.device())?;
+        let slope = Tensor::from_vec(found.slope, (n, channels), points.device())?;
+        Ok(Slope { raw, slope, network, tape: found.tape })
+    }
+
+    /// Gradients of weight and bias of the trunk and the density head, in the order of parameters, of a loss that pulls
+    /// on the slope with `pull [n, channels]` and on raw density with `d_raw [n]`.
+    pub fn gradients(&self, pull: Option<&Tensor>, d_raw: Option<&Tensor>) -> Result<Vec<Vec<f32>>> {
+        let whole = |tensor: Option<&Tensor>| tensor.map(|tensor| tensor.contiguous()).transpose();
+        let (pull, d_raw) = (whole(pull)?, whole(d_raw)?);
+        let (pull, d_raw) = (pull.as_ref().map(Values::of), d_raw.as_ref().map(Values::of));
+        let pull = pull.as_ref().map(Values::slice).transpose()?;
+        Ok(self.network.slope_gradients(&self.tape, pull, d_raw.as_ref().map(Values::slice).transpose()?))
     }
 }
 

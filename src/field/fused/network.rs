@@ -19,27 +19,27 @@ use super::kernels::{
 use super::pool::Buffer;
 
 /// Points worked through at once: their layers stay in a core's second-level cache.
-const TILE: usize = 512;
+pub(super) const TILE: usize = 512;
 
 /// One layer's weights `[outputs, inputs]`, the same transposed, biases, and where weights and biases start in the
 /// flat gradient.
-struct Linear {
+pub(super) struct Linear {
     weight: Vec<f32>,
     transposed: Vec<f32>,
-    bias: Vec<f32>,
+    pub(super) bias: Vec<f32>,
     inputs: usize,
     weight_offset: usize,
     bias_offset: usize,
 }
 
 /// A layer of few outputs.
-struct Head(Linear);
+pub(super) struct Head(Linear);
 
 /// A field's weights, laid out for tiles: a copy, made once a step.
 pub struct Network {
-    config: FieldConfig,
-    trunk: Vec<Linear>,
-    density: Head,
+    pub(super) config: FieldConfig,
+    pub(super) trunk: Vec<Linear>,
+    pub(super) density: Head,
     /// Feature and view layer in one, `[width / 2, width + view channels]`.
     view: Linear,
     rgb: Head,
@@ -114,22 +114,22 @@ pub struct InputGradients {
 
 /// Rows of a tile.
 #[derive(Clone, Copy)]
-struct Tile {
-    start: usize,
-    rows: usize,
+pub(super) struct Tile {
+    pub(super) start: usize,
+    pub(super) rows: usize,
 }
 
 impl Tile {
-    fn of<'a, T>(&self, values: &'a [T], columns: usize) -> &'a [T] {
+    pub(super) fn of<'a, T>(&self, values: &'a [T], columns: usize) -> &'a [T] {
         &values[self.start * columns..][..self.rows * columns]
     }
 
-    fn of_mut<'a, T>(&self, values: &'a mut [T], columns: usize) -> &'a mut [T] {
+    pub(super) fn of_mut<'a, T>(&self, values: &'a mut [T], columns: usize) -> &'a mut [T] {
         &mut values[self.start * columns..][..self.rows * columns]
     }
 }
 
-fn tiles(n: usize) -> impl Iterator<Item = Tile> {
+pub(super) fn tiles(n: usize) -> impl Iterator<Item = Tile> {
     (0..n).step_by(TILE).map(move |start| Tile { start, rows: TILE.min(n - start) })
 }
 
@@ -161,27 +161,38 @@ impl Linear {
     }
 
     /// `x += dz W`, or `x = dz W`, for the same inputs.
-    fn input_gradient(&self, dz: &[f32], from: usize, columns: usize, x: &mut [f32], accumulate: bool) {
+    pub(super) fn input_gradient(&self, dz: &[f32], from: usize, columns: usize, x: &mut [f32], accumulate: bool) {
         let dz = Matrix::new(dz, dz.len() / self.outputs(), self.outputs(), self.outputs());
         multiply(x, columns, dz, self.columns(from, columns), accumulate);
     }
 
     /// Adds `dz^T x` to the gradient of the weights that read `x`.
-    fn weight_gradient(&self, dz: &[f32], x: &[f32], from: usize, columns: usize, sum: &mut [f32]) {
+    pub(super) fn weight_gradient(&self, dz: &[f32], x: &[f32], from: usize, columns: usize, sum: &mut [f32]) {
         let rows = dz.len() / self.outputs();
         let dz = Matrix::new(dz, rows, self.outputs(), self.outputs());
         let sum = &mut sum[self.weight_offset + from..];
         multiply(sum, self.inputs, dz.transposed(), Matrix::new(x, rows, columns, columns), true);
     }
 
+    /// Gradients of weights and biases in a flat sum.
+    fn gradients_in(&self, sum: &[f32]) -> [Vec<f32>; 2] {
+        let bias_end = self.bias_offset + self.outputs();
+        [sum[self.weight_offset..self.bias_offset].to_vec(), sum[self.bias_offset..bias_end].to_vec()]
+    }
+
+    /// The part of a flat gradient that belongs to the biases.
+    pub(super) fn bias_of<'a>(&self, sum: &'a mut [f32]) -> &'a mut [f32] {
+        &mut sum[self.bias_offset..][..self.outputs()]
+    }
+
     fn bias_gradient(&self, dz: &[f32], sum: &mut [f32]) {
-        add_rows(&mut sum[self.bias_offset..][..self.outputs()], dz);
+        add_rows(self.bias_of(sum), dz);
     }
 }
 
 impl Head {
     /// `y [rows, outputs]` of `x [rows, inputs]`.
-    fn forward(&self, x: &[f32], y: &mut [f32]) {
+    pub(super) fn forward(&self, x: &[f32], y: &mut [f32]) {
         few_forward(x, &self.0.weight, self.0.outputs(), y);
         add_bias(y, &self.0.bias);
     }
@@ -193,9 +204,22 @@ impl Head {
 
     /// Adds to the gradients of weights and biases.
     fn gradients(&self, dz: &[f32], x: &[f32], sum: &mut [f32]) {
-        let weights = &mut sum[self.0.weight_offset..self.0.bias_offset];
-        few_weight_gradient(dz, x, self.0.outputs(), weights);
+        few_weight_gradient(dz, x, self.0.outputs(), self.weights_of(sum));
         self.0.bias_gradient(dz, sum);
+    }
+
+    /// `[outputs, inputs]`.
+    pub(super) fn weights(&self) -> &[f32] {
+        &self.0.weight
+    }
+
+    /// The part of a flat gradient that belongs to the weights.
+    pub(super) fn weights_of<'a>(&self, sum: &'a mut [f32]) -> &'a mut [f32] {
+        &mut sum[self.0.weight_offset..self.0.bias_offset]
+    }
+
+    pub(super) fn bias_of<'a>(&self, sum: &'a mut [f32]) -> &'a mut [f32] {
+        self.0.bias_of(sum)
     }
 }
 
@@ -228,12 +252,8 @@ impl Network {
 
     /// Gradients of every layer's weight and bias, in the order of parameters, from the flat sum of backward passes.
     pub fn parameter_gradients(&self, sum: &[f32]) -> Vec<Vec<f32>> {
-        let of = |layer: &Linear| {
-            let bias_end = layer.bias_offset + layer.outputs();
-            [sum[layer.weight_offset..layer.bias_offset].to_vec(), sum[layer.bias_offset..bias_end].to_vec()]
-        };
-        let mut gradients: Vec<Vec<f32>> = self.trunk.iter().chain([&self.density.0]).flat_map(of).collect();
-        let [mut view, view_bias] = of(&self.view);
+        let mut gradients = self.trunk_gradients(sum);
+        let [mut view, view_bias] = self.view.gradients_in(sum);
         let (width, inputs) = (self.config.width, self.view.inputs);
         // With G and s the gradients of V W and of the bias: dW = V^T G, db = V^T s, dV = G W^T + s b^T.
         let joint = Matrix::new(&sum[self.view.weight_offset..], width / 2, width, inputs);
@@ -246,8 +266,13 @@ impl Network {
         multiply(&mut view, inputs, joint, weight.transposed(), false);
         multiply(&mut view, inputs, of_bias, Matrix::new(&self.parts.feature_bias, 1, width, width), true);
         gradients.extend([feature, feature_bias, view, view_bias]);
-        gradients.extend(of(&self.rgb.0));
+        gradients.extend(self.rgb.0.gradients_in(sum));
         gradients
+    }
+
+    /// The same of the trunk and the density head, which come first.
+    pub(super) fn trunk_gradients(&self, sum: &[f32]) -> Vec<Vec<f32>> {
+        self.trunk.iter().chain([&self.density.0]).flat_map(|layer| layer.gradients_in(sum)).collect()
     }
 
     /// Trunk layers.
@@ -260,7 +285,7 @@ impl Network {
         self.config.width
     }
 
-    fn position_channels(&self) -> usize {
+    pub(super) fn position_channels(&self) -> usize {
         encoded_channels(self.config.position_octaves)
     }
 
@@ -270,6 +295,16 @@ impl Network {
 
     fn skips(&self, layer: usize) -> bool {
         layer > 0 && self.config.skips.contains(&layer)
+    }
+
+    /// Whether trunk layer `layer` (from 0) reads the encoding.
+    pub(super) fn encodes(&self, layer: usize) -> bool {
+        layer == 0 || self.skips(layer)
+    }
+
+    /// Inputs of trunk layer `layer` (from 0) before those that read the layer below.
+    pub(super) fn encoded_inputs(&self, layer: usize) -> usize {
+        if self.skips(layer) { self.position_channels() } else { 0 }
     }
 
     /// The trunk up to layer `layer` (1-based) at points `[n, 3]`.
@@ -292,17 +327,27 @@ impl Network {
     }
 
     /// Trunk layer `l` (from 0) of a tile, with its ReLU. The lowest layer does not read `below`.
-    fn trunk_layer(&self, l: usize, encoded: &[f32], below: &[f32], output: &mut [f32], mask: Option<&mut [u8]>) {
+    pub(super) fn trunk_layer(
+        &self,
+        l: usize,
+        encoded: &[f32],
+        below: &[f32],
+        output: &mut [f32],
+        mask: Option<&mut [u8]>,
+    ) {
+        self.trunk_product(l, encoded, below, output);
+        add_bias_relu(output, &self.trunk[l].bias, mask);
+    }
+
+    /// Trunk layer `l`'s weights times its input.
+    pub(super) fn trunk_product(&self, l: usize, encoded: &[f32], below: &[f32], output: &mut [f32]) {
         let (layer, width, position) = (&self.trunk[l], self.config.width, self.position_channels());
-        if l == 0 {
+        if self.encodes(l) {
             layer.forward(encoded, 0, position, output, false);
-        } else if self.skips(l) {
-            layer.forward(encoded, 0, position, output, false);
-            layer.forward(below, position, width, output, true);
-        } else {
-            layer.forward(below, 0, width, output, false);
         }
-        add_bias_relu(output, &layer.bias, mask);
+        if l > 0 {
+            layer.forward(below, self.encoded_inputs(l), width, output, self.encodes(l));
+        }
     }
 
     /// What a ray's direction and the bias add to the view layer at each of its points, `[rays, width / 2]`.
@@ -483,9 +528,7 @@ impl Network {
                     break;
                 }
                 apply_mask(d_output, scratch.mask.rows(&kept.masks[l], width, rows));
-                let skips = self.skips(l);
-                let encodes = l == 0 || skips;
-                let from = if skips { position } else { 0 };
+                let (encodes, from) = (self.encodes(l), self.encoded_inputs(l));
                 if wanted.weights {
                     if encodes {
                         let encoded = scratch.input.rows(&kept.encoded, position, rows);
@@ -551,7 +594,7 @@ impl<T: Copy> Room<T> {
 }
 
 /// Writes rows to where they came from.
-fn scatter(values: &[f32], columns: usize, rows: &[usize], out: &mut [f32]) {
+pub(super) fn scatter(values: &[f32], columns: usize, rows: &[usize], out: &mut [f32]) {
     for (value, &row) in values.chunks_exact(columns).zip(rows) {
         out[row * columns..][..columns].copy_from_slice(value);
     }

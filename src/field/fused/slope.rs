@@ -1,0 +1,146 @@
+//! The slope of raw density in the encoding, by the adjoint recursion of [`crate::field`]'s spatial derivatives, over
+//! tiles; and the weights' gradients of what is made of both.
+
+use super::encode::encode_tile;
+use super::kernels::{add_rows, few_input_gradient, few_weight_gradient, mask_where_zero, scale_rows};
+use super::network::{Network, TILE, scatter, tiles};
+use super::pool::Buffer;
+
+/// What the way back needs, of the points that matter.
+pub struct Tape {
+    /// Their numbers, ascending.
+    points: Vec<usize>,
+    encoded: Buffer<f32>,
+    /// Each trunk layer's output.
+    hidden: Vec<Buffer<f32>>,
+    /// d raw / d (each trunk layer's output before its ReLU).
+    adjoints: Vec<Buffer<f32>>,
+}
+
+/// Raw density and its slope at `n` points.
+pub struct Slope {
+    /// `[n]`.
+    pub raw: Vec<f32>,
+    /// d raw / d encoding, `[n, channels]`.
+    pub slope: Vec<f32>,
+    pub tape: Tape,
+}
+
+impl Network {
+    /// At points `[n, 3]`. Points whose raw density does not `matter` have slope 0 and take no part in what follows.
+    pub fn slope(&self, points: &[f32], matters: impl Fn(f32) -> bool) -> Slope {
+        let n = points.len() / 3;
+        let (width, depth, position) = (self.width(), self.depth(), self.position_channels());
+        let layers = || (0..depth).map(|_| Buffer::new(n * width)).collect();
+        let mut tape = Tape {
+            points: Vec::with_capacity(n),
+            encoded: Buffer::new(n * position),
+            hidden: layers(),
+            adjoints: layers(),
+        };
+        let (mut raw, mut slope) = (vec![0f32; n], vec![0f32; n * position]);
+        for tile in tiles(n) {
+            let first = tape.points.len();
+            let encoded = &mut tape.encoded[first * position..][..tile.rows * position];
+            encode_tile(tile.of(points, 3), self.config.position_octaves, encoded);
+            let rows = first * width..(first + tile.rows) * width;
+            for l in 0..depth {
+                let (below, from_here) = tape.hidden.split_at_mut(l);
+                let below = below.last().map_or(&[][..], |below| &below[rows.clone()]);
+                self.trunk_layer(l, encoded, below, &mut from_here[0][rows.clone()], None);
+            }
+            let densities = tile.of_mut(&mut raw, 1);
+            self.density.forward(&tape.hidden[depth - 1][rows], densities);
+            for (i, _) in densities.iter().enumerate().filter(|(_, density)| matters(**density)) {
+                tape.keep(tile.start + i, first + i, (width, position));
+            }
+            self.pull_down(&mut tape, first, &mut slope);
+        }
+        Slope { raw, slope, tape }
+    }
+
+    /// Fills adjoints and slope of the tape's points from number `first` on.
+    fn pull_down(&self, tape: &mut Tape, first: usize, slope: &mut [f32]) {
+        let count = tape.points.len() - first;
+        let (width, depth, position) = (self.width(), self.depth(), self.position_channels());
+        let rows = first * width..(first + count) * width;
+        let mut d_encoded = Buffer::new(count * position);
+        d_encoded.fill(0.0);
+        for row in tape.adjoints[depth - 1][rows.clone()].chunks_exact_mut(width) {
+            row.copy_from_slice(self.density.weights());
+        }
+        for l in (0..depth).rev() {
+            let (below, from_here) = tape.adjoints.split_at_mut(l);
+            let adjoint = &mut from_here[0][rows.clone()];
+            mask_where_zero(adjoint, &tape.hidden[l][rows.clone()]);
+            if self.encodes(l) {
+                self.trunk[l].input_gradient(adjoint, 0, position, &mut d_encoded, true);
+            }
+            if let Some(below) = below.last_mut() {
+                self.trunk[l].input_gradient(adjoint, self.encoded_inputs(l), width, &mut below[rows.clone()], false);
+            }
+        }
+        scatter(&d_encoded, position, &tape.points[first..], slope);
+    }
+
+    /// Gradients of weight and bias of the trunk's layers and the density head, in the order of parameters, of a loss
+    /// that pulls on the slope with `pull [n, channels]` and on raw density with `d_raw [n]`.
+    pub fn slope_gradients(&self, tape: &Tape, pull: Option<&[f32]>, d_raw: Option<&[f32]>) -> Vec<Vec<f32>> {
+        let (width, position) = (self.width(), self.position_channels());
+        let mut sum = vec![0f32; self.gradient_size];
+        let (mut room_a, mut room_b) = (Buffer::new(TILE * width), Buffer::new(TILE * width));
+        let (mut u_0, mut d) = (Buffer::new(TILE * position), vec![0f32; TILE]);
+        for start in (0..tape.points.len()).step_by(TILE) {
+            let points = &tape.points[start..tape.points.len().min(start + TILE)];
+            let count = points.len();
+            let rows = start * width..(start + count) * width;
+            let (mut u, mut below) = (&mut room_a[..count * width], &mut room_b[..count * width]);
+            let (u_0, d) = (&mut u_0[..count * position], &mut d[..count]);
+            d.iter_mut().zip(points).for_each(|(d, &point)| *d = d_raw.map_or(0.0, |all| all[point]));
+            scale_rows(&tape.encoded[start * position..][..count * position], d, u_0);
+            if let Some(pull) = pull {
+                for (u, &point) in u_0.chunks_exact_mut(position).zip(points) {
+                    u.iter_mut().zip(&pull[point * position..]).for_each(|(u, pull)| *u += pull);
+                }
+            }
+            for (l, layer) in self.trunk.iter().enumerate() {
+                let (adjoint, hidden) = (&tape.adjoints[l][rows.clone()], &tape.hidden[l][rows.clone()]);
+                if self.encodes(l) {
+                    layer.weight_gradient(adjoint, u_0, 0, position, &mut sum);
+                }
+                if l > 0 {
+                    layer.weight_gradient(adjoint, below, self.encoded_inputs(l), width, &mut sum);
+                }
+                few_weight_gradient(d, adjoint, 1, layer.bias_of(&mut sum));
+                if pull.is_some() {
+                    self.trunk_product(l, u_0, below, u);
+                    few_input_gradient(d, &layer.bias, 1, u, true);
+                    mask_where_zero(u, hidden);
+                } else {
+                    // Of raw density alone: the recursion is the forward pass, scaled point by point.
+                    scale_rows(hidden, d, u);
+                }
+                std::mem::swap(&mut u, &mut below);
+            }
+            add_rows(self.density.weights_of(&mut sum), below);
+            add_rows(self.density.bias_of(&mut sum), d);
+        }
+        self.trunk_gradients(&sum)
+    }
+}
+
+impl Tape {
+    /// Keeps row `from`, of point number `point`, next to the rows kept so far.
+    fn keep(&mut self, point: usize, from: usize, (width, position): (usize, usize)) {
+        let to = self.points.len();
+        self.points.push(point);
+        if to == from {
+            return;
+        }
+        let pull_up = |values: &mut [f32], columns: usize| {
+            values.copy_within(from * columns..(from + 1) * columns, to * columns);
+        };
+        self.hidden.iter_mut().for_each(|hidden| pull_up(hidden, width));
+        pull_up(&mut self.encoded, position);
+    }
+}
