@@ -100,7 +100,7 @@ pub struct Protocol {
     pub program: String,
     /// Revision of its code; all of them where several worked on the run.
     pub code_revision: String,
-    /// `cpu`, `cuda`, `metal`; all of them where several did.
+    /// `cpu`, `cuda`, `cuda-tf32`, `metal`; all of them where several did.
     pub device: String,
 }
 

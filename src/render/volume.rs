@@ -40,15 +40,17 @@ pub fn weights_from_density(density: &Tensor, intervals: &Tensor) -> Result<Tens
     let optical = (density * intervals)?;
     let alpha = (1.0 - optical.neg()?.exp()?)?;
     // The last interval's huge depth takes no part: no sample lies behind it.
-    let before = optical.narrow(1, 0, samples - 1)?.contiguous()?.matmul(&exclusive_sum(samples, density)?)?;
+    // In f64: devices may be told to round the arguments of single-precision products.
+    let earlier = optical.narrow(1, 0, samples - 1)?.to_dtype(DType::F64)?.contiguous()?;
+    let before = earlier.matmul(&exclusive_sum(samples, density)?)?.to_dtype(density.dtype())?;
     Ok((alpha * before.neg()?.exp()?)?)
 }
 
 /// `[samples - 1, samples]`, 1 where row < column: right-multiplying sums over earlier samples.
 fn exclusive_sum(samples: usize, like: &Tensor) -> Result<Tensor> {
-    let values: Vec<f32> =
+    let values: Vec<f64> =
         (0..samples - 1).flat_map(|row| (0..samples).map(move |column| if row < column { 1.0 } else { 0.0 })).collect();
-    Ok(Tensor::from_vec(values, (samples - 1, samples), like.device())?.to_dtype(like.dtype())?)
+    Ok(Tensor::from_vec(values, (samples - 1, samples), like.device())?)
 }
 
 /// Composites `rgb` `[rays, samples, 3]` with `density` `[rays, samples]` (not negative) at
@@ -86,8 +88,7 @@ pub fn composite_reference(
     let weights = weights_from_density(density, &intervals(t_vals, direction_norm)?)?;
     let acc = weights.sum(D::Minus1)?;
     let depth = (&weights * t_vals)?.sum(D::Minus1)?;
-    let row = weights.unsqueeze(1)?; // [rays, 1, samples]
-    let mut colour = row.matmul(&rgb.contiguous()?)?.squeeze(1)?; // [rays, 3]
+    let mut colour = weights.unsqueeze(2)?.broadcast_mul(rgb)?.sum(1)?; // [rays, 3]
     if let Some(background) = background {
         let fill = Tensor::new(&background, rgb.device())?.to_dtype(rgb.dtype())?.reshape((1, 3))?;
         colour = (colour + (1.0 - &acc)?.unsqueeze(1)?.broadcast_mul(&fill)?)?;

@@ -49,6 +49,7 @@ impl State {
     pub fn touch(&mut self, device: &Device) {
         let kind = match device {
             Device::Cpu => "cpu",
+            Device::Cuda(_) if candle_core::cuda::gemm_reduced_precision_f32() => "cuda-tf32",
             Device::Cuda(_) => "cuda",
             Device::Metal(_) => "metal",
         };

@@ -153,40 +153,68 @@ struct Gradients(Vec<Option<Tensor>>);
 /// What one chunk adds to a step.
 struct ChunkResult {
     gradients: Gradients,
-    loss_coarse: f64,
-    loss_fine: Option<f64>,
-    loss_perturbed: Option<f64>,
-    largest_acc: f64,
+    losses: Losses,
     diagnostics: diagnostics::Sums,
+}
+
+/// Losses weighted with the chunk's share, and the largest accumulation of a ray: f64 scalars that stay on the device
+/// until the step is over.
+#[derive(Default)]
+struct Losses {
+    coarse: Option<Tensor>,
+    fine: Option<Tensor>,
+    perturbed: Option<Tensor>,
+    largest_acc: Option<Tensor>,
 }
 
 impl ChunkResult {
     fn new(parameters: usize) -> ChunkResult {
         ChunkResult {
             gradients: Gradients(vec![None; parameters]),
-            loss_coarse: 0.0,
-            loss_fine: None,
-            loss_perturbed: None,
-            largest_acc: 0.0,
+            losses: Losses::default(),
             diagnostics: diagnostics::Sums::default(),
         }
     }
 
-    /// Loss of the passes that [`Trainer::clean`] descended.
-    fn loss(&self) -> f64 {
-        self.loss_coarse + self.loss_fine.unwrap_or(0.0)
-    }
-
     fn add(&mut self, other: ChunkResult) -> Result<()> {
-        let both = |a: Option<f64>, b: Option<f64>| a.zip(b).map(|(a, b)| a + b);
         self.gradients.merge(other.gradients)?;
-        self.loss_coarse += other.loss_coarse;
-        self.loss_fine = both(self.loss_fine, other.loss_fine);
-        self.loss_perturbed = both(self.loss_perturbed, other.loss_perturbed);
-        self.largest_acc = self.largest_acc.max(other.largest_acc);
+        self.losses.add(other.losses)?;
         self.diagnostics.merge(other.diagnostics);
         Ok(())
     }
+}
+
+impl Losses {
+    fn add(&mut self, other: Losses) -> Result<()> {
+        self.coarse = sum(self.coarse.take(), other.coarse)?;
+        self.fine = sum(self.fine.take(), other.fine)?;
+        self.perturbed = sum(self.perturbed.take(), other.perturbed)?;
+        self.largest_acc = match (self.largest_acc.take(), other.largest_acc) {
+            (Some(a), Some(b)) => Some(a.maximum(&b)?),
+            (a, b) => a.or(b),
+        };
+        Ok(())
+    }
+
+    /// Loss of the passes that [`Trainer::clean`] descended.
+    fn clean(&self) -> Result<Option<Tensor>> {
+        sum(self.coarse.clone(), self.fine.clone())
+    }
+
+    /// Coarse, fine and perturbed loss and the largest accumulation, in one transfer.
+    fn read(self) -> Result<[Option<f64>; 4]> {
+        let all = [self.coarse, self.fine, self.perturbed, self.largest_acc];
+        let there: Vec<&Tensor> = all.iter().flatten().collect();
+        let mut values = Tensor::stack(&there, 0)?.to_vec1::<f64>()?.into_iter();
+        Ok(all.map(|tensor| tensor.and_then(|_| values.next())))
+    }
+}
+
+fn sum(a: Option<Tensor>, b: Option<Tensor>) -> Result<Option<Tensor>> {
+    Ok(match (a, b) {
+        (Some(a), Some(b)) => Some((a + b)?),
+        (a, b) => a.or(b),
+    })
 }
 
 impl Gradients {
@@ -205,10 +233,7 @@ impl Gradients {
 
     fn merge(&mut self, other: Gradients) -> Result<()> {
         for (sum, gradient) in self.0.iter_mut().zip(other.0) {
-            *sum = match (sum.take(), gradient) {
-                (Some(sum), Some(gradient)) => Some((sum + gradient)?),
-                (sum, gradient) => sum.or(gradient),
-            };
+            *sum = self::sum(sum.take(), gradient)?;
         }
         Ok(())
     }
@@ -351,31 +376,33 @@ impl Trainer {
     /// Takes one step. `log` asks for the diagnostics of the perturbed levels.
     pub fn step(&mut self, log: bool) -> Result<StepStats> {
         let whole = self.chunk(self.step)?;
-        let mut sum = self.passes(&whole, log)?;
+        let ChunkResult { mut gradients, losses, diagnostics } = self.passes(&whole, log)?;
         let (clean_weight, perturbed_weight) = mixing(&self.config);
-        let clean = sum.loss();
-        let mut loss = clean_weight * clean + sum.loss_perturbed.map_or(0.0, |loss| perturbed_weight * loss);
+        let [loss_coarse, loss_fine, loss_perturbed, largest_acc] = losses.read()?;
+        let loss_coarse = loss_coarse.expect("every chunk has a coarse pass");
+        let clean = loss_coarse + loss_fine.unwrap_or(0.0);
+        let mut loss = clean_weight * clean + loss_perturbed.map_or(0.0, |loss| perturbed_weight * loss);
         let mut regularizers = Vec::new();
-        if let Some((values, gradients)) = self.regularize(&self.config.regularizer)? {
+        if let Some((values, pull)) = self.regularize(&self.config.regularizer)? {
             loss +=
                 self.config.regularizer.terms().zip(&values).map(|((_, weight), value)| weight * value).sum::<f64>();
             regularizers = self.config.regularizer.kind.iter().copied().zip(values).collect();
-            sum.gradients.merge(gradients)?;
+            gradients.merge(pull)?;
         }
         let stats = StepStats {
             step: self.step + 1,
             learning_rate: learning_rate(&self.config.train, self.step),
-            loss_coarse: sum.loss_coarse,
-            loss_fine: sum.loss_fine,
-            loss_perturbed: sum.loss_perturbed,
+            loss_coarse,
+            loss_fine,
+            loss_perturbed,
             regularizers,
             loss,
-            largest_acc: sum.largest_acc,
-            levels: sum.diagnostics.finish(clean),
+            largest_acc: largest_acc.expect("every chunk has one"),
+            levels: diagnostics.finish(clean),
         };
-        self.check_finite(&stats, &sum.gradients)?;
+        self.check_finite(&stats, &gradients)?;
         self.check_alive(&stats)?;
-        self.adam.update(&sum.gradients.0, stats.learning_rate, stats.step)?;
+        self.adam.update(&gradients.0, stats.learning_rate, stats.step)?;
         let parameters =
             Gradients(self.adam.variables().iter().map(|(_, var)| Some(var.as_detached_tensor())).collect());
         if let Some(name) = parameters.find_non_finite(&self.adam)? {
@@ -433,7 +460,7 @@ impl Trainer {
             } else {
                 self.perturbed(model, chunk, t_fine.as_ref(), perturbed_weight, (&mut result, log))?
             };
-            result.loss_perturbed = Some(loss);
+            result.losses.perturbed = Some(loss);
         }
         Ok(result)
     }
@@ -442,17 +469,19 @@ impl Trainer {
     fn clean(&self, model: &Model, chunk: &Chunk, weight: f64, result: &mut ChunkResult) -> Result<Option<Tensor>> {
         let coarse = clean_pass(&model.coarse, self.coarse_pass(chunk))?;
         let weight = weight * chunk.share;
-        result.loss_coarse = chunk.share * self.descend(&coarse, &chunk.target, weight, &mut result.gradients)?;
+        let loss = self.descend(&coarse, &chunk.target, weight, &mut result.gradients)?;
+        result.losses.coarse = Some((loss * chunk.share)?);
         let (Some(field), Some(u)) = (&model.fine, &chunk.u) else {
-            result.largest_acc = largest(&noiseless_acc(&model.coarse, &coarse, self.coarse_pass(chunk))?)?;
+            result.losses.largest_acc =
+                Some(largest(&noiseless_acc(&model.coarse, &coarse, self.coarse_pass(chunk))?)?);
             return Ok(None);
         };
         let t_vals = sampling::importance(&chunk.t_coarse, &coarse.composite.weights, u)?;
         drop(coarse);
         let fine = clean_pass(field, self.fine_pass(chunk, &t_vals))?;
         let loss = self.descend(&fine, &chunk.target, weight, &mut result.gradients)?;
-        result.loss_fine = Some(chunk.share * loss);
-        result.largest_acc = largest(&noiseless_acc(field, &fine, self.fine_pass(chunk, &t_vals))?)?;
+        result.losses.fine = Some((loss * chunk.share)?);
+        result.losses.largest_acc = Some(largest(&noiseless_acc(field, &fine, self.fine_pass(chunk, &t_vals))?)?);
         Ok(Some(t_vals))
     }
 
@@ -470,11 +499,11 @@ impl Trainer {
         Pass { t_vals, density_noise: chunk.noise_fine.as_ref(), ..self.coarse_pass(chunk) }
     }
 
-    /// Adds the gradients of `weight` times the photometric loss; returns the loss.
-    fn descend(&self, out: &PassOutput, target: &Tensor, weight: f64, gradients: &mut Gradients) -> Result<f64> {
+    /// Adds the gradients of `weight` times the photometric loss; returns the loss in f64.
+    fn descend(&self, out: &PassOutput, target: &Tensor, weight: f64, gradients: &mut Gradients) -> Result<Tensor> {
         let loss = photometric_loss(&out.composite.rgb, target)?;
         gradients.add(&self.adam, &(&loss * weight)?.backward()?)?;
-        scalar(&loss)
+        Ok(loss.detach().to_dtype(DType::F64)?)
     }
 
     fn check_finite(&self, stats: &StepStats, gradients: &Gradients) -> Result<()> {
@@ -530,6 +559,6 @@ fn scalar(tensor: &Tensor) -> Result<f64> {
     Ok(tensor.to_dtype(DType::F64)?.to_scalar()?)
 }
 
-fn largest(tensor: &Tensor) -> Result<f64> {
-    scalar(&tensor.flatten_all()?.max(0)?)
+fn largest(tensor: &Tensor) -> Result<Tensor> {
+    Ok(tensor.flatten_all()?.max(0)?.to_dtype(DType::F64)?)
 }

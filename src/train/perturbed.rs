@@ -35,15 +35,14 @@ impl Trainer {
         chunk: &Chunk,
         weight: f64,
         gradients: &mut Gradients,
-    ) -> Result<f64> {
+    ) -> Result<Tensor> {
         let mut random = Random::part(self.config.seed, Stream::Attack, self.step, chunk.index);
         let drawn = self.draw_clean(chunk.rays.clone(), chunk.target.clone(), &mut random)?;
         let fresh = Chunk { share: chunk.share, ..drawn };
         let mut second = ChunkResult::new(gradients.0.len());
         self.clean(model, &fresh, weight, &mut second)?;
-        let loss = second.loss();
         gradients.merge(second.gradients)?;
-        Ok(loss)
+        Ok(second.losses.clean()?.expect("every chunk has a coarse pass"))
     }
 
     /// Searches and descends the perturbed passes of a chunk on the clean pass's samples. Returns
@@ -55,11 +54,11 @@ impl Trainer {
         t_fine: Option<&Tensor>,
         weight: f64,
         (result, log): (&mut ChunkResult, bool),
-    ) -> Result<f64> {
+    ) -> Result<Tensor> {
         let adversarial = model.adversarial.as_ref();
         let own = adversarial.unwrap_or(&model.coarse);
         let coarse = self.perturbed_pass(chunk, own, self.coarse_pass(chunk), true)?;
-        let (mut loss, out) = self.attack(&coarse, weight, result, log)?;
+        let (loss, out) = self.attack(&coarse, weight, result, log)?;
         let (Some(field), Some(t_fine), Some(u)) = (&model.fine, t_fine, &chunk.u) else { return Ok(loss) };
         let resampled;
         let t_vals = match self.config.perturb.resample {
@@ -70,8 +69,7 @@ impl Trainer {
             }
         };
         let fine = self.perturbed_pass(chunk, adversarial.unwrap_or(field), self.fine_pass(chunk, t_vals), false)?;
-        loss += self.attack(&fine, weight, result, log)?.0;
-        Ok(loss)
+        Ok((loss + self.attack(&fine, weight, result, log)?.0)?)
     }
 
     fn perturbed_pass<'a>(
@@ -107,7 +105,7 @@ impl Trainer {
         weight: f64,
         result: &mut ChunkResult,
         log: bool,
-    ) -> Result<(f64, PassOutput)> {
+    ) -> Result<(Tensor, PassOutput)> {
         let random = |stream: Stream| {
             move |level: Level| Random::part(self.config.seed, stream, self.step, 8 * passing.number + level as u64)
         };
@@ -118,7 +116,7 @@ impl Trainer {
             let drawn = passing.sets.draw(Draw::Uniform, random(Stream::Diagnostics))?;
             self.diagnose(passing, &out, &drawn, &mut result.diagnostics)?;
         }
-        Ok((loss * passing.share, out))
+        Ok(((loss * passing.share)?, out))
     }
 
     /// The pass with `deltas` through `field` (live or frozen).
