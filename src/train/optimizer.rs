@@ -1,6 +1,9 @@
 //! Adam with moments that can be saved, and the learning-rate curve.
 
-use candle_core::{CpuStorage, InplaceOp2, InplaceOp3, Layout, Tensor, Var};
+use std::cell::RefCell;
+
+use candle_core::{CpuStorage, InplaceOp1, Layout, Storage, Tensor, Var, WithDType};
+use pulp::Arch;
 use rayon::prelude::*;
 
 use crate::config::TrainConfig;
@@ -86,17 +89,11 @@ impl Adam {
     }
 }
 
-/// The update in place, on a processor.
+/// The update on a processor: one pass over parameter, moments and gradient, in place.
 struct Update {
     /// The learning rate over the first moment's correction.
     rate: f64,
     correction2: f64,
-}
-
-/// A moment moves towards the gradient, or its square.
-struct Move {
-    beta: f64,
-    squared: bool,
 }
 
 impl Update {
@@ -109,81 +106,61 @@ impl Update {
                 &zero
             }
         };
-        moments.first.inplace_op2(gradient, &Move { beta: BETA1, squared: false })?;
-        moments.second.inplace_op2(gradient, &Move { beta: BETA2, squared: true })?;
-        Ok(var.inplace_op3(&moments.first, &moments.second, self)?)
-    }
-}
-
-/// The values of whole tensors: one to change, others to read.
-macro_rules! whole {
-    ($storage:expr, $layout:expr, $kind:ident) => {
-        match ($storage, $layout.contiguous_offsets()) {
-            (CpuStorage::$kind(values), Some((start, end))) => &values[start..end],
-            _ => candle_core::bail!("adam: parameters, moments and gradients are of one type and whole"),
-        }
-    };
-}
-
-impl InplaceOp2 for Move {
-    fn name(&self) -> &'static str {
-        "adam-moment"
+        let (gradient, layout) = gradient.storage_and_layout();
+        let Storage::Cpu(gradient) = &*gradient else { unreachable!("parameters are on the processor") };
+        let update = |p: &mut CpuStorage, m: &mut CpuStorage, v: &mut CpuStorage| {
+            macro_rules! pass {
+                ($kind:ident, $sqrt:expr) => {
+                    if let (CpuStorage::$kind(p), CpuStorage::$kind(m), CpuStorage::$kind(v), CpuStorage::$kind(g)) =
+                        (&mut *p, &mut *m, &mut *v, gradient)
+                    {
+                        return Ok(self.pass(p, (m, v), &g[layout.start_offset()..], $sqrt));
+                    }
+                };
+            }
+            pass!(F32, f32::sqrt);
+            pass!(F64, f64::sqrt);
+            candle_core::bail!("adam: parameters, moments and gradients are all f32 or all f64")
+        };
+        Ok(lend(var, |p| lend(&moments.first, |m| lend(&moments.second, |v| update(p, m, v))))?)
     }
 
-    fn cpu_fwd(
+    fn pass<T: WithDType>(
         &self,
-        moment: &mut CpuStorage,
-        at: &Layout,
-        gradient: &CpuStorage,
-        layout: &Layout,
-    ) -> candle_core::Result<()> {
-        macro_rules! update {
-            ($kind:ident, $real:ty, $moments:expr) => {{
-                let gradient = whole!(gradient, layout, $kind);
-                let (keep, take) = (self.beta as $real, (1.0 - self.beta) as $real);
-                for (moment, g) in $moments[at.start_offset()..].iter_mut().zip(gradient) {
-                    *moment = *moment * keep + take * if self.squared { g * g } else { *g };
+        parameters: &mut [T],
+        (first, second): (&mut [T], &mut [T]),
+        gradient: &[T],
+        sqrt: impl Fn(T) -> T,
+    ) {
+        let [keep1, take1, keep2, take2] = [BETA1, 1.0 - BETA1, BETA2, 1.0 - BETA2].map(T::from_f64);
+        let [rate, correction2, epsilon] = [self.rate, self.correction2, EPSILON].map(T::from_f64);
+        Arch::new().dispatch(
+            #[inline(always)]
+            || {
+                for (((p, m), v), g) in parameters.iter_mut().zip(first).zip(second).zip(gradient) {
+                    *m = *m * keep1 + take1 * *g;
+                    *v = *v * keep2 + take2 * (*g * *g);
+                    *p = *p - *m * rate / (sqrt(*v / correction2) + epsilon);
                 }
-                Ok(())
-            }};
-        }
-        match moment {
-            CpuStorage::F32(moments) => update!(F32, f32, moments),
-            CpuStorage::F64(moments) => update!(F64, f64, moments),
-            _ => candle_core::bail!("adam is for f32 and f64"),
-        }
+            },
+        );
     }
 }
 
-impl InplaceOp3 for Update {
+/// Lends a tensor's values to a closure, to be changed. The tensor is the only one of its storage.
+fn lend(tensor: &Tensor, change: impl FnOnce(&mut CpuStorage) -> candle_core::Result<()>) -> candle_core::Result<()> {
+    tensor.inplace_op1(&Lend(RefCell::new(Some(change))))
+}
+
+struct Lend<F>(RefCell<Option<F>>);
+
+impl<F: FnOnce(&mut CpuStorage) -> candle_core::Result<()>> InplaceOp1 for Lend<F> {
     fn name(&self) -> &'static str {
-        "adam-update"
+        "adam"
     }
 
-    fn cpu_fwd(
-        &self,
-        parameters: &mut CpuStorage,
-        at: &Layout,
-        first: &CpuStorage,
-        first_layout: &Layout,
-        second: &CpuStorage,
-        second_layout: &Layout,
-    ) -> candle_core::Result<()> {
-        macro_rules! update {
-            ($kind:ident, $real:ty, $parameters:expr) => {{
-                let (first, second) = (whole!(first, first_layout, $kind), whole!(second, second_layout, $kind));
-                let (rate, correction2, epsilon) = (self.rate as $real, self.correction2 as $real, EPSILON as $real);
-                for ((p, m), v) in $parameters[at.start_offset()..].iter_mut().zip(first).zip(second) {
-                    *p -= m * rate / ((v / correction2).sqrt() + epsilon);
-                }
-                Ok(())
-            }};
-        }
-        match parameters {
-            CpuStorage::F32(parameters) => update!(F32, f32, parameters),
-            CpuStorage::F64(parameters) => update!(F64, f64, parameters),
-            _ => candle_core::bail!("adam is for f32 and f64"),
-        }
+    fn cpu_fwd(&self, storage: &mut CpuStorage, _: &Layout) -> candle_core::Result<()> {
+        self.0.take().expect("called once")(storage)
     }
 }
 
