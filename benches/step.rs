@@ -1,5 +1,5 @@
-//! Seconds of one training step at the paper's network size, plain and with the search, and of a
-//! regularizer's term beside the trunk's own forward and backward pass.
+//! Seconds of one training step at the paper's network size, plain and with the search, of a
+//! regularizer's term beside the trunk's own forward and backward pass, and of a step's parts.
 //!
 //! The same work as a PyTorch implementation's `--rays 256`: 256 rays, 64 + 64 samples, two fields
 //! of 8 x 256, Adam.
@@ -7,11 +7,15 @@
 use std::hint::black_box;
 use std::time::Duration;
 
-use augnerf::config::{Config, DataKind, FieldConfig, Method, Regularizer, RegularizerConfig};
+use augnerf::config::{Config, Core, DataKind, FieldConfig, Method, Regularizer, RegularizerConfig};
 use augnerf::field::Field;
 use augnerf::regularizers::{CHUNK, Lattice, Points, regularize};
-use augnerf::train::Trainer;
-use candle_core::{DType, Device};
+use augnerf::render::Composite;
+use augnerf::render::volume::{composite, composite_reference};
+use augnerf::rng::{Random, Stream};
+use augnerf::sampling::{importance, stratified};
+use augnerf::train::{Adam, Trainer};
+use candle_core::{DType, Device, Tensor, Var};
 use criterion::{Criterion, criterion_group, criterion_main};
 use rayon::prelude::*;
 
@@ -68,5 +72,57 @@ fn space(criterion: &mut Criterion) {
     group.finish();
 }
 
-criterion_group!(benches, step, space);
+/// The parts of a step of 32 rays with 64 samples through one 8 x 256 field, each beside the plain way where there are
+/// two. One thread.
+fn parts(criterion: &mut Criterion) {
+    const RAYS: usize = 32;
+    const SAMPLES: usize = 64;
+    let draw = |index: u64, shape: &[usize]| {
+        Random::new(0, Stream::Jitter, index).uniform_tensor(shape, DType::F32, &Device::Cpu).expect("numbers")
+    };
+    let mut group = criterion.benchmark_group("parts");
+    group.sample_size(20).warm_up_time(Duration::from_secs(1)).measurement_time(Duration::from_secs(5));
+    let points = draw(0, &[RAYS * SAMPLES, 3]);
+    let viewdirs = draw(1, &[RAYS, 3]);
+    for (name, core) in [("fused", Core::Fused), ("plain", Core::Plain)] {
+        let config = FieldConfig { core, ..FieldConfig::default() };
+        let field = Field::init(&config, 0, 0, DType::F32, &Device::Cpu).and_then(|field| field.prepared());
+        let field = field.expect("a field");
+        let asked = |field: &Field, points: &Tensor| {
+            let raw = field.forward(points, &viewdirs, None).expect("a pass");
+            let sum = (raw.rgb.sum_all().expect("a sum") + raw.density.sum_all().expect("a sum")).expect("a sum");
+            sum.backward().expect("gradients")
+        };
+        let frozen = field.frozen().expect("a field");
+        group.bench_function(format!("field-forward-{name}"), |bencher| {
+            bencher.iter(|| frozen.forward(&points, &viewdirs, None).expect("a pass"))
+        });
+        let moving = Var::from_tensor(&points).expect("a variable");
+        group.bench_function(format!("field-search-{name}"), |bencher| bencher.iter(|| asked(&frozen, &moving)));
+        let recording = field.recording().expect("a field");
+        group.bench_function(format!("field-train-{name}"), |bencher| bencher.iter(|| asked(&recording, &points)));
+    }
+    let t_vals = stratified(2.0, 6.0, RAYS, SAMPLES, Some(&draw(2, &[RAYS, SAMPLES])), &points).expect("samples");
+    let rgb = Var::from_tensor(&draw(3, &[RAYS, SAMPLES, 3])).expect("a variable");
+    let density = Var::from_tensor(&draw(4, &[RAYS, SAMPLES])).expect("a variable");
+    let norm = Tensor::ones((RAYS, 1), DType::F32, &Device::Cpu).expect("ones");
+    type Composited = fn(&Tensor, &Tensor, &Tensor, &Tensor, Option<[f32; 3]>) -> augnerf::error::Result<Composite>;
+    for (name, composited) in [("scan", composite as Composited), ("plain", composite_reference)] {
+        group.bench_function(format!("composite-{name}"), |bencher| {
+            bencher.iter(|| {
+                let out = composited(&rgb, &density, &t_vals, &norm, None).expect("a composite");
+                out.rgb.sum_all().and_then(|sum| sum.backward()).expect("gradients")
+            })
+        });
+    }
+    let u = draw(5, &[RAYS, SAMPLES]);
+    group.bench_function("importance", |bencher| bencher.iter(|| importance(&t_vals, &density, &u).expect("samples")));
+    let field = Field::init(&FieldConfig::default(), 0, 0, DType::F32, &Device::Cpu).expect("a field");
+    let gradients: Vec<Option<Tensor>> = field.variables().iter().map(|(_, var)| Some(draw(6, var.dims()))).collect();
+    let mut adam = Adam::new(field.variables().to_vec()).expect("moments");
+    group.bench_function("adam", |bencher| bencher.iter(|| adam.update(&gradients, 1e-6, 1).expect("an update")));
+    group.finish();
+}
+
+criterion_group!(benches, step, space, parts);
 criterion_main!(benches);

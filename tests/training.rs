@@ -2,7 +2,7 @@
 
 mod common;
 
-use augnerf::config::{Method, PerturbField};
+use augnerf::config::{Core, Method, PerturbField};
 use augnerf::data::{Camera, View};
 use augnerf::error::Error;
 use augnerf::evaluate::Viewer;
@@ -152,4 +152,20 @@ fn the_step_uses_its_own_numbers_whatever_came_before() {
     assert_eq!((a.loss, a.levels), (b.loss, b.levels));
     let roles = ["coarse", "fine"];
     assert_eq!(parameters(&straight, &roles), parameters(&resumed, &roles));
+}
+
+/// The fused core and the plain one: roundings differ and grow with the steps, the curve does not.
+#[test]
+fn fused_and_plain_curves_agree() {
+    for method in [Method::Nerf, Method::AugNerf] {
+        let errors = |core: Core| -> Vec<f64> {
+            let config = tiny_config(method, |config| config.field.core = core);
+            let mut trainer = Trainer::new(&config, &tiny_scene(), DType::F32, &Device::Cpu).unwrap();
+            (0..100).map(|_| trainer.step(false).unwrap().psnr().unwrap()).collect()
+        };
+        let (fused, plain) = (errors(Core::Fused), errors(Core::Plain));
+        assert!((fused[0] - plain[0]).abs() < 1e-4, "{method:?}: {} {}", fused[0], plain[0]);
+        let mean = |curve: &[f64]| curve[80..].iter().sum::<f64>() / 20.0;
+        assert!((mean(&fused) - mean(&plain)).abs() < 0.1, "{method:?}: {} {}", mean(&fused), mean(&plain));
+    }
 }

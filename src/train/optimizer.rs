@@ -140,7 +140,7 @@ impl Update {
                 for (((p, m), v), g) in parameters.iter_mut().zip(first).zip(second).zip(gradient) {
                     *m = *m * keep1 + take1 * *g;
                     *v = *v * keep2 + take2 * (*g * *g);
-                    *p = *p - *m * rate / (sqrt(*v / correction2) + epsilon);
+                    *p -= *m * rate / (sqrt(*v / correction2) + epsilon);
                 }
             },
         );
