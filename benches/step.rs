@@ -73,7 +73,7 @@ fn space(criterion: &mut Criterion) {
 }
 
 /// The parts of a step of 32 rays with 64 samples through one 8 x 256 field, each beside the plain way where there are
-/// two. One thread.
+/// two. One thread, but for Adam's.
 fn parts(criterion: &mut Criterion) {
     const RAYS: usize = 32;
     const SAMPLES: usize = 64;

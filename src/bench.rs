@@ -5,7 +5,7 @@ use std::time::Instant;
 use candle_core::{DType, Device};
 use serde::Serialize;
 
-use crate::config::{Config, DataKind, Init, Method, REGULARIZERS, RegularizedFields, Regularizer};
+use crate::config::{Config, DataKind, parse_assignment};
 use crate::data::{Camera, Image, Scene, View};
 use crate::error::{Error, Result};
 use crate::field::work;
@@ -26,11 +26,11 @@ pub struct Workload {
     pub coarse: usize,
     /// Further samples of the fine pass.
     pub fine: usize,
-    /// Width of both 8-layer networks.
+    /// Width of both networks, which have 8 layers unless set otherwise.
     pub width: usize,
     /// Steps that are timed.
     pub steps: usize,
-    /// Settings over these.
+    /// Further settings, over the defaults; not those that a field here has.
     pub set: Vec<(Vec<String>, toml::Value)>,
 }
 
@@ -55,6 +55,8 @@ pub struct Timed {
     pub threads: usize,
     /// As asked.
     pub device: String,
+    /// Matrix products of a GPU in TF32.
+    pub tf32: bool,
     /// Median over the steps.
     pub seconds_per_step: f64,
     /// Rays over that.
@@ -101,23 +103,33 @@ pub fn scene() -> Scene {
 }
 
 impl Workload {
-    /// The configuration: PyTorch's initial weights, Adam, no noise; otherwise the defaults.
-    pub fn config(&self) -> Result<Config> {
-        let mut config = crate::config::build(None, None, &self.set)?;
-        config.field.init = Init::Torch;
-        (config.sampling.coarse, config.sampling.fine) = (self.coarse, self.fine);
-        (config.train.rays, config.field.width) = (self.rays, self.width);
-        config.train.collapse_steps = 0;
+    /// The configuration: PyTorch's initial weights, Adam, no noise; otherwise the defaults, on an accelerator with all
+    /// rays in one chunk; then the further settings.
+    pub fn config(&self, device: &Device) -> Result<Config> {
+        let own = ["method", "train.rays", "sampling.coarse", "sampling.fine", "field.width"];
+        if let Some((path, _)) = self.set.iter().find(|(path, _)| own.contains(&path.join(".").as_str())) {
+            return Err(Error::Config(format!("--set {}: bench has a flag of its own for it", path.join("."))));
+        }
+        let mut settings = vec![
+            "field.init=torch".to_string(),
+            "train.collapse_steps=0".into(),
+            format!("sampling.coarse={}", self.coarse),
+            format!("sampling.fine={}", self.fine),
+            format!("train.rays={}", self.rays),
+            format!("field.width={}", self.width),
+        ];
+        if !device.is_cpu() {
+            settings.push(format!("train.chunk={}", self.rays));
+        }
         match self.method.as_str() {
             "nerf" => {}
-            "aug" => config.method = Method::AugNerf,
-            name => {
-                let term = REGULARIZERS.into_iter().find(|term| term.name() == name && *term != Regularizer::L1);
-                let unknown = || Error::Config(format!("--method {name}: choose nerf, aug, tv or laplacian"));
-                config.regularizer.kind = vec![term.ok_or_else(unknown)?];
-                config.regularizer.fields = RegularizedFields::Both;
-            }
+            "aug" => settings.push("method=aug-nerf".into()),
+            term @ ("tv" | "laplacian") => settings.push(format!("regularizer.kind={term}")),
+            other => return Err(Error::Config(format!("--method {other}: choose nerf, aug, tv or laplacian"))),
         }
+        let mut all = settings.iter().map(|text| parse_assignment(text)).collect::<Result<Vec<_>>>()?;
+        all.extend(self.set.iter().cloned());
+        let mut config = crate::config::build(None, None, &all)?;
         config.resolve_kind(DataKind::Blender);
         config.train.precrop_steps = Some(0);
         config.resolve_bounds(2.0, 6.0);
@@ -127,7 +139,7 @@ impl Workload {
 
     /// Takes the steps and times them.
     pub fn run(&self, device: &Device, device_name: &str) -> Result<Timed> {
-        let config = self.config()?;
+        let config = self.config(device)?;
         let mut trainer = Trainer::new(&config, &scene(), DType::F32, device)?;
         for _ in 0..WARM_UP {
             trainer.step(false)?;
@@ -158,6 +170,7 @@ impl Workload {
             steps: self.steps,
             threads: rayon::current_num_threads(),
             device: device_name.to_string(),
+            tf32: candle_core::cuda::gemm_reduced_precision_f32(),
             seconds_per_step: median,
             rays_per_second: self.rays as f64 / median,
             points_per_clean_pass: self.rays * if self.fine > 0 { 2 * self.coarse + self.fine } else { self.coarse },

@@ -550,3 +550,22 @@ fn non_finite_training_stops_with_exit_code_6_and_advice() {
     let out = dir.path().join("run");
     refuse(&tiny(&out, &["--set", "train.learning_rate=1e30"]), 6, &["step", "train.learning_rate"]);
 }
+
+#[test]
+fn bench_says_what_it_did() {
+    let bench = |more: &[&'static str]| -> Vec<&'static str> {
+        let small = "bench --rays 8 --coarse 8 --fine 8 --width 16 --steps 2 --threads 1";
+        small.split(' ').chain(more.iter().copied()).collect()
+    };
+    let ask =
+        |more: &[&'static str]| -> serde_json::Value { serde_json::from_slice(&succeed(&bench(more)).stdout).unwrap() };
+    let work = |said: &serde_json::Value| said["multiply_adds_per_step"].as_f64().unwrap();
+    let [nerf, aug, tv] = ["nerf", "aug", "tv"].map(|method| ask(&["--method", method]));
+    assert!(nerf["seconds_per_step"].as_f64().unwrap() > 0.0, "{nerf}");
+    assert!(nerf["threads"] == 1 && nerf["method"] == "nerf", "{nerf}");
+    // Three forward units clean; twice three in the search and three perturbed besides.
+    let ratio = work(&aug) / work(&nerf);
+    assert!((3.0..4.5).contains(&ratio) && work(&tv) > work(&nerf), "{nerf} {aug} {tv}");
+    assert!(ask(&["--set", "field.core=plain"])["multiply_adds_per_step"].is_null());
+    refuse(&bench(&["--set", "field.width=32"]), 2, &["field.width", "a flag of its own"]);
+}

@@ -1,4 +1,4 @@
-//! The fused field against the plain one: outputs, every gradient, odd sizes, NaN, threads.
+//! The fused field against the plain one: outputs, every gradient, odd sizes, NaN. (Threads: tests/cli.rs.)
 
 use augnerf::config::{Core, FieldConfig};
 use augnerf::field::{FeatureDelta, Field};
@@ -16,6 +16,8 @@ struct Case {
     /// 0: no delta.
     layer: usize,
     seed: u64,
+    /// Share of the points that are pulled on; the others have gradient 0.
+    pulled: f64,
 }
 
 fn case() -> impl Strategy<Value = Case> {
@@ -27,7 +29,7 @@ fn case() -> impl Strategy<Value = Case> {
             skips.dedup();
             let field =
                 FieldConfig { width: 2 * half, depth, skips, position_octaves, view_octaves, ..FieldConfig::default() };
-            Case { field, rays, samples, layer: if layer > depth { 0 } else { layer }, seed: seed.into() }
+            Case { field, rays, samples, layer: if layer > depth { 0 } else { layer }, seed: seed.into(), pulled: 1.0 }
         },
     )
 }
@@ -68,8 +70,13 @@ fn ask(case: &Case, field: &Field, dtype: DType, frozen: bool) -> Found {
     let recording = if frozen { field.frozen().unwrap() } else { field.recording().unwrap() };
     let at = (case.layer > 0).then(|| FeatureDelta { layer: case.layer, delta: delta.as_tensor() });
     let raw = recording.forward(&points, &viewdirs, at).unwrap();
+    // The same points for colour and density.
+    let chosen = random(case.seed, 5, &[n, 1]).affine(0.5, 0.5).unwrap().lt(case.pulled).unwrap();
     let pull = |index: u64, out: &Tensor| {
-        let weights = random(case.seed, index, out.dims()).to_dtype(DType::F32).unwrap().to_dtype(dtype).unwrap();
+        let weights = random(case.seed, index, &[n, out.elem_count() / n.max(1)]);
+        let weights =
+            weights.broadcast_mul(&chosen.to_dtype(DType::F64).unwrap()).unwrap().reshape(out.shape()).unwrap();
+        let weights = weights.to_dtype(DType::F32).unwrap().to_dtype(dtype).unwrap();
         (out * weights).unwrap().sum_all().unwrap()
     };
     let gradients = (pull(3, &raw.rgb) + pull(4, &raw.density)).unwrap().backward().unwrap();
@@ -121,7 +128,7 @@ proptest! {
 }
 
 fn paper() -> Case {
-    Case { field: FieldConfig::default(), rays: 3, samples: 130, layer: 4, seed: 5 }
+    Case { field: FieldConfig::default(), rays: 3, samples: 400, layer: 4, seed: 5, pulled: 1.0 }
 }
 
 #[test]
@@ -134,6 +141,24 @@ fn the_paper_s_shape() {
         assert_close("weights", &found.weights, &exact.weights, 1e-4);
         // The top octave multiplies an argument's rounding by 512.
         assert_close("inputs", &found.inputs, &exact.inputs, 1e-3);
+    }
+}
+
+/// Points without gradient take no part: around a tile's border, with most points idle, and with all.
+#[test]
+fn sizes_and_idle_points() {
+    for (samples, pulled) in
+        [(1, 1.0), (511, 1.0), (512, 1.0), (513, 1.0), (1025, 1.0), (400, 0.2), (1300, 0.2), (1300, 0.9), (600, 0.0)]
+    {
+        let field_config = FieldConfig { width: 32, depth: 3, skips: vec![2], ..FieldConfig::default() };
+        let case = Case { field: field_config, rays: 1, samples, layer: 2, seed: 8, pulled };
+        let exact = ask(&case, &field(&case, Core::Plain, DType::F64), DType::F64, false);
+        let fused = ask(&case, &field(&case, Core::Fused, DType::F32), DType::F32, false);
+        let what = |part: &str| format!("{part} of {samples} points, {pulled} pulled on,");
+        // A single output may be the small difference of large terms.
+        assert_close(&what("outputs"), &fused.outputs, &exact.outputs, 1e-4);
+        assert_close(&what("weights"), &fused.weights, &exact.weights, 1e-4);
+        assert_close(&what("inputs"), &fused.inputs, &exact.inputs, 1e-3);
     }
 }
 

@@ -138,6 +138,7 @@ impl Scan {
             let (g_depth, fill) = (g_depths[i].wide(), self.fill());
             let g_acc = g_accs[i].wide() - (0..3).map(|c| g_colour[c] * fill[c]).sum::<f64>();
             let row = i * samples;
+            // What the samples behind contribute: nothing behind the last.
             let mut later = 0.0;
             for k in (0..samples).rev() {
                 let colour = &ray.rgb[3 * k..3 * k + 3];
@@ -146,9 +147,7 @@ impl Scan {
                 for c in 0..3 {
                     d_rgb[3 * (row + k) + c] = T::narrow(weights[k] * g_colour[c]);
                 }
-                // Behind the last sample lies nothing that it could hide.
-                let hidden = if k + 1 < samples { later } else { 0.0 };
-                let d_optical = g_weight * behind[k] - hidden;
+                let d_optical = g_weight * behind[k] - later;
                 d_density[row + k] = T::narrow(d_optical * ray.interval(k).wide());
                 let d_length = d_optical * ray.density[k].wide() * ray.norm;
                 d_t[row + k] = T::narrow(d_t[row + k].wide() + g_depth * weights[k]);

@@ -108,13 +108,14 @@ impl Update {
         };
         let (gradient, layout) = gradient.storage_and_layout();
         let Storage::Cpu(gradient) = &*gradient else { unreachable!("parameters are on the processor") };
+        let (start, end) = layout.contiguous_offsets().expect("made contiguous");
         let update = |p: &mut CpuStorage, m: &mut CpuStorage, v: &mut CpuStorage| {
             macro_rules! pass {
                 ($kind:ident, $sqrt:expr) => {
                     if let (CpuStorage::$kind(p), CpuStorage::$kind(m), CpuStorage::$kind(v), CpuStorage::$kind(g)) =
                         (&mut *p, &mut *m, &mut *v, gradient)
                     {
-                        return Ok(self.pass(p, (m, v), &g[layout.start_offset()..], $sqrt));
+                        return Ok(self.pass(p, (m, v), &g[start..end], $sqrt));
                     }
                 };
             }
@@ -132,6 +133,8 @@ impl Update {
         gradient: &[T],
         sqrt: impl Fn(T) -> T,
     ) {
+        let sizes = [first.len(), second.len(), gradient.len()];
+        assert!(sizes.iter().all(|size| *size == parameters.len()), "one moment and one gradient a parameter");
         let [keep1, take1, keep2, take2] = [BETA1, 1.0 - BETA1, BETA2, 1.0 - BETA2].map(T::from_f64);
         let [rate, correction2, epsilon] = [self.rate, self.correction2, EPSILON].map(T::from_f64);
         Arch::new().dispatch(

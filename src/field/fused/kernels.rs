@@ -151,13 +151,16 @@ fn add_scaled(sum: &mut [f32], scale: f32, values: &[f32]) {
 
 /// Adds `bias` to every row.
 pub fn add_bias(rows: &mut [f32], bias: &[f32]) {
-    Arch::new().dispatch(|| {
-        for row in rows.chunks_exact_mut(bias.len()) {
-            for (value, b) in row.iter_mut().zip(bias) {
-                *value += b;
+    Arch::new().dispatch(
+        #[inline(always)]
+        || {
+            for row in rows.chunks_exact_mut(bias.len()) {
+                for (value, b) in row.iter_mut().zip(bias) {
+                    *value += b;
+                }
             }
-        }
-    });
+        },
+    );
 }
 
 /// Adds `bias` to every row, then ReLU; `mask` is 1 where the sum was positive. NaN stays NaN, to be found and
@@ -205,50 +208,65 @@ fn add_relu<'a>(rows: &mut [f32], columns: usize, bias: impl Fn(usize) -> &'a [f
 
 /// Puts 0 where the mask is 0.
 pub fn apply_mask(values: &mut [f32], mask: &[u8]) {
-    Arch::new().dispatch(|| {
-        for (value, &mask) in values.iter_mut().zip(mask) {
-            *value = if mask == 0 { 0.0 } else { *value };
-        }
-    });
+    Arch::new().dispatch(
+        #[inline(always)]
+        || {
+            for (value, &mask) in values.iter_mut().zip(mask) {
+                *value = if mask == 0 { 0.0 } else { *value };
+            }
+        },
+    );
 }
 
 /// Puts 0 where the other value is 0.
 pub fn mask_where_zero(values: &mut [f32], others: &[f32]) {
-    Arch::new().dispatch(|| {
-        for (value, &other) in values.iter_mut().zip(others) {
-            *value = if other == 0.0 { 0.0 } else { *value };
-        }
-    });
+    Arch::new().dispatch(
+        #[inline(always)]
+        || {
+            for (value, &other) in values.iter_mut().zip(others) {
+                *value = if other == 0.0 { 0.0 } else { *value };
+            }
+        },
+    );
 }
 
 /// `out = rows`, each row times its number in `scales`.
 pub fn scale_rows(rows: &[f32], scales: &[f32], out: &mut [f32]) {
     let columns = rows.len() / scales.len();
-    Arch::new().dispatch(|| {
-        for ((row, out), scale) in rows.chunks_exact(columns).zip(out.chunks_exact_mut(columns)).zip(scales) {
-            for (value, out) in row.iter().zip(out) {
-                *out = value * scale;
+    Arch::new().dispatch(
+        #[inline(always)]
+        || {
+            for ((row, out), scale) in rows.chunks_exact(columns).zip(out.chunks_exact_mut(columns)).zip(scales) {
+                for (value, out) in row.iter().zip(out) {
+                    *out = value * scale;
+                }
             }
-        }
-    });
+        },
+    );
 }
 
 /// `sum += values`, element by element.
 pub fn add(sum: &mut [f32], values: &[f32]) {
-    Arch::new().dispatch(|| {
-        for (sum, value) in sum.iter_mut().zip(values) {
-            *sum += value;
-        }
-    });
+    Arch::new().dispatch(
+        #[inline(always)]
+        || {
+            for (sum, value) in sum.iter_mut().zip(values) {
+                *sum += value;
+            }
+        },
+    );
 }
 
 /// Adds every row to `sum`.
 pub fn add_rows(sum: &mut [f32], rows: &[f32]) {
-    Arch::new().dispatch(|| {
-        for row in rows.chunks_exact(sum.len()) {
-            for (sum, value) in sum.iter_mut().zip(row) {
-                *sum += value;
+    Arch::new().dispatch(
+        #[inline(always)]
+        || {
+            for row in rows.chunks_exact(sum.len()) {
+                for (sum, value) in sum.iter_mut().zip(row) {
+                    *sum += value;
+                }
             }
-        }
-    });
+        },
+    );
 }

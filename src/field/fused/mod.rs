@@ -143,7 +143,7 @@ impl Slope {
         // NaN matters: it is to be found and reported.
         let found = network.slope(Values::of(&points).slice()?, |raw| !positive_alone || raw > 0.0 || raw.is_nan());
         let n = found.raw.len();
-        let channels = found.slope.len() / n.max(1);
+        let channels = network.position_channels();
         let raw = Tensor::from_vec(found.raw, n, points.device())?;
         let slope = Tensor::from_vec(found.slope, (n, channels), points.device())?;
         Ok(Slope { raw, slope, network, tape: found.tape })
