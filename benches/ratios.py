@@ -59,11 +59,12 @@ def main():
             continue
         flags = ["--method", method, "--rays", str(rays), "--coarse", str(coarse), "--fine", str(fine)]
         flags += ["--width", str(width), "--steps", str(steps), "--threads", threads]
-        flags += ["--device", arguments.device] + ["--tf32"] * arguments.tf32
+        our_device = ["--device", arguments.device + "-tf32" * arguments.tf32]
+        their_device = ["--device", arguments.device] + ["--tf32"] * arguments.tf32
         rounds = []
         for _ in range(arguments.rounds):
-            peer = ask([arguments.python, str(HERE / "torch_peer.py"), *flags])
-            rounds.append((peer["seconds_per_step"], ask([arguments.augnerf, "bench", *flags])))
+            peer = ask([arguments.python, str(HERE / "torch_peer.py"), *flags, *their_device])
+            rounds.append((peer["seconds_per_step"], ask([arguments.augnerf, "bench", *flags, *our_device])))
         peer = statistics.median(peer for peer, _ in rounds)
         ours = statistics.median(ours["seconds_per_step"] for _, ours in rounds)
         ratios = sorted(peer / ours["seconds_per_step"] for peer, ours in rounds)

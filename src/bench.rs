@@ -55,8 +55,6 @@ pub struct Timed {
     pub threads: usize,
     /// As asked.
     pub device: String,
-    /// Matrix products of a GPU in TF32.
-    pub tf32: bool,
     /// Median over the steps.
     pub seconds_per_step: f64,
     /// Rays over that.
@@ -170,7 +168,6 @@ impl Workload {
             steps: self.steps,
             threads: rayon::current_num_threads(),
             device: device_name.to_string(),
-            tf32: candle_core::cuda::gemm_reduced_precision_f32(),
             seconds_per_step: median,
             rays_per_second: self.rays as f64 / median,
             points_per_clean_pass: self.rays * if self.fine > 0 { 2 * self.coarse + self.fine } else { self.coarse },

@@ -86,11 +86,8 @@ enum Command {
 /// Where the numbers are computed; changes no setting of a run.
 #[derive(Args)]
 struct Machine {
-    #[arg(long, value_name = "DEVICE", help = "cpu, cuda, cuda:N or metal [default: cpu, resume: the run's]")]
+    #[arg(long, value_name = "DEVICE", help = DEVICES)]
     device: Option<String>,
-    /// On an NVIDIA GPU: matrix products of numbers rounded to 10 bits. Faster; the device is recorded as cuda-tf32
-    #[arg(long)]
-    tf32: bool,
     /// Processor threads [default: all cores]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
     threads: Option<u16>,
@@ -98,6 +95,9 @@ struct Machine {
     #[arg(long, short)]
     quiet: bool,
 }
+
+const DEVICES: &str = "cpu, cuda, cuda:N, cuda-tf32 (matrix products of numbers rounded to 10 bits) or metal [default: \
+cpu, resume: the run's]";
 
 /// Where a run's scene and LPIPS weights are, if not where they were.
 #[derive(Args)]
@@ -139,18 +139,18 @@ impl Machine {
         let refuse = |found: String| Error::Config(format!("--device {name}: {found}"));
         let (kind, index) = name.split_once(':').unwrap_or((name, "0"));
         let index: usize = index.parse().map_err(|_| refuse(format!("'{index}' is not a device number")))?;
-        if self.tf32 && kind != "cuda" {
-            return Err(refuse("--tf32 is for --device cuda".into()));
-        }
-        candle_core::cuda::set_gemm_reduced_precision_f32(self.tf32);
+        candle_core::cuda::set_gemm_reduced_precision_f32(kind == "cuda-tf32");
         match kind {
             "cpu" if name == "cpu" => Ok(Device::Cpu),
-            "cuda" if cfg!(feature = "cuda") => Device::new_cuda(index).map_err(|e| refuse(e.to_string())),
-            "metal" if cfg!(feature = "metal") => Device::new_metal(index).map_err(|e| refuse(e.to_string())),
-            "cuda" | "metal" => {
-                Err(refuse(format!("this program was built without {kind}; build it with --features {kind}")))
+            "cuda" | "cuda-tf32" if cfg!(feature = "cuda") => {
+                Device::new_cuda(index).map_err(|e| refuse(e.to_string()))
             }
-            _ => Err(refuse("choose cpu, cuda, cuda:N or metal".into())),
+            "metal" if cfg!(feature = "metal") => Device::new_metal(index).map_err(|e| refuse(e.to_string())),
+            "cuda" | "cuda-tf32" | "metal" => {
+                let feature = kind.trim_end_matches("-tf32");
+                Err(refuse(format!("this program was built without {feature}; build it with --features {feature}")))
+            }
+            _ => Err(refuse("choose cpu, cuda, cuda:N, cuda-tf32 or metal".into())),
         }
     }
 }

@@ -19,7 +19,7 @@ pub struct Timing {
     pub rays_per_second: Option<f64>,
     /// Highest resident memory of this process in MiB; `None` where the system does not say.
     pub peak_memory_mib: Option<f64>,
-    /// `cpu`, `cuda` or `metal`.
+    /// As asked for: `cpu`, `cuda`, `cuda:1`, `cuda-tf32`, `metal`.
     pub device: String,
     /// Threads that tensor operations used.
     pub threads: usize,
