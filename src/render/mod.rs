@@ -25,8 +25,8 @@ pub struct Pass<'a> {
     pub density_noise: Option<&'a Tensor>,
     /// Fills missing accumulation.
     pub background: Option<[f32; 3]>,
-    /// The samples' points, `[rays * samples, 3]`, where they are known already: a search that does not move them asks
-    /// for the very same tensor again and again (see [`Field::searching`]).
+    /// The samples' points with their deltas (see [`moved_points`]), where they are known already: a search that does
+    /// not move them asks for the very same tensor again and again (see [`Field::searching`]).
     pub points: Option<&'a Tensor>,
 }
 
@@ -72,18 +72,8 @@ pub fn clean_pass(field: &Field, pass: Pass) -> Result<PassOutput> {
 /// Renders one pass with perturbation (paper, algorithm 1, lines 9 to 13).
 pub fn perturbed_pass(field: &Field, pass: Pass, perturbation: Perturbation) -> Result<PassOutput> {
     let deltas = perturbation.deltas;
-    let t_vals = match deltas.get(Level::T) {
-        Some(delta) => (pass.t_vals + delta)?,
-        None => pass.t_vals.clone(),
-    };
-    let xyz = deltas.get(Level::Xyz);
-    let points = match pass.points.filter(|_| deltas.get(Level::T).is_none() && xyz.is_none()) {
-        Some(points) => points.clone(),
-        None => {
-            let points = points_at(pass.rays, &t_vals)?;
-            xyz.map_or(Ok(points.clone()), |delta| points + delta)?.flatten(0, 1)?
-        }
-    };
+    let t_vals = moved_t_vals(pass, deltas)?;
+    let points = pass.points.map_or_else(|| moved_points(pass, deltas), |points| Ok(points.clone()))?;
     let viewdirs = match deltas.get(Level::View) {
         Some(delta) => tilt(pass.rays, delta)?,
         None => pass.rays.viewdirs.clone(),
@@ -99,6 +89,23 @@ pub fn perturbed_pass(field: &Field, pass: Pass, perturbation: Perturbation) -> 
         OutputPlace::Before => activate(field, &add_before(perturbation, &raw, &mut used)?, pass.density_noise)?,
     };
     finish(pass, &t_vals, &raw, activated, (used, sets))
+}
+
+fn moved_t_vals(pass: Pass, deltas: &Deltas) -> Result<Tensor> {
+    Ok(match deltas.get(Level::T) {
+        Some(delta) => (pass.t_vals + delta)?,
+        None => pass.t_vals.clone(),
+    })
+}
+
+/// The samples' points with the deltas of `t` and `xyz`, `[rays * samples, 3]`.
+pub fn moved_points(pass: Pass, deltas: &Deltas) -> Result<Tensor> {
+    let points = points_at(pass.rays, &moved_t_vals(pass, deltas)?)?;
+    let points = match deltas.get(Level::Xyz) {
+        Some(delta) => (points + delta)?,
+        None => points,
+    };
+    Ok(points.flatten(0, 1)?)
 }
 
 fn finish(

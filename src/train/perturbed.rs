@@ -1,13 +1,15 @@
 //! The perturbed pass of a step: sets, search, descent; or its control.
 
-use candle_core::Tensor;
+use std::cell::RefCell;
+
+use candle_core::{Tensor, TensorId};
 
 use crate::config::{Level, PerturbConfig, PerturbKind, Resample};
 use crate::error::Result;
 use crate::field::Field;
 use crate::model::Model;
 use crate::perturbations::{Deltas, Draw, PassGeometry, Sets, StepSizes, worst_case};
-use crate::render::{Pass, PassOutput, Perturbation, perturbed_pass, photometric_loss, points_at};
+use crate::render::{Pass, PassOutput, Perturbation, moved_points, perturbed_pass, photometric_loss};
 use crate::rng::{Random, Stream};
 use crate::sampling;
 
@@ -134,9 +136,18 @@ impl Trainer {
         }
         let start = passing.sets.draw(Draw::Uniform, random)?;
         let field = passing.field.searching()?;
-        let points = points_at(passing.pass.rays, passing.pass.t_vals)?.flatten(0, 1)?;
-        let still = Perturbed { pass: Pass { points: Some(&points), ..passing.pass }, ..passing.clone() };
+        // Points that do not move any more stay the same tensor: the field computes what depends on them alone once.
+        let known: RefCell<Option<([Option<TensorId>; 2], Tensor)>> = RefCell::default();
+        let points_of = |deltas: &Deltas| -> Result<Tensor> {
+            let moved_by = [Level::T, Level::Xyz].map(|level| deltas.get(level).map(Tensor::id));
+            let same = known.borrow().as_ref().filter(|(by, _)| *by == moved_by).map(|(_, points)| points.clone());
+            let points = same.map_or_else(|| moved_points(passing.pass, deltas), Ok)?;
+            known.replace(Some((moved_by, points.clone())));
+            Ok(points)
+        };
         worst_case(&passing.sets, &StepSizes::new(&self.config.perturb), start, |deltas| {
+            let points = points_of(deltas)?;
+            let still = Perturbed { pass: Pass { points: Some(&points), ..passing.pass }, ..passing.clone() };
             let out = self.run(&still, &field, deltas)?;
             Ok((photometric_loss(&out.composite.rgb, passing.target)?, out.used))
         })
