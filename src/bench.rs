@@ -16,7 +16,7 @@ use crate::train::Trainer;
 const WARM_UP: usize = 2;
 
 /// What a step is made of.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Serialize)]
 pub struct Workload {
     /// `nerf`, `aug`, `tv` or `laplacian`.
     pub method: String,
@@ -31,6 +31,7 @@ pub struct Workload {
     /// Steps that are timed.
     pub steps: usize,
     /// Further settings, over the defaults; not those that a field here has.
+    #[serde(skip)]
     pub set: Vec<(Vec<String>, toml::Value)>,
 }
 
@@ -39,18 +40,9 @@ pub struct Workload {
 pub struct Timed {
     /// Program and revision.
     pub peer: String,
-    /// As asked.
-    pub method: String,
-    /// As asked.
-    pub rays: usize,
-    /// As asked.
-    pub coarse: usize,
-    /// As asked.
-    pub fine: usize,
-    /// As asked.
-    pub width: usize,
-    /// As asked.
-    pub steps: usize,
+    /// What was asked.
+    #[serde(flatten)]
+    pub workload: Workload,
     /// Threads that worked.
     pub threads: usize,
     /// As asked.
@@ -160,12 +152,7 @@ impl Workload {
         let peak = fused.then(work::peak_gflops);
         Ok(Timed {
             peer: format!("augnerf {}", revision()),
-            method: self.method.clone(),
-            rays: self.rays,
-            coarse: self.coarse,
-            fine: self.fine,
-            width: self.width,
-            steps: self.steps,
+            workload: self.clone(),
             threads: rayon::current_num_threads(),
             device: device_name.to_string(),
             seconds_per_step: median,

@@ -9,7 +9,8 @@ use super::Cotangents;
 /// Density from raw density, elementwise.
 pub(super) fn activate_density(activation: DensityActivation, raw: &Tensor) -> Result<Tensor> {
     match activation {
-        DensityActivation::Relu => raw.relu(),
+        // max(NaN, 0) is 0: adding 0 * raw, which is 0 or NaN, keeps what went wrong in sight.
+        DensityActivation::Relu => raw.relu()? + (raw * 0.0)?.detach(),
         DensityActivation::Softplus => softplus(&shifted(raw)?),
     }
 }
@@ -92,4 +93,19 @@ fn add(sum: &mut Option<Tensor>, term: Tensor) -> Result<()> {
         None => term,
     });
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use candle_core::Device;
+
+    #[test]
+    fn nan_is_not_taken_for_empty_space() {
+        for activation in [DensityActivation::Relu, DensityActivation::Softplus] {
+            let raw = Tensor::new(&[f32::NAN, -1.0, 2.0], &Device::Cpu).unwrap();
+            let density = activate_density(activation, &raw).unwrap().to_vec1::<f32>().unwrap();
+            assert!(density[0].is_nan() && density[1] >= 0.0 && density[2] > 0.0, "{activation:?}: {density:?}");
+        }
+    }
 }

@@ -108,7 +108,8 @@ pub fn check_config(checkpoint: &Path, state: &State, config: &Config) -> Result
         return Ok(());
     }
     Err(Error::Checkpoint(format!(
-        "{} was written under configuration {}, the run's config.toml is {}: it was changed since; restore it, or \
+        "{} was written under configuration {}, the run's config.toml is {}: it was changed since, or this is another \
+         version of augnerf with other settings; restore it, take that version, or \
          start a new run",
         checkpoint.display(),
         state.config_hash,
