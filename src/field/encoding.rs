@@ -1,6 +1,8 @@
 //! Positional encoding (NeRF paper, section 5.1, with the identity kept).
 
-use candle_core::{CpuStorage, CustomOp1, CustomOp2, Layout, Result, Shape, Tensor};
+use candle_core::{CpuStorage, CustomOp1, CustomOp2, Layout, Result, Shape, Tensor, WithDType};
+
+use super::contiguous;
 
 /// Channels of the encoding of a 3-vector.
 pub fn encoded_channels(octaves: usize) -> usize {
@@ -36,32 +38,8 @@ struct Encode {
     octaves: usize,
 }
 
-/// Scalars that the loops below are written for.
-pub(super) trait Real: Copy {
-    fn to_f64(self) -> f64;
-    fn from_f64(value: f64) -> Self;
-}
-
-impl Real for f32 {
-    fn to_f64(self) -> f64 {
-        self.into()
-    }
-    fn from_f64(value: f64) -> f32 {
-        value as f32
-    }
-}
-
-impl Real for f64 {
-    fn to_f64(self) -> f64 {
-        self
-    }
-    fn from_f64(value: f64) -> f64 {
-        value
-    }
-}
-
 /// Encodes 3-vectors row by row.
-pub(super) fn encode_into<T: Real>(x: &[T], octaves: usize, out: &mut [T]) {
+pub(super) fn encode_into<T: WithDType>(x: &[T], octaves: usize, out: &mut [T]) {
     let channels = encoded_channels(octaves);
     for (x, out) in x.chunks_exact(3).zip(out.chunks_exact_mut(channels)) {
         out[..3].copy_from_slice(x);
@@ -77,7 +55,7 @@ pub(super) fn encode_into<T: Real>(x: &[T], octaves: usize, out: &mut [T]) {
 }
 
 /// d/dx of sin(f x) is f cos(f x), of cos(f x) it is -f sin(f x).
-pub(super) fn gradient_into<T: Real>(encoded: &[T], gradient: &[T], octaves: usize, out: &mut [T]) {
+pub(super) fn gradient_into<T: WithDType>(encoded: &[T], gradient: &[T], octaves: usize, out: &mut [T]) {
     let channels = encoded_channels(octaves);
     let rows = encoded.chunks_exact(channels).zip(gradient.chunks_exact(channels));
     for ((encoded, gradient), out) in rows.zip(out.chunks_exact_mut(3)) {
@@ -94,24 +72,16 @@ pub(super) fn gradient_into<T: Real>(encoded: &[T], gradient: &[T], octaves: usi
     }
 }
 
-fn encode_rows<T: Real>(x: &[T], octaves: usize) -> Vec<T> {
+fn encode_rows<T: WithDType>(x: &[T], octaves: usize) -> Vec<T> {
     let mut out = vec![T::from_f64(0.0); x.len() / 3 * encoded_channels(octaves)];
     encode_into(x, octaves, &mut out);
     out
 }
 
-fn gradient_rows<T: Real>(encoded: &[T], gradient: &[T], octaves: usize) -> Vec<T> {
+fn gradient_rows<T: WithDType>(encoded: &[T], gradient: &[T], octaves: usize) -> Vec<T> {
     let mut out = vec![T::from_f64(0.0); encoded.len() / encoded_channels(octaves) * 3];
     gradient_into(encoded, gradient, octaves, &mut out);
     out
-}
-
-/// The values of a contiguous tensor.
-fn slice<'a, T>(values: &'a [T], layout: &Layout) -> Result<&'a [T]> {
-    match layout.contiguous_offsets() {
-        Some((start, end)) => Ok(&values[start..end]),
-        None => candle_core::bail!("encode needs contiguous arguments"),
-    }
 }
 
 impl CustomOp1 for Encode {
@@ -125,8 +95,8 @@ impl CustomOp1 for Encode {
             candle_core::bail!("encode takes [n, 3], got {:?}", layout.shape());
         }
         let out = match x {
-            CpuStorage::F32(x) => CpuStorage::F32(encode_rows(slice(x, layout)?, self.octaves)),
-            CpuStorage::F64(x) => CpuStorage::F64(encode_rows(slice(x, layout)?, self.octaves)),
+            CpuStorage::F32(x) => CpuStorage::F32(encode_rows(contiguous(x, layout)?, self.octaves)),
+            CpuStorage::F64(x) => CpuStorage::F64(encode_rows(contiguous(x, layout)?, self.octaves)),
             _ => candle_core::bail!("encode is for f32 and f64"),
         };
         Ok((out, Shape::from((n, encoded_channels(self.octaves)))))
@@ -156,12 +126,16 @@ impl CustomOp2 for EncodeBackward {
     ) -> Result<(CpuStorage, Shape)> {
         let (n, _) = encoded_layout.shape().dims2()?;
         let out = match (encoded, gradient) {
-            (CpuStorage::F32(e), CpuStorage::F32(g)) => {
-                CpuStorage::F32(gradient_rows(slice(e, encoded_layout)?, slice(g, gradient_layout)?, self.octaves))
-            }
-            (CpuStorage::F64(e), CpuStorage::F64(g)) => {
-                CpuStorage::F64(gradient_rows(slice(e, encoded_layout)?, slice(g, gradient_layout)?, self.octaves))
-            }
+            (CpuStorage::F32(e), CpuStorage::F32(g)) => CpuStorage::F32(gradient_rows(
+                contiguous(e, encoded_layout)?,
+                contiguous(g, gradient_layout)?,
+                self.octaves,
+            )),
+            (CpuStorage::F64(e), CpuStorage::F64(g)) => CpuStorage::F64(gradient_rows(
+                contiguous(e, encoded_layout)?,
+                contiguous(g, gradient_layout)?,
+                self.octaves,
+            )),
             _ => candle_core::bail!("encode is for f32 and f64"),
         };
         Ok((out, Shape::from((n, 3))))

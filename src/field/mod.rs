@@ -8,7 +8,7 @@
 //! works in f32 and f64 on any device and is the reference. The fused one (`fused`) serves
 //! [`Field::frozen`] and [`Field::recording`] fields in f32 on a processor.
 
-use candle_core::{DType, Device, Tensor, Var};
+use candle_core::{DType, Device, Layout, Tensor, Var};
 
 use std::sync::Arc;
 
@@ -26,6 +26,14 @@ pub mod work;
 pub use dense::{dense, dense_reference};
 pub use encoding::{encode, encode_reference, encoded_channels};
 pub use spatial::{Cotangents, Spatial, spatial_reference};
+
+/// The values of a contiguous tensor on a processor, for operations of our own.
+pub(crate) fn contiguous<'a, T>(values: &'a [T], layout: &Layout) -> candle_core::Result<&'a [T]> {
+    match layout.contiguous_offsets() {
+        Some((start, end)) => Ok(&values[start..end]),
+        None => candle_core::bail!("this operation needs contiguous arguments, got {layout:?}"),
+    }
+}
 
 /// One layer's parameters, `[outputs, inputs]` and `[outputs]`.
 #[derive(Clone)]

@@ -16,7 +16,7 @@ use rayon::prelude::*;
 use serde::Serialize;
 
 use crate::config::{REGULARIZERS, Regularizer};
-use crate::error::Result;
+use crate::error::{Error, Result};
 use crate::field::{Cotangents, Field, Spatial};
 
 mod lattice;
@@ -32,8 +32,8 @@ const CHUNKS_AT_ONCE: usize = 16;
 
 /// Terms and the gradients of their weighted sum.
 pub struct Regularized {
-    /// Value of each term, unweighted.
-    pub values: Vec<f64>,
+    /// Value of each term, unweighted: f64 `[terms]`, on the field's device until someone reads it.
+    pub values: Tensor,
     /// In the order of [`Field::parameter_names`].
     pub gradients: Vec<Option<Tensor>>,
 }
@@ -68,14 +68,15 @@ pub fn regularize(
 /// The same at `points [n, 3]`, each of which stands for `volume`.
 pub fn regularize_at(field: &Field, points: &Tensor, terms: &[(Regularizer, f64)], volume: f64) -> Result<Regularized> {
     let spatial = field.spatial(points)?;
-    let values = terms.iter().map(|(term, _)| Ok(volume * term_sum(*term, &spatial)?)).collect::<Result<_>>()?;
+    let values: Vec<Tensor> = terms.iter().map(|(term, _)| term_sum(*term, &spatial)).collect::<Result<_>>()?;
+    let values = (Tensor::stack(&values, 0)? * volume)?;
     let gradients = spatial.weight_gradients(&cotangents(&spatial, terms, volume)?)?;
     Ok(Regularized { values, gradients })
 }
 
 impl Regularized {
     fn add(&mut self, other: Regularized) -> Result<()> {
-        self.values.iter_mut().zip(other.values).for_each(|(sum, value)| *sum += value);
+        self.values = (&self.values + other.values)?;
         for (sum, gradient) in self.gradients.iter_mut().zip(other.gradients) {
             *sum = match (sum.take(), gradient) {
                 (Some(sum), Some(gradient)) => Some((sum + gradient)?),
@@ -116,7 +117,7 @@ pub fn measure(
         (dtype, device),
         |points| {
             let spatial = field.spatial(points)?;
-            let [l1, tv, laplacian] = REGULARIZERS.map(|term| term_sum(term, &spatial));
+            let [l1, tv, laplacian] = REGULARIZERS.map(|term| Ok::<f64, Error>(term_sum(term, &spatial)?.to_scalar()?));
             let positive = spatial.density.gt(0f64)?.to_dtype(DType::F64)?.sum_all()?.to_scalar::<f64>()?;
             let largest_density = spatial.density.max(0)?.to_dtype(DType::F64)?.to_scalar()?;
             Ok(Smoothness { l1: l1?, tv: tv?, laplacian: laplacian?, largest_density, occupied: positive })
@@ -191,13 +192,13 @@ fn over_chunks<T: Send>(
 }
 
 /// Sum over points of what a term measures there. In f64: Laplacians reach 4^9 and more.
-fn term_sum(term: Regularizer, spatial: &Spatial) -> Result<f64> {
+fn term_sum(term: Regularizer, spatial: &Spatial) -> Result<Tensor> {
     let at_points = match term {
         Regularizer::L1 => spatial.density.abs()?,
         Regularizer::Tv => spatial.gradient.sqr()?.sum(1)?.sqrt()?,
         Regularizer::Laplacian => spatial.laplacian.abs()?,
     };
-    Ok(at_points.to_dtype(DType::F64)?.sum_all()?.to_scalar()?)
+    Ok(at_points.to_dtype(DType::F64)?.sum_all()?)
 }
 
 /// Derivatives of the sum of `volume * weight * term` over points; each term is named once.

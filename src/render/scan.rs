@@ -2,32 +2,20 @@
 
 use candle_core::{CpuStorage, CustomOp3, Layout, Result, Shape, Tensor, WithDType};
 
+use crate::field::contiguous;
+
 /// Scalars that the scans are written for. Sums along a ray are in f64.
 trait Real: WithDType {
-    fn wide(self) -> f64;
-    fn narrow(value: f64) -> Self;
     fn exp_neg(self) -> Self;
 }
 
 impl Real for f32 {
-    fn wide(self) -> f64 {
-        self.into()
-    }
-    fn narrow(value: f64) -> f32 {
-        value as f32
-    }
     fn exp_neg(self) -> f32 {
         (-self).exp()
     }
 }
 
 impl Real for f64 {
-    fn wide(self) -> f64 {
-        self
-    }
-    fn narrow(value: f64) -> f64 {
-        value
-    }
     fn exp_neg(self) -> f64 {
         (-self).exp()
     }
@@ -55,10 +43,10 @@ impl<T: Real> Ray<'_, T> {
     /// Interval `k` in scene units.
     fn interval(&self, k: usize) -> T {
         let length = match self.t_vals.get(k + 1) {
-            Some(next) => (*next - self.t_vals[k]).wide(),
+            Some(next) => (*next - self.t_vals[k]).to_f64(),
             None => self.last_interval,
         };
-        T::narrow(length * self.norm)
+        T::from_f64(length * self.norm)
     }
 
     /// For each sample: its weight, and the transmittance behind it (`T_k (1 - alpha_k)`).
@@ -67,10 +55,10 @@ impl<T: Real> Ray<'_, T> {
         for (k, density) in self.density.iter().enumerate() {
             let optical = *density * self.interval(k);
             let kept = optical.exp_neg();
-            let transmittance = T::narrow(before).exp_neg();
-            let alpha = T::narrow(1.0) - kept;
-            visit(k, (alpha * transmittance).wide(), (kept * transmittance).wide());
-            before += optical.wide();
+            let transmittance = T::from_f64(before).exp_neg();
+            let alpha = T::from_f64(1.0) - kept;
+            visit(k, (alpha * transmittance).to_f64(), (kept * transmittance).to_f64());
+            before += optical.to_f64();
         }
     }
 }
@@ -94,7 +82,7 @@ impl Scan {
     fn forward<T: Real>(&self, rgb: &[T], density: &[T], t_vals: &[T]) -> Vec<T> {
         let rays = self.direction_norm.len();
         let samples = density.len().checked_div(rays).unwrap_or(0);
-        let mut out = vec![T::narrow(0.0); rays * (5 + samples)];
+        let mut out = vec![T::from_f64(0.0); rays * (5 + samples)];
         let (colours, rest) = out.split_at_mut(3 * rays);
         let (depths, rest) = rest.split_at_mut(rays);
         let (accs, weights) = rest.split_at_mut(rays);
@@ -103,18 +91,18 @@ impl Scan {
             let (mut colour, mut depth, mut acc) = ([0f64; 3], 0.0, 0.0);
             let weights = &mut weights[i * samples..][..samples];
             ray.scan(|k, weight, _| {
-                weights[k] = T::narrow(weight);
+                weights[k] = T::from_f64(weight);
                 for (sum, c) in colour.iter_mut().zip(&ray.rgb[3 * k..3 * k + 3]) {
-                    *sum += weight * c.wide();
+                    *sum += weight * c.to_f64();
                 }
-                depth += weight * ray.t_vals[k].wide();
+                depth += weight * ray.t_vals[k].to_f64();
                 acc += weight;
             });
             for (out, (sum, fill)) in colours[3 * i..][..3].iter_mut().zip(colour.into_iter().zip(self.fill())) {
-                *out = T::narrow(sum + (1.0 - acc) * fill);
+                *out = T::from_f64(sum + (1.0 - acc) * fill);
             }
-            depths[i] = T::narrow(depth);
-            accs[i] = T::narrow(acc);
+            depths[i] = T::from_f64(depth);
+            accs[i] = T::from_f64(acc);
         }
         out
     }
@@ -127,45 +115,38 @@ impl Scan {
         let (g_colours, rest) = gradient.split_at(3 * rays);
         let (g_depths, rest) = rest.split_at(rays);
         let (g_accs, g_weights) = rest.split_at(rays);
-        let zeros = |n: usize| vec![T::narrow(0.0); n];
+        let zeros = |n: usize| vec![T::from_f64(0.0); n];
         let mut out = [zeros(rgb.len()), zeros(density.len()), zeros(t_vals.len())];
         let [d_rgb, d_density, d_t] = &mut out;
         let (mut weights, mut behind) = (vec![0f64; samples], vec![0f64; samples]);
         for i in 0..rays {
             let ray = self.ray(i, samples, rgb, density, t_vals);
             ray.scan(|k, weight, after| (weights[k], behind[k]) = (weight, after));
-            let g_colour: [f64; 3] = std::array::from_fn(|c| g_colours[3 * i + c].wide());
-            let (g_depth, fill) = (g_depths[i].wide(), self.fill());
-            let g_acc = g_accs[i].wide() - (0..3).map(|c| g_colour[c] * fill[c]).sum::<f64>();
+            let g_colour: [f64; 3] = std::array::from_fn(|c| g_colours[3 * i + c].to_f64());
+            let (g_depth, fill) = (g_depths[i].to_f64(), self.fill());
+            let g_acc = g_accs[i].to_f64() - (0..3).map(|c| g_colour[c] * fill[c]).sum::<f64>();
             let row = i * samples;
             // What the samples behind contribute: nothing behind the last.
             let mut later = 0.0;
             for k in (0..samples).rev() {
                 let colour = &ray.rgb[3 * k..3 * k + 3];
-                let of_colour: f64 = (0..3).map(|c| g_colour[c] * colour[c].wide()).sum();
-                let g_weight = of_colour + g_depth * ray.t_vals[k].wide() + g_acc + g_weights[row + k].wide();
+                let of_colour: f64 = (0..3).map(|c| g_colour[c] * colour[c].to_f64()).sum();
+                let g_weight = of_colour + g_depth * ray.t_vals[k].to_f64() + g_acc + g_weights[row + k].to_f64();
                 for c in 0..3 {
-                    d_rgb[3 * (row + k) + c] = T::narrow(weights[k] * g_colour[c]);
+                    d_rgb[3 * (row + k) + c] = T::from_f64(weights[k] * g_colour[c]);
                 }
                 let d_optical = g_weight * behind[k] - later;
-                d_density[row + k] = T::narrow(d_optical * ray.interval(k).wide());
-                let d_length = d_optical * ray.density[k].wide() * ray.norm;
-                d_t[row + k] = T::narrow(d_t[row + k].wide() + g_depth * weights[k]);
+                d_density[row + k] = T::from_f64(d_optical * ray.interval(k).to_f64());
+                let d_length = d_optical * ray.density[k].to_f64() * ray.norm;
+                d_t[row + k] = T::from_f64(d_t[row + k].to_f64() + g_depth * weights[k]);
                 if k + 1 < samples {
-                    d_t[row + k] = T::narrow(d_t[row + k].wide() - d_length);
-                    d_t[row + k + 1] = T::narrow(d_t[row + k + 1].wide() + d_length);
+                    d_t[row + k] = T::from_f64(d_t[row + k].to_f64() - d_length);
+                    d_t[row + k + 1] = T::from_f64(d_t[row + k + 1].to_f64() + d_length);
                 }
                 later += g_weight * weights[k];
             }
         }
         out
-    }
-}
-
-fn slice<'a, T>(values: &'a [T], layout: &Layout) -> Result<&'a [T]> {
-    match layout.contiguous_offsets() {
-        Some((start, end)) => Ok(&values[start..end]),
-        None => candle_core::bail!("compositing needs contiguous arguments"),
     }
 }
 
@@ -185,8 +166,11 @@ impl CustomOp3 for Scan {
     ) -> Result<(CpuStorage, Shape)> {
         macro_rules! forward {
             ($kind:ident, $rgb:expr, $density:expr, $t_vals:expr) => {{
-                let (rgb, density, t_vals) =
-                    (slice($rgb, rgb_layout)?, slice($density, density_layout)?, slice($t_vals, t_layout)?);
+                let (rgb, density, t_vals) = (
+                    contiguous($rgb, rgb_layout)?,
+                    contiguous($density, density_layout)?,
+                    contiguous($t_vals, t_layout)?,
+                );
                 let out = self.forward(rgb, density, t_vals);
                 let n = out.len();
                 Ok((CpuStorage::$kind(out), Shape::from(n)))

@@ -377,17 +377,24 @@ impl Trainer {
     pub fn step(&mut self, log: bool) -> Result<StepStats> {
         let whole = self.chunk(self.step)?;
         let ChunkResult { mut gradients, losses, diagnostics } = self.passes(&whole, log)?;
+        let terms = match self.regularize(&self.config.regularizer)? {
+            Some((values, pull)) => {
+                gradients.merge(pull)?;
+                Some(values)
+            }
+            None => None,
+        };
         let (clean_weight, perturbed_weight) = mixing(&self.config);
         let [loss_coarse, loss_fine, loss_perturbed, largest_acc] = losses.read()?;
         let loss_coarse = loss_coarse.expect("every chunk has a coarse pass");
         let clean = loss_coarse + loss_fine.unwrap_or(0.0);
         let mut loss = clean_weight * clean + loss_perturbed.map_or(0.0, |loss| perturbed_weight * loss);
         let mut regularizers = Vec::new();
-        if let Some((values, pull)) = self.regularize(&self.config.regularizer)? {
+        if let Some(values) = terms {
+            let values = values.to_vec1::<f64>()?;
             loss +=
                 self.config.regularizer.terms().zip(&values).map(|((_, weight), value)| weight * value).sum::<f64>();
             regularizers = self.config.regularizer.kind.iter().copied().zip(values).collect();
-            gradients.merge(pull)?;
         }
         let stats = StepStats {
             step: self.step + 1,

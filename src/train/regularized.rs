@@ -1,6 +1,6 @@
 //! The explicit regularizers of a step, and how hard they pull on the weights.
 
-use candle_core::DType;
+use candle_core::{DType, Tensor};
 
 use crate::config::{LatticePoints, REGULARIZERS, RegularizedFields, Regularizer, RegularizerConfig};
 use crate::error::{Error, Result};
@@ -32,15 +32,15 @@ pub(super) fn lattice(config: &RegularizerConfig) -> Lattice {
 }
 
 impl Trainer {
-    /// Values and gradients of the weighted terms at this step; none without terms.
-    pub(super) fn regularize(&self, config: &RegularizerConfig) -> Result<Option<(Vec<f64>, Gradients)>> {
+    /// Unweighted values (f64 `[terms]`) and gradients of the weighted terms at this step; none without terms.
+    pub(super) fn regularize(&self, config: &RegularizerConfig) -> Result<Option<(Tensor, Gradients)>> {
         let terms: Vec<(Regularizer, f64)> = config.terms().collect();
         if terms.is_empty() {
             return Ok(None);
         }
         let lattice = lattice(config);
         let points = Points::draw(config, &lattice, self.config.seed, self.step);
-        let mut values = vec![0.0; terms.len()];
+        let mut values = Tensor::zeros(terms.len(), DType::F64, &self.device)?;
         let mut gradients = Vec::new();
         for (role, field) in self.model.fields() {
             if !self.regularizes(config, role) {
@@ -49,7 +49,7 @@ impl Trainer {
             }
             let Regularized { values: of_field, gradients: its } =
                 regularize(field, &lattice, &points, &terms, (self.dtype, &self.device))?;
-            values.iter_mut().zip(of_field).for_each(|(sum, value)| *sum += value);
+            values = (values + of_field)?;
             gradients.extend(its);
         }
         Ok(Some((values, Gradients(gradients))))

@@ -19,6 +19,7 @@ use candle_core::backend::BackendStorage;
 use candle_core::{CpuStorage, CustomOp3, DType, Device, Layout, Result, Shape, Storage, Tensor, TensorId, Var};
 
 use crate::config::FieldConfig;
+use crate::field::contiguous;
 
 use network::{InputGradients, Inputs, Kept, Prefix, Wanted};
 use slope::Tape;
@@ -181,11 +182,8 @@ impl<'a> Values<'a> {
 }
 
 fn slice<'a>(storage: &'a CpuStorage, layout: &Layout) -> Result<&'a [f32]> {
-    let Some((start, end)) = layout.contiguous_offsets() else {
-        candle_core::bail!("the fused field needs contiguous arguments");
-    };
     match storage {
-        CpuStorage::F32(values) => Ok(&values[start..end]),
+        CpuStorage::F32(values) => contiguous(values, layout),
         other => candle_core::bail!("the fused field is for f32, got {:?}", other.dtype()),
     }
 }

@@ -105,7 +105,6 @@ pub struct Kept {
 }
 
 /// Gradients of a backward pass; what was not wanted is empty.
-#[derive(Default)]
 pub struct InputGradients {
     pub points: Vec<f32>,
     pub viewdirs: Vec<f32>,
