@@ -568,7 +568,9 @@ fn bench_says_what_it_did() {
     assert!((3.0..4.5).contains(&ratio) && work(&tv) > work(&nerf), "{nerf} {aug} {tv}");
     assert!(ask(&["--set", "field.core=plain"])["multiply_adds_per_step"].is_null());
     refuse(&bench(&["--set", "field.width=32"]), 2, &["field.width", "a flag of its own"]);
-    for (flag, value) in [("--rays", "0"), ("--coarse", "1"), ("--width", "1"), ("--width", "9999999"), ("--steps", "0")] {
+    for (flag, value) in
+        [("--rays", "0"), ("--coarse", "1"), ("--width", "1"), ("--width", "9999999"), ("--steps", "0")]
+    {
         refuse(&["bench", flag, value], 2, &[flag, value, "not in"]);
     }
 }
