@@ -89,6 +89,7 @@ pub fn scene() -> Scene {
         ndc: None,
         background: None,
         path: vec![],
+        corrupted: None,
     }
 }
 

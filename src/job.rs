@@ -92,7 +92,7 @@ pub fn locate_scene(config: &mut Config) -> Result<()> {
 /// Locates and loads the scene of a configuration, which is resolved with it.
 pub fn load_scene(config: &mut Config, progress: &dyn Progress) -> Result<Scene> {
     locate_scene(config)?;
-    let mut scene = data::load(&config.data, progress)?;
+    let mut scene = data::load(&config.data, config.seed, progress)?;
     scene.name.clone_from(&config.data.name);
     config.resolve_bounds(scene.near, scene.far);
     Ok(scene)

@@ -81,6 +81,20 @@ impl Random {
         (radius * cos, radius * sin)
     }
 
+    /// Poisson with a moderate mean (under 700), by inversion.
+    pub fn poisson(&mut self, mean: f64) -> u32 {
+        let u = self.uniform();
+        let (mut count, mut probability) = (0, (-mean).exp());
+        let mut below = probability;
+        // Where the terms have run out, rounding alone keeps the sum under u.
+        while u >= below && probability > f64::MIN_POSITIVE {
+            count += 1;
+            probability *= mean / f64::from(count);
+            below += probability;
+        }
+        count
+    }
+
     /// Uniform integer in 0..bound, unbiased (multiply and reject).
     pub fn below(&mut self, bound: u32) -> u32 {
         debug_assert!(bound > 0);

@@ -76,7 +76,7 @@ fn config(dir: &Path) -> DataConfig {
 
 fn try_load(mut config: DataConfig) -> augnerf::error::Result<data::Scene> {
     config.kind = data::detect(&config)?;
-    data::load(&config, &())
+    data::load(&config, 0, &())
 }
 
 /// The message of a scene that must be refused as bad data, which has to hold all `words`.

@@ -552,6 +552,30 @@ fn non_finite_training_stops_with_exit_code_6_and_advice() {
 }
 
 #[test]
+fn corruptions_are_recorded_and_can_be_looked_at() {
+    let dir = TempDir::new().unwrap();
+    let (run, copy) = (dir.path().join("run"), dir.path().join("new/copy"));
+    let shot = ["--set", "data.corruption.kind=shot-noise"];
+    succeed(&tiny(&run, &shot));
+    let report: serde_json::Value = serde_json::from_str(&text(&run.join("metrics.json"))).unwrap();
+    let protocol = &report["protocol"];
+    assert_eq!(protocol["corruption"], "shot-noise 3 (12 photons)");
+    let corrupt =
+        [&["data", "corrupt", copy.to_str().unwrap(), "--quiet", "--set", "data.width=16"][..], &shot].concat();
+    succeed(&corrupt);
+    let note: serde_json::Value = serde_json::from_str(&text(&copy.join("corruption.json"))).unwrap();
+    assert_eq!(note["corruption_hash"], protocol["corruption_hash"], "the copy is what was trained on");
+    assert_eq!(note["data_hash"], protocol["data_hash"]);
+    let views = text(&copy.join("views.csv")).lines().count() - 1;
+    assert_eq!(std::fs::read_dir(&copy).unwrap().count(), views + 3, "a picture a view and three files");
+    refuse(&corrupt, 4, &["already holds files"]);
+    let other = dir.path().join("other");
+    let other = ["data", "corrupt", other.to_str().unwrap()];
+    refuse(&other, 2, &["data.corruption.kind", "gaussian-noise, shot-noise, pepper or poses"]);
+    refuse(&[&other[..], &shot, &["--set", "data.corruption.severity=6"]].concat(), 2, &["severity = 6", "1 to 5"]);
+}
+
+#[test]
 fn bench_says_what_it_did() {
     let bench = |more: &[&'static str]| -> Vec<&'static str> {
         let small = "bench --rays 8 --coarse 8 --fine 8 --width 16 --steps 2 --threads 1";

@@ -109,7 +109,7 @@ fn fern_loads_as_a_scene() {
     let mut config = config(&dir, DataKind::Auto, 8);
     config.kind = data::detect(&config).unwrap();
     assert_eq!(config.kind, DataKind::Llff);
-    let scene = data::load(&config, &()).unwrap();
+    let scene = data::load(&config, 0, &()).unwrap();
     let names: Vec<&str> = scene.test.iter().map(|v| v.name.as_str()).collect();
     assert_eq!(names, ["image000", "image008", "image016"]);
     assert_eq!((scene.train.len(), scene.near, scene.far, scene.path.len()), (17, 0.0, 1.0, 120));
@@ -124,11 +124,11 @@ fn fern_loads_as_a_scene() {
     assert!(scene.describe().iter().any(|(label, value)| label == "coordinates" && value == "NDC"));
 
     let bounds = Reference::open("loaders").values("llff.forward.bounds");
-    let world = data::load(&DataConfig { ndc: false, ..config.clone() }, &()).unwrap();
+    let world = data::load(&DataConfig { ndc: false, ..config.clone() }, 0, &()).unwrap();
     let extreme = |pick: fn(f64, f64) -> f64| bounds.iter().copied().reduce(pick).unwrap();
     assert_close("bounds without NDC", &[world.near, world.far], &[0.9 * extreme(f64::min), extreme(f64::max)], POSES);
 
-    let wide = data::load(&DataConfig { width: 252, test_skip: 2, ..config }, &()).unwrap();
+    let wide = data::load(&DataConfig { width: 252, test_skip: 2, ..config }, 0, &()).unwrap();
     assert_eq!((wide.test.len(), wide.train[0].camera.height), (2, 189));
     assert_close("focal at width 252", &[wide.train[0].camera.focal[0]], &[expected[14] / 2.0], FOCAL);
 }
@@ -141,7 +141,7 @@ fn chair_at_half_resolution_is_nerf_pytorchs() {
     config.kind = data::detect(&config).unwrap();
     assert_eq!(config.kind, DataKind::Blender);
     config.test_skip = 40;
-    let scene = data::load(&config, &()).unwrap();
+    let scene = data::load(&config, 0, &()).unwrap();
     let camera = scene.train[0].camera;
     let hwf = [camera.height as f64, camera.width as f64, camera.focal[0]];
     assert_close("hwf", &hwf, &reference.values("blender.half.hwf"), FOCAL);

@@ -1,13 +1,14 @@
 //! `augnerf data`.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use clap::{Args, Subcommand};
 
-use crate::config::{build, parse_assignment};
+use crate::config::{Config, build, parse_assignment};
 use crate::data::builtin::export;
-use crate::error::Result;
-use crate::evaluate::split_name;
+use crate::data::corruption::corrupt;
+use crate::error::{Error, Result};
+use crate::evaluate::{split_name, write_corrupted};
 use crate::job::load_scene;
 
 use super::progress::{Screen, print};
@@ -16,6 +17,9 @@ use super::progress::{Screen, print};
 pub enum DataCommand {
     /// Say what a scene folder holds and how it would be used
     Check(CheckArguments),
+    /// Write the training views as section data.corruption of the settings makes them, to look at
+    #[command(after_help = CORRUPT_EXAMPLES)]
+    Corrupt(CorruptArguments),
     /// Write the embedded scene in Blender format, with exact depth and mesh
     ExportBuiltin(ExportArguments),
 }
@@ -27,6 +31,30 @@ pub struct CheckArguments {
     /// Settings of section data, as in training: --set data.downscale=4
     #[arg(long, value_name = "FIELD=VALUE")]
     set: Vec<String>,
+    /// No progress bar
+    #[arg(long, short)]
+    quiet: bool,
+}
+
+const CORRUPT_EXAMPLES: &str = "Examples:
+  augnerf data corrupt noisy --data fern --set data.corruption.kind=gaussian-noise --set data.corruption.severity=3
+  augnerf data corrupt moved --data fern --set data.corruption.kind=poses --seed 1    pictures as they are, views.csv says what moved
+
+Training with the same settings and seed sees these bytes; held-out views are never touched.";
+
+#[derive(Args)]
+pub struct CorruptArguments {
+    /// New or empty folder
+    dir: PathBuf,
+    /// Scene folder [default: the embedded scene]
+    #[arg(long, value_name = "DIR")]
+    data: Option<PathBuf>,
+    /// Settings of section data, as in training
+    #[arg(long, value_name = "FIELD=VALUE")]
+    set: Vec<String>,
+    /// Seed of the run whose training views these are
+    #[arg(long, value_name = "N", default_value_t = 0, value_parser = clap::value_parser!(u64).range(..=i64::MAX as u64))]
+    seed: u64,
     /// No progress bar
     #[arg(long, short)]
     quiet: bool,
@@ -45,6 +73,7 @@ impl DataCommand {
     pub fn run(self) -> Result<()> {
         match self {
             DataCommand::Check(arguments) => arguments.run(),
+            DataCommand::Corrupt(arguments) => arguments.run(),
             DataCommand::ExportBuiltin(arguments) => {
                 let exported = export::export(&arguments.dir, arguments.width)?;
                 print(&format!(
@@ -60,14 +89,37 @@ impl DataCommand {
     }
 }
 
+/// The defaults with settings over them, for the scene in `dir`.
+fn config_of(dir: Option<&Path>, set: &[String]) -> Result<Config> {
+    let mut assignments = set.iter().map(|text| parse_assignment(text)).collect::<Result<Vec<_>>>()?;
+    if let Some(dir) = dir {
+        let dir = toml::Value::String(dir.to_string_lossy().into_owned());
+        assignments.push((vec!["data".into(), "dir".into()], dir));
+    }
+    build(None, None, &assignments)
+}
+
+impl CorruptArguments {
+    fn run(self) -> Result<()> {
+        let mut config = config_of(self.data.as_deref(), &self.set)?;
+        if !config.data.corruption.is_on() {
+            let message =
+                "nothing would be corrupted: --set data.corruption.kind to gaussian-noise, shot-noise, pepper or poses";
+            return Err(Error::Config(message.into()));
+        }
+        let corruption = std::mem::take(&mut config.data.corruption);
+        let clean = load_scene(&mut config, &Screen::new(self.quiet))?;
+        let mut corrupted = clean.clone();
+        corrupt(&mut corrupted, &corruption, self.seed)?;
+        write_corrupted(&self.dir, &clean, &corrupted, self.seed)?;
+        print(&format!("{}: {} training views", self.dir.display(), corrupted.train.len()));
+        Ok(())
+    }
+}
+
 impl CheckArguments {
     fn run(self) -> Result<()> {
-        let mut assignments = self.set.iter().map(|text| parse_assignment(text)).collect::<Result<Vec<_>>>()?;
-        if let Some(dir) = &self.dir {
-            let dir = toml::Value::String(dir.to_string_lossy().into_owned());
-            assignments.push((vec!["data".into(), "dir".into()], dir));
-        }
-        let mut config = build(None, None, &assignments)?;
+        let mut config = config_of(self.dir.as_deref(), &self.set)?;
         let scene = load_scene(&mut config, &Screen::new(self.quiet))?;
         let split = ("split".to_string(), split_name(&config));
         for (label, value) in scene.describe().into_iter().chain([split]) {

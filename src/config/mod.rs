@@ -7,11 +7,13 @@
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 
+mod corruption;
 mod layers;
 mod perturb;
 mod regularizer;
 mod validate;
 
+pub use corruption::{CorruptionConfig, CorruptionKind};
 pub use layers::{Preset, build, data_section, parse_assignment};
 pub use perturb::{
     Attack, DeltaConfig, LEVELS, Level, Norm, Objective, OutputPlace, Passes, PerturbConfig, PerturbField, PerturbKind,
@@ -178,6 +180,8 @@ pub struct DataConfig {
     pub far: Option<f64>,
     /// Where in a pixel its ray goes through.
     pub pixel_origin: PixelOrigin,
+    /// What is done to the training views.
+    pub corruption: CorruptionConfig,
 }
 
 impl Default for DataConfig {
@@ -199,6 +203,7 @@ impl Default for DataConfig {
             near: None,
             far: None,
             pixel_origin: PixelOrigin::Corner,
+            corruption: CorruptionConfig::default(),
         }
     }
 }
@@ -416,6 +421,7 @@ impl Config {
         self.train.decay_steps.get_or_insert(if forward { 250_000 } else { 500_000 });
         self.train.precrop_steps.get_or_insert(if batching == Batching::OneImage { 500 } else { 0 });
         self.regularizer.resolve();
+        self.data.corruption.resolve();
     }
 
     /// Fills the fields whose default depends on the scene's bounds (in the units of `t_vals`).
@@ -447,7 +453,15 @@ impl Config {
             portable.perturb = PerturbConfig::default();
         }
         portable.regularizer.resolve();
-        short_hash(Sha256::new_with_prefix(portable.to_toml()))
+        portable.data.corruption.resolve();
+        let mut table = toml::Table::try_from(&portable).expect("a configuration is plain data");
+        // Without effect, and younger than runs whose hash is to stay.
+        if let Some(data) = table["data"].as_table_mut()
+            && !self.data.corruption.is_on()
+        {
+            data.remove("corruption");
+        }
+        short_hash(Sha256::new_with_prefix(table.to_string()))
     }
 }
 

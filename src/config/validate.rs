@@ -2,8 +2,8 @@
 //! allowed.
 
 use super::{
-    Attack, Config, DataKind, EvalSplit, LEVELS, LatticePoints, Level, Method, Norm, PerturbField, PerturbKind,
-    RegularizerConfig, StepUnit,
+    Attack, Config, CorruptionConfig, DataKind, EvalSplit, LEVELS, LatticePoints, Level, Method, Norm, PerturbField,
+    PerturbKind, RegularizerConfig, StepUnit,
 };
 use crate::error::{Error, Result};
 
@@ -102,6 +102,7 @@ impl Config {
                     .into(),
             ));
         }
+        self.validate_corruption()?;
         for (name, bound) in [("data.near", data.near), ("data.far", data.far)] {
             if let Some(bound) = bound {
                 require(bound.is_finite() && bound >= 0.0, name, bound, "a finite distance of at least 0")?;
@@ -111,6 +112,15 @@ impl Config {
             require(near < far, "data.far", far, &format!("beyond data.near = {near}"))?;
         }
         Ok(())
+    }
+
+    fn validate_corruption(&self) -> Result<()> {
+        let CorruptionConfig { severity, share, degrees, offset, .. } = self.data.corruption;
+        require((1..=5).contains(&severity), "data.corruption.severity", severity, "1 to 5, as in ImageNet-C")?;
+        require((0.0..=10.0).contains(&share), "data.corruption.share", share, "0 to 10 draws a pixel")?;
+        require((0.0..=180.0).contains(&degrees), "data.corruption.degrees", degrees, "0 to 180")?;
+        let allowed = "0 or more scene units";
+        require(offset.is_finite() && offset >= 0.0, "data.corruption.offset", offset, allowed)
     }
 
     fn validate_field(&self) -> Result<()> {

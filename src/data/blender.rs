@@ -45,6 +45,7 @@ pub fn load(config: &DataConfig, progress: &dyn Progress) -> Result<Scene> {
         name: name_of(config),
         kind: "blender",
         path: orbit().into_iter().map(|pose| Camera { pose, ..camera }).collect(),
+        corrupted: None,
         train: train.views(config, camera, "reading train images", progress)?,
         test: {
             let camera = test.camera(size, target);

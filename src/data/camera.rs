@@ -29,6 +29,12 @@ pub struct Ndc {
 }
 
 impl Camera {
+    /// Every ray of the view goes towards -z, as NDC needs.
+    pub fn faces_forward(&self) -> bool {
+        let corners = [(0.0, 0.0), (1.0, 0.0), (0.0, 1.0), (1.0, 1.0)];
+        corners.into_iter().all(|(x, y)| self.ray(x * self.width as f64, y * self.height as f64).1[2] < -1e-3)
+    }
+
     /// The world ray through pixel coordinates (`x`, `y`): origin and direction with unit
     /// z-component in the camera frame, so that `t` is depth along the view axis.
     pub fn ray(&self, x: f64, y: f64) -> ([f64; 3], [f64; 3]) {

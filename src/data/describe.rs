@@ -24,6 +24,8 @@ impl Scene {
         row("coordinates", if self.ndc.is_some() { "NDC" } else { "world" }.into());
         row("background", self.background.map_or("none (opaque photographs)".into(), |c| format!("{c:?}")));
         row("exact depth", if self.test.iter().any(|v| v.depth.is_some()) { "yes" } else { "no" }.into());
+        let corrupted = self.corrupted.as_ref().map_or("none", |corrupted| &corrupted.what);
+        row("corruption", format!("{corrupted} (training views)"));
         row("video path", format!("{} cameras", self.path.len()));
         rows
     }

@@ -3,6 +3,7 @@
 pub mod blender;
 pub mod builtin;
 pub mod camera;
+pub mod corruption;
 mod describe;
 mod detect;
 pub mod images;
@@ -16,6 +17,7 @@ pub mod transforms;
 pub mod vector;
 
 pub use camera::{Camera, Ndc};
+pub use corruption::Corrupted;
 pub use detect::detect;
 pub use rays::{RayBuffer, Rays};
 
@@ -89,6 +91,8 @@ pub struct Scene {
     pub background: Option<[f32; 3]>,
     /// Cameras of the scene's usual video path (spiral or orbit), at the working resolution.
     pub path: Vec<Camera>,
+    /// What was done to the training views after they were read.
+    pub corrupted: Option<Corrupted>,
 }
 
 impl Scene {
@@ -114,8 +118,9 @@ impl Scene {
     }
 }
 
-/// Loads the scene that `config` names. Its kind must be settled ([`detect`]) and `downscale` filled.
-pub fn load(config: &DataConfig, progress: &dyn Progress) -> Result<Scene> {
+/// Loads the scene that `config` names. Its kind must be settled ([`detect`]) and `downscale` filled. `seed` is that of
+/// the corruption of training views, where there is one.
+pub fn load(config: &DataConfig, seed: u64, progress: &dyn Progress) -> Result<Scene> {
     let mut scene = match config.kind {
         DataKind::Llff => llff::load(config, progress)?,
         DataKind::Blender => blender::load(config, progress)?,
@@ -128,6 +133,7 @@ pub fn load(config: &DataConfig, progress: &dyn Progress) -> Result<Scene> {
     scene.near = config.near.unwrap_or(scene.near);
     scene.far = config.far.unwrap_or(scene.far);
     check(&scene, config)?;
+    corruption::corrupt(&mut scene, &config.corruption, seed)?;
     Ok(scene)
 }
 

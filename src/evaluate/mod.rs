@@ -15,10 +15,12 @@ use crate::output::{write_atomic, write_json};
 use crate::render::render_rays;
 use crate::train::{AttackSummary, Volume};
 
+mod corruption;
 mod pictures;
 mod protocol;
 mod smoothness;
 
+pub use corruption::write_corrupted;
 pub use pictures::{Pictures, write_path};
 pub use protocol::{PROTOCOL, Protocol, split_name};
 pub use smoothness::SmoothnessReport;

@@ -94,8 +94,12 @@ pub struct Protocol {
     pub redraws: String,
     /// Hash of the resolved configuration.
     pub config_hash: String,
-    /// Hash of everything that was loaded of the scene: poses and pixels of all views.
+    /// Hash of everything that was loaded of the scene: poses and pixels of all views, before any corruption.
     pub data_hash: String,
+    /// What was done to the training views: `gaussian-noise 3 (std 0.18)`; empty where nothing was.
+    pub corruption: Option<String>,
+    /// The same hash after that.
+    pub corruption_hash: Option<String>,
     /// Version of the program.
     pub program: String,
     /// Revision of its code; all of them where several worked on the run.
@@ -164,7 +168,12 @@ impl Protocol {
             seed: config.seed,
             redraws: named.collect::<Vec<String>>().join(", "),
             config_hash: config.hash(),
-            data_hash: scene.hash(),
+            data_hash: match &scene.corrupted {
+                Some(corrupted) => corrupted.clean_hash.clone(),
+                None => scene.hash(),
+            },
+            corruption: scene.corrupted.as_ref().map(|corrupted| corrupted.what.clone()),
+            corruption_hash: scene.corrupted.is_some().then(|| scene.hash()),
             program: version().into(),
             code_revision: state.revisions.join(" + "),
             device: state.devices.join(" + "),

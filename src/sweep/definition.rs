@@ -5,7 +5,7 @@ use std::path::Path;
 use serde::{Deserialize, Serialize};
 use toml::{Table, Value};
 
-use crate::config::DataConfig;
+use crate::config::{CorruptionConfig, DataConfig};
 use crate::error::{Error, Result};
 
 use super::points::Point;
@@ -375,13 +375,18 @@ fn must_match(points: &[Point]) -> Vec<String> {
     let background = varies(|data| format!("{:?}", data.background));
     let ndc = varies(|data| data.ndc.to_string());
     let pixel_origin = varies(|data| format!("{:?}", data.pixel_origin));
-    let data = varies(|data| toml::to_string(&DataConfig { dir: String::new(), ..data.clone() }).expect("plain data"));
+    let corruption = varies(|data| format!("{:?}", data.corruption));
+    let data = varies(|data| {
+        let read = DataConfig { dir: String::new(), corruption: CorruptionConfig::default(), ..data.clone() };
+        toml::to_string(&read).expect("plain data")
+    });
     let of_settings = [
         (size, &["width", "height"][..]),
         (views, &["split", "views_trained", "views_evaluated"]),
         (background, &["background"]),
         (ndc, &["ndc"]),
         (pixel_origin, &["pixel_origin"]),
+        (corruption, &["corruption"]),
         (data, &["data_hash"]),
     ];
     let controlled = of_settings.into_iter().filter(|(varies, _)| !varies).flat_map(|(_, fields)| fields);

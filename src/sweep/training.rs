@@ -57,12 +57,15 @@ impl<'a> Trainings<'a> {
     /// The scene of a configuration, which is resolved with it.
     pub fn scene(&self, config: &mut Config) -> Result<Arc<Scene>> {
         locate_scene(config)?;
-        let key = toml::to_string(&config.data).expect("settings are plain data");
+        // The seed decides how views are corrupted, and nothing else of a scene.
+        let corruption_seed = config.data.corruption.is_on().then_some(config.seed);
+        let data = toml::to_string(&config.data).expect("settings are plain data");
+        let key = format!("{data}{corruption_seed:?}");
         let mut scenes = self.scenes.lock().unwrap_or_else(PoisonError::into_inner);
         let scene = match scenes.iter().position(|(known, _)| *known == key) {
             Some(index) => scenes[index].1.clone(),
             None => {
-                let mut scene = data::load(&config.data, self.reporter.progress())?;
+                let mut scene = data::load(&config.data, config.seed, self.reporter.progress())?;
                 scene.name.clone_from(&config.data.name);
                 if scenes.len() >= SCENES {
                     scenes.remove(0);

@@ -166,6 +166,7 @@ mod tests {
             ndc: None,
             background: None,
             path: vec![],
+            corrupted: None,
         }
     }
 

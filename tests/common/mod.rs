@@ -34,6 +34,7 @@ pub fn tiny_scene() -> Scene {
         ndc: None,
         background: Some([1.0; 3]),
         path: vec![],
+        corrupted: None,
     }
 }
 

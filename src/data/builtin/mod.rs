@@ -73,6 +73,7 @@ fn load_blender(config: &DataConfig) -> Result<Scene> {
         ndc: None,
         background: Some(background),
         path: views::orbit(width),
+        corrupted: None,
     })
 }
 
@@ -96,6 +97,7 @@ fn load_forward(config: &DataConfig) -> Result<Scene> {
         ndc: config.ndc.then_some(ndc),
         background: None,
         path: views::spiral(width),
+        corrupted: None,
     })
 }
 

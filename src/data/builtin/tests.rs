@@ -207,7 +207,7 @@ fn settings_are_honoured() {
     assert_eq!(black.background, Some([0.0; 3]));
     assert_eq!(black.test[0].image.pixels[..3], [0.0; 3]);
     let few = DataConfig { test_skip: 3, near: Some(2.5), far: Some(5.5), ..base.clone() };
-    let few = crate::data::load(&few, &()).unwrap();
+    let few = crate::data::load(&few, 0, &()).unwrap();
     assert_eq!((few.test.len(), few.near, few.far), (3, 2.5, 5.5));
     assert_eq!(few.test[1].name, "r_3");
     let val = load(&DataConfig { eval_split: EvalSplit::Val, ..base.clone() }).unwrap();
@@ -229,7 +229,7 @@ fn settings_that_make_no_scene_are_refused_in_words() {
         (DataConfig { near: Some(7.0), ..config(DataKind::BuiltinBlender, 16) }, "data.near"),
     ];
     for (config, words) in cases {
-        let error = crate::data::load(&config, &()).unwrap_err();
+        let error = crate::data::load(&config, 0, &()).unwrap_err();
         assert!(error.to_string().contains(words), "{error}");
         assert_eq!(error.exit_code(), 2);
     }

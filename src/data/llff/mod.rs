@@ -60,6 +60,7 @@ pub fn load(config: &DataConfig, progress: &dyn Progress) -> Result<Scene> {
         ndc: config.ndc.then_some(ndc),
         background: clear.then(|| background(config)),
         path: path.into_iter().map(|pose| Camera { pose, ..camera }).collect(),
+        corrupted: None,
     })
 }
 
@@ -138,9 +139,7 @@ fn check_size(source: &Source, poses: &Poses, config: &DataConfig, file: &Path) 
 /// NDC is defined only for rays towards -z that start in front of the near plane's far side.
 fn check_facing(cameras: &[Camera], names: &[String], file: &Path) -> Result<()> {
     for (camera, name) in cameras.iter().zip(names) {
-        let corners = [(0.0, 0.0), (1.0, 0.0), (0.0, 1.0), (1.0, 1.0)];
-        let forward = |(x, y): (f64, f64)| camera.ray(x * camera.width as f64, y * camera.height as f64).1[2] < -1e-3;
-        if !corners.into_iter().all(forward) {
+        if !camera.faces_forward() {
             return Err(Error::Data(format!(
                 "{}: view {name} looks away from the scene's -z axis, so its rays have no normalised device \
                  coordinates; set data.ndc=false, and data.spherify=true for a capture from all around",

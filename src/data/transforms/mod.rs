@@ -67,6 +67,7 @@ pub fn load(config: &DataConfig, progress: &dyn Progress) -> Result<Scene> {
         ndc: None,
         background: clear.then(|| background(config)),
         path: path.into_iter().map(|pose| Camera { pose, ..first }).collect(),
+        corrupted: None,
     })
 }
 

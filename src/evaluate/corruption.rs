@@ -1,0 +1,79 @@
+//! Corrupted training views as files, to look at.
+
+use std::path::Path;
+
+use serde::Serialize;
+
+use crate::data::pose::{column, dot, length, sub};
+use crate::data::{Scene, View};
+use crate::error::{Error, Result};
+use crate::metrics::psnr_float;
+use crate::output::{AtomicDir, beside, write_atomic, write_json, write_png8};
+
+/// White pixels between a clean and a corrupted view.
+const GAP: usize = 4;
+
+/// What became of one view.
+#[derive(Debug, Serialize)]
+struct Line<'a> {
+    view: &'a str,
+    /// Of the corrupted view against the clean one, dB; empty where they are equal.
+    psnr: Option<f64>,
+    /// Angle between the viewing directions, degrees.
+    turned: f64,
+    /// Distance between the origins, scene units.
+    moved: f64,
+}
+
+#[derive(Serialize)]
+struct Note<'a> {
+    scene: &'a str,
+    corruption: &'a str,
+    seed: u64,
+    data_hash: &'a str,
+    corruption_hash: String,
+}
+
+/// Writes the new folder `dir`: a PNG a training view, `beside.png` (the first clean and corrupted), `views.csv` (what
+/// became of each) and `corruption.json`. Both scenes have the same views, `corrupted` after
+/// [`corrupt`](crate::data::corruption::corrupt) with `seed`.
+///
+/// # Errors
+/// A folder that holds files; one that cannot be written.
+pub fn write_corrupted(dir: &Path, clean: &Scene, corrupted: &Scene, seed: u64) -> Result<()> {
+    let what = corrupted.corrupted.as_ref().expect("the scene is corrupted");
+    if dir.read_dir().is_ok_and(|mut entries| entries.next().is_some()) {
+        return Err(Error::Output(format!("{} already holds files: name a new or an empty folder", dir.display())));
+    }
+    let parent = dir.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    std::fs::create_dir_all(parent).map_err(|e| Error::unwritable(parent, &e))?;
+    let folder = AtomicDir::new(dir)?;
+    let mut lines = csv::Writer::from_writer(Vec::new());
+    for (before, after) in clean.train.iter().zip(&corrupted.train) {
+        write_png8(&folder.path().join(format!("{}.png", after.name)), &after.image)?;
+        lines.serialize(line(before, after)?).expect("memory holds it");
+    }
+    let (before, after) = (&clean.train[0].image, &corrupted.train[0].image);
+    write_png8(&folder.path().join("beside.png"), &beside(&[before, after], GAP)?)?;
+    write_atomic(&folder.path().join("views.csv"), &lines.into_inner().expect("memory holds it"))?;
+    let note = Note {
+        scene: &clean.name,
+        corruption: &what.what,
+        seed,
+        data_hash: &what.clean_hash,
+        corruption_hash: corrupted.hash(),
+    };
+    write_json(&folder.path().join("corruption.json"), &note)?;
+    folder.commit()
+}
+
+fn line<'a>(before: &View, after: &'a View) -> Result<Line<'a>> {
+    let [a, b] = [before, after].map(|view| &view.camera.pose);
+    let cosine = dot(column(a, 2), column(b, 2)) / (length(column(a, 2)) * length(column(b, 2)));
+    Ok(Line {
+        view: &after.name,
+        psnr: psnr_float(&before.image, &after.image)?,
+        turned: cosine.clamp(-1.0, 1.0).acos().to_degrees(),
+        moved: length(sub(column(a, 3), column(b, 3))),
+    })
+}
