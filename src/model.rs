@@ -2,7 +2,7 @@
 
 use candle_core::{DType, Device, Tensor, Var};
 
-use crate::config::{Config, Method, PerturbField};
+use crate::config::{Config, PerturbField};
 use crate::error::Result;
 use crate::field::Field;
 
@@ -11,8 +11,10 @@ use crate::field::Field;
 pub struct Model {
     /// Places samples, and is the whole model where there is no fine field.
     pub coarse: Field,
-    /// Rendered and evaluated.
-    pub fine: Option<Field>,
+    /// Rendered and evaluated, where there are two.
+    fine: Option<Field>,
+    /// The coarse field renders the fine pass, too (MipNeRF).
+    one: bool,
     /// The perturbed pass's own field (`perturb.field = "separate"`); never evaluated.
     pub adversarial: Option<Field>,
 }
@@ -33,10 +35,10 @@ impl Model {
     /// `fine`, `adversarial`.
     pub fn roles(config: &Config) -> Vec<&'static str> {
         let mut roles = vec!["coarse"];
-        if config.sampling.fine > 0 {
+        if config.sampling.fine > 0 && !config.method.is_mip() {
             roles.push("fine");
         }
-        if config.method == Method::AugNerf && config.perturb.field == PerturbField::Separate {
+        if config.method.is_augmented() && config.perturb.field == PerturbField::Separate {
             roles.push("adversarial");
         }
         roles
@@ -61,8 +63,14 @@ impl Model {
         Model {
             coarse: fields.remove("coarse").expect("there is always a coarse field"),
             fine: fields.remove("fine"),
+            one: config.method.is_mip() && config.sampling.fine > 0,
             adversarial: fields.remove("adversarial"),
         }
+    }
+
+    /// The field of the fine pass; none where there is no such pass.
+    pub fn fine(&self) -> Option<&Field> {
+        self.fine.as_ref().or(self.one.then_some(&self.coarse))
     }
 
     /// The fields with their names, in the fixed order.
@@ -87,6 +95,7 @@ impl Model {
         Ok(Model {
             coarse: change(&self.coarse)?,
             fine: optional(&self.fine)?,
+            one: self.one,
             adversarial: optional(&self.adversarial)?,
         })
     }

@@ -46,6 +46,40 @@ pub fn importance(t_vals: &Tensor, weights: &Tensor, u: &Tensor) -> Result<Tenso
     }
 }
 
+/// MipNeRF's fine pass: `fine + 1` new edges of intervals `[rays, fine + 1]`, drawn from the blurred weights of the coarse
+/// intervals. `edges` `[rays, coarse + 1]`, `weights` `[rays, coarse]`, `u` `[rays, fine + 1]` in 0..=1, sorted. A
+/// weight becomes the mean of the larger of itself and either neighbour, plus `padding` (Barron et al. 2021, equation 18).
+pub fn resample_intervals(edges: &Tensor, weights: &Tensor, u: &Tensor, padding: f64) -> Result<Tensor> {
+    // Few numbers a ray: where they are on an accelerator they come here and go back.
+    let (rays, coarse) = weights.dims2()?;
+    let (_, new) = u.dims2()?;
+    let (t, w, u) = (host_rows(edges)?, host_rows(weights)?, host_rows(u)?);
+    let mut drawn = vec![0f64; rays * new];
+    for (ray, out) in drawn.chunks_mut(new).enumerate() {
+        let blurred = blur(&w[ray * coarse..][..coarse], padding);
+        let cdf = cumulative(&blurred);
+        invert(&t[ray * (coarse + 1)..][..coarse + 1], &cdf, &u[ray * new..][..new], f64::MIN_POSITIVE, out);
+        // Two edges in one place may have changed places by a rounding.
+        out.sort_unstable_by(f64::total_cmp);
+    }
+    Ok(Tensor::from_vec(drawn, (rays, new), edges.device())?.to_dtype(edges.dtype())?)
+}
+
+fn blur(weights: &[f64], padding: f64) -> Vec<f64> {
+    let larger = |a: f64, b: f64| if a.is_nan() || a > b { a } else { b };
+    let at = |i: usize| weights[i.min(weights.len() - 1)];
+    let of = |i: usize| 0.5 * (larger(at(i.saturating_sub(1)), at(i)) + larger(at(i), at(i + 1))) + padding;
+    (0..weights.len()).map(of).collect()
+}
+
+/// One sorted u in each of `count` equal parts of 0..1, from `u [rays, count]` uniform in 0..1.
+pub fn stratified_u(u: &Tensor) -> Result<Tensor> {
+    let (_, count) = u.dims2()?;
+    let lower: Vec<f64> = (0..count).map(|i| i as f64 / count as f64).collect();
+    let lower = Tensor::from_vec(lower, (1, count), u.device())?.to_dtype(u.dtype())?;
+    Ok((u / count as f64)?.broadcast_add(&lower)?)
+}
+
 fn importance_on_host(t_vals: &Tensor, weights: &Tensor, u: &Tensor) -> Result<Tensor> {
     let (rays, coarse) = t_vals.dims2()?;
     let (_, fine) = u.dims2()?;
@@ -102,20 +136,32 @@ const FLOOR: f64 = 1e-5;
 /// define on the edges `bins`. A bin with a share under 1e-5 counts as of width 1, as in the
 /// original implementation: its u all but never occur and map next to the lower edge.
 pub fn inverse_cdf(bins: &[f64], weights: &[f64], u: &[f64], out: &mut [f64]) {
-    let total: f64 = weights.iter().map(|w| w + FLOOR).sum();
-    let mut cdf = Vec::with_capacity(bins.len());
+    let floored: Vec<f64> = weights.iter().map(|w| w + FLOOR).collect();
+    invert(bins, &cumulative(&floored), u, FLOOR, out);
+}
+
+/// The CDF of weights, from 0 to 1 on the edges of their bins.
+fn cumulative(weights: &[f64]) -> Vec<f64> {
+    let total: f64 = weights.iter().sum();
+    let mut cdf = Vec::with_capacity(weights.len() + 1);
     let mut sum = 0.0;
     cdf.push(0.0);
     for w in weights {
-        sum += (w + FLOOR) / total;
+        sum += w / total;
         cdf.push(sum);
     }
+    cdf
+}
+
+/// Maps `u` through the inverse of a CDF given on the edges `bins`; a bin with a share under `narrowest` counts as of
+/// width 1.
+fn invert(bins: &[f64], cdf: &[f64], u: &[f64], narrowest: f64, out: &mut [f64]) {
     let last = cdf.len() - 1;
     for (out, &u) in out.iter_mut().zip(u) {
         let above = cdf.partition_point(|&c| c <= u);
         let (lower, upper) = (above.saturating_sub(1), above.min(last));
         let share = cdf[upper] - cdf[lower];
-        let fraction = (u - cdf[lower]) / if share < FLOOR { 1.0 } else { share };
+        let fraction = (u - cdf[lower]) / if share < narrowest { 1.0 } else { share };
         *out = bins[lower] + fraction * (bins[upper] - bins[lower]);
     }
 }
@@ -138,6 +184,41 @@ mod tests {
         assert!(t[1].iter().zip([2.5, 3.5, 4.5, 5.0]).all(|(a, b)| (a - b).abs() < 2e-3 && *a < b));
         let still = stratified(2.0, 5.0, 1, 4, None, &like).unwrap().to_vec2::<f64>().unwrap();
         assert_eq!(still[0], [2.0, 3.0, 4.0, 5.0]);
+    }
+
+    /// Weights blurred, padded and inverted by hand, one u at a time along the piecewise-linear CDF.
+    #[test]
+    fn intervals_are_drawn_from_blurred_weights() {
+        let edges = [1.0, 1.5, 3.0, 3.5, 6.0];
+        let weights = [0.2, 0.0, 0.7, 0.1];
+        // Means of the larger of each weight and its left, and its right neighbour.
+        let blurred = [0.2, 0.45, 0.7, 0.4].map(|w| w + 0.01);
+        let total: f64 = blurred.iter().sum();
+        let u = [0.0, 0.05, 0.3, 0.31, 0.77, 1.0];
+        let expected = u.map(|u| {
+            let mut below = 0.0;
+            for (i, w) in blurred.iter().enumerate() {
+                let share = w / total;
+                if u <= below + share {
+                    return edges[i] + (u - below) / share * (edges[i + 1] - edges[i]);
+                }
+                below += share;
+            }
+            edges[4]
+        });
+        let tensor = |values: &[f64]| Tensor::new(values, &Device::Cpu).unwrap().unsqueeze(0).unwrap();
+        let found = resample_intervals(&tensor(&edges), &tensor(&weights), &tensor(&u), 0.01).unwrap();
+        for (a, b) in found.to_vec2::<f64>().unwrap()[0].iter().zip(expected) {
+            assert!((a - b).abs() < 1e-9, "{a} {b}");
+        }
+        let nothing = resample_intervals(&tensor(&edges), &tensor(&[0.0; 4]), &tensor(&[0.0, 0.5, 1.0]), 0.01).unwrap();
+        assert_eq!(
+            nothing.to_vec2::<f64>().unwrap()[0],
+            [1.0, 3.0, 6.0],
+            "evenly over intervals where nothing is seen"
+        );
+        let even = stratified_u(&tensor(&[0.5, 0.0, 0.999])).unwrap().to_vec2::<f64>().unwrap().remove(0);
+        assert!(even[0] == 0.5 / 3.0 && even[1] == 1.0 / 3.0 && even[2] < 1.0, "{even:?}");
     }
 
     #[test]

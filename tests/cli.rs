@@ -266,9 +266,13 @@ fn balance_prints_a_grid_of_weights() {
 
 #[test]
 fn killed_and_resumed_equals_not_having_stopped() {
+    ["aug-nerf", "aug-mip-nerf"].into_iter().for_each(killed_and_resumed);
+}
+
+fn killed_and_resumed(method: &str) {
     let dir = TempDir::new().unwrap();
     let straight = dir.path().join("straight");
-    let further = ["--method", "aug-nerf", "--set", "train.steps=120", "--set", "train.eval_every=40"];
+    let further = ["--method", method, "--set", "train.steps=120", "--set", "train.eval_every=40"];
     succeed(&tiny(&straight, &further));
     let killed = dir.path().join("killed");
     let mut child = start(&tiny(&killed, &further));
@@ -549,6 +553,29 @@ fn non_finite_training_stops_with_exit_code_6_and_advice() {
     let dir = TempDir::new().unwrap();
     let out = dir.path().join("run");
     refuse(&tiny(&out, &["--set", "train.learning_rate=1e30"]), 6, &["step", "train.learning_rate"]);
+}
+
+#[test]
+fn mip_nerf_runs_and_says_what_it_is_not_for() {
+    let dir = TempDir::new().unwrap();
+    let whole = dir.path().join("whole");
+    succeed(&tiny(&whole, &["--method", "aug-mip-nerf"]));
+    let config = text(&whole.join("config.toml"));
+    for line in
+        ["encoding = \"integrated\"", "position_octaves = 16", "schedule = \"log-linear\"", "coarse_weight = 0.1"]
+    {
+        assert!(config.contains(line), "{line} is not in {config}");
+    }
+    refuse(&["measure", whole.to_str().unwrap()], 2, &["MipNeRF", "Gaussians"]);
+    let out = dir.path().join("refused");
+    let mip = ["--method", "mip-nerf", "--set"];
+    refuse(
+        &tiny(&out, &[&mip[..], &["regularizer.kind=tv"]].concat()),
+        2,
+        &["regularizer.kind", "mip-nerf", "Gaussians"],
+    );
+    refuse(&tiny(&out, &[&mip[..], &["field.encoding=positional"]].concat()), 2, &["field.encoding", "positional"]);
+    refuse(&tiny(&out, &["--set", "field.encoding=integrated"]), 2, &["field.encoding", "method nerf"]);
 }
 
 #[test]

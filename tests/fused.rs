@@ -1,6 +1,6 @@
 //! The fused field against the plain one: outputs, every gradient, odd sizes, NaN. (Threads: tests/cli.rs.)
 
-use augnerf::config::{Core, FieldConfig};
+use augnerf::config::{Core, Encoding, FieldConfig};
 use augnerf::field::{FeatureDelta, Field};
 use augnerf::rng::{Random, Stream};
 use candle_core::{DType, Device, Tensor, Var};
@@ -65,7 +65,17 @@ fn ask(case: &Case, field: &Field, dtype: DType, frozen: bool) -> Found {
         let single = random(case.seed, index, shape).to_dtype(DType::F32).unwrap();
         Var::from_tensor(&single.to_dtype(dtype).unwrap()).unwrap()
     };
-    let (points, viewdirs) = (input(0, &[n, 3]), input(1, &[case.rays, 3]));
+    let points = match case.field.encoding {
+        Encoding::Positional => input(0, &[n, 3]),
+        Encoding::Integrated => {
+            // Variances from 1e-6 to 1.
+            let variance = (random(case.seed, 6, &[n, 3]) * 7.0).unwrap().exp().unwrap().affine(1e-3, 0.0).unwrap();
+            let gaussians = Tensor::cat(&[random(case.seed, 0, &[n, 3]), variance], 1).unwrap();
+            let single = gaussians.to_dtype(DType::F32).unwrap().to_dtype(dtype).unwrap();
+            Var::from_tensor(&single).unwrap()
+        }
+    };
+    let viewdirs = input(1, &[case.rays, 3]);
     let delta = input(2, &[n, case.field.width]);
     let recording = if frozen { field.frozen().unwrap() } else { field.recording().unwrap() };
     let at = (case.layer > 0).then(|| FeatureDelta { layer: case.layer, delta: delta.as_tensor() });
@@ -213,6 +223,24 @@ fn a_remembered_trunk_changes_nothing() {
             assert_eq!(ask(&searching, true), ask(&plain, true), "layer {layer}");
             assert_eq!(ask(&searching, false), ask(&plain, false), "without a delta");
         }
+    }
+}
+
+/// A field that is asked at Gaussians (MipNeRF), across tiles and with the feature delta.
+#[test]
+fn integrated_encoding() {
+    for (samples, layer) in [(1, 0), (5, 2), (400, 4)] {
+        let field_config =
+            FieldConfig { encoding: Encoding::Integrated, position_octaves: 16, ..FieldConfig::default() };
+        let case = Case { field: field_config, samples, layer, ..paper() };
+        let exact = ask(&case, &field(&case, Core::Plain, DType::F64), DType::F64, false);
+        let fused = ask(&case, &field(&case, Core::Fused, DType::F32), DType::F32, false);
+        assert_eq!(fused.inputs[0].dims(), [3 * samples, 6]);
+        assert_close("outputs", &fused.outputs, &exact.outputs, 1e-5);
+        assert_close("weights", &fused.weights, &exact.weights, 1e-3);
+        assert_close("inputs", &fused.inputs, &exact.inputs, 1e-3);
+        let frozen = ask(&case, &field(&case, Core::Fused, DType::F32), DType::F32, true);
+        assert_eq!(flat(&frozen.inputs[0]), flat(&fused.inputs[0]));
     }
 }
 

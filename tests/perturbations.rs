@@ -23,8 +23,8 @@ fn geometry<'a>(
     width: usize,
     pixel: PixelScale,
 ) -> PassGeometry<'a> {
-    let coarse_samples = t_vals.dims()[1];
-    PassGeometry { is_coarse: true, t_vals, direction_norm, bounds, coarse_samples, width, pixel }
+    let samples = t_vals.dims()[1];
+    PassGeometry { is_coarse: true, t_vals, samples, direction_norm, bounds, coarse_samples: samples, width, pixel }
 }
 
 /// A pass of a small f64 field: all that a loss of the deltas needs.
@@ -40,7 +40,16 @@ struct Setting {
 
 impl Setting {
     fn new(seed: u64, rays: usize, samples: usize, change: impl FnOnce(&mut PerturbConfig)) -> Setting {
-        let config = tiny_config(Method::AugNerf, |config| {
+        Setting::of(Method::AugNerf, seed, (rays, samples), change)
+    }
+
+    fn of(
+        method: Method,
+        seed: u64,
+        (rays, samples): (usize, usize),
+        change: impl FnOnce(&mut PerturbConfig),
+    ) -> Setting {
+        let config = tiny_config(method, |config| {
             // Large enough that f64 differences see them.
             config.perturb.feature.epsilon = Some(0.05);
             config.perturb.rgb.epsilon = Some(0.03);
@@ -52,13 +61,15 @@ impl Setting {
         let pixels: Vec<_> = (0..rays).map(|_| (&scene.train[0].camera, random.below(16), random.below(16))).collect();
         let rays = RayBuffer::new(&pixels, None, Default::default()).to_tensors(DType::F64, &CPU).unwrap();
         let draw = |random: &mut Random, shape: &[usize]| random.uniform_tensor(shape, DType::F64, &CPU).unwrap();
-        let jitter = draw(&mut random, &[rays.len(), samples]);
-        let t_vals = sampling::stratified(2.0, 6.0, rays.len(), samples, Some(&jitter), &rays.origins).unwrap();
+        let columns = samples + usize::from(method.is_mip());
+        let jitter = draw(&mut random, &[rays.len(), columns]);
+        let t_vals = sampling::stratified(2.0, 6.0, rays.len(), columns, Some(&jitter), &rays.origins).unwrap();
         let noise = draw(&mut random, &[rays.len(), samples]);
         let target = draw(&mut random, &[rays.len(), 3]);
         let pixel = PixelScale { width: 16.0, height: 16.0, focal: 20.0, ndc: false };
         let norm = &rays.direction_norm;
-        let sets = Sets::new(&config.perturb, &geometry(&t_vals, norm, (2.0, 6.0), 16, pixel)).unwrap();
+        let geometry = PassGeometry { samples, ..geometry(&t_vals, norm, (2.0, 6.0), 16, pixel) };
+        let sets = Sets::new(&config.perturb, &geometry).unwrap();
         let field = Field::init(&config.field, seed, 0, DType::F64, &CPU).unwrap();
         Setting { field, rays, t_vals, noise, target, sets, config: config.perturb }
     }
@@ -69,7 +80,7 @@ impl Setting {
             t_vals: &self.t_vals,
             density_noise: Some(&self.noise),
             background: Some([1.0; 3]),
-            points: None,
+            positions: None,
         }
     }
 
@@ -122,8 +133,9 @@ const H: f64 = 1e-6;
 
 #[test]
 fn loss_gradients_in_every_delta_equal_finite_differences() {
-    for output in [OutputPlace::After, OutputPlace::Before] {
-        let setting = Setting::new(1, 4, 6, |config| config.output = output);
+    let methods = [Method::AugNerf, Method::AugMipNerf];
+    for (output, method) in [OutputPlace::After, OutputPlace::Before].into_iter().zip(methods) {
+        let setting = Setting::of(method, 1, (4, 6), |config| config.output = output);
         // Half-size deltas: away from the bounds of their sets.
         let mut deltas = setting.draw(0);
         for level in LEVELS {
@@ -155,14 +167,18 @@ fn loss_gradients_in_every_delta_equal_finite_differences() {
             };
             let step = (gradient.len() / 24).max(1);
             let pairs = (0..gradient.len()).step_by(step).filter(free).map(|i| (gradient[i], difference(i)));
-            compare(&format!("{output:?} {}", level.name()), pairs.collect());
+            compare(&format!("{method:?} {output:?} {}", level.name()), pairs.collect());
         }
     }
 }
 
 #[test]
 fn loss_gradients_in_weights_equal_finite_differences() {
-    let setting = Setting::new(1, 4, 6, |_| {});
+    [Method::AugNerf, Method::AugMipNerf].into_iter().for_each(weights_equal_finite_differences);
+}
+
+fn weights_equal_finite_differences(method: Method) {
+    let setting = Setting::of(method, 1, (4, 6), |_| {});
     let deltas = setting.search(setting.draw(0));
     let gradients = setting.loss(&deltas).0.backward().unwrap();
     for (name, var) in setting.field.variables() {
@@ -185,7 +201,11 @@ fn loss_gradients_in_weights_equal_finite_differences() {
 
 #[test]
 fn epsilon_zero_is_the_clean_pass_exactly() {
-    let setting = Setting::new(2, 5, 7, |config| {
+    [Method::AugNerf, Method::AugMipNerf].into_iter().for_each(epsilon_zero_is_clean);
+}
+
+fn epsilon_zero_is_clean(method: Method) {
+    let setting = Setting::of(method, 2, (5, 7), |config| {
         for level in LEVELS {
             config.delta_mut(level).epsilon = Some(0.0);
         }
@@ -215,7 +235,8 @@ fn assert_legal(setting: &Setting, deltas: &Deltas) -> Result<(), TestCaseError>
         prop_assert!(excess <= rounding, "{} exceeds its radius by {excess:e}", level.name());
     }
     let flat = |t: &Tensor| t.flatten_all().unwrap().to_vec1::<f64>().unwrap();
-    prop_assert!(flat(&out.rgb).iter().all(|c| (0.0..=1.0).contains(c)));
+    let padding = setting.field.config().rgb_padding;
+    prop_assert!(flat(&out.rgb).iter().all(|c| (-padding..=1.0 + padding).contains(c)));
     prop_assert!(flat(&out.density).iter().all(|d| *d >= 0.0));
     let t_vals = (&setting.t_vals + out.used.get(Level::T).unwrap()).unwrap().to_vec2::<f64>().unwrap();
     for ray in t_vals {
@@ -236,8 +257,10 @@ proptest! {
         step_size in 1e-6f64..10.0,
         steps in 0usize..4,
         l2 in any::<bool>(),
+        mip in any::<bool>(),
     ) {
-        let setting = Setting::new(seed, 3, 5, |config| {
+        let method = if mip { Method::AugMipNerf } else { Method::AugNerf };
+        let setting = Setting::of(method, seed, (3, 5), |config| {
             for level in LEVELS {
                 let delta = config.delta_mut(level);
                 (delta.epsilon, delta.step_size, delta.steps) = (Some(epsilon), Some(step_size), Some(steps));

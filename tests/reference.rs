@@ -5,7 +5,7 @@
 use std::collections::HashMap;
 
 use augnerf::config::{FieldConfig, LEVELS, Level, Norm, OutputPlace, PerturbConfig};
-use augnerf::data::Rays;
+use augnerf::data::{Footprint, Rays};
 use augnerf::field::{Field, encode};
 use augnerf::perturbations::{DeltaSet, Deltas, PassGeometry, PixelScale, Sets, StepSizes, worst_case};
 use augnerf::render::{Pass, PassOutput, Perturbation, clean_pass, perturbed_pass, photometric_loss, volume};
@@ -146,8 +146,10 @@ impl Attack {
         let reference = Reference::load("attack");
         let input = |name: &str| reference.get(&format!("in.{name}"));
         let field = reference.field(&width(16), |name| format!("net.{name}"));
-        let rays =
-            Rays::new(input("origins"), input("directions"), input("viewdirs"), input("tangent_u"), input("tangent_w"));
+        let tangents = [input("tangent_u"), input("tangent_w")];
+        let radii = Tensor::zeros((5, 1), DType::F64, &Device::Cpu).unwrap();
+        let footprint = Footprint { radii, cylinders: false };
+        let rays = Rays::new(input("origins"), input("directions"), input("viewdirs"), tangents, footprint);
         let (rays, t_vals, target) = (rays.unwrap(), input("t_vals"), input("target"));
         // Radii and step sizes of attack.json.
         let mut config = PerturbConfig::default();
@@ -165,6 +167,7 @@ impl Attack {
             &PassGeometry {
                 is_coarse: true,
                 t_vals: &t_vals,
+                samples: 7,
                 direction_norm: &rays.direction_norm,
                 bounds: (0.2, 1.8),
                 coarse_samples: 7,
@@ -179,7 +182,7 @@ impl Attack {
     }
 
     fn pass(&self) -> Pass<'_> {
-        Pass { rays: &self.rays, t_vals: &self.t_vals, density_noise: None, background: None, points: None }
+        Pass { rays: &self.rays, t_vals: &self.t_vals, density_noise: None, background: None, positions: None }
     }
 
     fn perturbed(&self, field: &Field, deltas: &Deltas) -> PassOutput {

@@ -25,8 +25,7 @@ fn shape(depth: usize, skips: &[usize], octaves: usize, density_activation: Dens
         position_octaves: octaves,
         view_octaves: 1,
         density_activation,
-        init: augnerf::config::Init::Glorot,
-        core: augnerf::config::Core::Fused,
+        ..FieldConfig::default()
     }
 }
 
@@ -437,7 +436,7 @@ fn regularized(kind: Regularizer, weight: f64, change: impl FnOnce(&mut Regulari
 fn each_term_lowers_what_it_measures() {
     let lattice = Lattice { domain: BOX, side: 24 };
     let smoothness = |trainer: &Trainer| {
-        let field = trainer.model().fine.as_ref().unwrap();
+        let field = trainer.model().fine().unwrap();
         let found = measure(field, &lattice, (DType::F32, &CPU), || ()).unwrap();
         [found.l1, found.tv, found.laplacian]
     };

@@ -2,7 +2,7 @@
 
 mod common;
 
-use augnerf::config::{Core, Method, PerturbField};
+use augnerf::config::{Core, Method, PerturbField, Schedule};
 use augnerf::data::{Camera, View};
 use augnerf::error::Error;
 use augnerf::evaluate::Viewer;
@@ -126,11 +126,47 @@ fn the_learning_rate_decays_exponentially() {
     }
 }
 
+/// At the ends of the course, in its middle, and a quarter of the way up the warm-up's quarter sine.
+#[test]
+fn the_log_linear_rate_warms_up_and_falls_evenly_in_its_logarithm() {
+    let config = tiny_config(Method::MipNerf, |config| {
+        config.train.schedule = Schedule::LogLinear;
+        config.train.steps = 1000;
+        (config.train.learning_rate, config.train.final_learning_rate) = (5e-4, 5e-6);
+        (config.train.warmup_share, config.train.warmup_from) = (0.1, 0.01);
+    });
+    let course = |step: f64| 5e-4 * 1e-2f64.powf(step / 1000.0);
+    let risen = 0.01 + 0.99 * (std::f64::consts::FRAC_PI_2 / 2.0).sin();
+    for (step, expected) in [(0, 5e-6), (50, course(50.0) * risen), (100, course(100.0)), (500, 5e-5), (1000, 5e-6)] {
+        assert!((learning_rate(&config.train, step) / expected - 1.0).abs() < 1e-12, "{step}");
+    }
+}
+
+/// One field serves both passes, and the coarse one counts a tenth.
+#[test]
+fn mip_nerf_fits_the_scene_with_one_field() {
+    for method in [Method::MipNerf, Method::AugMipNerf] {
+        let config = tiny_config(method, |_| {});
+        let scene = tiny_scene();
+        let mut trainer = trained(&config, 300);
+        assert_eq!(trainer.model().fields().len(), 1);
+        let View { camera, image, .. } = &scene.test[0];
+        let viewer = Viewer { model: trainer.model(), config: &config, scene: &scene, device: &Device::Cpu };
+        let psnr = psnr_float(&viewer.render(camera).unwrap().image, image).unwrap().unwrap();
+        assert!(psnr > 18.0, "{method:?}: {psnr} dB");
+        let stats = trainer.step(true).unwrap();
+        let (coarse, fine) = (stats.loss_coarse, stats.loss_fine.unwrap());
+        let perturbed = stats.loss_perturbed.map_or(0.0, |loss| config.perturb.lambda * loss);
+        assert!((stats.loss - (0.1 * coarse + fine + perturbed)).abs() < 1e-9, "{stats:?}");
+        assert_eq!(stats.levels.len(), if method == Method::AugMipNerf { 6 } else { 0 });
+    }
+}
+
 #[test]
 fn a_model_without_fine_samples_trains_its_coarse_field_alone() {
     let config = tiny_config(Method::AugNerf, |config| config.sampling.fine = 0);
     let mut trainer = trained(&config, 2);
-    assert!(trainer.model().fine.is_none());
+    assert!(trainer.model().fine().is_none());
     let stats = trainer.step(true).unwrap();
     assert!(stats.loss_fine.is_none() && stats.levels.len() == 6);
     let scene = tiny_scene();

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use toml::{Table, Value};
 
-use super::{Config, DataConfig};
+use super::{Config, DataConfig, Method};
 use crate::error::{Error, Result};
 
 /// A named set of settings.
@@ -56,6 +56,15 @@ impl Preset {
     }
 }
 
+/// What lies between preset and file in a run of MipNeRF.
+const MIP_NERF: &str = include_str!("presets/mip-nerf.toml");
+
+/// The method that a table of settings names is one of MipNeRF's.
+fn is_mip(table: &Table) -> bool {
+    let method = table.get("method").cloned().and_then(|method| method.try_into::<Method>().ok());
+    method.is_some_and(Method::is_mip)
+}
+
 /// Splits `a.b=v` into its path and its value. A value that is not TOML (a bare word) is a string.
 pub fn parse_assignment(text: &str) -> Result<(Vec<String>, Value)> {
     let Some((key, value)) = text.split_once('=') else {
@@ -70,13 +79,14 @@ pub fn parse_assignment(text: &str) -> Result<(Vec<String>, Value)> {
     Ok((path, parsed.unwrap_or_else(|| Value::String(value.to_string()))))
 }
 
-/// Lays preset, file and assignments (`(path, value)` in order) over the defaults and checks the
-/// whole.
+/// Lays preset, settings of the method that is named, file and assignments (`(path, value)` in order) over the defaults and
+/// checks the whole.
 pub fn build(preset: Option<Preset>, file: Option<&Path>, assignments: &[(Vec<String>, Value)]) -> Result<Config> {
-    let mut table = Table::new();
+    let mut base = Table::new();
     if let Some(preset) = preset {
-        merge(&mut table, toml::from_str(preset.text()).expect("presets are valid TOML"));
+        merge(&mut base, toml::from_str(preset.text()).expect("presets are valid TOML"));
     }
+    let mut table = Table::new();
     if let Some(path) = file {
         let text = std::fs::read_to_string(path)
             .map_err(|e| Error::Config(format!("cannot read the configuration file {}: {e}", path.display())))?;
@@ -89,7 +99,11 @@ pub fn build(preset: Option<Preset>, file: Option<&Path>, assignments: &[(Vec<St
     for (path, value) in assignments {
         assign(&mut table, path, value.clone())?;
     }
-    let text = toml::to_string(&table).expect("a table of settings is plain data");
+    if is_mip(&table) {
+        merge(&mut base, toml::from_str(MIP_NERF).expect("presets are valid TOML"));
+    }
+    merge(&mut base, table);
+    let text = toml::to_string(&base).expect("a table of settings is plain data");
     Config::from_toml(&text, "settings")
 }
 

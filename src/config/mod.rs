@@ -1,7 +1,7 @@
 //! The whole experiment as data: nested sections whose defaults are the paper's, presets,
 //! `--set a.b=v`, and checks across fields.
 //!
-//! Layers, later over earlier: defaults, preset, configuration file, `--data`/`--method`/`--seed`,
+//! Layers, later over earlier: defaults, preset, the method's own (MipNeRF), configuration file, `--data`/`--method`/`--seed`,
 //! `--set`. The result is what stands in every run's `config.toml`.
 
 use serde::{Deserialize, Serialize};
@@ -31,8 +31,8 @@ use crate::error::{Error, Result};
 pub struct Config {
     /// Seed of every random stream.
     pub seed: u64,
-    /// What is trained: `nerf` (clean pass only) or `aug-nerf` (clean + perturbed pass, section
-    /// `perturb`).
+    /// What is trained: `nerf` or `mip-nerf` (clean pass only), `aug-nerf` or `aug-mip-nerf` (clean + perturbed pass,
+    /// section `perturb`).
     pub method: Method,
     /// The scene.
     pub data: DataConfig,
@@ -42,7 +42,7 @@ pub struct Config {
     pub sampling: SamplingConfig,
     /// Optimisation.
     pub train: TrainConfig,
-    /// The perturbed pass; read only where `method = "aug-nerf"`.
+    /// The perturbed pass; read only where the method has one.
     pub perturb: PerturbConfig,
     /// Explicit smoothness terms, with either method.
     pub regularizer: RegularizerConfig,
@@ -59,6 +59,10 @@ pub enum Method {
     Nerf,
     /// Clean pass and perturbed pass, as section `perturb` says.
     AugNerf,
+    /// One field asked at Gaussians that stand for conical frustums (Barron et al. 2021).
+    MipNerf,
+    /// The same with the perturbed pass.
+    AugMipNerf,
 }
 
 impl Method {
@@ -67,7 +71,19 @@ impl Method {
         match self {
             Method::Nerf => "nerf",
             Method::AugNerf => "aug-nerf",
+            Method::MipNerf => "mip-nerf",
+            Method::AugMipNerf => "aug-mip-nerf",
         }
+    }
+
+    /// There is a perturbed pass.
+    pub fn is_augmented(self) -> bool {
+        matches!(self, Method::AugNerf | Method::AugMipNerf)
+    }
+
+    /// The field is asked at intervals of rays, not at points.
+    pub fn is_mip(self) -> bool {
+        matches!(self, Method::MipNerf | Method::AugMipNerf)
     }
 }
 
@@ -241,6 +257,28 @@ pub enum DensityActivation {
     Softplus,
 }
 
+/// How positions are encoded.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Encoding {
+    /// Of a point, with the identity (NeRF).
+    #[default]
+    Positional,
+    /// The expectation over a Gaussian, without the identity (MipNeRF).
+    Integrated,
+}
+
+/// How the learning rate falls.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Schedule {
+    /// By `decay_rate` every `decay_steps`.
+    #[default]
+    Exponential,
+    /// From `learning_rate` to `final_learning_rate` over the run, evenly in its logarithm, after a warm-up.
+    LogLinear,
+}
+
 /// The coarse and the fine network; both have this shape.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
@@ -251,7 +289,9 @@ pub struct FieldConfig {
     pub depth: usize,
     /// The encoding is concatenated to the output of these layers (1-based).
     pub skips: Vec<usize>,
-    /// Octaves of the position's encoding (10: 63 channels).
+    /// How positions are encoded: `positional` for NeRF, `integrated` for MipNeRF.
+    pub encoding: Encoding,
+    /// Octaves of the position's encoding (10: 63 channels; integrated, 16: 96).
     pub position_octaves: usize,
     /// Octaves of the view direction's encoding (4: 27 channels).
     pub view_octaves: usize,
@@ -259,6 +299,8 @@ pub struct FieldConfig {
     pub init: Init,
     /// What turns raw density into density.
     pub density_activation: DensityActivation,
+    /// Colours reach from minus this to 1 plus this, so that 0 and 1 need no infinite raw colour (MipNeRF: 0.001).
+    pub rgb_padding: f64,
     /// What computes the networks: `fused` (where there is one for the device) or `plain`, the reference. They differ by
     /// roundings.
     pub core: Core,
@@ -270,10 +312,12 @@ impl Default for FieldConfig {
             width: 256,
             depth: 8,
             skips: vec![5],
+            encoding: Encoding::Positional,
             position_octaves: 10,
             view_octaves: 4,
             init: Init::Glorot,
             density_activation: DensityActivation::Relu,
+            rgb_padding: 0.0,
             core: Core::Fused,
         }
     }
@@ -283,10 +327,13 @@ impl Default for FieldConfig {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct SamplingConfig {
-    /// Stratified samples of the coarse pass.
+    /// Stratified samples of the coarse pass (MipNeRF: intervals).
     pub coarse: usize,
-    /// Further inverse-CDF samples of the fine pass (0 = coarse field only).
+    /// Further inverse-CDF samples of the fine pass, which has `coarse + fine` (MipNeRF: its intervals, `fine` in all;
+    /// 0 = coarse pass only).
     pub fine: usize,
+    /// MipNeRF: added to the blurred weights that the fine pass's intervals are drawn from.
+    pub resample_padding: f64,
     /// Jitter in training.
     pub jitter: bool,
     /// Standard deviation of the noise on raw density in training. Empty = 1 for forward-facing
@@ -296,7 +343,7 @@ pub struct SamplingConfig {
 
 impl Default for SamplingConfig {
     fn default() -> Self {
-        SamplingConfig { coarse: 64, fine: 64, jitter: true, density_noise: None }
+        SamplingConfig { coarse: 64, fine: 64, resample_padding: 0.01, jitter: true, density_noise: None }
     }
 }
 
@@ -327,7 +374,17 @@ pub struct TrainConfig {
     pub batching: Option<Batching>,
     /// Adam's initial learning rate.
     pub learning_rate: f64,
-    /// The learning rate is multiplied by this every `decay_steps`, continuously.
+    /// Weight of the coarse pass's loss beside the fine one's (1 for NeRF, 0.1 for MipNeRF).
+    pub coarse_weight: f64,
+    /// How the learning rate falls: `exponential` or `log-linear`.
+    pub schedule: Schedule,
+    /// `log-linear`: the learning rate at the last step.
+    pub final_learning_rate: f64,
+    /// `log-linear`: share of the steps in which the rate rises to its course.
+    pub warmup_share: f64,
+    /// `log-linear`: what the rate is multiplied by at the first step.
+    pub warmup_from: f64,
+    /// `exponential`: the learning rate is multiplied by this every `decay_steps`, continuously.
     pub decay_rate: f64,
     /// See `decay_rate`. Empty = 250,000 for forward-facing scenes, 500,000 otherwise.
     pub decay_steps: Option<u64>,
@@ -360,6 +417,11 @@ impl Default for TrainConfig {
             chunk: 32,
             batching: None,
             learning_rate: 5e-4,
+            coarse_weight: 1.0,
+            schedule: Schedule::Exponential,
+            final_learning_rate: 5e-6,
+            warmup_share: 0.0025,
+            warmup_from: 0.01,
             decay_rate: 0.1,
             decay_steps: None,
             precrop_steps: None,
@@ -392,6 +454,19 @@ impl Default for EvalConfig {
         EvalConfig { chunk: 256, lpips_weights: String::new(), pictures: 4 }
     }
 }
+
+/// Fields that are younger than runs whose hash is to stay: at their default they do not count.
+const YOUNG: [(&str, &str); 9] = [
+    ("data", "corruption"),
+    ("field", "encoding"),
+    ("field", "rgb_padding"),
+    ("sampling", "resample_padding"),
+    ("train", "coarse_weight"),
+    ("train", "schedule"),
+    ("train", "final_learning_rate"),
+    ("train", "warmup_share"),
+    ("train", "warmup_from"),
+];
 
 impl Config {
     /// Parses TOML text over the defaults. `origin` names the file in messages.
@@ -449,17 +524,18 @@ impl Config {
             keep_checkpoints: defaults.keep_checkpoints,
             ..portable.train
         };
-        if self.method == Method::Nerf {
+        if !self.method.is_augmented() {
             portable.perturb = PerturbConfig::default();
         }
         portable.regularizer.resolve();
         portable.data.corruption.resolve();
-        let mut table = toml::Table::try_from(&portable).expect("a configuration is plain data");
-        // Without effect, and younger than runs whose hash is to stay.
-        if let Some(data) = table["data"].as_table_mut()
-            && !self.data.corruption.is_on()
-        {
-            data.remove("corruption");
+        let as_table = |config: &Config| toml::Table::try_from(config).expect("a configuration is plain data");
+        let (mut table, defaults) = (as_table(&portable), as_table(&Config::default()));
+        for (section, field) in YOUNG {
+            let Some(fields) = table[section].as_table_mut() else { continue };
+            if fields.get(field) == defaults[section].get(field) {
+                fields.remove(field);
+            }
         }
         short_hash(Sha256::new_with_prefix(table.to_string()))
     }

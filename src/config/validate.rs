@@ -2,7 +2,7 @@
 //! allowed.
 
 use super::{
-    Attack, Config, CorruptionConfig, DataKind, EvalSplit, LEVELS, LatticePoints, Level, Method, Norm, PerturbField,
+    Attack, Config, CorruptionConfig, DataKind, Encoding, EvalSplit, LEVELS, LatticePoints, Level, Norm, PerturbField,
     PerturbKind, RegularizerConfig, StepUnit,
 };
 use crate::error::{Error, Result};
@@ -128,7 +128,27 @@ impl Config {
         require((4..=4096).contains(&field.width), "field.width", field.width, "4 to 4096 neurons")?;
         require(field.width.is_multiple_of(2), "field.width", field.width, "even (the view layer has half of it)")?;
         require((1..=64).contains(&field.depth), "field.depth", field.depth, "1 to 64 layers")?;
-        require(field.position_octaves <= 20, "field.position_octaves", field.position_octaves, "0 to 20")?;
+        let integrated = field.encoding == Encoding::Integrated;
+        let least = usize::from(integrated);
+        let allowed = format!("{least} to 20");
+        let octaves = field.position_octaves;
+        require((least..=20).contains(&octaves), "field.position_octaves", octaves, &allowed)?;
+        require((0.0..=0.5).contains(&field.rgb_padding), "field.rgb_padding", field.rgb_padding, "0 to 0.5")?;
+        if self.method.is_mip() != integrated {
+            return Err(Error::Config(format!(
+                "field.encoding = \"{}\" is not that of method {}: integrated is for mip-nerf and aug-mip-nerf, positional \
+                 for nerf and aug-nerf",
+                if integrated { "integrated" } else { "positional" },
+                self.method.name()
+            )));
+        }
+        if integrated && !self.regularizer.kind.is_empty() {
+            return Err(Error::Config(format!(
+                "regularizer.kind with method {}: the terms are derivatives at points, and this field is asked at \
+                 Gaussians; use nerf or aug-nerf",
+                self.method.name()
+            )));
+        }
         require(field.view_octaves <= 20, "field.view_octaves", field.view_octaves, "0 to 20")?;
         for (i, &skip) in field.skips.iter().enumerate() {
             let allowed = format!("a layer from 1 to {} (field.depth - 1)", field.depth - 1);
@@ -142,6 +162,9 @@ impl Config {
         let sampling = &self.sampling;
         require((3..=4096).contains(&sampling.coarse), "sampling.coarse", sampling.coarse, "3 to 4096 samples")?;
         require(sampling.fine <= 4096, "sampling.fine", sampling.fine, "0 (coarse only) to 4096 samples")?;
+        let padding = sampling.resample_padding;
+        let allowed = "positive: where all weights are 0, intervals are drawn from it alone";
+        require(padding.is_finite() && padding > 0.0, "sampling.resample_padding", padding, allowed)?;
         let noise = sampling.density_noise.unwrap_or(0.0);
         require(noise.is_finite() && noise >= 0.0, "sampling.density_noise", noise, "0 or positive")
     }
@@ -154,6 +177,12 @@ impl Config {
         require((1..=1 << 20).contains(&train.chunk), "train.chunk", train.chunk, "1 to 1048576 rays")?;
         positive("train.learning_rate", train.learning_rate)?;
         positive("train.decay_rate", train.decay_rate)?;
+        positive("train.final_learning_rate", train.final_learning_rate)?;
+        positive("train.coarse_weight", train.coarse_weight)?;
+        let share = train.warmup_share;
+        require((0.0..=1.0).contains(&share), "train.warmup_share", share, "0 (no warm-up) to 1")?;
+        let from = train.warmup_from;
+        require(from > 0.0 && from <= 1.0, "train.warmup_from", from, "above 0, at most 1")?;
         if let Some(decay) = train.decay_steps {
             require(decay >= 1, "train.decay_steps", decay, "at least 1")?;
         }
@@ -178,7 +207,7 @@ impl Config {
         let allowed = "0 or positive, and at most 1 with perturb.objective = \"released\"";
         require(lambda.is_finite() && (0.0..=largest).contains(&lambda), "perturb.lambda", lambda, allowed)?;
         let layer = perturb.injection_layer;
-        let perturbs = self.method == Method::AugNerf && perturb.kind != PerturbKind::FreshJitter;
+        let perturbs = self.method.is_augmented() && perturb.kind != PerturbKind::FreshJitter;
         if perturbs && perturb.feature.on() {
             let allowed = format!("1 to {} (field.depth)", self.field.depth);
             require((1..=self.field.depth).contains(&layer), "perturb.injection_layer", layer, &allowed)?;
@@ -196,8 +225,8 @@ impl Config {
         let on = LEVELS.iter().any(|&level| perturb.delta(level).on());
         if perturbs && !on {
             return Err(Error::Config(
-                "method = \"aug-nerf\" with every perturb.*.passes = \"off\" perturbs nothing; \
-                 use method = \"nerf\", or perturb.kind = \"fresh-jitter\" for the control"
+                "a perturbed method with every perturb.*.passes = \"off\" perturbs nothing; \
+                 use method = \"nerf\" or \"mip-nerf\", or perturb.kind = \"fresh-jitter\" for the control"
                     .into(),
             ));
         }
@@ -212,7 +241,7 @@ impl Config {
             }
         }
         let still = !self.sampling.jitter && self.sampling.density_noise == Some(0.0);
-        if self.method == Method::AugNerf && perturb.kind == PerturbKind::FreshJitter && still {
+        if self.method.is_augmented() && perturb.kind == PerturbKind::FreshJitter && still {
             return Err(Error::Config(
                 "perturb.kind = \"fresh-jitter\" needs sampling.jitter = true or sampling.density_noise above 0: \
                  otherwise the second pass equals the first"

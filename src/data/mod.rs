@@ -19,7 +19,7 @@ pub mod vector;
 pub use camera::{Camera, Ndc};
 pub use corruption::Corrupted;
 pub use detect::detect;
-pub use rays::{RayBuffer, Rays};
+pub use rays::{Footprint, RayBuffer, Rays};
 
 use sha2::{Digest, Sha256};
 

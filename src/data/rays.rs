@@ -4,6 +4,7 @@ use candle_core::{DType, Device, Tensor};
 use rayon::prelude::*;
 
 use crate::config::PixelOrigin;
+use crate::data::vector::{length, sub};
 use crate::data::{Camera, Ndc};
 use crate::error::Result;
 
@@ -22,6 +23,18 @@ pub struct Rays {
     pub tangents_w: Tensor,
     /// `[rays, 1]`, length of `directions`.
     pub direction_norm: Tensor,
+    /// What a pixel covers.
+    pub footprint: Footprint,
+}
+
+/// The solid that a pixel's ray stands for (MipNeRF).
+#[derive(Clone)]
+pub struct Footprint {
+    /// `[rays, 1]`. A cone's at t = 1, or a cylinder's: that of the disc with the variance of the pixel, its width times
+    /// 2 / sqrt(12).
+    pub radii: Tensor,
+    /// In NDC rays do not spread.
+    pub cylinders: bool,
 }
 
 /// A batch of rays in memory; each vector holds `[rays, 3]`.
@@ -33,6 +46,10 @@ pub struct RayBuffer {
     pub directions: Vec<f32>,
     /// See [`Rays::viewdirs`].
     pub viewdirs: Vec<f32>,
+    /// See [`Footprint::radii`]; `[rays]`.
+    pub radii: Vec<f32>,
+    /// See [`Footprint::cylinders`].
+    pub cylinders: bool,
 }
 
 /// Two unit vectors that with the unit vector `n` form an orthonormal basis, without a branch that
@@ -51,19 +68,22 @@ impl RayBuffer {
             PixelOrigin::Corner => 0.0,
             PixelOrigin::Centre => 0.5,
         };
-        let rays: Vec<[[f64; 3]; 3]> = pixels
+        let rays: Vec<([[f64; 3]; 3], f64)> = pixels
             .par_iter()
             .with_min_len(1024)
             .map(|&(camera, x, y)| {
-                let (origin, direction) = camera.ray(f64::from(x) + shift, f64::from(y) + shift);
+                let (x, y) = (f64::from(x) + shift, f64::from(y) + shift);
+                let (origin, direction) = camera.ray(x, y);
+                let width = pixel_width(camera, (x, y), ndc);
                 let length = direction.iter().map(|d| d * d).sum::<f64>().sqrt();
                 let viewdir = direction.map(|d| d / length);
                 let (origin, direction) = ndc.map_or((origin, direction), |ndc| ndc.map(origin, direction));
-                [origin, direction, viewdir]
+                ([origin, direction, viewdir], width * 2.0 / 12f64.sqrt())
             })
             .collect();
-        let gather = |i: usize| rays.iter().flat_map(|ray| ray[i].map(|v| v as f32)).collect();
-        RayBuffer { origins: gather(0), directions: gather(1), viewdirs: gather(2) }
+        let gather = |i: usize| rays.iter().flat_map(|(ray, _)| ray[i].map(|v| v as f32)).collect();
+        let radii = rays.iter().map(|(_, radius)| *radius as f32).collect();
+        RayBuffer { origins: gather(0), directions: gather(1), viewdirs: gather(2), radii, cylinders: ndc.is_some() }
     }
 
     /// Number of rays.
@@ -82,27 +102,40 @@ impl RayBuffer {
         let bases = self.viewdirs.chunks_exact(3).map(|v| tangents([v[0].into(), v[1].into(), v[2].into()]));
         let (u, w): (Vec<_>, Vec<_>) = bases.unzip();
         let flat = |vectors: Vec<[f64; 3]>| vectors.into_iter().flatten().map(|v| v as f32).collect::<Vec<f32>>();
+        let radii = Tensor::from_slice(&self.radii, (self.len(), 1), device)?.to_dtype(dtype)?;
         Rays::new(
             tensor(&self.origins)?,
             tensor(&self.directions)?,
             tensor(&self.viewdirs)?,
-            tensor(&flat(u))?,
-            tensor(&flat(w))?,
+            [tensor(&flat(u))?, tensor(&flat(w))?],
+            Footprint { radii, cylinders: self.cylinders },
         )
     }
 }
 
+/// Width of a pixel at t = 1: the distance to the next row's direction; in NDC the mean distance of its origin to those
+/// of the next column and row.
+fn pixel_width(camera: &Camera, (x, y): (f64, f64), ndc: Option<&Ndc>) -> f64 {
+    let of = |x: f64, y: f64| {
+        let (origin, direction) = camera.ray(x, y);
+        ndc.map_or(direction, |ndc| ndc.map(origin, direction).0)
+    };
+    let here = of(x, y);
+    let below = length(sub(of(x, y + 1.0), here));
+    if ndc.is_some() { 0.5 * (length(sub(of(x + 1.0, y), here)) + below) } else { below }
+}
+
 impl Rays {
-    /// Rays from tensors, each `[rays, 3]`.
+    /// Rays from tensors, each `[rays, 3]`; `tangents` are `tangents_u` and `tangents_w`.
     pub fn new(
         origins: Tensor,
         directions: Tensor,
         viewdirs: Tensor,
-        tangents_u: Tensor,
-        tangents_w: Tensor,
+        [tangents_u, tangents_w]: [Tensor; 2],
+        footprint: Footprint,
     ) -> Result<Rays> {
         let direction_norm = directions.sqr()?.sum_keepdim(1)?.sqrt()?;
-        Ok(Rays { origins, directions, viewdirs, tangents_u, tangents_w, direction_norm })
+        Ok(Rays { origins, directions, viewdirs, tangents_u, tangents_w, direction_norm, footprint })
     }
 
     /// Number of rays.
@@ -125,6 +158,7 @@ impl Rays {
             tangents_u: part(&self.tangents_u)?,
             tangents_w: part(&self.tangents_w)?,
             direction_norm: part(&self.direction_norm)?,
+            footprint: Footprint { radii: part(&self.footprint.radii)?, ..self.footprint },
         })
     }
 }
@@ -132,6 +166,21 @@ impl Rays {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// A pixel is 1/f wide at t = 1; of NDC's square, which is 2 wide and high, it is one column and one row.
+    #[test]
+    fn radii_are_those_of_pixels() {
+        let pose = [[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0]];
+        let camera = Camera { width: 40, height: 30, focal: [20.0; 2], centre: [20.0, 15.0], pose };
+        let ndc = Ndc { width: 40.0, height: 30.0, focal: 20.0 };
+        let radius = |ndc: Option<&Ndc>| {
+            let rays = RayBuffer::new(&[(&camera, 3, 7)], ndc, PixelOrigin::Corner);
+            assert_eq!(rays.cylinders, ndc.is_some());
+            f64::from(rays.radii[0]) * 12f64.sqrt() / 2.0
+        };
+        assert!((radius(None) - 1.0 / 20.0).abs() < 1e-7);
+        assert!((radius(Some(&ndc)) - 0.5 * (2.0 / 40.0 + 2.0 / 30.0)).abs() < 1e-7);
+    }
 
     #[test]
     fn tangents_are_orthonormal_in_every_direction() {

@@ -3,8 +3,8 @@
 use serde::Serialize;
 
 use crate::config::{
-    Attack, Config, DataKind, DensityActivation, EvalSplit, Init, LEVELS, LatticePoints, Method, Objective,
-    OutputPlace, Passes, PerturbConfig, PerturbField, PerturbKind, PixelOrigin, RegularizedFields, Resample, StepUnit,
+    Attack, Config, DataKind, DensityActivation, EvalSplit, Init, LEVELS, LatticePoints, Objective, OutputPlace,
+    Passes, PerturbConfig, PerturbField, PerturbKind, PixelOrigin, RegularizedFields, Resample, StepUnit,
 };
 use crate::data::Scene;
 use crate::model::Model;
@@ -112,7 +112,7 @@ impl Protocol {
     /// The protocol of a run at a checkpoint's state.
     pub fn new(config: &Config, scene: &Scene, state: &State) -> Protocol {
         let camera = scene.test.first().or(scene.train.first()).map(|view| view.camera);
-        let perturb = (config.method == Method::AugNerf).then_some(&config.perturb);
+        let perturb = config.method.is_augmented().then_some(&config.perturb);
         let regularizer = Some(&config.regularizer).filter(|regularizer| !regularizer.kind.is_empty());
         let deltas = perturb.filter(|perturb| perturb.kind != PerturbKind::FreshJitter);
         let named = Model::roles(config).into_iter().zip(&state.redraws).map(|(role, draws)| format!("{role} {draws}"));

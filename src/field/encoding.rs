@@ -1,6 +1,8 @@
-//! Positional encoding (NeRF paper, section 5.1, with the identity kept).
+//! Positional encoding (NeRF paper, section 5.1, with the identity kept), and its expectation over Gaussians (MipNeRF).
 
 use candle_core::{CpuStorage, CustomOp1, CustomOp2, Layout, Result, Shape, Tensor, WithDType};
+
+use crate::config::{Encoding, FieldConfig};
 
 use super::contiguous;
 
@@ -15,7 +17,7 @@ pub fn encode(x: &Tensor, octaves: usize) -> Result<Tensor> {
     if !x.device().is_cpu() {
         return encode_reference(x, octaves);
     }
-    x.contiguous()?.apply_op1(Encode { octaves })
+    x.contiguous()?.apply_op1(Encode(Code { kind: Encoding::Positional, octaves }))
 }
 
 /// The same in plain candle operations.
@@ -29,13 +31,6 @@ pub fn encode_reference(x: &Tensor, octaves: usize) -> Result<Tensor> {
     let scaled = x.reshape((n, 1, components))?.broadcast_mul(&frequencies)?; // [n, octaves, 3]
     let waves = Tensor::cat(&[scaled.sin()?, scaled.cos()?], 2)?; // [n, octaves, 6]
     Tensor::cat(&[x, &waves.reshape((n, octaves * 2 * components))?], 1)
-}
-
-/// The encoding on a processor: one sine and cosine a component, further octaves by the
-/// double-angle formulas in f64 (their error doubles with each octave and stays far below f32's),
-/// and a backward pass that finds its sines and cosines in the result.
-struct Encode {
-    octaves: usize,
 }
 
 /// Encodes 3-vectors row by row.
@@ -72,17 +67,134 @@ pub(super) fn gradient_into<T: WithDType>(encoded: &[T], gradient: &[T], octaves
     }
 }
 
-fn encode_rows<T: WithDType>(x: &[T], octaves: usize) -> Vec<T> {
-    let mut out = vec![T::from_f64(0.0); x.len() / 3 * encoded_channels(octaves)];
-    encode_into(x, octaves, &mut out);
-    out
+/// Channels of the integrated encoding of a Gaussian in space.
+pub fn integrated_channels(octaves: usize) -> usize {
+    6 * octaves
 }
 
-fn gradient_rows<T: WithDType>(encoded: &[T], gradient: &[T], octaves: usize) -> Vec<T> {
-    let mut out = vec![T::from_f64(0.0); encoded.len() / encoded_channels(octaves) * 3];
-    gradient_into(encoded, gradient, octaves, &mut out);
-    out
+/// `[n, 6]`, mean and diagonal variance of Gaussians, -> `[n, 6 octaves]`: for each frequency f = 2^0..2^(octaves-1) the
+/// expectations of the sines and of the cosines of f x, exp(-f^2 variance / 2) times those of the mean (Barron et al.
+/// 2021, equation 14).
+pub fn encode_integrated(gaussians: &Tensor, octaves: usize) -> Result<Tensor> {
+    if !gaussians.device().is_cpu() {
+        return encode_integrated_reference(gaussians, octaves);
+    }
+    gaussians.contiguous()?.apply_op1(Encode(Code { kind: Encoding::Integrated, octaves }))
 }
+
+/// The same in plain candle operations.
+pub fn encode_integrated_reference(gaussians: &Tensor, octaves: usize) -> Result<Tensor> {
+    let (n, _) = gaussians.dims2()?;
+    let of_each = |power: f64| -> Result<Tensor> {
+        let values: Vec<f64> = (0..octaves).map(|octave| 2f64.powf(octave as f64 * power)).collect();
+        Tensor::from_vec(values, (1, octaves, 1), gaussians.device())?.to_dtype(gaussians.dtype())
+    };
+    let angles = gaussians.narrow(1, 0, 3)?.unsqueeze(1)?.broadcast_mul(&of_each(1.0)?)?; // [n, octaves, 3]
+    let spread = gaussians.narrow(1, 3, 3)?.unsqueeze(1)?.broadcast_mul(&of_each(2.0)?)?;
+    let kept = (spread * -0.5)?.exp()?;
+    let waves = Tensor::cat(&[(&kept * angles.sin()?)?, (&kept * angles.cos()?)?], 2)?; // [n, octaves, 6]
+    waves.reshape((n, integrated_channels(octaves)))
+}
+
+/// Encodes Gaussians row by row.
+pub(super) fn integrated_into<T: WithDType>(gaussians: &[T], octaves: usize, out: &mut [T]) {
+    for (gaussian, out) in gaussians.chunks_exact(6).zip(out.chunks_exact_mut(integrated_channels(octaves))) {
+        for axis in 0..3 {
+            let (mut sin, mut cos) = gaussian[axis].to_f64().sin_cos();
+            let mut kept = (-0.5 * gaussian[3 + axis].to_f64()).exp();
+            for octave in out.chunks_exact_mut(6) {
+                octave[axis] = T::from_f64(kept * sin);
+                octave[3 + axis] = T::from_f64(kept * cos);
+                (sin, cos) = (2.0 * sin * cos, (cos - sin) * (cos + sin));
+                kept = (kept * kept) * (kept * kept);
+            }
+        }
+    }
+}
+
+/// With s = k sin(f m), c = k cos(f m), k = exp(-f^2 v / 2): ds/dm = f c, dc/dm = -f s, ds/dv = -f^2 s / 2, dc/dv = -f^2 c / 2.
+pub(super) fn integrated_gradient_into<T: WithDType>(encoded: &[T], gradient: &[T], octaves: usize, out: &mut [T]) {
+    let channels = integrated_channels(octaves);
+    let rows = encoded.chunks_exact(channels).zip(gradient.chunks_exact(channels));
+    for ((encoded, gradient), out) in rows.zip(out.chunks_exact_mut(6)) {
+        for axis in 0..3 {
+            let (mut of_mean, mut of_variance, mut frequency) = (0.0, 0.0, 1.0);
+            for (wave, g) in encoded.chunks_exact(6).zip(gradient.chunks_exact(6)) {
+                let [s, c, g_s, g_c] = [wave[axis], wave[3 + axis], g[axis], g[3 + axis]].map(T::to_f64);
+                of_mean += frequency * (c * g_s - s * g_c);
+                of_variance -= 0.5 * frequency * frequency * (s * g_s + c * g_c);
+                frequency *= 2.0;
+            }
+            out[axis] = T::from_f64(of_mean);
+            out[3 + axis] = T::from_f64(of_variance);
+        }
+    }
+}
+
+/// Which encoding, with its octaves.
+#[derive(Clone, Copy)]
+pub(super) struct Code {
+    pub(super) kind: Encoding,
+    pub(super) octaves: usize,
+}
+
+impl Code {
+    /// That of a field's positions.
+    pub(super) fn of_positions(config: &FieldConfig) -> Code {
+        Code { kind: config.encoding, octaves: config.position_octaves }
+    }
+
+    /// Numbers of one position: a point's, or a Gaussian's mean and variance.
+    pub(super) fn inputs(self) -> usize {
+        match self.kind {
+            Encoding::Positional => 3,
+            Encoding::Integrated => 6,
+        }
+    }
+
+    pub(super) fn channels(self) -> usize {
+        match self.kind {
+            Encoding::Positional => encoded_channels(self.octaves),
+            Encoding::Integrated => integrated_channels(self.octaves),
+        }
+    }
+
+    /// In candle's graph.
+    pub(super) fn apply(self, positions: &Tensor) -> Result<Tensor> {
+        match self.kind {
+            Encoding::Positional => encode(positions, self.octaves),
+            Encoding::Integrated => encode_integrated(positions, self.octaves),
+        }
+    }
+
+    fn rows<T: WithDType>(self, x: &[T]) -> Vec<T> {
+        let mut out = vec![T::from_f64(0.0); x.len() / self.inputs() * self.channels()];
+        match self.kind {
+            Encoding::Positional => encode_into(x, self.octaves, &mut out),
+            Encoding::Integrated => integrated_into(x, self.octaves, &mut out),
+        }
+        out
+    }
+
+    /// Gradient in the positions, from the encoding itself and its gradient.
+    pub(super) fn gradient_into<T: WithDType>(self, encoded: &[T], gradient: &[T], out: &mut [T]) {
+        match self.kind {
+            Encoding::Positional => gradient_into(encoded, gradient, self.octaves, out),
+            Encoding::Integrated => integrated_gradient_into(encoded, gradient, self.octaves, out),
+        }
+    }
+
+    fn gradient_rows<T: WithDType>(self, encoded: &[T], gradient: &[T]) -> Vec<T> {
+        let mut out = vec![T::from_f64(0.0); encoded.len() / self.channels() * self.inputs()];
+        self.gradient_into(encoded, gradient, &mut out);
+        out
+    }
+}
+
+/// The encodings on a processor: one sine and cosine a component (and one exponential), further octaves by the
+/// double-angle formulas in f64 (their error doubles with each octave and stays far below f32's; a Gaussian's damping
+/// is the fourth power of the octave's below), and a backward pass that finds all it needs in the result.
+struct Encode(Code);
 
 impl CustomOp1 for Encode {
     fn name(&self) -> &'static str {
@@ -91,26 +203,24 @@ impl CustomOp1 for Encode {
 
     fn cpu_fwd(&self, x: &CpuStorage, layout: &Layout) -> Result<(CpuStorage, Shape)> {
         let (n, components) = layout.shape().dims2()?;
-        if components != 3 {
-            candle_core::bail!("encode takes [n, 3], got {:?}", layout.shape());
+        if components != self.0.inputs() {
+            candle_core::bail!("encode takes [n, {}], got {:?}", self.0.inputs(), layout.shape());
         }
         let out = match x {
-            CpuStorage::F32(x) => CpuStorage::F32(encode_rows(contiguous(x, layout)?, self.octaves)),
-            CpuStorage::F64(x) => CpuStorage::F64(encode_rows(contiguous(x, layout)?, self.octaves)),
+            CpuStorage::F32(x) => CpuStorage::F32(self.0.rows(contiguous(x, layout)?)),
+            CpuStorage::F64(x) => CpuStorage::F64(self.0.rows(contiguous(x, layout)?)),
             _ => candle_core::bail!("encode is for f32 and f64"),
         };
-        Ok((out, Shape::from((n, encoded_channels(self.octaves)))))
+        Ok((out, Shape::from((n, self.0.channels()))))
     }
 
     fn bwd(&self, _x: &Tensor, encoded: &Tensor, gradient: &Tensor) -> Result<Option<Tensor>> {
-        let backward = EncodeBackward { octaves: self.octaves };
+        let backward = EncodeBackward(self.0);
         Ok(Some(encoded.detach().contiguous()?.apply_op2_no_bwd(&gradient.contiguous()?, &backward)?))
     }
 }
 
-struct EncodeBackward {
-    octaves: usize,
-}
+struct EncodeBackward(Code);
 
 impl CustomOp2 for EncodeBackward {
     fn name(&self) -> &'static str {
@@ -126,25 +236,22 @@ impl CustomOp2 for EncodeBackward {
     ) -> Result<(CpuStorage, Shape)> {
         let (n, _) = encoded_layout.shape().dims2()?;
         let out = match (encoded, gradient) {
-            (CpuStorage::F32(e), CpuStorage::F32(g)) => CpuStorage::F32(gradient_rows(
-                contiguous(e, encoded_layout)?,
-                contiguous(g, gradient_layout)?,
-                self.octaves,
-            )),
-            (CpuStorage::F64(e), CpuStorage::F64(g)) => CpuStorage::F64(gradient_rows(
-                contiguous(e, encoded_layout)?,
-                contiguous(g, gradient_layout)?,
-                self.octaves,
-            )),
+            (CpuStorage::F32(e), CpuStorage::F32(g)) => {
+                CpuStorage::F32(self.0.gradient_rows(contiguous(e, encoded_layout)?, contiguous(g, gradient_layout)?))
+            }
+            (CpuStorage::F64(e), CpuStorage::F64(g)) => {
+                CpuStorage::F64(self.0.gradient_rows(contiguous(e, encoded_layout)?, contiguous(g, gradient_layout)?))
+            }
             _ => candle_core::bail!("encode is for f32 and f64"),
         };
-        Ok((out, Shape::from((n, 3))))
+        Ok((out, Shape::from((n, self.0.inputs()))))
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::rng::{Random, Stream};
     use candle_core::{DType, Device, Var};
 
     #[test]
@@ -169,6 +276,57 @@ mod tests {
             assert!(largest(both) < tolerance, "{dtype:?}");
             // Up to 512 times 20 terms.
             assert!(largest(gradients) < 5e3 * tolerance, "{dtype:?}");
+        }
+    }
+
+    fn gaussians(n: usize) -> Tensor {
+        let values = (0..n).flat_map(|i| {
+            let wave = |phase: f64| (i as f64 * 1.3 + phase).sin();
+            let variance = |phase: f64| 10f64.powf(-2.5 + 2.0 * wave(phase));
+            [wave(0.0), wave(1.0), 2.0 * wave(2.0), variance(3.0), variance(4.0), variance(5.0)]
+        });
+        Tensor::from_vec(values.collect::<Vec<f64>>(), (n, 6), &Device::Cpu).unwrap()
+    }
+
+    #[test]
+    fn the_integrated_one_equals_plain_candle() {
+        let weights: Vec<f64> = (0..20 * 96).map(|i| (i as f64 * 0.11).cos()).collect();
+        let weights = Tensor::from_vec(weights, (20, 96), &Device::Cpu).unwrap();
+        let x = Var::from_tensor(&gaussians(20)).unwrap();
+        let both = [encode_integrated(&x, 16).unwrap(), encode_integrated_reference(&x, 16).unwrap()];
+        let gradients = both.clone().map(|out| {
+            let loss = (out * &weights).unwrap().sum_all().unwrap();
+            loss.backward().unwrap().get(&x).unwrap().clone()
+        });
+        for (what, [a, b], tolerance) in [("values", both, 1e-10), ("gradients", gradients, 1e-8)] {
+            let difference = (a - &b).unwrap().abs().unwrap().max_all().unwrap().to_scalar::<f64>().unwrap();
+            let scale = b.abs().unwrap().max_all().unwrap().to_scalar::<f64>().unwrap();
+            assert!(difference < tolerance * scale, "{what}: {difference} of {scale}");
+        }
+    }
+
+    /// Means of sines and cosines over many draws of each Gaussian.
+    #[test]
+    fn the_integrated_one_is_an_expectation() {
+        let (n, octaves, draws) = (4, 6, 40_000);
+        let given = gaussians(n).to_vec2::<f64>().unwrap();
+        let found = encode_integrated(&gaussians(n), octaves).unwrap().to_vec2::<f64>().unwrap();
+        let mut random = Random::new(3, Stream::Init, 0);
+        for (gaussian, found) in given.iter().zip(found) {
+            let mut sums = vec![0f64; found.len()];
+            for _ in 0..draws {
+                for axis in 0..3 {
+                    let x = gaussian[axis] + gaussian[3 + axis].sqrt() * random.normal_pair().0;
+                    for octave in 0..octaves {
+                        let (sin, cos) = (2f64.powi(octave as i32) * x).sin_cos();
+                        sums[6 * octave + axis] += sin / f64::from(draws);
+                        sums[6 * octave + 3 + axis] += cos / f64::from(draws);
+                    }
+                }
+            }
+            // Four and a half standard errors of a mean of numbers within -1..1.
+            let off = sums.iter().zip(&found).fold(0f64, |m, (a, b)| m.max((a - b).abs()));
+            assert!(off < 4.5 / f64::from(draws).sqrt(), "{off}");
         }
     }
 

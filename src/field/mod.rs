@@ -2,7 +2,8 @@
 //! colour head.
 //!
 //! A field knows nothing of rays or attacks. It maps points and directions to raw colour and raw
-//! density and accepts a delta that is added to one trunk layer's output.
+//! density and accepts a delta that is added to one trunk layer's output. A field of integrated encoding is asked at
+//! Gaussians, mean and diagonal variance `[n, 6]`, wherever another is asked at points `[n, 3]`.
 //!
 //! A field is asked in one of two ways behind one signature. The plain one, of candle's operations,
 //! works in f32 and f64 on any device and is the reference. The fused one (`fused`) serves
@@ -24,7 +25,10 @@ mod spatial;
 pub mod work;
 
 pub use dense::{dense, dense_reference};
-pub use encoding::{encode, encode_reference, encoded_channels};
+use encoding::Code;
+pub use encoding::{
+    encode, encode_integrated, encode_integrated_reference, encode_reference, encoded_channels, integrated_channels,
+};
 pub use spatial::{Cotangents, Spatial, spatial_reference};
 
 /// The values of a contiguous tensor on a processor, for operations of our own.
@@ -80,7 +84,7 @@ pub struct FeatureDelta<'a> {
 
 /// `(name, outputs, inputs)` of every layer, in the fixed order of parameters.
 fn layer_shapes(config: &FieldConfig) -> Vec<(String, usize, usize)> {
-    let position = encoded_channels(config.position_octaves);
+    let position = Code::of_positions(config).channels();
     let direction = encoded_channels(config.view_octaves);
     let width = config.width;
     let mut shapes: Vec<(String, usize, usize)> = (0..config.depth)
@@ -286,7 +290,7 @@ impl Field {
 
     /// The trunk's last output, `[n, width]`.
     fn trunk(&self, points: &Tensor, delta: Option<FeatureDelta>) -> Result<Tensor> {
-        let encoded = encode(points, self.config.position_octaves)?;
+        let encoded = Code::of_positions(&self.config).apply(points)?;
         let mut hidden = None;
         for (i, layer) in self.trunk.iter().enumerate() {
             let mut output = self.layer(layer, &self.trunk_input(i, &encoded, hidden.as_ref())?, true)?;

@@ -23,8 +23,8 @@
 
 use candle_core::{Device, Tensor};
 
-use crate::config::DensityActivation;
-use crate::error::Result;
+use crate::config::{DensityActivation, Encoding};
+use crate::error::{Error, Result};
 
 use super::activation::Activated;
 use super::dense::mask_where_zero;
@@ -124,6 +124,13 @@ impl Field {
     /// Density, gradient and Laplacian at `points [n, 3]`; by the fused core where the field is prepared for it
     /// ([`Field::prepared`]).
     pub fn spatial(&self, points: &Tensor) -> Result<Spatial<'_>> {
+        if self.config.encoding == Encoding::Integrated {
+            return Err(Error::Config(
+                "a MipNeRF field is asked at Gaussians, not at points: density's derivatives are measured for nerf and \
+                 aug-nerf only"
+                    .into(),
+            ));
+        }
         let encoded = encode(&points.detach(), self.config.position_octaves)?;
         let slopes = Slopes::new(&encoded, self.config.position_octaves)?;
         let (raw, e_bar, trunk) = match &self.network {

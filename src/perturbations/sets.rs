@@ -46,8 +46,10 @@ impl PixelScale {
 pub struct PassGeometry<'a> {
     /// The coarse pass, otherwise the fine one.
     pub is_coarse: bool,
-    /// Unperturbed sample positions, `[rays, samples]`.
+    /// Unperturbed sample positions, `[rays, samples]`, or edges of intervals, `[rays, samples + 1]`.
     pub t_vals: &'a Tensor,
+    /// Samples of the pass.
+    pub samples: usize,
     /// Lengths of the ray directions, `[rays, 1]`.
     pub direction_norm: &'a Tensor,
     /// Near and far, in the units of `t_vals`.
@@ -193,8 +195,8 @@ pub struct Sets([Option<DeltaSet>; 6]);
 impl Sets {
     /// The sets that `config` (resolved) describes for a pass.
     pub fn new(config: &PerturbConfig, pass: &PassGeometry) -> Result<Sets> {
-        let PassGeometry { is_coarse, t_vals, direction_norm, bounds: (near, far), .. } = *pass;
-        let (rays, samples) = t_vals.dims2()?;
+        let PassGeometry { is_coarse, t_vals, samples, direction_norm, bounds: (near, far), .. } = *pass;
+        let rays = t_vals.dim(0)?;
         let scalar = |value: f64| Tensor::new(value, t_vals.device())?.to_dtype(t_vals.dtype());
         let mut sets = Sets::default();
         for level in LEVELS {

@@ -2,16 +2,18 @@
 
 use candle_core::{D, Tensor};
 
-use crate::config::{Level, OutputPlace};
+use crate::config::{Encoding, Level, OutputPlace, SamplingConfig};
 use crate::data::Rays;
 use crate::error::Result;
 use crate::field::{FeatureDelta, Field, RawOutput};
 use crate::perturbations::{Deltas, Sets};
 use crate::sampling;
 
+mod cast;
 mod scan;
 pub mod volume;
 
+pub use cast::{gaussians_at, points_at, positions_at, samples_of};
 pub use volume::Composite;
 
 /// What one pass needs besides the field.
@@ -19,15 +21,16 @@ pub use volume::Composite;
 pub struct Pass<'a> {
     /// The rays.
     pub rays: &'a Rays,
-    /// Sample positions, `[rays, samples]`.
+    /// Sample positions, `[rays, samples]`; of a field with integrated encoding the edges of intervals,
+    /// `[rays, samples + 1]`.
     pub t_vals: &'a Tensor,
     /// Added to raw density, `[rays, samples]`.
     pub density_noise: Option<&'a Tensor>,
     /// Fills missing accumulation.
     pub background: Option<[f32; 3]>,
-    /// The samples' points with their deltas (see [`moved_points`]), where they are known already: a search that does
+    /// The samples' points or Gaussians with their deltas (see [`moved_positions`]), where they are known already: a search that does
     /// not move them asks for the very same tensor again and again (see [`Field::searching`]).
-    pub points: Option<&'a Tensor>,
+    pub positions: Option<&'a Tensor>,
 }
 
 /// Deltas of a perturbed pass and how they enter it.
@@ -51,7 +54,7 @@ pub struct PassOutput {
     pub rgb: Tensor,
     /// Density of each sample after activation and delta, `[rays, samples]`.
     pub density: Tensor,
-    /// Sample positions with their delta, `[rays, samples]`.
+    /// The pass's `t_vals` with their delta.
     pub t_vals: Tensor,
     /// Raw density of each sample without noise, detached, `[rays, samples]`.
     pub raw_density: Tensor,
@@ -63,8 +66,8 @@ pub struct PassOutput {
 
 /// Renders one pass without perturbation.
 pub fn clean_pass(field: &Field, pass: Pass) -> Result<PassOutput> {
-    let points = points_at(pass.rays, pass.t_vals)?.flatten(0, 1)?;
-    let raw = query(field, &points, pass.t_vals, &pass.rays.viewdirs, None)?;
+    let positions = positions_at(field, pass.rays, pass.t_vals)?.flatten(0, 1)?;
+    let raw = query(field, &positions, pass.t_vals, &pass.rays.viewdirs, None)?;
     let (rgb, density) = activate(field, &raw, pass.density_noise)?;
     finish(pass, pass.t_vals, &raw, (rgb, density), (Deltas::default(), Sets::default()))
 }
@@ -73,18 +76,19 @@ pub fn clean_pass(field: &Field, pass: Pass) -> Result<PassOutput> {
 pub fn perturbed_pass(field: &Field, pass: Pass, perturbation: Perturbation) -> Result<PassOutput> {
     let deltas = perturbation.deltas;
     let t_vals = moved_t_vals(pass, deltas)?;
-    let points = pass.points.map_or_else(|| moved_points(pass, deltas), |points| Ok(points.clone()))?;
+    let known = pass.positions.map(|positions| Ok(positions.clone()));
+    let positions = known.unwrap_or_else(|| moved_positions(field, pass, deltas))?;
     let viewdirs = match deltas.get(Level::View) {
         Some(delta) => tilt(pass.rays, delta)?,
         None => pass.rays.viewdirs.clone(),
     };
     let feature = deltas.get(Level::Feature).map(|delta| (perturbation.injection_layer, delta));
-    let raw = query(field, &points, &t_vals, &viewdirs, feature)?;
+    let raw = query(field, &positions, &t_vals, &viewdirs, feature)?;
     let (mut used, mut sets) = (deltas.clone(), perturbation.sets.clone());
     let activated = match perturbation.output {
         OutputPlace::After => {
             let (rgb, density) = activate(field, &raw, pass.density_noise)?;
-            add_after(perturbation, rgb, density, (&mut used, &mut sets))?
+            add_after(field, perturbation, (rgb, density), (&mut used, &mut sets))?
         }
         OutputPlace::Before => activate(field, &add_before(perturbation, &raw, &mut used)?, pass.density_noise)?,
     };
@@ -98,14 +102,16 @@ fn moved_t_vals(pass: Pass, deltas: &Deltas) -> Result<Tensor> {
     })
 }
 
-/// The samples' points with the deltas of `t` and `xyz`, `[rays * samples, 3]`.
-pub fn moved_points(pass: Pass, deltas: &Deltas) -> Result<Tensor> {
-    let points = points_at(pass.rays, &moved_t_vals(pass, deltas)?)?;
-    let points = match deltas.get(Level::Xyz) {
-        Some(delta) => (points + delta)?,
-        None => points,
+/// What the field is asked at, with the deltas of `t` and `xyz`: points `[rays * samples, 3]`, or Gaussians
+/// `[rays * samples, 6]`, of which `xyz` moves the mean.
+pub fn moved_positions(field: &Field, pass: Pass, deltas: &Deltas) -> Result<Tensor> {
+    let positions = positions_at(field, pass.rays, &moved_t_vals(pass, deltas)?)?;
+    let positions = match deltas.get(Level::Xyz) {
+        Some(delta) if positions.dim(2)? > 3 => (positions + Tensor::cat(&[delta, &delta.zeros_like()?], 2)?)?,
+        Some(delta) => (positions + delta)?,
+        None => positions,
     };
-    Ok(points.flatten(0, 1)?)
+    Ok(positions.flatten(0, 1)?)
 }
 
 fn finish(
@@ -125,14 +131,9 @@ pub fn noiseless_acc(field: &Field, out: &PassOutput, pass: Pass) -> Result<Tens
     if pass.density_noise.is_none() {
         return Ok(out.composite.acc.detach());
     }
-    let intervals = volume::intervals(pass.t_vals, &pass.rays.direction_norm)?;
+    let samples = out.raw_density.dim(1)?;
+    let intervals = volume::intervals(pass.t_vals, &pass.rays.direction_norm, samples)?;
     Ok(volume::weights_from_density(&field.activate_density(&out.raw_density)?, &intervals)?.sum(D::Minus1)?)
-}
-
-/// origin + t * direction, `[rays, samples, 3]`.
-pub fn points_at(rays: &Rays, t_vals: &Tensor) -> Result<Tensor> {
-    let along = t_vals.unsqueeze(2)?.broadcast_mul(&rays.directions.unsqueeze(1)?)?;
-    Ok(along.broadcast_add(&rays.origins.unsqueeze(1)?)?)
 }
 
 /// Moves unit view directions by two small angles `[rays, 2]` in their tangent planes.
@@ -143,25 +144,29 @@ fn tilt(rays: &Rays, angles: &Tensor) -> Result<Tensor> {
     Ok(moved.broadcast_div(&norm)?)
 }
 
-/// Raw output at points `[rays * samples, 3]`: rgb `[rays, samples, 3]`, density `[rays, samples]`.
+/// Raw output at positions `[rays * samples, 3 or 6]`: rgb `[rays, samples, 3]`, density `[rays, samples]`.
 fn query(
     field: &Field,
-    points: &Tensor,
+    positions: &Tensor,
     t_vals: &Tensor,
     viewdirs: &Tensor,
     feature: Option<(usize, &Tensor)>,
 ) -> Result<RawOutput> {
-    let (rays, samples) = t_vals.dims2()?;
+    let (rays, samples) = (t_vals.dim(0)?, samples_of(field, t_vals)?);
     let delta = feature.map(|(layer, delta)| Ok((layer, delta.flatten(0, 1)?))).transpose();
     let delta: Option<(usize, Tensor)> = delta.map_err(|e: candle_core::Error| e)?;
     let delta = delta.as_ref().map(|(layer, delta)| FeatureDelta { layer: *layer, delta });
-    let raw = field.forward(points, viewdirs, delta)?;
+    let raw = field.forward(positions, viewdirs, delta)?;
     Ok(RawOutput { rgb: raw.rgb.reshape((rays, samples, 3))?, density: raw.density.reshape((rays, samples))? })
 }
 
-/// Sigmoid on colour, noise and the field's activation on density.
+/// Sigmoid on colour, spread by the field's padding, noise and the field's activation on density.
 fn activate(field: &Field, raw: &RawOutput, density_noise: Option<&Tensor>) -> Result<(Tensor, Tensor)> {
-    let rgb = candle_nn::ops::sigmoid(&raw.rgb)?;
+    let padding = field.config().rgb_padding;
+    let mut rgb = candle_nn::ops::sigmoid(&raw.rgb)?;
+    if padding > 0.0 {
+        rgb = rgb.affine(1.0 + 2.0 * padding, -padding)?;
+    }
     let density = match density_noise {
         Some(noise) => field.activate_density(&(&raw.density + noise)?)?,
         None => field.activate_density(&raw.density)?,
@@ -169,29 +174,30 @@ fn activate(field: &Field, raw: &RawOutput, density_noise: Option<&Tensor>) -> R
     Ok((rgb, density))
 }
 
-/// Adds the output deltas to colour and density, projected so that colour stays in 0..=1 and
+/// Adds the output deltas to colour and density, projected so that colour stays in 0..=1 (and the field's padding) and
 /// density does not turn negative. The projected value counts; gradients pass to delta and field
 /// as if nothing had been projected.
 fn add_after(
+    field: &Field,
     p: Perturbation,
-    rgb: Tensor,
-    density: Tensor,
+    (rgb, density): (Tensor, Tensor),
     (used, sets): (&mut Deltas, &mut Sets),
 ) -> Result<(Tensor, Tensor)> {
+    let padding = field.config().rgb_padding;
     let mut add = |level: Level, value: Tensor| -> Result<Tensor> {
         let (Some(delta), Some(set)) = (p.deltas.get(level), p.sets.get(level)) else { return Ok(value) };
         let now = value.detach();
-        let upper = match level {
-            Level::Rgb => now.affine(-1.0, 1.0)?,
-            _ => (now.zeros_like()? + f64::from(f32::MAX))?,
+        let (lower, upper) = match level {
+            Level::Rgb => (now.affine(-1.0, -padding)?, now.affine(-1.0, 1.0 + padding)?),
+            _ => (now.neg()?, (now.zeros_like()? + f64::from(f32::MAX))?),
         };
-        let cut = set.within(now.neg()?, upper);
+        let cut = set.within(lower, upper);
         let projected = cut.project(&delta.detach())?;
         sets.set(level, cut);
         let moved = (&now + &projected)?;
         // The projected sum can leave the range by a rounding.
         let legal = match level {
-            Level::Rgb => moved.clamp(0f64, 1f64)?,
+            Level::Rgb => moved.clamp(-padding, 1.0 + padding)?,
             _ => moved.relu()?,
         };
         used.set(level, projected);
@@ -218,6 +224,27 @@ fn add_before(p: Perturbation, raw: &RawOutput, used: &mut Deltas) -> Result<Raw
     Ok(RawOutput { rgb: add(Level::Rgb, &raw.rgb)?, density: add(Level::Density, &raw.density)? })
 }
 
+/// Numbers of `t_vals` that a field's passes have, from those of a configuration: for the coarse pass, and for `u` of the
+/// fine one.
+pub fn columns(field: &Field, sampling: &SamplingConfig) -> (usize, usize) {
+    let more = usize::from(field.config().encoding == Encoding::Integrated);
+    (sampling.coarse + more, sampling.fine + more)
+}
+
+/// The fine pass's `t_vals` from the coarse pass's, its weights and `u`.
+pub fn resample(
+    field: &Field,
+    sampling: &SamplingConfig,
+    t_vals: &Tensor,
+    weights: &Tensor,
+    u: &Tensor,
+) -> Result<Tensor> {
+    match field.config().encoding {
+        Encoding::Positional => sampling::importance(t_vals, weights, u),
+        Encoding::Integrated => sampling::resample_intervals(t_vals, weights, u, sampling.resample_padding),
+    }
+}
+
 /// The deterministic image of rays for evaluation: no jitter, no noise, evenly spaced u. Without a
 /// fine field the coarse pass is the result.
 pub fn render_rays(
@@ -225,18 +252,20 @@ pub fn render_rays(
     fine: Option<&Field>,
     rays: &Rays,
     (near, far): (f64, f64),
-    (coarse_samples, fine_samples): (usize, usize),
+    sampling: &SamplingConfig,
     background: Option<[f32; 3]>,
 ) -> Result<Composite> {
-    let t_vals = sampling::stratified(near, far, rays.len(), coarse_samples, None, &rays.origins)?;
-    let pass = Pass { rays, t_vals: &t_vals, density_noise: None, background, points: None };
+    let (coarse_columns, fine_columns) = columns(coarse, sampling);
+    let t_vals = sampling::stratified(near, far, rays.len(), coarse_columns, None, &rays.origins)?;
+    let pass = Pass { rays, t_vals: &t_vals, density_noise: None, background, positions: None };
     let Some(fine) = fine else { return Ok(clean_pass(coarse, pass)?.composite) };
     // The coarse pass only places samples: density alone will do.
-    let points = points_at(rays, &t_vals)?.flatten(0, 1)?;
-    let density = coarse.activate_density(&coarse.raw_density(&points)?)?.reshape(t_vals.shape())?;
-    let weights = volume::weights_from_density(&density, &volume::intervals(&t_vals, &rays.direction_norm)?)?;
-    let u = sampling::even_u(rays.len(), fine_samples, &t_vals)?;
-    let t_vals = sampling::importance(&t_vals, &weights, &u)?;
+    let positions = positions_at(coarse, rays, &t_vals)?.flatten(0, 1)?;
+    let raw = coarse.raw_density(&positions)?.reshape((rays.len(), sampling.coarse))?;
+    let intervals = volume::intervals(&t_vals, &rays.direction_norm, sampling.coarse)?;
+    let weights = volume::weights_from_density(&coarse.activate_density(&raw)?, &intervals)?;
+    let u = sampling::even_u(rays.len(), fine_columns, &t_vals)?;
+    let t_vals = resample(coarse, sampling, &t_vals, &weights, &u)?;
     Ok(clean_pass(fine, Pass { t_vals: &t_vals, ..pass })?.composite)
 }
 

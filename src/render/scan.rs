@@ -21,7 +21,8 @@ impl Real for f64 {
     }
 }
 
-/// Colours `[rays, samples, 3]`, densities and positions `[rays, samples]` to one flat tensor: colour `[3 rays]`,
+/// Colours `[rays, samples, 3]`, densities `[rays, samples]` and positions (points `[rays, samples]` or edges of intervals
+/// `[rays, samples + 1]`) to one flat tensor: colour `[3 rays]`,
 /// depth `[rays]`, acc `[rays]`, weights `[rays * samples]`.
 pub(super) struct Scan {
     /// Lengths of the rays' directions.
@@ -49,6 +50,16 @@ impl<T: Real> Ray<'_, T> {
         T::from_f64(length * self.norm)
     }
 
+    /// Where sample `k` lies: its point, or the middle of its interval.
+    fn position(&self, k: usize) -> f64 {
+        if self.has_edges() { 0.5 * (self.t_vals[k] + self.t_vals[k + 1]).to_f64() } else { self.t_vals[k].to_f64() }
+    }
+
+    /// Samples are intervals between `t_vals`, not points at them.
+    fn has_edges(&self) -> bool {
+        self.t_vals.len() > self.density.len()
+    }
+
     /// For each sample: its weight, and the transmittance behind it (`T_k (1 - alpha_k)`).
     fn scan(&self, mut visit: impl FnMut(usize, f64, f64)) {
         let mut before = 0.0;
@@ -66,10 +77,11 @@ impl<T: Real> Ray<'_, T> {
 impl Scan {
     fn ray<'a, T>(&self, ray: usize, samples: usize, rgb: &'a [T], density: &'a [T], t_vals: &'a [T]) -> Ray<'a, T> {
         let row = ray * samples..(ray + 1) * samples;
+        let columns = t_vals.len() / self.direction_norm.len();
         Ray {
             rgb: &rgb[3 * row.start..3 * row.end],
-            density: &density[row.clone()],
-            t_vals: &t_vals[row],
+            density: &density[row],
+            t_vals: &t_vals[ray * columns..][..columns],
             norm: self.direction_norm[ray],
             last_interval: self.last_interval,
         }
@@ -95,7 +107,7 @@ impl Scan {
                 for (sum, c) in colour.iter_mut().zip(&ray.rgb[3 * k..3 * k + 3]) {
                     *sum += weight * c.to_f64();
                 }
-                depth += weight * ray.t_vals[k].to_f64();
+                depth += weight * ray.position(k);
                 acc += weight;
             });
             for (out, (sum, fill)) in colours[3 * i..][..3].iter_mut().zip(colour.into_iter().zip(self.fill())) {
@@ -131,17 +143,27 @@ impl Scan {
             for k in (0..samples).rev() {
                 let colour = &ray.rgb[3 * k..3 * k + 3];
                 let of_colour: f64 = (0..3).map(|c| g_colour[c] * colour[c].to_f64()).sum();
-                let g_weight = of_colour + g_depth * ray.t_vals[k].to_f64() + g_acc + g_weights[row + k].to_f64();
+                let g_weight = of_colour + g_depth * ray.position(k) + g_acc + g_weights[row + k].to_f64();
                 for c in 0..3 {
                     d_rgb[3 * (row + k) + c] = T::from_f64(weights[k] * g_colour[c]);
                 }
                 let d_optical = g_weight * behind[k] - later;
                 d_density[row + k] = T::from_f64(d_optical * ray.interval(k).to_f64());
                 let d_length = d_optical * ray.density[k].to_f64() * ray.norm;
-                d_t[row + k] = T::from_f64(d_t[row + k].to_f64() + g_depth * weights[k]);
-                if k + 1 < samples {
-                    d_t[row + k] = T::from_f64(d_t[row + k].to_f64() - d_length);
-                    d_t[row + k + 1] = T::from_f64(d_t[row + k + 1].to_f64() + d_length);
+                let mut add = |column: usize, value: f64| {
+                    let at = &mut d_t[i * ray.t_vals.len() + column];
+                    *at = T::from_f64(at.to_f64() + value);
+                };
+                let pull = g_depth * weights[k];
+                if ray.has_edges() {
+                    add(k, 0.5 * pull);
+                    add(k + 1, 0.5 * pull);
+                } else {
+                    add(k, pull);
+                }
+                if k + 1 < ray.t_vals.len() {
+                    add(k, -d_length);
+                    add(k + 1, d_length);
                 }
                 later += g_weight * weights[k];
             }

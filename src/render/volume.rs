@@ -22,11 +22,15 @@ pub struct Composite {
     pub weights: Tensor,
 }
 
-/// Interval lengths in scene units, `[rays, samples]`: differences of `t_vals` times the length of
-/// the direction `direction_norm` `[rays, 1]`, the last one [`LAST_INTERVAL`] long.
-pub fn intervals(t_vals: &Tensor, direction_norm: &Tensor) -> Result<Tensor> {
-    let (rays, samples) = t_vals.dims2()?;
-    let gaps = (t_vals.narrow(1, 1, samples - 1)? - t_vals.narrow(1, 0, samples - 1)?)?;
+/// Lengths of `samples` intervals in scene units, `[rays, samples]`: differences of `t_vals` times the length of the
+/// direction `direction_norm` `[rays, 1]`. Of points `[rays, samples]` the last one is [`LAST_INTERVAL`] long; edges
+/// `[rays, samples + 1]` (MipNeRF) bound every interval.
+pub fn intervals(t_vals: &Tensor, direction_norm: &Tensor, samples: usize) -> Result<Tensor> {
+    let (rays, columns) = t_vals.dims2()?;
+    let gaps = (t_vals.narrow(1, 1, columns - 1)? - t_vals.narrow(1, 0, columns - 1)?)?;
+    if columns > samples {
+        return Ok(gaps.broadcast_mul(direction_norm)?);
+    }
     let last = Tensor::full(LAST_INTERVAL, (rays, 1), t_vals.device())?.to_dtype(t_vals.dtype())?;
     Ok(Tensor::cat(&[gaps, last], 1)?.broadcast_mul(direction_norm)?)
 }
@@ -53,8 +57,16 @@ fn exclusive_sum(samples: usize, like: &Tensor) -> Result<Tensor> {
     Ok(Tensor::from_vec(values, (samples - 1, samples), like.device())?)
 }
 
+/// Positions of `samples` samples, `[rays, samples]`: points as they are, of intervals the middles.
+fn middles(t_vals: &Tensor, samples: usize) -> Result<Tensor> {
+    if t_vals.dim(1)? == samples {
+        return Ok(t_vals.clone());
+    }
+    Ok(((t_vals.narrow(1, 0, samples)? + t_vals.narrow(1, 1, samples)?)? * 0.5)?)
+}
+
 /// Composites `rgb` `[rays, samples, 3]` with `density` `[rays, samples]` (not negative) at
-/// `t_vals` `[rays, samples]`. `background` fills what the ray's weights leave.
+/// `t_vals` `[rays, samples]`, or between edges `[rays, samples + 1]`. `background` fills what the ray's weights leave.
 pub fn composite(
     rgb: &Tensor,
     density: &Tensor,
@@ -85,9 +97,10 @@ pub fn composite_reference(
     direction_norm: &Tensor,
     background: Option<[f32; 3]>,
 ) -> Result<Composite> {
-    let weights = weights_from_density(density, &intervals(t_vals, direction_norm)?)?;
+    let samples = density.dim(1)?;
+    let weights = weights_from_density(density, &intervals(t_vals, direction_norm, samples)?)?;
     let acc = weights.sum(D::Minus1)?;
-    let depth = (&weights * t_vals)?.sum(D::Minus1)?;
+    let depth = (&weights * middles(t_vals, samples)?)?.sum(D::Minus1)?;
     let mut colour = weights.unsqueeze(2)?.broadcast_mul(rgb)?.sum(1)?; // [rays, 3]
     if let Some(background) = background {
         let fill = Tensor::new(&background, rgb.device())?.to_dtype(rgb.dtype())?.reshape((1, 3))?;
@@ -129,7 +142,10 @@ mod tests {
         let scale = Tensor::new(&[[0.0f64], [1e4], [1.0], [3.0], [0.1]], &Device::Cpu).unwrap();
         let density = wave(&[rays, samples], 1.0).broadcast_mul(&scale).unwrap();
         let norm = Tensor::new(&[[1.0f64], [2.0], [0.5], [1.0], [1.5]], &Device::Cpu).unwrap();
-        for (dtype, tolerance) in [(DType::F64, 1e-12), (DType::F32, 2e-5)] {
+        let more = Tensor::cat(&[&gaps, &gaps.narrow(1, 0, 1).unwrap()], 1).unwrap();
+        let cases =
+            [(DType::F64, 1e-12), (DType::F32, 2e-5)].into_iter().flat_map(|case| [(case, &gaps), (case, &more)]);
+        for ((dtype, tolerance), gaps) in cases {
             let var = |tensor: &Tensor| Var::from_tensor(&tensor.to_dtype(dtype).unwrap()).unwrap();
             let inputs = [var(&wave(&[rays, samples, 3], 2.0)), var(&density), var(&gaps.cumsum(1).unwrap())];
             let norm = norm.to_dtype(dtype).unwrap();

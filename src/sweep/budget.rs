@@ -3,8 +3,8 @@
 use sha2::{Digest, Sha256};
 
 use crate::config::{
-    Config, EvalConfig, LEVELS, LatticePoints, Method, PerturbConfig, PerturbKind, RegularizedFields,
-    RegularizerConfig, scene_name, short_hash,
+    Config, EvalConfig, LEVELS, LatticePoints, PerturbConfig, PerturbKind, RegularizedFields, RegularizerConfig,
+    scene_name, short_hash,
 };
 use crate::error::Result;
 
@@ -30,15 +30,17 @@ pub fn steps_within(kind: BudgetKind, config: &Config, like: &Config, costs: &dy
 /// the weights.
 pub fn evaluations_per_step(config: &Config) -> f64 {
     let sampling = &config.sampling;
-    let samples = if sampling.fine > 0 { 2 * sampling.coarse + sampling.fine } else { sampling.coarse };
+    let samples = match (sampling.fine, config.method.is_mip()) {
+        (0, _) => sampling.coarse,
+        (fine, true) => sampling.coarse + fine,
+        (fine, false) => 2 * sampling.coarse + fine,
+    };
     let points = (config.train.rays * samples) as f64;
     let clean = 3.0 * points;
-    let perturbed = match (config.method, config.perturb.kind) {
-        (Method::Nerf, _) => 0.0,
-        (Method::AugNerf, PerturbKind::WorstCase) => {
-            3.0 * points + 2.0 * points * f64::from(search_steps(&config.perturb))
-        }
-        (Method::AugNerf, _) => 3.0 * points,
+    let perturbed = match (config.method.is_augmented(), config.perturb.kind) {
+        (false, _) => 0.0,
+        (true, PerturbKind::WorstCase) => 3.0 * points + 2.0 * points * f64::from(search_steps(&config.perturb)),
+        (true, _) => 3.0 * points,
     };
     clean + perturbed + regularizer_evaluations(config)
 }
@@ -85,7 +87,7 @@ pub fn shape(config: &Config) -> String {
     shape.train.learning_rate = 1.0;
     shape.train.decay_rate = 0.1;
     shape.train.decay_steps = None;
-    if shape.method == Method::Nerf {
+    if !shape.method.is_augmented() {
         shape.perturb = PerturbConfig::default();
     } else {
         shape.perturb.resolve(1.0);

@@ -187,7 +187,8 @@ impl Trainings<'_> {
     ) -> Result<PointResult> {
         let Finished { report, model, .. } = finished;
         let mut metrics = numbers(&report.mean);
-        if self.smoothness {
+        // Not defined for a field that is asked at Gaussians: those cells stay empty.
+        if self.smoothness && !config.method.is_mip() {
             let device = &self.machine.device;
             let (protocol, progress) = (report.protocol.clone(), self.reporter.progress());
             let smoothness = SmoothnessReport::measure(model, scene, &SMOOTHNESS, protocol, device, progress)?;

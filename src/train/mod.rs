@@ -8,12 +8,12 @@ use candle_core::backprop::GradStore;
 use candle_core::{DType, Device, Tensor};
 use rayon::prelude::*;
 
-use crate::config::{Config, DensityActivation, Method, Objective, PerturbKind, Regularizer};
+use crate::config::{Config, DensityActivation, Objective, PerturbKind, Regularizer};
 use crate::data::{Rays, Scene};
 use crate::error::{Error, Result};
 use crate::model::Model;
 use crate::perturbations::PixelScale;
-use crate::render::{Pass, PassOutput, clean_pass, noiseless_acc, photometric_loss, points_at};
+use crate::render::{self, Pass, PassOutput, clean_pass, noiseless_acc, photometric_loss, positions_at, resample};
 use crate::rng::{Random, Stream};
 use crate::sampling;
 
@@ -197,8 +197,9 @@ impl Losses {
     }
 
     /// Loss of the passes that [`Trainer::clean`] descended.
-    fn clean(&self) -> Result<Option<Tensor>> {
-        sum(self.coarse.clone(), self.fine.clone())
+    fn clean(&self, coarse_weight: f64) -> Result<Option<Tensor>> {
+        let coarse = self.coarse.as_ref().map(|loss| loss * coarse_weight).transpose()?;
+        sum(coarse, self.fine.clone())
     }
 
     /// Coarse, fine and perturbed loss and the largest accumulation, in one transfer.
@@ -258,9 +259,9 @@ impl Trainer {
         let mut trainer =
             Trainer::with_model(config, scene, Model::init(config, &redraws, dtype, device)?, dtype, device)?;
         let first = trainer.chunk(0)?;
-        let points = points_at(&first.rays, &first.t_coarse)?.flatten(0, 1)?;
+        let positions = positions_at(&trainer.model.coarse, &first.rays, &first.t_coarse)?.flatten(0, 1)?;
         loop {
-            let dead = trainer.dead_fields(&points)?;
+            let dead = trainer.dead_fields(&positions)?;
             if dead.is_empty() {
                 trainer.redraws = redraws;
                 if !config.regularizer.kind.is_empty() {
@@ -350,12 +351,14 @@ impl Trainer {
     fn draw_clean(&self, rays: Rays, target: Tensor, random: &mut Random) -> Result<Chunk> {
         let sampling = &self.config.sampling;
         let (n, coarse, fine) = (rays.len(), sampling.coarse, sampling.fine);
+        let (columns, fine_columns) = render::columns(&self.model.coarse, sampling);
+        let mip = self.config.method.is_mip();
         let jitter = match sampling.jitter {
-            true => Some(random.uniform_tensor(&[n, coarse], self.dtype, &self.device)?),
+            true => Some(random.uniform_tensor(&[n, columns], self.dtype, &self.device)?),
             false => None,
         };
         let (near, far) = self.volume.bounds;
-        let t_coarse = sampling::stratified(near, far, n, coarse, jitter.as_ref(), &rays.origins)?;
+        let t_coarse = sampling::stratified(near, far, n, columns, jitter.as_ref(), &rays.origins)?;
         let std = sampling.density_noise.expect("resolved");
         let mut noise = |samples: usize| -> Result<Option<Tensor>> {
             if std == 0.0 {
@@ -364,11 +367,14 @@ impl Trainer {
             Ok(Some((random.normal_tensor(&[n, samples], self.dtype, &self.device)? * std)?))
         };
         let noise_coarse = noise(coarse)?;
-        let noise_fine = if fine > 0 { noise(coarse + fine)? } else { None };
+        let noise_fine = if fine > 0 { noise(if mip { fine } else { coarse + fine })? } else { None };
         let u = match (fine, sampling.jitter) {
             (0, _) => None,
-            (_, true) => Some(random.uniform_tensor(&[n, fine], self.dtype, &self.device)?),
-            (_, false) => Some(sampling::even_u(n, fine, &t_coarse)?),
+            (_, true) => {
+                let uniform = random.uniform_tensor(&[n, fine_columns], self.dtype, &self.device)?;
+                Some(if mip { sampling::stratified_u(&uniform)? } else { uniform })
+            }
+            (_, false) => Some(sampling::even_u(n, fine_columns, &t_coarse)?),
         };
         Ok(Chunk { rays, target, t_coarse, noise_coarse, noise_fine, u, share: 1.0, index: 0 })
     }
@@ -387,7 +393,7 @@ impl Trainer {
         let (clean_weight, perturbed_weight) = mixing(&self.config);
         let [loss_coarse, loss_fine, loss_perturbed, largest_acc] = losses.read()?;
         let loss_coarse = loss_coarse.expect("every chunk has a coarse pass");
-        let clean = loss_coarse + loss_fine.unwrap_or(0.0);
+        let clean = self.coarse_weight(&self.model) * loss_coarse + loss_fine.unwrap_or(0.0);
         let mut loss = clean_weight * clean + loss_perturbed.map_or(0.0, |loss| perturbed_weight * loss);
         let mut regularizers = Vec::new();
         if let Some(values) = terms {
@@ -461,7 +467,7 @@ impl Trainer {
         let (clean_weight, perturbed_weight) = mixing(&self.config);
         let mut result = ChunkResult::new(self.adam.variables().len());
         let t_fine = self.clean(model, chunk, clean_weight, &mut result)?;
-        if self.config.method == Method::AugNerf {
+        if self.config.method.is_augmented() {
             let loss = if self.config.perturb.kind == PerturbKind::FreshJitter {
                 self.second_clean(model, chunk, perturbed_weight, &mut result.gradients)?
             } else {
@@ -476,14 +482,16 @@ impl Trainer {
     fn clean(&self, model: &Model, chunk: &Chunk, weight: f64, result: &mut ChunkResult) -> Result<Option<Tensor>> {
         let coarse = clean_pass(&model.coarse, self.coarse_pass(chunk))?;
         let weight = weight * chunk.share;
-        let loss = self.descend(&coarse, &chunk.target, weight, &mut result.gradients)?;
+        let coarse_weight = self.coarse_weight(model);
+        let loss = self.descend(&coarse, &chunk.target, weight * coarse_weight, &mut result.gradients)?;
         result.losses.coarse = Some((loss * chunk.share)?);
-        let (Some(field), Some(u)) = (&model.fine, &chunk.u) else {
+        let (Some(field), Some(u)) = (model.fine(), &chunk.u) else {
             result.losses.largest_acc =
                 Some(largest(&noiseless_acc(&model.coarse, &coarse, self.coarse_pass(chunk))?)?);
             return Ok(None);
         };
-        let t_vals = sampling::importance(&chunk.t_coarse, &coarse.composite.weights, u)?;
+        let weights = &coarse.composite.weights;
+        let t_vals = resample(&model.coarse, &self.config.sampling, &chunk.t_coarse, weights, u)?;
         drop(coarse);
         let fine = clean_pass(field, self.fine_pass(chunk, &t_vals))?;
         let loss = self.descend(&fine, &chunk.target, weight, &mut result.gradients)?;
@@ -492,13 +500,18 @@ impl Trainer {
         Ok(Some(t_vals))
     }
 
+    /// Weight of the coarse pass's loss; 1 where it is the only pass.
+    fn coarse_weight(&self, model: &Model) -> f64 {
+        if model.fine().is_some() { self.config.train.coarse_weight } else { 1.0 }
+    }
+
     fn coarse_pass<'a>(&self, chunk: &'a Chunk) -> Pass<'a> {
         Pass {
             rays: &chunk.rays,
             t_vals: &chunk.t_coarse,
             density_noise: chunk.noise_coarse.as_ref(),
             background: self.volume.background,
-            points: None,
+            positions: None,
         }
     }
 
@@ -555,10 +568,10 @@ impl Trainer {
 /// Weights of clean and perturbed loss.
 fn mixing(config: &Config) -> (f64, f64) {
     let lambda = config.perturb.lambda;
-    match (config.method, config.perturb.objective) {
-        (Method::Nerf, _) => (1.0, 0.0),
-        (Method::AugNerf, Objective::Paper) => (1.0, lambda),
-        (Method::AugNerf, Objective::Released) => (1.0 - lambda, lambda),
+    match (config.method.is_augmented(), config.perturb.objective) {
+        (false, _) => (1.0, 0.0),
+        (true, Objective::Paper) => (1.0, lambda),
+        (true, Objective::Released) => (1.0 - lambda, lambda),
     }
 }
 

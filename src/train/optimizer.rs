@@ -6,18 +6,32 @@ use candle_core::{CpuStorage, InplaceOp1, Layout, Storage, Tensor, Var, WithDTyp
 use pulp::Arch;
 use rayon::prelude::*;
 
-use crate::config::TrainConfig;
+use crate::config::{Schedule, TrainConfig};
 use crate::error::Result;
 
 const BETA1: f64 = 0.9;
 const BETA2: f64 = 0.999;
 const EPSILON: f64 = 1e-8;
 
-/// The learning rate of the update that follows `step` finished ones:
-/// learning_rate * decay_rate^(step / decay_steps).
+/// The learning rate of the update that follows `step` finished ones. Exponential:
+/// learning_rate * decay_rate^(step / decay_steps). Log-linear (Barron et al. 2021): learning_rate^(1 - s) *
+/// final_learning_rate^s at the share s of the steps, times warmup_from + (1 - warmup_from) sin(pi/2 min(s / warmup_share, 1)).
 pub fn learning_rate(config: &TrainConfig, step: u64) -> f64 {
-    let decay_steps = config.decay_steps.expect("resolved") as f64;
-    config.learning_rate * config.decay_rate.powf(step as f64 / decay_steps)
+    match config.schedule {
+        Schedule::Exponential => {
+            let decay_steps = config.decay_steps.expect("resolved") as f64;
+            config.learning_rate * config.decay_rate.powf(step as f64 / decay_steps)
+        }
+        Schedule::LogLinear => {
+            let done = step as f64 / config.steps as f64;
+            let course = config.learning_rate.powf(1.0 - done) * config.final_learning_rate.powf(done);
+            if done >= config.warmup_share {
+                return course;
+            }
+            let risen = (std::f64::consts::FRAC_PI_2 * done / config.warmup_share).sin();
+            course * (config.warmup_from + (1.0 - config.warmup_from) * risen)
+        }
+    }
 }
 
 /// First and second moment of one parameter.

@@ -9,9 +9,10 @@ use crate::error::Result;
 use crate::field::Field;
 use crate::model::Model;
 use crate::perturbations::{Deltas, Draw, PassGeometry, Sets, StepSizes, worst_case};
-use crate::render::{Pass, PassOutput, Perturbation, moved_points, perturbed_pass, photometric_loss};
+use crate::render::{
+    Pass, PassOutput, Perturbation, moved_positions, perturbed_pass, photometric_loss, resample, samples_of,
+};
 use crate::rng::{Random, Stream};
-use crate::sampling;
 
 use super::{Chunk, ChunkResult, Gradients, Trainer};
 
@@ -44,7 +45,7 @@ impl Trainer {
         let mut second = ChunkResult::new(gradients.0.len());
         self.clean(model, &fresh, weight, &mut second)?;
         gradients.merge(second.gradients)?;
-        Ok(second.losses.clean()?.expect("every chunk has a coarse pass"))
+        Ok(second.losses.clean(self.coarse_weight(model))?.expect("every chunk has a coarse pass"))
     }
 
     /// Searches and descends the perturbed passes of a chunk on the clean pass's samples. Returns
@@ -60,18 +61,19 @@ impl Trainer {
         let adversarial = model.adversarial.as_ref();
         let own = adversarial.unwrap_or(&model.coarse);
         let coarse = self.perturbed_pass(chunk, own, self.coarse_pass(chunk), true)?;
-        let (loss, out) = self.attack(&coarse, weight, result, log)?;
-        let (Some(field), Some(t_fine), Some(u)) = (&model.fine, t_fine, &chunk.u) else { return Ok(loss) };
+        let coarse_weight = self.coarse_weight(model);
+        let (loss, out) = self.attack(&coarse, weight * coarse_weight, result, log)?;
+        let (Some(field), Some(t_fine), Some(u)) = (model.fine(), t_fine, &chunk.u) else { return Ok(loss) };
         let resampled;
         let t_vals = match self.config.perturb.resample {
             Resample::Clean => t_fine,
             Resample::Perturbed => {
-                resampled = sampling::importance(&out.t_vals, &out.composite.weights, u)?;
+                resampled = resample(own, &self.config.sampling, &out.t_vals, &out.composite.weights, u)?;
                 &resampled
             }
         };
         let fine = self.perturbed_pass(chunk, adversarial.unwrap_or(field), self.fine_pass(chunk, t_vals), false)?;
-        Ok((loss + self.attack(&fine, weight, result, log)?.0)?)
+        Ok(((loss * coarse_weight)? + self.attack(&fine, weight, result, log)?.0)?)
     }
 
     fn perturbed_pass<'a>(
@@ -84,6 +86,7 @@ impl Trainer {
         let geometry = PassGeometry {
             is_coarse,
             t_vals: pass.t_vals,
+            samples: samples_of(field, pass.t_vals)?,
             direction_norm: &pass.rays.direction_norm,
             bounds: self.volume.bounds,
             coarse_samples: self.config.sampling.coarse,
@@ -138,16 +141,16 @@ impl Trainer {
         let field = passing.field.searching()?;
         // Points that do not move any more stay the same tensor: the field computes what depends on them alone once.
         let known: RefCell<Option<([Option<TensorId>; 2], Tensor)>> = RefCell::default();
-        let points_of = |deltas: &Deltas| -> Result<Tensor> {
+        let positions_of = |deltas: &Deltas| -> Result<Tensor> {
             let moved_by = [Level::T, Level::Xyz].map(|level| deltas.get(level).map(Tensor::id));
-            let same = known.borrow().as_ref().filter(|(by, _)| *by == moved_by).map(|(_, points)| points.clone());
-            let points = same.map_or_else(|| moved_points(passing.pass, deltas), Ok)?;
-            known.replace(Some((moved_by, points.clone())));
-            Ok(points)
+            let same = known.borrow().as_ref().filter(|(by, _)| *by == moved_by).map(|(_, known)| known.clone());
+            let positions = same.map_or_else(|| moved_positions(&field, passing.pass, deltas), Ok)?;
+            known.replace(Some((moved_by, positions.clone())));
+            Ok(positions)
         };
         worst_case(&passing.sets, &StepSizes::new(&self.config.perturb), start, |deltas| {
-            let points = points_of(deltas)?;
-            let still = Perturbed { pass: Pass { points: Some(&points), ..passing.pass }, ..passing.clone() };
+            let positions = positions_of(deltas)?;
+            let still = Perturbed { pass: Pass { positions: Some(&positions), ..passing.pass }, ..passing.clone() };
             let out = self.run(&still, &field, deltas)?;
             Ok((photometric_loss(&out.composite.rgb, passing.target)?, out.used))
         })

@@ -56,7 +56,7 @@ impl Trainer {
     }
 
     fn regularizes(&self, config: &RegularizerConfig, role: &str) -> bool {
-        let evaluated = if self.model.fine.is_some() { "fine" } else { "coarse" };
+        let evaluated = if self.model.fine().is_some() { "fine" } else { "coarse" };
         match config.fields {
             RegularizedFields::Both => role != "adversarial",
             RegularizedFields::Fine => role == evaluated,

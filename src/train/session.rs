@@ -3,7 +3,7 @@
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::{Duration, Instant};
 
-use crate::config::{Config, LEVELS, Method, PerturbKind, Regularizer};
+use crate::config::{Config, LEVELS, PerturbKind, Regularizer};
 use crate::data::Image;
 use crate::error::{Error, Result};
 use crate::output::{EventWriter, RunDir, Scalars};
@@ -56,7 +56,7 @@ fn columns(config: &Config) -> Vec<String> {
         columns.extend(EVALUATION_COLUMNS.map(String::from));
     }
     columns.extend(config.regularizer.kind.iter().map(|term| regularizer_column(*term)));
-    if config.method == Method::AugNerf {
+    if config.method.is_augmented() {
         columns.push("loss_perturbed".into());
         if config.perturb.kind != PerturbKind::FreshJitter {
             let on = LEVELS.into_iter().filter(|&level| config.perturb.delta(level).on());

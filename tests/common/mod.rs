@@ -1,6 +1,6 @@
 //! Small things that several test files share.
 
-use augnerf::config::{Config, DataKind, Method};
+use augnerf::config::{Config, DataKind, DensityActivation, Encoding, Method};
 use augnerf::data::{Camera, Image, Scene, View};
 use augnerf::train::Trainer;
 use candle_core::{DType, Device};
@@ -46,6 +46,14 @@ pub fn tiny_config(method: Method, change: impl FnOnce(&mut Config)) -> Config {
     config.field.skips = vec![2];
     config.field.position_octaves = 4;
     config.field.view_octaves = 2;
+    if method.is_mip() {
+        // What `build` lays under such a method, with fewer octaves.
+        config.field.encoding = Encoding::Integrated;
+        config.field.position_octaves = 6;
+        config.field.density_activation = DensityActivation::Softplus;
+        config.field.rgb_padding = 0.001;
+        config.train.coarse_weight = 0.1;
+    }
     config.perturb.injection_layer = 2;
     config.sampling.coarse = 8;
     config.sampling.fine = 8;

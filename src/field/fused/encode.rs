@@ -4,12 +4,21 @@ use std::f64::consts::FRAC_2_PI;
 
 use pulp::Arch;
 
-use crate::field::encoding::{encode_into, encoded_channels};
+use crate::config::Encoding;
+use crate::field::encoding::{Code, encode_into, encoded_channels, integrated_into};
 
 /// Numbers worked on at once.
 const LANES: usize = 8;
 /// Beyond it the reduction below loses digits.
 const LARGEST: f32 = 1e5;
+
+/// A tile's positions in a field's encoding.
+pub fn encode_positions(code: Code, x: &[f32], out: &mut [f32]) {
+    match code.kind {
+        Encoding::Positional => encode_tile(x, code.octaves, out),
+        Encoding::Integrated => integrated_into(x, code.octaves, out),
+    }
+}
 
 /// `[n, 3]` -> `[n, 3 + 6 octaves]`, as [`crate::field::encode`].
 pub fn encode_tile(x: &[f32], octaves: usize, out: &mut [f32]) {

@@ -220,7 +220,8 @@ impl CustomOp3 for Fused {
         delta_layout: &Layout,
     ) -> Result<(CpuStorage, Shape)> {
         let (points, viewdirs) = (slice(points, points_layout)?, slice(viewdirs, viewdirs_layout)?);
-        let (n, rays, delta) = (points.len() / 3, viewdirs.len() / 3, slice(delta, delta_layout)?);
+        let (n, rays, delta) =
+            (points.len() / self.network.code().inputs(), viewdirs.len() / 3, slice(delta, delta_layout)?);
         if rays == 0 && n > 0 || rays > 0 && n % rays != 0 {
             candle_core::bail!("fused field: {n} points of {rays} rays");
         }

@@ -7,11 +7,11 @@
 //! ([`Network::parameter_gradients`]).
 
 use crate::config::FieldConfig;
-use crate::field::encoding::{encoded_channels, gradient_into};
+use crate::field::encoding::{Code, encoded_channels, gradient_into};
 use crate::field::layer_shapes;
 use crate::field::work::count_points;
 
-use super::encode::encode_tile;
+use super::encode::{encode_positions, encode_tile};
 use super::kernels::{
     Matrix, add, add_bias, add_bias_relu, add_of_rays_relu, add_rows, apply_mask, few_forward, few_input_gradient,
     few_weight_gradient, multiply,
@@ -59,7 +59,7 @@ struct Parts {
 /// What a forward pass is asked.
 #[derive(Clone, Copy)]
 pub struct Inputs<'a> {
-    /// `[n, 3]`.
+    /// `[n, 3]`, or Gaussians `[n, 6]`.
     pub points: &'a [f32],
     /// `[rays, 3]`, unit; every ray has the same number of points. Empty: density alone is asked.
     pub viewdirs: &'a [f32],
@@ -284,8 +284,13 @@ impl Network {
         self.config.width
     }
 
+    /// How positions are encoded.
+    pub(super) fn code(&self) -> Code {
+        Code::of_positions(&self.config)
+    }
+
     pub(super) fn position_channels(&self) -> usize {
-        encoded_channels(self.config.position_octaves)
+        self.code().channels()
     }
 
     fn view_channels(&self) -> usize {
@@ -308,13 +313,13 @@ impl Network {
 
     /// The trunk up to layer `layer` (1-based) at points `[n, 3]`.
     pub fn prefix(&self, points: &[f32], layer: usize) -> Prefix {
-        let n = points.len() / 3;
+        let n = points.len() / self.code().inputs();
         let (width, position) = (self.config.width, self.position_channels());
         let mut prefix = Prefix { encoded: Buffer::new(n * position), hidden: Buffer::new(n * width) };
         let mut layers = [Buffer::new(TILE * width), Buffer::new(TILE * width)];
         for tile in tiles(n) {
             let encoded = tile.of_mut(&mut prefix.encoded, position);
-            encode_tile(tile.of(points, 3), self.config.position_octaves, encoded);
+            encode_positions(self.code(), tile.of(points, self.code().inputs()), encoded);
             for l in 0..layer {
                 let [a, b] = &mut layers;
                 let (below, output) = if l % 2 == 0 { (&*b, a) } else { (&*a, b) };
@@ -362,7 +367,7 @@ impl Network {
     /// Raw colours `[n, 3]` followed by raw densities `[n]`, or raw densities alone; and what a backward pass for
     /// `wanted` needs.
     pub fn forward(&self, inputs: Inputs, wanted: Wanted) -> (Vec<f32>, Kept) {
-        let n = inputs.points.len() / 3;
+        let n = inputs.points.len() / self.code().inputs();
         let (width, depth) = (self.config.width, self.config.depth);
         let (position, direction) = (self.position_channels(), self.view_channels());
         let rays = inputs.viewdirs.len() / 3;
@@ -394,7 +399,7 @@ impl Network {
                     } else {
                         tile.of_mut(&mut kept.encoded, position)
                     };
-                    encode_tile(tile.of(inputs.points, 3), self.config.position_octaves, encoded);
+                    encode_positions(self.code(), tile.of(inputs.points, self.code().inputs()), encoded);
                     encoded
                 }
             };
@@ -456,7 +461,7 @@ impl Network {
         wanted: Wanted,
         weights: &mut [f32],
     ) -> InputGradients {
-        let n = inputs.points.len() / 3;
+        let n = inputs.points.len() / self.code().inputs();
         let (width, depth) = (self.config.width, self.config.depth);
         let (position, direction) = (self.position_channels(), self.view_channels());
         let rays = inputs.viewdirs.len() / 3;
@@ -470,7 +475,7 @@ impl Network {
         };
         let into_trunk = lowest < depth || delta_layer == depth && wanted.delta;
         let mut out = InputGradients {
-            points: vec![0f32; if wanted.points { 3 * n } else { 0 }],
+            points: vec![0f32; if wanted.points { self.code().inputs() * n } else { 0 }],
             viewdirs: vec![0f32; if wanted.viewdirs { 3 * rays } else { 0 }],
             delta: vec![0f32; if wanted.delta { n * width } else { 0 }],
         };
@@ -549,9 +554,10 @@ impl Network {
             }
             if wanted.points {
                 let encoded = scratch.input.rows(&kept.encoded, position, rows);
-                let mut d_points = vec![0f32; 3 * count];
-                gradient_into(encoded, de, self.config.position_octaves, &mut d_points);
-                scatter(&d_points, 3, rows, &mut out.points);
+                let code = self.code();
+                let mut d_points = vec![0f32; code.inputs() * count];
+                code.gradient_into(encoded, de, &mut d_points);
+                scatter(&d_points, code.inputs(), rows, &mut out.points);
             }
         }
         if wanted.weights && rays > 0 {
