@@ -50,7 +50,9 @@ pub fn importance(t_vals: &Tensor, weights: &Tensor, u: &Tensor) -> Result<Tenso
 /// intervals. `edges` `[rays, coarse + 1]`, `weights` `[rays, coarse]`, `u` `[rays, fine + 1]` in 0..=1, sorted. A
 /// weight becomes the mean of the larger of itself and either neighbour, plus `padding` (Barron et al. 2021, equation 18).
 pub fn resample_intervals(edges: &Tensor, weights: &Tensor, u: &Tensor, padding: f64) -> Result<Tensor> {
-    // Few numbers a ray: where they are on an accelerator they come here and go back.
+    if !edges.device().is_cpu() {
+        return resample_intervals_on_device(edges, weights, u, padding);
+    }
     let (rays, coarse) = weights.dims2()?;
     let (_, new) = u.dims2()?;
     let (t, w, u) = (host_rows(edges)?, host_rows(weights)?, host_rows(u)?);
@@ -63,6 +65,21 @@ pub fn resample_intervals(edges: &Tensor, weights: &Tensor, u: &Tensor, padding:
         out.sort_unstable_by(f64::total_cmp);
     }
     Ok(Tensor::from_vec(drawn, (rays, new), edges.device())?.to_dtype(edges.dtype())?)
+}
+
+fn resample_intervals_on_device(edges: &Tensor, weights: &Tensor, u: &Tensor, padding: f64) -> Result<Tensor> {
+    let w = wide(weights)?;
+    let coarse = w.dim(1)?;
+    let left = Tensor::cat(&[&w.narrow(1, 0, 1)?, &w.narrow(1, 0, coarse - 1)?], 1)?;
+    let right = Tensor::cat(&[&w.narrow(1, 1, coarse - 1)?, &w.narrow(1, coarse - 1, 1)?], 1)?;
+    let blurred = (((left.maximum(&w)? + w.maximum(&right)?)? * 0.5)? + padding)?;
+    let drawn = invert_on_device(&wide(edges)?, &blurred, &wide(u)?, f64::MIN_POSITIVE)?;
+    Ok(drawn.sort_last_dim(true)?.0.to_dtype(edges.dtype())?)
+}
+
+/// Detached, in f64: sums of a CDF go through a matrix product, which some devices would round to ten bits.
+fn wide(tensor: &Tensor) -> Result<Tensor> {
+    Ok(tensor.detach().to_dtype(DType::F64)?)
 }
 
 fn blur(weights: &[f64], padding: f64) -> Vec<f64> {
@@ -97,28 +114,32 @@ fn importance_on_host(t_vals: &Tensor, weights: &Tensor, u: &Tensor) -> Result<T
     Ok(Tensor::from_vec(merged, (rays, coarse + fine), t_vals.device())?.to_dtype(t_vals.dtype())?)
 }
 
-/// The same without leaving an accelerator. In f64, as on the host: the CDF's sums go through a matrix product, which
-/// some devices would round to ten bits.
+/// The same without leaving an accelerator.
 fn importance_on_device(t_vals: &Tensor, weights: &Tensor, u: &Tensor) -> Result<Tensor> {
-    let f64_of = |tensor: &Tensor| tensor.detach().to_dtype(DType::F64);
-    let (t, u) = (f64_of(t_vals)?, f64_of(u)?);
-    let (rays, coarse) = t.dims2()?;
+    let t = wide(t_vals)?;
+    let coarse = t.dim(1)?;
     let bins = ((t.narrow(1, 0, coarse - 1)? + t.narrow(1, 1, coarse - 1)?)? * 0.5)?;
-    let floored = (f64_of(weights)?.narrow(1, 1, coarse - 2)? + FLOOR)?;
-    let shares = floored.broadcast_div(&floored.sum_keepdim(1)?)?;
-    let cdf = Tensor::cat(&[&Tensor::zeros((rays, 1), DType::F64, t.device())?, &shares.cumsum(1)?], 1)?;
+    let floored = (wide(weights)?.narrow(1, 1, coarse - 2)? + FLOOR)?;
+    let samples = invert_on_device(&bins, &floored, &wide(u)?, FLOOR)?;
+    let (merged, _) = Tensor::cat(&[t, samples], 1)?.sort_last_dim(true)?;
+    Ok(merged.to_dtype(t_vals.dtype())?)
+}
+
+/// [`invert`] of the CDF that positive `weights [rays, n]` define on the edges `bins [rays, n + 1]`, at `u`; all in f64.
+fn invert_on_device(bins: &Tensor, weights: &Tensor, u: &Tensor, narrowest: f64) -> Result<Tensor> {
+    let (rays, n) = weights.dims2()?;
+    let shares = weights.broadcast_div(&weights.sum_keepdim(1)?)?;
+    let cdf = Tensor::cat(&[&Tensor::zeros((rays, 1), DType::F64, bins.device())?, &shares.cumsum(1)?], 1)?;
     // Number of edges at or below u, as f64 [rays, fine].
     let above = cdf.unsqueeze(1)?.broadcast_le(&u.unsqueeze(2)?)?.to_dtype(DType::F64)?.sum(2)?;
     let lower = (&above - 1.0)?.maximum(0f64)?.to_dtype(DType::U32)?;
-    let upper = above.minimum((coarse - 2) as f64)?.to_dtype(DType::U32)?;
+    let upper = above.minimum(n as f64)?.to_dtype(DType::U32)?;
     let at = |values: &Tensor, index: &Tensor| values.contiguous()?.gather(index, 1);
     let below = at(&cdf, &lower)?;
     let share = (at(&cdf, &upper)? - &below)?;
-    let width = share.lt(FLOOR)?.where_cond(&share.ones_like()?, &share)?;
-    let from = at(&bins, &lower)?;
-    let samples = (&from + ((u - below)? / width)? * (at(&bins, &upper)? - &from)?)?;
-    let (merged, _) = Tensor::cat(&[t, samples], 1)?.sort_last_dim(true)?;
-    Ok(merged.to_dtype(t_vals.dtype())?)
+    let width = share.lt(narrowest)?.where_cond(&share.ones_like()?, &share)?;
+    let from = at(bins, &lower)?;
+    Ok((&from + ((u - below)? / width)? * (at(bins, &upper)? - &from)?)?)
 }
 
 /// `fine` equally spaced u in 0..=1 for each ray: sampling at test time.
@@ -209,6 +230,10 @@ mod tests {
         let tensor = |values: &[f64]| Tensor::new(values, &Device::Cpu).unwrap().unsqueeze(0).unwrap();
         let found = resample_intervals(&tensor(&edges), &tensor(&weights), &tensor(&u), 0.01).unwrap();
         for (a, b) in found.to_vec2::<f64>().unwrap()[0].iter().zip(expected) {
+            assert!((a - b).abs() < 1e-9, "{a} {b}");
+        }
+        let on_device = resample_intervals_on_device(&tensor(&edges), &tensor(&weights), &tensor(&u), 0.01).unwrap();
+        for (a, b) in on_device.to_vec2::<f64>().unwrap()[0].iter().zip(expected) {
             assert!((a - b).abs() < 1e-9, "{a} {b}");
         }
         let nothing = resample_intervals(&tensor(&edges), &tensor(&[0.0; 4]), &tensor(&[0.0, 0.5, 1.0]), 0.01).unwrap();

@@ -566,7 +566,7 @@ fn mip_nerf_runs_and_says_what_it_is_not_for() {
     {
         assert!(config.contains(line), "{line} is not in {config}");
     }
-    refuse(&["measure", whole.to_str().unwrap()], 2, &["MipNeRF", "Gaussians"]);
+    refuse(&["measure", whole.to_str().unwrap()], 2, &["aug-mip-nerf", "Gaussians"]);
     let out = dir.path().join("refused");
     let mip = ["--method", "mip-nerf", "--set"];
     refuse(
@@ -596,6 +596,10 @@ fn corruptions_are_recorded_and_can_be_looked_at() {
     let views = text(&copy.join("views.csv")).lines().count() - 1;
     assert_eq!(std::fs::read_dir(&copy).unwrap().count(), views + 3, "a picture a view and three files");
     refuse(&corrupt, 4, &["already holds files"]);
+    let seen = dir.path().join("seen");
+    let config = run.join("config.toml");
+    succeed(&["data", "corrupt", seen.to_str().unwrap(), "--quiet", "--config", config.to_str().unwrap()]);
+    assert_eq!(text(&seen.join("corruption.json")), text(&copy.join("corruption.json")));
     let other = dir.path().join("other");
     let other = ["data", "corrupt", other.to_str().unwrap()];
     refuse(&other, 2, &["data.corruption.kind", "gaussian-noise, shot-noise, pepper or poses"]);

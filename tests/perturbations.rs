@@ -133,8 +133,10 @@ const H: f64 = 1e-6;
 
 #[test]
 fn loss_gradients_in_every_delta_equal_finite_differences() {
-    let methods = [Method::AugNerf, Method::AugMipNerf];
-    for (output, method) in [OutputPlace::After, OutputPlace::Before].into_iter().zip(methods) {
+    let cases = [Method::AugNerf, Method::AugMipNerf]
+        .into_iter()
+        .flat_map(|method| [OutputPlace::After, OutputPlace::Before].map(|output| (method, output)));
+    for (method, output) in cases {
         let setting = Setting::of(method, 1, (4, 6), |config| config.output = output);
         // Half-size deltas: away from the bounds of their sets.
         let mut deltas = setting.draw(0);
@@ -152,11 +154,13 @@ fn loss_gradients_in_every_delta_equal_finite_differences() {
             let gradient = gradients.get(&variables[level as usize]).unwrap();
             let gradient = gradient.flatten_all().unwrap().to_vec1::<f64>().unwrap();
             // A projected colour or density passes its gradient on although its value is fixed;
-            // the last density has no perturbation at all.
+            // a point's last density has no perturbation at all.
             let used = setting.loss(&deltas).1.get(level).unwrap().flatten_all().unwrap().to_vec1::<f64>().unwrap();
             let given = deltas.get(level).unwrap().flatten_all().unwrap().to_vec1::<f64>().unwrap();
             let samples = 6;
-            let free = |i: &usize| used[*i] == given[*i] && (level != Level::Density || i % samples != samples - 1);
+            let free = |i: &usize| {
+                used[*i] == given[*i] && (level != Level::Density || method.is_mip() || i % samples != samples - 1)
+            };
             let difference = |i: usize| {
                 let at = |by: f64| {
                     let mut moved = deltas.clone();
@@ -409,6 +413,25 @@ fn a_level_too_small_to_matter_is_inactive_and_a_large_one_is_not() {
     let (small, large) = (levels(1e-9), levels(0.1));
     assert!(small.inactive && !large.inactive, "{small:?} {large:?}");
     assert!(large.gain > 0.0 && large.gain_over_random > 0.0 && large.share_at_bound.unwrap() > 0.4, "{large:?}");
+}
+
+/// What a level adds to the loss counts as the loss itself does: a coarse pass of weight 0.1 a tenth.
+#[test]
+fn a_coarse_level_gains_as_much_as_its_pass_weighs() {
+    let gain = |coarse_weight: f64| {
+        let config = tiny_config(Method::AugNerf, |config| {
+            config.train.coarse_weight = coarse_weight;
+            config.perturb.attack = Attack::Calibrated;
+            for level in LEVELS {
+                config.perturb.delta_mut(level).passes = augnerf::config::Passes::Off;
+            }
+            config.perturb.xyz.passes = augnerf::config::Passes::Coarse;
+            config.perturb.xyz.epsilon = Some(20.0);
+        });
+        trained(&config, 0).step(true).unwrap().levels[0].gain
+    };
+    let (whole, tenth) = (gain(1.0), gain(0.1));
+    assert!(whole != 0.0 && (tenth / whole - 0.1).abs() < 1e-6, "{whole} {tenth}");
 }
 
 #[test]

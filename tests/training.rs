@@ -2,7 +2,7 @@
 
 mod common;
 
-use augnerf::config::{Core, Method, PerturbField, Schedule};
+use augnerf::config::{Core, DataKind, Method, PerturbField, Schedule};
 use augnerf::data::{Camera, View};
 use augnerf::error::Error;
 use augnerf::evaluate::Viewer;
@@ -140,6 +140,23 @@ fn the_log_linear_rate_warms_up_and_falls_evenly_in_its_logarithm() {
     for (step, expected) in [(0, 5e-6), (50, course(50.0) * risen), (100, course(100.0)), (500, 5e-5), (1000, 5e-6)] {
         assert!((learning_rate(&config.train, step) / expected - 1.0).abs() < 1e-12, "{step}");
     }
+}
+
+/// In NDC pixels are cylinders.
+#[test]
+fn mip_nerf_trains_on_a_forward_facing_scene() {
+    let mut config = tiny_config(Method::AugMipNerf, |config| {
+        (config.data.kind, config.data.width) = (DataKind::BuiltinForward, 24);
+        config.sampling.density_noise = Some(1.0);
+    });
+    let scene = augnerf::data::load(&config.data, 0, &()).unwrap();
+    assert!(scene.ndc.is_some());
+    config.resolve_bounds(scene.near, scene.far);
+    let mut trainer = Trainer::new(&config, &scene, DType::F32, &Device::Cpu).unwrap();
+    let mut loss = || trainer.step(false).unwrap().loss_fine.unwrap();
+    let early: f64 = (0..20).map(|_| loss()).sum();
+    let late: f64 = (0..200).map(|_| loss()).skip(180).sum();
+    assert!(late < 0.7 * early, "{early} {late}");
 }
 
 /// One field serves both passes, and the coarse one counts a tenth.

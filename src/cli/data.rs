@@ -40,6 +40,8 @@ const CORRUPT_EXAMPLES: &str = "Examples:
   augnerf data corrupt noisy --data fern --set data.corruption.kind=gaussian-noise --set data.corruption.severity=3
   augnerf data corrupt moved --data fern --set data.corruption.kind=poses --seed 1    pictures as they are, views.csv says what moved
 
+  augnerf data corrupt seen --config RUN/config.toml      what a run was trained on
+
 Training with the same settings and seed sees these bytes; held-out views are never touched.";
 
 #[derive(Args)]
@@ -49,12 +51,15 @@ pub struct CorruptArguments {
     /// Scene folder [default: the embedded scene]
     #[arg(long, value_name = "DIR")]
     data: Option<PathBuf>,
-    /// Settings of section data, as in training
+    /// A run's config.toml, or another file with settings
+    #[arg(long, value_name = "FILE")]
+    config: Option<PathBuf>,
+    /// Settings over the file's, as in training
     #[arg(long, value_name = "FIELD=VALUE")]
     set: Vec<String>,
-    /// Seed of the run whose training views these are
-    #[arg(long, value_name = "N", default_value_t = 0, value_parser = clap::value_parser!(u64).range(..=i64::MAX as u64))]
-    seed: u64,
+    /// Seed of the run whose training views these are [default: the file's, or 0]
+    #[arg(long, value_name = "N")]
+    seed: Option<u64>,
     /// No progress bar
     #[arg(long, short)]
     quiet: bool,
@@ -89,19 +94,21 @@ impl DataCommand {
     }
 }
 
-/// The defaults with settings over them, for the scene in `dir`.
-fn config_of(dir: Option<&Path>, set: &[String]) -> Result<Config> {
+/// The defaults with a file and settings over them, for the scene in `dir`.
+fn config_of(dir: Option<&Path>, file: Option<&Path>, set: &[String]) -> Result<Config> {
     let mut assignments = set.iter().map(|text| parse_assignment(text)).collect::<Result<Vec<_>>>()?;
     if let Some(dir) = dir {
         let dir = toml::Value::String(dir.to_string_lossy().into_owned());
         assignments.push((vec!["data".into(), "dir".into()], dir));
     }
-    build(None, None, &assignments)
+    build(None, file, &assignments)
 }
 
 impl CorruptArguments {
     fn run(self) -> Result<()> {
-        let mut config = config_of(self.data.as_deref(), &self.set)?;
+        let seed = self.seed.map(|seed| format!("seed={seed}"));
+        let set: Vec<String> = self.set.into_iter().chain(seed).collect();
+        let mut config = config_of(self.data.as_deref(), self.config.as_deref(), &set)?;
         if !config.data.corruption.is_on() {
             let message =
                 "nothing would be corrupted: --set data.corruption.kind to gaussian-noise, shot-noise, pepper or poses";
@@ -110,8 +117,8 @@ impl CorruptArguments {
         let corruption = std::mem::take(&mut config.data.corruption);
         let clean = load_scene(&mut config, &Screen::new(self.quiet))?;
         let mut corrupted = clean.clone();
-        corrupt(&mut corrupted, &corruption, self.seed)?;
-        write_corrupted(&self.dir, &clean, &corrupted, self.seed)?;
+        corrupt(&mut corrupted, &corruption, config.seed)?;
+        write_corrupted(&self.dir, &clean, &corrupted, config.seed)?;
         print(&format!("{}: {} training views", self.dir.display(), corrupted.train.len()));
         Ok(())
     }
@@ -119,7 +126,7 @@ impl CorruptArguments {
 
 impl CheckArguments {
     fn run(self) -> Result<()> {
-        let mut config = config_of(self.dir.as_deref(), &self.set)?;
+        let mut config = config_of(self.dir.as_deref(), None, &self.set)?;
         let scene = load_scene(&mut config, &Screen::new(self.quiet))?;
         let split = ("split".to_string(), split_name(&config));
         for (label, value) in scene.describe().into_iter().chain([split]) {

@@ -25,7 +25,7 @@ pub struct Experiment {
     /// in, so it is no base for another scene or attack)
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
-    /// nerf or aug-nerf [default: the preset's]
+    /// nerf, aug-nerf, mip-nerf or aug-mip-nerf [default: nerf]
     #[arg(long, value_name = "METHOD")]
     method: Option<String>,
     /// Seed of every random stream [default: 0]

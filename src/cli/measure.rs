@@ -8,7 +8,8 @@ use clap::Args;
 use crate::config::{LatticePoints, Method, REGULARIZERS, RegularizerConfig, validate_regularizer};
 use crate::error::{Error, Result};
 use crate::evaluate::{Protocol, SmoothnessReport, columns};
-use crate::job::load_scene;
+use crate::job::{load_scene, run_config};
+use crate::output::RunDir;
 use crate::regularizers::Lattice;
 use crate::train::Trainer;
 
@@ -53,6 +54,17 @@ impl MeasureArguments {
             ..RegularizerConfig::default()
         })
         .map_err(|error| Error::Config(error.to_string().replace("regularizer.", "--")))?;
+        for run in &self.runs {
+            let method = run_config(&RunDir::open(run)?)?.method;
+            if method.is_mip() {
+                return Err(Error::Config(format!(
+                    "{}: a field of method {} is asked at Gaussians, not at points, and has no l1, TV or Laplacian; measure \
+                     nerf and aug-nerf runs",
+                    run.display(),
+                    method.name()
+                )));
+            }
+        }
         let mut header = true;
         for run in &self.runs {
             let trained = Trained::open(run, self.data.as_deref(), &device, &screen)?;

@@ -529,8 +529,13 @@ impl Config {
         }
         portable.regularizer.resolve();
         portable.data.corruption.resolve();
+        portable.text_hash()
+    }
+
+    /// A 12-digit hash of all fields, but for those in `YOUNG` that are at their defaults.
+    pub fn text_hash(&self) -> String {
         let as_table = |config: &Config| toml::Table::try_from(config).expect("a configuration is plain data");
-        let (mut table, defaults) = (as_table(&portable), as_table(&Config::default()));
+        let (mut table, defaults) = (as_table(self), as_table(&Config::default()));
         for (section, field) in YOUNG {
             let Some(fields) = table[section].as_table_mut() else { continue };
             if fields.get(field) == defaults[section].get(field) {
@@ -538,6 +543,12 @@ impl Config {
             }
         }
         short_hash(Sha256::new_with_prefix(table.to_string()))
+    }
+
+    /// Samples of the coarse and of the fine pass; the latter 0 where there is none.
+    pub fn samples(&self) -> (usize, usize) {
+        let SamplingConfig { coarse, fine, .. } = self.sampling;
+        (coarse, if fine == 0 || self.method.is_mip() { fine } else { coarse + fine })
     }
 }
 

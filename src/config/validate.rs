@@ -162,6 +162,8 @@ impl Config {
         let sampling = &self.sampling;
         require((3..=4096).contains(&sampling.coarse), "sampling.coarse", sampling.coarse, "3 to 4096 samples")?;
         require(sampling.fine <= 4096, "sampling.fine", sampling.fine, "0 (coarse only) to 4096 samples")?;
+        let allowed = "0 (coarse only) or at least 2 intervals";
+        require(!(self.method.is_mip() && sampling.fine == 1), "sampling.fine", sampling.fine, allowed)?;
         let padding = sampling.resample_padding;
         let allowed = "positive: where all weights are 0, intervals are drawn from it alone";
         require(padding.is_finite() && padding > 0.0, "sampling.resample_padding", padding, allowed)?;

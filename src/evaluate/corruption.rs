@@ -19,7 +19,7 @@ struct Line<'a> {
     view: &'a str,
     /// Of the corrupted view against the clean one, dB; empty where they are equal.
     psnr: Option<f64>,
-    /// Angle between the viewing directions, degrees.
+    /// Angle of the rotation from one camera to the other, degrees.
     turned: f64,
     /// Distance between the origins, scene units.
     moved: f64,
@@ -69,7 +69,9 @@ pub fn write_corrupted(dir: &Path, clean: &Scene, corrupted: &Scene, seed: u64) 
 
 fn line<'a>(before: &View, after: &'a View) -> Result<Line<'a>> {
     let [a, b] = [before, after].map(|view| &view.camera.pose);
-    let cosine = dot(column(a, 2), column(b, 2)) / (length(column(a, 2)) * length(column(b, 2)));
+    // The trace of the rotation from one to the other is 1 + 2 cos(angle).
+    let trace: f64 = (0..3).map(|axis| dot(column(a, axis), column(b, axis))).sum();
+    let cosine = 0.5 * (trace - 1.0);
     Ok(Line {
         view: &after.name,
         psnr: psnr_float(&before.image, &after.image)?,

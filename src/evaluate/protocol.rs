@@ -4,7 +4,8 @@ use serde::Serialize;
 
 use crate::config::{
     Attack, Config, DataKind, DensityActivation, EvalSplit, Init, LEVELS, LatticePoints, Objective, OutputPlace,
-    Passes, PerturbConfig, PerturbField, PerturbKind, PixelOrigin, RegularizedFields, Resample, StepUnit,
+    Passes, PerturbConfig, PerturbField, PerturbKind, PixelOrigin, RegularizedFields, Resample, Schedule, StepUnit,
+    TrainConfig,
 };
 use crate::data::Scene;
 use crate::model::Model;
@@ -39,7 +40,7 @@ pub struct Protocol {
     pub views_evaluated: usize,
     /// Where in a pixel its ray goes through: `corner` or `centre`.
     pub pixel_origin: PixelOrigin,
-    /// `nerf` or `aug-nerf`.
+    /// `nerf`, `aug-nerf`, `mip-nerf`, `aug-mip-nerf`.
     pub method: String,
     /// What fills the perturbed pass; this and all to `lambda` are empty without one.
     pub perturb_kind: Option<PerturbKind>,
@@ -80,14 +81,18 @@ pub struct Protocol {
     pub init: Init,
     /// What turns raw density into density.
     pub density_activation: DensityActivation,
-    /// Samples of the coarse pass.
+    /// Samples of the coarse pass (MipNeRF: intervals).
     pub samples_coarse: usize,
-    /// Further samples of the fine pass.
+    /// Further samples of the fine pass (MipNeRF: its intervals).
     pub samples_fine: usize,
     /// Rays of a step.
     pub rays: usize,
     /// Weight updates.
     pub steps: u64,
+    /// The learning rate and how it falls: `0.0005, times 0.1 every 250000`, `0.0005 to 0.000005`.
+    pub learning_rate: String,
+    /// Weight of the coarse pass's loss.
+    pub coarse_weight: f64,
     /// Seed of all random streams.
     pub seed: u64,
     /// How often each field was drawn again because it started dead: `coarse 0, fine 1`.
@@ -106,6 +111,17 @@ pub struct Protocol {
     pub code_revision: String,
     /// `cpu`, `cuda`, `cuda-tf32`, `metal`; all of them where several did.
     pub device: String,
+}
+
+/// A learning rate and how it falls, in words.
+fn learning_rate(train: &TrainConfig) -> String {
+    let start = train.learning_rate;
+    match train.schedule {
+        Schedule::Exponential => {
+            format!("{start}, times {} every {}", train.decay_rate, train.decay_steps.expect("resolved"))
+        }
+        Schedule::LogLinear => format!("{start} to {}", train.final_learning_rate),
+    }
 }
 
 impl Protocol {
@@ -165,6 +181,8 @@ impl Protocol {
             samples_fine: config.sampling.fine,
             rays: config.train.rays,
             steps: state.step,
+            learning_rate: learning_rate(&config.train),
+            coarse_weight: config.train.coarse_weight,
             seed: config.seed,
             redraws: named.collect::<Vec<String>>().join(", "),
             config_hash: config.hash(),

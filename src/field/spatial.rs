@@ -24,12 +24,12 @@
 use candle_core::{Device, Tensor};
 
 use crate::config::{DensityActivation, Encoding};
-use crate::error::{Error, Result};
+use crate::error::Result;
 
 use super::activation::Activated;
 use super::dense::mask_where_zero;
 use super::fused::Slope;
-use super::{Field, Layer, encode, encode_reference, encoded_channels};
+use super::{Field, Layer, encode, encode_reference, encoded_channels, tensor_error};
 
 /// Density and its derivatives in space at `n` points, detached.
 pub struct Spatial<'a> {
@@ -125,11 +125,7 @@ impl Field {
     /// ([`Field::prepared`]).
     pub fn spatial(&self, points: &Tensor) -> Result<Spatial<'_>> {
         if self.config.encoding == Encoding::Integrated {
-            return Err(Error::Config(
-                "a MipNeRF field is asked at Gaussians, not at points: density's derivatives are measured for nerf and \
-                 aug-nerf only"
-                    .into(),
-            ));
+            return Err(tensor_error("density's derivatives are those of a field that is asked at points".into()));
         }
         let encoded = encode(&points.detach(), self.config.position_octaves)?;
         let slopes = Slopes::new(&encoded, self.config.position_octaves)?;

@@ -54,7 +54,7 @@ pub struct PassGeometry<'a> {
     pub direction_norm: &'a Tensor,
     /// Near and far, in the units of `t_vals`.
     pub bounds: (f64, f64),
-    /// N of the cap (far - near) |d| / (2 (N - 1)) on the radius of `xyz`.
+    /// N of the cap (far - near) |d| / (2 (N - 1)) on the radius of `xyz`: columns of the coarse pass's `t_vals`.
     pub coarse_samples: usize,
     /// The field's width.
     pub width: usize,
@@ -235,7 +235,8 @@ impl Sets {
                 Level::Rgb => DeltaSet::new(norm, scalar(epsilon)?.reshape((1, 1, 1))?, &[rays, samples, 3]),
                 Level::Density => {
                     let mut set = DeltaSet::new(norm, scalar(epsilon)?.reshape((1, 1))?, &[rays, samples]);
-                    if !config.perturb_last {
+                    // Edges end the last interval, too: nothing is opaque by definition.
+                    if !config.perturb_last && t_vals.dim(1)? == samples {
                         set.mask = Some(all_but_last(samples, t_vals)?);
                     }
                     set

@@ -1,10 +1,8 @@
 //! What a step costs, and how many steps of one row cost as much as another row's.
 
-use sha2::{Digest, Sha256};
-
 use crate::config::{
     Config, EvalConfig, LEVELS, LatticePoints, PerturbConfig, PerturbKind, RegularizedFields, RegularizerConfig,
-    scene_name, short_hash,
+    TrainConfig, scene_name,
 };
 use crate::error::Result;
 
@@ -29,13 +27,8 @@ pub fn steps_within(kind: BudgetKind, config: &Config, like: &Config, costs: &dy
 /// counts one, and a backward pass one for the gradient of the layers' inputs and one for that of
 /// the weights.
 pub fn evaluations_per_step(config: &Config) -> f64 {
-    let sampling = &config.sampling;
-    let samples = match (sampling.fine, config.method.is_mip()) {
-        (0, _) => sampling.coarse,
-        (fine, true) => sampling.coarse + fine,
-        (fine, false) => 2 * sampling.coarse + fine,
-    };
-    let points = (config.train.rays * samples) as f64;
+    let (coarse, fine) = config.samples();
+    let points = (config.train.rays * (coarse + fine)) as f64;
     let clean = 3.0 * points;
     let perturbed = match (config.method.is_augmented(), config.perturb.kind) {
         (false, _) => 0.0,
@@ -84,9 +77,21 @@ pub fn shape(config: &Config) -> String {
     shape.eval = EvalConfig::default();
     shape.seed = 0;
     shape.train.steps = 1;
-    shape.train.learning_rate = 1.0;
-    shape.train.decay_rate = 0.1;
-    shape.train.decay_steps = None;
+    // Numbers alone: they change no work.
+    let defaults = Config::default();
+    shape.train = TrainConfig {
+        learning_rate: 1.0,
+        decay_rate: 0.1,
+        decay_steps: None,
+        coarse_weight: defaults.train.coarse_weight,
+        schedule: defaults.train.schedule,
+        final_learning_rate: defaults.train.final_learning_rate,
+        warmup_share: defaults.train.warmup_share,
+        warmup_from: defaults.train.warmup_from,
+        ..shape.train
+    };
+    shape.data.corruption = defaults.data.corruption;
+    shape.sampling.resample_padding = defaults.sampling.resample_padding;
     if !shape.method.is_augmented() {
         shape.perturb = PerturbConfig::default();
     } else {
@@ -98,5 +103,5 @@ pub fn shape(config: &Config) -> String {
         }
     }
     shape.regularizer.weight = shape.regularizer.kind.iter().map(|_| 1.0).collect();
-    short_hash(Sha256::new_with_prefix(shape.to_toml()))
+    shape.text_hash()
 }

@@ -5,7 +5,7 @@ use std::path::Path;
 use serde::{Deserialize, Serialize};
 use toml::{Table, Value};
 
-use crate::config::{CorruptionConfig, DataConfig};
+use crate::config::{Config, CorruptionConfig, DataConfig};
 use crate::error::{Error, Result};
 
 use super::points::Point;
@@ -35,6 +35,11 @@ pub const METRICS: [&str; 15] = [
 
 /// Those of [`METRICS`] that are measured on a lattice.
 pub const SMOOTHNESS_METRICS: [&str; 5] = ["l1", "tv", "laplacian", "largest_density", "occupied"];
+
+/// Whether a run of this configuration has the metric: a field that is asked at Gaussians has no derivatives at points.
+pub(super) fn is_defined(metric: &str, config: &Config) -> bool {
+    !config.method.is_mip() || !SMOOTHNESS_METRICS.contains(&metric)
+}
 
 /// A sweep file.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]

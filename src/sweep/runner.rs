@@ -8,6 +8,7 @@ use std::time::{Duration, SystemTime};
 use crate::error::{Error, Result};
 
 use super::claim::{Beat, Claim};
+use super::definition::is_defined;
 use super::folder::{Failure, PointFolder, PointResult, SweepFolder};
 use super::points::Point;
 
@@ -120,7 +121,10 @@ impl Runner<'_> {
             let folder = self.folder.point(&point.id);
             let again = || match folder.failed_at() {
                 Some(at) => Ok(failed_before.get(&point.id) == Some(&at)),
-                None => folder.lacks(&self.options.remeasure),
+                None => {
+                    let defined = |metric: &&String| is_defined(metric, &point.config);
+                    folder.lacks(&self.options.remeasure.iter().filter(defined).cloned().collect::<Vec<String>>())
+                }
             };
             if folder.ended() && !again()? {
                 continue;

@@ -5,7 +5,8 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use candle_core::DType;
 
-use crate::config::Config;
+use crate::config::{Config, CorruptionConfig, DataConfig};
+use crate::data::corruption::corrupt;
 use crate::data::{self, Progress, Scene};
 use crate::error::{Error, Result};
 use crate::evaluate::{Report, SmoothnessReport, Viewer, columns};
@@ -17,6 +18,7 @@ use crate::train::{StepStats, Trainer};
 
 use super::budget::StepCosts;
 use super::claim::Beat;
+use super::definition::{SMOOTHNESS_METRICS, is_defined};
 use super::folder::{PointFolder, PointResult};
 use super::points::Point;
 use super::runner::Work;
@@ -57,15 +59,14 @@ impl<'a> Trainings<'a> {
     /// The scene of a configuration, which is resolved with it.
     pub fn scene(&self, config: &mut Config) -> Result<Arc<Scene>> {
         locate_scene(config)?;
-        // The seed decides how views are corrupted, and nothing else of a scene.
-        let corruption_seed = config.data.corruption.is_on().then_some(config.seed);
-        let data = toml::to_string(&config.data).expect("settings are plain data");
-        let key = format!("{data}{corruption_seed:?}");
+        let corruption = config.data.corruption;
+        let clean = DataConfig { corruption: CorruptionConfig::default(), ..config.data.clone() };
+        let key = toml::to_string(&clean).expect("settings are plain data");
         let mut scenes = self.scenes.lock().unwrap_or_else(PoisonError::into_inner);
         let scene = match scenes.iter().position(|(known, _)| *known == key) {
             Some(index) => scenes[index].1.clone(),
             None => {
-                let mut scene = data::load(&config.data, config.seed, self.reporter.progress())?;
+                let mut scene = data::load(&clean, 0, self.reporter.progress())?;
                 scene.name.clone_from(&config.data.name);
                 if scenes.len() >= SCENES {
                     scenes.remove(0);
@@ -74,8 +75,14 @@ impl<'a> Trainings<'a> {
                 scenes[scenes.len() - 1].1.clone()
             }
         };
+        drop(scenes);
         config.resolve_bounds(scene.near, scene.far);
-        Ok(scene)
+        if !corruption.is_on() {
+            return Ok(scene);
+        }
+        let mut corrupted = Scene::clone(&scene);
+        corrupt(&mut corrupted, &corruption, config.seed)?;
+        Ok(Arc::new(corrupted))
     }
 
     /// A trainer of a configuration at step 0, for measurements.
@@ -187,8 +194,7 @@ impl Trainings<'_> {
     ) -> Result<PointResult> {
         let Finished { report, model, .. } = finished;
         let mut metrics = numbers(&report.mean);
-        // Not defined for a field that is asked at Gaussians: those cells stay empty.
-        if self.smoothness && !config.method.is_mip() {
+        if self.smoothness && is_defined(SMOOTHNESS_METRICS[0], config) {
             let device = &self.machine.device;
             let (protocol, progress) = (report.protocol.clone(), self.reporter.progress());
             let smoothness = SmoothnessReport::measure(model, scene, &SMOOTHNESS, protocol, device, progress)?;

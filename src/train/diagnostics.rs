@@ -160,7 +160,7 @@ impl Trainer {
         let frozen = passing.field.frozen()?;
         let loss = |deltas: &Deltas| -> Result<f64> {
             let out = self.run(passing, &frozen, deltas)?;
-            scalar(&photometric_loss(&out.composite.rgb, passing.target)?)
+            Ok(passing.loss_weight * scalar(&photometric_loss(&out.composite.rgb, passing.target)?)?)
         };
         let without = loss(&Deltas::default())?;
         for level in LEVELS {

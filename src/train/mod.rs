@@ -302,15 +302,15 @@ impl Trainer {
         })
     }
 
-    /// Fields whose share of positive densities at `points` is under the configured one. Softplus has none: it is
+    /// Fields whose share of positive densities at `positions` is under the configured one. Softplus has none: it is
     /// positive, and has a slope, everywhere.
-    fn dead_fields(&self, points: &Tensor) -> Result<Vec<usize>> {
+    fn dead_fields(&self, positions: &Tensor) -> Result<Vec<usize>> {
         if self.config.field.density_activation == DensityActivation::Softplus {
             return Ok(Vec::new());
         }
         let mut dead = Vec::new();
         for (index, (_, field)) in self.model.fields().into_iter().enumerate() {
-            let positive = field.frozen()?.raw_density(points)?.gt(0f64)?.to_dtype(DType::F64)?;
+            let positive = field.frozen()?.raw_density(positions)?.gt(0f64)?.to_dtype(DType::F64)?;
             if positive.mean_all()?.to_scalar::<f64>()? < self.config.train.dead_start_share {
                 dead.push(index);
             }
@@ -352,7 +352,7 @@ impl Trainer {
         let sampling = &self.config.sampling;
         let (n, coarse, fine) = (rays.len(), sampling.coarse, sampling.fine);
         let (columns, fine_columns) = render::columns(&self.model.coarse, sampling);
-        let mip = self.config.method.is_mip();
+        let (mip, (_, fine_samples)) = (self.config.method.is_mip(), self.config.samples());
         let jitter = match sampling.jitter {
             true => Some(random.uniform_tensor(&[n, columns], self.dtype, &self.device)?),
             false => None,
@@ -367,7 +367,7 @@ impl Trainer {
             Ok(Some((random.normal_tensor(&[n, samples], self.dtype, &self.device)? * std)?))
         };
         let noise_coarse = noise(coarse)?;
-        let noise_fine = if fine > 0 { noise(if mip { fine } else { coarse + fine })? } else { None };
+        let noise_fine = if fine > 0 { noise(fine_samples)? } else { None };
         let u = match (fine, sampling.jitter) {
             (0, _) => None,
             (_, true) => {

@@ -10,7 +10,7 @@ use crate::field::Field;
 use crate::model::Model;
 use crate::perturbations::{Deltas, Draw, PassGeometry, Sets, StepSizes, worst_case};
 use crate::render::{
-    Pass, PassOutput, Perturbation, moved_positions, perturbed_pass, photometric_loss, resample, samples_of,
+    Pass, PassOutput, Perturbation, columns, moved_positions, perturbed_pass, photometric_loss, resample, samples_of,
 };
 use crate::rng::{Random, Stream};
 
@@ -25,6 +25,8 @@ pub(super) struct Perturbed<'a> {
     pub(super) sets: Sets,
     /// Share of the step's rays.
     pub(super) share: f64,
+    /// Weight of the pass's loss beside the other pass's.
+    pub(super) loss_weight: f64,
     /// Number of the pass within the step: its random numbers are its own.
     number: u64,
 }
@@ -61,8 +63,8 @@ impl Trainer {
         let adversarial = model.adversarial.as_ref();
         let own = adversarial.unwrap_or(&model.coarse);
         let coarse = self.perturbed_pass(chunk, own, self.coarse_pass(chunk), true)?;
-        let coarse_weight = self.coarse_weight(model);
-        let (loss, out) = self.attack(&coarse, weight * coarse_weight, result, log)?;
+        let coarse = Perturbed { loss_weight: self.coarse_weight(model), ..coarse };
+        let (loss, out) = self.attack(&coarse, weight, result, log)?;
         let (Some(field), Some(t_fine), Some(u)) = (model.fine(), t_fine, &chunk.u) else { return Ok(loss) };
         let resampled;
         let t_vals = match self.config.perturb.resample {
@@ -73,7 +75,7 @@ impl Trainer {
             }
         };
         let fine = self.perturbed_pass(chunk, adversarial.unwrap_or(field), self.fine_pass(chunk, t_vals), false)?;
-        Ok(((loss * coarse_weight)? + self.attack(&fine, weight, result, log)?.0)?)
+        Ok((loss + self.attack(&fine, weight, result, log)?.0)?)
     }
 
     fn perturbed_pass<'a>(
@@ -89,7 +91,7 @@ impl Trainer {
             samples: samples_of(field, pass.t_vals)?,
             direction_norm: &pass.rays.direction_norm,
             bounds: self.volume.bounds,
-            coarse_samples: self.config.sampling.coarse,
+            coarse_samples: columns(field, &self.config.sampling).0,
             width: self.config.field.width,
             pixel: self.volume.pixel,
         };
@@ -99,6 +101,7 @@ impl Trainer {
             target: &chunk.target,
             sets: Sets::new(&self.config.perturb, &geometry)?,
             share: chunk.share,
+            loss_weight: 1.0,
             number: 2 * chunk.index + u64::from(is_coarse),
         })
     }
@@ -116,12 +119,13 @@ impl Trainer {
         };
         let deltas = self.find_deltas(passing, random(Stream::Attack))?;
         let out = self.run(passing, passing.field, &deltas)?;
-        let loss = self.descend(&out, passing.target, weight * passing.share, &mut result.gradients)?;
+        let share = passing.share * passing.loss_weight;
+        let loss = self.descend(&out, passing.target, weight * share, &mut result.gradients)?;
         if log {
             let drawn = passing.sets.draw(Draw::Uniform, random(Stream::Diagnostics))?;
             self.diagnose(passing, &out, &drawn, &mut result.diagnostics)?;
         }
-        Ok(((loss * passing.share)?, out))
+        Ok(((loss * share)?, out))
     }
 
     /// The pass with `deltas` through `field` (live or frozen).

@@ -21,7 +21,7 @@ use crate::sweep::statistics::{holm, interval, mean, p_value, paired_differences
 use crate::sweep::{AxisValue, PublishedRow, Record, RowSpec, Status, TableSpec};
 
 /// Protocol fields that every seed has its own of.
-const PER_SEED: [&str; 3] = ["seed", "config_hash", "redraws"];
+const PER_SEED: [&str; 4] = ["seed", "config_hash", "redraws", "corruption_hash"];
 
 /// A table, ready to be rendered.
 #[derive(Clone, Debug, PartialEq)]
@@ -71,7 +71,7 @@ pub struct Line {
     pub protocol_difference: String,
     /// Protocol fields that are equal over the seeds.
     pub protocol: Vec<(String, String)>,
-    /// Protocol fields that are not, besides seed, configuration hash and redraws.
+    /// Protocol fields that are not, besides those that every seed has its own of.
     pub differs: Vec<String>,
     /// Fields of `must_match` that differ from the scene's first line; only in forced tables.
     pub mixed: Vec<String>,
