@@ -49,7 +49,7 @@
 //! |---|---|
 //! | 9 | `cli` |
 //! | 8 | `sweep` |
-//! | 7 | `job`, `bench` |
+//! | 7 | `job`, `bench`, `compare` |
 //! | 6 | `evaluate` |
 //! | 5 | `train` |
 //! | 4 | `model`, `regularizers`, `render` |
@@ -66,6 +66,7 @@
 pub mod allocator;
 pub mod bench;
 pub mod cli;
+pub mod compare;
 pub mod config;
 pub mod data;
 pub mod error;

@@ -13,10 +13,10 @@ use crate::output::RunDir;
 use crate::regularizers::Lattice;
 use crate::train::Trainer;
 
-use super::Machine;
 use super::eval::Trained;
 use super::experiment::Experiment;
 use super::progress::{Screen, TrainingBar, print};
+use super::{Machine, numbers};
 
 /// The share of the photometric pull that the middle of a grid of weights has.
 const MIDDLE_SHARE: f64 = 0.1;
@@ -96,13 +96,12 @@ fn csv_line(cells: &[String]) -> String {
 }
 
 fn parse_domain(text: &str) -> Result<[[f64; 3]; 2]> {
-    let numbers: std::result::Result<Vec<f64>, _> = text.split(',').map(|part| part.trim().parse()).collect();
-    match numbers.as_deref() {
-        Ok(&[a, b, c, d, e, f]) => Ok([[a, b, c], [d, e, f]]),
-        _ => Err(Error::Config(format!(
+    let [a, b, c, d, e, f] = numbers(text).ok_or_else(|| {
+        Error::Config(format!(
             "--domain {text}: give the two corners of the box as six numbers, such as -1,-1,-1,1,1,1"
-        ))),
-    }
+        ))
+    })?;
+    Ok([[a, b, c], [d, e, f]])
 }
 
 #[derive(Args)]

@@ -2,6 +2,7 @@
 
 use std::path::PathBuf;
 use std::process::ExitCode;
+use std::str::FromStr;
 
 use candle_core::Device;
 use clap::{Args, Parser, Subcommand};
@@ -10,10 +11,12 @@ use crate::config::Config;
 use crate::error::{Error, Result};
 
 mod bench;
+mod compare;
 mod data;
 mod eval;
 mod experiment;
 mod measure;
+mod profile;
 mod progress;
 mod render;
 mod sweep;
@@ -56,6 +59,20 @@ const BALANCE_EXAMPLES: &str = "Examples:
 
 For each term the weights at which its gradient is 0.1 %, 1 %, 10 %, 100 % and 1000 % as long as the photometric loss's.";
 
+const COMPARE_EXAMPLES: &str = "Examples:
+  augnerf compare runs/fern-nerf-* runs/fern-aug-nerf-*    the first held-out view, the box where they differ most
+  augnerf compare A B --view 2 --zoom 120,80,100,75 --gif  a view and box of your own, and a fade from A to B
+  augnerf compare A B C --box-width 64 --out figures/fern
+
+It leaves compare.png, compare.json with its numbers and each run's protocol, and fade.gif.";
+
+const PROFILE_EXAMPLES: &str = "Examples:
+  augnerf profile runs/fern-nerf-* runs/fern-aug-nerf-*    the ray of the middle pixel of the first held-out view
+  augnerf profile A B --view 2 --pixel 240,96 --patch 16 --out figures/ray
+
+It leaves profile.png and profile.svg; ray.csv, every sample of the pixel's ray as an evaluation takes it (coarse,
+fine) and on an even lattice; patch.csv, the lattice of all rays of the patch; profile.json with how smooth each run is.";
+
 #[derive(Subcommand)]
 enum Command {
     /// Train one scene, evaluate it and render held-out views
@@ -76,6 +93,12 @@ enum Command {
     Balance(measure::BalanceArguments),
     /// Render held-out views or a camera path: PNG frames, depth maps and GIFs
     Render(render::RenderArguments),
+    /// Put runs side by side: one held-out view with zoom, error and depth, as one picture
+    #[command(after_help = COMPARE_EXAMPLES)]
+    Compare(compare::CompareArguments),
+    /// Look along a ray: density, weight and colour of several runs, over it and over a small patch
+    #[command(after_help = PROFILE_EXAMPLES)]
+    Profile(profile::ProfileArguments),
     /// Look at scenes
     #[command(subcommand)]
     Data(data::DataCommand),
@@ -169,6 +192,12 @@ pub fn set_threads(threads: Option<usize>) -> Result<()> {
     pool.build_global().map_err(|e| Error::Config(format!("--threads {threads}: cannot start the threads: {e}")))
 }
 
+/// Exactly `N` numbers with commas between them.
+fn numbers<T: FromStr, const N: usize>(text: &str) -> Option<[T; N]> {
+    let numbers: Option<Vec<T>> = text.split(',').map(|part| part.trim().parse().ok()).collect();
+    numbers?.try_into().ok()
+}
+
 /// Runs the program; the exit code is that of the error's class.
 pub fn main() -> ExitCode {
     let arguments = Arguments::parse();
@@ -181,6 +210,8 @@ pub fn main() -> ExitCode {
         Command::Balance(arguments) => arguments.run(),
         Command::Bench(arguments) => arguments.run(),
         Command::Render(arguments) => arguments.run(),
+        Command::Compare(arguments) => arguments.run(),
+        Command::Profile(arguments) => arguments.run(),
         Command::Data(command) => command.run(),
     };
     match done {

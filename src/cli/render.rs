@@ -1,14 +1,14 @@
 //! `augnerf render`.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use clap::{Args, ValueEnum};
 
 use crate::data::{Camera, Progress};
 use crate::error::{Error, Result};
 use crate::evaluate::{Pictures, Viewer, write_path};
-use crate::output::AtomicDir;
 
+use super::compare::pictures_folder;
 use super::eval::Trained;
 use super::progress::Screen;
 use super::{Machine, Sources};
@@ -52,19 +52,11 @@ impl RenderArguments {
         let screen = Screen::new(self.machine.quiet);
         let trained = Trained::open(&self.run, self.sources.data.as_deref(), &device, &screen)?;
         let (scene, renders) = (&trained.scene, trained.run.renders());
-        let folder = match (&self.out, self.what) {
-            (Some(out), _) => out.clone(),
-            (None, What::Path) => renders.join("path"),
-            (None, What::Views) => renders.join("views"),
+        let default = match self.what {
+            What::Path => renders.join("path"),
+            What::Views => renders.join("views"),
         };
-        // All or nothing: an earlier rendering's frames are not left among the new ones. What is not
-        // ours is not replaced.
-        if self.out.is_some() && std::fs::read_dir(&folder).is_ok_and(|mut entries| entries.next().is_some()) {
-            return Err(Error::Output(format!("{} is not empty; give --out a new or empty folder", folder.display())));
-        }
-        let parent = folder.parent().unwrap_or(Path::new("."));
-        std::fs::create_dir_all(parent).map_err(|e| Error::unwritable(parent, &e))?;
-        let pictures_dir = AtomicDir::new(&folder)?;
+        let (folder, pictures_dir) = pictures_folder(self.out.as_deref(), default)?;
         let viewer = Viewer { model: &trained.model, config: &trained.config, scene, device: &device };
         let render = |camera: &Camera| {
             let rendered = viewer.render(camera);

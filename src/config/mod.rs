@@ -504,10 +504,15 @@ impl Config {
         self.perturb.resolve((far - near) / self.sampling.coarse as f64);
     }
 
-    /// A 12-digit content hash of everything that can change a weight or a metric. The scene counts
+    /// A 12-digit content hash of [`Config::portable`].
+    pub fn hash(&self) -> String {
+        self.portable().text_hash()
+    }
+
+    /// Everything that can change a weight or a metric, the rest at its defaults. The scene counts
     /// by its name, not by where its folder lies; how often a run logs, evaluates or saves does
     /// not count, and neither do section `perturb` without a perturbed pass and regularizers of weight 0.
-    pub fn hash(&self) -> String {
+    pub fn portable(&self) -> Config {
         let mut portable = self.clone();
         if portable.data.name.is_empty() {
             portable.data.name = scene_name(&self.data.dir);
@@ -529,7 +534,7 @@ impl Config {
         }
         portable.regularizer.resolve();
         portable.data.corruption.resolve();
-        portable.text_hash()
+        portable
     }
 
     /// A 12-digit hash of all fields, but for those in `YOUNG` that are at their defaults.

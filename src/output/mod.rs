@@ -7,6 +7,7 @@
 //! or process numbers.
 
 pub mod atomic;
+pub(crate) mod drawing;
 pub mod host;
 pub mod picture;
 pub mod revision;
@@ -15,8 +16,12 @@ pub mod scalars;
 pub mod tensorboard;
 
 pub use atomic::{AtomicDir, clean_temporaries, write_atomic, write_json};
+pub use drawing::Figure;
 pub use host::{Host, Timing, host_name, peak_memory_mib};
-pub use picture::{SOLID, beside, depth_colour, depth_range, quantise, write_depth16, write_gif, write_png8};
+pub use picture::{
+    SOLID, beside, depth_colour, depth_range, quantise, scale_colour, write_depth16, write_gif, write_png8,
+    write_timed_gif,
+};
 pub use revision::{revision, version};
 pub use run_dir::{RunDir, RunLock};
 pub use scalars::Scalars;

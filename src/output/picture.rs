@@ -97,11 +97,15 @@ pub fn depth_colour(
     let mut pixels = Vec::with_capacity(depth.len() * 3);
     for (index, &depth) in depth.iter().enumerate() {
         let seen = if depth.is_finite() { acc.map_or(1.0, |acc| acc[index].clamp(0.0, 1.0)) } else { 0.0 };
-        let closeness = (1.0 - (depth - near) / span).clamp(0.0, 1.0);
-        let colour = colour_map()[(closeness * (COLOURS - 1) as f32).round() as usize];
+        let colour = scale_colour(1.0 - (depth - near) / span);
         pixels.extend((0..3).map(|c| NOTHING[c] + seen * (colour[c] - NOTHING[c])));
     }
     Ok(Image { width, height, channels: 3, pixels })
+}
+
+/// The depth map's colours for a number that is no depth: dark violet for 0 and less, bright yellow for 1 and more.
+pub fn scale_colour(share: f32) -> [f32; 3] {
+    colour_map()[(share.clamp(0.0, 1.0) * (COLOURS - 1) as f32).round() as usize]
 }
 
 /// Images side by side from left to right, aligned at the top, `gap` white pixels between them.
@@ -130,15 +134,21 @@ pub fn beside(pictures: &[&Image], gap: usize) -> Result<Image> {
 /// own. GIF counts hundredths of a second; frames differ by one where `fps` does not divide them,
 /// so that the whole has the right length. Rates above 50 are shown at 50.
 pub fn write_gif(path: &Path, frames: &[Image], fps: f64) -> Result<()> {
-    let bytes = encode_gif(frames, fps).map_err(|reason| unwritable(path, &reason))?;
+    if !(fps.is_finite() && fps > 0.0) {
+        return Err(unwritable(path, &format!("the frame rate is {fps} and must be positive")));
+    }
+    let delays: Vec<u16> = (0..frames.len()).map(|index| delay(index, fps)).collect();
+    write_timed_gif(path, frames, &delays)
+}
+
+/// The same with a time of its own for each frame, in hundredths of a second.
+pub fn write_timed_gif(path: &Path, frames: &[Image], delays: &[u16]) -> Result<()> {
+    let bytes = encode_gif(frames, delays).map_err(|reason| unwritable(path, &reason))?;
     write_atomic(path, &bytes)
 }
 
-fn encode_gif(frames: &[Image], fps: f64) -> std::result::Result<Vec<u8>, String> {
+fn encode_gif(frames: &[Image], delays: &[u16]) -> std::result::Result<Vec<u8>, String> {
     let first = frames.first().ok_or("there is no frame")?;
-    if !(fps.is_finite() && fps > 0.0) {
-        return Err(format!("the frame rate is {fps} and must be positive"));
-    }
     let size = |length: usize| u16::try_from(length).map_err(|_| format!("{length} pixels are too many for a GIF"));
     let (width, height) = (size(first.width)?, size(first.height)?);
     for frame in frames {
@@ -150,12 +160,10 @@ fn encode_gif(frames: &[Image], fps: f64) -> std::result::Result<Vec<u8>, String
     }
     let quantised: Vec<gif::Frame> = frames
         .par_iter()
-        .enumerate()
-        .map(|(index, frame)| {
+        .zip(delays)
+        .map(|(frame, &delay)| {
             let rgb = quantise(&on_paper(frame));
-            let mut quantised = gif::Frame::from_rgb_speed(width, height, &rgb, GIF_SPEED);
-            quantised.delay = delay(index, fps);
-            quantised
+            gif::Frame { delay, ..gif::Frame::from_rgb_speed(width, height, &rgb, GIF_SPEED) }
         })
         .collect();
     let mut bytes = Vec::new();
@@ -342,10 +350,10 @@ mod tests {
     #[test]
     fn bad_frames_are_errors() {
         let small = plain(1, 1, [0.0; 3]);
-        assert!(encode_gif(&[], 10.0).is_err());
-        assert!(encode_gif(&[small.clone(), plain(2, 1, [0.0; 3])], 10.0).unwrap_err().contains("2x1"));
-        assert!(encode_gif(std::slice::from_ref(&small), 0.0).is_err());
-        assert!(encode_gif(&[plain(70_000, 1, [0.0; 3])], 10.0).unwrap_err().contains("too many"));
+        assert!(encode_gif(&[], &[]).is_err());
+        assert!(encode_gif(&[small.clone(), plain(2, 1, [0.0; 3])], &[10, 10]).unwrap_err().contains("2x1"));
+        assert!(write_gif(Path::new("never.gif"), std::slice::from_ref(&small), 0.0).is_err());
+        assert!(encode_gif(&[plain(70_000, 1, [0.0; 3])], &[10]).unwrap_err().contains("too many"));
         assert!(encode_png8(&Image { width: 2, ..small }).is_err());
     }
 }

@@ -255,18 +255,22 @@ pub fn render_rays(
     sampling: &SamplingConfig,
     background: Option<[f32; 3]>,
 ) -> Result<Composite> {
-    let (coarse_columns, fine_columns) = columns(coarse, sampling);
-    let t_vals = sampling::stratified(near, far, rays.len(), coarse_columns, None, &rays.origins)?;
+    let t_vals = sampling::stratified(near, far, rays.len(), columns(coarse, sampling).0, None, &rays.origins)?;
     let pass = Pass { rays, t_vals: &t_vals, density_noise: None, background, positions: None };
     let Some(fine) = fine else { return Ok(clean_pass(coarse, pass)?.composite) };
-    // The coarse pass only places samples: density alone will do.
-    let positions = positions_at(coarse, rays, &t_vals)?.flatten(0, 1)?;
-    let raw = coarse.raw_density(&positions)?.reshape((rays.len(), sampling.coarse))?;
-    let intervals = volume::intervals(&t_vals, &rays.direction_norm, sampling.coarse)?;
-    let weights = volume::weights_from_density(&coarse.activate_density(&raw)?, &intervals)?;
-    let u = sampling::even_u(rays.len(), fine_columns, &t_vals)?;
-    let t_vals = resample(coarse, sampling, &t_vals, &weights, &u)?;
+    let t_vals = fine_t_vals(coarse, rays, &t_vals, sampling)?;
     Ok(clean_pass(fine, Pass { t_vals: &t_vals, ..pass })?.composite)
+}
+
+/// The `t_vals` of an evaluation's fine pass, after the coarse field at `t_vals`.
+pub fn fine_t_vals(coarse: &Field, rays: &Rays, t_vals: &Tensor, sampling: &SamplingConfig) -> Result<Tensor> {
+    // The coarse pass only places samples: density alone will do.
+    let positions = positions_at(coarse, rays, t_vals)?.flatten(0, 1)?;
+    let raw = coarse.raw_density(&positions)?.reshape((rays.len(), sampling.coarse))?;
+    let intervals = volume::intervals(t_vals, &rays.direction_norm, sampling.coarse)?;
+    let weights = volume::weights_from_density(&coarse.activate_density(&raw)?, &intervals)?;
+    let u = sampling::even_u(rays.len(), columns(coarse, sampling).1, t_vals)?;
+    resample(coarse, sampling, t_vals, &weights, &u)
 }
 
 /// Mean squared error over rays and channels between colours `[rays, 3]`.

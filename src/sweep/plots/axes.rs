@@ -1,10 +1,11 @@
 //! The paper's figure: a metric against what is varied, one panel a level.
 
-use super::{
-    Anchor, BLACK, Drawing, Figure, GREY, GRID, LINE_HEIGHT, Panel, RED, SPREAD_NOTE, Spread, TEXT, TITLE, metric_name,
-    number, range, rises, text_width,
-};
+use super::{Figure, SPREAD_NOTE, Spread, metric_name, rises};
 use crate::error::Result;
+use crate::output::drawing::{
+    Anchor, BLACK, Colour, Drawing, GREY, GRID, LINE_HEIGHT, PALETTE, Panel, RED, TEXT, TITLE, number, range,
+    text_width,
+};
 use crate::sweep::statistics::{holm, p_value, paired_differences};
 use crate::sweep::{AxisValue, Record, Status, TableSpec};
 
@@ -134,13 +135,13 @@ fn draw_values(drawing: &mut Drawing, panel: &Panel, lines: &[&Series], metric: 
         drawing.line(&[(x(name), panel.top), (x(name), panel.bottom())], GRID, 1.0);
         drawing.text((x(name), panel.bottom() + 12.0), name, TEXT, Anchor::Middle, BLACK);
     }
-    for (series, colour) in lines.iter().zip(super::PALETTE) {
+    for (series, colour) in lines.iter().zip(PALETTE) {
         draw_series(drawing, panel, series, colour, &x);
     }
     for (index, series) in lines.iter().enumerate() {
         let verdict = verdict(series);
         let text = if lines.len() > 1 { format!("{}: {verdict}", series.row) } else { verdict };
-        let colour = if lines.len() > 1 { super::PALETTE[index % super::PALETTE.len()] } else { GREY };
+        let colour = if lines.len() > 1 { PALETTE[index % PALETTE.len()] } else { GREY };
         drawing.text(
             (panel.left, panel.bottom() + 30.0 + index as f64 * LINE_HEIGHT),
             &text,
@@ -161,7 +162,7 @@ fn draw_values(drawing: &mut Drawing, panel: &Panel, lines: &[&Series], metric: 
     drawing.text((x, (y - 14.0).max(panel.top + 8.0)), &label, TEXT, Anchor::Middle, RED);
 }
 
-fn draw_series(drawing: &mut Drawing, panel: &Panel, series: &Series, colour: super::Colour, x: &impl Fn(&str) -> f64) {
+fn draw_series(drawing: &mut Drawing, panel: &Panel, series: &Series, colour: Colour, x: &impl Fn(&str) -> f64) {
     let means = series.means();
     // A value without points is a gap: neighbours across it are not joined.
     for run in means.chunk_by(|(a, _), (b, _)| b - a == 1) {

@@ -1,10 +1,10 @@
 //! Training curves.
 
-use super::{
-    Anchor, BLACK, Drawing, Figure, LINE_HEIGHT, PALETTE, Panel, SPREAD_NOTE, Spread, TEXT, TITLE, number, range,
-    text_width, ticks,
-};
+use super::{Figure, SPREAD_NOTE, Spread};
 use crate::error::Result;
+use crate::output::drawing::{
+    Anchor, BLACK, Drawing, LINE_HEIGHT, PALETTE, Panel, TEXT, TITLE, number, range, text_width, ticks,
+};
 
 /// Log points that a curve's moving average spans.
 const WINDOW: usize = 5;

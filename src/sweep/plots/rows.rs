@@ -1,9 +1,10 @@
 //! A table as points: means with their seeds, and differences to the baseline with intervals.
 
-use super::{
-    Anchor, BLACK, BLUE, Drawing, Figure, GREY, GRID, RED, TEXT, TITLE, metric_name, number, range, text_width, ticks,
-};
+use super::{Figure, metric_name};
 use crate::error::Result;
+use crate::output::drawing::{
+    Anchor, BLACK, BLUE, Drawing, GREY, GRID, RED, TEXT, TITLE, number, range, text_width, ticks,
+};
 use crate::sweep::tables::{Cell, Line, Table, Verdict};
 use crate::sweep::{Record, Status};
 

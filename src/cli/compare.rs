@@ -1,0 +1,116 @@
+//! `augnerf compare`.
+
+use std::path::{Path, PathBuf};
+
+use candle_core::Device;
+use clap::Args;
+
+use crate::compare::{Comparison, Contender, Window, check_fade, labels};
+use crate::error::{Error, Result};
+use crate::evaluate::Viewer;
+use crate::output::{AtomicDir, RunDir};
+
+use super::eval::Trained;
+use super::progress::Screen;
+use super::{Machine, numbers};
+
+/// Runs and the held-out view that they show.
+#[derive(Args)]
+pub struct Runs {
+    /// Run folders of one scene; each run's newest checkpoint is shown
+    #[arg(required = true, value_name = "RUN")]
+    runs: Vec<PathBuf>,
+    /// Held-out view, by name or by number from 0; none is picked by what it shows
+    #[arg(long, value_name = "VIEW", default_value = "0")]
+    view: String,
+    /// Scene folder, if it has moved since training
+    #[arg(long, value_name = "DIR")]
+    data: Option<PathBuf>,
+}
+
+/// What is made of each run, with the runs' folders, which stay locked.
+pub type Gathered<T> = (Vec<(Contender, T)>, Vec<RunDir>);
+
+impl Runs {
+    /// Hands each run to `make`, one at a time, after a check that it shows what the first one does.
+    pub fn gather<T>(
+        &self,
+        device: &Device,
+        screen: &Screen,
+        make: impl Fn(&Viewer, &Contender) -> Result<T>,
+    ) -> Result<Gathered<T>> {
+        let (mut gathered, mut folders) = (Vec::<(Contender, T)>::new(), Vec::new());
+        let labels = labels(&self.runs)?;
+        for (run, label) in self.runs.iter().zip(labels) {
+            let Trained { run, config, scene, state, model } =
+                Trained::open(run, self.data.as_deref(), device, screen)?;
+            let viewer = Viewer { model: &model, config: &config, scene: &scene, device };
+            let contender = Contender::new(label, &viewer, &state, &self.view)?;
+            gathered.first().map_or(Ok(()), |(first, _)| contender.check_alike(first))?;
+            screen.say(&format!("{}: view {} at step {}", contender.label, contender.view.name, state.step));
+            let made = make(&viewer, &contender)?;
+            gathered.push((contender, made));
+            folders.push(run);
+        }
+        Ok((gathered, folders))
+    }
+}
+
+#[derive(Args)]
+pub struct CompareArguments {
+    #[command(flatten)]
+    runs: Runs,
+    /// The box to look into [default: where the runs' squared errors differ most]
+    #[arg(long, value_name = "X,Y,WIDTH,HEIGHT", conflicts_with = "box_width")]
+    zoom: Option<String>,
+    /// Columns of the box that is searched for; its aspect is the view's [default: a fifth of the view's]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
+    box_width: Option<u32>,
+    /// Also a GIF that fades between two runs
+    #[arg(long)]
+    gif: bool,
+    /// Output folder, new or empty [default: RUN/renders/compare of the first run, replaced]
+    #[arg(long, value_name = "DIR")]
+    out: Option<PathBuf>,
+    #[command(flatten)]
+    machine: Machine,
+}
+
+impl CompareArguments {
+    pub fn run(self) -> Result<()> {
+        if self.gif {
+            check_fade(self.runs.runs.len())?;
+        }
+        let zoom = self.zoom.as_deref().map(parse_zoom).transpose()?;
+        let device = self.machine.device()?;
+        let screen = Screen::new(self.machine.quiet);
+        let render = |viewer: &Viewer, run: &Contender| viewer.render(&run.view.camera);
+        let (rendered, folders) = self.runs.gather(&device, &screen, render)?;
+        let comparison = Comparison::new(rendered, zoom, self.box_width.map(|width| width as usize))?;
+        let (folder, pictures) = pictures_folder(self.out.as_deref(), folders[0].renders().join("compare"))?;
+        comparison.write(pictures.path(), self.gif)?;
+        pictures.commit()?;
+        screen.say(&format!("pictures: {}", folder.display()));
+        Ok(())
+    }
+}
+
+fn parse_zoom(text: &str) -> Result<Window> {
+    let [x, y, width, height] = numbers(text).ok_or_else(|| {
+        Error::Config(format!("--zoom {text}: give column, row, width and height in pixels, such as 120,80,64,48"))
+    })?;
+    Ok(Window { x, y, width, height })
+}
+
+/// A folder that pictures appear in all together: an earlier rendering's are not left among the new ones. What is
+/// not ours is not replaced.
+pub fn pictures_folder(out: Option<&Path>, default: PathBuf) -> Result<(PathBuf, AtomicDir)> {
+    let folder = out.map_or(default, Path::to_path_buf);
+    if out.is_some() && std::fs::read_dir(&folder).is_ok_and(|mut entries| entries.next().is_some()) {
+        return Err(Error::Output(format!("{} is not empty; give --out a new or empty folder", folder.display())));
+    }
+    let parent = folder.parent().unwrap_or(Path::new("."));
+    std::fs::create_dir_all(parent).map_err(|e| Error::unwritable(parent, &e))?;
+    let pictures = AtomicDir::new(&folder)?;
+    Ok((folder, pictures))
+}

@@ -1,0 +1,60 @@
+//! `augnerf profile`.
+
+use std::path::PathBuf;
+
+use clap::Args;
+
+use crate::compare::{Contender, Profile, Profiles, Window, patch_around};
+use crate::error::{Error, Result};
+use crate::evaluate::Viewer;
+
+use super::compare::{Runs, pictures_folder};
+use super::progress::Screen;
+use super::{Machine, numbers};
+
+#[derive(Args)]
+pub struct ProfileArguments {
+    #[command(flatten)]
+    runs: Runs,
+    /// Column and row of the pixel [default: the view's middle]
+    #[arg(long, value_name = "X,Y")]
+    pixel: Option<String>,
+    /// Side of the square of pixels around it, whose rays are looked along, too
+    #[arg(long, value_name = "N", default_value_t = 8, value_parser = clap::value_parser!(u8).range(1..=16))]
+    patch: u8,
+    /// Output folder, new or empty [default: RUN/renders/profile of the first run, replaced]
+    #[arg(long, value_name = "DIR")]
+    out: Option<PathBuf>,
+    #[command(flatten)]
+    machine: Machine,
+}
+
+impl ProfileArguments {
+    pub fn run(self) -> Result<()> {
+        let asked = self.pixel.as_deref().map(parse_pixel).transpose()?;
+        let device = self.machine.device()?;
+        let screen = Screen::new(self.machine.quiet);
+        let place = |run: &Contender| -> Result<((usize, usize), Window)> {
+            let size = (run.view.camera.width, run.view.camera.height);
+            let pixel = asked.unwrap_or((size.0 / 2, size.1 / 2));
+            Ok((pixel, patch_around(pixel, usize::from(self.patch), size)?))
+        };
+        let measure = |viewer: &Viewer, run: &Contender| {
+            let (pixel, patch) = place(run)?;
+            Profile::measure(viewer, run, pixel, patch)
+        };
+        let (runs, folders) = self.runs.gather(&device, &screen, measure)?;
+        let (pixel, patch) = place(&runs[0].0)?;
+        let (folder, pictures) = pictures_folder(self.out.as_deref(), folders[0].renders().join("profile"))?;
+        Profiles { runs, pixel, patch }.write(pictures.path())?;
+        pictures.commit()?;
+        screen.say(&format!("profile of pixel ({}, {}): {}", pixel.0, pixel.1, folder.display()));
+        Ok(())
+    }
+}
+
+fn parse_pixel(text: &str) -> Result<(usize, usize)> {
+    let [x, y] = numbers(text)
+        .ok_or_else(|| Error::Config(format!("--pixel {text}: give column and row from 0, such as 120,80")))?;
+    Ok((x, y))
+}

@@ -1,0 +1,112 @@
+//! What differs between runs that are shown together.
+
+use serde::Serialize;
+
+use super::Contender;
+use crate::config::{Config, Method};
+use crate::evaluate::columns;
+
+/// Fields of the protocol that follow from others.
+const DERIVED: [&str; 2] = ["config_hash", "redraws"];
+/// Settings that the protocol has a field for.
+const SPOKEN: [&str; 29] = [
+    "seed",
+    "method",
+    "data.name",
+    "data.kind",
+    "data.downscale",
+    "data.width",
+    "data.holdout",
+    "data.test_skip",
+    "data.eval_split",
+    "data.background",
+    "data.ndc",
+    "data.pixel_origin",
+    "field.width",
+    "field.depth",
+    "field.init",
+    "field.density_activation",
+    "sampling.coarse",
+    "sampling.fine",
+    "train.rays",
+    "train.steps",
+    "perturb.kind",
+    "perturb.attack",
+    "perturb.lambda",
+    "perturb.objective",
+    "perturb.field",
+    "perturb.output",
+    "perturb.resample",
+    "perturb.step_unit",
+    "perturb.injection_layer",
+];
+/// The same for the fields of each level of the attack.
+const SPOKEN_OF_LEVELS: [&str; 4] = [".passes", ".steps", ".step_size", ".epsilon"];
+
+/// One thing in which runs differ.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Difference {
+    /// A field of the protocol, or a setting of `config.toml` that it does not speak of.
+    pub name: String,
+    /// Each run's value; empty where it has none.
+    pub values: Vec<String>,
+}
+
+/// Every setting that can change a number, without section `perturb` where there is no perturbed pass.
+pub(super) fn settings(config: &Config) -> Vec<(String, String)> {
+    let mut table = toml::Table::try_from(config.portable()).expect("a configuration is plain data");
+    if config.method == Method::Nerf {
+        table.remove("perturb");
+    }
+    let mut settings = Vec::new();
+    flatten(String::new(), &table, &mut settings);
+    settings
+}
+
+fn flatten(prefix: String, table: &toml::Table, into: &mut Vec<(String, String)>) {
+    for (name, value) in table {
+        match value {
+            toml::Value::Table(table) => flatten(format!("{prefix}{name}."), table, into),
+            toml::Value::String(text) => into.push((format!("{prefix}{name}"), text.clone())),
+            other => into.push((format!("{prefix}{name}"), other.to_string())),
+        }
+    }
+}
+
+fn spoken_of(setting: &str) -> bool {
+    let of_level = setting.starts_with("perturb.") && SPOKEN_OF_LEVELS.iter().any(|end| setting.ends_with(end));
+    // The protocol's fields say all of the regularizers.
+    of_level || setting.starts_with("regularizer.") || SPOKEN.contains(&setting)
+}
+
+/// In what the runs differ: fields of their protocols first, then settings that these do not speak of.
+/// A setting of the perturbed pass differs between runs that have one.
+pub fn differences(runs: &[&Contender]) -> Vec<Difference> {
+    let mut found = Vec::new();
+    let mut compare = |rows: Vec<Vec<(String, String)>>, skip: &dyn Fn(&str) -> bool| {
+        let names = rows.iter().flatten().map(|(name, _)| name).collect::<Vec<_>>();
+        for (index, name) in names.iter().enumerate() {
+            if skip(name) || names[..index].contains(name) {
+                continue;
+            }
+            let value = |row: &Vec<(String, String)>| row.iter().find(|(own, _)| own == *name).map(|(_, v)| v.clone());
+            let values: Vec<Option<String>> = rows.iter().map(value).collect();
+            let mut counted = values.iter().filter(|value| value.is_some() || !name.starts_with("perturb."));
+            let first = counted.next();
+            if counted.any(|value| Some(value) != first) {
+                let values = values.into_iter().map(Option::unwrap_or_default).collect();
+                found.push(Difference { name: name.to_string(), values });
+            }
+        }
+    };
+    compare(runs.iter().map(|run| columns(&run.protocol)).collect(), &|name| DERIVED.contains(&name));
+    compare(runs.iter().map(|run| run.settings.clone()).collect(), &spoken_of);
+    found
+}
+
+/// One run's side of the differences as a line of text.
+pub(super) fn told(differences: &[Difference], run: usize) -> String {
+    let own = differences.iter().filter(|difference| !difference.values[run].is_empty());
+    let told = own.map(|difference| format!("{} {}", difference.name.replace('_', " "), difference.values[run]));
+    told.collect::<Vec<String>>().join("; ")
+}

@@ -1,0 +1,193 @@
+//! Several trained runs before the same held-out view: what must agree for that, what differs
+//! between them, and the pictures and numbers that come of it.
+
+use std::path::{Path, PathBuf};
+
+use crate::data::{Camera, Image, Ndc, Scene, View};
+use crate::error::{Error, Result};
+use crate::evaluate::{Protocol, Viewer};
+use crate::output::drawing::{Anchor, BLACK, Drawing, GREY, LINE_HEIGHT, TEXT, number, ticks, wrapped};
+use crate::output::scale_colour;
+use crate::train::checkpoint::State;
+
+mod differences;
+mod profile;
+mod profile_figure;
+mod views;
+mod zoom;
+
+pub use differences::{Difference, differences};
+pub use profile::{Profile, Profiles, Smoothness, patch_around};
+pub use views::{Comparison, check_fade};
+pub use zoom::{Window, most_different};
+
+/// A run with the held-out view that it is to show.
+#[derive(Clone, Debug)]
+pub struct Contender {
+    /// What pictures and files call it.
+    pub label: String,
+    /// Where its numbers come from.
+    pub protocol: Protocol,
+    /// The held-out view.
+    pub view: View,
+    /// Its place among the run's held-out views, from 0.
+    pub index: usize,
+    /// How its rays are mapped to normalised device coordinates, if they are.
+    pub ndc: Option<Ndc>,
+    /// Ends of a ray's interval in the units of `t_vals`.
+    pub bounds: (f64, f64),
+    /// Every setting that can change a number, by its name in `config.toml`.
+    settings: Vec<(String, String)>,
+}
+
+impl Contender {
+    /// A run at a checkpoint's state. `view` is a held-out view's name or its number from 0.
+    pub fn new(label: String, viewer: &Viewer, state: &State, view: &str) -> Result<Contender> {
+        let Viewer { config, scene, .. } = *viewer;
+        let index = find_view(&label, scene, view)?;
+        Ok(Contender {
+            label,
+            protocol: Protocol::new(config, scene, state),
+            view: scene.test[index].clone(),
+            index,
+            ndc: scene.ndc,
+            bounds: (scene.near, scene.far),
+            settings: differences::settings(config),
+        })
+    }
+
+    /// Refuses a run that does not show what `first` shows: another scene, view, resolution, camera or photograph,
+    /// or another measure of depth.
+    pub fn check_alike(&self, first: &Contender) -> Result<()> {
+        let differ = |what: &str, own: String, other: String| {
+            Err(Error::Config(format!(
+                "{} and {} do not show the same: {what} is {own} in the first and {other} in the second; give runs of \
+                 one scene, resolution and hold-out",
+                self.label, first.label
+            )))
+        };
+        let Camera { width, height, .. } = self.view.camera;
+        let facts = |run: &Contender| {
+            let Camera { width, height, .. } = run.view.camera;
+            [
+                ("the scene", run.protocol.scene.clone()),
+                ("the kind of scene", run.protocol.dataset.clone()),
+                ("the resolution", format!("{width} x {height}")),
+                ("the held-out view", format!("{} ({})", run.view.name, run.protocol.split)),
+                ("data.ndc", run.ndc.is_some().to_string()),
+                ("the rays' interval (data.near, data.far)", format!("{} to {}", run.bounds.0, run.bounds.1)),
+                ("the background", run.protocol.background.clone()),
+            ]
+        };
+        for ((what, own), (_, other)) in facts(self).into_iter().zip(facts(first)) {
+            if own != other {
+                return differ(what, own, other);
+            }
+        }
+        let camera = |run: &Contender| {
+            let Camera { focal, pose, .. } = run.view.camera;
+            format!("focal length {:.3}, position {:.4?}", focal[0], pose.map(|row| row[3]))
+        };
+        if (self.view.camera, self.ndc) != (first.view.camera, first.ndc) {
+            return differ("the camera", camera(self), camera(first));
+        }
+        let others = self.view.image.pixels.iter().zip(&first.view.image.pixels).filter(|(a, b)| a != b).count();
+        if others > 0 {
+            let values = 3 * width * height;
+            return differ("the photograph", "one".into(), format!("another ({others} of {values} values)"));
+        }
+        Ok(())
+    }
+
+    /// Scene and view in words.
+    fn title(&self) -> String {
+        let Protocol { scene, views_evaluated, .. } = &self.protocol;
+        let Camera { width, height, .. } = self.view.camera;
+        let place = format!("{} of {views_evaluated}", self.index + 1);
+        format!("{scene}, held-out view {} ({place}), {width} x {height} pixels", self.view.name)
+    }
+
+    /// What `t` counts. Outside of NDC a ray has length 1 along the view's axis.
+    fn depth_unit(&self) -> &'static str {
+        if self.ndc.is_some() { "NDC" } else { "scene units" }
+    }
+}
+
+/// Index of the view of that name, otherwise of that number.
+fn find_view(label: &str, scene: &Scene, view: &str) -> Result<usize> {
+    let named = scene.test.iter().position(|known| known.name == view);
+    let numbered = || view.parse().ok().filter(|&index: &usize| index < scene.test.len());
+    named.or_else(numbered).ok_or_else(|| {
+        let names: Vec<&str> = scene.test.iter().map(|known| known.name.as_str()).collect();
+        Error::Config(format!(
+            "--view {view}: {label} has no such held-out view; give 0 to {} or one of {}",
+            names.len() - 1,
+            names.join(", ")
+        ))
+    })
+}
+
+/// Names for runs: their folders' names, or the whole paths where two folders are called the same.
+/// Refuses a run that is named twice.
+pub fn labels(runs: &[PathBuf]) -> Result<Vec<String>> {
+    let place = |run: &Path| std::fs::canonicalize(run).unwrap_or_else(|_| run.to_path_buf());
+    let places: Vec<PathBuf> = runs.iter().map(|run| place(run)).collect();
+    if let Some(twice) = (1..runs.len()).find(|&index| places[..index].contains(&places[index])) {
+        return Err(Error::Config(format!("{} is named twice; name each run once", runs[twice].display())));
+    }
+    let name = |place: &PathBuf| place.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
+    let names: Vec<String> = places.iter().map(name).collect();
+    let once = |name: &String| names.iter().filter(|other| *other == name).count() == 1;
+    if names.iter().all(once) {
+        return Ok(names);
+    }
+    Ok(runs.iter().map(|run| run.display().to_string()).collect())
+}
+
+/// A rectangle of an image.
+pub fn crop(image: &Image, window: Window) -> Image {
+    let Window { x, y, width, height } = window;
+    let row = |line: usize| &image.pixels[(line * image.width + x) * image.channels..][..width * image.channels];
+    let pixels = (y..y + height).flat_map(|line| row(line).to_vec()).collect();
+    Image { width, height, channels: image.channels, pixels }
+}
+
+/// Height of [`colour_bar`] with its numbers and name.
+const BAR: f64 = 46.0;
+
+/// What the colours of a map stand for: the map's own from left to right (`falling`: the other way round), numbers and a
+/// name below them.
+fn colour_bar(
+    drawing: &mut Drawing,
+    (x, y): (f64, f64),
+    width: f64,
+    (low, high): (f32, f32),
+    falling: bool,
+    name: &str,
+) -> Result<()> {
+    const COLOURS: usize = 256;
+    const HEIGHT: f64 = 12.0;
+    let share = |i: usize| i as f32 / (COLOURS - 1) as f32;
+    let colours = (0..COLOURS).flat_map(|i| scale_colour(if falling { 1.0 - share(i) } else { share(i) }));
+    let picture = Image { width: COLOURS, height: 1, channels: 3, pixels: colours.collect() };
+    drawing.picture((x, y), (width, HEIGHT), &picture)?;
+    let (low, high) = (f64::from(low), f64::from(high));
+    // A scale without length, of a depth that is the same everywhere, has one number.
+    let (values, step) = if high > low { ticks((low, high), 4) } else { (vec![low], 1e-3) };
+    for value in values {
+        let at = x + width * (value - low) / (high - low).max(f64::MIN_POSITIVE);
+        drawing.line(&[(at, y + HEIGHT), (at, y + HEIGHT + 4.0)], BLACK, 1.0);
+        drawing.text((at, y + HEIGHT + 12.0), &number(value, step), TEXT, Anchor::Middle, BLACK);
+    }
+    drawing.text((x + width / 2.0, y + HEIGHT + 28.0), name, TEXT, Anchor::Middle, BLACK);
+    Ok(())
+}
+
+/// Grey lines of text of at most `width` from `(x, y)` down; returns where the next would stand.
+fn note(drawing: &mut Drawing, (x, mut y): (f64, f64), width: f64, text: &str) -> f64 {
+    for line in wrapped(text, width) {
+        drawing.text((x, y), &line, TEXT, Anchor::Left, GREY);
+        y += LINE_HEIGHT;
+    }
+    y
+}

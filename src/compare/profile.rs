@@ -1,0 +1,323 @@
+//! What runs hold along the ray of one pixel and of those around it.
+
+use std::path::Path;
+
+use candle_core::{DType, Tensor};
+use serde::Serialize;
+
+use super::{Contender, Difference, Window, differences, profile_figure};
+use crate::data::{RayBuffer, Rays};
+use crate::error::{Error, Result};
+use crate::evaluate::{Protocol, Viewer};
+use crate::output::{write_atomic, write_json};
+use crate::render::{Pass, PassOutput, clean_pass, fine_t_vals, points_at};
+use crate::sampling::stratified;
+use crate::train::Volume;
+
+/// Even samples of a ray: enough that the finest octave of the encoding is seen where the scene is of its size.
+pub const EVEN: usize = 512;
+
+/// Samples of one ray.
+#[derive(Clone, Debug, Default)]
+pub struct Samples {
+    /// Positions along the ray.
+    pub t: Vec<f32>,
+    /// Where they are.
+    pub points: Vec<[f32; 3]>,
+    /// Density there.
+    pub density: Vec<f32>,
+    /// Share of the pixel's colour that comes from there.
+    pub weights: Vec<f32>,
+    /// Share of the light that reaches the camera from there: exp of minus the optical depth before it.
+    pub transmittance: Vec<f32>,
+    /// Colour there, seen from the camera.
+    pub rgb: Vec<[f32; 3]>,
+}
+
+/// How a run's density and colour change over a patch, on the even lattice; the smaller the smoother.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Smoothness {
+    /// Mean density of the patch's rays, 1 / scene unit: what the others are to be seen against.
+    pub density_mean: f64,
+    /// Total variation of density along a ray, the sum of |change| from sample to sample; mean over rays.
+    pub density_tv_along: f64,
+    /// Mean |difference| of density between neighbouring pixels' rays at equal t; empty for a single pixel.
+    pub density_tv_across: Option<f64>,
+    /// As `density_tv_along`, of colour, mean over channels. Colour counts in empty space, too.
+    pub rgb_tv_along: f64,
+    /// As `density_tv_across`, of colour, mean over channels.
+    pub rgb_tv_across: Option<f64>,
+}
+
+/// One run along the rays of a patch.
+#[derive(Clone, Debug)]
+pub struct Profile {
+    /// The pixel's ray as the coarse pass of an evaluation samples it.
+    pub coarse: Samples,
+    /// The same of the fine pass, where there is one.
+    pub fine: Option<Samples>,
+    /// The evaluated field on an even lattice from near to far, for each pixel of the patch, row by row.
+    pub even: Vec<Samples>,
+    /// The pixel's colour as it is rendered.
+    pub rgb: [f32; 3],
+    /// Mean of t over the pixel's weights; none where nothing was accumulated.
+    pub depth: Option<f32>,
+    /// How smooth the patch is.
+    pub smoothness: Smoothness,
+}
+
+/// A square of `side` pixels around a pixel, moved where it would reach beyond the view.
+pub fn patch_around((x, y): (usize, usize), side: usize, (width, height): (usize, usize)) -> Result<Window> {
+    if x >= width || y >= height {
+        return Err(Error::Config(format!(
+            "--pixel {x},{y} is outside of the view of {width} x {height} pixels; give 0,0 to {},{}",
+            width - 1,
+            height - 1
+        )));
+    }
+    if side == 0 || side > width.min(height) {
+        return Err(Error::Config(format!(
+            "--patch {side} does not fit into the view of {width} x {height} pixels; give 1 to {}",
+            width.min(height)
+        )));
+    }
+    let start = |at: usize, length: usize| at.saturating_sub(side / 2).min(length - side);
+    Ok(Window { x: start(x, width), y: start(y, height), width: side, height: side })
+}
+
+impl Profile {
+    /// Along the ray of `pixel`, as an evaluation samples it, and evenly along those of `patch`, which holds it.
+    pub fn measure(viewer: &Viewer, run: &Contender, pixel: (usize, usize), patch: Window) -> Result<Profile> {
+        let Viewer { model, config, scene, device } = *viewer;
+        let camera = &run.view.camera;
+        let volume = Volume::of(scene);
+        let (near, far) = volume.bounds;
+        let rays = |pixels: &[(usize, usize)]| {
+            let pixels: Vec<_> = pixels.iter().map(|&(x, y)| (camera, x as u32, y as u32)).collect();
+            RayBuffer::new(&pixels, scene.ndc.as_ref(), config.data.pixel_origin).to_tensors(DType::F32, device)
+        };
+        let (coarse, fine) = (model.coarse.frozen()?, model.fine.as_ref().map(|field| field.frozen()).transpose()?);
+        let pass = |field, rays: &Rays, t_vals: &Tensor| {
+            let background = volume.background;
+            clean_pass(field, Pass { rays, t_vals, density_noise: None, background, points: None })
+        };
+        let ray = rays(&[pixel])?;
+        let t_vals = stratified(near, far, 1, config.sampling.coarse, None, &ray.origins)?;
+        let coarse_pass = pass(&coarse, &ray, &t_vals)?;
+        let fine_pass =
+            fine.as_ref().map(|fine| pass(fine, &ray, &fine_t_vals(&coarse, &ray, &t_vals, config.sampling.fine)?));
+        let fine_pass = fine_pass.transpose()?;
+        let pixels = pixels_of(patch);
+        let around = rays(&pixels)?;
+        let t_vals = stratified(near, far, pixels.len(), EVEN, None, &around.origins)?;
+        let even = samples(&around, &pass(fine.as_ref().unwrap_or(&coarse), &around, &t_vals)?)?;
+        let shown = &fine_pass.as_ref().unwrap_or(&coarse_pass).composite;
+        let acc = shown.acc.to_vec1::<f32>()?[0];
+        let depth = shown.depth.to_vec1::<f32>()?[0] / acc;
+        let rgb = shown.rgb.to_vec2::<f32>()?.remove(0);
+        Ok(Profile {
+            coarse: samples(&ray, &coarse_pass)?.remove(0),
+            fine: fine_pass.map(|fine| samples(&ray, &fine)).transpose()?.map(|mut fine| fine.remove(0)),
+            rgb: [rgb[0], rgb[1], rgb[2]],
+            depth: depth.is_finite().then_some(depth),
+            smoothness: smoothness(&even, patch.width),
+            even,
+        })
+    }
+}
+
+/// A window's pixels, row by row.
+fn pixels_of(Window { x, y, width, height }: Window) -> Vec<(usize, usize)> {
+    (y..y + height).flat_map(|y| (x..x + width).map(move |x| (x, y))).collect()
+}
+
+/// A pass's samples, ray by ray.
+fn samples(rays: &Rays, out: &PassOutput) -> Result<Vec<Samples>> {
+    let points = points_at(rays, &out.t_vals)?.to_vec3::<f32>()?;
+    let rgb = out.rgb.to_vec3::<f32>()?;
+    let [t, density, weights] =
+        [&out.t_vals, &out.density, &out.composite.weights].map(|tensor| tensor.to_vec2::<f32>());
+    let norms = rays.direction_norm.flatten_all()?.to_vec1::<f32>()?;
+    let triples = |rows: Vec<Vec<f32>>| rows.into_iter().map(|row| [row[0], row[1], row[2]]).collect();
+    let parts = t?.into_iter().zip(density?).zip(weights?).zip(points).zip(rgb).zip(norms);
+    let ray = |(((((t, density), weights), points), rgb), norm): (((((Vec<f32>, Vec<f32>), Vec<f32>), _), _), f32)| {
+        let transmittance = transmittance(&t, &density, norm);
+        Samples { t, density, weights, transmittance, points: triples(points), rgb: triples(rgb) }
+    };
+    Ok(parts.map(ray).collect())
+}
+
+/// exp(-sum over earlier samples of density times interval) at each sample of a ray whose direction is `norm` long.
+fn transmittance(t: &[f32], density: &[f32], norm: f32) -> Vec<f32> {
+    let mut optical = 0f64;
+    let mut before = Vec::with_capacity(t.len());
+    for (index, density) in density.iter().enumerate() {
+        before.push((-optical).exp() as f32);
+        let gap = t.get(index + 1).map_or(0.0, |next| f64::from(next - t[index]));
+        optical += f64::from(*density) * gap * f64::from(norm);
+    }
+    before
+}
+
+/// Of the rays of a patch of `width` columns.
+fn smoothness(rays: &[Samples], width: usize) -> Smoothness {
+    let density = |ray: usize, k: usize| vec![f64::from(rays[ray].density[k])];
+    let rgb = |ray: usize, k: usize| rays[ray].rgb[k].iter().map(|&c| f64::from(c)).collect();
+    let count = (rays.len() * EVEN) as f64;
+    Smoothness {
+        density_mean: rays.iter().flat_map(|ray| &ray.density).map(|&density| f64::from(density)).sum::<f64>() / count,
+        density_tv_along: along(rays.len(), &density),
+        density_tv_across: across(rays.len(), width, &density),
+        rgb_tv_along: along(rays.len(), &rgb),
+        rgb_tv_across: across(rays.len(), width, &rgb),
+    }
+}
+
+/// Mean |difference| over channels.
+fn apart(a: Vec<f64>, b: Vec<f64>) -> f64 {
+    a.iter().zip(&b).map(|(a, b)| (a - b).abs()).sum::<f64>() / a.len() as f64
+}
+
+fn along(rays: usize, value: &impl Fn(usize, usize) -> Vec<f64>) -> f64 {
+    let of_ray = |ray: usize| (1..EVEN).map(|k| apart(value(ray, k), value(ray, k - 1))).sum::<f64>();
+    (0..rays).map(of_ray).sum::<f64>() / rays as f64
+}
+
+/// Over pairs of neighbours to the right and below.
+fn across(rays: usize, width: usize, value: &impl Fn(usize, usize) -> Vec<f64>) -> Option<f64> {
+    let right = (0..rays).filter(|ray| (ray + 1) % width != 0).map(|ray| (ray, ray + 1));
+    let below = (0..rays).filter(|ray| ray + width < rays).map(|ray| (ray, ray + width));
+    let pairs: Vec<(usize, usize)> = right.chain(below).collect();
+    let of_pair = |&(a, b): &(usize, usize)| (0..EVEN).map(|k| apart(value(a, k), value(b, k))).sum::<f64>();
+    let sum: f64 = pairs.iter().map(of_pair).sum();
+    (!pairs.is_empty()).then(|| sum / (pairs.len() * EVEN) as f64)
+}
+
+/// Several runs along the same rays.
+pub struct Profiles {
+    /// Runs that have passed [`Contender::check_alike`].
+    pub runs: Vec<(Contender, Profile)>,
+    /// The pixel whose ray it is.
+    pub pixel: (usize, usize),
+    /// Those around it.
+    pub patch: Window,
+}
+
+/// A line of `ray.csv`.
+#[derive(Serialize)]
+struct RayRow<'a> {
+    run: &'a str,
+    pixel_x: usize,
+    pixel_y: usize,
+    samples: &'static str,
+    t: f32,
+    x: f32,
+    y: f32,
+    z: f32,
+    density: f32,
+    weight: f32,
+    transmittance: f32,
+    r: f32,
+    g: f32,
+    b: f32,
+}
+
+/// `profile.json`.
+#[derive(Serialize)]
+struct Report<'a> {
+    scene: &'a str,
+    view: &'a str,
+    index: usize,
+    pixel: (usize, usize),
+    patch: Window,
+    even_samples: usize,
+    t_unit: &'static str,
+    /// The photograph's colour of the pixel.
+    truth_rgb: &'a [f32],
+    differences: Vec<Difference>,
+    runs: Vec<RunReport<'a>>,
+}
+
+#[derive(Serialize)]
+struct RunReport<'a> {
+    run: &'a str,
+    rgb: [f32; 3],
+    depth: Option<f32>,
+    smoothness: &'a Smoothness,
+    protocol: &'a Protocol,
+}
+
+impl Profiles {
+    /// Writes `profile.svg`, `profile.png`, `ray.csv`, `patch.csv` and `profile.json` into a folder.
+    pub fn write(&self, folder: &Path) -> Result<()> {
+        let figure = profile_figure::draw(self)?;
+        write_atomic(&folder.join("profile.svg"), figure.svg.as_bytes())?;
+        write_atomic(&folder.join("profile.png"), &figure.png)?;
+        self.write_csv(&folder.join("ray.csv"), |run, profile| {
+            let passes = [("coarse", Some(&profile.coarse)), ("fine", profile.fine.as_ref())];
+            let passes = passes.into_iter().filter_map(|(name, samples)| Some((name, samples?)));
+            let rows = passes.chain([("even", self.own(profile))]);
+            rows.flat_map(|(name, samples)| ray_rows(run, self.pixel, name, samples)).collect()
+        })?;
+        self.write_csv(&folder.join("patch.csv"), |run, profile| {
+            let rays = pixels_of(self.patch).into_iter().zip(&profile.even);
+            rays.flat_map(|(pixel, samples)| ray_rows(run, pixel, "even", samples)).collect()
+        })?;
+        write_json(&folder.join("profile.json"), &self.report())
+    }
+
+    /// The pixel's own even samples.
+    pub fn own<'a>(&self, profile: &'a Profile) -> &'a Samples {
+        let (x, y) = self.pixel;
+        &profile.even[(y - self.patch.y) * self.patch.width + x - self.patch.x]
+    }
+
+    fn write_csv<'a>(&'a self, path: &Path, rows: impl Fn(&'a str, &'a Profile) -> Vec<RayRow<'a>>) -> Result<()> {
+        let unwritable =
+            |error: &dyn std::fmt::Display| Error::Output(format!("cannot write {}: {error}", path.display()));
+        let mut writer = csv::Writer::from_writer(Vec::new());
+        for (run, profile) in &self.runs {
+            rows(&run.label, profile).iter().try_for_each(|row| writer.serialize(row)).map_err(|e| unwritable(&e))?;
+        }
+        write_atomic(path, &writer.into_inner().map_err(|e| unwritable(&e))?)
+    }
+
+    fn report(&self) -> Report<'_> {
+        let named: Vec<&Contender> = self.runs.iter().map(|(run, _)| run).collect();
+        let first = named[0];
+        let (x, y) = self.pixel;
+        let runs = self.runs.iter().map(|(run, profile)| RunReport {
+            run: &run.label,
+            rgb: profile.rgb,
+            depth: profile.depth,
+            smoothness: &profile.smoothness,
+            protocol: &run.protocol,
+        });
+        Report {
+            scene: &first.protocol.scene,
+            view: &first.view.name,
+            index: first.index,
+            pixel: self.pixel,
+            patch: self.patch,
+            even_samples: EVEN,
+            t_unit: first.depth_unit(),
+            truth_rgb: &first.view.image.pixels[(y * first.view.image.width + x) * 3..][..3],
+            differences: differences(&named),
+            runs: runs.collect(),
+        }
+    }
+}
+
+fn ray_rows<'a>(
+    run: &'a str,
+    (pixel_x, pixel_y): (usize, usize),
+    name: &'static str,
+    samples: &'a Samples,
+) -> impl Iterator<Item = RayRow<'a>> {
+    (0..samples.t.len()).map(move |k| {
+        let ([x, y, z], [r, g, b]) = (samples.points[k], samples.rgb[k]);
+        let (t, density, weight) = (samples.t[k], samples.density[k], samples.weights[k]);
+        let transmittance = samples.transmittance[k];
+        RayRow { run, pixel_x, pixel_y, samples: name, t, x, y, z, density, weight, transmittance, r, g, b }
+    })
+}

@@ -1,0 +1,218 @@
+//! The picture of several runs along the same rays.
+
+use super::differences::told;
+use super::profile::{EVEN, Profile, Profiles, Samples};
+use super::{BAR, Contender, Window, colour_bar, differences, note};
+use crate::data::Image;
+use crate::error::Result;
+use crate::output::drawing::{
+    Anchor, BLACK, Colour, Drawing, Figure, GRID, LINE_HEIGHT, PALETTE, Panel, SIDE, TEXT, TITLE, number, ticks,
+};
+use crate::output::scale_colour;
+
+const LEFT: f64 = 92.0;
+/// Two pixels of the PNG for each even sample.
+const WIDTH: f64 = EVEN as f64;
+const RIGHT: f64 = 92.0;
+/// Height of a patch's map.
+const MAP: f64 = 64.0;
+/// Share of the positive densities that the map's colours leave out at the top.
+const OUTLIERS: f64 = 0.02;
+
+/// Curves of the pixel's ray above, maps of the patch's row below, all over the same t.
+pub fn draw(profiles: &Profiles) -> Result<Figure> {
+    let first = &profiles.runs[0].0;
+    let mut drawing = Drawing::new(LEFT + WIDTH + RIGHT, 0.0);
+    let (x, y) = profiles.pixel;
+    let title = format!("Density and colour along the ray of pixel ({x}, {y})");
+    drawing.text((SIDE, 20.0), &title, TITLE, Anchor::Left, BLACK);
+    let width = drawing.width - 2.0 * SIDE;
+    let mut y = note(&mut drawing, (SIDE, 40.0), width, &first.title()) + 8.0;
+    y = legend(&mut drawing, profiles, y) + 4.0;
+    let axis = Axis { bounds: first.bounds };
+    y = curves(&mut drawing, profiles, &axis, y);
+    y = axis.label(&mut drawing, y, first.depth_unit()) + 16.0;
+    drawing.height = maps(&mut drawing, profiles, &axis, first.depth_unit(), y)? + 8.0;
+    drawing.caption(&caption(profiles));
+    drawing.finish()
+}
+
+/// The horizontal scale.
+struct Axis {
+    bounds: (f64, f64),
+}
+
+impl Axis {
+    fn x(&self, t: f64) -> f64 {
+        LEFT + WIDTH * (t - self.bounds.0) / (self.bounds.1 - self.bounds.0)
+    }
+
+    fn grid(&self, drawing: &mut Drawing, top: f64, bottom: f64) {
+        for t in ticks(self.bounds, 6).0 {
+            drawing.line(&[(self.x(t), top), (self.x(t), bottom)], GRID, 1.0);
+        }
+    }
+
+    /// Numbers and name below a panel; returns where the next thing may start.
+    fn label(&self, drawing: &mut Drawing, y: f64, unit: &str) -> f64 {
+        let (values, step) = ticks(self.bounds, 6);
+        for t in values {
+            drawing.line(&[(self.x(t), y), (self.x(t), y + 4.0)], BLACK, 1.0);
+            drawing.text((self.x(t), y + 12.0), &number(t, step), TEXT, Anchor::Middle, BLACK);
+        }
+        drawing.text((LEFT + WIDTH / 2.0, y + 30.0), &format!("t ({unit})"), TEXT, Anchor::Middle, BLACK);
+        y + 40.0
+    }
+}
+
+/// Each run's colour, name, smoothness and what it differs in.
+fn legend(drawing: &mut Drawing, profiles: &Profiles, mut y: f64) -> f64 {
+    const TEXT_LEFT: f64 = SIDE + 34.0;
+    let width = drawing.width - TEXT_LEFT - SIDE;
+    let named: Vec<&Contender> = profiles.runs.iter().map(|(run, _)| run).collect();
+    let differences = differences(&named);
+    for (index, (run, profile)) in profiles.runs.iter().enumerate() {
+        drawing.line(&[(SIDE, y), (SIDE + 26.0, y)], colour(index), 3.0);
+        drawing.text((TEXT_LEFT, y), &run.label, TITLE, Anchor::Left, BLACK);
+        y = note(drawing, (TEXT_LEFT, y + LINE_HEIGHT), width, &told(&differences, index));
+        y = note(drawing, (TEXT_LEFT, y), width, &smoothness(profile)) + 6.0;
+    }
+    y
+}
+
+fn smoothness(profile: &Profile) -> String {
+    let smooth = &profile.smoothness;
+    let across = smooth.density_tv_across.map_or(String::new(), |tv| format!(", {tv:.3} from ray to ray"));
+    format!(
+        "patch: mean density {:.3}; total variation of density {:.2} along a ray{across}",
+        smooth.density_mean, smooth.density_tv_along
+    )
+}
+
+fn colour(run: usize) -> Colour {
+    PALETTE[run % PALETTE.len()]
+}
+
+/// One panel of curves.
+struct Curves {
+    name: &'static str,
+    height: f64,
+    /// The scale's upper end; the greatest value where it is not given.
+    top: Option<f64>,
+    /// Of an evaluation's samples, which are marked, instead of the even ones.
+    evaluated: bool,
+    value: fn(&Samples, usize) -> f32,
+}
+
+/// Density, weight, red, green and blue over t; returns the last panel's foot.
+fn curves(drawing: &mut Drawing, profiles: &Profiles, axis: &Axis, mut y: f64) -> f64 {
+    const GAP: f64 = 14.0;
+    let rgb = |name, value| Curves { name, height: 56.0, top: Some(1.0), evaluated: false, value };
+    let panels = [
+        Curves { name: "density", height: 130.0, top: None, evaluated: false, value: |s, k| s.density[k] },
+        Curves { name: "weight", height: 90.0, top: None, evaluated: true, value: |s, k| s.weights[k] },
+        rgb("red", |s, k| s.rgb[k][0]),
+        rgb("green", |s, k| s.rgb[k][1]),
+        rgb("blue", |s, k| s.rgb[k][2]),
+    ];
+    for panel in panels {
+        panel.draw(drawing, profiles, axis, y);
+        y += panel.height + GAP;
+    }
+    y - GAP
+}
+
+impl Curves {
+    fn points(&self, profiles: &Profiles, profile: &Profile) -> Vec<(f64, f64)> {
+        let samples = match (self.evaluated, &profile.fine) {
+            (false, _) => profiles.own(profile),
+            (true, Some(fine)) => fine,
+            (true, None) => &profile.coarse,
+        };
+        let point = |k: usize| (f64::from(samples.t[k]), f64::from((self.value)(samples, k)));
+        (0..samples.t.len()).map(point).collect()
+    }
+
+    fn draw(&self, drawing: &mut Drawing, profiles: &Profiles, axis: &Axis, y: f64) {
+        let runs: Vec<Vec<(f64, f64)>> =
+            profiles.runs.iter().map(|(_, profile)| self.points(profiles, profile)).collect();
+        let greatest = runs.iter().flatten().map(|(_, value)| *value).fold(0.0, f64::max);
+        // A ray through empty space has no density at all.
+        let top = self.top.unwrap_or(if greatest > 0.0 { 1.05 * greatest } else { 1.0 });
+        let panel = Panel { left: LEFT, top: y, width: WIDTH, height: self.height, range: (0.0, top) };
+        axis.grid(drawing, panel.top, panel.bottom());
+        panel.frame(drawing, true);
+        drawing.text((panel.right() + 8.0, y + self.height / 2.0), self.name, TEXT, Anchor::Left, BLACK);
+        for (index, points) in runs.iter().enumerate() {
+            let line: Vec<(f64, f64)> = points.iter().map(|(t, value)| (axis.x(*t), panel.y(*value))).collect();
+            drawing.line(&line, colour(index), 1.3);
+            if self.evaluated {
+                line.iter().for_each(|at| drawing.dot(*at, 1.7, colour(index), 0.8));
+            }
+        }
+    }
+}
+
+/// For each run density and colour of the patch's row through the pixel, and what the density's colours mean; returns
+/// the foot of all.
+fn maps(drawing: &mut Drawing, profiles: &Profiles, axis: &Axis, unit: &str, mut y: f64) -> Result<f64> {
+    let top = density_top(profiles);
+    for (index, (run, profile)) in profiles.runs.iter().enumerate() {
+        drawing.line(&[(LEFT, y), (LEFT + 26.0, y)], colour(index), 3.0);
+        drawing.text((LEFT + 34.0, y), &run.label, TEXT, Anchor::Left, BLACK);
+        y += 14.0;
+        let density = map(profiles, profile, |ray, k| scale_colour(ray.density[k] / top));
+        let rgb = map(profiles, profile, |ray, k| ray.rgb[k]);
+        for (name, picture) in [("density", density), ("colour", rgb)] {
+            drawing.picture((LEFT, y), (WIDTH, MAP), &picture)?;
+            drawing.text((LEFT + WIDTH + 8.0, y + MAP / 2.0), name, TEXT, Anchor::Left, BLACK);
+            columns(drawing, profiles, y);
+            y += MAP + 8.0;
+        }
+        y += 6.0;
+    }
+    y = axis.label(drawing, y - 14.0, unit) + 14.0;
+    colour_bar(drawing, (LEFT, y), WIDTH, (0.0, top), false, "density on the maps")?;
+    Ok(y + BAR)
+}
+
+/// The first and last column of the patch beside a map, and a mark at the pixel's own.
+fn columns(drawing: &mut Drawing, profiles: &Profiles, y: f64) {
+    let Window { x, width, .. } = profiles.patch;
+    let middle = |column: usize| y + MAP * ((column - x) as f64 + 0.5) / width as f64;
+    let own = middle(profiles.pixel.0);
+    drawing.line(&[(LEFT - 6.0, own), (LEFT, own)], BLACK, 2.0);
+    let ends = if width > 1 { vec![x, x + width - 1] } else { vec![x] };
+    for column in ends {
+        drawing.text((LEFT - 10.0, middle(column)), &format!("x = {column}"), TEXT, Anchor::Right, BLACK);
+    }
+}
+
+/// The rays of the patch's row through the pixel, one below the other.
+fn row<'a>(profiles: &Profiles, profile: &'a Profile) -> &'a [Samples] {
+    let Window { y, width, .. } = profiles.patch;
+    &profile.even[(profiles.pixel.1 - y) * width..][..width]
+}
+
+fn map(profiles: &Profiles, profile: &Profile, colour: impl Fn(&Samples, usize) -> [f32; 3]) -> Image {
+    let rays = row(profiles, profile);
+    let pixels = rays.iter().flat_map(|ray| (0..EVEN).flat_map(|k| colour(ray, k)).collect::<Vec<f32>>()).collect();
+    Image { width: EVEN, height: rays.len(), channels: 3, pixels }
+}
+
+/// The density of the brightest colour: of the positive ones on all maps, all but the highest 2 % are below.
+fn density_top(profiles: &Profiles) -> f32 {
+    let rays = profiles.runs.iter().flat_map(|(_, profile)| row(profiles, profile));
+    let mut positive: Vec<f32> = rays.flat_map(|ray| &ray.density).copied().filter(|&density| density > 0.0).collect();
+    positive.sort_by(f32::total_cmp);
+    positive.get((positive.len() as f64 * (1.0 - OUTLIERS)) as usize).copied().unwrap_or(1.0)
+}
+
+fn caption(profiles: &Profiles) -> String {
+    let Window { x, y, width, .. } = profiles.patch;
+    format!(
+        "Density and colour are the evaluated field's at {EVEN} even places along the ray, weights those of an          evaluation at its own samples (dots). Maps: the rays of pixels {x} to {} in row {}; the mark is the ray above.          The highest 2 % of the positive densities have the last colour. Patch: {width} x {width} pixels from ({x}, {y}).          The smaller the variation, the smoother; it counts in units of density.",
+        x + width - 1,
+        profiles.pixel.1
+    )
+}
