@@ -107,6 +107,46 @@ pub fn differences(runs: &[&Contender]) -> Vec<Difference> {
 /// One run's side of the differences as a line of text.
 pub(super) fn told(differences: &[Difference], run: usize) -> String {
     let own = differences.iter().filter(|difference| !difference.values[run].is_empty());
-    let told = own.map(|difference| format!("{} {}", difference.name.replace('_', " "), difference.values[run]));
+    let told =
+        own.map(|difference| format!("{} {}", difference.name.replace('_', " "), short(&difference.values[run])));
     told.collect::<Vec<String>>().join("; ")
+}
+
+/// A text with its long fractions rounded to four digits: 0.8333333333333334 as 0.8333. Files have all of them.
+fn short(text: &str) -> String {
+    let rounded = |part: &str| {
+        let end = part.trim_end_matches([' ', ',', '/', ';']);
+        match end.parse::<f64>() {
+            Ok(number) if end.len() > 8 && end.contains('.') => {
+                let number: f64 = format!("{number:.3e}").parse().expect("written as a number");
+                format!("{number}{}", &part[end.len()..])
+            }
+            _ => part.to_string(),
+        }
+    };
+    text.split_inclusive([' ', ',', '/', ';']).map(rounded).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn long_fractions_are_rounded_and_nothing_else_is_changed() {
+        let text = "t 3/0.8333333333333334/0.25, rgb 1/2.5/0.01568627450980392";
+        assert_eq!(short(text), "t 3/0.8333/0.25, rgb 1/2.5/0.01569");
+        for same in ["709e22912345", "coarse 0, fine 1", "0.00001", "123456789", ""] {
+            assert_eq!(short(same), same);
+        }
+    }
+
+    #[test]
+    fn what_the_protocol_speaks_of_is_not_told_twice() {
+        for setting in ["seed", "train.steps", "perturb.t.steps", "perturb.rgb.epsilon", "regularizer.weight"] {
+            assert!(spoken_of(setting), "{setting}");
+        }
+        for setting in ["train.learning_rate", "perturb.t.norm", "data.corruption", "sampling.jitter"] {
+            assert!(!spoken_of(setting), "{setting}");
+        }
+    }
 }

@@ -185,6 +185,9 @@ fn colour_bar(
 
 /// Grey lines of text of at most `width` from `(x, y)` down; returns where the next would stand.
 fn note(drawing: &mut Drawing, (x, mut y): (f64, f64), width: f64, text: &str) -> f64 {
+    if text.is_empty() {
+        return y;
+    }
     for line in wrapped(text, width) {
         drawing.text((x, y), &line, TEXT, Anchor::Left, GREY);
         y += LINE_HEIGHT;

@@ -133,18 +133,28 @@ fn pixels_of(Window { x, y, width, height }: Window) -> Vec<(usize, usize)> {
 
 /// A pass's samples, ray by ray.
 fn samples(rays: &Rays, out: &PassOutput) -> Result<Vec<Samples>> {
-    let points = points_at(rays, &out.t_vals)?.to_vec3::<f32>()?;
-    let rgb = out.rgb.to_vec3::<f32>()?;
-    let [t, density, weights] =
-        [&out.t_vals, &out.density, &out.composite.weights].map(|tensor| tensor.to_vec2::<f32>());
-    let norms = rays.direction_norm.flatten_all()?.to_vec1::<f32>()?;
-    let triples = |rows: Vec<Vec<f32>>| rows.into_iter().map(|row| [row[0], row[1], row[2]]).collect();
-    let parts = t?.into_iter().zip(density?).zip(weights?).zip(points).zip(rgb).zip(norms);
-    let ray = |(((((t, density), weights), points), rgb), norm): (((((Vec<f32>, Vec<f32>), Vec<f32>), _), _), f32)| {
-        let transmittance = transmittance(&t, &density, norm);
-        Samples { t, density, weights, transmittance, points: triples(points), rgb: triples(rgb) }
+    let rows = |tensor: &Tensor| tensor.to_vec2::<f32>();
+    let triples = |tensor: &Tensor| -> Result<Vec<Vec<[f32; 3]>>> {
+        let triple = |row: Vec<f32>| [row[0], row[1], row[2]];
+        Ok(tensor.to_vec3::<f32>()?.into_iter().map(|ray| ray.into_iter().map(triple).collect()).collect())
     };
-    Ok(parts.map(ray).collect())
+    let (t, density, weights) = (rows(&out.t_vals)?, rows(&out.density)?, rows(&out.composite.weights)?);
+    let (points, rgb) = (triples(&points_at(rays, &out.t_vals)?)?, triples(&out.rgb)?);
+    let norms = rays.direction_norm.flatten_all()?.to_vec1::<f32>()?;
+    let mut colours = rgb.iter().flatten().flatten();
+    if !colours.all(|value| value.is_finite()) || !density.iter().flatten().all(|value| value.is_finite()) {
+        return Err(Error::Diverged(
+            "density or colour along the ray is not a number: the weights are broken; delete the newest checkpoint to \
+             fall back on the one before it"
+                .into(),
+        ));
+    }
+    let columns = t.into_iter().zip(density).zip(weights).zip(points).zip(rgb).zip(norms);
+    let samples = columns.map(|(((((t, density), weights), points), rgb), norm)| {
+        let transmittance = transmittance(&t, &density, norm);
+        Samples { t, density, weights, transmittance, points, rgb }
+    });
+    Ok(samples.collect())
 }
 
 /// exp(-sum over earlier samples of density times interval) at each sample of a ray whose direction is `norm` long.

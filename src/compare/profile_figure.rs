@@ -3,10 +3,11 @@
 use super::differences::told;
 use super::profile::{EVEN, Profile, Profiles, Samples};
 use super::{BAR, Contender, Window, colour_bar, differences, note};
-use crate::data::Image;
+use crate::data::{Image, resample};
 use crate::error::Result;
 use crate::output::drawing::{
-    Anchor, BLACK, Colour, Drawing, Figure, GRID, LINE_HEIGHT, PALETTE, Panel, SIDE, TEXT, TITLE, number, ticks,
+    Anchor, BLACK, Colour, Drawing, FINENESS, Figure, GRID, LINE_HEIGHT, PALETTE, PAPER, Panel, RED, SIDE, TEXT, TITLE,
+    number, ticks,
 };
 use crate::output::scale_colour;
 
@@ -14,6 +15,8 @@ const LEFT: f64 = 92.0;
 /// Two pixels of the PNG for each even sample.
 const WIDTH: f64 = EVEN as f64;
 const RIGHT: f64 = 92.0;
+/// Height of the view in the corner.
+const PLACE: f64 = 72.0;
 /// Height of a patch's map.
 const MAP: f64 = 64.0;
 /// Share of the positive densities that the map's colours leave out at the top.
@@ -27,14 +30,33 @@ pub fn draw(profiles: &Profiles) -> Result<Figure> {
     let title = format!("Density and colour along the ray of pixel ({x}, {y})");
     drawing.text((SIDE, 20.0), &title, TITLE, Anchor::Left, BLACK);
     let width = drawing.width - 2.0 * SIDE;
-    let mut y = note(&mut drawing, (SIDE, 40.0), width, &first.title()) + 8.0;
-    y = legend(&mut drawing, profiles, y) + 4.0;
+    note(&mut drawing, (SIDE, 40.0), width, &first.title());
+    draw_place(&mut drawing, profiles)?;
+    let mut y = legend(&mut drawing, profiles, 16.0 + PLACE + 16.0) + 4.0;
     let axis = Axis { bounds: first.bounds };
     y = curves(&mut drawing, profiles, &axis, y);
     y = axis.label(&mut drawing, y, first.depth_unit()) + 16.0;
     drawing.height = maps(&mut drawing, profiles, &axis, first.depth_unit(), y)? + 8.0;
     drawing.caption(&caption(profiles));
     drawing.finish()
+}
+
+/// The view in the upper right corner, with the patch in it.
+fn draw_place(drawing: &mut Drawing, profiles: &Profiles) -> Result<()> {
+    let image = &profiles.runs[0].0.view.image;
+    // The photograph itself where it is small, otherwise brought to the PNG's pixels.
+    let share = (PLACE * FINENESS / image.height as f64).min(1.0);
+    let [columns, rows] = [image.width, image.height].map(|side| ((side as f64 * share).round() as usize).max(1));
+    let unit = PLACE / image.height as f64;
+    let (left, top) = (drawing.width - SIDE - image.width as f64 * unit, 14.0);
+    drawing.picture((left, top), (image.width as f64 * unit, PLACE), &resample::shrink(image, columns, rows))?;
+    // At least so large that it is seen.
+    let side = (profiles.patch.width as f64 * unit).max(6.0);
+    let middle = |start: usize| (start as f64 + 0.5 * profiles.patch.width as f64) * unit - 0.5 * side;
+    let at = (left + middle(profiles.patch.x), top + middle(profiles.patch.y));
+    drawing.outline(at, (side, side), PAPER, 3.0);
+    drawing.outline(at, (side, side), RED, 1.5);
+    Ok(())
 }
 
 /// The horizontal scale.

@@ -11,7 +11,7 @@ use crate::error::{Error, Result};
 use crate::evaluate::{Protocol, RenderedView};
 use crate::metrics::{ViewMetrics, measure};
 use crate::output::drawing::{
-    Anchor, BLACK, Drawing, FINENESS, Figure, GREY, LINE_HEIGHT, PAPER, RED, SIDE, TEXT, TITLE, number, ticks, wrapped,
+    Anchor, BLACK, Drawing, FINENESS, Figure, LINE_HEIGHT, PAPER, RED, SIDE, TEXT, TITLE, text_width, wrapped,
 };
 use crate::output::{depth_colour, depth_range, quantise, scale_colour, write_atomic, write_json, write_timed_gif};
 
@@ -90,7 +90,7 @@ impl Comparison {
         let (truth, bounds) = (first.view.image.clone(), first.bounds);
         let images: Vec<&Image> = runs.iter().map(|(_, rendered)| &rendered.image).collect();
         let chosen = match window {
-            Some(window) => window.check("--zoom", truth.width, truth.height)?,
+            Some(window) => window.check(truth.width, truth.height)?,
             None => most_different(&images, &truth, box_size(box_width, truth.width, truth.height)?),
         };
         let over = |values: fn(&RenderedView) -> &Vec<f32>| -> Vec<f32> {
@@ -261,18 +261,18 @@ impl Comparison {
     }
 
     /// A run's name, its metrics and what it differs in; returns where its pictures start.
-    fn draw_label(&self, drawing: &mut Drawing, index: usize, y: f64) -> f64 {
+    fn draw_label(&self, drawing: &mut Drawing, index: usize, mut y: f64) -> f64 {
         let side = &self.sides[index];
         drawing.text((SIDE, y), &side.run.label, TITLE, Anchor::Left, BLACK);
-        let numbers = format!("view: {}    box: {}", metrics_text(&side.metrics), metrics_text(&side.metrics_in_box));
+        let (view, in_box) = (metrics_text(&side.metrics), metrics_text(&side.metrics_in_box));
+        let numbers = format!("view: {view}; box: {in_box}");
         let right = drawing.width - SIDE;
-        drawing.text((right, y), &numbers, TEXT, Anchor::Right, BLACK);
-        let told = told(&self.differences, index);
-        if told.is_empty() {
-            return y + LINE_HEIGHT / 2.0;
+        // Beside the name, or below one that leaves no room.
+        if SIDE + text_width(&side.run.label, TITLE) + 20.0 + text_width(&numbers, TEXT) > right {
+            y += LINE_HEIGHT;
         }
-        let width = right - SIDE;
-        note(drawing, (SIDE, y + LINE_HEIGHT), width, &told) - LINE_HEIGHT / 2.0
+        drawing.text((right, y), &numbers, TEXT, Anchor::Right, BLACK);
+        note(drawing, (SIDE, y + LINE_HEIGHT), right - SIDE, &told(&self.differences, index)) - LINE_HEIGHT / 2.0
     }
 
     /// The colours' scales below the columns that they belong to.
@@ -298,8 +298,8 @@ impl Comparison {
         format!(
             "Box: {width} x {height} pixels from ({x}, {y}), {by}. Error: root of the mean squared difference of a \
              pixel's three 8-bit colours to the truth. Scales are the same for all runs; the last colours stand for \
-             everything beyond, which is 2 % of the pixels at most at each end. Grey depth: nothing there. Below each \
-             name: what these runs differ in.{shrunk}"
+             everything beyond, which is 2 % of the pixels at most at each end. Grey depth: nothing there. Below \
+             names: what these runs differ in.{shrunk}"
         )
     }
 

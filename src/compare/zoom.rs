@@ -21,8 +21,8 @@ pub struct Window {
 }
 
 impl Window {
-    /// Refuses a window that is empty or reaches beyond an image of `width` x `height`; `flag` named it.
-    pub fn check(self, flag: &str, width: usize, height: usize) -> Result<Window> {
+    /// Refuses a window that is empty or reaches beyond an image of `width` x `height`.
+    pub fn check(self, width: usize, height: usize) -> Result<Window> {
         let fits = |start: usize, length: usize, all: usize| {
             length > 0 && start.checked_add(length).is_some_and(|end| end <= all)
         };
@@ -31,7 +31,7 @@ impl Window {
         }
         let Window { x, y, width: w, height: h } = self;
         Err(Error::Config(format!(
-            "{flag}: a box of {w} x {h} pixels at ({x}, {y}) does not lie within the view of {width} x {height}; \
+            "--zoom: a box of {w} x {h} pixels at ({x}, {y}) does not lie within the view of {width} x {height}; \
              give x,y,width,height with x + width at most {width} and y + height at most {height}"
         )))
     }

@@ -248,19 +248,32 @@ pub fn text_width(text: &str, size: f64) -> f64 {
     text.chars().map(|letter| f64::from(advance(letter))).sum::<f64>() * size / f64::from(face.units_per_em())
 }
 
-/// Lines of at most `width` pixels, broken at spaces.
+/// Lines of at most `width` pixels, broken at spaces, and within a word where it alone is longer.
 pub fn wrapped(text: &str, width: f64) -> Vec<String> {
     let mut lines = vec![String::new()];
-    for word in text.split_whitespace() {
+    for word in text.split_whitespace().flat_map(|word| pieces(word, width)) {
         let line = lines.last_mut().expect("starts with one");
-        let longer = if line.is_empty() { word.to_string() } else { format!("{line} {word}") };
+        let longer = if line.is_empty() { word.clone() } else { format!("{line} {word}") };
         if text_width(&longer, TEXT) <= width || line.is_empty() {
             *line = longer;
         } else {
-            lines.push(word.to_string());
+            lines.push(word);
         }
     }
     lines
+}
+
+/// A word in parts of at most `width` pixels, or of one letter.
+fn pieces(word: &str, width: f64) -> Vec<String> {
+    let mut pieces = vec![String::new()];
+    for letter in word.chars() {
+        let piece = pieces.last_mut().expect("starts with one");
+        if !piece.is_empty() && text_width(&format!("{piece}{letter}"), TEXT) > width {
+            pieces.push(String::new());
+        }
+        pieces.last_mut().expect("just seen").push(letter);
+    }
+    pieces
 }
 
 /// A number with the digits that a step between ticks asks for.

@@ -1,0 +1,414 @@
+//! `augnerf compare` and `augnerf profile`: what they choose, measure, draw and refuse.
+
+#[allow(dead_code)]
+mod common;
+
+use std::path::Path;
+use std::process::{Command, Output};
+
+use augnerf::compare::{
+    Comparison, Contender, Profile, Profiles, Window, crop, differences, labels, most_different, patch_around,
+};
+use augnerf::config::{Config, Method, PixelOrigin};
+use augnerf::data::{Image, Scene};
+use augnerf::evaluate::{RenderedView, Viewer};
+use augnerf::metrics::{psnr, quantise};
+use augnerf::rng::{Random, Stream};
+use augnerf::train::checkpoint::State;
+use candle_core::Device;
+use common::{tiny_config, tiny_scene, trained};
+use tempfile::TempDir;
+
+/// An image of 8-bit values that nobody has drawn.
+fn noise(seed: u64, width: usize, height: usize) -> Image {
+    let mut random = Random::new(seed, Stream::Attack, 0);
+    let pixels = (0..width * height * 3).map(|_| random.below(256) as f32 / 255.0).collect();
+    Image { width, height, channels: 3, pixels }
+}
+
+/// The sum of squared differences over a window, in squares of 1/255.
+fn squared_error(a: &Image, b: &Image, window: Window) -> i64 {
+    let (a, b) = (crop(a, window), crop(b, window));
+    let eight_bits = |value: f32| (value * 255.0).round() as i64;
+    a.pixels.iter().zip(&b.pixels).map(|(&a, &b)| (eight_bits(a) - eight_bits(b)).pow(2)).sum()
+}
+
+/// Every window, looked into pixel by pixel.
+fn slowly(rendered: &[&Image], truth: &Image, (width, height): (usize, usize)) -> Window {
+    let places = (0..=truth.height - height).flat_map(|y| (0..=truth.width - width).map(move |x| (x, y)));
+    let difference = |&window: &Window| {
+        let errors: Vec<i64> = rendered.iter().map(|image| squared_error(image, truth, window)).collect();
+        let best = if errors.len() > 1 { *errors.iter().min().unwrap() } else { 0 };
+        errors.iter().max().unwrap() - best
+    };
+    let windows: Vec<Window> = places.map(|(x, y)| Window { x, y, width, height }).collect();
+    let most = windows.iter().map(difference).max().unwrap();
+    windows.into_iter().find(|window| difference(window) == most).unwrap()
+}
+
+#[test]
+fn the_box_is_where_the_squared_errors_differ_most() {
+    for (seed, (width, height), size) in
+        [(1, (23, 17), (5, 4)), (2, (9, 9), (9, 9)), (3, (12, 8), (1, 1)), (4, (7, 16), (7, 2))]
+    {
+        let truth = noise(seed, width, height);
+        let runs: Vec<Image> = (10..13).map(|run| noise(10 * seed + run, width, height)).collect();
+        for count in 1..=3 {
+            let rendered: Vec<&Image> = runs.iter().take(count).collect();
+            assert_eq!(most_different(&rendered, &truth, size), slowly(&rendered, &truth, size), "{seed} {count}");
+        }
+        // Equal runs differ nowhere: the first place.
+        let same = most_different(&[&runs[0], &runs[0]], &truth, size);
+        assert_eq!((same.x, same.y), (0, 0));
+    }
+}
+
+#[test]
+fn boxes_and_patches_lie_within_the_view() {
+    let window = |x, y, width, height| Window { x, y, width, height };
+    assert!(window(0, 0, 16, 9).check(16, 9).is_ok() && window(15, 8, 1, 1).check(16, 9).is_ok());
+    for outside in
+        [window(1, 0, 16, 9), window(0, 0, 0, 3), window(0, 9, 1, 1), window(usize::MAX, 0, 2, 2), window(0, 0, 17, 1)]
+    {
+        let message = outside.check(16, 9).unwrap_err().to_string();
+        assert!(message.contains("--zoom") && message.contains("16 x 9"), "{message}");
+    }
+    assert_eq!(patch_around((8, 8), 4, (16, 16)).unwrap(), window(6, 6, 4, 4));
+    assert_eq!(patch_around((0, 15), 4, (16, 16)).unwrap(), window(0, 12, 4, 4));
+    assert_eq!(patch_around((3, 2), 1, (16, 16)).unwrap(), window(3, 2, 1, 1));
+    assert!(patch_around((16, 0), 1, (16, 16)).unwrap_err().to_string().contains("0,0 to 15,15"));
+    assert!(patch_around((0, 0), 9, (16, 8)).unwrap_err().to_string().contains("1 to 8"));
+}
+
+/// A trained run in memory.
+struct Run {
+    config: Config,
+    scene: Scene,
+    trainer: augnerf::train::Trainer,
+}
+
+impl Run {
+    fn new(method: Method, steps: u64, change: impl FnOnce(&mut Config)) -> Run {
+        let config = tiny_config(method, change);
+        let trainer = trained(&config, steps);
+        Run { config, scene: tiny_scene(), trainer }
+    }
+
+    fn viewer(&self) -> Viewer<'_> {
+        Viewer { model: self.trainer.model(), config: &self.config, scene: &self.scene, device: &Device::Cpu }
+    }
+
+    fn contender(&self, label: &str) -> Contender {
+        let state = State {
+            format: 1,
+            step: 30,
+            empty_steps: 0,
+            redraws: vec![0, 0],
+            config_hash: self.config.hash(),
+            revisions: vec!["a".into()],
+            devices: vec!["cpu".into()],
+        };
+        Contender::new(label.into(), &self.viewer(), &state, "0").unwrap()
+    }
+
+    fn rendered(&self, label: &str) -> (Contender, RenderedView) {
+        let contender = self.contender(label);
+        let rendered = self.viewer().render(&contender.view.camera).unwrap();
+        (contender, rendered)
+    }
+}
+
+fn pair() -> [Run; 2] {
+    [Run::new(Method::Nerf, 30, |_| ()), Run::new(Method::AugNerf, 10, |config| config.seed = 1)]
+}
+
+fn compared(runs: &[Run; 2], window: Option<Window>) -> Comparison {
+    let [a, b] = [runs[0].rendered("first"), runs[1].rendered("second")];
+    Comparison::new(vec![a, b], window, Some(6)).unwrap()
+}
+
+fn files(folder: &Path) -> Vec<(String, Vec<u8>)> {
+    let entries = std::fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path());
+    let mut files: Vec<_> = entries
+        .map(|path| (path.file_name().unwrap().to_string_lossy().into_owned(), std::fs::read(path).unwrap()))
+        .collect();
+    files.sort();
+    files
+}
+
+fn json(path: &Path) -> serde_json::Value {
+    serde_json::from_slice(&std::fs::read(path).unwrap()).unwrap()
+}
+
+#[test]
+fn a_comparison_repeats_byte_for_byte_and_its_numbers_are_those_of_the_box() {
+    let runs = pair();
+    let [a, b] = [(); 2].map(|()| TempDir::new().unwrap());
+    let comparison = compared(&runs, None);
+    comparison.write(a.path(), true).unwrap();
+    compared(&pair(), None).write(b.path(), true).unwrap();
+    let written = files(a.path());
+    let names: Vec<&str> = written.iter().map(|(name, _)| name.as_str()).collect();
+    assert_eq!(names, ["compare.json", "compare.png", "fade.gif"]);
+    assert!(written == files(b.path()), "equal runs give other bytes");
+    let report = json(&a.path().join("compare.json"));
+    let window = comparison.window();
+    assert_eq!(report["box"]["x"], window.x);
+    let truth = &runs[0].scene.test[0].image;
+    let images: Vec<Image> = runs.iter().map(|run| run.rendered("r").1.image).collect();
+    assert_eq!(window, slowly(&[&quantise(&images[0]), &quantise(&images[1])], &quantise(truth), (6, 6)));
+    for (index, image) in images.iter().enumerate() {
+        let in_box = psnr(&crop(image, window), &crop(truth, window)).unwrap();
+        assert_eq!(report["runs"][index]["box"]["psnr"].as_f64(), in_box);
+        assert_eq!(report["runs"][index]["view"]["psnr"].as_f64(), psnr(image, truth).unwrap());
+    }
+    let told = |name: &str| {
+        let found = report["differences"].as_array().unwrap().iter().find(|difference| difference["name"] == name);
+        found.map(|difference| difference["values"].clone())
+    };
+    assert_eq!(told("seed").unwrap(), serde_json::json!(["0", "1"]));
+    assert_eq!(told("method").unwrap(), serde_json::json!(["nerf", "aug-nerf"]));
+    assert!(told("lambda").is_some() && told("rays").is_none() && told("config_hash").is_none());
+}
+
+/// Each pixel of the renderings is found in the picture, as it is, 25 times enlarged.
+#[test]
+fn the_picture_shows_the_pixels_themselves() {
+    let runs = pair();
+    let dir = TempDir::new().unwrap();
+    let asked = Window { x: 15, y: 15, width: 1, height: 1 };
+    compared(&runs, Some(asked)).write(dir.path(), false).unwrap();
+    let picture = image::open(dir.path().join("compare.png")).unwrap().to_rgb8();
+    let shown = |image: &Image| {
+        let expected: Vec<[u8; 3]> =
+            augnerf::output::quantise(&image.pixels).chunks(3).map(|p| [p[0], p[1], p[2]]).collect();
+        let at =
+            |top: u32, i: usize| picture.get_pixel(40 + 25 * (i as u32 % 16) + 12, top + 25 * (i as u32 / 16) + 12).0;
+        // The box's outline lies over pixels of the lower right corner.
+        let free = |i: &usize| i % 16 < 14 && i / 16 < 14;
+        (0..picture.height() - 400).any(|top| (0..256).filter(free).all(|i| at(top, i) == expected[i]))
+    };
+    assert!(shown(&runs[0].scene.test[0].image), "truth");
+    for run in &runs {
+        let image = run.rendered("r").1.image;
+        assert!(shown(&image), "rendering");
+        let other = Image { pixels: image.pixels.iter().map(|value| 1.0 - value).collect(), ..image };
+        assert!(!shown(&other), "another picture is not there");
+    }
+}
+
+#[test]
+fn differences_name_settings_that_the_protocol_leaves_out() {
+    let runs = [
+        Run::new(Method::Nerf, 0, |_| ()),
+        Run::new(Method::Nerf, 0, |config| config.train.learning_rate = 1e-3),
+        Run::new(Method::AugNerf, 0, |config| config.perturb.perturb_last = true),
+    ];
+    let [a, b, c] = ["a", "b", "c"].map(|label| runs[(label.as_bytes()[0] - b'a') as usize].contender(label));
+    let names = |runs: &[&Contender]| -> Vec<String> { differences(runs).into_iter().map(|d| d.name).collect() };
+    assert_eq!(names(&[&a, &b]), ["train.learning_rate"]);
+    assert!(names(&[&a]).is_empty() && names(&[&a, &a]).is_empty());
+    // A run without a perturbed pass has no opinion on its settings.
+    assert!(names(&[&a, &c]).iter().all(|name| !name.starts_with("perturb.")));
+    assert!(names(&[&a, &c]).contains(&"method".to_string()));
+}
+
+#[test]
+fn runs_that_do_not_show_the_same_are_refused_in_words() {
+    let run = Run::new(Method::Nerf, 0, |_| ());
+    let first = run.contender("first");
+    first.check_alike(&run.contender("same")).unwrap();
+    let refused = |words: &str, change: &dyn Fn(&mut Contender)| {
+        let mut other = run.contender("other");
+        change(&mut other);
+        let error = other.check_alike(&first).unwrap_err();
+        assert_eq!(error.exit_code(), 2);
+        for word in [words, "other", "first"] {
+            assert!(error.to_string().contains(word), "'{word}' is not in: {error}");
+        }
+    };
+    refused("the scene is fern", &|run| run.protocol.scene = "fern".into());
+    refused("the resolution is 32 x 16", &|run| run.view.camera.width = 32);
+    refused("the held-out view is r_5", &|run| run.view.name = "r_5".into());
+    refused("the rays' interval", &|run| run.bounds.0 = 1.0);
+    refused("the background is black", &|run| run.protocol.background = "black".into());
+    refused("the camera", &|run| run.view.camera.pose[0][3] += 1e-3);
+    refused("another (1 of 768 values)", &|run| run.view.image.pixels[7] += 0.5);
+}
+
+#[test]
+fn labels_are_names_where_these_differ() {
+    let dir = TempDir::new().unwrap();
+    let run = |name: &str| dir.path().join(name);
+    assert_eq!(labels(&[run("a"), run("b")]).unwrap(), ["a", "b"]);
+    let paths = labels(&[run("x/a"), run("y/a")]).unwrap();
+    assert!(paths[0].ends_with("x/a") && paths[1].ends_with("y/a"), "{paths:?}");
+    assert!(labels(&[run("a"), run("b"), run("a")]).unwrap_err().to_string().contains("twice"));
+}
+
+const PATCH: Window = Window { x: 6, y: 7, width: 3, height: 3 };
+const PIXEL: (usize, usize) = (7, 8);
+
+fn profiled(run: &Run, label: &str) -> (Contender, Profile) {
+    let contender = run.contender(label);
+    let profile = Profile::measure(&run.viewer(), &contender, PIXEL, PATCH).unwrap();
+    (contender, profile)
+}
+
+#[test]
+fn a_profile_is_what_an_evaluation_sees() {
+    for (method, change) in [(Method::Nerf, PixelOrigin::Corner), (Method::AugNerf, PixelOrigin::Centre)] {
+        let run = Run::new(method, 40, |config| config.data.pixel_origin = change);
+        let (contender, profile) = profiled(&run, "run");
+        let rendered = run.viewer().render(&contender.view.camera).unwrap();
+        let fine = profile.fine.as_ref().unwrap();
+        assert_eq!((profile.coarse.t.len(), fine.t.len(), profile.even.len()), (8, 16, 9));
+        let at = PIXEL.1 * 16 + PIXEL.0;
+        for c in 0..3 {
+            let shown = rendered.image.pixels[3 * at + c];
+            assert!((profile.rgb[c] - shown).abs() < 1e-5, "{} {shown}", profile.rgb[c]);
+            // White behind what the weights leave.
+            let sum: f32 = fine.weights.iter().zip(&fine.rgb).map(|(weight, rgb)| weight * (rgb[c] - 1.0)).sum();
+            assert!((1.0 + sum - shown).abs() < 1e-4, "{sum} {shown}");
+        }
+        assert!((profile.depth.unwrap() - rendered.depth[at]).abs() < 1e-3);
+        for samples in profile.even.iter().chain([&profile.coarse, fine]) {
+            assert!(samples.t.windows(2).all(|pair| pair[0] <= pair[1]));
+            let count = samples.t.len();
+            for k in 0..count - 1 {
+                // What is lost of the light over an interval is that sample's weight.
+                let lost = samples.transmittance[k] - samples.transmittance[k + 1];
+                assert!((lost - samples.weights[k]).abs() < 1e-4, "{k}: {lost} {}", samples.weights[k]);
+            }
+            assert_eq!(samples.transmittance[0], 1.0);
+        }
+    }
+}
+
+#[test]
+fn a_coarse_model_alone_has_no_fine_samples() {
+    let run = Run::new(Method::Nerf, 5, |config| config.sampling.fine = 0);
+    let (contender, profile) = profiled(&run, "coarse");
+    assert!(profile.fine.is_none() && profile.coarse.t.len() == 8);
+    let dir = TempDir::new().unwrap();
+    Profiles { runs: vec![(contender, profile)], pixel: PIXEL, patch: PATCH }.write(dir.path()).unwrap();
+    let table = std::fs::read_to_string(dir.path().join("ray.csv")).unwrap();
+    assert!(table.contains(",coarse,") && table.contains(",even,") && !table.contains(",fine,"));
+}
+
+#[test]
+fn a_profile_repeats_byte_for_byte_and_its_smoothness_is_that_of_its_table() {
+    let write = || {
+        let dir = TempDir::new().unwrap();
+        let runs = pair();
+        let runs = vec![profiled(&runs[0], "first"), profiled(&runs[1], "second")];
+        Profiles { runs, pixel: PIXEL, patch: PATCH }.write(dir.path()).unwrap();
+        dir
+    };
+    let (dir, again) = (write(), write());
+    let written = files(dir.path());
+    let names: Vec<&str> = written.iter().map(|(name, _)| name.as_str()).collect();
+    assert_eq!(names, ["patch.csv", "profile.json", "profile.png", "profile.svg", "ray.csv"]);
+    assert!(written == files(again.path()), "equal runs give other bytes");
+    let report = json(&dir.path().join("profile.json"));
+    let mut table = csv::Reader::from_path(dir.path().join("patch.csv")).unwrap();
+    let rows: Vec<csv::StringRecord> = table.records().map(|row| row.unwrap()).collect();
+    assert_eq!(rows.len(), 2 * 9 * 512);
+    let headers = table.headers().unwrap().clone();
+    let column = |name: &str| headers.iter().position(|known| known == name).unwrap();
+    let (density, x, y) = (column("density"), column("pixel_x"), column("pixel_y"));
+    for (index, rows) in rows.chunks(9 * 512).enumerate() {
+        let value = |ray: usize, k: usize| rows[ray * 512 + k][density].parse::<f64>().unwrap();
+        let place = |ray: usize| [x, y].map(|axis| rows[ray * 512][axis].parse::<i64>().unwrap());
+        let along: f64 = (0..9)
+            .flat_map(|ray| (1..512).map(move |k| (ray, k)))
+            .map(|(ray, k)| (value(ray, k) - value(ray, k - 1)).abs())
+            .sum();
+        let neighbours = |a: usize, b: usize| {
+            let ([ax, ay], [bx, by]) = (place(a), place(b));
+            (ax - bx).abs() + (ay - by).abs() == 1
+        };
+        let pairs: Vec<(usize, usize)> =
+            (0..9).flat_map(|a| (a + 1..9).map(move |b| (a, b))).filter(|&(a, b)| neighbours(a, b)).collect();
+        assert_eq!(pairs.len(), 12);
+        let across: f64 =
+            pairs.iter().flat_map(|&(a, b)| (0..512).map(move |k| (value(a, k) - value(b, k)).abs())).sum();
+        let told = |name: &str| report["runs"][index]["smoothness"][name].as_f64().unwrap();
+        assert!(along > 0.0 && (told("density_tv_along") - along / 9.0).abs() < 1e-9 * along);
+        assert!((told("density_tv_across") - across / (12.0 * 512.0)).abs() < 1e-9 * across);
+    }
+}
+
+fn augnerf(arguments: &[&str]) -> Output {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_augnerf"));
+    command.args(arguments).env_remove("AUGNERF_LPIPS_WEIGHTS").env("RUST_BACKTRACE", "0");
+    command.current_dir(std::env::temp_dir()).output().unwrap()
+}
+
+fn succeed(arguments: &[&str]) {
+    let output = augnerf(arguments);
+    assert!(output.status.success(), "{arguments:?}: {}", String::from_utf8_lossy(&output.stderr));
+}
+
+/// One sentence with these words, no panic, and nothing left behind.
+fn refuse(arguments: &[&str], code: i32, words: &[&str]) {
+    let output = augnerf(arguments);
+    let message = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert_eq!(output.status.code(), Some(code), "{arguments:?}: {message}");
+    assert!(!message.contains("panicked"), "{message}");
+    for word in words {
+        assert!(message.contains(word), "'{word}' is not in: {message}");
+    }
+}
+
+#[test]
+fn the_commands_leave_what_they_promise_and_refuse_what_they_cannot_show() {
+    let dir = TempDir::new().unwrap();
+    let path = |name: &str| dir.path().join(name).to_str().unwrap().to_string();
+    let train = |name: &str, further: &[&str]| {
+        let out = path(name);
+        let tiny = "train --quiet --set data.width=16 --set field.width=16 --set sampling.coarse=8 --set sampling.fine=8 \
+            --set train.rays=64 --set train.steps=20 --set train.precrop_steps=0 --set eval.pictures=0";
+        succeed(&[tiny.split_whitespace().collect(), vec!["--out", &out], further.to_vec()].concat());
+        out
+    };
+    let (a, b) = (train("a", &[]), train("b", &["--seed", "1"]));
+    let wide = train("wide", &["--set", "data.width=20"]);
+    let forward = train("forward", &["--set", "data.kind=builtin-forward"]);
+
+    succeed(&["compare", "-q", &a, &b, "--view", "r_3", "--gif"]);
+    for file in ["compare.png", "compare.json", "fade.gif"] {
+        assert!(dir.path().join("a/renders/compare").join(file).is_file(), "{file}");
+    }
+    assert_eq!(json(&dir.path().join("a/renders/compare/compare.json"))["index"], 3);
+    // An earlier comparison's files do not stay among the new ones.
+    succeed(&["compare", "-q", &a, "--zoom", "1,2,3,4"]);
+    assert!(!dir.path().join("a/renders/compare/fade.gif").exists());
+    let report = json(&dir.path().join("a/renders/compare/compare.json"));
+    assert_eq!(report["box"], serde_json::json!({"x": 1, "y": 2, "width": 3, "height": 4}));
+    succeed(&["profile", "-q", &a, &b, "--pixel", "0,15", "--patch", "2", "--out", &path("ray")]);
+    assert_eq!(json(&dir.path().join("ray/profile.json"))["pixel"], serde_json::json!([0, 15]));
+    let again = path("again");
+    succeed(&["profile", "-q", &a, &b, "--pixel", "0,15", "--patch", "2", "--threads", "1", "--out", &again]);
+    assert!(files(Path::new(&path("ray"))) == files(Path::new(&again)), "other threads give other bytes");
+
+    for command in ["compare", "profile"] {
+        refuse(&[command, &a, &wide], 2, &["wide", "a do not show", "20 x 20", "16 x 16"]);
+        refuse(&[command, &a, &forward], 2, &["forward", "builtin-forward"]);
+        refuse(&[command, &a, &b, "--view", "r_99"], 2, &["--view r_99", "0 to 7", "r_7"]);
+        refuse(&[command, &a, &b, "--view", "8"], 2, &["--view 8", "0 to 7"]);
+        refuse(&[command, &a, &a], 2, &["twice"]);
+        refuse(&[command, &path("nothing")], 5, &["nothing", "missing"]);
+        refuse(&[command, &a, &b, "--out", &path("ray")], 4, &["ray", "not empty"]);
+    }
+    refuse(&["compare", &a, "--gif"], 2, &["--gif", "two runs", "here is 1"]);
+    refuse(&["compare", &a, &b, "--zoom", "10,0,8,8"], 2, &["--zoom", "8 x 8", "(10, 0)", "16 x 16"]);
+    refuse(&["compare", &a, &b, "--zoom", "10,0,8"], 2, &["--zoom 10,0,8", "width and height"]);
+    refuse(&["compare", &a, &b, "--box-width", "17"], 2, &["--box-width 17", "at most 16"]);
+    refuse(&["profile", &a, "--pixel", "16,0"], 2, &["--pixel 16,0", "0,0 to 15,15"]);
+    refuse(&["profile", &a, "--pixel", "1"], 2, &["--pixel 1", "column and row"]);
+    refuse(&["profile", &a, "--patch", "17"], 2, &["--patch", "17"]);
+    std::fs::remove_dir_all(dir.path().join("b/checkpoints")).unwrap();
+    refuse(&["compare", &a, &b], 5, &["no checkpoint", "augnerf resume"]);
+    refuse(&["profile", &b], 5, &["no checkpoint"]);
+}
