@@ -201,12 +201,12 @@ fn the_picture_shows_the_pixels_themselves() {
 fn differences_name_settings_that_the_protocol_leaves_out() {
     let runs = [
         Run::new(Method::Nerf, 0, |_| ()),
-        Run::new(Method::Nerf, 0, |config| config.train.learning_rate = 1e-3),
+        Run::new(Method::Nerf, 0, |config| config.train.precrop_fraction = 0.25),
         Run::new(Method::AugNerf, 0, |config| config.perturb.perturb_last = true),
     ];
     let [a, b, c] = ["a", "b", "c"].map(|label| runs[(label.as_bytes()[0] - b'a') as usize].contender(label));
     let names = |runs: &[&Contender]| -> Vec<String> { differences(runs).into_iter().map(|d| d.name).collect() };
-    assert_eq!(names(&[&a, &b]), ["train.learning_rate"]);
+    assert_eq!(names(&[&a, &b]), ["train.precrop_fraction"]);
     assert!(names(&[&a]).is_empty() && names(&[&a, &a]).is_empty());
     // A run without a perturbed pass has no opinion on its settings.
     assert!(names(&[&a, &c]).iter().all(|name| !name.starts_with("perturb.")));

@@ -3,13 +3,13 @@
 use serde::Serialize;
 
 use super::Contender;
-use crate::config::{Config, Method};
+use crate::config::Config;
 use crate::evaluate::columns;
 
 /// Fields of the protocol that follow from others.
-const DERIVED: [&str; 2] = ["config_hash", "redraws"];
+const DERIVED: [&str; 3] = ["config_hash", "redraws", "corruption_hash"];
 /// Settings that the protocol has a field for.
-const SPOKEN: [&str; 29] = [
+const SPOKEN: [&str; 35] = [
     "seed",
     "method",
     "data.name",
@@ -30,6 +30,12 @@ const SPOKEN: [&str; 29] = [
     "sampling.fine",
     "train.rays",
     "train.steps",
+    "train.learning_rate",
+    "train.decay_rate",
+    "train.decay_steps",
+    "train.schedule",
+    "train.final_learning_rate",
+    "train.coarse_weight",
     "perturb.kind",
     "perturb.attack",
     "perturb.lambda",
@@ -55,7 +61,7 @@ pub struct Difference {
 /// Every setting that can change a number, without section `perturb` where there is no perturbed pass.
 pub(super) fn settings(config: &Config) -> Vec<(String, String)> {
     let mut table = toml::Table::try_from(config.portable()).expect("a configuration is plain data");
-    if config.method == Method::Nerf {
+    if !config.method.is_augmented() {
         table.remove("perturb");
     }
     let mut settings = Vec::new();
@@ -75,8 +81,11 @@ fn flatten(prefix: String, table: &toml::Table, into: &mut Vec<(String, String)>
 
 fn spoken_of(setting: &str) -> bool {
     let of_level = setting.starts_with("perturb.") && SPOKEN_OF_LEVELS.iter().any(|end| setting.ends_with(end));
-    // The protocol's fields say all of the regularizers.
-    of_level || setting.starts_with("regularizer.") || SPOKEN.contains(&setting)
+    // The protocol's fields say all of the regularizers and of corruption.
+    of_level
+        || setting.starts_with("regularizer.")
+        || setting.starts_with("data.corruption.")
+        || SPOKEN.contains(&setting)
 }
 
 /// In what the runs differ: fields of their protocols first, then settings that these do not speak of.

@@ -10,7 +10,8 @@ use crate::data::{RayBuffer, Rays};
 use crate::error::{Error, Result};
 use crate::evaluate::{Protocol, Viewer};
 use crate::output::{write_atomic, write_json};
-use crate::render::{Pass, PassOutput, clean_pass, fine_t_vals, points_at};
+use crate::render::volume::middles;
+use crate::render::{Pass, PassOutput, clean_pass, columns, fine_t_vals, points_at};
 use crate::sampling::stratified;
 use crate::train::Volume;
 
@@ -96,20 +97,23 @@ impl Profile {
             let pixels: Vec<_> = pixels.iter().map(|&(x, y)| (camera, x as u32, y as u32)).collect();
             RayBuffer::new(&pixels, scene.ndc.as_ref(), config.data.pixel_origin).to_tensors(DType::F32, device)
         };
-        let (coarse, fine) = (model.coarse.frozen()?, model.fine.as_ref().map(|field| field.frozen()).transpose()?);
+        let (coarse, fine) = (model.coarse.frozen()?, model.fine().map(|field| field.frozen()).transpose()?);
         let pass = |field, rays: &Rays, t_vals: &Tensor| {
             let background = volume.background;
-            clean_pass(field, Pass { rays, t_vals, density_noise: None, background, points: None })
+            clean_pass(field, Pass { rays, t_vals, density_noise: None, background, positions: None })
         };
         let ray = rays(&[pixel])?;
-        let t_vals = stratified(near, far, 1, config.sampling.coarse, None, &ray.origins)?;
+        let sampling = &config.sampling;
+        let (coarse_columns, _) = columns(&coarse, sampling);
+        let t_vals = stratified(near, far, 1, coarse_columns, None, &ray.origins)?;
         let coarse_pass = pass(&coarse, &ray, &t_vals)?;
-        let fine_pass =
-            fine.as_ref().map(|fine| pass(fine, &ray, &fine_t_vals(&coarse, &ray, &t_vals, config.sampling.fine)?));
+        let fine_pass = fine.as_ref().map(|fine| pass(fine, &ray, &fine_t_vals(&coarse, &ray, &t_vals, sampling)?));
         let fine_pass = fine_pass.transpose()?;
         let pixels = pixels_of(patch);
         let around = rays(&pixels)?;
-        let t_vals = stratified(near, far, pixels.len(), EVEN, None, &around.origins)?;
+        // MipNeRF's intervals have one edge more.
+        let even_columns = EVEN + coarse_columns - sampling.coarse;
+        let t_vals = stratified(near, far, pixels.len(), even_columns, None, &around.origins)?;
         let even = samples(&around, &pass(fine.as_ref().unwrap_or(&coarse), &around, &t_vals)?)?;
         let shown = &fine_pass.as_ref().unwrap_or(&coarse_pass).composite;
         let acc = shown.acc.to_vec1::<f32>()?[0];
@@ -138,8 +142,9 @@ fn samples(rays: &Rays, out: &PassOutput) -> Result<Vec<Samples>> {
         let triple = |row: Vec<f32>| [row[0], row[1], row[2]];
         Ok(tensor.to_vec3::<f32>()?.into_iter().map(|ray| ray.into_iter().map(triple).collect()).collect())
     };
-    let (t, density, weights) = (rows(&out.t_vals)?, rows(&out.density)?, rows(&out.composite.weights)?);
-    let (points, rgb) = (triples(&points_at(rays, &out.t_vals)?)?, triples(&out.rgb)?);
+    let (t_vals, density, weights) = (rows(&out.t_vals)?, rows(&out.density)?, rows(&out.composite.weights)?);
+    let middles = middles(&out.t_vals, out.density.dim(1)?)?;
+    let (t, points, rgb) = (rows(&middles)?, triples(&points_at(rays, &middles)?)?, triples(&out.rgb)?);
     let norms = rays.direction_norm.flatten_all()?.to_vec1::<f32>()?;
     let mut colours = rgb.iter().flatten().flatten();
     if !colours.all(|value| value.is_finite()) || !density.iter().flatten().all(|value| value.is_finite()) {
@@ -149,21 +154,21 @@ fn samples(rays: &Rays, out: &PassOutput) -> Result<Vec<Samples>> {
                 .into(),
         ));
     }
-    let columns = t.into_iter().zip(density).zip(weights).zip(points).zip(rgb).zip(norms);
-    let samples = columns.map(|(((((t, density), weights), points), rgb), norm)| {
-        let transmittance = transmittance(&t, &density, norm);
+    let columns = t_vals.into_iter().zip(t).zip(density).zip(weights).zip(points).zip(rgb).zip(norms);
+    let samples = columns.map(|((((((t_vals, t), density), weights), points), rgb), norm)| {
+        let transmittance = transmittance(&t_vals, &density, norm);
         Samples { t, density, weights, transmittance, points, rgb }
     });
     Ok(samples.collect())
 }
 
 /// exp(-sum over earlier samples of density times interval) at each sample of a ray whose direction is `norm` long.
-fn transmittance(t: &[f32], density: &[f32], norm: f32) -> Vec<f32> {
+fn transmittance(t_vals: &[f32], density: &[f32], norm: f32) -> Vec<f32> {
     let mut optical = 0f64;
-    let mut before = Vec::with_capacity(t.len());
+    let mut before = Vec::with_capacity(density.len());
     for (index, density) in density.iter().enumerate() {
         before.push((-optical).exp() as f32);
-        let gap = t.get(index + 1).map_or(0.0, |next| f64::from(next - t[index]));
+        let gap = t_vals.get(index + 1).map_or(0.0, |next| f64::from(next - t_vals[index]));
         optical += f64::from(*density) * gap * f64::from(norm);
     }
     before

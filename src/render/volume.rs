@@ -58,7 +58,7 @@ fn exclusive_sum(samples: usize, like: &Tensor) -> Result<Tensor> {
 }
 
 /// Positions of `samples` samples, `[rays, samples]`: points as they are, of intervals the middles.
-fn middles(t_vals: &Tensor, samples: usize) -> Result<Tensor> {
+pub fn middles(t_vals: &Tensor, samples: usize) -> Result<Tensor> {
     if t_vals.dim(1)? == samples {
         return Ok(t_vals.clone());
     }
