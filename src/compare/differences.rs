@@ -116,8 +116,12 @@ pub fn differences(runs: &[&Contender]) -> Vec<Difference> {
 /// One run's side of the differences as a line of text.
 pub(super) fn told(differences: &[Difference], run: usize) -> String {
     let own = differences.iter().filter(|difference| !difference.values[run].is_empty());
-    let told =
-        own.map(|difference| format!("{} {}", difference.name.replace('_', " "), short(&difference.values[run])));
+    let told = own.map(|difference| {
+        let Difference { name, values } = difference;
+        // A setting keeps the name that --set knows it by; a field of the protocol becomes words.
+        let name = if name.contains('.') { name.clone() } else { name.replace('_', " ") };
+        format!("{name} {}", short(&values[run]))
+    });
     told.collect::<Vec<String>>().join("; ")
 }
 

@@ -290,17 +290,18 @@ impl Comparison {
             "hand" => "chosen by hand".to_string(),
             reason => format!("chosen by the {reason}"),
         };
-        let shrunk = if scale.shrink > 1 {
-            format!(" Views are shown at 1/{} of their size, the box is not.", scale.shrink)
-        } else {
-            String::new()
-        };
-        format!(
+        let mut text = format!(
             "Box: {width} x {height} pixels from ({x}, {y}), {by}. Error: root of the mean squared difference of a \
              pixel's three 8-bit colours to the truth. Scales are the same for all runs; the last colours stand for \
-             everything beyond, which is 2 % of the pixels at most at each end. Grey depth: nothing there. Below \
-             names: what these runs differ in.{shrunk}"
-        )
+             everything beyond, which is 2 % of the pixels at most at each end. Grey depth: nothing there."
+        );
+        if !self.differences.is_empty() {
+            text += " Below names: what these runs differ in.";
+        }
+        if scale.shrink > 1 {
+            text += &format!(" Views are shown at 1/{} of their size, the box is not.", scale.shrink);
+        }
+        text
     }
 
     fn error_picture(&self, errors: &[f32]) -> Image {
