@@ -71,7 +71,7 @@ const PROFILE_EXAMPLES: &str = "Examples:
   augnerf profile A B --view 2 --pixel 240,96 --patch 16 --out figures/ray
 
 It leaves profile.png and profile.svg; ray.csv, every sample of the pixel's ray as an evaluation takes it (coarse,
-fine) and on an even lattice; patch.csv, the lattice of all rays of the patch; profile.json with how smooth each run is.";
+fine) and on an even lattice; patch.csv, the lattice of all rays of the patch; profile.json, how smooth each run is.";
 
 #[derive(Subcommand)]
 enum Command {

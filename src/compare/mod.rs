@@ -155,8 +155,8 @@ pub fn crop(image: &Image, window: Window) -> Image {
 /// Height of [`colour_bar`] with its numbers and name.
 const BAR: f64 = 46.0;
 
-/// What the colours of a map stand for: the map's own from left to right (`falling`: the other way round), numbers and a
-/// name below them.
+/// What the colours of a map stand for: the map's own from left to right (`falling`: the other way round), numbers
+/// and a name below them.
 fn colour_bar(
     drawing: &mut Drawing,
     (x, y): (f64, f64),

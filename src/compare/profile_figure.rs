@@ -233,7 +233,10 @@ fn density_top(profiles: &Profiles) -> f32 {
 fn caption(profiles: &Profiles) -> String {
     let Window { x, y, width, .. } = profiles.patch;
     format!(
-        "Density and colour are the evaluated field's at {EVEN} even places along the ray, weights those of an          evaluation at its own samples (dots). Maps: the rays of pixels {x} to {} in row {}; the mark is the ray above.          The highest 2 % of the positive densities have the last colour. Patch: {width} x {width} pixels from ({x}, {y}).          The smaller the variation, the smoother; it counts in units of density.",
+        "Density and colour are the evaluated field's at {EVEN} even places along the ray, weights those of an \
+         evaluation at its own samples (dots). Maps: the rays of pixels {x} to {} in row {}; the mark is the ray \
+         above. The highest 2 % of the positive densities have the last colour. Patch: {width} x {width} pixels from \
+         ({x}, {y}). The smaller the variation, the smoother; it counts in units of density.",
         x + width - 1,
         profiles.pixel.1
     )
