@@ -369,7 +369,8 @@ fn the_commands_leave_what_they_promise_and_refuse_what_they_cannot_show() {
     let train = |name: &str, further: &[&str]| {
         let out = path(name);
         let tiny = "train --quiet --set data.width=16 --set field.width=16 --set sampling.coarse=8 \
-            --set sampling.fine=8 --set train.rays=64 --set train.steps=20 --set train.precrop_steps=0 --set eval.pictures=0";
+            --set sampling.fine=8 --set train.rays=64 --set train.steps=20 --set train.precrop_steps=0 \
+            --set eval.pictures=0";
         succeed(&[tiny.split_whitespace().collect(), vec!["--out", &out], further.to_vec()].concat());
         out
     };
