@@ -60,18 +60,19 @@ const BALANCE_EXAMPLES: &str = "Examples:
 For each term the weights at which its gradient is 0.1 %, 1 %, 10 %, 100 % and 1000 % as long as the photometric loss's.";
 
 const COMPARE_EXAMPLES: &str = "Examples:
-  augnerf compare runs/fern-nerf-* runs/fern-aug-nerf-*    the first held-out view, the box where they differ most
+  augnerf compare runs/fern-nerf-* runs/fern-aug-nerf-*    the first view, the box where they differ most
   augnerf compare A B --view 2 --zoom 120,80,100,75 --gif  a view and box of your own, and a fade from A to B
   augnerf compare A B C --box-width 64 --out figures/fern
 
 It leaves compare.png, compare.json with its numbers and each run's protocol, and fade.gif.";
 
 const PROFILE_EXAMPLES: &str = "Examples:
-  augnerf profile runs/fern-nerf-* runs/fern-aug-nerf-*    the ray of the middle pixel of the first held-out view
+  augnerf profile runs/fern-nerf-* runs/fern-aug-nerf-*    the ray of the first view's middle pixel
   augnerf profile A B --view 2 --pixel 240,96 --patch 16 --out figures/ray
 
-It leaves profile.png and profile.svg; ray.csv, every sample of the pixel's ray as an evaluation takes it (coarse,
-fine) and on an even lattice; patch.csv, the lattice of all rays of the patch; profile.json, how smooth each run is.";
+It leaves profile.png and profile.svg;
+ray.csv: the samples of the pixel's ray as an evaluation takes them (coarse, fine), and even ones;
+patch.csv: even samples of all rays of the patch; profile.json: how smooth each run is.";
 
 #[derive(Subcommand)]
 enum Command {

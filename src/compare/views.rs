@@ -293,7 +293,7 @@ impl Comparison {
         let mut text = format!(
             "Box: {width} x {height} pixels from ({x}, {y}), {by}. Error: root of the mean squared difference of a \
              pixel's three 8-bit colours to the truth. Scales are the same for all runs; the last colours stand for \
-             everything beyond, which is 2 % of the pixels at most at each end. Grey depth: nothing there."
+             everything beyond, such as the outermost 2 % of the runs' values. Grey depth: nothing there."
         );
         if !self.differences.is_empty() {
             text += " Below names: what these runs differ in.";
