@@ -282,6 +282,11 @@ impl PointFolder {
         Ok(!metrics.iter().all(has))
     }
 
+    /// When the point was measured last; tells one measurement from another.
+    pub fn finished_at(&self) -> Option<std::time::SystemTime> {
+        fs::metadata(self.result_file()).and_then(|metadata| metadata.modified()).ok()
+    }
+
     /// When the point failed; tells one failure from another.
     pub fn failed_at(&self) -> Option<std::time::SystemTime> {
         fs::metadata(self.failure_file()).and_then(|metadata| metadata.modified()).ok()

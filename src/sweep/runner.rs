@@ -8,7 +8,6 @@ use std::time::{Duration, SystemTime};
 use crate::error::{Error, Result};
 
 use super::claim::{Beat, Claim};
-use super::definition::is_defined;
 use super::folder::{Failure, PointFolder, PointResult, SweepFolder};
 use super::points::Point;
 
@@ -77,7 +76,7 @@ impl Runner<'_> {
         for point in &runnable {
             self.folder.point(&point.id).begin(point)?;
         }
-        let failed_before = self.failed_before(&runnable);
+        let again = self.to_do_again(&runnable)?;
         let failed = AtomicBool::new(false);
         let threads = (rayon::current_num_threads() / self.options.jobs).max(1);
         let worker = || -> Result<()> {
@@ -87,7 +86,7 @@ impl Runner<'_> {
                 if failed.load(Ordering::SeqCst) && self.options.fail_fast {
                     return Ok(());
                 }
-                match self.next(&runnable, &failed_before)? {
+                match self.next(&runnable, &again)? {
                     Next::Nothing => return Ok(()),
                     Next::Wait => std::thread::sleep(LOOK_EVERY),
                     Next::Run(point, folder, claim) => {
@@ -108,25 +107,32 @@ impl Runner<'_> {
         })
     }
 
-    /// The failures to be tried again: those that are there now, and no later ones.
-    fn failed_before(&self, points: &[&Point]) -> HashMap<String, SystemTime> {
-        let failed = |point: &&Point| Some((point.id.clone(), self.folder.point(&point.id).failed_at()?));
-        if self.options.retry_failed { points.iter().filter_map(failed).collect() } else { HashMap::new() }
+    /// The points to be done again, with the time at which they ended: failures and gaps that are there now, and no
+    /// later ones. A gap can stay: not every scene has every metric.
+    fn to_do_again(&self, points: &[&Point]) -> Result<HashMap<String, SystemTime>> {
+        let mut again = HashMap::new();
+        for point in points {
+            let folder = self.folder.point(&point.id);
+            let ended = match folder.failed_at() {
+                Some(at) => Some(at).filter(|_| self.options.retry_failed),
+                None if folder.lacks(&self.options.remeasure)? => folder.finished_at(),
+                None => None,
+            };
+            again.extend(ended.map(|at| (point.id.clone(), at)));
+        }
+        Ok(again)
     }
 
-    fn next<'a>(&self, points: &[&'a Point], failed_before: &HashMap<String, SystemTime>) -> Result<Next<'a>> {
+    fn next<'a>(&self, points: &[&'a Point], again: &HashMap<String, SystemTime>) -> Result<Next<'a>> {
         let mut others = false;
         for point in points {
             self.check_stop()?;
             let folder = self.folder.point(&point.id);
-            let again = || match folder.failed_at() {
-                Some(at) => Ok(failed_before.get(&point.id) == Some(&at)),
-                None => {
-                    let defined = |metric: &&String| is_defined(metric, &point.config);
-                    folder.lacks(&self.options.remeasure.iter().filter(defined).cloned().collect::<Vec<String>>())
-                }
+            let again = || {
+                let ended = folder.failed_at().or(folder.finished_at());
+                ended.is_some() && again.get(&point.id) == ended.as_ref()
             };
-            if folder.ended() && !again()? {
+            if folder.ended() && !again() {
                 continue;
             }
             let Some(claim) = Claim::take(folder.path())? else {
@@ -134,7 +140,7 @@ impl Runner<'_> {
                 continue;
             };
             // Another runner may have finished it between the look and the claim.
-            if !folder.ended() || again()? {
+            if !folder.ended() || again() {
                 folder.clean()?;
                 folder.forgive()?;
                 return Ok(Next::Run(point, folder, claim));
