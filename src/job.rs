@@ -12,7 +12,7 @@ use candle_core::{DType, Device};
 use crate::config::{Config, scene_name};
 use crate::data::{self, Image, Progress, Scene};
 use crate::error::{Error, Result};
-use crate::evaluate::{Pictures, Protocol, Report, Viewer};
+use crate::evaluate::{Pictures, Protocol, Report, Viewer, surface_reference};
 use crate::metrics::{Backbone, Lpips, MeanMetrics};
 use crate::model::Model;
 use crate::output::{Host, RunDir, Timing, host, peak_memory_mib, write_atomic};
@@ -136,6 +136,7 @@ impl<'a> Job<'a> {
         (scene, lpips): (&'a Scene, &'a [Lpips]),
         machine: Machine,
     ) -> Result<Job<'a>> {
+        surface_reference(&config, scene)?;
         let trainer = Trainer::new(&config, scene, DType::F32, &machine.device)?;
         let needed = bytes_needed(&config, scene);
         let run = RunDir::create(folder, overwrite, needed)?;
@@ -272,12 +273,13 @@ impl Desk<'_> {
             }
         })?;
         pictures.finish()?;
-        let report = Report {
-            mean: MeanMetrics::from_views(&views),
-            views,
-            protocol: Protocol::new(&self.config, self.scene, &trainer.state()),
-            attack,
-        };
+        let surface = self.viewer(trainer).surface(reporter.progress())?;
+        let protocol = Protocol::new(&self.config, self.scene, &trainer.state());
+        if surface.is_none() && protocol.mesh.is_some() {
+            reporter
+                .say("no surface: density lies below eval.mesh.threshold everywhere; chamfer and f_score stay empty");
+        }
+        let report = Report::new(views, surface, protocol, attack);
         report.write(&self.run.metrics_json(), &self.run.metrics_csv())?;
         Ok((report, picture))
     }

@@ -18,6 +18,7 @@
 //!    box of points ─► field: density, gradient, Laplacian ─► regularizers ──────────▲
 //!
 //!  checkpoint ─► evaluate ─► metrics ─► output (metrics.json, CSV, pictures)
+//!             └► geometry: density on a lattice ─► level set ─► mesh ─► Chamfer distance to a reference
 //! ```
 //!
 //! # Symbols
@@ -40,6 +41,7 @@
 //! | `step_size` | scalar | the delta's unit, or radii | length of one ascent step |
 //! | `lambda` | scalar | 1 | weight of the perturbed loss |
 //! | `laplacian` | `[n]` | 1 / scene unit^3 | divergence of density's gradient |
+//! | `threshold` | scalar | as `density` | its level set is the surface |
 //!
 //! # Layers
 //!
@@ -51,7 +53,7 @@
 //! | 8 | `sweep` |
 //! | 7 | `job`, `bench`, `compare` |
 //! | 6 | `evaluate` |
-//! | 5 | `train` |
+//! | 5 | `train`, `geometry` |
 //! | 4 | `model`, `regularizers`, `render` |
 //! | 3 | `field`, `sampling`, `perturbations`, `metrics`, `output` |
 //! | 2 | `data` |
@@ -72,6 +74,7 @@ pub mod data;
 pub mod error;
 pub mod evaluate;
 pub mod field;
+pub mod geometry;
 pub mod job;
 pub mod metrics;
 pub mod model;

@@ -73,6 +73,11 @@ impl Model {
         self.fine.as_ref().or(self.one.then_some(&self.coarse))
     }
 
+    /// The field that is rendered and measured.
+    pub fn evaluated(&self) -> &Field {
+        self.fine().unwrap_or(&self.coarse)
+    }
+
     /// The fields with their names, in the fixed order.
     pub fn fields(&self) -> Vec<(&'static str, &Field)> {
         let optional = [("fine", &self.fine), ("adversarial", &self.adversarial)];

@@ -30,6 +30,8 @@ pub enum Stream {
     Corruption,
     /// Lattice cells of explicit regularizers, and points in them.
     Regularizer,
+    /// Points on meshes that are compared.
+    Surface,
 }
 
 impl Stream {
@@ -43,6 +45,7 @@ impl Stream {
             Stream::Diagnostics => 5,
             Stream::Corruption => 6,
             Stream::Regularizer => 7,
+            Stream::Surface => 8,
         }
     }
 }

@@ -9,6 +9,7 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use augnerf::data::Image;
+use augnerf::evaluate::columns;
 use augnerf::metrics::{self, Backbone, Lpips, MeanMetrics, ViewMetrics};
 use candle_core::{Device, Tensor};
 
@@ -150,7 +151,17 @@ fn images_that_cannot_be_compared_are_errors() {
 
 fn view(psnr: Option<f64>, mse: f64, lpips_squeeze: Option<f64>) -> ViewMetrics {
     let (psnr_float, ssim, name) = (psnr, Some(0.5), "v".to_string());
-    ViewMetrics { name, psnr, psnr_float, mse, ssim, lpips_alex: None, lpips_vgg: None, lpips_squeeze }
+    ViewMetrics {
+        name,
+        psnr,
+        psnr_float,
+        mse,
+        ssim,
+        lpips_alex: None,
+        lpips_vgg: None,
+        lpips_squeeze,
+        depth: Default::default(),
+    }
 }
 
 #[test]
@@ -178,10 +189,16 @@ fn missing_metrics_are_null_in_json_and_empty_in_csv() {
     let text = serde_json::to_string(&views[0]).unwrap();
     assert_eq!(serde_json::from_str::<ViewMetrics>(&text).unwrap(), views[0]);
 
-    let mut csv = csv::Writer::from_writer(Vec::new());
-    csv.serialize(&views[0]).unwrap();
-    let text = String::from_utf8(csv.into_inner().unwrap()).unwrap();
-    assert_eq!(text, "name,psnr,psnr_float,mse,ssim,lpips_alex,lpips_vgg,lpips_squeeze\nv,,,0.0,0.5,,,0.25\n");
+    let row: Vec<String> = columns(&views[0]).into_iter().map(|(name, value)| format!("{name}={value}")).collect();
+    let first =
+        ["name=v", "psnr=", "psnr_float=", "mse=0.0", "ssim=0.5", "lpips_alex=", "lpips_vgg=", "lpips_squeeze=0.25"];
+    assert_eq!(row[..8], first);
+    assert!(row.len() > 8 && row[8..].iter().all(|cell| cell.ends_with('=')), "geometry was not measured: {row:?}");
+
+    // Files of programs that measured no geometry.
+    let old = r#"{"name":"v","psnr":null,"psnr_float":null,"mse":0.0,"ssim":0.5,"lpips_alex":null,"lpips_vgg":null,
+        "lpips_squeeze":0.25}"#;
+    assert_eq!(serde_json::from_str::<ViewMetrics>(old).unwrap(), views[0]);
 }
 
 /// Rows of the paper whose average is cut off instead of rounded.

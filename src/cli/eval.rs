@@ -10,7 +10,6 @@ use crate::data::Scene;
 use crate::error::Result;
 use crate::evaluate::{Protocol, Report, Viewer};
 use crate::job::{load_lpips, load_scene, run_config};
-use crate::metrics::MeanMetrics;
 use crate::model::Model;
 use crate::output::RunDir;
 use crate::train::AttackSummary;
@@ -67,12 +66,9 @@ impl EvalArguments {
         let Trained { run, config, scene, state, model } = &trained;
         let viewer = Viewer { model, config, scene, device: &device };
         let views = viewer.evaluate(&lpips, &screen, |_, _, _| Ok(()))?;
-        let report = Report {
-            mean: MeanMetrics::from_views(&views),
-            views,
-            protocol: Protocol::new(config, scene, state),
-            attack: AttackSummary::read(&run.scalars(), state.step)?,
-        };
+        let surface = viewer.surface(&screen)?;
+        let attack = AttackSummary::read(&run.scalars(), state.step)?;
+        let report = Report::new(views, surface, Protocol::new(config, scene, state), attack);
         report.write(&run.metrics_json(), &run.metrics_csv())?;
         let mean = serde_json::to_string_pretty(&report.mean).expect("plain data");
         print(&mean);

@@ -45,7 +45,7 @@ impl MeasureArguments {
     pub fn run(self) -> Result<()> {
         let device = self.machine.device()?;
         let screen = Screen::new(self.machine.quiet);
-        let domain = parse_domain(&self.domain)?;
+        let domain = parse_box("domain", &self.domain)?;
         let lattice = Lattice { domain, side: self.lattice };
         validate_regularizer(&RegularizerConfig {
             domain,
@@ -88,17 +88,18 @@ impl MeasureArguments {
 }
 
 /// Cells as a line of CSV.
-fn csv_line(cells: &[String]) -> String {
+pub fn csv_line(cells: &[String]) -> String {
     let mut writer = csv::Writer::from_writer(Vec::new());
     writer.write_record(cells).expect("memory holds it");
     let line = writer.into_inner().expect("memory holds it");
     String::from_utf8(line).expect("text stays text").trim_end().to_string()
 }
 
-fn parse_domain(text: &str) -> Result<[[f64; 3]; 2]> {
+/// The two corners of a box as the flag `flag` takes them.
+pub fn parse_box(flag: &str, text: &str) -> Result<[[f64; 3]; 2]> {
     let [a, b, c, d, e, f] = numbers(text).ok_or_else(|| {
         Error::Config(format!(
-            "--domain {text}: give the two corners of the box as six numbers, such as -1,-1,-1,1,1,1"
+            "--{flag} {text}: give the two corners of the box as six numbers, such as -1,-1,-1,1,1,1"
         ))
     })?;
     Ok([[a, b, c], [d, e, f]])

@@ -16,6 +16,7 @@ mod data;
 mod eval;
 mod experiment;
 mod measure;
+mod mesh;
 mod profile;
 mod progress;
 mod render;
@@ -74,6 +75,23 @@ It leaves profile.png and profile.svg;
 ray.csv: the samples of the pixel's ray as an evaluation takes them (coarse, fine), and even ones;
 patch.csv: even samples of all rays of the patch; profile.json: how smooth each run is.";
 
+const MESH_EXAMPLES: &str = "Examples:
+  augnerf mesh runs/builtin-nerf-*                         256 cells a side of the scene's own box
+  augnerf mesh runs/chair-nerf-* --preset paper            512 cells a side of [-1,1]^3, density 25, as the paper's figures
+  augnerf mesh RUN --resolution 400 --threshold 5 --bbox -1,-1,-0.5,1,1,1 --largest --format ply,obj
+
+A density has no surface of its own: the mesh is the level set where it equals the threshold. Where that leaves the box \
+the mesh is open, unless --cap closes it. Runs in normalised device coordinates are cut in those (--bbox, --resolution, \
+--threshold) and written in scene units.";
+
+const CHAMFER_EXAMPLES: &str = "Examples:
+  augnerf chamfer RUN builtin                              a run's mesh against the embedded scene
+  augnerf chamfer mesh.ply reference.obj --at 0.005,0.01 --points 1000000
+
+chamfer is the sum of both mean distances to the other surface's nearest point (Euclidean). Both meshes count as they \
+are, with surfaces that no camera sees; of the embedded scene, what lies inside of it does not. floor is what two drawings \
+of one surface would give with as many points.";
+
 #[derive(Subcommand)]
 enum Command {
     /// Train one scene, evaluate it and render held-out views
@@ -100,6 +118,12 @@ enum Command {
     /// Look along a ray: density, weight and colour of several runs, over it and over a small patch
     #[command(after_help = PROFILE_EXAMPLES)]
     Profile(profile::ProfileArguments),
+    /// Draw a trained density's surface as a mesh: PLY or OBJ with normals and colours, in RUN/mesh
+    #[command(after_help = MESH_EXAMPLES)]
+    Mesh(mesh::MeshArguments),
+    /// Measure how far two meshes are apart: Chamfer distance and F-scores, as CSV
+    #[command(after_help = CHAMFER_EXAMPLES)]
+    Chamfer(mesh::ChamferArguments),
     /// Look at scenes
     #[command(subcommand)]
     Data(data::DataCommand),
@@ -213,6 +237,8 @@ pub fn main() -> ExitCode {
         Command::Render(arguments) => arguments.run(),
         Command::Compare(arguments) => arguments.run(),
         Command::Profile(arguments) => arguments.run(),
+        Command::Mesh(arguments) => arguments.run(),
+        Command::Chamfer(arguments) => arguments.run(),
         Command::Data(command) => command.run(),
     };
     match done {

@@ -170,6 +170,8 @@ fn known_keys() -> Vec<String> {
     full.resolve_bounds(2.0, 6.0);
     full.data.near = Some(2.0);
     full.data.far = Some(6.0);
+    full.eval.mesh.threshold = Some(25.0);
+    full.eval.mesh.domain = Some([[-1.0; 3], [1.0; 3]]);
     let table: Table = toml::from_str(&full.to_toml()).expect("own output");
     let mut keys = Vec::new();
     leaves(&table, "", &mut keys);
@@ -259,6 +261,9 @@ mod tests {
         assert_ne!(hash(&["data.dir=/a/fern"]), hash(&["data.dir=/a/trex"]));
         assert_ne!(hash(&["seed=1"]), hash(&["seed=2"]));
         assert_eq!(hash(&["train.log_every=7"]), hash(&["eval.pictures=0"]));
+        assert_eq!(hash(&["eval.mesh.resolution=64", "eval.mesh.box=[[-1,-1,-1],[1,1,1]]"]), hash(&[]));
+        // What it was before there were surfaces: run folders are known by it.
+        assert_eq!((hash(&[]), hash(&["seed=3", "method=aug-nerf"])), ("a727ab8b7ed0".into(), "932a6a55da8d".into()));
         // The perturbed pass counts only where there is one.
         assert_eq!(hash(&["perturb.lambda=1"]), hash(&[]));
         assert_ne!(hash(&["method=aug-nerf", "perturb.lambda=1"]), hash(&["method=aug-nerf"]));

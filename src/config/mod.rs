@@ -20,7 +20,7 @@ pub use perturb::{
     Radius, Resample, StepUnit,
 };
 pub use regularizer::{LatticePoints, REGULARIZERS, RegularizedFields, Regularizer, RegularizerConfig};
-pub use validate::validate_regularizer;
+pub use validate::{validate_mesh, validate_regularizer};
 
 use crate::error::{Error, Result};
 
@@ -156,6 +156,16 @@ pub enum PixelOrigin {
     Corner,
     /// Integer coordinates + 0.5.
     Centre,
+}
+
+impl PixelOrigin {
+    /// What is added to integer coordinates.
+    pub fn shift(self) -> f64 {
+        match self {
+            PixelOrigin::Corner => 0.0,
+            PixelOrigin::Centre => 0.5,
+        }
+    }
 }
 
 /// The scene and how it is read.
@@ -447,16 +457,45 @@ pub struct EvalConfig {
     pub lpips_weights: String,
     /// How many held-out views `train` writes pictures of (0 = none; metrics cover all views).
     pub pictures: usize,
+    /// The surface that is compared with a reference mesh.
+    pub mesh: MeshConfig,
+}
+
+/// The level set of density that is measured as the scene's surface: columns `chamfer` and `f_score`.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct MeshConfig {
+    /// Cells along each side of the box (0 = no surface is measured).
+    pub resolution: usize,
+    /// Density of the surface, 1 / length. Empty = that which stops half of the light within a ray's mean sample
+    /// interval: what the run itself can tell from a surface.
+    pub threshold: Option<f64>,
+    /// Corners of the box in the units that the field is asked in. Empty = the scene kind's own.
+    #[serde(rename = "box")]
+    pub domain: Option<[[f64; 3]; 2]>,
+    /// PLY or OBJ file in scene units that the surface is compared with; empty = the embedded scene's own, which
+    /// other scenes have not.
+    pub reference: String,
+    /// Points that are drawn on each surface.
+    pub points: usize,
+    /// Distance of the F-score, scene units.
+    pub at: f64,
+}
+
+impl Default for MeshConfig {
+    fn default() -> Self {
+        MeshConfig { resolution: 0, threshold: None, domain: None, reference: String::new(), points: 200_000, at: 0.02 }
+    }
 }
 
 impl Default for EvalConfig {
     fn default() -> Self {
-        EvalConfig { chunk: 256, lpips_weights: String::new(), pictures: 4 }
+        EvalConfig { chunk: 256, lpips_weights: String::new(), pictures: 4, mesh: MeshConfig::default() }
     }
 }
 
 /// Fields that are younger than runs whose hash is to stay: at their default they do not count.
-const YOUNG: [(&str, &str); 9] = [
+const YOUNG: [(&str, &str); 10] = [
     ("data", "corruption"),
     ("field", "encoding"),
     ("field", "rgb_padding"),
@@ -466,6 +505,7 @@ const YOUNG: [(&str, &str); 9] = [
     ("train", "final_learning_rate"),
     ("train", "warmup_share"),
     ("train", "warmup_from"),
+    ("eval", "mesh"),
 ];
 
 impl Config {

@@ -2,8 +2,8 @@
 //! allowed.
 
 use super::{
-    Attack, Config, CorruptionConfig, DataKind, Encoding, EvalSplit, LEVELS, LatticePoints, Level, Norm, PerturbField,
-    PerturbKind, RegularizerConfig, StepUnit,
+    Attack, Config, CorruptionConfig, DataKind, Encoding, EvalSplit, LEVELS, LatticePoints, Level, MeshConfig, Norm,
+    PerturbField, PerturbKind, RegularizerConfig, StepUnit,
 };
 use crate::error::{Error, Result};
 
@@ -35,14 +35,7 @@ pub fn validate_regularizer(regularizer: &RegularizerConfig) -> Result<()> {
             kinds.len()
         )));
     }
-    let [lower, upper] = regularizer.domain;
-    let is_box = lower.iter().zip(&upper).all(|(a, b)| a.is_finite() && b.is_finite() && a < b);
-    require(
-        is_box,
-        "regularizer.domain",
-        format!("{:?}", regularizer.domain),
-        "two corners [[x, y, z], [x, y, z]], each number of the first under that of the second",
-    )?;
+    require_box(regularizer.domain, "regularizer.domain")?;
     let lattice = regularizer.lattice;
     let allowed = "4 to 1024 cells a side: fewer say nothing about smoothness, more would never finish";
     require((4..=1024).contains(&lattice), "regularizer.lattice", lattice, allowed)?;
@@ -57,6 +50,28 @@ pub fn validate_regularizer(regularizer: &RegularizerConfig) -> Result<()> {
     Ok(())
 }
 
+/// Whether two corners span a box.
+fn require_box([lower, upper]: [[f64; 3]; 2], field: &str) -> Result<()> {
+    let is_box = lower.iter().zip(&upper).all(|(a, b)| a.is_finite() && b.is_finite() && a < b);
+    let allowed = "two corners [[x, y, z], [x, y, z]], each number of the first under that of the second";
+    require(is_box, field, format!("{:?}", [lower, upper]), allowed)
+}
+
+/// Checks section `eval.mesh`.
+pub fn validate_mesh(mesh: &MeshConfig) -> Result<()> {
+    let (side, at) = (mesh.resolution, mesh.at);
+    let sides = "0 (no surface), or 8 to 1024 cells a side";
+    require(side == 0 || (8..=1024).contains(&side), "eval.mesh.resolution", side, sides)?;
+    if let Some(threshold) = mesh.threshold {
+        require(threshold.is_finite() && threshold > 0.0, "eval.mesh.threshold", threshold, "a positive density")?;
+    }
+    if let Some(domain) = mesh.domain {
+        require_box(domain, "eval.mesh.box")?;
+    }
+    require((100..=20_000_000).contains(&mesh.points), "eval.mesh.points", mesh.points, "100 to 20000000")?;
+    require(at.is_finite() && at > 0.0, "eval.mesh.at", at, "a positive distance")
+}
+
 impl Config {
     /// Checks every field, and the fields against one another.
     pub fn validate(&self) -> Result<()> {
@@ -67,7 +82,8 @@ impl Config {
         self.validate_train()?;
         self.validate_perturb()?;
         validate_regularizer(&self.regularizer)?;
-        require((1..=1 << 20).contains(&self.eval.chunk), "eval.chunk", self.eval.chunk, "1 to 1048576 rays")
+        require((1..=1 << 20).contains(&self.eval.chunk), "eval.chunk", self.eval.chunk, "1 to 1048576 rays")?;
+        validate_mesh(&self.eval.mesh)
     }
 
     fn validate_data(&self) -> Result<()> {

@@ -1,15 +1,15 @@
-//! Blender scenes (NeRF's synthetic ones): `transforms_{train,val,test}.json` with RGBA images.
-//!
-//! Depth maps that come with the published scenes are not read: 8 bits of an unknown scale are no
-//! ground truth.
+//! Blender scenes (NeRF's synthetic ones): `transforms_{train,val,test}.json` with RGBA images, and the depth maps of
+//! evaluation views where there are any ([`depth`]).
 
 use std::f64::consts::PI;
 use std::path::{Path, PathBuf};
 
+use rayon::prelude::*;
+
 use super::images::{self, Size};
 use super::json::{self, Object};
 use super::pose::Pose;
-use super::{Camera, Progress, Scene, View, background, name_of};
+use super::{Camera, Progress, Scene, View, background, depth, name_of};
 use crate::config::{DataConfig, EvalSplit};
 use crate::error::{Error, Result};
 
@@ -49,7 +49,9 @@ pub fn load(config: &DataConfig, progress: &dyn Progress) -> Result<Scene> {
         train: train.views(config, camera, "reading train images", progress)?,
         test: {
             let camera = test.camera(size, target);
-            test.views(config, camera, &eval_label, progress)?
+            let mut views = test.views(config, camera, &eval_label, progress)?;
+            read_depths(&mut views, &test.paths)?;
+            views
         },
         near: BOUNDS[0],
         far: BOUNDS[1],
@@ -146,6 +148,16 @@ impl Split {
         let named = images::names(&self.paths).into_iter().zip(cameras).zip(images);
         Ok(named.map(|((name, camera), image)| View { name, camera, image, depth: None }).collect())
     }
+}
+
+/// Fills in the depth of the views whose images have a depth map beside them.
+fn read_depths(views: &mut [View], paths: &[PathBuf]) -> Result<()> {
+    views.par_iter_mut().zip(paths).try_for_each(|(view, path)| {
+        if let Some(map) = depth::file_of(path) {
+            view.depth = depth::read(&map, &view.camera, BOUNDS)?;
+        }
+        Ok(())
+    })
 }
 
 fn missing(dir: &Path, file: &Path, split: &str) -> Error {

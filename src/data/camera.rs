@@ -58,4 +58,53 @@ impl Ndc {
             [sx * (d[0] / d[2] - o[0] / o[2]), sy * (d[1] / d[2] - o[1] / o[2]), -2.0 * NEAR / o[2]],
         )
     }
+
+    /// The world point of a point in NDC; none from the plane z = 1 on, which is infinitely far.
+    pub fn unmap(&self, point: [f64; 3]) -> Option<[f64; 3]> {
+        let z = 2.0 / (point[2] - 1.0);
+        let across = |at: f64, size: f64| -0.5 * at * z * size / self.focal;
+        (z < 0.0).then(|| [across(point[0], self.width), across(point[1], self.height), z])
+    }
+
+    /// The gradient at a world point of what has the gradient `slope` in NDC there: the transposed
+    /// Jacobian of the map, times it.
+    pub fn pull_back(&self, world: [f64; 3], slope: [f64; 3]) -> [f64; 3] {
+        let [x, y, z] = world;
+        let (sx, sy) = (-2.0 * self.focal / self.width / z, -2.0 * self.focal / self.height / z);
+        [sx * slope[0], sy * slope[1], -(sx * x * slope[0] + sy * y * slope[1] + 2.0 / z * slope[2]) / z]
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const NDC: Ndc = Ndc { width: 40.0, height: 30.0, focal: 35.0 };
+
+    #[test]
+    fn points_return_from_ndc() {
+        let (origin, direction) = ([0.1, -0.2, 0.3], [0.2, 0.1, -1.0]);
+        let (o, d) = NDC.map(origin, direction);
+        for t in [0.0, 0.3, 0.9] {
+            let world = NDC.unmap(std::array::from_fn(|i| o[i] + t * d[i])).unwrap();
+            let s = (world[2] - origin[2]) / direction[2];
+            assert!((0..3).all(|i| (world[i] - origin[i] - s * direction[i]).abs() < 1e-12), "{t}: {world:?}");
+        }
+        assert_eq!(NDC.unmap([0.0, 0.0, 1.0]), None);
+    }
+
+    #[test]
+    fn gradients_return_from_ndc_as_finite_differences_say() {
+        // f(ndc) = slope . ndc, whose gradient in the world is asked for.
+        let (slope, world) = ([0.7, -1.1, 0.4], [0.6, -0.8, -2.5]);
+        let f = |p: [f64; 3]| {
+            let ndc = [-70.0 / 40.0 * p[0] / p[2], -70.0 / 30.0 * p[1] / p[2], 1.0 + 2.0 / p[2]];
+            (0..3).map(|i| slope[i] * ndc[i]).sum::<f64>()
+        };
+        let found = NDC.pull_back(world, slope);
+        for (axis, found) in found.into_iter().enumerate() {
+            let at = |h: f64| f(std::array::from_fn(|i| world[i] + if i == axis { h } else { 0.0 }));
+            assert!((found - (at(1e-6) - at(-1e-6)) / 2e-6).abs() < 1e-8);
+        }
+    }
 }

@@ -4,12 +4,14 @@ pub mod blender;
 pub mod builtin;
 pub mod camera;
 pub mod corruption;
+pub mod depth;
 mod describe;
 mod detect;
 pub mod images;
 mod json;
 pub mod llff;
 pub mod npy;
+pub mod ply;
 pub mod pose;
 pub mod rays;
 pub mod resample;
@@ -65,8 +67,9 @@ pub struct View {
     pub camera: Camera,
     /// RGB on the scene's background, `camera.width x camera.height`.
     pub image: Image,
-    /// Ground-truth depth along the view's z axis in scene units, row-major, where the scene has
-    /// it exactly; `f32::INFINITY` where the ray hits nothing.
+    /// Ground-truth depth along the view's z axis in scene units, row-major, where the scene has it: exactly
+    /// (the embedded scene) or in steps of 8 bits ([`depth`]). `f32::INFINITY` where the ray hits nothing, NaN where it
+    /// is not known.
     pub depth: Option<Vec<f32>>,
 }
 
@@ -96,6 +99,11 @@ pub struct Scene {
 }
 
 impl Scene {
+    /// Whether the views' depth is exact.
+    pub fn has_exact_depth(&self) -> bool {
+        [DataKind::BuiltinBlender, DataKind::BuiltinForward].iter().any(|kind| kind.name() == self.kind)
+    }
+
     /// A 12-digit hash of all views: what a number was trained and measured on.
     pub fn hash(&self) -> String {
         let mut digest = Sha256::new();

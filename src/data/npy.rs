@@ -1,4 +1,4 @@
-//! NumPy's `.npy` files: a table of floating-point numbers.
+//! NumPy's `.npy` files: tables of floating-point numbers to read, arrays of any shape to write.
 
 use std::path::Path;
 
@@ -19,6 +19,21 @@ pub struct Table {
 pub fn read_table(path: &Path) -> Result<Table> {
     let bytes = std::fs::read(path).map_err(|e| Error::unreadable(path, &e))?;
     parse(&bytes).map_err(|what| Error::Data(format!("{}: {what}", path.display())))
+}
+
+/// What stands before the values of a C-ordered array of little-endian float32: format version 1.0.
+pub fn header(shape: &[usize]) -> Vec<u8> {
+    const PREFIX: usize = 10;
+    let shape: Vec<String> = shape.iter().map(usize::to_string).collect();
+    let mut header = format!("{{'descr': '<f4', 'fortran_order': False, 'shape': ({}), }}", shape.join(", "));
+    // Data starts at a multiple of 64 bytes; the header ends with a newline.
+    let padded = (PREFIX + header.len() + 1).next_multiple_of(64) - PREFIX;
+    header.extend(std::iter::repeat_n(' ', padded - 1 - header.len()));
+    header.push('\n');
+    let mut bytes = b"\x93NUMPY\x01\x00".to_vec();
+    bytes.extend((padded as u16).to_le_bytes());
+    bytes.extend(header.into_bytes());
+    bytes
 }
 
 fn parse(bytes: &[u8]) -> std::result::Result<Table, String> {

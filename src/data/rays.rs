@@ -64,10 +64,7 @@ pub fn tangents(n: [f64; 3]) -> ([f64; 3], [f64; 3]) {
 impl RayBuffer {
     /// The rays through the pixels `(camera, x, y)`.
     pub fn new(pixels: &[(&Camera, u32, u32)], ndc: Option<&Ndc>, origin: PixelOrigin) -> RayBuffer {
-        let shift = match origin {
-            PixelOrigin::Corner => 0.0,
-            PixelOrigin::Centre => 0.5,
-        };
+        let shift = origin.shift();
         let rays: Vec<([[f64; 3]; 3], f64)> = pixels
             .par_iter()
             .with_min_len(1024)

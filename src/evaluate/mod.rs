@@ -9,7 +9,8 @@ use serde::Serialize;
 use crate::config::Config;
 use crate::data::{Camera, Image, Progress, RayBuffer, Scene, View};
 use crate::error::{Error, Result};
-use crate::metrics::{Lpips, MeanMetrics, ViewMetrics, measure};
+use crate::geometry::Chamfer;
+use crate::metrics::{DepthMetrics, Lpips, MeanMetrics, ViewMetrics, measure};
 use crate::model::Model;
 use crate::output::{write_atomic, write_json};
 use crate::render::render_rays;
@@ -19,11 +20,13 @@ mod corruption;
 mod pictures;
 mod protocol;
 mod smoothness;
+mod surface;
 
 pub use corruption::write_corrupted;
 pub use pictures::{Pictures, write_path};
 pub use protocol::{PROTOCOL, Protocol, split_name};
 pub use smoothness::SmoothnessReport;
+pub use surface::{BUILTIN, most_memory_mib, reference_mesh, surface_box, surface_reference, surface_threshold};
 
 /// One rendered view, row-major.
 pub struct RenderedView {
@@ -100,7 +103,13 @@ impl Viewer<'_> {
         let mut metrics = Vec::with_capacity(views.len());
         for (index, view) in views.iter().enumerate() {
             let rendered = self.render(&view.camera)?;
-            metrics.push(measure(&view.name, &rendered.image, &view.image, lpips)?);
+            let mut measured = measure(&view.name, &rendered.image, &view.image, lpips)?;
+            if let Some(reference) = &view.depth {
+                let depth = self.scene_depth(&view.camera, &rendered);
+                let exact = self.scene.has_exact_depth();
+                measured.depth = DepthMetrics::of(&view.camera, &depth, &rendered.acc, reference, exact);
+            }
+            metrics.push(measured);
             each(index, view, &rendered)?;
             progress.advance();
         }
@@ -123,6 +132,19 @@ pub struct Report {
 }
 
 impl Report {
+    /// Of measured views, and of a surface where one was measured.
+    pub fn new(
+        views: Vec<ViewMetrics>,
+        surface: Option<Chamfer>,
+        protocol: Protocol,
+        attack: Vec<AttackSummary>,
+    ) -> Report {
+        let mut mean = MeanMetrics::from_views(&views);
+        mean.chamfer = surface.as_ref().map(|surface| surface.chamfer);
+        mean.f_score = surface.and_then(|surface| surface.scores.first().map(|score| score.f_score));
+        Report { mean, views, protocol, attack }
+    }
+
     /// Writes `metrics.json` and `metrics.csv`.
     pub fn write(&self, json: &Path, csv: &Path) -> Result<()> {
         write_json(json, self)?;

@@ -12,6 +12,8 @@ use crate::model::Model;
 use crate::output::version;
 use crate::train::checkpoint::State;
 
+use super::surface;
+
 /// Version of the evaluation protocol; numbers of different versions are not comparable.
 pub const PROTOCOL: u32 = 1;
 
@@ -111,6 +113,8 @@ pub struct Protocol {
     pub code_revision: String,
     /// `cpu`, `cuda`, `cuda-tf32`, `metal`; all of them where several did.
     pub device: String,
+    /// How the surface behind `chamfer` and `f_score` was drawn and compared; empty where none was.
+    pub mesh: Option<String>,
 }
 
 /// A learning rate and how it falls, in words.
@@ -195,6 +199,7 @@ impl Protocol {
             program: version().into(),
             code_revision: state.revisions.join(" + "),
             device: state.devices.join(" + "),
+            mesh: surface::describe(config, scene),
         }
     }
 }

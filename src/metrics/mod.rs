@@ -1,13 +1,15 @@
-//! Image metrics of a rendered view against its photograph: PSNR, SSIM, LPIPS and their average.
+//! Metrics of a rendered view against its photograph (PSNR, SSIM, LPIPS and their average) and against its depth.
 //!
 //! A metric that is undefined or was not measured is `None`: `null` in JSON and an empty cell in
 //! CSV, never a stand-in number. PSNR is undefined where two images are equal (it is infinite
 //! there), SSIM where a side is below its window, LPIPS where its weights are not at hand.
 
+mod depth;
 mod lpips;
 mod ssim;
 mod weights;
 
+pub use depth::DepthMetrics;
 pub use lpips::{Backbone, Lpips};
 pub use ssim::ssim;
 
@@ -36,6 +38,9 @@ pub struct ViewMetrics {
     pub lpips_vgg: Option<f64>,
     /// LPIPS on SqueezeNet 1.1 of the 8-bit rounded images; `None` without its weights.
     pub lpips_squeeze: Option<f64>,
+    /// Geometry; filled where the view has a reference depth.
+    #[serde(flatten)]
+    pub depth: DepthMetrics,
 }
 
 /// Means over views. A mean over views of which one lacks the metric is `None`, because a mean
@@ -62,6 +67,16 @@ pub struct MeanMetrics {
     pub average_vgg: Option<f64>,
     /// [`average`] of the means `psnr`, `ssim` and `lpips_squeeze`.
     pub average_squeeze: Option<f64>,
+    /// Means of the views' geometry.
+    #[serde(flatten)]
+    pub depth: DepthMetrics,
+    /// Chamfer distance of the surface to the reference mesh, scene units; `None` where it was not asked for or
+    /// there is no surface.
+    #[serde(default)]
+    pub chamfer: Option<f64>,
+    /// F-score of the surface at the distance that the protocol names.
+    #[serde(default)]
+    pub f_score: Option<f64>,
 }
 
 impl MeanMetrics {
@@ -76,6 +91,7 @@ impl MeanMetrics {
             lpips_alex: over(|v| v.lpips_alex),
             lpips_vgg: over(|v| v.lpips_vgg),
             lpips_squeeze: over(|v| v.lpips_squeeze),
+            depth: DepthMetrics::mean(&views.iter().map(|v| v.depth).collect::<Vec<_>>()),
             ..MeanMetrics::default()
         };
         means.average_alex = means.average_with(means.lpips_alex);
@@ -110,6 +126,7 @@ pub fn measure(name: &str, rendered: &Image, truth: &Image, lpips: &[Lpips]) -> 
         lpips_alex: None,
         lpips_vgg: None,
         lpips_squeeze: None,
+        depth: DepthMetrics::default(),
     };
     for model in lpips.iter().filter(|model| model.backbone().fits(truth.width, truth.height)) {
         let distance = Some(model.distance(&rendered, &truth)?);

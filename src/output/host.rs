@@ -75,6 +75,13 @@ pub fn peak_memory_mib() -> Option<f64> {
     Some(kib / 1024.0)
 }
 
+/// Memory that new work may take without swapping, in MiB; `None` where the system does not say.
+pub fn free_memory_mib() -> Option<f64> {
+    let value = field_of("/proc/meminfo", "MemAvailable")?;
+    let kib: f64 = value.strip_suffix("kB")?.trim().parse().ok()?;
+    Some(kib / 1024.0)
+}
+
 /// Seconds since 1970 (UTC).
 pub fn unix_seconds() -> f64 {
     SystemTime::now().duration_since(UNIX_EPOCH).map_or(0.0, |since| since.as_secs_f64())

@@ -17,7 +17,7 @@ pub mod tensorboard;
 
 pub use atomic::{AtomicDir, clean_temporaries, write_atomic, write_json};
 pub use drawing::Figure;
-pub use host::{Host, Timing, host_name, peak_memory_mib};
+pub use host::{Host, Timing, free_memory_mib, host_name, peak_memory_mib};
 pub use picture::{
     SOLID, beside, depth_colour, depth_range, quantise, scale_colour, write_depth16, write_gif, write_png8,
     write_timed_gif,

@@ -18,6 +18,7 @@ const TIMING: &str = "timing.json";
 const TENSORBOARD: &str = "tensorboard";
 const CHECKPOINTS: &str = "checkpoints";
 const RENDERS: &str = "renders";
+const MESH: &str = "mesh";
 const LOCK: &str = "run.lock";
 
 /// The files of a run, apart from the lock.
@@ -152,6 +153,11 @@ impl RunDir {
         self.path.join(CHECKPOINTS)
     }
 
+    /// `mesh/`: a surface of the trained density, once one was asked for.
+    pub fn mesh(&self) -> PathBuf {
+        self.path.join(MESH)
+    }
+
     /// `renders/`: pictures and videos.
     pub fn renders(&self) -> PathBuf {
         self.path.join(RENDERS)
@@ -260,7 +266,7 @@ fn clear(path: &Path) -> io::Result<()> {
             remove(&entry.path())?;
         }
     }
-    FILES.iter().chain(&FOLDERS).try_for_each(|name| remove(&path.join(name)))
+    FILES.iter().chain(&FOLDERS).chain(&[MESH]).try_for_each(|name| remove(&path.join(name)))
 }
 
 /// Writes some blocks into `folder` as far as the disk and takes them away again.

@@ -40,7 +40,7 @@ impl Lattice {
 
     /// The box that the rays of a scene's training views run through between its bounds, corner
     /// rays standing for all: `[lower, upper]`.
-    fn seen(scene: &Scene) -> [[f64; 3]; 2] {
+    pub fn seen(scene: &Scene) -> [[f64; 3]; 2] {
         let corners = |camera: &'_ Camera| {
             let (right, bottom) = (camera.width as u32 - 1, camera.height as u32 - 1);
             [(0, 0), (right, 0), (0, bottom), (right, bottom)]

@@ -136,6 +136,22 @@ pub fn measure(
     Ok(sum)
 }
 
+/// The density of a field at the midpoints of a lattice, in the order of its cells: `take` is handed so
+/// many at a time that memory does not grow with the lattice.
+pub fn densities(
+    field: &Field,
+    lattice: &Lattice,
+    (dtype, device): (DType, &Device),
+    take: impl FnMut(Vec<f32>) -> Result<()>,
+) -> Result<()> {
+    let field = &field.frozen()?;
+    let ask = |points: &Tensor| {
+        let density = field.activate_density(&field.raw_density(points)?)?;
+        Ok(density.to_dtype(DType::F32)?.to_vec1::<f32>()?)
+    };
+    over_chunks((lattice, &Points::Full), (dtype, device), ask, take)
+}
+
 /// Seconds that one pass over `count` points takes here, judged by a chunk: with weight gradients,
 /// or values alone.
 pub fn estimate_seconds(

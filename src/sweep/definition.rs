@@ -15,7 +15,7 @@ use super::{AxisValue, PublishedKey, RowSpec, TableSpec, extends};
 const MOST_POINTS: usize = 10_000;
 
 /// Metrics that a table can be asked for.
-pub const METRICS: [&str; 15] = [
+pub const METRICS: [&str; 24] = [
     "psnr",
     "psnr_float",
     "psnr_of_mean",
@@ -31,14 +31,27 @@ pub const METRICS: [&str; 15] = [
     "laplacian",
     "largest_density",
     "occupied",
+    "depth_mae",
+    "depth_rmse",
+    "depth_left_out",
+    "depth_roughness",
+    "depth_roughness_truth",
+    "normal_roughness",
+    "normal_roughness_truth",
+    "chamfer",
+    "f_score",
 ];
 
 /// Those of [`METRICS`] that are measured on a lattice.
 pub const SMOOTHNESS_METRICS: [&str; 5] = ["l1", "tv", "laplacian", "largest_density", "occupied"];
 
-/// Whether a run of this configuration has the metric: a field that is asked at Gaussians has no derivatives at points.
+/// Those of [`METRICS`] that are measured on a surface: `eval.mesh` says which.
+pub const SURFACE_METRICS: [&str; 2] = ["chamfer", "f_score"];
+
+/// Whether a run of this configuration has the metric: a field that is asked at Gaussians has no density at
+/// points, and none of what is made of it.
 pub(super) fn is_defined(metric: &str, config: &Config) -> bool {
-    !config.method.is_mip() || !SMOOTHNESS_METRICS.contains(&metric)
+    !config.method.is_mip() || ![&SMOOTHNESS_METRICS[..], &SURFACE_METRICS].concat().contains(&metric)
 }
 
 /// A sweep file.
@@ -367,7 +380,7 @@ impl Definition {
 /// Protocol fields that must be equal in all rows of a scene: all of the evaluation, but for those
 /// that the points differ in by definition.
 fn must_match(points: &[Point]) -> Vec<String> {
-    let always = ["protocol", "program", "code_revision", "device", "dataset", "scene"];
+    let always = ["protocol", "program", "code_revision", "device", "dataset", "scene", "mesh"];
     let varies = |setting: fn(&DataConfig) -> String| {
         points.iter().any(|point| {
             let first = points.iter().find(|first| first.scene == point.scene).expect("the point itself");

@@ -11,7 +11,7 @@ use crate::error::{Error, Result};
 use crate::job::locate_scene;
 
 use super::budget::{StepCosts, steps_within};
-use super::definition::{Axis, Budget, Combine, Definition, Row, scene_name};
+use super::definition::{Axis, Budget, Combine, Definition, Row, SURFACE_METRICS, scene_name};
 use super::{AxisValue, label};
 
 /// One training: a configuration with its seed. Rows that come to the same share it.
@@ -143,6 +143,14 @@ struct Builder<'a> {
 impl Builder<'_> {
     fn point(&self, row: &Row, axes: &Combination) -> Result<Point> {
         let mut config = self.plain_config(row, axes)?;
+        let surface = SURFACE_METRICS.into_iter().find(|metric| self.definition.metrics.iter().any(|m| m == metric));
+        if let Some(metric) = surface.filter(|_| config.eval.mesh.resolution == 0) {
+            let message = format!(
+                "metric '{metric}' needs a surface, which eval.mesh.resolution = 0 leaves out: set it to the cells along each \
+                 side of the box, such as 128"
+            );
+            return Err(in_row(row, axes, Error::Config(message)));
+        }
         let mut located = config.clone();
         let found = match locate_scene(&mut located) {
             Err(error @ Error::Config(_)) => return Err(in_row(row, axes, error)),

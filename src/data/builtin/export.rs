@@ -13,7 +13,7 @@ use super::stage::{Picture, Stage};
 use super::views::{ANGLE_X, Split, around};
 use super::{MAX_WIDTH, blender_stage};
 use crate::config::PixelOrigin;
-use crate::data::Camera;
+use crate::data::{Camera, npy};
 use crate::error::{Error, Result};
 
 /// Width of exported pictures where none is asked for, in pixels.
@@ -128,20 +128,12 @@ fn write_depth(dir: &Path, name: &str, picture: &Picture) -> Result<()> {
     let level = |depth: f32| if depth.is_finite() { (DEPTH_LEVELS * f64::from(depth)).round() as u16 } else { 0 };
     let levels: Vec<u8> = picture.depth.iter().flat_map(|&depth| level(depth).to_ne_bytes()).collect();
     write_png(&dir.join(format!("{name}.png")), &levels, size, ExtendedColorType::L16)?;
-    write(&dir.join(format!("{name}.npy")), &npy(&picture.depth, size))
+    write(&dir.join(format!("{name}.npy")), &npy_file(&picture.depth, size))
 }
 
-/// A 32-bit float array `[height, width]` in NumPy's format, version 1.0.
-fn npy(values: &[f32], [width, height]: [usize; 2]) -> Vec<u8> {
-    const PREFIX: usize = 10;
-    let mut header = format!("{{'descr': '<f4', 'fortran_order': False, 'shape': ({height}, {width}), }}");
-    // Data starts at a multiple of 64 bytes; the header ends with a newline.
-    let padded = (PREFIX + header.len() + 1).next_multiple_of(64) - PREFIX;
-    header.extend(std::iter::repeat_n(' ', padded - 1 - header.len()));
-    header.push('\n');
-    let mut bytes = b"\x93NUMPY\x01\x00".to_vec();
-    bytes.extend((padded as u16).to_le_bytes());
-    bytes.extend(header.into_bytes());
+/// A 32-bit float array `[height, width]` in NumPy's format.
+fn npy_file(values: &[f32], [width, height]: [usize; 2]) -> Vec<u8> {
+    let mut bytes = npy::header(&[height, width]);
     bytes.extend(values.iter().flat_map(|v| v.to_le_bytes()));
     bytes
 }

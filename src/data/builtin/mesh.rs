@@ -6,6 +6,7 @@ use std::ops::Range;
 
 use super::shapes::{Shape, Solid};
 use super::stage::Stage;
+use crate::data::ply;
 use crate::data::vector::Vec3;
 
 /// Facets around each round solid.
@@ -48,20 +49,9 @@ impl Mesh {
 
     /// Writes binary little-endian PLY: x, y, z as floats, red, green, blue as bytes.
     pub fn write_ply(&self, out: &mut impl Write) -> std::io::Result<()> {
-        writeln!(out, "ply\nformat binary_little_endian 1.0\ncomment surfaces of the augnerf builtin scene")?;
-        writeln!(out, "element vertex {}", self.vertices.len())?;
-        writeln!(out, "property float x\nproperty float y\nproperty float z")?;
-        writeln!(out, "property uchar red\nproperty uchar green\nproperty uchar blue")?;
-        writeln!(out, "element face {}\nproperty list uchar int vertex_indices\nend_header", self.triangles.len())?;
-        for (position, colour) in self.vertices.iter().zip(&self.colours) {
-            position.iter().try_for_each(|v| out.write_all(&v.to_le_bytes()))?;
-            out.write_all(colour)?;
-        }
-        for triangle in &self.triangles {
-            out.write_all(&[3])?;
-            triangle.iter().try_for_each(|i| out.write_all(&i.to_le_bytes()))?;
-        }
-        Ok(())
+        let Mesh { vertices, colours, triangles, .. } = self;
+        let surface = ply::Surface { vertices, normals: &[], colours, triangles };
+        surface.write_ply("surfaces of the augnerf builtin scene", out)
     }
 }
 

@@ -160,7 +160,7 @@ impl Stage {
 
     /// Renders a view; the bytes do not depend on the number of threads.
     pub fn render(&self, camera: &Camera, origin: PixelOrigin) -> Picture {
-        let shift = if origin == PixelOrigin::Centre { 0.5 } else { 0.0 };
+        let shift = origin.shift();
         let rows = (0..camera.height).into_par_iter().map(|y| {
             let pixel = |x: usize| self.pixel(camera, x as f64 + shift, y as f64 + shift);
             (0..camera.width).map(pixel).collect::<Vec<_>>()

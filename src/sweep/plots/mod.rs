@@ -19,6 +19,9 @@ fn metric_name(metric: &str) -> String {
         "l1" => "l1 of density".into(),
         "tv" => "TV of density".into(),
         "laplacian" => "Laplacian of density".into(),
+        "chamfer" => "Chamfer distance".into(),
+        "f_score" => "F-score".into(),
+        "depth_mae" => "mean depth error".into(),
         other => match other.split_once('_') {
             Some(("lpips", backbone)) => format!("LPIPS ({backbone})"),
             Some(("average", backbone)) => format!("average ({backbone})"),
@@ -29,7 +32,7 @@ fn metric_name(metric: &str) -> String {
 
 /// Larger is better.
 fn rises(metric: &str) -> bool {
-    metric.starts_with("psnr") || metric == "ssim"
+    metric.starts_with("psnr") || metric == "ssim" || metric == "f_score"
 }
 
 /// Mean over seeds with what they spread over: mean and standard deviation of three and more, the

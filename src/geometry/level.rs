@@ -1,0 +1,254 @@
+//! The level set of a trained density on a lattice, slab by slab.
+
+use std::io::Write;
+
+use candle_core::{DType, Device};
+use serde::Serialize;
+
+use crate::error::{Error, Result};
+use crate::field::Field;
+use crate::regularizers::{Lattice, densities};
+
+use super::{Marcher, Mesh};
+
+/// Bytes that a finished mesh takes with colours, normals and the search for its open edges, over those
+/// of its bare vertices and triangles.
+const WORKING_SHARE: f64 = 4.0;
+const MIB: f64 = 1024.0 * 1024.0;
+
+/// How densities are distributed over a lattice's midpoints, 1 / length.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct DensityRange {
+    /// Least one.
+    pub least: f32,
+    /// Half of all are at most this; this and the next are exact to 1 %.
+    pub median: f32,
+    /// 90 % of all are.
+    pub percentile_90: f32,
+    /// 99 % of all are.
+    pub percentile_99: f32,
+    /// Largest one.
+    pub largest: f32,
+    /// Share of midpoints at or above the threshold.
+    pub inside: f64,
+}
+
+/// Counts densities by the upper half of their bits: 128 steps an octave, in ascending order.
+struct Histogram {
+    counts: Vec<u64>,
+    total: u64,
+    inside: u64,
+    range: (f32, f32),
+}
+
+impl Histogram {
+    fn new() -> Histogram {
+        let range = (f32::INFINITY, f32::NEG_INFINITY);
+        Histogram { counts: vec![0; 1 << 15], total: 0, inside: 0, range }
+    }
+
+    /// Densities are not negative.
+    fn add(&mut self, densities: &[f32], threshold: f32) {
+        for &density in densities {
+            self.counts[(density.abs().to_bits() >> 16) as usize] += 1;
+            self.inside += u64::from(density >= threshold);
+            self.range = (self.range.0.min(density), self.range.1.max(density));
+        }
+        self.total += densities.len() as u64;
+    }
+
+    /// The middle of the step that a share of all densities reaches up to.
+    fn percentile(&self, share: f64) -> f32 {
+        let wanted = (share * self.total as f64).ceil() as u64;
+        let mut seen = 0;
+        let reached = |&count: &u64| {
+            seen += count;
+            seen >= wanted.max(1)
+        };
+        let step = self.counts.iter().position(reached).unwrap_or(0) as u32;
+        let middle = if step == 0 { 0.0 } else { f32::from_bits(step << 16 | 1 << 15) };
+        middle.clamp(self.range.0, self.range.1)
+    }
+
+    fn range(&self) -> DensityRange {
+        DensityRange {
+            least: self.range.0,
+            median: self.percentile(0.5),
+            percentile_90: self.percentile(0.9),
+            percentile_99: self.percentile(0.99),
+            largest: self.range.1,
+            inside: self.inside as f64 / self.total as f64,
+        }
+    }
+}
+
+/// A level set and what it was drawn through.
+pub struct LevelSet {
+    /// In the units that the field is asked in, without normals and colours; no triangles where the densities
+    /// lie all on one side of the threshold.
+    pub mesh: Mesh,
+    /// The densities on the lattice.
+    pub range: DensityRange,
+}
+
+/// How a level set is drawn.
+#[derive(Clone, Copy, Debug)]
+pub struct Drawing {
+    /// Where density is asked: at its cells' midpoints.
+    pub lattice: Lattice,
+    /// Density of the surface, 1 / length.
+    pub threshold: f64,
+    /// The outermost midpoints count as empty, which closes the surface where it would leave the box.
+    pub cap: bool,
+    /// Memory that lattice and mesh may take.
+    pub most_mib: f64,
+}
+
+/// Draws the level set of a field. Memory is bounded by two planes of the lattice and the mesh. `volume` gets all
+/// densities as little-endian f32, z fastest; `advance` is called after each plane.
+pub fn level_set(
+    field: &Field,
+    drawing: &Drawing,
+    device: &Device,
+    mut volume: Option<&mut dyn Write>,
+    mut advance: impl FnMut(),
+) -> Result<LevelSet> {
+    let Drawing { lattice, threshold, cap, .. } = *drawing;
+    let (side, threshold) = (lattice.side, threshold as f32);
+    drawing.check_planes()?;
+    let mut marcher = Marcher::new([side, side], threshold);
+    let mut histogram = Histogram::new();
+    let mut plane: Vec<f32> = Vec::with_capacity(side * side);
+    let mut planes = 0;
+    densities(field, &lattice, (DType::F32, device), |mut part| {
+        if let Some(at) = part.iter().position(|density| !density.is_finite()) {
+            let point = lattice.point(planes * side * side + plane.len() + at, [0.5; 3]);
+            return Err(Error::Diverged(format!(
+                "the density at {point:.3?} is {}: the weights are broken; delete the newest checkpoint to fall back on the \
+                 one before it",
+                part[at]
+            )));
+        }
+        histogram.add(&part, threshold);
+        if let Some(volume) = &mut volume {
+            let bytes: Vec<u8> = part.iter().flat_map(|density| density.to_le_bytes()).collect();
+            volume.write_all(&bytes).map_err(|e| Error::Output(format!("cannot write the densities: {e}")))?;
+        }
+        // A part may end one plane and begin the next.
+        while !part.is_empty() {
+            let rest = part.split_off(part.len().min(side * side - plane.len()));
+            plane.append(&mut part);
+            part = rest;
+            if plane.len() == side * side {
+                let mut full = std::mem::replace(&mut plane, Vec::with_capacity(side * side));
+                if cap {
+                    clear_border(&mut full, side, planes);
+                }
+                marcher.push(full);
+                planes += 1;
+                drawing.check_mesh(&marcher, planes)?;
+                advance();
+            }
+        }
+        Ok(())
+    })?;
+    let Marcher { vertices, triangles, .. } = marcher;
+    let [lower, upper] = lattice.domain;
+    let place = |vertex: [f32; 3]| {
+        std::array::from_fn(|axis| {
+            let share = (f64::from(vertex[axis]) + 0.5) / side as f64;
+            (lower[axis] + share * (upper[axis] - lower[axis])) as f32
+        })
+    };
+    let vertices = vertices.into_iter().map(place).collect();
+    Ok(LevelSet { mesh: Mesh { vertices, triangles, ..Mesh::default() }, range: histogram.range() })
+}
+
+/// Empties the points of plane `x` that lie on the border of the lattice.
+fn clear_border(plane: &mut [f32], side: usize, x: usize) {
+    let on_border = |i: usize| i == 0 || i + 1 == side;
+    for (at, value) in plane.iter_mut().enumerate() {
+        if on_border(x) || on_border(at / side) || on_border(at % side) {
+            *value = 0.0;
+        }
+    }
+}
+
+impl Drawing {
+    fn check_planes(&self) -> Result<()> {
+        let needed = |side: usize| Marcher::plane_bytes([side, side]) as f64 / MIB;
+        let side = self.lattice.side;
+        if needed(side) <= self.most_mib {
+            return Ok(());
+        }
+        let fits = (1..side).rev().find(|&side| needed(side) <= self.most_mib).unwrap_or(1);
+        Err(Error::Config(format!(
+            "a resolution of {side} takes {:.1} MiB for the lattice's planes alone, and {:.1} MiB are allowed (a half of what \
+             is free, or --memory): choose at most {fits}, which leaves the mesh nothing, so rather half of that",
+            needed(side),
+            self.most_mib
+        )))
+    }
+
+    /// Refuses a mesh that outgrows the memory while it grows, with the resolution that would have fitted.
+    fn check_mesh(&self, marcher: &Marcher, planes: usize) -> Result<()> {
+        let side = self.lattice.side;
+        let mesh = WORKING_SHARE * marcher.mesh_bytes() as f64 / MIB;
+        let left = self.most_mib - Marcher::plane_bytes([side, side]) as f64 / MIB;
+        if mesh <= left && marcher.vertices.len() < u32::MAX as usize {
+            return Ok(());
+        }
+        // A surface grows with the square of the resolution; what is left to come is taken to be like what came.
+        let whole = mesh * side as f64 / planes as f64;
+        let fits = (side as f64 * (left.max(0.0) / whole).sqrt()) as usize;
+        Err(Error::Config(format!(
+            "the level set at resolution {side} outgrows {:.1} MiB (a half of what is free, or --memory) after {planes} of \
+             {side} planes, with {} triangles: a resolution of about {fits} would fit; so may a higher threshold, for a \
+             low one also draws what the training views left undecided",
+            self.most_mib,
+            marcher.triangles.len()
+        )))
+    }
+}
+
+impl DensityRange {
+    /// Why there is no surface at a threshold, and what threshold would give one.
+    pub fn no_surface(&self, threshold: f64, domain: [[f64; 3]; 2]) -> Error {
+        let DensityRange { least, largest, .. } = *self;
+        let range =
+            format!("density in the box from {:?} to {:?} runs from {least} to {largest}", domain[0], domain[1]);
+        let advice = if least < largest {
+            format!("a threshold of {:.4} would give one", 0.5 * (least + largest))
+        } else {
+            "no threshold gives one: choose another box, or train longer".into()
+        };
+        Error::Config(format!("the level set {threshold:.4} is empty: {range}; {advice}"))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn percentiles_are_those_of_the_numbers() {
+        let values: Vec<f32> = (0..10_000).map(|i| i as f32 * 0.01).collect();
+        let mut histogram = Histogram::new();
+        values.chunks(77).for_each(|part| histogram.add(part, 75.0));
+        let range = histogram.range();
+        assert_eq!((range.least, range.largest), (0.0, 99.99));
+        for (found, exact) in [(range.median, 50.0), (range.percentile_90, 90.0), (range.percentile_99, 99.0)] {
+            assert!((found / exact - 1.0).abs() < 0.01, "{found} for {exact}");
+        }
+        assert!((range.inside - 0.25).abs() < 1e-3);
+    }
+
+    #[test]
+    fn a_cap_empties_the_border_alone() {
+        let mut plane = vec![1.0; 9];
+        clear_border(&mut plane, 3, 1);
+        assert_eq!(plane, [0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0]);
+        clear_border(&mut plane, 3, 2);
+        assert_eq!(plane, [0.0; 9]);
+    }
+}

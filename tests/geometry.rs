@@ -1,0 +1,346 @@
+//! Meshes, their comparison, and depth, as a user meets them.
+
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+
+use augnerf::config::{DataConfig, DataKind};
+use augnerf::data::{self, View};
+use tempfile::TempDir;
+
+const PROGRAM: &str = env!("CARGO_BIN_EXE_augnerf");
+
+fn run(arguments: &[&str]) -> Output {
+    let mut command = Command::new(PROGRAM);
+    command.args(arguments).env_remove("AUGNERF_LPIPS_WEIGHTS").env("RUST_BACKTRACE", "0");
+    command.current_dir(std::env::temp_dir()).output().unwrap()
+}
+
+/// Runs and demands success; what it printed.
+fn succeed(arguments: &[&str]) -> String {
+    let output = run(arguments);
+    assert!(output.status.success(), "{arguments:?}: {}", String::from_utf8_lossy(&output.stderr));
+    String::from_utf8(output.stdout).unwrap()
+}
+
+/// Runs and demands the exit code and words of a refusal: one sentence, no panic.
+fn refuse(arguments: &[&str], code: i32, words: &[&str]) {
+    let output = run(arguments);
+    let message = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert_eq!(output.status.code(), Some(code), "{arguments:?}: {message}");
+    assert!(!message.contains("panicked"), "{message}");
+    for word in words {
+        assert!(message.contains(word), "'{word}' is not in: {message}");
+    }
+}
+
+/// A run of a second or two on the embedded scene at 24 x 24.
+fn trained(dir: &TempDir, further: &[&str]) -> String {
+    let out = dir.path().join("run").display().to_string();
+    let settings = [
+        "data.width=24",
+        "field.width=32",
+        "sampling.coarse=16",
+        "sampling.fine=16",
+        "train.rays=128",
+        "train.steps=150",
+        "train.precrop_steps=5",
+        "eval.pictures=0",
+    ];
+    let mut arguments = vec!["train", "--quiet", "--out", &out];
+    arguments.extend(settings.iter().flat_map(|setting| ["--set", setting]));
+    arguments.extend(further);
+    succeed(&arguments);
+    out
+}
+
+fn json(path: &Path) -> serde_json::Value {
+    serde_json::from_str(&std::fs::read_to_string(path).unwrap()).unwrap()
+}
+
+/// The columns of a table of one line.
+fn row(table: &str) -> Vec<(String, String)> {
+    let lines: Vec<&str> = table.lines().collect();
+    assert_eq!(lines.len(), 2, "{table}");
+    lines[0].split(',').map(String::from).zip(lines[1].split(',').map(String::from)).collect()
+}
+
+fn number(row: &[(String, String)], name: &str) -> f64 {
+    let (_, value) = row.iter().find(|(column, _)| column == name).unwrap_or_else(|| panic!("no column {name}"));
+    value.parse().unwrap()
+}
+
+#[test]
+fn a_run_is_drawn_compared_and_drawn_again_alike() {
+    let dir = TempDir::new().unwrap();
+    let run = trained(&dir, &[]);
+    let mesh = Path::new(&run).join("mesh");
+    let draw = ["mesh", &run, "--quiet", "--resolution", "48", "--threshold", "1.5", "--cap", "--format", "ply,obj"];
+    succeed(&[&draw[..], &["--density"]].concat());
+    let report = json(&mesh.join("mesh.json"));
+    assert_eq!(report["closed"], true, "a capped level set is closed: {report}");
+    assert!(report["area"].as_f64().unwrap() > 0.1 && report["volume"].as_f64().unwrap() > 0.0);
+    assert_eq!(report["protocol"]["dataset"], "builtin-blender");
+    assert_eq!(report["box"], serde_json::json!([[-1.2, -1.2, -1.2], [1.2, 1.2, 1.2]]));
+
+    // The volume is the density that the report speaks of.
+    let volume = std::fs::read(mesh.join("density.npy")).unwrap();
+    let values: Vec<f32> = volume[128..].as_chunks::<4>().0.iter().map(|bytes| f32::from_le_bytes(*bytes)).collect();
+    assert_eq!(values.len(), 48 * 48 * 48);
+    assert!(String::from_utf8_lossy(&volume[..128]).contains("(48, 48, 48)"));
+    let largest = f64::from(values.iter().copied().fold(0.0, f32::max));
+    assert!((report["density"]["largest"].as_f64().unwrap() - largest).abs() < 1e-6 * largest);
+    let inside = values.iter().filter(|&&value| value >= 1.5).count() as f64 / values.len() as f64;
+    assert_eq!(report["density"]["inside"], inside);
+
+    // Both files hold one mesh, at 0 from itself.
+    let (ply, obj) = (mesh.join("mesh.ply"), mesh.join("mesh.obj"));
+    let [ply, obj] = [ply, obj].map(|file| file.display().to_string());
+    let first = std::fs::read(&ply).unwrap();
+    let compared = row(&succeed(&["chamfer", &ply, &obj, "--points", "5000", "--at", "0.001", "--quiet"]));
+    assert!(number(&compared, "chamfer") < 1e-5, "{compared:?}");
+    assert_eq!(number(&compared, "f_score_0.001"), 1.0);
+    let itself = row(&succeed(&["chamfer", &run, &ply, "--points", "5000"]));
+    assert_eq!(number(&itself, "chamfer"), 0.0);
+    let truth = row(&succeed(&["chamfer", &run, "builtin", "--points", "5000", "--at", "0.1"]));
+    assert!(number(&truth, "chamfer") > number(&truth, "floor"));
+
+    // The same bytes again; the earlier files are replaced as a whole.
+    succeed(&["mesh", &run, "--quiet", "--resolution", "48", "--threshold", "1.5", "--cap", "--threads", "1"]);
+    assert_eq!(std::fs::read(&ply).unwrap(), first);
+    assert!(!Path::new(&obj).exists() && !mesh.join("density.npy").exists());
+    succeed(&[&draw[..], &["--largest"]].concat());
+    let largest = json(&mesh.join("mesh.json"));
+    assert_eq!(largest["components"], report["components"]);
+    let (left, all) = (largest["area"].as_f64().unwrap(), report["area"].as_f64().unwrap());
+    assert!(if largest["components"] == 1 { left == all } else { left < all }, "{left} of {all}");
+}
+
+#[test]
+fn what_cannot_be_drawn_is_refused_with_what_could() {
+    let dir = TempDir::new().unwrap();
+    let run = trained(&dir, &[]);
+    let draw = |further: &[&'static str]| [&["mesh", &*run.clone().leak(), "--resolution", "24"][..], further].concat();
+    refuse(&draw(&["--threshold", "1e6"]), 2, &["1000000.0", "runs from 0", "a threshold of"]);
+    refuse(&draw(&["--memory", "0.001"]), 2, &["24", "choose at most"]);
+    refuse(&draw(&["--threshold", "0.5", "--memory", "0.05"]), 2, &["outgrows", "would fit", "triangles"]);
+    refuse(&draw(&["--threshold=-1"]), 2, &["--threshold", "positive"]);
+    refuse(&draw(&["--bbox", "1,1,1,0,0,0"]), 2, &["--bbox", "corners"]);
+    refuse(&draw(&["--bbox", "8,8,8,9,9,9"]), 2, &["outside of"]);
+    refuse(&draw(&["--resolution", "4"]), 2, &["resolution"]);
+    refuse(&["mesh", &run, "--resolution", "0"], 2, &["8 to 1024"]);
+    refuse(&["mesh", &dir.path().join("none").display().to_string()], 5, &["missing"]);
+    assert!(!Path::new(&run).join("mesh").exists(), "a refusal leaves nothing");
+
+    refuse(&["chamfer", &run, "builtin"], 3, &["has no mesh yet", "augnerf mesh"]);
+    refuse(&["chamfer", "builtin", "/nowhere/a.ply"], 3, &["/nowhere/a.ply"]);
+    refuse(&["chamfer", "builtin", "builtin", "--points", "3"], 2, &["--points", "100 to"]);
+    refuse(&["chamfer", "builtin", "builtin", "--at", "0"], 2, &["--at", "positive"]);
+    let bare = dir.path().join("bare.obj");
+    std::fs::write(&bare, "v 0 0 0\nv 1 0 0\nv 0 1 0\n").unwrap();
+    refuse(&["chamfer", "builtin", &bare.display().to_string()], 3, &["bare.obj", "no faces"]);
+}
+
+#[test]
+fn a_threshold_that_a_refusal_names_works() {
+    let dir = TempDir::new().unwrap();
+    let run = trained(&dir, &[]);
+    let output = self::run(&["mesh", &run, "--resolution", "32", "--threshold", "1e6"]);
+    let message = String::from_utf8(output.stderr).unwrap();
+    let (_, rest) = message.split_once("a threshold of ").unwrap();
+    let threshold = rest.split_whitespace().next().unwrap();
+    succeed(&["mesh", &run, "--quiet", "--resolution", "32", "--threshold", threshold]);
+    assert!(json(&Path::new(&run).join("mesh/mesh.json"))["faces"].as_u64().unwrap() > 0);
+}
+
+#[test]
+fn broken_weights_are_named() {
+    let dir = TempDir::new().unwrap();
+    let run = trained(&dir, &[]);
+    let checkpoints = Path::new(&run).join("checkpoints");
+    let newest = std::fs::read_dir(checkpoints).unwrap().map(|entry| entry.unwrap().path()).max().unwrap();
+    let file = newest.join("state.safetensors");
+    let mut tensors = candle_core::safetensors::load(&file, &candle_core::Device::Cpu).unwrap();
+    let bias = tensors.get_mut("fine.density.bias").unwrap();
+    *bias = (bias.clone() * f64::NAN).unwrap();
+    candle_core::safetensors::save(&tensors, &file).unwrap();
+    refuse(&["mesh", &run, "--resolution", "16"], 6, &["the density at", "is NaN", "weights are broken"]);
+}
+
+#[test]
+fn an_evaluation_measures_depth_and_where_asked_the_surface() {
+    let dir = TempDir::new().unwrap();
+    let mesh =
+        ["--set", "eval.mesh.resolution=32", "--set", "eval.mesh.threshold=1.5", "--set", "eval.mesh.points=5000"];
+    let run = trained(&dir, &mesh);
+    let path = Path::new(&run).join("metrics.json");
+    let metrics = json(&path);
+    let mean = &metrics["mean"];
+    for name in ["depth_mae", "depth_rmse", "depth_roughness", "depth_roughness_truth", "normal_roughness", "chamfer"] {
+        assert!(mean[name].as_f64().unwrap() > 0.0, "{name}: {mean}");
+    }
+    assert!(mean["depth_mae"].as_f64() <= mean["depth_rmse"].as_f64());
+    assert!((0.0..=1.0).contains(&mean["depth_left_out"].as_f64().unwrap()));
+    assert!((0.0..=1.0).contains(&mean["f_score"].as_f64().unwrap()));
+    let words = metrics["protocol"]["mesh"].as_str().unwrap();
+    assert!(words.contains("32^3") && words.contains("builtin") && words.contains("5000 points"), "{words}");
+    let table = std::fs::read_to_string(Path::new(&run).join("metrics.csv")).unwrap();
+    assert!(table.lines().next().unwrap().contains("depth_mae,depth_rmse,depth_left_out"), "{table}");
+    // Once more from the checkpoint.
+    succeed(&["eval", &run, "--quiet"]);
+    assert_eq!(json(&path), metrics);
+    // And by hand, from the files.
+    succeed(&["mesh", &run, "--quiet", "--resolution", "32", "--threshold", "1.5"]);
+    let compared = row(&succeed(&["chamfer", &run, "builtin", "--points", "5000", "--at", "0.02"]));
+    assert!((number(&compared, "chamfer") - mean["chamfer"].as_f64().unwrap()).abs() < 1e-6);
+    assert!((number(&compared, "f_score_0.02") - mean["f_score"].as_f64().unwrap()).abs() < 1e-3);
+}
+
+#[test]
+fn without_a_reference_mesh_no_training_begins() {
+    let dir = TempDir::new().unwrap();
+    let out = dir.path().join("run").display().to_string();
+    let train = |further: &[&'static str]| {
+        let start = ["train", "--quiet", "--out", &*out.clone().leak(), "--set", "eval.mesh.resolution=32"];
+        [&start[..], further].concat()
+    };
+    refuse(&train(&["--set", "data.kind=builtin-forward"]), 2, &["eval.mesh.reference", "without a mesh"]);
+    refuse(&train(&["--set", "eval.mesh.reference=/nowhere/a.ply"]), 3, &["/nowhere/a.ply"]);
+    refuse(&train(&["--set", "eval.mesh.threshold=0"]), 2, &["eval.mesh.threshold"]);
+    refuse(&train(&["--set", "eval.mesh.resolution=2000"]), 2, &["eval.mesh.resolution", "1024"]);
+    assert!(!Path::new(&out).exists());
+}
+
+#[test]
+fn a_scene_in_ndc_has_its_mesh_and_depth_in_scene_units() {
+    let dir = TempDir::new().unwrap();
+    let run = trained(&dir, &["--set", "data.kind=builtin-forward"]);
+    let mean = json(&Path::new(&run).join("metrics.json"))["mean"].clone();
+    // Depths of the forward scene are between 1 and 4 units: an error in NDC would be under 1, in wrong units far
+    // above.
+    assert!((1e-3..2.0).contains(&mean["depth_mae"].as_f64().unwrap()), "{mean}");
+    succeed(&["mesh", &run, "--quiet", "--resolution", "32", "--threshold", "1", "--cap", "--format", "obj"]);
+    let mesh = Path::new(&run).join("mesh");
+    let report = json(&mesh.join("mesh.json"));
+    assert_eq!((&report["box_units"], &report["closed"]), (&"NDC".into(), &true.into()));
+    assert!(report["volume"].as_f64().unwrap() > 0.0, "the map from NDC turns triangles over");
+    let text = std::fs::read_to_string(mesh.join("mesh.obj")).unwrap();
+    let depths =
+        text.lines().filter(|line| line.starts_with("v ")).map(|line| line.split(' ').nth(3).unwrap().parse().unwrap());
+    assert!(depths.clone().count() > 10 && depths.into_iter().all(|z: f64| z < -1.0), "beyond the near plane");
+}
+
+/// The folder of a real scene, or `None` with a notice where there is none.
+fn scene(relative: &str) -> Option<PathBuf> {
+    let Some(root) = std::env::var_os("AUGNERF_DATA") else {
+        eprintln!(
+            "SKIPPED: AUGNERF_DATA is not set, so the depth maps of {relative} were not compared with one another"
+        );
+        return None;
+    };
+    Some(PathBuf::from(root).join(relative))
+}
+
+/// What a view's depth map says at a world point: the point's depth less the map's, where the map knows.
+fn behind(view: &View, point: [f64; 3]) -> Option<f64> {
+    let camera = &view.camera;
+    let offset: [f64; 3] = std::array::from_fn(|i| point[i] - camera.pose[i][3]);
+    let local: [f64; 3] = std::array::from_fn(|j| (0..3).map(|i| camera.pose[i][j] * offset[i]).sum());
+    let depth = -local[2];
+    let x = (local[0] / depth * camera.focal[0] + camera.centre[0]).floor();
+    let y = (-local[1] / depth * camera.focal[1] + camera.centre[1]).floor();
+    let inside = (0.0..camera.width as f64).contains(&x) && (0.0..camera.height as f64).contains(&y);
+    let map = inside.then(|| f64::from(view.depth.as_ref().unwrap()[y as usize * camera.width + x as usize]))?;
+    (!map.is_nan()).then_some(depth - map)
+}
+
+/// The published depth maps are 8-bit pictures whose meaning is not documented with them: read as `data::depth` does,
+/// points of one view lie on the surfaces that the others show, and never in front of them.
+#[test]
+fn the_chairs_depth_maps_agree_between_views() {
+    let Some(dir) = scene("nerf_synthetic/chair") else { return };
+    let config = DataConfig {
+        dir: dir.display().to_string(),
+        kind: DataKind::Blender,
+        downscale: Some(2),
+        test_skip: 20,
+        ..DataConfig::default()
+    };
+    let scene = data::load(&config, 0, &()).unwrap();
+    assert!(!scene.has_exact_depth() && scene.test.iter().all(|view| view.depth.is_some()));
+    let (mut asked, mut on, mut in_front, mut beside) = (0usize, 0usize, 0usize, 0usize);
+    let mut residuals = Vec::new();
+    for view in &scene.test {
+        let depth = view.depth.as_ref().unwrap();
+        for (pixel, &depth) in depth.iter().enumerate().step_by(37).filter(|(_, depth)| depth.is_finite()) {
+            let (x, y) = (pixel % view.camera.width, pixel / view.camera.width);
+            let (origin, direction) = view.camera.ray(x as f64 + 0.5, y as f64 + 0.5);
+            let point = std::array::from_fn(|i| origin[i] + f64::from(depth) * direction[i]);
+            for other in scene.test.iter().filter(|other| other.name != view.name) {
+                let Some(behind) = behind(other, point) else { continue };
+                asked += 1;
+                beside += usize::from(behind == f64::NEG_INFINITY);
+                in_front += usize::from(behind.is_finite() && behind < -0.04);
+                if behind.abs() < 0.04 {
+                    on += 1;
+                    residuals.push(behind);
+                }
+            }
+        }
+    }
+    let share = |count: usize| count as f64 / asked as f64;
+    let mean = residuals.iter().map(|r| r.abs()).sum::<f64>() / residuals.len() as f64;
+    println!(
+        "{asked} points: {:.3} on, {:.4} in front, {:.4} beside, {mean:.4} off",
+        share(on),
+        share(in_front),
+        share(beside)
+    );
+    assert!(asked > 10_000);
+    // Most of what one view sees is hidden from another; along the axis instead of the ray 13 % are in front.
+    assert!(share(on) > 0.3, "on the other's surface: {}", share(on));
+    assert!(share(in_front) < 0.01, "in front of it: {}", share(in_front));
+    assert!(share(beside) < 0.005, "outside of its silhouette: {}", share(beside));
+    // Two roundings to 8 bits, each even in +-0.016, are 0.0105 off in the mean.
+    assert!(mean < 0.016, "{mean}");
+}
+
+#[test]
+fn a_sweep_has_columns_of_geometry_and_says_what_they_need() {
+    let dir = TempDir::new().unwrap();
+    let path = |name: &str| dir.path().join(name).display().to_string();
+    let definition = |surface: &str| {
+        format!(
+            "title = \"geometry\"\npreset = \"smoke\"\nscenes = [\"builtin\"]\nseeds = [0]\n\
+             metrics = [\"psnr\", \"chamfer\", \"f_score\", \"depth_mae\", \"normal_roughness\"]\n\
+             [set]\n\"data.width\" = 24\n\"field.width\" = 16\n\"sampling.coarse\" = 8\n\"sampling.fine\" = 8\n\
+             \"train.rays\" = 64\n\"train.steps\" = 40\n\"eval.pictures\" = 0\n{surface}\n[[row]]\nname = \"NeRF\"\n"
+        )
+    };
+    let sweep = |name: &str, surface: &str| {
+        let file = path(&format!("{name}.toml"));
+        std::fs::write(&file, definition(surface)).unwrap();
+        let arguments = ["sweep", "run", &file, "--out", &path(name), "--quiet"];
+        arguments.map(String::from).to_vec()
+    };
+    fn plain(arguments: &[String]) -> Vec<&str> {
+        arguments.iter().map(String::as_str).collect()
+    }
+    refuse(&plain(&sweep("bare", "")), 2, &["NeRF", "chamfer", "eval.mesh.resolution"]);
+    // A density that none of these densities reaches: no surface, so no number.
+    let none = sweep("none", "\"eval.mesh\" = { resolution = 16, threshold = 1e6 }");
+    succeed(&plain(&none));
+    // What stays missing is looked for once a run, not for ever.
+    succeed(&[plain(&none), vec!["--remeasure"]].concat());
+    let some = sweep("some", "\"eval.mesh\" = { resolution = 16, threshold = 0.01, points = 2000 }");
+    succeed(&plain(&some));
+    for (name, there) in [("none", false), ("some", true)] {
+        let table = std::fs::read_to_string(dir.path().join(name).join("results/points.csv")).unwrap();
+        let mut table = csv::Reader::from_reader(table.as_bytes());
+        let names = table.headers().unwrap().clone();
+        let row = table.records().next().unwrap().unwrap();
+        let cell = |name: &str| &row[names.iter().position(|column| column == name).unwrap()];
+        assert_eq!((!cell("chamfer").is_empty(), !cell("f_score").is_empty()), (there, there), "{name}");
+        assert!(cell("depth_mae").parse::<f64>().unwrap() > 0.0 && !cell("normal_roughness").is_empty());
+        assert!(cell("mesh").contains("16^3"), "{name}: {}", cell("mesh"));
+    }
+}
