@@ -567,8 +567,10 @@ fn mip_nerf_runs_and_says_what_it_is_not_for() {
         assert!(config.contains(line), "{line} is not in {config}");
     }
     refuse(&["measure", whole.to_str().unwrap()], 2, &["aug-mip-nerf", "Gaussians"]);
+    refuse(&["mesh", whole.to_str().unwrap()], 2, &["aug-mip-nerf", "Gaussians"]);
     let out = dir.path().join("refused");
     let mip = ["--method", "mip-nerf", "--set"];
+    refuse(&tiny(&out, &[&mip[..], &["eval.mesh.resolution=64"]].concat()), 2, &["eval.mesh.resolution", "Gaussians"]);
     refuse(
         &tiny(&out, &[&mip[..], &["regularizer.kind=tv"]].concat()),
         2,

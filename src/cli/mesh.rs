@@ -131,6 +131,14 @@ impl MeshArguments {
         let device = self.machine.device()?;
         let screen = Screen::new(self.machine.quiet);
         let trained = Trained::open(&self.run, self.data.as_deref(), &device, &screen)?;
+        let method = trained.config.method;
+        if method.is_mip() {
+            return Err(Error::Config(format!(
+                "{}: a field of method {} is asked at Gaussians and has no density at points; mesh nerf and aug-nerf runs",
+                self.run.display(),
+                method.name()
+            )));
+        }
         let (scene, field) = (&trained.scene, trained.model.evaluated());
         let drawing = self.drawing(&settings, &trained);
         drawing.lattice.check_meets(scene)?;
