@@ -146,9 +146,9 @@ fn the_log_linear_rate_warms_up_and_falls_evenly_in_its_logarithm() {
 #[test]
 fn mip_nerf_trains_on_a_forward_facing_scene() {
     let mut config = tiny_config(Method::AugMipNerf, |config| {
-        (config.data.kind, config.data.width) = (DataKind::BuiltinForward, 24);
         config.sampling.density_noise = Some(1.0);
     });
+    (config.data.kind, config.data.width) = (DataKind::BuiltinForward, 24);
     let scene = augnerf::data::load(&config.data, 0, &()).unwrap();
     assert!(scene.ndc.is_some());
     config.resolve_bounds(scene.near, scene.far);

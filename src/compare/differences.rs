@@ -155,10 +155,11 @@ mod tests {
 
     #[test]
     fn what_the_protocol_speaks_of_is_not_told_twice() {
-        for setting in ["seed", "train.steps", "perturb.t.steps", "perturb.rgb.epsilon", "regularizer.weight"] {
+        for setting in ["seed", "train.learning_rate", "perturb.t.steps", "perturb.rgb.epsilon", "data.corruption.kind"]
+        {
             assert!(spoken_of(setting), "{setting}");
         }
-        for setting in ["train.learning_rate", "perturb.t.norm", "data.corruption", "sampling.jitter"] {
+        for setting in ["train.warmup_share", "perturb.t.norm", "field.encoding", "sampling.jitter"] {
             assert!(!spoken_of(setting), "{setting}");
         }
     }
