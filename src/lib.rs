@@ -28,8 +28,8 @@
 //! | `origins`, `directions` | `[rays, 3]` | scene units (NDC where used) | a point is origin + t * direction |
 //! | `viewdirs` | `[rays, 3]` | 1 | unit direction of the world ray |
 //! | `near`, `far` | scalars | as `t_vals` | ends of a ray's interval |
-//! | `t_vals` | `[rays, samples]` | lengths of `directions` | sorted sample positions (points, not fenceposts) |
-//! | `points` | `[rays, samples, 3]` | scene units | what the field is asked at |
+//! | `t_vals` | `[rays, samples]` | lengths of `directions` | sorted sample positions; MipNeRF: edges of intervals, `[rays, samples + 1]` |
+//! | `points` | `[rays, samples, 3]` | scene units | what the field is asked at; MipNeRF: Gaussians, `[rays, samples, 6]` |
 //! | `rgb` | `[rays, samples, 3]` or `[rays, 3]` | 0..1 | colour of samples, of rays |
 //! | `density` | `[rays, samples]` | 1 / scene unit | extinction, not negative |
 //! | `alpha` | `[rays, samples]` | 0..1 | 1 - exp(-density * interval) |

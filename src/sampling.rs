@@ -1,6 +1,6 @@
 //! Sample positions along rays: stratified and inverse-CDF.
 //!
-//! `t_vals` are points, `[rays, samples]`, sorted, in units of the ray direction's length. No
+//! `t_vals` are points, `[rays, samples]`, or edges of intervals (MipNeRF), sorted, in units of the ray direction's length. No
 //! gradient flows through any of this.
 
 use candle_core::{DType, Tensor};
