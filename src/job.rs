@@ -12,7 +12,7 @@ use candle_core::{DType, Device};
 use crate::config::{Config, scene_name};
 use crate::data::{self, Image, Progress, Scene};
 use crate::error::{Error, Result};
-use crate::evaluate::{Pictures, Protocol, Report, Viewer, surface_reference};
+use crate::evaluate::{BUILTIN, Pictures, Protocol, Report, Viewer, surface_reference};
 use crate::metrics::{Backbone, Lpips, MeanMetrics};
 use crate::model::Model;
 use crate::output::{Host, RunDir, Timing, host, peak_memory_mib, write_atomic};
@@ -81,6 +81,12 @@ pub fn locate_scene(config: &mut Config) -> Result<()> {
         let dir = Path::new(&config.data.dir);
         let dir = std::fs::canonicalize(dir).map_err(|e| Error::unreadable(dir, &e))?;
         config.data.dir = dir.to_string_lossy().into_owned();
+    }
+    let mesh = &mut config.eval.mesh;
+    if mesh.resolution > 0 && !mesh.reference.is_empty() && mesh.reference != BUILTIN {
+        let file = Path::new(&mesh.reference);
+        let file = std::fs::canonicalize(file).map_err(|e| Error::unreadable(file, &e))?;
+        mesh.reference = file.to_string_lossy().into_owned();
     }
     if config.data.name.is_empty() {
         config.data.name = scene_name(&config.data.dir);
@@ -163,6 +169,7 @@ impl<'a> Job<'a> {
         (scene, lpips): (&'a Scene, &'a [Lpips]),
         machine: Machine,
     ) -> Result<Job<'a>> {
+        surface_reference(&config, scene)?;
         let earlier = read_timing(&run)?;
         run.check_writable(bytes_needed(&config, scene))?;
         // Where scene and weights are now, for the next time.
@@ -263,22 +270,19 @@ impl Desk<'_> {
         let attack = AttackSummary::read(&self.run.scalars(), trainer.step_count())?;
         let renders = self.run.renders();
         let pictures = Pictures::new(&renders, self.scene, self.config.eval.pictures);
+        let going = || match signal.load(Ordering::SeqCst) {
+            0 => Ok(()),
+            signal => Err(interrupted(signal as i32, trainer.step_count(), self.run.path())),
+        };
         let mut picture = None;
         let views = self.viewer(trainer).evaluate(self.lpips, reporter.progress(), |index, view, rendered| {
             let beside = pictures.write(index, view, rendered)?;
             picture = picture.take().or(beside);
-            match signal.load(Ordering::SeqCst) {
-                0 => Ok(()),
-                signal => Err(interrupted(signal as i32, trainer.step_count(), self.run.path())),
-            }
+            going()
         })?;
         pictures.finish()?;
-        let surface = self.viewer(trainer).surface(reporter.progress())?;
+        let surface = self.viewer(trainer).surface(reporter.progress(), |line| reporter.say(line), going)?;
         let protocol = Protocol::new(&self.config, self.scene, &trainer.state());
-        if surface.is_none() && protocol.mesh.is_some() {
-            reporter
-                .say("no surface: density lies below eval.mesh.threshold everywhere; chamfer and f_score stay empty");
-        }
         let report = Report::new(views, surface, protocol, attack);
         report.write(&self.run.metrics_json(), &self.run.metrics_csv())?;
         Ok((report, picture))

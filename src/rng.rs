@@ -86,7 +86,8 @@ impl Random {
 
     /// Poisson with a moderate mean (under 700), by inversion.
     pub fn poisson(&mut self, mean: f64) -> u32 {
-        let u = self.uniform();
+        // 48 bits: with fewer, counts far below the mean would come too often.
+        let u = self.uniform() + self.uniform() / f64::from(1u32 << 24);
         let (mut count, mut probability) = (0, (-mean).exp());
         let mut below = probability;
         // Where the terms have run out, rounding alone keeps the sum under u.

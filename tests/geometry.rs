@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
 use augnerf::config::{DataConfig, DataKind};
+use augnerf::data::vector::{cross, dot, sub};
 use augnerf::data::{self, View};
 use tempfile::TempDir;
 
@@ -92,6 +93,8 @@ fn a_run_is_drawn_compared_and_drawn_again_alike() {
     let inside = values.iter().filter(|&&value| value >= 1.5).count() as f64 / values.len() as f64;
     assert_eq!(report["density"]["inside"], inside);
 
+    lies_in_the_field(&std::fs::read_to_string(mesh.join("mesh.obj")).unwrap(), &values);
+
     // Both files hold one mesh, at 0 from itself.
     let (ply, obj) = (mesh.join("mesh.ply"), mesh.join("mesh.obj"));
     let [ply, obj] = [ply, obj].map(|file| file.display().to_string());
@@ -115,12 +118,66 @@ fn a_run_is_drawn_compared_and_drawn_again_alike() {
     assert!(if largest["components"] == 1 { left == all } else { left < all }, "{left} of {all}");
 }
 
+/// Vertices lie where the densities at 48^3 midpoints of the box, between which they are linear, are the threshold 1.5;
+/// normals face outwards.
+fn lies_in_the_field(obj: &str, values: &[f32]) {
+    let rows = |key: &str| -> Vec<[f64; 3]> {
+        let lines = obj.lines().filter_map(|line| line.strip_prefix(key)?.strip_prefix(' '));
+        lines.map(|line| std::array::from_fn(|i| line.split(' ').nth(i).unwrap().parse().unwrap())).collect()
+    };
+    let (vertices, normals) = (rows("v"), rows("vn"));
+    assert_eq!(vertices.len(), normals.len());
+    let mut checked = 0;
+    for vertex in &vertices {
+        let at = vertex.map(|v| (v + 1.2) / 2.4 * 48.0 - 0.5);
+        // The cap has emptied the border.
+        if at.iter().any(|&v| !(1.0..46.0).contains(&v)) {
+            continue;
+        }
+        let corner = |i: usize| -> f64 {
+            let (mut index, mut weight) = (0, 1.0);
+            for (axis, v) in at.iter().enumerate() {
+                let side = i >> axis & 1;
+                index = index * 48 + v.floor() as usize + side;
+                weight *= if side == 1 { v.fract() } else { 1.0 - v.fract() };
+            }
+            weight * f64::from(values[index])
+        };
+        let density: f64 = (0..8).map(corner).sum();
+        assert!((density - 1.5).abs() < 1e-2, "{density} at {vertex:?}");
+        checked += 1;
+    }
+    assert!(checked > 100, "{checked} vertices off the border");
+    let faces = obj.lines().filter_map(|line| line.strip_prefix("f "));
+    let (mut outwards, mut all) = (0, 0);
+    for face in faces {
+        let index = |i: usize| -> usize { face.split(' ').nth(i).unwrap().split('/').next().unwrap().parse().unwrap() };
+        let [a, b, c] = [0, 1, 2].map(|i| vertices[index(i) - 1]);
+        let facing = cross(sub(b, a), sub(c, a));
+        outwards += (0..3).filter(|&i| dot(facing, normals[index(i) - 1]) > 0.0).count();
+        all += 3;
+    }
+    assert!(outwards as f64 > 0.97 * f64::from(all), "{outwards} of {all} normals face outwards");
+}
+
+#[test]
+fn a_surface_that_cannot_be_drawn_costs_no_other_metric() {
+    let dir = TempDir::new().unwrap();
+    let run = trained(&dir, &["--set", "eval.mesh.resolution=16", "--set", "eval.mesh.threshold=1e6"]);
+    let mean = json(&Path::new(&run).join("metrics.json"))["mean"].clone();
+    assert!(mean["psnr"].as_f64().unwrap() > 5.0 && mean["depth_mae"].is_number());
+    assert!(mean["chamfer"].is_null() && mean["f_score"].is_null());
+    let output = self::run(&["eval", &run]);
+    let words = String::from_utf8(output.stderr).unwrap();
+    assert!(words.contains("stay empty") && words.contains("a threshold of"), "{words}");
+}
+
 #[test]
 fn what_cannot_be_drawn_is_refused_with_what_could() {
     let dir = TempDir::new().unwrap();
     let run = trained(&dir, &[]);
     let draw = |further: &[&'static str]| [&["mesh", &*run.clone().leak(), "--resolution", "24"][..], further].concat();
-    refuse(&draw(&["--threshold", "1e6"]), 2, &["1000000.0", "runs from 0", "a threshold of"]);
+    refuse(&draw(&["--threshold", "1e6"]), 2, &["1000000", "runs from 0", "a threshold of"]);
     refuse(&draw(&["--memory", "0.001"]), 2, &["24", "choose at most"]);
     refuse(&draw(&["--threshold", "0.5", "--memory", "0.05"]), 2, &["outgrows", "would fit", "triangles"]);
     refuse(&draw(&["--threshold=-1"]), 2, &["--threshold", "positive"]);
@@ -168,10 +225,16 @@ fn broken_weights_are_named() {
 
 #[test]
 fn an_evaluation_measures_depth_and_where_asked_the_surface() {
+    ["nerf", "mip-nerf"].into_iter().for_each(measures_depth_and_surface);
+}
+
+fn measures_depth_and_surface(method: &str) {
     let dir = TempDir::new().unwrap();
     let mesh =
         ["--set", "eval.mesh.resolution=32", "--set", "eval.mesh.threshold=1.5", "--set", "eval.mesh.points=5000"];
-    let run = trained(&dir, &mesh);
+    // MipNeRF's own rate is still warming up within so few steps.
+    let rate = ["--set", "train.schedule=exponential", "--set", "train.steps=400"];
+    let run = trained(&dir, &[&["--method", method], &mesh[..], &rate[..]].concat());
     let path = Path::new(&run).join("metrics.json");
     let metrics = json(&path);
     let mean = &metrics["mean"];
@@ -190,6 +253,9 @@ fn an_evaluation_measures_depth_and_where_asked_the_surface() {
     assert_eq!(json(&path), metrics);
     // And by hand, from the files.
     succeed(&["mesh", &run, "--quiet", "--resolution", "32", "--threshold", "1.5"]);
+    let variance = json(&Path::new(&run).join("mesh/mesh.json"))["variance"][2].as_f64();
+    assert_eq!(variance.is_some(), method == "mip-nerf");
+    assert!(variance.is_none_or(|found| (found / ((2.4f64 / 32.0).powi(2) / 12.0) - 1.0).abs() < 1e-12));
     let compared = row(&succeed(&["chamfer", &run, "builtin", "--points", "5000", "--at", "0.02"]));
     assert!((number(&compared, "chamfer") - mean["chamfer"].as_f64().unwrap()).abs() < 1e-6);
     assert!((number(&compared, "f_score_0.02") - mean["f_score"].as_f64().unwrap()).abs() < 1e-3);
@@ -205,6 +271,12 @@ fn without_a_reference_mesh_no_training_begins() {
     };
     refuse(&train(&["--set", "data.kind=builtin-forward"]), 2, &["eval.mesh.reference", "without a mesh"]);
     refuse(&train(&["--set", "eval.mesh.reference=/nowhere/a.ply"]), 3, &["/nowhere/a.ply"]);
+    refuse(&train(&["--set", "eval.mesh.box=[[8,8,8],[9,9,9]]"]), 2, &["eval.mesh.box", "outside of"]);
+    let beyond = ["--set", "data.kind=builtin-forward", "--set", "eval.mesh.box=[[-1,-1,-1],[1,1,1.5]]"];
+    let mesh = dir.path().join("a.obj");
+    std::fs::write(&mesh, "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n").unwrap();
+    let reference = format!("eval.mesh.reference={}", mesh.display()).leak();
+    refuse(&train(&[&beyond[..], &["--set", reference]].concat()), 2, &["eval.mesh.box", "1.5"]);
     refuse(&train(&["--set", "eval.mesh.threshold=0"]), 2, &["eval.mesh.threshold"]);
     refuse(&train(&["--set", "eval.mesh.resolution=2000"]), 2, &["eval.mesh.resolution", "1024"]);
     assert!(!Path::new(&out).exists());

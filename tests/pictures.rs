@@ -171,7 +171,11 @@ fn a_comparison_repeats_byte_for_byte_and_its_numbers_are_those_of_the_box() {
     assert!(told("lambda").is_some() && told("rays").is_none() && told("config_hash").is_none());
 }
 
-/// Each pixel of the renderings is found in the picture, as it is, 25 times enlarged.
+fn eight_bits(image: &Image) -> Vec<[u8; 3]> {
+    augnerf::output::quantise(&image.pixels).chunks(3).map(|p| [p[0], p[1], p[2]]).collect()
+}
+
+/// Each pixel of the renderings and of their maps is found in the picture, as it is, 25 times enlarged.
 #[test]
 fn the_picture_shows_the_pixels_themselves() {
     let runs = pair();
@@ -179,22 +183,67 @@ fn the_picture_shows_the_pixels_themselves() {
     let asked = Window { x: 15, y: 15, width: 1, height: 1 };
     compared(&runs, Some(asked)).write(dir.path(), false).unwrap();
     let picture = image::open(dir.path().join("compare.png")).unwrap().to_rgb8();
-    let shown = |image: &Image| {
-        let expected: Vec<[u8; 3]> =
-            augnerf::output::quantise(&image.pixels).chunks(3).map(|p| [p[0], p[1], p[2]]).collect();
+    let shown = |column: u32, image: &Image| {
+        let expected = eight_bits(image);
+        let left = 40 + column * (400 + 20);
         let at =
-            |top: u32, i: usize| picture.get_pixel(40 + 25 * (i as u32 % 16) + 12, top + 25 * (i as u32 / 16) + 12).0;
+            |top: u32, i: usize| picture.get_pixel(left + 25 * (i as u32 % 16) + 12, top + 25 * (i as u32 / 16) + 12).0;
         // The box's outline lies over pixels of the lower right corner.
         let free = |i: &usize| i % 16 < 14 && i / 16 < 14;
         (0..picture.height() - 400).any(|top| (0..256).filter(free).all(|i| at(top, i) == expected[i]))
     };
-    assert!(shown(&runs[0].scene.test[0].image), "truth");
+    let truth = &runs[0].scene.test[0].image;
+    assert!(shown(0, truth), "truth");
+    // One scale for all runs.
+    let report = json(&dir.path().join("compare.json"));
+    let end = |scale: &str, i: usize| report[scale][i].as_f64().unwrap() as f32;
     for run in &runs {
-        let image = run.rendered("r").1.image;
-        assert!(shown(&image), "rendering");
+        let RenderedView { image, depth, acc } = run.rendered("r").1;
+        assert!(shown(0, &image), "rendering");
+        let errors = eight_bits(&image).into_iter().zip(eight_bits(truth)).flat_map(|(a, b)| {
+            let sum: u32 = (0..3).map(|c| u32::from(a[c].abs_diff(b[c])).pow(2)).sum();
+            augnerf::output::scale_colour((sum as f32 / 3.0).sqrt() / 255.0 / end("error_colours", 1))
+        });
+        let errors = Image { pixels: errors.collect(), ..*truth };
+        assert!(shown(2, &errors), "error map");
+        let (near, far) = (end("depth_colours", 0), end("depth_colours", 1));
+        assert!(shown(3, &augnerf::output::depth_colour(&depth, 16, 16, near, far, Some(&acc)).unwrap()), "depth map");
         let other = Image { pixels: image.pixels.iter().map(|value| 1.0 - value).collect(), ..image };
-        assert!(!shown(&other), "another picture is not there");
+        assert!(!shown(0, &other) && !shown(2, &other), "another picture is not there");
     }
+}
+
+#[test]
+fn the_fade_goes_from_the_first_run_to_the_second_and_back() {
+    let runs = pair();
+    let dir = TempDir::new().unwrap();
+    compared(&runs, None).write(dir.path(), true).unwrap();
+    let mut options = gif::DecodeOptions::new();
+    options.set_color_output(gif::ColorOutput::RGBA);
+    let mut decoder = options.read_info(std::fs::File::open(dir.path().join("fade.gif")).unwrap()).unwrap();
+    let mut frames = Vec::new();
+    while let Some(frame) = decoder.read_next_frame().unwrap() {
+        frames.push((frame.delay, usize::from(frame.width), frame.buffer.to_vec()));
+    }
+    assert_eq!(frames.len(), 20);
+    let slow: Vec<usize> = (0..20).filter(|&i| frames[i].0 == 120).collect();
+    assert_eq!(slow, [0, 10], "the runs themselves stay");
+    assert!(frames.iter().all(|frame| frame.0 == 120 || frame.0 == 8));
+    // Mean difference between a frame's view, 16 pixels of 25 at its foot, and a rendering.
+    let images = [0, 1].map(|run| eight_bits(&runs[run].rendered("r").1.image));
+    let apart = |frame: usize, run: usize| {
+        let (_, width, buffer) = &frames[frame];
+        let top = buffer.len() / 4 / width - 400;
+        let at = |i: usize| &buffer[4 * ((top + 25 * (i / 16) + 12) * width + 25 * (i % 16) + 12)..][..3];
+        let sum: u32 = (0..256)
+            .flat_map(|i| (0..3).map(move |c| (i, c)))
+            .map(|(i, c)| u32::from(at(i)[c].abs_diff(images[run][i][c])))
+            .sum();
+        f64::from(sum) / 768.0
+    };
+    assert!(apart(0, 0) < 3.0 && apart(10, 1) < 3.0, "{} {}", apart(0, 0), apart(10, 1));
+    assert!(apart(0, 1) > 2.0 * apart(0, 0), "the runs can be told apart");
+    assert!(apart(3, 0) < apart(7, 0) && apart(13, 1) < apart(17, 1));
 }
 
 #[test]
@@ -313,15 +362,15 @@ fn a_profile_repeats_byte_for_byte_and_its_smoothness_is_that_of_its_table() {
     let report = json(&dir.path().join("profile.json"));
     let mut table = csv::Reader::from_path(dir.path().join("patch.csv")).unwrap();
     let rows: Vec<csv::StringRecord> = table.records().map(|row| row.unwrap()).collect();
-    assert_eq!(rows.len(), 2 * 9 * 512);
+    assert_eq!(rows.len(), 2 * 9 * 1024);
     let headers = table.headers().unwrap().clone();
     let column = |name: &str| headers.iter().position(|known| known == name).unwrap();
     let (density, x, y) = (column("density"), column("pixel_x"), column("pixel_y"));
-    for (index, rows) in rows.chunks(9 * 512).enumerate() {
-        let value = |ray: usize, k: usize| f64::from(rows[ray * 512 + k][density].parse::<f32>().unwrap());
-        let place = |ray: usize| [x, y].map(|axis| rows[ray * 512][axis].parse::<i64>().unwrap());
+    for (index, rows) in rows.chunks(9 * 1024).enumerate() {
+        let value = |ray: usize, k: usize| f64::from(rows[ray * 1024 + k][density].parse::<f32>().unwrap());
+        let place = |ray: usize| [x, y].map(|axis| rows[ray * 1024][axis].parse::<i64>().unwrap());
         let along: f64 = (0..9)
-            .flat_map(|ray| (1..512).map(move |k| (ray, k)))
+            .flat_map(|ray| (1..1024).map(move |k| (ray, k)))
             .map(|(ray, k)| (value(ray, k) - value(ray, k - 1)).abs())
             .sum();
         let neighbours = |a: usize, b: usize| {
@@ -332,11 +381,11 @@ fn a_profile_repeats_byte_for_byte_and_its_smoothness_is_that_of_its_table() {
             (0..9).flat_map(|a| (a + 1..9).map(move |b| (a, b))).filter(|&(a, b)| neighbours(a, b)).collect();
         assert_eq!(pairs.len(), 12);
         let across: f64 =
-            pairs.iter().flat_map(|&(a, b)| (0..512).map(move |k| (value(a, k) - value(b, k)).abs())).sum();
+            pairs.iter().flat_map(|&(a, b)| (0..1024).map(move |k| (value(a, k) - value(b, k)).abs())).sum();
         let told = |name: &str| report["runs"][index]["smoothness"][name].as_f64().unwrap();
         assert!(along > 0.0, "the patch is empty");
         assert!((told("density_tv_along") - along / 9.0).abs() < 1e-9 * along, "{along}");
-        assert!((told("density_tv_across") - across / (12.0 * 512.0)).abs() < 1e-9 * across);
+        assert!((told("density_tv_across") - across / (12.0 * 1024.0)).abs() < 1e-9 * across);
     }
 }
 
@@ -401,7 +450,7 @@ fn the_commands_leave_what_they_promise_and_refuse_what_they_cannot_show() {
         refuse(&[command, &a, &b, "--view", "8"], 2, &["--view 8", "0 to 7"]);
         refuse(&[command, &a, &a], 2, &["twice"]);
         refuse(&[command, &path("nothing")], 5, &["nothing", "missing"]);
-        refuse(&[command, &a, &b, "--out", &path("ray")], 4, &["ray", "not empty"]);
+        refuse(&[command, &a, &b, "--out", &path("ray")], 4, &["ray", "already holds files"]);
     }
     refuse(&["compare", &a, "--gif"], 2, &["--gif", "two runs", "here is 1"]);
     refuse(&["compare", &a, &b, "--zoom", "10,0,8,8"], 2, &["--zoom", "8 x 8", "(10, 0)", "16 x 16"]);

@@ -4,7 +4,7 @@
 mod common;
 
 use augnerf::config::{
-    DensityActivation, FieldConfig, LatticePoints, Method, REGULARIZERS, RegularizedFields, Regularizer,
+    DensityActivation, Encoding, FieldConfig, LatticePoints, Method, REGULARIZERS, RegularizedFields, Regularizer,
     RegularizerConfig,
 };
 use augnerf::field::{Cotangents, Field, spatial_reference};
@@ -78,6 +78,35 @@ fn odd_cotangents(n: usize) -> Cotangents {
     Cotangents { density: wave(0.0, &[n]), gradient: wave(1.0, &[n, 3]), laplacian: wave(2.0, &[n]) }
 }
 
+/// A field that is asked at Gaussians has a gradient in their means.
+#[test]
+fn the_gradient_in_the_means_equals_finite_differences() {
+    const STEP: f64 = 1e-6;
+    let config = FieldConfig { encoding: Encoding::Integrated, ..shape(4, &[2], 16, DensityActivation::Softplus) };
+    let field = Field::init(&config, 0, 0, DType::F64, &CPU).unwrap();
+    let points = points(0, 33);
+    let density = |points: &Tensor| {
+        let gaussians = field.asked_at(points, [1e-3, 2e-3, 3e-3]).unwrap();
+        assert_eq!(gaussians.to_vec2::<f64>().unwrap()[7][3..], [1e-3, 2e-3, 3e-3]);
+        (gaussians.clone(), field.activate_density(&field.raw_density(&gaussians).unwrap()).unwrap())
+    };
+    let gradient = field.density_gradient(&density(&points).0).unwrap();
+    for axis in 0..3 {
+        let mut step = [0.0; 3];
+        step[axis] = STEP;
+        let moved = |sign: f64| {
+            let step = Tensor::new(&step.map(|v| sign * v), &CPU).unwrap();
+            density(&points.broadcast_add(&step).unwrap()).1
+        };
+        let slope = ((moved(1.0) - moved(-1.0)).unwrap() / (2.0 * STEP)).unwrap();
+        let found = gradient.narrow(1, axis, 1).unwrap().squeeze(1).unwrap();
+        // A kink of a ReLU may lie within a step.
+        let close =
+            flat(&found).iter().zip(flat(&slope)).filter(|(a, b)| (*a - b).abs() < 1e-5 * (1.0 + b.abs())).count();
+        assert!(close >= 31, "axis {axis}: {close} of 33");
+    }
+}
+
 #[test]
 fn the_adjoint_equals_forward_tangents() {
     for (i, config) in shapes().iter().enumerate() {
@@ -88,6 +117,7 @@ fn the_adjoint_equals_forward_tangents() {
         assert!(relative(&spatial.density, &density) < 1e-12, "{config:?}");
         assert!(relative(&spatial.gradient, &gradient) < 1e-11, "{config:?}");
         assert!(relative(&spatial.laplacian, &laplacian) < 1e-10, "{config:?}");
+        assert!(relative(&field.density_gradient(&points).unwrap(), &gradient) < 1e-11, "{config:?}");
 
         let odd = odd_cotangents(33);
         let parts = [(&density, &odd.density), (&gradient, &odd.gradient), (&laplacian, &odd.laplacian)];

@@ -120,6 +120,30 @@ fn killed_at_random_moments_equals_undisturbed() {
 }
 
 /// A budget in seconds, too: whoever begins the folder measures it, for both.
+/// A sweep reads its scenes in a way of its own: its noise must be that of a training with the same seed.
+#[test]
+fn corrupted_points_see_what_a_training_would() {
+    let noise = "\n[set]\n\"data.corruption.kind\" = \"shot-noise\"";
+    let short = TINY.replace("\n[set]", noise).replace("\"train.steps\" = 60", "\"train.steps\" = 2");
+    let work = workplace(&short);
+    demand(&["sweep", "run", "tiny.toml", "--quiet"], work.path(), 0);
+    let mut points = csv::Reader::from_path(work.path().join("results/tiny/points.csv")).unwrap();
+    let headers = points.headers().unwrap().clone();
+    let column = |name: &str| headers.iter().position(|known| known == name).unwrap();
+    let rows: Vec<csv::StringRecord> = points.records().map(Result::unwrap).collect();
+    assert_eq!(rows.len(), 4);
+    for row in &rows {
+        let seed = &row[column("seed")];
+        let set = ["--set", "data.width=16", "--set", "data.corruption.kind=shot-noise", "--seed", seed];
+        let copy = work.path().join(format!("{}-{seed}", &row[column("id")]));
+        demand(&[&["data", "corrupt", copy.to_str().unwrap(), "--quiet"][..], &set].concat(), work.path(), 0);
+        let note = std::fs::read_to_string(copy.join("corruption.json")).unwrap();
+        let note: serde_json::Value = serde_json::from_str(&note).unwrap();
+        assert_eq!(note["corruption_hash"], row[column("corruption_hash")]);
+        assert_eq!(note["data_hash"], row[column("data_hash")]);
+    }
+}
+
 #[test]
 fn two_runners_share_a_folder() {
     let (alone, shared) = (workplace(TINY), workplace(TINY));

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use candle_core::Device;
 use clap::Args;
 
-use crate::compare::{Comparison, Contender, Window, check_fade, labels};
+use crate::compare::{Comparison, Contender, Window, check_box, check_fade, labels};
 use crate::error::{Error, Result};
 use crate::evaluate::Viewer;
 use crate::output::{AtomicDir, RunDir};
@@ -32,6 +32,11 @@ pub struct Runs {
 pub type Gathered<T> = (Vec<(Contender, T)>, Vec<RunDir>);
 
 impl Runs {
+    /// How many are named.
+    pub fn count(&self) -> usize {
+        self.runs.len()
+    }
+
     /// Hands each run to `make`, one at a time, after a check that it shows what the first one does.
     pub fn gather<T>(
         &self,
@@ -79,14 +84,19 @@ pub struct CompareArguments {
 impl CompareArguments {
     pub fn run(self) -> Result<()> {
         if self.gif {
-            check_fade(self.runs.runs.len())?;
+            check_fade(self.runs.count())?;
         }
         let zoom = self.zoom.as_deref().map(parse_zoom).transpose()?;
+        let box_width = self.box_width.map(|width| width as usize);
+        self.out.as_deref().map_or(Ok(()), AtomicDir::check_vacant)?;
         let device = self.machine.device()?;
         let screen = Screen::new(self.machine.quiet);
-        let render = |viewer: &Viewer, run: &Contender| viewer.render(&run.view.camera);
+        let render = |viewer: &Viewer, run: &Contender| {
+            check_box(zoom, box_width, &run.view.image)?;
+            viewer.render(&run.view.camera)
+        };
         let (rendered, folders) = self.runs.gather(&device, &screen, render)?;
-        let comparison = Comparison::new(rendered, zoom, self.box_width.map(|width| width as usize))?;
+        let comparison = Comparison::new(rendered, zoom, box_width)?;
         let (folder, pictures) = pictures_folder(self.out.as_deref(), folders[0].renders().join("compare"))?;
         comparison.write(pictures.path(), self.gif)?;
         pictures.commit()?;
@@ -105,12 +115,11 @@ fn parse_zoom(text: &str) -> Result<Window> {
 /// A folder that pictures appear in all together: an earlier rendering's are not left among the new ones. What is
 /// not ours is not replaced.
 pub fn pictures_folder(out: Option<&Path>, default: PathBuf) -> Result<(PathBuf, AtomicDir)> {
-    let folder = out.map_or(default, Path::to_path_buf);
-    if out.is_some() && std::fs::read_dir(&folder).is_ok_and(|mut entries| entries.next().is_some()) {
-        return Err(Error::Output(format!("{} is not empty; give --out a new or empty folder", folder.display())));
+    if let Some(out) = out {
+        return Ok((out.to_path_buf(), AtomicDir::vacant(out)?));
     }
-    let parent = folder.parent().unwrap_or(Path::new("."));
+    let parent = default.parent().unwrap_or(Path::new("."));
     std::fs::create_dir_all(parent).map_err(|e| Error::unwritable(parent, &e))?;
-    let pictures = AtomicDir::new(&folder)?;
-    Ok((folder, pictures))
+    let pictures = AtomicDir::new(&default)?;
+    Ok((default, pictures))
 }

@@ -1,16 +1,18 @@
 //! `augnerf data`.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use clap::{Args, Subcommand};
 
-use crate::config::{Config, build, parse_assignment};
+use crate::config::{build, parse_assignment};
 use crate::data::builtin::export;
 use crate::data::corruption::corrupt;
 use crate::error::{Error, Result};
 use crate::evaluate::{split_name, write_corrupted};
 use crate::job::load_scene;
+use crate::output::AtomicDir;
 
+use super::experiment::Experiment;
 use super::progress::{Screen, print};
 
 #[derive(Subcommand)]
@@ -37,29 +39,21 @@ pub struct CheckArguments {
 }
 
 const CORRUPT_EXAMPLES: &str = "Examples:
-  augnerf data corrupt noisy --data fern --set data.corruption.kind=gaussian-noise --set data.corruption.severity=3
-  augnerf data corrupt moved --data fern --set data.corruption.kind=poses --seed 1    pictures as they are, views.csv says what moved
-
+  augnerf data corrupt noisy --data fern --set data.corruption.kind=gaussian-noise
+  augnerf data corrupt moved --data fern --set data.corruption.kind=poses --seed 1
   augnerf data corrupt seen --config RUN/config.toml      what a run was trained on
 
-Training with the same settings and seed sees these bytes; held-out views are never touched.";
+DIR gets views/NAME.png, beside.png (the first view, clean and corrupted), views.csv (each view's PSNR in dB to the
+clean one, degrees that its camera was turned by, scene units that it was moved by) and corruption.json. Pixels are
+those that training with the same settings and seed sees; of poses, views.csv is all there is to see. Held-out views
+are never touched.";
 
 #[derive(Args)]
 pub struct CorruptArguments {
     /// New or empty folder
     dir: PathBuf,
-    /// Scene folder [default: the embedded scene]
-    #[arg(long, value_name = "DIR")]
-    data: Option<PathBuf>,
-    /// A run's config.toml, or another file with settings
-    #[arg(long, value_name = "FILE")]
-    config: Option<PathBuf>,
-    /// Settings over the file's, as in training
-    #[arg(long, value_name = "FIELD=VALUE")]
-    set: Vec<String>,
-    /// Seed of the run whose training views these are [default: the file's, or 0]
-    #[arg(long, value_name = "N")]
-    seed: Option<u64>,
+    #[command(flatten)]
+    experiment: Experiment,
     /// No progress bar
     #[arg(long, short)]
     quiet: bool,
@@ -94,21 +88,10 @@ impl DataCommand {
     }
 }
 
-/// The defaults with a file and settings over them, for the scene in `dir`.
-fn config_of(dir: Option<&Path>, file: Option<&Path>, set: &[String]) -> Result<Config> {
-    let mut assignments = set.iter().map(|text| parse_assignment(text)).collect::<Result<Vec<_>>>()?;
-    if let Some(dir) = dir {
-        let dir = toml::Value::String(dir.to_string_lossy().into_owned());
-        assignments.push((vec!["data".into(), "dir".into()], dir));
-    }
-    build(None, file, &assignments)
-}
-
 impl CorruptArguments {
     fn run(self) -> Result<()> {
-        let seed = self.seed.map(|seed| format!("seed={seed}"));
-        let set: Vec<String> = self.set.into_iter().chain(seed).collect();
-        let mut config = config_of(self.data.as_deref(), self.config.as_deref(), &set)?;
+        AtomicDir::check_vacant(&self.dir)?;
+        let mut config = self.experiment.config()?;
         if !config.data.corruption.is_on() {
             let message =
                 "nothing would be corrupted: --set data.corruption.kind to gaussian-noise, shot-noise, pepper or poses";
@@ -126,7 +109,12 @@ impl CorruptArguments {
 
 impl CheckArguments {
     fn run(self) -> Result<()> {
-        let mut config = config_of(self.dir.as_deref(), None, &self.set)?;
+        let mut assignments = self.set.iter().map(|text| parse_assignment(text)).collect::<Result<Vec<_>>>()?;
+        if let Some(dir) = &self.dir {
+            let dir = toml::Value::String(dir.to_string_lossy().into_owned());
+            assignments.push((vec!["data".into(), "dir".into()], dir));
+        }
+        let mut config = build(None, None, &assignments)?;
         let scene = load_scene(&mut config, &Screen::new(self.quiet))?;
         let split = ("split".to_string(), split_name(&config));
         for (label, value) in scene.describe().into_iter().chain([split]) {

@@ -8,7 +8,7 @@ use clap::Args;
 use crate::config::Config;
 use crate::data::Scene;
 use crate::error::Result;
-use crate::evaluate::{Protocol, Report, Viewer};
+use crate::evaluate::{Protocol, Report, Viewer, surface_reference};
 use crate::job::{load_lpips, load_scene, run_config};
 use crate::model::Model;
 use crate::output::RunDir;
@@ -43,6 +43,7 @@ impl Trained {
         let mut run = RunDir::open(run)?;
         // No training may prune the checkpoint that is being read.
         run.lock()?;
+        run.clean()?;
         let mut config = run_config(&run)?;
         if let Some(dir) = data {
             config.data.dir = dir.to_string_lossy().into_owned();
@@ -64,9 +65,10 @@ impl EvalArguments {
         let trained = Trained::open(&self.run, self.sources.data.as_deref(), &device, &screen)?;
         let lpips = load_lpips(&self.sources.weights.or(&trained.config), &device)?;
         let Trained { run, config, scene, state, model } = &trained;
+        surface_reference(config, scene)?;
         let viewer = Viewer { model, config, scene, device: &device };
         let views = viewer.evaluate(&lpips, &screen, |_, _, _| Ok(()))?;
-        let surface = viewer.surface(&screen)?;
+        let surface = viewer.surface(&screen, |line| screen.say(line), || Ok(()))?;
         let attack = AttackSummary::read(&run.scalars(), state.step)?;
         let report = Report::new(views, surface, Protocol::new(config, scene, state), attack);
         report.write(&run.metrics_json(), &run.metrics_csv())?;

@@ -130,7 +130,7 @@ impl BalanceArguments {
         // Where terms are evaluated; the training itself is without any.
         let regularizer = std::mem::take(&mut config.regularizer);
         let scene = load_scene(&mut config, &screen)?;
-        Lattice { domain: regularizer.domain, side: regularizer.lattice }.check_meets(&scene)?;
+        Lattice { domain: regularizer.domain, side: regularizer.lattice }.check_meets(&scene, "regularizer.domain")?;
         let mut trainer = Trainer::new(&config, &scene, DType::F32, &device)?;
         trainer.check_duration(&regularizer, REGULARIZERS.len() as u64)?;
         let mut bar = TrainingBar::new(self.machine.quiet, 0, self.steps, config.train.rays);

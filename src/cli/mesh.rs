@@ -8,11 +8,12 @@ use candle_core::Device;
 use clap::{Args, ValueEnum};
 use serde::Serialize;
 
-use crate::config::{MeshConfig, validate_mesh};
+use crate::config::{DataKind, MeshConfig, validate_mesh};
 use crate::data::{Progress, npy};
 use crate::error::{Error, Result};
 use crate::evaluate::{BUILTIN, Protocol, columns, most_memory_mib, reference_mesh, surface_box, surface_threshold};
 use crate::geometry::{self, DensityRange, Drawing, LevelSet, Mesh, Reference, Score, Skin, level_set, skin};
+use crate::job::run_config;
 use crate::output::{AtomicDir, RunDir, run_dir, version, write_json};
 use crate::regularizers::Lattice;
 
@@ -103,6 +104,9 @@ struct MeshReport {
     domain: [[f64; 3]; 2],
     /// `NDC` or `scene units`: those of box, threshold and densities. The mesh is always in scene units.
     box_units: &'static str,
+    /// What a MipNeRF field is asked at: Gaussians of a cell's variance along each axis, in these units squared. Empty for
+    /// a field that is asked at points.
+    variance: Option<[f64; 3]>,
     /// Whether the outermost cells were emptied.
     cap: bool,
     density: DensityRange,
@@ -131,28 +135,17 @@ impl MeshArguments {
         let device = self.machine.device()?;
         let screen = Screen::new(self.machine.quiet);
         let trained = Trained::open(&self.run, self.data.as_deref(), &device, &screen)?;
-        let method = trained.config.method;
-        if method.is_mip() {
-            return Err(Error::Config(format!(
-                "{}: a field of method {} is asked at Gaussians and has no density at points; mesh nerf and aug-nerf runs",
-                self.run.display(),
-                method.name()
-            )));
-        }
         let (scene, field) = (&trained.scene, trained.model.evaluated());
         let drawing = self.drawing(&settings, &trained);
-        drawing.lattice.check_meets(scene)?;
+        drawing.lattice.check_meets(scene, "--bbox")?;
         let folder = trained.run.mesh();
         let files = AtomicDir::new(&folder)?;
         let LevelSet { mut mesh, range } = self.draw(&drawing, &trained, &files, &device, &screen)?;
-        if mesh.triangles.is_empty() {
-            return Err(range.no_surface(drawing.threshold, drawing.lattice.domain));
-        }
         let components = mesh.components();
         if self.largest {
             mesh = mesh.keep(&components[0]);
         }
-        let skin = skin(field, &mesh, scene.ndc.as_ref(), &device)?;
+        let skin = skin(field, mesh, &drawing.lattice, scene.ndc.as_ref(), &device)?;
         for format in &self.format {
             write_mesh(&files.path().join(format.file()), *format, &skin.mesh)?;
         }
@@ -190,7 +183,11 @@ impl MeshArguments {
         let mut volume = if self.density { Some(density_file(files, &trained.run, lattice)?) } else { None };
         let out = volume.as_mut().map(|volume| volume as &mut dyn Write);
         screen.start("density", lattice.side as u64);
-        let drawn = level_set(trained.model.evaluated(), drawing, device, out, || screen.advance())?;
+        let advance = || {
+            screen.advance();
+            Ok(())
+        };
+        let drawn = level_set(trained.model.evaluated(), drawing, device, out, advance)?;
         screen.finish();
         if let Some(mut volume) = volume {
             volume.flush().map_err(|e| Error::unwritable(&files.path().join(DENSITY), &e))?;
@@ -241,6 +238,7 @@ impl MeshReport {
             threshold: drawing.threshold,
             domain: drawing.lattice.domain,
             box_units: if scene.ndc.is_some() { "NDC" } else { "scene units" },
+            variance: config.method.is_mip().then(|| drawing.lattice.cell_variance()),
             cap: drawing.cap,
             density,
             vertices: mesh.vertices.len(),
@@ -332,8 +330,8 @@ impl ChamferArguments {
             let checked = validate_mesh(&MeshConfig { points: self.points, at, ..MeshConfig::default() });
             checked.map_err(|error| Error::Config(error.to_string().replace("eval.mesh.", "--")))?;
         }
-        let draw = |name: &str| named_mesh(name)?.sample(self.points, self.seed);
-        let (mesh, reference) = (draw(&self.mesh)?, draw(&self.reference)?);
+        let draw = |name: &str, other: &str| named_mesh(name, other)?.sample(self.points, self.seed);
+        let (mesh, reference) = (draw(&self.mesh, &self.reference)?, draw(&self.reference, &self.mesh)?);
         let compared = geometry::chamfer(&mesh, &reference, &self.at)?;
         let mut cells = vec![
             ("mesh".into(), self.mesh.clone()),
@@ -361,13 +359,23 @@ impl ChamferArguments {
     }
 }
 
-/// `builtin`, a mesh file, or the mesh of a run folder.
-fn named_mesh(name: &str) -> Result<Reference> {
+/// `builtin`, a mesh file, or the mesh of a run folder; `other` is what it is compared with.
+fn named_mesh(name: &str, other: &str) -> Result<Reference> {
     let path = Path::new(name);
     if name == BUILTIN || !path.is_dir() {
         return reference_mesh(name);
     }
-    let folder = RunDir::open(path)?.mesh();
+    let run = RunDir::open(path)?;
+    let scene = run_config(&run)?.data;
+    if other == BUILTIN && scene.kind != DataKind::BuiltinBlender {
+        return Err(Error::Config(format!(
+            "{name} is of {} ({}), in units of its own: `{BUILTIN}` is the surface of {} alone",
+            scene.name,
+            scene.kind.name(),
+            DataKind::BuiltinBlender.name()
+        )));
+    }
+    let folder = run.mesh();
     let found =
         [Format::Ply, Format::Obj].map(|format| folder.join(format.file())).into_iter().find(|file| file.is_file());
     let file = found.ok_or_else(|| {

@@ -4,9 +4,10 @@ use std::path::PathBuf;
 
 use clap::Args;
 
-use crate::compare::{Contender, Profile, Profiles, Window, patch_around};
+use crate::compare::{Contender, Profile, Profiles, Window, check_overlay, patch_around};
 use crate::error::{Error, Result};
 use crate::evaluate::Viewer;
+use crate::output::AtomicDir;
 
 use super::compare::{Runs, pictures_folder};
 use super::progress::Screen;
@@ -31,6 +32,8 @@ pub struct ProfileArguments {
 
 impl ProfileArguments {
     pub fn run(self) -> Result<()> {
+        check_overlay(self.runs.count())?;
+        self.out.as_deref().map_or(Ok(()), AtomicDir::check_vacant)?;
         let asked = self.pixel.as_deref().map(parse_pixel).transpose()?;
         let device = self.machine.device()?;
         let screen = Screen::new(self.machine.quiet);

@@ -1,12 +1,13 @@
 //! Several trained runs before the same held-out view: what must agree for that, what differs
 //! between them, and the pictures and numbers that come of it.
 
+use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
 
 use crate::data::{Camera, Image, Ndc, Scene, View};
 use crate::error::{Error, Result};
 use crate::evaluate::{Protocol, Viewer};
-use crate::output::drawing::{Anchor, BLACK, Drawing, GREY, LINE_HEIGHT, TEXT, number, ticks, wrapped};
+use crate::output::drawing::{Anchor, BLACK, Colour, Drawing, GREY, LINE_HEIGHT, TEXT, number, ticks, wrapped};
 use crate::output::scale_colour;
 use crate::train::checkpoint::State;
 
@@ -18,7 +19,8 @@ mod zoom;
 
 pub use differences::{Difference, differences};
 pub use profile::{Profile, Profiles, Smoothness, patch_around};
-pub use views::{Comparison, check_fade};
+pub use profile_figure::check_overlay;
+pub use views::{Comparison, check_box, check_fade};
 pub use zoom::{Window, most_different};
 
 /// A run with the held-out view that it is to show.
@@ -61,14 +63,14 @@ impl Contender {
     pub fn check_alike(&self, first: &Contender) -> Result<()> {
         let differ = |what: &str, own: String, other: String| {
             Err(Error::Config(format!(
-                "{} and {} do not show the same: {what} is {own} in the first and {other} in the second; give runs of \
-                 one scene, resolution and hold-out",
+                "{} and {} do not show the same: {what} is {own} in the first and {other} in the second; give runs that \
+                 agree in it",
                 self.label, first.label
             )))
         };
-        let Camera { width, height, .. } = self.view.camera;
+        // Numbers with all their digits, so that equal texts are equal numbers.
         let facts = |run: &Contender| {
-            let Camera { width, height, .. } = run.view.camera;
+            let Camera { width, height, focal, centre, pose } = run.view.camera;
             [
                 ("the scene", run.protocol.scene.clone()),
                 ("the kind of scene", run.protocol.dataset.clone()),
@@ -77,6 +79,10 @@ impl Contender {
                 ("data.ndc", run.ndc.is_some().to_string()),
                 ("the rays' interval (data.near, data.far)", format!("{} to {}", run.bounds.0, run.bounds.1)),
                 ("the background", run.protocol.background.clone()),
+                ("the focal length", format!("{focal:?}")),
+                ("the principal point", format!("{centre:?}")),
+                ("the camera's place", format!("{:?}", pose.map(|row| row[3]))),
+                ("the camera's orientation", format!("{:?}", pose.map(|row| [row[0], row[1], row[2]]))),
             ]
         };
         for ((what, own), (_, other)) in facts(self).into_iter().zip(facts(first)) {
@@ -84,16 +90,9 @@ impl Contender {
                 return differ(what, own, other);
             }
         }
-        let camera = |run: &Contender| {
-            let Camera { focal, pose, .. } = run.view.camera;
-            format!("focal length {:.3}, position {:.4?}", focal[0], pose.map(|row| row[3]))
-        };
-        if (self.view.camera, self.ndc) != (first.view.camera, first.ndc) {
-            return differ("the camera", camera(self), camera(first));
-        }
         let others = self.view.image.pixels.iter().zip(&first.view.image.pixels).filter(|(a, b)| a != b).count();
         if others > 0 {
-            let values = 3 * width * height;
+            let values = self.view.image.pixels.len();
             return differ("the photograph", "one".into(), format!("another ({others} of {values} values)"));
         }
         Ok(())
@@ -127,7 +126,8 @@ fn find_view(label: &str, scene: &Scene, view: &str) -> Result<usize> {
     })
 }
 
-/// Names for runs: their folders' names, or the whole paths where two folders are called the same.
+/// Names for runs: their folders' names or, where two folders are called the same, the parts of their paths behind
+/// what is common to all.
 /// Refuses a run that is named twice.
 pub fn labels(runs: &[PathBuf]) -> Result<Vec<String>> {
     let place = |run: &Path| std::fs::canonicalize(run).unwrap_or_else(|_| run.to_path_buf());
@@ -141,7 +141,10 @@ pub fn labels(runs: &[PathBuf]) -> Result<Vec<String>> {
     if names.iter().all(once) {
         return Ok(names);
     }
-    Ok(runs.iter().map(|run| run.display().to_string()).collect())
+    let parts: Vec<Vec<_>> = places.iter().map(|place| place.iter().collect()).collect();
+    let common = (0..).take_while(|&i| parts.iter().all(|own| i + 1 < own.len() && own[i] == parts[0][i])).count();
+    let rest = |own: &Vec<&OsStr>| own[common..].iter().collect::<PathBuf>().display().to_string();
+    Ok(parts.iter().map(rest).collect())
 }
 
 /// A rectangle of an image.
@@ -184,13 +187,25 @@ fn colour_bar(
 }
 
 /// Grey lines of text of at most `width` from `(x, y)` down; returns where the next would stand.
-fn note(drawing: &mut Drawing, (x, mut y): (f64, f64), width: f64, text: &str) -> f64 {
-    if text.is_empty() {
-        return y;
-    }
-    for line in wrapped(text, width) {
-        drawing.text((x, y), &line, TEXT, Anchor::Left, GREY);
+fn note(drawing: &mut Drawing, at: (f64, f64), width: f64, text: &str) -> f64 {
+    if text.is_empty() { at.1 } else { lines(drawing, at, width, text, (TEXT, GREY)) }
+}
+
+/// The same in letters of a size and colour.
+fn lines(drawing: &mut Drawing, (x, mut y): (f64, f64), width: f64, text: &str, (size, colour): (f64, Colour)) -> f64 {
+    for line in wrapped(text, width, size) {
+        drawing.text((x, y), &line, size, Anchor::Left, colour);
         y += LINE_HEIGHT;
     }
     y
+}
+
+/// Says of pictures of runs that were all trained on corrupted views that they were; what differs is told elsewhere.
+fn trained_on<'a>(runs: impl Iterator<Item = &'a Contender>) -> String {
+    let mut what: Vec<Option<&String>> = runs.map(|run| run.protocol.corruption.as_ref()).collect();
+    what.dedup();
+    match what[..] {
+        [Some(what)] => format!(" All runs were trained on corrupted views: {what}."),
+        _ => String::new(),
+    }
 }

@@ -15,8 +15,8 @@ use crate::render::{Pass, PassOutput, clean_pass, columns, fine_t_vals, points_a
 use crate::sampling::stratified;
 use crate::train::Volume;
 
-/// Even samples of a ray: enough that the finest octave of the encoding is seen where the scene is of its size.
-pub const EVEN: usize = 512;
+/// Even samples of a ray: over 6 units, more than two for each period of the encoding's finest octave, 2 pi / 2^9.
+pub const EVEN: usize = 1024;
 
 /// Samples of one ray.
 #[derive(Clone, Debug, Default)]
@@ -38,7 +38,7 @@ pub struct Samples {
 /// How a run's density and colour change over a patch, on the even lattice; the smaller the smoother.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Smoothness {
-    /// Mean density of the patch's rays, 1 / scene unit: what the others are to be seen against.
+    /// Mean density of the patch's rays, 1 / unit of space (of NDC, where rays are there): what the others are to be seen against.
     pub density_mean: f64,
     /// Total variation of density along a ray, the sum of |change| from sample to sample; mean over rays.
     pub density_tv_along: f64,

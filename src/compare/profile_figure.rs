@@ -2,18 +2,18 @@
 
 use super::differences::told;
 use super::profile::{EVEN, Profile, Profiles, Samples};
-use super::{BAR, Contender, Window, colour_bar, differences, note};
+use super::{BAR, Contender, Window, colour_bar, differences, lines, note, trained_on};
 use crate::data::{Image, resample};
-use crate::error::Result;
+use crate::error::{Error, Result};
 use crate::output::drawing::{
-    Anchor, BLACK, Colour, Drawing, FINENESS, Figure, GRID, LINE_HEIGHT, PALETTE, PAPER, Panel, RED, SIDE, TEXT, TITLE,
-    number, ticks,
+    Anchor, BLACK, Colour, Drawing, FINENESS, Figure, GRID, PALETTE, PAPER, Panel, RED, SIDE, TEXT, TITLE, number,
+    ticks,
 };
 use crate::output::scale_colour;
 
 const LEFT: f64 = 92.0;
-/// Two pixels of the PNG for each even sample.
-const WIDTH: f64 = EVEN as f64;
+/// A pixel of the PNG for each even sample.
+const WIDTH: f64 = EVEN as f64 / FINENESS;
 const RIGHT: f64 = 92.0;
 /// Height of the view in the corner.
 const PLACE: f64 = 72.0;
@@ -28,11 +28,10 @@ pub fn draw(profiles: &Profiles) -> Result<Figure> {
     let mut drawing = Drawing::new(LEFT + WIDTH + RIGHT, 0.0);
     let (x, y) = profiles.pixel;
     let title = format!("Density and colour along the ray of pixel ({x}, {y})");
-    drawing.text((SIDE, 20.0), &title, TITLE, Anchor::Left, BLACK);
-    let width = drawing.width - 2.0 * SIDE;
-    note(&mut drawing, (SIDE, 40.0), width, &first.title());
-    draw_place(&mut drawing, profiles)?;
-    let mut y = legend(&mut drawing, profiles, 16.0 + PLACE + 16.0) + 4.0;
+    let width = draw_place(&mut drawing, profiles)? - 2.0 * SIDE;
+    let y = lines(&mut drawing, (SIDE, 20.0), width, &title, (TITLE, BLACK)) + 2.0;
+    let y = note(&mut drawing, (SIDE, y), width, &first.title());
+    let mut y = legend(&mut drawing, profiles, y.max(16.0 + PLACE + 16.0)) + 4.0;
     let axis = Axis { bounds: first.bounds };
     y = curves(&mut drawing, profiles, &axis, y);
     y = axis.label(&mut drawing, y, first.depth_unit()) + 16.0;
@@ -41,8 +40,8 @@ pub fn draw(profiles: &Profiles) -> Result<Figure> {
     drawing.finish()
 }
 
-/// The view in the upper right corner, with the patch in it.
-fn draw_place(drawing: &mut Drawing, profiles: &Profiles) -> Result<()> {
+/// The view in the upper right corner, with the patch in it; returns its left end.
+fn draw_place(drawing: &mut Drawing, profiles: &Profiles) -> Result<f64> {
     let image = &profiles.runs[0].0.view.image;
     // The photograph itself where it is small, otherwise brought to the PNG's pixels.
     let share = (PLACE * FINENESS / image.height as f64).min(1.0);
@@ -56,7 +55,7 @@ fn draw_place(drawing: &mut Drawing, profiles: &Profiles) -> Result<()> {
     let at = (left + middle(profiles.patch.x), top + middle(profiles.patch.y));
     drawing.outline(at, (side, side), PAPER, 3.0);
     drawing.outline(at, (side, side), RED, 1.5);
-    Ok(())
+    Ok(left)
 }
 
 /// The horizontal scale.
@@ -95,8 +94,8 @@ fn legend(drawing: &mut Drawing, profiles: &Profiles, mut y: f64) -> f64 {
     let differences = differences(&named);
     for (index, (run, profile)) in profiles.runs.iter().enumerate() {
         drawing.line(&[(SIDE, y), (SIDE + 26.0, y)], colour(index), 3.0);
-        drawing.text((TEXT_LEFT, y), &run.label, TITLE, Anchor::Left, BLACK);
-        y = note(drawing, (TEXT_LEFT, y + LINE_HEIGHT), width, &told(&differences, index));
+        y = lines(drawing, (TEXT_LEFT, y), width, &run.label, (TITLE, BLACK));
+        y = note(drawing, (TEXT_LEFT, y), width, &told(&differences, index));
         y = note(drawing, (TEXT_LEFT, y), width, &smoothness(profile)) + 6.0;
     }
     y
@@ -111,8 +110,17 @@ fn smoothness(profile: &Profile) -> String {
     )
 }
 
+/// Refuses more runs than there are colours to tell curves apart.
+pub fn check_overlay(runs: usize) -> Result<()> {
+    if runs <= PALETTE.len() {
+        return Ok(());
+    }
+    let most = PALETTE.len();
+    Err(Error::Config(format!("a profile overlays at most {most} runs and here are {runs}; name fewer")))
+}
+
 fn colour(run: usize) -> Colour {
-    PALETTE[run % PALETTE.len()]
+    PALETTE[run]
 }
 
 /// One panel of curves.
@@ -181,8 +189,7 @@ fn maps(drawing: &mut Drawing, profiles: &Profiles, axis: &Axis, unit: &str, mut
     let top = density_top(profiles);
     for (index, (run, profile)) in profiles.runs.iter().enumerate() {
         drawing.line(&[(LEFT, y), (LEFT + 26.0, y)], colour(index), 3.0);
-        drawing.text((LEFT + 34.0, y), &run.label, TEXT, Anchor::Left, BLACK);
-        y += 14.0;
+        y = lines(drawing, (LEFT + 34.0, y), WIDTH - 34.0, &run.label, (TEXT, BLACK)) - 4.0;
         let density = map(profiles, profile, |ray, k| scale_colour(ray.density[k] / top));
         let rgb = map(profiles, profile, |ray, k| ray.rgb[k]);
         for (name, picture) in [("density", density), ("colour", rgb)] {
@@ -232,12 +239,17 @@ fn density_top(profiles: &Profiles) -> f32 {
 
 fn caption(profiles: &Profiles) -> String {
     let Window { x, y, width, .. } = profiles.patch;
-    format!(
+    let runs = || profiles.runs.iter().map(|(run, _)| run);
+    let mut text = format!(
         "Density and colour are the evaluated field's at {EVEN} even places along the ray, weights those of an \
          evaluation at its own samples (dots). Maps: the rays of pixels {x} to {} in row {}; the mark is the ray \
          above. The highest 2 % of the positive densities have the last colour. Patch: {width} x {width} pixels from \
          ({x}, {y}). The smaller the variation, the smoother; it counts in units of density.",
         x + width - 1,
         profiles.pixel.1
-    )
+    );
+    if runs().any(|run| run.protocol.method.contains("mip")) {
+        text += " MipNeRF's field is asked for Gaussians of these places' own short intervals, which no evaluation asks for.";
+    }
+    text + &trained_on(runs())
 }

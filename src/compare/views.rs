@@ -5,7 +5,7 @@ use std::path::Path;
 use serde::Serialize;
 
 use super::zoom::{Window, most_different};
-use super::{BAR, Contender, Difference, colour_bar, crop, differences, differences::told, note};
+use super::{BAR, Contender, Difference, colour_bar, crop, differences, differences::told, lines, note, trained_on};
 use crate::data::{Image, resample};
 use crate::error::{Error, Result};
 use crate::evaluate::{Protocol, RenderedView};
@@ -18,7 +18,7 @@ use crate::output::{depth_colour, depth_range, quantise, scale_colour, write_ato
 /// Share of the view's sides that the box has where nobody says how large it is to be.
 const BOX_SHARE: usize = 5;
 /// Pixels of the PNG between which the picture of a view is wide where whole factors allow it.
-const SHOWN: (usize, usize) = (400, 1000);
+const SHOWN: (usize, usize) = (400, 1024);
 /// Between two pictures.
 const GAP: f64 = 10.0;
 /// Hundredths of a second that each run stays in the fade, and each step between them.
@@ -88,10 +88,11 @@ impl Comparison {
             return Err(Error::Config("there is no run to compare; name at least one".into()));
         };
         let (truth, bounds) = (first.view.image.clone(), first.bounds);
+        check_box(window, box_width, &truth)?;
         let images: Vec<&Image> = runs.iter().map(|(_, rendered)| &rendered.image).collect();
         let chosen = match window {
-            Some(window) => window.check(truth.width, truth.height)?,
-            None => most_different(&images, &truth, box_size(box_width, truth.width, truth.height)?),
+            Some(window) => window,
+            None => most_different(&images, &truth, box_size(box_width, truth.width, truth.height)),
         };
         let over = |values: fn(&RenderedView) -> &Vec<f32>| -> Vec<f32> {
             runs.iter().flat_map(|(_, rendered)| values(rendered).iter().copied()).collect()
@@ -179,8 +180,8 @@ impl Comparison {
         let scale = Shown::of(self.truth());
         let mut drawing = Drawing::new(2.0 * SIDE + 4.0 * scale.width + 3.0 * GAP, 0.0);
         let left = |column: usize| SIDE + column as f64 * (scale.width + GAP);
-        drawing.text((SIDE, 20.0), &self.first().title(), TITLE, Anchor::Left, BLACK);
-        let mut y = 46.0;
+        let width = drawing.width - 2.0 * SIDE;
+        let mut y = lines(&mut drawing, (SIDE, 20.0), width, &self.first().title(), (TITLE, BLACK)) + 8.0;
         for (column, name) in ["truth", "box", self.spread_name(), self.truth_depth_name()].iter().enumerate() {
             drawing.text((left(column), y), name, TEXT, Anchor::Left, BLACK);
         }
@@ -191,8 +192,8 @@ impl Comparison {
             y = self.draw_label(&mut drawing, index, y + LINE_HEIGHT / 2.0 + 4.0) + 4.0;
             let depth = &side.rendered.depth;
             self.draw_view(&mut drawing, &scale, y, &left, &side.rendered.image)?;
-            scale.draw(&mut drawing, (left(2), y), &self.error_picture(&side.errors))?;
-            scale.draw(&mut drawing, (left(3), y), &self.depth_picture(depth, Some(&side.rendered.acc))?)?;
+            scale.draw_map(&mut drawing, (left(2), y), &self.error_picture(&side.errors))?;
+            scale.draw_map(&mut drawing, (left(3), y), &self.depth_picture(depth, Some(&side.rendered.acc))?)?;
             self.draw_box(&mut drawing, &scale, (left(2), y));
             self.draw_box(&mut drawing, &scale, (left(3), y));
             y += scale.height + 8.0;
@@ -211,7 +212,7 @@ impl Comparison {
         if self.truth_depth().is_some() { "depth" } else { "" }
     }
 
-    /// Exact depth in the units of the runs' depth, where there is any.
+    /// The view's own depth in the units of the runs' depth, where there is any.
     fn truth_depth(&self) -> Option<&Vec<f32>> {
         let first = self.first();
         first.view.depth.as_ref().filter(|_| first.ndc.is_none())
@@ -220,11 +221,11 @@ impl Comparison {
     fn draw_truth(&self, drawing: &mut Drawing, scale: &Shown, y: f64, left: &impl Fn(usize) -> f64) -> Result<()> {
         self.draw_view(drawing, scale, y, left, self.truth())?;
         if self.sides.len() > 1 {
-            scale.draw(drawing, (left(2), y), &self.error_picture(&self.spread()))?;
+            scale.draw_map(drawing, (left(2), y), &self.error_picture(&self.spread()))?;
             self.draw_box(drawing, scale, (left(2), y));
         }
         if let Some(depth) = self.truth_depth() {
-            scale.draw(drawing, (left(3), y), &self.depth_picture(depth, None)?)?;
+            scale.draw_map(drawing, (left(3), y), &self.depth_picture(depth, None)?)?;
             self.draw_box(drawing, scale, (left(3), y));
         }
         Ok(())
@@ -263,23 +264,24 @@ impl Comparison {
     /// A run's name, its metrics and what it differs in; returns where its pictures start.
     fn draw_label(&self, drawing: &mut Drawing, index: usize, mut y: f64) -> f64 {
         let side = &self.sides[index];
-        drawing.text((SIDE, y), &side.run.label, TITLE, Anchor::Left, BLACK);
         let (view, in_box) = (metrics_text(&side.metrics), metrics_text(&side.metrics_in_box));
         let numbers = format!("view: {view}; box: {in_box}");
         let right = drawing.width - SIDE;
+        let below = lines(drawing, (SIDE, y), right - SIDE, &side.run.label, (TITLE, BLACK));
         // Beside the name, or below one that leaves no room.
         if SIDE + text_width(&side.run.label, TITLE) + 20.0 + text_width(&numbers, TEXT) > right {
-            y += LINE_HEIGHT;
+            y = below;
         }
         drawing.text((right, y), &numbers, TEXT, Anchor::Right, BLACK);
-        note(drawing, (SIDE, y + LINE_HEIGHT), right - SIDE, &told(&self.differences, index)) - LINE_HEIGHT / 2.0
+        let below = below.max(y + LINE_HEIGHT);
+        note(drawing, (SIDE, below), right - SIDE, &told(&self.differences, index)) - LINE_HEIGHT / 2.0
     }
 
     /// The colours' scales below the columns that they belong to.
     fn draw_bars(&self, drawing: &mut Drawing, scale: &Shown, y: f64, left: &impl Fn(usize) -> f64) -> Result<()> {
         let (near, far) = self.depths;
         let unit = format!("depth ({})", self.first().depth_unit());
-        colour_bar(drawing, (left(2), y), scale.width, (0.0, self.error_top), false, "error (0 to 1: black to white)")?;
+        colour_bar(drawing, (left(2), y), scale.width, (0.0, self.error_top), false, "error (1: black for white)")?;
         // Near is bright.
         colour_bar(drawing, (left(3), y), scale.width, (near, far), true, &unit)
     }
@@ -299,9 +301,9 @@ impl Comparison {
             text += " Below names: what these runs differ in.";
         }
         if scale.shrink > 1 {
-            text += &format!(" Views are shown at 1/{} of their size, the box is not.", scale.shrink);
+            text += &format!(" Views are shown at 1/{} of their size.", scale.shrink);
         }
-        text
+        text + &trained_on(self.sides.iter().map(|side| &side.run))
     }
 
     fn error_picture(&self, errors: &[f32]) -> Image {
@@ -350,7 +352,7 @@ impl Side {
     fn fade_text(&self, width: f64) -> Vec<String> {
         [self.run.label.clone(), metrics_text(&self.metrics)]
             .iter()
-            .flat_map(|text| wrapped(text, width - 8.0))
+            .flat_map(|text| wrapped(text, width - 8.0, TEXT))
             .collect()
     }
 }
@@ -384,7 +386,7 @@ struct Shown {
 
 impl Shown {
     fn of(image: &Image) -> Shown {
-        let times = (SHOWN.0 / image.width).max(1) as f64;
+        let times = SHOWN.0.div_ceil(image.width) as f64;
         let shrink = image.width.div_ceil(SHOWN.1);
         let units = |length: usize| (length / shrink).max(1) as f64 * times / FINENESS;
         Shown { shrink, width: units(image.width), height: units(image.height) }
@@ -401,21 +403,47 @@ impl Shown {
         if self.shrink == 1 {
             return drawing.picture(at, (self.width, self.height), image);
         }
+        let (width, height) = self.shrunk(image);
+        drawing.picture(at, (self.width, self.height), &resample::shrink(image, width, height))
+    }
+
+    /// A coloured map: every so manieth pixel as it is, for a mean of colours stands for no number.
+    fn draw_map(&self, drawing: &mut Drawing, at: (f64, f64), map: &Image) -> Result<()> {
+        let (width, height) = self.shrunk(map);
+        let middle = |place: usize| self.shrink * place + self.shrink / 2;
+        let pixel = |x: usize, y: usize| {
+            let (x, y) = (middle(x).min(map.width - 1), middle(y).min(map.height - 1));
+            map.pixels[(y * map.width + x) * map.channels..][..map.channels].to_vec()
+        };
+        let pixels = (0..height).flat_map(|y| (0..width).flat_map(move |x| pixel(x, y))).collect();
+        drawing.picture(at, (self.width, self.height), &Image { width, height, channels: map.channels, pixels })
+    }
+
+    fn shrunk(&self, image: &Image) -> (usize, usize) {
         let side = |length: usize| (length / self.shrink).max(1);
-        drawing.picture(at, (self.width, self.height), &resample::shrink(image, side(image.width), side(image.height)))
+        (side(image.width), side(image.height))
+    }
+}
+
+/// Refuses a box, or columns of one, that the view has no room for.
+pub fn check_box(window: Option<Window>, box_width: Option<usize>, view: &Image) -> Result<()> {
+    if let Some(window) = window {
+        window.check(view.width, view.height)?;
+    }
+    match box_width {
+        Some(columns) if columns > view.width => Err(Error::Config(format!(
+            "--box-width {columns} is more than the {0} columns of the view; give at most {0}",
+            view.width
+        ))),
+        _ => Ok(()),
     }
 }
 
 /// Columns and rows of a box of the view's aspect.
-fn box_size(asked: Option<usize>, width: usize, height: usize) -> Result<(usize, usize)> {
+fn box_size(asked: Option<usize>, width: usize, height: usize) -> (usize, usize) {
     let columns = asked.unwrap_or((width + BOX_SHARE / 2) / BOX_SHARE).max(1);
-    if columns > width {
-        return Err(Error::Config(format!(
-            "--box-width {columns} is more than the {width} columns of the view; give at most {width}"
-        )));
-    }
     let rows = (columns as f64 * height as f64 / width as f64).round() as usize;
-    Ok((columns, rows.clamp(1, height)))
+    (columns, rows.clamp(1, height))
 }
 
 /// Root of the mean squared difference over channels of the 8-bit values, for each pixel.

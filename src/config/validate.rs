@@ -158,14 +158,6 @@ impl Config {
                 self.method.name()
             )));
         }
-        if integrated && self.eval.mesh.resolution > 0 {
-            return Err(Error::Config(format!(
-                "eval.mesh.resolution = {} with method {}: a surface is made of density at points, and this field is asked \
-                 at Gaussians; set it to 0",
-                self.eval.mesh.resolution,
-                self.method.name()
-            )));
-        }
         if integrated && !self.regularizer.kind.is_empty() {
             return Err(Error::Config(format!(
                 "regularizer.kind with method {}: the terms are derivatives at points, and this field is asked at \

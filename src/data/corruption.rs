@@ -151,6 +151,30 @@ mod tests {
         (mean, var)
     }
 
+    /// ImageNet-C's numbers, seen through what they do: where nothing is clipped, std and photons are those of the
+    /// noise; white with noise of std s is clipped to a mean of 1 - s / sqrt(2 pi).
+    #[test]
+    fn severities_are_those_of_imagenet_c() {
+        let of = |kind: CorruptionKind, severity: usize, value: f32| {
+            let config = CorruptionConfig { kind, severity, ..CorruptionConfig::default() };
+            let mut image = flat(value);
+            match kind {
+                CorruptionKind::GaussianNoise => add_gaussian(&mut image, config.gaussian_std(), &mut random()),
+                _ => count_photons(&mut image, config.shot_photons(), &mut random()),
+            }
+            moments(&image)
+        };
+        for (severity, std, photons) in
+            [(1, 0.08, 60.0), (2, 0.12, 25.0), (3, 0.18, 12.0), (4, 0.26, 5.0), (5, 0.38, 3.0)]
+        {
+            let (mean, _) = of(CorruptionKind::GaussianNoise, severity, 1.0);
+            assert!(((1.0 - mean) / (std / std::f64::consts::TAU.sqrt()) - 1.0).abs() < 0.01, "{severity}: {mean}");
+            // Poisson at 0.1: hardly ever above 1.
+            let (_, var) = of(CorruptionKind::ShotNoise, severity, 0.1);
+            assert!((var * photons / 0.1 - 1.0).abs() < 0.03, "{severity}: {var}");
+        }
+    }
+
     /// Rounding to 8 bits adds a variance of 1 / (12 * 255^2); clipping is avoided by a grey and a small deviation.
     #[test]
     fn gaussian_noise_has_its_moments() {
@@ -197,10 +221,16 @@ mod tests {
     #[test]
     fn poses_turn_and_move_within_their_bounds() {
         let pose = rotation([0.3, -0.8, 2.0]).map(|[a, b, c, _]| [a, b, c, 1.5]);
-        let mut farthest = [0f64; 2];
+        let (mut farthest, mut shifts, mut turns) = ([0f64; 2], 0.0, [0.0; 3]);
         for i in 0..2000 {
             let moved = misplaced(&pose, 5.0, 0.1, &mut Random::new(1, Stream::Corruption, i));
             check_rotation(&moved).unwrap();
+            shifts += (0..3).map(|axis| (moved[axis][3] - pose[axis][3]).powi(2)).sum::<f64>();
+            // What turned the axes, R = moved pose^T: its angles about x, y, z, from first order in 5 degrees.
+            let turn = |row: usize, of: usize| (0..3).map(|axis| moved[row][axis] * pose[of][axis]).sum::<f64>();
+            for (angle, square) in [turn(2, 1), turn(0, 2), turn(1, 0)].into_iter().zip(&mut turns) {
+                *square += angle.asin().to_degrees().powi(2);
+            }
             for axis in 0..3 {
                 let shift = (moved[axis][3] - pose[axis][3]).abs();
                 assert!(shift <= 0.1);
@@ -211,6 +241,9 @@ mod tests {
                 farthest[1] = farthest[1].max(turned);
             }
         }
+        // Even within +-a: a variance of a^2 / 3.
+        assert!((shifts / 6000.0 / (0.01 / 3.0) - 1.0).abs() < 0.06, "{shifts}");
+        assert!(turns.iter().all(|sum| (sum / 2000.0 / (25.0 / 3.0) - 1.0).abs() < 0.1), "{turns:?}");
         assert!(farthest[0] > 0.099 && farthest[1] > 5.0, "{farthest:?}");
         assert_eq!(misplaced(&pose, 0.0, 0.0, &mut random()).map(|row| row[3]), [1.5; 3]);
     }

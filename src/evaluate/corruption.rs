@@ -4,7 +4,7 @@ use std::path::Path;
 
 use serde::Serialize;
 
-use crate::data::pose::{column, dot, length, sub};
+use crate::data::pose::{column, length, sub};
 use crate::data::{Scene, View};
 use crate::error::{Error, Result};
 use crate::metrics::psnr_float;
@@ -34,7 +34,7 @@ struct Note<'a> {
     corruption_hash: String,
 }
 
-/// Writes the new folder `dir`: a PNG a training view, `beside.png` (the first clean and corrupted), `views.csv` (what
+/// Writes the new folder `dir`: a PNG a training view in `views`, `beside.png` (the first clean and corrupted), `views.csv` (what
 /// became of each) and `corruption.json`. Both scenes have the same views, `corrupted` after
 /// [`corrupt`](crate::data::corruption::corrupt) with `seed`.
 ///
@@ -42,15 +42,12 @@ struct Note<'a> {
 /// A folder that holds files; one that cannot be written.
 pub fn write_corrupted(dir: &Path, clean: &Scene, corrupted: &Scene, seed: u64) -> Result<()> {
     let what = corrupted.corrupted.as_ref().expect("the scene is corrupted");
-    if dir.read_dir().is_ok_and(|mut entries| entries.next().is_some()) {
-        return Err(Error::Output(format!("{} already holds files: name a new or an empty folder", dir.display())));
-    }
-    let parent = dir.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    std::fs::create_dir_all(parent).map_err(|e| Error::unwritable(parent, &e))?;
-    let folder = AtomicDir::new(dir)?;
+    let folder = AtomicDir::vacant(dir)?;
+    let views = folder.path().join("views");
+    std::fs::create_dir(&views).map_err(|e| Error::unwritable(&views, &e))?;
     let mut lines = csv::Writer::from_writer(Vec::new());
     for (before, after) in clean.train.iter().zip(&corrupted.train) {
-        write_png8(&folder.path().join(format!("{}.png", after.name)), &after.image)?;
+        write_png8(&views.join(format!("{}.png", after.name)), &after.image)?;
         lines.serialize(line(before, after)?).expect("memory holds it");
     }
     let (before, after) = (&clean.train[0].image, &corrupted.train[0].image);
@@ -69,13 +66,14 @@ pub fn write_corrupted(dir: &Path, clean: &Scene, corrupted: &Scene, seed: u64) 
 
 fn line<'a>(before: &View, after: &'a View) -> Result<Line<'a>> {
     let [a, b] = [before, after].map(|view| &view.camera.pose);
-    // The trace of the rotation from one to the other is 1 + 2 cos(angle).
-    let trace: f64 = (0..3).map(|axis| dot(column(a, axis), column(b, axis))).sum();
-    let cosine = 0.5 * (trace - 1.0);
+    // The difference of two rotations has the norm 2 sqrt(2) sin(angle / 2): exactly 0 for equal ones, as they may be
+    // rounded.
+    let norm = (0..3).map(|axis| length(sub(column(a, axis), column(b, axis))).powi(2)).sum::<f64>().sqrt();
+    let half = norm / 8f64.sqrt();
     Ok(Line {
         view: &after.name,
         psnr: psnr_float(&before.image, &after.image)?,
-        turned: cosine.clamp(-1.0, 1.0).acos().to_degrees(),
+        turned: 2.0 * half.min(1.0).asin().to_degrees(),
         moved: length(sub(column(a, 3), column(b, 3))),
     })
 }

@@ -44,7 +44,9 @@ pub fn surface_box(scene: &Scene) -> [[f64; 3]; 2] {
 /// Under NDC, where rays run through 2 units from z = -1 to 1, `far - near` is 2.
 pub fn surface_threshold(config: &Config, scene: &Scene) -> f64 {
     let length = if scene.ndc.is_some() { 2.0 * (scene.far - scene.near) } else { scene.far - scene.near };
-    std::f64::consts::LN_2 * (config.sampling.coarse + config.sampling.fine) as f64 / length
+    let (coarse, fine) = config.samples();
+    let samples = if fine > 0 { fine } else { coarse };
+    std::f64::consts::LN_2 * samples as f64 / length
 }
 
 /// A mesh to compare with: `builtin`, or a file.
@@ -53,20 +55,30 @@ pub fn reference_mesh(name: &str) -> Result<Reference> {
 }
 
 /// The reference mesh that a configuration's surface is compared with; none where no surface is asked for. Refuses a
-/// scene that has none.
+/// scene that has none, and a box that no surface can be in.
 pub fn surface_reference(config: &Config, scene: &Scene) -> Result<Option<Reference>> {
-    let MeshConfig { resolution, reference, .. } = &config.eval.mesh;
+    let MeshConfig { resolution, reference, domain, .. } = &config.eval.mesh;
     if *resolution == 0 {
         return Ok(None);
     }
-    if reference.is_empty() && scene.kind != DataKind::BuiltinBlender.name() {
+    let own = reference.is_empty() || reference == BUILTIN;
+    if own && scene.kind != DataKind::BuiltinBlender.name() {
         return Err(Error::Config(format!(
             "eval.mesh.resolution = {resolution} asks for a Chamfer distance, but {} ({}) comes without a mesh; set \
              eval.mesh.reference to a PLY or OBJ file in the scene's units, or eval.mesh.resolution to 0",
             scene.name, scene.kind
         )));
     }
-    reference_mesh(if reference.is_empty() { BUILTIN } else { reference }).map(Some)
+    let domain = domain.unwrap_or_else(|| surface_box(scene));
+    Lattice { domain, side: *resolution }.check_meets(scene, "eval.mesh.box")?;
+    if scene.ndc.is_some() && domain[1][2] > 1.0 {
+        return Err(Error::Config(format!(
+            "eval.mesh.box reaches up to z = {}, and {} is asked in normalised device coordinates, where z = 1 is \
+             infinitely far away: let it end at 1 or below",
+            domain[1][2], scene.name
+        )));
+    }
+    reference_mesh(if own { BUILTIN } else { reference }).map(Some)
 }
 
 /// The surface's part of a protocol; none where no surface is asked for.
@@ -82,10 +94,31 @@ pub(super) fn describe(config: &Config, scene: &Scene) -> Option<String> {
 
 impl Viewer<'_> {
     /// Draws the surface that the configuration asks for and compares it with its reference mesh. None where it asks
-    /// for none, and where the density lies nowhere above the threshold.
-    pub fn surface(&self, progress: &dyn Progress) -> Result<Option<Chamfer>> {
+    /// for none. Where it cannot be drawn, `say` hears why, and there is none either: that must not cost the views'
+    /// metrics. `going` is asked again and again; its error ends the drawing and is returned.
+    pub fn surface(
+        &self,
+        progress: &dyn Progress,
+        say: impl Fn(&str),
+        going: impl Fn() -> Result<()>,
+    ) -> Result<Option<Chamfer>> {
+        if self.config.eval.mesh.resolution == 0 {
+            return Ok(None);
+        }
+        match self.compare_surface(progress, going) {
+            Ok(chamfer) => Ok(Some(chamfer)),
+            Err(error @ Error::Interrupted { .. }) => Err(error),
+            Err(error) => {
+                progress.finish();
+                say(&format!("no surface, so that chamfer and f_score stay empty: {error}"));
+                Ok(None)
+            }
+        }
+    }
+
+    fn compare_surface(&self, progress: &dyn Progress, going: impl Fn() -> Result<()>) -> Result<Chamfer> {
         let Viewer { model, config, scene, device } = *self;
-        let Some(reference) = surface_reference(config, scene)? else { return Ok(None) };
+        let reference = surface_reference(config, scene)?.expect("a surface is asked for");
         let mesh = &config.eval.mesh;
         let domain = mesh.domain.unwrap_or_else(|| surface_box(scene));
         let drawing = Drawing {
@@ -95,13 +128,13 @@ impl Viewer<'_> {
             most_mib: most_memory_mib(),
         };
         progress.start("surface", mesh.resolution as u64);
-        let drawn = level_set(model.evaluated(), &drawing, device, None, || progress.advance())?;
+        let drawn = level_set(model.evaluated(), &drawing, device, None, || {
+            progress.advance();
+            going()
+        })?;
         progress.finish();
-        if drawn.mesh.triangles.is_empty() {
-            return Ok(None);
-        }
-        let surface = sample(&in_scene(&drawn.mesh, scene.ndc.as_ref())?, mesh.points, SEED)?;
-        chamfer(&surface, &reference.sample(mesh.points, SEED)?, &[mesh.at]).map(Some)
+        let surface = sample(&in_scene(drawn.mesh, scene.ndc.as_ref())?, mesh.points, SEED)?;
+        chamfer(&surface, &reference.sample(mesh.points, SEED)?, &[mesh.at])
     }
 
     /// A rendered view's depth along its viewing axis in scene units, NaN where there is none. Under NDC it is that of

@@ -13,7 +13,7 @@ use candle_core::{DType, Device, Layout, Tensor, Var};
 
 use std::sync::Arc;
 
-use crate::config::{Core, FieldConfig, Init};
+use crate::config::{Core, Encoding, FieldConfig, Init};
 use crate::error::Result;
 use crate::rng::{Random, Stream};
 
@@ -283,9 +283,26 @@ impl Field {
         Ok(self.layer(&self.density, &hidden, false)?.squeeze(1)?)
     }
 
+    /// Colour from raw colour, of any shape: a sigmoid, spread by `field.rgb_padding` to both sides.
+    pub fn activate_rgb(&self, raw: &Tensor) -> Result<Tensor> {
+        let rgb = candle_nn::ops::sigmoid(raw)?;
+        let padding = self.config.rgb_padding;
+        Ok(if padding > 0.0 { rgb.affine(1.0 + 2.0 * padding, -padding)? } else { rgb })
+    }
+
     /// Density from raw density, of any shape.
     pub fn activate_density(&self, raw: &Tensor) -> Result<Tensor> {
         Ok(activation::activate_density(self.config.density_activation, raw)?)
+    }
+
+    /// What this field is asked at for `points [n, 3]`: the same or, for a field of integrated encoding, Gaussians `[n, 6]`
+    /// around them of a `variance` along each axis, length^2.
+    pub fn asked_at(&self, points: &Tensor, variance: [f64; 3]) -> Result<Tensor> {
+        if self.config.encoding == Encoding::Positional {
+            return Ok(points.clone());
+        }
+        let variance = Tensor::new(&variance, points.device())?.to_dtype(points.dtype())?;
+        Ok(Tensor::cat(&[points, &variance.broadcast_as(points.shape())?], 1)?)
     }
 
     /// The trunk's last output, `[n, width]`.

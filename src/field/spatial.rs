@@ -21,7 +21,7 @@
 //! Both are first-order, so candle's second derivatives are never asked for.
 //! [`spatial_reference`] finds the same with forward tangents in plain candle operations.
 
-use candle_core::{Device, Tensor};
+use candle_core::{Device, Tensor, Var};
 
 use crate::config::{DensityActivation, Encoding};
 use crate::error::Result;
@@ -121,6 +121,16 @@ impl Slopes {
 }
 
 impl Field {
+    /// Gradient of density in space, `[n, 3]`, where the field is asked at `positions`: points `[n, 3]`, or Gaussians
+    /// `[n, 6]`, whose means move.
+    pub fn density_gradient(&self, positions: &Tensor) -> Result<Tensor> {
+        let moved = Var::from_tensor(positions)?;
+        let density = self.activate_density(&self.detached().raw_density(&moved)?)?;
+        let gradients = density.sum_all()?.backward()?;
+        let gradient = gradients.get(&moved).map_or_else(|| positions.zeros_like(), |gradient| Ok(gradient.clone()))?;
+        Ok(gradient.narrow(1, 0, 3)?)
+    }
+
     /// Density, gradient and Laplacian at `points [n, 3]`; by the fused core where the field is prepared for it
     /// ([`Field::prepared`]).
     pub fn spatial(&self, points: &Tensor) -> Result<Spatial<'_>> {

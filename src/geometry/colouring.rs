@@ -1,13 +1,13 @@
 //! What a bare level set lacks: scene units, normals and colours.
 
-use candle_core::{DType, Device, Tensor};
+use candle_core::{Device, Tensor};
 use rayon::prelude::*;
 
 use crate::data::Ndc;
 use crate::data::vector::{Vec3, length, scale};
 use crate::error::{Error, Result};
 use crate::field::Field;
-use crate::regularizers::CHUNK;
+use crate::regularizers::{CHUNK, Lattice};
 
 use super::Mesh;
 
@@ -20,18 +20,20 @@ pub struct Skin {
     pub flat: usize,
 }
 
-/// Finishes a level set of `field`: brings it from NDC to scene units where `ndc` is given, and gives each vertex its
-/// outward normal, against density's exact gradient, and the colour that the field shows there to an eye that looks
+/// Finishes a level set that `field` has on `lattice`: brings it from NDC to scene units where `ndc` is given, and gives
+/// each vertex its outward normal, against density's exact gradient, and the colour that the field shows there to an eye that looks
 /// against the normal.
-pub fn skin(field: &Field, level_set: &Mesh, ndc: Option<&Ndc>, device: &Device) -> Result<Skin> {
+pub fn skin(field: &Field, level_set: Mesh, lattice: &Lattice, ndc: Option<&Ndc>, device: &Device) -> Result<Skin> {
+    let asked = level_set.vertices.clone();
     let mut mesh = in_scene(level_set, ndc)?;
     let faces = mesh.face_normals();
     let field = &field.frozen()?;
     let indices: Vec<usize> = (0..mesh.vertices.len()).collect();
     let one = |part: &[usize]| -> Result<Part> {
-        let points: Vec<f32> = part.iter().flat_map(|&i| level_set.vertices[i]).collect();
+        let points: Vec<f32> = part.iter().flat_map(|&i| asked[i]).collect();
         let points = Tensor::from_vec(points, (part.len(), 3), device)?;
-        let slopes = field.spatial(&points)?.gradient.to_dtype(DType::F32)?.to_vec2::<f32>()?;
+        let positions = field.asked_at(&points, lattice.cell_variance())?;
+        let slopes = field.density_gradient(&positions)?.to_vec2::<f32>()?;
         let outward = |(&i, slope): (&usize, &Vec<f32>)| {
             let slope: Vec3 = std::array::from_fn(|axis| f64::from(slope[axis]));
             let slope = ndc.map_or(slope, |ndc| ndc.pull_back(mesh.vertex(i as u32), slope));
@@ -44,7 +46,7 @@ pub fn skin(field: &Field, level_set: &Mesh, ndc: Option<&Ndc>, device: &Device)
         let (normals, flat): (Vec<[f32; 3]>, Vec<bool>) = part.iter().zip(&slopes).map(outward).unzip();
         let eyes: Vec<f32> = normals.iter().flatten().map(|v| -v).collect();
         let eyes = Tensor::from_vec(eyes, (part.len(), 3), device)?;
-        let rgb = candle_nn::ops::sigmoid(&field.forward(&points, &eyes, None)?.rgb)?.to_vec2::<f32>()?;
+        let rgb = field.activate_rgb(&field.forward(&positions, &eyes, None)?.rgb)?.to_vec2::<f32>()?;
         let byte = |rgb: Vec<f32>| std::array::from_fn(|c| (rgb[c].clamp(0.0, 1.0) * 255.0).round() as u8);
         Ok((normals, rgb.into_iter().map(byte).collect(), flat.into_iter().filter(|&flat| flat).count()))
     };
@@ -66,8 +68,8 @@ pub fn skin(field: &Field, level_set: &Mesh, ndc: Option<&Ndc>, device: &Device)
 type Part = (Vec<[f32; 3]>, Vec<[u8; 3]>, usize);
 
 /// A level set in scene units: the same, or brought from NDC. Refuses a vertex that is infinitely far away.
-pub fn in_scene(level_set: &Mesh, ndc: Option<&Ndc>) -> Result<Mesh> {
-    let mut mesh = level_set.clone();
+pub fn in_scene(level_set: Mesh, ndc: Option<&Ndc>) -> Result<Mesh> {
+    let mut mesh = level_set;
     let Some(ndc) = ndc else { return Ok(mesh) };
     for vertex in &mut mesh.vertices {
         let point = vertex.map(f64::from);
@@ -94,10 +96,10 @@ mod tests {
         let mesh = Mesh { vertices: corner.to_vec(), triangles, ..Mesh::default() };
         assert!(mesh.volume() > 0.0);
         let ndc = Ndc { width: 40.0, height: 30.0, focal: 35.0 };
-        let world = in_scene(&mesh, Some(&ndc)).unwrap();
+        let world = in_scene(mesh.clone(), Some(&ndc)).unwrap();
         assert!(world.volume() > 0.0);
         assert!(world.vertices.iter().all(|v| v[2] < -1.0), "beyond the near plane: {:?}", world.vertices);
         let beyond = Mesh { vertices: vec![[0.0, 0.0, 1.5]; 4], ..mesh };
-        assert!(in_scene(&beyond, Some(&ndc)).unwrap_err().to_string().contains("below 1"));
+        assert!(in_scene(beyond, Some(&ndc)).unwrap_err().to_string().contains("below 1"));
     }
 }

@@ -1,6 +1,6 @@
 //! Mesh files: PLY (binary written, any read) and OBJ.
 
-use std::io::{BufReader, Write};
+use std::io::{BufRead, BufReader, Read, Write};
 use std::path::Path;
 
 use serde::Deserialize;
@@ -57,13 +57,13 @@ pub fn write_obj(mesh: &Mesh, comment: &str, out: &mut impl Write) -> std::io::R
 /// their first corner. A mesh without faces, or with a coordinate that is no number, is refused.
 pub fn read_mesh(path: &Path) -> Result<Mesh> {
     let fail = |what: String| Error::Data(format!("{}: {what}", path.display()));
+    let file = std::fs::File::open(path).map_err(|e| Error::unreadable(path, &e))?;
     let ending = path.extension().map(|e| e.to_string_lossy().to_ascii_lowercase()).unwrap_or_default();
     let read = match ending.as_str() {
         "ply" => read_ply,
         "obj" => read_obj,
         _ => return Err(fail("the name's ending says no format that is read: meshes are .ply or .obj files".into())),
     };
-    let file = std::fs::File::open(path).map_err(|e| Error::unreadable(path, &e))?;
     let mesh = read(&mut BufReader::new(file)).map_err(fail)?;
     if let Some(at) = mesh.vertices.iter().position(|v| v.iter().any(|v| !v.is_finite())) {
         return Err(fail(format!("vertex {at} is {:?}: every coordinate must be a number", mesh.vertices[at])));
@@ -89,7 +89,7 @@ fn read_ply(file: &mut BufReader<std::fs::File>) -> std::result::Result<Mesh, St
             let count = vertices.len();
             format!("face {number} names the vertices {:?}, but there are {count}, counted from 0", face.vertex_indices)
         })?;
-        triangles.extend(indices.windows(2).skip(1).map(|pair| [indices[0], pair[0], pair[1]]));
+        triangles.extend(fan(&indices));
     }
     Ok(Mesh { vertices, triangles, ..Mesh::default() })
 }
@@ -98,7 +98,8 @@ fn ply_elements(
     file: &mut BufReader<std::fs::File>,
 ) -> std::result::Result<(Vec<PlyVertex>, Vec<PlyFace>), DeserializeError> {
     let (mut vertices, mut faces) = (Vec::new(), Vec::new());
-    let mut reader = PlyReader::from_reader(file)?;
+    // The reader wants an end of line behind the last number of a text file.
+    let mut reader = PlyReader::from_reader(file.chain(&b"\n"[..]))?;
     while let Some(element) = reader.current_element() {
         match element.name.as_str() {
             "vertex" => vertices = reader.next_element()?,
@@ -109,20 +110,47 @@ fn ply_elements(
     Ok((vertices, faces))
 }
 
+/// Reads `v` and `f`, which are all of the shape. Readers of the whole format refuse files for what says nothing about it
+/// (half-given colours, texture coordinates), and take polylines for faces.
 fn read_obj(file: &mut BufReader<std::fs::File>) -> std::result::Result<Mesh, String> {
-    let options =
-        tobj::LoadOptions { triangulate: true, ignore_points: true, ignore_lines: true, ..Default::default() };
-    // Materials lie in other files and say nothing about the shape.
-    let without_materials = |_: &Path| Ok((Vec::new(), Default::default()));
-    let (models, _) =
-        tobj::load_obj_buf(file, &options, without_materials).map_err(|e| format!("cannot be read as OBJ: {e}"))?;
     let mut mesh = Mesh::default();
-    for tobj::Model { mesh: part, .. } in models {
-        let first = mesh.vertices.len() as u32;
-        mesh.vertices.extend(part.positions.as_chunks::<3>().0);
-        mesh.triangles.extend(part.indices.as_chunks::<3>().0.iter().map(|t| t.map(|i| i + first)));
+    for (number, line) in file.split(b'\n').enumerate() {
+        let line = line.map_err(|e| format!("cannot be read: {e}"))?;
+        let line = String::from_utf8_lossy(&line);
+        let mut words = line.split('#').next().unwrap_or_default().split_whitespace();
+        let fail = |what: String| format!("cannot be read as OBJ: line {}, `{}`: {what}", number + 1, line.trim());
+        match words.next() {
+            Some("v") => {
+                let place: Vec<f32> = words.map_while(|word| word.parse().ok()).take(3).collect();
+                let place = place.try_into().map_err(|_| fail("a vertex has three numbers".into()))?;
+                mesh.vertices.push(place);
+            }
+            Some("f") => {
+                let count = mesh.vertices.len();
+                let corners: Option<Vec<u32>> = words.map(|word| obj_index(word, count)).collect();
+                let corners = corners.filter(|corners| corners.len() >= 3).ok_or_else(|| {
+                    fail(format!(
+                        "a face names three or more of the {count} vertices before it, from 1 or back from -1"
+                    ))
+                })?;
+                mesh.triangles.extend(fan(&corners));
+            }
+            _ => {}
+        }
     }
     Ok(mesh)
+}
+
+/// The vertex, from 0, that the first number of `1/2/3` names among so many.
+fn obj_index(word: &str, count: usize) -> Option<u32> {
+    let named: i64 = word.split('/').next()?.parse().ok()?;
+    let index = if named < 0 { count as i64 + named } else { named - 1 };
+    (0..count as i64).contains(&index).then_some(index as u32)
+}
+
+/// A polygon's triangles, all from its first corner.
+fn fan(corners: &[u32]) -> impl Iterator<Item = [u32; 3]> {
+    corners.windows(2).skip(1).map(|pair| [corners[0], pair[0], pair[1]])
 }
 
 #[cfg(test)]
@@ -180,6 +208,14 @@ mod tests {
         (0..4u32).for_each(|i| big.extend(i.to_be_bytes()));
         big.extend(9i32.to_be_bytes());
         assert_eq!(read("a.ply", &big).unwrap(), bare(square()));
+        assert_eq!(read("a.ply", ascii.trim_end().as_bytes()).unwrap(), bare(square()), "no end of the last line");
+    }
+
+    #[test]
+    fn other_programs_obj_is_read() {
+        let text = "# \u{e9}\r\nmtllib a.mtl\r\nv 0 0 0.5 1 0 0\r\nv 1 0 0.5\r\nv 1 1 0.5\r\nv 0 1 0.5\r\nvt 0.5\r\no part\r\n\
+                    l 1 2 3\r\nusemtl b\r\nf 1/1/1 2//2 -2 4 # a square\r\n";
+        assert_eq!(read("a.obj", text.as_bytes()).unwrap(), bare(square()));
     }
 
     #[test]
@@ -201,7 +237,10 @@ mod tests {
             ("a.ply", ply(points, "3 0 1 2\n").replace("element vertex 3", "element vertex 5"), "PLY"),
             ("a.ply", ply(points, "3 0 1 2\n").replace("element vertex 3", "element vertex 99999999999999999"), "PLY"),
             ("a.ply", "obj".into(), "PLY"),
-            ("a.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 9\n".into(), "OBJ"),
+            ("a.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 9\n".into(), "line 4"),
+            ("a.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 0\n".into(), "3 vertices"),
+            ("a.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2\n".into(), "three or more"),
+            ("a.obj", "v 0 0 0\nv 1 x 0\n".into(), "line 2"),
             ("a.obj", "v 0 0 0\nv 1 0 0\n".into(), "no faces"),
             ("a.stl", "solid".into(), ".ply or .obj"),
         ] {

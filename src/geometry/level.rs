@@ -13,7 +13,7 @@ use super::{Marcher, Mesh};
 
 /// Bytes that a finished mesh takes with colours, normals and the search for its open edges, over those
 /// of its bare vertices and triangles.
-const WORKING_SHARE: f64 = 4.0;
+const WORKING_SHARE: f64 = 6.0;
 const MIB: f64 = 1024.0 * 1024.0;
 
 /// How densities are distributed over a lattice's midpoints, 1 / length.
@@ -84,8 +84,7 @@ impl Histogram {
 
 /// A level set and what it was drawn through.
 pub struct LevelSet {
-    /// In the units that the field is asked in, without normals and colours; no triangles where the densities
-    /// lie all on one side of the threshold.
+    /// In the units that the field is asked in, without normals and colours; has triangles.
     pub mesh: Mesh,
     /// The densities on the lattice.
     pub range: DensityRange,
@@ -104,14 +103,18 @@ pub struct Drawing {
     pub most_mib: f64,
 }
 
-/// Draws the level set of a field. Memory is bounded by two planes of the lattice and the mesh. `volume` gets all
-/// densities as little-endian f32, z fastest; `advance` is called after each plane.
+/// Draws the level set of a field. Memory is bounded by some planes of the lattice and the mesh. `volume` gets all
+/// densities as little-endian f32, z fastest; `advance` is called after each plane, and its error ends the drawing.
+///
+/// # Errors
+/// A density that is not finite; a level set that is empty, with a threshold that gives one, or that outgrows the
+/// memory, with a resolution that would fit.
 pub fn level_set(
     field: &Field,
     drawing: &Drawing,
     device: &Device,
     mut volume: Option<&mut dyn Write>,
-    mut advance: impl FnMut(),
+    mut advance: impl FnMut() -> Result<()>,
 ) -> Result<LevelSet> {
     let Drawing { lattice, threshold, cap, .. } = *drawing;
     let (side, threshold) = (lattice.side, threshold as f32);
@@ -119,7 +122,7 @@ pub fn level_set(
     let mut marcher = Marcher::new([side, side], threshold);
     let mut histogram = Histogram::new();
     let mut plane: Vec<f32> = Vec::with_capacity(side * side);
-    let mut planes = 0;
+    let (mut planes, mut largest) = (0, f32::NEG_INFINITY);
     densities(field, &lattice, (DType::F32, device), |mut part| {
         if let Some(at) = part.iter().position(|density| !density.is_finite()) {
             let point = lattice.point(planes * side * side + plane.len() + at, [0.5; 3]);
@@ -144,15 +147,19 @@ pub fn level_set(
                 if cap {
                     clear_border(&mut full, side, planes);
                 }
+                largest = full.iter().copied().fold(largest, f32::max);
                 marcher.push(full);
                 planes += 1;
                 drawing.check_mesh(&marcher, planes)?;
-                advance();
+                advance()?;
             }
         }
         Ok(())
     })?;
     let Marcher { vertices, triangles, .. } = marcher;
+    if triangles.is_empty() {
+        return Err(drawing.no_surface([histogram.range.0, largest]));
+    }
     let [lower, upper] = lattice.domain;
     let place = |vertex: [f32; 3]| {
         std::array::from_fn(|axis| {
@@ -184,7 +191,7 @@ impl Drawing {
         let fits = (1..side).rev().find(|&side| needed(side) <= self.most_mib).unwrap_or(1);
         Err(Error::Config(format!(
             "a resolution of {side} takes {:.1} MiB for the lattice's planes alone, and {:.1} MiB are allowed (a half of what \
-             is free, or --memory): choose at most {fits}, which leaves the mesh nothing, so rather half of that",
+             is free, or `augnerf mesh --memory`): choose at most {fits}, which leaves the mesh nothing, so rather half of that",
             needed(side),
             self.most_mib
         )))
@@ -202,27 +209,25 @@ impl Drawing {
         let whole = mesh * side as f64 / planes as f64;
         let fits = (side as f64 * (left.max(0.0) / whole).sqrt()) as usize;
         Err(Error::Config(format!(
-            "the level set at resolution {side} outgrows {:.1} MiB (a half of what is free, or --memory) after {planes} of \
-             {side} planes, with {} triangles: a resolution of about {fits} would fit; so may a higher threshold, for a \
-             low one also draws what the training views left undecided",
+            "the level set at resolution {side} outgrows {:.1} MiB (a half of what is free, or `augnerf mesh --memory`) after \
+             {planes} of {side} planes, with {} triangles: a resolution of about {fits} would fit; so may a higher \
+             threshold, for a low one also draws what the training views left undecided",
             self.most_mib,
             marcher.triangles.len()
         )))
     }
-}
 
-impl DensityRange {
-    /// Why there is no surface at a threshold, and what threshold would give one.
-    pub fn no_surface(&self, threshold: f64, domain: [[f64; 3]; 2]) -> Error {
-        let DensityRange { least, largest, .. } = *self;
-        let range =
-            format!("density in the box from {:?} to {:?} runs from {least} to {largest}", domain[0], domain[1]);
+    /// Why there is no surface among densities that count from `least` to `largest`, and what threshold would give one.
+    fn no_surface(&self, [least, largest]: [f32; 2]) -> Error {
+        let Drawing { threshold, lattice: Lattice { domain, .. }, cap, .. } = self;
+        let within = if *cap { "within the capped box" } else { "in the box" };
+        let range = format!("density {within} from {:?} to {:?} runs from {least} to {largest}", domain[0], domain[1]);
         let advice = if least < largest {
-            format!("a threshold of {:.4} would give one", 0.5 * (least + largest))
+            format!("a threshold of {} would give one", 0.5 * (least + largest))
         } else {
             "no threshold gives one: choose another box, or train longer".into()
         };
-        Error::Config(format!("the level set {threshold:.4} is empty: {range}; {advice}"))
+        Error::Config(format!("the level set {threshold} is empty: {range}; {advice}"))
     }
 }
 

@@ -57,7 +57,7 @@ fn triangles_of(inside: usize) -> Vec<[Edge; 3]> {
     triangles
 }
 
-/// The segments that cut a face's runs of inside corners off, with the inside on their left as seen from
+/// The segments that cut a face's runs of inside corners off, with the inside on their right as seen from
 /// outside of the cell.
 fn face_segments(inside: usize, face: usize) -> Vec<(Edge, Edge)> {
     let (axis, side) = (face / 2, face % 2);
@@ -218,7 +218,7 @@ mod tests {
     }
 
     #[test]
-    fn every_case_has_one_triangle_less_two_a_loop_and_uses_all_cut_edges() {
+    fn every_case_uses_all_cut_edges() {
         for (case, triangles) in table().iter().enumerate() {
             let mut used: Vec<(usize, usize)> = triangles.iter().flatten().map(|e| (e.corner, e.axis)).collect();
             used.sort_unstable();

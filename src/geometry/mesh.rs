@@ -40,7 +40,7 @@ impl Mesh {
     }
 
     /// Twice the area of a triangle along its normal.
-    fn area_vector(&self, triangle: [u32; 3]) -> Vec3 {
+    pub(super) fn area_vector(&self, triangle: [u32; 3]) -> Vec3 {
         let [a, b, c] = self.corners(triangle);
         cross(sub(b, a), sub(c, a))
     }

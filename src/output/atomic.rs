@@ -75,6 +75,27 @@ impl AtomicDir {
         Ok(AtomicDir { temporary, target: target.to_path_buf() })
     }
 
+    /// The same for a place that must be free: an empty folder or none. A file, or a folder that holds something, is not
+    /// ours to replace. Missing folders on the way are created.
+    pub fn vacant(target: &Path) -> Result<AtomicDir> {
+        AtomicDir::check_vacant(target)?;
+        let parent = folder_of(target);
+        fs::create_dir_all(parent).map_err(|error| Error::unwritable(parent, &error))?;
+        AtomicDir::new(target)
+    }
+
+    /// Refuses a place that is not free, before the work whose result it is to hold.
+    pub fn check_vacant(target: &Path) -> Result<()> {
+        match fs::read_dir(target).map(|mut entries| entries.next().is_none()) {
+            Ok(true) => Ok(()),
+            Ok(false) => {
+                Err(Error::Output(format!("{} already holds files: name a new or an empty folder", target.display())))
+            }
+            Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(()),
+            Err(error) => Err(Error::unwritable(target, &error)),
+        }
+    }
+
     /// The hidden folder; its content is what `target` will hold.
     pub fn path(&self) -> &Path {
         &self.temporary
@@ -280,6 +301,25 @@ mod tests {
             assert_eq!(fs::read_to_string(target.join("weights")).unwrap(), content);
         }
         assert_eq!(names(dir.path()), ["step-10"]);
+    }
+
+    #[test]
+    fn a_place_that_holds_something_is_not_replaced() {
+        let dir = tempfile::tempdir().unwrap();
+        let at = |name: &str| dir.path().join(name);
+        fs::write(at("file"), "keep").unwrap();
+        fs::create_dir(at("full")).unwrap();
+        fs::write(at("full").join("a"), "keep").unwrap();
+        fs::create_dir(at("empty")).unwrap();
+        for taken in ["file", "full"] {
+            let error = AtomicDir::vacant(&at(taken)).unwrap_err();
+            assert!(error.exit_code() == 4 && error.to_string().contains(taken), "{error}");
+        }
+        for free in ["empty", "new/below"] {
+            AtomicDir::vacant(&at(free)).unwrap().commit().unwrap();
+            assert!(at(free).is_dir());
+        }
+        assert_eq!(names(dir.path()), ["empty", "file", "full", "new"]);
     }
 
     #[test]

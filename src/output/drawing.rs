@@ -153,7 +153,7 @@ impl Drawing {
 
     /// Wrapped text below everything; the drawing grows by its height.
     pub fn caption(&mut self, text: &str) {
-        for line in wrapped(text, self.width - 2.0 * SIDE) {
+        for line in wrapped(text, self.width - 2.0 * SIDE, TEXT) {
             self.text((SIDE, self.height + LINE_HEIGHT / 2.0), &line, TEXT, Anchor::Left, GREY);
             self.height += LINE_HEIGHT;
         }
@@ -248,13 +248,13 @@ pub fn text_width(text: &str, size: f64) -> f64 {
     text.chars().map(|letter| f64::from(advance(letter))).sum::<f64>() * size / f64::from(face.units_per_em())
 }
 
-/// Lines of at most `width` pixels, broken at spaces, and within a word where it alone is longer.
-pub fn wrapped(text: &str, width: f64) -> Vec<String> {
+/// Lines of at most `width` pixels in letters of `size`, broken at spaces, and within a word where it alone is longer.
+pub fn wrapped(text: &str, width: f64, size: f64) -> Vec<String> {
     let mut lines = vec![String::new()];
-    for word in text.split_whitespace().flat_map(|word| pieces(word, width)) {
+    for word in text.split_whitespace().flat_map(|word| pieces(word, width, size)) {
         let line = lines.last_mut().expect("starts with one");
         let longer = if line.is_empty() { word.clone() } else { format!("{line} {word}") };
-        if text_width(&longer, TEXT) <= width || line.is_empty() {
+        if text_width(&longer, size) <= width || line.is_empty() {
             *line = longer;
         } else {
             lines.push(word);
@@ -264,11 +264,11 @@ pub fn wrapped(text: &str, width: f64) -> Vec<String> {
 }
 
 /// A word in parts of at most `width` pixels, or of one letter.
-fn pieces(word: &str, width: f64) -> Vec<String> {
+fn pieces(word: &str, width: f64, size: f64) -> Vec<String> {
     let mut pieces = vec![String::new()];
     for letter in word.chars() {
         let piece = pieces.last_mut().expect("starts with one");
-        if !piece.is_empty() && text_width(&format!("{piece}{letter}"), TEXT) > width {
+        if !piece.is_empty() && text_width(&format!("{piece}{letter}"), size) > width {
             pieces.push(String::new());
         }
         pieces.last_mut().expect("just seen").push(letter);

@@ -199,7 +199,10 @@ fn locked(path: &Path, file: &mut File) -> Error {
     let mut holder = String::new();
     let known = file.read_to_string(&mut holder).is_ok() && !holder.is_empty();
     let who = if known { format!("process {holder}") } else { "another process".to_string() };
-    Error::Output(format!("{} is being trained in by {who}; wait for it or give another --out", path.display()))
+    Error::Output(format!(
+        "{} is in use by {who}, which trains in it or reads it; wait for it (a new run may also go to another --out)",
+        path.display()
+    ))
 }
 
 /// An error unless `path` is free for a new run: a folder that is empty, or holds a run of ours

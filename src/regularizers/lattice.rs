@@ -28,6 +28,12 @@ impl Lattice {
         lower.iter().zip(upper).map(|(a, b)| b - a).product()
     }
 
+    /// Variance of a point that lies anywhere in a cell, along each axis, length^2.
+    pub fn cell_variance(&self) -> [f64; 3] {
+        let [lower, upper] = self.domain;
+        std::array::from_fn(|axis| ((upper[axis] - lower[axis]) / self.side as f64).powi(2) / 12.0)
+    }
+
     /// The point of cell `cell` at `offset`, 0..1 along each axis; 0.5 is the midpoint.
     pub fn point(&self, cell: usize, offset: [f64; 3]) -> [f64; 3] {
         let index = [cell / (self.side * self.side), cell / self.side % self.side, cell % self.side];
@@ -61,8 +67,8 @@ impl Lattice {
         seen
     }
 
-    /// An error unless the box and what the scene's rays pass through have a common part.
-    pub fn check_meets(&self, scene: &Scene) -> Result<()> {
+    /// An error unless the box, which `field` names, and what the scene's rays pass through have a common part.
+    pub fn check_meets(&self, scene: &Scene, field: &str) -> Result<()> {
         let seen = Lattice::seen(scene);
         let meets = (0..3).all(|axis| self.domain[0][axis] < seen[1][axis] && seen[0][axis] < self.domain[1][axis]);
         if meets {
@@ -70,8 +76,7 @@ impl Lattice {
         }
         let text = |[x, y, z]: [f64; 3]| format!("[{x:.3}, {y:.3}, {z:.3}]");
         Err(Error::Config(format!(
-            "the box from {} to {} lies outside of {}: its training rays run from {} to {}; choose a box within (training: \
-             regularizer.domain)",
+            "{field}: the box from {} to {} lies outside of {}: its training rays run from {} to {}; choose a box within",
             text(self.domain[0]),
             text(self.domain[1]),
             scene.name,

@@ -137,7 +137,8 @@ pub fn measure(
 }
 
 /// The density of a field at the midpoints of a lattice, in the order of its cells: `take` is handed so
-/// many at a time that memory does not grow with the lattice.
+/// many at a time that memory does not grow with the lattice. A field of integrated encoding is asked at Gaussians of the
+/// cells' variance.
 pub fn densities(
     field: &Field,
     lattice: &Lattice,
@@ -146,7 +147,8 @@ pub fn densities(
 ) -> Result<()> {
     let field = &field.frozen()?;
     let ask = |points: &Tensor| {
-        let density = field.activate_density(&field.raw_density(points)?)?;
+        let positions = field.asked_at(points, lattice.cell_variance())?;
+        let density = field.activate_density(&field.raw_density(&positions)?)?;
         Ok(density.to_dtype(DType::F32)?.to_vec1::<f32>()?)
     };
     over_chunks((lattice, &Points::Full), (dtype, device), ask, take)

@@ -160,13 +160,9 @@ fn query(
     Ok(RawOutput { rgb: raw.rgb.reshape((rays, samples, 3))?, density: raw.density.reshape((rays, samples))? })
 }
 
-/// Sigmoid on colour, spread by the field's padding, noise and the field's activation on density.
+/// The field's activations on colour and density, and noise on density.
 fn activate(field: &Field, raw: &RawOutput, density_noise: Option<&Tensor>) -> Result<(Tensor, Tensor)> {
-    let padding = field.config().rgb_padding;
-    let mut rgb = candle_nn::ops::sigmoid(&raw.rgb)?;
-    if padding > 0.0 {
-        rgb = rgb.affine(1.0 + 2.0 * padding, -padding)?;
-    }
+    let rgb = field.activate_rgb(&raw.rgb)?;
     let density = match density_noise {
         Some(noise) => field.activate_density(&(&raw.density + noise)?)?,
         None => field.activate_density(&raw.density)?,

@@ -8,8 +8,8 @@ use crate::sweep::{PublishedKey, Record};
 pub const PUBLISHED_NOTE: &str = "\
 The paper's SRN, LLFF, NV and NeRF rows of tables 1 and 2 and the NeRF row of table 4 are quoted from the NeRF paper, \
 measured at 1008x756 (LLFF) and 800x800 (Blender); its own runs are at 504x378 and 400x400, 500000 steps, width 256. \
-In table A1 the NeRF row of width 128 equals the quoted one of width 256. The paper gives no seeds, no rays a step \
-and no LPIPS backbone: its numbers stand beside ours and are not subtracted.";
+In table A1 the NeRF row of width 128 equals the quoted one of width 256. The paper gives no seeds, no rays a step, \
+no LPIPS backbone and no severity of its noises: its numbers stand beside ours and are not subtracted.";
 
 /// One row of the paper's tables.
 #[derive(Clone, Debug, PartialEq, Deserialize)]

@@ -253,7 +253,7 @@ impl Trainer {
     /// A run at step 0. `config` is resolved. Dead starts are drawn again.
     pub fn new(config: &Config, scene: &Scene, dtype: DType, device: &Device) -> Result<Trainer> {
         if !config.regularizer.kind.is_empty() {
-            regularized::lattice(&config.regularizer).check_meets(scene)?;
+            regularized::lattice(&config.regularizer).check_meets(scene, "regularizer.domain")?;
         }
         let mut redraws = vec![0; Model::roles(config).len()];
         let mut trainer =
