@@ -536,7 +536,7 @@ fn shipped_sweeps_are_valid() {
         assert!(points.len() >= 2 * definition.seeds.len(), "{name}");
         found += 1;
     }
-    assert_eq!(found, 19);
+    assert_eq!(found, 20);
 }
 
 #[test]

@@ -132,6 +132,7 @@ fn check_facing(views: &[View], config: &CorruptionConfig) -> Result<()> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::config::{DataConfig, DataKind};
     use crate::data::pose::{check_rotation, dot};
 
     const SIDE: usize = 300;
@@ -246,6 +247,21 @@ mod tests {
         assert!(turns.iter().all(|sum| (sum / 2000.0 / (25.0 / 3.0) - 1.0).abs() < 0.1), "{turns:?}");
         assert!(farthest[0] > 0.099 && farthest[1] > 5.0, "{farthest:?}");
         assert_eq!(misplaced(&pose, 0.0, 0.0, &mut random()).map(|row| row[3]), [1.5; 3]);
+    }
+
+    /// Half a turn would leave NDC without rays: the user hears of it.
+    #[test]
+    fn cameras_that_look_away_are_refused_where_rays_are_in_ndc() {
+        let config = DataConfig { kind: DataKind::BuiltinForward, width: 16, ..DataConfig::default() };
+        let clean = crate::data::load(&config, 0, &()).unwrap();
+        let turn = |degrees: f64, scene: &Scene| {
+            let poses = CorruptionConfig { kind: CorruptionKind::Poses, degrees, ..CorruptionConfig::default() };
+            corrupt(&mut scene.clone(), &poses, 0)
+        };
+        turn(5.0, &clean).unwrap();
+        let message = turn(180.0, &clean).unwrap_err().to_string();
+        assert!(message.contains("data.corruption.degrees = 180") && message.contains("fewer degrees"), "{message}");
+        turn(180.0, &Scene { ndc: None, ..clean.clone() }).unwrap();
     }
 
     /// A quarter turn about x takes y to z, then one about z leaves it.
