@@ -1,45 +1,17 @@
 //! The program as a user meets it: runs, results, resumption, refusals.
 
+#[path = "common/program.rs"]
+mod program;
+
 use std::path::{Path, PathBuf};
-use std::process::{Child, Command, Output, Stdio};
+use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
+use program::{augnerf, refuse, succeed};
 use tempfile::TempDir;
-
-const PROGRAM: &str = env!("CARGO_BIN_EXE_augnerf");
-
-fn augnerf(arguments: &[&str]) -> Command {
-    let mut command = Command::new(PROGRAM);
-    command.args(arguments).env_remove("AUGNERF_LPIPS_WEIGHTS").env("RUST_BACKTRACE", "0");
-    // Whatever lands in a default place must not land in the repository.
-    command.current_dir(std::env::temp_dir());
-    command
-}
-
-fn run(arguments: &[&str]) -> Output {
-    augnerf(arguments).output().unwrap()
-}
 
 fn text(path: &Path) -> String {
     std::fs::read_to_string(path).unwrap_or_else(|e| panic!("{}: {e}", path.display()))
-}
-
-/// Runs and demands success.
-fn succeed(arguments: &[&str]) -> Output {
-    let output = run(arguments);
-    assert!(output.status.success(), "{arguments:?}: {}", String::from_utf8_lossy(&output.stderr));
-    output
-}
-
-/// Runs and demands the exit code and words of a refusal: one sentence, no panic.
-fn refuse(arguments: &[&str], code: i32, words: &[&str]) {
-    let output = run(arguments);
-    let message = String::from_utf8_lossy(&output.stderr).into_owned();
-    assert_eq!(output.status.code(), Some(code), "{arguments:?}: {message}");
-    assert!(!message.contains("panicked"), "{message}");
-    for word in words {
-        assert!(message.contains(word), "'{word}' is not in: {message}");
-    }
 }
 
 /// Settings of a run that takes a second: the embedded scene at 16 x 16.

@@ -1,37 +1,20 @@
 //! Meshes, their comparison, and depth, as a user meets them.
 
+#[allow(dead_code)]
+#[path = "common/program.rs"]
+mod program;
+
 use std::path::{Path, PathBuf};
-use std::process::{Command, Output};
 
 use augnerf::config::{DataConfig, DataKind};
 use augnerf::data::vector::{cross, dot, sub};
 use augnerf::data::{self, View};
+use program::refuse;
 use tempfile::TempDir;
-
-const PROGRAM: &str = env!("CARGO_BIN_EXE_augnerf");
-
-fn run(arguments: &[&str]) -> Output {
-    let mut command = Command::new(PROGRAM);
-    command.args(arguments).env_remove("AUGNERF_LPIPS_WEIGHTS").env("RUST_BACKTRACE", "0");
-    command.current_dir(std::env::temp_dir()).output().unwrap()
-}
 
 /// Runs and demands success; what it printed.
 fn succeed(arguments: &[&str]) -> String {
-    let output = run(arguments);
-    assert!(output.status.success(), "{arguments:?}: {}", String::from_utf8_lossy(&output.stderr));
-    String::from_utf8(output.stdout).unwrap()
-}
-
-/// Runs and demands the exit code and words of a refusal: one sentence, no panic.
-fn refuse(arguments: &[&str], code: i32, words: &[&str]) {
-    let output = run(arguments);
-    let message = String::from_utf8_lossy(&output.stderr).into_owned();
-    assert_eq!(output.status.code(), Some(code), "{arguments:?}: {message}");
-    assert!(!message.contains("panicked"), "{message}");
-    for word in words {
-        assert!(message.contains(word), "'{word}' is not in: {message}");
-    }
+    String::from_utf8(program::succeed(arguments).stdout).unwrap()
 }
 
 /// A run of a second or two on the embedded scene at 24 x 24.
@@ -167,7 +150,7 @@ fn a_surface_that_cannot_be_drawn_costs_no_other_metric() {
     let mean = json(&Path::new(&run).join("metrics.json"))["mean"].clone();
     assert!(mean["psnr"].as_f64().unwrap() > 5.0 && mean["depth_mae"].is_number());
     assert!(mean["chamfer"].is_null() && mean["f_score"].is_null());
-    let output = self::run(&["eval", &run]);
+    let output = program::run(&["eval", &run]);
     let words = String::from_utf8(output.stderr).unwrap();
     assert!(words.contains("stay empty") && words.contains("a threshold of"), "{words}");
 }
@@ -201,7 +184,7 @@ fn what_cannot_be_drawn_is_refused_with_what_could() {
 fn a_threshold_that_a_refusal_names_works() {
     let dir = TempDir::new().unwrap();
     let run = trained(&dir, &[]);
-    let output = self::run(&["mesh", &run, "--resolution", "32", "--threshold", "1e6"]);
+    let output = program::run(&["mesh", &run, "--resolution", "32", "--threshold", "1e6"]);
     let message = String::from_utf8(output.stderr).unwrap();
     let (_, rest) = message.split_once("a threshold of ").unwrap();
     let threshold = rest.split_whitespace().next().unwrap();

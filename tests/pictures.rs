@@ -2,9 +2,11 @@
 
 #[allow(dead_code)]
 mod common;
+#[allow(dead_code)]
+#[path = "common/program.rs"]
+mod program;
 
 use std::path::Path;
-use std::process::{Command, Output};
 
 use augnerf::compare::{
     Comparison, Contender, Profile, Profiles, Window, crop, differences, labels, most_different, patch_around,
@@ -17,6 +19,7 @@ use augnerf::rng::{Random, Stream};
 use augnerf::train::checkpoint::State;
 use candle_core::Device;
 use common::{tiny_config, tiny_scene, trained};
+use program::{refuse, succeed};
 use tempfile::TempDir;
 
 /// An image of 8-bit values that nobody has drawn.
@@ -386,28 +389,6 @@ fn a_profile_repeats_byte_for_byte_and_its_smoothness_is_that_of_its_table() {
         assert!(along > 0.0, "the patch is empty");
         assert!((told("density_tv_along") - along / 9.0).abs() < 1e-9 * along, "{along}");
         assert!((told("density_tv_across") - across / (12.0 * 1024.0)).abs() < 1e-9 * across);
-    }
-}
-
-fn augnerf(arguments: &[&str]) -> Output {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_augnerf"));
-    command.args(arguments).env_remove("AUGNERF_LPIPS_WEIGHTS").env("RUST_BACKTRACE", "0");
-    command.current_dir(std::env::temp_dir()).output().unwrap()
-}
-
-fn succeed(arguments: &[&str]) {
-    let output = augnerf(arguments);
-    assert!(output.status.success(), "{arguments:?}: {}", String::from_utf8_lossy(&output.stderr));
-}
-
-/// One sentence with these words, no panic, and nothing left behind.
-fn refuse(arguments: &[&str], code: i32, words: &[&str]) {
-    let output = augnerf(arguments);
-    let message = String::from_utf8_lossy(&output.stderr).into_owned();
-    assert_eq!(output.status.code(), Some(code), "{arguments:?}: {message}");
-    assert!(!message.contains("panicked"), "{message}");
-    for word in words {
-        assert!(message.contains(word), "'{word}' is not in: {message}");
     }
 }
 
