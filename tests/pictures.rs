@@ -292,10 +292,23 @@ fn runs_that_do_not_show_the_same_are_refused_in_words() {
 fn labels_are_names_where_these_differ() {
     let dir = TempDir::new().unwrap();
     let run = |name: &str| dir.path().join(name);
-    assert_eq!(labels(&[run("a"), run("b")]).unwrap(), ["a", "b"]);
-    let paths = labels(&[run("x/a"), run("y/a")]).unwrap();
+    assert_eq!(labels(&[run("a"), run("b")], &[]).unwrap(), ["a", "b"]);
+    let paths = labels(&[run("x/a"), run("y/a")], &[]).unwrap();
     assert!(paths[0].ends_with("x/a") && paths[1].ends_with("y/a"), "{paths:?}");
-    assert!(labels(&[run("a"), run("b"), run("a")]).unwrap_err().to_string().contains("twice"));
+    assert!(labels(&[run("a"), run("b"), run("a")], &[]).unwrap_err().to_string().contains("twice"));
+}
+
+#[test]
+fn given_labels_are_one_for_each_run() {
+    let runs = ["a", "b"].map(Into::into);
+    let given = |names: &[&str]| labels(&runs, &names.iter().map(|name| name.to_string()).collect::<Vec<_>>());
+    assert_eq!(given(&["NeRF", "Aug-NeRF"]).unwrap(), ["NeRF", "Aug-NeRF"]);
+    for (names, what) in [(&["NeRF"][..], "1 for 2 runs"), (&["N", "N"], "`N` is there twice"), (&["N", " "], "blank")]
+    {
+        let message = given(names).unwrap_err().to_string();
+        assert!(message.contains("--label") && message.contains(what), "{message}");
+    }
+    assert!(labels(&["a", "a"].map(Into::into), &["x".into(), "y".into()]).is_err());
 }
 
 const PATCH: Window = Window { x: 6, y: 7, width: 3, height: 3 };
@@ -419,6 +432,9 @@ fn the_commands_leave_what_they_promise_and_refuse_what_they_cannot_show() {
     let report = json(&dir.path().join("a/renders/compare/compare.json"));
     assert_eq!(report["box"], serde_json::json!({"x": 1, "y": 2, "width": 3, "height": 4}));
     succeed(&["profile", "-q", &a, &b, "--pixel", "0,15", "--patch", "2", "--out", &path("ray")]);
+    succeed(&["compare", "-q", &a, &b, "--label", "NeRF", "--label", "another seed"]);
+    let report = json(&dir.path().join("a/renders/compare/compare.json"));
+    assert_eq!((&report["runs"][0]["run"], &report["runs"][1]["run"]), (&"NeRF".into(), &"another seed".into()));
     assert_eq!(json(&dir.path().join("ray/profile.json"))["pixel"], serde_json::json!([0, 15]));
     let again = path("again");
     succeed(&["profile", "-q", &a, &b, "--pixel", "0,15", "--patch", "2", "--threads", "1", "--out", &again]);
@@ -430,6 +446,7 @@ fn the_commands_leave_what_they_promise_and_refuse_what_they_cannot_show() {
         refuse(&[command, &a, &b, "--view", "r_99"], 2, &["--view r_99", "0 to 7", "r_7"]);
         refuse(&[command, &a, &b, "--view", "8"], 2, &["--view 8", "0 to 7"]);
         refuse(&[command, &a, &a], 2, &["twice"]);
+        refuse(&[command, &a, &b, "--label", "NeRF"], 2, &["--label", "1 for 2 runs"]);
         refuse(&[command, &path("nothing")], 5, &["nothing", "missing"]);
         refuse(&[command, &a, &b, "--out", &path("ray")], 4, &["ray", "already holds files"]);
     }

@@ -20,6 +20,9 @@ pub struct Runs {
     /// Run folders of one scene; each run's newest checkpoint is shown
     #[arg(required = true, value_name = "RUN")]
     runs: Vec<PathBuf>,
+    /// What pictures and files call a run: once for each run, in their order [default: its folder's name]
+    #[arg(long = "label", value_name = "NAME")]
+    labels: Vec<String>,
     /// Held-out view, by name or by number from 0; none is picked by what it shows
     #[arg(long, value_name = "VIEW", default_value = "0")]
     view: String,
@@ -45,7 +48,7 @@ impl Runs {
         make: impl Fn(&Viewer, &Contender) -> Result<T>,
     ) -> Result<Gathered<T>> {
         let (mut gathered, mut folders) = (Vec::<(Contender, T)>::new(), Vec::new());
-        let labels = labels(&self.runs)?;
+        let labels = labels(&self.runs, &self.labels)?;
         for (run, label) in self.runs.iter().zip(labels) {
             let Trained { run, config, scene, state, model } =
                 Trained::open(run, self.data.as_deref(), device, screen)?;

@@ -63,7 +63,7 @@ For each term the weights at which its gradient is 0.1 %, 1 %, 10 %, 100 % and 1
 const COMPARE_EXAMPLES: &str = "Examples:
   augnerf compare runs/fern-nerf-* runs/fern-aug-nerf-*    the first view, the box where they differ most
   augnerf compare A B --view 2 --zoom 120,80,100,75 --gif  a view and box of your own, and a fade from A to B
-  augnerf compare A B C --box-width 64 --out figures/fern
+  augnerf compare A B C --label NeRF --label TV --label Aug-NeRF --box-width 64 --out figures/fern
 
 It leaves compare.png, compare.json with its numbers and each run's protocol, and fade.gif.";
 

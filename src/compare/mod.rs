@@ -126,14 +126,17 @@ fn find_view(label: &str, scene: &Scene, view: &str) -> Result<usize> {
     })
 }
 
-/// Names for runs: their folders' names or, where two folders are called the same, the parts of their paths behind
-/// what is common to all.
-/// Refuses a run that is named twice.
-pub fn labels(runs: &[PathBuf]) -> Result<Vec<String>> {
+/// Names for runs: `given`, if there are any; otherwise their folders' names or, where two folders are called the
+/// same, the parts of their paths behind what is common to all.
+/// Refuses a run or a name that is there twice, and fewer or more names than runs.
+pub fn labels(runs: &[PathBuf], given: &[String]) -> Result<Vec<String>> {
     let place = |run: &Path| std::fs::canonicalize(run).unwrap_or_else(|_| run.to_path_buf());
     let places: Vec<PathBuf> = runs.iter().map(|run| place(run)).collect();
     if let Some(twice) = (1..runs.len()).find(|&index| places[..index].contains(&places[index])) {
         return Err(Error::Config(format!("{} is named twice; name each run once", runs[twice].display())));
+    }
+    if !given.is_empty() {
+        return check_labels(runs, given);
     }
     let name = |place: &PathBuf| place.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
     let names: Vec<String> = places.iter().map(name).collect();
@@ -145,6 +148,19 @@ pub fn labels(runs: &[PathBuf]) -> Result<Vec<String>> {
     let common = (0..).take_while(|&i| parts.iter().all(|own| i + 1 < own.len() && own[i] == parts[0][i])).count();
     let rest = |own: &Vec<&OsStr>| own[common..].iter().collect::<PathBuf>().display().to_string();
     Ok(parts.iter().map(rest).collect())
+}
+
+fn check_labels(runs: &[PathBuf], given: &[String]) -> Result<Vec<String>> {
+    let refuse = |what: String| Err(Error::Config(format!("--label: {what}; give a name of its own for each run")));
+    if given.len() != runs.len() {
+        return refuse(format!("there are {} for {} runs", given.len(), runs.len()));
+    }
+    for (index, label) in given.iter().enumerate() {
+        if label.trim().is_empty() || given[..index].contains(label) {
+            return refuse(format!("`{label}` is {}", if label.trim().is_empty() { "blank" } else { "there twice" }));
+        }
+    }
+    Ok(given.to_vec())
 }
 
 /// A rectangle of an image.
