@@ -4,7 +4,7 @@ use super::{Cell, Comparison, Line, Table, Verdict, distinct};
 use crate::sweep::PUBLISHED_NOTE;
 
 /// Protocol fields that a caption tells, where all lines of a scene share them.
-const CAPTION_FIELDS: [&str; 19] = [
+const CAPTION_FIELDS: [&str; 21] = [
     "protocol",
     "dataset",
     "width",
@@ -14,6 +14,8 @@ const CAPTION_FIELDS: [&str; 19] = [
     "split",
     "views_trained",
     "views_evaluated",
+    "corruption",
+    "mesh",
     "pixel_origin",
     "field_width",
     "field_depth",
