@@ -119,7 +119,6 @@ fn killed_at_random_moments_equals_undisturbed() {
     assert!(kills == 0 || sessions > 4, "no kill hit a training: {sessions} sessions of 4 points");
 }
 
-/// A budget in seconds, too: whoever begins the folder measures it, for both.
 /// A sweep reads its scenes in a way of its own: its noise must be that of a training with the same seed.
 #[test]
 fn corrupted_points_see_what_a_training_would() {
@@ -132,6 +131,8 @@ fn corrupted_points_see_what_a_training_would() {
     let column = |name: &str| headers.iter().position(|known| known == name).unwrap();
     let rows: Vec<csv::StringRecord> = points.records().map(Result::unwrap).collect();
     assert_eq!(rows.len(), 4);
+    let table = std::fs::read_to_string(work.path().join("results/tiny/table.md")).unwrap();
+    assert!(table.contains("corruption shot-noise 3"), "{table}");
     for row in &rows {
         let seed = &row[column("seed")];
         let set = ["--set", "data.width=16", "--set", "data.corruption.kind=shot-noise", "--seed", seed];
@@ -144,6 +145,7 @@ fn corrupted_points_see_what_a_training_would() {
     }
 }
 
+/// A budget in seconds, too: whoever begins the folder measures it, for both.
 #[test]
 fn two_runners_share_a_folder() {
     let (alone, shared) = (workplace(TINY), workplace(TINY));
