@@ -431,10 +431,10 @@ fn the_commands_leave_what_they_promise_and_refuse_what_they_cannot_show() {
     assert!(!dir.path().join("a/renders/compare/fade.gif").exists());
     let report = json(&dir.path().join("a/renders/compare/compare.json"));
     assert_eq!(report["box"], serde_json::json!({"x": 1, "y": 2, "width": 3, "height": 4}));
-    succeed(&["profile", "-q", &a, &b, "--pixel", "0,15", "--patch", "2", "--out", &path("ray")]);
     succeed(&["compare", "-q", &a, &b, "--label", "NeRF", "--label", "another seed"]);
     let report = json(&dir.path().join("a/renders/compare/compare.json"));
     assert_eq!((&report["runs"][0]["run"], &report["runs"][1]["run"]), (&"NeRF".into(), &"another seed".into()));
+    succeed(&["profile", "-q", &a, &b, "--pixel", "0,15", "--patch", "2", "--out", &path("ray")]);
     assert_eq!(json(&dir.path().join("ray/profile.json"))["pixel"], serde_json::json!([0, 15]));
     let again = path("again");
     succeed(&["profile", "-q", &a, &b, "--pixel", "0,15", "--patch", "2", "--threads", "1", "--out", &again]);

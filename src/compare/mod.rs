@@ -156,8 +156,11 @@ fn check_labels(runs: &[PathBuf], given: &[String]) -> Result<Vec<String>> {
         return refuse(format!("there are {} for {} runs", given.len(), runs.len()));
     }
     for (index, label) in given.iter().enumerate() {
-        if label.trim().is_empty() || given[..index].contains(label) {
-            return refuse(format!("`{label}` is {}", if label.trim().is_empty() { "blank" } else { "there twice" }));
+        if label.trim().is_empty() {
+            return refuse("one is blank".into());
+        }
+        if given[..index].contains(label) {
+            return refuse(format!("`{label}` is there twice"));
         }
     }
     Ok(given.to_vec())
