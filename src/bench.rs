@@ -15,16 +15,19 @@ use crate::train::Trainer;
 /// Steps before the clock starts.
 const WARM_UP: usize = 2;
 
+/// What can be timed.
+pub const METHODS: [&str; 5] = ["nerf", "aug", "mip", "tv", "laplacian"];
+
 /// What a step is made of.
 #[derive(Clone, Debug, Serialize)]
 pub struct Workload {
-    /// `nerf`, `aug`, `tv` or `laplacian`.
+    /// One of [`METHODS`].
     pub method: String,
     /// Rays of a step.
     pub rays: usize,
-    /// Samples of the coarse pass.
+    /// Samples (MipNeRF: intervals) of the coarse pass.
     pub coarse: usize,
-    /// Further samples of the fine pass.
+    /// Further samples (MipNeRF: all intervals) of the fine pass.
     pub fine: usize,
     /// Width of both networks, which have 8 layers unless set otherwise.
     pub width: usize,
@@ -115,8 +118,9 @@ impl Workload {
         match self.method.as_str() {
             "nerf" => {}
             "aug" => settings.push("method=aug-nerf".into()),
+            "mip" => settings.push("method=mip-nerf".into()),
             term @ ("tv" | "laplacian") => settings.push(format!("regularizer.kind={term}")),
-            other => return Err(Error::Config(format!("--method {other}: choose nerf, aug, tv or laplacian"))),
+            other => return Err(Error::Config(format!("--method {other}: choose one of {}", METHODS.join(", ")))),
         }
         let mut all = settings.iter().map(|text| parse_assignment(text)).collect::<Result<Vec<_>>>()?;
         all.extend(self.set.iter().cloned());
@@ -146,6 +150,7 @@ impl Workload {
         let done = work::done();
         let fused = done.multiply_adds > 0;
         let memory = peak_memory_mib();
+        let (coarse, fine) = config.samples();
         seconds.sort_by(f64::total_cmp);
         let median = 0.5 * (seconds[(self.steps - 1) / 2] + seconds[self.steps / 2]);
         let multiply_adds = done.multiply_adds as f64 / self.steps as f64;
@@ -158,7 +163,7 @@ impl Workload {
             device: device_name.to_string(),
             seconds_per_step: median,
             rays_per_second: self.rays as f64 / median,
-            points_per_clean_pass: self.rays * if self.fine > 0 { 2 * self.coarse + self.fine } else { self.coarse },
+            points_per_clean_pass: self.rays * (coarse + fine),
             multiply_adds_per_step: fused.then_some(multiply_adds),
             active_share: fused.then(|| done.active_points as f64 / done.points as f64),
             gflops: fused.then_some(gflops),

@@ -203,7 +203,7 @@ impl<'a> Job<'a> {
         let Job { desk, trainer } = self;
         desk.report_redraws(&trainer, reporter);
         reporter.begin(trainer.step_count(), desk.config.train.steps, desk.config.train.rays);
-        let mut watcher = Watcher { desk: &desk, reporter, seconds_evaluation: 0.0 };
+        let mut watcher = Watcher { desk: &desk, reporter, signal, seconds_evaluation: 0.0 };
         let mut session = Session::new(&desk.run, trainer, desk.resumed)?;
         let outcome = session.run(signal, &mut watcher);
         reporter.trained();
@@ -260,6 +260,14 @@ impl Desk<'_> {
         Viewer { model: trainer.model(), config: &self.config, scene: self.scene, device: &self.machine.device }
     }
 
+    /// Nothing, or the error of a run whose newest checkpoint is of `step`, once there is a signal.
+    fn going(&self, signal: &AtomicUsize, step: u64) -> Result<()> {
+        match signal.load(Ordering::SeqCst) {
+            0 => Ok(()),
+            signal => Err(interrupted(signal as i32, step, self.run.path())),
+        }
+    }
+
     /// Measures every held-out view; returns the first one's picture, too, where pictures are made.
     fn evaluate(
         &self,
@@ -270,10 +278,7 @@ impl Desk<'_> {
         let attack = AttackSummary::read(&self.run.scalars(), trainer.step_count())?;
         let renders = self.run.renders();
         let pictures = Pictures::new(&renders, self.scene, self.config.eval.pictures);
-        let going = || match signal.load(Ordering::SeqCst) {
-            0 => Ok(()),
-            signal => Err(interrupted(signal as i32, trainer.step_count(), self.run.path())),
-        };
+        let going = || self.going(signal, trainer.step_count());
         let mut picture = None;
         let views = self.viewer(trainer).evaluate(self.lpips, reporter.progress(), |index, view, rendered| {
             let beside = pictures.write(index, view, rendered)?;
@@ -310,6 +315,7 @@ impl Desk<'_> {
 struct Watcher<'a> {
     desk: &'a Desk<'a>,
     reporter: &'a dyn Reporter,
+    signal: &'a AtomicUsize,
     /// Seconds spent on evaluations during training.
     seconds_evaluation: f64,
 }
@@ -321,7 +327,9 @@ impl Observer for Watcher<'_> {
 
     fn evaluate(&mut self, trainer: &Trainer) -> Result<Vec<(&'static str, f64)>> {
         let started = Instant::now();
-        let views = self.desk.viewer(trainer).evaluate(&[], &(), |_, _, _| Ok(()))?;
+        let saved = trainer.step_count() - 1;
+        let going = |_: usize, _: &_, _: &_| self.desk.going(self.signal, saved);
+        let views = self.desk.viewer(trainer).evaluate(&[], &(), going)?;
         self.seconds_evaluation += started.elapsed().as_secs_f64();
         let mean = MeanMetrics::from_views(&views);
         let step = trainer.step_count();

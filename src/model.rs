@@ -90,6 +90,11 @@ impl Model {
         self.map(Field::recording)
     }
 
+    /// The same weights without a gradient, to be looked at.
+    pub fn frozen(&self) -> Result<Model> {
+        self.map(Field::frozen)
+    }
+
     /// The same weights, laid out for the fused core where it applies (see [`Field::prepared`]).
     pub fn prepared(&self) -> Result<Model> {
         self.map(Field::prepared)

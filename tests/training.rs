@@ -2,12 +2,15 @@
 
 mod common;
 
+use std::sync::atomic::AtomicUsize;
+
 use augnerf::config::{Core, DataKind, Method, PerturbField, Schedule};
 use augnerf::data::{Camera, View};
 use augnerf::error::Error;
 use augnerf::evaluate::Viewer;
 use augnerf::metrics::psnr_float;
-use augnerf::train::{Trainer, learning_rate};
+use augnerf::output::RunDir;
+use augnerf::train::{Observer, Outcome, Session, StepStats, Trainer, checkpoint, interrupted, learning_rate};
 use candle_core::{DType, Device, Tensor};
 use common::{parameters, tiny_config, tiny_scene, trained};
 
@@ -221,4 +224,64 @@ fn fused_and_plain_curves_agree() {
         let mean = |curve: &[f64]| curve[80..].iter().sum::<f64>() / 20.0;
         assert!((mean(&fused) - mean(&plain)).abs() < 0.1, "{method:?}: {} {}", mean(&fused), mean(&plain));
     }
+}
+
+/// Evaluates in no time; a signal comes during the evaluation of step `stop_at`.
+struct Evaluating {
+    stop_at: u64,
+    run: std::path::PathBuf,
+}
+
+impl Observer for Evaluating {
+    fn stepped(&mut self, _: &StepStats) {}
+
+    fn evaluate(&mut self, trainer: &Trainer) -> augnerf::error::Result<Vec<(&'static str, f64)>> {
+        let step = trainer.step_count();
+        if step == self.stop_at {
+            return Err(interrupted(15, step - 1, &self.run));
+        }
+        Ok(vec![("test_psnr", step as f64)])
+    }
+
+    fn saved(&mut self, _: u64, _: f64) -> augnerf::error::Result<()> {
+        Ok(())
+    }
+}
+
+/// An evaluation that a signal ends is done again by the next session, and its row is in the log once.
+#[test]
+fn a_stop_during_an_evaluation_loses_that_step_alone() {
+    let config = tiny_config(Method::Nerf, |config| {
+        config.train.steps = 12;
+        config.train.log_every = 3;
+        config.train.eval_every = 4;
+        config.train.checkpoint_every = 0;
+    });
+    let (scene, signal) = (tiny_scene(), AtomicUsize::new(0));
+    let folder = tempfile::TempDir::new().unwrap();
+    let go_on = |name: &str, stop_at: u64, resumed: bool| {
+        let path = folder.path().join(name);
+        let (run, trainer) = if resumed {
+            let run = RunDir::open(&path).unwrap();
+            let (_, newest) = checkpoint::list(&run.checkpoints()).unwrap().pop().unwrap();
+            let trainer = Trainer::resume(&newest, &config, &scene, DType::F32, &Device::Cpu).unwrap();
+            (run, trainer)
+        } else {
+            let run = RunDir::create(&path, false, 0).unwrap();
+            std::fs::write(run.config(), config.to_toml()).unwrap();
+            (run, Trainer::new(&config, &scene, DType::F32, &Device::Cpu).unwrap())
+        };
+        let mut session = Session::new(&run, trainer, resumed).unwrap();
+        let outcome = session.run(&signal, &mut Evaluating { stop_at, run: path });
+        (outcome, std::fs::read_to_string(run.scalars()).unwrap())
+    };
+    let (outcome, straight) = go_on("straight", 0, false);
+    assert_eq!(outcome.unwrap(), Outcome::Finished);
+    let (outcome, _) = go_on("stopped", 8, false);
+    let Err(Error::Interrupted { message, .. }) = outcome else { panic!("{outcome:?}") };
+    assert!(message.contains("at step 7"), "{message}");
+    let (outcome, resumed) = go_on("stopped", 0, true);
+    assert_eq!(outcome.unwrap(), Outcome::Finished);
+    assert_eq!(straight, resumed);
+    assert_eq!(straight.lines().filter(|line| line.starts_with("8,")).count(), 1, "{straight}");
 }

@@ -2,7 +2,7 @@
 
 use clap::Args;
 
-use crate::bench::Workload;
+use crate::bench::{METHODS, Workload};
 use crate::config::parse_assignment;
 use crate::error::Result;
 
@@ -11,8 +11,8 @@ use super::progress::print;
 
 #[derive(Args)]
 pub struct BenchArguments {
-    /// nerf, aug, tv or laplacian
-    #[arg(long, default_value = "nerf", value_parser = ["nerf", "aug", "tv", "laplacian"])]
+    /// nerf, aug, mip, tv or laplacian
+    #[arg(long, default_value = "nerf", value_parser = METHODS)]
     method: String,
     /// Rays of a step
     #[arg(long, value_name = "N", default_value_t = 1024, value_parser = clap::value_parser!(u16).range(1..=4096))]
@@ -20,7 +20,7 @@ pub struct BenchArguments {
     /// Samples of the coarse pass
     #[arg(long, value_name = "N", default_value_t = 64, value_parser = clap::value_parser!(u16).range(3..=4096))]
     coarse: u16,
-    /// Further samples of the fine pass
+    /// Further samples of the fine pass (mip: all its intervals)
     #[arg(long, value_name = "N", default_value_t = 64, value_parser = clap::value_parser!(u16).range(..=4096))]
     fine: u16,
     /// Width of both networks, which have 8 layers

@@ -8,6 +8,7 @@ use clap::Args;
 use crate::compare::{Comparison, Contender, Window, check_box, check_fade, labels};
 use crate::error::{Error, Result};
 use crate::evaluate::Viewer;
+use crate::job::run_config;
 use crate::output::{AtomicDir, RunDir};
 
 use super::eval::Trained;
@@ -49,6 +50,10 @@ impl Runs {
     ) -> Result<Gathered<T>> {
         let (mut gathered, mut folders) = (Vec::<(Contender, T)>::new(), Vec::new());
         let labels = labels(&self.runs, &self.labels)?;
+        // A folder that is no run is refused before the first rendering.
+        for run in &self.runs {
+            run_config(&RunDir::open(run)?)?;
+        }
         for (run, label) in self.runs.iter().zip(labels) {
             let Trained { run, config, scene, state, model } =
                 Trained::open(run, self.data.as_deref(), device, screen)?;

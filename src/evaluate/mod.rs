@@ -57,14 +57,15 @@ impl Viewer<'_> {
     pub fn render(&self, camera: &Camera) -> Result<RenderedView> {
         let Viewer { model, config, scene, device } = *self;
         let volume = Volume::of(scene);
-        let (coarse, fine) = (model.coarse.frozen()?, model.fine().map(|field| field.frozen()).transpose()?);
+        let model = model.frozen()?;
         let (width, height) = (camera.width as u32, camera.height as u32);
         let pixels: Vec<(&Camera, u32, u32)> =
             (0..height).flat_map(|y| (0..width).map(move |x| (camera, x, y))).collect();
         let render = |part: &[(&Camera, u32, u32)]| -> Result<[Vec<f32>; 3]> {
             let rays =
                 RayBuffer::new(part, scene.ndc.as_ref(), config.data.pixel_origin).to_tensors(DType::F32, device)?;
-            let out = render_rays(&coarse, fine.as_ref(), &rays, volume.bounds, &config.sampling, volume.background)?;
+            let out =
+                render_rays(&model.coarse, model.fine(), &rays, volume.bounds, &config.sampling, volume.background)?;
             let host = |tensor: &candle_core::Tensor| tensor.to_dtype(DType::F32)?.flatten_all()?.to_vec1::<f32>();
             Ok([host(&out.rgb)?, host(&(out.depth / &out.acc)?)?, host(&out.acc)?])
         };
