@@ -54,7 +54,7 @@ pub struct Timed {
     pub seconds_per_step: f64,
     /// Rays over that.
     pub rays_per_second: f64,
-    /// Points of a clean pass through both networks.
+    /// Points (MipNeRF: intervals) that both clean passes ask for.
     pub points_per_clean_pass: usize,
     /// Multiply-adds of matrix products that the fused core did in a step; none where it does not apply.
     pub multiply_adds_per_step: Option<f64>,

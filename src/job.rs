@@ -225,7 +225,8 @@ impl<'a> Job<'a> {
 fn bytes_needed(config: &Config, scene: &Scene) -> u64 {
     let parameters: usize =
         Model::parameter_names(config).iter().map(|(_, shape)| shape.iter().product::<usize>()).sum();
-    let checkpoints = parameters * 3 * 4 * (config.train.keep_checkpoints + 1);
+    // Those that are kept, one more before an evaluation, and the one that is being written.
+    let checkpoints = parameters * 3 * 4 * (config.train.keep_checkpoints + 2);
     let pixels = scene.test.first().map_or(0, |view| view.camera.width * view.camera.height);
     let pictures = config.eval.pictures.min(scene.test.len()) * pixels * 16;
     let logs = (config.train.steps / config.train.log_every) as usize * 1024;
@@ -280,11 +281,12 @@ impl Desk<'_> {
         let pictures = Pictures::new(&renders, self.scene, self.config.eval.pictures);
         let going = || self.going(signal, trainer.step_count());
         let mut picture = None;
-        let views = self.viewer(trainer).evaluate(self.lpips, reporter.progress(), |index, view, rendered| {
-            let beside = pictures.write(index, view, rendered)?;
-            picture = picture.take().or(beside);
-            going()
-        })?;
+        let views =
+            self.viewer(trainer).evaluate(self.lpips, reporter.progress(), going, |index, view, rendered| {
+                let beside = pictures.write(index, view, rendered)?;
+                picture = picture.take().or(beside);
+                Ok(())
+            })?;
         pictures.finish()?;
         let surface = self.viewer(trainer).surface(reporter.progress(), |line| reporter.say(line), going)?;
         let protocol = Protocol::new(&self.config, self.scene, &trainer.state());
@@ -328,8 +330,8 @@ impl Observer for Watcher<'_> {
     fn evaluate(&mut self, trainer: &Trainer) -> Result<Vec<(&'static str, f64)>> {
         let started = Instant::now();
         let saved = trainer.step_count() - 1;
-        let going = |_: usize, _: &_, _: &_| self.desk.going(self.signal, saved);
-        let views = self.desk.viewer(trainer).evaluate(&[], &(), going)?;
+        let going = || self.desk.going(self.signal, saved);
+        let views = self.desk.viewer(trainer).evaluate(&[], &(), going, |_, _, _| Ok(()))?;
         self.seconds_evaluation += started.elapsed().as_secs_f64();
         let mean = MeanMetrics::from_views(&views);
         let step = trainer.step_count();

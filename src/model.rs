@@ -90,9 +90,10 @@ impl Model {
         self.map(Field::recording)
     }
 
-    /// The same weights without a gradient, to be looked at.
+    /// The fields that are looked at, with the same weights and without gradients.
     pub fn frozen(&self) -> Result<Model> {
-        self.map(Field::frozen)
+        let fine = self.fine.as_ref().map(Field::frozen).transpose()?;
+        Ok(Model { coarse: self.coarse.frozen()?, fine, one: self.one, adversarial: None })
     }
 
     /// The same weights, laid out for the fused core where it applies (see [`Field::prepared`]).

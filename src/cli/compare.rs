@@ -10,6 +10,7 @@ use crate::error::{Error, Result};
 use crate::evaluate::Viewer;
 use crate::job::run_config;
 use crate::output::{AtomicDir, RunDir};
+use crate::train::checkpoint;
 
 use super::eval::Trained;
 use super::progress::Screen;
@@ -50,9 +51,11 @@ impl Runs {
     ) -> Result<Gathered<T>> {
         let (mut gathered, mut folders) = (Vec::<(Contender, T)>::new(), Vec::new());
         let labels = labels(&self.runs, &self.labels)?;
-        // A folder that is no run is refused before the first rendering.
+        // A folder without a trained run is refused before the first rendering.
         for run in &self.runs {
-            run_config(&RunDir::open(run)?)?;
+            let run = RunDir::open(run)?;
+            run_config(&run)?;
+            checkpoint::latest(&run.checkpoints())?;
         }
         for (run, label) in self.runs.iter().zip(labels) {
             let Trained { run, config, scene, state, model } =

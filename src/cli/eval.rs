@@ -67,7 +67,7 @@ impl EvalArguments {
         let Trained { run, config, scene, state, model } = &trained;
         surface_reference(config, scene)?;
         let viewer = Viewer { model, config, scene, device: &device };
-        let views = viewer.evaluate(&lpips, &screen, |_, _, _| Ok(()))?;
+        let views = viewer.evaluate(&lpips, &screen, || Ok(()), |_, _, _| Ok(()))?;
         let surface = viewer.surface(&screen, |line| screen.say(line), || Ok(()))?;
         let attack = AttackSummary::read(&run.scalars(), state.step)?;
         let report = Report::new(views, surface, Protocol::new(config, scene, state), attack);

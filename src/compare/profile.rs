@@ -97,24 +97,25 @@ impl Profile {
             let pixels: Vec<_> = pixels.iter().map(|&(x, y)| (camera, x as u32, y as u32)).collect();
             RayBuffer::new(&pixels, scene.ndc.as_ref(), config.data.pixel_origin).to_tensors(DType::F32, device)
         };
-        let (coarse, fine) = (model.coarse.frozen()?, model.fine().map(|field| field.frozen()).transpose()?);
+        let model = model.frozen()?;
+        let (coarse, fine) = (&model.coarse, model.fine());
         let pass = |field, rays: &Rays, t_vals: &Tensor| {
             let background = volume.background;
             clean_pass(field, Pass { rays, t_vals, density_noise: None, background, positions: None })
         };
         let ray = rays(&[pixel])?;
         let sampling = &config.sampling;
-        let (coarse_columns, _) = columns(&coarse, sampling);
+        let (coarse_columns, _) = columns(coarse, sampling);
         let t_vals = stratified(near, far, 1, coarse_columns, None, &ray.origins)?;
-        let coarse_pass = pass(&coarse, &ray, &t_vals)?;
-        let fine_pass = fine.as_ref().map(|fine| pass(fine, &ray, &fine_t_vals(&coarse, &ray, &t_vals, sampling)?));
+        let coarse_pass = pass(coarse, &ray, &t_vals)?;
+        let fine_pass = fine.map(|fine| pass(fine, &ray, &fine_t_vals(coarse, &ray, &t_vals, sampling)?));
         let fine_pass = fine_pass.transpose()?;
         let pixels = pixels_of(patch);
         let around = rays(&pixels)?;
         // MipNeRF's intervals have one edge more.
         let even_columns = EVEN + coarse_columns - sampling.coarse;
         let t_vals = stratified(near, far, pixels.len(), even_columns, None, &around.origins)?;
-        let even = samples(&around, &pass(fine.as_ref().unwrap_or(&coarse), &around, &t_vals)?)?;
+        let even = samples(&around, &pass(model.evaluated(), &around, &t_vals)?)?;
         let shown = &fine_pass.as_ref().unwrap_or(&coarse_pass).composite;
         let acc = shown.acc.to_vec1::<f32>()?[0];
         let depth = shown.depth.to_vec1::<f32>()?[0] / acc;

@@ -175,7 +175,7 @@ impl Tensors {
 impl Trainer {
     /// Writes a checkpoint below `checkpoints` and returns its folder. Kept are the newest
     /// `train.keep_checkpoints` of the scheduled ones (every `train.checkpoint_every` steps, and the
-    /// last) and the newest of all: what the clock or a stop added is gone when the next one comes,
+    /// last) and the newest of all: what the clock, an evaluation or a stop added is gone when the next one comes,
     /// so that a stopped run ends with the same folders as one that never stopped.
     pub fn save(&self, checkpoints: &Path) -> Result<PathBuf> {
         std::fs::create_dir_all(checkpoints).map_err(|e| Error::unwritable(checkpoints, &e))?;

@@ -14,8 +14,8 @@ use super::{StepStats, Trainer, diagnostics};
 pub trait Observer {
     /// A step is done. Called for every step.
     fn stepped(&mut self, stats: &StepStats);
-    /// It is time for an evaluation during training; returns scalars to be logged. The step before the
-    /// trainer's lies in a checkpoint: a signal may end the evaluation with [`interrupted`].
+    /// It is time for an evaluation during training; returns scalars to be logged. From the step before the
+    /// trainer's a run can be resumed: a signal may end the evaluation with [`interrupted`].
     fn evaluate(&mut self, trainer: &Trainer) -> Result<Vec<(&'static str, f64)>>;
     /// A checkpoint was written; `seconds` were spent on steps in this session so far.
     fn saved(&mut self, step: u64, seconds: f64) -> Result<()>;
@@ -120,20 +120,22 @@ impl<'a> Session<'a> {
     }
 
     /// Trains to the last step, or until `signal` holds a signal's number. Checkpoints are written
-    /// every N steps, every T minutes, at a stop and at the end.
+    /// every N steps, every T minutes, before a step that is evaluated, at a stop and at the end.
     pub fn run(&mut self, signal: &AtomicUsize, observer: &mut dyn Observer) -> Result<Outcome> {
         let train = self.trainer.config().train.clone();
         let mut saved_at = Instant::now();
-        let mut saved_step = None;
+        // Where the session starts from: a checkpoint, or step 0, which is a function of the configuration.
+        let mut saved_step = self.trainer.step_count();
         while self.trainer.step_count() < train.steps {
             let next = self.trainer.step_count() + 1;
             let last = next == train.steps;
             let log = next.is_multiple_of(train.log_every) || last;
             // Nothing but 0 is a multiple of 0, which is "never" here. The last step's evaluation is the run's.
             let evaluate = next.is_multiple_of(train.eval_every) && !last;
-            if evaluate && saved_step != Some(next - 1) {
+            if evaluate && saved_step != next - 1 {
                 // The row of a step is written once, evaluation included: stopped there, the step is taken again.
                 self.save(observer)?;
+                (saved_at, saved_step) = (Instant::now(), next - 1);
             }
             let started = Instant::now();
             let stats = self.trainer.step(log)?;
@@ -148,7 +150,7 @@ impl<'a> Session<'a> {
             let stop = signal.load(Ordering::SeqCst);
             if by_step || by_time || last || stop != 0 {
                 self.save(observer)?;
-                (saved_at, saved_step) = (Instant::now(), Some(next));
+                (saved_at, saved_step) = (Instant::now(), next);
             }
             if stop != 0 && !last {
                 return Ok(Outcome::Stopped { signal: stop as i32 });
