@@ -256,19 +256,24 @@ fn no_points_and_one_point() {
     assert_eq!(flat(&both), flat(&field.raw_density(&one).unwrap()), "density alone is the same density");
 }
 
-/// A NaN is not swallowed by a ReLU, so that training finds it.
+/// A NaN is not swallowed by a ReLU or a vanishing octave, so that training finds it.
 #[test]
 fn nan_stays_nan() {
-    let case = paper();
-    let field = field(&case, Core::Fused, DType::F32).frozen().unwrap();
-    let mut values = vec![0.1f32; 6];
-    values[4] = f32::NAN;
-    let points = Tensor::from_vec(values, (2, 3), &CPU).unwrap();
-    let viewdirs = random(1, 0, &[2, 3]).to_dtype(DType::F32).unwrap();
-    let raw = field.forward(&points, &viewdirs, None).unwrap();
-    let density = flat(&raw.density);
-    assert!(density[0].is_finite() && density[1].is_nan(), "{density:?}");
-    assert!(flat(&raw.rgb)[3..].iter().all(|value| value.is_nan()));
+    use Encoding::{Integrated, Positional};
+    // Of two points the second has one: in its position, in a Gaussian's mean, in its variance.
+    for (encoding, position_octaves, at) in [(Positional, 10, 4), (Integrated, 16, 7), (Integrated, 16, 10)] {
+        let case = Case { field: FieldConfig { encoding, position_octaves, ..FieldConfig::default() }, ..paper() };
+        let numbers = if encoding == Integrated { 6 } else { 3 };
+        let mut values = vec![0.1f32; 2 * numbers];
+        values[at] = f32::NAN;
+        let points = Tensor::from_vec(values, (2, numbers), &CPU).unwrap();
+        let viewdirs = random(1, 0, &[2, 3]).to_dtype(DType::F32).unwrap();
+        let field = field(&case, Core::Fused, DType::F32).frozen().unwrap();
+        let raw = field.forward(&points, &viewdirs, None).unwrap();
+        let density = flat(&raw.density);
+        assert!(density[0].is_finite() && density[1].is_nan(), "{encoding:?} {at}: {density:?}");
+        assert!(flat(&raw.rgb)[3..].iter().all(|value| value.is_nan()), "{encoding:?} {at}");
+    }
 }
 
 /// Neither arguments nor the loss's pull are always row after row.

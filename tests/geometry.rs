@@ -161,8 +161,8 @@ fn what_cannot_be_drawn_is_refused_with_what_could() {
     let run = trained(&dir, &[]);
     let draw = |further: &[&'static str]| [&["mesh", &*run.clone().leak(), "--resolution", "24"][..], further].concat();
     refuse(&draw(&["--threshold", "1e6"]), 2, &["1000000", "runs from 0", "a threshold of"]);
-    refuse(&draw(&["--memory", "0.001"]), 2, &["24", "choose at most"]);
-    refuse(&draw(&["--threshold", "0.5", "--memory", "0.05"]), 2, &["outgrows", "would fit", "triangles"]);
+    refuse(&draw(&["--memory", "0.001"]), 2, &["24", "even 8 would take about"]);
+    refuse(&draw(&["--threshold", "0.5", "--memory", "0.2"]), 2, &["outgrows", "would fit", "triangles"]);
     refuse(&draw(&["--threshold=-1"]), 2, &["--threshold", "positive"]);
     refuse(&draw(&["--bbox", "1,1,1,0,0,0"]), 2, &["--bbox", "corners"]);
     refuse(&draw(&["--bbox", "8,8,8,9,9,9"]), 2, &["outside of"]);
@@ -181,15 +181,28 @@ fn what_cannot_be_drawn_is_refused_with_what_could() {
 }
 
 #[test]
-fn a_threshold_that_a_refusal_names_works() {
+fn what_a_refusal_names_works() {
     let dir = TempDir::new().unwrap();
     let run = trained(&dir, &[]);
-    let output = program::run(&["mesh", &run, "--resolution", "32", "--threshold", "1e6"]);
-    let message = String::from_utf8(output.stderr).unwrap();
-    let (_, rest) = message.split_once("a threshold of ").unwrap();
-    let threshold = rest.split_whitespace().next().unwrap();
-    succeed(&["mesh", &run, "--quiet", "--resolution", "32", "--threshold", threshold]);
-    assert!(json(&Path::new(&run).join("mesh/mesh.json"))["faces"].as_u64().unwrap() > 0);
+    let resolution = ("--resolution", "a resolution of about ");
+    for ((option, before), refused) in [
+        (("--threshold", "a threshold of "), ["--resolution", "32", "--memory", "100", "--threshold", "1e6"]),
+        (resolution, ["--resolution", "200", "--memory", "1", "--threshold", "1"]),
+        (resolution, ["--resolution", "100", "--memory", "1", "--threshold", "1"]),
+        (resolution, ["--resolution", "100", "--memory", "1", "--threshold", "2"]),
+    ] {
+        let draw = |options: &[&str]| program::run(&[&["mesh", &run, "--quiet"], options].concat());
+        let output = draw(&refused);
+        assert!(!output.status.success(), "{refused:?}");
+        let message = String::from_utf8(output.stderr).unwrap();
+        let (_, rest) = message.rsplit_once(before).unwrap_or_else(|| panic!("{message}"));
+        let mut options = refused;
+        let at = options.iter().position(|&given| given == option).unwrap();
+        options[at + 1] = rest.split_whitespace().next().unwrap();
+        let output = draw(&options);
+        assert!(output.status.success(), "{message} {options:?}: {}", String::from_utf8_lossy(&output.stderr));
+        assert!(json(&Path::new(&run).join("mesh/mesh.json"))["faces"].as_u64().unwrap() > 0);
+    }
 }
 
 #[test]
@@ -254,6 +267,10 @@ fn without_a_reference_mesh_no_training_begins() {
     };
     refuse(&train(&["--set", "data.kind=builtin-forward"]), 2, &["eval.mesh.reference", "without a mesh"]);
     refuse(&train(&["--set", "eval.mesh.reference=/nowhere/a.ply"]), 3, &["/nowhere/a.ply"]);
+    let line = dir.path().join("line.obj");
+    std::fs::write(&line, "v 0 0 0\nv 1 0 0\nv 2 0 0\nf 1 2 3\n").unwrap();
+    let reference = format!("eval.mesh.reference={}", line.display()).leak();
+    refuse(&train(&["--set", reference]), 3, &["line.obj", "no area"]);
     refuse(&train(&["--set", "eval.mesh.box=[[8,8,8],[9,9,9]]"]), 2, &["eval.mesh.box", "outside of"]);
     let beyond = ["--set", "data.kind=builtin-forward", "--set", "eval.mesh.box=[[-1,-1,-1],[1,1,1.5]]"];
     let mesh = dir.path().join("a.obj");

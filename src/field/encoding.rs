@@ -96,9 +96,9 @@ pub fn encode_integrated_reference(gaussians: &Tensor, octaves: usize) -> Result
     waves.reshape((n, integrated_channels(octaves)))
 }
 
-/// What damps an octave to less than this is taken as 0. It is far below what a sum of numbers near 1 can hold, even in
-/// f64, while the next octaves would leave numbers of less than f32's normal range, 1e-38, on which processors multiply
-/// many times slower.
+/// Octaves that keep less than this are taken as 0. It is far below what a sum of numbers near 1 can hold, even in f64.
+/// Some of them would be subnormal in f32 (below 1e-38), and so could products of the others with weights and gradients
+/// be: processors multiply such numbers many times slower.
 const LEAST_KEPT: f64 = 1e-20;
 
 /// Encodes Gaussians row by row.

@@ -54,7 +54,7 @@ pub fn write_obj(mesh: &Mesh, comment: &str, out: &mut impl Write) -> std::io::R
 }
 
 /// Reads positions and faces of a `.ply` (ascii or binary) or `.obj` file. Polygons are cut into triangles from
-/// their first corner. A mesh without faces, or with a coordinate that is no number, is refused.
+/// their first corner. A mesh without faces or area, or with a coordinate that is no number, is refused.
 pub fn read_mesh(path: &Path) -> Result<Mesh> {
     let fail = |what: String| Error::Data(format!("{}: {what}", path.display()));
     let file = std::fs::File::open(path).map_err(|e| Error::unreadable(path, &e))?;
@@ -72,6 +72,12 @@ pub fn read_mesh(path: &Path) -> Result<Mesh> {
         return Err(fail(format!(
             "the mesh has {} vertices and no faces: a surface is needed, not a cloud of points",
             mesh.vertices.len()
+        )));
+    }
+    if mesh.area() <= 0.0 {
+        return Err(fail(format!(
+            "its {} triangles have no area: a surface is needed, not lines",
+            mesh.triangles.len()
         )));
     }
     Ok(mesh)
@@ -242,6 +248,7 @@ mod tests {
             ("a.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2\n".into(), "three or more"),
             ("a.obj", "v 0 0 0\nv 1 x 0\n".into(), "line 2"),
             ("a.obj", "v 0 0 0\nv 1 0 0\n".into(), "no faces"),
+            ("a.obj", "v 0 0 0\nv 1 0 0\nv 2 0 0\nf 1 2 3\n".into(), "no area"),
             ("a.stl", "solid".into(), ".ply or .obj"),
         ] {
             let message = read(name, text.as_bytes()).unwrap_err().to_string();

@@ -15,6 +15,11 @@ use super::{Marcher, Mesh};
 /// of its bare vertices and triangles.
 const WORKING_SHARE: f64 = 6.0;
 const MIB: f64 = 1024.0 * 1024.0;
+/// What a mesh takes over what the lattice's planes do: both grow with the square of the resolution. Surfaces of the embedded
+/// scene take 15 times as much after 3,000 steps, 30 times after 150.
+const MESH_OVER_PLANES: f64 = 30.0;
+/// The least resolution that can be asked for.
+const LEAST_SIDE: usize = 8;
 
 /// How densities are distributed over a lattice's midpoints, 1 / length.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
@@ -181,19 +186,32 @@ fn clear_border(plane: &mut [f32], side: usize, x: usize) {
     }
 }
 
+/// What the planes of a lattice take.
+fn planes_mib(side: usize) -> f64 {
+    Marcher::plane_bytes([side, side]) as f64 / MIB
+}
+
+fn mib(amount: f64) -> String {
+    let digits = if amount < 10.0 { 3 } else { 0 };
+    format!("{amount:.digits$} MiB")
+}
+
 impl Drawing {
     fn check_planes(&self) -> Result<()> {
-        let needed = |side: usize| Marcher::plane_bytes([side, side]) as f64 / MIB;
         let side = self.lattice.side;
-        if needed(side) <= self.most_mib {
+        if planes_mib(side) <= self.most_mib {
             return Ok(());
         }
-        let fits = (1..side).rev().find(|&side| needed(side) <= self.most_mib).unwrap_or(1);
+        let with_mesh = |side: usize| (1.0 + MESH_OVER_PLANES) * planes_mib(side);
+        let advice = match self.largest_side(with_mesh) {
+            Some(fits) => format!("with its mesh, a resolution of about {fits} would fit"),
+            None => format!("with its mesh, even {LEAST_SIDE} would take about {}", mib(with_mesh(LEAST_SIDE))),
+        };
         Err(Error::Config(format!(
-            "a resolution of {side} takes {:.1} MiB for the lattice's planes alone, and {:.1} MiB are allowed (a half of what \
-             is free, or `augnerf mesh --memory`): choose at most {fits}, which leaves the mesh nothing, so rather half of that",
-            needed(side),
-            self.most_mib
+            "a resolution of {side} takes {} for the lattice's planes alone, and {} (a half of what is free, or `augnerf mesh \
+             --memory`) may be taken: {advice}",
+            mib(planes_mib(side)),
+            mib(self.most_mib)
         )))
     }
 
@@ -201,20 +219,29 @@ impl Drawing {
     fn check_mesh(&self, marcher: &Marcher, planes: usize) -> Result<()> {
         let side = self.lattice.side;
         let mesh = WORKING_SHARE * marcher.mesh_bytes() as f64 / MIB;
-        let left = self.most_mib - Marcher::plane_bytes([side, side]) as f64 / MIB;
-        if mesh <= left && marcher.vertices.len() < u32::MAX as usize {
+        if mesh + planes_mib(side) <= self.most_mib && marcher.vertices.len() < u32::MAX as usize {
             return Ok(());
         }
-        // A surface grows with the square of the resolution; what is left to come is taken to be like what came.
-        let whole = mesh * side as f64 / planes as f64;
-        let fits = (side as f64 * (left.max(0.0) / whole).sqrt()) as usize;
+        // A surface grows with the square of the resolution. What is left to come is taken to be twice what came before, in
+        // the box's outer part.
+        let whole = 2.0 * mesh * side as f64 / planes as f64;
+        let needed = |fewer: usize| planes_mib(fewer) + whole * (fewer as f64 / side as f64).powi(2);
+        let advice = match self.largest_side(needed) {
+            Some(fits) => format!("a resolution of about {fits} would fit"),
+            None => format!("even {LEAST_SIDE} would take about {}", mib(needed(LEAST_SIDE))),
+        };
         Err(Error::Config(format!(
-            "the level set at resolution {side} outgrows {:.1} MiB (a half of what is free, or `augnerf mesh --memory`) after \
-             {planes} of {side} planes, with {} triangles: a resolution of about {fits} would fit; so may a higher \
-             threshold, for a low one also draws what the training views left undecided",
-            self.most_mib,
+            "the level set at resolution {side} outgrows {} (a half of what is free, or `augnerf mesh --memory`) after \
+             {planes} of {side} planes, with {} triangles: {advice}; a higher threshold may help, too, for a low one also \
+             draws what the training views left undecided",
+            mib(self.most_mib),
             marcher.triangles.len()
         )))
+    }
+
+    /// The largest resolution below this one that takes no more than the memory.
+    fn largest_side(&self, needed_mib: impl Fn(usize) -> f64) -> Option<usize> {
+        (LEAST_SIDE..self.lattice.side).rev().find(|&side| needed_mib(side) <= self.most_mib)
     }
 
     /// Why there is no surface among densities that count from `least` to `largest`, and what threshold would give one.
