@@ -302,19 +302,19 @@ fn stop_and_resume(signal: &str, code: i32) {
 fn a_signal_during_an_evaluation_loses_nothing() {
     let dir = TempDir::new().unwrap();
     let settings = ["train.steps=6", "train.eval_every=3", "train.checkpoint_every=0", "train.log_every=1"];
-    let slow = ["data.width=48", "sampling.fine=96"];
+    let slow = ["data.width=64", "sampling.fine=96"];
     let further: Vec<&str> = settings.iter().chain(&slow).flat_map(|setting| ["--set", setting]).collect();
     let (straight, stopped) = (dir.path().join("straight"), dir.path().join("stopped"));
     succeed(&tiny(&straight, &further));
     let mut child = start(&tiny(&stopped, &further));
     wait_for_checkpoint(&stopped, 2, &mut child);
-    // The evaluation takes a second or more; before and after it, a signal is as good.
-    std::thread::sleep(Duration::from_millis(200));
+    // Into step 3 or its evaluation, which takes far longer.
+    std::thread::sleep(Duration::from_millis(20));
     Command::new("kill").args(["-TERM", &child.id().to_string()]).status().unwrap();
     let output = child.wait_with_output().unwrap();
     let message = String::from_utf8_lossy(&output.stderr);
     assert_eq!(output.status.code(), Some(143), "{message}");
-    assert!(message.contains("augnerf resume"), "{message}");
+    assert!(message.contains("at step 2") && message.contains("augnerf resume"), "{message}");
     succeed(&["resume", "--quiet", stopped.to_str().unwrap()]);
     assert_same(&straight, &stopped);
 }

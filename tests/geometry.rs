@@ -162,7 +162,7 @@ fn what_cannot_be_drawn_is_refused_with_what_could() {
     let draw = |further: &[&'static str]| [&["mesh", &*run.clone().leak(), "--resolution", "24"][..], further].concat();
     refuse(&draw(&["--threshold", "1e6"]), 2, &["1000000", "runs from 0", "a threshold of"]);
     refuse(&draw(&["--memory", "0.001"]), 2, &["24", "even 8 would take about"]);
-    refuse(&draw(&["--threshold", "0.5", "--memory", "0.2"]), 2, &["outgrows", "would fit", "triangles"]);
+    refuse(&draw(&["--threshold", "0.5", "--memory", "0.2"]), 2, &["outgrows", "may fit", "triangles"]);
     refuse(&draw(&["--threshold=-1"]), 2, &["--threshold", "positive"]);
     refuse(&draw(&["--bbox", "1,1,1,0,0,0"]), 2, &["--bbox", "corners"]);
     refuse(&draw(&["--bbox", "8,8,8,9,9,9"]), 2, &["outside of"]);
@@ -184,13 +184,16 @@ fn what_cannot_be_drawn_is_refused_with_what_could() {
 fn what_a_refusal_names_works() {
     let dir = TempDir::new().unwrap();
     let run = trained(&dir, &[]);
-    let resolution = ("--resolution", "a resolution of about ");
-    for ((option, before), refused) in [
-        (("--threshold", "a threshold of "), ["--resolution", "32", "--memory", "100", "--threshold", "1e6"]),
-        (resolution, ["--resolution", "200", "--memory", "1", "--threshold", "1"]),
-        (resolution, ["--resolution", "100", "--memory", "1", "--threshold", "1"]),
-        (resolution, ["--resolution", "100", "--memory", "1", "--threshold", "2"]),
+    let whole = "--bbox=-1.2,-1.2,-1.2,1.2,1.2,1.2";
+    let aside = "--bbox=-6,-1,-1,1,1,1";
+    for (option, refused) in [
+        ("--threshold", [whole, "--resolution", "32", "--memory", "100", "--threshold", "1e6"]),
+        ("--resolution", [whole, "--resolution", "200", "--memory", "1.2", "--threshold", "1"]),
+        ("--resolution", [whole, "--resolution", "181", "--memory", "1.2", "--threshold", "1"]),
+        ("--resolution", [whole, "--resolution", "100", "--memory", "1.2", "--threshold", "2"]),
+        ("--resolution", [aside, "--resolution", "110", "--memory", "1.2", "--threshold", "2"]),
     ] {
+        let before = if option == "--threshold" { "a threshold of " } else { "a resolution of about " };
         let draw = |options: &[&str]| program::run(&[&["mesh", &run, "--quiet"], options].concat());
         let output = draw(&refused);
         assert!(!output.status.success(), "{refused:?}");

@@ -75,10 +75,7 @@ pub fn read_mesh(path: &Path) -> Result<Mesh> {
         )));
     }
     if mesh.area() <= 0.0 {
-        return Err(fail(format!(
-            "its {} triangles have no area: a surface is needed, not lines",
-            mesh.triangles.len()
-        )));
+        return Err(fail(format!("its faces have no area (triangles: {}): a surface is needed", mesh.triangles.len())));
     }
     Ok(mesh)
 }

@@ -16,8 +16,8 @@ use super::{Marcher, Mesh};
 const WORKING_SHARE: f64 = 6.0;
 const MIB: f64 = 1024.0 * 1024.0;
 /// What a mesh takes over what the lattice's planes do: both grow with the square of the resolution. Surfaces of the embedded
-/// scene take 15 times as much after 3,000 steps, 30 times after 150.
-const MESH_OVER_PLANES: f64 = 30.0;
+/// scene take 15 times as much after 3,000 steps, 30 times after 150; some room is added.
+const MESH_OVER_PLANES: f64 = 40.0;
 /// The least resolution that can be asked for.
 const LEAST_SIDE: usize = 8;
 
@@ -113,7 +113,7 @@ pub struct Drawing {
 ///
 /// # Errors
 /// A density that is not finite; a level set that is empty, with a threshold that gives one, or that outgrows the
-/// memory, with a resolution that would fit.
+/// memory, with a resolution that may fit.
 pub fn level_set(
     field: &Field,
     drawing: &Drawing,
@@ -191,6 +191,11 @@ fn planes_mib(side: usize) -> f64 {
     Marcher::plane_bytes([side, side]) as f64 / MIB
 }
 
+/// What a lattice and its mesh usually take.
+fn usual_mib(side: usize) -> f64 {
+    (1.0 + MESH_OVER_PLANES) * planes_mib(side)
+}
+
 fn mib(amount: f64) -> String {
     let digits = if amount < 10.0 { 3 } else { 0 };
     format!("{amount:.digits$} MiB")
@@ -202,10 +207,9 @@ impl Drawing {
         if planes_mib(side) <= self.most_mib {
             return Ok(());
         }
-        let with_mesh = |side: usize| (1.0 + MESH_OVER_PLANES) * planes_mib(side);
-        let advice = match self.largest_side(with_mesh) {
-            Some(fits) => format!("with its mesh, a resolution of about {fits} would fit"),
-            None => format!("with its mesh, even {LEAST_SIDE} would take about {}", mib(with_mesh(LEAST_SIDE))),
+        let advice = match self.largest_side(usual_mib) {
+            Some(fits) => format!("with its mesh, a resolution of about {fits} may fit"),
+            None => format!("with its mesh, even {LEAST_SIDE} would take about {}", mib(usual_mib(LEAST_SIDE))),
         };
         Err(Error::Config(format!(
             "a resolution of {side} takes {} for the lattice's planes alone, and {} (a half of what is free, or `augnerf mesh \
@@ -215,19 +219,20 @@ impl Drawing {
         )))
     }
 
-    /// Refuses a mesh that outgrows the memory while it grows, with the resolution that would have fitted.
+    /// Refuses a mesh that outgrows the memory while it grows, with a resolution that may fit.
     fn check_mesh(&self, marcher: &Marcher, planes: usize) -> Result<()> {
         let side = self.lattice.side;
         let mesh = WORKING_SHARE * marcher.mesh_bytes() as f64 / MIB;
         if mesh + planes_mib(side) <= self.most_mib && marcher.vertices.len() < u32::MAX as usize {
             return Ok(());
         }
-        // A surface grows with the square of the resolution. What is left to come is taken to be twice what came before, in
-        // the box's outer part.
+        // A surface grows with the square of the resolution. Its first planes tell little of the whole: they are in the box's
+        // outer part, before the object or at its rim. So twice what they say, and no less than usual.
         let whole = 2.0 * mesh * side as f64 / planes as f64;
-        let needed = |fewer: usize| planes_mib(fewer) + whole * (fewer as f64 / side as f64).powi(2);
+        let told = |fewer: usize| planes_mib(fewer) + whole * (fewer as f64 / side as f64).powi(2);
+        let needed = |fewer: usize| told(fewer).max(usual_mib(fewer));
         let advice = match self.largest_side(needed) {
-            Some(fits) => format!("a resolution of about {fits} would fit"),
+            Some(fits) => format!("a resolution of about {fits} may fit"),
             None => format!("even {LEAST_SIDE} would take about {}", mib(needed(LEAST_SIDE))),
         };
         Err(Error::Config(format!(
