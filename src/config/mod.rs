@@ -20,7 +20,7 @@ pub use perturb::{
     Radius, Resample, StepUnit,
 };
 pub use regularizer::{LatticePoints, REGULARIZERS, RegularizedFields, Regularizer, RegularizerConfig};
-pub use validate::{validate_mesh, validate_regularizer};
+pub use validate::{MESH_SIDES, validate_mesh, validate_regularizer};
 
 use crate::error::{Error, Result};
 

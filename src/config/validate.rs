@@ -1,6 +1,8 @@
 //! Checks of ranges and across fields. Each message names the field, what was found and what is
 //! allowed.
 
+use std::ops::RangeInclusive;
+
 use super::{
     Attack, Config, CorruptionConfig, DataKind, Encoding, EvalSplit, LEVELS, LatticePoints, Level, MeshConfig, Norm,
     PerturbField, PerturbKind, RegularizerConfig, StepUnit,
@@ -57,11 +59,14 @@ fn require_box([lower, upper]: [[f64; 3]; 2], field: &str) -> Result<()> {
     require(is_box, field, format!("{:?}", [lower, upper]), allowed)
 }
 
+/// Cells along each side of a mesh's lattice.
+pub const MESH_SIDES: RangeInclusive<usize> = 8..=1024;
+
 /// Checks section `eval.mesh`.
 pub fn validate_mesh(mesh: &MeshConfig) -> Result<()> {
     let (side, at) = (mesh.resolution, mesh.at);
-    let sides = "0 (no surface), or 8 to 1024 cells a side";
-    require(side == 0 || (8..=1024).contains(&side), "eval.mesh.resolution", side, sides)?;
+    let sides = format!("0 (no surface), or {} to {} cells a side", MESH_SIDES.start(), MESH_SIDES.end());
+    require(side == 0 || MESH_SIDES.contains(&side), "eval.mesh.resolution", side, &sides)?;
     if let Some(threshold) = mesh.threshold {
         require(threshold.is_finite() && threshold > 0.0, "eval.mesh.threshold", threshold, "a positive density")?;
     }

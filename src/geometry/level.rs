@@ -5,6 +5,7 @@ use std::io::Write;
 use candle_core::{DType, Device};
 use serde::Serialize;
 
+use crate::config::MESH_SIDES;
 use crate::error::{Error, Result};
 use crate::field::Field;
 use crate::regularizers::{Lattice, densities};
@@ -16,10 +17,10 @@ use super::{Marcher, Mesh};
 const WORKING_SHARE: f64 = 6.0;
 const MIB: f64 = 1024.0 * 1024.0;
 /// What a mesh takes over what the lattice's planes do: both grow with the square of the resolution. Surfaces of the embedded
-/// scene take 15 times as much after 3,000 steps, 30 times after 150; some room is added.
+/// scene take 15 to 30 times as much; some room is added.
 const MESH_OVER_PLANES: f64 = 40.0;
 /// The least resolution that can be asked for.
-const LEAST_SIDE: usize = 8;
+const LEAST_SIDE: usize = *MESH_SIDES.start();
 
 /// How densities are distributed over a lattice's midpoints, 1 / length.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
