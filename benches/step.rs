@@ -7,20 +7,21 @@
 use std::hint::black_box;
 use std::time::Duration;
 
-use augnerf::config::{Config, Core, DataKind, FieldConfig, Method, Regularizer, RegularizerConfig};
+use augnerf::base::rng::{Random, Stream};
 use augnerf::field::Field;
-use augnerf::regularizers::{CHUNK, Lattice, Points, regularize};
+use augnerf::losses::regularize;
 use augnerf::render::Composite;
+use augnerf::render::sampling::{importance, stratified};
 use augnerf::render::volume::{composite, composite_reference};
-use augnerf::rng::{Random, Stream};
-use augnerf::sampling::{importance, stratified};
+use augnerf::settings::{Config, Core, DataKind, FieldConfig, Method, Regularizer, RegularizerConfig};
+use augnerf::space::{CHUNK, Lattice, Points};
 use augnerf::train::{Adam, Trainer};
 use candle_core::{DType, Device, Tensor, Var};
 use criterion::{Criterion, criterion_group, criterion_main};
 use rayon::prelude::*;
 
 fn step(criterion: &mut Criterion) {
-    augnerf::allocator::keep_freed_memory();
+    augnerf::runtime::allocator::keep_freed_memory();
     augnerf::cli::set_threads(None).expect("threads");
     let mut group = criterion.benchmark_group("step");
     group.sample_size(10).warm_up_time(Duration::from_secs(4)).measurement_time(Duration::from_secs(20));
@@ -106,7 +107,7 @@ fn parts(criterion: &mut Criterion) {
     let rgb = Var::from_tensor(&draw(3, &[RAYS, SAMPLES, 3])).expect("a variable");
     let density = Var::from_tensor(&draw(4, &[RAYS, SAMPLES])).expect("a variable");
     let norm = Tensor::ones((RAYS, 1), DType::F32, &Device::Cpu).expect("ones");
-    type Composited = fn(&Tensor, &Tensor, &Tensor, &Tensor, Option<[f32; 3]>) -> augnerf::error::Result<Composite>;
+    type Composited = fn(&Tensor, &Tensor, &Tensor, &Tensor, Option<[f32; 3]>) -> augnerf::base::Result<Composite>;
     for (name, composited) in [("scan", composite as Composited), ("plain", composite_reference)] {
         group.bench_function(format!("composite-{name}"), |bencher| {
             bencher.iter(|| {

@@ -5,11 +5,11 @@ use std::time::Instant;
 use candle_core::{DType, Device};
 use serde::Serialize;
 
-use crate::config::{Config, DataKind, parse_assignment};
-use crate::data::{Camera, Image, Scene, View};
-use crate::error::{Error, Result};
+use crate::base::{Error, Image, Result, revision};
+use crate::data::{Camera, Scene, View};
 use crate::field::work;
-use crate::output::{peak_memory_mib, revision};
+use crate::runtime::peak_memory_mib;
+use crate::settings::{Config, DataKind, parse_assignment};
 use crate::train::Trainer;
 
 /// Steps before the clock starts.
@@ -124,7 +124,7 @@ impl Workload {
         }
         let mut all = settings.iter().map(|text| parse_assignment(text)).collect::<Result<Vec<_>>>()?;
         all.extend(self.set.iter().cloned());
-        let mut config = crate::config::build(None, None, &all)?;
+        let mut config = crate::settings::build(None, None, &all)?;
         config.resolve_kind(DataKind::Blender);
         config.train.precrop_steps = Some(0);
         config.resolve_bounds(2.0, 6.0);

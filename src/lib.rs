@@ -36,7 +36,7 @@
 //! | `weights` | `[rays, samples]` | 0..1 | transmittance * alpha |
 //! | `acc` | `[rays]` | 0..1 | sum of weights |
 //! | `depth` | `[rays]` | as `t_vals` | sum of weights * t |
-//! | `delta` | see [`perturbations::Deltas`] | the level's own | a perturbation |
+//! | `delta` | see [`augment::Deltas`] | the level's own | a perturbation |
 //! | `epsilon` | scalar | see README | size of a delta's set |
 //! | `step_size` | scalar | the delta's unit, or radii | length of one ascent step |
 //! | `lambda` | scalar | 1 | weight of the perturbed loss |
@@ -49,40 +49,40 @@
 //!
 //! | tier | modules |
 //! |---|---|
-//! | 9 | `cli` |
-//! | 8 | `sweep` |
-//! | 7 | `job`, `bench`, `compare` |
-//! | 6 | `evaluate` |
-//! | 5 | `train`, `geometry` |
-//! | 4 | `model`, `regularizers`, `render` |
-//! | 3 | `field`, `sampling`, `perturbations`, `metrics`, `output` |
-//! | 2 | `data` |
-//! | 1 | `config`, `rng` |
-//! | 0 | `error`, `allocator` |
+//! | 11 | `cli` |
+//! | 10 | `sweep` |
+//! | 9 | `compare`, `bench` |
+//! | 8 | `run` |
+//! | 7 | `train` |
+//! | 6 | `methods` |
+//! | 5 | `losses` |
+//! | 4 | `render`, `space`, `report` |
+//! | 3 | `field`, `augment`, `metrics` |
+//! | 2 | `data`, `draw` |
+//! | 1 | `settings`, `runtime` |
+//! | 0 | `base` |
 //!
-//! Randomness comes from [`rng`] alone, a function of seed, stream and step. The numeric core is
+//! Randomness comes from [`base::rng`] alone, a function of seed, stream and step. The numeric core is
 //! generic over f32 and f64; training runs in f32, the tests' oracles in f64.
 
 #![warn(missing_docs)]
 
-pub mod allocator;
+pub mod augment;
+pub mod base;
 pub mod bench;
 pub mod cli;
 pub mod compare;
-pub mod config;
 pub mod data;
-pub mod error;
-pub mod evaluate;
+pub mod draw;
 pub mod field;
-pub mod geometry;
-pub mod job;
+pub mod losses;
+pub mod methods;
 pub mod metrics;
-pub mod model;
-pub mod output;
-pub mod perturbations;
-pub mod regularizers;
 pub mod render;
-pub mod rng;
-pub mod sampling;
+pub mod report;
+pub mod run;
+pub mod runtime;
+pub mod settings;
+pub mod space;
 pub mod sweep;
 pub mod train;

@@ -3,6 +3,6 @@
 use std::process::ExitCode;
 
 fn main() -> ExitCode {
-    augnerf::allocator::keep_freed_memory();
+    augnerf::runtime::allocator::keep_freed_memory();
     augnerf::cli::main()
 }

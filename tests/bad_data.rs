@@ -3,8 +3,8 @@
 use std::fs;
 use std::path::Path;
 
-use augnerf::config::{DataConfig, DataKind, EvalSplit};
 use augnerf::data;
+use augnerf::settings::{DataConfig, DataKind, EvalSplit};
 use tempfile::TempDir;
 
 /// A row of `poses_bounds.npy`: the camera at (x, 0, 0) that looks along -z.
@@ -74,7 +74,7 @@ fn config(dir: &Path) -> DataConfig {
     DataConfig { dir: dir.display().to_string(), downscale: Some(1), ..DataConfig::default() }
 }
 
-fn try_load(mut config: DataConfig) -> augnerf::error::Result<data::Scene> {
+fn try_load(mut config: DataConfig) -> augnerf::base::Result<data::Scene> {
     config.kind = data::detect(&config)?;
     data::load(&config, 0, &())
 }

@@ -1,7 +1,7 @@
 //! Corrupted training data: what is touched, what is not, and that it repeats.
 
-use augnerf::config::{CorruptionConfig, CorruptionKind, DataConfig, DataKind};
 use augnerf::data::{self, Scene, View};
+use augnerf::settings::{CorruptionConfig, CorruptionKind, DataConfig, DataKind};
 
 fn scene(kind: DataKind, corruption: CorruptionKind, seed: u64) -> Scene {
     let corruption = CorruptionConfig { kind: corruption, ..CorruptionConfig::default() };
@@ -71,7 +71,7 @@ fn values_are_those_of_a_picture() {
 /// The settings of a run from before corruptions and MipNeRF: fields that came later must not change its hash.
 #[test]
 fn an_early_run_keeps_its_hash() {
-    let config = augnerf::config::Config::from_toml(include_str!("fixtures/early_config.toml"), "early").unwrap();
+    let config = augnerf::settings::Config::from_toml(include_str!("fixtures/early_config.toml"), "early").unwrap();
     assert_eq!(config.hash(), "e574c28e283d");
 }
 
@@ -79,7 +79,7 @@ fn an_early_run_keeps_its_hash() {
 #[test]
 fn unused_numbers_have_no_say() {
     let hash = |kind: CorruptionKind, severity: usize, degrees: f64| {
-        let mut config = augnerf::config::Config::default();
+        let mut config = augnerf::settings::Config::default();
         config.data.corruption = CorruptionConfig { kind, severity, degrees, ..CorruptionConfig::default() };
         config.hash()
     };

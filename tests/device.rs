@@ -4,7 +4,7 @@
 
 mod common;
 
-use augnerf::config::Method;
+use augnerf::settings::Method;
 use augnerf::train::Trainer;
 use candle_core::{DType, Device};
 use common::{tiny_config, tiny_scene};

@@ -1,8 +1,8 @@
 //! The fused field against the plain one: outputs, every gradient, odd sizes, NaN. (Threads: tests/cli.rs.)
 
-use augnerf::config::{Core, Encoding, FieldConfig};
+use augnerf::base::rng::{Random, Stream};
 use augnerf::field::{FeatureDelta, Field};
-use augnerf::rng::{Random, Stream};
+use augnerf::settings::{Core, Encoding, FieldConfig};
 use candle_core::{DType, Device, Tensor, Var};
 use proptest::prelude::*;
 

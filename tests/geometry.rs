@@ -6,9 +6,9 @@ mod program;
 
 use std::path::{Path, PathBuf};
 
-use augnerf::config::{DataConfig, DataKind};
 use augnerf::data::vector::{cross, dot, sub};
 use augnerf::data::{self, View};
+use augnerf::settings::{DataConfig, DataKind};
 use program::refuse;
 use tempfile::TempDir;
 

@@ -6,10 +6,11 @@
 
 use std::path::PathBuf;
 
-use augnerf::config::{DataConfig, DataKind};
-use augnerf::data::llff::Poses;
+use augnerf::data::formats::blender;
+use augnerf::data::formats::llff::Poses;
 use augnerf::data::pose::{self, Pose};
-use augnerf::data::{self, Camera, Ndc, blender, images};
+use augnerf::data::{self, Camera, Ndc, images};
+use augnerf::settings::{DataConfig, DataKind};
 use candle_core::{Device, Tensor, safetensors};
 
 /// The references are float32, a handful of roundings away from our float64: poses and bounds are

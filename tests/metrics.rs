@@ -8,9 +8,9 @@ use std::collections::HashMap;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
-use augnerf::data::Image;
-use augnerf::evaluate::columns;
+use augnerf::base::Image;
 use augnerf::metrics::{self, Backbone, Lpips, MeanMetrics, ViewMetrics};
+use augnerf::run::columns;
 use candle_core::{Device, Tensor};
 
 /// PSNR and SSIM are computed in f64 here and there; images are 8-bit.

@@ -4,11 +4,10 @@
 use std::fs;
 use std::path::Path;
 
-use augnerf::data::Image;
-use augnerf::output::{
-    AtomicDir, EventWriter, RunDir, Scalars, beside, clean_temporaries, depth_colour, depth_range, write_atomic,
-    write_depth16, write_gif, write_png8,
-};
+use augnerf::base::Image;
+use augnerf::base::files::{AtomicDir, clean_temporaries, write_atomic};
+use augnerf::draw::{beside, depth_colour, depth_range, write_depth16, write_gif, write_png8};
+use augnerf::run::{EventWriter, RunDir, Scalars};
 
 fn finished_run(path: &Path) {
     let run = RunDir::create(path, false, 0).unwrap();
@@ -152,7 +151,7 @@ fn pictures_read_back() {
     let joined = beside(&[&ramp(size, size), &ramp(size, size), &coloured], 4).unwrap();
     write_png8(&dir.join("joined.png"), &joined).unwrap();
     let read = image::open(dir.join("joined.png")).unwrap().into_rgb8();
-    assert_eq!(read.into_raw(), augnerf::output::quantise(&joined.pixels));
+    assert_eq!(read.into_raw(), augnerf::draw::quantise(&joined.pixels));
 
     write_depth16(&dir.join("depth.png"), &depth, size, size, 8.0).unwrap();
     let read = image::open(dir.join("depth.png")).unwrap().into_luma16().into_raw();
@@ -183,7 +182,7 @@ fn check_gif(bytes: &[u8], frames: &[Image]) {
     assert_eq!(decoder.repeat(), gif::Repeat::Infinite);
     let mut count = 0;
     while let Some(read) = decoder.read_next_frame().unwrap() {
-        let expected = augnerf::output::quantise(&frames[count].pixels);
+        let expected = augnerf::draw::quantise(&frames[count].pixels);
         let close = |(read, expected): (&[u8], &[u8])| (0..3).all(|c| read[c].abs_diff(expected[c]) < 24);
         let pairs = read.buffer.chunks_exact(4).zip(expected.chunks_exact(3));
         let share = pairs.clone().filter(|&pair| close(pair)).count() as f64 / pairs.len() as f64;

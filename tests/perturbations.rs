@@ -2,13 +2,12 @@
 
 mod common;
 
-use augnerf::config::{Attack, LEVELS, Level, Method, Norm, OutputPlace, PerturbConfig, PerturbField, PerturbKind};
+use augnerf::augment::{Deltas, Draw, PassGeometry, PixelScale, Sets, StepSizes, worst_case};
+use augnerf::base::rng::{Random, Stream};
 use augnerf::data::{RayBuffer, Rays};
 use augnerf::field::Field;
-use augnerf::perturbations::{Deltas, Draw, PassGeometry, PixelScale, Sets, StepSizes, worst_case};
-use augnerf::render::{Pass, Perturbation, clean_pass, perturbed_pass, photometric_loss};
-use augnerf::rng::{Random, Stream};
-use augnerf::sampling;
+use augnerf::render::{Pass, Perturbation, clean_pass, perturbed_pass, photometric_loss, sampling};
+use augnerf::settings::{Attack, LEVELS, Level, Method, Norm, OutputPlace, PerturbConfig, PerturbField, PerturbKind};
 use candle_core::{DType, Device, Tensor, Var};
 use common::{parameters, tiny_config, tiny_scene, trained};
 use proptest::prelude::*;
@@ -322,7 +321,7 @@ fn the_search_raises_the_loss_and_beats_random_deltas_on_a_trained_field() {
                 *config = PerturbConfig { attack: Attack::Calibrated, injection_layer: 2, ..PerturbConfig::default() };
                 for level in LEVELS {
                     if only.is_some_and(|only| only != level) {
-                        config.delta_mut(level).passes = augnerf::config::Passes::Off;
+                        config.delta_mut(level).passes = augnerf::settings::Passes::Off;
                     }
                 }
             });
@@ -386,7 +385,7 @@ fn calibrated_changes_the_weights_and_an_empty_attack_does_not() {
 fn every_kind_and_place_trains() {
     for kind in [PerturbKind::WorstCase, PerturbKind::Gaussian, PerturbKind::Uniform, PerturbKind::FreshJitter] {
         for output in [OutputPlace::After, OutputPlace::Before] {
-            for resample in [augnerf::config::Resample::Clean, augnerf::config::Resample::Perturbed] {
+            for resample in [augnerf::settings::Resample::Clean, augnerf::settings::Resample::Perturbed] {
                 let config = tiny_config(Method::AugNerf, |config| {
                     (config.perturb.kind, config.perturb.output, config.perturb.resample) = (kind, output, resample);
                 });
@@ -423,9 +422,9 @@ fn a_coarse_level_gains_as_much_as_its_pass_weighs() {
             config.train.coarse_weight = coarse_weight;
             config.perturb.attack = Attack::Calibrated;
             for level in LEVELS {
-                config.perturb.delta_mut(level).passes = augnerf::config::Passes::Off;
+                config.perturb.delta_mut(level).passes = augnerf::settings::Passes::Off;
             }
-            config.perturb.xyz.passes = augnerf::config::Passes::Coarse;
+            config.perturb.xyz.passes = augnerf::settings::Passes::Coarse;
             config.perturb.xyz.epsilon = Some(20.0);
         });
         trained(&config, 0).step(true).unwrap().levels[0].gain
@@ -445,7 +444,7 @@ fn a_level_of_size_zero_is_reported_inactive() {
 #[test]
 fn switching_a_level_off_leaves_the_draws_of_the_others() {
     let all = Setting::new(1, 3, 5, |_| {});
-    let some = Setting::new(1, 3, 5, |config| config.feature.passes = augnerf::config::Passes::Off);
+    let some = Setting::new(1, 3, 5, |config| config.feature.passes = augnerf::settings::Passes::Off);
     for level in [Level::T, Level::Xyz, Level::View, Level::Rgb, Level::Density] {
         let values =
             |setting: &Setting| setting.draw(0).get(level).unwrap().flatten_all().unwrap().to_vec1::<f64>().unwrap();
@@ -460,7 +459,7 @@ fn density_noise_cannot_make_an_empty_white_scene_opaque() {
     let mut setting = Setting::new(5, 6, 9, |config| {
         config.density.epsilon = Some(0.01);
         for level in [Level::T, Level::Xyz, Level::View, Level::Feature, Level::Rgb] {
-            config.delta_mut(level).passes = augnerf::config::Passes::Off;
+            config.delta_mut(level).passes = augnerf::settings::Passes::Off;
         }
     });
     setting.noise = (setting.noise.zeros_like().unwrap() - 1e3).unwrap();

@@ -8,14 +8,15 @@ mod program;
 
 use std::path::Path;
 
+use augnerf::base::Image;
+use augnerf::base::rng::{Random, Stream};
 use augnerf::compare::{
     Comparison, Contender, Profile, Profiles, Window, crop, differences, labels, most_different, patch_around,
 };
-use augnerf::config::{Config, Method, PixelOrigin};
-use augnerf::data::{Image, Scene};
-use augnerf::evaluate::{RenderedView, Viewer};
+use augnerf::data::Scene;
 use augnerf::metrics::{psnr, quantise};
-use augnerf::rng::{Random, Stream};
+use augnerf::run::{RenderedView, Viewer};
+use augnerf::settings::{Config, Method, PixelOrigin};
 use augnerf::train::checkpoint::State;
 use candle_core::Device;
 use common::{tiny_config, tiny_scene, trained};
@@ -175,7 +176,7 @@ fn a_comparison_repeats_byte_for_byte_and_its_numbers_are_those_of_the_box() {
 }
 
 fn eight_bits(image: &Image) -> Vec<[u8; 3]> {
-    augnerf::output::quantise(&image.pixels).chunks(3).map(|p| [p[0], p[1], p[2]]).collect()
+    augnerf::draw::quantise(&image.pixels).chunks(3).map(|p| [p[0], p[1], p[2]]).collect()
 }
 
 /// Each pixel of the renderings and of their maps is found in the picture, as it is, 25 times enlarged.
@@ -205,12 +206,12 @@ fn the_picture_shows_the_pixels_themselves() {
         assert!(shown(0, &image), "rendering");
         let errors = eight_bits(&image).into_iter().zip(eight_bits(truth)).flat_map(|(a, b)| {
             let sum: u32 = (0..3).map(|c| u32::from(a[c].abs_diff(b[c])).pow(2)).sum();
-            augnerf::output::scale_colour((sum as f32 / 3.0).sqrt() / 255.0 / end("error_colours", 1))
+            augnerf::draw::scale_colour((sum as f32 / 3.0).sqrt() / 255.0 / end("error_colours", 1))
         });
         let errors = Image { pixels: errors.collect(), ..*truth };
         assert!(shown(2, &errors), "error map");
         let (near, far) = (end("depth_colours", 0), end("depth_colours", 1));
-        assert!(shown(3, &augnerf::output::depth_colour(&depth, 16, 16, near, far, Some(&acc)).unwrap()), "depth map");
+        assert!(shown(3, &augnerf::draw::depth_colour(&depth, 16, 16, near, far, Some(&acc)).unwrap()), "depth map");
         let other = Image { pixels: image.pixels.iter().map(|value| 1.0 - value).collect(), ..image };
         assert!(!shown(0, &other) && !shown(2, &other), "another picture is not there");
     }

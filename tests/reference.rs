@@ -4,12 +4,12 @@
 
 use std::collections::HashMap;
 
-use augnerf::config::{FieldConfig, LEVELS, Level, Norm, OutputPlace, PerturbConfig};
+use augnerf::augment::{DeltaSet, Deltas, PassGeometry, PixelScale, Sets, StepSizes, worst_case};
 use augnerf::data::{Footprint, Rays};
 use augnerf::field::{Field, encode};
-use augnerf::perturbations::{DeltaSet, Deltas, PassGeometry, PixelScale, Sets, StepSizes, worst_case};
+use augnerf::render::sampling::inverse_cdf;
 use augnerf::render::{Pass, PassOutput, Perturbation, clean_pass, perturbed_pass, photometric_loss, volume};
-use augnerf::sampling::inverse_cdf;
+use augnerf::settings::{FieldConfig, LEVELS, Level, Norm, OutputPlace, PerturbConfig};
 use candle_core::{DType, Device, Tensor, Var};
 
 /// Relative tolerance of sums in f32: a few hundred terms of relative error 6e-8.
@@ -298,8 +298,8 @@ fn two_search_steps_and_the_final_pass() {
 
 #[test]
 fn spatial_derivatives_and_regularizers() {
-    use augnerf::config::Regularizer;
-    use augnerf::regularizers::regularize_at;
+    use augnerf::losses::regularize_at;
+    use augnerf::settings::Regularizer;
     let a = Attack::load();
     let points = a.reference.get("space.x");
     let spatial = a.field.spatial(&points).unwrap();

@@ -3,13 +3,14 @@
 
 mod common;
 
-use augnerf::config::{
+use augnerf::base::rng::{Random, Stream};
+use augnerf::field::{Cotangents, Field, spatial_reference};
+use augnerf::losses::{measure, regularize, regularize_at};
+use augnerf::settings::{
     DensityActivation, Encoding, FieldConfig, LatticePoints, Method, REGULARIZERS, RegularizedFields, Regularizer,
     RegularizerConfig,
 };
-use augnerf::field::{Cotangents, Field, spatial_reference};
-use augnerf::regularizers::{Lattice, Points, measure, regularize, regularize_at};
-use augnerf::rng::{Random, Stream};
+use augnerf::space::{Lattice, Points};
 use augnerf::train::Trainer;
 use candle_core::{DType, Device, Tensor};
 use common::{parameters, tiny_config, tiny_scene, trained};
@@ -452,7 +453,11 @@ fn points_stay_in_their_cells_and_are_fresh_in_each_step() {
     assert!(first != draw(0, 1) && first != draw(1, 0));
 }
 
-fn regularized(kind: Regularizer, weight: f64, change: impl FnOnce(&mut RegularizerConfig)) -> augnerf::config::Config {
+fn regularized(
+    kind: Regularizer,
+    weight: f64,
+    change: impl FnOnce(&mut RegularizerConfig),
+) -> augnerf::settings::Config {
     tiny_config(Method::Nerf, |config| {
         config.regularizer.kind = vec![kind];
         config.regularizer.weight = vec![weight];
@@ -550,7 +555,7 @@ fn the_balance_is_a_ratio_of_gradient_norms_and_moves_nothing() {
 
 #[test]
 fn what_would_never_finish_or_meets_nothing_is_refused_with_words() {
-    let refused = |config: &augnerf::config::Config| {
+    let refused = |config: &augnerf::settings::Config| {
         Trainer::new(config, &tiny_scene(), DType::F32, &CPU).err().expect("refused").to_string()
     };
     let far = regularized(Regularizer::Tv, 1.0, |regularizer| regularizer.domain = [[50.0; 3], [51.0; 3]]);

@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Output, Stdio};
 use std::time::Duration;
 
-use augnerf::rng::{Random, Stream};
+use augnerf::base::rng::{Random, Stream};
 use tempfile::TempDir;
 
 /// Runs of about a second: two methods, two seeds, the embedded scene at 16 x 16.

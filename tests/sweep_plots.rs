@@ -1,9 +1,9 @@
 //! Figures of a sweep from hand-made points. `AUGNERF_PLOTS=DIR` keeps them to look at.
 
-use augnerf::rng::{Random, Stream};
-use augnerf::sweep::plots::{Curve, Figure, axes_figure, curves_figure, rows_figure};
-use augnerf::sweep::tables::Table;
-use augnerf::sweep::{AxisValue, Record, RowSpec, Status, TableSpec};
+use augnerf::base::rng::{Random, Stream};
+use augnerf::report::plots::{Curve, Figure, axes_figure, curves_figure, rows_figure};
+use augnerf::report::tables::Table;
+use augnerf::report::{AxisValue, Record, RowSpec, Status, TableSpec};
 
 const ROWS: [&str; 14] = [
     "NeRF",

@@ -6,11 +6,12 @@ use std::path::Path;
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-use augnerf::config::Config;
-use augnerf::error::{Error, Result};
+use augnerf::base::{Error, Result};
+use augnerf::report::Status;
+use augnerf::settings::Config;
 use augnerf::sweep::{
-    Beat, Change, Claim, Definition, Failure, Options, Overrides, Point, PointFolder, PointResult, Runner, Status,
-    StepCosts, SweepFolder, Watch, Work, begin, evaluations_per_step, expand, shape,
+    Beat, Change, Claim, Definition, Failure, Options, Overrides, Point, PointFolder, PointResult, Runner, StepCosts,
+    SweepFolder, Watch, Work, begin, evaluations_per_step, expand, shape,
 };
 use tempfile::TempDir;
 

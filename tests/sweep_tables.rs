@@ -2,11 +2,11 @@
 
 use std::collections::HashMap;
 
-use augnerf::error::Error;
-use augnerf::sweep::tables::{
+use augnerf::base::Error;
+use augnerf::report::tables::{
     Line, Table, Verdict, points_csv, table_csv, table_latex, table_markdown, table_terminal,
 };
-use augnerf::sweep::{AxisValue, PublishedKey, Record, RowSpec, Status, TableSpec};
+use augnerf::report::{AxisValue, PublishedKey, Record, RowSpec, Status, TableSpec};
 
 fn row(name: &str, baseline: Option<&str>, method: &str) -> RowSpec {
     let key = PublishedKey { table: "tab4".into(), condition: "clean".into(), method: method.into() };

@@ -4,13 +4,12 @@ mod common;
 
 use std::sync::atomic::AtomicUsize;
 
-use augnerf::config::{Core, DataKind, Method, PerturbField, Schedule};
+use augnerf::base::Error;
 use augnerf::data::{Camera, View};
-use augnerf::error::Error;
-use augnerf::evaluate::Viewer;
 use augnerf::metrics::psnr_float;
-use augnerf::output::RunDir;
-use augnerf::train::{Observer, Outcome, Session, StepStats, Trainer, checkpoint, interrupted, learning_rate};
+use augnerf::run::{Observer, Outcome, RunDir, Session, Viewer, interrupted};
+use augnerf::settings::{Core, DataKind, Method, PerturbField, Schedule};
+use augnerf::train::{StepStats, Trainer, checkpoint, learning_rate};
 use candle_core::{DType, Device, Tensor};
 use common::{parameters, tiny_config, tiny_scene, trained};
 
@@ -235,7 +234,7 @@ struct Evaluating {
 impl Observer for Evaluating {
     fn stepped(&mut self, _: &StepStats) {}
 
-    fn evaluate(&mut self, trainer: &Trainer) -> augnerf::error::Result<Vec<(&'static str, f64)>> {
+    fn evaluate(&mut self, trainer: &Trainer) -> augnerf::base::Result<Vec<(&'static str, f64)>> {
         let step = trainer.step_count();
         if step == self.stop_at {
             return Err(interrupted(15, step - 1, &self.run));
@@ -243,7 +242,7 @@ impl Observer for Evaluating {
         Ok(vec![("test_psnr", step as f64)])
     }
 
-    fn saved(&mut self, _: u64, _: f64) -> augnerf::error::Result<()> {
+    fn saved(&mut self, _: u64, _: f64) -> augnerf::base::Result<()> {
         Ok(())
     }
 }

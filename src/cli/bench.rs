@@ -2,9 +2,9 @@
 
 use clap::Args;
 
+use crate::base::Result;
 use crate::bench::{METHODS, Workload};
-use crate::config::parse_assignment;
-use crate::error::Result;
+use crate::settings::parse_assignment;
 
 use super::Machine;
 use super::progress::print;

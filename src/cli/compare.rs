@@ -5,11 +5,10 @@ use std::path::{Path, PathBuf};
 use candle_core::Device;
 use clap::Args;
 
+use crate::base::files::AtomicDir;
+use crate::base::{Error, Result};
 use crate::compare::{Comparison, Contender, Window, check_box, check_fade, labels};
-use crate::error::{Error, Result};
-use crate::evaluate::Viewer;
-use crate::job::run_config;
-use crate::output::{AtomicDir, RunDir};
+use crate::run::{RunDir, Viewer, run_config};
 use crate::train::checkpoint;
 
 use super::eval::Trained;

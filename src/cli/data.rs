@@ -4,13 +4,12 @@ use std::path::PathBuf;
 
 use clap::{Args, Subcommand};
 
-use crate::config::{build, parse_assignment};
-use crate::data::builtin::export;
+use crate::base::files::AtomicDir;
+use crate::base::{Error, Result};
 use crate::data::corruption::corrupt;
-use crate::error::{Error, Result};
-use crate::evaluate::{split_name, write_corrupted};
-use crate::job::load_scene;
-use crate::output::AtomicDir;
+use crate::data::formats::builtin::export;
+use crate::run::{load_scene, split_name, write_corrupted};
+use crate::settings::{build, parse_assignment};
 
 use super::experiment::Experiment;
 use super::progress::{Screen, print};

@@ -5,13 +5,11 @@ use std::path::{Path, PathBuf};
 use candle_core::{DType, Device};
 use clap::Args;
 
-use crate::config::Config;
+use crate::base::Result;
 use crate::data::Scene;
-use crate::error::Result;
-use crate::evaluate::{Protocol, Report, Viewer, surface_reference};
-use crate::job::{load_lpips, load_scene, run_config};
-use crate::model::Model;
-use crate::output::RunDir;
+use crate::methods::Model;
+use crate::run::{Protocol, Report, RunDir, Viewer, load_lpips, load_scene, run_config, surface_reference};
+use crate::settings::Config;
 use crate::train::AttackSummary;
 use crate::train::checkpoint::{self, State};
 

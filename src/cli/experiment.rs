@@ -5,9 +5,9 @@ use std::path::PathBuf;
 use clap::Args;
 use toml::Value;
 
-use crate::config::{Config, DataKind, Preset, build, data_section, parse_assignment};
+use crate::base::{Error, Result};
 use crate::data;
-use crate::error::{Error, Result};
+use crate::settings::{Config, DataKind, Preset, build, data_section, parse_assignment};
 
 use super::LpipsWeights;
 

@@ -5,12 +5,10 @@ use std::path::PathBuf;
 use candle_core::DType;
 use clap::Args;
 
-use crate::config::{LatticePoints, Method, REGULARIZERS, RegularizerConfig, validate_regularizer};
-use crate::error::{Error, Result};
-use crate::evaluate::{Protocol, SmoothnessReport, columns};
-use crate::job::{load_scene, run_config};
-use crate::output::RunDir;
-use crate::regularizers::Lattice;
+use crate::base::{Error, Result};
+use crate::run::{Protocol, RunDir, SmoothnessReport, columns, load_scene, run_config};
+use crate::settings::{LatticePoints, Method, REGULARIZERS, RegularizerConfig, validate_regularizer};
+use crate::space::Lattice;
 use crate::train::Trainer;
 
 use super::eval::Trained;

@@ -8,14 +8,15 @@ use candle_core::Device;
 use clap::{Args, ValueEnum};
 use serde::Serialize;
 
-use crate::config::{DataKind, MeshConfig, validate_mesh};
-use crate::data::{Progress, npy};
-use crate::error::{Error, Result};
-use crate::evaluate::{BUILTIN, Protocol, columns, most_memory_mib, reference_mesh, surface_box, surface_threshold};
-use crate::geometry::{self, DensityRange, Drawing, LevelSet, Mesh, Reference, Score, Skin, level_set, skin};
-use crate::job::run_config;
-use crate::output::{AtomicDir, RunDir, run_dir, version, write_json};
-use crate::regularizers::Lattice;
+use crate::base::files::{AtomicDir, write_json};
+use crate::base::{Error, Progress, Result, version};
+use crate::data::npy;
+use crate::run::{
+    BUILTIN, Protocol, RunDir, columns, folder, most_memory_mib, reference_mesh, run_config, surface_box,
+    surface_threshold,
+};
+use crate::settings::{DataKind, MeshConfig, validate_mesh};
+use crate::space::{self, DensityRange, Drawing, Lattice, LevelSet, Mesh, Reference, Score, Skin, level_set, skin};
 
 use super::Machine;
 use super::eval::Trained;
@@ -277,7 +278,7 @@ impl MeshReport {
 fn density_file(files: &AtomicDir, run: &RunDir, lattice: &Lattice) -> Result<BufWriter<File>> {
     let path = files.path().join(DENSITY);
     let needed = (lattice.cells() * size_of::<f32>()) as f64;
-    if let Some(free) = run_dir::free_bytes(run.path()).filter(|free| (*free as f64) < needed) {
+    if let Some(free) = folder::free_bytes(run.path()).filter(|free| (*free as f64) < needed) {
         return Err(Error::Output(format!(
             "{} has too little room for --density: it takes {:.0} MiB and {:.0} MiB are free",
             run.path().display(),
@@ -296,8 +297,8 @@ fn write_mesh(path: &Path, format: Format, mesh: &Mesh) -> Result<()> {
     let write = || {
         let mut out = BufWriter::new(File::create(path)?);
         match format {
-            Format::Ply => geometry::write_ply(mesh, &comment, &mut out)?,
-            Format::Obj => geometry::write_obj(mesh, &comment, &mut out)?,
+            Format::Ply => space::write_ply(mesh, &comment, &mut out)?,
+            Format::Obj => space::write_obj(mesh, &comment, &mut out)?,
         }
         out.flush()
     };
@@ -332,7 +333,7 @@ impl ChamferArguments {
         }
         let draw = |name: &str, other: &str| named_mesh(name, other)?.sample(self.points, self.seed);
         let (mesh, reference) = (draw(&self.mesh, &self.reference)?, draw(&self.reference, &self.mesh)?);
-        let compared = geometry::chamfer(&mesh, &reference, &self.at)?;
+        let compared = space::chamfer(&mesh, &reference, &self.at)?;
         let mut cells = vec![
             ("mesh".into(), self.mesh.clone()),
             ("reference".into(), self.reference.clone()),

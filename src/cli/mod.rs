@@ -7,8 +7,8 @@ use std::str::FromStr;
 use candle_core::Device;
 use clap::{Args, Parser, Subcommand};
 
-use crate::config::Config;
-use crate::error::{Error, Result};
+use crate::base::{Error, Result};
+use crate::settings::Config;
 
 mod bench;
 mod compare;

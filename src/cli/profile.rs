@@ -4,10 +4,10 @@ use std::path::PathBuf;
 
 use clap::Args;
 
+use crate::base::files::AtomicDir;
+use crate::base::{Error, Result};
 use crate::compare::{Contender, Profile, Profiles, Window, check_overlay, patch_around};
-use crate::error::{Error, Result};
-use crate::evaluate::Viewer;
-use crate::output::AtomicDir;
+use crate::run::Viewer;
 
 use super::compare::{Runs, pictures_folder};
 use super::progress::Screen;

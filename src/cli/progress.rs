@@ -6,8 +6,8 @@ use std::time::{Duration, Instant};
 
 use indicatif::{ProgressBar, ProgressStyle};
 
-use crate::data::Progress;
-use crate::job::Reporter;
+use crate::base::Progress;
+use crate::run::Reporter;
 use crate::train::StepStats;
 
 /// Where there is no terminal, a line at most so often.

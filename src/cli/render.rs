@@ -4,9 +4,9 @@ use std::path::PathBuf;
 
 use clap::{Args, ValueEnum};
 
-use crate::data::{Camera, Progress};
-use crate::error::{Error, Result};
-use crate::evaluate::{Pictures, Viewer, write_path};
+use crate::base::{Error, Progress, Result};
+use crate::data::Camera;
+use crate::run::{Pictures, Viewer, write_path};
 
 use super::compare::pictures_folder;
 use super::eval::Trained;

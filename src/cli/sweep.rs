@@ -6,14 +6,15 @@ use std::path::{Path, PathBuf};
 
 use clap::{Args, Subcommand};
 
-use crate::config::parse_assignment;
-use crate::error::{Error, Result};
-use crate::job::{self, Reporter, load_lpips};
+use crate::base::{Error, Result};
 use crate::metrics::Lpips;
-use crate::sweep::tables::table_terminal;
+use crate::report::Status;
+use crate::report::tables::table_terminal;
+use crate::run::{Reporter, experiment, load_lpips};
+use crate::settings::parse_assignment;
 use crate::sweep::{
     Change, Collector, Cost, Definition, Failure, Options, Overrides, Point, PointResult, Runner, SMOOTHNESS_METRICS,
-    Status, SweepFolder, Trainings, Watch, begin, expand, shape,
+    SweepFolder, Trainings, Watch, begin, expand, shape,
 };
 
 use super::progress::{Console, Lines, print};
@@ -186,7 +187,7 @@ impl RunArguments {
         }
         let name = self.machine.device.clone().unwrap_or_else(|| "cpu".into());
         let smoothness = definition.metrics.iter().any(|metric| SMOOTHNESS_METRICS.contains(&metric.as_str()));
-        let trainings = Trainings::new(job::Machine { device, name }, (lpips, weights), smoothness, &*console);
+        let trainings = Trainings::new(experiment::Machine { device, name }, (lpips, weights), smoothness, &*console);
         let points = begin(&folder, &definition, self.place.data_root.as_deref(), self.extend, &trainings)?;
         let options = Options {
             jobs: usize::from(self.jobs),
@@ -355,7 +356,8 @@ impl PlanArguments {
         let definition = self.changes.definition(&self.place)?;
         let folder = self.place.folder()?;
         let name = self.machine.device.clone().unwrap_or_else(|| "cpu".into());
-        let trainings = Trainings::new(job::Machine { device, name }, (Vec::new(), String::new()), false, &console);
+        let trainings =
+            Trainings::new(experiment::Machine { device, name }, (Vec::new(), String::new()), false, &console);
         let data_root = self.place.data_root.as_deref();
         let points = match folder.points(data_root)? {
             Some(points) if folder.compare(&definition)? == Change::None => points,

@@ -6,10 +6,9 @@ use std::sync::atomic::AtomicUsize;
 
 use clap::Args;
 
-use crate::config::Config;
-use crate::error::{Error, Result};
-use crate::job::{self, Finished, Job, Reporter, load_lpips, load_scene, run_config};
-use crate::output::RunDir;
+use crate::base::{Error, Result};
+use crate::run::{Finished, Job, Reporter, RunDir, experiment, load_lpips, load_scene, run_config};
+use crate::settings::Config;
 
 use super::experiment::Experiment;
 use super::progress::{Console, print};
@@ -54,7 +53,7 @@ impl TrainArguments {
             return Ok(());
         }
         let folder = self.out.clone().unwrap_or_else(|| default_folder(&config));
-        let machine = job::Machine { device, name: self.machine.device.unwrap_or_else(|| "cpu".into()) };
+        let machine = experiment::Machine { device, name: self.machine.device.unwrap_or_else(|| "cpu".into()) };
         let job = Job::create(&folder, self.overwrite, config, (&scene, &lpips), machine)?;
         train(job, &folder, &console)
     }
@@ -67,7 +66,7 @@ impl ResumeArguments {
         run.lock()?;
         run.clean()?;
         let mut config = run_config(&run)?;
-        let name = match (&self.machine.device, job::read_timing(&run)?) {
+        let name = match (&self.machine.device, experiment::read_timing(&run)?) {
             (Some(name), _) => name.clone(),
             (None, Some(timing)) => timing.device,
             (None, None) => "cpu".into(),
@@ -79,7 +78,7 @@ impl ResumeArguments {
         config.eval.lpips_weights = self.sources.weights.or(&config);
         let lpips = load_lpips(&config.eval.lpips_weights, &device)?;
         let scene = load_scene(&mut config, console.progress())?;
-        let job = Job::resume(run, config, (&scene, &lpips), job::Machine { device, name })?;
+        let job = Job::resume(run, config, (&scene, &lpips), experiment::Machine { device, name })?;
         console.say(&format!("{} goes on at step {}", self.run.display(), job.step_count()));
         train(job, &self.run, &console)
     }

@@ -3,8 +3,8 @@
 use serde::Serialize;
 
 use super::Contender;
-use crate::config::Config;
-use crate::evaluate::columns;
+use crate::run::columns;
+use crate::settings::Config;
 
 /// Fields of the protocol that follow from others.
 const DERIVED: [&str; 3] = ["config_hash", "redraws", "corruption_hash"];

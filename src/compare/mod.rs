@@ -4,11 +4,11 @@
 use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
 
-use crate::data::{Camera, Image, Ndc, Scene, View};
-use crate::error::{Error, Result};
-use crate::evaluate::{Protocol, Viewer};
-use crate::output::drawing::{Anchor, BLACK, Colour, Drawing, GREY, LINE_HEIGHT, TEXT, number, ticks, wrapped};
-use crate::output::scale_colour;
+use crate::base::{Error, Image, Result};
+use crate::data::{Camera, Ndc, Scene, View};
+use crate::draw::canvas::{Anchor, BLACK, Colour, Drawing, GREY, LINE_HEIGHT, TEXT, number, ticks, wrapped};
+use crate::draw::scale_colour;
+use crate::run::{Protocol, Viewer};
 use crate::train::checkpoint::State;
 
 mod differences;

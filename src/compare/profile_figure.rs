@@ -3,13 +3,13 @@
 use super::differences::told;
 use super::profile::{EVEN, Profile, Profiles, Samples};
 use super::{BAR, Contender, Window, colour_bar, differences, lines, note, trained_on};
-use crate::data::{Image, resample};
-use crate::error::{Error, Result};
-use crate::output::drawing::{
+use crate::base::{Error, Image, Result};
+use crate::data::resample;
+use crate::draw::canvas::{
     Anchor, BLACK, Colour, Drawing, FINENESS, Figure, GRID, PALETTE, PAPER, Panel, RED, SIDE, TEXT, TITLE, number,
     ticks,
 };
-use crate::output::scale_colour;
+use crate::draw::scale_colour;
 
 const LEFT: f64 = 92.0;
 /// A pixel of the PNG for each even sample.

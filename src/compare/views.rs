@@ -6,14 +6,15 @@ use serde::Serialize;
 
 use super::zoom::{Window, most_different};
 use super::{BAR, Contender, Difference, colour_bar, crop, differences, differences::told, lines, note, trained_on};
-use crate::data::{Image, resample};
-use crate::error::{Error, Result};
-use crate::evaluate::{Protocol, RenderedView};
-use crate::metrics::{ViewMetrics, measure};
-use crate::output::drawing::{
+use crate::base::files::{write_atomic, write_json};
+use crate::base::{Error, Image, Result};
+use crate::data::resample;
+use crate::draw::canvas::{
     Anchor, BLACK, Drawing, FINENESS, Figure, LINE_HEIGHT, PAPER, RED, SIDE, TEXT, TITLE, text_width, wrapped,
 };
-use crate::output::{depth_colour, depth_range, quantise, scale_colour, write_atomic, write_json, write_timed_gif};
+use crate::draw::{depth_colour, depth_range, quantise, scale_colour, write_timed_gif};
+use crate::metrics::{ViewMetrics, measure};
+use crate::run::{Protocol, RenderedView};
 
 /// Share of the view's sides that the box has where nobody says how large it is to be.
 const BOX_SHARE: usize = 5;

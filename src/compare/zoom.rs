@@ -3,9 +3,8 @@
 use rayon::prelude::*;
 use serde::Serialize;
 
-use crate::data::Image;
-use crate::error::{Error, Result};
-use crate::output::quantise;
+use crate::base::{Error, Image, Result};
+use crate::draw::quantise;
 
 /// A rectangle of pixels; `x` counts from the left, `y` from the top.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]

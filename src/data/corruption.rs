@@ -6,10 +6,10 @@
 use rayon::prelude::*;
 
 use super::pose::{Pose, Vec3, column, compose, from_columns};
-use super::{Camera, Image, Scene, View};
-use crate::config::{CorruptionConfig, CorruptionKind};
-use crate::error::{Error, Result};
-use crate::rng::{Random, Stream};
+use super::{Camera, Scene, View};
+use crate::base::rng::{Random, Stream};
+use crate::base::{Error, Image, Result};
+use crate::settings::{CorruptionConfig, CorruptionKind};
 
 /// What was done to a scene's training views.
 #[derive(Clone, Debug, PartialEq)]
@@ -132,8 +132,8 @@ fn check_facing(views: &[View], config: &CorruptionConfig) -> Result<()> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::config::{DataConfig, DataKind};
     use crate::data::pose::{check_rotation, dot};
+    use crate::settings::{DataConfig, DataKind};
 
     const SIDE: usize = 300;
 

@@ -21,7 +21,7 @@ use std::path::{Path, PathBuf};
 use image::DynamicImage;
 
 use super::{Camera, images};
-use crate::error::Result;
+use crate::base::Result;
 
 /// Distance that the 255 steps of a map span, scene units.
 const SPAN: f64 = 8.0;

@@ -2,11 +2,11 @@
 
 use std::path::Path;
 
-use super::blender::transforms_file;
-use super::llff::POSES_FILE;
-use super::transforms::TRANSFORMS_FILE;
-use crate::config::{DataConfig, DataKind};
-use crate::error::{Error, Result};
+use super::formats::blender::transforms_file;
+use super::formats::llff::POSES_FILE;
+use super::formats::transforms::TRANSFORMS_FILE;
+use crate::base::{Error, Result};
+use crate::settings::{DataConfig, DataKind};
 
 /// The kind of scene that `config` names: `config.kind` where it is set, by the files in the folder
 /// otherwise (`poses_bounds.npy`, `transforms_train.json`, `transforms.json`, in this order). No

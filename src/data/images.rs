@@ -9,9 +9,9 @@ use std::path::{Path, PathBuf};
 use image::{DynamicImage, ImageFormat, ImageReader};
 use rayon::prelude::*;
 
-use super::{Image, Progress, resample};
-use crate::config::DataConfig;
-use crate::error::{Error, Result};
+use super::resample;
+use crate::base::{Error, Image, Progress, Result};
+use crate::settings::DataConfig;
 
 /// Endings of files that count as images, lower case.
 pub const ENDINGS: [&str; 3] = ["png", "jpg", "jpeg"];

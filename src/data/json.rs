@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use serde_json::Value;
 
 use super::pose::{self, Pose};
-use crate::error::{Error, Result};
+use crate::base::{Error, Result};
 
 /// One object of a JSON file and where it stands.
 #[derive(Clone, Copy)]

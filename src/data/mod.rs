@@ -1,21 +1,18 @@
 //! Scenes: posed images split into training, validation and held-out views.
 
-pub mod blender;
-pub mod builtin;
 pub mod camera;
 pub mod corruption;
 pub mod depth;
 mod describe;
 mod detect;
+pub mod formats;
 pub mod images;
 mod json;
-pub mod llff;
 pub mod npy;
 pub mod ply;
 pub mod pose;
 pub mod rays;
 pub mod resample;
-pub mod transforms;
 pub mod vector;
 
 pub use camera::{Camera, Ndc};
@@ -25,38 +22,10 @@ pub use rays::{Footprint, RayBuffer, Rays};
 
 use sha2::{Digest, Sha256};
 
-use crate::config::{Background, DataConfig, DataKind, scene_name, short_hash};
-use crate::error::{Error, Result};
+use crate::base::{Error, Image, Progress, Result};
+use formats::{blender, builtin, llff, transforms};
 
-/// Who is told how far a load has got. The library itself prints nothing.
-pub trait Progress: Sync {
-    /// A stretch of `total` steps begins.
-    fn start(&self, label: &str, total: u64);
-    /// One step is done; called from several threads.
-    fn advance(&self);
-    /// The stretch is over.
-    fn finish(&self);
-}
-
-/// Tells nobody.
-impl Progress for () {
-    fn start(&self, _label: &str, _total: u64) {}
-    fn advance(&self) {}
-    fn finish(&self) {}
-}
-
-/// An image in memory: row-major, `pixels[(y * width + x) * channels + c]`, values in 0..=1.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Image {
-    /// Columns.
-    pub width: usize,
-    /// Rows.
-    pub height: usize,
-    /// 3 (RGB) or 4 (RGBA, straight alpha).
-    pub channels: usize,
-    /// `height * width * channels` values.
-    pub pixels: Vec<f32>,
-}
+use crate::settings::{Background, DataConfig, DataKind, scene_name, short_hash};
 
 /// One posed photograph.
 #[derive(Clone, Debug)]

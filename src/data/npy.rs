@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use crate::error::{Error, Result};
+use crate::base::{Error, Result};
 
 /// A two-dimensional array, row-major.
 #[derive(Clone, Debug, PartialEq)]

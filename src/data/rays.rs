@@ -3,10 +3,10 @@
 use candle_core::{DType, Device, Tensor};
 use rayon::prelude::*;
 
-use crate::config::PixelOrigin;
+use crate::base::Result;
 use crate::data::vector::{length, sub};
 use crate::data::{Camera, Ndc};
-use crate::error::Result;
+use crate::settings::PixelOrigin;
 
 /// A batch of rays as tensors.
 #[derive(Clone)]

@@ -1,6 +1,6 @@
 //! Changing an image's size and what lies behind it.
 
-use super::Image;
+use crate::base::Image;
 
 /// How much of each source sample one output sample covers, along one axis.
 struct Span {

@@ -2,7 +2,7 @@
 
 use candle_core::{Result, Tensor};
 
-use crate::config::DensityActivation;
+use crate::settings::DensityActivation;
 
 use super::Cotangents;
 

@@ -2,7 +2,7 @@
 
 use candle_core::{CpuStorage, CustomOp1, CustomOp2, Layout, Result, Shape, Tensor, WithDType};
 
-use crate::config::{Encoding, FieldConfig};
+use crate::settings::{Encoding, FieldConfig};
 
 use super::contiguous;
 
@@ -259,7 +259,7 @@ impl CustomOp2 for EncodeBackward {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::rng::{Random, Stream};
+    use crate::base::rng::{Random, Stream};
     use candle_core::{DType, Device, Var};
 
     #[test]

@@ -13,9 +13,9 @@ use candle_core::{DType, Device, Layout, Tensor, Var};
 
 use std::sync::Arc;
 
-use crate::config::{Core, Encoding, FieldConfig, Init};
-use crate::error::Result;
-use crate::rng::{Random, Stream};
+use crate::base::Result;
+use crate::base::rng::{Random, Stream};
+use crate::settings::{Core, Encoding, FieldConfig, Init};
 
 mod activation;
 mod dense;
@@ -339,6 +339,6 @@ impl Field {
     }
 }
 
-fn tensor_error(message: String) -> crate::error::Error {
+fn tensor_error(message: String) -> crate::base::Error {
     candle_core::Error::Msg(message).into()
 }

@@ -23,8 +23,8 @@
 
 use candle_core::{Device, Tensor, Var};
 
-use crate::config::{DensityActivation, Encoding};
-use crate::error::Result;
+use crate::base::Result;
+use crate::settings::{DensityActivation, Encoding};
 
 use super::activation::Activated;
 use super::dense::mask_where_zero;

@@ -7,8 +7,7 @@ use candle_core::{D, Device, Tensor};
 
 use super::check_same_shape;
 use super::weights::Weights;
-use crate::data::Image;
-use crate::error::{Error, Result};
+use crate::base::{Error, Image, Result};
 
 /// Mean and deviation of the scaling layer, for inputs in -1..=1.
 const SHIFT: [f32; 3] = [-0.030, -0.088, -0.188];

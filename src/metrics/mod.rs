@@ -16,8 +16,7 @@ pub use ssim::ssim;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use crate::data::Image;
-use crate::error::{Error, Result};
+use crate::base::{Error, Image, Result};
 
 /// The metrics of one rendered view.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]

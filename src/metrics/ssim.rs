@@ -3,8 +3,7 @@
 use rayon::prelude::*;
 
 use super::check_same_shape;
-use crate::data::Image;
-use crate::error::Result;
+use crate::base::{Image, Result};
 
 const WINDOW: usize = 11;
 const SIGMA: f64 = 1.5;

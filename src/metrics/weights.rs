@@ -11,7 +11,7 @@ use std::path::{Path, PathBuf};
 use candle_core::pickle::PthTensors;
 use candle_core::{DType, Device, Tensor};
 
-use crate::error::{Error, Result};
+use crate::base::{Error, Result};
 
 /// `torch.save`'s magic number 0x1950a86a20f9469cfc6c as a complete pickle.
 const LEGACY_MAGIC: [u8; 15] = [0x80, 2, 0x8a, 10, 0x6c, 0xfc, 0x9c, 0x46, 0xf9, 0x20, 0x6a, 0xa8, 0x50, 0x19, b'.'];

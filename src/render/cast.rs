@@ -2,10 +2,10 @@
 
 use candle_core::{D, Tensor};
 
-use crate::config::Encoding;
+use crate::base::Result;
 use crate::data::Rays;
-use crate::error::Result;
 use crate::field::Field;
+use crate::settings::Encoding;
 
 /// Where `field` is asked on `rays` with `t_vals`: points `[rays, samples, 3]` at `t_vals [rays, samples]`, or, with an
 /// integrated encoding, Gaussians `[rays, samples, 6]` of the intervals between `t_vals [rays, samples + 1]`.
@@ -69,9 +69,9 @@ fn cone(middle: &Tensor, half: &Tensor) -> Result<[Tensor; 3]> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::base::rng::{Random, Stream};
     use crate::data::Footprint;
     use crate::data::rays::tangents;
-    use crate::rng::{Random, Stream};
     use candle_core::{DType, Device};
 
     fn ray(direction: [f64; 3], radius: f64, cylinders: bool) -> Rays {

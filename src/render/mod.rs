@@ -2,14 +2,14 @@
 
 use candle_core::{D, Tensor};
 
-use crate::config::{Encoding, Level, OutputPlace, SamplingConfig};
+use crate::augment::{Deltas, Sets};
+use crate::base::Result;
 use crate::data::Rays;
-use crate::error::Result;
 use crate::field::{FeatureDelta, Field, RawOutput};
-use crate::perturbations::{Deltas, Sets};
-use crate::sampling;
+use crate::settings::{Encoding, Level, OutputPlace, SamplingConfig};
 
 mod cast;
+pub mod sampling;
 mod scan;
 pub mod volume;
 

@@ -2,7 +2,7 @@
 
 use candle_core::{D, DType, Tensor};
 
-use crate::error::Result;
+use crate::base::Result;
 
 use super::scan::Scan;
 

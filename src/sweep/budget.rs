@@ -1,10 +1,10 @@
 //! What a step costs, and how many steps of one row cost as much as another row's.
 
-use crate::config::{
+use crate::base::Result;
+use crate::settings::{
     Config, EvalConfig, LEVELS, LatticePoints, PerturbConfig, PerturbKind, RegularizedFields, RegularizerConfig,
     TrainConfig, scene_name,
 };
-use crate::error::Result;
 
 use super::definition::BudgetKind;
 

@@ -11,8 +11,9 @@ use std::time::{Duration, SystemTime};
 
 use serde::{Deserialize, Serialize};
 
-use crate::error::{Error, Result};
-use crate::output::{host_name, write_json};
+use crate::base::files::write_json;
+use crate::base::{Error, Result};
+use crate::runtime::host_name;
 
 const LOCK: &str = "claim.lock";
 const CLAIM: &str = "claim.json";

@@ -2,15 +2,16 @@
 
 use std::path::{Path, PathBuf};
 
-use crate::error::{Error, Result};
-use crate::output::{Timing, write_atomic};
+use crate::base::files::write_atomic;
+use crate::base::{Error, Result};
+use crate::runtime::Timing;
 
 use super::definition::Definition;
 use super::folder::SweepFolder;
-use super::plots::{Curve, Figure, axes_figure, curves_figure, rows_figure};
 use super::points::Point;
-use super::tables::{PointTiming, Table, points_csv, table_csv, table_latex, table_markdown};
-use super::{Record, Status, TableSpec};
+use crate::report::plots::{Curve, Figure, axes_figure, curves_figure, rows_figure};
+use crate::report::tables::{PointTiming, Table, points_csv, table_csv, table_latex, table_markdown};
+use crate::report::{Record, Status, TableSpec};
 
 /// What is collected, and how.
 pub struct Collector<'a> {

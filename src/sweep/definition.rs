@@ -5,11 +5,12 @@ use std::path::Path;
 use serde::{Deserialize, Serialize};
 use toml::{Table, Value};
 
-use crate::config::{Config, CorruptionConfig, DataConfig};
-use crate::error::{Error, Result};
+use crate::base::{Error, Result};
+use crate::settings::{Config, CorruptionConfig, DataConfig};
 
+use super::extends;
 use super::points::Point;
-use super::{AxisValue, PublishedKey, RowSpec, TableSpec, extends};
+use crate::report::{AxisValue, PublishedKey, RowSpec, TableSpec};
 
 /// More points than anyone means.
 const MOST_POINTS: usize = 10_000;

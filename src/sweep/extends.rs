@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use toml::{Table, Value};
 
-use crate::error::{Error, Result};
+use crate::base::{Error, Result};
 
 const EXTENDS: &str = "extends";
 /// Deeper than anyone means: most likely files that extend each other.

@@ -17,14 +17,14 @@ use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 
-use crate::config::Config;
-use crate::error::{Error, Result};
-use crate::output::{clean_temporaries, write_atomic, write_json};
+use crate::base::files::{clean_temporaries, write_atomic, write_json};
+use crate::base::{Error, Result};
+use crate::settings::Config;
 
 use super::claim::{Claim, Claimed};
 use super::definition::{Definition, scene_name};
 use super::points::Point;
-use super::{Record, Status};
+use crate::report::{Record, Status};
 
 const DEFINITION: &str = "sweep.toml";
 const PLAN: &str = "points.json";

@@ -17,13 +17,8 @@ mod definition;
 mod extends;
 mod folder;
 mod planning;
-pub mod plots;
 mod points;
-mod published;
-mod record;
 mod runner;
-pub mod statistics;
-pub mod tables;
 mod training;
 
 pub use budget::{StepCosts, evaluations_per_step, shape, steps_within};
@@ -33,7 +28,5 @@ pub use definition::{Axis, Budget, BudgetKind, Combine, Definition, METRICS, Ove
 pub use folder::{Change, Failure, PointFolder, PointResult, PointState, SweepFolder};
 pub use planning::begin;
 pub use points::{Place, Point, expand};
-pub use published::{PUBLISHED_NOTE, PublishedProtocol, PublishedRow, published_rows};
-pub use record::{AxisValue, PublishedKey, Record, RowSpec, Status, TableSpec, label};
 pub use runner::{Options, Runner, Watch, Work};
 pub use training::{Cost, Trainings};

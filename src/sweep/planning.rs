@@ -4,9 +4,9 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::Mutex;
 
-use crate::config::Config;
-use crate::error::{Error, Result};
-use crate::output::write_json;
+use crate::base::files::write_json;
+use crate::base::{Error, Result};
+use crate::settings::Config;
 
 use super::budget::{StepCosts, shape};
 use super::definition::Definition;

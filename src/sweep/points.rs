@@ -6,13 +6,13 @@ use std::path::{Path, PathBuf};
 use serde::{Deserialize, Serialize};
 use toml::Value;
 
-use crate::config::{Config, Preset, build};
-use crate::error::{Error, Result};
-use crate::job::locate_scene;
+use crate::base::{Error, Result};
+use crate::run::locate_scene;
+use crate::settings::{Config, Preset, build};
 
 use super::budget::{StepCosts, steps_within};
 use super::definition::{Axis, Budget, Combine, Definition, Row, SURFACE_METRICS, scene_name};
-use super::{AxisValue, label};
+use crate::report::{AxisValue, label};
 
 /// One training: a configuration with its seed. Rows that come to the same share it.
 #[derive(Clone, Debug, Serialize, Deserialize)]

@@ -5,7 +5,7 @@ use std::collections::HashMap;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::time::{Duration, SystemTime};
 
-use crate::error::{Error, Result};
+use crate::base::{Error, Result};
 
 use super::claim::{Beat, Claim};
 use super::folder::{Failure, PointFolder, PointResult, SweepFolder};

@@ -5,15 +5,16 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use candle_core::DType;
 
-use crate::config::{Config, CorruptionConfig, DataConfig};
+use crate::base::{Error, Progress, Result};
 use crate::data::corruption::corrupt;
-use crate::data::{self, Progress, Scene};
-use crate::error::{Error, Result};
-use crate::evaluate::{Report, SmoothnessReport, Viewer, columns};
-use crate::job::{Finished, Job, Machine, Reporter, locate_scene, run_config};
+use crate::data::{self, Scene};
 use crate::metrics::Lpips;
-use crate::output::{RunDir, peak_memory_mib};
-use crate::regularizers::Lattice;
+use crate::run::{
+    Finished, Job, Machine, Report, Reporter, RunDir, SmoothnessReport, Viewer, columns, locate_scene, run_config,
+};
+use crate::runtime::peak_memory_mib;
+use crate::settings::{Config, CorruptionConfig, DataConfig};
+use crate::space::Lattice;
 use crate::train::{StepStats, Trainer};
 
 use super::budget::StepCosts;

@@ -1,9 +1,9 @@
 //! Which rays a step trains on.
 
-use crate::config::{Batching, Config, PixelOrigin};
+use crate::base::rng::{Random, Stream};
+use crate::base::{Error, Result};
 use crate::data::{Camera, Ndc, RayBuffer, Scene};
-use crate::error::{Error, Result};
-use crate::rng::{Random, Stream};
+use crate::settings::{Batching, Config, PixelOrigin};
 
 /// The training views' pixels and the order in which they are drawn. A batch is a function of the
 /// seed and the step.
@@ -139,7 +139,8 @@ impl Batches {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::data::{Image, View};
+    use crate::base::Image;
+    use crate::data::View;
 
     fn scene() -> Scene {
         let camera = |width, height| Camera {
@@ -174,7 +175,7 @@ mod tests {
         let mut config = Config::default();
         config.train.rays = rays;
         config.train.batching = Some(batching);
-        config.resolve_kind(crate::config::DataKind::Blender);
+        config.resolve_kind(crate::settings::DataKind::Blender);
         config.train.precrop_steps = Some(5);
         Batches::new(&config, &scene()).unwrap()
     }

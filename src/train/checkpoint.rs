@@ -10,11 +10,11 @@ use std::path::{Path, PathBuf};
 use candle_core::{DType, Device, Tensor};
 use serde::{Deserialize, Serialize};
 
-use crate::config::Config;
+use crate::base::files::{AtomicDir, clean_temporaries, write_atomic, write_json};
+use crate::base::{Error, Result, revision};
 use crate::data::Scene;
-use crate::error::{Error, Result};
-use crate::model::Model;
-use crate::output::{AtomicDir, clean_temporaries, revision, write_atomic, write_json};
+use crate::methods::Model;
+use crate::settings::Config;
 
 use super::{Adam, Moments, Trainer};
 

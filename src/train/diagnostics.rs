@@ -4,10 +4,10 @@ use std::path::Path;
 
 use serde::Serialize;
 
-use crate::config::{LEVELS, Level};
-use crate::error::{Error, Result};
-use crate::perturbations::Deltas;
+use crate::augment::Deltas;
+use crate::base::{Error, Result};
 use crate::render::{PassOutput, photometric_loss};
+use crate::settings::{LEVELS, Level};
 
 use super::perturbed::Perturbed;
 use super::{Trainer, scalar};
@@ -50,7 +50,7 @@ pub struct AttackSummary {
 }
 
 /// The columns of `scalars.csv` that hold one level's diagnostics.
-pub(super) fn columns(level: Level) -> [String; 4] {
+pub fn columns(level: Level) -> [String; 4] {
     ["gain", "gain_over_random", "share_at_bound", "inactive"].map(|what| format!("{what}.{}", level.name()))
 }
 

@@ -8,28 +8,27 @@ use candle_core::backprop::GradStore;
 use candle_core::{DType, Device, Tensor};
 use rayon::prelude::*;
 
-use crate::config::{Config, DensityActivation, Objective, PerturbKind, Regularizer};
+use crate::augment::PixelScale;
+use crate::base::rng::{Random, Stream};
+use crate::base::{Error, Result};
 use crate::data::{Rays, Scene};
-use crate::error::{Error, Result};
-use crate::model::Model;
-use crate::perturbations::PixelScale;
-use crate::render::{self, Pass, PassOutput, clean_pass, noiseless_acc, photometric_loss, positions_at, resample};
-use crate::rng::{Random, Stream};
-use crate::sampling;
+use crate::methods::Model;
+use crate::render::{
+    self, Pass, PassOutput, clean_pass, noiseless_acc, photometric_loss, positions_at, resample, sampling,
+};
+use crate::settings::{Config, DensityActivation, Objective, PerturbKind, Regularizer};
 
 mod batches;
 pub mod checkpoint;
-mod diagnostics;
+pub mod diagnostics;
 mod optimizer;
 mod perturbed;
 mod regularized;
-mod session;
 
 pub use batches::{Batch, Batches};
 pub use diagnostics::{AttackSummary, LevelDiagnostics};
 pub use optimizer::{Adam, Moments, learning_rate};
 pub use regularized::Balance;
-pub use session::{EVALUATION_COLUMNS, Observer, Outcome, Session, interrupted};
 
 /// Accumulation under which a ray counts as empty.
 const EMPTY_ACC: f64 = 1e-3;

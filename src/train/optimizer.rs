@@ -6,8 +6,8 @@ use candle_core::{CpuStorage, InplaceOp1, Layout, Storage, Tensor, Var, WithDTyp
 use pulp::Arch;
 use rayon::prelude::*;
 
-use crate::config::{Schedule, TrainConfig};
-use crate::error::Result;
+use crate::base::Result;
+use crate::settings::{Schedule, TrainConfig};
 
 const BETA1: f64 = 0.9;
 const BETA2: f64 = 0.999;

@@ -4,15 +4,15 @@ use std::cell::RefCell;
 
 use candle_core::{Tensor, TensorId};
 
-use crate::config::{Level, PerturbConfig, PerturbKind, Resample};
-use crate::error::Result;
+use crate::augment::{Deltas, Draw, PassGeometry, Sets, StepSizes, worst_case};
+use crate::base::Result;
+use crate::base::rng::{Random, Stream};
 use crate::field::Field;
-use crate::model::Model;
-use crate::perturbations::{Deltas, Draw, PassGeometry, Sets, StepSizes, worst_case};
+use crate::methods::Model;
 use crate::render::{
     Pass, PassOutput, Perturbation, columns, moved_positions, perturbed_pass, photometric_loss, resample, samples_of,
 };
-use crate::rng::{Random, Stream};
+use crate::settings::{Level, PerturbConfig, PerturbKind, Resample};
 
 use super::{Chunk, ChunkResult, Gradients, Trainer};
 

@@ -2,10 +2,11 @@
 
 use candle_core::{DType, Tensor};
 
-use crate::config::{LatticePoints, REGULARIZERS, RegularizedFields, Regularizer, RegularizerConfig};
-use crate::error::{Error, Result};
+use crate::base::{Error, Result};
 use crate::field::Field;
-use crate::regularizers::{Lattice, Points, Regularized, estimate_seconds, regularize};
+use crate::losses::{Regularized, estimate_seconds, regularize};
+use crate::settings::{LatticePoints, REGULARIZERS, RegularizedFields, Regularizer, RegularizerConfig};
+use crate::space::{Lattice, Points};
 
 use super::{Gradients, Trainer, scalar};
 

@@ -1,7 +1,8 @@
 //! Small things that several test files share.
 
-use augnerf::config::{Config, DataKind, DensityActivation, Encoding, Method};
-use augnerf::data::{Camera, Image, Scene, View};
+use augnerf::base::Image;
+use augnerf::data::{Camera, Scene, View};
+use augnerf::settings::{Config, DataKind, DensityActivation, Encoding, Method};
 use augnerf::train::Trainer;
 use candle_core::{DType, Device};
 

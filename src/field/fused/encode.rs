@@ -4,8 +4,8 @@ use std::f64::consts::FRAC_2_PI;
 
 use pulp::Arch;
 
-use crate::config::Encoding;
 use crate::field::encoding::{Code, encode_into, encoded_channels, integrated_into};
+use crate::settings::Encoding;
 
 /// Numbers worked on at once.
 const LANES: usize = 8;

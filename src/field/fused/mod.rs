@@ -18,8 +18,8 @@ use std::sync::{Arc, Mutex, PoisonError};
 use candle_core::backend::BackendStorage;
 use candle_core::{CpuStorage, CustomOp3, DType, Device, Layout, Result, Shape, Storage, Tensor, TensorId, Var};
 
-use crate::config::FieldConfig;
 use crate::field::contiguous;
+use crate::settings::FieldConfig;
 
 use network::{InputGradients, Inputs, Kept, Prefix, Wanted};
 use slope::Tape;

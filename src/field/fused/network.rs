@@ -6,10 +6,10 @@
 //! ninth of all multiply-adds is spared. Gradients of V W are sorted out once a step
 //! ([`Network::parameter_gradients`]).
 
-use crate::config::FieldConfig;
 use crate::field::encoding::{Code, encoded_channels, gradient_into};
 use crate::field::layer_shapes;
 use crate::field::work::count_points;
+use crate::settings::FieldConfig;
 
 use super::encode::{encode_positions, encode_tile};
 use super::kernels::{

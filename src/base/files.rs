@@ -1,0 +1,349 @@
+//! Files and folders that appear whole or not at all.
+//!
+//! New content is written under a temporary name in the same folder (the same file system, so
+//! that the rename cannot become a copy), flushed to the disk, and renamed. A killed process
+//! leaves at most an entry whose name starts with [`TEMPORARY`] or [`REPLACED`];
+//! [`clean_temporaries`] puts those right.
+
+use std::ffi::{OsStr, OsString};
+use std::fs::{self, File};
+use std::io::{self, Write};
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use serde::Serialize;
+
+use crate::base::{Error, Result};
+
+/// Start of the names of entries that are not finished yet.
+pub const TEMPORARY: &str = ".augnerf-tmp-";
+/// Start of the names of folders that were moved aside while their replacement took their place.
+pub const REPLACED: &str = ".augnerf-old-";
+
+/// Writes `bytes` to `path` so that the file has its old content or the new one at every moment,
+/// a crash of the machine included. A symbolic link is followed; a device or pipe, which cannot
+/// be replaced, is written to directly.
+pub fn write_atomic(path: &Path, bytes: &[u8]) -> Result<()> {
+    try_write(path, bytes).map_err(|error| Error::unwritable(path, &error))
+}
+
+/// [`write_atomic`] of `value` as indented JSON with a newline at the end.
+pub fn write_json<T: Serialize>(path: &Path, value: &T) -> Result<()> {
+    let mut text =
+        serde_json::to_vec_pretty(value).map_err(|error| Error::unwritable(path, &io::Error::from(error)))?;
+    text.push(b'\n');
+    write_atomic(path, &text)
+}
+
+fn try_write(path: &Path, bytes: &[u8]) -> io::Result<()> {
+    let target = match fs::metadata(path) {
+        Ok(found) if found.is_dir() => return Err(io::Error::other("it is a folder")),
+        Ok(found) if !found.is_file() => return fs::OpenOptions::new().write(true).open(path)?.write_all(bytes),
+        Ok(_) => fs::canonicalize(path)?,
+        Err(_) => path.to_path_buf(),
+    };
+    let temporary = temporary_beside(&target)?;
+    let written = write_synced(&temporary, bytes).and_then(|()| fs::rename(&temporary, &target));
+    if written.is_err() {
+        let _ = fs::remove_file(&temporary);
+    }
+    written?;
+    sync_folder(folder_of(&target))
+}
+
+/// A new file with `bytes` that have reached the disk.
+pub(crate) fn write_synced(path: &Path, bytes: &[u8]) -> io::Result<()> {
+    let mut file = File::create_new(path)?;
+    file.write_all(bytes)?;
+    file.sync_all()
+}
+
+/// A folder that is filled under a hidden name and gets its own with [`AtomicDir::commit`].
+/// Dropped without a commit, it is deleted.
+#[derive(Debug)]
+pub struct AtomicDir {
+    temporary: PathBuf,
+    target: PathBuf,
+}
+
+impl AtomicDir {
+    /// Creates the hidden folder next to `target`, whose parent must exist.
+    pub fn new(target: &Path) -> Result<AtomicDir> {
+        let temporary = temporary_beside(target)
+            .and_then(|temporary| fs::create_dir(&temporary).map(|()| temporary))
+            .map_err(|error| Error::unwritable(target, &error))?;
+        Ok(AtomicDir { temporary, target: target.to_path_buf() })
+    }
+
+    /// The same for a place that must be free: an empty folder or none. A file, or a folder that holds something, is not
+    /// ours to replace. Missing folders on the way are created.
+    pub fn vacant(target: &Path) -> Result<AtomicDir> {
+        AtomicDir::check_vacant(target)?;
+        let parent = folder_of(target);
+        fs::create_dir_all(parent).map_err(|error| Error::unwritable(parent, &error))?;
+        AtomicDir::new(target)
+    }
+
+    /// Refuses a place that is not free, before the work whose result it is to hold.
+    pub fn check_vacant(target: &Path) -> Result<()> {
+        match fs::read_dir(target).map(|mut entries| entries.next().is_none()) {
+            Ok(true) => Ok(()),
+            Ok(false) => {
+                Err(Error::Output(format!("{} already holds files: name a new or an empty folder", target.display())))
+            }
+            Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(()),
+            Err(error) => Err(Error::unwritable(target, &error)),
+        }
+    }
+
+    /// The hidden folder; its content is what `target` will hold.
+    pub fn path(&self) -> &Path {
+        &self.temporary
+    }
+
+    /// Flushes everything inside to the disk and gives the folder its final name. A folder that
+    /// has this name already is replaced: it is moved aside first and deleted last, and a kill
+    /// between the two renames is undone by [`clean_temporaries`].
+    pub fn commit(self) -> Result<()> {
+        self.try_commit().map_err(|error| Error::unwritable(&self.target, &error))
+    }
+
+    fn try_commit(&self) -> io::Result<()> {
+        sync_tree(&self.temporary)?;
+        let parent = folder_of(&self.target);
+        let replaced = parent.join(prefixed(REPLACED, name_of(&self.target)?));
+        if self.target.symlink_metadata().is_ok() {
+            remove(&replaced)?;
+            fs::rename(&self.target, &replaced)?;
+        }
+        if let Err(error) = fs::rename(&self.temporary, &self.target) {
+            let _ = fs::rename(&replaced, &self.target);
+            return Err(error);
+        }
+        sync_folder(parent)?;
+        remove(&replaced)
+    }
+}
+
+impl Drop for AtomicDir {
+    fn drop(&mut self) {
+        let _ = fs::remove_dir_all(&self.temporary);
+    }
+}
+
+/// Puts right what killed processes left in `dir` (not below it) and returns how many entries
+/// that were: unfinished files and folders are deleted, and a folder that had been moved aside is
+/// moved back if its replacement did not arrive. Call it only while holding the run's lock, with
+/// no write of one's own under way.
+pub fn clean_temporaries(dir: &Path) -> Result<usize> {
+    try_clean(dir).map_err(|error| Error::unwritable(dir, &error))
+}
+
+fn try_clean(dir: &Path) -> io::Result<usize> {
+    let mut cleaned = 0;
+    for entry in fs::read_dir(dir)? {
+        let path = entry?.path();
+        let Some(name) = path.file_name() else { continue };
+        match after_prefix(REPLACED, name).map(|original| dir.join(original)) {
+            Some(original) if original.symlink_metadata().is_err() => fs::rename(&path, &original)?,
+            Some(_) => remove(&path)?,
+            None if is_temporary(name) => remove(&path)?,
+            None => continue,
+        }
+        cleaned += 1;
+    }
+    Ok(cleaned)
+}
+
+/// Whether an entry of this name is something that a killed process left behind.
+pub fn is_temporary(name: &OsStr) -> bool {
+    let bytes = name.as_encoded_bytes();
+    bytes.starts_with(TEMPORARY.as_bytes()) || bytes.starts_with(REPLACED.as_bytes())
+}
+
+/// Deletes a file or folder (a symbolic link itself, not what it points to); absent is fine.
+pub(crate) fn remove(path: &Path) -> io::Result<()> {
+    match path.symlink_metadata() {
+        Ok(found) if found.is_dir() => fs::remove_dir_all(path),
+        Ok(_) => fs::remove_file(path),
+        Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(()),
+        Err(error) => Err(error),
+    }
+}
+
+fn temporary_beside(target: &Path) -> io::Result<PathBuf> {
+    static COUNT: AtomicU64 = AtomicU64::new(0);
+    let count = COUNT.fetch_add(1, Ordering::Relaxed);
+    let prefix = format!("{TEMPORARY}{}-{count}-", std::process::id());
+    let temporary = folder_of(target).join(prefixed(&prefix, name_of(target)?));
+    // A killed process may have had this very number, as the first one in a container always has.
+    remove(&temporary)?;
+    Ok(temporary)
+}
+
+fn name_of(path: &Path) -> io::Result<&OsStr> {
+    path.file_name().ok_or_else(|| io::Error::other("the path does not end in a name"))
+}
+
+fn folder_of(path: &Path) -> &Path {
+    match path.parent() {
+        Some(parent) if !parent.as_os_str().is_empty() => parent,
+        _ => Path::new("."),
+    }
+}
+
+fn prefixed(prefix: &str, name: &OsStr) -> OsString {
+    let mut joined = OsString::from(prefix);
+    joined.push(name);
+    joined
+}
+
+fn after_prefix(prefix: &str, name: &OsStr) -> Option<OsString> {
+    let rest = name.as_encoded_bytes().strip_prefix(prefix.as_bytes())?;
+    // SAFETY: the bytes come from `as_encoded_bytes`, cut directly after a non-empty UTF-8 prefix.
+    Some(unsafe { OsStr::from_encoded_bytes_unchecked(rest) }.to_os_string())
+}
+
+/// Makes renames and creations in `folder` survive a crash of the machine. Only Unix can open a
+/// folder for this; file systems that do not know the operation are left alone.
+fn sync_folder(folder: &Path) -> io::Result<()> {
+    if !cfg!(unix) {
+        return Ok(());
+    }
+    match File::open(folder)?.sync_all() {
+        Err(error) if matches!(error.kind(), io::ErrorKind::InvalidInput | io::ErrorKind::Unsupported) => Ok(()),
+        other => other,
+    }
+}
+
+fn sync_tree(folder: &Path) -> io::Result<()> {
+    for entry in fs::read_dir(folder)? {
+        let entry = entry?;
+        let kind = entry.file_type()?;
+        if kind.is_dir() {
+            sync_tree(&entry.path())?;
+        } else if kind.is_file() {
+            fs::OpenOptions::new().append(true).open(entry.path())?.sync_all()?;
+        }
+    }
+    sync_folder(folder)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn names(dir: &Path) -> Vec<String> {
+        let mut names: Vec<String> =
+            fs::read_dir(dir).unwrap().map(|entry| entry.unwrap().file_name().into_string().unwrap()).collect();
+        names.sort();
+        names
+    }
+
+    #[test]
+    fn a_file_is_created_and_replaced_without_leftovers() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("a.json");
+        write_atomic(&path, b"one").unwrap();
+        write_atomic(&path, b"two").unwrap();
+        assert_eq!(fs::read(&path).unwrap(), b"two");
+        assert_eq!(names(dir.path()), ["a.json"]);
+    }
+
+    #[test]
+    fn a_refused_write_names_the_path_and_keeps_what_was_there() {
+        let dir = tempfile::tempdir().unwrap();
+        let folder = dir.path().join("taken");
+        fs::create_dir(&folder).unwrap();
+        let error = write_atomic(&folder, b"x").unwrap_err();
+        assert_eq!(error.exit_code(), 4);
+        assert!(error.to_string().contains("taken"), "{error}");
+        let below_file = dir.path().join("file").join("below");
+        fs::write(dir.path().join("file"), "keep").unwrap();
+        assert_eq!(write_atomic(&below_file, b"x").unwrap_err().exit_code(), 4);
+        assert_eq!(names(dir.path()), ["file", "taken"]);
+    }
+
+    #[cfg(target_os = "linux")]
+    #[test]
+    fn a_full_device_is_an_output_error_and_stays_a_device() {
+        let error = write_atomic(Path::new("/dev/full"), b"x").unwrap_err();
+        assert!(matches!(&error, Error::Output(text) if text.contains("/dev/full")), "{error}");
+        assert!(!fs::metadata("/dev/full").unwrap().is_file());
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn a_symbolic_link_stays_one() {
+        let dir = tempfile::tempdir().unwrap();
+        let (real, link) = (dir.path().join("real"), dir.path().join("link"));
+        fs::write(&real, "old").unwrap();
+        std::os::unix::fs::symlink(&real, &link).unwrap();
+        write_atomic(&link, b"new").unwrap();
+        assert_eq!(fs::read(&real).unwrap(), b"new");
+        assert!(link.symlink_metadata().unwrap().is_symlink());
+    }
+
+    #[test]
+    fn a_folder_appears_only_when_committed() {
+        let dir = tempfile::tempdir().unwrap();
+        let target = dir.path().join("step-10");
+        let abandoned = AtomicDir::new(&target).unwrap();
+        fs::write(abandoned.path().join("weights"), "half").unwrap();
+        assert!(!target.exists());
+        drop(abandoned);
+        assert!(names(dir.path()).is_empty());
+
+        for content in ["first", "second"] {
+            let folder = AtomicDir::new(&target).unwrap();
+            fs::write(folder.path().join("weights"), content).unwrap();
+            folder.commit().unwrap();
+            assert_eq!(fs::read_to_string(target.join("weights")).unwrap(), content);
+        }
+        assert_eq!(names(dir.path()), ["step-10"]);
+    }
+
+    #[test]
+    fn a_place_that_holds_something_is_not_replaced() {
+        let dir = tempfile::tempdir().unwrap();
+        let at = |name: &str| dir.path().join(name);
+        fs::write(at("file"), "keep").unwrap();
+        fs::create_dir(at("full")).unwrap();
+        fs::write(at("full").join("a"), "keep").unwrap();
+        fs::create_dir(at("empty")).unwrap();
+        for taken in ["file", "full"] {
+            let error = AtomicDir::vacant(&at(taken)).unwrap_err();
+            assert!(error.exit_code() == 4 && error.to_string().contains(taken), "{error}");
+        }
+        for free in ["empty", "new/below"] {
+            AtomicDir::vacant(&at(free)).unwrap().commit().unwrap();
+            assert!(at(free).is_dir());
+        }
+        assert_eq!(names(dir.path()), ["empty", "file", "full", "new"]);
+    }
+
+    #[test]
+    fn what_kills_left_is_put_right() {
+        let dir = tempfile::tempdir().unwrap();
+        let at = |name: &str| dir.path().join(name);
+        fs::write(at(".augnerf-tmp-1-0-metrics.json"), "half").unwrap();
+        fs::create_dir(at(".augnerf-tmp-1-1-step-20")).unwrap();
+        fs::create_dir(at(".augnerf-old-step-10")).unwrap();
+        fs::create_dir(at(".augnerf-old-step-15")).unwrap();
+        fs::create_dir(at("step-15")).unwrap();
+        fs::write(at(".hidden"), "not ours").unwrap();
+        assert_eq!(clean_temporaries(dir.path()).unwrap(), 4);
+        assert_eq!(names(dir.path()), [".hidden", "step-10", "step-15"]);
+    }
+
+    #[test]
+    fn a_leftover_of_the_same_process_number_is_no_obstacle() {
+        let dir = tempfile::tempdir().unwrap();
+        for count in 0..200 {
+            let name = format!("{TEMPORARY}{}-{count}-a", std::process::id());
+            fs::write(dir.path().join(name), "half").unwrap();
+        }
+        write_atomic(&dir.path().join("a"), b"whole").unwrap();
+        assert_eq!(fs::read(dir.path().join("a")).unwrap(), b"whole");
+    }
+}

@@ -1,0 +1,137 @@
+//! The embedded scene: a still life in closed form, so that tests, benches and first runs need no
+//! download, and depth and shape are known exactly.
+
+pub mod export;
+pub mod mesh;
+pub mod shading;
+pub mod shapes;
+pub mod stage;
+mod still_life;
+mod views;
+
+use rayon::prelude::*;
+
+pub use export::{Exported, export};
+pub use mesh::Mesh;
+pub use stage::{Frame, Hit, Picture, Stage};
+
+use crate::base::{Error, Result};
+use crate::data::resample::composite;
+use crate::data::{Camera, Ndc, Scene, View, background, split_every};
+use crate::settings::{DataConfig, DataKind, EvalSplit};
+use views::Split;
+
+/// Columns of the embedded scene's pictures where the configuration names none.
+const WIDTH: usize = 100;
+/// Pictures this wide would need more memory than a scene of that detail is worth.
+const MAX_WIDTH: usize = 4096;
+
+/// The still life on its board, in the cameras' frame: all of it within 1.2 of the origin, z up.
+pub fn blender_stage() -> Stage {
+    Stage::new(still_life::on_board(), Frame::SAME)
+}
+
+/// The still life on a table before a wall, in the normalised frame of forward-facing scenes: the
+/// cameras near the origin look towards -z, and everything lies at z < -1.
+pub fn forward_stage() -> Stage {
+    Stage::new(still_life::on_table(), views::forward_frame())
+}
+
+/// Renders the embedded scene as `config` asks: its kind (`BuiltinBlender` or `BuiltinForward`),
+/// width or downscale, splits, background and pixel origin.
+pub fn load(config: &DataConfig) -> Result<Scene> {
+    match config.kind {
+        DataKind::BuiltinBlender => load_blender(config),
+        DataKind::BuiltinForward => load_forward(config),
+        other => Err(Error::Config(format!(
+            "data.kind = {} is not an embedded scene: it must be builtin-blender or builtin-forward",
+            other.name()
+        ))),
+    }
+}
+
+fn load_blender(config: &DataConfig) -> Result<Scene> {
+    let width = columns(config)?;
+    let stage = blender_stage();
+    let background = background(config);
+    let split = match config.eval_split {
+        EvalSplit::Test => Split::Test,
+        EvalSplit::Val => Split::Val,
+    };
+    let render = |cameras: &[(String, Camera)]| -> Vec<View> {
+        cameras.par_iter().map(|(name, camera)| view(&stage, name, camera, config, background)).collect()
+    };
+    let held_out: Vec<_> = views::around(split, width).into_iter().step_by(config.test_skip.max(1)).collect();
+    Ok(Scene {
+        name: "builtin".into(),
+        kind: DataKind::BuiltinBlender.name(),
+        train: render(&views::around(Split::Train, width)),
+        test: render(&held_out),
+        near: 2.0,
+        far: 6.0,
+        ndc: None,
+        background: Some(background),
+        path: views::orbit(width),
+        corrupted: None,
+    })
+}
+
+fn load_forward(config: &DataConfig) -> Result<Scene> {
+    let width = columns(config)?;
+    let stage = forward_stage();
+    let cameras = views::before(width);
+    let all: Vec<View> =
+        cameras.par_iter().map(|(name, camera)| view(&stage, name, camera, config, [0.0; 3])).collect();
+    let camera = cameras[0].1;
+    let ndc = Ndc { width: camera.width as f64, height: camera.height as f64, focal: camera.focal[0] };
+    let (near, far) = if config.ndc { (0.0, 1.0) } else { depth_range(&all) };
+    let (train, test) = split_every(all, config.holdout, config.test_skip);
+    Ok(Scene {
+        name: "builtin".into(),
+        kind: DataKind::BuiltinForward.name(),
+        train,
+        test,
+        near,
+        far,
+        ndc: config.ndc.then_some(ndc),
+        background: None,
+        path: views::spiral(width),
+        corrupted: None,
+    })
+}
+
+/// The working width in pixels.
+fn columns(config: &DataConfig) -> Result<usize> {
+    let width = match config.width as usize {
+        0 => WIDTH / config.downscale.unwrap_or(1).max(1) as usize,
+        width => width,
+    };
+    if (4..=MAX_WIDTH).contains(&width) {
+        return Ok(width);
+    }
+    Err(Error::Config(format!(
+        "the embedded scene cannot be rendered {width} pixels wide: data.width must be 4 to {MAX_WIDTH}, \
+         data.downscale 1 to {}",
+        WIDTH / 4
+    )))
+}
+
+/// Bounds of the depths in all views, with a tenth of room in front, as LLFF scenes without NDC.
+fn depth_range(views: &[View]) -> (f64, f64) {
+    let depths = || views.iter().filter_map(|view| view.depth.as_ref()).flatten().copied();
+    let finite = || depths().filter(|depth| depth.is_finite()).map(f64::from);
+    (0.9 * finite().fold(f64::INFINITY, f64::min), finite().fold(0.0, f64::max) * 1.001)
+}
+
+fn view(stage: &Stage, name: &str, camera: &Camera, config: &DataConfig, background: [f32; 3]) -> View {
+    let picture = stage.render(camera, config.pixel_origin);
+    View {
+        name: name.into(),
+        camera: *camera,
+        image: composite(picture.image, background).0,
+        depth: Some(picture.depth),
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,209 @@
+//! The solids with the light on them: what a ray hits, and pictures of it.
+
+use rayon::prelude::*;
+
+use super::shading::{SAMPLES, SIDE, display, shade};
+use super::shapes::Solid;
+use crate::base::Image;
+use crate::data::Camera;
+use crate::data::vector::{Vec3, add, along, dot, length, scale, sub};
+use crate::settings::PixelOrigin;
+
+/// Mirror reflections that are followed.
+const BOUNCES: u32 = 2;
+
+/// Where a ray first meets a surface.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Hit {
+    /// The point is `origin + t * direction`.
+    pub t: f64,
+    /// Outward unit normal in the frame of the ray.
+    pub normal: Vec3,
+    /// Index into [`Stage::solids`].
+    pub solid: usize,
+}
+
+/// Maps the frame of a scene's cameras to the still life's: `scale * (axes p) + shift`.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Frame {
+    /// Still-life units per scene unit.
+    pub scale: f64,
+    /// Rows of the rotation.
+    pub axes: [Vec3; 3],
+    /// The scene's origin in the still life.
+    pub shift: Vec3,
+}
+
+impl Frame {
+    /// Scene and still life coincide.
+    pub const SAME: Frame =
+        Frame { scale: 1.0, axes: [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]], shift: [0.0; 3] };
+
+    /// A scene direction in the still life, of `scale` times its length.
+    pub fn direction(&self, d: Vec3) -> Vec3 {
+        scale(self.axes.map(|row| dot(row, d)), self.scale)
+    }
+
+    /// A scene point in the still life.
+    pub fn point(&self, p: Vec3) -> Vec3 {
+        add(self.direction(p), self.shift)
+    }
+
+    /// A still-life unit direction in the scene.
+    fn turned_back(&self, d: Vec3) -> Vec3 {
+        let [x, y, z] = self.axes;
+        add(add(scale(x, d[0]), scale(y, d[1])), scale(z, d[2]))
+    }
+}
+
+/// Neighbouring solids within a ball, which rays that miss it skip.
+#[derive(Clone, Debug)]
+struct Group {
+    centre: Vec3,
+    radius: f64,
+    /// Index of each solid and the radius of its own ball.
+    members: Vec<(usize, f64)>,
+}
+
+/// A rendered view.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Picture {
+    /// RGBA, straight alpha; alpha is the share of the pixel that is covered.
+    pub image: Image,
+    /// Depth along the view's z axis in scene units, row-major, `f32::INFINITY` for nothing.
+    pub depth: Vec<f32>,
+}
+
+/// Solids in their groups, seen through a frame.
+#[derive(Clone, Debug)]
+pub struct Stage {
+    solids: Vec<Solid>,
+    groups: Vec<Group>,
+    frame: Frame,
+}
+
+impl Stage {
+    /// Puts objects, each of several solids, on a stage.
+    pub fn new(objects: Vec<Vec<Solid>>, frame: Frame) -> Stage {
+        let mut first = 0;
+        let groups = objects.iter().map(|solids| {
+            first += solids.len();
+            Group::around(solids, first - solids.len())
+        });
+        let groups = groups.collect();
+        Stage { solids: objects.into_iter().flatten().collect(), groups, frame }
+    }
+
+    /// Every solid, in still-life coordinates.
+    pub fn solids(&self) -> &[Solid] {
+        &self.solids
+    }
+
+    /// The map from the cameras' frame to the solids'.
+    pub fn frame(&self) -> &Frame {
+        &self.frame
+    }
+
+    /// Where a ray in the cameras' frame first meets a surface; `direction` of any length but 0.
+    pub fn first_hit(&self, origin: Vec3, direction: Vec3) -> Option<Hit> {
+        let hit = self.nearest(self.frame.point(origin), self.frame.direction(direction))?;
+        Some(Hit { normal: self.frame.turned_back(hit.normal), ..hit })
+    }
+
+    /// Signed distance of a point in the cameras' frame to the nearest solid, in that frame's
+    /// units; exact outside, a bound inside where solids overlap.
+    pub fn distance(&self, point: Vec3) -> f64 {
+        let p = self.frame.point(point);
+        self.solids.iter().map(|solid| solid.distance(p)).fold(f64::INFINITY, f64::min) / self.frame.scale
+    }
+
+    /// Display colour (0..=1) that a ray in the cameras' frame sees, lit by one of a pixel's
+    /// `SAMPLES` samples of the lights; `None` where it hits nothing.
+    pub fn colour(&self, origin: Vec3, direction: Vec3, sample: usize) -> Option<Vec3> {
+        let (o, d) = (self.frame.point(origin), self.frame.direction(direction));
+        let hit = self.nearest(o, d)?;
+        Some(display(shade(self, &hit, o, d, sample % SAMPLES, BOUNCES)))
+    }
+
+    /// First hit of a ray in still-life coordinates.
+    pub(super) fn nearest(&self, origin: Vec3, direction: Vec3) -> Option<Hit> {
+        let mut best = (f64::INFINITY, usize::MAX);
+        for index in self.candidates(origin, direction) {
+            match self.solids[index].first_crossing(origin, direction, 0.0) {
+                Some(t) if t < best.0 => best = (t, index),
+                _ => {}
+            }
+        }
+        let (t, solid) = best;
+        let normal = self.solids.get(solid)?.normal(along(origin, direction, t));
+        Some(Hit { t, normal, solid })
+    }
+
+    /// Whether anything lies on a still-life ray before `reach`.
+    pub(super) fn blocked(&self, origin: Vec3, direction: Vec3, reach: f64) -> bool {
+        self.candidates(origin, direction)
+            .any(|index| self.solids[index].first_crossing(origin, direction, 0.0).is_some_and(|t| t < reach))
+    }
+
+    /// Solids whose bounding balls a ray meets.
+    fn candidates(&self, origin: Vec3, direction: Vec3) -> impl Iterator<Item = usize> {
+        let speed2 = dot(direction, direction);
+        let meets = move |centre: Vec3, radius: f64| {
+            let offset = sub(centre, origin);
+            let ahead = dot(offset, direction);
+            let gap2 = dot(offset, offset) - radius * radius;
+            gap2 <= 0.0 || (ahead > 0.0 && ahead * ahead >= gap2 * speed2)
+        };
+        let groups = self.groups.iter().filter(move |group| meets(group.centre, group.radius));
+        let members = groups.flat_map(|group| group.members.iter().copied());
+        members.filter(move |&(index, radius)| meets(self.solids[index].centre, radius)).map(|(index, _)| index)
+    }
+
+    /// Renders a view; the bytes do not depend on the number of threads.
+    pub fn render(&self, camera: &Camera, origin: PixelOrigin) -> Picture {
+        let shift = origin.shift();
+        let rows = (0..camera.height).into_par_iter().map(|y| {
+            let pixel = |x: usize| self.pixel(camera, x as f64 + shift, y as f64 + shift);
+            (0..camera.width).map(pixel).collect::<Vec<_>>()
+        });
+        let rows: Vec<_> = rows.collect();
+        let image = Image {
+            width: camera.width,
+            height: camera.height,
+            channels: 4,
+            pixels: rows.iter().flatten().flat_map(|(rgba, _)| *rgba).collect(),
+        };
+        Picture { image, depth: rows.iter().flatten().map(|&(_, depth)| depth).collect() }
+    }
+
+    /// RGBA of the square of side 1 around pixel coordinates (`x`, `y`), and the depth there.
+    fn pixel(&self, camera: &Camera, x: f64, y: f64) -> ([f32; 4], f32) {
+        let (mut sum, mut covered) = ([0.0; 3], 0);
+        for sample in 0..SAMPLES {
+            let offset = |i: usize| (i as f64 + 0.5) / SIDE as f64 - 0.5;
+            let (o, d) = camera.ray(x + offset(sample % SIDE), y + offset(sample / SIDE));
+            if let Some(colour) = self.colour(o, d, sample) {
+                sum = add(sum, colour);
+                covered += 1;
+            }
+        }
+        let (o, d) = camera.ray(x, y);
+        let depth = self.first_hit(o, d).map_or(f32::INFINITY, |hit| hit.t as f32);
+        let [r, g, b] = scale(sum, 1.0 / f64::from(covered.max(1))).map(|v| v.clamp(0.0, 1.0) as f32);
+        ([r, g, b, covered as f32 / SAMPLES as f32], depth)
+    }
+}
+
+impl Group {
+    /// The group of `solids`, whose indices start at `first`.
+    fn around(solids: &[Solid], first: usize) -> Group {
+        let sum = solids.iter().fold([0.0; 3], |sum, solid| add(sum, solid.centre));
+        let centre = scale(sum, 1.0 / solids.len().max(1) as f64);
+        let reach = |solid: &Solid| length(sub(solid.centre, centre)) + solid.shape.bound();
+        Group {
+            centre,
+            radius: solids.iter().map(reach).fold(0.0, f64::max),
+            members: solids.iter().enumerate().map(|(i, solid)| (first + i, solid.shape.bound())).collect(),
+        }
+    }
+}

@@ -1,0 +1,151 @@
+//! LLFF scenes: `poses_bounds.npy` beside `images_{factor}` or `images`, with nerf-pytorch's
+//! conventions for axes, scale and video path.
+
+mod folder;
+mod path;
+mod poses;
+
+use std::path::Path;
+
+pub use poses::Poses;
+
+pub(super) use path::{POSES, spiral};
+
+use crate::base::{Error, Image, Progress, Result};
+use crate::data::images::{self, Size};
+use crate::data::pose::Pose;
+use crate::data::{Camera, Ndc, Scene, View, background, name_of, split_every};
+use crate::settings::DataConfig;
+use folder::Source;
+
+/// The file that makes a folder an LLFF scene.
+pub const POSES_FILE: &str = "poses_bounds.npy";
+
+/// By how much, beyond a pixel, images may differ from the size that the poses were made for.
+const SIZE_TOLERANCE: f64 = 0.01;
+
+/// Reads an LLFF scene. Every `config.holdout`-th view is held out, starting with the first.
+pub fn load(config: &DataConfig, progress: &dyn Progress) -> Result<Scene> {
+    if config.spherify && config.ndc {
+        return Err(Error::Config(
+            "data.spherify and data.ndc exclude each other: NDC is for cameras that face forward; set data.ndc=false"
+                .into(),
+        ));
+    }
+    let dir = Path::new(&config.dir);
+    let file = dir.join(POSES_FILE);
+    let mut poses = Poses::read(&file)?;
+    let source = folder::find(dir, Size::of(config))?;
+    check_count(&source, poses.poses.len(), &file)?;
+    check_size(&source, &poses, config, &file)?;
+    let name_file = |e: Error| Error::Data(format!("{}: {e}", file.display()));
+    let path = normalise(&mut poses, config).map_err(name_file)?;
+    let camera = camera_at(source.target, focal(&poses, config, source.target));
+    let cameras: Vec<Camera> = poses.poses.iter().map(|&pose| Camera { pose, ..camera }).collect();
+    let names = images::names(&source.paths);
+    if config.ndc {
+        check_facing(&cameras, &names, &file)?;
+    }
+    let (images, clear) =
+        images::read_all(&source.paths, source.target, background(config), "reading images", progress)?;
+    let (train, test) = split_every(views(names, cameras, images), config.holdout, config.test_skip);
+    let ndc = Ndc { width: source.target.0 as f64, height: source.target.1 as f64, focal: camera.focal[0] };
+    Ok(Scene {
+        name: name_of(config),
+        kind: "llff",
+        train,
+        test,
+        near: if config.ndc { 0.0 } else { 0.9 * poses.nearest() },
+        far: if config.ndc { 1.0 } else { poses.farthest() },
+        ndc: config.ndc.then_some(ndc),
+        background: clear.then(|| background(config)),
+        path: path.into_iter().map(|pose| Camera { pose, ..camera }).collect(),
+        corrupted: None,
+    })
+}
+
+/// Scales, recentres and, where asked, spherifies; returns the video path.
+fn normalise(poses: &mut Poses, config: &DataConfig) -> Result<Vec<Pose>> {
+    poses.scale_bounds(config.bound_factor);
+    if config.recentre {
+        poses.recentre()?;
+    }
+    if config.spherify {
+        poses.spherify()?;
+        return poses.circle();
+    }
+    poses.spiral()
+}
+
+/// The focal length at the working resolution: the file's over the factor, as nerf-pytorch.
+fn focal(poses: &Poses, config: &DataConfig, target: (usize, usize)) -> f64 {
+    match Size::of(config) {
+        Size::Factor(factor) => poses.focal / factor as f64,
+        Size::Width(_) => poses.focal * target.0 as f64 / poses.width,
+    }
+}
+
+fn camera_at((width, height): (usize, usize), focal: f64) -> Camera {
+    let centre = [width as f64 / 2.0, height as f64 / 2.0];
+    Camera { width, height, focal: [focal; 2], centre, pose: [[0.0; 4]; 3] }
+}
+
+fn views(names: Vec<String>, cameras: Vec<Camera>, images: Vec<Image>) -> Vec<View> {
+    let view = |((name, camera), image)| View { name, camera, image, depth: None };
+    names.into_iter().zip(cameras).zip(images).map(view).collect()
+}
+
+fn check_count(source: &Source, poses: usize, file: &Path) -> Result<()> {
+    let folder = source.paths[0].parent().unwrap_or(Path::new("images"));
+    if source.paths.len() != poses {
+        return Err(Error::Data(format!(
+            "{} holds {} images, but {} has {poses} poses: every image needs its pose, in the order of the file names",
+            folder.display(),
+            source.paths.len(),
+            file.display()
+        )));
+    }
+    Ok(())
+}
+
+/// The images must be the poses' images at the factor, or the focal length would be of others.
+fn check_size(source: &Source, poses: &Poses, config: &DataConfig, file: &Path) -> Result<()> {
+    let scale = match Size::of(config) {
+        Size::Factor(factor) => 1.0 / factor as f64,
+        Size::Width(width) => width as f64 / poses.width,
+    };
+    let expected = [poses.width * scale, poses.height * scale];
+    let found = [source.target.0 as f64, source.target.1 as f64];
+    let close = |(found, expected): (f64, f64)| (found - expected).abs() <= 1.0 + SIZE_TOLERANCE * expected;
+    if found.into_iter().zip(expected).all(close) {
+        return Ok(());
+    }
+    Err(Error::Data(format!(
+        "{} is {}x{} pixels and would be trained on at {}x{}, but {} was made for {}x{} images, which makes {:.0}x{:.0} \
+         here: the images were scaled, cropped or turned after their poses were found, or the folder's name is wrong",
+        source.paths[0].display(),
+        source.stored.0,
+        source.stored.1,
+        source.target.0,
+        source.target.1,
+        file.display(),
+        poses.width,
+        poses.height,
+        expected[0],
+        expected[1]
+    )))
+}
+
+/// NDC is defined only for rays towards -z that start in front of the near plane's far side.
+fn check_facing(cameras: &[Camera], names: &[String], file: &Path) -> Result<()> {
+    for (camera, name) in cameras.iter().zip(names) {
+        if !camera.faces_forward() {
+            return Err(Error::Data(format!(
+                "{}: view {name} looks away from the scene's -z axis, so its rays have no normalised device \
+                 coordinates; set data.ndc=false, and data.spherify=true for a capture from all around",
+                file.display()
+            )));
+        }
+    }
+    Ok(())
+}

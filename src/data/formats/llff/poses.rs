@@ -1,0 +1,216 @@
+//! `poses_bounds.npy` and what is made of it: poses and depth bounds in the units that training uses.
+
+use std::path::Path;
+
+use super::path::{circle, spiral};
+use crate::base::{Error, Result};
+use crate::data::npy;
+use crate::data::pose::{self, Pose, Vec3};
+
+/// Numbers of one row: a 3x5 matrix `[down | right | back | origin | (height, width, focal)]` and two bounds.
+const COLUMNS: usize = 17;
+
+/// The cameras of an LLFF capture.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Poses {
+    /// One camera-to-world matrix per view: columns right, up, back, origin.
+    pub poses: Vec<Pose>,
+    /// Nearest and farthest depth of each view.
+    pub bounds: Vec<[f64; 2]>,
+    /// Columns of the images that the file was made for.
+    pub width: f64,
+    /// Their rows.
+    pub height: f64,
+    /// Their focal length in pixels.
+    pub focal: f64,
+}
+
+impl Poses {
+    /// Reads `poses_bounds.npy`, in the file's own units.
+    pub fn read(file: &Path) -> Result<Poses> {
+        let table = npy::read_table(file)?;
+        let fail = |what: String| Err(Error::Data(format!("{}: {what}", file.display())));
+        if table.columns != COLUMNS || table.rows == 0 {
+            return fail(format!(
+                "the array is {} x {}, but LLFF's is N x {COLUMNS}: a 3x5 matrix and two bounds per view",
+                table.rows, table.columns
+            ));
+        }
+        for (view, row) in table.values.chunks_exact(COLUMNS).enumerate() {
+            if let Err(what) = check_row(row, &table.values[..COLUMNS]) {
+                return fail(format!("view {view} (counted from 0) {what}"));
+            }
+        }
+        let rows = table.values.chunks_exact(COLUMNS);
+        let [height, width, focal] = intrinsics(&table.values);
+        Ok(Poses {
+            poses: rows.clone().map(pose_of).collect(),
+            bounds: rows.map(|row| [row[15], row[16]]).collect(),
+            width,
+            height,
+            focal,
+        })
+    }
+
+    /// Scales origins and bounds so that the nearest bound becomes 1 / `bound_factor` (0: as they are).
+    pub fn scale_bounds(&mut self, bound_factor: f64) {
+        if bound_factor > 0.0 {
+            self.scale(1.0 / (self.nearest() * bound_factor));
+        }
+    }
+
+    /// Expresses all poses in the frame of their average.
+    pub fn recentre(&mut self) -> Result<()> {
+        let Some(average) = pose::average(&self.poses) else {
+            return Err(Error::Data(
+                "the viewing directions cancel out, so the poses have no average to be recentred on; \
+                 set data.recentre=false and data.ndc=false"
+                    .into(),
+            ));
+        };
+        let inverse = pose::inverse_rigid(&average);
+        self.poses.iter_mut().for_each(|p| *p = pose::compose(&inverse, p));
+        Ok(())
+    }
+
+    /// Moves the point that all cameras look at to the origin, their mean direction from it to +z,
+    /// and scales so that the cameras' root mean square distance is 1.
+    pub fn spherify(&mut self) -> Result<()> {
+        let frame = self.sphere_frame().ok_or_else(|| {
+            Error::Data(
+                "the cameras look at no common point, so their poses fit no sphere; set data.spherify=false".into(),
+            )
+        })?;
+        let inverse = pose::inverse_rigid(&frame);
+        self.poses.iter_mut().for_each(|p| *p = pose::compose(&inverse, p));
+        let square = self.poses.iter().map(|p| pose::dot(pose::column(p, 3), pose::column(p, 3))).sum::<f64>();
+        self.scale((self.poses.len() as f64 / square).sqrt());
+        Ok(())
+    }
+
+    /// nerf-pytorch's video path: a spiral around the average pose.
+    pub fn spiral(&self) -> Result<Vec<Pose>> {
+        spiral(&self.poses, self.nearest(), self.farthest())
+    }
+
+    /// nerf-pytorch's video path of spherified poses: a circle at the cameras' mean height.
+    pub fn circle(&self) -> Result<Vec<Pose>> {
+        circle(&self.poses)
+    }
+
+    /// The smallest bound of all views.
+    pub fn nearest(&self) -> f64 {
+        self.bounds.iter().map(|b| b[0]).fold(f64::INFINITY, f64::min)
+    }
+
+    /// The largest bound of all views.
+    pub fn farthest(&self) -> f64 {
+        self.bounds.iter().map(|b| b[1]).fold(0.0, f64::max)
+    }
+
+    fn scale(&mut self, factor: f64) {
+        self.poses.iter_mut().flatten().for_each(|row| row[3] *= factor);
+        self.bounds.iter_mut().flatten().for_each(|bound| *bound *= factor);
+    }
+
+    fn sphere_frame(&self) -> Option<Pose> {
+        let centre = pose::focus_point(&self.poses)?;
+        let up = pose::mean(self.poses.iter().map(|p| pose::sub(pose::column(p, 3), centre)));
+        let up = pose::normalized(up)?;
+        // Any vector that is hardly ever parallel to `up`; this one is nerf-pytorch's.
+        const HELPER: Vec3 = [0.1, 0.2, 0.3];
+        let first = pose::normalized(pose::cross(HELPER, up))?;
+        let second = pose::normalized(pose::cross(up, first))?;
+        Some(pose::from_columns([first, second, up, centre]))
+    }
+}
+
+/// Height, width and focal length of a row.
+fn intrinsics(row: &[f64]) -> [f64; 3] {
+    [row[4], row[9], row[14]]
+}
+
+/// The file's columns down, right, back become right, up, back.
+fn pose_of(row: &[f64]) -> Pose {
+    std::array::from_fn(|i| {
+        let line = &row[5 * i..];
+        [line[1], -line[0], line[2], line[3]]
+    })
+}
+
+fn check_row(row: &[f64], first: &[f64]) -> std::result::Result<(), String> {
+    if let Some(at) = row.iter().position(|v| !v.is_finite()) {
+        return Err(format!("has {} in column {at}: every number must be finite", row[at]));
+    }
+    let [near, far] = [row[15], row[16]];
+    if !(near > 0.0 && near < far) {
+        return Err(format!("has the depth bounds {near} and {far}, but 0 < near < far is needed"));
+    }
+    let [height, width, focal] = intrinsics(row);
+    if [height, width, focal].iter().any(|v| *v <= 0.0) {
+        return Err(format!("has height {height}, width {width}, focal length {focal}: all must be positive"));
+    }
+    let same = intrinsics(row).iter().zip(intrinsics(first)).all(|(a, b)| (a - b).abs() <= 1e-3 * b);
+    if !same {
+        return Err(format!(
+            "has height {height}, width {width}, focal length {focal}, unlike view 0 {:?}: \
+             LLFF scenes are of one camera",
+            intrinsics(first)
+        ));
+    }
+    pose::check_rotation(&pose_of(row)).map_err(|what| format!("has no rotation in its matrix but {what}"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn ring() -> Poses {
+        let at = |i: usize| {
+            let angle = i as f64 * 0.7;
+            let origin = [5.0 + 3.0 * angle.cos(), 1.0 + 3.0 * angle.sin(), 2.0];
+            pose::look_along(pose::sub(origin, [5.0, 1.0, 0.5]), [0.0, 0.0, 1.0], origin).unwrap()
+        };
+        let poses: Vec<Pose> = (0..9).map(at).collect();
+        Poses { bounds: vec![[2.0, 5.0]; 9], poses, width: 8.0, height: 6.0, focal: 7.0 }
+    }
+
+    #[test]
+    fn recentred_poses_average_to_the_identity() {
+        let mut poses = ring();
+        poses.recentre().unwrap();
+        let average = pose::average(&poses.poses).unwrap();
+        for (i, row) in average.iter().enumerate() {
+            assert!(row.iter().enumerate().all(|(j, v)| (v - f64::from(i == j)).abs() < 1e-12), "{average:?}");
+        }
+    }
+
+    #[test]
+    fn spherified_cameras_look_at_the_origin_from_distance_one() {
+        let mut poses = ring();
+        poses.spherify().unwrap();
+        for p in &poses.poses {
+            let (origin, back) = (pose::column(p, 3), pose::column(p, 2));
+            assert!((pose::length(origin) - 1.0).abs() < 1e-12);
+            assert!(pose::length(pose::sub(origin, back)) < 1e-9);
+        }
+    }
+
+    #[test]
+    fn bounds_and_origins_scale_together() {
+        let mut poses = ring();
+        let distance = |p: &Poses| pose::length(pose::sub(pose::column(&p.poses[0], 3), pose::column(&p.poses[1], 3)));
+        let before = distance(&poses) / poses.nearest();
+        poses.scale_bounds(0.75);
+        assert!((poses.nearest() - 1.0 / 0.75).abs() < 1e-12);
+        assert!((distance(&poses) / poses.nearest() - before).abs() < 1e-12);
+    }
+
+    #[test]
+    fn parallel_cameras_fit_no_sphere() {
+        let mut poses = ring();
+        let first = poses.poses[0];
+        poses.poses.iter_mut().for_each(|p| *p = first);
+        assert!(poses.spherify().unwrap_err().to_string().contains("data.spherify"));
+    }
+}

@@ -1,0 +1,110 @@
+//! The intrinsics that a `transforms.json` states, for all frames or frame by frame.
+
+use super::distortion::{Distortion, Intrinsics};
+use crate::base::Result;
+use crate::data::json::Object;
+
+/// Names of pinhole models, with or without OpenCV's radial and tangential distortion.
+const MODELS: [&str; 6] = ["OPENCV", "FULL_OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL"];
+/// Coefficients that none of the supported models has.
+const UNSUPPORTED: [&str; 3] = ["k4", "k5", "k6"];
+
+/// What took a photograph.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Lens {
+    pub(super) intrinsics: Intrinsics,
+    pub(super) distortion: Distortion,
+}
+
+/// Keys of a frame, and of the document where the frame lacks them.
+struct Keys<'a> {
+    frame: Object<'a>,
+    document: Object<'a>,
+}
+
+impl Keys<'_> {
+    fn number(&self, key: &str) -> Result<Option<f64>> {
+        Ok(self.frame.number(key)?.or(self.document.number(key)?))
+    }
+
+    fn angle(&self, key: &str) -> Result<Option<f64>> {
+        Ok(self.frame.angle(key)?.or(self.document.angle(key)?))
+    }
+
+    fn positive(&self, key: &str) -> Result<Option<f64>> {
+        match self.number(key)? {
+            Some(v) if v <= 0.0 => Err(self.frame.error(&format!("\"{key}\" is {v}, but it must be positive"))),
+            number => Ok(number),
+        }
+    }
+}
+
+impl Lens {
+    /// The lens of a frame whose image is `stored` (width, height). Intrinsics written for images of
+    /// another size (`w`, `h`) are scaled to it.
+    pub(super) fn read(frame: Object, document: Object, stored: (usize, usize)) -> Result<Lens> {
+        let keys = Keys { frame, document };
+        check_model(&keys)?;
+        let size = [stored.0 as f64, stored.1 as f64];
+        let stated = [keys.positive("w")?.unwrap_or(size[0]), keys.positive("h")?.unwrap_or(size[1])];
+        let scale = [size[0] / stated[0], size[1] / stated[1]];
+        // A pixel either way is rounding; more is a crop or a turn.
+        if (stated[1] * scale[0] - size[1]).abs() > 1.0 + 0.01 * size[1] {
+            return Err(frame.error(&format!(
+                "the image is {}x{} pixels, but \"w\" and \"h\" say {}x{}: it was cropped or turned, \
+                 so the intrinsics are not its own",
+                stored.0, stored.1, stated[0], stated[1]
+            )));
+        }
+        let focal = focal(&keys, stated)?;
+        let centre = [keys.number("cx")?.unwrap_or(0.5 * stated[0]), keys.number("cy")?.unwrap_or(0.5 * stated[1])];
+        let scaled = |values: [f64; 2]| [values[0] * scale[0], values[1] * scale[1]];
+        let intrinsics = Intrinsics { focal: scaled(focal), centre: scaled(centre) };
+        Ok(Lens { intrinsics, distortion: distortion(&keys)? })
+    }
+}
+
+/// `fl_x`, `fl_y`, or from the fields of view; vertical as horizontal where only that is known.
+fn focal(keys: &Keys, stated: [f64; 2]) -> Result<[f64; 2]> {
+    let from_angle = |angle: Option<f64>, size: f64| angle.map(|a| 0.5 * size / (0.5 * a).tan());
+    let x = keys.positive("fl_x")?.or(from_angle(keys.angle("camera_angle_x")?, stated[0]));
+    let y = keys.positive("fl_y")?;
+    let Some(x) = x else {
+        return Err(keys.frame.error(
+            "neither \"fl_x\" nor \"camera_angle_x\" is there, in the frame or for all frames: \
+             the focal length is unknown",
+        ));
+    };
+    // A field of view in y counts only where no focal length is written.
+    let wide = keys.number("fl_x")?.is_none();
+    let y = y.or(if wide { from_angle(keys.angle("camera_angle_y")?, stated[1]) } else { None });
+    Ok([x, y.unwrap_or(x)])
+}
+
+fn distortion(keys: &Keys) -> Result<Distortion> {
+    let coefficient = |key| Ok::<f64, crate::base::Error>(keys.number(key)?.unwrap_or(0.0));
+    Ok(Distortion {
+        radial: [coefficient("k1")?, coefficient("k2")?, coefficient("k3")?],
+        tangential: [coefficient("p1")?, coefficient("p2")?],
+    })
+}
+
+fn check_model(keys: &Keys) -> Result<()> {
+    let model = keys.frame.text("camera_model")?.or(keys.document.text("camera_model")?).unwrap_or("OPENCV");
+    let fisheye = |object: Object| object.get("is_fisheye").and_then(|v| v.as_bool()).unwrap_or(false);
+    let advice = "undistort the images first, for example with COLMAP's image_undistorter";
+    if !MODELS.contains(&model) {
+        let what = format!("\"camera_model\" is \"{model}\", but only {} are read; {advice}", MODELS.join(", "));
+        return Err(keys.frame.error(&what));
+    }
+    if fisheye(keys.frame) || fisheye(keys.document) {
+        return Err(keys.frame.error(&format!("\"is_fisheye\" is true, but only pinhole lenses are read; {advice}")));
+    }
+    for key in UNSUPPORTED {
+        if let Some(value) = keys.number(key)?.filter(|v| *v != 0.0) {
+            let what = format!("\"{key}\" is {value}, but of distortion only k1, k2, k3, p1 and p2 are read; {advice}");
+            return Err(keys.frame.error(&what));
+        }
+    }
+    Ok(())
+}

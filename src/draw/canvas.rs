@@ -1,0 +1,341 @@
+//! Drawings, as SVG and PNG from the same marks.
+//!
+//! A drawing is laid out as plain data, written as SVG, and the PNG is that SVG drawn with an embedded
+//! font, so that a machine without any draws the same.
+
+use base64::Engine;
+use base64::engine::general_purpose::STANDARD;
+use resvg::{tiny_skia, usvg};
+use svg::node::element::{Circle, Image as Raster, Polygon, Polyline, Rectangle, Text};
+use svg::{Document, Node};
+
+use super::pictures::encode_png8;
+use crate::base::{Error, Image, Result};
+
+/// A finished figure.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Figure {
+    /// SVG text.
+    pub svg: String,
+    /// PNG file, twice as fine.
+    pub png: Vec<u8>,
+}
+
+const FONT: &[u8] = epaint_default_fonts::UBUNTU_LIGHT;
+const FONT_FAMILY: &str = "Ubuntu, sans-serif";
+/// Pixels of the PNG to one of the SVG.
+pub const FINENESS: f64 = 2.0;
+/// Letters' size.
+pub const TEXT: f64 = 13.0;
+/// Size of a title's letters.
+pub const TITLE: f64 = 15.0;
+/// From one line of text to the next.
+pub const LINE_HEIGHT: f64 = 18.0;
+/// What a drawing leaves free at its sides.
+pub const SIDE: f64 = 20.0;
+
+/// Red, green, blue.
+#[derive(Clone, Copy)]
+pub struct Colour(u8, u8, u8);
+
+impl Colour {
+    fn text(self) -> String {
+        format!("rgb({},{},{})", self.0, self.1, self.2)
+    }
+}
+
+pub const PAPER: Colour = Colour(255, 255, 255);
+pub const BLACK: Colour = Colour(30, 30, 30);
+pub const GREY: Colour = Colour(110, 110, 110);
+pub const GRID: Colour = Colour(225, 225, 225);
+pub const BLUE: Colour = Colour(0, 114, 178);
+pub const RED: Colour = Colour(213, 94, 0);
+/// Okabe and Ito's colours, which colour-blind readers tell apart.
+pub const PALETTE: [Colour; 8] = [
+    BLUE,
+    RED,
+    Colour(0, 158, 115),
+    Colour(204, 121, 167),
+    Colour(86, 180, 233),
+    Colour(230, 159, 0),
+    Colour(90, 90, 90),
+    Colour(160, 130, 40),
+];
+
+/// Which part of a text stands at its place.
+#[derive(Clone, Copy)]
+pub enum Anchor {
+    Left,
+    Middle,
+    Right,
+}
+
+enum Mark {
+    Line {
+        points: Vec<(f64, f64)>,
+        colour: Colour,
+        width: f64,
+        dashed: bool,
+    },
+    Area {
+        points: Vec<(f64, f64)>,
+        colour: Colour,
+        opacity: f64,
+    },
+    Dot {
+        at: (f64, f64),
+        radius: f64,
+        colour: Colour,
+        opacity: f64,
+    },
+    /// `at` is the anchor's end of the text's middle line.
+    Text {
+        at: (f64, f64),
+        text: String,
+        size: f64,
+        anchor: Anchor,
+        colour: Colour,
+    },
+    /// `at` is the upper left corner; pixels become rectangles.
+    Picture {
+        at: (f64, f64),
+        size: (f64, f64),
+        png: Vec<u8>,
+    },
+}
+
+/// What a figure is made of, in pixels from the upper left corner.
+pub struct Drawing {
+    pub width: f64,
+    pub height: f64,
+    marks: Vec<Mark>,
+}
+
+impl Drawing {
+    pub fn new(width: f64, height: f64) -> Drawing {
+        Drawing { width, height, marks: Vec::new() }
+    }
+
+    pub fn line(&mut self, points: &[(f64, f64)], colour: Colour, width: f64) {
+        self.marks.push(Mark::Line { points: points.to_vec(), colour, width, dashed: false });
+    }
+
+    pub fn dashed(&mut self, points: &[(f64, f64)], colour: Colour, width: f64) {
+        self.marks.push(Mark::Line { points: points.to_vec(), colour, width, dashed: true });
+    }
+
+    pub fn area(&mut self, points: Vec<(f64, f64)>, colour: Colour, opacity: f64) {
+        self.marks.push(Mark::Area { points, colour, opacity });
+    }
+
+    pub fn dot(&mut self, at: (f64, f64), radius: f64, colour: Colour, opacity: f64) {
+        self.marks.push(Mark::Dot { at, radius, colour, opacity });
+    }
+
+    pub fn text(&mut self, at: (f64, f64), text: &str, size: f64, anchor: Anchor, colour: Colour) {
+        self.marks.push(Mark::Text { at, text: text.to_string(), size, anchor, colour });
+    }
+
+    /// The outline of a rectangle from its upper left corner.
+    pub fn outline(&mut self, (x, y): (f64, f64), (width, height): (f64, f64), colour: Colour, thickness: f64) {
+        let (right, bottom) = (x + width, y + height);
+        // A fourth corner of its own, and beyond it: a line's ends have no mitre.
+        self.line(&[(x, y), (right, y), (right, bottom), (x, bottom), (x, y), (right, y)], colour, thickness);
+    }
+
+    /// A picture, stretched to `size`; its pixels stay sharp.
+    pub fn picture(&mut self, at: (f64, f64), size: (f64, f64), picture: &Image) -> Result<()> {
+        let png = encode_png8(picture).map_err(|e| Error::Output(format!("cannot draw a figure: {e}")))?;
+        self.marks.push(Mark::Picture { at, size, png });
+        Ok(())
+    }
+
+    /// Wrapped text below everything; the drawing grows by its height.
+    pub fn caption(&mut self, text: &str) {
+        for line in wrapped(text, self.width - 2.0 * SIDE, TEXT) {
+            self.text((SIDE, self.height + LINE_HEIGHT / 2.0), &line, TEXT, Anchor::Left, GREY);
+            self.height += LINE_HEIGHT;
+        }
+        self.height += LINE_HEIGHT / 2.0;
+    }
+
+    /// The figure's files.
+    pub fn finish(self) -> Result<Figure> {
+        let svg = self.svg();
+        let png = rasterise(&svg)?.encode_png().map_err(|e| Error::Output(format!("cannot draw a figure: {e}")))?;
+        Ok(Figure { svg, png })
+    }
+
+    /// The PNG's pixels.
+    pub fn raster(self) -> Result<Image> {
+        let pixels = rasterise(&self.svg())?;
+        // The paper is opaque, so that colours are not scaled by any alpha.
+        let rgb = pixels.data().chunks_exact(4).flat_map(|pixel| [0, 1, 2].map(|c| f32::from(pixel[c]) / 255.0));
+        let (width, height) = (pixels.width() as usize, pixels.height() as usize);
+        Ok(Image { width, height, channels: 3, pixels: rgb.collect() })
+    }
+
+    fn svg(&self) -> String {
+        let (width, height) = (self.width.ceil(), self.height.ceil());
+        let mut document =
+            Document::new().set("viewBox", (0, 0, width, height)).set("width", width).set("height", height);
+        document.append(Rectangle::new().set("width", width).set("height", height).set("fill", "white"));
+        self.marks.iter().for_each(|mark| mark.write(&mut document));
+        document.to_string()
+    }
+}
+
+impl Mark {
+    fn write(&self, document: &mut Document) {
+        let points = |points: &[(f64, f64)]| {
+            points.iter().map(|(x, y)| format!("{x:.1},{y:.1}")).collect::<Vec<String>>().join(" ")
+        };
+        match self {
+            Mark::Line { points: along, colour, width, dashed } => {
+                let line = Polyline::new().set("points", points(along)).set("fill", "none");
+                let line = line.set("stroke", colour.text()).set("stroke-width", *width);
+                document.append(if *dashed { line.set("stroke-dasharray", "6 4") } else { line });
+            }
+            Mark::Area { points: around, colour, opacity } => {
+                let area = Polygon::new().set("points", points(around)).set("fill", colour.text());
+                document.append(area.set("fill-opacity", *opacity));
+            }
+            Mark::Dot { at: (x, y), radius, colour, opacity } => {
+                let dot = Circle::new().set("cx", format!("{x:.1}")).set("cy", format!("{y:.1}")).set("r", *radius);
+                document.append(dot.set("fill", colour.text()).set("fill-opacity", *opacity));
+            }
+            Mark::Text { at: (x, y), text, size, anchor, colour } => {
+                let anchor = match anchor {
+                    Anchor::Left => "start",
+                    Anchor::Middle => "middle",
+                    Anchor::Right => "end",
+                };
+                // From the middle of the letters to their foot.
+                let foot = y + 0.34 * size;
+                let element = Text::new(text.as_str()).set("x", format!("{x:.1}")).set("y", format!("{foot:.1}"));
+                let element = element.set("font-family", FONT_FAMILY).set("font-size", *size);
+                document.append(element.set("text-anchor", anchor).set("fill", colour.text()));
+            }
+            Mark::Picture { at: (x, y), size: (width, height), png } => {
+                let raster = Raster::new().set("x", *x).set("y", *y).set("width", *width).set("height", *height);
+                let raster = raster.set("preserveAspectRatio", "none");
+                // As an attribute it would not be known: SVG 2 has this value in styles alone.
+                let raster = raster.set("style", "image-rendering:pixelated");
+                document.append(raster.set("href", format!("data:image/png;base64,{}", STANDARD.encode(png))));
+            }
+        }
+    }
+}
+
+fn rasterise(svg: &str) -> Result<tiny_skia::Pixmap> {
+    let failed = |what: &str| Error::Output(format!("cannot draw a figure: {what}"));
+    let mut fonts = usvg::fontdb::Database::new();
+    fonts.load_font_data(FONT.to_vec());
+    let options = usvg::Options { fontdb: std::sync::Arc::new(fonts), ..usvg::Options::default() };
+    let tree = usvg::Tree::from_str(svg, &options).map_err(|e| failed(&e.to_string()))?;
+    let size = tree.size().to_int_size().scale_by(FINENESS as f32).ok_or_else(|| failed("it has no size"))?;
+    let mut pixels = tiny_skia::Pixmap::new(size.width(), size.height()).ok_or_else(|| failed("it has no size"))?;
+    resvg::render(&tree, tiny_skia::Transform::from_scale(FINENESS as f32, FINENESS as f32), &mut pixels.as_mut());
+    Ok(pixels)
+}
+
+/// Width of a text in pixels.
+pub fn text_width(text: &str, size: f64) -> f64 {
+    let face = ttf_parser::Face::parse(FONT, 0).expect("the embedded font is a font");
+    let advance =
+        |letter: char| face.glyph_index(letter).and_then(|glyph| face.glyph_hor_advance(glyph)).unwrap_or(500);
+    text.chars().map(|letter| f64::from(advance(letter))).sum::<f64>() * size / f64::from(face.units_per_em())
+}
+
+/// Lines of at most `width` pixels in letters of `size`, broken at spaces, and within a word where it alone is longer.
+pub fn wrapped(text: &str, width: f64, size: f64) -> Vec<String> {
+    let mut lines = vec![String::new()];
+    for word in text.split_whitespace().flat_map(|word| pieces(word, width, size)) {
+        let line = lines.last_mut().expect("starts with one");
+        let longer = if line.is_empty() { word.clone() } else { format!("{line} {word}") };
+        if text_width(&longer, size) <= width || line.is_empty() {
+            *line = longer;
+        } else {
+            lines.push(word);
+        }
+    }
+    lines
+}
+
+/// A word in parts of at most `width` pixels, or of one letter.
+fn pieces(word: &str, width: f64, size: f64) -> Vec<String> {
+    let mut pieces = vec![String::new()];
+    for letter in word.chars() {
+        let piece = pieces.last_mut().expect("starts with one");
+        if !piece.is_empty() && text_width(&format!("{piece}{letter}"), size) > width {
+            pieces.push(String::new());
+        }
+        pieces.last_mut().expect("just seen").push(letter);
+    }
+    pieces
+}
+
+/// A number with the digits that a step between ticks asks for.
+pub fn number(value: f64, step: f64) -> String {
+    if value != 0.0 && !(1e-3..1e6).contains(&value.abs()) {
+        return format!("{value:.1e}");
+    }
+    let digits = (-step.log10().floor()).clamp(0.0, 6.0) as usize;
+    format!("{value:.digits$}")
+}
+
+/// Round numbers across a range, and the step between them.
+pub fn ticks((low, high): (f64, f64), most: usize) -> (Vec<f64>, f64) {
+    let raw = (high - low) / most as f64;
+    let power = 10f64.powf(raw.log10().floor());
+    let step = [1.0, 2.0, 5.0, 10.0].map(|m| m * power).into_iter().find(|step| *step >= raw).unwrap_or(raw);
+    let first = (low / step).ceil() as i64;
+    let last = (high / step).floor() as i64;
+    ((first..=last).map(|i| i as f64 * step).collect(), step)
+}
+
+/// A range with some room around its values; none without finite values.
+pub fn range(values: impl Iterator<Item = f64>) -> Option<(f64, f64)> {
+    let finite: Vec<f64> = values.filter(|value| value.is_finite()).collect();
+    let low = finite.iter().copied().reduce(f64::min)?;
+    let high = finite.iter().copied().reduce(f64::max)?;
+    let room = if high > low { 0.08 * (high - low) } else { 0.05 * high.abs().max(1e-6) };
+    Some((low - room, high + room))
+}
+
+/// A rectangle with a vertical scale.
+pub struct Panel {
+    pub left: f64,
+    pub top: f64,
+    pub width: f64,
+    pub height: f64,
+    pub range: (f64, f64),
+}
+
+impl Panel {
+    pub fn y(&self, value: f64) -> f64 {
+        let (low, high) = self.range;
+        self.top + self.height * (high - value) / (high - low)
+    }
+
+    pub fn right(&self) -> f64 {
+        self.left + self.width
+    }
+
+    pub fn bottom(&self) -> f64 {
+        self.top + self.height
+    }
+
+    /// Horizontal grid lines, their numbers where asked for, and the frame.
+    pub fn frame(&self, drawing: &mut Drawing, numbers: bool) {
+        let (values, step) = ticks(self.range, (self.height / 40.0) as usize + 1);
+        for value in values {
+            let y = self.y(value);
+            drawing.line(&[(self.left, y), (self.right(), y)], GRID, 1.0);
+            if numbers {
+                drawing.text((self.left - 6.0, y), &number(value, step), TEXT, Anchor::Right, BLACK);
+            }
+        }
+        drawing.line(&[(self.left, self.top), (self.left, self.bottom()), (self.right(), self.bottom())], BLACK, 1.0);
+    }
+}

@@ -1,0 +1,10 @@
+//! Pictures: figures in SVG and PNG, images, depth maps, animations.
+
+pub(crate) mod canvas;
+pub mod pictures;
+
+pub use canvas::Figure;
+pub use pictures::{
+    SOLID, beside, depth_colour, depth_range, quantise, scale_colour, write_depth16, write_gif, write_png8,
+    write_timed_gif,
+};

@@ -1,0 +1,275 @@
+//! Sample positions along rays: stratified and inverse-CDF.
+//!
+//! `t_vals` are points, `[rays, samples]`, or edges of intervals (MipNeRF), sorted, in units of the ray direction's length. No
+//! gradient flows through any of this.
+
+use candle_core::{DType, Tensor};
+
+use crate::base::Result;
+
+/// Stratified samples: `samples` points linspace(near, far), each moved uniformly within the bin
+/// that its mid-points to the neighbours bound. `jitter` is uniform in 0..1, `[rays, samples]`;
+/// without it the points themselves are repeated for `rays` rays.
+pub fn stratified(
+    near: f64,
+    far: f64,
+    rays: usize,
+    samples: usize,
+    jitter: Option<&Tensor>,
+    like: &Tensor,
+) -> Result<Tensor> {
+    let points: Vec<f64> = (0..samples)
+        .map(|i| {
+            let s = i as f64 / (samples - 1) as f64;
+            near * (1.0 - s) + far * s
+        })
+        .collect();
+    let mid = |i: usize| 0.5 * (points[i] + points[i + 1]);
+    let lower: Vec<f64> = (0..samples).map(|i| if i == 0 { points[0] } else { mid(i - 1) }).collect();
+    let upper: Vec<f64> = (0..samples).map(|i| if i + 1 == samples { points[i] } else { mid(i) }).collect();
+    let row = |values: Vec<f64>| Tensor::from_vec(values, (1, samples), like.device())?.to_dtype(like.dtype());
+    let Some(jitter) = jitter else {
+        return Ok(row(points)?.broadcast_as((rays, samples))?.contiguous()?);
+    };
+    let width = row(upper.iter().zip(&lower).map(|(u, l)| u - l).collect())?;
+    Ok(jitter.broadcast_mul(&width)?.broadcast_add(&row(lower)?)?)
+}
+
+/// The fine pass's positions: `t_vals` united with samples of the piecewise-constant density that
+/// the coarse pass's interior weights put on the mid-points between coarse samples, sorted,
+/// `[rays, coarse + fine]`. `weights` `[rays, coarse]`; `u` `[rays, fine]` in 0..1.
+pub fn importance(t_vals: &Tensor, weights: &Tensor, u: &Tensor) -> Result<Tensor> {
+    if t_vals.device().is_cpu() {
+        importance_on_host(t_vals, weights, u)
+    } else {
+        importance_on_device(t_vals, weights, u)
+    }
+}
+
+/// MipNeRF's fine pass: `fine + 1` new edges of intervals `[rays, fine + 1]`, drawn from the blurred weights of the coarse
+/// intervals. `edges` `[rays, coarse + 1]`, `weights` `[rays, coarse]`, `u` `[rays, fine + 1]` in 0..=1, sorted. A
+/// weight becomes the mean of the larger of itself and either neighbour, plus `padding` (Barron et al. 2021, equation 18).
+pub fn resample_intervals(edges: &Tensor, weights: &Tensor, u: &Tensor, padding: f64) -> Result<Tensor> {
+    if !edges.device().is_cpu() {
+        return resample_intervals_on_device(edges, weights, u, padding);
+    }
+    let (rays, coarse) = weights.dims2()?;
+    let (_, new) = u.dims2()?;
+    let (t, w, u) = (host_rows(edges)?, host_rows(weights)?, host_rows(u)?);
+    let mut drawn = vec![0f64; rays * new];
+    for (ray, out) in drawn.chunks_mut(new).enumerate() {
+        let blurred = blur(&w[ray * coarse..][..coarse], padding);
+        let cdf = cumulative(&blurred);
+        invert(&t[ray * (coarse + 1)..][..coarse + 1], &cdf, &u[ray * new..][..new], f64::MIN_POSITIVE, out);
+        // Two edges in one place may have changed places by a rounding.
+        out.sort_unstable_by(f64::total_cmp);
+    }
+    Ok(Tensor::from_vec(drawn, (rays, new), edges.device())?.to_dtype(edges.dtype())?)
+}
+
+fn resample_intervals_on_device(edges: &Tensor, weights: &Tensor, u: &Tensor, padding: f64) -> Result<Tensor> {
+    let w = wide(weights)?;
+    let coarse = w.dim(1)?;
+    let left = Tensor::cat(&[&w.narrow(1, 0, 1)?, &w.narrow(1, 0, coarse - 1)?], 1)?;
+    let right = Tensor::cat(&[&w.narrow(1, 1, coarse - 1)?, &w.narrow(1, coarse - 1, 1)?], 1)?;
+    let blurred = (((left.maximum(&w)? + w.maximum(&right)?)? * 0.5)? + padding)?;
+    let drawn = invert_on_device(&wide(edges)?, &blurred, &wide(u)?, f64::MIN_POSITIVE)?;
+    Ok(drawn.sort_last_dim(true)?.0.to_dtype(edges.dtype())?)
+}
+
+/// Detached, in f64: sums of a CDF go through a matrix product, which some devices would round to ten bits.
+fn wide(tensor: &Tensor) -> Result<Tensor> {
+    Ok(tensor.detach().to_dtype(DType::F64)?)
+}
+
+fn blur(weights: &[f64], padding: f64) -> Vec<f64> {
+    let larger = |a: f64, b: f64| if a.is_nan() || a > b { a } else { b };
+    let at = |i: usize| weights[i.min(weights.len() - 1)];
+    let of = |i: usize| 0.5 * (larger(at(i.saturating_sub(1)), at(i)) + larger(at(i), at(i + 1))) + padding;
+    (0..weights.len()).map(of).collect()
+}
+
+/// One sorted u in each of `count` equal parts of 0..1, from `u [rays, count]` uniform in 0..1.
+pub fn stratified_u(u: &Tensor) -> Result<Tensor> {
+    let (_, count) = u.dims2()?;
+    let lower: Vec<f64> = (0..count).map(|i| i as f64 / count as f64).collect();
+    let lower = Tensor::from_vec(lower, (1, count), u.device())?.to_dtype(u.dtype())?;
+    Ok((u / count as f64)?.broadcast_add(&lower)?)
+}
+
+fn importance_on_host(t_vals: &Tensor, weights: &Tensor, u: &Tensor) -> Result<Tensor> {
+    let (rays, coarse) = t_vals.dims2()?;
+    let (_, fine) = u.dims2()?;
+    let (t, w, u) = (host_rows(t_vals)?, host_rows(weights)?, host_rows(u)?);
+    let mut merged = vec![0f64; rays * (coarse + fine)];
+    for (ray, out) in merged.chunks_mut(coarse + fine).enumerate() {
+        let t = &t[ray * coarse..][..coarse];
+        let bins: Vec<f64> = t.windows(2).map(|pair| 0.5 * (pair[0] + pair[1])).collect();
+        let interior = &w[ray * coarse + 1..][..coarse - 2];
+        out[..coarse].copy_from_slice(t);
+        inverse_cdf(&bins, interior, &u[ray * fine..][..fine], &mut out[coarse..]);
+        // total_cmp orders NaN, too: a broken weight is to be reported, not to panic here.
+        out.sort_unstable_by(f64::total_cmp);
+    }
+    Ok(Tensor::from_vec(merged, (rays, coarse + fine), t_vals.device())?.to_dtype(t_vals.dtype())?)
+}
+
+/// The same without leaving an accelerator.
+fn importance_on_device(t_vals: &Tensor, weights: &Tensor, u: &Tensor) -> Result<Tensor> {
+    let t = wide(t_vals)?;
+    let coarse = t.dim(1)?;
+    let bins = ((t.narrow(1, 0, coarse - 1)? + t.narrow(1, 1, coarse - 1)?)? * 0.5)?;
+    let floored = (wide(weights)?.narrow(1, 1, coarse - 2)? + FLOOR)?;
+    let samples = invert_on_device(&bins, &floored, &wide(u)?, FLOOR)?;
+    let (merged, _) = Tensor::cat(&[t, samples], 1)?.sort_last_dim(true)?;
+    Ok(merged.to_dtype(t_vals.dtype())?)
+}
+
+/// [`invert`] of the CDF that positive `weights [rays, n]` define on the edges `bins [rays, n + 1]`, at `u`; all in f64.
+fn invert_on_device(bins: &Tensor, weights: &Tensor, u: &Tensor, narrowest: f64) -> Result<Tensor> {
+    let (rays, n) = weights.dims2()?;
+    let shares = weights.broadcast_div(&weights.sum_keepdim(1)?)?;
+    let cdf = Tensor::cat(&[&Tensor::zeros((rays, 1), DType::F64, bins.device())?, &shares.cumsum(1)?], 1)?;
+    // Number of edges at or below u, as f64 [rays, fine].
+    let above = cdf.unsqueeze(1)?.broadcast_le(&u.unsqueeze(2)?)?.to_dtype(DType::F64)?.sum(2)?;
+    let lower = (&above - 1.0)?.maximum(0f64)?.to_dtype(DType::U32)?;
+    let upper = above.minimum(n as f64)?.to_dtype(DType::U32)?;
+    let at = |values: &Tensor, index: &Tensor| values.contiguous()?.gather(index, 1);
+    let below = at(&cdf, &lower)?;
+    let share = (at(&cdf, &upper)? - &below)?;
+    let width = share.lt(narrowest)?.where_cond(&share.ones_like()?, &share)?;
+    let from = at(bins, &lower)?;
+    Ok((&from + ((u - below)? / width)? * (at(bins, &upper)? - &from)?)?)
+}
+
+/// `fine` equally spaced u in 0..=1 for each ray: sampling at test time.
+pub fn even_u(rays: usize, fine: usize, like: &Tensor) -> Result<Tensor> {
+    let last = (fine.max(2) - 1) as f64;
+    let row: Vec<f64> = (0..fine).map(|i| i as f64 / last).collect();
+    let row = Tensor::from_vec(row, (1, fine), like.device())?.to_dtype(like.dtype())?;
+    Ok(row.broadcast_as((rays, fine))?.contiguous()?)
+}
+
+/// Added to each weight before it counts as a probability.
+const FLOOR: f64 = 1e-5;
+
+/// Maps `u` through the inverse of the CDF that `weights + 1e-5` (one a bin, `bins.len() - 1`)
+/// define on the edges `bins`. A bin with a share under 1e-5 counts as of width 1, as in the
+/// original implementation: its u all but never occur and map next to the lower edge.
+pub fn inverse_cdf(bins: &[f64], weights: &[f64], u: &[f64], out: &mut [f64]) {
+    let floored: Vec<f64> = weights.iter().map(|w| w + FLOOR).collect();
+    invert(bins, &cumulative(&floored), u, FLOOR, out);
+}
+
+/// The CDF of weights, from 0 to 1 on the edges of their bins.
+fn cumulative(weights: &[f64]) -> Vec<f64> {
+    let total: f64 = weights.iter().sum();
+    let mut cdf = Vec::with_capacity(weights.len() + 1);
+    let mut sum = 0.0;
+    cdf.push(0.0);
+    for w in weights {
+        sum += w / total;
+        cdf.push(sum);
+    }
+    cdf
+}
+
+/// Maps `u` through the inverse of a CDF given on the edges `bins`; a bin with a share under `narrowest` counts as of
+/// width 1.
+fn invert(bins: &[f64], cdf: &[f64], u: &[f64], narrowest: f64, out: &mut [f64]) {
+    let last = cdf.len() - 1;
+    for (out, &u) in out.iter_mut().zip(u) {
+        let above = cdf.partition_point(|&c| c <= u);
+        let (lower, upper) = (above.saturating_sub(1), above.min(last));
+        let share = cdf[upper] - cdf[lower];
+        let fraction = (u - cdf[lower]) / if share < narrowest { 1.0 } else { share };
+        *out = bins[lower] + fraction * (bins[upper] - bins[lower]);
+    }
+}
+
+fn host_rows(tensor: &Tensor) -> Result<Vec<f64>> {
+    Ok(tensor.detach().to_dtype(DType::F64)?.flatten_all()?.to_vec1()?)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use candle_core::Device;
+
+    #[test]
+    fn stratified_samples_stay_in_their_bins_and_are_sorted() {
+        let like = Tensor::zeros(1, DType::F64, &Device::Cpu).unwrap();
+        let jitter = Tensor::new(&[[0.0, 0.0, 0.0, 0.0], [0.999, 0.999, 0.999, 0.999]], &Device::Cpu).unwrap();
+        let t = stratified(2.0, 5.0, 2, 4, Some(&jitter), &like).unwrap().to_vec2::<f64>().unwrap();
+        assert_eq!(t[0], [2.0, 2.5, 3.5, 4.5]);
+        assert!(t[1].iter().zip([2.5, 3.5, 4.5, 5.0]).all(|(a, b)| (a - b).abs() < 2e-3 && *a < b));
+        let still = stratified(2.0, 5.0, 1, 4, None, &like).unwrap().to_vec2::<f64>().unwrap();
+        assert_eq!(still[0], [2.0, 3.0, 4.0, 5.0]);
+    }
+
+    /// Weights blurred, padded and inverted by hand, one u at a time along the piecewise-linear CDF.
+    #[test]
+    fn intervals_are_drawn_from_blurred_weights() {
+        let edges = [1.0, 1.5, 3.0, 3.5, 6.0];
+        let weights = [0.2, 0.0, 0.7, 0.1];
+        // Means of the larger of each weight and its left, and its right neighbour.
+        let blurred = [0.2, 0.45, 0.7, 0.4].map(|w| w + 0.01);
+        let total: f64 = blurred.iter().sum();
+        let u = [0.0, 0.05, 0.3, 0.31, 0.77, 1.0];
+        let expected = u.map(|u| {
+            let mut below = 0.0;
+            for (i, w) in blurred.iter().enumerate() {
+                let share = w / total;
+                if u <= below + share {
+                    return edges[i] + (u - below) / share * (edges[i + 1] - edges[i]);
+                }
+                below += share;
+            }
+            edges[4]
+        });
+        let tensor = |values: &[f64]| Tensor::new(values, &Device::Cpu).unwrap().unsqueeze(0).unwrap();
+        let found = resample_intervals(&tensor(&edges), &tensor(&weights), &tensor(&u), 0.01).unwrap();
+        for (a, b) in found.to_vec2::<f64>().unwrap()[0].iter().zip(expected) {
+            assert!((a - b).abs() < 1e-9, "{a} {b}");
+        }
+        let on_device = resample_intervals_on_device(&tensor(&edges), &tensor(&weights), &tensor(&u), 0.01).unwrap();
+        for (a, b) in on_device.to_vec2::<f64>().unwrap()[0].iter().zip(expected) {
+            assert!((a - b).abs() < 1e-9, "{a} {b}");
+        }
+        let nothing = resample_intervals(&tensor(&edges), &tensor(&[0.0; 4]), &tensor(&[0.0, 0.5, 1.0]), 0.01).unwrap();
+        assert_eq!(
+            nothing.to_vec2::<f64>().unwrap()[0],
+            [1.0, 3.0, 6.0],
+            "evenly over intervals where nothing is seen"
+        );
+        let even = stratified_u(&tensor(&[0.5, 0.0, 0.999])).unwrap().to_vec2::<f64>().unwrap().remove(0);
+        assert!(even[0] == 0.5 / 3.0 && even[1] == 1.0 / 3.0 && even[2] < 1.0, "{even:?}");
+    }
+
+    #[test]
+    fn inverse_cdf_puts_samples_where_the_weight_is() {
+        let bins = [0.0, 1.0, 2.0, 3.0];
+        let u: Vec<f64> = (0..1000).map(|i| (i as f64 + 0.5) / 1000.0).collect();
+        let mut out = vec![0.0; 1000];
+        inverse_cdf(&bins, &[1.0, 0.0, 3.0], &u, &mut out);
+        let share = |lo: f64, hi: f64| out.iter().filter(|t| **t >= lo && **t < hi).count();
+        assert!(share(0.0, 1.0).abs_diff(250) <= 1 && share(2.0, 3.1).abs_diff(750) <= 1);
+        assert!(out.windows(2).all(|pair| pair[0] <= pair[1]));
+    }
+
+    #[test]
+    fn the_device_places_samples_as_the_host_does() {
+        let mut random = crate::base::rng::Random::new(3, crate::base::rng::Stream::Jitter, 0);
+        let mut draw = |shape: &[usize]| random.uniform_tensor(shape, DType::F64, &Device::Cpu).unwrap();
+        let (rays, coarse, fine) = (40, 16, 24);
+        let t_vals = stratified(2.0, 6.0, rays, coarse, Some(&draw(&[rays, coarse])), &draw(&[1])).unwrap();
+        // Empty rays, and rays with all weight in one place, among the others.
+        let weights = draw(&[rays, coarse]).powf(8.0).unwrap();
+        let scale = Tensor::from_vec((0..rays).map(|i| (i % 3) as f64).collect(), (rays, 1), &Device::Cpu).unwrap();
+        let (weights, u) = (weights.broadcast_mul(&scale).unwrap(), draw(&[rays, fine]));
+        let host = importance_on_host(&t_vals, &weights, &u).unwrap();
+        let device = importance_on_device(&t_vals, &weights, &u).unwrap();
+        let worst = (host - device).unwrap().abs().unwrap().flatten_all().unwrap().max(0).unwrap();
+        assert!(worst.to_scalar::<f64>().unwrap() < 1e-12, "{worst:?}");
+    }
+}

@@ -1,0 +1,10 @@
+//! Tables and figures over points: records, statistics, published numbers.
+
+pub mod plots;
+mod published;
+mod record;
+pub mod statistics;
+pub mod tables;
+
+pub use published::{PUBLISHED_NOTE, PublishedProtocol, PublishedRow, published_rows};
+pub use record::{AxisValue, PublishedKey, Record, RowSpec, Status, TableSpec, label};

@@ -1,0 +1,277 @@
+//! The paper's figure: a metric against what is varied, one panel a level.
+
+use super::{Figure, SPREAD_NOTE, Spread, metric_name, rises};
+use crate::base::Result;
+use crate::draw::canvas::{
+    Anchor, BLACK, Colour, Drawing, GREY, GRID, LINE_HEIGHT, PALETTE, Panel, RED, TEXT, TITLE, number, range,
+    text_width,
+};
+use crate::report::statistics::{holm, p_value, paired_differences};
+use crate::report::{AxisValue, Record, Status, TableSpec};
+
+const PANEL: (f64, f64) = (250.0, 190.0);
+const GAP: (f64, f64) = (30.0, 92.0);
+/// Differences with a smaller p value count.
+const SIGNIFICANT: f64 = 0.05;
+const MARGIN: (f64, f64) = (76.0, 66.0);
+
+/// One line of one panel: values of an axis with what was measured there.
+struct Series<'a> {
+    axis: &'a str,
+    panel: &'a str,
+    row: &'a str,
+    /// Value, then seed and number of each point.
+    points: Vec<(&'a str, Vec<(u64, f64)>)>,
+}
+
+impl Series<'_> {
+    fn means(&self) -> Vec<(usize, Spread)> {
+        let spread = |index: usize| Some((index, Spread::new(&numbers(&self.points[index].1))?));
+        (0..self.points.len()).filter_map(spread).collect()
+    }
+}
+
+/// Panels by axis (down) and level (across) of a scene's points with axes; none where there are
+/// no such points.
+pub fn axes_figure(spec: &TableSpec, records: &[Record], scene: &str, metric: &str) -> Result<Option<Figure>> {
+    let records: Vec<&Record> = records.iter().filter(|record| record.scene == scene).collect();
+    let series = series(&records, metric);
+    let baseline = baseline(spec, &records, metric);
+    let values = series
+        .iter()
+        .flat_map(|series| series.points.iter().flat_map(|(_, seeds)| seeds.iter().map(|(_, number)| *number)));
+    let Some(range) = range(values.chain(baseline.iter().flat_map(|(_, seeds)| seeds.iter().copied()))) else {
+        return Ok(None);
+    };
+    if series.is_empty() {
+        return Ok(None);
+    }
+    let axes = distinct(series.iter().map(|series| series.axis));
+    let columns = distinct(series.iter().map(|series| series.panel));
+    let (width, height) = (PANEL.0 + GAP.0, PANEL.1 + GAP.1);
+    let mut drawing =
+        Drawing::new((MARGIN.0 + columns.len() as f64 * width).max(560.0), MARGIN.1 + axes.len() as f64 * height);
+    let title = format!("{}: {} on {scene}", spec.title, metric_name(metric));
+    drawing.text((20.0, 20.0), &title, TITLE, Anchor::Left, BLACK);
+    for (down, axis) in axes.iter().enumerate() {
+        for (across, column) in columns.iter().enumerate() {
+            let lines: Vec<&Series> = series.iter().filter(|s| s.axis == *axis && s.panel == *column).collect();
+            if lines.is_empty() {
+                continue;
+            }
+            let panel = Panel {
+                left: MARGIN.0 + across as f64 * width,
+                top: MARGIN.1 + down as f64 * height,
+                width: PANEL.0,
+                height: PANEL.1,
+                range,
+            };
+            let first = series
+                .iter()
+                .filter(|s| s.axis == *axis)
+                .all(|s| columns.iter().position(|c| *c == s.panel) >= Some(across));
+            panel.frame(&mut drawing, first);
+            let name = if column.is_empty() { axis.to_string() } else { format!("{column}: {axis}") };
+            drawing.text((panel.left, panel.top - 14.0), &name, TEXT, Anchor::Left, BLACK);
+            draw_baseline(&mut drawing, &panel, baseline.as_ref());
+            draw_values(&mut drawing, &panel, &lines, metric);
+        }
+    }
+    drawing.caption(&caption(&series, baseline.as_ref().map(|(name, _)| *name)));
+    drawing.finish().map(Some)
+}
+
+/// The points of a scene with exactly one axis value, by axis and row.
+fn series<'a>(records: &[&'a Record], metric: &str) -> Vec<Series<'a>> {
+    let mut all: Vec<Series> = Vec::new();
+    for record in records {
+        let [AxisValue { axis, panel, value }] = record.axes.as_slice() else { continue };
+        let same = |s: &Series| (s.axis, s.panel, s.row) == (axis.as_str(), panel.as_str(), record.row.as_str());
+        let index = match all.iter().position(same) {
+            Some(index) => index,
+            None => {
+                all.push(Series { axis, panel, row: &record.row, points: Vec::new() });
+                all.len() - 1
+            }
+        };
+        let points = &mut all[index].points;
+        if points.iter().all(|(known, _)| known != value) {
+            points.push((value, Vec::new()));
+        }
+        let seeds = points.iter_mut().find(|(known, _)| known == value).expect("just put there");
+        let measured = Some(record).filter(|r| r.status == Status::Done).and_then(|r| r.metric(metric));
+        seeds.1.extend(measured.filter(|value| value.is_finite()).map(|value| (record.seed, value)));
+    }
+    all
+}
+
+/// The first baseline row's name and seeds.
+fn baseline<'a>(spec: &'a TableSpec, records: &[&Record], metric: &str) -> Option<(&'a str, Vec<f64>)> {
+    let row = spec.rows.iter().find(|row| row.baseline.is_none() && !row.quoted)?;
+    let done = records.iter().filter(|r| r.row == row.name && r.axes.is_empty() && r.status == Status::Done);
+    let seeds: Vec<f64> = done.filter_map(|record| record.metric(metric)).filter(|value| value.is_finite()).collect();
+    (!seeds.is_empty()).then_some((row.name.as_str(), seeds))
+}
+
+fn draw_baseline(drawing: &mut Drawing, panel: &Panel, baseline: Option<&(&str, Vec<f64>)>) {
+    let Some((_, seeds)) = baseline else { return };
+    let Some(spread) = Spread::new(seeds) else { return };
+    if let Some((low, high)) = spread.band {
+        let (left, right) = (panel.left, panel.right());
+        let (low, high) = (panel.y(low), panel.y(high));
+        drawing.area(vec![(left, low), (right, low), (right, high), (left, high)], GREY, 0.15);
+    }
+    let y = panel.y(spread.mean);
+    drawing.dashed(&[(panel.left, y), (panel.right(), y)], GREY, 1.5);
+}
+
+fn draw_values(drawing: &mut Drawing, panel: &Panel, lines: &[&Series], metric: &str) {
+    let names = distinct(lines.iter().flat_map(|series| series.points.iter().map(|(value, _)| *value)));
+    let x = |name: &str| {
+        let index = names.iter().position(|known| *known == name).expect("from the same list");
+        panel.left + panel.width * (index as f64 + 0.5) / names.len() as f64
+    };
+    for name in &names {
+        drawing.line(&[(x(name), panel.top), (x(name), panel.bottom())], GRID, 1.0);
+        drawing.text((x(name), panel.bottom() + 12.0), name, TEXT, Anchor::Middle, BLACK);
+    }
+    for (series, colour) in lines.iter().zip(PALETTE) {
+        draw_series(drawing, panel, series, colour, &x);
+    }
+    for (index, series) in lines.iter().enumerate() {
+        let verdict = verdict(series);
+        let text = if lines.len() > 1 { format!("{}: {verdict}", series.row) } else { verdict };
+        let colour = if lines.len() > 1 { PALETTE[index % PALETTE.len()] } else { GREY };
+        drawing.text(
+            (panel.left, panel.bottom() + 30.0 + index as f64 * LINE_HEIGHT),
+            &text,
+            TEXT,
+            Anchor::Left,
+            colour,
+        );
+    }
+    let Some((_, best)) = lines.first().and_then(|series| best_and_worst(series, metric)).map(|(b, _)| b) else {
+        return;
+    };
+    let (value, _) = lines[0].points[best_index(lines[0], metric)];
+    let (x, y) = (x(value), panel.y(best.mean));
+    drawing.dot((x, y), 5.0, RED, 1.0);
+    let label = number(best.mean, (panel.range.1 - panel.range.0) / 50.0);
+    let half = text_width(&label, TEXT) / 2.0;
+    let x = x.clamp(panel.left + half + 2.0, panel.right() - half - 2.0);
+    drawing.text((x, (y - 14.0).max(panel.top + 8.0)), &label, TEXT, Anchor::Middle, RED);
+}
+
+fn draw_series(drawing: &mut Drawing, panel: &Panel, series: &Series, colour: Colour, x: &impl Fn(&str) -> f64) {
+    let means = series.means();
+    // A value without points is a gap: neighbours across it are not joined.
+    for run in means.chunk_by(|(a, _), (b, _)| b - a == 1) {
+        let at = |index: usize| x(series.points[index].0);
+        let banded: Vec<(f64, (f64, f64))> = run.iter().filter_map(|(i, s)| Some((at(*i), s.band?))).collect();
+        if banded.len() > 1 {
+            let upper = banded.iter().map(|(x, (_, high))| (*x, panel.y(*high)));
+            let lower = banded.iter().rev().map(|(x, (low, _))| (*x, panel.y(*low)));
+            drawing.area(upper.chain(lower).collect(), colour, 0.18);
+        }
+        let line: Vec<(f64, f64)> = run.iter().map(|(i, spread)| (at(*i), panel.y(spread.mean))).collect();
+        drawing.line(&line, colour, 2.0);
+        line.iter().for_each(|at| drawing.dot(*at, 3.5, colour, 1.0));
+    }
+    for (value, seeds) in &series.points {
+        seeds.iter().for_each(|(_, number)| drawing.dot((x(value), panel.y(*number)), 2.0, colour, 0.45));
+    }
+}
+
+type Indexed = (usize, Spread);
+
+fn best_and_worst(series: &Series, metric: &str) -> Option<(Indexed, Indexed)> {
+    let sign = if rises(metric) { 1.0 } else { -1.0 };
+    let goodness = |(_, spread): &Indexed| sign * spread.mean;
+    let best = series.means().into_iter().max_by(|a, b| goodness(a).total_cmp(&goodness(b)))?;
+    let worst = series.means().into_iter().min_by(|a, b| goodness(a).total_cmp(&goodness(b)))?;
+    Some((best, worst))
+}
+
+fn best_index(series: &Series, metric: &str) -> usize {
+    best_and_worst(series, metric).map_or(0, |((index, _), _)| index)
+}
+
+/// Whether any two values of the axis are told apart by seeds that they share, in words.
+fn verdict(series: &Series) -> String {
+    let seeds = series.points.iter().map(|(_, seeds)| seeds.len()).max().unwrap_or(0);
+    match (seeds, largest_difference(series)) {
+        (0, _) => "no data".into(),
+        (1, _) => "one seed: no spread known".into(),
+        (_, Some((a, b, p))) if p < SIGNIFICANT => format!("{seeds} seeds: {a} and {b} differ, p {p:.3}"),
+        _ => format!("{seeds} seeds: not distinguishable"),
+    }
+}
+
+/// The two values that are told apart best, with the p value of their paired t test after Holm's
+/// correction over all pairs.
+fn largest_difference<'a>(series: &Series<'a>) -> Option<(&'a str, &'a str, f64)> {
+    let pairs: Vec<_> = (0..series.points.len()).flat_map(|j| (0..j).map(move |i| (i, j))).collect();
+    let p_values: Vec<Option<f64>> =
+        pairs.iter().map(|&(i, j)| p_value(&paired_differences(&series.points[i].1, &series.points[j].1))).collect();
+    let corrected = holm(&p_values).into_iter().zip(pairs).filter_map(|(p, pair)| Some((p?, pair)));
+    let (p, (i, j)) = corrected.min_by(|a, b| a.0.total_cmp(&b.0))?;
+    Some((series.points[i].0, series.points[j].0, p))
+}
+
+fn numbers(seeds: &[(u64, f64)]) -> Vec<f64> {
+    seeds.iter().map(|(_, number)| *number).collect()
+}
+
+fn caption(series: &[Series], baseline: Option<&str>) -> String {
+    let missing = series.iter().flat_map(|s| {
+        let empty = s.points.iter().filter(|(_, seeds)| seeds.is_empty());
+        empty.map(|(value, _)| format!("{} {} = {value} ({})", s.panel, s.axis, s.row))
+    });
+    let missing: Vec<String> = missing.collect();
+    let mut text = format!("{SPREAD_NOTE} The best mean of each panel is marked with its value.");
+    if let Some(baseline) = baseline {
+        text += &format!(" Dashed: {baseline}.");
+    }
+    text +=
+        " \"Not distinguishable\": no two values of the panel differ (paired t tests over seeds, Holm over all pairs).";
+    if !missing.is_empty() {
+        text += &format!(" Without data: {}.", missing.join("; "));
+    }
+    text
+}
+
+fn distinct<T: PartialEq + Copy>(items: impl Iterator<Item = T>) -> Vec<T> {
+    let mut seen = Vec::new();
+    for item in items {
+        if !seen.contains(&item) {
+            seen.push(item);
+        }
+    }
+    seen
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_words_follow_the_paired_differences() {
+        let series = |points: Vec<(&'static str, Vec<f64>)>| Series {
+            axis: "steps",
+            panel: "",
+            row: "r",
+            points: points.into_iter().map(|(value, seeds)| (value, (0..).zip(seeds).collect())).collect(),
+        };
+        // The seeds lie further apart than the values do, and agree on the difference.
+        let paired = series(vec![("1", vec![20.0, 22.0, 24.0]), ("3", vec![20.5, 22.51, 24.49])]);
+        assert_eq!(verdict(&paired), "3 seeds: 1 and 3 differ, p 0.000");
+        assert_eq!((best_index(&paired, "psnr"), best_index(&paired, "lpips_alex")), (1, 0));
+        let same = series(vec![("1", vec![20.0, 20.5, 21.0]), ("3", vec![20.3, 20.4, 21.1])]);
+        assert_eq!(verdict(&same), "3 seeds: not distinguishable");
+        // Two seeds that differ by nearly the same: p 0.02 for one pair, and there are three.
+        let few = series(vec![("1", vec![20.0, 20.0]), ("3", vec![21.0, 21.06]), ("5", vec![20.5, 20.2])]);
+        assert_eq!(verdict(&few), "2 seeds: not distinguishable");
+        assert_eq!(verdict(&series(vec![("1", vec![20.0]), ("3", vec![21.0])])), "one seed: no spread known");
+        assert_eq!(verdict(&series(vec![("1", vec![])])), "no data");
+    }
+}

@@ -1,0 +1,217 @@
+//! The paper's own numbers and what is known of how they were measured.
+
+use serde::Deserialize;
+
+use crate::report::{PublishedKey, Record};
+
+/// What the paper says, and does not say, of the protocol behind its tables.
+pub const PUBLISHED_NOTE: &str = "\
+The paper's SRN, LLFF, NV and NeRF rows of tables 1 and 2 and the NeRF row of table 4 are quoted from the NeRF paper, \
+measured at 1008x756 (LLFF) and 800x800 (Blender); its own runs are at 504x378 and 400x400, 500000 steps, width 256. \
+In table A1 the NeRF row of width 128 equals the quoted one of width 256. The paper gives no seeds, no rays a step, \
+no LPIPS backbone and no severity of its noises: its numbers stand beside ours and are not subtracted.";
+
+/// One row of the paper's tables.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+pub struct PublishedRow {
+    /// `tab1`, ...
+    pub table: String,
+    /// `llff` or `blender`.
+    pub dataset: String,
+    /// The scene's name.
+    pub scene: String,
+    /// `clean`, or what the training views or the network were changed by.
+    pub condition: String,
+    /// The method as the paper names it.
+    pub method: String,
+    /// PSNR in dB.
+    pub psnr: f64,
+    /// SSIM.
+    pub ssim: f64,
+    /// LPIPS of an unnamed backbone.
+    pub lpips: f64,
+    /// Geometric mean of the three as errors; see [`crate::metrics::average`].
+    pub average: f64,
+}
+
+/// How a published number was measured, as far as known.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct PublishedProtocol {
+    /// Who measured it.
+    pub source: &'static str,
+    /// Width of the evaluated views in pixels.
+    pub width: usize,
+    /// Height of the evaluated views in pixels.
+    pub height: usize,
+    /// Weight updates.
+    pub steps: Option<u64>,
+    /// Width of the trunk.
+    pub field_width: Option<usize>,
+    /// Rays of a step.
+    pub rays: Option<usize>,
+}
+
+/// Every row of the paper's tables, in their order.
+pub fn published_rows() -> Vec<PublishedRow> {
+    let mut reader = csv::Reader::from_reader(include_str!("published.csv").as_bytes());
+    reader.deserialize().map(|row| row.expect("the copy in this program is whole")).collect()
+}
+
+impl PublishedKey {
+    /// Whether a row of the paper's tables is of this table, condition and method.
+    pub fn names(&self, row: &PublishedRow) -> bool {
+        (&self.table, &self.condition, &self.method) == (&row.table, &row.condition, &row.method)
+    }
+
+    /// Refuses a key that no row of the paper's tables has.
+    pub fn check(&self) -> std::result::Result<(), String> {
+        if published_rows().iter().any(|row| self.names(row)) {
+            return Ok(());
+        }
+        Err(format!(
+            "names method `{}` under condition `{}` of the paper's {}, which published.csv lacks",
+            self.method, self.condition, self.table
+        ))
+    }
+
+    /// The paper's row for a scene; none where the paper does not have the scene.
+    pub fn find(&self, scene: &str) -> Option<PublishedRow> {
+        published_rows().into_iter().find(|row| self.names(row) && row.scene == scene)
+    }
+}
+
+impl PublishedRow {
+    /// The number that belongs beside one of our metrics. LPIPS and average go with every
+    /// backbone of ours, because the paper does not name its own.
+    pub fn metric(&self, name: &str) -> Option<f64> {
+        match name {
+            "psnr" => Some(self.psnr),
+            "ssim" => Some(self.ssim),
+            lpips if lpips.starts_with("lpips_") => Some(self.lpips),
+            average if average.starts_with("average_") => Some(self.average),
+            _ => None,
+        }
+    }
+
+    /// How it was measured.
+    pub fn protocol(&self) -> PublishedProtocol {
+        let full = if self.dataset == "llff" { (1008, 756) } else { (800, 800) };
+        let quoted = matches!(self.table.as_str(), "tab1" | "tab2" | "tab4");
+        let (source, (width, height)) = match self.method.as_str() {
+            "SRN" | "LLFF" | "NV" => ("quoted from the NeRF paper", full),
+            "NeRF" if quoted => ("quoted from the NeRF paper", full),
+            _ if self.condition.ends_with("full_res") => ("the paper's own run", full),
+            _ => ("the paper's own run", if self.dataset == "llff" { (504, 378) } else { (400, 400) }),
+        };
+        let own = source == "the paper's own run";
+        let nerf = self.method == "NeRF";
+        PublishedProtocol {
+            source,
+            width,
+            height,
+            steps: own.then_some(500_000),
+            field_width: (own || nerf).then(|| self.stated_width()),
+            rays: (nerf && !own).then_some(4096),
+        }
+    }
+
+    /// Width of the trunk as the condition says it, otherwise the paper's.
+    fn stated_width(&self) -> usize {
+        let stated = self.condition.strip_prefix("width_").and_then(|rest| rest.split('_').next());
+        stated.and_then(|width| width.parse().ok()).unwrap_or(256)
+    }
+}
+
+impl PublishedProtocol {
+    /// All that is known, for a reader.
+    pub fn text(&self) -> String {
+        let known = [
+            self.steps.map(|steps| format!(", {steps} steps")),
+            self.field_width.map(|width| format!(", width {width}")),
+            self.rays.map(|rays| format!(", {rays} rays a step")),
+        ];
+        let known: String = known.into_iter().flatten().collect();
+        format!("{}, {}x{}{known}", self.source, self.width, self.height)
+    }
+
+    /// In what a measured point is known to differ: `101x76 instead of 504x378, steps 2000
+    /// instead of 500000`; empty where nothing is. What either does not tell is left out.
+    pub fn difference(&self, record: &Record) -> String {
+        let size = match (record.protocol("width"), record.protocol("height")) {
+            ("", _) | (_, "") => String::new(),
+            (width, height) => format!("{width}x{height}"),
+        };
+        let pairs = [
+            ("", size.as_str(), Some(format!("{}x{}", self.width, self.height))),
+            ("steps ", record.protocol("steps"), self.steps.map(|steps| steps.to_string())),
+            ("field_width ", record.protocol("field_width"), self.field_width.map(|width| width.to_string())),
+            ("rays ", record.protocol("rays"), self.rays.map(|rays| rays.to_string())),
+        ];
+        let differing = pairs.into_iter().filter_map(|(name, ours, theirs)| {
+            let theirs = theirs.filter(|theirs| !ours.is_empty() && theirs != ours)?;
+            Some(format!("{name}{ours} instead of {theirs}"))
+        });
+        differing.collect::<Vec<String>>().join(", ")
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::report::Status;
+
+    fn find(table: &str, condition: &str, method: &str, scene: &str) -> Option<PublishedRow> {
+        let key = PublishedKey { table: table.into(), condition: condition.into(), method: method.into() };
+        key.find(scene)
+    }
+
+    fn text(table: &str, condition: &str, method: &str, scene: &str) -> String {
+        find(table, condition, method, scene).unwrap().protocol().text()
+    }
+
+    #[test]
+    fn rows_are_found_by_key_and_scene() {
+        assert_eq!(published_rows().len(), 57);
+        let row = find("tab4", "clean", "+ Feature & (Pre-) Output Aug.", "fern").unwrap();
+        assert_eq!((row.psnr, row.ssim, row.lpips, row.average), (26.32, 0.810, 0.199, 0.059));
+        assert_eq!((row.metric("psnr"), row.metric("lpips_vgg")), (Some(26.32), Some(0.199)));
+        assert_eq!((row.metric("average_squeeze"), row.metric("psnr_float")), (Some(0.059), None));
+        assert_eq!(find("tab4", "clean", "NeRF", "chair"), None);
+    }
+
+    #[test]
+    fn quoted_rows_say_so() {
+        let quoted = "quoted from the NeRF paper, 1008x756, width 256, 4096 rays a step";
+        assert_eq!(text("tab4", "clean", "NeRF", "fern"), quoted);
+        assert_eq!(text("tab1", "clean", "SRN", "fern"), "quoted from the NeRF paper, 1008x756");
+        assert_eq!(text("tab2", "clean", "NV", "chair"), "quoted from the NeRF paper, 800x800");
+        let own = "the paper's own run, 504x378, 500000 steps, width 256";
+        assert_eq!(text("tab4", "clean", "Aug-NeRF", "fern"), own);
+        assert_eq!(text("tabA2", "pepper_noise", "NeRF", "fern"), own);
+        let own = "the paper's own run, 800x800, 500000 steps, width 128";
+        assert_eq!(text("tabA1", "width_128_full_res", "NeRF", "chair"), own);
+        let own = "the paper's own run, 400x400, 500000 steps, width 512";
+        assert_eq!(text("tabA1", "width_512_half_res", "Aug-NeRF", "chair"), own);
+    }
+
+    #[test]
+    fn differences_name_what_is_known_to_differ() {
+        let fields = [("width", "101"), ("height", "76"), ("steps", "500000"), ("field_width", "64"), ("rays", "512")];
+        let record = Record {
+            id: String::new(),
+            scene: "fern".into(),
+            row: "Aug-NeRF".into(),
+            axes: Vec::new(),
+            seed: 0,
+            status: Status::Done,
+            reason: String::new(),
+            metrics: Vec::new(),
+            protocol: fields.map(|(name, text)| (name.to_string(), text.to_string())).to_vec(),
+            inactive_levels: Vec::new(),
+        };
+        let own = find("tab4", "clean", "Aug-NeRF", "fern").unwrap().protocol();
+        assert_eq!(own.difference(&record), "101x76 instead of 504x378, field_width 64 instead of 256");
+        let quoted = find("tab1", "clean", "SRN", "fern").unwrap().protocol();
+        assert_eq!(quoted.difference(&record), "101x76 instead of 1008x756");
+    }
+}

@@ -1,0 +1,87 @@
+//! What a table is refused for.
+
+use super::Group;
+use crate::base::{Error, Result};
+use crate::report::{Record, RowSpec, TableSpec};
+
+/// Refuses rows that name what does not exist, and points that the table could not place.
+pub(super) fn check_definition(spec: &TableSpec, records: &[Record]) -> Result<()> {
+    spec.rows.iter().try_for_each(|row| check_row(spec, row))?;
+    for (index, record) in records.iter().enumerate() {
+        if !spec.rows.iter().any(|row| row.name == record.row) {
+            return Err(Error::Config(format!(
+                "point {} is of row `{}`, which the definition of {} lacks: {}",
+                record.id,
+                record.row,
+                spec.name,
+                row_names(spec)
+            )));
+        }
+        let same =
+            |other: &&Record| (place(other), other.seed, &other.axes) == (place(record), record.seed, &record.axes);
+        if let Some(other) = records[..index].iter().find(same) {
+            return Err(Error::Config(format!(
+                "points {} and {} are both {} with seed {} on scene {}: a seed counts once in a row",
+                other.id,
+                record.id,
+                record.label(),
+                record.seed,
+                record.scene
+            )));
+        }
+    }
+    Ok(())
+}
+
+fn place(record: &Record) -> (&str, &str) {
+    (&record.scene, &record.row)
+}
+
+fn check_row(spec: &TableSpec, row: &RowSpec) -> Result<()> {
+    if let Some(baseline) = row.baseline.as_ref().filter(|name| !spec.rows.iter().any(|other| other.name == **name)) {
+        return Err(Error::Config(format!(
+            "row `{}` has the baseline `{baseline}`, which is no row of {}: {}",
+            row.name,
+            spec.name,
+            row_names(spec)
+        )));
+    }
+    let published = row.published.as_ref().map_or(Ok(()), |key| key.check());
+    published.map_err(|message| Error::Config(format!("row `{}` {message}", row.name)))
+}
+
+fn row_names(spec: &TableSpec) -> String {
+    let names: Vec<&str> = spec.rows.iter().map(|row| row.name.as_str()).collect();
+    format!("its rows are {}", names.join(", "))
+}
+
+/// Refuses measured points of one scene that differ in a field of `must_match`.
+pub(super) fn check_controlled(spec: &TableSpec, groups: &[Group]) -> Result<()> {
+    for point in groups.iter().flat_map(Group::done) {
+        let first = first_of_scene(groups, &point.scene).expect("the point itself is measured");
+        if let Some(field) = spec.must_match.iter().find(|field| point.protocol(field) != first.protocol(field)) {
+            let value_in =
+                |record: &Record| format!("`{}` in {} (seed {})", record.protocol(field), record.label(), record.seed);
+            return Err(Error::NotComparable(format!(
+                "the rows of scene {} are not comparable, {field} is {} and {}: run them under one setting, or \
+                 build the table anyway with --force, which marks the rows that differ",
+                point.scene,
+                value_in(first),
+                value_in(point)
+            )));
+        }
+    }
+    Ok(())
+}
+
+/// The fields of `must_match` in which a point of the group differs from the scene's first.
+pub(super) fn mixed_fields(spec: &TableSpec, group: &Group, groups: &[Group]) -> Vec<String> {
+    let Some(first) = first_of_scene(groups, group.scene) else { return Vec::new() };
+    let differs = |field: &&String| group.done().any(|point| point.protocol(field) != first.protocol(field));
+    spec.must_match.iter().filter(differs).cloned().collect()
+}
+
+/// The first measured point of a scene in the table's order.
+fn first_of_scene<'a>(groups: &[Group<'a>], scene: &str) -> Option<&'a Record> {
+    groups.iter().filter(|group| group.scene == scene).flat_map(Group::done).next()
+}

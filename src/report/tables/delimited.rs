@@ -1,0 +1,146 @@
+//! CSV: one line a point, and one line a row. A missing number is an empty cell.
+
+use super::{Cell, Line, PER_SEED, Table, axes_text, distinct, protocol_names};
+use crate::report::statistics::mean;
+use crate::report::{Record, Status};
+
+/// Clock times of a point: its folder's name, and name and value of each.
+pub type PointTiming = (String, Vec<(String, Option<f64>)>);
+
+const POINT_COLUMNS: [&str; 8] = ["id", "scene", "row", "axes", "seed", "status", "reason", "inactive_levels"];
+const LINE_COLUMNS: [&str; 13] = [
+    "scene",
+    "source",
+    "row",
+    "axes",
+    "baseline",
+    "ours",
+    "points",
+    "done",
+    "status",
+    "reason",
+    "inactive_levels",
+    "differs",
+    "mixed",
+];
+const CELL_COLUMNS: [&str; 11] =
+    ["n", "mean", "std", "pairs", "difference", "low", "high", "p", "p_holm", "verdict", "published"];
+const PUBLISHED_COLUMNS: [&str; 2] = ["published_protocol", "protocol_difference"];
+
+/// One line a point: what it is, its metrics, its protocol and, where given, its clock times.
+pub fn points_csv(records: &[Record], timing: &[PointTiming]) -> String {
+    let metrics = distinct(records.iter().flat_map(|record| record.metrics.iter().map(|(name, _)| name.as_str())));
+    // The seed has its column already.
+    let protocol = distinct(records.iter().flat_map(protocol_names).filter(|name| *name != "seed"));
+    let clocks = clock_names(timing);
+    let rows = records.iter().map(|record| {
+        let mut row = point_cells(record);
+        // The numbers of an earlier attempt are not the point's.
+        let measured = |metric| Some(record).filter(|r| r.status == Status::Done).and_then(|r| r.metric(metric));
+        row.extend(metrics.iter().map(|metric| number(measured(metric))));
+        row.extend(protocol.iter().map(|name| record.protocol(name).to_string()));
+        row.extend(clocks.iter().map(|name| number(clock(timing, &record.id, name))));
+        row
+    });
+    let head = POINT_COLUMNS.iter().chain(&metrics).chain(&protocol).chain(&clocks);
+    csv_text(head.map(ToString::to_string).collect(), rows)
+}
+
+fn point_cells(record: &Record) -> Vec<String> {
+    vec![
+        record.id.clone(),
+        record.scene.clone(),
+        record.row.clone(),
+        axes_text(record),
+        record.seed.to_string(),
+        record.status.name().into(),
+        record.reason.clone(),
+        record.inactive_levels.join(" "),
+    ]
+}
+
+/// One line a row: counts, each metric with its comparison, the published numbers, the protocol
+/// that its seeds share and, where given, its mean clock times.
+pub fn table_csv(table: &Table, timing: &[PointTiming]) -> String {
+    let names = table.lines.iter().flat_map(|line| line.protocol.iter().map(|(name, _)| name.as_str()));
+    let differing = table.lines.iter().flat_map(|line| line.differs.iter().map(String::as_str));
+    let protocol = distinct(names.chain(differing).filter(|name| !PER_SEED.contains(name)));
+    let clocks = clock_names(timing);
+    let rows = table.lines.iter().map(|line| {
+        let mut row = line_cells(line);
+        row.extend(line.cells.iter().flat_map(cell_cells));
+        row.extend([line.published_protocol.clone(), line.protocol_difference.clone()]);
+        row.extend(protocol.iter().map(|name| line.protocol(name).to_string()));
+        row.extend(clocks.iter().map(|name| number(mean_clock(timing, &line.ids, name))));
+        row
+    });
+    let mut head: Vec<String> = LINE_COLUMNS.iter().map(ToString::to_string).collect();
+    head.extend(table.metrics.iter().flat_map(|metric| CELL_COLUMNS.map(|column| format!("{metric}_{column}"))));
+    head.extend(PUBLISHED_COLUMNS.iter().chain(&protocol).map(ToString::to_string));
+    head.extend(clocks.iter().map(|name| format!("{name}_mean")));
+    csv_text(head, rows)
+}
+
+fn line_cells(line: &Line) -> Vec<String> {
+    vec![
+        line.scene.clone(),
+        if line.quoted { "published" } else { "run" }.into(),
+        line.row.clone(),
+        line.axes.clone(),
+        line.baseline.clone().unwrap_or_default(),
+        line.ours.to_string(),
+        line.points.to_string(),
+        line.ids.len().to_string(),
+        line.status.clone(),
+        line.reason.clone(),
+        line.inactive_levels.join(" "),
+        line.differs.join(" "),
+        line.mixed.join(" "),
+    ]
+}
+
+fn cell_cells(cell: &Cell) -> [String; CELL_COLUMNS.len()] {
+    let comparison = cell.comparison.as_ref();
+    let interval = comparison.and_then(|comparison| comparison.interval);
+    [
+        cell.n.to_string(),
+        number(cell.mean),
+        number(cell.deviation),
+        comparison.map_or(String::new(), |comparison| comparison.pairs.to_string()),
+        number(comparison.map(|comparison| comparison.difference)),
+        number(interval.map(|(low, _)| low)),
+        number(interval.map(|(_, high)| high)),
+        number(comparison.and_then(|comparison| comparison.p)),
+        number(comparison.and_then(|comparison| comparison.p_holm)),
+        comparison.and_then(|comparison| comparison.verdict()).map_or("", |verdict| verdict.name()).into(),
+        number(cell.published),
+    ]
+}
+
+fn clock_names(timing: &[PointTiming]) -> Vec<&str> {
+    distinct(timing.iter().flat_map(|(_, clocks)| clocks.iter().map(|(name, _)| name.as_str())))
+}
+
+fn clock(timing: &[PointTiming], id: &str, name: &str) -> Option<f64> {
+    let (_, clocks) = timing.iter().find(|(known, _)| known == id)?;
+    clocks.iter().find(|(known, _)| known == name).and_then(|(_, value)| *value)
+}
+
+fn mean_clock(timing: &[PointTiming], ids: &[String], name: &str) -> Option<f64> {
+    let values: Vec<f64> = ids.iter().filter_map(|id| clock(timing, id, name)).collect();
+    mean(&values)
+}
+
+/// All digits, so that reading gives the same number.
+fn number(value: Option<f64>) -> String {
+    value.map_or(String::new(), |value| value.to_string())
+}
+
+fn csv_text(head: Vec<String>, rows: impl Iterator<Item = Vec<String>>) -> String {
+    let mut writer = csv::Writer::from_writer(Vec::new());
+    for row in std::iter::once(head).chain(rows) {
+        writer.write_record(&row).expect("rows are as long as the head, and memory takes them");
+    }
+    let bytes = writer.into_inner().expect("memory takes everything");
+    String::from_utf8(bytes).expect("made of strings")
+}

@@ -1,0 +1,260 @@
+//! What the tables for readers say: numbers, marks and notes, before any escaping.
+
+use super::{Cell, Comparison, Line, Table, Verdict, distinct};
+use crate::report::PUBLISHED_NOTE;
+
+/// Protocol fields that a caption tells, where all lines of a scene share them.
+const CAPTION_FIELDS: [&str; 21] = [
+    "protocol",
+    "dataset",
+    "width",
+    "height",
+    "background",
+    "ndc",
+    "split",
+    "views_trained",
+    "views_evaluated",
+    "corruption",
+    "mesh",
+    "pixel_origin",
+    "field_width",
+    "field_depth",
+    "samples_coarse",
+    "samples_fine",
+    "rays",
+    "steps",
+    "density_activation",
+    "program",
+    "code_revision",
+];
+
+/// What a mark beside a row's name means: its symbol, its meaning and, where a line bears it,
+/// what there is to say of that line.
+type Mark = (char, &'static str, fn(&Line) -> Option<String>);
+
+const MARKS: [Mark; 6] = [
+    ('#', "not run here: the paper's numbers alone", |line| line.quoted.then(String::new)),
+    ('*', "not in the paper", |line| line.ours.then(String::new)),
+    ('†', "levels without effect on the loss", |line| joined(&line.inactive_levels)),
+    ('‡', "NOT COMPARABLE, built by force: differs from the scene's first row in", |line| joined(&line.mixed)),
+    ('§', "points without numbers", |line| line.unfinished().then(|| status_and_reason(line))),
+    ('¶', "settings that differ between seeds", |line| joined(&line.differs)),
+];
+
+fn joined(names: &[String]) -> Option<String> {
+    (!names.is_empty()).then(|| names.join(", "))
+}
+
+fn status_and_reason(line: &Line) -> String {
+    match line.reason.as_str() {
+        "" => line.status.clone(),
+        reason => format!("{}: {reason}", line.status),
+    }
+}
+
+/// The line's label with its marks.
+pub(super) fn marked_label(line: &Line) -> String {
+    let marks: String = MARKS.iter().filter(|(_, _, of)| of(line).is_some()).map(|(symbol, _, _)| symbol).collect();
+    if marks.is_empty() { line.label.clone() } else { format!("{} {marks}", line.label) }
+}
+
+/// The protocol fields that a scene's measured lines share: `dataset llff, width 504, ...`.
+pub(super) fn protocol_text(lines: &[&Line]) -> String {
+    let measured: Vec<&&Line> = lines.iter().filter(|line| !line.ids.is_empty()).collect();
+    if measured.is_empty() {
+        return "nothing is measured yet".into();
+    }
+    let shared = CAPTION_FIELDS.into_iter().filter_map(|name| {
+        match distinct(measured.iter().map(|line| line.protocol(name))).as_slice() {
+            [text] if !text.is_empty() => Some(format!("{name} {text}")),
+            _ => None,
+        }
+    });
+    shared.collect::<Vec<String>>().join(", ")
+}
+
+type CellText = fn(&Cell) -> String;
+
+/// Head and cells of the table for readers; one row of cells a line.
+pub(super) struct Grid {
+    pub head: Vec<String>,
+    /// In the order of the table's lines.
+    pub rows: Vec<Vec<String>>,
+}
+
+impl Grid {
+    /// A column of means a metric, with one of differences and one of published numbers where
+    /// the table has any.
+    pub fn new(table: &Table) -> Grid {
+        let mut head = vec!["row".to_string()];
+        let mut rows: Vec<Vec<String>> = table.lines.iter().map(|line| vec![marked_label(line)]).collect();
+        for (index, metric) in table.metrics.iter().enumerate() {
+            let columns: [(&str, CellText); 3] =
+                [("", mean_text), (" difference", difference_text), (" in the paper", published_text)];
+            for (kind, text) in columns {
+                let cells: Vec<String> = table.lines.iter().map(|line| text(&line.cells[index])).collect();
+                if kind.is_empty() || cells.iter().any(|cell| !cell.is_empty()) {
+                    head.push(format!("{metric}{kind}"));
+                    rows.iter_mut().zip(cells).for_each(|(row, cell)| row.push(cell));
+                }
+            }
+        }
+        Grid { head, rows }
+    }
+}
+
+/// `25.31 ± 0.12 (3)`; without the deviation for one seed, empty for none.
+pub(super) fn mean_text(cell: &Cell) -> String {
+    let Some(mean) = cell.mean else { return String::new() };
+    let deviation = cell.deviation.map_or(String::new(), |value| format!(" ± {}", number(&cell.metric, value)));
+    format!("{}{deviation} ({})", number(&cell.metric, mean), cell.n)
+}
+
+/// `+0.31 [+0.10, +0.52], p 0.021`, in words where the interval holds 0.
+pub(super) fn difference_text(cell: &Cell) -> String {
+    let Some(comparison) = &cell.comparison else { return String::new() };
+    let signed = |value: f64| {
+        let text = number(&cell.metric, value);
+        if text.starts_with('-') { text } else { format!("+{text}") }
+    };
+    let difference = signed(comparison.difference);
+    let pairs = if comparison.pairs < cell.n { format!(" ({} pairs)", comparison.pairs) } else { String::new() };
+    match comparison.interval {
+        Some((low, high)) => {
+            format!("{difference} [{}, {}]{pairs}{}", signed(low), signed(high), conclusion(comparison))
+        }
+        None => format!("{difference}{pairs}, no interval"),
+    }
+}
+
+fn conclusion(comparison: &Comparison) -> String {
+    let p = match comparison.p_holm {
+        Some(p) if p < 0.001 => ", p < 0.001".to_string(),
+        Some(p) => format!(", p {p:.3}"),
+        None => String::new(),
+    };
+    let words = match comparison.verdict() {
+        Some(Verdict::NotDistinguishable) => ", not distinguishable",
+        _ => "",
+    };
+    format!("{p}{words}")
+}
+
+/// The paper's number with the paper's digits; empty without one.
+pub(super) fn published_text(cell: &Cell) -> String {
+    cell.published.map_or(String::new(), |value| number(&cell.metric, value))
+}
+
+/// Two digits for dB, three for what lies in 0..=1, as the paper prints them; four figures otherwise.
+fn number(metric: &str, value: f64) -> String {
+    let ratio = ["ssim", "lpips", "average"].iter().any(|name| metric.starts_with(name));
+    match metric.starts_with("psnr") {
+        true => format!("{value:.2}"),
+        false if ratio => format!("{value:.3}"),
+        false if value != 0.0 && !(1e-3..1e5).contains(&value.abs()) => format!("{value:.3e}"),
+        false => format!("{value:.0$}", (3.0 - value.abs().max(1e-3).log10().floor()).max(0.0) as usize),
+    }
+}
+
+/// What stands below the lines of a scene.
+pub(super) fn scene_notes(lines: &[&Line]) -> Vec<String> {
+    let mut notes = baseline_notes(lines);
+    notes.extend(varied_notes(lines));
+    notes.extend(MARKS.iter().filter_map(|mark| mark_note(mark, lines)));
+    notes.extend(published_notes(lines));
+    notes
+}
+
+/// What stands below the table: how to read its cells.
+pub(super) fn general_notes(table: &Table) -> Vec<String> {
+    let mut notes = vec!["mean ± standard deviation (number of seeds)".to_string()];
+    if table.lines.iter().any(|line| line.baseline.is_some()) {
+        notes.push(
+            "difference to the baseline, paired by seed, with its 95 % Student t interval and the p value after Holm's \
+             correction over the scene's rows"
+                .to_string(),
+        );
+    }
+    if table.lines.iter().any(|line| !line.published_protocol.is_empty()) {
+        notes.push(PUBLISHED_NOTE.to_string());
+    }
+    notes
+}
+
+fn baseline_notes(lines: &[&Line]) -> Vec<String> {
+    match labels_by(lines, |line| line.baseline.clone()).as_slice() {
+        [(baseline, _)] => vec![format!("baseline: {baseline}")],
+        several => several.iter().map(|(baseline, labels)| format!("baseline of {labels}: {baseline}")).collect(),
+    }
+}
+
+/// What the definition makes different between the lines, where a reader would take it as equal.
+fn varied_notes(lines: &[&Line]) -> Vec<String> {
+    let value = |line: &Line, name: &str| Some(line.protocol(name).to_string()).filter(|text| !text.is_empty());
+    let varied = CAPTION_FIELDS.into_iter().filter_map(|name| {
+        let values = labels_by(lines, |line| value(line, name));
+        let told: Vec<String> = values.iter().map(|(value, labels)| format!("{value} ({labels})")).collect();
+        (values.len() > 1).then(|| format!("rows differ in {name}: {}", told.join("; ")))
+    });
+    varied.collect()
+}
+
+fn mark_note((symbol, meaning, of): &Mark, lines: &[&Line]) -> Option<String> {
+    let marked = labels_by(lines, of).into_iter().map(|(what, labels)| match what.as_str() {
+        "" => labels,
+        what => format!("{labels} ({what})"),
+    });
+    let marked: Vec<String> = marked.collect();
+    (!marked.is_empty()).then(|| format!("{symbol} {meaning}: {}", marked.join("; ")))
+}
+
+fn published_notes(lines: &[&Line]) -> Vec<String> {
+    let protocol = |line: &Line| {
+        let known = Some(&line.published_protocol).filter(|text| !text.is_empty())?;
+        Some(match line.protocol_difference.as_str() {
+            "" => known.clone(),
+            difference => format!("{known}; here {difference}"),
+        })
+    };
+    let notes = labels_by(lines, protocol);
+    notes.into_iter().map(|(protocol, labels)| format!("in the paper, {labels}: {protocol}")).collect()
+}
+
+/// Each distinct text with the labels of the lines that it is said of.
+fn labels_by(lines: &[&Line], text: impl Fn(&Line) -> Option<String>) -> Vec<(String, String)> {
+    let texts = distinct(lines.iter().filter_map(|line| text(line)));
+    let labels = |said: &str| {
+        let of = lines.iter().filter(|line| text(line).as_deref() == Some(said)).map(|line| line.label.as_str());
+        of.collect::<Vec<&str>>().join(", ")
+    };
+    texts.into_iter().map(|said| (said.clone(), labels(&said))).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn cell(metric: &str, n: usize, comparison: Option<Comparison>) -> Cell {
+        Cell { metric: metric.into(), n, mean: Some(1.0), deviation: None, comparison, published: None }
+    }
+
+    #[test]
+    fn numbers_have_the_digits_of_their_metric() {
+        let texts =
+            [("psnr_float", 25.318), ("lpips_vgg", 0.21049), ("tv", 123456.0)].map(|(name, value)| number(name, value));
+        assert_eq!(texts, ["25.32", "0.210", "1.235e5"]);
+    }
+
+    #[test]
+    fn differences_say_how_sure_they_are() {
+        let sure =
+            Comparison { pairs: 3, difference: 0.5, interval: Some((0.25, 0.75)), p: Some(0.01), p_holm: Some(0.0001) };
+        assert_eq!(difference_text(&cell("psnr", 3, Some(sure))), "+0.50 [+0.25, +0.75], p < 0.001");
+        let unsure = Comparison { pairs: 2, interval: Some((-0.25, 1.25)), p_holm: Some(0.5), ..sure };
+        let text = "+0.50 [-0.25, +1.25] (2 pairs), p 0.500, not distinguishable";
+        assert_eq!(difference_text(&cell("psnr", 3, Some(unsure))), text);
+        let single = Comparison { pairs: 1, interval: None, p: None, p_holm: None, ..sure };
+        assert_eq!(difference_text(&cell("psnr", 1, Some(single))), "+0.50, no interval");
+        assert_eq!(difference_text(&cell("psnr", 1, None)), "");
+    }
+}

@@ -1,0 +1,370 @@
+//! The folder of one run: its fixed names, who may write into it, and the checks that are made
+//! before hours of training instead of after them.
+
+use std::ffi::OsStr;
+use std::fs::{self, File, TryLockError};
+use std::io::{self, Read, Write};
+use std::path::{Path, PathBuf};
+
+use crate::base::files::{clean_temporaries, is_temporary, remove, write_synced};
+use crate::base::{Error, Result};
+
+const CONFIG: &str = "config.toml";
+const METRICS_JSON: &str = "metrics.json";
+const METRICS_CSV: &str = "metrics.csv";
+const SMOOTHNESS: &str = "smoothness.csv";
+const SCALARS: &str = "scalars.csv";
+const TIMING: &str = "timing.json";
+const TENSORBOARD: &str = "tensorboard";
+const CHECKPOINTS: &str = "checkpoints";
+const RENDERS: &str = "renders";
+const MESH: &str = "mesh";
+const LOCK: &str = "run.lock";
+
+/// The files of a run, apart from the lock.
+const FILES: [&str; 6] = [CONFIG, METRICS_JSON, METRICS_CSV, SMOOTHNESS, SCALARS, TIMING];
+/// The folders of a run.
+const FOLDERS: [&str; 3] = [TENSORBOARD, CHECKPOINTS, RENDERS];
+
+/// Enough that a file system without free blocks notices.
+const PROBE_BYTES: usize = 8 * 1024;
+const MIB: f64 = 1024.0 * 1024.0;
+
+/// The folder of one run.
+#[derive(Debug)]
+pub struct RunDir {
+    path: PathBuf,
+    lock: Option<RunLock>,
+}
+
+impl RunDir {
+    /// A locked, empty run folder at `path`; parents are created. A folder that holds a run is
+    /// refused unless `overwrite`, which deletes the run's own entries and nothing else. A folder
+    /// that holds anything but a run is always refused, and so is a disk without room for
+    /// `bytes_needed`, before anything is deleted.
+    pub fn create(path: &Path, overwrite: bool, bytes_needed: u64) -> Result<RunDir> {
+        if path.exists() {
+            check_vacant(path, overwrite)?;
+        }
+        fs::create_dir_all(path).map_err(|error| Error::unwritable(path, &error))?;
+        let lock = RunLock::acquire(path)?;
+        // Again under the lock: another process may have started a run here in between.
+        check_vacant(path, overwrite)?;
+        check_space(path, bytes_needed)?;
+        clear(path).map_err(|error| Error::unwritable(path, &error))?;
+        for folder in FOLDERS {
+            let folder = path.join(folder);
+            fs::create_dir_all(&folder).map_err(|error| Error::unwritable(&folder, &error))?;
+        }
+        Ok(RunDir { path: path.to_path_buf(), lock: Some(lock) })
+    }
+
+    /// An existing run, to read from. Whoever goes on to train in it calls [`RunDir::lock`].
+    pub fn open(path: &Path) -> Result<RunDir> {
+        if !path.is_dir() {
+            let found = if path.exists() { "not a folder" } else { "missing" };
+            return Err(Error::Checkpoint(format!("cannot open run {}: it is {found}", path.display())));
+        }
+        if !path.join(CONFIG).is_file() {
+            return Err(Error::Checkpoint(format!(
+                "{} is not a run folder: it has no {CONFIG}; give the folder that `augnerf train --out` named",
+                path.display()
+            )));
+        }
+        Ok(RunDir { path: path.to_path_buf(), lock: None })
+    }
+
+    /// Puts right what a killed session left half-written. Call it while holding the lock.
+    pub fn clean(&self) -> Result<()> {
+        let folders = [self.path.clone(), self.checkpoints(), self.renders()];
+        folders.iter().filter(|folder| folder.is_dir()).try_for_each(|folder| clean_temporaries(folder).map(|_| ()))
+    }
+
+    /// Takes the run for this process until the value is dropped.
+    pub fn lock(&mut self) -> Result<()> {
+        if self.lock.is_none() {
+            self.lock = Some(RunLock::acquire(&self.path)?);
+        }
+        Ok(())
+    }
+
+    /// Finds out before training what would otherwise fail after it: a folder that cannot be
+    /// written, a file or folder in the way of one of ours, a disk without room. `bytes_needed` is
+    /// the caller's estimate of what the run will write. Missing folders of the run are created.
+    pub fn check_writable(&self, bytes_needed: u64) -> Result<()> {
+        for file in FILES {
+            let file = self.path.join(file);
+            if file.is_dir() {
+                let text = format!("cannot write {}: a folder is in the way; remove it", file.display());
+                return Err(Error::Output(text));
+            }
+        }
+        probe(&self.path)?;
+        for folder in FOLDERS {
+            let folder = self.path.join(folder);
+            fs::create_dir_all(&folder).map_err(|error| Error::unwritable(&folder, &error))?;
+            probe(&folder)?;
+        }
+        check_space(&self.path, bytes_needed)
+    }
+
+    /// The run folder itself.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// `config.toml`: the resolved configuration.
+    pub fn config(&self) -> PathBuf {
+        self.path.join(CONFIG)
+    }
+
+    /// `metrics.json`: metrics of the held-out views and their mean, with provenance.
+    pub fn metrics_json(&self) -> PathBuf {
+        self.path.join(METRICS_JSON)
+    }
+
+    /// `metrics.csv`: one row per held-out view.
+    pub fn metrics_csv(&self) -> PathBuf {
+        self.path.join(METRICS_CSV)
+    }
+
+    /// `smoothness.csv`: l1, TV and Laplacian of density, one row per network.
+    pub fn smoothness(&self) -> PathBuf {
+        self.path.join(SMOOTHNESS)
+    }
+
+    /// `scalars.csv`: losses and the like over training.
+    pub fn scalars(&self) -> PathBuf {
+        self.path.join(SCALARS)
+    }
+
+    /// `timing.json`: what depends on clock and machine.
+    pub fn timing(&self) -> PathBuf {
+        self.path.join(TIMING)
+    }
+
+    /// `tensorboard/`: event files.
+    pub fn tensorboard(&self) -> PathBuf {
+        self.path.join(TENSORBOARD)
+    }
+
+    /// `checkpoints/`.
+    pub fn checkpoints(&self) -> PathBuf {
+        self.path.join(CHECKPOINTS)
+    }
+
+    /// `mesh/`: a surface of the trained density, once one was asked for.
+    pub fn mesh(&self) -> PathBuf {
+        self.path.join(MESH)
+    }
+
+    /// `renders/`: pictures and videos.
+    pub fn renders(&self) -> PathBuf {
+        self.path.join(RENDERS)
+    }
+}
+
+/// A run folder taken by this process. The operating system gives it up when the process ends in
+/// whatever way, so that no stale lock can stay. On a file system without locks it does nothing.
+#[derive(Debug)]
+pub struct RunLock {
+    _file: File,
+}
+
+impl RunLock {
+    /// Locks the run folder `path`, or says who holds it.
+    pub fn acquire(path: &Path) -> Result<RunLock> {
+        let name = path.join(LOCK);
+        let mut file = File::options()
+            .read(true)
+            .write(true)
+            .create(true)
+            .truncate(false)
+            .open(&name)
+            .map_err(|error| Error::unwritable(&name, &error))?;
+        match file.try_lock() {
+            Ok(()) => {
+                // Only for the message below; a failure to write it changes nothing.
+                let _ = file.set_len(0).and_then(|()| write!(file, "{}", std::process::id()));
+            }
+            Err(TryLockError::WouldBlock) => return Err(locked(path, &mut file)),
+            Err(TryLockError::Error(error)) if error.kind() == io::ErrorKind::Unsupported => {}
+            Err(TryLockError::Error(error)) => return Err(Error::unwritable(&name, &error)),
+        }
+        Ok(RunLock { _file: file })
+    }
+}
+
+fn locked(path: &Path, file: &mut File) -> Error {
+    let mut holder = String::new();
+    let known = file.read_to_string(&mut holder).is_ok() && !holder.is_empty();
+    let who = if known { format!("process {holder}") } else { "another process".to_string() };
+    Error::Output(format!(
+        "{} is in use by {who}, which trains in it or reads it; wait for it (a new run may also go to another --out)",
+        path.display()
+    ))
+}
+
+/// An error unless `path` is free for a new run: a folder that is empty, or holds a run of ours
+/// that may be overwritten.
+fn check_vacant(path: &Path, overwrite: bool) -> Result<()> {
+    if !path.is_dir() {
+        return Err(Error::Output(format!(
+            "cannot write {}: a file is in the way; give another --out",
+            path.display()
+        )));
+    }
+    let content = Content::read(path).map_err(|error| Error::unwritable(path, &error))?;
+    match content.entry {
+        None => Ok(()),
+        Some(entry) if !content.run => Err(Error::Output(format!(
+            "{} holds {entry} and is not a run folder; give --out an empty or new folder",
+            path.display()
+        ))),
+        Some(_) if overwrite => Ok(()),
+        Some(_) => Err(Error::Output(format!(
+            "{0} already holds a run; continue it with `augnerf resume {0}`, replace it with --overwrite, or give another --out",
+            path.display()
+        ))),
+    }
+}
+
+/// What stands in a folder that a run is to go into.
+struct Content {
+    /// One of its entries. The lock, temporary entries and empty folders of ours do not count.
+    entry: Option<String>,
+    /// Whether a run made it: it has our lock file, or, copied without it, `config.toml` beside
+    /// `checkpoints/`. The name `config.toml` alone is too common to go by.
+    run: bool,
+}
+
+impl Content {
+    fn read(path: &Path) -> io::Result<Content> {
+        let run = path.join(LOCK).is_file() || path.join(CONFIG).is_file() && path.join(CHECKPOINTS).is_dir();
+        for entry in fs::read_dir(path)? {
+            let name = entry?.file_name();
+            let idle =
+                name == LOCK || is_temporary(&name) || is_own_folder(&name) && is_empty_folder(&path.join(&name));
+            if !idle {
+                return Ok(Content { entry: Some(name.to_string_lossy().into_owned()), run });
+            }
+        }
+        Ok(Content { entry: None, run })
+    }
+}
+
+fn is_own_folder(name: &OsStr) -> bool {
+    FOLDERS.iter().any(|own| name == *own)
+}
+
+fn is_empty_folder(path: &Path) -> bool {
+    fs::read_dir(path).is_ok_and(|mut entries| entries.next().is_none())
+}
+
+/// Deletes a run's entries and what kills left; the lock stays.
+fn clear(path: &Path) -> io::Result<()> {
+    for entry in fs::read_dir(path)? {
+        let entry = entry?;
+        if is_temporary(&entry.file_name()) {
+            remove(&entry.path())?;
+        }
+    }
+    FILES.iter().chain(&FOLDERS).chain(&[MESH]).try_for_each(|name| remove(&path.join(name)))
+}
+
+/// Writes some blocks into `folder` as far as the disk and takes them away again.
+fn probe(folder: &Path) -> Result<()> {
+    let name = folder.join(format!("{}{}-probe", crate::base::files::TEMPORARY, std::process::id()));
+    // Not constant, so that a compressing or sparse file system needs real blocks.
+    let bytes: Vec<u8> = (0..PROBE_BYTES).map(|i| (i.wrapping_mul(2_654_435_761) >> 16) as u8).collect();
+    let written = remove(&name).and_then(|()| write_synced(&name, &bytes));
+    let removed = remove(&name);
+    written.and(removed).map_err(|error| Error::unwritable(folder, &error))
+}
+
+fn check_space(path: &Path, needed: u64) -> Result<()> {
+    match free_bytes(path) {
+        Some(free) if free < needed => Err(Error::Output(format!(
+            "{} has too little room: the run writes about {:.0} MiB and {:.0} MiB are free; free some or give another --out",
+            path.display(),
+            (needed as f64 / MIB).ceil(),
+            (free as f64 / MIB).floor()
+        ))),
+        _ => Ok(()),
+    }
+}
+
+/// Bytes that an unprivileged process may still write where `path` is; `None` where unknown.
+#[cfg(all(target_os = "linux", target_env = "gnu"))]
+pub fn free_bytes(path: &Path) -> Option<u64> {
+    use std::os::unix::ffi::OsStrExt;
+    let name = std::ffi::CString::new(path.as_os_str().as_bytes()).ok()?;
+    let mut found = std::mem::MaybeUninit::<libc::statvfs>::uninit();
+    // SAFETY: `name` ends in NUL and lives through the call, which fills `found` if it returns 0.
+    let found = unsafe {
+        if libc::statvfs(name.as_ptr(), found.as_mut_ptr()) != 0 {
+            return None;
+        }
+        found.assume_init()
+    };
+    // The field types differ between architectures.
+    #[allow(clippy::unnecessary_cast)]
+    Some((found.f_bavail as u64).saturating_mul(found.f_frsize as u64))
+}
+
+/// Bytes that may still be written where `path` is; unknown on this system.
+#[cfg(not(all(target_os = "linux", target_env = "gnu")))]
+pub fn free_bytes(_path: &Path) -> Option<u64> {
+    None
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_started_run_that_wrote_nothing_is_free() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("a/b/run");
+        drop(RunDir::create(&path, false, 0).unwrap());
+        fs::write(path.join(".augnerf-tmp-1-0-config.toml"), "half").unwrap();
+        drop(RunDir::create(&path, false, 0).unwrap());
+        assert!(!path.join(".augnerf-tmp-1-0-config.toml").exists());
+    }
+
+    #[test]
+    fn a_half_deleted_run_can_be_overwritten_again() {
+        let dir = tempfile::tempdir().unwrap();
+        fs::write(dir.path().join(METRICS_CSV), "").unwrap();
+        assert!(RunDir::create(dir.path(), true, 0).is_err());
+        fs::write(dir.path().join(LOCK), "").unwrap();
+        assert!(RunDir::create(dir.path(), false, 0).is_err());
+        RunDir::create(dir.path(), true, 0).unwrap();
+        assert!(!dir.path().join(METRICS_CSV).exists());
+    }
+
+    #[test]
+    fn room_is_compared_with_the_need() {
+        let dir = tempfile::tempdir().unwrap();
+        let run = RunDir::create(&dir.path().join("run"), false, 0).unwrap();
+        run.check_writable(1).unwrap();
+        if free_bytes(dir.path()).is_some() {
+            let error = run.check_writable(u64::MAX).unwrap_err().to_string();
+            assert!(error.contains("MiB are free") && error.contains("run"), "{error}");
+        }
+    }
+
+    #[test]
+    fn probes_leave_nothing_and_notice_what_is_in_the_way() {
+        let dir = tempfile::tempdir().unwrap();
+        let run = RunDir::create(&dir.path().join("run"), false, 0).unwrap();
+        run.check_writable(0).unwrap();
+        assert!(is_empty_folder(&run.checkpoints()) && is_empty_folder(&run.renders()));
+        fs::create_dir(run.scalars()).unwrap();
+        assert!(run.check_writable(0).unwrap_err().to_string().contains("scalars.csv"));
+        fs::remove_dir(run.scalars()).unwrap();
+        fs::remove_dir(run.renders()).unwrap();
+        fs::write(run.renders(), "file").unwrap();
+        assert!(run.check_writable(0).unwrap_err().to_string().contains("renders"));
+    }
+}

@@ -1,0 +1,31 @@
+//! One experiment from its settings to its results: scene, run folder, training, evaluation, and everything that it leaves behind.
+//!
+//! Two rules hold throughout. A file that is replaced is replaced by a rename, so that a reader
+//! (or a kill at any moment) sees the old content or the new one and never half of either. And
+//! everything written is a function of configuration and seed, with three exceptions that say so:
+//! `timing.json`, the event files under `tensorboard/` and `run.lock` hold clock times, host names
+//! or process numbers.
+
+mod corruption;
+mod evaluate;
+pub mod experiment;
+pub mod folder;
+mod pictures;
+mod protocol;
+mod scalars;
+mod session;
+mod smoothness;
+mod surface;
+pub mod tensorboard;
+
+pub use corruption::write_corrupted;
+pub use evaluate::{RenderedView, Report, Viewer, columns};
+pub use experiment::{Finished, Job, Machine, Reporter, load_lpips, load_scene, locate_scene, read_timing, run_config};
+pub use folder::{RunDir, RunLock};
+pub use pictures::{Pictures, write_path};
+pub use protocol::{PROTOCOL, Protocol, split_name};
+pub use scalars::Scalars;
+pub use session::{EVALUATION_COLUMNS, Observer, Outcome, Session, interrupted};
+pub use smoothness::SmoothnessReport;
+pub use surface::{BUILTIN, most_memory_mib, reference_mesh, surface_box, surface_reference, surface_threshold};
+pub use tensorboard::EventWriter;

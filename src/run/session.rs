@@ -1,0 +1,190 @@
+//! The loop around the steps: logs, checkpoints, stops.
+
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::time::{Duration, Instant};
+
+use crate::base::{Error, Image, Result};
+use crate::run::{EventWriter, RunDir, Scalars};
+use crate::settings::{Config, LEVELS, PerturbKind, Regularizer};
+
+use crate::train::{StepStats, Trainer, diagnostics};
+
+/// Who is told how training goes. The library itself prints nothing.
+pub trait Observer {
+    /// A step is done. Called for every step.
+    fn stepped(&mut self, stats: &StepStats);
+    /// It is time for an evaluation during training; returns scalars to be logged. From the step before the
+    /// trainer's a run can be resumed: a signal may end the evaluation with [`interrupted`].
+    fn evaluate(&mut self, trainer: &Trainer) -> Result<Vec<(&'static str, f64)>>;
+    /// A checkpoint was written; `seconds` were spent on steps in this session so far.
+    fn saved(&mut self, step: u64, seconds: f64) -> Result<()>;
+}
+
+/// How a session ended.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Outcome {
+    /// All steps are done.
+    Finished,
+    /// A signal asked for the stop; a checkpoint was written.
+    Stopped {
+        /// The signal's number.
+        signal: i32,
+    },
+}
+
+/// Columns that an evaluation during training fills.
+pub const EVALUATION_COLUMNS: [&str; 2] = ["test_psnr", "test_psnr_float"];
+
+/// A training session of one process in one run folder.
+pub struct Session<'a> {
+    run: &'a RunDir,
+    trainer: Trainer,
+    scalars: Scalars,
+    events: EventWriter,
+    /// Time spent on steps, logs and evaluations left out.
+    stepping: Duration,
+}
+
+/// Columns of `scalars.csv` after `step`.
+fn columns(config: &Config) -> Vec<String> {
+    let mut columns: Vec<String> = ["learning_rate", "loss", "loss_coarse"].map(String::from).to_vec();
+    if config.sampling.fine > 0 {
+        columns.push("loss_fine".into());
+    }
+    columns.push("psnr".into());
+    if config.train.eval_every > 0 {
+        columns.extend(EVALUATION_COLUMNS.map(String::from));
+    }
+    columns.extend(config.regularizer.kind.iter().map(|term| regularizer_column(*term)));
+    if config.method.is_augmented() {
+        columns.push("loss_perturbed".into());
+        if config.perturb.kind != PerturbKind::FreshJitter {
+            let on = LEVELS.into_iter().filter(|&level| config.perturb.delta(level).on());
+            columns.extend(on.flat_map(diagnostics::columns));
+        }
+    }
+    columns
+}
+
+/// The column of a regularizer's unweighted term.
+fn regularizer_column(term: Regularizer) -> String {
+    format!("regularizer.{}", term.name())
+}
+
+/// One row of the logs.
+fn values(stats: &StepStats) -> Vec<(String, f64)> {
+    let mut values = vec![
+        ("learning_rate".to_string(), stats.learning_rate),
+        ("loss".into(), stats.loss),
+        ("loss_coarse".into(), stats.loss_coarse),
+    ];
+    values.extend(stats.psnr().map(|psnr| ("psnr".into(), psnr)));
+    values.extend(stats.loss_fine.map(|loss| ("loss_fine".into(), loss)));
+    values.extend(stats.loss_perturbed.map(|loss| ("loss_perturbed".into(), loss)));
+    values.extend(stats.regularizers.iter().map(|(term, value)| (regularizer_column(*term), *value)));
+    for level in &stats.levels {
+        let inactive = f64::from(u8::from(level.inactive));
+        let numbers = [Some(level.gain), Some(level.gain_over_random), level.share_at_bound, Some(inactive)];
+        let named = diagnostics::columns(level.level).into_iter().zip(numbers);
+        values.extend(named.filter_map(|(name, number)| number.map(|number| (name, number))));
+    }
+    values
+}
+
+impl<'a> Session<'a> {
+    /// A session that goes on from the trainer's step: 0, or that of the checkpoint it was resumed
+    /// from. `resumed` says that an earlier session may have left later steps in the logs.
+    pub fn new(run: &'a RunDir, trainer: Trainer, resumed: bool) -> Result<Session<'a>> {
+        let columns = columns(trainer.config());
+        let columns: Vec<&str> = columns.iter().map(String::as_str).collect();
+        let step = trainer.step_count();
+        let scalars = Scalars::resume(&run.scalars(), &columns, step)?;
+        let events = EventWriter::create(&run.tensorboard(), resumed.then_some(step))?;
+        Ok(Session { run, trainer, scalars, events, stepping: Duration::ZERO })
+    }
+
+    /// The trainer.
+    pub fn trainer(&self) -> &Trainer {
+        &self.trainer
+    }
+
+    /// Seconds spent on steps in this session.
+    pub fn seconds(&self) -> f64 {
+        self.stepping.as_secs_f64()
+    }
+
+    /// Adds a picture to the TensorBoard events, at the step reached.
+    pub fn picture(&mut self, tag: &str, picture: &Image) -> Result<()> {
+        self.events.image(self.trainer.step_count(), tag, picture)
+    }
+
+    /// Trains to the last step, or until `signal` holds a signal's number. Checkpoints are written
+    /// every N steps, every T minutes, before a step that is evaluated, at a stop and at the end.
+    pub fn run(&mut self, signal: &AtomicUsize, observer: &mut dyn Observer) -> Result<Outcome> {
+        let train = self.trainer.config().train.clone();
+        let mut saved_at = Instant::now();
+        // Where the session starts from: a checkpoint, or step 0, which is a function of the configuration.
+        let mut saved_step = self.trainer.step_count();
+        while self.trainer.step_count() < train.steps {
+            let next = self.trainer.step_count() + 1;
+            let last = next == train.steps;
+            let log = next.is_multiple_of(train.log_every) || last;
+            // Nothing but 0 is a multiple of 0, which is "never" here. The last step's evaluation is the run's.
+            let evaluate = next.is_multiple_of(train.eval_every) && !last;
+            if evaluate && saved_step != next - 1 {
+                // The row of a step is written once, evaluation included: stopped there, the step is taken again.
+                self.save(observer)?;
+                (saved_at, saved_step) = (Instant::now(), next - 1);
+            }
+            let started = Instant::now();
+            let stats = self.trainer.step(log)?;
+            self.stepping += started.elapsed();
+            if log || evaluate {
+                self.log(&stats, evaluate, observer)?;
+            }
+            observer.stepped(&stats);
+            let by_step = next.is_multiple_of(train.checkpoint_every);
+            let minutes = saved_at.elapsed().as_secs_f64() / 60.0;
+            let by_time = train.checkpoint_minutes > 0.0 && minutes >= train.checkpoint_minutes;
+            let stop = signal.load(Ordering::SeqCst);
+            if by_step || by_time || last || stop != 0 {
+                self.save(observer)?;
+                (saved_at, saved_step) = (Instant::now(), next);
+            }
+            if stop != 0 && !last {
+                return Ok(Outcome::Stopped { signal: stop as i32 });
+            }
+        }
+        Ok(Outcome::Finished)
+    }
+
+    fn log(&mut self, stats: &StepStats, evaluate: bool, observer: &mut dyn Observer) -> Result<()> {
+        let mut values = values(stats);
+        if evaluate {
+            values.extend(observer.evaluate(&self.trainer)?.into_iter().map(|(name, value)| (name.to_string(), value)));
+        }
+        let named: Vec<(&str, f64)> = values.iter().map(|(name, value)| (name.as_str(), *value)).collect();
+        self.scalars.append(stats.step, &named)?;
+        // TensorBoard groups by what stands before a slash: gain.t -> gain/t.
+        let tags: Vec<String> = values.iter().map(|(name, _)| name.replace('.', "/")).collect();
+        let tagged: Vec<(&str, f64)> = tags.iter().map(String::as_str).zip(values.iter().map(|v| v.1)).collect();
+        self.events.scalars(stats.step, &tagged)
+    }
+
+    fn save(&mut self, observer: &mut dyn Observer) -> Result<()> {
+        self.scalars.sync()?;
+        self.trainer.save(&self.run.checkpoints())?;
+        observer.saved(self.trainer.step_count(), self.seconds())
+    }
+}
+
+/// The error that a stopped session ends the program with.
+pub fn interrupted(signal: i32, step: u64, run: &std::path::Path) -> Error {
+    Error::Interrupted {
+        signal,
+        message: format!(
+            "stopped by signal {signal} at step {step}; nothing is lost: augnerf resume {} goes on from there",
+            run.display()
+        ),
+    }
+}

@@ -1,0 +1,301 @@
+//! Event files that TensorBoard reads: records with checksums around small protocol-buffer
+//! messages, both written by hand.
+//!
+//! A record is the payload's length (u64), a checksum of those eight bytes (u32), the payload and
+//! its checksum, all little-endian; the checksum is CRC-32C, rotated and offset. The payload is an
+//! `Event` message, of which the modules at the end of this file name the fields in use.
+//!
+//! Event files hold wall times: they are the part of a run that differs between two equal runs.
+
+use std::fs::{self, File};
+use std::io::Write;
+use std::path::{Path, PathBuf};
+
+use super::scalars::check_finite;
+use crate::base::{Error, Image, Result};
+use crate::draw::pictures::encode_png8;
+use crate::runtime::host::{host_name, unix_seconds};
+
+const PREFIX: &str = "events.out.tfevents.";
+/// Added to a rotated checksum, as the record format asks for, so that a checksum of data that
+/// holds checksums stays useful.
+const MASK: u32 = 0xa282_ead8;
+
+/// Appends events to one file in a run's `tensorboard/` folder. Every event reaches the file in
+/// one write; a half-written last record is skipped by TensorBoard.
+#[derive(Debug)]
+pub struct EventWriter {
+    path: PathBuf,
+    file: File,
+}
+
+impl EventWriter {
+    /// A new event file in `dir`. Each start or resumption of a run has its own; names sort in
+    /// the order in which they were made, as TensorBoard expects. With `resumed_step`, the step of
+    /// the checkpoint that training goes on from, TensorBoard is told to forget the later steps
+    /// that earlier files hold, because they are written again.
+    pub fn create(dir: &Path, resumed_step: Option<u64>) -> Result<EventWriter> {
+        let path = dir.join(next_name(dir).map_err(|error| Error::unwritable(dir, &error))?);
+        let file = File::create_new(&path).map_err(|error| Error::unwritable(&path, &error))?;
+        let mut writer = EventWriter { path, file };
+        writer.write(0, &bytes_field(event::FILE_VERSION, b"brain.Event:2"))?;
+        if let Some(step) = resumed_step {
+            let session = varint_field(session_log::STATUS, session_log::START);
+            writer.write(step.saturating_add(1), &bytes_field(event::SESSION_LOG, &session))?;
+        }
+        Ok(writer)
+    }
+
+    /// Appends scalars of one step, each under its tag; `a/b` is shown in group `a`. Stored as
+    /// f32. A number that is not finite is an [`Error::Diverged`], and nothing is written.
+    pub fn scalars(&mut self, step: u64, values: &[(&str, f64)]) -> Result<()> {
+        let mut summary = Vec::new();
+        for &(tag, value) in values {
+            check_finite(step, tag, value)?;
+            let mut message = bytes_field(value::TAG, tag.as_bytes());
+            message.extend(fixed32_field(value::SIMPLE_VALUE, value as f32));
+            summary.extend(bytes_field(summary::VALUE, &message));
+        }
+        self.write(step, &bytes_field(event::SUMMARY, &summary))
+    }
+
+    /// Appends a picture of one step.
+    pub fn image(&mut self, step: u64, tag: &str, picture: &Image) -> Result<()> {
+        let png = encode_png8(picture).map_err(|reason| self.unwritable(&reason))?;
+        let mut image = varint_field(image::HEIGHT, picture.height as u64);
+        image.extend(varint_field(image::WIDTH, picture.width as u64));
+        image.extend(varint_field(image::COLORSPACE, picture.channels as u64));
+        image.extend(bytes_field(image::ENCODED, &png));
+        let mut message = bytes_field(value::TAG, tag.as_bytes());
+        message.extend(bytes_field(value::IMAGE, &image));
+        self.write(step, &bytes_field(event::SUMMARY, &bytes_field(summary::VALUE, &message)))
+    }
+
+    /// The event file.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// Appends one event whose field besides time and step is `content`, already encoded.
+    fn write(&mut self, step: u64, content: &[u8]) -> Result<()> {
+        let mut message = fixed64_field(event::WALL_TIME, unix_seconds());
+        message.extend(varint_field(event::STEP, step));
+        message.extend_from_slice(content);
+        self.file.write_all(&record(&message)).map_err(|error| self.unwritable(&error.to_string()))
+    }
+
+    fn unwritable(&self, reason: &str) -> Error {
+        Error::Output(format!("cannot write {}: {reason}", self.path.display()))
+    }
+}
+
+/// `events.out.tfevents.{seconds}.{host}.{process}`, with seconds later than any file's in `dir`.
+fn next_name(dir: &Path) -> std::io::Result<String> {
+    let mut seconds = unix_seconds() as u64;
+    for entry in fs::read_dir(dir)? {
+        let name = entry?.file_name();
+        let existing = name.to_str().and_then(|name| name.strip_prefix(PREFIX)?.split('.').next()?.parse().ok());
+        seconds = seconds.max(existing.map_or(0, |existing: u64| existing.saturating_add(1)));
+    }
+    Ok(format!("{PREFIX}{seconds:010}.{}.{}", host_name(), std::process::id()))
+}
+
+fn record(payload: &[u8]) -> Vec<u8> {
+    let length = (payload.len() as u64).to_le_bytes();
+    let mut bytes = Vec::with_capacity(payload.len() + 16);
+    bytes.extend(length);
+    bytes.extend(masked_checksum(&length).to_le_bytes());
+    bytes.extend_from_slice(payload);
+    bytes.extend(masked_checksum(payload).to_le_bytes());
+    bytes
+}
+
+fn masked_checksum(bytes: &[u8]) -> u32 {
+    crc32c::crc32c(bytes).rotate_right(15).wrapping_add(MASK)
+}
+
+/// Field numbers of `Event`.
+mod event {
+    pub const WALL_TIME: u64 = 1;
+    pub const STEP: u64 = 2;
+    pub const FILE_VERSION: u64 = 3;
+    pub const SUMMARY: u64 = 5;
+    pub const SESSION_LOG: u64 = 7;
+}
+
+/// Field numbers of `SessionLog` and the status that marks a restart.
+mod session_log {
+    pub const STATUS: u64 = 1;
+    pub const START: u64 = 1;
+}
+
+/// Field numbers of `Summary`.
+mod summary {
+    pub const VALUE: u64 = 1;
+}
+
+/// Field numbers of `Summary.Value`.
+mod value {
+    pub const TAG: u64 = 1;
+    pub const SIMPLE_VALUE: u64 = 2;
+    pub const IMAGE: u64 = 4;
+}
+
+/// Field numbers of `Summary.Image`.
+mod image {
+    pub const HEIGHT: u64 = 1;
+    pub const WIDTH: u64 = 2;
+    pub const COLORSPACE: u64 = 3;
+    pub const ENCODED: u64 = 4;
+}
+
+/// Base-128 number, lowest group first, with the top bit set on all but the last byte.
+fn varint(mut number: u64) -> Vec<u8> {
+    let mut bytes = Vec::new();
+    while number >= 0x80 {
+        bytes.push(number as u8 | 0x80);
+        number >>= 7;
+    }
+    bytes.push(number as u8);
+    bytes
+}
+
+fn varint_field(field: u64, number: u64) -> Vec<u8> {
+    [varint(field << 3), varint(number)].concat()
+}
+
+fn fixed64_field(field: u64, number: f64) -> Vec<u8> {
+    [varint(field << 3 | 1), number.to_le_bytes().to_vec()].concat()
+}
+
+fn bytes_field(field: u64, bytes: &[u8]) -> Vec<u8> {
+    [&varint(field << 3 | 2), &varint(bytes.len() as u64), bytes].concat()
+}
+
+fn fixed32_field(field: u64, number: f32) -> Vec<u8> {
+    [varint(field << 3 | 5), number.to_le_bytes().to_vec()].concat()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// CRC-32C bit by bit, independent of the crate that the writer uses.
+    fn slow_checksum(bytes: &[u8]) -> u32 {
+        let mut sum = !0u32;
+        for &byte in bytes {
+            sum ^= byte as u32;
+            for _ in 0..8 {
+                sum = if sum & 1 == 1 { sum >> 1 ^ 0x82f6_3b78 } else { sum >> 1 };
+            }
+        }
+        let sum = !sum;
+        sum.rotate_right(15).wrapping_add(0xa282_ead8)
+    }
+
+    fn number(bytes: &[u8]) -> u64 {
+        bytes.iter().rev().fold(0, |number, &byte| number << 8 | byte as u64)
+    }
+
+    fn read_records(mut bytes: &[u8]) -> Vec<Vec<u8>> {
+        let mut records = Vec::new();
+        while !bytes.is_empty() {
+            let length = number(&bytes[..8]) as usize;
+            assert_eq!(number(&bytes[8..12]) as u32, slow_checksum(&bytes[..8]));
+            let payload = &bytes[12..12 + length];
+            assert_eq!(number(&bytes[12 + length..16 + length]) as u32, slow_checksum(payload));
+            records.push(payload.to_vec());
+            bytes = &bytes[16 + length..];
+        }
+        records
+    }
+
+    fn read_varint(bytes: &mut &[u8]) -> u64 {
+        let mut number = 0;
+        for shift in (0..64).step_by(7) {
+            let byte = bytes[0];
+            *bytes = &bytes[1..];
+            number |= ((byte & 0x7f) as u64) << shift;
+            if byte < 0x80 {
+                break;
+            }
+        }
+        number
+    }
+
+    /// The fields of a message: number and raw content (a varint as its eight bytes).
+    fn read_fields(mut bytes: &[u8]) -> Vec<(u64, Vec<u8>)> {
+        let mut fields = Vec::new();
+        while !bytes.is_empty() {
+            let key = read_varint(&mut bytes);
+            let length = match key & 7 {
+                0 => {
+                    fields.push((key >> 3, read_varint(&mut bytes).to_le_bytes().to_vec()));
+                    continue;
+                }
+                1 => 8,
+                2 => read_varint(&mut bytes) as usize,
+                5 => 4,
+                kind => panic!("wire type {kind}"),
+            };
+            fields.push((key >> 3, bytes[..length].to_vec()));
+            bytes = &bytes[length..];
+        }
+        fields
+    }
+
+    fn field(message: &[u8], wanted: u64) -> Vec<u8> {
+        read_fields(message).into_iter().find(|(field, _)| *field == wanted).expect("field").1
+    }
+
+    #[test]
+    fn events_read_back() {
+        let dir = tempfile::tempdir().unwrap();
+        let mut writer = EventWriter::create(dir.path(), None).unwrap();
+        writer.scalars(300, &[("loss/clean", 0.125), ("psnr", 21.5)]).unwrap();
+        let picture = Image { width: 2, height: 1, channels: 3, pixels: vec![0.0, 0.5, 1.0, 1.0, 0.5, 0.0] };
+        writer.image(301, "view", &picture).unwrap();
+
+        let records = read_records(&fs::read(writer.path()).unwrap());
+        assert_eq!(records.len(), 3);
+        assert_eq!(field(&records[0], 3), b"brain.Event:2");
+        let time = f64::from_le_bytes(field(&records[1], 1).try_into().unwrap());
+        assert!((unix_seconds() - time).abs() < 60.0);
+        assert_eq!(number(&field(&records[1], 2)), 300);
+        let values = read_fields(&field(&records[1], 5));
+        let read: Vec<(Vec<u8>, f32)> = values
+            .iter()
+            .map(|(_, value)| (field(value, 1), f32::from_le_bytes(field(value, 2).try_into().unwrap())))
+            .collect();
+        assert_eq!(read, [(b"loss/clean".to_vec(), 0.125), (b"psnr".to_vec(), 21.5)]);
+        let png = field(&field(&field(&field(&records[2], 5), 1), 4), 4);
+        assert_eq!(::image::load_from_memory(&png).unwrap().width(), 2);
+    }
+
+    #[test]
+    fn a_resumption_gets_a_later_file_that_names_its_step() {
+        let dir = tempfile::tempdir().unwrap();
+        let first = EventWriter::create(dir.path(), None).unwrap();
+        let second = EventWriter::create(dir.path(), Some(10)).unwrap();
+        assert!(second.path() > first.path());
+        let records = read_records(&fs::read(second.path()).unwrap());
+        assert_eq!(number(&field(&records[1], 2)), 11);
+        assert_eq!(number(&field(&field(&records[1], 7), 1)), 1);
+    }
+
+    #[test]
+    fn a_number_that_is_not_finite_is_refused() {
+        let dir = tempfile::tempdir().unwrap();
+        let mut writer = EventWriter::create(dir.path(), None).unwrap();
+        let before = fs::read(writer.path()).unwrap();
+        assert_eq!(writer.scalars(1, &[("loss", f64::INFINITY)]).unwrap_err().exit_code(), 6);
+        assert_eq!(fs::read(writer.path()).unwrap(), before);
+        assert_eq!(EventWriter::create(&dir.path().join("missing"), None).unwrap_err().exit_code(), 4);
+    }
+
+    #[test]
+    fn checksums_of_the_standards_example() {
+        assert_eq!(crc32c::crc32c(b"123456789"), 0xe306_9283);
+        assert_eq!(masked_checksum(b"123456789"), slow_checksum(b"123456789"));
+    }
+}

@@ -1,0 +1,141 @@
+//! `timing.json`: what depends on clock and machine, kept apart from what must repeat.
+
+use std::path::Path;
+use std::time::{SystemTime, UNIX_EPOCH};
+
+use serde::{Deserialize, Serialize};
+
+use crate::base::Result;
+use crate::base::files::write_json;
+
+/// How long a run took and on what.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Timing {
+    /// Seconds in training steps, over all the sessions of a resumed run.
+    pub seconds_training: f64,
+    /// Seconds in evaluation on held-out views.
+    pub seconds_evaluation: f64,
+    /// Rays trained on per second of training; `None` before the first step.
+    pub rays_per_second: Option<f64>,
+    /// Highest resident memory of this process in MiB; `None` where the system does not say.
+    pub peak_memory_mib: Option<f64>,
+    /// As asked for: `cpu`, `cuda`, `cuda:1`, `cuda-tf32`, `metal`.
+    pub device: String,
+    /// Threads that tensor operations used.
+    pub threads: usize,
+    /// The machine.
+    pub host: Host,
+    /// Start of this session, seconds since 1970 (UTC).
+    pub started_unix: u64,
+    /// End of this session, seconds since 1970 (UTC).
+    pub finished_unix: u64,
+    /// How often the run was started: 1 plus the number of resumptions.
+    pub sessions: usize,
+}
+
+impl Timing {
+    /// Writes the file whole or not at all.
+    pub fn write(&self, path: &Path) -> Result<()> {
+        write_json(path, self)
+    }
+}
+
+/// The machine.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Host {
+    /// Its name in the network; `unknown` where the system does not say.
+    pub name: String,
+    /// `linux`, `macos`, `windows`.
+    pub os: String,
+    /// `x86_64`, `aarch64`.
+    pub arch: String,
+    /// The processor's model; `None` where the system does not say.
+    pub cpu: Option<String>,
+    /// Processors that this process may use.
+    pub cpus: usize,
+}
+
+impl Host {
+    /// The machine this process runs on.
+    pub fn current() -> Host {
+        Host {
+            name: host_name(),
+            os: std::env::consts::OS.to_string(),
+            arch: std::env::consts::ARCH.to_string(),
+            cpu: field_of("/proc/cpuinfo", "model name"),
+            cpus: std::thread::available_parallelism().map_or(1, |count| count.get()),
+        }
+    }
+}
+
+/// Highest resident memory of this process so far, in MiB; `None` where the system does not say.
+pub fn peak_memory_mib() -> Option<f64> {
+    let value = field_of("/proc/self/status", "VmHWM")?;
+    let kib: f64 = value.strip_suffix("kB")?.trim().parse().ok()?;
+    Some(kib / 1024.0)
+}
+
+/// Memory that new work may take without swapping, in MiB; `None` where the system does not say.
+pub fn free_memory_mib() -> Option<f64> {
+    let value = field_of("/proc/meminfo", "MemAvailable")?;
+    let kib: f64 = value.strip_suffix("kB")?.trim().parse().ok()?;
+    Some(kib / 1024.0)
+}
+
+/// Seconds since 1970 (UTC).
+pub fn unix_seconds() -> f64 {
+    SystemTime::now().duration_since(UNIX_EPOCH).map_or(0.0, |since| since.as_secs_f64())
+}
+
+/// The machine's name; `unknown` where the system does not say.
+pub fn host_name() -> String {
+    let from_kernel = std::fs::read_to_string("/proc/sys/kernel/hostname").ok();
+    let from_environment = || ["HOSTNAME", "COMPUTERNAME"].iter().find_map(|name| std::env::var(name).ok());
+    from_kernel
+        .or_else(from_environment)
+        .map(|name| name.trim().to_string())
+        .filter(|name| !name.is_empty())
+        .unwrap_or_else(|| "unknown".to_string())
+}
+
+/// The value of the first `name : value` line of a file.
+fn field_of(path: &str, name: &str) -> Option<String> {
+    let text = std::fs::read_to_string(path).ok()?;
+    let mut pairs = text.lines().filter_map(|line| line.split_once(':'));
+    pairs.find(|(key, _)| key.trim() == name).map(|(_, value)| value.trim().to_string())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_file_reads_back() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("timing.json");
+        let timing = Timing {
+            seconds_training: 12.5,
+            seconds_evaluation: 0.1,
+            rays_per_second: None,
+            peak_memory_mib: peak_memory_mib(),
+            device: "cpu".to_string(),
+            threads: 2,
+            host: Host::current(),
+            started_unix: unix_seconds() as u64,
+            finished_unix: unix_seconds() as u64,
+            sessions: 1,
+        };
+        timing.write(&path).unwrap();
+        let back: Timing = serde_json::from_slice(&std::fs::read(&path).unwrap()).unwrap();
+        assert_eq!(back, timing);
+    }
+
+    #[cfg(target_os = "linux")]
+    #[test]
+    fn peak_memory_grows_with_use() {
+        let before = peak_memory_mib().unwrap();
+        let block = vec![1u8; 64 << 20];
+        assert!(block.iter().step_by(4096).all(|&byte| byte == 1));
+        assert!(peak_memory_mib().unwrap() >= before.max(64.0));
+    }
+}

@@ -1,0 +1,271 @@
+//! Presets and the layering of settings into one [`Config`].
+
+use std::path::Path;
+
+use toml::{Table, Value};
+
+use super::{Config, DataConfig, Method};
+use crate::base::{Error, Result};
+
+/// A named set of settings.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Preset {
+    /// Seconds on two cores; the embedded scene.
+    Smoke,
+    /// Minutes on two cores: width 64, 32 + 32 samples, 512 rays, 3,000 steps.
+    Cpu,
+    /// The paper's LLFF settings.
+    PaperLlff,
+    /// The paper's NeRF-Synthetic settings.
+    PaperBlender,
+    /// The released code's LLFF settings.
+    ReleasedLlff,
+    /// The released code's NeRF-Synthetic settings.
+    ReleasedBlender,
+}
+
+impl Preset {
+    /// All presets with the names that the command line takes.
+    pub const ALL: [(&str, Preset); 6] = [
+        ("smoke", Preset::Smoke),
+        ("cpu", Preset::Cpu),
+        ("paper-llff", Preset::PaperLlff),
+        ("paper-blender", Preset::PaperBlender),
+        ("released-llff", Preset::ReleasedLlff),
+        ("released-blender", Preset::ReleasedBlender),
+    ];
+
+    /// Finds a preset by its name.
+    pub fn parse(name: &str) -> Result<Preset> {
+        let found = Preset::ALL.iter().find(|(known, _)| *known == name);
+        found.map(|(_, preset)| *preset).ok_or_else(|| {
+            let names: Vec<&str> = Preset::ALL.iter().map(|(known, _)| *known).collect();
+            Error::Config(format!("preset '{name}' does not exist; choose one of {}", names.join(", ")))
+        })
+    }
+
+    fn text(self) -> &'static str {
+        match self {
+            Preset::Smoke => include_str!("presets/smoke.toml"),
+            Preset::Cpu => include_str!("presets/cpu.toml"),
+            Preset::PaperLlff => include_str!("presets/paper-llff.toml"),
+            Preset::PaperBlender => include_str!("presets/paper-blender.toml"),
+            Preset::ReleasedLlff => include_str!("presets/released-llff.toml"),
+            Preset::ReleasedBlender => include_str!("presets/released-blender.toml"),
+        }
+    }
+}
+
+/// What lies between preset and file in a run of MipNeRF.
+const MIP_NERF: &str = include_str!("presets/mip-nerf.toml");
+
+/// The method that a table of settings names is one of MipNeRF's.
+fn is_mip(table: &Table) -> bool {
+    let method = table.get("method").cloned().and_then(|method| method.try_into::<Method>().ok());
+    method.is_some_and(Method::is_mip)
+}
+
+/// Splits `a.b=v` into its path and its value. A value that is not TOML (a bare word) is a string.
+pub fn parse_assignment(text: &str) -> Result<(Vec<String>, Value)> {
+    let Some((key, value)) = text.split_once('=') else {
+        return Err(Error::Config(format!("--set {text}: write it as section.field=value, such as train.steps=2000")));
+    };
+    let path: Vec<String> = key.trim().split('.').map(|part| part.trim().to_string()).collect();
+    if path.iter().any(String::is_empty) {
+        return Err(Error::Config(format!("--set {text}: '{key}' is not a field; write it as section.field=value")));
+    }
+    let value = value.trim();
+    let parsed = toml::from_str::<Table>(&format!("v = {value}")).ok().and_then(|mut table| table.remove("v"));
+    Ok((path, parsed.unwrap_or_else(|| Value::String(value.to_string()))))
+}
+
+/// Lays preset, settings of the method that is named, file and assignments (`(path, value)` in order) over the defaults and
+/// checks the whole.
+pub fn build(preset: Option<Preset>, file: Option<&Path>, assignments: &[(Vec<String>, Value)]) -> Result<Config> {
+    let mut base = Table::new();
+    if let Some(preset) = preset {
+        merge(&mut base, toml::from_str(preset.text()).expect("presets are valid TOML"));
+    }
+    let mut table = Table::new();
+    if let Some(path) = file {
+        let text = std::fs::read_to_string(path)
+            .map_err(|e| Error::Config(format!("cannot read the configuration file {}: {e}", path.display())))?;
+        let layer: Table = toml::from_str(&text).map_err(|e| Error::Config(format!("{}: {e}", path.display())))?;
+        check_keys(&layer, &path.display().to_string())?;
+        // Types and choices, too, while the file and its lines can be named.
+        toml::from_str::<Config>(&text).map_err(|e| Error::Config(format!("{}: {e}", path.display())))?;
+        merge(&mut table, layer);
+    }
+    for (path, value) in assignments {
+        assign(&mut table, path, value.clone())?;
+    }
+    if is_mip(&table) {
+        merge(&mut base, toml::from_str(MIP_NERF).expect("presets are valid TOML"));
+    }
+    merge(&mut base, table);
+    let text = toml::to_string(&base).expect("a table of settings is plain data");
+    Config::from_toml(&text, "settings")
+}
+
+/// Section `data` of the defaults with assignments over them: what decides the preset where none
+/// is named. Nothing else is checked yet.
+pub fn data_section(assignments: &[(Vec<String>, Value)]) -> Result<DataConfig> {
+    let mut table = Table::new();
+    for (path, value) in assignments.iter().filter(|(path, _)| path[0] == "data") {
+        assign(&mut table, path, value.clone())?;
+    }
+    let text = toml::to_string(&table).expect("a table of settings is plain data");
+    let config: Config = toml::from_str(&text).expect("each assignment was checked");
+    Ok(config.data)
+}
+
+/// Lays `over` on `base`, table by table.
+fn merge(base: &mut Table, over: Table) {
+    for (key, value) in over {
+        match (base.get_mut(&key), value) {
+            (Some(Value::Table(inner)), Value::Table(over)) => merge(inner, over),
+            (_, value) => {
+                base.insert(key, value);
+            }
+        }
+    }
+}
+
+fn assign(table: &mut Table, path: &[String], value: Value) -> Result<()> {
+    let mut layer = Table::new();
+    let (last, parents) = path.split_last().expect("an assignment has a key");
+    layer.insert(last.clone(), value);
+    for parent in parents.iter().rev() {
+        let inner = std::mem::take(&mut layer);
+        layer.insert(parent.clone(), Value::Table(inner));
+    }
+    let origin = format!("--set {}", path.join("."));
+    check_keys(&layer, &origin)?;
+    // Checked alone first, so that the message can name the assignment.
+    toml::from_str::<Config>(&toml::to_string(&layer).expect("plain data"))
+        .map_err(|e| Error::Config(format!("{origin}: {}", e.message())))?;
+    merge(table, layer);
+    Ok(())
+}
+
+/// Unknown keys, with the nearest known one: serde's own message lists fields but not the path.
+fn check_keys(layer: &Table, origin: &str) -> Result<()> {
+    let known = known_keys();
+    let mut found = Vec::new();
+    leaves(layer, "", &mut found);
+    for key in found {
+        let exists = known.iter().any(|k| *k == key || k.starts_with(&format!("{key}.")));
+        if !exists {
+            let nearest = known.iter().min_by_key(|k| distance(k, &key)).expect("there are keys");
+            return Err(Error::Config(format!("{origin}: unknown key '{key}'; did you mean '{nearest}'?")));
+        }
+    }
+    Ok(())
+}
+
+/// Every key that a configuration may hold, dotted.
+fn known_keys() -> Vec<String> {
+    let mut full = Config::default();
+    full.resolve_kind(super::DataKind::Blender);
+    full.resolve_bounds(2.0, 6.0);
+    full.data.near = Some(2.0);
+    full.data.far = Some(6.0);
+    full.eval.mesh.threshold = Some(25.0);
+    full.eval.mesh.domain = Some([[-1.0; 3], [1.0; 3]]);
+    let table: Table = toml::from_str(&full.to_toml()).expect("own output");
+    let mut keys = Vec::new();
+    leaves(&table, "", &mut keys);
+    keys
+}
+
+fn leaves(table: &Table, prefix: &str, out: &mut Vec<String>) {
+    for (key, value) in table {
+        let path = if prefix.is_empty() { key.clone() } else { format!("{prefix}.{key}") };
+        match value {
+            Value::Table(inner) if !inner.is_empty() => leaves(inner, &path, out),
+            _ => out.push(path),
+        }
+    }
+}
+
+/// Levenshtein distance.
+fn distance(a: &str, b: &str) -> usize {
+    let b: Vec<char> = b.chars().collect();
+    let mut row: Vec<usize> = (0..=b.len()).collect();
+    for (i, ca) in a.chars().enumerate() {
+        let mut diagonal = std::mem::replace(&mut row[0], i + 1);
+        for (j, cb) in b.iter().enumerate() {
+            let substituted = diagonal + usize::from(ca != *cb);
+            diagonal = row[j + 1];
+            row[j + 1] = substituted.min(diagonal + 1).min(row[j] + 1);
+        }
+    }
+    row[b.len()]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn set(texts: &[&str]) -> Result<Config> {
+        let assignments: Result<Vec<_>> = texts.iter().map(|t| parse_assignment(t)).collect();
+        build(None, None, &assignments?)
+    }
+
+    #[test]
+    fn assignments_reach_nested_fields_and_later_ones_win() {
+        let config = set(&["train.steps=7", "perturb.t.epsilon=0.25", "data.dir=a b", "train.steps=9"]).unwrap();
+        assert_eq!(config.train.steps, 9);
+        assert_eq!(config.perturb.t.epsilon, Some(0.25));
+        assert_eq!(config.data.dir, "a b");
+    }
+
+    #[test]
+    fn unknown_keys_and_wrong_types_are_named() {
+        let unknown = set(&["train.stepz=7"]).unwrap_err().to_string();
+        assert!(unknown.contains("train.stepz") && unknown.contains("train.steps"), "{unknown}");
+        let wrong = set(&["train.steps=many"]).unwrap_err().to_string();
+        assert!(wrong.contains("train.steps"), "{wrong}");
+        let choice = set(&["method=nerv"]).unwrap_err().to_string();
+        assert!(choice.contains("aug-nerf"), "{choice}");
+    }
+
+    #[test]
+    fn every_preset_is_valid_and_survives_being_written_out() {
+        for (name, preset) in Preset::ALL {
+            let config = build(Some(preset), None, &[]).unwrap_or_else(|e| panic!("{name}: {e}"));
+            assert_eq!(Config::from_toml(&config.to_toml(), name).unwrap(), config, "{name}");
+        }
+    }
+
+    #[test]
+    fn the_released_presets_are_the_released_code() {
+        for preset in [Preset::ReleasedLlff, Preset::ReleasedBlender] {
+            let mut config = build(Some(preset), None, &[]).unwrap();
+            config.perturb.resolve(0.1);
+            let p = &config.perturb;
+            assert_eq!((p.lambda, p.injection_layer, p.perturb_last), (0.5, 8, true));
+            assert_eq!(p.output, crate::settings::OutputPlace::Before);
+            let numbers = |level| (p.delta(level).steps, p.delta(level).step_size, p.delta(level).epsilon);
+            for level in [crate::settings::Level::Feature, crate::settings::Level::Density] {
+                assert_eq!(numbers(level), (Some(1), Some(1e-5), Some(1e-5)));
+            }
+            assert!(!p.rgb.on() && !p.view.on() && !config.sampling.jitter);
+        }
+    }
+
+    #[test]
+    fn the_hash_follows_content_and_not_the_folder_above_the_scene() {
+        let hash = |texts: &[&str]| set(texts).unwrap().hash();
+        assert_eq!(hash(&["data.dir=/a/fern"]), hash(&["data.dir=/b/c/fern"]));
+        assert_ne!(hash(&["data.dir=/a/fern"]), hash(&["data.dir=/a/trex"]));
+        assert_ne!(hash(&["seed=1"]), hash(&["seed=2"]));
+        assert_eq!(hash(&["train.log_every=7"]), hash(&["eval.pictures=0"]));
+        assert_eq!(hash(&["eval.mesh.resolution=64", "eval.mesh.box=[[-1,-1,-1],[1,1,1]]"]), hash(&[]));
+        // What it was before there were surfaces: run folders are known by it.
+        assert_eq!((hash(&[]), hash(&["seed=3", "method=aug-nerf"])), ("a727ab8b7ed0".into(), "932a6a55da8d".into()));
+        // The perturbed pass counts only where there is one.
+        assert_eq!(hash(&["perturb.lambda=1"]), hash(&[]));
+        assert_ne!(hash(&["method=aug-nerf", "perturb.lambda=1"]), hash(&["method=aug-nerf"]));
+    }
+}

@@ -1,0 +1,61 @@
+//! Work over the cells of a lattice, chunk by chunk.
+
+use candle_core::{DType, Device, Tensor};
+use rayon::prelude::*;
+
+use super::{Lattice, Points};
+use crate::base::Result;
+use crate::field::Field;
+
+/// Points that one thread works on at once: what it keeps of a trunk of 8 x 256 stays near its core.
+pub const CHUNK: usize = 1024;
+/// The same on an accelerator, which wants many.
+const DEVICE_CHUNK: usize = 65_536;
+/// Chunks whose gradients are in memory at once.
+pub(crate) const CHUNKS_AT_ONCE: usize = 16;
+
+/// The density of a field at the midpoints of a lattice, in the order of its cells: `take` is handed so
+/// many at a time that memory does not grow with the lattice. A field of integrated encoding is asked at Gaussians of the
+/// cells' variance.
+pub fn densities(
+    field: &Field,
+    lattice: &Lattice,
+    (dtype, device): (DType, &Device),
+    take: impl FnMut(Vec<f32>) -> Result<()>,
+) -> Result<()> {
+    let field = &field.frozen()?;
+    let ask = |points: &Tensor| {
+        let positions = field.asked_at(points, lattice.cell_variance())?;
+        let density = field.activate_density(&field.raw_density(&positions)?)?;
+        Ok(density.to_dtype(DType::F32)?.to_vec1::<f32>()?)
+    };
+    over_chunks((lattice, &Points::Full), (dtype, device), ask, take)
+}
+
+/// Chunks that a pass over `count` points takes.
+pub fn chunk_count(count: usize, device: &Device) -> usize {
+    count.div_ceil(chunk_size(device))
+}
+
+pub(crate) fn chunk_size(device: &Device) -> usize {
+    if device.is_cpu() { CHUNK } else { DEVICE_CHUNK }
+}
+
+/// Works through points in chunks, some at once, and hands the results over in order: memory does
+/// not grow with the lattice, and the number of threads changes no bit.
+pub(crate) fn over_chunks<T: Send>(
+    (lattice, points): (&Lattice, &Points),
+    (dtype, device): (DType, &Device),
+    work: impl Fn(&Tensor) -> Result<T> + Sync,
+    mut take: impl FnMut(T) -> Result<()>,
+) -> Result<()> {
+    let (size, count) = (chunk_size(device), points.count(lattice));
+    let starts: Vec<usize> = (0..count).step_by(size).collect();
+    let one = |&start: &usize| work(&points.tensor(lattice, start, size.min(count - start), dtype, device)?);
+    for group in starts.chunks(CHUNKS_AT_ONCE) {
+        let done: Result<Vec<T>> =
+            if device.is_cpu() { group.par_iter().map(one).collect() } else { group.iter().map(one).collect() };
+        done?.into_iter().try_for_each(&mut take)?;
+    }
+    Ok(())
+}

@@ -1,0 +1,105 @@
+//! What a bare level set lacks: scene units, normals and colours.
+
+use candle_core::{Device, Tensor};
+use rayon::prelude::*;
+
+use crate::base::{Error, Result};
+use crate::data::Ndc;
+use crate::data::vector::{Vec3, length, scale};
+use crate::field::Field;
+use crate::space::{CHUNK, Lattice};
+
+use super::Mesh;
+
+/// A finished mesh.
+pub struct Skin {
+    /// In scene units, with normals and colours.
+    pub mesh: Mesh,
+    /// Vertices where density is flat (an interpolated vertex may lie where the field is empty): they have the
+    /// mean normal of the triangles around them.
+    pub flat: usize,
+}
+
+/// Finishes a level set that `field` has on `lattice`: brings it from NDC to scene units where `ndc` is given, and gives
+/// each vertex its outward normal, against density's exact gradient, and the colour that the field shows there to an eye that looks
+/// against the normal.
+pub fn skin(field: &Field, level_set: Mesh, lattice: &Lattice, ndc: Option<&Ndc>, device: &Device) -> Result<Skin> {
+    let asked = level_set.vertices.clone();
+    let mut mesh = in_scene(level_set, ndc)?;
+    let faces = mesh.face_normals();
+    let field = &field.frozen()?;
+    let indices: Vec<usize> = (0..mesh.vertices.len()).collect();
+    let one = |part: &[usize]| -> Result<Part> {
+        let points: Vec<f32> = part.iter().flat_map(|&i| asked[i]).collect();
+        let points = Tensor::from_vec(points, (part.len(), 3), device)?;
+        let positions = field.asked_at(&points, lattice.cell_variance())?;
+        let slopes = field.density_gradient(&positions)?.to_vec2::<f32>()?;
+        let outward = |(&i, slope): (&usize, &Vec<f32>)| {
+            let slope: Vec3 = std::array::from_fn(|axis| f64::from(slope[axis]));
+            let slope = ndc.map_or(slope, |ndc| ndc.pull_back(mesh.vertex(i as u32), slope));
+            let flat = length(slope) == 0.0;
+            let normal = if flat { faces[i] } else { scale(slope, -1.0) };
+            // A vertex of slivers alone has no direction; any will do.
+            let normal = if length(normal) > 0.0 { scale(normal, 1.0 / length(normal)) } else { [0.0, 0.0, 1.0] };
+            (normal.map(|v| v as f32), flat)
+        };
+        let (normals, flat): (Vec<[f32; 3]>, Vec<bool>) = part.iter().zip(&slopes).map(outward).unzip();
+        let eyes: Vec<f32> = normals.iter().flatten().map(|v| -v).collect();
+        let eyes = Tensor::from_vec(eyes, (part.len(), 3), device)?;
+        let rgb = field.activate_rgb(&field.forward(&positions, &eyes, None)?.rgb)?.to_vec2::<f32>()?;
+        let byte = |rgb: Vec<f32>| std::array::from_fn(|c| (rgb[c].clamp(0.0, 1.0) * 255.0).round() as u8);
+        Ok((normals, rgb.into_iter().map(byte).collect(), flat.into_iter().filter(|&flat| flat).count()))
+    };
+    let parts: Result<Vec<Part>> = if device.is_cpu() {
+        indices.par_chunks(CHUNK).map(one).collect()
+    } else {
+        indices.chunks(CHUNK).map(one).collect()
+    };
+    let mut flat = 0;
+    for (normals, colours, part_flat) in parts? {
+        mesh.normals.extend(normals);
+        mesh.colours.extend(colours);
+        flat += part_flat;
+    }
+    Ok(Skin { mesh, flat })
+}
+
+/// Normals and colours of some vertices, and how many of them are flat.
+type Part = (Vec<[f32; 3]>, Vec<[u8; 3]>, usize);
+
+/// A level set in scene units: the same, or brought from NDC. Refuses a vertex that is infinitely far away.
+pub fn in_scene(level_set: Mesh, ndc: Option<&Ndc>) -> Result<Mesh> {
+    let mut mesh = level_set;
+    let Some(ndc) = ndc else { return Ok(mesh) };
+    for vertex in &mut mesh.vertices {
+        let point = vertex.map(f64::from);
+        *vertex = ndc.unmap(point).map(|point| point.map(|v| v as f32)).ok_or_else(|| {
+            Error::Config(format!(
+                "the box reaches beyond z = 1 in normalised device coordinates, which is infinitely far away: the surface has \
+                 a vertex at {point:?}; choose a box that ends below 1"
+            ))
+        })?;
+    }
+    // The map turns left-handed into right-handed.
+    mesh.flip();
+    Ok(mesh)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_mesh_from_ndc_still_faces_outwards() {
+        let corner = [[-0.2, -0.2, -0.2], [0.2, -0.2, -0.2], [-0.2, 0.2, -0.2], [-0.2, -0.2, 0.2]];
+        let triangles = vec![[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]];
+        let mesh = Mesh { vertices: corner.to_vec(), triangles, ..Mesh::default() };
+        assert!(mesh.volume() > 0.0);
+        let ndc = Ndc { width: 40.0, height: 30.0, focal: 35.0 };
+        let world = in_scene(mesh.clone(), Some(&ndc)).unwrap();
+        assert!(world.volume() > 0.0);
+        assert!(world.vertices.iter().all(|v| v[2] < -1.0), "beyond the near plane: {:?}", world.vertices);
+        let beyond = Mesh { vertices: vec![[0.0, 0.0, 1.5]; 4], ..mesh };
+        assert!(in_scene(beyond, Some(&ndc)).unwrap_err().to_string().contains("below 1"));
+    }
+}

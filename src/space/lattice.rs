@@ -1,0 +1,133 @@
+//! The box that regularizers integrate over, cut into cells.
+
+use candle_core::{DType, Device, Tensor};
+
+use crate::base::rng::{Random, Stream};
+use crate::base::{Error, Result};
+use crate::data::{Camera, RayBuffer, Scene};
+use crate::settings::{LatticePoints, PixelOrigin, RegularizerConfig};
+
+/// A box cut into `side`^3 equal cells, numbered with z fastest.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Lattice {
+    /// Lower and upper corner, in the units of `points`.
+    pub domain: [[f64; 3]; 2],
+    /// Cells along each side (N).
+    pub side: usize,
+}
+
+impl Lattice {
+    /// Number of cells.
+    pub fn cells(&self) -> usize {
+        self.side.pow(3)
+    }
+
+    /// Volume of the box, length^3.
+    pub fn volume(&self) -> f64 {
+        let [lower, upper] = self.domain;
+        lower.iter().zip(upper).map(|(a, b)| b - a).product()
+    }
+
+    /// Variance of a point that lies anywhere in a cell, along each axis, length^2.
+    pub fn cell_variance(&self) -> [f64; 3] {
+        let [lower, upper] = self.domain;
+        std::array::from_fn(|axis| ((upper[axis] - lower[axis]) / self.side as f64).powi(2) / 12.0)
+    }
+
+    /// The point of cell `cell` at `offset`, 0..1 along each axis; 0.5 is the midpoint.
+    pub fn point(&self, cell: usize, offset: [f64; 3]) -> [f64; 3] {
+        let index = [cell / (self.side * self.side), cell / self.side % self.side, cell % self.side];
+        let [lower, upper] = self.domain;
+        std::array::from_fn(|axis| {
+            let share = (index[axis] as f64 + offset[axis]) / self.side as f64;
+            lower[axis] + share * (upper[axis] - lower[axis])
+        })
+    }
+
+    /// The box that the rays of a scene's training views run through between its bounds, corner
+    /// rays standing for all: `[lower, upper]`.
+    pub fn seen(scene: &Scene) -> [[f64; 3]; 2] {
+        let corners = |camera: &'_ Camera| {
+            let (right, bottom) = (camera.width as u32 - 1, camera.height as u32 - 1);
+            [(0, 0), (right, 0), (0, bottom), (right, bottom)]
+        };
+        let pixels: Vec<(&Camera, u32, u32)> =
+            scene.train.iter().flat_map(|view| corners(&view.camera).map(|(x, y)| (&view.camera, x, y))).collect();
+        let rays = RayBuffer::new(&pixels, scene.ndc.as_ref(), PixelOrigin::Corner);
+        let mut seen = [[f64::INFINITY; 3], [f64::NEG_INFINITY; 3]];
+        for (origin, direction) in rays.origins.chunks_exact(3).zip(rays.directions.chunks_exact(3)) {
+            for t in [scene.near, scene.far] {
+                for axis in 0..3 {
+                    let x = f64::from(origin[axis]) + t * f64::from(direction[axis]);
+                    seen[0][axis] = seen[0][axis].min(x);
+                    seen[1][axis] = seen[1][axis].max(x);
+                }
+            }
+        }
+        seen
+    }
+
+    /// An error unless the box, which `field` names, and what the scene's rays pass through have a common part.
+    pub fn check_meets(&self, scene: &Scene, field: &str) -> Result<()> {
+        let seen = Lattice::seen(scene);
+        let meets = (0..3).all(|axis| self.domain[0][axis] < seen[1][axis] && seen[0][axis] < self.domain[1][axis]);
+        if meets {
+            return Ok(());
+        }
+        let text = |[x, y, z]: [f64; 3]| format!("[{x:.3}, {y:.3}, {z:.3}]");
+        Err(Error::Config(format!(
+            "{field}: the box from {} to {} lies outside of {}: its training rays run from {} to {}; choose a box within",
+            text(self.domain[0]),
+            text(self.domain[1]),
+            scene.name,
+            text(seen[0]),
+            text(seen[1])
+        )))
+    }
+}
+
+/// Which cells are asked, and where in each.
+pub enum Points {
+    /// The midpoint of every cell.
+    Full,
+    /// Some cells, at the offsets drawn for them.
+    Sampled(Vec<(u32, [f64; 3])>),
+}
+
+impl Points {
+    /// The points of one training step.
+    pub fn draw(config: &RegularizerConfig, lattice: &Lattice, seed: u64, step: u64) -> Points {
+        if config.points == LatticePoints::Full {
+            return Points::Full;
+        }
+        let mut random = Random::new(seed, Stream::Regularizer, step);
+        let cells = random.distinct(config.points_per_step, lattice.cells() as u32);
+        let mut offset = |_| if config.jitter { random.uniform() } else { 0.5 };
+        Points::Sampled(cells.into_iter().map(|cell| (cell, std::array::from_fn(&mut offset))).collect())
+    }
+
+    /// How many there are.
+    pub fn count(&self, lattice: &Lattice) -> usize {
+        match self {
+            Points::Full => lattice.cells(),
+            Points::Sampled(points) => points.len(),
+        }
+    }
+
+    /// Points `start..start + count` as `[count, 3]`.
+    pub fn tensor(
+        &self,
+        lattice: &Lattice,
+        start: usize,
+        count: usize,
+        dtype: DType,
+        device: &Device,
+    ) -> Result<Tensor> {
+        let at = |i: usize| match self {
+            Points::Full => lattice.point(i, [0.5; 3]),
+            Points::Sampled(points) => lattice.point(points[i].0 as usize, points[i].1),
+        };
+        let values: Vec<f64> = (start..start + count).flat_map(at).collect();
+        Ok(Tensor::from_vec(values, (count, 3), &Device::Cpu)?.to_dtype(dtype)?.to_device(device)?)
+    }
+}

@@ -1,0 +1,23 @@
+//! Surfaces: level sets of trained densities, meshes and their files, distances between surfaces.
+//!
+//! A density field has no surface of its own. What stands for one is a level set, density =
+//! threshold, which marching cubes draws through the midpoints of a lattice of cells.
+
+mod cells;
+mod colouring;
+mod distance;
+mod files;
+mod lattice;
+mod level;
+mod marching;
+mod mesh;
+
+pub use cells::{CHUNK, chunk_count, densities};
+pub(crate) use cells::{CHUNKS_AT_ONCE, chunk_size, over_chunks};
+pub use colouring::{Skin, in_scene, skin};
+pub use distance::{Chamfer, PointCloud, Reference, Score, chamfer, sample};
+pub use files::{read_mesh, write_obj, write_ply};
+pub use lattice::{Lattice, Points};
+pub use level::{DensityRange, Drawing, LevelSet, level_set};
+pub use marching::Marcher;
+pub use mesh::{Component, Mesh};
