@@ -45,7 +45,7 @@
 //!
 //! # Layers
 //!
-//! Each module uses those of lower rows only; `tests/layering.rs` holds this table.
+//! Each module uses those of lower rows only; `tests/it/layering.rs` holds this table.
 //!
 //! | tier | modules |
 //! |---|---|

@@ -12,7 +12,7 @@
 //! value = 255 - floor(255 t / 8),   so   t = 8 (255.5 - value) / 255 +- 0.016
 //! ```
 //!
-//! a distance over 8 scene units, cut to 8 bits and inverted. `tests/geometry.rs` holds the agreement between views.
+//! a distance over 8 scene units, cut to 8 bits and inverted. `tests/it/geometry.rs` holds the agreement between views.
 //! Other scenes of the set are taken to be alike; a map that is not (other channels, distances outside of the scene's
 //! bounds) is not read as depth.
 

@@ -1,13 +1,9 @@
 //! `augnerf compare` and `augnerf profile`: what they choose, measure, draw and refuse.
 
-#[allow(dead_code)]
-mod common;
-#[allow(dead_code)]
-#[path = "common/program.rs"]
-mod program;
-
 use std::path::Path;
 
+use crate::common::program::{refuse, succeed};
+use crate::common::{tiny_config, tiny_scene, trained};
 use augnerf::base::Image;
 use augnerf::base::rng::{Random, Stream};
 use augnerf::compare::{
@@ -19,8 +15,6 @@ use augnerf::run::{RenderedView, Viewer};
 use augnerf::settings::{Config, Method, PixelOrigin};
 use augnerf::train::checkpoint::State;
 use candle_core::Device;
-use common::{tiny_config, tiny_scene, trained};
-use program::{refuse, succeed};
 use tempfile::TempDir;
 
 /// An image of 8-bit values that nobody has drawn.

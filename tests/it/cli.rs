@@ -1,13 +1,10 @@
 //! The program as a user meets it: runs, results, resumption, refusals.
 
-#[path = "common/program.rs"]
-mod program;
-
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
-use program::{augnerf, refuse, succeed};
+use crate::common::program::{augnerf, refuse, succeed};
 use tempfile::TempDir;
 
 fn text(path: &Path) -> String {

@@ -1,7 +1,6 @@
 //! What the perturbed pass and the search promise.
 
-mod common;
-
+use crate::common::{parameters, tiny_config, tiny_scene, trained};
 use augnerf::augment::{Deltas, Draw, PassGeometry, PixelScale, Sets, StepSizes, worst_case};
 use augnerf::base::rng::{Random, Stream};
 use augnerf::data::{RayBuffer, Rays};
@@ -9,7 +8,6 @@ use augnerf::field::Field;
 use augnerf::render::{Pass, Perturbation, clean_pass, perturbed_pass, photometric_loss, sampling};
 use augnerf::settings::{Attack, LEVELS, Level, Method, Norm, OutputPlace, PerturbConfig, PerturbField, PerturbKind};
 use candle_core::{DType, Device, Tensor, Var};
-use common::{parameters, tiny_config, tiny_scene, trained};
 use proptest::prelude::*;
 
 const CPU: Device = Device::Cpu;

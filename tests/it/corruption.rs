@@ -71,7 +71,7 @@ fn values_are_those_of_a_picture() {
 /// The settings of a run from before corruptions and MipNeRF: fields that came later must not change its hash.
 #[test]
 fn an_early_run_keeps_its_hash() {
-    let config = augnerf::settings::Config::from_toml(include_str!("fixtures/early_config.toml"), "early").unwrap();
+    let config = augnerf::settings::Config::from_toml(include_str!("../fixtures/early_config.toml"), "early").unwrap();
     assert_eq!(config.hash(), "e574c28e283d");
 }
 

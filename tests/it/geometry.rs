@@ -1,20 +1,16 @@
 //! Meshes, their comparison, and depth, as a user meets them.
 
-#[allow(dead_code)]
-#[path = "common/program.rs"]
-mod program;
-
 use std::path::{Path, PathBuf};
 
+use crate::common::program::refuse;
 use augnerf::data::vector::{cross, dot, sub};
 use augnerf::data::{self, View};
 use augnerf::settings::{DataConfig, DataKind};
-use program::refuse;
 use tempfile::TempDir;
 
 /// Runs and demands success; what it printed.
 fn succeed(arguments: &[&str]) -> String {
-    String::from_utf8(program::succeed(arguments).stdout).unwrap()
+    String::from_utf8(crate::common::program::succeed(arguments).stdout).unwrap()
 }
 
 /// A run of a second or two on the embedded scene at 24 x 24.
@@ -150,7 +146,7 @@ fn a_surface_that_cannot_be_drawn_costs_no_other_metric() {
     let mean = json(&Path::new(&run).join("metrics.json"))["mean"].clone();
     assert!(mean["psnr"].as_f64().unwrap() > 5.0 && mean["depth_mae"].is_number());
     assert!(mean["chamfer"].is_null() && mean["f_score"].is_null());
-    let output = program::run(&["eval", &run]);
+    let output = crate::common::program::run(&["eval", &run]);
     let words = String::from_utf8(output.stderr).unwrap();
     assert!(words.contains("stay empty") && words.contains("a threshold of"), "{words}");
 }
@@ -194,7 +190,7 @@ fn what_a_refusal_names_works() {
         ("--resolution", [aside, "--resolution", "110", "--memory", "1.2", "--threshold", "2"]),
     ] {
         let before = if option == "--threshold" { "a threshold of " } else { "a resolution of about " };
-        let draw = |options: &[&str]| program::run(&[&["mesh", &run, "--quiet"], options].concat());
+        let draw = |options: &[&str]| crate::common::program::run(&[&["mesh", &run, "--quiet"], options].concat());
         let output = draw(&refused);
         assert!(!output.status.success(), "{refused:?}");
         let message = String::from_utf8(output.stderr).unwrap();

@@ -1,8 +1,7 @@
 //! What explicit regularizers promise: exact derivatives, unbiased estimates, and fields that are
 //! smoother for them.
 
-mod common;
-
+use crate::common::{parameters, tiny_config, tiny_scene, trained};
 use augnerf::base::rng::{Random, Stream};
 use augnerf::field::{Cotangents, Field, spatial_reference};
 use augnerf::losses::{measure, regularize, regularize_at};
@@ -13,7 +12,6 @@ use augnerf::settings::{
 use augnerf::space::{Lattice, Points};
 use augnerf::train::Trainer;
 use candle_core::{DType, Device, Tensor};
-use common::{parameters, tiny_config, tiny_scene, trained};
 
 const CPU: Device = Device::Cpu;
 const BOX: [[f64; 3]; 2] = [[-1.0; 3], [1.0; 3]];

@@ -2,12 +2,10 @@
 //! `metal`; a machine without the device fails these tests, they never skip themselves.
 #![cfg(any(feature = "cuda", feature = "metal"))]
 
-mod common;
-
+use crate::common::{tiny_config, tiny_scene};
 use augnerf::settings::Method;
 use augnerf::train::Trainer;
 use candle_core::{DType, Device};
-use common::{tiny_config, tiny_scene};
 
 #[cfg(feature = "cuda")]
 fn accelerator() -> Device {

@@ -1,9 +1,8 @@
 //! What training promises besides the numbers of one step.
 
-mod common;
-
 use std::sync::atomic::AtomicUsize;
 
+use crate::common::{parameters, tiny_config, tiny_scene, trained};
 use augnerf::base::Error;
 use augnerf::data::{Camera, View};
 use augnerf::metrics::psnr_float;
@@ -11,7 +10,6 @@ use augnerf::run::{Observer, Outcome, RunDir, Session, Viewer, interrupted};
 use augnerf::settings::{Core, DataKind, Method, PerturbField, Schedule};
 use augnerf::train::{StepStats, Trainer, checkpoint, learning_rate};
 use candle_core::{DType, Device, Tensor};
-use common::{parameters, tiny_config, tiny_scene, trained};
 
 #[test]
 fn training_fits_the_scene() {

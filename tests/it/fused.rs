@@ -1,4 +1,4 @@
-//! The fused field against the plain one: outputs, every gradient, odd sizes, NaN. (Threads: tests/cli.rs.)
+//! The fused field against the plain one: outputs, every gradient, odd sizes, NaN. (Threads: tests/it/cli.rs.)
 
 use augnerf::base::rng::{Random, Stream};
 use augnerf::field::{FeatureDelta, Field};

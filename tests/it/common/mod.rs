@@ -1,5 +1,7 @@
 //! Small things that several test files share.
 
+pub mod program;
+
 use augnerf::base::Image;
 use augnerf::data::{Camera, Scene, View};
 use augnerf::settings::{Config, DataKind, DensityActivation, Encoding, Method};

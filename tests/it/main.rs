@@ -1,0 +1,23 @@
+//! All integration tests in one program: it links the library once.
+
+mod common;
+
+mod bad_data;
+mod cli;
+mod corruption;
+mod device;
+mod fused;
+mod geometry;
+mod layering;
+mod loaders;
+mod metrics;
+mod output;
+mod perturbations;
+mod pictures;
+mod reference;
+mod regularizers;
+mod sweep_cli;
+mod sweep_plots;
+mod sweep_run;
+mod sweep_tables;
+mod training;
