@@ -37,7 +37,7 @@
 //! | `acc` | `[rays]` | 0..1 | sum of weights |
 //! | `depth` | `[rays]` | as `t_vals` | sum of weights * t |
 //! | `delta` | see [`augment::Deltas`] | the level's own | a perturbation |
-//! | `epsilon` | scalar | see README | size of a delta's set |
+//! | `epsilon` | scalar | see docs/perturbations.md | size of a delta's set |
 //! | `step_size` | scalar | the delta's unit, or radii | length of one ascent step |
 //! | `lambda` | scalar | 1 | weight of the perturbed loss |
 //! | `laplacian` | `[n]` | 1 / scene unit^3 | divergence of density's gradient |

@@ -47,7 +47,7 @@ pub enum Error {
 pub type Result<T> = std::result::Result<T, Error>;
 
 impl Error {
-    /// The process exit code of this class of error; the README lists them.
+    /// The process exit code of this class of error; docs/exit-codes.md lists them.
     pub fn exit_code(&self) -> u8 {
         match self {
             Error::Tensor(_) => 1,

@@ -165,7 +165,7 @@ pub struct DeltaConfig {
     pub steps: Option<usize>,
     /// Length of one step, in `step_unit`.
     pub step_size: Option<f64>,
-    /// Size of the set; 0 is no perturbation. Units: see the README's table (gap share for `t`,
+    /// Size of the set; 0 is no perturbation. Units: see docs/perturbations.md (gap share for `t`,
     /// pixels for `xyz` and `view`, own units for the others).
     pub epsilon: Option<f64>,
     /// The set's norm.
