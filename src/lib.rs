@@ -4,9 +4,9 @@
 //! # The pipeline
 //!
 //! ```text
-//!  data ── views ──► train::Batches ── Rays, target ─────────────────────────────┐
+//!  data ── views ──► methods::Batches ─ Rays, target ────────────────────────────┐
 //!                                                                                │
-//!  one step (train)                                                              ▼
+//!  one step (methods)                                                            ▼
 //!  ┌─ clean pass (render) ──────────────────────────────────────────────────────────────────┐
 //!  │ sampling ─► points ─► field: encoding ─► trunk ─► density, rgb ─► volume ─► rgb, weights │
 //!  └──────┬──────────▲────────────────────────▲──────────────▲──────────────────────┬─────────┘

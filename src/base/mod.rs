@@ -6,6 +6,7 @@ mod image;
 mod progress;
 pub mod revision;
 pub mod rng;
+pub mod tensors;
 
 pub use error::{Error, Result};
 pub use image::Image;

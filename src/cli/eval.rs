@@ -7,10 +7,9 @@ use clap::Args;
 
 use crate::base::Result;
 use crate::data::Scene;
-use crate::methods::Model;
+use crate::methods::{AttackSummary, Model};
 use crate::run::{Protocol, Report, RunDir, Viewer, load_lpips, load_scene, run_config, surface_reference};
 use crate::settings::Config;
-use crate::train::AttackSummary;
 use crate::train::checkpoint::{self, State};
 
 use super::progress::{Screen, print};

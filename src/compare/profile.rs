@@ -9,11 +9,11 @@ use super::{Contender, Difference, Window, differences, profile_figure};
 use crate::base::files::{write_atomic, write_json};
 use crate::base::{Error, Result};
 use crate::data::{RayBuffer, Rays};
+use crate::methods::Volume;
 use crate::render::sampling::stratified;
 use crate::render::volume::middles;
 use crate::render::{Pass, PassOutput, clean_pass, columns, fine_t_vals, points_at};
 use crate::run::{Protocol, Viewer};
-use crate::train::Volume;
 
 /// Even samples of a ray: over 6 units, more than two for each period of the encoding's finest octave, 2 pi / 2^9.
 pub const EVEN: usize = 1024;

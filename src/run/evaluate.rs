@@ -11,12 +11,11 @@ use serde::Serialize;
 use crate::base::files::{write_atomic, write_json};
 use crate::base::{Error, Image, Progress, Result};
 use crate::data::{Camera, RayBuffer, Scene, View};
-use crate::methods::Model;
+use crate::methods::{AttackSummary, Model, Volume};
 use crate::metrics::{DepthMetrics, Lpips, MeanMetrics, ViewMetrics, measure};
 use crate::render::render_rays;
 use crate::settings::Config;
 use crate::space::Chamfer;
-use crate::train::{AttackSummary, Volume};
 
 /// One rendered view, row-major.
 pub struct RenderedView {

@@ -12,7 +12,7 @@ use candle_core::{DType, Device};
 use crate::base::files::write_atomic;
 use crate::base::{Error, Image, Progress, Result};
 use crate::data::{self, Scene};
-use crate::methods::Model;
+use crate::methods::{AttackSummary, Model};
 use crate::metrics::{Backbone, Lpips, MeanMetrics};
 use crate::run::{
     BUILTIN, EVALUATION_COLUMNS, Observer, Outcome, Pictures, Protocol, Report, RunDir, Session, Viewer, interrupted,
@@ -20,7 +20,7 @@ use crate::run::{
 };
 use crate::runtime::{Host, Timing, host, peak_memory_mib};
 use crate::settings::{Config, scene_name};
-use crate::train::{AttackSummary, StepStats, Trainer, checkpoint};
+use crate::train::{StepStats, Trainer, checkpoint};
 
 /// Who is told how an experiment goes.
 pub trait Reporter: Sync {

@@ -7,7 +7,8 @@ use crate::base::{Error, Image, Result};
 use crate::run::{EventWriter, RunDir, Scalars};
 use crate::settings::{Config, LEVELS, PerturbKind, Regularizer};
 
-use crate::train::{StepStats, Trainer, diagnostics};
+use crate::methods::diagnostic_columns;
+use crate::train::{StepStats, Trainer};
 
 /// Who is told how training goes. The library itself prints nothing.
 pub trait Observer {
@@ -60,7 +61,7 @@ fn columns(config: &Config) -> Vec<String> {
         columns.push("loss_perturbed".into());
         if config.perturb.kind != PerturbKind::FreshJitter {
             let on = LEVELS.into_iter().filter(|&level| config.perturb.delta(level).on());
-            columns.extend(on.flat_map(diagnostics::columns));
+            columns.extend(on.flat_map(diagnostic_columns));
         }
     }
     columns
@@ -85,7 +86,7 @@ fn values(stats: &StepStats) -> Vec<(String, f64)> {
     for level in &stats.levels {
         let inactive = f64::from(u8::from(level.inactive));
         let numbers = [Some(level.gain), Some(level.gain_over_random), level.share_at_bound, Some(inactive)];
-        let named = diagnostics::columns(level.level).into_iter().zip(numbers);
+        let named = diagnostic_columns(level.level).into_iter().zip(numbers);
         values.extend(named.filter_map(|(name, number)| number.map(|number| (name, number))));
     }
     values

@@ -5,10 +5,11 @@ use candle_core::{DType, Tensor};
 use crate::base::{Error, Result};
 use crate::field::Field;
 use crate::losses::{Regularized, estimate_seconds, regularize};
+use crate::methods::gradients::Gradients;
 use crate::settings::{LatticePoints, REGULARIZERS, RegularizedFields, Regularizer, RegularizerConfig};
 use crate::space::{Lattice, Points};
 
-use super::{Gradients, Trainer, scalar};
+use super::learner::FieldLearner;
 
 /// A run whose regularizers alone would take longer is refused.
 const MOST_DAYS: f64 = 30.0;
@@ -32,15 +33,15 @@ pub(super) fn lattice(config: &RegularizerConfig) -> Lattice {
     Lattice { domain: config.domain, side: config.lattice }
 }
 
-impl Trainer {
-    /// Unweighted values (f64 `[terms]`) and gradients of the weighted terms at this step; none without terms.
-    pub(super) fn regularize(&self, config: &RegularizerConfig) -> Result<Option<(Tensor, Gradients)>> {
+impl FieldLearner {
+    /// Unweighted values (f64 `[terms]`) and gradients of the weighted terms after `step` finished steps; none without terms.
+    pub(super) fn regularize(&self, config: &RegularizerConfig, step: u64) -> Result<Option<(Tensor, Gradients)>> {
         let terms: Vec<(Regularizer, f64)> = config.terms().collect();
         if terms.is_empty() {
             return Ok(None);
         }
         let lattice = lattice(config);
-        let points = Points::draw(config, &lattice, self.config.seed, self.step);
+        let points = Points::draw(config, &lattice, self.config.seed, step);
         let mut values = Tensor::zeros(terms.len(), DType::F64, &self.device)?;
         let mut gradients = Vec::new();
         for (role, field) in self.model.fields() {
@@ -93,23 +94,15 @@ impl Trainer {
     }
 
     /// Measures the pull of every term at weight 1 and that of the photometric loss, on the batch
-    /// of the next step. `config` says where terms are evaluated. Moves nothing.
-    pub fn balance(&mut self, config: &RegularizerConfig) -> Result<Vec<Balance>> {
-        let whole = self.chunk(self.step)?;
+    /// of the step after `step` finished ones. `config` says where terms are evaluated. Moves nothing.
+    pub fn balance(&mut self, config: &RegularizerConfig, step: u64) -> Result<Vec<Balance>> {
+        let whole = self.draw(step)?;
         let photometric_norm = self.passes(&whole, false)?.gradients.norm()?;
         let of_term = |term: Regularizer| {
             let alone = RegularizerConfig { kind: vec![term], weight: vec![1.0], ..config.clone() };
-            let (_, gradients) = self.regularize(&alone)?.expect("one term");
+            let (_, gradients) = self.regularize(&alone, step)?.expect("one term");
             Ok(Balance { term, photometric_norm, term_norm: gradients.norm()? })
         };
         REGULARIZERS.into_iter().map(of_term).collect()
-    }
-}
-
-impl Gradients {
-    /// Euclidean norm over all weights.
-    fn norm(&self) -> Result<f64> {
-        let squares = self.0.iter().flatten().map(|g| scalar(&g.to_dtype(DType::F64)?.sqr()?.sum_all()?));
-        Ok(squares.sum::<Result<f64>>()?.sqrt())
     }
 }

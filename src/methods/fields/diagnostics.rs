@@ -4,13 +4,8 @@ use std::path::Path;
 
 use serde::Serialize;
 
-use crate::augment::Deltas;
 use crate::base::{Error, Result};
-use crate::render::{PassOutput, photometric_loss};
 use crate::settings::{LEVELS, Level};
-
-use super::perturbed::Perturbed;
-use super::{Trainer, scalar};
 
 /// A level whose gain is under this share of the clean loss is inactive.
 const INACTIVE_SHARE: f64 = 1e-4;
@@ -105,7 +100,7 @@ struct LevelSums {
 }
 
 impl Sums {
-    fn add(&mut self, level: Level, share: f64, gain: f64, gain_over_random: f64, at_bound: Option<f64>) {
+    pub(super) fn add(&mut self, level: Level, share: f64, gain: f64, gain_over_random: f64, at_bound: Option<f64>) {
         let index = self.index(level);
         let sums = &mut self.0[index];
         sums.gain += share * gain;
@@ -143,38 +138,5 @@ impl Sums {
             inactive: sums.gain < INACTIVE_SHARE * clean_loss,
         };
         self.0.into_iter().map(finish).collect()
-    }
-}
-
-impl Trainer {
-    /// Measures each level of a perturbed pass by itself: with the deltas that it used, and with
-    /// the random ones in `drawn`.
-    pub(super) fn diagnose(
-        &self,
-        passing: &Perturbed,
-        out: &PassOutput,
-        drawn: &Deltas,
-        sums: &mut Sums,
-    ) -> Result<()> {
-        let share = passing.share;
-        let frozen = passing.field.frozen()?;
-        let loss = |deltas: &Deltas| -> Result<f64> {
-            let out = self.run(passing, &frozen, deltas)?;
-            Ok(passing.loss_weight * scalar(&photometric_loss(&out.composite.rgb, passing.target)?)?)
-        };
-        let without = loss(&Deltas::default())?;
-        for level in LEVELS {
-            let (Some(set), Some(used)) = (out.sets.get(level), out.used.get(level)) else {
-                // Switched on with a set of size 0: there is no perturbation, and no gain.
-                if self.config.perturb.delta(level).on() && self.config.perturb.delta(level).epsilon == Some(0.0) {
-                    sums.add(level, share, 0.0, 0.0, None);
-                }
-                continue;
-            };
-            let with = loss(&out.used.only(level))?;
-            let with_random = loss(&drawn.only(level))?;
-            sums.add(level, share, with - without, with - with_random, set.share_at_bound(used)?);
-        }
-        Ok(())
     }
 }

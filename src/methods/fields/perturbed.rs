@@ -2,19 +2,23 @@
 
 use std::cell::RefCell;
 
-use candle_core::{Tensor, TensorId};
+use candle_core::{DType, Tensor, TensorId};
 
 use crate::augment::{Deltas, Draw, PassGeometry, Sets, StepSizes, worst_case};
 use crate::base::Result;
 use crate::base::rng::{Random, Stream};
 use crate::field::Field;
-use crate::methods::Model;
+use crate::methods::gradients::Gradients;
 use crate::render::{
     Pass, PassOutput, Perturbation, columns, moved_positions, perturbed_pass, photometric_loss, resample, samples_of,
 };
-use crate::settings::{Level, PerturbConfig, PerturbKind, Resample};
+use crate::settings::{LEVELS, Level, PerturbConfig, PerturbKind, Resample};
 
-use super::{Chunk, ChunkResult, Gradients, Trainer};
+use super::chunk::Chunk;
+use super::diagnostics::Sums;
+use super::learner::FieldLearner;
+use super::networks::Model;
+use super::results::ChunkResult;
 
 /// One perturbed pass of a chunk: which field, which samples, which sets.
 #[derive(Clone)]
@@ -27,11 +31,13 @@ pub(super) struct Perturbed<'a> {
     pub(super) share: f64,
     /// Weight of the pass's loss beside the other pass's.
     pub(super) loss_weight: f64,
+    /// Steps finished before this one.
+    step: u64,
     /// Number of the pass within the step: its random numbers are its own.
     number: u64,
 }
 
-impl Trainer {
+impl FieldLearner {
     /// The control: another clean pass with its own jitter, noise and samples. Returns its loss,
     /// weighted with the chunk's share.
     pub(super) fn second_clean(
@@ -41,8 +47,8 @@ impl Trainer {
         weight: f64,
         gradients: &mut Gradients,
     ) -> Result<Tensor> {
-        let mut random = Random::part(self.config.seed, Stream::Attack, self.step, chunk.index);
-        let drawn = self.draw_clean(chunk.rays.clone(), chunk.target.clone(), &mut random)?;
+        let mut random = Random::part(self.config.seed, Stream::Attack, chunk.step, chunk.index);
+        let drawn = self.draw_clean(chunk.rays.clone(), chunk.target.clone(), chunk.step, &mut random)?;
         let fresh = Chunk { share: chunk.share, ..drawn };
         let mut second = ChunkResult::new(gradients.0.len());
         self.clean(model, &fresh, weight, &mut second)?;
@@ -102,6 +108,7 @@ impl Trainer {
             sets: Sets::new(&self.config.perturb, &geometry)?,
             share: chunk.share,
             loss_weight: 1.0,
+            step: chunk.step,
             number: 2 * chunk.index + u64::from(is_coarse),
         })
     }
@@ -115,7 +122,7 @@ impl Trainer {
         log: bool,
     ) -> Result<(Tensor, PassOutput)> {
         let random = |stream: Stream| {
-            move |level: Level| Random::part(self.config.seed, stream, self.step, 8 * passing.number + level as u64)
+            move |level: Level| Random::part(self.config.seed, stream, passing.step, 8 * passing.number + level as u64)
         };
         let deltas = self.find_deltas(passing, random(Stream::Attack))?;
         let out = self.run(passing, passing.field, &deltas)?;
@@ -159,4 +166,33 @@ impl Trainer {
             Ok((photometric_loss(&out.composite.rgb, passing.target)?, out.used))
         })
     }
+
+    /// Measures each level of a perturbed pass by itself: with the deltas that it used, and with
+    /// the random ones in `drawn`.
+    fn diagnose(&self, passing: &Perturbed, out: &PassOutput, drawn: &Deltas, sums: &mut Sums) -> Result<()> {
+        let share = passing.share;
+        let frozen = passing.field.frozen()?;
+        let loss = |deltas: &Deltas| -> Result<f64> {
+            let out = self.run(passing, &frozen, deltas)?;
+            Ok(passing.loss_weight * scalar(&photometric_loss(&out.composite.rgb, passing.target)?)?)
+        };
+        let without = loss(&Deltas::default())?;
+        for level in LEVELS {
+            let (Some(set), Some(used)) = (out.sets.get(level), out.used.get(level)) else {
+                // Switched on with a set of size 0: there is no perturbation, and no gain.
+                if self.config.perturb.delta(level).on() && self.config.perturb.delta(level).epsilon == Some(0.0) {
+                    sums.add(level, share, 0.0, 0.0, None);
+                }
+                continue;
+            };
+            let with = loss(&out.used.only(level))?;
+            let with_random = loss(&drawn.only(level))?;
+            sums.add(level, share, with - without, with - with_random, set.share_at_bound(used)?);
+        }
+        Ok(())
+    }
+}
+
+fn scalar(tensor: &Tensor) -> Result<f64> {
+    Ok(tensor.to_dtype(DType::F64)?.to_scalar()?)
 }

@@ -1,0 +1,88 @@
+//! The rays of a step with the random numbers of its clean pass, whole and in chunks.
+
+use candle_core::Tensor;
+
+use crate::base::Result;
+use crate::base::rng::{Random, Stream};
+use crate::data::Rays;
+use crate::render::{columns, sampling};
+
+use super::learner::FieldLearner;
+
+/// A chunk of one step: rays, targets and the clean pass's random numbers.
+pub(super) struct Chunk {
+    pub(super) rays: Rays,
+    pub(super) target: Tensor,
+    pub(super) t_coarse: Tensor,
+    pub(super) noise_coarse: Option<Tensor>,
+    pub(super) noise_fine: Option<Tensor>,
+    /// Positions in the inverse CDF, `[rays, fine]`.
+    pub(super) u: Option<Tensor>,
+    /// Share of the step's rays.
+    pub(super) share: f64,
+    /// Steps finished before this one.
+    pub(super) step: u64,
+    /// Number of the chunk within the step.
+    pub(super) index: u64,
+}
+
+impl Chunk {
+    pub(super) fn narrow(&self, index: usize, start: usize, count: usize) -> Result<Chunk> {
+        let part = |tensor: &Tensor| tensor.narrow(0, start, count)?.contiguous();
+        let maybe = |tensor: &Option<Tensor>| tensor.as_ref().map(part).transpose();
+        Ok(Chunk {
+            rays: self.rays.narrow(start, count)?,
+            target: part(&self.target)?,
+            t_coarse: part(&self.t_coarse)?,
+            noise_coarse: maybe(&self.noise_coarse)?,
+            noise_fine: maybe(&self.noise_fine)?,
+            u: maybe(&self.u)?,
+            share: count as f64 / self.rays.len() as f64,
+            step: self.step,
+            index: index as u64,
+        })
+    }
+}
+
+impl FieldLearner {
+    /// The whole batch of a step with the clean pass's random numbers.
+    pub(super) fn draw(&mut self, step: u64) -> Result<Chunk> {
+        let batch = self.batches.batch(step);
+        let rays = batch.rays.to_tensors(self.dtype, &self.device)?;
+        let target = Tensor::from_vec(batch.target, (rays.len(), 3), &self.device)?.to_dtype(self.dtype)?;
+        let mut random = Random::new(self.config.seed, Stream::Jitter, step);
+        self.draw_clean(rays, target, step, &mut random)
+    }
+
+    /// Draws jitter, density noise and inverse-CDF positions of a clean pass, in a fixed order.
+    pub(super) fn draw_clean(&self, rays: Rays, target: Tensor, step: u64, random: &mut Random) -> Result<Chunk> {
+        let sampling = &self.config.sampling;
+        let (n, coarse, fine) = (rays.len(), sampling.coarse, sampling.fine);
+        let (columns, fine_columns) = columns(&self.model.coarse, sampling);
+        let (mip, (_, fine_samples)) = (self.config.method.is_mip(), self.config.samples());
+        let jitter = match sampling.jitter {
+            true => Some(random.uniform_tensor(&[n, columns], self.dtype, &self.device)?),
+            false => None,
+        };
+        let (near, far) = self.volume.bounds;
+        let t_coarse = sampling::stratified(near, far, n, columns, jitter.as_ref(), &rays.origins)?;
+        let std = sampling.density_noise.expect("resolved");
+        let mut noise = |samples: usize| -> Result<Option<Tensor>> {
+            if std == 0.0 {
+                return Ok(None);
+            }
+            Ok(Some((random.normal_tensor(&[n, samples], self.dtype, &self.device)? * std)?))
+        };
+        let noise_coarse = noise(coarse)?;
+        let noise_fine = if fine > 0 { noise(fine_samples)? } else { None };
+        let u = match (fine, sampling.jitter) {
+            (0, _) => None,
+            (_, true) => {
+                let uniform = random.uniform_tensor(&[n, fine_columns], self.dtype, &self.device)?;
+                Some(if mip { sampling::stratified_u(&uniform)? } else { uniform })
+            }
+            (_, false) => Some(sampling::even_u(n, fine_columns, &t_coarse)?),
+        };
+        Ok(Chunk { rays, target, t_coarse, noise_coarse, noise_fine, u, share: 1.0, step, index: 0 })
+    }
+}

@@ -1,0 +1,19 @@
+//! Radiance fields: NeRF, MipNeRF and both with worst-case augmentation.
+//!
+//! A step is a clean pass, where asked for a search and a perturbed pass, and regularizers in space. Rays are worked
+//! through in chunks whose gradients add up: memory is bounded by the chunk, and small chunks stay in a processor's
+//! cache.
+
+mod chunk;
+mod diagnostics;
+mod learner;
+mod networks;
+mod passes;
+mod perturbed;
+mod regularized;
+mod results;
+
+pub use diagnostics::{AttackSummary, LevelDiagnostics, columns as diagnostic_columns};
+pub use learner::{FieldLearner, Learned, Volume};
+pub use networks::Model;
+pub use regularized::Balance;

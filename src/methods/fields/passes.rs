@@ -1,0 +1,146 @@
+//! The passes of a step through its rays, chunk by chunk.
+
+use candle_core::{DType, Tensor};
+use rayon::prelude::*;
+
+use crate::base::Result;
+use crate::methods::gradients::Gradients;
+use crate::render::{Pass, PassOutput, clean_pass, noiseless_acc, photometric_loss, resample};
+use crate::settings::{Config, Objective, PerturbKind};
+
+use super::chunk::Chunk;
+use super::learner::FieldLearner;
+use super::networks::Model;
+use super::results::ChunkResult;
+
+/// Parts of a step that threads share; each sums its gradients in place.
+const PARTS: usize = 16;
+
+impl FieldLearner {
+    /// All passes through the rays of a step, chunk by chunk.
+    pub(super) fn passes(&self, whole: &Chunk, log: bool) -> Result<ChunkResult> {
+        let size = self.config.train.chunk;
+        let starts: Vec<(usize, usize)> = (0..whole.rays.len()).step_by(size).enumerate().collect();
+        let prepared = self.model.prepared()?;
+        let work = |part: &[(usize, usize)]| -> Result<ChunkResult> {
+            let model = prepared.recording()?;
+            let mut sum: Option<ChunkResult> = None;
+            for &(index, start) in part {
+                let count = size.min(whole.rays.len() - start);
+                let chunk = self.work(&model, &whole.narrow(index, start, count)?, log)?;
+                match &mut sum {
+                    Some(sum) => sum.add(chunk)?,
+                    None => sum = Some(chunk),
+                }
+            }
+            let mut sum = sum.expect("a part has chunks");
+            sum.gradients.merge(Gradients(model.recorded()?))?;
+            Ok(sum)
+        };
+        // One thread a part: a chunk's tensors stay in its core's cache. Parts are the same whatever
+        // the number of threads, and the sums below are in their order: it changes no bit.
+        let parts: Vec<&[(usize, usize)]> = starts.chunks(starts.len().div_ceil(PARTS)).collect();
+        let parts: Result<Vec<ChunkResult>> = if self.device.is_cpu() {
+            parts.into_par_iter().map(work).collect()
+        } else {
+            parts.into_iter().map(work).collect()
+        };
+        let mut parts = parts?.into_iter();
+        let mut sum = parts.next().expect("a batch has rays");
+        for part in parts {
+            sum.add(part)?;
+        }
+        Ok(sum)
+    }
+
+    /// Everything that a step does with a chunk. Losses and gradients are
+    /// weighted with the chunk's share, so that chunks add up.
+    fn work(&self, model: &Model, chunk: &Chunk, log: bool) -> Result<ChunkResult> {
+        let (clean_weight, perturbed_weight) = mixing(&self.config);
+        let mut result = ChunkResult::new(self.variables.len());
+        let t_fine = self.clean(model, chunk, clean_weight, &mut result)?;
+        if self.config.method.is_augmented() {
+            let loss = if self.config.perturb.kind == PerturbKind::FreshJitter {
+                self.second_clean(model, chunk, perturbed_weight, &mut result.gradients)?
+            } else {
+                self.perturbed(model, chunk, t_fine.as_ref(), perturbed_weight, (&mut result, log))?
+            };
+            result.losses.perturbed = Some(loss);
+        }
+        Ok(result)
+    }
+
+    /// Clean passes of a chunk; returns the fine pass's samples.
+    pub(super) fn clean(
+        &self,
+        model: &Model,
+        chunk: &Chunk,
+        weight: f64,
+        result: &mut ChunkResult,
+    ) -> Result<Option<Tensor>> {
+        let coarse = clean_pass(&model.coarse, self.coarse_pass(chunk))?;
+        let weight = weight * chunk.share;
+        let coarse_weight = self.coarse_weight(model);
+        let loss = self.descend(&coarse, &chunk.target, weight * coarse_weight, &mut result.gradients)?;
+        result.losses.coarse = Some((loss * chunk.share)?);
+        let (Some(field), Some(u)) = (model.fine(), &chunk.u) else {
+            result.losses.largest_acc =
+                Some(largest(&noiseless_acc(&model.coarse, &coarse, self.coarse_pass(chunk))?)?);
+            return Ok(None);
+        };
+        let weights = &coarse.composite.weights;
+        let t_vals = resample(&model.coarse, &self.config.sampling, &chunk.t_coarse, weights, u)?;
+        drop(coarse);
+        let fine = clean_pass(field, self.fine_pass(chunk, &t_vals))?;
+        let loss = self.descend(&fine, &chunk.target, weight, &mut result.gradients)?;
+        result.losses.fine = Some((loss * chunk.share)?);
+        result.losses.largest_acc = Some(largest(&noiseless_acc(field, &fine, self.fine_pass(chunk, &t_vals))?)?);
+        Ok(Some(t_vals))
+    }
+
+    /// Weight of the coarse pass's loss; 1 where it is the only pass.
+    pub(super) fn coarse_weight(&self, model: &Model) -> f64 {
+        if model.fine().is_some() { self.config.train.coarse_weight } else { 1.0 }
+    }
+
+    pub(super) fn coarse_pass<'a>(&self, chunk: &'a Chunk) -> Pass<'a> {
+        Pass {
+            rays: &chunk.rays,
+            t_vals: &chunk.t_coarse,
+            density_noise: chunk.noise_coarse.as_ref(),
+            background: self.volume.background,
+            positions: None,
+        }
+    }
+
+    pub(super) fn fine_pass<'a>(&self, chunk: &'a Chunk, t_vals: &'a Tensor) -> Pass<'a> {
+        Pass { t_vals, density_noise: chunk.noise_fine.as_ref(), ..self.coarse_pass(chunk) }
+    }
+
+    /// Adds the gradients of `weight` times the photometric loss; returns the loss in f64.
+    pub(super) fn descend(
+        &self,
+        out: &PassOutput,
+        target: &Tensor,
+        weight: f64,
+        gradients: &mut Gradients,
+    ) -> Result<Tensor> {
+        let loss = photometric_loss(&out.composite.rgb, target)?;
+        gradients.add(&self.variables, &(&loss * weight)?.backward()?)?;
+        Ok(loss.detach().to_dtype(DType::F64)?)
+    }
+}
+
+/// Weights of clean and perturbed loss.
+pub(super) fn mixing(config: &Config) -> (f64, f64) {
+    let lambda = config.perturb.lambda;
+    match (config.method.is_augmented(), config.perturb.objective) {
+        (false, _) => (1.0, 0.0),
+        (true, Objective::Paper) => (1.0, lambda),
+        (true, Objective::Released) => (1.0 - lambda, lambda),
+    }
+}
+
+fn largest(tensor: &Tensor) -> Result<Tensor> {
+    Ok(tensor.flatten_all()?.max(0)?.to_dtype(DType::F64)?)
+}

@@ -1,0 +1,66 @@
+//! What chunks add to a step.
+
+use candle_core::Tensor;
+
+use crate::base::Result;
+use crate::base::tensors::sum;
+use crate::methods::gradients::Gradients;
+
+use super::diagnostics::Sums;
+
+/// What one chunk adds to a step.
+pub(super) struct ChunkResult {
+    pub(super) gradients: Gradients,
+    pub(super) losses: Losses,
+    pub(super) diagnostics: Sums,
+}
+
+/// Losses weighted with the chunk's share, and the largest accumulation of a ray: f64 scalars that stay on the device
+/// until the step is over.
+#[derive(Default)]
+pub(super) struct Losses {
+    pub(super) coarse: Option<Tensor>,
+    pub(super) fine: Option<Tensor>,
+    pub(super) perturbed: Option<Tensor>,
+    pub(super) largest_acc: Option<Tensor>,
+}
+
+impl ChunkResult {
+    pub(super) fn new(parameters: usize) -> ChunkResult {
+        ChunkResult { gradients: Gradients::none(parameters), losses: Losses::default(), diagnostics: Sums::default() }
+    }
+
+    pub(super) fn add(&mut self, other: ChunkResult) -> Result<()> {
+        self.gradients.merge(other.gradients)?;
+        self.losses.add(other.losses)?;
+        self.diagnostics.merge(other.diagnostics);
+        Ok(())
+    }
+}
+
+impl Losses {
+    fn add(&mut self, other: Losses) -> Result<()> {
+        self.coarse = sum(self.coarse.take(), other.coarse)?;
+        self.fine = sum(self.fine.take(), other.fine)?;
+        self.perturbed = sum(self.perturbed.take(), other.perturbed)?;
+        self.largest_acc = match (self.largest_acc.take(), other.largest_acc) {
+            (Some(a), Some(b)) => Some(a.maximum(&b)?),
+            (a, b) => a.or(b),
+        };
+        Ok(())
+    }
+
+    /// Loss of the clean passes, the coarse one weighted.
+    pub(super) fn clean(&self, coarse_weight: f64) -> Result<Option<Tensor>> {
+        let coarse = self.coarse.as_ref().map(|loss| loss * coarse_weight).transpose()?;
+        sum(coarse, self.fine.clone())
+    }
+
+    /// Coarse, fine and perturbed loss and the largest accumulation, in one transfer.
+    pub(super) fn read(self) -> Result<[Option<f64>; 4]> {
+        let all = [self.coarse, self.fine, self.perturbed, self.largest_acc];
+        let there: Vec<&Tensor> = all.iter().flatten().collect();
+        let mut values = Tensor::stack(&there, 0)?.to_vec1::<f64>()?.into_iter();
+        Ok(all.map(|tensor| tensor.and_then(|_| values.next())))
+    }
+}
