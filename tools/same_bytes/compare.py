@@ -1,0 +1,168 @@
+"""Compares what two programs left, byte for byte but for clocks, processes and the code's revision."""
+
+import difflib
+import json
+import re
+import struct
+from dataclasses import dataclass
+from fnmatch import fnmatchcase
+from itertools import zip_longest
+from pathlib import Path
+
+# Files that hold clocks and processes: their numbers do not count, their words do.
+CLOCKS = {"timing.json", "timing.csv", "run.lock"}
+NUMBER = re.compile(rb"-?\d+(\.\d+)?(e[+-]?\d+)?|null")
+EVENTS = re.compile(r"events\.out\.tfevents\.\d+\.(.*)\.\d+$")
+# Clocks in messages (folder `said`) and what stands for them.
+SAID = [
+    (re.compile(rb"(?m)^step \d+/\d+  .* rays/s  ETA .*\n"), b""),
+    (re.compile(rb"(\d+ steps, )\d+ s\)"), rb"\1SECONDS)"),
+    # `sweep plan`
+    (re.compile(rb" +[\d.]+ s/step +\d.* a point  .*"), b" COST"),
+    (re.compile(rb"(?m)^\d.* in all, one point after the other, and .* of memory"), b"COST of memory"),
+    # `bench`
+    (re.compile(rb'("(seconds_per_step|rays_per_second|(gemm_peak_)?gflops|share_of_peak|peak_memory_mib)":)[^,}]+'), rb"\1CLOCK"),
+]
+
+
+@dataclass
+class Difference:
+    """A file that differs: its differing lines from both sides, and words for a person."""
+
+    file: str
+    lines: list
+    words: str
+
+
+class Normaliser:
+    """Takes out of a file what two runs of one program may differ in."""
+
+    def __init__(self, revisions, workplaces):
+        names = b"|".join(re.escape(revision.encode()) for revision in revisions)
+        self.revision = re.compile(rb"\b(" + names + rb")(-dirty)?\b")
+        self.workplace = re.compile(b"|".join(re.escape(str(place).encode()) for place in workplaces))
+
+    def content(self, file):
+        """A file's bytes without its clocks, revisions and working folder."""
+        content = file.read_bytes()
+        if EVENTS.search(file.name):
+            return events(content)
+        content = self.workplace.sub(b"WORKPLACE", self.revision.sub(b"REVISION", content))
+        # A run that both programs worked on names both.
+        content = re.sub(rb'REVISION(?: \+ |",\s*")REVISION', b"REVISION", content)
+        if file.name in CLOCKS:
+            content = NUMBER.sub(b"0", content)
+        if file.parent.name == "said":
+            for pattern, instead in SAID:
+                content = pattern.sub(instead, content)
+        return content
+
+
+def events(content):
+    """Records of a TensorBoard file without wall times and the checksums over them."""
+    records, at = [], 0
+    while at < len(content):
+        (length,) = struct.unpack_from("<Q", content, at)
+        record = content[at + 12 : at + 12 + length]
+        # Field 1, a double, is the wall time and comes first.
+        records.append(record[9:] if record[:1] == b"\x09" else record)
+        at += 16 + length
+    return b"\0".join(records)
+
+
+def files(folder):
+    """Every file below `folder` by its name there, with event files' clocks and processes taken out of their names."""
+    found, counts = {}, {}
+    for path in sorted(path for path in folder.rglob("*") if path.is_file() or not any_file(path)):
+        name = EVENTS.sub(r"events.\1", str(path.relative_to(folder)))
+        counts[name] = counts.get(name, 0) + 1
+        found[name if counts[name] == 1 else f"{name}.{counts[name]}"] = path
+    return found
+
+
+def any_file(path):
+    """Whether a folder holds anything: an empty one counts as a file of its own."""
+    return any(path.iterdir()) if path.is_dir() else True
+
+
+def compare(old, new, normaliser):
+    """All differences between two folders."""
+    ours, theirs = files(old), files(new)
+    differences = []
+    for name in sorted({*ours, *theirs}):
+        if name not in theirs or name not in ours:
+            side = "old" if name in ours else "new"
+            differences.append(Difference(name, [f"only in the {side} program's output"], f"only in the {side} program's output"))
+            continue
+        a, b = ours[name], theirs[name]
+        if a.is_dir() or b.is_dir():
+            if a.is_dir() != b.is_dir():
+                differences.append(Difference(name, ["a folder on one side"], "a folder on one side"))
+            continue
+        a, b = normaliser.content(a), normaliser.content(b)
+        if a != b:
+            differences.append(describe(name, a, b))
+    return differences
+
+
+def describe(name, a, b):
+    """What differs between two contents: the first line where both are text, otherwise the first byte."""
+    try:
+        texts = [side.decode() for side in (a, b)]
+        binary = any("\0" in text for text in texts)
+    except UnicodeDecodeError:
+        binary = True
+    if binary:
+        at = next((i for i, (x, y) in enumerate(zip(a, b)) if x != y), min(len(a), len(b)))
+        words = f"byte {at} of {len(a)} (old), {len(b)} (new){tensor(a, at) if name.endswith('.safetensors') else ''}"
+        return Difference(name, [words], words)
+    a, b = (text.split("\n") for text in texts)
+    changed = [line for line in difflib.ndiff(a, b) if line[0] in "-+"] if len(a) + len(b) < 4000 else []
+    at, (x, y) = next((i, pair) for i, pair in enumerate(zip_longest(a, b)) if pair[0] != pair[1])
+    column = next((i for i, (c, d) in enumerate(zip(x or "", y or "")) if c != d), min(len(x or ""), len(y or "")))
+    begin = max(0, column - 60)
+    shown = [line[begin : begin + 140] if line is not None else "(the file ends)" for line in (x, y)]
+    words = f"line {at + 1}, column {column + 1}\n      old: {shown[0]}\n      new: {shown[1]}"
+    return Difference(name, [line[2:] for line in changed] or [x or "", y or ""], words)
+
+
+def tensor(content, at):
+    """The name of the tensor that byte `at` of a safetensors file belongs to."""
+    (length,) = struct.unpack_from("<Q", content)
+    if at < 8 + length:
+        return ", in the header"
+    header = json.loads(content[8 : 8 + length])
+    inside = (name for name, entry in header.items()
+              if name != "__metadata__" and entry["data_offsets"][0] <= at - 8 - length < entry["data_offsets"][1])
+    return f", in tensor {next(inside, 'none')}"
+
+
+@dataclass
+class Allowance:
+    """An intended difference."""
+
+    case: str
+    file: str
+    lines: str
+    reason: str
+    used: bool = False
+
+    def covers(self, case, difference):
+        """Whether the difference is the intended one."""
+        named = fnmatchcase(case, self.case) and fnmatchcase(difference.file, self.file)
+        return named and (self.lines == "*" or all(re.search(self.lines, line) for line in difference.lines))
+
+
+def read_allowances(path):
+    """Entries of the list of intended differences."""
+    if not path.exists():
+        return []
+    entries = []
+    for number, line in enumerate(path.read_text().splitlines(), 1):
+        if not line.strip() or line.startswith("#"):
+            continue
+        parts = [part.strip() for part in line.split(" | ")]
+        if len(parts) != 4 or not all(parts):
+            raise SystemExit(f"{path}, line {number}: write it as case | file | lines | reason")
+        entries.append(Allowance(*parts))
+    return entries
