@@ -34,10 +34,9 @@ fn step(criterion: &mut Criterion) {
         let mut config = Config { method, ..Config::default() };
         config.train.rays = 256;
         config.field.width = width;
-        config.resolve_kind(DataKind::Blender);
-        config.resolve_bounds(2.0, 6.0);
         config.train.collapse_steps = 0;
         config.train.dead_start_share = 0.0;
+        let config = config.resolve(DataKind::Blender, 2.0, 6.0).expect("valid settings");
         let mut trainer = Trainer::new(&config, &augnerf::bench::scene(), DType::F32, &Device::Cpu).expect("a trainer");
         group.bench_function(name, |bencher| bencher.iter(|| black_box(trainer.step(false).expect("a step"))));
     }

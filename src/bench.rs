@@ -9,7 +9,7 @@ use crate::base::{Error, Image, Result, revision};
 use crate::data::{Camera, Scene, View};
 use crate::field::work;
 use crate::runtime::peak_memory_mib;
-use crate::settings::{Config, DataKind, parse_assignment};
+use crate::settings::{DataKind, Resolved, parse_assignment};
 use crate::train::Trainer;
 
 /// Steps before the clock starts.
@@ -99,7 +99,7 @@ pub fn scene() -> Scene {
 impl Workload {
     /// The configuration: PyTorch's initial weights, Adam, no noise; otherwise the defaults, on an accelerator with all
     /// rays in one chunk; then the further settings.
-    pub fn config(&self, device: &Device) -> Result<Config> {
+    pub fn config(&self, device: &Device) -> Result<Resolved> {
         let own = ["method", "train.rays", "sampling.coarse", "sampling.fine", "field.width"];
         if let Some((path, _)) = self.set.iter().find(|(path, _)| own.contains(&path.join(".").as_str())) {
             return Err(Error::Config(format!("--set {}: bench has a flag of its own for it", path.join("."))));
@@ -125,11 +125,8 @@ impl Workload {
         let mut all = settings.iter().map(|text| parse_assignment(text)).collect::<Result<Vec<_>>>()?;
         all.extend(self.set.iter().cloned());
         let mut config = crate::settings::build(None, None, &all)?;
-        config.resolve_kind(DataKind::Blender);
         config.train.precrop_steps = Some(0);
-        config.resolve_bounds(2.0, 6.0);
-        config.validate()?;
-        Ok(config)
+        config.resolve(DataKind::Blender, 2.0, 6.0)
     }
 
     /// Takes the steps and times them.

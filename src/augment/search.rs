@@ -4,9 +4,9 @@ use candle_core::{Tensor, Var};
 
 use crate::augment::{Deltas, Sets};
 use crate::base::Result;
-use crate::settings::{LEVELS, Level, PerturbConfig, StepUnit};
+use crate::settings::{LEVELS, Level, ResolvedPerturb, StepUnit};
 
-/// Steps and step sizes of each level, from a resolved configuration.
+/// Steps and step sizes of each level.
 #[derive(Clone, Debug)]
 pub struct StepSizes {
     steps: [usize; 6],
@@ -15,12 +15,12 @@ pub struct StepSizes {
 }
 
 impl StepSizes {
-    /// Reads them from a resolved configuration.
-    pub fn new(config: &PerturbConfig) -> StepSizes {
+    /// Those of a configuration.
+    pub fn new(config: &ResolvedPerturb) -> StepSizes {
         StepSizes {
-            steps: LEVELS.map(|level| config.delta(level).steps.expect("resolved")),
-            step_sizes: LEVELS.map(|level| config.delta(level).step_size.expect("resolved")),
-            unit: config.step_unit.expect("resolved"),
+            steps: LEVELS.map(|level| config.delta(level).steps),
+            step_sizes: LEVELS.map(|level| config.delta(level).step_size),
+            unit: config.step_unit,
         }
     }
 }
@@ -82,11 +82,10 @@ mod tests {
         let mut config = PerturbConfig::default();
         config.xyz.steps = Some(steps);
         config.xyz.step_size = Some(0.1);
-        config.resolve(1.0);
         let radius = Tensor::new(&[[[0.5f64]]], &Device::Cpu).unwrap();
         let mut sets = Sets::default();
         sets.set(Level::Xyz, DeltaSet::new(norm, radius, &[1, 1, 3]));
-        (sets, StepSizes::new(&config))
+        (sets, StepSizes::new(&config.resolve(1.0)))
     }
 
     /// -|delta - peak|^2 is largest in the set at the projection of the peak.

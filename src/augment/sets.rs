@@ -5,7 +5,7 @@ use candle_core::{D, DType, Result as TensorResult, Tensor};
 use crate::augment::Deltas;
 use crate::base::Result;
 use crate::base::rng::Random;
-use crate::settings::{LEVELS, Level, Norm, Passes, PerturbConfig, Radius};
+use crate::settings::{LEVELS, Level, Norm, Passes, Radius, ResolvedPerturb};
 
 /// How random points of a set are drawn.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -193,15 +193,15 @@ fn l2_norm(delta: &Tensor) -> TensorResult<Tensor> {
 pub struct Sets([Option<DeltaSet>; 6]);
 
 impl Sets {
-    /// The sets that `config` (resolved) describes for a pass.
-    pub fn new(config: &PerturbConfig, pass: &PassGeometry) -> Result<Sets> {
+    /// The sets that `config` describes for a pass.
+    pub fn new(config: &ResolvedPerturb, pass: &PassGeometry) -> Result<Sets> {
         let PassGeometry { is_coarse, t_vals, samples, direction_norm, bounds: (near, far), .. } = *pass;
         let rays = t_vals.dim(0)?;
         let scalar = |value: f64| Tensor::new(value, t_vals.device())?.to_dtype(t_vals.dtype());
         let mut sets = Sets::default();
         for level in LEVELS {
             let delta = config.delta(level);
-            let epsilon = delta.epsilon.expect("resolved");
+            let epsilon = delta.epsilon;
             let takes_part = match delta.passes {
                 Passes::Both => true,
                 Passes::Coarse => is_coarse,
@@ -211,7 +211,7 @@ impl Sets {
             if !takes_part || epsilon == 0.0 {
                 continue;
             }
-            let norm = delta.norm.expect("resolved");
+            let norm = delta.norm;
             let set = match level {
                 Level::T => along_ray(t_vals, epsilon, near, far)?,
                 Level::Xyz => {

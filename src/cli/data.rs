@@ -97,7 +97,7 @@ impl CorruptArguments {
             return Err(Error::Config(message.into()));
         }
         let corruption = std::mem::take(&mut config.data.corruption);
-        let clean = load_scene(&mut config, &Screen::new(self.quiet))?;
+        let (config, clean) = load_scene(config, &Screen::new(self.quiet))?;
         let mut corrupted = clean.clone();
         corrupt(&mut corrupted, &corruption, config.seed)?;
         write_corrupted(&self.dir, &clean, &corrupted, config.seed)?;
@@ -113,8 +113,8 @@ impl CheckArguments {
             let dir = toml::Value::String(dir.to_string_lossy().into_owned());
             assignments.push((vec!["data".into(), "dir".into()], dir));
         }
-        let mut config = build(None, None, &assignments)?;
-        let scene = load_scene(&mut config, &Screen::new(self.quiet))?;
+        let config = build(None, None, &assignments)?;
+        let (config, scene) = load_scene(config, &Screen::new(self.quiet))?;
         let split = ("split".to_string(), split_name(&config));
         for (label, value) in scene.describe().into_iter().chain([split]) {
             print(&format!("{label:>16}  {value}"));

@@ -9,7 +9,7 @@ use crate::base::Result;
 use crate::data::Scene;
 use crate::methods::{AttackSummary, Model};
 use crate::run::{Protocol, Report, RunDir, Viewer, load_lpips, load_scene, run_config, surface_reference};
-use crate::settings::Config;
+use crate::settings::Resolved;
 use crate::train::checkpoint::{self, State};
 
 use super::progress::{Screen, print};
@@ -28,7 +28,7 @@ pub struct EvalArguments {
 /// A trained run, read back.
 pub struct Trained {
     pub run: RunDir,
-    pub config: Config,
+    pub config: Resolved,
     pub scene: Scene,
     pub state: State,
     pub model: Model,
@@ -50,7 +50,7 @@ impl Trained {
         let model = checkpoint::load_model(&newest, &config, DType::F32, device)?;
         checkpoint::check_config(&newest, &state, &config)?;
         state.touch(device);
-        let scene = load_scene(&mut config, screen)?;
+        let (config, scene) = load_scene(config, screen)?;
         Ok(Trained { run, config, scene, state, model })
     }
 }

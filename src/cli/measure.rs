@@ -127,7 +127,7 @@ impl BalanceArguments {
         }
         // Where terms are evaluated; the training itself is without any.
         let regularizer = std::mem::take(&mut config.regularizer);
-        let scene = load_scene(&mut config, &screen)?;
+        let (config, scene) = load_scene(config, &screen)?;
         Lattice { domain: regularizer.domain, side: regularizer.lattice }.check_meets(&scene, "regularizer.domain")?;
         let mut trainer = Trainer::new(&config, &scene, DType::F32, &device)?;
         trainer.check_duration(&regularizer, REGULARIZERS.len() as u64)?;

@@ -45,9 +45,9 @@ impl TrainArguments {
     pub fn run(self) -> Result<()> {
         let device = self.machine.device()?;
         let console = Console::new(self.machine.quiet);
-        let mut config = self.experiment.config()?;
+        let config = self.experiment.config()?;
         let lpips = load_lpips(&config.eval.lpips_weights, &device)?;
-        let scene = load_scene(&mut config, console.progress())?;
+        let (config, scene) = load_scene(config, console.progress())?;
         if self.print_config {
             print(config.to_toml().trim_end());
             return Ok(());
@@ -77,7 +77,7 @@ impl ResumeArguments {
         }
         config.eval.lpips_weights = self.sources.weights.or(&config);
         let lpips = load_lpips(&config.eval.lpips_weights, &device)?;
-        let scene = load_scene(&mut config, console.progress())?;
+        let (config, scene) = load_scene(config, console.progress())?;
         let job = Job::resume(run, config, (&scene, &lpips), experiment::Machine { device, name })?;
         console.say(&format!("{} goes on at step {}", self.run.display(), job.step_count()));
         train(job, &self.run, &console)

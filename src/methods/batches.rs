@@ -3,7 +3,7 @@
 use crate::base::rng::{Random, Stream};
 use crate::base::{Error, Result};
 use crate::data::{Camera, Ndc, RayBuffer, Scene};
-use crate::settings::{Batching, Config, PixelOrigin};
+use crate::settings::{Batching, Located, PixelOrigin};
 
 /// The training views' pixels and the order in which they are drawn. A batch is a function of the
 /// seed and the step.
@@ -32,12 +32,12 @@ pub struct Batch {
 impl Batches {
     /// Batches over the training views of `scene`. A batch larger than what it is drawn from is
     /// refused: it would be smaller than the configuration says.
-    pub fn new(config: &Config, scene: &Scene) -> Result<Batches> {
+    pub fn new(config: &Located, scene: &Scene) -> Result<Batches> {
         let batches = Batches {
             seed: config.seed,
             rays: config.train.rays,
-            batching: config.train.batching.expect("resolved"),
-            precrop_steps: config.train.precrop_steps.expect("resolved"),
+            batching: config.batching,
+            precrop_steps: config.precrop_steps,
             precrop_fraction: config.train.precrop_fraction,
             cameras: scene.train.iter().map(|view| view.camera).collect(),
             images: scene.train.iter().map(|view| view.image.pixels.clone()).collect(),
@@ -141,6 +141,7 @@ mod tests {
     use super::*;
     use crate::base::Image;
     use crate::data::View;
+    use crate::settings::{Config, DataKind};
 
     fn scene() -> Scene {
         let camera = |width, height| Camera {
@@ -175,9 +176,8 @@ mod tests {
         let mut config = Config::default();
         config.train.rays = rays;
         config.train.batching = Some(batching);
-        config.resolve_kind(crate::settings::DataKind::Blender);
         config.train.precrop_steps = Some(5);
-        Batches::new(&config, &scene()).unwrap()
+        Batches::new(&config.locate(DataKind::Blender).unwrap(), &scene()).unwrap()
     }
 
     #[test]

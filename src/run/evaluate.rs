@@ -14,7 +14,7 @@ use crate::data::{Camera, RayBuffer, Scene, View};
 use crate::methods::{AttackSummary, Model, Volume};
 use crate::metrics::{DepthMetrics, Lpips, MeanMetrics, ViewMetrics, measure};
 use crate::render::render_rays;
-use crate::settings::Config;
+use crate::settings::Resolved;
 use crate::space::Chamfer;
 
 /// One rendered view, row-major.
@@ -33,8 +33,8 @@ pub struct RenderedView {
 pub struct Viewer<'a> {
     /// The networks.
     pub model: &'a Model,
-    /// The resolved configuration that they were trained under.
-    pub config: &'a Config,
+    /// The configuration that they were trained under.
+    pub config: &'a Resolved,
     /// The scene.
     pub scene: &'a Scene,
     /// Where to compute.

@@ -19,7 +19,7 @@ use crate::run::{
     surface_reference,
 };
 use crate::runtime::{Host, Timing, host, peak_memory_mib};
-use crate::settings::{Config, scene_name};
+use crate::settings::{Config, Located, Resolved, scene_name};
 use crate::train::{StepStats, Trainer, checkpoint};
 
 /// Who is told how an experiment goes.
@@ -54,7 +54,7 @@ pub struct Job<'a> {
 /// Everything of a job but the trainer, which the session takes.
 struct Desk<'a> {
     run: RunDir,
-    config: Config,
+    config: Resolved,
     scene: &'a Scene,
     lpips: &'a [Lpips],
     machine: Machine,
@@ -76,7 +76,7 @@ pub struct Finished {
 }
 
 /// Finds the kind of scene and where it lies, and fills what depends on that.
-pub fn locate_scene(config: &mut Config) -> Result<()> {
+pub fn locate_scene(mut config: Config) -> Result<Located> {
     let kind = data::detect(&config.data)?;
     if !config.data.dir.is_empty() {
         // Found again from any working directory; `.` gets its real name.
@@ -93,17 +93,15 @@ pub fn locate_scene(config: &mut Config) -> Result<()> {
     if config.data.name.is_empty() {
         config.data.name = scene_name(&config.data.dir);
     }
-    config.resolve_kind(kind);
-    config.validate()
+    config.locate(kind)
 }
 
-/// Locates and loads the scene of a configuration, which is resolved with it.
-pub fn load_scene(config: &mut Config, progress: &dyn Progress) -> Result<Scene> {
-    locate_scene(config)?;
-    let mut scene = data::load(&config.data, config.seed, progress)?;
-    scene.name.clone_from(&config.data.name);
-    config.resolve_bounds(scene.near, scene.far);
-    Ok(scene)
+/// Locates and loads the scene of a configuration, which it resolves.
+pub fn load_scene(config: Config, progress: &dyn Progress) -> Result<(Resolved, Scene)> {
+    let located = locate_scene(config)?;
+    let mut scene = data::load(&located.data, located.seed, progress)?;
+    scene.name.clone_from(&located.data.name);
+    Ok((located.resolve(scene.near, scene.far), scene))
 }
 
 /// The resolved configuration of a run.
@@ -135,12 +133,12 @@ pub fn load_lpips(dir: &str, device: &Device) -> Result<Vec<Lpips>> {
 }
 
 impl<'a> Job<'a> {
-    /// A new run of a resolved configuration in `folder`. What can be refused is refused before
+    /// A new run of a configuration in `folder`. What can be refused is refused before
     /// `overwrite` deletes anything.
     pub fn create(
         folder: &Path,
         overwrite: bool,
-        config: Config,
+        config: Resolved,
         (scene, lpips): (&'a Scene, &'a [Lpips]),
         machine: Machine,
     ) -> Result<Job<'a>> {
@@ -167,7 +165,7 @@ impl<'a> Job<'a> {
     /// with the scene where it lies now.
     pub fn resume(
         run: RunDir,
-        config: Config,
+        config: Resolved,
         (scene, lpips): (&'a Scene, &'a [Lpips]),
         machine: Machine,
     ) -> Result<Job<'a>> {

@@ -7,8 +7,8 @@ use crate::data::Scene;
 use crate::methods::Model;
 use crate::settings::{
     Attack, Config, DataKind, DensityActivation, EvalSplit, Init, LEVELS, LatticePoints, Objective, OutputPlace,
-    Passes, PerturbConfig, PerturbField, PerturbKind, PixelOrigin, RegularizedFields, Resample, Schedule, StepUnit,
-    TrainConfig,
+    Passes, PerturbField, PerturbKind, PixelOrigin, RegularizedFields, Resample, Resolved, ResolvedPerturb, Schedule,
+    StepUnit,
 };
 use crate::train::checkpoint::State;
 
@@ -118,19 +118,18 @@ pub struct Protocol {
 }
 
 /// A learning rate and how it falls, in words.
-fn learning_rate(train: &TrainConfig) -> String {
+fn learning_rate(config: &Resolved) -> String {
+    let train = &config.train;
     let start = train.learning_rate;
     match train.schedule {
-        Schedule::Exponential => {
-            format!("{start}, times {} every {}", train.decay_rate, train.decay_steps.expect("resolved"))
-        }
+        Schedule::Exponential => format!("{start}, times {} every {}", train.decay_rate, config.decay_steps),
         Schedule::LogLinear => format!("{start} to {}", train.final_learning_rate),
     }
 }
 
 impl Protocol {
     /// The protocol of a run at a checkpoint's state.
-    pub fn new(config: &Config, scene: &Scene, state: &State) -> Protocol {
+    pub fn new(config: &Resolved, scene: &Scene, state: &State) -> Protocol {
         let camera = scene.test.first().or(scene.train.first()).map(|view| view.camera);
         let perturb = config.method.is_augmented().then_some(&config.perturb);
         let regularizer = Some(&config.regularizer).filter(|regularizer| !regularizer.kind.is_empty());
@@ -157,7 +156,7 @@ impl Protocol {
             levels: deltas.map(levels),
             attack: deltas.map(|perturb| perturb.attack),
             attack_numbers: deltas.map(attack_numbers),
-            step_unit: deltas.and_then(|perturb| perturb.step_unit),
+            step_unit: deltas.map(|perturb| perturb.step_unit),
             injection_layer: deltas.filter(|perturb| perturb.feature.on()).map(|perturb| perturb.injection_layer),
             perturb_field: perturb.map(|perturb| perturb.field),
             objective: perturb.map(|perturb| perturb.objective),
@@ -185,7 +184,7 @@ impl Protocol {
             samples_fine: config.sampling.fine,
             rays: config.train.rays,
             steps: state.step,
-            learning_rate: learning_rate(&config.train),
+            learning_rate: learning_rate(config),
             coarse_weight: config.train.coarse_weight,
             seed: config.seed,
             redraws: named.collect::<Vec<String>>().join(", "),
@@ -204,7 +203,7 @@ impl Protocol {
     }
 }
 
-fn levels(perturb: &PerturbConfig) -> String {
+fn levels(perturb: &ResolvedPerturb) -> String {
     let named =
         LEVELS.into_iter().filter(|&level| perturb.delta(level).on()).map(|level| match perturb.delta(level).passes {
             Passes::Coarse => format!("{}:coarse", level.name()),
@@ -214,12 +213,10 @@ fn levels(perturb: &PerturbConfig) -> String {
     named.collect::<Vec<String>>().join(" ")
 }
 
-fn attack_numbers(perturb: &PerturbConfig) -> String {
+fn attack_numbers(perturb: &ResolvedPerturb) -> String {
     let numbers = LEVELS.into_iter().filter(|&level| perturb.delta(level).on()).map(|level| {
         let delta = perturb.delta(level);
-        let text = |number: Option<f64>| number.map_or(String::new(), |number| number.to_string());
-        let steps = delta.steps.map_or(String::new(), |steps| steps.to_string());
-        format!("{} {steps}/{}/{}", level.name(), text(delta.step_size), text(delta.epsilon))
+        format!("{} {}/{}/{}", level.name(), delta.steps, delta.step_size, delta.epsilon)
     });
     numbers.collect::<Vec<String>>().join(", ")
 }

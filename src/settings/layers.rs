@@ -165,9 +165,8 @@ fn check_keys(layer: &Table, origin: &str) -> Result<()> {
 
 /// Every key that a configuration may hold, dotted.
 fn known_keys() -> Vec<String> {
-    let mut full = Config::default();
-    full.resolve_kind(super::DataKind::Blender);
-    full.resolve_bounds(2.0, 6.0);
+    let resolved = Config::default().resolve(super::DataKind::Blender, 2.0, 6.0).expect("defaults are valid");
+    let mut full = resolved.into_draft();
     full.data.near = Some(2.0);
     full.data.far = Some(6.0);
     full.eval.mesh.threshold = Some(25.0);
@@ -241,14 +240,13 @@ mod tests {
     #[test]
     fn the_released_presets_are_the_released_code() {
         for preset in [Preset::ReleasedLlff, Preset::ReleasedBlender] {
-            let mut config = build(Some(preset), None, &[]).unwrap();
-            config.perturb.resolve(0.1);
-            let p = &config.perturb;
+            let config = build(Some(preset), None, &[]).unwrap();
+            let p = config.perturb.clone().resolve(0.1);
             assert_eq!((p.lambda, p.injection_layer, p.perturb_last), (0.5, 8, true));
             assert_eq!(p.output, crate::settings::OutputPlace::Before);
             let numbers = |level| (p.delta(level).steps, p.delta(level).step_size, p.delta(level).epsilon);
             for level in [crate::settings::Level::Feature, crate::settings::Level::Density] {
-                assert_eq!(numbers(level), (Some(1), Some(1e-5), Some(1e-5)));
+                assert_eq!(numbers(level), (1, 1e-5, 1e-5));
             }
             assert!(!p.rgb.on() && !p.view.on() && !config.sampling.jitter);
         }

@@ -11,15 +11,17 @@ mod corruption;
 mod layers;
 mod perturb;
 mod regularizer;
+mod resolved;
 mod validate;
 
 pub use corruption::{CorruptionConfig, CorruptionKind};
 pub use layers::{Preset, build, data_section, parse_assignment};
 pub use perturb::{
     Attack, DeltaConfig, LEVELS, Level, Norm, Objective, OutputPlace, Passes, PerturbConfig, PerturbField, PerturbKind,
-    Radius, Resample, StepUnit,
+    Radius, Resample, ResolvedDelta, ResolvedPerturb, StepUnit,
 };
 pub use regularizer::{LatticePoints, REGULARIZERS, RegularizedFields, Regularizer, RegularizerConfig};
+pub use resolved::{Located, Resolved};
 pub use validate::{MESH_SIDES, validate_mesh, validate_regularizer};
 
 use crate::base::{Error, Result};
@@ -110,6 +112,15 @@ impl DataKind {
     /// Seen from the front only, which is where LLFF's defaults (noise, batches, decay) belong.
     pub fn forward_facing(self) -> bool {
         matches!(self, DataKind::Llff | DataKind::BuiltinForward)
+    }
+
+    /// The paper's `data.downscale`.
+    pub(super) fn downscale(self) -> u32 {
+        match self {
+            DataKind::Llff => 8,
+            DataKind::Blender => 2,
+            DataKind::Auto | DataKind::Transforms | DataKind::BuiltinBlender | DataKind::BuiltinForward => 1,
+        }
     }
 
     /// The name in files and tables.
@@ -519,29 +530,6 @@ impl Config {
     /// The configuration as TOML, every field written out.
     pub fn to_toml(&self) -> String {
         toml::to_string(self).expect("a configuration is plain data")
-    }
-
-    /// Fills the fields whose default depends on the kind of scene, and drops what has no effect.
-    pub fn resolve_kind(&mut self, kind: DataKind) {
-        let forward = kind.forward_facing();
-        self.data.kind = kind;
-        self.data.downscale.get_or_insert(match kind {
-            DataKind::Llff => 8,
-            DataKind::Blender => 2,
-            _ => 1,
-        });
-        self.sampling.density_noise.get_or_insert(if forward { 1.0 } else { 0.0 });
-        let batching =
-            *self.train.batching.get_or_insert(if forward { Batching::AllImages } else { Batching::OneImage });
-        self.train.decay_steps.get_or_insert(if forward { 250_000 } else { 500_000 });
-        self.train.precrop_steps.get_or_insert(if batching == Batching::OneImage { 500 } else { 0 });
-        self.regularizer.resolve();
-        self.data.corruption.resolve();
-    }
-
-    /// Fills the fields whose default depends on the scene's bounds (in the units of `t_vals`).
-    pub fn resolve_bounds(&mut self, near: f64, far: f64) {
-        self.perturb.resolve((far - near) / self.sampling.coarse as f64);
     }
 
     /// A 12-digit content hash of [`Config::portable`].

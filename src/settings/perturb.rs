@@ -1,5 +1,7 @@
 //! Section `perturb`: the three levels, six deltas, and how the worst case is searched.
 
+use std::ops::Deref;
+
 use serde::{Deserialize, Serialize};
 
 /// What fills the perturbed pass.
@@ -277,38 +279,94 @@ impl PerturbConfig {
     /// Fills every empty number from `attack`. `interval` is (far - near) / coarse samples in the
     /// units of `t_vals`: an output density of (4/255) / interval changes a coarse interval's
     /// opacity by about 4/255.
-    pub fn resolve(&mut self, interval: f64) {
+    pub fn resolve(mut self, interval: f64) -> ResolvedPerturb {
         let attack = self.attack;
-        self.step_unit.get_or_insert(match attack {
+        let step_unit = *self.step_unit.get_or_insert(match attack {
             Attack::Paper => StepUnit::Absolute,
             Attack::Calibrated => StepUnit::Relative,
         });
-        for level in LEVELS {
-            let delta = self.delta_mut(level);
-            let steps = *delta.steps.get_or_insert(match level {
-                Level::T | Level::Xyz | Level::View => 3,
-                Level::Feature | Level::Rgb | Level::Density => 1,
-            });
-            delta.epsilon.get_or_insert(match (attack, level) {
-                (Attack::Paper, Level::T) => 0.5,
-                (Attack::Calibrated, Level::T) => 0.25,
-                (_, Level::Xyz | Level::View) => 1.0,
-                (Attack::Paper, Level::Feature) => 1e-3,
-                (Attack::Calibrated, Level::Feature) => 1e-2,
-                (Attack::Paper, Level::Rgb | Level::Density) => 1e-5,
-                (Attack::Calibrated, Level::Rgb) => 4.0 / 255.0,
-                (Attack::Calibrated, Level::Density) => 4.0 / 255.0 / interval,
-            });
-            delta.norm.get_or_insert(if level == Level::Xyz { Norm::L2 } else { Norm::Linf });
-            delta.step_size.get_or_insert(match (attack, level) {
-                (Attack::Paper, Level::T | Level::Xyz | Level::View) => 1e-2,
-                (Attack::Paper, Level::Feature) => 1e-3,
-                (Attack::Paper, Level::Rgb | Level::Density) => 1e-5,
-                // 2.5 epsilon / steps; a step of zero length where no step is taken.
-                (Attack::Calibrated, _) if steps == 0 => 0.0,
-                // In radii, which is the only unit that validation lets it have.
-                (Attack::Calibrated, _) => 2.5 / steps as f64,
-            });
-        }
+        let deltas = LEVELS.map(|level| self.delta_mut(level).resolve(attack, level, interval));
+        ResolvedPerturb { config: self, step_unit, deltas }
+    }
+}
+
+/// Section `perturb` with every number filled in. It reads as the section, but for what was open there.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ResolvedPerturb {
+    config: PerturbConfig,
+    /// The unit of all step sizes.
+    pub step_unit: StepUnit,
+    deltas: [ResolvedDelta; 6],
+}
+
+impl ResolvedPerturb {
+    /// One delta.
+    pub fn delta(&self, level: Level) -> &ResolvedDelta {
+        &self.deltas[level as usize]
+    }
+
+    /// The section with every number filled in; it resolves to itself.
+    pub fn into_draft(self) -> PerturbConfig {
+        self.config
+    }
+}
+
+impl Deref for ResolvedPerturb {
+    type Target = PerturbConfig;
+
+    fn deref(&self) -> &PerturbConfig {
+        &self.config
+    }
+}
+
+/// One delta with its numbers; the units are those of [`DeltaConfig`].
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ResolvedDelta {
+    /// The passes it takes part in.
+    pub passes: Passes,
+    /// Ascent steps; 0 leaves the random start.
+    pub steps: usize,
+    /// Length of one step, in `step_unit`.
+    pub step_size: f64,
+    /// Size of the set; 0 is no perturbation.
+    pub epsilon: f64,
+    /// The set's norm.
+    pub norm: Norm,
+}
+
+impl ResolvedDelta {
+    /// Takes part in any pass.
+    pub fn on(&self) -> bool {
+        self.passes != Passes::Off
+    }
+}
+
+impl DeltaConfig {
+    fn resolve(&mut self, attack: Attack, level: Level, interval: f64) -> ResolvedDelta {
+        let steps = *self.steps.get_or_insert(match level {
+            Level::T | Level::Xyz | Level::View => 3,
+            Level::Feature | Level::Rgb | Level::Density => 1,
+        });
+        let epsilon = *self.epsilon.get_or_insert(match (attack, level) {
+            (Attack::Paper, Level::T) => 0.5,
+            (Attack::Calibrated, Level::T) => 0.25,
+            (_, Level::Xyz | Level::View) => 1.0,
+            (Attack::Paper, Level::Feature) => 1e-3,
+            (Attack::Calibrated, Level::Feature) => 1e-2,
+            (Attack::Paper, Level::Rgb | Level::Density) => 1e-5,
+            (Attack::Calibrated, Level::Rgb) => 4.0 / 255.0,
+            (Attack::Calibrated, Level::Density) => 4.0 / 255.0 / interval,
+        });
+        let norm = *self.norm.get_or_insert(if level == Level::Xyz { Norm::L2 } else { Norm::Linf });
+        let step_size = *self.step_size.get_or_insert(match (attack, level) {
+            (Attack::Paper, Level::T | Level::Xyz | Level::View) => 1e-2,
+            (Attack::Paper, Level::Feature) => 1e-3,
+            (Attack::Paper, Level::Rgb | Level::Density) => 1e-5,
+            // 2.5 epsilon / steps; a step of zero length where no step is taken.
+            (Attack::Calibrated, _) if steps == 0 => 0.0,
+            // In radii, which is the only unit that validation lets it have.
+            (Attack::Calibrated, _) => 2.5 / steps as f64,
+        });
+        ResolvedDelta { passes: self.passes, steps, step_size, epsilon, norm }
     }
 }

@@ -40,15 +40,10 @@ pub fn evaluations_per_step(config: &Config) -> f64 {
 
 /// Ascent steps of the search: a level with fewer waits for the one with most.
 fn search_steps(perturb: &PerturbConfig) -> u32 {
-    let mut resolved = perturb.clone();
     // Steps do not depend on the scene.
-    resolved.resolve(1.0);
-    LEVELS
-        .into_iter()
-        .filter(|&level| resolved.delta(level).on())
-        .filter_map(|level| resolved.delta(level).steps)
-        .max()
-        .unwrap_or(0) as u32
+    let resolved = perturb.clone().resolve(1.0);
+    let on = LEVELS.into_iter().map(|level| resolved.delta(level)).filter(|delta| delta.on());
+    on.map(|delta| delta.steps).max().unwrap_or(0) as u32
 }
 
 /// Forward pass, adjoint and the two products of its backward pass; the colour head counts as if it were there.
@@ -95,7 +90,7 @@ pub fn shape(config: &Config) -> String {
     if !shape.method.is_augmented() {
         shape.perturb = PerturbConfig::default();
     } else {
-        shape.perturb.resolve(1.0);
+        shape.perturb = shape.perturb.resolve(1.0).into_draft();
         shape.perturb.lambda = 0.1;
         for level in LEVELS {
             let delta = shape.perturb.delta_mut(level);

@@ -60,7 +60,7 @@ impl Point {
 /// Why there is no scene where a configuration looks for it. One that is there and broken fails
 /// its points instead.
 fn missing(config: &Config) -> Option<String> {
-    match locate_scene(&mut config.clone()) {
+    match locate_scene(config.clone()) {
         Err(Error::Data(message)) if !Path::new(&config.data.dir).exists() => Some(message),
         _ => None,
     }
@@ -151,23 +151,22 @@ impl Builder<'_> {
             );
             return Err(in_row(row, axes, Error::Config(message)));
         }
-        let mut located = config.clone();
-        let found = match locate_scene(&mut located) {
+        let located = match locate_scene(config.clone()) {
             Err(error @ Error::Config(_)) => return Err(in_row(row, axes, error)),
-            found => found.is_ok(),
+            located => located.ok(),
         };
         let budget = row.budget.as_ref().or(self.definition.budget.as_ref()).filter(|budget| budget.like != row.name);
-        if let Some(Budget { kind, like }) = budget.filter(|_| found) {
+        if let (Some(Budget { kind, like }), Some(located)) = (budget, &located) {
             let other = self.definition.row.iter().find(|row| row.name == *like).expect("checked");
             let steps = steps_within(*kind, &config, &self.plain_config(other, &Vec::new())?, self.costs)?;
             // The decay of the learning rate is stretched too: at the old one a long run would stand still at its end.
             let stretch = steps as f64 / config.train.steps as f64;
-            let decay_steps = located.train.decay_steps.expect("resolved") as f64 * stretch;
+            let decay_steps = located.decay_steps as f64 * stretch;
             config.train.decay_steps = Some((decay_steps.round() as u64).max(1));
             config.train.steps = steps;
             config.validate().map_err(|error| in_row(row, axes, error))?;
         }
-        let without_budget = budget.is_some() && !found;
+        let without_budget = budget.is_some() && located.is_none();
         Ok(Point {
             // Not the point that the row would be without its budget.
             id: config.hash() + if without_budget { "-without-budget" } else { "" },

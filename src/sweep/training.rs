@@ -13,7 +13,7 @@ use crate::run::{
     Finished, Job, Machine, Report, Reporter, RunDir, SmoothnessReport, Viewer, columns, locate_scene, run_config,
 };
 use crate::runtime::peak_memory_mib;
-use crate::settings::{Config, CorruptionConfig, DataConfig};
+use crate::settings::{Config, CorruptionConfig, DataConfig, Resolved};
 use crate::space::Lattice;
 use crate::train::{StepStats, Trainer};
 
@@ -57,9 +57,9 @@ impl<'a> Trainings<'a> {
         Trainings { machine, lpips, lpips_weights, smoothness, reporter, scenes: Mutex::default() }
     }
 
-    /// The scene of a configuration, which is resolved with it.
-    pub fn scene(&self, config: &mut Config) -> Result<Arc<Scene>> {
-        locate_scene(config)?;
+    /// The scene of a configuration, which it resolves.
+    pub fn scene(&self, config: Config) -> Result<(Resolved, Arc<Scene>)> {
+        let config = locate_scene(config)?;
         let corruption = config.data.corruption;
         let clean = DataConfig { corruption: CorruptionConfig::default(), ..config.data.clone() };
         let key = toml::to_string(&clean).expect("settings are plain data");
@@ -77,19 +77,18 @@ impl<'a> Trainings<'a> {
             }
         };
         drop(scenes);
-        config.resolve_bounds(scene.near, scene.far);
+        let config = config.resolve(scene.near, scene.far);
         if !corruption.is_on() {
-            return Ok(scene);
+            return Ok((config, scene));
         }
         let mut corrupted = Scene::clone(&scene);
         corrupt(&mut corrupted, &corruption, config.seed)?;
-        Ok(Arc::new(corrupted))
+        Ok((config, Arc::new(corrupted)))
     }
 
     /// A trainer of a configuration at step 0, for measurements.
-    pub fn trainer(&self, config: &Config) -> Result<(Trainer, Arc<Scene>, Config)> {
-        let mut config = config.clone();
-        let scene = self.scene(&mut config)?;
+    pub fn trainer(&self, config: &Config) -> Result<(Trainer, Arc<Scene>, Resolved)> {
+        let (config, scene) = self.scene(config.clone())?;
         Ok((Trainer::new(&config, &scene, DType::F32, &self.machine.device)?, scene, config))
     }
 }
@@ -159,7 +158,7 @@ impl Work for Trainings<'_> {
     fn run(&self, point: &Point, folder: &PointFolder, beat: &Beat, stop: &AtomicUsize) -> Result<PointResult> {
         let mut config = point.config.clone();
         config.eval.lpips_weights.clone_from(&self.lpips_weights);
-        let scene = self.scene(&mut config)?;
+        let (config, scene) = self.scene(config)?;
         let shared = (&*scene, self.lpips.as_slice());
         let path = folder.run();
         let job = match RunDir::open(&path) {
@@ -188,7 +187,7 @@ impl Work for Trainings<'_> {
 impl Trainings<'_> {
     fn result(
         &self,
-        config: &Config,
+        config: &Resolved,
         scene: &Scene,
         path: &std::path::Path,
         finished: &Finished,

@@ -14,7 +14,7 @@ use crate::base::files::{AtomicDir, clean_temporaries, write_atomic, write_json}
 use crate::base::{Error, Result, revision};
 use crate::data::Scene;
 use crate::methods::{FieldLearner, Model};
-use crate::settings::Config;
+use crate::settings::{Config, Resolved};
 
 use super::{Adam, Moments, Trainer};
 
@@ -238,7 +238,13 @@ impl Trainer {
     }
 
     /// Continues from a checkpoint folder.
-    pub fn resume(checkpoint: &Path, config: &Config, scene: &Scene, dtype: DType, device: &Device) -> Result<Trainer> {
+    pub fn resume(
+        checkpoint: &Path,
+        config: &Resolved,
+        scene: &Scene,
+        dtype: DType,
+        device: &Device,
+    ) -> Result<Trainer> {
         let state = load_state(checkpoint)?;
         check_config(checkpoint, &state, config)?;
         let names = Model::parameter_names(config);

@@ -5,7 +5,7 @@ use candle_core::{DType, Device, Tensor};
 use crate::base::{Error, Result};
 use crate::data::Scene;
 use crate::methods::{Balance, FieldLearner, Gradients, Learned, LevelDiagnostics, Model};
-use crate::settings::{Config, Regularizer, RegularizerConfig};
+use crate::settings::{Regularizer, RegularizerConfig, Resolved};
 
 pub mod checkpoint;
 mod optimizer;
@@ -50,7 +50,7 @@ impl StepStats {
 
 /// State of a run in memory.
 pub struct Trainer {
-    config: Config,
+    config: Resolved,
     device: Device,
     learner: FieldLearner,
     adam: Adam,
@@ -74,13 +74,13 @@ fn find_non_finite(tensors: &[Option<Tensor>], adam: &Adam) -> Result<Option<Str
 }
 
 impl Trainer {
-    /// A run at step 0. `config` is resolved. Dead starts are drawn again.
-    pub fn new(config: &Config, scene: &Scene, dtype: DType, device: &Device) -> Result<Trainer> {
+    /// A run at step 0.. Dead starts are drawn again.
+    pub fn new(config: &Resolved, scene: &Scene, dtype: DType, device: &Device) -> Result<Trainer> {
         let (learner, redraws) = FieldLearner::start(config, scene, dtype, device)?;
         Ok(Trainer { redraws, ..Trainer::with_learner(config, learner, device)? })
     }
 
-    fn with_learner(config: &Config, learner: FieldLearner, device: &Device) -> Result<Trainer> {
+    fn with_learner(config: &Resolved, learner: FieldLearner, device: &Device) -> Result<Trainer> {
         Ok(Trainer {
             device: device.clone(),
             adam: Adam::new(learner.model().variables())?,
@@ -95,7 +95,7 @@ impl Trainer {
     }
 
     /// The resolved configuration.
-    pub fn config(&self) -> &Config {
+    pub fn config(&self) -> &Resolved {
         &self.config
     }
 
@@ -131,7 +131,7 @@ impl Trainer {
             learned;
         let stats = StepStats {
             step: self.step + 1,
-            learning_rate: learning_rate(&self.config.train, self.step),
+            learning_rate: learning_rate(&self.config, self.step),
             loss_coarse,
             loss_fine,
             loss_perturbed,

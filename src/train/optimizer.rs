@@ -7,7 +7,7 @@ use pulp::Arch;
 use rayon::prelude::*;
 
 use crate::base::Result;
-use crate::settings::{Schedule, TrainConfig};
+use crate::settings::{Located, Schedule};
 
 const BETA1: f64 = 0.9;
 const BETA2: f64 = 0.999;
@@ -16,20 +16,21 @@ const EPSILON: f64 = 1e-8;
 /// The learning rate of the update that follows `step` finished ones. Exponential:
 /// learning_rate * decay_rate^(step / decay_steps). Log-linear (Barron et al. 2021): learning_rate^(1 - s) *
 /// final_learning_rate^s at the share s of the steps, times warmup_from + (1 - warmup_from) sin(pi/2 min(s / warmup_share, 1)).
-pub fn learning_rate(config: &TrainConfig, step: u64) -> f64 {
-    match config.schedule {
+pub fn learning_rate(config: &Located, step: u64) -> f64 {
+    let train = &config.train;
+    match train.schedule {
         Schedule::Exponential => {
-            let decay_steps = config.decay_steps.expect("resolved") as f64;
-            config.learning_rate * config.decay_rate.powf(step as f64 / decay_steps)
+            let decay_steps = config.decay_steps as f64;
+            train.learning_rate * train.decay_rate.powf(step as f64 / decay_steps)
         }
         Schedule::LogLinear => {
-            let done = step as f64 / config.steps as f64;
-            let course = config.learning_rate.powf(1.0 - done) * config.final_learning_rate.powf(done);
-            if done >= config.warmup_share {
+            let done = step as f64 / train.steps as f64;
+            let course = train.learning_rate.powf(1.0 - done) * train.final_learning_rate.powf(done);
+            if done >= train.warmup_share {
                 return course;
             }
-            let risen = (std::f64::consts::FRAC_PI_2 * done / config.warmup_share).sin();
-            course * (config.warmup_from + (1.0 - config.warmup_from) * risen)
+            let risen = (std::f64::consts::FRAC_PI_2 * done / train.warmup_share).sin();
+            course * (train.warmup_from + (1.0 - train.warmup_from) * risen)
         }
     }
 }

@@ -6,7 +6,9 @@ use augnerf::base::rng::{Random, Stream};
 use augnerf::data::{RayBuffer, Rays};
 use augnerf::field::Field;
 use augnerf::render::{Pass, Perturbation, clean_pass, perturbed_pass, photometric_loss, sampling};
-use augnerf::settings::{Attack, LEVELS, Level, Method, Norm, OutputPlace, PerturbConfig, PerturbField, PerturbKind};
+use augnerf::settings::{
+    Attack, LEVELS, Level, Method, Norm, OutputPlace, PerturbConfig, PerturbField, PerturbKind, ResolvedPerturb,
+};
 use candle_core::{DType, Device, Tensor, Var};
 use proptest::prelude::*;
 
@@ -32,7 +34,7 @@ struct Setting {
     noise: Tensor,
     target: Tensor,
     sets: Sets,
-    config: PerturbConfig,
+    config: ResolvedPerturb,
 }
 
 impl Setting {
@@ -82,7 +84,7 @@ impl Setting {
     }
 
     fn perturbation<'a>(&'a self, deltas: &'a Deltas) -> Perturbation<'a> {
-        let PerturbConfig { injection_layer, output, .. } = self.config;
+        let PerturbConfig { injection_layer, output, .. } = *self.config;
         Perturbation { deltas, sets: &self.sets, injection_layer, output }
     }
 
@@ -290,7 +292,7 @@ proptest! {
         let norm = Tensor::ones((1, 1), DType::F32, &CPU).unwrap();
         let mut config = PerturbConfig::default();
         config.t.epsilon = Some(0.5);
-        config.resolve(1.0);
+        let config = config.resolve(1.0);
         let pixel = PixelScale { width: 16.0, height: 16.0, focal: 20.0, ndc: true };
         let sets = Sets::new(&config, &geometry(&t_vals, &norm, (0.0, 1.0), 4, pixel)).unwrap();
         let set = sets.get(Level::T).unwrap();

@@ -12,7 +12,7 @@ use augnerf::compare::{
 use augnerf::data::Scene;
 use augnerf::metrics::{psnr, quantise};
 use augnerf::run::{RenderedView, Viewer};
-use augnerf::settings::{Config, Method, PixelOrigin};
+use augnerf::settings::{Config, Method, PixelOrigin, Resolved};
 use augnerf::train::checkpoint::State;
 use candle_core::Device;
 use tempfile::TempDir;
@@ -80,7 +80,7 @@ fn boxes_and_patches_lie_within_the_view() {
 
 /// A trained run in memory.
 struct Run {
-    config: Config,
+    config: Resolved,
     scene: Scene,
     trainer: augnerf::train::Trainer,
 }

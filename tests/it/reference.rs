@@ -158,7 +158,7 @@ impl Attack {
             let delta = config.delta_mut(level);
             (delta.steps, delta.step_size, delta.epsilon) = (Some(2), Some(step_size), Some(epsilon));
         }
-        config.resolve(1.0);
+        let config = config.resolve(1.0);
         // A focal length of 50 pixels makes the view's half pixel 0.01; the position's radius
         // (0.02 for every ray) is given outright.
         let pixel = PixelScale { width: 100.0, height: 100.0, focal: 50.0, ndc: false };

@@ -455,7 +455,7 @@ fn regularized(
     kind: Regularizer,
     weight: f64,
     change: impl FnOnce(&mut RegularizerConfig),
-) -> augnerf::settings::Config {
+) -> augnerf::settings::Resolved {
     tiny_config(Method::Nerf, |config| {
         config.regularizer.kind = vec![kind];
         config.regularizer.weight = vec![weight];
@@ -553,7 +553,7 @@ fn the_balance_is_a_ratio_of_gradient_norms_and_moves_nothing() {
 
 #[test]
 fn what_would_never_finish_or_meets_nothing_is_refused_with_words() {
-    let refused = |config: &augnerf::settings::Config| {
+    let refused = |config: &augnerf::settings::Resolved| {
         Trainer::new(config, &tiny_scene(), DType::F32, &CPU).err().expect("refused").to_string()
     };
     let far = regularized(Regularizer::Tv, 1.0, |regularizer| regularizer.domain = [[50.0; 3], [51.0; 3]]);

@@ -33,8 +33,7 @@ fn chunks_bound_memory_and_change_no_picture() {
     let trainer = trained(&config, 20);
     let scene = tiny_scene();
     let render = |chunk: usize| {
-        let mut config = config.clone();
-        config.eval.chunk = chunk;
+        let config = tiny_config(Method::Nerf, |config| config.eval.chunk = chunk);
         let camera: &Camera = &scene.test[0].camera;
         let viewer = Viewer { model: trainer.model(), config: &config, scene: &scene, device: &Device::Cpu };
         let view = viewer.render(camera).unwrap();
@@ -122,7 +121,7 @@ fn the_learning_rate_decays_exponentially() {
         config.train.decay_steps = Some(1000);
     });
     for (step, expected) in [(0, 5e-4), (1000, 5e-5), (500, 5e-4 * 0.1f64.sqrt())] {
-        assert!((learning_rate(&config.train, step) - expected).abs() < 1e-12);
+        assert!((learning_rate(&config, step) - expected).abs() < 1e-12);
     }
 }
 
@@ -138,20 +137,21 @@ fn the_log_linear_rate_warms_up_and_falls_evenly_in_its_logarithm() {
     let course = |step: f64| 5e-4 * 1e-2f64.powf(step / 1000.0);
     let risen = 0.01 + 0.99 * (std::f64::consts::FRAC_PI_2 / 2.0).sin();
     for (step, expected) in [(0, 5e-6), (50, course(50.0) * risen), (100, course(100.0)), (500, 5e-5), (1000, 5e-6)] {
-        assert!((learning_rate(&config.train, step) / expected - 1.0).abs() < 1e-12, "{step}");
+        assert!((learning_rate(&config, step) / expected - 1.0).abs() < 1e-12, "{step}");
     }
 }
 
 /// In NDC pixels are cylinders.
 #[test]
 fn mip_nerf_trains_on_a_forward_facing_scene() {
-    let mut config = tiny_config(Method::AugMipNerf, |config| {
+    let config = tiny_config(Method::AugMipNerf, |config| {
         config.sampling.density_noise = Some(1.0);
+        config.data.width = 24;
     });
-    (config.data.kind, config.data.width) = (DataKind::BuiltinForward, 24);
+    let config = config.into_draft().locate(DataKind::BuiltinForward).unwrap();
     let scene = augnerf::data::load(&config.data, 0, &()).unwrap();
     assert!(scene.ndc.is_some());
-    config.resolve_bounds(scene.near, scene.far);
+    let config = config.resolve(scene.near, scene.far);
     let mut trainer = Trainer::new(&config, &scene, DType::F32, &Device::Cpu).unwrap();
     let mut loss = || trainer.step(false).unwrap().loss_fine.unwrap();
     let early: f64 = (0..20).map(|_| loss()).sum();

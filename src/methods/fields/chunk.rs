@@ -66,7 +66,7 @@ impl FieldLearner {
         };
         let (near, far) = self.volume.bounds;
         let t_coarse = sampling::stratified(near, far, n, columns, jitter.as_ref(), &rays.origins)?;
-        let std = sampling.density_noise.expect("resolved");
+        let std = self.config.density_noise;
         let mut noise = |samples: usize| -> Result<Option<Tensor>> {
             if std == 0.0 {
                 return Ok(None);

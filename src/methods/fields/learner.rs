@@ -8,7 +8,7 @@ use crate::data::Scene;
 use crate::methods::batches::Batches;
 use crate::methods::gradients::Gradients;
 use crate::render::positions_at;
-use crate::settings::{Config, DensityActivation, Regularizer};
+use crate::settings::{DensityActivation, Regularizer, Resolved};
 
 use super::diagnostics::LevelDiagnostics;
 use super::networks::Model;
@@ -21,7 +21,7 @@ const MOST_REDRAWS: u64 = 100;
 
 /// Trains the fields of one experiment on one scene.
 pub struct FieldLearner {
-    pub(super) config: Config,
+    pub(super) config: Resolved,
     pub(super) volume: Volume,
     pub(super) device: Device,
     pub(super) dtype: DType,
@@ -77,7 +77,7 @@ pub struct Learned {
 
 impl FieldLearner {
     /// Goes on with `model` on the training views of `scene`.
-    pub fn new(config: &Config, scene: &Scene, model: Model, dtype: DType, device: &Device) -> Result<FieldLearner> {
+    pub fn new(config: &Resolved, scene: &Scene, model: Model, dtype: DType, device: &Device) -> Result<FieldLearner> {
         Ok(FieldLearner {
             config: config.clone(),
             volume: Volume::of(scene),
@@ -90,7 +90,7 @@ impl FieldLearner {
     }
 
     /// Draws the fields of a run, dead starts again, and returns how often each field of [`Model::roles`] was drawn again.
-    pub fn start(config: &Config, scene: &Scene, dtype: DType, device: &Device) -> Result<(FieldLearner, Vec<u64>)> {
+    pub fn start(config: &Resolved, scene: &Scene, dtype: DType, device: &Device) -> Result<(FieldLearner, Vec<u64>)> {
         if !config.regularizer.kind.is_empty() {
             regularized::lattice(&config.regularizer).check_meets(scene, "regularizer.domain")?;
         }

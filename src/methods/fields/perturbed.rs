@@ -137,7 +137,7 @@ impl FieldLearner {
 
     /// The pass with `deltas` through `field` (live or frozen).
     pub(super) fn run(&self, passing: &Perturbed, field: &Field, deltas: &Deltas) -> Result<PassOutput> {
-        let PerturbConfig { injection_layer, output, .. } = self.config.perturb;
+        let PerturbConfig { injection_layer, output, .. } = *self.config.perturb;
         perturbed_pass(field, passing.pass, Perturbation { deltas, sets: &passing.sets, injection_layer, output })
     }
 
@@ -180,7 +180,7 @@ impl FieldLearner {
         for level in LEVELS {
             let (Some(set), Some(used)) = (out.sets.get(level), out.used.get(level)) else {
                 // Switched on with a set of size 0: there is no perturbation, and no gain.
-                if self.config.perturb.delta(level).on() && self.config.perturb.delta(level).epsilon == Some(0.0) {
+                if self.config.perturb.delta(level).on() && self.config.perturb.delta(level).epsilon == 0.0 {
                     sums.add(level, share, 0.0, 0.0, None);
                 }
                 continue;

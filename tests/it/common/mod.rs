@@ -4,7 +4,7 @@ pub mod program;
 
 use augnerf::base::Image;
 use augnerf::data::{Camera, Scene, View};
-use augnerf::settings::{Config, DataKind, DensityActivation, Encoding, Method};
+use augnerf::settings::{Config, DataKind, DensityActivation, Encoding, Method, Resolved};
 use augnerf::train::Trainer;
 use candle_core::{DType, Device};
 
@@ -42,7 +42,7 @@ pub fn tiny_scene() -> Scene {
 }
 
 /// A resolved configuration that trains in milliseconds.
-pub fn tiny_config(method: Method, change: impl FnOnce(&mut Config)) -> Config {
+pub fn tiny_config(method: Method, change: impl FnOnce(&mut Config)) -> Resolved {
     let mut config = Config { method, ..Config::default() };
     config.field.width = 16;
     config.field.depth = 4;
@@ -65,14 +65,11 @@ pub fn tiny_config(method: Method, change: impl FnOnce(&mut Config)) -> Config {
     config.train.learning_rate = 5e-3;
     config.train.precrop_steps = Some(0);
     change(&mut config);
-    config.resolve_kind(DataKind::Blender);
-    config.resolve_bounds(2.0, 6.0);
-    config.validate().unwrap();
-    config
+    config.resolve(DataKind::Blender, 2.0, 6.0).unwrap()
 }
 
 /// A trainer on the tiny scene after `steps` steps.
-pub fn trained(config: &Config, steps: u64) -> Trainer {
+pub fn trained(config: &Resolved, steps: u64) -> Trainer {
     let mut trainer = Trainer::new(config, &tiny_scene(), DType::F32, &Device::Cpu).unwrap();
     for _ in 0..steps {
         trainer.step(false).unwrap();

@@ -1,0 +1,96 @@
+//! From a draft, [`Config`], to numbers: the scene's kind and then its bounds fill what a draft may leave empty.
+
+use std::ops::Deref;
+
+use super::{Batching, Config, DataKind, ResolvedPerturb};
+use crate::base::Result;
+
+/// A configuration whose scene is found. It reads as the draft that it fills in; what depends on the scene's kind stands
+/// beside it as plain values.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Located {
+    config: Config,
+    /// Standard deviation of the noise on raw density in training.
+    pub density_noise: f64,
+    /// Where a step's rays come from.
+    pub batching: Batching,
+    /// Steps in which an exponential learning rate falls by `train.decay_rate`.
+    pub decay_steps: u64,
+    /// Steps whose one-image batches come from the central part only.
+    pub precrop_steps: u64,
+}
+
+/// A configuration without open numbers: what is trained, and what stands in a run's `config.toml`.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Resolved {
+    located: Located,
+    /// Section `perturb` with every number filled in.
+    pub perturb: ResolvedPerturb,
+}
+
+impl Deref for Located {
+    type Target = Config;
+
+    fn deref(&self) -> &Config {
+        &self.config
+    }
+}
+
+impl Deref for Resolved {
+    type Target = Located;
+
+    fn deref(&self) -> &Located {
+        &self.located
+    }
+}
+
+impl Config {
+    /// Fills the fields whose default depends on the kind of scene, drops what has no effect, and checks the whole.
+    ///
+    /// # Errors
+    /// A setting out of range, or one that contradicts another or the kind of scene.
+    pub fn locate(mut self, kind: DataKind) -> Result<Located> {
+        let forward = kind.forward_facing();
+        self.data.kind = kind;
+        self.data.downscale.get_or_insert(kind.downscale());
+        let density_noise = *self.sampling.density_noise.get_or_insert(if forward { 1.0 } else { 0.0 });
+        let batching =
+            *self.train.batching.get_or_insert(if forward { Batching::AllImages } else { Batching::OneImage });
+        let decay_steps = *self.train.decay_steps.get_or_insert(if forward { 250_000 } else { 500_000 });
+        let precrop = if batching == Batching::OneImage { 500 } else { 0 };
+        let precrop_steps = *self.train.precrop_steps.get_or_insert(precrop);
+        self.regularizer.resolve();
+        self.data.corruption.resolve();
+        self.validate()?;
+        Ok(Located { config: self, density_noise, batching, decay_steps, precrop_steps })
+    }
+
+    /// [`Config::locate`] and [`Located::resolve`] for a scene whose kind and bounds are known.
+    ///
+    /// # Errors
+    /// Those of [`Config::locate`].
+    pub fn resolve(self, kind: DataKind, near: f64, far: f64) -> Result<Resolved> {
+        Ok(self.locate(kind)?.resolve(near, far))
+    }
+}
+
+impl Located {
+    /// Fills the fields whose default depends on the scene's bounds (in the units of `t_vals`).
+    pub fn resolve(mut self, near: f64, far: f64) -> Resolved {
+        let perturb = self.config.perturb.clone().resolve((far - near) / self.config.sampling.coarse as f64);
+        self.config.perturb = perturb.clone().into_draft();
+        Resolved { located: self, perturb }
+    }
+
+    /// The draft, filled in as far as it is.
+    pub fn into_draft(self) -> Config {
+        self.config
+    }
+}
+
+impl Resolved {
+    /// The draft with every number filled in; it resolves to itself.
+    pub fn into_draft(self) -> Config {
+        self.located.config
+    }
+}
