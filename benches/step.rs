@@ -21,8 +21,6 @@ use criterion::{Criterion, criterion_group, criterion_main};
 use rayon::prelude::*;
 
 fn step(criterion: &mut Criterion) {
-    augnerf::runtime::allocator::keep_freed_memory();
-    augnerf::cli::set_threads(None).expect("threads");
     let mut group = criterion.benchmark_group("step");
     group.sample_size(10).warm_up_time(Duration::from_secs(4)).measurement_time(Duration::from_secs(20));
     for (name, method, width) in [

@@ -7,16 +7,23 @@ use serde::Serialize;
 
 use crate::base::{Error, Image, Result, revision};
 use crate::data::{Camera, Scene, View};
-use crate::field::work;
-use crate::runtime::peak_memory_mib;
+use crate::field::peak_gflops;
+use crate::runtime::{Runtime, peak_memory_mib};
 use crate::settings::{DataKind, Resolved, parse_assignment};
 use crate::train::Trainer;
 
 /// Steps before the clock starts.
 const WARM_UP: usize = 2;
 
-/// What can be timed.
-pub const METHODS: [&str; 5] = ["nerf", "aug", "mip", "tv", "laplacian"];
+/// What can be timed: methods, and regularizers of NeRF, each with the name that it had before, if it had another.
+pub const METHODS: [(&str, Option<&str>); 6] = [
+    ("nerf", None),
+    ("aug-nerf", Some("aug")),
+    ("mip-nerf", Some("mip")),
+    ("aug-mip-nerf", None),
+    ("tv", None),
+    ("laplacian", None),
+];
 
 /// What a step is made of.
 #[derive(Clone, Debug, Serialize)]
@@ -116,11 +123,14 @@ impl Workload {
             settings.push(format!("train.chunk={}", self.rays));
         }
         match self.method.as_str() {
-            "nerf" => {}
             "aug" => settings.push("method=aug-nerf".into()),
             "mip" => settings.push("method=mip-nerf".into()),
+            method @ ("nerf" | "aug-nerf" | "mip-nerf" | "aug-mip-nerf") => settings.push(format!("method={method}")),
             term @ ("tv" | "laplacian") => settings.push(format!("regularizer.kind={term}")),
-            other => return Err(Error::Config(format!("--method {other}: choose one of {}", METHODS.join(", ")))),
+            other => {
+                let names = METHODS.map(|(name, _)| name).join(", ");
+                return Err(Error::Config(format!("--method {other}: choose one of {names}")));
+            }
         }
         let mut all = settings.iter().map(|text| parse_assignment(text)).collect::<Result<Vec<_>>>()?;
         all.extend(self.set.iter().cloned());
@@ -129,14 +139,22 @@ impl Workload {
         config.resolve(DataKind::Blender, 2.0, 6.0)
     }
 
-    /// Takes the steps and times them.
-    pub fn run(&self, device: &Device, device_name: &str) -> Result<Timed> {
+    /// Takes the steps on a runtime and times them.
+    ///
+    /// # Errors
+    /// Settings that are not allowed; training that goes non-finite.
+    pub fn run(&self, runtime: &Runtime) -> Result<Timed> {
+        runtime.install(|| self.run_here(runtime))
+    }
+
+    fn run_here(&self, runtime: &Runtime) -> Result<Timed> {
+        let device = runtime.device();
         let config = self.config(device)?;
         let mut trainer = Trainer::new(&config, &scene(), DType::F32, device)?;
         for _ in 0..WARM_UP {
             trainer.step(false)?;
         }
-        work::reset();
+        let before = runtime.work();
         let mut seconds = Vec::new();
         for _ in 0..self.steps {
             let started = Instant::now();
@@ -144,7 +162,7 @@ impl Workload {
             device.synchronize()?;
             seconds.push(started.elapsed().as_secs_f64());
         }
-        let done = work::done();
+        let done = runtime.work() - before;
         let fused = done.multiply_adds > 0;
         let memory = peak_memory_mib();
         let (coarse, fine) = config.samples();
@@ -152,12 +170,12 @@ impl Workload {
         let median = 0.5 * (seconds[(self.steps - 1) / 2] + seconds[self.steps / 2]);
         let multiply_adds = done.multiply_adds as f64 / self.steps as f64;
         let gflops = 2e-9 * multiply_adds / median;
-        let peak = fused.then(work::peak_gflops);
+        let peak = fused.then(peak_gflops);
         Ok(Timed {
             peer: format!("augnerf {}", revision()),
             workload: self.clone(),
-            threads: rayon::current_num_threads(),
-            device: device_name.to_string(),
+            threads: runtime.threads(),
+            device: runtime.name().to_string(),
             seconds_per_step: median,
             rays_per_second: self.rays as f64 / median,
             points_per_clean_pass: self.rays * (coarse + fine),

@@ -3,6 +3,5 @@
 use std::process::ExitCode;
 
 fn main() -> ExitCode {
-    augnerf::runtime::allocator::keep_freed_memory();
     augnerf::cli::main()
 }

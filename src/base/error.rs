@@ -46,21 +46,90 @@ pub enum Error {
 /// The result of everything in this crate that can fail.
 pub type Result<T> = std::result::Result<T, Error>;
 
-impl Error {
-    /// The process exit code of this class of error; docs/exit-codes.md lists them.
-    pub fn exit_code(&self) -> u8 {
+/// What kind of trouble an error is: the kinds that a script tells apart by the exit code.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Class {
+    /// See [`Error::Tensor`].
+    Internal,
+    /// See [`Error::Config`].
+    Config,
+    /// See [`Error::Data`].
+    Data,
+    /// See [`Error::Output`].
+    Output,
+    /// See [`Error::Checkpoint`].
+    Checkpoint,
+    /// See [`Error::Diverged`].
+    Diverged,
+    /// See [`Error::PointsFailed`].
+    PointsFailed,
+    /// See [`Error::PointsWithoutData`].
+    PointsWithoutData,
+    /// See [`Error::NotComparable`].
+    NotComparable,
+}
+
+impl Class {
+    /// All of them, in the order of their codes.
+    pub const ALL: [Class; 9] = [
+        Class::Internal,
+        Class::Config,
+        Class::Data,
+        Class::Output,
+        Class::Checkpoint,
+        Class::Diverged,
+        Class::PointsFailed,
+        Class::PointsWithoutData,
+        Class::NotComparable,
+    ];
+
+    /// The program's exit code, and what it means in a list of codes. There is no other such list.
+    const fn code(self) -> (u8, &'static str) {
         match self {
-            Error::Tensor(_) => 1,
-            Error::Config(_) => 2,
-            Error::Data(_) => 3,
-            Error::Output(_) => 4,
-            Error::Checkpoint(_) => 5,
-            Error::Diverged(_) => 6,
-            Error::PointsFailed(_) => 7,
-            Error::PointsWithoutData(_) => 8,
-            Error::NotComparable(_) => 9,
-            Error::Interrupted { signal, .. } => 128 + *signal as u8,
+            Class::Internal => (1, "internal error"),
+            Class::Config => (2, "wrong setting or usage"),
+            Class::Data => (3, "bad input data"),
+            Class::Output => (4, "output cannot be written or is in the way"),
+            Class::Checkpoint => (5, "bad checkpoint or run folder"),
+            Class::Diverged => (6, "training collapsed or went non-finite"),
+            Class::PointsFailed => (7, "points of a sweep failed"),
+            Class::PointsWithoutData => (8, "points of a sweep have no data"),
+            Class::NotComparable => (9, "rows of a table are not comparable"),
         }
+    }
+
+    /// The program's exit code.
+    pub const fn exit_code(self) -> u8 {
+        self.code().0
+    }
+
+    /// The code's meaning in a few words.
+    pub const fn words(self) -> &'static str {
+        self.code().1
+    }
+
+    /// The class that ends the program with this code.
+    pub fn of_exit_code(code: u8) -> Option<Class> {
+        Class::ALL.into_iter().find(|class| class.exit_code() == code)
+    }
+}
+
+impl Error {
+    /// The program's exit code (docs/exit-codes.md): that of the error's class, or 128 and the signal's number, as shells have it.
+    pub fn exit_code(&self) -> u8 {
+        let class = match self {
+            Error::Interrupted { signal, .. } => return 128 + *signal as u8,
+            Error::Tensor(_) => Class::Internal,
+            Error::Config(_) => Class::Config,
+            Error::Data(_) => Class::Data,
+            Error::Output(_) => Class::Output,
+            Error::Checkpoint(_) => Class::Checkpoint,
+            Error::Diverged(_) => Class::Diverged,
+            Error::PointsFailed(_) => Class::PointsFailed,
+            Error::PointsWithoutData(_) => Class::PointsWithoutData,
+            Error::NotComparable(_) => Class::NotComparable,
+        };
+        class.exit_code()
     }
 
     /// An input file that the operating system would not read.

@@ -11,7 +11,7 @@ use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
 
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use crate::base::{Error, Result};
 
@@ -33,6 +33,20 @@ pub fn write_json<T: Serialize>(path: &Path, value: &T) -> Result<()> {
         serde_json::to_vec_pretty(value).map_err(|error| Error::unwritable(path, &io::Error::from(error)))?;
     text.push(b'\n');
     write_atomic(path, &text)
+}
+
+/// What `path` holds as JSON; none where there is no such file. `advice` says what to do with a damaged one.
+///
+/// # Errors
+/// [`Error::Data`] for a file that the system does not read, [`Error::Checkpoint`] for one that is not what it should be.
+pub fn read_json<T: for<'de> Deserialize<'de>>(path: &Path, advice: &str) -> Result<Option<T>> {
+    let bytes = match fs::read(path) {
+        Ok(bytes) => bytes,
+        Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(None),
+        Err(error) => return Err(Error::unreadable(path, &error)),
+    };
+    let damaged = |error| Error::Checkpoint(format!("cannot read {}: {error}; {advice}", path.display()));
+    serde_json::from_slice(&bytes).map(Some).map_err(damaged)
 }
 
 fn try_write(path: &Path, bytes: &[u8]) -> io::Result<()> {

@@ -1,14 +1,14 @@
-//! What everything else stands on: errors, images, progress, random numbers, files, the code's revision.
+//! What everything else stands on: errors, events, images, random numbers, files, the code's revision.
 
 mod error;
+mod events;
 pub mod files;
 mod image;
-mod progress;
 pub mod revision;
 pub mod rng;
 pub mod tensors;
 
-pub use error::{Error, Result};
+pub use error::{Class, Error, Result};
+pub use events::{Event, Listener};
 pub use image::Image;
-pub use progress::Progress;
 pub use revision::{revision, version};

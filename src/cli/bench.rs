@@ -1,18 +1,19 @@
 //! `augnerf bench`.
 
 use clap::Args;
+use clap::builder::{PossibleValue, PossibleValuesParser};
 
 use crate::base::Result;
 use crate::bench::{METHODS, Workload};
 use crate::settings::parse_assignment;
 
-use super::Machine;
+use super::Compute;
 use super::progress::print;
 
 #[derive(Args)]
 pub struct BenchArguments {
-    /// nerf, aug, mip, tv or laplacian
-    #[arg(long, default_value = "nerf", value_parser = METHODS)]
+    /// nerf, aug-nerf, mip-nerf, aug-mip-nerf, or nerf with a regularizer: tv, laplacian
+    #[arg(long, default_value = "nerf", value_parser = methods())]
     method: String,
     /// Rays of a step
     #[arg(long, value_name = "N", default_value_t = 1024, value_parser = clap::value_parser!(u16).range(1..=4096))]
@@ -33,12 +34,12 @@ pub struct BenchArguments {
     #[arg(long, value_name = "FIELD=VALUE")]
     set: Vec<String>,
     #[command(flatten)]
-    machine: Machine,
+    compute: Compute,
 }
 
 impl BenchArguments {
     pub fn run(self) -> Result<()> {
-        let device = self.machine.device()?;
+        let runtime = self.compute.runtime()?;
         let workload = Workload {
             method: self.method,
             rays: self.rays.into(),
@@ -48,8 +49,13 @@ impl BenchArguments {
             steps: self.steps.into(),
             set: self.set.iter().map(|text| parse_assignment(text)).collect::<Result<_>>()?,
         };
-        let timed = workload.run(&device, self.machine.device.as_deref().unwrap_or("cpu"))?;
+        let timed = workload.run(&runtime)?;
         print(&serde_json::to_string(&timed).expect("plain data"));
         Ok(())
     }
+}
+
+/// The names, with those that they had before as hidden ones.
+fn methods() -> PossibleValuesParser {
+    METHODS.iter().map(|(name, before)| PossibleValue::new(name).aliases(*before)).collect::<Vec<_>>().into()
 }

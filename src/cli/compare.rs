@@ -2,18 +2,17 @@
 
 use std::path::{Path, PathBuf};
 
-use candle_core::Device;
 use clap::Args;
 
 use crate::base::files::AtomicDir;
 use crate::base::{Error, Result};
 use crate::compare::{Comparison, Contender, Window, check_box, check_fade, labels};
-use crate::run::{RunDir, Viewer, run_config};
+use crate::run::{RunDir, Trained, Viewer};
+use crate::runtime::Runtime;
 use crate::train::checkpoint;
 
-use super::eval::Trained;
-use super::progress::Screen;
-use super::{Machine, numbers};
+use super::progress::Console;
+use super::{Compute, numbers};
 
 /// Runs and the held-out view that they show.
 #[derive(Args)]
@@ -44,8 +43,8 @@ impl Runs {
     /// Hands each run to `make`, one at a time, after a check that it shows what the first one does.
     pub fn gather<T>(
         &self,
-        device: &Device,
-        screen: &Screen,
+        runtime: &Runtime,
+        console: &Console,
         make: impl Fn(&Viewer, &Contender) -> Result<T>,
     ) -> Result<Gathered<T>> {
         let (mut gathered, mut folders) = (Vec::<(Contender, T)>::new(), Vec::new());
@@ -53,19 +52,18 @@ impl Runs {
         // A folder without a trained run is refused before the first rendering.
         for run in &self.runs {
             let run = RunDir::open(run)?;
-            run_config(&run)?;
+            run.read_config()?;
             checkpoint::latest(&run.checkpoints())?;
         }
         for (run, label) in self.runs.iter().zip(labels) {
-            let Trained { run, config, scene, state, model } =
-                Trained::open(run, self.data.as_deref(), device, screen)?;
-            let viewer = Viewer { model: &model, config: &config, scene: &scene, device };
-            let contender = Contender::new(label, &viewer, &state, &self.view)?;
+            let trained = Trained::open(run, self.data.as_deref(), runtime, console)?;
+            let (viewer, state) = (trained.viewer(), &trained.state);
+            let contender = Contender::new(label, &viewer, state, &self.view)?;
             gathered.first().map_or(Ok(()), |(first, _)| contender.check_alike(first))?;
-            screen.say(&format!("{}: view {} at step {}", contender.label, contender.view.name, state.step));
+            console.say(&format!("{}: view {} at step {}", contender.label, contender.view.name, state.step));
             let made = make(&viewer, &contender)?;
             gathered.push((contender, made));
-            folders.push(run);
+            folders.push(trained.run);
         }
         Ok((gathered, folders))
     }
@@ -88,7 +86,7 @@ pub struct CompareArguments {
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
     #[command(flatten)]
-    machine: Machine,
+    compute: Compute,
 }
 
 impl CompareArguments {
@@ -97,20 +95,24 @@ impl CompareArguments {
             check_fade(self.runs.count())?;
         }
         let zoom = self.zoom.as_deref().map(parse_zoom).transpose()?;
-        let box_width = self.box_width.map(|width| width as usize);
         self.out.as_deref().map_or(Ok(()), AtomicDir::check_vacant)?;
-        let device = self.machine.device()?;
-        let screen = Screen::new(self.machine.quiet);
+        let runtime = self.compute.runtime()?;
+        runtime.install(|| self.compare(zoom, &runtime))
+    }
+
+    fn compare(&self, zoom: Option<Window>, runtime: &Runtime) -> Result<()> {
+        let console = Console::new(self.compute.quiet);
+        let box_width = self.box_width.map(|width| width as usize);
         let render = |viewer: &Viewer, run: &Contender| {
             check_box(zoom, box_width, &run.view.image)?;
             viewer.render(&run.view.camera)
         };
-        let (rendered, folders) = self.runs.gather(&device, &screen, render)?;
+        let (rendered, folders) = self.runs.gather(runtime, &console, render)?;
         let comparison = Comparison::new(rendered, zoom, box_width)?;
         let (folder, pictures) = pictures_folder(self.out.as_deref(), folders[0].renders().join("compare"))?;
         comparison.write(pictures.path(), self.gif)?;
         pictures.commit()?;
-        screen.say(&format!("pictures: {}", folder.display()));
+        console.say(&format!("pictures: {}", folder.display()));
         Ok(())
     }
 }

@@ -12,7 +12,7 @@ use crate::run::{load_scene, split_name, write_corrupted};
 use crate::settings::{build, parse_assignment};
 
 use super::experiment::Experiment;
-use super::progress::{Screen, print};
+use super::progress::{Console, print};
 
 #[derive(Subcommand)]
 pub enum DataCommand {
@@ -97,7 +97,7 @@ impl CorruptArguments {
             return Err(Error::Config(message.into()));
         }
         let corruption = std::mem::take(&mut config.data.corruption);
-        let (config, clean) = load_scene(config, &Screen::new(self.quiet))?;
+        let (config, clean) = load_scene(config, &Console::new(self.quiet))?;
         let mut corrupted = clean.clone();
         corrupt(&mut corrupted, &corruption, config.seed)?;
         write_corrupted(&self.dir, &clean, &corrupted, config.seed)?;
@@ -114,7 +114,7 @@ impl CheckArguments {
             assignments.push((vec!["data".into(), "dir".into()], dir));
         }
         let config = build(None, None, &assignments)?;
-        let (config, scene) = load_scene(config, &Screen::new(self.quiet))?;
+        let (config, scene) = load_scene(config, &Console::new(self.quiet))?;
         let split = ("split".to_string(), split_name(&config));
         for (label, value) in scene.describe().into_iter().chain([split]) {
             print(&format!("{label:>16}  {value}"));

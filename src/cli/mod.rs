@@ -4,10 +4,10 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 use std::str::FromStr;
 
-use candle_core::Device;
 use clap::{Args, Parser, Subcommand};
 
-use crate::base::{Error, Result};
+use crate::base::{Class, Error, Result};
+use crate::runtime::Runtime;
 use crate::settings::Config;
 
 mod bench;
@@ -28,15 +28,20 @@ mod train;
 ///
 /// Start with `augnerf train`: it needs no data and takes less than a minute.
 #[derive(Parser)]
-#[command(version, max_term_width = 100, after_help = EXIT_CODES)]
+#[command(version, max_term_width = 100, after_help = exit_codes())]
 struct Arguments {
     #[command(subcommand)]
     command: Command,
 }
 
-const EXIT_CODES: &str = "Exit codes: 0 done, 1 internal error, 2 wrong setting or usage, 3 bad input data, 4 output \
-cannot be written or is in the way, 5 bad checkpoint or run folder, 6 training collapsed or went non-finite, 7 points of a sweep failed, \
-8 points of a sweep have no data, 9 rows of a table are not comparable, 130 or 143 stopped by Ctrl-C or SIGTERM with a checkpoint (resume it).";
+/// What the exit codes mean, for `--help`.
+fn exit_codes() -> String {
+    let classes = Class::ALL.map(|class| format!("{} {}", class.exit_code(), class.words()));
+    format!(
+        "Exit codes: 0 done, {}, 130 or 143 stopped by Ctrl-C or SIGTERM with a checkpoint (resume it).",
+        classes.join(", ")
+    )
+}
 
 const TRAIN_EXAMPLES: &str = "Examples:
   augnerf train                                            the embedded scene, under a minute
@@ -133,7 +138,7 @@ enum Command {
 
 /// Where the numbers are computed; changes no setting of a run.
 #[derive(Args)]
-struct Machine {
+struct Compute {
     #[arg(long, value_name = "DEVICE", help = DEVICES)]
     device: Option<String>,
     /// Processor threads [default: all cores]
@@ -174,47 +179,18 @@ impl LpipsWeights {
     }
 }
 
-impl Machine {
-    /// Opens the device; sets the number of threads, which must happen before the first tensor.
-    fn device(&self) -> Result<Device> {
-        self.device_or("cpu")
+impl Compute {
+    /// The device and threads that are named.
+    fn runtime(&self) -> Result<Runtime> {
+        self.runtime_or("cpu")
     }
 
-    /// The same with another default.
-    fn device_or(&self, default: &str) -> Result<Device> {
-        set_threads(self.threads.map(usize::from))?;
-        let name = self.device.as_deref().unwrap_or(default);
-        let refuse = |found: String| Error::Config(format!("--device {name}: {found}"));
-        let (kind, index) = name.split_once(':').unwrap_or((name, "0"));
-        let index: usize = index.parse().map_err(|_| refuse(format!("'{index}' is not a device number")))?;
-        candle_core::cuda::set_gemm_reduced_precision_f32(kind == "cuda-tf32");
-        match kind {
-            "cpu" if name == "cpu" => Ok(Device::Cpu),
-            "cuda" | "cuda-tf32" if cfg!(feature = "cuda") => {
-                Device::new_cuda(index).map_err(|e| refuse(e.to_string()))
-            }
-            "metal" if cfg!(feature = "metal") => Device::new_metal(index).map_err(|e| refuse(e.to_string())),
-            "cuda" | "cuda-tf32" | "metal" => {
-                let feature = kind.trim_end_matches("-tf32");
-                Err(refuse(format!("this program was built without {feature}; build it with --features {feature}")))
-            }
-            _ => Err(refuse("choose cpu, cuda, cuda:N, cuda-tf32 or metal".into())),
-        }
+    /// The same with another default device.
+    fn runtime_or(&self, default: &str) -> Result<Runtime> {
+        let device = self.device.as_deref().unwrap_or(default);
+        // The sentences begin with what is called a flag here.
+        Runtime::new(device, self.threads.map(usize::from)).map_err(|error| Error::Config(format!("--{error}")))
     }
-}
-
-/// Sets up the threads, before the first tensor: `threads` of our own (default: all cores), each
-/// working on a chunk of rays of its own, and none inside tensor operations, where they would wait
-/// for one another more than they compute.
-pub fn set_threads(threads: Option<usize>) -> Result<()> {
-    // SAFETY: called at the start of the program's only thread.
-    unsafe {
-        std::env::set_var("RAYON_NUM_THREADS", "1");
-        std::env::set_var("CANDLE_NUM_THREADS", "1");
-    }
-    let threads = threads.unwrap_or_else(|| std::thread::available_parallelism().map_or(1, usize::from));
-    let pool = rayon::ThreadPoolBuilder::new().num_threads(threads);
-    pool.build_global().map_err(|e| Error::Config(format!("--threads {threads}: cannot start the threads: {e}")))
 }
 
 /// Exactly `N` numbers with commas between them.

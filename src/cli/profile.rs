@@ -8,10 +8,11 @@ use crate::base::files::AtomicDir;
 use crate::base::{Error, Result};
 use crate::compare::{Contender, Profile, Profiles, Window, check_overlay, patch_around};
 use crate::run::Viewer;
+use crate::runtime::Runtime;
 
 use super::compare::{Runs, pictures_folder};
-use super::progress::Screen;
-use super::{Machine, numbers};
+use super::progress::Console;
+use super::{Compute, numbers};
 
 #[derive(Args)]
 pub struct ProfileArguments {
@@ -27,7 +28,7 @@ pub struct ProfileArguments {
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
     #[command(flatten)]
-    machine: Machine,
+    compute: Compute,
 }
 
 impl ProfileArguments {
@@ -35,8 +36,12 @@ impl ProfileArguments {
         check_overlay(self.runs.count())?;
         self.out.as_deref().map_or(Ok(()), AtomicDir::check_vacant)?;
         let asked = self.pixel.as_deref().map(parse_pixel).transpose()?;
-        let device = self.machine.device()?;
-        let screen = Screen::new(self.machine.quiet);
+        let runtime = self.compute.runtime()?;
+        runtime.install(|| self.profile(asked, &runtime))
+    }
+
+    fn profile(&self, asked: Option<(usize, usize)>, runtime: &Runtime) -> Result<()> {
+        let console = Console::new(self.compute.quiet);
         let place = |run: &Contender| -> Result<((usize, usize), Window)> {
             let size = (run.view.camera.width, run.view.camera.height);
             let pixel = asked.unwrap_or((size.0 / 2, size.1 / 2));
@@ -46,12 +51,12 @@ impl ProfileArguments {
             let (pixel, patch) = place(run)?;
             Profile::measure(viewer, run, pixel, patch)
         };
-        let (runs, folders) = self.runs.gather(&device, &screen, measure)?;
+        let (runs, folders) = self.runs.gather(runtime, &console, measure)?;
         let (pixel, patch) = place(&runs[0].0)?;
         let (folder, pictures) = pictures_folder(self.out.as_deref(), folders[0].renders().join("profile"))?;
         Profiles { runs, pixel, patch }.write(pictures.path())?;
         pictures.commit()?;
-        screen.say(&format!("profile of pixel ({}, {}): {}", pixel.0, pixel.1, folder.display()));
+        console.say(&format!("profile of pixel ({}, {}): {}", pixel.0, pixel.1, folder.display()));
         Ok(())
     }
 }

@@ -1,14 +1,12 @@
 //! Progress bars on a terminal, plain lines elsewhere.
 
 use std::io::{IsTerminal, Write};
-use std::sync::Mutex;
+use std::sync::{Mutex, MutexGuard};
 use std::time::{Duration, Instant};
 
 use indicatif::{ProgressBar, ProgressStyle};
 
-use crate::base::Progress;
-use crate::run::Reporter;
-use crate::train::StepStats;
+use crate::base::{Event, Listener};
 
 /// Where there is no terminal, a line at most so often.
 const LINE_EVERY: Duration = Duration::from_secs(10);
@@ -24,122 +22,95 @@ pub fn print(text: &str) {
     let _ = writeln!(std::io::stdout(), "{text}");
 }
 
-/// Draws loading and rendering, on standard error.
-pub struct Screen {
-    quiet: bool,
-    bar: Mutex<ProgressBar>,
-}
-
-impl Screen {
-    /// A screen that shows nothing if `quiet`.
-    pub fn new(quiet: bool) -> Screen {
-        Screen { quiet, bar: Mutex::new(ProgressBar::hidden()) }
-    }
-
-    /// Prints a line unless quiet.
-    pub fn say(&self, line: &str) {
-        if !self.quiet {
-            report(line);
-        }
-    }
-}
-
-impl Progress for Screen {
-    fn start(&self, label: &str, total: u64) {
-        let mut bar = self.bar.lock().expect("no panic while drawing");
-        *bar = if self.quiet || !std::io::stderr().is_terminal() {
-            ProgressBar::hidden()
-        } else {
-            let style = ProgressStyle::with_template("{msg:>12} {wide_bar} {pos}/{len} ETA {eta}");
-            ProgressBar::new(total).with_style(style.expect("a valid template")).with_message(label.to_string())
-        };
-    }
-
-    fn advance(&self) {
-        self.bar.lock().expect("no panic while drawing").inc(1);
-    }
-
-    fn finish(&self) {
-        self.bar.lock().expect("no panic while drawing").finish_and_clear();
-    }
-}
-
-/// Tells a person at a terminal how one experiment goes.
+/// Shows a person what happens, on standard error.
 pub struct Console {
-    screen: Screen,
-    bar: Mutex<Option<TrainingBar>>,
+    quiet: bool,
+    /// Bars would get into each other's way where several trainings run at once.
+    bars: bool,
+    bar: Mutex<Option<Bar>>,
+}
+
+/// What is drawn at the moment.
+enum Bar {
+    Stretch(ProgressBar),
+    Training(TrainingBar),
 }
 
 impl Console {
     /// A console that shows nothing if `quiet`.
     pub fn new(quiet: bool) -> Console {
-        Console { screen: Screen::new(quiet), bar: Mutex::new(None) }
+        Console { quiet, bars: true, bar: Mutex::new(None) }
     }
 
-    fn bar(&self) -> std::sync::MutexGuard<'_, Option<TrainingBar>> {
+    /// The same for several trainings at once: sentences alone.
+    pub fn without_bars(quiet: bool) -> Console {
+        Console { bars: false, ..Console::new(quiet) }
+    }
+
+    /// Prints a sentence unless quiet.
+    pub fn say(&self, line: &str) {
+        match &*self.bar() {
+            Some(Bar::Training(bar)) => bar.say(line),
+            _ if self.quiet => {}
+            _ => report(line),
+        }
+    }
+
+    fn bar(&self) -> MutexGuard<'_, Option<Bar>> {
         self.bar.lock().expect("no panic while drawing")
     }
-}
 
-impl Reporter for Console {
-    fn say(&self, line: &str) {
-        match &*self.bar() {
-            Some(bar) => bar.say(line),
-            None => self.screen.say(line),
+    fn stretch(&self, what: &str, parts: u64) -> Bar {
+        if self.quiet || !std::io::stderr().is_terminal() {
+            return Bar::Stretch(ProgressBar::hidden());
+        }
+        let style = ProgressStyle::with_template("{msg:>12} {wide_bar} {pos}/{len} ETA {eta}");
+        let bar = ProgressBar::new(parts).with_style(style.expect("a valid template"));
+        Bar::Stretch(bar.with_message(what.to_string()))
+    }
+
+    fn draw(&self, event: Event<'_>) {
+        let mut bar = self.bar();
+        match (event, &mut *bar) {
+            (Event::Started { what, parts }, _) => *bar = Some(self.stretch(what, parts)),
+            (Event::Advanced, Some(Bar::Stretch(bar))) => bar.inc(1),
+            (Event::Finished, Some(Bar::Stretch(stretch))) => {
+                stretch.finish_and_clear();
+                *bar = None;
+            }
+            (Event::TrainingStarted { first, steps, rays }, _) => {
+                *bar = Some(Bar::Training(TrainingBar::new(self.quiet, first, steps, rays)));
+            }
+            (Event::Stepped { step, loss, psnr }, Some(Bar::Training(bar))) => bar.stepped(step, loss, psnr),
+            (Event::TrainingFinished, Some(Bar::Training(training))) => {
+                training.finish();
+                *bar = None;
+            }
+            _ => {}
         }
     }
+}
 
-    fn begin(&self, first: u64, total: u64, rays: usize) {
-        *self.bar() = Some(TrainingBar::new(self.screen.quiet, first, total, rays));
-    }
-
-    fn stepped(&self, stats: &StepStats) {
-        if let Some(bar) = &mut *self.bar() {
-            bar.stepped(stats.step, stats.loss, stats.psnr());
+impl Listener for Console {
+    fn on(&self, event: Event<'_>) {
+        match event {
+            Event::Note(line) => self.say(line),
+            Event::PointStarted { label, ended, points, steps } => {
+                self.say(&format!("[{}/{points}] {label} ({steps} steps)", ended + 1));
+            }
+            Event::PointFinished { label, psnr } => {
+                let psnr = psnr.map_or(String::new(), |psnr| format!(", PSNR {psnr:.2} dB"));
+                self.say(&format!("done: {label}{psnr}"));
+            }
+            Event::PointFailed { label, reason } => self.say(&format!("FAILED: {label}: {reason}")),
+            _ if self.bars => self.draw(event),
+            _ => {}
         }
-    }
-
-    fn trained(&self) {
-        if let Some(bar) = self.bar().take() {
-            bar.finish();
-        }
-    }
-
-    fn progress(&self) -> &dyn Progress {
-        &self.screen
-    }
-}
-
-/// Tells a person how several experiments at once go: lines, no bars.
-pub struct Lines {
-    screen: Screen,
-}
-
-impl Lines {
-    /// Lines that are not printed if `quiet`.
-    pub fn new(quiet: bool) -> Lines {
-        Lines { screen: Screen::new(quiet) }
-    }
-}
-
-impl Reporter for Lines {
-    fn say(&self, line: &str) {
-        self.screen.say(line);
-    }
-
-    fn begin(&self, _first: u64, _total: u64, _rays: usize) {}
-
-    fn stepped(&self, _stats: &StepStats) {}
-
-    fn trained(&self) {}
-
-    fn progress(&self) -> &dyn Progress {
-        &()
     }
 }
 
 /// Draws training: step, loss, PSNR, rays/s and ETA.
-pub struct TrainingBar {
+struct TrainingBar {
     quiet: bool,
     bar: Option<ProgressBar>,
     rays: f64,
@@ -151,7 +122,7 @@ pub struct TrainingBar {
 
 impl TrainingBar {
     /// A bar from step `first` to `total`, of `rays` rays each.
-    pub fn new(quiet: bool, first: u64, total: u64, rays: usize) -> TrainingBar {
+    fn new(quiet: bool, first: u64, total: u64, rays: usize) -> TrainingBar {
         let bar = (!quiet && std::io::stderr().is_terminal()).then(|| {
             let style = ProgressStyle::with_template("{msg} {wide_bar} {pos}/{len} ETA {eta}");
             let bar = ProgressBar::new(total).with_style(style.expect("a valid template")).with_position(first);
@@ -162,7 +133,7 @@ impl TrainingBar {
     }
 
     /// Shows a finished step.
-    pub fn stepped(&mut self, step: u64, loss: f64, psnr: Option<f64>) {
+    fn stepped(&mut self, step: u64, loss: f64, psnr: Option<f64>) {
         let done = step - self.first;
         let seconds = self.started.elapsed().as_secs_f64();
         let rate = done as f64 / seconds;
@@ -184,7 +155,7 @@ impl TrainingBar {
     }
 
     /// Prints a line above the bar.
-    pub fn say(&self, line: &str) {
+    fn say(&self, line: &str) {
         match &self.bar {
             Some(bar) => bar.println(line),
             None if self.quiet => {}
@@ -193,7 +164,7 @@ impl TrainingBar {
     }
 
     /// Takes the bar away.
-    pub fn finish(&self) {
+    fn finish(&self) {
         if let Some(bar) = &self.bar {
             bar.finish_and_clear();
         }

@@ -4,14 +4,14 @@ use std::path::PathBuf;
 
 use clap::{Args, ValueEnum};
 
-use crate::base::{Error, Progress, Result};
+use crate::base::{Error, Event, Listener, Result};
 use crate::data::Camera;
-use crate::run::{Pictures, Viewer, write_path};
+use crate::run::{Pictures, Trained, write_path};
+use crate::runtime::Runtime;
 
 use super::compare::pictures_folder;
-use super::eval::Trained;
-use super::progress::Screen;
-use super::{Machine, Sources};
+use super::progress::Console;
+use super::{Compute, Sources};
 
 #[derive(Args)]
 pub struct RenderArguments {
@@ -32,7 +32,7 @@ pub struct RenderArguments {
     #[command(flatten)]
     sources: Sources,
     #[command(flatten)]
-    machine: Machine,
+    compute: Compute,
 }
 
 #[derive(Clone, Copy, ValueEnum)]
@@ -48,25 +48,29 @@ impl RenderArguments {
         if !(self.fps.is_finite() && (0.1..=50.0).contains(&self.fps)) {
             return Err(Error::Config(format!("--fps {} is out of range: it must be 0.1 to 50", self.fps)));
         }
-        let device = self.machine.device()?;
-        let screen = Screen::new(self.machine.quiet);
-        let trained = Trained::open(&self.run, self.sources.data.as_deref(), &device, &screen)?;
+        let runtime = self.compute.runtime()?;
+        runtime.install(|| self.render(&runtime))
+    }
+
+    fn render(&self, runtime: &Runtime) -> Result<()> {
+        let console = Console::new(self.compute.quiet);
+        let trained = Trained::open(&self.run, self.sources.data.as_deref(), runtime, &console)?;
         let (scene, renders) = (&trained.scene, trained.run.renders());
         let default = match self.what {
             What::Path => renders.join("path"),
             What::Views => renders.join("views"),
         };
         let (folder, pictures_dir) = pictures_folder(self.out.as_deref(), default)?;
-        let viewer = Viewer { model: &trained.model, config: &trained.config, scene, device: &device };
+        let viewer = trained.viewer();
         let render = |camera: &Camera| {
             let rendered = viewer.render(camera);
-            screen.advance();
+            console.on(Event::Advanced);
             rendered
         };
         match self.what {
             What::Views => {
                 let pictures = Pictures::new(pictures_dir.path(), scene, scene.test.len());
-                screen.start("rendering", scene.test.len() as u64);
+                console.on(Event::Started { what: "rendering", parts: scene.test.len() as u64 });
                 for (index, view) in scene.test.iter().enumerate() {
                     pictures.write(index, view, &render(&view.camera)?)?;
                 }
@@ -77,14 +81,14 @@ impl RenderArguments {
                 if cameras.is_empty() {
                     return Err(Error::Data(format!("scene {} has no camera path; use --what views", scene.name)));
                 }
-                screen.start("rendering", cameras.len() as u64);
+                console.on(Event::Started { what: "rendering", parts: cameras.len() as u64 });
                 let frames = cameras.iter().map(render).collect::<Result<Vec<_>>>()?;
                 write_path(pictures_dir.path(), scene, &frames, self.fps)?;
             }
         }
         pictures_dir.commit()?;
-        screen.finish();
-        screen.say(&format!("pictures: {}", folder.display()));
+        console.on(Event::Finished);
+        console.say(&format!("pictures: {}", folder.display()));
         Ok(())
     }
 }

@@ -10,16 +10,17 @@ use crate::base::{Error, Result};
 use crate::metrics::Lpips;
 use crate::report::Status;
 use crate::report::tables::table_terminal;
-use crate::run::{Reporter, experiment, load_lpips};
+use crate::run::load_lpips;
+use crate::runtime::Runtime;
 use crate::settings::parse_assignment;
 use crate::sweep::{
-    Change, Collector, Cost, Definition, Failure, Options, Overrides, Point, PointResult, Runner, SMOOTHNESS_METRICS,
-    SweepFolder, Trainings, Watch, begin, expand, shape,
+    Change, Collector, Cost, Definition, Options, Overrides, Point, Runner, SMOOTHNESS_METRICS, SweepFolder, Trainings,
+    begin, expand, shape,
 };
 
-use super::progress::{Console, Lines, print};
+use super::progress::{Console, print};
 use super::train::catch_signals;
-use super::{LpipsWeights, Machine};
+use super::{Compute, LpipsWeights};
 
 const RUN_EXAMPLES: &str = "Examples:
   augnerf sweep run sweeps/smoke.toml                      two minutes on the embedded scene
@@ -120,10 +121,15 @@ impl Place {
 }
 
 impl Changes {
-    fn definition(self, place: &Place) -> Result<Definition> {
+    fn definition(&self, place: &Place) -> Result<Definition> {
         let mut definition = Definition::read(&place.file)?;
         let set = self.set.iter().map(|text| parse_assignment(text)).collect::<Result<Vec<_>>>()?;
-        definition.apply(Overrides { preset: self.preset, scenes: self.scenes, seeds: self.seeds, set })?;
+        definition.apply(Overrides {
+            preset: self.preset.clone(),
+            scenes: self.scenes.clone(),
+            seeds: self.seeds.clone(),
+            set,
+        })?;
         Ok(definition)
     }
 }
@@ -161,21 +167,24 @@ pub struct RunArguments {
     #[command(flatten)]
     weights: LpipsWeights,
     #[command(flatten)]
-    machine: Machine,
+    compute: Compute,
 }
 
 impl RunArguments {
     pub fn run(self) -> Result<()> {
-        let device = self.machine.device()?;
-        let quiet = self.machine.quiet;
-        let console: Box<dyn Reporter> =
-            if self.jobs == 1 { Box::new(Console::new(quiet)) } else { Box::new(Lines::new(quiet)) };
+        let runtime = self.compute.runtime()?;
+        runtime.install(|| self.run_points(&runtime))
+    }
+
+    fn run_points(&self, runtime: &Runtime) -> Result<()> {
+        let quiet = self.compute.quiet;
+        let console = if self.jobs == 1 { Console::new(quiet) } else { Console::without_bars(quiet) };
         let definition = self.changes.definition(&self.place)?;
         let folder = self.place.folder()?;
-        let weights = self.weights.lpips_weights.map(std::path::absolute).transpose();
+        let weights = self.weights.lpips_weights.as_ref().map(std::path::absolute).transpose();
         let weights = weights.map_err(|e| Error::Config(format!("--lpips-weights: {e}")))?;
         let weights = weights.map_or(String::new(), |dir| dir.to_string_lossy().into_owned());
-        let lpips = load_lpips(&weights, &device)?;
+        let lpips = load_lpips(&weights, runtime.device())?;
         let (measured, missing): (Vec<_>, Vec<_>) =
             definition.metrics.iter().cloned().partition(|metric| measurable(metric, &lpips));
         if !missing.is_empty() {
@@ -185,9 +194,8 @@ impl RunArguments {
                 missing.join(", ")
             ));
         }
-        let name = self.machine.device.clone().unwrap_or_else(|| "cpu".into());
         let smoothness = definition.metrics.iter().any(|metric| SMOOTHNESS_METRICS.contains(&metric.as_str()));
-        let trainings = Trainings::new(experiment::Machine { device, name }, (lpips, weights), smoothness, &*console);
+        let trainings = Trainings::new(runtime.clone(), (lpips, weights), smoothness, &console);
         let points = begin(&folder, &definition, self.place.data_root.as_deref(), self.extend, &trainings)?;
         let options = Options {
             jobs: usize::from(self.jobs),
@@ -197,8 +205,15 @@ impl RunArguments {
             remeasure: if self.remeasure { measured } else { Vec::new() },
         };
         let stop = catch_signals()?;
-        let watch = Announcer { console: &*console };
-        let runner = Runner { folder: &folder, points: &points, work: &trainings, options, watch: &watch, stop: &stop };
+        let runner = Runner {
+            folder: &folder,
+            points: &points,
+            runtime,
+            work: &trainings,
+            options,
+            events: &console,
+            stop: &stop,
+        };
         let ran = runner.run();
         let name = self.place.name()?;
         let collector = Collector {
@@ -256,28 +271,6 @@ fn summarise(folder: &SweepFolder, points: &[Point]) -> Result<()> {
         )));
     }
     Ok(())
-}
-
-/// Prints a line for each point.
-struct Announcer<'a> {
-    console: &'a dyn Reporter,
-}
-
-impl Watch for Announcer<'_> {
-    fn began(&self, point: &Point, ended: usize, points: usize) {
-        self.console.say(&format!("[{}/{points}] {} ({} steps)", ended + 1, point.label(), point.config.train.steps));
-    }
-
-    fn ended(&self, point: &Point, outcome: &std::result::Result<PointResult, Failure>) {
-        match outcome {
-            Ok(result) => {
-                let psnr = result.metrics.iter().find(|(name, _)| name == "psnr").and_then(|(_, value)| *value);
-                let psnr = psnr.map_or(String::new(), |psnr| format!(", PSNR {psnr:.2} dB"));
-                self.console.say(&format!("done: {}{psnr}", point.label()));
-            }
-            Err(failure) => self.console.say(&format!("FAILED: {}: {}", point.label(), failure.reason)),
-        }
-    }
 }
 
 /// Columns of the terminal; a file or a pipe gets lines that most screens show.
@@ -346,18 +339,20 @@ pub struct PlanArguments {
     #[command(flatten)]
     changes: Changes,
     #[command(flatten)]
-    machine: Machine,
+    compute: Compute,
 }
 
 impl PlanArguments {
     pub fn run(self) -> Result<()> {
-        let device = self.machine.device()?;
-        let console = Console::new(self.machine.quiet);
+        let runtime = self.compute.runtime()?;
+        runtime.install(|| self.plan(&runtime))
+    }
+
+    fn plan(&self, runtime: &Runtime) -> Result<()> {
+        let console = Console::new(self.compute.quiet);
         let definition = self.changes.definition(&self.place)?;
         let folder = self.place.folder()?;
-        let name = self.machine.device.clone().unwrap_or_else(|| "cpu".into());
-        let trainings =
-            Trainings::new(experiment::Machine { device, name }, (Vec::new(), String::new()), false, &console);
+        let trainings = Trainings::new(runtime.clone(), (Vec::new(), String::new()), false, &console);
         let data_root = self.place.data_root.as_deref();
         let points = match folder.points(data_root)? {
             Some(points) if folder.compare(&definition)? == Change::None => points,
@@ -474,10 +469,7 @@ fn states(folder: &SweepFolder, points: &[Point]) -> Result<(Vec<String>, usize)
                 let left = claim.seconds_left.map_or(String::new(), |left| format!(", {} left", duration(left)));
                 format!("step {} of {}{left} ({}, process {})", claim.step, claim.steps, claim.host, claim.pid)
             }
-            (Status::Done, _) => {
-                let psnr = state.result.metrics.iter().find(|(name, _)| name == "psnr").and_then(|(_, value)| *value);
-                psnr.map_or(String::new(), |psnr| format!("PSNR {psnr:.2} dB"))
-            }
+            (Status::Done, _) => state.result.metric("psnr").map_or(String::new(), |psnr| format!("PSNR {psnr:.2} dB")),
             _ => state.reason.clone(),
         };
         lines.push(format!("{:8} {} {}  {what}", state.status.name(), point.id, point.label()));

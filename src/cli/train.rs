@@ -7,12 +7,13 @@ use std::sync::atomic::AtomicUsize;
 use clap::Args;
 
 use crate::base::{Error, Result};
-use crate::run::{Finished, Job, Reporter, RunDir, experiment, load_lpips, load_scene, run_config};
+use crate::run::{Finished, Job, RunDir, Setup, load_lpips, load_scene};
+use crate::runtime::Runtime;
 use crate::settings::Config;
 
 use super::experiment::Experiment;
 use super::progress::{Console, print};
-use super::{Machine, Sources};
+use super::{Compute, Sources};
 
 #[derive(Args)]
 pub struct TrainArguments {
@@ -28,7 +29,7 @@ pub struct TrainArguments {
     #[arg(long)]
     print_config: bool,
     #[command(flatten)]
-    machine: Machine,
+    compute: Compute,
 }
 
 #[derive(Args)]
@@ -38,47 +39,48 @@ pub struct ResumeArguments {
     #[command(flatten)]
     sources: Sources,
     #[command(flatten)]
-    machine: Machine,
+    compute: Compute,
 }
 
 impl TrainArguments {
     pub fn run(self) -> Result<()> {
-        let device = self.machine.device()?;
-        let console = Console::new(self.machine.quiet);
+        let runtime = self.compute.runtime()?;
+        runtime.install(|| self.train(&runtime))
+    }
+
+    fn train(&self, runtime: &Runtime) -> Result<()> {
+        let console = Console::new(self.compute.quiet);
         let config = self.experiment.config()?;
-        let lpips = load_lpips(&config.eval.lpips_weights, &device)?;
-        let (config, scene) = load_scene(config, console.progress())?;
+        let lpips = load_lpips(&config.eval.lpips_weights, runtime.device())?;
+        let (config, scene) = load_scene(config, &console)?;
         if self.print_config {
             print(config.to_toml().trim_end());
             return Ok(());
         }
         let folder = self.out.clone().unwrap_or_else(|| default_folder(&config));
-        let machine = experiment::Machine { device, name: self.machine.device.unwrap_or_else(|| "cpu".into()) };
-        let job = Job::create(&folder, self.overwrite, config, (&scene, &lpips), machine)?;
-        train(job, &folder, &console)
+        let setup = Setup { config, scene: &scene, lpips: &lpips, runtime: runtime.clone() };
+        train(Job::create(&folder, self.overwrite, setup)?, &folder, &console)
     }
 }
 
 impl ResumeArguments {
     pub fn run(self) -> Result<()> {
-        let console = Console::new(self.machine.quiet);
-        let mut run = RunDir::open(&self.run)?;
-        run.lock()?;
-        run.clean()?;
-        let mut config = run_config(&run)?;
-        let name = match (&self.machine.device, experiment::read_timing(&run)?) {
-            (Some(name), _) => name.clone(),
-            (None, Some(timing)) => timing.device,
-            (None, None) => "cpu".into(),
-        };
-        let device = self.machine.device_or(&name)?;
+        let run = RunDir::take(&self.run)?;
+        let config = run.read_config()?;
+        let device = run.read_timing()?.map_or("cpu".into(), |timing| timing.device);
+        let runtime = self.compute.runtime_or(&device)?;
+        runtime.install(|| self.resume(run, config, &runtime))
+    }
+
+    fn resume(&self, run: RunDir, mut config: Config, runtime: &Runtime) -> Result<()> {
+        let console = Console::new(self.compute.quiet);
         if let Some(dir) = &self.sources.data {
             config.data.dir = dir.to_string_lossy().into_owned();
         }
         config.eval.lpips_weights = self.sources.weights.or(&config);
-        let lpips = load_lpips(&config.eval.lpips_weights, &device)?;
-        let (config, scene) = load_scene(config, console.progress())?;
-        let job = Job::resume(run, config, (&scene, &lpips), experiment::Machine { device, name })?;
+        let lpips = load_lpips(&config.eval.lpips_weights, runtime.device())?;
+        let (config, scene) = load_scene(config, &console)?;
+        let job = Job::resume(run, Setup { config, scene: &scene, lpips: &lpips, runtime: runtime.clone() })?;
         console.say(&format!("{} goes on at step {}", self.run.display(), job.step_count()));
         train(job, &self.run, &console)
     }

@@ -10,7 +10,7 @@ use image::{DynamicImage, ImageFormat, ImageReader};
 use rayon::prelude::*;
 
 use super::resample;
-use crate::base::{Error, Image, Progress, Result};
+use crate::base::{Error, Event, Image, Listener, Result};
 use crate::settings::DataConfig;
 
 /// Endings of files that count as images, lower case.
@@ -160,17 +160,17 @@ pub fn read(path: &Path, to: (usize, usize)) -> Result<Image> {
 pub(super) fn each<T: Send>(
     paths: &[PathBuf],
     label: &str,
-    progress: &dyn Progress,
+    events: &dyn Listener,
     read: impl Fn(usize, &Path) -> Result<T> + Sync,
 ) -> Result<Vec<T>> {
-    progress.start(label, paths.len() as u64);
+    events.on(Event::Started { what: label, parts: paths.len() as u64 });
     let work = |(i, path): (usize, &PathBuf)| {
         let result = read(i, path);
-        progress.advance();
+        events.on(Event::Advanced);
         result
     };
     let results: Vec<Result<T>> = paths.par_iter().enumerate().map(work).collect();
-    progress.finish();
+    events.on(Event::Finished);
     results.into_iter().collect()
 }
 
@@ -180,10 +180,10 @@ pub(super) fn read_all(
     to: (usize, usize),
     background: [f32; 3],
     label: &str,
-    progress: &dyn Progress,
+    events: &dyn Listener,
 ) -> Result<(Vec<Image>, bool)> {
     let read = |_, path: &Path| Ok(resample::composite(read(path, to)?, background));
-    let (images, clear): (Vec<Image>, Vec<bool>) = each(paths, label, progress, read)?.into_iter().unzip();
+    let (images, clear): (Vec<Image>, Vec<bool>) = each(paths, label, events, read)?.into_iter().unzip();
     Ok((images, clear.contains(&true)))
 }
 

@@ -22,7 +22,7 @@ pub use rays::{Footprint, RayBuffer, Rays};
 
 use sha2::{Digest, Sha256};
 
-use crate::base::{Error, Image, Progress, Result};
+use crate::base::{Error, Image, Listener, Result};
 use formats::{blender, builtin, llff, transforms};
 
 use crate::settings::{Background, DataConfig, DataKind, scene_name, short_hash};
@@ -97,11 +97,11 @@ impl Scene {
 
 /// Loads the scene that `config` names. Its kind must be settled ([`detect`]) and `downscale` filled. `seed` is that of
 /// the corruption of training views, where there is one.
-pub fn load(config: &DataConfig, seed: u64, progress: &dyn Progress) -> Result<Scene> {
+pub fn load(config: &DataConfig, seed: u64, events: &dyn Listener) -> Result<Scene> {
     let mut scene = match config.kind {
-        DataKind::Llff => llff::load(config, progress)?,
-        DataKind::Blender => blender::load(config, progress)?,
-        DataKind::Transforms => transforms::load(config, progress)?,
+        DataKind::Llff => llff::load(config, events)?,
+        DataKind::Blender => blender::load(config, events)?,
+        DataKind::Transforms => transforms::load(config, events)?,
         DataKind::BuiltinBlender | DataKind::BuiltinForward => builtin::load(config)?,
         DataKind::Auto => {
             return Err(Error::Config("data.kind = \"auto\" has to be settled before the scene is loaded".into()));

@@ -21,14 +21,15 @@ mod activation;
 mod dense;
 mod encoding;
 mod fused;
+mod peak;
 mod spatial;
-pub mod work;
 
 pub use dense::{dense, dense_reference};
 use encoding::Code;
 pub use encoding::{
     encode, encode_integrated, encode_integrated_reference, encode_reference, encoded_channels, integrated_channels,
 };
+pub(crate) use peak::peak_gflops;
 pub use spatial::{Cotangents, Spatial, spatial_reference};
 
 /// The values of a contiguous tensor on a processor, for operations of our own.

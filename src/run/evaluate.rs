@@ -9,7 +9,7 @@ use rayon::prelude::*;
 use serde::Serialize;
 
 use crate::base::files::{write_atomic, write_json};
-use crate::base::{Error, Image, Progress, Result};
+use crate::base::{Error, Event, Image, Listener, Result};
 use crate::data::{Camera, RayBuffer, Scene, View};
 use crate::methods::{AttackSummary, Model, Volume};
 use crate::metrics::{DepthMetrics, Lpips, MeanMetrics, ViewMetrics, measure};
@@ -85,12 +85,12 @@ impl Viewer<'_> {
     pub fn evaluate(
         &self,
         lpips: &[Lpips],
-        progress: &dyn Progress,
+        events: &dyn Listener,
         going: impl Fn() -> Result<()>,
         mut each: impl FnMut(usize, &View, &RenderedView) -> Result<()>,
     ) -> Result<Vec<ViewMetrics>> {
         let views = &self.scene.test;
-        progress.start("evaluating", views.len() as u64);
+        events.on(Event::Started { what: "evaluating", parts: views.len() as u64 });
         let mut metrics = Vec::with_capacity(views.len());
         for (index, view) in views.iter().enumerate() {
             going()?;
@@ -103,9 +103,9 @@ impl Viewer<'_> {
             }
             metrics.push(measured);
             each(index, view, &rendered)?;
-            progress.advance();
+            events.on(Event::Advanced);
         }
-        progress.finish();
+        events.on(Event::Finished);
         Ok(metrics)
     }
 }

@@ -6,8 +6,10 @@ use std::fs::{self, File, TryLockError};
 use std::io::{self, Read, Write};
 use std::path::{Path, PathBuf};
 
-use crate::base::files::{clean_temporaries, is_temporary, remove, write_synced};
+use crate::base::files::{clean_temporaries, is_temporary, read_json, remove, write_synced};
 use crate::base::{Error, Result};
+use crate::runtime::Timing;
+use crate::settings::Config;
 
 const CONFIG: &str = "config.toml";
 const METRICS_JSON: &str = "metrics.json";
@@ -59,19 +61,48 @@ impl RunDir {
         Ok(RunDir { path: path.to_path_buf(), lock: Some(lock) })
     }
 
+    /// Whether there is a run at `path`, begun at least.
+    pub fn holds_run(path: &Path) -> bool {
+        path.join(CONFIG).is_file()
+    }
+
     /// An existing run, to read from. Whoever goes on to train in it calls [`RunDir::lock`].
     pub fn open(path: &Path) -> Result<RunDir> {
         if !path.is_dir() {
             let found = if path.exists() { "not a folder" } else { "missing" };
             return Err(Error::Checkpoint(format!("cannot open run {}: it is {found}", path.display())));
         }
-        if !path.join(CONFIG).is_file() {
+        if !RunDir::holds_run(path) {
             return Err(Error::Checkpoint(format!(
                 "{} is not a run folder: it has no {CONFIG}; give the folder that `augnerf train --out` named",
                 path.display()
             )));
         }
         Ok(RunDir { path: path.to_path_buf(), lock: None })
+    }
+
+    /// An existing run for this process alone, with what a killed session left half-written put right.
+    ///
+    /// # Errors
+    /// Those of [`RunDir::open`]; a run that another process holds.
+    pub fn take(path: &Path) -> Result<RunDir> {
+        let mut run = RunDir::open(path)?;
+        run.lock()?;
+        run.clean()?;
+        Ok(run)
+    }
+
+    /// The settings that the run was begun with, resolved.
+    pub fn read_config(&self) -> Result<Config> {
+        let path = self.config();
+        let text =
+            fs::read_to_string(&path).map_err(|e| Error::Checkpoint(format!("cannot read {}: {e}", path.display())))?;
+        Config::from_toml(&text, &path.display().to_string())
+    }
+
+    /// What earlier sessions of the run took; none before its first checkpoint.
+    pub fn read_timing(&self) -> Result<Option<Timing>> {
+        read_json(&self.timing(), "delete it to go on")
     }
 
     /// Puts right what a killed session left half-written. Call it while holding the lock.

@@ -6,10 +6,13 @@
 //! `timing.json`, the event files under `tensorboard/` and `run.lock` hold clock times, host names
 //! or process numbers.
 
+mod balance;
 mod corruption;
 mod evaluate;
-pub mod experiment;
 pub mod folder;
+mod inputs;
+mod job;
+mod mesh;
 mod pictures;
 mod protocol;
 mod scalars;
@@ -17,15 +20,21 @@ mod session;
 mod smoothness;
 mod surface;
 pub mod tensorboard;
+mod trained;
 
+pub use balance::{BalancedWeight, balance};
 pub use corruption::write_corrupted;
 pub use evaluate::{RenderedView, Report, Viewer, columns};
-pub use experiment::{Finished, Job, Machine, Reporter, load_lpips, load_scene, locate_scene, read_timing, run_config};
 pub use folder::{RunDir, RunLock};
+pub use inputs::{load_lpips, load_scene, locate_scene};
+pub use job::{Finished, Job, Setup};
+pub use mesh::{MeshFormat, MeshOptions, MeshReport, named_mesh};
 pub use pictures::{Pictures, write_path};
 pub use protocol::{PROTOCOL, Protocol, split_name};
 pub use scalars::Scalars;
-pub use session::{EVALUATION_COLUMNS, Observer, Outcome, Session, interrupted};
-pub use smoothness::SmoothnessReport;
+pub use session::{Between, EVALUATION_COLUMNS, Outcome, Session, interrupted};
+pub use smoothness::{SmoothnessReport, check_measurable};
 pub use surface::{BUILTIN, most_memory_mib, reference_mesh, surface_box, surface_reference, surface_threshold};
 pub use tensorboard::EventWriter;
+use trained::Measurement;
+pub use trained::Trained;

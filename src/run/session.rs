@@ -3,21 +3,19 @@
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::{Duration, Instant};
 
-use crate::base::{Error, Image, Result};
+use crate::base::{Error, Event, Image, Listener, Result};
 use crate::run::{EventWriter, RunDir, Scalars};
 use crate::settings::{Config, LEVELS, PerturbKind, Regularizer};
 
 use crate::methods::diagnostic_columns;
 use crate::train::{StepStats, Trainer};
 
-/// Who is told how training goes. The library itself prints nothing.
-pub trait Observer {
-    /// A step is done. Called for every step.
-    fn stepped(&mut self, stats: &StepStats);
-    /// It is time for an evaluation during training; returns scalars to be logged. From the step before the
+/// What is done between steps.
+pub trait Between {
+    /// Evaluates during training; returns scalars to be logged. From the step before the
     /// trainer's a run can be resumed: a signal may end the evaluation with [`interrupted`].
     fn evaluate(&mut self, trainer: &Trainer) -> Result<Vec<(&'static str, f64)>>;
-    /// A checkpoint was written; `seconds` were spent on steps in this session so far.
+    /// Follows a checkpoint; `seconds` were spent on steps in this session so far.
     fn saved(&mut self, step: u64, seconds: f64) -> Result<()>;
 }
 
@@ -121,7 +119,7 @@ impl<'a> Session<'a> {
 
     /// Trains to the last step, or until `signal` holds a signal's number. Checkpoints are written
     /// every N steps, every T minutes, before a step that is evaluated, at a stop and at the end.
-    pub fn run(&mut self, signal: &AtomicUsize, observer: &mut dyn Observer) -> Result<Outcome> {
+    pub fn run(&mut self, signal: &AtomicUsize, events: &dyn Listener, between: &mut dyn Between) -> Result<Outcome> {
         let train = self.trainer.config().train.clone();
         let mut saved_at = Instant::now();
         // Where the session starts from: a checkpoint, or step 0, which is a function of the configuration.
@@ -134,22 +132,22 @@ impl<'a> Session<'a> {
             let evaluate = next.is_multiple_of(train.eval_every) && !last;
             if evaluate && saved_step != next - 1 {
                 // The row of a step is written once, evaluation included: stopped there, the step is taken again.
-                self.save(observer)?;
+                self.save(between)?;
                 (saved_at, saved_step) = (Instant::now(), next - 1);
             }
             let started = Instant::now();
             let stats = self.trainer.step(log)?;
             self.stepping += started.elapsed();
             if log || evaluate {
-                self.log(&stats, evaluate, observer)?;
+                self.log(&stats, evaluate, between)?;
             }
-            observer.stepped(&stats);
+            events.on(Event::Stepped { step: stats.step, loss: stats.loss, psnr: stats.psnr() });
             let by_step = next.is_multiple_of(train.checkpoint_every);
             let minutes = saved_at.elapsed().as_secs_f64() / 60.0;
             let by_time = train.checkpoint_minutes > 0.0 && minutes >= train.checkpoint_minutes;
             let stop = signal.load(Ordering::SeqCst);
             if by_step || by_time || last || stop != 0 {
-                self.save(observer)?;
+                self.save(between)?;
                 (saved_at, saved_step) = (Instant::now(), next);
             }
             if stop != 0 && !last {
@@ -159,10 +157,10 @@ impl<'a> Session<'a> {
         Ok(Outcome::Finished)
     }
 
-    fn log(&mut self, stats: &StepStats, evaluate: bool, observer: &mut dyn Observer) -> Result<()> {
+    fn log(&mut self, stats: &StepStats, evaluate: bool, between: &mut dyn Between) -> Result<()> {
         let mut values = values(stats);
         if evaluate {
-            values.extend(observer.evaluate(&self.trainer)?.into_iter().map(|(name, value)| (name.to_string(), value)));
+            values.extend(between.evaluate(&self.trainer)?.into_iter().map(|(name, value)| (name.to_string(), value)));
         }
         let named: Vec<(&str, f64)> = values.iter().map(|(name, value)| (name.as_str(), *value)).collect();
         self.scalars.append(stats.step, &named)?;
@@ -172,10 +170,10 @@ impl<'a> Session<'a> {
         self.events.scalars(stats.step, &tagged)
     }
 
-    fn save(&mut self, observer: &mut dyn Observer) -> Result<()> {
+    fn save(&mut self, between: &mut dyn Between) -> Result<()> {
         self.scalars.sync()?;
         self.trainer.save(&self.run.checkpoints())?;
-        observer.saved(self.trainer.step_count(), self.seconds())
+        between.saved(self.trainer.step_count(), self.seconds())
     }
 }
 

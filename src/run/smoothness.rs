@@ -7,14 +7,15 @@ use candle_core::{DType, Device};
 use serde::Serialize;
 
 use crate::base::files::write_atomic;
-use crate::base::{Error, Progress, Result};
+use crate::base::{Error, Event, Listener, Result};
 use crate::data::Scene;
 use crate::losses::{Smoothness, estimate_seconds, measure};
 use crate::methods::Model;
+use crate::settings::Config;
 use crate::space::{Lattice, chunk_count};
 
 use super::evaluate::csv_text;
-use super::{Protocol, columns};
+use super::{Protocol, Trained, columns};
 
 /// A measurement that would take longer is refused.
 const MOST_HOURS: f64 = 12.0;
@@ -51,7 +52,7 @@ impl SmoothnessReport {
         lattice: &Lattice,
         protocol: Protocol,
         device: &Device,
-        progress: &dyn Progress,
+        events: &dyn Listener,
     ) -> Result<SmoothnessReport> {
         lattice.check_meets(scene, "--bbox")?;
         let fields: Vec<_> = model.fields().into_iter().filter(|(role, _)| *role != "adversarial").collect();
@@ -65,9 +66,10 @@ impl SmoothnessReport {
                 lattice.cells()
             )));
         }
-        progress.start("measuring", (fields.len() * chunk_count(lattice.cells(), device)) as u64);
+        let parts = (fields.len() * chunk_count(lattice.cells(), device)) as u64;
+        events.on(Event::Started { what: "measuring", parts });
         let measured = fields.into_iter().map(|(role, field)| {
-            let smoothness = measure(field, lattice, (DType::F32, device), || progress.advance())?;
+            let smoothness = measure(field, lattice, (DType::F32, device), || events.on(Event::Advanced))?;
             if !smoothness.l1.is_finite() || !smoothness.laplacian.is_finite() {
                 return Err(Error::Diverged(format!(
                     "the density of the {role} field is not a number: its weights are broken"
@@ -81,7 +83,7 @@ impl SmoothnessReport {
             })
         });
         let fields = measured.collect::<Result<Vec<_>>>()?;
-        progress.finish();
+        events.on(Event::Finished);
         Ok(SmoothnessReport { fields, protocol })
     }
 
@@ -93,5 +95,38 @@ impl SmoothnessReport {
             row
         });
         write_atomic(path, &csv_text(rows, path)?)
+    }
+}
+
+/// Refuses a run that has no such numbers.
+///
+/// # Errors
+/// [`Error::Config`]: a method whose field is queried at Gaussians.
+pub fn check_measurable(run: &Path, config: &Config) -> Result<()> {
+    if !config.method.is_mip() {
+        return Ok(());
+    }
+    Err(Error::Config(format!(
+        "{}: a field of method {} is queried at Gaussians, not at points, and has no l1, TV or Laplacian; measure \
+         nerf and aug-nerf runs",
+        run.display(),
+        config.method.name()
+    )))
+}
+
+impl Trained {
+    /// Measures how smooth the run's fields are on a full lattice, and writes `smoothness.csv` into its folder.
+    ///
+    /// # Errors
+    /// Those of [`SmoothnessReport::measure`] and [`check_measurable`]; a file that cannot be written.
+    pub fn measure_smoothness(&self, lattice: &Lattice, events: &dyn Listener) -> Result<SmoothnessReport> {
+        check_measurable(self.run.path(), &self.config)?;
+        let measure = || {
+            let (model, device) = (&self.model, self.runtime.device());
+            SmoothnessReport::measure(model, &self.scene, lattice, self.protocol(), device, events)
+        };
+        let report = self.runtime.install(measure)?;
+        report.write(&self.run.smoothness())?;
+        Ok(report)
     }
 }

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use crate::base::{Error, Progress, Result};
+use crate::base::{Error, Event, Listener, Result};
 use crate::data::{Camera, Scene};
 use crate::runtime::free_memory_mib;
 use crate::settings::{Config, DataKind, MeshConfig};
@@ -93,29 +93,24 @@ pub(super) fn describe(config: &Config, scene: &Scene) -> Option<String> {
 
 impl Viewer<'_> {
     /// Draws the surface that the configuration asks for and compares it with its reference mesh. None where it asks
-    /// for none. Where it cannot be drawn, `say` hears why, and there is none either: that must not cost the views'
+    /// for none. Where it cannot be drawn, `events` hears why, and there is none either: that must not cost the views'
     /// metrics. `going` is asked again and again; its error ends the drawing and is returned.
-    pub fn surface(
-        &self,
-        progress: &dyn Progress,
-        say: impl Fn(&str),
-        going: impl Fn() -> Result<()>,
-    ) -> Result<Option<Chamfer>> {
+    pub fn surface(&self, events: &dyn Listener, going: impl Fn() -> Result<()>) -> Result<Option<Chamfer>> {
         if self.config.eval.mesh.resolution == 0 {
             return Ok(None);
         }
-        match self.compare_surface(progress, going) {
+        match self.compare_surface(events, going) {
             Ok(chamfer) => Ok(Some(chamfer)),
             Err(error @ Error::Interrupted { .. }) => Err(error),
             Err(error) => {
-                progress.finish();
-                say(&format!("no surface, so that chamfer and f_score stay empty: {error}"));
+                events.on(Event::Finished);
+                events.on(Event::Note(&format!("no surface, so that chamfer and f_score stay empty: {error}")));
                 Ok(None)
             }
         }
     }
 
-    fn compare_surface(&self, progress: &dyn Progress, going: impl Fn() -> Result<()>) -> Result<Chamfer> {
+    fn compare_surface(&self, events: &dyn Listener, going: impl Fn() -> Result<()>) -> Result<Chamfer> {
         let Viewer { model, config, scene, device } = *self;
         let reference = surface_reference(config, scene)?.expect("a surface is asked for");
         let mesh = &config.eval.mesh;
@@ -126,12 +121,12 @@ impl Viewer<'_> {
             cap: false,
             most_mib: most_memory_mib(),
         };
-        progress.start("surface", mesh.resolution as u64);
+        events.on(Event::Started { what: "surface", parts: mesh.resolution as u64 });
         let drawn = level_set(model.evaluated(), &drawing, device, None, || {
-            progress.advance();
+            events.on(Event::Advanced);
             going()
         })?;
-        progress.finish();
+        events.on(Event::Finished);
         let surface = sample(&in_scene(drawn.mesh, scene.ndc.as_ref())?, mesh.points, SEED)?;
         chamfer(&surface, &reference.sample(mesh.points, SEED)?, &[mesh.at])
     }

@@ -1,6 +1,151 @@
-//! The machine that a run is computed on: memory, host, clocks.
+//! The machine that a run is computed on: device, threads, memory, host, clocks.
 
-pub mod allocator;
+use std::sync::Arc;
+
+use candle_core::Device;
+use rayon::{ThreadPool, ThreadPoolBuilder};
+
+use crate::base::{Error, Result};
+
 pub mod host;
+mod process;
+mod work;
 
 pub use host::{Host, Timing, free_memory_mib, host_name, peak_memory_mib};
+pub use work::Work;
+pub(crate) use work::{count_multiply_adds, count_points};
+
+/// What a thread's stack holds: the main thread's usual size, for work that was made for it.
+const STACK_BYTES: usize = 8 << 20;
+
+/// Where numbers are computed: a device, and threads of its own that share the work.
+///
+/// Several runtimes may work in one process at the same time; none changes another's numbers, and how many threads one has
+/// changes no number either. A clone is the same runtime.
+///
+/// # What is set for the whole process
+///
+/// The first runtime of a process also sets what exists once a process. Later ones find it set.
+///
+/// - Memory that was freed stays with the process (glibc's `mallopt`); a training step would take twice as long without.
+/// - candle works on the calling thread alone: `RAYON_NUM_THREADS` and `CANDLE_NUM_THREADS` become 1, the only way that candle
+///   0.11 offers. Rayon's global pool is started before, with the threads that it would have had.
+/// - With `cuda-tf32`, matrix products of all CUDA devices are rounded; a process cannot have both `cuda` and `cuda-tf32`.
+///
+/// The environment is written, so make the first runtime before C code on other threads reads it: at the start of `main`.
+#[derive(Clone, Debug)]
+pub struct Runtime {
+    device: Device,
+    name: String,
+    pool: Arc<ThreadPool>,
+    counters: Arc<work::Counters>,
+}
+
+impl Runtime {
+    /// Opens `device` (`cpu`, `cuda`, `cuda:N`, `cuda-tf32` or `metal`) with so many threads (`None`: as many as the process
+    /// has processors).
+    ///
+    /// # Errors
+    /// [`Error::Config`]: a device that is unknown, not there, or not built in; threads that the system does not give; a process
+    /// that rounds matrix products otherwise.
+    ///
+    /// ```
+    /// use augnerf::runtime::Runtime;
+    ///
+    /// let runtime = Runtime::new("cpu", Some(2))?;
+    /// assert_eq!(runtime.threads(), 2);
+    /// assert!(Runtime::new("abacus", None).is_err());
+    /// # Ok::<(), augnerf::base::Error>(())
+    /// ```
+    pub fn new(device: &str, threads: Option<usize>) -> Result<Runtime> {
+        process::prepare();
+        let threads = threads.unwrap_or_else(|| std::thread::available_parallelism().map_or(1, usize::from));
+        Runtime::with_threads(open(device)?, device.to_string(), threads)
+    }
+
+    fn with_threads(device: Device, name: String, threads: usize) -> Result<Runtime> {
+        let counters = Arc::new(work::Counters::default());
+        let own = counters.clone();
+        let pool = ThreadPoolBuilder::new()
+            .num_threads(threads)
+            .stack_size(STACK_BYTES)
+            .start_handler(move |_| own.clone().adopt_thread())
+            .build()
+            .map_err(|e| Error::Config(format!("threads {threads}: cannot start the threads: {e}")))?;
+        Ok(Runtime { device, name, pool: Arc::new(pool), counters })
+    }
+
+    /// A runtime on the same device for one of `jobs` that share this one's threads (each has at least one).
+    ///
+    /// # Errors
+    /// [`Error::Config`]: the system gives no threads.
+    pub fn share(&self, jobs: usize) -> Result<Runtime> {
+        Runtime::with_threads(self.device.clone(), self.name.clone(), (self.threads() / jobs).max(1))
+    }
+
+    /// Does `work` on the runtime's threads and waits for it. On one of them already, it goes on there.
+    pub fn install<T: Send>(&self, work: impl FnOnce() -> T + Send) -> T {
+        self.pool.install(work)
+    }
+
+    /// The device.
+    pub fn device(&self) -> &Device {
+        &self.device
+    }
+
+    /// What the device was called when it was opened.
+    pub fn name(&self) -> &str {
+        &self.name
+    }
+
+    /// How many threads share the work.
+    pub fn threads(&self) -> usize {
+        self.pool.current_num_threads()
+    }
+
+    /// What the fused core did on these threads so far.
+    pub fn work(&self) -> Work {
+        self.counters.read()
+    }
+}
+
+fn open(name: &str) -> Result<Device> {
+    let refuse = |found: String| Error::Config(format!("device {name}: {found}"));
+    let (kind, index) = name.split_once(':').unwrap_or((name, "0"));
+    let index: usize = index.parse().map_err(|_| refuse(format!("'{index}' is not a device number")))?;
+    match kind {
+        "cpu" if name == "cpu" => Ok(Device::Cpu),
+        "cuda" | "cuda-tf32" if cfg!(feature = "cuda") => {
+            process::round_products(kind == "cuda-tf32", name)?;
+            Device::new_cuda(index).map_err(|e| refuse(e.to_string()))
+        }
+        "metal" if cfg!(feature = "metal") => Device::new_metal(index).map_err(|e| refuse(e.to_string())),
+        "cuda" | "cuda-tf32" | "metal" => {
+            let feature = kind.trim_end_matches("-tf32");
+            Err(refuse(format!("this program was built without {feature}; build it with --features {feature}")))
+        }
+        _ => Err(refuse("choose cpu, cuda, cuda:N, cuda-tf32 or metal".into())),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn work_is_counted_by_the_runtime_that_does_it() {
+        let [one, other] = [1, 3].map(|threads| Runtime::new("cpu", Some(threads)).unwrap());
+        one.install(|| count_multiply_adds(5));
+        other.install(|| count_points(3, 2));
+        count_multiply_adds(100);
+        assert_eq!(one.work(), Work { multiply_adds: 5, points: 0, active_points: 0 });
+        assert_eq!(other.work(), Work { multiply_adds: 0, points: 3, active_points: 2 });
+        assert_eq!(other.work() - other.work(), Work { multiply_adds: 0, points: 0, active_points: 0 });
+    }
+
+    #[test]
+    fn a_share_has_a_thread_at_least() {
+        let runtime = Runtime::new("cpu", Some(3)).unwrap();
+        assert_eq!([1, 2, 3, 4].map(|jobs| runtime.share(jobs).unwrap().threads()), [3, 1, 1, 1]);
+    }
+}

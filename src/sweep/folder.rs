@@ -17,8 +17,8 @@ use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 
-use crate::base::files::{clean_temporaries, write_atomic, write_json};
-use crate::base::{Error, Result};
+use crate::base::files::{clean_temporaries, read_json, write_atomic, write_json};
+use crate::base::{Class, Error, Result};
 use crate::settings::Config;
 
 use super::claim::{Claim, Claimed};
@@ -30,8 +30,8 @@ const DEFINITION: &str = "sweep.toml";
 const PLAN: &str = "points.json";
 const BEGIN_LOCK: &str = "begin.lock";
 const POINTS: &str = "points";
-/// Exit code of [`Error::Checkpoint`].
-const BAD_CHECKPOINT: u8 = 5;
+/// What to do with a damaged file of a point.
+const DELETE: &str = "delete it to have the point done again";
 
 /// What a finished point leaves.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -44,6 +44,13 @@ pub struct PointResult {
     pub inactive_levels: Vec<String>,
 }
 
+impl PointResult {
+    /// The value of a metric by its key, as `psnr`; none where it was not measured.
+    pub fn metric(&self, name: &str) -> Option<f64> {
+        self.metrics.iter().find(|(known, _)| known == name).and_then(|(_, value)| *value)
+    }
+}
+
 /// Why a point ended without a result.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Failure {
@@ -51,6 +58,13 @@ pub struct Failure {
     pub reason: String,
     /// The exit code of its class.
     pub exit_code: u8,
+}
+
+impl Failure {
+    /// The error's class; none for a code that no version of this program has.
+    pub fn class(&self) -> Option<Class> {
+        Class::of_exit_code(self.exit_code)
+    }
 }
 
 /// The folder of one sweep.
@@ -138,7 +152,7 @@ impl SweepFolder {
     /// The points that the folder was begun with, their scenes looked for below `data_root` or
     /// where they were then; none before it was begun.
     pub fn points(&self, data_root: Option<&Path>) -> Result<Option<Vec<Point>>> {
-        let plan: Option<Plan> = read_json(&self.path.join(PLAN))?;
+        let plan: Option<Plan> = read_json(&self.path.join(PLAN), DELETE)?;
         Ok(plan.map(|Plan { data_root: then, mut points }| {
             points.iter_mut().for_each(|point| point.locate(data_root.or(then.as_deref())));
             points
@@ -262,12 +276,12 @@ impl PointFolder {
 
     /// The result, if the point is done.
     pub fn result(&self) -> Result<Option<PointResult>> {
-        read_json(&self.result_file())
+        read_json(&self.result_file(), DELETE)
     }
 
     /// Why the point failed, if it did.
     pub fn failure(&self) -> Result<Option<Failure>> {
-        read_json(&self.failure_file())
+        read_json(&self.failure_file(), DELETE)
     }
 
     /// Done or failed: nothing is left to do.
@@ -307,7 +321,7 @@ impl PointFolder {
     pub fn forgive(&self) -> Result<()> {
         let Some(failure) = self.failure()? else { return Ok(()) };
         let run = self.run();
-        if failure.exit_code == BAD_CHECKPOINT && run.exists() {
+        if failure.class() == Some(Class::Checkpoint) && run.exists() {
             fs::remove_dir_all(&run).map_err(|e| Error::unwritable(&run, &e))?;
         }
         let path = self.failure_file();
@@ -343,15 +357,4 @@ impl PointFolder {
             }),
         }
     }
-}
-
-fn read_json<T: for<'de> Deserialize<'de>>(path: &Path) -> Result<Option<T>> {
-    let bytes = match fs::read(path) {
-        Ok(bytes) => bytes,
-        Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(None),
-        Err(error) => return Err(Error::unreadable(path, &error)),
-    };
-    let damaged =
-        |e| Error::Checkpoint(format!("cannot read {}: {e}; delete it to have the point done again", path.display()));
-    serde_json::from_slice(&bytes).map(Some).map_err(damaged)
 }

@@ -28,5 +28,5 @@ pub use definition::{Axis, Budget, BudgetKind, Combine, Definition, METRICS, Ove
 pub use folder::{Change, Failure, PointFolder, PointResult, PointState, SweepFolder};
 pub use planning::begin;
 pub use points::{Place, Point, expand};
-pub use runner::{Options, Runner, Watch, Work};
+pub use runner::{Options, Runner, Work};
 pub use training::{Cost, Trainings};

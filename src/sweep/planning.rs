@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::Mutex;
 
-use crate::base::files::write_json;
+use crate::base::files::{read_json, write_json};
 use crate::base::{Error, Result};
 use crate::settings::Config;
 
@@ -98,12 +98,7 @@ struct KeptCosts<'a> {
 impl<'a> KeptCosts<'a> {
     fn new(folder: &SweepFolder, measure: &'a dyn StepCosts) -> Result<KeptCosts<'a>> {
         let path = folder.step_seconds();
-        let known = match std::fs::read(&path) {
-            Ok(bytes) => serde_json::from_slice(&bytes)
-                .map_err(|e| Error::Checkpoint(format!("cannot read {}: {e}; delete it", path.display())))?,
-            Err(error) if error.kind() == std::io::ErrorKind::NotFound => BTreeMap::new(),
-            Err(error) => return Err(Error::unreadable(&path, &error)),
-        };
+        let known = read_json(&path, "delete it")?.unwrap_or_default();
         Ok(KeptCosts { path, known: Mutex::new(known), measure })
     }
 }

@@ -5,7 +5,8 @@ use std::collections::HashMap;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::time::{Duration, SystemTime};
 
-use crate::base::{Error, Result};
+use crate::base::{Class, Error, Event, Listener, Result};
+use crate::runtime::Runtime;
 
 use super::claim::{Beat, Claim};
 use super::folder::{Failure, PointFolder, PointResult, SweepFolder};
@@ -16,9 +17,16 @@ const LOOK_EVERY: Duration = Duration::from_millis(500);
 
 /// What trains a point.
 pub trait Work: Sync {
-    /// Trains and measures a point, going on from what an earlier try left in `folder`. A signal's
+    /// Trains and measures a point on `runtime`, going on from what an earlier try left in `folder`. A signal's
     /// number in `stop` asks for a stop with [`Error::Interrupted`].
-    fn run(&self, point: &Point, folder: &PointFolder, beat: &Beat, stop: &AtomicUsize) -> Result<PointResult>;
+    fn run(
+        &self,
+        point: &Point,
+        folder: &PointFolder,
+        runtime: &Runtime,
+        beat: &Beat,
+        stop: &AtomicUsize,
+    ) -> Result<PointResult>;
 }
 
 /// How a sweep is run.
@@ -36,26 +44,20 @@ pub struct Options {
     pub remeasure: Vec<String>,
 }
 
-/// What is told while a sweep runs.
-pub trait Watch: Sync {
-    /// A point is begun; `ended` of `points` are done or failed.
-    fn began(&self, point: &Point, ended: usize, points: usize);
-    /// A point is done or failed.
-    fn ended(&self, point: &Point, outcome: &std::result::Result<PointResult, Failure>);
-}
-
 /// One runner.
 pub struct Runner<'a> {
     /// The sweep's folder.
     pub folder: &'a SweepFolder,
     /// What is to be run, in this order.
     pub points: &'a [Point],
+    /// Where they are trained: its threads are shared among the jobs.
+    pub runtime: &'a Runtime,
     /// What trains a point.
     pub work: &'a dyn Work,
     /// How.
     pub options: Options,
     /// Who is told.
-    pub watch: &'a dyn Watch,
+    pub events: &'a dyn Listener,
     /// Holds a signal's number when it is time to stop.
     pub stop: &'a AtomicUsize,
 }
@@ -78,10 +80,8 @@ impl Runner<'_> {
         }
         let again = self.to_do_again(&runnable)?;
         let failed = AtomicBool::new(false);
-        let threads = (rayon::current_num_threads() / self.options.jobs).max(1);
         let worker = || -> Result<()> {
-            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build();
-            let pool = pool.map_err(|e| Error::Config(format!("cannot start {threads} threads: {e}")))?;
+            let runtime = self.runtime.share(self.options.jobs)?;
             loop {
                 if failed.load(Ordering::SeqCst) && self.options.fail_fast {
                     return Ok(());
@@ -90,7 +90,7 @@ impl Runner<'_> {
                     Next::Nothing => return Ok(()),
                     Next::Wait => std::thread::sleep(LOOK_EVERY),
                     Next::Run(point, folder, claim) => {
-                        if pool.install(|| self.run_point(point, &folder, claim))?.is_err() {
+                        if runtime.install(|| self.run_point(point, &folder, &runtime, claim))?.is_err() {
                             failed.store(true, Ordering::SeqCst);
                         }
                     }
@@ -163,9 +163,16 @@ impl Runner<'_> {
     }
 
     /// Runs a claimed point. The outer error is one of the sweep, the inner one of the point.
-    fn run_point(&self, point: &Point, folder: &PointFolder, claim: Claim) -> Result<std::result::Result<(), ()>> {
+    fn run_point(
+        &self,
+        point: &Point,
+        folder: &PointFolder,
+        runtime: &Runtime,
+        claim: Claim,
+    ) -> Result<std::result::Result<(), ()>> {
         let ended = self.points.iter().filter(|point| self.folder.point(&point.id).ended()).count();
-        self.watch.began(point, ended, self.points.len());
+        let (label, points) = (point.label(), self.points.len());
+        self.events.on(Event::PointStarted { label: &label, ended, points, steps: point.config.train.steps });
         let outcome = if claim.deaths >= self.options.most_deaths {
             Err(Failure {
                 reason: format!(
@@ -173,10 +180,10 @@ impl Runner<'_> {
                      --retry-failed tries again",
                     claim.deaths
                 ),
-                exit_code: 1,
+                exit_code: Class::Internal.exit_code(),
             })
         } else {
-            match self.work(point, folder, &claim) {
+            match self.work(point, folder, runtime, &claim) {
                 Ok(result) => Ok(result),
                 Err(error @ Error::Interrupted { .. }) => {
                     self.check_stop()?;
@@ -192,16 +199,21 @@ impl Runner<'_> {
             return Ok(Ok(()));
         }
         match &outcome {
-            Ok(result) => folder.finish(result)?,
-            Err(failure) => folder.fail(failure)?,
+            Ok(result) => {
+                folder.finish(result)?;
+                self.events.on(Event::PointFinished { label: &label, psnr: result.metric("psnr") });
+            }
+            Err(failure) => {
+                folder.fail(failure)?;
+                self.events.on(Event::PointFailed { label: &label, reason: &failure.reason });
+            }
         }
-        self.watch.ended(point, &outcome);
         Ok(outcome.map(|_| ()).map_err(|_| ()))
     }
 
     /// A panic is a defect of this program; it fails its point and no other.
-    fn work(&self, point: &Point, folder: &PointFolder, claim: &Claim) -> Result<PointResult> {
-        let run = std::panic::AssertUnwindSafe(|| self.work.run(point, folder, &claim.beat, self.stop));
+    fn work(&self, point: &Point, folder: &PointFolder, runtime: &Runtime, claim: &Claim) -> Result<PointResult> {
+        let run = std::panic::AssertUnwindSafe(|| self.work.run(point, folder, runtime, &claim.beat, self.stop));
         std::panic::catch_unwind(run).unwrap_or_else(|panic| {
             let text = panic.downcast_ref::<String>().map(String::as_str).or(panic.downcast_ref::<&str>().copied());
             Err(Error::Tensor(candle_core::Error::Msg(format!("panic: {}", text.unwrap_or("without words")))))

@@ -5,17 +5,15 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use candle_core::DType;
 
-use crate::base::{Error, Progress, Result};
+use crate::base::{Error, Event, Listener, Result};
 use crate::data::corruption::corrupt;
 use crate::data::{self, Scene};
 use crate::metrics::Lpips;
-use crate::run::{
-    Finished, Job, Machine, Report, Reporter, RunDir, SmoothnessReport, Viewer, columns, locate_scene, run_config,
-};
-use crate::runtime::peak_memory_mib;
+use crate::run::{Finished, Job, Report, RunDir, Setup, SmoothnessReport, Viewer, columns, locate_scene};
+use crate::runtime::{Runtime, peak_memory_mib};
 use crate::settings::{Config, CorruptionConfig, DataConfig, Resolved};
 use crate::space::Lattice;
-use crate::train::{StepStats, Trainer};
+use crate::train::Trainer;
 
 use super::budget::StepCosts;
 use super::claim::Beat;
@@ -33,8 +31,8 @@ const MEASURED_STEPS: u32 = 4;
 
 /// Everything that the trainings of a sweep share.
 pub struct Trainings<'a> {
-    /// Where they are computed.
-    pub machine: Machine,
+    /// Where costs are measured: with all threads.
+    pub runtime: Runtime,
     /// Backbones to measure LPIPS with.
     pub lpips: Vec<Lpips>,
     /// Where those came from; goes into each run's settings.
@@ -42,19 +40,19 @@ pub struct Trainings<'a> {
     /// Smoothness is among the sweep's metrics.
     pub smoothness: bool,
     /// Who is told.
-    pub reporter: &'a dyn Reporter,
+    pub events: &'a dyn Listener,
     scenes: Mutex<Vec<(String, Arc<Scene>)>>,
 }
 
 impl<'a> Trainings<'a> {
     /// With no scene loaded yet.
     pub fn new(
-        machine: Machine,
+        runtime: Runtime,
         (lpips, lpips_weights): (Vec<Lpips>, String),
         smoothness: bool,
-        reporter: &'a dyn Reporter,
+        events: &'a dyn Listener,
     ) -> Trainings<'a> {
-        Trainings { machine, lpips, lpips_weights, smoothness, reporter, scenes: Mutex::default() }
+        Trainings { runtime, lpips, lpips_weights, smoothness, events, scenes: Mutex::default() }
     }
 
     /// The scene of a configuration, which it resolves.
@@ -67,7 +65,7 @@ impl<'a> Trainings<'a> {
         let scene = match scenes.iter().position(|(known, _)| *known == key) {
             Some(index) => scenes[index].1.clone(),
             None => {
-                let mut scene = data::load(&clean, 0, self.reporter.progress())?;
+                let mut scene = data::load(&clean, 0, self.events)?;
                 scene.name.clone_from(&config.data.name);
                 if scenes.len() >= SCENES {
                     scenes.remove(0);
@@ -89,7 +87,7 @@ impl<'a> Trainings<'a> {
     /// A trainer of a configuration at step 0, for measurements.
     pub fn trainer(&self, config: &Config) -> Result<(Trainer, Arc<Scene>, Resolved)> {
         let (config, scene) = self.scene(config.clone())?;
-        Ok((Trainer::new(&config, &scene, DType::F32, &self.machine.device)?, scene, config))
+        Ok((Trainer::new(&config, &scene, DType::F32, self.runtime.device())?, scene, config))
     }
 }
 
@@ -121,10 +119,10 @@ impl Trainings<'_> {
         if let Some(view) = scene.test.first() {
             // Some rows of the picture for every thread, as the whole picture has them.
             let mut camera = view.camera;
-            let rows = (2 * rayon::current_num_threads() * config.eval.chunk).div_ceil(camera.width);
+            let rows = (2 * self.runtime.threads() * config.eval.chunk).div_ceil(camera.width);
             camera.height = rows.min(view.camera.height);
             let viewer =
-                Viewer { model: trainer.model(), config: &config, scene: &scene, device: &self.machine.device };
+                Viewer { model: trainer.model(), config: &config, scene: &scene, device: self.runtime.device() };
             let started = std::time::Instant::now();
             viewer.render(&camera)?;
             let share = camera.height as f64 / view.camera.height as f64;
@@ -155,31 +153,36 @@ impl StepCosts for Trainings<'_> {
 }
 
 impl Work for Trainings<'_> {
-    fn run(&self, point: &Point, folder: &PointFolder, beat: &Beat, stop: &AtomicUsize) -> Result<PointResult> {
+    fn run(
+        &self,
+        point: &Point,
+        folder: &PointFolder,
+        runtime: &Runtime,
+        beat: &Beat,
+        stop: &AtomicUsize,
+    ) -> Result<PointResult> {
         let mut config = point.config.clone();
         config.eval.lpips_weights.clone_from(&self.lpips_weights);
         let (config, scene) = self.scene(config)?;
-        let shared = (&*scene, self.lpips.as_slice());
+        let setup = Setup { config: config.clone(), scene: &scene, lpips: &self.lpips, runtime: runtime.clone() };
         let path = folder.run();
-        let job = match RunDir::open(&path) {
-            Ok(mut run) => {
-                run.lock()?;
-                run.clean()?;
-                let found = run_config(&run)?;
-                if found.hash() != config.hash() {
-                    return Err(Error::Checkpoint(format!(
-                        "{} holds a run of other settings ({} instead of {}): delete it to train the point again",
-                        path.display(),
-                        found.hash(),
-                        config.hash()
-                    )));
-                }
-                Job::resume(run, config.clone(), shared, self.machine.clone())?
+        let job = if RunDir::holds_run(&path) {
+            let run = RunDir::take(&path)?;
+            let found = run.read_config()?;
+            if found.hash() != config.hash() {
+                return Err(Error::Checkpoint(format!(
+                    "{} holds a run of other settings ({} instead of {}): delete it to train the point again",
+                    path.display(),
+                    found.hash(),
+                    config.hash()
+                )));
             }
+            Job::resume(run, setup)?
+        } else {
             // Nothing there yet, or a run that was killed before its first file.
-            Err(_) => Job::create(&path, true, config.clone(), shared, self.machine.clone())?,
+            Job::create(&path, true, setup)?
         };
-        let finished = job.train(&Beating { reporter: self.reporter, beat }, stop)?;
+        let finished = job.train(&Beating { events: self.events, beat }, stop)?;
         self.result(&config, &scene, &path, &finished)
     }
 }
@@ -195,9 +198,9 @@ impl Trainings<'_> {
         let Finished { report, model, .. } = finished;
         let mut metrics = numbers(&report.mean);
         if self.smoothness && is_defined(SMOOTHNESS_METRICS[0], config) {
-            let device = &self.machine.device;
-            let (protocol, progress) = (report.protocol.clone(), self.reporter.progress());
-            let smoothness = SmoothnessReport::measure(model, scene, &SMOOTHNESS, protocol, device, progress)?;
+            let device = self.runtime.device();
+            let (protocol, events) = (report.protocol.clone(), self.events);
+            let smoothness = SmoothnessReport::measure(model, scene, &SMOOTHNESS, protocol, device, events)?;
             smoothness.write(&RunDir::open(path)?.smoothness())?;
             let evaluated = smoothness.fields.last().expect("there is a field");
             metrics.extend(numbers(&evaluated.smoothness));
@@ -219,30 +222,17 @@ fn numbers(row: &impl serde::Serialize) -> Vec<(String, Option<f64>)> {
 
 /// Passes everything on and keeps the heartbeat's step current.
 struct Beating<'a> {
-    reporter: &'a dyn Reporter,
+    events: &'a dyn Listener,
     beat: &'a Beat,
 }
 
-impl Reporter for Beating<'_> {
-    fn say(&self, line: &str) {
-        self.reporter.say(line);
-    }
-
-    fn begin(&self, first: u64, total: u64, rays: usize) {
-        self.beat.begin(first, total);
-        self.reporter.begin(first, total, rays);
-    }
-
-    fn stepped(&self, stats: &StepStats) {
-        self.beat.stepped(stats.step);
-        self.reporter.stepped(stats);
-    }
-
-    fn trained(&self) {
-        self.reporter.trained();
-    }
-
-    fn progress(&self) -> &dyn Progress {
-        self.reporter.progress()
+impl Listener for Beating<'_> {
+    fn on(&self, event: Event<'_>) {
+        match event {
+            Event::TrainingStarted { first, steps, .. } => self.beat.begin(first, steps),
+            Event::Stepped { step, .. } => self.beat.stepped(step),
+            _ => {}
+        }
+        self.events.on(event);
     }
 }

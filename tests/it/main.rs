@@ -16,6 +16,7 @@ mod perturbations;
 mod pictures;
 mod reference;
 mod regularizers;
+mod runtime;
 mod sweep_cli;
 mod sweep_plots;
 mod sweep_run;

@@ -8,10 +8,11 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 
 use augnerf::base::{Error, Result};
 use augnerf::report::Status;
+use augnerf::runtime::Runtime;
 use augnerf::settings::Config;
 use augnerf::sweep::{
-    Beat, Change, Claim, Definition, Failure, Options, Overrides, Point, PointFolder, PointResult, Runner, StepCosts,
-    SweepFolder, Watch, Work, begin, evaluations_per_step, expand, shape,
+    Beat, Change, Claim, Definition, Options, Overrides, Point, PointFolder, PointResult, Runner, StepCosts,
+    SweepFolder, Work, begin, evaluations_per_step, expand, shape,
 };
 use tempfile::TempDir;
 
@@ -71,7 +72,7 @@ impl Fake {
 }
 
 impl Work for Fake {
-    fn run(&self, point: &Point, _: &PointFolder, beat: &Beat, stop: &AtomicUsize) -> Result<PointResult> {
+    fn run(&self, point: &Point, _: &PointFolder, _: &Runtime, beat: &Beat, stop: &AtomicUsize) -> Result<PointResult> {
         let label = point.label();
         *self.trained.lock().unwrap().entry(label.clone()).or_default() += 1;
         beat.begin(self.first.into(), 10);
@@ -89,13 +90,6 @@ impl Work for Fake {
     }
 }
 
-struct Silent;
-
-impl Watch for Silent {
-    fn began(&self, _: &Point, _: usize, _: usize) {}
-    fn ended(&self, _: &Point, _: &std::result::Result<PointResult, Failure>) {}
-}
-
 const OPTIONS: Options =
     Options { jobs: 1, fail_fast: false, retry_failed: false, most_deaths: 10, remeasure: Vec::new() };
 
@@ -108,7 +102,8 @@ fn sweep(dir: &Path, text: &str) -> (SweepFolder, Definition, Vec<Point>) {
 
 fn run(folder: &SweepFolder, points: &[Point], work: &dyn Work, options: Options) -> Result<()> {
     let stop = AtomicUsize::new(0);
-    Runner { folder, points, work, options, watch: &Silent, stop: &stop }.run()
+    Runner { folder, points, runtime: &Runtime::new("cpu", Some(2)).unwrap(), work, options, events: &(), stop: &stop }
+        .run()
 }
 
 fn statuses(folder: &SweepFolder, points: &[Point]) -> Vec<Status> {
@@ -263,7 +258,7 @@ fn a_failure_is_retried_once_a_runner_and_under_its_claim() {
 fn a_full_disk_stops_the_sweep_and_fails_no_point() {
     struct Full;
     impl Work for Full {
-        fn run(&self, _: &Point, _: &PointFolder, _: &Beat, _: &AtomicUsize) -> Result<PointResult> {
+        fn run(&self, _: &Point, _: &PointFolder, _: &Runtime, _: &Beat, _: &AtomicUsize) -> Result<PointResult> {
             Err(Error::Output("no space left".into()))
         }
     }

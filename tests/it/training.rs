@@ -6,9 +6,9 @@ use crate::common::{parameters, tiny_config, tiny_scene, trained};
 use augnerf::base::Error;
 use augnerf::data::{Camera, View};
 use augnerf::metrics::psnr_float;
-use augnerf::run::{Observer, Outcome, RunDir, Session, Viewer, interrupted};
+use augnerf::run::{Between, Outcome, RunDir, Session, Viewer, interrupted};
 use augnerf::settings::{Core, DataKind, Method, PerturbField, Schedule};
-use augnerf::train::{StepStats, Trainer, checkpoint, learning_rate};
+use augnerf::train::{Trainer, checkpoint, learning_rate};
 use candle_core::{DType, Device, Tensor};
 
 #[test]
@@ -229,9 +229,7 @@ struct Evaluating {
     run: std::path::PathBuf,
 }
 
-impl Observer for Evaluating {
-    fn stepped(&mut self, _: &StepStats) {}
-
+impl Between for Evaluating {
     fn evaluate(&mut self, trainer: &Trainer) -> augnerf::base::Result<Vec<(&'static str, f64)>> {
         let step = trainer.step_count();
         if step == self.stop_at {
@@ -269,7 +267,7 @@ fn a_stop_during_an_evaluation_loses_that_step_alone() {
             (run, Trainer::new(&config, &scene, DType::F32, &Device::Cpu).unwrap())
         };
         let mut session = Session::new(&run, trainer, resumed).unwrap();
-        let outcome = session.run(&signal, &mut Evaluating { stop_at, run: path });
+        let outcome = session.run(&signal, &(), &mut Evaluating { stop_at, run: path });
         (outcome, std::fs::read_to_string(run.scalars()).unwrap())
     };
     let (outcome, straight) = go_on("straight", 0, false);

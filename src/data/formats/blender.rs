@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 
 use rayon::prelude::*;
 
-use crate::base::{Error, Progress, Result};
+use crate::base::{Error, Listener, Result};
 use crate::data::images::{self, Size};
 use crate::data::json::{self, Object};
 use crate::data::pose::Pose;
@@ -26,7 +26,7 @@ pub fn transforms_file(split: &str) -> String {
 }
 
 /// Reads a Blender scene. The evaluation views are those of `config.eval_split`.
-pub fn load(config: &DataConfig, progress: &dyn Progress) -> Result<Scene> {
+pub fn load(config: &DataConfig, events: &dyn Listener) -> Result<Scene> {
     let eval = match config.eval_split {
         EvalSplit::Test => "test",
         EvalSplit::Val => "val",
@@ -46,10 +46,10 @@ pub fn load(config: &DataConfig, progress: &dyn Progress) -> Result<Scene> {
         kind: "blender",
         path: orbit().into_iter().map(|pose| Camera { pose, ..camera }).collect(),
         corrupted: None,
-        train: train.views(config, camera, "reading train images", progress)?,
+        train: train.views(config, camera, "reading train images", events)?,
         test: {
             let camera = test.camera(size, target);
-            let mut views = test.views(config, camera, &eval_label, progress)?;
+            let mut views = test.views(config, camera, &eval_label, events)?;
             read_depths(&mut views, &test.paths)?;
             views
         },
@@ -135,15 +135,9 @@ impl Split {
         }
     }
 
-    fn views(
-        &mut self,
-        config: &DataConfig,
-        camera: Camera,
-        label: &str,
-        progress: &dyn Progress,
-    ) -> Result<Vec<View>> {
+    fn views(&mut self, config: &DataConfig, camera: Camera, label: &str, events: &dyn Listener) -> Result<Vec<View>> {
         let target = (camera.width, camera.height);
-        let (images, _) = images::read_all(&self.paths, target, background(config), label, progress)?;
+        let (images, _) = images::read_all(&self.paths, target, background(config), label, events)?;
         let cameras = self.poses.iter().map(|&pose| Camera { pose, ..camera });
         let named = images::names(&self.paths).into_iter().zip(cameras).zip(images);
         Ok(named.map(|((name, camera), image)| View { name, camera, image, depth: None }).collect())

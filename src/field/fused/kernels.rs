@@ -4,7 +4,7 @@
 use gemm::Parallelism;
 use pulp::Arch;
 
-use crate::field::work::count_multiply_adds;
+use crate::runtime::count_multiply_adds;
 
 /// A read-only matrix inside a slice.
 #[derive(Clone, Copy)]

@@ -8,7 +8,7 @@
 
 use crate::field::encoding::{Code, encoded_channels, gradient_into};
 use crate::field::layer_shapes;
-use crate::field::work::count_points;
+use crate::runtime::count_points;
 use crate::settings::FieldConfig;
 
 use super::encode::{encode_positions, encode_tile};

@@ -11,7 +11,7 @@ pub use poses::Poses;
 
 pub(super) use path::{POSES, spiral};
 
-use crate::base::{Error, Image, Progress, Result};
+use crate::base::{Error, Image, Listener, Result};
 use crate::data::images::{self, Size};
 use crate::data::pose::Pose;
 use crate::data::{Camera, Ndc, Scene, View, background, name_of, split_every};
@@ -25,7 +25,7 @@ pub const POSES_FILE: &str = "poses_bounds.npy";
 const SIZE_TOLERANCE: f64 = 0.01;
 
 /// Reads an LLFF scene. Every `config.holdout`-th view is held out, starting with the first.
-pub fn load(config: &DataConfig, progress: &dyn Progress) -> Result<Scene> {
+pub fn load(config: &DataConfig, events: &dyn Listener) -> Result<Scene> {
     if config.spherify && config.ndc {
         return Err(Error::Config(
             "data.spherify and data.ndc exclude each other: NDC is for cameras that face forward; set data.ndc=false"
@@ -46,8 +46,7 @@ pub fn load(config: &DataConfig, progress: &dyn Progress) -> Result<Scene> {
     if config.ndc {
         check_facing(&cameras, &names, &file)?;
     }
-    let (images, clear) =
-        images::read_all(&source.paths, source.target, background(config), "reading images", progress)?;
+    let (images, clear) = images::read_all(&source.paths, source.target, background(config), "reading images", events)?;
     let (train, test) = split_every(views(names, cameras, images), config.holdout, config.test_skip);
     let ndc = Ndc { width: source.target.0 as f64, height: source.target.1 as f64, focal: camera.focal[0] };
     Ok(Scene {

@@ -15,7 +15,7 @@ mod path;
 
 use std::path::{Path, PathBuf};
 
-use crate::base::{Error, Image, Progress, Result};
+use crate::base::{Error, Image, Listener, Result};
 use crate::data::images::{self, Size};
 use crate::data::json::{self, Object};
 use crate::data::pose::{self, Pose};
@@ -41,7 +41,7 @@ struct Frame {
 }
 
 /// Reads such a scene. Frames are sorted by file; every `config.holdout`-th is held out.
-pub fn load(config: &DataConfig, progress: &dyn Progress) -> Result<Scene> {
+pub fn load(config: &DataConfig, events: &dyn Listener) -> Result<Scene> {
     let file = Path::new(&config.dir).join(TRANSFORMS_FILE);
     let (mut frames, stored) = read_frames(&file)?;
     if config.recentre {
@@ -50,7 +50,7 @@ pub fn load(config: &DataConfig, progress: &dyn Progress) -> Result<Scene> {
     let paths: Vec<PathBuf> = frames.iter().map(|f| f.path.clone()).collect();
     let target = Size::of(config).apply(stored, &paths[0])?;
     let cameras: Vec<Camera> = frames.iter().map(|f| f.camera(stored, target)).collect();
-    let (images, clear) = read_images(&frames, stored, target, background(config), progress)?;
+    let (images, clear) = read_images(&frames, stored, target, background(config), events)?;
     let poses: Vec<Pose> = cameras.iter().map(|c| c.pose).collect();
     let path = path::around(&poses).map_err(|e| Error::Data(format!("{}: {e}", file.display())))?;
     let first = cameras[0];
@@ -133,7 +133,7 @@ fn read_images(
     stored: (usize, usize),
     target: (usize, usize),
     background: [f32; 3],
-    progress: &dyn Progress,
+    events: &dyn Listener,
 ) -> Result<(Vec<Image>, bool)> {
     let paths: Vec<PathBuf> = frames.iter().map(|f| f.path.clone()).collect();
     let read = |i: usize, path: &Path| {
@@ -147,6 +147,6 @@ fn read_images(
         Ok(resample::composite(image, background))
     };
     let (images, clear): (Vec<Image>, Vec<bool>) =
-        images::each(&paths, "reading images", progress, read)?.into_iter().unzip();
+        images::each(&paths, "reading images", events, read)?.into_iter().unzip();
     Ok((images, clear.contains(&true)))
 }

@@ -1,0 +1,261 @@
+//! One training from its settings to its results, in a run folder of its own.
+//!
+//! The command line runs one, a sweep runs many; neither the other's screen nor its folders are
+//! known here.
+
+use std::path::Path;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::time::Instant;
+
+use candle_core::DType;
+
+use crate::base::files::write_atomic;
+use crate::base::{Event, Image, Listener, Result};
+use crate::data::Scene;
+use crate::methods::Model;
+use crate::metrics::{Lpips, MeanMetrics};
+use crate::runtime::{Host, Runtime, Timing, host, peak_memory_mib};
+use crate::settings::Resolved;
+use crate::train::{Trainer, checkpoint};
+
+use super::{
+    Between, EVALUATION_COLUMNS, Measurement, Outcome, Pictures, Report, RunDir, Session, Viewer, interrupted,
+    surface_reference,
+};
+
+/// What a training is made of.
+pub struct Setup<'a> {
+    /// The settings, resolved with the scene ([`load_scene`](super::load_scene)).
+    pub config: Resolved,
+    /// The scene.
+    pub scene: &'a Scene,
+    /// Networks that LPIPS is measured with; none leave its columns empty.
+    pub lpips: &'a [Lpips],
+    /// Where it is computed.
+    pub runtime: Runtime,
+}
+
+/// A training that is ready to start or to go on.
+pub struct Job<'a> {
+    experiment: Experiment<'a>,
+    trainer: Trainer,
+}
+
+/// A training in its folder: everything of a job but the trainer, which the session takes.
+struct Experiment<'a> {
+    run: RunDir,
+    setup: Setup<'a>,
+    /// Timing of the sessions before this one.
+    earlier: Option<Timing>,
+    /// The run was begun by an earlier session.
+    resumed: bool,
+    started_unix: u64,
+}
+
+/// What a finished training gives besides its files.
+pub struct Finished {
+    /// The metrics as written.
+    pub report: Report,
+    /// The networks.
+    pub model: Model,
+    /// Seconds spent on steps in this session.
+    pub seconds: f64,
+}
+
+impl Setup<'_> {
+    fn trainer(&self) -> Result<Trainer> {
+        Trainer::new(&self.config, self.scene, DType::F32, self.runtime.device())
+    }
+
+    /// A generous estimate of what a run writes: checkpoints, logs, pictures.
+    fn bytes_needed(&self) -> u64 {
+        let Setup { config, scene, .. } = self;
+        let parameters: usize =
+            Model::parameter_names(config).iter().map(|(_, shape)| shape.iter().product::<usize>()).sum();
+        // Those that are kept, one more before an evaluation, and the one that is being written.
+        let checkpoints = parameters * 3 * 4 * (config.train.keep_checkpoints + 2);
+        let pixels = scene.test.first().map_or(0, |view| view.camera.width * view.camera.height);
+        let pictures = config.eval.pictures.min(scene.test.len()) * pixels * 16;
+        let logs = (config.train.steps / config.train.log_every) as usize * 1024;
+        (checkpoints + pictures + logs + (1 << 20)) as u64
+    }
+}
+
+impl<'a> Job<'a> {
+    /// A new run in `folder`. What can be refused is refused before `overwrite` deletes anything.
+    ///
+    /// # Errors
+    /// A folder that holds a run (unless `overwrite`) or anything else, or that cannot be written; a disk without room; settings
+    /// that the scene contradicts; fields that start dead again and again.
+    pub fn create(folder: &Path, overwrite: bool, setup: Setup<'a>) -> Result<Job<'a>> {
+        surface_reference(&setup.config, setup.scene)?;
+        let trainer = setup.runtime.install(|| setup.trainer())?;
+        let run = RunDir::create(folder, overwrite, setup.bytes_needed())?;
+        Job::begin(run, setup, trainer, None)
+    }
+
+    /// The newest checkpoint of a locked run ([`RunDir::take`]), or its start. The settings are the run's own, resolved with the
+    /// scene where it lies now.
+    ///
+    /// # Errors
+    /// A checkpoint that is damaged or of other settings; a folder that cannot be written; a disk without room.
+    pub fn resume(run: RunDir, setup: Setup<'a>) -> Result<Job<'a>> {
+        surface_reference(&setup.config, setup.scene)?;
+        let earlier = run.read_timing()?;
+        let trainer = setup.runtime.install(|| match checkpoint::list(&run.checkpoints())?.pop() {
+            Some((_, newest)) => {
+                Trainer::resume(&newest, &setup.config, setup.scene, DType::F32, setup.runtime.device())
+            }
+            // Killed before its first checkpoint: step 0 is a function of the configuration.
+            None => setup.trainer(),
+        })?;
+        Job::begin(run, setup, trainer, Some(earlier))
+    }
+
+    /// `before` is there if the run is resumed: what its sessions took, as far as they said.
+    fn begin(run: RunDir, setup: Setup<'a>, trainer: Trainer, before: Option<Option<Timing>>) -> Result<Job<'a>> {
+        run.check_writable(setup.bytes_needed())?;
+        // In a resumed run: where scene and weights are now, for the next time.
+        write_atomic(&run.config(), setup.config.to_toml().as_bytes())?;
+        let resumed = before.is_some();
+        let started_unix = host::unix_seconds() as u64;
+        Ok(Job { experiment: Experiment { run, setup, earlier: before.flatten(), resumed, started_unix }, trainer })
+    }
+
+    /// Steps finished so far.
+    pub fn step_count(&self) -> u64 {
+        self.trainer.step_count()
+    }
+
+    /// Trains to the last step and evaluates.
+    ///
+    /// # Errors
+    /// [`Error::Interrupted`](crate::base::Error::Interrupted), with a checkpoint, once `signal` holds a signal's number;
+    /// [`Error::Diverged`](crate::base::Error::Diverged) where training goes non-finite or collapses; files that cannot be
+    /// written.
+    pub fn train(self, events: &dyn Listener, signal: &AtomicUsize) -> Result<Finished> {
+        let Job { experiment, trainer } = self;
+        let runtime = experiment.setup.runtime.clone();
+        runtime.install(|| experiment.train(trainer, events, signal))
+    }
+}
+
+impl Experiment<'_> {
+    fn train(&self, trainer: Trainer, events: &dyn Listener, signal: &AtomicUsize) -> Result<Finished> {
+        self.report_redraws(&trainer, events);
+        let (first, train) = (trainer.step_count(), &self.setup.config.train);
+        events.on(Event::TrainingStarted { first, steps: train.steps, rays: train.rays });
+        let mut watcher = Watcher { experiment: self, events, signal, seconds_evaluation: 0.0 };
+        let mut session = Session::new(&self.run, trainer, self.resumed)?;
+        let outcome = session.run(signal, events, &mut watcher);
+        events.on(Event::TrainingFinished);
+        if let Outcome::Stopped { signal } = outcome? {
+            return Err(interrupted(signal, session.trainer().step_count(), self.run.path()));
+        }
+        let evaluating = Instant::now();
+        let (report, picture) = self.evaluate(session.trainer(), events, signal)?;
+        if let Some(picture) = picture {
+            session.picture("view", &picture)?;
+        }
+        let seconds = evaluating.elapsed().as_secs_f64() + watcher.seconds_evaluation;
+        self.timing(session.trainer().step_count(), session.seconds(), seconds).write(&self.run.timing())?;
+        Ok(Finished { report, model: session.trainer().model().clone(), seconds: session.seconds() })
+    }
+
+    fn report_redraws(&self, trainer: &Trainer, events: &dyn Listener) {
+        let config = &self.setup.config;
+        for (role, redraws) in Model::roles(config).iter().zip(trainer.redraws()) {
+            if *redraws > 0 && trainer.step_count() == 0 {
+                let share = config.train.dead_start_share;
+                events.on(Event::Note(&format!(
+                    "the {role} field started dead (under {share} of densities positive) and was drawn again {redraws} x"
+                )));
+            }
+        }
+    }
+
+    fn viewer<'a>(&'a self, trainer: &'a Trainer) -> Viewer<'a> {
+        let Setup { config, scene, runtime, .. } = &self.setup;
+        Viewer { model: trainer.model(), config, scene, device: runtime.device() }
+    }
+
+    /// Nothing, or the error of a run whose newest checkpoint is of `step`, once there is a signal.
+    fn check_signal(&self, signal: &AtomicUsize, step: u64) -> Result<()> {
+        match signal.load(Ordering::SeqCst) {
+            0 => Ok(()),
+            signal => Err(interrupted(signal as i32, step, self.run.path())),
+        }
+    }
+
+    /// Measures every held-out view; returns the first one's picture, too, where pictures are made.
+    fn evaluate(
+        &self,
+        trainer: &Trainer,
+        events: &dyn Listener,
+        signal: &AtomicUsize,
+    ) -> Result<(Report, Option<Image>)> {
+        let (viewer, state) = (self.viewer(trainer), trainer.state());
+        let renders = self.run.renders();
+        let pictures = Pictures::new(&renders, self.setup.scene, self.setup.config.eval.pictures);
+        let mut first = None;
+        let measurement = Measurement { run: &self.run, viewer, state: &state, lpips: self.setup.lpips, events };
+        let report = measurement.write(
+            || self.check_signal(signal, trainer.step_count()),
+            |index, view, rendered| {
+                let beside = pictures.write(index, view, rendered)?;
+                first = first.take().or(beside);
+                Ok(())
+            },
+        )?;
+        pictures.finish()?;
+        Ok((report, first))
+    }
+
+    fn timing(&self, step: u64, training: f64, evaluation: f64) -> Timing {
+        let Setup { config, runtime, .. } = &self.setup;
+        let earlier = |get: fn(&Timing) -> f64| self.earlier.as_ref().map_or(0.0, get);
+        let training = training + earlier(|timing| timing.seconds_training);
+        Timing {
+            seconds_training: training,
+            seconds_evaluation: evaluation + earlier(|timing| timing.seconds_evaluation),
+            rays_per_second: (training > 0.0).then(|| step as f64 * config.train.rays as f64 / training),
+            peak_memory_mib: peak_memory_mib(),
+            device: runtime.name().to_string(),
+            threads: runtime.threads(),
+            host: Host::current(),
+            started_unix: self.started_unix,
+            finished_unix: host::unix_seconds() as u64,
+            sessions: self.earlier.as_ref().map_or(usize::from(self.resumed), |timing| timing.sessions) + 1,
+        }
+    }
+}
+
+/// Evaluates between steps and keeps `timing.json` current.
+struct Watcher<'a> {
+    experiment: &'a Experiment<'a>,
+    events: &'a dyn Listener,
+    signal: &'a AtomicUsize,
+    /// Seconds spent on evaluations during training.
+    seconds_evaluation: f64,
+}
+
+impl Between for Watcher<'_> {
+    fn evaluate(&mut self, trainer: &Trainer) -> Result<Vec<(&'static str, f64)>> {
+        let started = Instant::now();
+        let saved = trainer.step_count() - 1;
+        let going = || self.experiment.check_signal(self.signal, saved);
+        let views = self.experiment.viewer(trainer).evaluate(&[], &(), going, |_, _, _| Ok(()))?;
+        self.seconds_evaluation += started.elapsed().as_secs_f64();
+        let mean = MeanMetrics::from_views(&views);
+        let step = trainer.step_count();
+        if let Some(psnr) = mean.psnr {
+            self.events.on(Event::Note(&format!("step {step}: held-out PSNR {psnr:.2} dB")));
+        }
+        let values = EVALUATION_COLUMNS.into_iter().zip([mean.psnr, mean.psnr_float]);
+        Ok(values.filter_map(|(name, value)| value.map(|value| (name, value))).collect())
+    }
+
+    fn saved(&mut self, step: u64, seconds: f64) -> Result<()> {
+        self.experiment.timing(step, seconds, self.seconds_evaluation).write(&self.experiment.run.timing())
+    }
+}

@@ -1,0 +1,106 @@
+//! A trained run, read back.
+
+use std::path::Path;
+
+use candle_core::DType;
+
+use crate::base::{Listener, Result};
+use crate::data::{Scene, View};
+use crate::methods::{AttackSummary, Model};
+use crate::metrics::Lpips;
+use crate::runtime::Runtime;
+use crate::settings::Resolved;
+use crate::train::checkpoint::{self, State};
+
+use super::{Protocol, RenderedView, Report, RunDir, Viewer, load_scene, surface_reference};
+
+/// The newest checkpoint of a run, with its scene: everything that can be looked at or measured.
+///
+/// Its folder is locked as long as this value lives: no training may prune the checkpoint that is being read.
+pub struct Trained {
+    /// The run's folder.
+    pub run: RunDir,
+    /// Its settings.
+    pub config: Resolved,
+    /// Its scene.
+    pub scene: Scene,
+    /// Counters and provenance at the checkpoint, with this program and device as the last of those that worked on it.
+    pub state: State,
+    /// The networks.
+    pub model: Model,
+    /// Where it is computed.
+    pub runtime: Runtime,
+}
+
+impl Trained {
+    /// Opens the run folder `run`; its scene lies where it did, or in `data` if it has moved.
+    ///
+    /// # Errors
+    /// [`Error::Checkpoint`](crate::base::Error::Checkpoint): no run, no checkpoint, a damaged one, or one of other settings;
+    /// [`Error::Output`](crate::base::Error::Output): a run that another process holds;
+    /// [`Error::Data`](crate::base::Error::Data): a scene that cannot be read.
+    pub fn open(run: &Path, data: Option<&Path>, runtime: &Runtime, events: &dyn Listener) -> Result<Trained> {
+        let run = RunDir::take(run)?;
+        let mut config = run.read_config()?;
+        if let Some(dir) = data {
+            config.data.dir = dir.to_string_lossy().into_owned();
+        }
+        let newest = checkpoint::latest(&run.checkpoints())?;
+        let mut state = checkpoint::load_state(&newest)?;
+        let model = checkpoint::load_model(&newest, &config, DType::F32, runtime.device())?;
+        checkpoint::check_config(&newest, &state, &config)?;
+        state.touch(runtime.device());
+        let (config, scene) = runtime.install(|| load_scene(config, events))?;
+        Ok(Trained { run, config, scene, state, model, runtime: runtime.clone() })
+    }
+
+    /// Renders views of it.
+    pub fn viewer(&self) -> Viewer<'_> {
+        let Trained { config, scene, model, runtime, .. } = self;
+        Viewer { model, config, scene, device: runtime.device() }
+    }
+
+    /// Where its numbers come from.
+    pub fn protocol(&self) -> Protocol {
+        Protocol::new(&self.config, &self.scene, &self.state)
+    }
+
+    /// Measures every held-out view, and the surface where the settings ask for one, and writes `metrics.json` and
+    /// `metrics.csv` into the run's folder.
+    ///
+    /// # Errors
+    /// A surface that the scene cannot have; weights that are not numbers; files that cannot be written.
+    pub fn evaluate(&self, lpips: &[Lpips], events: &dyn Listener) -> Result<Report> {
+        surface_reference(&self.config, &self.scene)?;
+        let Trained { run, state, .. } = self;
+        let measurement = Measurement { run, viewer: self.viewer(), state, lpips, events };
+        self.runtime.install(|| measurement.write(|| Ok(()), |_, _, _| Ok(())))
+    }
+}
+
+/// One evaluation of a run.
+pub(super) struct Measurement<'a> {
+    pub run: &'a RunDir,
+    pub viewer: Viewer<'a>,
+    pub state: &'a State,
+    pub lpips: &'a [Lpips],
+    pub events: &'a dyn Listener,
+}
+
+impl Measurement<'_> {
+    /// Measures and writes. `going` may end it with an error before a view or a piece of the surface; `each` is handed each
+    /// view that is measured.
+    pub fn write(
+        &self,
+        going: impl Fn() -> Result<()>,
+        each: impl FnMut(usize, &View, &RenderedView) -> Result<()>,
+    ) -> Result<Report> {
+        let attack = AttackSummary::read(&self.run.scalars(), self.state.step)?;
+        let views = self.viewer.evaluate(self.lpips, self.events, &going, each)?;
+        let surface = self.viewer.surface(self.events, &going)?;
+        let protocol = Protocol::new(self.viewer.config, self.viewer.scene, self.state);
+        let report = Report::new(views, surface, protocol, attack);
+        report.write(&self.run.metrics_json(), &self.run.metrics_csv())?;
+        Ok(report)
+    }
+}

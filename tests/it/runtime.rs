@@ -1,0 +1,88 @@
+//! Runtimes: several trainings in one process, none in another's way.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::sync::Barrier;
+use std::sync::atomic::AtomicUsize;
+
+use augnerf::base::Error;
+use augnerf::run::{Job, Setup};
+use augnerf::runtime::{Runtime, Work};
+use augnerf::settings::Method;
+
+use crate::common::{tiny_config, tiny_scene};
+
+/// Trains in `folder` on a runtime of its own; what that did.
+fn train(folder: &Path, method: Method, threads: usize) -> Work {
+    let runtime = Runtime::new("cpu", Some(threads)).unwrap();
+    let config = tiny_config(method, |config| {
+        config.train.steps = 12;
+        config.train.log_every = 3;
+        config.train.eval_every = 6;
+        config.train.checkpoint_every = 4;
+    });
+    let setup = Setup { config, scene: &tiny_scene(), lpips: &[], runtime: runtime.clone() };
+    Job::create(folder, false, setup).unwrap().train(&(), &AtomicUsize::new(0)).unwrap();
+    runtime.work()
+}
+
+/// All files below `folder` but those that hold clock times or process numbers.
+fn files(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
+    let mut found = BTreeMap::new();
+    for entry in std::fs::read_dir(folder).unwrap() {
+        let path = entry.unwrap().path();
+        let name = path.file_name().unwrap().to_string_lossy().into_owned();
+        if ["timing.json", "tensorboard", "run.lock"].contains(&name.as_str()) {
+            continue;
+        }
+        if path.is_dir() {
+            found.extend(files(&path).into_iter().map(|(below, bytes)| (Path::new(&name).join(below), bytes)));
+        } else {
+            found.insert(name.into(), std::fs::read(&path).unwrap());
+        }
+    }
+    found
+}
+
+#[test]
+fn two_trainings_at_once_give_the_bytes_of_one() {
+    let folder = tempfile::TempDir::new().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    let alone = train(&at("alone"), Method::AugNerf, 2);
+    train(&at("other alone"), Method::Nerf, 2);
+    let together = Barrier::new(2);
+    let (first, _) = std::thread::scope(|scope| {
+        let start = |name: &'static str, method, threads| {
+            let (together, at) = (&together, &at);
+            scope.spawn(move || {
+                together.wait();
+                train(&at(name), method, threads)
+            })
+        };
+        let (first, second) = (start("first", Method::AugNerf, 1), start("second", Method::Nerf, 3));
+        (first.join().unwrap(), second.join().unwrap())
+    });
+    let (expected, expected_other) = (files(&at("alone")), files(&at("other alone")));
+    assert!(expected.len() > 10 && expected != expected_other, "{:?}", expected.keys());
+    assert!(expected == files(&at("first")));
+    assert!(expected_other == files(&at("second")));
+    // Another training's work is not counted.
+    assert!(alone.multiply_adds > 0 && alone.active_points > 0);
+    assert_eq!(alone, first);
+}
+
+#[test]
+fn what_is_no_device_is_refused() {
+    for device in ["abacus", "cpu:1", "cuda:x"] {
+        let Err(Error::Config(message)) = Runtime::new(device, None) else { panic!("{device} is none") };
+        assert!(message.starts_with(&format!("device {device}: ")), "{message}");
+    }
+}
+
+/// Work inside a runtime stays there, whichever thread asks for it.
+#[test]
+fn work_is_done_on_the_runtimes_threads() {
+    let [one, other] = [1, 2].map(|threads| Runtime::new("cpu", Some(threads)).unwrap());
+    let seen = one.install(|| (rayon::current_num_threads(), other.install(rayon::current_num_threads)));
+    assert_eq!(seen, (1, 2));
+}
