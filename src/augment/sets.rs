@@ -5,6 +5,7 @@ use candle_core::{D, DType, Result as TensorResult, Tensor};
 use crate::augment::Deltas;
 use crate::base::Result;
 use crate::base::rng::Random;
+use crate::data::Scene;
 use crate::settings::{LEVELS, Level, Norm, Passes, Radius, ResolvedPerturb};
 
 /// How random points of a set are drawn.
@@ -30,6 +31,17 @@ pub struct PixelScale {
 }
 
 impl PixelScale {
+    /// That of a scene; the first training camera stands for all.
+    pub fn of(scene: &Scene) -> PixelScale {
+        let camera = &scene.train[0].camera;
+        PixelScale {
+            width: camera.width as f64,
+            height: camera.height as f64,
+            focal: camera.focal[0],
+            ndc: scene.ndc.is_some(),
+        }
+    }
+
     /// One epsilon of `xyz` before the cap, scene units: 2/W in NDC, 1/f otherwise; the released
     /// code's 2 / max(H, W).
     fn radius(&self, choice: Radius) -> f64 {

@@ -9,7 +9,6 @@ use super::{Contender, Difference, Window, differences, profile_figure};
 use crate::base::files::{write_atomic, write_json};
 use crate::base::{Error, Result};
 use crate::data::{RayBuffer, Rays};
-use crate::methods::Volume;
 use crate::render::sampling::stratified;
 use crate::render::volume::middles;
 use crate::render::{Pass, PassOutput, clean_pass, columns, fine_t_vals, points_at};
@@ -91,17 +90,15 @@ impl Profile {
     pub fn measure(viewer: &Viewer, run: &Contender, pixel: (usize, usize), patch: Window) -> Result<Profile> {
         let Viewer { model, config, scene, device } = *viewer;
         let camera = &run.view.camera;
-        let volume = Volume::of(scene);
-        let (near, far) = volume.bounds;
+        let (near, far) = scene.bounds();
         let rays = |pixels: &[(usize, usize)]| {
             let pixels: Vec<_> = pixels.iter().map(|&(x, y)| (camera, x as u32, y as u32)).collect();
             RayBuffer::new(&pixels, scene.ndc.as_ref(), config.data.pixel_origin).to_tensors(DType::F32, device)
         };
-        let model = model.frozen()?;
-        let (coarse, fine) = (&model.coarse, model.fine());
+        let fields = model.fields()?.frozen()?;
+        let (coarse, fine) = (&fields.coarse, fields.fine());
         let pass = |field, rays: &Rays, t_vals: &Tensor| {
-            let background = volume.background;
-            clean_pass(field, Pass { rays, t_vals, density_noise: None, background, positions: None })
+            clean_pass(field, Pass { rays, t_vals, density_noise: None, background: scene.background, positions: None })
         };
         let ray = rays(&[pixel])?;
         let sampling = &config.sampling;
@@ -115,7 +112,7 @@ impl Profile {
         // MipNeRF's intervals have one edge more.
         let even_columns = EVEN + coarse_columns - sampling.coarse;
         let t_vals = stratified(near, far, pixels.len(), even_columns, None, &around.origins)?;
-        let even = samples(&around, &pass(model.evaluated(), &around, &t_vals)?)?;
+        let even = samples(&around, &pass(fields.evaluated(), &around, &t_vals)?)?;
         let shown = &fine_pass.as_ref().unwrap_or(&coarse_pass).composite;
         let acc = shown.acc.to_vec1::<f32>()?[0];
         let depth = shown.depth.to_vec1::<f32>()?[0] / acc;

@@ -68,6 +68,11 @@ pub struct Scene {
 }
 
 impl Scene {
+    /// Start and end of a ray's interval, in the units of `t_vals`.
+    pub fn bounds(&self) -> (f64, f64) {
+        (self.near, self.far)
+    }
+
     /// Whether the views' depth is exact.
     pub fn has_exact_depth(&self) -> bool {
         [DataKind::BuiltinBlender, DataKind::BuiltinForward].iter().any(|kind| kind.name() == self.kind)

@@ -3,6 +3,7 @@
 use candle_core::DType;
 
 use crate::base::{Error, Event, Listener, Result};
+use crate::methods::FieldLearner;
 use crate::runtime::Runtime;
 use crate::settings::{Config, Method, REGULARIZERS, Regularizer, Resolved};
 use crate::space::Lattice;
@@ -53,14 +54,17 @@ pub fn balance(
     let (config, scene) = load_scene(config, events)?;
     Lattice { domain: regularizer.domain, side: regularizer.lattice }.check_meets(&scene, "regularizer.domain")?;
     let mut trainer = Trainer::new(&config, &scene, DType::F32, runtime.device())?;
-    trainer.check_duration(&regularizer, REGULARIZERS.len() as u64)?;
+    // It shares the trainer's weights.
+    let fields = trainer.model().fields()?.clone();
+    let mut learner = FieldLearner::new(&config, &scene, fields, DType::F32, runtime.device())?;
+    learner.check_duration(&regularizer, REGULARIZERS.len() as u64)?;
     events.on(Event::TrainingStarted { first: 0, steps, rays: config.train.rays });
     for _ in 0..steps {
         let stats = trainer.step(false)?;
         events.on(Event::Stepped { step: stats.step, loss: stats.loss, psnr: stats.psnr() });
     }
     events.on(Event::TrainingFinished);
-    let lines = trainer.balance(&regularizer)?.into_iter().flat_map(|balance| {
+    let lines = learner.balance(&regularizer, steps)?.into_iter().flat_map(|balance| {
         GRID.map(|factor| {
             let share = MIDDLE_SHARE * factor;
             // Nothing to divide by where the term has no pull: no weight, rather than a wrong one.

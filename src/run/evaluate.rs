@@ -11,9 +11,8 @@ use serde::Serialize;
 use crate::base::files::{write_atomic, write_json};
 use crate::base::{Error, Event, Image, Listener, Result};
 use crate::data::{Camera, RayBuffer, Scene, View};
-use crate::methods::{AttackSummary, Model, Volume};
+use crate::methods::{AttackSummary, Model};
 use crate::metrics::{DepthMetrics, Lpips, MeanMetrics, ViewMetrics, measure};
-use crate::render::render_rays;
 use crate::settings::Resolved;
 use crate::space::Chamfer;
 
@@ -45,16 +44,14 @@ impl Viewer<'_> {
     /// Renders the view of a camera without any randomness, `config.eval.chunk` rays at a time.
     pub fn render(&self, camera: &Camera) -> Result<RenderedView> {
         let Viewer { model, config, scene, device } = *self;
-        let volume = Volume::of(scene);
-        let model = model.frozen()?;
+        let painter = model.painter(config, scene)?;
         let (width, height) = (camera.width as u32, camera.height as u32);
         let pixels: Vec<(&Camera, u32, u32)> =
             (0..height).flat_map(|y| (0..width).map(move |x| (camera, x, y))).collect();
         let render = |part: &[(&Camera, u32, u32)]| -> Result<[Vec<f32>; 3]> {
             let rays =
                 RayBuffer::new(part, scene.ndc.as_ref(), config.data.pixel_origin).to_tensors(DType::F32, device)?;
-            let out =
-                render_rays(&model.coarse, model.fine(), &rays, volume.bounds, &config.sampling, volume.background)?;
+            let out = painter.paint(&rays)?;
             let host = |tensor: &candle_core::Tensor| tensor.to_dtype(DType::F32)?.flatten_all()?.to_vec1::<f32>();
             Ok([host(&out.rgb)?, host(&(out.depth / &out.acc)?)?, host(&out.acc)?])
         };

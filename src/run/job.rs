@@ -164,7 +164,7 @@ impl Experiment<'_> {
 
     fn report_redraws(&self, trainer: &Trainer, events: &dyn Listener) {
         let config = &self.setup.config;
-        for (role, redraws) in Model::roles(config).iter().zip(trainer.redraws()) {
+        for (role, redraws) in Model::parts(config).iter().zip(trainer.redraws()) {
             if *redraws > 0 && trainer.step_count() == 0 {
                 let share = config.train.dead_start_share;
                 events.on(Event::Note(&format!(

@@ -176,7 +176,7 @@ impl Trained {
         if options.largest {
             mesh = mesh.keep(&components[0]);
         }
-        let field = self.model.evaluated();
+        let field = self.model.fields()?.evaluated();
         let skin = skin(field, mesh, &drawing.lattice, self.scene.ndc.as_ref(), self.runtime.device())?;
         for format in &options.formats {
             format.write(&files.path().join(format.file()), &skin.mesh)?;
@@ -199,7 +199,7 @@ impl Trained {
             events.on(Event::Advanced);
             Ok(())
         };
-        let drawn = level_set(self.model.evaluated(), drawing, self.runtime.device(), out, advance)?;
+        let drawn = level_set(self.model.fields()?.evaluated(), drawing, self.runtime.device(), out, advance)?;
         events.on(Event::Finished);
         if let (Some(mut volume), Some(path)) = (volume, path) {
             volume.flush().map_err(|e| Error::unwritable(&path, &e))?;

@@ -134,7 +134,7 @@ impl Protocol {
         let perturb = config.method.is_augmented().then_some(&config.perturb);
         let regularizer = Some(&config.regularizer).filter(|regularizer| !regularizer.kind.is_empty());
         let deltas = perturb.filter(|perturb| perturb.kind != PerturbKind::FreshJitter);
-        let named = Model::roles(config).into_iter().zip(&state.redraws).map(|(role, draws)| format!("{role} {draws}"));
+        let named = Model::parts(config).into_iter().zip(&state.redraws).map(|(role, draws)| format!("{role} {draws}"));
         Protocol {
             protocol: PROTOCOL,
             dataset: scene.kind.to_string(),

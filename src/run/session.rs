@@ -5,9 +5,8 @@ use std::time::{Duration, Instant};
 
 use crate::base::{Error, Event, Image, Listener, Result};
 use crate::run::{EventWriter, RunDir, Scalars};
-use crate::settings::{Config, LEVELS, PerturbKind, Regularizer};
 
-use crate::methods::diagnostic_columns;
+use crate::methods::LogColumns;
 use crate::train::{StepStats, Trainer};
 
 /// What is done between steps.
@@ -45,47 +44,22 @@ pub struct Session<'a> {
 }
 
 /// Columns of `scalars.csv` after `step`.
-fn columns(config: &Config) -> Vec<String> {
-    let mut columns: Vec<String> = ["learning_rate", "loss", "loss_coarse"].map(String::from).to_vec();
-    if config.sampling.fine > 0 {
-        columns.push("loss_fine".into());
-    }
-    columns.push("psnr".into());
-    if config.train.eval_every > 0 {
-        columns.extend(EVALUATION_COLUMNS.map(String::from));
-    }
-    columns.extend(config.regularizer.kind.iter().map(|term| regularizer_column(*term)));
-    if config.method.is_augmented() {
-        columns.push("loss_perturbed".into());
-        if config.perturb.kind != PerturbKind::FreshJitter {
-            let on = LEVELS.into_iter().filter(|&level| config.perturb.delta(level).on());
-            columns.extend(on.flat_map(diagnostic_columns));
-        }
-    }
-    columns
-}
-
-/// The column of a regularizer's unweighted term.
-fn regularizer_column(term: Regularizer) -> String {
-    format!("regularizer.{}", term.name())
+fn columns(trainer: &Trainer) -> Vec<String> {
+    let LogColumns { photometric, further } = trainer.columns();
+    let evaluation = if trainer.config().train.eval_every > 0 { &EVALUATION_COLUMNS[..] } else { &[] };
+    let named = |names: &[&str]| names.iter().map(|name| name.to_string()).collect::<Vec<_>>();
+    [named(&["learning_rate", "loss"]), photometric, named(&["psnr"]), named(evaluation), further].concat()
 }
 
 /// One row of the logs.
 fn values(stats: &StepStats) -> Vec<(String, f64)> {
-    let mut values = vec![
-        ("learning_rate".to_string(), stats.learning_rate),
-        ("loss".into(), stats.loss),
-        ("loss_coarse".into(), stats.loss_coarse),
-    ];
+    let mut values = vec![("learning_rate".to_string(), stats.learning_rate), ("loss".into(), stats.loss)];
+    let mut terms = stats.terms.iter().map(|term| (term.name.clone(), term.value));
+    values.extend(terms.next());
     values.extend(stats.psnr().map(|psnr| ("psnr".into(), psnr)));
-    values.extend(stats.loss_fine.map(|loss| ("loss_fine".into(), loss)));
-    values.extend(stats.loss_perturbed.map(|loss| ("loss_perturbed".into(), loss)));
-    values.extend(stats.regularizers.iter().map(|(term, value)| (regularizer_column(*term), *value)));
+    values.extend(terms);
     for level in &stats.levels {
-        let inactive = f64::from(u8::from(level.inactive));
-        let numbers = [Some(level.gain), Some(level.gain_over_random), level.share_at_bound, Some(inactive)];
-        let named = diagnostic_columns(level.level).into_iter().zip(numbers);
-        values.extend(named.filter_map(|(name, number)| number.map(|number| (name, number))));
+        values.extend(level.columns());
     }
     values
 }
@@ -94,7 +68,7 @@ impl<'a> Session<'a> {
     /// A session that goes on from the trainer's step: 0, or that of the checkpoint it was resumed
     /// from. `resumed` says that an earlier session may have left later steps in the logs.
     pub fn new(run: &'a RunDir, trainer: Trainer, resumed: bool) -> Result<Session<'a>> {
-        let columns = columns(trainer.config());
+        let columns = columns(&trainer);
         let columns: Vec<&str> = columns.iter().map(String::as_str).collect();
         let step = trainer.step_count();
         let scalars = Scalars::resume(&run.scalars(), &columns, step)?;

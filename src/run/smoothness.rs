@@ -55,7 +55,7 @@ impl SmoothnessReport {
         events: &dyn Listener,
     ) -> Result<SmoothnessReport> {
         lattice.check_meets(scene, "--bbox")?;
-        let fields: Vec<_> = model.fields().into_iter().filter(|(role, _)| *role != "adversarial").collect();
+        let fields: Vec<_> = model.fields()?.by_role().into_iter().filter(|(role, _)| *role != "adversarial").collect();
         let seconds = estimate_seconds(fields[0].1, lattice, lattice.cells(), false, (DType::F32, device))?;
         let hours = seconds * fields.len() as f64 / 3600.0;
         if hours > MOST_HOURS {

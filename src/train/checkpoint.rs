@@ -13,7 +13,7 @@ use serde::{Deserialize, Serialize};
 use crate::base::files::{AtomicDir, clean_temporaries, write_atomic, write_json};
 use crate::base::{Error, Result, revision};
 use crate::data::Scene;
-use crate::methods::{FieldLearner, Model};
+use crate::methods::{Model, Start};
 use crate::settings::{Config, Resolved};
 
 use super::{Adam, Moments, Trainer};
@@ -254,9 +254,9 @@ impl Trainer {
         let second = tensors.all("adam.second.", &names)?;
         let moments = first.into_iter().zip(second).map(|(first, second)| Moments { first, second }).collect();
         let adam = Adam::restore(model.variables(), moments);
-        let learner = FieldLearner::new(config, scene, model, dtype, device)?;
-        let trainer = Trainer::with_learner(config, learner, device)?;
         let State { step, empty_steps, redraws, revisions, devices, .. } = state;
-        Ok(Trainer { adam, step, empty_steps, redraws, revisions, devices, ..trainer })
+        let learner = model.learner(config, scene, dtype, device)?;
+        let trainer = Trainer::with(config, Start { model, learner, redraws }, device)?;
+        Ok(Trainer { adam, step, empty_steps, revisions, devices, ..trainer })
     }
 }

@@ -310,7 +310,7 @@ proptest! {
 fn the_search_raises_the_loss_and_beats_random_deltas_on_a_trained_field() {
     let config = tiny_config(Method::Nerf, |_| {});
     let trainer = trained(&config, 300);
-    let field = &trainer.model().coarse;
+    let field = &trainer.model().fields().unwrap().coarse;
     let weights: Vec<Tensor> =
         field.variables().iter().map(|(_, var)| var.as_tensor().to_dtype(DType::F64).unwrap()).collect();
     // Each level by itself, then all together, in the calibrated sizes.
@@ -391,7 +391,7 @@ fn every_kind_and_place_trains() {
                 });
                 let mut trainer = trained(&config, 2);
                 let stats = trainer.step(true).unwrap();
-                assert!(stats.loss_perturbed.unwrap() > 0.0);
+                assert!(stats.term("loss_perturbed").unwrap() > 0.0);
                 let expected = if kind == PerturbKind::FreshJitter { 0 } else { 6 };
                 assert_eq!(stats.levels.len(), expected, "{kind:?}");
             }

@@ -46,7 +46,7 @@ fn chunks_bound_memory_and_change_no_picture() {
     let losses = |chunk: usize| {
         let config = tiny_config(Method::Nerf, |config| config.train.chunk = chunk);
         let stats = trained(&config, 3).step(false).unwrap();
-        (stats.loss_coarse, stats.loss_fine.unwrap())
+        (stats.term("loss_coarse").unwrap(), stats.term("loss_fine").unwrap())
     };
     let ((a, b), (c, d)) = (losses(64), losses(5));
     assert!((a - c).abs() < 1e-5 && (b - d).abs() < 1e-5, "{a} {b} {c} {d}");
@@ -153,7 +153,7 @@ fn mip_nerf_trains_on_a_forward_facing_scene() {
     assert!(scene.ndc.is_some());
     let config = config.resolve(scene.near, scene.far);
     let mut trainer = Trainer::new(&config, &scene, DType::F32, &Device::Cpu).unwrap();
-    let mut loss = || trainer.step(false).unwrap().loss_fine.unwrap();
+    let mut loss = || trainer.step(false).unwrap().term("loss_fine").unwrap();
     let early: f64 = (0..20).map(|_| loss()).sum();
     let late: f64 = (0..200).map(|_| loss()).skip(180).sum();
     assert!(late < 0.7 * early, "{early} {late}");
@@ -166,14 +166,14 @@ fn mip_nerf_fits_the_scene_with_one_field() {
         let config = tiny_config(method, |_| {});
         let scene = tiny_scene();
         let mut trainer = trained(&config, 300);
-        assert_eq!(trainer.model().fields().len(), 1);
+        assert_eq!(trainer.model().fields().unwrap().by_role().len(), 1);
         let View { camera, image, .. } = &scene.test[0];
         let viewer = Viewer { model: trainer.model(), config: &config, scene: &scene, device: &Device::Cpu };
         let psnr = psnr_float(&viewer.render(camera).unwrap().image, image).unwrap().unwrap();
         assert!(psnr > 18.0, "{method:?}: {psnr} dB");
         let stats = trainer.step(true).unwrap();
-        let (coarse, fine) = (stats.loss_coarse, stats.loss_fine.unwrap());
-        let perturbed = stats.loss_perturbed.map_or(0.0, |loss| config.perturb.lambda * loss);
+        let (coarse, fine) = (stats.term("loss_coarse").unwrap(), stats.term("loss_fine").unwrap());
+        let perturbed = stats.term("loss_perturbed").map_or(0.0, |loss| config.perturb.lambda * loss);
         assert!((stats.loss - (0.1 * coarse + fine + perturbed)).abs() < 1e-9, "{stats:?}");
         assert_eq!(stats.levels.len(), if method == Method::AugMipNerf { 6 } else { 0 });
     }
@@ -183,9 +183,9 @@ fn mip_nerf_fits_the_scene_with_one_field() {
 fn a_model_without_fine_samples_trains_its_coarse_field_alone() {
     let config = tiny_config(Method::AugNerf, |config| config.sampling.fine = 0);
     let mut trainer = trained(&config, 2);
-    assert!(trainer.model().fine().is_none());
+    assert!(trainer.model().fields().unwrap().fine().is_none());
     let stats = trainer.step(true).unwrap();
-    assert!(stats.loss_fine.is_none() && stats.levels.len() == 6);
+    assert!(stats.term("loss_fine").is_none() && stats.levels.len() == 6);
     let scene = tiny_scene();
     let camera = &scene.test[0].camera;
     let viewer = Viewer { model: trainer.model(), config: &config, scene: &scene, device: &Device::Cpu };

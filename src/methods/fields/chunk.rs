@@ -58,13 +58,13 @@ impl FieldLearner {
     pub(super) fn draw_clean(&self, rays: Rays, target: Tensor, step: u64, random: &mut Random) -> Result<Chunk> {
         let sampling = &self.config.sampling;
         let (n, coarse, fine) = (rays.len(), sampling.coarse, sampling.fine);
-        let (columns, fine_columns) = columns(&self.model.coarse, sampling);
+        let (columns, fine_columns) = columns(&self.fields.coarse, sampling);
         let (mip, (_, fine_samples)) = (self.config.method.is_mip(), self.config.samples());
         let jitter = match sampling.jitter {
             true => Some(random.uniform_tensor(&[n, columns], self.dtype, &self.device)?),
             false => None,
         };
-        let (near, far) = self.volume.bounds;
+        let (near, far) = self.bounds;
         let t_coarse = sampling::stratified(near, far, n, columns, jitter.as_ref(), &rays.origins)?;
         let std = self.config.density_noise;
         let mut noise = |samples: usize| -> Result<Option<Tensor>> {

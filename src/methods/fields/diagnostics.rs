@@ -25,6 +25,16 @@ pub struct LevelDiagnostics {
     pub inactive: bool,
 }
 
+impl LevelDiagnostics {
+    /// The numbers by their columns, missing ones left out.
+    pub fn columns(&self) -> Vec<(String, f64)> {
+        let inactive = f64::from(u8::from(self.inactive));
+        let numbers = [Some(self.gain), Some(self.gain_over_random), self.share_at_bound, Some(inactive)];
+        let named = columns(self.level).into_iter().zip(numbers);
+        named.filter_map(|(name, number)| number.map(|number| (name, number))).collect()
+    }
+}
+
 /// What a level's deltas did over all logged steps of a run, read back from `scalars.csv`.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct AttackSummary {

@@ -6,12 +6,12 @@ use crate::augment::PixelScale;
 use crate::base::{Error, Result};
 use crate::data::Scene;
 use crate::methods::batches::Batches;
-use crate::methods::gradients::Gradients;
+use crate::methods::learner::{Learned, Learner, LogColumns, Term};
 use crate::render::positions_at;
-use crate::settings::{DensityActivation, Regularizer, Resolved};
+use crate::settings::{DensityActivation, LEVELS, PerturbKind, Regularizer, Resolved};
 
-use super::diagnostics::LevelDiagnostics;
-use super::networks::Model;
+use super::diagnostics;
+use super::networks::Fields;
 use super::passes::mixing;
 use super::regularized;
 use super::results::ChunkResult;
@@ -22,83 +22,52 @@ const MOST_REDRAWS: u64 = 100;
 /// Trains the fields of one experiment on one scene.
 pub struct FieldLearner {
     pub(super) config: Resolved,
-    pub(super) volume: Volume,
+    /// Start and end of a ray's interval, in units of `t_vals`.
+    pub(super) bounds: (f64, f64),
+    /// Fills missing accumulation.
+    pub(super) background: Option<[f32; 3]>,
+    /// A pixel's size.
+    pub(super) pixel: PixelScale,
     pub(super) device: Device,
     pub(super) dtype: DType,
-    pub(super) model: Model,
+    pub(super) fields: Fields,
     pub(super) variables: Vec<(String, Var)>,
     pub(super) batches: Batches,
 }
 
-/// What a scene contributes to the numerics besides rays.
-#[derive(Clone, Copy, Debug)]
-pub struct Volume {
-    /// Start and end of a ray's interval, in units of `t_vals`.
-    pub bounds: (f64, f64),
-    /// Fills missing accumulation.
-    pub background: Option<[f32; 3]>,
-    /// A pixel's size.
-    pub pixel: PixelScale,
-}
-
-impl Volume {
-    /// That of a scene; the first training camera stands for all.
-    pub fn of(scene: &Scene) -> Volume {
-        let camera = &scene.train[0].camera;
-        let pixel = PixelScale {
-            width: camera.width as f64,
-            height: camera.height as f64,
-            focal: camera.focal[0],
-            ndc: scene.ndc.is_some(),
-        };
-        Volume { bounds: (scene.near, scene.far), background: scene.background, pixel }
-    }
-}
-
-/// What a step learned.
-pub struct Learned {
-    /// In the order of the model's variables.
-    pub gradients: Gradients,
-    /// Photometric loss of the clean coarse pass.
-    pub loss_coarse: f64,
-    /// That of the clean fine pass, where there is one.
-    pub loss_fine: Option<f64>,
-    /// Loss of the perturbed passes (coarse + fine, unweighted), where there are any.
-    pub loss_perturbed: Option<f64>,
-    /// Each regularizer's term, unweighted, summed over the fields that it holds for.
-    pub regularizers: Vec<(Regularizer, f64)>,
-    /// What the gradients are of.
-    pub loss: f64,
-    /// Largest accumulation of a ray in the pass that is evaluated, without density noise.
-    pub largest_acc: f64,
-    /// Per level that is on, at log steps.
-    pub levels: Vec<LevelDiagnostics>,
-}
-
 impl FieldLearner {
-    /// Goes on with `model` on the training views of `scene`.
-    pub fn new(config: &Resolved, scene: &Scene, model: Model, dtype: DType, device: &Device) -> Result<FieldLearner> {
+    /// Goes on with `fields` on the training views of `scene`.
+    pub fn new(
+        config: &Resolved,
+        scene: &Scene,
+        fields: Fields,
+        dtype: DType,
+        device: &Device,
+    ) -> Result<FieldLearner> {
         Ok(FieldLearner {
             config: config.clone(),
-            volume: Volume::of(scene),
+            bounds: scene.bounds(),
+            background: scene.background,
+            pixel: PixelScale::of(scene),
             device: device.clone(),
             dtype,
-            variables: model.variables(),
-            model,
+            variables: fields.variables(),
+            fields,
             batches: Batches::new(config, scene)?,
         })
     }
 
-    /// Draws the fields of a run, dead starts again, and returns how often each field of [`Model::roles`] was drawn again.
+    /// Draws the fields of a run, dead starts again. Returns how often each field of [`Fields::roles`] was drawn again,
+    /// too.
     pub fn start(config: &Resolved, scene: &Scene, dtype: DType, device: &Device) -> Result<(FieldLearner, Vec<u64>)> {
         if !config.regularizer.kind.is_empty() {
             regularized::lattice(&config.regularizer).check_meets(scene, "regularizer.domain")?;
         }
-        let mut redraws = vec![0; Model::roles(config).len()];
-        let model = Model::init(config, &redraws, dtype, device)?;
-        let mut learner = FieldLearner::new(config, scene, model, dtype, device)?;
+        let mut redraws = vec![0; Fields::roles(config).len()];
+        let fields = Fields::init(config, &redraws, dtype, device)?;
+        let mut learner = FieldLearner::new(config, scene, fields, dtype, device)?;
         let first = learner.draw(0)?;
-        let positions = positions_at(&learner.model.coarse, &first.rays, &first.t_coarse)?.flatten(0, 1)?;
+        let positions = positions_at(&learner.fields.coarse, &first.rays, &first.t_coarse)?.flatten(0, 1)?;
         loop {
             let dead = learner.dead_fields(&positions)?;
             if dead.is_empty() {
@@ -110,13 +79,13 @@ impl FieldLearner {
                     return Err(Error::Diverged(format!(
                         "{MOST_REDRAWS} draws of the {} field all start with under {} of densities positive; \
                          lower train.dead_start_share or change field.init",
-                        Model::roles(config)[field],
+                        Fields::roles(config)[field],
                         config.train.dead_start_share
                     )));
                 }
             }
-            learner.model = Model::init(config, &redraws, dtype, device)?;
-            learner.variables = learner.model.variables();
+            learner.fields = Fields::init(config, &redraws, dtype, device)?;
+            learner.variables = learner.fields.variables();
         }
         if !config.regularizer.kind.is_empty() {
             learner.check_duration(&config.regularizer, config.train.steps)?;
@@ -125,8 +94,8 @@ impl FieldLearner {
     }
 
     /// The fields that learn.
-    pub fn model(&self) -> &Model {
-        &self.model
+    pub fn fields(&self) -> &Fields {
+        &self.fields
     }
 
     /// Fields whose share of positive densities at `positions` is under the configured one. Softplus has none: it is
@@ -136,7 +105,7 @@ impl FieldLearner {
             return Ok(Vec::new());
         }
         let mut dead = Vec::new();
-        for (index, (_, field)) in self.model.fields().into_iter().enumerate() {
+        for (index, (_, field)) in self.fields.by_role().into_iter().enumerate() {
             let positive = field.frozen()?.raw_density(positions)?.gt(0f64)?.to_dtype(DType::F64)?;
             if positive.mean_all()?.to_scalar::<f64>()? < self.config.train.dead_start_share {
                 dead.push(index);
@@ -145,37 +114,73 @@ impl FieldLearner {
         Ok(dead)
     }
 
-    /// Draws the rays of the step after `step` finished ones and learns from them. `log` asks for the diagnostics of the
-    /// perturbed levels.
-    pub fn learn(&mut self, step: u64, log: bool) -> Result<Learned> {
+    /// The weighted terms of a step and their sum, from the losses of its passes and of its regularizers.
+    fn terms(&self, [coarse, fine, perturbed]: [Option<f64>; 3], regularizers: Vec<f64>) -> (Vec<Term>, f64) {
+        let (clean_weight, perturbed_weight) = mixing(&self.config);
+        let coarse_weight = self.coarse_weight(&self.fields);
+        let clean = coarse_weight * coarse.unwrap_or(0.0) + fine.unwrap_or(0.0);
+        let mut loss = clean_weight * clean + perturbed.map_or(0.0, |loss| perturbed_weight * loss);
+        let passes = [
+            ("loss_coarse", "loss of the clean coarse pass", coarse, clean_weight * coarse_weight),
+            ("loss_fine", "loss of the clean fine pass", fine, clean_weight),
+            ("loss_perturbed", "loss of the perturbed pass", perturbed, perturbed_weight),
+        ];
+        let of_pass = |(name, described, value, weight): (&str, &str, Option<f64>, f64)| {
+            value.map(|value| Term { name: name.into(), described: described.into(), value, weight })
+        };
+        let mut terms: Vec<Term> = passes.into_iter().filter_map(of_pass).collect();
+        if !regularizers.is_empty() {
+            let weighted = self.config.regularizer.terms().zip(regularizers);
+            let of_term = |((term, weight), value): ((Regularizer, f64), f64)| Term {
+                name: format!("regularizer.{}", term.name()),
+                described: format!("regularizer {}", term.name()),
+                value,
+                weight,
+            };
+            let regularizers: Vec<Term> = weighted.map(of_term).collect();
+            loss += regularizers.iter().map(|term| term.weight * term.value).sum::<f64>();
+            terms.extend(regularizers);
+        }
+        (terms, loss)
+    }
+}
+
+impl Learner for FieldLearner {
+    fn columns(&self) -> LogColumns {
+        let config = &self.config;
+        let mut photometric = vec!["loss_coarse".to_string()];
+        if config.sampling.fine > 0 {
+            photometric.push("loss_fine".into());
+        }
+        let mut further: Vec<String> =
+            config.regularizer.kind.iter().map(|term| format!("regularizer.{}", term.name())).collect();
+        if config.method.is_augmented() {
+            further.push("loss_perturbed".into());
+            if config.perturb.kind != PerturbKind::FreshJitter {
+                let on = LEVELS.into_iter().filter(|&level| config.perturb.delta(level).on());
+                further.extend(on.flat_map(diagnostics::columns));
+            }
+        }
+        LogColumns { photometric, further }
+    }
+
+    fn learn(&mut self, step: u64, log: bool) -> Result<Learned> {
         let whole = self.draw(step)?;
         let ChunkResult { mut gradients, losses, diagnostics } = self.passes(&whole, log)?;
-        let terms = match self.regularize(&self.config.regularizer, step)? {
-            Some((values, pull)) => {
-                gradients.merge(pull)?;
-                Some(values)
-            }
-            None => None,
-        };
-        let (clean_weight, perturbed_weight) = mixing(&self.config);
-        let [loss_coarse, loss_fine, loss_perturbed, largest_acc] = losses.read()?;
-        let loss_coarse = loss_coarse.expect("every chunk has a coarse pass");
-        let clean = self.coarse_weight(&self.model) * loss_coarse + loss_fine.unwrap_or(0.0);
-        let mut loss = clean_weight * clean + loss_perturbed.map_or(0.0, |loss| perturbed_weight * loss);
         let mut regularizers = Vec::new();
-        if let Some(values) = terms {
-            let values = values.to_vec1::<f64>()?;
-            loss +=
-                self.config.regularizer.terms().zip(&values).map(|((_, weight), value)| weight * value).sum::<f64>();
-            regularizers = self.config.regularizer.kind.iter().copied().zip(values).collect();
+        if let Some((values, pull)) = self.regularize(&self.config.regularizer, step)? {
+            gradients.merge(pull)?;
+            regularizers = values.to_vec1::<f64>()?;
         }
+        let [coarse, fine, perturbed, largest_acc] = losses.read()?;
+        let coarse = coarse.expect("every chunk has a coarse pass");
+        let clean = self.coarse_weight(&self.fields) * coarse + fine.unwrap_or(0.0);
+        let (terms, loss) = self.terms([Some(coarse), fine, perturbed], regularizers);
         Ok(Learned {
             gradients,
-            loss_coarse,
-            loss_fine,
-            loss_perturbed,
-            regularizers,
+            terms,
             loss,
+            mse: fine.unwrap_or(coarse),
             largest_acc: largest_acc.expect("every chunk has one"),
             levels: diagnostics.finish(clean),
         })

@@ -8,12 +8,14 @@ mod chunk;
 mod diagnostics;
 mod learner;
 mod networks;
+mod painter;
 mod passes;
 mod perturbed;
 mod regularized;
 mod results;
 
-pub use diagnostics::{AttackSummary, LevelDiagnostics, columns as diagnostic_columns};
-pub use learner::{FieldLearner, Learned, Volume};
-pub use networks::Model;
+pub use diagnostics::{AttackSummary, LevelDiagnostics};
+pub use learner::FieldLearner;
+pub use networks::Fields;
+pub use painter::FieldPainter;
 pub use regularized::Balance;

@@ -1,4 +1,4 @@
-//! The trained networks of one experiment, and their parameters by name.
+//! The fields of one experiment, and their parameters by name.
 
 use candle_core::{DType, Device, Tensor, Var};
 
@@ -8,7 +8,7 @@ use crate::settings::{Config, PerturbField};
 
 /// Coarse and fine field, and the further field of the released code's perturbed pass.
 #[derive(Clone)]
-pub struct Model {
+pub struct Fields {
     /// Places samples, and is the whole model where there is no fine field.
     pub coarse: Field,
     /// Rendered and evaluated, where there are two.
@@ -19,16 +19,16 @@ pub struct Model {
     pub adversarial: Option<Field>,
 }
 
-impl Model {
-    /// Freshly drawn fields. `draws` says how often each field of [`Model::roles`] was drawn
+impl Fields {
+    /// Freshly drawn fields. `draws` says how often each field of [`Fields::roles`] was drawn
     /// before: 0 for the first draw, one more for each dead start.
-    pub fn init(config: &Config, draws: &[u64], dtype: DType, device: &Device) -> Result<Model> {
+    pub fn init(config: &Config, draws: &[u64], dtype: DType, device: &Device) -> Result<Fields> {
         // Far apart, so that redraws of one field never meet another's numbers.
         const ROLE_STRIDE: u64 = 1 << 32;
         let fields = draws.iter().enumerate().map(|(role, draw)| {
             Field::init(&config.field, config.seed, role as u64 * ROLE_STRIDE + draw, dtype, device)
         });
-        Ok(Model::from_fields(config, fields.collect::<Result<Vec<Field>>>()?))
+        Ok(Fields::from_fields(config, fields.collect::<Result<Vec<Field>>>()?))
     }
 
     /// Names of the fields that a configuration has, in the fixed order of parameters: `coarse`,
@@ -48,19 +48,19 @@ impl Model {
     pub fn parameter_names(config: &Config) -> Vec<(String, Vec<usize>)> {
         let of_field = Field::parameter_names(&config.field);
         let named = |role| of_field.iter().map(move |(name, shape)| (format!("{role}.{name}"), shape.clone()));
-        Model::roles(config).into_iter().flat_map(named).collect()
+        Fields::roles(config).into_iter().flat_map(named).collect()
     }
 
-    /// A model over given values, in the order of [`Model::parameter_names`].
-    pub fn from_parameters(config: &Config, values: Vec<Tensor>) -> Result<Model> {
+    /// Fields over given values, in the order of [`Fields::parameter_names`].
+    pub fn from_parameters(config: &Config, values: Vec<Tensor>) -> Result<Fields> {
         let per_field = Field::parameter_names(&config.field).len();
         let fields = values.chunks(per_field).map(|part| Field::from_parameters(&config.field, part.to_vec()));
-        Ok(Model::from_fields(config, fields.collect::<Result<Vec<Field>>>()?))
+        Ok(Fields::from_fields(config, fields.collect::<Result<Vec<Field>>>()?))
     }
 
-    fn from_fields(config: &Config, fields: Vec<Field>) -> Model {
-        let mut fields = Model::roles(config).into_iter().zip(fields).collect::<std::collections::HashMap<_, _>>();
-        Model {
+    fn from_fields(config: &Config, fields: Vec<Field>) -> Fields {
+        let mut fields = Fields::roles(config).into_iter().zip(fields).collect::<std::collections::HashMap<_, _>>();
+        Fields {
             coarse: fields.remove("coarse").expect("there is always a coarse field"),
             fine: fields.remove("fine"),
             one: config.method.is_mip() && config.sampling.fine > 0,
@@ -79,31 +79,31 @@ impl Model {
     }
 
     /// The fields with their names, in the fixed order.
-    pub fn fields(&self) -> Vec<(&'static str, &Field)> {
+    pub fn by_role(&self) -> Vec<(&'static str, &Field)> {
         let optional = [("fine", &self.fine), ("adversarial", &self.adversarial)];
         let further = optional.into_iter().filter_map(|(role, field)| field.as_ref().map(|field| (role, field)));
         std::iter::once(("coarse", &self.coarse)).chain(further).collect()
     }
 
     /// The same weights, each field with a record of their gradients of its own.
-    pub fn recording(&self) -> Result<Model> {
+    pub fn recording(&self) -> Result<Fields> {
         self.map(Field::recording)
     }
 
     /// The fields that are looked at, with the same weights and without gradients.
-    pub fn frozen(&self) -> Result<Model> {
+    pub fn frozen(&self) -> Result<Fields> {
         let fine = self.fine.as_ref().map(Field::frozen).transpose()?;
-        Ok(Model { coarse: self.coarse.frozen()?, fine, one: self.one, adversarial: None })
+        Ok(Fields { coarse: self.coarse.frozen()?, fine, one: self.one, adversarial: None })
     }
 
     /// The same weights, laid out for the fused core where it applies (see [`Field::prepared`]).
-    pub fn prepared(&self) -> Result<Model> {
+    pub fn prepared(&self) -> Result<Fields> {
         self.map(Field::prepared)
     }
 
-    fn map(&self, change: impl Fn(&Field) -> Result<Field>) -> Result<Model> {
+    fn map(&self, change: impl Fn(&Field) -> Result<Field>) -> Result<Fields> {
         let optional = |field: &Option<Field>| field.as_ref().map(&change).transpose();
-        Ok(Model {
+        Ok(Fields {
             coarse: change(&self.coarse)?,
             fine: optional(&self.fine)?,
             one: self.one,
@@ -114,7 +114,7 @@ impl Model {
     /// What the fields recorded, in the order of all parameters; none where a field does not record.
     pub fn recorded(&self) -> Result<Vec<Option<Tensor>>> {
         let mut gradients = Vec::new();
-        for (_, field) in self.fields() {
+        for (_, field) in self.by_role() {
             match field.recorded()? {
                 Some(recorded) => gradients.extend(recorded.into_iter().map(Some)),
                 None => gradients.extend(vec![None; field.variables().len()]),
@@ -128,6 +128,6 @@ impl Model {
         let named = |(role, field): (&str, &Field)| -> Vec<(String, Var)> {
             field.variables().iter().map(|(name, var)| (format!("{role}.{name}"), var.clone())).collect()
         };
-        self.fields().into_iter().flat_map(named).collect()
+        self.by_role().into_iter().flat_map(named).collect()
     }
 }

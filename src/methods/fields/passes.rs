@@ -10,7 +10,7 @@ use crate::settings::{Config, Objective, PerturbKind};
 
 use super::chunk::Chunk;
 use super::learner::FieldLearner;
-use super::networks::Model;
+use super::networks::Fields;
 use super::results::ChunkResult;
 
 /// Parts of a step that threads share; each sums its gradients in place.
@@ -21,7 +21,7 @@ impl FieldLearner {
     pub(super) fn passes(&self, whole: &Chunk, log: bool) -> Result<ChunkResult> {
         let size = self.config.train.chunk;
         let starts: Vec<(usize, usize)> = (0..whole.rays.len()).step_by(size).enumerate().collect();
-        let prepared = self.model.prepared()?;
+        let prepared = self.fields.prepared()?;
         let work = |part: &[(usize, usize)]| -> Result<ChunkResult> {
             let model = prepared.recording()?;
             let mut sum: Option<ChunkResult> = None;
@@ -55,7 +55,7 @@ impl FieldLearner {
 
     /// Everything that a step does with a chunk. Losses and gradients are
     /// weighted with the chunk's share, so that chunks add up.
-    fn work(&self, model: &Model, chunk: &Chunk, log: bool) -> Result<ChunkResult> {
+    fn work(&self, model: &Fields, chunk: &Chunk, log: bool) -> Result<ChunkResult> {
         let (clean_weight, perturbed_weight) = mixing(&self.config);
         let mut result = ChunkResult::new(self.variables.len());
         let t_fine = self.clean(model, chunk, clean_weight, &mut result)?;
@@ -73,7 +73,7 @@ impl FieldLearner {
     /// Clean passes of a chunk; returns the fine pass's samples.
     pub(super) fn clean(
         &self,
-        model: &Model,
+        model: &Fields,
         chunk: &Chunk,
         weight: f64,
         result: &mut ChunkResult,
@@ -99,7 +99,7 @@ impl FieldLearner {
     }
 
     /// Weight of the coarse pass's loss; 1 where it is the only pass.
-    pub(super) fn coarse_weight(&self, model: &Model) -> f64 {
+    pub(super) fn coarse_weight(&self, model: &Fields) -> f64 {
         if model.fine().is_some() { self.config.train.coarse_weight } else { 1.0 }
     }
 
@@ -108,7 +108,7 @@ impl FieldLearner {
             rays: &chunk.rays,
             t_vals: &chunk.t_coarse,
             density_noise: chunk.noise_coarse.as_ref(),
-            background: self.volume.background,
+            background: self.background,
             positions: None,
         }
     }

@@ -17,7 +17,7 @@ use crate::settings::{LEVELS, Level, PerturbConfig, PerturbKind, Resample};
 use super::chunk::Chunk;
 use super::diagnostics::Sums;
 use super::learner::FieldLearner;
-use super::networks::Model;
+use super::networks::Fields;
 use super::results::ChunkResult;
 
 /// One perturbed pass of a chunk: which field, which samples, which sets.
@@ -42,7 +42,7 @@ impl FieldLearner {
     /// weighted with the chunk's share.
     pub(super) fn second_clean(
         &self,
-        model: &Model,
+        model: &Fields,
         chunk: &Chunk,
         weight: f64,
         gradients: &mut Gradients,
@@ -60,7 +60,7 @@ impl FieldLearner {
     /// their loss, coarse + fine, weighted with the chunk's share.
     pub(super) fn perturbed(
         &self,
-        model: &Model,
+        model: &Fields,
         chunk: &Chunk,
         t_fine: Option<&Tensor>,
         weight: f64,
@@ -96,10 +96,10 @@ impl FieldLearner {
             t_vals: pass.t_vals,
             samples: samples_of(field, pass.t_vals)?,
             direction_norm: &pass.rays.direction_norm,
-            bounds: self.volume.bounds,
+            bounds: self.bounds,
             coarse_samples: columns(field, &self.config.sampling).0,
             width: self.config.field.width,
-            pixel: self.volume.pixel,
+            pixel: self.pixel,
         };
         Ok(Perturbed {
             field,

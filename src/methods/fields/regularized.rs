@@ -44,7 +44,7 @@ impl FieldLearner {
         let points = Points::draw(config, &lattice, self.config.seed, step);
         let mut values = Tensor::zeros(terms.len(), DType::F64, &self.device)?;
         let mut gradients = Vec::new();
-        for (role, field) in self.model.fields() {
+        for (role, field) in self.fields.by_role() {
             if !self.regularizes(config, role) {
                 gradients.extend(vec![None; field.variables().len()]);
                 continue;
@@ -58,7 +58,7 @@ impl FieldLearner {
     }
 
     fn regularizes(&self, config: &RegularizerConfig, role: &str) -> bool {
-        let evaluated = if self.model.fine().is_some() { "fine" } else { "coarse" };
+        let evaluated = if self.fields.fine().is_some() { "fine" } else { "coarse" };
         match config.fields {
             RegularizedFields::Both => role != "adversarial",
             RegularizedFields::Fine => role == evaluated,
@@ -76,7 +76,7 @@ impl FieldLearner {
             return Ok(());
         }
         let fields: Vec<&Field> =
-            self.model.fields().into_iter().filter(|(role, _)| self.regularizes(config, role)).map(|f| f.1).collect();
+            self.fields.by_role().into_iter().filter(|(role, _)| self.regularizes(config, role)).map(|f| f.1).collect();
         let step =
             estimate_seconds(fields[0], &lattice, points, true, (self.dtype, &self.device))? * fields.len() as f64;
         let days = step * steps as f64 / SECONDS_PER_DAY;

@@ -1,0 +1,37 @@
+//! What fields look like.
+
+use crate::base::Result;
+use crate::data::{Rays, Scene};
+use crate::methods::painter::{Painted, Painter};
+use crate::render::render_rays;
+use crate::settings::{Config, SamplingConfig};
+
+use super::networks::Fields;
+
+/// Renders rays through the coarse and the fine field.
+pub struct FieldPainter {
+    fields: Fields,
+    sampling: SamplingConfig,
+    bounds: (f64, f64),
+    background: Option<[f32; 3]>,
+}
+
+impl FieldPainter {
+    /// Of fields with their weights as they are now, in their scene.
+    pub fn new(fields: &Fields, config: &Config, scene: &Scene) -> Result<FieldPainter> {
+        Ok(FieldPainter {
+            fields: fields.frozen()?,
+            sampling: config.sampling.clone(),
+            bounds: scene.bounds(),
+            background: scene.background,
+        })
+    }
+}
+
+impl Painter for FieldPainter {
+    fn paint(&self, rays: &Rays) -> Result<Painted> {
+        let (coarse, fine) = (&self.fields.coarse, self.fields.fine());
+        let composite = render_rays(coarse, fine, rays, self.bounds, &self.sampling, self.background)?;
+        Ok(Painted { rgb: composite.rgb, depth: composite.depth, acc: composite.acc })
+    }
+}

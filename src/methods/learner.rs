@@ -1,0 +1,54 @@
+//! How a method learns, as the trainer sees it.
+
+use crate::base::Result;
+
+use super::fields::LevelDiagnostics;
+use super::gradients::Gradients;
+
+/// A term of a step's loss.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Term {
+    /// Its column in the logs: `loss_coarse`, `regularizer.tv`.
+    pub name: String,
+    /// The same in a sentence: "loss of the clean coarse pass".
+    pub described: String,
+    /// What was measured, before its weight.
+    pub value: f64,
+    /// What it counts in the loss.
+    pub weight: f64,
+}
+
+/// What a step learned.
+pub struct Learned {
+    /// Of the loss, in the order of the model's variables.
+    pub gradients: Gradients,
+    /// What the loss is made of.
+    pub terms: Vec<Term>,
+    /// The weighted sum of the terms, in the learner's own order of additions.
+    pub loss: f64,
+    /// Mean squared error of the colours that an evaluation would show, over rays and channels: what a batch's PSNR is of.
+    pub mse: f64,
+    /// Largest accumulation of a ray, as an evaluation would see it.
+    pub largest_acc: f64,
+    /// Per perturbed level, at log steps.
+    pub levels: Vec<LevelDiagnostics>,
+}
+
+/// The columns that a learner fills in the logs.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct LogColumns {
+    /// Losses of rendered colours; they stand before `psnr`.
+    pub photometric: Vec<String>,
+    /// Other terms and diagnostics; they stand last.
+    pub further: Vec<String>,
+}
+
+/// Learns a model's parameters from a scene's training views.
+pub trait Learner: Send {
+    /// What its steps log, in the order of columns.
+    fn columns(&self) -> LogColumns;
+
+    /// Draws the work of the step that follows `step` finished ones, by random numbers that depend on seed and step
+    /// alone, and learns from it. Changes no parameter. `log` asks for diagnostics, which cost further passes.
+    fn learn(&mut self, step: u64, log: bool) -> Result<Learned>;
+}

@@ -1,0 +1,23 @@
+//! How a method shows its scene.
+
+use candle_core::Tensor;
+
+use crate::base::Result;
+use crate::data::Rays;
+
+/// The image of some rays.
+pub struct Painted {
+    /// Colours with the background behind them, `[rays, 3]`.
+    pub rgb: Tensor,
+    /// Sum of weights times t, `[rays]`, in the units of `t_vals`; over `acc`, the mean distance.
+    pub depth: Tensor,
+    /// Accumulated weight, `[rays]`, 0..=1; 1 where a method knows no empty space.
+    pub acc: Tensor,
+}
+
+/// Turns rays into their image, without randomness. What a method needs for all rays alike is prepared when the painter
+/// is made.
+pub trait Painter: Sync {
+    /// The image of `rays`.
+    fn paint(&self, rays: &Rays) -> Result<Painted>;
+}
