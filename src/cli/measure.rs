@@ -128,7 +128,7 @@ impl BalanceArguments {
             print(&csv_line(&[
                 config.data.name.clone(),
                 self.steps.to_string(),
-                line.term.name().into(),
+                line.term,
                 format!("{:e}", line.photometric_norm),
                 format!("{:e}", line.term_norm),
                 format!("{:.3}", line.share),

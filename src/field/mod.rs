@@ -30,7 +30,7 @@ pub use encoding::{
     encode, encode_integrated, encode_integrated_reference, encode_reference, encoded_channels, integrated_channels,
 };
 pub(crate) use peak::peak_gflops;
-pub use spatial::{Cotangents, Spatial, spatial_reference};
+pub use spatial::{Cotangents, DensityAt, Spatial, spatial_reference};
 
 /// The values of a contiguous tensor on a processor, for operations of our own.
 pub(crate) fn contiguous<'a, T>(values: &'a [T], layout: &Layout) -> candle_core::Result<&'a [T]> {
@@ -254,6 +254,16 @@ impl Field {
         &self.config
     }
 
+    /// Of the weights, and so of points and outputs.
+    pub fn dtype(&self) -> DType {
+        self.density.weight.dtype()
+    }
+
+    /// Where the weights are.
+    pub fn device(&self) -> &Device {
+        self.density.weight.device()
+    }
+
     fn layer(&self, layer: &Layer, x: &Tensor, relu: bool) -> candle_core::Result<Tensor> {
         dense(x, &layer.weight, &layer.bias, relu, !self.variables.is_empty())
             .map_err(|e| e.context(format!("layer {}", layer.name)))
@@ -298,7 +308,7 @@ impl Field {
 
     /// What this field is asked at for `points [n, 3]`: the same or, for a field of integrated encoding, Gaussians `[n, 6]`
     /// around them of a `variance` along each axis, length^2.
-    pub fn asked_at(&self, points: &Tensor, variance: [f64; 3]) -> Result<Tensor> {
+    pub fn positions(&self, points: &Tensor, variance: [f64; 3]) -> Result<Tensor> {
         if self.config.encoding == Encoding::Positional {
             return Ok(points.clone());
         }

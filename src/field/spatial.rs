@@ -31,14 +31,20 @@ use super::dense::mask_where_zero;
 use super::fused::Slope;
 use super::{Field, Layer, encode, encode_reference, encoded_channels, tensor_error};
 
-/// Density and its derivatives in space at `n` points, detached.
-pub struct Spatial<'a> {
+/// Density and its derivatives in space at `n` points.
+pub struct DensityAt {
     /// After the activation, `[n]`, 1 / length.
     pub density: Tensor,
     /// `[n, 3]`, 1 / length^2.
     pub gradient: Tensor,
     /// `[n]`, 1 / length^3.
     pub laplacian: Tensor,
+}
+
+/// [`DensityAt`], detached, with what carries the derivatives of anything made of it to the weights.
+pub struct Spatial<'a> {
+    /// The values.
+    pub at: DensityAt,
     tape: Tape<'a>,
 }
 
@@ -154,7 +160,7 @@ impl Field {
         let (gradient, laplacian) = activated.chain(&raw_gradient, &raw_laplacian)?;
         let density = activated.value.clone();
         let tape = Tape { field: self, slopes, trunk, activated, raw_gradient, raw_laplacian };
-        Ok(Spatial { density, gradient, laplacian, tape })
+        Ok(Spatial { at: DensityAt { density, gradient, laplacian }, tape })
     }
 
     /// Raw density `[n]` and its slope in the encoding, `[n, channels]`.

@@ -1,6 +1,7 @@
 //! How a method learns, as the trainer sees it.
 
 use crate::base::Result;
+use crate::losses::LossTerm;
 
 use super::fields::LevelDiagnostics;
 use super::gradients::Gradients;
@@ -47,6 +48,13 @@ pub struct LogColumns {
 pub trait Learner: Send {
     /// What its steps log, in the order of columns.
     fn columns(&self) -> LogColumns;
+
+    /// Adds a term of one's own to the loss, with `weight`. It is logged as `regularizer.NAME` after those of the
+    /// configuration, and is no part of the configuration's hash.
+    ///
+    /// # Errors
+    /// A term of that name is there already, or the method cannot compute it.
+    fn add_term(&mut self, term: LossTerm, weight: f64) -> Result<()>;
 
     /// Draws the work of the step that follows `step` finished ones, by random numbers that depend on seed and step
     /// alone, and learns from it. Changes no parameter. `log` asks for diagnostics, which cost further passes.

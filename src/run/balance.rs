@@ -5,7 +5,8 @@ use candle_core::DType;
 use crate::base::{Error, Event, Listener, Result};
 use crate::methods::FieldLearner;
 use crate::runtime::Runtime;
-use crate::settings::{Config, Method, REGULARIZERS, Regularizer, Resolved};
+use crate::losses::{LossTerm, WeightedTerm};
+use crate::settings::{Config, Method, REGULARIZERS, Resolved};
 use crate::space::Lattice;
 use crate::train::Trainer;
 
@@ -19,8 +20,8 @@ const GRID: [f64; 5] = [1e-2, 1e-1, 1.0, 1e1, 1e2];
 /// One weight of one term.
 #[derive(Clone, Debug, PartialEq)]
 pub struct BalancedWeight {
-    /// The term.
-    pub term: Regularizer,
+    /// The term's name.
+    pub term: String,
     /// Length of the photometric loss's gradient with respect to all weights.
     pub photometric_norm: f64,
     /// Length of the unweighted term's.
@@ -57,7 +58,11 @@ pub fn balance(
     // It shares the trainer's weights.
     let fields = trainer.model().fields()?.clone();
     let mut learner = FieldLearner::new(&config, &scene, fields, DType::F32, runtime.device())?;
-    learner.check_duration(&regularizer, REGULARIZERS.len() as u64)?;
+    let in_space: Vec<WeightedTerm> =
+        REGULARIZERS.map(|term| WeightedTerm { term: LossTerm::of(term), weight: 1.0 }).into();
+    // Each term in space takes a pass of its own.
+    let passes = REGULARIZERS.iter().filter(|term| term.in_space()).count();
+    learner.check_duration(&in_space, &regularizer, passes as u64)?;
     events.on(Event::TrainingStarted { first: 0, steps, rays: config.train.rays });
     for _ in 0..steps {
         let stats = trainer.step(false)?;
@@ -70,7 +75,7 @@ pub fn balance(
             // Nothing to divide by where the term has no pull: no weight, rather than a wrong one.
             let weight = Some(share * balance.photometric_norm / balance.term_norm).filter(|weight| weight.is_finite());
             let (photometric_norm, term_norm) = (balance.photometric_norm, balance.term_norm);
-            BalancedWeight { term: balance.term, photometric_norm, term_norm, share, weight }
+            BalancedWeight { term: balance.term.clone(), photometric_norm, term_norm, share, weight }
         })
     });
     let lines = lines.collect();

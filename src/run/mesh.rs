@@ -177,7 +177,7 @@ impl Trained {
             mesh = mesh.keep(&components[0]);
         }
         let field = self.model.fields()?.evaluated();
-        let skin = skin(field, mesh, &drawing.lattice, self.scene.ndc.as_ref(), self.runtime.device())?;
+        let skin = skin(field, mesh, &drawing.lattice, self.scene.ndc.as_ref())?;
         for format in &options.formats {
             format.write(&files.path().join(format.file()), &skin.mesh)?;
         }
@@ -199,7 +199,7 @@ impl Trained {
             events.on(Event::Advanced);
             Ok(())
         };
-        let drawn = level_set(self.model.fields()?.evaluated(), drawing, self.runtime.device(), out, advance)?;
+        let drawn = level_set(self.model.fields()?.evaluated(), drawing, out, advance)?;
         events.on(Event::Finished);
         if let (Some(mut volume), Some(path)) = (volume, path) {
             volume.flush().map_err(|e| Error::unwritable(&path, &e))?;

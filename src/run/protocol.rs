@@ -133,6 +133,7 @@ impl Protocol {
         let camera = scene.test.first().or(scene.train.first()).map(|view| view.camera);
         let perturb = config.method.is_augmented().then_some(&config.perturb);
         let regularizer = Some(&config.regularizer).filter(|regularizer| !regularizer.kind.is_empty());
+        let in_space = regularizer.filter(|regularizer| regularizer.has_space_terms());
         let deltas = perturb.filter(|perturb| perturb.kind != PerturbKind::FreshJitter);
         let named = Model::parts(config).into_iter().zip(&state.redraws).map(|(role, draws)| format!("{role} {draws}"));
         Protocol {
@@ -167,14 +168,14 @@ impl Protocol {
                 let terms = regularizer.terms().map(|(term, weight)| format!("{} {weight}", term.name()));
                 terms.collect::<Vec<String>>().join(", ")
             }),
-            regularizer_points: regularizer.map(|regularizer| match regularizer.points {
+            regularizer_points: in_space.map(|regularizer| match regularizer.points {
                 LatticePoints::Full => format!("full {}^3", regularizer.lattice),
                 LatticePoints::Sampled => {
                     let place = if regularizer.jitter { "" } else { " at midpoints" };
                     format!("sampled {} of {}^3{place}", regularizer.points_per_step, regularizer.lattice)
                 }
             }),
-            regularizer_domain: regularizer.map(|regularizer| format!("{:?}", regularizer.domain)),
+            regularizer_domain: in_space.map(|regularizer| format!("{:?}", regularizer.domain)),
             regularizer_fields: regularizer.map(|regularizer| regularizer.fields),
             field_width: config.field.width,
             field_depth: config.field.depth,

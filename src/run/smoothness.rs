@@ -56,7 +56,7 @@ impl SmoothnessReport {
     ) -> Result<SmoothnessReport> {
         lattice.check_meets(scene, "--bbox")?;
         let fields: Vec<_> = model.fields()?.by_role().into_iter().filter(|(role, _)| *role != "adversarial").collect();
-        let seconds = estimate_seconds(fields[0].1, lattice, lattice.cells(), false, (DType::F32, device))?;
+        let seconds = estimate_seconds(fields[0].1, lattice, lattice.cells(), &[])?;
         let hours = seconds * fields.len() as f64 / 3600.0;
         if hours > MOST_HOURS {
             return Err(Error::Config(format!(
@@ -69,7 +69,7 @@ impl SmoothnessReport {
         let parts = (fields.len() * chunk_count(lattice.cells(), device)) as u64;
         events.on(Event::Started { what: "measuring", parts });
         let measured = fields.into_iter().map(|(role, field)| {
-            let smoothness = measure(field, lattice, (DType::F32, device), || events.on(Event::Advanced))?;
+            let smoothness = measure(field, lattice, || events.on(Event::Advanced))?;
             if !smoothness.l1.is_finite() || !smoothness.laplacian.is_finite() {
                 return Err(Error::Diverged(format!(
                     "the density of the {role} field is not a number: its weights are broken"

@@ -1,4 +1,4 @@
-//! Section `regularizer`: explicit smoothness terms on density in space.
+//! Section `regularizer`: terms of the loss beside the photometric one, on density in space or on rays.
 
 use serde::{Deserialize, Deserializer, Serialize};
 
@@ -13,10 +13,13 @@ pub enum Regularizer {
     Tv,
     /// abs(Laplacian of density).
     Laplacian,
+    /// Spread of the weights along each ray (mip-NeRF 360, equation 15); the others are integrals over a box.
+    Distortion,
 }
 
 /// All regularizers in their fixed order.
-pub const REGULARIZERS: [Regularizer; 3] = [Regularizer::L1, Regularizer::Tv, Regularizer::Laplacian];
+pub const REGULARIZERS: [Regularizer; 4] =
+    [Regularizer::L1, Regularizer::Tv, Regularizer::Laplacian, Regularizer::Distortion];
 
 impl Regularizer {
     /// The name in files and tables.
@@ -25,17 +28,24 @@ impl Regularizer {
             Regularizer::L1 => "l1",
             Regularizer::Tv => "tv",
             Regularizer::Laplacian => "laplacian",
+            Regularizer::Distortion => "distortion",
         }
+    }
+
+    /// An integral over the box of section `regularizer`, made of density's derivatives at points.
+    pub fn in_space(self) -> bool {
+        self != Regularizer::Distortion
     }
 
     /// The weight where none is set: a tenth of the photometric loss's pull on the weights on fern at preset
     /// `paper-llff`, after 100 steps. What balances another scene can be hundreds of times as much; `augnerf balance`
-    /// measures it.
+    /// measures it. The distortion loss's is mip-NeRF 360's.
     fn default_weight(self) -> f64 {
         match self {
             Regularizer::L1 => 1.4e-4,
             Regularizer::Tv => 3.8e-6,
             Regularizer::Laplacian => 7.4e-9,
+            Regularizer::Distortion => 0.01,
         }
     }
 }
@@ -66,7 +76,7 @@ pub enum RegularizedFields {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct RegularizerConfig {
-    /// `l1`, `tv`, `laplacian`, or a list of several; empty = none.
+    /// `l1`, `tv`, `laplacian`, `distortion`, or a list of several; empty = none.
     #[serde(deserialize_with = "kinds")]
     pub kind: Vec<Regularizer>,
     /// Weight of each term in `kind`: a number, or a list in the same order. Empty = a default for each; a term of
@@ -109,8 +119,13 @@ impl RegularizerConfig {
         self.kind.iter().copied().zip(self.weight.iter().copied())
     }
 
+    /// A term is an integral over the box.
+    pub fn has_space_terms(&self) -> bool {
+        self.kind.iter().any(|kind| kind.in_space())
+    }
+
     /// Fills empty weights and drops what has no effect: terms of weight 0, after which nothing may tell the run from
-    /// one without them, and how to sample a lattice that is not sampled.
+    /// one without them, the box where no term is an integral over it, and how to sample a lattice that is not sampled.
     pub(super) fn resolve(&mut self) {
         if self.weight.is_empty() {
             self.weight = self.kind.iter().map(|kind| kind.default_weight()).collect();
@@ -119,7 +134,11 @@ impl RegularizerConfig {
         if self.kind.is_empty() {
             *self = RegularizerConfig::default();
         }
-        if self.points == LatticePoints::Full {
+        if !self.has_space_terms() {
+            let RegularizerConfig { domain, lattice, points, .. } = RegularizerConfig::default();
+            (self.domain, self.lattice, self.points) = (domain, lattice, points);
+        }
+        if self.points == LatticePoints::Full || !self.has_space_terms() {
             let RegularizerConfig { points_per_step, jitter, .. } = RegularizerConfig::default();
             (self.points_per_step, self.jitter) = (points_per_step, jitter);
         }
@@ -127,7 +146,7 @@ impl RegularizerConfig {
 }
 
 #[derive(Deserialize)]
-#[serde(untagged, expecting = "expected l1, tv or laplacian, or a list such as [\"l1\", \"tv\"]")]
+#[serde(untagged, expecting = "expected l1, tv, laplacian or distortion, or a list such as [\"l1\", \"tv\"]")]
 enum Kinds {
     One(Regularizer),
     Many(Vec<Regularizer>),

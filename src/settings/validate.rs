@@ -163,10 +163,10 @@ impl Config {
                 self.method.name()
             )));
         }
-        if integrated && !self.regularizer.kind.is_empty() {
+        if integrated && self.regularizer.has_space_terms() {
             return Err(Error::Config(format!(
-                "regularizer.kind with method {}: the terms are derivatives at points, and this field is asked at \
-                 Gaussians; use nerf or aug-nerf",
+                "regularizer.kind with method {}: terms in space are made of derivatives at points, and this field is queried at \
+                 Gaussians; use nerf or aug-nerf, or the distortion loss alone",
                 self.method.name()
             )));
         }

@@ -3,7 +3,7 @@
 use candle_core::{DType, Device, Tensor};
 use rayon::prelude::*;
 
-use super::{Lattice, Points};
+use super::{Lattice, Quadrature};
 use crate::base::Result;
 use crate::field::Field;
 
@@ -12,24 +12,19 @@ pub const CHUNK: usize = 1024;
 /// The same on an accelerator, which wants many.
 const DEVICE_CHUNK: usize = 65_536;
 /// Chunks whose gradients are in memory at once.
-pub(crate) const CHUNKS_AT_ONCE: usize = 16;
+const CHUNKS_AT_ONCE: usize = 16;
 
 /// The density of a field at the midpoints of a lattice, in the order of its cells: `take` is handed so
-/// many at a time that memory does not grow with the lattice. A field of integrated encoding is asked at Gaussians of the
+/// many at a time that memory does not grow with the lattice. A field of integrated encoding is queried at Gaussians of the
 /// cells' variance.
-pub fn densities(
-    field: &Field,
-    lattice: &Lattice,
-    (dtype, device): (DType, &Device),
-    take: impl FnMut(Vec<f32>) -> Result<()>,
-) -> Result<()> {
+pub fn densities(field: &Field, lattice: &Lattice, take: impl FnMut(Vec<f32>) -> Result<()>) -> Result<()> {
     let field = &field.frozen()?;
-    let ask = |points: &Tensor| {
-        let positions = field.asked_at(points, lattice.cell_variance())?;
+    let query = |points: &Tensor| {
+        let positions = field.positions(points, lattice.cell_variance())?;
         let density = field.activate_density(&field.raw_density(&positions)?)?;
         Ok(density.to_dtype(DType::F32)?.to_vec1::<f32>()?)
     };
-    over_chunks((lattice, &Points::Full), (dtype, device), ask, take)
+    over_chunks(&Quadrature::full(*lattice), field, query, take)
 }
 
 /// Chunks that a pass over `count` points takes.
@@ -37,21 +32,28 @@ pub fn chunk_count(count: usize, device: &Device) -> usize {
     count.div_ceil(chunk_size(device))
 }
 
+/// Points of a chunk.
 pub(crate) fn chunk_size(device: &Device) -> usize {
     if device.is_cpu() { CHUNK } else { DEVICE_CHUNK }
 }
 
-/// Works through points in chunks, some at once, and hands the results over in order: memory does
-/// not grow with the lattice, and the number of threads changes no bit.
+/// Chunks that are worked on at once.
+pub(crate) fn chunks_at_once(device: &Device) -> usize {
+    if device.is_cpu() { rayon::current_num_threads().min(CHUNKS_AT_ONCE) } else { 1 }
+}
+
+/// Works through points, of the field's precision and on its device, in chunks, some at once, and hands the results
+/// over in order: memory does not grow with their number, and the number of threads changes no bit.
 pub(crate) fn over_chunks<T: Send>(
-    (lattice, points): (&Lattice, &Points),
-    (dtype, device): (DType, &Device),
+    points: &Quadrature,
+    field: &Field,
     work: impl Fn(&Tensor) -> Result<T> + Sync,
     mut take: impl FnMut(T) -> Result<()>,
 ) -> Result<()> {
-    let (size, count) = (chunk_size(device), points.count(lattice));
+    let (dtype, device) = (field.dtype(), field.device());
+    let (size, count) = (chunk_size(device), points.count());
     let starts: Vec<usize> = (0..count).step_by(size).collect();
-    let one = |&start: &usize| work(&points.tensor(lattice, start, size.min(count - start), dtype, device)?);
+    let one = |&start: &usize| work(&points.tensor(start, size.min(count - start), dtype, device)?);
     for group in starts.chunks(CHUNKS_AT_ONCE) {
         let done: Result<Vec<T>> =
             if device.is_cpu() { group.par_iter().map(one).collect() } else { group.iter().map(one).collect() };

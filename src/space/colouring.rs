@@ -1,6 +1,6 @@
 //! What a bare level set lacks: scene units, normals and colours.
 
-use candle_core::{Device, Tensor};
+use candle_core::Tensor;
 use rayon::prelude::*;
 
 use crate::base::{Error, Result};
@@ -23,16 +23,17 @@ pub struct Skin {
 /// Finishes a level set that `field` has on `lattice`: brings it from NDC to scene units where `ndc` is given, and gives
 /// each vertex its outward normal, against density's exact gradient, and the colour that the field shows there to an eye that looks
 /// against the normal.
-pub fn skin(field: &Field, level_set: Mesh, lattice: &Lattice, ndc: Option<&Ndc>, device: &Device) -> Result<Skin> {
+pub fn skin(field: &Field, level_set: Mesh, lattice: &Lattice, ndc: Option<&Ndc>) -> Result<Skin> {
     let asked = level_set.vertices.clone();
     let mut mesh = in_scene(level_set, ndc)?;
     let faces = mesh.face_normals();
     let field = &field.frozen()?;
+    let device = field.device();
     let indices: Vec<usize> = (0..mesh.vertices.len()).collect();
     let one = |part: &[usize]| -> Result<Part> {
         let points: Vec<f32> = part.iter().flat_map(|&i| asked[i]).collect();
         let points = Tensor::from_vec(points, (part.len(), 3), device)?;
-        let positions = field.asked_at(&points, lattice.cell_variance())?;
+        let positions = field.positions(&points, lattice.cell_variance())?;
         let slopes = field.density_gradient(&positions)?.to_vec2::<f32>()?;
         let outward = |(&i, slope): (&usize, &Vec<f32>)| {
             let slope: Vec3 = std::array::from_fn(|axis| f64::from(slope[axis]));

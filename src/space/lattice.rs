@@ -86,46 +86,48 @@ impl Lattice {
     }
 }
 
-/// Which cells are asked, and where in each.
-pub enum Points {
-    /// The midpoint of every cell.
-    Full,
-    /// Some cells, at the offsets drawn for them.
-    Sampled(Vec<(u32, [f64; 3])>),
+/// Points of equal weight that stand for a box: the integral of f over it is [`Quadrature::volume_each`] times the sum
+/// of f over the points.
+pub struct Quadrature {
+    lattice: Lattice,
+    /// Cells with the offset of the point in each; none for the midpoint of every cell.
+    sampled: Option<Vec<(u32, [f64; 3])>>,
 }
 
-impl Points {
-    /// The points of one training step.
-    pub fn draw(config: &RegularizerConfig, lattice: &Lattice, seed: u64, step: u64) -> Points {
+impl Quadrature {
+    /// The midpoint of every cell: the paper's sum.
+    pub fn full(lattice: Lattice) -> Quadrature {
+        Quadrature { lattice, sampled: None }
+    }
+
+    /// The points of one training step, a function of `seed` and `step`.
+    pub fn draw(config: &RegularizerConfig, seed: u64, step: u64) -> Quadrature {
+        let lattice = Lattice { domain: config.domain, side: config.lattice };
         if config.points == LatticePoints::Full {
-            return Points::Full;
+            return Quadrature::full(lattice);
         }
         let mut random = Random::new(seed, Stream::Regularizer, step);
         let cells = random.distinct(config.points_per_step, lattice.cells() as u32);
         let mut offset = |_| if config.jitter { random.uniform() } else { 0.5 };
-        Points::Sampled(cells.into_iter().map(|cell| (cell, std::array::from_fn(&mut offset))).collect())
+        let sampled = cells.into_iter().map(|cell| (cell, std::array::from_fn(&mut offset))).collect();
+        Quadrature { lattice, sampled: Some(sampled) }
     }
 
-    /// How many there are.
-    pub fn count(&self, lattice: &Lattice) -> usize {
-        match self {
-            Points::Full => lattice.cells(),
-            Points::Sampled(points) => points.len(),
-        }
+    /// Number of points.
+    pub fn count(&self) -> usize {
+        self.sampled.as_ref().map_or_else(|| self.lattice.cells(), Vec::len)
+    }
+
+    /// Volume that each point stands for, length^3.
+    pub fn volume_each(&self) -> f64 {
+        self.lattice.volume() / self.count() as f64
     }
 
     /// Points `start..start + count` as `[count, 3]`.
-    pub fn tensor(
-        &self,
-        lattice: &Lattice,
-        start: usize,
-        count: usize,
-        dtype: DType,
-        device: &Device,
-    ) -> Result<Tensor> {
-        let at = |i: usize| match self {
-            Points::Full => lattice.point(i, [0.5; 3]),
-            Points::Sampled(points) => lattice.point(points[i].0 as usize, points[i].1),
+    pub fn tensor(&self, start: usize, count: usize, dtype: DType, device: &Device) -> Result<Tensor> {
+        let at = |i: usize| match &self.sampled {
+            None => self.lattice.point(i, [0.5; 3]),
+            Some(points) => self.lattice.point(points[i].0 as usize, points[i].1),
         };
         let values: Vec<f64> = (start..start + count).flat_map(at).collect();
         Ok(Tensor::from_vec(values, (count, 3), &Device::Cpu)?.to_dtype(dtype)?.to_device(device)?)

@@ -2,7 +2,6 @@
 
 use std::io::Write;
 
-use candle_core::{DType, Device};
 use serde::Serialize;
 
 use crate::base::{Error, Result};
@@ -118,7 +117,6 @@ pub struct Drawing {
 pub fn level_set(
     field: &Field,
     drawing: &Drawing,
-    device: &Device,
     mut volume: Option<&mut dyn Write>,
     mut advance: impl FnMut() -> Result<()>,
 ) -> Result<LevelSet> {
@@ -129,7 +127,7 @@ pub fn level_set(
     let mut histogram = Histogram::new();
     let mut plane: Vec<f32> = Vec::with_capacity(side * side);
     let (mut planes, mut largest) = (0, f32::NEG_INFINITY);
-    densities(field, &lattice, (DType::F32, device), |mut part| {
+    densities(field, &lattice, |mut part| {
         if let Some(at) = part.iter().position(|density| !density.is_finite()) {
             let point = lattice.point(planes * side * side + plane.len() + at, [0.5; 3]);
             return Err(Error::Diverged(format!(

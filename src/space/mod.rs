@@ -13,11 +13,11 @@ mod marching;
 mod mesh;
 
 pub use cells::{CHUNK, chunk_count, densities};
-pub(crate) use cells::{CHUNKS_AT_ONCE, chunk_size, over_chunks};
+pub(crate) use cells::{chunk_size, chunks_at_once, over_chunks};
 pub use colouring::{Skin, in_scene, skin};
 pub use distance::{Chamfer, PointCloud, Reference, Score, chamfer, sample};
 pub use files::{read_mesh, write_obj, write_ply};
-pub use lattice::{Lattice, Points};
+pub use lattice::{Lattice, Quadrature};
 pub use level::{DensityRange, Drawing, LevelSet, level_set};
 pub use marching::Marcher;
 pub use mesh::{Component, Mesh};

@@ -49,7 +49,7 @@ fn search_steps(perturb: &PerturbConfig) -> u32 {
 /// Forward pass, adjoint and the two products of its backward pass; the colour head counts as if it were there.
 fn regularizer_evaluations(config: &Config) -> f64 {
     let RegularizerConfig { kind, points, points_per_step, lattice, fields, .. } = &config.regularizer;
-    if kind.is_empty() {
+    if !kind.iter().any(|kind| kind.in_space()) {
         return 0.0;
     }
     let points = match points {

@@ -4,6 +4,7 @@ use candle_core::{DType, Device};
 
 use crate::base::Result;
 use crate::data::Scene;
+use crate::losses::LossTerm;
 use crate::methods::{Learner, LogColumns, Model, Start};
 use crate::settings::Resolved;
 
@@ -77,6 +78,14 @@ impl Trainer {
     /// The columns of the learner's terms and diagnostics in the logs.
     pub fn columns(&self) -> LogColumns {
         self.learner.columns()
+    }
+
+    /// Adds a term of one's own to the loss; see [`Learner::add_term`].
+    ///
+    /// # Errors
+    /// A term of that name is there already, or the method cannot compute it.
+    pub fn add_term(&mut self, term: LossTerm, weight: f64) -> Result<()> {
+        self.learner.add_term(term, weight)
     }
 
     /// Takes one step. `log` asks for the learner's diagnostics.

@@ -6,15 +6,17 @@ use crate::augment::PixelScale;
 use crate::base::{Error, Result};
 use crate::data::Scene;
 use crate::methods::batches::Batches;
+use crate::losses::{LossTerm, WeightedTerm};
 use crate::methods::learner::{Learned, Learner, LogColumns, Term};
 use crate::render::positions_at;
-use crate::settings::{DensityActivation, LEVELS, PerturbKind, Regularizer, Resolved};
+use crate::settings::{DensityActivation, LEVELS, PerturbKind, Resolved};
 
 use super::diagnostics;
 use super::networks::Fields;
 use super::passes::mixing;
 use super::regularized;
 use super::results::ChunkResult;
+use super::terms;
 
 /// Times that a dead start is drawn again before the configuration is blamed.
 const MOST_REDRAWS: u64 = 100;
@@ -33,6 +35,8 @@ pub struct FieldLearner {
     pub(super) fields: Fields,
     pub(super) variables: Vec<(String, Var)>,
     pub(super) batches: Batches,
+    /// What the loss has beside the photometric ones.
+    pub(super) terms: Vec<WeightedTerm>,
 }
 
 impl FieldLearner {
@@ -54,13 +58,14 @@ impl FieldLearner {
             variables: fields.variables(),
             fields,
             batches: Batches::new(config, scene)?,
+            terms: WeightedTerm::all(&config.regularizer),
         })
     }
 
     /// Draws the fields of a run, dead starts again. Returns how often each field of [`Fields::roles`] was drawn again,
     /// too.
     pub fn start(config: &Resolved, scene: &Scene, dtype: DType, device: &Device) -> Result<(FieldLearner, Vec<u64>)> {
-        if !config.regularizer.kind.is_empty() {
+        if config.regularizer.has_space_terms() {
             regularized::lattice(&config.regularizer).check_meets(scene, "regularizer.domain")?;
         }
         let mut redraws = vec![0; Fields::roles(config).len()];
@@ -87,9 +92,7 @@ impl FieldLearner {
             learner.fields = Fields::init(config, &redraws, dtype, device)?;
             learner.variables = learner.fields.variables();
         }
-        if !config.regularizer.kind.is_empty() {
-            learner.check_duration(&config.regularizer, config.train.steps)?;
-        }
+        learner.check_duration(&learner.terms, &config.regularizer, config.train.steps)?;
         Ok((learner, redraws))
     }
 
@@ -130,14 +133,13 @@ impl FieldLearner {
         };
         let mut terms: Vec<Term> = passes.into_iter().filter_map(of_pass).collect();
         if !regularizers.is_empty() {
-            let weighted = self.config.regularizer.terms().zip(regularizers);
-            let of_term = |((term, weight), value): ((Regularizer, f64), f64)| Term {
+            let of_term = |(WeightedTerm { term, weight }, value): (&WeightedTerm, f64)| Term {
                 name: format!("regularizer.{}", term.name()),
                 described: format!("regularizer {}", term.name()),
                 value,
-                weight,
+                weight: *weight,
             };
-            let regularizers: Vec<Term> = weighted.map(of_term).collect();
+            let regularizers: Vec<Term> = self.terms.iter().zip(regularizers).map(of_term).collect();
             loss += regularizers.iter().map(|term| term.weight * term.value).sum::<f64>();
             terms.extend(regularizers);
         }
@@ -153,7 +155,7 @@ impl Learner for FieldLearner {
             photometric.push("loss_fine".into());
         }
         let mut further: Vec<String> =
-            config.regularizer.kind.iter().map(|term| format!("regularizer.{}", term.name())).collect();
+            self.terms.iter().map(|WeightedTerm { term, .. }| format!("regularizer.{}", term.name())).collect();
         if config.method.is_augmented() {
             further.push("loss_perturbed".into());
             if config.perturb.kind != PerturbKind::FreshJitter {
@@ -164,14 +166,32 @@ impl Learner for FieldLearner {
         LogColumns { photometric, further }
     }
 
+    fn add_term(&mut self, term: LossTerm, weight: f64) -> Result<()> {
+        if self.terms.iter().any(|known| known.term.name() == term.name()) {
+            let name = term.name();
+            return Err(Error::Config(format!("the loss has a term '{name}' already; give the new one another name")));
+        }
+        if matches!(term, LossTerm::InSpace(_)) && self.config.method.is_mip() {
+            return Err(Error::Config(format!(
+                "the term '{}' is made of density's derivatives at points, which method {} has not; use nerf or aug-nerf",
+                term.name(),
+                self.config.method.name()
+            )));
+        }
+        self.terms.push(WeightedTerm { term, weight });
+        Ok(())
+    }
+
     fn learn(&mut self, step: u64, log: bool) -> Result<Learned> {
         let whole = self.draw(step)?;
-        let ChunkResult { mut gradients, losses, diagnostics } = self.passes(&whole, log)?;
-        let mut regularizers = Vec::new();
-        if let Some((values, pull)) = self.regularize(&self.config.regularizer, step)? {
+        let ChunkResult { mut gradients, losses, diagnostics } = self.passes(&whole, self.step_loss(), log)?;
+        let mut in_space = Vec::new();
+        if let Some((values, pull)) = self.regularize(&terms::in_space(&self.terms), &self.config.regularizer, step)? {
             gradients.merge(pull)?;
-            regularizers = values.to_vec1::<f64>()?;
+            in_space = values.to_vec1::<f64>()?;
         }
+        let on_rays = losses.on_rays.as_ref().map_or(Ok(Vec::new()), |values| values.to_vec1::<f64>())?;
+        let regularizers = terms::in_order(&self.terms, &on_rays, &in_space);
         let [coarse, fine, perturbed, largest_acc] = losses.read()?;
         let coarse = coarse.expect("every chunk has a coarse pass");
         let clean = self.coarse_weight(&self.fields) * coarse + fine.unwrap_or(0.0);

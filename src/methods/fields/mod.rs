@@ -13,6 +13,7 @@ mod passes;
 mod perturbed;
 mod regularized;
 mod results;
+mod terms;
 
 pub use diagnostics::{AttackSummary, LevelDiagnostics};
 pub use learner::FieldLearner;

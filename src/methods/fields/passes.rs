@@ -12,13 +12,14 @@ use super::chunk::Chunk;
 use super::learner::FieldLearner;
 use super::networks::Fields;
 use super::results::ChunkResult;
+use super::terms::{Counts, StepLoss};
 
 /// Parts of a step that threads share; each sums its gradients in place.
 const PARTS: usize = 16;
 
 impl FieldLearner {
     /// All passes through the rays of a step, chunk by chunk.
-    pub(super) fn passes(&self, whole: &Chunk, log: bool) -> Result<ChunkResult> {
+    pub(super) fn passes(&self, whole: &Chunk, step_loss: StepLoss, log: bool) -> Result<ChunkResult> {
         let size = self.config.train.chunk;
         let starts: Vec<(usize, usize)> = (0..whole.rays.len()).step_by(size).enumerate().collect();
         let prepared = self.fields.prepared()?;
@@ -27,7 +28,7 @@ impl FieldLearner {
             let mut sum: Option<ChunkResult> = None;
             for &(index, start) in part {
                 let count = size.min(whole.rays.len() - start);
-                let chunk = self.work(&model, &whole.narrow(index, start, count)?, log)?;
+                let chunk = self.work(&model, &whole.narrow(index, start, count)?, step_loss, log)?;
                 match &mut sum {
                     Some(sum) => sum.add(chunk)?,
                     None => sum = Some(chunk),
@@ -55,10 +56,10 @@ impl FieldLearner {
 
     /// Everything that a step does with a chunk. Losses and gradients are
     /// weighted with the chunk's share, so that chunks add up.
-    fn work(&self, model: &Fields, chunk: &Chunk, log: bool) -> Result<ChunkResult> {
-        let (clean_weight, perturbed_weight) = mixing(&self.config);
+    fn work(&self, model: &Fields, chunk: &Chunk, step_loss: StepLoss, log: bool) -> Result<ChunkResult> {
+        let perturbed_weight = step_loss.perturbed;
         let mut result = ChunkResult::new(self.variables.len());
-        let t_fine = self.clean(model, chunk, clean_weight, &mut result)?;
+        let t_fine = self.clean(model, chunk, step_loss, &mut result)?;
         if self.config.method.is_augmented() {
             let loss = if self.config.perturb.kind == PerturbKind::FreshJitter {
                 self.second_clean(model, chunk, perturbed_weight, &mut result.gradients)?
@@ -75,14 +76,15 @@ impl FieldLearner {
         &self,
         model: &Fields,
         chunk: &Chunk,
-        weight: f64,
+        step_loss: StepLoss,
         result: &mut ChunkResult,
     ) -> Result<Option<Tensor>> {
         let coarse = clean_pass(&model.coarse, self.coarse_pass(chunk))?;
-        let weight = weight * chunk.share;
+        let Chunk { target, share, .. } = chunk;
+        let weight = step_loss.clean * share;
         let coarse_weight = self.coarse_weight(model);
-        let loss = self.descend(&coarse, &chunk.target, weight * coarse_weight, &mut result.gradients)?;
-        result.losses.coarse = Some((loss * chunk.share)?);
+        let counts = Counts { weight: weight * coarse_weight, share: *share, is_evaluated: model.fine().is_none() };
+        result.losses.coarse = Some(self.descend_clean(&coarse, target, step_loss, counts, result)?);
         let (Some(field), Some(u)) = (model.fine(), &chunk.u) else {
             result.losses.largest_acc =
                 Some(largest(&noiseless_acc(&model.coarse, &coarse, self.coarse_pass(chunk))?)?);
@@ -92,8 +94,8 @@ impl FieldLearner {
         let t_vals = resample(&model.coarse, &self.config.sampling, &chunk.t_coarse, weights, u)?;
         drop(coarse);
         let fine = clean_pass(field, self.fine_pass(chunk, &t_vals))?;
-        let loss = self.descend(&fine, &chunk.target, weight, &mut result.gradients)?;
-        result.losses.fine = Some((loss * chunk.share)?);
+        let counts = Counts { weight, share: *share, is_evaluated: true };
+        result.losses.fine = Some(self.descend_clean(&fine, target, step_loss, counts, result)?);
         result.losses.largest_acc = Some(largest(&noiseless_acc(field, &fine, self.fine_pass(chunk, &t_vals))?)?);
         Ok(Some(t_vals))
     }

@@ -19,6 +19,7 @@ use super::diagnostics::Sums;
 use super::learner::FieldLearner;
 use super::networks::Fields;
 use super::results::ChunkResult;
+use super::terms::StepLoss;
 
 /// One perturbed pass of a chunk: which field, which samples, which sets.
 #[derive(Clone)]
@@ -51,7 +52,9 @@ impl FieldLearner {
         let drawn = self.draw_clean(chunk.rays.clone(), chunk.target.clone(), chunk.step, &mut random)?;
         let fresh = Chunk { share: chunk.share, ..drawn };
         let mut second = ChunkResult::new(gradients.0.len());
-        self.clean(model, &fresh, weight, &mut second)?;
+        // Terms on rays count in the first clean pass alone.
+        let alone = StepLoss { clean: weight, terms: &[], ..self.step_loss() };
+        self.clean(model, &fresh, alone, &mut second)?;
         gradients.merge(second.gradients)?;
         Ok(second.losses.clean(self.coarse_weight(model))?.expect("every chunk has a coarse pass"))
     }

@@ -1,15 +1,16 @@
-//! The explicit regularizers of a step, and how hard they pull on the weights.
+//! The terms in space of a step, and how hard terms pull on the weights.
 
 use candle_core::{DType, Tensor};
 
 use crate::base::{Error, Result};
 use crate::field::Field;
-use crate::losses::{Regularized, estimate_seconds, regularize};
+use crate::losses::{LossTerm, SpaceTerm, WeightedTerm, estimate_seconds, regularize};
 use crate::methods::gradients::Gradients;
-use crate::settings::{LatticePoints, REGULARIZERS, RegularizedFields, Regularizer, RegularizerConfig};
-use crate::space::{Lattice, Points};
+use crate::settings::{LatticePoints, REGULARIZERS, RegularizedFields, RegularizerConfig};
+use crate::space::{Lattice, Quadrature};
 
 use super::learner::FieldLearner;
+use super::terms::{StepLoss, in_space};
 
 /// A run whose regularizers alone would take longer is refused.
 const MOST_DAYS: f64 = 30.0;
@@ -18,10 +19,10 @@ const SECONDS_PER_DAY: f64 = 86_400.0;
 const SURELY_FINISHED: usize = 1 << 16;
 
 /// How hard a term at weight 1 pulls on the weights, beside the photometric loss.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct Balance {
-    /// The term.
-    pub term: Regularizer,
+    /// The term's name.
+    pub term: String,
     /// Norm of the photometric loss's gradient in all weights of coarse and fine field.
     pub photometric_norm: f64,
     /// Norm of the term's gradient in the same weights.
@@ -34,14 +35,18 @@ pub(super) fn lattice(config: &RegularizerConfig) -> Lattice {
 }
 
 impl FieldLearner {
-    /// Unweighted values (f64 `[terms]`) and gradients of the weighted terms after `step` finished steps; none without terms.
-    pub(super) fn regularize(&self, config: &RegularizerConfig, step: u64) -> Result<Option<(Tensor, Gradients)>> {
-        let terms: Vec<(Regularizer, f64)> = config.terms().collect();
+    /// Unweighted values (f64 `[terms]`) and gradients of the weighted terms in space after `step` finished steps; none
+    /// without any.
+    pub(super) fn regularize(
+        &self,
+        terms: &[(&dyn SpaceTerm, f64)],
+        config: &RegularizerConfig,
+        step: u64,
+    ) -> Result<Option<(Tensor, Gradients)>> {
         if terms.is_empty() {
             return Ok(None);
         }
-        let lattice = lattice(config);
-        let points = Points::draw(config, &lattice, self.config.seed, step);
+        let points = Quadrature::draw(config, self.config.seed, step);
         let mut values = Tensor::zeros(terms.len(), DType::F64, &self.device)?;
         let mut gradients = Vec::new();
         for (role, field) in self.fields.by_role() {
@@ -49,10 +54,9 @@ impl FieldLearner {
                 gradients.extend(vec![None; field.variables().len()]);
                 continue;
             }
-            let Regularized { values: of_field, gradients: its } =
-                regularize(field, &lattice, &points, &terms, (self.dtype, &self.device))?;
-            values = (values + of_field)?;
-            gradients.extend(its);
+            let regularized = regularize(field, &points, terms)?;
+            values = (values + regularized.values)?;
+            gradients.extend(regularized.gradients);
         }
         Ok(Some((values, Gradients(gradients))))
     }
@@ -65,20 +69,20 @@ impl FieldLearner {
         }
     }
 
-    /// Refuses terms whose points this machine would not get through in `steps` steps.
-    pub fn check_duration(&self, config: &RegularizerConfig, steps: u64) -> Result<()> {
+    /// Refuses terms in space whose points this machine would not get through in `steps` steps.
+    pub fn check_duration(&self, terms: &[WeightedTerm], config: &RegularizerConfig, steps: u64) -> Result<()> {
+        let terms = in_space(terms);
         let lattice = lattice(config);
         let points = match config.points {
             LatticePoints::Sampled => config.points_per_step,
             LatticePoints::Full => lattice.cells(),
         };
-        if points <= SURELY_FINISHED {
+        if points <= SURELY_FINISHED || terms.is_empty() {
             return Ok(());
         }
         let fields: Vec<&Field> =
             self.fields.by_role().into_iter().filter(|(role, _)| self.regularizes(config, role)).map(|f| f.1).collect();
-        let step =
-            estimate_seconds(fields[0], &lattice, points, true, (self.dtype, &self.device))? * fields.len() as f64;
+        let step = estimate_seconds(fields[0], &lattice, points, &terms)? * fields.len() as f64;
         let days = step * steps as f64 / SECONDS_PER_DAY;
         if days <= MOST_DAYS {
             return Ok(());
@@ -97,12 +101,17 @@ impl FieldLearner {
     /// of the step after `step` finished ones. `config` says where terms are evaluated. Moves nothing.
     pub fn balance(&mut self, config: &RegularizerConfig, step: u64) -> Result<Vec<Balance>> {
         let whole = self.draw(step)?;
-        let photometric_norm = self.passes(&whole, false)?.gradients.norm()?;
-        let of_term = |term: Regularizer| {
-            let alone = RegularizerConfig { kind: vec![term], weight: vec![1.0], ..config.clone() };
-            let (_, gradients) = self.regularize(&alone, step)?.expect("one term");
-            Ok(Balance { term, photometric_norm, term_norm: gradients.norm()? })
+        let photometric = StepLoss { clean: 1.0, perturbed: 0.0, terms: &[], fields: config.fields };
+        let photometric_norm = self.passes(&whole, photometric, false)?.gradients.norm()?;
+        let alone = |term: LossTerm| -> Result<Balance> {
+            let name = term.name().to_string();
+            let terms = [WeightedTerm { term, weight: 1.0 }];
+            let gradients = match self.regularize(&in_space(&terms), config, step)? {
+                Some((_, gradients)) => gradients,
+                None => self.passes(&whole, StepLoss { clean: 0.0, terms: &terms, ..photometric }, false)?.gradients,
+            };
+            Ok(Balance { term: name, photometric_norm, term_norm: gradients.norm()? })
         };
-        REGULARIZERS.into_iter().map(of_term).collect()
+        REGULARIZERS.into_iter().map(|regularizer| alone(LossTerm::of(regularizer))).collect()
     }
 }

@@ -22,6 +22,8 @@ pub(super) struct Losses {
     pub(super) coarse: Option<Tensor>,
     pub(super) fine: Option<Tensor>,
     pub(super) perturbed: Option<Tensor>,
+    /// Terms on rays, unweighted, `[terms]`.
+    pub(super) on_rays: Option<Tensor>,
     pub(super) largest_acc: Option<Tensor>,
 }
 
@@ -43,6 +45,7 @@ impl Losses {
         self.coarse = sum(self.coarse.take(), other.coarse)?;
         self.fine = sum(self.fine.take(), other.fine)?;
         self.perturbed = sum(self.perturbed.take(), other.perturbed)?;
+        self.on_rays = sum(self.on_rays.take(), other.on_rays)?;
         self.largest_acc = match (self.largest_acc.take(), other.largest_acc) {
             (Some(a), Some(b)) => Some(a.maximum(&b)?),
             (a, b) => a.or(b),
@@ -57,10 +60,10 @@ impl Losses {
     }
 
     /// Coarse, fine and perturbed loss and the largest accumulation, in one transfer.
-    pub(super) fn read(self) -> Result<[Option<f64>; 4]> {
-        let all = [self.coarse, self.fine, self.perturbed, self.largest_acc];
-        let there: Vec<&Tensor> = all.iter().flatten().collect();
+    pub(super) fn read(&self) -> Result<[Option<f64>; 4]> {
+        let all = [&self.coarse, &self.fine, &self.perturbed, &self.largest_acc];
+        let there: Vec<&Tensor> = all.into_iter().flatten().collect();
         let mut values = Tensor::stack(&there, 0)?.to_vec1::<f64>()?.into_iter();
-        Ok(all.map(|tensor| tensor.and_then(|_| values.next())))
+        Ok(all.map(|tensor| tensor.as_ref().and_then(|_| values.next())))
     }
 }

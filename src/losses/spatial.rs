@@ -1,0 +1,108 @@
+//! Terms in space of one field: values and weight gradients.
+
+use candle_core::{DType, Tensor};
+
+use crate::base::Result;
+use crate::field::{Cotangents, DensityAt, Field};
+use crate::space::{Lattice, Quadrature, chunk_size, chunks_at_once, over_chunks};
+
+use super::SpaceTerm;
+
+/// A term in space with its weight.
+pub type WeightedSpaceTerm<'a> = (&'a dyn SpaceTerm, f64);
+
+/// Terms and the gradients of their weighted sum.
+pub struct Regularized {
+    /// Value of each term, unweighted: f64 `[terms]`, on the field's device until someone reads it.
+    pub values: Tensor,
+    /// In the order of [`Field::parameter_names`].
+    pub gradients: Vec<Option<Tensor>>,
+}
+
+/// Values and weight gradients of weighted terms of one field, integrated with `points`.
+pub fn regularize(field: &Field, points: &Quadrature, terms: &[WeightedSpaceTerm]) -> Result<Regularized> {
+    let volume = points.volume_each();
+    let field = &field.prepared()?;
+    let mut sum: Option<Regularized> = None;
+    over_chunks(
+        points,
+        field,
+        |points| regularize_at(field, points, terms, volume),
+        |chunk| {
+            match &mut sum {
+                None => sum = Some(chunk),
+                Some(sum) => sum.add(chunk)?,
+            }
+            Ok(())
+        },
+    )?;
+    Ok(sum.expect("there are points"))
+}
+
+/// The same at `points [n, 3]`, each of which stands for `volume`.
+pub fn regularize_at(field: &Field, points: &Tensor, terms: &[WeightedSpaceTerm], volume: f64) -> Result<Regularized> {
+    let spatial = field.spatial(points)?;
+    let values: Vec<Tensor> = terms.iter().map(|(term, _)| term_sum(*term, &spatial.at)).collect::<Result<_>>()?;
+    let values = (Tensor::stack(&values, 0)? * volume)?;
+    let gradients = spatial.weight_gradients(&cotangents(&spatial.at, terms, volume)?)?;
+    Ok(Regularized { values, gradients })
+}
+
+impl Regularized {
+    fn add(&mut self, other: Regularized) -> Result<()> {
+        self.values = (&self.values + other.values)?;
+        for (sum, gradient) in self.gradients.iter_mut().zip(other.gradients) {
+            *sum = plus(sum.take(), gradient)?;
+        }
+        Ok(())
+    }
+}
+
+/// Sum of what may be absent.
+fn plus(a: Option<Tensor>, b: Option<Tensor>) -> Result<Option<Tensor>> {
+    Ok(match (a, b) {
+        (Some(a), Some(b)) => Some((a + b)?),
+        (a, b) => a.or(b),
+    })
+}
+
+/// Sum over points of what a term measures there. In f64: Laplacians reach 4^9 and more.
+pub(super) fn term_sum(term: &dyn SpaceTerm, at: &DensityAt) -> Result<Tensor> {
+    Ok(term.at_points(at)?.to_dtype(DType::F64)?.sum_all()?)
+}
+
+/// Derivatives of the sum of `volume * weight * term` over points.
+fn cotangents(at: &DensityAt, terms: &[WeightedSpaceTerm], volume: f64) -> Result<Cotangents> {
+    let mut sum = Cotangents::default();
+    for &(term, weight) in terms {
+        let scale = volume * weight;
+        let scaled = |slope: Option<Tensor>| slope.map(|slope| slope * scale).transpose();
+        let own = term.cotangents(at)?;
+        sum.density = plus(sum.density.take(), scaled(own.density)?)?;
+        sum.gradient = plus(sum.gradient.take(), scaled(own.gradient)?)?;
+        sum.laplacian = plus(sum.laplacian.take(), scaled(own.laplacian)?)?;
+    }
+    Ok(sum)
+}
+
+/// Seconds that the weight gradients of `terms` over `count` points of a lattice take here, judged by a chunk; without
+/// terms, those of density's derivatives alone.
+pub fn estimate_seconds(field: &Field, lattice: &Lattice, count: usize, terms: &[WeightedSpaceTerm]) -> Result<f64> {
+    let field = &field.prepared()?;
+    let device = field.device();
+    let chunk = chunk_size(device).min(lattice.cells());
+    let points = Quadrature::full(*lattice).tensor(0, chunk, field.dtype(), device)?;
+    let work = || -> Result<f64> {
+        let started = std::time::Instant::now();
+        if terms.is_empty() {
+            field.spatial(&points)?;
+        } else {
+            regularize_at(field, &points, terms, 1.0)?;
+        }
+        device.synchronize()?;
+        Ok(started.elapsed().as_secs_f64())
+    };
+    // The first pays for fresh memory.
+    work()?;
+    Ok(work()? * count as f64 / chunk as f64 / chunks_at_once(device) as f64)
+}

@@ -1,0 +1,105 @@
+//! What a step minimises beside the photometric losses: terms on the rays of its clean passes, terms in space.
+
+use candle_core::{DType, Tensor};
+
+use crate::base::Result;
+use crate::base::tensors::sum;
+use crate::losses::{LossTerm, RayPass, RayTerm, SpaceTerm, WeightedTerm, photometric_loss};
+use crate::render::PassOutput;
+use crate::settings::RegularizedFields;
+
+use super::learner::FieldLearner;
+use super::passes::mixing;
+use super::results::ChunkResult;
+
+/// What the passes of a step minimise.
+#[derive(Clone, Copy)]
+pub(super) struct StepLoss<'a> {
+    /// Weight of the clean passes' photometric loss.
+    pub clean: f64,
+    /// Weight of the perturbed passes'.
+    pub perturbed: f64,
+    /// Further terms; those on rays count in clean passes.
+    pub terms: &'a [WeightedTerm],
+    /// Which fields' passes they count in.
+    pub fields: RegularizedFields,
+}
+
+impl StepLoss<'_> {
+    /// The terms that a clean pass counts: of the evaluated field, or of the coarse one before it.
+    fn terms_on(&self, is_evaluated: bool) -> impl Iterator<Item = (&dyn RayTerm, f64)> {
+        let count = is_evaluated || self.fields == RegularizedFields::Both;
+        let terms = if count { self.terms } else { &[] };
+        terms.iter().filter_map(|WeightedTerm { term, weight }| match term {
+            LossTerm::OnRays(term) => Some((&**term, *weight)),
+            LossTerm::InSpace(_) => None,
+        })
+    }
+}
+
+/// How a clean pass counts in a step.
+#[derive(Clone, Copy)]
+pub(super) struct Counts {
+    /// Weight of its photometric loss, its rays' share of the step included.
+    pub weight: f64,
+    /// That share.
+    pub share: f64,
+    /// The pass is the one that is evaluated.
+    pub is_evaluated: bool,
+}
+
+/// The terms in space with their weights.
+pub(super) fn in_space(terms: &[WeightedTerm]) -> Vec<(&dyn SpaceTerm, f64)> {
+    let in_space = terms.iter().filter_map(|WeightedTerm { term, weight }| match term {
+        LossTerm::InSpace(term) => Some((&**term, *weight)),
+        LossTerm::OnRays(_) => None,
+    });
+    in_space.collect()
+}
+
+/// The values of all terms in their order, from those on rays and those in space in theirs.
+pub(super) fn in_order(terms: &[WeightedTerm], on_rays: &[f64], in_space: &[f64]) -> Vec<f64> {
+    let (mut on_rays, mut in_space) = (on_rays.iter(), in_space.iter());
+    let value = |WeightedTerm { term, .. }: &WeightedTerm| {
+        let value = match term {
+            LossTerm::OnRays(_) => on_rays.next(),
+            LossTerm::InSpace(_) => in_space.next(),
+        };
+        *value.expect("every term has a value")
+    };
+    terms.iter().map(value).collect()
+}
+
+impl FieldLearner {
+    /// What a step of this run minimises.
+    pub(super) fn step_loss(&self) -> StepLoss<'_> {
+        let (clean, perturbed) = mixing(&self.config);
+        StepLoss { clean, perturbed, terms: &self.terms, fields: self.config.regularizer.fields }
+    }
+
+    /// Adds the gradients of a clean pass's photometric loss and of the terms on its rays, in one way back. Returns the
+    /// photometric loss times the share; the terms' means over the rays, unweighted, are added to the result's losses.
+    pub(super) fn descend_clean(
+        &self,
+        out: &PassOutput,
+        target: &Tensor,
+        step_loss: StepLoss,
+        Counts { weight, share, is_evaluated }: Counts,
+        result: &mut ChunkResult,
+    ) -> Result<Tensor> {
+        let loss = photometric_loss(&out.composite.rgb, target)?;
+        let mut total = (&loss * weight)?;
+        let pass = RayPass { output: out, bounds: self.bounds };
+        let mut values = Vec::new();
+        for (term, weight) in step_loss.terms_on(is_evaluated) {
+            let mean = term.per_ray(&pass)?.mean_all()?;
+            total = (total + (&mean * (weight * share))?.to_dtype(loss.dtype())?)?;
+            values.push((mean.detach().to_dtype(DType::F64)? * share)?);
+        }
+        result.gradients.add(&self.variables, &total.backward()?)?;
+        if !values.is_empty() {
+            result.losses.on_rays = sum(result.losses.on_rays.take(), Some(Tensor::stack(&values, 0)?))?;
+        }
+        Ok((loss.detach().to_dtype(DType::F64)? * share)?)
+    }
+}
