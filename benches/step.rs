@@ -9,12 +9,12 @@ use std::time::Duration;
 
 use augnerf::base::rng::{Random, Stream};
 use augnerf::field::Field;
-use augnerf::losses::regularize;
+use augnerf::losses::{L1, Laplacian, Tv, WeightedSpaceTerm, regularize};
 use augnerf::render::Composite;
 use augnerf::render::sampling::{importance, stratified};
 use augnerf::render::volume::{composite, composite_reference};
-use augnerf::settings::{Config, Core, DataKind, FieldConfig, Method, Regularizer, RegularizerConfig};
-use augnerf::space::{CHUNK, Lattice, Points};
+use augnerf::settings::{Config, Core, DataKind, FieldConfig, Method, RegularizerConfig};
+use augnerf::space::{CHUNK, Quadrature};
 use augnerf::train::{Adam, Trainer};
 use candle_core::{DType, Device, Tensor, Var};
 use criterion::{Criterion, criterion_group, criterion_main};
@@ -46,26 +46,21 @@ fn step(criterion: &mut Criterion) {
 fn space(criterion: &mut Criterion) {
     let field = Field::init(&FieldConfig::default(), 0, 0, DType::F32, &Device::Cpu).expect("a field");
     let config = RegularizerConfig { points_per_step: 8192, ..RegularizerConfig::default() };
-    let lattice = Lattice { domain: config.domain, side: config.lattice };
-    let points = Points::draw(&config, &lattice, 0, 0);
+    let points = Quadrature::draw(&config, 0, 0);
     let mut group = criterion.benchmark_group("space");
     group.sample_size(20).warm_up_time(Duration::from_secs(3)).measurement_time(Duration::from_secs(10));
     let plain = |start: usize| {
-        let points = points.tensor(&lattice, start, CHUNK, DType::F32, &Device::Cpu).expect("points");
+        let points = points.tensor(start, CHUNK, DType::F32, &Device::Cpu).expect("points");
         let sum = field.raw_density(&points).and_then(|raw| Ok(raw.sum_all()?)).expect("a trunk");
         sum.backward().expect("gradients")
     };
     group.bench_function("trunk", |bencher| {
         bencher.iter(|| (0..8192).step_by(CHUNK).collect::<Vec<usize>>().into_par_iter().map(plain).collect::<Vec<_>>())
     });
-    for (name, terms) in [
-        ("l1", vec![(Regularizer::L1, 1.0)]),
-        ("tv", vec![(Regularizer::Tv, 1.0)]),
-        ("tv-laplacian", vec![(Regularizer::Tv, 1.0), (Regularizer::Laplacian, 1.0)]),
-    ] {
-        group.bench_function(name, |bencher| {
-            bencher.iter(|| regularize(&field, &lattice, &points, &terms, (DType::F32, &Device::Cpu)).expect("terms"))
-        });
+    let terms: [(&str, &[WeightedSpaceTerm]); 3] =
+        [("l1", &[(&L1, 1.0)]), ("tv", &[(&Tv, 1.0)]), ("tv-laplacian", &[(&Tv, 1.0), (&Laplacian, 1.0)])];
+    for (name, terms) in terms {
+        group.bench_function(name, |bencher| bencher.iter(|| regularize(&field, &points, terms).expect("terms")));
     }
     group.finish();
 }

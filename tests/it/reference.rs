@@ -298,19 +298,15 @@ fn two_search_steps_and_the_final_pass() {
 
 #[test]
 fn spatial_derivatives_and_regularizers() {
-    use augnerf::losses::regularize_at;
-    use augnerf::settings::Regularizer;
+    use augnerf::losses::{L1, Laplacian, SpaceTerm, Tv, regularize_at};
     let a = Attack::load();
     let points = a.reference.get("space.x");
-    let spatial = a.field.spatial(&points).unwrap();
+    let spatial = a.field.spatial(&points).unwrap().at;
     assert_close("density", &spatial.density, &a.reference.get("space.density"), 1e-10);
     assert_close("gradient", &spatial.gradient, &a.reference.get("space.gradient"), 1e-10);
     assert_close("laplacian", &spatial.laplacian, &a.reference.get("space.laplacian"), 1e-10);
-    let expected = [
-        (Regularizer::L1, 0.5225246464423859),
-        (Regularizer::Tv, 95.72237654143709),
-        (Regularizer::Laplacian, 39850.54949532178),
-    ];
+    let expected: [(&dyn SpaceTerm, f64); 3] =
+        [(&L1, 0.5225246464423859), (&Tv, 95.72237654143709), (&Laplacian, 39850.54949532178)];
     for (term, value) in expected {
         let found = regularize_at(&a.field, &points, &[(term, 1.0)], 1.0 / 12.0).unwrap();
         let of_term = found.values.to_vec1::<f64>().unwrap()[0];

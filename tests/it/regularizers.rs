@@ -4,18 +4,24 @@
 use crate::common::{parameters, tiny_config, tiny_scene, trained};
 use augnerf::base::rng::{Random, Stream};
 use augnerf::field::{Cotangents, Field, spatial_reference};
-use augnerf::losses::{measure, regularize, regularize_at};
+use augnerf::losses::{L1, Laplacian, SpaceTerm, Tv, WeightedSpaceTerm, measure, regularize, regularize_at};
 use augnerf::methods::{Balance, FieldLearner};
 use augnerf::settings::{
-    DensityActivation, Encoding, FieldConfig, LatticePoints, Method, REGULARIZERS, RegularizedFields, Regularizer,
-    RegularizerConfig,
+    DensityActivation, Encoding, FieldConfig, LatticePoints, Method, RegularizedFields, Regularizer, RegularizerConfig,
 };
-use augnerf::space::{Lattice, Points};
+use augnerf::space::{Lattice, Quadrature};
 use augnerf::train::Trainer;
 use candle_core::{DType, Device, Tensor};
 
 const CPU: Device = Device::Cpu;
 const BOX: [[f64; 3]; 2] = [[-1.0; 3], [1.0; 3]];
+/// The paper's three terms in space, as configurations name them.
+const IN_SPACE: [Regularizer; 3] = [Regularizer::L1, Regularizer::Tv, Regularizer::Laplacian];
+
+/// The same terms at weight 1.
+fn terms() -> [WeightedSpaceTerm<'static>; 3] {
+    [(&L1, 1.0), (&Tv, 1.0), (&Laplacian, 1.0)]
+}
 
 fn shape(depth: usize, skips: &[usize], octaves: usize, density_activation: DensityActivation) -> FieldConfig {
     FieldConfig {
@@ -86,7 +92,7 @@ fn the_gradient_in_the_means_equals_finite_differences() {
     let field = Field::init(&config, 0, 0, DType::F64, &CPU).unwrap();
     let points = points(0, 33);
     let density = |points: &Tensor| {
-        let gaussians = field.asked_at(points, [1e-3, 2e-3, 3e-3]).unwrap();
+        let gaussians = field.positions(points, [1e-3, 2e-3, 3e-3]).unwrap();
         assert_eq!(gaussians.to_vec2::<f64>().unwrap()[7][3..], [1e-3, 2e-3, 3e-3]);
         (gaussians.clone(), field.activate_density(&field.raw_density(&gaussians).unwrap()).unwrap())
     };
@@ -114,9 +120,9 @@ fn the_adjoint_equals_forward_tangents() {
         let field = field(config, i as u64, &points);
         let (density, gradient, laplacian) = spatial_reference(&field, &points).unwrap();
         let spatial = field.spatial(&points).unwrap();
-        assert!(relative(&spatial.density, &density) < 1e-12, "{config:?}");
-        assert!(relative(&spatial.gradient, &gradient) < 1e-11, "{config:?}");
-        assert!(relative(&spatial.laplacian, &laplacian) < 1e-10, "{config:?}");
+        assert!(relative(&spatial.at.density, &density) < 1e-12, "{config:?}");
+        assert!(relative(&spatial.at.gradient, &gradient) < 1e-11, "{config:?}");
+        assert!(relative(&spatial.at.laplacian, &laplacian) < 1e-10, "{config:?}");
         assert!(relative(&field.density_gradient(&points).unwrap(), &gradient) < 1e-11, "{config:?}");
 
         let odd = odd_cotangents(33);
@@ -155,9 +161,8 @@ fn single_precision_is_enough_to_train_with() {
     let exact = field(&config, 4, &points);
     let values = exact.variables().iter().map(|(_, var)| var.to_dtype(DType::F32).unwrap()).collect();
     let single = Field::from_parameters(&config, values).unwrap();
-    let terms = REGULARIZERS.map(|term| (term, 1.0));
-    let exact = regularize_at(&exact, &points, &terms, 1.0).unwrap();
-    let single = regularize_at(&single, &points.to_dtype(DType::F32).unwrap(), &terms, 1.0).unwrap();
+    let exact = regularize_at(&exact, &points, &terms(), 1.0).unwrap();
+    let single = regularize_at(&single, &points.to_dtype(DType::F32).unwrap(), &terms(), 1.0).unwrap();
     for (a, b) in flat(&single.values).iter().zip(flat(&exact.values)) {
         assert!((a / b - 1.0).abs() < 1e-4, "{a} {b}");
     }
@@ -191,24 +196,25 @@ fn the_fused_slope_equals_the_plain_one() {
         let single = points.to_dtype(DType::F32).unwrap();
         let (a, b) = (fused.spatial(&single).unwrap(), exact.spatial(&points).unwrap());
         for (name, a, b) in [
-            ("density", &a.density, &b.density),
-            ("gradient", &a.gradient, &b.gradient),
-            ("laplacian", &a.laplacian, &b.laplacian),
+            ("density", &a.at.density, &b.at.density),
+            ("gradient", &a.at.gradient, &b.at.gradient),
+            ("laplacian", &a.at.laplacian, &b.at.laplacian),
         ] {
             assert!(relative(a, b) < 1e-4, "{name} {activation:?} {count}");
         }
-        for terms in [&REGULARIZERS[..], &[Regularizer::L1], &[Regularizer::Tv], &[Regularizer::Laplacian]] {
-            let terms: Vec<(Regularizer, f64)> = terms.iter().map(|term| (*term, 1.0)).collect();
-            let a = regularize_at(&fused, &single, &terms, 1.0).unwrap();
-            let b = regularize_at(&exact, &points, &terms, 1.0).unwrap();
+        let all = terms();
+        for terms in [&all[..], &all[..1], &all[1..2], &all[2..]] {
+            let names: Vec<&str> = terms.iter().map(|(term, _)| term.name()).collect();
+            let a = regularize_at(&fused, &single, terms, 1.0).unwrap();
+            let b = regularize_at(&exact, &points, terms, 1.0).unwrap();
             for ((name, _), (a, b)) in Field::parameter_names(&config).iter().zip(a.gradients.iter().zip(&b.gradients))
             {
                 match (a, b) {
-                    (Some(a), Some(b)) => assert!(relative(a, b) < 1e-3, "{name} {terms:?} {activation:?} {count}"),
+                    (Some(a), Some(b)) => assert!(relative(a, b) < 1e-3, "{name} {names:?} {activation:?} {count}"),
                     // What the plain path leaves out is 0 here.
-                    (Some(a), None) => assert!(flat(a).iter().all(|v| *v == 0.0), "{name} {terms:?}"),
+                    (Some(a), None) => assert!(flat(a).iter().all(|v| *v == 0.0), "{name} {names:?}"),
                     (None, None) => {}
-                    (None, Some(_)) => panic!("{name} {terms:?}"),
+                    (None, Some(_)) => panic!("{name} {names:?}"),
                 }
             }
         }
@@ -245,7 +251,7 @@ fn a_field_with_known_derivatives() {
     let curvature = |p: &[f64]| -0.5 * p[0].sin() - (2.0 * p[1]).cos();
     for activation in [DensityActivation::Relu, DensityActivation::Softplus] {
         let field = known(activation);
-        let spatial = field.spatial(&points).unwrap();
+        let spatial = field.spatial(&points).unwrap().at;
         let (density, gradient, laplacian) =
             (flat(&spatial.density), spatial.gradient.to_vec2::<f64>().unwrap(), flat(&spatial.laplacian));
         for (i, p) in rows.iter().enumerate() {
@@ -262,7 +268,7 @@ fn a_field_with_known_derivatives() {
     }
     // Integrals over [-1, 1]^3: sin x and z vanish, cos 2y gives sin 2 over its side.
     let lattice = Lattice { domain: BOX, side: 40 };
-    let found = measure(&known(DensityActivation::Relu), &lattice, (DType::F64, &CPU), || ()).unwrap();
+    let found = measure(&known(DensityActivation::Relu), &lattice, || ()).unwrap();
     let l1 = 8.0 * (0.5 * 2.0 + 0.25 * 3.0 + 0.1 * 5.0) + 4.0 * 0.25 * 2f64.sin();
     // The midpoint rule's error is of second order in the cell: 2e-4 here.
     assert!((found.l1 / l1 - 1.0).abs() < 1e-4, "{} {l1}", found.l1);
@@ -278,7 +284,7 @@ fn gradient_and_laplacian_equal_finite_differences() {
     for (i, config) in shapes().into_iter().filter(|config| config.position_octaves <= 6).enumerate() {
         let points = points(20 + i as u64, 60);
         let field = field(&config, 20 + i as u64, &points);
-        let spatial = field.spatial(&points).unwrap();
+        let spatial = field.spatial(&points).unwrap().at;
         let density = |points: &Tensor| flat(&field.activate_density(&field.raw_density(points).unwrap()).unwrap());
         let middle = density(&points);
         let mut gradient = vec![[0.0; 3]; middle.len()];
@@ -316,12 +322,12 @@ fn weight_gradients_equal_finite_differences_to_five_digits() {
         let points = points(40 + i as u64, 9);
         let field = field(config, 40 + i as u64, &points);
         let values: Vec<Tensor> = field.variables().iter().map(|(_, var)| var.copy().unwrap()).collect();
-        for term in REGULARIZERS {
+        for term in terms() {
             let value = |values: &[Tensor]| {
                 let field = Field::from_parameters(config, values.to_vec()).unwrap();
-                flat(&regularize_at(&field, &points, &[(term, 1.0)], 0.1).unwrap().values)[0]
+                flat(&regularize_at(&field, &points, &[term], 0.1).unwrap().values)[0]
             };
-            let exact = regularize_at(&field, &points, &[(term, 1.0)], 0.1).unwrap().gradients;
+            let exact = regularize_at(&field, &points, &[term], 0.1).unwrap().gradients;
             // Along random directions of each tensor that has a gradient.
             for (index, gradient) in exact.iter().enumerate() {
                 let Some(gradient) = gradient else { continue };
@@ -341,7 +347,7 @@ fn weight_gradients_equal_finite_differences_to_five_digits() {
                     .map(|h| ((moved(h) - moved(-h)) / (2.0 * h) - slope).abs() / (slope.abs() + 1e-6))
                     .into_iter()
                     .fold(f64::INFINITY, f64::min);
-                assert!(best < 1e-5, "{} parameter {index}: {best:e} of {slope} {config:?}", term.name());
+                assert!(best < 1e-5, "{} parameter {index}: {best:e} of {slope} {config:?}", term.0.name());
             }
         }
     }
@@ -359,7 +365,7 @@ fn a_flat_density_has_no_pull_and_no_nan() {
             _ => Tensor::ones(shape.as_slice(), DType::F64, &CPU).unwrap(),
         });
         let field = Field::from_parameters(&config, values.collect()).unwrap();
-        let found = regularize_at(&field, &points(1, 10), &REGULARIZERS.map(|term| (term, 1.0)), 0.1).unwrap();
+        let found = regularize_at(&field, &points(1, 10), &terms(), 0.1).unwrap();
         assert_eq!(flat(&found.values), [flat_density, 0.0, 0.0]);
         for ((name, _), gradient) in names.iter().zip(found.gradients) {
             let Some(gradient) = gradient else { continue };
@@ -376,12 +382,11 @@ fn sampled(side: usize, points_per_step: usize, jitter: bool) -> RegularizerConf
 }
 
 /// Mean and standard error of the three terms over `seeds` draws.
-fn estimates(field: &Field, config: &RegularizerConfig, lattice: &Lattice, seeds: u64) -> [(f64, f64); 3] {
-    let terms = REGULARIZERS.map(|term| (term, 1.0));
+fn estimates(field: &Field, config: &RegularizerConfig, seeds: u64) -> [(f64, f64); 3] {
     let draws: Vec<Vec<f64>> = (0..seeds)
         .map(|seed| {
-            let points = Points::draw(config, lattice, seed, 3);
-            flat(&regularize(field, lattice, &points, &terms, (DType::F64, &CPU)).unwrap().values)
+            let points = Quadrature::draw(config, seed, 3);
+            flat(&regularize(field, &points, &terms()).unwrap().values)
         })
         .collect();
     std::array::from_fn(|term| {
@@ -397,16 +402,16 @@ fn the_estimate_is_unbiased() {
     // Midpoints of random cells: unbiased for the lattice's own sum, however rough the field.
     let rough = field(&shape(8, &[5], 10, DensityActivation::Relu), 60, &points(60, 40));
     let lattice = Lattice { domain: BOX, side: 16 };
-    let full = measure(&rough, &lattice, (DType::F64, &CPU), || ()).unwrap();
-    let found = estimates(&rough, &sampled(16, 128, false), &lattice, 200);
+    let full = measure(&rough, &lattice, || ()).unwrap();
+    let found = estimates(&rough, &sampled(16, 128, false), 200);
     for ((mean, error), full) in found.into_iter().zip([full.l1, full.tv, full.laplacian]) {
         assert!((mean - full).abs() < 3.5 * error && error < 0.05 * full, "{mean} +- {error}, full {full}");
     }
     // Random points in them: unbiased for the integral, which a fine lattice finds on a smooth field.
     let smooth = field(&shape(4, &[2], 1, DensityActivation::Softplus), 61, &points(61, 40));
     let fine = Lattice { domain: BOX, side: 64 };
-    let full = measure(&smooth, &fine, (DType::F64, &CPU), || ()).unwrap();
-    let found = estimates(&smooth, &sampled(16, 128, true), &lattice, 200);
+    let full = measure(&smooth, &fine, || ()).unwrap();
+    let found = estimates(&smooth, &sampled(16, 128, true), 200);
     for ((mean, error), full) in found.into_iter().zip([full.l1, full.tv, full.laplacian]) {
         assert!((mean - full).abs() < 3.5 * error && error < 0.05 * full, "{mean} +- {error}, full {full}");
     }
@@ -416,12 +421,10 @@ fn the_estimate_is_unbiased() {
 fn all_cells_once_are_the_full_lattice() {
     let lattice = Lattice { domain: [[-1.0, 0.0, 2.0], [1.0, 0.5, 5.0]], side: 5 };
     assert!((lattice.volume() - 3.0).abs() < 1e-12);
-    let config = RegularizerConfig { points: LatticePoints::Sampled, ..sampled(5, 125, false) };
+    let config = RegularizerConfig { domain: lattice.domain, ..sampled(5, 125, false) };
     let field = field(&shape(4, &[2], 3, DensityActivation::Softplus), 9, &points(9, 40));
-    let run = |points: &Points| {
-        regularize(&field, &lattice, points, &REGULARIZERS.map(|term| (term, 2.0)), (DType::F64, &CPU)).unwrap()
-    };
-    let (some, all) = (run(&Points::draw(&config, &lattice, 0, 0)), run(&Points::Full));
+    let run = |points: &Quadrature| regularize(&field, points, &terms().map(|(term, _)| (term, 2.0))).unwrap();
+    let (some, all) = (run(&Quadrature::draw(&config, 0, 0)), run(&Quadrature::full(lattice)));
     for (a, b) in flat(&some.values).iter().zip(flat(&all.values)) {
         assert!((a / b - 1.0).abs() < 1e-12);
     }
@@ -436,10 +439,9 @@ fn all_cells_once_are_the_full_lattice() {
 
 #[test]
 fn points_stay_in_their_cells_and_are_fresh_in_each_step() {
-    let lattice = Lattice { domain: BOX, side: 8 };
     let draw = |seed, step| {
-        let points = Points::draw(&sampled(8, 100, true), &lattice, seed, step);
-        points.tensor(&lattice, 0, 100, DType::F64, &CPU).unwrap().to_vec2::<f64>().unwrap()
+        let points = Quadrature::draw(&sampled(8, 100, true), seed, step);
+        points.tensor(0, 100, DType::F64, &CPU).unwrap().to_vec2::<f64>().unwrap()
     };
     let first = draw(0, 0);
     let mut cells: Vec<[i64; 3]> =
@@ -471,11 +473,11 @@ fn each_term_lowers_what_it_measures() {
     let lattice = Lattice { domain: BOX, side: 24 };
     let smoothness = |trainer: &Trainer| {
         let field = trainer.model().fields().unwrap().fine().unwrap();
-        let found = measure(field, &lattice, (DType::F32, &CPU), || ()).unwrap();
+        let found = measure(field, &lattice, || ()).unwrap();
         [found.l1, found.tv, found.laplacian]
     };
     let plain = smoothness(&trained(&tiny_config(Method::Nerf, |_| {}), 150));
-    for (i, (term, weight)) in REGULARIZERS.into_iter().zip([1e-3, 1e-4, 1e-6]).enumerate() {
+    for (i, (term, weight)) in IN_SPACE.into_iter().zip([1e-3, 1e-4, 1e-6]).enumerate() {
         for points in [LatticePoints::Sampled, LatticePoints::Full] {
             let config = regularized(term, weight, |regularizer| regularizer.points = points);
             let found = smoothness(&trained(&config, 150));
@@ -530,17 +532,17 @@ fn the_balance_is_a_ratio_of_gradient_norms_and_moves_nothing() {
     let trainer = trained(&tiny_config(Method::Nerf, |_| {}), 5);
     let before = parameters(&trainer, &["coarse", "fine"]);
     let balances = balance(&trainer, &sampled(16, 256, true));
-    assert_eq!(balances.len(), 3);
+    assert_eq!(balances.len(), 4);
     assert!(balances.iter().all(|b| b.term_norm > 0.0 && b.photometric_norm == balances[0].photometric_norm));
     assert_eq!(before, parameters(&trainer, &["coarse", "fine"]));
 
     // A term's norm is over both networks, at the points of the step that comes next.
     let config = sampled(16, 256, true);
-    let lattice = Lattice { domain: config.domain, side: config.lattice };
-    let points = Points::draw(&config, &lattice, trainer.config().seed, trainer.step_count());
-    for balance in &balances {
+    let points = Quadrature::draw(&config, trainer.config().seed, trainer.step_count());
+    for (balance, term) in balances.iter().zip(terms()) {
+        assert_eq!(balance.term, term.0.name());
         let of_field = |(_, field): (&'static str, &Field)| {
-            let term = regularize(field, &lattice, &points, &[(balance.term, 1.0)], (DType::F32, &CPU)).unwrap();
+            let term = regularize(field, &points, &[term]).unwrap();
             term.gradients.iter().flatten().flat_map(flat).map(|g| g * g).sum::<f64>()
         };
         let norm = trainer.model().fields().unwrap().by_role().into_iter().map(of_field).sum::<f64>().sqrt();
@@ -582,5 +584,61 @@ fn what_would_never_finish_or_meets_nothing_is_refused_with_words() {
     let message = refused(&endless);
     for words in ["lattice = 1024", "2147483648 points", "days", "sampled"] {
         assert!(message.contains(words), "'{words}' is not in: {message}");
+    }
+}
+
+/// The distortion loss of each clean pass reaches the weights with the photometric one: the gradient of their sum is
+/// what finite differences of the reported numbers give.
+#[test]
+fn the_distortion_loss_is_reported_and_descended() {
+    for method in [Method::Nerf, Method::AugNerf, Method::MipNerf] {
+        let config = |weight: f64| {
+            tiny_config(method, |config| {
+                config.regularizer.kind = vec![Regularizer::Distortion];
+                config.regularizer.weight = vec![weight];
+            })
+        };
+        let (mut weak, mut strong) = (trained(&config(1e-9), 0), trained(&config(0.3), 0));
+        let (a, b) = (weak.step(false).unwrap(), strong.step(false).unwrap());
+        let value = b.term("regularizer.distortion").unwrap();
+        assert_eq!((a.term("regularizer.distortion"), a.mse), (Some(value), b.mse));
+        assert!(
+            value > 0.0 && (b.loss - a.loss - 0.3 * value).abs() < 1e-6,
+            "{method:?} {value} {} {}",
+            a.loss,
+            b.loss
+        );
+        // Trained for long enough, rays end in one place more than without.
+        let spread = |trainer: &mut Trainer| trainer.step(false).unwrap().term("regularizer.distortion").unwrap();
+        let (mut weak, mut strong) = (trained(&config(1e-9), 60), trained(&config(0.3), 60));
+        let (weak, strong) = (spread(&mut weak), spread(&mut strong));
+        assert!(strong < 0.9 * weak, "{method:?}: {strong} with the term, {weak} without");
+    }
+}
+
+#[test]
+fn a_term_of_ones_own_needs_its_formula_alone() {
+    /// The paper's TV by its formula, without derivatives of its own.
+    struct Slope;
+    impl SpaceTerm for Slope {
+        fn name(&self) -> &str {
+            "slope"
+        }
+        fn at_points(&self, at: &augnerf::field::DensityAt) -> augnerf::base::Result<Tensor> {
+            Ok((at.gradient.sqr()?.sum(1)? + 1e-30)?.sqrt()?)
+        }
+    }
+    let config = shape(4, &[2], 4, DensityActivation::Softplus);
+    let points = points(3, 33);
+    let field = field(&config, 3, &points);
+    let own = regularize_at(&field, &points, &[(&Slope, 0.7)], 0.1).unwrap();
+    let tv = regularize_at(&field, &points, &[(&Tv, 0.7)], 0.1).unwrap();
+    assert!(relative(&own.values, &tv.values) < 1e-12);
+    for (own, tv) in own.gradients.iter().zip(&tv.gradients) {
+        match (own, tv) {
+            (Some(own), Some(tv)) => assert!(relative(own, tv) < 1e-9),
+            (None, None) => {}
+            _ => panic!("one has a gradient that the other has not"),
+        }
     }
 }
