@@ -3,9 +3,9 @@
 use candle_core::DType;
 
 use crate::base::{Error, Event, Listener, Result};
+use crate::losses::{LossTerm, WeightedTerm};
 use crate::methods::FieldLearner;
 use crate::runtime::Runtime;
-use crate::losses::{LossTerm, WeightedTerm};
 use crate::settings::{Config, Method, REGULARIZERS, Resolved};
 use crate::space::Lattice;
 use crate::train::Trainer;

@@ -111,7 +111,7 @@ impl Viewer<'_> {
     }
 
     fn compare_surface(&self, events: &dyn Listener, going: impl Fn() -> Result<()>) -> Result<Chamfer> {
-        let Viewer { model, config, scene, device } = *self;
+        let Viewer { model, config, scene, .. } = *self;
         let reference = surface_reference(config, scene)?.expect("a surface is asked for");
         let mesh = &config.eval.mesh;
         let domain = mesh.domain.unwrap_or_else(|| surface_box(scene));

@@ -4,8 +4,8 @@ use candle_core::{DType, Tensor};
 
 use crate::base::Result;
 use crate::base::tensors::sum;
-use crate::losses::{LossTerm, RayPass, RayTerm, SpaceTerm, WeightedTerm, photometric_loss};
-use crate::render::PassOutput;
+use crate::losses::{LossTerm, RayPass, RayTerm, SpaceTerm, WeightedTerm};
+use crate::render::{PassOutput, photometric_loss};
 use crate::settings::RegularizedFields;
 
 use super::learner::FieldLearner;
