@@ -1,5 +1,6 @@
 //! What everything else stands on: errors, events, images, random numbers, files, the code's revision.
 
+pub mod csv;
 mod error;
 mod events;
 pub mod files;

@@ -4,6 +4,7 @@ use std::path::PathBuf;
 
 use clap::Args;
 
+use crate::base::csv::csv_text;
 use crate::base::{Error, Result};
 use crate::run::{RunDir, Trained, balance, check_measurable, columns};
 use crate::runtime::Runtime;
@@ -87,10 +88,7 @@ fn check(lattice: &Lattice) -> Result<()> {
 
 /// Cells as a line of CSV.
 pub fn csv_line(cells: &[String]) -> String {
-    let mut writer = csv::Writer::from_writer(Vec::new());
-    writer.write_record(cells).expect("memory holds it");
-    let line = writer.into_inner().expect("memory holds it");
-    String::from_utf8(line).expect("text stays text").trim_end().to_string()
+    csv_text([cells.to_vec()]).trim_end().to_string()
 }
 
 /// The two corners of a box as the flag `flag` takes them.

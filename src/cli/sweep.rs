@@ -7,15 +7,15 @@ use std::path::{Path, PathBuf};
 use clap::{Args, Subcommand};
 
 use crate::base::{Error, Result};
-use crate::metrics::Lpips;
+use crate::metrics::{Lpips, Metric, Needs, Scope};
 use crate::report::Status;
 use crate::report::tables::table_terminal;
 use crate::run::load_lpips;
 use crate::runtime::Runtime;
 use crate::settings::parse_assignment;
 use crate::sweep::{
-    Change, Collector, Cost, Definition, Options, Overrides, Point, Runner, SMOOTHNESS_METRICS, SweepFolder, Trainings,
-    begin, expand, shape,
+    Change, Collector, Cost, Definition, Options, Overrides, Point, Runner, SweepFolder, Trainings, begin, expand,
+    shape,
 };
 
 use super::progress::{Console, print};
@@ -194,7 +194,7 @@ impl RunArguments {
                 missing.join(", ")
             ));
         }
-        let smoothness = definition.metrics.iter().any(|metric| SMOOTHNESS_METRICS.contains(&metric.as_str()));
+        let smoothness = definition.metric_in(Scope::Lattice).is_some();
         let trainings = Trainings::new(runtime.clone(), (lpips, weights), smoothness, &console);
         let points = begin(&folder, &definition, self.place.data_root.as_deref(), self.extend, &trainings)?;
         let options = Options {
@@ -242,8 +242,10 @@ impl RunArguments {
 
 /// Whether a metric can be had with these LPIPS backbones.
 fn measurable(metric: &str, lpips: &[Lpips]) -> bool {
-    let backbone = metric.strip_prefix("lpips_").or(metric.strip_prefix("average_"));
-    backbone.is_none_or(|name| lpips.iter().any(|lpips| lpips.backbone().name() == name))
+    match Metric::find(metric).map(|metric| metric.needs) {
+        Some(Needs::Lpips(backbone)) => lpips.iter().any(|lpips| lpips.backbone() == backbone),
+        _ => true,
+    }
 }
 
 /// Says what became of the points; an error where not all are done.

@@ -98,9 +98,9 @@ fn summarise(Finished { report, seconds, .. }: &Finished, folder: &Path, console
     console.say(&format!(
         "{} held-out views: PSNR {} dB  SSIM {}  LPIPS(squeeze) {}  ({} steps, {seconds:.0} s)",
         report.views.len(),
-        number(mean.psnr, 2),
-        number(mean.ssim, 3),
-        number(mean.lpips_squeeze, 3),
+        number(mean.get("psnr"), 2),
+        number(mean.get("ssim"), 3),
+        number(mean.get("lpips_squeeze"), 3),
         report.protocol.steps,
     ));
     let inactive = report.inactive_levels();

@@ -5,8 +5,7 @@
 //! count is reported as a share. Roughness is measured on what lies in one surface of the reference: not across
 //! neighbours whose reference depths differ by more than 2.5 % of the nearer one.
 
-use serde::{Deserialize, Serialize};
-
+use super::ViewMetrics;
 use crate::data::Camera;
 use crate::data::vector::{Vec3, add, cross, dot, length, scale, sub};
 
@@ -14,27 +13,6 @@ use crate::data::vector::{Vec3, add, cross, dot, length, scale, sub};
 const SOLID: f32 = 0.5;
 /// Neighbours that differ by a larger share of their depth lie on different surfaces.
 const EDGE: f64 = 0.025;
-
-/// Geometry of one rendered view, or means over views. Everything is `None` for a view without reference depth.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
-#[serde(default)]
-pub struct DepthMetrics {
-    /// Mean absolute depth error over the counted pixels.
-    pub depth_mae: Option<f64>,
-    /// Root of the mean squared depth error.
-    pub depth_rmse: Option<f64>,
-    /// Share of the pixels with known reference depth whose rendering is not solid.
-    pub depth_left_out: Option<f64>,
-    /// Mean absolute second difference of depth, d(i-1) - 2 d(i) + d(i+1), over rows and columns.
-    pub depth_roughness: Option<f64>,
-    /// The reference's own over the same pixels; `None` where its depth is not exact.
-    pub depth_roughness_truth: Option<f64>,
-    /// Mean angle in degrees between the normals of neighbouring pixels, each the normal through the points of the
-    /// pixel and of its right and lower neighbour.
-    pub normal_roughness: Option<f64>,
-    /// The reference's own over the same pixels; `None` where its depth is not exact.
-    pub normal_roughness_truth: Option<f64>,
-}
 
 /// A view's depth and where it may be compared.
 struct Compared<'a> {
@@ -44,46 +22,42 @@ struct Compared<'a> {
     rendered: Vec<f64>,
 }
 
-impl DepthMetrics {
-    /// Compares `rendered` depth (along the viewing axis, scene units, any value where `acc` is low) with the
-    /// reference's, row-major; `exact` says whether the reference's own roughness means anything.
-    pub fn of(camera: &Camera, rendered: &[f32], acc: &[f32], reference: &[f32], exact: bool) -> DepthMetrics {
-        let known = reference.iter().filter(|depth| depth.is_finite()).count();
-        let counts = |i: usize| reference[i].is_finite() && acc[i] >= SOLID && rendered[i].is_finite();
-        let counted = |i: usize| if counts(i) { f64::from(reference[i]) } else { f64::NAN };
-        let view = Compared {
-            camera,
-            reference: (0..reference.len()).map(counted).collect(),
-            rendered: rendered.iter().copied().map(f64::from).collect(),
-        };
-        let errors = || (0..reference.len()).filter(|&i| counts(i)).map(|i| view.rendered[i] - view.reference[i]);
-        let truth = |roughness: Option<f64>| roughness.filter(|_| exact);
-        DepthMetrics {
-            depth_mae: mean(errors().map(f64::abs)),
-            depth_rmse: mean(errors().map(|error| error * error)).map(f64::sqrt),
-            depth_left_out: (known > 0).then(|| 1.0 - errors().count() as f64 / known as f64),
-            depth_roughness: view.depth_roughness(&view.rendered),
-            depth_roughness_truth: truth(view.depth_roughness(&view.reference)),
-            normal_roughness: view.normal_roughness(&view.rendered),
-            normal_roughness_truth: truth(view.normal_roughness(&view.reference)),
-        }
-    }
-
-    /// Means over views; `None` where a view lacks the metric.
-    pub fn mean(views: &[DepthMetrics]) -> DepthMetrics {
-        let over = |metric: fn(&DepthMetrics) -> Option<f64>| {
-            views.iter().map(metric).collect::<Option<Vec<f64>>>().and_then(|values| mean(values.into_iter()))
-        };
-        DepthMetrics {
-            depth_mae: over(|v| v.depth_mae),
-            depth_rmse: over(|v| v.depth_rmse),
-            depth_left_out: over(|v| v.depth_left_out),
-            depth_roughness: over(|v| v.depth_roughness),
-            depth_roughness_truth: over(|v| v.depth_roughness_truth),
-            normal_roughness: over(|v| v.normal_roughness),
-            normal_roughness_truth: over(|v| v.normal_roughness_truth),
-        }
-    }
+/// Fills a view's geometry. Compares `rendered` depth (along the viewing axis, scene units, any value where `acc` is low)
+/// with the reference's, row-major; `exact` says whether the reference's own roughness means anything.
+///
+/// | metric | what |
+/// |---|---|
+/// | `depth_mae`, `depth_rmse` | mean absolute error and root of the mean squared one, over the pixels that count |
+/// | `depth_left_out` | share of the pixels with known reference depth whose rendering is not solid |
+/// | `depth_roughness` | mean absolute second difference of depth, d(i-1) - 2 d(i) + d(i+1), over rows and columns |
+/// | `normal_roughness` | mean angle between the normals of neighbouring pixels, each the normal through the points of the pixel and of its right and lower neighbour |
+/// | `*_truth` | the reference's own over the same pixels |
+pub fn measure_depth(
+    view: &mut ViewMetrics,
+    camera: &Camera,
+    rendered: &[f32],
+    acc: &[f32],
+    reference: &[f32],
+    exact: bool,
+) {
+    let known = reference.iter().filter(|depth| depth.is_finite()).count();
+    let counts = |i: usize| reference[i].is_finite() && acc[i] >= SOLID && rendered[i].is_finite();
+    let counted = |i: usize| if counts(i) { f64::from(reference[i]) } else { f64::NAN };
+    let compared = Compared {
+        camera,
+        reference: (0..reference.len()).map(counted).collect(),
+        rendered: rendered.iter().copied().map(f64::from).collect(),
+    };
+    let errors = || (0..reference.len()).filter(|&i| counts(i)).map(|i| compared.rendered[i] - compared.reference[i]);
+    let truth = |roughness: Option<f64>| roughness.filter(|_| exact);
+    let values = &mut view.values;
+    values.set("depth_mae", mean(errors().map(f64::abs)));
+    values.set("depth_rmse", mean(errors().map(|error| error * error)).map(f64::sqrt));
+    values.set("depth_left_out", (known > 0).then(|| 1.0 - errors().count() as f64 / known as f64));
+    values.set("depth_roughness", compared.depth_roughness(&compared.rendered));
+    values.set("depth_roughness_truth", truth(compared.depth_roughness(&compared.reference)));
+    values.set("normal_roughness", compared.normal_roughness(&compared.rendered));
+    values.set("normal_roughness_truth", truth(compared.normal_roughness(&compared.reference)));
 }
 
 fn mean(values: impl Iterator<Item = f64>) -> Option<f64> {
@@ -156,6 +130,7 @@ impl Compared<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::metrics::MeanMetrics;
 
     const CAMERA: Camera = Camera {
         width: 12,
@@ -169,60 +144,71 @@ mod tests {
         (0..120).map(|i| depth(i % 12, i / 12)).collect()
     }
 
+    fn measured(rendered: &[f32], acc: &[f32], reference: &[f32], exact: bool) -> ViewMetrics {
+        let mut view = ViewMetrics::new("v");
+        measure_depth(&mut view, &CAMERA, rendered, acc, reference, exact);
+        view
+    }
+
     #[test]
     fn a_constant_offset_is_the_error_and_adds_no_roughness() {
         let truth = view(|_, _| 4.0);
-        let metrics = DepthMetrics::of(&CAMERA, &view(|_, _| 4.25), &[1.0; 120], &truth, true);
+        let metrics = measured(&view(|_, _| 4.25), &[1.0; 120], &truth, true);
         assert_eq!(
-            (metrics.depth_mae, metrics.depth_rmse, metrics.depth_left_out),
+            (metrics.get("depth_mae"), metrics.get("depth_rmse"), metrics.get("depth_left_out")),
             (Some(0.25), Some(0.25), Some(0.0))
         );
-        assert_eq!((metrics.depth_roughness, metrics.depth_roughness_truth), (Some(0.0), Some(0.0)));
-        assert!(metrics.normal_roughness.unwrap() < 1e-4);
-        let inexact = DepthMetrics::of(&CAMERA, &truth, &[1.0; 120], &truth, false);
-        assert_eq!((inexact.depth_roughness_truth, inexact.normal_roughness_truth), (None, None));
+        assert_eq!((metrics.get("depth_roughness"), metrics.get("depth_roughness_truth")), (Some(0.0), Some(0.0)));
+        assert!(metrics.get("normal_roughness").unwrap() < 1e-4);
+        let inexact = measured(&truth, &[1.0; 120], &truth, false);
+        assert_eq!((inexact.get("depth_roughness_truth"), inexact.get("normal_roughness_truth")), (None, None));
     }
 
     #[test]
     fn only_solid_pixels_on_known_surface_count() {
         let truth = view(|x, _| [f32::INFINITY, f32::NAN, 3.0, 3.0][x % 4]);
         let acc: Vec<f32> = (0..120).map(|i| if i % 4 == 3 { 0.4 } else { 1.0 }).collect();
-        let metrics =
-            DepthMetrics::of(&CAMERA, &view(|x, _| if x % 4 == 2 { 3.5 } else { f32::NAN }), &acc, &truth, true);
-        assert_eq!((metrics.depth_mae, metrics.depth_left_out), (Some(0.5), Some(0.5)));
-        let empty = DepthMetrics::of(&CAMERA, &truth, &acc, &view(|_, _| f32::INFINITY), true);
-        assert_eq!(empty, DepthMetrics::default());
+        let metrics = measured(&view(|x, _| if x % 4 == 2 { 3.5 } else { f32::NAN }), &acc, &truth, true);
+        assert_eq!((metrics.get("depth_mae"), metrics.get("depth_left_out")), (Some(0.5), Some(0.5)));
+        let empty = measured(&truth, &acc, &view(|_, _| f32::INFINITY), true);
+        assert_eq!(empty, ViewMetrics::new("v"));
     }
 
     #[test]
     fn roughness_is_that_of_the_rendering_and_not_of_the_edges() {
         // A step of the reference that the rendering follows is no roughness; ripples are.
         let truth = view(|x, _| if x < 6 { 3.0 } else { 4.0 });
-        let same = DepthMetrics::of(&CAMERA, &truth, &[1.0; 120], &truth, true);
-        assert_eq!((same.depth_roughness, same.depth_mae), (Some(0.0), Some(0.0)));
+        let same = measured(&truth, &[1.0; 120], &truth, true);
+        assert_eq!((same.get("depth_roughness"), same.get("depth_mae")), (Some(0.0), Some(0.0)));
         let rippled = view(|x, y| if x < 6 { 3.0 } else { 4.0 } + 0.01 * ((x + y) % 2) as f32);
-        let metrics = DepthMetrics::of(&CAMERA, &rippled, &[1.0; 120], &truth, true);
-        assert!((metrics.depth_roughness.unwrap() - 0.02).abs() < 1e-6);
-        assert!(metrics.normal_roughness.unwrap() > 5.0, "{metrics:?}");
+        let metrics = measured(&rippled, &[1.0; 120], &truth, true);
+        assert!((metrics.get("depth_roughness").unwrap() - 0.02).abs() < 1e-6);
+        assert!(metrics.get("normal_roughness").unwrap() > 5.0, "{metrics:?}");
     }
 
     #[test]
     fn a_slanted_plane_has_one_normal() {
         // z = -(4 + x): depth t with t = 4 + t (px - 6) / 20.
         let plane = view(|x, _| 4.0 / (1.0 - (x as f32 - 6.0) / 20.0));
-        let metrics = DepthMetrics::of(&CAMERA, &plane, &[1.0; 120], &plane, true);
-        assert!(metrics.normal_roughness.is_none() || metrics.normal_roughness.unwrap() < 1e-3, "{metrics:?}");
+        let metrics = measured(&plane, &[1.0; 120], &plane, true);
+        assert!(
+            metrics.get("normal_roughness").is_none() || metrics.get("normal_roughness").unwrap() < 1e-3,
+            "{metrics:?}"
+        );
         let gentle = view(|x, _| 4.0 / (1.0 - 0.3 * (x as f32 - 6.0) / 20.0));
-        let metrics = DepthMetrics::of(&CAMERA, &gentle, &[1.0; 120], &gentle, true);
-        assert!(metrics.normal_roughness.unwrap() < 1e-2, "{metrics:?}");
+        let metrics = measured(&gentle, &[1.0; 120], &gentle, true);
+        assert!(metrics.get("normal_roughness").unwrap() < 1e-2, "{metrics:?}");
     }
 
     #[test]
     fn a_mean_over_views_of_which_one_lacks_the_metric_is_missing() {
-        let one = DepthMetrics { depth_mae: Some(1.0), ..DepthMetrics::default() };
-        let two = DepthMetrics { depth_mae: Some(2.0), depth_rmse: Some(1.0), ..DepthMetrics::default() };
-        let means = DepthMetrics::mean(&[one, two]);
-        assert_eq!((means.depth_mae, means.depth_rmse), (Some(1.5), None));
-        assert_eq!(DepthMetrics::mean(&[]), DepthMetrics::default());
+        let view = |mae: f64, rmse: Option<f64>| {
+            let mut view = ViewMetrics::new("v");
+            view.values.set("depth_mae", Some(mae));
+            view.values.set("depth_rmse", rmse);
+            view
+        };
+        let means = MeanMetrics::from_views(&[view(1.0, None), view(2.0, Some(1.0))]);
+        assert_eq!((means.get("depth_mae"), means.get("depth_rmse")), (Some(1.5), None));
     }
 }

@@ -6,108 +6,20 @@
 
 mod depth;
 mod lpips;
+mod registry;
 mod ssim;
+mod values;
 mod weights;
 
-pub use depth::DepthMetrics;
+pub use depth::measure_depth;
 pub use lpips::{Backbone, Lpips};
+pub use registry::{Digits, Direction, METRICS, Metric, Needs, Scope};
 pub use ssim::ssim;
+pub use values::{MeanMetrics, Values, ViewMetrics};
 
 use rayon::prelude::*;
-use serde::{Deserialize, Serialize};
 
 use crate::base::{Error, Image, Result};
-
-/// The metrics of one rendered view.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct ViewMetrics {
-    /// The view's name.
-    pub name: String,
-    /// PSNR in dB of the 8-bit rounded images; `None` where they are equal.
-    pub psnr: Option<f64>,
-    /// PSNR in dB of the unrounded images; `None` where they are equal.
-    pub psnr_float: Option<f64>,
-    /// Mean squared error of the unrounded images.
-    pub mse: f64,
-    /// SSIM of the 8-bit rounded images; `None` where a side is below 11 pixels.
-    pub ssim: Option<f64>,
-    /// LPIPS on AlexNet of the 8-bit rounded images; `None` without its weights.
-    pub lpips_alex: Option<f64>,
-    /// LPIPS on VGG-16 of the 8-bit rounded images; `None` without its weights.
-    pub lpips_vgg: Option<f64>,
-    /// LPIPS on SqueezeNet 1.1 of the 8-bit rounded images; `None` without its weights.
-    pub lpips_squeeze: Option<f64>,
-    /// Geometry; filled where the view has a reference depth.
-    #[serde(flatten)]
-    pub depth: DepthMetrics,
-}
-
-/// Means over views. A mean over views of which one lacks the metric is `None`, because a mean
-/// over the others would not be comparable.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct MeanMetrics {
-    /// Mean of the views' `psnr` in dB.
-    pub psnr: Option<f64>,
-    /// Mean of the views' `psnr_float` in dB.
-    pub psnr_float: Option<f64>,
-    /// PSNR in dB of the mean of the views' `mse`.
-    pub psnr_of_mean: Option<f64>,
-    /// Mean SSIM.
-    pub ssim: Option<f64>,
-    /// Mean LPIPS on AlexNet.
-    pub lpips_alex: Option<f64>,
-    /// Mean LPIPS on VGG-16.
-    pub lpips_vgg: Option<f64>,
-    /// Mean LPIPS on SqueezeNet 1.1.
-    pub lpips_squeeze: Option<f64>,
-    /// [`average`] of the means `psnr`, `ssim` and `lpips_alex`.
-    pub average_alex: Option<f64>,
-    /// [`average`] of the means `psnr`, `ssim` and `lpips_vgg`.
-    pub average_vgg: Option<f64>,
-    /// [`average`] of the means `psnr`, `ssim` and `lpips_squeeze`.
-    pub average_squeeze: Option<f64>,
-    /// Means of the views' geometry.
-    #[serde(flatten)]
-    pub depth: DepthMetrics,
-    /// Chamfer distance of the surface to the reference mesh, scene units; `None` where it was not asked for or
-    /// there is no surface.
-    #[serde(default)]
-    pub chamfer: Option<f64>,
-    /// F-score of the surface at the distance that the protocol names.
-    #[serde(default)]
-    pub f_score: Option<f64>,
-}
-
-impl MeanMetrics {
-    /// The means over `views`; everything is `None` for no views.
-    pub fn from_views(views: &[ViewMetrics]) -> MeanMetrics {
-        let over = |metric: fn(&ViewMetrics) -> Option<f64>| mean(views, metric);
-        let mut means = MeanMetrics {
-            psnr: over(|v| v.psnr),
-            psnr_float: over(|v| v.psnr_float),
-            psnr_of_mean: over(|v| Some(v.mse)).and_then(psnr_from_mse),
-            ssim: over(|v| v.ssim),
-            lpips_alex: over(|v| v.lpips_alex),
-            lpips_vgg: over(|v| v.lpips_vgg),
-            lpips_squeeze: over(|v| v.lpips_squeeze),
-            depth: DepthMetrics::mean(&views.iter().map(|v| v.depth).collect::<Vec<_>>()),
-            ..MeanMetrics::default()
-        };
-        means.average_alex = means.average_with(means.lpips_alex);
-        means.average_vgg = means.average_with(means.lpips_vgg);
-        means.average_squeeze = means.average_with(means.lpips_squeeze);
-        means
-    }
-
-    fn average_with(&self, lpips: Option<f64>) -> Option<f64> {
-        Some(average(self.psnr?, self.ssim?, lpips?))
-    }
-}
-
-fn mean(views: &[ViewMetrics], metric: fn(&ViewMetrics) -> Option<f64>) -> Option<f64> {
-    let values = views.iter().map(metric).collect::<Option<Vec<f64>>>()?;
-    (!values.is_empty()).then(|| values.iter().sum::<f64>() / values.len() as f64)
-}
 
 /// Measures one view. SSIM and LPIPS, like `psnr`, see the 8-bit rounded images, so that the
 /// written PNG files give the same numbers. LPIPS is `None` for backbones that are not among
@@ -116,24 +28,14 @@ pub fn measure(name: &str, rendered: &Image, truth: &Image, lpips: &[Lpips]) -> 
     check_finite(name, rendered)?;
     let error = mse(rendered, truth)?;
     let (rendered, truth) = (quantise(rendered), quantise(truth));
-    let mut view = ViewMetrics {
-        name: name.to_string(),
-        psnr: psnr_from_mse(mse(&rendered, &truth)?),
-        psnr_float: psnr_from_mse(error),
-        mse: error,
-        ssim: ssim(&rendered, &truth)?,
-        lpips_alex: None,
-        lpips_vgg: None,
-        lpips_squeeze: None,
-        depth: DepthMetrics::default(),
-    };
+    let mut view = ViewMetrics::new(name);
+    view.values.set("psnr", psnr_from_mse(mse(&rendered, &truth)?));
+    view.values.set("psnr_float", psnr_from_mse(error));
+    view.values.set("mse", Some(error));
+    view.values.set("ssim", ssim(&rendered, &truth)?);
     for model in lpips.iter().filter(|model| model.backbone().fits(truth.width, truth.height)) {
-        let distance = Some(model.distance(&rendered, &truth)?);
-        match model.backbone() {
-            Backbone::Alex => view.lpips_alex = distance,
-            Backbone::Vgg => view.lpips_vgg = distance,
-            Backbone::Squeeze => view.lpips_squeeze = distance,
-        }
+        let distance = model.distance(&rendered, &truth)?;
+        view.values.set(&format!("lpips_{}", model.backbone().name()), Some(distance));
     }
     Ok(view)
 }

@@ -1,5 +1,6 @@
 //! Tables and figures over points: records, statistics, published numbers.
 
+pub mod exporters;
 pub mod plots;
 mod published;
 mod record;

@@ -86,6 +86,11 @@ impl Record {
         label(&self.row, &self.axes)
     }
 
+    /// For a person: row, scene, seed.
+    pub fn point_label(&self) -> String {
+        format!("{} · {} · seed {}", self.label(), self.scene, self.seed)
+    }
+
     /// A metric's value, where there is one.
     pub fn metric(&self, name: &str) -> Option<f64> {
         self.metrics.iter().find(|(known, _)| known == name).and_then(|(_, value)| *value)

@@ -8,11 +8,12 @@ use candle_core::{DType, Device};
 use rayon::prelude::*;
 use serde::Serialize;
 
+use crate::base::csv::csv_of_named;
 use crate::base::files::{write_atomic, write_json};
 use crate::base::{Error, Event, Image, Listener, Result};
 use crate::data::{Camera, RayBuffer, Scene, View};
 use crate::methods::{AttackSummary, Model};
-use crate::metrics::{DepthMetrics, Lpips, MeanMetrics, ViewMetrics, measure};
+use crate::metrics::{Lpips, MeanMetrics, ViewMetrics, measure, measure_depth};
 use crate::settings::Resolved;
 use crate::space::Chamfer;
 
@@ -96,7 +97,7 @@ impl Viewer<'_> {
             if let Some(reference) = &view.depth {
                 let depth = self.scene_depth(&view.camera, &rendered);
                 let exact = self.scene.has_exact_depth();
-                measured.depth = DepthMetrics::of(&view.camera, &depth, &rendered.acc, reference, exact);
+                measure_depth(&mut measured, &view.camera, &depth, &rendered.acc, reference, exact);
             }
             metrics.push(measured);
             each(index, view, &rendered)?;
@@ -129,15 +130,15 @@ impl Report {
         attack: Vec<AttackSummary>,
     ) -> Report {
         let mut mean = MeanMetrics::from_views(&views);
-        mean.chamfer = surface.as_ref().map(|surface| surface.chamfer);
-        mean.f_score = surface.and_then(|surface| surface.scores.first().map(|score| score.f_score));
+        mean.set("chamfer", surface.as_ref().map(|surface| surface.chamfer));
+        mean.set("f_score", surface.and_then(|surface| surface.scores.first().map(|score| score.f_score)));
         Report { mean, views, protocol, attack }
     }
 
     /// Writes `metrics.json` and `metrics.csv`.
     pub fn write(&self, json: &Path, csv: &Path) -> Result<()> {
         write_json(json, self)?;
-        write_atomic(csv, &self.csv(csv)?)
+        write_atomic(csv, self.csv().as_bytes())
     }
 
     /// Levels of the attack that had no effect on the loss.
@@ -146,7 +147,7 @@ impl Report {
     }
 
     /// One row a view, each with the whole protocol; a missing metric is an empty cell.
-    fn csv(&self, path: &Path) -> Result<Vec<u8>> {
+    fn csv(&self) -> String {
         let inactive = self.inactive_levels();
         let rows = self.views.iter().map(|view| {
             let mut row = columns(view);
@@ -154,21 +155,8 @@ impl Report {
             row.push(("inactive_levels".into(), inactive.join(" ")));
             row
         });
-        csv_text(rows, path)
+        csv_of_named(rows)
     }
-}
-
-/// Rows of named cells as CSV under the first row's names. `path` is where they go, for messages.
-pub(super) fn csv_text(rows: impl Iterator<Item = Vec<(String, String)>>, path: &Path) -> Result<Vec<u8>> {
-    let unwritable = |error: &dyn std::fmt::Display| Error::Output(format!("cannot write {}: {error}", path.display()));
-    let mut writer = csv::WriterBuilder::new().has_headers(false).from_writer(Vec::new());
-    for (index, row) in rows.enumerate() {
-        if index == 0 {
-            writer.write_record(row.iter().map(|(name, _)| name)).map_err(|e| unwritable(&e))?;
-        }
-        writer.write_record(row.iter().map(|(_, value)| value)).map_err(|e| unwritable(&e))?;
-    }
-    writer.into_inner().map_err(|e| unwritable(&e))
 }
 
 /// The fields of a flat struct as text, in their order; null is an empty cell.

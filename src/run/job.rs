@@ -248,10 +248,10 @@ impl Between for Watcher<'_> {
         self.seconds_evaluation += started.elapsed().as_secs_f64();
         let mean = MeanMetrics::from_views(&views);
         let step = trainer.step_count();
-        if let Some(psnr) = mean.psnr {
+        if let Some(psnr) = mean.get("psnr") {
             self.events.on(Event::Note(&format!("step {step}: held-out PSNR {psnr:.2} dB")));
         }
-        let values = EVALUATION_COLUMNS.into_iter().zip([mean.psnr, mean.psnr_float]);
+        let values = EVALUATION_COLUMNS.into_iter().zip(["psnr", "psnr_float"].map(|key| mean.get(key)));
         Ok(values.filter_map(|(name, value)| value.map(|value| (name, value))).collect())
     }
 

@@ -6,6 +6,7 @@ use std::path::Path;
 use candle_core::Device;
 use serde::Serialize;
 
+use crate::base::csv::csv_of_named;
 use crate::base::files::write_atomic;
 use crate::base::{Error, Event, Listener, Result};
 use crate::data::Scene;
@@ -14,7 +15,6 @@ use crate::methods::Model;
 use crate::settings::Config;
 use crate::space::{Lattice, chunk_count};
 
-use super::evaluate::csv_text;
 use super::{Protocol, Trained, columns};
 
 /// A measurement that would take longer is refused.
@@ -94,7 +94,7 @@ impl SmoothnessReport {
             row.extend(columns(&self.protocol));
             row
         });
-        write_atomic(path, &csv_text(rows, path)?)
+        write_atomic(path, csv_of_named(rows).as_bytes())
     }
 }
 

@@ -1,17 +1,18 @@
 //! Tables and figures of a sweep, from its files alone.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
-use crate::base::files::write_atomic;
+use crate::base::files::{read_json, write_atomic};
 use crate::base::{Error, Result};
 use crate::runtime::Timing;
 
 use super::definition::Definition;
 use super::folder::SweepFolder;
 use super::points::Point;
-use crate::report::plots::{Curve, Figure, axes_figure, curves_figure, rows_figure};
-use crate::report::tables::{PointTiming, Table, points_csv, table_csv, table_latex, table_markdown};
-use crate::report::{Record, Status, TableSpec};
+use crate::report::exporters::{Collected, EXPORTERS};
+use crate::report::plots::Curve;
+use crate::report::tables::{PointTiming, Table};
+use crate::report::{Status, TableSpec};
 
 /// What is collected, and how.
 pub struct Collector<'a> {
@@ -32,66 +33,52 @@ pub struct Collector<'a> {
 }
 
 impl Collector<'_> {
-    /// Writes `points.csv`, `timing.csv`, `table.csv`, `table.md`, `table.tex`. The first two are
-    /// written even where rows may not be put side by side. Returns the table.
+    /// Writes the files of all exporters. Those that show no rows side by side are written even where rows may not be put
+    /// so. Returns the table.
     pub fn write(&self) -> Result<Table> {
         std::fs::create_dir_all(self.results).map_err(|e| Error::unwritable(self.results, &e))?;
         self.clear()?;
         let spec = self.definition.table(self.name, self.points);
         let records = self.folder.records(self.definition, self.points)?;
         let timing = self.timing()?;
-        let joined = if self.with_timing { timing.as_slice() } else { &[] };
-        self.file("points.csv", points_csv(&records, joined).as_bytes())?;
-        self.file("timing.csv", self.timing_csv(&timing)?.as_slice())?;
+        let mut collected = Collected {
+            spec: &spec,
+            records: &records,
+            timing: &timing,
+            with_timing: self.with_timing,
+            table: None,
+            curves: &[],
+        };
+        self.export(&collected)?;
         let table = Table::new(&spec, &records, self.force)?;
-        self.file("table.csv", table_csv(&table, joined).as_bytes())?;
-        self.file("table.md", table_markdown(&table).as_bytes())?;
-        self.file("table.tex", table_latex(&table).as_bytes())?;
-        self.figures(&spec, &records, &table)?;
+        let scenes = table.scenes().into_iter();
+        let curves: Result<Vec<_>> =
+            scenes.map(|(scene, _)| Ok((scene.to_string(), self.curves(&spec, scene)?))).collect();
+        let curves = curves?;
+        (collected.table, collected.curves) = (Some(&table), &curves);
+        self.export(&collected)?;
         Ok(table)
+    }
+
+    /// The files of the exporters that need a table, or of those that need none.
+    fn export(&self, collected: &Collected) -> Result<()> {
+        for exporter in EXPORTERS.into_iter().filter(|exporter| exporter.needs_table() == collected.table.is_some()) {
+            for (name, bytes) in exporter.export(collected)? {
+                write_atomic(&self.results.join(name), &bytes)?;
+            }
+        }
+        Ok(())
     }
 
     /// Deletes tables and figures of an earlier time, which may not be written again.
     fn clear(&self) -> Result<()> {
-        let own = |name: &str| {
-            let figure = ["rows_", "axes_", "curves_"].iter().any(|kind| name.starts_with(kind));
-            name.starts_with("table.") || figure && (name.ends_with(".svg") || name.ends_with(".png"))
-        };
+        let own = |name: &str| EXPORTERS.iter().any(|exporter| exporter.needs_table() && exporter.owns(name));
         for entry in std::fs::read_dir(self.results).map_err(|e| Error::unreadable(self.results, &e))? {
             let path = entry.map_err(|e| Error::unreadable(self.results, &e))?.path();
             if path.file_name().is_some_and(|name| own(&name.to_string_lossy())) {
                 std::fs::remove_file(&path).map_err(|e| Error::unwritable(&path, &e))?;
             }
         }
-        Ok(())
-    }
-
-    fn file(&self, name: &str, bytes: &[u8]) -> Result<PathBuf> {
-        let path = self.results.join(name);
-        write_atomic(&path, bytes)?;
-        Ok(path)
-    }
-
-    /// `rows_SCENE_METRIC`, `axes_SCENE_METRIC` and `curves_SCENE_psnr`, each as SVG and PNG.
-    fn figures(&self, spec: &TableSpec, records: &[Record], table: &Table) -> Result<()> {
-        for (scene, _) in table.scenes() {
-            for metric in &table.metrics {
-                let rows =
-                    if self.definition.axis.is_empty() { rows_figure(table, records, scene, metric)? } else { None };
-                self.figure(&format!("rows_{scene}_{metric}"), rows)?;
-                self.figure(&format!("axes_{scene}_{metric}"), axes_figure(spec, records, scene, metric)?)?;
-            }
-            let title = format!("{}: training on {scene}", self.definition.title);
-            let curves = curves_figure(&title, "PSNR of the step's rays (dB)", &self.curves(spec, scene)?)?;
-            self.figure(&format!("curves_{scene}_psnr"), curves)?;
-        }
-        Ok(())
-    }
-
-    fn figure(&self, name: &str, figure: Option<Figure>) -> Result<()> {
-        let Some(figure) = figure else { return Ok(()) };
-        self.file(&format!("{name}.svg"), figure.svg.as_bytes())?;
-        self.file(&format!("{name}.png"), &figure.png)?;
         Ok(())
     }
 
@@ -123,12 +110,10 @@ impl Collector<'_> {
         for point in self.points {
             let folder = self.folder.point(&point.id);
             let path = folder.run().join("timing.json");
-            if folder.state(point)?.status != Status::Done || !path.exists() {
+            if folder.state(point)?.status != Status::Done {
                 continue;
             }
-            let bytes = std::fs::read(&path).map_err(|e| Error::unreadable(&path, &e))?;
-            let read: Timing = serde_json::from_slice(&bytes)
-                .map_err(|e| Error::Checkpoint(format!("cannot read {}: {e}; delete it to go on", path.display())))?;
+            let Some(read) = read_json::<Timing>(&path, "delete it to go on")? else { continue };
             let clocks = [
                 ("seconds_training", Some(read.seconds_training)),
                 ("seconds_evaluation", Some(read.seconds_evaluation)),
@@ -140,24 +125,6 @@ impl Collector<'_> {
             timing.push((point.id.clone(), clocks.map(|(name, value)| (name.to_string(), value)).to_vec()));
         }
         Ok(timing)
-    }
-
-    /// One line a measured point; a point that stands in several rows has one.
-    fn timing_csv(&self, timing: &[PointTiming]) -> Result<Vec<u8>> {
-        let unwritable = |e: &dyn std::fmt::Display| {
-            Error::Output(format!("cannot write {}: {e}", self.results.join("timing.csv").display()))
-        };
-        let mut writer = csv::Writer::from_writer(Vec::new());
-        let names = timing.first().map(|(_, clocks)| clocks.iter().map(|(name, _)| name.as_str()).collect::<Vec<_>>());
-        let header = ["id", "point"].into_iter().chain(names.unwrap_or_default());
-        writer.write_record(header).map_err(|e| unwritable(&e))?;
-        for (id, clocks) in timing {
-            let point = self.points.iter().find(|point| point.id == *id).expect("its timing was read");
-            let clocks = clocks.iter().map(|(_, value)| value.map_or(String::new(), |value| value.to_string()));
-            let row = [id.clone(), point.label()].into_iter().chain(clocks);
-            writer.write_record(row).map_err(|e| unwritable(&e))?;
-        }
-        writer.into_inner().map_err(|e| unwritable(&e))
     }
 }
 

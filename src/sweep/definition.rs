@@ -6,54 +6,15 @@ use serde::{Deserialize, Serialize};
 use toml::{Table, Value};
 
 use crate::base::{Error, Result};
-use crate::settings::{Config, CorruptionConfig, DataConfig};
+use crate::settings::{CorruptionConfig, DataConfig};
 
 use super::extends;
 use super::points::Point;
+use crate::metrics::{Metric, Scope};
 use crate::report::{AxisValue, PublishedKey, RowSpec, TableSpec};
 
 /// More points than anyone means.
 const MOST_POINTS: usize = 10_000;
-
-/// Metrics that a table can be asked for.
-pub const METRICS: [&str; 24] = [
-    "psnr",
-    "psnr_float",
-    "psnr_of_mean",
-    "ssim",
-    "lpips_alex",
-    "lpips_vgg",
-    "lpips_squeeze",
-    "average_alex",
-    "average_vgg",
-    "average_squeeze",
-    "l1",
-    "tv",
-    "laplacian",
-    "largest_density",
-    "occupied",
-    "depth_mae",
-    "depth_rmse",
-    "depth_left_out",
-    "depth_roughness",
-    "depth_roughness_truth",
-    "normal_roughness",
-    "normal_roughness_truth",
-    "chamfer",
-    "f_score",
-];
-
-/// Those of [`METRICS`] that are measured on a lattice.
-pub const SMOOTHNESS_METRICS: [&str; 5] = ["l1", "tv", "laplacian", "largest_density", "occupied"];
-
-/// Those of [`METRICS`] that are measured on a surface: `eval.mesh` says which.
-pub const SURFACE_METRICS: [&str; 2] = ["chamfer", "f_score"];
-
-/// Whether a run of this configuration has the metric: a field that is asked at Gaussians has no derivatives at
-/// points, and none of what is made of it.
-pub(super) fn is_defined(metric: &str, config: &Config) -> bool {
-    !config.method.is_mip() || !SMOOTHNESS_METRICS.contains(&metric)
-}
 
 /// A sweep file.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -223,6 +184,11 @@ pub struct Overrides {
 }
 
 impl Definition {
+    /// The first of the metrics that is measured there.
+    pub fn metric_in(&self, scope: Scope) -> Option<&'static Metric> {
+        self.metrics.iter().filter_map(|key| Metric::find(key)).find(|metric| metric.scope == scope)
+    }
+
     /// Reads a sweep file, over the one that it extends if it does, and checks it as far as that is
     /// possible without configurations.
     pub fn read(path: &Path) -> Result<Definition> {
@@ -270,8 +236,10 @@ impl Definition {
         if let Some(row) = names.iter().find(|name| name.trim().is_empty()) {
             return Err(format!("a row's name is '{row}'; give it the name that the table prints"));
         }
-        if let Some(metric) = self.metrics.iter().find(|metric| !METRICS.contains(&metric.as_str())) {
-            return Err(format!("metric '{metric}' does not exist; choose from {}", METRICS.join(", ")));
+        let exists = |key: &String| Metric::in_tables().any(|metric| metric.key == key);
+        if let Some(key) = self.metrics.iter().find(|key| !exists(key)) {
+            let known: Vec<&str> = Metric::in_tables().map(|metric| metric.key).collect();
+            return Err(format!("metric '{key}' does not exist; choose from {}", known.join(", ")));
         }
         let known = |what: &str, name: &str| match names.contains(&name) {
             true => Ok(()),

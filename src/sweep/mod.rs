@@ -24,7 +24,7 @@ mod training;
 pub use budget::{StepCosts, evaluations_per_step, shape, steps_within};
 pub use claim::{Beat, Claim, Claimed};
 pub use collect::Collector;
-pub use definition::{Axis, Budget, BudgetKind, Combine, Definition, METRICS, Overrides, Row, SMOOTHNESS_METRICS};
+pub use definition::{Axis, Budget, BudgetKind, Combine, Definition, Overrides, Row};
 pub use folder::{Change, Failure, PointFolder, PointResult, PointState, SweepFolder};
 pub use planning::begin;
 pub use points::{Place, Point, expand};

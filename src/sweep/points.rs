@@ -11,7 +11,8 @@ use crate::run::locate_scene;
 use crate::settings::{Config, Preset, build};
 
 use super::budget::{StepCosts, steps_within};
-use super::definition::{Axis, Budget, Combine, Definition, Row, SURFACE_METRICS, scene_name};
+use super::definition::{Axis, Budget, Combine, Definition, Row, scene_name};
+use crate::metrics::Scope;
 use crate::report::{AxisValue, label};
 
 /// One training: a configuration with its seed. Rows that come to the same share it.
@@ -143,11 +144,11 @@ struct Builder<'a> {
 impl Builder<'_> {
     fn point(&self, row: &Row, axes: &Combination) -> Result<Point> {
         let mut config = self.plain_config(row, axes)?;
-        let surface = SURFACE_METRICS.into_iter().find(|metric| self.definition.metrics.iter().any(|m| m == metric));
-        if let Some(metric) = surface.filter(|_| config.eval.mesh.resolution == 0) {
+        if let Some(metric) = self.definition.metric_in(Scope::Surface).filter(|_| config.eval.mesh.resolution == 0) {
             let message = format!(
-                "metric '{metric}' needs a surface, which eval.mesh.resolution = 0 leaves out: set it to the cells along each \
-                 side of the box, such as 128"
+                "metric '{}' needs a surface, which eval.mesh.resolution = 0 leaves out: set it to the cells along each \
+                 side of the box, such as 128",
+                metric.key
             );
             return Err(in_row(row, axes, Error::Config(message)));
         }

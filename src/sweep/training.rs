@@ -17,7 +17,6 @@ use crate::train::Trainer;
 
 use super::budget::StepCosts;
 use super::claim::Beat;
-use super::definition::{SMOOTHNESS_METRICS, is_defined};
 use super::folder::{PointFolder, PointResult};
 use super::points::Point;
 use super::runner::Work;
@@ -196,8 +195,10 @@ impl Trainings<'_> {
         finished: &Finished,
     ) -> Result<PointResult> {
         let Finished { report, model, .. } = finished;
-        let mut metrics = numbers(&report.mean);
-        if self.smoothness && is_defined(SMOOTHNESS_METRICS[0], config) {
+        let mut metrics: Vec<(String, Option<f64>)> =
+            report.mean.iter().map(|(metric, value)| (metric.key.to_string(), value)).collect();
+        // A field that is queried at Gaussians has no derivatives at points.
+        if self.smoothness && !config.method.is_mip() {
             let device = self.runtime.device();
             let (protocol, events) = (report.protocol.clone(), self.events);
             let smoothness = SmoothnessReport::measure(model, scene, &SMOOTHNESS, protocol, device, events)?;

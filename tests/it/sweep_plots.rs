@@ -177,3 +177,26 @@ fn odd_input_draws_or_says_that_there_is_nothing() {
     let flat = Curve { label: "flat".into(), seeds: vec![vec![(1.0, 20.0)]] };
     assert!(curves_figure("t", "u", &[flat]).unwrap().is_some());
 }
+
+/// Two axes varied together: the first is drawn along, each value of the second is a line.
+#[test]
+fn a_product_of_two_axes_is_drawn_too() {
+    let values = |down: usize, across: usize| {
+        let axes = vec![
+            axis_value("steps", "features", ["0", "1", "3", "5"][across]),
+            axis_value("epsilon", "features", ["1e-3", "1e-2", "1e-1", "1"][down]),
+        ];
+        let psnr = 19.0 + 0.2 * across as f64 - 0.15 * (down * across) as f64;
+        (0..3).map(move |seed| {
+            let place = (10 * down + across) as u64;
+            record("Aug-NeRF", axes.clone(), seed, Some(psnr + 0.1 * noise(seed, place)))
+        })
+    };
+    let mut records: Vec<Record> = (0..3).map(|seed| record("NeRF", vec![], seed, Some(19.1))).collect();
+    records.extend((0..16).flat_map(|i| values(i / 4, i % 4)));
+    let figure = axes_figure(&spec(&["NeRF", "Aug-NeRF"]), &records, "fern", "psnr").unwrap().expect("a figure");
+    keep("product", &figure);
+    for value in ["1e-3", "1e-2", "1e-1", "1"] {
+        assert!(figure.svg.contains(&format!("features epsilon = {value}: 3 seeds")), "{value}");
+    }
+}

@@ -1,16 +1,20 @@
-//! The paper's figure: a metric against what is varied, one panel a level.
+//! The paper's figure: a metric against what is varied, one panel a level. Where several axes are varied together, the
+//! first is drawn along and each value of the others is a line of its own.
 
-use super::{Figure, SPREAD_NOTE, Spread, metric_name, rises};
+use super::{Figure, SPREAD_NOTE, Spread, metric_label};
 use crate::base::Result;
 use crate::draw::canvas::{
     Anchor, BLACK, Colour, Drawing, GREY, GRID, LINE_HEIGHT, PALETTE, Panel, RED, TEXT, TITLE, number, range,
     text_width,
 };
+use crate::metrics::{Direction, Metric};
 use crate::report::statistics::{holm, p_value, paired_differences};
-use crate::report::{AxisValue, Record, Status, TableSpec};
+use crate::report::{AxisValue, Record, Status, TableSpec, label};
 
 const PANEL: (f64, f64) = (250.0, 190.0);
 const GAP: (f64, f64) = (30.0, 92.0);
+/// Lines of words that the gap below a panel has room for.
+const LINES_IN_GAP: usize = 3;
 /// Differences with a smaller p value count.
 const SIGNIFICANT: f64 = 0.05;
 const MARGIN: (f64, f64) = (76.0, 66.0);
@@ -19,7 +23,8 @@ const MARGIN: (f64, f64) = (76.0, 66.0);
 struct Series<'a> {
     axis: &'a str,
     panel: &'a str,
-    row: &'a str,
+    /// The row, with the values of further axes.
+    label: String,
     /// Value, then seed and number of each point.
     points: Vec<(&'a str, Vec<(u64, f64)>)>,
 }
@@ -48,14 +53,16 @@ pub fn axes_figure(spec: &TableSpec, records: &[Record], scene: &str, metric: &s
     }
     let axes = distinct(series.iter().map(|series| series.axis));
     let columns = distinct(series.iter().map(|series| series.panel));
-    let (width, height) = (PANEL.0 + GAP.0, PANEL.1 + GAP.1);
+    let most = axes.iter().flat_map(|axis| columns.iter().map(|column| on(&series, axis, column).count())).max();
+    let further = most.unwrap_or(0).saturating_sub(LINES_IN_GAP) as f64 * LINE_HEIGHT;
+    let (width, height) = (PANEL.0.max(width_of_words(&series, &records)) + GAP.0, PANEL.1 + GAP.1 + further);
     let mut drawing =
         Drawing::new((MARGIN.0 + columns.len() as f64 * width).max(560.0), MARGIN.1 + axes.len() as f64 * height);
-    let title = format!("{}: {} on {scene}", spec.title, metric_name(metric));
+    let title = format!("{}: {} on {scene}", spec.title, metric_label(metric));
     drawing.text((20.0, 20.0), &title, TITLE, Anchor::Left, BLACK);
     for (down, axis) in axes.iter().enumerate() {
         for (across, column) in columns.iter().enumerate() {
-            let lines: Vec<&Series> = series.iter().filter(|s| s.axis == *axis && s.panel == *column).collect();
+            let lines: Vec<&Series> = on(&series, axis, column).collect();
             if lines.is_empty() {
                 continue;
             }
@@ -77,20 +84,21 @@ pub fn axes_figure(spec: &TableSpec, records: &[Record], scene: &str, metric: &s
             draw_values(&mut drawing, &panel, &lines, metric);
         }
     }
-    drawing.caption(&caption(&series, baseline.as_ref().map(|(name, _)| *name)));
+    drawing.caption(&caption(&series, baseline.as_ref().map(|(name, _)| *name), metric));
     drawing.finish().map(Some)
 }
 
-/// The points of a scene with exactly one axis value, by axis and row.
+/// The points of a scene with axis values, by first axis, row and the values of further axes.
 fn series<'a>(records: &[&'a Record], metric: &str) -> Vec<Series<'a>> {
     let mut all: Vec<Series> = Vec::new();
     for record in records {
-        let [AxisValue { axis, panel, value }] = record.axes.as_slice() else { continue };
-        let same = |s: &Series| (s.axis, s.panel, s.row) == (axis.as_str(), panel.as_str(), record.row.as_str());
+        let Some((AxisValue { axis, panel, value }, further)) = record.axes.split_first() else { continue };
+        let label = label(&record.row, further);
+        let same = |s: &Series| (s.axis, s.panel, &s.label) == (axis.as_str(), panel.as_str(), &label);
         let index = match all.iter().position(same) {
             Some(index) => index,
             None => {
-                all.push(Series { axis, panel, row: &record.row, points: Vec::new() });
+                all.push(Series { axis, panel, label, points: Vec::new() });
                 all.len() - 1
             }
         };
@@ -103,6 +111,19 @@ fn series<'a>(records: &[&'a Record], metric: &str) -> Vec<Series<'a>> {
         seeds.1.extend(measured.filter(|value| value.is_finite()).map(|value| (record.seed, value)));
     }
     all
+}
+
+/// What the words below a panel ask for where the values of further axes are among them.
+fn width_of_words(series: &[Series], records: &[&Record]) -> f64 {
+    if records.iter().all(|record| record.axes.len() < 2) {
+        return 0.0;
+    }
+    series.iter().map(|s| text_width(&format!("{}: {}", s.label, verdict(s)), TEXT)).fold(0.0, f64::max)
+}
+
+/// The lines of one panel.
+fn on<'s, 'a>(series: &'s [Series<'a>], axis: &'s str, panel: &'s str) -> impl Iterator<Item = &'s Series<'a>> {
+    series.iter().filter(move |s| s.axis == axis && s.panel == panel)
 }
 
 /// The first baseline row's name and seeds.
@@ -135,12 +156,13 @@ fn draw_values(drawing: &mut Drawing, panel: &Panel, lines: &[&Series], metric: 
         drawing.line(&[(x(name), panel.top), (x(name), panel.bottom())], GRID, 1.0);
         drawing.text((x(name), panel.bottom() + 12.0), name, TEXT, Anchor::Middle, BLACK);
     }
-    for (series, colour) in lines.iter().zip(PALETTE) {
+    // Beyond the palette's end colours come again.
+    for (series, colour) in lines.iter().zip(PALETTE.into_iter().cycle()) {
         draw_series(drawing, panel, series, colour, &x);
     }
     for (index, series) in lines.iter().enumerate() {
         let verdict = verdict(series);
-        let text = if lines.len() > 1 { format!("{}: {verdict}", series.row) } else { verdict };
+        let text = if lines.len() > 1 { format!("{}: {verdict}", series.label) } else { verdict };
         let colour = if lines.len() > 1 { PALETTE[index % PALETTE.len()] } else { GREY };
         drawing.text(
             (panel.left, panel.bottom() + 30.0 + index as f64 * LINE_HEIGHT),
@@ -150,10 +172,8 @@ fn draw_values(drawing: &mut Drawing, panel: &Panel, lines: &[&Series], metric: 
             colour,
         );
     }
-    let Some((_, best)) = lines.first().and_then(|series| best_and_worst(series, metric)).map(|(b, _)| b) else {
-        return;
-    };
-    let (value, _) = lines[0].points[best_index(lines[0], metric)];
+    let Some((index, best)) = lines.first().and_then(|series| best(series, metric)) else { return };
+    let (value, _) = lines[0].points[index];
     let (x, y) = (x(value), panel.y(best.mean));
     drawing.dot((x, y), 5.0, RED, 1.0);
     let label = number(best.mean, (panel.range.1 - panel.range.0) / 50.0);
@@ -182,18 +202,14 @@ fn draw_series(drawing: &mut Drawing, panel: &Panel, series: &Series, colour: Co
     }
 }
 
-type Indexed = (usize, Spread);
-
-fn best_and_worst(series: &Series, metric: &str) -> Option<(Indexed, Indexed)> {
-    let sign = if rises(metric) { 1.0 } else { -1.0 };
-    let goodness = |(_, spread): &Indexed| sign * spread.mean;
-    let best = series.means().into_iter().max_by(|a, b| goodness(a).total_cmp(&goodness(b)))?;
-    let worst = series.means().into_iter().min_by(|a, b| goodness(a).total_cmp(&goodness(b)))?;
-    Some((best, worst))
-}
-
-fn best_index(series: &Series, metric: &str) -> usize {
-    best_and_worst(series, metric).map_or(0, |((index, _), _)| index)
+/// The best mean with its place on the axis; none of a metric that knows no better.
+fn best(series: &Series, metric: &str) -> Option<(usize, Spread)> {
+    let sign = match Metric::find(metric)?.direction {
+        Direction::Up => 1.0,
+        Direction::Down => -1.0,
+        Direction::Neither => return None,
+    };
+    series.means().into_iter().max_by(|(_, a), (_, b)| (sign * a.mean).total_cmp(&(sign * b.mean)))
 }
 
 /// Whether any two values of the axis are told apart by seeds that they share, in words.
@@ -222,13 +238,16 @@ fn numbers(seeds: &[(u64, f64)]) -> Vec<f64> {
     seeds.iter().map(|(_, number)| *number).collect()
 }
 
-fn caption(series: &[Series], baseline: Option<&str>) -> String {
+fn caption(series: &[Series], baseline: Option<&str>, metric: &str) -> String {
     let missing = series.iter().flat_map(|s| {
         let empty = s.points.iter().filter(|(_, seeds)| seeds.is_empty());
-        empty.map(|(value, _)| format!("{} {} = {value} ({})", s.panel, s.axis, s.row))
+        empty.map(|(value, _)| format!("{} {} = {value} ({})", s.panel, s.axis, s.label))
     });
     let missing: Vec<String> = missing.collect();
-    let mut text = format!("{SPREAD_NOTE} The best mean of each panel is marked with its value.");
+    let mut text = SPREAD_NOTE.to_string();
+    if series.iter().any(|series| best(series, metric).is_some()) {
+        text += " The best mean of each panel is marked with its value.";
+    }
     if let Some(baseline) = baseline {
         text += &format!(" Dashed: {baseline}.");
     }
@@ -259,13 +278,16 @@ mod tests {
         let series = |points: Vec<(&'static str, Vec<f64>)>| Series {
             axis: "steps",
             panel: "",
-            row: "r",
+            label: "r".into(),
             points: points.into_iter().map(|(value, seeds)| (value, (0..).zip(seeds).collect())).collect(),
         };
         // The seeds lie further apart than the values do, and agree on the difference.
         let paired = series(vec![("1", vec![20.0, 22.0, 24.0]), ("3", vec![20.5, 22.51, 24.49])]);
         assert_eq!(verdict(&paired), "3 seeds: 1 and 3 differ, p 0.000");
-        assert_eq!((best_index(&paired, "psnr"), best_index(&paired, "lpips_alex")), (1, 0));
+        let best_index = |metric: &str| best(&paired, metric).map(|(index, _)| index);
+        assert_eq!((best_index("psnr"), best_index("lpips_alex")), (Some(1), Some(0)));
+        // More of a reference's own roughness, or of filled space, is neither better nor worse.
+        assert_eq!((best_index("normal_roughness_truth"), best_index("occupied")), (None, None));
         let same = series(vec![("1", vec![20.0, 20.5, 21.0]), ("3", vec![20.3, 20.4, 21.1])]);
         assert_eq!(verdict(&same), "3 seeds: not distinguishable");
         // Two seeds that differ by nearly the same: p 0.02 for one pair, and there are three.

@@ -1,5 +1,6 @@
 //! Figures of a sweep.
 
+use crate::metrics::Metric;
 use crate::report::statistics::{mean, standard_deviation};
 
 mod axes;
@@ -11,28 +12,9 @@ pub use axes::axes_figure;
 pub use curves::{Curve, curves_figure};
 pub use rows::rows_figure;
 
-/// A metric as people write it.
-fn metric_name(metric: &str) -> String {
-    match metric {
-        "psnr" | "psnr_float" | "psnr_of_mean" => format!("{} (dB)", metric.replace("psnr", "PSNR").replace('_', " ")),
-        "ssim" => "SSIM".into(),
-        "l1" => "l1 of density".into(),
-        "tv" => "TV of density".into(),
-        "laplacian" => "Laplacian of density".into(),
-        "chamfer" => "Chamfer distance".into(),
-        "f_score" => "F-score".into(),
-        "depth_mae" => "mean depth error".into(),
-        other => match other.split_once('_') {
-            Some(("lpips", backbone)) => format!("LPIPS ({backbone})"),
-            Some(("average", backbone)) => format!("average ({backbone})"),
-            _ => other.replace('_', " "),
-        },
-    }
-}
-
-/// Larger is better.
-fn rises(metric: &str) -> bool {
-    metric.starts_with("psnr") || metric == "ssim" || metric == "f_score"
+/// A metric as figures name it.
+fn metric_label(key: &str) -> &str {
+    Metric::find(key).map_or(key, |metric| metric.label)
 }
 
 /// Mean over seeds with what they spread over: mean and standard deviation of three and more, the

@@ -1,6 +1,6 @@
 //! A table as points: means with their seeds, and differences to the baseline with intervals.
 
-use super::{Figure, metric_name};
+use super::{Figure, metric_label};
 use crate::base::Result;
 use crate::draw::canvas::{
     Anchor, BLACK, BLUE, Drawing, GREY, GRID, RED, TEXT, TITLE, number, range, text_width, ticks,
@@ -49,9 +49,9 @@ pub fn rows_figure(table: &Table, records: &[Record], scene: &str, metric: &str)
     let left = Scale { left: 20.0 + label_width + 16.0, range: values };
     let right = Scale { left: left.left + PANEL + 40.0, range: differences.unwrap_or((-1.0, 1.0)) };
     let mut drawing = Drawing::new(right.left + PANEL + 150.0, bottom + 30.0);
-    let title = format!("{}: {} on {scene}", table.title, metric_name(metric));
+    let title = format!("{}: {} on {scene}", table.title, metric_label(metric));
     drawing.text((20.0, 20.0), &title, TITLE, Anchor::Left, BLACK);
-    left.frame(&mut drawing, &metric_name(metric), bottom);
+    left.frame(&mut drawing, metric_label(metric), bottom);
     right.frame(&mut drawing, "difference to the baseline, 95 % interval", bottom);
     drawing.line(&[(right.x(0.0), TOP), (right.x(0.0), bottom)], GREY, 1.5);
     for (index, ((cell, seeds), label)) in cells.iter().zip(&seeds).zip(&labels).enumerate() {

@@ -1,6 +1,7 @@
 //! CSV: one line a point, and one line a row. A missing number is an empty cell.
 
 use super::{Cell, Line, PER_SEED, Table, axes_text, distinct, protocol_names};
+use crate::base::csv::{csv_number, csv_text};
 use crate::report::statistics::mean;
 use crate::report::{Record, Status};
 
@@ -37,13 +38,13 @@ pub fn points_csv(records: &[Record], timing: &[PointTiming]) -> String {
         let mut row = point_cells(record);
         // The numbers of an earlier attempt are not the point's.
         let measured = |metric| Some(record).filter(|r| r.status == Status::Done).and_then(|r| r.metric(metric));
-        row.extend(metrics.iter().map(|metric| number(measured(metric))));
+        row.extend(metrics.iter().map(|metric| csv_number(measured(metric))));
         row.extend(protocol.iter().map(|name| record.protocol(name).to_string()));
-        row.extend(clocks.iter().map(|name| number(clock(timing, &record.id, name))));
+        row.extend(clocks.iter().map(|name| csv_number(clock(timing, &record.id, name))));
         row
     });
     let head = POINT_COLUMNS.iter().chain(&metrics).chain(&protocol).chain(&clocks);
-    csv_text(head.map(ToString::to_string).collect(), rows)
+    csv_text(std::iter::once(head.map(ToString::to_string).collect()).chain(rows))
 }
 
 fn point_cells(record: &Record) -> Vec<String> {
@@ -59,6 +60,19 @@ fn point_cells(record: &Record) -> Vec<String> {
     ]
 }
 
+/// One line a measured point: its folder's name, what it is and its clock times. A point that stands in several rows has
+/// one.
+pub fn timing_csv(records: &[Record], timing: &[PointTiming]) -> String {
+    let head = ["id", "point"].into_iter().chain(clock_names(timing)).map(String::from).collect();
+    let rows = timing.iter().map(|(id, clocks)| {
+        let record = records.iter().find(|record| record.id == *id);
+        let point = record.map_or(String::new(), Record::point_label);
+        let clocks = clocks.iter().map(|(_, value)| csv_number(*value));
+        [id.clone(), point].into_iter().chain(clocks).collect()
+    });
+    csv_text(std::iter::once(head).chain(rows))
+}
+
 /// One line a row: counts, each metric with its comparison, the published numbers, the protocol
 /// that its seeds share and, where given, its mean clock times.
 pub fn table_csv(table: &Table, timing: &[PointTiming]) -> String {
@@ -71,14 +85,14 @@ pub fn table_csv(table: &Table, timing: &[PointTiming]) -> String {
         row.extend(line.cells.iter().flat_map(cell_cells));
         row.extend([line.published_protocol.clone(), line.protocol_difference.clone()]);
         row.extend(protocol.iter().map(|name| line.protocol(name).to_string()));
-        row.extend(clocks.iter().map(|name| number(mean_clock(timing, &line.ids, name))));
+        row.extend(clocks.iter().map(|name| csv_number(mean_clock(timing, &line.ids, name))));
         row
     });
     let mut head: Vec<String> = LINE_COLUMNS.iter().map(ToString::to_string).collect();
     head.extend(table.metrics.iter().flat_map(|metric| CELL_COLUMNS.map(|column| format!("{metric}_{column}"))));
     head.extend(PUBLISHED_COLUMNS.iter().chain(&protocol).map(ToString::to_string));
     head.extend(clocks.iter().map(|name| format!("{name}_mean")));
-    csv_text(head, rows)
+    csv_text(std::iter::once(head).chain(rows))
 }
 
 fn line_cells(line: &Line) -> Vec<String> {
@@ -104,16 +118,16 @@ fn cell_cells(cell: &Cell) -> [String; CELL_COLUMNS.len()] {
     let interval = comparison.and_then(|comparison| comparison.interval);
     [
         cell.n.to_string(),
-        number(cell.mean),
-        number(cell.deviation),
+        csv_number(cell.mean),
+        csv_number(cell.deviation),
         comparison.map_or(String::new(), |comparison| comparison.pairs.to_string()),
-        number(comparison.map(|comparison| comparison.difference)),
-        number(interval.map(|(low, _)| low)),
-        number(interval.map(|(_, high)| high)),
-        number(comparison.and_then(|comparison| comparison.p)),
-        number(comparison.and_then(|comparison| comparison.p_holm)),
+        csv_number(comparison.map(|comparison| comparison.difference)),
+        csv_number(interval.map(|(low, _)| low)),
+        csv_number(interval.map(|(_, high)| high)),
+        csv_number(comparison.and_then(|comparison| comparison.p)),
+        csv_number(comparison.and_then(|comparison| comparison.p_holm)),
         comparison.and_then(|comparison| comparison.verdict()).map_or("", |verdict| verdict.name()).into(),
-        number(cell.published),
+        csv_number(cell.published),
     ]
 }
 
@@ -129,18 +143,4 @@ fn clock(timing: &[PointTiming], id: &str, name: &str) -> Option<f64> {
 fn mean_clock(timing: &[PointTiming], ids: &[String], name: &str) -> Option<f64> {
     let values: Vec<f64> = ids.iter().filter_map(|id| clock(timing, id, name)).collect();
     mean(&values)
-}
-
-/// All digits, so that reading gives the same number.
-fn number(value: Option<f64>) -> String {
-    value.map_or(String::new(), |value| value.to_string())
-}
-
-fn csv_text(head: Vec<String>, rows: impl Iterator<Item = Vec<String>>) -> String {
-    let mut writer = csv::Writer::from_writer(Vec::new());
-    for row in std::iter::once(head).chain(rows) {
-        writer.write_record(&row).expect("rows are as long as the head, and memory takes them");
-    }
-    let bytes = writer.into_inner().expect("memory takes everything");
-    String::from_utf8(bytes).expect("made of strings")
 }

@@ -11,7 +11,7 @@ mod markdown;
 mod terminal;
 mod text;
 
-pub use delimited::{PointTiming, points_csv, table_csv};
+pub use delimited::{PointTiming, points_csv, table_csv, timing_csv};
 pub use latex::table_latex;
 pub use markdown::table_markdown;
 pub use terminal::table_terminal;

@@ -1,6 +1,7 @@
 //! What the tables for readers say: numbers, marks and notes, before any escaping.
 
 use super::{Cell, Comparison, Line, Table, Verdict, distinct};
+use crate::metrics::Metric;
 use crate::report::PUBLISHED_NOTE;
 
 /// Protocol fields that a caption tells, where all lines of a scene share them.
@@ -145,15 +146,9 @@ pub(super) fn published_text(cell: &Cell) -> String {
     cell.published.map_or(String::new(), |value| number(&cell.metric, value))
 }
 
-/// Two digits for dB, three for what lies in 0..=1, as the paper prints them; four figures otherwise.
+/// A value with the digits of its metric.
 fn number(metric: &str, value: f64) -> String {
-    let ratio = ["ssim", "lpips", "average"].iter().any(|name| metric.starts_with(name));
-    match metric.starts_with("psnr") {
-        true => format!("{value:.2}"),
-        false if ratio => format!("{value:.3}"),
-        false if value != 0.0 && !(1e-3..1e5).contains(&value.abs()) => format!("{value:.3e}"),
-        false => format!("{value:.0$}", (3.0 - value.abs().max(1e-3).log10().floor()).max(0.0) as usize),
-    }
+    Metric::find(metric).map_or_else(|| value.to_string(), |metric| metric.text(value))
 }
 
 /// What stands below the lines of a scene.
@@ -236,13 +231,6 @@ mod tests {
 
     fn cell(metric: &str, n: usize, comparison: Option<Comparison>) -> Cell {
         Cell { metric: metric.into(), n, mean: Some(1.0), deviation: None, comparison, published: None }
-    }
-
-    #[test]
-    fn numbers_have_the_digits_of_their_metric() {
-        let texts =
-            [("psnr_float", 25.318), ("lpips_vgg", 0.21049), ("tv", 123456.0)].map(|(name, value)| number(name, value));
-        assert_eq!(texts, ["25.32", "0.210", "1.235e5"]);
     }
 
     #[test]

@@ -1,0 +1,95 @@
+//! Figures, each as SVG and PNG.
+
+use crate::base::Result;
+use crate::report::plots::{Figure, axes_figure, curves_figure, rows_figure};
+
+use super::{Collected, Exporter, File};
+
+/// `rows_SCENE_METRIC`: the rows of a sweep without axes.
+pub struct Rows;
+
+impl Exporter for Rows {
+    fn needs_table(&self) -> bool {
+        true
+    }
+
+    fn owns(&self, file: &str) -> bool {
+        is_figure(file, "rows_")
+    }
+
+    fn export(&self, collected: &Collected) -> Result<Vec<File>> {
+        let has_axes = collected.records.iter().any(|record| !record.axes.is_empty());
+        of_metrics(collected, "rows", |scene, metric| match has_axes {
+            true => Ok(None),
+            false => rows_figure(collected.table()?, collected.records, scene, metric),
+        })
+    }
+}
+
+/// `axes_SCENE_METRIC`: a metric against what is varied.
+pub struct Axes;
+
+impl Exporter for Axes {
+    fn needs_table(&self) -> bool {
+        true
+    }
+
+    fn owns(&self, file: &str) -> bool {
+        is_figure(file, "axes_")
+    }
+
+    fn export(&self, collected: &Collected) -> Result<Vec<File>> {
+        of_metrics(collected, "axes", |scene, metric| axes_figure(collected.spec, collected.records, scene, metric))
+    }
+}
+
+/// `curves_SCENE_psnr`: training.
+pub struct Curves;
+
+impl Exporter for Curves {
+    fn needs_table(&self) -> bool {
+        true
+    }
+
+    fn owns(&self, file: &str) -> bool {
+        is_figure(file, "curves_")
+    }
+
+    fn export(&self, collected: &Collected) -> Result<Vec<File>> {
+        let mut files = Vec::new();
+        for (scene, curves) in collected.curves {
+            let title = format!("{}: training on {scene}", collected.spec.title);
+            files.extend(both(
+                &format!("curves_{scene}_psnr"),
+                curves_figure(&title, "PSNR of the step's rays (dB)", curves)?,
+            ));
+        }
+        Ok(files)
+    }
+}
+
+fn is_figure(file: &str, kind: &str) -> bool {
+    file.starts_with(kind) && (file.ends_with(".svg") || file.ends_with(".png"))
+}
+
+/// A figure for each scene and metric that has one.
+fn of_metrics(
+    collected: &Collected,
+    kind: &str,
+    figure: impl Fn(&str, &str) -> Result<Option<Figure>>,
+) -> Result<Vec<File>> {
+    let table = collected.table()?;
+    let mut files = Vec::new();
+    for (scene, _) in table.scenes() {
+        for metric in &table.metrics {
+            files.extend(both(&format!("{kind}_{scene}_{metric}"), figure(scene, metric)?));
+        }
+    }
+    Ok(files)
+}
+
+/// Both files of a figure, where there is one.
+fn both(name: &str, figure: Option<Figure>) -> Vec<File> {
+    let Some(figure) = figure else { return Vec::new() };
+    vec![(format!("{name}.svg"), figure.svg.into_bytes()), (format!("{name}.png"), figure.png)]
+}

@@ -1,0 +1,71 @@
+//! The files that are made of a sweep's points: an exporter each, and one list.
+
+use crate::base::{Error, Result};
+
+use super::plots::Curve;
+use super::tables::{PointTiming, Table};
+use super::{Record, TableSpec};
+
+mod delimited;
+mod figures;
+mod markup;
+
+/// What a sweep's points came to.
+pub struct Collected<'a> {
+    /// What the definition says about its table.
+    pub spec: &'a TableSpec,
+    /// The points, one record a place in the table.
+    pub records: &'a [Record],
+    /// Clock times of the points that are done.
+    pub timing: &'a [PointTiming],
+    /// Join clock times to the tables, which then no longer repeat.
+    pub with_timing: bool,
+    /// The table; none until it is known that its rows may stand side by side.
+    pub table: Option<&'a Table>,
+    /// Training curves by scene.
+    pub curves: &'a [(String, Vec<Curve>)],
+}
+
+impl<'a> Collected<'a> {
+    /// The table, for exporters that need it.
+    fn table(&self) -> Result<&'a Table> {
+        self.table.ok_or_else(|| Error::Output("the table is not made yet".into()))
+    }
+
+    /// The clock times that tables show.
+    fn joined_timing(&self) -> &'a [PointTiming] {
+        if self.with_timing { self.timing } else { &[] }
+    }
+}
+
+/// Name and bytes of a file.
+pub type File = (String, Vec<u8>);
+
+/// Makes files of a sweep's points.
+pub trait Exporter: Sync {
+    /// It shows rows side by side: nothing is written where they may not stand so.
+    fn needs_table(&self) -> bool;
+
+    /// Whether a file in the results' folder is one of its own, to be deleted before it is written anew.
+    fn owns(&self, file: &str) -> bool;
+
+    /// The files.
+    fn export(&self, collected: &Collected) -> Result<Vec<File>>;
+}
+
+/// All exporters, in the order in which they write.
+pub static EXPORTERS: [&dyn Exporter; 8] = [
+    &delimited::PointsCsv,
+    &delimited::TimingCsv,
+    &delimited::TableCsv,
+    &markup::Markdown,
+    &markup::Latex,
+    &figures::Rows,
+    &figures::Axes,
+    &figures::Curves,
+];
+
+/// One file of text.
+fn one(name: &str, text: String) -> Result<Vec<File>> {
+    Ok(vec![(name.to_string(), text.into_bytes())])
+}
