@@ -11,7 +11,7 @@ class Case:
     script: str
     # Scenes and weights without which it is skipped.
     needs: tuple = ()
-    # A case whose files, as the old program left them, both programs find in $OLD.
+    # A case whose files, as the old program left them, both programs find in $OLD; its own ones are there for the new one alone.
     old: str = ""
 
 
@@ -376,9 +376,10 @@ def sweep_cases(sweeps):
     yield Case("sweep/run", SWEEP_RUN)
     yield Case("sweep/gaps", SWEEP_GAPS)
     for sweep in sweeps:
-        yield Case(f"points/no-data/{sweep}", f"points $SWEEPS/{sweep}.toml")
-        with_data = f"export AUGNERF_DATA=$DATA; points $SWEEPS/{sweep}.toml"
-        yield Case(f"points/data/{sweep}", with_data, ("fern", "chair"), old=f"points/data/{sweep}")
+        points = f"points $SWEEPS/{sweep}.toml"
+        for name, script, needs in ((f"points/no-data/{sweep}", points, ()),
+                                    (f"points/data/{sweep}", f"export AUGNERF_DATA=$DATA; {points}", ("fern", "chair"))):
+            yield Case(name, script, needs, old=name)
 
 
 def all_cases(sweeps):
