@@ -11,7 +11,7 @@ use crate::base::{Error, Result};
 use crate::data::{RayBuffer, Rays};
 use crate::render::sampling::stratified;
 use crate::render::volume::middles;
-use crate::render::{Pass, PassOutput, clean_pass, columns, fine_t_vals, points_at};
+use crate::render::{Pass, PassOutput, clean_pass, columns, fine_t_vals, points_at, ray_parts};
 use crate::run::{Protocol, Viewer};
 
 /// Even samples of a ray: over 6 units, more than two for each period of the encoding's finest octave, 2 pi / 2^9.
@@ -91,12 +91,13 @@ impl Profile {
         let Viewer { model, config, scene, device } = *viewer;
         let camera = &run.view.camera;
         let (near, far) = scene.bounds();
-        let rays = |pixels: &[(usize, usize)]| {
-            let pixels: Vec<_> = pixels.iter().map(|&(x, y)| (camera, x as u32, y as u32)).collect();
-            RayBuffer::new(&pixels, scene.ndc.as_ref(), config.data.pixel_origin).to_tensors(DType::F32, device)
-        };
         let fields = model.fields()?.frozen()?;
         let (coarse, fine) = (&fields.coarse, fields.fine());
+        let parts = ray_parts(fields.evaluated());
+        let rays = |pixels: &[(usize, usize)]| {
+            let pixels: Vec<_> = pixels.iter().map(|&(x, y)| (camera, x as u32, y as u32)).collect();
+            RayBuffer::new(&pixels, scene.ndc.as_ref(), config.data.pixel_origin, parts).to_tensors(DType::F32, device)
+        };
         let pass = |field, rays: &Rays, t_vals: &Tensor| {
             clean_pass(field, Pass { rays, t_vals, density_noise: None, background: scene.background, positions: None })
         };

@@ -3,6 +3,8 @@
 //! Pixels are corrupted at the working resolution, clipped to 0..=1 and rounded to 8 bits, as a
 //! stored picture would be. Each view has numbers of its own from the run's seed.
 
+use std::sync::Arc;
+
 use rayon::prelude::*;
 
 use super::pose::{Pose, Vec3, column, compose, from_columns};
@@ -34,9 +36,11 @@ pub fn corrupt(scene: &mut Scene, config: &CorruptionConfig, seed: u64) -> Resul
         let random = &mut random(i);
         match config.kind {
             CorruptionKind::None => {}
-            CorruptionKind::GaussianNoise => add_gaussian(&mut view.image, config.gaussian_std(), random),
-            CorruptionKind::ShotNoise => count_photons(&mut view.image, config.shot_photons(), random),
-            CorruptionKind::Pepper => pepper(&mut view.image, config.share, random),
+            CorruptionKind::GaussianNoise => {
+                add_gaussian(Arc::make_mut(&mut view.image), config.gaussian_std(), random)
+            }
+            CorruptionKind::ShotNoise => count_photons(Arc::make_mut(&mut view.image), config.shot_photons(), random),
+            CorruptionKind::Pepper => pepper(Arc::make_mut(&mut view.image), config.share, random),
             CorruptionKind::Poses => {
                 let Camera { pose, .. } = &mut view.camera;
                 *pose = misplaced(pose, config.degrees, config.offset, random);

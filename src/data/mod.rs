@@ -18,7 +18,9 @@ pub mod vector;
 pub use camera::{Camera, Ndc};
 pub use corruption::Corrupted;
 pub use detect::detect;
-pub use rays::{Footprint, RayBuffer, Rays};
+pub use rays::{Footprint, RayBuffer, RayParts, Rays};
+
+use std::sync::Arc;
 
 use sha2::{Digest, Sha256};
 
@@ -35,7 +37,7 @@ pub struct View {
     /// Intrinsics and pose.
     pub camera: Camera,
     /// RGB on the scene's background, `camera.width x camera.height`.
-    pub image: Image,
+    pub image: Arc<Image>,
     /// Ground-truth depth along the view's z axis in scene units, row-major, where the scene has it: exactly
     /// (the embedded scene) or in steps of 8 bits ([`depth`]). `f32::INFINITY` where the ray hits nothing, NaN where it
     /// is not known.

@@ -17,14 +17,26 @@ pub struct Rays {
     pub directions: Tensor,
     /// `[rays, 3]`, unit direction of the world ray, under NDC, too.
     pub viewdirs: Tensor,
-    /// `[rays, 3]`, the first of two unit vectors that span the plane across `viewdirs`.
-    pub tangents_u: Tensor,
-    /// `[rays, 3]`, the second one.
-    pub tangents_w: Tensor,
     /// `[rays, 1]`, length of `directions`.
     pub direction_norm: Tensor,
-    /// What a pixel covers.
-    pub footprint: Footprint,
+    /// Two unit vectors, each `[rays, 3]`, that span the plane across `viewdirs`; see [`RayParts::tangents`].
+    pub tangents: Option<[Tensor; 2]>,
+    /// What a pixel covers; see [`RayParts::footprint`].
+    pub footprint: Option<Footprint>,
+}
+
+/// What rays have besides lines. It costs time, so only what is needed is computed.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct RayParts {
+    /// For fields that are queried at intervals.
+    pub footprint: bool,
+    /// For deltas of the view direction.
+    pub tangents: bool,
+}
+
+impl RayParts {
+    /// Everything.
+    pub const ALL: RayParts = RayParts { footprint: true, tangents: true };
 }
 
 /// The solid that a pixel's ray stands for (MipNeRF).
@@ -46,10 +58,12 @@ pub struct RayBuffer {
     pub directions: Vec<f32>,
     /// See [`Rays::viewdirs`].
     pub viewdirs: Vec<f32>,
-    /// See [`Footprint::radii`]; `[rays]`.
+    /// See [`Footprint::radii`], `[rays]`; empty where no footprint is needed.
     pub radii: Vec<f32>,
     /// See [`Footprint::cylinders`].
     pub cylinders: bool,
+    /// What else [`RayBuffer::to_tensors`] makes.
+    parts: RayParts,
 }
 
 /// Two unit vectors that with the unit vector `n` form an orthonormal basis, without a branch that
@@ -63,24 +77,25 @@ pub fn tangents(n: [f64; 3]) -> ([f64; 3], [f64; 3]) {
 
 impl RayBuffer {
     /// The rays through the pixels `(camera, x, y)`.
-    pub fn new(pixels: &[(&Camera, u32, u32)], ndc: Option<&Ndc>, origin: PixelOrigin) -> RayBuffer {
+    pub fn new(pixels: &[(&Camera, u32, u32)], ndc: Option<&Ndc>, origin: PixelOrigin, parts: RayParts) -> RayBuffer {
         let shift = origin.shift();
-        let rays: Vec<([[f64; 3]; 3], f64)> = pixels
-            .par_iter()
-            .with_min_len(1024)
-            .map(|&(camera, x, y)| {
-                let (x, y) = (f64::from(x) + shift, f64::from(y) + shift);
-                let (origin, direction) = camera.ray(x, y);
-                let width = pixel_width(camera, (x, y), ndc);
-                let length = direction.iter().map(|d| d * d).sum::<f64>().sqrt();
-                let viewdir = direction.map(|d| d / length);
-                let (origin, direction) = ndc.map_or((origin, direction), |ndc| ndc.map(origin, direction));
-                ([origin, direction, viewdir], width * 2.0 / 12f64.sqrt())
-            })
-            .collect();
-        let gather = |i: usize| rays.iter().flat_map(|(ray, _)| ray[i].map(|v| v as f32)).collect();
-        let radii = rays.iter().map(|(_, radius)| *radius as f32).collect();
-        RayBuffer { origins: gather(0), directions: gather(1), viewdirs: gather(2), radii, cylinders: ndc.is_some() }
+        let at = |x: u32, y: u32| (f64::from(x) + shift, f64::from(y) + shift);
+        let line = |&(camera, x, y): &(&Camera, u32, u32)| {
+            let (x, y) = at(x, y);
+            let (origin, direction) = camera.ray(x, y);
+            let length = direction.iter().map(|d| d * d).sum::<f64>().sqrt();
+            let viewdir = direction.map(|d| d / length);
+            let (origin, direction) = ndc.map_or((origin, direction), |ndc| ndc.map(origin, direction));
+            [origin, direction, viewdir]
+        };
+        let radius =
+            |&(camera, x, y): &(&Camera, u32, u32)| (pixel_width(camera, at(x, y), ndc) * 2.0 / 12f64.sqrt()) as f32;
+        let each = || pixels.par_iter().with_min_len(1024);
+        let lines: Vec<[[f64; 3]; 3]> = each().map(line).collect();
+        let gather = |i: usize| lines.iter().flat_map(|ray| ray[i].map(|v| v as f32)).collect();
+        let radii = if parts.footprint { each().map(radius).collect() } else { Vec::new() };
+        let cylinders = ndc.is_some();
+        RayBuffer { origins: gather(0), directions: gather(1), viewdirs: gather(2), radii, cylinders, parts }
     }
 
     /// Number of rays.
@@ -96,17 +111,18 @@ impl RayBuffer {
     /// The rays as tensors.
     pub fn to_tensors(&self, dtype: DType, device: &Device) -> Result<Rays> {
         let tensor = |values: &[f32]| Tensor::from_slice(values, (values.len() / 3, 3), device)?.to_dtype(dtype);
-        let bases = self.viewdirs.chunks_exact(3).map(|v| tangents([v[0].into(), v[1].into(), v[2].into()]));
-        let (u, w): (Vec<_>, Vec<_>) = bases.unzip();
-        let flat = |vectors: Vec<[f64; 3]>| vectors.into_iter().flatten().map(|v| v as f32).collect::<Vec<f32>>();
-        let radii = Tensor::from_slice(&self.radii, (self.len(), 1), device)?.to_dtype(dtype)?;
-        Rays::new(
-            tensor(&self.origins)?,
-            tensor(&self.directions)?,
-            tensor(&self.viewdirs)?,
-            [tensor(&flat(u))?, tensor(&flat(w))?],
-            Footprint { radii, cylinders: self.cylinders },
-        )
+        let mut rays = Rays::new(tensor(&self.origins)?, tensor(&self.directions)?, tensor(&self.viewdirs)?)?;
+        if self.parts.tangents {
+            let bases = self.viewdirs.chunks_exact(3).map(|v| tangents([v[0].into(), v[1].into(), v[2].into()]));
+            let (u, w): (Vec<_>, Vec<_>) = bases.unzip();
+            let flat = |vectors: Vec<[f64; 3]>| vectors.into_iter().flatten().map(|v| v as f32).collect::<Vec<f32>>();
+            rays.tangents = Some([tensor(&flat(u))?, tensor(&flat(w))?]);
+        }
+        if self.parts.footprint {
+            let radii = Tensor::from_slice(&self.radii, (self.len(), 1), device)?.to_dtype(dtype)?;
+            rays.footprint = Some(Footprint { radii, cylinders: self.cylinders });
+        }
+        Ok(rays)
     }
 }
 
@@ -123,16 +139,10 @@ fn pixel_width(camera: &Camera, (x, y): (f64, f64), ndc: Option<&Ndc>) -> f64 {
 }
 
 impl Rays {
-    /// Rays from tensors, each `[rays, 3]`; `tangents` are `tangents_u` and `tangents_w`.
-    pub fn new(
-        origins: Tensor,
-        directions: Tensor,
-        viewdirs: Tensor,
-        [tangents_u, tangents_w]: [Tensor; 2],
-        footprint: Footprint,
-    ) -> Result<Rays> {
+    /// Lines from tensors, each `[rays, 3]`.
+    pub fn new(origins: Tensor, directions: Tensor, viewdirs: Tensor) -> Result<Rays> {
         let direction_norm = directions.sqr()?.sum_keepdim(1)?.sqrt()?;
-        Ok(Rays { origins, directions, viewdirs, tangents_u, tangents_w, direction_norm, footprint })
+        Ok(Rays { origins, directions, viewdirs, direction_norm, tangents: None, footprint: None })
     }
 
     /// Number of rays.
@@ -147,15 +157,23 @@ impl Rays {
 
     /// Rays `start..start + count`.
     pub fn narrow(&self, start: usize, count: usize) -> Result<Rays> {
+        // Whole rows of contiguous tensors are contiguous: they are shared, not copied.
         let part = |tensor: &Tensor| tensor.narrow(0, start, count)?.contiguous();
+        let tangents = match &self.tangents {
+            Some([u, w]) => Some([part(u)?, part(w)?]),
+            None => None,
+        };
+        let footprint = match &self.footprint {
+            Some(Footprint { radii, cylinders }) => Some(Footprint { radii: part(radii)?, cylinders: *cylinders }),
+            None => None,
+        };
         Ok(Rays {
             origins: part(&self.origins)?,
             directions: part(&self.directions)?,
             viewdirs: part(&self.viewdirs)?,
-            tangents_u: part(&self.tangents_u)?,
-            tangents_w: part(&self.tangents_w)?,
             direction_norm: part(&self.direction_norm)?,
-            footprint: Footprint { radii: part(&self.footprint.radii)?, ..self.footprint },
+            tangents,
+            footprint,
         })
     }
 }
@@ -171,7 +189,7 @@ mod tests {
         let camera = Camera { width: 40, height: 30, focal: [20.0; 2], centre: [20.0, 15.0], pose };
         let ndc = Ndc { width: 40.0, height: 30.0, focal: 20.0 };
         let radius = |ndc: Option<&Ndc>| {
-            let rays = RayBuffer::new(&[(&camera, 3, 7)], ndc, PixelOrigin::Corner);
+            let rays = RayBuffer::new(&[(&camera, 3, 7)], ndc, PixelOrigin::Corner, RayParts::ALL);
             assert_eq!(rays.cylinders, ndc.is_some());
             f64::from(rays.radii[0]) * 12f64.sqrt() / 2.0
         };

@@ -1,8 +1,10 @@
 //! Which rays a step trains on.
 
+use std::sync::Arc;
+
 use crate::base::rng::{Random, Stream};
-use crate::base::{Error, Result};
-use crate::data::{Camera, Ndc, RayBuffer, Scene};
+use crate::base::{Error, Image, Result};
+use crate::data::{Camera, Ndc, RayBuffer, RayParts, Scene, View};
 use crate::settings::{Batching, Located, PixelOrigin};
 
 /// The training views' pixels and the order in which they are drawn. A batch is a function of the
@@ -14,9 +16,14 @@ pub struct Batches {
     precrop_steps: u64,
     precrop_fraction: f64,
     cameras: Vec<Camera>,
-    images: Vec<Vec<f32>>,
+    /// Shared with the scene.
+    images: Vec<Arc<Image>>,
+    /// How many pixels the views before each have, and after the last all of them.
+    offsets: Vec<usize>,
     ndc: Option<Ndc>,
     pixel_origin: PixelOrigin,
+    /// What is needed of rays.
+    parts: RayParts,
     /// The shuffled pixels of one epoch of all images.
     epoch: Option<(u64, Vec<u32>)>,
 }
@@ -32,7 +39,8 @@ pub struct Batch {
 impl Batches {
     /// Batches over the training views of `scene`. A batch larger than what it is drawn from is
     /// refused: it would be smaller than the configuration says.
-    pub fn new(config: &Located, scene: &Scene) -> Result<Batches> {
+    pub fn new(config: &Located, scene: &Scene, parts: RayParts) -> Result<Batches> {
+        let pixels = |view: &View| view.camera.width * view.camera.height;
         let batches = Batches {
             seed: config.seed,
             rays: config.train.rays,
@@ -40,9 +48,11 @@ impl Batches {
             precrop_steps: config.precrop_steps,
             precrop_fraction: config.train.precrop_fraction,
             cameras: scene.train.iter().map(|view| view.camera).collect(),
-            images: scene.train.iter().map(|view| view.image.pixels.clone()).collect(),
+            images: scene.train.iter().map(|view| view.image.clone()).collect(),
+            offsets: running_sums(scene.train.iter().map(pixels)),
             ndc: scene.ndc,
             pixel_origin: config.data.pixel_origin,
+            parts,
             epoch: None,
         };
         batches.check()?;
@@ -50,9 +60,8 @@ impl Batches {
     }
 
     fn check(&self) -> Result<()> {
-        let pixels = |camera: &Camera| camera.width * camera.height;
         let (available, of) = match self.batching {
-            Batching::AllImages => (self.cameras.iter().map(pixels).sum(), "all training images have"),
+            Batching::AllImages => (self.pixels(), "all training images have"),
             Batching::OneImage => {
                 let smallest = self.cameras.iter().map(|camera| {
                     let side = |size| self.part(size, 0).1 as usize;
@@ -91,19 +100,17 @@ impl Batches {
             Batching::OneImage => self.of_one_image(step),
         };
         let rays: Vec<(&Camera, u32, u32)> = pixels.iter().map(|&(view, x, y)| (&self.cameras[view], x, y)).collect();
-        let rays = RayBuffer::new(&rays, self.ndc.as_ref(), self.pixel_origin);
+        let rays = RayBuffer::new(&rays, self.ndc.as_ref(), self.pixel_origin, self.parts);
         let target = pixels.iter().flat_map(|&(view, x, y)| {
             let start = (y as usize * self.cameras[view].width + x as usize) * 3;
-            self.images[view][start..start + 3].iter().copied()
+            self.images[view].pixels[start..start + 3].iter().copied()
         });
         Batch { target: target.collect(), rays }
     }
 
     /// The next stretch of a permutation of all pixels; every epoch has its own.
     fn shuffled(&mut self, step: u64) -> Vec<(usize, u32, u32)> {
-        let sizes: Vec<usize> = self.cameras.iter().map(|camera| camera.width * camera.height).collect();
-        let total: usize = sizes.iter().sum();
-        let rays = self.rays;
+        let (total, rays) = (self.pixels(), self.rays);
         let per_epoch = (total / rays) as u64;
         let epoch = step / per_epoch;
         if self.epoch.as_ref().is_none_or(|(cached, _)| *cached != epoch) {
@@ -112,17 +119,19 @@ impl Batches {
         }
         let (_, order) = self.epoch.as_ref().expect("just made");
         let start = (step % per_epoch) as usize * rays;
-        let locate = |&flat: &u32| {
-            let mut rest = flat as usize;
-            let mut view = 0;
-            while rest >= sizes[view] {
-                rest -= sizes[view];
-                view += 1;
-            }
-            let width = self.cameras[view].width;
-            (view, (rest % width) as u32, (rest / width) as u32)
-        };
-        order[start..start + rays].iter().map(locate).collect()
+        order[start..start + rays].iter().map(|&flat| self.locate(flat as usize)).collect()
+    }
+
+    /// Pixels of all views.
+    fn pixels(&self) -> usize {
+        self.offsets[self.cameras.len()]
+    }
+
+    /// View, column and row of a pixel among those of all views.
+    fn locate(&self, flat: usize) -> (usize, u32, u32) {
+        let view = self.offsets.partition_point(|&offset| offset <= flat) - 1;
+        let (rest, width) = (flat - self.offsets[view], self.cameras[view].width);
+        (view, (rest % width) as u32, (rest / width) as u32)
     }
 
     /// Distinct pixels of one image, of its central part during pre-crop.
@@ -136,11 +145,20 @@ impl Batches {
     }
 }
 
+/// 0, the first, the first two, ..., all.
+fn running_sums(numbers: impl Iterator<Item = usize>) -> Vec<usize> {
+    let mut sum = 0;
+    std::iter::once(0)
+        .chain(numbers.map(|number| {
+            sum += number;
+            sum
+        }))
+        .collect()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::base::Image;
-    use crate::data::View;
     use crate::settings::{Config, DataKind};
 
     fn scene() -> Scene {
@@ -156,7 +174,7 @@ mod tests {
             // Every pixel's colour names it.
             let pixels = (0..48).flat_map(|p| [index as f32, (p % 8) as f32, (p / 8) as f32]).collect();
             let image = Image { width: 8, height: 6, channels: 3, pixels };
-            View { name: index.to_string(), camera, image, depth: None }
+            View { name: index.to_string(), camera, image: image.into(), depth: None }
         };
         Scene {
             name: "test".into(),
@@ -177,7 +195,7 @@ mod tests {
         config.train.rays = rays;
         config.train.batching = Some(batching);
         config.train.precrop_steps = Some(5);
-        Batches::new(&config.locate(DataKind::Blender).unwrap(), &scene()).unwrap()
+        Batches::new(&config.locate(DataKind::Blender).unwrap(), &scene(), RayParts::default()).unwrap()
     }
 
     #[test]

@@ -3,7 +3,7 @@
 use candle_core::Tensor;
 
 use crate::base::Result;
-use crate::data::Rays;
+use crate::data::{RayParts, Rays};
 
 /// The image of some rays.
 pub struct Painted {
@@ -18,6 +18,11 @@ pub struct Painted {
 /// Turns rays into their image, without randomness. What a method needs for all rays alike is prepared when the painter
 /// is made.
 pub trait Painter: Sync {
+    /// What it needs of rays.
+    fn ray_parts(&self) -> RayParts {
+        RayParts::default()
+    }
+
     /// The image of `rays`.
     fn paint(&self, rays: &Rays) -> Result<Painted>;
 }

@@ -3,7 +3,7 @@
 use candle_core::{D, Tensor};
 
 use crate::base::Result;
-use crate::data::Rays;
+use crate::data::{RayParts, Rays};
 use crate::field::Field;
 use crate::settings::Encoding;
 
@@ -14,6 +14,11 @@ pub fn positions_at(field: &Field, rays: &Rays, t_vals: &Tensor) -> Result<Tenso
         Encoding::Positional => points_at(rays, t_vals),
         Encoding::Integrated => gaussians_at(rays, t_vals),
     }
+}
+
+/// What passes of `field` need of rays.
+pub fn ray_parts(field: &Field) -> RayParts {
+    RayParts { footprint: field.config().encoding == Encoding::Integrated, tangents: false }
 }
 
 /// Samples that a pass of `field` has with so many columns of `t_vals`.
@@ -37,8 +42,10 @@ pub fn gaussians_at(rays: &Rays, edges: &Tensor) -> Result<Tensor> {
     let samples = edges.dim(1)? - 1;
     let (from, to) = (edges.narrow(1, 0, samples)?, edges.narrow(1, 1, samples)?);
     let (middle, half) = (((&from + &to)? * 0.5)?, ((&to - &from)? * 0.5)?);
-    let radius_squared = rays.footprint.radii.sqr()?; // [rays, 1]
-    let (t, along, across) = if rays.footprint.cylinders {
+    let missing = || candle_core::Error::Msg("these rays have no footprint to cast".into());
+    let footprint = rays.footprint.as_ref().ok_or_else(missing)?;
+    let radius_squared = footprint.radii.sqr()?; // [rays, 1]
+    let (t, along, across) = if footprint.cylinders {
         let across = (radius_squared * 0.25)?.broadcast_as(middle.shape())?;
         (middle, (half.sqr()? / 3.0)?, across)
     } else {
@@ -77,11 +84,9 @@ mod tests {
     fn ray(direction: [f64; 3], radius: f64, cylinders: bool) -> Rays {
         let row = |v: [f64; 3]| Tensor::new(&[v], &Device::Cpu).unwrap();
         let length = direction.iter().map(|d| d * d).sum::<f64>().sqrt();
-        let (u, w) = tangents(direction.map(|d| d / length));
         let radii = Tensor::new(&[[radius]], &Device::Cpu).unwrap();
-        let viewdir = row(direction.map(|d| d / length));
-        let footprint = Footprint { radii, cylinders };
-        Rays::new(row([0.3, -0.2, 0.5]), row(direction), viewdir, [row(u), row(w)], footprint).unwrap()
+        let rays = Rays::new(row([0.3, -0.2, 0.5]), row(direction), row(direction.map(|d| d / length))).unwrap();
+        Rays { footprint: Some(Footprint { radii, cylinders }), ..rays }
     }
 
     /// Mean and diagonal variance of points drawn uniformly in the solid.

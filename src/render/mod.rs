@@ -13,7 +13,7 @@ pub mod sampling;
 mod scan;
 pub mod volume;
 
-pub use cast::{gaussians_at, points_at, positions_at, samples_of};
+pub use cast::{gaussians_at, points_at, positions_at, ray_parts, samples_of};
 pub use volume::Composite;
 
 /// What one pass needs besides the field.
@@ -138,8 +138,10 @@ pub fn noiseless_acc(field: &Field, out: &PassOutput, pass: Pass) -> Result<Tens
 
 /// Moves unit view directions by two small angles `[rays, 2]` in their tangent planes.
 fn tilt(rays: &Rays, angles: &Tensor) -> Result<Tensor> {
+    let missing = || candle_core::Error::Msg("these rays have no tangents to tilt them along".into());
+    let [u, w] = rays.tangents.as_ref().ok_or_else(missing)?;
     let along = |axis: usize, tangents: &Tensor| angles.narrow(1, axis, 1)?.broadcast_mul(tangents);
-    let moved = ((&rays.viewdirs + along(0, &rays.tangents_u)?)? + along(1, &rays.tangents_w)?)?;
+    let moved = ((&rays.viewdirs + along(0, u)?)? + along(1, w)?)?;
     let norm = moved.sqr()?.sum_keepdim(1)?.sqrt()?;
     Ok(moved.broadcast_div(&norm)?)
 }

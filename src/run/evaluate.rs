@@ -50,8 +50,8 @@ impl Viewer<'_> {
         let pixels: Vec<(&Camera, u32, u32)> =
             (0..height).flat_map(|y| (0..width).map(move |x| (camera, x, y))).collect();
         let render = |part: &[(&Camera, u32, u32)]| -> Result<[Vec<f32>; 3]> {
-            let rays =
-                RayBuffer::new(part, scene.ndc.as_ref(), config.data.pixel_origin).to_tensors(DType::F32, device)?;
+            let rays = RayBuffer::new(part, scene.ndc.as_ref(), config.data.pixel_origin, painter.ray_parts())
+                .to_tensors(DType::F32, device)?;
             let out = painter.paint(&rays)?;
             let host = |tensor: &candle_core::Tensor| tensor.to_dtype(DType::F32)?.flatten_all()?.to_vec1::<f32>();
             Ok([host(&out.rgb)?, host(&(out.depth / &out.acc)?)?, host(&out.acc)?])

@@ -4,7 +4,7 @@ use candle_core::{DType, Device, Tensor};
 
 use crate::base::rng::{Random, Stream};
 use crate::base::{Error, Result};
-use crate::data::{Camera, RayBuffer, Scene};
+use crate::data::{Camera, RayBuffer, RayParts, Scene};
 use crate::settings::{LatticePoints, PixelOrigin, RegularizerConfig};
 
 /// A box cut into `side`^3 equal cells, numbered with z fastest.
@@ -53,7 +53,7 @@ impl Lattice {
         };
         let pixels: Vec<(&Camera, u32, u32)> =
             scene.train.iter().flat_map(|view| corners(&view.camera).map(|(x, y)| (&view.camera, x, y))).collect();
-        let rays = RayBuffer::new(&pixels, scene.ndc.as_ref(), PixelOrigin::Corner);
+        let rays = RayBuffer::new(&pixels, scene.ndc.as_ref(), PixelOrigin::Corner, RayParts::default());
         let mut seen = [[f64::INFINITY; 3], [f64::NEG_INFINITY; 3]];
         for (origin, direction) in rays.origins.chunks_exact(3).zip(rays.directions.chunks_exact(3)) {
             for t in [scene.near, scene.far] {

@@ -3,7 +3,7 @@
 use crate::common::{parameters, tiny_config, tiny_scene, trained};
 use augnerf::augment::{Deltas, Draw, PassGeometry, PixelScale, Sets, StepSizes, worst_case};
 use augnerf::base::rng::{Random, Stream};
-use augnerf::data::{RayBuffer, Rays};
+use augnerf::data::{RayBuffer, RayParts, Rays};
 use augnerf::field::Field;
 use augnerf::render::{Pass, Perturbation, clean_pass, perturbed_pass, photometric_loss, sampling};
 use augnerf::settings::{
@@ -58,7 +58,8 @@ impl Setting {
         let scene = tiny_scene();
         let mut random = Random::new(seed, Stream::Jitter, 0);
         let pixels: Vec<_> = (0..rays).map(|_| (&scene.train[0].camera, random.below(16), random.below(16))).collect();
-        let rays = RayBuffer::new(&pixels, None, Default::default()).to_tensors(DType::F64, &CPU).unwrap();
+        let rays =
+            RayBuffer::new(&pixels, None, Default::default(), RayParts::ALL).to_tensors(DType::F64, &CPU).unwrap();
         let draw = |random: &mut Random, shape: &[usize]| random.uniform_tensor(shape, DType::F64, &CPU).unwrap();
         let columns = samples + usize::from(method.is_mip());
         let jitter = draw(&mut random, &[rays.len(), columns]);

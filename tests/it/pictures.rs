@@ -1,6 +1,7 @@
 //! `augnerf compare` and `augnerf profile`: what they choose, measure, draw and refuse.
 
 use std::path::Path;
+use std::sync::Arc;
 
 use crate::common::program::{refuse, succeed};
 use crate::common::{tiny_config, tiny_scene, trained};
@@ -202,7 +203,7 @@ fn the_picture_shows_the_pixels_themselves() {
             let sum: u32 = (0..3).map(|c| u32::from(a[c].abs_diff(b[c])).pow(2)).sum();
             augnerf::draw::scale_colour((sum as f32 / 3.0).sqrt() / 255.0 / end("error_colours", 1))
         });
-        let errors = Image { pixels: errors.collect(), ..*truth };
+        let errors = Image { pixels: errors.collect(), ..(**truth).clone() };
         assert!(shown(2, &errors), "error map");
         let (near, far) = (end("depth_colours", 0), end("depth_colours", 1));
         assert!(shown(3, &augnerf::draw::depth_colour(&depth, 16, 16, near, far, Some(&acc)).unwrap()), "depth map");
@@ -280,7 +281,7 @@ fn runs_that_do_not_show_the_same_are_refused_in_words() {
     refused("the rays' interval", &|run| run.bounds.0 = 1.0);
     refused("the background is black", &|run| run.protocol.background = "black".into());
     refused("the camera", &|run| run.view.camera.pose[0][3] += 1e-3);
-    refused("another (1 of 768 values)", &|run| run.view.image.pixels[7] += 0.5);
+    refused("another (1 of 768 values)", &|run| Arc::make_mut(&mut run.view.image).pixels[7] += 0.5);
 }
 
 #[test]

@@ -5,7 +5,7 @@
 use std::collections::HashMap;
 
 use augnerf::augment::{DeltaSet, Deltas, PassGeometry, PixelScale, Sets, StepSizes, worst_case};
-use augnerf::data::{Footprint, Rays};
+use augnerf::data::Rays;
 use augnerf::field::{Field, encode};
 use augnerf::render::sampling::inverse_cdf;
 use augnerf::render::{Pass, PassOutput, Perturbation, clean_pass, perturbed_pass, photometric_loss, volume};
@@ -146,11 +146,9 @@ impl Attack {
         let reference = Reference::load("attack");
         let input = |name: &str| reference.get(&format!("in.{name}"));
         let field = reference.field(&width(16), |name| format!("net.{name}"));
-        let tangents = [input("tangent_u"), input("tangent_w")];
-        let radii = Tensor::zeros((5, 1), DType::F64, &Device::Cpu).unwrap();
-        let footprint = Footprint { radii, cylinders: false };
-        let rays = Rays::new(input("origins"), input("directions"), input("viewdirs"), tangents, footprint);
-        let (rays, t_vals, target) = (rays.unwrap(), input("t_vals"), input("target"));
+        let rays = Rays::new(input("origins"), input("directions"), input("viewdirs")).unwrap();
+        let rays = Rays { tangents: Some([input("tangent_u"), input("tangent_w")]), ..rays };
+        let (t_vals, target) = (input("t_vals"), input("target"));
         // Radii and step sizes of attack.json.
         let mut config = PerturbConfig::default();
         let numbers = [(0.5, 0.03), (1.0, 0.015), (1.0, 0.008), (0.05, 0.04), (0.03, 0.025), (0.4, 0.3)];
@@ -285,7 +283,8 @@ fn two_search_steps_and_the_final_pass() {
     assert_close("colour", &last.composite.rgb, &expected("colour"), F64);
     let view = found.get(Level::View).unwrap();
     let along = |axis: usize, tangent: &Tensor| view.narrow(1, axis, 1).unwrap().broadcast_mul(tangent).unwrap();
-    let moved = ((&a.rays.viewdirs + along(0, &a.rays.tangents_u)).unwrap() + along(1, &a.rays.tangents_w)).unwrap();
+    let [u, w] = a.rays.tangents.as_ref().unwrap();
+    let moved = ((&a.rays.viewdirs + along(0, u)).unwrap() + along(1, w)).unwrap();
     let norm = moved.sqr().unwrap().sum_keepdim(1).unwrap().sqrt().unwrap();
     assert_close("view", &moved.broadcast_div(&norm).unwrap(), &expected("view"), F64);
     let loss = photometric_loss(&last.composite.rgb, &a.target).unwrap();

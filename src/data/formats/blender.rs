@@ -140,7 +140,7 @@ impl Split {
         let (images, _) = images::read_all(&self.paths, target, background(config), label, events)?;
         let cameras = self.poses.iter().map(|&pose| Camera { pose, ..camera });
         let named = images::names(&self.paths).into_iter().zip(cameras).zip(images);
-        Ok(named.map(|((name, camera), image)| View { name, camera, image, depth: None }).collect())
+        Ok(named.map(|((name, camera), image)| View { name, camera, image: image.into(), depth: None }).collect())
     }
 }
 

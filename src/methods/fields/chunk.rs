@@ -28,6 +28,7 @@ pub(super) struct Chunk {
 
 impl Chunk {
     pub(super) fn narrow(&self, index: usize, start: usize, count: usize) -> Result<Chunk> {
+        // Shared, not copied, where the whole is contiguous.
         let part = |tensor: &Tensor| tensor.narrow(0, start, count)?.contiguous();
         let maybe = |tensor: &Option<Tensor>| tensor.as_ref().map(part).transpose();
         Ok(Chunk {

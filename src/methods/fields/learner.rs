@@ -4,12 +4,12 @@ use candle_core::{DType, Device, Tensor, Var};
 
 use crate::augment::PixelScale;
 use crate::base::{Error, Result};
-use crate::data::Scene;
+use crate::data::{RayParts, Scene};
 use crate::losses::{LossTerm, WeightedTerm};
 use crate::methods::batches::Batches;
 use crate::methods::learner::{Learned, Learner, LogColumns, Term};
-use crate::render::positions_at;
-use crate::settings::{DensityActivation, LEVELS, PerturbKind, Resolved};
+use crate::render::{positions_at, ray_parts};
+use crate::settings::{DensityActivation, LEVELS, Level, PerturbKind, Resolved};
 
 use super::diagnostics;
 use super::networks::Fields;
@@ -48,6 +48,7 @@ impl FieldLearner {
         dtype: DType,
         device: &Device,
     ) -> Result<FieldLearner> {
+        let tangents = config.method.is_augmented() && config.perturb.delta(Level::View).on();
         Ok(FieldLearner {
             config: config.clone(),
             bounds: scene.bounds(),
@@ -55,9 +56,9 @@ impl FieldLearner {
             pixel: PixelScale::of(scene),
             device: device.clone(),
             dtype,
+            batches: Batches::new(config, scene, RayParts { tangents, ..ray_parts(&fields.coarse) })?,
             variables: fields.variables(),
             fields,
-            batches: Batches::new(config, scene)?,
             terms: WeightedTerm::all(&config.regularizer),
         })
     }

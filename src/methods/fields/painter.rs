@@ -1,9 +1,9 @@
 //! What fields look like.
 
 use crate::base::Result;
-use crate::data::{Rays, Scene};
+use crate::data::{RayParts, Rays, Scene};
 use crate::methods::painter::{Painted, Painter};
-use crate::render::render_rays;
+use crate::render::{ray_parts, render_rays};
 use crate::settings::{Config, SamplingConfig};
 
 use super::networks::Fields;
@@ -29,6 +29,10 @@ impl FieldPainter {
 }
 
 impl Painter for FieldPainter {
+    fn ray_parts(&self) -> RayParts {
+        ray_parts(self.fields.evaluated())
+    }
+
     fn paint(&self, rays: &Rays) -> Result<Painted> {
         let (coarse, fine) = (&self.fields.coarse, self.fields.fine());
         let composite = render_rays(coarse, fine, rays, self.bounds, &self.sampling, self.background)?;

@@ -128,7 +128,7 @@ fn view(stage: &Stage, name: &str, camera: &Camera, config: &DataConfig, backgro
     View {
         name: name.into(),
         camera: *camera,
-        image: composite(picture.image, background).0,
+        image: composite(picture.image, background).0.into(),
         depth: Some(picture.depth),
     }
 }

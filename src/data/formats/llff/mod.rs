@@ -90,7 +90,8 @@ fn camera_at((width, height): (usize, usize), focal: f64) -> Camera {
 }
 
 fn views(names: Vec<String>, cameras: Vec<Camera>, images: Vec<Image>) -> Vec<View> {
-    let view = |((name, camera), image)| View { name, camera, image, depth: None };
+    let view =
+        |((name, camera), image): ((String, Camera), Image)| View { name, camera, image: image.into(), depth: None };
     names.into_iter().zip(cameras).zip(images).map(view).collect()
 }
 

@@ -55,7 +55,7 @@ pub fn load(config: &DataConfig, events: &dyn Listener) -> Result<Scene> {
     let path = path::around(&poses).map_err(|e| Error::Data(format!("{}: {e}", file.display())))?;
     let first = cameras[0];
     let named = images::names(&paths).into_iter().zip(cameras).zip(images);
-    let views = named.map(|((name, camera), image)| View { name, camera, image, depth: None }).collect();
+    let views = named.map(|((name, camera), image)| View { name, camera, image: image.into(), depth: None }).collect();
     let (train, test) = split_every(views, config.holdout, config.test_skip);
     Ok(Scene {
         name: name_of(config),
