@@ -19,12 +19,14 @@ use crate::settings::{Core, Encoding, FieldConfig, Init};
 
 mod activation;
 mod dense;
+mod density;
 mod encoding;
 mod fused;
 mod peak;
 mod spatial;
 
 pub use dense::{dense, dense_reference};
+pub use density::{Density, FieldDensity};
 use encoding::Code;
 pub use encoding::{
     encode, encode_integrated, encode_integrated_reference, encode_reference, encoded_channels, integrated_channels,

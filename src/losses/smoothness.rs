@@ -34,7 +34,8 @@ pub fn measure(field: &Field, lattice: &Lattice, mut advance: impl FnMut()) -> R
     let mut sum = Smoothness::default();
     over_chunks(
         &points,
-        field,
+        field.dtype(),
+        field.device(),
         |points| {
             let at = field.spatial(points)?.at;
             let [l1, tv, laplacian] = terms.map(|term| Ok::<f64, Error>(term_sum(term, &at)?.to_scalar()?));

@@ -26,7 +26,8 @@ pub fn regularize(field: &Field, points: &Quadrature, terms: &[WeightedSpaceTerm
     let mut sum: Option<Regularized> = None;
     over_chunks(
         points,
-        field,
+        field.dtype(),
+        field.device(),
         |points| regularize_at(field, points, terms, volume),
         |chunk| {
             match &mut sum {

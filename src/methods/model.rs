@@ -4,6 +4,7 @@ use candle_core::{DType, Device, Tensor, Var};
 
 use crate::base::Result;
 use crate::data::Scene;
+use crate::field::{Density, FieldDensity};
 use crate::settings::{Config, Resolved};
 
 use super::fields::{FieldLearner, FieldPainter, Fields};
@@ -71,6 +72,16 @@ impl Model {
     pub fn painter(&self, config: &Config, scene: &Scene) -> Result<Box<dyn Painter>> {
         Ok(match self {
             Model::Fields(fields) => Box::new(FieldPainter::new(fields, config, scene)?),
+        })
+    }
+
+    /// Density in space, with the parameters as they are now.
+    ///
+    /// # Errors
+    /// A method that has none.
+    pub fn density(&self) -> Result<Box<dyn Density>> {
+        Ok(match self {
+            Model::Fields(fields) => Box::new(FieldDensity::new(fields.evaluated())?),
         })
     }
 

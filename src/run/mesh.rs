@@ -176,8 +176,7 @@ impl Trained {
         if options.largest {
             mesh = mesh.keep(&components[0]);
         }
-        let field = self.model.fields()?.evaluated();
-        let skin = skin(field, mesh, &drawing.lattice, self.scene.ndc.as_ref())?;
+        let skin = skin(&*self.model.density()?, mesh, &drawing.lattice, self.scene.ndc.as_ref())?;
         for format in &options.formats {
             format.write(&files.path().join(format.file()), &skin.mesh)?;
         }
@@ -199,7 +198,7 @@ impl Trained {
             events.on(Event::Advanced);
             Ok(())
         };
-        let drawn = level_set(self.model.fields()?.evaluated(), drawing, out, advance)?;
+        let drawn = level_set(&*self.model.density()?, drawing, out, advance)?;
         events.on(Event::Finished);
         if let (Some(mut volume), Some(path)) = (volume, path) {
             volume.flush().map_err(|e| Error::unwritable(&path, &e))?;

@@ -122,7 +122,7 @@ impl Viewer<'_> {
             most_mib: most_memory_mib(),
         };
         events.on(Event::Started { what: "surface", parts: mesh.resolution as u64 });
-        let drawn = level_set(model.fields()?.evaluated(), &drawing, None, || {
+        let drawn = level_set(&*model.density()?, &drawing, None, || {
             events.on(Event::Advanced);
             going()
         })?;

@@ -5,7 +5,7 @@ use rayon::prelude::*;
 
 use super::{Lattice, Quadrature};
 use crate::base::Result;
-use crate::field::Field;
+use crate::field::Density;
 
 /// Points that one thread works on at once: what it keeps of a trunk of 8 x 256 stays near its core.
 pub const CHUNK: usize = 1024;
@@ -14,17 +14,14 @@ const DEVICE_CHUNK: usize = 65_536;
 /// Chunks whose gradients are in memory at once.
 const CHUNKS_AT_ONCE: usize = 16;
 
-/// The density of a field at the midpoints of a lattice, in the order of its cells: `take` is handed so
-/// many at a time that memory does not grow with the lattice. A field of integrated encoding is queried at Gaussians of the
-/// cells' variance.
-pub fn densities(field: &Field, lattice: &Lattice, take: impl FnMut(Vec<f32>) -> Result<()>) -> Result<()> {
-    let field = &field.frozen()?;
+/// Densities at the midpoints of a lattice, each standing for its cell, in the order of the cells: `take` is handed so
+/// many at a time that memory does not grow with the lattice.
+pub fn densities(density: &dyn Density, lattice: &Lattice, take: impl FnMut(Vec<f32>) -> Result<()>) -> Result<()> {
     let query = |points: &Tensor| {
-        let positions = field.positions(points, lattice.cell_variance())?;
-        let density = field.activate_density(&field.raw_density(&positions)?)?;
+        let density = density.density(points, lattice.cell_variance())?;
         Ok(density.to_dtype(DType::F32)?.to_vec1::<f32>()?)
     };
-    over_chunks(&Quadrature::full(*lattice), field, query, take)
+    over_chunks(&Quadrature::full(*lattice), density.dtype(), density.device(), query, take)
 }
 
 /// Chunks that a pass over `count` points takes.
@@ -42,15 +39,15 @@ pub(crate) fn chunks_at_once(device: &Device) -> usize {
     if device.is_cpu() { rayon::current_num_threads().min(CHUNKS_AT_ONCE) } else { 1 }
 }
 
-/// Works through points, of the field's precision and on its device, in chunks, some at once, and hands the results
+/// Works through points of a precision on a device in chunks, some at once, and hands the results
 /// over in order: memory does not grow with their number, and the number of threads changes no bit.
 pub(crate) fn over_chunks<T: Send>(
     points: &Quadrature,
-    field: &Field,
+    dtype: DType,
+    device: &Device,
     work: impl Fn(&Tensor) -> Result<T> + Sync,
     mut take: impl FnMut(T) -> Result<()>,
 ) -> Result<()> {
-    let (dtype, device) = (field.dtype(), field.device());
     let (size, count) = (chunk_size(device), points.count());
     let starts: Vec<usize> = (0..count).step_by(size).collect();
     let one = |&start: &usize| work(&points.tensor(start, size.min(count - start), dtype, device)?);

@@ -6,7 +6,7 @@ use rayon::prelude::*;
 use crate::base::{Error, Result};
 use crate::data::Ndc;
 use crate::data::vector::{Vec3, length, scale};
-use crate::field::Field;
+use crate::field::Density;
 use crate::space::{CHUNK, Lattice};
 
 use super::Mesh;
@@ -20,21 +20,20 @@ pub struct Skin {
     pub flat: usize,
 }
 
-/// Finishes a level set that `field` has on `lattice`: brings it from NDC to scene units where `ndc` is given, and gives
-/// each vertex its outward normal, against density's exact gradient, and the colour that the field shows there to an eye that looks
+/// Finishes a level set that `density` has on `lattice`: brings it from NDC to scene units where `ndc` is given, and gives
+/// each vertex its outward normal, against density's exact gradient, and the colour that is seen there by an eye that looks
 /// against the normal.
-pub fn skin(field: &Field, level_set: Mesh, lattice: &Lattice, ndc: Option<&Ndc>) -> Result<Skin> {
-    let asked = level_set.vertices.clone();
+pub fn skin(density: &dyn Density, level_set: Mesh, lattice: &Lattice, ndc: Option<&Ndc>) -> Result<Skin> {
+    let queried = level_set.vertices.clone();
     let mut mesh = in_scene(level_set, ndc)?;
     let faces = mesh.face_normals();
-    let field = &field.frozen()?;
-    let device = field.device();
+    let device = density.device();
     let indices: Vec<usize> = (0..mesh.vertices.len()).collect();
     let one = |part: &[usize]| -> Result<Part> {
-        let points: Vec<f32> = part.iter().flat_map(|&i| asked[i]).collect();
+        let points: Vec<f32> = part.iter().flat_map(|&i| queried[i]).collect();
         let points = Tensor::from_vec(points, (part.len(), 3), device)?;
-        let positions = field.positions(&points, lattice.cell_variance())?;
-        let slopes = field.density_gradient(&positions)?.to_vec2::<f32>()?;
+        let variance = lattice.cell_variance();
+        let slopes = density.gradient(&points, variance)?.to_vec2::<f32>()?;
         let outward = |(&i, slope): (&usize, &Vec<f32>)| {
             let slope: Vec3 = std::array::from_fn(|axis| f64::from(slope[axis]));
             let slope = ndc.map_or(slope, |ndc| ndc.pull_back(mesh.vertex(i as u32), slope));
@@ -47,7 +46,7 @@ pub fn skin(field: &Field, level_set: Mesh, lattice: &Lattice, ndc: Option<&Ndc>
         let (normals, flat): (Vec<[f32; 3]>, Vec<bool>) = part.iter().zip(&slopes).map(outward).unzip();
         let eyes: Vec<f32> = normals.iter().flatten().map(|v| -v).collect();
         let eyes = Tensor::from_vec(eyes, (part.len(), 3), device)?;
-        let rgb = field.activate_rgb(&field.forward(&positions, &eyes, None)?.rgb)?.to_vec2::<f32>()?;
+        let rgb = density.rgb(&points, variance, &eyes)?.to_vec2::<f32>()?;
         let byte = |rgb: Vec<f32>| std::array::from_fn(|c| (rgb[c].clamp(0.0, 1.0) * 255.0).round() as u8);
         Ok((normals, rgb.into_iter().map(byte).collect(), flat.into_iter().filter(|&flat| flat).count()))
     };

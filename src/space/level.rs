@@ -5,7 +5,7 @@ use std::io::Write;
 use serde::Serialize;
 
 use crate::base::{Error, Result};
-use crate::field::Field;
+use crate::field::Density;
 use crate::settings::MESH_SIDES;
 use crate::space::{Lattice, densities};
 
@@ -89,7 +89,7 @@ impl Histogram {
 
 /// A level set and what it was drawn through.
 pub struct LevelSet {
-    /// In the units that the field is asked in, without normals and colours; has triangles.
+    /// In the units that density is queried in, without normals and colours; has triangles.
     pub mesh: Mesh,
     /// The densities on the lattice.
     pub range: DensityRange,
@@ -108,14 +108,14 @@ pub struct Drawing {
     pub most_mib: f64,
 }
 
-/// Draws the level set of a field. Memory is bounded by some planes of the lattice and the mesh. `volume` gets all
+/// Draws a level set of density. Memory is bounded by some planes of the lattice and the mesh. `volume` gets all
 /// densities as little-endian f32, z fastest; `advance` is called after each plane, and its error ends the drawing.
 ///
 /// # Errors
 /// A density that is not finite; a level set that is empty, with a threshold that gives one, or that outgrows the
 /// memory, with a resolution that may fit.
 pub fn level_set(
-    field: &Field,
+    density: &dyn Density,
     drawing: &Drawing,
     mut volume: Option<&mut dyn Write>,
     mut advance: impl FnMut() -> Result<()>,
@@ -127,7 +127,7 @@ pub fn level_set(
     let mut histogram = Histogram::new();
     let mut plane: Vec<f32> = Vec::with_capacity(side * side);
     let (mut planes, mut largest) = (0, f32::NEG_INFINITY);
-    densities(field, &lattice, |mut part| {
+    densities(density, &lattice, |mut part| {
         if let Some(at) = part.iter().position(|density| !density.is_finite()) {
             let point = lattice.point(planes * side * side + plane.len() + at, [0.5; 3]);
             return Err(Error::Diverged(format!(
