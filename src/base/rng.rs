@@ -32,6 +32,8 @@ pub enum Stream {
     Regularizer,
     /// Points on meshes that are compared.
     Surface,
+    /// Values of a sweep's random axes.
+    Axis,
 }
 
 impl Stream {
@@ -46,6 +48,8 @@ impl Stream {
             Stream::Corruption => 6,
             Stream::Regularizer => 7,
             Stream::Surface => 8,
+            // 9 and 10 are spoken for: marching rays, codes.
+            Stream::Axis => 11,
         }
     }
 }

@@ -6,8 +6,8 @@ use clap::Args;
 use toml::Value;
 
 use crate::base::{Error, Result};
-use crate::data;
-use crate::settings::{Config, DataKind, Preset, build, data_section, parse_assignment};
+use crate::data::{self, Format};
+use crate::settings::{Config, Preset, build, data_section, parse_assignment};
 
 use super::LpipsWeights;
 
@@ -67,11 +67,7 @@ impl Experiment {
         let mut preset = self.preset.as_deref().map(Preset::parse).transpose()?;
         if preset.is_none() && self.config.is_none() {
             // What the scene asks for.
-            preset = Some(match data::detect(&data_section(&assignments)?)? {
-                DataKind::Llff => Preset::PaperLlff,
-                DataKind::Blender | DataKind::Transforms => Preset::PaperBlender,
-                _ => Preset::Smoke,
-            });
+            preset = Format::of(data::detect(&data_section(&assignments)?)?).map(|format| format.preset);
         }
         build(preset, self.config.as_deref(), &assignments)
     }

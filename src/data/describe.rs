@@ -23,7 +23,7 @@ impl Scene {
         row("near, far", format!("{:.4} to {:.4}", self.near, self.far));
         row("coordinates", if self.ndc.is_some() { "NDC" } else { "world" }.into());
         row("background", self.background.map_or("none (opaque photographs)".into(), |c| format!("{c:?}")));
-        row("exact depth", if self.test.iter().any(|v| v.depth.is_some()) { "yes" } else { "no" }.into());
+        row("exact depth", self.depth_words().into());
         let corrupted = self.corrupted.as_ref().map_or("none", |corrupted| &corrupted.what);
         row("corruption", format!("{corrupted} (training views)"));
         row("video path", format!("{} cameras", self.path.len()));
@@ -31,8 +31,39 @@ impl Scene {
     }
 }
 
+impl Scene {
+    /// What is known of the held-out views' depth.
+    fn depth_words(&self) -> &'static str {
+        match (self.test.iter().any(|view| view.depth.is_some()), self.has_exact_depth()) {
+            (true, true) => "yes",
+            (true, false) => "no (depth maps in steps of 8 bits)",
+            (false, _) => "no",
+        }
+    }
+}
+
 fn names(views: &[View]) -> String {
     let shown: Vec<&str> = views.iter().take(NAMES).map(|v| v.name.as_str()).collect();
     let more = if views.len() > NAMES { ", ..." } else { "" };
     format!("{} ({}{more})", views.len(), shown.join(", "))
+}
+
+#[cfg(test)]
+mod tests {
+    use crate::settings::{DataConfig, DataKind};
+
+    #[test]
+    fn depth_in_steps_of_8_bits_is_not_called_exact() {
+        let config = DataConfig { kind: DataKind::BuiltinBlender, width: 8, ..DataConfig::default() };
+        let mut scene = crate::data::load(&config, 0, &()).unwrap();
+        let words = |scene: &crate::data::Scene| {
+            scene.describe().into_iter().find(|(label, _)| label == "exact depth").expect("a line").1
+        };
+        assert_eq!(words(&scene), "yes");
+        // NeRF-Synthetic's test views have depth maps, too.
+        scene.kind = DataKind::Blender.name();
+        assert_eq!(words(&scene), "no (depth maps in steps of 8 bits)");
+        scene.test.iter_mut().for_each(|view| view.depth = None);
+        assert_eq!(words(&scene), "no");
+    }
 }

@@ -2,9 +2,7 @@
 
 use std::path::Path;
 
-use super::formats::blender::transforms_file;
-use super::formats::llff::POSES_FILE;
-use super::formats::transforms::TRANSFORMS_FILE;
+use super::formats::{FORMATS, Format};
 use crate::base::{Error, Result};
 use crate::settings::{DataConfig, DataKind};
 
@@ -12,7 +10,7 @@ use crate::settings::{DataConfig, DataKind};
 /// otherwise (`poses_bounds.npy`, `transforms_train.json`, `transforms.json`, in this order). No
 /// folder means the embedded scene.
 pub fn detect(config: &DataConfig) -> Result<DataKind> {
-    let embedded = matches!(config.kind, DataKind::BuiltinBlender | DataKind::BuiltinForward);
+    let embedded = Format::of(config.kind).is_some_and(|format| format.marker.is_none());
     if config.dir.is_empty() {
         return match config.kind {
             DataKind::Auto => Ok(DataKind::BuiltinBlender),
@@ -36,7 +34,7 @@ pub fn detect(config: &DataConfig) -> Result<DataKind> {
     if config.kind != DataKind::Auto {
         return Ok(config.kind);
     }
-    kind_of(dir).ok_or_else(|| unknown(dir))
+    Format::of_folder(dir).map(|format| format.kind).ok_or_else(|| unknown(dir))
 }
 
 fn check_folder(dir: &Path) -> Result<()> {
@@ -47,22 +45,11 @@ fn check_folder(dir: &Path) -> Result<()> {
     Ok(())
 }
 
-fn kind_of(dir: &Path) -> Option<DataKind> {
-    let has = |file: &str| dir.join(file).is_file();
-    if has(POSES_FILE) {
-        return Some(DataKind::Llff);
-    }
-    if has(&transforms_file("train")) {
-        return Some(DataKind::Blender);
-    }
-    has(TRANSFORMS_FILE).then_some(DataKind::Transforms)
-}
-
 /// Says what was looked for, and which subfolders would do.
 fn unknown(dir: &Path) -> Error {
     let entries = std::fs::read_dir(dir).into_iter().flatten().flatten();
     let mut scenes: Vec<String> = entries
-        .filter(|entry| kind_of(&entry.path()).is_some())
+        .filter(|entry| Format::of_folder(&entry.path()).is_some())
         .map(|entry| entry.file_name().to_string_lossy().into_owned())
         .collect();
     scenes.sort();
@@ -70,10 +57,7 @@ fn unknown(dir: &Path) -> Error {
         0 => String::new(),
         _ => format!("; scenes lie one level deeper: {}", scenes.join(", ")),
     };
-    Error::Data(format!(
-        "{} is no scene: it has none of {POSES_FILE} (LLFF), {} (Blender) and {TRANSFORMS_FILE} (instant-ngp, \
-         nerfstudio){hint}",
-        dir.display(),
-        transforms_file("train")
-    ))
+    let markers: Vec<&str> = FORMATS.iter().filter_map(|format| format.marker).collect();
+    let (last, first) = markers.split_last().expect("some formats are folders");
+    Error::Data(format!("{} is no scene: it has none of {} and {last}{hint}", dir.display(), first.join(", ")))
 }

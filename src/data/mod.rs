@@ -18,6 +18,7 @@ pub mod vector;
 pub use camera::{Camera, Ndc};
 pub use corruption::Corrupted;
 pub use detect::detect;
+pub use formats::{Capture, FORMATS, Format, ReferenceDepth};
 pub use rays::{Footprint, RayBuffer, RayParts, Rays};
 
 use std::sync::Arc;
@@ -25,9 +26,8 @@ use std::sync::Arc;
 use sha2::{Digest, Sha256};
 
 use crate::base::{Error, Image, Listener, Result};
-use formats::{blender, builtin, llff, transforms};
 
-use crate::settings::{Background, DataConfig, DataKind, scene_name, short_hash};
+use crate::settings::{Background, DataConfig, scene_name, short_hash};
 
 /// One posed photograph.
 #[derive(Clone, Debug)]
@@ -75,9 +75,14 @@ impl Scene {
         (self.near, self.far)
     }
 
+    /// The format that the scene was read in; none for a scene of one's own making.
+    pub fn format(&self) -> Option<&'static Format> {
+        FORMATS.iter().find(|format| format.kind.name() == self.kind)
+    }
+
     /// Whether the views' depth is exact.
     pub fn has_exact_depth(&self) -> bool {
-        [DataKind::BuiltinBlender, DataKind::BuiltinForward].iter().any(|kind| kind.name() == self.kind)
+        self.format().is_some_and(|format| format.depth == ReferenceDepth::Exact)
     }
 
     /// A 12-digit hash of all views: what a number was trained and measured on.
@@ -105,15 +110,10 @@ impl Scene {
 /// Loads the scene that `config` names. Its kind must be settled ([`detect`]) and `downscale` filled. `seed` is that of
 /// the corruption of training views, where there is one.
 pub fn load(config: &DataConfig, seed: u64, events: &dyn Listener) -> Result<Scene> {
-    let mut scene = match config.kind {
-        DataKind::Llff => llff::load(config, events)?,
-        DataKind::Blender => blender::load(config, events)?,
-        DataKind::Transforms => transforms::load(config, events)?,
-        DataKind::BuiltinBlender | DataKind::BuiltinForward => builtin::load(config)?,
-        DataKind::Auto => {
-            return Err(Error::Config("data.kind = \"auto\" has to be settled before the scene is loaded".into()));
-        }
+    let Some(format) = Format::of(config.kind) else {
+        return Err(Error::Config("data.kind = \"auto\" has to be settled before the scene is loaded".into()));
     };
+    let mut scene = (format.read)(config, events)?;
     scene.near = config.near.unwrap_or(scene.near);
     scene.far = config.far.unwrap_or(scene.far);
     check(&scene, config)?;
@@ -152,17 +152,4 @@ fn background(config: &DataConfig) -> [f32; 3] {
 
 fn name_of(config: &DataConfig) -> String {
     scene_name(&config.dir)
-}
-
-/// Splits into training views and every `holdout`-th view, of which every `test_skip`-th is kept.
-fn split_every(views: Vec<View>, holdout: usize, test_skip: usize) -> (Vec<View>, Vec<View>) {
-    let (mut train, mut test) = (Vec::new(), Vec::new());
-    for (i, view) in views.into_iter().enumerate() {
-        if i % holdout.max(1) != 0 {
-            train.push(view);
-        } else if (i / holdout.max(1)).is_multiple_of(test_skip.max(1)) {
-            test.push(view);
-        }
-    }
-    (train, test)
 }

@@ -8,7 +8,7 @@ use serde::Serialize;
 
 use crate::base::files::{AtomicDir, write_json};
 use crate::base::{Error, Event, Listener, Result, version};
-use crate::data::npy;
+use crate::data::{Format, npy};
 use crate::settings::DataKind;
 use crate::space::{self, DensityRange, Drawing, Lattice, LevelSet, Mesh, Reference, Skin, level_set, skin};
 
@@ -269,7 +269,7 @@ pub fn named_mesh(name: &str, other: &str) -> Result<Reference> {
     }
     let run = RunDir::open(path)?;
     let scene = run.read_config()?.data;
-    if other == BUILTIN && scene.kind != DataKind::BuiltinBlender {
+    if other == BUILTIN && !Format::of(scene.kind).is_some_and(|format| format.has_mesh) {
         return Err(Error::Config(format!(
             "{name} is of {} ({}), in units of its own: `{BUILTIN}` is the surface of {} alone",
             scene.name,

@@ -6,9 +6,8 @@ use crate::base::version;
 use crate::data::Scene;
 use crate::methods::Model;
 use crate::settings::{
-    Attack, Config, DataKind, DensityActivation, EvalSplit, Init, LEVELS, LatticePoints, Objective, OutputPlace,
-    Passes, PerturbField, PerturbKind, PixelOrigin, RegularizedFields, Resample, Resolved, ResolvedPerturb, Schedule,
-    StepUnit,
+    Attack, Config, DensityActivation, EvalSplit, Init, LEVELS, LatticePoints, Objective, OutputPlace, Passes,
+    PerturbField, PerturbKind, PixelOrigin, RegularizedFields, Resample, Resolved, ResolvedPerturb, Schedule, StepUnit,
 };
 use crate::train::checkpoint::State;
 
@@ -224,10 +223,10 @@ fn attack_numbers(perturb: &ResolvedPerturb) -> String {
 
 /// Which views are evaluated: `test`, `val`, or `every-8` for every 8th view held out.
 pub fn split_name(config: &Config) -> String {
-    let split = match (config.data.kind, config.data.eval_split) {
-        (DataKind::Blender | DataKind::BuiltinBlender, EvalSplit::Val) => "val".to_string(),
-        (DataKind::Blender | DataKind::BuiltinBlender, _) => "test".to_string(),
-        _ => format!("every-{}", config.data.holdout),
+    let split = match (config.data.kind.has_splits(), config.data.eval_split) {
+        (true, EvalSplit::Val) => "val".to_string(),
+        (true, EvalSplit::Test) => "test".to_string(),
+        (false, _) => format!("every-{}", config.data.holdout),
     };
     match config.data.test_skip {
         1 => split,

@@ -5,7 +5,7 @@ use std::path::Path;
 use crate::base::{Error, Event, Listener, Result};
 use crate::data::{Camera, Scene};
 use crate::runtime::free_memory_mib;
-use crate::settings::{Config, DataKind, MeshConfig};
+use crate::settings::{Config, MeshConfig};
 use crate::space::{Chamfer, Drawing, Lattice, Reference, chamfer, in_scene, level_set, read_mesh, sample};
 
 use super::{RenderedView, Viewer};
@@ -29,11 +29,10 @@ pub fn most_memory_mib() -> f64 {
 /// rays run through.
 pub fn surface_box(scene: &Scene) -> [[f64; 3]; 2] {
     let cube = |half: f64| [[-half; 3], [half; 3]];
-    match scene.kind {
+    match scene.format().and_then(|format| format.object_half) {
         _ if scene.ndc.is_some() => cube(1.0),
-        kind if kind == DataKind::BuiltinBlender.name() => cube(1.2),
-        kind if kind == DataKind::Blender.name() => cube(1.5),
-        _ => Lattice::seen(scene),
+        Some(half) => cube(half),
+        None => Lattice::seen(scene),
     }
 }
 
@@ -61,7 +60,7 @@ pub fn surface_reference(config: &Config, scene: &Scene) -> Result<Option<Refere
         return Ok(None);
     }
     let own = reference.is_empty() || reference == BUILTIN;
-    if own && scene.kind != DataKind::BuiltinBlender.name() {
+    if own && !scene.format().is_some_and(|format| format.has_mesh) {
         return Err(Error::Config(format!(
             "eval.mesh.resolution = {resolution} asks for a Chamfer distance, but {} ({}) comes without a mesh; set \
              eval.mesh.reference to a PLY or OBJ file in the scene's units, or eval.mesh.resolution to 0",

@@ -109,9 +109,30 @@ pub enum DataKind {
 }
 
 impl DataKind {
+    /// All kinds.
+    pub const ALL: [DataKind; 6] = [
+        DataKind::Auto,
+        DataKind::Llff,
+        DataKind::Blender,
+        DataKind::Transforms,
+        DataKind::BuiltinBlender,
+        DataKind::BuiltinForward,
+    ];
+
     /// Seen from the front only, which is where LLFF's defaults (noise, batches, decay) belong.
     pub fn forward_facing(self) -> bool {
-        matches!(self, DataKind::Llff | DataKind::BuiltinForward)
+        match self {
+            DataKind::Llff | DataKind::BuiltinForward => true,
+            DataKind::Auto | DataKind::Blender | DataKind::Transforms | DataKind::BuiltinBlender => false,
+        }
+    }
+
+    /// Comes split into training, validation and test views; of the others every N-th view is held out.
+    pub fn has_splits(self) -> bool {
+        match self {
+            DataKind::Blender | DataKind::BuiltinBlender => true,
+            DataKind::Auto | DataKind::Llff | DataKind::Transforms | DataKind::BuiltinForward => false,
+        }
     }
 
     /// The paper's `data.downscale`.

@@ -108,7 +108,7 @@ impl Config {
                 data.kind.name()
             )));
         }
-        if data.eval_split == EvalSplit::Val && other(&[DataKind::Blender, DataKind::BuiltinBlender]) {
+        if data.eval_split == EvalSplit::Val && data.kind != DataKind::Auto && !data.kind.has_splits() {
             return Err(Error::Config(format!(
                 "data.eval_split = \"val\" is for scenes with a validation split (Blender); this one is {}",
                 data.kind.name()

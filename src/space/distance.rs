@@ -255,7 +255,7 @@ mod tests {
         // Whatever a camera sees is still there.
         let (mut seen, mut rays) = (Vec::new(), 0);
         let config = DataConfig { kind: DataKind::BuiltinBlender, width: 24, ..DataConfig::default() };
-        for view in builtin::load(&config).unwrap().test {
+        for view in builtin::load_blender(&config).unwrap().test {
             for pixel in 0..24 * 24 {
                 let (origin, direction) = view.camera.ray(f64::from(pixel % 24), f64::from(pixel / 24));
                 seen.extend(stage.first_hit(origin, direction).map(|hit| along(origin, direction, hit.t)));

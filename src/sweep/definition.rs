@@ -8,6 +8,7 @@ use toml::{Table, Value};
 use crate::base::{Error, Result};
 use crate::settings::{CorruptionConfig, DataConfig};
 
+use super::axes::Axis;
 use super::extends;
 use super::points::Point;
 use crate::metrics::{Metric, Scope};
@@ -127,6 +128,9 @@ pub struct Row {
     /// `false`: the row has one point whatever the axes say, as a line to compare with.
     #[serde(default = "yes", skip_serializing_if = "is_true")]
     pub axes: bool,
+    /// What is varied of this row, instead of the sweep's axes.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub axis: Vec<Axis>,
     /// A budget of its own instead of the sweep's.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub budget: Option<Budget>,
@@ -142,32 +146,6 @@ fn is_true(value: &bool) -> bool {
 
 fn is_false(value: &bool) -> bool {
     !*value
-}
-
-/// A setting, or several that move together, with the values that it takes.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Axis {
-    /// What is varied, as the plot's x axis names it.
-    pub name: String,
-    /// What it is varied of: one panel of the plot each.
-    #[serde(default, skip_serializing_if = "String::is_empty")]
-    pub panel: String,
-    /// Dotted names of the settings, which all take the value.
-    pub keys: Vec<String>,
-    /// The values.
-    pub values: Vec<Value>,
-}
-
-impl Axis {
-    /// A value as tables and plots name it.
-    pub(super) fn named(&self, value: &Value) -> AxisValue {
-        let value = match value {
-            Value::String(text) => text.clone(),
-            other => other.to_string(),
-        };
-        AxisValue { axis: self.name.clone(), panel: self.panel.clone(), value }
-    }
 }
 
 /// What the command line changes in a definition.
@@ -265,11 +243,9 @@ impl Definition {
                 known(&format!("budget.like of row '{}'", row.name), &budget.like)?;
             }
         }
-        for axis in &self.axis {
-            let what = format!("axis '{}' {}", axis.name, axis.panel);
-            not_empty_and_distinct(&format!("keys of {what}"), &axis.keys)?;
-            let values: Vec<String> = axis.values.iter().map(Value::to_string).collect();
-            not_empty_and_distinct(&format!("values of {what}"), &values)?;
+        self.all_axes().try_for_each(check_axis)?;
+        if let Some(row) = self.row.iter().find(|row| !row.axes && !row.axis.is_empty()) {
+            return Err(format!("row '{}' has axes of its own and axes = false; remove one of them", row.name));
         }
         self.rows()
             .iter()
@@ -289,12 +265,14 @@ impl Definition {
 
     /// Points before equal ones are merged.
     fn count(&self) -> usize {
-        let of_axes = match self.combine {
-            Combine::Product => self.axis.iter().map(|axis| axis.values.len()).fold(1, usize::saturating_mul),
-            Combine::OneAtATime => self.axis.iter().map(|axis| axis.values.len()).sum::<usize>().max(1),
+        let of_axes = |axes: &[Axis]| {
+            let mut values = axes.iter().map(|axis| axis.points().map_or(0, |points| points.len()));
+            match self.combine {
+                Combine::Product => values.fold(1, usize::saturating_mul),
+                Combine::OneAtATime => values.by_ref().sum::<usize>().max(1),
+            }
         };
-        let of_rows: usize =
-            self.row.iter().map(|row| if row.axes { of_axes } else { 1 }).fold(0, usize::saturating_add);
+        let of_rows = self.row.iter().map(|row| of_axes(self.axes_of(row))).fold(0, usize::saturating_add);
         of_rows.saturating_mul(self.scenes.len()).saturating_mul(self.seeds.len())
     }
 
@@ -304,10 +282,24 @@ impl Definition {
         (*named != row.name).then(|| named.clone())
     }
 
+    /// What is varied of a row.
+    pub fn axes_of<'a>(&'a self, row: &'a Row) -> &'a [Axis] {
+        match (row.axes, row.axis.is_empty()) {
+            (false, _) => &[],
+            (true, true) => &self.axis,
+            (true, false) => &row.axis,
+        }
+    }
+
+    /// The sweep's axes, then those of rows.
+    fn all_axes(&self) -> impl Iterator<Item = &Axis> {
+        self.axis.iter().chain(self.row.iter().flat_map(|row| &row.axis))
+    }
+
     /// Which axis a value is of, and where on it: the definition's order.
     pub(super) fn axis_position(&self, named: &AxisValue) -> Option<(usize, usize)> {
-        let on = |axis: &Axis| axis.values.iter().position(|value| axis.named(value) == *named);
-        self.axis.iter().enumerate().find_map(|(index, axis)| Some((index, on(axis)?)))
+        let on = |axis: &Axis| axis.points().ok()?.iter().position(|point| axis.named(point) == *named);
+        self.all_axes().enumerate().find_map(|(index, axis)| Some((index, on(axis)?)))
     }
 
     /// What tables and plots of these points need to know.
@@ -390,6 +382,14 @@ fn checked(parsed: std::result::Result<Definition, toml::de::Error>, origin: &st
 /// The name of a scene in tables: its folder's last component.
 pub(super) fn scene_name(scene: &str) -> &str {
     scene.trim_end_matches('/').rsplit('/').next().unwrap_or(scene)
+}
+
+fn check_axis(axis: &Axis) -> std::result::Result<(), String> {
+    let what = format!("axis '{}' {}", axis.name, axis.panel);
+    not_empty_and_distinct(&format!("keys of {what}"), &axis.keys)?;
+    let points = axis.points().map_err(|message| format!("{what}: {message}"))?;
+    let labels: Vec<&str> = points.iter().map(|point| point.label.as_str()).collect();
+    not_empty_and_distinct(&format!("values of {what}"), &labels)
 }
 
 fn not_empty_and_distinct<T: PartialEq + std::fmt::Display>(

@@ -10,6 +10,7 @@
 //!                                  records ─► tables, plots
 //! ```
 
+mod axes;
 mod budget;
 mod claim;
 mod collect;
@@ -21,10 +22,11 @@ mod points;
 mod runner;
 mod training;
 
+pub use axes::{Axis, AxisPoint, RandomSpan, Scale, Span};
 pub use budget::{StepCosts, evaluations_per_step, shape, steps_within};
 pub use claim::{Beat, Claim, Claimed};
 pub use collect::Collector;
-pub use definition::{Axis, Budget, BudgetKind, Combine, Definition, Overrides, Row};
+pub use definition::{Budget, BudgetKind, Combine, Definition, Overrides, Row};
 pub use folder::{Change, Failure, PointFolder, PointResult, PointState, SweepFolder};
 pub use planning::begin;
 pub use points::{Place, Point, expand};

@@ -10,8 +10,9 @@ use crate::base::{Error, Result};
 use crate::run::locate_scene;
 use crate::settings::{Config, Preset, build};
 
+use super::axes::{Axis, AxisPoint};
 use super::budget::{StepCosts, steps_within};
-use super::definition::{Axis, Budget, Combine, Definition, Row, scene_name};
+use super::definition::{Budget, Combine, Definition, Row, scene_name};
 use crate::metrics::Scope;
 use crate::report::{AxisValue, label};
 
@@ -77,7 +78,7 @@ pub fn expand(definition: &Definition, data_root: Option<&Path>, costs: &dyn Ste
         for scene in &definition.scenes {
             let builder = Builder { definition, preset, scene, folder: scene_folder(scene, data_root), seed, costs };
             for row in &definition.row {
-                for axes in combinations(definition, row) {
+                for axes in combinations(definition, row)? {
                     let point = builder.point(row, &axes)?;
                     let Some(&index) = known.get(&point.id) else {
                         known.insert(point.id.clone(), points.len());
@@ -101,27 +102,31 @@ pub fn expand(definition: &Definition, data_root: Option<&Path>, costs: &dyn Ste
 }
 
 fn named(axes: &Combination) -> Vec<AxisValue> {
-    axes.iter().map(|(axis, value)| axis.named(value)).collect()
+    axes.iter().map(|(axis, point)| axis.named(point)).collect()
 }
 
-type Combination<'a> = Vec<(&'a Axis, &'a Value)>;
+/// A place on each of some axes.
+type Combination<'a> = Vec<(&'a Axis, AxisPoint)>;
 
-/// The axis values that a row is trained with; one empty combination for a plain row.
-fn combinations<'a>(definition: &'a Definition, row: &Row) -> Vec<Combination<'a>> {
-    if !row.axes || definition.axis.is_empty() {
-        return vec![Vec::new()];
+/// The places on axes that a row is trained at; one empty combination for a plain row.
+fn combinations<'a>(definition: &'a Definition, row: &'a Row) -> Result<Vec<Combination<'a>>> {
+    let on_axis = |axis: &'a Axis| -> Result<Combination<'a>> {
+        let points = axis.points().map_err(|message| Error::Config(format!("axis '{}': {message}", axis.name)))?;
+        Ok(points.into_iter().map(|point| (axis, point)).collect())
+    };
+    let axes: Vec<Combination> = definition.axes_of(row).iter().map(on_axis).collect::<Result<_>>()?;
+    if axes.is_empty() {
+        return Ok(vec![Vec::new()]);
     }
-    match definition.combine {
-        Combine::OneAtATime => {
-            definition.axis.iter().flat_map(|axis| axis.values.iter().map(move |value| vec![(axis, value)])).collect()
-        }
-        Combine::Product => definition.axis.iter().fold(vec![Vec::new()], |partial: Vec<Combination>, axis| {
+    Ok(match definition.combine {
+        Combine::OneAtATime => axes.into_iter().flatten().map(|point| vec![point]).collect(),
+        Combine::Product => axes.iter().fold(vec![Vec::new()], |partial: Vec<Combination>, axis| {
             let extended = |combination: &Combination<'a>| -> Vec<Combination<'a>> {
-                axis.values.iter().map(|value| [combination.as_slice(), &[(axis, value)]].concat()).collect()
+                axis.iter().map(|point| [combination.as_slice(), std::slice::from_ref(point)].concat()).collect()
             };
             partial.iter().flat_map(extended).collect()
         }),
-    }
+    })
 }
 
 /// Where a scene is; empty for the embedded ones.
@@ -189,8 +194,8 @@ impl Builder<'_> {
         for (table, value) in [&self.definition.set, &row.set].into_iter().flatten() {
             flatten(table, value, &mut assign);
         }
-        for (axis, value) in axes {
-            axis.keys.iter().for_each(|key| assign(key, (*value).clone()));
+        for (_, point) in axes {
+            point.sets.iter().for_each(|(key, value)| assign(key, value.clone()));
         }
         match self.scene {
             "builtin" => {}

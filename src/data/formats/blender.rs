@@ -11,7 +11,7 @@ use crate::data::images::{self, Size};
 use crate::data::json::{self, Object};
 use crate::data::pose::Pose;
 use crate::data::{Camera, Scene, View, background, depth, name_of};
-use crate::settings::{DataConfig, EvalSplit};
+use crate::settings::{DataConfig, DataKind, EvalSplit};
 
 /// Start and end of a ray, as for all of NeRF's synthetic scenes.
 const BOUNDS: [f64; 2] = [2.0, 6.0];
@@ -43,7 +43,7 @@ pub fn load(config: &DataConfig, events: &dyn Listener) -> Result<Scene> {
     let eval_label = format!("reading {eval} images");
     Ok(Scene {
         name: name_of(config),
-        kind: "blender",
+        kind: DataKind::Blender.name(),
         path: orbit().into_iter().map(|pose| Camera { pose, ..camera }).collect(),
         corrupted: None,
         train: train.views(config, camera, "reading train images", events)?,

@@ -1,6 +1,129 @@
-//! The kinds of scene folders that are read, a module each.
+//! The formats of scenes that are read: a module each, and one table of what they are.
+//!
+//! To read another one, write its module, add its line to [`FORMATS`] and its name to [`DataKind`]. A format of one's own
+//! needs none of that: a [`Capture`] becomes a [`Scene`] anywhere ([`Capture::hold_out`]).
 
 pub mod blender;
 pub mod builtin;
+mod capture;
 pub mod llff;
 pub mod transforms;
+
+use std::path::Path;
+
+use crate::base::{Listener, Result};
+use crate::data::Scene;
+use crate::settings::{DataConfig, DataKind, Preset};
+
+pub use capture::Capture;
+
+/// Reference depth that a format's views may have.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ReferenceDepth {
+    /// None.
+    None,
+    /// Maps in steps of 8 bits.
+    EightBit,
+    /// To the last digit.
+    Exact,
+}
+
+/// A format of scenes.
+pub struct Format {
+    /// Its name in settings.
+    pub kind: DataKind,
+    /// The file that makes a folder such a scene, and whose format it is; none for what needs no folder.
+    pub marker: Option<&'static str>,
+    /// Whether a folder is such a scene.
+    pub detect: fn(&Path) -> bool,
+    /// Reads the scene. `downscale` is filled.
+    pub read: fn(&DataConfig, &dyn Listener) -> Result<Scene>,
+    /// What is trained with where nobody names a preset.
+    pub preset: Preset,
+    /// Reference depth that views may have.
+    pub depth: ReferenceDepth,
+    /// Half the side of the cube around the origin that holds the objects, scene units; none where only the training rays
+    /// tell.
+    pub object_half: Option<f64>,
+    /// The scene's own surface is known.
+    pub has_mesh: bool,
+}
+
+/// All formats; a folder is of the first that detects it.
+pub static FORMATS: [Format; 5] = [
+    Format {
+        kind: DataKind::Llff,
+        marker: Some("poses_bounds.npy (LLFF)"),
+        detect: |dir| dir.join(llff::POSES_FILE).is_file(),
+        read: llff::load,
+        preset: Preset::PaperLlff,
+        depth: ReferenceDepth::None,
+        object_half: None,
+        has_mesh: false,
+    },
+    Format {
+        kind: DataKind::Blender,
+        marker: Some("transforms_train.json (Blender)"),
+        detect: |dir| dir.join(blender::transforms_file("train")).is_file(),
+        read: blender::load,
+        preset: Preset::PaperBlender,
+        depth: ReferenceDepth::EightBit,
+        object_half: Some(1.5),
+        has_mesh: false,
+    },
+    Format {
+        kind: DataKind::Transforms,
+        marker: Some("transforms.json (instant-ngp, nerfstudio)"),
+        detect: |dir| dir.join(transforms::TRANSFORMS_FILE).is_file(),
+        read: transforms::load,
+        preset: Preset::PaperBlender,
+        depth: ReferenceDepth::None,
+        object_half: None,
+        has_mesh: false,
+    },
+    Format {
+        kind: DataKind::BuiltinBlender,
+        marker: None,
+        detect: |_| false,
+        read: |config, _| builtin::load_blender(config),
+        preset: Preset::Smoke,
+        depth: ReferenceDepth::Exact,
+        object_half: Some(1.2),
+        has_mesh: true,
+    },
+    Format {
+        kind: DataKind::BuiltinForward,
+        marker: None,
+        detect: |_| false,
+        read: |config, _| builtin::load_forward(config),
+        preset: Preset::Smoke,
+        depth: ReferenceDepth::Exact,
+        object_half: None,
+        has_mesh: false,
+    },
+];
+
+impl Format {
+    /// The format of a settled kind; none for `auto`.
+    pub fn of(kind: DataKind) -> Option<&'static Format> {
+        FORMATS.iter().find(|format| format.kind == kind)
+    }
+
+    /// The format that a folder is of.
+    pub fn of_folder(dir: &Path) -> Option<&'static Format> {
+        FORMATS.iter().find(|format| (format.detect)(dir))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_kind_but_auto_has_one_format() {
+        for kind in DataKind::ALL {
+            let formats = FORMATS.iter().filter(|format| format.kind == kind).count();
+            assert_eq!(formats, usize::from(kind != DataKind::Auto), "{}", kind.name());
+        }
+    }
+}

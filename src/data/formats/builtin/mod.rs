@@ -16,8 +16,9 @@ pub use mesh::Mesh;
 pub use stage::{Frame, Hit, Picture, Stage};
 
 use crate::base::{Error, Result};
+use crate::data::formats::Capture;
 use crate::data::resample::composite;
-use crate::data::{Camera, Ndc, Scene, View, background, split_every};
+use crate::data::{Camera, Ndc, Scene, View, background};
 use crate::settings::{DataConfig, DataKind, EvalSplit};
 use views::Split;
 
@@ -37,20 +38,9 @@ pub fn forward_stage() -> Stage {
     Stage::new(still_life::on_table(), views::forward_frame())
 }
 
-/// Renders the embedded scene as `config` asks: its kind (`BuiltinBlender` or `BuiltinForward`),
-/// width or downscale, splits, background and pixel origin.
-pub fn load(config: &DataConfig) -> Result<Scene> {
-    match config.kind {
-        DataKind::BuiltinBlender => load_blender(config),
-        DataKind::BuiltinForward => load_forward(config),
-        other => Err(Error::Config(format!(
-            "data.kind = {} is not an embedded scene: it must be builtin-blender or builtin-forward",
-            other.name()
-        ))),
-    }
-}
-
-fn load_blender(config: &DataConfig) -> Result<Scene> {
+/// Renders the embedded scene seen from all around as `config` asks: width or downscale, splits, background, pixel
+/// origin.
+pub fn load_blender(config: &DataConfig) -> Result<Scene> {
     let width = columns(config)?;
     let stage = blender_stage();
     let background = background(config);
@@ -76,7 +66,8 @@ fn load_blender(config: &DataConfig) -> Result<Scene> {
     })
 }
 
-fn load_forward(config: &DataConfig) -> Result<Scene> {
+/// Renders the embedded scene seen from the front as `config` asks: width or downscale, hold-out, NDC, pixel origin.
+pub fn load_forward(config: &DataConfig) -> Result<Scene> {
     let width = columns(config)?;
     let stage = forward_stage();
     let cameras = views::before(width);
@@ -85,19 +76,9 @@ fn load_forward(config: &DataConfig) -> Result<Scene> {
     let camera = cameras[0].1;
     let ndc = Ndc { width: camera.width as f64, height: camera.height as f64, focal: camera.focal[0] };
     let (near, far) = if config.ndc { (0.0, 1.0) } else { depth_range(&all) };
-    let (train, test) = split_every(all, config.holdout, config.test_skip);
-    Ok(Scene {
-        name: "builtin".into(),
-        kind: DataKind::BuiltinForward.name(),
-        train,
-        test,
-        near,
-        far,
-        ndc: config.ndc.then_some(ndc),
-        background: None,
-        path: views::spiral(width),
-        corrupted: None,
-    })
+    let ndc = config.ndc.then_some(ndc);
+    let capture = Capture { views: all, path: views::spiral(width), near, far, ndc, background: None };
+    Ok(capture.hold_out("builtin".into(), DataKind::BuiltinForward.name(), config))
 }
 
 /// The working width in pixels.

@@ -157,6 +157,10 @@ fn depth_is_exact_on_a_known_pixel() {
     assert_eq!(picture.depth[2 * 9 + 7], 4.72);
 }
 
+fn load(config: &DataConfig) -> Result<Scene> {
+    crate::data::load(config, 0, &())
+}
+
 #[test]
 fn a_blender_scene_has_what_training_needs() {
     let scene = load(&config(DataKind::BuiltinBlender, 32)).unwrap();

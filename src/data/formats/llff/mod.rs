@@ -11,11 +11,12 @@ pub use poses::Poses;
 
 pub(super) use path::{POSES, spiral};
 
-use crate::base::{Error, Image, Listener, Result};
+use crate::base::{Error, Listener, Result};
+use crate::data::formats::Capture;
 use crate::data::images::{self, Size};
 use crate::data::pose::Pose;
-use crate::data::{Camera, Ndc, Scene, View, background, name_of, split_every};
-use crate::settings::DataConfig;
+use crate::data::{Camera, Ndc, Scene, background, name_of};
+use crate::settings::{DataConfig, DataKind};
 use folder::Source;
 
 /// The file that makes a folder an LLFF scene.
@@ -47,20 +48,16 @@ pub fn load(config: &DataConfig, events: &dyn Listener) -> Result<Scene> {
         check_facing(&cameras, &names, &file)?;
     }
     let (images, clear) = images::read_all(&source.paths, source.target, background(config), "reading images", events)?;
-    let (train, test) = split_every(views(names, cameras, images), config.holdout, config.test_skip);
     let ndc = Ndc { width: source.target.0 as f64, height: source.target.1 as f64, focal: camera.focal[0] };
-    Ok(Scene {
-        name: name_of(config),
-        kind: "llff",
-        train,
-        test,
+    let capture = Capture {
+        views: Capture::views(names, cameras, images),
         near: if config.ndc { 0.0 } else { 0.9 * poses.nearest() },
         far: if config.ndc { 1.0 } else { poses.farthest() },
         ndc: config.ndc.then_some(ndc),
         background: clear.then(|| background(config)),
         path: path.into_iter().map(|pose| Camera { pose, ..camera }).collect(),
-        corrupted: None,
-    })
+    };
+    Ok(capture.hold_out(name_of(config), DataKind::Llff.name(), config))
 }
 
 /// Scales, recentres and, where asked, spherifies; returns the video path.
@@ -87,12 +84,6 @@ fn focal(poses: &Poses, config: &DataConfig, target: (usize, usize)) -> f64 {
 fn camera_at((width, height): (usize, usize), focal: f64) -> Camera {
     let centre = [width as f64 / 2.0, height as f64 / 2.0];
     Camera { width, height, focal: [focal; 2], centre, pose: [[0.0; 4]; 3] }
-}
-
-fn views(names: Vec<String>, cameras: Vec<Camera>, images: Vec<Image>) -> Vec<View> {
-    let view =
-        |((name, camera), image): ((String, Camera), Image)| View { name, camera, image: image.into(), depth: None };
-    names.into_iter().zip(cameras).zip(images).map(view).collect()
 }
 
 fn check_count(source: &Source, poses: usize, file: &Path) -> Result<()> {

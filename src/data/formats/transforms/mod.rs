@@ -16,11 +16,12 @@ mod path;
 use std::path::{Path, PathBuf};
 
 use crate::base::{Error, Image, Listener, Result};
+use crate::data::formats::Capture;
 use crate::data::images::{self, Size};
 use crate::data::json::{self, Object};
 use crate::data::pose::{self, Pose};
-use crate::data::{Camera, Scene, View, background, name_of, resample, split_every};
-use crate::settings::DataConfig;
+use crate::data::{Camera, Scene, background, name_of, resample};
+use crate::settings::{DataConfig, DataKind};
 use distortion::Intrinsics;
 use lens::Lens;
 
@@ -54,21 +55,15 @@ pub fn load(config: &DataConfig, events: &dyn Listener) -> Result<Scene> {
     let poses: Vec<Pose> = cameras.iter().map(|c| c.pose).collect();
     let path = path::around(&poses).map_err(|e| Error::Data(format!("{}: {e}", file.display())))?;
     let first = cameras[0];
-    let named = images::names(&paths).into_iter().zip(cameras).zip(images);
-    let views = named.map(|((name, camera), image)| View { name, camera, image: image.into(), depth: None }).collect();
-    let (train, test) = split_every(views, config.holdout, config.test_skip);
-    Ok(Scene {
-        name: name_of(config),
-        kind: "transforms",
-        train,
-        test,
+    let capture = Capture {
+        views: Capture::views(images::names(&paths), cameras, images),
         near: BOUNDS[0],
         far: BOUNDS[1],
         ndc: None,
         background: clear.then(|| background(config)),
         path: path.into_iter().map(|pose| Camera { pose, ..first }).collect(),
-        corrupted: None,
-    })
+    };
+    Ok(capture.hold_out(name_of(config), DataKind::Transforms.name(), config))
 }
 
 /// All frames, sorted by file, and the size of their images.

@@ -1,0 +1,46 @@
+//! What formats without splits have in common: posed views of which every N-th is held out.
+
+use crate::base::Image;
+use crate::data::{Camera, Ndc, Scene, View};
+use crate::settings::DataConfig;
+
+/// Posed photographs in their order, before any is held out.
+pub struct Capture {
+    /// The views at the working resolution, poses final.
+    pub views: Vec<View>,
+    /// Cameras of the video path.
+    pub path: Vec<Camera>,
+    /// Start of a ray's interval, in the units of `t_vals` (0 under NDC).
+    pub near: f64,
+    /// Its end (1 under NDC).
+    pub far: f64,
+    /// Set when rays are mapped to normalised device coordinates.
+    pub ndc: Option<Ndc>,
+    /// What see-through pixels were put on; none for opaque photographs.
+    pub background: Option<[f32; 3]>,
+}
+
+impl Capture {
+    /// Views without reference depth from names, cameras and images of one order.
+    pub fn views(names: Vec<String>, cameras: Vec<Camera>, images: Vec<Image>) -> Vec<View> {
+        let view =
+            |((name, camera), image): ((String, Camera), Image)| View { name, camera, image: image.into(), depth: None };
+        names.into_iter().zip(cameras).zip(images).map(view).collect()
+    }
+
+    /// The scene: every `config.holdout`-th view is held out, starting with the first, and of those every
+    /// `config.test_skip`-th is kept. `kind` is the format's name in files and tables.
+    pub fn hold_out(self, name: String, kind: &'static str, config: &DataConfig) -> Scene {
+        let (holdout, test_skip) = (config.holdout.max(1), config.test_skip.max(1));
+        let (mut train, mut test) = (Vec::new(), Vec::new());
+        for (i, view) in self.views.into_iter().enumerate() {
+            if i % holdout != 0 {
+                train.push(view);
+            } else if (i / holdout).is_multiple_of(test_skip) {
+                test.push(view);
+            }
+        }
+        let Capture { path, near, far, ndc, background, .. } = self;
+        Scene { name, kind, train, test, near, far, ndc, background, path, corrupted: None }
+    }
+}

@@ -1,0 +1,268 @@
+//! What a sweep varies: settings that move together, and the values that they take.
+
+use serde::{Deserialize, Serialize};
+use toml::Value;
+
+use crate::base::rng::{Random, Stream};
+use crate::report::AxisValue;
+
+/// More values than a figure can show.
+const MOST_VALUES: usize = 1000;
+
+/// A setting, or several that move together, with the values that it takes: one of `values`, `zip`, `log` and `random`.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Axis {
+    /// What is varied, as the plot's x axis names it.
+    pub name: String,
+    /// What it is varied of: one panel of the plot each.
+    #[serde(default, skip_serializing_if = "String::is_empty")]
+    pub panel: String,
+    /// Dotted names of the settings.
+    pub keys: Vec<String>,
+    /// The values; all keys take the same.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub values: Option<Vec<Value>>,
+    /// The values of all keys, in their order, of each point.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub zip: Option<Vec<Vec<Value>>>,
+    /// Values evenly spaced in their logarithm, both ends among them.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub log: Option<Span>,
+    /// Values drawn at random, in ascending order.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub random: Option<RandomSpan>,
+}
+
+/// So many values between two numbers. Between integers they are integers.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Span {
+    /// The least.
+    pub from: Value,
+    /// The largest.
+    pub to: Value,
+    /// How many.
+    pub count: usize,
+}
+
+/// So many values drawn between two numbers.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct RandomSpan {
+    /// None is less.
+    pub from: Value,
+    /// None is larger.
+    pub to: Value,
+    /// How many.
+    pub count: usize,
+    /// What they are uniform in.
+    #[serde(default)]
+    pub scale: Scale,
+    /// Seed of the draws.
+    #[serde(default)]
+    pub seed: u64,
+}
+
+/// What random values are uniform in.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Scale {
+    /// The number.
+    #[default]
+    Linear,
+    /// Its logarithm.
+    Log,
+}
+
+/// A place on an axis.
+#[derive(Clone, Debug, PartialEq)]
+pub struct AxisPoint {
+    /// The value as tables and plots name it.
+    pub label: String,
+    /// Dotted names with what they are set to.
+    pub sets: Vec<(String, Value)>,
+}
+
+impl Axis {
+    /// The places on the axis, in order.
+    ///
+    /// # Errors
+    /// A sentence on what is wrong with the definition.
+    pub fn points(&self) -> Result<Vec<AxisPoint>, String> {
+        let same = |values: Vec<Value>| -> Vec<AxisPoint> { values.into_iter().map(|value| self.all(value)).collect() };
+        let points = match (&self.values, &self.zip, &self.log, &self.random) {
+            (Some(values), None, None, None) => same(values.clone()),
+            (None, Some(zip), None, None) => zip.iter().map(|row| self.zipped(row)).collect::<Result<_, _>>()?,
+            (None, None, Some(span), None) => same(span.values()?),
+            (None, None, None, Some(random)) => same(random.values()?),
+            _ => return Err("give one of values, zip, log and random".into()),
+        };
+        if points.len() > MOST_VALUES {
+            return Err(format!("{} values are more than {MOST_VALUES}", points.len()));
+        }
+        Ok(points)
+    }
+
+    /// All keys at one value.
+    fn all(&self, value: Value) -> AxisPoint {
+        let label = text(&value);
+        AxisPoint { label, sets: self.keys.iter().map(|key| (key.clone(), value.clone())).collect() }
+    }
+
+    /// Each key at its own value.
+    fn zipped(&self, row: &[Value]) -> Result<AxisPoint, String> {
+        if row.len() != self.keys.len() {
+            return Err(format!(
+                "zip has {} values in [{}], but there are {} keys: give each key its value",
+                row.len(),
+                row.iter().map(text).collect::<Vec<_>>().join(", "),
+                self.keys.len()
+            ));
+        }
+        let label = row.iter().map(text).collect::<Vec<String>>().join(" / ");
+        Ok(AxisPoint { label, sets: self.keys.iter().cloned().zip(row.iter().cloned()).collect() })
+    }
+
+    /// A place as records name it.
+    pub(super) fn named(&self, point: &AxisPoint) -> AxisValue {
+        AxisValue { axis: self.name.clone(), panel: self.panel.clone(), value: point.label.clone() }
+    }
+}
+
+impl Span {
+    fn values(&self) -> Result<Vec<Value>, String> {
+        let (from, to) = ends("log", &self.from, &self.to)?;
+        if from <= 0.0 {
+            return Err(format!("log.from = {} has no logarithm: it must be positive", text(&self.from)));
+        }
+        if self.count < 2 {
+            return Err(format!("log.count = {} is out of range: it must be at least 2, both ends", self.count));
+        }
+        // Each from its own exponent: no error adds up from one value to the next.
+        let at = |i: usize| match i {
+            0 => from,
+            i if i + 1 == self.count => to,
+            i => from * (to / from).powf(i as f64 / (self.count - 1) as f64),
+        };
+        Ok(numbers((0..self.count).map(at), &self.from, &self.to))
+    }
+}
+
+impl RandomSpan {
+    fn values(&self) -> Result<Vec<Value>, String> {
+        let (from, to) = ends("random", &self.from, &self.to)?;
+        if self.scale == Scale::Log && from <= 0.0 {
+            return Err(format!("random.from = {} has no logarithm: it must be positive", text(&self.from)));
+        }
+        if self.count < 1 {
+            return Err("random.count = 0 is out of range: it must be at least 1".into());
+        }
+        let mut random = Random::new(self.seed, Stream::Axis, 0);
+        let mut drawn: Vec<f64> = (0..self.count)
+            .map(|_| match self.scale {
+                Scale::Linear => from + (to - from) * random.uniform(),
+                Scale::Log => from * (to / from).powf(random.uniform()),
+            })
+            .collect();
+        drawn.sort_by(f64::total_cmp);
+        Ok(numbers(drawn.into_iter(), &self.from, &self.to))
+    }
+}
+
+/// Two ends as numbers, in order.
+fn ends(kind: &str, from: &Value, to: &Value) -> Result<(f64, f64), String> {
+    let number = |name: &str, value: &Value| {
+        let number = value.as_float().or(value.as_integer().map(|integer| integer as f64));
+        number
+            .filter(|number| number.is_finite())
+            .ok_or_else(|| format!("{kind}.{name} = {} is out of range: it must be a finite number", text(value)))
+    };
+    let (low, high) = (number("from", from)?, number("to", to)?);
+    if low < high {
+        return Ok((low, high));
+    }
+    Err(format!("{kind}.to = {} is out of range: it must be above {kind}.from = {}", text(to), text(from)))
+}
+
+/// Numbers of four figures, or integers between integers: labels stay short, and what they say is what is set.
+fn numbers(values: impl Iterator<Item = f64>, from: &Value, to: &Value) -> Vec<Value> {
+    let integers = from.is_integer() && to.is_integer();
+    let value = |value: f64| match integers {
+        true => Value::Integer(value.round() as i64),
+        false => Value::Float(format!("{value:.3e}").parse().expect("a number's own text")),
+    };
+    values.map(value).collect()
+}
+
+/// A value as tables and plots name it.
+fn text(value: &Value) -> String {
+    match value {
+        Value::String(text) => text.clone(),
+        other => other.to_string(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn axis(text: &str) -> Axis {
+        toml::from_str(&format!("name = \"n\"\n{text}")).unwrap()
+    }
+
+    fn labels(text: &str) -> Vec<String> {
+        axis(text).points().unwrap().into_iter().map(|point| point.label).collect()
+    }
+
+    #[test]
+    fn log_spacing_has_short_values_and_both_ends() {
+        let text = "keys = [\"a\"]\nlog = { from = 1e-5, to = 0.1, count = 5 }";
+        assert_eq!(
+            labels(text),
+            ["0.00001", "0.0001", "0.001", "0.01", "0.1"].map(|t| t.parse::<f64>().unwrap().to_string())
+        );
+        assert_eq!(labels("keys = [\"a\"]\nlog = { from = 1, to = 100, count = 4 }"), ["1", "5", "22", "100"]);
+        assert_eq!(labels("keys = [\"a\"]\nlog = { from = 1.0, to = 3.0, count = 3 }"), ["1.0", "1.732", "3.0"]);
+    }
+
+    #[test]
+    fn random_values_are_drawn_once_and_for_all() {
+        let text = |seed: u64| {
+            format!("keys = [\"a\"]\nrandom = {{ from = 1e-3, to = 10.0, count = 40, scale = \"log\", seed = {seed} }}")
+        };
+        let drawn = labels(&text(1));
+        assert_eq!(drawn, labels(&text(1)));
+        assert_ne!(drawn, labels(&text(2)));
+        let numbers: Vec<f64> = drawn.iter().map(|label| label.parse().unwrap()).collect();
+        assert!(numbers.is_sorted() && numbers.iter().all(|n| (1e-3..=10.0).contains(n)));
+        // Half of them lie below the geometric mean, 0.1.
+        assert!((10..30).contains(&numbers.iter().filter(|n| **n < 0.1).count()), "{numbers:?}");
+    }
+
+    #[test]
+    fn zipped_keys_take_their_own_values() {
+        let points = axis("keys = [\"a.x\", \"b\"]\nzip = [[1, \"tv\"], [2, \"l1\"]]").points().unwrap();
+        assert_eq!(points[1].label, "2 / l1");
+        let sets = [("a.x".to_string(), Value::Integer(2)), ("b".to_string(), Value::String("l1".into()))];
+        assert_eq!(points[1].sets, sets);
+    }
+
+    #[test]
+    fn wrong_axes_are_refused_in_words() {
+        for (text, words) in [
+            ("keys = [\"a\"]", "one of values, zip, log and random"),
+            ("keys = [\"a\"]\nvalues = [1]\nlog = { from = 1, to = 2, count = 2 }", "one of"),
+            ("keys = [\"a\", \"b\"]\nzip = [[1]]", "2 keys"),
+            ("keys = [\"a\"]\nlog = { from = 0, to = 2, count = 2 }", "positive"),
+            ("keys = [\"a\"]\nlog = { from = 3, to = 2, count = 2 }", "above log.from = 3"),
+            ("keys = [\"a\"]\nlog = { from = 1, to = 2, count = 1 }", "at least 2"),
+            ("keys = [\"a\"]\nlog = { from = \"x\", to = 2, count = 3 }", "log.from = x"),
+            ("keys = [\"a\"]\nrandom = { from = 1, to = 2, count = 0 }", "at least 1"),
+            ("keys = [\"a\"]\nrandom = { from = 1, to = 9e9, count = 5000 }", "more than 1000"),
+        ] {
+            let error = axis(text).points().unwrap_err();
+            assert!(error.contains(words), "{text}: {error}");
+        }
+    }
+}
