@@ -23,8 +23,12 @@ pub struct Capture {
 impl Capture {
     /// Views without reference depth from names, cameras and images of one order.
     pub fn views(names: Vec<String>, cameras: Vec<Camera>, images: Vec<Image>) -> Vec<View> {
-        let view =
-            |((name, camera), image): ((String, Camera), Image)| View { name, camera, image: image.into(), depth: None };
+        let view = |((name, camera), image): ((String, Camera), Image)| View {
+            name,
+            camera,
+            image: image.into(),
+            depth: None,
+        };
         names.into_iter().zip(cameras).zip(images).map(view).collect()
     }
 
