@@ -6,7 +6,7 @@ use clap::Args;
 
 use crate::base::files::AtomicDir;
 use crate::base::{Error, Result};
-use crate::compare::{Comparison, Contender, Window, check_box, check_fade, labels};
+use crate::compare::{Comparison, RunView, Window, check_box, check_fade, labels};
 use crate::run::{RunDir, Trained, Viewer};
 use crate::runtime::Runtime;
 use crate::train::checkpoint;
@@ -32,7 +32,7 @@ pub struct Runs {
 }
 
 /// What is made of each run, with the runs' folders, which stay locked.
-pub type Gathered<T> = (Vec<(Contender, T)>, Vec<RunDir>);
+pub type Gathered<T> = (Vec<(RunView, T)>, Vec<RunDir>);
 
 impl Runs {
     /// How many are named.
@@ -45,9 +45,9 @@ impl Runs {
         &self,
         runtime: &Runtime,
         console: &Console,
-        make: impl Fn(&Viewer, &Contender) -> Result<T>,
+        make: impl Fn(&Viewer, &RunView) -> Result<T>,
     ) -> Result<Gathered<T>> {
-        let (mut gathered, mut folders) = (Vec::<(Contender, T)>::new(), Vec::new());
+        let (mut gathered, mut folders) = (Vec::<(RunView, T)>::new(), Vec::new());
         let labels = labels(&self.runs, &self.labels)?;
         // A folder without a trained run is refused before the first rendering.
         for run in &self.runs {
@@ -58,11 +58,11 @@ impl Runs {
         for (run, label) in self.runs.iter().zip(labels) {
             let trained = Trained::open(run, self.data.as_deref(), runtime, console)?;
             let (viewer, state) = (trained.viewer(), &trained.state);
-            let contender = Contender::new(label, &viewer, state, &self.view)?;
-            gathered.first().map_or(Ok(()), |(first, _)| contender.check_alike(first))?;
-            console.say(&format!("{}: view {} at step {}", contender.label, contender.view.name, state.step));
-            let made = make(&viewer, &contender)?;
-            gathered.push((contender, made));
+            let shown = RunView::new(label, &viewer, state, &self.view)?;
+            gathered.first().map_or(Ok(()), |(first, _)| shown.check_alike(first))?;
+            console.say(&format!("{}: view {} at step {}", shown.label, shown.view.name, state.step));
+            let made = make(&viewer, &shown)?;
+            gathered.push((shown, made));
             folders.push(trained.run);
         }
         Ok((gathered, folders))
@@ -103,7 +103,7 @@ impl CompareArguments {
     fn compare(&self, zoom: Option<Window>, runtime: &Runtime) -> Result<()> {
         let console = Console::new(self.compute.quiet);
         let box_width = self.box_width.map(|width| width as usize);
-        let render = |viewer: &Viewer, run: &Contender| {
+        let render = |viewer: &Viewer, run: &RunView| {
             check_box(zoom, box_width, &run.view.image)?;
             viewer.render(&run.view.camera)
         };

@@ -6,7 +6,7 @@ use clap::Args;
 
 use crate::base::files::AtomicDir;
 use crate::base::{Error, Result};
-use crate::compare::{Contender, Profile, Profiles, Window, check_overlay, patch_around};
+use crate::compare::{Profile, Profiles, RunView, Window, check_overlay, patch_around};
 use crate::run::Viewer;
 use crate::runtime::Runtime;
 
@@ -42,12 +42,12 @@ impl ProfileArguments {
 
     fn profile(&self, asked: Option<(usize, usize)>, runtime: &Runtime) -> Result<()> {
         let console = Console::new(self.compute.quiet);
-        let place = |run: &Contender| -> Result<((usize, usize), Window)> {
+        let place = |run: &RunView| -> Result<((usize, usize), Window)> {
             let size = (run.view.camera.width, run.view.camera.height);
             let pixel = asked.unwrap_or((size.0 / 2, size.1 / 2));
             Ok((pixel, patch_around(pixel, usize::from(self.patch), size)?))
         };
-        let measure = |viewer: &Viewer, run: &Contender| {
+        let measure = |viewer: &Viewer, run: &RunView| {
             let (pixel, patch) = place(run)?;
             Profile::measure(viewer, run, pixel, patch)
         };

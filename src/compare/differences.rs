@@ -2,7 +2,7 @@
 
 use serde::Serialize;
 
-use super::Contender;
+use super::run_view::RunView;
 use crate::run::columns;
 use crate::settings::Config;
 
@@ -90,7 +90,7 @@ fn spoken_of(setting: &str) -> bool {
 
 /// In what the runs differ: fields of their protocols first, then settings that these do not speak of.
 /// A setting of the perturbed pass differs between runs that have one.
-pub fn differences(runs: &[&Contender]) -> Vec<Difference> {
+pub fn differences(runs: &[&RunView]) -> Vec<Difference> {
     let mut found = Vec::new();
     let mut compare = |rows: Vec<Vec<(String, String)>>, skip: &dyn Fn(&str) -> bool| {
         let names = rows.iter().flatten().map(|(name, _)| name).collect::<Vec<_>>();
@@ -114,15 +114,15 @@ pub fn differences(runs: &[&Contender]) -> Vec<Difference> {
 }
 
 /// One run's side of the differences as a line of text.
-pub(super) fn told(differences: &[Difference], run: usize) -> String {
+pub(super) fn difference_text(differences: &[Difference], run: usize) -> String {
     let own = differences.iter().filter(|difference| !difference.values[run].is_empty());
-    let told = own.map(|difference| {
+    let named = own.map(|difference| {
         let Difference { name, values } = difference;
         // A setting keeps the name that --set knows it by; a field of the protocol becomes words.
         let name = if name.contains('.') { name.clone() } else { name.replace('_', " ") };
         format!("{name} {}", short(&values[run]))
     });
-    told.collect::<Vec<String>>().join("; ")
+    named.collect::<Vec<String>>().join("; ")
 }
 
 /// A text with its long fractions rounded to four digits: 0.8333333333333334 as 0.8333. Files have all of them.

@@ -1,18 +1,16 @@
 //! What runs hold along the ray of one pixel and of those around it.
 
-use std::path::Path;
-
 use candle_core::{DType, Tensor};
 use serde::Serialize;
 
-use super::{Contender, Difference, Window, differences, profile_figure};
-use crate::base::files::{write_atomic, write_json};
+use super::run_view::RunView;
+use super::window::Window;
 use crate::base::{Error, Result};
 use crate::data::{RayBuffer, Rays};
 use crate::render::sampling::stratified;
 use crate::render::volume::middles;
 use crate::render::{Pass, PassOutput, clean_pass, columns, fine_t_vals, points_at, ray_parts};
-use crate::run::{Protocol, Viewer};
+use crate::run::Viewer;
 
 /// Even samples of a ray: over 6 units, more than two for each period of the encoding's finest octave, 2 pi / 2^9.
 pub const EVEN: usize = 1024;
@@ -36,7 +34,7 @@ pub struct Samples {
 
 /// How a run's density and colour change over a patch, on the even lattice; the smaller the smoother.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Smoothness {
+pub struct RaySmoothness {
     /// Mean density of the patch's rays, 1 / unit of space (of NDC, where rays are there): what the others are to be seen against.
     pub density_mean: f64,
     /// Total variation of density along a ray, the sum of |change| from sample to sample; mean over rays.
@@ -63,7 +61,7 @@ pub struct Profile {
     /// Mean of t over the pixel's weights; none where nothing was accumulated.
     pub depth: Option<f32>,
     /// How smooth the patch is.
-    pub smoothness: Smoothness,
+    pub smoothness: RaySmoothness,
 }
 
 /// A square of `side` pixels around a pixel, moved where it would reach beyond the view.
@@ -87,7 +85,7 @@ pub fn patch_around((x, y): (usize, usize), side: usize, (width, height): (usize
 
 impl Profile {
     /// Along the ray of `pixel`, as an evaluation samples it, and evenly along those of `patch`, which holds it.
-    pub fn measure(viewer: &Viewer, run: &Contender, pixel: (usize, usize), patch: Window) -> Result<Profile> {
+    pub fn measure(viewer: &Viewer, run: &RunView, pixel: (usize, usize), patch: Window) -> Result<Profile> {
         let Viewer { model, config, scene, device } = *viewer;
         let camera = &run.view.camera;
         let (near, far) = scene.bounds();
@@ -130,7 +128,7 @@ impl Profile {
 }
 
 /// A window's pixels, row by row.
-fn pixels_of(Window { x, y, width, height }: Window) -> Vec<(usize, usize)> {
+pub(super) fn pixels_of(Window { x, y, width, height }: Window) -> Vec<(usize, usize)> {
     (y..y + height).flat_map(|y| (x..x + width).map(move |x| (x, y))).collect()
 }
 
@@ -174,11 +172,11 @@ fn transmittance(t_vals: &[f32], density: &[f32], norm: f32) -> Vec<f32> {
 }
 
 /// Of the rays of a patch of `width` columns.
-fn smoothness(rays: &[Samples], width: usize) -> Smoothness {
+fn smoothness(rays: &[Samples], width: usize) -> RaySmoothness {
     let density = |ray: usize, k: usize| vec![f64::from(rays[ray].density[k])];
     let rgb = |ray: usize, k: usize| rays[ray].rgb[k].iter().map(|&c| f64::from(c)).collect();
     let count = (rays.len() * EVEN) as f64;
-    Smoothness {
+    RaySmoothness {
         density_mean: rays.iter().flat_map(|ray| &ray.density).map(|&density| f64::from(density)).sum::<f64>() / count,
         density_tv_along: along(rays.len(), &density),
         density_tv_across: across(rays.len(), width, &density),
@@ -209,129 +207,18 @@ fn across(rays: usize, width: usize, value: &impl Fn(usize, usize) -> Vec<f64>) 
 
 /// Several runs along the same rays.
 pub struct Profiles {
-    /// Runs that have passed [`Contender::check_alike`].
-    pub runs: Vec<(Contender, Profile)>,
+    /// Runs that have passed [`RunView::check_alike`].
+    pub runs: Vec<(RunView, Profile)>,
     /// The pixel whose ray it is.
     pub pixel: (usize, usize),
     /// Those around it.
     pub patch: Window,
 }
 
-/// A line of `ray.csv`.
-#[derive(Serialize)]
-struct RayRow<'a> {
-    run: &'a str,
-    pixel_x: usize,
-    pixel_y: usize,
-    samples: &'static str,
-    t: f32,
-    x: f32,
-    y: f32,
-    z: f32,
-    density: f32,
-    weight: f32,
-    transmittance: f32,
-    r: f32,
-    g: f32,
-    b: f32,
-}
-
-/// `profile.json`.
-#[derive(Serialize)]
-struct Report<'a> {
-    scene: &'a str,
-    view: &'a str,
-    index: usize,
-    pixel: (usize, usize),
-    patch: Window,
-    even_samples: usize,
-    t_unit: &'static str,
-    /// The photograph's colour of the pixel.
-    truth_rgb: &'a [f32],
-    differences: Vec<Difference>,
-    runs: Vec<RunReport<'a>>,
-}
-
-#[derive(Serialize)]
-struct RunReport<'a> {
-    run: &'a str,
-    rgb: [f32; 3],
-    depth: Option<f32>,
-    smoothness: &'a Smoothness,
-    protocol: &'a Protocol,
-}
-
 impl Profiles {
-    /// Writes `profile.svg`, `profile.png`, `ray.csv`, `patch.csv` and `profile.json` into a folder.
-    pub fn write(&self, folder: &Path) -> Result<()> {
-        let figure = profile_figure::draw(self)?;
-        write_atomic(&folder.join("profile.svg"), figure.svg.as_bytes())?;
-        write_atomic(&folder.join("profile.png"), &figure.png)?;
-        self.write_csv(&folder.join("ray.csv"), |run, profile| {
-            let passes = [("coarse", Some(&profile.coarse)), ("fine", profile.fine.as_ref())];
-            let passes = passes.into_iter().filter_map(|(name, samples)| Some((name, samples?)));
-            let rows = passes.chain([("even", self.own(profile))]);
-            rows.flat_map(|(name, samples)| ray_rows(run, self.pixel, name, samples)).collect()
-        })?;
-        self.write_csv(&folder.join("patch.csv"), |run, profile| {
-            let rays = pixels_of(self.patch).into_iter().zip(&profile.even);
-            rays.flat_map(|(pixel, samples)| ray_rows(run, pixel, "even", samples)).collect()
-        })?;
-        write_json(&folder.join("profile.json"), &self.report())
-    }
-
     /// The pixel's own even samples.
     pub fn own<'a>(&self, profile: &'a Profile) -> &'a Samples {
         let (x, y) = self.pixel;
         &profile.even[(y - self.patch.y) * self.patch.width + x - self.patch.x]
     }
-
-    fn write_csv<'a>(&'a self, path: &Path, rows: impl Fn(&'a str, &'a Profile) -> Vec<RayRow<'a>>) -> Result<()> {
-        let unwritable =
-            |error: &dyn std::fmt::Display| Error::Output(format!("cannot write {}: {error}", path.display()));
-        let mut writer = csv::Writer::from_writer(Vec::new());
-        for (run, profile) in &self.runs {
-            rows(&run.label, profile).iter().try_for_each(|row| writer.serialize(row)).map_err(|e| unwritable(&e))?;
-        }
-        write_atomic(path, &writer.into_inner().map_err(|e| unwritable(&e))?)
-    }
-
-    fn report(&self) -> Report<'_> {
-        let named: Vec<&Contender> = self.runs.iter().map(|(run, _)| run).collect();
-        let first = named[0];
-        let (x, y) = self.pixel;
-        let runs = self.runs.iter().map(|(run, profile)| RunReport {
-            run: &run.label,
-            rgb: profile.rgb,
-            depth: profile.depth,
-            smoothness: &profile.smoothness,
-            protocol: &run.protocol,
-        });
-        Report {
-            scene: &first.protocol.scene,
-            view: &first.view.name,
-            index: first.index,
-            pixel: self.pixel,
-            patch: self.patch,
-            even_samples: EVEN,
-            t_unit: first.depth_unit(),
-            truth_rgb: &first.view.image.pixels[(y * first.view.image.width + x) * 3..][..3],
-            differences: differences(&named),
-            runs: runs.collect(),
-        }
-    }
-}
-
-fn ray_rows<'a>(
-    run: &'a str,
-    (pixel_x, pixel_y): (usize, usize),
-    name: &'static str,
-    samples: &'a Samples,
-) -> impl Iterator<Item = RayRow<'a>> {
-    (0..samples.t.len()).map(move |k| {
-        let ([x, y, z], [r, g, b]) = (samples.points[k], samples.rgb[k]);
-        let (t, density, weight) = (samples.t[k], samples.density[k], samples.weights[k]);
-        let transmittance = samples.transmittance[k];
-        RayRow { run, pixel_x, pixel_y, samples: name, t, x, y, z, density, weight, transmittance, r, g, b }
-    })
 }

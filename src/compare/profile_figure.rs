@@ -1,13 +1,14 @@
 //! The picture of several runs along the same rays.
 
-use super::differences::told;
+use super::differences::{difference_text, differences};
+use super::parts::{BAR, colour_bar, lines, note, trained_on};
 use super::profile::{EVEN, Profile, Profiles, Samples};
-use super::{BAR, Contender, Window, colour_bar, differences, lines, note, trained_on};
+use super::run_view::RunView;
+use super::window::Window;
 use crate::base::{Error, Image, Result};
 use crate::data::resample;
 use crate::draw::canvas::{
-    Anchor, BLACK, Colour, Drawing, FINENESS, Figure, GRID, PALETTE, PAPER, Panel, RED, SIDE, TEXT, TITLE, number,
-    ticks,
+    Anchor, BLACK, Canvas, Colour, FINENESS, Figure, GRID, PALETTE, PAPER, Panel, RED, SIDE, TEXT, TITLE, number, ticks,
 };
 use crate::draw::scale_colour;
 
@@ -16,7 +17,7 @@ const LEFT: f64 = 92.0;
 const WIDTH: f64 = EVEN as f64 / FINENESS;
 const RIGHT: f64 = 92.0;
 /// Height of the view in the corner.
-const PLACE: f64 = 72.0;
+const INSET: f64 = 72.0;
 /// Height of a patch's map.
 const MAP: f64 = 64.0;
 /// Share of the positive densities that the map's colours leave out at the top.
@@ -25,36 +26,36 @@ const OUTLIERS: f64 = 0.02;
 /// Curves of the pixel's ray above, maps of the patch's row below, all over the same t.
 pub fn draw(profiles: &Profiles) -> Result<Figure> {
     let first = &profiles.runs[0].0;
-    let mut drawing = Drawing::new(LEFT + WIDTH + RIGHT, 0.0);
+    let mut canvas = Canvas::new(LEFT + WIDTH + RIGHT, 0.0);
     let (x, y) = profiles.pixel;
     let title = format!("Density and colour along the ray of pixel ({x}, {y})");
-    let width = draw_place(&mut drawing, profiles)? - 2.0 * SIDE;
-    let y = lines(&mut drawing, (SIDE, 20.0), width, &title, (TITLE, BLACK)) + 2.0;
-    let y = note(&mut drawing, (SIDE, y), width, &first.title());
-    let mut y = legend(&mut drawing, profiles, y.max(16.0 + PLACE + 16.0)) + 4.0;
+    let width = draw_inset(&mut canvas, profiles)? - 2.0 * SIDE;
+    let y = lines(&mut canvas, (SIDE, 20.0), width, &title, (TITLE, BLACK)) + 2.0;
+    let y = note(&mut canvas, (SIDE, y), width, &first.title());
+    let mut y = legend(&mut canvas, profiles, y.max(16.0 + INSET + 16.0)) + 4.0;
     let axis = Axis { bounds: first.bounds };
-    y = curves(&mut drawing, profiles, &axis, y);
-    y = axis.label(&mut drawing, y, first.depth_unit()) + 16.0;
-    drawing.height = maps(&mut drawing, profiles, &axis, first.depth_unit(), y)? + 8.0;
-    drawing.caption(&caption(profiles));
-    drawing.finish()
+    y = curves(&mut canvas, profiles, &axis, y);
+    y = axis.label(&mut canvas, y, first.depth_unit()) + 16.0;
+    canvas.height = maps(&mut canvas, profiles, &axis, first.depth_unit(), y)? + 8.0;
+    canvas.caption(&caption(profiles));
+    canvas.finish()
 }
 
 /// The view in the upper right corner, with the patch in it; returns its left end.
-fn draw_place(drawing: &mut Drawing, profiles: &Profiles) -> Result<f64> {
+fn draw_inset(canvas: &mut Canvas, profiles: &Profiles) -> Result<f64> {
     let image = &profiles.runs[0].0.view.image;
     // The photograph itself where it is small, otherwise brought to the PNG's pixels.
-    let share = (PLACE * FINENESS / image.height as f64).min(1.0);
+    let share = (INSET * FINENESS / image.height as f64).min(1.0);
     let [columns, rows] = [image.width, image.height].map(|side| ((side as f64 * share).round() as usize).max(1));
-    let unit = PLACE / image.height as f64;
-    let (left, top) = (drawing.width - SIDE - image.width as f64 * unit, 14.0);
-    drawing.picture((left, top), (image.width as f64 * unit, PLACE), &resample::shrink(image, columns, rows))?;
+    let unit = INSET / image.height as f64;
+    let (left, top) = (canvas.width - SIDE - image.width as f64 * unit, 14.0);
+    canvas.picture((left, top), (image.width as f64 * unit, INSET), &resample::shrink(image, columns, rows))?;
     // At least so large that it is seen.
     let side = (profiles.patch.width as f64 * unit).max(6.0);
     let middle = |start: usize| (start as f64 + 0.5 * profiles.patch.width as f64) * unit - 0.5 * side;
     let at = (left + middle(profiles.patch.x), top + middle(profiles.patch.y));
-    drawing.outline(at, (side, side), PAPER, 3.0);
-    drawing.outline(at, (side, side), RED, 1.5);
+    canvas.outline(at, (side, side), PAPER, 3.0);
+    canvas.outline(at, (side, side), RED, 1.5);
     Ok(left)
 }
 
@@ -68,35 +69,35 @@ impl Axis {
         LEFT + WIDTH * (t - self.bounds.0) / (self.bounds.1 - self.bounds.0)
     }
 
-    fn grid(&self, drawing: &mut Drawing, top: f64, bottom: f64) {
+    fn grid(&self, canvas: &mut Canvas, top: f64, bottom: f64) {
         for t in ticks(self.bounds, 6).0 {
-            drawing.line(&[(self.x(t), top), (self.x(t), bottom)], GRID, 1.0);
+            canvas.line(&[(self.x(t), top), (self.x(t), bottom)], GRID, 1.0);
         }
     }
 
     /// Numbers and name below a panel; returns where the next thing may start.
-    fn label(&self, drawing: &mut Drawing, y: f64, unit: &str) -> f64 {
+    fn label(&self, canvas: &mut Canvas, y: f64, unit: &str) -> f64 {
         let (values, step) = ticks(self.bounds, 6);
         for t in values {
-            drawing.line(&[(self.x(t), y), (self.x(t), y + 4.0)], BLACK, 1.0);
-            drawing.text((self.x(t), y + 12.0), &number(t, step), TEXT, Anchor::Middle, BLACK);
+            canvas.line(&[(self.x(t), y), (self.x(t), y + 4.0)], BLACK, 1.0);
+            canvas.text((self.x(t), y + 12.0), &number(t, step), TEXT, Anchor::Middle, BLACK);
         }
-        drawing.text((LEFT + WIDTH / 2.0, y + 30.0), &format!("t ({unit})"), TEXT, Anchor::Middle, BLACK);
+        canvas.text((LEFT + WIDTH / 2.0, y + 30.0), &format!("t ({unit})"), TEXT, Anchor::Middle, BLACK);
         y + 40.0
     }
 }
 
 /// Each run's colour, name, smoothness and what it differs in.
-fn legend(drawing: &mut Drawing, profiles: &Profiles, mut y: f64) -> f64 {
+fn legend(canvas: &mut Canvas, profiles: &Profiles, mut y: f64) -> f64 {
     const TEXT_LEFT: f64 = SIDE + 34.0;
-    let width = drawing.width - TEXT_LEFT - SIDE;
-    let named: Vec<&Contender> = profiles.runs.iter().map(|(run, _)| run).collect();
+    let width = canvas.width - TEXT_LEFT - SIDE;
+    let named: Vec<&RunView> = profiles.runs.iter().map(|(run, _)| run).collect();
     let differences = differences(&named);
     for (index, (run, profile)) in profiles.runs.iter().enumerate() {
-        drawing.line(&[(SIDE, y), (SIDE + 26.0, y)], colour(index), 3.0);
-        y = lines(drawing, (TEXT_LEFT, y), width, &run.label, (TITLE, BLACK));
-        y = note(drawing, (TEXT_LEFT, y), width, &told(&differences, index));
-        y = note(drawing, (TEXT_LEFT, y), width, &smoothness(profile)) + 6.0;
+        canvas.line(&[(SIDE, y), (SIDE + 26.0, y)], colour(index), 3.0);
+        y = lines(canvas, (TEXT_LEFT, y), width, &run.label, (TITLE, BLACK));
+        y = note(canvas, (TEXT_LEFT, y), width, &difference_text(&differences, index));
+        y = note(canvas, (TEXT_LEFT, y), width, &smoothness(profile)) + 6.0;
     }
     y
 }
@@ -135,7 +136,7 @@ struct Curves {
 }
 
 /// Density, weight, red, green and blue over t; returns the last panel's foot.
-fn curves(drawing: &mut Drawing, profiles: &Profiles, axis: &Axis, mut y: f64) -> f64 {
+fn curves(canvas: &mut Canvas, profiles: &Profiles, axis: &Axis, mut y: f64) -> f64 {
     const GAP: f64 = 14.0;
     let rgb = |name, value| Curves { name, height: 56.0, top: Some(1.0), evaluated: false, value };
     let panels = [
@@ -146,7 +147,7 @@ fn curves(drawing: &mut Drawing, profiles: &Profiles, axis: &Axis, mut y: f64) -
         rgb("blue", |s, k| s.rgb[k][2]),
     ];
     for panel in panels {
-        panel.draw(drawing, profiles, axis, y);
+        panel.draw(canvas, profiles, axis, y);
         y += panel.height + GAP;
     }
     y - GAP
@@ -163,21 +164,21 @@ impl Curves {
         (0..samples.t.len()).map(point).collect()
     }
 
-    fn draw(&self, drawing: &mut Drawing, profiles: &Profiles, axis: &Axis, y: f64) {
+    fn draw(&self, canvas: &mut Canvas, profiles: &Profiles, axis: &Axis, y: f64) {
         let runs: Vec<Vec<(f64, f64)>> =
             profiles.runs.iter().map(|(_, profile)| self.points(profiles, profile)).collect();
         let greatest = runs.iter().flatten().map(|(_, value)| *value).fold(0.0, f64::max);
         // A ray through empty space has no density at all.
         let top = self.top.unwrap_or(if greatest > 0.0 { 1.05 * greatest } else { 1.0 });
         let panel = Panel { left: LEFT, top: y, width: WIDTH, height: self.height, range: (0.0, top) };
-        axis.grid(drawing, panel.top, panel.bottom());
-        panel.frame(drawing, true);
-        drawing.text((panel.right() + 8.0, y + self.height / 2.0), self.name, TEXT, Anchor::Left, BLACK);
+        axis.grid(canvas, panel.top, panel.bottom());
+        panel.frame(canvas, true);
+        canvas.text((panel.right() + 8.0, y + self.height / 2.0), self.name, TEXT, Anchor::Left, BLACK);
         for (index, points) in runs.iter().enumerate() {
             let line: Vec<(f64, f64)> = points.iter().map(|(t, value)| (axis.x(*t), panel.y(*value))).collect();
-            drawing.line(&line, colour(index), 1.3);
+            canvas.line(&line, colour(index), 1.3);
             if self.evaluated {
-                line.iter().for_each(|at| drawing.dot(*at, 1.7, colour(index), 0.8));
+                line.iter().for_each(|at| canvas.dot(*at, 1.7, colour(index), 0.8));
             }
         }
     }
@@ -185,35 +186,35 @@ impl Curves {
 
 /// For each run density and colour of the patch's row through the pixel, and what the density's colours mean; returns
 /// the foot of all.
-fn maps(drawing: &mut Drawing, profiles: &Profiles, axis: &Axis, unit: &str, mut y: f64) -> Result<f64> {
+fn maps(canvas: &mut Canvas, profiles: &Profiles, axis: &Axis, unit: &str, mut y: f64) -> Result<f64> {
     let top = density_top(profiles);
     for (index, (run, profile)) in profiles.runs.iter().enumerate() {
-        drawing.line(&[(LEFT, y), (LEFT + 26.0, y)], colour(index), 3.0);
-        y = lines(drawing, (LEFT + 34.0, y), WIDTH - 34.0, &run.label, (TEXT, BLACK)) - 4.0;
+        canvas.line(&[(LEFT, y), (LEFT + 26.0, y)], colour(index), 3.0);
+        y = lines(canvas, (LEFT + 34.0, y), WIDTH - 34.0, &run.label, (TEXT, BLACK)) - 4.0;
         let density = map(profiles, profile, |ray, k| scale_colour(ray.density[k] / top));
         let rgb = map(profiles, profile, |ray, k| ray.rgb[k]);
         for (name, picture) in [("density", density), ("colour", rgb)] {
-            drawing.picture((LEFT, y), (WIDTH, MAP), &picture)?;
-            drawing.text((LEFT + WIDTH + 8.0, y + MAP / 2.0), name, TEXT, Anchor::Left, BLACK);
-            columns(drawing, profiles, y);
+            canvas.picture((LEFT, y), (WIDTH, MAP), &picture)?;
+            canvas.text((LEFT + WIDTH + 8.0, y + MAP / 2.0), name, TEXT, Anchor::Left, BLACK);
+            draw_column_names(canvas, profiles, y);
             y += MAP + 8.0;
         }
         y += 6.0;
     }
-    y = axis.label(drawing, y - 14.0, unit) + 14.0;
-    colour_bar(drawing, (LEFT, y), WIDTH, (0.0, top), false, "density on the maps")?;
+    y = axis.label(canvas, y - 14.0, unit) + 14.0;
+    colour_bar(canvas, (LEFT, y), WIDTH, (0.0, top), false, "density on the maps")?;
     Ok(y + BAR)
 }
 
 /// The first and last column of the patch beside a map, and a mark at the pixel's own.
-fn columns(drawing: &mut Drawing, profiles: &Profiles, y: f64) {
+fn draw_column_names(canvas: &mut Canvas, profiles: &Profiles, y: f64) {
     let Window { x, width, .. } = profiles.patch;
     let middle = |column: usize| y + MAP * ((column - x) as f64 + 0.5) / width as f64;
     let own = middle(profiles.pixel.0);
-    drawing.line(&[(LEFT - 6.0, own), (LEFT, own)], BLACK, 2.0);
+    canvas.line(&[(LEFT - 6.0, own), (LEFT, own)], BLACK, 2.0);
     let ends = if width > 1 { vec![x, x + width - 1] } else { vec![x] };
     for column in ends {
-        drawing.text((LEFT - 10.0, middle(column)), &format!("x = {column}"), TEXT, Anchor::Right, BLACK);
+        canvas.text((LEFT - 10.0, middle(column)), &format!("x = {column}"), TEXT, Anchor::Right, BLACK);
     }
 }
 
@@ -249,7 +250,7 @@ fn caption(profiles: &Profiles) -> String {
         profiles.pixel.1
     );
     if runs().any(|run| run.protocol.method.contains("mip")) {
-        text += " MipNeRF's field is asked for Gaussians of these places' own short intervals, which no evaluation asks for.";
+        text += " MipNeRF's field is queried at Gaussians of these places' own short intervals, which no evaluation queries.";
     }
     text + &trained_on(runs())
 }

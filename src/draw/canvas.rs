@@ -105,15 +105,15 @@ enum Mark {
 }
 
 /// What a figure is made of, in pixels from the upper left corner.
-pub struct Drawing {
+pub struct Canvas {
     pub width: f64,
     pub height: f64,
     marks: Vec<Mark>,
 }
 
-impl Drawing {
-    pub fn new(width: f64, height: f64) -> Drawing {
-        Drawing { width, height, marks: Vec::new() }
+impl Canvas {
+    pub fn new(width: f64, height: f64) -> Canvas {
+        Canvas { width, height, marks: Vec::new() }
     }
 
     pub fn line(&mut self, points: &[(f64, f64)], colour: Colour, width: f64) {
@@ -327,7 +327,7 @@ impl Panel {
     }
 
     /// Horizontal grid lines, their numbers where asked for, and the frame.
-    pub fn frame(&self, drawing: &mut Drawing, numbers: bool) {
+    pub fn frame(&self, drawing: &mut Canvas, numbers: bool) {
         let (values, step) = ticks(self.range, (self.height / 40.0) as usize + 1);
         for value in values {
             let y = self.y(value);

@@ -212,9 +212,11 @@ fn smoothness_is_measured_on_one_lattice_for_all_runs() {
         assert!(file.lines().next().unwrap().split(',').any(|name| name == column), "{column}: {file}");
     }
     refuse(&["measure", "--lattice", "2", runs[0]], 2, &["--lattice", "2", "4 to 1024"]);
-    refuse(&["measure", "--domain", "1,2,3", runs[0]], 2, &["--domain", "six numbers"]);
-    refuse(&["measure", "--domain=1,1,1,0,0,0", runs[0]], 2, &["domain", "corners"]);
-    refuse(&["measure", "--domain=90,90,90,91,91,91", runs[0]], 2, &["outside", "90.000", "run from"]);
+    refuse(&["measure", "--bbox", "1,2,3", runs[0]], 2, &["--bbox", "six numbers"]);
+    // As the flag was called before.
+    refuse(&["measure", "--domain", "1,2,3", runs[0]], 2, &["--bbox", "six numbers"]);
+    refuse(&["measure", "--bbox=1,1,1,0,0,0", runs[0]], 2, &["--bbox", "corners"]);
+    refuse(&["measure", "--bbox=90,90,90,91,91,91", runs[0]], 2, &["outside", "90.000", "run from"]);
     refuse(&["measure", dir.path().to_str().unwrap()], 5, &["not a run folder"]);
 }
 

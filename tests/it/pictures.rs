@@ -8,7 +8,7 @@ use crate::common::{tiny_config, tiny_scene, trained};
 use augnerf::base::Image;
 use augnerf::base::rng::{Random, Stream};
 use augnerf::compare::{
-    Comparison, Contender, Profile, Profiles, Window, crop, differences, labels, most_different, patch_around,
+    Comparison, Profile, Profiles, RunView, Window, crop, differences, labels, most_different, patch_around,
 };
 use augnerf::data::Scene;
 use augnerf::metrics::{psnr, quantise};
@@ -97,7 +97,7 @@ impl Run {
         Viewer { model: self.trainer.model(), config: &self.config, scene: &self.scene, device: &Device::Cpu }
     }
 
-    fn contender(&self, label: &str) -> Contender {
+    fn run_view(&self, label: &str) -> RunView {
         let state = State {
             format: 1,
             step: 30,
@@ -107,11 +107,11 @@ impl Run {
             revisions: vec!["a".into()],
             devices: vec!["cpu".into()],
         };
-        Contender::new(label.into(), &self.viewer(), &state, "0").unwrap()
+        RunView::new(label.into(), &self.viewer(), &state, "0").unwrap()
     }
 
-    fn rendered(&self, label: &str) -> (Contender, RenderedView) {
-        let contender = self.contender(label);
+    fn rendered(&self, label: &str) -> (RunView, RenderedView) {
+        let contender = self.run_view(label);
         let rendered = self.viewer().render(&contender.view.camera).unwrap();
         (contender, rendered)
     }
@@ -252,8 +252,8 @@ fn differences_name_settings_that_the_protocol_leaves_out() {
         Run::new(Method::Nerf, 0, |config| config.train.precrop_fraction = 0.25),
         Run::new(Method::AugNerf, 0, |config| config.perturb.perturb_last = true),
     ];
-    let [a, b, c] = ["a", "b", "c"].map(|label| runs[(label.as_bytes()[0] - b'a') as usize].contender(label));
-    let names = |runs: &[&Contender]| -> Vec<String> { differences(runs).into_iter().map(|d| d.name).collect() };
+    let [a, b, c] = ["a", "b", "c"].map(|label| runs[(label.as_bytes()[0] - b'a') as usize].run_view(label));
+    let names = |runs: &[&RunView]| -> Vec<String> { differences(runs).into_iter().map(|d| d.name).collect() };
     assert_eq!(names(&[&a, &b]), ["train.precrop_fraction"]);
     assert!(names(&[&a]).is_empty() && names(&[&a, &a]).is_empty());
     // A run without a perturbed pass has no opinion on its settings.
@@ -264,10 +264,10 @@ fn differences_name_settings_that_the_protocol_leaves_out() {
 #[test]
 fn runs_that_do_not_show_the_same_are_refused_in_words() {
     let run = Run::new(Method::Nerf, 0, |_| ());
-    let first = run.contender("first");
-    first.check_alike(&run.contender("same")).unwrap();
-    let refused = |words: &str, change: &dyn Fn(&mut Contender)| {
-        let mut other = run.contender("other");
+    let first = run.run_view("first");
+    first.check_alike(&run.run_view("same")).unwrap();
+    let refused = |words: &str, change: &dyn Fn(&mut RunView)| {
+        let mut other = run.run_view("other");
         change(&mut other);
         let error = other.check_alike(&first).unwrap_err();
         assert_eq!(error.exit_code(), 2);
@@ -310,8 +310,8 @@ fn given_labels_are_one_for_each_run() {
 const PATCH: Window = Window { x: 6, y: 7, width: 3, height: 3 };
 const PIXEL: (usize, usize) = (7, 8);
 
-fn profiled(run: &Run, label: &str) -> (Contender, Profile) {
-    let contender = run.contender(label);
+fn profiled(run: &Run, label: &str) -> (RunView, Profile) {
+    let contender = run.run_view(label);
     let profile = Profile::measure(&run.viewer(), &contender, PIXEL, PATCH).unwrap();
     (contender, profile)
 }

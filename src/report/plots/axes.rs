@@ -4,8 +4,7 @@
 use super::{Figure, SPREAD_NOTE, Spread, metric_label};
 use crate::base::Result;
 use crate::draw::canvas::{
-    Anchor, BLACK, Colour, Drawing, GREY, GRID, LINE_HEIGHT, PALETTE, Panel, RED, TEXT, TITLE, number, range,
-    text_width,
+    Anchor, BLACK, Canvas, Colour, GREY, GRID, LINE_HEIGHT, PALETTE, Panel, RED, TEXT, TITLE, number, range, text_width,
 };
 use crate::metrics::{Direction, Metric};
 use crate::report::statistics::{holm, p_value, paired_differences};
@@ -57,7 +56,7 @@ pub fn axes_figure(spec: &TableSpec, records: &[Record], scene: &str, metric: &s
     let further = most.unwrap_or(0).saturating_sub(LINES_IN_GAP) as f64 * LINE_HEIGHT;
     let (width, height) = (PANEL.0.max(width_of_words(&series, &records)) + GAP.0, PANEL.1 + GAP.1 + further);
     let mut drawing =
-        Drawing::new((MARGIN.0 + columns.len() as f64 * width).max(560.0), MARGIN.1 + axes.len() as f64 * height);
+        Canvas::new((MARGIN.0 + columns.len() as f64 * width).max(560.0), MARGIN.1 + axes.len() as f64 * height);
     let title = format!("{}: {} on {scene}", spec.title, metric_label(metric));
     drawing.text((20.0, 20.0), &title, TITLE, Anchor::Left, BLACK);
     for (down, axis) in axes.iter().enumerate() {
@@ -134,7 +133,7 @@ fn baseline<'a>(spec: &'a TableSpec, records: &[&Record], metric: &str) -> Optio
     (!seeds.is_empty()).then_some((row.name.as_str(), seeds))
 }
 
-fn draw_baseline(drawing: &mut Drawing, panel: &Panel, baseline: Option<&(&str, Vec<f64>)>) {
+fn draw_baseline(drawing: &mut Canvas, panel: &Panel, baseline: Option<&(&str, Vec<f64>)>) {
     let Some((_, seeds)) = baseline else { return };
     let Some(spread) = Spread::new(seeds) else { return };
     if let Some((low, high)) = spread.band {
@@ -146,7 +145,7 @@ fn draw_baseline(drawing: &mut Drawing, panel: &Panel, baseline: Option<&(&str, 
     drawing.dashed(&[(panel.left, y), (panel.right(), y)], GREY, 1.5);
 }
 
-fn draw_values(drawing: &mut Drawing, panel: &Panel, lines: &[&Series], metric: &str) {
+fn draw_values(drawing: &mut Canvas, panel: &Panel, lines: &[&Series], metric: &str) {
     let names = distinct(lines.iter().flat_map(|series| series.points.iter().map(|(value, _)| *value)));
     let x = |name: &str| {
         let index = names.iter().position(|known| *known == name).expect("from the same list");
@@ -182,7 +181,7 @@ fn draw_values(drawing: &mut Drawing, panel: &Panel, lines: &[&Series], metric: 
     drawing.text((x, (y - 14.0).max(panel.top + 8.0)), &label, TEXT, Anchor::Middle, RED);
 }
 
-fn draw_series(drawing: &mut Drawing, panel: &Panel, series: &Series, colour: Colour, x: &impl Fn(&str) -> f64) {
+fn draw_series(drawing: &mut Canvas, panel: &Panel, series: &Series, colour: Colour, x: &impl Fn(&str) -> f64) {
     let means = series.means();
     // A value without points is a gap: neighbours across it are not joined.
     for run in means.chunk_by(|(a, _), (b, _)| b - a == 1) {

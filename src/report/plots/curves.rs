@@ -3,7 +3,7 @@
 use super::{Figure, SPREAD_NOTE, Spread};
 use crate::base::Result;
 use crate::draw::canvas::{
-    Anchor, BLACK, Drawing, LINE_HEIGHT, PALETTE, Panel, TEXT, TITLE, number, range, text_width, ticks,
+    Anchor, BLACK, Canvas, LINE_HEIGHT, PALETTE, Panel, TEXT, TITLE, number, range, text_width, ticks,
 };
 
 /// Log points that a curve's moving average spans.
@@ -53,7 +53,7 @@ pub fn curves_figure(title: &str, unit: &str, curves: &[Curve]) -> Result<Option
     let legend = curves.iter().map(|curve| text_width(&curve.label, TEXT)).fold(60.0, f64::max);
     let panel = Panel { left: 76.0, top: 50.0, width: 560.0, height: 320.0, range };
     let legend_height = 60.0 + curves.len() as f64 * LINE_HEIGHT;
-    let mut drawing = Drawing::new(panel.right() + legend + 70.0, (panel.bottom() + 52.0).max(legend_height));
+    let mut drawing = Canvas::new(panel.right() + legend + 70.0, (panel.bottom() + 52.0).max(legend_height));
     drawing.text((20.0, 20.0), title, TITLE, Anchor::Left, BLACK);
     panel.frame(&mut drawing, true);
     let x = |step: f64| panel.left + panel.width * step / last.max(1.0);

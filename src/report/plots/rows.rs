@@ -3,7 +3,7 @@
 use super::{Figure, metric_label};
 use crate::base::Result;
 use crate::draw::canvas::{
-    Anchor, BLACK, BLUE, Drawing, GREY, GRID, RED, TEXT, TITLE, number, range, text_width, ticks,
+    Anchor, BLACK, BLUE, Canvas, GREY, GRID, RED, TEXT, TITLE, number, range, text_width, ticks,
 };
 use crate::report::tables::{Cell, Line, Table, Verdict};
 use crate::report::{Record, Status};
@@ -23,7 +23,7 @@ impl Scale {
         self.left + PANEL * (value - self.range.0) / (self.range.1 - self.range.0)
     }
 
-    fn frame(&self, drawing: &mut Drawing, title: &str, bottom: f64) {
+    fn frame(&self, drawing: &mut Canvas, title: &str, bottom: f64) {
         let (values, step) = ticks(self.range, 5);
         for value in values {
             drawing.line(&[(self.x(value), TOP), (self.x(value), bottom)], GRID, 1.0);
@@ -48,7 +48,7 @@ pub fn rows_figure(table: &Table, records: &[Record], scene: &str, metric: &str)
     let bottom = TOP + ROW * lines.len() as f64;
     let left = Scale { left: 20.0 + label_width + 16.0, range: values };
     let right = Scale { left: left.left + PANEL + 40.0, range: differences.unwrap_or((-1.0, 1.0)) };
-    let mut drawing = Drawing::new(right.left + PANEL + 150.0, bottom + 30.0);
+    let mut drawing = Canvas::new(right.left + PANEL + 150.0, bottom + 30.0);
     let title = format!("{}: {} on {scene}", table.title, metric_label(metric));
     drawing.text((20.0, 20.0), &title, TITLE, Anchor::Left, BLACK);
     left.frame(&mut drawing, metric_label(metric), bottom);
@@ -74,7 +74,7 @@ fn label(line: &Line) -> String {
     if line.inactive_levels.is_empty() { line.label.clone() } else { format!("{} †", line.label) }
 }
 
-fn draw_mean(drawing: &mut Drawing, scale: &Scale, y: f64, cell: &Cell, seeds: &[f64]) {
+fn draw_mean(drawing: &mut Canvas, scale: &Scale, y: f64, cell: &Cell, seeds: &[f64]) {
     let Some(mean) = cell.mean else {
         drawing.text((scale.left + 6.0, y), "no data", TEXT, Anchor::Left, GREY);
         return;
@@ -83,7 +83,7 @@ fn draw_mean(drawing: &mut Drawing, scale: &Scale, y: f64, cell: &Cell, seeds: &
     drawing.dot((scale.x(mean), y), 4.5, BLUE, 1.0);
 }
 
-fn draw_difference(drawing: &mut Drawing, scale: &Scale, y: f64, cell: &Cell) {
+fn draw_difference(drawing: &mut Canvas, scale: &Scale, y: f64, cell: &Cell) {
     let Some(comparison) = &cell.comparison else { return };
     let Some((low, high)) = comparison.interval else {
         drawing.text((scale.left + PANEL + 10.0, y), "one seed: no interval", TEXT, Anchor::Left, GREY);

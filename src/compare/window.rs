@@ -1,4 +1,4 @@
-//! The box that a comparison looks into.
+//! Boxes of pixels that are looked into, and the one in which runs differ most.
 
 use rayon::prelude::*;
 use serde::Serialize;
@@ -34,6 +34,14 @@ impl Window {
              give x,y,width,height with x + width at most {width} and y + height at most {height}"
         )))
     }
+}
+
+/// A rectangle of an image.
+pub fn crop(image: &Image, window: Window) -> Image {
+    let Window { x, y, width, height } = window;
+    let row = |line: usize| &image.pixels[(line * image.width + x) * image.channels..][..width * image.channels];
+    let pixels = (y..y + height).flat_map(|line| row(line).to_vec()).collect();
+    Image { width, height, channels: image.channels, pixels }
 }
 
 /// Sums of squared differences over all rectangles that start in the upper left corner,

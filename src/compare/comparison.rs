@@ -1,0 +1,153 @@
+//! A held-out view as several runs render it, measured.
+
+use super::differences::{Difference, differences};
+use super::run_view::RunView;
+use super::window::{Window, crop, most_different};
+use crate::base::{Error, Image, Result};
+use crate::draw::{depth_range, quantise};
+use crate::metrics::{ViewMetrics, measure};
+use crate::run::RenderedView;
+
+/// Share of the view's sides that the box has where nobody says how large it is to be.
+const BOX_SHARE: usize = 5;
+/// Runs before one view, rendered and measured.
+pub struct Comparison {
+    pub(super) sides: Vec<Side>,
+    pub(super) differences: Vec<Difference>,
+    pub(super) window: Window,
+    /// The box was named, not searched for.
+    pub(super) named_box: bool,
+    /// End of the errors' scale, which starts at 0.
+    pub(super) error_top: f32,
+    /// Ends of the depths' scale.
+    pub(super) depths: (f32, f32),
+}
+
+pub(super) struct Side {
+    pub(super) run: RunView,
+    pub(super) rendered: RenderedView,
+    /// Root of the mean squared difference over channels of each pixel's 8-bit values.
+    pub(super) errors: Vec<f32>,
+    pub(super) metrics: ViewMetrics,
+    pub(super) metrics_in_box: ViewMetrics,
+}
+
+impl Comparison {
+    /// Of runs that have passed [`RunView::check_alike`], each with its rendering. The box is `window`, or the one
+    /// of `box_width` columns (a fifth of the view's where not given) and the view's aspect over which the runs'
+    /// squared errors differ most.
+    pub fn new(
+        runs: Vec<(RunView, RenderedView)>,
+        window: Option<Window>,
+        box_width: Option<usize>,
+    ) -> Result<Comparison> {
+        let Some((first, _)) = runs.first() else {
+            return Err(Error::Config("there is no run to compare; name at least one".into()));
+        };
+        let (truth, bounds) = (first.view.image.clone(), first.bounds);
+        check_box(window, box_width, &truth)?;
+        let images: Vec<&Image> = runs.iter().map(|(_, rendered)| &rendered.image).collect();
+        let chosen = match window {
+            Some(window) => window,
+            None => most_different(&images, &truth, box_size(box_width, truth.width, truth.height)),
+        };
+        let over = |values: fn(&RenderedView) -> &Vec<f32>| -> Vec<f32> {
+            runs.iter().flat_map(|(_, rendered)| values(rendered).iter().copied()).collect()
+        };
+        // One scale for all runs.
+        let depths = depth_range(&over(|r| &r.depth), Some(&over(|r| &r.acc)));
+        let named: Vec<&RunView> = runs.iter().map(|(run, _)| run).collect();
+        let differences = differences(&named);
+        let truth_in_box = crop(&truth, chosen);
+        let sides = runs.into_iter().map(|(run, rendered)| {
+            let metrics = measure(&run.view.name, &rendered.image, &truth, &[])?;
+            let metrics_in_box = measure(&run.view.name, &crop(&rendered.image, chosen), &truth_in_box, &[])?;
+            let errors = errors(&rendered.image, &truth);
+            Ok(Side { run, rendered, errors, metrics, metrics_in_box })
+        });
+        let sides = sides.collect::<Result<Vec<Side>>>()?;
+        let errors: Vec<f32> = sides.iter().flat_map(|side| side.errors.iter().copied()).collect();
+        // A scale without length where all is equal to the truth would colour nothing.
+        let error_top = depth_range(&errors, None).map_or(1.0, |(_, top)| top).max(1.0 / 255.0);
+        Ok(Comparison {
+            sides,
+            differences,
+            window: chosen,
+            named_box: window.is_some(),
+            error_top,
+            depths: depths.unwrap_or((bounds.0 as f32, bounds.1 as f32)),
+        })
+    }
+
+    /// The view's own depth in the units of the runs' depth, where there is any.
+    pub(super) fn truth_depth(&self) -> Option<&Vec<f32>> {
+        let first = self.first();
+        first.view.depth.as_ref().filter(|_| first.ndc.is_none())
+    }
+
+    /// For each pixel the largest error of all runs less the smallest.
+    pub(super) fn spread(&self) -> Vec<f32> {
+        let over = |pixel: usize, pick: fn(f32, f32) -> f32| {
+            self.sides.iter().map(|side| side.errors[pixel]).reduce(pick).unwrap_or(0.0)
+        };
+        (0..self.sides[0].errors.len()).map(|pixel| over(pixel, f32::max) - over(pixel, f32::min)).collect()
+    }
+
+    /// The box that the pictures look into.
+    pub fn window(&self) -> Window {
+        self.window
+    }
+
+    pub(super) fn first(&self) -> &RunView {
+        &self.sides[0].run
+    }
+
+    pub(super) fn truth(&self) -> &Image {
+        &self.first().view.image
+    }
+
+    pub(super) fn chosen_by(&self) -> &'static str {
+        match (self.named_box, self.sides.len()) {
+            (true, _) => "hand",
+            (_, 1) => "largest squared error",
+            _ => "largest difference of the runs' squared errors",
+        }
+    }
+}
+
+/// Refuses a box, or columns of one, that the view has no room for.
+pub fn check_box(window: Option<Window>, box_width: Option<usize>, view: &Image) -> Result<()> {
+    if let Some(window) = window {
+        window.check(view.width, view.height)?;
+    }
+    match box_width {
+        Some(columns) if columns > view.width => Err(Error::Config(format!(
+            "--box-width {columns} is more than the {0} columns of the view; give at most {0}",
+            view.width
+        ))),
+        _ => Ok(()),
+    }
+}
+
+/// Columns and rows of a box of the view's aspect.
+fn box_size(columns: Option<usize>, width: usize, height: usize) -> (usize, usize) {
+    let columns = columns.unwrap_or((width + BOX_SHARE / 2) / BOX_SHARE).max(1);
+    let rows = (columns as f64 * height as f64 / width as f64).round() as usize;
+    (columns, rows.clamp(1, height))
+}
+
+/// Root of the mean squared difference over channels of the 8-bit values, for each pixel.
+fn errors(rendered: &Image, truth: &Image) -> Vec<f32> {
+    let (a, b) = (quantise(&rendered.pixels), quantise(&truth.pixels));
+    let error = |(a, b): (&[u8], &[u8])| {
+        let sum: u32 = a.iter().zip(b).map(|(&a, &b)| u32::from(a.abs_diff(b)).pow(2)).sum();
+        (sum as f32 / a.len() as f32).sqrt() / 255.0
+    };
+    a.chunks_exact(3).zip(b.chunks_exact(3)).map(error).collect()
+}
+
+/// PSNR and SSIM as far as they are known.
+pub(super) fn metrics_text(metrics: &ViewMetrics) -> String {
+    let psnr = metrics.get("psnr").map_or("equal to the truth".into(), |psnr| format!("PSNR {psnr:.2} dB"));
+    metrics.get("ssim").map_or(psnr.clone(), |ssim| format!("{psnr}, SSIM {ssim:.3}"))
+}

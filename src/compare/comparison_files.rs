@@ -1,0 +1,76 @@
+//! The files of a comparison.
+
+use std::path::Path;
+
+use serde::Serialize;
+
+use super::comparison::Comparison;
+use super::comparison_figure;
+use super::differences::Difference;
+use super::fade::write_fade;
+use super::window::Window;
+use crate::base::Result;
+use crate::base::files::{write_atomic, write_json};
+use crate::metrics::ViewMetrics;
+use crate::run::Protocol;
+
+/// `compare.json`.
+#[derive(Serialize)]
+struct ComparisonFile<'a> {
+    scene: &'a str,
+    view: &'a str,
+    index: usize,
+    #[serde(rename = "box")]
+    window: Window,
+    box_chosen_by: &'static str,
+    /// What the error's darkest and brightest colours stand for, in colour values of 0..=1.
+    error_colours: (f32, f32),
+    /// Nearest and farthest colour.
+    depth_colours: (f32, f32),
+    depth_unit: &'static str,
+    differences: &'a [Difference],
+    runs: Vec<RunLine<'a>>,
+}
+
+#[derive(Serialize)]
+struct RunLine<'a> {
+    run: &'a str,
+    view: &'a ViewMetrics,
+    #[serde(rename = "box")]
+    in_box: &'a ViewMetrics,
+    protocol: &'a Protocol,
+}
+
+impl Comparison {
+    /// Writes `compare.png`, `compare.json` and, if `fade`, `fade.gif` into a folder.
+    pub fn write(&self, folder: &Path, fade: bool) -> Result<()> {
+        write_atomic(&folder.join("compare.png"), &comparison_figure::draw(self)?.png)?;
+        write_json(&folder.join("compare.json"), &self.file())?;
+        if fade {
+            write_fade(self, &folder.join("fade.gif"))?;
+        }
+        Ok(())
+    }
+
+    fn file(&self) -> ComparisonFile<'_> {
+        let first = self.first();
+        let runs = self.sides.iter().map(|side| RunLine {
+            run: &side.run.label,
+            view: &side.metrics,
+            in_box: &side.metrics_in_box,
+            protocol: &side.run.protocol,
+        });
+        ComparisonFile {
+            scene: &first.protocol.scene,
+            view: &first.view.name,
+            index: first.index,
+            window: self.window,
+            box_chosen_by: self.chosen_by(),
+            error_colours: (0.0, self.error_top),
+            depth_colours: self.depths,
+            depth_unit: first.depth_unit(),
+            differences: &self.differences,
+            runs: runs.collect(),
+        }
+    }
+}

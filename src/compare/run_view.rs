@@ -1,0 +1,153 @@
+//! A run before one held-out view, and what must agree between runs that are shown together.
+
+use std::ffi::OsStr;
+use std::path::{Path, PathBuf};
+
+use super::differences;
+use crate::base::{Error, Result};
+use crate::data::{Camera, Ndc, Scene, View};
+use crate::run::{Protocol, Viewer};
+use crate::train::checkpoint::State;
+
+/// A run with the held-out view that it is to show.
+#[derive(Clone, Debug)]
+pub struct RunView {
+    /// What pictures and files call it.
+    pub label: String,
+    /// Where its numbers come from.
+    pub protocol: Protocol,
+    /// The held-out view.
+    pub view: View,
+    /// Its place among the run's held-out views, from 0.
+    pub index: usize,
+    /// How its rays are mapped to normalised device coordinates, if they are.
+    pub ndc: Option<Ndc>,
+    /// Ends of a ray's interval in the units of `t_vals`.
+    pub bounds: (f64, f64),
+    /// Every setting that can change a number, by its name in `config.toml`.
+    pub(super) settings: Vec<(String, String)>,
+}
+
+impl RunView {
+    /// A run at a checkpoint's state. `view` is a held-out view's name or its number from 0.
+    pub fn new(label: String, viewer: &Viewer, state: &State, view: &str) -> Result<RunView> {
+        let Viewer { config, scene, .. } = *viewer;
+        let index = find_view(&label, scene, view)?;
+        Ok(RunView {
+            label,
+            protocol: Protocol::new(config, scene, state),
+            view: scene.test[index].clone(),
+            index,
+            ndc: scene.ndc,
+            bounds: (scene.near, scene.far),
+            settings: differences::settings(config),
+        })
+    }
+
+    /// Refuses a run that does not show what `first` shows: another scene, view, resolution, camera or photograph,
+    /// or another measure of depth.
+    pub fn check_alike(&self, first: &RunView) -> Result<()> {
+        let differ = |what: &str, own: String, other: String| {
+            Err(Error::Config(format!(
+                "{} and {} do not show the same: {what} is {own} in the first and {other} in the second; give runs that \
+                 agree in it",
+                self.label, first.label
+            )))
+        };
+        // Numbers with all their digits, so that equal texts are equal numbers.
+        let facts = |run: &RunView| {
+            let Camera { width, height, focal, centre, pose } = run.view.camera;
+            [
+                ("the scene", run.protocol.scene.clone()),
+                ("the kind of scene", run.protocol.dataset.clone()),
+                ("the resolution", format!("{width} x {height}")),
+                ("the held-out view", format!("{} ({})", run.view.name, run.protocol.split)),
+                ("data.ndc", run.ndc.is_some().to_string()),
+                ("the rays' interval (data.near, data.far)", format!("{} to {}", run.bounds.0, run.bounds.1)),
+                ("the background", run.protocol.background.clone()),
+                ("the focal length", format!("{focal:?}")),
+                ("the principal point", format!("{centre:?}")),
+                ("the camera's place", format!("{:?}", pose.map(|row| row[3]))),
+                ("the camera's orientation", format!("{:?}", pose.map(|row| [row[0], row[1], row[2]]))),
+            ]
+        };
+        for ((what, own), (_, other)) in facts(self).into_iter().zip(facts(first)) {
+            if own != other {
+                return differ(what, own, other);
+            }
+        }
+        let others = self.view.image.pixels.iter().zip(&first.view.image.pixels).filter(|(a, b)| a != b).count();
+        if others > 0 {
+            let values = self.view.image.pixels.len();
+            return differ("the photograph", "one".into(), format!("another ({others} of {values} values)"));
+        }
+        Ok(())
+    }
+
+    /// Scene and view in words.
+    pub(super) fn title(&self) -> String {
+        let Protocol { scene, views_evaluated, .. } = &self.protocol;
+        let Camera { width, height, .. } = self.view.camera;
+        let place = format!("{} of {views_evaluated}", self.index + 1);
+        format!("{scene}, held-out view {} ({place}), {width} x {height} pixels", self.view.name)
+    }
+
+    /// What `t` counts. Outside of NDC a ray has length 1 along the view's axis.
+    pub(super) fn depth_unit(&self) -> &'static str {
+        if self.ndc.is_some() { "NDC" } else { "scene units" }
+    }
+}
+
+/// Index of the view of that name, otherwise of that number.
+fn find_view(label: &str, scene: &Scene, view: &str) -> Result<usize> {
+    let named = scene.test.iter().position(|known| known.name == view);
+    let numbered = || view.parse().ok().filter(|&index: &usize| index < scene.test.len());
+    named.or_else(numbered).ok_or_else(|| {
+        let names: Vec<&str> = scene.test.iter().map(|known| known.name.as_str()).collect();
+        Error::Config(format!(
+            "--view {view}: {label} has no such held-out view; give 0 to {} or one of {}",
+            names.len() - 1,
+            names.join(", ")
+        ))
+    })
+}
+
+/// Names for runs: `given`, if there are any; otherwise their folders' names or, where two folders are called the
+/// same, the parts of their paths behind what is common to all.
+/// Refuses a run or a name that is there twice, and fewer or more names than runs.
+pub fn labels(runs: &[PathBuf], given: &[String]) -> Result<Vec<String>> {
+    let place = |run: &Path| std::fs::canonicalize(run).unwrap_or_else(|_| run.to_path_buf());
+    let places: Vec<PathBuf> = runs.iter().map(|run| place(run)).collect();
+    if let Some(twice) = (1..runs.len()).find(|&index| places[..index].contains(&places[index])) {
+        return Err(Error::Config(format!("{} is named twice; name each run once", runs[twice].display())));
+    }
+    if !given.is_empty() {
+        return check_labels(runs, given);
+    }
+    let name = |place: &PathBuf| place.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
+    let names: Vec<String> = places.iter().map(name).collect();
+    let once = |name: &String| names.iter().filter(|other| *other == name).count() == 1;
+    if names.iter().all(once) {
+        return Ok(names);
+    }
+    let parts: Vec<Vec<_>> = places.iter().map(|place| place.iter().collect()).collect();
+    let common = (0..).take_while(|&i| parts.iter().all(|own| i + 1 < own.len() && own[i] == parts[0][i])).count();
+    let rest = |own: &Vec<&OsStr>| own[common..].iter().collect::<PathBuf>().display().to_string();
+    Ok(parts.iter().map(rest).collect())
+}
+
+fn check_labels(runs: &[PathBuf], given: &[String]) -> Result<Vec<String>> {
+    let refuse = |what: String| Err(Error::Config(format!("--label: {what}; give a name of its own for each run")));
+    if given.len() != runs.len() {
+        return refuse(format!("there are {} for {} runs", given.len(), runs.len()));
+    }
+    for (index, label) in given.iter().enumerate() {
+        if label.trim().is_empty() {
+            return refuse("one is blank".into());
+        }
+        if given[..index].contains(label) {
+            return refuse(format!("`{label}` is there twice"));
+        }
+    }
+    Ok(given.to_vec())
+}

@@ -1,0 +1,59 @@
+//! The size that a view is shown at.
+
+use crate::base::{Image, Result};
+use crate::data::resample;
+use crate::draw::canvas::{Canvas, FINENESS};
+
+/// Pixels of the PNG between which the picture of a view is wide where whole factors allow it.
+const SHOWN: (usize, usize) = (400, 1024);
+
+/// How a view is brought to a size that can be read: enlarged or made smaller by a whole factor, so
+/// that its pixels stay what they are.
+pub struct Shown {
+    /// Pixels of the view, along each side, that become one.
+    pub shrink: usize,
+    /// In the canvas's units.
+    pub width: f64,
+    pub height: f64,
+}
+
+impl Shown {
+    pub fn of(image: &Image) -> Shown {
+        let times = SHOWN.0.div_ceil(image.width) as f64;
+        let shrink = image.width.div_ceil(SHOWN.1);
+        let units = |length: usize| (length / shrink).max(1) as f64 * times / FINENESS;
+        Shown { shrink, width: units(image.width), height: units(image.height) }
+    }
+
+    /// The image's pixels at this size.
+    pub fn raster(&self, image: &Image) -> Result<Image> {
+        let mut canvas = Canvas::new(self.width, self.height);
+        self.draw(&mut canvas, (0.0, 0.0), image)?;
+        canvas.raster()
+    }
+
+    pub fn draw(&self, canvas: &mut Canvas, at: (f64, f64), image: &Image) -> Result<()> {
+        if self.shrink == 1 {
+            return canvas.picture(at, (self.width, self.height), image);
+        }
+        let (width, height) = self.shrunk(image);
+        canvas.picture(at, (self.width, self.height), &resample::shrink(image, width, height))
+    }
+
+    /// A coloured map: every so manieth pixel as it is, for a mean of colours stands for no number.
+    pub fn draw_map(&self, canvas: &mut Canvas, at: (f64, f64), map: &Image) -> Result<()> {
+        let (width, height) = self.shrunk(map);
+        let middle = |place: usize| self.shrink * place + self.shrink / 2;
+        let pixel = |x: usize, y: usize| {
+            let (x, y) = (middle(x).min(map.width - 1), middle(y).min(map.height - 1));
+            map.pixels[(y * map.width + x) * map.channels..][..map.channels].to_vec()
+        };
+        let pixels = (0..height).flat_map(|y| (0..width).flat_map(move |x| pixel(x, y))).collect();
+        canvas.picture(at, (self.width, self.height), &Image { width, height, channels: map.channels, pixels })
+    }
+
+    fn shrunk(&self, image: &Image) -> (usize, usize) {
+        let side = |length: usize| (length / self.shrink).max(1);
+        (side(image.width), side(image.height))
+    }
+}
