@@ -28,7 +28,7 @@ pub use claim::{Beat, Claim, Claimed};
 pub use collect::Collector;
 pub use definition::{Budget, BudgetKind, Combine, Definition, Overrides, Row};
 pub use folder::{Change, Failure, PointFolder, PointResult, PointState, SweepFolder};
-pub use planning::begin;
+pub use planning::{CostGroup, begin, plan_costs};
 pub use points::{Place, Point, expand};
 pub use runner::{Options, Runner, Work};
 pub use training::{Cost, Trainings};

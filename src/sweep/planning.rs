@@ -12,6 +12,7 @@ use super::budget::{StepCosts, shape};
 use super::definition::Definition;
 use super::folder::{Change, SweepFolder};
 use super::points::{Point, expand};
+use super::training::{Cost, Trainings};
 
 /// The points that `folder` was begun with; a new folder is begun with those of `definition`. A
 /// folder of another definition is refused, or with `extend` goes on with this one. `measure` gives
@@ -39,6 +40,35 @@ pub fn begin(
     let points = expand(definition, data_root, &costs)?;
     folder.begin(definition, &points, data_root)?;
     Ok(points)
+}
+
+/// Points that cost the same: of equal steps and shape.
+pub struct CostGroup<'a> {
+    /// The points.
+    pub points: &'a [&'a Point],
+    /// What their shape costs here.
+    pub cost: Cost,
+    /// Seconds of one of them.
+    pub seconds: f64,
+}
+
+/// Measures what points cost on this machine, each shape once, and hands each group over as soon as it is known.
+pub fn plan_costs(points: &[&Point], trainings: &Trainings, mut each: impl FnMut(CostGroup)) -> Result<()> {
+    let mut groups: BTreeMap<(String, u64), Vec<&Point>> = BTreeMap::new();
+    for point in points {
+        groups.entry((shape(&point.config), point.config.train.steps)).or_default().push(point);
+    }
+    let mut known: Option<(&str, Cost)> = None;
+    // Groups of one shape follow one another.
+    for ((shape, steps), points) in &groups {
+        let cost = match known {
+            Some((same, cost)) if same == shape => cost,
+            _ => trainings.cost(&points[0].config)?,
+        };
+        known = Some((shape, cost));
+        each(CostGroup { points, cost, seconds: cost.seconds(*steps) });
+    }
+    Ok(())
 }
 
 /// A scene has come since, so that budgets which hang on it are known.

@@ -1,0 +1,58 @@
+//! `augnerf sweep collect`.
+
+use std::path::PathBuf;
+
+use clap::Args;
+
+use crate::base::{Error, Result};
+use crate::cli::progress::print;
+use crate::report::tables::table_terminal;
+use crate::sweep::{Collector, SweepFolder};
+
+use super::{RESULTS, RUNS, begun, terminal_width};
+
+#[derive(Args)]
+pub struct CollectArguments {
+    /// Folder of a sweep: runs/NAME, or what --out named
+    folder: PathBuf,
+    /// Folder for tables and figures [default: results/NAME of runs/NAME, otherwise FOLDER/results]
+    #[arg(long, value_name = "DIR")]
+    results: Option<PathBuf>,
+    /// Put rows side by side that differ in an uncontrolled setting, such as the code's revision, and mark them
+    #[arg(long)]
+    force: bool,
+    /// Join seconds and memory to the tables
+    #[arg(long)]
+    with_timing: bool,
+    /// Folder that the definition's scenes lie in
+    #[arg(long, env = "AUGNERF_DATA", value_name = "DIR")]
+    data_root: Option<PathBuf>,
+}
+
+impl CollectArguments {
+    pub fn run(self) -> Result<()> {
+        let folder = SweepFolder::new(&self.folder);
+        let definition = folder.definition()?;
+        let points = begun(&folder, self.data_root.as_deref())?;
+        let path = std::path::absolute(&self.folder).map_err(|e| Error::unreadable(&self.folder, &e))?;
+        let name = path.file_name().map_or("sweep".into(), |name| name.to_string_lossy().into_owned());
+        let runs = path.parent().filter(|parent| parent.file_name().is_some_and(|name| name == RUNS));
+        let results = self.results.clone().unwrap_or_else(|| match runs {
+            Some(runs) => runs.with_file_name(RESULTS).join(&name),
+            None => path.join(RESULTS),
+        });
+        let (force, with_timing) = (self.force, self.with_timing);
+        let collector = Collector {
+            folder: &folder,
+            definition: &definition,
+            points: &points,
+            name: &name,
+            results: &results,
+            force,
+            with_timing,
+        };
+        print(&table_terminal(&collector.write()?, terminal_width()));
+        print(&format!("tables: {}", results.display()));
+        Ok(())
+    }
+}

@@ -1,0 +1,139 @@
+//! `augnerf sweep`: which sweep is meant, and a file a command.
+
+use std::io::IsTerminal;
+use std::path::{Path, PathBuf};
+
+use clap::{Args, Subcommand};
+
+use crate::base::{Error, Result};
+use crate::settings::parse_assignment;
+use crate::sweep::{Definition, Overrides, Point, SweepFolder};
+
+mod collect;
+mod plan;
+mod run;
+mod status;
+
+/// Points of the sweep NAME are in `runs/NAME`.
+const RUNS: &str = "runs";
+/// Its tables are in `results/NAME`, or in `DIR/results` below `--out DIR`.
+const RESULTS: &str = "results";
+
+#[derive(Subcommand)]
+pub enum SweepCommand {
+    /// Run all points of a sweep, or go on with it, and write its tables
+    #[command(after_help = run::EXAMPLES)]
+    Run(run::RunArguments),
+    /// List the points and measure what they will cost, without running them
+    Plan(plan::PlanArguments),
+    /// Show what is done, running, failed
+    Status(status::StatusArguments),
+    /// Write tables and figures from what is done, from files alone
+    Collect(collect::CollectArguments),
+}
+
+impl SweepCommand {
+    pub fn run(self) -> Result<()> {
+        match self {
+            SweepCommand::Run(arguments) => arguments.run(),
+            SweepCommand::Plan(arguments) => arguments.run(),
+            SweepCommand::Status(arguments) => arguments.run(),
+            SweepCommand::Collect(arguments) => arguments.run(),
+        }
+    }
+}
+
+/// Which sweep, and where it lies.
+#[derive(Args)]
+struct Location {
+    /// Sweep file
+    file: PathBuf,
+    /// The sweep's name: points in runs/NAME, tables in results/NAME [default: the file's]
+    #[arg(long)]
+    name: Option<String>,
+    /// Folder for points and tables instead of runs/NAME and results/NAME
+    #[arg(long, value_name = "DIR")]
+    out: Option<PathBuf>,
+    /// Folder that the definition's scenes lie in
+    #[arg(long, env = "AUGNERF_DATA", value_name = "DIR")]
+    data_root: Option<PathBuf>,
+}
+
+/// What the command line changes in a definition.
+#[derive(Args)]
+struct Changes {
+    /// Another preset than the file's
+    #[arg(long, value_name = "NAME")]
+    preset: Option<String>,
+    /// Other scenes: folders below the data root, builtin, builtin-forward
+    #[arg(long, value_delimiter = ',', value_name = "SCENE,...")]
+    scenes: Option<Vec<String>>,
+    /// Other seeds
+    #[arg(long, value_delimiter = ',', value_name = "N,...")]
+    seeds: Option<Vec<u64>>,
+    /// A setting for all points, under what rows and axes set: --set train.steps=1000
+    #[arg(long, value_name = "FIELD=VALUE")]
+    set: Vec<String>,
+}
+
+impl Location {
+    fn name(&self) -> Result<String> {
+        let stem = || self.file.file_stem().map(|stem| stem.to_string_lossy().into_owned());
+        let name = self.name.clone().or_else(stem).unwrap_or_default();
+        if name.is_empty() || name.contains(['/', '\\']) || name == "." || name == ".." {
+            return Err(Error::Config(format!("--name '{name}': give a name without path separators")));
+        }
+        Ok(name)
+    }
+
+    fn folder(&self) -> Result<SweepFolder> {
+        Ok(SweepFolder::new(&match &self.out {
+            Some(out) => out.clone(),
+            None => Path::new(RUNS).join(self.name()?),
+        }))
+    }
+
+    fn results(&self) -> Result<PathBuf> {
+        Ok(match &self.out {
+            Some(out) => out.join(RESULTS),
+            None => Path::new(RESULTS).join(self.name()?),
+        })
+    }
+}
+
+impl Changes {
+    fn definition(&self, location: &Location) -> Result<Definition> {
+        let mut definition = Definition::read(&location.file)?;
+        let set = self.set.iter().map(|text| parse_assignment(text)).collect::<Result<Vec<_>>>()?;
+        definition.apply(Overrides {
+            preset: self.preset.clone(),
+            scenes: self.scenes.clone(),
+            seeds: self.seeds.clone(),
+            set,
+        })?;
+        Ok(definition)
+    }
+}
+
+/// Columns of the terminal; a file or a pipe gets lines that most screens show.
+fn terminal_width() -> u16 {
+    let (_, columns) = console::Term::stdout().size();
+    if std::io::stdout().is_terminal() { columns.max(60) } else { 160 }
+}
+
+/// The points of a folder that a sweep was begun in.
+fn begun(folder: &SweepFolder, data_root: Option<&Path>) -> Result<Vec<Point>> {
+    folder.points(data_root)?.ok_or_else(|| {
+        Error::Checkpoint(format!("{} has no points.json: `augnerf sweep run` writes it", folder.path().display()))
+    })
+}
+
+/// Seconds for a person.
+fn duration(seconds: f64) -> String {
+    match seconds {
+        s if s < 120.0 => format!("{s:.0} s"),
+        s if s < 7200.0 => format!("{:.0} min", s / 60.0),
+        s if s < 172_800.0 => format!("{:.1} h", s / 3600.0),
+        s => format!("{:.1} days", s / 86_400.0),
+    }
+}

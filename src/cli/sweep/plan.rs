@@ -1,0 +1,75 @@
+//! `augnerf sweep plan`.
+
+use clap::Args;
+
+use crate::base::Result;
+use crate::cli::Compute;
+use crate::cli::progress::{Console, print};
+use crate::runtime::Runtime;
+use crate::sweep::{Change, Point, Trainings, expand, plan_costs};
+
+use super::{Changes, Location, duration};
+
+#[derive(Args)]
+pub struct PlanArguments {
+    #[command(flatten)]
+    location: Location,
+    #[command(flatten)]
+    changes: Changes,
+    #[command(flatten)]
+    compute: Compute,
+}
+
+impl PlanArguments {
+    pub fn run(self) -> Result<()> {
+        let runtime = self.compute.runtime()?;
+        runtime.install(|| self.plan(&runtime))
+    }
+
+    fn plan(&self, runtime: &Runtime) -> Result<()> {
+        let console = Console::new(self.compute.quiet);
+        let definition = self.changes.definition(&self.location)?;
+        let folder = self.location.folder()?;
+        let trainings = Trainings::new(runtime.clone(), (Vec::new(), String::new()), false, &console);
+        let data_root = self.location.data_root.as_deref();
+        let points = match folder.points(data_root)? {
+            Some(points) if folder.compare(&definition)? == Change::None => points,
+            _ => expand(&definition, data_root, &trainings)?,
+        };
+        print(&format!("{} points", points.len()));
+        let left: Vec<&Point> =
+            points.iter().filter(|point| point.no_data.is_none() && !folder.point(&point.id).ended()).collect();
+        let (mut total, mut memory) = (0.0, None);
+        plan_costs(&left, &trainings, |group| {
+            total += group.points.len() as f64 * group.seconds;
+            memory = [memory, group.cost.peak_memory_mib].into_iter().flatten().reduce(f64::max);
+            print(&format!(
+                "{:4} x {:44} {:8.3} s/step  {:9} a point  {}",
+                group.points.len(),
+                group.points[0].label(),
+                group.cost.seconds_per_step,
+                duration(group.seconds),
+                mebibytes(group.cost.peak_memory_mib)
+            ));
+        })?;
+        let missing = points.iter().filter(|point| point.no_data.is_some()).count();
+        if missing > 0 {
+            print(&format!("{missing:4} x no data"));
+        }
+        let ended = points.len() - missing - left.len();
+        if ended > 0 {
+            print(&format!("{ended:4} x done or failed before"));
+        }
+        print(&format!(
+            "{} in all, one point after the other, and {} of memory; --jobs N needs N times as much. Rendering is counted; \
+             LPIPS and smoothness are not",
+            duration(total),
+            mebibytes(memory)
+        ));
+        Ok(())
+    }
+}
+
+fn mebibytes(memory: Option<f64>) -> String {
+    memory.map_or("unknown".into(), |mib| format!("{mib:.0} MiB"))
+}

@@ -1,0 +1,168 @@
+//! `augnerf sweep run`.
+
+use clap::Args;
+
+use crate::base::{Error, Result};
+use crate::cli::progress::{Console, print};
+use crate::cli::train::catch_signals;
+use crate::cli::{Compute, LpipsWeights};
+use crate::metrics::{Lpips, Metric, Needs, Scope};
+use crate::report::Status;
+use crate::report::tables::table_terminal;
+use crate::run::load_lpips;
+use crate::runtime::Runtime;
+use crate::sweep::{Collector, Options, Point, Runner, SweepFolder, Trainings, begin};
+
+use super::{Changes, Location, terminal_width};
+
+pub const EXAMPLES: &str = "Examples:
+  augnerf sweep run sweeps/smoke.toml                      two minutes on the embedded scene
+  augnerf sweep run sweeps/tab4_ablation.toml --scenes builtin --preset smoke --name tab4_builtin
+  AUGNERF_DATA=~/data augnerf sweep run sweeps/tab1_llff.toml --jobs 2
+  augnerf sweep run sweeps/tab1_llff.toml --retry-failed   once more, with what failed
+
+The same command goes on where it was stopped or killed; several on one folder share the points.
+Exit codes: 0 done, 7 some points failed, 8 scenes of some points are missing, 9 rows may not stand in one
+table (see --force), 130 or 143 stopped (run it again), 2 the
+definition is wrong (do not run it again).";
+
+#[derive(Args)]
+pub struct RunArguments {
+    #[command(flatten)]
+    location: Location,
+    #[command(flatten)]
+    changes: Changes,
+    /// Points at once; the threads are shared among them
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u16).range(1..=1024))]
+    jobs: u16,
+    /// Go on after a point failed (the default)
+    #[arg(long, conflicts_with = "fail_fast")]
+    keep_going: bool,
+    /// Stop at the first point that fails
+    #[arg(long)]
+    fail_fast: bool,
+    /// Try points that failed again
+    #[arg(long)]
+    retry_failed: bool,
+    /// Take a definition that has changed since the folder was begun; points that it no longer has stay on disk
+    #[arg(long)]
+    extend: bool,
+    /// A point with which so many runners were killed in a row, none at a later checkpoint, counts as failed
+    #[arg(long, value_name = "N", default_value_t = 25, value_parser = clap::value_parser!(u32).range(1..))]
+    max_deaths: u32,
+    /// Measure finished points again that lack a metric which can be measured now, such as LPIPS
+    #[arg(long)]
+    remeasure: bool,
+    /// Put rows side by side that differ in an uncontrolled setting, such as the code's revision, and mark them
+    #[arg(long)]
+    force: bool,
+    #[command(flatten)]
+    weights: LpipsWeights,
+    #[command(flatten)]
+    compute: Compute,
+}
+
+impl RunArguments {
+    pub fn run(self) -> Result<()> {
+        let runtime = self.compute.runtime()?;
+        runtime.install(|| self.run_points(&runtime))
+    }
+
+    fn run_points(&self, runtime: &Runtime) -> Result<()> {
+        let quiet = self.compute.quiet;
+        let console = if self.jobs == 1 { Console::new(quiet) } else { Console::without_bars(quiet) };
+        let definition = self.changes.definition(&self.location)?;
+        let folder = self.location.folder()?;
+        let weights = self.weights.lpips_weights.as_ref().map(std::path::absolute).transpose();
+        let weights = weights.map_err(|e| Error::Config(format!("--lpips-weights: {e}")))?;
+        let weights = weights.map_or(String::new(), |dir| dir.to_string_lossy().into_owned());
+        let lpips = load_lpips(&weights, runtime.device())?;
+        let (measured, missing): (Vec<_>, Vec<_>) =
+            definition.metrics.iter().cloned().partition(|metric| measurable(metric, &lpips));
+        if !missing.is_empty() {
+            console.say(&format!(
+                "not measured, for want of LPIPS weights (--lpips-weights, AUGNERF_LPIPS_WEIGHTS): {}; with --remeasure a \
+                 later run measures them from the points' checkpoints",
+                missing.join(", ")
+            ));
+        }
+        let smoothness = definition.metric_in(Scope::Lattice).is_some();
+        let trainings = Trainings::new(runtime.clone(), (lpips, weights), smoothness, &console);
+        let points = begin(&folder, &definition, self.location.data_root.as_deref(), self.extend, &trainings)?;
+        let options = Options {
+            jobs: usize::from(self.jobs),
+            fail_fast: self.fail_fast,
+            retry_failed: self.retry_failed,
+            most_deaths: self.max_deaths,
+            remeasure: if self.remeasure { measured } else { Vec::new() },
+        };
+        let stop = catch_signals()?;
+        let runner = Runner {
+            folder: &folder,
+            points: &points,
+            runtime,
+            work: &trainings,
+            options,
+            events: &console,
+            stop: &stop,
+        };
+        let ran = runner.run();
+        let name = self.location.name()?;
+        let collector = Collector {
+            folder: &folder,
+            definition: &definition,
+            points: &points,
+            name: &name,
+            results: &self.location.results()?,
+            force: self.force,
+            with_timing: false,
+        };
+        // A stopped sweep leaves the table of what is done, too.
+        let table = collector.write();
+        ran?;
+        if let Ok(table) = &table
+            && !quiet
+        {
+            print(&table_terminal(table, terminal_width()));
+        }
+        console.say(&format!("tables: {}", collector.results.display()));
+        // What became of the points comes before what became of the table.
+        summarise(&folder, &points)?;
+        table.map(|_| ())
+    }
+}
+
+/// Whether a metric can be had with these LPIPS backbones.
+fn measurable(metric: &str, lpips: &[Lpips]) -> bool {
+    match Metric::find(metric).map(|metric| metric.needs) {
+        Some(Needs::Lpips(backbone)) => lpips.iter().any(|lpips| lpips.backbone() == backbone),
+        _ => true,
+    }
+}
+
+/// Says what became of the points; an error where not all are done.
+fn summarise(folder: &SweepFolder, points: &[Point]) -> Result<()> {
+    let states = points.iter().map(|point| folder.point(&point.id).state(point)).collect::<Result<Vec<_>>>()?;
+    let count = |status| states.iter().filter(|state| state.status == status).count();
+    let reasons = points.iter().zip(&states).filter(|(_, state)| state.status == Status::Failed);
+    let reasons: Vec<String> =
+        reasons.map(|(point, state)| format!("\n  {}: {}", point.label(), state.reason)).collect();
+    let (done, failed, no_data) = (count(Status::Done), count(Status::Failed), count(Status::NoData));
+    if failed > 0 {
+        return Err(Error::PointsFailed(format!(
+            "{failed} of {} points failed ({done} are done); --retry-failed tries them again:{}",
+            points.len(),
+            reasons.concat()
+        )));
+    }
+    if no_data > 0 {
+        let first = states.iter().find(|state| state.status == Status::NoData).expect("counted");
+        return Err(Error::PointsWithoutData(format!(
+            "{no_data} of {} points have no data here ({done} are done): {}; put the scenes below --data-root \
+             (AUGNERF_DATA) and run the sweep again",
+            points.len(),
+            first.reason
+        )));
+    }
+    Ok(())
+}

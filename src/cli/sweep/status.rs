@@ -1,0 +1,76 @@
+//! `augnerf sweep status`.
+
+use std::collections::BTreeMap;
+use std::path::PathBuf;
+
+use clap::Args;
+
+use crate::base::{Error, Result};
+use crate::cli::progress::print;
+use crate::report::Status;
+use crate::sweep::{Point, SweepFolder};
+
+use super::{begun, duration};
+
+#[derive(Args)]
+pub struct StatusArguments {
+    /// Folder of a sweep: runs/NAME, or what --out named
+    folder: PathBuf,
+    /// Folder that the definition's scenes lie in
+    #[arg(long, env = "AUGNERF_DATA", value_name = "DIR")]
+    data_root: Option<PathBuf>,
+    /// Show it again every so many seconds, until all points have ended
+    #[arg(long, value_name = "SECONDS", value_parser = clap::value_parser!(u16).range(1..))]
+    watch: Option<u16>,
+}
+
+impl StatusArguments {
+    pub fn run(self) -> Result<()> {
+        let folder = SweepFolder::new(&self.folder);
+        let points = begun(&folder, self.data_root.as_deref())?;
+        let terminal = console::Term::stdout();
+        let mut shown = 0;
+        loop {
+            let (lines, left) = states(&folder, &points)?;
+            // On a screen the table stays in its place.
+            terminal
+                .clear_last_lines(shown)
+                .map_err(|e| Error::Output(format!("cannot write to the terminal: {e}")))?;
+            lines.iter().for_each(|line| print(line));
+            match self.watch {
+                Some(seconds) if left > 0 => std::thread::sleep(std::time::Duration::from_secs(seconds.into())),
+                _ => return Ok(()),
+            }
+            shown = if terminal.is_term() { screen_lines(&lines, terminal.size()) } else { 0 };
+        }
+    }
+}
+
+/// Lines that a screen of `(rows, columns)` shows for these, as far as it can still reach them.
+fn screen_lines(lines: &[String], (rows, columns): (u16, u16)) -> usize {
+    let of_line = |line: &String| line.chars().count().div_ceil(usize::from(columns).max(1)).max(1);
+    lines.iter().map(of_line).sum::<usize>().min(usize::from(rows).saturating_sub(1))
+}
+
+/// The points' states, and how many have not ended.
+fn states(folder: &SweepFolder, points: &[Point]) -> Result<(Vec<String>, usize)> {
+    let mut lines = Vec::new();
+    let mut counts: BTreeMap<&str, usize> = BTreeMap::new();
+    for point in points {
+        let state = folder.point(&point.id).state(point)?;
+        *counts.entry(state.status.name()).or_default() += 1;
+        let what = match (state.status, &state.claim) {
+            (Status::Running, Some(claim)) => {
+                let left = claim.seconds_left.map_or(String::new(), |left| format!(", {} left", duration(left)));
+                format!("step {} of {}{left} ({}, process {})", claim.step, claim.steps, claim.host, claim.pid)
+            }
+            (Status::Done, _) => state.result.metric("psnr").map_or(String::new(), |psnr| format!("PSNR {psnr:.2} dB")),
+            _ => state.reason.clone(),
+        };
+        lines.push(format!("{:8} {} {}  {what}", state.status.name(), point.id, point.label()));
+    }
+    let counts: Vec<String> = counts.iter().map(|(status, count)| format!("{count} {status}")).collect();
+    lines.push(format!("{}: {}", folder.path().display(), counts.join(", ")));
+    let left = |point: &&Point| point.no_data.is_none() && !folder.point(&point.id).ended();
+    Ok((lines, points.iter().filter(left).count()))
+}
