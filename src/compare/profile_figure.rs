@@ -249,7 +249,7 @@ fn caption(profiles: &Profiles) -> String {
         x + width - 1,
         profiles.pixel.1
     );
-    if runs().any(|run| run.protocol.method.contains("mip")) {
+    if runs().any(|run| run.at_intervals) {
         text += " MipNeRF's field is queried at Gaussians of these places' own short intervals, which no evaluation queries.";
     }
     text + &trained_on(runs())

@@ -24,6 +24,8 @@ pub struct RunView {
     pub ndc: Option<Ndc>,
     /// Ends of a ray's interval in the units of `t_vals`.
     pub bounds: (f64, f64),
+    /// Its field is queried at intervals of rays.
+    pub at_intervals: bool,
     /// Every setting that can change a number, by its name in `config.toml`.
     pub(super) settings: Vec<(String, String)>,
 }
@@ -39,7 +41,8 @@ impl RunView {
             view: scene.test[index].clone(),
             index,
             ndc: scene.ndc,
-            bounds: (scene.near, scene.far),
+            bounds: scene.bounds(),
+            at_intervals: config.field.encoding.at_intervals(),
             settings: differences::settings(config),
         })
     }

@@ -18,16 +18,12 @@ pub fn positions_at(field: &Field, rays: &Rays, t_vals: &Tensor) -> Result<Tenso
 
 /// What passes of `field` need of rays.
 pub fn ray_parts(field: &Field) -> RayParts {
-    RayParts { footprint: field.config().encoding == Encoding::Integrated, tangents: false }
+    RayParts { footprint: field.config().encoding.at_intervals(), tangents: false }
 }
 
 /// Samples that a pass of `field` has with so many columns of `t_vals`.
 pub fn samples_of(field: &Field, t_vals: &Tensor) -> Result<usize> {
-    let columns = t_vals.dim(1)?;
-    Ok(match field.config().encoding {
-        Encoding::Positional => columns,
-        Encoding::Integrated => columns - 1,
-    })
+    Ok(field.config().encoding.samples(t_vals.dim(1)?))
 }
 
 /// origin + t * direction, `[rays, samples, 3]`.

@@ -103,7 +103,7 @@ impl SmoothnessReport {
 /// # Errors
 /// [`Error::Config`]: a method whose field is queried at Gaussians.
 pub fn check_measurable(run: &Path, config: &Config) -> Result<()> {
-    if !config.method.is_mip() {
+    if config.method.representation().has_derivatives_at_points() {
         return Ok(());
     }
     Err(Error::Config(format!(

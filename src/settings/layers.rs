@@ -56,13 +56,10 @@ impl Preset {
     }
 }
 
-/// What lies between preset and file in a run of MipNeRF.
-const MIP_NERF: &str = include_str!("presets/mip-nerf.toml");
-
-/// The method that a table of settings names is one of MipNeRF's.
-fn is_mip(table: &Table) -> bool {
+/// What lies between preset and file for the method that a table of settings names.
+fn method_layer(table: &Table) -> Option<&'static str> {
     let method = table.get("method").cloned().and_then(|method| method.try_into::<Method>().ok());
-    method.is_some_and(Method::is_mip)
+    method.and_then(|method| method.representation().layer())
 }
 
 /// Splits `a.b=v` into its path and its value. A value that is not TOML (a bare word) is a string.
@@ -99,8 +96,8 @@ pub fn build(preset: Option<Preset>, file: Option<&Path>, assignments: &[(Vec<St
     for (path, value) in assignments {
         assign(&mut table, path, value.clone())?;
     }
-    if is_mip(&table) {
-        merge(&mut base, toml::from_str(MIP_NERF).expect("presets are valid TOML"));
+    if let Some(layer) = method_layer(&table) {
+        merge(&mut base, toml::from_str(layer).expect("presets are valid TOML"));
     }
     merge(&mut base, table);
     let text = toml::to_string(&base).expect("a table of settings is plain data");

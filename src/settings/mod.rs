@@ -11,6 +11,7 @@ mod corruption;
 mod layers;
 mod perturb;
 mod regularizer;
+mod representation;
 mod resolved;
 mod validate;
 
@@ -21,6 +22,7 @@ pub use perturb::{
     Radius, Resample, ResolvedDelta, ResolvedPerturb, StepUnit,
 };
 pub use regularizer::{LatticePoints, REGULARIZERS, RegularizedFields, Regularizer, RegularizerConfig};
+pub use representation::Representation;
 pub use resolved::{Located, Resolved};
 pub use validate::{MESH_SIDES, validate_mesh, validate_regularizer};
 
@@ -76,16 +78,6 @@ impl Method {
             Method::MipNerf => "mip-nerf",
             Method::AugMipNerf => "aug-mip-nerf",
         }
-    }
-
-    /// There is a perturbed pass.
-    pub fn is_augmented(self) -> bool {
-        matches!(self, Method::AugNerf | Method::AugMipNerf)
-    }
-
-    /// The field is asked at intervals of rays, not at points.
-    pub fn is_mip(self) -> bool {
-        matches!(self, Method::MipNerf | Method::AugMipNerf)
     }
 }
 
@@ -602,7 +594,7 @@ impl Config {
     /// Samples of the coarse and of the fine pass; the latter 0 where there is none.
     pub fn samples(&self) -> (usize, usize) {
         let SamplingConfig { coarse, fine, .. } = self.sampling;
-        (coarse, if fine == 0 || self.method.is_mip() { fine } else { coarse + fine })
+        (coarse, if fine == 0 || self.field.encoding.at_intervals() { fine } else { coarse + fine })
     }
 }
 

@@ -4,7 +4,7 @@
 use std::ops::RangeInclusive;
 
 use super::{
-    Attack, Config, CorruptionConfig, DataKind, Encoding, EvalSplit, LEVELS, LatticePoints, Level, MeshConfig, Norm,
+    Attack, Config, CorruptionConfig, DataKind, EvalSplit, LEVELS, LatticePoints, Level, MeshConfig, Norm,
     PerturbField, PerturbKind, RegularizerConfig, StepUnit,
 };
 use crate::base::{Error, Result};
@@ -149,13 +149,13 @@ impl Config {
         require((4..=4096).contains(&field.width), "field.width", field.width, "4 to 4096 neurons")?;
         require(field.width.is_multiple_of(2), "field.width", field.width, "even (the view layer has half of it)")?;
         require((1..=64).contains(&field.depth), "field.depth", field.depth, "1 to 64 layers")?;
-        let integrated = field.encoding == Encoding::Integrated;
+        let integrated = field.encoding.at_intervals();
         let least = usize::from(integrated);
         let allowed = format!("{least} to 20");
         let octaves = field.position_octaves;
         require((least..=20).contains(&octaves), "field.position_octaves", octaves, &allowed)?;
         require((0.0..=0.5).contains(&field.rgb_padding), "field.rgb_padding", field.rgb_padding, "0 to 0.5")?;
-        if self.method.is_mip() != integrated {
+        if self.method.representation().encoding() != field.encoding {
             return Err(Error::Config(format!(
                 "field.encoding = \"{}\" is not that of method {}: integrated is for mip-nerf and aug-mip-nerf, positional \
                  for nerf and aug-nerf",
@@ -163,7 +163,7 @@ impl Config {
                 self.method.name()
             )));
         }
-        if integrated && self.regularizer.has_space_terms() {
+        if !self.method.representation().has_derivatives_at_points() && self.regularizer.has_space_terms() {
             return Err(Error::Config(format!(
                 "regularizer.kind with method {}: terms in space are made of derivatives at points, and this field is queried at \
                  Gaussians; use nerf or aug-nerf, or the distortion loss alone",
@@ -184,7 +184,7 @@ impl Config {
         require((3..=4096).contains(&sampling.coarse), "sampling.coarse", sampling.coarse, "3 to 4096 samples")?;
         require(sampling.fine <= 4096, "sampling.fine", sampling.fine, "0 (coarse only) to 4096 samples")?;
         let allowed = "0 (coarse only) or at least 2 intervals";
-        require(!(self.method.is_mip() && sampling.fine == 1), "sampling.fine", sampling.fine, allowed)?;
+        require(!(self.field.encoding.at_intervals() && sampling.fine == 1), "sampling.fine", sampling.fine, allowed)?;
         let padding = sampling.resample_padding;
         let allowed = "positive: where all weights are 0, intervals are drawn from it alone";
         require(padding.is_finite() && padding > 0.0, "sampling.resample_padding", padding, allowed)?;

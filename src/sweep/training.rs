@@ -197,8 +197,7 @@ impl Trainings<'_> {
         let Finished { report, model, .. } = finished;
         let mut metrics: Vec<(String, Option<f64>)> =
             report.mean.iter().map(|(metric, value)| (metric.key.to_string(), value)).collect();
-        // A field that is queried at Gaussians has no derivatives at points.
-        if self.smoothness && !config.method.is_mip() {
+        if self.smoothness && config.method.representation().has_derivatives_at_points() {
             let device = self.runtime.device();
             let (protocol, events) = (report.protocol.clone(), self.events);
             let smoothness = SmoothnessReport::measure(model, scene, &SMOOTHNESS, protocol, device, events)?;

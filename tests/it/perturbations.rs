@@ -61,7 +61,7 @@ impl Setting {
         let rays =
             RayBuffer::new(&pixels, None, Default::default(), RayParts::ALL).to_tensors(DType::F64, &CPU).unwrap();
         let draw = |random: &mut Random, shape: &[usize]| random.uniform_tensor(shape, DType::F64, &CPU).unwrap();
-        let columns = samples + usize::from(method.is_mip());
+        let columns = samples + usize::from(method.representation().encoding().at_intervals());
         let jitter = draw(&mut random, &[rays.len(), columns]);
         let t_vals = sampling::stratified(2.0, 6.0, rays.len(), columns, Some(&jitter), &rays.origins).unwrap();
         let noise = draw(&mut random, &[rays.len(), samples]);
@@ -159,7 +159,10 @@ fn loss_gradients_in_every_delta_equal_finite_differences() {
             let given = deltas.get(level).unwrap().flatten_all().unwrap().to_vec1::<f64>().unwrap();
             let samples = 6;
             let free = |i: &usize| {
-                used[*i] == given[*i] && (level != Level::Density || method.is_mip() || i % samples != samples - 1)
+                used[*i] == given[*i]
+                    && (level != Level::Density
+                        || method.representation().encoding().at_intervals()
+                        || i % samples != samples - 1)
             };
             let difference = |i: usize| {
                 let at = |by: f64| {

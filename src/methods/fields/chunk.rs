@@ -60,7 +60,7 @@ impl FieldLearner {
         let sampling = &self.config.sampling;
         let (n, coarse, fine) = (rays.len(), sampling.coarse, sampling.fine);
         let (columns, fine_columns) = columns(&self.fields.coarse, sampling);
-        let (mip, (_, fine_samples)) = (self.config.method.is_mip(), self.config.samples());
+        let (intervals, (_, fine_samples)) = (self.config.field.encoding.at_intervals(), self.config.samples());
         let jitter = match sampling.jitter {
             true => Some(random.uniform_tensor(&[n, columns], self.dtype, &self.device)?),
             false => None,
@@ -80,7 +80,7 @@ impl FieldLearner {
             (0, _) => None,
             (_, true) => {
                 let uniform = random.uniform_tensor(&[n, fine_columns], self.dtype, &self.device)?;
-                Some(if mip { sampling::stratified_u(&uniform)? } else { uniform })
+                Some(if intervals { sampling::stratified_u(&uniform)? } else { uniform })
             }
             (_, false) => Some(sampling::even_u(n, fine_columns, &t_coarse)?),
         };

@@ -172,7 +172,7 @@ impl Learner for FieldLearner {
             let name = term.name();
             return Err(Error::Config(format!("the loss has a term '{name}' already; give the new one another name")));
         }
-        if matches!(term, LossTerm::InSpace(_)) && self.config.method.is_mip() {
+        if matches!(term, LossTerm::InSpace(_)) && !self.config.method.representation().has_derivatives_at_points() {
             return Err(Error::Config(format!(
                 "the term '{}' is made of density's derivatives at points, which method {} has not; use nerf or aug-nerf",
                 term.name(),

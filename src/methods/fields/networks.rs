@@ -13,7 +13,7 @@ pub struct Fields {
     pub coarse: Field,
     /// Rendered and evaluated, where there are two.
     fine: Option<Field>,
-    /// The coarse field renders the fine pass, too (MipNeRF).
+    /// The coarse field renders the fine pass, too.
     one: bool,
     /// The perturbed pass's own field (`perturb.field = "separate"`); never evaluated.
     pub adversarial: Option<Field>,
@@ -35,7 +35,7 @@ impl Fields {
     /// `fine`, `adversarial`.
     pub fn roles(config: &Config) -> Vec<&'static str> {
         let mut roles = vec!["coarse"];
-        if config.sampling.fine > 0 && !config.method.is_mip() {
+        if config.sampling.fine > 0 && config.method.representation().has_fine_field() {
             roles.push("fine");
         }
         if config.method.is_augmented() && config.perturb.field == PerturbField::Separate {
@@ -63,7 +63,7 @@ impl Fields {
         Fields {
             coarse: fields.remove("coarse").expect("there is always a coarse field"),
             fine: fields.remove("fine"),
-            one: config.method.is_mip() && config.sampling.fine > 0,
+            one: config.sampling.fine > 0 && !config.method.representation().has_fine_field(),
             adversarial: fields.remove("adversarial"),
         }
     }

@@ -49,7 +49,7 @@ pub fn tiny_config(method: Method, change: impl FnOnce(&mut Config)) -> Resolved
     config.field.skips = vec![2];
     config.field.position_octaves = 4;
     config.field.view_octaves = 2;
-    if method.is_mip() {
+    if method.representation().encoding().at_intervals() {
         // What `build` lays under such a method, with fewer octaves.
         config.field.encoding = Encoding::Integrated;
         config.field.position_octaves = 6;
