@@ -3,6 +3,7 @@
 use std::fs;
 use std::path::Path;
 
+use crate::common::assert_says;
 use augnerf::data;
 use augnerf::settings::{DataConfig, DataKind, EvalSplit};
 use tempfile::TempDir;
@@ -84,9 +85,7 @@ fn try_load(mut config: DataConfig) -> augnerf::base::Result<data::Scene> {
 fn refuses(config: DataConfig, words: &[&str]) {
     let error = try_load(config).expect_err("must be refused");
     let message = error.to_string();
-    for word in words {
-        assert!(message.contains(word), "{word:?} is not in: {message}");
-    }
+    assert_says(&message, words);
     assert_eq!(error.exit_code(), 3, "{message}");
     println!("{message}");
 }

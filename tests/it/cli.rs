@@ -4,12 +4,10 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
-use crate::common::program::{augnerf, refuse, succeed};
+use crate::common::assert_says;
+use crate::common::files::{assert_same_files, files, json, text};
+use crate::common::program::{augnerf, demand, printed, refuse, succeed};
 use tempfile::TempDir;
-
-fn text(path: &Path) -> String {
-    std::fs::read_to_string(path).unwrap_or_else(|e| panic!("{}: {e}", path.display()))
-}
 
 /// Settings of a run that takes a second: the embedded scene at 16 x 16.
 const TINY: [&str; 14] = [
@@ -44,35 +42,11 @@ fn tiny<'a>(out: &'a Path, further: &[&'a str]) -> Vec<&'a str> {
     arguments
 }
 
-/// Everything of a run that must repeat: all files but clocks, locks and event files.
-fn content(run: &Path) -> Vec<(PathBuf, Vec<u8>)> {
-    fn walk(dir: &Path, root: &Path, found: &mut Vec<(PathBuf, Vec<u8>)>) {
-        for entry in std::fs::read_dir(dir).unwrap() {
-            let path = entry.unwrap().path();
-            let name = path.strip_prefix(root).unwrap().to_path_buf();
-            if ["timing.json", "run.lock", "tensorboard"].iter().any(|other| name.starts_with(other)) {
-                continue;
-            }
-            if path.is_dir() {
-                walk(&path, root, found);
-            } else {
-                found.push((name, std::fs::read(&path).unwrap()));
-            }
-        }
-    }
-    let mut found = Vec::new();
-    walk(run, run, &mut found);
-    found.sort();
-    found
-}
+/// Of a run, what need not repeat: clocks, locks and event files.
+const FLEETING: [&str; 3] = ["timing.json", "run.lock", "tensorboard"];
 
 fn assert_same(a: &Path, b: &Path) {
-    let (a, b) = (content(a), content(b));
-    let names = |files: &[(PathBuf, Vec<u8>)]| files.iter().map(|(name, _)| name.clone()).collect::<Vec<_>>();
-    assert_eq!(names(&a), names(&b));
-    for ((name, left), (_, right)) in a.iter().zip(&b) {
-        assert!(left == right, "{} differs", name.display());
-    }
+    assert_same_files(a, b, &FLEETING);
 }
 
 /// Waits until the run has written the checkpoint of `step`.
@@ -104,7 +78,7 @@ fn a_run_leaves_everything_it_promises() {
     assert!(out.join("checkpoints/step_000000040/state.safetensors").is_file());
     assert_eq!(std::fs::read_dir(out.join("checkpoints")).unwrap().count(), 2, "the last two are kept");
     assert_eq!(std::fs::read_dir(out.join("tensorboard")).unwrap().count(), 1);
-    let metrics: serde_json::Value = serde_json::from_str(&text(&out.join("metrics.json"))).unwrap();
+    let metrics = json(&out.join("metrics.json"));
     assert!(metrics["mean"]["psnr"].as_f64().unwrap() > 3.0);
     assert!(metrics["mean"]["ssim"].is_number());
     assert!(metrics["mean"]["lpips_squeeze"].is_null(), "missing is empty, not 0");
@@ -153,7 +127,7 @@ fn equal_seeds_give_equal_bytes_with_one_thread_and_with_two() {
     }
     let other = dir.path().join("other");
     succeed(&tiny(&other, &["--seed", "1", "--set", "train.steps=20"]));
-    assert_ne!(content(&other), content(&dir.path().join("nerf-1")));
+    assert_ne!(files(&other, &FLEETING), files(&dir.path().join("nerf-1"), &FLEETING));
 }
 
 #[test]
@@ -196,8 +170,7 @@ fn smoothness_is_measured_on_one_lattice_for_all_runs() {
     succeed(&tiny(&nerf, &[]));
     succeed(&tiny(&aug, &["--method", "aug-nerf", "--set", "perturb.field=separate"]));
     let runs = [nerf.to_str().unwrap(), aug.to_str().unwrap()];
-    let output = succeed(&["measure", "--quiet", "--lattice", "12", runs[0], runs[1]]);
-    let table = String::from_utf8(output.stdout).unwrap();
+    let table = printed(&["measure", "--quiet", "--lattice", "12", runs[0], runs[1]]);
     let mut reader = csv::Reader::from_reader(table.as_bytes());
     let names = ["run", "field", "lattice", "domain", "l1", "tv", "laplacian", "largest_density", "occupied"];
     assert_eq!(reader.headers().unwrap(), &names[..]);
@@ -224,7 +197,7 @@ fn smoothness_is_measured_on_one_lattice_for_all_runs() {
 fn balance_prints_a_grid_of_weights() {
     let mut arguments = vec!["balance", "--quiet", "--steps", "3", "--set", "regularizer.points_per_step=256"];
     arguments.extend(TINY);
-    let table = String::from_utf8(succeed(&arguments).stdout).unwrap();
+    let table = printed(&arguments);
     let rows: Vec<Vec<&str>> = table.lines().skip(1).map(|line| line.split(',').collect()).collect();
     assert_eq!(rows.len(), 15, "{table}");
     for row in rows {
@@ -352,27 +325,24 @@ fn a_reader_that_goes_away_does_not_stop_training() {
 #[test]
 fn no_arguments_train_the_embedded_scene_in_the_default_place() {
     let dir = TempDir::new().unwrap();
-    let output = augnerf(&["train", "--set", "train.steps=2"]).current_dir(dir.path()).output().unwrap();
-    let said = String::from_utf8_lossy(&output.stderr).into_owned();
-    assert!(output.status.success(), "{said}");
-    for words in ["step 2/2", "loss", "PSNR", "rays/s", "ETA", "8 held-out views", "results: runs/builtin-nerf-"] {
-        assert!(said.contains(words), "'{words}' is not in: {said}");
-    }
+    let said = demand(augnerf(&["train", "--set", "train.steps=2"]).current_dir(dir.path()), 0);
+    assert_says(
+        &said,
+        &["step 2/2", "loss", "PSNR", "rays/s", "ETA", "8 held-out views", "results: runs/builtin-nerf-"],
+    );
     let runs: Vec<_> = std::fs::read_dir(dir.path().join("runs")).unwrap().collect();
     assert_eq!(runs.len(), 1);
     // The preset that the kind of scene asks for.
     let print = |further: &[&str]| {
         let arguments = [&["train", "--print-config", "--quiet"], further].concat();
-        String::from_utf8(succeed(&arguments).stdout).unwrap()
+        printed(&arguments)
     };
     let smoke = print(&[]);
     assert!(smoke.contains("steps = 1200") && smoke.contains("kind = \"builtin-blender\""), "{smoke}");
     let scene = dir.path().join("scene");
     succeed(&["data", "export-builtin", scene.to_str().unwrap(), "--width", "16"]);
     let paper = print(&["--data", scene.to_str().unwrap()]);
-    for words in ["steps = 500000", "fine = 128", "downscale = 2", "kind = \"blender\""] {
-        assert!(paper.contains(words), "'{words}' is not in: {paper}");
-    }
+    assert_says(&paper, &["steps = 500000", "fine = 128", "downscale = 2", "kind = \"blender\""]);
 }
 
 #[test]
@@ -383,8 +353,7 @@ fn eval_and_render_read_a_run_back() {
     succeed(&tiny(&out, &[]));
     let trained = text(&out.join("metrics.json"));
     std::fs::remove_file(out.join("metrics.json")).unwrap();
-    let printed = succeed(&["eval", "--quiet", folder]);
-    assert!(String::from_utf8_lossy(&printed.stdout).contains("\"psnr\""));
+    assert!(printed(&["eval", "--quiet", folder]).contains("\"psnr\""));
     assert_eq!(text(&out.join("metrics.json")), trained, "the checkpoint gives the same numbers as the trained fields");
     succeed(&["render", "--quiet", folder, "--frames", "3"]);
     for file in ["rgb_002.png", "depth_002.png", "depth16_002.png", "rgb.gif", "depth.gif", "depth.json"] {
@@ -401,13 +370,9 @@ fn eval_and_render_read_a_run_back() {
 fn the_exported_scene_trains_like_any_other() {
     let dir = TempDir::new().unwrap();
     let scene = dir.path().join("scene");
-    let exported = succeed(&["data", "export-builtin", scene.to_str().unwrap(), "--width", "16"]);
-    assert!(String::from_utf8_lossy(&exported.stdout).contains("mesh"));
-    let checked = succeed(&["data", "check", scene.to_str().unwrap(), "--set", "data.downscale=1"]);
-    let said = String::from_utf8_lossy(&checked.stdout).into_owned();
-    for words in ["blender", "16 x 16", "2.0000 to 6.0000", "40 (", "8 ("] {
-        assert!(said.contains(words), "'{words}' is not in: {said}");
-    }
+    assert!(printed(&["data", "export-builtin", scene.to_str().unwrap(), "--width", "16"]).contains("mesh"));
+    let said = printed(&["data", "check", scene.to_str().unwrap(), "--set", "data.downscale=1"]);
+    assert_says(&said, &["blender", "16 x 16", "2.0000 to 6.0000", "40 (", "8 ("]);
     let out = dir.path().join("run");
     succeed(&tiny(&out, &["--data", scene.to_str().unwrap(), "--set", "data.width=0", "--set", "data.downscale=1"]));
     let before = text(&out.join("metrics.json"));
@@ -428,7 +393,7 @@ fn the_forward_facing_embedded_scene_trains_in_ndc() {
     let dir = TempDir::new().unwrap();
     let out = dir.path().join("run");
     succeed(&tiny(&out, &["--set", "data.kind=builtin-forward"]));
-    let metrics: serde_json::Value = serde_json::from_str(&text(&out.join("metrics.json"))).unwrap();
+    let metrics = json(&out.join("metrics.json"));
     assert_eq!(metrics["protocol"]["ndc"], true);
     assert_eq!(metrics["protocol"]["split"], "every-8");
 }
@@ -555,11 +520,9 @@ fn mip_nerf_runs_and_says_what_it_is_not_for() {
     let whole = dir.path().join("whole");
     succeed(&tiny(&whole, &["--method", "aug-mip-nerf"]));
     let config = text(&whole.join("config.toml"));
-    for line in
-        ["encoding = \"integrated\"", "position_octaves = 16", "schedule = \"log-linear\"", "coarse_weight = 0.1"]
-    {
-        assert!(config.contains(line), "{line} is not in {config}");
-    }
+    let lines =
+        ["encoding = \"integrated\"", "position_octaves = 16", "schedule = \"log-linear\"", "coarse_weight = 0.1"];
+    assert_says(&config, &lines);
     refuse(&["measure", whole.to_str().unwrap()], 2, &["aug-mip-nerf", "Gaussians"]);
     let out = dir.path().join("refused");
     let mip = ["--method", "mip-nerf", "--set"];
@@ -578,13 +541,13 @@ fn corruptions_are_recorded_and_can_be_looked_at() {
     let (run, copy) = (dir.path().join("run"), dir.path().join("new/copy"));
     let shot = ["--set", "data.corruption.kind=shot-noise"];
     succeed(&tiny(&run, &shot));
-    let report: serde_json::Value = serde_json::from_str(&text(&run.join("metrics.json"))).unwrap();
+    let report = json(&run.join("metrics.json"));
     let protocol = &report["protocol"];
     assert_eq!(protocol["corruption"], "shot-noise 3 (12 photons)");
     let corrupt =
         [&["data", "corrupt", copy.to_str().unwrap(), "--quiet", "--set", "data.width=16"][..], &shot].concat();
     succeed(&corrupt);
-    let note: serde_json::Value = serde_json::from_str(&text(&copy.join("corruption.json"))).unwrap();
+    let note = json(&copy.join("corruption.json"));
     assert_eq!(note["corruption_hash"], protocol["corruption_hash"], "the copy is what was trained on");
     assert_eq!(note["data_hash"], protocol["data_hash"]);
     let views = text(&copy.join("views.csv")).lines().count() - 1;

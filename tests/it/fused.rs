@@ -1,5 +1,6 @@
 //! The fused field against the plain one: outputs, every gradient, odd sizes, NaN. (Threads: tests/it/cli.rs.)
 
+use crate::common::flat;
 use augnerf::base::rng::{Random, Stream};
 use augnerf::field::{FeatureDelta, Field};
 use augnerf::settings::{Core, Encoding, FieldConfig};
@@ -99,10 +100,6 @@ fn ask(case: &Case, field: &Field, dtype: DType, frozen: bool) -> Found {
         None => recording.variables().iter().map(|(_, var)| of(var)).collect(),
     };
     Found { outputs: vec![raw.rgb, raw.density], inputs: vec![of(&points), of(&viewdirs), of(&delta)], weights }
-}
-
-fn flat(tensor: &Tensor) -> Vec<f64> {
-    tensor.to_dtype(DType::F64).unwrap().flatten_all().unwrap().to_vec1().unwrap()
 }
 
 /// Differences over the largest magnitude of either; ReLU kinks leave single values far off, means close.

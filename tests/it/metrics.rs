@@ -1,13 +1,13 @@
 //! Image metrics against closed forms, slow references, another implementation and the paper.
 //!
-//! Two tests need files that are not in the repository: real photographs from the folder in
-//! `AUGNERF_DATA` (its parent holds `reference/`) and LPIPS weights from the folder in
-//! `AUGNERF_LPIPS_WEIGHTS`. Where a variable is unset they say SKIPPED and pass.
+//! Some tests need files that are not in the repository: real photographs from the folder in `AUGNERF_DATA` and LPIPS
+//! weights from the folder in `AUGNERF_LPIPS_WEIGHTS`.
 
 use std::collections::HashMap;
-use std::io::Write;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
+use crate::common::files::{json, rows};
+use crate::common::needs;
 use augnerf::base::Image;
 use augnerf::metrics::{self, Backbone, Lpips, MeanMetrics, ViewMetrics};
 use augnerf::run::columns;
@@ -45,16 +45,6 @@ fn constant(width: usize, height: usize, value: f32) -> Image {
 
 fn assert_close(what: &str, found: f64, expected: f64, tolerance: f64) {
     assert!((found - expected).abs() <= tolerance, "{what}: found {found}, expected {expected} within {tolerance}");
-}
-
-fn folder(variable: &str, test: &str) -> Option<PathBuf> {
-    let folder = std::env::var_os(variable).map(PathBuf::from);
-    if folder.is_none() {
-        // Not `eprintln`, which the test harness hides for tests that pass.
-        let line = format!("SKIPPED {test}: set {variable}\n");
-        std::io::stderr().write_all(line.as_bytes()).unwrap();
-    }
-    folder
 }
 
 #[test]
@@ -203,8 +193,7 @@ const TRUNCATED: [&str; 2] = ["tabA1 width_256_half_res Aug-NeRF", "tabA2 pepper
 
 #[test]
 fn average_gives_every_published_average() {
-    let mut reader = csv::Reader::from_path("src/report/published.csv").unwrap();
-    let rows: Vec<HashMap<String, String>> = reader.deserialize().map(|row| row.unwrap()).collect();
+    let rows = rows(include_str!("../../src/report/published.csv"));
     assert_eq!(rows.len(), 57);
     let mut truncated = Vec::new();
     for row in &rows {
@@ -235,50 +224,52 @@ fn read_png(path: &Path) -> Image {
     Image { width, height, channels: 3, pixels }
 }
 
-#[test]
-fn photographs_give_the_numbers_of_other_implementations() {
-    let test = "photographs_give_the_numbers_of_other_implementations";
-    let Some(data) = folder("AUGNERF_DATA", test) else { return };
-    let weights = folder("AUGNERF_LPIPS_WEIGHTS", &format!("LPIPS part of {test}"));
-    let lpips: Vec<Lpips> =
-        weights.iter().filter_map(|dir| Lpips::load(dir, Backbone::Squeeze, &Device::Cpu).unwrap()).collect();
-    assert_eq!(lpips.len(), usize::from(weights.is_some()), "the weights folder lacks the squeeze backbone");
-    let text = std::fs::read_to_string("tests/fixtures/metrics.json").unwrap();
-    let references: Vec<Reference> = serde_json::from_str(&text).unwrap();
+/// The pairs of pictures whose numbers `tests/fixtures/metrics.json` holds: scenes lie below the data folder, the
+/// corrupted picture among the fixtures.
+fn references() -> Vec<(Reference, Image, Image)> {
+    let fixtures = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/fixtures");
+    let references: Vec<Reference> = serde_json::from_value(json(&fixtures.join("metrics.json"))).unwrap();
     assert_eq!(references.len(), 3);
-    // Scenes lie below the data folder, the corrupted picture among the fixtures.
-    let find = |name: &str| match name.strip_prefix("data/") {
-        Some(scene) => data.join(scene),
-        None => Path::new("tests/fixtures").join(Path::new(name).file_name().unwrap()),
+    let read = |name: &str| match name.strip_prefix("data/") {
+        Some(relative) => read_png(&needs::scene(relative)),
+        None => read_png(&fixtures.join(Path::new(name).file_name().unwrap())),
     };
-    for reference in references {
-        let (a, b) = (read_png(&find(&reference.a)), read_png(&find(&reference.b)));
-        check_reference(&reference, &a, &b, &lpips);
-    }
+    let with_pictures = |reference: Reference| {
+        let (a, b) = (read(&reference.a), read(&reference.b));
+        (reference, a, b)
+    };
+    references.into_iter().map(with_pictures).collect()
 }
 
-fn check_reference(reference: &Reference, a: &Image, b: &Image, lpips: &[Lpips]) {
-    let started = std::time::Instant::now();
-    let view = metrics::measure(&reference.a, a, b, lpips).unwrap();
-    let (psnr, ssim) = (view.get("psnr").unwrap(), view.get("ssim").unwrap());
-    let expected_ssim = reference.ssim_gaussian_11_sigma_1_5_valid_crop;
-    eprintln!("psnr {:+.1e} ssim {:+.1e}", psnr - reference.psnr, ssim - expected_ssim);
-    assert_close("psnr", psnr, reference.psnr, PSNR_SSIM_TOLERANCE);
-    assert_close("psnr_float", view.get("psnr_float").unwrap(), reference.psnr, PSNR_SSIM_TOLERANCE);
-    assert_close("ssim", ssim, expected_ssim, PSNR_SSIM_TOLERANCE);
-    let average = metrics::average(psnr, ssim, reference.lpips_squeeze_v0_1);
-    assert_close("average", average, reference.average, PSNR_SSIM_TOLERANCE);
-    if let Some(distance) = view.get("lpips_squeeze") {
-        eprintln!("lpips {:+.1e} in {:?}", distance - reference.lpips_squeeze_v0_1, started.elapsed());
-        assert_close("lpips_squeeze", distance, reference.lpips_squeeze_v0_1, LPIPS_TOLERANCE);
+#[test]
+#[ignore = "needs AUGNERF_DATA"]
+fn photographs_give_the_numbers_of_other_implementations() {
+    for (reference, a, b) in references() {
+        let view = metrics::measure(&reference.a, &a, &b, &[]).unwrap();
+        let (psnr, ssim) = (view.get("psnr").unwrap(), view.get("ssim").unwrap());
+        assert_close("psnr", psnr, reference.psnr, PSNR_SSIM_TOLERANCE);
+        assert_close("psnr_float", view.get("psnr_float").unwrap(), reference.psnr, PSNR_SSIM_TOLERANCE);
+        assert_close("ssim", ssim, reference.ssim_gaussian_11_sigma_1_5_valid_crop, PSNR_SSIM_TOLERANCE);
+        let average = metrics::average(psnr, ssim, reference.lpips_squeeze_v0_1);
+        assert_close("average", average, reference.average, PSNR_SSIM_TOLERANCE);
     }
 }
 
 #[test]
+#[ignore = "needs AUGNERF_DATA and AUGNERF_LPIPS_WEIGHTS"]
+fn photographs_are_as_far_apart_as_the_lpips_package_says() {
+    let lpips = Lpips::load(&needs::lpips_weights(), Backbone::Squeeze, &Device::Cpu).unwrap();
+    let lpips = [lpips.expect("the weights folder lacks the squeeze backbone")];
+    for (reference, a, b) in references() {
+        let view = metrics::measure(&reference.a, &a, &b, &lpips).unwrap();
+        assert_close("lpips_squeeze", view.get("lpips_squeeze").unwrap(), reference.lpips_squeeze_v0_1, LPIPS_TOLERANCE);
+    }
+}
+
+#[test]
+#[ignore = "needs AUGNERF_LPIPS_WEIGHTS"]
 fn released_weights_load_and_incomplete_copies_are_refused() {
-    let Some(dir) = folder("AUGNERF_LPIPS_WEIGHTS", "released_weights_load_and_incomplete_copies_are_refused") else {
-        return;
-    };
+    let dir = needs::lpips_weights();
     assert!(Lpips::available(&dir).unwrap().contains(&Backbone::Squeeze));
     let copy = tempfile::tempdir().unwrap();
     let linear = std::fs::read(dir.join("squeeze_lin_v0.1.pth")).unwrap();

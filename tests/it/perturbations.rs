@@ -1,6 +1,6 @@
 //! What the perturbed pass and the search promise.
 
-use crate::common::{parameters, tiny_config, tiny_scene, trained};
+use crate::common::{flat, parameters, tiny_config, tiny_scene, trained};
 use augnerf::augment::{Deltas, Draw, PassGeometry, PixelScale, Sets, StepSizes, worst_case};
 use augnerf::base::rng::{Random, Stream};
 use augnerf::data::{RayBuffer, RayParts, Rays};
@@ -241,7 +241,6 @@ fn assert_legal(setting: &Setting, deltas: &Deltas) -> Result<(), TestCaseError>
         let rounding = 1e-15 * (1.0 + set.radius.max_all().unwrap().to_scalar::<f64>().unwrap());
         prop_assert!(excess <= rounding, "{} exceeds its radius by {excess:e}", level.name());
     }
-    let flat = |t: &Tensor| t.flatten_all().unwrap().to_vec1::<f64>().unwrap();
     let padding = setting.field.config().rgb_padding;
     prop_assert!(flat(&out.rgb).iter().all(|c| (-padding..=1.0 + padding).contains(c)));
     prop_assert!(flat(&out.density).iter().all(|d| *d >= 0.0));

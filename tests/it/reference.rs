@@ -2,8 +2,8 @@
 //! (`numeric_core`) and an f64 implementation of the perturbed pass and two search steps
 //! (`attack`).
 
-use std::collections::HashMap;
-
+use crate::common::flat;
+use crate::common::reference::Reference;
 use augnerf::augment::{DeltaSet, Deltas, PassGeometry, PixelScale, Sets, StepSizes, worst_case};
 use augnerf::data::Rays;
 use augnerf::field::{Field, encode};
@@ -17,29 +17,16 @@ const F32: f64 = 2e-5;
 /// f64 against f64: only the order of sums differs.
 const F64: f64 = 1e-10;
 
-struct Reference(HashMap<String, Tensor>);
-
-impl Reference {
-    fn load(name: &str) -> Reference {
-        let path = format!("{}/tests/fixtures/{name}.safetensors", env!("CARGO_MANIFEST_DIR"));
-        Reference(candle_core::safetensors::load(path, &Device::Cpu).unwrap())
-    }
-
-    fn get(&self, name: &str) -> Tensor {
-        self.0.get(name).unwrap_or_else(|| panic!("{name} is not in the reference")).clone()
-    }
-
-    fn field(&self, config: &FieldConfig, rename: impl Fn(&str) -> String) -> Field {
-        let names = Field::parameter_names(config);
-        let values = names.iter().map(|(name, _)| self.get(&rename(name))).collect();
-        Field::from_parameters(config, values).unwrap()
-    }
+/// A field with the reference's weights.
+fn field(reference: &Reference, config: &FieldConfig, rename: impl Fn(&str) -> String) -> Field {
+    let names = Field::parameter_names(config);
+    let values = names.iter().map(|(name, _)| reference.get(&rename(name))).collect();
+    Field::from_parameters(config, values).unwrap()
 }
 
 /// Largest difference, relative to the largest magnitude of the expected tensor.
 fn assert_close(what: &str, found: &Tensor, expected: &Tensor, tolerance: f64) {
     assert_eq!(found.dims(), expected.dims(), "{what}: shapes differ");
-    let flat = |t: &Tensor| t.to_dtype(DType::F64).unwrap().flatten_all().unwrap().to_vec1::<f64>().unwrap();
     let (found, expected) = (flat(found), flat(expected));
     let scale = expected.iter().fold(0f64, |m, v| m.max(v.abs())).max(1e-30);
     let worst = found.iter().zip(&expected).map(|(a, b)| (a - b).abs()).fold(0f64, f64::max);
@@ -74,7 +61,7 @@ fn nerf_pytorch_name(ours: &str) -> String {
 #[test]
 fn field_output_and_weight_gradients() {
     let r = Reference::load("numeric_core");
-    let field = r.field(&width(64), |name| format!("mlp.{}", nerf_pytorch_name(name)));
+    let field = field(&r, &width(64), |name| format!("mlp.{}", nerf_pytorch_name(name)));
     let (x, d) = (r.get("encode.x"), r.get("encode.d"));
     let raw = field.forward(&x, &d, None).unwrap();
     let out = Tensor::cat(&[&raw.rgb, &raw.density.unsqueeze(1).unwrap()], 1).unwrap();
@@ -145,7 +132,7 @@ impl Attack {
     fn load() -> Attack {
         let reference = Reference::load("attack");
         let input = |name: &str| reference.get(&format!("in.{name}"));
-        let field = reference.field(&width(16), |name| format!("net.{name}"));
+        let field = field(&reference, &width(16), |name| format!("net.{name}"));
         let rays = Rays::new(input("origins"), input("directions"), input("viewdirs")).unwrap();
         let rays = Rays { tangents: Some([input("tangent_u"), input("tangent_w")]), ..rays };
         let (t_vals, target) = (input("t_vals"), input("target"));
@@ -313,11 +300,11 @@ fn spatial_derivatives_and_regularizers() {
         let mut compared = 0;
         for ((name, _), gradient) in a.field.variables().iter().zip(&found.gradients) {
             let key = format!("space.{}.grad_net.{name}", term.name());
-            match (gradient, a.reference.0.get(&key)) {
-                (Some(gradient), Some(expected)) => assert_close(&key, gradient, expected, 1e-9),
+            match (gradient, a.reference.find(&key)) {
+                (Some(gradient), Some(expected)) => assert_close(&key, gradient, &expected, 1e-9),
                 (None, None) => continue,
                 // Biases do not reach the derivatives: absent here, 0 there.
-                (None, Some(expected)) => assert_close(&key, &expected.zeros_like().unwrap(), expected, 0.0),
+                (None, Some(expected)) => assert_close(&key, &expected.zeros_like().unwrap(), &expected, 0.0),
                 (Some(_), None) => panic!("{key} is not in the reference"),
             }
             compared += 1;

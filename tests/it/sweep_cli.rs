@@ -1,9 +1,12 @@
 //! `augnerf sweep` as a user meets it: killed, shared, failing, resumed, collected.
 
-use std::path::{Path, PathBuf};
-use std::process::{Child, Command, Output, Stdio};
+use std::path::Path;
+use std::process::{Child, Command, Stdio};
 use std::time::Duration;
 
+use crate::common::assert_says;
+use crate::common::files::{assert_same_files, entries, files, json, newest, rows, text};
+use crate::common::program::{self, augnerf};
 use augnerf::base::rng::{Random, Stream};
 use tempfile::TempDir;
 
@@ -35,23 +38,10 @@ name = "Aug-NeRF"
 set = { method = "aug-nerf", "perturb.attack" = "calibrated" }
 "#;
 
-fn augnerf(arguments: &[&str], dir: &Path) -> Command {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_augnerf"));
-    command.args(arguments).current_dir(dir).env("RUST_BACKTRACE", "0");
-    command.env_remove("AUGNERF_LPIPS_WEIGHTS").env_remove("AUGNERF_DATA");
-    command
-}
-
-fn run(arguments: &[&str], dir: &Path) -> Output {
-    augnerf(arguments, dir).output().unwrap()
-}
-
+/// Runs in a folder, demands an exit code, and returns everything said.
+#[track_caller]
 fn demand(arguments: &[&str], dir: &Path, code: i32) -> String {
-    let output = run(arguments, dir);
-    let message = String::from_utf8_lossy(&output.stderr).into_owned();
-    assert_eq!(output.status.code(), Some(code), "{arguments:?}: {message}");
-    assert!(!message.contains("panicked"), "{message}");
-    message + &String::from_utf8_lossy(&output.stdout)
+    program::demand(augnerf(arguments).current_dir(dir), code)
 }
 
 /// A working folder with a sweep file in it.
@@ -62,30 +52,14 @@ fn workplace(definition: &str) -> TempDir {
 }
 
 fn start(dir: &Path) -> Child {
-    let mut command = augnerf(&["sweep", "run", "tiny.toml", "--quiet"], dir);
-    command.stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap()
+    let mut command = augnerf(&["sweep", "run", "tiny.toml", "--quiet"]);
+    command.current_dir(dir).stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap()
 }
 
-/// The tables and figures of the sweep, but for what depends on the clock.
-fn tables(dir: &Path) -> Vec<(PathBuf, Vec<u8>)> {
-    let folder = dir.join("results/tiny");
-    let mut files: Vec<_> = std::fs::read_dir(&folder)
-        .unwrap_or_else(|e| panic!("{}: {e}", folder.display()))
-        .map(|entry| entry.unwrap().path())
-        .filter(|path| path.file_name().unwrap() != "timing.csv")
-        .map(|path| (path.file_name().unwrap().into(), std::fs::read(&path).unwrap()))
-        .collect();
-    files.sort();
-    files
-}
-
+/// Tables and figures of two folders are alike, but for what depends on the clock.
+#[track_caller]
 fn assert_same_tables(a: &Path, b: &Path) {
-    let (a, b) = (tables(a), tables(b));
-    let names = |files: &[(PathBuf, Vec<u8>)]| files.iter().map(|(name, _)| name.clone()).collect::<Vec<_>>();
-    assert_eq!(names(&a), names(&b));
-    for ((name, left), (_, right)) in a.iter().zip(&b) {
-        assert!(left == right, "{} differs", name.display());
-    }
+    assert_same_files(&a.join("results/tiny"), &b.join("results/tiny"), &["timing.csv"]);
 }
 
 /// `AUGNERF_SWEEP_KILLS` kills instead of 20.
@@ -103,18 +77,14 @@ fn killed_at_random_moments_equals_undisturbed() {
     }
     demand(&["sweep", "run", "tiny.toml", "--quiet"], disturbed.path(), 0);
     assert_same_tables(undisturbed.path(), disturbed.path());
-    let points = std::fs::read_dir(disturbed.path().join("runs/tiny/points")).unwrap();
     let mut sessions = 0;
-    for point in points {
-        let point = point.unwrap().path();
+    for point in entries(&disturbed.path().join("runs/tiny/points")) {
         let left: Vec<_> = std::fs::read_dir(&point).unwrap().map(|entry| entry.unwrap().file_name()).collect();
         // A kill between a result and the release of its claim leaves the claim, which nobody reads again.
         let known = ["claim.json", "claim.lock", "config.toml", "result.json", "run"];
         assert!(left.iter().all(|name| known.iter().any(|known| name == known)), "{left:?}");
         assert!(point.join("result.json").is_file(), "{}", point.display());
-        let timing = std::fs::read_to_string(point.join("run/timing.json")).unwrap();
-        let timing: serde_json::Value = serde_json::from_str(&timing).unwrap();
-        sessions += timing["sessions"].as_u64().unwrap();
+        sessions += json(&point.join("run/timing.json"))["sessions"].as_u64().unwrap();
     }
     assert!(kills == 0 || sessions > 4, "no kill hit a training: {sessions} sessions of 4 points");
 }
@@ -126,22 +96,18 @@ fn corrupted_points_see_what_a_training_would() {
     let short = TINY.replace("\n[set]", noise).replace("\"train.steps\" = 60", "\"train.steps\" = 2");
     let work = workplace(&short);
     demand(&["sweep", "run", "tiny.toml", "--quiet"], work.path(), 0);
-    let mut points = csv::Reader::from_path(work.path().join("results/tiny/points.csv")).unwrap();
-    let headers = points.headers().unwrap().clone();
-    let column = |name: &str| headers.iter().position(|known| known == name).unwrap();
-    let rows: Vec<csv::StringRecord> = points.records().map(Result::unwrap).collect();
-    assert_eq!(rows.len(), 4);
-    let table = std::fs::read_to_string(work.path().join("results/tiny/table.md")).unwrap();
+    let points = rows(&text(&work.path().join("results/tiny/points.csv")));
+    assert_eq!(points.len(), 4);
+    let table = text(&work.path().join("results/tiny/table.md"));
     assert!(table.contains("corruption shot-noise 3"), "{table}");
-    for row in &rows {
-        let seed = &row[column("seed")];
+    for row in &points {
+        let seed = &row["seed"];
         let set = ["--set", "data.width=16", "--set", "data.corruption.kind=shot-noise", "--seed", seed];
-        let copy = work.path().join(format!("{}-{seed}", &row[column("id")]));
+        let copy = work.path().join(format!("{}-{seed}", row["id"]));
         demand(&[&["data", "corrupt", copy.to_str().unwrap(), "--quiet"][..], &set].concat(), work.path(), 0);
-        let note = std::fs::read_to_string(copy.join("corruption.json")).unwrap();
-        let note: serde_json::Value = serde_json::from_str(&note).unwrap();
-        assert_eq!(note["corruption_hash"], row[column("corruption_hash")]);
-        assert_eq!(note["data_hash"], row[column("data_hash")]);
+        let note = json(&copy.join("corruption.json"));
+        assert_eq!(note["corruption_hash"], row["corruption_hash"]);
+        assert_eq!(note["data_hash"], row["data_hash"]);
     }
 }
 
@@ -161,11 +127,10 @@ fn two_runners_share_a_folder() {
     for mut runner in runners {
         assert!(runner.wait().unwrap().success());
     }
-    assert_eq!(std::fs::read_dir(equal.path().join("runs/tiny/points")).unwrap().count(), 6);
+    assert_eq!(entries(&equal.path().join("runs/tiny/points")).len(), 6);
     // One session each: no point was begun twice.
-    for point in std::fs::read_dir(shared.path().join("runs/tiny/points")).unwrap() {
-        let timing = std::fs::read_to_string(point.unwrap().path().join("run/timing.json")).unwrap();
-        assert!(timing.contains("\"sessions\": 1"), "{timing}");
+    for point in entries(&shared.path().join("runs/tiny/points")) {
+        assert_eq!(json(&point.join("run/timing.json"))["sessions"], 1);
     }
 }
 
@@ -177,23 +142,19 @@ fn failures_are_listed_and_the_rest_is_done() {
     );
     let dir = workplace(&broken);
     let message = demand(&["sweep", "run", "tiny.toml", "--quiet"], dir.path(), 7);
-    for words in ["2 of 6 points failed", "4 are done", "--retry-failed", "broken · builtin · seed 1", "not a number"]
-    {
-        assert!(message.contains(words), "'{words}' is not in: {message}");
-    }
+    assert_says(
+        &message,
+        &["2 of 6 points failed", "4 are done", "--retry-failed", "broken · builtin · seed 1", "not a number"],
+    );
     let status = demand(&["sweep", "status", "runs/tiny"], dir.path(), 0);
     assert!(status.contains("failed") && status.contains("not a number") && status.contains("4 done"), "{status}");
-    let points = std::fs::read_to_string(dir.path().join("results/tiny/points.csv")).unwrap();
-    let mut reader = csv::Reader::from_reader(points.as_bytes());
-    let header = reader.headers().unwrap().clone();
-    let column = |name: &str| header.iter().position(|known| known == name).unwrap();
-    let rows: Vec<csv::StringRecord> = reader.records().collect::<Result<_, _>>().unwrap();
-    let failed: Vec<_> = rows.iter().filter(|row| &row[column("status")] == "failed").collect();
-    assert_eq!(failed.len(), 2, "{points}");
+    let points = rows(&text(&dir.path().join("results/tiny/points.csv")));
+    let failed: Vec<_> = points.iter().filter(|row| row["status"] == "failed").collect();
+    assert_eq!(failed.len(), 2, "{points:?}");
     for row in failed {
-        assert!(row[column("reason")].contains("not a number"), "{row:?}");
+        assert!(row["reason"].contains("not a number"), "{row:?}");
         for metric in ["psnr", "ssim", "tv", "config_hash"] {
-            assert_eq!(&row[column(metric)], "", "missing is empty: {row:?}");
+            assert_eq!(row[metric], "", "missing is empty: {row:?}");
         }
     }
 }
@@ -204,13 +165,9 @@ fn a_scene_that_is_missing_and_a_definition_that_changed_are_said() {
     let quick = ["--set", "train.steps=5", "--seeds", "0", "--quiet"];
     let args = |further: &[&'static str]| [&["sweep", "run", "tiny.toml"], &quick[..], further].concat();
     let message = demand(&args(&["--scenes", "builtin,orchids"]), dir.path(), 8);
-    for words in ["2 of 4 points have no data", "2 are done", "orchids", "AUGNERF_DATA"] {
-        assert!(message.contains(words), "'{words}' is not in: {message}");
-    }
+    assert_says(&message, &["2 of 4 points have no data", "2 are done", "orchids", "AUGNERF_DATA"]);
     let message = demand(&args(&[]), dir.path(), 2);
-    for words in ["another definition", "lacks 2", "--extend", "--name"] {
-        assert!(message.contains(words), "'{words}' is not in: {message}");
-    }
+    assert_says(&message, &["another definition", "lacks 2", "--extend", "--name"]);
     demand(&args(&["--extend"]), dir.path(), 0);
     let plan = demand(&["sweep", "plan", "tiny.toml", "--seeds", "0"], dir.path(), 0);
     assert!(plan.contains("2 points") && plan.contains("s/step") && plan.contains("in all"), "{plan}");
@@ -235,23 +192,18 @@ fn wait_for_claim(dir: &Path) {
 fn rows_of_two_revisions_are_refused_and_what_became_of_points_is_still_said() {
     let dir = workplace(TINY);
     demand(&["sweep", "run", "tiny.toml", "--quiet", "--set", "train.steps=5"], dir.path(), 0);
-    let point = std::fs::read_dir(dir.path().join("runs/tiny/points")).unwrap().next().unwrap().unwrap().path();
-    let result = point.join("result.json");
-    let text = std::fs::read_to_string(&result).unwrap();
-    let value: serde_json::Value = serde_json::from_str(&text).unwrap();
+    let result = newest(&dir.path().join("runs/tiny/points")).join("result.json");
+    let value = json(&result);
     let fields = value["protocol"].as_array().unwrap();
     let revision = fields.iter().find(|field| field[0] == "code_revision").unwrap()[1].as_str().unwrap();
-    std::fs::write(&result, text.replace(revision, "another")).unwrap();
+    std::fs::write(&result, text(&result).replace(revision, "another")).unwrap();
     let message = demand(&["sweep", "run", "tiny.toml", "--quiet", "--set", "train.steps=5"], dir.path(), 9);
-    assert!(
-        message.contains("code_revision") && message.contains("another") && message.contains("--force"),
-        "{message}"
-    );
+    assert_says(&message, &["code_revision", "another", "--force"]);
     let results = dir.path().join("results/tiny");
     assert!(results.join("points.csv").is_file());
     assert!(!results.join("table.csv").exists() && !results.join("rows_builtin_psnr.svg").exists(), "no stale table");
     demand(&["sweep", "collect", "runs/tiny", "--force"], dir.path(), 0);
-    assert!(std::fs::read_to_string(results.join("table.md")).unwrap().contains("code_revision"));
+    assert!(text(&results.join("table.md")).contains("code_revision"));
 }
 
 #[test]
@@ -283,11 +235,11 @@ fn the_smoke_sweep_leaves_every_table_and_figure() {
     ] {
         assert!(results.join(name).is_file(), "{name}");
     }
-    let first = tables_of(&results);
+    let first = files(&results, &[]);
     demand(&["sweep", "collect", "runs/smoke"], dir.path(), 0);
-    assert_eq!(first, tables_of(&results), "collected from files alone, the tables are the same");
-    let table = std::fs::read_to_string(results.join("table.csv")).unwrap();
-    let header: Vec<&str> = table.lines().next().unwrap().split(',').collect();
+    assert_eq!(first, files(&results, &[]), "collected from files alone, the tables are the same");
+    let table = rows(&text(&results.join("table.csv")));
+    assert_eq!(table.len(), 3);
     for column in [
         "row",
         "psnr_mean",
@@ -299,14 +251,6 @@ fn the_smoke_sweep_leaves_every_table_and_figure() {
         "psnr_p_holm",
         "psnr_verdict",
     ] {
-        assert!(header.contains(&column), "{column} is not in {header:?}");
+        assert!(table[0].contains_key(column), "no column {column}");
     }
-    assert_eq!(table.lines().count(), 4);
-}
-
-fn tables_of(folder: &Path) -> Vec<(PathBuf, Vec<u8>)> {
-    let entries = std::fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path());
-    let mut files: Vec<_> = entries.map(|path| (path.clone(), std::fs::read(path).unwrap())).collect();
-    files.sort();
-    files
 }

@@ -2,6 +2,7 @@
 
 use std::collections::HashMap;
 
+use crate::common::files::rows;
 use augnerf::base::Error;
 use augnerf::report::tables::{
     Line, Table, Verdict, points_csv, table_csv, table_latex, table_markdown, table_terminal,
@@ -104,10 +105,6 @@ fn find<'a>(table: &'a Table, scene: &str, label: &str) -> &'a Line {
     table.lines.iter().find(|line| line.scene == scene && line.label == label).unwrap()
 }
 
-fn read(text: &str) -> Vec<HashMap<String, String>> {
-    csv::Reader::from_reader(text.as_bytes()).deserialize().map(|row| row.unwrap()).collect()
-}
-
 fn cells<'a>(row: &'a HashMap<String, String>, names: &[&str]) -> Vec<&'a str> {
     names.iter().map(|&name| row[name].as_str()).collect()
 }
@@ -193,7 +190,7 @@ fn uncontrolled_settings_are_refused_or_marked() {
         (&["code_revision".into()][..], &["code_revision".into()][..])
     );
     assert!(find(&table, "fern", "NeRF").mixed.is_empty());
-    assert_eq!(read(&table_csv(&table, &[]))[1]["mixed"], "code_revision");
+    assert_eq!(rows(&table_csv(&table, &[]))[1]["mixed"], "code_revision");
     for text in [table_markdown(&table), table_terminal(&table, 80)] {
         assert!(text.contains("‡ NOT COMPARABLE"), "{text}");
     }
@@ -216,7 +213,7 @@ fn what_cannot_be_placed_is_refused() {
 #[test]
 fn points_csv_has_every_point() {
     let timing = [("fern-NeRF-0".to_string(), vec![("seconds_training".to_string(), Some(12.5))])];
-    let rows = read(&points_csv(&records(), &timing));
+    let rows = rows(&points_csv(&records(), &timing));
     assert_eq!(rows.len(), records().len());
     let names = ["id", "psnr", "lpips_vgg", "average_vgg", "width", "seconds_training"];
     assert_eq!(cells(&rows[3], &names), ["fern-NeRF-0", "25", "0.25", "", "101", "12.5"]);
@@ -229,7 +226,7 @@ fn points_csv_has_every_point() {
 #[test]
 fn table_csv_has_every_line() {
     let timing = [0, 1].map(|seed| (format!("fern-NeRF-{seed}"), vec![("seconds".to_string(), Some(seed as f64))]));
-    let rows = read(&table_csv(&table(), &timing));
+    let rows = rows(&table_csv(&table(), &timing));
     assert_eq!(rows.len(), 7);
     let names = [
         "row",
@@ -324,7 +321,7 @@ fn methods_that_are_not_run_carry_the_paper_s_numbers_alone() {
     assert_eq!((line.cells[0].mean, line.cells[0].n, line.cells[0].published), (None, 0, Some(21.37)));
     // The paper has no such row for the other scene.
     assert_eq!(table.lines.iter().filter(|line| line.quoted).count(), 1);
-    let rows = read(&table_csv(&table, &[]));
+    let rows = rows(&table_csv(&table, &[]));
     assert_eq!(cells(&rows[0], &["row", "source", "psnr_mean", "psnr_published"]), ["SRN", "published", "", "21.37"]);
     assert_eq!(cells(&rows[1], &["source"]), ["run"]);
     let markdown = table_markdown(&table);

@@ -2,7 +2,7 @@
 
 use std::sync::atomic::AtomicUsize;
 
-use crate::common::{parameters, tiny_config, tiny_scene, trained};
+use crate::common::{assert_says, parameters, tiny_config, tiny_scene, trained};
 use augnerf::base::Error;
 use augnerf::data::{Camera, View};
 use augnerf::metrics::psnr_float;
@@ -70,9 +70,7 @@ fn a_run_whose_rays_are_all_empty_is_stopped() {
     }
     let error = trainer.step(false).unwrap_err();
     assert!(matches!(error, Error::Diverged(_)));
-    for words in ["step 4", "acc", "4 steps", "seed"] {
-        assert!(error.to_string().contains(words), "'{words}' is not in: {error}");
-    }
+    assert_says(&error.to_string(), &["step 4", "acc", "4 steps", "seed"]);
 }
 
 #[test]

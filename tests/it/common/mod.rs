@@ -1,12 +1,15 @@
 //! Small things that several test files share.
 
+pub mod files;
+pub mod needs;
 pub mod program;
+pub mod reference;
 
 use augnerf::base::Image;
 use augnerf::data::{Camera, Scene, View};
 use augnerf::settings::{Config, DataKind, DensityActivation, Encoding, Method, Resolved};
 use augnerf::train::Trainer;
-use candle_core::{DType, Device};
+use candle_core::{DType, Device, Tensor};
 
 /// Three 16 x 16 views of a soft ball on white, seen from three sides.
 pub fn tiny_scene() -> Scene {
@@ -82,4 +85,17 @@ pub fn parameters(trainer: &Trainer, roles: &[&str]) -> Vec<f32> {
     let variables = trainer.model().variables();
     let chosen = variables.iter().filter(|(name, _)| roles.iter().any(|role| name.starts_with(role)));
     chosen.flat_map(|(_, var)| var.flatten_all().unwrap().to_vec1::<f32>().unwrap()).collect()
+}
+
+/// Demands every one of `words` in a text.
+#[track_caller]
+pub fn assert_says(text: &str, words: &[&str]) {
+    for word in words {
+        assert!(text.contains(word), "'{word}' is not in: {text}");
+    }
+}
+
+/// The numbers of any tensor, row by row.
+pub fn flat(tensor: &Tensor) -> Vec<f64> {
+    tensor.to_dtype(DType::F64).unwrap().flatten_all().unwrap().to_vec1().unwrap()
 }

@@ -1,0 +1,69 @@
+//! Files that a test reads back.
+
+use std::collections::HashMap;
+use std::path::{Path, PathBuf};
+
+/// A file's text.
+#[track_caller]
+pub fn text(path: &Path) -> String {
+    std::fs::read_to_string(path).unwrap_or_else(|e| panic!("{}: {e}", path.display()))
+}
+
+/// A JSON file.
+#[track_caller]
+pub fn json(path: &Path) -> serde_json::Value {
+    serde_json::from_str(&text(path)).unwrap_or_else(|e| panic!("{}: {e}", path.display()))
+}
+
+/// The rows of a CSV text: each its cells by column.
+pub fn rows(csv: &str) -> Vec<HashMap<String, String>> {
+    csv::Reader::from_reader(csv.as_bytes()).deserialize().map(|row| row.unwrap()).collect()
+}
+
+/// The file or folder that a folder holds alone or, by name, last.
+#[track_caller]
+pub fn newest(folder: &Path) -> PathBuf {
+    entries(folder).pop().unwrap_or_else(|| panic!("{} is empty", folder.display()))
+}
+
+/// Paths of what a folder holds, by name.
+#[track_caller]
+pub fn entries(folder: &Path) -> Vec<PathBuf> {
+    let entries = std::fs::read_dir(folder).unwrap_or_else(|e| panic!("{}: {e}", folder.display()));
+    let mut paths: Vec<PathBuf> = entries.map(|entry| entry.unwrap().path()).collect();
+    paths.sort();
+    paths
+}
+
+/// Every file below a folder with its place there, but what lies at one of the places `without`.
+#[track_caller]
+pub fn files(folder: &Path, without: &[&str]) -> Vec<(PathBuf, Vec<u8>)> {
+    let mut found = Vec::new();
+    let mut folders = vec![folder.to_path_buf()];
+    while let Some(next) = folders.pop() {
+        for path in entries(&next) {
+            let place = path.strip_prefix(folder).unwrap();
+            if without.iter().any(|other| place.starts_with(other)) {
+                continue;
+            }
+            if path.is_dir() {
+                folders.push(path);
+            } else {
+                found.push((place.to_path_buf(), std::fs::read(&path).unwrap()));
+            }
+        }
+    }
+    found.sort();
+    found
+}
+
+/// Demands that two folders hold the same files with the same bytes, but at the places `without`.
+#[track_caller]
+pub fn assert_same_files(a: &Path, b: &Path, without: &[&str]) {
+    let (a, b) = (files(a, without), files(b, without));
+    let names = |files: &[(PathBuf, Vec<u8>)]| files.iter().map(|(name, _)| name.clone()).collect::<Vec<_>>();
+    assert_eq!(names(&a), names(&b));
+    for ((name, left), (_, right)) in a.iter().zip(&b) {
+        assert!(left == right, "{} differs", name.display());
+    }
+}
