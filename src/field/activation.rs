@@ -4,7 +4,16 @@ use candle_core::{Result, Tensor};
 
 use crate::settings::DensityActivation;
 
-use super::Cotangents;
+/// Derivatives of a loss in density, its gradient and its Laplacian; what is absent is 0.
+#[derive(Default)]
+pub struct Cotangents {
+    /// `[n]`.
+    pub density: Option<Tensor>,
+    /// `[n, 3]`.
+    pub gradient: Option<Tensor>,
+    /// `[n]`.
+    pub laplacian: Option<Tensor>,
+}
 
 /// Density from raw density, elementwise.
 pub(super) fn activate_density(activation: DensityActivation, raw: &Tensor) -> Result<Tensor> {

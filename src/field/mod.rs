@@ -25,6 +25,7 @@ mod fused;
 mod peak;
 mod spatial;
 
+pub use activation::Cotangents;
 pub use dense::{dense, dense_reference};
 pub use density::{Density, FieldDensity};
 use encoding::Code;
@@ -32,7 +33,7 @@ pub use encoding::{
     encode, encode_integrated, encode_integrated_reference, encode_reference, encoded_channels, integrated_channels,
 };
 pub(crate) use peak::peak_gflops;
-pub use spatial::{Cotangents, DensityAt, Spatial, spatial_reference};
+pub use spatial::{DensityAt, Spatial, spatial_reference};
 
 /// The values of a contiguous tensor on a processor, for operations of our own.
 pub(crate) fn contiguous<'a, T>(values: &'a [T], layout: &Layout) -> candle_core::Result<&'a [T]> {

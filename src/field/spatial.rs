@@ -26,7 +26,7 @@ use candle_core::{Device, Tensor, Var};
 use crate::base::Result;
 use crate::settings::{DensityActivation, Encoding};
 
-use super::activation::Activated;
+use super::activation::{Activated, Cotangents};
 use super::dense::mask_where_zero;
 use super::fused::Slope;
 use super::{Field, Layer, encode, encode_reference, encoded_channels, tensor_error};
@@ -70,17 +70,6 @@ enum Trunk {
         adjoints: Vec<Tensor>,
     },
     Fused(Slope),
-}
-
-/// Derivatives of a loss in density, its gradient and its Laplacian; what is absent is 0.
-#[derive(Default)]
-pub struct Cotangents {
-    /// `[n]`.
-    pub density: Option<Tensor>,
-    /// `[n, 3]`.
-    pub gradient: Option<Tensor>,
-    /// `[n]`.
-    pub laplacian: Option<Tensor>,
 }
 
 /// First and second derivatives of each channel of an encoding in its own coordinate, and which

@@ -14,6 +14,7 @@ mod axes;
 mod budget;
 mod claim;
 mod collect;
+mod comparability;
 mod definition;
 mod extends;
 mod folder;

@@ -262,7 +262,12 @@ fn photographs_are_as_far_apart_as_the_lpips_package_says() {
     let lpips = [lpips.expect("the weights folder lacks the squeeze backbone")];
     for (reference, a, b) in references() {
         let view = metrics::measure(&reference.a, &a, &b, &lpips).unwrap();
-        assert_close("lpips_squeeze", view.get("lpips_squeeze").unwrap(), reference.lpips_squeeze_v0_1, LPIPS_TOLERANCE);
+        assert_close(
+            "lpips_squeeze",
+            view.get("lpips_squeeze").unwrap(),
+            reference.lpips_squeeze_v0_1,
+            LPIPS_TOLERANCE,
+        );
     }
 }
 

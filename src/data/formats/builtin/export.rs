@@ -9,7 +9,8 @@ use rayon::prelude::*;
 use serde_json::json;
 
 use super::mesh::Mesh;
-use super::stage::{Picture, Stage};
+use super::picture::Picture;
+use super::stage::Stage;
 use super::views::{ANGLE_X, Split, around};
 use super::{MAX_WIDTH, blender_stage};
 use crate::base::{Error, Result};

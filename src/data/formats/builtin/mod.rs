@@ -2,7 +2,9 @@
 //! download, and depth and shape are known exactly.
 
 pub mod export;
+pub mod material;
 pub mod mesh;
+pub mod picture;
 pub mod shading;
 pub mod shapes;
 pub mod stage;
@@ -13,7 +15,8 @@ use rayon::prelude::*;
 
 pub use export::{Exported, export};
 pub use mesh::Mesh;
-pub use stage::{Frame, Hit, Picture, Stage};
+pub use picture::Picture;
+pub use stage::{Frame, Hit, Stage};
 
 use crate::base::{Error, Result};
 use crate::data::formats::Capture;

@@ -1,6 +1,6 @@
 //! Solids with exact ray intersections and exact signed distances.
 
-use super::shading::Material;
+use super::material::Material;
 use crate::data::vector::{Vec3, add, along, axes_along, dot, length, scale, sub, unit};
 
 /// A solid around its own origin; lengths in scene units.

@@ -2,7 +2,7 @@
 
 use std::f64::consts::TAU;
 
-use super::shading::{Material, Pattern};
+use super::material::{Material, Pattern};
 use super::shapes::{Shape, Solid};
 use crate::data::vector::{Vec3, add, axes_along, scale};
 

@@ -1,4 +1,4 @@
-use super::shading::Material;
+use super::material::Material;
 use super::shapes::{Shape, Solid};
 use super::*;
 use crate::data::vector::{add, along, cross, dot, length, scale, sub, unit};
