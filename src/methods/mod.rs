@@ -1,19 +1,109 @@
 //! What is trained: the model of each method, how it learns and how it shows its scene.
 //!
 //! A method is its [`Model`], a [`Learner`] that draws a step's work and turns it into gradients, and a [`Painter`] that
-//! turns rays into colours; some have fields, some have a density. To add one, write its file beside `fields` and name it
-//! in [`Model`] and among the methods of [`crate::settings`].
+//! turns rays into colours; some have fields, some have a density. To add one, write its file beside `fields`, name it in
+//! [`Model`] and among the [`crate::settings::Method`]s.
+
+use candle_core::{DType, Device, Tensor, Var};
+
+use crate::base::Result;
+use crate::data::Scene;
+use crate::field::{Density, FieldDensity};
+use crate::settings::{Config, Resolved};
 
 mod batches;
 mod fields;
 mod gradients;
 mod learner;
-mod model;
 mod painter;
 
 pub use batches::{Batch, Batches};
 pub use fields::{AttackSummary, Balance, FieldLearner, FieldPainter, Fields, LevelDiagnostics};
 pub use gradients::Gradients;
 pub use learner::{Learned, Learner, LogColumns, Term};
-pub use model::{Model, Start};
 pub use painter::{Painted, Painter};
+
+/// The parameters of one experiment. The one place that tells methods apart.
+#[derive(Clone)]
+pub enum Model {
+    /// NeRF and MipNeRF, augmented or not.
+    Fields(Fields),
+}
+
+/// What a run begins with.
+pub struct Start {
+    /// The freshly drawn parameters.
+    pub model: Model,
+    /// What learns them.
+    pub learner: Box<dyn Learner>,
+    /// How often each of [`Model::parts`] was drawn again before it was fit to learn.
+    pub redraws: Vec<u64>,
+}
+
+impl Model {
+    /// A run at step 0, dead starts drawn again.
+    ///
+    /// # Errors
+    /// Settings that do not suit the scene; no draw that is fit to learn.
+    pub fn start(config: &Resolved, scene: &Scene, dtype: DType, device: &Device) -> Result<Start> {
+        let (learner, redraws) = FieldLearner::start(config, scene, dtype, device)?;
+        let model = Model::Fields(learner.fields().clone());
+        Ok(Start { model, learner: Box::new(learner), redraws })
+    }
+
+    /// Names of the networks that a configuration has, in the fixed order of parameters.
+    pub fn parts(config: &Config) -> Vec<&'static str> {
+        Fields::roles(config)
+    }
+
+    /// Names and shapes of all parameters, in their fixed order.
+    pub fn parameter_names(config: &Config) -> Vec<(String, Vec<usize>)> {
+        Fields::parameter_names(config)
+    }
+
+    /// A model over given values, in the order of [`Model::parameter_names`].
+    pub fn from_parameters(config: &Config, values: Vec<Tensor>) -> Result<Model> {
+        Ok(Model::Fields(Fields::from_parameters(config, values)?))
+    }
+
+    /// All parameters with their names, in the fixed order. They are shared: a learner's updates show.
+    pub fn variables(&self) -> Vec<(String, Var)> {
+        match self {
+            Model::Fields(fields) => fields.variables(),
+        }
+    }
+
+    /// What learns these parameters from the training views of `scene`.
+    pub fn learner(&self, config: &Resolved, scene: &Scene, dtype: DType, device: &Device) -> Result<Box<dyn Learner>> {
+        Ok(match self {
+            Model::Fields(fields) => Box::new(FieldLearner::new(config, scene, fields.clone(), dtype, device)?),
+        })
+    }
+
+    /// What shows `scene` with the parameters as they are now.
+    pub fn painter(&self, config: &Config, scene: &Scene) -> Result<Box<dyn Painter>> {
+        Ok(match self {
+            Model::Fields(fields) => Box::new(FieldPainter::new(fields, config, scene)?),
+        })
+    }
+
+    /// Density in space, with the parameters as they are now.
+    ///
+    /// # Errors
+    /// A method that has none.
+    pub fn density(&self) -> Result<Box<dyn Density>> {
+        Ok(match self {
+            Model::Fields(fields) => Box::new(FieldDensity::new(fields.evaluated())?),
+        })
+    }
+
+    /// The radiance fields.
+    ///
+    /// # Errors
+    /// A method that has none.
+    pub fn fields(&self) -> Result<&Fields> {
+        match self {
+            Model::Fields(fields) => Ok(fields),
+        }
+    }
+}

@@ -9,20 +9,20 @@ use sha2::{Digest, Sha256};
 
 mod corruption;
 mod layers;
+mod method;
 mod perturb;
 mod regularizer;
-mod representation;
 mod resolved;
 mod validate;
 
 pub use corruption::{CorruptionConfig, CorruptionKind};
 pub use layers::{Preset, build, data_section, parse_assignment};
+pub use method::{Method, Representation};
 pub use perturb::{
     Attack, DeltaConfig, LEVELS, Level, Norm, Objective, OutputPlace, Passes, PerturbConfig, PerturbField, PerturbKind,
     Radius, Resample, ResolvedDelta, ResolvedPerturb, StepUnit,
 };
 pub use regularizer::{LatticePoints, REGULARIZERS, RegularizedFields, Regularizer, RegularizerConfig};
-pub use representation::Representation;
 pub use resolved::{Located, Resolved};
 pub use validate::{MESH_SIDES, validate_mesh, validate_regularizer};
 
@@ -52,33 +52,6 @@ pub struct Config {
     pub regularizer: RegularizerConfig,
     /// Evaluation and its pictures.
     pub eval: EvalConfig,
-}
-
-/// What is trained.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Method {
-    /// The clean pass alone.
-    #[default]
-    Nerf,
-    /// Clean pass and perturbed pass, as section `perturb` says.
-    AugNerf,
-    /// One field asked at Gaussians that stand for conical frustums (Barron et al. 2021).
-    MipNerf,
-    /// The same with the perturbed pass.
-    AugMipNerf,
-}
-
-impl Method {
-    /// The name in files and tables.
-    pub fn name(self) -> &'static str {
-        match self {
-            Method::Nerf => "nerf",
-            Method::AugNerf => "aug-nerf",
-            Method::MipNerf => "mip-nerf",
-            Method::AugMipNerf => "aug-mip-nerf",
-        }
-    }
 }
 
 /// Which reader a scene folder is given to.

@@ -1,8 +1,26 @@
-//! What each method holds a scene in, apart from how it is trained, and what can be asked of that.
+//! The methods. Each is a representation of the scene, trained with a perturbed pass or without, and other code asks what a
+//! representation can do, not which it is.
 
-use super::{Encoding, Method};
+use serde::{Deserialize, Serialize};
 
-/// What holds the scene. A method is a representation, augmented or not.
+use super::Encoding;
+
+/// What is trained.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Method {
+    /// The clean pass alone.
+    #[default]
+    Nerf,
+    /// Clean pass and perturbed pass, as section `perturb` says.
+    AugNerf,
+    /// One field asked at Gaussians that stand for conical frustums (Barron et al. 2021).
+    MipNerf,
+    /// The same with the perturbed pass.
+    AugMipNerf,
+}
+
+/// What holds the scene.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Representation {
     /// A coarse and a fine field that are queried at points (Mildenhall et al. 2020).
@@ -12,6 +30,16 @@ pub enum Representation {
 }
 
 impl Method {
+    /// The name in files and tables.
+    pub fn name(self) -> &'static str {
+        match self {
+            Method::Nerf => "nerf",
+            Method::AugNerf => "aug-nerf",
+            Method::MipNerf => "mip-nerf",
+            Method::AugMipNerf => "aug-mip-nerf",
+        }
+    }
+
     /// What holds the scene.
     pub fn representation(self) -> Representation {
         match self {
