@@ -6,9 +6,11 @@
 //! gradients of many chunks add up in place. The plain path ([`Field::forward`] on a field that
 //! neither records nor is frozen) is the reference that this one is tested against.
 
+mod backward;
 mod encode;
+mod forward;
 pub mod kernels;
-mod network;
+mod layout;
 mod pool;
 mod slope;
 
@@ -21,10 +23,11 @@ use candle_core::{CpuStorage, CustomOp3, DType, Device, Layout, Result, Shape, S
 use crate::field::contiguous;
 use crate::settings::FieldConfig;
 
-use network::{InputGradients, Inputs, Kept, Prefix, Wanted};
+use backward::InputGradients;
+use forward::{Inputs, Kept, Prefix, Wanted};
 use slope::Tape;
 
-pub use network::Network;
+pub use layout::Network;
 
 /// Lays a field's weights out: `parameters` are weight and bias of every layer in the order of
 /// parameters, f32 on the processor.

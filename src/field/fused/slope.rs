@@ -1,9 +1,10 @@
 //! The slope of raw density in the encoding, by the adjoint recursion of [`crate::field`]'s spatial derivatives, over
 //! tiles; and the weights' gradients of what is made of both.
 
+use super::backward::scatter;
 use super::encode::encode_tile;
 use super::kernels::{add_rows, few_input_gradient, few_weight_gradient, mask_where_zero, scale_rows};
-use super::network::{Network, TILE, scatter, tiles};
+use super::layout::{Network, TILE, tiles};
 use super::pool::Buffer;
 
 /// What the way back needs, of the points that matter.
