@@ -13,6 +13,7 @@ use augnerf::losses::{L1, Laplacian, Tv, WeightedSpaceTerm, regularize};
 use augnerf::render::Composite;
 use augnerf::render::sampling::{importance, stratified};
 use augnerf::render::volume::{composite, composite_reference};
+use augnerf::runtime::Runtime;
 use augnerf::settings::{Config, Core, DataKind, FieldConfig, Method, RegularizerConfig};
 use augnerf::space::{CHUNK, Quadrature};
 use augnerf::train::{Adam, Trainer};
@@ -21,6 +22,7 @@ use criterion::{Criterion, criterion_group, criterion_main};
 use rayon::prelude::*;
 
 fn step(criterion: &mut Criterion) {
+    let runtime = Runtime::new("cpu", None).expect("threads");
     let mut group = criterion.benchmark_group("step");
     group.sample_size(10).warm_up_time(Duration::from_secs(4)).measurement_time(Duration::from_secs(20));
     for (name, method, width) in [
@@ -35,7 +37,7 @@ fn step(criterion: &mut Criterion) {
         config.train.collapse_steps = 0;
         config.train.dead_start_share = 0.0;
         let config = config.resolve(DataKind::Blender, 2.0, 6.0).expect("valid settings");
-        let mut trainer = Trainer::new(&config, &augnerf::bench::scene(), DType::F32, &Device::Cpu).expect("a trainer");
+        let mut trainer = Trainer::new(&config, &augnerf::bench::scene(), DType::F32, &runtime).expect("a trainer");
         group.bench_function(name, |bencher| bencher.iter(|| black_box(trainer.step(false).expect("a step"))));
     }
     group.finish();

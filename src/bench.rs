@@ -150,7 +150,7 @@ impl Workload {
     fn run_here(&self, runtime: &Runtime) -> Result<Timed> {
         let device = runtime.device();
         let config = self.config(device)?;
-        let mut trainer = Trainer::new(&config, &scene(), DType::F32, device)?;
+        let mut trainer = Trainer::new(&config, &scene(), DType::F32, runtime)?;
         for _ in 0..WARM_UP {
             trainer.step(false)?;
         }

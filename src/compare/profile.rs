@@ -86,7 +86,8 @@ pub fn patch_around((x, y): (usize, usize), side: usize, (width, height): (usize
 impl Profile {
     /// Along the ray of `pixel`, as an evaluation samples it, and evenly along those of `patch`, which holds it.
     pub fn measure(viewer: &Viewer, run: &RunView, pixel: (usize, usize), patch: Window) -> Result<Profile> {
-        let Viewer { model, config, scene, device } = *viewer;
+        let Viewer { model, config, scene, runtime } = *viewer;
+        let device = runtime.device();
         let camera = &run.view.camera;
         let (near, far) = scene.bounds();
         let fields = model.fields()?.frozen()?;

@@ -40,6 +40,15 @@ pub struct BalancedWeight {
 /// Another method than NeRF; a box that the scene's rays do not meet; a measurement that would take too long; training that goes
 /// non-finite.
 pub fn balance(
+    config: Config,
+    steps: u64,
+    runtime: &Runtime,
+    events: &dyn Listener,
+) -> Result<(Resolved, Vec<BalancedWeight>)> {
+    runtime.install(|| balance_here(config, steps, runtime, events))
+}
+
+fn balance_here(
     mut config: Config,
     steps: u64,
     runtime: &Runtime,
@@ -54,7 +63,7 @@ pub fn balance(
     let regularizer = std::mem::take(&mut config.regularizer);
     let (config, scene) = load_scene(config, events)?;
     Lattice { domain: regularizer.domain, side: regularizer.lattice }.check_meets(&scene, "regularizer.domain")?;
-    let mut trainer = Trainer::new(&config, &scene, DType::F32, runtime.device())?;
+    let mut trainer = Trainer::new(&config, &scene, DType::F32, runtime)?;
     // It shares the trainer's weights.
     let fields = trainer.model().fields()?.clone();
     let mut learner = FieldLearner::new(&config, &scene, fields, DType::F32, runtime.device())?;

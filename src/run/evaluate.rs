@@ -4,7 +4,7 @@ use std::path::Path;
 
 use super::Protocol;
 
-use candle_core::{DType, Device};
+use candle_core::DType;
 use rayon::prelude::*;
 use serde::Serialize;
 
@@ -14,6 +14,7 @@ use crate::base::{Error, Event, Image, Listener, Result};
 use crate::data::{Camera, RayBuffer, Scene, View};
 use crate::methods::{AttackSummary, Model};
 use crate::metrics::{Lpips, MeanMetrics, ViewMetrics, measure, measure_depth};
+use crate::runtime::Runtime;
 use crate::settings::Resolved;
 use crate::space::Chamfer;
 
@@ -38,13 +39,21 @@ pub struct Viewer<'a> {
     /// The scene.
     pub scene: &'a Scene,
     /// Where to compute.
-    pub device: &'a Device,
+    pub runtime: &'a Runtime,
 }
 
 impl Viewer<'_> {
     /// Renders the view of a camera without any randomness, `config.eval.chunk` rays at a time.
+    ///
+    /// # Errors
+    /// [`Error::Diverged`]: a colour that is not a number.
     pub fn render(&self, camera: &Camera) -> Result<RenderedView> {
-        let Viewer { model, config, scene, device } = *self;
+        self.runtime.install(|| self.render_here(camera))
+    }
+
+    fn render_here(&self, camera: &Camera) -> Result<RenderedView> {
+        let Viewer { model, config, scene, runtime } = *self;
+        let device = runtime.device();
         let painter = model.painter(config, scene)?;
         let (width, height) = (camera.width as u32, camera.height as u32);
         let pixels: Vec<(&Camera, u32, u32)> =

@@ -64,7 +64,7 @@ pub struct Finished {
 
 impl Setup<'_> {
     fn trainer(&self) -> Result<Trainer> {
-        Trainer::new(&self.config, self.scene, DType::F32, self.runtime.device())
+        Trainer::new(&self.config, self.scene, DType::F32, &self.runtime)
     }
 
     /// A generous estimate of what a run writes: checkpoints, logs, pictures.
@@ -89,7 +89,7 @@ impl<'a> Job<'a> {
     /// that the scene contradicts; fields that start dead again and again.
     pub fn create(folder: &Path, overwrite: bool, setup: Setup<'a>) -> Result<Job<'a>> {
         surface_reference(&setup.config, setup.scene)?;
-        let trainer = setup.runtime.install(|| setup.trainer())?;
+        let trainer = setup.trainer()?;
         let run = RunDir::create(folder, overwrite, setup.bytes_needed())?;
         Job::begin(run, setup, trainer, None)
     }
@@ -102,13 +102,11 @@ impl<'a> Job<'a> {
     pub fn resume(run: RunDir, setup: Setup<'a>) -> Result<Job<'a>> {
         surface_reference(&setup.config, setup.scene)?;
         let earlier = run.read_timing()?;
-        let trainer = setup.runtime.install(|| match checkpoint::list(&run.checkpoints())?.pop() {
-            Some((_, newest)) => {
-                Trainer::resume(&newest, &setup.config, setup.scene, DType::F32, setup.runtime.device())
-            }
+        let trainer = match checkpoint::list(&run.checkpoints())?.pop() {
+            Some((_, newest)) => Trainer::resume(&newest, &setup.config, setup.scene, DType::F32, &setup.runtime)?,
             // Killed before its first checkpoint: step 0 is a function of the configuration.
-            None => setup.trainer(),
-        })?;
+            None => setup.trainer()?,
+        };
         Job::begin(run, setup, trainer, Some(earlier))
     }
 
@@ -176,7 +174,7 @@ impl Experiment<'_> {
 
     fn viewer<'a>(&'a self, trainer: &'a Trainer) -> Viewer<'a> {
         let Setup { config, scene, runtime, .. } = &self.setup;
-        Viewer { model: trainer.model(), config, scene, device: runtime.device() }
+        Viewer { model: trainer.model(), config, scene, runtime }
     }
 
     /// Nothing, or the error of a run whose newest checkpoint is of `step`, once there is a signal.

@@ -12,6 +12,7 @@ use crate::base::{Error, Event, Listener, Result};
 use crate::data::Scene;
 use crate::losses::{Smoothness, estimate_seconds, measure};
 use crate::methods::Model;
+use crate::runtime::Runtime;
 use crate::settings::Config;
 use crate::space::{Lattice, chunk_count};
 
@@ -44,46 +45,20 @@ pub struct SmoothnessReport {
 }
 
 impl SmoothnessReport {
-    /// Measures the coarse and the fine field of a model. Refuses a box that the scene's rays do
-    /// not meet, and a lattice that would not finish.
+    /// Measures the coarse and the fine field of a model on a runtime.
+    ///
+    /// # Errors
+    /// [`Error::Config`]: a box that the scene's rays do not meet, a lattice that would not finish; [`Error::Diverged`]: densities
+    /// that are not numbers.
     pub fn measure(
         model: &Model,
         scene: &Scene,
         lattice: &Lattice,
         protocol: Protocol,
-        device: &Device,
+        runtime: &Runtime,
         events: &dyn Listener,
     ) -> Result<SmoothnessReport> {
-        lattice.check_meets(scene, "--bbox")?;
-        let fields: Vec<_> = model.fields()?.by_role().into_iter().filter(|(role, _)| *role != "adversarial").collect();
-        let seconds = estimate_seconds(fields[0].1, lattice, lattice.cells(), &[])?;
-        let hours = seconds * fields.len() as f64 / 3600.0;
-        if hours > MOST_HOURS {
-            return Err(Error::Config(format!(
-                "a lattice of {} a side has {} points: measuring it would take about {hours:.0} hours here (at most \
-                 {MOST_HOURS} are allowed); choose fewer cells a side",
-                lattice.side,
-                lattice.cells()
-            )));
-        }
-        let parts = (fields.len() * chunk_count(lattice.cells(), device)) as u64;
-        events.on(Event::Started { what: "measuring", parts });
-        let measured = fields.into_iter().map(|(role, field)| {
-            let smoothness = measure(field, lattice, || events.on(Event::Advanced))?;
-            if !smoothness.l1.is_finite() || !smoothness.laplacian.is_finite() {
-                return Err(Error::Diverged(format!(
-                    "the density of the {role} field is not a number: its weights are broken"
-                )));
-            }
-            Ok(FieldSmoothness {
-                field: role,
-                lattice: lattice.side,
-                domain: format!("{:?}", lattice.domain),
-                smoothness,
-            })
-        });
-        let fields = measured.collect::<Result<Vec<_>>>()?;
-        events.on(Event::Finished);
+        let fields = runtime.install(|| measure_fields(model, scene, lattice, runtime.device(), events))?;
         Ok(SmoothnessReport { fields, protocol })
     }
 
@@ -96,6 +71,41 @@ impl SmoothnessReport {
         });
         write_atomic(path, csv_of_named(rows).as_bytes())
     }
+}
+
+fn measure_fields(
+    model: &Model,
+    scene: &Scene,
+    lattice: &Lattice,
+    device: &Device,
+    events: &dyn Listener,
+) -> Result<Vec<FieldSmoothness>> {
+    lattice.check_meets(scene, "--bbox")?;
+    let fields: Vec<_> = model.fields()?.by_role().into_iter().filter(|(role, _)| *role != "adversarial").collect();
+    let seconds = estimate_seconds(fields[0].1, lattice, lattice.cells(), &[])?;
+    let hours = seconds * fields.len() as f64 / 3600.0;
+    if hours > MOST_HOURS {
+        return Err(Error::Config(format!(
+            "a lattice of {} a side has {} points: measuring it would take about {hours:.0} hours here (at most \
+             {MOST_HOURS} are allowed); choose fewer cells a side",
+            lattice.side,
+            lattice.cells()
+        )));
+    }
+    let parts = (fields.len() * chunk_count(lattice.cells(), device)) as u64;
+    events.on(Event::Started { what: "measuring", parts });
+    let measured = fields.into_iter().map(|(role, field)| {
+        let smoothness = measure(field, lattice, || events.on(Event::Advanced))?;
+        if !smoothness.l1.is_finite() || !smoothness.laplacian.is_finite() {
+            return Err(Error::Diverged(format!(
+                "the density of the {role} field is not a number: its weights are broken"
+            )));
+        }
+        Ok(FieldSmoothness { field: role, lattice: lattice.side, domain: format!("{:?}", lattice.domain), smoothness })
+    });
+    let fields = measured.collect::<Result<Vec<_>>>()?;
+    events.on(Event::Finished);
+    Ok(fields)
 }
 
 /// Refuses a run that has no such numbers.
@@ -121,11 +131,8 @@ impl Trained {
     /// Those of [`SmoothnessReport::measure`] and [`check_measurable`]; a file that cannot be written.
     pub fn measure_smoothness(&self, lattice: &Lattice, events: &dyn Listener) -> Result<SmoothnessReport> {
         check_measurable(self.run.path(), &self.config)?;
-        let measure = || {
-            let (model, device) = (&self.model, self.runtime.device());
-            SmoothnessReport::measure(model, &self.scene, lattice, self.protocol(), device, events)
-        };
-        let report = self.runtime.install(measure)?;
+        let (model, runtime) = (&self.model, &self.runtime);
+        let report = SmoothnessReport::measure(model, &self.scene, lattice, self.protocol(), runtime, events)?;
         report.write(&self.run.smoothness())?;
         Ok(report)
     }

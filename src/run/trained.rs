@@ -49,7 +49,7 @@ impl Trained {
         let mut state = checkpoint::load_state(&newest)?;
         let model = checkpoint::load_model(&newest, &config, DType::F32, runtime.device())?;
         checkpoint::check_config(&newest, &state, &config)?;
-        state.touch(runtime.device());
+        state.touch(runtime);
         let (config, scene) = runtime.install(|| load_scene(config, events))?;
         Ok(Trained { run, config, scene, state, model, runtime: runtime.clone() })
     }
@@ -57,7 +57,7 @@ impl Trained {
     /// Renders views of it.
     pub fn viewer(&self) -> Viewer<'_> {
         let Trained { config, scene, model, runtime, .. } = self;
-        Viewer { model, config, scene, device: runtime.device() }
+        Viewer { model, config, scene, runtime }
     }
 
     /// Where its numbers come from.

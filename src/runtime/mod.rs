@@ -98,6 +98,11 @@ impl Runtime {
         &self.name
     }
 
+    /// The device's kind: `cpu`, `cuda`, `cuda-tf32` or `metal`.
+    pub fn kind(&self) -> &str {
+        self.name.split_once(':').map_or(self.name(), |(kind, _)| kind)
+    }
+
     /// How many threads share the work.
     pub fn threads(&self) -> usize {
         self.pool.current_num_threads()

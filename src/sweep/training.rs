@@ -86,7 +86,7 @@ impl<'a> Trainings<'a> {
     /// A trainer of a configuration at step 0, for measurements.
     pub fn trainer(&self, config: &Config) -> Result<(Trainer, Arc<Scene>, Resolved)> {
         let (config, scene) = self.scene(config.clone())?;
-        Ok((Trainer::new(&config, &scene, DType::F32, self.runtime.device())?, scene, config))
+        Ok((Trainer::new(&config, &scene, DType::F32, &self.runtime)?, scene, config))
     }
 }
 
@@ -120,8 +120,7 @@ impl Trainings<'_> {
             let mut camera = view.camera;
             let rows = (2 * self.runtime.threads() * config.eval.chunk).div_ceil(camera.width);
             camera.height = rows.min(view.camera.height);
-            let viewer =
-                Viewer { model: trainer.model(), config: &config, scene: &scene, device: self.runtime.device() };
+            let viewer = Viewer { model: trainer.model(), config: &config, scene: &scene, runtime: &self.runtime };
             let started = std::time::Instant::now();
             viewer.render(&camera)?;
             let share = camera.height as f64 / view.camera.height as f64;
@@ -182,7 +181,7 @@ impl Work for Trainings<'_> {
             Job::create(&path, true, setup)?
         };
         let finished = job.train(&Beating { events: self.events, beat }, stop)?;
-        self.result(&config, &scene, &path, &finished)
+        self.result(&config, &scene, &path, runtime, &finished)
     }
 }
 
@@ -192,15 +191,15 @@ impl Trainings<'_> {
         config: &Resolved,
         scene: &Scene,
         path: &std::path::Path,
+        runtime: &Runtime,
         finished: &Finished,
     ) -> Result<PointResult> {
         let Finished { report, model, .. } = finished;
         let mut metrics: Vec<(String, Option<f64>)> =
             report.mean.iter().map(|(metric, value)| (metric.key.to_string(), value)).collect();
         if self.smoothness && config.method.representation().has_derivatives_at_points() {
-            let device = self.runtime.device();
             let (protocol, events) = (report.protocol.clone(), self.events);
-            let smoothness = SmoothnessReport::measure(model, scene, &SMOOTHNESS, protocol, device, events)?;
+            let smoothness = SmoothnessReport::measure(model, scene, &SMOOTHNESS, protocol, runtime, events)?;
             smoothness.write(&RunDir::open(path)?.smoothness())?;
             let evaluated = smoothness.fields.last().expect("there is a field");
             metrics.extend(numbers(&evaluated.smoothness));

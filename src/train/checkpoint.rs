@@ -14,6 +14,7 @@ use crate::base::files::{AtomicDir, clean_temporaries, write_atomic, write_json}
 use crate::base::{Error, Result, revision};
 use crate::data::Scene;
 use crate::methods::{Model, Start};
+use crate::runtime::Runtime;
 use crate::settings::{Config, Resolved};
 
 use super::{Adam, Moments, Trainer};
@@ -45,15 +46,9 @@ pub struct State {
 }
 
 impl State {
-    /// Notes that this program goes on with the run, or measures it, on `device`.
-    pub fn touch(&mut self, device: &Device) {
-        let kind = match device {
-            Device::Cpu => "cpu",
-            Device::Cuda(_) if candle_core::cuda::gemm_reduced_precision_f32() => "cuda-tf32",
-            Device::Cuda(_) => "cuda",
-            Device::Metal(_) => "metal",
-        };
-        for (list, now) in [(&mut self.revisions, revision()), (&mut self.devices, kind)] {
+    /// Notes that this program goes on with the run, or measures it, on `runtime`'s kind of device.
+    pub fn touch(&mut self, runtime: &Runtime) {
+        for (list, now) in [(&mut self.revisions, revision()), (&mut self.devices, runtime.kind())] {
             if !list.iter().any(|known| known == now) {
                 list.push(now.to_string());
             }
@@ -221,7 +216,7 @@ impl Trainer {
             revisions: self.revisions.clone(),
             devices: self.devices.clone(),
         };
-        state.touch(&self.device);
+        state.touch(&self.runtime);
         state
     }
 
@@ -238,25 +233,38 @@ impl Trainer {
     }
 
     /// Continues from a checkpoint folder.
+    ///
+    /// # Errors
+    /// [`Error::Checkpoint`]: one that is damaged, or was written under other settings.
     pub fn resume(
         checkpoint: &Path,
         config: &Resolved,
         scene: &Scene,
         dtype: DType,
-        device: &Device,
+        runtime: &Runtime,
+    ) -> Result<Trainer> {
+        runtime.install(|| Trainer::resume_here(checkpoint, config, scene, dtype, runtime))
+    }
+
+    fn resume_here(
+        checkpoint: &Path,
+        config: &Resolved,
+        scene: &Scene,
+        dtype: DType,
+        runtime: &Runtime,
     ) -> Result<Trainer> {
         let state = load_state(checkpoint)?;
         check_config(checkpoint, &state, config)?;
         let names = Model::parameter_names(config);
-        let tensors = Tensors::open(checkpoint, dtype, device)?;
+        let tensors = Tensors::open(checkpoint, dtype, runtime.device())?;
         let model = Model::from_parameters(config, tensors.all("", &names)?)?;
         let first = tensors.all("adam.first.", &names)?;
         let second = tensors.all("adam.second.", &names)?;
         let moments = first.into_iter().zip(second).map(|(first, second)| Moments { first, second }).collect();
         let adam = Adam::restore(model.variables(), moments);
         let State { step, empty_steps, redraws, revisions, devices, .. } = state;
-        let learner = model.learner(config, scene, dtype, device)?;
-        let trainer = Trainer::with(config, Start { model, learner, redraws }, device)?;
+        let learner = model.learner(config, scene, dtype, runtime.device())?;
+        let trainer = Trainer::with(config, Start { model, learner, redraws }, runtime)?;
         Ok(Trainer { adam, step, empty_steps, revisions, devices, ..trainer })
     }
 }

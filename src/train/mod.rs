@@ -1,11 +1,12 @@
 //! Training: steps of a learner, updates by Adam, checks that a run is alive, checkpoints.
 
-use candle_core::{DType, Device};
+use candle_core::DType;
 
 use crate::base::Result;
 use crate::data::Scene;
 use crate::losses::LossTerm;
 use crate::methods::{Learner, LogColumns, Model, Start};
+use crate::runtime::Runtime;
 use crate::settings::Resolved;
 
 pub mod checkpoint;
@@ -19,7 +20,7 @@ pub use stats::StepStats;
 /// State of a run in memory.
 pub struct Trainer {
     config: Resolved,
-    device: Device,
+    runtime: Runtime,
     model: Model,
     learner: Box<dyn Learner>,
     adam: Adam,
@@ -34,16 +35,22 @@ pub struct Trainer {
 }
 
 impl Trainer {
-    /// A run at step 0. Dead starts are drawn again.
-    pub fn new(config: &Resolved, scene: &Scene, dtype: DType, device: &Device) -> Result<Trainer> {
-        let start = Model::start(config, scene, dtype, device)?;
-        Trainer::with(config, start, device)
+    /// A run at step 0, whose steps are taken on the runtime's device and threads. Dead starts are drawn again.
+    ///
+    /// # Errors
+    /// [`Error::Config`](crate::base::Error::Config): a regularizer's box that the scene's rays do not meet, or one that would take
+    /// too long; [`Error::Diverged`](crate::base::Error::Diverged): a field that starts dead again and again.
+    pub fn new(config: &Resolved, scene: &Scene, dtype: DType, runtime: &Runtime) -> Result<Trainer> {
+        runtime.install(|| {
+            let start = Model::start(config, scene, dtype, runtime.device())?;
+            Trainer::with(config, start, runtime)
+        })
     }
 
-    fn with(config: &Resolved, Start { model, learner, redraws }: Start, device: &Device) -> Result<Trainer> {
+    fn with(config: &Resolved, Start { model, learner, redraws }: Start, runtime: &Runtime) -> Result<Trainer> {
         Ok(Trainer {
             config: config.clone(),
-            device: device.clone(),
+            runtime: runtime.clone(),
             adam: Adam::new(model.variables())?,
             model,
             learner,
@@ -89,7 +96,15 @@ impl Trainer {
     }
 
     /// Takes one step. `log` asks for the learner's diagnostics.
+    ///
+    /// # Errors
+    /// [`Error::Diverged`](crate::base::Error::Diverged): a loss, gradient or parameter that is not a number, or nothing but empty
+    /// rays for too long.
     pub fn step(&mut self, log: bool) -> Result<StepStats> {
+        self.runtime.clone().install(|| self.step_here(log))
+    }
+
+    fn step_here(&mut self, log: bool) -> Result<StepStats> {
         let learned = self.learner.learn(self.step, log)?;
         let gradients = learned.gradients;
         let stats = StepStats {

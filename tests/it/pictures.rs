@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use crate::common::files::{assert_same_files, files, json};
 use crate::common::program::{refuse, succeed};
-use crate::common::{assert_says, tiny_config, tiny_scene, trained};
+use crate::common::{assert_says, runtime, tiny_config, tiny_scene, trained};
 use augnerf::base::Image;
 use augnerf::base::rng::{Random, Stream};
 use augnerf::compare::{
@@ -16,7 +16,6 @@ use augnerf::metrics::{psnr, quantise};
 use augnerf::run::{RenderedView, Viewer};
 use augnerf::settings::{Config, Method, PixelOrigin, Resolved};
 use augnerf::train::checkpoint::State;
-use candle_core::Device;
 use tempfile::TempDir;
 
 /// An image of 8-bit values that nobody has drawn.
@@ -95,7 +94,7 @@ impl Run {
     }
 
     fn viewer(&self) -> Viewer<'_> {
-        Viewer { model: self.trainer.model(), config: &self.config, scene: &self.scene, device: &Device::Cpu }
+        Viewer { model: self.trainer.model(), config: &self.config, scene: &self.scene, runtime: runtime() }
     }
 
     fn run_view(&self, label: &str) -> RunView {

@@ -1,7 +1,7 @@
 //! What explicit regularizers promise: exact derivatives, unbiased estimates, and fields that are
 //! smoother for them.
 
-use crate::common::{assert_says, flat, parameters, tiny_config, tiny_scene, trained};
+use crate::common::{assert_says, flat, parameters, runtime, tiny_config, tiny_scene, trained};
 use augnerf::base::rng::{Random, Stream};
 use augnerf::field::{Cotangents, Field, spatial_reference};
 use augnerf::losses::{L1, Laplacian, SpaceTerm, Tv, WeightedSpaceTerm, measure, regularize, regularize_at};
@@ -547,7 +547,7 @@ fn the_balance_is_a_ratio_of_gradient_norms_and_moves_nothing() {
 
     // The photometric one is what a step of stochastic gradient descent would move: Adam's first moment after its
     // first step is a tenth of the gradient.
-    let mut fresh = Trainer::new(&tiny_config(Method::Nerf, |_| {}), &tiny_scene(), DType::F32, &CPU).unwrap();
+    let mut fresh = Trainer::new(&tiny_config(Method::Nerf, |_| {}), &tiny_scene(), DType::F32, runtime()).unwrap();
     let expected = balance(&fresh, &config)[0].photometric_norm;
     fresh.step(false).unwrap();
     let dir = tempfile::tempdir().unwrap();
@@ -561,7 +561,7 @@ fn the_balance_is_a_ratio_of_gradient_norms_and_moves_nothing() {
 #[test]
 fn what_would_never_finish_or_meets_nothing_is_refused_with_words() {
     let refused = |config: &augnerf::settings::Resolved| {
-        Trainer::new(config, &tiny_scene(), DType::F32, &CPU).err().expect("refused").to_string()
+        Trainer::new(config, &tiny_scene(), DType::F32, runtime()).err().expect("refused").to_string()
     };
     let far = regularized(Regularizer::Tv, 1.0, |regularizer| regularizer.domain = [[50.0; 3], [51.0; 3]]);
     let message = refused(&far);

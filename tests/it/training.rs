@@ -2,7 +2,7 @@
 
 use std::sync::atomic::AtomicUsize;
 
-use crate::common::{assert_says, parameters, tiny_config, tiny_scene, trained};
+use crate::common::{assert_says, parameters, runtime, tiny_config, tiny_scene, trained};
 use augnerf::base::Error;
 use augnerf::data::{Camera, View};
 use augnerf::metrics::psnr_float;
@@ -18,7 +18,7 @@ fn training_fits_the_scene() {
         let scene = tiny_scene();
         let trainer = trained(&config, steps);
         let View { camera, image, .. } = &scene.test[0];
-        let viewer = Viewer { model: trainer.model(), config: &config, scene: &scene, device: &Device::Cpu };
+        let viewer = Viewer { model: trainer.model(), config: &config, scene: &scene, runtime: runtime() };
         let view = viewer.render(camera).unwrap();
         psnr_float(&view.image, image).unwrap().unwrap()
     };
@@ -35,7 +35,7 @@ fn chunks_bound_memory_and_change_no_picture() {
     let render = |chunk: usize| {
         let config = tiny_config(Method::Nerf, |config| config.eval.chunk = chunk);
         let camera: &Camera = &scene.test[0].camera;
-        let viewer = Viewer { model: trainer.model(), config: &config, scene: &scene, device: &Device::Cpu };
+        let viewer = Viewer { model: trainer.model(), config: &config, scene: &scene, runtime: runtime() };
         let view = viewer.render(camera).unwrap();
         view.image.pixels
     };
@@ -150,7 +150,7 @@ fn mip_nerf_trains_on_a_forward_facing_scene() {
     let scene = augnerf::data::load(&config.data, 0, &()).unwrap();
     assert!(scene.ndc.is_some());
     let config = config.resolve(scene.near, scene.far);
-    let mut trainer = Trainer::new(&config, &scene, DType::F32, &Device::Cpu).unwrap();
+    let mut trainer = Trainer::new(&config, &scene, DType::F32, runtime()).unwrap();
     let mut loss = || trainer.step(false).unwrap().term("loss_fine").unwrap();
     let early: f64 = (0..20).map(|_| loss()).sum();
     let late: f64 = (0..200).map(|_| loss()).skip(180).sum();
@@ -166,7 +166,7 @@ fn mip_nerf_fits_the_scene_with_one_field() {
         let mut trainer = trained(&config, 300);
         assert_eq!(trainer.model().fields().unwrap().by_role().len(), 1);
         let View { camera, image, .. } = &scene.test[0];
-        let viewer = Viewer { model: trainer.model(), config: &config, scene: &scene, device: &Device::Cpu };
+        let viewer = Viewer { model: trainer.model(), config: &config, scene: &scene, runtime: runtime() };
         let psnr = psnr_float(&viewer.render(camera).unwrap().image, image).unwrap().unwrap();
         assert!(psnr > 18.0, "{method:?}: {psnr} dB");
         let stats = trainer.step(true).unwrap();
@@ -186,7 +186,7 @@ fn a_model_without_fine_samples_trains_its_coarse_field_alone() {
     assert!(stats.term("loss_fine").is_none() && stats.levels.len() == 6);
     let scene = tiny_scene();
     let camera = &scene.test[0].camera;
-    let viewer = Viewer { model: trainer.model(), config: &config, scene: &scene, device: &Device::Cpu };
+    let viewer = Viewer { model: trainer.model(), config: &config, scene: &scene, runtime: runtime() };
     viewer.render(camera).unwrap();
 }
 
@@ -198,7 +198,7 @@ fn the_step_uses_its_own_numbers_whatever_came_before() {
     let dir = tempfile::TempDir::new().unwrap();
     let mut straight = trained(&config, 4);
     let checkpoint = straight.save(dir.path()).unwrap();
-    let mut resumed = Trainer::resume(&checkpoint, &config, &tiny_scene(), DType::F32, &Device::Cpu).unwrap();
+    let mut resumed = Trainer::resume(&checkpoint, &config, &tiny_scene(), DType::F32, runtime()).unwrap();
     let (a, b) = (straight.step(true).unwrap(), resumed.step(true).unwrap());
     assert_eq!((a.loss, a.levels), (b.loss, b.levels));
     let roles = ["coarse", "fine"];
@@ -211,7 +211,7 @@ fn fused_and_plain_curves_agree() {
     for method in [Method::Nerf, Method::AugNerf] {
         let errors = |core: Core| -> Vec<f64> {
             let config = tiny_config(method, |config| config.field.core = core);
-            let mut trainer = Trainer::new(&config, &tiny_scene(), DType::F32, &Device::Cpu).unwrap();
+            let mut trainer = Trainer::new(&config, &tiny_scene(), DType::F32, runtime()).unwrap();
             (0..100).map(|_| trainer.step(false).unwrap().psnr().unwrap()).collect()
         };
         let (fused, plain) = (errors(Core::Fused), errors(Core::Plain));
@@ -257,12 +257,12 @@ fn a_stop_during_an_evaluation_loses_that_step_alone() {
         let (run, trainer) = if resumed {
             let run = RunDir::open(&path).unwrap();
             let (_, newest) = checkpoint::list(&run.checkpoints()).unwrap().pop().unwrap();
-            let trainer = Trainer::resume(&newest, &config, &scene, DType::F32, &Device::Cpu).unwrap();
+            let trainer = Trainer::resume(&newest, &config, &scene, DType::F32, runtime()).unwrap();
             (run, trainer)
         } else {
             let run = RunDir::create(&path, false, 0).unwrap();
             std::fs::write(run.config(), config.to_toml()).unwrap();
-            (run, Trainer::new(&config, &scene, DType::F32, &Device::Cpu).unwrap())
+            (run, Trainer::new(&config, &scene, DType::F32, runtime()).unwrap())
         };
         let mut session = Session::new(&run, trainer, resumed).unwrap();
         let outcome = session.run(&signal, &(), &mut Evaluating { stop_at, run: path });

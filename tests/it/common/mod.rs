@@ -5,11 +5,14 @@ pub mod needs;
 pub mod program;
 pub mod reference;
 
+use std::sync::OnceLock;
+
 use augnerf::base::Image;
 use augnerf::data::{Camera, Scene, View};
+use augnerf::runtime::Runtime;
 use augnerf::settings::{Config, DataKind, DensityActivation, Encoding, Method, Resolved};
 use augnerf::train::Trainer;
-use candle_core::{DType, Device, Tensor};
+use candle_core::{DType, Tensor};
 
 /// Three 16 x 16 views of a soft ball on white, seen from three sides.
 pub fn tiny_scene() -> Scene {
@@ -71,9 +74,15 @@ pub fn tiny_config(method: Method, change: impl FnOnce(&mut Config)) -> Resolved
     config.resolve(DataKind::Blender, 2.0, 6.0).unwrap()
 }
 
+/// The processor, with all its threads.
+pub fn runtime() -> &'static Runtime {
+    static RUNTIME: OnceLock<Runtime> = OnceLock::new();
+    RUNTIME.get_or_init(|| Runtime::new("cpu", None).unwrap())
+}
+
 /// A trainer on the tiny scene after `steps` steps.
 pub fn trained(config: &Resolved, steps: u64) -> Trainer {
-    let mut trainer = Trainer::new(config, &tiny_scene(), DType::F32, &Device::Cpu).unwrap();
+    let mut trainer = Trainer::new(config, &tiny_scene(), DType::F32, runtime()).unwrap();
     for _ in 0..steps {
         trainer.step(false).unwrap();
     }
