@@ -18,6 +18,7 @@ mod comparability;
 mod definition;
 mod extends;
 mod folder;
+mod layout;
 mod planning;
 mod points;
 mod runner;

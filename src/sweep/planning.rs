@@ -11,7 +11,8 @@ use crate::settings::Config;
 use super::budget::{StepCosts, shape};
 use super::definition::Definition;
 use super::folder::{Change, SweepFolder};
-use super::points::{Point, expand};
+use super::layout::{Laid, lay_out};
+use super::points::{Point, apply_budgets};
 use super::training::{Cost, Trainings};
 
 /// The points that `folder` was begun with; a new folder is begun with those of `definition`. A
@@ -25,19 +26,20 @@ pub fn begin(
     measure: &dyn StepCosts,
 ) -> Result<Vec<Point>> {
     // A wrong definition leaves no folder.
-    expand(definition, data_root, &Unmeasured)?;
+    let laid = lay_out(definition, data_root)?;
+    apply_budgets(&laid, &Unmeasured)?;
     let _lock = folder.lock()?;
     let change = folder.compare(definition)?;
     let begun = folder.points(data_root)?;
     match (change, begun) {
         (Change::None, Some(points)) if !budgets_can_be_told(&points) => return Ok(points),
         (Change::Changed, begun) if !extend => {
-            return Err(refusal(folder, definition, &begun.unwrap_or_default()));
+            return Err(refusal(folder, &laid, &begun.unwrap_or_default()));
         }
         _ => {}
     }
     let costs = KeptCosts::new(folder, measure)?;
-    let points = expand(definition, data_root, &costs)?;
+    let points = apply_budgets(&laid, &costs)?;
     folder.begin(definition, &points, data_root)?;
     Ok(points)
 }
@@ -76,8 +78,8 @@ fn budgets_can_be_told(points: &[Point]) -> bool {
     points.iter().any(|point| point.without_budget && point.no_data.is_none())
 }
 
-fn refusal(folder: &SweepFolder, definition: &Definition, before: &[Point]) -> Error {
-    let counted = match expand(definition, None, &Unknown) {
+fn refusal(folder: &SweepFolder, laid: &[Laid], before: &[Point]) -> Error {
+    let counted = match apply_budgets(laid, &Unknown) {
         Ok(now) => {
             let missing = |from: &[Point], other: &[Point]| {
                 from.iter().filter(|point| other.iter().all(|known| known.id != point.id)).count()

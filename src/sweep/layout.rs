@@ -1,0 +1,182 @@
+//! From a definition to configurations: each built, checked and its scene looked for, before anything is measured.
+
+use std::path::{Path, PathBuf};
+
+use toml::Value;
+
+use crate::base::{Error, Result};
+use crate::metrics::Scope;
+use crate::report::{AxisValue, label};
+use crate::run::locate_scene;
+use crate::settings::{Config, Preset, build};
+
+use super::axes::{Axis, AxisPoint};
+use super::definition::{BudgetKind, Combine, Definition, Row, scene_name};
+use super::points::Place;
+
+/// A place in the table with its configuration, its budget still to be applied.
+pub struct Laid {
+    /// The scene's name.
+    pub scene: String,
+    /// The scene as the definition names it.
+    pub source: String,
+    /// The configuration, with steps of its own.
+    pub config: Config,
+    /// Steps in which its learning rate falls; none where the scene is not at hand.
+    pub decay_steps: Option<u64>,
+    /// What it has in common with which other configuration instead of steps.
+    pub budget: Option<(BudgetKind, Config)>,
+    /// Why its scene cannot be read; none where it can.
+    pub no_data: Option<String>,
+    /// Where it stands.
+    pub place: Place,
+}
+
+/// All places of a definition's table in the order in which points are run: seed by seed, so that a part of a sweep is a
+/// table already. `data_root` is where relative scenes lie.
+///
+/// # Errors
+/// A row whose settings are wrong, by its name.
+pub fn lay_out(definition: &Definition, data_root: Option<&Path>) -> Result<Vec<Laid>> {
+    let preset = Preset::parse(&definition.preset)?;
+    let mut laid = Vec::new();
+    for &seed in &definition.seeds {
+        for scene in &definition.scenes {
+            let builder = Builder { definition, preset, scene, folder: scene_folder(scene, data_root), seed };
+            for row in &definition.row {
+                for axes in combinations(definition, row)? {
+                    laid.push(builder.lay(row, &axes)?);
+                }
+            }
+        }
+    }
+    Ok(laid)
+}
+
+fn named(axes: &Combination) -> Vec<AxisValue> {
+    axes.iter().map(|(axis, point)| axis.named(point)).collect()
+}
+
+/// A place on each of some axes.
+type Combination<'a> = Vec<(&'a Axis, AxisPoint)>;
+
+/// The places on axes that a row is trained at; one empty combination for a plain row.
+fn combinations<'a>(definition: &'a Definition, row: &'a Row) -> Result<Vec<Combination<'a>>> {
+    let on_axis = |axis: &'a Axis| -> Result<Combination<'a>> {
+        let points = axis.points().map_err(|message| Error::Config(format!("axis '{}': {message}", axis.name)))?;
+        Ok(points.into_iter().map(|point| (axis, point)).collect())
+    };
+    let axes: Vec<Combination> = definition.axes_of(row).iter().map(on_axis).collect::<Result<_>>()?;
+    if axes.is_empty() {
+        return Ok(vec![Vec::new()]);
+    }
+    Ok(match definition.combine {
+        Combine::OneAtATime => axes.into_iter().flatten().map(|point| vec![point]).collect(),
+        Combine::Product => axes.iter().fold(vec![Vec::new()], |partial: Vec<Combination>, axis| {
+            let extended = |combination: &Combination<'a>| -> Vec<Combination<'a>> {
+                axis.iter().map(|point| [combination.as_slice(), std::slice::from_ref(point)].concat()).collect()
+            };
+            partial.iter().flat_map(extended).collect()
+        }),
+    })
+}
+
+/// Where a scene is; empty for the embedded ones.
+pub(super) fn scene_folder(scene: &str, data_root: Option<&Path>) -> PathBuf {
+    match scene {
+        "builtin" | "builtin-forward" => PathBuf::new(),
+        folder => data_root.map_or_else(|| PathBuf::from(folder), |root| root.join(folder)),
+    }
+}
+
+/// Why there is no scene where a configuration looks for it. One that is there and broken fails
+/// its points instead.
+pub(super) fn missing(config: &Config) -> Option<String> {
+    reason_of(config, &locate_scene(config.clone()))
+}
+
+fn reason_of<T>(config: &Config, located: &Result<T>) -> Option<String> {
+    match located {
+        Err(Error::Data(message)) if !Path::new(&config.data.dir).exists() => Some(message.clone()),
+        _ => None,
+    }
+}
+
+struct Builder<'a> {
+    definition: &'a Definition,
+    preset: Preset,
+    scene: &'a str,
+    folder: PathBuf,
+    seed: u64,
+}
+
+impl Builder<'_> {
+    fn lay(&self, row: &Row, axes: &Combination) -> Result<Laid> {
+        let config = self.plain_config(row, axes)?;
+        if let Some(metric) = self.definition.metric_in(Scope::Surface).filter(|_| config.eval.mesh.resolution == 0) {
+            let message = format!(
+                "metric '{}' needs a surface, which eval.mesh.resolution = 0 leaves out: set it to the cells along each \
+                 side of the box, such as 128",
+                metric.key
+            );
+            return Err(in_row(row, axes, Error::Config(message)));
+        }
+        let located = locate_scene(config.clone());
+        if let Err(error @ Error::Config(_)) = located {
+            return Err(in_row(row, axes, error));
+        }
+        let budget = row.budget.as_ref().or(self.definition.budget.as_ref()).filter(|budget| budget.like != row.name);
+        let budget = budget.map(|budget| {
+            let other = self.definition.row.iter().find(|row| row.name == budget.like).expect("checked");
+            Ok::<_, Error>((budget.kind, self.plain_config(other, &Vec::new())?))
+        });
+        Ok(Laid {
+            scene: scene_name(self.scene).to_string(),
+            source: self.scene.to_string(),
+            no_data: reason_of(&config, &located),
+            decay_steps: located.ok().map(|located| located.decay_steps),
+            budget: budget.transpose()?,
+            config,
+            place: Place { row: row.name.clone(), axes: named(axes) },
+        })
+    }
+
+    fn plain_config(&self, row: &Row, axes: &Combination) -> Result<Config> {
+        let preset = row.preset.as_deref().map_or(Ok(self.preset), Preset::parse)?;
+        let mut assignments: Vec<(Vec<String>, Value)> = Vec::new();
+        let mut assign = |key: &str, value: Value| {
+            assignments.push((key.split('.').map(String::from).collect(), value));
+        };
+        for (table, value) in [&self.definition.set, &row.set].into_iter().flatten() {
+            flatten(table, value, &mut assign);
+        }
+        for (_, point) in axes {
+            point.sets.iter().for_each(|(key, value)| assign(key, value.clone()));
+        }
+        match self.scene {
+            "builtin" => {}
+            "builtin-forward" => assign("data.kind", Value::String("builtin-forward".into())),
+            _ => assign("data.dir", Value::String(self.folder.to_string_lossy().into_owned())),
+        }
+        assign("seed", Value::Integer(self.seed as i64));
+        build(Some(preset), None, &assignments).map_err(|error| in_row(row, axes, error))
+    }
+}
+
+/// The same error with the row that it is about.
+fn in_row(row: &Row, axes: &Combination, error: Error) -> Error {
+    match error {
+        Error::Config(message) => Error::Config(format!("row '{}': {message}", label(&row.name, &named(axes)))),
+        other => other,
+    }
+}
+
+/// `a.b = v` and nested tables alike, as dotted names.
+fn flatten(key: &str, value: &Value, assign: &mut impl FnMut(&str, Value)) {
+    match value {
+        Value::Table(table) => {
+            table.iter().for_each(|(inner, value)| flatten(&format!("{key}.{inner}"), value, assign))
+        }
+        value => assign(key, value.clone()),
+    }
+}
