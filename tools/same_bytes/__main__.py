@@ -182,7 +182,11 @@ def arguments():
 
 def main():
     started, given, found = time.monotonic(), arguments(), places()
-    revision = git("rev-parse", "--short=12", given.revision + "^{commit}")[:12]
+    try:
+        revision = git("rev-parse", "--short=12", given.revision + "^{commit}")[:12]
+    except subprocess.CalledProcessError:
+        print(f"{given.revision} is no revision of this repository")
+        return 2
     cache = Path(os.environ.get("AUGNERF_SAME_BYTES_CACHE") or REPOSITORY / "target/same_bytes").resolve()
     old = Old(revision, cache, found)
     sweeps = git("ls-tree", "--name-only", f"{revision}:sweeps").split()

@@ -71,18 +71,18 @@ def events(content):
 
 
 def files(folder):
-    """Every file below `folder` by its name there, with event files' clocks and processes taken out of their names."""
+    """Every file and empty folder below `folder` by its name there, with event files' clocks and processes taken out of their names."""
     found, counts = {}, {}
-    for path in sorted(path for path in folder.rglob("*") if path.is_file() or not any_file(path)):
+    for path in sorted(path for path in folder.rglob("*") if path.is_file() or is_empty(path)):
         name = EVENTS.sub(r"events.\1", str(path.relative_to(folder)))
         counts[name] = counts.get(name, 0) + 1
         found[name if counts[name] == 1 else f"{name}.{counts[name]}"] = path
     return found
 
 
-def any_file(path):
-    """Whether a folder holds anything: an empty one counts as a file of its own."""
-    return any(path.iterdir()) if path.is_dir() else True
+def is_empty(path):
+    """Whether it is a folder without anything in it."""
+    return path.is_dir() and not any(path.iterdir())
 
 
 def compare(old, new, normaliser):
@@ -117,13 +117,14 @@ def describe(name, a, b):
         words = f"byte {at} of {len(a)} (old), {len(b)} (new){tensor(a, at) if name.endswith('.safetensors') else ''}"
         return Difference(name, [words], words)
     a, b = (text.split("\n") for text in texts)
-    changed = [line for line in difflib.ndiff(a, b) if line[0] in "-+"] if len(a) + len(b) < 4000 else []
+    # Behind the two lines that name the sides.
+    changed = [line[1:] for line in list(difflib.unified_diff(a, b, n=0, lineterm=""))[2:] if line[0] in "-+"]
     at, (x, y) = next((i, pair) for i, pair in enumerate(zip_longest(a, b)) if pair[0] != pair[1])
     column = next((i for i, (c, d) in enumerate(zip(x or "", y or "")) if c != d), min(len(x or ""), len(y or "")))
     begin = max(0, column - 60)
     shown = [line[begin : begin + 140] if line is not None else "(the file ends)" for line in (x, y)]
     words = f"line {at + 1}, column {column + 1}\n      old: {shown[0]}\n      new: {shown[1]}"
-    return Difference(name, [line[2:] for line in changed] or [x or "", y or ""], words)
+    return Difference(name, changed, words)
 
 
 def tensor(content, at):
