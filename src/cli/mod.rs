@@ -4,7 +4,7 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 use std::str::FromStr;
 
-use clap::{Args, Parser, Subcommand};
+use clap::{Args, CommandFactory, Parser, Subcommand};
 
 use crate::base::{Class, Error, Result};
 use crate::runtime::Runtime;
@@ -46,7 +46,7 @@ fn exit_codes() -> String {
 const TRAIN_EXAMPLES: &str = "Examples:
   augnerf train                                            the embedded scene, under a minute
   augnerf train --data fern --preset cpu                   NeRF on a real scene, minutes
-  augnerf train --data fern --preset cpu --method aug-nerf the same with worst-case augmentation
+  augnerf train --data fern --preset cpu --method aug-nerf  the same with worst-case augmentation
   augnerf train --data fern --preset cpu --method aug-nerf --set perturb.attack=calibrated
   augnerf train --data fern --preset cpu --method aug-nerf --set perturb.rgb.passes=off --set perturb.density.passes=off
   augnerf train --data fern --preset cpu --set regularizer.kind=tv --set regularizer.weight=8e-7
@@ -197,6 +197,11 @@ impl Compute {
 fn numbers<T: FromStr, const N: usize>(text: &str) -> Option<[T; N]> {
     let numbers: Option<Vec<T>> = text.split(',').map(|part| part.trim().parse().ok()).collect();
     numbers?.try_into().ok()
+}
+
+/// The definition of the command line: commands, flags and their help.
+pub fn command() -> clap::Command {
+    Arguments::command()
 }
 
 /// Runs the program; the exit code is that of the error's class.

@@ -6,6 +6,7 @@ mod bad_data;
 mod cli;
 mod corruption;
 mod device;
+mod docs;
 mod fused;
 mod geometry;
 mod layering;

@@ -1,0 +1,245 @@
+//! README, docs, results and help say what the program does: their commands parse, the settings that they name exist,
+//! their sweeps are sweeps, their links lead somewhere.
+
+use std::path::{Component, Path, PathBuf};
+
+use augnerf::settings::{Preset, build, parse_assignment};
+use augnerf::sweep::Definition;
+use clap::error::ErrorKind;
+
+mod page;
+mod shell;
+
+use page::Page;
+use shell::commands;
+
+/// Sections of the configuration: code that starts with one of them names a setting.
+const SECTIONS: [&str; 7] = ["data", "field", "sampling", "train", "perturb", "regularizer", "eval"];
+
+fn root() -> PathBuf {
+    PathBuf::from(env!("CARGO_MANIFEST_DIR"))
+}
+
+/// Every page that people read.
+fn pages() -> Vec<Page> {
+    let mut files: Vec<PathBuf> = ["README.md", "CHANGELOG.md", "CONTRIBUTING.md"].map(PathBuf::from).to_vec();
+    for folder in ["docs", "results"] {
+        for entry in std::fs::read_dir(root().join(folder)).unwrap() {
+            let name = entry.unwrap().file_name();
+            files
+                .extend(Some(Path::new(folder).join(&name)).filter(|file| file.extension().is_some_and(|e| e == "md")));
+        }
+    }
+    files.sort();
+    files.into_iter().map(|file| Page::read(&root(), file)).collect()
+}
+
+/// The long help of every command.
+fn helps() -> Vec<(String, String)> {
+    fn visit(command: &mut clap::Command, path: &str, out: &mut Vec<(String, String)>) {
+        let help = command.clone().term_width(1000).render_long_help().to_string();
+        out.push((path.to_string(), help));
+        for inner in command.get_subcommands_mut() {
+            let path = format!("{path} {}", inner.get_name());
+            visit(inner, &path, out);
+        }
+    }
+    let mut out = Vec::new();
+    visit(&mut augnerf::cli::command(), "augnerf", &mut out);
+    out
+}
+
+/// Commands in the examples of a help, whose remarks stand behind two spaces.
+fn help_commands(help: &str) -> Vec<Vec<String>> {
+    let examples = help.lines().map(str::trim).filter(|line| line.contains("augnerf "));
+    let bare = examples.map(|line| line.split("  ").next().expect("split gives one"));
+    bare.flat_map(commands).collect()
+}
+
+/// Why the command line refuses a command; none where it takes it. `...` stands for more of the same and `COMMAND` for
+/// any command. What is only mentioned need not name what it works on.
+fn refusal(words: &[String], mentioned: bool) -> Option<String> {
+    let words = words.iter().filter(|word| *word != "...");
+    let words = words.map(|word| if word == "COMMAND" { "train" } else { word.as_str() });
+    let error = augnerf::cli::command().try_get_matches_from(std::iter::once("augnerf").chain(words)).err()?;
+    let incomplete = [ErrorKind::MissingRequiredArgument, ErrorKind::DisplayHelpOnMissingArgumentOrSubcommand]
+        .contains(&error.kind());
+    let asked = [ErrorKind::DisplayHelp, ErrorKind::DisplayVersion].contains(&error.kind());
+    (!asked && !(mentioned && incomplete)).then(|| error.to_string())
+}
+
+/// Values of a flag, given as `--flag value`.
+fn values<'a>(words: &'a [String], flag: &str) -> Vec<&'a str> {
+    words.windows(2).filter(|pair| pair[0] == flag).map(|pair| pair[1].as_str()).collect()
+}
+
+/// Why the settings of a command are refused; none where they are taken. Placeholders (`FIELD=VALUE`) are not settings.
+fn refused_settings(words: &[String]) -> Option<String> {
+    let experiment = words.first().is_some_and(|word| word != "sweep" && word != "bench");
+    let preset = values(words, "--preset").into_iter().find(|_| experiment && words[0] != "mesh");
+    let preset = preset.map(|name| Preset::parse(name).map_err(|e| e.to_string())).transpose();
+    let method = values(words, "--method").into_iter().filter(|_| experiment).map(|name| format!("method={name}"));
+    let set = values(words, "--set").into_iter().filter(|text| !text.starts_with(char::is_uppercase)).map(String::from);
+    let assignments: Result<Vec<_>, _> = method.chain(set).map(|text| parse_assignment(&text)).collect();
+    let built = preset.and_then(|preset| {
+        assignments.and_then(|assignments| build(preset, None, &assignments)).map_err(|e| e.to_string())
+    });
+    built.err()
+}
+
+/// Whether a dotted name is that of a setting or of a section.
+fn exists(name: &str) -> bool {
+    let path: Vec<String> = name.split('.').map(String::from).collect();
+    let refused = build(None, None, &[(path, toml::Value::String("?".into()))]).err();
+    refused.is_none_or(|error| !error.to_string().contains("unknown key"))
+}
+
+/// The dotted name that code starts with, if it is one of a setting: `train.steps = 7` gives `train.steps`.
+fn setting_named(code: &str) -> Option<&str> {
+    let end = code.find(|c: char| !(c.is_ascii_lowercase() || c.is_ascii_digit() || "._".contains(c)));
+    let (name, rest) = code.split_at(end.unwrap_or(code.len()));
+    let (section, field) = name.split_once('.')?;
+    // `data.json` in a sentence is a file, `perturb.SITE` a pattern.
+    let whole = rest.is_empty() || rest.starts_with(['=', ' ']);
+    (SECTIONS.contains(&section) && !field.is_empty() && whole).then_some(name)
+}
+
+#[test]
+fn every_command_in_the_pages_is_one() {
+    let (mut found, mut wrong) = (0, Vec::new());
+    for page in pages() {
+        let examples = page.blocks_of("sh").flat_map(commands).map(|words| (words, false));
+        let mentions = page.spans().into_iter().flat_map(commands).map(|words| (words, true));
+        for (words, mentioned) in examples.chain(mentions.collect::<Vec<_>>()) {
+            found += 1;
+            let refused = refusal(&words, mentioned).or_else(|| refused_settings(&words));
+            wrong.extend(refused.map(|why| format!("{}: augnerf {}: {why}", page.path.display(), words.join(" "))));
+        }
+    }
+    assert!(wrong.is_empty(), "{}", wrong.join("\n"));
+    assert!(found > 80, "only {found} commands were found");
+}
+
+#[test]
+fn every_command_in_the_help_is_one() {
+    let (mut found, mut wrong) = (0, Vec::new());
+    for (path, help) in helps() {
+        for words in help_commands(&help) {
+            found += 1;
+            let refused = refusal(&words, false).or_else(|| refused_settings(&words));
+            wrong.extend(refused.map(|why| format!("{path} --help: augnerf {}: {why}", words.join(" "))));
+        }
+    }
+    assert!(wrong.is_empty(), "{}", wrong.join("\n"));
+    assert!(found > 20, "only {found} commands were found");
+}
+
+#[test]
+fn wrong_commands_and_settings_are_found_out() {
+    let words = |text: &str| commands(text).remove(0);
+    for wrong in ["augnerf trian", "augnerf train --data", "augnerf train --step 3", "augnerf compare"] {
+        assert!(refusal(&words(wrong), false).is_some(), "{wrong}");
+    }
+    assert!(refusal(&words("augnerf compare"), true).is_none() && refusal(&words("augnerf compar"), true).is_some());
+    for wrong in ["train.stepz=3", "train.steps=0", "regularizer.kind=tvv"] {
+        assert!(refused_settings(&words(&format!("augnerf train --set {wrong}"))).is_some(), "{wrong}");
+    }
+    assert!(refused_settings(&words("augnerf train --method aug-nerv")).is_some());
+    assert!(exists("train.steps") && exists("eval.mesh.box") && !exists("train.stepz") && !exists("perturb.q.steps"));
+    assert_eq!(setting_named("perturb.field = \"shared\""), Some("perturb.field"));
+    assert_eq!((setting_named("perturb.SITE.steps"), setting_named("data_hash")), (None, None));
+}
+
+#[test]
+fn every_setting_that_is_named_exists() {
+    let mut wrong = Vec::new();
+    for page in pages() {
+        let assigned = page.blocks.iter().flat_map(|(_, text)| text.split("--set ").skip(1));
+        let named = page.spans().into_iter().chain(assigned).map(|code| code.trim_start_matches('\''));
+        let unknown = named.filter_map(setting_named).filter(|name| !exists(name));
+        wrong.extend(unknown.map(|name| format!("{}: {name}", page.path.display())));
+    }
+    assert!(wrong.is_empty(), "{}", wrong.join("\n"));
+}
+
+#[test]
+fn every_sweep_in_the_pages_is_one() {
+    // Beside the shipped ones, which an example may extend.
+    let folder = tempfile::tempdir().unwrap();
+    for entry in std::fs::read_dir(root().join("sweeps")).unwrap() {
+        let file = entry.unwrap().path();
+        std::fs::copy(&file, folder.path().join(file.file_name().unwrap())).unwrap();
+    }
+    let mut found = 0;
+    for page in pages() {
+        for text in page.blocks_of("toml").filter(|text| text.contains("title =")) {
+            let file = folder.path().join("example.toml");
+            std::fs::write(&file, text).unwrap();
+            let read = Definition::read(&file).map(|_| ());
+            assert!(read.is_ok(), "{}: {}\n{text}", page.path.display(), read.unwrap_err());
+            found += 1;
+        }
+    }
+    assert!(found >= 5, "only {found} sweeps were found");
+}
+
+/// A path without `..` and `.`.
+fn plain(path: &Path) -> PathBuf {
+    let mut plain = PathBuf::new();
+    for part in path.components() {
+        match part {
+            Component::ParentDir => assert!(plain.pop(), "{} leads out of the repository", path.display()),
+            Component::CurDir => {}
+            other => plain.push(other),
+        }
+    }
+    plain
+}
+
+/// Why a link of a page leads nowhere; none where it leads somewhere. Those within docs must stay there: the book has
+/// nothing else.
+fn dead(page: &Page, link: &str, pages: &[Page]) -> Option<String> {
+    if link.starts_with("https://") {
+        return None;
+    }
+    let (file, anchor) = link.split_once('#').unwrap_or((link, ""));
+    let own = page.path.parent().expect("pages are files");
+    let target = if file.is_empty() { page.path.clone() } else { plain(&own.join(file)) };
+    if !root().join(&target).exists() {
+        return Some("there is no such file".into());
+    }
+    if page.path.starts_with("docs") && !target.starts_with("docs") {
+        return Some("it leads out of the book".into());
+    }
+    let known = pages.iter().find(|page| page.path == target);
+    let anchored = anchor.is_empty() || known.is_some_and(|page| page.anchors().iter().any(|known| known == anchor));
+    (!anchored).then(|| "there is no such heading".into())
+}
+
+#[test]
+fn every_link_leads_somewhere() {
+    let pages = pages();
+    let (mut found, mut wrong) = (0, Vec::new());
+    for page in &pages {
+        for link in page.links() {
+            found += 1;
+            wrong.extend(dead(page, link, &pages).map(|why| format!("{}: {link}: {why}", page.path.display())));
+        }
+    }
+    assert!(wrong.is_empty(), "{}", wrong.join("\n"));
+    assert!(found > 80, "only {found} links were found");
+    let readme = pages.iter().find(|page| page.path == Path::new("README.md")).expect("it is a page");
+    for nowhere in ["docs/no.md", "docs/sweeps.md#no", "#no"] {
+        assert!(dead(readme, nowhere, &pages).is_some(), "{nowhere}");
+    }
+}
+
+#[test]
+fn the_book_has_every_page_of_docs() {
+    let pages = pages();
+    let summary = pages.iter().find(|page| page.path == Path::new("docs/SUMMARY.md")).expect("it is a page");
+    let listed: Vec<PathBuf> = summary.links().into_iter().map(|link| Path::new("docs").join(link)).collect();
+    for page in pages.iter().filter(|page| page.path.starts_with("docs") && page.path != summary.path) {
+        assert!(listed.contains(&page.path), "{} is not in docs/SUMMARY.md", page.path.display());
+    }
+}
