@@ -3,8 +3,9 @@
 
 use std::path::{Component, Path, PathBuf};
 
+use augnerf::base::Class;
 use augnerf::settings::{Preset, build, parse_assignment};
-use augnerf::sweep::Definition;
+use augnerf::sweep::{Definition, METRICS};
 use clap::error::ErrorKind;
 
 mod page;
@@ -65,7 +66,7 @@ fn refusal(words: &[String], mentioned: bool) -> Option<String> {
     let incomplete = [ErrorKind::MissingRequiredArgument, ErrorKind::DisplayHelpOnMissingArgumentOrSubcommand]
         .contains(&error.kind());
     let asked = [ErrorKind::DisplayHelp, ErrorKind::DisplayVersion].contains(&error.kind());
-    (!asked && !(mentioned && incomplete)).then(|| error.to_string())
+    (!(asked || mentioned && incomplete)).then(|| error.to_string())
 }
 
 /// Values of a flag, given as `--flag value`.
@@ -241,5 +242,43 @@ fn the_book_has_every_page_of_docs() {
     let listed: Vec<PathBuf> = summary.links().into_iter().map(|link| Path::new("docs").join(link)).collect();
     for page in pages.iter().filter(|page| page.path.starts_with("docs") && page.path != summary.path) {
         assert!(listed.contains(&page.path), "{} is not in docs/SUMMARY.md", page.path.display());
+    }
+}
+
+/// The page of this name below docs.
+fn page(name: &str) -> Page {
+    Page::read(&root(), Path::new("docs").join(name))
+}
+
+/// Keys that a sweep file may have where `before` ends, as the refusal of another one lists them.
+fn keys_after(before: &str) -> Vec<String> {
+    let message = Definition::parse(&format!("{before}\nnonsense = 1"), "a sweep").unwrap_err().to_string();
+    let (_, listed) = message.split_once("expected one of").unwrap_or_else(|| message.split_once("expected").unwrap());
+    listed.split('`').skip(1).step_by(2).map(String::from).collect()
+}
+
+#[test]
+fn the_sweep_files_page_has_every_key() {
+    let text = page("sweep-file.md").prose;
+    let head = "title = \"t\"\npreset = \"smoke\"\nscenes = [\"builtin\"]\nseeds = [0]\n";
+    for (place, known) in [("", "title"), ("[[row]]", "ours"), ("[[axis]]", "panel"), ("[budget]", "like")] {
+        let keys = keys_after(&format!("{head}{place}"));
+        assert!(keys.iter().any(|key| key == known), "{place}: {keys:?}");
+        for key in keys {
+            assert!(text.contains(&format!("| `{key}` |")), "docs/sweep-file.md has no row for `{key}` of {place}");
+        }
+    }
+}
+
+#[test]
+fn every_metric_and_exit_code_is_described() {
+    let metrics = page("metrics.md");
+    let described = metrics.spans();
+    for metric in METRICS {
+        assert!(described.contains(&metric), "docs/metrics.md does not describe `{metric}`");
+    }
+    let codes = page("exit-codes.md").prose;
+    for class in Class::ALL {
+        assert!(codes.contains(&format!("| {} |", class.exit_code())), "docs/exit-codes.md lacks {class:?}");
     }
 }

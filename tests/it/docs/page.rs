@@ -50,8 +50,7 @@ impl Page {
     /// What `#...` may name: headings as forges and mdBook spell them.
     pub fn anchors(&self) -> Vec<String> {
         let mut seen: HashMap<String, usize> = HashMap::new();
-        let headings =
-            self.prose.lines().filter_map(|line| line.starts_with('#').then(|| line.trim_start_matches('#')));
+        let headings = self.prose.lines().filter(|line| line.starts_with('#')).map(|line| line.trim_start_matches('#'));
         let anchors = headings.map(|heading| {
             let plain = |c: &char| c.is_alphanumeric() || matches!(c, ' ' | '-' | '_');
             let anchor = heading.trim().to_lowercase().chars().filter(plain).collect::<String>().replace(' ', "-");
