@@ -4,8 +4,9 @@
 use std::path::{Component, Path, PathBuf};
 
 use augnerf::base::Class;
+use augnerf::metrics::{Direction, METRICS};
 use augnerf::settings::{Preset, build, parse_assignment};
-use augnerf::sweep::{Definition, METRICS};
+use augnerf::sweep::Definition;
 use clap::error::ErrorKind;
 
 mod page;
@@ -272,10 +273,15 @@ fn the_sweep_files_page_has_every_key() {
 
 #[test]
 fn every_metric_and_exit_code_is_described() {
-    let metrics = page("metrics.md");
-    let described = metrics.spans();
-    for metric in METRICS {
-        assert!(described.contains(&metric), "docs/metrics.md does not describe `{metric}`");
+    let metrics = page("metrics.md").prose;
+    for metric in &METRICS {
+        let direction = match metric.direction {
+            Direction::Up => "up",
+            Direction::Down => "down",
+            Direction::Neither => "neither",
+        };
+        let row = format!("| `{}` | {} | {direction} |", metric.key, metric.unit).replace("|  |", "| |");
+        assert!(metrics.contains(&row), "docs/metrics.md has no row {row}");
     }
     let codes = page("exit-codes.md").prose;
     for class in Class::ALL {
