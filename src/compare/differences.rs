@@ -4,7 +4,6 @@ use serde::Serialize;
 
 use super::run_view::RunView;
 use crate::run::columns;
-use crate::settings::Config;
 
 /// Fields of the protocol that follow from others.
 const DERIVED: [&str; 3] = ["config_hash", "redraws", "corruption_hash"];
@@ -56,27 +55,6 @@ pub struct Difference {
     pub name: String,
     /// Each run's value; empty where it has none.
     pub values: Vec<String>,
-}
-
-/// Every setting that can change a number, without section `perturb` where there is no perturbed pass.
-pub(super) fn settings(config: &Config) -> Vec<(String, String)> {
-    let mut table = toml::Table::try_from(config.portable()).expect("a configuration is plain data");
-    if !config.method.is_augmented() {
-        table.remove("perturb");
-    }
-    let mut settings = Vec::new();
-    flatten(String::new(), &table, &mut settings);
-    settings
-}
-
-fn flatten(prefix: String, table: &toml::Table, into: &mut Vec<(String, String)>) {
-    for (name, value) in table {
-        match value {
-            toml::Value::Table(table) => flatten(format!("{prefix}{name}."), table, into),
-            toml::Value::String(text) => into.push((format!("{prefix}{name}"), text.clone())),
-            other => into.push((format!("{prefix}{name}"), other.to_string())),
-        }
-    }
 }
 
 fn spoken_of(setting: &str) -> bool {

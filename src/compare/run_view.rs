@@ -3,10 +3,10 @@
 use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
 
-use super::differences;
 use crate::base::{Error, Result};
 use crate::data::{Camera, Ndc, Scene, View};
 use crate::run::{Protocol, Viewer};
+use crate::settings::Config;
 use crate::train::checkpoint::State;
 
 /// A run with the held-out view that it is to show.
@@ -43,7 +43,7 @@ impl RunView {
             ndc: scene.ndc,
             bounds: scene.bounds(),
             at_intervals: config.field.encoding.at_intervals(),
-            settings: differences::settings(config),
+            settings: settings(config),
         })
     }
 
@@ -153,4 +153,25 @@ fn check_labels(runs: &[PathBuf], given: &[String]) -> Result<Vec<String>> {
         }
     }
     Ok(given.to_vec())
+}
+
+/// Every setting that can change a number, without section `perturb` where there is no perturbed pass.
+fn settings(config: &Config) -> Vec<(String, String)> {
+    let mut table = toml::Table::try_from(config.portable()).expect("a configuration is plain data");
+    if !config.method.is_augmented() {
+        table.remove("perturb");
+    }
+    let mut settings = Vec::new();
+    flatten(String::new(), &table, &mut settings);
+    settings
+}
+
+fn flatten(prefix: String, table: &toml::Table, into: &mut Vec<(String, String)>) {
+    for (name, value) in table {
+        match value {
+            toml::Value::Table(table) => flatten(format!("{prefix}{name}."), table, into),
+            toml::Value::String(text) => into.push((format!("{prefix}{name}"), text.clone())),
+            other => into.push((format!("{prefix}{name}"), other.to_string())),
+        }
+    }
 }

@@ -3,7 +3,7 @@
 use crate::base::Result;
 use crate::losses::LossTerm;
 
-use super::fields::LevelDiagnostics;
+use super::diagnostics::LevelDiagnostics;
 use super::gradients::Gradients;
 
 /// A term of a step's loss.

@@ -12,13 +12,15 @@ use crate::field::{Density, FieldDensity};
 use crate::settings::{Config, Resolved};
 
 mod batches;
+mod diagnostics;
 mod fields;
 mod gradients;
 mod learner;
 mod painter;
 
 pub use batches::{Batch, Batches};
-pub use fields::{AttackSummary, Balance, FieldLearner, FieldPainter, Fields, LevelDiagnostics};
+pub use diagnostics::{AttackSummary, LevelDiagnostics};
+pub use fields::{Balance, FieldLearner, FieldPainter, Fields};
 pub use gradients::Gradients;
 pub use learner::{Learned, Learner, LogColumns, Term};
 pub use painter::{Painted, Painter};

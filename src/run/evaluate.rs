@@ -1,22 +1,14 @@
 //! Rendering of whole views and their metrics.
 
-use std::path::Path;
-
-use super::Protocol;
-
 use candle_core::DType;
 use rayon::prelude::*;
-use serde::Serialize;
 
-use crate::base::csv::csv_of_named;
-use crate::base::files::{write_atomic, write_json};
 use crate::base::{Error, Event, Image, Listener, Result};
 use crate::data::{Camera, RayBuffer, Scene, View};
-use crate::methods::{AttackSummary, Model};
-use crate::metrics::{Lpips, MeanMetrics, ViewMetrics, measure, measure_depth};
+use crate::methods::Model;
+use crate::metrics::{Lpips, ViewMetrics, measure, measure_depth};
 use crate::runtime::Runtime;
 use crate::settings::Resolved;
-use crate::space::Chamfer;
 
 /// One rendered view, row-major.
 pub struct RenderedView {
@@ -115,68 +107,4 @@ impl Viewer<'_> {
         events.on(Event::Finished);
         Ok(metrics)
     }
-}
-
-/// `metrics.json`.
-#[derive(Clone, Debug, Serialize)]
-pub struct Report {
-    /// Means over the views.
-    pub mean: MeanMetrics,
-    /// Every view.
-    pub views: Vec<ViewMetrics>,
-    /// Where the numbers come from.
-    pub protocol: Protocol,
-    /// What the attack did over the logged steps, one entry a level; empty without one.
-    pub attack: Vec<AttackSummary>,
-}
-
-impl Report {
-    /// Of measured views, and of a surface where one was measured.
-    pub fn new(
-        views: Vec<ViewMetrics>,
-        surface: Option<Chamfer>,
-        protocol: Protocol,
-        attack: Vec<AttackSummary>,
-    ) -> Report {
-        let mut mean = MeanMetrics::from_views(&views);
-        mean.set("chamfer", surface.as_ref().map(|surface| surface.chamfer));
-        mean.set("f_score", surface.and_then(|surface| surface.scores.first().map(|score| score.f_score)));
-        Report { mean, views, protocol, attack }
-    }
-
-    /// Writes `metrics.json` and `metrics.csv`.
-    pub fn write(&self, json: &Path, csv: &Path) -> Result<()> {
-        write_json(json, self)?;
-        write_atomic(csv, self.csv().as_bytes())
-    }
-
-    /// Levels of the attack that had no effect on the loss.
-    pub fn inactive_levels(&self) -> Vec<&'static str> {
-        self.attack.iter().filter(|level| level.inactive).map(|level| level.level).collect()
-    }
-
-    /// One row a view, each with the whole protocol; a missing metric is an empty cell.
-    fn csv(&self) -> String {
-        let inactive = self.inactive_levels();
-        let rows = self.views.iter().map(|view| {
-            let mut row = columns(view);
-            row.extend(columns(&self.protocol));
-            row.push(("inactive_levels".into(), inactive.join(" ")));
-            row
-        });
-        csv_of_named(rows)
-    }
-}
-
-/// The fields of a flat struct as text, in their order; null is an empty cell.
-pub fn columns(row: &impl Serialize) -> Vec<(String, String)> {
-    let serde_json::Value::Object(fields) = serde_json::to_value(row).expect("plain data") else {
-        unreachable!("rows are structs")
-    };
-    let text = |value: serde_json::Value| match value {
-        serde_json::Value::Null => String::new(),
-        serde_json::Value::String(text) => text,
-        other => other.to_string(),
-    };
-    fields.into_iter().map(|(name, value)| (name, text(value))).collect()
 }

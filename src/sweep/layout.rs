@@ -2,6 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
+use serde::{Deserialize, Serialize};
 use toml::Value;
 
 use crate::base::{Error, Result};
@@ -12,7 +13,15 @@ use crate::settings::{Config, Preset, build};
 
 use super::axes::{Axis, AxisPoint};
 use super::definition::{BudgetKind, Combine, Definition, Row, scene_name};
-use super::points::Place;
+
+/// A cell of the table.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Place {
+    /// The row's name.
+    pub row: String,
+    /// The values of axes.
+    pub axes: Vec<AxisValue>,
+}
 
 /// A place in the table with its configuration, its budget still to be applied.
 pub struct Laid {

@@ -6,12 +6,12 @@ use std::path::Path;
 use serde::{Deserialize, Serialize};
 
 use crate::base::{Error, Result};
-use crate::report::{AxisValue, label};
+use crate::report::label;
 use crate::settings::Config;
 
 use super::budget::{StepCosts, steps_within};
 use super::definition::Definition;
-use super::layout::{Laid, lay_out, missing, scene_folder};
+use super::layout::{Laid, Place, lay_out, missing, scene_folder};
 
 /// One training: a configuration with its seed. Rows that come to the same share it.
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -31,15 +31,6 @@ pub struct Point {
     /// Why its scene cannot be read; none where it can.
     #[serde(skip)]
     pub no_data: Option<String>,
-}
-
-/// A cell of the table.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Place {
-    /// The row's name.
-    pub row: String,
-    /// The values of axes.
-    pub axes: Vec<AxisValue>,
 }
 
 impl Point {

@@ -5,7 +5,6 @@
 //! cache.
 
 mod chunk;
-mod diagnostics;
 mod learner;
 mod networks;
 mod painter;
@@ -13,9 +12,10 @@ mod passes;
 mod perturbed;
 mod regularized;
 mod results;
+mod start;
+mod step;
 mod terms;
 
-pub use diagnostics::{AttackSummary, LevelDiagnostics};
 pub use learner::FieldLearner;
 pub use networks::Fields;
 pub use painter::FieldPainter;

@@ -6,7 +6,7 @@ use rayon::prelude::*;
 use crate::base::Result;
 use crate::methods::gradients::Gradients;
 use crate::render::{Pass, PassOutput, clean_pass, noiseless_acc, photometric_loss, resample};
-use crate::settings::{Config, Objective, PerturbKind};
+use crate::settings::PerturbKind;
 
 use super::chunk::Chunk;
 use super::learner::FieldLearner;
@@ -130,16 +130,6 @@ impl FieldLearner {
         let loss = photometric_loss(&out.composite.rgb, target)?;
         gradients.add(&self.variables, &(&loss * weight)?.backward()?)?;
         Ok(loss.detach().to_dtype(DType::F64)?)
-    }
-}
-
-/// Weights of clean and perturbed loss.
-pub(super) fn mixing(config: &Config) -> (f64, f64) {
-    let lambda = config.perturb.lambda;
-    match (config.method.is_augmented(), config.perturb.objective) {
-        (false, _) => (1.0, 0.0),
-        (true, Objective::Paper) => (1.0, lambda),
-        (true, Objective::Released) => (1.0 - lambda, lambda),
     }
 }
 

@@ -15,11 +15,11 @@ use crate::render::{
 use crate::settings::{LEVELS, Level, PerturbConfig, PerturbKind, Resample};
 
 use super::chunk::Chunk;
-use super::diagnostics::Sums;
 use super::learner::FieldLearner;
 use super::networks::Fields;
 use super::results::ChunkResult;
 use super::terms::StepLoss;
+use crate::methods::diagnostics::Sums;
 
 /// One perturbed pass of a chunk: which field, which samples, which sets.
 #[derive(Clone)]

@@ -6,7 +6,7 @@ use crate::base::Result;
 use crate::base::tensors::sum;
 use crate::methods::gradients::Gradients;
 
-use super::diagnostics::Sums;
+use crate::methods::diagnostics::Sums;
 
 /// What one chunk adds to a step.
 pub(super) struct ChunkResult {

@@ -6,10 +6,9 @@ use crate::base::Result;
 use crate::base::tensors::sum;
 use crate::losses::{LossTerm, RayPass, RayTerm, SpaceTerm, WeightedTerm};
 use crate::render::{PassOutput, photometric_loss};
-use crate::settings::RegularizedFields;
+use crate::settings::{Config, Objective, RegularizedFields};
 
 use super::learner::FieldLearner;
-use super::passes::mixing;
 use super::results::ChunkResult;
 
 /// What the passes of a step minimise.
@@ -68,6 +67,16 @@ pub(super) fn in_order(terms: &[WeightedTerm], on_rays: &[f64], in_space: &[f64]
         *value.expect("every term has a value")
     };
     terms.iter().map(value).collect()
+}
+
+/// Weights of clean and perturbed loss.
+pub(super) fn mixing(config: &Config) -> (f64, f64) {
+    let lambda = config.perturb.lambda;
+    match (config.method.is_augmented(), config.perturb.objective) {
+        (false, _) => (1.0, 0.0),
+        (true, Objective::Paper) => (1.0, lambda),
+        (true, Objective::Released) => (1.0 - lambda, lambda),
+    }
 }
 
 impl FieldLearner {
