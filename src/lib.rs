@@ -12,7 +12,7 @@
 //!  └──────┬──────────▲────────────────────────▲──────────────▲──────────────────────┬─────────┘
 //!         │ t_vals   │ t, xyz, view           │ feature      │ rgb, density         │ loss
 //!         │       ┌──┴────────────────────────┴──────────────┴──┐                   │
-//!         └──────►│ perturbations: sets ─► PGD ascends the loss │◄── gradients ─────┤
+//!         └──────►│ augment: sets of deltas ─► ascent of the loss │◄── gradients ─────┤
 //!                 └─────────────────────────────────────────────┘                   ▼
 //!                          perturbed pass, lambda ─────────────────────────► train::Adam
 //!    box of points ─► field: density, gradient, Laplacian ─► regularizers ──────────▲
@@ -36,8 +36,8 @@
 //! | `weights` | `[rays, samples]` | 0..1 | transmittance * alpha |
 //! | `acc` | `[rays]` | 0..1 | sum of weights |
 //! | `depth` | `[rays]` | as `t_vals` | sum of weights * t |
-//! | `delta` | see [`augment::Deltas`] | the level's own | a perturbation |
-//! | `epsilon` | scalar | see docs/perturbations.md | size of a delta's set |
+//! | `delta` | see [`augment::Site`] | the site's own | what is added at a site of the perturbed pass |
+//! | `epsilon` | scalar | see [`augment::About`] | size of a delta's set |
 //! | `step_size` | scalar | the delta's unit, or radii | length of one ascent step |
 //! | `lambda` | scalar | 1 | weight of the perturbed loss |
 //! | `laplacian` | `[n]` | 1 / scene unit^3 | divergence of density's gradient |
@@ -49,17 +49,18 @@
 //!
 //! | tier | modules |
 //! |---|---|
-//! | 11 | `cli` |
-//! | 10 | `sweep` |
-//! | 9 | `compare`, `bench` |
-//! | 8 | `run` |
-//! | 7 | `train` |
-//! | 6 | `methods` |
-//! | 5 | `losses` |
-//! | 4 | `render`, `space`, `report` |
-//! | 3 | `field`, `augment`, `metrics` |
-//! | 2 | `data`, `draw` |
-//! | 1 | `settings`, `runtime` |
+//! | 12 | `cli` |
+//! | 11 | `sweep` |
+//! | 10 | `compare`, `bench` |
+//! | 9 | `run` |
+//! | 8 | `train` |
+//! | 7 | `methods` |
+//! | 6 | `losses` |
+//! | 5 | `render`, `space`, `report` |
+//! | 4 | `field`, `metrics` |
+//! | 3 | `data`, `draw` |
+//! | 2 | `settings` |
+//! | 1 | `augment`, `runtime` |
 //! | 0 | `base` |
 //!
 //! Randomness comes from [`base::rng`] alone, a function of seed, stream and step. The numeric core is

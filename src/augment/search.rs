@@ -1,104 +1,111 @@
-//! Projected gradient ascent (paper, equation "PGD"; Madry et al. 2017).
+//! The search for the worst case: projected gradient ascent (paper, equation "PGD"; Madry et al. 2017).
 
 use candle_core::{Tensor, Var};
 
-use crate::augment::{Deltas, Sets};
+use crate::augment::set::DeltaSet;
+use crate::augment::sets::{Deltas, Sets};
+use crate::augment::site::{SiteNumbers, StepUnit};
+use crate::augment::sites::{PerSite, Site};
 use crate::base::Result;
-use crate::settings::{LEVELS, Level, ResolvedPerturb, StepUnit};
 
-/// Steps and step sizes of each level.
-#[derive(Clone, Debug)]
-pub struct StepSizes {
-    steps: [usize; 6],
-    step_sizes: [f64; 6],
-    unit: StepUnit,
+/// One evaluation of the loss in a search.
+pub struct Iterate<'a> {
+    /// The deltas; those of sites that move are tracked.
+    pub deltas: &'a Deltas,
+    moving: &'a [Site],
 }
 
-impl StepSizes {
-    /// Those of a configuration.
-    pub fn new(config: &ResolvedPerturb) -> StepSizes {
-        StepSizes {
-            steps: LEVELS.map(|level| config.delta(level).steps),
-            step_sizes: LEVELS.map(|level| config.delta(level).step_size),
-            unit: config.step_unit,
-        }
+impl Iterate<'_> {
+    /// None of `sites` moves in this step, and so in no later one: what depends on them alone need not be computed
+    /// again.
+    pub fn fixes(&self, sites: &[Site]) -> bool {
+        !self.moving.iter().any(|site| sites.contains(site))
     }
 }
 
 /// Ascends `loss` from `start` and returns the last iterate, without a final evaluation.
 ///
-/// All levels move together; a level stops after its own number of steps. `loss` returns the loss
+/// All sites move together; a site stops after its own number of steps, for good. `loss` returns the loss
 /// and the deltas as they were really used: the output level is projected again onto what the
 /// forward pass leaves it, and the ascent continues from there. Weights must be frozen in `loss`.
+///
+/// # Errors
+/// Those of `loss` and of candle.
 pub fn worst_case(
     sets: &Sets,
-    sizes: &StepSizes,
+    numbers: &PerSite<SiteNumbers>,
+    unit: StepUnit,
     start: Deltas,
-    loss: impl Fn(&Deltas) -> Result<(Tensor, Deltas)>,
+    mut loss: impl FnMut(Iterate) -> Result<(Tensor, Deltas)>,
 ) -> Result<Deltas> {
-    let longest = sets.levels().map(|level| sizes.steps[level as usize]).max().unwrap_or(0);
+    let longest = sets.iter().map(|(site, _)| numbers[site].steps).max().unwrap_or(0);
     let mut deltas = start;
     for step in 0..longest {
-        let moving: Vec<Level> = sets.levels().filter(|&level| step < sizes.steps[level as usize]).collect();
+        let moving: Vec<Site> = sets.iter().map(|(site, _)| site).filter(|&site| step < numbers[site].steps).collect();
         let mut tracked = deltas.clone();
         let mut variables = Vec::with_capacity(moving.len());
-        for &level in &moving {
-            let variable = Var::from_tensor(&deltas.get(level).expect("is on").detach())?;
-            tracked.set(level, variable.as_tensor().clone());
-            variables.push((level, variable));
+        for &site in &moving {
+            let variable = Var::from_tensor(&deltas.get(site).expect("is on").detach())?;
+            tracked.set(site, variable.as_tensor().clone());
+            variables.push((site, variable));
         }
-        let (loss, used) = loss(&tracked)?;
+        let (loss, used) = loss(Iterate { deltas: &tracked, moving: &moving })?;
         let gradients = loss.backward()?;
-        for (level, variable) in variables {
+        for (site, variable) in variables {
             // No gradient: the loss does not depend on this delta (sign(0) = 0).
             let Some(gradient) = gradients.get(&variable) else { continue };
-            let moved = ascend(sets, sizes, level, used.get(level).expect("is on"), gradient)?;
-            deltas.set(level, moved);
+            let set = sets.get(site).expect("is on");
+            let step = step_along(set, &gradient.detach(), numbers[site].step_size, unit)?;
+            deltas.set(site, set.project(&(used.get(site).expect("is on").detach() + step)?)?);
         }
     }
     Ok(deltas)
 }
 
-/// One projected step of one level.
-fn ascend(sets: &Sets, sizes: &StepSizes, level: Level, from: &Tensor, gradient: &Tensor) -> Result<Tensor> {
-    let set = sets.get(level).expect("is on");
-    let step_size = sizes.step_sizes[level as usize];
-    let direction = set.direction(&gradient.detach())?;
-    let step = match sizes.unit {
+/// One step up the gradient, before its projection.
+fn step_along(set: &DeltaSet, gradient: &Tensor, step_size: f64, unit: StepUnit) -> Result<Tensor> {
+    let direction = set.direction(gradient)?;
+    Ok(match unit {
         StepUnit::Absolute => (direction * step_size)?,
         StepUnit::Relative => direction.broadcast_mul(&(&set.radius * step_size)?)?,
-    };
-    Ok(set.project(&(from.detach() + step)?)?)
+    })
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::augment::DeltaSet;
-    use crate::settings::{Norm, PerturbConfig};
+    use crate::augment::set::Norm;
+    use crate::augment::site::Passes;
     use candle_core::{DType, Device};
 
-    fn quadratic(norm: Norm, steps: usize) -> (Sets, StepSizes) {
-        let mut config = PerturbConfig::default();
-        config.xyz.steps = Some(steps);
-        config.xyz.step_size = Some(0.1);
-        let radius = Tensor::new(&[[[0.5f64]]], &Device::Cpu).unwrap();
-        let mut sets = Sets::default();
-        sets.set(Level::Xyz, DeltaSet::new(norm, radius, &[1, 1, 3]));
-        (sets, StepSizes::new(&config.resolve(1.0)))
+    fn numbers(steps: impl Fn(Site) -> usize) -> PerSite<SiteNumbers> {
+        let norm = Norm::Linf;
+        PerSite::from_fn(|site| SiteNumbers {
+            passes: Passes::Both,
+            steps: steps(site),
+            step_size: 0.1,
+            epsilon: 1.0,
+            norm,
+        })
+    }
+
+    fn zeros() -> Tensor {
+        Tensor::zeros((1, 1, 3), DType::F64, &Device::Cpu).unwrap()
     }
 
     /// -|delta - peak|^2 is largest in the set at the projection of the peak.
     fn climb(norm: Norm, peak: [f64; 3], steps: usize) -> Vec<f64> {
-        let (sets, sizes) = quadratic(norm, steps);
+        let radius = Tensor::new(&[[[0.5f64]]], &Device::Cpu).unwrap();
+        let mut sets = Sets::default();
+        sets.set(Site::Xyz, DeltaSet::new(norm, radius, &[1, 1, 3]));
         let mut start = Deltas::default();
-        start.set(Level::Xyz, Tensor::zeros((1, 1, 3), DType::F64, &Device::Cpu).unwrap());
+        start.set(Site::Xyz, zeros());
         let peak = Tensor::new(&[[peak]], &Device::Cpu).unwrap();
-        let found = worst_case(&sets, &sizes, start, |deltas| {
-            let offset = (deltas.get(Level::Xyz).unwrap() - &peak)?;
-            Ok((offset.sqr()?.sum_all()?.neg()?, deltas.clone()))
+        let found = worst_case(&sets, &numbers(|_| steps), StepUnit::Absolute, start, |at| {
+            let offset = (at.deltas.get(Site::Xyz).unwrap() - &peak)?;
+            Ok((offset.sqr()?.sum_all()?.neg()?, at.deltas.clone()))
         });
-        found.unwrap().get(Level::Xyz).unwrap().flatten_all().unwrap().to_vec1().unwrap()
+        found.unwrap().get(Site::Xyz).unwrap().flatten_all().unwrap().to_vec1().unwrap()
     }
 
     #[test]
@@ -109,5 +116,25 @@ mod tests {
         close(&climb(Norm::Linf, [3.0, -2.0, 0.0], 20), [0.5, -0.5, 0.0]);
         close(&climb(Norm::L2, [3.0, 0.0, -4.0], 20), [0.3, 0.0, -0.4]);
         close(&climb(Norm::L2, [3.0, 0.0, -4.0], 0), [0.0, 0.0, 0.0]);
+    }
+
+    #[test]
+    fn a_site_is_fixed_after_its_own_steps() {
+        let (mut sets, mut start) = (Sets::default(), Deltas::default());
+        for site in [Site::Xyz, Site::Rgb] {
+            sets.set(site, DeltaSet::new(Norm::Linf, Tensor::new(&[[[9f64]]], &Device::Cpu).unwrap(), &[1, 1, 3]));
+            start.set(site, zeros());
+        }
+        let steps = numbers(|site| if site == Site::Xyz { 2 } else { 4 });
+        let mut fixed = Vec::new();
+        let found = worst_case(&sets, &steps, StepUnit::Absolute, start, |at| {
+            fixed.push((at.fixes(&[Site::T, Site::Xyz]), at.fixes(&[Site::T, Site::Rgb])));
+            let sum = (at.deltas.get(Site::Xyz).unwrap() + at.deltas.get(Site::Rgb).unwrap())?;
+            Ok((sum.sum_all()?, at.deltas.clone()))
+        });
+        assert_eq!(fixed, [(false, false), (false, false), (true, false), (true, false)]);
+        let travelled =
+            |site| found.as_ref().unwrap().get(site).unwrap().max_all().unwrap().to_scalar::<f64>().unwrap();
+        assert!((travelled(Site::Xyz) - 0.2).abs() < 1e-12 && (travelled(Site::Rgb) - 0.4).abs() < 1e-12);
     }
 }

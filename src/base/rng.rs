@@ -22,9 +22,9 @@ pub enum Stream {
     Batches,
     /// Sample jitter, inverse-CDF positions and density noise of the clean pass.
     Jitter,
-    /// Starts of the search and random perturbations.
-    Attack,
-    /// The same for log-step diagnostics, which must not move the attack's draws.
+    /// Starts of the search, random deltas, and the second clean pass.
+    Search,
+    /// The same for log-step diagnostics, which must not move the search's draws.
     Diagnostics,
     /// Corruption of training images and poses.
     Corruption,
@@ -43,7 +43,7 @@ impl Stream {
             Stream::Init => 1,
             Stream::Batches => 2,
             Stream::Jitter => 3,
-            Stream::Attack => 4,
+            Stream::Search => 4,
             Stream::Diagnostics => 5,
             Stream::Corruption => 6,
             Stream::Regularizer => 7,
@@ -173,7 +173,7 @@ mod tests {
         let first = |stream, index| Random::new(7, stream, index).uniform();
         assert_eq!(first(Stream::Jitter, 3), first(Stream::Jitter, 3));
         assert_ne!(first(Stream::Jitter, 3), first(Stream::Jitter, 4));
-        assert_ne!(first(Stream::Jitter, 3), first(Stream::Attack, 3));
+        assert_ne!(first(Stream::Jitter, 3), first(Stream::Search, 3));
     }
 
     #[test]

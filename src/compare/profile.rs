@@ -98,7 +98,7 @@ impl Profile {
             RayBuffer::new(&pixels, scene.ndc.as_ref(), config.data.pixel_origin, parts).to_tensors(DType::F32, device)
         };
         let pass = |field, rays: &Rays, t_vals: &Tensor| {
-            clean_pass(field, Pass { rays, t_vals, density_noise: None, background: scene.background, positions: None })
+            clean_pass(field, Pass { rays, t_vals, density_noise: None, background: scene.background })
         };
         let ray = rays(&[pixel])?;
         let sampling = &config.sampling;

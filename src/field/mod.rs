@@ -66,8 +66,24 @@ pub struct Field {
     network: Option<Arc<fused::Network>>,
     /// Takes the gradients of the weights past candle's graph.
     recorder: Option<Arc<fused::Recorder>>,
-    /// Remembers the trunk at points that are asked for again.
-    memo: Option<Arc<fused::Memo>>,
+}
+
+/// Points at which a field without gradients of its weights is queried again and again, by a search that leaves them
+/// where they are: the fused core computes the trunk below the feature delta, or all of it, once.
+pub struct FixedPoints<'a> {
+    field: &'a Field,
+    points: Tensor,
+    below: fused::Below,
+}
+
+impl FixedPoints<'_> {
+    /// As [`Field::forward`] at these points.
+    ///
+    /// # Errors
+    /// Those of candle: shapes that do not fit.
+    pub fn forward(&self, viewdirs: &Tensor, delta: Option<FeatureDelta>) -> Result<RawOutput> {
+        self.field.raw_at(&self.points, viewdirs, delta, Some(&self.below))
+    }
 }
 
 /// What a field says before its activations.
@@ -183,7 +199,6 @@ impl Field {
             variables: Vec::new(),
             network: None,
             recorder: None,
-            memo: None,
         }
     }
 
@@ -220,10 +235,10 @@ impl Field {
     }
 
     /// The fused core, where it applies and nobody expects gradients of the weights in candle's graph.
-    fn query(&self) -> Option<fused::Query> {
+    fn query<'a>(&self, below: Option<&'a fused::Below>) -> Option<fused::Query<'a>> {
         let network = self.network.clone()?;
-        let asked = self.recorder.is_some() || self.variables.is_empty();
-        asked.then(|| fused::Query { network, recorder: self.recorder.clone(), memo: self.memo.clone() })
+        let applies = self.recorder.is_some() || self.variables.is_empty();
+        applies.then(|| fused::Query { network, recorder: self.recorder.clone(), below })
     }
 
     /// All layers in the order of parameters.
@@ -236,10 +251,9 @@ impl Field {
         self.detached().prepared()
     }
 
-    /// A frozen field for a search: where it is asked for the very same points again, and nobody wants their gradient,
-    /// it computes the trunk below the feature delta, or all of it, once.
-    pub fn searching(&self) -> Result<Field> {
-        Ok(Field { memo: Some(Arc::default()), ..self.frozen()? })
+    /// Points `[n, 3]` that do not move any more; their gradient is not wanted.
+    pub fn fix(&self, points: &Tensor) -> FixedPoints<'_> {
+        FixedPoints { field: self, points: points.detach(), below: fused::Below::default() }
     }
 
     fn detached(&self) -> Field {
@@ -275,9 +289,19 @@ impl Field {
     /// Raw colour and density of points `[n, 3]` seen along unit directions `viewdirs [rays, 3]`; each ray has the
     /// same number of points, one ray's behind another's.
     pub fn forward(&self, points: &Tensor, viewdirs: &Tensor, delta: Option<FeatureDelta>) -> Result<RawOutput> {
+        self.raw_at(points, viewdirs, delta, None)
+    }
+
+    fn raw_at(
+        &self,
+        points: &Tensor,
+        viewdirs: &Tensor,
+        delta: Option<FeatureDelta>,
+        below: Option<&fused::Below>,
+    ) -> Result<RawOutput> {
         let (n, _) = points.dims2()?;
-        if let Some(query) = self.query() {
-            let raw = query.ask(points, viewdirs, delta.map(|delta| (delta.layer, delta.delta)))?;
+        if let Some(query) = self.query(below) {
+            let raw = query.run(points, viewdirs, delta.map(|delta| (delta.layer, delta.delta)))?;
             return Ok(RawOutput { rgb: raw.narrow(0, 0, 3 * n)?.reshape((n, 3))?, density: raw.narrow(0, 3 * n, n)? });
         }
         let encoded_views = self.encode_views(viewdirs, n / viewdirs.dim(0)?.max(1))?;
@@ -290,7 +314,7 @@ impl Field {
 
     /// Raw density alone, `[n]`.
     pub fn raw_density(&self, points: &Tensor) -> Result<Tensor> {
-        if let Some(query) = self.query().filter(|query| query.recorder.is_none() && !points.track_op()) {
+        if let Some(query) = self.query(None).filter(|query| query.recorder.is_none() && !points.track_op()) {
             return Ok(query.density(points)?);
         }
         let hidden = self.trunk(points, None)?;

@@ -1,21 +1,21 @@
-//! Does the attack do anything? Measured per level at log steps, forward passes only.
+//! Do the deltas do anything? Measured per site at log steps, forward passes only.
 
 use std::path::Path;
 
 use serde::Serialize;
 
+use crate::augment::Site;
 use crate::base::{Error, Result};
-use crate::settings::{LEVELS, Level};
 
-/// A level whose gain is under this share of the clean loss is inactive.
+/// A site whose gain is under this share of the clean loss is inactive.
 const INACTIVE_SHARE: f64 = 1e-4;
 
-/// What one level's deltas did in one step, coarse + fine.
+/// What one site's deltas did in one step, coarse + fine.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct LevelDiagnostics {
-    /// The level.
-    pub level: Level,
-    /// Loss with this level's deltas alone, minus the loss without any.
+pub struct SiteDiagnostics {
+    /// The site.
+    pub site: Site,
+    /// Loss with this site's deltas alone, minus the loss without any.
     pub gain: f64,
     /// The same minus the loss with uniform random deltas of the same set.
     pub gain_over_random: f64,
@@ -25,21 +25,22 @@ pub struct LevelDiagnostics {
     pub inactive: bool,
 }
 
-impl LevelDiagnostics {
+impl SiteDiagnostics {
     /// The numbers by their columns, missing ones left out.
     pub fn columns(&self) -> Vec<(String, f64)> {
         let inactive = f64::from(u8::from(self.inactive));
         let numbers = [Some(self.gain), Some(self.gain_over_random), self.share_at_bound, Some(inactive)];
-        let named = columns(self.level).into_iter().zip(numbers);
+        let named = columns(self.site).into_iter().zip(numbers);
         named.filter_map(|(name, number)| number.map(|number| (name, number))).collect()
     }
 }
 
-/// What a level's deltas did over all logged steps of a run, read back from `scalars.csv`.
+/// What a site's deltas did over all logged steps of a run, read back from `scalars.csv`.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct AttackSummary {
-    /// The level's name.
-    pub level: &'static str,
+pub struct SiteSummary {
+    /// The site's name.
+    #[serde(rename = "level")]
+    pub site: &'static str,
     /// Logged steps.
     pub steps: usize,
     /// Mean gain over the loss without deltas.
@@ -48,21 +49,21 @@ pub struct AttackSummary {
     pub mean_gain_over_random: f64,
     /// Mean share of entries at the set's bound; none where nothing may move.
     pub mean_share_at_bound: Option<f64>,
-    /// Share of logged steps at which the level was inactive.
+    /// Share of logged steps at which the site was inactive.
     pub inactive_share: f64,
-    /// Inactive at more than half of the logged steps: the row does not test this level.
+    /// Inactive at more than half of the logged steps: the row does not test this site.
     pub inactive: bool,
 }
 
-/// The columns of `scalars.csv` that hold one level's diagnostics.
-pub fn columns(level: Level) -> [String; 4] {
-    ["gain", "gain_over_random", "share_at_bound", "inactive"].map(|what| format!("{what}.{}", level.name()))
+/// The columns of `scalars.csv` that hold one site's diagnostics.
+pub fn columns(site: Site) -> [String; 4] {
+    ["gain", "gain_over_random", "share_at_bound", "inactive"].map(|what| format!("{what}.{}", site.name()))
 }
 
-impl AttackSummary {
-    /// Summarises every level that has diagnostics in a run's `scalars.csv`, up to the step of the
+impl SiteSummary {
+    /// Summarises every site that has diagnostics in a run's `scalars.csv`, up to the step of the
     /// checkpoint in question: a killed run may have logged further, and half a line at the end.
-    pub fn read(scalars: &Path, last_step: u64) -> Result<Vec<AttackSummary>> {
+    pub fn read(scalars: &Path, last_step: u64) -> Result<Vec<SiteSummary>> {
         let broken = |error: csv::Error| Error::Checkpoint(format!("cannot read {}: {error}", scalars.display()));
         let text = std::fs::read_to_string(scalars).map_err(|error| broken(error.into()))?;
         let whole = text.rfind('\n').map_or("", |end| &text[..end]);
@@ -74,16 +75,16 @@ impl AttackSummary {
             let Some(index) = header.iter().position(|found| found == name) else { return Vec::new() };
             rows.iter().filter_map(|row| row.get(index).and_then(|cell| cell.parse().ok())).collect()
         };
-        let summarise = |level: Level| {
-            let values = columns(level).map(|name| column(&name));
+        let summarise = |site: Site| {
+            let values = columns(site).map(|name| column(&name));
             let steps = values[0].len();
             if steps == 0 {
                 return None;
             }
             let mean = |values: &[f64]| values.iter().sum::<f64>() / values.len() as f64;
             let inactive_share = mean(&values[3]);
-            Some(AttackSummary {
-                level: level.name(),
+            Some(SiteSummary {
+                site: site.name(),
                 steps,
                 mean_gain: mean(&values[0]),
                 mean_gain_over_random: mean(&values[1]),
@@ -92,16 +93,16 @@ impl AttackSummary {
                 inactive: inactive_share > 0.5,
             })
         };
-        Ok(LEVELS.into_iter().filter_map(summarise).collect())
+        Ok(Site::ALL.into_iter().filter_map(summarise).collect())
     }
 }
 
 /// Sums over chunks and passes.
 #[derive(Default)]
-pub(super) struct Sums(Vec<LevelSums>);
+pub(super) struct Sums(Vec<SiteSums>);
 
-struct LevelSums {
-    level: Level,
+struct SiteSums {
+    site: Site,
     gain: f64,
     gain_over_random: f64,
     at_bound: f64,
@@ -110,8 +111,8 @@ struct LevelSums {
 }
 
 impl Sums {
-    pub(super) fn add(&mut self, level: Level, share: f64, gain: f64, gain_over_random: f64, at_bound: Option<f64>) {
-        let index = self.index(level);
+    pub(super) fn add(&mut self, site: Site, share: f64, gain: f64, gain_over_random: f64, at_bound: Option<f64>) {
+        let index = self.index(site);
         let sums = &mut self.0[index];
         sums.gain += share * gain;
         sums.gain_over_random += share * gain_over_random;
@@ -123,7 +124,7 @@ impl Sums {
 
     pub(super) fn merge(&mut self, other: Sums) {
         for sums in other.0 {
-            let index = self.index(sums.level);
+            let index = self.index(sums.site);
             let mine = &mut self.0[index];
             mine.gain += sums.gain;
             mine.gain_over_random += sums.gain_over_random;
@@ -132,16 +133,16 @@ impl Sums {
         }
     }
 
-    fn index(&mut self, level: Level) -> usize {
-        self.0.iter().position(|sums| sums.level == level).unwrap_or_else(|| {
-            self.0.push(LevelSums { level, gain: 0.0, gain_over_random: 0.0, at_bound: 0.0, bounded: 0.0 });
+    fn index(&mut self, site: Site) -> usize {
+        self.0.iter().position(|sums| sums.site == site).unwrap_or_else(|| {
+            self.0.push(SiteSums { site, gain: 0.0, gain_over_random: 0.0, at_bound: 0.0, bounded: 0.0 });
             self.0.len() - 1
         })
     }
 
-    pub(super) fn finish(self, clean_loss: f64) -> Vec<LevelDiagnostics> {
-        let finish = |sums: LevelSums| LevelDiagnostics {
-            level: sums.level,
+    pub(super) fn finish(self, clean_loss: f64) -> Vec<SiteDiagnostics> {
+        let finish = |sums: SiteSums| SiteDiagnostics {
+            site: sums.site,
             gain: sums.gain,
             gain_over_random: sums.gain_over_random,
             share_at_bound: (sums.bounded > 0.0).then(|| sums.at_bound / sums.bounded),

@@ -3,7 +3,7 @@
 use crate::base::Result;
 use crate::losses::LossTerm;
 
-use super::diagnostics::LevelDiagnostics;
+use super::diagnostics::SiteDiagnostics;
 use super::gradients::Gradients;
 
 /// A term of a step's loss.
@@ -32,7 +32,7 @@ pub struct Learned {
     /// Largest accumulation of a ray, as an evaluation would see it.
     pub largest_acc: f64,
     /// Per perturbed level, at log steps.
-    pub levels: Vec<LevelDiagnostics>,
+    pub sites: Vec<SiteDiagnostics>,
 }
 
 /// The columns that a learner fills in the logs.

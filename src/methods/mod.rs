@@ -19,7 +19,7 @@ mod learner;
 mod painter;
 
 pub use batches::{Batch, Batches};
-pub use diagnostics::{AttackSummary, LevelDiagnostics};
+pub use diagnostics::{SiteDiagnostics, SiteSummary};
 pub use fields::{Balance, FieldLearner, FieldPainter, Fields};
 pub use gradients::Gradients;
 pub use learner::{Learned, Learner, LogColumns, Term};

@@ -8,7 +8,7 @@ use super::Protocol;
 use crate::base::Result;
 use crate::base::csv::csv_of_named;
 use crate::base::files::{write_atomic, write_json};
-use crate::methods::AttackSummary;
+use crate::methods::SiteSummary;
 use crate::metrics::{MeanMetrics, ViewMetrics};
 use crate::space::Chamfer;
 
@@ -21,8 +21,8 @@ pub struct Report {
     pub views: Vec<ViewMetrics>,
     /// Where the numbers come from.
     pub protocol: Protocol,
-    /// What the attack did over the logged steps, one entry a level; empty without one.
-    pub attack: Vec<AttackSummary>,
+    /// What the deltas did over the logged steps, one entry a site; empty without a perturbed pass.
+    pub attack: Vec<SiteSummary>,
 }
 
 impl Report {
@@ -31,7 +31,7 @@ impl Report {
         views: Vec<ViewMetrics>,
         surface: Option<Chamfer>,
         protocol: Protocol,
-        attack: Vec<AttackSummary>,
+        attack: Vec<SiteSummary>,
     ) -> Report {
         let mut mean = MeanMetrics::from_views(&views);
         mean.set("chamfer", surface.as_ref().map(|surface| surface.chamfer));
@@ -45,9 +45,9 @@ impl Report {
         write_atomic(csv, self.csv().as_bytes())
     }
 
-    /// Levels of the attack that had no effect on the loss.
+    /// Sites whose deltas had no effect on the loss.
     pub fn inactive_levels(&self) -> Vec<&'static str> {
-        self.attack.iter().filter(|level| level.inactive).map(|level| level.level).collect()
+        self.attack.iter().filter(|site| site.inactive).map(|site| site.site).collect()
     }
 
     /// One row a view, each with the whole protocol; a missing metric is an empty cell.

@@ -2,12 +2,13 @@
 
 use serde::Serialize;
 
+use crate::augment::{Passes, Site, StepUnit};
 use crate::base::version;
 use crate::data::Scene;
 use crate::methods::Model;
 use crate::settings::{
-    Attack, Config, DensityActivation, EvalSplit, Init, LEVELS, LatticePoints, Objective, OutputPlace, Passes,
-    PerturbField, PerturbKind, PixelOrigin, RegularizedFields, Resample, Resolved, ResolvedPerturb, Schedule, StepUnit,
+    Config, DensityActivation, EvalSplit, Init, LatticePoints, Objective, OutputPlace, PerturbField, PixelOrigin,
+    RegularizedFields, Resample, Resolved, ResolvedPerturb, Schedule, SecondPass, Sizes,
 };
 use crate::train::checkpoint::State;
 
@@ -44,11 +45,11 @@ pub struct Protocol {
     /// `nerf`, `aug-nerf`, `mip-nerf`, `aug-mip-nerf`.
     pub method: String,
     /// What fills the perturbed pass; this and all to `lambda` are empty without one.
-    pub perturb_kind: Option<PerturbKind>,
-    /// Levels that are on, with their passes where these are not both: `t xyz view feature:fine`.
+    pub perturb_kind: Option<SecondPass>,
+    /// Sites that are on, with their passes where these are not both: `t xyz view feature:fine`.
     pub levels: Option<String>,
     /// Which numbers fill the perturbation's unset fields: `paper` or `calibrated`.
-    pub attack: Option<Attack>,
+    pub attack: Option<Sizes>,
     /// Steps, step size and epsilon of each level that is on: `t 3/0.01/0.5, ...`.
     pub attack_numbers: Option<String>,
     /// Unit of the step sizes.
@@ -133,7 +134,7 @@ impl Protocol {
         let perturb = config.method.is_augmented().then_some(&config.perturb);
         let regularizer = Some(&config.regularizer).filter(|regularizer| !regularizer.kind.is_empty());
         let in_space = regularizer.filter(|regularizer| regularizer.has_space_terms());
-        let deltas = perturb.filter(|perturb| perturb.kind != PerturbKind::FreshJitter);
+        let deltas = perturb.filter(|perturb| perturb.source().is_some());
         let named = Model::parts(config).into_iter().zip(&state.redraws).map(|(role, draws)| format!("{role} {draws}"));
         Protocol {
             protocol: PROTOCOL,
@@ -152,12 +153,14 @@ impl Protocol {
             views_evaluated: scene.test.len(),
             pixel_origin: config.data.pixel_origin,
             method: config.method.name().into(),
-            perturb_kind: perturb.map(|perturb| perturb.kind),
+            perturb_kind: perturb.map(|perturb| perturb.second),
             levels: deltas.map(levels),
-            attack: deltas.map(|perturb| perturb.attack),
+            attack: deltas.map(|perturb| perturb.sizes),
             attack_numbers: deltas.map(attack_numbers),
             step_unit: deltas.map(|perturb| perturb.step_unit),
-            injection_layer: deltas.filter(|perturb| perturb.feature.on()).map(|perturb| perturb.injection_layer),
+            injection_layer: deltas
+                .filter(|perturb| perturb.numbers[Site::Feature].on())
+                .map(|perturb| perturb.injection_layer),
             perturb_field: perturb.map(|perturb| perturb.field),
             objective: perturb.map(|perturb| perturb.objective),
             output: deltas.map(|perturb| perturb.output),
@@ -204,20 +207,18 @@ impl Protocol {
 }
 
 fn levels(perturb: &ResolvedPerturb) -> String {
-    let named =
-        LEVELS.into_iter().filter(|&level| perturb.delta(level).on()).map(|level| match perturb.delta(level).passes {
-            Passes::Coarse => format!("{}:coarse", level.name()),
-            Passes::Fine => format!("{}:fine", level.name()),
-            Passes::Both | Passes::Off => level.name().to_string(),
-        });
+    let named = perturb.sites_on().map(|(site, config)| match config.passes {
+        Passes::Coarse => format!("{}:coarse", site.name()),
+        Passes::Fine => format!("{}:fine", site.name()),
+        Passes::Both | Passes::Off => site.name().to_string(),
+    });
     named.collect::<Vec<String>>().join(" ")
 }
 
 fn attack_numbers(perturb: &ResolvedPerturb) -> String {
-    let numbers = LEVELS.into_iter().filter(|&level| perturb.delta(level).on()).map(|level| {
-        let delta = perturb.delta(level);
-        format!("{} {}/{}/{}", level.name(), delta.steps, delta.step_size, delta.epsilon)
-    });
+    let on = perturb.numbers.iter().filter(|(_, numbers)| numbers.on());
+    let numbers = on
+        .map(|(site, numbers)| format!("{} {}/{}/{}", site.name(), numbers.steps, numbers.step_size, numbers.epsilon));
     numbers.collect::<Vec<String>>().join(", ")
 }
 

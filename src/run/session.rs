@@ -58,8 +58,8 @@ fn values(stats: &StepStats) -> Vec<(String, f64)> {
     values.extend(terms.next());
     values.extend(stats.psnr().map(|psnr| ("psnr".into(), psnr)));
     values.extend(terms);
-    for level in &stats.levels {
-        values.extend(level.columns());
+    for site in &stats.sites {
+        values.extend(site.columns());
     }
     values
 }

@@ -6,7 +6,7 @@ use candle_core::DType;
 
 use crate::base::{Listener, Result};
 use crate::data::{Scene, View};
-use crate::methods::{AttackSummary, Model};
+use crate::methods::{Model, SiteSummary};
 use crate::metrics::Lpips;
 use crate::runtime::Runtime;
 use crate::settings::Resolved;
@@ -95,7 +95,7 @@ impl Measurement<'_> {
         going: impl Fn() -> Result<()>,
         each: impl FnMut(usize, &View, &RenderedView) -> Result<()>,
     ) -> Result<Report> {
-        let attack = AttackSummary::read(&self.run.scalars(), self.state.step)?;
+        let attack = SiteSummary::read(&self.run.scalars(), self.state.step)?;
         let views = self.viewer.evaluate(self.lpips, self.events, &going, each)?;
         let surface = self.viewer.surface(self.events, &going)?;
         let protocol = Protocol::new(self.viewer.config, self.viewer.scene, self.state);

@@ -171,6 +171,8 @@ fn known_keys() -> Vec<String> {
     let table: Table = toml::from_str(&full.to_toml()).expect("own output");
     let mut keys = Vec::new();
     leaves(&table, "", &mut keys);
+    // Read, but never written.
+    keys.push("perturb.levels".into());
     keys
 }
 
@@ -202,6 +204,7 @@ fn distance(a: &str, b: &str) -> usize {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::augment::Site;
 
     fn set(texts: &[&str]) -> Result<Config> {
         let assignments: Result<Vec<_>> = texts.iter().map(|t| parse_assignment(t)).collect();
@@ -212,7 +215,7 @@ mod tests {
     fn assignments_reach_nested_fields_and_later_ones_win() {
         let config = set(&["train.steps=7", "perturb.t.epsilon=0.25", "data.dir=a b", "train.steps=9"]).unwrap();
         assert_eq!(config.train.steps, 9);
-        assert_eq!(config.perturb.t.epsilon, Some(0.25));
+        assert_eq!(config.perturb.sites[Site::T].epsilon, Some(0.25));
         assert_eq!(config.data.dir, "a b");
     }
 
@@ -241,11 +244,13 @@ mod tests {
             let p = config.perturb.clone().resolve(0.1);
             assert_eq!((p.lambda, p.injection_layer, p.perturb_last), (0.5, 8, true));
             assert_eq!(p.output, crate::settings::OutputPlace::Before);
-            let numbers = |level| (p.delta(level).steps, p.delta(level).step_size, p.delta(level).epsilon);
-            for level in [crate::settings::Level::Feature, crate::settings::Level::Density] {
-                assert_eq!(numbers(level), (1, 1e-5, 1e-5));
+            for site in [Site::Feature, Site::Density] {
+                let numbers = p.numbers[site];
+                assert_eq!((numbers.steps, numbers.step_size, numbers.epsilon), (1, 1e-5, 1e-5));
             }
-            assert!(!p.rgb.on() && !p.view.on() && !config.sampling.jitter);
+            let on: Vec<Site> = p.sites_on().map(|(site, _)| site).collect();
+            assert_eq!(on, [Site::T, Site::Xyz, Site::Feature, Site::Density]);
+            assert!(!config.sampling.jitter);
         }
     }
 

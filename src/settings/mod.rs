@@ -19,8 +19,8 @@ pub use corruption::{CorruptionConfig, CorruptionKind};
 pub use layers::{Preset, build, data_section, parse_assignment};
 pub use method::{Method, Representation};
 pub use perturb::{
-    Attack, DeltaConfig, LEVELS, Level, Norm, Objective, OutputPlace, Passes, PerturbConfig, PerturbField, PerturbKind,
-    Radius, Resample, ResolvedDelta, ResolvedPerturb, StepUnit,
+    DeltaSource, Objective, OutputPlace, PerturbConfig, PerturbField, Resample, ResolvedPerturb, SecondPass,
+    SiteConfig, Sizes,
 };
 pub use regularizer::{LatticePoints, REGULARIZERS, RegularizedFields, Regularizer, RegularizerConfig};
 pub use resolved::{Located, Resolved};

@@ -1,29 +1,75 @@
-//! Section `perturb`: the three levels, six deltas, and how the worst case is searched.
+//! Section `perturb`: the second pass of a step, the sites of the three levels and how the worst case is searched.
+//!
+//! The section has a table a site, as `augment` lists them. `perturb.levels` is a short way to switch sites off, read and
+//! forgotten: a configuration is written, and hashed, by its sites' `passes` alone.
 
 use std::ops::Deref;
 
-use serde::{Deserialize, Serialize};
+use serde::de::value::MapAccessDeserializer;
+use serde::de::{DeserializeSeed, IntoDeserializer, MapAccess, Visitor};
+use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
-/// What fills the perturbed pass.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum PerturbKind {
-    /// PGD ascends the perturbed loss.
-    #[default]
+use crate::augment::{Level, Norm, Passes, PerSite, Radius, SetChoices, Site, SiteNumbers, StepUnit};
+
+/// What a step's second pass is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(from = "Kind", into = "Kind")]
+pub enum SecondPass {
+    /// The clean pass with deltas at the sites.
+    Perturbed(DeltaSource),
+    /// Another clean pass with fresh jitter, noise and samples, the control of equal loss weight and almost equal
+    /// compute (nothing is searched).
+    Clean,
+}
+
+/// Where the deltas of a perturbed pass come from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum DeltaSource {
+    /// Projected gradient ascent on the perturbed loss.
     WorstCase,
     /// Normal draws of std epsilon/sqrt(3), projected to the same sets.
     Gaussian,
     /// Uniform draws in the same sets.
     Uniform,
-    /// No perturbation: a second clean pass with fresh jitter, the control of equal loss weight and almost equal
-    /// compute (nothing is searched).
+}
+
+/// The names of `perturb.kind`.
+#[derive(Clone, Copy, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+enum Kind {
+    WorstCase,
+    Gaussian,
+    Uniform,
+    #[serde(alias = "clean")]
     FreshJitter,
 }
 
-/// Which numbers fill the deltas' empty fields.
+impl From<Kind> for SecondPass {
+    fn from(kind: Kind) -> SecondPass {
+        match kind {
+            Kind::WorstCase => SecondPass::Perturbed(DeltaSource::WorstCase),
+            Kind::Gaussian => SecondPass::Perturbed(DeltaSource::Gaussian),
+            Kind::Uniform => SecondPass::Perturbed(DeltaSource::Uniform),
+            Kind::FreshJitter => SecondPass::Clean,
+        }
+    }
+}
+
+impl From<SecondPass> for Kind {
+    fn from(second: SecondPass) -> Kind {
+        match second {
+            SecondPass::Perturbed(DeltaSource::WorstCase) => Kind::WorstCase,
+            SecondPass::Perturbed(DeltaSource::Gaussian) => Kind::Gaussian,
+            SecondPass::Perturbed(DeltaSource::Uniform) => Kind::Uniform,
+            SecondPass::Clean => Kind::FreshJitter,
+        }
+    }
+}
+
+/// Which steps, step sizes and epsilons fill the sites' empty fields.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
-pub enum Attack {
+pub enum Sizes {
     /// The paper's best steps and step sizes.
     #[default]
     Paper,
@@ -75,129 +121,83 @@ pub enum Resample {
     Perturbed,
 }
 
-/// The unit of step sizes.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum StepUnit {
-    /// The delta's own unit.
-    #[default]
-    Absolute,
-    /// Radii of the delta's set.
-    Relative,
-}
-
-/// The norm of a delta's set.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Norm {
-    /// Box; steps by the gradient's sign.
-    Linf,
-    /// Ball per sample; steps along the normalised gradient.
-    L2,
-}
-
-/// What one epsilon of `xyz` is worth.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Radius {
-    /// A pixel: 2/W under NDC, 1/f otherwise, at most half a mean sample distance along the ray in scene units.
-    /// The cap is on one epsilon's worth, not on epsilon times it.
-    #[default]
-    Pixel,
-    /// min(2/max(H, W), half a mean sample distance), as the released code.
-    Released,
-}
-
-/// The passes that a delta takes part in.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Passes {
-    /// Coarse and fine.
-    Both,
-    /// Coarse only.
-    Coarse,
-    /// Fine only.
-    Fine,
-    /// None.
-    Off,
-}
-
-/// The six deltas in their fixed order, grouped in three levels: input coordinates (`t`, `xyz`,
-/// `view`), intermediate features (`feature`), pre-rendering output (`rgb`, `density`).
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub enum Level {
-    /// Shift along the ray.
-    T,
-    /// Shift of the sample's position.
-    Xyz,
-    /// Tilt of the viewing direction.
-    View,
-    /// Added to a trunk layer's output.
-    Feature,
-    /// Added to the colour.
-    Rgb,
-    /// Added to the density.
-    Density,
-}
-
-/// All deltas in order; arrays indexed by level follow it.
-pub const LEVELS: [Level; 6] = [Level::T, Level::Xyz, Level::View, Level::Feature, Level::Rgb, Level::Density];
-
-impl Level {
-    /// The delta's name in configuration, logs and tables.
-    pub fn name(self) -> &'static str {
-        match self {
-            Level::T => "t",
-            Level::Xyz => "xyz",
-            Level::View => "view",
-            Level::Feature => "feature",
-            Level::Rgb => "rgb",
-            Level::Density => "density",
-        }
-    }
-}
-
-/// One delta. Empty numbers are filled from `attack`.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct DeltaConfig {
+/// One site. Empty numbers are filled from `attack`.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct SiteConfig {
     /// The passes it takes part in.
     pub passes: Passes,
     /// Ascent steps; 0 leaves the random start.
     pub steps: Option<usize>,
     /// Length of one step, in `step_unit`.
     pub step_size: Option<f64>,
-    /// Size of the set; 0 is no perturbation. Units: see docs/perturbations.md (gap share for `t`,
-    /// pixels for `xyz` and `view`, own units for the others).
+    /// Size of the set; 0 is no perturbation. The unit is the site's own (see [`crate::augment::About::unit`]).
     pub epsilon: Option<f64>,
     /// The set's norm.
     pub norm: Option<Norm>,
 }
 
-impl Default for DeltaConfig {
-    fn default() -> Self {
-        DeltaConfig { passes: Passes::Both, steps: None, step_size: None, epsilon: None, norm: None }
-    }
-}
-
-impl DeltaConfig {
+impl SiteConfig {
     /// Takes part in any pass.
     pub fn on(&self) -> bool {
         self.passes != Passes::Off
     }
+
+    /// What stands where nobody says anything of a site.
+    fn default_of(site: Site) -> SiteConfig {
+        SiteSection::default().of(site)
+    }
+
+    /// Fills what is empty; `interval` as in [`PerturbConfig::resolve`].
+    fn resolve(&mut self, site: Site, sizes: Sizes, interval: f64) -> SiteNumbers {
+        let default = site.about().sizes;
+        let steps = *self.steps.get_or_insert(default.steps);
+        let epsilon = *self.epsilon.get_or_insert_with(|| match sizes {
+            Sizes::Paper => default.paper_epsilon,
+            Sizes::Calibrated => (default.calibrated_epsilon)(interval),
+        });
+        let step_size = *self.step_size.get_or_insert(match sizes {
+            Sizes::Paper => default.paper_step_size,
+            // 2.5 epsilon / steps; a step of zero length where no step is taken.
+            Sizes::Calibrated if steps == 0 => 0.0,
+            // In radii, which is the only unit that validation lets it have.
+            Sizes::Calibrated => 2.5 / steps as f64,
+        });
+        let norm = *self.norm.get_or_insert(default.norm);
+        SiteNumbers { passes: self.passes, steps, step_size, epsilon, norm }
+    }
 }
 
-/// The perturbed pass.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+/// A site's table in a file.
+#[derive(Default, Deserialize)]
 #[serde(default, deny_unknown_fields)]
+struct SiteSection {
+    passes: Option<Passes>,
+    steps: Option<usize>,
+    step_size: Option<f64>,
+    epsilon: Option<f64>,
+    norm: Option<Norm>,
+}
+
+impl SiteSection {
+    fn of(self, site: Site) -> SiteConfig {
+        let SiteSection { passes, steps, step_size, epsilon, norm } = self;
+        SiteConfig { passes: passes.unwrap_or(site.about().passes), steps, step_size, epsilon, norm }
+    }
+}
+
+/// The second pass of a step.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(remote = "Self", default, deny_unknown_fields)]
 pub struct PerturbConfig {
-    /// What fills it.
-    pub kind: PerturbKind,
+    /// What it is.
+    #[serde(rename = "kind")]
+    pub second: SecondPass,
     /// Which numbers fill the empty fields below.
-    pub attack: Attack,
-    /// The perturbed loss's weight.
+    #[serde(rename = "attack")]
+    pub sizes: Sizes,
+    /// The second pass's weight in the loss.
     pub lambda: f64,
-    /// How clean and perturbed loss are mixed.
+    /// How the losses of both passes are mixed.
     pub objective: Objective,
     /// Which network the perturbed pass runs through.
     pub field: PerturbField,
@@ -213,25 +213,16 @@ pub struct PerturbConfig {
     pub xyz_radius: Radius,
     /// Trunk layer (1-based) whose output `feature` is added to.
     pub injection_layer: usize,
-    /// Shift along the ray.
-    pub t: DeltaConfig,
-    /// Shift of the sample's position.
-    pub xyz: DeltaConfig,
-    /// Tilt of the viewing direction.
-    pub view: DeltaConfig,
-    /// Added to a trunk layer's output.
-    pub feature: DeltaConfig,
-    /// Added to the colour.
-    pub rgb: DeltaConfig,
-    /// Added to the density.
-    pub density: DeltaConfig,
+    /// A table a site.
+    #[serde(flatten, skip_deserializing, serialize_with = "write_sites")]
+    pub sites: PerSite<SiteConfig>,
 }
 
 impl Default for PerturbConfig {
     fn default() -> Self {
         PerturbConfig {
-            kind: PerturbKind::WorstCase,
-            attack: Attack::Paper,
+            second: SecondPass::Perturbed(DeltaSource::WorstCase),
+            sizes: Sizes::Paper,
             lambda: 0.1,
             objective: Objective::Paper,
             field: PerturbField::Shared,
@@ -241,52 +232,39 @@ impl Default for PerturbConfig {
             step_unit: None,
             xyz_radius: Radius::Pixel,
             injection_layer: 4,
-            t: DeltaConfig::default(),
-            xyz: DeltaConfig::default(),
-            view: DeltaConfig::default(),
-            feature: DeltaConfig::default(),
-            rgb: DeltaConfig::default(),
-            density: DeltaConfig::default(),
+            sites: PerSite::from_fn(SiteConfig::default_of),
         }
     }
 }
 
 impl PerturbConfig {
-    /// The settings of one delta.
-    pub fn delta(&self, level: Level) -> &DeltaConfig {
-        match level {
-            Level::T => &self.t,
-            Level::Xyz => &self.xyz,
-            Level::View => &self.view,
-            Level::Feature => &self.feature,
-            Level::Rgb => &self.rgb,
-            Level::Density => &self.density,
+    /// The sites that are on, in order.
+    pub fn sites_on(&self) -> impl Iterator<Item = (Site, &SiteConfig)> {
+        self.sites.iter().filter(|(_, site)| site.on())
+    }
+
+    /// Where the deltas come from; none where the second pass is a clean one.
+    pub fn source(&self) -> Option<DeltaSource> {
+        match self.second {
+            SecondPass::Perturbed(source) => Some(source),
+            SecondPass::Clean => None,
         }
     }
 
-    /// The settings of one delta, to be changed.
-    pub fn delta_mut(&mut self, level: Level) -> &mut DeltaConfig {
-        match level {
-            Level::T => &mut self.t,
-            Level::Xyz => &mut self.xyz,
-            Level::View => &mut self.view,
-            Level::Feature => &mut self.feature,
-            Level::Rgb => &mut self.rgb,
-            Level::Density => &mut self.density,
-        }
-    }
-
-    /// Fills every empty number from `attack`. `interval` is (far - near) / coarse samples in the
-    /// units of `t_vals`: an output density of (4/255) / interval changes a coarse interval's
-    /// opacity by about 4/255.
+    /// Fills every empty number from `attack`. `interval` is (far - near) / coarse samples in the units of `t_vals`.
     pub fn resolve(mut self, interval: f64) -> ResolvedPerturb {
-        let attack = self.attack;
-        let step_unit = *self.step_unit.get_or_insert(match attack {
-            Attack::Paper => StepUnit::Absolute,
-            Attack::Calibrated => StepUnit::Relative,
+        let sizes = self.sizes;
+        let step_unit = *self.step_unit.get_or_insert(match sizes {
+            Sizes::Paper => StepUnit::Absolute,
+            Sizes::Calibrated => StepUnit::Relative,
         });
-        let deltas = LEVELS.map(|level| self.delta_mut(level).resolve(attack, level, interval));
-        ResolvedPerturb { config: self, step_unit, deltas }
+        let numbers = PerSite::from_fn(|site| self.sites[site].resolve(site, sizes, interval));
+        ResolvedPerturb { config: self, step_unit, numbers }
+    }
+
+    /// What single sites' sets depend on.
+    pub fn set_choices(&self) -> SetChoices {
+        SetChoices { xyz_radius: self.xyz_radius, perturb_last: self.perturb_last }
     }
 }
 
@@ -296,16 +274,12 @@ pub struct ResolvedPerturb {
     config: PerturbConfig,
     /// The unit of all step sizes.
     pub step_unit: StepUnit,
-    deltas: [ResolvedDelta; 6],
+    /// The sites' numbers.
+    pub numbers: PerSite<SiteNumbers>,
 }
 
 impl ResolvedPerturb {
-    /// One delta.
-    pub fn delta(&self, level: Level) -> &ResolvedDelta {
-        &self.deltas[level as usize]
-    }
-
-    /// The section with every number filled in; it resolves to itself.
+    /// The section with every number written out; it resolves to itself.
     pub fn into_draft(self) -> PerturbConfig {
         self.config
     }
@@ -319,54 +293,128 @@ impl Deref for ResolvedPerturb {
     }
 }
 
-/// One delta with its numbers; the units are those of [`DeltaConfig`].
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct ResolvedDelta {
-    /// The passes it takes part in.
-    pub passes: Passes,
-    /// Ascent steps; 0 leaves the random start.
-    pub steps: usize,
-    /// Length of one step, in `step_unit`.
-    pub step_size: f64,
-    /// Size of the set; 0 is no perturbation.
-    pub epsilon: f64,
-    /// The set's norm.
-    pub norm: Norm,
+/// A site that is younger than the first six counts only where it is on: files and hashes of experiments without it
+/// stay as they were.
+fn write_sites<S: Serializer>(sites: &PerSite<SiteConfig>, serializer: S) -> Result<S::Ok, S::Error> {
+    let written = sites.iter().filter(|(site, config)| config.on() || site.about().passes != Passes::Off);
+    serializer.collect_map(written.map(|(site, config)| (site.name(), config)))
 }
 
-impl ResolvedDelta {
-    /// Takes part in any pass.
-    pub fn on(&self) -> bool {
-        self.passes != Passes::Off
+impl Serialize for PerturbConfig {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        PerturbConfig::serialize(self, serializer)
     }
 }
 
-impl DeltaConfig {
-    fn resolve(&mut self, attack: Attack, level: Level, interval: f64) -> ResolvedDelta {
-        let steps = *self.steps.get_or_insert(match level {
-            Level::T | Level::Xyz | Level::View => 3,
-            Level::Feature | Level::Rgb | Level::Density => 1,
-        });
-        let epsilon = *self.epsilon.get_or_insert(match (attack, level) {
-            (Attack::Paper, Level::T) => 0.5,
-            (Attack::Calibrated, Level::T) => 0.25,
-            (_, Level::Xyz | Level::View) => 1.0,
-            (Attack::Paper, Level::Feature) => 1e-3,
-            (Attack::Calibrated, Level::Feature) => 1e-2,
-            (Attack::Paper, Level::Rgb | Level::Density) => 1e-5,
-            (Attack::Calibrated, Level::Rgb) => 4.0 / 255.0,
-            (Attack::Calibrated, Level::Density) => 4.0 / 255.0 / interval,
-        });
-        let norm = *self.norm.get_or_insert(if level == Level::Xyz { Norm::L2 } else { Norm::Linf });
-        let step_size = *self.step_size.get_or_insert(match (attack, level) {
-            (Attack::Paper, Level::T | Level::Xyz | Level::View) => 1e-2,
-            (Attack::Paper, Level::Feature) => 1e-3,
-            (Attack::Paper, Level::Rgb | Level::Density) => 1e-5,
-            // 2.5 epsilon / steps; a step of zero length where no step is taken.
-            (Attack::Calibrated, _) if steps == 0 => 0.0,
-            // In radii, which is the only unit that validation lets it have.
-            (Attack::Calibrated, _) => 2.5 / steps as f64,
-        });
-        ResolvedDelta { passes: self.passes, steps, step_size, epsilon, norm }
+impl<'de> Deserialize<'de> for PerturbConfig {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<PerturbConfig, D::Error> {
+        deserializer.deserialize_map(Section)
+    }
+}
+
+/// Reads the section: the sites' tables and `levels` by the list of sites, the rest by its fields.
+struct Section;
+
+impl<'de> Visitor<'de> for Section {
+    type Value = PerturbConfig;
+
+    fn expecting(&self, formatter: &mut std::fmt::Formatter) -> std::fmt::Result {
+        formatter.write_str("a table")
+    }
+
+    fn visit_map<A: MapAccess<'de>>(self, map: A) -> Result<PerturbConfig, A::Error> {
+        let (mut sites, mut levels) = (PerSite::from_fn(SiteConfig::default_of), None);
+        let fields = Fields { map, sites: &mut sites, levels: &mut levels };
+        let config = PerturbConfig::deserialize(MapAccessDeserializer::new(fields))?;
+        for (site, section) in sites.iter_mut() {
+            if levels.as_ref().is_some_and(|levels| !levels.contains(&site.about().level)) {
+                section.passes = Passes::Off;
+            }
+        }
+        Ok(PerturbConfig { sites, ..config })
+    }
+}
+
+/// The fields of the section but for those that it keeps itself.
+struct Fields<'a, A> {
+    map: A,
+    sites: &'a mut PerSite<SiteConfig>,
+    levels: &'a mut Option<Vec<Level>>,
+}
+
+impl<'de, A: MapAccess<'de>> MapAccess<'de> for Fields<'_, A> {
+    type Error = A::Error;
+
+    fn next_key_seed<K: DeserializeSeed<'de>>(&mut self, seed: K) -> Result<Option<K::Value>, A::Error> {
+        while let Some(key) = self.map.next_key::<String>()? {
+            match Site::of_name(&key) {
+                Some(site) => self.sites[site] = self.map.next_value::<SiteSection>()?.of(site),
+                None if key == "levels" => *self.levels = Some(self.map.next_value()?),
+                None => return seed.deserialize(key.into_deserializer()).map(Some),
+            }
+        }
+        Ok(None)
+    }
+
+    fn next_value_seed<V: DeserializeSeed<'de>>(&mut self, seed: V) -> Result<V::Value, A::Error> {
+        self.map.next_value_seed(seed)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::settings::{Config, build, parse_assignment};
+
+    fn set(texts: &[&str]) -> crate::base::Result<Config> {
+        let assignments: crate::base::Result<Vec<_>> = texts.iter().map(|text| parse_assignment(text)).collect();
+        build(None, None, &assignments?)
+    }
+
+    #[test]
+    fn levels_are_a_short_way_to_write_passes() {
+        let off = |sites: &[&str]| -> Vec<String> {
+            let aug = std::iter::once("method=aug-nerf".to_string());
+            aug.chain(sites.iter().map(|site| format!("perturb.{site}.passes=off"))).collect()
+        };
+        for (levels, sites) in [
+            ("[\"feature\"]", &["t", "xyz", "view", "rgb", "density"][..]),
+            ("[\"input\"]", &["feature", "rgb", "density"]),
+            ("[\"feature\", \"output\"]", &["t", "xyz", "view"]),
+            ("[\"output\", \"feature\", \"input\"]", &[]),
+        ] {
+            let short = set(&["method=aug-nerf", &format!("perturb.levels={levels}")]).unwrap();
+            let texts = off(sites);
+            let long = set(&texts.iter().map(String::as_str).collect::<Vec<_>>()).unwrap();
+            assert_eq!((&short, short.hash(), short.to_toml()), (&long, long.hash(), long.to_toml()), "{levels}");
+        }
+        // A site of a level that is on keeps what is said of it.
+        let both = set(&["perturb.levels=[\"input\"]", "perturb.t.passes=fine", "perturb.rgb.passes=fine"]).unwrap();
+        let passes = |site| both.perturb.sites[site].passes;
+        assert_eq!((passes(Site::T), passes(Site::Xyz), passes(Site::Rgb)), (Passes::Fine, Passes::Both, Passes::Off));
+        let wrong = set(&["perturb.levels=[\"rgb\"]"]).unwrap_err().to_string();
+        assert!(wrong.contains("perturb.levels") && wrong.contains("input"), "{wrong}");
+        let none = set(&["method=aug-nerf", "perturb.levels=[]"]).unwrap_err().to_string();
+        assert!(none.contains("perturbs nothing"), "{none}");
+    }
+
+    #[test]
+    fn the_second_clean_pass_keeps_its_name_in_files() {
+        let [old, new] =
+            ["fresh-jitter", "clean"].map(|name| set(&["method=aug-nerf", &format!("perturb.kind={name}")]).unwrap());
+        assert_eq!((old.perturb.second, old.perturb.source()), (SecondPass::Clean, None));
+        assert_eq!((&old, old.hash()), (&new, new.hash()));
+        assert!(new.to_toml().contains("kind = \"fresh-jitter\""));
+        assert_ne!(old.hash(), set(&["method=aug-nerf"]).unwrap().hash());
+    }
+
+    #[test]
+    fn a_wrong_word_in_a_site_is_found_with_its_line_and_its_keys() {
+        let read = |text: &str| toml::from_str::<Config>(text).unwrap_err().to_string();
+        let choice = read("[perturb]\nlambda = 1.0\nt.passes = \"of\"\n");
+        assert!(choice.contains("line 3") && choice.contains("`of`") && choice.contains("coarse"), "{choice}");
+        let key = read("[perturb.xyz]\nstepz = 3\n");
+        assert!(key.contains("line 2") && key.contains("stepz") && key.contains("step_size"), "{key}");
+        assert!(read("[perturb]\nlambd = 3\n").contains("lambd"));
     }
 }

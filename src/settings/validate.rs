@@ -4,9 +4,10 @@
 use std::ops::RangeInclusive;
 
 use super::{
-    Attack, Config, CorruptionConfig, DataKind, EvalSplit, LEVELS, LatticePoints, Level, MeshConfig, Norm,
-    PerturbField, PerturbKind, RegularizerConfig, StepUnit,
+    Config, CorruptionConfig, DataKind, EvalSplit, LatticePoints, MeshConfig, PerturbField, RegularizerConfig,
+    SecondPass, SiteConfig, Sizes,
 };
+use crate::augment::{Norm, Site, StepUnit};
 use crate::base::{Error, Result};
 
 /// Points of a step are drawn at once: so many take a few hundred megabytes.
@@ -230,48 +231,47 @@ impl Config {
         let allowed = "0 or positive, and at most 1 with perturb.objective = \"released\"";
         require(lambda.is_finite() && (0.0..=largest).contains(&lambda), "perturb.lambda", lambda, allowed)?;
         let layer = perturb.injection_layer;
-        let perturbs = self.method.is_augmented() && perturb.kind != PerturbKind::FreshJitter;
-        if perturbs && perturb.feature.on() {
+        let perturbs = self.method.is_augmented() && perturb.source().is_some();
+        if perturbs && perturb.sites[Site::Feature].on() {
             let allowed = format!("1 to {} (field.depth)", self.field.depth);
             require((1..=self.field.depth).contains(&layer), "perturb.injection_layer", layer, &allowed)?;
         }
-        for level in LEVELS {
-            self.validate_delta(level)?;
+        for (site, config) in perturb.sites.iter() {
+            validate_site(site, config)?;
         }
-        if perturb.attack == Attack::Calibrated && perturb.step_unit == Some(StepUnit::Absolute) {
+        if perturb.sizes == Sizes::Calibrated && perturb.step_unit == Some(StepUnit::Absolute) {
             return Err(Error::Config(
                 "perturb.attack = \"calibrated\" measures steps in radii; leave perturb.step_unit empty or set it to \
                  \"relative\""
                     .into(),
             ));
         }
-        let on = LEVELS.iter().any(|&level| perturb.delta(level).on());
-        if perturbs && !on {
+        if perturbs && perturb.sites_on().next().is_none() {
             return Err(Error::Config(
                 "a perturbed method with every perturb.*.passes = \"off\" perturbs nothing; \
                  use method = \"nerf\" or \"mip-nerf\", or perturb.kind = \"fresh-jitter\" for the control"
                     .into(),
             ));
         }
-        if perturb.attack == Attack::Paper && perturb.step_unit == Some(StepUnit::Relative) {
-            let unset = LEVELS.into_iter().find(|&level| perturb.delta(level).step_size.is_none());
-            if let Some(level) = unset {
+        if perturb.sizes == Sizes::Paper && perturb.step_unit == Some(StepUnit::Relative) {
+            let unset = perturb.sites.iter().find(|(_, config)| config.step_size.is_none());
+            if let Some((site, _)) = unset {
                 return Err(Error::Config(format!(
                     "perturb.step_unit = \"relative\" measures steps in radii, which the paper's step sizes are not; \
                      set perturb.{}.step_size, too",
-                    level.name()
+                    site.name()
                 )));
             }
         }
         let still = !self.sampling.jitter && self.sampling.density_noise == Some(0.0);
-        if self.method.is_augmented() && perturb.kind == PerturbKind::FreshJitter && still {
+        if self.method.is_augmented() && perturb.second == SecondPass::Clean && still {
             return Err(Error::Config(
                 "perturb.kind = \"fresh-jitter\" needs sampling.jitter = true or sampling.density_noise above 0: \
                  otherwise the second pass equals the first"
                     .into(),
             ));
         }
-        if perturb.kind == PerturbKind::FreshJitter && perturb.field == PerturbField::Separate {
+        if perturb.second == SecondPass::Clean && perturb.field == PerturbField::Separate {
             return Err(Error::Config(
                 "perturb.kind = \"fresh-jitter\" is a second pass of the same fields; perturb.field must be \"shared\""
                     .into(),
@@ -279,34 +279,29 @@ impl Config {
         }
         Ok(())
     }
+}
 
-    fn validate_delta(&self, level: Level) -> Result<()> {
-        let delta = self.perturb.delta(level);
-        let name = |field: &str| format!("perturb.{}.{field}", level.name());
-        if let Some(steps) = delta.steps {
-            require(steps <= 1000, &name("steps"), steps, "0 to 1000")?;
-        }
-        if let Some(size) = delta.step_size {
-            require(size.is_finite() && size >= 0.0, &name("step_size"), size, "0 or positive")?;
-        }
-        if let Some(epsilon) = delta.epsilon {
-            let largest = if level == Level::T { 0.5 } else { f64::MAX };
-            let allowed = if level == Level::T {
-                "0 to 0.5 of the gap to the nearer sample, so that samples stay sorted"
-            } else {
-                "0 or positive"
-            };
-            require(epsilon.is_finite() && (0.0..=largest).contains(&epsilon), &name("epsilon"), epsilon, allowed)?;
-        }
-        // A scalar per sample: both norms are the same set, one name for it.
-        if matches!(level, Level::T | Level::Density) && delta.norm == Some(Norm::L2) {
-            return Err(Error::Config(format!(
-                "{} = \"l2\": this delta is one number a sample, for which l2 and linf are the same; use \"linf\"",
-                name("norm")
-            )));
-        }
-        Ok(())
+fn validate_site(site: Site, config: &SiteConfig) -> Result<()> {
+    let about = site.about();
+    let name = |field: &str| format!("perturb.{}.{field}", about.name);
+    if let Some(steps) = config.steps {
+        require(steps <= 1000, &name("steps"), steps, "0 to 1000")?;
     }
+    if let Some(size) = config.step_size {
+        require(size.is_finite() && size >= 0.0, &name("step_size"), size, "0 or positive")?;
+    }
+    if let Some(epsilon) = config.epsilon {
+        let (largest, allowed) = about.largest_epsilon;
+        require(epsilon.is_finite() && (0.0..=largest).contains(&epsilon), &name("epsilon"), epsilon, allowed)?;
+    }
+    // A scalar per sample: both norms are the same set, one name for it.
+    if about.scalar && config.norm == Some(Norm::L2) {
+        return Err(Error::Config(format!(
+            "{} = \"l2\": this delta is one number a sample, for which l2 and linf are the same; use \"linf\"",
+            name("norm")
+        )));
+    }
+    Ok(())
 }
 
 #[cfg(test)]

@@ -2,7 +2,7 @@
 
 use crate::base::Result;
 use crate::settings::{
-    Config, EvalConfig, LEVELS, LatticePoints, PerturbConfig, PerturbKind, RegularizedFields, RegularizerConfig,
+    Config, DeltaSource, EvalConfig, LatticePoints, PerturbConfig, RegularizedFields, RegularizerConfig, SecondPass,
     TrainConfig, scene_name,
 };
 
@@ -30,20 +30,21 @@ pub fn evaluations_per_step(config: &Config) -> f64 {
     let (coarse, fine) = config.samples();
     let points = (config.train.rays * (coarse + fine)) as f64;
     let clean = 3.0 * points;
-    let perturbed = match (config.method.is_augmented(), config.perturb.kind) {
+    let perturbed = match (config.method.is_augmented(), config.perturb.second) {
         (false, _) => 0.0,
-        (true, PerturbKind::WorstCase) => 3.0 * points + 2.0 * points * f64::from(search_steps(&config.perturb)),
+        (true, SecondPass::Perturbed(DeltaSource::WorstCase)) => {
+            3.0 * points + 2.0 * points * f64::from(search_steps(&config.perturb))
+        }
         (true, _) => 3.0 * points,
     };
     clean + perturbed + regularizer_evaluations(config)
 }
 
-/// Ascent steps of the search: a level with fewer waits for the one with most.
+/// Ascent steps of the search: a site with fewer waits for the one with most.
 fn search_steps(perturb: &PerturbConfig) -> u32 {
     // Steps do not depend on the scene.
     let resolved = perturb.clone().resolve(1.0);
-    let on = LEVELS.into_iter().map(|level| resolved.delta(level)).filter(|delta| delta.on());
-    on.map(|delta| delta.steps).max().unwrap_or(0) as u32
+    resolved.numbers.iter().filter(|(_, site)| site.on()).map(|(_, site)| site.steps).max().unwrap_or(0) as u32
 }
 
 /// Forward pass, adjoint and the two products of its backward pass; the colour head counts as if it were there.
@@ -92,9 +93,8 @@ pub fn shape(config: &Config) -> String {
     } else {
         shape.perturb = shape.perturb.resolve(1.0).into_draft();
         shape.perturb.lambda = 0.1;
-        for level in LEVELS {
-            let delta = shape.perturb.delta_mut(level);
-            (delta.step_size, delta.epsilon) = (None, None);
+        for (_, site) in shape.perturb.sites.iter_mut() {
+            (site.step_size, site.epsilon) = (None, None);
         }
     }
     shape.regularizer.weight = shape.regularizer.kind.iter().map(|_| 1.0).collect();

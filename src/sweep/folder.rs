@@ -40,7 +40,7 @@ pub struct PointResult {
     pub metrics: Vec<(String, Option<f64>)>,
     /// Name and text of each field of the protocol.
     pub protocol: Vec<(String, String)>,
-    /// Levels of the attack that had no effect on the loss.
+    /// Sites whose deltas had no effect on the loss.
     pub inactive_levels: Vec<String>,
 }
 

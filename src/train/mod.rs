@@ -114,7 +114,7 @@ impl Trainer {
             loss: learned.loss,
             mse: learned.mse,
             largest_acc: learned.largest_acc,
-            levels: learned.levels,
+            sites: learned.sites,
         };
         let train = &self.config.train;
         health::check_step(&stats, &gradients, &self.adam, train.learning_rate)?;

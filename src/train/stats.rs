@@ -1,6 +1,6 @@
 //! What a step measured.
 
-use crate::methods::{LevelDiagnostics, Term};
+use crate::methods::{SiteDiagnostics, Term};
 
 /// What one step measured.
 #[derive(Clone, Debug)]
@@ -17,8 +17,8 @@ pub struct StepStats {
     pub mse: f64,
     /// Largest accumulation of a ray in the pass that is evaluated, without density noise.
     pub largest_acc: f64,
-    /// Per level that is on, at log steps.
-    pub levels: Vec<LevelDiagnostics>,
+    /// Per site that is on, at log steps.
+    pub sites: Vec<SiteDiagnostics>,
 }
 
 impl StepStats {

@@ -196,34 +196,35 @@ fn each_gradient_alone_equals_it_among_all() {
     }
 }
 
-/// A search that leaves the points alone computes the trunk below the delta once, and finds the same.
+/// Points that are fixed give what points that are not give.
 #[test]
-fn a_remembered_trunk_changes_nothing() {
+fn fixed_points_change_nothing() {
     for (skips, layer) in [(vec![5], 4), (vec![5], 6), (vec![2], 1), (vec![], 8)] {
         let case = Case { field: FieldConfig { width: 24, skips, ..FieldConfig::default() }, layer, ..paper() };
-        let field = field(&case, Core::Fused, DType::F32);
+        let frozen = field(&case, Core::Fused, DType::F32).frozen().unwrap();
         let n = case.rays * case.samples;
         let single = |index: u64, shape: &[usize]| random(case.seed, index, shape).to_dtype(DType::F32).unwrap();
         let (points, viewdirs) = (single(0, &[n, 3]), single(1, &[case.rays, 3]));
-        let (plain, searching) = (field.frozen().unwrap(), field.searching().unwrap());
+        let fixed = frozen.fix(&points);
         for index in 2..5 {
-            let ask = |field: &Field, with_delta: bool| {
+            let query = |at_fixed: bool, with_delta: bool| {
                 let delta = Var::from_tensor(&single(index, &[n, 24])).unwrap();
                 let views = Var::from_tensor(&viewdirs).unwrap();
-                let at = with_delta.then(|| FeatureDelta { layer, delta: delta.as_tensor() });
-                let raw = field.forward(&points, &views, at).unwrap();
+                let added = with_delta.then(|| FeatureDelta { layer, delta: delta.as_tensor() });
+                let raw = if at_fixed { fixed.forward(&views, added) } else { frozen.forward(&points, &views, added) }
+                    .unwrap();
                 let loss = (raw.rgb.sqr().unwrap().sum_all().unwrap() + raw.density.sum_all().unwrap()).unwrap();
                 let store = loss.backward().unwrap();
                 let gradients = [store.get(&delta), store.get(&views)].map(|gradient| gradient.map(flat));
                 (flat(&raw.rgb), flat(&raw.density), gradients)
             };
-            assert_eq!(ask(&searching, true), ask(&plain, true), "layer {layer}");
-            assert_eq!(ask(&searching, false), ask(&plain, false), "without a delta");
+            assert_eq!(query(true, true), query(false, true), "layer {layer}");
+            assert_eq!(query(true, false), query(false, false), "without a delta");
         }
     }
 }
 
-/// A field that is asked at Gaussians (MipNeRF), across tiles and with the feature delta.
+/// A field that is queried at Gaussians (MipNeRF), across tiles and with the feature delta.
 #[test]
 fn integrated_encoding() {
     for (samples, layer) in [(1, 0), (5, 2), (400, 4)] {

@@ -1,13 +1,13 @@
 //! What the perturbed pass and the search promise.
 
 use crate::common::{flat, parameters, tiny_config, tiny_scene, trained};
-use augnerf::augment::{Deltas, Draw, PassGeometry, PixelScale, Sets, StepSizes, worst_case};
+use augnerf::augment::{Deltas, Draw, Norm, PassGeometry, Passes, PixelScale, Sets, Site, worst_case};
 use augnerf::base::rng::{Random, Stream};
 use augnerf::data::{RayBuffer, RayParts, Rays};
 use augnerf::field::Field;
 use augnerf::render::{Pass, Perturbation, clean_pass, perturbed_pass, photometric_loss, sampling};
 use augnerf::settings::{
-    Attack, LEVELS, Level, Method, Norm, OutputPlace, PerturbConfig, PerturbField, PerturbKind, ResolvedPerturb,
+    DeltaSource, Method, OutputPlace, PerturbConfig, PerturbField, ResolvedPerturb, SecondPass, Sizes,
 };
 use candle_core::{DType, Device, Tensor, Var};
 use proptest::prelude::*;
@@ -50,9 +50,9 @@ impl Setting {
     ) -> Setting {
         let config = tiny_config(method, |config| {
             // Large enough that f64 differences see them.
-            config.perturb.feature.epsilon = Some(0.05);
-            config.perturb.rgb.epsilon = Some(0.03);
-            config.perturb.density.epsilon = Some(0.1);
+            config.perturb.sites[Site::Feature].epsilon = Some(0.05);
+            config.perturb.sites[Site::Rgb].epsilon = Some(0.03);
+            config.perturb.sites[Site::Density].epsilon = Some(0.1);
             change(&mut config.perturb);
         });
         let scene = tiny_scene();
@@ -69,30 +69,25 @@ impl Setting {
         let pixel = PixelScale { width: 16.0, height: 16.0, focal: 20.0, ndc: false };
         let norm = &rays.direction_norm;
         let geometry = PassGeometry { samples, ..geometry(&t_vals, norm, (2.0, 6.0), 16, pixel) };
-        let sets = Sets::new(&config.perturb, &geometry).unwrap();
+        let perturb = config.perturb.clone();
+        let sets = Sets::new(&perturb.numbers, &perturb.set_choices(), &geometry).unwrap();
         let field = Field::init(&config.field, seed, 0, DType::F64, &CPU).unwrap();
-        Setting { field, rays, t_vals, noise, target, sets, config: config.perturb }
+        Setting { field, rays, t_vals, noise, target, sets, config: perturb }
     }
 
     fn pass(&self) -> Pass<'_> {
-        Pass {
-            rays: &self.rays,
-            t_vals: &self.t_vals,
-            density_noise: Some(&self.noise),
-            background: Some([1.0; 3]),
-            positions: None,
-        }
+        Pass { rays: &self.rays, t_vals: &self.t_vals, density_noise: Some(&self.noise), background: Some([1.0; 3]) }
     }
 
     fn perturbation<'a>(&'a self, deltas: &'a Deltas) -> Perturbation<'a> {
-        let PerturbConfig { injection_layer, output, .. } = *self.config;
+        let (injection_layer, output) = (self.config.injection_layer, self.config.output);
         Perturbation { deltas, sets: &self.sets, injection_layer, output }
     }
 
     /// Loss with a tracked graph, and the deltas as used.
     fn loss(&self, deltas: &Deltas) -> (Tensor, Deltas) {
         let out = perturbed_pass(&self.field, self.pass(), self.perturbation(deltas)).unwrap();
-        (photometric_loss(&out.composite.rgb, &self.target).unwrap(), out.used)
+        (photometric_loss(&out.pass.composite.rgb, &self.target).unwrap(), out.used.deltas)
     }
 
     fn loss_value(&self, deltas: &Deltas) -> f64 {
@@ -100,14 +95,14 @@ impl Setting {
     }
 
     fn draw(&self, index: u64) -> Deltas {
-        self.sets.draw(Draw::Uniform, |level| Random::part(3, Stream::Attack, index, level as u64)).unwrap()
+        self.sets.draw(Draw::Uniform, |site| Random::part(3, Stream::Search, index, site as u64)).unwrap()
     }
 
     fn search(&self, start: Deltas) -> Deltas {
         let frozen = self.field.frozen().unwrap();
-        worst_case(&self.sets, &StepSizes::new(&self.config), start, |deltas| {
-            let out = perturbed_pass(&frozen, self.pass(), self.perturbation(deltas))?;
-            Ok((photometric_loss(&out.composite.rgb, &self.target)?, out.used))
+        worst_case(&self.sets, &self.config.numbers, self.config.step_unit, start, |at| {
+            let out = perturbed_pass(&frozen, self.pass(), self.perturbation(at.deltas))?;
+            Ok((photometric_loss(&out.pass.composite.rgb, &self.target)?, out.used.deltas))
         })
         .unwrap()
     }
@@ -140,41 +135,41 @@ fn loss_gradients_in_every_delta_equal_finite_differences() {
         let setting = Setting::of(method, 1, (4, 6), |config| config.output = output);
         // Half-size deltas: away from the bounds of their sets.
         let mut deltas = setting.draw(0);
-        for level in LEVELS {
-            let half = (deltas.get(level).unwrap() * 0.5).unwrap();
-            deltas.set(level, half);
+        for site in Site::ALL {
+            let half = (deltas.get(site).unwrap() * 0.5).unwrap();
+            deltas.set(site, half);
         }
         let mut tracked = deltas.clone();
-        let variables = LEVELS.map(|level| Var::from_tensor(deltas.get(level).unwrap()).unwrap());
-        for level in LEVELS {
-            tracked.set(level, variables[level as usize].as_tensor().clone());
+        let variables = Site::ALL.map(|site| Var::from_tensor(deltas.get(site).unwrap()).unwrap());
+        for site in Site::ALL {
+            tracked.set(site, variables[site as usize].as_tensor().clone());
         }
         let gradients = setting.loss(&tracked).0.backward().unwrap();
-        for level in LEVELS {
-            let gradient = gradients.get(&variables[level as usize]).unwrap();
+        for site in Site::ALL {
+            let gradient = gradients.get(&variables[site as usize]).unwrap();
             let gradient = gradient.flatten_all().unwrap().to_vec1::<f64>().unwrap();
             // A projected colour or density passes its gradient on although its value is fixed;
             // a point's last density has no perturbation at all.
-            let used = setting.loss(&deltas).1.get(level).unwrap().flatten_all().unwrap().to_vec1::<f64>().unwrap();
-            let given = deltas.get(level).unwrap().flatten_all().unwrap().to_vec1::<f64>().unwrap();
+            let used = setting.loss(&deltas).1.get(site).unwrap().flatten_all().unwrap().to_vec1::<f64>().unwrap();
+            let given = deltas.get(site).unwrap().flatten_all().unwrap().to_vec1::<f64>().unwrap();
             let samples = 6;
             let free = |i: &usize| {
                 used[*i] == given[*i]
-                    && (level != Level::Density
+                    && (site != Site::Density
                         || method.representation().encoding().at_intervals()
                         || i % samples != samples - 1)
             };
             let difference = |i: usize| {
                 let at = |by: f64| {
                     let mut moved = deltas.clone();
-                    moved.set(level, nudged(deltas.get(level).unwrap(), i, by));
+                    moved.set(site, nudged(deltas.get(site).unwrap(), i, by));
                     setting.loss_value(&moved)
                 };
                 (at(H) - at(-H)) / (2.0 * H)
             };
             let step = (gradient.len() / 24).max(1);
             let pairs = (0..gradient.len()).step_by(step).filter(free).map(|i| (gradient[i], difference(i)));
-            compare(&format!("{method:?} {output:?} {}", level.name()), pairs.collect());
+            compare(&format!("{method:?} {output:?} {}", site.name()), pairs.collect());
         }
     }
 }
@@ -213,24 +208,23 @@ fn epsilon_zero_is_the_clean_pass_exactly() {
 
 fn epsilon_zero_is_clean(method: Method) {
     let setting = Setting::of(method, 2, (5, 7), |config| {
-        for level in LEVELS {
-            config.delta_mut(level).epsilon = Some(0.0);
+        for site in Site::ALL {
+            config.sites[site].epsilon = Some(0.0);
         }
     });
     let deltas = setting.search(setting.draw(0));
     let perturbed = perturbed_pass(&setting.field, setting.pass(), setting.perturbation(&deltas)).unwrap();
     let clean = clean_pass(&setting.field, setting.pass()).unwrap();
     let rows = |tensor: &Tensor| tensor.to_vec2::<f64>().unwrap();
-    assert_eq!(rows(&perturbed.composite.rgb), rows(&clean.composite.rgb));
-    assert_eq!(rows(&perturbed.composite.weights), rows(&clean.composite.weights));
+    assert_eq!(rows(&perturbed.pass.composite.rgb), rows(&clean.composite.rgb));
+    assert_eq!(rows(&perturbed.pass.composite.weights), rows(&clean.composite.weights));
 }
 
 /// Every delta within its set, colours in 0..=1, densities not negative, samples sorted.
 fn assert_legal(setting: &Setting, deltas: &Deltas) -> Result<(), TestCaseError> {
     let out = perturbed_pass(&setting.field, setting.pass(), setting.perturbation(deltas)).unwrap();
-    for level in setting.sets.levels() {
-        let set = setting.sets.get(level).unwrap();
-        let delta = out.used.get(level).unwrap();
+    for (site, set) in setting.sets.iter() {
+        let delta = out.used.deltas.get(site).unwrap();
         let size = match set.norm {
             Norm::Linf => delta.abs().unwrap(),
             Norm::L2 => delta.sqr().unwrap().sum_keepdim(delta.rank() - 1).unwrap().sqrt().unwrap(),
@@ -239,12 +233,12 @@ fn assert_legal(setting: &Setting, deltas: &Deltas) -> Result<(), TestCaseError>
         let excess = (size - radius).unwrap().flatten_all().unwrap().max(0).unwrap().to_scalar::<f64>().unwrap();
         // A ball's projection divides by a rounded norm.
         let rounding = 1e-15 * (1.0 + set.radius.max_all().unwrap().to_scalar::<f64>().unwrap());
-        prop_assert!(excess <= rounding, "{} exceeds its radius by {excess:e}", level.name());
+        prop_assert!(excess <= rounding, "{} exceeds its radius by {excess:e}", site.name());
     }
     let padding = setting.field.config().rgb_padding;
-    prop_assert!(flat(&out.rgb).iter().all(|c| (-padding..=1.0 + padding).contains(c)));
-    prop_assert!(flat(&out.density).iter().all(|d| *d >= 0.0));
-    let t_vals = (&setting.t_vals + out.used.get(Level::T).unwrap()).unwrap().to_vec2::<f64>().unwrap();
+    prop_assert!(flat(&out.pass.rgb).iter().all(|c| (-padding..=1.0 + padding).contains(c)));
+    prop_assert!(flat(&out.pass.density).iter().all(|d| *d >= 0.0));
+    let t_vals = (&setting.t_vals + out.used.deltas.get(Site::T).unwrap()).unwrap().to_vec2::<f64>().unwrap();
     for ray in t_vals {
         prop_assert!(ray.windows(2).all(|pair| pair[0] <= pair[1]), "{ray:?}");
         prop_assert!(ray.iter().all(|t| (2.0..=6.0).contains(t)), "{ray:?}");
@@ -267,19 +261,19 @@ proptest! {
     ) {
         let method = if mip { Method::AugMipNerf } else { Method::AugNerf };
         let setting = Setting::of(method, seed, (3, 5), |config| {
-            for level in LEVELS {
-                let delta = config.delta_mut(level);
+            for site in Site::ALL {
+                let delta = &mut config.sites[site];
                 (delta.epsilon, delta.step_size, delta.steps) = (Some(epsilon), Some(step_size), Some(steps));
-                if !matches!(level, Level::T | Level::Density) {
+                if !matches!(site, Site::T | Site::Density) {
                     delta.norm = Some(if l2 { Norm::L2 } else { Norm::Linf });
                 }
             }
-            config.t.epsilon = Some(epsilon_t.max(1e-9));
+            config.sites[Site::T].epsilon = Some(epsilon_t.max(1e-9));
         });
         let start = setting.draw(seed);
         assert_legal(&setting, &start)?;
         assert_legal(&setting, &setting.search(start))?;
-        let gaussian = setting.sets.draw(Draw::Gaussian, |level| Random::part(seed, Stream::Attack, 1, level as u64)).unwrap();
+        let gaussian = setting.sets.draw(Draw::Gaussian, |site| Random::part(seed, Stream::Search, 1, site as u64)).unwrap();
         assert_legal(&setting, &gaussian)?;
     }
 
@@ -294,11 +288,11 @@ proptest! {
         let t_vals = Tensor::from_vec(t, (1, samples), &CPU).unwrap();
         let norm = Tensor::ones((1, 1), DType::F32, &CPU).unwrap();
         let mut config = PerturbConfig::default();
-        config.t.epsilon = Some(0.5);
+        config.sites[Site::T].epsilon = Some(0.5);
         let config = config.resolve(1.0);
         let pixel = PixelScale { width: 16.0, height: 16.0, focal: 20.0, ndc: true };
-        let sets = Sets::new(&config, &geometry(&t_vals, &norm, (0.0, 1.0), 4, pixel)).unwrap();
-        let set = sets.get(Level::T).unwrap();
+        let sets = Sets::new(&config.numbers, &config.set_choices(), &geometry(&t_vals, &norm, (0.0, 1.0), 4, pixel)).unwrap();
+        let set = sets.get(Site::T).unwrap();
         for signs in 0..(1usize << samples.min(6)) {
             let far: Vec<f32> = (0..samples).map(|i| if signs >> (i % 6) & 1 == 1 { 9.0 } else { -9.0 }).collect();
             let delta = set.project(&Tensor::from_vec(far, (1, samples), &CPU).unwrap()).unwrap();
@@ -317,14 +311,14 @@ fn the_search_raises_the_loss_and_beats_random_deltas_on_a_trained_field() {
     let weights: Vec<Tensor> =
         field.variables().iter().map(|(_, var)| var.as_tensor().to_dtype(DType::F64).unwrap()).collect();
     // Each level by itself, then all together, in the calibrated sizes.
-    for only in LEVELS.map(Some).into_iter().chain([None]) {
+    for only in Site::ALL.map(Some).into_iter().chain([None]) {
         let (mut clean, mut random, mut worst) = (0.0, 0.0, 0.0);
         for batch in 0..8 {
             let mut setting = Setting::new(batch, 32, 8, |config| {
-                *config = PerturbConfig { attack: Attack::Calibrated, injection_layer: 2, ..PerturbConfig::default() };
-                for level in LEVELS {
-                    if only.is_some_and(|only| only != level) {
-                        config.delta_mut(level).passes = augnerf::settings::Passes::Off;
+                *config = PerturbConfig { sizes: Sizes::Calibrated, injection_layer: 2, ..PerturbConfig::default() };
+                for site in Site::ALL {
+                    if only.is_some_and(|only| only != site) {
+                        config.sites[site].passes = Passes::Off;
                     }
                 }
             });
@@ -334,7 +328,7 @@ fn the_search_raises_the_loss_and_beats_random_deltas_on_a_trained_field() {
             random += setting.loss_value(&setting.draw(batch));
             worst += setting.loss_value(&setting.search(setting.draw(batch)));
         }
-        let name = only.map_or("all", Level::name);
+        let name = only.map_or("all", Site::name);
         assert!(worst > clean, "{name}: {worst} after the search, {clean} clean");
         assert!(worst > random, "{name}: {worst} after the search, {random} at random");
     }
@@ -367,36 +361,38 @@ fn the_search_leaves_weights_batches_and_jitter_untouched() {
 #[test]
 fn calibrated_changes_the_weights_and_an_empty_attack_does_not() {
     // Against the same objective with all deltas 0, so that only the attack differs.
-    let run = |attack, epsilon: Option<f64>| {
+    let run = |sizes, epsilon: Option<f64>| {
         let config = tiny_config(Method::AugNerf, |config| {
-            config.perturb.attack = attack;
-            for level in LEVELS {
-                config.perturb.delta_mut(level).epsilon = epsilon;
+            config.perturb.sizes = sizes;
+            for site in Site::ALL {
+                config.perturb.sites[site].epsilon = epsilon;
                 if epsilon.is_some() {
-                    config.perturb.delta_mut(level).step_size = Some(0.0);
+                    config.perturb.sites[site].step_size = Some(0.0);
                 }
             }
         });
         parameters(&trained(&config, 1), &EVALUATED)
     };
-    let empty = run(Attack::Paper, Some(0.0));
-    assert_eq!(empty, run(Attack::Calibrated, Some(0.0)));
-    assert_ne!(empty, run(Attack::Calibrated, None));
+    let empty = run(Sizes::Paper, Some(0.0));
+    assert_eq!(empty, run(Sizes::Calibrated, Some(0.0)));
+    assert_ne!(empty, run(Sizes::Calibrated, None));
 }
 
 #[test]
 fn every_kind_and_place_trains() {
-    for kind in [PerturbKind::WorstCase, PerturbKind::Gaussian, PerturbKind::Uniform, PerturbKind::FreshJitter] {
+    let perturbed = [DeltaSource::WorstCase, DeltaSource::Gaussian, DeltaSource::Uniform].map(SecondPass::Perturbed);
+    for second in perturbed.into_iter().chain([SecondPass::Clean]) {
         for output in [OutputPlace::After, OutputPlace::Before] {
             for resample in [augnerf::settings::Resample::Clean, augnerf::settings::Resample::Perturbed] {
                 let config = tiny_config(Method::AugNerf, |config| {
-                    (config.perturb.kind, config.perturb.output, config.perturb.resample) = (kind, output, resample);
+                    (config.perturb.second, config.perturb.output, config.perturb.resample) =
+                        (second, output, resample);
                 });
                 let mut trainer = trained(&config, 2);
                 let stats = trainer.step(true).unwrap();
                 assert!(stats.term("loss_perturbed").unwrap() > 0.0);
-                let expected = if kind == PerturbKind::FreshJitter { 0 } else { 6 };
-                assert_eq!(stats.levels.len(), expected, "{kind:?}");
+                let expected = if second == SecondPass::Clean { 0 } else { 6 };
+                assert_eq!(stats.sites.len(), expected, "{second:?}");
             }
         }
     }
@@ -406,11 +402,11 @@ fn every_kind_and_place_trains() {
 fn a_level_too_small_to_matter_is_inactive_and_a_large_one_is_not() {
     let levels = |epsilon: f64| {
         let config = tiny_config(Method::AugNerf, |config| {
-            config.perturb.rgb.epsilon = Some(epsilon);
-            config.perturb.rgb.step_size = Some(epsilon);
+            config.perturb.sites[Site::Rgb].epsilon = Some(epsilon);
+            config.perturb.sites[Site::Rgb].step_size = Some(epsilon);
         });
         let stats = trained(&config, 20).step(true).unwrap();
-        *stats.levels.iter().find(|level| level.level == Level::Rgb).unwrap()
+        *stats.sites.iter().find(|measured| measured.site == Site::Rgb).unwrap()
     };
     let (small, large) = (levels(1e-9), levels(0.1));
     assert!(small.inactive && !large.inactive, "{small:?} {large:?}");
@@ -423,14 +419,14 @@ fn a_coarse_level_gains_as_much_as_its_pass_weighs() {
     let gain = |coarse_weight: f64| {
         let config = tiny_config(Method::AugNerf, |config| {
             config.train.coarse_weight = coarse_weight;
-            config.perturb.attack = Attack::Calibrated;
-            for level in LEVELS {
-                config.perturb.delta_mut(level).passes = augnerf::settings::Passes::Off;
+            config.perturb.sizes = Sizes::Calibrated;
+            for site in Site::ALL {
+                config.perturb.sites[site].passes = Passes::Off;
             }
-            config.perturb.xyz.passes = augnerf::settings::Passes::Coarse;
-            config.perturb.xyz.epsilon = Some(20.0);
+            config.perturb.sites[Site::Xyz].passes = Passes::Coarse;
+            config.perturb.sites[Site::Xyz].epsilon = Some(20.0);
         });
-        trained(&config, 0).step(true).unwrap().levels[0].gain
+        trained(&config, 0).step(true).unwrap().sites[0].gain
     };
     let (whole, tenth) = (gain(1.0), gain(0.1));
     assert!(whole != 0.0 && (tenth / whole - 0.1).abs() < 1e-6, "{whole} {tenth}");
@@ -438,20 +434,20 @@ fn a_coarse_level_gains_as_much_as_its_pass_weighs() {
 
 #[test]
 fn a_level_of_size_zero_is_reported_inactive() {
-    let config = tiny_config(Method::AugNerf, |config| config.perturb.rgb.epsilon = Some(0.0));
+    let config = tiny_config(Method::AugNerf, |config| config.perturb.sites[Site::Rgb].epsilon = Some(0.0));
     let stats = trained(&config, 1).step(true).unwrap();
-    let rgb = stats.levels.iter().find(|level| level.level == Level::Rgb).unwrap();
+    let rgb = stats.sites.iter().find(|measured| measured.site == Site::Rgb).unwrap();
     assert!(rgb.inactive && rgb.gain == 0.0 && rgb.share_at_bound.is_none(), "{rgb:?}");
 }
 
 #[test]
 fn switching_a_level_off_leaves_the_draws_of_the_others() {
     let all = Setting::new(1, 3, 5, |_| {});
-    let some = Setting::new(1, 3, 5, |config| config.feature.passes = augnerf::settings::Passes::Off);
-    for level in [Level::T, Level::Xyz, Level::View, Level::Rgb, Level::Density] {
+    let some = Setting::new(1, 3, 5, |config| config.sites[Site::Feature].passes = Passes::Off);
+    for site in [Site::T, Site::Xyz, Site::View, Site::Rgb, Site::Density] {
         let values =
-            |setting: &Setting| setting.draw(0).get(level).unwrap().flatten_all().unwrap().to_vec1::<f64>().unwrap();
-        assert_eq!(values(&all), values(&some), "{}", level.name());
+            |setting: &Setting| setting.draw(0).get(site).unwrap().flatten_all().unwrap().to_vec1::<f64>().unwrap();
+        assert_eq!(values(&all), values(&some), "{}", site.name());
     }
 }
 
@@ -460,19 +456,19 @@ fn density_noise_cannot_make_an_empty_white_scene_opaque() {
     // All densities 0, the density delta at +epsilon everywhere: what it adds to each ray is at
     // most epsilon * (far - near) * |d|, because the last sample's is kept at 0.
     let mut setting = Setting::new(5, 6, 9, |config| {
-        config.density.epsilon = Some(0.01);
-        for level in [Level::T, Level::Xyz, Level::View, Level::Feature, Level::Rgb] {
-            config.delta_mut(level).passes = augnerf::settings::Passes::Off;
+        config.sites[Site::Density].epsilon = Some(0.01);
+        for site in [Site::T, Site::Xyz, Site::View, Site::Feature, Site::Rgb] {
+            config.sites[site].passes = Passes::Off;
         }
     });
     setting.noise = (setting.noise.zeros_like().unwrap() - 1e3).unwrap();
     let mut deltas = Deltas::default();
-    deltas.set(Level::Density, Tensor::full(0.01f64, (6, 9), &CPU).unwrap());
+    deltas.set(Site::Density, Tensor::full(0.01f64, (6, 9), &CPU).unwrap());
     let out = perturbed_pass(&setting.field, setting.pass(), setting.perturbation(&deltas)).unwrap();
     let norms = setting.rays.direction_norm.flatten_all().unwrap().to_vec1::<f64>().unwrap();
-    for (rgb, norm) in out.composite.rgb.to_vec2::<f64>().unwrap().iter().zip(norms) {
+    for (rgb, norm) in out.pass.composite.rgb.to_vec2::<f64>().unwrap().iter().zip(norms) {
         let limit = 0.01 * 4.0 * norm;
         assert!(rgb.iter().all(|c| (1.0 - c) <= limit && *c <= 1.0 + 1e-12), "{rgb:?} beyond {limit}");
     }
-    assert!(out.composite.acc.max(0).unwrap().to_scalar::<f64>().unwrap() > 0.0);
+    assert!(out.pass.composite.acc.max(0).unwrap().to_scalar::<f64>().unwrap() > 0.0);
 }

@@ -20,7 +20,7 @@ use tempfile::TempDir;
 
 /// An image of 8-bit values that nobody has drawn.
 fn noise(seed: u64, width: usize, height: usize) -> Image {
-    let mut random = Random::new(seed, Stream::Attack, 0);
+    let mut random = Random::new(seed, Stream::Search, 0);
     let pixels = (0..width * height * 3).map(|_| random.below(256) as f32 / 255.0).collect();
     Image { width, height, channels: 3, pixels }
 }

@@ -4,12 +4,12 @@
 
 use crate::common::flat;
 use crate::common::reference::Reference;
-use augnerf::augment::{DeltaSet, Deltas, PassGeometry, PixelScale, Sets, StepSizes, worst_case};
+use augnerf::augment::{DeltaSet, Deltas, Norm, PassGeometry, PixelScale, Sets, Site, worst_case};
 use augnerf::data::Rays;
 use augnerf::field::{Field, encode};
 use augnerf::render::sampling::inverse_cdf;
-use augnerf::render::{Pass, PassOutput, Perturbation, clean_pass, perturbed_pass, photometric_loss, volume};
-use augnerf::settings::{FieldConfig, LEVELS, Level, Norm, OutputPlace, PerturbConfig};
+use augnerf::render::{Pass, Perturbation, PerturbedOutput, clean_pass, perturbed_pass, photometric_loss, volume};
+use augnerf::settings::{FieldConfig, OutputPlace, PerturbConfig, ResolvedPerturb};
 use candle_core::{DType, Device, Tensor, Var};
 
 /// Relative tolerance of sums in f32: a few hundred terms of relative error 6e-8.
@@ -125,7 +125,7 @@ struct Attack {
     t_vals: Tensor,
     target: Tensor,
     sets: Sets,
-    sizes: StepSizes,
+    config: ResolvedPerturb,
 }
 
 impl Attack {
@@ -139,8 +139,8 @@ impl Attack {
         // Radii and step sizes of attack.json.
         let mut config = PerturbConfig::default();
         let numbers = [(0.5, 0.03), (1.0, 0.015), (1.0, 0.008), (0.05, 0.04), (0.03, 0.025), (0.4, 0.3)];
-        for (level, (epsilon, step_size)) in LEVELS.into_iter().zip(numbers) {
-            let delta = config.delta_mut(level);
+        for (site, (epsilon, step_size)) in Site::ALL.into_iter().zip(numbers) {
+            let delta = &mut config.sites[site];
             (delta.steps, delta.step_size, delta.epsilon) = (Some(2), Some(step_size), Some(epsilon));
         }
         let config = config.resolve(1.0);
@@ -148,7 +148,8 @@ impl Attack {
         // (0.02 for every ray) is given outright.
         let pixel = PixelScale { width: 100.0, height: 100.0, focal: 50.0, ndc: false };
         let mut sets = Sets::new(
-            &config,
+            &config.numbers,
+            &config.set_choices(),
             &PassGeometry {
                 is_coarse: true,
                 t_vals: &t_vals,
@@ -162,23 +163,23 @@ impl Attack {
         )
         .unwrap();
         let radius = Tensor::new(&[[[0.02f64]]], &Device::Cpu).unwrap();
-        sets.set(Level::Xyz, DeltaSet::new(Norm::L2, radius, &[5, 7, 3]));
-        Attack { sizes: StepSizes::new(&config), reference, field, rays, t_vals, target, sets }
+        sets.set(Site::Xyz, DeltaSet::new(Norm::L2, radius, &[5, 7, 3]));
+        Attack { config, reference, field, rays, t_vals, target, sets }
     }
 
     fn pass(&self) -> Pass<'_> {
-        Pass { rays: &self.rays, t_vals: &self.t_vals, density_noise: None, background: None, positions: None }
+        Pass { rays: &self.rays, t_vals: &self.t_vals, density_noise: None, background: None }
     }
 
-    fn perturbed(&self, field: &Field, deltas: &Deltas) -> PassOutput {
+    fn perturbed(&self, field: &Field, deltas: &Deltas) -> PerturbedOutput {
         let perturbation = Perturbation { deltas, sets: &self.sets, injection_layer: 4, output: OutputPlace::After };
         perturbed_pass(field, self.pass(), perturbation).unwrap()
     }
 
     fn deltas(&self, stage: &str) -> Deltas {
         let mut deltas = Deltas::default();
-        for level in LEVELS {
-            deltas.set(level, self.reference.get(&format!("{stage}.{}", level.name())));
+        for site in Site::ALL {
+            deltas.set(site, self.reference.get(&format!("{stage}.{}", site.name())));
         }
         deltas
     }
@@ -218,18 +219,18 @@ fn gradients_of_the_perturbed_loss_in_every_delta() {
     for (stage, gradient, loss_name) in [("start", "grad1", "before_step_1"), ("step1", "grad2", "before_step_2")] {
         let values = a.deltas(stage);
         let mut tracked = Deltas::default();
-        let variables = LEVELS.map(|level| Var::from_tensor(values.get(level).unwrap()).unwrap());
-        for level in LEVELS {
-            tracked.set(level, variables[level as usize].as_tensor().clone());
+        let variables = Site::ALL.map(|site| Var::from_tensor(values.get(site).unwrap()).unwrap());
+        for site in Site::ALL {
+            tracked.set(site, variables[site as usize].as_tensor().clone());
         }
         let out = a.perturbed(&a.field.frozen().unwrap(), &tracked);
-        let loss = photometric_loss(&out.composite.rgb, &a.target).unwrap();
+        let loss = photometric_loss(&out.pass.composite.rgb, &a.target).unwrap();
         assert!((loss.to_scalar::<f64>().unwrap() - a.expected_loss(loss_name)).abs() < 1e-12, "{stage}");
         let gradients = loss.backward().unwrap();
-        for level in LEVELS {
-            let expected = a.reference.get(&format!("{gradient}.{}", level.name()));
-            let found = gradients.get(&variables[level as usize]).unwrap();
-            assert_close(&format!("{gradient}.{}", level.name()), found, &expected, 1e-9);
+        for site in Site::ALL {
+            let expected = a.reference.get(&format!("{gradient}.{}", site.name()));
+            let found = gradients.get(&variables[site as usize]).unwrap();
+            assert_close(&format!("{gradient}.{}", site.name()), found, &expected, 1e-9);
         }
     }
 }
@@ -238,43 +239,43 @@ fn gradients_of_the_perturbed_loss_in_every_delta() {
 fn two_search_steps_and_the_final_pass() {
     let a = Attack::load();
     let frozen = a.field.frozen().unwrap();
-    let iterates = std::cell::RefCell::new(Vec::new());
+    let mut iterates = Vec::new();
     // The fixture's start is projected already: densities on the floor are 0 there and an ulp above
     // it here, which decides whether a colour's gradient is 0 or has a sign. A start that lies
     // 1e-12 lower is projected onto the same floor exactly.
     let mut start = a.deltas("start");
-    start.set(Level::Density, (start.get(Level::Density).unwrap() - 1e-12).unwrap());
-    let found = worst_case(&a.sets, &a.sizes, start, |deltas| {
-        let out = a.perturbed(&frozen, deltas);
-        iterates.borrow_mut().push(out.used.clone());
-        Ok((photometric_loss(&out.composite.rgb, &a.target)?, out.used))
+    start.set(Site::Density, (start.get(Site::Density).unwrap() - 1e-12).unwrap());
+    let found = worst_case(&a.sets, &a.config.numbers, a.config.step_unit, start, |at| {
+        let out = a.perturbed(&frozen, at.deltas);
+        iterates.push(out.used.deltas.clone());
+        Ok((photometric_loss(&out.pass.composite.rgb, &a.target)?, out.used.deltas))
     })
     .unwrap();
     let last = a.perturbed(&a.field, &found);
-    iterates.borrow_mut().push(last.used.clone());
-    for (stage, deltas) in ["start", "step1", "step2"].into_iter().zip(iterates.borrow().iter()) {
-        for level in LEVELS {
-            let what = format!("{stage}.{}", level.name());
-            assert_close(&what, &deltas.get(level).unwrap().detach(), &a.reference.get(&what), F64);
+    iterates.push(last.used.deltas.clone());
+    for (stage, deltas) in ["start", "step1", "step2"].into_iter().zip(&iterates) {
+        for site in Site::ALL {
+            let what = format!("{stage}.{}", site.name());
+            assert_close(&what, &deltas.get(site).unwrap().detach(), &a.reference.get(&what), F64);
         }
     }
     let expected = |what: &str| a.reference.get(&format!("final.{what}"));
-    let t_vals = (&a.t_vals + found.get(Level::T).unwrap()).unwrap();
+    let t_vals = (&a.t_vals + found.get(Site::T).unwrap()).unwrap();
     assert_close("t_vals", &t_vals, &expected("t_vals"), F64);
     let points = t_vals.unsqueeze(2).unwrap().broadcast_mul(&a.rays.directions.unsqueeze(1).unwrap()).unwrap();
     let points = points.broadcast_add(&a.rays.origins.unsqueeze(1).unwrap()).unwrap();
-    assert_close("points", &(points + found.get(Level::Xyz).unwrap()).unwrap(), &expected("points"), F64);
-    assert_close("rgb", &last.rgb, &expected("rgb"), F64);
-    assert_close("density", &last.density, &expected("density"), F64);
-    assert_close("weights", &last.composite.weights, &expected("weights"), F64);
-    assert_close("colour", &last.composite.rgb, &expected("colour"), F64);
-    let view = found.get(Level::View).unwrap();
+    assert_close("points", &(points + found.get(Site::Xyz).unwrap()).unwrap(), &expected("points"), F64);
+    assert_close("rgb", &last.pass.rgb, &expected("rgb"), F64);
+    assert_close("density", &last.pass.density, &expected("density"), F64);
+    assert_close("weights", &last.pass.composite.weights, &expected("weights"), F64);
+    assert_close("colour", &last.pass.composite.rgb, &expected("colour"), F64);
+    let view = found.get(Site::View).unwrap();
     let along = |axis: usize, tangent: &Tensor| view.narrow(1, axis, 1).unwrap().broadcast_mul(tangent).unwrap();
     let [u, w] = a.rays.tangents.as_ref().unwrap();
     let moved = ((&a.rays.viewdirs + along(0, u)).unwrap() + along(1, w)).unwrap();
     let norm = moved.sqr().unwrap().sum_keepdim(1).unwrap().sqrt().unwrap();
     assert_close("view", &moved.broadcast_div(&norm).unwrap(), &expected("view"), F64);
-    let loss = photometric_loss(&last.composite.rgb, &a.target).unwrap();
+    let loss = photometric_loss(&last.pass.composite.rgb, &a.target).unwrap();
     assert!((loss.to_scalar::<f64>().unwrap() - a.expected_loss("final")).abs() < 1e-12);
     let gradients = loss.backward().unwrap();
     for (name, var) in a.field.variables() {

@@ -68,7 +68,7 @@ fn killed_at_random_moments_equals_undisturbed() {
     let kills = std::env::var("AUGNERF_SWEEP_KILLS").map_or(20, |n| n.parse().expect("a number of kills"));
     let (undisturbed, disturbed) = (workplace(TINY), workplace(TINY));
     demand(&["sweep", "run", "tiny.toml", "--quiet"], undisturbed.path(), 0);
-    let mut random = Random::new(7, Stream::Attack, 0);
+    let mut random = Random::new(7, Stream::Search, 0);
     for _ in 0..kills {
         let mut child = start(disturbed.path());
         std::thread::sleep(Duration::from_secs_f64(0.02 + 0.4 * random.uniform()));

@@ -54,7 +54,7 @@ fn record(row: &str, axes: Vec<AxisValue>, seed: u64, psnr: Option<f64>) -> Reco
 
 /// Of a seed at a place: different for every pair, the same every time.
 fn noise(seed: u64, place: u64) -> f64 {
-    Random::new(seed, Stream::Attack, place).uniform() - 0.5
+    Random::new(seed, Stream::Search, place).uniform() - 0.5
 }
 
 fn keep(name: &str, figure: &Figure) {

@@ -7,6 +7,7 @@ use std::sync::Mutex;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 use crate::common::{assert_says, needs};
+use augnerf::augment::Site;
 use augnerf::base::{Error, Result};
 use augnerf::report::Status;
 use augnerf::runtime::Runtime;
@@ -146,7 +147,8 @@ values = [1, 2, 3]
     assert_eq!(product[0].places.len(), 6);
     assert!(labels(&product).contains(&"Aug-NeRF, steps = 1, features layer = 3 · builtin · seed 0".to_string()));
     let config = &product[1].config.perturb;
-    assert_eq!((config.t.steps, config.xyz.steps, config.injection_layer), (Some(1), Some(1), 1));
+    let steps = [Site::T, Site::Xyz].map(|site| config.sites[site].steps);
+    assert_eq!((steps, config.injection_layer), ([Some(1); 2], 1));
     let single = points_of(&format!("combine = \"one-at-a-time\"\n{BASE}{axes}")).unwrap();
     assert_eq!(single.len(), 2 * (1 + 5));
     let plain = BASE.replace("name = \"NeRF\"", "name = \"NeRF\"\naxes = false");
@@ -507,9 +509,9 @@ fn shapes_are_what_decides_the_time_of_a_step() {
     assert_ne!(shape(&points[0].config), shape(&points[1].config));
     let mut other = points[1].config.clone();
     other.perturb.lambda = 0.7;
-    other.perturb.t.epsilon = Some(0.1);
+    other.perturb.sites[Site::T].epsilon = Some(0.1);
     assert_eq!(shape(&other), shape(&points[1].config));
-    other.perturb.t.steps = Some(9);
+    other.perturb.sites[Site::T].steps = Some(9);
     assert_ne!(shape(&other), shape(&points[1].config));
 }
 

@@ -173,7 +173,7 @@ fn mip_nerf_fits_the_scene_with_one_field() {
         let (coarse, fine) = (stats.term("loss_coarse").unwrap(), stats.term("loss_fine").unwrap());
         let perturbed = stats.term("loss_perturbed").map_or(0.0, |loss| config.perturb.lambda * loss);
         assert!((stats.loss - (0.1 * coarse + fine + perturbed)).abs() < 1e-9, "{stats:?}");
-        assert_eq!(stats.levels.len(), if method == Method::AugMipNerf { 6 } else { 0 });
+        assert_eq!(stats.sites.len(), if method == Method::AugMipNerf { 6 } else { 0 });
     }
 }
 
@@ -183,7 +183,7 @@ fn a_model_without_fine_samples_trains_its_coarse_field_alone() {
     let mut trainer = trained(&config, 2);
     assert!(trainer.model().fields().unwrap().fine().is_none());
     let stats = trainer.step(true).unwrap();
-    assert!(stats.term("loss_fine").is_none() && stats.levels.len() == 6);
+    assert!(stats.term("loss_fine").is_none() && stats.sites.len() == 6);
     let scene = tiny_scene();
     let camera = &scene.test[0].camera;
     let viewer = Viewer { model: trainer.model(), config: &config, scene: &scene, runtime: runtime() };
@@ -200,7 +200,7 @@ fn the_step_uses_its_own_numbers_whatever_came_before() {
     let checkpoint = straight.save(dir.path()).unwrap();
     let mut resumed = Trainer::resume(&checkpoint, &config, &tiny_scene(), DType::F32, runtime()).unwrap();
     let (a, b) = (straight.step(true).unwrap(), resumed.step(true).unwrap());
-    assert_eq!((a.loss, a.levels), (b.loss, b.levels));
+    assert_eq!((a.loss, a.sites), (b.loss, b.sites));
     let roles = ["coarse", "fine"];
     assert_eq!(parameters(&straight, &roles), parameters(&resumed, &roles));
 }

@@ -14,11 +14,12 @@ mod layout;
 mod pool;
 mod slope;
 
+use std::cell::RefCell;
 use std::ops::Deref;
 use std::sync::{Arc, Mutex, PoisonError};
 
 use candle_core::backend::BackendStorage;
-use candle_core::{CpuStorage, CustomOp3, DType, Device, Layout, Result, Shape, Storage, Tensor, TensorId, Var};
+use candle_core::{CpuStorage, CustomOp3, DType, Device, Layout, Result, Shape, Storage, Tensor, Var};
 
 use crate::field::contiguous;
 use crate::settings::FieldConfig;
@@ -56,39 +57,37 @@ impl Recorder {
     }
 }
 
-/// The trunk's lower part at the points that were asked for last.
+/// The trunk's lower part at points that stay (see [`crate::field::FixedPoints`]), and the layer that it goes up to.
 #[derive(Default)]
-pub struct Memo(Mutex<Option<(TensorId, usize, Arc<Prefix>)>>);
+pub struct Below(RefCell<Option<(usize, Arc<Prefix>)>>);
 
-impl Memo {
-    /// That of `points` up to layer `layer`, computed once for as long as the same tensor is asked for.
+impl Below {
+    /// That of `points` up to layer `layer`, computed once.
     fn prefix(&self, network: &Network, points: &Tensor, layer: usize) -> Result<Arc<Prefix>> {
-        let mut known = self.0.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some((id, to, prefix)) = &*known
-            && (*id, *to) == (points.id(), layer)
-        {
-            return Ok(prefix.clone());
+        let known = self.0.borrow().as_ref().filter(|(to, _)| *to == layer).map(|(_, prefix)| prefix.clone());
+        if let Some(prefix) = known {
+            return Ok(prefix);
         }
         let prefix = Arc::new(network.prefix(Values::of(&points.contiguous()?).slice()?, layer));
-        *known = Some((points.id(), layer, prefix.clone()));
+        self.0.replace(Some((layer, prefix.clone())));
         Ok(prefix)
     }
 }
 
 /// One query of a field.
-pub struct Query {
+pub struct Query<'a> {
     /// Its weights.
     pub network: Arc<Network>,
     /// Takes the gradients of the weights; without one they are constants.
     pub recorder: Option<Arc<Recorder>>,
-    /// Remembers the trunk below a delta, where many queries share their points.
-    pub memo: Option<Arc<Memo>>,
+    /// Keeps the trunk below a delta, where many queries share their points.
+    pub below: Option<&'a Below>,
 }
 
-impl Query {
+impl Query<'_> {
     /// Raw colour `[3 n]` and raw density `[n]` behind each other. `points` `[n, 3]`, `viewdirs` `[rays, 3]`, `delta`
     /// `[n, width]` of a 1-based trunk layer.
-    pub fn ask(self, points: &Tensor, viewdirs: &Tensor, delta: Option<(usize, &Tensor)>) -> Result<Tensor> {
+    pub fn run(self, points: &Tensor, viewdirs: &Tensor, delta: Option<(usize, &Tensor)>) -> Result<Tensor> {
         let wanted = Wanted {
             weights: self.recorder.is_some(),
             points: points.track_op(),
@@ -103,9 +102,9 @@ impl Query {
         } else {
             viewdirs
         };
-        let memo = self.memo.filter(|_| !wanted.points && !wanted.weights && points.dim(0).is_ok_and(|n| n > 0));
+        let below = self.below.filter(|_| !wanted.points && !wanted.weights && points.dim(0).is_ok_and(|n| n > 0));
         let layer = delta.map_or(self.network.depth(), |(layer, _)| layer);
-        let prefix = memo.map(|memo| memo.prefix(&self.network, points, layer)).transpose()?;
+        let prefix = below.map(|below| below.prefix(&self.network, points, layer)).transpose()?;
         let none = Tensor::zeros(1, DType::F32, points.device())?;
         let operation = Fused {
             network: self.network,

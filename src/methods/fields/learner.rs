@@ -2,13 +2,13 @@
 
 use candle_core::{DType, Device, Var};
 
-use crate::augment::PixelScale;
+use crate::augment::{PixelScale, Site};
 use crate::base::Result;
 use crate::data::{RayParts, Scene};
 use crate::losses::WeightedTerm;
 use crate::methods::batches::Batches;
 use crate::render::ray_parts;
-use crate::settings::{Level, Resolved};
+use crate::settings::Resolved;
 
 use super::networks::Fields;
 
@@ -39,12 +39,12 @@ impl FieldLearner {
         dtype: DType,
         device: &Device,
     ) -> Result<FieldLearner> {
-        let tangents = config.method.is_augmented() && config.perturb.delta(Level::View).on();
+        let tangents = config.method.is_augmented() && config.perturb.sites[Site::View].on();
         Ok(FieldLearner {
             config: config.clone(),
             bounds: scene.bounds(),
             background: scene.background,
-            pixel: PixelScale::of(scene),
+            pixel: pixel_scale(scene),
             device: device.clone(),
             dtype,
             batches: Batches::new(config, scene, RayParts { tangents, ..ray_parts(&fields.coarse) })?,
@@ -57,5 +57,16 @@ impl FieldLearner {
     /// The fields that learn.
     pub fn fields(&self) -> &Fields {
         &self.fields
+    }
+}
+
+/// A pixel's size in a scene; the first training camera stands for all.
+fn pixel_scale(scene: &Scene) -> PixelScale {
+    let camera = &scene.train[0].camera;
+    PixelScale {
+        width: camera.width as f64,
+        height: camera.height as f64,
+        focal: camera.focal[0],
+        ndc: scene.ndc.is_some(),
     }
 }

@@ -4,9 +4,9 @@ use candle_core::{DType, Tensor};
 use rayon::prelude::*;
 
 use crate::base::Result;
+use crate::methods::diagnostics::Sums;
 use crate::methods::gradients::Gradients;
 use crate::render::{Pass, PassOutput, clean_pass, noiseless_acc, photometric_loss, resample};
-use crate::settings::PerturbKind;
 
 use super::chunk::Chunk;
 use super::learner::FieldLearner;
@@ -28,7 +28,7 @@ impl FieldLearner {
             let mut sum: Option<ChunkResult> = None;
             for &(index, start) in part {
                 let count = size.min(whole.rays.len() - start);
-                let chunk = self.work(&model, &whole.narrow(index, start, count)?, step_loss, log)?;
+                let chunk = self.work(&model, &whole.narrow(index, start, count)?, step_loss, self.empty(log))?;
                 match &mut sum {
                     Some(sum) => sum.add(chunk)?,
                     None => sum = Some(chunk),
@@ -54,18 +54,17 @@ impl FieldLearner {
         Ok(sum)
     }
 
-    /// Everything that a step does with a chunk. Losses and gradients are
+    /// What a chunk adds to; `log` asks for the diagnostics of the perturbed sites.
+    fn empty(&self, log: bool) -> ChunkResult {
+        ChunkResult { diagnostics: log.then(Sums::default), ..ChunkResult::new(self.variables.len()) }
+    }
+
+    /// Everything that a step does with a chunk, in an empty result. Losses and gradients are
     /// weighted with the chunk's share, so that chunks add up.
-    fn work(&self, model: &Fields, chunk: &Chunk, step_loss: StepLoss, log: bool) -> Result<ChunkResult> {
-        let perturbed_weight = step_loss.perturbed;
-        let mut result = ChunkResult::new(self.variables.len());
+    fn work(&self, model: &Fields, chunk: &Chunk, step_loss: StepLoss, mut result: ChunkResult) -> Result<ChunkResult> {
         let t_fine = self.clean(model, chunk, step_loss, &mut result)?;
         if self.config.method.is_augmented() {
-            let loss = if self.config.perturb.kind == PerturbKind::FreshJitter {
-                self.second_clean(model, chunk, perturbed_weight, &mut result.gradients)?
-            } else {
-                self.perturbed(model, chunk, t_fine.as_ref(), perturbed_weight, (&mut result, log))?
-            };
+            let loss = self.second_pass(model, chunk, t_fine.as_ref(), step_loss.perturbed, &mut result)?;
             result.losses.perturbed = Some(loss);
         }
         Ok(result)
@@ -111,7 +110,6 @@ impl FieldLearner {
             t_vals: &chunk.t_coarse,
             density_noise: chunk.noise_coarse.as_ref(),
             background: self.background,
-            positions: None,
         }
     }
 

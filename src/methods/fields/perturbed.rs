@@ -1,18 +1,17 @@
-//! The perturbed pass of a step: sets, search, descent; or its control.
+//! The second pass of a step: perturbed passes with their sets, search and descent, or another clean pass.
 
-use std::cell::RefCell;
+use candle_core::{DType, Tensor};
 
-use candle_core::{DType, Tensor, TensorId};
-
-use crate::augment::{Deltas, Draw, PassGeometry, Sets, StepSizes, worst_case};
+use crate::augment::{Deltas, Draw, PassGeometry, Sets, Site, worst_case};
 use crate::base::Result;
 use crate::base::rng::{Random, Stream};
 use crate::field::Field;
 use crate::methods::gradients::Gradients;
 use crate::render::{
-    Pass, PassOutput, Perturbation, columns, moved_positions, perturbed_pass, photometric_loss, resample, samples_of,
+    FixedSamples, Pass, PassOutput, Perturbation, UsedDeltas, columns, perturbed_pass, photometric_loss, resample,
+    samples_of,
 };
-use crate::settings::{LEVELS, Level, PerturbConfig, PerturbKind, Resample};
+use crate::settings::{DeltaSource, Resample, SecondPass};
 
 use super::chunk::Chunk;
 use super::learner::FieldLearner;
@@ -22,16 +21,15 @@ use super::terms::StepLoss;
 use crate::methods::diagnostics::Sums;
 
 /// One perturbed pass of a chunk: which field, which samples, which sets.
-#[derive(Clone)]
-pub(super) struct Perturbed<'a> {
-    pub(super) field: &'a Field,
-    pub(super) pass: Pass<'a>,
-    pub(super) target: &'a Tensor,
-    pub(super) sets: Sets,
+struct PerturbedPass<'a> {
+    field: &'a Field,
+    pass: Pass<'a>,
+    target: &'a Tensor,
+    sets: Sets,
     /// Share of the step's rays.
-    pub(super) share: f64,
+    share: f64,
     /// Weight of the pass's loss beside the other pass's.
-    pub(super) loss_weight: f64,
+    loss_weight: f64,
     /// Steps finished before this one.
     step: u64,
     /// Number of the pass within the step: its random numbers are its own.
@@ -39,16 +37,25 @@ pub(super) struct Perturbed<'a> {
 }
 
 impl FieldLearner {
-    /// The control: another clean pass with its own jitter, noise and samples. Returns its loss,
-    /// weighted with the chunk's share.
-    pub(super) fn second_clean(
+    /// Descends the second pass of a chunk, whose clean fine pass had its samples at `t_fine`. Returns its loss, coarse +
+    /// fine, weighted with the chunk's share.
+    pub(super) fn second_pass(
         &self,
         model: &Fields,
         chunk: &Chunk,
+        t_fine: Option<&Tensor>,
         weight: f64,
-        gradients: &mut Gradients,
+        result: &mut ChunkResult,
     ) -> Result<Tensor> {
-        let mut random = Random::part(self.config.seed, Stream::Attack, chunk.step, chunk.index);
+        match self.config.perturb.second {
+            SecondPass::Clean => self.second_clean(model, chunk, weight, &mut result.gradients),
+            SecondPass::Perturbed(source) => self.perturbed(source, model, chunk, t_fine, weight, result),
+        }
+    }
+
+    /// The control: another clean pass with its own jitter, noise and samples.
+    fn second_clean(&self, model: &Fields, chunk: &Chunk, weight: f64, gradients: &mut Gradients) -> Result<Tensor> {
+        let mut random = Random::part(self.config.seed, Stream::Search, chunk.step, chunk.index);
         let drawn = self.draw_clean(chunk.rays.clone(), chunk.target.clone(), chunk.step, &mut random)?;
         let fresh = Chunk { share: chunk.share, ..drawn };
         let mut second = ChunkResult::new(gradients.0.len());
@@ -59,21 +66,21 @@ impl FieldLearner {
         Ok(second.losses.clean(self.coarse_weight(model))?.expect("every chunk has a coarse pass"))
     }
 
-    /// Searches and descends the perturbed passes of a chunk on the clean pass's samples. Returns
-    /// their loss, coarse + fine, weighted with the chunk's share.
-    pub(super) fn perturbed(
+    /// The perturbed passes of a chunk on the clean pass's samples.
+    fn perturbed(
         &self,
+        source: DeltaSource,
         model: &Fields,
         chunk: &Chunk,
         t_fine: Option<&Tensor>,
         weight: f64,
-        (result, log): (&mut ChunkResult, bool),
+        result: &mut ChunkResult,
     ) -> Result<Tensor> {
         let adversarial = model.adversarial.as_ref();
         let own = adversarial.unwrap_or(&model.coarse);
         let coarse = self.perturbed_pass(chunk, own, self.coarse_pass(chunk), true)?;
-        let coarse = Perturbed { loss_weight: self.coarse_weight(model), ..coarse };
-        let (loss, out) = self.attack(&coarse, weight, result, log)?;
+        let coarse = PerturbedPass { loss_weight: self.coarse_weight(model), ..coarse };
+        let (loss, out) = self.descend_perturbed(source, &coarse, weight, result)?;
         let (Some(field), Some(t_fine), Some(u)) = (model.fine(), t_fine, &chunk.u) else { return Ok(loss) };
         let resampled;
         let t_vals = match self.config.perturb.resample {
@@ -84,16 +91,16 @@ impl FieldLearner {
             }
         };
         let fine = self.perturbed_pass(chunk, adversarial.unwrap_or(field), self.fine_pass(chunk, t_vals), false)?;
-        Ok((loss + self.attack(&fine, weight, result, log)?.0)?)
+        Ok((loss + self.descend_perturbed(source, &fine, weight, result)?.0)?)
     }
 
     fn perturbed_pass<'a>(
-        &'a self,
+        &self,
         chunk: &'a Chunk,
         field: &'a Field,
         pass: Pass<'a>,
         is_coarse: bool,
-    ) -> Result<Perturbed<'a>> {
+    ) -> Result<PerturbedPass<'a>> {
         let geometry = PassGeometry {
             is_coarse,
             t_vals: pass.t_vals,
@@ -104,11 +111,12 @@ impl FieldLearner {
             width: self.config.field.width,
             pixel: self.pixel,
         };
-        Ok(Perturbed {
+        let perturb = &self.config.perturb;
+        Ok(PerturbedPass {
             field,
             pass,
             target: &chunk.target,
-            sets: Sets::new(&self.config.perturb, &geometry)?,
+            sets: Sets::new(&perturb.numbers, &perturb.set_choices(), &geometry)?,
             share: chunk.share,
             loss_weight: 1.0,
             step: chunk.step,
@@ -117,80 +125,82 @@ impl FieldLearner {
     }
 
     /// Finds the deltas of a pass and descends its loss, which is returned weighted with its share.
-    fn attack(
+    fn descend_perturbed(
         &self,
-        passing: &Perturbed,
+        source: DeltaSource,
+        pass: &PerturbedPass,
         weight: f64,
         result: &mut ChunkResult,
-        log: bool,
     ) -> Result<(Tensor, PassOutput)> {
-        let random = |stream: Stream| {
-            move |level: Level| Random::part(self.config.seed, stream, passing.step, 8 * passing.number + level as u64)
-        };
-        let deltas = self.find_deltas(passing, random(Stream::Attack))?;
-        let out = self.run(passing, passing.field, &deltas)?;
-        let share = passing.share * passing.loss_weight;
-        let loss = self.descend(&out, passing.target, weight * share, &mut result.gradients)?;
-        if log {
-            let drawn = passing.sets.draw(Draw::Uniform, random(Stream::Diagnostics))?;
-            self.diagnose(passing, &out, &drawn, &mut result.diagnostics)?;
+        let deltas = self.find_deltas(source, pass)?;
+        let out = perturbed_pass(pass.field, pass.pass, self.perturbation(pass, &deltas))?;
+        let share = pass.share * pass.loss_weight;
+        let loss = self.descend(&out.pass, pass.target, weight * share, &mut result.gradients)?;
+        if let Some(sums) = &mut result.diagnostics {
+            self.diagnose(pass, &out.used, sums)?;
         }
-        Ok(((loss * share)?, out))
+        Ok(((loss * share)?, out.pass))
     }
 
-    /// The pass with `deltas` through `field` (live or frozen).
-    pub(super) fn run(&self, passing: &Perturbed, field: &Field, deltas: &Deltas) -> Result<PassOutput> {
-        let PerturbConfig { injection_layer, output, .. } = *self.config.perturb;
-        perturbed_pass(field, passing.pass, Perturbation { deltas, sets: &passing.sets, injection_layer, output })
+    fn perturbation<'a>(&self, pass: &'a PerturbedPass, deltas: &'a Deltas) -> Perturbation<'a> {
+        let perturb = &self.config.perturb;
+        Perturbation { deltas, sets: &pass.sets, injection_layer: perturb.injection_layer, output: perturb.output }
+    }
+
+    /// A random point of every set of a pass, with each site's own numbers of `stream`.
+    fn draw_deltas(&self, pass: &PerturbedPass, draw: Draw, stream: Stream) -> Result<Deltas> {
+        let random = |site: Site| Random::part(self.config.seed, stream, pass.step, site.part(pass.number));
+        pass.sets.draw(draw, random)
     }
 
     /// Random or worst-case deltas, detached.
-    fn find_deltas(&self, passing: &Perturbed, random: impl Fn(Level) -> Random) -> Result<Deltas> {
-        match self.config.perturb.kind {
-            PerturbKind::Gaussian => return passing.sets.draw(Draw::Gaussian, random),
-            PerturbKind::Uniform => return passing.sets.draw(Draw::Uniform, random),
-            PerturbKind::WorstCase | PerturbKind::FreshJitter => {}
+    fn find_deltas(&self, source: DeltaSource, pass: &PerturbedPass) -> Result<Deltas> {
+        match source {
+            DeltaSource::Gaussian => self.draw_deltas(pass, Draw::Gaussian, Stream::Search),
+            DeltaSource::Uniform => self.draw_deltas(pass, Draw::Uniform, Stream::Search),
+            DeltaSource::WorstCase => self.search(pass, self.draw_deltas(pass, Draw::Uniform, Stream::Search)?),
         }
-        let start = passing.sets.draw(Draw::Uniform, random)?;
-        let field = passing.field.searching()?;
-        // Points that do not move any more stay the same tensor: the field computes what depends on them alone once.
-        let known: RefCell<Option<([Option<TensorId>; 2], Tensor)>> = RefCell::default();
-        let positions_of = |deltas: &Deltas| -> Result<Tensor> {
-            let moved_by = [Level::T, Level::Xyz].map(|level| deltas.get(level).map(Tensor::id));
-            let same = known.borrow().as_ref().filter(|(by, _)| *by == moved_by).map(|(_, known)| known.clone());
-            let positions = same.map_or_else(|| moved_positions(&field, passing.pass, deltas), Ok)?;
-            known.replace(Some((moved_by, positions.clone())));
-            Ok(positions)
-        };
-        worst_case(&passing.sets, &StepSizes::new(&self.config.perturb), start, |deltas| {
-            let positions = positions_of(deltas)?;
-            let still = Perturbed { pass: Pass { positions: Some(&positions), ..passing.pass }, ..passing.clone() };
-            let out = self.run(&still, &field, deltas)?;
-            Ok((photometric_loss(&out.composite.rgb, passing.target)?, out.used))
+    }
+
+    /// The worst case from `start` on.
+    fn search(&self, pass: &PerturbedPass, start: Deltas) -> Result<Deltas> {
+        let perturb = &self.config.perturb;
+        let field = pass.field.frozen()?;
+        let mut fixed = None;
+        worst_case(&pass.sets, &perturb.numbers, perturb.step_unit, start, |at| {
+            if fixed.is_none() && at.fixes(&FixedSamples::MOVED_BY) {
+                fixed = Some(FixedSamples::new(&field, pass.pass, at.deltas)?);
+            }
+            let perturbation = self.perturbation(pass, at.deltas);
+            let out = match &fixed {
+                Some(fixed) => fixed.perturbed_pass(perturbation)?,
+                None => perturbed_pass(&field, pass.pass, perturbation)?,
+            };
+            Ok((photometric_loss(&out.pass.composite.rgb, pass.target)?, out.used.deltas))
         })
     }
 
-    /// Measures each level of a perturbed pass by itself: with the deltas that it used, and with
-    /// the random ones in `drawn`.
-    fn diagnose(&self, passing: &Perturbed, out: &PassOutput, drawn: &Deltas, sums: &mut Sums) -> Result<()> {
-        let share = passing.share;
-        let frozen = passing.field.frozen()?;
+    /// Measures each site of a perturbed pass by itself: with the deltas that it used, and with random ones.
+    fn diagnose(&self, pass: &PerturbedPass, used: &UsedDeltas, sums: &mut Sums) -> Result<()> {
+        let drawn = self.draw_deltas(pass, Draw::Uniform, Stream::Diagnostics)?;
+        let share = pass.share;
+        let frozen = pass.field.frozen()?;
         let loss = |deltas: &Deltas| -> Result<f64> {
-            let out = self.run(passing, &frozen, deltas)?;
-            Ok(passing.loss_weight * scalar(&photometric_loss(&out.composite.rgb, passing.target)?)?)
+            let out = perturbed_pass(&frozen, pass.pass, self.perturbation(pass, deltas))?;
+            Ok(pass.loss_weight * scalar(&photometric_loss(&out.pass.composite.rgb, pass.target)?)?)
         };
         let without = loss(&Deltas::default())?;
-        for level in LEVELS {
-            let (Some(set), Some(used)) = (out.sets.get(level), out.used.get(level)) else {
+        for (site, numbers) in self.config.perturb.numbers.iter() {
+            let (Some(set), Some(delta)) = (used.sets.get(site), used.deltas.get(site)) else {
                 // Switched on with a set of size 0: there is no perturbation, and no gain.
-                if self.config.perturb.delta(level).on() && self.config.perturb.delta(level).epsilon == 0.0 {
-                    sums.add(level, share, 0.0, 0.0, None);
+                if numbers.on() && numbers.epsilon == 0.0 {
+                    sums.add(site, share, 0.0, 0.0, None);
                 }
                 continue;
             };
-            let with = loss(&out.used.only(level))?;
-            let with_random = loss(&drawn.only(level))?;
-            sums.add(level, share, with - without, with - with_random, set.share_at_bound(used)?);
+            let with = loss(&used.deltas.only(site))?;
+            let with_random = loss(&drawn.only(site))?;
+            sums.add(site, share, with - without, with - with_random, set.share_at_bound(delta)?);
         }
         Ok(())
     }

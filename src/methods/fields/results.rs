@@ -12,7 +12,8 @@ use crate::methods::diagnostics::Sums;
 pub(super) struct ChunkResult {
     pub(super) gradients: Gradients,
     pub(super) losses: Losses,
-    pub(super) diagnostics: Sums,
+    /// Where they are asked for.
+    pub(super) diagnostics: Option<Sums>,
 }
 
 /// Losses weighted with the chunk's share, and the largest accumulation of a ray: f64 scalars that stay on the device
@@ -29,13 +30,15 @@ pub(super) struct Losses {
 
 impl ChunkResult {
     pub(super) fn new(parameters: usize) -> ChunkResult {
-        ChunkResult { gradients: Gradients::none(parameters), losses: Losses::default(), diagnostics: Sums::default() }
+        ChunkResult { gradients: Gradients::none(parameters), losses: Losses::default(), diagnostics: None }
     }
 
     pub(super) fn add(&mut self, other: ChunkResult) -> Result<()> {
         self.gradients.merge(other.gradients)?;
         self.losses.add(other.losses)?;
-        self.diagnostics.merge(other.diagnostics);
+        if let (Some(mine), Some(other)) = (&mut self.diagnostics, other.diagnostics) {
+            mine.merge(other);
+        }
         Ok(())
     }
 }

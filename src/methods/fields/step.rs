@@ -3,7 +3,6 @@
 use crate::base::{Error, Result};
 use crate::losses::{LossTerm, WeightedTerm};
 use crate::methods::learner::{Learned, Learner, LogColumns, Term};
-use crate::settings::{LEVELS, PerturbKind};
 
 use super::learner::FieldLearner;
 use super::results::ChunkResult;
@@ -21,9 +20,8 @@ impl Learner for FieldLearner {
             self.terms.iter().map(|WeightedTerm { term, .. }| format!("regularizer.{}", term.name())).collect();
         if config.method.is_augmented() {
             further.push("loss_perturbed".into());
-            if config.perturb.kind != PerturbKind::FreshJitter {
-                let on = LEVELS.into_iter().filter(|&level| config.perturb.delta(level).on());
-                further.extend(on.flat_map(diagnostics::columns));
+            if config.perturb.source().is_some() {
+                further.extend(config.perturb.sites_on().flat_map(|(site, _)| diagnostics::columns(site)));
             }
         }
         LogColumns { photometric, further }
@@ -65,7 +63,7 @@ impl Learner for FieldLearner {
             loss,
             mse: fine.unwrap_or(coarse),
             largest_acc: largest_acc.expect("every chunk has one"),
-            levels: diagnostics.finish(clean),
+            sites: diagnostics.map_or_else(Vec::new, |sums| sums.finish(clean)),
         })
     }
 }

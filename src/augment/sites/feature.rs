@@ -1,0 +1,29 @@
+//! Added to a trunk layer's output, `[rays, samples, width]`.
+
+use crate::augment::set::{DeltaSet, Norm};
+use crate::augment::site::{ANY_EPSILON, About, DefaultSizes, Level, PassGeometry, Passes, SetChoices, SiteNumbers};
+use crate::base::Result;
+
+pub const SITE: About = About {
+    name: "feature",
+    level: Level::Feature,
+    what: "added to the output of a trunk layer",
+    unit: "feature units",
+    passes: Passes::Both,
+    key: 3,
+    sizes: DefaultSizes {
+        steps: 1,
+        norm: Norm::Linf,
+        paper_epsilon: 1e-3,
+        paper_step_size: 1e-3,
+        calibrated_epsilon: |_| 1e-2,
+    },
+    largest_epsilon: ANY_EPSILON,
+    scalar: false,
+    set,
+};
+
+fn set(numbers: &SiteNumbers, _: &SetChoices, pass: &PassGeometry) -> Result<DeltaSet> {
+    let radius = pass.scalar(numbers.epsilon)?.reshape((1, 1, 1))?;
+    Ok(DeltaSet::new(numbers.norm, radius, &[pass.rays()?, pass.samples, pass.width]))
+}

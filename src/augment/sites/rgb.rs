@@ -1,0 +1,30 @@
+//! Added to the colour of a sample, `[rays, samples, 3]`.
+
+use crate::augment::set::{DeltaSet, Norm};
+use crate::augment::site::{ANY_EPSILON, About, DefaultSizes, Level, PassGeometry, Passes, SetChoices, SiteNumbers};
+use crate::base::Result;
+
+pub const SITE: About = About {
+    name: "rgb",
+    level: Level::Output,
+    what: "added to the colour of a sample",
+    unit: "colour, 0 to 1",
+    passes: Passes::Both,
+    key: 4,
+    sizes: DefaultSizes {
+        steps: 1,
+        norm: Norm::Linf,
+        paper_epsilon: 1e-5,
+        paper_step_size: 1e-5,
+        calibrated_epsilon: |_| 4.0 / 255.0,
+    },
+    largest_epsilon: ANY_EPSILON,
+    scalar: false,
+    set,
+};
+
+/// Before it is cut by what the pass's colours leave.
+fn set(numbers: &SiteNumbers, _: &SetChoices, pass: &PassGeometry) -> Result<DeltaSet> {
+    let radius = pass.scalar(numbers.epsilon)?.reshape((1, 1, 1))?;
+    Ok(DeltaSet::new(numbers.norm, radius, &[pass.rays()?, pass.samples, 3]))
+}

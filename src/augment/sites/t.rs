@@ -1,0 +1,53 @@
+//! Shift along the ray, `[rays, samples]`.
+
+use candle_core::{DType, Tensor};
+
+use crate::augment::set::{DeltaSet, Norm};
+use crate::augment::site::{About, DefaultSizes, Level, PassGeometry, Passes, SetChoices, SiteNumbers};
+use crate::base::Result;
+
+/// Half of the gap keeps the order of samples.
+const LARGEST: f64 = 0.5;
+
+pub const SITE: About = About {
+    name: "t",
+    level: Level::Input,
+    what: "shift along the ray",
+    unit: "gap to the nearer sample",
+    passes: Passes::Both,
+    key: 0,
+    sizes: DefaultSizes {
+        steps: 3,
+        norm: Norm::Linf,
+        paper_epsilon: LARGEST,
+        paper_step_size: 1e-2,
+        calibrated_epsilon: |_| 0.25,
+    },
+    largest_epsilon: (LARGEST, "0 to 0.5 of the gap to the nearer sample, so that samples stay sorted"),
+    scalar: true,
+    set,
+};
+
+/// At most epsilon of the gap to the nearer neighbour (the ends: to their one neighbour), within near..far.
+///
+/// The radius is two roundings short of its name: with epsilon 1/2 two neighbours may meet, and a
+/// gap that was rounded up would let them pass each other.
+fn set(numbers: &SiteNumbers, _: &SetChoices, pass: &PassGeometry) -> Result<DeltaSet> {
+    let (t_vals, (near, far)) = (pass.t_vals, pass.bounds);
+    let (rays, samples) = t_vals.dims2()?;
+    let gaps = (t_vals.narrow(1, 1, samples - 1)? - t_vals.narrow(1, 0, samples - 1)?)?;
+    let before = Tensor::cat(&[&gaps.narrow(1, 0, 1)?, &gaps], 1)?;
+    let after = Tensor::cat(&[&gaps, &gaps.narrow(1, samples - 2, 1)?], 1)?;
+    let short = match t_vals.dtype() {
+        DType::F64 => 1.0 - 2.0 * f64::EPSILON,
+        _ => 1.0 - 2.0 * f64::from(f32::EPSILON),
+    };
+    let radius = (before.minimum(&after)? * (numbers.epsilon * short))?;
+    let zero = t_vals.zeros_like()?;
+    // A sample outside near..far (rounding) must not be pushed by its own bound.
+    let lower = t_vals.affine(-1.0, near)?.minimum(&zero)?;
+    let upper = t_vals.affine(-1.0, far)?.maximum(&zero)?;
+    let mut set = DeltaSet::new(Norm::Linf, radius, &[rays, samples]);
+    set.bounds = Some((lower, upper));
+    Ok(set)
+}

@@ -1,0 +1,87 @@
+//! One clean pass of rays through one field.
+
+use candle_core::{D, Tensor};
+
+use crate::base::Result;
+use crate::data::Rays;
+use crate::field::{Field, RawOutput};
+
+use super::cast::{positions_at, samples_of};
+use super::volume::{self, Composite};
+
+/// What one pass needs besides the field.
+#[derive(Clone, Copy)]
+pub struct Pass<'a> {
+    /// The rays.
+    pub rays: &'a Rays,
+    /// Sample positions, `[rays, samples]`; of a field with integrated encoding the edges of intervals,
+    /// `[rays, samples + 1]`.
+    pub t_vals: &'a Tensor,
+    /// Added to raw density, `[rays, samples]`.
+    pub density_noise: Option<&'a Tensor>,
+    /// Fills missing accumulation.
+    pub background: Option<[f32; 3]>,
+}
+
+/// What one pass gives.
+pub struct PassOutput {
+    /// Colour, depth, accumulation, weights.
+    pub composite: Composite,
+    /// Colour of each sample after activation and delta, `[rays, samples, 3]`.
+    pub rgb: Tensor,
+    /// Density of each sample after activation and delta, `[rays, samples]`.
+    pub density: Tensor,
+    /// The pass's `t_vals` with their delta.
+    pub t_vals: Tensor,
+    /// Raw density of each sample without noise, detached, `[rays, samples]`.
+    pub raw_density: Tensor,
+}
+
+/// Renders one pass without perturbation.
+pub fn clean_pass(field: &Field, pass: Pass) -> Result<PassOutput> {
+    let positions = positions_at(field, pass.rays, pass.t_vals)?.flatten(0, 1)?;
+    let raw = field.forward(&positions, &pass.rays.viewdirs, None)?;
+    let raw = by_ray(raw, pass.rays.len(), samples_of(field, pass.t_vals)?)?;
+    finish(pass, pass.t_vals, &raw, activate(field, &raw, pass.density_noise)?)
+}
+
+/// Composites the samples of a pass whose samples lie at `t_vals`.
+pub(super) fn finish(pass: Pass, t_vals: &Tensor, raw: &RawOutput, samples: SampleValues) -> Result<PassOutput> {
+    let SampleValues { rgb, density } = samples;
+    let composite = volume::composite(&rgb, &density, t_vals, &pass.rays.direction_norm, pass.background)?;
+    let (t_vals, raw_density) = (t_vals.detach(), raw.density.detach());
+    Ok(PassOutput { composite, rgb, density, t_vals, raw_density })
+}
+
+/// Accumulation of rays without density noise, `[rays]`: what an evaluation would see.
+pub fn noiseless_acc(field: &Field, out: &PassOutput, pass: Pass) -> Result<Tensor> {
+    if pass.density_noise.is_none() {
+        return Ok(out.composite.acc.detach());
+    }
+    let samples = out.raw_density.dim(1)?;
+    let intervals = volume::intervals(pass.t_vals, &pass.rays.direction_norm, samples)?;
+    Ok(volume::weights_from_density(&field.activate_density(&out.raw_density)?, &intervals)?.sum(D::Minus1)?)
+}
+
+/// A field's raw output as rgb `[rays, samples, 3]` and density `[rays, samples]`.
+pub(super) fn by_ray(raw: RawOutput, rays: usize, samples: usize) -> Result<RawOutput> {
+    Ok(RawOutput { rgb: raw.rgb.reshape((rays, samples, 3))?, density: raw.density.reshape((rays, samples))? })
+}
+
+/// What is composited: colour and density of each sample.
+pub(super) struct SampleValues {
+    /// `[rays, samples, 3]`.
+    pub(super) rgb: Tensor,
+    /// `[rays, samples]`.
+    pub(super) density: Tensor,
+}
+
+/// The field's activations on colour and density, and noise on density.
+pub(super) fn activate(field: &Field, raw: &RawOutput, density_noise: Option<&Tensor>) -> Result<SampleValues> {
+    let rgb = field.activate_rgb(&raw.rgb)?;
+    let density = match density_noise {
+        Some(noise) => field.activate_density(&(&raw.density + noise)?)?,
+        None => field.activate_density(&raw.density)?,
+    };
+    Ok(SampleValues { rgb, density })
+}

@@ -1,0 +1,197 @@
+//! The perturbed pass (paper, algorithm 1, lines 9 to 13): where each site's delta enters, and what a search need not
+//! compute again.
+
+use candle_core::Tensor;
+
+use crate::augment::{DeltaSet, Deltas, Sets, Site};
+use crate::base::Result;
+use crate::data::Rays;
+use crate::field::{FeatureDelta, Field, FixedPoints, RawOutput};
+use crate::settings::OutputPlace;
+
+use super::cast::{positions_at, samples_of};
+use super::pass::{Pass, PassOutput, SampleValues, activate, by_ray, finish};
+
+/// Deltas of a perturbed pass and how they enter it.
+#[derive(Clone, Copy)]
+pub struct Perturbation<'a> {
+    /// The deltas.
+    pub deltas: &'a Deltas,
+    /// Their sets, for the projection of the output level onto what this forward leaves it.
+    pub sets: &'a Sets,
+    /// Trunk layer (1-based) that the feature delta is added to.
+    pub injection_layer: usize,
+    /// Where the output deltas are added.
+    pub output: OutputPlace,
+}
+
+/// What a perturbed pass gives.
+pub struct PerturbedOutput {
+    /// Colours, densities and what the rays show.
+    pub pass: PassOutput,
+    /// The deltas that it used.
+    pub used: UsedDeltas,
+}
+
+/// Deltas as a pass used them.
+pub struct UsedDeltas {
+    /// `rgb` and `density` projected for this forward, the others as given.
+    pub deltas: Deltas,
+    /// The sets that they were projected onto: `rgb` and `density` cut by what this forward left.
+    pub sets: Sets,
+}
+
+impl UsedDeltas {
+    fn of(perturbation: Perturbation) -> UsedDeltas {
+        UsedDeltas { deltas: perturbation.deltas.clone(), sets: perturbation.sets.clone() }
+    }
+
+    fn put(&mut self, site: Site, delta: Tensor, set: DeltaSet) {
+        self.deltas.set(site, delta);
+        self.sets.set(site, set);
+    }
+}
+
+/// Renders one pass with deltas.
+///
+/// # Errors
+/// Those of candle: shapes that do not fit.
+pub fn perturbed_pass(field: &Field, pass: Pass, perturbation: Perturbation) -> Result<PerturbedOutput> {
+    let samples = MovedSamples::new(field, pass, perturbation.deltas)?;
+    let query = |viewdirs: &Tensor, delta: Option<FeatureDelta>| field.forward(&samples.positions, viewdirs, delta);
+    perturb(field, pass, &samples.t_vals, perturbation, query)
+}
+
+/// The samples of a pass that no delta moves any more. What depends on them alone is computed once for all passes
+/// through them.
+pub struct FixedSamples<'a> {
+    field: &'a Field,
+    pass: Pass<'a>,
+    t_vals: Tensor,
+    points: FixedPoints<'a>,
+}
+
+impl<'a> FixedSamples<'a> {
+    /// The sites that move samples: a search can fix them when none of these moves.
+    pub const MOVED_BY: [Site; 2] = [Site::T, Site::Xyz];
+
+    /// Fixes the samples of `pass` where `deltas` have moved them. `field` is frozen.
+    ///
+    /// # Errors
+    /// Those of candle: shapes that do not fit.
+    pub fn new(field: &'a Field, pass: Pass<'a>, deltas: &Deltas) -> Result<FixedSamples<'a>> {
+        let MovedSamples { t_vals, positions } = MovedSamples::new(field, pass, deltas)?;
+        Ok(FixedSamples { field, pass, t_vals, points: field.fix(&positions) })
+    }
+
+    /// As [`perturbed_pass`]; the deltas of [`FixedSamples::MOVED_BY`] are those that it was made with.
+    ///
+    /// # Errors
+    /// Those of candle: shapes that do not fit.
+    pub fn perturbed_pass(&self, perturbation: Perturbation) -> Result<PerturbedOutput> {
+        let query = |viewdirs: &Tensor, delta: Option<FeatureDelta>| self.points.forward(viewdirs, delta);
+        perturb(self.field, self.pass, &self.t_vals, perturbation, query)
+    }
+}
+
+/// Where a perturbed pass queries its field.
+struct MovedSamples {
+    t_vals: Tensor,
+    /// Points `[rays * samples, 3]`, or Gaussians `[rays * samples, 6]`, of which `xyz` moves the mean.
+    positions: Tensor,
+}
+
+impl MovedSamples {
+    fn new(field: &Field, pass: Pass, deltas: &Deltas) -> Result<MovedSamples> {
+        let t_vals = match deltas.get(Site::T) {
+            Some(delta) => (pass.t_vals + delta)?,
+            None => pass.t_vals.clone(),
+        };
+        let positions = positions_at(field, pass.rays, &t_vals)?;
+        let positions = match deltas.get(Site::Xyz) {
+            Some(delta) if positions.dim(2)? > 3 => (positions + Tensor::cat(&[delta, &delta.zeros_like()?], 2)?)?,
+            Some(delta) => (positions + delta)?,
+            None => positions,
+        };
+        Ok(MovedSamples { t_vals, positions: positions.flatten(0, 1)? })
+    }
+}
+
+/// The pass behind its samples, which `query` takes to raw colour and density.
+fn perturb(
+    field: &Field,
+    pass: Pass,
+    t_vals: &Tensor,
+    perturbation: Perturbation,
+    query: impl FnOnce(&Tensor, Option<FeatureDelta>) -> Result<RawOutput>,
+) -> Result<PerturbedOutput> {
+    let deltas = perturbation.deltas;
+    let viewdirs = match deltas.get(Site::View) {
+        Some(delta) => tilt(pass.rays, delta)?,
+        None => pass.rays.viewdirs.clone(),
+    };
+    let feature = deltas.get(Site::Feature).map(|delta| delta.flatten(0, 1)).transpose()?;
+    let feature = feature.as_ref().map(|delta| FeatureDelta { layer: perturbation.injection_layer, delta });
+    let raw = by_ray(query(&viewdirs, feature)?, pass.rays.len(), samples_of(field, t_vals)?)?;
+    let mut used = UsedDeltas::of(perturbation);
+    let values = match perturbation.output {
+        OutputPlace::After => {
+            add_after(activate(field, &raw, pass.density_noise)?, perturbation, field.config().rgb_padding, &mut used)?
+        }
+        OutputPlace::Before => activate(field, &add_before(&raw, perturbation, &mut used)?, pass.density_noise)?,
+    };
+    Ok(PerturbedOutput { pass: finish(pass, t_vals, &raw, values)?, used })
+}
+
+/// Moves unit view directions by two small angles `[rays, 2]` in their tangent planes.
+fn tilt(rays: &Rays, angles: &Tensor) -> Result<Tensor> {
+    let missing = || candle_core::Error::Msg("these rays have no tangents to tilt them along".into());
+    let [u, w] = rays.tangents.as_ref().ok_or_else(missing)?;
+    let along = |axis: usize, tangents: &Tensor| angles.narrow(1, axis, 1)?.broadcast_mul(tangents);
+    let moved = ((&rays.viewdirs + along(0, u)?)? + along(1, w)?)?;
+    let norm = moved.sqr()?.sum_keepdim(1)?.sqrt()?;
+    Ok(moved.broadcast_div(&norm)?)
+}
+
+/// Adds the output deltas to colour and density, projected so that colour stays in 0..=1 (and the field's padding) and
+/// density does not turn negative. The projected value counts; gradients pass to delta and field
+/// as if nothing had been projected.
+fn add_after(values: SampleValues, p: Perturbation, padding: f64, used: &mut UsedDeltas) -> Result<SampleValues> {
+    let mut add = |site: Site, value: Tensor| -> Result<Tensor> {
+        let (Some(delta), Some(set)) = (p.deltas.get(site), p.sets.get(site)) else { return Ok(value) };
+        let now = value.detach();
+        let (lower, upper) = match site {
+            Site::Rgb => (now.affine(-1.0, -padding)?, now.affine(-1.0, 1.0 + padding)?),
+            _ => (now.neg()?, (now.zeros_like()? + f64::from(f32::MAX))?),
+        };
+        let cut = set.within(lower, upper);
+        let projected = cut.project(&delta.detach())?;
+        let moved = (&now + &projected)?;
+        // The projected sum can leave the range by a rounding.
+        let legal = match site {
+            Site::Rgb => moved.clamp(-padding, 1.0 + padding)?,
+            _ => moved.relu()?,
+        };
+        used.put(site, projected, cut);
+        straight_through(legal, &value, delta)
+    };
+    Ok(SampleValues { rgb: add(Site::Rgb, values.rgb)?, density: add(Site::Density, values.density)? })
+}
+
+/// The tensor `exact`, with the gradient of `value + delta`. The two differences are exactly 0.
+fn straight_through(exact: Tensor, value: &Tensor, delta: &Tensor) -> Result<Tensor> {
+    let gradient = ((value - value.detach())? + (delta - delta.detach())?)?;
+    Ok((exact + gradient)?)
+}
+
+/// Adds the output deltas before the activations: the box alone limits them.
+fn add_before(raw: &RawOutput, p: Perturbation, used: &mut UsedDeltas) -> Result<RawOutput> {
+    let mut add = |site: Site, value: &Tensor| -> Result<Tensor> {
+        let (Some(delta), Some(set)) = (p.deltas.get(site), p.sets.get(site)) else { return Ok(value.clone()) };
+        let projected = set.project(&delta.detach())?;
+        let moved = (value.detach() + &projected)?;
+        used.deltas.set(site, projected);
+        straight_through(moved, value, delta)
+    };
+    Ok(RawOutput { rgb: add(Site::Rgb, &raw.rgb)?, density: add(Site::Density, &raw.density)? })
+}
