@@ -1,25 +1,51 @@
 //! augnerf trains neural radiance fields, plain (NeRF) and with worst-case augmentation
 //! (Aug-NeRF), and measures both under one protocol.
 //!
+//! # Where to start
+//!
+//! | to | start at |
+//! |---|---|
+//! | say where numbers are computed | [`runtime::Runtime`] |
+//! | lay settings over one another | [`settings::build`] |
+//! | load a scene | [`run::load_scene`]; one of your own: [`data::Scene`] |
+//! | take training steps, add a term of your own to the loss | [`train::Trainer`], [`losses::LossTerm`] |
+//! | train in a run folder, with logs, checkpoints and metrics | [`run::Job`] |
+//! | open a run, measure it again, draw its surface | [`run::Trained`] |
+//! | render a view | [`run::Viewer`] |
+//! | compare pictures, meshes | [`metrics::measure`], [`space::chamfer`], [`space::read_mesh`] |
+//! | run many trainings as one table | [`sweep::expand`], [`report::tables::Table`] |
+//! | hear what goes on | [`base::Listener`] |
+//!
+//! The folder `examples` has a training, a view of an opened run, a regularizer and a data format of one's own; `docs` has a page
+//! for each thing that the program does.
+//!
 //! # The pipeline
 //!
 //! ```text
-//!  data ── views ──► methods::Batches ─ Rays, target ────────────────────────────┐
-//!                                                                                │
-//!  one step (methods)                                                            ▼
-//!  ┌─ clean pass (render) ──────────────────────────────────────────────────────────────────┐
+//!  settings: preset, file, --set ─► Config ──── data: format ─► Scene ─────► Resolved
+//!                                                  │ views
+//!  one step (methods: a Learner)                   ▼
+//!                              Batches ─ rays, target colours ───────────────────┐
+//!                                  │                                             ▼
+//!  ┌─ clean pass (render) ─────────▼────────────────────────────────────────────────────────┐
 //!  │ sampling ─► points ─► field: encoding ─► trunk ─► density, rgb ─► volume ─► rgb, weights │
 //!  └──────┬──────────▲────────────────────────▲──────────────▲──────────────────────┬─────────┘
 //!         │ t_vals   │ t, xyz, view           │ feature      │ rgb, density         │ loss
 //!         │       ┌──┴────────────────────────┴──────────────┴──┐                   │
-//!         └──────►│ augment: sets of deltas ─► ascent of the loss │◄── gradients ─────┤
+//!         └──────►│ augment: deltas, sets ─► ascent of the loss │◄── gradients ─────┤
 //!                 └─────────────────────────────────────────────┘                   ▼
-//!                          perturbed pass, lambda ─────────────────────────► train::Adam
-//!    box of points ─► field: density, gradient, Laplacian ─► regularizers ──────────▲
+//!                          perturbed pass, lambda ──────────────────► train: Adam, checkpoint
+//!  losses: on rays (distortion) ────────────────────────────────────────────────────▲
+//!          in a box: density, its gradient, its Laplacian (l1, tv, laplacian) ──────┘
 //!
-//!  checkpoint ─► evaluate ─► metrics ─► output (metrics.json, CSV, pictures)
-//!             └► geometry: density on a lattice ─► level set ─► mesh ─► Chamfer distance to a reference
+//!  checkpoint ─► run::Trained ─► methods: a Painter ─► views ─► metrics ─► metrics.json, CSV, pictures
+//!                            └─► space: density on a lattice ─► level set ─► mesh ─► Chamfer distance to a reference
+//!
+//!  sweep: definition ─► points ─► one run each ─► report: records ─► tables, figures
+//!  compare: runs ─► one view or ray side by side
 //! ```
+//!
+//! A learner and a painter are all that training and evaluation know of a method; a [`field::Density`] is there or not.
 //!
 //! # Symbols
 //!
@@ -29,7 +55,7 @@
 //! | `viewdirs` | `[rays, 3]` | 1 | unit direction of the world ray |
 //! | `near`, `far` | scalars | as `t_vals` | ends of a ray's interval |
 //! | `t_vals` | `[rays, samples]` | lengths of `directions` | sorted sample positions; MipNeRF: edges of intervals, `[rays, samples + 1]` |
-//! | `points` | `[rays, samples, 3]` | scene units | what the field is asked at; MipNeRF: Gaussians, `[rays, samples, 6]` |
+//! | `points` | `[rays, samples, 3]` | scene units | what the field is queried at; MipNeRF: Gaussians, `[rays, samples, 6]` |
 //! | `rgb` | `[rays, samples, 3]` or `[rays, 3]` | 0..1 | colour of samples, of rays |
 //! | `density` | `[rays, samples]` | 1 / scene unit | extinction, not negative |
 //! | `alpha` | `[rays, samples]` | 0..1 | 1 - exp(-density * interval) |
@@ -42,6 +68,9 @@
 //! | `lambda` | scalar | 1 | weight of the perturbed loss |
 //! | `laplacian` | `[n]` | 1 / scene unit^3 | divergence of density's gradient |
 //! | `threshold` | scalar | as `density` | its level set is the surface |
+//! | `gradient` | `[n, 3]` | 1 / scene unit^2 | slope of density |
+//! | `pose` | `[3, 4]` | scene units | columns: the camera's right, up and backward axes, its place |
+//! | `lattice`, `side` | scalar | cells | a box is cut into `side`^3 of them |
 //!
 //! # Layers
 //!
@@ -67,6 +96,9 @@
 //! generic over f32 and f64; training runs in f32, the tests' oracles in f64.
 
 #![warn(missing_docs)]
+
+/// The tensor library, in the version that this crate's types are made of.
+pub use candle_core;
 
 pub mod augment;
 pub mod base;

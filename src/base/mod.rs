@@ -5,9 +5,9 @@ mod error;
 mod events;
 pub mod files;
 mod image;
-pub mod revision;
+mod revision;
 pub mod rng;
-pub mod tensors;
+pub(crate) mod tensors;
 
 pub use error::{Class, Error, Result};
 pub use events::{Event, Listener};

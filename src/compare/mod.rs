@@ -14,10 +14,11 @@ mod run_view;
 mod shown;
 mod window;
 
-pub use comparison::{Comparison, check_box};
+pub use comparison::Comparison;
+pub(crate) use comparison::check_box;
 pub use differences::{Difference, differences};
-pub use fade::check_fade;
+pub(crate) use fade::check_fade;
 pub use profile::{Profile, Profiles, RaySmoothness, patch_around};
-pub use profile_figure::check_overlay;
+pub(crate) use profile_figure::check_overlay;
 pub use run_view::{RunView, labels};
 pub use window::{Window, crop, most_different};

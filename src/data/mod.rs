@@ -1,18 +1,18 @@
 //! Scenes: posed images split into training, validation and held-out views.
 
-pub mod camera;
+pub(crate) mod camera;
 pub mod corruption;
-pub mod depth;
+pub(crate) mod depth;
 mod describe;
 mod detect;
 pub mod formats;
 pub mod images;
 mod json;
-pub mod npy;
-pub mod ply;
+pub(crate) mod npy;
+pub(crate) mod ply;
 pub mod pose;
-pub mod rays;
-pub mod resample;
+pub(crate) mod rays;
+pub(crate) mod resample;
 pub mod vector;
 
 pub use camera::{Camera, Ndc};
@@ -39,7 +39,7 @@ pub struct View {
     /// RGB on the scene's background, `camera.width x camera.height`.
     pub image: Arc<Image>,
     /// Ground-truth depth along the view's z axis in scene units, row-major, where the scene has it: exactly
-    /// (the embedded scene) or in steps of 8 bits ([`depth`]). `f32::INFINITY` where the ray hits nothing, NaN where it
+    /// (the embedded scene) or in steps of 8 bits. `f32::INFINITY` where the ray hits nothing, NaN where it
     /// is not known.
     pub depth: Option<Vec<f32>>,
 }

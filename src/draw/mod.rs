@@ -1,7 +1,7 @@
 //! Pictures: figures in SVG and PNG, images, depth maps, animations.
 
 pub(crate) mod canvas;
-pub mod pictures;
+pub(crate) mod pictures;
 
 pub use canvas::Figure;
 pub use pictures::{

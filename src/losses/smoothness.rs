@@ -25,7 +25,7 @@ pub struct Smoothness {
     pub occupied: f64,
 }
 
-/// Measures a field on every cell's midpoint. `advance` is called after each of [`crate::space::chunk_count`] chunks.
+/// Measures a field on every cell's midpoint. `advance` is called after each chunk of cells.
 pub fn measure(field: &Field, lattice: &Lattice, mut advance: impl FnMut()) -> Result<Smoothness> {
     let terms: [&dyn SpaceTerm; 3] = [&L1, &Tv, &Laplacian];
     let points = Quadrature::full(*lattice);

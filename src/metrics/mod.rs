@@ -24,6 +24,19 @@ use crate::base::{Error, Image, Result};
 /// Measures one view. SSIM and LPIPS, like `psnr`, see the 8-bit rounded images, so that the
 /// written PNG files give the same numbers. LPIPS is `None` for backbones that are not among
 /// `lpips` and for images below the backbone's smallest side.
+///
+/// ```
+/// use augnerf::base::Image;
+/// use augnerf::metrics::measure;
+///
+/// let grey = |value| Image { width: 16, height: 16, channels: 3, pixels: vec![value; 16 * 16 * 3] };
+/// let metrics = measure("view", &grey(102.0 / 255.0), &grey(127.5 / 255.0), &[])?;
+/// // -10 log10 of the mean squared error of the 8-bit colours 102 and 128.
+/// let psnr = -20.0 * (26.0f64 / 255.0).log10();
+/// assert!((metrics.get("psnr").unwrap() - psnr).abs() < 1e-4);
+/// assert_eq!(metrics.get("lpips_squeeze"), None);
+/// # Ok::<(), augnerf::base::Error>(())
+/// ```
 pub fn measure(name: &str, rendered: &Image, truth: &Image, lpips: &[Lpips]) -> Result<ViewMetrics> {
     check_finite(name, rendered)?;
     let error = mse(rendered, truth)?;

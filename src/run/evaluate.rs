@@ -37,6 +37,25 @@ pub struct Viewer<'a> {
 impl Viewer<'_> {
     /// Renders the view of a camera without any randomness, `config.eval.chunk` rays at a time.
     ///
+    /// ```
+    /// use augnerf::candle_core::DType;
+    /// use augnerf::run::{Viewer, load_scene};
+    /// use augnerf::runtime::Runtime;
+    /// use augnerf::settings::{Preset, build, parse_assignment};
+    /// use augnerf::train::Trainer;
+    ///
+    /// let small = ["data.width=16", "field.width=16"].map(|text| parse_assignment(text).unwrap());
+    /// let (config, scene) = load_scene(build(Some(Preset::Smoke), None, &small)?, &())?;
+    /// let runtime = Runtime::new("cpu", None)?;
+    /// let trainer = Trainer::new(&config, &scene, DType::F32, &runtime)?;
+    ///
+    /// let viewer = Viewer { model: trainer.model(), config: &config, scene: &scene, runtime: &runtime };
+    /// let view = viewer.render(&scene.path[0])?;
+    /// assert_eq!((view.image.width, view.image.height, view.depth.len()), (16, 16, 256));
+    /// assert!(view.acc.iter().all(|acc| (0.0..=1.0).contains(acc)));
+    /// # Ok::<(), augnerf::base::Error>(())
+    /// ```
+    ///
     /// # Errors
     /// [`Error::Diverged`]: a colour that is not a number.
     pub fn render(&self, camera: &Camera) -> Result<RenderedView> {

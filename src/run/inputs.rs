@@ -39,6 +39,19 @@ pub fn locate_scene(mut config: Config) -> Result<Located> {
 ///
 /// # Errors
 /// Those of [`locate_scene`]; pictures or poses that cannot be read.
+///
+/// ```
+/// use augnerf::run::load_scene;
+/// use augnerf::settings::{Preset, build, parse_assignment};
+///
+/// // Without a folder in data.dir, the scene is the embedded one.
+/// let draft = build(Some(Preset::Smoke), None, &[parse_assignment("data.width=24")?])?;
+/// let (config, scene) = load_scene(draft, &())?;
+/// assert_eq!((scene.name.as_str(), scene.train[0].camera.width), ("builtin", 24));
+/// assert_eq!((scene.near, scene.far), (2.0, 6.0));
+/// assert_eq!(config.data.kind.name(), scene.kind);
+/// # Ok::<(), augnerf::base::Error>(())
+/// ```
 pub fn load_scene(config: Config, events: &dyn Listener) -> Result<(Resolved, Scene)> {
     let located = locate_scene(config)?;
     let mut scene = data::load(&located.data, located.seed, events)?;

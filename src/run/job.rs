@@ -36,6 +36,28 @@ pub struct Setup<'a> {
 }
 
 /// A training that is ready to start or to go on.
+///
+/// ```
+/// use std::sync::atomic::AtomicUsize;
+///
+/// use augnerf::run::{Job, Setup, load_scene};
+/// use augnerf::runtime::Runtime;
+/// use augnerf::settings::{Preset, build};
+/// # use augnerf::settings::parse_assignment;
+/// # let folder = tempfile::tempdir().unwrap();
+/// # let folder = folder.path().join("run");
+/// # let small = ["data.width=16", "field.width=16", "train.rays=64", "train.steps=4"];
+/// # let small = small.map(|text| parse_assignment(text).unwrap());
+/// # let set = small;
+///
+/// let (config, scene) = load_scene(build(Some(Preset::Smoke), None, &set)?, &())?;
+/// let setup = Setup { config, scene: &scene, lpips: &[], runtime: Runtime::new("cpu", None)? };
+/// // A signal's number in the flag stops it with a checkpoint.
+/// let finished = Job::create(&folder, false, setup)?.train(&(), &AtomicUsize::new(0))?;
+/// assert!(finished.report.mean.get("psnr").is_some());
+/// assert!(folder.join("metrics.json").is_file());
+/// # Ok::<(), augnerf::base::Error>(())
+/// ```
 pub struct Job<'a> {
     experiment: Experiment<'a>,
     trainer: Trainer,

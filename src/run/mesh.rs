@@ -10,7 +10,9 @@ use crate::base::files::{AtomicDir, write_json};
 use crate::base::{Error, Event, Listener, Result, version};
 use crate::data::{Format, npy};
 use crate::settings::DataKind;
-use crate::space::{self, DensityRange, Drawing, Lattice, LevelSet, Mesh, Reference, Skin, level_set, skin};
+use crate::space::{
+    self, DensityRange, Drawing, FinishedMesh, Lattice, LevelSet, Mesh, Reference, finish_mesh, level_set,
+};
 
 use super::{
     BUILTIN, Protocol, RunDir, Trained, folder, most_memory_mib, reference_mesh, surface_box, surface_threshold,
@@ -176,12 +178,12 @@ impl Trained {
         if options.largest {
             mesh = mesh.keep(&components[0]);
         }
-        let skin = skin(&*self.model.density()?, mesh, &drawing.lattice, self.scene.ndc.as_ref())?;
+        let finished = finish_mesh(&*self.model.density()?, mesh, &drawing.lattice, self.scene.ndc.as_ref())?;
         for format in &options.formats {
-            format.write(&files.path().join(format.file()), &skin.mesh)?;
+            format.write(&files.path().join(format.file()), &finished.mesh)?;
         }
         let dropped = if options.largest { components.len() - 1 } else { 0 };
-        let report = MeshReport::new(self, &drawing, range, &skin, [components.len(), dropped]);
+        let report = MeshReport::new(self, &drawing, range, &finished, [components.len(), dropped]);
         write_json(&files.path().join("mesh.json"), &report)?;
         files.commit()?;
         Ok(report)
@@ -212,11 +214,11 @@ impl MeshReport {
         trained: &Trained,
         drawing: &Drawing,
         density: DensityRange,
-        skin: &Skin,
+        finished: &FinishedMesh,
         [components, components_dropped]: [usize; 2],
     ) -> MeshReport {
         let Trained { scene, config, state, .. } = trained;
-        let (mesh, open_edges) = (&skin.mesh, skin.mesh.open_edges());
+        let (mesh, open_edges) = (&finished.mesh, finished.mesh.open_edges());
         MeshReport {
             step: state.step,
             resolution: drawing.lattice.side,
@@ -234,7 +236,7 @@ impl MeshReport {
             volume: (open_edges == 0).then(|| mesh.volume()),
             components,
             components_dropped,
-            normals_of_triangles: skin.flat,
+            normals_of_triangles: finished.flat,
             protocol: trained.protocol(),
         }
     }

@@ -17,6 +17,28 @@ use super::{Protocol, RenderedView, Report, RunDir, Viewer, load_scene, surface_
 /// The newest checkpoint of a run, with its scene: everything that can be looked at or measured.
 ///
 /// Its folder is locked as long as this value lives: no training may prune the checkpoint that is being read.
+///
+/// ```
+/// use augnerf::run::Trained;
+/// use augnerf::runtime::Runtime;
+/// # use std::sync::atomic::AtomicUsize;
+/// # use augnerf::run::{Job, Setup, load_scene};
+/// # use augnerf::settings::{Preset, build, parse_assignment};
+/// # let dir = tempfile::tempdir().unwrap();
+/// # let folder = dir.path().join("run");
+/// # let runtime = Runtime::new("cpu", None)?;
+/// # let small = ["data.width=16", "field.width=16", "train.rays=64", "train.steps=4"];
+/// # let small = small.map(|text| parse_assignment(text).unwrap());
+/// # let (config, scene) = load_scene(build(Some(Preset::Smoke), None, &small)?, &())?;
+/// # let setup = Setup { config, scene: &scene, lpips: &[], runtime };
+/// # Job::create(&folder, false, setup)?.train(&(), &AtomicUsize::new(0))?;
+///
+/// let trained = Trained::open(&folder, None, &Runtime::new("cpu", None)?, &())?;
+/// assert_eq!((trained.state.step, trained.protocol().scene.as_str()), (4, "builtin"));
+/// let report = trained.evaluate(&[], &())?;
+/// assert_eq!(report.views.len(), trained.scene.test.len());
+/// # Ok::<(), augnerf::base::Error>(())
+/// ```
 pub struct Trained {
     /// The run's folder.
     pub run: RunDir,

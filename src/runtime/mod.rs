@@ -7,11 +7,12 @@ use rayon::{ThreadPool, ThreadPoolBuilder};
 
 use crate::base::{Error, Result};
 
-pub mod host;
+pub(crate) mod host;
 mod process;
 mod work;
 
-pub use host::{Host, Timing, free_memory_mib, host_name, peak_memory_mib};
+pub use host::{Host, Timing};
+pub(crate) use host::{free_memory_mib, host_name, peak_memory_mib};
 pub use work::Work;
 pub(crate) use work::{count_multiply_adds, count_points};
 

@@ -78,6 +78,19 @@ pub fn parse_assignment(text: &str) -> Result<(Vec<String>, Value)> {
 
 /// Lays preset, settings of the method that is named, file and assignments (`(path, value)` in order) over the defaults and
 /// checks the whole.
+///
+/// ```
+/// use augnerf::settings::{Preset, build, parse_assignment};
+///
+/// let steps = parse_assignment("train.steps=20")?;
+/// let config = build(Some(Preset::Smoke), None, &[steps])?;
+/// assert_eq!((config.train.steps, config.field.width), (20, 64));
+///
+/// let unknown = parse_assignment("train.stepz=20")?;
+/// let refusal = build(None, None, &[unknown]).unwrap_err();
+/// assert!(refusal.to_string().contains("train.steps"));
+/// # Ok::<(), augnerf::base::Error>(())
+/// ```
 pub fn build(preset: Option<Preset>, file: Option<&Path>, assignments: &[(Vec<String>, Value)]) -> Result<Config> {
     let mut base = Table::new();
     if let Some(preset) = preset {

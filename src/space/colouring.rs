@@ -12,7 +12,7 @@ use crate::space::{CHUNK, Lattice};
 use super::Mesh;
 
 /// A finished mesh.
-pub struct Skin {
+pub struct FinishedMesh {
     /// In scene units, with normals and colours.
     pub mesh: Mesh,
     /// Vertices where density is flat (an interpolated vertex may lie where the field is empty): they have the
@@ -23,7 +23,12 @@ pub struct Skin {
 /// Finishes a level set that `density` has on `lattice`: brings it from NDC to scene units where `ndc` is given, and gives
 /// each vertex its outward normal, against density's exact gradient, and the colour that is seen there by an eye that looks
 /// against the normal.
-pub fn skin(density: &dyn Density, level_set: Mesh, lattice: &Lattice, ndc: Option<&Ndc>) -> Result<Skin> {
+pub fn finish_mesh(
+    density: &dyn Density,
+    level_set: Mesh,
+    lattice: &Lattice,
+    ndc: Option<&Ndc>,
+) -> Result<FinishedMesh> {
     let queried = level_set.vertices.clone();
     let mut mesh = in_scene(level_set, ndc)?;
     let faces = mesh.face_normals();
@@ -61,7 +66,7 @@ pub fn skin(density: &dyn Density, level_set: Mesh, lattice: &Lattice, ndc: Opti
         mesh.colours.extend(colours);
         flat += part_flat;
     }
-    Ok(Skin { mesh, flat })
+    Ok(FinishedMesh { mesh, flat })
 }
 
 /// Normals and colours of some vertices, and how many of them are flat.

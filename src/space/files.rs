@@ -55,6 +55,17 @@ pub fn write_obj(mesh: &Mesh, comment: &str, out: &mut impl Write) -> std::io::R
 
 /// Reads positions and faces of a `.ply` (ascii or binary) or `.obj` file. Polygons are cut into triangles from
 /// their first corner. A mesh without faces or area, or with a coordinate that is no number, is refused.
+///
+/// ```
+/// use augnerf::space::read_mesh;
+///
+/// let folder = tempfile::tempdir().unwrap();
+/// let file = folder.path().join("triangle.obj");
+/// std::fs::write(&file, "v 0 0 0\nv 1 0 0\nv 0 2 0\nf 1 2 3\n").unwrap();
+/// let mesh = read_mesh(&file)?;
+/// assert_eq!((mesh.triangles.len(), mesh.area()), (1, 1.0));
+/// # Ok::<(), augnerf::base::Error>(())
+/// ```
 pub fn read_mesh(path: &Path) -> Result<Mesh> {
     let fail = |what: String| Error::Data(format!("{}: {what}", path.display()));
     let file = std::fs::File::open(path).map_err(|e| Error::unreadable(path, &e))?;

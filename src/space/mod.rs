@@ -12,9 +12,9 @@ mod level;
 mod marching;
 mod mesh;
 
-pub use cells::{CHUNK, chunk_count, densities};
-pub(crate) use cells::{chunk_size, chunks_at_once, over_chunks};
-pub use colouring::{Skin, in_scene, skin};
+pub use cells::{CHUNK, densities};
+pub(crate) use cells::{chunk_count, chunk_size, chunks_at_once, over_chunks};
+pub use colouring::{FinishedMesh, finish_mesh, in_scene};
 pub use distance::{Chamfer, PointCloud, Reference, Score, chamfer, sample};
 pub use files::{read_mesh, write_obj, write_ply};
 pub use lattice::{Lattice, Quadrature};

@@ -48,6 +48,37 @@ impl Point {
 }
 
 /// A definition's points: laid out, then given the steps of their budgets.
+///
+/// ```
+/// use augnerf::base::Result;
+/// use augnerf::settings::Config;
+/// use augnerf::sweep::{Definition, StepCosts, expand};
+///
+/// /// Where budgets are counted in seconds, a step's are measured.
+/// struct OneSecond;
+/// impl StepCosts for OneSecond {
+///     fn seconds_per_step(&self, _: &Config) -> Result<f64> {
+///         Ok(1.0)
+///     }
+/// }
+///
+/// let text = r#"
+/// title = "Does worst-case augmentation help?"
+/// preset = "smoke"
+/// scenes = ["builtin"]
+/// seeds = [0, 1, 2]
+/// baseline = "NeRF"
+/// [[row]]
+/// name = "NeRF"
+/// [[row]]
+/// name = "Aug-NeRF"
+/// set = { method = "aug-nerf" }
+/// "#;
+/// let points = expand(&Definition::parse(text, "sweep.toml")?, None, &OneSecond)?;
+/// assert_eq!(points.len(), 2 * 3);
+/// assert_eq!(points[0].label(), "NeRF · builtin · seed 0");
+/// # Ok::<(), augnerf::base::Error>(())
+/// ```
 pub fn expand(definition: &Definition, data_root: Option<&Path>, costs: &dyn StepCosts) -> Result<Vec<Point>> {
     apply_budgets(&lay_out(definition, data_root)?, costs)
 }

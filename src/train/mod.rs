@@ -18,6 +18,24 @@ pub use optimizer::{Adam, Moments, learning_rate};
 pub use stats::StepStats;
 
 /// State of a run in memory.
+///
+/// ```
+/// use augnerf::candle_core::DType;
+/// use augnerf::run::load_scene;
+/// use augnerf::runtime::Runtime;
+/// use augnerf::settings::{Preset, build, parse_assignment};
+/// use augnerf::train::Trainer;
+///
+/// let small = ["data.width=24", "field.width=16", "train.rays=64"].map(|text| parse_assignment(text).unwrap());
+/// let (config, scene) = load_scene(build(Some(Preset::Smoke), None, &small)?, &())?;
+/// let mut trainer = Trainer::new(&config, &scene, DType::F32, &Runtime::new("cpu", None)?)?;
+/// let first = trainer.step(false)?.loss;
+/// for _ in 0..30 {
+///     trainer.step(false)?;
+/// }
+/// assert!(trainer.step(false)?.loss < first);
+/// # Ok::<(), augnerf::base::Error>(())
+/// ```
 pub struct Trainer {
     config: Resolved,
     runtime: Runtime,

@@ -1,5 +1,5 @@
 //! Blender scenes (NeRF's synthetic ones): `transforms_{train,val,test}.json` with RGBA images, and the depth maps of
-//! evaluation views where there are any ([`depth`]).
+//! evaluation views where there are any.
 
 use std::f64::consts::PI;
 use std::path::{Path, PathBuf};

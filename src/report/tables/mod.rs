@@ -24,6 +24,41 @@ use crate::report::{AxisValue, PublishedRow, Record, RowSpec, Status, TableSpec}
 const PER_SEED: [&str; 4] = ["seed", "config_hash", "redraws", "corruption_hash"];
 
 /// A table, ready to be rendered.
+///
+/// ```
+/// use augnerf::report::tables::{Table, table_markdown};
+/// use augnerf::report::{Record, RowSpec, Status, TableSpec};
+///
+/// let record = |row: &str, seed, psnr| Record {
+///     id: format!("{row}-{seed}"),
+///     scene: "fern".into(),
+///     row: row.into(),
+///     axes: vec![],
+///     seed,
+///     status: Status::Done,
+///     reason: String::new(),
+///     metrics: vec![("psnr".into(), Some(psnr))],
+///     protocol: vec![],
+///     inactive_levels: vec![],
+/// };
+/// let row = |name: &str, baseline: Option<&str>| RowSpec {
+///     name: name.into(),
+///     baseline: baseline.map(String::from),
+///     ..RowSpec::default()
+/// };
+/// let spec = TableSpec {
+///     metrics: vec!["psnr".into()],
+///     rows: vec![row("NeRF", None), row("Aug-NeRF", Some("NeRF"))],
+///     ..TableSpec::default()
+/// };
+/// let records =
+///     [record("NeRF", 0, 20.0), record("NeRF", 1, 21.0), record("Aug-NeRF", 0, 22.0), record("Aug-NeRF", 1, 23.5)];
+/// let table = Table::new(&spec, &records, false)?;
+/// let difference = table.lines[1].cells[0].comparison.unwrap();
+/// assert_eq!((table.lines[0].cells[0].mean, difference.difference), (Some(20.5), 2.25));
+/// assert!(table_markdown(&table).contains("| NeRF |"));
+/// # Ok::<(), augnerf::base::Error>(())
+/// ```
 #[derive(Clone, Debug, PartialEq)]
 pub struct Table {
     /// The sweep's name.

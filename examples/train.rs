@@ -1,0 +1,47 @@
+//! Trains NeRF on the embedded scene, in a run folder as `augnerf train` makes one.
+//!
+//!     cargo run --release --example train [RUN_FOLDER]
+
+use std::sync::atomic::AtomicUsize;
+
+use augnerf::base::{Event, Listener, Result};
+use augnerf::run::{Job, Setup, load_scene};
+use augnerf::runtime::Runtime;
+use augnerf::settings::{Preset, build, parse_assignment};
+
+/// Seconds instead of the preset's minute: small pictures and a small network.
+const SETTINGS: [&str; 5] =
+    ["data.width=32", "field.width=32", "train.steps=200", "train.rays=128", "train.decay_steps=200"];
+
+/// Prints what a person wants to know.
+struct Printer;
+
+impl Listener for Printer {
+    fn on(&self, event: Event<'_>) {
+        match event {
+            Event::Stepped { step, loss, .. } if step % 50 == 0 => println!("step {step}: loss {loss:.4}"),
+            Event::Note(sentence) => println!("{sentence}"),
+            _ => {}
+        }
+    }
+}
+
+fn main() -> Result<()> {
+    let runtime = Runtime::new("cpu", None)?;
+    let settings = SETTINGS.iter().map(|text| parse_assignment(text)).collect::<Result<Vec<_>>>()?;
+    // Without a folder in data.dir, the scene is the embedded one.
+    let (config, scene) = load_scene(build(Some(Preset::Smoke), None, &settings)?, &Printer)?;
+    println!("{}: {} views to train on, {} held out", scene.name, scene.train.len(), scene.test.len());
+
+    let scratch = tempfile::tempdir().expect("a temporary folder");
+    let folder = std::env::args().nth(1).map_or(scratch.path().join("run"), Into::into);
+    let setup = Setup { config, scene: &scene, lpips: &[], runtime };
+    // A signal's number in the flag would stop it with a checkpoint.
+    let finished = Job::create(&folder, false, setup)?.train(&Printer, &AtomicUsize::new(0))?;
+
+    let mean = &finished.report.mean;
+    let [psnr, ssim] = ["psnr", "ssim"].map(|metric| mean.get(metric).unwrap_or(f64::NAN));
+    println!("held-out views: PSNR {psnr:.2} dB, SSIM {ssim:.3}, after {:.1} s of steps", finished.seconds);
+    assert!(psnr > 12.0, "it has not learned");
+    Ok(())
+}
