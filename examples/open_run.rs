@@ -9,7 +9,7 @@ use std::sync::atomic::AtomicUsize;
 
 use augnerf::base::Result;
 use augnerf::draw::write_png8;
-use augnerf::run::{Job, Setup, Trained, load_scene};
+use augnerf::run::{Existing, Job, Setup, Trained, load_scene};
 use augnerf::runtime::Runtime;
 use augnerf::settings::{Preset, build, parse_assignment};
 
@@ -44,6 +44,6 @@ fn train(dir: &Path, runtime: &Runtime) -> Result<PathBuf> {
     let (config, scene) = load_scene(build(Some(Preset::Smoke), None, &settings)?, &())?;
     let folder = dir.join("run");
     let setup = Setup { config, scene: &scene, lpips: &[], runtime: runtime.clone() };
-    Job::create(&folder, false, setup)?.train(&(), &AtomicUsize::new(0))?;
+    Job::create(&folder, Existing::Refuse, setup)?.train(&(), &AtomicUsize::new(0))?;
     Ok(folder)
 }

@@ -5,7 +5,7 @@
 use std::sync::atomic::AtomicUsize;
 
 use augnerf::base::{Event, Listener, Result};
-use augnerf::run::{Job, Setup, load_scene};
+use augnerf::run::{Existing, Job, Setup, load_scene};
 use augnerf::runtime::Runtime;
 use augnerf::settings::{Preset, build, parse_assignment};
 
@@ -37,7 +37,7 @@ fn main() -> Result<()> {
     let folder = std::env::args().nth(1).map_or(scratch.path().join("run"), Into::into);
     let setup = Setup { config, scene: &scene, lpips: &[], runtime };
     // A signal's number in the flag would stop it with a checkpoint.
-    let finished = Job::create(&folder, false, setup)?.train(&Printer, &AtomicUsize::new(0))?;
+    let finished = Job::create(&folder, Existing::Refuse, setup)?.train(&Printer, &AtomicUsize::new(0))?;
 
     let mean = &finished.report.mean;
     let [psnr, ssim] = ["psnr", "ssim"].map(|metric| mean.get(metric).unwrap_or(f64::NAN));

@@ -50,16 +50,16 @@ pub struct Workload {
 pub struct Timed {
     /// Program and revision.
     pub peer: String,
-    /// What was asked.
+    /// The work that was timed.
     #[serde(flatten)]
     pub workload: Workload,
-    /// Threads that worked.
+    /// Threads that shared a step.
     pub threads: usize,
-    /// As asked.
+    /// As `--device` named it.
     pub device: String,
     /// Median over the steps.
     pub seconds_per_step: f64,
-    /// Rays over that.
+    /// Rays of a step over `seconds_per_step`.
     pub rays_per_second: f64,
     /// Points (MipNeRF: intervals) that both clean passes ask for.
     pub points_per_clean_pass: usize,

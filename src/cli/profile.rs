@@ -35,16 +35,16 @@ impl ProfileArguments {
     pub fn run(self) -> Result<()> {
         check_overlay(self.runs.count())?;
         self.out.as_deref().map_or(Ok(()), AtomicDir::check_vacant)?;
-        let asked = self.pixel.as_deref().map(parse_pixel).transpose()?;
+        let pixel = self.pixel.as_deref().map(parse_pixel).transpose()?;
         let runtime = self.compute.runtime()?;
-        runtime.install(|| self.profile(asked, &runtime))
+        runtime.install(|| self.profile(pixel, &runtime))
     }
 
-    fn profile(&self, asked: Option<(usize, usize)>, runtime: &Runtime) -> Result<()> {
+    fn profile(&self, named: Option<(usize, usize)>, runtime: &Runtime) -> Result<()> {
         let console = Console::new(self.compute.quiet);
         let place = |run: &RunView| -> Result<((usize, usize), Window)> {
             let size = (run.view.camera.width, run.view.camera.height);
-            let pixel = asked.unwrap_or((size.0 / 2, size.1 / 2));
+            let pixel = named.unwrap_or((size.0 / 2, size.1 / 2));
             Ok((pixel, patch_around(pixel, usize::from(self.patch), size)?))
         };
         let measure = |viewer: &Viewer, run: &RunView| {

@@ -7,7 +7,7 @@ use std::sync::atomic::AtomicUsize;
 use clap::Args;
 
 use crate::base::{Error, Result};
-use crate::run::{Finished, Job, RunDir, Setup, load_lpips, load_scene};
+use crate::run::{Existing, Finished, Job, RunDir, Setup, load_lpips, load_scene};
 use crate::runtime::Runtime;
 use crate::settings::Config;
 
@@ -59,7 +59,8 @@ impl TrainArguments {
         }
         let folder = self.out.clone().unwrap_or_else(|| default_folder(&config));
         let setup = Setup { config, scene: &scene, lpips: &lpips, runtime: runtime.clone() };
-        train(Job::create(&folder, self.overwrite, setup)?, &folder, &console)
+        let existing = if self.overwrite { Existing::Replace } else { Existing::Refuse };
+        train(Job::create(&folder, existing, setup)?, &folder, &console)
     }
 }
 
@@ -120,12 +121,12 @@ fn default_folder(config: &Config) -> PathBuf {
 pub fn catch_signals() -> Result<Arc<AtomicUsize>> {
     use signal_hook::consts::{SIGINT, SIGTERM};
     let flag = Arc::new(AtomicUsize::new(0));
-    let asked = Arc::new(std::sync::atomic::AtomicBool::new(false));
+    let stopping = Arc::new(std::sync::atomic::AtomicBool::new(false));
     for signal in [SIGINT, SIGTERM] {
         let failed = |e: std::io::Error| Error::Output(format!("cannot catch signal {signal}: {e}"));
-        signal_hook::flag::register_conditional_shutdown(signal, 128 + signal, asked.clone()).map_err(failed)?;
+        signal_hook::flag::register_conditional_shutdown(signal, 128 + signal, stopping.clone()).map_err(failed)?;
         signal_hook::flag::register_usize(signal, flag.clone(), signal as usize).map_err(failed)?;
-        signal_hook::flag::register(signal, asked.clone()).map_err(failed)?;
+        signal_hook::flag::register(signal, stopping.clone()).map_err(failed)?;
     }
     Ok(flag)
 }

@@ -20,9 +20,9 @@ pub const EVEN: usize = 1024;
 pub struct Samples {
     /// Positions along the ray.
     pub t: Vec<f32>,
-    /// Where they are.
+    /// Places of the samples, scene units (NDC where rays are there).
     pub points: Vec<[f32; 3]>,
-    /// Density there.
+    /// Density there, 1 / unit of space.
     pub density: Vec<f32>,
     /// Share of the pixel's colour that comes from there.
     pub weights: Vec<f32>,
@@ -212,7 +212,7 @@ pub struct Profiles {
     pub runs: Vec<(RunView, Profile)>,
     /// The pixel whose ray it is.
     pub pixel: (usize, usize),
-    /// Those around it.
+    /// The pixels whose rays are measured with it.
     pub patch: Window,
 }
 

@@ -2,10 +2,10 @@
 //! colour head.
 //!
 //! A field knows nothing of rays or attacks. It maps points and directions to raw colour and raw
-//! density and accepts a delta that is added to one trunk layer's output. A field of integrated encoding is asked at
-//! Gaussians, mean and diagonal variance `[n, 6]`, wherever another is asked at points `[n, 3]`.
+//! density and accepts a delta that is added to one trunk layer's output. A field of integrated encoding is queried at
+//! Gaussians, mean and diagonal variance `[n, 6]`, wherever another is queried at points `[n, 3]`.
 //!
-//! A field is asked in one of two ways behind one signature. The plain one, of candle's operations,
+//! A field is queried in one of two ways behind one signature. The plain one, of candle's operations,
 //! works in f32 and f64 on any device and is the reference. The fused one (`fused`) serves
 //! [`Field::frozen`] and [`Field::recording`] fields in f32 on a processor.
 
@@ -333,7 +333,7 @@ impl Field {
         Ok(activation::activate_density(self.config.density_activation, raw)?)
     }
 
-    /// What this field is asked at for `points [n, 3]`: the same or, for a field of integrated encoding, Gaussians `[n, 6]`
+    /// What this field is queried at for `points [n, 3]`: the same or, for a field of integrated encoding, Gaussians `[n, 6]`
     /// around them of a `variance` along each axis, length^2.
     pub fn positions(&self, points: &Tensor, variance: [f64; 3]) -> Result<Tensor> {
         if self.config.encoding == Encoding::Positional {

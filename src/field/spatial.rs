@@ -43,7 +43,7 @@ pub struct DensityAt {
 
 /// [`DensityAt`], detached, with what carries the derivatives of anything made of it to the weights.
 pub struct Spatial<'a> {
-    /// The values.
+    /// Density, gradient and Laplacian at the points.
     pub at: DensityAt,
     tape: Tape<'a>,
 }
@@ -116,7 +116,7 @@ impl Slopes {
 }
 
 impl Field {
-    /// Gradient of density in space, `[n, 3]`, where the field is asked at `positions`: points `[n, 3]`, or Gaussians
+    /// Gradient of density in space, `[n, 3]`, where the field is queried at `positions`: points `[n, 3]`, or Gaussians
     /// `[n, 6]`, whose means move.
     pub fn density_gradient(&self, positions: &Tensor) -> Result<Tensor> {
         let moved = Var::from_tensor(positions)?;
@@ -130,7 +130,7 @@ impl Field {
     /// ([`Field::prepared`]).
     pub fn spatial(&self, points: &Tensor) -> Result<Spatial<'_>> {
         if self.config.encoding == Encoding::Integrated {
-            return Err(tensor_error("density's derivatives are those of a field that is asked at points".into()));
+            return Err(tensor_error("density's derivatives are those of a field that is queried at points".into()));
         }
         let encoded = encode(&points.detach(), self.config.position_octaves)?;
         let slopes = Slopes::new(&encoded, self.config.position_octaves)?;

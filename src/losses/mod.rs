@@ -85,7 +85,7 @@ pub enum LossTerm {
 /// A term and its weight in the loss.
 #[derive(Clone)]
 pub struct WeightedTerm {
-    /// The term.
+    /// What is added to the loss.
     pub term: LossTerm,
     /// What its value is multiplied by.
     pub weight: f64,

@@ -30,7 +30,7 @@ pub struct Batches {
 
 /// One step's rays and their true colours.
 pub struct Batch {
-    /// The rays.
+    /// One ray for each of `target`'s colours.
     pub rays: RayBuffer,
     /// RGB, `[rays, 3]`.
     pub target: Vec<f32>,

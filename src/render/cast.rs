@@ -7,7 +7,7 @@ use crate::data::{RayParts, Rays};
 use crate::field::Field;
 use crate::settings::Encoding;
 
-/// Where `field` is asked on `rays` with `t_vals`: points `[rays, samples, 3]` at `t_vals [rays, samples]`, or, with an
+/// Where `field` is queried on `rays` with `t_vals`: points `[rays, samples, 3]` at `t_vals [rays, samples]`, or, with an
 /// integrated encoding, Gaussians `[rays, samples, 6]` of the intervals between `t_vals [rays, samples + 1]`.
 pub fn positions_at(field: &Field, rays: &Rays, t_vals: &Tensor) -> Result<Tensor> {
     match field.config().encoding {

@@ -24,13 +24,13 @@ pub struct RenderedView {
 /// A trained model in its scene, ready to be looked at.
 #[derive(Clone, Copy)]
 pub struct Viewer<'a> {
-    /// The networks.
+    /// What was trained.
     pub model: &'a Model,
     /// The configuration that they were trained under.
     pub config: &'a Resolved,
-    /// The scene.
+    /// Bounds, coordinates and background of its rays, and the held-out views.
     pub scene: &'a Scene,
-    /// Where to compute.
+    /// Where views are rendered.
     pub runtime: &'a Runtime,
 }
 

@@ -32,6 +32,15 @@ const FOLDERS: [&str; 3] = [TENSORBOARD, CHECKPOINTS, RENDERS];
 const PROBE_BYTES: usize = 8 * 1024;
 const MIB: f64 = 1024.0 * 1024.0;
 
+/// What becomes of a run that lies where a new one is to go.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Existing {
+    /// It stays, and the new one is refused.
+    Refuse,
+    /// It is deleted.
+    Replace,
+}
+
 /// The folder of one run.
 #[derive(Debug)]
 pub struct RunDir {
@@ -41,17 +50,17 @@ pub struct RunDir {
 
 impl RunDir {
     /// A locked, empty run folder at `path`; parents are created. A folder that holds a run is
-    /// refused unless `overwrite`, which deletes the run's own entries and nothing else. A folder
+    /// refused, or with [`Existing::Replace`] loses the run's own entries and nothing else. A folder
     /// that holds anything but a run is always refused, and so is a disk without room for
     /// `bytes_needed`, before anything is deleted.
-    pub fn create(path: &Path, overwrite: bool, bytes_needed: u64) -> Result<RunDir> {
+    pub fn create(path: &Path, existing: Existing, bytes_needed: u64) -> Result<RunDir> {
         if path.exists() {
-            check_vacant(path, overwrite)?;
+            check_vacant(path, existing)?;
         }
         fs::create_dir_all(path).map_err(|error| Error::unwritable(path, &error))?;
         let lock = RunLock::acquire(path)?;
         // Again under the lock: another process may have started a run here in between.
-        check_vacant(path, overwrite)?;
+        check_vacant(path, existing)?;
         check_space(path, bytes_needed)?;
         clear(path).map_err(|error| Error::unwritable(path, &error))?;
         for folder in FOLDERS {
@@ -238,7 +247,7 @@ fn locked(path: &Path, file: &mut File) -> Error {
 
 /// An error unless `path` is free for a new run: a folder that is empty, or holds a run of ours
 /// that may be overwritten.
-fn check_vacant(path: &Path, overwrite: bool) -> Result<()> {
+fn check_vacant(path: &Path, existing: Existing) -> Result<()> {
     if !path.is_dir() {
         return Err(Error::Output(format!(
             "cannot write {}: a file is in the way; give another --out",
@@ -252,7 +261,7 @@ fn check_vacant(path: &Path, overwrite: bool) -> Result<()> {
             "{} holds {entry} and is not a run folder; give --out an empty or new folder",
             path.display()
         ))),
-        Some(_) if overwrite => Ok(()),
+        Some(_) if existing == Existing::Replace => Ok(()),
         Some(_) => Err(Error::Output(format!(
             "{0} already holds a run; continue it with `augnerf resume {0}`, replace it with --overwrite, or give another --out",
             path.display()
@@ -357,9 +366,9 @@ mod tests {
     fn a_started_run_that_wrote_nothing_is_free() {
         let dir = tempfile::tempdir().unwrap();
         let path = dir.path().join("a/b/run");
-        drop(RunDir::create(&path, false, 0).unwrap());
+        drop(RunDir::create(&path, Existing::Refuse, 0).unwrap());
         fs::write(path.join(".augnerf-tmp-1-0-config.toml"), "half").unwrap();
-        drop(RunDir::create(&path, false, 0).unwrap());
+        drop(RunDir::create(&path, Existing::Refuse, 0).unwrap());
         assert!(!path.join(".augnerf-tmp-1-0-config.toml").exists());
     }
 
@@ -367,17 +376,17 @@ mod tests {
     fn a_half_deleted_run_can_be_overwritten_again() {
         let dir = tempfile::tempdir().unwrap();
         fs::write(dir.path().join(METRICS_CSV), "").unwrap();
-        assert!(RunDir::create(dir.path(), true, 0).is_err());
+        assert!(RunDir::create(dir.path(), Existing::Replace, 0).is_err());
         fs::write(dir.path().join(LOCK), "").unwrap();
-        assert!(RunDir::create(dir.path(), false, 0).is_err());
-        RunDir::create(dir.path(), true, 0).unwrap();
+        assert!(RunDir::create(dir.path(), Existing::Refuse, 0).is_err());
+        RunDir::create(dir.path(), Existing::Replace, 0).unwrap();
         assert!(!dir.path().join(METRICS_CSV).exists());
     }
 
     #[test]
     fn room_is_compared_with_the_need() {
         let dir = tempfile::tempdir().unwrap();
-        let run = RunDir::create(&dir.path().join("run"), false, 0).unwrap();
+        let run = RunDir::create(&dir.path().join("run"), Existing::Refuse, 0).unwrap();
         run.check_writable(1).unwrap();
         if free_bytes(dir.path()).is_some() {
             let error = run.check_writable(u64::MAX).unwrap_err().to_string();
@@ -388,7 +397,7 @@ mod tests {
     #[test]
     fn probes_leave_nothing_and_notice_what_is_in_the_way() {
         let dir = tempfile::tempdir().unwrap();
-        let run = RunDir::create(&dir.path().join("run"), false, 0).unwrap();
+        let run = RunDir::create(&dir.path().join("run"), Existing::Refuse, 0).unwrap();
         run.check_writable(0).unwrap();
         assert!(is_empty_folder(&run.checkpoints()) && is_empty_folder(&run.renders()));
         fs::create_dir(run.scalars()).unwrap();

@@ -19,15 +19,15 @@ use crate::settings::Resolved;
 use crate::train::{Trainer, checkpoint};
 
 use super::{
-    Between, EVALUATION_COLUMNS, Measurement, Outcome, Pictures, Report, RunDir, Session, Viewer, interrupted,
-    surface_reference,
+    Between, EVALUATION_COLUMNS, Existing, Measurement, Outcome, Pictures, Report, RunDir, Session, Viewer,
+    interrupted, surface_reference,
 };
 
 /// What a training is made of.
 pub struct Setup<'a> {
     /// The settings, resolved with the scene ([`load_scene`](super::load_scene)).
     pub config: Resolved,
-    /// The scene.
+    /// The views to train on and to measure at the end.
     pub scene: &'a Scene,
     /// Networks that LPIPS is measured with; none leave its columns empty.
     pub lpips: &'a [Lpips],
@@ -40,7 +40,7 @@ pub struct Setup<'a> {
 /// ```
 /// use std::sync::atomic::AtomicUsize;
 ///
-/// use augnerf::run::{Job, Setup, load_scene};
+/// use augnerf::run::{Existing, Job, Setup, load_scene};
 /// use augnerf::runtime::Runtime;
 /// use augnerf::settings::{Preset, build};
 /// # use augnerf::settings::parse_assignment;
@@ -53,7 +53,7 @@ pub struct Setup<'a> {
 /// let (config, scene) = load_scene(build(Some(Preset::Smoke), None, &set)?, &())?;
 /// let setup = Setup { config, scene: &scene, lpips: &[], runtime: Runtime::new("cpu", None)? };
 /// // A signal's number in the flag stops it with a checkpoint.
-/// let finished = Job::create(&folder, false, setup)?.train(&(), &AtomicUsize::new(0))?;
+/// let finished = Job::create(&folder, Existing::Refuse, setup)?.train(&(), &AtomicUsize::new(0))?;
 /// assert!(finished.report.mean.get("psnr").is_some());
 /// assert!(folder.join("metrics.json").is_file());
 /// # Ok::<(), augnerf::base::Error>(())
@@ -78,7 +78,7 @@ struct Experiment<'a> {
 pub struct Finished {
     /// The metrics as written.
     pub report: Report,
-    /// The networks.
+    /// The model as it was evaluated.
     pub model: Model,
     /// Seconds spent on steps in this session.
     pub seconds: f64,
@@ -104,15 +104,15 @@ impl Setup<'_> {
 }
 
 impl<'a> Job<'a> {
-    /// A new run in `folder`. What can be refused is refused before `overwrite` deletes anything.
+    /// A new run in `folder`. What can be refused is refused before anything is deleted.
     ///
     /// # Errors
-    /// A folder that holds a run (unless `overwrite`) or anything else, or that cannot be written; a disk without room; settings
+    /// A folder that holds a run (unless it is to be replaced) or anything else, or that cannot be written; a disk without room; settings
     /// that the scene contradicts; fields that start dead again and again.
-    pub fn create(folder: &Path, overwrite: bool, setup: Setup<'a>) -> Result<Job<'a>> {
+    pub fn create(folder: &Path, existing: Existing, setup: Setup<'a>) -> Result<Job<'a>> {
         surface_reference(&setup.config, setup.scene)?;
         let trainer = setup.trainer()?;
-        let run = RunDir::create(folder, overwrite, setup.bytes_needed())?;
+        let run = RunDir::create(folder, existing, setup.bytes_needed())?;
         Job::begin(run, setup, trainer, None)
     }
 

@@ -26,7 +26,7 @@ mod trained;
 pub use balance::{BalancedWeight, balance};
 pub(crate) use corruption::write_corrupted;
 pub use evaluate::{RenderedView, Viewer};
-pub use folder::RunDir;
+pub use folder::{Existing, RunDir};
 pub use inputs::{load_lpips, load_scene, locate_scene};
 pub use job::{Finished, Job, Setup};
 pub use mesh::{MeshFormat, MeshOptions, MeshReport, named_mesh};

@@ -76,7 +76,7 @@ impl<'a> Session<'a> {
         Ok(Session { run, trainer, scalars, events, stepping: Duration::ZERO })
     }
 
-    /// The trainer.
+    /// What is trained, at the step reached.
     pub fn trainer(&self) -> &Trainer {
         &self.trainer
     }

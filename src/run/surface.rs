@@ -24,7 +24,7 @@ pub fn most_memory_mib() -> f64 {
     free_memory_mib().map_or(MEMORY_UNKNOWN, |free| MEMORY_SHARE * free)
 }
 
-/// The box that a scene's surface is looked for in where none is named, in the units that the field is asked in: all
+/// The box that a scene's surface is looked for in where none is named, in the units that the field is queried in: all
 /// of NDC, the objects of NeRF-Synthetic and of the embedded scene with some room, otherwise the box that the training
 /// rays run through.
 pub fn surface_box(scene: &Scene) -> [[f64; 3]; 2] {
@@ -38,7 +38,7 @@ pub fn surface_box(scene: &Scene) -> [[f64; 3]; 2] {
 
 /// The density of a scene's surface where none is named: that which stops half of the light within the mean interval
 /// between a ray's samples, ln 2 * samples / (far - near). A thinner veil is no surface to the run's own rendering,
-/// and a denser one cannot be asked of it. For the paper's 64 + 128 samples from 2 to 6 it is 33 (the paper: 25).
+/// and a denser one cannot be had of it. For the paper's 64 + 128 samples from 2 to 6 it is 33 (the paper: 25).
 /// Under NDC, where rays run through 2 units from z = -1 to 1, `far - near` is 2.
 pub fn surface_threshold(config: &Config, scene: &Scene) -> f64 {
     let length = if scene.ndc.is_some() { 2.0 * (scene.far - scene.near) } else { scene.far - scene.near };
@@ -71,7 +71,7 @@ pub fn surface_reference(config: &Config, scene: &Scene) -> Result<Option<Refere
     Lattice { domain, side: *resolution }.check_meets(scene, "eval.mesh.box")?;
     if scene.ndc.is_some() && domain[1][2] > 1.0 {
         return Err(Error::Config(format!(
-            "eval.mesh.box reaches up to z = {}, and {} is asked in normalised device coordinates, where z = 1 is \
+            "eval.mesh.box reaches up to z = {}, and {} is queried in normalised device coordinates, where z = 1 is \
              infinitely far away: let it end at 1 or below",
             domain[1][2], scene.name
         )));
@@ -93,7 +93,7 @@ pub(super) fn describe(config: &Config, scene: &Scene) -> Option<String> {
 impl Viewer<'_> {
     /// Draws the surface that the configuration asks for and compares it with its reference mesh. None where it asks
     /// for none. Where it cannot be drawn, `events` hears why, and there is none either: that must not cost the views'
-    /// metrics. `going` is asked again and again; its error ends the drawing and is returned.
+    /// metrics. `going` is called again and again; its error ends the drawing and is returned.
     pub fn surface(&self, events: &dyn Listener, going: impl Fn() -> Result<()>) -> Result<Option<Chamfer>> {
         if self.config.eval.mesh.resolution == 0 {
             return Ok(None);

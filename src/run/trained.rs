@@ -22,7 +22,7 @@ use super::{Protocol, RenderedView, Report, RunDir, Viewer, load_scene, surface_
 /// use augnerf::run::Trained;
 /// use augnerf::runtime::Runtime;
 /// # use std::sync::atomic::AtomicUsize;
-/// # use augnerf::run::{Job, Setup, load_scene};
+/// # use augnerf::run::{Existing, Job, Setup, load_scene};
 /// # use augnerf::settings::{Preset, build, parse_assignment};
 /// # let dir = tempfile::tempdir().unwrap();
 /// # let folder = dir.path().join("run");
@@ -31,7 +31,7 @@ use super::{Protocol, RenderedView, Report, RunDir, Viewer, load_scene, surface_
 /// # let small = small.map(|text| parse_assignment(text).unwrap());
 /// # let (config, scene) = load_scene(build(Some(Preset::Smoke), None, &small)?, &())?;
 /// # let setup = Setup { config, scene: &scene, lpips: &[], runtime };
-/// # Job::create(&folder, false, setup)?.train(&(), &AtomicUsize::new(0))?;
+/// # Job::create(&folder, Existing::Refuse, setup)?.train(&(), &AtomicUsize::new(0))?;
 ///
 /// let trained = Trained::open(&folder, None, &Runtime::new("cpu", None)?, &())?;
 /// assert_eq!((trained.state.step, trained.protocol().scene.as_str()), (4, "builtin"));
@@ -42,13 +42,13 @@ use super::{Protocol, RenderedView, Report, RunDir, Viewer, load_scene, surface_
 pub struct Trained {
     /// The run's folder.
     pub run: RunDir,
-    /// Its settings.
+    /// The settings that it was trained with.
     pub config: Resolved,
-    /// Its scene.
+    /// Its scene, loaded: training and held-out views.
     pub scene: Scene,
     /// Counters and provenance at the checkpoint, with this program and device as the last of those that worked on it.
     pub state: State,
-    /// The networks.
+    /// The evaluated model and its parts.
     pub model: Model,
     /// Where it is computed.
     pub runtime: Runtime,

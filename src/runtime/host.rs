@@ -23,7 +23,7 @@ pub struct Timing {
     pub device: String,
     /// Threads that tensor operations used.
     pub threads: usize,
-    /// The machine.
+    /// The machine that the last session ran on.
     pub host: Host,
     /// Start of this session, seconds since 1970 (UTC).
     pub started_unix: u64,

@@ -98,7 +98,7 @@ pub struct LevelSet {
 /// How a level set is drawn.
 #[derive(Clone, Copy, Debug)]
 pub struct Drawing {
-    /// Where density is asked: at its cells' midpoints.
+    /// Where density is queried: at its cells' midpoints.
     pub lattice: Lattice,
     /// Density of the surface, 1 / length.
     pub threshold: f64,

@@ -20,7 +20,7 @@ pub struct Collector<'a> {
     pub folder: &'a SweepFolder,
     /// What they are points of.
     pub definition: &'a Definition,
-    /// The points.
+    /// All points of the definition, done or not.
     pub points: &'a [Point],
     /// The sweep's name.
     pub name: &'a str,

@@ -51,7 +51,7 @@ pub struct Definition {
     /// Settings of every point over the preset's, by their dotted names.
     #[serde(default)]
     pub set: Table,
-    /// The rows.
+    /// The table's rows, in its order.
     #[serde(default)]
     pub row: Vec<Row>,
     /// What is varied besides.

@@ -46,7 +46,7 @@ pub fn begin(
 
 /// Points that cost the same: of equal steps and shape.
 pub struct CostGroup<'a> {
-    /// The points.
+    /// Points of one shape and number of steps, which cost the same.
     pub points: &'a [&'a Point],
     /// What their shape costs here.
     pub cost: Cost,

@@ -44,7 +44,7 @@ pub struct Options {
     pub remeasure: Vec<String>,
 }
 
-/// One runner.
+/// Runs the points of a sweep, beside other runners on the same folder.
 pub struct Runner<'a> {
     /// The sweep's folder.
     pub folder: &'a SweepFolder,
@@ -54,9 +54,9 @@ pub struct Runner<'a> {
     pub runtime: &'a Runtime,
     /// What trains a point.
     pub work: &'a dyn Work,
-    /// How.
+    /// Jobs at once, retries, limits.
     pub options: Options,
-    /// Who is told.
+    /// Hears of each point when it begins and ends.
     pub events: &'a dyn Listener,
     /// Holds a signal's number when it is time to stop.
     pub stop: &'a AtomicUsize,

@@ -9,7 +9,7 @@ use crate::base::{Error, Event, Listener, Result};
 use crate::data::corruption::corrupt;
 use crate::data::{self, Scene};
 use crate::metrics::Lpips;
-use crate::run::{Finished, Job, Report, RunDir, Setup, SmoothnessReport, Viewer, columns, locate_scene};
+use crate::run::{Existing, Finished, Job, Report, RunDir, Setup, SmoothnessReport, Viewer, columns, locate_scene};
 use crate::runtime::{Runtime, peak_memory_mib};
 use crate::settings::{Config, CorruptionConfig, DataConfig, Resolved};
 use crate::space::Lattice;
@@ -38,7 +38,7 @@ pub struct Trainings<'a> {
     pub lpips_weights: String,
     /// Smoothness is among the sweep's metrics.
     pub smoothness: bool,
-    /// Who is told.
+    /// Hears how loading, training and measuring go.
     pub events: &'a dyn Listener,
     scenes: Mutex<Vec<(String, Arc<Scene>)>>,
 }
@@ -178,7 +178,7 @@ impl Work for Trainings<'_> {
             Job::resume(run, setup)?
         } else {
             // Nothing there yet, or a run that was killed before its first file.
-            Job::create(&path, true, setup)?
+            Job::create(&path, Existing::Replace, setup)?
         };
         let finished = job.train(&Beating { events: self.events, beat }, stop)?;
         self.result(&config, &scene, &path, runtime, &finished)

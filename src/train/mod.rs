@@ -80,7 +80,7 @@ impl Trainer {
         })
     }
 
-    /// The configuration.
+    /// What it was begun with.
     pub fn config(&self) -> &Resolved {
         &self.config
     }

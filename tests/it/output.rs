@@ -7,10 +7,10 @@ use std::path::Path;
 use augnerf::base::Image;
 use augnerf::base::files::{AtomicDir, clean_temporaries, write_atomic};
 use augnerf::draw::{beside, depth_colour, depth_range, write_depth16, write_gif, write_png8};
-use augnerf::run::{EventWriter, RunDir, Scalars};
+use augnerf::run::{EventWriter, Existing, RunDir, Scalars};
 
 fn finished_run(path: &Path) {
-    let run = RunDir::create(path, false, 0).unwrap();
+    let run = RunDir::create(path, Existing::Refuse, 0).unwrap();
     write_atomic(&run.config(), b"seed = 1\n").unwrap();
     fs::write(run.checkpoints().join("weights"), "w").unwrap();
 }
@@ -21,13 +21,13 @@ fn an_existing_run_is_refused_unless_it_may_be_overwritten() {
     let path = dir.path().join("run");
     finished_run(&path);
     fs::write(path.join("notes.txt"), "mine").unwrap();
-    let error = RunDir::create(&path, false, 0).unwrap_err();
+    let error = RunDir::create(&path, Existing::Refuse, 0).unwrap_err();
     assert_eq!(error.exit_code(), 4);
     for part in [path.to_str().unwrap(), "--overwrite", "augnerf resume"] {
         assert!(error.to_string().contains(part), "{error}");
     }
     assert!(path.join("config.toml").exists());
-    let run = RunDir::create(&path, true, 0).unwrap();
+    let run = RunDir::create(&path, Existing::Replace, 0).unwrap();
     assert!(!run.config().exists() && !run.checkpoints().join("weights").exists());
     assert_eq!(fs::read_to_string(path.join("notes.txt")).unwrap(), "mine");
 }
@@ -37,8 +37,8 @@ fn a_strangers_folder_is_never_touched() {
     let dir = tempfile::tempdir().unwrap();
     fs::write(dir.path().join("config.toml"), "theirs").unwrap();
     fs::write(dir.path().join("main.py"), "theirs").unwrap();
-    for overwrite in [false, true] {
-        let error = RunDir::create(dir.path(), overwrite, 0).unwrap_err();
+    for existing in [Existing::Refuse, Existing::Replace] {
+        let error = RunDir::create(dir.path(), existing, 0).unwrap_err();
         assert!(error.to_string().contains("not a run folder"), "{error}");
     }
     assert_eq!(fs::read_dir(dir.path()).unwrap().count(), 2);
@@ -50,7 +50,7 @@ fn a_file_in_the_way_is_named() {
     let file = dir.path().join("file");
     fs::write(&file, "keep").unwrap();
     for path in [file.clone(), file.join("below/run")] {
-        let error = RunDir::create(&path, true, 0).unwrap_err();
+        let error = RunDir::create(&path, Existing::Replace, 0).unwrap_err();
         assert_eq!(error.exit_code(), 4);
         assert!(error.to_string().contains("file"), "{error}");
     }
@@ -74,9 +74,9 @@ fn only_a_run_is_opened() {
 fn two_trainers_do_not_share_a_run() {
     let dir = tempfile::tempdir().unwrap();
     let path = dir.path().join("run");
-    let first = RunDir::create(&path, false, 0).unwrap();
+    let first = RunDir::create(&path, Existing::Refuse, 0).unwrap();
     write_atomic(&first.config(), b"").unwrap();
-    let error = RunDir::create(&path, true, 0).unwrap_err();
+    let error = RunDir::create(&path, Existing::Replace, 0).unwrap_err();
     assert!(error.to_string().contains("run") && error.exit_code() == 4, "{error}");
     assert!(first.config().exists());
     let mut second = RunDir::open(&path).unwrap();

@@ -6,7 +6,7 @@ use std::sync::Barrier;
 use std::sync::atomic::AtomicUsize;
 
 use augnerf::base::Error;
-use augnerf::run::{Job, Setup};
+use augnerf::run::{Existing, Job, Setup};
 use augnerf::runtime::{Runtime, Work};
 use augnerf::settings::Method;
 
@@ -22,7 +22,7 @@ fn train(folder: &Path, method: Method, threads: usize) -> Work {
         config.train.checkpoint_every = 4;
     });
     let setup = Setup { config, scene: &tiny_scene(), lpips: &[], runtime: runtime.clone() };
-    Job::create(folder, false, setup).unwrap().train(&(), &AtomicUsize::new(0)).unwrap();
+    Job::create(folder, Existing::Refuse, setup).unwrap().train(&(), &AtomicUsize::new(0)).unwrap();
     runtime.work()
 }
 

@@ -6,7 +6,7 @@ use crate::common::{assert_says, parameters, runtime, tiny_config, tiny_scene, t
 use augnerf::base::Error;
 use augnerf::data::{Camera, View};
 use augnerf::metrics::psnr_float;
-use augnerf::run::{Between, Outcome, RunDir, Session, Viewer, interrupted};
+use augnerf::run::{Between, Existing, Outcome, RunDir, Session, Viewer, interrupted};
 use augnerf::settings::{Core, DataKind, Method, PerturbField, Schedule};
 use augnerf::train::{Trainer, checkpoint, learning_rate};
 use candle_core::{DType, Device, Tensor};
@@ -260,7 +260,7 @@ fn a_stop_during_an_evaluation_loses_that_step_alone() {
             let trainer = Trainer::resume(&newest, &config, &scene, DType::F32, runtime()).unwrap();
             (run, trainer)
         } else {
-            let run = RunDir::create(&path, false, 0).unwrap();
+            let run = RunDir::create(&path, Existing::Refuse, 0).unwrap();
             std::fs::write(run.config(), config.to_toml()).unwrap();
             (run, Trainer::new(&config, &scene, DType::F32, runtime()).unwrap())
         };

@@ -97,7 +97,7 @@ impl Backward<'_> {
         };
         for rows in active.chunks(TILE) {
             self.heads(rows, (g_colour, g_density), &mut rooms, &mut sums);
-            if self.into_trunk() {
+            if self.reaches_trunk() {
                 self.trunk(rows, &mut rooms, &mut sums);
                 if wanted.points {
                     self.points(rows, &mut rooms, &mut sums.out);
@@ -114,7 +114,7 @@ impl Backward<'_> {
     }
 
     /// Something wants a gradient below the heads.
-    fn into_trunk(&self) -> bool {
+    fn reaches_trunk(&self) -> bool {
         let depth = self.network.depth();
         self.lowest < depth || self.delta_layer == depth && self.wanted.delta
     }
@@ -122,7 +122,7 @@ impl Backward<'_> {
     /// Through colour, view layer and density to the trunk's output, whose gradient is left in the first room.
     fn heads(&self, rows: &[usize], (g_colour, g_density): (&[f32], &[f32]), rooms: &mut Rooms, sums: &mut Sums) {
         let (network, kept, wanted) = (self.network, self.kept, self.wanted);
-        let (width, depth, into_trunk) = (network.width(), network.depth(), self.into_trunk());
+        let (width, depth, into_trunk) = (network.width(), network.depth(), self.reaches_trunk());
         let Rooms { scratch, trunk, view, .. } = rooms;
         let d_output = &mut trunk[0][..rows.len() * width];
         let dv = &mut view[..rows.len() * (width / 2)];

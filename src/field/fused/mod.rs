@@ -76,7 +76,7 @@ impl Below {
 
 /// One query of a field.
 pub struct Query<'a> {
-    /// Its weights.
+    /// The weights, as [`Network`] lays them out.
     pub network: Arc<Network>,
     /// Takes the gradients of the weights; without one they are constants.
     pub recorder: Option<Arc<Recorder>>,

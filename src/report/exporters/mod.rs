@@ -49,7 +49,7 @@ pub trait Exporter: Sync {
     /// Whether a file in the results' folder is one of its own, to be deleted before it is written anew.
     fn owns(&self, file: &str) -> bool;
 
-    /// The files.
+    /// The files, by their names below the results' folder.
     fn export(&self, collected: &Collected) -> Result<Vec<File>>;
 }
 

@@ -65,7 +65,7 @@ pub struct Table {
     pub name: String,
     /// What the table answers.
     pub title: String,
-    /// The printed metrics.
+    /// Keys of the printed metrics, in the order of the columns.
     pub metrics: Vec<String>,
     /// By scene, then row, then axes.
     pub lines: Vec<Line>,
