@@ -12,7 +12,7 @@ use super::volume::{self, Composite};
 /// What one pass needs besides the field.
 #[derive(Clone, Copy)]
 pub struct Pass<'a> {
-    /// The rays.
+    /// Origins and directions, `[rays, 3]`, with what the method needs besides.
     pub rays: &'a Rays,
     /// Sample positions, `[rays, samples]`; of a field with integrated encoding the edges of intervals,
     /// `[rays, samples + 1]`.
