@@ -199,7 +199,7 @@ fn balance_prints_a_grid_of_weights() {
     arguments.extend(TINY);
     let table = printed(&arguments);
     let rows: Vec<Vec<&str>> = table.lines().skip(1).map(|line| line.split(',').collect()).collect();
-    assert_eq!(rows.len(), 15, "{table}");
+    assert_eq!(rows.len(), 20, "four terms, five shares: {table}");
     for row in rows {
         let number = |i: usize| row[i].parse::<f64>().unwrap();
         let (photometric, term, share, weight) = (number(3), number(4), number(5), number(6));
@@ -325,7 +325,8 @@ fn a_reader_that_goes_away_does_not_stop_training() {
 #[test]
 fn no_arguments_train_the_embedded_scene_in_the_default_place() {
     let dir = TempDir::new().unwrap();
-    let said = demand(augnerf(&["train", "--set", "train.steps=2"]).current_dir(dir.path()), 0);
+    let said =
+        demand(augnerf(&["train", "--set", "train.steps=2", "--set", "data.width=40"]).current_dir(dir.path()), 0);
     assert_says(
         &said,
         &["step 2/2", "loss", "PSNR", "rays/s", "ETA", "8 held-out views", "results: runs/builtin-nerf-"],

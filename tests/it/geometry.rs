@@ -252,8 +252,9 @@ fn without_a_reference_mesh_no_training_begins() {
     let dir = TempDir::new().unwrap();
     let out = dir.path().join("run").display().to_string();
     let train = |further: &[&'static str]| {
-        let start = ["train", "--quiet", "--out", &*out.clone().leak(), "--set", "eval.mesh.resolution=32"];
-        [&start[..], further].concat()
+        let start = ["train", "--quiet", "--out", &*out.clone().leak()];
+        let small = ["eval.mesh.resolution=32", "data.width=24", "train.rays=64"].map(|setting| ["--set", setting]);
+        [&start[..], &small.concat(), further].concat()
     };
     refuse(&train(&["--set", "data.kind=builtin-forward"]), 2, &["eval.mesh.reference", "without a mesh"]);
     refuse(&train(&["--set", "eval.mesh.reference=/nowhere/a.ply"]), 3, &["/nowhere/a.ply"]);

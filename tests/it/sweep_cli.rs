@@ -208,7 +208,7 @@ fn rows_of_two_revisions_are_refused_and_what_became_of_points_is_still_said() {
 
 #[test]
 fn sigterm_stops_with_the_signal_s_code_and_the_next_run_ends_it() {
-    let dir = workplace(&TINY.replace("\"train.steps\" = 60", "\"train.steps\" = 400"));
+    let dir = workplace(&TINY.replace("\"train.steps\" = 60", "\"train.steps\" = 200"));
     let mut child = start(dir.path());
     wait_for_claim(dir.path());
     Command::new("kill").args(["-TERM", &child.id().to_string()]).status().unwrap();
@@ -221,7 +221,11 @@ fn the_smoke_sweep_leaves_every_table_and_figure() {
     let dir = TempDir::new().unwrap();
     let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("sweeps/smoke.toml");
     let file = file.to_str().unwrap();
-    demand(&["sweep", "run", file, "--quiet", "--set", "train.steps=20", "--jobs", "2"], dir.path(), 0);
+    demand(
+        &["sweep", "run", file, "--quiet", "--set", "train.steps=20", "--set", "data.width=40", "--jobs", "2"],
+        dir.path(),
+        0,
+    );
     let results = dir.path().join("results/smoke");
     for name in [
         "points.csv",
