@@ -1,4 +1,4 @@
-//! What a pass asks its field at: points of rays, or Gaussians that stand for stretches of cones and cylinders.
+//! Where a pass queries its field: points of rays, or Gaussians that stand for stretches of cones and cylinders.
 
 use candle_core::{D, Tensor};
 

@@ -15,8 +15,8 @@ use super::volume::{self, Composite};
 /// Numbers of `t_vals` that a field's passes have, from those of a configuration: for the coarse pass, and for `u` of the
 /// fine one.
 pub fn columns(field: &Field, sampling: &SamplingConfig) -> (usize, usize) {
-    let more = usize::from(field.config().encoding == Encoding::Integrated);
-    (sampling.coarse + more, sampling.fine + more)
+    let encoding = field.config().encoding;
+    (encoding.t_vals(sampling.coarse), encoding.t_vals(sampling.fine))
 }
 
 /// The fine pass's `t_vals` from the coarse pass's, its weights and `u`.

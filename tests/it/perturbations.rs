@@ -5,10 +5,14 @@ use augnerf::augment::{Deltas, Draw, Norm, PassGeometry, Passes, PixelScale, Set
 use augnerf::base::rng::{Random, Stream};
 use augnerf::data::{RayBuffer, RayParts, Rays};
 use augnerf::field::Field;
-use augnerf::render::{Pass, Perturbation, clean_pass, perturbed_pass, photometric_loss, sampling};
+use augnerf::render::{
+    FixedSamples, Pass, Perturbation, PerturbedOutput, clean_pass, perturbed_pass, photometric_loss, sampling,
+};
+use augnerf::runtime::Runtime;
 use augnerf::settings::{
     DeltaSource, Method, OutputPlace, PerturbConfig, PerturbField, ResolvedPerturb, SecondPass, Sizes,
 };
+use augnerf::train::Trainer;
 use candle_core::{DType, Device, Tensor, Var};
 use proptest::prelude::*;
 
@@ -49,6 +53,8 @@ impl Setting {
         change: impl FnOnce(&mut PerturbConfig),
     ) -> Setting {
         let config = tiny_config(method, |config| {
+            // Sites that are off by default, too.
+            config.perturb.sites.iter_mut().for_each(|(_, site)| site.passes = Passes::Both);
             // Large enough that f64 differences see them.
             config.perturb.sites[Site::Feature].epsilon = Some(0.05);
             config.perturb.sites[Site::Rgb].epsilon = Some(0.03);
@@ -317,9 +323,8 @@ fn the_search_raises_the_loss_and_beats_random_deltas_on_a_trained_field() {
             let mut setting = Setting::new(batch, 32, 8, |config| {
                 *config = PerturbConfig { sizes: Sizes::Calibrated, injection_layer: 2, ..PerturbConfig::default() };
                 for site in Site::ALL {
-                    if only.is_some_and(|only| only != site) {
-                        config.sites[site].passes = Passes::Off;
-                    }
+                    let alone = only.is_none_or(|only| only == site);
+                    config.sites[site].passes = if alone { Passes::Both } else { Passes::Off };
                 }
             });
             setting.field = Field::from_parameters(&config.field, weights.clone()).unwrap();
@@ -471,4 +476,62 @@ fn density_noise_cannot_make_an_empty_white_scene_opaque() {
         assert!(rgb.iter().all(|c| (1.0 - c) <= limit && *c <= 1.0 + 1e-12), "{rgb:?} beyond {limit}");
     }
     assert!(out.pass.composite.acc.max(0).unwrap().to_scalar::<f64>().unwrap() > 0.0);
+}
+
+/// Samples that do not move any more: the trunk below the feature delta is computed with the first pass through them alone.
+#[test]
+fn fixed_samples_compute_the_lower_trunk_once() {
+    let setting = Setting::new(1, 4, 6, |_| {});
+    let single = |tensor: &Tensor| tensor.to_dtype(DType::F32).unwrap();
+    let values = setting.field.variables().iter().map(|(_, var)| single(var.as_tensor())).collect();
+    let frozen = Field::from_parameters(setting.field.config(), values).unwrap().frozen().unwrap();
+    let scene = tiny_scene();
+    let pixels: Vec<_> = (0..4).map(|x| (&scene.train[0].camera, x, 3)).collect();
+    let rays = RayBuffer::new(&pixels, None, Default::default(), RayParts::ALL).to_tensors(DType::F32, &CPU).unwrap();
+    let t_vals = single(&setting.t_vals);
+    let pass = Pass { rays: &rays, t_vals: &t_vals, density_noise: None, background: None };
+    let delta = Var::zeros((4, 6, 16), DType::F32, &CPU).unwrap();
+    let (mut deltas, sets) = (Deltas::default(), Sets::default());
+    deltas.set(Site::Feature, delta.as_tensor().clone());
+    let perturbation = Perturbation { deltas: &deltas, sets: &sets, injection_layer: 3, output: OutputPlace::After };
+    let runtime = Runtime::new("cpu", Some(1)).unwrap();
+    // Multiply-adds of a pass forward and back to the delta, and its colours.
+    let ascend = |render: &dyn Fn() -> PerturbedOutput| {
+        let before = runtime.work();
+        let rgb = render().pass.composite.rgb;
+        rgb.sqr().unwrap().sum_all().unwrap().backward().unwrap();
+        ((runtime.work() - before).multiply_adds, rgb.to_vec2::<f32>().unwrap())
+    };
+    runtime.install(|| {
+        let (whole, rgb) = ascend(&|| perturbed_pass(&frozen, pass, perturbation).unwrap());
+        let fixed = FixedSamples::new(&frozen, pass, &deltas).unwrap();
+        // Layers 1 to 3 of width 16; the third reads the encoding (3 + 6 x 4 channels), too.
+        let lower = 4 * 6 * (27 * 16 + 16 * 16 + (27 + 16) * 16);
+        for expected in [whole, whole - lower, whole - lower] {
+            assert_eq!(ascend(&|| fixed.perturbed_pass(perturbation).unwrap()), (expected, rgb.clone()));
+        }
+    });
+}
+
+/// So does the search of a step: where the feature level alone is on, a further ascent step costs less than the trunk.
+#[test]
+fn a_search_that_leaves_the_points_alone_pays_for_the_trunk_once() {
+    let work_of = |steps: usize| {
+        let config = tiny_config(Method::AugNerf, |config| {
+            config.perturb.injection_layer = 4;
+            for (site, section) in config.perturb.sites.iter_mut() {
+                section.passes = if site == Site::Feature { Passes::Both } else { Passes::Off };
+            }
+            config.perturb.sites[Site::Feature].steps = Some(steps);
+        });
+        let runtime = Runtime::new("cpu", Some(1)).unwrap();
+        let mut trainer = Trainer::new(&config, &tiny_scene(), DType::F32, &runtime).unwrap();
+        let before = runtime.work();
+        runtime.install(|| trainer.step(false).unwrap());
+        (runtime.work() - before).multiply_adds
+    };
+    // 64 rays of 8 coarse and 16 fine samples; layers 1 to 4.
+    let trunk = 64 * (8 + 16) * (27 * 16 + 16 * 16 + (27 + 16) * 16 + 16 * 16);
+    let [two, three] = [2, 3].map(work_of);
+    assert!(three > two && three - two < trunk, "{} for a step, {trunk} for the trunk", three - two);
 }
