@@ -6,9 +6,8 @@ use super::plots::Curve;
 use super::tables::{PointTiming, Table};
 use super::{Record, TableSpec};
 
-mod delimited;
 mod figures;
-mod markup;
+mod text;
 
 /// What a sweep's points came to.
 pub struct Collected<'a> {
@@ -55,17 +54,12 @@ pub trait Exporter: Sync {
 
 /// All exporters, in the order in which they write.
 pub static EXPORTERS: [&dyn Exporter; 8] = [
-    &delimited::PointsCsv,
-    &delimited::TimingCsv,
-    &delimited::TableCsv,
-    &markup::Markdown,
-    &markup::Latex,
+    &text::POINTS_CSV,
+    &text::TIMING_CSV,
+    &text::TABLE_CSV,
+    &text::MARKDOWN,
+    &text::LATEX,
     &figures::Rows,
     &figures::Axes,
     &figures::Curves,
 ];
-
-/// One file of text.
-fn one(name: &str, text: String) -> Result<Vec<File>> {
-    Ok(vec![(name.to_string(), text.into_bytes())])
-}
