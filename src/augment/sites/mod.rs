@@ -76,7 +76,7 @@ impl Site {
 
 /// Injective in both as long as `pass` is under 2^45.
 fn part(key: u64, pass: u64) -> u64 {
-    (key / KEYS << PART_BITS) + KEYS * pass + key % KEYS
+    ((key / KEYS) << PART_BITS) + KEYS * pass + key % KEYS
 }
 
 /// One value a site.

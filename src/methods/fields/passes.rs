@@ -24,18 +24,18 @@ impl FieldLearner {
         let starts: Vec<(usize, usize)> = (0..whole.rays.len()).step_by(size).enumerate().collect();
         let prepared = self.fields.prepared()?;
         let work = |part: &[(usize, usize)]| -> Result<ChunkResult> {
-            let model = prepared.recording()?;
+            let fields = prepared.recording()?;
             let mut sum: Option<ChunkResult> = None;
             for &(index, start) in part {
                 let count = size.min(whole.rays.len() - start);
-                let chunk = self.work(&model, &whole.narrow(index, start, count)?, step_loss, self.empty(log))?;
+                let chunk = self.work(&fields, &whole.narrow(index, start, count)?, step_loss, self.empty(log))?;
                 match &mut sum {
                     Some(sum) => sum.add(chunk)?,
                     None => sum = Some(chunk),
                 }
             }
             let mut sum = sum.expect("a part has chunks");
-            sum.gradients.merge(Gradients(model.recorded()?))?;
+            sum.gradients.merge(Gradients(fields.recorded()?))?;
             Ok(sum)
         };
         // One thread a part: a chunk's tensors stay in its core's cache. Parts are the same whatever
@@ -61,10 +61,16 @@ impl FieldLearner {
 
     /// Everything that a step does with a chunk, in an empty result. Losses and gradients are
     /// weighted with the chunk's share, so that chunks add up.
-    fn work(&self, model: &Fields, chunk: &Chunk, step_loss: StepLoss, mut result: ChunkResult) -> Result<ChunkResult> {
-        let t_fine = self.clean(model, chunk, step_loss, &mut result)?;
+    fn work(
+        &self,
+        fields: &Fields,
+        chunk: &Chunk,
+        step_loss: StepLoss,
+        mut result: ChunkResult,
+    ) -> Result<ChunkResult> {
+        let t_fine = self.clean(fields, chunk, step_loss, &mut result)?;
         if self.config.method.is_augmented() {
-            let loss = self.second_pass(model, chunk, t_fine.as_ref(), step_loss.perturbed, &mut result)?;
+            let loss = self.second_pass(fields, chunk, t_fine.as_ref(), step_loss.perturbed, &mut result)?;
             result.losses.perturbed = Some(loss);
         }
         Ok(result)
@@ -73,24 +79,24 @@ impl FieldLearner {
     /// Clean passes of a chunk; returns the fine pass's samples.
     pub(super) fn clean(
         &self,
-        model: &Fields,
+        fields: &Fields,
         chunk: &Chunk,
         step_loss: StepLoss,
         result: &mut ChunkResult,
     ) -> Result<Option<Tensor>> {
-        let coarse = clean_pass(&model.coarse, self.coarse_pass(chunk))?;
+        let coarse = clean_pass(&fields.coarse, self.coarse_pass(chunk))?;
         let Chunk { target, share, .. } = chunk;
         let weight = step_loss.clean * share;
-        let coarse_weight = self.coarse_weight(model);
-        let counts = Counts { weight: weight * coarse_weight, share: *share, is_evaluated: model.fine().is_none() };
+        let coarse_weight = self.coarse_weight(fields);
+        let counts = Counts { weight: weight * coarse_weight, share: *share, is_evaluated: fields.fine().is_none() };
         result.losses.coarse = Some(self.descend_clean(&coarse, target, step_loss, counts, result)?);
-        let (Some(field), Some(u)) = (model.fine(), &chunk.u) else {
+        let (Some(field), Some(u)) = (fields.fine(), &chunk.u) else {
             result.losses.largest_acc =
-                Some(largest(&noiseless_acc(&model.coarse, &coarse, self.coarse_pass(chunk))?)?);
+                Some(largest(&noiseless_acc(&fields.coarse, &coarse, self.coarse_pass(chunk))?)?);
             return Ok(None);
         };
         let weights = &coarse.composite.weights;
-        let t_vals = resample(&model.coarse, &self.config.sampling, &chunk.t_coarse, weights, u)?;
+        let t_vals = resample(&fields.coarse, &self.config.sampling, &chunk.t_coarse, weights, u)?;
         drop(coarse);
         let fine = clean_pass(field, self.fine_pass(chunk, &t_vals))?;
         let counts = Counts { weight, share: *share, is_evaluated: true };
@@ -100,8 +106,8 @@ impl FieldLearner {
     }
 
     /// Weight of the coarse pass's loss; 1 where it is the only pass.
-    pub(super) fn coarse_weight(&self, model: &Fields) -> f64 {
-        if model.fine().is_some() { self.config.train.coarse_weight } else { 1.0 }
+    pub(super) fn coarse_weight(&self, fields: &Fields) -> f64 {
+        if fields.fine().is_some() { self.config.train.coarse_weight } else { 1.0 }
     }
 
     pub(super) fn coarse_pass<'a>(&self, chunk: &'a Chunk) -> Pass<'a> {

@@ -41,47 +41,47 @@ impl FieldLearner {
     /// fine, weighted with the chunk's share.
     pub(super) fn second_pass(
         &self,
-        model: &Fields,
+        fields: &Fields,
         chunk: &Chunk,
         t_fine: Option<&Tensor>,
         weight: f64,
         result: &mut ChunkResult,
     ) -> Result<Tensor> {
         match self.config.perturb.second {
-            SecondPass::Clean => self.second_clean(model, chunk, weight, &mut result.gradients),
-            SecondPass::Perturbed(source) => self.perturbed(source, model, chunk, t_fine, weight, result),
+            SecondPass::Clean => self.second_clean(fields, chunk, weight, &mut result.gradients),
+            SecondPass::Perturbed(source) => self.perturbed(source, fields, chunk, t_fine, weight, result),
         }
     }
 
     /// The control: another clean pass with its own jitter, noise and samples.
-    fn second_clean(&self, model: &Fields, chunk: &Chunk, weight: f64, gradients: &mut Gradients) -> Result<Tensor> {
+    fn second_clean(&self, fields: &Fields, chunk: &Chunk, weight: f64, gradients: &mut Gradients) -> Result<Tensor> {
         let mut random = Random::part(self.config.seed, Stream::Search, chunk.step, chunk.index);
         let drawn = self.draw_clean(chunk.rays.clone(), chunk.target.clone(), chunk.step, &mut random)?;
         let fresh = Chunk { share: chunk.share, ..drawn };
         let mut second = ChunkResult::new(gradients.0.len());
         // Terms on rays count in the first clean pass alone.
         let alone = StepLoss { clean: weight, terms: &[], ..self.step_loss() };
-        self.clean(model, &fresh, alone, &mut second)?;
+        self.clean(fields, &fresh, alone, &mut second)?;
         gradients.merge(second.gradients)?;
-        Ok(second.losses.clean(self.coarse_weight(model))?.expect("every chunk has a coarse pass"))
+        Ok(second.losses.clean(self.coarse_weight(fields))?.expect("every chunk has a coarse pass"))
     }
 
     /// The perturbed passes of a chunk on the clean pass's samples.
     fn perturbed(
         &self,
         source: DeltaSource,
-        model: &Fields,
+        fields: &Fields,
         chunk: &Chunk,
         t_fine: Option<&Tensor>,
         weight: f64,
         result: &mut ChunkResult,
     ) -> Result<Tensor> {
-        let adversarial = model.adversarial.as_ref();
-        let own = adversarial.unwrap_or(&model.coarse);
+        let adversarial = fields.adversarial.as_ref();
+        let own = adversarial.unwrap_or(&fields.coarse);
         let coarse = self.perturbed_pass(chunk, own, self.coarse_pass(chunk), true)?;
-        let coarse = PerturbedPass { loss_weight: self.coarse_weight(model), ..coarse };
+        let coarse = PerturbedPass { loss_weight: self.coarse_weight(fields), ..coarse };
         let (loss, out) = self.descend_perturbed(source, &coarse, weight, result)?;
-        let (Some(field), Some(t_fine), Some(u)) = (model.fine(), t_fine, &chunk.u) else { return Ok(loss) };
+        let (Some(field), Some(t_fine), Some(u)) = (fields.fine(), t_fine, &chunk.u) else { return Ok(loss) };
         let resampled;
         let t_vals = match self.config.perturb.resample {
             Resample::Clean => t_fine,
