@@ -9,6 +9,9 @@ pub enum Error {
     /// A setting that is unknown, of the wrong type, out of range or contradicts another one.
     #[error("{0}")]
     Config(String),
+    /// A setting out of its range: field, value and range as data.
+    #[error(transparent)]
+    Setting(#[from] SettingError),
     /// An input file or folder that is missing, broken or not what it should be.
     #[error("{0}")]
     Data(String),
@@ -41,6 +44,25 @@ pub enum Error {
     /// A failure inside the tensor library: a defect of this program or of the device.
     #[error("tensor operation failed: {0}")]
     Tensor(#[from] candle_core::Error),
+}
+
+/// A setting, or a flag that stands for one, whose value is not allowed.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("{path} = {value} is out of range: it must be {allowed}")]
+pub struct SettingError {
+    /// Its dotted name: `train.steps`.
+    pub path: String,
+    /// What was found.
+    pub value: String,
+    /// What is allowed, as it follows "it must be".
+    pub allowed: String,
+}
+
+impl SettingError {
+    /// The same of a flag that stands for the setting.
+    pub fn renamed(self, flag: &str) -> SettingError {
+        SettingError { path: flag.into(), ..self }
+    }
 }
 
 /// The result of everything in this crate that can fail.
@@ -120,7 +142,7 @@ impl Error {
         let class = match self {
             Error::Interrupted { signal, .. } => return 128 + *signal as u8,
             Error::Tensor(_) => Class::Internal,
-            Error::Config(_) => Class::Config,
+            Error::Config(_) | Error::Setting(_) => Class::Config,
             Error::Data(_) => Class::Data,
             Error::Output(_) => Class::Output,
             Error::Checkpoint(_) => Class::Checkpoint,
@@ -130,6 +152,16 @@ impl Error {
             Error::NotComparable(_) => Class::NotComparable,
         };
         class.exit_code()
+    }
+
+    /// It is about settings.
+    pub fn is_of_settings(&self) -> bool {
+        matches!(self, Error::Config(_) | Error::Setting(_))
+    }
+
+    /// The same with where the settings stand, if it is about settings: `row 'NeRF': ...`.
+    pub fn within(self, place: &str) -> Error {
+        if self.is_of_settings() { Error::Config(format!("{place}: {self}")) } else { self }
     }
 
     /// An input file that the operating system would not read.

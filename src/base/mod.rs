@@ -9,7 +9,7 @@ mod revision;
 pub mod rng;
 pub(crate) mod tensors;
 
-pub use error::{Class, Error, Result};
+pub use error::{Class, Error, Result, SettingError};
 pub use events::{Event, Listener};
 pub use image::Image;
 pub use revision::{revision, version};

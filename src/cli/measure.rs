@@ -8,7 +8,7 @@ use crate::base::csv::csv_text;
 use crate::base::{Error, Result};
 use crate::run::{RunDir, Trained, balance, check_measurable, columns};
 use crate::runtime::Runtime;
-use crate::settings::{LatticePoints, RegularizerConfig, validate_regularizer};
+use crate::settings::registry::check_flag;
 use crate::space::Lattice;
 
 use super::experiment::Experiment;
@@ -43,7 +43,7 @@ impl MeasureArguments {
     pub fn run(self) -> Result<()> {
         let runtime = self.compute.runtime()?;
         let lattice = Lattice { domain: parse_box("bbox", &self.bbox)?, side: self.lattice };
-        check(&lattice)?;
+        check_lattice(&lattice)?;
         // A run that has no such numbers is refused before the first is measured.
         for run in &self.runs {
             check_measurable(run, &RunDir::open(run)?.read_config()?)?;
@@ -72,18 +72,11 @@ impl MeasureArguments {
     }
 }
 
-/// Checks a lattice as a configuration's, and says how the flags are called.
-fn check(lattice: &Lattice) -> Result<()> {
-    let regularizer = RegularizerConfig {
-        domain: lattice.domain,
-        lattice: lattice.side,
-        points: LatticePoints::Full,
-        ..RegularizerConfig::default()
-    };
-    validate_regularizer(&regularizer).map_err(|error| {
-        let text = error.to_string().replace("regularizer.domain", "--bbox");
-        Error::Config(text.replace("regularizer.", "--"))
-    })
+/// Checks a lattice as a configuration's.
+fn check_lattice(lattice: &Lattice) -> Result<()> {
+    check_flag("--bbox", "regularizer.domain", &lattice.domain)?;
+    check_flag("--lattice", "regularizer.lattice", &lattice.side)?;
+    Ok(())
 }
 
 /// Cells as a line of CSV.

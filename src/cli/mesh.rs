@@ -4,10 +4,11 @@ use std::path::{Path, PathBuf};
 
 use clap::{Args, ValueEnum};
 
-use crate::base::{Error, Result};
+use crate::base::Result;
 use crate::run::{MeshFormat, MeshOptions, MeshReport, Trained, columns, named_mesh};
 use crate::runtime::Runtime;
-use crate::settings::{MeshConfig, validate_mesh};
+use crate::settings::MESH_SIDES;
+use crate::settings::registry::{check_flag, numbers};
 use crate::space::{self, Score};
 
 use super::Compute;
@@ -104,25 +105,22 @@ impl MeshArguments {
             density: self.density,
             most_mib: self.memory,
         };
-        check(&options)?;
+        check_options(&options)?;
         Ok(options)
     }
 }
 
-/// Checks the numbers as a configuration's, and says how the flags are called.
-fn check(options: &MeshOptions) -> Result<()> {
+/// Checks the flags; those that stand for settings have their ranges.
+fn check_options(options: &MeshOptions) -> Result<()> {
     let MeshOptions { resolution, threshold, domain, most_mib, .. } = *options;
-    if resolution == 0 {
-        return Err(Error::Config("--resolution 0 is out of range: it must be 8 to 1024 cells a side".into()));
-    }
-    validate_mesh(&MeshConfig { resolution, threshold, domain, ..MeshConfig::default() }).map_err(|error| {
-        let text = error.to_string().replace("eval.mesh.box", "--bbox").replace("eval.mesh.", "--");
-        Error::Config(text.replace("0 (no surface), or ", ""))
-    })?;
-    match most_mib.filter(|memory| !(memory.is_finite() && *memory > 0.0)) {
-        Some(memory) => Err(Error::Config(format!("--memory {memory} is out of range: it must be positive (MiB)"))),
-        None => Ok(()),
-    }
+    let (least, most) = (*MESH_SIDES.start() as u64, *MESH_SIDES.end() as u64);
+    let (sides, memory) =
+        (numbers().whole(least, most, "8 to 1024 cells a side"), numbers().real(|mib| mib > 0.0, "positive (MiB)"));
+    sides.check(|| "--resolution".into(), &resolution)?;
+    memory.check(|| "--memory".into(), &most_mib)?;
+    check_flag("--threshold", "eval.mesh.threshold", &threshold)?;
+    check_flag("--bbox", "eval.mesh.box", &domain)?;
+    Ok(())
 }
 
 fn words(report: &MeshReport, folder: &Path) -> String {
@@ -165,9 +163,9 @@ pub struct ChamferArguments {
 
 impl ChamferArguments {
     pub fn run(self) -> Result<()> {
-        for &at in &self.at {
-            let checked = validate_mesh(&MeshConfig { points: self.points, at, ..MeshConfig::default() });
-            checked.map_err(|error| Error::Config(error.to_string().replace("eval.mesh.", "--")))?;
+        check_flag("--points", "eval.mesh.points", &self.points)?;
+        for at in &self.at {
+            check_flag("--at", "eval.mesh.at", at)?;
         }
         let draw = |name: &str, other: &str| named_mesh(name, other)?.sample(self.points, self.seed);
         let (mesh, reference) = (draw(&self.mesh, &self.reference)?, draw(&self.reference, &self.mesh)?);

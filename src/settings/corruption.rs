@@ -2,6 +2,8 @@
 
 use serde::{Deserialize, Serialize};
 
+use super::registry::{choice, numbers, section};
+
 /// A kind of corruption.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
@@ -37,26 +39,29 @@ const GAUSSIAN_STD: [f64; 5] = [0.08, 0.12, 0.18, 0.26, 0.38];
 /// Photons of a value of 1 at severities 1 to 5 (the same).
 const SHOT_PHOTONS: [f64; 5] = [60.0, 25.0, 12.0, 5.0, 3.0];
 
-/// Corruption of the training views, drawn from the run's seed.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct CorruptionConfig {
-    /// `none`, `gaussian-noise`, `shot-noise`, `pepper` or `poses`.
-    pub kind: CorruptionKind,
-    /// Noise: 1 to 5 as in ImageNet-C, the standard deviation or the photons. The paper does not say which it used.
-    pub severity: usize,
-    /// Pepper: draws of a pixel over the number of pixels. Pixels are drawn with replacement, so that 0.3 reaches 26 %.
-    pub share: f64,
-    /// Poses: each of three angles about the world's axes is uniform within this, degrees.
-    pub degrees: f64,
-    /// Poses: each coordinate of the origin moves uniformly within this, scene units after recentring and scaling.
-    pub offset: f64,
-}
+choice!(CorruptionKind);
 
-impl Default for CorruptionConfig {
-    fn default() -> Self {
-        CorruptionConfig { kind: CorruptionKind::None, severity: 3, share: 0.3, degrees: 5.0, offset: 0.1 }
+const CORRUPTION: &[&str] = &["corruption"];
+
+section! {
+    /// Corruption of the training views, drawn from the run's seed.
+    #[derive(Copy)]
+    pub struct CorruptionConfig {
+        /// `none`, `gaussian-noise`, `shot-noise`, `pepper` or `poses`.
+        pub kind: CorruptionKind = CorruptionKind::None, numbers().columns(CORRUPTION).same_time();
+        /// Noise: 1 to 5 as in ImageNet-C, the standard deviation or the photons. The paper does not say which it used.
+        pub severity: usize = 3, numbers().whole(1, 5, "1 to 5, as in ImageNet-C").columns(CORRUPTION).same_time();
+        /// Pepper: draws of a pixel over the number of pixels. Pixels are drawn with replacement, so that 0.3 reaches 26 %.
+        pub share: f64 = 0.3,
+            numbers().real(|share| (0.0..=10.0).contains(&share), "0 to 10 draws a pixel").columns(CORRUPTION).same_time();
+        /// Poses: each of three angles about the world's axes is uniform within this, degrees.
+        pub degrees: f64 = 5.0,
+            numbers().real(|angle| (0.0..=180.0).contains(&angle), "0 to 180").columns(CORRUPTION).same_time();
+        /// Poses: each coordinate of the origin moves uniformly within this, scene units after recentring and scaling.
+        pub offset: f64 = 0.1,
+            numbers().real(|offset| offset >= 0.0, "0 or more scene units").columns(CORRUPTION).same_time();
     }
+    sections {}
 }
 
 impl CorruptionConfig {

@@ -4,6 +4,7 @@ use std::path::Path;
 
 use toml::{Table, Value};
 
+use super::registry::{REGISTRY, nearest};
 use super::{Config, DataConfig, Method};
 use crate::base::{Error, Result};
 
@@ -160,58 +161,21 @@ fn assign(table: &mut Table, path: &[String], value: Value) -> Result<()> {
 
 /// Unknown keys, with the nearest known one: serde's own message lists fields but not the path.
 fn check_keys(layer: &Table, origin: &str) -> Result<()> {
-    let known = known_keys();
-    let mut found = Vec::new();
-    leaves(layer, "", &mut found);
-    for key in found {
-        let exists = known.iter().any(|k| *k == key || k.starts_with(&format!("{key}.")));
-        if !exists {
-            let nearest = known.iter().min_by_key(|k| distance(k, &key)).expect("there are keys");
-            return Err(Error::Config(format!("{origin}: unknown key '{key}'; did you mean '{nearest}'?")));
-        }
-    }
-    Ok(())
+    let unknown = leaves(layer, "").into_iter().find(|key| !REGISTRY.knows(key));
+    unknown.map_or(Ok(()), |key| {
+        let known = REGISTRY.settings.iter().map(|setting| setting.path.as_str());
+        let nearest = nearest(&key, known).expect("there are settings");
+        Err(Error::Config(format!("{origin}: unknown key '{key}'; did you mean '{nearest}'?")))
+    })
 }
 
-/// Every key that a configuration may hold, dotted.
-fn known_keys() -> Vec<String> {
-    let resolved = Config::default().resolve(super::DataKind::Blender, 2.0, 6.0).expect("defaults are valid");
-    let mut full = resolved.into_draft();
-    full.data.near = Some(2.0);
-    full.data.far = Some(6.0);
-    full.eval.mesh.threshold = Some(25.0);
-    full.eval.mesh.domain = Some([[-1.0; 3], [1.0; 3]]);
-    let table: Table = toml::from_str(&full.to_toml()).expect("own output");
-    let mut keys = Vec::new();
-    leaves(&table, "", &mut keys);
-    // Read, but never written.
-    keys.push("perturb.levels".into());
-    keys
-}
-
-fn leaves(table: &Table, prefix: &str, out: &mut Vec<String>) {
-    for (key, value) in table {
-        let path = if prefix.is_empty() { key.clone() } else { format!("{prefix}.{key}") };
-        match value {
-            Value::Table(inner) if !inner.is_empty() => leaves(inner, &path, out),
-            _ => out.push(path),
-        }
-    }
-}
-
-/// Levenshtein distance.
-fn distance(a: &str, b: &str) -> usize {
-    let b: Vec<char> = b.chars().collect();
-    let mut row: Vec<usize> = (0..=b.len()).collect();
-    for (i, ca) in a.chars().enumerate() {
-        let mut diagonal = std::mem::replace(&mut row[0], i + 1);
-        for (j, cb) in b.iter().enumerate() {
-            let substituted = diagonal + usize::from(ca != *cb);
-            diagonal = row[j + 1];
-            row[j + 1] = substituted.min(diagonal + 1).min(row[j] + 1);
-        }
-    }
-    row[b.len()]
+/// The dotted keys of a table's values.
+pub(super) fn leaves(table: &Table, prefix: &str) -> Vec<String> {
+    let of_key = |(key, value): (&String, &Value)| match value {
+        Value::Table(inner) if !inner.is_empty() => leaves(inner, &format!("{prefix}{key}.")),
+        _ => vec![format!("{prefix}{key}")],
+    };
+    table.iter().flat_map(of_key).collect()
 }
 
 #[cfg(test)]
@@ -242,6 +206,23 @@ mod tests {
         assert!(choice.contains("aug-nerf"), "{choice}");
     }
 
+    /// What a draft leaves open is a setting all the same.
+    #[test]
+    fn settings_without_a_default_are_known() {
+        for (assignment, mistake) in [
+            ("data.near=1.5", "data.neer"),
+            ("eval.mesh.threshold=3", "eval.mesh.treshold"),
+            ("eval.mesh.box=[[-1,-1,-1],[1,1,1]]", "eval.mesh.boxx"),
+            ("perturb.rgb.norm=l2", "perturb.rgb.nrm"),
+            ("train.decay_steps=7", "train.decay_step"),
+        ] {
+            set(&[assignment]).unwrap_or_else(|e| panic!("{assignment}: {e}"));
+            let message = set(&[&format!("{mistake}=1")]).unwrap_err().to_string();
+            let right = assignment.split_once('=').unwrap().0;
+            assert!(message.contains(&format!("'{mistake}'; did you mean '{right}'")), "{message}");
+        }
+    }
+
     #[test]
     fn every_preset_is_valid_and_survives_being_written_out() {
         for (name, preset) in Preset::ALL {
@@ -265,20 +246,5 @@ mod tests {
             assert_eq!(on, [Site::T, Site::Xyz, Site::Feature, Site::Density]);
             assert!(!config.sampling.jitter);
         }
-    }
-
-    #[test]
-    fn the_hash_follows_content_and_not_the_folder_above_the_scene() {
-        let hash = |texts: &[&str]| set(texts).unwrap().hash();
-        assert_eq!(hash(&["data.dir=/a/fern"]), hash(&["data.dir=/b/c/fern"]));
-        assert_ne!(hash(&["data.dir=/a/fern"]), hash(&["data.dir=/a/trex"]));
-        assert_ne!(hash(&["seed=1"]), hash(&["seed=2"]));
-        assert_eq!(hash(&["train.log_every=7"]), hash(&["eval.pictures=0"]));
-        assert_eq!(hash(&["eval.mesh.resolution=64", "eval.mesh.box=[[-1,-1,-1],[1,1,1]]"]), hash(&[]));
-        // What it was before there were surfaces: run folders are known by it.
-        assert_eq!((hash(&[]), hash(&["seed=3", "method=aug-nerf"])), ("a727ab8b7ed0".into(), "932a6a55da8d".into()));
-        // The perturbed pass counts only where there is one.
-        assert_eq!(hash(&["perturb.lambda=1"]), hash(&[]));
-        assert_ne!(hash(&["method=aug-nerf", "perturb.lambda=1"]), hash(&["method=aug-nerf"]));
     }
 }

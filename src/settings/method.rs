@@ -4,6 +4,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::Encoding;
+use super::registry::choice;
 
 /// What is trained.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -14,11 +15,13 @@ pub enum Method {
     Nerf,
     /// Clean pass and perturbed pass, as section `perturb` says.
     AugNerf,
-    /// One field asked at Gaussians that stand for conical frustums (Barron et al. 2021).
+    /// One field queried at Gaussians that stand for conical frustums (Barron et al. 2021).
     MipNerf,
     /// The same with the perturbed pass.
     AugMipNerf,
 }
+
+choice!(Method);
 
 /// What holds the scene.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -9,7 +9,9 @@ use serde::de::value::MapAccessDeserializer;
 use serde::de::{DeserializeSeed, IntoDeserializer, MapAccess, Visitor};
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
+use super::registry::{Registry, Rule, Section, choice, describe, numbers, section};
 use crate::augment::{Level, Norm, Passes, PerSite, Radius, SetChoices, Site, SiteNumbers, StepUnit};
+use crate::base::SettingError;
 
 /// What a step's second pass is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -185,55 +187,85 @@ impl SiteSection {
     }
 }
 
-/// The second pass of a step.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(remote = "Self", default, deny_unknown_fields)]
-pub struct PerturbConfig {
-    /// What it is.
-    #[serde(rename = "kind")]
-    pub second: SecondPass,
-    /// Which numbers fill the empty fields below.
-    #[serde(rename = "attack")]
-    pub sizes: Sizes,
-    /// The second pass's weight in the loss.
-    pub lambda: f64,
-    /// How the losses of both passes are mixed.
-    pub objective: Objective,
-    /// Which network the perturbed pass runs through.
-    pub field: PerturbField,
-    /// Where the output deltas are added.
-    pub output: OutputPlace,
-    /// Where the perturbed fine pass takes its samples from.
-    pub resample: Resample,
-    /// Perturb the density of a ray's last sample, too (the paper's literal sum).
-    pub perturb_last: bool,
-    /// The unit of all step sizes.
-    pub step_unit: Option<StepUnit>,
-    /// What one epsilon of `xyz` is worth.
-    pub xyz_radius: Radius,
-    /// Trunk layer (1-based) whose output `feature` is added to.
-    pub injection_layer: usize,
-    /// A table a site.
-    #[serde(flatten, skip_deserializing, serialize_with = "write_sites")]
-    pub sites: PerSite<SiteConfig>,
+choice!(SecondPass, Sizes, Objective, PerturbField, OutputPlace, Resample, StepUnit, Norm, Radius, Passes, Level);
+
+section! {
+    /// The second pass of a step.
+    #[serde(remote = "Self")]
+    pub struct PerturbConfig {
+        /// What it is.
+        #[serde(rename = "kind")]
+        pub second: SecondPass = SecondPass::Perturbed(DeltaSource::WorstCase),
+            numbers().key("kind").columns(&["perturb_kind"]);
+        /// Which numbers fill the empty fields of sites.
+        #[serde(rename = "attack")]
+        pub sizes: Sizes = Sizes::Paper, numbers().key("attack").columns(&["attack"]);
+        /// The second pass's weight in the loss.
+        pub lambda: f64 = 0.1,
+            numbers()
+                .real(|weight| weight >= 0.0, "0 or positive, and at most 1 with perturb.objective = \"released\"")
+                .columns(&["lambda"])
+                .same_time();
+        /// How the losses of both passes are mixed.
+        pub objective: Objective = Objective::Paper, numbers().columns(&["objective"]);
+        /// Which network the perturbed pass runs through.
+        pub field: PerturbField = PerturbField::Shared, numbers().columns(&["perturb_field"]);
+        /// Where the output deltas are added.
+        pub output: OutputPlace = OutputPlace::After, numbers().columns(&["output"]);
+        /// Where the perturbed fine pass takes its samples from.
+        pub resample: Resample = Resample::Clean, numbers().columns(&["resample"]);
+        /// Perturb the density of a ray's last sample, too (the paper's literal sum).
+        pub perturb_last: bool = false, numbers();
+        /// The unit of all step sizes. Empty = that of `attack`.
+        pub step_unit: Option<StepUnit> = None, numbers().columns(&["step_unit"]);
+        /// What one epsilon of `xyz` is worth.
+        pub xyz_radius: Radius = Radius::Pixel, numbers();
+        /// Trunk layer (1-based) whose output `feature` is added to.
+        pub injection_layer: usize = 4, numbers().columns(&["injection_layer"]);
+    }
+    sections {}
+    flat {
+        /// A table a site.
+        #[serde(flatten, skip_deserializing, serialize_with = "write_sites")]
+        pub sites: PerSite<SiteConfig> = PerSite::from_fn(SiteConfig::default_of);
+    }
 }
 
-impl Default for PerturbConfig {
-    fn default() -> Self {
-        PerturbConfig {
-            second: SecondPass::Perturbed(DeltaSource::WorstCase),
-            sizes: Sizes::Paper,
-            lambda: 0.1,
-            objective: Objective::Paper,
-            field: PerturbField::Shared,
-            output: OutputPlace::After,
-            resample: Resample::Clean,
-            perturb_last: false,
-            step_unit: None,
-            xyz_radius: Radius::Pixel,
-            injection_layer: 4,
-            sites: PerSite::from_fn(SiteConfig::default_of),
+const NUMBERS: &[&str] = &["attack_numbers"];
+
+describe! {
+    SiteConfig {
+        /// The passes it takes part in.
+        passes: Passes, numbers().columns(&["levels"]);
+        /// Ascent steps; 0 leaves the random start. Empty = those of `perturb.attack`.
+        steps: Option<usize>, numbers().whole(0, 1000, "0 to 1000").columns(NUMBERS);
+        /// Length of one step, in `perturb.step_unit`. Empty = that of `perturb.attack`.
+        step_size: Option<f64>, numbers().real(|size| size >= 0.0, "0 or positive").columns(NUMBERS).same_time();
+        /// Size of the set; 0 is no perturbation. Empty = that of `perturb.attack`.
+        epsilon: Option<f64>, numbers().real(|size| size >= 0.0, "0 or positive").columns(NUMBERS).same_time();
+        /// The set's norm. Empty = the site's own.
+        norm: Option<Norm>, numbers();
+    }
+    sections {}
+}
+
+impl Section for PerSite<SiteConfig> {
+    fn list(prefix: &str, registry: &mut Registry) {
+        let doc = "A short way to switch sites off: those of levels that are not named. It is read, and never written.";
+        registry.add::<Option<Vec<Level>>>(format!("{prefix}levels"), &[doc], numbers().columns(&["levels"]));
+        for site in Site::ALL {
+            let (about, path) = (site.about(), format!("{prefix}{}", site.name()));
+            registry.add_section(path.clone(), &[&format!("Site: {}; epsilon in {}.", about.what, about.unit)], false);
+            SiteConfig::list(&format!("{path}."), registry);
         }
+    }
+
+    fn check(&self, prefix: &str) -> Result<(), SettingError> {
+        self.iter().try_for_each(|(site, config)| config.check(&format!("{prefix}{}.", site.name())))
+    }
+
+    fn reset(&mut self, default: &Self, chosen: fn(&Rule) -> bool) {
+        self.iter_mut().for_each(|(site, config)| config.reset(&default[site], chosen));
     }
 }
 
@@ -308,14 +340,14 @@ impl Serialize for PerturbConfig {
 
 impl<'de> Deserialize<'de> for PerturbConfig {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<PerturbConfig, D::Error> {
-        deserializer.deserialize_map(Section)
+        deserializer.deserialize_map(Table)
     }
 }
 
 /// Reads the section: the sites' tables and `levels` by the list of sites, the rest by its fields.
-struct Section;
+struct Table;
 
-impl<'de> Visitor<'de> for Section {
+impl<'de> Visitor<'de> for Table {
     type Value = PerturbConfig;
 
     fn expecting(&self, formatter: &mut std::fmt::Formatter) -> std::fmt::Result {

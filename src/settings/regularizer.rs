@@ -2,6 +2,8 @@
 
 use serde::{Deserialize, Deserializer, Serialize};
 
+use super::registry::{choice, numbers, section};
+
 /// An explicit regularizer: the integral over a box of what it measures at a point (paper,
 /// appendix "Implementation of explicit regularization").
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -50,7 +52,7 @@ impl Regularizer {
     }
 }
 
-/// Where in the box a step asks for density.
+/// Where in the box a step queries density.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum LatticePoints {
@@ -72,45 +74,38 @@ pub enum RegularizedFields {
     Fine,
 }
 
-/// Explicit regularizers. The loss gains weight * term for each.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct RegularizerConfig {
-    /// `l1`, `tv`, `laplacian`, `distortion`, or a list of several; empty = none.
-    #[serde(deserialize_with = "kinds")]
-    pub kind: Vec<Regularizer>,
-    /// Weight of each term in `kind`: a number, or a list in the same order. Empty = a default for each; a term of
-    /// weight 0 is as good as not named.
-    #[serde(deserialize_with = "weights")]
-    pub weight: Vec<f64>,
-    /// Lower and upper corner of the box, in the units of `points` (NDC where the scene uses it).
-    pub domain: [[f64; 3]; 2],
-    /// Cells along each side of the box (N).
-    pub lattice: usize,
-    /// `sampled` or `full`.
-    pub points: LatticePoints,
-    /// Cells that a step of `points = "sampled"` asks for.
-    pub points_per_step: usize,
-    /// A sampled cell is asked at a uniformly random point, which estimates the integral without bias; false = at
-    /// its midpoint, which estimates the full lattice's sum without bias.
-    pub jitter: bool,
-    /// `both` or `fine`.
-    pub fields: RegularizedFields,
-}
+choice!(Regularizer, LatticePoints, RegularizedFields);
 
-impl Default for RegularizerConfig {
-    fn default() -> Self {
-        RegularizerConfig {
-            kind: Vec::new(),
-            weight: Vec::new(),
-            domain: [[-1.0; 3], [1.0; 3]],
-            lattice: 64,
-            points: LatticePoints::Sampled,
-            points_per_step: 4096,
-            jitter: true,
-            fields: RegularizedFields::Both,
-        }
+const POINTS: &[&str] = &["regularizer_points"];
+
+section! {
+    /// Explicit regularizers. The loss gains weight * term for each.
+    pub struct RegularizerConfig {
+        /// `l1`, `tv`, `laplacian`, `distortion`, or a list of several; empty = none.
+        #[serde(deserialize_with = "kinds")]
+        pub kind: Vec<Regularizer> = Vec::new(), numbers().columns(&["regularizers"]);
+        /// Weight of each term in `kind`: a number, or a list in the same order. Empty = a default for each; a term of
+        /// weight 0 is as good as not named.
+        #[serde(deserialize_with = "weights")]
+        pub weight: Vec<f64> = Vec::new(),
+            numbers().real(|weight| weight >= 0.0, "0 (off) or positive").columns(&["regularizers"]).same_time();
+        /// Lower and upper corner of the box, in the units of `points` (NDC where the scene uses it).
+        pub domain: [[f64; 3]; 2] = [[-1.0; 3], [1.0; 3]], numbers().corners().columns(&["regularizer_domain"]);
+        /// Cells along each side of the box (N).
+        pub lattice: usize = 64,
+            numbers().whole(4, 1024, "4 to 1024 cells a side: fewer say nothing about smoothness, more would never finish")
+                .columns(POINTS);
+        /// `sampled` or `full`.
+        pub points: LatticePoints = LatticePoints::Sampled, numbers().columns(POINTS);
+        /// Cells that a step of `points = "sampled"` draws.
+        pub points_per_step: usize = 4096, numbers().columns(POINTS);
+        /// A sampled cell is queried at a uniformly random point, which estimates the integral without bias; false = at
+        /// its midpoint, which estimates the full lattice's sum without bias.
+        pub jitter: bool = true, numbers().columns(POINTS);
+        /// `both` or `fine`.
+        pub fields: RegularizedFields = RegularizedFields::Both, numbers().columns(&["regularizer_fields"]);
     }
+    sections {}
 }
 
 impl RegularizerConfig {

@@ -2,8 +2,7 @@
 
 use crate::base::Result;
 use crate::settings::{
-    Config, DeltaSource, EvalConfig, LatticePoints, PerturbConfig, RegularizedFields, RegularizerConfig, SecondPass,
-    TrainConfig, scene_name,
+    Config, DeltaSource, LatticePoints, PerturbConfig, RegularizedFields, RegularizerConfig, SecondPass,
 };
 
 use super::definition::BudgetKind;
@@ -59,44 +58,4 @@ fn regularizer_evaluations(config: &Config) -> f64 {
     };
     let fields = if *fields == RegularizedFields::Both && config.sampling.fine > 0 { 2.0 } else { 1.0 };
     4.0 * fields * points as f64
-}
-
-/// A name for all configurations whose steps take equally long: what does not change the work is
-/// left out.
-pub fn shape(config: &Config) -> String {
-    let mut shape = config.clone();
-    // The scene by its name, as in the configuration's hash: where its folder lies changes no work.
-    if shape.data.name.is_empty() {
-        shape.data.name = scene_name(&shape.data.dir);
-    }
-    shape.data.dir = String::new();
-    shape.eval = EvalConfig::default();
-    shape.seed = 0;
-    shape.train.steps = 1;
-    // Numbers alone: they change no work.
-    let defaults = Config::default();
-    shape.train = TrainConfig {
-        learning_rate: 1.0,
-        decay_rate: 0.1,
-        decay_steps: None,
-        coarse_weight: defaults.train.coarse_weight,
-        schedule: defaults.train.schedule,
-        final_learning_rate: defaults.train.final_learning_rate,
-        warmup_share: defaults.train.warmup_share,
-        warmup_from: defaults.train.warmup_from,
-        ..shape.train
-    };
-    shape.data.corruption = defaults.data.corruption;
-    shape.sampling.resample_padding = defaults.sampling.resample_padding;
-    if !shape.method.is_augmented() {
-        shape.perturb = PerturbConfig::default();
-    } else {
-        shape.perturb = shape.perturb.resolve(1.0).into_draft();
-        shape.perturb.lambda = 0.1;
-        for (_, site) in shape.perturb.sites.iter_mut() {
-            (site.step_size, site.epsilon) = (None, None);
-        }
-    }
-    shape.regularizer.weight = shape.regularizer.kind.iter().map(|_| 1.0).collect();
-    shape.text_hash()
 }

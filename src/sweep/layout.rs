@@ -131,9 +131,10 @@ impl Builder<'_> {
             return Err(in_row(row, axes, Error::Config(message)));
         }
         let located = locate_scene(config.clone());
-        if let Err(error @ Error::Config(_)) = located {
-            return Err(in_row(row, axes, error));
-        }
+        let located = match located {
+            Err(error) if error.is_of_settings() => return Err(in_row(row, axes, error)),
+            located => located,
+        };
         let budget = row.budget.as_ref().or(self.definition.budget.as_ref()).filter(|budget| budget.like != row.name);
         let budget = budget.map(|budget| {
             let other = self.definition.row.iter().find(|row| row.name == budget.like).expect("checked");
@@ -174,10 +175,7 @@ impl Builder<'_> {
 
 /// The same error with the row that it is about.
 fn in_row(row: &Row, axes: &Combination, error: Error) -> Error {
-    match error {
-        Error::Config(message) => Error::Config(format!("row '{}': {message}", label(&row.name, &named(axes)))),
-        other => other,
-    }
+    error.within(&format!("row '{}'", label(&row.name, &named(axes))))
 }
 
 /// `a.b = v` and nested tables alike, as dotted names.

@@ -25,7 +25,7 @@ mod runner;
 mod training;
 
 pub use axes::{Axis, AxisPoint, RandomSpan, Scale, Span};
-pub use budget::{StepCosts, evaluations_per_step, shape, steps_within};
+pub use budget::{StepCosts, evaluations_per_step, steps_within};
 pub use claim::{Beat, Claim, Claimed};
 pub use collect::Collector;
 pub use definition::{Budget, BudgetKind, Combine, Definition, Overrides, Row};

@@ -8,7 +8,7 @@ use crate::base::files::{read_json, write_json};
 use crate::base::{Error, Result};
 use crate::settings::Config;
 
-use super::budget::{StepCosts, shape};
+use super::budget::StepCosts;
 use super::definition::Definition;
 use super::folder::{Change, SweepFolder};
 use super::layout::{Laid, lay_out};
@@ -58,7 +58,7 @@ pub struct CostGroup<'a> {
 pub fn plan_costs(points: &[&Point], trainings: &Trainings, mut each: impl FnMut(CostGroup)) -> Result<()> {
     let mut groups: BTreeMap<(String, u64), Vec<&Point>> = BTreeMap::new();
     for point in points {
-        groups.entry((shape(&point.config), point.config.train.steps)).or_default().push(point);
+        groups.entry((point.config.step_shape(), point.config.train.steps)).or_default().push(point);
     }
     let mut known: Option<(&str, Cost)> = None;
     // Groups of one shape follow one another.
@@ -105,7 +105,7 @@ struct Unmeasured;
 
 impl StepCosts for Unmeasured {
     fn seconds_per_step(&self, config: &Config) -> Result<f64> {
-        let digits = u32::from_str_radix(&shape(config)[..6], 16).expect("a hexadecimal hash");
+        let digits = u32::from_str_radix(&config.step_shape()[..6], 16).expect("a hexadecimal hash");
         Ok(1.0 + f64::from(digits) / f64::from(1 << 24))
     }
 }
@@ -138,7 +138,7 @@ impl<'a> KeptCosts<'a> {
 impl StepCosts for KeptCosts<'_> {
     fn seconds_per_step(&self, config: &Config) -> Result<f64> {
         let mut known = self.known.lock().expect("no panic while measuring");
-        let shape = shape(config);
+        let shape = config.step_shape();
         if let Some(seconds) = known.get(&shape) {
             return Ok(*seconds);
         }

@@ -118,13 +118,8 @@ fn point(laid: &Laid, costs: &dyn StepCosts) -> Result<Point> {
         let stretch = steps as f64 / config.train.steps as f64;
         config.train.decay_steps = Some(((decay_steps as f64 * stretch).round() as u64).max(1));
         config.train.steps = steps;
-        let in_row = |error| match error {
-            Error::Config(message) => {
-                Error::Config(format!("row '{}': {message}", label(&laid.place.row, &laid.place.axes)))
-            }
-            other => other,
-        };
-        config.validate().map_err(in_row)?;
+        let row = || format!("row '{}'", label(&laid.place.row, &laid.place.axes));
+        config.validate().map_err(|error| error.within(&row()))?;
     }
     let without_budget = laid.budget.is_some() && laid.decay_steps.is_none();
     Ok(Point {

@@ -14,7 +14,7 @@ use augnerf::runtime::Runtime;
 use augnerf::settings::Config;
 use augnerf::sweep::{
     Beat, Change, Claim, Definition, Options, Overrides, Point, PointFolder, PointResult, Runner, StepCosts,
-    SweepFolder, Work, begin, evaluations_per_step, expand, shape,
+    SweepFolder, Work, begin, evaluations_per_step, expand,
 };
 use tempfile::TempDir;
 
@@ -507,14 +507,14 @@ fn budgets_give_cheap_rows_more_steps() {
 #[test]
 fn shapes_are_what_decides_the_time_of_a_step() {
     let points = points_of(BASE).unwrap();
-    assert_eq!(shape(&points[0].config), shape(&points[2].config));
-    assert_ne!(shape(&points[0].config), shape(&points[1].config));
+    assert_eq!(points[0].config.step_shape(), points[2].config.step_shape());
+    assert_ne!(points[0].config.step_shape(), points[1].config.step_shape());
     let mut other = points[1].config.clone();
     other.perturb.lambda = 0.7;
     other.perturb.sites[Site::T].epsilon = Some(0.1);
-    assert_eq!(shape(&other), shape(&points[1].config));
+    assert_eq!(other.step_shape(), points[1].config.step_shape());
     other.perturb.sites[Site::T].steps = Some(9);
-    assert_ne!(shape(&other), shape(&points[1].config));
+    assert_ne!(other.step_shape(), points[1].config.step_shape());
 }
 
 /// Every shipped sweep expands, whatever data are there.

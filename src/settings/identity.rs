@@ -1,0 +1,179 @@
+//! What makes two configurations the same experiment.
+
+use sha2::{Digest, Sha256};
+use toml::{Table, Value};
+
+use super::registry::{Effect, REGISTRY, Section};
+use super::{Config, EvalConfig, PerturbConfig};
+
+impl Config {
+    /// A 12-digit content hash of [`Config::portable`].
+    pub fn hash(&self) -> String {
+        self.portable().text_hash()
+    }
+
+    /// Everything that can change a weight or a metric, the rest at its defaults. The scene counts
+    /// by its name, not by where its folder lies; how often a run logs, evaluates or saves does
+    /// not count, and neither do section `perturb` without a perturbed pass and regularizers of weight 0.
+    pub fn portable(&self) -> Config {
+        let mut portable = self.named();
+        portable.reset(&Config::default(), |rule| rule.effect != Effect::Numbers);
+        if !self.method.is_augmented() {
+            portable.perturb = PerturbConfig::default();
+        }
+        portable.regularizer.resolve();
+        portable.data.corruption.resolve();
+        portable
+    }
+
+    /// A name for all configurations whose steps take equally long: what does not change the time of a step is left out.
+    pub fn step_shape(&self) -> String {
+        let mut shape = self.named();
+        if self.method.is_augmented() {
+            shape.perturb = shape.perturb.resolve(1.0).into_draft();
+        } else {
+            shape.perturb = PerturbConfig::default();
+        }
+        shape.reset(&Config::default(), |rule| rule.same_time || rule.effect == Effect::Place);
+        shape.eval = EvalConfig::default();
+        shape.regularizer.weight = vec![1.0; shape.regularizer.kind.len()];
+        // Folders of sweeps know times by names that were made with these.
+        (shape.train.steps, shape.train.learning_rate) = (1, 1.0);
+        shape.text_hash()
+    }
+
+    /// A 12-digit hash of all settings, but for those that are younger than runs and at their defaults.
+    pub fn text_hash(&self) -> String {
+        let as_table = |config: &Config| Table::try_from(config).expect("a configuration is plain data");
+        let (mut table, defaults) = (as_table(self), as_table(&Config::default()));
+        for path in REGISTRY.later() {
+            if value_at(&table, path) == value_at(&defaults, path) {
+                remove(&mut table, path);
+            }
+        }
+        short_hash(Sha256::new_with_prefix(table.to_string()))
+    }
+
+    /// Where a scene is named by its folder, with that name.
+    fn named(&self) -> Config {
+        let mut named = self.clone();
+        if named.data.name.is_empty() {
+            named.data.name = scene_name(&self.data.dir);
+        }
+        named
+    }
+}
+
+/// What stands at a dotted path.
+fn value_at<'a>(table: &'a Table, path: &str) -> Option<&'a Value> {
+    match path.split_once('.') {
+        Some((section, rest)) => value_at(table.get(section)?.as_table()?, rest),
+        None => table.get(path),
+    }
+}
+
+fn remove(table: &mut Table, path: &str) {
+    match path.split_once('.') {
+        Some((section, rest)) => {
+            if let Some(inner) = table.get_mut(section).and_then(Value::as_table_mut) {
+                remove(inner, rest);
+            }
+        }
+        None => _ = table.remove(path),
+    }
+}
+
+/// The first 12 hexadecimal digits of a hash: enough to tell experiments apart, short enough to read.
+pub fn short_hash(hash: Sha256) -> String {
+    hash.finalize().iter().take(6).map(|byte| format!("{byte:02x}")).collect()
+}
+
+/// The last component of a scene's folder, or `builtin` where there is none.
+pub fn scene_name(dir: &str) -> String {
+    let name = std::path::Path::new(dir).file_name().map(|n| n.to_string_lossy().into_owned());
+    name.unwrap_or_else(|| "builtin".into())
+}
+
+#[cfg(test)]
+mod tests {
+    use crate::settings::{Config, Preset, build, parse_assignment};
+
+    fn set(preset: Option<&str>, texts: &[&str]) -> Config {
+        let preset = preset.map(|name| Preset::parse(name).unwrap());
+        let assignments: Vec<_> = texts.iter().map(|text| parse_assignment(text).unwrap()).collect();
+        build(preset, None, &assignments).unwrap()
+    }
+
+    #[test]
+    fn the_hash_follows_content_and_not_the_folder_above_the_scene() {
+        let hash = |texts: &[&str]| set(None, texts).hash();
+        assert_eq!(hash(&["data.dir=/a/fern"]), hash(&["data.dir=/b/c/fern"]));
+        assert_ne!(hash(&["data.dir=/a/fern"]), hash(&["data.dir=/a/trex"]));
+        assert_ne!(hash(&["seed=1"]), hash(&["seed=2"]));
+        assert_eq!(hash(&["train.log_every=7"]), hash(&["eval.pictures=0"]));
+        assert_eq!(hash(&["eval.mesh.resolution=64", "eval.mesh.box=[[-1,-1,-1],[1,1,1]]"]), hash(&[]));
+        // The perturbed pass counts only where there is one.
+        assert_eq!(hash(&["perturb.lambda=1"]), hash(&[]));
+        assert_ne!(hash(&["method=aug-nerf", "perturb.lambda=1"]), hash(&["method=aug-nerf"]));
+    }
+
+    /// Folders of runs and points of sweeps are known by these, which revision 33f90f8 gave them.
+    #[test]
+    fn hashes_are_those_that_folders_are_known_by() {
+        assert_eq!(set(None, &[]).hash(), "a727ab8b7ed0");
+        assert_eq!(set(None, &["seed=3", "method=aug-nerf"]).hash(), "932a6a55da8d");
+        for (preset, hash) in [
+            ("smoke", "20541e8d9571"),
+            ("cpu", "4c4a6e190d15"),
+            ("paper-llff", "a08e294fec98"),
+            ("paper-blender", "13e56fa2bdba"),
+            ("released-llff", "086c89db48de"),
+            ("released-blender", "18da4454f2ae"),
+        ] {
+            assert_eq!(set(Some(preset), &["seed=3"]).hash(), hash, "{preset}");
+        }
+        let aug =
+            ["method=aug-nerf", "perturb.attack=calibrated", "perturb.rgb.passes=off", "perturb.feature.epsilon=0.02"];
+        let regularized = [
+            "regularizer.kind=[\"l1\", \"tv\"]",
+            "regularizer.weight=[0.001, 0.0001]",
+            "regularizer.points=full",
+            "regularizer.points_per_step=17",
+        ];
+        let noisy = ["data.corruption.kind=pepper", "data.corruption.share=0.2", "data.corruption.severity=5"];
+        let unseen = ["train.keep_checkpoints=5", "train.log_every=7", "eval.pictures=1", "eval.mesh.resolution=32"];
+        let seen = ["train.coarse_weight=0.5", "data.near=1.5"];
+        for (texts, hash) in [
+            (&aug[..], "cae7134a798a"),
+            (&["method=mip-nerf"], "b405edc88839"),
+            (&["method=aug-mip-nerf", "perturb.kind=gaussian"], "34648ccbd1a3"),
+            (&regularized, "848a5d07610b"),
+            (&noisy, "9a9bd92790df"),
+            (&[unseen, [seen[0], seen[1], "seed=3", "seed=3"]].concat(), "b18994827dff"),
+        ] {
+            let texts = [&["seed=3"], texts].concat();
+            assert_eq!(set(Some("cpu"), &texts).hash(), hash, "{texts:?}");
+        }
+    }
+
+    /// The same of the names by which folders of sweeps know seconds of a step.
+    #[test]
+    fn shapes_of_steps_are_those_that_folders_know_times_by() {
+        let aug = ["method=aug-nerf", "perturb.attack=calibrated", "perturb.rgb.passes=off", "train.log_every=7"];
+        let tv = [
+            "regularizer.kind=[\"tv\", \"l1\"]",
+            "regularizer.weight=[0.1, 0.2]",
+            "regularizer.points_per_step=64",
+            "data.corruption.kind=pepper",
+        ];
+        for (texts, shape) in [
+            (&[][..], "1da64b355f14"),
+            (&aug, "e93de294a053"),
+            (&["method=mip-nerf"], "690a54f7a5e2"),
+            (&tv, "d1a41c46c773"),
+        ] {
+            let texts = [&["train.rays=32", "seed=3"], texts].concat();
+            assert_eq!(set(Some("smoke"), &texts).step_shape(), shape, "{texts:?}");
+        }
+    }
+}
