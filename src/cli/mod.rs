@@ -20,6 +20,7 @@ mod mesh;
 mod profile;
 mod progress;
 mod render;
+mod settings;
 mod sweep;
 mod train;
 
@@ -132,6 +133,8 @@ enum Command {
     /// Look at scenes
     #[command(subcommand)]
     Data(data::DataCommand),
+    /// Explain the settings of --set and files: values, defaults, what each can change
+    Settings(settings::SettingsArguments),
     /// Time training steps on made-up rays, as one line of JSON
     Bench(bench::BenchArguments),
 }
@@ -221,6 +224,7 @@ pub fn main() -> ExitCode {
         Command::Mesh(arguments) => arguments.run(),
         Command::Chamfer(arguments) => arguments.run(),
         Command::Data(command) => command.run(),
+        Command::Settings(arguments) => arguments.run(),
     };
     match done {
         Ok(()) => ExitCode::SUCCESS,

@@ -4,49 +4,8 @@ use serde::Serialize;
 
 use super::run_view::RunView;
 use crate::run::columns;
-
-/// Fields of the protocol that follow from others.
-const DERIVED: [&str; 3] = ["config_hash", "redraws", "corruption_hash"];
-/// Settings that the protocol has a field for.
-const SPOKEN: [&str; 35] = [
-    "seed",
-    "method",
-    "data.name",
-    "data.kind",
-    "data.downscale",
-    "data.width",
-    "data.holdout",
-    "data.test_skip",
-    "data.eval_split",
-    "data.background",
-    "data.ndc",
-    "data.pixel_origin",
-    "field.width",
-    "field.depth",
-    "field.init",
-    "field.density_activation",
-    "sampling.coarse",
-    "sampling.fine",
-    "train.rays",
-    "train.steps",
-    "train.learning_rate",
-    "train.decay_rate",
-    "train.decay_steps",
-    "train.schedule",
-    "train.final_learning_rate",
-    "train.coarse_weight",
-    "perturb.kind",
-    "perturb.attack",
-    "perturb.lambda",
-    "perturb.objective",
-    "perturb.field",
-    "perturb.output",
-    "perturb.resample",
-    "perturb.step_unit",
-    "perturb.injection_layer",
-];
-/// The same for the fields of each level of the attack.
-const SPOKEN_OF_LEVELS: [&str; 4] = [".passes", ".steps", ".step_size", ".epsilon"];
+use crate::settings::columns::{Column, find};
+use crate::settings::registry::REGISTRY;
 
 /// One thing in which runs differ.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -57,13 +16,14 @@ pub struct Difference {
     pub values: Vec<String>,
 }
 
-fn spoken_of(setting: &str) -> bool {
-    let of_level = setting.starts_with("perturb.") && SPOKEN_OF_LEVELS.iter().any(|end| setting.ends_with(end));
-    // The protocol's fields say all of the regularizers and of corruption.
-    of_level
-        || setting.starts_with("regularizer.")
-        || setting.starts_with("data.corruption.")
-        || SPOKEN.contains(&setting)
+/// A column of the protocol speaks of the setting.
+fn has_column(setting: &str) -> bool {
+    REGISTRY.get(setting).is_some_and(|setting| !setting.rule.columns.is_empty())
+}
+
+/// The column says nothing that other columns and settings do not decide.
+fn is_derived(column: &str) -> bool {
+    find(column).is_some_and(Column::is_derived)
 }
 
 /// In what the runs differ: fields of their protocols first, then settings that these do not speak of.
@@ -86,8 +46,8 @@ pub fn differences(runs: &[&RunView]) -> Vec<Difference> {
             }
         }
     };
-    compare(runs.iter().map(|run| columns(&run.protocol)).collect(), &|name| DERIVED.contains(&name));
-    compare(runs.iter().map(|run| run.settings.clone()).collect(), &spoken_of);
+    compare(runs.iter().map(|run| columns(&run.protocol)).collect(), &is_derived);
+    compare(runs.iter().map(|run| run.settings.clone()).collect(), &has_column);
     found
 }
 
@@ -135,10 +95,10 @@ mod tests {
     fn what_the_protocol_speaks_of_is_not_told_twice() {
         for setting in ["seed", "train.learning_rate", "perturb.t.steps", "perturb.rgb.epsilon", "data.corruption.kind"]
         {
-            assert!(spoken_of(setting), "{setting}");
+            assert!(has_column(setting), "{setting}");
         }
         for setting in ["train.warmup_share", "perturb.t.norm", "field.encoding", "sampling.jitter"] {
-            assert!(!spoken_of(setting), "{setting}");
+            assert!(!has_column(setting), "{setting}");
         }
     }
 }

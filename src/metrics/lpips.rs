@@ -1,13 +1,16 @@
 //! LPIPS v0.1: a perceptual distance from the features of a pretrained network
 //! (Zhang et al. 2018, "The Unreasonable Effectiveness of Deep Features as a Perceptual Metric").
 
+use std::cell::RefCell;
 use std::path::{Path, PathBuf};
 
 use candle_core::{D, Device, Tensor};
+use sha2::{Digest, Sha256};
 
 use super::check_same_shape;
 use super::weights::Weights;
 use crate::base::{Error, Image, Result};
+use crate::settings::short_hash;
 
 /// Mean and deviation of the scaling layer, for inputs in -1..=1.
 const SHIFT: [f32; 3] = [-0.030, -0.088, -0.188];
@@ -181,6 +184,7 @@ pub struct Lpips {
     shift: Tensor,
     scale: Tensor,
     device: Device,
+    weights_hash: String,
 }
 
 enum Layer {
@@ -219,11 +223,18 @@ impl Lpips {
     pub fn load(dir: &Path, backbone: Backbone, device: &Device) -> Result<Option<Lpips>> {
         check_dir(dir)?;
         let Some((linear, features)) = backbone.files(dir) else { return Ok(None) };
-        let loader = Loader { linear: Weights::open(&linear)?, features: Weights::open(&features)?, device };
+        let (linear, features) = (Weights::open(&linear)?, Weights::open(&features)?);
+        let loader = Loader { linear, features, device, hash: RefCell::default() };
         let layers = loader.layers(backbone.steps())?;
+        let weights_hash = short_hash(loader.hash.into_inner());
         let shift = Tensor::new(&SHIFT, device)?.reshape((1, 3, 1, 1))?;
         let scale = Tensor::new(&SCALE, device)?.reshape((1, 3, 1, 1))?;
-        Ok(Some(Lpips { backbone, layers, shift, scale, device: device.clone() }))
+        Ok(Some(Lpips { backbone, layers, shift, scale, device: device.clone(), weights_hash }))
+    }
+
+    /// A 12-digit hash of all weights, the same for a `.pth` and a `.safetensors` file of the same numbers.
+    pub fn weights_hash(&self) -> &str {
+        &self.weights_hash
     }
 
     /// The network this distance is measured on.
@@ -278,9 +289,19 @@ struct Loader<'a> {
     linear: Weights,
     features: Weights,
     device: &'a Device,
+    /// Of the weights so far.
+    hash: RefCell<Sha256>,
 }
 
 impl Loader<'_> {
+    /// A tensor of `from`, which counts in the hash.
+    fn get(&self, from: &Weights, names: &[String], shape: &[usize]) -> Result<Tensor> {
+        let tensor = from.get(names, shape, self.device)?;
+        let mut hash = self.hash.borrow_mut();
+        tensor.flatten_all()?.to_vec1::<f32>()?.iter().for_each(|value| hash.update(value.to_le_bytes()));
+        Ok(tensor)
+    }
+
     fn layers(&self, steps: &[Step]) -> Result<Vec<Layer>> {
         let mut compared = 0;
         let mut layers = Vec::with_capacity(steps.len());
@@ -305,7 +326,7 @@ impl Loader<'_> {
             },
             Compare { channels } => {
                 let name = format!("lin{compared}.model.1.weight");
-                Layer::Compare(self.linear.get(&[name], &[1, channels, 1, 1], self.device)?)
+                Layer::Compare(self.get(&self.linear, &[name], &[1, channels, 1, 1])?)
             }
         })
     }
@@ -314,7 +335,7 @@ impl Loader<'_> {
     fn conv(&self, name: &str, inputs: usize, outputs: usize, kernel: usize) -> Result<Conv> {
         let get = |part: &str, shape: &[usize]| {
             let names = [format!("{name}.{part}"), format!("features.{name}.{part}")];
-            self.features.get(&names, shape, self.device)
+            self.get(&self.features, &names, shape)
         };
         let weight = get("weight", &[outputs, inputs, kernel, kernel])?;
         let bias = get("bias", &[outputs])?.reshape((1, outputs, 1, 1))?;

@@ -10,6 +10,7 @@ use crate::base::files::{clean_temporaries, is_temporary, read_json, remove, wri
 use crate::base::{Error, Result};
 use crate::runtime::Timing;
 use crate::settings::Config;
+use crate::train::checkpoint;
 
 const CONFIG: &str = "config.toml";
 const METRICS_JSON: &str = "metrics.json";
@@ -73,6 +74,18 @@ impl RunDir {
     /// Whether there is a run at `path`, begun at least.
     pub fn holds_run(path: &Path) -> bool {
         path.join(CONFIG).is_file()
+    }
+
+    /// Whether no run was begun at `path`: nothing is there, or a folder without settings and checkpoints.
+    ///
+    /// # Errors
+    /// What is there cannot be looked into.
+    pub fn is_vacant(path: &Path) -> Result<bool> {
+        let exists = |path: &Path| path.try_exists().map_err(|error| Error::unreadable(path, &error));
+        if !exists(path)? {
+            return Ok(true);
+        }
+        Ok(path.is_dir() && !exists(&path.join(CONFIG))? && checkpoint::list(&path.join(CHECKPOINTS))?.is_empty())
     }
 
     /// An existing run, to read from. Whoever goes on to train in it calls [`RunDir::lock`].

@@ -6,6 +6,7 @@ use crate::augment::{Passes, Site, StepUnit};
 use crate::base::version;
 use crate::data::Scene;
 use crate::methods::Model;
+use crate::metrics::Lpips;
 use crate::settings::{
     Config, DensityActivation, EvalSplit, Init, LatticePoints, Objective, OutputPlace, PerturbField, PixelOrigin,
     RegularizedFields, Resample, Resolved, ResolvedPerturb, Schedule, SecondPass, Sizes,
@@ -115,6 +116,8 @@ pub struct Protocol {
     pub device: String,
     /// How the surface behind `chamfer` and `f_score` was drawn and compared; empty where none was.
     pub mesh: Option<String>,
+    /// Hash of the weights that each LPIPS backbone measured with: `squeeze 1a2b3c4d5e6f`; empty where none did.
+    pub lpips_weights: Option<String>,
 }
 
 /// A learning rate and how it falls, in words.
@@ -202,7 +205,15 @@ impl Protocol {
             code_revision: state.revisions.join(" + "),
             device: state.devices.join(" + "),
             mesh: surface::describe(config, scene),
+            lpips_weights: None,
         }
+    }
+
+    /// The protocol of an evaluation that measured LPIPS with these backbones.
+    pub fn with_lpips(self, lpips: &[Lpips]) -> Protocol {
+        let named = lpips.iter().map(|lpips| format!("{} {}", lpips.backbone().name(), lpips.weights_hash()));
+        let lpips_weights = (!lpips.is_empty()).then(|| named.collect::<Vec<String>>().join(", "));
+        Protocol { lpips_weights, ..self }
     }
 }
 

@@ -120,7 +120,7 @@ impl Measurement<'_> {
         let attack = SiteSummary::read(&self.run.scalars(), self.state.step)?;
         let views = self.viewer.evaluate(self.lpips, self.events, &going, each)?;
         let surface = self.viewer.surface(self.events, &going)?;
-        let protocol = Protocol::new(self.viewer.config, self.viewer.scene, self.state);
+        let protocol = Protocol::new(self.viewer.config, self.viewer.scene, self.state).with_lpips(self.lpips);
         let report = Report::new(views, surface, protocol, attack);
         report.write(&self.run.metrics_json(), &self.run.metrics_csv())?;
         Ok(report)

@@ -44,8 +44,7 @@ impl Config {
 
     /// A 12-digit hash of all settings, but for those that are younger than runs and at their defaults.
     pub fn text_hash(&self) -> String {
-        let as_table = |config: &Config| Table::try_from(config).expect("a configuration is plain data");
-        let (mut table, defaults) = (as_table(self), as_table(&Config::default()));
+        let (mut table, defaults) = (self.to_table(), Config::default().to_table());
         for path in REGISTRY.later() {
             if value_at(&table, path) == value_at(&defaults, path) {
                 remove(&mut table, path);
@@ -65,7 +64,7 @@ impl Config {
 }
 
 /// What stands at a dotted path.
-fn value_at<'a>(table: &'a Table, path: &str) -> Option<&'a Value> {
+pub fn value_at<'a>(table: &'a Table, path: &str) -> Option<&'a Value> {
     match path.split_once('.') {
         Some((section, rest)) => value_at(table.get(section)?.as_table()?, rest),
         None => table.get(path),

@@ -45,6 +45,11 @@ impl Preset {
         })
     }
 
+    /// What it sets.
+    pub(super) fn table(self) -> Table {
+        toml::from_str(self.text()).expect("presets are valid TOML")
+    }
+
     fn text(self) -> &'static str {
         match self {
             Preset::Smoke => include_str!("presets/smoke.toml"),
@@ -95,7 +100,7 @@ pub fn parse_assignment(text: &str) -> Result<(Vec<String>, Value)> {
 pub fn build(preset: Option<Preset>, file: Option<&Path>, assignments: &[(Vec<String>, Value)]) -> Result<Config> {
     let mut base = Table::new();
     if let Some(preset) = preset {
-        merge(&mut base, toml::from_str(preset.text()).expect("presets are valid TOML"));
+        merge(&mut base, preset.table());
     }
     let mut table = Table::new();
     if let Some(path) = file {

@@ -4,8 +4,10 @@
 //! Layers, later over earlier: defaults, preset, the method's own (MipNeRF), configuration file, `--data`/`--method`/`--seed`,
 //! `--set`. The result is what stands in every run's `config.toml`.
 
+pub mod columns;
 mod corruption;
 mod data;
+mod document;
 mod eval;
 mod field;
 mod identity;
@@ -21,9 +23,10 @@ mod validate;
 
 pub use corruption::{CorruptionConfig, CorruptionKind};
 pub use data::{Background, DataConfig, DataKind, EvalSplit, PixelOrigin};
+pub use document::{settings_page, settings_text};
 pub use eval::{EvalConfig, MESH_SIDES, MeshConfig};
 pub use field::{Core, DensityActivation, Encoding, FieldConfig, Init};
-pub use identity::{scene_name, short_hash};
+pub use identity::{scene_name, short_hash, value_at};
 pub use layers::{Preset, build, data_section, parse_assignment};
 pub use method::{Method, Representation};
 pub use perturb::{
@@ -72,6 +75,11 @@ impl Config {
         let config: Config = toml::from_str(text).map_err(|e| Error::Config(format!("{origin}: {e}")))?;
         config.validate()?;
         Ok(config)
+    }
+
+    /// The configuration as a table of values; what is left open has none.
+    pub fn to_table(&self) -> toml::Table {
+        toml::Table::try_from(self).expect("a configuration is plain data")
     }
 
     /// The configuration as TOML, every field written out.

@@ -145,6 +145,8 @@ impl Rule {
 
 /// A type that a setting can have.
 pub trait Settable {
+    /// It may be left open.
+    const OPTIONAL: bool = false;
     /// The type in words, with its choices.
     fn kind() -> String;
     /// The value's text where it is not in the range.
@@ -212,8 +214,10 @@ impl Settable for [[f64; 3]; 2] {
 }
 
 impl<T: Settable> Settable for Option<T> {
+    const OPTIONAL: bool = true;
+
     fn kind() -> String {
-        format!("{}, or left out", T::kind())
+        T::kind()
     }
 
     fn outside(&self, range: &Range) -> Option<String> {
@@ -299,6 +303,8 @@ pub struct Setting {
     pub doc: String,
     /// Its type in words.
     pub kind: String,
+    /// It may be left open.
+    pub optional: bool,
     /// What else is known of it.
     pub rule: Rule,
 }
@@ -325,7 +331,7 @@ pub struct Registry {
 
 impl Registry {
     pub(super) fn add<T: Settable>(&mut self, path: String, doc: &[&str], rule: Rule) {
-        self.settings.push(Setting { path, doc: one_line(doc), kind: T::kind(), rule });
+        self.settings.push(Setting { path, doc: one_line(doc), kind: T::kind(), optional: T::OPTIONAL, rule });
     }
 
     pub(super) fn add_section(&mut self, path: String, doc: &[&str], later: bool) {

@@ -1,9 +1,15 @@
-//! What must be equal for rows to stand in one table.
+//! What rows of a sweep must share to stand in one table.
+
+use std::collections::HashMap;
+
+use toml::Table;
 
 use super::definition::Definition;
 use super::points::Point;
 use crate::report::TableSpec;
-use crate::settings::{CorruptionConfig, DataConfig};
+use crate::settings::columns::{Agreement, COLUMNS};
+use crate::settings::registry::REGISTRY;
+use crate::settings::value_at;
 
 impl Definition {
     /// What tables and plots of these points need to know.
@@ -18,36 +24,26 @@ impl Definition {
     }
 }
 
-/// Protocol fields that must be equal in all rows of a scene: all of the evaluation, but for those
-/// that the points differ in by definition.
+/// Columns of the protocol that must be equal in all rows of a scene: all of the evaluation, but for those that the points
+/// differ in by definition.
 fn must_match(points: &[Point]) -> Vec<String> {
-    let always = ["protocol", "program", "code_revision", "device", "dataset", "scene", "mesh"];
-    let varies = |setting: fn(&DataConfig) -> String| {
-        points.iter().any(|point| {
-            let first = points.iter().find(|first| first.scene == point.scene).expect("the point itself");
-            setting(&first.config.data) != setting(&point.config.data)
-        })
+    let tables: Vec<Table> = points.iter().map(|point| point.config.to_table()).collect();
+    let mut first_of_scene: HashMap<&str, &Table> = HashMap::new();
+    for (point, table) in points.iter().zip(&tables) {
+        first_of_scene.entry(&point.scene).or_insert(table);
+    }
+    let varies = |path: &str| {
+        let differs = |(point, table): (&Point, &Table)| {
+            value_at(table, path) != value_at(first_of_scene[point.scene.as_str()], path)
+        };
+        points.iter().zip(&tables).any(differs)
     };
-    // What of the evaluation hangs on which setting; `data_hash` on all of them.
-    let size = varies(|data| format!("{:?} {}", data.downscale, data.width));
-    let views = varies(|data| format!("{} {} {:?}", data.holdout, data.test_skip, data.eval_split));
-    let background = varies(|data| format!("{:?}", data.background));
-    let ndc = varies(|data| data.ndc.to_string());
-    let pixel_origin = varies(|data| format!("{:?}", data.pixel_origin));
-    let corruption = varies(|data| format!("{:?}", data.corruption));
-    let data = varies(|data| {
-        let read = DataConfig { dir: String::new(), corruption: CorruptionConfig::default(), ..data.clone() };
-        toml::to_string(&read).expect("plain data")
+    let must_agree = COLUMNS.iter().filter(|column| match column.agreement {
+        Agreement::Always => true,
+        Agreement::UnlessVaried => {
+            !REGISTRY.settings.iter().any(|setting| column.follows(setting) && varies(&setting.path))
+        }
+        Agreement::Free => false,
     });
-    let of_settings = [
-        (size, &["width", "height"][..]),
-        (views, &["split", "views_trained", "views_evaluated"]),
-        (background, &["background"]),
-        (ndc, &["ndc"]),
-        (pixel_origin, &["pixel_origin"]),
-        (corruption, &["corruption"]),
-        (data, &["data_hash"]),
-    ];
-    let controlled = of_settings.into_iter().filter(|(varies, _)| !varies).flat_map(|(_, fields)| fields);
-    always.iter().chain(controlled).map(|field| field.to_string()).collect()
+    must_agree.map(|column| column.name.to_string()).collect()
 }

@@ -164,7 +164,11 @@ impl Work for Trainings<'_> {
         let (config, scene) = self.scene(config)?;
         let setup = Setup { config: config.clone(), scene: &scene, lpips: &self.lpips, runtime: runtime.clone() };
         let path = folder.run();
-        let job = if RunDir::holds_run(&path) {
+        let job = if RunDir::is_vacant(&path)? {
+            // Nothing there yet, or a run that was killed before its first file.
+            Job::create(&path, Existing::Replace, setup)?
+        } else {
+            // Whatever is wrong with it is an error: it may be hours of training.
             let run = RunDir::take(&path)?;
             let found = run.read_config()?;
             if found.hash() != config.hash() {
@@ -176,9 +180,6 @@ impl Work for Trainings<'_> {
                 )));
             }
             Job::resume(run, setup)?
-        } else {
-            // Nothing there yet, or a run that was killed before its first file.
-            Job::create(&path, Existing::Replace, setup)?
         };
         let finished = job.train(&Beating { events: self.events, beat }, stop)?;
         self.result(&config, &scene, &path, runtime, &finished)

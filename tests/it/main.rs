@@ -18,6 +18,7 @@ mod pictures;
 mod reference;
 mod regularizers;
 mod runtime;
+mod settings;
 mod sweep_cli;
 mod sweep_plots;
 mod sweep_run;

@@ -258,3 +258,22 @@ fn the_smoke_sweep_leaves_every_table_and_figure() {
         assert!(table[0].contains_key(column), "no column {column}");
     }
 }
+
+/// A run that cannot be read is hours of training: it is said, not begun again over what is there.
+#[test]
+fn a_point_without_its_settings_fails_and_keeps_its_checkpoints() {
+    let dir = workplace(TINY);
+    let run = ["sweep", "run", "tiny.toml", "--quiet", "--seeds", "0", "--set", "train.steps=5"];
+    demand(&run, dir.path(), 0);
+    let point = std::fs::read_dir(dir.path().join("runs/tiny/points")).unwrap().next().unwrap().unwrap().path();
+    for file in ["result.json", "run/config.toml"] {
+        std::fs::remove_file(point.join(file)).unwrap();
+    }
+    let message = demand(&run, dir.path(), 7);
+    assert!(message.contains("config.toml"), "{message}");
+    let checkpoints = std::fs::read_dir(point.join("run/checkpoints")).unwrap();
+    assert_eq!(checkpoints.count(), 1, "nothing is deleted");
+    // One that was killed before its first file is begun.
+    std::fs::remove_dir_all(point.join("run/checkpoints")).unwrap();
+    demand(&[&run[..], &["--retry-failed"]].concat(), dir.path(), 0);
+}

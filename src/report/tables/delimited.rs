@@ -1,9 +1,10 @@
 //! CSV: one line a point, and one line a row. A missing number is an empty cell.
 
-use super::{Cell, Line, PER_SEED, Table, axes_text, distinct, protocol_names};
+use super::{Cell, Line, Table, axes_text, distinct, protocol_names};
 use crate::base::csv::{csv_number, csv_text};
 use crate::report::statistics::mean;
 use crate::report::{Record, Status};
+use crate::settings::columns::is_per_seed;
 
 /// Clock times of a point: its folder's name, and name and value of each.
 pub type PointTiming = (String, Vec<(String, Option<f64>)>);
@@ -78,7 +79,7 @@ pub fn timing_csv(records: &[Record], timing: &[PointTiming]) -> String {
 pub fn table_csv(table: &Table, timing: &[PointTiming]) -> String {
     let names = table.lines.iter().flat_map(|line| line.protocol.iter().map(|(name, _)| name.as_str()));
     let differing = table.lines.iter().flat_map(|line| line.differs.iter().map(String::as_str));
-    let protocol = distinct(names.chain(differing).filter(|name| !PER_SEED.contains(name)));
+    let protocol = distinct(names.chain(differing).filter(|name| !is_per_seed(name)));
     let clocks = clock_names(timing);
     let rows = table.lines.iter().map(|line| {
         let mut row = line_cells(line);

@@ -19,9 +19,7 @@ pub use terminal::table_terminal;
 use crate::base::Result;
 use crate::report::statistics::{holm, interval, mean, p_value, paired_differences, standard_deviation};
 use crate::report::{AxisValue, PublishedRow, Record, RowSpec, Status, TableSpec};
-
-/// Protocol fields that every seed has its own of.
-const PER_SEED: [&str; 4] = ["seed", "config_hash", "redraws", "corruption_hash"];
+use crate::settings::columns::is_per_seed;
 
 /// A table, ready to be rendered.
 ///
@@ -368,7 +366,7 @@ fn correct_p_values(lines: &mut [Line]) {
 /// Protocol fields that are equal over the measured points, and the names of the others.
 fn shared_protocol(group: &Group) -> (Vec<(String, String)>, Vec<String>) {
     let (mut shared, mut differs) = (Vec::new(), Vec::new());
-    for name in distinct(group.done().flat_map(protocol_names)).into_iter().filter(|name| !PER_SEED.contains(name)) {
+    for name in distinct(group.done().flat_map(protocol_names)).into_iter().filter(|name| !is_per_seed(name)) {
         match distinct(group.done().map(|point| point.protocol(name))).as_slice() {
             [text] => shared.push((name.to_string(), text.to_string())),
             _ => differs.push(name.to_string()),

@@ -3,31 +3,7 @@
 use super::{Cell, Comparison, Line, Table, Verdict, distinct};
 use crate::metrics::Metric;
 use crate::report::PUBLISHED_NOTE;
-
-/// Protocol fields that a caption tells, where all lines of a scene share them.
-const CAPTION_FIELDS: [&str; 21] = [
-    "protocol",
-    "dataset",
-    "width",
-    "height",
-    "background",
-    "ndc",
-    "split",
-    "views_trained",
-    "views_evaluated",
-    "corruption",
-    "mesh",
-    "pixel_origin",
-    "field_width",
-    "field_depth",
-    "samples_coarse",
-    "samples_fine",
-    "rays",
-    "steps",
-    "density_activation",
-    "program",
-    "code_revision",
-];
+use crate::settings::columns::COLUMNS;
 
 /// What a mark beside a row's name means: its symbol, its meaning and, where a line bears it,
 /// what there is to say of that line.
@@ -59,13 +35,18 @@ pub(super) fn marked_label(line: &Line) -> String {
     if marks.is_empty() { line.label.clone() } else { format!("{} {marks}", line.label) }
 }
 
+/// Columns of the protocol that captions tell.
+fn caption_columns() -> impl Iterator<Item = &'static str> {
+    COLUMNS.iter().filter(|column| column.in_caption).map(|column| column.name)
+}
+
 /// The protocol fields that a scene's measured lines share: `dataset llff, width 504, ...`.
 pub(super) fn protocol_text(lines: &[&Line]) -> String {
     let measured: Vec<&&Line> = lines.iter().filter(|line| !line.ids.is_empty()).collect();
     if measured.is_empty() {
         return "nothing is measured yet".into();
     }
-    let shared = CAPTION_FIELDS.into_iter().filter_map(|name| {
+    let shared = caption_columns().filter_map(|name| {
         match distinct(measured.iter().map(|line| line.protocol(name))).as_slice() {
             [text] if !text.is_empty() => Some(format!("{name} {text}")),
             _ => None,
@@ -186,7 +167,7 @@ fn baseline_notes(lines: &[&Line]) -> Vec<String> {
 /// What the definition makes different between the lines, where a reader would take it as equal.
 fn varied_notes(lines: &[&Line]) -> Vec<String> {
     let value = |line: &Line, name: &str| Some(line.protocol(name).to_string()).filter(|text| !text.is_empty());
-    let varied = CAPTION_FIELDS.into_iter().filter_map(|name| {
+    let varied = caption_columns().filter_map(|name| {
         let values = labels_by(lines, |line| value(line, name));
         let told: Vec<String> = values.iter().map(|(value, labels)| format!("{value} ({labels})")).collect();
         (values.len() > 1).then(|| format!("rows differ in {name}: {}", told.join("; ")))

@@ -1,0 +1,122 @@
+//! The table of settings for readers: `docs/settings.md` and `augnerf settings`.
+
+use std::fmt::Write;
+
+use toml::{Table, Value};
+
+use super::layers::{Preset, leaves};
+use super::registry::{Effect, REGISTRY, Setting, nearest};
+use super::{Config, value_at};
+use crate::base::{Error, Result};
+
+const HEAD: &str = "\
+# Settings
+
+Every setting of an experiment, as TOML files (`--config`), `--set section.field=value` and sweep files name it. This page
+is generated from the program's table of settings; `augnerf settings WORD` prints the same in a terminal, and
+`augnerf train --print-config` what a run would use.
+
+*Default* is what stands where no preset, method or scene says otherwise; *open* is filled from the scene or the attack.
+*Changes* says what a setting can change: **numbers** (a weight or a metric; it counts in the run's hash), **work** (how
+often is logged, saved and evaluated), **place** (where things lie) or **output** (what is drawn and measured besides).
+*Protocol* names the columns of `metrics.csv` and of tables that speak of it.
+";
+
+/// The page `docs/settings.md`.
+pub fn settings_page() -> String {
+    let mut page = HEAD.to_string();
+    let defaults = Config::default().to_table();
+    let top = ("", "Experiment", "");
+    let sections = REGISTRY.sections.iter().map(|row| (row.path.as_str(), row.path.as_str(), row.doc.as_str()));
+    for (path, title, doc) in std::iter::once(top).chain(sections) {
+        let own: Vec<&Setting> = REGISTRY.settings.iter().filter(|setting| setting.section() == path).collect();
+        if own.is_empty() {
+            continue;
+        }
+        let title = if path.is_empty() { title.to_string() } else { format!("`{title}`") };
+        let doc = if doc.is_empty() { String::new() } else { format!("{doc}\n\n") };
+        let _ = write!(page, "\n## {title}\n\n{doc}");
+        page.push_str("| setting | default | values | what it is | changes | protocol |\n|---|---|---|---|---|---|\n");
+        for setting in own {
+            let columns: Vec<String> = setting.rule.columns.iter().map(|column| format!("`{column}`")).collect();
+            let cells = [
+                format!("`{}`", setting.key()),
+                code(value_at(&defaults, &setting.path)),
+                setting.values(),
+                setting.doc.clone(),
+                setting.rule.effect.name().into(),
+                columns.join(", "),
+            ];
+            let _ = writeln!(page, "| {} |", cells.map(|cell| cell.replace('|', "\\|")).join(" | "));
+        }
+    }
+    page + &presets()
+}
+
+/// What each preset sets.
+fn presets() -> String {
+    let tables: Vec<(&str, Table)> = Preset::ALL.iter().map(|(name, preset)| (*name, preset.table())).collect();
+    let mut text =
+        "\n## Presets\n\nWhat `--preset` sets over the defaults; an empty cell is the default.\n\n".to_string();
+    let names: Vec<&str> = tables.iter().map(|(name, _)| *name).collect();
+    let _ = writeln!(text, "| setting | {} |\n|---|{}", names.join(" | "), "---|".repeat(names.len()));
+    let set: Vec<Vec<String>> = tables.iter().map(|(_, table)| leaves(table, "")).collect();
+    for setting in REGISTRY.settings.iter().filter(|setting| set.iter().any(|keys| keys.contains(&setting.path))) {
+        let value =
+            |(_, table): &(&str, Table)| value_at(table, &setting.path).map_or(String::new(), |v| code(Some(v)));
+        let cells: Vec<String> = tables.iter().map(value).collect();
+        let _ = writeln!(text, "| `{}` | {} |", setting.path, cells.join(" | "));
+    }
+    text
+}
+
+/// What `augnerf settings` prints: every setting whose path or words hold `filter`.
+///
+/// # Errors
+/// A filter that is in none.
+pub fn settings_text(filter: Option<&str>) -> Result<String> {
+    let filter = filter.unwrap_or_default().to_lowercase();
+    let holds = |setting: &&Setting| setting.path.contains(&filter) || setting.doc.to_lowercase().contains(&filter);
+    let found: Vec<&Setting> = REGISTRY.settings.iter().filter(holds).collect();
+    if found.is_empty() {
+        let known = REGISTRY.settings.iter().map(|setting| setting.path.as_str());
+        let nearest = nearest(&filter, known).expect("there are settings");
+        return Err(Error::Config(format!("no setting speaks of '{filter}'; did you mean '{nearest}'?")));
+    }
+    let defaults = Config::default().to_table();
+    Ok(found.into_iter().map(|setting| entry(setting, value_at(&defaults, &setting.path))).collect())
+}
+
+/// A setting with its words, ended by a line.
+fn entry(setting: &Setting, default: Option<&Value>) -> String {
+    let default = default.map_or("open".into(), Value::to_string);
+    let effect = match setting.rule.effect {
+        Effect::Numbers => "changes numbers",
+        Effect::Work => "changes work, no numbers",
+        Effect::Place => "says where things lie",
+        Effect::Output => "changes output, no numbers",
+    };
+    format!("{} = {default}\n    {}\n    {}; {effect}\n", setting.path, setting.doc, setting.values())
+}
+
+fn code(value: Option<&Value>) -> String {
+    value.map_or("open".into(), |value| format!("`{value}`"))
+}
+
+impl Setting {
+    /// The section that it is in; empty for none.
+    fn section(&self) -> &str {
+        self.path.rsplit_once('.').map_or("", |(section, _)| section)
+    }
+
+    /// Its name in the section.
+    fn key(&self) -> &str {
+        self.path.rsplit_once('.').map_or(&self.path, |(_, key)| key)
+    }
+
+    /// What it may be, in words.
+    fn values(&self) -> String {
+        let words = if self.rule.allowed.is_empty() { &self.kind } else { self.rule.allowed };
+        format!("{words}{}", if self.optional { ", or left open" } else { "" })
+    }
+}
