@@ -16,7 +16,7 @@ Every setting of an experiment, as TOML files (`--config`), `--set section.field
 is generated from the program's table of settings; `augnerf settings WORD` prints the same in a terminal, and
 `augnerf train --print-config` what a run would use.
 
-*Default* is what stands where no preset, method or scene says otherwise; *open* is filled from the scene or the attack.
+*Default* is what stands where no preset, method or scene says otherwise; *empty* is filled from the scene or the attack.
 *Changes* says what a setting can change: **numbers** (a weight or a metric; it counts in the run's hash), **work** (how
 often is logged, saved and evaluated), **place** (where things lie) or **output** (what is drawn and measured besides).
 *Protocol* names the columns of `metrics.csv` and of tables that speak of it.
@@ -89,7 +89,7 @@ pub fn settings_text(filter: Option<&str>) -> Result<String> {
 
 /// A setting with its words, ended by a line.
 fn entry(setting: &Setting, default: Option<&Value>) -> String {
-    let default = default.map_or("open".into(), Value::to_string);
+    let default = default.map_or("empty".into(), Value::to_string);
     let effect = match setting.rule.effect {
         Effect::Numbers => "changes numbers",
         Effect::Work => "changes work, no numbers",
@@ -100,7 +100,7 @@ fn entry(setting: &Setting, default: Option<&Value>) -> String {
 }
 
 fn code(value: Option<&Value>) -> String {
-    value.map_or("open".into(), |value| format!("`{value}`"))
+    value.map_or("empty".into(), |value| format!("`{value}`"))
 }
 
 impl Setting {
@@ -117,6 +117,6 @@ impl Setting {
     /// What it may be, in words.
     fn values(&self) -> String {
         let words = if self.rule.allowed.is_empty() { &self.kind } else { self.rule.allowed };
-        format!("{words}{}", if self.optional { ", or left open" } else { "" })
+        format!("{words}{}", if self.optional { ", or empty" } else { "" })
     }
 }

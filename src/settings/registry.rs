@@ -389,8 +389,8 @@ macro_rules! describe {
                 })*
                 $({
                     let path = format!("{prefix}{}", stringify!($inner));
+                    registry.add_section(path.clone(), &[$($about),+], $later);
                     <$Inner as $crate::settings::registry::Section>::list(&format!("{path}."), registry);
-                    registry.add_section(path, &[$($about),+], $later);
                 })*
                 $(<$Flat as $crate::settings::registry::Section>::list(prefix, registry);)?
                 let _ = (prefix, registry);
