@@ -44,7 +44,7 @@ impl Viewer<'_> {
     /// use augnerf::settings::{Preset, build, parse_assignment};
     /// use augnerf::train::Trainer;
     ///
-    /// let small = ["data.width=16", "field.width=16"].map(|text| parse_assignment(text).unwrap());
+    /// let small = ["data.width=16", "field.width=16", "train.rays=64"].map(|text| parse_assignment(text).unwrap());
     /// let (config, scene) = load_scene(build(Some(Preset::Smoke), None, &small)?, &())?;
     /// let runtime = Runtime::new("cpu", None)?;
     /// let trainer = Trainer::new(&config, &scene, DType::F32, &runtime)?;
