@@ -6,8 +6,8 @@ use toml::Value;
 use crate::base::rng::{Random, Stream};
 use crate::report::AxisValue;
 
-/// More values than a figure can show.
-const MOST_VALUES: usize = 1000;
+/// More values than anyone means.
+const MOST_VALUES: usize = 10_000;
 
 /// A setting, or several that move together, with the values that it takes: one of `values`, `zip`, `log` and `random`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -259,7 +259,7 @@ mod tests {
             ("keys = [\"a\"]\nlog = { from = 1, to = 2, count = 1 }", "at least 2"),
             ("keys = [\"a\"]\nlog = { from = \"x\", to = 2, count = 3 }", "log.from = x"),
             ("keys = [\"a\"]\nrandom = { from = 1, to = 2, count = 0 }", "at least 1"),
-            ("keys = [\"a\"]\nrandom = { from = 1, to = 9e9, count = 5000 }", "more than 1000"),
+            ("keys = [\"a\"]\nrandom = { from = 1, to = 9e9, count = 50000 }", "more than 10000"),
         ] {
             let error = axis(text).points().unwrap_err();
             assert!(error.contains(words), "{text}: {error}");
