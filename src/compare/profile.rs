@@ -8,7 +8,7 @@ use super::window::Window;
 use crate::base::{Error, Result};
 use crate::data::{RayBuffer, Rays};
 use crate::render::sampling::stratified;
-use crate::render::volume::middles;
+use crate::render::volume::{middles, transmittance};
 use crate::render::{Pass, PassOutput, clean_pass, columns, fine_t_vals, points_at, ray_parts};
 use crate::run::Viewer;
 
@@ -154,22 +154,12 @@ fn samples(rays: &Rays, out: &PassOutput) -> Result<Vec<Samples>> {
     }
     let columns = t_vals.into_iter().zip(t).zip(density).zip(weights).zip(points).zip(rgb).zip(norms);
     let samples = columns.map(|((((((t_vals, t), density), weights), points), rgb), norm)| {
-        let transmittance = transmittance(&t_vals, &density, norm);
+        let wide = |values: &[f32]| values.iter().copied().map(f64::from).collect::<Vec<f64>>();
+        let transmittance = transmittance(&wide(&t_vals), &wide(&density), f64::from(norm));
+        let transmittance = transmittance.into_iter().map(|value| value as f32).collect();
         Samples { t, density, weights, transmittance, points, rgb }
     });
     Ok(samples.collect())
-}
-
-/// exp(-sum over earlier samples of density times interval) at each sample of a ray whose direction is `norm` long.
-fn transmittance(t_vals: &[f32], density: &[f32], norm: f32) -> Vec<f32> {
-    let mut optical = 0f64;
-    let mut before = Vec::with_capacity(density.len());
-    for (index, density) in density.iter().enumerate() {
-        before.push((-optical).exp() as f32);
-        let gap = t_vals.get(index + 1).map_or(0.0, |next| f64::from(next - t_vals[index]));
-        optical += f64::from(*density) * gap * f64::from(norm);
-    }
-    before
 }
 
 /// Of the rays of a patch of `width` columns.

@@ -40,6 +40,16 @@ struct Ray<'a, T> {
     last_interval: f64,
 }
 
+/// What one sample leaves of a ray's light.
+struct Light {
+    /// T_k, transmittance before it.
+    before: f64,
+    /// T_k alpha_k, its weight.
+    weight: f64,
+    /// T_k (1 - alpha_k), transmittance behind it.
+    behind: f64,
+}
+
 impl<T: Real> Ray<'_, T> {
     /// Interval `k` in scene units.
     fn interval(&self, k: usize) -> T {
@@ -60,15 +70,23 @@ impl<T: Real> Ray<'_, T> {
         self.t_vals.len() > self.density.len()
     }
 
-    /// For each sample: its weight, and the transmittance behind it (`T_k (1 - alpha_k)`).
-    fn scan(&self, mut visit: impl FnMut(usize, f64, f64)) {
+    /// Visits the samples from the near end on.
+    fn scan(&self, mut visit: impl FnMut(usize, Light)) {
         let mut before = 0.0;
         for (k, density) in self.density.iter().enumerate() {
             let optical = *density * self.interval(k);
             let kept = optical.exp_neg();
             let transmittance = T::from_f64(before).exp_neg();
             let alpha = T::from_f64(1.0) - kept;
-            visit(k, (alpha * transmittance).to_f64(), (kept * transmittance).to_f64());
+            let before_it = transmittance.to_f64();
+            visit(
+                k,
+                Light {
+                    before: before_it,
+                    weight: (alpha * transmittance).to_f64(),
+                    behind: (kept * transmittance).to_f64(),
+                },
+            );
             before += optical.to_f64();
         }
     }
@@ -102,7 +120,7 @@ impl Scan {
             let ray = self.ray(i, samples, rgb, density, t_vals);
             let (mut colour, mut depth, mut acc) = ([0f64; 3], 0.0, 0.0);
             let weights = &mut weights[i * samples..][..samples];
-            ray.scan(|k, weight, _| {
+            ray.scan(|k, Light { weight, .. }| {
                 weights[k] = T::from_f64(weight);
                 for (sum, c) in colour.iter_mut().zip(&ray.rgb[3 * k..3 * k + 3]) {
                     *sum += weight * c.to_f64();
@@ -133,7 +151,7 @@ impl Scan {
         let (mut weights, mut behind) = (vec![0f64; samples], vec![0f64; samples]);
         for i in 0..rays {
             let ray = self.ray(i, samples, rgb, density, t_vals);
-            ray.scan(|k, weight, after| (weights[k], behind[k]) = (weight, after));
+            ray.scan(|k, light| (weights[k], behind[k]) = (light.weight, light.behind));
             let g_colour: [f64; 3] = std::array::from_fn(|c| g_colours[3 * i + c].to_f64());
             let (g_depth, fill) = (g_depths[i].to_f64(), self.fill());
             let g_acc = g_accs[i].to_f64() - (0..3).map(|c| g_colour[c] * fill[c]).sum::<f64>();
@@ -170,6 +188,14 @@ impl Scan {
         }
         out
     }
+}
+
+/// Transmittance before each sample of one ray, see [`super::volume::transmittance`].
+pub(super) fn transmittance(t_vals: &[f64], density: &[f64], norm: f64, last_interval: f64) -> Vec<f64> {
+    let ray = Ray { rgb: &[], density, t_vals, norm, last_interval };
+    let mut before = Vec::with_capacity(density.len());
+    ray.scan(|_, light| before.push(light.before));
+    before
 }
 
 impl CustomOp3 for Scan {

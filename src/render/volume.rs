@@ -4,7 +4,7 @@ use candle_core::{D, DType, Tensor};
 
 use crate::base::Result;
 
-use super::scan::Scan;
+use super::scan::{self, Scan};
 
 /// Length of a ray's last interval, as in the original implementation: whatever density the last
 /// sample has makes the ray opaque.
@@ -55,6 +55,12 @@ fn exclusive_sum(samples: usize, like: &Tensor) -> Result<Tensor> {
     let values: Vec<f64> =
         (0..samples - 1).flat_map(|row| (0..samples).map(move |column| if row < column { 1.0 } else { 0.0 })).collect();
     Ok(Tensor::from_vec(values, (samples - 1, samples), like.device())?)
+}
+
+/// Transmittance T_k before each sample of one ray whose direction has length `norm`: `density` `[samples]` at, or between,
+/// `t_vals` (see [`intervals`]).
+pub fn transmittance(t_vals: &[f64], density: &[f64], norm: f64) -> Vec<f64> {
+    scan::transmittance(t_vals, density, norm, LAST_INTERVAL)
 }
 
 /// Positions of `samples` samples, `[rays, samples]`: points as they are, of intervals the middles.
@@ -127,6 +133,7 @@ mod tests {
         assert_eq!(out.rgb.to_vec2::<f64>().unwrap()[0], [0.5, 0.25, 0.25]);
         assert_eq!(out.depth.to_vec1::<f64>().unwrap(), [0.5 + 0.5 + 0.75]);
         assert_eq!(out.acc.to_vec1::<f64>().unwrap(), [1.0]);
+        assert_eq!(transmittance(&[1.0, 2.0, 3.0], &[ln2, ln2, 1.0], 1.0), [1.0, 0.5, 0.25]);
     }
 
     /// Every output pulled at once, every input's gradient; random rays, one of them empty, one opaque.
