@@ -18,6 +18,7 @@ pub mod registry;
 mod regularizer;
 mod resolved;
 mod sampling;
+mod second_pass;
 mod train;
 mod validate;
 
@@ -29,13 +30,11 @@ pub use field::{Core, DensityActivation, Encoding, FieldConfig, Init};
 pub use identity::{scene_name, short_hash, value_at};
 pub use layers::{Preset, build, data_section, parse_assignment};
 pub use method::{Method, Representation};
-pub use perturb::{
-    DeltaSource, Objective, OutputPlace, PerturbConfig, PerturbField, Resample, ResolvedPerturb, SecondPass,
-    SiteConfig, Sizes,
-};
+pub use perturb::{Objective, OutputPlace, PerturbConfig, PerturbField, Resample, ResolvedPerturb, SiteConfig, Sizes};
 pub use regularizer::{LatticePoints, REGULARIZERS, RegularizedFields, Regularizer, RegularizerConfig};
 pub use resolved::{Located, Resolved};
 pub use sampling::SamplingConfig;
+pub use second_pass::{DeltaSource, SecondPass};
 pub use train::{Batching, Schedule, TrainConfig};
 
 use crate::base::{Error, Result};
