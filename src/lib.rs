@@ -119,3 +119,8 @@ pub mod settings;
 pub mod space;
 pub mod sweep;
 pub mod train;
+
+/// Runs the code of the page on the library.
+#[cfg(doctest)]
+#[doc = include_str!("../docs/library.md")]
+mod library_page {}

@@ -165,6 +165,25 @@ fn every_setting_that_is_named_exists() {
 }
 
 #[test]
+fn every_file_that_is_named_exists() {
+    let roots = ["src/", "tests/", "examples/", "tools/", "benches/", "sweeps/", "docs/", ".ci/", ".github/"];
+    let (mut found, mut wrong) = (0, Vec::new());
+    for page in pages() {
+        let named = page.spans().into_iter().filter(|code| roots.iter().any(|root| code.starts_with(root)));
+        // `src/NAME.rs` and `sweeps/*.toml` are patterns, what follows a space is an argument.
+        let files = named
+            .filter_map(|code| code.split(' ').next())
+            .filter(|file| !file.contains("NAME") && !file.contains('*'));
+        for file in files {
+            found += 1;
+            wrong.extend((!root().join(file).exists()).then(|| format!("{}: {file}", page.path.display())));
+        }
+    }
+    assert!(wrong.is_empty(), "{}", wrong.join("\n"));
+    assert!(found > 20, "only {found} files were found");
+}
+
+#[test]
 fn every_sweep_in_the_pages_is_one() {
     // Beside the shipped ones, which an example may extend.
     let folder = tempfile::tempdir().unwrap();
