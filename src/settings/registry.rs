@@ -1,7 +1,7 @@
 //! What there is to know of each setting, once: its path, what it says, what it may hold, what it can change, which
 //! columns of the protocol speak of it. Hashes, checks, known keys, comparability and `docs/settings.md` follow from it.
 //!
-//! A section is declared with [`section!`]: documentation, type, default and [`Rule`] of a field stand in one place.
+//! A section is declared with `section!`: documentation, type, default and [`Rule`] of a field stand in one place.
 
 use std::sync::LazyLock;
 
