@@ -5,7 +5,6 @@
 //! stand for themselves by finitely many points, so that even a surface and itself, drawn twice, are some way apart:
 //! that distance is given beside the result.
 
-use kiddo::{ImmutableKdTree, SquaredEuclidean};
 use rayon::prelude::*;
 use serde::Serialize;
 
@@ -15,6 +14,7 @@ use crate::data::formats::builtin::{self, Stage};
 use crate::data::vector::{Vec3, add, length, scale};
 
 use super::Mesh;
+use super::nearest::PointTree;
 
 /// How far before a facet of the embedded scene there must be room for it to be a surface of the whole, half of it for
 /// certain: facets lie up to 1.3e-3 within round solids.
@@ -138,7 +138,7 @@ pub struct Score {
     pub f_score: f64,
 }
 
-/// Compares two surfaces by points that were drawn on them, with scores at each distance of `at`.
+/// Compares two surfaces by points that were drawn on them, with scores at each distance of `at`. Both need a point.
 pub fn chamfer(mesh: &PointCloud, reference: &PointCloud, at: &[f64]) -> Result<Chamfer> {
     let (to_reference, to_mesh) = (distances(mesh, reference)?, distances(reference, mesh)?);
     let mean = |distances: &[f64]| distances.iter().sum::<f64>() / distances.len() as f64;
@@ -162,9 +162,11 @@ pub fn chamfer(mesh: &PointCloud, reference: &PointCloud, at: &[f64]) -> Result<
 
 /// The distance from each point of one cloud to the nearest of another.
 fn distances(from: &PointCloud, to: &PointCloud) -> Result<Vec<f64>> {
-    let tree: ImmutableKdTree<f64, 3> = ImmutableKdTree::new_from_slice(&to.points)
-        .map_err(|e| Error::Data(format!("cannot search among {} points of a mesh: {e}", to.points.len())))?;
-    let nearest = |point: &Vec3| tree.query(point).nearest_one::<SquaredEuclidean<f64>>().execute().distance.sqrt();
+    if from.points.is_empty() || to.points.is_empty() {
+        return Err(Error::Data("a surface without points has no distance to any other".into()));
+    }
+    let tree = PointTree::new(&to.points);
+    let nearest = |point: &Vec3| tree.squared_distance(*point).sqrt();
     Ok(from.points.par_iter().with_min_len(4096).map(nearest).collect())
 }
 
@@ -237,6 +239,8 @@ mod tests {
         assert_eq!(chamfer(&cloud, &cloud, &[]).unwrap().chamfer, 0.0);
         let point = PointCloud { points: vec![[0.5; 3]; 1_000], area: 1.0 };
         assert_eq!(chamfer(&point, &point, &[]).unwrap().chamfer, 0.0);
+        let nothing = PointCloud { points: Vec::new(), area: 1.0 };
+        assert!(chamfer(&point, &nothing, &[]).unwrap_err().to_string().contains("without points"));
         let line = Mesh { triangles: vec![[0, 1, 0]], ..mesh };
         assert!(sample(&line, 10, 0).unwrap_err().to_string().contains("area of 0"));
     }

@@ -11,6 +11,7 @@ mod lattice;
 mod level;
 mod marching;
 mod mesh;
+mod nearest;
 
 pub use cells::{CHUNK, densities};
 pub(crate) use cells::{chunk_count, chunk_size, chunks_at_once, over_chunks};
