@@ -7,6 +7,7 @@ use clap::Args;
 use crate::base::files::AtomicDir;
 use crate::base::{Error, Result};
 use crate::compare::{Comparison, RunView, Window, check_box, check_fade, labels};
+use crate::draw::SVG_ALONE;
 use crate::run::{RunDir, Trained, Viewer};
 use crate::runtime::Runtime;
 use crate::train::checkpoint;
@@ -113,6 +114,7 @@ impl CompareArguments {
         comparison.write(pictures.path(), self.gif)?;
         pictures.commit()?;
         console.say(&format!("pictures: {}", folder.display()));
+        SVG_ALONE.into_iter().for_each(|note| console.say(note));
         Ok(())
     }
 }

@@ -7,6 +7,7 @@ use clap::Args;
 use crate::base::files::AtomicDir;
 use crate::base::{Error, Result};
 use crate::compare::{Profile, Profiles, RunView, Window, check_overlay, patch_around};
+use crate::draw::SVG_ALONE;
 use crate::run::Viewer;
 use crate::runtime::Runtime;
 
@@ -57,6 +58,7 @@ impl ProfileArguments {
         Profiles { runs, pixel, patch }.write(pictures.path())?;
         pictures.commit()?;
         console.say(&format!("profile of pixel ({}, {}): {}", pixel.0, pixel.1, folder.display()));
+        SVG_ALONE.into_iter().for_each(|note| console.say(note));
         Ok(())
     }
 }

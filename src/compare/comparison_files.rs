@@ -42,9 +42,14 @@ struct RunLine<'a> {
 }
 
 impl Comparison {
-    /// Writes `compare.png`, `compare.json` and, if `fade`, `fade.gif` into a folder.
+    /// Writes `compare.png` (`compare.svg` without the feature `png-figures`), `compare.json` and, if `fade`,
+    /// `fade.gif` into a folder.
     pub fn write(&self, folder: &Path, fade: bool) -> Result<()> {
-        write_atomic(&folder.join("compare.png"), &comparison_figure::draw(self)?.png)?;
+        let figure = comparison_figure::draw(self)?;
+        match &figure.png {
+            Some(png) => write_atomic(&folder.join("compare.png"), png)?,
+            None => write_atomic(&folder.join("compare.svg"), figure.svg.as_bytes())?,
+        }
         write_json(&folder.join("compare.json"), &self.file())?;
         if fade {
             write_fade(self, &folder.join("fade.gif"))?;

@@ -6,7 +6,7 @@ use super::comparison::{Comparison, Side, metrics_text};
 use super::shown::Shown;
 use crate::base::{Error, Image, Result};
 use crate::draw::canvas::{Anchor, BLACK, Canvas, LINE_HEIGHT, TEXT, wrapped};
-use crate::draw::write_timed_gif;
+use crate::draw::{SVG_ALONE, write_timed_gif};
 
 /// Hundredths of a second that each run stays in the fade, and each step between them.
 const STAY: u16 = 120;
@@ -52,10 +52,12 @@ fn name_strip(text: &[String], lines: usize, width: f64) -> Result<Image> {
     canvas.raster()
 }
 
-/// Refuses a fade between any other number of runs than two.
+/// Refuses a fade between any other number of runs than two, and any where figures are SVG alone.
 pub fn check_fade(runs: usize) -> Result<()> {
-    if runs == 2 {
-        return Ok(());
-    }
-    Err(Error::Config(format!("--gif fades between two runs and here is {runs}; name two, or leave --gif out")))
+    let refused = match (runs, SVG_ALONE) {
+        (2, None) => return Ok(()),
+        (2, Some(why)) => format!("--gif fades between drawn pixels, and {why}; leave --gif out"),
+        _ => format!("--gif fades between two runs and here is {runs}; name two, or leave --gif out"),
+    };
+    Err(Error::Config(refused))
 }

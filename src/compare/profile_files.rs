@@ -58,11 +58,12 @@ struct RunLine<'a> {
 }
 
 impl Profiles {
-    /// Writes `profile.svg`, `profile.png`, `ray.csv`, `patch.csv` and `profile.json` into a folder.
+    /// Writes `profile.svg`, `profile.png` (with the feature `png-figures`), `ray.csv`, `patch.csv` and
+    /// `profile.json` into a folder.
     pub fn write(&self, folder: &Path) -> Result<()> {
-        let figure = profile_figure::draw(self)?;
-        write_atomic(&folder.join("profile.svg"), figure.svg.as_bytes())?;
-        write_atomic(&folder.join("profile.png"), &figure.png)?;
+        for (name, bytes) in profile_figure::draw(self)?.files("profile") {
+            write_atomic(&folder.join(name), &bytes)?;
+        }
         self.write_csv(&folder.join("ray.csv"), |run, profile| {
             let passes = [("coarse", Some(&profile.coarse)), ("fine", profile.fine.as_ref())];
             let passes = passes.into_iter().filter_map(|(name, samples)| Some((name, samples?)));

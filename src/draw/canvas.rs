@@ -5,11 +5,12 @@
 
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
-use resvg::{tiny_skia, usvg};
 use svg::node::element::{Circle, Image as Raster, Polygon, Polyline, Rectangle, Text};
 use svg::{Document, Node};
 
 use super::pictures::encode_png8;
+use super::raster;
+pub use super::raster::FINENESS;
 use crate::base::{Error, Image, Result};
 
 /// A finished figure.
@@ -17,14 +18,20 @@ use crate::base::{Error, Image, Result};
 pub struct Figure {
     /// SVG text.
     pub svg: String,
-    /// PNG file, twice as fine.
-    pub png: Vec<u8>,
+    /// PNG file, twice as fine; none without the feature `png-figures`.
+    pub png: Option<Vec<u8>>,
 }
 
-const FONT: &[u8] = epaint_default_fonts::UBUNTU_LIGHT;
+impl Figure {
+    /// `NAME.svg` and, where there is one, `NAME.png`, each with its bytes.
+    pub fn files(self, name: &str) -> impl Iterator<Item = (String, Vec<u8>)> {
+        let png = self.png.map(|png| (format!("{name}.png"), png));
+        std::iter::once((format!("{name}.svg"), self.svg.into_bytes())).chain(png)
+    }
+}
+
+/// What figures are to be lettered in.
 const FONT_FAMILY: &str = "Ubuntu, sans-serif";
-/// Pixels of the PNG to one of the SVG.
-pub const FINENESS: f64 = 2.0;
 /// Letters' size.
 pub const TEXT: f64 = 13.0;
 /// Size of a title's letters.
@@ -162,17 +169,13 @@ impl Canvas {
     /// The figure's files.
     pub fn finish(self) -> Result<Figure> {
         let svg = self.svg();
-        let png = rasterise(&svg)?.encode_png().map_err(|e| Error::Output(format!("cannot draw a figure: {e}")))?;
+        let png = raster::png(&svg)?;
         Ok(Figure { svg, png })
     }
 
-    /// The PNG's pixels.
+    /// The PNG's pixels, which only the feature `png-figures` draws.
     pub fn raster(self) -> Result<Image> {
-        let pixels = rasterise(&self.svg())?;
-        // The paper is opaque, so that colours are not scaled by any alpha.
-        let rgb = pixels.data().chunks_exact(4).flat_map(|pixel| [0, 1, 2].map(|c| f32::from(pixel[c]) / 255.0));
-        let (width, height) = (pixels.width() as usize, pixels.height() as usize);
-        Ok(Image { width, height, channels: 3, pixels: rgb.collect() })
+        raster::image(&self.svg())
     }
 
     fn svg(&self) -> String {
@@ -227,21 +230,9 @@ impl Mark {
     }
 }
 
-fn rasterise(svg: &str) -> Result<tiny_skia::Pixmap> {
-    let failed = |what: &str| Error::Output(format!("cannot draw a figure: {what}"));
-    let mut fonts = usvg::fontdb::Database::new();
-    fonts.load_font_data(FONT.to_vec());
-    let options = usvg::Options { fontdb: std::sync::Arc::new(fonts), ..usvg::Options::default() };
-    let tree = usvg::Tree::from_str(svg, &options).map_err(|e| failed(&e.to_string()))?;
-    let size = tree.size().to_int_size().scale_by(FINENESS as f32).ok_or_else(|| failed("it has no size"))?;
-    let mut pixels = tiny_skia::Pixmap::new(size.width(), size.height()).ok_or_else(|| failed("it has no size"))?;
-    resvg::render(&tree, tiny_skia::Transform::from_scale(FINENESS as f32, FINENESS as f32), &mut pixels.as_mut());
-    Ok(pixels)
-}
-
 /// Width of a text in pixels.
 pub fn text_width(text: &str, size: f64) -> f64 {
-    let face = ttf_parser::Face::parse(FONT, 0).expect("the embedded font is a font");
+    let face = ttf_parser::Face::parse(raster::FACE, 0).expect("the embedded font is a font");
     let advance =
         |letter: char| face.glyph_index(letter).and_then(|glyph| face.glyph_hor_advance(glyph)).unwrap_or(500);
     text.chars().map(|letter| f64::from(advance(letter))).sum::<f64>() * size / f64::from(face.units_per_em())

@@ -237,11 +237,11 @@ fn the_smoke_sweep_leaves_every_table_and_figure() {
         "table.tex",
         "timing.csv",
         "rows_builtin_psnr.svg",
-        "rows_builtin_psnr.png",
         "curves_builtin_psnr.svg",
     ] {
         assert!(results.join(name).is_file(), "{name}");
     }
+    assert_eq!(results.join("rows_builtin_psnr.png").is_file(), cfg!(feature = "png-figures"));
     let first = files(&results, &[]);
     demand(&["sweep", "collect", "runs/smoke"], dir.path(), 0);
     assert_eq!(first, files(&results, &[]), "collected from files alone, the tables are the same");

@@ -6,6 +6,7 @@ use clap::Args;
 
 use crate::base::{Error, Result};
 use crate::cli::progress::print;
+use crate::draw::SVG_ALONE;
 use crate::report::tables::table_terminal;
 use crate::sweep::{Collector, SweepFolder};
 
@@ -53,6 +54,7 @@ impl CollectArguments {
         };
         print(&table_terminal(&collector.write()?, terminal_width()));
         print(&format!("tables: {}", results.display()));
+        SVG_ALONE.into_iter().for_each(print);
         Ok(())
     }
 }

@@ -6,6 +6,7 @@ use crate::base::{Error, Result};
 use crate::cli::progress::{Console, print};
 use crate::cli::train::catch_signals;
 use crate::cli::{Compute, LpipsWeights};
+use crate::draw::SVG_ALONE;
 use crate::metrics::{Lpips, Metric, Needs, Scope};
 use crate::report::Status;
 use crate::report::tables::table_terminal;
@@ -126,6 +127,7 @@ impl RunArguments {
             print(&table_terminal(table, terminal_width()));
         }
         console.say(&format!("tables: {}", collector.results.display()));
+        SVG_ALONE.into_iter().for_each(|note| console.say(note));
         // What became of the points comes before what became of the table.
         summarise(&folder, &points)?;
         table.map(|_| ())

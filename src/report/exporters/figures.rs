@@ -59,7 +59,7 @@ impl Exporter for Curves {
         let mut files = Vec::new();
         for (scene, curves) in collected.curves {
             let title = format!("{}: training on {scene}", collected.spec.title);
-            files.extend(both(
+            files.extend(files_of(
                 &format!("curves_{scene}_psnr"),
                 curves_figure(&title, "PSNR of the step's rays (dB)", curves)?,
             ));
@@ -82,14 +82,13 @@ fn of_metrics(
     let mut files = Vec::new();
     for (scene, _) in table.scenes() {
         for metric in &table.metrics {
-            files.extend(both(&format!("{kind}_{scene}_{metric}"), figure(scene, metric)?));
+            files.extend(files_of(&format!("{kind}_{scene}_{metric}"), figure(scene, metric)?));
         }
     }
     Ok(files)
 }
 
-/// Both files of a figure, where there is one.
-fn both(name: &str, figure: Option<Figure>) -> Vec<File> {
-    let Some(figure) = figure else { return Vec::new() };
-    vec![(format!("{name}.svg"), figure.svg.into_bytes()), (format!("{name}.png"), figure.png)]
+/// A figure's files, where there is one.
+fn files_of(name: &str, figure: Option<Figure>) -> Vec<File> {
+    figure.into_iter().flat_map(|figure| figure.files(name)).collect()
 }
