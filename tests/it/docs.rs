@@ -265,6 +265,28 @@ fn the_book_has_every_page_of_docs() {
     }
 }
 
+#[test]
+fn the_package_holds_what_its_pages_lead_to() {
+    let list = ["package", "--list", "--allow-dirty", "--offline"];
+    let output = std::process::Command::new(env!("CARGO")).args(list).current_dir(root()).output().unwrap();
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let packed: Vec<PathBuf> = String::from_utf8(output.stdout).unwrap().lines().map(PathBuf::from).collect();
+    let (mut found, mut missing) = (0, Vec::new());
+    for page in pages().iter().filter(|page| packed.contains(&page.path)) {
+        let folder = page.path.parent().expect("pages are files");
+        let files = page.links().into_iter().filter(|link| !link.starts_with("https://") && !link.starts_with('#'));
+        for link in files {
+            found += 1;
+            let target = plain(&folder.join(link.split('#').next().expect("split gives one")));
+            if !packed.iter().any(|file| file.starts_with(&target)) {
+                missing.push(format!("{}: {link}", page.path.display()));
+            }
+        }
+    }
+    assert!(missing.is_empty(), "left out of the package:\n{}", missing.join("\n"));
+    assert!(found > 60, "only {found} links were found");
+}
+
 /// The page of this name below docs.
 fn page(name: &str) -> Page {
     Page::read(&root(), Path::new("docs").join(name))
