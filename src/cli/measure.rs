@@ -56,6 +56,7 @@ impl MeasureArguments {
         let mut header = true;
         for run in &self.runs {
             let trained = Trained::open(run, self.data.as_deref(), runtime, &console)?;
+            lattice.check_meets(&trained.scene, "--bbox")?;
             let report = trained.measure_smoothness(lattice, &console)?;
             for field in &report.fields {
                 let (mut names, mut values): (Vec<_>, Vec<_>) = columns(field).into_iter().unzip();

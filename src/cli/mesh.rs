@@ -9,6 +9,7 @@ use crate::run::{MeshFormat, MeshOptions, MeshReport, Trained, columns, named_me
 use crate::runtime::Runtime;
 use crate::settings::MESH_SIDES;
 use crate::settings::registry::{check_flag, numbers};
+use crate::space::Lattice;
 use crate::space::{self, Score};
 
 use super::Compute;
@@ -79,6 +80,9 @@ impl MeshArguments {
     fn draw(&self, options: &MeshOptions, runtime: &Runtime) -> Result<()> {
         let console = Console::new(self.compute.quiet);
         let trained = Trained::open(&self.run, self.data.as_deref(), runtime, &console)?;
+        if let Some(domain) = options.domain {
+            Lattice { domain, side: options.resolution }.check_meets(&trained.scene, "--bbox")?;
+        }
         let report = trained.draw_mesh(options, &console)?;
         console.say(&words(&report, &trained.run.mesh()));
         Ok(())

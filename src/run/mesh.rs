@@ -171,7 +171,7 @@ impl Trained {
 
     fn draw_mesh_here(&self, options: &MeshOptions, events: &dyn Listener) -> Result<MeshReport> {
         let drawing = options.drawing(self);
-        drawing.lattice.check_meets(&self.scene, "--bbox")?;
+        drawing.lattice.check_meets(&self.scene, "the mesh's lattice")?;
         let files = AtomicDir::new(&self.run.mesh())?;
         let LevelSet { mut mesh, range } = self.level_set(&drawing, options.density.then_some(&files), events)?;
         let components = mesh.components();

@@ -80,7 +80,7 @@ fn measure_fields(
     device: &Device,
     events: &dyn Listener,
 ) -> Result<Vec<FieldSmoothness>> {
-    lattice.check_meets(scene, "--bbox")?;
+    lattice.check_meets(scene, "the lattice of smoothness")?;
     let fields: Vec<_> = model.fields()?.by_role().into_iter().filter(|(role, _)| *role != "adversarial").collect();
     let seconds = estimate_seconds(fields[0].1, lattice, lattice.cells(), &[])?;
     let hours = seconds * fields.len() as f64 / 3600.0;

@@ -55,10 +55,13 @@ impl Runtime {
     ///
     /// let runtime = Runtime::new("cpu", Some(2))?;
     /// assert_eq!(runtime.threads(), 2);
-    /// assert!(Runtime::new("abacus", None).is_err());
+    /// assert!(Runtime::new("abacus", None).is_err() && Runtime::new("cpu", Some(0)).is_err());
     /// # Ok::<(), augnerf::base::Error>(())
     /// ```
     pub fn new(device: &str, threads: Option<usize>) -> Result<Runtime> {
+        if threads == Some(0) {
+            return Err(Error::Config("threads = 0 is out of range: it must be at least 1".into()));
+        }
         process::prepare();
         let threads = threads.unwrap_or_else(|| std::thread::available_parallelism().map_or(1, usize::from));
         Runtime::with_threads(open(device)?, device.to_string(), threads)

@@ -12,6 +12,8 @@ pub enum Agreement {
     UnlessVaried,
     /// Always.
     Always,
+    /// Where a table has a metric that needs LPIPS, and both rows have weights.
+    ForLpips,
 }
 
 /// A column of the protocol.
@@ -32,12 +34,16 @@ const fn column(name: &'static str) -> Column {
 }
 
 impl Column {
-    const fn told(self) -> Column {
+    const fn in_caption(self) -> Column {
         Column { in_caption: true, ..self }
     }
 
     const fn always(self) -> Column {
         Column { agreement: Agreement::Always, ..self }
+    }
+
+    const fn for_lpips(self) -> Column {
+        Column { agreement: Agreement::ForLpips, ..self }
     }
 
     const fn unless_varied(self) -> Column {
@@ -65,22 +71,22 @@ impl Column {
 
 /// All columns, in the order in which captions tell them.
 pub const COLUMNS: [Column; 48] = [
-    column("protocol").told().always(),
-    column("dataset").told().always(),
+    column("protocol").in_caption().always(),
+    column("dataset").in_caption().always(),
     column("scene").always(),
-    column("width").told().unless_varied(),
-    column("height").told().unless_varied(),
-    column("background").told().unless_varied(),
-    column("ndc").told().unless_varied(),
-    column("split").told().unless_varied(),
-    column("views_trained").told().unless_varied(),
-    column("views_evaluated").told().unless_varied(),
-    column("corruption").told().unless_varied(),
+    column("width").in_caption().unless_varied(),
+    column("height").in_caption().unless_varied(),
+    column("background").in_caption().unless_varied(),
+    column("ndc").in_caption().unless_varied(),
+    column("split").in_caption().unless_varied(),
+    column("views_trained").in_caption().unless_varied(),
+    column("views_evaluated").in_caption().unless_varied(),
+    column("corruption").in_caption().unless_varied(),
     column("corruption_hash").per_seed(),
     column("data_hash").unless_varied(),
-    column("mesh").told().always(),
-    column("lpips_weights").always(),
-    column("pixel_origin").told().unless_varied(),
+    column("mesh").in_caption().always(),
+    column("lpips_weights").for_lpips(),
+    column("pixel_origin").in_caption().unless_varied(),
     column("method"),
     column("perturb_kind"),
     column("levels"),
@@ -97,21 +103,21 @@ pub const COLUMNS: [Column; 48] = [
     column("regularizer_points"),
     column("regularizer_domain"),
     column("regularizer_fields"),
-    column("field_width").told(),
-    column("field_depth").told(),
+    column("field_width").in_caption(),
+    column("field_depth").in_caption(),
     column("init"),
-    column("samples_coarse").told(),
-    column("samples_fine").told(),
-    column("rays").told(),
-    column("steps").told(),
-    column("density_activation").told(),
+    column("samples_coarse").in_caption(),
+    column("samples_fine").in_caption(),
+    column("rays").in_caption(),
+    column("steps").in_caption(),
+    column("density_activation").in_caption(),
     column("learning_rate"),
     column("coarse_weight"),
     column("seed").per_seed(),
     column("redraws").per_seed(),
     column("config_hash").per_seed(),
-    column("program").told().always(),
-    column("code_revision").told().always(),
+    column("program").in_caption().always(),
+    column("code_revision").in_caption().always(),
     column("device").always(),
 ];
 
@@ -120,7 +126,26 @@ pub fn find(name: &str) -> Option<&'static Column> {
     COLUMNS.iter().find(|column| column.name == name)
 }
 
+/// Whether two rows disagree in a column that they must agree in.
+pub fn disagree(name: &str, a: &str, b: &str) -> bool {
+    let is_missing = a.is_empty() || b.is_empty();
+    // What was not measured is no other measurement.
+    let may_be_missing = find(name).is_some_and(|column| column.agreement == Agreement::ForLpips);
+    a != b && !(is_missing && may_be_missing)
+}
+
 /// Each seed has its own: no difference between rows.
 pub fn is_per_seed(name: &str) -> bool {
     find(name).is_some_and(|column| column.per_seed)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::disagree;
+
+    #[test]
+    fn what_was_not_measured_is_no_other_measurement() {
+        assert!(disagree("lpips_weights", "squeeze 1", "squeeze 2") && !disagree("lpips_weights", "squeeze 1", ""));
+        assert!(disagree("mesh", "", "64"));
+    }
 }

@@ -6,7 +6,7 @@ use toml::Value;
 use crate::base::rng::{Random, Stream};
 use crate::report::AxisValue;
 
-/// More values than anyone means.
+/// More values than anyone means; refused before room for them is taken.
 const MOST_VALUES: usize = 10_000;
 
 /// A setting, or several that move together, with the values that it takes: one of `values`, `zip`, `log` and `random`.
@@ -98,9 +98,6 @@ impl Axis {
             (None, None, None, Some(random)) => same(random.values()?),
             _ => return Err("give one of values, zip, log and random".into()),
         };
-        if points.len() > MOST_VALUES {
-            return Err(format!("{} values are more than {MOST_VALUES}", points.len()));
-        }
         Ok(points)
     }
 
@@ -136,8 +133,9 @@ impl Span {
         if from <= 0.0 {
             return Err(format!("log.from = {} has no logarithm: it must be positive", text(&self.from)));
         }
-        if self.count < 2 {
-            return Err(format!("log.count = {} is out of range: it must be at least 2, both ends", self.count));
+        if !(2..=MOST_VALUES).contains(&self.count) {
+            let allowed = format!("it must be 2, both ends, to {MOST_VALUES}");
+            return Err(format!("log.count = {} is out of range: {allowed}", self.count));
         }
         // Each from its own exponent: no error adds up from one value to the next.
         let at = |i: usize| match i {
@@ -145,7 +143,7 @@ impl Span {
             i if i + 1 == self.count => to,
             i => from * (to / from).powf(i as f64 / (self.count - 1) as f64),
         };
-        Ok(numbers((0..self.count).map(at), &self.from, &self.to))
+        Ok(numbers((0..self.count).map(at), &self.from, &self.to, [from, to]))
     }
 }
 
@@ -155,8 +153,8 @@ impl RandomSpan {
         if self.scale == Scale::Log && from <= 0.0 {
             return Err(format!("random.from = {} has no logarithm: it must be positive", text(&self.from)));
         }
-        if self.count < 1 {
-            return Err("random.count = 0 is out of range: it must be at least 1".into());
+        if !(1..=MOST_VALUES).contains(&self.count) {
+            return Err(format!("random.count = {} is out of range: it must be 1 to {MOST_VALUES}", self.count));
         }
         let mut random = Random::new(self.seed, Stream::Axis, 0);
         let mut drawn: Vec<f64> = (0..self.count)
@@ -166,7 +164,7 @@ impl RandomSpan {
             })
             .collect();
         drawn.sort_by(f64::total_cmp);
-        Ok(numbers(drawn.into_iter(), &self.from, &self.to))
+        Ok(numbers(drawn.into_iter(), &self.from, &self.to, [from, to]))
     }
 }
 
@@ -186,13 +184,16 @@ fn ends(kind: &str, from: &Value, to: &Value) -> Result<(f64, f64), String> {
 }
 
 /// Numbers of four figures, or integers between integers: labels stay short, and what they say is what is set.
-fn numbers(values: impl Iterator<Item = f64>, from: &Value, to: &Value) -> Vec<Value> {
+fn numbers(values: impl Iterator<Item = f64>, from: &Value, to: &Value, [low, high]: [f64; 2]) -> Vec<Value> {
     let integers = from.is_integer() && to.is_integer();
     let value = |value: f64| match integers {
         true => Value::Integer(value.round() as i64),
         false => Value::Float(format!("{value:.3e}").parse().expect("a number's own text")),
     };
-    values.map(value).collect()
+    // The ends stay what they were given as.
+    let ends = [(from.clone(), low), (to.clone(), high)];
+    let exact = |number: f64| ends.iter().find(|(_, end)| number == *end).map(|(given, _)| given.clone());
+    values.map(|number| exact(number).unwrap_or_else(|| value(number))).collect()
 }
 
 /// A value as tables and plots name it.
@@ -256,10 +257,11 @@ mod tests {
             ("keys = [\"a\", \"b\"]\nzip = [[1]]", "2 keys"),
             ("keys = [\"a\"]\nlog = { from = 0, to = 2, count = 2 }", "positive"),
             ("keys = [\"a\"]\nlog = { from = 3, to = 2, count = 2 }", "above log.from = 3"),
-            ("keys = [\"a\"]\nlog = { from = 1, to = 2, count = 1 }", "at least 2"),
+            ("keys = [\"a\"]\nlog = { from = 1, to = 2, count = 1 }", "2, both ends"),
             ("keys = [\"a\"]\nlog = { from = \"x\", to = 2, count = 3 }", "log.from = x"),
-            ("keys = [\"a\"]\nrandom = { from = 1, to = 2, count = 0 }", "at least 1"),
-            ("keys = [\"a\"]\nrandom = { from = 1, to = 9e9, count = 50000 }", "more than 10000"),
+            ("keys = [\"a\"]\nrandom = { from = 1, to = 2, count = 0 }", "1 to 10000"),
+            ("keys = [\"a\"]\nlog = { from = 1, to = 2, count = 9000000000000000000 }", "2, both ends, to 10000"),
+            ("keys = [\"a\"]\nrandom = { from = 1, to = 9e9, count = 50000 }", "1 to 10000"),
         ] {
             let error = axis(text).points().unwrap_err();
             assert!(error.contains(words), "{text}: {error}");

@@ -6,6 +6,7 @@ use toml::Table;
 
 use super::definition::Definition;
 use super::points::Point;
+use crate::metrics::{Metric, Needs};
 use crate::report::TableSpec;
 use crate::settings::columns::{Agreement, COLUMNS};
 use crate::settings::registry::REGISTRY;
@@ -19,14 +20,14 @@ impl Definition {
             title: self.title.clone(),
             metrics: self.metrics.clone(),
             rows: self.rows(),
-            must_match: must_match(points),
+            must_match: must_match(&self.metrics, points),
         }
     }
 }
 
 /// Columns of the protocol that must be equal in all rows of a scene: all of the evaluation, but for those that the points
 /// differ in by definition.
-fn must_match(points: &[Point]) -> Vec<String> {
+fn must_match(metrics: &[String], points: &[Point]) -> Vec<String> {
     let tables: Vec<Table> = points.iter().map(|point| point.config.to_table()).collect();
     let mut first_of_scene: HashMap<&str, &Table> = HashMap::new();
     for (point, table) in points.iter().zip(&tables) {
@@ -43,7 +44,12 @@ fn must_match(points: &[Point]) -> Vec<String> {
         Agreement::UnlessVaried => {
             !REGISTRY.settings.iter().any(|setting| column.follows(setting) && varies(&setting.path))
         }
+        Agreement::ForLpips => metrics.iter().any(|key| needs_lpips(key)),
         Agreement::Free => false,
     });
     must_agree.map(|column| column.name.to_string()).collect()
+}
+
+fn needs_lpips(metric: &str) -> bool {
+    Metric::find(metric).is_some_and(|metric| matches!(metric.needs, Needs::Lpips(_)))
 }

@@ -3,6 +3,7 @@
 use super::Group;
 use crate::base::{Error, Result};
 use crate::report::{Record, RowSpec, TableSpec};
+use crate::settings::columns::disagree;
 
 /// Refuses rows that name what does not exist, and points that the table could not place.
 pub(super) fn check_definition(spec: &TableSpec, records: &[Record]) -> Result<()> {
@@ -59,7 +60,9 @@ fn row_names(spec: &TableSpec) -> String {
 pub(super) fn check_controlled(spec: &TableSpec, groups: &[Group]) -> Result<()> {
     for point in groups.iter().flat_map(Group::done) {
         let first = first_of_scene(groups, &point.scene).expect("the point itself is measured");
-        if let Some(field) = spec.must_match.iter().find(|field| point.protocol(field) != first.protocol(field)) {
+        if let Some(field) =
+            spec.must_match.iter().find(|field| disagree(field, point.protocol(field), first.protocol(field)))
+        {
             let value_in =
                 |record: &Record| format!("`{}` in {} (seed {})", record.protocol(field), record.label(), record.seed);
             return Err(Error::NotComparable(format!(
@@ -77,7 +80,8 @@ pub(super) fn check_controlled(spec: &TableSpec, groups: &[Group]) -> Result<()>
 /// The fields of `must_match` in which a point of the group differs from the scene's first.
 pub(super) fn mixed_fields(spec: &TableSpec, group: &Group, groups: &[Group]) -> Vec<String> {
     let Some(first) = first_of_scene(groups, group.scene) else { return Vec::new() };
-    let differs = |field: &&String| group.done().any(|point| point.protocol(field) != first.protocol(field));
+    let differs =
+        |field: &&String| group.done().any(|point| disagree(field, point.protocol(field), first.protocol(field)));
     spec.must_match.iter().filter(differs).cloned().collect()
 }
 
