@@ -17,9 +17,11 @@ mod perturb;
 pub mod registry;
 mod regularizer;
 mod resolved;
+mod rules;
 mod sampling;
 mod second_pass;
 mod train;
+mod types;
 mod validate;
 
 pub use corruption::{CorruptionConfig, CorruptionKind};
