@@ -185,7 +185,7 @@ fn wrong_definitions_are_refused_with_words() {
         (axis("\"train.rays\"", "8, 16") + "[[row]]\nname = \"Twin\"\n", vec!["'NeRF'", "'Twin'", "same experiment"]),
         (axis("", "8"), vec!["axis 'a'", "keys"]),
         (axis("\"train.raise\"", "8"), vec!["unknown key", "train.rays"]),
-        (axis("\"train.rays\"", &values(5999)), vec!["axis 'a'", "5999 values", "1000"]),
+        (axis("\"train.rays\"", &values(5999)), vec!["23996 points", "10000"]),
         (
             axis("\"train.rays\"", &values(999)).replace("seeds = [0, 1]", "seeds = [0, 1, 2, 3, 4, 5, 6, 7, 8, 9]"),
             vec!["19980 points", "10000"],
