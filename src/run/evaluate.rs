@@ -52,7 +52,8 @@ impl Viewer<'_> {
     /// let viewer = Viewer { model: trainer.model(), config: &config, scene: &scene, runtime: &runtime };
     /// let view = viewer.render(&scene.path[0])?;
     /// assert_eq!((view.image.width, view.image.height, view.depth.len()), (16, 16, 256));
-    /// assert!(view.acc.iter().all(|acc| (0.0..=1.0).contains(acc)));
+    /// // Sums of weights: 1 but for rounding.
+    /// assert!(view.acc.iter().all(|acc| (0.0..1.00001).contains(acc)));
     /// # Ok::<(), augnerf::base::Error>(())
     /// ```
     ///
