@@ -1,84 +1,104 @@
-//! The nearest of many points, by a k-d tree (Bentley 1975, Multidimensional binary search trees).
+//! The nearest of many points, by a k-d tree (Bentley 1975, Multidimensional binary search trees) of tight boxes.
 
 use crate::data::vector::{Vec3, dot, sub};
 
 /// Cells of so few points are searched one by one.
-const LEAF: usize = 8;
+const LEAF: usize = 16;
 
-/// Points in the order of a balanced tree: the middle one of a cell parts the others along the axis on which they are
-/// spread widest, so that flat clouds and equal coordinates part as well as any.
+/// Points in the order of a balanced tree: the two halves of a cell are parted along the axis on which it is spread
+/// widest, so that flat clouds and equal coordinates part as well as any.
 pub struct PointTree {
     points: Vec<Vec3>,
-    /// The axis of each point that parts a cell.
-    axes: Vec<u8>,
+    /// Of all cells: each before its lower half, and that before its upper half.
+    boxes: Vec<Extent>,
+}
+
+/// The smallest and the largest coordinate on each axis.
+#[derive(Clone, Copy)]
+struct Extent {
     lowest: Vec3,
     highest: Vec3,
 }
 
+impl Extent {
+    const NONE: Extent = Extent { lowest: [f64::INFINITY; 3], highest: [f64::NEG_INFINITY; 3] };
+
+    fn of(points: &[Vec3]) -> Extent {
+        points.iter().fold(Extent::NONE, |Extent { lowest, highest }, point| Extent {
+            lowest: [0, 1, 2].map(|axis| lowest[axis].min(point[axis])),
+            highest: [0, 1, 2].map(|axis| highest[axis].max(point[axis])),
+        })
+    }
+
+    /// No point of the box has a smaller squared distance, as rounded: each difference is rounded in order, and they are
+    /// summed as a distance's are.
+    fn squared_distance(&self, to: Vec3) -> f64 {
+        let away = [0, 1, 2].map(|axis| (self.lowest[axis] - to[axis]).max(to[axis] - self.highest[axis]).max(0.0));
+        dot(away, away)
+    }
+}
+
 impl PointTree {
     pub fn new(points: &[Vec3]) -> PointTree {
-        let (lowest, highest) = extent(points);
-        let (mut points, mut axes) = (points.to_vec(), vec![0; points.len()]);
-        arrange(&mut points, &mut axes);
-        PointTree { points, axes, lowest, highest }
+        let mut points = points.to_vec();
+        let mut boxes = vec![Extent::NONE; cells(points.len())];
+        arrange(&mut points, &mut boxes);
+        PointTree { points, boxes }
     }
 
     /// The square of the distance to the nearest point; infinite without points.
     ///
-    /// It is the smallest of all distances to the last bit, however the tree is built: rounding keeps order, so that
-    /// what [`search`] passes over was bounded by a number that no point behind it falls below.
+    /// It is the smallest of all distances to the last bit, however the tree is built: what [`search`] passes over was
+    /// bounded by a number that no point in it falls below.
     pub fn squared_distance(&self, to: Vec3) -> f64 {
-        let away = |axis: usize| (self.lowest[axis] - to[axis]).max(to[axis] - self.highest[axis]).max(0.0);
         let mut nearest = f64::INFINITY;
-        search((&self.points, &self.axes), to, [0, 1, 2].map(away), &mut nearest);
+        search(&self.points, &self.boxes, to, &mut nearest);
         nearest
     }
 }
 
-/// The smallest and the largest coordinate on each axis.
-fn extent(points: &[Vec3]) -> (Vec3, Vec3) {
-    let over = |pick: fn(f64, f64) -> f64, start: f64| {
-        points.iter().fold([start; 3], |ends, point| [0, 1, 2].map(|axis| pick(ends[axis], point[axis])))
-    };
-    (over(f64::min, f64::INFINITY), over(f64::max, f64::NEG_INFINITY))
+/// Cells of a tree of so many points, all leaves of which are as deep.
+fn cells(points: usize) -> usize {
+    let leaves = points.div_ceil(LEAF).max(1).next_power_of_two();
+    2 * leaves - 1
 }
 
-fn arrange(points: &mut [Vec3], axes: &mut [u8]) {
-    if points.len() <= LEAF {
+fn arrange(points: &mut [Vec3], boxes: &mut [Extent]) {
+    let all = Extent::of(points);
+    let (own, boxes) = boxes.split_first_mut().expect("a box for each cell");
+    *own = all;
+    if boxes.is_empty() {
         return;
     }
-    let (lowest, highest) = extent(points);
-    let spread = sub(highest, lowest);
+    let spread = sub(all.highest, all.lowest);
     let axis = (0..3).fold(0, |widest, axis| if spread[axis] > spread[widest] { axis } else { widest });
     let middle = points.len() / 2;
-    axes[middle] = axis as u8;
-    let (below, _, above) = points.select_nth_unstable_by(middle, |a, b| a[axis].total_cmp(&b[axis]));
-    let (axes_below, axes_above) = axes.split_at_mut(middle);
-    rayon::join(|| arrange(below, axes_below), || arrange(above, &mut axes_above[1..]));
+    points.select_nth_unstable_by(middle, |a, b| a[axis].total_cmp(&b[axis]));
+    let (below, above) = points.split_at_mut(middle);
+    let (boxes_below, boxes_above) = boxes.split_at_mut(boxes.len() / 2);
+    rayon::join(|| arrange(below, boxes_below), || arrange(above, boxes_above));
 }
 
-/// Lowers `nearest` to the smallest squared distance between `to` and a cell's points. On each axis they are all at
-/// least `away` from it.
-fn search((points, axes): (&[Vec3], &[u8]), to: Vec3, mut away: Vec3, nearest: &mut f64) {
-    let meet = |point: Vec3, nearest: &mut f64| {
-        let apart = sub(to, point);
-        *nearest = nearest.min(dot(apart, apart));
-    };
-    if points.len() <= LEAF {
-        return points.iter().for_each(|&point| meet(point, nearest));
+/// Lowers `nearest` to the smallest squared distance between `to` and a cell's points.
+fn search(points: &[Vec3], boxes: &[Extent], to: Vec3, nearest: &mut f64) {
+    let boxes = &boxes[1..];
+    if boxes.is_empty() {
+        for &point in points {
+            let apart = sub(to, point);
+            *nearest = nearest.min(dot(apart, apart));
+        }
+        return;
     }
     let middle = points.len() / 2;
-    let axis = usize::from(axes[middle]);
-    let beyond = to[axis] - points[middle][axis];
-    let below = (&points[..middle], &axes[..middle]);
-    let above = (&points[middle + 1..], &axes[middle + 1..]);
-    let (near, far) = if beyond < 0.0 { (below, above) } else { (above, below) };
-    search(near, to, away, nearest);
-    away[axis] = away[axis].max(beyond.abs());
-    // In the order of a distance's own sum: otherwise the bound could come out above it.
-    if dot(away, away) < *nearest {
-        meet(points[middle], nearest);
-        search(far, to, away, nearest);
+    let (below, above) = points.split_at(middle);
+    let (boxes_below, boxes_above) = boxes.split_at(boxes.len() / 2);
+    let halves = [(below, boxes_below), (above, boxes_above)]
+        .map(|(points, boxes)| (boxes[0].squared_distance(to), points, boxes));
+    let order = if halves[1].0 < halves[0].0 { [1, 0] } else { [0, 1] };
+    for (bound, points, boxes) in order.map(|half| halves[half]) {
+        if bound < *nearest {
+            search(points, boxes, to, nearest);
+        }
     }
 }
 
