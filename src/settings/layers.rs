@@ -5,6 +5,7 @@ use std::path::Path;
 use toml::{Table, Value};
 
 use super::registry::{REGISTRY, nearest};
+use super::site::forget_passes;
 use super::{Config, DataConfig, Method};
 use crate::base::{Error, Result};
 
@@ -100,7 +101,7 @@ pub fn parse_assignment(text: &str) -> Result<(Vec<String>, Value)> {
 pub fn build(preset: Option<Preset>, file: Option<&Path>, assignments: &[(Vec<String>, Value)]) -> Result<Config> {
     let mut base = Table::new();
     if let Some(preset) = preset {
-        merge(&mut base, preset.table());
+        lay_over(&mut base, preset.table());
     }
     let mut table = Table::new();
     if let Some(path) = file {
@@ -110,15 +111,15 @@ pub fn build(preset: Option<Preset>, file: Option<&Path>, assignments: &[(Vec<St
         check_keys(&layer, &path.display().to_string())?;
         // Types and choices, too, while the file and its lines can be named.
         toml::from_str::<Config>(&text).map_err(|e| Error::Config(format!("{}: {e}", path.display())))?;
-        merge(&mut table, layer);
+        lay_over(&mut table, layer);
     }
     for (path, value) in assignments {
         assign(&mut table, path, value.clone())?;
     }
     if let Some(layer) = method_layer(&table) {
-        merge(&mut base, toml::from_str(layer).expect("presets are valid TOML"));
+        lay_over(&mut base, toml::from_str(layer).expect("presets are valid TOML"));
     }
-    merge(&mut base, table);
+    lay_over(&mut base, table);
     let text = toml::to_string(&base).expect("a table of settings is plain data");
     Config::from_toml(&text, "settings")
 }
@@ -133,6 +134,12 @@ pub fn data_section(assignments: &[(Vec<String>, Value)]) -> Result<DataConfig> 
     let text = toml::to_string(&table).expect("a table of settings is plain data");
     let config: Config = toml::from_str(&text).expect("each assignment was checked");
     Ok(config.data)
+}
+
+/// Lays a later layer over the earlier ones.
+fn lay_over(base: &mut Table, over: Table) {
+    forget_passes(base, &over);
+    merge(base, over);
 }
 
 /// Lays `over` on `base`, table by table.
@@ -160,7 +167,7 @@ fn assign(table: &mut Table, path: &[String], value: Value) -> Result<()> {
     // Checked alone first, so that the message can name the assignment.
     toml::from_str::<Config>(&toml::to_string(&layer).expect("plain data"))
         .map_err(|e| Error::Config(format!("{origin}: {}", e.message())))?;
-    merge(table, layer);
+    lay_over(table, layer);
     Ok(())
 }
 

@@ -20,6 +20,7 @@ mod resolved;
 mod rules;
 mod sampling;
 mod second_pass;
+mod site;
 mod train;
 mod types;
 mod validate;
@@ -32,11 +33,12 @@ pub use field::{Core, DensityActivation, Encoding, FieldConfig, Init};
 pub use identity::{scene_name, short_hash, value_at};
 pub use layers::{Preset, build, data_section, parse_assignment};
 pub use method::{Method, Representation};
-pub use perturb::{Objective, OutputPlace, PerturbConfig, PerturbField, Resample, ResolvedPerturb, SiteConfig, Sizes};
+pub use perturb::{Objective, OutputPlace, PerturbConfig, PerturbField, Resample, ResolvedPerturb};
 pub use regularizer::{LatticePoints, REGULARIZERS, RegularizedFields, Regularizer, RegularizerConfig};
 pub use resolved::{Located, Resolved};
 pub use sampling::SamplingConfig;
 pub use second_pass::{DeltaSource, SecondPass};
+pub use site::{SiteConfig, Sizes};
 pub use train::{Batching, Schedule, TrainConfig};
 
 use crate::base::{Error, Result};
@@ -63,7 +65,7 @@ section! {
         pub train: TrainConfig, false;
         /// The perturbed pass; read only where the method has one.
         pub perturb: PerturbConfig, false;
-        /// Explicit smoothness terms, with either method.
+        /// Terms of the loss beside the colours' error: smoothness of density, compactness along rays; with every method of a field.
         pub regularizer: RegularizerConfig, false;
         /// Evaluation and its pictures.
         pub eval: EvalConfig, false;

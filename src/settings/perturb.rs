@@ -6,24 +6,13 @@
 use std::ops::Deref;
 
 use serde::de::value::MapAccessDeserializer;
-use serde::de::{DeserializeSeed, IntoDeserializer, MapAccess, Visitor};
+use serde::de::{DeserializeSeed, Error, IntoDeserializer, MapAccess, Visitor};
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
-use super::registry::{Registry, Rule, Section, choice, describe, numbers, section};
+use super::registry::{choice, numbers, section};
 use super::second_pass::{DeltaSource, SecondPass};
-use crate::augment::{Level, Norm, Passes, PerSite, Radius, SetChoices, Site, SiteNumbers, StepUnit};
-use crate::base::SettingError;
-
-/// Which steps, step sizes and epsilons fill the sites' empty fields.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Sizes {
-    /// The paper's best steps and step sizes.
-    #[default]
-    Paper,
-    /// Ours: every delta large enough to matter, step size 2.5 epsilon / steps.
-    Calibrated,
-}
+use super::site::{SiteConfig, SiteSection, Sizes, switched_off, write_sites};
+use crate::augment::{Level, Passes, PerSite, Radius, SetChoices, Site, SiteNumbers, StepUnit};
 
 /// How clean and perturbed loss are mixed with `lambda`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -69,71 +58,7 @@ pub enum Resample {
     Perturbed,
 }
 
-/// One site. Empty numbers are filled from `attack`.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct SiteConfig {
-    /// The passes it takes part in.
-    pub passes: Passes,
-    /// Ascent steps; 0 leaves the random start.
-    pub steps: Option<usize>,
-    /// Length of one step, in `step_unit`.
-    pub step_size: Option<f64>,
-    /// Size of the set; 0 is no perturbation. The unit is the site's own (see [`crate::augment::About::unit`]).
-    pub epsilon: Option<f64>,
-    /// The set's norm.
-    pub norm: Option<Norm>,
-}
-
-impl SiteConfig {
-    /// Takes part in any pass.
-    pub fn on(&self) -> bool {
-        self.passes != Passes::Off
-    }
-
-    /// What stands where nobody says anything of a site.
-    fn default_of(site: Site) -> SiteConfig {
-        SiteSection::default().of(site)
-    }
-
-    /// Fills what is empty; `interval` as in [`PerturbConfig::resolve`].
-    fn resolve(&mut self, site: Site, sizes: Sizes, interval: f64) -> SiteNumbers {
-        let default = site.about().sizes;
-        let steps = *self.steps.get_or_insert(default.steps);
-        let epsilon = *self.epsilon.get_or_insert_with(|| match sizes {
-            Sizes::Paper => default.paper_epsilon,
-            Sizes::Calibrated => (default.calibrated_epsilon)(interval),
-        });
-        let step_size = *self.step_size.get_or_insert(match sizes {
-            Sizes::Paper => default.paper_step_size,
-            // 2.5 epsilon / steps; a step of zero length where no step is taken.
-            Sizes::Calibrated if steps == 0 => 0.0,
-            // In radii, which is the only unit that validation lets it have.
-            Sizes::Calibrated => 2.5 / steps as f64,
-        });
-        let norm = *self.norm.get_or_insert(default.norm);
-        SiteNumbers { passes: self.passes, steps, step_size, epsilon, norm }
-    }
-}
-
-/// A site's table in a file.
-#[derive(Default, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-struct SiteSection {
-    passes: Option<Passes>,
-    steps: Option<usize>,
-    step_size: Option<f64>,
-    epsilon: Option<f64>,
-    norm: Option<Norm>,
-}
-
-impl SiteSection {
-    fn of(self, site: Site) -> SiteConfig {
-        let SiteSection { passes, steps, step_size, epsilon, norm } = self;
-        SiteConfig { passes: passes.unwrap_or(site.about().passes), steps, step_size, epsilon, norm }
-    }
-}
-
-choice!(SecondPass, Sizes, Objective, PerturbField, OutputPlace, Resample, StepUnit, Norm, Radius, Passes, Level);
+choice!(SecondPass, Objective, PerturbField, OutputPlace, Resample, StepUnit, Radius);
 
 section! {
     /// The second pass of a step.
@@ -174,44 +99,6 @@ section! {
         /// A table a site.
         #[serde(flatten, skip_deserializing, serialize_with = "write_sites")]
         pub sites: PerSite<SiteConfig> = PerSite::from_fn(SiteConfig::default_of);
-    }
-}
-
-const NUMBERS: &[&str] = &["attack_numbers"];
-
-describe! {
-    SiteConfig {
-        /// The passes it takes part in.
-        passes: Passes, numbers().columns(&["levels"]);
-        /// Ascent steps; 0 leaves the random start. Empty = those of `perturb.attack`.
-        steps: Option<usize>, numbers().whole(0, 1000, "0 to 1000").columns(NUMBERS);
-        /// Length of one step, in `perturb.step_unit`. Empty = that of `perturb.attack`.
-        step_size: Option<f64>, numbers().real(|size| size >= 0.0, "0 or positive").columns(NUMBERS).same_time();
-        /// Size of the set; 0 is no perturbation. Empty = that of `perturb.attack`.
-        epsilon: Option<f64>, numbers().real(|size| size >= 0.0, "0 or positive").columns(NUMBERS).same_time();
-        /// The set's norm. Empty = the site's own.
-        norm: Option<Norm>, numbers();
-    }
-    sections {}
-}
-
-impl Section for PerSite<SiteConfig> {
-    fn list(prefix: &str, registry: &mut Registry) {
-        let doc = "A short way to switch sites off: those of levels that are not named. It is read, and never written.";
-        registry.add::<Option<Vec<Level>>>(format!("{prefix}levels"), &[doc], numbers().columns(&["levels"]));
-        for site in Site::ALL {
-            let (about, path) = (site.about(), format!("{prefix}{}", site.name()));
-            registry.add_section(path.clone(), &[&format!("Site: {}; epsilon in {}.", about.what, about.unit)], false);
-            SiteConfig::list(&format!("{path}."), registry);
-        }
-    }
-
-    fn check(&self, prefix: &str) -> Result<(), SettingError> {
-        self.iter().try_for_each(|(site, config)| config.check(&format!("{prefix}{}.", site.name())))
-    }
-
-    fn reset(&mut self, default: &Self, chosen: fn(&Rule) -> bool) {
-        self.iter_mut().for_each(|(site, config)| config.reset(&default[site], chosen));
     }
 }
 
@@ -271,13 +158,6 @@ impl Deref for ResolvedPerturb {
     }
 }
 
-/// A site that is younger than the first six counts only where it is on: files and hashes of experiments without it
-/// stay as they were.
-fn write_sites<S: Serializer>(sites: &PerSite<SiteConfig>, serializer: S) -> Result<S::Ok, S::Error> {
-    let written = sites.iter().filter(|(site, config)| config.on() || site.about().passes != Passes::Off);
-    serializer.collect_map(written.map(|(site, config)| (site.name(), config)))
-}
-
 impl Serialize for PerturbConfig {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
         PerturbConfig::serialize(self, serializer)
@@ -301,13 +181,20 @@ impl<'de> Visitor<'de> for Table {
     }
 
     fn visit_map<A: MapAccess<'de>>(self, map: A) -> Result<PerturbConfig, A::Error> {
-        let (mut sites, mut levels) = (PerSite::from_fn(SiteConfig::default_of), None);
-        let fields = Fields { map, sites: &mut sites, levels: &mut levels };
+        let mut sites = PerSite::from_fn(SiteConfig::default_of);
+        let (mut said, mut levels) = (PerSite::from_fn(|_| None), None);
+        let fields = Fields { map, sites: &mut sites, said: &mut said, levels: &mut levels };
         let config = PerturbConfig::deserialize(MapAccessDeserializer::new(fields))?;
-        for (site, section) in sites.iter_mut() {
-            if levels.as_ref().is_some_and(|levels| !levels.contains(&site.about().level)) {
-                section.passes = Passes::Off;
+        for site in switched_off(levels.as_deref()) {
+            if said[site].is_some_and(|passes| passes != Passes::Off) {
+                return Err(A::Error::custom(format!(
+                    "perturb.{}.passes stands beside perturb.levels, which switches that site off; name its level there \
+                     (\"{}\"), or leave one of the two out",
+                    site.name(),
+                    format!("{:?}", site.about().level).to_lowercase()
+                )));
             }
+            sites[site].passes = Passes::Off;
         }
         Ok(PerturbConfig { sites, ..config })
     }
@@ -317,6 +204,8 @@ impl<'de> Visitor<'de> for Table {
 struct Fields<'a, A> {
     map: A,
     sites: &'a mut PerSite<SiteConfig>,
+    /// The passes that stand there, not those of the default.
+    said: &'a mut PerSite<Option<Passes>>,
     levels: &'a mut Option<Vec<Level>>,
 }
 
@@ -326,7 +215,11 @@ impl<'de, A: MapAccess<'de>> MapAccess<'de> for Fields<'_, A> {
     fn next_key_seed<K: DeserializeSeed<'de>>(&mut self, seed: K) -> Result<Option<K::Value>, A::Error> {
         while let Some(key) = self.map.next_key::<String>()? {
             match Site::of_name(&key) {
-                Some(site) => self.sites[site] = self.map.next_value::<SiteSection>()?.of(site),
+                Some(site) => {
+                    let section: SiteSection = self.map.next_value()?;
+                    self.said[site] = section.passes;
+                    self.sites[site] = section.of(site);
+                }
                 None if key == "levels" => *self.levels = Some(self.map.next_value()?),
                 None => return seed.deserialize(key.into_deserializer()).map(Some),
             }
@@ -367,13 +260,29 @@ mod tests {
             assert_eq!((&short, short.hash(), short.to_toml()), (&long, long.hash(), long.to_toml()), "{levels}");
         }
         // A site of a level that is on keeps what is said of it.
-        let both = set(&["perturb.levels=[\"input\"]", "perturb.t.passes=fine", "perturb.rgb.passes=fine"]).unwrap();
+        let both = set(&["perturb.t.passes=fine", "perturb.rgb.passes=fine", "perturb.levels=[\"input\"]"]).unwrap();
         let passes = |site| both.perturb.sites[site].passes;
         assert_eq!((passes(Site::T), passes(Site::Xyz), passes(Site::Rgb)), (Passes::Fine, Passes::Both, Passes::Off));
         let wrong = set(&["perturb.levels=[\"rgb\"]"]).unwrap_err().to_string();
         assert!(wrong.contains("perturb.levels") && wrong.contains("input"), "{wrong}");
         let none = set(&["method=aug-nerf", "perturb.levels=[]"]).unwrap_err().to_string();
         assert!(none.contains("perturbs nothing"), "{none}");
+    }
+
+    #[test]
+    fn passes_of_a_site_whose_level_is_off_are_refused_not_ignored() {
+        let refused = set(&["perturb.levels=[\"input\"]", "perturb.rgb.passes=fine"]).unwrap_err().to_string();
+        assert!(refused.contains("perturb.rgb.passes") && refused.contains("\"output\""), "{refused}");
+        let off = set(&["perturb.levels=[\"input\"]", "perturb.rgb.passes=off"]).unwrap();
+        assert_eq!(off.perturb.sites[Site::Rgb].passes, Passes::Off);
+        // A run's own file names the passes of all sites: what is asked for later goes over it.
+        let file = tempfile::NamedTempFile::new().unwrap();
+        std::fs::write(file.path(), Config::default().to_toml()).unwrap();
+        let levels = parse_assignment("perturb.levels=[\"feature\"]").unwrap();
+        let narrowed = build(None, Some(file.path()), &[levels]).unwrap();
+        assert_eq!(narrowed.perturb.sites_on().map(|(site, _)| site).collect::<Vec<_>>(), [Site::Feature]);
+        let wrong = set(&["perturb.rgb=3"]).unwrap_err().to_string();
+        assert!(wrong.contains("a site's table") && !wrong.contains("SiteSection"), "{wrong}");
     }
 
     #[test]

@@ -1,0 +1,148 @@
+//! A site's table in section `perturb`, and `perturb.levels`, the short way to switch sites off.
+
+use serde::{Deserialize, Serialize, Serializer};
+use toml::{Table, Value};
+
+use super::registry::{Registry, Rule, Section, choice, describe, numbers};
+use crate::augment::{Level, Norm, Passes, PerSite, Site, SiteNumbers};
+use crate::base::SettingError;
+
+/// Which steps, step sizes and epsilons fill the sites' empty fields.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Sizes {
+    /// The paper's best steps and step sizes.
+    #[default]
+    Paper,
+    /// Ours: every delta large enough to matter, step size 2.5 epsilon / steps.
+    Calibrated,
+}
+
+/// One site. Empty numbers are filled from `attack`.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct SiteConfig {
+    /// The passes it takes part in.
+    pub passes: Passes,
+    /// Ascent steps; 0 leaves the random start.
+    pub steps: Option<usize>,
+    /// Length of one step, in `step_unit`.
+    pub step_size: Option<f64>,
+    /// Size of the set; 0 is no perturbation. The unit is the site's own (see [`crate::augment::About::unit`]).
+    pub epsilon: Option<f64>,
+    /// The set's norm.
+    pub norm: Option<Norm>,
+}
+
+impl SiteConfig {
+    /// Takes part in any pass.
+    pub fn on(&self) -> bool {
+        self.passes != Passes::Off
+    }
+
+    /// What stands where nobody says anything of a site.
+    pub(super) fn default_of(site: Site) -> SiteConfig {
+        SiteSection::default().of(site)
+    }
+
+    /// Fills what is empty; `interval` as in [`super::PerturbConfig::resolve`].
+    pub(super) fn resolve(&mut self, site: Site, sizes: Sizes, interval: f64) -> SiteNumbers {
+        let default = site.about().sizes;
+        let steps = *self.steps.get_or_insert(default.steps);
+        let epsilon = *self.epsilon.get_or_insert_with(|| match sizes {
+            Sizes::Paper => default.paper_epsilon,
+            Sizes::Calibrated => (default.calibrated_epsilon)(interval),
+        });
+        let step_size = *self.step_size.get_or_insert(match sizes {
+            Sizes::Paper => default.paper_step_size,
+            // 2.5 epsilon / steps; a step of zero length where no step is taken.
+            Sizes::Calibrated if steps == 0 => 0.0,
+            // In radii, which is the only unit that validation lets it have.
+            Sizes::Calibrated => 2.5 / steps as f64,
+        });
+        let norm = *self.norm.get_or_insert(default.norm);
+        SiteNumbers { passes: self.passes, steps, step_size, epsilon, norm }
+    }
+}
+
+/// A site's table in a file.
+#[derive(Default, Deserialize)]
+#[serde(default, deny_unknown_fields, expecting = "a site's table, such as { passes = \"fine\", epsilon = 0.01 }")]
+pub(super) struct SiteSection {
+    pub passes: Option<Passes>,
+    steps: Option<usize>,
+    step_size: Option<f64>,
+    epsilon: Option<f64>,
+    norm: Option<Norm>,
+}
+
+impl SiteSection {
+    pub fn of(self, site: Site) -> SiteConfig {
+        let SiteSection { passes, steps, step_size, epsilon, norm } = self;
+        SiteConfig { passes: passes.unwrap_or(site.about().passes), steps, step_size, epsilon, norm }
+    }
+}
+
+choice!(Sizes, Norm, Passes, Level);
+
+const NUMBERS: &[&str] = &["attack_numbers"];
+
+describe! {
+    SiteConfig {
+        /// The passes it takes part in.
+        passes: Passes, numbers().columns(&["levels"]);
+        /// Ascent steps; 0 leaves the random start. Empty = those of `perturb.attack`.
+        steps: Option<usize>, numbers().whole(0, 1000, "0 to 1000").columns(NUMBERS);
+        /// Length of one step, in `perturb.step_unit`. Empty = that of `perturb.attack`.
+        step_size: Option<f64>, numbers().real(|size| size >= 0.0, "0 or positive").columns(NUMBERS).same_time();
+        /// Size of the set; 0 is no perturbation. Empty = that of `perturb.attack`.
+        epsilon: Option<f64>, numbers().real(|size| size >= 0.0, "0 or positive").columns(NUMBERS).same_time();
+        /// The set's norm. Empty = the site's own.
+        norm: Option<Norm>, numbers();
+    }
+    sections {}
+}
+
+impl Section for PerSite<SiteConfig> {
+    fn list(prefix: &str, registry: &mut Registry) {
+        let doc = "A short way to switch sites off: those of levels that are not named. It is read, and never written.";
+        registry.add::<Option<Vec<Level>>>(format!("{prefix}levels"), &[doc], numbers().columns(&["levels"]));
+        for site in Site::ALL {
+            let (about, path) = (site.about(), format!("{prefix}{}", site.name()));
+            registry.add_section(path.clone(), &[&format!("Site: {}; epsilon in {}.", about.what, about.unit)], false);
+            SiteConfig::list(&format!("{path}."), registry);
+        }
+    }
+
+    fn check(&self, prefix: &str) -> Result<(), SettingError> {
+        self.iter().try_for_each(|(site, config)| config.check(&format!("{prefix}{}.", site.name())))
+    }
+
+    fn reset(&mut self, default: &Self, chosen: fn(&Rule) -> bool) {
+        self.iter_mut().for_each(|(site, config)| config.reset(&default[site], chosen));
+    }
+}
+
+/// A site that is younger than the first six counts only where it is on: files and hashes of experiments without it
+/// stay as they were.
+pub(super) fn write_sites<S: Serializer>(sites: &PerSite<SiteConfig>, serializer: S) -> Result<S::Ok, S::Error> {
+    let written = sites.iter().filter(|(site, config)| config.on() || site.about().passes != Passes::Off);
+    serializer.collect_map(written.map(|(site, config)| (site.name(), config)))
+}
+
+/// The sites whose levels are not among those named; none where none are named.
+pub(super) fn switched_off(levels: Option<&[Level]>) -> impl Iterator<Item = Site> {
+    Site::ALL.into_iter().filter(move |site| levels.is_some_and(|levels| !levels.contains(&site.about().level)))
+}
+
+/// Where `over` names levels, `base` forgets what it said of the passes of the sites that they switch off: the later
+/// layer wins.
+pub(super) fn forget_passes(base: &mut Table, over: &Table) {
+    let levels = over.get("perturb").and_then(|perturb| perturb.get("levels")).cloned();
+    let levels: Option<Vec<Level>> = levels.and_then(|levels| levels.try_into().ok());
+    let Some(perturb) = base.get_mut("perturb").and_then(Value::as_table_mut) else { return };
+    for site in switched_off(levels.as_deref()) {
+        if let Some(site) = perturb.get_mut(site.name()).and_then(Value::as_table_mut) {
+            site.remove("passes");
+        }
+    }
+}
