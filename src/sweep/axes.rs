@@ -143,7 +143,7 @@ impl Span {
             i if i + 1 == self.count => to,
             i => from * (to / from).powf(i as f64 / (self.count - 1) as f64),
         };
-        Ok(numbers((0..self.count).map(at), &self.from, &self.to, [from, to]))
+        distinct("log", numbers((0..self.count).map(at), &self.from, &self.to, [from, to]))
     }
 }
 
@@ -164,7 +164,7 @@ impl RandomSpan {
             })
             .collect();
         drawn.sort_by(f64::total_cmp);
-        Ok(numbers(drawn.into_iter(), &self.from, &self.to, [from, to]))
+        distinct("random", numbers(drawn.into_iter(), &self.from, &self.to, [from, to]))
     }
 }
 
@@ -194,6 +194,13 @@ fn numbers(values: impl Iterator<Item = f64>, from: &Value, to: &Value, [low, hi
     let ends = [(from.clone(), low), (to.clone(), high)];
     let exact = |number: f64| ends.iter().find(|(_, end)| number == *end).map(|(given, _)| given.clone());
     values.map(|number| exact(number).unwrap_or_else(|| value(number))).collect()
+}
+
+/// Ascending values; two that are rounded to the same number would be one point.
+fn distinct(kind: &str, values: Vec<Value>) -> Result<Vec<Value>, String> {
+    let Some([twice, _]) = values.windows(2).find(|pair| pair[0] == pair[1]) else { return Ok(values) };
+    let fractions = if twice.is_integer() { ", for fractions (1.0 in place of 1)" } else { "" };
+    Err(format!("{kind} comes to {} more than once: ask for fewer values, for a wider span{fractions}", text(twice)))
 }
 
 /// A value as tables and plots name it.
@@ -260,6 +267,7 @@ mod tests {
             ("keys = [\"a\"]\nlog = { from = 1, to = 2, count = 1 }", "2, both ends"),
             ("keys = [\"a\"]\nlog = { from = \"x\", to = 2, count = 3 }", "log.from = x"),
             ("keys = [\"a\"]\nrandom = { from = 1, to = 2, count = 0 }", "1 to 10000"),
+            ("keys = [\"a\"]\nlog = { from = 1, to = 4, count = 9 }", "log comes to 1 more than once: ask for fewer"),
             ("keys = [\"a\"]\nlog = { from = 1, to = 2, count = 9000000000000000000 }", "2, both ends, to 10000"),
             ("keys = [\"a\"]\nrandom = { from = 1, to = 9e9, count = 50000 }", "1 to 10000"),
         ] {

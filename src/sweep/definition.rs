@@ -200,6 +200,30 @@ impl Definition {
     }
 
     fn check(&self) -> std::result::Result<(), String> {
+        self.check_lists()?;
+        self.check_references()?;
+        self.all_axes().try_for_each(check_axis)?;
+        if let Some(row) = self.row.iter().find(|row| !row.axes && !row.axis.is_empty()) {
+            return Err(format!("row '{}' has axes of its own and axes = false; remove one of them", row.name));
+        }
+        self.rows()
+            .iter()
+            .filter_map(|row| Some((row, row.published.as_ref()?)))
+            .try_for_each(|(row, key)| key.check().map_err(|message| format!("row '{}' {message}", row.name)))?;
+        let count = self.count();
+        if count > MOST_POINTS {
+            return Err(format!(
+                "{count} points ({} scenes x {} seeds x rows and axes) are more than {MOST_POINTS}: split the sweep, or \
+                 set combine = \"one-at-a-time\"",
+                self.scenes.len(),
+                self.seeds.len()
+            ));
+        }
+        Ok(())
+    }
+
+    /// Scenes, seeds, metrics and rows are there, each once.
+    fn check_lists(&self) -> std::result::Result<(), String> {
         let scenes: Vec<&str> = self.scenes.iter().map(|scene| scene_name(scene)).collect();
         not_empty_and_distinct("scenes", &scenes)?;
         not_empty_and_distinct("seeds", &self.seeds)?;
@@ -217,6 +241,12 @@ impl Definition {
             let known: Vec<&str> = Metric::in_tables().map(|metric| metric.key).collect();
             return Err(format!("metric '{key}' does not exist; choose from {}", known.join(", ")));
         }
+        Ok(())
+    }
+
+    /// What is named as a row is one.
+    fn check_references(&self) -> std::result::Result<(), String> {
+        let names: Vec<&str> = self.row.iter().map(|row| row.name.as_str()).collect();
         let known = |what: &str, name: &str| match names.contains(&name) {
             true => Ok(()),
             false => Err(format!("{what} = '{name}' is no row; the rows are {}", names.join(", "))),
@@ -240,23 +270,6 @@ impl Definition {
             if let Some(budget) = &row.budget {
                 known(&format!("budget.like of row '{}'", row.name), &budget.like)?;
             }
-        }
-        self.all_axes().try_for_each(check_axis)?;
-        if let Some(row) = self.row.iter().find(|row| !row.axes && !row.axis.is_empty()) {
-            return Err(format!("row '{}' has axes of its own and axes = false; remove one of them", row.name));
-        }
-        self.rows()
-            .iter()
-            .filter_map(|row| Some((row, row.published.as_ref()?)))
-            .try_for_each(|(row, key)| key.check().map_err(|message| format!("row '{}' {message}", row.name)))?;
-        let count = self.count();
-        if count > MOST_POINTS {
-            return Err(format!(
-                "{count} points ({} scenes x {} seeds x rows and axes) are more than {MOST_POINTS}: split the sweep, or \
-                 set combine = \"one-at-a-time\"",
-                self.scenes.len(),
-                self.seeds.len()
-            ));
         }
         Ok(())
     }
@@ -339,7 +352,8 @@ pub(super) fn scene_name(scene: &str) -> &str {
 }
 
 fn check_axis(axis: &Axis) -> std::result::Result<(), String> {
-    let what = format!("axis '{}' {}", axis.name, axis.panel);
+    let panel = if axis.panel.is_empty() { String::new() } else { format!(" of '{}'", axis.panel) };
+    let what = format!("axis '{}'{panel}", axis.name);
     not_empty_and_distinct(&format!("keys of {what}"), &axis.keys)?;
     let points = axis.points().map_err(|message| format!("{what}: {message}"))?;
     let labels: Vec<&str> = points.iter().map(|point| point.label.as_str()).collect();

@@ -32,7 +32,11 @@ pub fn begin(
     let change = folder.compare(definition)?;
     let begun = folder.points(data_root)?;
     match (change, begun) {
-        (Change::None, Some(points)) if !budgets_can_be_told(&points) => return Ok(points),
+        (Change::None, Some(points)) if !budgets_can_be_applied(&points) => return Ok(points),
+        (Change::Changed, Some(points)) if reworded(&folder.definition()?, definition, &laid, &points) => {
+            folder.begin(definition, &points, data_root)?;
+            return Ok(points);
+        }
         (Change::Changed, begun) if !extend => {
             return Err(refusal(folder, &laid, &begun.unwrap_or_default()));
         }
@@ -74,8 +78,24 @@ pub fn plan_costs(points: &[&Point], trainings: &Trainings, mut each: impl FnMut
 }
 
 /// A scene has come since, so that budgets which hang on it are known.
-fn budgets_can_be_told(points: &[Point]) -> bool {
+fn budgets_can_be_applied(points: &[Point]) -> bool {
     points.iter().any(|point| point.without_budget && point.no_data.is_none())
+}
+
+/// The definition says in other words what `before` said, such as `perturb.levels` in place of sites' passes: they come to
+/// the same points, and nothing else differs.
+fn reworded(before: &Definition, definition: &Definition, laid: &[Laid], points: &[Point]) -> bool {
+    let without_settings = |definition: &Definition| {
+        let mut bare = definition.clone();
+        bare.set.clear();
+        bare.row.iter_mut().for_each(|row| row.set.clear());
+        bare
+    };
+    let same = |now: &[Point]| {
+        now.len() == points.len() && now.iter().zip(points).all(|(a, b)| (&a.id, &a.places) == (&b.id, &b.places))
+    };
+    without_settings(before) == without_settings(definition)
+        && apply_budgets(laid, &Unknown).is_ok_and(|now| same(&now))
 }
 
 fn refusal(folder: &SweepFolder, laid: &[Laid], before: &[Point]) -> Error {

@@ -411,6 +411,25 @@ fn a_changed_definition_is_noticed() {
     assert!(SweepFolder::new(fresh.path()).definition().unwrap_err().to_string().contains("augnerf sweep run"));
 }
 
+/// Files from before `perturb.levels` name every site that is off.
+#[test]
+fn a_definition_in_other_words_goes_on_with_its_points() {
+    let row = |set: &str| format!("{BASE}[[row]]\nname = \"Input\"\nset = {{ method = \"aug-nerf\", {set} }}\n");
+    let dir = TempDir::new().unwrap();
+    let off: Vec<String> =
+        ["feature", "rgb", "density"].map(|site| format!("\"perturb.{site}.passes\" = \"off\"")).into();
+    let (folder, _, before) = sweep(dir.path(), &row(&off.join(", ")));
+    let now = parse(&row("\"perturb.levels\" = [\"input\"]")).unwrap();
+    let points = begin(&folder, &now, None, false, &Costs).unwrap();
+    assert_eq!(labels(&points), labels(&before));
+    assert_eq!(folder.compare(&now).unwrap(), Change::None);
+    let other = parse(&row("\"perturb.levels\" = [\"output\"]")).unwrap();
+    assert!(begin(&folder, &other, None, false, &Costs).unwrap_err().to_string().contains("--extend"));
+    let mut renamed = now;
+    renamed.title = "another question".into();
+    assert!(begin(&folder, &renamed, None, false, &Costs).unwrap_err().to_string().contains("--extend"));
+}
+
 #[test]
 fn scenes_that_are_not_here_have_no_data_and_the_others_run() {
     let dir = TempDir::new().unwrap();
