@@ -115,6 +115,8 @@ pub struct TableSpec {
     pub rows: Vec<RowSpec>,
     /// Protocol fields that must be equal in all rows of a scene.
     pub must_match: Vec<String>,
+    /// All rows are varied along axes, but for single ones to compare with: figures are drawn against the axes.
+    pub varied: bool,
 }
 
 /// One row of the definition.

@@ -1,6 +1,7 @@
 //! Figures of a sweep from hand-made points. `AUGNERF_PLOTS=DIR` keeps them to look at.
 
 use augnerf::base::rng::{Random, Stream};
+use augnerf::report::exporters::{Collected, EXPORTERS};
 use augnerf::report::plots::{Curve, Figure, axes_figure, curves_figure, rows_figure};
 use augnerf::report::tables::Table;
 use augnerf::report::{AxisValue, Record, RowSpec, Status, TableSpec};
@@ -34,6 +35,7 @@ fn spec(rows: &[&str]) -> TableSpec {
         metrics: vec!["psnr".into()],
         rows: rows.iter().enumerate().map(row).collect(),
         must_match: vec![],
+        varied: false,
     }
 }
 
@@ -145,6 +147,36 @@ fn a_table_as_points() {
         assert!(figure.svg.contains(words), "{words}");
     }
     assert!(rows_figure(&table, &records, "orchids", "psnr").unwrap().is_none());
+}
+
+/// A row with axes of its own is a line for each of its values; it takes no other row's place.
+#[test]
+fn rows_with_axes_of_their_own_stand_beside_plain_ones() {
+    let spec = spec(&["NeRF", "Aug-NeRF"]);
+    let weight = |value| vec![axis_value("lambda", "", value)];
+    let records: Vec<Record> = (0..3)
+        .flat_map(|seed| {
+            let psnr = |gain| Some(20.0 + gain + noise(seed, 7));
+            [
+                record("NeRF", vec![], seed, psnr(0.0)),
+                record("Aug-NeRF", weight("0.1"), seed, psnr(0.1)),
+                record("Aug-NeRF", weight("0.5"), seed, psnr(0.2)),
+            ]
+        })
+        .collect();
+    let table = Table::new(&spec, &records, false).unwrap();
+    let names = |spec: &TableSpec| -> Vec<String> {
+        let (table, records) = (Some(&table), &records[..]);
+        let collected = Collected { spec, records, timing: &[], with_timing: false, table, curves: &[] };
+        EXPORTERS.iter().flat_map(|exporter| exporter.export(&collected).unwrap()).map(|(name, _)| name).collect()
+    };
+    let has_rows = |names: Vec<String>| names.iter().any(|name| name == "rows_fern_psnr.svg");
+    assert!(has_rows(names(&spec)));
+    assert!(!has_rows(names(&TableSpec { varied: true, ..spec.clone() })));
+    let figure = rows_figure(&table, &records, "fern", "psnr").unwrap().unwrap();
+    assert!(
+        figure.svg.contains(">\nNeRF\n<") && figure.svg.contains("lambda = 0.1") && figure.svg.contains("lambda = 0.5")
+    );
 }
 
 #[test]

@@ -32,6 +32,7 @@ fn spec() -> TableSpec {
             row("output & only", Some("NeRF"), ""),
         ],
         must_match: vec!["width".into(), "code_revision".into()],
+        varied: false,
     }
 }
 

@@ -5,7 +5,7 @@ use crate::report::plots::{Figure, axes_figure, curves_figure, rows_figure};
 
 use super::{Collected, Exporter, File};
 
-/// `rows_SCENE_METRIC`: the rows of a sweep without axes.
+/// `rows_SCENE_METRIC`: the rows of a sweep without axes of its own; a row that has some is a line for each of its values.
 pub struct Rows;
 
 impl Exporter for Rows {
@@ -18,8 +18,7 @@ impl Exporter for Rows {
     }
 
     fn export(&self, collected: &Collected) -> Result<Vec<File>> {
-        let has_axes = collected.records.iter().any(|record| !record.axes.is_empty());
-        of_metrics(collected, "rows", |scene, metric| match has_axes {
+        of_metrics(collected, "rows", |scene, metric| match collected.spec.varied {
             true => Ok(None),
             false => rows_figure(collected.table()?, collected.records, scene, metric),
         })

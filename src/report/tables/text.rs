@@ -169,8 +169,8 @@ fn varied_notes(lines: &[&Line]) -> Vec<String> {
     let value = |line: &Line, name: &str| Some(line.protocol(name).to_string()).filter(|text| !text.is_empty());
     let varied = caption_columns().filter_map(|name| {
         let values = labels_by(lines, |line| value(line, name));
-        let told: Vec<String> = values.iter().map(|(value, labels)| format!("{value} ({labels})")).collect();
-        (values.len() > 1).then(|| format!("rows differ in {name}: {}", told.join("; ")))
+        let named: Vec<String> = values.iter().map(|(value, labels)| format!("{value} ({labels})")).collect();
+        (values.len() > 1).then(|| format!("rows differ in {name}: {}", named.join("; ")))
     });
     varied.collect()
 }
