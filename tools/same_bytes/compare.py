@@ -116,7 +116,9 @@ def without_later(a, b, ending):
         if (column.encode() in a) == (column.encode() in b):
             continue
         if ending == ".json":
-            entry = re.compile(rb',\s*"%s": (null|"[^"]*")' % column.encode())
+            name = column.encode()
+            # A field of an object, or a pair of a list.
+            entry = re.compile(rb',\s*("%s": (null|"[^"]*")|\[\s*"%s",\s*(null|"[^"]*")\s*\])' % (name, name))
             a, b = entry.sub(b"", a), entry.sub(b"", b)
         elif ending == ".csv":
             a, b = without_column(a, column), without_column(b, column)
