@@ -100,19 +100,19 @@ impl Viewer<'_> {
         Ok(RenderedView { image, depth, acc })
     }
 
-    /// Renders and measures every held-out view. `going` may refuse to begin another, `each` is handed each that is done.
+    /// Renders and measures every held-out view. `unless_stopped` may refuse to begin another, `each` is handed each that is done.
     pub fn evaluate(
         &self,
         lpips: &[Lpips],
         events: &dyn Listener,
-        going: impl Fn() -> Result<()>,
+        unless_stopped: impl Fn() -> Result<()>,
         mut each: impl FnMut(usize, &View, &RenderedView) -> Result<()>,
     ) -> Result<Vec<ViewMetrics>> {
         let views = &self.scene.test;
         events.on(Event::Started { what: "evaluating", parts: views.len() as u64 });
         let mut metrics = Vec::with_capacity(views.len());
         for (index, view) in views.iter().enumerate() {
-            going()?;
+            unless_stopped()?;
             let rendered = self.render(&view.camera)?;
             let mut measured = measure(&view.name, &rendered.image, &view.image, lpips)?;
             if let Some(reference) = &view.depth {

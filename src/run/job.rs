@@ -263,8 +263,8 @@ impl Between for Watcher<'_> {
     fn evaluate(&mut self, trainer: &Trainer) -> Result<Vec<(&'static str, f64)>> {
         let started = Instant::now();
         let saved = trainer.step_count() - 1;
-        let going = || self.experiment.check_signal(self.signal, saved);
-        let views = self.experiment.viewer(trainer).evaluate(&[], &(), going, |_, _, _| Ok(()))?;
+        let unless_stopped = || self.experiment.check_signal(self.signal, saved);
+        let views = self.experiment.viewer(trainer).evaluate(&[], &(), unless_stopped, |_, _, _| Ok(()))?;
         self.seconds_evaluation += started.elapsed().as_secs_f64();
         let mean = MeanMetrics::from_views(&views);
         let step = trainer.step_count();

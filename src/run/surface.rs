@@ -93,12 +93,12 @@ pub(super) fn describe(config: &Config, scene: &Scene) -> Option<String> {
 impl Viewer<'_> {
     /// Draws the surface that the configuration asks for and compares it with its reference mesh. None where it asks
     /// for none. Where it cannot be drawn, `events` hears why, and there is none either: that must not cost the views'
-    /// metrics. `going` is called again and again; its error ends the drawing and is returned.
-    pub fn surface(&self, events: &dyn Listener, going: impl Fn() -> Result<()>) -> Result<Option<Chamfer>> {
+    /// metrics. `unless_stopped` is called again and again; its error ends the drawing and is returned.
+    pub fn surface(&self, events: &dyn Listener, unless_stopped: impl Fn() -> Result<()>) -> Result<Option<Chamfer>> {
         if self.config.eval.mesh.resolution == 0 {
             return Ok(None);
         }
-        match self.compare_surface(events, going) {
+        match self.compare_surface(events, unless_stopped) {
             Ok(chamfer) => Ok(Some(chamfer)),
             Err(error @ Error::Interrupted { .. }) => Err(error),
             Err(error) => {
@@ -109,7 +109,7 @@ impl Viewer<'_> {
         }
     }
 
-    fn compare_surface(&self, events: &dyn Listener, going: impl Fn() -> Result<()>) -> Result<Chamfer> {
+    fn compare_surface(&self, events: &dyn Listener, unless_stopped: impl Fn() -> Result<()>) -> Result<Chamfer> {
         let Viewer { model, config, scene, .. } = *self;
         let reference = surface_reference(config, scene)?.expect("a surface is asked for");
         let mesh = &config.eval.mesh;
@@ -123,7 +123,7 @@ impl Viewer<'_> {
         events.on(Event::Started { what: "surface", parts: mesh.resolution as u64 });
         let drawn = level_set(&*model.density()?, &drawing, None, || {
             events.on(Event::Advanced);
-            going()
+            unless_stopped()
         })?;
         events.on(Event::Finished);
         let surface = sample(&in_scene(drawn.mesh, scene.ndc.as_ref())?, mesh.points, SEED)?;

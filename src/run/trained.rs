@@ -110,16 +110,16 @@ pub(super) struct Measurement<'a> {
 }
 
 impl Measurement<'_> {
-    /// Measures and writes. `going` may end it with an error before a view or a piece of the surface; `each` is handed each
+    /// Measures and writes. `unless_stopped` may end it with an error before a view or a piece of the surface; `each` is handed each
     /// view that is measured.
     pub fn write(
         &self,
-        going: impl Fn() -> Result<()>,
+        unless_stopped: impl Fn() -> Result<()>,
         each: impl FnMut(usize, &View, &RenderedView) -> Result<()>,
     ) -> Result<Report> {
         let attack = SiteSummary::read(&self.run.scalars(), self.state.step)?;
-        let views = self.viewer.evaluate(self.lpips, self.events, &going, each)?;
-        let surface = self.viewer.surface(self.events, &going)?;
+        let views = self.viewer.evaluate(self.lpips, self.events, &unless_stopped, each)?;
+        let surface = self.viewer.surface(self.events, &unless_stopped)?;
         let protocol = Protocol::new(self.viewer.config, self.viewer.scene, self.state).with_lpips(self.lpips);
         let report = Report::new(views, surface, protocol, attack);
         report.write(&self.run.metrics_json(), &self.run.metrics_csv())?;

@@ -228,8 +228,8 @@ impl Drawing {
         // A surface grows with the square of the resolution. Its first planes tell little of the whole: they are in the box's
         // outer part, before the object or at its rim. So twice what they say, and no less than usual.
         let whole = 2.0 * mesh * side as f64 / planes as f64;
-        let told = |fewer: usize| planes_mib(fewer) + whole * (fewer as f64 / side as f64).powi(2);
-        let needed = |fewer: usize| told(fewer).max(usual_mib(fewer));
+        let estimate = |fewer: usize| planes_mib(fewer) + whole * (fewer as f64 / side as f64).powi(2);
+        let needed = |fewer: usize| estimate(fewer).max(usual_mib(fewer));
         let advice = match self.largest_side(needed) {
             Some(fits) => format!("a resolution of about {fits} may fit"),
             None => format!("even {LEAST_SIDE} would take about {}", mib(needed(LEAST_SIDE))),

@@ -8,6 +8,7 @@ use std::path::Path;
 
 use crate::common::files::{json, rows};
 use crate::common::needs;
+use crate::common::program::succeed;
 use augnerf::base::Image;
 use augnerf::metrics::{self, Backbone, Lpips, MeanMetrics, ViewMetrics};
 use augnerf::run::columns;
@@ -269,6 +270,39 @@ fn photographs_are_as_far_apart_as_the_lpips_package_says() {
             LPIPS_TOLERANCE,
         );
     }
+}
+
+/// A table's LPIPS column says with which weights it was measured.
+#[test]
+#[ignore = "needs AUGNERF_LPIPS_WEIGHTS"]
+fn the_protocol_names_the_weights_that_lpips_was_measured_with() {
+    let dir = tempfile::tempdir().unwrap();
+    let run = dir.path().join("run");
+    let weights = dir.path().join("weights");
+    std::fs::create_dir(&weights).unwrap();
+    for file in ["squeeze_lin_v0.1.pth", "squeezenet1_1_features.pth"] {
+        std::fs::write(weights.join(file), std::fs::read(needs::lpips_weights().join(file)).unwrap()).unwrap();
+    }
+    let [run, weights_text] = [&run, &weights].map(|path| path.to_str().unwrap());
+    let small = ["data.width=16", "train.steps=1", "train.rays=64", "train.chunk=32"].map(|setting| ["--set", setting]);
+    succeed(&[&["train", "--quiet", "--out", run][..], small.as_flattened()].concat());
+    let protocol = || json(&Path::new(run).join("metrics.json"))["protocol"]["lpips_weights"].clone();
+    assert!(protocol().is_null());
+    let measured_with = |weights: &str| {
+        succeed(&["eval", "--quiet", run, "--lpips-weights", weights]);
+        protocol()
+    };
+    let released = measured_with(weights_text);
+    let hash = released.as_str().unwrap().strip_prefix("squeeze ").unwrap();
+    assert!(hash.len() == 12 && hash.chars().all(|digit| digit.is_ascii_hexdigit()), "{released}");
+    // One bit of one weight.
+    let file = weights.join("squeezenet1_1_features.pth");
+    let mut bytes = std::fs::read(&file).unwrap();
+    let middle = bytes.len() / 2;
+    bytes[middle] ^= 1;
+    std::fs::write(&file, bytes).unwrap();
+    let changed = measured_with(weights_text);
+    assert!(changed != released && !changed.is_null(), "{changed}");
 }
 
 #[test]

@@ -80,13 +80,7 @@ impl RunArguments {
         let lpips = load_lpips(&weights, runtime.device())?;
         let (measured, missing): (Vec<_>, Vec<_>) =
             definition.metrics.iter().cloned().partition(|metric| measurable(metric, &lpips));
-        if !missing.is_empty() {
-            console.say(&format!(
-                "not measured, for want of LPIPS weights (--lpips-weights, AUGNERF_LPIPS_WEIGHTS): {}; with --remeasure a \
-                 later run measures them from the points' checkpoints",
-                missing.join(", ")
-            ));
-        }
+        say_what_is_missing(&missing, &console);
         let smoothness = definition.metric_in(Scope::Lattice).is_some();
         let trainings = Trainings::new(runtime.clone(), (lpips, weights), smoothness, &console);
         let points = begin(&folder, &definition, self.location.data_root.as_deref(), self.extend, &trainings)?;
@@ -131,6 +125,16 @@ impl RunArguments {
         // What became of the points comes before what became of the table.
         summarise(&folder, &points)?;
         table.map(|_| ())
+    }
+}
+
+fn say_what_is_missing(metrics: &[String], console: &Console) {
+    if !metrics.is_empty() {
+        console.say(&format!(
+            "not measured, for want of LPIPS weights (--lpips-weights, AUGNERF_LPIPS_WEIGHTS): {}; with --remeasure a \
+             later run measures them from the points' checkpoints",
+            metrics.join(", ")
+        ));
     }
 }
 
