@@ -28,6 +28,8 @@ use crate::report::{Record, Status};
 
 const DEFINITION: &str = "sweep.toml";
 const PLAN: &str = "points.json";
+/// Measured seconds of a step, in a sweep's folder and beside its tables.
+pub(super) const STEP_SECONDS: &str = "step_seconds.json";
 const BEGIN_LOCK: &str = "begin.lock";
 const POINTS: &str = "points";
 /// What to do with a damaged file of a point.
@@ -105,7 +107,7 @@ impl SweepFolder {
 
     /// `step_seconds.json`.
     pub fn step_seconds(&self) -> PathBuf {
-        self.path.join("step_seconds.json")
+        self.path.join(STEP_SECONDS)
     }
 
     /// The definition that the folder was begun with.
@@ -145,7 +147,18 @@ impl SweepFolder {
     /// Writes what the folder is for: its points, then the definition that they belong to.
     pub fn begin(&self, definition: &Definition, points: &[Point], data_root: Option<&Path>) -> Result<()> {
         let data_root = data_root.map(|root| std::path::absolute(root).unwrap_or_else(|_| root.to_path_buf()));
-        write_json(&self.path.join(PLAN), &Plan { data_root, points: points.to_vec() })?;
+        self.write_plan(definition, Plan { data_root, points: points.to_vec() })
+    }
+
+    /// The same beside a sweep's tables: for any machine, so without where scenes and weights lay on this one.
+    pub fn archive(&self, definition: &Definition, points: &[Point]) -> Result<()> {
+        let mut points = points.to_vec();
+        points.iter_mut().for_each(|point| point.locate(None));
+        self.write_plan(definition, Plan { data_root: None, points })
+    }
+
+    fn write_plan(&self, definition: &Definition, plan: Plan) -> Result<()> {
+        write_json(&self.path.join(PLAN), &plan)?;
         write_atomic(&self.path.join(DEFINITION), definition.to_toml().as_bytes())
     }
 

@@ -8,7 +8,7 @@ use crate::base::{Error, Result};
 use crate::cli::progress::print;
 use crate::draw::SVG_ALONE;
 use crate::report::tables::table_terminal;
-use crate::sweep::{Collector, SweepFolder};
+use crate::sweep::{Collector, Material, SweepFolder};
 
 use super::{RESULTS, RUNS, begun, terminal_width};
 
@@ -42,17 +42,16 @@ impl CollectArguments {
             Some(runs) => runs.with_file_name(RESULTS).join(&name),
             None => path.join(RESULTS),
         });
-        let (force, with_timing) = (self.force, self.with_timing);
+        let material = Material::of_folder(&folder, &definition, &points)?;
         let collector = Collector {
-            folder: &folder,
+            material: &material,
             definition: &definition,
             points: &points,
             name: &name,
-            results: &results,
-            force,
-            with_timing,
+            force: self.force,
+            with_timing: self.with_timing,
         };
-        print(&table_terminal(&collector.write()?, terminal_width()));
+        print(&table_terminal(&collector.write(&results)?, terminal_width()));
         print(&format!("tables: {}", results.display()));
         SVG_ALONE.into_iter().for_each(print);
         Ok(())

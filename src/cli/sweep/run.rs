@@ -12,7 +12,7 @@ use crate::report::Status;
 use crate::report::tables::table_terminal;
 use crate::run::load_lpips;
 use crate::runtime::Runtime;
-use crate::sweep::{Collector, Options, Point, Runner, SweepFolder, Trainings, begin};
+use crate::sweep::{Collector, Material, Options, Point, Runner, SweepFolder, Trainings, begin};
 
 use super::{Changes, Location, terminal_width};
 
@@ -102,25 +102,26 @@ impl RunArguments {
             stop: &stop,
         };
         let ran = runner.run();
-        let name = self.location.name()?;
-        let collector = Collector {
-            folder: &folder,
-            definition: &definition,
-            points: &points,
-            name: &name,
-            results: &self.location.results()?,
-            force: self.force,
-            with_timing: false,
-        };
+        let (name, results) = (self.location.name()?, self.location.results()?);
         // A stopped sweep leaves the table of what is done, too.
-        let table = collector.write();
+        let table = Material::of_folder(&folder, &definition, &points).and_then(|material| {
+            let collector = Collector {
+                material: &material,
+                definition: &definition,
+                points: &points,
+                name: &name,
+                force: self.force,
+                with_timing: false,
+            };
+            collector.write(&results)
+        });
         ran?;
         if let Ok(table) = &table
             && !quiet
         {
             print(&table_terminal(table, terminal_width()));
         }
-        console.say(&format!("tables: {}", collector.results.display()));
+        console.say(&format!("tables: {}", results.display()));
         SVG_ALONE.into_iter().for_each(|note| console.say(note));
         // What became of the points comes before what became of the table.
         summarise(&folder, &points)?;

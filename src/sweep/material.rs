@@ -1,0 +1,185 @@
+//! What a sweep's points left behind, as tables and figures are made of it: read from their folders, kept beside the tables.
+
+use std::collections::BTreeMap;
+use std::io::{Read, Write};
+use std::path::Path;
+
+use flate2::{Compression, GzBuilder, read::GzDecoder};
+
+use crate::base::csv::csv_text;
+use crate::base::files::{read_json, write_atomic};
+use crate::base::{Error, Result};
+use crate::report::tables::PointTiming;
+use crate::report::{Record, Status};
+use crate::runtime::Timing;
+
+use super::definition::Definition;
+use super::folder::{STEP_SECONDS, SweepFolder};
+use super::points::Point;
+use super::provenance::Provenance;
+
+/// The logs of all points, beside the tables.
+pub const SCALARS: &str = "scalars.csv.gz";
+/// No log of a sweep is as long: what unpacks to more is no such file.
+const MOST_UNPACKED: u64 = 1 << 28;
+
+/// What a sweep's points left.
+#[derive(Clone, Debug, Default)]
+pub struct Material {
+    /// The points, one record a place in the table.
+    pub records: Vec<Record>,
+    /// Clock times of the points that are done.
+    pub timing: Vec<PointTiming>,
+    /// Logs of the points that have one, by the points' names.
+    pub scalars: BTreeMap<String, Scalars>,
+    /// `step_seconds.json`, where budgets in seconds needed it.
+    pub step_seconds: Option<Vec<u8>>,
+}
+
+/// A run's `scalars.csv`.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Scalars {
+    /// Names of the columns.
+    pub head: Vec<String>,
+    /// One row a logged step.
+    pub rows: Vec<Vec<String>>,
+}
+
+impl Material {
+    /// What is in the points' folders.
+    pub fn of_folder(folder: &SweepFolder, definition: &Definition, points: &[Point]) -> Result<Material> {
+        let mut material = Material {
+            records: folder.records(definition, points)?,
+            step_seconds: optional(&folder.step_seconds())?,
+            ..Material::default()
+        };
+        for point in points {
+            let run = folder.point(&point.id).run();
+            if folder.point(&point.id).state(point)?.status != Status::Done {
+                continue;
+            }
+            if let Some(timing) = read_json::<Timing>(&run.join("timing.json"), "delete it to go on")? {
+                material.timing.push((point.id.clone(), clocks(&timing)));
+            }
+            if let Some(bytes) = optional(&run.join("scalars.csv"))? {
+                let scalars = Scalars::parse(&bytes).map_err(|e| damaged(&run.join("scalars.csv"), &e))?;
+                material.scalars.insert(point.id.clone(), scalars);
+            }
+        }
+        Ok(material)
+    }
+
+    /// Writes what tables and figures can be made of again into their folder: the definition, the points with their
+    /// configurations, the measured step times and the logs.
+    pub fn archive(&self, definition: &Definition, points: &[Point], name: &str, results: &Path) -> Result<()> {
+        SweepFolder::new(results).archive(definition, points)?;
+        Provenance::of(name, &self.records).write(results)?;
+        let kept = [(STEP_SECONDS, self.step_seconds.clone()), (SCALARS, self.packed_scalars())];
+        for (name, bytes) in kept {
+            let path = results.join(name);
+            match bytes {
+                Some(bytes) => write_atomic(&path, &bytes)?,
+                // That of an earlier time belongs to other points.
+                None if path.exists() => std::fs::remove_file(&path).map_err(|e| Error::unwritable(&path, &e))?,
+                None => {}
+            }
+        }
+        Ok(())
+    }
+
+    /// All logs as one table, each row under its point's name; none without any.
+    fn packed_scalars(&self) -> Option<Vec<u8>> {
+        let mut head: Vec<&str> = vec!["id"];
+        for name in self.scalars.values().flat_map(|scalars| &scalars.head) {
+            if !head.contains(&name.as_str()) {
+                head.push(name);
+            }
+        }
+        let rows = self.scalars.iter().flat_map(|(id, scalars)| {
+            let places: Vec<Option<usize>> = head.iter().map(|name| scalars.place(name)).collect();
+            scalars.rows.iter().map(move |row| {
+                let cell = |place: &Option<usize>| place.map_or(String::new(), |place| row[place].clone());
+                std::iter::once(id.clone()).chain(places[1..].iter().map(cell)).collect()
+            })
+        });
+        let text = csv_text(std::iter::once(head.iter().map(ToString::to_string).collect()).chain(rows));
+        (!self.scalars.is_empty()).then(|| packed(text.as_bytes()))
+    }
+}
+
+impl Scalars {
+    fn parse(bytes: &[u8]) -> std::result::Result<Scalars, csv::Error> {
+        let mut reader = csv::Reader::from_reader(bytes);
+        let cells = |record: &csv::StringRecord| record.iter().map(String::from).collect::<Vec<String>>();
+        let head = cells(reader.headers()?);
+        let rows = reader.records().map(|row| row.map(|row| cells(&row))).collect::<std::result::Result<_, _>>()?;
+        Ok(Scalars { head, rows })
+    }
+
+    fn place(&self, column: &str) -> Option<usize> {
+        self.head.iter().position(|known| known == column)
+    }
+
+    /// The numbers of two columns, where a row has both.
+    pub fn pairs(&self, x: &str, y: &str) -> Vec<(f64, f64)> {
+        let Some((x, y)) = self.place(x).zip(self.place(y)) else { return Vec::new() };
+        let number = |row: &Vec<String>, place: usize| row[place].parse::<f64>().ok();
+        self.rows.iter().filter_map(|row| Some((number(row, x)?, number(row, y)?))).collect()
+    }
+}
+
+/// The logs that a results' folder keeps, by the points' names; nothing where it has none.
+pub fn read_scalars(results: &Path) -> Result<BTreeMap<String, Scalars>> {
+    let path = results.join(SCALARS);
+    let Some(bytes) = optional(&path)? else { return Ok(BTreeMap::new()) };
+    let mut text = Vec::new();
+    let read = GzDecoder::new(bytes.as_slice()).take(MOST_UNPACKED + 1).read_to_end(&mut text);
+    read.map_err(|e| damaged(&path, &e))?;
+    if text.len() as u64 > MOST_UNPACKED {
+        return Err(damaged(&path, &format!("it unpacks to more than {} MiB", MOST_UNPACKED >> 20)));
+    }
+    let all = Scalars::parse(&text).map_err(|e| damaged(&path, &e))?;
+    if all.head.first().is_none_or(|name| name != "id") {
+        return Err(damaged(&path, &"its first column is not 'id'"));
+    }
+    let mut by_point: BTreeMap<String, Scalars> = BTreeMap::new();
+    for mut row in all.rows {
+        let own = by_point.entry(row.remove(0)).or_default();
+        own.head = all.head[1..].to_vec();
+        own.rows.push(row);
+    }
+    Ok(by_point)
+}
+
+/// The same bytes for the same content: without a name or a time.
+fn packed(bytes: &[u8]) -> Vec<u8> {
+    let mut writer = GzBuilder::new().write(Vec::new(), Compression::best());
+    let written = writer.write_all(bytes).and_then(|()| writer.finish());
+    written.expect("memory takes everything")
+}
+
+/// Name and value of each clock of a run.
+fn clocks(timing: &Timing) -> Vec<(String, Option<f64>)> {
+    let clocks = [
+        ("seconds_training", Some(timing.seconds_training)),
+        ("seconds_evaluation", Some(timing.seconds_evaluation)),
+        ("rays_per_second", timing.rays_per_second),
+        ("peak_memory_mib", timing.peak_memory_mib),
+        ("threads", Some(timing.threads as f64)),
+        ("sessions", Some(timing.sessions as f64)),
+    ];
+    clocks.map(|(name, value)| (name.to_string(), value)).to_vec()
+}
+
+/// The bytes of a file; none where it does not exist.
+pub fn optional(path: &Path) -> Result<Option<Vec<u8>>> {
+    match std::fs::read(path) {
+        Ok(bytes) => Ok(Some(bytes)),
+        Err(error) if error.kind() == std::io::ErrorKind::NotFound => Ok(None),
+        Err(error) => Err(Error::unreadable(path, &error)),
+    }
+}
+
+fn damaged(path: &Path, error: &dyn std::fmt::Display) -> Error {
+    Error::Checkpoint(format!("cannot read {}: {error}", path.display()))
+}

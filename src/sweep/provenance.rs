@@ -1,0 +1,79 @@
+//! `provenance.toml`: which code made a results' folder, and what of it cannot be made again.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use serde::{Deserialize, Serialize};
+use toml::{Table, Value};
+
+use crate::base::files::write_atomic;
+use crate::base::{Error, Result};
+use crate::report::{Record, Status};
+
+/// The file's name.
+pub const PROVENANCE: &str = "provenance.toml";
+
+/// Where a results' folder comes from.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Provenance {
+    /// The sweep's name, as its tables print it.
+    pub name: String,
+    /// Revision of the code that its points were made by.
+    pub code_revision: String,
+    /// Settings whose default has changed since, with what it was.
+    #[serde(default, skip_serializing_if = "Table::is_empty")]
+    pub defaults_then: Table,
+    /// Files that cannot be made again from what is kept, with the SHA-256 of what they hold.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub pinned: BTreeMap<String, String>,
+    /// What is not kept, or not checked, with the reason.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub missing: Vec<Missing>,
+}
+
+/// Something that a results' folder lacks.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Missing {
+    /// A file, or what could be checked with it.
+    pub what: String,
+    /// Why it is not there.
+    pub why: String,
+}
+
+impl Provenance {
+    /// That of points which were all collected just now.
+    pub fn of(name: &str, records: &[Record]) -> Provenance {
+        let mut revisions: Vec<&str> = Vec::new();
+        for record in records.iter().filter(|record| record.status == Status::Done) {
+            let revision = record.protocol("code_revision");
+            if !revisions.contains(&revision) {
+                revisions.push(revision);
+            }
+        }
+        Provenance { name: name.into(), code_revision: revisions.join(", "), ..Provenance::default() }
+    }
+
+    /// That of a results' folder; none where it has none.
+    pub fn read(results: &Path) -> Result<Option<Provenance>> {
+        let path = results.join(PROVENANCE);
+        let text = match std::fs::read_to_string(&path) {
+            Ok(text) => text,
+            Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(None),
+            Err(error) => return Err(Error::unreadable(&path, &error)),
+        };
+        toml::from_str(&text).map(Some).map_err(|e| Error::Data(format!("{}: {e}", path.display())))
+    }
+
+    /// Writes it into a results' folder.
+    pub fn write(&self, results: &Path) -> Result<()> {
+        let text = toml::to_string(self).expect("plain data");
+        write_atomic(&results.join(PROVENANCE), text.as_bytes())
+    }
+
+    /// Settings whose default has changed since, by their dotted names.
+    pub fn defaults(&self) -> impl Iterator<Item = (&String, &Value)> {
+        self.defaults_then.iter()
+    }
+}
