@@ -9,26 +9,39 @@ use crate::base::{Error, Image, Result, revision};
 use crate::data::{Camera, Scene, View};
 use crate::field::peak_gflops;
 use crate::runtime::{Runtime, peak_memory_mib};
-use crate::settings::{DataKind, Resolved, parse_assignment};
+use crate::settings::{DataKind, Method, REGULARIZERS, Regularizer, Resolved, parse_assignment};
 use crate::train::Trainer;
 
 /// Steps before the clock starts.
 const WARM_UP: usize = 2;
 
-/// What can be timed: methods, and regularizers of NeRF, each with the name that it had before, if it had another.
-pub const METHODS: [(&str, Option<&str>); 6] = [
-    ("nerf", None),
-    ("aug-nerf", Some("aug")),
-    ("mip-nerf", Some("mip")),
-    ("aug-mip-nerf", None),
-    ("tv", None),
-    ("laplacian", None),
-];
+/// Names that methods had here before.
+const BEFORE: [(&str, &str); 2] = [("aug", "aug-nerf"), ("mip", "mip-nerf")];
+
+/// What can be timed, each with the name that it had before: methods, and NeRF with one regularizer.
+pub fn methods() -> Vec<(&'static str, Option<&'static str>)> {
+    let names = Method::ALL.map(Method::name).into_iter().chain(REGULARIZERS.map(Regularizer::name));
+    names.map(|name| (name, BEFORE.iter().find(|(_, now)| *now == name).map(|(before, _)| *before))).collect()
+}
+
+/// The setting that a name stands for.
+fn setting_of(name: &str) -> Result<String> {
+    let name = BEFORE.iter().find(|(before, _)| *before == name).map_or(name, |(_, now)| now);
+    let one_of = |names: &[&str]| names.contains(&name);
+    match () {
+        () if one_of(&Method::ALL.map(Method::name)) => Ok(format!("method={name}")),
+        () if one_of(&REGULARIZERS.map(Regularizer::name)) => Ok(format!("regularizer.kind={name}")),
+        () => {
+            let names: Vec<&str> = methods().into_iter().map(|(name, _)| name).collect();
+            Err(Error::Config(format!("--method {name}: choose one of {}", names.join(", "))))
+        }
+    }
+}
 
 /// What a step is made of.
 #[derive(Clone, Debug, Serialize)]
 pub struct Workload {
-    /// One of [`METHODS`].
+    /// One of [`methods`].
     pub method: String,
     /// Rays of a step.
     pub rays: usize,
@@ -122,16 +135,7 @@ impl Workload {
         if !device.is_cpu() {
             settings.push(format!("train.chunk={}", self.rays));
         }
-        match self.method.as_str() {
-            "aug" => settings.push("method=aug-nerf".into()),
-            "mip" => settings.push("method=mip-nerf".into()),
-            method @ ("nerf" | "aug-nerf" | "mip-nerf" | "aug-mip-nerf") => settings.push(format!("method={method}")),
-            term @ ("tv" | "laplacian") => settings.push(format!("regularizer.kind={term}")),
-            other => {
-                let names = METHODS.map(|(name, _)| name).join(", ");
-                return Err(Error::Config(format!("--method {other}: choose one of {names}")));
-            }
-        }
+        settings.push(setting_of(&self.method)?);
         let mut all = settings.iter().map(|text| parse_assignment(text)).collect::<Result<Vec<_>>>()?;
         all.extend(self.set.iter().cloned());
         let mut config = crate::settings::build(None, None, &all)?;

@@ -4,7 +4,7 @@ use clap::Args;
 use clap::builder::{PossibleValue, PossibleValuesParser};
 
 use crate::base::Result;
-use crate::bench::{METHODS, Workload};
+use crate::bench::{self, Workload};
 use crate::settings::parse_assignment;
 
 use super::Compute;
@@ -12,7 +12,7 @@ use super::progress::print;
 
 #[derive(Args)]
 pub struct BenchArguments {
-    /// nerf, aug-nerf, mip-nerf, aug-mip-nerf, or nerf with a regularizer: tv, laplacian
+    /// A method as train names it, or nerf with one regularizer
     #[arg(long, default_value = "nerf", value_parser = methods())]
     method: String,
     /// Rays of a step
@@ -57,5 +57,6 @@ impl BenchArguments {
 
 /// The names, with those that they had before as hidden ones.
 fn methods() -> PossibleValuesParser {
-    METHODS.iter().map(|(name, before)| PossibleValue::new(name).aliases(*before)).collect::<Vec<_>>().into()
+    let names = bench::methods().into_iter();
+    names.map(|(name, before)| PossibleValue::new(name).aliases(before)).collect::<Vec<_>>().into()
 }

@@ -33,6 +33,9 @@ pub enum Representation {
 }
 
 impl Method {
+    /// All methods.
+    pub const ALL: [Method; 4] = [Method::Nerf, Method::AugNerf, Method::MipNerf, Method::AugMipNerf];
+
     /// The name in files and tables.
     pub fn name(self) -> &'static str {
         match self {

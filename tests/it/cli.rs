@@ -7,6 +7,9 @@ use std::time::{Duration, Instant};
 use crate::common::assert_says;
 use crate::common::files::{assert_same_files, files, json, text};
 use crate::common::program::{augnerf, demand, printed, refuse, succeed};
+use augnerf::run::Trained;
+use augnerf::runtime::Runtime;
+use augnerf::space::Lattice;
 use tempfile::TempDir;
 
 /// Settings of a run that takes a second: the embedded scene at 16 x 16.
@@ -189,7 +192,12 @@ fn smoothness_is_measured_on_one_lattice_for_all_runs() {
     // As the flag was called before.
     refuse(&["measure", "--domain", "1,2,3", runs[0]], 2, &["--bbox", "six numbers"]);
     refuse(&["measure", "--bbox=1,1,1,0,0,0", runs[0]], 2, &["--bbox", "corners"]);
-    refuse(&["measure", "--bbox=90,90,90,91,91,91", runs[0]], 2, &["outside", "90.000", "run from"]);
+    refuse(&["measure", "--bbox=90,90,90,91,91,91", runs[0]], 2, &["--bbox", "outside", "90.000", "run from"]);
+    // Code that calls the library has no flag that could be wrong.
+    let trained = Trained::open(&nerf, None, &Runtime::new("cpu", None).unwrap(), &()).unwrap();
+    let far = Lattice { domain: [[90.0; 3], [91.0; 3]], side: 12 };
+    let message = trained.measure_smoothness(&far, &()).unwrap_err().to_string();
+    assert!(message.contains("the lattice of smoothness") && !message.contains("--"), "{message}");
     refuse(&["measure", dir.path().to_str().unwrap()], 5, &["not a run folder"]);
 }
 

@@ -5,6 +5,7 @@ use std::path::{Component, Path, PathBuf};
 
 use augnerf::base::Class;
 use augnerf::metrics::{Direction, METRICS};
+use augnerf::settings::columns::COLUMNS;
 use augnerf::settings::{Preset, build, parse_assignment};
 use augnerf::sweep::Definition;
 use clap::error::ErrorKind;
@@ -318,6 +319,16 @@ fn the_sweep_files_page_has_every_key() {
         for key in keys {
             assert!(text.contains(&format!("| `{key}` |")), "docs/sweep-file.md has no row for `{key}` of {place}");
         }
+    }
+}
+
+#[test]
+fn every_column_of_the_protocol_is_described() {
+    let text = page("run-folder.md").prose;
+    let (_, protocol) = text.split_once("## The protocol").expect("it has a heading");
+    for column in COLUMNS {
+        let named = protocol.lines().any(|line| line.starts_with('|') && line.contains(&format!("`{}`", column.name)));
+        assert!(named, "docs/run-folder.md does not describe the protocol's `{}`", column.name);
     }
 }
 

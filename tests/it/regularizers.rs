@@ -80,7 +80,7 @@ fn odd_cotangents(n: usize) -> Cotangents {
     Cotangents { density: wave(0.0, &[n]), gradient: wave(1.0, &[n, 3]), laplacian: wave(2.0, &[n]) }
 }
 
-/// A field that is asked at Gaussians has a gradient in their means.
+/// A field that is queried at Gaussians has a gradient in their means.
 #[test]
 fn the_gradient_in_the_means_equals_finite_differences() {
     const STEP: f64 = 1e-6;
