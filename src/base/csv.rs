@@ -1,10 +1,34 @@
 //! Tables of text as CSV.
 
+use std::borrow::Cow;
+
+/// What a spreadsheet takes for the beginning of a formula.
+const FORMULA: [char; 6] = ['=', '+', '-', '@', '\t', '\r'];
+/// Stands before such a text and makes it one that spreadsheets leave alone.
+const TEXT: char = '\'';
+
+/// A cell that no spreadsheet takes for a formula: text that begins like one has an apostrophe before it, as `'+ TV Reg.`;
+/// a number stays a number. [`plain_cell`] takes it away again.
+pub fn safe_cell(cell: &str) -> Cow<'_, str> {
+    match cell.trim_start_matches(TEXT).starts_with(FORMULA) && cell.parse::<f64>().is_err() {
+        true => format!("{TEXT}{cell}").into(),
+        false => cell.into(),
+    }
+}
+
+/// The text that [`safe_cell`] was given.
+pub fn plain_cell(cell: &str) -> &str {
+    let begins_like_formula = cell.trim_start_matches(TEXT).starts_with(FORMULA);
+    cell.strip_prefix(TEXT).filter(|_| begins_like_formula).unwrap_or(cell)
+}
+
 /// Rows of equally many cells, the head among them, quoted where a cell asks for it.
 pub fn csv_text(rows: impl IntoIterator<Item = Vec<String>>) -> String {
     let mut writer = csv::Writer::from_writer(Vec::new());
     for row in rows {
-        writer.write_record(&row).expect("rows are as long as the head, and memory takes them");
+        writer
+            .write_record(row.iter().map(|cell| safe_cell(cell).into_owned()))
+            .expect("rows are as long as the head, and memory takes them");
     }
     let bytes = writer.into_inner().expect("memory takes everything");
     String::from_utf8(bytes).expect("made of strings")
@@ -35,5 +59,18 @@ mod tests {
         let row = |a: &str, b: Option<f64>| vec![("a,b".to_string(), a.to_string()), ("c".into(), csv_number(b))];
         assert_eq!(csv_of_named([row("x\"y", Some(0.1)), row("", None)]), "\"a,b\",c\n\"x\"\"y\",0.1\n,\n");
         assert_eq!(csv_of_named([]), "");
+    }
+
+    #[test]
+    fn no_cell_is_a_formula_and_numbers_stay_numbers() {
+        let cells =
+            ["=1+1", "+ TV Reg.", "-2", "-0.5e-3", "@SUM(A1)", "\tx", "-a", "'=1", "''", "'s", "=", "a=b", "", "-inf"];
+        let safe = cells.map(|cell| safe_cell(cell).into_owned());
+        assert_eq!(safe[..6], ["'=1+1", "'+ TV Reg.", "-2", "-0.5e-3", "'@SUM(A1)", "'\tx"]);
+        for (cell, safe) in cells.iter().zip(&safe) {
+            assert_eq!(plain_cell(safe), *cell);
+            assert!(!safe.starts_with(FORMULA) || safe.parse::<f64>().is_ok(), "{safe}");
+        }
+        assert_eq!(csv_text([vec!["+ l1".into(), "-1.5".into()]]), "'+ l1,-1.5\n");
     }
 }

@@ -41,6 +41,12 @@ pub const LINE_HEIGHT: f64 = 18.0;
 /// What a drawing leaves free at its sides.
 pub const SIDE: f64 = 20.0;
 
+/// Pixels from the corner beyond which nothing is drawn.
+const FAR: f64 = 1e6;
+/// Values beyond are drawn there, and nearer to one another than [`LEAST_SPAN`] as equal: a scale has to have a length.
+const MOST: f64 = 1e300;
+const LEAST_SPAN: f64 = 1e-200;
+
 /// Red, green, blue.
 #[derive(Clone, Copy)]
 pub struct Colour(u8, u8, u8);
@@ -124,23 +130,25 @@ impl Canvas {
     }
 
     pub fn line(&mut self, points: &[(f64, f64)], colour: Colour, width: f64) {
-        self.marks.push(Mark::Line { points: points.to_vec(), colour, width, dashed: false });
+        self.marks.push(Mark::Line { points: drawable(points), colour, width, dashed: false });
     }
 
     pub fn dashed(&mut self, points: &[(f64, f64)], colour: Colour, width: f64) {
-        self.marks.push(Mark::Line { points: points.to_vec(), colour, width, dashed: true });
+        self.marks.push(Mark::Line { points: drawable(points), colour, width, dashed: true });
     }
 
     pub fn area(&mut self, points: Vec<(f64, f64)>, colour: Colour, opacity: f64) {
-        self.marks.push(Mark::Area { points, colour, opacity });
+        self.marks.push(Mark::Area { points: drawable(&points), colour, opacity });
     }
 
     pub fn dot(&mut self, at: (f64, f64), radius: f64, colour: Colour, opacity: f64) {
-        self.marks.push(Mark::Dot { at, radius, colour, opacity });
+        self.marks.extend(drawable(&[at]).pop().map(|at| Mark::Dot { at, radius, colour, opacity }));
     }
 
     pub fn text(&mut self, at: (f64, f64), text: &str, size: f64, anchor: Anchor, colour: Colour) {
-        self.marks.push(Mark::Text { at, text: text.to_string(), size, anchor, colour });
+        // XML knows no way to write these.
+        let text = text.replace(|letter: char| letter.is_control() || matches!(letter, '\u{fffe}' | '\u{ffff}'), " ");
+        self.marks.extend(drawable(&[at]).pop().map(|at| Mark::Text { at, text, size, anchor, colour }));
     }
 
     /// The outline of a rectangle from its upper left corner.
@@ -230,6 +238,12 @@ impl Mark {
     }
 }
 
+/// The places that exist, none so far outside that numbers of it would be of no use.
+fn drawable(points: &[(f64, f64)]) -> Vec<(f64, f64)> {
+    let finite = points.iter().filter(|(x, y)| x.is_finite() && y.is_finite());
+    finite.map(|(x, y)| (x.clamp(-FAR, FAR), y.clamp(-FAR, FAR))).collect()
+}
+
 /// Width of a text in pixels.
 pub fn text_width(text: &str, size: f64) -> f64 {
     let face = ttf_parser::Face::parse(raster::FACE, 0).expect("the embedded font is a font");
@@ -287,10 +301,13 @@ pub fn ticks((low, high): (f64, f64), most: usize) -> (Vec<f64>, f64) {
 
 /// A range with some room around its values; none without finite values.
 pub fn range(values: impl Iterator<Item = f64>) -> Option<(f64, f64)> {
-    let finite: Vec<f64> = values.filter(|value| value.is_finite()).collect();
+    let finite: Vec<f64> = values.filter(|value| value.is_finite()).map(|value| value.clamp(-MOST, MOST)).collect();
     let low = finite.iter().copied().reduce(f64::min)?;
     let high = finite.iter().copied().reduce(f64::max)?;
-    let room = if high > low { 0.08 * (high - low) } else { 0.05 * high.abs().max(1e-6) };
+    let size = low.abs().max(high.abs());
+    // Less than that is rounding, which has no ticks.
+    let differ = high - low > (1e-12 * size).max(LEAST_SPAN);
+    let room = if differ { 0.08 * (high - low) } else { 0.05 * size.max(1e-6) };
     Some((low - room, high + room))
 }
 

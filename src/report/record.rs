@@ -115,8 +115,23 @@ pub struct TableSpec {
     pub rows: Vec<RowSpec>,
     /// Protocol fields that must be equal in all rows of a scene.
     pub must_match: Vec<String>,
+    /// Metrics with the margin within which a row counts as equivalent to its baseline, in the metric's unit. Without one
+    /// no equivalence is claimed.
+    pub equivalence: Vec<(String, f64)>,
     /// All rows are varied along axes, but for single ones to compare with: figures are drawn against the axes.
     pub varied: bool,
+}
+
+impl TableSpec {
+    /// The margin of equivalence of a metric; none where the definition states none.
+    pub fn margin(&self, metric: &str) -> Option<f64> {
+        self.equivalence.iter().find(|(known, _)| known == metric).map(|(_, margin)| *margin)
+    }
+
+    /// The table has a metric whose key begins so.
+    pub(super) fn has_any(&self, prefix: &str) -> bool {
+        self.metrics.iter().any(|metric| metric.starts_with(prefix))
+    }
 }
 
 /// One row of the definition.

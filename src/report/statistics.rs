@@ -3,8 +3,10 @@
 
 use statrs::distribution::{ContinuousCDF, StudentsT};
 
+/// A claim is made where its p value, corrected over its family, is smaller.
+pub const SIGNIFICANCE: f64 = 0.05;
 /// Share of a Student t distribution below the upper end of a two-sided 95 % interval.
-const UPPER: f64 = 0.975;
+const UPPER: f64 = 1.0 - SIGNIFICANCE / 2.0;
 
 /// The mean; none of no values.
 pub fn mean(values: &[f64]) -> Option<f64> {
@@ -30,7 +32,7 @@ pub fn paired_differences(values: &[(u64, f64)], baseline: &[(u64, f64)]) -> Vec
 /// Ends of the two-sided 95 % Student t interval of the mean, n - 1 degrees of freedom; none of
 /// fewer than two differences. Where all are equal, both ends are that difference.
 pub fn interval(differences: &[f64]) -> Option<(f64, f64)> {
-    let (centre, error) = (mean(differences)?, standard_error(differences)?);
+    let (centre, error) = centre_and_error(differences)?;
     let half = error * student(differences.len()).inverse_cdf(UPPER);
     Some((centre - half, centre + half))
 }
@@ -38,12 +40,35 @@ pub fn interval(differences: &[f64]) -> Option<(f64, f64)> {
 /// The p value of the two-sided paired t test that the mean difference is 0; none of fewer than
 /// two differences. Where all are equal, it is 1 for a difference of 0 and 0 for any other.
 pub fn p_value(differences: &[f64]) -> Option<f64> {
-    let (centre, error) = (mean(differences)?, standard_error(differences)?);
+    let (centre, error) = centre_and_error(differences)?;
     Some(match (centre == 0.0, error == 0.0) {
         (true, true) => 1.0,
         (false, true) => 0.0,
-        (_, false) => 2.0 * student(differences.len()).sf(centre.abs() / error),
+        (_, false) => 2.0 * upper_tail(differences.len(), centre.abs() / error),
     })
+}
+
+/// The p value of two one-sided paired t tests (Schuirmann 1987) that the mean difference lies within `margin` of 0, on
+/// either side: the larger of the two; none of fewer than two differences. Where all are equal, it is 0 for a difference
+/// within the margin and 1 for any other.
+pub fn equivalence_p_value(differences: &[f64], margin: f64) -> Option<f64> {
+    let (centre, error) = centre_and_error(differences)?;
+    let room = margin - centre.abs();
+    Some(match error == 0.0 {
+        true => f64::from(room <= 0.0),
+        false => upper_tail(differences.len(), room / error),
+    })
+}
+
+/// The least mean difference that would pass Holm's first step among these families of differences, at their pooled
+/// spread; none where no family has two differences, or none spreads.
+pub fn least_provable(families: &[Vec<f64>]) -> Option<f64> {
+    let spread: Vec<&Vec<f64>> = families.iter().filter(|family| family.len() > 1).collect();
+    let pairs = spread.iter().map(|family| family.len()).min()?;
+    let squares: Vec<f64> = spread.iter().filter_map(|family| Some(standard_deviation(family)?.powi(2))).collect();
+    let error = (mean(&squares)? / pairs as f64).sqrt();
+    let quantile = student(pairs).inverse_cdf(1.0 - SIGNIFICANCE / (2.0 * spread.len() as f64));
+    (error > 0.0).then_some(quantile * error)
 }
 
 /// Holm's step-down correction: the k-th smallest of m is multiplied by m - k + 1, made not to
@@ -59,6 +84,16 @@ pub fn holm(p_values: &[Option<f64>]) -> Vec<Option<f64>> {
         corrected[index] = Some(least);
     }
     corrected
+}
+
+/// Mean and its standard error; none where numbers are too large for them.
+fn centre_and_error(differences: &[f64]) -> Option<(f64, f64)> {
+    Some((mean(differences)?, standard_error(differences)?)).filter(|(a, b)| a.is_finite() && b.is_finite())
+}
+
+/// P(T > t) of `n` differences. Beyond 1e100 it is 0 or 1 to the last digit, and the square would be too large.
+fn upper_tail(n: usize, t: f64) -> f64 {
+    student(n).sf(t.clamp(-1e100, 1e100))
 }
 
 fn standard_error(values: &[f64]) -> Option<f64> {
@@ -131,10 +166,57 @@ mod tests {
         }
     }
 
+    /// Student's distribution of one degree of freedom is Cauchy's: P(T > t) = 1/2 - atan(t) / pi; of two,
+    /// P(T > t) = 1/2 - t / (2 sqrt(t^2 + 2)).
+    #[test]
+    fn equivalence_has_the_closed_forms_of_small_samples() {
+        let above = |n: usize, t: f64| match n {
+            2 => 0.5 - t.atan() / std::f64::consts::PI,
+            _ => 0.5 - t / (2.0 * (t * t + 2.0).sqrt()),
+        };
+        for (values, margin) in [
+            (&[0.1, 0.2][..], 0.3),
+            (&[-0.1, -0.2], 0.3),
+            (&[0.1, 0.2], 0.05),
+            (&[0.02, -0.01, 0.05], 0.3),
+            (&[0.2, 0.25, 0.33], 0.3),
+            (&[-0.9, -0.7, -1.1], 0.3),
+        ] {
+            let (centre, error) = (mean(values).unwrap(), standard_error(values).unwrap());
+            // The two tests one by one: of a mean above -margin, and of one below margin.
+            let [low, high] = [(centre + margin) / error, (margin - centre) / error].map(|t| above(values.len(), t));
+            close(equivalence_p_value(values, margin), low.max(high));
+        }
+        let exact = |values: &[f64]| equivalence_p_value(values, 0.3);
+        assert_eq!((exact(&[0.1; 3]), exact(&[0.3; 3]), exact(&[-0.4; 3])), (Some(0.0), Some(1.0), Some(1.0)));
+        assert_eq!((exact(&[0.1]), exact(&[])), (None, None));
+    }
+
+    #[test]
+    fn a_difference_of_the_least_provable_size_has_the_p_value_of_holm_s_first_step() {
+        let family = [-0.1, 0.0, 0.1];
+        let least = least_provable(&[family.to_vec(), family.map(|x| x + 5.0).to_vec()]).unwrap();
+        close(p_value(&family.map(|x| x + least)), SIGNIFICANCE / 2.0);
+        assert_eq!((least_provable(&[vec![1.0]]), least_provable(&[vec![1.0; 3]])), (None, None));
+    }
+
     #[test]
     fn equal_differences_give_a_degenerate_interval() {
         assert_eq!((interval(&[0.1; 3]), p_value(&[0.1; 3])), (Some((0.1, 0.1)), Some(0.0)));
         assert_eq!((interval(&[0.0; 3]), p_value(&[0.0; 3])), (Some((0.0, 0.0)), Some(1.0)));
+    }
+
+    #[test]
+    fn numbers_of_any_size_have_a_p_value_or_none() {
+        let sizes = [0.0, 5e-324, 1e-308, 1.0, 1e160, 1e308, f64::MAX, f64::NAN, f64::INFINITY];
+        for a in sizes {
+            for b in sizes.into_iter().chain(sizes.map(|b| -b)) {
+                let ps =
+                    [p_value(&[a, b]), equivalence_p_value(&[a, b], 0.3), equivalence_p_value(&[a, b, 1.0], 1e300)];
+                assert!(ps.into_iter().flatten().all(|p| (0.0..=1.0).contains(&p)), "{a} {b}: {ps:?}");
+                assert!(interval(&[a, b]).is_none_or(|(low, high)| low <= high), "{a} {b}");
+            }
+        }
     }
 
     #[test]

@@ -21,6 +21,7 @@ impl Definition {
             metrics: self.metrics.clone(),
             rows: self.rows(),
             must_match: must_match(&self.metrics, points),
+            equivalence: self.equivalence.clone().into_iter().collect(),
             varied: !self.axis.is_empty(),
         }
     }

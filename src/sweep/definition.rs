@@ -1,5 +1,6 @@
 //! A sweep as its file describes it: what all points share, named rows, axes, seeds, scenes.
 
+use std::collections::BTreeMap;
 use std::path::Path;
 
 use serde::{Deserialize, Serialize};
@@ -45,6 +46,9 @@ pub struct Definition {
     /// How axes combine.
     #[serde(default)]
     pub combine: Combine,
+    /// Metrics with the largest difference to a baseline that counts as none, in the metric's unit.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub equivalence: BTreeMap<String, f64>,
     /// What rows have in common instead of steps.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub budget: Option<Budget>,
@@ -202,7 +206,9 @@ impl Definition {
     fn check(&self) -> std::result::Result<(), String> {
         self.check_lists()?;
         self.check_references()?;
+        self.check_margins()?;
         self.all_axes().try_for_each(check_axis)?;
+        self.check_words()?;
         if let Some(row) = self.row.iter().find(|row| !row.axes && !row.axis.is_empty()) {
             return Err(format!("row '{}' has axes of its own and axes = false; remove one of them", row.name));
         }
@@ -303,7 +309,7 @@ impl Definition {
     }
 
     /// The sweep's axes, then those of rows.
-    fn all_axes(&self) -> impl Iterator<Item = &Axis> {
+    pub(super) fn all_axes(&self) -> impl Iterator<Item = &Axis> {
         self.axis.iter().chain(self.row.iter().flat_map(|row| &row.axis))
     }
 

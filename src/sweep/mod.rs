@@ -25,6 +25,7 @@ mod points;
 mod provenance;
 mod runner;
 mod training;
+mod words;
 
 pub use axes::{Axis, AxisPoint, RandomSpan, Scale, Span};
 pub use budget::{StepCosts, evaluations_per_step, steps_within};
@@ -39,3 +40,4 @@ pub use points::{Point, expand};
 pub use provenance::{Missing, Provenance};
 pub use runner::{Options, Runner, Work};
 pub use training::{Cost, Trainings};
+pub use words::check_name;

@@ -35,6 +35,7 @@ fn spec(rows: &[&str]) -> TableSpec {
         metrics: vec!["psnr".into()],
         rows: rows.iter().enumerate().map(row).collect(),
         must_match: vec![],
+        equivalence: vec![],
         varied: false,
     }
 }
@@ -113,7 +114,7 @@ fn the_paper_s_figure() {
         assert!(figure.svg.contains(words), "{words}");
     }
     // Panels of coordinates and output show nothing; those of features do.
-    assert_eq!(figure.svg.matches("3 seeds: not distinguishable").count(), 4);
+    assert_eq!(figure.svg.matches("3 seeds: no pair passes").count(), 4);
     assert_eq!(figure.svg.matches("differ, p 0.").count(), 3);
     assert!(figure.svg.contains("output steps = 3 (Aug-NeRF)"), "the missing value is named");
     assert!(axes_figure(&spec, &records, "orchids", "psnr").unwrap().is_none());
@@ -204,7 +205,7 @@ fn odd_input_draws_or_says_that_there_is_nothing() {
     let figure = axes_figure(&two, &one, "fern", "psnr").unwrap().unwrap();
     assert!(figure.svg.contains("one seed: no spread known") && figure.svg.contains("worst-case"));
     let equal: Vec<Record> = (0..6).map(|i| word(["a", "b"][i as usize % 2], i / 2, Some(20.0))).collect();
-    assert!(axes_figure(&two, &equal, "fern", "psnr").unwrap().unwrap().svg.contains("3 seeds: not distinguishable"));
+    assert!(axes_figure(&two, &equal, "fern", "psnr").unwrap().unwrap().svg.contains("3 seeds: no pair passes"));
     let broken = [word("a", 0, Some(f64::NAN)), word("b", 0, None)];
     assert!(axes_figure(&two, &broken, "fern", "psnr").unwrap().is_none());
     let plain = [record("NeRF", vec![], 0, Some(20.0)), record("Aug-NeRF", vec![], 0, None)];
@@ -234,5 +235,41 @@ fn a_product_of_two_axes_is_drawn_too() {
     keep("product", &figure);
     for value in ["1e-3", "1e-2", "1e-1", "1"] {
         assert!(figure.svg.contains(&format!("features epsilon = {value}: 3 seeds")), "{value}");
+    }
+}
+
+/// Numbers at the ends of what a computer holds, and letters that XML does not: figures are drawn all the same.
+#[test]
+fn the_smallest_and_largest_numbers_and_odd_letters_are_drawn() {
+    let odd = ["NeRF", "A\u{1}u\u{fffe}g <&> λ 中"];
+    let spec = spec(&odd);
+    let extremes = [
+        5e-324,
+        -5e-324,
+        0.0,
+        1e-308,
+        1e308,
+        -1e308,
+        f64::MAX,
+        f64::MIN,
+        1.0,
+        1.0 + f64::EPSILON,
+        f64::NAN,
+        f64::INFINITY,
+    ];
+    for a in extremes {
+        for b in extremes {
+            let at = |value: &str| vec![axis_value("steps", "", value)];
+            let mut records: Vec<Record> =
+                [a, b].into_iter().zip(0..).map(|(x, seed)| record(odd[0], vec![], seed, Some(x))).collect();
+            records.extend([b, a].into_iter().zip(0..).map(|(x, seed)| record(odd[1], vec![], seed, Some(x))));
+            records.extend([a, b].into_iter().zip(0..).map(|(x, seed)| record(odd[1], at("1"), seed, Some(x))));
+            records.extend([1.0, b].into_iter().zip(0..).map(|(x, seed)| record(odd[1], at("2"), seed, Some(x))));
+            let table = Table::new(&spec, &records, false).unwrap();
+            rows_figure(&table, &records, "fern", "psnr").unwrap();
+            axes_figure(&spec, &records, "fern", "psnr").unwrap();
+            let curve = Curve { label: odd[1].into(), seeds: vec![vec![(0.0, a), (1.0, b)], vec![(0.0, b), (a, b)]] };
+            curves_figure("t\u{0}", "u", &[curve]).unwrap();
+        }
     }
 }

@@ -32,6 +32,7 @@ fn spec() -> TableSpec {
             row("output & only", Some("NeRF"), ""),
         ],
         must_match: vec!["width".into(), "code_revision".into()],
+        equivalence: vec![],
         varied: false,
     }
 }
@@ -138,7 +139,7 @@ fn lines_are_compared_with_their_baseline_by_seed() {
     assert!((comparison.p.unwrap() - 0.020204102886728758).abs() < 1e-12);
     assert!((low - 0.18948278603120877).abs() < 1e-9 && (high - 0.8105172139687913).abs() < 1e-9);
     assert_eq!(comparison.verdict(), Some(Verdict::Higher));
-    // Two lines of the scene have a p value: this one's, the smaller, is doubled.
+    // Two lines of the scene have a p value: this one's, the smaller, is doubled. 0.040 still passes.
     assert_eq!(comparison.p_holm, comparison.p.map(|p| 2.0 * p));
 
     let unsure = find(&table, "fern", "+ TV Reg., features steps = 3");
@@ -169,7 +170,8 @@ fn lines_say_what_is_missing_inactive_and_published() {
     assert_eq!((failed.points, failed.ids.len(), failed.cells[0].n, failed.cells[0].mean), (3, 2, 2, Some(25.0)));
     let aug = find(&table, "fern", "Aug-NeRF");
     assert_eq!(aug.inactive_levels, ["rgb", "density"]);
-    assert_eq!((aug.cells[0].published, aug.cells[1].published), (Some(26.51), Some(0.054)));
+    assert_eq!((aug.cells[0].published, aug.cells[1].published), (Some(26.51), None));
+    assert_eq!((aug.published_lpips, aug.published_average), (None, Some(0.054)));
     assert_eq!((aug.cells[1].n, aug.cells[1].mean), (0, None));
     assert_eq!(aug.protocol_difference, "101x76 instead of 504x378, steps 2000 instead of 500000");
     assert_eq!((aug.protocol("steps"), aug.protocol("seed"), aug.differs.len()), ("2000", "", 0));
@@ -257,10 +259,10 @@ fn markdown_tells_everything_beside_the_numbers() {
         "**Which level helps?** (tab4)",
         "### fern",
         "All rows: dataset llff, width 101, height 76, steps 2000, code_revision abc",
-        "| row | psnr | psnr difference | psnr in the paper | average_vgg | average_vgg in the paper |",
+        "| row | psnr | psnr difference | psnr in the paper | average_vgg | average in the paper, of an unknown backbone |",
         "|---|---:|---:|---:|---:|---:|",
         "| NeRF | 25.00 ± 0.12 (3) |  | 25.17 |  | 0.073 |",
-        "| Aug-NeRF † | 25.50 ± 0.25 (3) | +0.50 [+0.19, +0.81], p 0.040 | 26.51 |  | 0.054 |",
+        "| Aug-NeRF † | 25.50 ± 0.25 (3) | +0.50 [+0.19, +0.81], p 0.040, higher | 26.51 |  | 0.054 |",
         "| + TV Reg., features steps = 3 § | 25.00 ± 0.71 (2) | +0.06 [-5.50, +5.62], p 0.910, not distinguishable | \
          26.05 |  | 0.062 |",
         "- baseline: NeRF",
@@ -283,7 +285,7 @@ fn latex_is_escaped_and_closed() {
     let text = table_latex(&table());
     for part in [
         "\\begin{tabular}{lrrrrr}\n\\toprule\n",
-        "{Aug-NeRF $\\dagger$} & {25.50 $\\pm$ 0.25 (3)} & {+0.50 [+0.19, +0.81], p 0.040} & {26.51} & {} & {0.054} \\\\\n",
+        "{Aug-NeRF $\\dagger$} & {25.50 $\\pm$ 0.25 (3)} & {+0.50 [+0.19, +0.81], p 0.040, higher} & {26.51} & {} & {0.054} \\\\\n",
         "{output \\& only *}",
         "\\midrule\n\\multicolumn{6}{l}{\\emph{chair}} \\\\\n",
         "average\\_vgg",
@@ -304,9 +306,17 @@ fn terminal_tables_fit_their_width() {
     let text = table_terminal(&table(), 60);
     let drawn = text.lines().filter(|line| line.starts_with(['─', '═', ' ']));
     assert!(drawn.clone().count() > 20 && drawn.into_iter().all(|line| line.chars().count() <= 60), "{text}");
-    let text = table_terminal(&table(), 120);
-    for part in ["25.50 ± 0.25 (3)", "paper 26.51", "Aug-NeRF †", "p 0.910, not distinguishable", "* not in the paper"]
-    {
+    let text = table_terminal(&table(), 180);
+    for part in [
+        "25.50 ± 0.25 (3)",
+        "paper 26.51",
+        "Aug-NeRF †",
+        "p 0.910, not distinguishable",
+        "* not in the paper",
+        "average 0.054",
+        "unknown backbone",
+        "p 0.040, higher",
+    ] {
         assert!(text.contains(part), "{part}\n\n{text}");
     }
 }
@@ -339,4 +349,104 @@ fn what_rows_differ_in_by_design_is_said() {
     }
     let markdown = table_markdown(&Table::new(&spec(), &records, false).unwrap());
     assert!(markdown.contains("rows differ in steps: 2000 (NeRF") && markdown.contains("500 (Aug-NeRF"), "{markdown}");
+}
+
+/// One rule in every format: "higher" and "lower" by Holm's p, nothing where the interval alone leaves out 0.
+#[test]
+fn words_are_the_same_in_every_format_and_follow_holm() {
+    let mut records: Vec<Record> = ["NeRF", "Aug-NeRF", "+ TV Reg.", "output & only"]
+        .into_iter()
+        .flat_map(|row| {
+            // The first is sure; of the others the interval leaves out 0 and three comparisons are too many for that.
+            let gains = match row {
+                "NeRF" => [0.0, 0.0, 0.0],
+                "Aug-NeRF" => [0.5, 0.51, 0.49],
+                "+ TV Reg." => [0.1, 0.14, 0.18],
+                _ => [-0.1, -0.14, -0.18],
+            };
+            gains.into_iter().zip(0..).map(move |(gain, seed)| point("fern", row, seed, 25.0 + seed as f64 + gain))
+        })
+        .collect();
+    let table = Table::new(&spec(), &records, false).unwrap();
+    for label in ["+ TV Reg.", "output & only"] {
+        let comparison = find(&table, "fern", label).cells[0].comparison.unwrap();
+        let (low, high) = comparison.interval.unwrap();
+        assert!(low > 0.0 || high < 0.0, "the interval of {label} leaves out 0");
+        assert!(comparison.p.unwrap() < 0.05 && comparison.p_holm.unwrap() > 0.05);
+        assert_eq!(comparison.verdict(), None);
+    }
+    let csv = rows(&table_csv(&table, &[]));
+    let verdicts: Vec<&str> = csv.iter().map(|row| row["psnr_verdict"].as_str()).collect();
+    assert_eq!(verdicts, ["", "higher", "", ""]);
+    assert!(!csv[0].contains_key("psnr_equivalent"), "no equivalence without a margin");
+    let is_about = |text: &str, word: &str| {
+        text.lines()
+            .filter(|line| line.contains("[+") || line.contains("[-"))
+            .filter(|line| line.contains(word))
+            .count()
+    };
+    for text in [table_markdown(&table), table_latex(&table).replace("$-$", "-"), table_terminal(&table, 200)] {
+        assert_eq!((is_about(&text, "higher"), is_about(&text, "lower")), (1, 0), "{text}");
+        assert_eq!(is_about(&text, "not distinguishable"), 0, "{text}");
+    }
+    let figure = augnerf::report::plots::rows_figure(&table, &records, "fern", "psnr").unwrap().unwrap().svg;
+    let words = |word: &str| figure.matches(&format!(">\n{word}\n<")).count();
+    assert_eq!((words("higher"), words("lower"), words("not distinguishable")), (1, 0, 0));
+    // One interval is red, with its dot.
+    assert_eq!(figure.matches("rgb(213,94,0)").count(), 3);
+
+    // A margin is stated: what lies within is equivalent, whether it differs or not.
+    let mut spec = spec();
+    spec.equivalence = vec![("psnr".into(), 0.6)];
+    records.retain(|record| record.row != "+ TV Reg.");
+    let table = Table::new(&spec, &records, false).unwrap();
+    let csv = rows(&table_csv(&table, &[]));
+    let names = ["psnr_margin", "psnr_verdict", "psnr_equivalent"];
+    assert_eq!(cells(&csv[0], &names), ["", "", ""]);
+    assert_eq!(cells(&csv[1], &names), ["0.6", "higher", "true"]);
+    // Of two comparisons the second passes, too.
+    assert_eq!(cells(&csv[2], &names), ["0.6", "lower", "true"]);
+    assert!(csv[1]["psnr_p_equivalence_holm"].parse::<f64>().unwrap() < 0.05);
+    for text in [table_markdown(&table), table_latex(&table), table_terminal(&table, 200)] {
+        assert_eq!(text.matches("higher, equivalent within 0.60").count(), 1, "{text}");
+        assert_eq!(text.matches("equivalent within 0.60").count(), 2, "{text}");
+    }
+}
+
+/// Ten step sizes that all land on the set's corners are one experiment, which Holm's correction counts once.
+#[test]
+fn the_same_training_under_two_names_is_one_comparison() {
+    let gains = |name: &str| if name == "3" { [0.3, 0.2, 0.25] } else { [0.5, 0.52, 0.45] };
+    let mut records: Vec<Record> = (0..3).map(|seed| point("fern", "NeRF", seed, 25.0)).collect();
+    for name in ["1", "2", "3"] {
+        let at = |(gain, seed)| at_steps(point("fern", "Aug-NeRF", seed, 25.0 + gain), name);
+        records.extend(gains(name).into_iter().zip(0..).map(at));
+    }
+    let table = Table::new(&spec(), &records, false).unwrap();
+    let p = |index: usize| table.lines[index].cells[0].comparison.map(|c| (c.p.unwrap(), c.p_holm.unwrap())).unwrap();
+    assert_eq!(p(1), p(2));
+    assert_eq!(p(1).1, 2.0 * p(1).0);
+}
+
+/// What spreadsheets, Markdown and LaTeX would take for more than text.
+#[test]
+fn odd_names_stay_names_in_every_format() {
+    let mut spec = spec();
+    spec.title = "=cmd|' /C calc'!A0\n\n[x](javascript:alert(1)) λ 中".into();
+    spec.rows[2].name = "[x](javascript:alert(1))".into();
+    spec.rows[2].published = None;
+    let mut records = records();
+    for record in records.iter_mut().filter(|record| record.row == "+ TV Reg.") {
+        record.row = "[x](javascript:alert(1))".into();
+    }
+    records[0].reason = "@SUM(A1)".into();
+    let table = Table::new(&spec, &records, false).unwrap();
+    assert!(!table_markdown(&table).contains("](j"), "{}", table_markdown(&table));
+    let latex = table_latex(&table);
+    assert!(latex.is_ascii() && !latex.contains("\n\n[x]"), "{latex}");
+    assert!(
+        latex.starts_with("\\providecommand{\\augnerfletter}") && latex.contains("$\\lambda$ \\augnerfletter{4E2D}")
+    );
+    assert!(!table_latex(&self::table()).contains("augnerfletter"));
+    assert_eq!(rows(&points_csv(&records, &[]))[0]["reason"], "'@SUM(A1)");
 }

@@ -8,7 +8,7 @@ use crate::base::{Error, Result};
 use crate::cli::progress::print;
 use crate::draw::SVG_ALONE;
 use crate::report::tables::table_terminal;
-use crate::sweep::{Collector, Material, SweepFolder};
+use crate::sweep::{Collector, Material, SweepFolder, check_name};
 
 use super::{RESULTS, RUNS, begun, terminal_width};
 
@@ -37,6 +37,7 @@ impl CollectArguments {
         let points = begun(&folder, self.data_root.as_deref())?;
         let path = std::path::absolute(&self.folder).map_err(|e| Error::unreadable(&self.folder, &e))?;
         let name = path.file_name().map_or("sweep".into(), |name| name.to_string_lossy().into_owned());
+        check_name("the sweep's name", &name).map_err(Error::Config)?;
         let runs = path.parent().filter(|parent| parent.file_name().is_some_and(|name| name == RUNS));
         let results = self.results.clone().unwrap_or_else(|| match runs {
             Some(runs) => runs.with_file_name(RESULTS).join(&name),

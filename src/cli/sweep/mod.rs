@@ -7,7 +7,7 @@ use clap::{Args, Subcommand};
 
 use crate::base::{Error, Result};
 use crate::settings::parse_assignment;
-use crate::sweep::{Definition, Overrides, Point, SweepFolder};
+use crate::sweep::{Definition, Overrides, Point, SweepFolder, check_name};
 
 mod collect;
 mod plan;
@@ -83,6 +83,7 @@ impl Location {
         if name.is_empty() || name.contains(['/', '\\']) || name == "." || name == ".." {
             return Err(Error::Config(format!("--name '{name}': give a name without path separators")));
         }
+        check_name("the sweep's name", &name).map_err(Error::Config)?;
         Ok(name)
     }
 

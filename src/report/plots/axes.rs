@@ -7,15 +7,13 @@ use crate::draw::canvas::{
     Anchor, BLACK, Canvas, Colour, GREY, GRID, LINE_HEIGHT, PALETTE, Panel, RED, TEXT, TITLE, number, range, text_width,
 };
 use crate::metrics::{Direction, Metric};
-use crate::report::statistics::{holm, p_value, paired_differences};
+use crate::report::statistics::{SIGNIFICANCE, holm, least_provable, p_value, paired_differences};
 use crate::report::{AxisValue, Record, Status, TableSpec, label};
 
 const PANEL: (f64, f64) = (250.0, 190.0);
 const GAP: (f64, f64) = (30.0, 92.0);
 /// Lines of words that the gap below a panel has room for.
 const LINES_IN_GAP: usize = 3;
-/// Differences with a smaller p value count.
-const SIGNIFICANT: f64 = 0.05;
 const MARGIN: (f64, f64) = (76.0, 66.0);
 
 /// One line of one panel: values of an axis with what was measured there.
@@ -54,7 +52,7 @@ pub fn axes_figure(spec: &TableSpec, records: &[Record], scene: &str, metric: &s
     let columns = distinct(series.iter().map(|series| series.panel));
     let most = axes.iter().flat_map(|axis| columns.iter().map(|column| on(&series, axis, column).count())).max();
     let further = most.unwrap_or(0).saturating_sub(LINES_IN_GAP) as f64 * LINE_HEIGHT;
-    let (width, height) = (PANEL.0.max(width_of_words(&series, &records)) + GAP.0, PANEL.1 + GAP.1 + further);
+    let (width, height) = (PANEL.0.max(width_of_words(&series, &records, metric)) + GAP.0, PANEL.1 + GAP.1 + further);
     let mut drawing =
         Canvas::new((MARGIN.0 + columns.len() as f64 * width).max(560.0), MARGIN.1 + axes.len() as f64 * height);
     let title = format!("{}: {} on {scene}", spec.title, metric_label(metric));
@@ -113,11 +111,11 @@ fn series<'a>(records: &[&'a Record], metric: &str) -> Vec<Series<'a>> {
 }
 
 /// What the words below a panel ask for where the values of further axes are among them.
-fn width_of_words(series: &[Series], records: &[&Record]) -> f64 {
+fn width_of_words(series: &[Series], records: &[&Record], metric: &str) -> f64 {
     if records.iter().all(|record| record.axes.len() < 2) {
         return 0.0;
     }
-    series.iter().map(|s| text_width(&format!("{}: {}", s.label, verdict(s)), TEXT)).fold(0.0, f64::max)
+    series.iter().map(|s| text_width(&format!("{}: {}", s.label, verdict(s, metric)), TEXT)).fold(0.0, f64::max)
 }
 
 /// The lines of one panel.
@@ -160,7 +158,7 @@ fn draw_values(drawing: &mut Canvas, panel: &Panel, lines: &[&Series], metric: &
         draw_series(drawing, panel, series, colour, &x);
     }
     for (index, series) in lines.iter().enumerate() {
-        let verdict = verdict(series);
+        let verdict = verdict(series, metric);
         let text = if lines.len() > 1 { format!("{}: {verdict}", series.label) } else { verdict };
         let colour = if lines.len() > 1 { PALETTE[index % PALETTE.len()] } else { GREY };
         drawing.text(
@@ -211,26 +209,49 @@ fn best(series: &Series, metric: &str) -> Option<(usize, Spread)> {
     series.means().into_iter().max_by(|(_, a), (_, b)| (sign * a.mean).total_cmp(&(sign * b.mean)))
 }
 
-/// Whether any two values of the axis are told apart by seeds that they share, in words.
-fn verdict(series: &Series) -> String {
+/// Whether any two values of the axis are told apart by seeds that they share, in words; where none are, the least
+/// difference that would have been.
+fn verdict(series: &Series, metric: &str) -> String {
     let seeds = series.points.iter().map(|(_, seeds)| seeds.len()).max().unwrap_or(0);
-    match (seeds, largest_difference(series)) {
+    let pairs = Pairs::new(series);
+    match (seeds, pairs.best()) {
         (0, _) => "no data".into(),
         (1, _) => "one seed: no spread known".into(),
-        (_, Some((a, b, p))) if p < SIGNIFICANT => format!("{seeds} seeds: {a} and {b} differ, p {p:.3}"),
-        _ => format!("{seeds} seeds: not distinguishable"),
+        (_, Some((a, b, p))) if p < SIGNIFICANCE => format!("{seeds} seeds: {a} and {b} differ, p {p:.3}"),
+        _ => {
+            let least = least_provable(&pairs.differences).zip(Metric::find(metric));
+            let least = least.map_or(String::new(), |(least, metric)| format!(" ({} would)", metric.with_unit(least)));
+            format!("{seeds} seeds: no pair passes{least}")
+        }
     }
 }
 
-/// The two values that are told apart best, with the p value of their paired t test after Holm's
-/// correction over all pairs.
-fn largest_difference<'a>(series: &Series<'a>) -> Option<(&'a str, &'a str, f64)> {
-    let pairs: Vec<_> = (0..series.points.len()).flat_map(|j| (0..j).map(move |i| (i, j))).collect();
-    let p_values: Vec<Option<f64>> =
-        pairs.iter().map(|&(i, j)| p_value(&paired_differences(&series.points[i].1, &series.points[j].1))).collect();
-    let corrected = holm(&p_values).into_iter().zip(pairs).filter_map(|(p, pair)| Some((p?, pair)));
-    let (p, (i, j)) = corrected.min_by(|a, b| a.0.total_cmp(&b.0))?;
-    Some((series.points[i].0, series.points[j].0, p))
+/// All pairs of values, with their differences seed by seed. Values that come to the same numbers are the same training
+/// (as step sizes that land on the set's corners) and stand once.
+struct Pairs<'a> {
+    names: Vec<(&'a str, &'a str)>,
+    differences: Vec<Vec<f64>>,
+}
+
+impl<'a> Pairs<'a> {
+    fn new(series: &Series<'a>) -> Pairs<'a> {
+        let points = &series.points;
+        let is_new = |i: &usize| points[..*i].iter().all(|(_, seeds)| *seeds != points[*i].1);
+        let distinct: Vec<usize> = (0..points.len()).filter(is_new).collect();
+        let pairs = || distinct.iter().enumerate().flat_map(|(n, &j)| distinct[..n].iter().map(move |&i| (i, j)));
+        Pairs {
+            names: pairs().map(|(i, j)| (points[i].0, points[j].0)).collect(),
+            differences: pairs().map(|(i, j)| paired_differences(&points[i].1, &points[j].1)).collect(),
+        }
+    }
+
+    /// The two values that are told apart best, with the p value of their paired t test after Holm's correction over all
+    /// pairs.
+    fn best(&self) -> Option<(&'a str, &'a str, f64)> {
+        let p_values: Vec<Option<f64>> = self.differences.iter().map(|differences| p_value(differences)).collect();
+        let corrected = holm(&p_values).into_iter().zip(&self.names).filter_map(|(p, names)| Some((p?, names)));
+        corrected.min_by(|a, b| a.0.total_cmp(&b.0)).map(|(p, (a, b))| (*a, *b, p))
+    }
 }
 
 fn numbers(seeds: &[(u64, f64)]) -> Vec<f64> {
@@ -250,8 +271,8 @@ fn caption(series: &[Series], baseline: Option<&str>, metric: &str) -> String {
     if let Some(baseline) = baseline {
         text += &format!(" Dashed: {baseline}.");
     }
-    text +=
-        " \"Not distinguishable\": no two values of the panel differ (paired t tests over seeds, Holm over all pairs).";
+    text += " \"No pair passes\": of no two values of the panel is a difference shown (paired t tests over seeds, Holm's p \
+             below 0.05 over all pairs); in brackets the least one that would have been.";
     if !missing.is_empty() {
         text += &format!(" Without data: {}.", missing.join("; "));
     }
@@ -282,17 +303,22 @@ mod tests {
         };
         // The seeds lie further apart than the values do, and agree on the difference.
         let paired = series(vec![("1", vec![20.0, 22.0, 24.0]), ("3", vec![20.5, 22.51, 24.49])]);
-        assert_eq!(verdict(&paired), "3 seeds: 1 and 3 differ, p 0.000");
+        assert_eq!(verdict(&paired, "psnr"), "3 seeds: 1 and 3 differ, p 0.000");
         let best_index = |metric: &str| best(&paired, metric).map(|(index, _)| index);
         assert_eq!((best_index("psnr"), best_index("lpips_alex")), (Some(1), Some(0)));
         // More of a reference's own roughness, or of filled space, is neither better nor worse.
         assert_eq!((best_index("normal_roughness_truth"), best_index("occupied")), (None, None));
         let same = series(vec![("1", vec![20.0, 20.5, 21.0]), ("3", vec![20.3, 20.4, 21.1])]);
-        assert_eq!(verdict(&same), "3 seeds: not distinguishable");
+        // Pooled over one pair: t(0.975, 2) times the standard error of -0.3, 0.1, -0.1.
+        assert_eq!(verdict(&same, "psnr"), "3 seeds: no pair passes (0.50 dB would)");
         // Two seeds that differ by nearly the same: p 0.02 for one pair, and there are three.
         let few = series(vec![("1", vec![20.0, 20.0]), ("3", vec![21.0, 21.06]), ("5", vec![20.5, 20.2])]);
-        assert_eq!(verdict(&few), "2 seeds: not distinguishable");
-        assert_eq!(verdict(&series(vec![("1", vec![20.0]), ("3", vec![21.0])])), "one seed: no spread known");
-        assert_eq!(verdict(&series(vec![("1", vec![])])), "no data");
+        assert!(verdict(&few, "psnr").starts_with("2 seeds: no pair passes"));
+        // A value that is the same training as another makes no further pair.
+        let twice =
+            series(vec![("1", vec![20.0, 20.0, 20.0]), ("3", vec![20.5, 20.52, 20.6]), ("5", vec![20.5, 20.52, 20.6])]);
+        assert_eq!(Pairs::new(&twice).names, [("1", "3")]);
+        assert_eq!(verdict(&series(vec![("1", vec![20.0]), ("3", vec![21.0])]), "psnr"), "one seed: no spread known");
+        assert_eq!(verdict(&series(vec![("1", vec![])]), "psnr"), "no data");
     }
 }

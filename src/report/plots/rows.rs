@@ -5,7 +5,7 @@ use crate::base::Result;
 use crate::draw::canvas::{
     Anchor, BLACK, BLUE, Canvas, GREY, GRID, RED, TEXT, TITLE, number, range, text_width, ticks,
 };
-use crate::report::tables::{Cell, Line, Table, Verdict};
+use crate::report::tables::{Cell, Comparison, Line, Table, Verdict};
 use crate::report::{Record, Status};
 
 const ROW: f64 = 26.0;
@@ -48,7 +48,7 @@ pub fn rows_figure(table: &Table, records: &[Record], scene: &str, metric: &str)
     let bottom = TOP + ROW * lines.len() as f64;
     let left = Scale { left: 20.0 + label_width + 16.0, range: values };
     let right = Scale { left: left.left + PANEL + 40.0, range: differences.unwrap_or((-1.0, 1.0)) };
-    let mut drawing = Canvas::new(right.left + PANEL + 150.0, bottom + 30.0);
+    let mut drawing = Canvas::new(right.left + PANEL + words_width(&cells) + 30.0, bottom + 30.0);
     let title = format!("{}: {} on {scene}", table.title, metric_label(metric));
     drawing.text((20.0, 20.0), &title, TITLE, Anchor::Left, BLACK);
     left.frame(&mut drawing, metric_label(metric), bottom);
@@ -60,7 +60,7 @@ pub fn rows_figure(table: &Table, records: &[Record], scene: &str, metric: &str)
         draw_mean(&mut drawing, &left, y, cell, seeds);
         draw_difference(&mut drawing, &right, y, cell);
     }
-    drawing.caption(&caption(&lines));
+    drawing.caption(&caption(&lines, column));
     drawing.finish().map(Some)
 }
 
@@ -89,19 +89,39 @@ fn draw_difference(drawing: &mut Canvas, scale: &Scale, y: f64, cell: &Cell) {
         drawing.text((scale.left + PANEL + 10.0, y), "one seed: no interval", TEXT, Anchor::Left, GREY);
         return;
     };
-    let verdict = comparison.verdict();
-    let colour = if verdict == Some(Verdict::NotDistinguishable) { GREY } else { RED };
+    // Colour and words by the one rule that tables follow.
+    let colour = match comparison.verdict() {
+        Some(verdict) if verdict.is_difference() => RED,
+        _ if comparison.is_equivalent() => BLUE,
+        _ => GREY,
+    };
     drawing.line(&[(scale.x(low), y), (scale.x(high), y)], colour, 2.0);
     drawing.dot((scale.x(comparison.difference), y), 4.0, colour, 1.0);
-    let words = verdict.map_or("", Verdict::name);
-    drawing.text((scale.left + PANEL + 10.0, y), words, TEXT, Anchor::Left, colour);
+    drawing.text((scale.left + PANEL + 10.0, y), &words(comparison), TEXT, Anchor::Left, colour);
 }
 
-fn caption(lines: &[&Line]) -> String {
-    let mut text =
-        "Large dots are means over seeds, faint dots the seeds. Differences are paired by seed; where the interval \
-                    holds 0 the row is not distinguishable from the baseline."
-            .to_string();
+/// Room for the words beside the differences.
+fn words_width(cells: &[&Cell]) -> f64 {
+    let words = cells.iter().filter_map(|cell| cell.comparison.as_ref()).map(words);
+    words.map(|words| text_width(&words, TEXT)).fold(120.0, f64::max)
+}
+
+fn words(comparison: &Comparison) -> String {
+    let verdict = comparison.verdict().map(Verdict::name);
+    let equivalent = comparison.is_equivalent().then_some("equivalent");
+    verdict.into_iter().chain(equivalent).collect::<Vec<&str>>().join(", ")
+}
+
+fn caption(lines: &[&Line], column: usize) -> String {
+    let mut text = "Large dots are means over seeds, faint dots the seeds. Differences are paired by seed; higher and lower \
+                    (red) by Holm's p below 0.05 over the rows, not distinguishable where the interval holds 0, no word \
+                    between the two."
+        .to_string();
+    let comparisons = lines.iter().filter_map(|line| line.cells[column].comparison);
+    let margins = comparisons.filter_map(|comparison| comparison.equivalence).map(|equivalence| equivalence.margin);
+    if let Some(margin) = margins.reduce(f64::max) {
+        text += &format!(" Equivalent: within {margin} of the baseline, by two one-sided tests (Holm).");
+    }
     let inactive = lines.iter().filter(|line| !line.inactive_levels.is_empty());
     let inactive: Vec<String> =
         inactive.map(|line| format!("{} ({})", line.label, line.inactive_levels.join(", "))).collect();

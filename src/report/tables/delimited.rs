@@ -27,7 +27,11 @@ const LINE_COLUMNS: [&str; 13] = [
 ];
 const CELL_COLUMNS: [&str; 11] =
     ["n", "mean", "std", "pairs", "difference", "low", "high", "p", "p_holm", "verdict", "published"];
-const PUBLISHED_COLUMNS: [&str; 2] = ["published_protocol", "protocol_difference"];
+/// Of metrics that the definition states a margin for.
+const EQUIVALENCE_COLUMNS: [&str; 4] = ["margin", "p_equivalence", "p_equivalence_holm", "equivalent"];
+/// The numbers are of a backbone that the paper does not name.
+const PUBLISHED_COLUMNS: [&str; 4] =
+    ["published_lpips", "published_average", "published_protocol", "protocol_difference"];
 
 /// One line a point: what it is, its metrics, its protocol and, where given, its clock times.
 pub fn points_csv(records: &[Record], timing: &[PointTiming]) -> String {
@@ -81,16 +85,21 @@ pub fn table_csv(table: &Table, timing: &[PointTiming]) -> String {
     let differing = table.lines.iter().flat_map(|line| line.differs.iter().map(String::as_str));
     let protocol = distinct(names.chain(differing).filter(|name| !is_per_seed(name)));
     let clocks = clock_names(timing);
+    let tested: Vec<bool> = (0..table.metrics.len()).map(|metric| is_tested(table, metric)).collect();
     let rows = table.lines.iter().map(|line| {
         let mut row = line_cells(line);
-        row.extend(line.cells.iter().flat_map(cell_cells));
+        row.extend(line.cells.iter().zip(&tested).flat_map(|(cell, tested)| cell_cells(cell, *tested)));
+        row.extend([csv_number(line.published_lpips), csv_number(line.published_average)]);
         row.extend([line.published_protocol.clone(), line.protocol_difference.clone()]);
         row.extend(protocol.iter().map(|name| line.protocol(name).to_string()));
         row.extend(clocks.iter().map(|name| csv_number(mean_clock(timing, &line.ids, name))));
         row
     });
     let mut head: Vec<String> = LINE_COLUMNS.iter().map(ToString::to_string).collect();
-    head.extend(table.metrics.iter().flat_map(|metric| CELL_COLUMNS.map(|column| format!("{metric}_{column}"))));
+    for (metric, tested) in table.metrics.iter().zip(&tested) {
+        let equivalence: &[&str] = if *tested { &EQUIVALENCE_COLUMNS } else { &[] };
+        head.extend(CELL_COLUMNS.iter().chain(equivalence).map(|column| format!("{metric}_{column}")));
+    }
     head.extend(PUBLISHED_COLUMNS.iter().chain(&protocol).map(ToString::to_string));
     head.extend(clocks.iter().map(|name| format!("{name}_mean")));
     csv_text(std::iter::once(head).chain(rows))
@@ -114,10 +123,16 @@ fn line_cells(line: &Line) -> Vec<String> {
     ]
 }
 
-fn cell_cells(cell: &Cell) -> [String; CELL_COLUMNS.len()] {
+/// Whether equivalence is tested in a metric.
+fn is_tested(table: &Table, metric: usize) -> bool {
+    let mut comparisons = table.lines.iter().filter_map(|line| line.cells[metric].comparison);
+    comparisons.any(|comparison| comparison.equivalence.is_some())
+}
+
+fn cell_cells(cell: &Cell, tested: bool) -> Vec<String> {
     let comparison = cell.comparison.as_ref();
     let interval = comparison.and_then(|comparison| comparison.interval);
-    [
+    let mut cells = vec![
         cell.n.to_string(),
         csv_number(cell.mean),
         csv_number(cell.deviation),
@@ -129,7 +144,18 @@ fn cell_cells(cell: &Cell) -> [String; CELL_COLUMNS.len()] {
         csv_number(comparison.and_then(|comparison| comparison.p_holm)),
         comparison.and_then(|comparison| comparison.verdict()).map_or("", |verdict| verdict.name()).into(),
         csv_number(cell.published),
-    ]
+    ];
+    if tested {
+        let equivalence = comparison.and_then(|comparison| comparison.equivalence);
+        let known = equivalence.filter(|equivalence| equivalence.p_holm.is_some());
+        cells.extend([
+            csv_number(equivalence.map(|equivalence| equivalence.margin)),
+            csv_number(equivalence.and_then(|equivalence| equivalence.p)),
+            csv_number(equivalence.and_then(|equivalence| equivalence.p_holm)),
+            known.map_or(String::new(), |equivalence| equivalence.holds().to_string()),
+        ]);
+    }
+    cells
 }
 
 fn clock_names(timing: &[PointTiming]) -> Vec<&str> {

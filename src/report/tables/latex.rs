@@ -16,7 +16,8 @@ pub fn table_latex(table: &Table) -> String {
     }
     text += "\\bottomrule\n\\end{tabular}\n\n\\smallskip\n\\begin{minipage}{\\linewidth}\n\\footnotesize\n";
     text += &notes_text(table);
-    text + "\\end{minipage}\n\\end{table}\n"
+    text += "\\end{minipage}\n\\end{table}\n";
+    if text.contains("\\augnerfletter") { format!("{LETTER}{text}") } else { text }
 }
 
 fn notes_text(table: &Table) -> String {
@@ -34,7 +35,7 @@ fn row_text(cells: &[String]) -> String {
     format!("{} \\\\\n", cells.join(" & "))
 }
 
-/// Text that LaTeX prints as it is.
+/// What LaTeX prints as it is, in any of its engines and encodings: `\augnerfletter` stands for the rest.
 fn escape(text: &str) -> String {
     let mut escaped = String::with_capacity(text.len());
     let mut before = ' ';
@@ -47,19 +48,92 @@ fn escape(text: &str) -> String {
             '<' => escaped += "\\textless{}",
             '>' => escaped += "\\textgreater{}",
             '|' => escaped += "\\textbar{}",
-            '±' => escaped += "$\\pm$",
-            '†' => escaped += "$\\dagger$",
-            '‡' => escaped += "$\\ddagger$",
-            '§' => escaped += "\\S{}",
-            '¶' => escaped += "\\P{}",
-            // A sign, not a hyphen.
+            // A sign, not a hyphen; two, as of a flag, are no dash.
             '-' if matches!(before, ' ' | '[') => escaped += "$-$",
-            other => escaped.push(other),
+            '-' if before == '-' => escaped += "{}-",
+            // A blank line would end the paragraph, in a caption with an error.
+            c if c.is_whitespace() || c.is_control() => escaped.push(' '),
+            c if c.is_ascii() || ACCENTED.contains(c) => escaped.push(c),
+            other => escaped += &special(other),
         }
         before = c;
     }
     escaped
 }
+
+/// Letters with accents that every encoding of LaTeX puts together.
+const ACCENTED: &str =
+    "ÀÁÂÃÄÅÆÇÈÉÊËÌÍÎÏÑÒÓÔÕÖØÙÚÛÜÝàáâãäåæçèéêëìíîïñòóôõöøùúûüýÿßĆćČčĎďĚěŁłŃńŇňŐőŒœŘřŚśŠšŤťŮůŰűŸŹźŻżŽž";
+
+/// Signs and Greek letters as mathematics has them.
+const SPECIAL: [(char, &str); 58] = [
+    ('±', "$\\pm$"),
+    ('†', "$\\dagger$"),
+    ('‡', "$\\ddagger$"),
+    ('§', "\\S{}"),
+    ('¶', "\\P{}"),
+    ('·', "$\\cdot$"),
+    ('×', "$\\times$"),
+    ('−', "$-$"),
+    ('–', "--"),
+    ('—', "---"),
+    ('…', "\\ldots{}"),
+    ('≤', "$\\leq$"),
+    ('≥', "$\\geq$"),
+    ('≈', "$\\approx$"),
+    ('∞', "$\\infty$"),
+    ('°', "$^\\circ$"),
+    ('²', "$^2$"),
+    ('³', "$^3$"),
+    ('µ', "$\\mu$"),
+    ('α', "$\\alpha$"),
+    ('β', "$\\beta$"),
+    ('γ', "$\\gamma$"),
+    ('δ', "$\\delta$"),
+    ('ε', "$\\varepsilon$"),
+    ('ζ', "$\\zeta$"),
+    ('η', "$\\eta$"),
+    ('θ', "$\\theta$"),
+    ('ι', "$\\iota$"),
+    ('κ', "$\\kappa$"),
+    ('λ', "$\\lambda$"),
+    ('μ', "$\\mu$"),
+    ('ν', "$\\nu$"),
+    ('ξ', "$\\xi$"),
+    ('ο', "$o$"),
+    ('π', "$\\pi$"),
+    ('ρ', "$\\rho$"),
+    ('σ', "$\\sigma$"),
+    ('ς', "$\\varsigma$"),
+    ('τ', "$\\tau$"),
+    ('υ', "$\\upsilon$"),
+    ('φ', "$\\varphi$"),
+    ('χ', "$\\chi$"),
+    ('ψ', "$\\psi$"),
+    ('ω', "$\\omega$"),
+    ('Γ', "$\\Gamma$"),
+    ('Δ', "$\\Delta$"),
+    ('Θ', "$\\Theta$"),
+    ('Λ', "$\\Lambda$"),
+    ('Ξ', "$\\Xi$"),
+    ('Π', "$\\Pi$"),
+    ('Σ', "$\\Sigma$"),
+    ('Υ', "$\\Upsilon$"),
+    ('Φ', "$\\Phi$"),
+    ('Ψ', "$\\Psi$"),
+    ('Ω', "$\\Omega$"),
+    ('ϵ', "$\\epsilon$"),
+    ('∇', "$\\nabla$"),
+    ('√', "$\\surd$"),
+];
+
+fn special(letter: char) -> String {
+    let known = SPECIAL.iter().find(|(known, _)| *known == letter).map(|(_, text)| (*text).to_string());
+    known.unwrap_or_else(|| format!("\\augnerfletter{{{:04X}}}", u32::from(letter)))
+}
+
+/// The letter itself where the engine knows Unicode, its number elsewhere, where it would be an error.
+const LETTER: &str = "\\providecommand{\\augnerfletter}[1]{\\ifdefined\\Umathchar\\char\"#1\\relax\\else[U+#1]\\fi}\n";
 
 #[cfg(test)]
 mod tests {
@@ -75,6 +149,8 @@ mod tests {
             )
         );
         assert_eq!(escape("1 ± 2 †§"), "1 $\\pm$ 2 $\\dagger$\\S{}");
+        assert_eq!(escape("a\n\n\tb\u{0}c"), "a   b c");
+        assert_eq!(escape("λ 中 é --force"), "$\\lambda$ \\augnerfletter{4E2D} é $-${}-force");
         assert_eq!(escape("-0.1 [-0.2, -0.0] pre-output"), "$-$0.1 [$-$0.2, $-$0.0] pre-output");
     }
 }

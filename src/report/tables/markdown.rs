@@ -21,7 +21,9 @@ pub fn table_markdown(table: &Table) -> String {
 }
 
 fn list_text(notes: &[String]) -> String {
-    notes.iter().map(|note| format!("- {}\n", escape(note))).collect()
+    // A note that begins with what begins a heading, a list or a quotation is none.
+    let block = |note: &str| if note.starts_with(['#', '+', '-', '>', '=']) { "\\" } else { "" };
+    notes.iter().map(|note| format!("- {}{}\n", block(note), escape(note))).collect()
 }
 
 fn row_text(cells: &[String]) -> String {
@@ -29,22 +31,44 @@ fn row_text(cells: &[String]) -> String {
     format!("| {} |\n", cells.join(" | "))
 }
 
-/// Text that Markdown prints as it is; a line break would end a row.
+/// Text that Markdown prints as it is; a line break would end a row. No link, no image, no HTML, no formula comes of it.
 fn escape(text: &str) -> String {
-    let escaped = text.chars().map(|c| match c {
-        '\\' | '|' | '*' | '<' | '`' => format!("\\{c}"),
-        '\n' | '\r' => " ".into(),
-        other => other.into(),
+    let letters: Vec<char> = text.chars().collect();
+    let is_word = |letter: Option<&char>| letter.is_some_and(|letter| letter.is_alphanumeric());
+    let escaped = letters.iter().enumerate().map(|(i, &c)| {
+        let (before, after) = (i.checked_sub(1).map(|i| &letters[i]), letters.get(i + 1));
+        match c {
+            '\\' | '|' | '*' | '<' | '`' | '~' | '$' => format!("\\{c}"),
+            // What makes a link of brackets; the brackets themselves are also those of intervals.
+            '(' | '[' | ':' if before == Some(&']') => format!("\\{c}"),
+            '_' if !(is_word(before) && is_word(after)) => "\\_".into(),
+            '&' if is_word(after) || after == Some(&'#') => "\\&".into(),
+            c if c.is_control() => " ".into(),
+            other => other.into(),
+        }
     });
     escaped.collect()
 }
 
 #[cfg(test)]
 mod tests {
-    use super::escape;
+    use super::*;
 
     #[test]
     fn cells_stay_cells() {
         assert_eq!(escape("a|b *c* <d>\n+ l1 `e`"), "a\\|b \\*c\\* \\<d> + l1 \\`e\\`");
+        assert_eq!(
+            escape("+0.5 [-0.1, +0.2] (2 pairs), average_vgg, a & b"),
+            "+0.5 [-0.1, +0.2] (2 pairs), average_vgg, a & b"
+        );
+    }
+
+    #[test]
+    fn nothing_becomes_a_link_or_a_heading() {
+        assert_eq!(escape("[x](javascript:alert)"), "[x]\\(javascript:alert)");
+        assert_eq!(escape("![x](http://a)"), "![x]\\(http://a)");
+        assert_eq!(escape("[x][y] [x]: z"), "[x]\\[y] [x]\\: z");
+        assert_eq!(escape("&#91;x] _y_ ~~z~~ $a$"), "\\&#91;x] \\_y\\_ \\~\\~z\\~\\~ \\$a\\$");
+        assert_eq!(list_text(&["# a".into(), "b".into()]), "- \\# a\n- b\n");
     }
 }

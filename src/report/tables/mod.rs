@@ -5,19 +5,21 @@
 //! known to differ in protocol, and are never subtracted.
 
 mod checks;
+mod comparison;
 mod delimited;
 mod latex;
 mod markdown;
 mod terminal;
 mod text;
 
+pub use comparison::{Comparison, Equivalence, Verdict};
 pub use delimited::{PointTiming, points_csv, table_csv, timing_csv};
 pub use latex::table_latex;
 pub use markdown::table_markdown;
 pub use terminal::table_terminal;
 
 use crate::base::Result;
-use crate::report::statistics::{holm, interval, mean, p_value, paired_differences, standard_deviation};
+use crate::report::statistics::{mean, paired_differences, standard_deviation};
 use crate::report::{AxisValue, PublishedRow, Record, RowSpec, Status, TableSpec};
 use crate::settings::columns::is_per_seed;
 
@@ -98,6 +100,10 @@ pub struct Line {
     pub inactive_levels: Vec<String>,
     /// One for each of the table's metrics.
     pub cells: Vec<Cell>,
+    /// The paper's LPIPS, of a backbone that it does not name; none where the table has no LPIPS.
+    pub published_lpips: Option<f64>,
+    /// The same of its average.
+    pub published_average: Option<f64>,
     /// How the paper's numbers were measured; empty without any.
     pub published_protocol: String,
     /// In what the measured points are known to differ from that.
@@ -127,64 +133,6 @@ pub struct Cell {
     pub published: Option<f64>,
 }
 
-/// A metric of a line against that of its baseline, paired by seed.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Comparison {
-    /// Seeds that both have.
-    pub pairs: usize,
-    /// Mean of ours minus the baseline's.
-    pub difference: f64,
-    /// Ends of the 95 % interval; none of one pair.
-    pub interval: Option<(f64, f64)>,
-    /// P value of the paired t test; none of one pair.
-    pub p: Option<f64>,
-    /// The same after Holm's correction over the scene's lines with a baseline.
-    pub p_holm: Option<f64>,
-}
-
-/// What an interval says of a difference.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Verdict {
-    /// The interval holds 0.
-    NotDistinguishable,
-    /// It lies above 0.
-    Higher,
-    /// It lies below 0.
-    Lower,
-}
-
-impl Verdict {
-    /// The words in files and tables.
-    pub fn name(self) -> &'static str {
-        match self {
-            Verdict::NotDistinguishable => "not distinguishable",
-            Verdict::Higher => "higher",
-            Verdict::Lower => "lower",
-        }
-    }
-}
-
-impl Comparison {
-    fn new(differences: &[f64]) -> Option<Comparison> {
-        Some(Comparison {
-            pairs: differences.len(),
-            difference: mean(differences)?,
-            interval: interval(differences),
-            p: p_value(differences),
-            p_holm: None,
-        })
-    }
-
-    /// What the interval says; none without one.
-    pub fn verdict(&self) -> Option<Verdict> {
-        self.interval.map(|(low, high)| match (low > 0.0, high < 0.0) {
-            (true, _) => Verdict::Higher,
-            (_, true) => Verdict::Lower,
-            _ => Verdict::NotDistinguishable,
-        })
-    }
-}
-
 impl Table {
     /// The table of a definition's points. Lines of a scene that differ in a field of `must_match`
     /// are an error that names it; `force` marks them instead.
@@ -199,7 +147,7 @@ impl Table {
             lines.extend(spec.rows.iter().filter(|row| row.quoted).filter_map(|row| quoted_line(spec, row, scene)));
             lines.extend(groups.iter().filter(|group| group.scene == scene).map(|group| line(spec, group, &groups)));
         }
-        correct_p_values(&mut lines);
+        comparison::correct_p_values(&mut lines);
         Ok(Table { name: spec.name.clone(), title: spec.title.clone(), metrics: spec.metrics.clone(), lines })
     }
 
@@ -285,7 +233,9 @@ fn line(spec: &TableSpec, group: &Group, groups: &[Group]) -> Line {
         status: status_text(&group.points),
         reason: group.points.iter().map(|point| &point.reason).find(|r| !r.is_empty()).cloned().unwrap_or_default(),
         inactive_levels: distinct(group.done().flat_map(|point| point.inactive_levels.iter().cloned())),
-        cells: spec.metrics.iter().map(|metric| cell(metric, group, baseline, published.as_ref())).collect(),
+        cells: spec.metrics.iter().map(|metric| cell(spec, metric, group, baseline, published.as_ref())).collect(),
+        published_lpips: published.as_ref().map(|row| row.lpips).filter(|_| spec.has_any("lpips_")),
+        published_average: published.as_ref().map(|row| row.average).filter(|_| spec.has_any("average_")),
         published_protocol: published.as_ref().map(|row| row.protocol().text()).unwrap_or_default(),
         protocol_difference: differences.unwrap_or_default(),
         protocol,
@@ -319,6 +269,8 @@ fn quoted_line(spec: &TableSpec, row: &RowSpec, scene: &str) -> Option<Line> {
         reason: String::new(),
         inactive_levels: Vec::new(),
         cells: spec.metrics.iter().map(cell).collect(),
+        published_lpips: Some(published.lpips).filter(|_| spec.has_any("lpips_")),
+        published_average: Some(published.average).filter(|_| spec.has_any("average_")),
         published_protocol: published.protocol().text(),
         protocol_difference: String::new(),
         protocol: Vec::new(),
@@ -327,7 +279,13 @@ fn quoted_line(spec: &TableSpec, row: &RowSpec, scene: &str) -> Option<Line> {
     })
 }
 
-fn cell(metric: &str, group: &Group, baseline: Option<&Group>, published: Option<&PublishedRow>) -> Cell {
+fn cell(
+    spec: &TableSpec,
+    metric: &str,
+    group: &Group,
+    baseline: Option<&Group>,
+    published: Option<&PublishedRow>,
+) -> Cell {
     let values = group.values(metric);
     let over_seeds: Vec<f64> = values.iter().map(|(_, value)| *value).collect();
     let differences = baseline.map(|baseline| paired_differences(&values, &baseline.values(metric)));
@@ -336,30 +294,8 @@ fn cell(metric: &str, group: &Group, baseline: Option<&Group>, published: Option
         n: values.len(),
         mean: mean(&over_seeds),
         deviation: standard_deviation(&over_seeds),
-        comparison: differences.and_then(|differences| Comparison::new(&differences)),
+        comparison: differences.and_then(|differences| Comparison::new(&differences, spec.margin(metric))),
         published: published.and_then(|row| row.metric(metric)),
-    }
-}
-
-/// Fills `p_holm`: one family is a metric's comparisons within a scene.
-fn correct_p_values(lines: &mut [Line]) {
-    for scene in lines.chunk_by_mut(|a, b| a.scene == b.scene) {
-        for metric in 0..scene[0].cells.len() {
-            let comparison = |line: &Line| line.cells[metric].comparison;
-            // A point that stands in several lines, as the best one of a figure does, is one comparison.
-            let same = |a: &Line, b: &Line| (&a.ids, &a.baseline) == (&b.ids, &b.baseline);
-            let firsts: Vec<usize> = (0..scene.len())
-                .map(|i| scene[..i].iter().position(|line| same(line, &scene[i])).unwrap_or(i))
-                .collect();
-            let p_value = |(i, line)| comparison(line).and_then(|c| c.p).filter(|_| firsts[i] == i);
-            let p_values: Vec<Option<f64>> = scene.iter().enumerate().map(p_value).collect();
-            let corrected = holm(&p_values);
-            for (line, first) in scene.iter_mut().zip(firsts) {
-                if let Some(comparison) = &mut line.cells[metric].comparison {
-                    comparison.p_holm = corrected[first];
-                }
-            }
-        }
     }
 }
 

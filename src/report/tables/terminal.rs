@@ -4,7 +4,8 @@ use comfy_table::presets::UTF8_HORIZONTAL_ONLY;
 use comfy_table::{ContentArrangement, Table as Drawing};
 
 use super::text::{
-    difference_text, general_notes, marked_label, mean_text, protocol_text, published_text, scene_notes,
+    UNKNOWN_BACKBONE, difference_text, general_notes, marked_label, mean_text, protocol_text, published_text,
+    scene_notes,
 };
 use super::{Cell, Line, Table};
 
@@ -25,11 +26,19 @@ pub fn table_terminal(table: &Table, width: u16) -> String {
 fn drawing(table: &Table, lines: &[&Line], width: u16) -> Drawing {
     let mut drawing = Drawing::new();
     drawing.load_style(UTF8_HORIZONTAL_ONLY).set_content_arrangement(ContentArrangement::Dynamic).set_width(width);
-    drawing.set_header(std::iter::once("row").chain(table.metrics.iter().map(String::as_str)));
+    let unknown = lines.iter().any(|line| !unknown_text(line).is_empty()).then_some("paper, unknown backbone");
+    drawing.set_header(std::iter::once("row").chain(table.metrics.iter().map(String::as_str)).chain(unknown));
     for line in lines {
-        drawing.add_row(std::iter::once(marked_label(line)).chain(line.cells.iter().map(cell_text)));
+        let last = unknown.map(|_| unknown_text(line));
+        drawing.add_row(std::iter::once(marked_label(line)).chain(line.cells.iter().map(cell_text)).chain(last));
     }
     drawing
+}
+
+/// The paper's numbers that belong beside no metric of ours.
+fn unknown_text(line: &Line) -> String {
+    let numbers = UNKNOWN_BACKBONE.iter().map(|(name, text)| (name, text(line))).filter(|(_, text)| !text.is_empty());
+    numbers.map(|(name, text)| format!("{name} {text}")).collect::<Vec<String>>().join("\n")
 }
 
 /// Mean, difference and the paper's number below one another.

@@ -1,9 +1,15 @@
 //! What the tables for readers say: numbers, marks and notes, before any escaping.
 
-use super::{Cell, Comparison, Line, Table, Verdict, distinct};
+use super::{Cell, Comparison, Line, Table, distinct};
 use crate::metrics::Metric;
 use crate::report::PUBLISHED_NOTE;
 use crate::settings::columns::COLUMNS;
+
+const HOW_TO_READ: &str = "difference to the baseline, paired by seed, with its 95 % Student t interval and the p value \
+     after Holm's correction over the scene's rows; \"higher\" and \"lower\" where that is below 0.05, \"not \
+     distinguishable\" where the interval holds 0, which proves no equality, and no word between the two";
+const EQUIVALENCE: &str = "\"equivalent within\" a margin that the definition states: two one-sided paired t tests, with \
+     Holm's p below 0.05";
 
 /// What a mark beside a row's name means: its symbol, its meaning and, where a line bears it,
 /// what there is to say of that line.
@@ -81,9 +87,22 @@ impl Grid {
                 }
             }
         }
+        for (name, text) in UNKNOWN_BACKBONE {
+            let cells: Vec<String> = table.lines.iter().map(text).collect();
+            if cells.iter().any(|cell| !cell.is_empty()) {
+                head.push(format!("{name} in the paper, of an unknown backbone"));
+                rows.iter_mut().zip(cells).for_each(|(row, cell)| row.push(cell));
+            }
+        }
         Grid { head, rows }
     }
 }
+
+/// Numbers of the paper that belong beside no metric of ours: it does not name the backbone of its LPIPS.
+pub(super) const UNKNOWN_BACKBONE: [(&str, fn(&Line) -> String); 2] = [
+    ("LPIPS", |line| line.published_lpips.map_or(String::new(), |value| format!("{value:.3}"))),
+    ("average", |line| line.published_average.map_or(String::new(), |value| format!("{value:.3}"))),
+];
 
 /// `25.31 ± 0.12 (3)`; without the deviation for one seed, empty for none.
 pub(super) fn mean_text(cell: &Cell) -> String {
@@ -92,7 +111,7 @@ pub(super) fn mean_text(cell: &Cell) -> String {
     format!("{}{deviation} ({})", number(&cell.metric, mean), cell.n)
 }
 
-/// `+0.31 [+0.10, +0.52], p 0.021`, in words where the interval holds 0.
+/// `+0.31 [+0.10, +0.52], p 0.021, higher`: the words are the verdict's, and none where there is none.
 pub(super) fn difference_text(cell: &Cell) -> String {
     let Some(comparison) = &cell.comparison else { return String::new() };
     let signed = |value: f64| {
@@ -103,23 +122,29 @@ pub(super) fn difference_text(cell: &Cell) -> String {
     let pairs = if comparison.pairs < cell.n { format!(" ({} pairs)", comparison.pairs) } else { String::new() };
     match comparison.interval {
         Some((low, high)) => {
-            format!("{difference} [{}, {}]{pairs}{}", signed(low), signed(high), conclusion(comparison))
+            format!("{difference} [{}, {}]{pairs}{}", signed(low), signed(high), conclusion(cell, comparison))
         }
         None => format!("{difference}{pairs}, no interval"),
     }
 }
 
-fn conclusion(comparison: &Comparison) -> String {
-    let p = match comparison.p_holm {
-        Some(p) if p < 0.001 => ", p < 0.001".to_string(),
-        Some(p) => format!(", p {p:.3}"),
-        None => String::new(),
-    };
-    let words = match comparison.verdict() {
-        Some(Verdict::NotDistinguishable) => ", not distinguishable",
-        _ => "",
-    };
-    format!("{p}{words}")
+fn conclusion(cell: &Cell, comparison: &Comparison) -> String {
+    let p = comparison.p_holm.map_or(String::new(), |p| format!(", p {}", p_text(p)));
+    let words = comparison.verdict().map_or(String::new(), |verdict| format!(", {}", verdict.name()));
+    let equivalence = comparison.equivalence.filter(|equivalence| equivalence.holds());
+    let equivalent = equivalence.map_or(String::new(), |equivalence| {
+        format!(", equivalent within {}", number(&cell.metric, equivalence.margin))
+    });
+    format!("{p}{words}{equivalent}")
+}
+
+/// A p value, with as many digits as tell it from the level of significance.
+fn p_text(p: f64) -> String {
+    match format!("{p:.3}").as_str() {
+        "0.000" => "< 0.001".into(),
+        "0.050" => format!("{p:.5}"),
+        text => text.into(),
+    }
 }
 
 /// The paper's number with the paper's digits; empty without one.
@@ -145,11 +170,11 @@ pub(super) fn scene_notes(lines: &[&Line]) -> Vec<String> {
 pub(super) fn general_notes(table: &Table) -> Vec<String> {
     let mut notes = vec!["mean ± standard deviation (number of seeds)".to_string()];
     if table.lines.iter().any(|line| line.baseline.is_some()) {
-        notes.push(
-            "difference to the baseline, paired by seed, with its 95 % Student t interval and the p value after Holm's \
-             correction over the scene's rows"
-                .to_string(),
-        );
+        notes.push(HOW_TO_READ.to_string());
+    }
+    let compared = || table.lines.iter().flat_map(|line| &line.cells).filter_map(|cell| cell.comparison);
+    if compared().any(|comparison| comparison.equivalence.is_some()) {
+        notes.push(EQUIVALENCE.to_string());
     }
     if table.lines.iter().any(|line| !line.published_protocol.is_empty()) {
         notes.push(PUBLISHED_NOTE.to_string());
@@ -208,6 +233,7 @@ fn labels_by(lines: &[&Line], text: impl Fn(&Line) -> Option<String>) -> Vec<(St
 
 #[cfg(test)]
 mod tests {
+    use super::super::Equivalence;
     use super::*;
 
     fn cell(metric: &str, n: usize, comparison: Option<Comparison>) -> Cell {
@@ -216,12 +242,23 @@ mod tests {
 
     #[test]
     fn differences_say_how_sure_they_are() {
+        let interval = Some((0.25, 0.75));
         let sure =
-            Comparison { pairs: 3, difference: 0.5, interval: Some((0.25, 0.75)), p: Some(0.01), p_holm: Some(0.0001) };
-        assert_eq!(difference_text(&cell("psnr", 3, Some(sure))), "+0.50 [+0.25, +0.75], p < 0.001");
+            Comparison { pairs: 3, difference: 0.5, interval, p: Some(0.01), p_holm: Some(0.0001), equivalence: None };
+        assert_eq!(difference_text(&cell("psnr", 3, Some(sure))), "+0.50 [+0.25, +0.75], p < 0.001, higher");
+        let below = Comparison { difference: -0.5, interval: Some((-0.75, -0.25)), p_holm: Some(0.0496), ..sure };
+        assert_eq!(difference_text(&cell("psnr", 3, Some(below))), "-0.50 [-0.75, -0.25], p 0.04960, lower");
+        // The interval leaves out 0 and the correction does not pass.
+        let between = Comparison { p_holm: Some(0.07), ..sure };
+        assert_eq!(difference_text(&cell("psnr", 3, Some(between))), "+0.50 [+0.25, +0.75], p 0.070");
         let unsure = Comparison { pairs: 2, interval: Some((-0.25, 1.25)), p_holm: Some(0.5), ..sure };
         let text = "+0.50 [-0.25, +1.25] (2 pairs), p 0.500, not distinguishable";
         assert_eq!(difference_text(&cell("psnr", 3, Some(unsure))), text);
+        let tested = |p_holm| Some(Equivalence { margin: 2.0, p: Some(0.01), p_holm });
+        let equal = Comparison { equivalence: tested(Some(0.04)), ..unsure };
+        assert_eq!(difference_text(&cell("psnr", 3, Some(equal))), format!("{text}, equivalent within 2.00"));
+        let unknown = Comparison { equivalence: tested(Some(0.05)), ..unsure };
+        assert_eq!(difference_text(&cell("psnr", 3, Some(unknown))), text);
         let single = Comparison { pairs: 1, interval: None, p: None, p_holm: None, ..sure };
         assert_eq!(difference_text(&cell("psnr", 1, Some(single))), "+0.50, no interval");
         assert_eq!(difference_text(&cell("psnr", 1, None)), "");
