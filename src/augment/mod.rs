@@ -4,16 +4,18 @@
 //! Nothing here knows a field, a renderer or a settings file: a site describes its set from a pass's geometry, and the
 //! search ascends a loss that it is handed as a closure, so it can be tested on a quadratic with a known maximum.
 
+mod epsilon;
+mod geometry;
 mod search;
 mod set;
 mod sets;
 mod site;
 mod sites;
 
+pub use epsilon::{Epsilon, REACH};
+pub use geometry::{Geometry, PaperPass, PassGeometry, PixelScale};
 pub use search::{Iterate, worst_case};
 pub use set::{DeltaSet, Draw, Norm};
 pub use sets::{Deltas, Sets};
-pub use site::{
-    About, DefaultSizes, Level, PassGeometry, Passes, PixelScale, Radius, SetChoices, SiteNumbers, StepUnit,
-};
+pub use site::{About, DefaultSizes, Level, Passes, Radius, SetChoices, SiteNumbers, StepUnit};
 pub use sites::{PerSite, Site};

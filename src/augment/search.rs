@@ -74,6 +74,7 @@ fn step_along(set: &DeltaSet, gradient: &Tensor, step_size: f64, unit: StepUnit)
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::augment::epsilon::Epsilon;
     use crate::augment::set::Norm;
     use crate::augment::site::Passes;
     use candle_core::{DType, Device};
@@ -84,7 +85,7 @@ mod tests {
             passes: Passes::Both,
             steps: steps(site),
             step_size: 0.1,
-            epsilon: 1.0,
+            epsilon: Epsilon::Units(1.0),
             norm,
         })
     }

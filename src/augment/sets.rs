@@ -2,8 +2,9 @@
 
 use candle_core::Tensor;
 
+use crate::augment::geometry::PassGeometry;
 use crate::augment::set::{DeltaSet, Draw};
-use crate::augment::site::{PassGeometry, SetChoices, SiteNumbers};
+use crate::augment::site::{SetChoices, SiteNumbers};
 use crate::augment::sites::{PerSite, Site};
 use crate::base::Result;
 use crate::base::rng::Random;
@@ -31,7 +32,7 @@ impl Deltas {
     }
 }
 
-/// The sets of one pass; a site that is off, or whose epsilon is 0, has none.
+/// The sets of one pass; a site that is off, or whose set is a point, has none.
 #[derive(Clone, Default)]
 pub struct Sets(PerSite<Option<DeltaSet>>);
 
@@ -43,7 +44,7 @@ impl Sets {
     pub fn new(numbers: &PerSite<SiteNumbers>, choices: &SetChoices, pass: &PassGeometry) -> Result<Sets> {
         let mut sets = Sets::default();
         for (site, numbers) in numbers.iter() {
-            if numbers.passes.include(pass.is_coarse) && numbers.epsilon != 0.0 {
+            if numbers.passes.include(pass.is_coarse) && numbers.perturbs() {
                 sets.set(site, (site.about().set)(numbers, choices, pass)?);
             }
         }

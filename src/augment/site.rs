@@ -1,8 +1,9 @@
 //! What a site says of itself: the form that every file in `sites` fills in.
 
-use candle_core::Tensor;
 use serde::{Deserialize, Serialize};
 
+use crate::augment::epsilon::Epsilon;
+use crate::augment::geometry::PassGeometry;
 use crate::augment::set::{DeltaSet, Norm};
 use crate::base::Result;
 
@@ -81,8 +82,8 @@ pub struct SiteNumbers {
     pub steps: usize,
     /// Length of one step, in the experiment's [`StepUnit`].
     pub step_size: f64,
-    /// Size of the set, in [`About::unit`]; 0 is no perturbation.
-    pub epsilon: f64,
+    /// Size of the set.
+    pub epsilon: Epsilon,
     /// The set's norm.
     pub norm: Norm,
 }
@@ -91,6 +92,19 @@ impl SiteNumbers {
     /// Takes part in any pass.
     pub fn on(&self) -> bool {
         self.passes != Passes::Off
+    }
+
+    /// Its set is larger than a point.
+    pub fn perturbs(&self) -> bool {
+        self.radius(|epsilon| epsilon) != 0.0
+    }
+
+    /// Radius of the set, where `units` says what an epsilon is worth in the delta's own unit.
+    pub fn radius(&self, units: impl FnOnce(f64) -> f64) -> f64 {
+        match self.epsilon {
+            Epsilon::Units(epsilon) => units(epsilon),
+            Epsilon::Reach => self.steps as f64 * self.step_size,
+        }
     }
 }
 
@@ -101,57 +115,6 @@ pub struct SetChoices {
     pub xyz_radius: Radius,
     /// The density of a ray's last sample is perturbed, too (the paper's literal sum).
     pub perturb_last: bool,
-}
-
-/// Angular and spatial size of a pixel, for the `xyz` and `view` sets.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct PixelScale {
-    /// Image width in pixels.
-    pub width: f64,
-    /// Image height in pixels.
-    pub height: f64,
-    /// Focal length in pixels.
-    pub focal: f64,
-    /// Rays are in normalised device coordinates.
-    pub ndc: bool,
-}
-
-/// What the sets of a pass depend on besides the experiment's numbers.
-#[derive(Clone, Copy)]
-pub struct PassGeometry<'a> {
-    /// The coarse pass, otherwise the fine one.
-    pub is_coarse: bool,
-    /// Unperturbed sample positions, `[rays, samples]`, or edges of intervals, `[rays, samples + 1]`.
-    pub t_vals: &'a Tensor,
-    /// Samples of the pass.
-    pub samples: usize,
-    /// Lengths of the ray directions, `[rays, 1]`.
-    pub direction_norm: &'a Tensor,
-    /// Near and far, in the units of `t_vals`.
-    pub bounds: (f64, f64),
-    /// N of the cap (far - near) |d| / (2 (N - 1)) on the radius of `xyz`: columns of the coarse pass's `t_vals`.
-    pub coarse_samples: usize,
-    /// The field's width.
-    pub width: usize,
-    /// A pixel's size.
-    pub pixel: PixelScale,
-}
-
-impl PassGeometry<'_> {
-    /// Rays of the pass.
-    pub fn rays(&self) -> Result<usize> {
-        Ok(self.t_vals.dim(0)?)
-    }
-
-    /// Samples are intervals between the `t_vals`, not points at them: the last one ends, too.
-    pub fn has_edges(&self) -> Result<bool> {
-        Ok(self.t_vals.dim(1)? > self.samples)
-    }
-
-    /// `value` in the pass's dtype and place.
-    pub fn scalar(&self, value: f64) -> Result<Tensor> {
-        Ok(Tensor::new(value, self.t_vals.device())?.to_dtype(self.t_vals.dtype())?)
-    }
 }
 
 /// The sizes that fill what an experiment leaves open.
@@ -189,9 +152,12 @@ pub struct About {
     pub sizes: DefaultSizes,
     /// Largest epsilon, with the range in words.
     pub largest_epsilon: (f64, &'static str),
+    /// A box over the units of a layer, which the paper's geometry scales with the field's width
+    /// ([`crate::augment::PaperPass::box_scale`]).
+    pub over_units: bool,
     /// The delta is one number a sample: ball and box are the same set, which has one name, [`Norm::Linf`].
     pub scalar: bool,
-    /// Its set in a pass; `numbers.epsilon` is not 0.
+    /// Its set in a pass; it is larger than a point.
     pub set: fn(numbers: &SiteNumbers, choices: &SetChoices, pass: &PassGeometry) -> Result<DeltaSet>,
 }
 

@@ -7,8 +7,13 @@ use serde::Serialize;
 use crate::augment::Site;
 use crate::base::{Error, Result};
 
-/// A site whose gain is under this share of the clean loss is inactive.
+/// A site whose gain is under this share of the clean loss is inactive in a step.
 const INACTIVE_SHARE: f64 = 1e-4;
+/// A site whose deltas move the rendered colour by less than this, in 8-bit steps, is inactive in a run: no picture of 8 bits
+/// shows it. Unlike a share of the loss it does not depend on how far training has come.
+const LEAST_SHIFT: f64 = 0.5;
+/// Logged steps, the last ones, whose mean shift tells whether a site is inactive in a run.
+const LAST_LOGS: usize = 10;
 
 /// What one site's deltas did in one step, coarse + fine.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -23,13 +28,17 @@ pub struct SiteDiagnostics {
     pub share_at_bound: Option<f64>,
     /// The gain is under 1e-4 of the clean loss.
     pub inactive: bool,
+    /// Mean absolute change of the rays' colours through this site's deltas alone, in 8-bit steps; mean of the passes that
+    /// it takes part in.
+    pub shift: f64,
 }
 
 impl SiteDiagnostics {
     /// The numbers by their columns, missing ones left out.
     pub fn columns(&self) -> Vec<(String, f64)> {
         let inactive = f64::from(u8::from(self.inactive));
-        let numbers = [Some(self.gain), Some(self.gain_over_random), self.share_at_bound, Some(inactive)];
+        let numbers =
+            [Some(self.gain), Some(self.gain_over_random), self.share_at_bound, Some(inactive), Some(self.shift)];
         let named = columns(self.site).into_iter().zip(numbers);
         named.filter_map(|(name, number)| number.map(|number| (name, number))).collect()
     }
@@ -49,15 +58,18 @@ pub struct SiteSummary {
     pub mean_gain_over_random: f64,
     /// Mean share of entries at the set's bound; none where nothing may move.
     pub mean_share_at_bound: Option<f64>,
-    /// Share of logged steps at which the site was inactive.
+    /// Share of logged steps at which the gain was under 1e-4 of the clean loss.
     pub inactive_share: f64,
-    /// Inactive at more than half of the logged steps: the row does not test this site.
+    /// The deltas move the rendered colour by less than half an 8-bit step over the last logs: the run does not test this
+    /// site. Of a run that logged no shift: inactive at more than half of the logged steps.
     pub inactive: bool,
+    /// Mean shift of the rendered colour over the last logs, in 8-bit steps; none where it was not logged.
+    pub last_shift: Option<f64>,
 }
 
 /// The columns of `scalars.csv` that hold one site's diagnostics.
-pub fn columns(site: Site) -> [String; 4] {
-    ["gain", "gain_over_random", "share_at_bound", "inactive"].map(|what| format!("{what}.{}", site.name()))
+pub fn columns(site: Site) -> [String; 5] {
+    ["gain", "gain_over_random", "share_at_bound", "inactive", "shift"].map(|what| format!("{what}.{}", site.name()))
 }
 
 impl SiteSummary {
@@ -83,6 +95,8 @@ impl SiteSummary {
             }
             let mean = |values: &[f64]| values.iter().sum::<f64>() / values.len() as f64;
             let inactive_share = mean(&values[3]);
+            let last = &values[4][values[4].len().saturating_sub(LAST_LOGS)..];
+            let last_shift = (!last.is_empty()).then(|| mean(last));
             Some(SiteSummary {
                 site: site.name(),
                 steps,
@@ -90,11 +104,24 @@ impl SiteSummary {
                 mean_gain_over_random: mean(&values[1]),
                 mean_share_at_bound: (!values[2].is_empty()).then(|| mean(&values[2])),
                 inactive_share,
-                inactive: inactive_share > 0.5,
+                inactive: last_shift.map_or(inactive_share > 0.5, |shift| shift < LEAST_SHIFT),
+                last_shift,
             })
         };
         Ok(Site::ALL.into_iter().filter_map(summarise).collect())
     }
+}
+
+/// What one site's deltas did in one pass of one chunk.
+#[derive(Clone, Copy, Default)]
+pub(super) struct SiteEffect {
+    /// Share of the step's rays.
+    pub(super) share: f64,
+    pub(super) gain: f64,
+    pub(super) gain_over_random: f64,
+    /// Mean absolute change of the rays' colours, in 8-bit steps.
+    pub(super) shift: f64,
+    pub(super) at_bound: Option<f64>,
 }
 
 /// Sums over chunks and passes.
@@ -105,17 +132,23 @@ struct SiteSums {
     site: Site,
     gain: f64,
     gain_over_random: f64,
+    shift: f64,
+    /// Shares of chunks that `shift` counts: 1 a pass.
+    passes: f64,
     at_bound: f64,
     /// Shares of chunks that `at_bound` counts.
     bounded: f64,
 }
 
 impl Sums {
-    pub(super) fn add(&mut self, site: Site, share: f64, gain: f64, gain_over_random: f64, at_bound: Option<f64>) {
+    pub(super) fn add(&mut self, site: Site, effect: SiteEffect) {
+        let SiteEffect { share, gain, gain_over_random, shift, at_bound } = effect;
         let index = self.index(site);
         let sums = &mut self.0[index];
         sums.gain += share * gain;
         sums.gain_over_random += share * gain_over_random;
+        sums.shift += share * shift;
+        sums.passes += share;
         if let Some(at_bound) = at_bound {
             sums.at_bound += share * at_bound;
             sums.bounded += share;
@@ -128,6 +161,8 @@ impl Sums {
             let mine = &mut self.0[index];
             mine.gain += sums.gain;
             mine.gain_over_random += sums.gain_over_random;
+            mine.shift += sums.shift;
+            mine.passes += sums.passes;
             mine.at_bound += sums.at_bound;
             mine.bounded += sums.bounded;
         }
@@ -135,7 +170,8 @@ impl Sums {
 
     fn index(&mut self, site: Site) -> usize {
         self.0.iter().position(|sums| sums.site == site).unwrap_or_else(|| {
-            self.0.push(SiteSums { site, gain: 0.0, gain_over_random: 0.0, at_bound: 0.0, bounded: 0.0 });
+            let [gain, gain_over_random, shift, passes, at_bound, bounded] = [0.0; 6];
+            self.0.push(SiteSums { site, gain, gain_over_random, shift, passes, at_bound, bounded });
             self.0.len() - 1
         })
     }
@@ -147,7 +183,49 @@ impl Sums {
             gain_over_random: sums.gain_over_random,
             share_at_bound: (sums.bounded > 0.0).then(|| sums.at_bound / sums.bounded),
             inactive: sums.gain < INACTIVE_SHARE * clean_loss,
+            shift: sums.shift / sums.passes,
         };
         self.0.into_iter().map(finish).collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn summary(text: &str, last_step: u64) -> SiteSummary {
+        let file = tempfile::NamedTempFile::new().unwrap();
+        std::fs::write(file.path(), text).unwrap();
+        SiteSummary::read(file.path(), last_step).unwrap().remove(0)
+    }
+
+    /// The gain of a colour's deltas is a share of a loss that falls: it rose over 1e-4 late in runs whose colours never moved
+    /// by more than 1/400 of an 8-bit step.
+    #[test]
+    fn a_site_is_inactive_where_its_last_logs_move_no_colour_whatever_the_loss_does() {
+        let header = "step,gain.rgb,gain_over_random.rgb,share_at_bound.rgb,inactive.rgb,shift.rgb\n";
+        let rows = |inactive: fn(u64) -> u8, shift: fn(u64) -> f64| -> String {
+            (1..=30).map(|step| format!("{step},1e-6,1e-6,1,{},{}\n", inactive(step), shift(step))).collect()
+        };
+        let still = summary(&(header.to_string() + &rows(|_| 0, |_| 0.0025)), 30);
+        assert!(still.inactive && still.inactive_share == 0.0, "{still:?}");
+        // It moved colours at first: what counts is how the run ended.
+        let late = header.to_string() + &rows(|_| 1, |step| if step <= 20 { 0.0 } else { 2.0 });
+        let active = summary(&late, 30);
+        assert!(!active.inactive && active.last_shift == Some(2.0), "{active:?}");
+        assert_eq!(summary(&late, 25).last_shift, Some(1.0));
+        let edge = summary(&(header.to_string() + &rows(|_| 1, |_| 0.5)), 30);
+        assert!(!edge.inactive, "{edge:?}");
+    }
+
+    #[test]
+    fn a_run_that_logged_no_shift_keeps_what_its_logs_said() {
+        let header = "step,gain.rgb,gain_over_random.rgb,share_at_bound.rgb,inactive.rgb\n";
+        let old = |inactive: [u8; 3]| -> SiteSummary {
+            let rows: String = (1..=3).zip(inactive).map(|(step, flag)| format!("{step},1,1,1,{flag}\n")).collect();
+            summary(&(header.to_string() + &rows), 3)
+        };
+        assert!(old([1, 1, 0]).inactive && !old([1, 0, 0]).inactive);
+        assert_eq!(old([1, 1, 0]).last_shift, None);
     }
 }

@@ -20,7 +20,7 @@ mod painter;
 
 pub use batches::{Batch, Batches};
 pub use diagnostics::{SiteDiagnostics, SiteSummary};
-pub use fields::{Balance, FieldLearner, FieldPainter, Fields};
+pub use fields::{Balance, FieldLearner, FieldPainter, Fields, step_over_radius};
 pub use gradients::Gradients;
 pub use learner::{Learned, Learner, LogColumns, Term};
 pub use painter::{Painted, Painter};

@@ -2,10 +2,10 @@
 
 use serde::Serialize;
 
-use crate::augment::{Passes, Site, StepUnit};
+use crate::augment::{Geometry, Passes, Site, StepUnit};
 use crate::base::version;
 use crate::data::Scene;
-use crate::methods::Model;
+use crate::methods::{Model, step_over_radius};
 use crate::metrics::Lpips;
 use crate::settings::{
     Config, DensityActivation, EvalSplit, Init, LatticePoints, Objective, OutputPlace, PerturbField, PixelOrigin,
@@ -118,6 +118,11 @@ pub struct Protocol {
     pub mesh: Option<String>,
     /// Hash of the weights that each LPIPS backbone measured with: `squeeze 1a2b3c4d5e6f`; empty where none did.
     pub lpips_weights: Option<String>,
+    /// Whose samples, pixels and width the attack's epsilons are measured in: `sampling` or `paper`; this and the next are
+    /// empty without an attack.
+    pub attack_geometry: Option<Geometry>,
+    /// Step size over the radius of each site's set: `t 1.26, xyz 2.52, ...`.
+    pub step_over_radius: Option<String>,
 }
 
 /// A learning rate and how it falls, in words.
@@ -206,6 +211,8 @@ impl Protocol {
             device: state.devices.join(" + "),
             mesh: surface::describe(config, scene),
             lpips_weights: None,
+            attack_geometry: deltas.map(|perturb| perturb.geometry),
+            step_over_radius: deltas.map(|_| ratios(config, scene)),
         }
     }
 
@@ -231,6 +238,13 @@ fn attack_numbers(perturb: &ResolvedPerturb) -> String {
     let numbers = on
         .map(|(site, numbers)| format!("{} {}/{}/{}", site.name(), numbers.steps, numbers.step_size, numbers.epsilon));
     numbers.collect::<Vec<String>>().join(", ")
+}
+
+/// Step over radius of each site, with three figures.
+fn ratios(config: &Resolved, scene: &Scene) -> String {
+    let ratios = step_over_radius(config, scene).expect("tensors of a single ray");
+    let three = |ratio: f64| format!("{ratio:.2e}").parse::<f64>().expect("just printed");
+    ratios.iter().map(|(site, ratio)| format!("{} {}", site.name(), three(*ratio))).collect::<Vec<String>>().join(", ")
 }
 
 /// Which views are evaluated: `test`, `val`, or `every-8` for every 8th view held out.

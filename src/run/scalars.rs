@@ -18,6 +18,8 @@ const STEP: &str = "step";
 pub struct Scalars {
     path: PathBuf,
     columns: Vec<String>,
+    /// Columns that came after the program which began the table: their values are not kept.
+    later: Vec<String>,
     writer: csv::Writer<File>,
 }
 
@@ -32,24 +34,28 @@ impl Scalars {
 
     /// Goes on with a table at `step`, the step of the checkpoint that training goes on from: rows
     /// of later steps are cut off, and so is a last line that a kill left half-written. A missing
-    /// file is made anew. Columns other than `columns` are an error.
+    /// file is made anew. A table that an older program began keeps its columns, where those are some of `columns` in the
+    /// same order; any other column is an error.
     pub fn resume(path: &Path, columns: &[&str], step: u64) -> Result<Scalars> {
         if !path.exists() {
             return Scalars::create(path, columns);
         }
         check_columns(path, columns)?;
         let bytes = fs::read(path).map_err(|error| Error::unreadable(path, &error))?;
-        let kept = rows_up_to(&bytes, &header(columns), columns.len(), step)
+        let found = columns_of(&bytes, columns);
+        let known = found.as_deref().unwrap_or(columns);
+        let kept = rows_up_to(&bytes, &header(known), known.len(), step)
             .map_err(|reason| Error::Checkpoint(format!("cannot continue {}: {reason}", path.display())))?;
         write_atomic(path, &kept)?;
-        Scalars::open(path, columns)
+        let later = columns.iter().filter(|column| !known.contains(column)).map(|column| column.to_string()).collect();
+        Ok(Scalars { later, ..Scalars::open(path, known)? })
     }
 
     fn open(path: &Path, columns: &[&str]) -> Result<Scalars> {
         let file = File::options().append(true).open(path).map_err(|error| Error::unwritable(path, &error))?;
         let writer = csv::WriterBuilder::new().has_headers(false).from_writer(file);
         let columns = columns.iter().map(|column| column.to_string()).collect();
-        Ok(Scalars { path: path.to_path_buf(), columns, writer })
+        Ok(Scalars { path: path.to_path_buf(), columns, later: Vec::new(), writer })
     }
 
     /// Appends the row of `step`. Columns that `values` does not name stay empty. A number that is
@@ -58,7 +64,7 @@ impl Scalars {
     pub fn append(&mut self, step: u64, values: &[(&str, f64)]) -> Result<()> {
         let mut cells = vec![String::new(); self.columns.len() + 1];
         cells[0] = step.to_string();
-        for &(name, value) in values {
+        for &(name, value) in values.iter().filter(|(name, _)| !self.later.iter().any(|later| later == name)) {
             let column = self.columns.iter().position(|column| column == name).ok_or_else(|| {
                 Error::Output(format!(
                     "cannot write {}: it has no column '{name}', only {}",
@@ -107,6 +113,15 @@ fn check_columns(path: &Path, columns: &[&str]) -> Result<()> {
 fn header(columns: &[&str]) -> String {
     let names: Vec<&str> = std::iter::once(STEP).chain(columns.iter().copied()).collect();
     names.join(",") + "\n"
+}
+
+/// The columns that a table has, where they are some of `columns` in the same order; none where it has others, or ends
+/// within its first line.
+fn columns_of<'a>(bytes: &[u8], columns: &[&'a str]) -> Option<Vec<&'a str>> {
+    let line = &bytes[..bytes.iter().position(|&byte| byte == b'\n')?];
+    let found: Vec<&str> = std::str::from_utf8(line).ok()?.split(',').skip(1).collect();
+    let kept: Vec<&str> = columns.iter().copied().filter(|column| found.contains(column)).collect();
+    (kept == found && !kept.is_empty()).then_some(kept)
 }
 
 /// The bytes of a table without its rows of steps after `last` and without an unfinished line.
@@ -172,6 +187,17 @@ mod tests {
             write_steps(&mut Scalars::resume(&broken, &COLUMNS, 10).unwrap(), 11..=20);
             assert_eq!(fs::read(&broken).unwrap(), fs::read(&straight).unwrap(), "killed after {length} bytes");
         }
+    }
+
+    #[test]
+    fn a_table_that_an_older_program_began_goes_on_with_its_own_columns() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("scalars.csv");
+        write_steps(&mut Scalars::create(&path, &COLUMNS).unwrap(), 1..=3);
+        let mut table = Scalars::resume(&path, &["loss", "later", "psnr/train", "shift.t"], 2).unwrap();
+        table.append(3, &[("loss", 0.5), ("later", 7.0), ("shift.t", 8.0), ("psnr/train", 20.0)]).unwrap();
+        assert!(table.append(4, &[("lost", 1.0)]).is_err());
+        assert_eq!(fs::read_to_string(&path).unwrap(), "step,loss,psnr/train\n1,1,\n2,0.5,\n3,0.5,20\n");
     }
 
     #[test]

@@ -70,7 +70,7 @@ impl Column {
 }
 
 /// All columns, in the order in which captions tell them.
-pub const COLUMNS: [Column; 48] = [
+pub const COLUMNS: [Column; 50] = [
     column("protocol").in_caption().always(),
     column("dataset").in_caption().always(),
     column("scene").always(),
@@ -86,6 +86,8 @@ pub const COLUMNS: [Column; 48] = [
     column("data_hash").unless_varied(),
     column("mesh").in_caption().always(),
     column("lpips_weights").for_lpips(),
+    column("attack_geometry"),
+    column("step_over_radius"),
     column("pixel_origin").in_caption().unless_varied(),
     column("method"),
     column("perturb_kind"),

@@ -30,7 +30,7 @@ impl Config {
     pub fn step_shape(&self) -> String {
         let mut shape = self.named();
         if self.method.is_augmented() {
-            shape.perturb = shape.perturb.resolve(1.0).into_draft();
+            shape.perturb = shape.perturb.resolve(1.0, 1, shape.field.width).into_draft();
         } else {
             shape.perturb = PerturbConfig::default();
         }

@@ -204,7 +204,7 @@ mod tests {
     fn assignments_reach_nested_fields_and_later_ones_win() {
         let config = set(&["train.steps=7", "perturb.t.epsilon=0.25", "data.dir=a b", "train.steps=9"]).unwrap();
         assert_eq!(config.train.steps, 9);
-        assert_eq!(config.perturb.sites[Site::T].epsilon, Some(0.25));
+        assert_eq!(config.perturb.sites[Site::T].epsilon, Some(0.25.into()));
         assert_eq!(config.data.dir, "a b");
     }
 
@@ -247,12 +247,12 @@ mod tests {
     fn the_released_presets_are_the_released_code() {
         for preset in [Preset::ReleasedLlff, Preset::ReleasedBlender] {
             let config = build(Some(preset), None, &[]).unwrap();
-            let p = config.perturb.clone().resolve(0.1);
+            let p = config.perturb.clone().resolve(0.1, 1, 512);
             assert_eq!((p.lambda, p.injection_layer, p.perturb_last), (0.5, 8, true));
             assert_eq!(p.output, crate::settings::OutputPlace::Before);
             for site in [Site::Feature, Site::Density] {
                 let numbers = p.numbers[site];
-                assert_eq!((numbers.steps, numbers.step_size, numbers.epsilon), (1, 1e-5, 1e-5));
+                assert_eq!((numbers.steps, numbers.step_size, numbers.epsilon), (1, 1e-5, 1e-5.into()));
             }
             let on: Vec<Site> = p.sites_on().map(|(site, _)| site).collect();
             assert_eq!(on, [Site::T, Site::Xyz, Site::Feature, Site::Density]);

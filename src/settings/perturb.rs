@@ -12,7 +12,9 @@ use serde::{Deserialize, Deserializer, Serialize, Serializer};
 use super::registry::{choice, numbers, section};
 use super::second_pass::{DeltaSource, SecondPass};
 use super::site::{SiteConfig, SiteSection, Sizes, switched_off, write_sites};
-use crate::augment::{Level, Passes, PerSite, Radius, SetChoices, Site, SiteNumbers, StepUnit};
+use crate::augment::{
+    Epsilon, Geometry, Level, Norm, PaperPass, Passes, PerSite, Radius, SetChoices, Site, SiteNumbers, StepUnit,
+};
 
 /// How clean and perturbed loss are mixed with `lambda`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -58,7 +60,7 @@ pub enum Resample {
     Perturbed,
 }
 
-choice!(SecondPass, Objective, PerturbField, OutputPlace, Resample, StepUnit, Radius);
+choice!(SecondPass, Objective, PerturbField, OutputPlace, Resample, StepUnit, Radius, Geometry);
 
 section! {
     /// The second pass of a step.
@@ -93,6 +95,10 @@ section! {
         pub xyz_radius: Radius = Radius::Pixel, numbers();
         /// Trunk layer (1-based) whose output `feature` is added to.
         pub injection_layer: usize = 4, numbers().columns(&["injection_layer"]);
+        /// Whose samples, pixels and width epsilons are measured in: `sampling`, the run's own, or `paper`, those of the paper's
+        /// runs, so that any run searches sets of the paper's absolute size.
+        pub geometry: Geometry = Geometry::Sampling,
+            numbers().columns(&["attack_geometry", "step_over_radius"]).later().same_time();
     }
     sections {}
     flat {
@@ -116,14 +122,21 @@ impl PerturbConfig {
         }
     }
 
-    /// Fills every empty number from `attack`. `interval` is (far - near) / coarse samples in the units of `t_vals`.
-    pub fn resolve(mut self, interval: f64) -> ResolvedPerturb {
-        let sizes = self.sizes;
+    /// Fills every empty number from `attack`. `span` is far - near in the units of `t_vals`, `coarse` the samples of the
+    /// coarse pass, `width` the field's.
+    pub fn resolve(mut self, span: f64, coarse: usize, width: usize) -> ResolvedPerturb {
+        let (sizes, geometry) = (self.sizes, self.geometry);
+        let coarse = if geometry == Geometry::Paper { PaperPass::COARSE } else { coarse };
+        let interval = span / coarse as f64;
         let step_unit = *self.step_unit.get_or_insert(match sizes {
             Sizes::Paper => StepUnit::Absolute,
             Sizes::Calibrated => StepUnit::Relative,
         });
-        let numbers = PerSite::from_fn(|site| self.sites[site].resolve(site, sizes, interval));
+        let numbers = PerSite::from_fn(|site| {
+            let numbers = self.sites[site].resolve(site, sizes, interval);
+            let scales = geometry == Geometry::Paper && site.about().over_units && numbers.norm == Norm::Linf;
+            if scales { scaled(numbers, step_unit, PaperPass::box_scale(width)) } else { numbers }
+        });
         ResolvedPerturb { config: self, step_unit, numbers }
     }
 
@@ -133,13 +146,27 @@ impl PerturbConfig {
     }
 }
 
+/// The same ascent in a box so many times as wide.
+fn scaled(numbers: SiteNumbers, unit: StepUnit, scale: f64) -> SiteNumbers {
+    let epsilon = match numbers.epsilon {
+        Epsilon::Units(epsilon) => Epsilon::Units(epsilon * scale),
+        Epsilon::Reach => Epsilon::Reach,
+    };
+    let step_size = match unit {
+        StepUnit::Absolute => numbers.step_size * scale,
+        // In radii, which are scaled.
+        StepUnit::Relative => numbers.step_size,
+    };
+    SiteNumbers { epsilon, step_size, ..numbers }
+}
+
 /// Section `perturb` with every number filled in. It reads as the section, but for what was open there.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ResolvedPerturb {
     config: PerturbConfig,
     /// The unit of all step sizes.
     pub step_unit: StepUnit,
-    /// The sites' numbers.
+    /// The sites' numbers, in the run's own units whatever the geometry that they are given in.
     pub numbers: PerSite<SiteNumbers>,
 }
 

@@ -242,7 +242,7 @@ mod tests {
         add("eval.", choices::<EvalConfig>());
         add("eval.mesh.", choices::<MeshConfig>());
         // Section perturb is read and written by hand: what it writes, and a key that it only reads.
-        let perturb = toml::Table::try_from(PerturbConfig::default().resolve(1.0).into_draft()).unwrap();
+        let perturb = toml::Table::try_from(PerturbConfig::default().resolve(1.0, 1, 256).into_draft()).unwrap();
         let sites = perturb.iter().filter(|(_, value)| value.is_table()).map(|(site, _)| format!("perturb.{site}"));
         keys.extend(sites.chain(leaves(&perturb, "perturb.")).chain(["perturb.levels".into()]));
         let settings = REGISTRY.settings.iter().map(|setting| (&setting.path, &setting.doc));

@@ -77,7 +77,8 @@ impl Config {
 impl Located {
     /// Fills the fields whose default depends on the scene's bounds (in the units of `t_vals`).
     pub fn resolve(mut self, near: f64, far: f64) -> Resolved {
-        let perturb = self.config.perturb.clone().resolve((far - near) / self.config.sampling.coarse as f64);
+        let perturb = self.config.perturb.clone();
+        let perturb = perturb.resolve(far - near, self.config.sampling.coarse, self.config.field.width);
         self.config.perturb = perturb.clone().into_draft();
         Resolved { located: self, perturb }
     }

@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize, Serializer};
 use toml::{Table, Value};
 
 use super::registry::{Registry, Rule, Section, choice, describe, numbers};
-use crate::augment::{Level, Norm, Passes, PerSite, Site, SiteNumbers};
+use crate::augment::{Epsilon, Level, Norm, Passes, PerSite, Site, SiteNumbers};
 use crate::base::SettingError;
 
 /// Which steps, step sizes and epsilons fill the sites' empty fields.
@@ -27,8 +27,8 @@ pub struct SiteConfig {
     pub steps: Option<usize>,
     /// Length of one step, in `step_unit`.
     pub step_size: Option<f64>,
-    /// Size of the set; 0 is no perturbation. The unit is the site's own (see [`crate::augment::About::unit`]).
-    pub epsilon: Option<f64>,
+    /// Size of the set, in the site's unit (see [`crate::augment::About::unit`]), or as far as its steps reach.
+    pub epsilon: Option<Epsilon>,
     /// The set's norm.
     pub norm: Option<Norm>,
 }
@@ -44,13 +44,13 @@ impl SiteConfig {
         SiteSection::default().of(site)
     }
 
-    /// Fills what is empty; `interval` as in [`super::PerturbConfig::resolve`].
+    /// Fills what is empty; `interval` is (far - near) / coarse samples in the units of `t_vals`.
     pub(super) fn resolve(&mut self, site: Site, sizes: Sizes, interval: f64) -> SiteNumbers {
         let default = site.about().sizes;
         let steps = *self.steps.get_or_insert(default.steps);
         let epsilon = *self.epsilon.get_or_insert_with(|| match sizes {
-            Sizes::Paper => default.paper_epsilon,
-            Sizes::Calibrated => (default.calibrated_epsilon)(interval),
+            Sizes::Paper => default.paper_epsilon.into(),
+            Sizes::Calibrated => (default.calibrated_epsilon)(interval).into(),
         });
         let step_size = *self.step_size.get_or_insert(match sizes {
             Sizes::Paper => default.paper_step_size,
@@ -71,7 +71,7 @@ pub(super) struct SiteSection {
     pub passes: Option<Passes>,
     steps: Option<usize>,
     step_size: Option<f64>,
-    epsilon: Option<f64>,
+    epsilon: Option<Epsilon>,
     norm: Option<Norm>,
 }
 
@@ -84,7 +84,7 @@ impl SiteSection {
 
 choice!(Sizes, Norm, Passes, Level);
 
-const NUMBERS: &[&str] = &["attack_numbers"];
+const NUMBERS: &[&str] = &["attack_numbers", "step_over_radius"];
 
 describe! {
     SiteConfig {
@@ -94,8 +94,9 @@ describe! {
         steps: Option<usize>, numbers().whole(0, 1000, "0 to 1000").columns(NUMBERS);
         /// Length of one step, in `perturb.step_unit`. Empty = that of `perturb.attack`.
         step_size: Option<f64>, numbers().real(|size| size >= 0.0, "0 or positive").columns(NUMBERS).same_time();
-        /// Size of the set; 0 is no perturbation. Empty = that of `perturb.attack`.
-        epsilon: Option<f64>, numbers().real(|size| size >= 0.0, "0 or positive").columns(NUMBERS).same_time();
+        /// Size of the set; 0 is no perturbation, `reach` is `steps` x `step_size` in the delta's own unit (`perturb.step_unit =
+        /// "absolute"`). Empty = that of `perturb.attack`.
+        epsilon: Option<Epsilon>, numbers().real(|size| size >= 0.0, "0 or positive").columns(NUMBERS).same_time();
         /// The set's norm. Empty = the site's own.
         norm: Option<Norm>, numbers();
     }

@@ -1,5 +1,6 @@
 //! The types that settings have, and what is in or out of a range of them.
 
+use crate::augment::{Epsilon, REACH};
 use serde::de::{DeserializeOwned, Deserializer, Visitor, value::Error as Unread};
 
 /// Values that a setting may have, as far as it alone decides.
@@ -51,6 +52,19 @@ impl Settable for f64 {
     fn outside(&self, range: &Range) -> Option<String> {
         let Range::Real(holds) = range else { return None };
         (!(self.is_finite() && holds(*self))).then(|| self.to_string())
+    }
+}
+
+impl Settable for Epsilon {
+    fn kind() -> String {
+        format!("number, or {REACH}")
+    }
+
+    fn outside(&self, range: &Range) -> Option<String> {
+        match self {
+            Epsilon::Units(units) => units.outside(range),
+            Epsilon::Reach => None,
+        }
     }
 }
 

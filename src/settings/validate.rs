@@ -2,7 +2,7 @@
 
 use super::registry::Section;
 use super::{Config, DataKind, EvalSplit, LatticePoints, MESH_SIDES, Objective, PerturbField, SecondPass, Sizes};
-use crate::augment::{Norm, Site, StepUnit};
+use crate::augment::{Epsilon, Norm, REACH, Site, StepUnit};
 use crate::base::{Error, Result, SettingError};
 
 /// Points of a step are drawn at once: so many take a few hundred megabytes.
@@ -130,7 +130,7 @@ impl Config {
         for (site, config) in perturb.sites.iter() {
             let (about, name) = (site.about(), site.name());
             let (largest, allowed) = about.largest_epsilon;
-            if let Some(epsilon) = config.epsilon {
+            if let Some(Epsilon::Units(epsilon)) = config.epsilon {
                 require(epsilon <= largest, &format!("perturb.{name}.epsilon"), epsilon, allowed)?;
             }
             // A scalar per sample: both norms are the same set, one name for it.
@@ -142,6 +142,16 @@ impl Config {
             })?;
         }
         let relative = perturb.step_unit == Some(StepUnit::Relative);
+        let in_radii = relative || perturb.sizes == Sizes::Calibrated;
+        let reaching = perturb.sites.iter().find(|(_, config)| config.epsilon == Some(Epsilon::Reach));
+        if let Some((site, _)) = reaching.filter(|_| in_radii) {
+            return Err(Error::Config(format!(
+                "perturb.{}.epsilon = \"{REACH}\" is as far as steps of a length of their own reach, and here steps are \
+                 measured in radii; set perturb.attack = \"paper\" and perturb.step_unit = \"absolute\", or give epsilon a \
+                 number",
+                site.name()
+            )));
+        }
         refuse(perturb.sizes == Sizes::Calibrated && perturb.step_unit == Some(StepUnit::Absolute), || {
             "perturb.attack = \"calibrated\" measures steps in radii; leave perturb.step_unit empty or set it to \
              \"relative\""

@@ -42,7 +42,7 @@ pub fn evaluations_per_step(config: &Config) -> f64 {
 /// Ascent steps of the search: a site with fewer waits for the one with most.
 fn search_steps(perturb: &PerturbConfig) -> u32 {
     // Steps do not depend on the scene.
-    let resolved = perturb.clone().resolve(1.0);
+    let resolved = perturb.clone().resolve(1.0, 1, 1);
     resolved.numbers.iter().filter(|(_, site)| site.on()).map(|(_, site)| site.steps).max().unwrap_or(0) as u32
 }
 

@@ -2,6 +2,7 @@
 
 mod common;
 
+mod attack_geometry;
 mod bad_data;
 mod cli;
 mod corruption;

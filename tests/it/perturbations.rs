@@ -27,7 +27,17 @@ fn geometry<'a>(
     pixel: PixelScale,
 ) -> PassGeometry<'a> {
     let samples = t_vals.dims()[1];
-    PassGeometry { is_coarse: true, t_vals, samples, direction_norm, bounds, coarse_samples: samples, width, pixel }
+    PassGeometry {
+        is_coarse: true,
+        t_vals,
+        samples,
+        direction_norm,
+        bounds,
+        coarse_samples: samples,
+        width,
+        pixel,
+        gap: 1.0,
+    }
 }
 
 /// A pass of a small f64 field: all that a loss of the deltas needs.
@@ -56,9 +66,9 @@ impl Setting {
             // Sites that are off by default, too.
             config.perturb.sites.iter_mut().for_each(|(_, site)| site.passes = Passes::Both);
             // Large enough that f64 differences see them.
-            config.perturb.sites[Site::Feature].epsilon = Some(0.05);
-            config.perturb.sites[Site::Rgb].epsilon = Some(0.03);
-            config.perturb.sites[Site::Density].epsilon = Some(0.1);
+            config.perturb.sites[Site::Feature].epsilon = Some(0.05.into());
+            config.perturb.sites[Site::Rgb].epsilon = Some(0.03.into());
+            config.perturb.sites[Site::Density].epsilon = Some(0.1.into());
             change(&mut config.perturb);
         });
         let scene = tiny_scene();
@@ -215,7 +225,7 @@ fn epsilon_zero_is_the_clean_pass_exactly() {
 fn epsilon_zero_is_clean(method: Method) {
     let setting = Setting::of(method, 2, (5, 7), |config| {
         for site in Site::ALL {
-            config.sites[site].epsilon = Some(0.0);
+            config.sites[site].epsilon = Some(0.0.into());
         }
     });
     let deltas = setting.search(setting.draw(0));
@@ -269,12 +279,12 @@ proptest! {
         let setting = Setting::of(method, seed, (3, 5), |config| {
             for site in Site::ALL {
                 let delta = &mut config.sites[site];
-                (delta.epsilon, delta.step_size, delta.steps) = (Some(epsilon), Some(step_size), Some(steps));
+                (delta.epsilon, delta.step_size, delta.steps) = (Some(epsilon.into()), Some(step_size), Some(steps));
                 if !matches!(site, Site::T | Site::Density) {
                     delta.norm = Some(if l2 { Norm::L2 } else { Norm::Linf });
                 }
             }
-            config.sites[Site::T].epsilon = Some(epsilon_t.max(1e-9));
+            config.sites[Site::T].epsilon = Some(epsilon_t.max(1e-9).into());
         });
         let start = setting.draw(seed);
         assert_legal(&setting, &start)?;
@@ -294,8 +304,8 @@ proptest! {
         let t_vals = Tensor::from_vec(t, (1, samples), &CPU).unwrap();
         let norm = Tensor::ones((1, 1), DType::F32, &CPU).unwrap();
         let mut config = PerturbConfig::default();
-        config.sites[Site::T].epsilon = Some(0.5);
-        let config = config.resolve(1.0);
+        config.sites[Site::T].epsilon = Some(0.5.into());
+        let config = config.resolve(1.0, 1, 16);
         let pixel = PixelScale { width: 16.0, height: 16.0, focal: 20.0, ndc: true };
         let sets = Sets::new(&config.numbers, &config.set_choices(), &geometry(&t_vals, &norm, (0.0, 1.0), 4, pixel)).unwrap();
         let set = sets.get(Site::T).unwrap();
@@ -370,7 +380,7 @@ fn calibrated_changes_the_weights_and_an_empty_attack_does_not() {
         let config = tiny_config(Method::AugNerf, |config| {
             config.perturb.sizes = sizes;
             for site in Site::ALL {
-                config.perturb.sites[site].epsilon = epsilon;
+                config.perturb.sites[site].epsilon = epsilon.map(Into::into);
                 if epsilon.is_some() {
                     config.perturb.sites[site].step_size = Some(0.0);
                 }
@@ -407,7 +417,7 @@ fn every_kind_and_place_trains() {
 fn a_level_too_small_to_matter_is_inactive_and_a_large_one_is_not() {
     let levels = |epsilon: f64| {
         let config = tiny_config(Method::AugNerf, |config| {
-            config.perturb.sites[Site::Rgb].epsilon = Some(epsilon);
+            config.perturb.sites[Site::Rgb].epsilon = Some(epsilon.into());
             config.perturb.sites[Site::Rgb].step_size = Some(epsilon);
         });
         let stats = trained(&config, 20).step(true).unwrap();
@@ -415,6 +425,8 @@ fn a_level_too_small_to_matter_is_inactive_and_a_large_one_is_not() {
     };
     let (small, large) = (levels(1e-9), levels(0.1));
     assert!(small.inactive && !large.inactive, "{small:?} {large:?}");
+    // A colour of a ray is a mean of samples' colours, each moved by a tenth at most.
+    assert!(small.shift < 1e-5 && large.shift > 0.5 && large.shift <= 25.5, "{small:?} {large:?}");
     assert!(large.gain > 0.0 && large.gain_over_random > 0.0 && large.share_at_bound.unwrap() > 0.4, "{large:?}");
 }
 
@@ -429,7 +441,7 @@ fn a_coarse_level_gains_as_much_as_its_pass_weighs() {
                 config.perturb.sites[site].passes = Passes::Off;
             }
             config.perturb.sites[Site::Xyz].passes = Passes::Coarse;
-            config.perturb.sites[Site::Xyz].epsilon = Some(20.0);
+            config.perturb.sites[Site::Xyz].epsilon = Some(20.0.into());
         });
         trained(&config, 0).step(true).unwrap().sites[0].gain
     };
@@ -439,10 +451,10 @@ fn a_coarse_level_gains_as_much_as_its_pass_weighs() {
 
 #[test]
 fn a_level_of_size_zero_is_reported_inactive() {
-    let config = tiny_config(Method::AugNerf, |config| config.perturb.sites[Site::Rgb].epsilon = Some(0.0));
+    let config = tiny_config(Method::AugNerf, |config| config.perturb.sites[Site::Rgb].epsilon = Some(0.0.into()));
     let stats = trained(&config, 1).step(true).unwrap();
     let rgb = stats.sites.iter().find(|measured| measured.site == Site::Rgb).unwrap();
-    assert!(rgb.inactive && rgb.gain == 0.0 && rgb.share_at_bound.is_none(), "{rgb:?}");
+    assert!(rgb.inactive && (rgb.gain, rgb.shift) == (0.0, 0.0) && rgb.share_at_bound.is_none(), "{rgb:?}");
 }
 
 #[test]
@@ -461,7 +473,7 @@ fn density_noise_cannot_make_an_empty_white_scene_opaque() {
     // All densities 0, the density delta at +epsilon everywhere: what it adds to each ray is at
     // most epsilon * (far - near) * |d|, because the last sample's is kept at 0.
     let mut setting = Setting::new(5, 6, 9, |config| {
-        config.sites[Site::Density].epsilon = Some(0.01);
+        config.sites[Site::Density].epsilon = Some(0.01.into());
         for site in [Site::T, Site::Xyz, Site::View, Site::Feature, Site::Rgb] {
             config.sites[site].passes = Passes::Off;
         }

@@ -143,9 +143,9 @@ impl Attack {
         let numbers = [(0.5, 0.03), (1.0, 0.015), (1.0, 0.008), (0.05, 0.04), (0.03, 0.025), (0.4, 0.3)];
         for (site, (epsilon, step_size)) in SITES.into_iter().zip(numbers) {
             let delta = &mut config.sites[site];
-            (delta.steps, delta.step_size, delta.epsilon) = (Some(2), Some(step_size), Some(epsilon));
+            (delta.steps, delta.step_size, delta.epsilon) = (Some(2), Some(step_size), Some(epsilon.into()));
         }
-        let config = config.resolve(1.0);
+        let config = config.resolve(1.0, 1, 16);
         // A focal length of 50 pixels makes the view's half pixel 0.01; the position's radius
         // (0.02 for every ray) is given outright.
         let pixel = PixelScale { width: 100.0, height: 100.0, focal: 50.0, ndc: false };
@@ -161,6 +161,7 @@ impl Attack {
                 coarse_samples: 7,
                 width: 16,
                 pixel,
+                gap: 1.0,
             },
         )
         .unwrap();

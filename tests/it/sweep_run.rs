@@ -530,7 +530,7 @@ fn shapes_are_what_decides_the_time_of_a_step() {
     assert_ne!(points[0].config.step_shape(), points[1].config.step_shape());
     let mut other = points[1].config.clone();
     other.perturb.lambda = 0.7;
-    other.perturb.sites[Site::T].epsilon = Some(0.1);
+    other.perturb.sites[Site::T].epsilon = Some(0.1.into());
     assert_eq!(other.step_shape(), points[1].config.step_shape());
     other.perturb.sites[Site::T].steps = Some(9);
     assert_ne!(other.step_shape(), points[1].config.step_shape());

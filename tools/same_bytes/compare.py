@@ -13,6 +13,8 @@ from pathlib import Path
 
 # Columns of the protocol that an earlier revision lacks: they may come, what stands beside them may not change.
 LATER = ["lpips_weights"]
+LATER += ["attack_geometry", "step_over_radius", "last_shift"]
+LATER += [f"shift.{site}" for site in ("t", "xyz", "view", "feature", "rgb", "density")]
 
 # Files that hold clocks and processes: their numbers do not count, their words do.
 CLOCKS = {"timing.json", "timing.csv", "run.lock"}

@@ -2,8 +2,9 @@
 
 use candle_core::Tensor;
 
+use crate::augment::geometry::PassGeometry;
 use crate::augment::set::{DeltaSet, Norm};
-use crate::augment::site::{ANY_EPSILON, About, DefaultSizes, Level, PassGeometry, Passes, SetChoices, SiteNumbers};
+use crate::augment::site::{ANY_EPSILON, About, DefaultSizes, Level, Passes, SetChoices, SiteNumbers};
 use crate::base::Result;
 
 pub const SITE: About = About {
@@ -22,6 +23,7 @@ pub const SITE: About = About {
         calibrated_epsilon: |interval| 4.0 / 255.0 / interval,
     },
     largest_epsilon: ANY_EPSILON,
+    over_units: false,
     scalar: true,
     set,
 };
@@ -29,7 +31,7 @@ pub const SITE: About = About {
 /// Before it is cut by what the pass's densities leave. A ray's last sample reaches to infinity: any density there makes an
 /// empty ray opaque.
 fn set(numbers: &SiteNumbers, choices: &SetChoices, pass: &PassGeometry) -> Result<DeltaSet> {
-    let radius = pass.scalar(numbers.epsilon)?.reshape((1, 1))?;
+    let radius = pass.scalar(numbers.radius(|epsilon| epsilon))?.reshape((1, 1))?;
     let mut set = DeltaSet::new(numbers.norm, radius, &[pass.rays()?, pass.samples]);
     // Edges end the last interval, too: nothing is opaque by definition.
     if !choices.perturb_last && !pass.has_edges()? {

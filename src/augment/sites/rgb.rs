@@ -1,7 +1,8 @@
 //! Added to the colour of a sample, `[rays, samples, 3]`.
 
+use crate::augment::geometry::PassGeometry;
 use crate::augment::set::{DeltaSet, Norm};
-use crate::augment::site::{ANY_EPSILON, About, DefaultSizes, Level, PassGeometry, Passes, SetChoices, SiteNumbers};
+use crate::augment::site::{ANY_EPSILON, About, DefaultSizes, Level, Passes, SetChoices, SiteNumbers};
 use crate::base::Result;
 
 pub const SITE: About = About {
@@ -19,12 +20,13 @@ pub const SITE: About = About {
         calibrated_epsilon: |_| 4.0 / 255.0,
     },
     largest_epsilon: ANY_EPSILON,
+    over_units: false,
     scalar: false,
     set,
 };
 
 /// Before it is cut by what the pass's colours leave.
 fn set(numbers: &SiteNumbers, _: &SetChoices, pass: &PassGeometry) -> Result<DeltaSet> {
-    let radius = pass.scalar(numbers.epsilon)?.reshape((1, 1, 1))?;
+    let radius = pass.scalar(numbers.radius(|epsilon| epsilon))?.reshape((1, 1, 1))?;
     Ok(DeltaSet::new(numbers.norm, radius, &[pass.rays()?, pass.samples, 3]))
 }

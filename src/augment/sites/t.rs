@@ -2,8 +2,10 @@
 
 use candle_core::{DType, Tensor};
 
+use crate::augment::epsilon::Epsilon;
+use crate::augment::geometry::PassGeometry;
 use crate::augment::set::{DeltaSet, Norm};
-use crate::augment::site::{About, DefaultSizes, Level, PassGeometry, Passes, SetChoices, SiteNumbers};
+use crate::augment::site::{About, DefaultSizes, Level, Passes, SetChoices, SiteNumbers};
 use crate::base::Result;
 
 /// Half of the gap keeps the order of samples.
@@ -24,11 +26,13 @@ pub const SITE: About = About {
         calibrated_epsilon: |_| 0.25,
     },
     largest_epsilon: (LARGEST, "0 to 0.5 of the gap to the nearer sample, so that samples stay sorted"),
+    over_units: false,
     scalar: true,
     set,
 };
 
-/// At most epsilon of the gap to the nearer neighbour (the ends: to their one neighbour), within near..far.
+/// At most epsilon of the gap to the nearer neighbour (the ends: to their one neighbour), within near..far; in the paper's
+/// geometry of the gap that its pass would have there, and at most half of this one.
 ///
 /// The radius is two roundings short of its name: with epsilon 1/2 two neighbours may meet, and a
 /// gap that was rounded up would let them pass each other.
@@ -42,7 +46,12 @@ fn set(numbers: &SiteNumbers, _: &SetChoices, pass: &PassGeometry) -> Result<Del
         DType::F64 => 1.0 - 2.0 * f64::EPSILON,
         _ => 1.0 - 2.0 * f64::from(f32::EPSILON),
     };
-    let radius = (before.minimum(&after)? * (numbers.epsilon * short))?;
+    let nearer = before.minimum(&after)?;
+    let radius = match numbers.epsilon {
+        // The paper's gaps may be wider than these: beyond half of these order would be lost.
+        Epsilon::Units(epsilon) => (nearer * ((epsilon * pass.gap).min(LARGEST) * short))?,
+        Epsilon::Reach => (nearer * (LARGEST * short))?.broadcast_minimum(&pass.scalar(numbers.radius(|e| e))?)?,
+    };
     let zero = t_vals.zeros_like()?;
     // A sample outside near..far (rounding) must not be pushed by its own bound.
     let lower = t_vals.affine(-1.0, near)?.minimum(&zero)?;

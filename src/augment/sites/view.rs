@@ -1,7 +1,8 @@
 //! Tilt of a ray's viewing direction by two angles in its tangent plane, `[rays, 2]`.
 
+use crate::augment::geometry::PassGeometry;
 use crate::augment::set::{DeltaSet, Norm};
-use crate::augment::site::{ANY_EPSILON, About, DefaultSizes, Level, PassGeometry, Passes, SetChoices, SiteNumbers};
+use crate::augment::site::{ANY_EPSILON, About, DefaultSizes, Level, Passes, SetChoices, SiteNumbers};
 use crate::base::Result;
 
 pub const SITE: About = About {
@@ -19,12 +20,13 @@ pub const SITE: About = About {
         calibrated_epsilon: |_| 1.0,
     },
     largest_epsilon: ANY_EPSILON,
+    over_units: false,
     scalar: false,
     set,
 };
 
 /// Each angle within epsilon / (2 f), radians.
 fn set(numbers: &SiteNumbers, _: &SetChoices, pass: &PassGeometry) -> Result<DeltaSet> {
-    let radius = pass.scalar(numbers.epsilon / (2.0 * pass.pixel.focal))?.reshape((1, 1))?;
+    let radius = pass.scalar(numbers.radius(|epsilon| epsilon / (2.0 * pass.pixel.focal)))?.reshape((1, 1))?;
     Ok(DeltaSet::new(numbers.norm, radius, &[pass.rays()?, 2]))
 }

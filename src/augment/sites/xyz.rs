@@ -1,9 +1,9 @@
 //! Shift of a sample's point, `[rays, samples, 3]`; of a Gaussian its mean.
 
+use crate::augment::epsilon::Epsilon;
+use crate::augment::geometry::{PassGeometry, PixelScale};
 use crate::augment::set::{DeltaSet, Norm};
-use crate::augment::site::{
-    ANY_EPSILON, About, DefaultSizes, Level, PassGeometry, Passes, PixelScale, Radius, SetChoices, SiteNumbers,
-};
+use crate::augment::site::{ANY_EPSILON, About, DefaultSizes, Level, Passes, Radius, SetChoices, SiteNumbers};
 use crate::base::Result;
 
 pub const SITE: About = About {
@@ -21,6 +21,7 @@ pub const SITE: About = About {
         calibrated_epsilon: |_| 1.0,
     },
     largest_epsilon: ANY_EPSILON,
+    over_units: false,
     scalar: false,
     set,
 };
@@ -35,7 +36,11 @@ fn set(numbers: &SiteNumbers, choices: &SetChoices, pass: &PassGeometry) -> Resu
         // The released code's cap knows no length of the direction.
         Radius::Released => cap.broadcast_div(pass.direction_norm)?.broadcast_minimum(&pixel)?,
     };
-    let radius = (radius * numbers.epsilon)?.unsqueeze(2)?; // [rays, 1, 1]
+    let radius = match numbers.epsilon {
+        Epsilon::Units(epsilon) => (radius * epsilon)?,
+        Epsilon::Reach => (radius.zeros_like()? + numbers.radius(|epsilon| epsilon))?,
+    };
+    let radius = radius.unsqueeze(2)?; // [rays, 1, 1]
     Ok(DeltaSet::new(numbers.norm, radius, &[pass.rays()?, pass.samples, 3]))
 }
 

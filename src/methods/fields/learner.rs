@@ -2,7 +2,7 @@
 
 use candle_core::{DType, Device, Var};
 
-use crate::augment::{PixelScale, Site};
+use crate::augment::Site;
 use crate::base::Result;
 use crate::data::{RayParts, Scene};
 use crate::losses::WeightedTerm;
@@ -10,6 +10,7 @@ use crate::methods::batches::Batches;
 use crate::render::ray_parts;
 use crate::settings::Resolved;
 
+use super::geometry::AttackGeometry;
 use super::networks::Fields;
 
 /// Trains the fields of one experiment on one scene.
@@ -19,8 +20,8 @@ pub struct FieldLearner {
     pub(super) bounds: (f64, f64),
     /// Fills missing accumulation.
     pub(super) background: Option<[f32; 3]>,
-    /// A pixel's size.
-    pub(super) pixel: PixelScale,
+    /// What sets are measured in.
+    pub(super) geometry: AttackGeometry,
     pub(super) device: Device,
     pub(super) dtype: DType,
     pub(super) fields: Fields,
@@ -44,7 +45,7 @@ impl FieldLearner {
             config: config.clone(),
             bounds: scene.bounds(),
             background: scene.background,
-            pixel: pixel_scale(scene),
+            geometry: AttackGeometry::new(config, scene),
             device: device.clone(),
             dtype,
             batches: Batches::new(config, scene, RayParts { tangents, ..ray_parts(&fields.coarse) })?,
@@ -57,16 +58,5 @@ impl FieldLearner {
     /// The fields that learn.
     pub fn fields(&self) -> &Fields {
         &self.fields
-    }
-}
-
-/// A pixel's size in a scene; the first training camera stands for all.
-fn pixel_scale(scene: &Scene) -> PixelScale {
-    let camera = &scene.train[0].camera;
-    PixelScale {
-        width: camera.width as f64,
-        height: camera.height as f64,
-        focal: camera.focal[0],
-        ndc: scene.ndc.is_some(),
     }
 }

@@ -5,6 +5,7 @@
 //! cache.
 
 mod chunk;
+mod geometry;
 mod learner;
 mod networks;
 mod painter;
@@ -16,6 +17,7 @@ mod start;
 mod step;
 mod terms;
 
+pub use geometry::step_over_radius;
 pub use learner::FieldLearner;
 pub use networks::Fields;
 pub use painter::FieldPainter;

@@ -2,14 +2,13 @@
 
 use candle_core::{DType, Tensor};
 
-use crate::augment::{Deltas, Draw, PassGeometry, Sets, Site, worst_case};
+use crate::augment::{Deltas, Draw, Sets, Site, worst_case};
 use crate::base::Result;
 use crate::base::rng::{Random, Stream};
 use crate::field::Field;
 use crate::methods::gradients::Gradients;
 use crate::render::{
-    FixedSamples, Pass, PassOutput, Perturbation, UsedDeltas, columns, perturbed_pass, photometric_loss, resample,
-    samples_of,
+    FixedSamples, Pass, PassOutput, Perturbation, UsedDeltas, perturbed_pass, photometric_loss, resample, samples_of,
 };
 use crate::settings::{DeltaSource, Resample, SecondPass};
 
@@ -18,7 +17,10 @@ use super::learner::FieldLearner;
 use super::networks::Fields;
 use super::results::ChunkResult;
 use super::terms::StepLoss;
-use crate::methods::diagnostics::Sums;
+use crate::methods::diagnostics::{SiteEffect, Sums};
+
+/// Steps of an 8-bit colour between 0 and 1.
+const EIGHT_BIT: f64 = 255.0;
 
 /// One perturbed pass of a chunk: which field, which samples, which sets.
 struct PerturbedPass<'a> {
@@ -101,16 +103,8 @@ impl FieldLearner {
         pass: Pass<'a>,
         is_coarse: bool,
     ) -> Result<PerturbedPass<'a>> {
-        let geometry = PassGeometry {
-            is_coarse,
-            t_vals: pass.t_vals,
-            samples: samples_of(field, pass.t_vals)?,
-            direction_norm: &pass.rays.direction_norm,
-            bounds: self.bounds,
-            coarse_samples: columns(field, &self.config.sampling).0,
-            width: self.config.field.width,
-            pixel: self.pixel,
-        };
+        let samples = samples_of(field, pass.t_vals)?;
+        let geometry = self.geometry.pass(pass.t_vals, samples, &pass.rays.direction_norm, is_coarse)?;
         let perturb = &self.config.perturb;
         Ok(PerturbedPass {
             field,
@@ -185,22 +179,26 @@ impl FieldLearner {
         let drawn = self.draw_deltas(pass, Draw::Uniform, Stream::Diagnostics)?;
         let share = pass.share;
         let frozen = pass.field.frozen()?;
-        let loss = |deltas: &Deltas| -> Result<f64> {
-            let out = perturbed_pass(&frozen, pass.pass, self.perturbation(pass, deltas))?;
-            Ok(pass.loss_weight * scalar(&photometric_loss(&out.pass.composite.rgb, pass.target)?)?)
+        // The loss, as its pass counts, and the rays' colours.
+        let render = |deltas: &Deltas| -> Result<(f64, Tensor)> {
+            let rgb = perturbed_pass(&frozen, pass.pass, self.perturbation(pass, deltas))?.pass.composite.rgb;
+            Ok((pass.loss_weight * scalar(&photometric_loss(&rgb, pass.target)?)?, rgb))
         };
-        let without = loss(&Deltas::default())?;
+        let (without, unmoved) = render(&Deltas::default())?;
         for (site, numbers) in self.config.perturb.numbers.iter() {
             let (Some(set), Some(delta)) = (used.sets.get(site), used.deltas.get(site)) else {
                 // Switched on with a set of size 0: there is no perturbation, and no gain.
-                if numbers.on() && numbers.epsilon == 0.0 {
-                    sums.add(site, share, 0.0, 0.0, None);
+                if numbers.on() && !numbers.perturbs() {
+                    sums.add(site, SiteEffect { share, ..SiteEffect::default() });
                 }
                 continue;
             };
-            let with = loss(&used.deltas.only(site))?;
-            let with_random = loss(&drawn.only(site))?;
-            sums.add(site, share, with - without, with - with_random, set.share_at_bound(delta)?);
+            let (with, moved) = render(&used.deltas.only(site))?;
+            let (with_random, _) = render(&drawn.only(site))?;
+            let shift = EIGHT_BIT * scalar(&(moved - &unmoved)?.abs()?.mean_all()?)?;
+            let (gain, gain_over_random) = (with - without, with - with_random);
+            let at_bound = set.share_at_bound(delta)?;
+            sums.add(site, SiteEffect { share, gain, gain_over_random, shift, at_bound });
         }
         Ok(())
     }

@@ -1,0 +1,74 @@
+//! How large a delta's set is: a number, or as far as its ascent reaches.
+
+use std::fmt;
+
+use serde::de::{Error, Visitor};
+use serde::{Deserialize, Deserializer, Serialize, Serializer};
+
+/// Size of a delta's set.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Epsilon {
+    /// So many of the site's units ([`crate::augment::About::unit`]); 0 is no perturbation.
+    Units(f64),
+    /// As far as the ascent reaches, steps x step size, in the delta's own unit. `t` keeps the order of samples, too.
+    Reach,
+}
+
+/// The word for [`Epsilon::Reach`] in files.
+pub const REACH: &str = "reach";
+
+impl From<f64> for Epsilon {
+    fn from(units: f64) -> Epsilon {
+        Epsilon::Units(units)
+    }
+}
+
+impl fmt::Display for Epsilon {
+    fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
+        match self {
+            Epsilon::Units(units) => units.fmt(f),
+            Epsilon::Reach => f.write_str(REACH),
+        }
+    }
+}
+
+impl Serialize for Epsilon {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        match self {
+            Epsilon::Units(units) => serializer.serialize_f64(*units),
+            Epsilon::Reach => serializer.serialize_str(REACH),
+        }
+    }
+}
+
+impl<'de> Deserialize<'de> for Epsilon {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Epsilon, D::Error> {
+        deserializer.deserialize_any(NumberOrWord)
+    }
+}
+
+struct NumberOrWord;
+
+impl Visitor<'_> for NumberOrWord {
+    type Value = Epsilon;
+
+    fn expecting(&self, f: &mut fmt::Formatter) -> fmt::Result {
+        write!(f, "a number, or \"{REACH}\" for steps x step size")
+    }
+
+    fn visit_f64<E: Error>(self, units: f64) -> Result<Epsilon, E> {
+        Ok(Epsilon::Units(units))
+    }
+
+    fn visit_i64<E: Error>(self, units: i64) -> Result<Epsilon, E> {
+        Ok(Epsilon::Units(units as f64))
+    }
+
+    fn visit_u64<E: Error>(self, units: u64) -> Result<Epsilon, E> {
+        Ok(Epsilon::Units(units as f64))
+    }
+
+    fn visit_str<E: Error>(self, word: &str) -> Result<Epsilon, E> {
+        if word == REACH { Ok(Epsilon::Reach) } else { Err(E::invalid_value(serde::de::Unexpected::Str(word), &self)) }
+    }
+}

@@ -1,0 +1,95 @@
+//! What an experiment's sets are measured in on its scene.
+
+use candle_core::{Device, Tensor};
+
+use crate::augment::{Geometry, PaperPass, PassGeometry, PixelScale, Sets, Site, StepUnit};
+use crate::base::Result;
+use crate::data::Scene;
+use crate::settings::Resolved;
+
+/// Shortest direction of a ray, seen from the front: in NDC a ray goes from -1 to 1 along the view axis, in the world 1.
+const SHORTEST: [f64; 2] = [1.0, 2.0];
+
+/// All that the sets of a pass depend on but for its samples.
+pub(super) struct AttackGeometry {
+    /// Near and far, in the units of `t_vals`.
+    bounds: (f64, f64),
+    /// A pixel's size.
+    pixel: PixelScale,
+    /// Columns of the coarse pass's `t_vals`.
+    coarse_columns: usize,
+    /// The field's width.
+    width: usize,
+    /// The paper's pass, where sets are measured in its samples and pixels.
+    paper: Option<PaperPass>,
+}
+
+impl AttackGeometry {
+    pub(super) fn new(config: &Resolved, scene: &Scene) -> AttackGeometry {
+        let paper = PaperPass::of_scenes(config.data.kind.forward_facing());
+        AttackGeometry {
+            bounds: scene.bounds(),
+            pixel: pixel_scale(scene),
+            coarse_columns: config.field.encoding.t_vals(config.sampling.coarse),
+            width: config.field.width,
+            paper: (config.perturb.geometry == Geometry::Paper).then_some(paper),
+        }
+    }
+
+    /// That of a pass with `samples` at `t_vals`.
+    pub(super) fn pass<'a>(
+        &self,
+        t_vals: &'a Tensor,
+        samples: usize,
+        direction_norm: &'a Tensor,
+        is_coarse: bool,
+    ) -> Result<PassGeometry<'a>> {
+        let AttackGeometry { bounds, pixel, coarse_columns: coarse_samples, width, paper } = *self;
+        let own =
+            PassGeometry { is_coarse, t_vals, samples, direction_norm, bounds, coarse_samples, width, pixel, gap: 1.0 };
+        paper.map_or(Ok(own), |paper| own.of_paper(&paper))
+    }
+}
+
+/// Step size over the radius of its set, of each site that is on and has a set: in the first pass that it takes part in, with
+/// samples evenly spaced on the shortest ray of a picture. A step of 2 radii goes from one end of a set to the other.
+///
+/// # Errors
+/// Those of candle.
+pub fn step_over_radius(config: &Resolved, scene: &Scene) -> Result<Vec<(Site, f64)>> {
+    let geometry = AttackGeometry::new(config, scene);
+    let (near, far) = geometry.bounds;
+    let direction_norm = Tensor::full(SHORTEST[usize::from(geometry.pixel.ndc)], (1, 1), &Device::Cpu)?;
+    let (coarse, fine) = config.samples();
+    let perturb = &config.perturb;
+    let mut ratios: Vec<(Site, f64)> = Vec::new();
+    for (is_coarse, samples) in [(true, coarse), (false, fine)].into_iter().filter(|(_, samples)| *samples > 0) {
+        let columns = config.field.encoding.t_vals(samples);
+        let at = |i: usize| near + (far - near) * i as f64 / (columns - 1) as f64;
+        let t_vals = Tensor::from_vec((0..columns).map(at).collect::<Vec<f64>>(), (1, columns), &Device::Cpu)?;
+        let pass = geometry.pass(&t_vals, samples, &direction_norm, is_coarse)?;
+        for (site, set) in Sets::new(&perturb.numbers, &perturb.set_choices(), &pass)?.iter() {
+            let step_size = perturb.numbers[site].step_size;
+            let ratio = match perturb.step_unit {
+                StepUnit::Absolute => step_size / set.radius.mean_all()?.to_scalar::<f64>()?,
+                StepUnit::Relative => step_size,
+            };
+            if ratios.iter().all(|(known, _)| *known != site) {
+                ratios.push((site, ratio));
+            }
+        }
+    }
+    ratios.sort_by_key(|(site, _)| *site as usize);
+    Ok(ratios)
+}
+
+/// A pixel's size in a scene; the first training camera stands for all.
+fn pixel_scale(scene: &Scene) -> PixelScale {
+    let camera = &scene.train[0].camera;
+    PixelScale {
+        width: camera.width as f64,
+        height: camera.height as f64,
+        focal: camera.focal[0],
+        ndc: scene.ndc.is_some(),
+    }
+}

@@ -1,0 +1,273 @@
+//! The sizes of sets: in the run's own samples and pixels, in the paper's, and as far as an ascent reaches.
+
+use augnerf::augment::{
+    DeltaSet, Epsilon, Geometry, Norm, PaperPass, PassGeometry, PixelScale, Sets, Site, SiteNumbers,
+};
+use augnerf::base::rng::{Random, Stream};
+use augnerf::methods::step_over_radius;
+use augnerf::run::load_scene;
+use augnerf::settings::{Config, Method, PerturbConfig, Preset, ResolvedPerturb, Sizes, build, parse_assignment};
+use candle_core::{DType, Device, Tensor};
+
+use crate::common::{parameters, tiny_config, trained};
+
+const CPU: Device = Device::Cpu;
+const LLFF: bool = true;
+
+/// A picture of fern's view that is so wide, in NDC.
+fn fern(width: f64) -> PixelScale {
+    PixelScale { width, height: width * 0.75, focal: width * 0.8079, ndc: true }
+}
+
+fn values(set: &DeltaSet) -> Vec<f64> {
+    set.radius.to_dtype(DType::F64).unwrap().flatten_all().unwrap().to_vec1().unwrap()
+}
+
+/// All sites' sets of a pass of two rays, in the run's geometry and in the paper's.
+fn sets(numbers: &ResolvedPerturb, t_vals: &Tensor, coarse: usize, width: usize, pixel: PixelScale) -> [Sets; 2] {
+    let direction_norm = Tensor::full(2.1, (t_vals.dims()[0], 1), &CPU).unwrap().to_dtype(t_vals.dtype()).unwrap();
+    let samples = t_vals.dims()[1];
+    let own = PassGeometry {
+        is_coarse: samples == coarse,
+        t_vals,
+        samples,
+        direction_norm: &direction_norm,
+        bounds: (0.0, 1.0),
+        coarse_samples: coarse,
+        width,
+        pixel,
+        gap: 1.0,
+    };
+    let of = |pass: &PassGeometry| Sets::new(&numbers.numbers, &numbers.set_choices(), pass).unwrap();
+    [of(&own), of(&own.of_paper(&PaperPass::of_scenes(LLFF)).unwrap())]
+}
+
+fn even(samples: usize) -> Tensor {
+    let at = |i: usize| i as f64 / (samples - 1) as f64;
+    Tensor::from_vec((0..samples).map(at).collect(), (1, samples), &CPU).unwrap()
+}
+
+/// Section `perturb` of a field so wide, with its numbers filled in.
+fn numbers(change: impl FnOnce(&mut PerturbConfig), coarse: usize, width: usize) -> ResolvedPerturb {
+    let mut config = PerturbConfig::default();
+    change(&mut config);
+    config.resolve(1.0, coarse, width)
+}
+
+fn paper(config: &mut PerturbConfig) {
+    config.geometry = Geometry::Paper;
+}
+
+#[test]
+fn the_paper_s_own_runs_have_the_paper_s_geometry_to_the_last_bit() {
+    let mut random = Random::new(5, Stream::Jitter, 0);
+    for samples in [64, 128] {
+        let mut t: Vec<f32> = (0..samples).map(|_| random.uniform() as f32).collect();
+        t.sort_by(f32::total_cmp);
+        let t_vals = Tensor::from_vec(t, (1, samples), &CPU).unwrap();
+        let [own, of_paper] = sets(&numbers(paper, 64, 256), &t_vals, 64, 256, fern(504.0));
+        let [before, _] = sets(&numbers(|_| (), 64, 256), &t_vals, 64, 256, fern(504.0));
+        for site in Site::ALL {
+            let radii = [&own, &of_paper, &before].map(|sets| values(sets.get(site).unwrap()));
+            assert!(radii.iter().all(|radius| *radius == radii[0]), "{}", site.name());
+        }
+    }
+}
+
+/// What it is for: half the samples doubled the set of `t`, and the step of 1e-2 no longer reached its ends.
+#[test]
+fn a_run_of_any_samples_pictures_and_width_has_the_paper_s_radii() {
+    let expected = |site: Site, width: usize| match site {
+        Site::T => 0.5 / 63.0,
+        Site::Xyz => 2.0 / 504.0,
+        Site::View => 1.0 / (2.0 * 504.0 * 0.8079),
+        Site::Feature => 1e-3 * (256.0 / width as f64).sqrt(),
+        Site::Rgb | Site::Density => 1e-5,
+    };
+    for (samples, width, pixels) in [(64, 256, 504.0), (32, 64, 504.0), (24, 64, 100.0), (16, 512, 126.0)] {
+        let [own, of_paper] = sets(&numbers(paper, samples, width), &even(samples), samples, width, fern(pixels));
+        for site in Site::ALL {
+            for radius in values(of_paper.get(site).unwrap()) {
+                let expected = expected(site, width);
+                assert!((radius / expected - 1.0).abs() < 1e-12, "{} {samples} {width} {pixels}", site.name());
+            }
+        }
+        let t = values(own.get(Site::T).unwrap())[0];
+        assert!((t - 0.5 / (samples - 1) as f64).abs() < 1e-12);
+        assert_eq!(samples == 64, (t - 0.5 / 63.0).abs() < 1e-12);
+    }
+}
+
+/// More samples than the paper's lie closer than its set is wide: order comes first.
+#[test]
+fn the_paper_s_set_never_reaches_beyond_half_a_gap() {
+    let [_, of_paper] = sets(&numbers(paper, 200, 256), &even(200), 200, 256, fern(504.0));
+    let t = values(of_paper.get(Site::T).unwrap());
+    assert!(t.iter().all(|radius| (radius * 199.0 / 0.5 - 1.0).abs() < 1e-9), "{t:?}");
+    // A smaller epsilon is the paper's length again.
+    let small = |config: &mut PerturbConfig| {
+        paper(config);
+        config.sites[Site::T].epsilon = Some(0.1.into());
+    };
+    let [_, of_paper] = sets(&numbers(small, 128, 256), &even(128), 128, 256, fern(504.0));
+    assert!((values(of_paper.get(Site::T).unwrap())[0] * 63.0 / 0.1 - 1.0).abs() < 1e-12);
+}
+
+#[test]
+fn boxes_over_features_keep_the_norm_of_their_corners_and_balls_theirs() {
+    let feature = |change: fn(&mut PerturbConfig), width: usize| -> SiteNumbers {
+        let change = |config: &mut PerturbConfig| {
+            paper(config);
+            change(config);
+        };
+        numbers(change, 32, width).numbers[Site::Feature]
+    };
+    let size = |numbers: SiteNumbers| numbers.radius(|epsilon| epsilon);
+    for width in [64, 128, 256, 512] {
+        let corner = |side: f64| side * (width as f64).sqrt();
+        let narrow = feature(|_| (), width);
+        assert!(
+            (corner(size(narrow)) - 1e-3 * 16.0).abs() < 1e-15 && (narrow.step_size / size(narrow) - 1.0).abs() < 1e-12
+        );
+        let ball = feature(|config| config.sites[Site::Feature].norm = Some(Norm::L2), width);
+        assert_eq!((size(ball), ball.step_size), (1e-3, 1e-3));
+        // Steps in radii are scaled with them.
+        let calibrated = feature(|config| config.sizes = Sizes::Calibrated, width);
+        assert!(
+            (corner(size(calibrated)) - 1e-2 * 16.0).abs() < 1e-14 && calibrated.step_size == 2.5,
+            "{calibrated:?}"
+        );
+    }
+    // What the next layer feels: the worst corner against rows of Glorot weights.
+    let felt = |width: usize| -> f64 {
+        let mut random = Random::new(1, Stream::Init, 0);
+        let rows = 400;
+        let weight = (3.0 / width as f64).sqrt();
+        let sum = |_| (0..width).map(|_| (weight * (2.0 * random.uniform() - 1.0)).abs()).sum::<f64>();
+        let sums: f64 = (0..rows).map(sum).sum();
+        1e-3 * PaperPass::box_scale(width) * sums / f64::from(rows)
+    };
+    let reference = felt(256);
+    assert!([64, 128, 512].into_iter().all(|width| (felt(width) / reference - 1.0).abs() < 0.03));
+}
+
+#[test]
+fn the_calibrated_density_follows_the_samples_but_in_the_paper_s_geometry() {
+    let density = |change: fn(&mut PerturbConfig), coarse: usize| {
+        let change = |config: &mut PerturbConfig| {
+            config.sizes = Sizes::Calibrated;
+            change(config);
+        };
+        numbers(change, coarse, 256).numbers[Site::Density].radius(|epsilon| epsilon)
+    };
+    assert_eq!(density(|_| (), 32) * 2.0, density(|_| (), 64));
+    assert_eq!((density(paper, 32), density(paper, 24)), (density(|_| (), 64), density(|_| (), 64)));
+}
+
+/// What the protocol says of a run on the embedded scene whose pictures are so wide.
+fn described(preset: Preset, kind: &str, width: f64, texts: &[&str]) -> String {
+    let kind = format!("data.kind={kind}");
+    let own = ["method=aug-nerf", "data.width=16", kind.as_str()];
+    let assignments: Vec<_> = own.iter().chain(texts).map(|text| parse_assignment(text).unwrap()).collect();
+    let (config, mut scene) = load_scene(build(Some(preset), None, &assignments).unwrap(), &()).unwrap();
+    // The sets know the first training camera alone; pictures of that size would take a minute to render.
+    let camera = &mut scene.train[0].camera;
+    let scale = width / camera.width as f64;
+    camera.focal = camera.focal.map(|focal| focal * scale);
+    (camera.width, camera.height) = (width as usize, (camera.height as f64 * scale).round() as usize);
+    let three = |ratio: f64| format!("{ratio:.2e}").parse::<f64>().unwrap();
+    let ratios = step_over_radius(&config, &scene).unwrap();
+    ratios.iter().map(|(site, ratio)| format!("{} {}", site.name(), three(*ratio))).collect::<Vec<_>>().join(", ")
+}
+
+#[test]
+fn the_protocol_s_ratio_tells_small_presets_from_the_paper_s_attack() {
+    let forward = |preset, width, texts: &[&str]| described(preset, "builtin-forward", width, texts);
+    let paper = forward(Preset::PaperLlff, 504.0, &[]);
+    assert!(paper.starts_with("t 1.26, xyz 2.52, view ") && paper.ends_with("feature 1, rgb 1, density 1"), "{paper}");
+    // Half the samples at the same resolution; a tenth of that, where half the samples' distance is under a pixel.
+    assert_eq!(forward(Preset::Cpu, 504.0, &[]), paper.replace("t 1.26", "t 0.62"));
+    assert!(forward(Preset::Cpu, 48.0, &[]).starts_with("t 0.62, xyz 0.31, "));
+    for (preset, width) in
+        [(Preset::Cpu, 504.0), (Preset::Cpu, 126.0), (Preset::Smoke, 100.0), (Preset::PaperLlff, 48.0)]
+    {
+        assert_eq!(forward(preset, width, &["perturb.geometry=paper"]), paper, "{preset:?} {width}");
+    }
+    let around = |preset, width, texts: &[&str]| described(preset, "builtin-blender", width, texts);
+    let blender = around(Preset::PaperBlender, 400.0, &[]);
+    assert!(blender.starts_with("t 0.315, xyz "), "{blender}");
+    assert_eq!(around(Preset::Smoke, 100.0, &["perturb.geometry=paper"]), blender);
+    assert_ne!(around(Preset::Smoke, 100.0, &[]), blender);
+    // Steps in radii, and a site of the fine pass alone.
+    let output = ["perturb.attack=calibrated", "perturb.levels=[\"output\"]"];
+    assert_eq!(forward(Preset::Smoke, 100.0, &output), "rgb 2.5, density 2.5");
+    let fine = ["perturb.t.passes=fine", "perturb.xyz.passes=off", "perturb.view.passes=off"];
+    let fine = [&["perturb.levels=[\"input\"]"], &fine[..]].concat();
+    assert_eq!(forward(Preset::PaperLlff, 504.0, &fine), "t 2.54");
+}
+
+#[test]
+fn the_geometry_changes_what_is_trained_and_counts_in_hashes_where_it_is_not_the_run_s() {
+    let run = |geometry| trained(&tiny_config(Method::AugNerf, |config| config.perturb.geometry = geometry), 2);
+    let weights = |geometry| parameters(&run(geometry), &["coarse", "fine"]);
+    assert_ne!(weights(Geometry::Sampling), weights(Geometry::Paper));
+    let hash = |texts: &[&str]| config(texts).unwrap().hash();
+    assert_eq!(hash(&["method=aug-nerf", "perturb.geometry=sampling"]), hash(&["method=aug-nerf"]));
+    assert_ne!(hash(&["method=aug-nerf", "perturb.geometry=paper"]), hash(&["method=aug-nerf"]));
+}
+
+fn config(texts: &[&str]) -> augnerf::base::Result<Config> {
+    let assignments: Vec<_> = texts.iter().map(|text| parse_assignment(text).unwrap()).collect();
+    build(None, None, &assignments)
+}
+
+#[test]
+fn a_set_as_far_as_the_ascent_reaches_follows_steps_and_step_size() {
+    for steps in [1, 3, 10] {
+        let reach = |config: &mut PerturbConfig| {
+            for site in Site::ALL {
+                let site = &mut config.sites[site];
+                (site.steps, site.step_size, site.epsilon) = (Some(steps), Some(4e-4), Some(Epsilon::Reach));
+            }
+        };
+        let [own, _] = sets(&numbers(reach, 64, 256), &even(64), 64, 256, fern(504.0));
+        for site in Site::ALL {
+            let radius = values(own.get(site).unwrap());
+            assert!(
+                radius.iter().all(|radius| (radius - 4e-4 * steps as f64).abs() < 1e-15),
+                "{} {radius:?}",
+                site.name()
+            );
+        }
+    }
+    // t keeps the order of samples; no step reaches nowhere.
+    let far = |steps: usize| {
+        move |config: &mut PerturbConfig| {
+            let t = &mut config.sites[Site::T];
+            (t.steps, t.step_size, t.epsilon) = (Some(steps), Some(0.1), Some(Epsilon::Reach));
+        }
+    };
+    let [own, _] = sets(&numbers(far(3), 64, 256), &even(64), 64, 256, fern(504.0));
+    assert!(values(own.get(Site::T).unwrap()).iter().all(|radius| (radius * 63.0 / 0.5 - 1.0).abs() < 1e-9));
+    let [own, _] = sets(&numbers(far(0), 64, 256), &even(64), 64, 256, fern(504.0));
+    assert!(own.get(Site::T).is_none());
+}
+
+#[test]
+fn reach_is_a_word_of_files_and_needs_steps_of_a_length() {
+    let reach = config(&["method=aug-nerf", "perturb.feature.epsilon=reach"]).unwrap();
+    assert_eq!(reach.perturb.sites[Site::Feature].epsilon, Some(Epsilon::Reach));
+    assert_eq!(Config::from_toml(&reach.to_toml(), "file").unwrap(), reach);
+    let json = serde_json::to_string(&reach).unwrap();
+    assert_eq!(serde_json::from_str::<Config>(&json).unwrap(), reach);
+    let plain = config(&["method=aug-nerf"]).unwrap();
+    assert_eq!(reach.step_shape(), plain.step_shape());
+    for relative in ["perturb.attack=calibrated", "perturb.step_unit=relative"] {
+        let refused = config(&["method=aug-nerf", "perturb.feature.epsilon=reach", relative]).unwrap_err().to_string();
+        assert!(refused.contains("perturb.feature.epsilon") && refused.contains("radii"), "{refused}");
+    }
+    for wrong in ["perturb.feature.epsilon=rich", "perturb.feature.epsilon=true", "perturb.feature.epsilon=-1"] {
+        let refused = config(&[wrong]).unwrap_err().to_string();
+        assert!(refused.contains("feature.epsilon") || refused.contains("reach"), "{wrong}: {refused}");
+    }
+}
