@@ -3,22 +3,20 @@
 //! New content is written under a temporary name in the same folder (the same file system, so
 //! that the rename cannot become a copy), flushed to the disk, and renamed. A killed process
 //! leaves at most an entry whose name starts with [`TEMPORARY`] or [`REPLACED`];
-//! [`clean_temporaries`] puts those right.
+//! [`clean_temporaries`] puts those right, and so does the next [`AtomicDir`] of the same name. Such an entry is locked as long
+//! as its process works on it, and entries that are locked are left alone.
 
-use std::ffi::{OsStr, OsString};
 use std::fs::{self, File};
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
-use std::sync::atomic::{AtomicU64, Ordering};
 
 use serde::{Deserialize, Serialize};
 
 use crate::base::{Error, Result};
 
-/// Start of the names of entries that are not finished yet.
-pub const TEMPORARY: &str = ".augnerf-tmp-";
-/// Start of the names of folders that were moved aside while their replacement took their place.
-pub const REPLACED: &str = ".augnerf-old-";
+pub use super::temporaries::{REPLACED, TEMPORARY, clean_temporaries, is_temporary};
+use super::temporaries::{clean_where, folder_of, name_of, prefixed, temporary_beside};
+pub(crate) use super::temporaries::{discard, hold, remove, wait_and_hold};
 
 /// Writes `bytes` to `path` so that the file has its old content or the new one at every moment,
 /// a crash of the machine included. A symbolic link is followed; a device or pipe, which cannot
@@ -29,10 +27,14 @@ pub fn write_atomic(path: &Path, bytes: &[u8]) -> Result<()> {
 
 /// [`write_atomic`] of `value` as indented JSON with a newline at the end.
 pub fn write_json<T: Serialize>(path: &Path, value: &T) -> Result<()> {
-    let mut text =
-        serde_json::to_vec_pretty(value).map_err(|error| Error::unwritable(path, &io::Error::from(error)))?;
+    write_atomic(path, &json_bytes(value).map_err(|error| Error::unwritable(path, &error))?)
+}
+
+/// `value` as indented JSON with a newline at the end.
+pub(crate) fn json_bytes<T: Serialize>(value: &T) -> io::Result<Vec<u8>> {
+    let mut text = serde_json::to_vec_pretty(value)?;
     text.push(b'\n');
-    write_atomic(path, &text)
+    Ok(text)
 }
 
 /// What `path` holds as JSON; none where there is no such file. `advice` says what to do with a damaged one.
@@ -56,20 +58,41 @@ fn try_write(path: &Path, bytes: &[u8]) -> io::Result<()> {
         Ok(_) => fs::canonicalize(path)?,
         Err(_) => path.to_path_buf(),
     };
-    let temporary = temporary_beside(&target)?;
-    let written = write_synced(&temporary, bytes).and_then(|()| fs::rename(&temporary, &target));
-    if written.is_err() {
-        let _ = fs::remove_file(&temporary);
-    }
-    written?;
+    finish_file(&target, bytes, |temporary| fs::rename(temporary, &target))?;
     sync_folder(folder_of(&target))
 }
 
-/// A new file with `bytes` that have reached the disk.
-pub(crate) fn write_synced(path: &Path, bytes: &[u8]) -> io::Result<()> {
+/// Writes `bytes` to `path` unless something has that name: false then. Of several processes one succeeds.
+///
+/// # Errors
+/// A folder that cannot be written; a file system without hard links.
+pub(crate) fn create_whole(path: &Path, bytes: &[u8]) -> io::Result<bool> {
+    let link = |temporary: &Path| fs::hard_link(temporary, path).and_then(|()| fs::remove_file(temporary));
+    match finish_file(path, bytes, link) {
+        Ok(()) => Ok(true),
+        Err(error) if error.kind() == io::ErrorKind::AlreadyExists => Ok(false),
+        Err(error) => Err(error),
+    }
+}
+
+/// Writes a temporary file beside `target` and gives it its name with `finish`.
+fn finish_file(target: &Path, bytes: &[u8], finish: impl FnOnce(&Path) -> io::Result<()>) -> io::Result<()> {
+    let temporary = temporary_beside(target)?;
+    // Held until it has its name: nobody takes it for a leftover.
+    let written = write_synced(&temporary, bytes).and_then(|_held| finish(&temporary));
+    if written.is_err() {
+        let _ = fs::remove_file(&temporary);
+    }
+    written
+}
+
+/// A new file with `bytes` that have reached the disk, locked where the file system has locks.
+pub(crate) fn write_synced(path: &Path, bytes: &[u8]) -> io::Result<File> {
     let mut file = File::create_new(path)?;
+    let _ = file.try_lock();
     file.write_all(bytes)?;
-    file.sync_all()
+    file.sync_all()?;
+    Ok(file)
 }
 
 /// A folder that is filled under a hidden name and gets its own with [`AtomicDir::commit`].
@@ -78,15 +101,20 @@ pub(crate) fn write_synced(path: &Path, bytes: &[u8]) -> io::Result<()> {
 pub struct AtomicDir {
     temporary: PathBuf,
     target: PathBuf,
+    /// Keeps other processes from taking the hidden folder for a leftover.
+    _held: Option<File>,
 }
 
 impl AtomicDir {
-    /// Creates the hidden folder next to `target`, whose parent must exist.
+    /// Creates the hidden folder next to `target`, whose parent must exist. What killed processes left of folders of this name
+    /// is put right.
     pub fn new(target: &Path) -> Result<AtomicDir> {
+        // A leftover that cannot be deleted is in nobody's way.
+        let _ = name_of(target).and_then(|name| clean_where(folder_of(target), |entry| entry == name));
         let temporary = temporary_beside(target)
             .and_then(|temporary| fs::create_dir(&temporary).map(|()| temporary))
             .map_err(|error| Error::unwritable(target, &error))?;
-        Ok(AtomicDir { temporary, target: target.to_path_buf() })
+        Ok(AtomicDir { _held: hold(&temporary), temporary, target: target.to_path_buf() })
     }
 
     /// The same for a place that must be free: an empty folder or none. A file, or a folder that holds something, is not
@@ -126,8 +154,10 @@ impl AtomicDir {
         sync_tree(&self.temporary)?;
         let parent = folder_of(&self.target);
         let replaced = parent.join(prefixed(REPLACED, name_of(&self.target)?));
+        let mut _held = None;
         if self.target.symlink_metadata().is_ok() {
-            remove(&replaced)?;
+            discard(&replaced)?;
+            _held = hold(&self.target);
             fs::rename(&self.target, &replaced)?;
         }
         if let Err(error) = fs::rename(&self.temporary, &self.target) {
@@ -135,7 +165,7 @@ impl AtomicDir {
             return Err(error);
         }
         sync_folder(parent)?;
-        remove(&replaced)
+        discard(&replaced)
     }
 }
 
@@ -143,79 +173,6 @@ impl Drop for AtomicDir {
     fn drop(&mut self) {
         let _ = fs::remove_dir_all(&self.temporary);
     }
-}
-
-/// Puts right what killed processes left in `dir` (not below it) and returns how many entries
-/// that were: unfinished files and folders are deleted, and a folder that had been moved aside is
-/// moved back if its replacement did not arrive. Call it only while holding the run's lock, with
-/// no write of one's own under way.
-pub fn clean_temporaries(dir: &Path) -> Result<usize> {
-    try_clean(dir).map_err(|error| Error::unwritable(dir, &error))
-}
-
-fn try_clean(dir: &Path) -> io::Result<usize> {
-    let mut cleaned = 0;
-    for entry in fs::read_dir(dir)? {
-        let path = entry?.path();
-        let Some(name) = path.file_name() else { continue };
-        match after_prefix(REPLACED, name).map(|original| dir.join(original)) {
-            Some(original) if original.symlink_metadata().is_err() => fs::rename(&path, &original)?,
-            Some(_) => remove(&path)?,
-            None if is_temporary(name) => remove(&path)?,
-            None => continue,
-        }
-        cleaned += 1;
-    }
-    Ok(cleaned)
-}
-
-/// Whether an entry of this name is something that a killed process left behind.
-pub fn is_temporary(name: &OsStr) -> bool {
-    let bytes = name.as_encoded_bytes();
-    bytes.starts_with(TEMPORARY.as_bytes()) || bytes.starts_with(REPLACED.as_bytes())
-}
-
-/// Deletes a file or folder (a symbolic link itself, not what it points to); absent is fine.
-pub(crate) fn remove(path: &Path) -> io::Result<()> {
-    match path.symlink_metadata() {
-        Ok(found) if found.is_dir() => fs::remove_dir_all(path),
-        Ok(_) => fs::remove_file(path),
-        Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(()),
-        Err(error) => Err(error),
-    }
-}
-
-fn temporary_beside(target: &Path) -> io::Result<PathBuf> {
-    static COUNT: AtomicU64 = AtomicU64::new(0);
-    let count = COUNT.fetch_add(1, Ordering::Relaxed);
-    let prefix = format!("{TEMPORARY}{}-{count}-", std::process::id());
-    let temporary = folder_of(target).join(prefixed(&prefix, name_of(target)?));
-    // A killed process may have had this very number, as the first one in a container always has.
-    remove(&temporary)?;
-    Ok(temporary)
-}
-
-fn name_of(path: &Path) -> io::Result<&OsStr> {
-    path.file_name().ok_or_else(|| io::Error::other("the path does not end in a name"))
-}
-
-fn folder_of(path: &Path) -> &Path {
-    match path.parent() {
-        Some(parent) if !parent.as_os_str().is_empty() => parent,
-        _ => Path::new("."),
-    }
-}
-
-fn prefixed(prefix: &str, name: &OsStr) -> OsString {
-    let mut joined = OsString::from(prefix);
-    joined.push(name);
-    joined
-}
-
-fn after_prefix(prefix: &str, name: &OsStr) -> Option<OsString> {
-    let rest = name.as_encoded_bytes().strip_prefix(prefix.as_bytes())?;
-    // SAFETY: the bytes come from `as_encoded_bytes`, cut directly after a non-empty UTF-8 prefix.
-    Some(unsafe { OsStr::from_encoded_bytes_unchecked(rest) }.to_os_string())
 }
 
 /// Makes renames and creations in `folder` survive a crash of the machine. Only Unix can open a
@@ -337,27 +294,21 @@ mod tests {
     }
 
     #[test]
-    fn what_kills_left_is_put_right() {
+    fn only_one_creates_a_file() {
         let dir = tempfile::tempdir().unwrap();
-        let at = |name: &str| dir.path().join(name);
-        fs::write(at(".augnerf-tmp-1-0-metrics.json"), "half").unwrap();
-        fs::create_dir(at(".augnerf-tmp-1-1-step-20")).unwrap();
-        fs::create_dir(at(".augnerf-old-step-10")).unwrap();
-        fs::create_dir(at(".augnerf-old-step-15")).unwrap();
-        fs::create_dir(at("step-15")).unwrap();
-        fs::write(at(".hidden"), "not ours").unwrap();
-        assert_eq!(clean_temporaries(dir.path()).unwrap(), 4);
-        assert_eq!(names(dir.path()), [".hidden", "step-10", "step-15"]);
-    }
-
-    #[test]
-    fn a_leftover_of_the_same_process_number_is_no_obstacle() {
-        let dir = tempfile::tempdir().unwrap();
-        for count in 0..200 {
-            let name = format!("{TEMPORARY}{}-{count}-a", std::process::id());
-            fs::write(dir.path().join(name), "half").unwrap();
-        }
-        write_atomic(&dir.path().join("a"), b"whole").unwrap();
-        assert_eq!(fs::read(dir.path().join("a")).unwrap(), b"whole");
+        let path = dir.path().join("claim");
+        let created: usize = std::thread::scope(|scope| {
+            let tries: Vec<_> = (0..16)
+                .map(|i| {
+                    scope.spawn({
+                        let path = &path;
+                        move || create_whole(path, &[i]).unwrap()
+                    })
+                })
+                .collect();
+            tries.into_iter().map(|one| usize::from(one.join().unwrap())).sum()
+        });
+        assert_eq!(created, 1);
+        assert_eq!(names(dir.path()), ["claim"]);
     }
 }

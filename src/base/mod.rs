@@ -7,6 +7,7 @@ pub mod files;
 mod image;
 mod revision;
 pub mod rng;
+mod temporaries;
 pub(crate) mod tensors;
 
 pub use error::{Class, Error, Result, SettingError};

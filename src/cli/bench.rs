@@ -50,8 +50,7 @@ impl BenchArguments {
             set: self.set.iter().map(|text| parse_assignment(text)).collect::<Result<_>>()?,
         };
         let timed = workload.run(&runtime)?;
-        print(&serde_json::to_string(&timed).expect("plain data"));
-        Ok(())
+        print(&serde_json::to_string(&timed).expect("plain data"))
     }
 }
 

@@ -133,7 +133,8 @@ pub fn pictures_folder(out: Option<&Path>, default: PathBuf) -> Result<(PathBuf,
         return Ok((out.to_path_buf(), AtomicDir::vacant(out)?));
     }
     let parent = default.parent().unwrap_or(Path::new("."));
-    std::fs::create_dir_all(parent).map_err(|e| Error::unwritable(parent, &e))?;
-    let pictures = AtomicDir::new(&default)?;
+    let made = std::fs::create_dir_all(parent).map_err(|e| Error::unwritable(parent, &e));
+    let pictures = made.and_then(|()| AtomicDir::new(&default));
+    let pictures = pictures.map_err(|error| Error::Output(format!("{error}; name another folder with --out")))?;
     Ok((default, pictures))
 }

@@ -80,8 +80,7 @@ impl DataCommand {
                     exported.pictures,
                     exported.depths,
                     exported.triangles
-                ));
-                Ok(())
+                ))
             }
         }
     }
@@ -101,8 +100,7 @@ impl CorruptArguments {
         let mut corrupted = clean.clone();
         corrupt(&mut corrupted, &corruption, config.seed)?;
         write_corrupted(&self.dir, &clean, &corrupted, config.seed)?;
-        print(&format!("{}: {} training views", self.dir.display(), corrupted.train.len()));
-        Ok(())
+        print(&format!("{}: {} training views", self.dir.display(), corrupted.train.len()))
     }
 }
 
@@ -117,7 +115,7 @@ impl CheckArguments {
         let (config, scene) = load_scene(config, &Console::new(self.quiet))?;
         let split = ("split".to_string(), split_name(&config));
         for (label, value) in scene.describe().into_iter().chain([split]) {
-            print(&format!("{label:>16}  {value}"));
+            print(&format!("{label:>16}  {value}"))?;
         }
         Ok(())
     }

@@ -63,11 +63,15 @@ impl MeasureArguments {
                 names.insert(0, "run".into());
                 values.insert(0, run.display().to_string());
                 if std::mem::take(&mut header) {
-                    print(&csv_line(&names));
+                    print(&csv_line(&names))?;
                 }
-                print(&csv_line(&values));
+                print(&csv_line(&values))?;
             }
-            console.say(&format!("with the run's protocol: {}", trained.run.smoothness().display()));
+            let file = trained.run.smoothness();
+            console.say(&match trained.run.is_writable() {
+                true => format!("with the run's protocol: {}", file.display()),
+                false => format!("{} cannot be written: {} stays as it is", run.display(), file.display()),
+            });
         }
         Ok(())
     }
@@ -115,7 +119,7 @@ impl BalanceArguments {
     fn balance(&self, runtime: &Runtime) -> Result<()> {
         let console = Console::new(self.compute.quiet);
         let (config, lines) = balance(self.experiment.config()?, self.steps, runtime, &console)?;
-        print("scene,steps,term,photometric_norm,term_norm,share,weight");
+        print("scene,steps,term,photometric_norm,term_norm,share,weight")?;
         for line in lines {
             print(&csv_line(&[
                 config.data.name.clone(),
@@ -125,7 +129,7 @@ impl BalanceArguments {
                 format!("{:e}", line.term_norm),
                 format!("{:.3}", line.share),
                 line.weight.map_or(String::new(), |weight| format!("{weight:.2e}")),
-            ]));
+            ]))?;
         }
         console.say(
             "share: the term's pull on the weights at that weight, over the photometric loss's; use a weight with \

@@ -13,6 +13,7 @@ use crate::space::Lattice;
 use crate::space::{self, Score};
 
 use super::Compute;
+use super::compare::pictures_folder;
 use super::measure::{csv_line, parse_box};
 use super::progress::{Console, print, report};
 
@@ -49,6 +50,9 @@ pub struct MeshArguments {
     /// Memory that lattice and mesh may take, MiB [default: a half of what is free]
     #[arg(long, value_name = "MIB")]
     memory: Option<f64>,
+    /// Output folder, new or empty [default: RUN/mesh, replaced]
+    #[arg(long, value_name = "DIR")]
+    out: Option<PathBuf>,
     /// Scene folder, if it has moved since training
     #[arg(long, value_name = "DIR")]
     data: Option<PathBuf>,
@@ -83,8 +87,9 @@ impl MeshArguments {
         if let Some(domain) = options.domain {
             Lattice { domain, side: options.resolution }.check_meets(&trained.scene, "--bbox")?;
         }
-        let report = trained.draw_mesh(options, &console)?;
-        console.say(&words(&report, &trained.run.mesh()));
+        let (folder, files) = pictures_folder(self.out.as_deref(), trained.run.mesh())?;
+        let report = trained.draw_mesh_into(files, options, &console)?;
+        console.say(&words(&report, &folder));
         Ok(())
     }
 
@@ -187,8 +192,8 @@ impl ChamferArguments {
             cells.extend(scores.map(|(name, value)| (format!("{name}_{at}"), value.to_string())));
         }
         let (names, values): (Vec<_>, Vec<_>) = cells.into_iter().unzip();
-        print(&csv_line(&names));
-        print(&csv_line(&values));
+        print(&csv_line(&names))?;
+        print(&csv_line(&values))?;
         if !self.quiet {
             report(&format!(
                 "Chamfer {:.5}: {:.5} from the mesh to the reference, {:.5} back; two drawings of one surface would be {:.5} \

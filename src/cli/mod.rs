@@ -1,5 +1,6 @@
 //! The command line: arguments, devices, progress on the screen. Nothing else prints.
 
+use std::io::Write;
 use std::path::PathBuf;
 use std::process::ExitCode;
 use std::str::FromStr;
@@ -21,6 +22,7 @@ mod profile;
 mod progress;
 mod render;
 mod settings;
+mod signals;
 mod sweep;
 mod train;
 
@@ -39,7 +41,7 @@ struct Arguments {
 fn exit_codes() -> String {
     let classes = Class::ALL.map(|class| format!("{} {}", class.exit_code(), class.words()));
     format!(
-        "Exit codes: 0 done, {}, 130 or 143 stopped by Ctrl-C or SIGTERM with a checkpoint (resume it).",
+        "Exit codes: 0 done, {}, 129, 130 or 143 stopped by a hangup, Ctrl-C or SIGTERM with a checkpoint (resume it).",
         classes.join(", ")
     )
 }
@@ -209,7 +211,10 @@ pub fn command() -> clap::Command {
 
 /// Runs the program; the exit code is that of the error's class.
 pub fn main() -> ExitCode {
-    let arguments = Arguments::parse();
+    let arguments = match Arguments::try_parse() {
+        Ok(arguments) => arguments,
+        Err(answer) => return say(&answer),
+    };
     let done = match arguments.command {
         Command::Train(arguments) => arguments.run(),
         Command::Resume(arguments) => arguments.run(),
@@ -226,12 +231,21 @@ pub fn main() -> ExitCode {
         Command::Data(command) => command.run(),
         Command::Settings(arguments) => arguments.run(),
     };
-    match done {
-        Ok(()) => ExitCode::SUCCESS,
-        Err(error) => {
-            let word = if matches!(error, Error::Interrupted { .. }) { "stopped" } else { "error" };
-            progress::report(&format!("{word}: {error}"));
-            ExitCode::from(error.exit_code())
-        }
+    done.map_or_else(|error| fail(&error), |()| ExitCode::SUCCESS)
+}
+
+/// Ends with what went wrong.
+fn fail(error: &Error) -> ExitCode {
+    let word = if matches!(error, Error::Interrupted { .. }) { "stopped" } else { "error" };
+    progress::report(&format!("{word}: {error}"));
+    ExitCode::from(error.exit_code())
+}
+
+/// Prints the help or version that was asked for, or what is wrong with the arguments.
+fn say(answer: &clap::Error) -> ExitCode {
+    let written = answer.print().and_then(|()| std::io::stdout().flush());
+    match progress::printed(written) {
+        Err(error) if !answer.use_stderr() => fail(&error),
+        _ => ExitCode::from(answer.exit_code() as u8),
     }
 }

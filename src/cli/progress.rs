@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 
 use indicatif::{ProgressBar, ProgressStyle};
 
-use crate::base::{Event, Listener};
+use crate::base::{Error, Event, Listener, Result};
 
 /// Where there is no terminal, a line at most so often.
 const LINE_EVERY: Duration = Duration::from_secs(10);
@@ -17,9 +17,23 @@ pub fn report(line: &str) {
     let _ = writeln!(std::io::stderr(), "{line}");
 }
 
-/// Prints a result on standard output; a reader that has seen enough may close it.
-pub fn print(text: &str) {
-    let _ = writeln!(std::io::stdout(), "{text}");
+/// Prints a result on standard output. A reader that has seen enough may close it (`| head`).
+///
+/// # Errors
+/// Any other reason why it cannot be written, such as a full disk: the result is lost.
+pub fn print(text: &str) -> Result<()> {
+    let mut out = std::io::stdout();
+    printed(writeln!(out, "{text}").and_then(|()| out.flush()))
+}
+
+/// What becomes of an attempt to write to standard output.
+pub fn printed(written: std::io::Result<()>) -> Result<()> {
+    match written {
+        Err(error) if error.kind() != std::io::ErrorKind::BrokenPipe => {
+            Err(Error::Output(format!("cannot write to standard output: {error}; what was to be printed is lost")))
+        }
+        _ => Ok(()),
+    }
 }
 
 /// Shows a person what happens, on standard error.

@@ -18,7 +18,6 @@ pub struct SettingsArguments {
 impl SettingsArguments {
     pub fn run(self) -> Result<()> {
         let text = if self.markdown { settings_page() } else { settings_text(self.filter.as_deref())? };
-        print(text.trim_end());
-        Ok(())
+        print(text.trim_end())
     }
 }

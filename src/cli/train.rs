@@ -1,18 +1,17 @@
 //! `augnerf train` and `augnerf resume`.
 
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
-use std::sync::atomic::AtomicUsize;
 
 use clap::Args;
 
-use crate::base::{Error, Result};
+use crate::base::Result;
 use crate::run::{Existing, Finished, Job, RunDir, Setup, load_lpips, load_scene};
 use crate::runtime::Runtime;
 use crate::settings::Config;
 
 use super::experiment::Experiment;
 use super::progress::{Console, print};
+use super::signals::catch_signals;
 use super::{Compute, Sources};
 
 #[derive(Args)]
@@ -54,8 +53,7 @@ impl TrainArguments {
         let lpips = load_lpips(&config.eval.lpips_weights, runtime.device())?;
         let (config, scene) = load_scene(config, &console)?;
         if self.print_config {
-            print(config.to_toml().trim_end());
-            return Ok(());
+            return print(config.to_toml().trim_end());
         }
         let folder = self.out.clone().unwrap_or_else(|| default_folder(&config));
         let setup = Setup { config, scene: &scene, lpips: &lpips, runtime: runtime.clone() };
@@ -115,18 +113,4 @@ fn default_folder(config: &Config) -> PathBuf {
     let terms = config.regularizer.kind.iter().map(|term| format!("-{}", term.name()));
     let method = std::iter::once(config.method.name().to_string()).chain(terms).collect::<String>();
     Path::new("runs").join(format!("{}-{method}-{}", config.data.name, config.hash()))
-}
-
-/// A flag that the first Ctrl-C or SIGTERM sets; the second one ends the program at once.
-pub fn catch_signals() -> Result<Arc<AtomicUsize>> {
-    use signal_hook::consts::{SIGINT, SIGTERM};
-    let flag = Arc::new(AtomicUsize::new(0));
-    let stopping = Arc::new(std::sync::atomic::AtomicBool::new(false));
-    for signal in [SIGINT, SIGTERM] {
-        let failed = |e: std::io::Error| Error::Output(format!("cannot catch signal {signal}: {e}"));
-        signal_hook::flag::register_conditional_shutdown(signal, 128 + signal, stopping.clone()).map_err(failed)?;
-        signal_hook::flag::register_usize(signal, flag.clone(), signal as usize).map_err(failed)?;
-        signal_hook::flag::register(signal, stopping.clone()).map_err(failed)?;
-    }
-    Ok(flag)
 }

@@ -32,7 +32,7 @@ pub use distortion::Distortion;
 pub use l1::L1;
 pub use laplacian::Laplacian;
 pub use smoothness::{Smoothness, measure};
-pub use spatial::{Regularized, WeightedSpaceTerm, estimate_seconds, regularize, regularize_at};
+pub use spatial::{Regularized, WeightedSpaceTerm, estimate_seconds, regularize, regularize_at, regularize_unless};
 pub use tv::Tv;
 
 /// A rendered pass as a term on rays sees it.

@@ -21,6 +21,16 @@ pub struct Regularized {
 
 /// Values and weight gradients of weighted terms of one field, integrated with `points`.
 pub fn regularize(field: &Field, points: &Quadrature, terms: &[WeightedSpaceTerm]) -> Result<Regularized> {
+    regularize_unless(field, points, terms, || Ok(()))
+}
+
+/// The same with a question that is asked again and again: its error ends the work.
+pub fn regularize_unless(
+    field: &Field,
+    points: &Quadrature,
+    terms: &[WeightedSpaceTerm],
+    unless_stopped: impl Fn() -> Result<()>,
+) -> Result<Regularized> {
     let volume = points.volume_each();
     let field = &field.prepared()?;
     let mut sum: Option<Regularized> = None;
@@ -30,6 +40,7 @@ pub fn regularize(field: &Field, points: &Quadrature, terms: &[WeightedSpaceTerm
         field.device(),
         |points| regularize_at(field, points, terms, volume),
         |chunk| {
+            unless_stopped()?;
             match &mut sum {
                 None => sum = Some(chunk),
                 Some(sum) => sum.add(chunk)?,

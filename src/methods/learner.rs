@@ -44,6 +44,9 @@ pub struct LogColumns {
     pub further: Vec<String>,
 }
 
+/// An error where the work at hand is to end before it is done.
+pub type UnlessStopped<'a> = dyn Fn() -> Result<()> + Sync + 'a;
+
 /// Learns a model's parameters from a scene's training views.
 pub trait Learner: Send {
     /// What its steps log, in the order of columns.
@@ -57,6 +60,7 @@ pub trait Learner: Send {
     fn add_term(&mut self, term: LossTerm, weight: f64) -> Result<()>;
 
     /// Draws the work of the step that follows `step` finished ones, by random numbers that depend on seed and step
-    /// alone, and learns from it. Changes no parameter. `log` asks for diagnostics, which cost further passes.
-    fn learn(&mut self, step: u64, log: bool) -> Result<Learned>;
+    /// alone, and learns from it. Changes no parameter. `log` asks for diagnostics, which cost further passes. A long step asks
+    /// `unless_stopped` again and again, and ends with its error.
+    fn learn(&mut self, step: u64, log: bool, unless_stopped: &UnlessStopped) -> Result<Learned>;
 }

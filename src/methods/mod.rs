@@ -22,7 +22,7 @@ pub use batches::{Batch, Batches};
 pub use diagnostics::{SiteDiagnostics, SiteSummary};
 pub use fields::{Balance, FieldLearner, FieldPainter, Fields, step_over_radius};
 pub use gradients::Gradients;
-pub use learner::{Learned, Learner, LogColumns, Term};
+pub use learner::{Learned, Learner, LogColumns, Term, UnlessStopped};
 pub use painter::{Painted, Painter};
 
 /// The parameters of one experiment. The one place that tells methods apart.

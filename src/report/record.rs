@@ -28,7 +28,7 @@ pub struct Record {
 }
 
 /// A point's place on one axis.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct AxisValue {
     /// What is varied, as the plot's x axis names it: `steps`, `step size`, `injection layer`.
     pub axis: String,

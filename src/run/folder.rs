@@ -2,15 +2,17 @@
 //! before hours of training instead of after them.
 
 use std::ffi::OsStr;
-use std::fs::{self, File, TryLockError};
-use std::io::{self, Read, Write};
+use std::fs::{self, File};
+use std::io;
 use std::path::{Path, PathBuf};
 
-use crate::base::files::{clean_temporaries, is_temporary, read_json, remove, write_synced};
+use crate::base::files::{clean_temporaries, discard, is_temporary, read_json, remove, write_synced};
 use crate::base::{Error, Result};
 use crate::runtime::Timing;
 use crate::settings::Config;
 use crate::train::checkpoint;
+
+use super::lock::{LOCK, RunLock};
 
 const CONFIG: &str = "config.toml";
 const METRICS_JSON: &str = "metrics.json";
@@ -22,7 +24,6 @@ const TENSORBOARD: &str = "tensorboard";
 const CHECKPOINTS: &str = "checkpoints";
 const RENDERS: &str = "renders";
 const MESH: &str = "mesh";
-const LOCK: &str = "run.lock";
 
 /// The files of a run, apart from the lock.
 const FILES: [&str; 6] = [CONFIG, METRICS_JSON, METRICS_CSV, SMOOTHNESS, SCALARS, TIMING];
@@ -114,6 +115,28 @@ impl RunDir {
         Ok(run)
     }
 
+    /// The same of a run that is read, which may lie where this process cannot write. Such a run is left as it is, and shared
+    /// with other readers.
+    ///
+    /// # Errors
+    /// Those of [`RunDir::take`].
+    pub fn take_to_read(path: &Path) -> Result<RunDir> {
+        let mut run = RunDir::open(path)?;
+        if run.is_writable() {
+            return RunDir::take(path);
+        }
+        run.lock = RunLock::share(path)?;
+        Ok(run)
+    }
+
+    /// Whether this process can write into the run: not on a disk that is read-only, nor without the right to.
+    pub fn is_writable(&self) -> bool {
+        let denied = |error: &io::Error| {
+            matches!(error.kind(), io::ErrorKind::PermissionDenied | io::ErrorKind::ReadOnlyFilesystem)
+        };
+        !matches!(File::options().write(true).create(true).truncate(false).open(self.path.join(LOCK)), Err(e) if denied(&e))
+    }
+
     /// The settings that the run was begun with, resolved.
     pub fn read_config(&self) -> Result<Config> {
         let path = self.config();
@@ -171,6 +194,11 @@ impl RunDir {
         self.path.join(CONFIG)
     }
 
+    /// `metrics.json` and `metrics.csv` in a folder that need not be a run's.
+    pub fn metrics_in(folder: &Path) -> [PathBuf; 2] {
+        [METRICS_JSON, METRICS_CSV].map(|name| folder.join(name))
+    }
+
     /// `metrics.json`: metrics of the held-out views and their mean, with provenance.
     pub fn metrics_json(&self) -> PathBuf {
         self.path.join(METRICS_JSON)
@@ -215,47 +243,6 @@ impl RunDir {
     pub fn renders(&self) -> PathBuf {
         self.path.join(RENDERS)
     }
-}
-
-/// A run folder taken by this process. The operating system gives it up when the process ends in
-/// whatever way, so that no stale lock can stay. On a file system without locks it does nothing.
-#[derive(Debug)]
-pub struct RunLock {
-    _file: File,
-}
-
-impl RunLock {
-    /// Locks the run folder `path`, or says who holds it.
-    pub fn acquire(path: &Path) -> Result<RunLock> {
-        let name = path.join(LOCK);
-        let mut file = File::options()
-            .read(true)
-            .write(true)
-            .create(true)
-            .truncate(false)
-            .open(&name)
-            .map_err(|error| Error::unwritable(&name, &error))?;
-        match file.try_lock() {
-            Ok(()) => {
-                // Only for the message below; a failure to write it changes nothing.
-                let _ = file.set_len(0).and_then(|()| write!(file, "{}", std::process::id()));
-            }
-            Err(TryLockError::WouldBlock) => return Err(locked(path, &mut file)),
-            Err(TryLockError::Error(error)) if error.kind() == io::ErrorKind::Unsupported => {}
-            Err(TryLockError::Error(error)) => return Err(Error::unwritable(&name, &error)),
-        }
-        Ok(RunLock { _file: file })
-    }
-}
-
-fn locked(path: &Path, file: &mut File) -> Error {
-    let mut holder = String::new();
-    let known = file.read_to_string(&mut holder).is_ok() && !holder.is_empty();
-    let who = if known { format!("process {holder}") } else { "another process".to_string() };
-    Error::Output(format!(
-        "{} is in use by {who}, which trains in it or reads it; wait for it (a new run may also go to another --out)",
-        path.display()
-    ))
 }
 
 /// An error unless `path` is free for a new run: a folder that is empty, or holds a run of ours
@@ -322,7 +309,7 @@ fn clear(path: &Path) -> io::Result<()> {
             remove(&entry.path())?;
         }
     }
-    FILES.iter().chain(&FOLDERS).chain(&[MESH]).try_for_each(|name| remove(&path.join(name)))
+    FILES.iter().chain(&FOLDERS).chain(&[MESH]).try_for_each(|name| discard(&path.join(name)))
 }
 
 /// Writes some blocks into `folder` as far as the disk and takes them away again.
@@ -332,7 +319,7 @@ fn probe(folder: &Path) -> Result<()> {
     let bytes: Vec<u8> = (0..PROBE_BYTES).map(|i| (i.wrapping_mul(2_654_435_761) >> 16) as u8).collect();
     let written = remove(&name).and_then(|()| write_synced(&name, &bytes));
     let removed = remove(&name);
-    written.and(removed).map_err(|error| Error::unwritable(folder, &error))
+    written.and_then(|_| removed).map_err(|error| Error::unwritable(folder, &error))
 }
 
 fn check_space(path: &Path, needed: u64) -> Result<()> {

@@ -69,6 +69,8 @@ struct Experiment<'a> {
     setup: Setup<'a>,
     /// Timing of the sessions before this one.
     earlier: Option<Timing>,
+    /// What was found wrong with the run when it was taken up again.
+    notes: Vec<String>,
     /// The run was begun by an earlier session.
     resumed: bool,
     started_unix: u64,
@@ -98,8 +100,8 @@ impl Setup<'_> {
         let checkpoints = parameters * 3 * 4 * (config.train.keep_checkpoints + 2);
         let pixels = scene.test.first().map_or(0, |view| view.camera.width * view.camera.height);
         let pictures = config.eval.pictures.min(scene.test.len()) * pixels * 16;
-        let logs = (config.train.steps / config.train.log_every) as usize * 1024;
-        (checkpoints + pictures + logs + (1 << 20)) as u64
+        let logs = ((config.train.steps / config.train.log_every) as usize).saturating_mul(1024);
+        logs.saturating_add(checkpoints + pictures + (1 << 20)) as u64
     }
 }
 
@@ -113,33 +115,41 @@ impl<'a> Job<'a> {
         surface_reference(&setup.config, setup.scene)?;
         let trainer = setup.trainer()?;
         let run = RunDir::create(folder, existing, setup.bytes_needed())?;
-        Job::begin(run, setup, trainer, None)
+        Job::begin(run, setup, trainer, None, Vec::new())
     }
 
-    /// The newest checkpoint of a locked run ([`RunDir::take`]), or its start. The settings are the run's own, resolved with the
-    /// scene where it lies now.
+    /// The newest checkpoint of a locked run ([`RunDir::take`]) that is whole, or its start. The settings are the run's own,
+    /// resolved with the scene where it lies now. Of checkpoints that are damaged the training's events begin with a note.
     ///
     /// # Errors
-    /// A checkpoint that is damaged or of other settings; a folder that cannot be written; a disk without room.
+    /// A checkpoint of other settings, or none that is whole; a folder that cannot be written; a disk without room.
     pub fn resume(run: RunDir, setup: Setup<'a>) -> Result<Job<'a>> {
         surface_reference(&setup.config, setup.scene)?;
         let earlier = run.read_timing()?;
-        let trainer = match checkpoint::list(&run.checkpoints())?.pop() {
-            Some((_, newest)) => Trainer::resume(&newest, &setup.config, setup.scene, DType::F32, &setup.runtime)?,
+        let (newest, notes) = checkpoint::newest_whole(&run.checkpoints())?;
+        let trainer = match newest {
+            Some(newest) => Trainer::resume(&newest, &setup.config, setup.scene, DType::F32, &setup.runtime)?,
             // Killed before its first checkpoint: step 0 is a function of the configuration.
             None => setup.trainer()?,
         };
-        Job::begin(run, setup, trainer, Some(earlier))
+        Job::begin(run, setup, trainer, Some(earlier), notes)
     }
 
     /// `before` is there if the run is resumed: what its sessions took, as far as they said.
-    fn begin(run: RunDir, setup: Setup<'a>, trainer: Trainer, before: Option<Option<Timing>>) -> Result<Job<'a>> {
+    fn begin(
+        run: RunDir,
+        setup: Setup<'a>,
+        trainer: Trainer,
+        before: Option<Option<Timing>>,
+        notes: Vec<String>,
+    ) -> Result<Job<'a>> {
         run.check_writable(setup.bytes_needed())?;
         // In a resumed run: where scene and weights are now, for the next time.
         write_atomic(&run.config(), setup.config.to_toml().as_bytes())?;
         let resumed = before.is_some();
         let started_unix = host::unix_seconds() as u64;
-        Ok(Job { experiment: Experiment { run, setup, earlier: before.flatten(), resumed, started_unix }, trainer })
+        let experiment = Experiment { run, setup, earlier: before.flatten(), notes, resumed, started_unix };
+        Ok(Job { experiment, trainer })
     }
 
     /// Steps finished so far.
@@ -162,6 +172,7 @@ impl<'a> Job<'a> {
 
 impl Experiment<'_> {
     fn train(&self, trainer: Trainer, events: &dyn Listener, signal: &AtomicUsize) -> Result<Finished> {
+        self.notes.iter().for_each(|note| events.on(Event::Note(note)));
         self.report_redraws(&trainer, events);
         let (first, train) = (trainer.step_count(), &self.setup.config.train);
         events.on(Event::TrainingStarted { first, steps: train.steps, rays: train.rays });
@@ -218,7 +229,8 @@ impl Experiment<'_> {
         let renders = self.run.renders();
         let pictures = Pictures::new(&renders, self.setup.scene, self.setup.config.eval.pictures);
         let mut first = None;
-        let measurement = Measurement { run: &self.run, viewer, state: &state, lpips: self.setup.lpips, events };
+        let (run, folder, lpips) = (&self.run, self.run.path(), self.setup.lpips);
+        let measurement = Measurement { run, folder, viewer, state: &state, lpips, events };
         let report = measurement.write(
             || self.check_signal(signal, trainer.step_count()),
             |index, view, rendered| {
@@ -245,7 +257,11 @@ impl Experiment<'_> {
             host: Host::current(),
             started_unix: self.started_unix,
             finished_unix: host::unix_seconds() as u64,
-            sessions: self.earlier.as_ref().map_or(usize::from(self.resumed), |timing| timing.sessions) + 1,
+            sessions: self
+                .earlier
+                .as_ref()
+                .map_or(usize::from(self.resumed), |timing| timing.sessions)
+                .saturating_add(1),
         }
     }
 }

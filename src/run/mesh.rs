@@ -15,7 +15,8 @@ use crate::space::{
 };
 
 use super::{
-    BUILTIN, Protocol, RunDir, Trained, folder, most_memory_mib, reference_mesh, surface_box, surface_threshold,
+    BUILTIN, Protocol, RunDir, Trained, folder::free_bytes, most_memory_mib, reference_mesh, surface_box,
+    surface_threshold,
 };
 
 const DENSITY: &str = "density.npy";
@@ -166,13 +167,20 @@ impl Trained {
     /// A box that the scene's rays do not meet; a level set that is empty or outgrows the memory; a disk without room; weights that
     /// are not numbers.
     pub fn draw_mesh(&self, options: &MeshOptions, events: &dyn Listener) -> Result<MeshReport> {
-        self.runtime.install(|| self.draw_mesh_here(options, events))
+        self.draw_mesh_into(AtomicDir::new(&self.run.mesh())?, options, events)
     }
 
-    fn draw_mesh_here(&self, options: &MeshOptions, events: &dyn Listener) -> Result<MeshReport> {
+    /// The same into another folder, as for a run on a disk that is read-only.
+    ///
+    /// # Errors
+    /// Those of [`Trained::draw_mesh`].
+    pub fn draw_mesh_into(&self, into: AtomicDir, options: &MeshOptions, events: &dyn Listener) -> Result<MeshReport> {
+        self.runtime.install(|| self.draw_mesh_here(into, options, events))
+    }
+
+    fn draw_mesh_here(&self, files: AtomicDir, options: &MeshOptions, events: &dyn Listener) -> Result<MeshReport> {
         let drawing = options.drawing(self);
         drawing.lattice.check_meets(&self.scene, "the mesh's lattice")?;
-        let files = AtomicDir::new(&self.run.mesh())?;
         let LevelSet { mut mesh, range } = self.level_set(&drawing, options.density.then_some(&files), events)?;
         let components = mesh.components();
         if options.largest {
@@ -192,7 +200,7 @@ impl Trained {
     /// The level set, with `density.npy` in `density_in`.
     fn level_set(&self, drawing: &Drawing, density_in: Option<&AtomicDir>, events: &dyn Listener) -> Result<LevelSet> {
         let path = density_in.map(|files| files.path().join(DENSITY));
-        let volume = path.as_ref().map(|path| density_file(path, &self.run, &drawing.lattice));
+        let volume = path.as_ref().map(|path| density_file(path, &drawing.lattice));
         let mut volume = volume.transpose()?;
         let out = volume.as_mut().map(|volume| volume as &mut dyn Write);
         events.on(Event::Started { what: "density", parts: drawing.lattice.side as u64 });
@@ -243,12 +251,13 @@ impl MeshReport {
 }
 
 /// The begun file of densities, on a disk with room for it.
-fn density_file(path: &Path, run: &RunDir, lattice: &Lattice) -> Result<BufWriter<File>> {
+fn density_file(path: &Path, lattice: &Lattice) -> Result<BufWriter<File>> {
+    let folder = path.parent().unwrap_or(path);
     let needed = (lattice.cells() * size_of::<f32>()) as f64;
-    if let Some(free) = folder::free_bytes(run.path()).filter(|free| (*free as f64) < needed) {
+    if let Some(free) = free_bytes(folder).filter(|free| (*free as f64) < needed) {
         return Err(Error::Output(format!(
             "{} has too little room for --density: it takes {:.0} MiB and {:.0} MiB are free",
-            run.path().display(),
+            folder.display(),
             needed / MIB,
             free as f64 / MIB
         )));

@@ -12,6 +12,7 @@ mod evaluate;
 mod folder;
 mod inputs;
 mod job;
+mod lock;
 mod mesh;
 mod metrics;
 mod pictures;

@@ -91,7 +91,7 @@ impl<'a> Session<'a> {
         self.events.image(self.trainer.step_count(), tag, picture)
     }
 
-    /// Trains to the last step, or until `signal` holds a signal's number. Checkpoints are written
+    /// Trains to the last step, or until `signal` holds a signal's number, which ends a long step before its end. Checkpoints are written
     /// every N steps, every T minutes, before a step that is evaluated, at a stop and at the end.
     pub fn run(&mut self, signal: &AtomicUsize, events: &dyn Listener, between: &mut dyn Between) -> Result<Outcome> {
         let train = self.trainer.config().train.clone();
@@ -110,7 +110,14 @@ impl<'a> Session<'a> {
                 (saved_at, saved_step) = (Instant::now(), next - 1);
             }
             let started = Instant::now();
-            let stats = self.trainer.step(log)?;
+            let stats = match self.trainer.step_unless(log, &|| unless_stopped(signal)) {
+                Err(Error::Interrupted { signal, .. }) => {
+                    // Within the step, which is taken again.
+                    self.save(between)?;
+                    return Ok(Outcome::Stopped { signal });
+                }
+                stats => stats?,
+            };
             self.stepping += started.elapsed();
             if log || evaluate {
                 self.log(&stats, evaluate, between)?;
@@ -148,6 +155,14 @@ impl<'a> Session<'a> {
         self.scalars.sync()?;
         self.trainer.save(&self.run.checkpoints())?;
         between.saved(self.trainer.step_count(), self.seconds())
+    }
+}
+
+/// An error once there is a signal.
+fn unless_stopped(signal: &AtomicUsize) -> Result<()> {
+    match signal.load(Ordering::SeqCst) {
+        0 => Ok(()),
+        signal => Err(Error::Interrupted { signal: signal as i32, message: format!("signal {signal} within a step") }),
     }
 }
 

@@ -125,7 +125,8 @@ pub fn check_measurable(run: &Path, config: &Config) -> Result<()> {
 }
 
 impl Trained {
-    /// Measures how smooth the run's fields are on a full lattice, and writes `smoothness.csv` into its folder.
+    /// Measures how smooth the run's fields are on a full lattice, and writes `smoothness.csv` into its folder, if that can be
+    /// written.
     ///
     /// # Errors
     /// Those of [`SmoothnessReport::measure`] and [`check_measurable`]; a file that cannot be written.
@@ -133,7 +134,9 @@ impl Trained {
         check_measurable(self.run.path(), &self.config)?;
         let (model, runtime) = (&self.model, &self.runtime);
         let report = SmoothnessReport::measure(model, &self.scene, lattice, self.protocol(), runtime, events)?;
-        report.write(&self.run.smoothness())?;
+        if self.run.is_writable() {
+            report.write(&self.run.smoothness())?;
+        }
         Ok(report)
     }
 }

@@ -16,7 +16,8 @@ use super::{Protocol, RenderedView, Report, RunDir, Viewer, load_scene, surface_
 
 /// The newest checkpoint of a run, with its scene: everything that can be looked at or measured.
 ///
-/// Its folder is locked as long as this value lives: no training may prune the checkpoint that is being read.
+/// Its folder is locked as long as this value lives: no training may prune the checkpoint that is being read. One that this
+/// process cannot write is read all the same.
 ///
 /// ```
 /// use augnerf::run::Trained;
@@ -62,7 +63,7 @@ impl Trained {
     /// [`Error::Output`](crate::base::Error::Output): a run that another process holds;
     /// [`Error::Data`](crate::base::Error::Data): a scene that cannot be read.
     pub fn open(run: &Path, data: Option<&Path>, runtime: &Runtime, events: &dyn Listener) -> Result<Trained> {
-        let run = RunDir::take(run)?;
+        let run = RunDir::take_to_read(run)?;
         let mut config = run.read_config()?;
         if let Some(dir) = data {
             config.data.dir = dir.to_string_lossy().into_owned();
@@ -93,9 +94,17 @@ impl Trained {
     /// # Errors
     /// A surface that the scene cannot have; weights that are not numbers; files that cannot be written.
     pub fn evaluate(&self, lpips: &[Lpips], events: &dyn Listener) -> Result<Report> {
+        self.evaluate_into(self.run.path(), lpips, events)
+    }
+
+    /// The same with the files in another folder, as for a run on a disk that is read-only.
+    ///
+    /// # Errors
+    /// Those of [`Trained::evaluate`].
+    pub fn evaluate_into(&self, folder: &Path, lpips: &[Lpips], events: &dyn Listener) -> Result<Report> {
         surface_reference(&self.config, &self.scene)?;
         let Trained { run, state, .. } = self;
-        let measurement = Measurement { run, viewer: self.viewer(), state, lpips, events };
+        let measurement = Measurement { run, folder, viewer: self.viewer(), state, lpips, events };
         self.runtime.install(|| measurement.write(|| Ok(()), |_, _, _| Ok(())))
     }
 }
@@ -103,6 +112,8 @@ impl Trained {
 /// One evaluation of a run.
 pub(super) struct Measurement<'a> {
     pub run: &'a RunDir,
+    /// Where its files go.
+    pub folder: &'a Path,
     pub viewer: Viewer<'a>,
     pub state: &'a State,
     pub lpips: &'a [Lpips],
@@ -122,7 +133,8 @@ impl Measurement<'_> {
         let surface = self.viewer.surface(self.events, &unless_stopped)?;
         let protocol = Protocol::new(self.viewer.config, self.viewer.scene, self.state).with_lpips(self.lpips);
         let report = Report::new(views, surface, protocol, attack);
-        report.write(&self.run.metrics_json(), &self.run.metrics_csv())?;
+        let [json, csv] = RunDir::metrics_in(self.folder);
+        report.write(&json, &csv)?;
         Ok(report)
     }
 }

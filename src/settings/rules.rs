@@ -117,7 +117,10 @@ impl Rule {
     pub fn check(&self, path: impl FnOnce() -> String, value: &impl Settable) -> Result<(), SettingError> {
         match value.outside(&self.range) {
             None => Ok(()),
-            Some(value) => Err(SettingError { path: path(), value, allowed: self.allowed.into() }),
+            Some(value) => {
+                let allowed = if self.allowed.is_empty() { "at most 2^63 - 1" } else { self.allowed };
+                Err(SettingError { path: path(), value, allowed: allowed.into() })
+            }
         }
     }
 }

@@ -3,6 +3,9 @@
 use crate::augment::{Epsilon, REACH};
 use serde::de::{DeserializeOwned, Deserializer, Visitor, value::Error as Unread};
 
+/// The largest whole number that TOML can hold.
+const MOST: u64 = i64::MAX as u64;
+
 /// Values that a setting may have, as far as it alone decides.
 #[derive(Clone, Copy, Debug)]
 pub enum Range {
@@ -36,8 +39,8 @@ macro_rules! whole {
             }
 
             fn outside(&self, range: &Range) -> Option<String> {
-                let Range::Whole(least, most) = *range else { return None };
-                (!(least..=most).contains(&(*self as u64))).then(|| self.to_string())
+                let (least, most) = if let Range::Whole(least, most) = *range { (least, most) } else { (0, MOST) };
+                (!(least..=most.min(MOST)).contains(&(*self as u64))).then(|| self.to_string())
             }
         }
     )*};

@@ -85,6 +85,13 @@ pub struct AxisPoint {
 }
 
 impl Axis {
+    /// How many values it names; of several lists the longest.
+    pub(super) fn count(&self) -> usize {
+        let spans = [self.log.as_ref().map(|span| span.count), self.random.as_ref().map(|span| span.count)];
+        let lists = [self.values.as_ref().map(Vec::len), self.zip.as_ref().map(Vec::len)];
+        spans.into_iter().chain(lists).flatten().max().unwrap_or(0)
+    }
+
     /// The places on the axis, in order.
     ///
     /// # Errors

@@ -1,26 +1,30 @@
 //! Who works on a point. Runners on one machine are kept apart by the operating system's lock,
 //! which dies with its process; runners on several, and on file systems without locks, by
-//! `claim.json`, which appears whole or not at all and whose heartbeat says that its runner lives.
+//! `claim.json`, which appears whole or not at all and whose heartbeat says that its runner lives. Clocks of machines differ:
+//! whoever wants such a claim watches whether it changes, by a clock of its own.
 
+use std::collections::HashMap;
 use std::fs::{self, File, TryLockError};
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::JoinHandle;
-use std::time::{Duration, SystemTime};
+use std::time::{Duration, Instant, SystemTime};
 
 use serde::{Deserialize, Serialize};
 
-use crate::base::files::write_json;
+use crate::base::files::{create_whole, json_bytes, write_json};
 use crate::base::{Error, Result};
 use crate::runtime::host_name;
 
 const LOCK: &str = "claim.lock";
-const CLAIM: &str = "claim.json";
+pub(super) const CLAIM: &str = "claim.json";
 /// Between two heartbeats.
 const BEAT: Duration = Duration::from_secs(5);
 /// A claim that no lock speaks for is dead after so long without a heartbeat.
 const DEAD_AFTER: Duration = Duration::from_secs(180);
+/// The same of one whose date says that it is so old: the date alone may be that of a clock that is behind.
+const OLD_IS_DEAD_AFTER: Duration = Duration::from_secs(16);
 /// Two runners that take over the claim of a dead third see within this who wrote last.
 const SETTLING: Duration = Duration::from_secs(2);
 
@@ -57,8 +61,28 @@ pub struct Claimed {
     pub seconds_left: Option<f64>,
     /// Runners that died with this point.
     pub deaths: u32,
-    /// The runner works on it.
+    /// The runner works on it, as far as locks and dates say.
     pub alive: bool,
+    /// Its date lies in the future: whether its runner lives takes minutes to tell.
+    pub ahead: bool,
+}
+
+impl Claimed {
+    /// The runner, for a person, and what stands against believing in it.
+    pub fn who(&self) -> String {
+        let Claimed { host, pid, .. } = self;
+        let minutes = DEAD_AFTER.as_secs() / 60;
+        match (self.ahead, self.alive) {
+            (true, _) => format!(
+                "{host} (process {pid}; its claim is dated in the future, so that a runner takes it over when it has not \
+                 changed for {minutes} minutes)"
+            ),
+            (false, true) => format!("{host} (process {pid})"),
+            (false, false) => {
+                format!("{host} (process {pid}; it seems to be dead, and is watched before it is taken over)")
+            }
+        }
+    }
 }
 
 /// How far a point is, written by its training and read by the heartbeat.
@@ -83,6 +107,63 @@ impl Beat {
     }
 }
 
+/// What one process saw of claims that no lock speaks for.
+#[derive(Debug)]
+pub struct Watch {
+    /// How long a claim may stay as it is, and how long where its date says that it is old.
+    patience: [Duration; 2],
+    /// Each as it was when it was last seen to change, and when that was.
+    seen: Mutex<HashMap<PathBuf, (Vec<u8>, Instant)>>,
+}
+
+impl Default for Watch {
+    fn default() -> Watch {
+        Watch::with_patience(DEAD_AFTER, OLD_IS_DEAD_AFTER)
+    }
+}
+
+impl Watch {
+    /// One that takes a claim for dead after `quiet` without a change, or after `old` where its date says that it is old.
+    pub fn with_patience(quiet: Duration, old: Duration) -> Watch {
+        Watch { patience: [quiet, old], seen: Mutex::default() }
+    }
+
+    /// Whether a claim has not changed for so long that its runner must be dead. The first look at one never says so.
+    fn is_dead(&self, file: &Path) -> bool {
+        // Where it just went, its runner was alive.
+        let Ok(now) = fs::read(file) else { return false };
+        let [quiet, old] = self.patience;
+        let patience = if pulse(file) == Pulse::Old { old } else { quiet };
+        let mut seen = self.seen.lock().unwrap_or_else(PoisonError::into_inner);
+        match seen.get(file) {
+            Some((before, since)) if *before == now => since.elapsed() >= patience,
+            _ => {
+                seen.insert(file.to_path_buf(), (now, Instant::now()));
+                false
+            }
+        }
+    }
+}
+
+/// What the date of a claim says, next to this machine's clock.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Pulse {
+    Beats,
+    Old,
+    /// Dated further ahead than a beat is long: one of the clocks is wrong.
+    Ahead,
+}
+
+fn pulse(file: &Path) -> Pulse {
+    let Ok(at) = fs::metadata(file).and_then(|metadata| metadata.modified()) else { return Pulse::Old };
+    match SystemTime::now().duration_since(at) {
+        Ok(age) if age < DEAD_AFTER => Pulse::Beats,
+        Ok(_) => Pulse::Old,
+        Err(ahead) if ahead.duration() < DEAD_AFTER => Pulse::Beats,
+        Err(_) => Pulse::Ahead,
+    }
+}
+
 /// A point taken by this process until the value is dropped.
 #[derive(Debug)]
 pub struct Claim {
@@ -100,8 +181,9 @@ pub struct Claim {
 }
 
 impl Claim {
-    /// Takes the point in `folder` unless another runner works on it.
-    pub fn take(folder: &Path) -> Result<Option<Claim>> {
+    /// Takes the point in `folder` unless another runner works on it. The claim of a runner on another machine is taken over
+    /// once `watch` has seen that it no longer changes: ask again.
+    pub fn take(folder: &Path, watch: &Watch) -> Result<Option<Claim>> {
         let path = folder.join(LOCK);
         let lock = File::options().create(true).truncate(false).write(true).open(&path);
         let lock = lock.map_err(|e| Error::unwritable(&path, &e))?;
@@ -121,7 +203,7 @@ impl Claim {
             over: Arc::default(),
             heart: None,
         };
-        if !claim.sign_first(locked)? {
+        if !claim.sign_first(locked, watch)? {
             return Ok(None);
         }
         claim.heart = Some(claim.start_heart());
@@ -129,14 +211,14 @@ impl Claim {
     }
 
     /// Writes `claim.json` unless a living runner has.
-    fn sign_first(&mut self, locked: bool) -> Result<bool> {
+    fn sign_first(&mut self, locked: bool, watch: &Watch) -> Result<bool> {
         if !self.file.exists() {
             return self.create();
         }
         let sign = read(&self.file);
         // The lock speaks for this machine's runners; the heartbeat for all others.
         let unseen = !locked || sign.as_ref().is_none_or(|sign| sign.host != host_name());
-        if unseen && beats(&self.file) {
+        if unseen && !watch.is_dead(&self.file) {
             return Ok(false);
         }
         if let Some(sign) = sign {
@@ -151,13 +233,8 @@ impl Claim {
 
     /// Creates `claim.json`, whole, unless another runner just did.
     fn create(&self) -> Result<bool> {
-        let whole = self.file.with_file_name(format!("{CLAIM}.{}", self.nonce));
-        write_json(&whole, &self.sign(0.0))?;
-        let linked = fs::hard_link(&whole, &self.file);
-        let _ = fs::remove_file(&whole);
-        match linked {
-            Ok(()) => Ok(true),
-            Err(error) if error.kind() == std::io::ErrorKind::AlreadyExists => Ok(false),
+        match json_bytes(&self.sign(0.0)).and_then(|bytes| create_whole(&self.file, &bytes)) {
+            Ok(created) => Ok(created),
             // No hard links here: the lock, or settling, has to do.
             Err(_) => self.signer()(0.0).map(|()| self.holds()),
         }
@@ -205,7 +282,9 @@ impl Claim {
         let file = folder.join(CLAIM);
         let sign = read(&file)?;
         let here = sign.host == host_name();
-        let alive = if here { is_locked(&folder.join(LOCK)).unwrap_or_else(|| beats(&file)) } else { beats(&file) };
+        let pulse = pulse(&file);
+        let locked = if here { is_locked(&folder.join(LOCK)) } else { None };
+        let alive = locked.unwrap_or(pulse == Pulse::Beats);
         let done = sign.step.saturating_sub(sign.first);
         let left = sign.steps.saturating_sub(sign.step);
         Some(Claimed {
@@ -216,6 +295,7 @@ impl Claim {
             steps: sign.steps,
             deaths: sign.deaths,
             alive,
+            ahead: locked.is_none() && pulse == Pulse::Ahead,
         })
     }
 }
@@ -253,11 +333,6 @@ fn nonce() -> u64 {
 
 fn read(file: &Path) -> Option<Sign> {
     serde_json::from_slice(&fs::read(file).ok()?).ok()
-}
-
-fn beats(file: &Path) -> bool {
-    let modified = fs::metadata(file).and_then(|metadata| metadata.modified());
-    modified.is_ok_and(|at| SystemTime::now().duration_since(at).unwrap_or_default() < DEAD_AFTER)
 }
 
 /// None where the file system has no locks.

@@ -1,14 +1,15 @@
 //! Tables and figures of a sweep, from its files alone.
 
-use std::path::Path;
+use std::fs::File;
+use std::path::{Path, PathBuf};
 
-use crate::base::files::write_atomic;
+use crate::base::files::{clean_temporaries, remove, wait_and_hold, write_atomic};
 use crate::base::{Error, Result};
 
 use super::definition::Definition;
 use super::material::Material;
 use super::points::Point;
-use crate::report::exporters::{Collected, EXPORTERS};
+use crate::report::exporters::{Collected, EXPORTERS, File as Export};
 use crate::report::plots::Curve;
 use crate::report::tables::Table;
 use crate::report::{Status, TableSpec};
@@ -29,17 +30,54 @@ pub struct Collector<'a> {
     pub with_timing: bool,
 }
 
+/// A results' folder, taken until the value is dropped: of several processes that collect into one folder each writes what it saw
+/// when it had it. Where folders cannot be locked, files are whole all the same.
+pub struct Results {
+    path: PathBuf,
+    _held: Option<File>,
+}
+
+impl Results {
+    /// Makes the folder, waits for whoever has it, and deletes what killed processes left there.
+    pub fn take(path: &Path) -> Result<Results> {
+        std::fs::create_dir_all(path).map_err(|e| Error::unwritable(path, &e))?;
+        let held = wait_and_hold(path);
+        if held.is_some() {
+            clean_temporaries(path)?;
+        }
+        Ok(Results { path: path.to_path_buf(), _held: held })
+    }
+
+    /// Deletes tables and figures of an earlier time that were not written again.
+    fn delete_others(&self, written: &[Export]) -> Result<()> {
+        let own = |name: &str| EXPORTERS.iter().any(|exporter| exporter.needs_table() && exporter.owns(name));
+        for entry in std::fs::read_dir(&self.path).map_err(|e| Error::unreadable(&self.path, &e))? {
+            let path = entry.map_err(|e| Error::unreadable(&self.path, &e))?.path();
+            let Some(name) = path.file_name().map(|name| name.to_string_lossy()) else { continue };
+            if own(&name) && !written.iter().any(|(written, _)| *written == name) {
+                remove(&path).map_err(|e| Error::unwritable(&path, &e))?;
+            }
+        }
+        Ok(())
+    }
+}
+
 /// Takes a file by its name below the results' folder.
 pub type Taking<'a> = &'a mut dyn FnMut(&str, &[u8]) -> Result<()>;
 
 impl Collector<'_> {
     /// Writes the files of all exporters, and what `augnerf verify` makes them of again. Those that show no rows side by
     /// side are written even where rows may not be put so. Returns the table.
-    pub fn write(&self, results: &Path) -> Result<Table> {
-        std::fs::create_dir_all(results).map_err(|e| Error::unwritable(results, &e))?;
-        clear(results)?;
-        self.material.archive(self.definition, self.points, self.name, results)?;
-        self.files(&mut |name, bytes| write_atomic(&results.join(name), bytes))
+    pub fn write(&self, results: &Results) -> Result<Table> {
+        self.material.archive(self.definition, self.points, self.name, &results.path)?;
+        let mut files = Vec::new();
+        let table = self.files(&mut |name, bytes| {
+            files.push((name.to_string(), bytes.to_vec()));
+            Ok(())
+        });
+        files.iter().try_for_each(|(name, bytes)| write_atomic(&results.path.join(name), bytes))?;
+        results.delete_others(&files)?;
+        table
     }
 
     /// Hands over the files of all exporters, those first that show no rows side by side: the others are not made where
@@ -90,18 +128,6 @@ fn export(collected: &Collected, take: Taking) -> Result<()> {
     for exporter in EXPORTERS.into_iter().filter(|exporter| exporter.needs_table() == collected.table.is_some()) {
         for (name, bytes) in exporter.export(collected)? {
             take(&name, &bytes)?;
-        }
-    }
-    Ok(())
-}
-
-/// Deletes tables and figures of an earlier time, which may not be written again.
-fn clear(results: &Path) -> Result<()> {
-    let own = |name: &str| EXPORTERS.iter().any(|exporter| exporter.needs_table() && exporter.owns(name));
-    for entry in std::fs::read_dir(results).map_err(|e| Error::unreadable(results, &e))? {
-        let path = entry.map_err(|e| Error::unreadable(results, &e))?.path();
-        if path.file_name().is_some_and(|name| own(&name.to_string_lossy())) {
-            std::fs::remove_file(&path).map_err(|e| Error::unwritable(&path, &e))?;
         }
     }
     Ok(())

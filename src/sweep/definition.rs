@@ -1,6 +1,6 @@
 //! A sweep as its file describes it: what all points share, named rows, axes, seeds, scenes.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, HashMap};
 use std::path::Path;
 
 use serde::{Deserialize, Serialize};
@@ -12,9 +12,6 @@ use super::axes::Axis;
 use super::extends;
 use crate::metrics::{Metric, Scope};
 use crate::report::{AxisValue, PublishedKey, RowSpec};
-
-/// More points than anyone means.
-const MOST_POINTS: usize = 10_000;
 
 /// A sweep file.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -203,96 +200,6 @@ impl Definition {
         self.check().map_err(Error::Config)
     }
 
-    fn check(&self) -> std::result::Result<(), String> {
-        self.check_lists()?;
-        self.check_references()?;
-        self.check_margins()?;
-        self.all_axes().try_for_each(check_axis)?;
-        self.check_words()?;
-        if let Some(row) = self.row.iter().find(|row| !row.axes && !row.axis.is_empty()) {
-            return Err(format!("row '{}' has axes of its own and axes = false; remove one of them", row.name));
-        }
-        self.rows()
-            .iter()
-            .filter_map(|row| Some((row, row.published.as_ref()?)))
-            .try_for_each(|(row, key)| key.check().map_err(|message| format!("row '{}' {message}", row.name)))?;
-        let count = self.count();
-        if count > MOST_POINTS {
-            return Err(format!(
-                "{count} points ({} scenes x {} seeds x rows and axes) are more than {MOST_POINTS}: split the sweep, or \
-                 set combine = \"one-at-a-time\"",
-                self.scenes.len(),
-                self.seeds.len()
-            ));
-        }
-        Ok(())
-    }
-
-    /// Scenes, seeds, metrics and rows are there, each once.
-    fn check_lists(&self) -> std::result::Result<(), String> {
-        let scenes: Vec<&str> = self.scenes.iter().map(|scene| scene_name(scene)).collect();
-        not_empty_and_distinct("scenes", &scenes)?;
-        not_empty_and_distinct("seeds", &self.seeds)?;
-        if let Some(seed) = self.seeds.iter().find(|seed| i64::try_from(**seed).is_err()) {
-            return Err(format!("seeds: {seed} is out of range: a seed is at most 2^63 - 1"));
-        }
-        not_empty_and_distinct("metrics", &self.metrics)?;
-        let names: Vec<&str> = self.row.iter().map(|row| row.name.as_str()).collect();
-        not_empty_and_distinct("rows", &names)?;
-        if let Some(row) = names.iter().find(|name| name.trim().is_empty()) {
-            return Err(format!("a row's name is '{row}'; give it the name that the table prints"));
-        }
-        let exists = |key: &String| Metric::in_tables().any(|metric| metric.key == key);
-        if let Some(key) = self.metrics.iter().find(|key| !exists(key)) {
-            let known: Vec<&str> = Metric::in_tables().map(|metric| metric.key).collect();
-            return Err(format!("metric '{key}' does not exist; choose from {}", known.join(", ")));
-        }
-        Ok(())
-    }
-
-    /// What is named as a row is one.
-    fn check_references(&self) -> std::result::Result<(), String> {
-        let names: Vec<&str> = self.row.iter().map(|row| row.name.as_str()).collect();
-        let known = |what: &str, name: &str| match names.contains(&name) {
-            true => Ok(()),
-            false => Err(format!("{what} = '{name}' is no row; the rows are {}", names.join(", "))),
-        };
-        if let Some(baseline) = &self.baseline {
-            known("baseline", baseline)?;
-        }
-        if let Some(budget) = &self.budget {
-            known("budget.like", &budget.like)?;
-        }
-        if !self.quoted.is_empty() && self.published.is_none() {
-            return Err("quoted names methods of a published table; say which with published = \"tab1\"".into());
-        }
-        if let Some(quoted) = self.quoted.iter().find(|quoted| names.contains(&quoted.as_str())) {
-            return Err(format!("quoted = '{quoted}' is a row that is run; remove one of them"));
-        }
-        for row in &self.row {
-            if let Some(baseline) = &row.baseline {
-                known(&format!("the baseline of row '{}'", row.name), baseline)?;
-            }
-            if let Some(budget) = &row.budget {
-                known(&format!("budget.like of row '{}'", row.name), &budget.like)?;
-            }
-        }
-        Ok(())
-    }
-
-    /// Points before equal ones are merged.
-    fn count(&self) -> usize {
-        let of_axes = |axes: &[Axis]| {
-            let mut values = axes.iter().map(|axis| axis.points().map_or(0, |points| points.len()));
-            match self.combine {
-                Combine::Product => values.fold(1, usize::saturating_mul),
-                Combine::OneAtATime => values.by_ref().sum::<usize>().max(1),
-            }
-        };
-        let of_rows = self.row.iter().map(|row| of_axes(self.axes_of(row))).fold(0, usize::saturating_add);
-        of_rows.saturating_mul(self.scenes.len()).saturating_mul(self.seeds.len())
-    }
-
     /// The row that a row is compared with; none for a baseline.
     fn baseline_of(&self, row: &Row) -> Option<String> {
         let named = row.baseline.as_ref().or(self.baseline.as_ref())?;
@@ -313,10 +220,15 @@ impl Definition {
         self.axis.iter().chain(self.row.iter().flat_map(|row| &row.axis))
     }
 
-    /// Which axis a value is of, and where on it: the definition's order.
-    pub(super) fn axis_position(&self, named: &AxisValue) -> Option<(usize, usize)> {
-        let on = |axis: &Axis| axis.points().ok()?.iter().position(|point| axis.named(point) == *named);
-        self.all_axes().enumerate().find_map(|(index, axis)| Some((index, on(axis)?)))
+    /// Which axis each value is of, the first one that has it, and where on it: the definition's order.
+    pub(super) fn axis_positions(&self) -> HashMap<AxisValue, (usize, usize)> {
+        let mut positions = HashMap::new();
+        for (index, axis) in self.all_axes().enumerate() {
+            for (place, point) in axis.points().unwrap_or_default().iter().enumerate() {
+                positions.entry(axis.named(point)).or_insert((index, place));
+            }
+        }
+        positions
     }
 
     /// The rows as tables know them, those that are quoted first.
@@ -355,24 +267,4 @@ fn checked(parsed: std::result::Result<Definition, toml::de::Error>, origin: &st
 /// The name of a scene in tables: its folder's last component.
 pub(super) fn scene_name(scene: &str) -> &str {
     scene.trim_end_matches('/').rsplit('/').next().unwrap_or(scene)
-}
-
-fn check_axis(axis: &Axis) -> std::result::Result<(), String> {
-    let panel = if axis.panel.is_empty() { String::new() } else { format!(" of '{}'", axis.panel) };
-    let what = format!("axis '{}'{panel}", axis.name);
-    not_empty_and_distinct(&format!("keys of {what}"), &axis.keys)?;
-    let points = axis.points().map_err(|message| format!("{what}: {message}"))?;
-    let labels: Vec<&str> = points.iter().map(|point| point.label.as_str()).collect();
-    not_empty_and_distinct(&format!("values of {what}"), &labels)
-}
-
-fn not_empty_and_distinct<T: PartialEq + std::fmt::Display>(
-    what: &str,
-    values: &[T],
-) -> std::result::Result<(), String> {
-    if values.is_empty() {
-        return Err(format!("{what}: there are none; name at least one"));
-    }
-    let twice = values.iter().enumerate().find(|(i, value)| values[..*i].contains(value));
-    twice.map_or(Ok(()), |(_, value)| Err(format!("{what}: '{value}' is named twice")))
 }

@@ -12,6 +12,7 @@
 
 mod axes;
 mod budget;
+mod checks;
 mod claim;
 mod collect;
 mod comparability;
@@ -21,6 +22,7 @@ mod folder;
 mod layout;
 mod material;
 mod planning;
+mod point_folder;
 mod points;
 mod provenance;
 mod runner;
@@ -29,13 +31,14 @@ mod words;
 
 pub use axes::{Axis, AxisPoint, RandomSpan, Scale, Span};
 pub use budget::{StepCosts, evaluations_per_step, steps_within};
-pub use claim::{Beat, Claim, Claimed};
-pub use collect::Collector;
+pub use claim::{Beat, Claim, Claimed, Watch};
+pub use collect::{Collector, Results};
 pub use definition::{Budget, BudgetKind, Combine, Definition, Overrides, Row};
-pub use folder::{Change, Failure, PointFolder, PointResult, PointState, SweepFolder};
+pub use folder::{Change, SweepFolder};
 pub use layout::Place;
 pub use material::{Material, Scalars};
 pub use planning::{CostGroup, begin, plan_costs};
+pub use point_folder::{Failure, PointFolder, PointResult, PointState};
 pub use points::{Point, expand};
 pub use provenance::{Missing, Provenance};
 pub use runner::{Options, Runner, Work};

@@ -1,6 +1,6 @@
 //! The points of a sweep: decided once, when its folder is begun, and read from there afterwards.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, HashSet};
 use std::path::{Path, PathBuf};
 use std::sync::Mutex;
 
@@ -59,7 +59,11 @@ pub struct CostGroup<'a> {
 }
 
 /// Measures what points cost on this machine, each shape once, and hands each group over as soon as it is known.
-pub fn plan_costs(points: &[&Point], trainings: &Trainings, mut each: impl FnMut(CostGroup)) -> Result<()> {
+pub fn plan_costs(
+    points: &[&Point],
+    trainings: &Trainings,
+    mut each: impl FnMut(CostGroup) -> Result<()>,
+) -> Result<()> {
     let mut groups: BTreeMap<(String, u64), Vec<&Point>> = BTreeMap::new();
     for point in points {
         groups.entry((point.config.step_shape(), point.config.train.steps)).or_default().push(point);
@@ -72,7 +76,7 @@ pub fn plan_costs(points: &[&Point], trainings: &Trainings, mut each: impl FnMut
             _ => trainings.cost(&points[0].config)?,
         };
         known = Some((shape, cost));
-        each(CostGroup { points, cost, seconds: cost.seconds(*steps) });
+        each(CostGroup { points, cost, seconds: cost.seconds(*steps) })?;
     }
     Ok(())
 }
@@ -102,7 +106,8 @@ fn refusal(folder: &SweepFolder, laid: &[Laid], before: &[Point]) -> Error {
     let counted = match apply_budgets(laid, &Unknown) {
         Ok(now) => {
             let missing = |from: &[Point], other: &[Point]| {
-                from.iter().filter(|point| other.iter().all(|known| known.id != point.id)).count()
+                let known: HashSet<&str> = other.iter().map(|point| point.id.as_str()).collect();
+                from.iter().filter(|point| !known.contains(point.id.as_str())).count()
             };
             format!(
                 ": this one has {} points that it had not, and lacks {} that it had",
@@ -150,7 +155,11 @@ struct KeptCosts<'a> {
 impl<'a> KeptCosts<'a> {
     fn new(folder: &SweepFolder, measure: &'a dyn StepCosts) -> Result<KeptCosts<'a>> {
         let path = folder.step_seconds();
-        let known = read_json(&path, "delete it")?.unwrap_or_default();
+        let known: BTreeMap<String, f64> = read_json(&path, "delete it")?.unwrap_or_default();
+        if let Some((shape, seconds)) = known.iter().find(|(_, seconds)| **seconds <= 0.0) {
+            let found = format!("a step of {shape} takes {seconds} s, which no step does");
+            return Err(Error::Checkpoint(format!("cannot use {}: {found}; delete it", path.display())));
+        }
         Ok(KeptCosts { path, known: Mutex::new(known), measure })
     }
 }

@@ -2,14 +2,16 @@
 //! earlier one was stopped or killed.
 
 use std::collections::HashMap;
+use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::time::{Duration, SystemTime};
 
 use crate::base::{Class, Error, Event, Listener, Result};
 use crate::runtime::Runtime;
 
-use super::claim::{Beat, Claim};
-use super::folder::{Failure, PointFolder, PointResult, SweepFolder};
+use super::claim::{Beat, Claim, Watch};
+use super::folder::SweepFolder;
+use super::point_folder::{Failure, PointFolder, PointResult};
 use super::points::Point;
 
 /// Between two looks at points that other runners work on.
@@ -65,8 +67,8 @@ pub struct Runner<'a> {
 /// What a runner does next.
 enum Next<'a> {
     Run(&'a Point, PointFolder, Claim),
-    /// Others work on all that is left.
-    Wait,
+    /// Others work on all that is left: who they are.
+    Wait(Vec<String>),
     Nothing,
 }
 
@@ -75,20 +77,27 @@ impl Runner<'_> {
     /// one of the whole sweep (a full disk, a signal); failed points are in the folder.
     pub fn run(&self) -> Result<()> {
         let runnable: Vec<&Point> = self.points.iter().filter(|point| point.no_data.is_none()).collect();
+        let watch = Watch::default();
         for point in &runnable {
-            self.folder.point(&point.id).begin(point)?;
+            let folder = self.folder.point(&point.id);
+            folder.begin(point)?;
+            folder.tidy(&watch)?;
         }
         let again = self.to_do_again(&runnable)?;
         let failed = AtomicBool::new(false);
+        let said = Mutex::new(Vec::new());
         let worker = || -> Result<()> {
             let runtime = self.runtime.share(self.options.jobs)?;
             loop {
                 if failed.load(Ordering::SeqCst) && self.options.fail_fast {
                     return Ok(());
                 }
-                match self.next(&runnable, &again)? {
+                match self.next(&runnable, &again, &watch)? {
                     Next::Nothing => return Ok(()),
-                    Next::Wait => std::thread::sleep(LOOK_EVERY),
+                    Next::Wait(others) => {
+                        self.say_who_works(others, &said);
+                        std::thread::sleep(LOOK_EVERY);
+                    }
                     Next::Run(point, folder, claim) => {
                         if runtime.install(|| self.run_point(point, &folder, &runtime, claim))?.is_err() {
                             failed.store(true, Ordering::SeqCst);
@@ -123,8 +132,18 @@ impl Runner<'_> {
         Ok(again)
     }
 
-    fn next<'a>(&self, points: &[&'a Point], again: &HashMap<String, SystemTime>) -> Result<Next<'a>> {
-        let mut others = false;
+    /// Says for whom is waited, when that changes.
+    fn say_who_works(&self, others: Vec<String>, said: &Mutex<Vec<String>>) {
+        let mut said = said.lock().expect("no panic while speaking");
+        if *said != others {
+            let who = others.join(", ");
+            self.events.on(Event::Note(&format!("waiting for points that others work on: {who}")));
+            *said = others;
+        }
+    }
+
+    fn next<'a>(&self, points: &[&'a Point], again: &HashMap<String, SystemTime>, watch: &Watch) -> Result<Next<'a>> {
+        let mut others = Vec::new();
         for point in points {
             self.check_stop()?;
             let folder = self.folder.point(&point.id);
@@ -135,8 +154,8 @@ impl Runner<'_> {
             if folder.ended() && !again() {
                 continue;
             }
-            let Some(claim) = Claim::take(folder.path())? else {
-                others = true;
+            let Some(claim) = Claim::take(folder.path(), watch)? else {
+                others.push(Claim::look(folder.path()).map_or("a runner that just began".into(), |claim| claim.who()));
                 continue;
             };
             // Another runner may have finished it between the look and the claim.
@@ -146,7 +165,9 @@ impl Runner<'_> {
                 return Ok(Next::Run(point, folder, claim));
             }
         }
-        Ok(if others { Next::Wait } else { Next::Nothing })
+        others.sort();
+        others.dedup();
+        Ok(if others.is_empty() { Next::Nothing } else { Next::Wait(others) })
     }
 
     fn check_stop(&self) -> Result<()> {

@@ -17,7 +17,7 @@ use crate::train::Trainer;
 
 use super::budget::StepCosts;
 use super::claim::Beat;
-use super::folder::{PointFolder, PointResult};
+use super::point_folder::{PointFolder, PointResult};
 use super::points::Point;
 use super::runner::Work;
 

@@ -1,23 +1,23 @@
 //! Checkpoints: parameters, moments and counters of a run.
 //!
 //! A checkpoint is a folder `checkpoints/step_000001000` with `state.safetensors` (parameters
-//! `coarse.trunk.0.weight`, moments `adam.first.coarse...`, `adam.second.coarse...`), `state.json`
-//! and `config.toml`. The folder appears whole or not at all. Random numbers are functions of
-//! the step, so no generator state is kept.
+//! `coarse.trunk.0.weight`, moments `adam.first.coarse...`, `adam.second.coarse...`), `state.json`,
+//! `config.toml`, and the checksums of these in `SHA256SUMS`. The folder appears whole or not at all, and goes in the same way.
+//! Random numbers are functions of the step, so no generator state is kept.
 
 use std::path::{Path, PathBuf};
 
 use candle_core::{DType, Device, Tensor};
 use serde::{Deserialize, Serialize};
 
-use crate::base::files::{AtomicDir, clean_temporaries, write_atomic, write_json};
+use crate::base::files::{AtomicDir, clean_temporaries, discard, json_bytes};
 use crate::base::{Error, Result, revision};
 use crate::data::Scene;
 use crate::methods::{Model, Start};
 use crate::runtime::Runtime;
 use crate::settings::{Config, Resolved};
 
-use super::{Adam, Moments, Trainer};
+use super::{Adam, Moments, Trainer, sums};
 
 const FORMAT: u32 = 1;
 const TENSORS: &str = "state.safetensors";
@@ -72,12 +72,78 @@ pub fn list(checkpoints: &Path) -> Result<Vec<(u64, PathBuf)>> {
     for entry in entries {
         let entry = entry.map_err(|error| Error::unreadable(checkpoints, &error))?;
         let name = entry.file_name().to_string_lossy().into_owned();
-        if let Some(step) = name.strip_prefix("step_").and_then(|digits| digits.parse().ok()) {
+        if let Some(step) = step_of(&name) {
             found.push((step, entry.path()));
         }
     }
     found.sort();
     Ok(found)
+}
+
+/// The step that a checkpoint's folder is named for.
+fn step_of(name: &str) -> Option<u64> {
+    let digits = name.strip_prefix("step_")?;
+    digits.bytes().all(|byte| byte.is_ascii_digit()).then(|| digits.parse().ok())?
+}
+
+/// What is wrong with a checkpoint's files, if anything is: one is missing, or is not what was written.
+///
+/// # Errors
+/// A file that the system does not read.
+fn flaw(checkpoint: &Path) -> Result<Option<String>> {
+    let read = |name: &str| {
+        let path = checkpoint.join(name);
+        let found = sums::read(checkpoint, name).map_err(|error| unreadable(&path, &error))?;
+        Ok::<_, Error>(found.map_err(|reason| format!("{name}: {reason}")))
+    };
+    let flaw = match (read(TENSORS)?, read(STATE)?) {
+        (Err(reason), _) | (_, Err(reason)) => Some(reason),
+        (Ok(tensors), Ok(state)) => {
+            let named = checkpoint.file_name().and_then(|name| step_of(&name.to_string_lossy()));
+            let tensors = safetensors::SafeTensors::deserialize(&tensors).err().map(|e| format!("{TENSORS}: {e}"));
+            tensors.or_else(|| match serde_json::from_slice::<State>(&state) {
+                Err(error) => Some(format!("{STATE}: {error}")),
+                Ok(State { step, .. }) if named != Some(step) => Some(format!("{STATE}: it is of step {step}")),
+                Ok(_) => None,
+            })
+        }
+    };
+    Ok(flaw)
+}
+
+/// The newest checkpoint that is whole, none where there is no checkpoint, and a sentence for each newer one, which is damaged.
+/// Those are deleted: training writes them again.
+///
+/// # Errors
+/// A file that the system does not read; checkpoints of which none is whole.
+pub fn newest_whole(checkpoints: &Path) -> Result<(Option<PathBuf>, Vec<String>)> {
+    let mut damaged: Vec<(PathBuf, String)> = Vec::new();
+    for (_, folder) in list(checkpoints)?.into_iter().rev() {
+        let Some(reason) = flaw(&folder)? else {
+            for (damaged, _) in &damaged {
+                discard(damaged).map_err(|error| Error::unwritable(damaged, &error))?;
+            }
+            let note = |(damaged, reason): (PathBuf, String)| {
+                format!(
+                    "{} is damaged ({reason}): deleted, training goes on from {}",
+                    damaged.display(),
+                    folder.display()
+                )
+            };
+            let notes = damaged.into_iter().map(note).collect();
+            return Ok((Some(folder), notes));
+        };
+        damaged.push((folder, reason));
+    }
+    match damaged.first() {
+        None => Ok((None, Vec::new())),
+        Some((folder, reason)) => Err(Error::Checkpoint(format!(
+            "no checkpoint in {} is whole; of the newest, {} is damaged ({reason}): bring back a copy, or delete them to train \
+             from the first step",
+            checkpoints.display(),
+            folder.display()
+        ))),
+    }
 }
 
 /// The newest checkpoint.
@@ -115,8 +181,8 @@ pub fn check_config(checkpoint: &Path, state: &State, config: &Config) -> Result
 /// The counters of a checkpoint.
 pub fn load_state(checkpoint: &Path) -> Result<State> {
     let path = checkpoint.join(STATE);
-    let text = std::fs::read_to_string(&path).map_err(|e| broken(&path, &e.to_string()))?;
-    let state: State = serde_json::from_str(&text).map_err(|e| broken(&path, &e.to_string()))?;
+    let bytes = read(checkpoint, STATE)?;
+    let state: State = serde_json::from_slice(&bytes).map_err(|e| broken(&path, &e.to_string()))?;
     if state.format != FORMAT {
         let found = format!("its format is {}, this program reads {FORMAT}", state.format);
         return Err(damaged(&path, &found));
@@ -131,7 +197,23 @@ fn damaged(path: &Path, found: &str) -> Error {
 /// A file that is not whole: the checkpoint before it may be.
 fn broken(path: &Path, found: &str) -> Error {
     let folder = path.parent().unwrap_or(path).display();
-    damaged(path, &format!("{found}; delete {folder} to fall back on the checkpoint before it"))
+    damaged(
+        path,
+        &format!(
+            "{found}; `augnerf resume` goes on from the checkpoint before it, and without {folder} that one is measured"
+        ),
+    )
+}
+
+fn unreadable(path: &Path, error: &std::io::Error) -> Error {
+    damaged(path, &error.to_string())
+}
+
+/// A file of a checkpoint as it was written.
+fn read(checkpoint: &Path, name: &str) -> Result<Vec<u8>> {
+    let path = checkpoint.join(name);
+    let found = sums::read(checkpoint, name).map_err(|error| unreadable(&path, &error))?;
+    found.map_err(|reason| broken(&path, &reason))
 }
 
 /// The tensors of a checkpoint by name.
@@ -144,7 +226,7 @@ struct Tensors {
 impl Tensors {
     fn open(checkpoint: &Path, dtype: DType, device: &Device) -> Result<Tensors> {
         let path = checkpoint.join(TENSORS);
-        let bytes = std::fs::read(&path).map_err(|e| broken(&path, &e.to_string()))?;
+        let bytes = read(checkpoint, TENSORS)?;
         let tensors = candle_core::safetensors::load_buffer(&bytes, device)
             .map_err(|e| broken(&path, &format!("it is not a whole safetensors file ({e})")))?;
         Ok(Tensors { path, tensors, dtype })
@@ -185,21 +267,22 @@ impl Trainer {
 
     fn write(&self, target: &Path) -> Result<()> {
         let dir = AtomicDir::new(target)?;
-        write_atomic(&dir.path().join(TENSORS), &self.tensor_bytes()?)?;
-        write_json(&dir.path().join(STATE), &self.state())?;
-        write_atomic(&dir.path().join(CONFIG), self.config.to_toml().as_bytes())?;
+        let (tensors, config) = (self.tensor_bytes()?, self.config.to_toml());
+        let state = json_bytes(&self.state()).expect("counters are plain data");
+        sums::write(dir.path(), &[(TENSORS, &tensors), (STATE, &state), (CONFIG, config.as_bytes())])?;
         dir.commit()
     }
 
     fn prune(&self, checkpoints: &Path) -> Result<()> {
         let train = &self.config.train;
-        let scheduled = |step: u64| step.is_multiple_of(train.checkpoint_every) || step == train.steps;
+        // At step 0 only a stop leaves a checkpoint.
+        let scheduled = |step: u64| step > 0 && step.is_multiple_of(train.checkpoint_every) || step == train.steps;
         let mut kept = 0;
         for (step, old) in list(checkpoints)?.into_iter().rev() {
             kept += usize::from(scheduled(step));
             let keep = if scheduled(step) { kept <= train.keep_checkpoints } else { step == self.step };
             if !keep {
-                std::fs::remove_dir_all(&old).map_err(|e| Error::unwritable(&old, &e))?;
+                discard(&old).map_err(|e| Error::unwritable(&old, &e))?;
             }
         }
         Ok(())

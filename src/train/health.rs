@@ -47,7 +47,7 @@ fn non_finite(step: u64, tensor: &str, learning_rate: f64) -> Error {
 
 /// Steps in a row on which every ray was empty, this one included; an error where they are `limit` (0 = never).
 pub(super) fn count_empty(before: u64, stats: &StepStats, limit: u64) -> Result<u64> {
-    let empty = if stats.largest_acc < EMPTY_ACC { before + 1 } else { 0 };
+    let empty = if stats.largest_acc < EMPTY_ACC { before.saturating_add(1) } else { 0 };
     if limit == 0 || empty < limit {
         return Ok(empty);
     }

@@ -5,7 +5,7 @@ use candle_core::DType;
 use crate::base::Result;
 use crate::data::Scene;
 use crate::losses::LossTerm;
-use crate::methods::{Learner, LogColumns, Model, Start};
+use crate::methods::{Learner, LogColumns, Model, Start, UnlessStopped};
 use crate::runtime::Runtime;
 use crate::settings::Resolved;
 
@@ -13,6 +13,7 @@ pub mod checkpoint;
 mod health;
 mod optimizer;
 mod stats;
+mod sums;
 
 pub use optimizer::{Adam, Moments, learning_rate};
 pub use stats::StepStats;
@@ -119,11 +120,19 @@ impl Trainer {
     /// [`Error::Diverged`](crate::base::Error::Diverged): a loss, gradient or parameter that is not a number, or nothing but empty
     /// rays for too long.
     pub fn step(&mut self, log: bool) -> Result<StepStats> {
-        self.runtime.clone().install(|| self.step_here(log))
+        self.step_unless(log, &|| Ok(()))
     }
 
-    fn step_here(&mut self, log: bool) -> Result<StepStats> {
-        let learned = self.learner.learn(self.step, log)?;
+    /// The same with a question that is asked again and again: its error ends the step, which counts as not taken.
+    ///
+    /// # Errors
+    /// Those of [`Trainer::step`], and the question's.
+    pub fn step_unless(&mut self, log: bool, unless_stopped: &UnlessStopped) -> Result<StepStats> {
+        self.runtime.clone().install(|| self.step_here(log, unless_stopped))
+    }
+
+    fn step_here(&mut self, log: bool, unless_stopped: &UnlessStopped) -> Result<StepStats> {
+        let learned = self.learner.learn(self.step, log, unless_stopped)?;
         let gradients = learned.gradients;
         let stats = StepStats {
             step: self.step + 1,

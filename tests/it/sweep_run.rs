@@ -14,11 +14,11 @@ use augnerf::runtime::Runtime;
 use augnerf::settings::Config;
 use augnerf::sweep::{
     Beat, Change, Claim, Definition, Options, Overrides, Point, PointFolder, PointResult, Runner, StepCosts,
-    SweepFolder, Work, begin, evaluations_per_step, expand,
+    SweepFolder, Watch, Work, begin, evaluations_per_step, expand,
 };
 use tempfile::TempDir;
 
-const BASE: &str = r#"
+pub const BASE: &str = r#"
 title = "a test"
 preset = "smoke"
 scenes = ["builtin"]
@@ -34,7 +34,7 @@ set = { method = "aug-nerf", "perturb.t.steps" = 3 }
 "#;
 
 /// A step of a width-64 network takes a second, one with a perturbed pass four.
-struct Costs;
+pub struct Costs;
 
 impl StepCosts for Costs {
     fn seconds_per_step(&self, config: &Config) -> Result<f64> {
@@ -42,7 +42,7 @@ impl StepCosts for Costs {
     }
 }
 
-fn parse(text: &str) -> Result<Definition> {
+pub fn parse(text: &str) -> Result<Definition> {
     Definition::parse(text, "test.toml")
 }
 
@@ -56,7 +56,7 @@ fn labels(points: &[Point]) -> Vec<String> {
 
 /// Counts how often each point was trained; fails where it is told to.
 #[derive(Default)]
-struct Fake {
+pub struct Fake {
     trained: Mutex<BTreeMap<String, usize>>,
     fails: Vec<&'static str>,
     panics: Vec<&'static str>,
@@ -68,7 +68,7 @@ struct Fake {
 }
 
 impl Fake {
-    fn count(&self) -> usize {
+    pub fn count(&self) -> usize {
         self.trained.lock().unwrap().values().sum()
     }
 }
@@ -92,23 +92,23 @@ impl Work for Fake {
     }
 }
 
-const OPTIONS: Options =
+pub const OPTIONS: Options =
     Options { jobs: 1, fail_fast: false, retry_failed: false, most_deaths: 10, remeasure: Vec::new() };
 
-fn sweep(dir: &Path, text: &str) -> (SweepFolder, Definition, Vec<Point>) {
+pub fn sweep(dir: &Path, text: &str) -> (SweepFolder, Definition, Vec<Point>) {
     let folder = SweepFolder::new(dir);
     let definition = parse(text).unwrap();
     let points = begin(&folder, &definition, None, false, &Costs).unwrap();
     (folder, definition, points)
 }
 
-fn run(folder: &SweepFolder, points: &[Point], work: &dyn Work, options: Options) -> Result<()> {
+pub fn run(folder: &SweepFolder, points: &[Point], work: &dyn Work, options: Options) -> Result<()> {
     let stop = AtomicUsize::new(0);
     Runner { folder, points, runtime: &Runtime::new("cpu", Some(2)).unwrap(), work, options, events: &(), stop: &stop }
         .run()
 }
 
-fn statuses(folder: &SweepFolder, points: &[Point]) -> Vec<Status> {
+pub fn statuses(folder: &SweepFolder, points: &[Point]) -> Vec<Status> {
     points.iter().map(|point| folder.point(&point.id).state(point).unwrap().status).collect()
 }
 
@@ -331,8 +331,8 @@ fn a_claim_is_seen_and_the_claim_of_the_dead_is_taken_over() {
     let (folder, _, points) = sweep(dir.path(), BASE);
     let point = folder.point(&points[0].id);
     point.begin(&points[0]).unwrap();
-    let claim = Claim::take(point.path()).unwrap().unwrap();
-    assert!(Claim::take(point.path()).unwrap().is_none());
+    let claim = Claim::take(point.path(), &Watch::default()).unwrap().unwrap();
+    assert!(Claim::take(point.path(), &Watch::default()).unwrap().is_none());
     assert_eq!(statuses(&folder, &points)[0], Status::Running);
     let seen = Claim::look(point.path()).unwrap();
     assert!(seen.alive && seen.pid == std::process::id() && seen.deaths == 0);
@@ -344,7 +344,7 @@ fn a_claim_is_seen_and_the_claim_of_the_dead_is_taken_over() {
     let state = point.state(&points[0]).unwrap();
     assert_eq!(state.status, Status::Waiting);
     assert!(state.reason.contains("died"), "{}", state.reason);
-    let claim = Claim::take(point.path()).unwrap().unwrap();
+    let claim = Claim::take(point.path(), &Watch::default()).unwrap().unwrap();
     assert_eq!(claim.deaths, 1);
     // A second one after it: counted on.
     let sign = std::fs::read(point.path().join("claim.json")).unwrap();
@@ -364,7 +364,7 @@ fn deaths_count_only_without_progress() {
     let point = folder.point(&points[0].id);
     point.begin(&points[0]).unwrap();
     let die_at = |first: u64| {
-        let claim = Claim::take(point.path()).unwrap().unwrap();
+        let claim = Claim::take(point.path(), &Watch::default()).unwrap().unwrap();
         claim.beat.begin(first, 100);
         // The heart beats every few seconds: its next sign as it would be.
         let sign = claim.signed();
@@ -375,23 +375,6 @@ fn deaths_count_only_without_progress() {
     };
     assert_eq!([die_at(0), die_at(0), die_at(0)], [0, 1, 2]);
     assert_eq!([die_at(40), die_at(40), die_at(40)], [3, 1, 2], "the first of these got further");
-}
-
-#[test]
-fn another_machine_s_claim_holds_while_it_beats() {
-    let dir = TempDir::new().unwrap();
-    let (folder, _, points) = sweep(dir.path(), BASE);
-    let point = folder.point(&points[0].id);
-    point.begin(&points[0]).unwrap();
-    let file = point.path().join("claim.json");
-    let sign = r#"{"host":"elsewhere","pid":1,"step":50,"steps":100,"seconds":10.0,"first":0,"deaths":0}"#;
-    std::fs::write(&file, sign).unwrap();
-    assert!(Claim::take(point.path()).unwrap().is_none());
-    assert_eq!(Claim::look(point.path()).unwrap().seconds_left, Some(10.0));
-    let long_ago = std::time::SystemTime::now() - std::time::Duration::from_secs(3600);
-    std::fs::File::options().write(true).open(&file).unwrap().set_modified(long_ago).unwrap();
-    assert_eq!(statuses(&folder, &points)[0], Status::Waiting);
-    assert_eq!(Claim::take(point.path()).unwrap().unwrap().deaths, 1);
 }
 
 #[test]

@@ -8,7 +8,7 @@ use crate::base::{Error, Result};
 use crate::cli::progress::print;
 use crate::draw::SVG_ALONE;
 use crate::report::tables::table_terminal;
-use crate::sweep::{Collector, Material, SweepFolder, check_name};
+use crate::sweep::{Collector, Material, Results, SweepFolder, check_name};
 
 use super::{RESULTS, RUNS, begun, terminal_width};
 
@@ -43,6 +43,7 @@ impl CollectArguments {
             Some(runs) => runs.with_file_name(RESULTS).join(&name),
             None => path.join(RESULTS),
         });
+        let held = Results::take(&results)?;
         let material = Material::of_folder(&folder, &definition, &points)?;
         let collector = Collector {
             material: &material,
@@ -52,9 +53,8 @@ impl CollectArguments {
             force: self.force,
             with_timing: self.with_timing,
         };
-        print(&table_terminal(&collector.write(&results)?, terminal_width()));
-        print(&format!("tables: {}", results.display()));
-        SVG_ALONE.into_iter().for_each(print);
-        Ok(())
+        print(&table_terminal(&collector.write(&held)?, terminal_width()))?;
+        print(&format!("tables: {}", results.display()))?;
+        SVG_ALONE.into_iter().try_for_each(print)
     }
 }

@@ -36,7 +36,7 @@ impl PlanArguments {
             Some(points) if folder.compare(&definition)? == Change::None => points,
             _ => expand(&definition, data_root, &trainings)?,
         };
-        print(&format!("{} points", points.len()));
+        print(&format!("{} points", points.len()))?;
         let left: Vec<&Point> =
             points.iter().filter(|point| point.no_data.is_none() && !folder.point(&point.id).ended()).collect();
         let (mut total, mut memory) = (0.0, None);
@@ -50,23 +50,22 @@ impl PlanArguments {
                 group.cost.seconds_per_step,
                 duration(group.seconds),
                 mebibytes(group.cost.peak_memory_mib)
-            ));
+            ))
         })?;
         let missing = points.iter().filter(|point| point.no_data.is_some()).count();
         if missing > 0 {
-            print(&format!("{missing:4} x no data"));
+            print(&format!("{missing:4} x no data"))?;
         }
         let ended = points.len() - missing - left.len();
         if ended > 0 {
-            print(&format!("{ended:4} x done or failed before"));
+            print(&format!("{ended:4} x done or failed before"))?;
         }
         print(&format!(
             "{} in all, one point after the other, and {} of memory; --jobs N needs N times as much. Rendering is counted; \
              LPIPS and smoothness are not",
             duration(total),
             mebibytes(memory)
-        ));
-        Ok(())
+        ))
     }
 }
 

@@ -4,7 +4,7 @@ use clap::Args;
 
 use crate::base::{Error, Result};
 use crate::cli::progress::{Console, print};
-use crate::cli::train::catch_signals;
+use crate::cli::signals::catch_signals;
 use crate::cli::{Compute, LpipsWeights};
 use crate::draw::SVG_ALONE;
 use crate::metrics::{Lpips, Metric, Needs, Scope};
@@ -12,7 +12,7 @@ use crate::report::Status;
 use crate::report::tables::table_terminal;
 use crate::run::load_lpips;
 use crate::runtime::Runtime;
-use crate::sweep::{Collector, Material, Options, Point, Runner, SweepFolder, Trainings, begin};
+use crate::sweep::{Collector, Material, Options, Point, Results, Runner, SweepFolder, Trainings, begin};
 
 use super::{Changes, Location, terminal_width};
 
@@ -104,7 +104,8 @@ impl RunArguments {
         let ran = runner.run();
         let (name, results) = (self.location.name()?, self.location.results()?);
         // A stopped sweep leaves the table of what is done, too.
-        let table = Material::of_folder(&folder, &definition, &points).and_then(|material| {
+        let table = Results::take(&results).and_then(|results| {
+            let material = Material::of_folder(&folder, &definition, &points)?;
             let collector = Collector {
                 material: &material,
                 definition: &definition,
@@ -119,7 +120,7 @@ impl RunArguments {
         if let Ok(table) = &table
             && !quiet
         {
-            print(&table_terminal(table, terminal_width()));
+            print(&table_terminal(table, terminal_width()))?;
         }
         console.say(&format!("tables: {}", results.display()));
         SVG_ALONE.into_iter().for_each(|note| console.say(note));

@@ -36,7 +36,7 @@ impl StatusArguments {
             terminal
                 .clear_last_lines(shown)
                 .map_err(|e| Error::Output(format!("cannot write to the terminal: {e}")))?;
-            lines.iter().for_each(|line| print(line));
+            lines.iter().try_for_each(|line| print(line))?;
             match self.watch {
                 Some(seconds) if left > 0 => std::thread::sleep(std::time::Duration::from_secs(seconds.into())),
                 _ => return Ok(()),

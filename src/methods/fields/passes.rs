@@ -6,6 +6,7 @@ use rayon::prelude::*;
 use crate::base::Result;
 use crate::methods::diagnostics::Sums;
 use crate::methods::gradients::Gradients;
+use crate::methods::learner::UnlessStopped;
 use crate::render::{Pass, PassOutput, clean_pass, noiseless_acc, photometric_loss, resample};
 
 use super::chunk::Chunk;
@@ -19,7 +20,13 @@ const PARTS: usize = 16;
 
 impl FieldLearner {
     /// All passes through the rays of a step, chunk by chunk.
-    pub(super) fn passes(&self, whole: &Chunk, step_loss: StepLoss, log: bool) -> Result<ChunkResult> {
+    pub(super) fn passes(
+        &self,
+        whole: &Chunk,
+        step_loss: StepLoss,
+        log: bool,
+        unless_stopped: &UnlessStopped,
+    ) -> Result<ChunkResult> {
         let size = self.config.train.chunk;
         let starts: Vec<(usize, usize)> = (0..whole.rays.len()).step_by(size).enumerate().collect();
         let prepared = self.fields.prepared()?;
@@ -27,6 +34,7 @@ impl FieldLearner {
             let fields = prepared.recording()?;
             let mut sum: Option<ChunkResult> = None;
             for &(index, start) in part {
+                unless_stopped()?;
                 let count = size.min(whole.rays.len() - start);
                 let chunk = self.work(&fields, &whole.narrow(index, start, count)?, step_loss, self.empty(log))?;
                 match &mut sum {

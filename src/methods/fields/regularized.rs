@@ -4,8 +4,9 @@ use candle_core::{DType, Tensor};
 
 use crate::base::{Error, Result};
 use crate::field::Field;
-use crate::losses::{LossTerm, SpaceTerm, WeightedTerm, estimate_seconds, regularize};
+use crate::losses::{LossTerm, SpaceTerm, WeightedTerm, estimate_seconds, regularize_unless};
 use crate::methods::gradients::Gradients;
+use crate::methods::learner::UnlessStopped;
 use crate::settings::{LatticePoints, REGULARIZERS, RegularizedFields, RegularizerConfig};
 use crate::space::{Lattice, Quadrature};
 
@@ -14,6 +15,9 @@ use super::terms::{StepLoss, in_space};
 
 /// A run whose regularizers alone would take longer is refused.
 const MOST_DAYS: f64 = 30.0;
+/// The same of a single step: there is no checkpoint within one.
+const MOST_MINUTES_A_STEP: f64 = 10.0;
+const SECONDS_PER_MINUTE: f64 = 60.0;
 const SECONDS_PER_DAY: f64 = 86_400.0;
 /// So few points a step need no estimate.
 const SURELY_FINISHED: usize = 1 << 16;
@@ -42,6 +46,7 @@ impl FieldLearner {
         terms: &[(&dyn SpaceTerm, f64)],
         config: &RegularizerConfig,
         step: u64,
+        unless_stopped: &UnlessStopped,
     ) -> Result<Option<(Tensor, Gradients)>> {
         if terms.is_empty() {
             return Ok(None);
@@ -54,7 +59,7 @@ impl FieldLearner {
                 gradients.extend(vec![None; field.variables().len()]);
                 continue;
             }
-            let regularized = regularize(field, &points, terms)?;
+            let regularized = regularize_unless(field, &points, terms, unless_stopped)?;
             values = (values + regularized.values)?;
             gradients.extend(regularized.gradients);
         }
@@ -84,12 +89,13 @@ impl FieldLearner {
             self.fields.by_role().into_iter().filter(|(role, _)| self.regularizes(config, role)).map(|f| f.1).collect();
         let step = estimate_seconds(fields[0], &lattice, points, &terms)? * fields.len() as f64;
         let days = step * steps as f64 / SECONDS_PER_DAY;
-        if days <= MOST_DAYS {
+        if days <= MOST_DAYS && step <= MOST_MINUTES_A_STEP * SECONDS_PER_MINUTE {
             return Ok(());
         }
         Err(Error::Config(format!(
             "regularizer.lattice = {}, points = \"{}\" asks for {} points in every step: about {step:.0} s a step here, \
-             {days:.0} days for {steps} steps (at most {MOST_DAYS} are allowed); set regularizer.points = \"sampled\" with \
+             {days:.0} days for {steps} steps (at most {MOST_MINUTES_A_STEP} minutes and {MOST_DAYS} days are allowed); set \
+             regularizer.points = \"sampled\" with \
              fewer points_per_step, or a smaller lattice",
             lattice.side,
             if config.points == LatticePoints::Full { "full" } else { "sampled" },
@@ -102,13 +108,17 @@ impl FieldLearner {
     pub fn balance(&mut self, config: &RegularizerConfig, step: u64) -> Result<Vec<Balance>> {
         let whole = self.draw(step)?;
         let photometric = StepLoss { clean: 1.0, perturbed: 0.0, terms: &[], fields: config.fields };
-        let photometric_norm = self.passes(&whole, photometric, false)?.gradients.norm()?;
+        let to_its_end: &UnlessStopped = &|| Ok(());
+        let photometric_norm = self.passes(&whole, photometric, false, to_its_end)?.gradients.norm()?;
         let alone = |term: LossTerm| -> Result<Balance> {
             let name = term.name().to_string();
             let terms = [WeightedTerm { term, weight: 1.0 }];
-            let gradients = match self.regularize(&in_space(&terms), config, step)? {
+            let gradients = match self.regularize(&in_space(&terms), config, step, to_its_end)? {
                 Some((_, gradients)) => gradients,
-                None => self.passes(&whole, StepLoss { clean: 0.0, terms: &terms, ..photometric }, false)?.gradients,
+                None => {
+                    let alone = StepLoss { clean: 0.0, terms: &terms, ..photometric };
+                    self.passes(&whole, alone, false, to_its_end)?.gradients
+                }
             };
             Ok(Balance { term: name, photometric_norm, term_norm: gradients.norm()? })
         };

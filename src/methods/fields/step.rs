@@ -2,7 +2,7 @@
 
 use crate::base::{Error, Result};
 use crate::losses::{LossTerm, WeightedTerm};
-use crate::methods::learner::{Learned, Learner, LogColumns, Term};
+use crate::methods::learner::{Learned, Learner, LogColumns, Term, UnlessStopped};
 
 use super::learner::FieldLearner;
 use super::results::ChunkResult;
@@ -43,11 +43,14 @@ impl Learner for FieldLearner {
         Ok(())
     }
 
-    fn learn(&mut self, step: u64, log: bool) -> Result<Learned> {
+    fn learn(&mut self, step: u64, log: bool, unless_stopped: &UnlessStopped) -> Result<Learned> {
         let whole = self.draw(step)?;
-        let ChunkResult { mut gradients, losses, diagnostics } = self.passes(&whole, self.step_loss(), log)?;
+        let ChunkResult { mut gradients, losses, diagnostics } =
+            self.passes(&whole, self.step_loss(), log, unless_stopped)?;
         let mut in_space = Vec::new();
-        if let Some((values, pull)) = self.regularize(&terms::in_space(&self.terms), &self.config.regularizer, step)? {
+        let terms_in_space = terms::in_space(&self.terms);
+        let regularized = self.regularize(&terms_in_space, &self.config.regularizer, step, unless_stopped)?;
+        if let Some((values, pull)) = regularized {
             gradients.merge(pull)?;
             in_space = values.to_vec1::<f64>()?;
         }

@@ -1,0 +1,61 @@
+//! Who works in a run folder.
+
+use std::fs::{File, TryLockError};
+use std::io::{self, Read, Write};
+use std::path::Path;
+
+use crate::base::{Error, Result};
+
+/// The file that is locked.
+pub const LOCK: &str = "run.lock";
+
+/// A run folder taken by this process. The operating system gives it up when the process ends in
+/// whatever way, so that no stale lock can stay. On a file system without locks it does nothing.
+#[derive(Debug)]
+pub struct RunLock {
+    _file: File,
+}
+
+impl RunLock {
+    /// Locks the run folder `path`, or says who holds it.
+    pub fn acquire(path: &Path) -> Result<RunLock> {
+        let name = path.join(LOCK);
+        let mut file = File::options()
+            .read(true)
+            .write(true)
+            .create(true)
+            .truncate(false)
+            .open(&name)
+            .map_err(|error| Error::unwritable(&name, &error))?;
+        match file.try_lock() {
+            Ok(()) => {
+                // Only for the message below; a failure to write it changes nothing.
+                let _ = file.set_len(0).and_then(|()| write!(file, "{}", std::process::id()));
+            }
+            Err(TryLockError::WouldBlock) => return Err(locked(path, &mut file)),
+            Err(TryLockError::Error(error)) if error.kind() == io::ErrorKind::Unsupported => {}
+            Err(TryLockError::Error(error)) => return Err(Error::unwritable(&name, &error)),
+        }
+        Ok(RunLock { _file: file })
+    }
+
+    /// Keeps others from training in a run that this process can only read; none where there is nothing to lock.
+    pub fn share(path: &Path) -> Result<Option<RunLock>> {
+        let Ok(mut file) = File::open(path.join(LOCK)) else { return Ok(None) };
+        match file.try_lock_shared() {
+            Ok(()) => Ok(Some(RunLock { _file: file })),
+            Err(TryLockError::WouldBlock) => Err(locked(path, &mut file)),
+            Err(TryLockError::Error(_)) => Ok(None),
+        }
+    }
+}
+
+fn locked(path: &Path, file: &mut File) -> Error {
+    let mut holder = String::new();
+    let known = file.read_to_string(&mut holder).is_ok() && !holder.is_empty();
+    let who = if known { format!("process {holder}") } else { "another process".to_string() };
+    Error::Output(format!(
+        "{} is in use by {who}, which trains in it or reads it; wait for it (a new run may also go to another --out)",
+        path.display()
+    ))
+}

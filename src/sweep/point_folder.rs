@@ -1,0 +1,218 @@
+//! The folder of one point: its configuration, its run, and what became of it.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use serde::{Deserialize, Serialize};
+
+use crate::base::files::{clean_temporaries, discard, is_temporary, read_json, write_atomic, write_json};
+use crate::base::{Class, Error, Result};
+use crate::report::Status;
+use crate::settings::Config;
+
+use super::claim::{CLAIM, Claim, Claimed, Watch};
+use super::points::Point;
+
+/// What to do with a damaged file of a point.
+const DELETE: &str = "delete it to have the point done again";
+
+/// What a finished point leaves.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct PointResult {
+    /// Name and value of each metric.
+    pub metrics: Vec<(String, Option<f64>)>,
+    /// Name and text of each field of the protocol.
+    pub protocol: Vec<(String, String)>,
+    /// Sites whose deltas had no effect on the loss.
+    pub inactive_levels: Vec<String>,
+}
+
+impl PointResult {
+    /// The value of a metric by its key, as `psnr`; none where it was not measured.
+    pub fn metric(&self, name: &str) -> Option<f64> {
+        self.metrics.iter().find(|(known, _)| known == name).and_then(|(_, value)| *value)
+    }
+}
+
+/// Why a point ended without a result.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Failure {
+    /// The error's sentence.
+    pub reason: String,
+    /// The exit code of its class.
+    pub exit_code: u8,
+}
+
+impl Failure {
+    /// The error's class; none for a code that no version of this program has.
+    pub fn class(&self) -> Option<Class> {
+        Class::of_exit_code(self.exit_code)
+    }
+}
+
+/// What the files of a point say.
+#[derive(Clone, Debug)]
+pub struct PointState {
+    /// How far it is.
+    pub status: Status,
+    /// Why it failed or waits; empty otherwise.
+    pub reason: String,
+    /// Its result; empty unless done.
+    pub result: PointResult,
+    /// Who works on it.
+    pub claim: Option<Claimed>,
+}
+
+/// The folder of one point.
+#[derive(Clone, Debug)]
+pub struct PointFolder {
+    path: PathBuf,
+}
+
+impl PointFolder {
+    pub(super) fn new(path: PathBuf) -> PointFolder {
+        PointFolder { path }
+    }
+
+    /// The folder itself.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// The run folder of its training.
+    pub fn run(&self) -> PathBuf {
+        self.path.join("run")
+    }
+
+    fn result_file(&self) -> PathBuf {
+        self.path.join("result.json")
+    }
+
+    fn failure_file(&self) -> PathBuf {
+        self.path.join("failed.json")
+    }
+
+    /// Makes the folder with the point's configuration, which is never changed afterwards.
+    pub fn begin(&self, point: &Point) -> Result<()> {
+        fs::create_dir_all(&self.path).map_err(|e| Error::unwritable(&self.path, &e))?;
+        let config = self.path.join("config.toml");
+        if config.exists() {
+            let text = fs::read_to_string(&config).map_err(|e| Error::unreadable(&config, &e))?;
+            let found = Config::from_toml(&text, &config.display().to_string())?;
+            if point.id.starts_with(&found.hash()) || found.hash() == point.config.hash() {
+                return Ok(());
+            }
+            return Err(Error::Checkpoint(format!(
+                "{} was changed after the point was begun: its hash is {}; restore it, or delete {} to train the point \
+                 again",
+                config.display(),
+                found.hash(),
+                self.path.display()
+            )));
+        }
+        point.config.validate().map_err(|error| error.within(&format!("point {}", point.id)))?;
+        write_atomic(&config, format!("# {}\n{}", point.label(), point.config.to_toml()).as_bytes())
+    }
+
+    /// The result, if the point is done.
+    pub fn result(&self) -> Result<Option<PointResult>> {
+        read_json(&self.result_file(), DELETE)
+    }
+
+    /// Why the point failed, if it did.
+    pub fn failure(&self) -> Result<Option<Failure>> {
+        read_json(&self.failure_file(), DELETE)
+    }
+
+    /// Done or failed: nothing is left to do.
+    pub fn ended(&self) -> bool {
+        self.result_file().exists() || self.failure_file().exists()
+    }
+
+    /// The point is done and lacks one of these metrics.
+    pub fn lacks(&self, metrics: &[String]) -> Result<bool> {
+        let Some(result) = self.result()? else { return Ok(false) };
+        let has = |name: &String| result.metrics.iter().any(|(known, value)| known == name && value.is_some());
+        Ok(!metrics.iter().all(has))
+    }
+
+    /// When the point was measured last; tells one measurement from another.
+    pub fn finished_at(&self) -> Option<std::time::SystemTime> {
+        fs::metadata(self.result_file()).and_then(|metadata| metadata.modified()).ok()
+    }
+
+    /// When the point failed; tells one failure from another.
+    pub fn failed_at(&self) -> Option<std::time::SystemTime> {
+        fs::metadata(self.failure_file()).and_then(|metadata| metadata.modified()).ok()
+    }
+
+    /// Marks the point as done.
+    pub fn finish(&self, result: &PointResult) -> Result<()> {
+        write_json(&self.result_file(), result)
+    }
+
+    /// Marks the point as failed.
+    pub fn fail(&self, failure: &Failure) -> Result<()> {
+        write_json(&self.failure_file(), failure)
+    }
+
+    /// Takes a failure back, so that the point is tried again: from its last checkpoint, or, where
+    /// that was what failed, from the start.
+    pub fn forgive(&self) -> Result<()> {
+        let Some(failure) = self.failure()? else { return Ok(()) };
+        let run = self.run();
+        if failure.class() == Some(Class::Checkpoint) {
+            discard(&run).map_err(|e| Error::unwritable(&run, &e))?;
+        }
+        let path = self.failure_file();
+        fs::remove_file(&path).map_err(|e| Error::unwritable(&path, &e))
+    }
+
+    /// Deletes what a killed runner left half-written. Call it while holding the point's claim.
+    pub fn clean(&self) -> Result<()> {
+        clean_temporaries(&self.path).map(|_| ())
+    }
+
+    /// Deletes what a runner that was killed right after the point's end left: its claim, and files half-written.
+    pub fn tidy(&self, watch: &Watch) -> Result<()> {
+        let entries = fs::read_dir(&self.path).map_err(|e| Error::unreadable(&self.path, &e))?;
+        let left = entries.flatten().any(|entry| is_temporary(&entry.file_name()) || entry.file_name() == CLAIM);
+        if !left || !self.ended() {
+            return Ok(());
+        }
+        match Claim::take(&self.path, watch)? {
+            // Dropped, the claim is gone.
+            Some(_claim) => self.clean(),
+            None => Ok(()),
+        }
+    }
+
+    /// What the files say about a point.
+    pub fn state(&self, point: &Point) -> Result<PointState> {
+        let state = |status, reason: String| PointState { status, reason, result: PointResult::default(), claim: None };
+        if let Some(result) = self.result()? {
+            return Ok(PointState { result, ..state(Status::Done, String::new()) });
+        }
+        if let Some(failure) = self.failure()? {
+            let first = failure.reason.lines().next().unwrap_or_default().to_string();
+            return Ok(state(Status::Failed, first));
+        }
+        match Claim::look(&self.path) {
+            Some(claim) if claim.alive => {
+                Ok(PointState { claim: Some(claim), ..state(Status::Running, String::new()) })
+            }
+            Some(claim) if claim.ahead => {
+                let reason = format!("claimed by {}", claim.who());
+                Ok(PointState { claim: Some(claim), ..state(Status::Waiting, reason) })
+            }
+            Some(claim) => {
+                let reason = format!("its runner ({}, process {}) died at step {}", claim.host, claim.pid, claim.step);
+                Ok(PointState { claim: Some(claim), ..state(Status::Waiting, reason) })
+            }
+            None => Ok(match &point.no_data {
+                Some(reason) => state(Status::NoData, reason.clone()),
+                None => state(Status::Waiting, String::new()),
+            }),
+        }
+    }
+}

@@ -1,0 +1,47 @@
+//! `SHA256SUMS`: what the files of a checkpoint were when they were written, as `sha256sum -c` reads it. Checkpoints of earlier
+//! versions have none, and are believed.
+
+use std::fs;
+use std::io;
+use std::path::Path;
+
+use sha2::{Digest, Sha256};
+
+use crate::base::Result;
+use crate::base::files::write_atomic;
+
+const SUMS: &str = "SHA256SUMS";
+
+/// Writes files into a folder, and their checksums beside them.
+pub(super) fn write(folder: &Path, files: &[(&str, &[u8])]) -> Result<()> {
+    let mut lines = String::new();
+    for (name, bytes) in files {
+        write_atomic(&folder.join(name), bytes)?;
+        lines += &format!("{}  {name}\n", sum(bytes));
+    }
+    write_atomic(&folder.join(SUMS), lines.as_bytes())
+}
+
+/// The bytes of a file as they were written; otherwise what is wrong with it.
+///
+/// # Errors
+/// A file that is there and cannot be read.
+pub(super) fn read(folder: &Path, name: &str) -> io::Result<std::result::Result<Vec<u8>, String>> {
+    let Some(bytes) = absent_is_none(fs::read(folder.join(name)))? else { return Ok(Err("it is missing".into())) };
+    let Some(sums) = absent_is_none(fs::read(folder.join(SUMS)))? else { return Ok(Ok(bytes)) };
+    let expected = format!("{}  {name}", sum(&bytes));
+    let known = sums.split(|byte| *byte == b'\n').any(|line| line == expected.as_bytes());
+    Ok(if known { Ok(bytes) } else { Err(format!("its bytes are not those that {SUMS} beside it was written for")) })
+}
+
+fn absent_is_none(read: io::Result<Vec<u8>>) -> io::Result<Option<Vec<u8>>> {
+    match read {
+        Ok(bytes) => Ok(Some(bytes)),
+        Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(None),
+        Err(error) => Err(error),
+    }
+}
+
+fn sum(bytes: &[u8]) -> String {
+    Sha256::digest(bytes).iter().map(|byte| format!("{byte:02x}")).collect()
+}

@@ -1,0 +1,311 @@
+//! What kills, damage, full disks and read-only ones do to runs, through the program.
+
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+use std::time::{Duration, Instant};
+
+use crate::common::assert_says;
+use crate::common::files::{assert_same_files, entries, text};
+use crate::common::program::{augnerf, demand, run, succeed};
+use tempfile::TempDir;
+
+/// Of a run, what need not repeat: clocks, locks and event files.
+const FLEETING: [&str; 3] = ["timing.json", "run.lock", "tensorboard"];
+
+/// Settings of a run of a second, with a checkpoint every 10 steps of 30, all of which are kept.
+const TINY: [&str; 9] = [
+    "data.width=16",
+    "field.width=16",
+    "sampling.coarse=8",
+    "sampling.fine=8",
+    "train.rays=64",
+    "train.steps=30",
+    "train.checkpoint_every=10",
+    "train.keep_checkpoints=3",
+    "eval.pictures=0",
+];
+
+fn arguments<'a>(out: &'a Path, further: &[&'a str]) -> Vec<&'a str> {
+    let set = TINY.iter().chain(further).flat_map(|setting| ["--set", setting]);
+    ["train", "--quiet", "--out", out.to_str().unwrap()].into_iter().chain(set).collect()
+}
+
+fn trained(dir: &TempDir) -> PathBuf {
+    let out = dir.path().join("run");
+    succeed(&arguments(&out, &[]));
+    out
+}
+
+fn checkpoint(run: &Path, step: u64) -> PathBuf {
+    run.join(format!("checkpoints/step_{step:09}"))
+}
+
+fn flip_a_bit(path: &Path, at: usize) {
+    let mut bytes = std::fs::read(path).unwrap();
+    bytes[at] ^= 1;
+    std::fs::write(path, bytes).unwrap();
+}
+
+/// One bit in the middle of a weight: any file reader would take it.
+#[test]
+fn a_flipped_bit_in_a_checkpoint_is_refused_and_resume_goes_back() {
+    let dir = TempDir::new().unwrap();
+    let out = trained(&dir);
+    let kept = dir.path().join("kept");
+    succeed(&["eval", "--quiet", out.to_str().unwrap()]);
+    copy(&out, &kept);
+    for file in ["state.safetensors", "state.json", "SHA256SUMS"] {
+        let path = checkpoint(&out, 30).join(file);
+        let length = std::fs::metadata(&path).unwrap().len() as usize;
+        flip_a_bit(&path, length - 9);
+        let message = demand(&mut augnerf(&["eval", out.to_str().unwrap()]), 5);
+        assert_says(&message, &["step_000000030", "SHA256SUMS", "augnerf resume"]);
+        let message = demand(&mut augnerf(&["resume", out.to_str().unwrap()]), 0);
+        assert_says(&message, &["step_000000030 is damaged", "goes on from", "step_000000020"]);
+        assert_same_files(&kept, &out, &FLEETING);
+    }
+    // What a kill of an earlier version left: a folder half-deleted.
+    std::fs::remove_file(checkpoint(&out, 30).join("state.json")).unwrap();
+    std::fs::write(checkpoint(&out, 20).join("state.safetensors"), "half").unwrap();
+    let message = demand(&mut augnerf(&["resume", out.to_str().unwrap()]), 0);
+    assert_says(
+        &message,
+        &["step_000000030 is damaged (state.json: it is missing)", "step_000000020", "step_000000010"],
+    );
+    assert_same_files(&kept, &out, &FLEETING);
+    for folder in entries(&out.join("checkpoints")) {
+        std::fs::remove_file(folder.join("state.json")).unwrap();
+    }
+    let message = demand(&mut augnerf(&["resume", out.to_str().unwrap()]), 5);
+    assert_says(&message, &["no checkpoint", "step_000000030", "from the first step"]);
+    assert_eq!(entries(&out.join("checkpoints")).len(), 3, "what is left of them stays");
+}
+
+fn copy(from: &Path, to: &Path) {
+    assert!(Command::new("cp").args(["-r".as_ref(), from.as_os_str(), to.as_os_str()]).status().unwrap().success());
+}
+
+/// Checkpoints of earlier versions have no checksums, but one of a wrong step is none.
+#[test]
+fn a_checkpoint_without_checksums_is_read() {
+    let dir = TempDir::new().unwrap();
+    let out = trained(&dir);
+    let before = succeed(&["eval", "--quiet", out.to_str().unwrap()]).stdout;
+    for folder in entries(&out.join("checkpoints")) {
+        std::fs::remove_file(folder.join("SHA256SUMS")).unwrap();
+    }
+    assert_eq!(succeed(&["eval", "--quiet", out.to_str().unwrap()]).stdout, before);
+    succeed(&["resume", "--quiet", out.to_str().unwrap()]);
+    std::fs::rename(checkpoint(&out, 10), checkpoint(&out, 90)).unwrap();
+    let message = demand(&mut augnerf(&["resume", out.to_str().unwrap()]), 0);
+    assert_says(&message, &["step_000000090 is damaged (state.json: it is of step 10)", "step_000000030"]);
+}
+
+/// As `sha256sum -c` reads them.
+#[test]
+fn checksums_are_those_of_the_files() {
+    let dir = TempDir::new().unwrap();
+    let folder = checkpoint(&trained(&dir), 30);
+    let lines = text(&folder.join("SHA256SUMS"));
+    assert_eq!(lines.lines().count(), 3);
+    let Ok(output) = Command::new("sha256sum").args(["-c", "SHA256SUMS"]).current_dir(&folder).output() else { return };
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+}
+
+#[test]
+fn settings_that_toml_cannot_hold_are_refused_in_a_run_s_folder() {
+    let dir = TempDir::new().unwrap();
+    let out = trained(&dir);
+    let config = out.join("config.toml");
+    let before = text(&config);
+    let line = before.lines().find(|line| line.starts_with("collapse_steps")).unwrap();
+    std::fs::write(&config, before.replace(line, "collapse_steps = 18446744073709551615")).unwrap();
+    for command in ["eval", "resume", "measure", "render", "mesh"] {
+        let message = demand(&mut augnerf(&[command, out.to_str().unwrap()]), 2);
+        assert_says(&message, &["collapse_steps", "18446744073709551615", "at most 2^63 - 1"]);
+    }
+}
+
+/// A result that nobody gets is an error, of every command that prints one.
+#[cfg(target_os = "linux")]
+#[test]
+fn a_full_standard_output_is_an_error() {
+    let dir = TempDir::new().unwrap();
+    let out = trained(&dir);
+    let out = out.to_str().unwrap();
+    let sweep = dir.path().join("tiny.toml");
+    let rows = "title = \"t\"\npreset = \"smoke\"\nscenes = [\"builtin\"]\nseeds = [0]\n[[row]]\nname = \"NeRF\"\n";
+    std::fs::write(&sweep, format!("{rows}[set]\n\"train.steps\" = 2\n\"data.width\" = 16\n")).unwrap();
+    let sweep = sweep.to_str().unwrap();
+    let folder = dir.path().join("sweep");
+    let folder = folder.to_str().unwrap();
+    succeed(&["sweep", "run", sweep, "--out", folder, "--quiet"]);
+    let exported = dir.path().join("scene");
+    let commands: Vec<Vec<&str>> = vec![
+        vec!["measure", out, "--lattice", "4"],
+        vec!["eval", out],
+        vec!["chamfer", "builtin", "builtin", "--points", "100"],
+        vec!["sweep", "collect", folder],
+        vec!["sweep", "status", folder],
+        vec!["sweep", "plan", sweep, "--out", folder],
+        vec!["sweep", "run", sweep, "--out", folder],
+        vec!["data", "check"],
+        vec!["data", "export-builtin", exported.to_str().unwrap(), "--width", "16"],
+        vec!["train", "--preset", "smoke", "--set", "data.width=16", "--print-config"],
+        vec!["settings"],
+        vec!["balance", "--preset", "smoke", "--steps", "1", "--set", "data.width=16"],
+        vec!["bench", "--rays", "8", "--coarse", "4", "--fine", "4", "--width", "8", "--steps", "1"],
+        vec!["--help"],
+        vec!["--version"],
+        vec!["train", "--help"],
+    ];
+    for arguments in commands {
+        let full = std::fs::File::options().write(true).open("/dev/full").unwrap();
+        let message = demand(augnerf(&arguments).stdout(full).stderr(Stdio::piped()), 4);
+        assert_says(&message, &["standard output", "No space left"]);
+        // A reader that has seen enough is none.
+        let mut child = augnerf(&arguments).stdout(Stdio::piped()).stderr(Stdio::null()).spawn().unwrap();
+        drop(child.stdout.take());
+        if arguments[1..].first() != Some(&"export-builtin") {
+            assert_eq!(child.wait().unwrap().code(), Some(0), "{arguments:?}");
+        } else {
+            child.wait().unwrap();
+        }
+    }
+}
+
+/// Runs of a step that takes minutes: the first signal is heard and acts within it.
+#[cfg(target_os = "linux")]
+#[test]
+fn a_signal_acts_within_a_long_step() {
+    let dir = TempDir::new().unwrap();
+    for (signal, code) in [("-TERM", 143), ("-HUP", 129)] {
+        let out = dir.path().join(signal);
+        let long = ["regularizer.kind=tv", "regularizer.points=full", "regularizer.lattice=400", "train.steps=2"];
+        let mut child = augnerf(&arguments(&out, &long)).stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap();
+        let started = Instant::now();
+        while !std::fs::read_dir(out.join("tensorboard")).is_ok_and(|mut entries| entries.next().is_some()) {
+            assert!(child.try_wait().unwrap().is_none() && started.elapsed() < Duration::from_secs(120));
+            std::thread::sleep(Duration::from_millis(5));
+        }
+        std::thread::sleep(Duration::from_millis(300));
+        let sent = Instant::now();
+        Command::new("kill").args([signal, &child.id().to_string()]).status().unwrap();
+        let output = child.wait_with_output().unwrap();
+        let message = String::from_utf8_lossy(&output.stderr);
+        assert_eq!(output.status.code(), Some(code), "{message}");
+        assert!(sent.elapsed() < Duration::from_secs(10), "{:?}", sent.elapsed());
+        assert_says(&message, &["stopping with a checkpoint", "at step 0", "augnerf resume"]);
+    }
+}
+
+/// `nohup` asks that a hangup be ignored.
+#[cfg(target_os = "linux")]
+#[test]
+fn a_hangup_that_is_ignored_stays_so() {
+    let dir = TempDir::new().unwrap();
+    let out = dir.path().join("run");
+    let program = env!("CARGO_BIN_EXE_augnerf");
+    let set = ["train.steps=4000", "train.checkpoint_every=1000"];
+    let mut command = Command::new("sh");
+    command.args(["-c", "trap '' HUP; exec \"$@\"", "sh", program]).args(arguments(&out, &set));
+    let mut child = command.stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap();
+    let started = Instant::now();
+    while !out.join("scalars.csv").exists() {
+        assert!(started.elapsed() < Duration::from_secs(60));
+        std::thread::sleep(Duration::from_millis(2));
+    }
+    Command::new("kill").args(["-HUP", &child.id().to_string()]).status().unwrap();
+    std::thread::sleep(Duration::from_millis(200));
+    assert!(child.try_wait().unwrap().is_none(), "it was stopped");
+    child.kill().unwrap();
+    child.wait().unwrap();
+}
+
+/// A whole lattice of 1024 cells a side in each step would take hours, and says so.
+#[test]
+fn a_step_that_would_take_hours_is_refused() {
+    let full = ["regularizer.kind=tv", "regularizer.points=full", "regularizer.lattice=1024", "field.width=128"];
+    let dir = TempDir::new().unwrap();
+    let message = demand(&mut augnerf(&arguments(&dir.path().join("run"), &full)), 2);
+    assert_says(&message, &["regularizer.lattice = 1024", "s a step here", "10 minutes", "sampled"]);
+}
+
+/// The program as somebody who may read the folder but not write into it.
+#[cfg(unix)]
+fn as_reader(arguments: &[&str]) -> Command {
+    use std::os::unix::process::CommandExt;
+    let mut command = augnerf(arguments);
+    if nobody_is_needed() {
+        command.uid(65534).gid(65534);
+    }
+    command
+}
+
+/// Whether this test can write everywhere, as root can.
+#[cfg(unix)]
+fn nobody_is_needed() -> bool {
+    let output = Command::new("id").arg("-u").output().unwrap();
+    output.stdout == b"0\n"
+}
+
+#[cfg(unix)]
+#[test]
+fn runs_that_cannot_be_written_are_measured_and_shown() {
+    use std::os::unix::fs::PermissionsExt;
+    let dir = TempDir::new().unwrap();
+    let (out, elsewhere) = (trained(&dir), dir.path().join("elsewhere"));
+    std::fs::create_dir(&elsewhere).unwrap();
+    let mode = |path: &Path, mode: u32| std::fs::set_permissions(path, PermissionsExt::from_mode(mode)).unwrap();
+    mode(dir.path(), 0o755);
+    mode(&elsewhere, 0o777);
+    let all = |file: &str| assert!(Command::new("chmod").args(["-R", file]).arg(&out).status().unwrap().success());
+    all("a-w,a+rX");
+    let run = out.to_str().unwrap();
+    let place = |name: &str| elsewhere.join(name).to_str().unwrap().to_string();
+    let before = crate::common::files::files(&out, &[]);
+    let message = demand(&mut as_reader(&["measure", run, "--lattice", "4"]), 0);
+    assert_says(&message, &["laplacian", "cannot be written", "smoothness.csv"]);
+    let message = demand(&mut as_reader(&["eval", run]), 4);
+    assert_says(&message, &["cannot be written", "--out"]);
+    demand(&mut as_reader(&["eval", run, "--out", &place("metrics")]), 0);
+    for name in ["metrics.json", "metrics.csv"] {
+        assert_eq!(text(&elsewhere.join("metrics").join(name)), text(&out.join(name)));
+    }
+    for (command, further) in
+        [("render", vec!["--what", "views"]), ("mesh", vec!["--resolution", "8", "--threshold", "0.01"])]
+    {
+        let arguments = [vec![command, run], further].concat();
+        let message = demand(&mut as_reader(&arguments), 4);
+        assert_says(&message, &["cannot write", "--out"]);
+        let made = place(command);
+        demand(&mut as_reader(&[arguments, vec!["--out", &made]].concat()), 0);
+        assert!(!entries(Path::new(&made)).is_empty());
+    }
+    let compared = place("compare");
+    demand(&mut as_reader(&["compare", run, run, "--label", "a", "--label", "b", "--out", &compared]), 0);
+    assert!(before == crate::common::files::files(&out, &[]), "nothing was written into the run");
+    all("u+w");
+}
+
+/// Of commands that write a folder beside the run, too.
+#[test]
+fn leftovers_of_killed_commands_go_at_the_next_start() {
+    let dir = TempDir::new().unwrap();
+    let out = trained(&dir);
+    let checkpoints = out.join("checkpoints");
+    for leftover in [
+        dir.path().join(".augnerf-tmp-123-0-pictures"),
+        checkpoints.join(".augnerf-tmp-123-1-step_000000010"),
+        out.join("renders/.augnerf-tmp-123-2-path"),
+    ] {
+        std::fs::create_dir(&leftover).unwrap();
+        std::fs::write(leftover.join("file"), "half").unwrap();
+    }
+    let pictures = dir.path().join("pictures");
+    let run_folder = out.to_str().unwrap();
+    assert!(run(&["render", run_folder, "--what", "views", "--out", pictures.to_str().unwrap()]).status.success());
+    assert_eq!(entries(dir.path()), [pictures, out.clone()]);
+    assert_eq!(entries(&checkpoints).len(), 3);
+    assert!(entries(&out.join("renders")).is_empty());
+}
