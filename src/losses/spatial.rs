@@ -114,7 +114,8 @@ pub fn estimate_seconds(field: &Field, lattice: &Lattice, count: usize, terms: &
         device.synchronize()?;
         Ok(started.elapsed().as_secs_f64())
     };
-    // The first pays for fresh memory.
+    // The first pays for fresh memory, and others may be at work on the machine.
     work()?;
-    Ok(work()? * count as f64 / chunk as f64 / chunks_at_once(device) as f64)
+    let least = work()?.min(work()?).min(work()?);
+    Ok(least * count as f64 / chunk as f64 / chunks_at_once(device) as f64)
 }

@@ -95,10 +95,12 @@ fn a_kill_while_a_checkpoint_is_written_leaves_the_last_one() {
     let whole = AtomicDir::new(&target).unwrap();
     fs::write(whole.path().join("weights"), "ten").unwrap();
     whole.commit().unwrap();
-    // A kill runs no destructor.
+    // A kill runs no destructor, and gives up the lock.
     let killed = AtomicDir::new(&run.checkpoints().join("step-000020")).unwrap();
-    fs::write(killed.path().join("weights"), "twe").unwrap();
-    std::mem::forget(killed);
+    let left = run.checkpoints().join(killed.path().file_name().unwrap());
+    drop(killed);
+    fs::create_dir(&left).unwrap();
+    fs::write(left.join("weights"), "twe").unwrap();
     assert!(!run.checkpoints().join("step-000020").exists());
     assert_eq!(clean_temporaries(&run.checkpoints()).unwrap(), 1);
     assert_eq!(fs::read_to_string(target.join("weights")).unwrap(), "ten");
