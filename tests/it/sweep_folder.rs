@@ -185,22 +185,3 @@ fn a_million_seeds_are_refused_at_once() {
         assert!(started.elapsed() < Duration::from_secs(5), "{count} {what}: {:?}", started.elapsed());
     }
 }
-
-#[test]
-fn names_that_no_figure_can_show_are_refused_when_they_are_read() {
-    let escaped = |text: &str| BASE.replace("name = \"Aug-NeRF\"", &format!("name = \"Aug{text}NeRF\""));
-    let axis = "[[axis]]\nname = \"a\"\nkeys = [\"data.name\"]\nvalues = [\"x\", \"y\\u001b[31m\"]\n";
-    for (text, code) in [
-        (escaped("\\u0000"), "U+0000"),
-        (escaped("\\u001b[31m"), "U+001B"),
-        (escaped("\\n"), "U+000A"),
-        (BASE.replace("a test", "a\\u0007test"), "U+0007"),
-        (format!("{BASE}{axis}"), "U+001B"),
-    ] {
-        let error = parse(&text).unwrap_err();
-        assert_eq!(error.exit_code(), 2);
-        assert_says(&error.to_string(), &[code, "control character", "remove it"]);
-        assert!(!error.to_string().contains('\u{1b}'), "it is shown escaped");
-    }
-    parse(&BASE.replace("\"a test\"", "\"a\\ntest\"")).unwrap();
-}
