@@ -11,10 +11,19 @@ from fnmatch import fnmatchcase
 from itertools import zip_longest
 from pathlib import Path
 
-# Columns of the protocol that an earlier revision lacks: they may come, what stands beside them may not change.
+# What an earlier revision lacks may come; what stands beside it may not change. Columns of the protocol, of metrics and of
+# logs, fields of JSON files:
 LATER = ["lpips_weights"]
 LATER += ["attack_geometry", "step_over_radius", "last_shift"]
 LATER += [f"shift.{site}" for site in ("t", "xyz", "view", "feature", "rgb", "density")]
+LATER += ["training_views", "validation", "views_seen", "views_seed", "encoding", "position_octaves", "view_octaves", "skips"]
+LATER += ["rgb_padding", "resample_padding", "jitter", "density_noise", "batching", "precrop_steps", "precrop_fraction"]
+LATER += ["warmup_share", "warmup_from", "dead_start_share", "chunk", "eval_chunk", "xyz_radius", "norms", "perturb_last"]
+LATER += ["core", "precision", "instructions"]
+LATER += [f"{kind}_{metric}" for kind in ("train", "gap") for metric in ("ssim", "lpips_alex", "lpips_vgg", "lpips_squeeze")]
+LATER += ["train_psnr", "gap"]
+# Settings, with the defaults that they stand at in TOML files.
+LATER_SETTINGS = {"holdout_offset": "0", "validation": "0", "views_seed": "0", "geometry": '"sampling"'}
 
 # Files that hold clocks and processes: their numbers do not count, their words do.
 CLOCKS = {"timing.json", "timing.csv", "run.lock"}
@@ -24,6 +33,9 @@ EVENTS = re.compile(r"events\.out\.tfevents\.\d+\.(.*)\.\d+$")
 SAID = [
     (re.compile(rb"(?m)^step \d+/\d+  .* rays/s  ETA .*\n"), b""),
     (re.compile(rb"(\d+ steps, )\d+ s\)"), rb"\1SECONDS)"),
+    # What is said of training views, which earlier revisions did not measure.
+    (re.compile(rb"(?m)^\d+ training views: .*\n"), b""),
+    (re.compile(rb"(held-out PSNR [\d.]+ dB), of training views [\d.]+ dB"), rb"\1"),
     # `sweep plan`
     (re.compile(rb" +[\d.]+ s/step +\d.* a point  .*"), b" COST"),
     (re.compile(rb"(?m)^\d.* in all, one point after the other, and .* of memory"), b"COST of memory"),
@@ -113,18 +125,42 @@ def compare(old, new, normaliser):
 
 
 def without_later(a, b, ending):
-    """Both contents without the columns that one side alone has, of those that came later (LATER)."""
-    for column in LATER:
-        if (column.encode() in a) == (column.encode() in b):
-            continue
-        if ending == ".json":
-            name = column.encode()
-            # A field of an object, or a pair of a list.
-            entry = re.compile(rb',\s*("%s": (null|"[^"]*")|\[\s*"%s",\s*(null|"[^"]*")\s*\])' % (name, name))
-            a, b = entry.sub(b"", a), entry.sub(b"", b)
-        elif ending == ".csv":
-            a, b = without_column(a, column), without_column(b, column)
+    """Both contents without what one side alone has, of what came later (LATER, LATER_SETTINGS)."""
+    if ending == ".json":
+        return without_fields(a, b)
+    if ending == ".csv":
+        columns = [set(side.split(b"\n", 1)[0].decode().strip().split(",")) for side in (a, b)]
+        for column in LATER:
+            if (column in columns[0]) != (column in columns[1]):
+                a, b = without_column(a, column), without_column(b, column)
+    if ending in (".toml", ".txt"):
+        # In what programs say stand settings, too, and metrics, a line each.
+        lines = [rb"%s = %s" % (name.encode(), default.encode()) for name, default in LATER_SETTINGS.items()]
+        lines += [rb' *"%s": .*' % column.encode() for column in LATER if ending == ".txt"]
+        for line in (re.compile(rb"(?m)^%s\n" % line) for line in lines):
+            if bool(line.search(a)) != bool(line.search(b)):
+                a, b = line.sub(b"", a), line.sub(b"", b)
     return a, b
+
+
+def without_fields(a, b):
+    """Two JSON files without later fields of objects, and pairs of lists, that one of them alone has."""
+    names = {*LATER, *LATER_SETTINGS}
+    names = {name for name in names if (f'"{name}"'.encode() in a) != (f'"{name}"'.encode() in b)}
+    if not names:
+        return a, b
+
+    def without(value):
+        if isinstance(value, dict):
+            return {name: without(inner) for name, inner in value.items() if name not in names}
+        if isinstance(value, list):
+            is_pair = lambda inner: isinstance(inner, list) and len(inner) == 2 and isinstance(inner[0], str) and inner[0] in names
+            return [without(inner) for inner in value if not is_pair(inner)]
+        return value
+
+    # Numbers as they are written: not a digit may differ.
+    read = lambda content: json.loads(content, parse_float=lambda text: f"number {text}", parse_int=lambda text: f"number {text}")
+    return tuple(json.dumps(without(read(content)), indent=2).encode() for content in (a, b))
 
 
 def without_column(content, column):
