@@ -24,7 +24,13 @@ fn main() -> Result<()> {
     // The newest checkpoint with its scene, its settings and where it comes from.
     let trained = Trained::open(&folder, None, &runtime, &())?;
     let protocol = trained.protocol();
-    println!("{}: {} on {}, step {}", folder.display(), protocol.method, protocol.scene, trained.state.step);
+    println!(
+        "{}: {} on {}, step {}",
+        folder.display(),
+        protocol.text("method"),
+        protocol.text("scene"),
+        trained.state.step
+    );
 
     // Half-way along the scene's camera path.
     let Some(camera) = trained.scene.path.get(trained.scene.path.len() / 2) else {

@@ -16,6 +16,16 @@ pub enum Norm {
     L2,
 }
 
+impl Norm {
+    /// The name in files and tables.
+    pub fn name(self) -> &'static str {
+        match self {
+            Norm::Linf => "linf",
+            Norm::L2 => "l2",
+        }
+    }
+}
+
 /// How random points of a set are drawn.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Draw {

@@ -34,6 +34,8 @@ pub enum Stream {
     Surface,
     /// Values of a sweep's random axes.
     Axis,
+    /// Choices among a scene's views.
+    Views,
 }
 
 impl Stream {
@@ -50,6 +52,7 @@ impl Stream {
             Stream::Surface => 8,
             // 9 and 10 are spoken for: marching rays, codes.
             Stream::Axis => 11,
+            Stream::Views => 12,
         }
     }
 }

@@ -100,8 +100,16 @@ fn summarise(Finished { report, seconds, .. }: &Finished, folder: &Path, console
         number(mean.get("psnr"), 2),
         number(mean.get("ssim"), 3),
         number(mean.get("lpips_squeeze"), 3),
-        report.protocol.steps,
+        report.protocol.text("steps"),
     ));
+    if !report.training_views.is_empty() {
+        console.say(&format!(
+            "{} training views: PSNR {} dB (gap {} dB)",
+            report.training_views.len(),
+            number(mean.get("train_psnr"), 2),
+            number(mean.get("gap"), 2),
+        ));
+    }
     let inactive = report.inactive_levels();
     if !inactive.is_empty() {
         console.say(&format!("inactive levels (no effect on the loss): {}", inactive.join(", ")));

@@ -17,7 +17,7 @@ use crate::run::Protocol;
 /// `compare.json`.
 #[derive(Serialize)]
 struct ComparisonFile<'a> {
-    scene: &'a str,
+    scene: String,
     view: &'a str,
     index: usize,
     #[serde(rename = "box")]
@@ -66,7 +66,7 @@ impl Comparison {
             protocol: &side.run.protocol,
         });
         ComparisonFile {
-            scene: &first.protocol.scene,
+            scene: first.protocol.text("scene"),
             view: &first.view.name,
             index: first.index,
             window: self.window,

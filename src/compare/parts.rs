@@ -58,10 +58,10 @@ pub fn lines(
 
 /// Says of pictures of runs that were all trained on corrupted views that they were; what differs is told elsewhere.
 pub fn trained_on<'a>(runs: impl Iterator<Item = &'a RunView>) -> String {
-    let mut what: Vec<Option<&String>> = runs.map(|run| run.protocol.corruption.as_ref()).collect();
+    let mut what: Vec<String> = runs.map(|run| run.protocol.text("corruption")).collect();
     what.dedup();
-    match what[..] {
-        [Some(what)] => format!(" All runs were trained on corrupted views: {what}."),
+    match &what[..] {
+        [what] if !what.is_empty() => format!(" All runs were trained on corrupted views: {what}."),
         _ => String::new(),
     }
 }

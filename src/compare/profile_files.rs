@@ -35,7 +35,7 @@ struct RayRow<'a> {
 /// `profile.json`.
 #[derive(Serialize)]
 struct ProfileFile<'a> {
-    scene: &'a str,
+    scene: String,
     view: &'a str,
     index: usize,
     pixel: (usize, usize),
@@ -99,7 +99,7 @@ impl Profiles {
             protocol: &run.protocol,
         });
         ProfileFile {
-            scene: &first.protocol.scene,
+            scene: first.protocol.text("scene"),
             view: &first.view.name,
             index: first.index,
             pixel: self.pixel,

@@ -61,13 +61,13 @@ impl RunView {
         let facts = |run: &RunView| {
             let Camera { width, height, focal, centre, pose } = run.view.camera;
             [
-                ("the scene", run.protocol.scene.clone()),
-                ("the kind of scene", run.protocol.dataset.clone()),
+                ("the scene", run.protocol.text("scene")),
+                ("the kind of scene", run.protocol.text("dataset")),
                 ("the resolution", format!("{width} x {height}")),
-                ("the held-out view", format!("{} ({})", run.view.name, run.protocol.split)),
+                ("the held-out view", format!("{} ({})", run.view.name, run.protocol.text("split"))),
                 ("data.ndc", run.ndc.is_some().to_string()),
                 ("the rays' interval (data.near, data.far)", format!("{} to {}", run.bounds.0, run.bounds.1)),
-                ("the background", run.protocol.background.clone()),
+                ("the background", run.protocol.text("background")),
                 ("the focal length", format!("{focal:?}")),
                 ("the principal point", format!("{centre:?}")),
                 ("the camera's place", format!("{:?}", pose.map(|row| row[3]))),
@@ -89,7 +89,7 @@ impl RunView {
 
     /// Scene and view in words.
     pub(super) fn title(&self) -> String {
-        let Protocol { scene, views_evaluated, .. } = &self.protocol;
+        let [scene, views_evaluated] = ["scene", "views_evaluated"].map(|column| self.protocol.text(column));
         let Camera { width, height, .. } = self.view.camera;
         let place = format!("{} of {views_evaluated}", self.index + 1);
         format!("{scene}, held-out view {} ({place}), {width} x {height} pixels", self.view.name)

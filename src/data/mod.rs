@@ -14,12 +14,14 @@ pub mod pose;
 pub(crate) mod rays;
 pub(crate) mod resample;
 pub mod vector;
+mod views;
 
 pub use camera::{Camera, Ndc};
 pub use corruption::Corrupted;
 pub use detect::detect;
 pub use formats::{Capture, FORMATS, Format, ReferenceDepth};
 pub use rays::{Footprint, RayBuffer, RayParts, Rays};
+pub use views::seen_views;
 
 use std::sync::Arc;
 
@@ -53,7 +55,7 @@ pub struct Scene {
     pub kind: &'static str,
     /// Views that are trained on.
     pub train: Vec<View>,
-    /// Held-out views that metrics are computed on.
+    /// Views that are not trained on and that metrics are computed on.
     pub test: Vec<View>,
     /// Start of a ray's interval, in the units of `t_vals` (0 under NDC).
     pub near: f64,
@@ -117,6 +119,7 @@ pub fn load(config: &DataConfig, seed: u64, events: &dyn Listener) -> Result<Sce
     scene.near = config.near.unwrap_or(scene.near);
     scene.far = config.far.unwrap_or(scene.far);
     check(&scene, config)?;
+    views::keep_training_views(&mut scene, config)?;
     corruption::corrupt(&mut scene, &config.corruption, seed)?;
     Ok(scene)
 }
@@ -124,12 +127,13 @@ pub fn load(config: &DataConfig, seed: u64, events: &dyn Listener) -> Result<Sce
 fn check(scene: &Scene, config: &DataConfig) -> Result<()> {
     if scene.train.is_empty() || scene.test.is_empty() {
         return Err(Error::Data(format!(
-            "{} leaves {} views to train on and {} held out (data.holdout = {}, data.test_skip = {}): \
+            "{} leaves {} views to train on and {} held out (data.holdout = {}, data.validation = {}, data.test_skip = {}): \
              both need at least one",
             config.dir,
             scene.train.len(),
             scene.test.len(),
             config.holdout,
+            config.validation,
             config.test_skip
         )));
     }

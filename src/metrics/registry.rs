@@ -32,6 +32,10 @@ pub enum Scope {
     ViewAlone,
     /// On a run: made of the means over its views.
     Mean,
+    /// On a run: the mean of another metric over training views ([`Metric::of`]).
+    Seen,
+    /// On a run: that mean minus the mean over held-out views.
+    Gap,
     /// On the evaluated field's density over a lattice.
     Lattice,
     /// On the surface of the evaluated field (`eval.mesh`).
@@ -72,6 +76,8 @@ pub struct Metric {
     pub scope: Scope,
     /// What it needs.
     pub needs: Needs,
+    /// The metric of views that one of [`Scope::Seen`] or [`Scope::Gap`] is made of; empty for others.
+    pub of: &'static str,
 }
 
 impl Metric {
@@ -112,6 +118,7 @@ const DECIBEL: Metric = Metric {
     digits: Digits::Decimals(2),
     scope: Scope::View,
     needs: Needs::Nothing,
+    of: "",
 };
 const LPIPS: Metric = Metric { unit: "", direction: Direction::Down, digits: Digits::Decimals(3), ..DECIBEL };
 const LATTICE: Metric = Metric {
@@ -123,11 +130,23 @@ const LATTICE: Metric = Metric {
 };
 const DEPTH: Metric =
     Metric { unit: "scene units", direction: Direction::Down, digits: Digits::Figures, needs: Needs::Depth, ..DECIBEL };
+/// Of training views: better is the fit, not the picture of what was not seen. So it describes, and so does the gap.
+const SEEN: Metric = Metric { direction: Direction::Neither, scope: Scope::Seen, ..DECIBEL };
+const SEEN_LPIPS: Metric = Metric { direction: Direction::Neither, scope: Scope::Seen, ..LPIPS };
 /// The reference's own, beside which a number of ours is read.
 const TRUTH: Metric = Metric { direction: Direction::Neither, needs: Needs::ExactDepth, ..DEPTH };
 
+const fn seen_lpips(backbone: Backbone, scope: Scope, key: &'static str, label: &'static str) -> Metric {
+    let of = match backbone {
+        Backbone::Alex => "lpips_alex",
+        Backbone::Vgg => "lpips_vgg",
+        Backbone::Squeeze => "lpips_squeeze",
+    };
+    Metric { key, label, scope, of, needs: Needs::Lpips(backbone), ..SEEN_LPIPS }
+}
+
 /// All metrics, in the order of files.
-pub static METRICS: [Metric; 25] = [
+pub static METRICS: [Metric; 35] = [
     Metric { key: "psnr", label: "PSNR (dB)", ..DECIBEL },
     Metric { key: "psnr_float", label: "PSNR float (dB)", ..DECIBEL },
     Metric {
@@ -165,6 +184,16 @@ pub static METRICS: [Metric; 25] = [
         needs: Needs::Lpips(Backbone::Squeeze),
         ..LPIPS
     },
+    Metric { key: "train_psnr", label: "PSNR of training views (dB)", of: "psnr", ..SEEN },
+    Metric { key: "gap", label: "PSNR, training minus held-out (dB)", of: "psnr", scope: Scope::Gap, ..SEEN },
+    Metric { key: "train_ssim", label: "SSIM of training views", of: "ssim", ..SEEN_LPIPS },
+    Metric { key: "gap_ssim", label: "SSIM, training minus held-out", of: "ssim", scope: Scope::Gap, ..SEEN_LPIPS },
+    seen_lpips(Backbone::Alex, Scope::Seen, "train_lpips_alex", "LPIPS (alex) of training views"),
+    seen_lpips(Backbone::Alex, Scope::Gap, "gap_lpips_alex", "LPIPS (alex), training minus held-out"),
+    seen_lpips(Backbone::Vgg, Scope::Seen, "train_lpips_vgg", "LPIPS (vgg) of training views"),
+    seen_lpips(Backbone::Vgg, Scope::Gap, "gap_lpips_vgg", "LPIPS (vgg), training minus held-out"),
+    seen_lpips(Backbone::Squeeze, Scope::Seen, "train_lpips_squeeze", "LPIPS (squeeze) of training views"),
+    seen_lpips(Backbone::Squeeze, Scope::Gap, "gap_lpips_squeeze", "LPIPS (squeeze), training minus held-out"),
     Metric { key: "l1", label: "l1 of density", unit: "scene units^2", ..LATTICE },
     Metric { key: "tv", label: "TV of density", unit: "scene units", ..LATTICE },
     Metric { key: "laplacian", label: "Laplacian of density", unit: "", ..LATTICE },
@@ -208,11 +237,22 @@ mod tests {
 
     #[test]
     fn what_describes_has_no_better_way() {
-        for key in ["occupied", "largest_density", "normal_roughness_truth", "depth_roughness_truth"] {
+        let roughness = ["normal_roughness_truth", "depth_roughness_truth"];
+        for key in [&["occupied", "largest_density", "train_psnr", "gap", "gap_lpips_vgg"], &roughness[..]].concat() {
             assert_eq!(Metric::find(key).unwrap().direction, Direction::Neither, "{key}");
         }
         let up: Vec<&str> = METRICS.iter().filter(|m| m.direction == Direction::Up).map(|m| m.key).collect();
         assert_eq!(up, ["psnr", "psnr_float", "psnr_of_mean", "ssim", "f_score"]);
+    }
+
+    #[test]
+    fn what_is_measured_on_training_views_is_measured_on_every_view() {
+        for metric in &METRICS {
+            let of_training = matches!(metric.scope, Scope::Seen | Scope::Gap);
+            assert_eq!(of_training, !metric.of.is_empty(), "{}", metric.key);
+            let of = Metric::find(metric.of).filter(|of| of.scope == Scope::View && of.needs == metric.needs);
+            assert!(of.is_some() == of_training, "{}", metric.key);
+        }
     }
 
     #[test]

@@ -105,7 +105,7 @@ pub struct MeanMetrics(Values);
 
 impl Default for MeanMetrics {
     fn default() -> MeanMetrics {
-        MeanMetrics(Values::of(|scope| matches!(scope, Scope::View | Scope::Mean | Scope::Surface)))
+        MeanMetrics(Values::of(|scope| !matches!(scope, Scope::ViewAlone | Scope::Lattice)))
     }
 }
 
@@ -127,6 +127,18 @@ impl MeanMetrics {
             means.set(&format!("average_{}", backbone.name()), value);
         }
         means
+    }
+
+    /// Fills what is told of training views: their means, and by how much these exceed those of the held-out views.
+    pub fn set_seen(&mut self, seen: &[ViewMetrics]) {
+        for metric in METRICS.iter().filter(|metric| matches!(metric.scope, Scope::Seen | Scope::Gap)) {
+            let of_seen = mean(seen, metric.of);
+            let value = match metric.scope {
+                Scope::Gap => of_seen.zip(self.get(metric.of)).map(|(seen, held_out)| seen - held_out),
+                _ => of_seen,
+            };
+            self.set(metric.key, value);
+        }
     }
 
     /// A metric's value, where there is one.

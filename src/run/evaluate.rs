@@ -4,7 +4,7 @@ use candle_core::DType;
 use rayon::prelude::*;
 
 use crate::base::{Error, Event, Image, Listener, Result};
-use crate::data::{Camera, RayBuffer, Scene, View};
+use crate::data::{Camera, RayBuffer, Scene, View, seen_views};
 use crate::methods::Model;
 use crate::metrics::{Lpips, ViewMetrics, measure, measure_depth};
 use crate::runtime::Runtime;
@@ -106,12 +106,37 @@ impl Viewer<'_> {
         lpips: &[Lpips],
         events: &dyn Listener,
         unless_stopped: impl Fn() -> Result<()>,
+        each: impl FnMut(usize, &View, &RenderedView) -> Result<()>,
+    ) -> Result<Vec<ViewMetrics>> {
+        self.measure("evaluating", self.scene.test.iter().collect(), lpips, events, unless_stopped, each)
+    }
+
+    /// Renders and measures the training views of [`seen_views`] as they were trained on, corruption included.
+    pub fn evaluate_seen(
+        &self,
+        lpips: &[Lpips],
+        events: &dyn Listener,
+        unless_stopped: impl Fn() -> Result<()>,
+    ) -> Result<Vec<ViewMetrics>> {
+        let views = seen_views(self.scene, self.config).into_iter().map(|place| &self.scene.train[place]).collect();
+        self.measure("evaluating training views", views, lpips, events, unless_stopped, |_, _, _| Ok(()))
+    }
+
+    fn measure(
+        &self,
+        what: &'static str,
+        views: Vec<&View>,
+        lpips: &[Lpips],
+        events: &dyn Listener,
+        unless_stopped: impl Fn() -> Result<()>,
         mut each: impl FnMut(usize, &View, &RenderedView) -> Result<()>,
     ) -> Result<Vec<ViewMetrics>> {
-        let views = &self.scene.test;
-        events.on(Event::Started { what: "evaluating", parts: views.len() as u64 });
+        if views.is_empty() {
+            return Ok(Vec::new());
+        }
+        events.on(Event::Started { what, parts: views.len() as u64 });
         let mut metrics = Vec::with_capacity(views.len());
-        for (index, view) in views.iter().enumerate() {
+        for (index, view) in views.into_iter().enumerate() {
             unless_stopped()?;
             let rendered = self.render(&view.camera)?;
             let mut measured = measure(&view.name, &rendered.image, &view.image, lpips)?;

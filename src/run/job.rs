@@ -19,8 +19,8 @@ use crate::settings::Resolved;
 use crate::train::{Trainer, checkpoint};
 
 use super::{
-    Between, EVALUATION_COLUMNS, Existing, Measurement, Outcome, Pictures, Report, RunDir, Session, Viewer,
-    interrupted, surface_reference,
+    Between, EVALUATION_COLUMNS, Existing, Measurement, Outcome, Pictures, Report, RunDir, SEEN_COLUMNS, Session,
+    Viewer, interrupted, surface_reference,
 };
 
 /// What a training is made of.
@@ -218,7 +218,7 @@ impl Experiment<'_> {
         }
     }
 
-    /// Measures every held-out view; returns the first one's picture, too, where pictures are made.
+    /// Measures every held-out view and some training views; returns the first one's picture, too, where pictures are made.
     fn evaluate(
         &self,
         trainer: &Trainer,
@@ -280,14 +280,19 @@ impl Between for Watcher<'_> {
         let started = Instant::now();
         let saved = trainer.step_count() - 1;
         let unless_stopped = || self.experiment.check_signal(self.signal, saved);
-        let views = self.experiment.viewer(trainer).evaluate(&[], &(), unless_stopped, |_, _, _| Ok(()))?;
+        let viewer = self.experiment.viewer(trainer);
+        let views = viewer.evaluate(&[], &(), unless_stopped, |_, _, _| Ok(()))?;
+        let seen = viewer.evaluate_seen(&[], &(), unless_stopped)?;
         self.seconds_evaluation += started.elapsed().as_secs_f64();
-        let mean = MeanMetrics::from_views(&views);
+        let mut mean = MeanMetrics::from_views(&views);
+        mean.set_seen(&seen);
         let step = trainer.step_count();
         if let Some(psnr) = mean.get("psnr") {
-            self.events.on(Event::Note(&format!("step {step}: held-out PSNR {psnr:.2} dB")));
+            let seen = mean.get("train_psnr").map_or(String::new(), |seen| format!(", of training views {seen:.2} dB"));
+            self.events.on(Event::Note(&format!("step {step}: held-out PSNR {psnr:.2} dB{seen}")));
         }
-        let values = EVALUATION_COLUMNS.into_iter().zip(["psnr", "psnr_float"].map(|key| mean.get(key)));
+        let keys = ["psnr", "psnr_float"].into_iter().chain(SEEN_COLUMNS);
+        let values = EVALUATION_COLUMNS.into_iter().chain(SEEN_COLUMNS).zip(keys.map(|key| mean.get(key)));
         Ok(values.filter_map(|(name, value)| value.map(|value| (name, value))).collect())
     }
 

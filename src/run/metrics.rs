@@ -5,11 +5,12 @@ use std::path::Path;
 use serde::Serialize;
 
 use super::Protocol;
+use super::columns::{cell, columns};
 use crate::base::Result;
 use crate::base::csv::csv_of_named;
 use crate::base::files::{write_atomic, write_json};
 use crate::methods::SiteSummary;
-use crate::metrics::{MeanMetrics, ViewMetrics};
+use crate::metrics::{MeanMetrics, Scope, ViewMetrics};
 use crate::space::Chamfer;
 
 /// `metrics.json`.
@@ -23,20 +24,24 @@ pub struct Report {
     pub protocol: Protocol,
     /// What the deltas did over the logged steps, one entry a site; empty without a perturbed pass.
     pub attack: Vec<SiteSummary>,
+    /// Every training view that was measured, as it was trained on; no part of `views` and their means.
+    pub training_views: Vec<ViewMetrics>,
 }
 
 impl Report {
-    /// Of measured views, and of a surface where one was measured.
+    /// Of measured views, held out and trained on, and of a surface where one was measured.
     pub fn new(
         views: Vec<ViewMetrics>,
+        training_views: Vec<ViewMetrics>,
         surface: Option<Chamfer>,
         protocol: Protocol,
         attack: Vec<SiteSummary>,
     ) -> Report {
         let mut mean = MeanMetrics::from_views(&views);
+        mean.set_seen(&training_views);
         mean.set("chamfer", surface.as_ref().map(|surface| surface.chamfer));
         mean.set("f_score", surface.and_then(|surface| surface.scores.first().map(|score| score.f_score)));
-        Report { mean, views, protocol, attack }
+        Report { mean, views, protocol, attack, training_views }
     }
 
     /// Writes `metrics.json` and `metrics.csv`.
@@ -50,28 +55,20 @@ impl Report {
         self.attack.iter().filter(|site| site.inactive).map(|site| site.site).collect()
     }
 
-    /// One row a view, each with the whole protocol; a missing metric is an empty cell.
+    /// One row a held-out view, each with the whole protocol and what is told of training views; a missing metric is an
+    /// empty cell.
     fn csv(&self) -> String {
         let inactive = self.inactive_levels();
+        let seen = self.mean.iter().filter(|(metric, _)| matches!(metric.scope, Scope::Seen | Scope::Gap));
+        let seen: Vec<(String, String)> =
+            seen.map(|(metric, value)| (metric.key.into(), cell(&value.into()))).collect();
         let rows = self.views.iter().map(|view| {
             let mut row = columns(view);
             row.extend(columns(&self.protocol));
             row.push(("inactive_levels".into(), inactive.join(" ")));
+            row.extend(seen.iter().cloned());
             row
         });
         csv_of_named(rows)
     }
-}
-
-/// The fields of a flat struct as text, in their order; null is an empty cell.
-pub fn columns(row: &impl Serialize) -> Vec<(String, String)> {
-    let serde_json::Value::Object(fields) = serde_json::to_value(row).expect("plain data") else {
-        unreachable!("rows are structs")
-    };
-    let text = |value: serde_json::Value| match value {
-        serde_json::Value::Null => String::new(),
-        serde_json::Value::String(text) => text,
-        other => other.to_string(),
-    };
-    fields.into_iter().map(|(name, value)| (name, text(value))).collect()
 }

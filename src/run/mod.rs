@@ -7,6 +7,7 @@
 //! or process numbers.
 
 mod balance;
+mod columns;
 mod corruption;
 mod evaluate;
 mod folder;
@@ -25,18 +26,19 @@ mod tensorboard;
 mod trained;
 
 pub use balance::{BalancedWeight, balance};
+pub use columns::columns;
 pub(crate) use corruption::write_corrupted;
 pub use evaluate::{RenderedView, Viewer};
 pub use folder::{Existing, RunDir};
 pub use inputs::{load_lpips, load_scene, locate_scene};
 pub use job::{Finished, Job, Setup};
 pub use mesh::{MeshFormat, MeshOptions, MeshReport, named_mesh};
-pub use metrics::{Report, columns};
+pub use metrics::Report;
 pub(crate) use pictures::{Pictures, write_path};
 pub use protocol::Protocol;
 pub(crate) use protocol::split_name;
 pub use scalars::Scalars;
-pub use session::{Between, EVALUATION_COLUMNS, Outcome, Session, interrupted};
+pub use session::{Between, EVALUATION_COLUMNS, Outcome, SEEN_COLUMNS, Session, interrupted};
 pub use smoothness::{SmoothnessReport, check_measurable};
 pub use surface::{BUILTIN, most_memory_mib, reference_mesh, surface_box, surface_reference, surface_threshold};
 pub use tensorboard::EventWriter;

@@ -1,128 +1,163 @@
 //! The protocol of a run: what stands beside each of its numbers.
 
-use serde::Serialize;
+use serde::ser::{Serialize, SerializeMap, Serializer};
+use serde_json::Value;
 
-use crate::augment::{Geometry, Passes, Site, StepUnit};
+use crate::augment::{Passes, Site};
 use crate::base::version;
-use crate::data::Scene;
+use crate::data::{Scene, seen_views};
 use crate::methods::{Model, step_over_radius};
 use crate::metrics::Lpips;
+use crate::settings::columns::{COLUMNS, find, perturbed, regularized};
 use crate::settings::{
-    Config, DensityActivation, EvalSplit, Init, LatticePoints, Objective, OutputPlace, PerturbField, PixelOrigin,
-    RegularizedFields, Resample, Resolved, ResolvedPerturb, Schedule, SecondPass, Sizes,
+    Config, Core, EvalSplit, LatticePoints, RegularizerConfig, Resolved, ResolvedPerturb, Schedule, TrainViews,
+    value_at,
 };
 use crate::train::checkpoint::State;
 
+use super::columns::cell;
 use super::surface;
 
 /// Version of the evaluation protocol; numbers of different versions are not comparable.
 pub const PROTOCOL: u32 = 1;
 
-/// Where a number comes from: everything that two numbers must share to be compared.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Protocol {
-    /// Version of the evaluation protocol.
-    pub protocol: u32,
-    /// Kind of scene: `llff`, `blender`, `transforms`, `builtin-blender`, `builtin-forward`.
-    pub dataset: String,
-    /// The scene's name.
-    pub scene: String,
-    /// Width of the evaluated views in pixels.
-    pub width: usize,
-    /// Height of the evaluated views in pixels.
-    pub height: usize,
-    /// `white`, `black`, or `none` for opaque photographs.
-    pub background: String,
-    /// Rays in normalised device coordinates.
-    pub ndc: bool,
-    /// Which views are evaluated: `test`, `val`, or `every-8` for hold-out.
-    pub split: String,
-    /// Views that were trained on.
-    pub views_trained: usize,
-    /// Views that were evaluated.
-    pub views_evaluated: usize,
-    /// Where in a pixel its ray goes through: `corner` or `centre`.
-    pub pixel_origin: PixelOrigin,
-    /// `nerf`, `aug-nerf`, `mip-nerf`, `aug-mip-nerf`.
-    pub method: String,
-    /// What fills the perturbed pass; this and all to `lambda` are empty without one.
-    pub perturb_kind: Option<SecondPass>,
-    /// Sites that are on, with their passes where these are not both: `t xyz view feature:fine`.
-    pub levels: Option<String>,
-    /// Which numbers fill the perturbation's unset fields: `paper` or `calibrated`.
-    pub attack: Option<Sizes>,
-    /// Steps, step size and epsilon of each level that is on: `t 3/0.01/0.5, ...`.
-    pub attack_numbers: Option<String>,
-    /// Unit of the step sizes.
-    pub step_unit: Option<StepUnit>,
-    /// Trunk layer that the feature delta is added to.
-    pub injection_layer: Option<usize>,
-    /// Network of the perturbed pass.
-    pub perturb_field: Option<PerturbField>,
-    /// How clean and perturbed loss are mixed.
-    pub objective: Option<Objective>,
-    /// Where the output deltas are added.
-    pub output: Option<OutputPlace>,
-    /// Where the perturbed fine pass takes its samples from.
-    pub resample: Option<Resample>,
-    /// Weight of the perturbed loss.
-    pub lambda: Option<f64>,
-    /// Regularizers with their weights: `l1 0.001, tv 0.0001`; this and all to
-    /// `regularizer_fields` are empty without any.
-    pub regularizers: Option<String>,
-    /// Points that a regularizer's term is made of: `sampled 4096 of 64^3`, `full 64^3`.
-    pub regularizer_points: Option<String>,
-    /// Corners of the box that they cover.
-    pub regularizer_domain: Option<String>,
-    /// Which networks are regularized.
-    pub regularizer_fields: Option<RegularizedFields>,
-    /// Width of the trunk.
-    pub field_width: usize,
-    /// Layers of the trunk.
-    pub field_depth: usize,
-    /// How weights are drawn.
-    pub init: Init,
-    /// What turns raw density into density.
-    pub density_activation: DensityActivation,
-    /// Samples of the coarse pass (MipNeRF: intervals).
-    pub samples_coarse: usize,
-    /// Further samples of the fine pass (MipNeRF: its intervals).
-    pub samples_fine: usize,
-    /// Rays of a step.
-    pub rays: usize,
-    /// Weight updates.
-    pub steps: u64,
-    /// The learning rate and how it falls: `0.0005, times 0.1 every 250000`, `0.0005 to 0.000005`.
-    pub learning_rate: String,
-    /// Weight of the coarse pass's loss.
-    pub coarse_weight: f64,
-    /// Seed of all random streams.
-    pub seed: u64,
-    /// How often each field was drawn again because it started dead: `coarse 0, fine 1`.
-    pub redraws: String,
-    /// Hash of the resolved configuration.
-    pub config_hash: String,
-    /// Hash of everything that was loaded of the scene: poses and pixels of all views, before any corruption.
-    pub data_hash: String,
-    /// What was done to the training views: `gaussian-noise 3 (std 0.18)`; empty where nothing was.
-    pub corruption: Option<String>,
-    /// The same hash after that.
-    pub corruption_hash: Option<String>,
-    /// Version of the program.
-    pub program: String,
-    /// Revision of its code; all of them where several worked on the run.
-    pub code_revision: String,
-    /// `cpu`, `cuda`, `cuda-tf32`, `metal`; all of them where several did.
-    pub device: String,
-    /// How the surface behind `chamfer` and `f_score` was drawn and compared; empty where none was.
-    pub mesh: Option<String>,
-    /// Hash of the weights that each LPIPS backbone measured with: `squeeze 1a2b3c4d5e6f`; empty where none did.
-    pub lpips_weights: Option<String>,
-    /// Whose samples, pixels and width the attack's epsilons are measured in: `sampling` or `paper`; this and the next are
-    /// empty without an attack.
-    pub attack_geometry: Option<Geometry>,
-    /// Step size over the radius of each site's set: `t 1.26, xyz 2.52, ...`.
-    pub step_over_radius: Option<String>,
+/// Where a number comes from: everything that two numbers must share to be compared. A value for each of
+/// [`COLUMNS`], in their order.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Protocol(Vec<(&'static str, Value)>);
+
+impl Serialize for Protocol {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        let mut map = serializer.serialize_map(Some(self.0.len()))?;
+        self.0.iter().try_for_each(|(name, value)| map.serialize_entry(name, value))?;
+        map.end()
+    }
+}
+
+impl Protocol {
+    /// The protocol of a run at a checkpoint's state.
+    pub fn new(config: &Resolved, scene: &Scene, state: &State) -> Protocol {
+        let table = config.to_table();
+        let found = [of_settings(config), of_scene(config, scene), of_state(config, state)].concat();
+        let value = |name: &'static str| {
+            let column = find(name).expect("a column");
+            if !(column.applies)(config) {
+                return Value::Null;
+            }
+            let set = column.setting().and_then(|setting| value_at(&table, &setting.path));
+            let set = set.map(|value| serde_json::to_value(value).expect("plain data"));
+            let own = || found.iter().find(|(known, _)| *known == name).map(|(_, value)| value.clone());
+            set.or_else(own).unwrap_or_default()
+        };
+        Protocol(COLUMNS.iter().map(|column| (column.name, value(column.name))).collect())
+    }
+
+    /// The protocol of an evaluation that measured LPIPS with these backbones.
+    pub fn with_lpips(mut self, lpips: &[Lpips]) -> Protocol {
+        let named = lpips.iter().map(|lpips| format!("{} {}", lpips.backbone().name(), lpips.weights_hash()));
+        let named = (!lpips.is_empty()).then(|| named.collect::<Vec<String>>().join(", "));
+        self.set("lpips_weights", named.into());
+        self
+    }
+
+    /// A column's value.
+    ///
+    /// # Panics
+    /// Where there is no such column.
+    pub fn get(&self, column: &str) -> &Value {
+        let known = self.0.iter().find(|(name, _)| *name == column);
+        &known.unwrap_or_else(|| panic!("{column} is no column of the protocol")).1
+    }
+
+    /// A column's value as text; empty for none.
+    pub fn text(&self, column: &str) -> String {
+        cell(self.get(column))
+    }
+
+    /// Sets a column.
+    ///
+    /// # Panics
+    /// Where there is no such column.
+    pub fn set(&mut self, column: &str, value: Value) {
+        let known = self.0.iter_mut().find(|(name, _)| *name == column);
+        known.unwrap_or_else(|| panic!("{column} is no column of the protocol")).1 = value;
+    }
+}
+
+/// Columns and their values.
+type Found = Vec<(&'static str, Value)>;
+
+/// What several settings say together.
+fn of_settings(config: &Resolved) -> Found {
+    let perturb = Some(&config.perturb).filter(|_| perturbed(config));
+    let regularizer = Some(&config.regularizer).filter(|_| regularized(config));
+    let in_space = regularizer.filter(|regularizer| regularizer.has_space_terms());
+    vec![
+        ("protocol", PROTOCOL.into()),
+        ("scene", config.data.name.clone().into()),
+        ("split", split_name(config).into()),
+        ("training_views", training_views(config).into()),
+        ("validation", (config.data.validation > 0).then(|| format!("every-{}", config.data.validation)).into()),
+        ("levels", perturb.map(levels).into()),
+        ("attack_numbers", perturb.map(attack_numbers).into()),
+        ("norms", perturb.map(norms).into()),
+        ("regularizers", regularizer.map(regularizers).into()),
+        ("regularizer_points", in_space.map(regularizer_points).into()),
+        ("regularizer_domain", in_space.map(|regularizer| format!("{:?}", regularizer.domain)).into()),
+        ("learning_rate", learning_rate(config).into()),
+        ("config_hash", config.hash().into()),
+        ("program", version().into()),
+    ]
+}
+
+/// What was loaded.
+fn of_scene(config: &Resolved, scene: &Scene) -> Found {
+    let camera = scene.test.first().or(scene.train.first()).map(|view| view.camera);
+    let background = match scene.background {
+        None => "none",
+        Some([1.0, 1.0, 1.0]) => "white",
+        Some(_) => "black",
+    };
+    let corrupted = scene.corrupted.as_ref();
+    vec![
+        ("dataset", scene.kind.into()),
+        ("width", camera.map_or(0, |camera| camera.width).into()),
+        ("height", camera.map_or(0, |camera| camera.height).into()),
+        ("background", background.into()),
+        ("ndc", scene.ndc.is_some().into()),
+        ("views_trained", scene.train.len().into()),
+        ("views_evaluated", scene.test.len().into()),
+        ("views_seen", seen_views(scene, config).len().into()),
+        ("data_hash", corrupted.map_or_else(|| scene.hash(), |corrupted| corrupted.clean_hash.clone()).into()),
+        ("corruption", corrupted.map(|corrupted| corrupted.what.clone()).into()),
+        ("corruption_hash", corrupted.map(|_| scene.hash()).into()),
+        ("mesh", surface::describe(config, scene).into()),
+        ("step_over_radius", perturbed(config).then(|| ratios(config, scene)).into()),
+    ]
+}
+
+/// What happened, and on what.
+fn of_state(config: &Resolved, state: &State) -> Found {
+    let redraws = Model::parts(config).into_iter().zip(&state.redraws).map(|(role, draws)| format!("{role} {draws}"));
+    let by_device = |of: fn(&str) -> &'static str| {
+        let mut all: Vec<&str> = state.devices.iter().map(|device| of(device)).collect();
+        all.dedup();
+        all.join(" + ")
+    };
+    // The fused core is the processor's; see `Field::prepared`.
+    let core = match config.field.core {
+        Core::Plain => "plain".into(),
+        Core::Fused => by_device(|device| if device == "cpu" { "fused" } else { "plain" }),
+    };
+    vec![
+        ("steps", state.step.into()),
+        ("redraws", redraws.collect::<Vec<String>>().join(", ").into()),
+        ("code_revision", state.revisions.join(" + ").into()),
+        ("device", state.devices.join(" + ").into()),
+        ("core", core.into()),
+        ("precision", by_device(|device| if device == "cuda-tf32" { "tf32" } else { "f32" }).into()),
+        ("instructions", state.instructions.join(" + ").into()),
+    ]
 }
 
 /// A learning rate and how it falls, in words.
@@ -135,93 +170,12 @@ fn learning_rate(config: &Resolved) -> String {
     }
 }
 
-impl Protocol {
-    /// The protocol of a run at a checkpoint's state.
-    pub fn new(config: &Resolved, scene: &Scene, state: &State) -> Protocol {
-        let camera = scene.test.first().or(scene.train.first()).map(|view| view.camera);
-        let perturb = config.method.is_augmented().then_some(&config.perturb);
-        let regularizer = Some(&config.regularizer).filter(|regularizer| !regularizer.kind.is_empty());
-        let in_space = regularizer.filter(|regularizer| regularizer.has_space_terms());
-        let deltas = perturb.filter(|perturb| perturb.source().is_some());
-        let named = Model::parts(config).into_iter().zip(&state.redraws).map(|(role, draws)| format!("{role} {draws}"));
-        Protocol {
-            protocol: PROTOCOL,
-            dataset: scene.kind.to_string(),
-            scene: config.data.name.clone(),
-            width: camera.map_or(0, |camera| camera.width),
-            height: camera.map_or(0, |camera| camera.height),
-            background: match scene.background {
-                None => "none".into(),
-                Some([1.0, 1.0, 1.0]) => "white".into(),
-                Some(_) => "black".into(),
-            },
-            ndc: scene.ndc.is_some(),
-            split: split_name(config),
-            views_trained: scene.train.len(),
-            views_evaluated: scene.test.len(),
-            pixel_origin: config.data.pixel_origin,
-            method: config.method.name().into(),
-            perturb_kind: perturb.map(|perturb| perturb.second),
-            levels: deltas.map(levels),
-            attack: deltas.map(|perturb| perturb.sizes),
-            attack_numbers: deltas.map(attack_numbers),
-            step_unit: deltas.map(|perturb| perturb.step_unit),
-            injection_layer: deltas
-                .filter(|perturb| perturb.numbers[Site::Feature].on())
-                .map(|perturb| perturb.injection_layer),
-            perturb_field: perturb.map(|perturb| perturb.field),
-            objective: perturb.map(|perturb| perturb.objective),
-            output: deltas.map(|perturb| perturb.output),
-            resample: deltas.map(|perturb| perturb.resample),
-            lambda: perturb.map(|perturb| perturb.lambda),
-            regularizers: regularizer.map(|regularizer| {
-                let terms = regularizer.terms().map(|(term, weight)| format!("{} {weight}", term.name()));
-                terms.collect::<Vec<String>>().join(", ")
-            }),
-            regularizer_points: in_space.map(|regularizer| match regularizer.points {
-                LatticePoints::Full => format!("full {}^3", regularizer.lattice),
-                LatticePoints::Sampled => {
-                    let place = if regularizer.jitter { "" } else { " at midpoints" };
-                    format!("sampled {} of {}^3{place}", regularizer.points_per_step, regularizer.lattice)
-                }
-            }),
-            regularizer_domain: in_space.map(|regularizer| format!("{:?}", regularizer.domain)),
-            regularizer_fields: regularizer.map(|regularizer| regularizer.fields),
-            field_width: config.field.width,
-            field_depth: config.field.depth,
-            init: config.field.init,
-            density_activation: config.field.density_activation,
-            samples_coarse: config.sampling.coarse,
-            samples_fine: config.sampling.fine,
-            rays: config.train.rays,
-            steps: state.step,
-            learning_rate: learning_rate(config),
-            coarse_weight: config.train.coarse_weight,
-            seed: config.seed,
-            redraws: named.collect::<Vec<String>>().join(", "),
-            config_hash: config.hash(),
-            data_hash: match &scene.corrupted {
-                Some(corrupted) => corrupted.clean_hash.clone(),
-                None => scene.hash(),
-            },
-            corruption: scene.corrupted.as_ref().map(|corrupted| corrupted.what.clone()),
-            corruption_hash: scene.corrupted.is_some().then(|| scene.hash()),
-            program: version().into(),
-            code_revision: state.revisions.join(" + "),
-            device: state.devices.join(" + "),
-            mesh: surface::describe(config, scene),
-            lpips_weights: None,
-            attack_geometry: deltas.map(|perturb| perturb.geometry),
-            step_over_radius: deltas.map(|_| ratios(config, scene)),
-        }
-    }
-
-    /// The protocol of an evaluation that measured LPIPS with these backbones.
-    pub fn with_lpips(self, lpips: &[Lpips]) -> Protocol {
-        let named = lpips.iter().map(|lpips| format!("{} {}", lpips.backbone().name(), lpips.weights_hash()));
-        let lpips_weights = (!lpips.is_empty()).then(|| named.collect::<Vec<String>>().join(", "));
-        Protocol { lpips_weights, ..self }
-    }
+/// Which of the training views were kept; none for all.
+fn training_views(config: &Config) -> Option<String> {
+    config.data.train_views.as_ref().map(|views| match views {
+        TrainViews::Number(number) => format!("{number} drawn"),
+        TrainViews::Named(names) => names.join(" "),
+    })
 }
 
 fn levels(perturb: &ResolvedPerturb) -> String {
@@ -247,15 +201,77 @@ fn ratios(config: &Resolved, scene: &Scene) -> String {
     ratios.iter().map(|(site, ratio)| format!("{} {}", site.name(), three(*ratio))).collect::<Vec<String>>().join(", ")
 }
 
-/// Which views are evaluated: `test`, `val`, or `every-8` for every 8th view held out.
+/// Norms of the sets; sites of one number a sample have none to choose.
+fn norms(perturb: &ResolvedPerturb) -> String {
+    let on = perturb.numbers.iter().filter(|(site, numbers): &(Site, _)| numbers.on() && !site.about().scalar);
+    let named = on.map(|(site, numbers)| format!("{} {}", site.name(), numbers.norm.name()));
+    named.collect::<Vec<String>>().join(", ")
+}
+
+fn regularizers(regularizer: &RegularizerConfig) -> String {
+    let terms = regularizer.terms().map(|(term, weight)| format!("{} {weight}", term.name()));
+    terms.collect::<Vec<String>>().join(", ")
+}
+
+fn regularizer_points(regularizer: &RegularizerConfig) -> String {
+    match regularizer.points {
+        LatticePoints::Full => format!("full {}^3", regularizer.lattice),
+        LatticePoints::Sampled => {
+            let place = if regularizer.jitter { "" } else { " at midpoints" };
+            format!("sampled {} of {}^3{place}", regularizer.points_per_step, regularizer.lattice)
+        }
+    }
+}
+
+/// Which views are evaluated: `test`, `val`, or `every-8` for every 8th view held out, `every-8-from-3` where the first of
+/// these is view 3, counted from 0; with `-val` behind, those that are kept for choices instead.
 pub fn split_name(config: &Config) -> String {
-    let split = match (config.data.kind.has_splits(), config.data.eval_split) {
+    let data = &config.data;
+    let split = match (data.kind.has_splits(), data.eval_split) {
         (true, EvalSplit::Val) => "val".to_string(),
         (true, EvalSplit::Test) => "test".to_string(),
-        (false, _) => format!("every-{}", config.data.holdout),
+        (false, eval_split) => {
+            let from = if data.holdout_offset == 0 { String::new() } else { format!("-from-{}", data.holdout_offset) };
+            let kept = if eval_split == EvalSplit::Val { "-val" } else { "" };
+            format!("every-{}{from}{kept}", data.holdout)
+        }
     };
-    match config.data.test_skip {
+    match data.test_skip {
         1 => split,
         skip => format!("{split}-skip-{skip}"),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::run::load_scene;
+    use crate::settings::{Preset, build, parse_assignment};
+
+    /// A column holds a setting's value or what is found here, never both.
+    #[test]
+    fn every_column_has_one_source() {
+        let small = [parse_assignment("data.width=8").unwrap()];
+        let (config, scene) = load_scene(build(Some(Preset::Smoke), None, &small).unwrap(), &()).unwrap();
+        let state = State { redraws: vec![0, 1], ..State::default() };
+        let found = [of_settings(&config), of_scene(&config, &scene), of_state(&config, &state)].concat();
+        for column in COLUMNS {
+            let here = found.iter().filter(|(name, _)| *name == column.name).count();
+            let measured = usize::from(column.name == "lpips_weights");
+            assert_eq!(here + measured + usize::from(column.setting().is_some()), 1, "{}", column.name);
+        }
+        assert!(found.iter().all(|(name, _)| find(name).is_some()));
+    }
+
+    #[test]
+    fn splits_are_named_by_all_that_makes_them() {
+        let named = |texts: &[&str]| {
+            let texts: Vec<_> = texts.iter().map(|text| parse_assignment(text).unwrap()).collect();
+            split_name(&build(None, None, &texts).unwrap())
+        };
+        assert_eq!(named(&["data.kind=llff"]), "every-8");
+        assert_eq!(named(&["data.kind=llff", "data.holdout=5", "data.holdout_offset=3"]), "every-5-from-3");
+        assert_eq!(named(&["data.kind=llff", "data.validation=4", "data.eval_split=val"]), "every-8-val");
+        assert_eq!(named(&["data.kind=blender", "data.eval_split=val", "data.test_skip=2"]), "val-skip-2");
     }
 }

@@ -33,6 +33,9 @@ pub enum Outcome {
 /// Columns that an evaluation during training fills.
 pub const EVALUATION_COLUMNS: [&str; 2] = ["test_psnr", "test_psnr_float"];
 
+/// Those that it fills where it measures training views, too.
+pub const SEEN_COLUMNS: [&str; 2] = ["train_psnr", "gap"];
+
 /// A training session of one process in one run folder.
 pub struct Session<'a> {
     run: &'a RunDir,
@@ -46,9 +49,13 @@ pub struct Session<'a> {
 /// Columns of `scalars.csv` after `step`.
 fn columns(trainer: &Trainer) -> Vec<String> {
     let LogColumns { photometric, further } = trainer.columns();
-    let evaluation = if trainer.config().train.eval_every > 0 { &EVALUATION_COLUMNS[..] } else { &[] };
+    let config = trainer.config();
+    let when = |holds: bool, names: &'static [&str]| if holds { names } else { &[] };
+    let evaluates = config.train.eval_every > 0;
+    let evaluation = when(evaluates, &EVALUATION_COLUMNS);
+    let seen = when(evaluates && config.eval.train_views != Some(0), &SEEN_COLUMNS);
     let named = |names: &[&str]| names.iter().map(|name| name.to_string()).collect::<Vec<_>>();
-    [named(&["learning_rate", "loss"]), photometric, named(&["psnr"]), named(evaluation), further].concat()
+    [named(&["learning_rate", "loss"]), photometric, named(&["psnr"]), named(evaluation), named(seen), further].concat()
 }
 
 /// One row of the logs.

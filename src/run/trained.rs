@@ -35,7 +35,7 @@ use super::{Protocol, RenderedView, Report, RunDir, Viewer, load_scene, surface_
 /// # Job::create(&folder, Existing::Refuse, setup)?.train(&(), &AtomicUsize::new(0))?;
 ///
 /// let trained = Trained::open(&folder, None, &Runtime::new("cpu", None)?, &())?;
-/// assert_eq!((trained.state.step, trained.protocol().scene.as_str()), (4, "builtin"));
+/// assert_eq!((trained.state.step, trained.protocol().text("scene").as_str()), (4, "builtin"));
 /// let report = trained.evaluate(&[], &())?;
 /// assert_eq!(report.views.len(), trained.scene.test.len());
 /// # Ok::<(), augnerf::base::Error>(())
@@ -88,7 +88,7 @@ impl Trained {
         Protocol::new(&self.config, &self.scene, &self.state)
     }
 
-    /// Measures every held-out view, and the surface where the settings ask for one, and writes `metrics.json` and
+    /// Measures every held-out view, some training views, and the surface where the settings ask for one, and writes `metrics.json` and
     /// `metrics.csv` into the run's folder.
     ///
     /// # Errors
@@ -130,9 +130,10 @@ impl Measurement<'_> {
     ) -> Result<Report> {
         let attack = SiteSummary::read(&self.run.scalars(), self.state.step)?;
         let views = self.viewer.evaluate(self.lpips, self.events, &unless_stopped, each)?;
+        let training_views = self.viewer.evaluate_seen(self.lpips, self.events, &unless_stopped)?;
         let surface = self.viewer.surface(self.events, &unless_stopped)?;
         let protocol = Protocol::new(self.viewer.config, self.viewer.scene, self.state).with_lpips(self.lpips);
-        let report = Report::new(views, surface, protocol, attack);
+        let report = Report::new(views, training_views, surface, protocol, attack);
         let [json, csv] = RunDir::metrics_in(self.folder);
         report.write(&json, &csv)?;
         Ok(report)

@@ -82,6 +82,20 @@ pub fn free_memory_mib() -> Option<f64> {
     Some(kib / 1024.0)
 }
 
+/// The widest instruction set that this processor has and kernels are written for: `x86-64-v4` (AVX-512), `x86-64-v3` (AVX2
+/// and FMA), `neon`, or the architecture's name for its least.
+pub fn instructions() -> &'static str {
+    match pulp::Arch::new() {
+        #[cfg(target_arch = "x86_64")]
+        pulp::Arch::V4(_) => "x86-64-v4",
+        #[cfg(target_arch = "x86_64")]
+        pulp::Arch::V3(_) => "x86-64-v3",
+        #[cfg(target_arch = "aarch64")]
+        pulp::Arch::Neon(_) => "neon",
+        _ => std::env::consts::ARCH,
+    }
+}
+
 /// Seconds since 1970 (UTC).
 pub fn unix_seconds() -> f64 {
     SystemTime::now().duration_since(UNIX_EPOCH).map_or(0.0, |since| since.as_secs_f64())

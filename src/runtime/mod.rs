@@ -107,6 +107,11 @@ impl Runtime {
         self.name.split_once(':').map_or(self.name(), |(kind, _)| kind)
     }
 
+    /// The processor's instruction set, as far as kernels are chosen by it; none where another device computes.
+    pub fn instructions(&self) -> Option<&'static str> {
+        self.device.is_cpu().then(host::instructions)
+    }
+
     /// How many threads share the work.
     pub fn threads(&self) -> usize {
         self.pool.current_num_threads()

@@ -1,7 +1,10 @@
-//! The columns of a run's protocol, as readers meet them: what captions tell, what rows must share to be compared. The
-//! values are those of `run::Protocol`; which settings a column speaks of stands with the settings.
+//! The columns of a run's protocol, as readers meet them: what captions tell, what rows must share to be compared. Which
+//! settings a column speaks of stands with the settings: one that a setting names as its `column` holds that setting's
+//! value, the others are made in `run::Protocol`.
 
 use super::registry::{Effect, REGISTRY, Setting};
+use super::{Batching, Config, Schedule};
+use crate::augment::Site;
 
 /// When rows of one scene must agree in a column.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -16,26 +19,43 @@ pub enum Agreement {
     ForLpips,
 }
 
+/// Where tables tell a column.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Told {
+    /// In the caption where all lines of a scene share it, otherwise in a note.
+    Always,
+    /// In a note where the lines of a scene differ in it.
+    Differing,
+    /// Nowhere: rows are made to differ in it, and their names say so.
+    Nowhere,
+}
+
 /// A column of the protocol.
 #[derive(Clone, Copy, Debug)]
 pub struct Column {
     /// Its name in files.
     pub name: &'static str,
-    /// A table's caption tells it, where all lines of a scene share it.
-    pub in_caption: bool,
+    /// Where tables tell it.
+    pub told: Told,
     /// When rows of one scene must agree in it.
     pub agreement: Agreement,
     /// Each seed has its own: no difference between rows.
     pub per_seed: bool,
+    /// It is empty under other configurations.
+    pub applies: fn(&Config) -> bool,
 }
 
 const fn column(name: &'static str) -> Column {
-    Column { name, in_caption: false, agreement: Agreement::Free, per_seed: false }
+    Column { name, told: Told::Nowhere, agreement: Agreement::Free, per_seed: false, applies: |_| true }
 }
 
 impl Column {
     const fn in_caption(self) -> Column {
-        Column { in_caption: true, ..self }
+        Column { told: Told::Always, ..self }
+    }
+
+    const fn where_differing(self) -> Column {
+        Column { told: Told::Differing, ..self }
     }
 
     const fn always(self) -> Column {
@@ -54,6 +74,10 @@ impl Column {
         Column { per_seed: true, ..self }
     }
 
+    const fn of(self, applies: fn(&Config) -> bool) -> Column {
+        Column { applies, ..self }
+    }
+
     /// It says nothing that other columns and settings do not decide.
     pub fn is_derived(&self) -> bool {
         self.per_seed && !REGISTRY.settings.iter().any(|setting| self.follows(setting))
@@ -61,16 +85,57 @@ impl Column {
 
     /// The setting decides what stands in it.
     pub fn follows(&self, setting: &Setting) -> bool {
-        // All that is read of a scene, before any corruption.
-        let is_read = setting.path.starts_with("data.")
-            && !setting.path.starts_with("data.corruption.")
-            && setting.rule.effect == Effect::Numbers;
-        setting.rule.columns.contains(&self.name) || self.name == "data_hash" && is_read
+        setting.rule.all_columns().any(|name| name == self.name) || self.name == DATA_HASH && is_read(setting)
+    }
+
+    /// The setting whose value it holds; none where it says what a run found.
+    pub fn setting(&self) -> Option<&'static Setting> {
+        REGISTRY.settings.iter().find(|setting| setting.rule.column == Some(self.name))
     }
 }
 
-/// All columns, in the order in which captions tell them.
-pub const COLUMNS: [Column; 50] = [
+const DATA_HASH: &str = "data_hash";
+
+/// Decides what is read of a scene, before any corruption.
+fn is_read(setting: &Setting) -> bool {
+    setting.path.starts_with("data.")
+        && !setting.path.starts_with("data.corruption.")
+        && setting.rule.effect == Effect::Numbers
+}
+
+/// There is a second pass.
+fn augmented(config: &Config) -> bool {
+    config.method.is_augmented()
+}
+
+/// There are deltas.
+pub fn perturbed(config: &Config) -> bool {
+    augmented(config) && config.perturb.source().is_some()
+}
+
+fn perturbed_at(config: &Config, site: Site) -> bool {
+    perturbed(config) && config.perturb.sites[site].on()
+}
+
+/// A term of the loss stands beside the colours' error.
+pub fn regularized(config: &Config) -> bool {
+    !config.regularizer.kind.is_empty()
+}
+
+fn warmed_up(config: &Config) -> bool {
+    config.train.schedule == Schedule::LogLinear
+}
+
+fn of_one_image(config: &Config) -> bool {
+    config.train.batching == Some(Batching::OneImage)
+}
+
+fn cropped(config: &Config) -> bool {
+    of_one_image(config) && config.train.precrop_steps != Some(0)
+}
+
+/// All columns, in the order of files.
+pub const COLUMNS: &[Column] = &[
     column("protocol").in_caption().always(),
     column("dataset").in_caption().always(),
     column("scene").always(),
@@ -81,46 +146,73 @@ pub const COLUMNS: [Column; 50] = [
     column("split").in_caption().unless_varied(),
     column("views_trained").in_caption().unless_varied(),
     column("views_evaluated").in_caption().unless_varied(),
-    column("corruption").in_caption().unless_varied(),
-    column("corruption_hash").per_seed(),
-    column("data_hash").unless_varied(),
-    column("mesh").in_caption().always(),
-    column("lpips_weights").for_lpips(),
-    column("attack_geometry"),
-    column("step_over_radius"),
     column("pixel_origin").in_caption().unless_varied(),
     column("method"),
-    column("perturb_kind"),
-    column("levels"),
-    column("attack"),
-    column("attack_numbers"),
-    column("step_unit"),
-    column("injection_layer"),
-    column("perturb_field"),
-    column("objective"),
-    column("output"),
-    column("resample"),
-    column("lambda"),
-    column("regularizers"),
-    column("regularizer_points"),
-    column("regularizer_domain"),
-    column("regularizer_fields"),
+    column("perturb_kind").of(augmented),
+    column("levels").of(perturbed),
+    column("attack").of(perturbed),
+    column("attack_numbers").of(perturbed),
+    column("step_unit").of(perturbed),
+    column("injection_layer").of(|config| perturbed_at(config, Site::Feature)),
+    column("perturb_field").where_differing().of(augmented),
+    column("objective").where_differing().of(augmented),
+    column("output").where_differing().of(perturbed),
+    column("resample").where_differing().of(perturbed),
+    column("lambda").of(augmented),
+    column("regularizers").of(regularized),
+    column("regularizer_points").of(regularized),
+    column("regularizer_domain").of(regularized),
+    column("regularizer_fields").of(regularized),
     column("field_width").in_caption(),
     column("field_depth").in_caption(),
-    column("init"),
+    column("init").where_differing(),
+    column("density_activation").in_caption(),
     column("samples_coarse").in_caption(),
     column("samples_fine").in_caption(),
     column("rays").in_caption(),
     column("steps").in_caption(),
-    column("density_activation").in_caption(),
-    column("learning_rate"),
-    column("coarse_weight"),
+    column("learning_rate").in_caption(),
+    column("coarse_weight").in_caption(),
     column("seed").per_seed(),
     column("redraws").per_seed(),
     column("config_hash").per_seed(),
+    column(DATA_HASH).unless_varied(),
+    column("corruption").in_caption().unless_varied(),
+    column("corruption_hash").per_seed(),
     column("program").in_caption().always(),
     column("code_revision").in_caption().always(),
     column("device").always(),
+    column("mesh").in_caption().always(),
+    column("lpips_weights").for_lpips(),
+    // Later than the first results, whose points lack them.
+    column("attack_geometry").where_differing().of(perturbed),
+    column("step_over_radius").of(perturbed),
+    column("training_views").in_caption().unless_varied(),
+    column("validation").in_caption().unless_varied(),
+    column("views_seen").in_caption().unless_varied(),
+    column("views_seed").where_differing().unless_varied(),
+    column("encoding").where_differing(),
+    column("position_octaves").where_differing(),
+    column("view_octaves").where_differing(),
+    column("skips").where_differing(),
+    column("rgb_padding").where_differing(),
+    column("resample_padding").where_differing().of(|config| config.field.encoding.at_intervals()),
+    column("jitter").where_differing(),
+    column("density_noise").where_differing(),
+    column("batching").where_differing(),
+    column("precrop_steps").where_differing().of(of_one_image),
+    column("precrop_fraction").where_differing().of(cropped),
+    column("warmup_share").where_differing().of(warmed_up),
+    column("warmup_from").where_differing().of(warmed_up),
+    column("dead_start_share").where_differing(),
+    column("chunk").where_differing(),
+    column("eval_chunk").where_differing(),
+    column("xyz_radius").where_differing().of(|config| perturbed_at(config, Site::Xyz)),
+    column("norms").where_differing().of(perturbed),
+    column("perturb_last").where_differing().of(|config| perturbed_at(config, Site::Density)),
+    column("core").where_differing(),
+    column("precision").where_differing(),
+    column("instructions").where_differing(),
 ];
 
 /// The column of that name.
@@ -143,7 +235,33 @@ pub fn is_per_seed(name: &str) -> bool {
 
 #[cfg(test)]
 mod tests {
-    use super::disagree;
+    use super::super::registry::{Effect, REGISTRY};
+    use super::{COLUMNS, disagree, find};
+
+    /// Settings that can change numbers, but for which no column speaks.
+    const UNSPOKEN: [(&str, &str); 1] =
+        [("train.collapse_steps", "ends a run that has collapsed; the numbers of one that goes on are the same")];
+
+    #[test]
+    fn every_setting_that_can_change_a_number_has_a_column() {
+        for setting in REGISTRY.settings.iter().filter(|setting| setting.rule.effect == Effect::Numbers) {
+            let spoken = COLUMNS.iter().any(|column| column.follows(setting));
+            let excused = UNSPOKEN.iter().any(|(path, _)| *path == setting.path);
+            assert!(spoken != excused, "{}: a column of the protocol, or a reason in UNSPOKEN", setting.path);
+        }
+    }
+
+    #[test]
+    fn columns_are_distinct_and_known() {
+        for (index, column) in COLUMNS.iter().enumerate() {
+            assert!(COLUMNS[..index].iter().all(|other| other.name != column.name), "{}", column.name);
+            let holders = REGISTRY.settings.iter().filter(|setting| setting.rule.column == Some(column.name));
+            assert!(holders.count() <= 1, "{} holds the value of several settings", column.name);
+        }
+        for setting in &REGISTRY.settings {
+            assert!(setting.rule.all_columns().all(|name| find(name).is_some()), "{}", setting.path);
+        }
+    }
 
     #[test]
     fn what_was_not_measured_is_no_other_measurement() {

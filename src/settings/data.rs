@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::CorruptionConfig;
-use super::registry::{choice, numbers, place, section};
+use super::registry::{Range, Settable, choice, numbers, place, section};
 
 /// Which reader a scene folder is given to.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -118,7 +118,36 @@ impl PixelOrigin {
 
 choice!(DataKind, Background, EvalSplit, PixelOrigin);
 
-const SPLIT: &[&str] = &["split", "views_trained", "views_evaluated"];
+/// Which of a scene's training views are kept.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(untagged, expecting = "expected a number of views, or a list of their names such as [\"r_2\", \"r_26\"]")]
+pub enum TrainViews {
+    /// So many, drawn with `data.views_seed`.
+    Number(usize),
+    /// Those of these names.
+    Named(Vec<String>),
+}
+
+impl Settable for TrainViews {
+    fn kind() -> String {
+        "whole number, or list of: text".into()
+    }
+
+    fn outside(&self, _: &Range) -> Option<String> {
+        match self {
+            TrainViews::Number(number) => (*number == 0).then(|| "0".into()),
+            TrainViews::Named(names) => {
+                let twice = (1..names.len()).any(|i| names[..i].contains(&names[i]));
+                (names.is_empty() || twice).then(|| format!("{names:?}"))
+            }
+        }
+    }
+}
+
+/// Columns that speak of which views are held out.
+const SPLIT: &[&str] = &["split", "views_trained", "views_evaluated", "views_seen"];
+/// Columns that speak of which of the others are trained on.
+const TRAINED: &[&str] = &["training_views", "views_trained", "views_seen"];
 
 fn is_plain_name(name: &str) -> bool {
     !name.contains(['/', '\\']) && name != "." && name != ".."
@@ -141,13 +170,28 @@ section! {
         /// Exact width in pixels instead of `downscale` (0 = use `downscale`); height follows the aspect.
         pub width: u32 = 0,
             numbers().whole(0, 16_384, "0 (use data.downscale) to 16384 pixels").columns(&["width", "height"]);
-        /// Every N-th view is held out (LLFF, transforms, embedded forward scene), starting with the first.
+        /// Every N-th view is held out (LLFF, transforms, embedded forward scene), starting with the first, or with that of
+        /// `holdout_offset`.
         pub holdout: usize = 8,
             numbers().whole(2, u64::MAX, "at least 2, so that views are left to train on").columns(SPLIT);
         /// Keep every N-th evaluation view (1 = all).
         pub test_skip: usize = 1, numbers().whole(1, u64::MAX, "at least 1").columns(SPLIT);
-        /// Which split a Blender scene is evaluated on.
+        /// `test`: held-out views are evaluated. `val`: those for choices, a Blender scene's `transforms_val.json` or what
+        /// `validation` keeps.
         pub eval_split: EvalSplit = EvalSplit::Test, numbers().columns(SPLIT);
+        /// How many views come before the first that is held out (below `holdout`; LLFF, transforms, embedded forward scene).
+        pub holdout_offset: usize = 0, numbers().columns(SPLIT).later().same_time();
+        /// Of the views that are not held out, the middle one of every N is kept for choices (0 = none): never trained on,
+        /// and evaluated with `eval_split = "val"` alone. Blender scenes have a split for that, and pay this no heed.
+        pub validation: usize = 0, numbers().columns(&["validation", "views_trained", "views_seen"]).later().same_time();
+        /// Few-view studies: how many of the training views are kept, drawn with `views_seed` (a smaller number keeps a part
+        /// of what a larger one keeps), or the names of those that are. Empty = all.
+        pub train_views: Option<TrainViews> = None,
+            numbers().allowing("at least 1, or a list of names, each once").columns(TRAINED).later().same_time();
+        /// Seed of choices among views: those of `train_views`, and those that `eval.train_views` measures. Not the run's
+        /// seed: runs of all seeds see the same views.
+        pub views_seed: u64 = 0,
+            numbers().whole(0, i64::MAX as u64, "at most 2^63 - 1").column("views_seed").later().same_time();
         /// Background of RGBA images.
         pub background: Background = Background::White, numbers().columns(&["background"]);
         /// LLFF: rays in normalised device coordinates.
@@ -163,7 +207,7 @@ section! {
         /// Overrides the scene's far bound; empty = the scene's own.
         pub far: Option<f64> = None, numbers().real(|far| far >= 0.0, "a finite distance of at least 0");
         /// Where in a pixel its ray goes through.
-        pub pixel_origin: PixelOrigin = PixelOrigin::Corner, numbers().columns(&["pixel_origin"]);
+        pub pixel_origin: PixelOrigin = PixelOrigin::Corner, numbers().column("pixel_origin");
     }
     sections {
         /// What is done to the training views.

@@ -38,7 +38,7 @@ pub fn settings_page() -> String {
         let _ = write!(page, "\n## {title}\n\n{doc}");
         page.push_str("| setting | default | values | what it is | changes | protocol |\n|---|---|---|---|---|---|\n");
         for setting in own {
-            let columns: Vec<String> = setting.rule.columns.iter().map(|column| format!("`{column}`")).collect();
+            let columns: Vec<String> = setting.rule.all_columns().map(|column| format!("`{column}`")).collect();
             let cells = [
                 format!("`{}`", setting.key()),
                 code(value_at(&defaults, &setting.path)),

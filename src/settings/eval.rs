@@ -13,7 +13,10 @@ section! {
     /// Evaluation and its pictures.
     pub struct EvalConfig {
         /// Rays rendered at once; bounds memory. Changes results by rounding only.
-        pub chunk: usize = 256, numbers().whole(1, 1 << 20, "1 to 1048576 rays");
+        pub chunk: usize = 256, numbers().whole(1, 1 << 20, "1 to 1048576 rays").column("eval_chunk");
+        /// How many training views every evaluation measures, too: columns `train_psnr`, `gap` and their like (0 = none). They
+        /// are drawn with `data.views_seed`. Empty = as many as are held out. They take as long as held-out ones.
+        pub train_views: Option<usize> = None, output().columns(&["views_seen"]).later();
         /// Folder with LPIPS weights; empty = LPIPS is not measured.
         pub lpips_weights: String = String::new(), place().columns(&["lpips_weights"]);
         /// How many held-out views `train` writes pictures of (0 = none; metrics cover all views).

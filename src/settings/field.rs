@@ -54,27 +54,28 @@ section! {
     /// The coarse and the fine network; both have this shape.
     pub struct FieldConfig {
         /// Neurons of a trunk layer (D).
-        pub width: usize = 256, numbers().whole(4, 4096, "4 to 4096 neurons").columns(&["field_width"]);
+        pub width: usize = 256, numbers().whole(4, 4096, "4 to 4096 neurons").column("field_width");
         /// Trunk layers.
-        pub depth: usize = 8, numbers().whole(1, 64, "1 to 64 layers").columns(&["field_depth"]);
+        pub depth: usize = 8, numbers().whole(1, 64, "1 to 64 layers").column("field_depth");
         /// The encoding is concatenated to the output of these layers (1-based).
-        pub skips: Vec<usize> = vec![5], numbers();
+        pub skips: Vec<usize> = vec![5], numbers().column("skips");
         /// How positions are encoded: `positional` for NeRF, `integrated` for MipNeRF.
-        pub encoding: Encoding = Encoding::Positional, numbers().later();
+        pub encoding: Encoding = Encoding::Positional, numbers().column("encoding").later();
         /// Octaves of the position's encoding (10: 63 channels; integrated, 16: 96).
-        pub position_octaves: usize = 10, numbers().whole(0, 20, "0 to 20");
+        pub position_octaves: usize = 10, numbers().whole(0, 20, "0 to 20").column("position_octaves");
         /// Octaves of the view direction's encoding (4: 27 channels).
-        pub view_octaves: usize = 4, numbers().whole(0, 20, "0 to 20");
+        pub view_octaves: usize = 4, numbers().whole(0, 20, "0 to 20").column("view_octaves");
         /// How weights are drawn.
-        pub init: Init = Init::Glorot, numbers().columns(&["init"]);
+        pub init: Init = Init::Glorot, numbers().column("init");
         /// What turns raw density into density.
         pub density_activation: DensityActivation = DensityActivation::Relu,
-            numbers().columns(&["density_activation"]);
+            numbers().column("density_activation");
         /// Colours reach from minus this to 1 plus this, so that 0 and 1 need no infinite raw colour (MipNeRF: 0.001).
-        pub rgb_padding: f64 = 0.0, numbers().real(|padding| (0.0..=0.5).contains(&padding), "0 to 0.5").later();
+        pub rgb_padding: f64 = 0.0,
+            numbers().real(|padding| (0.0..=0.5).contains(&padding), "0 to 0.5").column("rgb_padding").later();
         /// What computes the networks: `fused` (where there is one for the device) or `plain`, the reference. They differ
         /// by roundings.
-        pub core: Core = Core::Fused, numbers();
+        pub core: Core = Core::Fused, numbers().columns(&["core"]);
     }
     sections {}
 }

@@ -26,7 +26,7 @@ mod types;
 mod validate;
 
 pub use corruption::{CorruptionConfig, CorruptionKind};
-pub use data::{Background, DataConfig, DataKind, EvalSplit, PixelOrigin};
+pub use data::{Background, DataConfig, DataKind, EvalSplit, PixelOrigin, TrainViews};
 pub use document::{settings_page, settings_text};
 pub use eval::{EvalConfig, MESH_SIDES, MeshConfig};
 pub use field::{Core, DensityActivation, Encoding, FieldConfig, Init};
@@ -49,10 +49,10 @@ section! {
     /// output folder) is not.
     pub struct Config {
         /// Seed of every random stream.
-        pub seed: u64 = 0, numbers().whole(0, i64::MAX as u64, "at most 2^63 - 1").columns(&["seed"]).same_time();
+        pub seed: u64 = 0, numbers().whole(0, i64::MAX as u64, "at most 2^63 - 1").column("seed").same_time();
         /// What is trained: `nerf` or `mip-nerf` (clean pass only), `aug-nerf` or `aug-mip-nerf` (clean + perturbed pass,
         /// section `perturb`).
-        pub method: Method = Method::Nerf, numbers().columns(&["method"]);
+        pub method: Method = Method::Nerf, numbers().column("method");
     }
     sections {
         /// The scene.

@@ -69,36 +69,36 @@ section! {
         /// What it is.
         #[serde(rename = "kind")]
         pub second: SecondPass = SecondPass::Perturbed(DeltaSource::WorstCase),
-            numbers().key("kind").columns(&["perturb_kind"]);
+            numbers().key("kind").column("perturb_kind");
         /// Which numbers fill the empty fields of sites.
         #[serde(rename = "attack")]
-        pub sizes: Sizes = Sizes::Paper, numbers().key("attack").columns(&["attack"]);
+        pub sizes: Sizes = Sizes::Paper, numbers().key("attack").column("attack");
         /// The second pass's weight in the loss.
         pub lambda: f64 = 0.1,
             numbers()
                 .real(|weight| weight >= 0.0, "0 or positive, and at most 1 with perturb.objective = \"released\"")
-                .columns(&["lambda"])
+                .column("lambda")
                 .same_time();
         /// How the losses of both passes are mixed.
-        pub objective: Objective = Objective::Paper, numbers().columns(&["objective"]);
+        pub objective: Objective = Objective::Paper, numbers().column("objective");
         /// Which network the perturbed pass runs through.
-        pub field: PerturbField = PerturbField::Shared, numbers().columns(&["perturb_field"]);
+        pub field: PerturbField = PerturbField::Shared, numbers().column("perturb_field");
         /// Where the output deltas are added.
-        pub output: OutputPlace = OutputPlace::After, numbers().columns(&["output"]);
+        pub output: OutputPlace = OutputPlace::After, numbers().column("output");
         /// Where the perturbed fine pass takes its samples from.
-        pub resample: Resample = Resample::Clean, numbers().columns(&["resample"]);
+        pub resample: Resample = Resample::Clean, numbers().column("resample");
         /// Perturb the density of a ray's last sample, too (the paper's literal sum).
-        pub perturb_last: bool = false, numbers();
+        pub perturb_last: bool = false, numbers().column("perturb_last");
         /// The unit of all step sizes. Empty = that of `attack`.
-        pub step_unit: Option<StepUnit> = None, numbers().columns(&["step_unit"]);
+        pub step_unit: Option<StepUnit> = None, numbers().column("step_unit");
         /// What one epsilon of `xyz` is worth.
-        pub xyz_radius: Radius = Radius::Pixel, numbers();
+        pub xyz_radius: Radius = Radius::Pixel, numbers().column("xyz_radius");
         /// Trunk layer (1-based) whose output `feature` is added to.
-        pub injection_layer: usize = 4, numbers().columns(&["injection_layer"]);
+        pub injection_layer: usize = 4, numbers().column("injection_layer");
         /// Whose samples, pixels and width epsilons are measured in: `sampling`, the run's own, or `paper`, those of the paper's
         /// runs, so that any run searches sets of the paper's absolute size.
         pub geometry: Geometry = Geometry::Sampling,
-            numbers().columns(&["attack_geometry", "step_over_radius"]).later().same_time();
+            numbers().column("attack_geometry").columns(&["step_over_radius"]).later().same_time();
     }
     sections {}
     flat {

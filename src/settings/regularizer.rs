@@ -103,7 +103,7 @@ section! {
         /// its midpoint, which estimates the full lattice's sum without bias.
         pub jitter: bool = true, numbers().columns(POINTS);
         /// `both` or `fine`.
-        pub fields: RegularizedFields = RegularizedFields::Both, numbers().columns(&["regularizer_fields"]);
+        pub fields: RegularizedFields = RegularizedFields::Both, numbers().column("regularizer_fields");
     }
     sections {}
 }

@@ -37,7 +37,9 @@ pub struct Rule {
     pub range: Range,
     /// The range in words; empty where the type says all.
     pub allowed: &'static str,
-    /// Columns of the protocol that speak of it.
+    /// The column of the protocol that holds its value.
+    pub column: Option<&'static str>,
+    /// Further columns of the protocol that speak of it.
     pub columns: &'static [&'static str],
     /// Younger than runs whose hash is to stay: it counts in a hash where it is not at its default.
     pub later: bool,
@@ -48,7 +50,16 @@ pub struct Rule {
 }
 
 const fn rule(effect: Effect) -> Rule {
-    Rule { effect, range: Range::Any, allowed: "", columns: &[], later: false, same_time: false, key: None }
+    Rule {
+        effect,
+        range: Range::Any,
+        allowed: "",
+        column: None,
+        columns: &[],
+        later: false,
+        same_time: false,
+        key: None,
+    }
 }
 
 /// A setting that can change a weight or a metric.
@@ -87,15 +98,30 @@ impl Rule {
         Rule { range: Range::Text(holds), allowed, ..self }
     }
 
+    /// What its type alone decides, in words.
+    pub const fn allowing(self, allowed: &'static str) -> Rule {
+        Rule { allowed, ..self }
+    }
+
     /// Two corners of a box.
     pub const fn corners(self) -> Rule {
         let allowed = "two corners [[x, y, z], [x, y, z]], each number of the first under that of the second";
         Rule { range: Range::Box, allowed, ..self }
     }
 
+    /// The column of the protocol that holds its value: [`super::columns::COLUMNS`] says when it does.
+    pub const fn column(self, column: &'static str) -> Rule {
+        Rule { column: Some(column), ..self }
+    }
+
     /// Columns of the protocol that speak of it.
     pub const fn columns(self, columns: &'static [&'static str]) -> Rule {
         Rule { columns, ..self }
+    }
+
+    /// All columns of the protocol that speak of it.
+    pub fn all_columns(&self) -> impl Iterator<Item = &'static str> {
+        self.column.into_iter().chain(self.columns.iter().copied())
     }
 
     /// Younger than runs whose hash is to stay.

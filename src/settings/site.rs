@@ -98,7 +98,7 @@ describe! {
         /// "absolute"`). Empty = that of `perturb.attack`.
         epsilon: Option<Epsilon>, numbers().real(|size| size >= 0.0, "0 or positive").columns(NUMBERS).same_time();
         /// The set's norm. Empty = the site's own.
-        norm: Option<Norm>, numbers();
+        norm: Option<Norm>, numbers().columns(&["norms"]);
     }
     sections {}
 }

@@ -45,18 +45,18 @@ section! {
         pub steps: u64 = 500_000,
             numbers().whole(1, 1_000_000_000, "at least 1, at most 10^9").columns(&["steps"]).same_time();
         /// Rays of one step.
-        pub rays: usize = 1024, numbers().whole(1, 1 << 20, "1 to 1048576").columns(&["rays"]);
+        pub rays: usize = 1024, numbers().whole(1, 1 << 20, "1 to 1048576").column("rays");
         /// Rays that one thread works on at once; bounds memory (a GPU wants thousands). Changes results by rounding,
         /// and the attack's random draws.
-        pub chunk: usize = 32, numbers().whole(1, 1 << 20, "1 to 1048576 rays");
+        pub chunk: usize = 32, numbers().whole(1, 1 << 20, "1 to 1048576 rays").column("chunk");
         /// Where a step's rays come from. Empty = `one-image` for scenes seen from all around,
         /// `all-images` for forward-facing ones.
-        pub batching: Option<Batching> = None, numbers();
+        pub batching: Option<Batching> = None, numbers().column("batching");
         /// Adam's initial learning rate.
         pub learning_rate: f64 = 5e-4, numbers().real(is_positive, "positive").columns(RATE).same_time();
         /// Weight of the coarse pass's loss beside the fine one's (1 for NeRF, 0.1 for MipNeRF).
         pub coarse_weight: f64 = 1.0,
-            numbers().real(is_positive, "positive").columns(&["coarse_weight"]).later().same_time();
+            numbers().real(is_positive, "positive").column("coarse_weight").later().same_time();
         /// How the learning rate falls: `exponential` or `log-linear`.
         pub schedule: Schedule = Schedule::Exponential, numbers().columns(RATE).later().same_time();
         /// `log-linear`: the learning rate at the last step.
@@ -64,18 +64,24 @@ section! {
             numbers().real(is_positive, "positive").columns(RATE).later().same_time();
         /// `log-linear`: share of the steps in which the rate rises to its course.
         pub warmup_share: f64 = 0.0025,
-            numbers().real(|share| (0.0..=1.0).contains(&share), "0 (no warm-up) to 1").later().same_time();
+            numbers()
+                .real(|share| (0.0..=1.0).contains(&share), "0 (no warm-up) to 1")
+                .column("warmup_share")
+                .later()
+                .same_time();
         /// `log-linear`: what the rate is multiplied by at the first step.
-        pub warmup_from: f64 = 0.01, numbers().real(is_share_above_0, "above 0, at most 1").later().same_time();
+        pub warmup_from: f64 = 0.01,
+            numbers().real(is_share_above_0, "above 0, at most 1").column("warmup_from").later().same_time();
         /// `exponential`: the learning rate is multiplied by this every `decay_steps`, continuously.
         pub decay_rate: f64 = 0.1, numbers().real(is_positive, "positive").columns(RATE).same_time();
         /// See `decay_rate`. Empty = 250,000 for forward-facing scenes, 500,000 otherwise.
         pub decay_steps: Option<u64> = None, numbers().whole(1, u64::MAX, "at least 1").columns(RATE).same_time();
         /// For so many steps, one-image batches come from the central part only. Empty = 500 where
         /// batches are of one image, 0 otherwise.
-        pub precrop_steps: Option<u64> = None, numbers();
+        pub precrop_steps: Option<u64> = None, numbers().column("precrop_steps");
         /// The central part's share of each side.
-        pub precrop_fraction: f64 = 0.5, numbers().real(is_share_above_0, "above 0, at most 1");
+        pub precrop_fraction: f64 = 0.5,
+            numbers().real(is_share_above_0, "above 0, at most 1").column("precrop_fraction");
         /// Steps between two rows of `scalars.csv`.
         pub log_every: u64 = 100, work().whole(1, u64::MAX, "at least 1");
         /// Steps between two evaluations during training (0 = only at the end).
@@ -87,7 +93,8 @@ section! {
         /// Checkpoints kept.
         pub keep_checkpoints: usize = 2, work().whole(1, 10_000, "1 to 10000");
         /// A start with a smaller share of positive densities on the first batch is drawn again.
-        pub dead_start_share: f64 = 0.05, numbers().real(|share| (0.0..1.0).contains(&share), "0 (off) to below 1");
+        pub dead_start_share: f64 = 0.05,
+            numbers().real(|share| (0.0..1.0).contains(&share), "0 (off) to below 1").column("dead_start_share");
         /// A run whose rays all accumulate under 1e-3 for so many steps has collapsed (0 = never).
         pub collapse_steps: u64 = 200, numbers();
     }

@@ -45,10 +45,31 @@ impl Config {
         refuse(data.spherify && !matches!(kind, DataKind::Auto | DataKind::Llff), || {
             format!("data.spherify = true is for LLFF scenes; this one is {}", kind.name())
         })?;
-        let without_val = kind != DataKind::Auto && !kind.has_splits();
+        let without_val = kind != DataKind::Auto && !kind.has_splits() && data.validation == 0;
         refuse(data.eval_split == EvalSplit::Val && without_val, || {
             format!(
-                "data.eval_split = \"val\" is for scenes with a validation split (Blender); this one is {}",
+                "data.eval_split = \"val\" is for scenes with a validation split, and this one is {}: keep every N-th view for \
+                 that with data.validation",
+                kind.name()
+            )
+        })?;
+        require(
+            data.validation != 1,
+            "data.validation",
+            1,
+            "0 (none) or at least 2, so that views are left to train on",
+        )?;
+        let (offset, holdout) = (data.holdout_offset, data.holdout);
+        require(
+            offset < holdout,
+            "data.holdout_offset",
+            offset,
+            &format!("0 to {} (below data.holdout)", holdout - 1),
+        )?;
+        refuse(offset > 0 && kind.has_splits(), || {
+            format!(
+                "data.holdout_offset = {offset} is for scenes of which every N-th view is held out; this one is {}, whose splits \
+                 are given",
                 kind.name()
             )
         })?;

@@ -7,7 +7,7 @@ use candle_core::DType;
 
 use crate::base::{Error, Event, Listener, Result};
 use crate::data::corruption::corrupt;
-use crate::data::{self, Scene};
+use crate::data::{self, Scene, seen_views};
 use crate::metrics::Lpips;
 use crate::run::{Existing, Finished, Job, Report, RunDir, Setup, SmoothnessReport, Viewer, columns, locate_scene};
 use crate::runtime::{Runtime, peak_memory_mib};
@@ -109,7 +109,7 @@ impl Cost {
 }
 
 impl Trainings<'_> {
-    /// Measures a few real steps and a piece of a held-out view.
+    /// Measures a few real steps and a piece of a held-out view, for as many as an evaluation renders.
     pub fn cost(&self, config: &Config) -> Result<Cost> {
         reset_peak_memory();
         let seconds_per_step = self.seconds_per_step(config)?;
@@ -124,7 +124,8 @@ impl Trainings<'_> {
             let started = std::time::Instant::now();
             viewer.render(&camera)?;
             let share = camera.height as f64 / view.camera.height as f64;
-            seconds_evaluation = started.elapsed().as_secs_f64() / share * scene.test.len() as f64;
+            seconds_evaluation =
+                started.elapsed().as_secs_f64() / share * (scene.test.len() + seen_views(&scene, &config).len()) as f64;
         }
         Ok(Cost { seconds_per_step, seconds_evaluation, peak_memory_mib: peak_memory_mib() })
     }
@@ -205,7 +206,7 @@ impl Trainings<'_> {
             let evaluated = smoothness.fields.last().expect("there is a field");
             metrics.extend(numbers(&evaluated.smoothness));
         }
-        debug_assert_eq!(report.protocol.config_hash, config.hash());
+        debug_assert_eq!(report.protocol.text("config_hash"), config.hash());
         let Report { protocol, .. } = report;
         let inactive_levels = report.inactive_levels().into_iter().map(String::from).collect();
         Ok(PointResult { metrics, protocol: columns(protocol), inactive_levels })

@@ -25,7 +25,7 @@ const STATE: &str = "state.json";
 const CONFIG: &str = "config.toml";
 
 /// The counters of a checkpoint.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct State {
     /// Layout version of the checkpoint folder.
     pub format: u32,
@@ -43,12 +43,20 @@ pub struct State {
     /// Kinds of devices that they were taken on.
     #[serde(default)]
     pub devices: Vec<String>,
+    /// Instruction sets that processors took them with.
+    #[serde(default)]
+    pub instructions: Vec<String>,
 }
 
 impl State {
     /// Notes that this program goes on with the run, or measures it, on `runtime`'s kind of device.
     pub fn touch(&mut self, runtime: &Runtime) {
-        for (list, now) in [(&mut self.revisions, revision()), (&mut self.devices, runtime.kind())] {
+        let now = [
+            (&mut self.revisions, Some(revision())),
+            (&mut self.devices, Some(runtime.kind())),
+            (&mut self.instructions, runtime.instructions()),
+        ];
+        for (list, now) in now.into_iter().filter_map(|(list, now)| Some((list, now?))) {
             if !list.iter().any(|known| known == now) {
                 list.push(now.to_string());
             }
@@ -297,6 +305,7 @@ impl Trainer {
             redraws: self.redraws.clone(),
             config_hash: self.config.hash(),
             revisions: self.revisions.clone(),
+            instructions: self.instructions.clone(),
             devices: self.devices.clone(),
         };
         state.touch(&self.runtime);
@@ -345,9 +354,9 @@ impl Trainer {
         let second = tensors.all("adam.second.", &names)?;
         let moments = first.into_iter().zip(second).map(|(first, second)| Moments { first, second }).collect();
         let adam = Adam::restore(model.variables(), moments);
-        let State { step, empty_steps, redraws, revisions, devices, .. } = state;
+        let State { step, empty_steps, redraws, revisions, devices, instructions, .. } = state;
         let learner = model.learner(config, scene, dtype, runtime.device())?;
         let trainer = Trainer::with(config, Start { model, learner, redraws }, runtime)?;
-        Ok(Trainer { adam, step, empty_steps, revisions, devices, ..trainer })
+        Ok(Trainer { adam, step, empty_steps, revisions, devices, instructions, ..trainer })
     }
 }

@@ -50,6 +50,8 @@ pub struct Trainer {
     redraws: Vec<u64>,
     /// Revisions of the code and kinds of devices that took earlier steps.
     revisions: Vec<String>,
+    /// Instruction sets that its processors had.
+    instructions: Vec<String>,
     devices: Vec<String>,
 }
 
@@ -77,6 +79,7 @@ impl Trainer {
             empty_steps: 0,
             redraws,
             revisions: Vec::new(),
+            instructions: Vec::new(),
             devices: Vec::new(),
         })
     }

@@ -27,3 +27,4 @@ mod sweep_plots;
 mod sweep_run;
 mod sweep_tables;
 mod training;
+mod views;

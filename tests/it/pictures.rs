@@ -106,6 +106,7 @@ impl Run {
             config_hash: self.config.hash(),
             revisions: vec!["a".into()],
             devices: vec!["cpu".into()],
+            instructions: vec!["x86-64-v3".into()],
         };
         RunView::new(label.into(), &self.viewer(), &state, "0").unwrap()
     }
@@ -243,12 +244,12 @@ fn the_fade_goes_from_the_first_run_to_the_second_and_back() {
 fn differences_name_settings_that_the_protocol_leaves_out() {
     let runs = [
         Run::new(Method::Nerf, 0, |_| ()),
-        Run::new(Method::Nerf, 0, |config| config.train.precrop_fraction = 0.25),
+        Run::new(Method::Nerf, 0, |config| config.train.collapse_steps = 3),
         Run::new(Method::AugNerf, 0, |config| config.perturb.perturb_last = true),
     ];
     let [a, b, c] = ["a", "b", "c"].map(|label| runs[(label.as_bytes()[0] - b'a') as usize].run_view(label));
     let names = |runs: &[&RunView]| -> Vec<String> { differences(runs).into_iter().map(|d| d.name).collect() };
-    assert_eq!(names(&[&a, &b]), ["train.precrop_fraction"]);
+    assert_eq!(names(&[&a, &b]), ["train.collapse_steps"]);
     assert!(names(&[&a]).is_empty() && names(&[&a, &a]).is_empty());
     // A run without a perturbed pass has no opinion on its settings.
     assert!(names(&[&a, &c]).iter().all(|name| !name.starts_with("perturb.")));
@@ -267,11 +268,11 @@ fn runs_that_do_not_show_the_same_are_refused_in_words() {
         assert_eq!(error.exit_code(), 2);
         assert_says(&error.to_string(), &[words, "other", "first"]);
     };
-    refused("the scene is fern", &|run| run.protocol.scene = "fern".into());
+    refused("the scene is fern", &|run| run.protocol.set("scene", "fern".into()));
     refused("the resolution is 32 x 16", &|run| run.view.camera.width = 32);
     refused("the held-out view is r_5", &|run| run.view.name = "r_5".into());
     refused("the rays' interval", &|run| run.bounds.0 = 1.0);
-    refused("the background is black", &|run| run.protocol.background = "black".into());
+    refused("the background is black", &|run| run.protocol.set("background", "black".into()));
     refused("the camera", &|run| run.view.camera.pose[0][3] += 1e-3);
     refused("another (1 of 768 values)", &|run| Arc::make_mut(&mut run.view.image).pixels[7] += 0.5);
 }

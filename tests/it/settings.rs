@@ -2,10 +2,10 @@
 
 use std::path::Path;
 
+use augnerf::augment::{Norm, Site};
 use augnerf::run::{Protocol, columns};
-use augnerf::settings::columns::{COLUMNS, find};
-use augnerf::settings::registry::REGISTRY;
-use augnerf::settings::{Method, settings_page};
+use augnerf::settings::columns::COLUMNS;
+use augnerf::settings::{Config, Core, Method, Schedule, TrainViews, settings_page};
 
 use crate::common::program::{refuse, succeed};
 use crate::common::{tiny_config, tiny_scene, trained};
@@ -38,17 +38,84 @@ fn the_command_explains_settings() {
     refuse(&["settings", "train.stepz"], 2, &["did you mean 'train.steps'"]);
 }
 
-/// The protocol's columns are those of the table, each once, and settings name no others.
+/// Files have the protocol's columns in the order of the table.
 #[test]
 fn the_table_of_columns_is_the_protocol() {
     let trainer = trained(&tiny_config(Method::AugNerf, |_| {}), 0);
     let protocol = Protocol::new(trainer.config(), &tiny_scene(), &trainer.state());
-    let mut written: Vec<String> = columns(&protocol).into_iter().map(|(name, _)| name).collect();
-    let mut listed: Vec<&str> = COLUMNS.iter().map(|column| column.name).collect();
-    written.sort();
-    listed.sort_unstable();
+    let written: Vec<String> = columns(&protocol).into_iter().map(|(name, _)| name).collect();
+    let listed: Vec<&str> = COLUMNS.iter().map(|column| column.name).collect();
     assert_eq!(written, listed);
-    for setting in &REGISTRY.settings {
-        assert!(setting.rule.columns.iter().all(|name| find(name).is_some()), "{}", setting.path);
+    assert_eq!(protocol.text("instructions"), trainer.state().instructions.join(" + "));
+    assert!(!protocol.text("instructions").is_empty());
+}
+
+/// What moves a number and hid in no column (encoding, padding, noise, batches, norms, ...) stands in its own, as it was
+/// set, filled from the scene, or empty where it has no part in the run.
+#[test]
+fn columns_hold_the_values_of_settings() {
+    let of = |method: Method, change: fn(&mut Config)| {
+        let trainer = trained(&tiny_config(method, change), 0);
+        Protocol::new(trainer.config(), &tiny_scene(), &trainer.state())
+    };
+    let nerf = of(Method::Nerf, |config| {
+        config.field.skips = vec![1, 3];
+        config.train.chunk = 17;
+        config.eval.chunk = 19;
+        config.train.precrop_steps = Some(7);
+        config.eval.train_views = Some(2);
+        config.data.views_seed = 5;
+    });
+    for (column, text) in [
+        ("encoding", "positional"),
+        ("position_octaves", "4"),
+        ("view_octaves", "2"),
+        ("skips", "[1,3]"),
+        ("rgb_padding", "0.0"),
+        ("jitter", "true"),
+        ("density_noise", "0.0"),
+        ("batching", "one-image"),
+        ("precrop_steps", "7"),
+        ("precrop_fraction", "0.5"),
+        ("chunk", "17"),
+        ("eval_chunk", "19"),
+        ("dead_start_share", "0.05"),
+        ("core", "fused"),
+        ("precision", "f32"),
+        ("views_seen", "2"),
+        ("views_seed", "5"),
+        ("training_views", ""),
+        ("validation", ""),
+        // No part in this run.
+        ("resample_padding", ""),
+        ("warmup_share", ""),
+        ("xyz_radius", ""),
+        ("norms", ""),
+        ("perturb_last", ""),
+        ("lambda", ""),
+    ] {
+        assert_eq!(nerf.text(column), text, "{column}");
+    }
+    let mip = of(Method::AugMipNerf, |config| {
+        config.train.schedule = Schedule::LogLinear;
+        config.field.core = Core::Plain;
+        config.perturb.sites[Site::Xyz].norm = Some(Norm::Linf);
+        config.data.train_views = Some(TrainViews::Named(vec!["r_2".into(), "r_26".into()]));
+    });
+    for (column, text) in [
+        ("encoding", "integrated"),
+        ("position_octaves", "6"),
+        ("rgb_padding", "0.001"),
+        ("resample_padding", "0.01"),
+        ("warmup_share", "0.0025"),
+        ("warmup_from", "0.01"),
+        ("core", "plain"),
+        ("xyz_radius", "pixel"),
+        ("norms", "xyz linf, view linf, feature linf, rgb linf"),
+        ("perturb_last", "false"),
+        ("training_views", "r_2 r_26"),
+        ("lambda", "0.1"),
+    ] {
+        assert_eq!(mip.text(column), text, "{column}");
     }
 }

@@ -450,3 +450,20 @@ fn odd_names_stay_names_in_every_format() {
     assert!(!table_latex(&self::table()).contains("augnerfletter"));
     assert_eq!(rows(&points_csv(&records, &[]))[0]["reason"], "'@SUM(A1)");
 }
+
+/// Not only what captions tell: two rows whose fields differ in nothing but octaves, or rates, are not alike.
+#[test]
+fn what_training_differs_in_is_said_and_the_rate_stands_in_the_caption() {
+    let mut records = records();
+    for record in records.iter_mut().filter(|record| record.status == Status::Done) {
+        let octaves = if record.row == "Aug-NeRF" { "16" } else { "6" };
+        record.protocol.push(("learning_rate".into(), "0.0005 to 0.000005".into()));
+        record.protocol.push(("position_octaves".into(), octaves.into()));
+        record.protocol.push(("lambda".into(), octaves.into()));
+    }
+    let markdown = table_markdown(&Table::new(&spec(), &records, false).unwrap());
+    assert!(markdown.contains("rows differ in position_octaves: 6 (NeRF"), "{markdown}");
+    assert!(markdown.contains("learning_rate 0.0005 to 0.000005"), "{markdown}");
+    // What rows are named for is not told again, nor what all of them share.
+    assert!(!markdown.contains("rows differ in lambda") && !markdown.contains("view_octaves"), "{markdown}");
+}

@@ -1,6 +1,7 @@
 //! What formats without splits have in common: posed views of which every N-th is held out.
 
 use crate::base::Image;
+use crate::data::views::split;
 use crate::data::{Camera, Ndc, Scene, View};
 use crate::settings::DataConfig;
 
@@ -32,19 +33,12 @@ impl Capture {
         names.into_iter().zip(cameras).zip(images).map(view).collect()
     }
 
-    /// The scene: every `config.holdout`-th view is held out, starting with the first, and of those every
-    /// `config.test_skip`-th is kept. `kind` is the format's name in files and tables.
+    /// The scene: every `config.holdout`-th view is held out, starting with that of `config.holdout_offset`, the middle one
+    /// of every `config.validation` others is kept for choices, and of those that are evaluated every `config.test_skip`-th
+    /// stays. `kind` is the format's name in files and tables.
     pub fn hold_out(self, name: String, kind: &'static str, config: &DataConfig) -> Scene {
-        let (holdout, test_skip) = (config.holdout.max(1), config.test_skip.max(1));
-        let (mut train, mut test) = (Vec::new(), Vec::new());
-        for (i, view) in self.views.into_iter().enumerate() {
-            if i % holdout != 0 {
-                train.push(view);
-            } else if (i / holdout).is_multiple_of(test_skip) {
-                test.push(view);
-            }
-        }
-        let Capture { path, near, far, ndc, background, .. } = self;
+        let Capture { views, path, near, far, ndc, background } = self;
+        let (train, test) = split(views, config);
         Scene { name, kind, train, test, near, far, ndc, background, path, corrupted: None }
     }
 }

@@ -3,7 +3,7 @@
 use super::{Cell, Comparison, Line, Table, distinct};
 use crate::metrics::Metric;
 use crate::report::PUBLISHED_NOTE;
-use crate::settings::columns::COLUMNS;
+use crate::settings::columns::{COLUMNS, Told};
 
 const HOW_TO_READ: &str = "difference to the baseline, paired by seed, with its 95 % Student t interval and the p value \
      after Holm's correction over the scene's rows; \"higher\" and \"lower\" where that is below 0.05, \"not \
@@ -41,9 +41,9 @@ pub(super) fn marked_label(line: &Line) -> String {
     if marks.is_empty() { line.label.clone() } else { format!("{} {marks}", line.label) }
 }
 
-/// Columns of the protocol that captions tell.
-fn caption_columns() -> impl Iterator<Item = &'static str> {
-    COLUMNS.iter().filter(|column| column.in_caption).map(|column| column.name)
+/// Columns of the protocol that are told there.
+fn columns(told: &[Told]) -> impl Iterator<Item = &'static str> {
+    COLUMNS.iter().filter(|column| told.contains(&column.told)).map(|column| column.name)
 }
 
 /// The protocol fields that a scene's measured lines share: `dataset llff, width 504, ...`.
@@ -52,7 +52,7 @@ pub(super) fn protocol_text(lines: &[&Line]) -> String {
     if measured.is_empty() {
         return "nothing is measured yet".into();
     }
-    let shared = caption_columns().filter_map(|name| {
+    let shared = columns(&[Told::Always]).filter_map(|name| {
         match distinct(measured.iter().map(|line| line.protocol(name))).as_slice() {
             [text] if !text.is_empty() => Some(format!("{name} {text}")),
             _ => None,
@@ -192,7 +192,7 @@ fn baseline_notes(lines: &[&Line]) -> Vec<String> {
 /// What the definition makes different between the lines, where a reader would take it as equal.
 fn varied_notes(lines: &[&Line]) -> Vec<String> {
     let value = |line: &Line, name: &str| Some(line.protocol(name).to_string()).filter(|text| !text.is_empty());
-    let varied = caption_columns().filter_map(|name| {
+    let varied = columns(&[Told::Always, Told::Differing]).filter_map(|name| {
         let values = labels_by(lines, |line| value(line, name));
         let named: Vec<String> = values.iter().map(|(value, labels)| format!("{value} ({labels})")).collect();
         (values.len() > 1).then(|| format!("rows differ in {name}: {}", named.join("; ")))

@@ -1,0 +1,170 @@
+//! Choices among a scene's views: which are held out, kept for choices, trained on, and measured though they were trained on.
+
+use super::{Scene, View};
+use crate::base::rng::{Random, Stream};
+use crate::base::{Error, Result};
+use crate::settings::{Config, DataConfig, EvalSplit, TrainViews};
+
+/// Indices of the stream of choices.
+const TRAINED: u64 = 0;
+const SEEN: u64 = 1;
+
+/// Splits views in their order into those to train on and those to evaluate: see `data.holdout`, `data.holdout_offset`,
+/// `data.validation`, `data.eval_split` and `data.test_skip`. Views that are held out, or kept for choices, are in neither
+/// unless they are evaluated.
+pub(super) fn split(views: Vec<View>, config: &DataConfig) -> (Vec<View>, Vec<View>) {
+    let DataConfig { holdout, holdout_offset, validation, eval_split, test_skip, .. } = *config;
+    let (held_out, rest) = part(views, |place| place % holdout.max(1) == holdout_offset);
+    // The middle one of every N: neighbours of those that are held out tell less.
+    let (kept, train) = part(rest, |place| validation > 0 && place % validation == validation / 2);
+    let evaluated = match eval_split {
+        EvalSplit::Test => held_out,
+        EvalSplit::Val => kept,
+    };
+    (train, evaluated.into_iter().step_by(test_skip.max(1)).collect())
+}
+
+/// Views at places that `holds` picks, and the others.
+fn part(views: Vec<View>, holds: impl Fn(usize) -> bool) -> (Vec<View>, Vec<View>) {
+    let (picked, others): (Vec<_>, Vec<_>) = views.into_iter().enumerate().partition(|(place, _)| holds(*place));
+    let views = |placed: Vec<(usize, View)>| placed.into_iter().map(|(_, view)| view).collect();
+    (views(picked), views(others))
+}
+
+/// Keeps the training views that `data.train_views` asks for, in their order.
+pub(super) fn keep_training_views(scene: &mut Scene, config: &DataConfig) -> Result<()> {
+    let all = scene.train.len();
+    let kept = match &config.train_views {
+        None => return Ok(()),
+        Some(TrainViews::Number(number)) if *number > all => {
+            return Err(Error::Config(format!(
+                "data.train_views = {number} asks for more views than {} has to train on ({all}): give at most {all}, or \
+                 leave it empty for all",
+                scene.name
+            )));
+        }
+        Some(TrainViews::Number(number)) => draw(*number, all, config.views_seed, TRAINED),
+        Some(TrainViews::Named(names)) => named(&scene.train, names)?,
+    };
+    let mut place = 0..;
+    scene.train.retain(|_| kept.contains(&place.next().expect("endless")));
+    Ok(())
+}
+
+/// Places of the views of these names.
+fn named(views: &[View], names: &[String]) -> Result<Vec<usize>> {
+    let place = |name: &String| {
+        views.iter().position(|view| view.name == *name).ok_or_else(|| {
+            let known: Vec<&str> = views.iter().map(|view| view.name.as_str()).collect();
+            Error::Config(format!(
+                "data.train_views names {name:?}, which is no view to train on; these are: {}",
+                known.join(", ")
+            ))
+        })
+    };
+    names.iter().map(place).collect()
+}
+
+/// The training views, by their places, that evaluations measure beside those that are held out: `eval.train_views` of
+/// them, drawn with `data.views_seed` alone. A choice of fewer is part of a choice of more.
+pub fn seen_views(scene: &Scene, config: &Config) -> Vec<usize> {
+    let wanted = config.eval.train_views.unwrap_or(scene.test.len());
+    draw(wanted, scene.train.len(), config.data.views_seed, SEEN)
+}
+
+/// So many of `all` places, or all of them, in their order.
+fn draw(number: usize, all: usize, seed: u64, index: u64) -> Vec<usize> {
+    let drawn = Random::new(seed, Stream::Views, index).distinct(number.min(all), all as u32);
+    let mut places: Vec<usize> = drawn.into_iter().map(|place| place as usize).collect();
+    places.sort_unstable();
+    places
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::settings::DataKind;
+
+    fn forward() -> DataConfig {
+        DataConfig { kind: DataKind::BuiltinForward, width: 8, ..DataConfig::default() }
+    }
+
+    fn load(config: &DataConfig) -> Scene {
+        crate::data::load(config, 0, &()).unwrap()
+    }
+
+    fn names(views: &[View]) -> Vec<String> {
+        views.iter().map(|view| view.name.clone()).collect()
+    }
+
+    #[test]
+    fn every_offset_holds_out_other_views_and_all_of_them_once() {
+        let mut all: Vec<String> = Vec::new();
+        for holdout_offset in 0..8 {
+            let scene = load(&DataConfig { holdout_offset, ..forward() });
+            assert!(names(&scene.train).iter().all(|name| !names(&scene.test).contains(name)));
+            assert_eq!(scene.train.len() + scene.test.len(), 20);
+            all.extend(names(&scene.test));
+        }
+        all.sort();
+        all.dedup();
+        assert_eq!(all.len(), 20);
+        assert_eq!(load(&DataConfig { holdout_offset: 0, ..forward() }).hash(), load(&forward()).hash());
+    }
+
+    #[test]
+    fn a_validation_split_is_disjoint_and_training_is_the_same_whichever_is_evaluated() {
+        let test = DataConfig { validation: 4, holdout_offset: 3, ..forward() };
+        let val = DataConfig { eval_split: EvalSplit::Val, ..test.clone() };
+        let (test, val) = (load(&test), load(&val));
+        assert_eq!(names(&test.train), names(&val.train));
+        assert_eq!((test.train.len(), test.test.len(), val.test.len()), (13, 3, 4));
+        for name in names(&val.test) {
+            assert!(!names(&test.train).contains(&name) && !names(&test.test).contains(&name), "{name}");
+        }
+        // Without one, none is taken from training.
+        assert_eq!(load(&DataConfig { holdout_offset: 3, ..forward() }).train.len(), 17);
+    }
+
+    #[test]
+    fn few_views_are_drawn_by_their_own_seed_or_named() {
+        let few = |number, views_seed| {
+            let train_views = Some(TrainViews::Number(number));
+            names(&load(&DataConfig { train_views, views_seed, ..forward() }).train)
+        };
+        let (four, eight) = (few(4, 0), few(8, 0));
+        assert_eq!((four.len(), eight.len()), (4, 8));
+        assert!(four.iter().all(|name| eight.contains(name)), "{four:?} {eight:?}");
+        assert_ne!(few(4, 1), four);
+        assert_eq!(few(17, 0), names(&load(&forward()).train));
+        let train_views = Some(TrainViews::Named(four.iter().rev().cloned().collect()));
+        let scene = load(&DataConfig { train_views, ..forward() });
+        assert_eq!(names(&scene.train), four);
+        assert_ne!(scene.hash(), load(&forward()).hash());
+        let refused = |train_views| {
+            let config = DataConfig { train_views: Some(train_views), ..forward() };
+            crate::data::load(&config, 0, &()).unwrap_err().to_string()
+        };
+        assert!(refused(TrainViews::Number(18)).contains("at most 17"));
+        let held_out = names(&load(&forward()).test)[0].clone();
+        let said = refused(TrainViews::Named(vec![held_out.clone()]));
+        assert!(said.contains(&held_out) && said.contains(&four[0]), "{said}");
+    }
+
+    #[test]
+    fn seen_views_are_as_many_as_are_held_out_and_the_same_for_every_seed() {
+        let scene = load(&forward());
+        let seen = |change: fn(&mut Config)| {
+            let mut config = Config { data: forward(), ..Config::default() };
+            change(&mut config);
+            seen_views(&scene, &config)
+        };
+        let usual = seen(|_| {});
+        assert_eq!(usual.len(), scene.test.len());
+        assert!(usual.is_sorted() && usual.iter().all(|&place| place < scene.train.len()));
+        assert_eq!(seen(|config| config.seed = 7), usual);
+        assert_ne!(seen(|config| config.data.views_seed = 7), usual);
+        assert!(seen(|config| config.eval.train_views = Some(0)).is_empty());
+        assert_eq!(seen(|config| config.eval.train_views = Some(99)), (0..17).collect::<Vec<usize>>());
+    }
+}

@@ -1,0 +1,156 @@
+//! Views that are trained on, kept for choices, held out, and measured though they were trained on.
+
+use std::sync::Mutex;
+use std::sync::atomic::AtomicUsize;
+
+use augnerf::base::{Event, Listener};
+use augnerf::data::{self, Scene, seen_views};
+use augnerf::metrics::{MeanMetrics, measure};
+use augnerf::run::{Existing, Job, Setup, Viewer, load_scene};
+use augnerf::settings::{DataConfig, DataKind, EvalSplit, Preset, TrainViews, build, parse_assignment};
+use tempfile::TempDir;
+
+use crate::common::needs::scene as scene_folder;
+use crate::common::program::refuse;
+use crate::common::{runtime, tiny_config, tiny_scene, trained};
+
+const SMALL: [&str; 6] =
+    ["data.width=16", "field.width=16", "train.rays=64", "train.steps=6", "train.log_every=6", "eval.pictures=1"];
+
+/// Trains on the embedded scene in a folder of its own; `metrics.json` and `scalars.csv`.
+fn run(settings: &[&str], events: &dyn Listener) -> (serde_json::Value, String) {
+    let set: Vec<_> = SMALL.iter().chain(settings).map(|text| parse_assignment(text).unwrap()).collect();
+    let (config, scene) = load_scene(build(Some(Preset::Smoke), None, &set).unwrap(), &()).unwrap();
+    let folder = TempDir::new().unwrap();
+    let path = folder.path().join("run");
+    let setup = Setup { config, scene: &scene, lpips: &[], runtime: runtime().clone() };
+    Job::create(&path, Existing::Refuse, setup).unwrap().train(events, &AtomicUsize::new(0)).unwrap();
+    assert_eq!(
+        std::fs::read_dir(path.join("renders")).unwrap().count(),
+        6,
+        "pictures of one held-out view, depth.json"
+    );
+    let text = |name: &str| std::fs::read_to_string(path.join(name)).unwrap();
+    (serde_json::from_str(&text("metrics.json")).unwrap(), text("scalars.csv"))
+}
+
+/// What is told of training views is what rendering them gives, and touches nothing of the held-out ones.
+#[test]
+fn the_gap_is_between_training_views_as_rendered_and_held_out_ones() {
+    let config = tiny_config(augnerf::settings::Method::Nerf, |config| config.eval.train_views = Some(2));
+    let trainer = trained(&config, 20);
+    let scene = tiny_scene();
+    let viewer = Viewer { model: trainer.model(), config: &config, scene: &scene, runtime: runtime() };
+    let go_on = || Ok(());
+    let held_out = viewer.evaluate(&[], &(), go_on, |_, _, _| Ok(())).unwrap();
+    let seen = viewer.evaluate_seen(&[], &(), go_on).unwrap();
+    let mut mean = MeanMetrics::from_views(&held_out);
+    let before = mean.clone();
+    mean.set_seen(&seen);
+    let places = seen_views(&scene, &config);
+    assert_eq!(places.len(), 2);
+    let psnrs = places.iter().map(|&place| {
+        let view = &scene.train[place];
+        let rendered = viewer.render(&view.camera).unwrap();
+        measure(&view.name, &rendered.image, &view.image, &[]).unwrap().get("psnr").unwrap()
+    });
+    let psnr = psnrs.sum::<f64>() / 2.0;
+    assert_eq!(mean.get("train_psnr"), Some(psnr));
+    assert_eq!(mean.get("gap"), Some(psnr - before.get("psnr").unwrap()));
+    assert_eq!(mean.get("train_lpips_vgg"), None, "missing is empty, not 0");
+    for (metric, value) in before.iter().filter(|(metric, _)| metric.of.is_empty()) {
+        assert_eq!(mean.get(metric.key), value, "{}", metric.key);
+    }
+}
+
+#[test]
+fn a_run_tells_of_training_views_in_its_files_and_while_it_trains() {
+    /// What is evaluated, and how many parts it has.
+    #[derive(Default)]
+    struct Heard(Mutex<Vec<(String, u64)>>);
+    impl Listener for Heard {
+        fn on(&self, event: Event<'_>) {
+            if let Event::Started { what, parts } = event {
+                self.0.lock().unwrap().push((what.to_string(), parts));
+            }
+        }
+    }
+    let heard = Heard::default();
+    let (metrics, scalars) = run(&["train.eval_every=3", "data.test_skip=2"], &heard);
+    assert!(heard.0.lock().unwrap().contains(&("evaluating training views".into(), 4)));
+    let views = metrics["training_views"].as_array().unwrap();
+    assert_eq!((views.len(), metrics["views"].as_array().unwrap().len()), (4, 4));
+    let mean = |name: &str| metrics["mean"][name].as_f64().unwrap();
+    assert!((mean("gap") - (mean("train_psnr") - mean("psnr"))).abs() < 1e-12);
+    assert!((mean("gap_ssim") - (mean("train_ssim") - mean("ssim"))).abs() < 1e-12);
+    assert_eq!(metrics["protocol"]["views_seen"], 4);
+    let head: Vec<&str> = scalars.lines().next().unwrap().split(',').collect();
+    let row: Vec<&str> = scalars.lines().nth(1).unwrap().split(',').collect();
+    let cell = |name: &str| -> f64 { row[head.iter().position(|own| *own == name).unwrap()].parse().unwrap() };
+    assert_eq!(row[0], "3");
+    assert_eq!(cell("gap"), cell("train_psnr") - cell("test_psnr"));
+
+    let (without, scalars) = run(&["train.eval_every=3", "data.test_skip=2", "eval.train_views=0"], &());
+    assert_eq!(without["mean"]["psnr"], metrics["mean"]["psnr"]);
+    assert_eq!(without["protocol"]["config_hash"], metrics["protocol"]["config_hash"]);
+    assert!(without["mean"]["gap"].is_null() && without["training_views"].as_array().unwrap().is_empty());
+    assert!(!scalars.contains("train_psnr") && scalars.contains("test_psnr"));
+}
+
+#[test]
+fn choices_among_views_that_cannot_be_are_refused_in_words() {
+    let refused = |settings: &[&str], words: &[&str]| {
+        let set = settings.iter().flat_map(|text| ["--set", text]);
+        refuse(&["train", "--print-config"].into_iter().chain(set).collect::<Vec<_>>(), 2, words);
+    };
+    let forward = "data.kind=builtin-forward";
+    refused(&[forward, "data.holdout_offset=8"], &["data.holdout_offset = 8", "0 to 7"]);
+    refused(&["data.holdout_offset=1"], &["data.holdout_offset", "builtin-blender"]);
+    refused(&[forward, "data.eval_split=val"], &["data.eval_split", "data.validation"]);
+    refused(&[forward, "data.validation=1"], &["data.validation", "at least 2"]);
+    refused(&["data.train_views=0"], &["data.train_views", "at least 1"]);
+    refused(&["data.train_views=[\"r_1\", \"r_1\"]"], &["data.train_views", "once"]);
+    refused(&["data.train_views=few"], &["train_views", "a number of views, or a list of their names"]);
+}
+
+fn names(scene: &Scene) -> [Vec<String>; 2] {
+    [&scene.train, &scene.test].map(|views| views.iter().map(|view| view.name.clone()).collect())
+}
+
+/// Data hashes that committed results were made with stay, and splits of photographs are disjoint.
+#[test]
+#[ignore = "needs AUGNERF_DATA"]
+fn splits_of_fern_are_disjoint_and_its_hash_stays() {
+    let dir = scene_folder("nerf_llff_data/fern").to_string_lossy().into_owned();
+    let usual = DataConfig { dir, kind: DataKind::Llff, downscale: Some(8), ..DataConfig::default() };
+    let load = |config: &DataConfig| data::load(config, 0, &()).unwrap();
+    assert_eq!(load(&usual).hash(), "60141f0bb53a");
+    let small = DataConfig { width: 32, ..usual };
+    let mut tested: Vec<String> = Vec::new();
+    for holdout_offset in 0..8 {
+        let test = DataConfig { holdout_offset, validation: 6, ..small.clone() };
+        let val = DataConfig { eval_split: EvalSplit::Val, ..test.clone() };
+        let ([train, held_out], [train_again, kept]) = (names(&load(&test)), names(&load(&val)));
+        assert_eq!(train, train_again);
+        let mut all = [train, held_out.clone(), kept].concat();
+        all.sort();
+        all.dedup();
+        assert_eq!(all.len(), 20, "offset {holdout_offset}");
+        tested.extend(held_out);
+    }
+    tested.sort();
+    tested.dedup();
+    assert_eq!(tested.len(), 20, "every view is held out once");
+    let few = |views_seed| {
+        let train_views = Some(TrainViews::Number(5));
+        names(&load(&DataConfig { train_views, views_seed, ..small.clone() }))[0].clone()
+    };
+    assert_eq!((few(0).len(), few(0)), (5, few(0)));
+    assert_ne!(few(0), few(1));
+}
+
+#[test]
+fn the_embedded_scenes_hash_stays() {
+    let config = DataConfig { kind: DataKind::BuiltinBlender, ..DataConfig::default() };
+    assert_eq!(data::load(&config, 0, &()).unwrap().hash(), "8170e777f8d1");
+}
