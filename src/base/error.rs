@@ -2,30 +2,32 @@
 
 use std::path::Path;
 
+use super::text::shown;
+
 /// Everything that can stop the program. Each message is one sentence that says which file or
 /// field, what was found, what is allowed and what to do.
 #[derive(Debug, thiserror::Error)]
 pub enum Error {
     /// A setting that is unknown, of the wrong type, out of range or contradicts another one.
-    #[error("{0}")]
+    #[error("{}", shown(.0))]
     Config(String),
     /// A setting out of its range: field, value and range as data.
     #[error(transparent)]
     Setting(#[from] SettingError),
     /// An input file or folder that is missing, broken or not what it should be.
-    #[error("{0}")]
+    #[error("{}", shown(.0))]
     Data(String),
     /// An output folder that cannot be written, or that already holds something.
-    #[error("{0}")]
+    #[error("{}", shown(.0))]
     Output(String),
     /// A checkpoint or run folder that is missing, damaged or of another architecture.
-    #[error("{0}")]
+    #[error("{}", shown(.0))]
     Checkpoint(String),
     /// Training that went non-finite or collapsed.
-    #[error("{0}")]
+    #[error("{}", shown(.0))]
     Diverged(String),
     /// A stop that a signal asked for; a checkpoint was written first.
-    #[error("{message}")]
+    #[error("{}", shown(.message))]
     Interrupted {
         /// The signal's number (2 for Ctrl-C, 15 for SIGTERM).
         signal: i32,
@@ -33,22 +35,32 @@ pub enum Error {
         message: String,
     },
     /// A sweep that ran to its end while some of its points failed.
-    #[error("{0}")]
+    #[error("{}", shown(.0))]
     PointsFailed(String),
     /// A sweep that ran to its end while scenes of some of its points are not on this machine.
-    #[error("{0}")]
+    #[error("{}", shown(.0))]
     PointsWithoutData(String),
     /// A table whose rows differ in what its definition does not vary.
-    #[error("{0}")]
+    #[error("{}", shown(.0))]
     NotComparable(String),
     /// A failure inside the tensor library: a defect of this program or of the device.
-    #[error("tensor operation failed: {0}")]
+    #[error("tensor operation failed: {}", shown(&tensor_sentence(.0)))]
     Tensor(#[from] candle_core::Error),
+}
+
+/// What a tensor operation says of its failure, without the stack that it adds where `RUST_BACKTRACE` is set.
+pub(crate) fn tensor_sentence(error: &candle_core::Error) -> String {
+    match error {
+        candle_core::Error::WithBacktrace { inner, .. } => tensor_sentence(inner),
+        candle_core::Error::Context { inner, context } => format!("{}: {context}", tensor_sentence(inner)),
+        candle_core::Error::WithPath { inner, path } => format!("{}: {}", path.display(), tensor_sentence(inner)),
+        other => other.to_string(),
+    }
 }
 
 /// A setting, or a flag that stands for one, whose value is not allowed.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("{path} = {value} is out of range: it must be {allowed}")]
+#[error("{} = {} is out of range: it must be {}", shown(.path), shown(.value), shown(.allowed))]
 pub struct SettingError {
     /// Its dotted name: `train.steps`.
     pub path: String,

@@ -5,12 +5,16 @@ mod error;
 mod events;
 pub mod files;
 mod image;
+pub mod input;
 mod revision;
 pub mod rng;
 mod temporaries;
 pub(crate) mod tensors;
+mod text;
 
+pub(crate) use error::tensor_sentence;
 pub use error::{Class, Error, Result, SettingError};
 pub use events::{Event, Listener};
 pub use image::Image;
 pub use revision::{revision, version};
+pub use text::{line, shown};

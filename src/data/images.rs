@@ -3,15 +3,20 @@
 //!
 //! Pixels are taken as stored: an EXIF orientation is not applied, as COLMAP does not apply it either.
 
-use std::io::Cursor;
+use std::io::{BufReader, Cursor};
 use std::path::{Path, PathBuf};
 
 use image::{DynamicImage, ImageFormat, ImageReader};
 use rayon::prelude::*;
 
 use super::resample;
+use crate::base::input::{open_regular, read_bytes};
 use crate::base::{Error, Event, Image, Listener, Result};
+use crate::runtime::free_memory_mib;
 use crate::settings::DataConfig;
+
+/// Most bytes of a picture's file.
+const MOST_BYTES: u64 = 1 << 30;
 
 /// Endings of files that count as images, lower case.
 pub const ENDINGS: [&str; 3] = ["png", "jpg", "jpeg"];
@@ -77,7 +82,8 @@ pub fn list(dir: &Path) -> Result<Vec<PathBuf>> {
 
 /// Width and height that a file's header states.
 pub fn size(path: &Path) -> Result<(usize, usize)> {
-    let reader = ImageReader::open(path).and_then(ImageReader::with_guessed_format);
+    let reader = open_regular(path).map(|file| ImageReader::new(BufReader::new(file)));
+    let reader = reader.and_then(ImageReader::with_guessed_format);
     let reader = reader.map_err(|e| Error::unreadable(path, &e))?;
     let (width, height) = reader.into_dimensions().map_err(|e| undecodable(path, &e))?;
     if width == 0 || height == 0 {
@@ -111,7 +117,7 @@ pub fn common_size(paths: &[PathBuf]) -> Result<(usize, usize)> {
 
 /// Decodes one PNG or JPEG file of 8 or 16 bits.
 pub fn decode(path: &Path) -> Result<DynamicImage> {
-    let bytes = std::fs::read(path).map_err(|e| Error::unreadable(path, &e))?;
+    let bytes = read_bytes(path, MOST_BYTES).map_err(|e| Error::unreadable(path, &e))?;
     let format = image::guess_format(&bytes).map_err(|e| undecodable(path, &e))?;
     if format == ImageFormat::Jpeg && !jpeg_is_complete(&bytes) {
         return Err(undecodable(path, &"its end-of-image marker is missing"));
@@ -142,17 +148,46 @@ pub fn averaged(decoded: &DynamicImage, to: (usize, usize)) -> Image {
     let from = (decoded.width() as usize, decoded.height() as usize);
     let colour = decoded.color();
     let deep = colour.bytes_per_pixel() > colour.channel_count();
-    match (deep, colour.has_alpha()) {
-        (false, false) => resample::average(decoded.to_rgb8().as_raw(), from, 3, 255.0, to),
-        (false, true) => resample::average(decoded.to_rgba8().as_raw(), from, 4, 255.0, to),
-        (true, false) => resample::average(decoded.to_rgb16().as_raw(), from, 3, 65535.0, to),
-        (true, true) => resample::average(decoded.to_rgba16().as_raw(), from, 4, 65535.0, to),
+    // What is stored as it is needed is not copied: one picture may take half a gigabyte.
+    match (decoded, deep, colour.has_alpha()) {
+        (DynamicImage::ImageRgb8(rgb), ..) => resample::average(rgb.as_raw(), from, 3, 255.0, to),
+        (DynamicImage::ImageRgba8(rgba), ..) => resample::average(rgba.as_raw(), from, 4, 255.0, to),
+        (_, false, false) => resample::average(decoded.to_rgb8().as_raw(), from, 3, 255.0, to),
+        (_, false, true) => resample::average(decoded.to_rgba8().as_raw(), from, 4, 255.0, to),
+        (_, true, false) => resample::average(decoded.to_rgb16().as_raw(), from, 3, 65535.0, to),
+        (_, true, true) => resample::average(decoded.to_rgba16().as_raw(), from, 4, 65535.0, to),
     }
 }
 
 /// Reads one file at `to` (width x height), RGB or RGBA with straight alpha.
 pub fn read(path: &Path, to: (usize, usize)) -> Result<Image> {
     Ok(averaged(&decode(path)?, to))
+}
+
+/// Refuses more pictures of a size than the machine has memory free for.
+pub(super) fn check_memory(count: usize, (width, height): (usize, usize)) -> Result<()> {
+    let Some(free) = free_memory_mib() else { return Ok(()) };
+    let needed = [count, width, height, 3 * size_of::<f32>()].into_iter().fold(1.0, |all, factor| all * factor as f64);
+    let needed = needed / f64::from(1 << 20);
+    if needed <= free {
+        return Ok(());
+    }
+    Err(Error::Data(format!(
+        "{count} pictures of {width}x{height} pixels take {:.1} GiB of memory, and {:.1} GiB are free: make them smaller \
+          with data.downscale or data.width",
+        needed / 1024.0,
+        free / 1024.0
+    )))
+}
+
+/// How many pictures may be decoded at once: so many that what they take on the way stays bounded.
+fn at_once(paths: &[PathBuf]) -> Result<usize> {
+    /// Samples of up to 16 bits with alpha.
+    const PIXEL_BYTES: usize = 8;
+    const BYTES: usize = 1 << 31;
+    let Some(first) = paths.first() else { return Ok(1) };
+    let (width, height) = size(first)?;
+    Ok((BYTES / PIXEL_BYTES / (width * height)).max(1))
 }
 
 /// Runs `read` over all files in parallel. Of several failures the first file's is reported,
@@ -169,7 +204,11 @@ pub(super) fn each<T: Send>(
         events.on(Event::Advanced);
         result
     };
-    let results: Vec<Result<T>> = paths.par_iter().enumerate().map(work).collect();
+    let numbered: Vec<(usize, &PathBuf)> = paths.iter().enumerate().collect();
+    let mut results: Vec<Result<T>> = Vec::with_capacity(paths.len());
+    for some in numbered.chunks(at_once(paths)?) {
+        results.par_extend(some.par_iter().copied().map(work));
+    }
     events.on(Event::Finished);
     results.into_iter().collect()
 }
@@ -182,6 +221,7 @@ pub(super) fn read_all(
     label: &str,
     events: &dyn Listener,
 ) -> Result<(Vec<Image>, bool)> {
+    check_memory(paths.len(), to)?;
     let read = |_, path: &Path| Ok(resample::composite(read(path, to)?, background));
     let (images, clear): (Vec<Image>, Vec<bool>) = each(paths, label, events, read)?.into_iter().unzip();
     Ok((images, clear.contains(&true)))

@@ -1,11 +1,17 @@
 //! Fields of a JSON document, with messages that name the file and the key.
 
+use std::f64::consts::PI;
 use std::path::{Path, PathBuf};
 
 use serde_json::Value;
 
 use super::pose::{self, Pose};
+use super::{LARGEST, SMALLEST, brief};
+use crate::base::input::read_bytes;
 use crate::base::{Error, Result};
+
+/// Most bytes of a scene's poses: those of some ten thousand views.
+const MOST_BYTES: u64 = 32 << 20;
 
 /// One object of a JSON file and where it stands.
 #[derive(Clone, Copy)]
@@ -18,7 +24,7 @@ pub(super) struct Object<'a> {
 
 /// Reads a JSON file.
 pub(super) fn read(file: &Path) -> Result<Value> {
-    let text = std::fs::read(file).map_err(|e| Error::unreadable(file, &e))?;
+    let text = read_bytes(file, MOST_BYTES).map_err(|e| Error::unreadable(file, &e))?;
     serde_json::from_slice(&text).map_err(|e| Error::Data(format!("{} is not valid JSON: {e}", file.display())))
 }
 
@@ -58,11 +64,13 @@ impl<'a> Object<'a> {
         self.value.get(key).filter(|value| !value.is_null())
     }
 
-    /// A finite number that may be missing.
+    /// A number of the size that scenes have; it may be missing.
     pub(super) fn number(&self, key: &str) -> Result<Option<f64>> {
         let Some(value) = self.get(key) else { return Ok(None) };
-        let number = value.as_f64().filter(|v| v.is_finite());
-        number.map(Some).ok_or_else(|| self.wrong(key, value, "a finite number"))
+        let number = value.as_f64().filter(|v| v.abs() <= LARGEST);
+        number
+            .map(Some)
+            .ok_or_else(|| self.wrong(key, value, &format!("a finite number from -{LARGEST:e} to {LARGEST:e}")))
     }
 
     /// A text that may be missing.
@@ -75,9 +83,10 @@ impl<'a> Object<'a> {
     pub(super) fn angle(&self, key: &str) -> Result<Option<f64>> {
         let angle = self.number(key)?;
         match angle {
-            Some(v) if !(v > 0.0 && v < std::f64::consts::PI) => {
-                Err(self.error(&format!("\"{key}\" is {v}, but a field of view lies between 0 and pi radians")))
-            }
+            Some(v) if !(SMALLEST..=PI - SMALLEST).contains(&v) => Err(self.error(&format!(
+                "\"{key}\" is {}, but a field of view lies between 0 and pi radians, {SMALLEST:e} away from both",
+                brief(v)
+            ))),
             angle => Ok(angle),
         }
     }
@@ -86,13 +95,14 @@ impl<'a> Object<'a> {
     pub(super) fn pose(&self) -> Result<Pose> {
         const KEY: &str = "transform_matrix";
         let value = self.required(KEY)?;
-        let wrong = || self.wrong(KEY, value, "a 4x4 matrix of finite numbers");
+        let needed = format!("a 4x4 matrix of finite numbers from -{LARGEST:e} to {LARGEST:e}");
+        let wrong = || self.wrong(KEY, value, &needed);
         let rows = value.as_array().filter(|rows| (3..=4).contains(&rows.len())).ok_or_else(wrong)?;
         let mut pose = [[0.0; 4]; 3];
         for (row, target) in rows.iter().zip(&mut pose) {
             let numbers = row.as_array().filter(|row| row.len() == 4).ok_or_else(wrong)?;
             for (number, target) in numbers.iter().zip(target) {
-                *target = number.as_f64().filter(|v| v.is_finite()).ok_or_else(wrong)?;
+                *target = number.as_f64().filter(|v| v.abs() <= LARGEST).ok_or_else(wrong)?;
             }
         }
         pose::check_rotation(&pose).map_err(|what| {

@@ -109,6 +109,18 @@ impl Scene {
     }
 }
 
+/// The largest number, either way, that a scene may have: training computes in f32, where products of three such numbers
+/// are still numbers.
+const LARGEST: f64 = 1e12;
+/// The smallest length or angle that a scene may have.
+const SMALLEST: f64 = 1e-6;
+
+/// A number as people write it: `0.5`, `5e-324`.
+fn brief(number: f64) -> String {
+    let plain = number == 0.0 || (1e-5..1e15).contains(&number.abs());
+    if plain { number.to_string() } else { format!("{number:e}") }
+}
+
 /// Loads the scene that `config` names. Its kind must be settled ([`detect`]) and `downscale` filled. `seed` is that of
 /// the corruption of training views, where there is one.
 pub fn load(config: &DataConfig, seed: u64, events: &dyn Listener) -> Result<Scene> {
@@ -138,12 +150,40 @@ fn check(scene: &Scene, config: &DataConfig) -> Result<()> {
         )));
     }
     if scene.near < scene.far {
-        return Ok(());
+        return check_numbers(scene, config);
     }
     Err(Error::Config(format!(
         "data.near = {} is not below data.far = {}, the scene's own bounds where one is not set: change one of them",
         scene.near, scene.far
     )))
+}
+
+/// What comes of a file's numbers, once poses are scaled and centred, must be numbers that can be computed with, too.
+fn check_numbers(scene: &Scene, config: &DataConfig) -> Result<()> {
+    let sound = |value: f64| value.abs() <= LARGEST;
+    let camera_is_sound = |camera: &Camera| {
+        let Camera { focal, centre, pose, .. } = camera;
+        let focal_is = focal.iter().all(|&focal| focal >= SMALLEST);
+        focal_is && focal.iter().chain(centre).chain(pose.iter().flatten()).all(|&value| sound(value))
+    };
+    let from = if config.dir.is_empty() { &scene.name } else { &config.dir };
+    if let Some(view) = scene.train.iter().chain(&scene.test).find(|view| !camera_is_sound(&view.camera)) {
+        return Err(Error::Data(format!(
+            "{from}: view {} has a focal length of {:?} pixels, its camera is at {:?}, once poses are scaled and centred: \
+             training computes with numbers from -{LARGEST:e} to {LARGEST:e}; check the poses' units and depth bounds",
+            view.name,
+            view.camera.focal,
+            pose::column(&view.camera.pose, 3)
+        )));
+    }
+    if !(sound(scene.near) && sound(scene.far) && scene.path.iter().all(camera_is_sound)) {
+        return Err(Error::Data(format!(
+            "{from}: depth bounds {} and {} and poses of this size make no video path and no rays that can be computed \
+             with (numbers from -{LARGEST:e} to {LARGEST:e}); check the poses' units and depth bounds",
+            scene.near, scene.far
+        )));
+    }
+    Ok(())
 }
 
 /// The colour that see-through pixels are put on.

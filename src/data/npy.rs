@@ -2,7 +2,11 @@
 
 use std::path::Path;
 
+use crate::base::input::read_bytes;
 use crate::base::{Error, Result};
+
+/// Most bytes of a table: LLFF's has 136 a view.
+const MOST_BYTES: u64 = 16 << 20;
 
 /// A two-dimensional array, row-major.
 #[derive(Clone, Debug, PartialEq)]
@@ -17,7 +21,7 @@ pub struct Table {
 
 /// Reads a C-ordered 2-D array of little-endian float64 or float32.
 pub fn read_table(path: &Path) -> Result<Table> {
-    let bytes = std::fs::read(path).map_err(|e| Error::unreadable(path, &e))?;
+    let bytes = read_bytes(path, MOST_BYTES).map_err(|e| Error::unreadable(path, &e))?;
     parse(&bytes).map_err(|what| Error::Data(format!("{}: {what}", path.display())))
 }
 

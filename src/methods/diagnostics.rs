@@ -5,6 +5,7 @@ use std::path::Path;
 use serde::Serialize;
 
 use crate::augment::Site;
+use crate::base::input::{TABLE_BYTES, read_text};
 use crate::base::{Error, Result};
 
 /// A site whose gain is under this share of the clean loss is inactive in a step.
@@ -77,7 +78,7 @@ impl SiteSummary {
     /// checkpoint in question: a killed run may have logged further, and half a line at the end.
     pub fn read(scalars: &Path, last_step: u64) -> Result<Vec<SiteSummary>> {
         let broken = |error: csv::Error| Error::Checkpoint(format!("cannot read {}: {error}", scalars.display()));
-        let text = std::fs::read_to_string(scalars).map_err(|error| broken(error.into()))?;
+        let text = read_text(scalars, TABLE_BYTES).map_err(|error| broken(error.into()))?;
         let whole = text.rfind('\n').map_or("", |end| &text[..end]);
         let mut reader = csv::Reader::from_reader(whole.as_bytes());
         let header = reader.headers().map_err(broken)?.clone();

@@ -7,6 +7,7 @@ use std::io;
 use std::path::{Path, PathBuf};
 
 use crate::base::files::{clean_temporaries, discard, is_temporary, read_json, remove, write_synced};
+use crate::base::input::{TEXT_BYTES, read_text};
 use crate::base::{Error, Result};
 use crate::runtime::Timing;
 use crate::settings::Config;
@@ -140,8 +141,8 @@ impl RunDir {
     /// The settings that the run was begun with, resolved.
     pub fn read_config(&self) -> Result<Config> {
         let path = self.config();
-        let text =
-            fs::read_to_string(&path).map_err(|e| Error::Checkpoint(format!("cannot read {}: {e}", path.display())))?;
+        let text = read_text(&path, TEXT_BYTES)
+            .map_err(|e| Error::Checkpoint(format!("cannot read {}: {e}", path.display())))?;
         Config::from_toml(&text, &path.display().to_string())
     }
 

@@ -52,7 +52,7 @@ impl RunLock {
 
 fn locked(path: &Path, file: &mut File) -> Error {
     let mut holder = String::new();
-    let known = file.read_to_string(&mut holder).is_ok() && !holder.is_empty();
+    let known = file.take(64).read_to_string(&mut holder).is_ok() && !holder.is_empty();
     let who = if known { format!("process {holder}") } else { "another process".to_string() };
     Error::Output(format!(
         "{} is in use by {who}, which trains in it or reads it; wait for it (a new run may also go to another --out)",

@@ -1,9 +1,10 @@
 //! `scalars.csv`: one row per logged step, the same bytes whether or not a run was interrupted.
 
-use std::fs::{self, File};
+use std::fs::File;
 use std::path::{Path, PathBuf};
 
 use crate::base::files::write_atomic;
+use crate::base::input::{TABLE_BYTES, read_bytes};
 use crate::base::{Error, Result};
 
 const STEP: &str = "step";
@@ -41,7 +42,7 @@ impl Scalars {
             return Scalars::create(path, columns);
         }
         check_columns(path, columns)?;
-        let bytes = fs::read(path).map_err(|error| Error::unreadable(path, &error))?;
+        let bytes = read_bytes(path, TABLE_BYTES).map_err(|error| Error::unreadable(path, &error))?;
         let found = columns_of(&bytes, columns);
         let known = found.as_deref().unwrap_or(columns);
         let kept = rows_up_to(&bytes, &header(known), known.len(), step)
@@ -154,6 +155,7 @@ fn step_of(line: &[u8], columns: usize) -> Option<u64> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use std::fs;
 
     const COLUMNS: [&str; 2] = ["loss", "psnr/train"];
 

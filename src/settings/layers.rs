@@ -7,6 +7,7 @@ use toml::{Table, Value};
 use super::registry::{REGISTRY, nearest};
 use super::site::forget_passes;
 use super::{Config, DataConfig, Method};
+use crate::base::input::{TEXT_BYTES, read_named};
 use crate::base::{Error, Result};
 
 /// A named set of settings.
@@ -69,13 +70,16 @@ fn method_layer(table: &Table) -> Option<&'static str> {
     method.and_then(|method| method.representation().layer())
 }
 
+/// More parts than any field's name has.
+const DEEPEST: usize = 8;
+
 /// Splits `a.b=v` into its path and its value. A value that is not TOML (a bare word) is a string.
 pub fn parse_assignment(text: &str) -> Result<(Vec<String>, Value)> {
     let Some((key, value)) = text.split_once('=') else {
         return Err(Error::Config(format!("--set {text}: write it as section.field=value, such as train.steps=2000")));
     };
     let path: Vec<String> = key.trim().split('.').map(|part| part.trim().to_string()).collect();
-    if path.iter().any(String::is_empty) {
+    if path.iter().any(String::is_empty) || path.len() > DEEPEST {
         return Err(Error::Config(format!("--set {text}: '{key}' is not a field; write it as section.field=value")));
     }
     let value = value.trim();
@@ -105,7 +109,7 @@ pub fn build(preset: Option<Preset>, file: Option<&Path>, assignments: &[(Vec<St
     }
     let mut table = Table::new();
     if let Some(path) = file {
-        let text = std::fs::read_to_string(path)
+        let text = read_named(path, TEXT_BYTES)
             .map_err(|e| Error::Config(format!("cannot read the configuration file {}: {e}", path.display())))?;
         let layer: Table = toml::from_str(&text).map_err(|e| Error::Config(format!("{}: {e}", path.display())))?;
         check_keys(&layer, &path.display().to_string())?;
@@ -176,6 +180,8 @@ fn check_keys(layer: &Table, origin: &str) -> Result<()> {
     let unknown = leaves(layer, "").into_iter().find(|key| !REGISTRY.knows(key));
     unknown.map_or(Ok(()), |key| {
         let known = REGISTRY.settings.iter().map(|setting| setting.path.as_str());
+        // Of a name that no setting's comes near to in length, its beginning is enough.
+        let key: String = key.chars().take(200).collect();
         let nearest = nearest(&key, known).expect("there are settings");
         Err(Error::Config(format!("{origin}: unknown key '{key}'; did you mean '{nearest}'?")))
     })

@@ -4,12 +4,16 @@ use std::io::{BufRead, BufReader, Read, Write};
 use std::path::Path;
 
 use serde::Deserialize;
-use serde_ply::{DeserializeError, PlyReader};
+use serde_ply::{DeserializeError, ElementDef, PlyReader};
 
+use crate::base::input::open_regular;
 use crate::base::{Error, Result};
 use crate::data::ply;
 
 use super::Mesh;
+
+/// Longest line of an OBJ file: a polygon of a million corners.
+const MOST_LINE: u64 = 1 << 24;
 
 #[derive(Deserialize)]
 struct PlyVertex {
@@ -68,7 +72,7 @@ pub fn write_obj(mesh: &Mesh, comment: &str, out: &mut impl Write) -> std::io::R
 /// ```
 pub fn read_mesh(path: &Path) -> Result<Mesh> {
     let fail = |what: String| Error::Data(format!("{}: {what}", path.display()));
-    let file = std::fs::File::open(path).map_err(|e| Error::unreadable(path, &e))?;
+    let file = open_regular(path).map_err(|e| Error::unreadable(path, &e))?;
     let ending = path.extension().map(|e| e.to_string_lossy().to_ascii_lowercase()).unwrap_or_default();
     let read = match ending.as_str() {
         "ply" => read_ply,
@@ -111,10 +115,12 @@ fn read_ply(file: &mut BufReader<std::fs::File>) -> std::result::Result<Mesh, St
 fn ply_elements(
     file: &mut BufReader<std::fs::File>,
 ) -> std::result::Result<(Vec<PlyVertex>, Vec<PlyFace>), DeserializeError> {
+    let bytes = file.get_ref().metadata()?.len();
     let (mut vertices, mut faces) = (Vec::new(), Vec::new());
     // The reader wants an end of line behind the last number of a text file.
     let mut reader = PlyReader::from_reader(file.chain(&b"\n"[..]))?;
     while let Some(element) = reader.current_element() {
+        check_rows(element, bytes)?;
         match element.name.as_str() {
             "vertex" => vertices = reader.next_element()?,
             "face" => faces = reader.next_element()?,
@@ -124,13 +130,31 @@ fn ply_elements(
     Ok((vertices, faces))
 }
 
+/// Every row has a byte a property at least. Rows without properties take none, and would be counted without an end.
+fn check_rows(element: &ElementDef, bytes: u64) -> std::io::Result<()> {
+    let least = (element.count as u64).checked_mul(element.properties.len() as u64);
+    if element.count == 0 || least.is_some_and(|least| (1..=bytes).contains(&least)) {
+        return Ok(());
+    }
+    let (name, count, properties) = (&element.name, element.count, element.properties.len());
+    Err(std::io::Error::other(format!("{count} rows of {properties} properties ('{name}') in a file of {bytes} bytes")))
+}
+
 /// Reads `v` and `f`, which are all of the shape. Readers of the whole format refuse files for what says nothing about it
 /// (half-given colours, texture coordinates), and take polylines for faces.
 fn read_obj(file: &mut BufReader<std::fs::File>) -> std::result::Result<Mesh, String> {
     let mut mesh = Mesh::default();
-    for (number, line) in file.split(b'\n').enumerate() {
-        let line = line.map_err(|e| format!("cannot be read: {e}"))?;
-        let line = String::from_utf8_lossy(&line);
+    let mut bytes = Vec::new();
+    for number in 0.. {
+        bytes.clear();
+        file.take(MOST_LINE).read_until(b'\n', &mut bytes).map_err(|e| format!("cannot be read: {e}"))?;
+        if bytes.is_empty() {
+            break;
+        }
+        if bytes.len() as u64 == MOST_LINE {
+            return Err(format!("cannot be read as OBJ: line {} has more than {MOST_LINE} bytes", number + 1));
+        }
+        let line = String::from_utf8_lossy(&bytes);
         let mut words = line.split('#').next().unwrap_or_default().split_whitespace();
         let fail = |what: String| format!("cannot be read as OBJ: line {}, `{}`: {what}", number + 1, line.trim());
         match words.next() {

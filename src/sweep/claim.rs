@@ -14,6 +14,7 @@ use std::time::{Duration, Instant, SystemTime};
 use serde::{Deserialize, Serialize};
 
 use crate::base::files::{create_whole, json_bytes, write_json};
+use crate::base::input::{TEXT_BYTES, read_bytes};
 use crate::base::{Error, Result};
 use crate::runtime::host_name;
 
@@ -131,7 +132,7 @@ impl Watch {
     /// Whether a claim has not changed for so long that its runner must be dead. The first look at one never says so.
     fn is_dead(&self, file: &Path) -> bool {
         // Where it just went, its runner was alive.
-        let Ok(now) = fs::read(file) else { return false };
+        let Ok(now) = read_bytes(file, TEXT_BYTES) else { return false };
         let [quiet, old] = self.patience;
         let patience = if pulse(file) == Pulse::Old { old } else { quiet };
         let mut seen = self.seen.lock().unwrap_or_else(PoisonError::into_inner);
@@ -332,7 +333,7 @@ fn nonce() -> u64 {
 }
 
 fn read(file: &Path) -> Option<Sign> {
-    serde_json::from_slice(&fs::read(file).ok()?).ok()
+    serde_json::from_slice(&read_bytes(file, TEXT_BYTES).ok()?).ok()
 }
 
 /// None where the file system has no locks.

@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 
 use toml::{Table, Value};
 
+use crate::base::input::{TEXT_BYTES, read_named};
 use crate::base::{Error, Result};
 
 const EXTENDS: &str = "extends";
@@ -18,7 +19,7 @@ pub fn read(path: &Path) -> Result<Table> {
 }
 
 fn read_at(path: &Path, depth: usize) -> Result<Table> {
-    let text = std::fs::read_to_string(path)
+    let text = read_named(path, TEXT_BYTES)
         .map_err(|e| Error::Config(format!("cannot read the sweep file {}: {e}", path.display())))?;
     let in_file = |message: String| Error::Config(format!("{}: {message}", path.display()));
     let mut table: Table = toml::from_str(&text).map_err(|e| in_file(e.to_string()))?;

@@ -19,6 +19,7 @@ use std::path::{Path, PathBuf};
 use serde::{Deserialize, Serialize};
 
 use crate::base::files::{clean_temporaries, read_json, write_atomic, write_json};
+use crate::base::input::{TEXT_BYTES, read_text};
 use crate::base::{Error, Result};
 use crate::settings::registry::Section;
 
@@ -82,7 +83,7 @@ impl SweepFolder {
     /// The definition that the folder was begun with.
     pub fn definition(&self) -> Result<Definition> {
         let path = self.path.join(DEFINITION);
-        let text = fs::read_to_string(&path).map_err(|e| {
+        let text = read_text(&path, TEXT_BYTES).map_err(|e| {
             Error::Checkpoint(format!(
                 "{} is not the folder of a sweep: cannot read {}: {e}; `augnerf sweep run FILE` makes one",
                 self.path.display(),

@@ -8,6 +8,7 @@ use flate2::{Compression, GzBuilder, read::GzDecoder};
 
 use crate::base::csv::csv_text;
 use crate::base::files::{read_json, write_atomic};
+use crate::base::input::{TABLE_BYTES, read_bytes};
 use crate::base::{Error, Result};
 use crate::report::tables::PointTiming;
 use crate::report::{Record, Status};
@@ -173,7 +174,7 @@ fn clocks(timing: &Timing) -> Vec<(String, Option<f64>)> {
 
 /// The bytes of a file; none where it does not exist.
 pub fn optional(path: &Path) -> Result<Option<Vec<u8>>> {
-    match std::fs::read(path) {
+    match read_bytes(path, TABLE_BYTES) {
         Ok(bytes) => Ok(Some(bytes)),
         Err(error) if error.kind() == std::io::ErrorKind::NotFound => Ok(None),
         Err(error) => Err(Error::unreadable(path, &error)),

@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 use serde::{Deserialize, Serialize};
 
 use crate::base::files::{clean_temporaries, discard, is_temporary, read_json, write_atomic, write_json};
+use crate::base::input::{TEXT_BYTES, read_text};
 use crate::base::{Class, Error, Result};
 use crate::report::Status;
 use crate::settings::Config;
@@ -97,7 +98,7 @@ impl PointFolder {
         fs::create_dir_all(&self.path).map_err(|e| Error::unwritable(&self.path, &e))?;
         let config = self.path.join("config.toml");
         if config.exists() {
-            let text = fs::read_to_string(&config).map_err(|e| Error::unreadable(&config, &e))?;
+            let text = read_text(&config, TEXT_BYTES).map_err(|e| Error::unreadable(&config, &e))?;
             let found = Config::from_toml(&text, &config.display().to_string())?;
             if point.id.starts_with(&found.hash()) || found.hash() == point.config.hash() {
                 return Ok(());

@@ -7,6 +7,7 @@ use serde::{Deserialize, Serialize};
 use toml::{Table, Value};
 
 use crate::base::files::write_atomic;
+use crate::base::input::{TEXT_BYTES, read_text};
 use crate::base::{Error, Result};
 use crate::report::{Record, Status};
 
@@ -58,7 +59,7 @@ impl Provenance {
     /// That of a results' folder; none where it has none.
     pub fn read(results: &Path) -> Result<Option<Provenance>> {
         let path = results.join(PROVENANCE);
-        let text = match std::fs::read_to_string(&path) {
+        let text = match read_text(&path, TEXT_BYTES) {
             Ok(text) => text,
             Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(None),
             Err(error) => return Err(Error::unreadable(&path, &error)),

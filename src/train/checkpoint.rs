@@ -11,7 +11,7 @@ use candle_core::{DType, Device, Tensor};
 use serde::{Deserialize, Serialize};
 
 use crate::base::files::{AtomicDir, clean_temporaries, discard, json_bytes};
-use crate::base::{Error, Result, revision};
+use crate::base::{Error, Result, revision, tensor_sentence};
 use crate::data::Scene;
 use crate::methods::{Model, Start};
 use crate::runtime::Runtime;
@@ -236,7 +236,7 @@ impl Tensors {
         let path = checkpoint.join(TENSORS);
         let bytes = read(checkpoint, TENSORS)?;
         let tensors = candle_core::safetensors::load_buffer(&bytes, device)
-            .map_err(|e| broken(&path, &format!("it is not a whole safetensors file ({e})")))?;
+            .map_err(|e| broken(&path, &format!("it is not a whole safetensors file ({})", tensor_sentence(&e))))?;
         Ok(Tensors { path, tensors, dtype })
     }
 

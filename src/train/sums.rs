@@ -1,7 +1,6 @@
 //! `SHA256SUMS`: what the files of a checkpoint were when they were written, as `sha256sum -c` reads it. Checkpoints of earlier
 //! versions have none, and are believed.
 
-use std::fs;
 use std::io;
 use std::path::Path;
 
@@ -9,6 +8,7 @@ use sha2::{Digest, Sha256};
 
 use crate::base::Result;
 use crate::base::files::write_atomic;
+use crate::base::input::{TENSORS_BYTES, TEXT_BYTES, read_bytes};
 
 const SUMS: &str = "SHA256SUMS";
 
@@ -27,8 +27,10 @@ pub(super) fn write(folder: &Path, files: &[(&str, &[u8])]) -> Result<()> {
 /// # Errors
 /// A file that is there and cannot be read.
 pub(super) fn read(folder: &Path, name: &str) -> io::Result<std::result::Result<Vec<u8>, String>> {
-    let Some(bytes) = absent_is_none(fs::read(folder.join(name)))? else { return Ok(Err("it is missing".into())) };
-    let Some(sums) = absent_is_none(fs::read(folder.join(SUMS)))? else { return Ok(Ok(bytes)) };
+    let Some(bytes) = absent_is_none(read_bytes(&folder.join(name), TENSORS_BYTES))? else {
+        return Ok(Err("it is missing".into()));
+    };
+    let Some(sums) = absent_is_none(read_bytes(&folder.join(SUMS), TEXT_BYTES))? else { return Ok(Ok(bytes)) };
     let expected = format!("{}  {name}", sum(&bytes));
     let known = sums.split(|byte| *byte == b'\n').any(|line| line == expected.as_bytes());
     Ok(if known { Ok(bytes) } else { Err(format!("its bytes are not those that {SUMS} beside it was written for")) })

@@ -9,7 +9,9 @@ mod corruption;
 mod device;
 mod docs;
 mod fused;
+mod fuzz;
 mod geometry;
+mod hostile;
 mod interruption;
 mod layering;
 mod loaders;
@@ -28,3 +30,7 @@ mod sweep_run;
 mod sweep_tables;
 mod training;
 mod views;
+
+/// Counts what is taken, for the tests that bound it.
+#[global_allocator]
+static ALLOCATOR: fuzz::memory::Counting = fuzz::memory::Counting;

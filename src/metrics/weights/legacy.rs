@@ -1,108 +1,50 @@
-//! Files of `torch.save` before PyTorch 1.6: a row of pickles followed by raw storages. candle reads only the zip format that
-//! came after.
+//! Files of `torch.save` before PyTorch 1.6: a row of pickles followed by raw storages.
 
 use std::collections::HashMap;
 use std::fs::File;
-use std::io::{BufReader, Read, Seek, SeekFrom};
-use std::path::Path;
+use std::io::{BufReader, Read, Seek};
 
-use candle_core::{Device, Tensor};
-
-use super::pickle::{Described, Storage, Value, unpickle};
-use super::{Parsed, text};
+use super::pickle::{Described, Storage, Value, named_tensors, unpickle};
+use super::{Parsed, Stored, Tensors, length, text};
 
 /// `torch.save`'s magic number 0x1950a86a20f9469cfc6c as a complete pickle.
 pub(super) const LEGACY_MAGIC: [u8; 15] =
     [0x80, 2, 0x8a, 10, 0x6c, 0xfc, 0x9c, 0x46, 0xf9, 0x20, 0x6a, 0xa8, 0x50, 0x19, b'.'];
 
-/// Where a tensor's contiguous values lie in a legacy file.
-pub(super) struct LegacyTensor {
-    class: String,
-    shape: Vec<usize>,
-    /// Bytes from the start of the file.
-    offset: u64,
-}
-
-impl LegacyTensor {
-    pub(super) fn read(&self, path: &Path) -> Parsed<Tensor> {
-        if self.class != "torch FloatStorage" {
-            return Err(format!("stored as {}, expected torch FloatStorage", self.class));
-        }
-        let mut file = File::open(path).map_err(text)?;
-        file.seek(SeekFrom::Start(self.offset)).map_err(text)?;
-        let count = self.shape.iter().product::<usize>();
-        let mut bytes = vec![0; count * 4];
-        file.read_exact(&mut bytes).map_err(text)?;
-        let values: Vec<f32> = bytes.chunks_exact(4).map(|b| f32::from_le_bytes([b[0], b[1], b[2], b[3]])).collect();
-        Tensor::from_vec(values, self.shape.as_slice(), &Device::Cpu).map_err(text)
-    }
-}
-
 /// Reads all that follows the magic number: the protocol version, facts about the machine, the
 /// state dictionary, the storages' keys, then per key its length and values.
-pub(super) fn read(file: &mut BufReader<File>) -> Parsed<HashMap<String, LegacyTensor>> {
-    let length = file.get_ref().metadata().map_err(text)?.len();
+pub(super) fn read(file: &mut BufReader<&File>) -> Parsed<Tensors> {
+    let whole = length(file)?;
     for _ in 0..2 {
         unpickle(file)?;
     }
-    let Value::Dict(state) = unpickle(file)? else { return Err("no state dictionary".into()) };
+    let tensors = named_tensors(unpickle(file)?)?;
     let Value::List(keys) = unpickle(file)? else { return Err("no list of storages".into()) };
-    let tensors: Vec<(String, Described)> = state.into_iter().filter_map(named_tensor).collect();
-    let classes: HashMap<&str, &Storage> = tensors.iter().map(|(_, t)| (t.storage.key.as_str(), &t.storage)).collect();
-    let mut starts = HashMap::new();
+    let storages: HashMap<&str, &Storage> =
+        tensors.iter().map(|(_, tensor)| (tensor.storage.key.as_str(), &tensor.storage)).collect();
+    let mut places = HashMap::new();
     for key in keys {
         let Value::Str(key) = key else { return Err("a storage key is not a string".into()) };
         let count = read_u64(file)?;
         let start = file.stream_position().map_err(text)?;
-        let storage = classes.get(key.as_str()).ok_or("a storage belongs to no tensor")?;
-        let bytes = count.checked_mul(element_size(&storage.class)?).filter(|bytes| *bytes <= length - start);
+        let storage = storages.get(key.as_str()).ok_or("a storage belongs to no tensor")?;
+        let bytes = count.checked_mul(storage.element_size()?).filter(|bytes| *bytes <= whole.saturating_sub(start));
         let bytes = bytes.ok_or("the file ends early")?;
         file.seek_relative(bytes as i64).map_err(text)?;
-        starts.insert(key, (start, count));
+        places.insert(key, (start, bytes));
     }
-    tensors.into_iter().map(|(name, tensor)| Ok((name, tensor.locate(&starts)?))).collect()
+    Ok(tensors.into_iter().map(|(name, tensor)| (name, locate(&places, &tensor))).collect())
 }
 
-fn read_u64(file: &mut BufReader<File>) -> Parsed<u64> {
+fn read_u64(file: &mut BufReader<&File>) -> Parsed<u64> {
     let mut bytes = [0; 8];
     file.read_exact(&mut bytes).map_err(text)?;
     Ok(u64::from_le_bytes(bytes))
 }
 
-fn element_size(class: &str) -> Parsed<u64> {
-    match class.strip_prefix("torch ").unwrap_or(class) {
-        "DoubleStorage" | "LongStorage" => Ok(8),
-        "FloatStorage" | "IntStorage" => Ok(4),
-        "HalfStorage" | "BFloat16Storage" | "ShortStorage" => Ok(2),
-        "ByteStorage" | "CharStorage" | "BoolStorage" => Ok(1),
-        other => Err(format!("unknown storage class {other}")),
-    }
-}
-
-fn named_tensor((name, value): (Value, Value)) -> Option<(String, Described)> {
-    match (name, value) {
-        (Value::Str(name), Value::Tensor(tensor)) => Some((name, tensor)),
-        _ => None,
-    }
-}
-
-impl Described {
-    fn locate(&self, starts: &HashMap<String, (u64, u64)>) -> Parsed<LegacyTensor> {
-        let (start, count) = *starts.get(&self.storage.key).ok_or("a tensor has no storage")?;
-        let mut expected = 1u64;
-        for (size, stride) in self.shape.iter().zip(&self.strides).rev() {
-            if *size > 1 && *stride != expected {
-                return Err("a tensor is not contiguous".into());
-            }
-            expected = expected.checked_mul(*size).ok_or("a tensor is too large")?;
-        }
-        if self.offset.checked_add(expected).is_none_or(|end| end > count) {
-            return Err("a tensor reaches past its storage".into());
-        }
-        let offset = start + self.offset * element_size(&self.storage.class)?;
-        let shape = self.shape.iter().map(|s| *s as usize).collect();
-        Ok(LegacyTensor { class: self.storage.class.clone(), shape, offset })
-    }
+fn locate(places: &HashMap<String, (u64, u64)>, tensor: &Described) -> Parsed<Stored> {
+    let (start, bytes) = *places.get(&tensor.storage.key).ok_or("a tensor has no storage")?;
+    tensor.within(start, bytes)
 }
 
 #[cfg(test)]

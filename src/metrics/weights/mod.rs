@@ -1,58 +1,66 @@
 //! Reads named tensors from safetensors files and from both formats of PyTorch's `torch.save`.
+//!
+//! Nothing that a file announces is believed: names, kinds of numbers, shapes and places are read first, each checked
+//! against the file's own length, and memory is taken for a tensor only when it is asked for and has the shape that is
+//! expected.
 
+mod archive;
 mod legacy;
 mod pickle;
+mod safetensors;
 
 use std::collections::HashMap;
 use std::fs::File;
-use std::io::{BufReader, Read};
+use std::io::{BufReader, Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 
-use candle_core::pickle::PthTensors;
 use candle_core::{DType, Device, Tensor};
 
+use crate::base::input::open_regular;
 use crate::base::{Error, Result};
 
-use legacy::{LEGACY_MAGIC, LegacyTensor};
+use legacy::LEGACY_MAGIC;
 
 /// An opened weight file.
 pub struct Weights {
     path: PathBuf,
-    source: Source,
+    file: File,
+    tensors: Tensors,
 }
 
-enum Source {
-    Safetensors(HashMap<String, Tensor>),
-    Zip(PthTensors),
-    Legacy(HashMap<String, LegacyTensor>),
+/// What a file holds by name: where a tensor is, or why it cannot be read.
+type Tensors = HashMap<String, Parsed<Stored>>;
+
+/// A tensor's contiguous values in a file.
+struct Stored {
+    dtype: DType,
+    shape: Vec<usize>,
+    /// Bytes from the start of the file.
+    offset: u64,
 }
 
 impl Weights {
     /// Opens a `.safetensors` file or, under any other extension, a PyTorch file.
     pub fn open(path: &Path) -> Result<Weights> {
-        let source = Source::open(path).map_err(|reason| broken(path, &reason))?;
-        Ok(Weights { path: path.to_path_buf(), source })
+        let (file, tensors) = open(path).map_err(|reason| broken(path, &reason))?;
+        Ok(Weights { path: path.to_path_buf(), file, tensors })
     }
 
     /// The first of `names` in the file, as `f32` on `device`; its shape must be `shape`.
     pub fn get(&self, names: &[String], shape: &[usize], device: &Device) -> Result<Tensor> {
-        for name in names {
-            let tensor = self.source.get(&self.path, name).map_err(|e| broken(&self.path, &format!("{name}: {e}")))?;
-            if let Some(tensor) = tensor {
-                self.check_shape(name, tensor.dims(), shape)?;
-                return Ok(tensor.to_dtype(DType::F32)?.to_device(device)?.contiguous()?);
-            }
+        let Some((name, stored)) = names.iter().find_map(|name| Some((name, self.tensors.get(name)?))) else {
+            let (path, names) = (self.path.display(), names.join(" nor "));
+            let what = format!("{path} lacks the tensor {names} of shape {shape:?}; get the complete file");
+            return Err(Error::Data(what));
+        };
+        let unreadable = |reason: String| broken(&self.path, &format!("{name}: {reason}"));
+        let stored = stored.as_ref().map_err(|reason| unreadable(reason.clone()))?;
+        if stored.shape != shape {
+            let (path, found) = (self.path.display(), &stored.shape);
+            return Err(Error::Data(format!("{path}: tensor {name} has shape {found:?}, expected {shape:?}")));
         }
-        let (path, names) = (self.path.display(), names.join(" nor "));
-        Err(Error::Data(format!("{path} lacks the tensor {names} of shape {shape:?}; get the complete file")))
-    }
-
-    fn check_shape(&self, name: &str, found: &[usize], expected: &[usize]) -> Result<()> {
-        if found == expected {
-            return Ok(());
-        }
-        let path = self.path.display();
-        Err(Error::Data(format!("{path}: tensor {name} has shape {found:?}, expected {expected:?}")))
+        let tensor = stored.read(&self.file).map_err(unreadable)?;
+        Ok(tensor.to_dtype(DType::F32)?.to_device(device)?.contiguous()?)
     }
 }
 
@@ -67,25 +75,40 @@ fn text(error: impl std::fmt::Display) -> String {
     error.to_string()
 }
 
-impl Source {
-    fn open(path: &Path) -> Parsed<Source> {
-        if path.extension().is_some_and(|e| e == "safetensors") {
-            return candle_core::safetensors::load(path, &Device::Cpu).map(Source::Safetensors).map_err(text);
-        }
-        let mut file = BufReader::new(File::open(path).map_err(text)?);
+fn open(path: &Path) -> Parsed<(File, Tensors)> {
+    let file = open_regular(path).map_err(text)?;
+    let mut reader = BufReader::new(&file);
+    let tensors = if path.extension().is_some_and(|e| e == "safetensors") {
+        safetensors::read(&mut reader)?
+    } else {
         let mut magic = [0; LEGACY_MAGIC.len()];
-        file.read_exact(&mut magic).map_err(text)?;
-        if magic == LEGACY_MAGIC {
-            return legacy::read(&mut file).map(Source::Legacy);
-        }
-        PthTensors::new(path, None).map(Source::Zip).map_err(text)
-    }
+        reader.read_exact(&mut magic).map_err(text)?;
+        if magic == LEGACY_MAGIC { legacy::read(&mut reader)? } else { archive::read(&mut reader)? }
+    };
+    Ok((file, tensors))
+}
 
-    fn get(&self, path: &Path, name: &str) -> Parsed<Option<Tensor>> {
-        match self {
-            Source::Safetensors(tensors) => Ok(tensors.get(name).cloned()),
-            Source::Zip(tensors) => tensors.get(name).map_err(text),
-            Source::Legacy(tensors) => tensors.get(name).map(|tensor| tensor.read(path)).transpose(),
-        }
+fn length(file: &BufReader<&File>) -> Parsed<u64> {
+    Ok(file.get_ref().metadata().map_err(text)?.len())
+}
+
+/// The number of elements of a tensor, unless they take more than `most` bytes.
+fn elements(shape: &[u64], dtype: DType, most: u64) -> Option<u64> {
+    let count = shape.iter().try_fold(1u64, |count, size| count.checked_mul(*size))?;
+    count.checked_mul(dtype.size_in_bytes() as u64).filter(|bytes| *bytes <= most).map(|_| count)
+}
+
+/// A size that fits a tensor within the file is no larger than the file.
+fn dims(shape: &[u64]) -> Vec<usize> {
+    shape.iter().map(|size| *size as usize).collect()
+}
+
+impl Stored {
+    /// Its length was checked when the file was opened.
+    fn read(&self, mut file: &File) -> Parsed<Tensor> {
+        let mut bytes = vec![0; self.shape.iter().product::<usize>() * self.dtype.size_in_bytes()];
+        file.seek(SeekFrom::Start(self.offset)).map_err(text)?;
+        file.read_exact(&mut bytes).map_err(text)?;
+        Tensor::from_raw_buffer(&bytes, self.dtype, &self.shape, &Device::Cpu).map_err(text)
     }
 }

@@ -4,8 +4,8 @@ use std::path::Path;
 
 use super::path::{circle, spiral};
 use crate::base::{Error, Result};
-use crate::data::npy;
 use crate::data::pose::{self, Pose, Vec3};
+use crate::data::{LARGEST, SMALLEST, brief, npy};
 
 /// Numbers of one row: a 3x5 matrix `[down | right | back | origin | (height, width, focal)]` and two bounds.
 const COLUMNS: usize = 17;
@@ -139,16 +139,28 @@ fn pose_of(row: &[f64]) -> Pose {
 }
 
 fn check_row(row: &[f64], first: &[f64]) -> std::result::Result<(), String> {
-    if let Some(at) = row.iter().position(|v| !v.is_finite()) {
-        return Err(format!("has {} in column {at}: every number must be finite", row[at]));
+    if let Some(at) = row.iter().position(|v| v.is_nan() || v.abs() > LARGEST) {
+        let found = brief(row[at]);
+        return Err(format!(
+            "has {found} in column {at}: every number must be finite, from -{LARGEST:e} to {LARGEST:e}"
+        ));
     }
     let [near, far] = [row[15], row[16]];
-    if !(near > 0.0 && near < far) {
-        return Err(format!("has the depth bounds {near} and {far}, but 0 < near < far is needed"));
+    if !(near >= SMALLEST && near < far) {
+        return Err(format!(
+            "has the depth bounds {} and {}, but 0 < near < far is needed, near at least {SMALLEST:e}",
+            brief(near),
+            brief(far)
+        ));
     }
     let [height, width, focal] = intrinsics(row);
-    if [height, width, focal].iter().any(|v| *v <= 0.0) {
-        return Err(format!("has height {height}, width {width}, focal length {focal}: all must be positive"));
+    if [height, width, focal].iter().any(|v| *v < SMALLEST) {
+        return Err(format!(
+            "has height {}, width {}, focal length {}: all must be positive, at least {SMALLEST:e}",
+            brief(height),
+            brief(width),
+            brief(focal)
+        ));
     }
     let same = intrinsics(row).iter().zip(intrinsics(first)).all(|(a, b)| (a - b).abs() <= 1e-3 * b);
     if !same {

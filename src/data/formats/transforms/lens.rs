@@ -3,6 +3,7 @@
 use super::distortion::{Distortion, Intrinsics};
 use crate::base::Result;
 use crate::data::json::Object;
+use crate::data::{SMALLEST, brief};
 
 /// Names of pinhole models, with or without OpenCV's radial and tangential distortion.
 const MODELS: [&str; 6] = ["OPENCV", "FULL_OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL"];
@@ -33,7 +34,9 @@ impl Keys<'_> {
 
     fn positive(&self, key: &str) -> Result<Option<f64>> {
         match self.number(key)? {
-            Some(v) if v <= 0.0 => Err(self.frame.error(&format!("\"{key}\" is {v}, but it must be positive"))),
+            Some(v) if v < SMALLEST => Err(self
+                .frame
+                .error(&format!("\"{key}\" is {}, but it must be positive, at least {SMALLEST:e}", brief(v)))),
             number => Ok(number),
         }
     }

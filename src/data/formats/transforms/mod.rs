@@ -130,6 +130,7 @@ fn read_images(
     background: [f32; 3],
     events: &dyn Listener,
 ) -> Result<(Vec<Image>, bool)> {
+    images::check_memory(frames.len(), target)?;
     let paths: Vec<PathBuf> = frames.iter().map(|f| f.path.clone()).collect();
     let read = |i: usize, path: &Path| {
         let Lens { intrinsics, distortion } = frames[i].lens;

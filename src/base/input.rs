@@ -1,0 +1,100 @@
+//! Files that come from elsewhere, read with bounds.
+//!
+//! A name may stand for a device that never ends, a pipe that nobody writes to, or a file far larger than what it should
+//! be. Only regular files are read, up to a size; what a person names may be a pipe, too (`--config <(...)`).
+
+use std::fs::File;
+use std::io::{self, Read};
+use std::path::Path;
+
+/// Most bytes of settings and of definitions of sweeps: a hundred times those of anybody's.
+pub const TEXT_BYTES: u64 = 4 << 20;
+/// Most bytes of a table or a JSON file of this program: ten times those of a sweep of 10,000 points.
+pub const TABLE_BYTES: u64 = 256 << 20;
+/// Most bytes of a checkpoint's tensors.
+pub const TENSORS_BYTES: u64 = 16 << 30;
+
+/// Opens a regular file.
+///
+/// # Errors
+/// Those of the system; anything else than a file, without waiting for it.
+pub fn open_regular(path: &Path) -> io::Result<File> {
+    let found = std::fs::metadata(path)?;
+    if found.is_dir() {
+        return Err(io::Error::other("it is a folder"));
+    }
+    if !found.is_file() {
+        return Err(io::Error::other("it is a device or a pipe, where a file is needed"));
+    }
+    File::open(path)
+}
+
+/// What a regular file of at most `most` bytes holds.
+///
+/// # Errors
+/// Those of [`open_regular`]; a file that is larger.
+pub fn read_bytes(path: &Path, most: u64) -> io::Result<Vec<u8>> {
+    let file = open_regular(path)?;
+    let length = file.metadata()?.len();
+    if length > most {
+        return Err(too_large(most));
+    }
+    let mut bytes = Vec::new();
+    // An error where the memory is not there, instead of an end of the program.
+    bytes.try_reserve_exact(length as usize).map_err(io::Error::other)?;
+    read_into(file, most, bytes)
+}
+
+/// [`read_bytes`] of a text.
+pub fn read_text(path: &Path, most: u64) -> io::Result<String> {
+    text(read_bytes(path, most)?)
+}
+
+/// [`read_text`] of what a person named: a pipe's text, too. Of a device no more than `most` bytes are read, either.
+pub fn read_named(path: &Path, most: u64) -> io::Result<String> {
+    if std::fs::metadata(path)?.is_file() {
+        read_text(path, most)
+    } else {
+        text(read_into(File::open(path)?, most, Vec::new())?)
+    }
+}
+
+fn read_into(file: File, most: u64, mut bytes: Vec<u8>) -> io::Result<Vec<u8>> {
+    file.take(most.saturating_add(1)).read_to_end(&mut bytes)?;
+    if bytes.len() as u64 > most { Err(too_large(most)) } else { Ok(bytes) }
+}
+
+fn too_large(most: u64) -> io::Error {
+    let most = if most < 1 << 20 { format!("{} KiB", most >> 10) } else { format!("{} MiB", most >> 20) };
+    io::Error::other(format!("it holds more than {most}, which is more than such a file has"))
+}
+
+fn text(bytes: Vec<u8>) -> io::Result<String> {
+    String::from_utf8(bytes).map_err(|_| io::Error::other("it is not a text in UTF-8"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn files_are_read_up_to_their_size() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("a");
+        std::fs::write(&path, [b'a'; 4096]).unwrap();
+        assert_eq!(read_text(&path, 4096).unwrap().len(), 4096);
+        assert!(read_text(&path, 4095).unwrap_err().to_string().contains("more than 3 KiB"));
+        assert!(read_bytes(dir.path(), 10).unwrap_err().to_string().contains("folder"));
+        std::fs::write(&path, [0xff]).unwrap();
+        assert!(read_named(&path, 10).unwrap_err().to_string().contains("UTF-8"));
+        assert_eq!(read_bytes(&dir.path().join("b"), 10).unwrap_err().kind(), io::ErrorKind::NotFound);
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn devices_and_pipes_do_not_hold_anything_up() {
+        let endless = Path::new("/dev/zero");
+        assert!(read_bytes(endless, 10).unwrap_err().to_string().contains("device"));
+        assert!(read_named(endless, 1 << 20).unwrap_err().to_string().contains("more than 1 MiB"));
+    }
+}

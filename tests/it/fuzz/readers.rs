@@ -1,0 +1,301 @@
+//! The readers, each with sound files to begin with and the way that the program takes to it.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use augnerf::base::{Error, Result};
+use augnerf::data::{self, images};
+use augnerf::methods::SiteSummary;
+use augnerf::metrics::{Backbone, Lpips};
+use augnerf::report::tables::Table;
+use augnerf::run::{RunDir, Scalars};
+use augnerf::settings::{Config, DataConfig, Method, Preset, build, parse_assignment};
+use augnerf::space::{read_mesh, sample};
+use augnerf::sweep::{Definition, Failure, Point, PointResult, StepCosts, SweepFolder, expand};
+use augnerf::train::checkpoint;
+use candle_core::{DType, Device};
+
+use super::formats::Format;
+use super::seeds;
+use crate::common::{tiny_config, trained};
+
+/// A reader of files.
+pub struct Reader {
+    /// What it reads.
+    pub name: &'static str,
+    pub format: Format,
+    /// Sound files.
+    pub seeds: Vec<Vec<u8>>,
+    /// What is missing from sound files that are too small to be whole.
+    pub lacks: Option<&'static str>,
+    /// Reads a file of these bytes.
+    pub read: Box<dyn Fn(&[u8]) -> Result<()>>,
+}
+
+fn reader(
+    name: &'static str,
+    format: Format,
+    seeds: Vec<Vec<u8>>,
+    read: impl Fn(&[u8]) -> Result<()> + 'static,
+) -> Reader {
+    Reader { name, format, seeds, lacks: None, read: Box::new(read) }
+}
+
+/// All readers, their files in folders below `folder`.
+pub fn all(folder: &Path) -> Vec<Reader> {
+    let below = |name: &str| {
+        let path = folder.join(name);
+        fs::create_dir_all(&path).unwrap();
+        path
+    };
+    let mut all = vec![
+        weights(&below("legacy"), "weights, legacy", "pth", Format::Pickle, seeds::legacy()),
+        weights(&below("zip"), "weights, zip", "pth", Format::Archive, seeds::zipped()),
+        weights(&below("safetensors"), "weights, safetensors", "safetensors", Format::Safetensors, seeds::network()),
+        meshes(below("ply").join("a.ply"), "mesh, ply", Format::Ply, ply_seeds()),
+        meshes(below("obj").join("a.obj"), "mesh, obj", Format::Text, vec![seeds::OBJ.into()]),
+        llff(below("llff")),
+        transforms(below("transforms")),
+        blender(below("blender")),
+        depth_maps(below("depth")),
+        pictures(below("png").join("a.png"), "picture, png", Format::Png, seeds::pngs()),
+        pictures(below("jpeg").join("a.jpg"), "picture, jpeg", Format::Bytes, seeds::jpegs()),
+        configs(below("config").join("config.toml")),
+        reader("--set", Format::Text, seeds::ASSIGNMENTS.map(Vec::from).to_vec(), |bytes| {
+            let assignment = parse_assignment(&String::from_utf8_lossy(bytes))?;
+            build(Some(Preset::Smoke), None, &[assignment]).map(drop)
+        }),
+        sweeps(below("sweep").join("sweep.toml")),
+    ];
+    all.extend(runs(&below("run")));
+    all.extend(sweep_folders(&below("folder")));
+    all
+}
+
+fn write(path: &Path, bytes: &[u8]) {
+    fs::write(path, bytes).unwrap();
+}
+
+/// LPIPS weights whose linear layers are sound. The files hold the first two tensors alone.
+fn weights(dir: &Path, name: &'static str, ending: &str, format: Format, seed: Vec<u8>) -> Reader {
+    write(&dir.join("squeeze_lin_v0.1.safetensors"), &seeds::linear());
+    let (dir, file) = (dir.to_path_buf(), dir.join(format!("squeezenet1_1_features.{ending}")));
+    let reader = reader(name, format, vec![seed], move |bytes| {
+        write(&file, bytes);
+        Lpips::load(&dir, Backbone::Squeeze, &Device::Cpu).map(drop)
+    });
+    Reader { lacks: Some("lacks the tensor 3.squeeze.weight"), ..reader }
+}
+
+fn ply_seeds() -> Vec<Vec<u8>> {
+    ["ascii", "binary_little_endian", "binary_big_endian"].map(seeds::ply).to_vec()
+}
+
+/// Meshes, and points on those that are read.
+fn meshes(file: PathBuf, name: &'static str, format: Format, seeds: Vec<Vec<u8>>) -> Reader {
+    reader(name, format, seeds, move |bytes| {
+        write(&file, bytes);
+        sample(&read_mesh(&file)?, 16, 0).map(drop)
+    })
+}
+
+fn config_of(dir: &Path) -> DataConfig {
+    DataConfig { dir: dir.display().to_string(), downscale: Some(1), ..DataConfig::default() }
+}
+
+fn load(mut config: DataConfig) -> Result<()> {
+    config.kind = data::detect(&config)?;
+    data::load(&config, 0, &()).map(drop)
+}
+
+fn write_pictures(dir: &Path, count: usize) {
+    fs::create_dir_all(dir).unwrap();
+    (0..count).for_each(|i| seeds::picture(16, 12).save(dir.join(format!("{i}.png"))).unwrap());
+}
+
+/// Poses of every other file are put on a sphere.
+fn llff(dir: PathBuf) -> Reader {
+    write_pictures(&dir.join("images"), 3);
+    reader("scene, poses_bounds.npy", Format::Npy, vec![seeds::poses(3)], move |bytes| {
+        write(&dir.join("poses_bounds.npy"), bytes);
+        let spherify = bytes.iter().fold(0, |sum, byte| sum ^ byte) & 1 == 1;
+        load(DataConfig { spherify, ndc: !spherify, ..config_of(&dir) }).or_else(|error| match error {
+            // Cameras side by side fit none.
+            Error::Data(message) if spherify && message.contains("fit no sphere") => Ok(()),
+            error => Err(error),
+        })
+    })
+}
+
+fn transforms(dir: PathBuf) -> Reader {
+    write_pictures(&dir.join("views"), 4);
+    let keys = [
+        "\"camera_angle_x\": 0.7",
+        "\"camera_model\": \"OPENCV\",\n  \"fl_x\": 30.5,\n  \"fl_y\": 30,\n  \"cx\": 16,\n  \"cy\": 12,\n  \"w\": 32,\n  \
+         \"h\": 24,\n  \"k1\": 0.05,\n  \"k2\": -0.01,\n  \"p1\": 0.001,\n  \"aabb_scale\": 4",
+    ];
+    reader("scene, transforms.json", Format::Text, keys.map(seeds::transforms).to_vec(), move |bytes| {
+        write(&dir.join("transforms.json"), bytes);
+        load(config_of(&dir))
+    })
+}
+
+fn blender(dir: PathBuf) -> Reader {
+    write_pictures(&dir.join("views"), 4);
+    let sound = seeds::transforms("\"camera_angle_x\": 0.7");
+    write(&dir.join("transforms_test.json"), &sound);
+    reader("scene, transforms_train.json", Format::Text, vec![sound], move |bytes| {
+        write(&dir.join("transforms_train.json"), bytes);
+        load(config_of(&dir))
+    })
+}
+
+fn depth_maps(dir: PathBuf) -> Reader {
+    write_pictures(&dir.join("views"), 4);
+    let sound = seeds::transforms("\"camera_angle_x\": 0.7");
+    write(&dir.join("transforms_train.json"), &sound);
+    write(&dir.join("transforms_test.json"), &sound);
+    reader("scene, depth map", Format::Png, vec![seeds::depth_map()], move |bytes| {
+        write(&dir.join("views/0_depth_0000.png"), bytes);
+        load(config_of(&dir))
+    })
+}
+
+fn pictures(file: PathBuf, name: &'static str, format: Format, seeds: Vec<Vec<u8>>) -> Reader {
+    reader(name, format, seeds, move |bytes| {
+        write(&file, bytes);
+        let (width, height) = images::size(&file)?;
+        images::read(&file, (width.min(5), height.min(5))).map(drop)
+    })
+}
+
+fn configs(file: PathBuf) -> Reader {
+    let presets = Preset::ALL.map(|(_, preset)| build(Some(preset), None, &[]).unwrap().to_toml().into_bytes());
+    let seeds = presets.into_iter().chain([b"method = \"aug-nerf\"\ntrain.steps = 20\n".to_vec()]).collect();
+    reader("settings", Format::Text, seeds, move |bytes| {
+        write(&file, bytes);
+        let config = build(None, Some(&file), &[])?;
+        // What is read can be written and hashed.
+        Config::from_toml(&config.to_toml(), "again").map(|again| drop(again.hash()))
+    })
+}
+
+struct OneSecond;
+
+impl StepCosts for OneSecond {
+    fn seconds_per_step(&self, _: &Config) -> Result<f64> {
+        Ok(1.0)
+    }
+}
+
+/// Sweep files, and the points of those that are read.
+fn sweeps(file: PathBuf) -> Reader {
+    let shipped = crate::common::files::files(&Path::new(env!("CARGO_MANIFEST_DIR")).join("sweeps"), &[]);
+    let shipped = shipped
+        .into_iter()
+        .map(|(_, bytes)| bytes)
+        .filter(|bytes| !String::from_utf8_lossy(bytes).contains("\nextends"));
+    let seeds = [seeds::SWEEP, seeds::SMALL_SWEEP].map(Vec::from).into_iter().chain(shipped).collect();
+    reader("sweep", Format::Text, seeds, move |bytes| {
+        write(&file, bytes);
+        let definition = Definition::read(&file)?;
+        Definition::parse(&definition.to_toml(), "again")?;
+        expand(&definition, None, &OneSecond).map(drop)
+    })
+}
+
+/// The files of a run folder.
+fn runs(dir: &Path) -> Vec<Reader> {
+    let config = tiny_config(Method::Nerf, |_| {});
+    let checkpoint = trained(&config, 2).save(&dir.join("checkpoints")).unwrap();
+    // Sums would refuse every change, and checkpoints of earlier versions have none.
+    let _ = fs::remove_file(checkpoint.join("SHA256SUMS"));
+    write(&dir.join("config.toml"), config.to_toml().as_bytes());
+    let sound = |name: &str| vec![fs::read(checkpoint.join(name)).unwrap()];
+    let (state, tensors) = (checkpoint.clone(), checkpoint.clone());
+    let (own, clocks, scalars) = (dir.to_path_buf(), dir.to_path_buf(), dir.join("scalars.csv"));
+    let with_tensors = config.clone();
+    vec![
+        reader("run, config.toml", Format::Text, vec![config.to_toml().into_bytes()], move |bytes| {
+            write(&own.join("config.toml"), bytes);
+            RunDir::open(&own)?.read_config().map(drop)
+        }),
+        reader("run, timing.json", Format::Text, vec![TIMING.into()], move |bytes| {
+            write(&clocks.join("config.toml"), b"");
+            write(&clocks.join("timing.json"), bytes);
+            RunDir::open(&clocks)?.read_timing().map(drop)
+        }),
+        reader("run, scalars.csv", Format::Text, vec![SCALARS.into()], move |bytes| {
+            write(&scalars, bytes);
+            SiteSummary::read(&scalars, 3)?;
+            Scalars::resume(&scalars, &["loss", "gain.t", "inactive.t"], 3).map(drop)
+        }),
+        reader("checkpoint, state.json", Format::Text, sound("state.json"), move |bytes| {
+            write(&state.join("state.json"), bytes);
+            checkpoint::check_config(&state, &checkpoint::load_state(&state)?, &config)
+        }),
+        reader("checkpoint, tensors", Format::Safetensors, sound("state.safetensors"), move |bytes| {
+            write(&tensors.join("state.safetensors"), bytes);
+            checkpoint::load_model(&tensors, &with_tensors, DType::F32, &Device::Cpu).map(drop)
+        }),
+    ]
+}
+
+const SCALARS: &str = "step,loss,gain.t,inactive.t\n1,0.5,,\n2,0.25,0.1,0\n3,1e-3,-0.2,1\n4,0.125,0,0\n";
+const TIMING: &str = r#"{
+  "seconds_training": 12.5, "seconds_evaluation": 0.1, "rays_per_second": null, "peak_memory_mib": 100.5, "device": "cpu",
+  "threads": 2, "host": {"name": "a", "os": "linux", "arch": "x86_64", "cpu": "one", "cpus": 2}, "started_unix": 1,
+  "finished_unix": 2, "sessions": 1
+}
+"#;
+
+/// Every record and the table of a sweep's folder.
+fn records(folder: &SweepFolder, definition: &Definition) -> Result<()> {
+    let points = folder.points(None)?.unwrap_or_default();
+    points.iter().for_each(|point| drop(point.label()));
+    let records = folder.records(definition, &points)?;
+    Table::new(&definition.table("test", &points), &records, true).map(drop)
+}
+
+/// The files of a sweep's folder.
+fn sweep_folders(dir: &Path) -> Vec<Reader> {
+    let definition = Definition::parse(seeds::SMALL_SWEEP, "small.toml").unwrap();
+    let points: Vec<Point> = expand(&definition, None, &OneSecond).unwrap();
+    let begin = |name: &str| {
+        let folder = SweepFolder::new(&dir.join(name));
+        drop(folder.lock().unwrap());
+        folder.begin(&definition, &points, None).unwrap();
+        folder
+    };
+    let plan = begin("plan");
+    let path = plan.path().join("points.json");
+    let seed = fs::read(&path).unwrap();
+    let own = definition.clone();
+    let mut readers = vec![reader("sweep, points.json", Format::Text, vec![seed], move |bytes| {
+        write(&path, bytes);
+        records(&plan, &own)
+    })];
+    let metrics = vec![("psnr".to_string(), Some(21.5)), ("ssim".to_string(), None)];
+    let protocol = vec![("scene".to_string(), "builtin".to_string()), ("revision".to_string(), "abc".to_string())];
+    let result = PointResult { metrics, protocol, inactive_levels: vec!["t".into()] };
+    let failure = Failure { reason: "it diverged".into(), exit_code: 6 };
+    let json = |value: serde_json::Value| vec![value.to_string().into_bytes()];
+    for (name, file, seed) in [
+        ("sweep, result.json", "result.json", json(serde_json::to_value(&result).unwrap())),
+        ("sweep, failed.json", "failed.json", json(serde_json::to_value(&failure).unwrap())),
+        ("sweep, claim.json", "claim.json", vec![CLAIM.into()]),
+    ] {
+        let folder = begin(file);
+        let point = folder.point(&points[0].id);
+        fs::create_dir_all(point.path()).unwrap();
+        let (path, definition) = (point.path().join(file), definition.clone());
+        readers.push(reader(name, Format::Text, seed, move |bytes| {
+            write(&path, bytes);
+            records(&folder, &definition)
+        }));
+    }
+    readers
+}
+
+const CLAIM: &str =
+    r#"{"host": "a", "pid": 7, "nonce": 3, "step": 4, "steps": 40, "seconds": 1.5, "first": 0, "deaths": 1}"#;
