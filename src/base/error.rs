@@ -43,6 +43,9 @@ pub enum Error {
     /// A table whose rows differ in what its definition does not vary.
     #[error("{}", shown(.0))]
     NotComparable(String),
+    /// Results that do not come out of what they are said to be made of.
+    #[error("{0}")]
+    Mismatch(String),
     /// A failure inside the tensor library: a defect of this program or of the device.
     #[error("tensor operation failed: {}", shown(&tensor_sentence(.0)))]
     Tensor(#[from] candle_core::Error),
@@ -101,11 +104,13 @@ pub enum Class {
     PointsWithoutData,
     /// See [`Error::NotComparable`].
     NotComparable,
+    /// See [`Error::Mismatch`].
+    Mismatch,
 }
 
 impl Class {
     /// All of them, in the order of their codes.
-    pub const ALL: [Class; 9] = [
+    pub const ALL: [Class; 10] = [
         Class::Internal,
         Class::Config,
         Class::Data,
@@ -115,6 +120,7 @@ impl Class {
         Class::PointsFailed,
         Class::PointsWithoutData,
         Class::NotComparable,
+        Class::Mismatch,
     ];
 
     /// The program's exit code, and what it means in a list of codes. There is no other such list.
@@ -129,6 +135,7 @@ impl Class {
             Class::PointsFailed => (7, "points of a sweep failed"),
             Class::PointsWithoutData => (8, "points of a sweep have no data"),
             Class::NotComparable => (9, "rows of a table are not comparable"),
+            Class::Mismatch => (10, "results do not verify"),
         }
     }
 
@@ -162,6 +169,7 @@ impl Error {
             Error::PointsFailed(_) => Class::PointsFailed,
             Error::PointsWithoutData(_) => Class::PointsWithoutData,
             Error::NotComparable(_) => Class::NotComparable,
+            Error::Mismatch(_) => Class::Mismatch,
         };
         class.exit_code()
     }

@@ -25,6 +25,7 @@ mod settings;
 mod signals;
 mod sweep;
 mod train;
+mod verify;
 
 /// Trains neural radiance fields, plain (NeRF) and with worst-case augmentation (Aug-NeRF), and
 /// measures them under one protocol.
@@ -110,6 +111,9 @@ enum Command {
     /// Run many experiments as one table: rows, axes, seeds, paired differences
     #[command(subcommand)]
     Sweep(sweep::SweepCommand),
+    /// Check that committed tables, figures and quoted numbers come out of their points
+    #[command(after_help = verify::EXAMPLES)]
+    Verify(verify::VerifyArguments),
     /// Measure a trained run on its held-out views again
     Eval(eval::EvalArguments),
     /// Measure how smooth runs are: l1, total variation and Laplacian of density on a full lattice, as CSV
@@ -219,6 +223,7 @@ pub fn main() -> ExitCode {
         Command::Train(arguments) => arguments.run(),
         Command::Resume(arguments) => arguments.run(),
         Command::Sweep(command) => command.run(),
+        Command::Verify(arguments) => arguments.run(),
         Command::Eval(arguments) => arguments.run(),
         Command::Measure(arguments) => arguments.run(),
         Command::Balance(arguments) => arguments.run(),

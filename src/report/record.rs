@@ -68,6 +68,9 @@ pub enum Status {
 }
 
 impl Status {
+    /// All of them.
+    pub const ALL: [Status; 5] = [Status::Done, Status::Running, Status::Waiting, Status::Failed, Status::NoData];
+
     /// The word in files and tables.
     pub fn name(self) -> &'static str {
         match self {

@@ -12,6 +12,11 @@ impl Config {
         self.portable().text_hash()
     }
 
+    /// The hash that a revision gave the configuration which did not have these settings yet.
+    pub fn hash_without(&self, settings: &[String]) -> String {
+        self.portable().text_hash_without(settings)
+    }
+
     /// Everything that can change a weight or a metric, the rest at its defaults. The scene counts
     /// by its name, not by where its folder lies; how often a run logs, evaluates or saves does
     /// not count, and neither do section `perturb` without a perturbed pass and regularizers of weight 0.
@@ -44,12 +49,17 @@ impl Config {
 
     /// A 12-digit hash of all settings, but for those that are younger than runs and at their defaults.
     pub fn text_hash(&self) -> String {
+        self.text_hash_without(&[])
+    }
+
+    fn text_hash_without(&self, settings: &[String]) -> String {
         let (mut table, defaults) = (self.to_table(), Config::default().to_table());
         for path in REGISTRY.later() {
             if value_at(&table, path) == value_at(&defaults, path) {
                 remove(&mut table, path);
             }
         }
+        settings.iter().for_each(|path| remove(&mut table, path));
         short_hash(Sha256::new_with_prefix(table.to_string()))
     }
 

@@ -28,8 +28,8 @@ use super::point_folder::PointFolder;
 use super::points::Point;
 use crate::report::{AxisValue, Record, Status};
 
-const DEFINITION: &str = "sweep.toml";
-const PLAN: &str = "points.json";
+pub(super) const DEFINITION: &str = "sweep.toml";
+pub(super) const PLAN: &str = "points.json";
 /// Measured seconds of a step, in a sweep's folder and beside its tables.
 pub(super) const STEP_SECONDS: &str = "step_seconds.json";
 const BEGIN_LOCK: &str = "begin.lock";

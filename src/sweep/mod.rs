@@ -27,6 +27,7 @@ mod points;
 mod provenance;
 mod runner;
 mod training;
+pub mod verify;
 mod words;
 
 pub use axes::{Axis, AxisPoint, RandomSpan, Scale, Span};

@@ -164,6 +164,11 @@ impl<'a> KeptCosts<'a> {
     }
 }
 
+/// The step times that are kept in a folder; any other is an error.
+pub(super) fn kept_step_seconds(folder: &SweepFolder) -> Result<impl StepCosts> {
+    KeptCosts::new(folder, &Unknown)
+}
+
 impl StepCosts for KeptCosts<'_> {
     fn seconds_per_step(&self, config: &Config) -> Result<f64> {
         let mut known = self.known.lock().expect("no panic while measuring");

@@ -13,6 +13,9 @@ use super::budget::{StepCosts, steps_within};
 use super::definition::Definition;
 use super::layout::{Laid, Place, lay_out, missing, scene_folder};
 
+/// Ends the name of a point whose budget could not be told.
+pub(super) const WITHOUT_BUDGET: &str = "-without-budget";
+
 /// One training: a configuration with its seed. Rows that come to the same share it.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Point {
@@ -110,7 +113,7 @@ pub(super) fn apply_budgets(laid: &[Laid], costs: &dyn StepCosts) -> Result<Vec<
 }
 
 /// The point of one place.
-fn point(laid: &Laid, costs: &dyn StepCosts) -> Result<Point> {
+pub(super) fn point(laid: &Laid, costs: &dyn StepCosts) -> Result<Point> {
     let mut config = laid.config.clone();
     if let (Some((kind, like)), Some(decay_steps)) = (&laid.budget, laid.decay_steps) {
         let steps = steps_within(*kind, &config, like, costs)?;
@@ -124,7 +127,7 @@ fn point(laid: &Laid, costs: &dyn StepCosts) -> Result<Point> {
     let without_budget = laid.budget.is_some() && laid.decay_steps.is_none();
     Ok(Point {
         // Not the point that the row would be without its budget.
-        id: config.hash() + if without_budget { "-without-budget" } else { "" },
+        id: config.hash() + if without_budget { WITHOUT_BUDGET } else { "" },
         scene: laid.scene.clone(),
         source: laid.source.clone(),
         no_data: laid.no_data.clone(),

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use serde::{Deserialize, Serialize};
-use toml::{Table, Value};
+use toml::Table;
 
 use crate::base::files::write_atomic;
 use crate::base::input::{TEXT_BYTES, read_text};
@@ -22,6 +22,9 @@ pub struct Provenance {
     pub name: String,
     /// Revision of the code that its points were made by.
     pub code_revision: String,
+    /// Settings that its revision did not have: no part of its points' names.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub settings_since: Vec<String>,
     /// Settings whose default has changed since, with what it was.
     #[serde(default, skip_serializing_if = "Table::is_empty")]
     pub defaults_then: Table,
@@ -71,10 +74,5 @@ impl Provenance {
     pub fn write(&self, results: &Path) -> Result<()> {
         let text = toml::to_string(self).expect("plain data");
         write_atomic(&results.join(PROVENANCE), text.as_bytes())
-    }
-
-    /// Settings whose default has changed since, by their dotted names.
-    pub fn defaults(&self) -> impl Iterator<Item = (&String, &Value)> {
-        self.defaults_then.iter()
     }
 }

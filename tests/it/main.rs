@@ -30,6 +30,7 @@ mod sweep_run;
 mod sweep_tables;
 mod training;
 mod views;
+mod verify;
 
 /// Counts what is taken, for the tests that bound it.
 #[global_allocator]

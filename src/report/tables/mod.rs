@@ -9,6 +9,7 @@ mod comparison;
 mod delimited;
 mod latex;
 mod markdown;
+mod read;
 mod terminal;
 mod text;
 
@@ -16,6 +17,7 @@ pub use comparison::{Comparison, Equivalence, Verdict};
 pub use delimited::{PointTiming, points_csv, table_csv, timing_csv};
 pub use latex::table_latex;
 pub use markdown::table_markdown;
+pub use read::{read_points, read_timing};
 pub use terminal::table_terminal;
 
 use crate::base::Result;

@@ -1,0 +1,91 @@
+//! `augnerf verify`.
+
+use std::path::{Path, PathBuf};
+
+use clap::Args;
+
+use crate::base::{Error, Result};
+use crate::run::load_lpips;
+use crate::runtime::Runtime;
+use crate::sweep::Trainings;
+use crate::sweep::verify::{Findings, Outcome, Verifier, results_in, untraced};
+
+use super::progress::{Console, print};
+use super::train::catch_signals;
+use super::{Compute, LpipsWeights};
+
+pub const EXAMPLES: &str = "Examples:
+  augnerf verify                                           all of results/: tables, figures, ids, quoted numbers
+  augnerf verify results/tab4_fern --data-root ~/data      with the hash of the scene
+  augnerf verify results/smoke --retrain 2                 trains two points again, and compares every digit
+  augnerf verify results/smoke --update                    writes tables and figures anew from points.csv
+
+What could not be checked is said, with the reason. Exit codes: 0 everything that was checked holds, 10 something does not.";
+
+#[derive(Args)]
+pub struct VerifyArguments {
+    /// Folders of results, or folders of such
+    #[arg(default_value = "results")]
+    results: Vec<PathBuf>,
+    /// Write tables and figures that differ anew, from points.csv; what that is read from is never written
+    #[arg(long)]
+    update: bool,
+    /// Train so many points again, spread over the sweep, and compare every digit
+    #[arg(long, value_name = "N", default_value_t = 0, hide_default_value = true)]
+    retrain: usize,
+    /// Train by this program, although it is not the revision that the points were made by
+    #[arg(long, requires = "retrain")]
+    any_revision: bool,
+    /// Folder that the scenes lie in
+    #[arg(long, env = "AUGNERF_DATA", value_name = "DIR")]
+    data_root: Option<PathBuf>,
+    #[command(flatten)]
+    weights: LpipsWeights,
+    #[command(flatten)]
+    compute: Compute,
+}
+
+impl VerifyArguments {
+    pub fn run(self) -> Result<()> {
+        let runtime = self.compute.runtime()?;
+        runtime.install(|| self.verify(&runtime))
+    }
+
+    fn verify(&self, runtime: &Runtime) -> Result<()> {
+        let console = Console::new(self.compute.quiet);
+        let weights = self.weights.lpips_weights.as_ref().map_or(String::new(), |dir| dir.to_string_lossy().into_owned());
+        let lpips = load_lpips(&weights, runtime.device())?;
+        let trainings = Trainings::new(runtime.clone(), (lpips, weights), true, &console);
+        let stop = catch_signals()?;
+        let verifier = Verifier {
+            data_root: self.data_root.as_deref(),
+            trainings: &trainings,
+            runtime,
+            update: self.update,
+            retrain: self.retrain,
+            any_revision: self.any_revision,
+            stop: &stop,
+        };
+        let mut wrong = Vec::new();
+        let mut show = |path: &Path, findings: &Findings| {
+            print(&path.display().to_string());
+            findings.lines.iter().for_each(|line| print(&format!("  {:11}  {}", line.outcome.name(), line.text)));
+            if findings.count(Outcome::Wrong) > 0 {
+                wrong.push(path.display().to_string());
+            }
+        };
+        for path in &self.results {
+            let folders = results_in(path)?;
+            for folder in &folders {
+                show(folder, &verifier.folder(folder)?);
+            }
+            if folders != [path.clone()] {
+                show(path, &untraced(path)?);
+            }
+        }
+        if wrong.is_empty() {
+            return Ok(());
+        }
+        Err(Error::Mismatch(format!("what is marked WRONG above does not hold in {}", wrong.join(", "))))
+    }
+}

@@ -1,0 +1,76 @@
+//! `points.csv` read back.
+
+use super::delimited::POINT_COLUMNS;
+use crate::report::{AxisValue, Record, Status};
+
+/// The first column of the protocol: metrics stand before it.
+const FIRST_OF_PROTOCOL: &str = "protocol";
+
+/// The records that a `points.csv` was written from. `axes` tells the values of a point's axes, by its name, row and the
+/// text that the file has of them; `clocks` are columns that are neither metrics nor protocol.
+pub fn read_points(
+    text: &str,
+    clocks: &[String],
+    axes: impl Fn(&str, &str, &str) -> Option<Vec<AxisValue>>,
+) -> Result<Vec<Record>, String> {
+    let mut reader = csv::Reader::from_reader(text.as_bytes());
+    let head: Vec<String> = reader.headers().map_err(|e| e.to_string())?.iter().map(String::from).collect();
+    if head.len() < POINT_COLUMNS.len() || head.iter().zip(POINT_COLUMNS).any(|(found, column)| found != column) {
+        return Err(format!("its first columns are not {}", POINT_COLUMNS.join(", ")));
+    }
+    let protocol = head.iter().position(|name| name == FIRST_OF_PROTOCOL).unwrap_or(head.len());
+    let mut records = Vec::new();
+    for (index, row) in reader.records().enumerate() {
+        let row = row.map_err(|e| e.to_string())?;
+        let line = index + 2;
+        let [id, scene, name, axes_text, seed, status, reason, inactive] = std::array::from_fn(|i| &row[i]);
+        let known = Status::ALL.into_iter().find(|known| known.name() == status);
+        let number = |column: usize| match &row[column] {
+            "" => Ok(None),
+            cell => {
+                let parsed = cell.parse().map(Some);
+                parsed.map_err(|_| format!("line {line}, column {}: '{cell}' is no number", head[column]))
+            }
+        };
+        let metric = |column: usize| Ok((head[column].clone(), number(column)?));
+        let metrics = (POINT_COLUMNS.len()..protocol).map(metric).collect::<Result<_, String>>()?;
+        let status = known.ok_or_else(|| format!("line {line}: status '{status}' does not exist"))?;
+        let mut columns: Vec<(String, String)> = Vec::new();
+        if status == Status::Done {
+            columns.push(("scene".into(), scene.into()));
+            let own = (protocol..head.len()).filter(|&column| !clocks.contains(&head[column]));
+            columns.extend(own.map(|column| (head[column].clone(), row[column].to_string())));
+        }
+        records.push(Record {
+            id: id.into(),
+            scene: scene.into(),
+            row: name.into(),
+            axes: axes(id, name, axes_text)
+                .ok_or_else(|| format!("line {line}: point {id} has no place in row '{name}' at '{axes_text}'"))?,
+            seed: seed.parse().map_err(|_| format!("line {line}: seed '{seed}' is no whole number"))?,
+            status,
+            reason: reason.into(),
+            metrics,
+            protocol: columns,
+            inactive_levels: inactive.split_whitespace().map(String::from).collect(),
+        });
+    }
+    Ok(records)
+}
+
+/// Clock times from a `timing.csv`, by point.
+pub fn read_timing(text: &str) -> Result<Vec<super::PointTiming>, String> {
+    let mut reader = csv::Reader::from_reader(text.as_bytes());
+    let head = reader.headers().map_err(|e| e.to_string())?.clone();
+    let rows = reader.records().map(|row| {
+        let row = row.map_err(|e| e.to_string())?;
+        let clock = |column: usize| {
+            let value = (!row[column].is_empty()).then(|| row[column].parse()).transpose();
+            value.map(|value| (head[column].to_string(), value)).map_err(|_| {
+                format!("{} of point {}: '{}' is no number", &head[column], &row[0], &row[column])
+            })
+        };
+        Ok((row[0].to_string(), (2..row.len()).map(clock).collect::<Result<_, String>>()?))
+    });
+    rows.collect()
+}

@@ -1,0 +1,154 @@
+//! Whether committed results come out of what they are said to be made of: `augnerf verify`.
+
+use std::path::{Path, PathBuf};
+use std::sync::atomic::AtomicUsize;
+
+use crate::base::{Error, Result};
+use crate::runtime::Runtime;
+use crate::sweep::training::Trainings;
+
+mod archive;
+mod files;
+mod findings;
+mod ids;
+mod inputs;
+mod numbers;
+mod pages;
+mod retrain;
+mod runs;
+
+pub use findings::{Finding, Findings, Outcome};
+
+use archive::Archive;
+use numbers::Cells;
+use pages::Page;
+
+/// How thoroughly results are verified.
+pub struct Verifier<'a> {
+    /// Folder that scenes lie in.
+    pub data_root: Option<&'a Path>,
+    /// What scenes are loaded with and points trained by; LPIPS weights, where they are at hand.
+    pub trainings: &'a Trainings<'a>,
+    /// Where points are trained again.
+    pub runtime: &'a Runtime,
+    /// Write tables and figures that differ anew.
+    pub update: bool,
+    /// So many points are trained again.
+    pub retrain: usize,
+    /// By any revision of the program, not only by that of the points.
+    pub any_revision: bool,
+    /// Holds a signal's number when it is time to stop.
+    pub stop: &'a AtomicUsize,
+}
+
+impl Verifier<'_> {
+    /// Verifies a sweep's results, or a folder of single runs.
+    pub fn folder(&self, path: &Path) -> Result<Findings> {
+        let mut findings = Findings::default();
+        match kind(path)? {
+            Kind::Sweep => {
+                let archive = Archive::read(path, self.data_root)?;
+                files::check(&archive, self.update, &mut findings)?;
+                ids::check(&archive, self.data_root, &mut findings)?;
+                inputs::check(&archive, &self.trainings.lpips, self.trainings.events, &mut findings)?;
+                if self.retrain > 0 {
+                    let how = (self.retrain, self.any_revision);
+                    retrain::check(&archive, how, self.runtime, self.trainings, self.stop, &mut findings)?;
+                }
+            }
+            Kind::Runs => runs::check(path, &mut findings)?,
+            Kind::Other => {
+                return Err(Error::Data(format!(
+                    "{} holds no results: neither a sweep's (points.csv) nor single runs (RUN/metrics.json)",
+                    path.display()
+                )));
+            }
+        }
+        quoted(path, &mut findings)?;
+        Ok(findings)
+    }
+}
+
+/// What a folder holds.
+enum Kind {
+    Sweep,
+    Runs,
+    Other,
+}
+
+fn kind(path: &Path) -> Result<Kind> {
+    if path.join("points.csv").exists() || path.join("sweep.toml").exists() {
+        return Ok(Kind::Sweep);
+    }
+    Ok(if runs::run_folders(path)?.is_empty() { Kind::Other } else { Kind::Runs })
+}
+
+/// The results' folders that are meant by a path: itself, or those that lie in it.
+pub fn results_in(path: &Path) -> Result<Vec<PathBuf>> {
+    if !matches!(kind(path)?, Kind::Other) {
+        return Ok(vec![path.to_path_buf()]);
+    }
+    let mut folders = Vec::new();
+    for entry in std::fs::read_dir(path).map_err(|e| Error::unreadable(path, &e))? {
+        let entry = entry.map_err(|e| Error::unreadable(path, &e))?.path();
+        if entry.is_dir() && !matches!(kind(&entry)?, Kind::Other) {
+            folders.push(entry);
+        }
+    }
+    folders.sort();
+    if folders.is_empty() {
+        return Err(Error::Data(format!(
+            "{} holds no results: neither a sweep's (points.csv) nor single runs (RUN/metrics.json)",
+            path.display()
+        )));
+    }
+    Ok(folders)
+}
+
+/// Numbers that pages quote from a results' folder.
+fn quoted(path: &Path, findings: &mut Findings) -> Result<()> {
+    let cells = Cells::read(path)?;
+    for page in pages_beside(path)? {
+        let (mut count, mut wrong) = (0, Vec::new());
+        for quote in page.quotes.iter().filter(|quote| quote.folder == cells.name) {
+            let (numbers, reasons) = quote.check(&cells);
+            count += numbers;
+            wrong.extend(reasons.into_iter().map(|reason| format!("{}, line {}: {reason}", page.name, quote.line)));
+        }
+        if count > 0 || !wrong.is_empty() {
+            findings.of(format!("{}: {count} quoted numbers", page.name), wrong);
+        }
+    }
+    Ok(())
+}
+
+/// Numbers of the pages beside results that no comment traces, and comments that name no folder.
+pub fn untraced(results: &Path) -> Result<Findings> {
+    let mut findings = Findings::default();
+    for page in pages_beside(&results.join("any"))? {
+        for quote in &page.quotes {
+            if !results.join(&quote.folder).is_dir() {
+                findings.wrong(format!("{}, line {}: there is no results folder '{}'", page.name, quote.line, quote.folder));
+            }
+        }
+        if page.unmarked > 0 {
+            findings.not_checked(format!("{}: {} numbers with decimals that no comment traces", page.name, page.unmarked));
+        }
+    }
+    Ok(findings)
+}
+
+/// The pages on results: those in the folder above, and the README above that.
+fn pages_beside(path: &Path) -> Result<Vec<Page>> {
+    let absolute = std::path::absolute(path).map_err(|e| Error::unreadable(path, &e))?;
+    let Some(results) = absolute.parent() else { return Ok(Vec::new()) };
+    let mut paths = Vec::new();
+    for entry in std::fs::read_dir(results).map_err(|e| Error::unreadable(results, &e))? {
+        paths.push(entry.map_err(|e| Error::unreadable(results, &e))?.path());
+    }
+    paths.retain(|path| path.extension().is_some_and(|ending| ending == "md"));
+    paths.sort();
+    let root = results.parent().unwrap_or(results);
+    paths.extend(Some(root.join("README.md")).filter(|path| root != results && path.exists()));
+    paths.iter().map(|path| Page::read(path, root)).collect()
+}

@@ -1,0 +1,145 @@
+//! Where quoted numbers are looked up: the tables of a results' folder, and a small language that names their cells.
+//!
+//! ```text
+//! EXPRESSION = ["-"] TERM [("/" | "-" | "+") TERM]
+//! TERM       = COLUMN["@"SEED] ["of" ROW] ["on" SCENE]
+//! ```
+
+use std::path::Path;
+
+use crate::base::{Error, Result};
+use crate::sweep::material::optional;
+
+/// The tables of a results' folder.
+pub struct Cells {
+    /// The folder's name.
+    pub name: String,
+    /// `table.csv`, or `summary.csv` of single runs: a line a row.
+    rows: Vec<Row>,
+    /// `points.csv`: a line a point.
+    points: Vec<Row>,
+}
+
+/// A line: what it is of, and its cells by their columns.
+struct Row {
+    label: String,
+    scene: String,
+    seed: String,
+    cells: Vec<(String, String)>,
+}
+
+impl Row {
+    fn cell(&self, column: &str) -> Option<&str> {
+        self.cells.iter().find(|(name, _)| name == column).map(|(_, text)| text.as_str())
+    }
+}
+
+impl Cells {
+    /// Of a sweep's results or of a folder of single runs.
+    pub fn read(folder: &Path) -> Result<Cells> {
+        let name = folder.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
+        let mut rows = csv_rows(&folder.join("table.csv"))?;
+        rows.extend(csv_rows(&folder.join("summary.csv"))?);
+        rows.extend(super::runs::means(folder)?.into_iter().map(|(label, cells)| Row {
+            label,
+            scene: String::new(),
+            seed: String::new(),
+            cells,
+        }));
+        Ok(Cells { name, rows, points: csv_rows(&folder.join("points.csv"))? })
+    }
+
+    /// What an expression comes to; `row` stands where it names none. None: the cell is empty.
+    pub fn value(&self, expression: &str, row: Option<&str>) -> std::result::Result<Option<f64>, String> {
+        let (negative, expression) = match expression.trim().strip_prefix('-') {
+            Some(rest) => (true, rest.trim()),
+            None => (false, expression.trim()),
+        };
+        let operator = [" / ", " - ", " + "].into_iter().find_map(|op| Some((op, expression.split_once(op)?)));
+        let value = match operator {
+            None => self.term(expression, row)?,
+            Some((operator, (left, right))) => {
+                let both = self.term(left, row)?.zip(self.term(right, row)?);
+                both.map(|(left, right)| match operator {
+                    " / " => left / right,
+                    " - " => left - right,
+                    _ => left + right,
+                })
+            }
+        };
+        Ok(value.map(|value| if negative { -value } else { value }))
+    }
+
+    fn term(&self, term: &str, row: Option<&str>) -> std::result::Result<Option<f64>, String> {
+        let (column, place) = term.trim().split_once(" of ").unwrap_or((term.trim(), row.unwrap_or_default()));
+        let (label, scene) = place.split_once(" on ").unwrap_or((place, ""));
+        let (column, seed) = column.split_once('@').unwrap_or((column, ""));
+        let lines = if seed.is_empty() { &self.rows } else { &self.points };
+        let fits = |row: &&Row| {
+            row.label == label && (scene.is_empty() || row.scene == scene) && (seed.is_empty() || row.seed == seed)
+        };
+        let mut found = lines.iter().filter(fits);
+        let what = format!("'{label}'{}", if seed.is_empty() { String::new() } else { format!(" with seed {seed}") });
+        let line = found.next().ok_or_else(|| format!("{} has no row {what}", self.name))?;
+        if found.next().is_some() {
+            return Err(format!("{} has several rows {what}: name the scene (`on SCENE`)", self.name));
+        }
+        let cell = line.cell(column).ok_or_else(|| format!("{} has no column '{column}'", self.name))?;
+        if cell.is_empty() {
+            return Ok(None);
+        }
+        cell.parse().map(Some).map_err(|_| format!("{column} of {what} in {} is '{cell}', no number", self.name))
+    }
+}
+
+fn csv_rows(path: &Path) -> Result<Vec<Row>> {
+    let Some(bytes) = optional(path)? else { return Ok(Vec::new()) };
+    let bad = |e: csv::Error| Error::Data(format!("{}: {e}", path.display()));
+    let mut reader = csv::Reader::from_reader(bytes.as_slice());
+    let head = reader.headers().map_err(bad)?.clone();
+    let rows = reader.records().map(|record| {
+        let record = record.map_err(bad)?;
+        let cells: Vec<(String, String)> =
+            head.iter().zip(&record).map(|(name, cell)| (name.to_string(), cell.to_string())).collect();
+        let cell = |name: &str| {
+            cells.iter().find(|(known, _)| known == name).map(|(_, text)| text.clone()).unwrap_or_default()
+        };
+        let name = if cell("row").is_empty() { cell("run") } else { cell("row") };
+        let axes = cell("axes");
+        let label = if axes.is_empty() { name } else { format!("{name}, {axes}") };
+        Ok(Row { label, scene: cell("scene"), seed: cell("seed"), cells })
+    });
+    rows.collect()
+}
+
+/// Whether a number as it is quoted is this one, to the digits that are quoted: `-0.10`, `+1.95`, `8,657`, `4.1e5`, `-9 %`.
+pub fn is_quoted_as(value: f64, quoted: &str) -> std::result::Result<bool, String> {
+    let (text, value) = match quoted.strip_suffix('%') {
+        Some(text) => (text.trim_end(), value * 100.0),
+        None => (quoted, value),
+    };
+    let text = text.replace(',', "");
+    let digits = text.trim_start_matches(['+', '-']);
+    let (mantissa, is_scientific) = digits.split_once(['e', 'E']).map_or((digits, false), |(m, _)| (m, true));
+    let parsed: f64 = text.parse().map_err(|_| format!("'{quoted}' is no number"))?;
+    let decimals = mantissa.split_once('.').map_or(0, |(_, decimals)| decimals.len());
+    let rounded = if is_scientific { format!("{value:.decimals$e}") } else { format!("{value:.decimals$}") };
+    let rounded: f64 = rounded.parse().expect("printed");
+    // A plus is a claim, too.
+    Ok(rounded == parsed && !(text.starts_with('+') && value < 0.0 && parsed != 0.0))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::is_quoted_as;
+
+    #[test]
+    fn numbers_are_compared_to_the_digits_that_are_quoted() {
+        let is = |value, quoted| is_quoted_as(value, quoted).unwrap();
+        assert!(is(0.1264, "0.13") && is(0.1264, "+0.13") && !is(0.1264, "0.12") && !is(0.1264, "-0.13"));
+        assert!(is(-0.003, "-0.00") && is(-0.003, "0.00") && is(8657.0, "8,657") && !is(8657.4, "8,658"));
+        assert!(is(413_275.0, "4.13e5") && !is(413_275.0, "4.14e5"));
+        assert!(is(-0.0904, "-9 %") && !is(-0.0904, "-9.1 %"));
+        assert!(is_quoted_as(1.0, "one").is_err());
+    }
+}

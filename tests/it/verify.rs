@@ -1,0 +1,142 @@
+//! `augnerf verify`: what is committed holds, and what is changed does not.
+
+use std::path::{Path, PathBuf};
+
+use crate::common::assert_says;
+use crate::common::files::{assert_same_files, text};
+use crate::common::program::{self, augnerf};
+use tempfile::TempDir;
+
+const ROOT: &str = env!("CARGO_MANIFEST_DIR");
+
+/// Verifies in a folder, without anything of this machine, and returns everything said.
+#[track_caller]
+fn verify(dir: &Path, arguments: &[&str], code: i32) -> String {
+    let mut command = augnerf(&[&["verify"], arguments].concat());
+    program::demand(command.current_dir(dir).env_remove("AUGNERF_DATA").env_remove("AUGNERF_LPIPS_WEIGHTS"), code)
+}
+
+fn copy(from: &Path, to: &Path) {
+    std::fs::create_dir_all(to).unwrap();
+    for entry in std::fs::read_dir(from).unwrap() {
+        let path = entry.unwrap().path();
+        std::fs::copy(&path, to.join(path.file_name().unwrap())).unwrap();
+    }
+}
+
+/// A copy of committed results, to be changed.
+fn results(name: &str) -> (TempDir, PathBuf) {
+    let dir = TempDir::new().unwrap();
+    let folder = dir.path().join("results").join(name);
+    copy(&Path::new(ROOT).join("results").join(name), &folder);
+    (dir, folder)
+}
+
+/// Changes a file of results that hold, and demands that the change is found.
+#[track_caller]
+fn assert_found(dir: &Path, file: &Path, from: &str, to: &str, words: &[&str]) {
+    let before = text(file);
+    assert!(before.contains(from), "{}: {from}", file.display());
+    std::fs::write(file, before.replacen(from, to, 1)).unwrap();
+    assert_says(&verify(dir, &[], 10), words);
+    std::fs::write(file, before).unwrap();
+}
+
+#[test]
+fn what_is_changed_is_found() {
+    let (dir, folder) = results("geometry");
+    verify(dir.path(), &[], 0);
+    let at = |name: &str| folder.join(name);
+    let first = |name: &str, column: usize| {
+        let mut reader = csv::Reader::from_path(at(name)).unwrap();
+        reader.records().next().unwrap().unwrap()[column].to_string()
+    };
+    // A number of a point, of a table, of its pictures.
+    let psnr = first("points.csv", 8);
+    let wrong = psnr[..psnr.len() - 1].to_string() + if psnr.ends_with('1') { "2" } else { "1" };
+    assert_found(dir.path(), &at("points.csv"), &psnr, &wrong, &["WRONG", "table.csv", "rows_builtin"]);
+    assert_found(dir.path(), &at("table.md"), "23.57", "23.58", &["table.md, line", "23.58", "23.57"]);
+    assert_found(dir.path(), &at("rows_builtin_psnr.svg"), "NeRF", "NerF", &["rows_builtin_psnr.svg, line"]);
+    // What the points are.
+    let id = first("points.csv", 0);
+    assert_found(dir.path(), &at("points.json"), "\"steps\": 3000", "\"steps\": 3001", &["its configuration makes"]);
+    assert_found(dir.path(), &at("sweep.toml"), "3000", "3001", &["sweep.toml makes"]);
+    let other = format!("{}0", &id[..11]);
+    assert_found(dir.path(), &at("points.json"), &id, &if other == id { id.replace('0', "1") } else { other }, &["points"]);
+    // A file that nothing makes again.
+    assert_found(dir.path(), &at("curves_builtin_psnr.svg"), "NeRF", "NerF", &["SHA-256", "curves_builtin_psnr.svg"]);
+    std::fs::write(at("rows_builtin_ssim.svg"), "old").unwrap();
+    assert_says(&verify(dir.path(), &[], 10), &["rows_builtin_ssim.svg: the points do not make it"]);
+}
+
+#[test]
+fn update_writes_tables_from_points_alone() {
+    let (dir, folder) = results("geometry");
+    std::fs::write(folder.join("table.md"), "old").unwrap();
+    std::fs::remove_file(folder.join("rows_builtin_psnr.svg")).unwrap();
+    std::fs::write(folder.join("rows_builtin_ssim.svg"), "old").unwrap();
+    assert_says(&verify(dir.path(), &["--update"], 0), &["table.md: written anew", "rows_builtin_ssim.svg: deleted"]);
+    assert_same_files(&folder, &Path::new(ROOT).join("results/geometry"), &[]);
+}
+
+#[test]
+fn quoted_numbers_are_read_again() {
+    let (dir, _) = results("geometry");
+    let page = dir.path().join("results/surfaces.md");
+    let quote = |number: &str, folder: &str| {
+        let text = format!("NeRF reaches {number} dB.\n<!-- numbers {folder}: {number} = psnr_mean of NeRF -->\n");
+        std::fs::write(&page, text).unwrap();
+    };
+    quote("23.57", "geometry");
+    assert_says(&verify(dir.path(), &[], 0), &["results/surfaces.md: 1 quoted numbers"]);
+    quote("23.58", "geometry");
+    assert_says(&verify(dir.path(), &[], 10), &["results/surfaces.md, line 2", "'23.58' is quoted as psnr_mean"]);
+    quote("23.57", "geometrie");
+    assert_says(&verify(dir.path(), &[], 10), &["no results folder 'geometrie'"]);
+    std::fs::write(&page, "NeRF reaches 23.57 dB.\n").unwrap();
+    assert_says(&verify(dir.path(), &[], 0), &["not checked", "1 numbers with decimals that no comment traces"]);
+}
+
+#[test]
+fn what_is_not_at_hand_is_said() {
+    let (dir, _) = results("mip_fern");
+    let said = verify(dir.path(), &[], 0);
+    assert_says(&said, &["not checked  scene fern: it is not below --data-root", "not checked  scalars.csv.gz"]);
+    assert_says(&verify(dir.path(), &["nowhere"], 3), &["nowhere"]);
+    std::fs::create_dir(dir.path().join("empty")).unwrap();
+    assert_says(&verify(dir.path(), &["empty"], 3), &["holds no results"]);
+    std::fs::remove_file(dir.path().join("results/mip_fern/points.json")).unwrap();
+    assert_says(&verify(dir.path(), &[], 3), &["has no points.json"]);
+    assert_says(&verify(Path::new(ROOT), &["results/mip_fern", "--retrain", "1"], 2), &["git worktree add"]);
+}
+
+/// A sweep of a second, collected, verified, trained again.
+#[test]
+fn a_collected_sweep_holds_and_trains_again() {
+    let dir = TempDir::new().unwrap();
+    let definition = r#"
+title = "tiny"
+preset = "smoke"
+scenes = ["builtin"]
+seeds = [0, 1]
+metrics = ["psnr"]
+baseline = "NeRF"
+set = { "data.width" = 16, "field.width" = 16, "sampling.coarse" = 8, "sampling.fine" = 8, "train.rays" = 64, "train.steps" = 20, "train.log_every" = 5, "eval.pictures" = 0 }
+row = [{ name = "NeRF" }, { name = "equal", set = { "field.depth" = 3 }, budget = { kind = "seconds", like = "NeRF" } }]
+"#;
+    std::fs::write(dir.path().join("tiny.toml"), definition).unwrap();
+    program::demand(augnerf(&["sweep", "run", "tiny.toml", "--quiet"]).current_dir(dir.path()), 0);
+    let said = verify(dir.path(), &["--retrain", "2"], 0);
+    assert_says(&said, &["tables and figures from 4 points", "trained again, every number to the last digit"]);
+    assert!(!said.contains("step times are not kept"), "{said}");
+    let folder = dir.path().join("results/tiny");
+    assert!(folder.join("curves_builtin_psnr.svg").exists() && folder.join("scalars.csv.gz").exists());
+    // Curves come from the logs that are kept.
+    std::fs::remove_file(folder.join("scalars.csv.gz")).unwrap();
+    assert_says(&verify(dir.path(), &[], 10), &["curves_builtin_psnr.svg: the points do not make it"]);
+    // So does the number of steps of a budget from the step times.
+    program::demand(augnerf(&["sweep", "collect", "runs/tiny"]).current_dir(dir.path()), 0);
+    verify(dir.path(), &[], 0);
+    std::fs::remove_file(folder.join("step_seconds.json")).unwrap();
+    assert_says(&verify(dir.path(), &[], 0), &["step times are not kept"]);
+}
