@@ -4,13 +4,17 @@ use std::path::{Path, PathBuf};
 
 use clap::{Args, ValueEnum};
 
-use crate::base::Result;
-use crate::run::{MeshFormat, MeshOptions, MeshReport, Trained, columns, named_mesh};
+use crate::base::{Error, Result};
+use crate::data::Camera;
+use crate::draw::write_png8;
+use crate::run::{
+    BUILTIN, Eye, MeshFormat, MeshOptions, MeshPicture, MeshReport, Trained, columns, mesh_picture, named_mesh,
+    reference_mesh,
+};
 use crate::runtime::Runtime;
 use crate::settings::MESH_SIDES;
 use crate::settings::registry::{check_flag, numbers};
-use crate::space::Lattice;
-use crate::space::{self, Score};
+use crate::space::{self, Lattice, Paint, Score};
 
 use super::Compute;
 use super::compare::pictures_folder;
@@ -19,7 +23,7 @@ use super::progress::{Console, print, report};
 
 #[derive(Args)]
 pub struct MeshArguments {
-    /// Run folder; its newest checkpoint's evaluated field is drawn
+    /// Run folder; its newest checkpoint's evaluated field is drawn. With --picture also a .ply or .obj file, or `builtin`
     run: PathBuf,
     /// Cells along each side of the box, 8 to 1024 [default: 256]
     #[arg(long, value_name = "N")]
@@ -53,12 +57,73 @@ pub struct MeshArguments {
     /// Output folder, new or empty [default: RUN/mesh, replaced]
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
+    #[command(flatten)]
+    picture: PictureArguments,
     /// Scene folder, if it has moved since training
     #[arg(long, value_name = "DIR")]
     data: Option<PathBuf>,
     #[command(flatten)]
     compute: Compute,
 }
+
+/// A picture of the mesh.
+#[derive(Args)]
+struct PictureArguments {
+    /// Draw a shaded picture of the mesh, too: a PNG, the views side by side
+    #[arg(long, value_name = "FILE.png")]
+    picture: Option<PathBuf>,
+    /// From the cameras of these held-out views, counted from 0 [default: 0]
+    #[arg(long, value_name = "N,...", value_delimiter = ',', requires = "picture", conflicts_with = "at")]
+    view: Vec<usize>,
+    /// From these places on the scene's camera path, 0 to 1; of a mesh file, on a circle around it [default: 0.1]
+    #[arg(long, value_name = "SHARE,...", value_delimiter = ',', requires = "picture")]
+    at: Vec<f64>,
+    /// What it is painted with
+    #[arg(long, value_enum, default_value = "clay", requires = "picture")]
+    paint: PaintName,
+    /// Columns of each view [default: the scene's, at least 400]
+    #[arg(long, value_name = "N", requires = "picture", value_parser = clap::value_parser!(u16).range(8..=4096))]
+    columns: Option<u16>,
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+enum PaintName {
+    /// One grey: shape alone
+    Clay,
+    /// The mesh's own colours
+    Colours,
+}
+
+impl PictureArguments {
+    /// What is asked for; none without --picture.
+    fn picture(&self) -> Result<Option<MeshPicture>> {
+        let Some(file) = self.picture.clone() else { return Ok(None) };
+        if file.extension().is_none_or(|ending| !ending.eq_ignore_ascii_case("png")) {
+            return Err(Error::Config(format!("--picture {}: it becomes a PNG; let its name end in .png", file.display())));
+        }
+        let folder = file.parent().filter(|folder| !folder.as_os_str().is_empty());
+        if let Some(folder) = folder.filter(|folder| !folder.is_dir()) {
+            return Err(Error::Output(format!("--picture {}: there is no folder {}", file.display(), folder.display())));
+        }
+        if let Some(share) = self.at.iter().find(|share| !(0.0..=1.0).contains(*share)) {
+            return Err(Error::Config(format!("--at {share} is out of range: it must be 0 to 1")));
+        }
+        let on_path = self.at.iter().map(|share| Eye::Path(*share));
+        let mut eyes: Vec<Eye> = self.view.iter().map(|number| Eye::View(*number)).chain(on_path).collect();
+        if eyes.is_empty() {
+            eyes.push(Eye::View(0));
+        }
+        let paint = match self.paint {
+            PaintName::Clay => Paint::Clay,
+            PaintName::Colours => Paint::Colours,
+        };
+        Ok(Some(MeshPicture { file, eyes, paint, columns: self.columns.map(usize::from) }))
+    }
+}
+
+/// Columns of a picture of a mesh file, and from where it is looked at.
+const FILE_COLUMNS: u16 = 400;
+const FILE_EYE: f64 = 0.1;
 
 #[derive(Clone, Copy, ValueEnum)]
 enum MeshPreset {
@@ -78,7 +143,31 @@ impl MeshArguments {
     pub fn run(self) -> Result<()> {
         let options = self.options()?;
         let runtime = self.compute.runtime()?;
+        if self.run.is_file() || self.run.as_os_str() == BUILTIN {
+            return self.picture_of_file(options.picture);
+        }
         runtime.install(|| self.draw(&options, &runtime))
+    }
+
+    /// A picture of a mesh that is there already.
+    fn picture_of_file(&self, picture: Option<MeshPicture>) -> Result<()> {
+        let name = self.run.to_string_lossy();
+        let picture = picture.ok_or_else(|| {
+            Error::Config(format!("{name} is a mesh already: --picture FILE.png draws it; name a run folder to draw a mesh of"))
+        })?;
+        if !self.picture.view.is_empty() {
+            return Err(Error::Config(format!("--view: the mesh {name} has no held-out views; use --at 0.1,0.6")));
+        }
+        let mesh = reference_mesh(&name)?.whole();
+        if picture.paint == Paint::Colours && mesh.colours.is_empty() {
+            return Err(Error::Config(format!("--paint colours: colours of {name} are not read; leave --paint out")));
+        }
+        let columns = usize::from(self.picture.columns.unwrap_or(FILE_COLUMNS));
+        let shares = if self.picture.at.is_empty() { vec![FILE_EYE] } else { self.picture.at.clone() };
+        let cameras: Vec<Camera> = shares.iter().map(|share| space::around(&mesh, *share, columns)).collect();
+        write_png8(&picture.file, &mesh_picture(&mesh, &cameras, picture.paint)?)?;
+        Console::new(self.compute.quiet).say(&format!("picture: {}", picture.file.display()));
+        Ok(())
     }
 
     fn draw(&self, options: &MeshOptions, runtime: &Runtime) -> Result<()> {
@@ -90,6 +179,7 @@ impl MeshArguments {
         let (folder, files) = pictures_folder(self.out.as_deref(), trained.run.mesh())?;
         let report = trained.draw_mesh_into(files, options, &console)?;
         console.say(&words(&report, &folder));
+        options.picture.iter().for_each(|picture| console.say(&format!("picture: {}", picture.file.display())));
         Ok(())
     }
 
@@ -113,6 +203,7 @@ impl MeshArguments {
             formats: formats.collect(),
             density: self.density,
             most_mib: self.memory,
+            picture: self.picture.picture()?,
         };
         check_options(&options)?;
         Ok(options)

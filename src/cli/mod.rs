@@ -88,6 +88,8 @@ const MESH_EXAMPLES: &str = "Examples:
   augnerf mesh runs/builtin-nerf-*                         256 cells a side of the scene's own box
   augnerf mesh runs/chair-nerf-* --preset paper            512 cells a side of [-1,1]^3, density 25, as the paper's figures
   augnerf mesh RUN --resolution 400 --threshold 5 --bbox -1,-1,-0.5,1,1,1 --largest --format ply,obj
+  augnerf mesh RUN --picture mesh.png --view 0,4           a shaded picture from two held-out views' cameras
+  augnerf mesh builtin --picture truth.png --paint colours --at 0.1,0.6
 
 A density has no surface of its own: the mesh is the level set where it equals the threshold. Where that leaves the box \
 the mesh is open, unless --cap closes it. Runs in normalised device coordinates are cut in those (--bbox, --resolution, \

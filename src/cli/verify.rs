@@ -11,7 +11,7 @@ use crate::sweep::Trainings;
 use crate::sweep::verify::{Findings, Outcome, Verifier, results_in, untraced};
 
 use super::progress::{Console, print};
-use super::train::catch_signals;
+use super::signals::catch_signals;
 use super::{Compute, LpipsWeights};
 
 pub const EXAMPLES: &str = "Examples:
@@ -27,7 +27,7 @@ pub struct VerifyArguments {
     /// Folders of results, or folders of such
     #[arg(default_value = "results")]
     results: Vec<PathBuf>,
-    /// Write tables and figures that differ anew, from points.csv; what that is read from is never written
+    /// Write tables and figures that differ anew, from points.csv, which changes in its form at most
     #[arg(long)]
     update: bool,
     /// Train so many points again, spread over the sweep, and compare every digit
@@ -68,19 +68,19 @@ impl VerifyArguments {
         };
         let mut wrong = Vec::new();
         let mut show = |path: &Path, findings: &Findings| {
-            print(&path.display().to_string());
-            findings.lines.iter().for_each(|line| print(&format!("  {:11}  {}", line.outcome.name(), line.text)));
             if findings.count(Outcome::Wrong) > 0 {
                 wrong.push(path.display().to_string());
             }
+            print(&path.display().to_string())?;
+            findings.lines.iter().try_for_each(|line| print(&format!("  {:11}  {}", line.outcome.name(), line.text)))
         };
         for path in &self.results {
             let folders = results_in(path)?;
             for folder in &folders {
-                show(folder, &verifier.folder(folder)?);
+                show(folder, &verifier.folder(folder)?)?;
             }
             if folders != [path.clone()] {
-                show(path, &untraced(path)?);
+                show(path, &untraced(path)?)?;
             }
         }
         if wrong.is_empty() {

@@ -240,6 +240,12 @@ impl RunDir {
         self.path.join(MESH)
     }
 
+    /// `renders/surface.png` in a folder that need not be a run's: the surface of the evaluation, shaded, as the first
+    /// held-out view sees it.
+    pub fn surface_picture_in(path: &Path) -> PathBuf {
+        path.join(RENDERS).join("surface.png")
+    }
+
     /// `renders/`: pictures and videos.
     pub fn renders(&self) -> PathBuf {
         self.path.join(RENDERS)

@@ -7,7 +7,7 @@ use candle_core::Device;
 use crate::base::{Error, Listener, Result};
 use crate::data::{self, Scene};
 use crate::metrics::{Backbone, Lpips};
-use crate::settings::{Config, Located, Resolved, scene_name};
+use crate::settings::{Config, Located, NO_REFERENCE, Resolved, scene_name};
 
 use super::BUILTIN;
 
@@ -24,7 +24,7 @@ pub fn locate_scene(mut config: Config) -> Result<Located> {
         config.data.dir = dir.to_string_lossy().into_owned();
     }
     let mesh = &mut config.eval.mesh;
-    if mesh.resolution > 0 && !mesh.reference.is_empty() && mesh.reference != BUILTIN {
+    if mesh.resolution > 0 && !["", BUILTIN, NO_REFERENCE].contains(&mesh.reference.as_str()) {
         let file = Path::new(&mesh.reference);
         let file = std::fs::canonicalize(file).map_err(|e| Error::unreadable(file, &e))?;
         mesh.reference = file.to_string_lossy().into_owned();

@@ -9,11 +9,13 @@ use serde::Serialize;
 use crate::base::files::{AtomicDir, write_json};
 use crate::base::{Error, Event, Listener, Result, version};
 use crate::data::{Format, npy};
+use crate::draw::write_png8;
 use crate::settings::DataKind;
 use crate::space::{
     self, DensityRange, Drawing, FinishedMesh, Lattice, LevelSet, Mesh, Reference, finish_mesh, level_set,
 };
 
+use super::mesh_picture::{MeshPicture, mesh_picture};
 use super::{
     BUILTIN, Protocol, RunDir, Trained, folder::free_bytes, most_memory_mib, reference_mesh, surface_box,
     surface_threshold,
@@ -41,6 +43,8 @@ pub struct MeshOptions {
     pub density: bool,
     /// Memory that lattice and mesh may take, MiB; none: [`most_memory_mib`].
     pub most_mib: Option<f64>,
+    /// A picture of the mesh to draw, too.
+    pub picture: Option<MeshPicture>,
 }
 
 impl Default for MeshOptions {
@@ -55,6 +59,7 @@ impl Default for MeshOptions {
             formats: vec![MeshFormat::Ply],
             density: false,
             most_mib: None,
+            picture: None,
         }
     }
 }
@@ -181,12 +186,17 @@ impl Trained {
     fn draw_mesh_here(&self, files: AtomicDir, options: &MeshOptions, events: &dyn Listener) -> Result<MeshReport> {
         let drawing = options.drawing(self);
         drawing.lattice.check_meets(&self.scene, "the mesh's lattice")?;
+        options.picture.iter().try_for_each(|picture| picture.cameras(&self.scene).map(|_| ()))?;
         let LevelSet { mut mesh, range } = self.level_set(&drawing, options.density.then_some(&files), events)?;
         let components = mesh.components();
         if options.largest {
             mesh = mesh.keep(&components[0]);
         }
         let finished = finish_mesh(&*self.model.density()?, mesh, &drawing.lattice, self.scene.ndc.as_ref())?;
+        if let Some(picture) = &options.picture {
+            let cameras = picture.cameras(&self.scene)?;
+            write_png8(&picture.file, &mesh_picture(&finished.mesh, &cameras, picture.paint)?)?;
+        }
         for format in &options.formats {
             format.write(&files.path().join(format.file()), &finished.mesh)?;
         }

@@ -2,12 +2,13 @@
 
 use std::path::Path;
 
-use crate::base::{Error, Event, Listener, Result};
+use crate::base::{Error, Event, Image, Listener, Result};
 use crate::data::{Camera, Scene};
 use crate::runtime::free_memory_mib;
-use crate::settings::{Config, MeshConfig};
+use crate::settings::{Config, MeshConfig, NO_REFERENCE};
 use crate::space::{Chamfer, Drawing, Lattice, Reference, chamfer, in_scene, level_set, read_mesh, sample};
 
+use super::mesh_picture::surface_picture;
 use super::{RenderedView, Viewer};
 
 /// Name of the embedded scene's own mesh where a reference is asked for.
@@ -52,8 +53,8 @@ pub fn reference_mesh(name: &str) -> Result<Reference> {
     if name == BUILTIN { Ok(Reference::builtin()) } else { read_mesh(Path::new(name)).map(Reference::Mesh) }
 }
 
-/// The reference mesh that a configuration's surface is compared with; none where no surface is asked for. Refuses a
-/// scene that has none, and a box that no surface can be in.
+/// The reference mesh that a configuration's surface is compared with; none where no surface is asked for, or none to
+/// compare with. Refuses a scene that has none, and a box that no surface can be in.
 pub fn surface_reference(config: &Config, scene: &Scene) -> Result<Option<Reference>> {
     let MeshConfig { resolution, reference, domain, .. } = &config.eval.mesh;
     if *resolution == 0 {
@@ -63,7 +64,8 @@ pub fn surface_reference(config: &Config, scene: &Scene) -> Result<Option<Refere
     if own && !scene.format().is_some_and(|format| format.has_mesh) {
         return Err(Error::Config(format!(
             "eval.mesh.resolution = {resolution} asks for a Chamfer distance, but {} ({}) comes without a mesh; set \
-             eval.mesh.reference to a PLY or OBJ file in the scene's units, or eval.mesh.resolution to 0",
+             eval.mesh.reference to a PLY or OBJ file in the scene's units, or to \"none\" for a picture of the surface alone, \
+             or eval.mesh.resolution to 0",
             scene.name, scene.kind
         )));
     }
@@ -76,6 +78,9 @@ pub fn surface_reference(config: &Config, scene: &Scene) -> Result<Option<Refere
             domain[1][2], scene.name
         )));
     }
+    if reference == NO_REFERENCE {
+        return Ok(None);
+    }
     reference_mesh(if own { BUILTIN } else { reference }).map(Some)
 }
 
@@ -85,21 +90,33 @@ pub(super) fn describe(config: &Config, scene: &Scene) -> Option<String> {
     let name = Path::new(reference).file_name().map_or(BUILTIN.into(), |name| name.to_string_lossy());
     let domain = domain.unwrap_or_else(|| surface_box(scene));
     let threshold = threshold.unwrap_or_else(|| surface_threshold(config, scene));
+    let compared = match reference == NO_REFERENCE {
+        true => "not compared".to_string(),
+        false => format!("reference {name}, {points} points, F-score at {at}"),
+    };
     (*resolution > 0).then(|| {
-        format!("{resolution}^3 of {domain:?}, density {threshold}, reference {name}, {points} points, F-score at {at}")
+        format!("{resolution}^3 of {domain:?}, density {threshold}, {compared}")
     })
+}
+
+/// The surface of an evaluation.
+pub struct Surface {
+    /// How far it is from its reference mesh; none where there is nothing to compare with.
+    pub chamfer: Option<Chamfer>,
+    /// As the first held-out view sees it; none where no pictures are asked for.
+    pub picture: Option<Image>,
 }
 
 impl Viewer<'_> {
     /// Draws the surface that the configuration asks for and compares it with its reference mesh. None where it asks
     /// for none. Where it cannot be drawn, `events` hears why, and there is none either: that must not cost the views'
     /// metrics. `unless_stopped` is called again and again; its error ends the drawing and is returned.
-    pub fn surface(&self, events: &dyn Listener, unless_stopped: impl Fn() -> Result<()>) -> Result<Option<Chamfer>> {
+    pub fn surface(&self, events: &dyn Listener, unless_stopped: impl Fn() -> Result<()>) -> Result<Option<Surface>> {
         if self.config.eval.mesh.resolution == 0 {
             return Ok(None);
         }
         match self.compare_surface(events, unless_stopped) {
-            Ok(chamfer) => Ok(Some(chamfer)),
+            Ok(surface) => Ok(Some(surface)),
             Err(error @ Error::Interrupted { .. }) => Err(error),
             Err(error) => {
                 events.on(Event::Finished);
@@ -109,9 +126,9 @@ impl Viewer<'_> {
         }
     }
 
-    fn compare_surface(&self, events: &dyn Listener, unless_stopped: impl Fn() -> Result<()>) -> Result<Chamfer> {
+    fn compare_surface(&self, events: &dyn Listener, unless_stopped: impl Fn() -> Result<()>) -> Result<Surface> {
         let Viewer { model, config, scene, .. } = *self;
-        let reference = surface_reference(config, scene)?.expect("a surface is asked for");
+        let reference = surface_reference(config, scene)?;
         let mesh = &config.eval.mesh;
         let domain = mesh.domain.unwrap_or_else(|| surface_box(scene));
         let drawing = Drawing {
@@ -126,8 +143,12 @@ impl Viewer<'_> {
             unless_stopped()
         })?;
         events.on(Event::Finished);
-        let surface = sample(&in_scene(drawn.mesh, scene.ndc.as_ref())?, mesh.points, SEED)?;
-        chamfer(&surface, &reference.sample(mesh.points, SEED)?, &[mesh.at])
+        let surface = in_scene(drawn.mesh, scene.ndc.as_ref())?;
+        let picture = if config.eval.pictures > 0 { surface_picture(&surface, scene) } else { None };
+        let compare = |reference: Reference| {
+            chamfer(&sample(&surface, mesh.points, SEED)?, &reference.sample(mesh.points, SEED)?, &[mesh.at])
+        };
+        Ok(Surface { chamfer: reference.map(compare).transpose()?, picture })
     }
 
     /// A rendered view's depth along its viewing axis in scene units, NaN where there is none. Under NDC it is that of

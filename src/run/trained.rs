@@ -4,8 +4,9 @@ use std::path::Path;
 
 use candle_core::DType;
 
-use crate::base::{Listener, Result};
+use crate::base::{Error, Listener, Result};
 use crate::data::{Scene, View};
+use crate::draw::write_png8;
 use crate::methods::{Model, SiteSummary};
 use crate::metrics::Lpips;
 use crate::runtime::Runtime;
@@ -133,7 +134,14 @@ impl Measurement<'_> {
         let training_views = self.viewer.evaluate_seen(self.lpips, self.events, &unless_stopped)?;
         let surface = self.viewer.surface(self.events, &unless_stopped)?;
         let protocol = Protocol::new(self.viewer.config, self.viewer.scene, self.state).with_lpips(self.lpips);
-        let report = Report::new(views, training_views, surface, protocol, attack);
+        let (chamfer, picture) = surface.map_or((None, None), |surface| (surface.chamfer, surface.picture));
+        if let Some(picture) = picture {
+            let path = RunDir::surface_picture_in(self.folder);
+            let renders = path.parent().expect("it is in a folder");
+            std::fs::create_dir_all(renders).map_err(|e| Error::unwritable(renders, &e))?;
+            write_png8(&path, &picture)?;
+        }
+        let report = Report::new(views, training_views, chamfer, protocol, attack);
         let [json, csv] = RunDir::metrics_in(self.folder);
         report.write(&json, &csv)?;
         Ok(report)

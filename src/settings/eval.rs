@@ -41,7 +41,7 @@ section! {
         #[serde(rename = "box")]
         pub domain: Option<[[f64; 3]; 2]> = None, output().corners().columns(MESH).key("box");
         /// PLY or OBJ file in scene units that the surface is compared with; empty = the embedded scene's own, which
-        /// other scenes have not.
+        /// other scenes have not; `none` = it is drawn as a picture alone.
         pub reference: String = String::new(), place().columns(MESH);
         /// Points that are drawn on each surface.
         pub points: usize = 200_000, output().whole(100, 20_000_000, "100 to 20000000").columns(MESH);
@@ -49,4 +49,14 @@ section! {
         pub at: f64 = 0.02, output().real(|distance| distance > 0.0, "a positive distance").columns(MESH);
     }
     sections {}
+}
+
+/// The `eval.mesh.reference` of a surface that is drawn and not compared.
+pub const NO_REFERENCE: &str = "none";
+
+impl MeshConfig {
+    /// A surface is drawn and compared with a mesh.
+    pub fn is_compared(&self) -> bool {
+        self.resolution > 0 && self.reference != NO_REFERENCE
+    }
 }

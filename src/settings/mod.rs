@@ -28,7 +28,7 @@ mod validate;
 pub use corruption::{CorruptionConfig, CorruptionKind};
 pub use data::{Background, DataConfig, DataKind, EvalSplit, PixelOrigin, TrainViews};
 pub use document::{settings_page, settings_text};
-pub use eval::{EvalConfig, MESH_SIDES, MeshConfig};
+pub use eval::{EvalConfig, MESH_SIDES, MeshConfig, NO_REFERENCE};
 pub use field::{Core, DensityActivation, Encoding, FieldConfig, Init};
 pub use identity::{scene_name, short_hash, value_at};
 pub use layers::{Preset, build, data_section, parse_assignment};

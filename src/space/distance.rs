@@ -90,6 +90,17 @@ impl Reference {
         Reference::Builtin(builtin::blender_stage())
     }
 
+    /// The whole mesh: of the embedded scene the surfaces of all solids, with their colours.
+    pub fn whole(self) -> Mesh {
+        match self {
+            Reference::Mesh(mesh) => mesh,
+            Reference::Builtin(stage) => {
+                let builtin::Mesh { vertices, colours, triangles, .. } = builtin::Mesh::of(&stage);
+                Mesh { vertices, colours, triangles, ..Mesh::default() }
+            }
+        }
+    }
+
     /// At most `count` points. Of the embedded scene, those with another solid right before them are left out: its
     /// objects stand on and in one another, and where they touch or overlap is no surface of the whole. The underside of
     /// its board, which no camera sees, stays.

@@ -12,6 +12,7 @@ mod level;
 mod marching;
 mod mesh;
 mod nearest;
+mod shading;
 
 pub use cells::{CHUNK, densities};
 pub(crate) use cells::{chunk_count, chunk_size, chunks_at_once, over_chunks};
@@ -22,3 +23,4 @@ pub use lattice::{Lattice, Quadrature};
 pub use level::{DensityRange, Drawing, LevelSet, level_set};
 pub use marching::Marcher;
 pub use mesh::{Component, Mesh};
+pub use shading::{Paint, around, resized, shade};

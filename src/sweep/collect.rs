@@ -6,11 +6,12 @@ use std::path::{Path, PathBuf};
 use crate::base::files::{clean_temporaries, remove, wait_and_hold, write_atomic};
 use crate::base::{Error, Result};
 
-use super::definition::Definition;
+use super::definition::{Definition, Row};
 use super::material::Material;
 use super::points::Point;
+use super::provenance::{Provenance, sha256};
 use crate::report::exporters::{Collected, EXPORTERS, File as Export};
-use crate::report::plots::Curve;
+use crate::report::plots::{Curve, Surface};
 use crate::report::tables::Table;
 use crate::report::{Status, TableSpec};
 
@@ -69,12 +70,16 @@ impl Collector<'_> {
     /// Writes the files of all exporters, and what `augnerf verify` makes them of again. Those that show no rows side by
     /// side are written even where rows may not be put so. Returns the table.
     pub fn write(&self, results: &Results) -> Result<Table> {
-        self.material.archive(self.definition, self.points, self.name, &results.path)?;
-        let mut files = Vec::new();
+        self.material.archive(self.definition, self.points, &results.path)?;
+        let (mut files, mut provenance) = (Vec::new(), Provenance::of(self.name, &self.material.records));
         let table = self.files(&mut |name, bytes| {
+            if EXPORTERS.iter().any(|exporter| exporter.owns(name) && !exporter.repeats()) {
+                provenance.pinned.insert(name.into(), sha256(bytes));
+            }
             files.push((name.to_string(), bytes.to_vec()));
             Ok(())
         });
+        provenance.write(&results.path)?;
         files.iter().try_for_each(|(name, bytes)| write_atomic(&results.path.join(name), bytes))?;
         results.delete_others(&files)?;
         table
@@ -91,12 +96,14 @@ impl Collector<'_> {
             with_timing: self.with_timing,
             table: None,
             curves: &[],
+            surfaces: &[],
         };
         export(&collected, take)?;
         let table = Table::new(&spec, &self.material.records, self.force)?;
         let curves: Vec<_> =
             table.scenes().into_iter().map(|(scene, _)| (scene.to_string(), self.curves(&spec, scene))).collect();
-        (collected.table, collected.curves) = (Some(&table), &curves);
+        let surfaces: Vec<_> = table.scenes().iter().map(|(scene, _)| (scene.to_string(), self.surfaces(scene))).collect();
+        (collected.table, collected.curves, collected.surfaces) = (Some(&table), &curves, &surfaces);
         export(&collected, take)?;
         Ok(table)
     }
@@ -120,6 +127,18 @@ impl Collector<'_> {
             }
         }
         curves
+    }
+
+    /// The surface of each row's first point that has one.
+    fn surfaces(&self, scene: &str) -> Vec<Surface> {
+        let of_row = |row: &Row| {
+            let own = |point: &&Point| {
+                point.scene == scene && point.places.iter().any(|place| place.row == row.name && place.axes.is_empty())
+            };
+            let picture = self.points.iter().filter(own).find_map(|point| self.material.surfaces.get(&point.id))?;
+            Some((row.name.clone(), picture.clone()))
+        };
+        self.definition.row.iter().filter_map(of_row).collect()
     }
 }
 

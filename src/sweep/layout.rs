@@ -122,10 +122,11 @@ struct Builder<'a> {
 impl Builder<'_> {
     fn lay(&self, row: &Row, axes: &Combination) -> Result<Laid> {
         let config = self.plain_config(row, axes)?;
-        if let Some(metric) = self.definition.metric_in(Scope::Surface).filter(|_| config.eval.mesh.resolution == 0) {
+        if let Some(metric) = self.definition.metric_in(Scope::Surface).filter(|_| !config.eval.mesh.is_compared()) {
             let message = format!(
-                "metric '{}' needs a surface, which eval.mesh.resolution = 0 leaves out: set it to the cells along each \
-                 side of the box, such as 128",
+                "metric '{}' needs a surface and a mesh to compare it with, which eval.mesh.resolution = 0 and \
+                 eval.mesh.reference = \"none\" leave out: set the first to the cells along each side of the box, such as \
+                 128",
                 metric.key
             );
             return Err(in_row(row, axes, Error::Config(message)));

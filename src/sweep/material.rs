@@ -6,18 +6,19 @@ use std::path::Path;
 
 use flate2::{Compression, GzBuilder, read::GzDecoder};
 
-use crate::base::csv::csv_text;
+use crate::base::csv::{csv_text, plain_cell};
 use crate::base::files::{read_json, write_atomic};
 use crate::base::input::{TABLE_BYTES, read_bytes};
-use crate::base::{Error, Result};
+use crate::base::{Error, Image, Result};
+use crate::data::images;
 use crate::report::tables::PointTiming;
 use crate::report::{Record, Status};
+use crate::run::RunDir;
 use crate::runtime::Timing;
 
 use super::definition::Definition;
 use super::folder::{STEP_SECONDS, SweepFolder};
 use super::points::Point;
-use super::provenance::Provenance;
 
 /// The logs of all points, beside the tables.
 pub const SCALARS: &str = "scalars.csv.gz";
@@ -33,6 +34,8 @@ pub struct Material {
     pub timing: Vec<PointTiming>,
     /// Logs of the points that have one, by the points' names.
     pub scalars: BTreeMap<String, Scalars>,
+    /// Pictures of the points' surfaces, by the points' names: not kept beside the tables.
+    pub surfaces: BTreeMap<String, Image>,
     /// `step_seconds.json`, where budgets in seconds needed it.
     pub step_seconds: Option<Vec<u8>>,
 }
@@ -66,15 +69,18 @@ impl Material {
                 let scalars = Scalars::parse(&bytes).map_err(|e| damaged(&run.join("scalars.csv"), &e))?;
                 material.scalars.insert(point.id.clone(), scalars);
             }
+            let picture = RunDir::surface_picture_in(&run);
+            if picture.exists() {
+                material.surfaces.insert(point.id.clone(), read_picture(&picture)?);
+            }
         }
         Ok(material)
     }
 
     /// Writes what tables and figures can be made of again into their folder: the definition, the points with their
     /// configurations, the measured step times and the logs.
-    pub fn archive(&self, definition: &Definition, points: &[Point], name: &str, results: &Path) -> Result<()> {
+    pub fn archive(&self, definition: &Definition, points: &[Point], results: &Path) -> Result<()> {
         SweepFolder::new(results).archive(definition, points)?;
-        Provenance::of(name, &self.records).write(results)?;
         let kept = [(STEP_SECONDS, self.step_seconds.clone()), (SCALARS, self.packed_scalars())];
         for (name, bytes) in kept {
             let path = results.join(name);
@@ -111,7 +117,7 @@ impl Material {
 impl Scalars {
     fn parse(bytes: &[u8]) -> std::result::Result<Scalars, csv::Error> {
         let mut reader = csv::Reader::from_reader(bytes);
-        let cells = |record: &csv::StringRecord| record.iter().map(String::from).collect::<Vec<String>>();
+        let cells = |record: &csv::StringRecord| record.iter().map(|cell| plain_cell(cell).to_string()).collect::<Vec<String>>();
         let head = cells(reader.headers()?);
         let rows = reader.records().map(|row| row.map(|row| cells(&row))).collect::<std::result::Result<_, _>>()?;
         Ok(Scalars { head, rows })
@@ -157,6 +163,12 @@ fn packed(bytes: &[u8]) -> Vec<u8> {
     let mut writer = GzBuilder::new().write(Vec::new(), Compression::best());
     let written = writer.write_all(bytes).and_then(|()| writer.finish());
     written.expect("memory takes everything")
+}
+
+/// A picture as it is.
+fn read_picture(path: &Path) -> Result<Image> {
+    let decoded = images::decode(path)?;
+    Ok(images::averaged(&decoded, (decoded.width() as usize, decoded.height() as usize)))
 }
 
 /// Name and value of each clock of a run.

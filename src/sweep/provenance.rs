@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use serde::{Deserialize, Serialize};
+use sha2::{Digest, Sha256};
 use toml::Table;
 
 use crate::base::files::write_atomic;
@@ -75,4 +76,9 @@ impl Provenance {
         let text = toml::to_string(self).expect("plain data");
         write_atomic(&results.join(PROVENANCE), text.as_bytes())
     }
+}
+
+/// A file's SHA-256 in hexadecimal digits.
+pub fn sha256(bytes: &[u8]) -> String {
+    Sha256::digest(bytes).iter().map(|byte| format!("{byte:02x}")).collect()
 }

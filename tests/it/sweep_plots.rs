@@ -168,7 +168,7 @@ fn rows_with_axes_of_their_own_stand_beside_plain_ones() {
     let table = Table::new(&spec, &records, false).unwrap();
     let names = |spec: &TableSpec| -> Vec<String> {
         let (table, records) = (Some(&table), &records[..]);
-        let collected = Collected { spec, records, timing: &[], with_timing: false, table, curves: &[] };
+        let collected = Collected { spec, records, timing: &[], with_timing: false, table, curves: &[], surfaces: &[] };
         EXPORTERS.iter().flat_map(|exporter| exporter.export(&collected).unwrap()).map(|(name, _)| name).collect()
     };
     let has_rows = |names: Vec<String>| names.iter().any(|name| name == "rows_fern_psnr.svg");

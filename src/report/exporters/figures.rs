@@ -1,7 +1,7 @@
 //! Figures, each as SVG and PNG.
 
 use crate::base::Result;
-use crate::report::plots::{Figure, axes_figure, curves_figure, rows_figure};
+use crate::report::plots::{Figure, axes_figure, curves_figure, rows_figure, surfaces_figure};
 
 use super::{Collected, Exporter, File};
 
@@ -62,6 +62,32 @@ impl Exporter for Curves {
                 &format!("curves_{scene}_psnr"),
                 curves_figure(&title, "PSNR of the step's rays (dB)", curves)?,
             ));
+        }
+        Ok(files)
+    }
+}
+
+/// `surfaces_SCENE`: the rows' surfaces, where the points drew any.
+pub struct Surfaces;
+
+impl Exporter for Surfaces {
+    fn needs_table(&self) -> bool {
+        true
+    }
+
+    fn owns(&self, file: &str) -> bool {
+        is_figure(file, "surfaces_")
+    }
+
+    fn repeats(&self) -> bool {
+        false
+    }
+
+    fn export(&self, collected: &Collected) -> Result<Vec<File>> {
+        let mut files = Vec::new();
+        for (scene, surfaces) in collected.surfaces {
+            let title = format!("{}: surfaces of {scene}", collected.spec.title);
+            files.extend(files_of(&format!("surfaces_{scene}"), surfaces_figure(&title, surfaces)?));
         }
         Ok(files)
     }

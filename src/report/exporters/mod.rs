@@ -2,7 +2,7 @@
 
 use crate::base::{Error, Result};
 
-use super::plots::Curve;
+use super::plots::{Curve, Surface};
 use super::tables::{PointTiming, Table};
 use super::{Record, TableSpec};
 
@@ -23,6 +23,8 @@ pub struct Collected<'a> {
     pub table: Option<&'a Table>,
     /// Training curves by scene.
     pub curves: &'a [(String, Vec<Curve>)],
+    /// Pictures of surfaces by scene.
+    pub surfaces: &'a [(String, Vec<Surface>)],
 }
 
 impl<'a> Collected<'a> {
@@ -48,12 +50,17 @@ pub trait Exporter: Sync {
     /// Whether a file in the results' folder is one of its own, to be deleted before it is written anew.
     fn owns(&self, file: &str) -> bool;
 
+    /// The files are made of what is kept beside the tables. Those of others cannot be made again without the runs.
+    fn repeats(&self) -> bool {
+        true
+    }
+
     /// The files, by their names below the results' folder.
     fn export(&self, collected: &Collected) -> Result<Vec<File>>;
 }
 
 /// All exporters, in the order in which they write.
-pub static EXPORTERS: [&dyn Exporter; 8] = [
+pub static EXPORTERS: [&dyn Exporter; 9] = [
     &text::POINTS_CSV,
     &text::TIMING_CSV,
     &text::TABLE_CSV,
@@ -62,4 +69,5 @@ pub static EXPORTERS: [&dyn Exporter; 8] = [
     &figures::Rows,
     &figures::Axes,
     &figures::Curves,
+    &figures::Surfaces,
 ];

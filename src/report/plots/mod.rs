@@ -6,11 +6,13 @@ use crate::report::statistics::{mean, standard_deviation};
 mod axes;
 mod curves;
 mod rows;
+mod surfaces;
 
 pub use crate::draw::Figure;
 pub use axes::axes_figure;
 pub use curves::{Curve, curves_figure};
 pub use rows::rows_figure;
+pub use surfaces::{Surface, surfaces_figure};
 
 /// A metric as figures name it.
 fn metric_label(key: &str) -> &str {

@@ -1,6 +1,7 @@
 //! `points.csv` read back.
 
 use super::delimited::POINT_COLUMNS;
+use crate::base::csv::plain_cell;
 use crate::report::{AxisValue, Record, Status};
 
 /// The first column of the protocol: metrics stand before it.
@@ -23,7 +24,7 @@ pub fn read_points(
     for (index, row) in reader.records().enumerate() {
         let row = row.map_err(|e| e.to_string())?;
         let line = index + 2;
-        let [id, scene, name, axes_text, seed, status, reason, inactive] = std::array::from_fn(|i| &row[i]);
+        let [id, scene, name, axes_text, seed, status, reason, inactive] = std::array::from_fn(|i| plain_cell(&row[i]));
         let known = Status::ALL.into_iter().find(|known| known.name() == status);
         let number = |column: usize| match &row[column] {
             "" => Ok(None),
@@ -39,7 +40,7 @@ pub fn read_points(
         if status == Status::Done {
             columns.push(("scene".into(), scene.into()));
             let own = (protocol..head.len()).filter(|&column| !clocks.contains(&head[column]));
-            columns.extend(own.map(|column| (head[column].clone(), row[column].to_string())));
+            columns.extend(own.map(|column| (head[column].clone(), plain_cell(&row[column]).to_string())));
         }
         records.push(Record {
             id: id.into(),

@@ -60,6 +60,7 @@ impl Archive {
             timing,
             scalars: read_scalars(path)?,
             step_seconds: optional(&folder.step_seconds())?,
+            ..Material::default()
         };
         Ok(Archive { path: path.to_path_buf(), definition, points, material, provenance, with_timing })
     }

@@ -2,8 +2,6 @@
 
 use std::collections::BTreeMap;
 
-use sha2::{Digest, Sha256};
-
 use super::archive::Archive;
 use super::findings::Findings;
 use crate::base::files::write_atomic;
@@ -11,12 +9,10 @@ use crate::base::{Error, Result};
 use crate::report::exporters::EXPORTERS;
 use crate::sweep::folder::{DEFINITION, PLAN, STEP_SECONDS};
 use crate::sweep::material::{SCALARS, optional};
-use crate::sweep::provenance::PROVENANCE;
+use crate::sweep::provenance::{PROVENANCE, sha256};
 
 /// What tables and figures are made of: read, never made.
 const KEPT: [&str; 6] = [DEFINITION, PLAN, STEP_SECONDS, SCALARS, PROVENANCE, "timing.csv"];
-/// Made of records that were read from it: a difference is one of form, never to be written over.
-const RECORDS: [&str; 2] = ["points.csv", "timing.csv"];
 
 /// Compares all files of a results' folder with what its points make, or, with `update`, writes what differs.
 pub fn check(archive: &Archive, update: bool, findings: &mut Findings) -> Result<()> {
@@ -41,7 +37,7 @@ pub fn check(archive: &Archive, update: bool, findings: &mut Findings) -> Result
         if found.as_ref() == Some(bytes) || (found.is_none() && name == "timing.csv") {
             continue;
         }
-        if update && !RECORDS.contains(&name.as_str()) {
+        if update {
             write_atomic(&path, bytes)?;
             findings.holds(format!("{name}: written anew"));
             continue;
@@ -122,9 +118,4 @@ fn around_difference(a: &str, b: &str) -> (String, String) {
     let same = a.chars().zip(b.chars()).take_while(|(a, b)| a == b).count();
     let part = |text: &str| text.chars().skip(same.saturating_sub(BEFORE)).take(SHOWN).collect::<String>();
     (part(a), part(b))
-}
-
-/// A file's SHA-256 in hexadecimal digits.
-pub fn sha256(bytes: &[u8]) -> String {
-    Sha256::digest(bytes).iter().map(|byte| format!("{byte:02x}")).collect()
 }

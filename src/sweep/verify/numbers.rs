@@ -1,12 +1,13 @@
 //! Where quoted numbers are looked up: the tables of a results' folder, and a small language that names their cells.
 //!
 //! ```text
-//! EXPRESSION = ["-"] TERM [("/" | "-" | "+") TERM]
+//! EXPRESSION = ["-"] TERM [("/" | "-") TERM]
 //! TERM       = COLUMN["@"SEED] ["of" ROW] ["on" SCENE]
 //! ```
 
 use std::path::Path;
 
+use crate::base::csv::plain_cell;
 use crate::base::{Error, Result};
 use crate::sweep::material::optional;
 
@@ -55,16 +56,12 @@ impl Cells {
             Some(rest) => (true, rest.trim()),
             None => (false, expression.trim()),
         };
-        let operator = [" / ", " - ", " + "].into_iter().find_map(|op| Some((op, expression.split_once(op)?)));
+        let operator = [" / ", " - "].into_iter().find_map(|op| Some((op, expression.split_once(op)?)));
         let value = match operator {
             None => self.term(expression, row)?,
             Some((operator, (left, right))) => {
                 let both = self.term(left, row)?.zip(self.term(right, row)?);
-                both.map(|(left, right)| match operator {
-                    " / " => left / right,
-                    " - " => left - right,
-                    _ => left + right,
-                })
+                both.map(|(left, right)| if operator == " / " { left / right } else { left - right })
             }
         };
         Ok(value.map(|value| if negative { -value } else { value }))
@@ -100,7 +97,7 @@ fn csv_rows(path: &Path) -> Result<Vec<Row>> {
     let rows = reader.records().map(|record| {
         let record = record.map_err(bad)?;
         let cells: Vec<(String, String)> =
-            head.iter().zip(&record).map(|(name, cell)| (name.to_string(), cell.to_string())).collect();
+            head.iter().zip(&record).map(|(name, cell)| (name.to_string(), plain_cell(cell).to_string())).collect();
         let cell = |name: &str| {
             cells.iter().find(|(known, _)| known == name).map(|(_, text)| text.clone()).unwrap_or_default()
         };

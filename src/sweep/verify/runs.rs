@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use serde_json::{Map, Value};
 
 use super::findings::Findings;
+use crate::base::csv::plain_cell;
 use crate::base::files::read_json;
 use crate::base::{Error, Result};
 use crate::sweep::material::optional;
@@ -136,7 +137,7 @@ fn csv_lines(path: &Path) -> Result<Option<Vec<Map<String, Value>>>> {
     let head = reader.headers().map_err(bad)?.clone();
     let line = |row: csv::Result<csv::StringRecord>| {
         let row = row.map_err(bad)?;
-        Ok(head.iter().zip(&row).map(|(name, cell)| (name.to_string(), Value::String(cell.into()))).collect())
+        Ok(head.iter().zip(&row).map(|(name, cell)| (name.to_string(), Value::String(plain_cell(cell).into()))).collect())
     };
     reader.records().map(line).collect::<Result<_>>().map(Some)
 }
