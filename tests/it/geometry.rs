@@ -397,3 +397,24 @@ fn a_sweep_has_columns_of_geometry_and_says_what_they_need() {
         assert!(cell("mesh").contains("16^3"), "{name}: {}", cell("mesh"));
     }
 }
+
+#[test]
+fn a_mesh_is_drawn_as_a_picture_from_several_sides() {
+    let dir = tempfile::tempdir().unwrap();
+    let file = dir.path().join("mesh.png");
+    let name = file.to_str().unwrap();
+    program::succeed(&["mesh", "builtin", "--picture", name, "--at", "0.1,0.6", "--columns", "64", "--paint", "colours"]);
+    let picture = image::open(&file).unwrap().to_rgb8();
+    assert_eq!(picture.dimensions(), (64 + 4 + 64, 64));
+    let coloured = picture.pixels().filter(|pixel| pixel.0.iter().max().unwrap() - pixel.0.iter().min().unwrap() > 60);
+    assert!(coloured.count() > 100);
+    for (arguments, words) in [
+        (&["mesh", "builtin"][..], &["--picture FILE.png"][..]),
+        (&["mesh", "builtin", "--picture", name, "--view", "1"], &["no held-out views", "--at"]),
+        (&["mesh", "builtin", "--picture", name, "--at", "1.5"], &["--at 1.5 is out of range"]),
+        (&["mesh", "builtin", "--picture", "mesh.jpg"], &["mesh.jpg", ".png"]),
+    ] {
+        program::refuse(arguments, 2, words);
+    }
+    program::refuse(&["mesh", "builtin", "--picture", "nowhere/mesh.png"], 4, &["there is no folder nowhere"]);
+}

@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use crate::common::assert_says;
-use crate::common::files::{assert_same_files, text};
+use crate::common::files::{assert_same_files, rows, text};
 use crate::common::program::{self, augnerf};
 use tempfile::TempDir;
 
@@ -121,7 +121,7 @@ scenes = ["builtin"]
 seeds = [0, 1]
 metrics = ["psnr"]
 baseline = "NeRF"
-set = { "data.width" = 16, "field.width" = 16, "sampling.coarse" = 8, "sampling.fine" = 8, "train.rays" = 64, "train.steps" = 20, "train.log_every" = 5, "eval.pictures" = 0 }
+set = { "data.width" = 16, "field.width" = 16, "sampling.coarse" = 8, "sampling.fine" = 8, "train.rays" = 64, "train.steps" = 20, "train.log_every" = 5, "eval.pictures" = 1, "eval.mesh.resolution" = 16, "eval.mesh.reference" = "none", "eval.mesh.threshold" = 0.5 }
 row = [{ name = "NeRF" }, { name = "equal", set = { "field.depth" = 3 }, budget = { kind = "seconds", like = "NeRF" } }]
 "#;
     std::fs::write(dir.path().join("tiny.toml"), definition).unwrap();
@@ -131,6 +131,11 @@ row = [{ name = "NeRF" }, { name = "equal", set = { "field.depth" = 3 }, budget 
     assert!(!said.contains("step times are not kept"), "{said}");
     let folder = dir.path().join("results/tiny");
     assert!(folder.join("curves_builtin_psnr.svg").exists() && folder.join("scalars.csv.gz").exists());
+    // Pictures of surfaces cannot be made again: they are held to their hash.
+    assert_says(&said, &["surfaces_builtin.svg: it is as it was committed"]);
+    let points = rows(&text(&folder.join("points.csv")));
+    assert!(points.iter().all(|row| row["mesh"].ends_with("not compared") && row["chamfer"].is_empty()), "{points:?}");
+    assert_found(dir.path(), &folder.join("surfaces_builtin.svg"), "NeRF", "NerF", &["SHA-256"]);
     // Curves come from the logs that are kept.
     std::fs::remove_file(folder.join("scalars.csv.gz")).unwrap();
     assert_says(&verify(dir.path(), &[], 10), &["curves_builtin_psnr.svg: the points do not make it"]);

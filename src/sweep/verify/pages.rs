@@ -15,6 +15,7 @@
 use std::path::Path;
 
 use super::numbers::{Cells, is_quoted_as};
+use crate::base::input::{TEXT_BYTES, read_text};
 use crate::base::{Error, Result};
 
 const TABLE: &str = "table ";
@@ -52,7 +53,7 @@ enum About {
 impl Page {
     /// Reads a page below `root`.
     pub fn read(path: &Path, root: &Path) -> Result<Page> {
-        let text = std::fs::read_to_string(path).map_err(|e| Error::unreadable(path, &e))?;
+        let text = read_text(path, TEXT_BYTES).map_err(|e| Error::unreadable(path, &e))?;
         let name = path.strip_prefix(root).unwrap_or(path).display().to_string();
         Ok(Page::parse(name, &text))
     }
