@@ -99,11 +99,18 @@ impl PictureArguments {
     fn picture(&self) -> Result<Option<MeshPicture>> {
         let Some(file) = self.picture.clone() else { return Ok(None) };
         if file.extension().is_none_or(|ending| !ending.eq_ignore_ascii_case("png")) {
-            return Err(Error::Config(format!("--picture {}: it becomes a PNG; let its name end in .png", file.display())));
+            return Err(Error::Config(format!(
+                "--picture {}: it becomes a PNG; let its name end in .png",
+                file.display()
+            )));
         }
         let folder = file.parent().filter(|folder| !folder.as_os_str().is_empty());
         if let Some(folder) = folder.filter(|folder| !folder.is_dir()) {
-            return Err(Error::Output(format!("--picture {}: there is no folder {}", file.display(), folder.display())));
+            return Err(Error::Output(format!(
+                "--picture {}: there is no folder {}",
+                file.display(),
+                folder.display()
+            )));
         }
         if let Some(share) = self.at.iter().find(|share| !(0.0..=1.0).contains(*share)) {
             return Err(Error::Config(format!("--at {share} is out of range: it must be 0 to 1")));
@@ -153,7 +160,9 @@ impl MeshArguments {
     fn picture_of_file(&self, picture: Option<MeshPicture>) -> Result<()> {
         let name = self.run.to_string_lossy();
         let picture = picture.ok_or_else(|| {
-            Error::Config(format!("{name} is a mesh already: --picture FILE.png draws it; name a run folder to draw a mesh of"))
+            Error::Config(format!(
+                "{name} is a mesh already: --picture FILE.png draws it; name a run folder to draw a mesh of"
+            ))
         })?;
         if !self.picture.view.is_empty() {
             return Err(Error::Config(format!("--view: the mesh {name} has no held-out views; use --at 0.1,0.6")));

@@ -53,7 +53,8 @@ impl VerifyArguments {
 
     fn verify(&self, runtime: &Runtime) -> Result<()> {
         let console = Console::new(self.compute.quiet);
-        let weights = self.weights.lpips_weights.as_ref().map_or(String::new(), |dir| dir.to_string_lossy().into_owned());
+        let weights =
+            self.weights.lpips_weights.as_ref().map_or(String::new(), |dir| dir.to_string_lossy().into_owned());
         let lpips = load_lpips(&weights, runtime.device())?;
         let trainings = Trainings::new(runtime.clone(), (lpips, weights), true, &console);
         let stop = catch_signals()?;

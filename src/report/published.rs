@@ -214,7 +214,10 @@ mod tests {
     fn a_number_that_is_another_scene_s_says_so() {
         let srn = |scene| find("tab1", "clean", "SRN", scene).unwrap();
         assert_eq!(srn("orchids").ssim, srn("fern").ssim);
-        assert!(text("tab1", "clean", "SRN", "orchids").ends_with("504x376; its SSIM is that of fern, the NeRF paper has 0.449"));
+        assert!(
+            text("tab1", "clean", "SRN", "orchids")
+                .ends_with("504x376; its SSIM is that of fern, the NeRF paper has 0.449")
+        );
         assert_eq!(published_rows().iter().filter(|row| !row.protocol().remark.is_empty()).count(), 1);
         assert!(PUBLISHED_NOTE.contains("0.449") && !PUBLISHED_NOTE.contains("1008x756"));
     }

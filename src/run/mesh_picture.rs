@@ -51,8 +51,9 @@ impl MeshPicture {
             Eye::Path(share) => {
                 let index = (share * scene.path.len() as f64) as usize;
                 let last = scene.path.len().checked_sub(1);
-                last.map(|last| scene.path[index.min(last)])
-                    .ok_or_else(|| Error::Config(format!("--at {share}: {} has no camera path; use --view", scene.name)))
+                last.map(|last| scene.path[index.min(last)]).ok_or_else(|| {
+                    Error::Config(format!("--at {share}: {} has no camera path; use --view", scene.name))
+                })
             }
         };
         self.eyes.iter().map(|eye| Ok(enlarged(&camera(eye)?, self.columns))).collect()

@@ -42,7 +42,9 @@ pub(crate) use protocol::split_name;
 pub use scalars::Scalars;
 pub use session::{Between, EVALUATION_COLUMNS, Outcome, SEEN_COLUMNS, Session, interrupted};
 pub use smoothness::{SmoothnessReport, check_measurable};
-pub use surface::{BUILTIN, Surface, most_memory_mib, reference_mesh, surface_box, surface_reference, surface_threshold};
+pub use surface::{
+    BUILTIN, Surface, most_memory_mib, reference_mesh, surface_box, surface_reference, surface_threshold,
+};
 pub use tensorboard::EventWriter;
 use trained::Measurement;
 pub use trained::Trained;

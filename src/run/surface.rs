@@ -94,9 +94,7 @@ pub(super) fn describe(config: &Config, scene: &Scene) -> Option<String> {
         true => "not compared".to_string(),
         false => format!("reference {name}, {points} points, F-score at {at}"),
     };
-    (*resolution > 0).then(|| {
-        format!("{resolution}^3 of {domain:?}, density {threshold}, {compared}")
-    })
+    (*resolution > 0).then(|| format!("{resolution}^3 of {domain:?}, density {threshold}, {compared}"))
 }
 
 /// The surface of an evaluation.

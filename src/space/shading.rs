@@ -44,11 +44,7 @@ struct Seen {
 
 impl Seen {
     fn mix(a: &Seen, b: &Seen, s: f64) -> Seen {
-        Seen {
-            place: mix(a.place, b.place, s),
-            normal: mix(a.normal, b.normal, s),
-            colour: mix(a.colour, b.colour, s),
-        }
+        Seen { place: mix(a.place, b.place, s), normal: mix(a.normal, b.normal, s), colour: mix(a.colour, b.colour, s) }
     }
 }
 
@@ -169,7 +165,8 @@ impl Target {
             let [x, y, _] = corners[i].place;
             [centre[0] + focal[0] * x * nearness[i], centre[1] - focal[1] * y * nearness[i]]
         });
-        let edge = |a: [f64; 2], b: [f64; 2], p: [f64; 2]| (b[0] - a[0]) * (p[1] - a[1]) - (b[1] - a[1]) * (p[0] - a[0]);
+        let edge =
+            |a: [f64; 2], b: [f64; 2], p: [f64; 2]| (b[0] - a[0]) * (p[1] - a[1]) - (b[1] - a[1]) * (p[0] - a[0]);
         let area = edge(at[0], at[1], at[2]);
         if area == 0.0 || !area.is_finite() {
             return;
@@ -215,9 +212,7 @@ impl Target {
 
 /// The colour of a point of a triangle.
 fn lit(corners: [&Seen; 3], weights: [f64; 3]) -> [f32; 3] {
-    let blend = |pick: fn(&Seen) -> Vec3| {
-        (0..3).fold([0.0; 3], |sum, i| add(sum, scale(pick(corners[i]), weights[i])))
-    };
+    let blend = |pick: fn(&Seen) -> Vec3| (0..3).fold([0.0; 3], |sum, i| add(sum, scale(pick(corners[i]), weights[i])));
     let (normal, place, colour) = (blend(|v| v.normal), blend(|v| v.place), blend(|v| v.colour));
     if length(normal) == 0.0 || length(place) == 0.0 {
         return colour.map(|v| v as f32);
@@ -241,11 +236,14 @@ mod tests {
     fn sphere(at: Vec3, radius: f64, colour: [u8; 3]) -> Mesh {
         let (rings, sides) = (32u32, 64u32);
         let point = |ring: u32, side: u32| {
-            let (down, round) =
-                (std::f64::consts::PI * f64::from(ring) / f64::from(rings), std::f64::consts::TAU * f64::from(side % sides) / f64::from(sides));
+            let (down, round) = (
+                std::f64::consts::PI * f64::from(ring) / f64::from(rings),
+                std::f64::consts::TAU * f64::from(side % sides) / f64::from(sides),
+            );
             add(at, scale([down.sin() * round.cos(), down.sin() * round.sin(), down.cos()], radius)).map(|v| v as f32)
         };
-        let vertices: Vec<[f32; 3]> = (0..=rings).flat_map(|ring| (0..sides).map(move |side| (ring, side))).map(|(r, s)| point(r, s)).collect();
+        let vertices: Vec<[f32; 3]> =
+            (0..=rings).flat_map(|ring| (0..sides).map(move |side| (ring, side))).map(|(r, s)| point(r, s)).collect();
         let index = |ring: u32, side: u32| ring * sides + side % sides;
         let quads = (0..rings).flat_map(|ring| (0..sides).map(move |side| (ring, side)));
         let triangles = quads.flat_map(|(r, s)| {

@@ -102,7 +102,8 @@ impl Collector<'_> {
         let table = Table::new(&spec, &self.material.records, self.force)?;
         let curves: Vec<_> =
             table.scenes().into_iter().map(|(scene, _)| (scene.to_string(), self.curves(&spec, scene))).collect();
-        let surfaces: Vec<_> = table.scenes().iter().map(|(scene, _)| (scene.to_string(), self.surfaces(scene))).collect();
+        let surfaces: Vec<_> =
+            table.scenes().iter().map(|(scene, _)| (scene.to_string(), self.surfaces(scene))).collect();
         (collected.table, collected.curves, collected.surfaces) = (Some(&table), &curves, &surfaces);
         export(&collected, take)?;
         Ok(table)

@@ -117,7 +117,9 @@ impl Material {
 impl Scalars {
     fn parse(bytes: &[u8]) -> std::result::Result<Scalars, csv::Error> {
         let mut reader = csv::Reader::from_reader(bytes);
-        let cells = |record: &csv::StringRecord| record.iter().map(|cell| plain_cell(cell).to_string()).collect::<Vec<String>>();
+        let cells = |record: &csv::StringRecord| {
+            record.iter().map(|cell| plain_cell(cell).to_string()).collect::<Vec<String>>()
+        };
         let head = cells(reader.headers()?);
         let rows = reader.records().map(|row| row.map(|row| cells(&row))).collect::<std::result::Result<_, _>>()?;
         Ok(Scalars { head, rows })

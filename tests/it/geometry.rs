@@ -403,7 +403,18 @@ fn a_mesh_is_drawn_as_a_picture_from_several_sides() {
     let dir = tempfile::tempdir().unwrap();
     let file = dir.path().join("mesh.png");
     let name = file.to_str().unwrap();
-    program::succeed(&["mesh", "builtin", "--picture", name, "--at", "0.1,0.6", "--columns", "64", "--paint", "colours"]);
+    program::succeed(&[
+        "mesh",
+        "builtin",
+        "--picture",
+        name,
+        "--at",
+        "0.1,0.6",
+        "--columns",
+        "64",
+        "--paint",
+        "colours",
+    ]);
     let picture = image::open(&file).unwrap().to_rgb8();
     assert_eq!(picture.dimensions(), (64 + 4 + 64, 64));
     let coloured = picture.pixels().filter(|pixel| pixel.0.iter().max().unwrap() - pixel.0.iter().min().unwrap() > 60);

@@ -29,8 +29,8 @@ mod sweep_plots;
 mod sweep_run;
 mod sweep_tables;
 mod training;
-mod views;
 mod verify;
+mod views;
 
 /// Counts what is taken, for the tests that bound it.
 #[global_allocator]

@@ -54,7 +54,7 @@ fn what_is_changed_is_found() {
     // A number of a point, of a table, of its pictures.
     let psnr = first("points.csv", 8);
     let wrong = psnr[..psnr.len() - 1].to_string() + if psnr.ends_with('1') { "2" } else { "1" };
-    assert_found(dir.path(), &at("points.csv"), &psnr, &wrong, &["WRONG", "table.csv", "rows_builtin"]);
+    assert_found(dir.path(), &at("points.csv"), &psnr, &wrong, &["WRONG", "table.csv, line 2"]);
     assert_found(dir.path(), &at("table.md"), "23.57", "23.58", &["table.md, line", "23.58", "23.57"]);
     assert_found(dir.path(), &at("rows_builtin_psnr.svg"), "NeRF", "NerF", &["rows_builtin_psnr.svg, line"]);
     // What the points are.
@@ -62,7 +62,13 @@ fn what_is_changed_is_found() {
     assert_found(dir.path(), &at("points.json"), "\"steps\": 3000", "\"steps\": 3001", &["its configuration makes"]);
     assert_found(dir.path(), &at("sweep.toml"), "3000", "3001", &["sweep.toml makes"]);
     let other = format!("{}0", &id[..11]);
-    assert_found(dir.path(), &at("points.json"), &id, &if other == id { id.replace('0', "1") } else { other }, &["points"]);
+    assert_found(
+        dir.path(),
+        &at("points.json"),
+        &id,
+        &if other == id { id.replace('0', "1") } else { other },
+        &["points"],
+    );
     // A file that nothing makes again.
     assert_found(dir.path(), &at("curves_builtin_psnr.svg"), "NeRF", "NerF", &["SHA-256", "curves_builtin_psnr.svg"]);
     std::fs::write(at("rows_builtin_ssim.svg"), "old").unwrap();

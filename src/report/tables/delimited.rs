@@ -9,7 +9,8 @@ use crate::settings::columns::is_per_seed;
 /// Clock times of a point: its folder's name, and name and value of each.
 pub type PointTiming = (String, Vec<(String, Option<f64>)>);
 
-pub(super) const POINT_COLUMNS: [&str; 8] = ["id", "scene", "row", "axes", "seed", "status", "reason", "inactive_levels"];
+pub(super) const POINT_COLUMNS: [&str; 8] =
+    ["id", "scene", "row", "axes", "seed", "status", "reason", "inactive_levels"];
 const LINE_COLUMNS: [&str; 13] = [
     "scene",
     "source",

@@ -67,9 +67,9 @@ pub fn read_timing(text: &str) -> Result<Vec<super::PointTiming>, String> {
         let row = row.map_err(|e| e.to_string())?;
         let clock = |column: usize| {
             let value = (!row[column].is_empty()).then(|| row[column].parse()).transpose();
-            value.map(|value| (head[column].to_string(), value)).map_err(|_| {
-                format!("{} of point {}: '{}' is no number", &head[column], &row[0], &row[column])
-            })
+            value
+                .map(|value| (head[column].to_string(), value))
+                .map_err(|_| format!("{} of point {}: '{}' is no number", &head[column], &row[0], &row[column]))
         };
         Ok((row[0].to_string(), (2..row.len()).map(clock).collect::<Result<_, String>>()?))
     });

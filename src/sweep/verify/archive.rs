@@ -33,9 +33,8 @@ impl Archive {
     pub fn read(path: &Path, data_root: Option<&Path>) -> Result<Archive> {
         let folder = SweepFolder::new(path);
         let definition = folder.definition()?;
-        let absent = |name: &str| {
-            Error::Data(format!("{} has no {name}: `augnerf sweep collect` writes it", path.display()))
-        };
+        let absent =
+            |name: &str| Error::Data(format!("{} has no {name}: `augnerf sweep collect` writes it", path.display()));
         let points = folder.points(data_root)?.ok_or_else(|| absent("points.json"))?;
         let provenance = Provenance::read(path)?.ok_or_else(|| absent("provenance.toml"))?;
         let in_file = |name: &str, e: String| Error::Data(format!("{}: {e}", path.join(name).display()));
@@ -45,12 +44,17 @@ impl Archive {
         };
         let timing = text("timing.csv")?.map(|text| read_timing(&text)).transpose();
         let timing = timing.map_err(|e| in_file("timing.csv", e))?.unwrap_or_default();
-        let clocks: Vec<String> = timing.iter().flat_map(|(_, clocks)| clocks.iter().map(|(name, _)| name.clone())).collect();
+        let clocks: Vec<String> =
+            timing.iter().flat_map(|(_, clocks)| clocks.iter().map(|(name, _)| name.clone())).collect();
         let of_points = text("points.csv")?.ok_or_else(|| absent("points.csv"))?;
         let records = read_points(&of_points, &clocks, |id, row, axes| {
             let point = points.iter().find(|point| point.id == id)?;
             let at = |axes: &[_]| label("", axes).trim_start_matches(", ").to_string();
-            point.places.iter().find(|place| place.row == row && at(&place.axes) == axes).map(|place| place.axes.clone())
+            point
+                .places
+                .iter()
+                .find(|place| place.row == row && at(&place.axes) == axes)
+                .map(|place| place.axes.clone())
         });
         let records = records.map_err(|e| in_file("points.csv", e))?;
         let head = of_points.lines().next().unwrap_or_default();

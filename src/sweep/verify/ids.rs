@@ -19,7 +19,11 @@ pub fn check(archive: &Archive, data_root: Option<&Path>, findings: &mut Finding
     for point in &archive.points {
         let id = id(archive, point);
         if point.id != id {
-            wrong.push(format!("points.json: {} has the name {}, its configuration makes {id}", point.label(), point.id));
+            wrong.push(format!(
+                "points.json: {} has the name {}, its configuration makes {id}",
+                point.label(),
+                point.id
+            ));
         }
     }
     let (records, mut placed) = (&archive.material.records, 0);
@@ -65,8 +69,9 @@ fn of_definition(archive: &Archive, data_root: Option<&Path>, findings: &mut Fin
     let (mut wrong, mut unchecked, mut without_scene) = (Vec::new(), Vec::new(), 0);
     for laid in &laid {
         let what = format!("{} · {} · seed {}", label(&laid.place.row, &laid.place.axes), laid.scene, laid.config.seed);
-        let same =
-            |known: &&Point| known.scene == laid.scene && known.config.seed == laid.config.seed && known.places.contains(&laid.place);
+        let same = |known: &&Point| {
+            known.scene == laid.scene && known.config.seed == laid.config.seed && known.places.contains(&laid.place)
+        };
         let Some(known) = archive.points.iter().find(same) else {
             wrong.push(format!("sweep.toml asks for {what}, points.json has no such point"));
             continue;
@@ -101,7 +106,10 @@ fn of_definition(archive: &Archive, data_root: Option<&Path>, findings: &mut Fin
         ));
     }
     if !unchecked.is_empty() {
-        findings.not_checked(format!("steps from a budget in seconds, whose step times are not kept: {}", unchecked.join(", ")));
+        findings.not_checked(format!(
+            "steps from a budget in seconds, whose step times are not kept: {}",
+            unchecked.join(", ")
+        ));
     }
     Ok(())
 }

@@ -58,7 +58,9 @@ fn weights(archive: &Archive, lpips: &[Lpips], findings: &mut Findings) {
         seen.push(named);
         if named.is_empty() && !measured.is_empty() {
             let measured = measured.join(", ");
-            findings.not_checked(format!("LPIPS weights ({measured}): points.csv has no hash of them (an earlier revision)"));
+            findings.not_checked(format!(
+                "LPIPS weights ({measured}): points.csv has no hash of them (an earlier revision)"
+            ));
         }
         for (backbone, hash) in named.split(", ").filter_map(|named| named.split_once(' ')) {
             match lpips.iter().find(|lpips| lpips.backbone().name() == backbone) {

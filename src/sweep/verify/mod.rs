@@ -128,11 +128,15 @@ pub fn untraced(results: &Path) -> Result<Findings> {
     for page in pages_beside(&results.join("any"))? {
         for quote in &page.quotes {
             if !results.join(&quote.folder).is_dir() {
-                findings.wrong(format!("{}, line {}: there is no results folder '{}'", page.name, quote.line, quote.folder));
+                findings.wrong(format!(
+                    "{}, line {}: there is no results folder '{}'",
+                    page.name, quote.line, quote.folder
+                ));
             }
         }
         if page.unmarked > 0 {
-            findings.not_checked(format!("{}: {} numbers with decimals that no comment traces", page.name, page.unmarked));
+            findings
+                .not_checked(format!("{}: {} numbers with decimals that no comment traces", page.name, page.unmarked));
         }
     }
     Ok(findings)

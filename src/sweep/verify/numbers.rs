@@ -41,12 +41,10 @@ impl Cells {
         let name = folder.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
         let mut rows = csv_rows(&folder.join("table.csv"))?;
         rows.extend(csv_rows(&folder.join("summary.csv"))?);
-        rows.extend(super::runs::means(folder)?.into_iter().map(|(label, cells)| Row {
-            label,
-            scene: String::new(),
-            seed: String::new(),
-            cells,
-        }));
+        if rows.is_empty() {
+            let row = |(label, cells)| Row { label, scene: String::new(), seed: String::new(), cells };
+            rows.extend(super::runs::means(folder)?.into_iter().map(row));
+        }
         Ok(Cells { name, rows, points: csv_rows(&folder.join("points.csv"))? })
     }
 

@@ -316,7 +316,10 @@ fern,+ l1 Reg.,,18.7473,0.1548,-0.2262,-0.5160,0.0635
         assert_eq!((count, wrong, unmarked), (6, vec![], 0));
         assert_eq!(table("| NeRF † | 18.97 ± 0.05 |  | 1.00 |").1, [""; 0]);
         for (row, reason) in [
-            ("| + l1 Reg. | 18.76 ± 0.15 | -0.23 [-0.52, +0.06] | 0.99 |", "'18.76' is quoted as psnr_mean, which is 18.7473"),
+            (
+                "| + l1 Reg. | 18.76 ± 0.15 | -0.23 [-0.52, +0.06] | 0.99 |",
+                "'18.76' is quoted as psnr_mean, which is 18.7473",
+            ),
             ("| + l1 Reg. | 18.75 ± 0.15 | +0.23 [-0.52, +0.06] | 0.99 |", "'+0.23'"),
             ("| + l1 Reg. | 18.75 ± 0.15 | -0.23 (-0.52, +0.06) | 0.99 |", "not of the form"),
             ("| + l2 Reg. | 18.75 ± 0.15 | -0.23 [-0.52, +0.06] | 0.99 |", "no row '+ l2 Reg.'"),
@@ -331,7 +334,9 @@ fern,+ l1 Reg.,,18.7473,0.1548,-0.2262,-0.5160,0.0635
     #[test]
     fn numbers_of_a_paragraph_are_held_to_their_claims() {
         let page = |claims: &str| {
-            check(&format!("Another.\n\n- l1 costs 0.23 dB, NeRF's\n  seed 2 has 0.138 and 7.5.\n  <!-- numbers x: {claims} -->\n"))
+            check(&format!(
+                "Another.\n\n- l1 costs 0.23 dB, NeRF's\n  seed 2 has 0.138 and 7.5.\n  <!-- numbers x: {claims} -->\n"
+            ))
         };
         let (count, wrong, unmarked) = page("0.23 = -psnr_difference of + l1 Reg.; 0.138 = chamfer@2 of NeRF");
         assert_eq!((count, wrong, unmarked), (2, vec![], 1));

@@ -49,8 +49,7 @@ pub fn check(
     let points: Vec<Point> = (0..count).map(|index| at_hand[index * at_hand.len() / count].clone()).collect();
     let scratch = Scratch::new()?;
     let folder = SweepFolder::new(&scratch.0);
-    let options =
-        Options { jobs: 1, fail_fast: false, retry_failed: false, most_deaths: 1, remeasure: Vec::new() };
+    let options = Options { jobs: 1, fail_fast: false, retry_failed: false, most_deaths: 1, remeasure: Vec::new() };
     let (events, work) = (trainings.events, trainings);
     Runner { folder: &folder, points: &points, runtime, work, options, events, stop }.run()?;
     for point in &points {

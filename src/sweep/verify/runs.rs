@@ -137,7 +137,11 @@ fn csv_lines(path: &Path) -> Result<Option<Vec<Map<String, Value>>>> {
     let head = reader.headers().map_err(bad)?.clone();
     let line = |row: csv::Result<csv::StringRecord>| {
         let row = row.map_err(bad)?;
-        Ok(head.iter().zip(&row).map(|(name, cell)| (name.to_string(), Value::String(plain_cell(cell).into()))).collect())
+        Ok(head
+            .iter()
+            .zip(&row)
+            .map(|(name, cell)| (name.to_string(), Value::String(plain_cell(cell).into())))
+            .collect())
     };
     reader.records().map(line).collect::<Result<_>>().map(Some)
 }
