@@ -19,7 +19,7 @@ LATER += [f"shift.{site}" for site in ("t", "xyz", "view", "feature", "rgb", "de
 LATER += ["training_views", "validation", "views_seen", "views_seed", "encoding", "position_octaves", "view_octaves", "skips"]
 LATER += ["rgb_padding", "resample_padding", "jitter", "density_noise", "batching", "precrop_steps", "precrop_fraction"]
 LATER += ["warmup_share", "warmup_from", "dead_start_share", "chunk", "eval_chunk", "xyz_radius", "norms", "perturb_last"]
-LATER += ["core", "precision", "instructions"]
+LATER += ["core", "precision", "instructions", "train_views"]
 LATER += [f"{kind}_{metric}" for kind in ("train", "gap") for metric in ("ssim", "lpips_alex", "lpips_vgg", "lpips_squeeze")]
 LATER += ["train_psnr", "gap"]
 # Settings, with the defaults that they stand at in TOML files.
