@@ -5,10 +5,8 @@ use std::hash::Hash;
 
 use super::axes::Axis;
 use super::definition::{Combine, Definition, scene_name};
+use super::extends::MOST_POINTS;
 use crate::metrics::Metric;
-
-/// More points than anyone means.
-const MOST_POINTS: usize = 10_000;
 
 impl Definition {
     /// Checks a definition as far as that is possible without configurations.

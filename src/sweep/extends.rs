@@ -7,6 +7,8 @@ use toml::{Table, Value};
 use crate::base::input::{TEXT_BYTES, read_named};
 use crate::base::{Error, Result};
 
+/// More points than anyone means, and so more rows.
+pub(super) const MOST_POINTS: usize = 10_000;
 const EXTENDS: &str = "extends";
 /// Deeper than anyone means: most likely files that extend each other.
 const DEEPEST: usize = 8;
@@ -23,6 +25,11 @@ fn read_at(path: &Path, depth: usize) -> Result<Table> {
         .map_err(|e| Error::Config(format!("cannot read the sweep file {}: {e}", path.display())))?;
     let in_file = |message: String| Error::Config(format!("{}: {message}", path.display()));
     let mut table: Table = toml::from_str(&text).map_err(|e| in_file(e.to_string()))?;
+    // Before each is looked for among those of the file that this one extends.
+    let rows = table.get("row").and_then(Value::as_array).map_or(0, Vec::len);
+    if rows > MOST_POINTS {
+        return Err(in_file(format!("rows: {rows} are more than {MOST_POINTS}: split the sweep")));
+    }
     let Some(base) = table.remove(EXTENDS) else {
         return Ok(table);
     };

@@ -176,6 +176,34 @@ fn a_full_standard_output_is_an_error() {
     }
 }
 
+/// Each waits for the one before it: none deletes what another writes.
+#[test]
+fn many_collect_one_sweep_at_once() {
+    let dir = TempDir::new().unwrap();
+    let (folder, definition) = (dir.path().join("sweep"), dir.path().join("tiny.toml"));
+    let rows = "title = \"t\"\npreset = \"smoke\"\nscenes = [\"builtin\"]\nseeds = [0, 1]\n[[row]]\nname = \"NeRF\"\n";
+    std::fs::write(
+        &definition,
+        format!("{rows}[set]\n\"train.steps\" = 2\n\"data.width\" = 16\n\"train.rays\" = 16\n"),
+    )
+    .unwrap();
+    let (folder, definition) = (folder.to_str().unwrap(), definition.to_str().unwrap());
+    succeed(&["sweep", "run", definition, "--out", folder, "--quiet"]);
+    succeed(&["sweep", "collect", folder]);
+    let results = Path::new(folder).join("results");
+    let before = crate::common::files::files(&results, &[]);
+    // What one that was killed left.
+    std::fs::write(results.join(".augnerf-tmp-1-0-table.md"), "half").unwrap();
+    let collect =
+        || augnerf(&["sweep", "collect", folder]).stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap();
+    let running: Vec<_> = (0..30).map(|_| collect()).collect();
+    for child in running {
+        let output = child.wait_with_output().unwrap();
+        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    }
+    assert!(crate::common::files::files(&results, &[]) == before, "the same files with the same bytes");
+}
+
 /// Runs of a step that takes minutes: the first signal is heard and acts within it.
 #[cfg(target_os = "linux")]
 #[test]
