@@ -3,39 +3,45 @@
 use std::borrow::Cow;
 
 /// Longest line that is shown whole; more has nothing to say to a person.
-const MOST_LINE: usize = 2000;
-/// Most lines that are shown.
-const MOST_LINES: usize = 60;
+const MOST_LINE: usize = 1000;
+/// Most characters of lines after the first.
+const MOST_MORE: usize = 6000;
 
 /// The text without what a terminal would take for a command or would write backwards, such characters as their codes
-/// (`\u{1b}`), and with the middle of very long lines and the end of very many left out.
+/// (`\u{1b}`), and with the middle of very long lines and the end of very long texts left out.
 pub fn shown(text: &str) -> Cow<'_, str> {
     let plain = |line: &str| line.len() <= MOST_LINE && !line.chars().any(is_command);
-    if text.lines().count() <= MOST_LINES && text.split('\n').all(plain) {
+    if text.len() <= MOST_MORE && text.split('\n').all(plain) {
         return Cow::Borrowed(text);
     }
-    let mut lines: Vec<String> = text.split('\n').take(MOST_LINES).map(line).collect();
-    let more = text.split('\n').count() - lines.len();
-    if more > 0 {
-        lines.push(format!("... ({more} more lines)"));
+    let mut lines = text.split('\n');
+    let mut shown = lines.next().map(line).unwrap_or_default();
+    let most = shown.len() + MOST_MORE;
+    for next in lines.by_ref() {
+        if shown.len() > most {
+            let more = 1 + lines.count();
+            return Cow::Owned(format!("{shown}\n... ({more} more lines)"));
+        }
+        shown.push('\n');
+        shown.push_str(&line(next));
     }
-    Cow::Owned(lines.join("\n"))
+    Cow::Owned(shown)
 }
 
 /// The same as one line.
 pub fn line(text: &str) -> String {
-    let length = text.chars().count();
-    let mut line = String::new();
-    let (head, tail) = if length > MOST_LINE { (MOST_LINE * 3 / 4, length - MOST_LINE / 4) } else { (length, length) };
-    for (at, character) in text.chars().enumerate() {
-        match character {
-            _ if at == head => line.push_str(&format!(" ... ({} characters) ... ", tail - head)),
-            _ if (head..tail).contains(&at) => {}
-            character if is_command(character) || character == '\n' => line.extend(character.escape_default()),
-            character => line.push(character),
-        }
+    let plain = |character: char| match character {
+        character if is_command(character) || character == '\n' => character.escape_default().collect(),
+        character => String::from(character),
+    };
+    let whole: String = text.chars().map(plain).collect();
+    let length = whole.chars().count();
+    if length <= MOST_LINE {
+        return whole;
     }
-    line
+    let (head, tail) = (MOST_LINE * 3 / 4, length - MOST_LINE / 4);
+    let part = |from: usize, to: usize| whole.chars().skip(from).take(to - from).collect::<String>();
+    format!("{} ... ({} characters) ... {}", part(0, head), tail - head, part(tail, length))
 }
 
 /// Control characters but for the tab, and those that turn the direction of text.
@@ -65,9 +71,9 @@ mod tests {
 
     #[test]
     fn long_lines_lose_their_middle_and_long_texts_their_end() {
-        let text = format!("file: {}: do this\n{}", "x".repeat(5_000_000), "y\n".repeat(100));
+        let text = format!("file: {}: do this\n{}", "x".repeat(5_000_000), "y\n".repeat(10_000));
         let short = shown(&text);
-        assert!(short.len() < 4000 && short.starts_with("file: xx") && short.ends_with("more lines)"), "{short}");
+        assert!(short.len() < 9000 && short.starts_with("file: xx") && short.ends_with("more lines)"), "{short}");
         assert!(short.contains("characters) ...") && short.contains("x: do this\n"), "{short}");
     }
 }

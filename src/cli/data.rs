@@ -12,7 +12,7 @@ use crate::run::{load_scene, split_name, write_corrupted};
 use crate::settings::{build, parse_assignment};
 
 use super::experiment::Experiment;
-use super::progress::{Console, print};
+use super::progress::{Console, print, print_shown};
 
 #[derive(Subcommand)]
 pub enum DataCommand {
@@ -115,7 +115,7 @@ impl CheckArguments {
         let (config, scene) = load_scene(config, &Console::new(self.quiet))?;
         let split = ("split".to_string(), split_name(&config));
         for (label, value) in scene.describe().into_iter().chain([split]) {
-            print(&format!("{label:>16}  {value}"))?;
+            print_shown(&format!("{label:>16}  {value}"))?;
         }
         Ok(())
     }

@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 
 use indicatif::{ProgressBar, ProgressStyle};
 
-use crate::base::{Error, Event, Listener, Result};
+use crate::base::{Error, Event, Listener, Result, shown};
 
 /// Where there is no terminal, a line at most so often.
 const LINE_EVERY: Duration = Duration::from_secs(10);
@@ -14,7 +14,7 @@ const LINE_EVERY: Duration = Duration::from_secs(10);
 /// Prints a line on standard error. A reader that has gone away (`2>&1 | head`) is no reason to
 /// stop training.
 pub fn report(line: &str) {
-    let _ = writeln!(std::io::stderr(), "{line}");
+    let _ = writeln!(std::io::stderr(), "{}", shown(line));
 }
 
 /// Prints a result on standard output. A reader that has seen enough may close it (`| head`).
@@ -24,6 +24,11 @@ pub fn report(line: &str) {
 pub fn print(text: &str) -> Result<()> {
     let mut out = std::io::stdout();
     printed(writeln!(out, "{text}").and_then(|()| out.flush()))
+}
+
+/// [`print`] of what is for people alone and may quote names of files and of what they hold.
+pub fn print_shown(text: &str) -> Result<()> {
+    print(&shown(text))
 }
 
 /// What becomes of an attempt to write to standard output.
@@ -171,7 +176,7 @@ impl TrainingBar {
     /// Prints a line above the bar.
     fn say(&self, line: &str) {
         match &self.bar {
-            Some(bar) => bar.println(line),
+            Some(bar) => bar.println(shown(line)),
             None if self.quiet => {}
             None => report(line),
         }

@@ -79,7 +79,7 @@ pub fn parse_assignment(text: &str) -> Result<(Vec<String>, Value)> {
         return Err(Error::Config(format!("--set {text}: write it as section.field=value, such as train.steps=2000")));
     };
     let path: Vec<String> = key.trim().split('.').map(|part| part.trim().to_string()).collect();
-    if path.iter().any(String::is_empty) || path.len() > DEEPEST {
+    if path.iter().any(String::is_empty) {
         return Err(Error::Config(format!("--set {text}: '{key}' is not a field; write it as section.field=value")));
     }
     let value = value.trim();
@@ -159,6 +159,10 @@ fn merge(base: &mut Table, over: Table) {
 }
 
 fn assign(table: &mut Table, path: &[String], value: Value) -> Result<()> {
+    let origin = format!("--set {}", path.join("."));
+    if path.len() > DEEPEST {
+        return Err(Error::Config(format!("{origin}: no field has a name of {} parts", path.len())));
+    }
     let mut layer = Table::new();
     let (last, parents) = path.split_last().expect("an assignment has a key");
     layer.insert(last.clone(), value);
@@ -166,7 +170,6 @@ fn assign(table: &mut Table, path: &[String], value: Value) -> Result<()> {
         let inner = std::mem::take(&mut layer);
         layer.insert(parent.clone(), Value::Table(inner));
     }
-    let origin = format!("--set {}", path.join("."));
     check_keys(&layer, &origin)?;
     // Checked alone first, so that the message can name the assignment.
     toml::from_str::<Config>(&toml::to_string(&layer).expect("plain data"))

@@ -6,7 +6,7 @@ use std::path::PathBuf;
 use clap::Args;
 
 use crate::base::{Error, Result};
-use crate::cli::progress::print;
+use crate::cli::progress::print_shown;
 use crate::report::Status;
 use crate::sweep::{Point, SweepFolder};
 
@@ -36,7 +36,7 @@ impl StatusArguments {
             terminal
                 .clear_last_lines(shown)
                 .map_err(|e| Error::Output(format!("cannot write to the terminal: {e}")))?;
-            lines.iter().try_for_each(|line| print(line))?;
+            lines.iter().try_for_each(|line| print_shown(line))?;
             match self.watch {
                 Some(seconds) if left > 0 => std::thread::sleep(std::time::Duration::from_secs(seconds.into())),
                 _ => return Ok(()),

@@ -113,8 +113,22 @@ fn change_chunk(bytes: &mut Vec<u8>, seeds: &[Vec<u8>], dice: &mut Dice) {
 
 /// The sum of PNG chunks and of files in a zip archive (ISO 3309).
 pub fn crc32(bytes: &[u8]) -> u32 {
-    let step = |sum: u32, _| if sum & 1 == 1 { 0xedb8_8320 ^ (sum >> 1) } else { sum >> 1 };
-    !bytes.iter().fold(!0, |sum, byte| (0..8).fold(sum ^ u32::from(*byte), step))
+    /// What eight steps make of each byte.
+    const TABLE: [u32; 256] = {
+        let mut table = [0; 256];
+        let mut entry = 0;
+        while entry < 256 {
+            let (mut sum, mut bit) = (entry as u32, 0);
+            while bit < 8 {
+                sum = if sum & 1 == 1 { 0xedb8_8320 ^ (sum >> 1) } else { sum >> 1 };
+                bit += 1;
+            }
+            table[entry] = sum;
+            entry += 1;
+        }
+        table
+    };
+    !bytes.iter().fold(!0, |sum, byte| TABLE[usize::from(sum as u8 ^ byte)] ^ (sum >> 8))
 }
 
 /// Puts in an operation of pickles, repeats some, or changes bytes.
