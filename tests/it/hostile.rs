@@ -11,7 +11,7 @@ use crate::common::program::{augnerf, demand, refuse, succeed};
 use augnerf::base::Error;
 use augnerf::metrics::{Backbone, Lpips};
 use augnerf::settings::{build, parse_assignment};
-use augnerf::space::read_mesh;
+use augnerf::space::{chamfer, read_mesh, sample};
 use candle_core::Device;
 use tempfile::TempDir;
 
@@ -87,6 +87,41 @@ fn rows_without_properties_are_not_counted() {
     }
     let file = fixture("pl6.ply");
     refuse(&["chamfer", file.to_str().unwrap(), file.to_str().unwrap()], 3, &["pl6.ply", "1000000000000"]);
+}
+
+/// Far apart, almost every point of one mesh is about as near to the other: no search may look at all of them.
+#[test]
+fn meshes_far_apart_take_hardly_longer_than_meshes_that_touch() {
+    let sphere = |away: f32| {
+        const SIDE: u32 = 100;
+        let at = |i: u32, turns: f32| (i as f32 / SIDE as f32 * turns * std::f32::consts::PI).sin_cos();
+        let corner = |i: u32, j: u32| {
+            let ((sin, cos), (side, ahead)) = (at(i, 1.0), at(j, 2.0));
+            [away + sin * ahead, sin * side, cos]
+        };
+        let index = |i: u32, j: u32| i * SIDE + j % SIDE;
+        let cell = |i: u32, j: u32| {
+            let [a, b, c, d] = [index(i, j), index(i, j + 1), index(i + 1, j + 1), index(i + 1, j)];
+            [[a, b, c], [a, c, d]]
+        };
+        let mesh = augnerf::space::Mesh {
+            vertices: (0..=SIDE).flat_map(|i| (0..SIDE).map(move |j| corner(i, j))).collect(),
+            triangles: (0..SIDE).flat_map(|i| (0..SIDE).flat_map(move |j| cell(i, j))).collect(),
+            ..Default::default()
+        };
+        sample(&mesh, 80_000, 0).unwrap()
+    };
+    let (here, touching, away) = (sphere(0.0), sphere(0.05), sphere(30.0));
+    let seconds = |other| {
+        let once = |_| {
+            let started = Instant::now();
+            chamfer(&here, other, &[]).unwrap();
+            started.elapsed().as_secs_f64()
+        };
+        (0..3).map(once).fold(f64::INFINITY, f64::min)
+    };
+    let (near, far) = (seconds(&touching), seconds(&away));
+    assert!(far < 6.0 * near, "{far:.2} s far apart, {near:.2} s where they touch");
 }
 
 #[test]
