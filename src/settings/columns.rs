@@ -188,7 +188,7 @@ pub const COLUMNS: &[Column] = &[
     column("attack_geometry").where_differing().of(perturbed),
     column("step_over_radius").of(perturbed),
     column("training_views").in_caption().unless_varied(),
-    column("validation").in_caption().unless_varied(),
+    column("validation").in_caption().unless_varied().of(|config| !config.data.kind.has_splits()),
     column("views_seen").in_caption().unless_varied(),
     column("views_seed").where_differing().unless_varied(),
     column("encoding").where_differing(),
