@@ -119,12 +119,15 @@ impl Collector<'_> {
             let done = |point: &&Point| {
                 self.material.records.iter().any(|record| record.id == point.id && record.status == Status::Done)
             };
-            let scalars =
-                self.points.iter().filter(own).filter(done).filter_map(|point| self.material.scalars.get(&point.id));
-            let seeds: Vec<_> =
-                scalars.map(|scalars| scalars.pairs("step", "psnr")).filter(|curve| !curve.is_empty()).collect();
+            let points: Vec<&Point> = self.points.iter().filter(own).filter(done).collect();
+            let of = |column: &str| -> Vec<_> {
+                let scalars = points.iter().filter_map(|point| self.material.scalars.get(&point.id));
+                scalars.map(|scalars| scalars.pairs("step", column)).filter(|curve| !curve.is_empty()).collect()
+            };
+            let seeds = of("psnr");
             if !seeds.is_empty() {
-                curves.push(Curve { label: row.name.clone(), seeds });
+                let (held_out, seen) = (of("test_psnr"), of("train_psnr"));
+                curves.push(Curve { label: row.name.clone(), seeds, held_out, seen });
             }
         }
         curves

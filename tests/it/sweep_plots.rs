@@ -187,13 +187,33 @@ fn training_curves() {
         seeds: (0..3)
             .map(|seed| (1..=60).map(|i| (50.0 * i as f64, level - 8.0 / i as f64 + noise(seed, i))).collect())
             .collect(),
+        ..Curve::default()
     };
     let curves: Vec<Curve> = ROWS[..10].iter().enumerate().map(|(i, row)| curve(row, 18.0 + 0.3 * i as f64)).collect();
     let figure = curves_figure("Ablation: training on fern", "PSNR of the step's rays (dB)", &curves).unwrap().unwrap();
     keep("curves", &figure);
     assert!(figure.svg.contains("moving averages") && figure.svg.contains("stroke-dasharray"));
     assert!(curves_figure("t", "u", &[]).unwrap().is_none());
-    assert!(curves_figure("t", "u", &[Curve { label: "empty".into(), seeds: vec![vec![]] }]).unwrap().is_none());
+    assert!(
+        curves_figure("t", "u", &[Curve { label: "empty".into(), seeds: vec![vec![]], ..Curve::default() }])
+            .unwrap()
+            .is_none()
+    );
+}
+
+/// Where views were evaluated during training, a second panel has held-out and training views of each row.
+#[test]
+fn training_curves_show_seen_and_unseen_views() {
+    let evaluated = |level: f64| vec![(1..=4).map(|i| (500.0 * i as f64, level + i as f64)).collect::<Vec<_>>(); 2];
+    let rays = Curve { label: "NeRF".into(), seeds: evaluated(17.0), ..Curve::default() };
+    let both = Curve { held_out: evaluated(18.0), seen: evaluated(20.0), ..rays.clone() };
+    let [without, with] = [rays, both].map(|curve| curves_figure("t", "u", &[curve]).unwrap().unwrap().svg);
+    let words = |svg: &str, word: &str| svg.matches(&format!(">\n{word}\n<")).count();
+    for (svg, times) in [(&without, 0), (&with, 1)] {
+        assert_eq!((words(svg, "held-out views"), words(svg, "training views")), (times, times));
+        assert_eq!(svg.matches("<circle").count(), 4 * times, "a dot an evaluation");
+    }
+    assert!(with.contains("PSNR of whole views (dB)"));
 }
 
 #[test]
@@ -211,7 +231,7 @@ fn odd_input_draws_or_says_that_there_is_nothing() {
     let plain = [record("NeRF", vec![], 0, Some(20.0)), record("Aug-NeRF", vec![], 0, None)];
     let table = Table::new(&two, &plain, false).unwrap();
     assert!(rows_figure(&table, &plain, "fern", "psnr").unwrap().unwrap().svg.contains("no data"));
-    let flat = Curve { label: "flat".into(), seeds: vec![vec![(1.0, 20.0)]] };
+    let flat = Curve { label: "flat".into(), seeds: vec![vec![(1.0, 20.0)]], ..Curve::default() };
     assert!(curves_figure("t", "u", &[flat]).unwrap().is_some());
 }
 
@@ -268,7 +288,8 @@ fn the_smallest_and_largest_numbers_and_odd_letters_are_drawn() {
             let table = Table::new(&spec, &records, false).unwrap();
             rows_figure(&table, &records, "fern", "psnr").unwrap();
             axes_figure(&spec, &records, "fern", "psnr").unwrap();
-            let curve = Curve { label: odd[1].into(), seeds: vec![vec![(0.0, a), (1.0, b)], vec![(0.0, b), (a, b)]] };
+            let seeds = vec![vec![(0.0, a), (1.0, b)], vec![(0.0, b), (a, b)]];
+            let curve = Curve { label: odd[1].into(), held_out: seeds.clone(), seen: seeds.clone(), seeds };
             curves_figure("t\u{0}", "u", &[curve]).unwrap();
         }
     }

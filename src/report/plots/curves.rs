@@ -3,37 +3,40 @@
 use super::{Figure, SPREAD_NOTE, Spread};
 use crate::base::Result;
 use crate::draw::canvas::{
-    Anchor, BLACK, Canvas, LINE_HEIGHT, PALETTE, Panel, TEXT, TITLE, number, range, text_width, ticks,
+    Anchor, BLACK, Canvas, Colour, LINE_HEIGHT, PALETTE, Panel, TEXT, TITLE, number, range, text_width, ticks,
 };
 
 /// Log points that a curve's moving average spans.
 const WINDOW: usize = 5;
 
 /// One row's training, seed by seed: step and value.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct Curve {
     /// The row.
     pub label: String,
     /// Log points of each seed.
     pub seeds: Vec<Vec<(f64, f64)>>,
+    /// The same of held-out views, at evaluations; empty where there was none during training.
+    pub held_out: Vec<Vec<(f64, f64)>>,
+    /// The same of training views.
+    pub seen: Vec<Vec<(f64, f64)>>,
 }
 
-impl Curve {
-    /// Steps with what the smoothed seeds spread over there.
-    fn spreads(&self) -> Vec<(f64, Spread)> {
-        let smooth: Vec<Vec<(f64, f64)>> = self.seeds.iter().map(|seed| smoothed(seed)).collect();
-        let Some(first) = smooth.first() else { return Vec::new() };
-        let at = |index: usize| {
-            let values: Vec<f64> = smooth.iter().filter_map(|seed| Some(seed.get(index)?.1)).collect();
-            Some((first[index].0, Spread::new(&values)?))
-        };
-        (0..first.len()).filter_map(at).collect()
-    }
+/// Steps with what the values of all seeds spread over there.
+type Line = Vec<(f64, Spread)>;
+
+fn spreads(seeds: &[Vec<(f64, f64)>]) -> Line {
+    let Some(first) = seeds.first() else { return Vec::new() };
+    let at = |index: usize| {
+        let values: Vec<f64> = seeds.iter().filter_map(|seed| Some(seed.get(index)?.1)).collect();
+        Some((first[index].0, Spread::new(&values)?))
+    };
+    (0..first.len()).filter_map(at).collect()
 }
 
 /// Centred moving average; shorter at the ends.
 fn smoothed(points: &[(f64, f64)]) -> Vec<(f64, f64)> {
-    let points: Vec<(f64, f64)> = points.iter().copied().filter(|(_, value)| value.is_finite()).collect();
+    let points = finite(points);
     let around = |index: usize| {
         let half = (WINDOW / 2).min(index).min(points.len() - 1 - index);
         let window = &points[index - half..=index + half];
@@ -42,49 +45,145 @@ fn smoothed(points: &[(f64, f64)]) -> Vec<(f64, f64)> {
     (0..points.len()).map(around).collect()
 }
 
-/// Means over seeds against steps, with a legend; none without points.
-pub fn curves_figure(title: &str, unit: &str, curves: &[Curve]) -> Result<Option<Figure>> {
-    let spreads: Vec<(&Curve, Vec<(f64, Spread)>)> = curves.iter().map(|curve| (curve, curve.spreads())).collect();
-    let values = spreads.iter().flat_map(|(_, spread)| {
-        spread.iter().flat_map(|(_, s)| s.band.map_or([s.mean, s.mean], |(low, high)| [low, high]))
-    });
-    let steps = spreads.iter().flat_map(|(_, spread)| spread.iter().map(|(step, _)| *step));
-    let (Some(range), Some(last)) = (range(values), steps.reduce(f64::max)) else { return Ok(None) };
-    let legend = curves.iter().map(|curve| text_width(&curve.label, TEXT)).fold(60.0, f64::max);
-    let panel = Panel { left: 76.0, top: 50.0, width: 560.0, height: 320.0, range };
-    let legend_height = 60.0 + curves.len() as f64 * LINE_HEIGHT;
-    let mut drawing = Canvas::new(panel.right() + legend + 70.0, (panel.bottom() + 52.0).max(legend_height));
-    drawing.text((20.0, 20.0), title, TITLE, Anchor::Left, BLACK);
-    panel.frame(&mut drawing, true);
-    let x = |step: f64| panel.left + panel.width * step / last.max(1.0);
-    let (marks, step) = ticks((0.0, last.max(1.0)), 6);
-    for mark in marks {
-        drawing.text((x(mark), panel.bottom() + 12.0), &number(mark, step), TEXT, Anchor::Middle, BLACK);
+fn finite(points: &[(f64, f64)]) -> Vec<(f64, f64)> {
+    points.iter().copied().filter(|(_, value)| value.is_finite()).collect()
+}
+
+/// Lowest and highest number that lines and their bands reach.
+fn range_of<'a>(lines: impl Iterator<Item = &'a Line>) -> Option<(f64, f64)> {
+    range(lines.flatten().flat_map(|(_, s)| s.band.map_or([s.mean, s.mean], |(low, high)| [low, high])))
+}
+
+/// How a line is drawn.
+#[derive(Clone, Copy)]
+struct Stroke {
+    colour: Colour,
+    dashed: bool,
+    width: f64,
+}
+
+impl Stroke {
+    fn draw(self, drawing: &mut Canvas, line: &[(f64, f64)]) {
+        match self.dashed {
+            true => drawing.dashed(line, self.colour, self.width),
+            false => drawing.line(line, self.colour, self.width),
+        }
     }
-    drawing.text((panel.left + panel.width / 2.0, panel.bottom() + 32.0), "step", TEXT, Anchor::Middle, BLACK);
-    drawing.text((panel.left, panel.top - 12.0), unit, TEXT, Anchor::Left, BLACK);
-    for (index, (curve, spread)) in spreads.iter().enumerate() {
-        let colour = PALETTE[index % PALETTE.len()];
-        let banded: Vec<(f64, (f64, f64))> = spread.iter().filter_map(|(step, s)| Some((*step, s.band?))).collect();
+}
+
+/// A panel over steps.
+struct Plot {
+    panel: Panel,
+    /// The last step.
+    last: f64,
+}
+
+impl Plot {
+    fn x(&self, step: f64) -> f64 {
+        self.panel.left + self.panel.width * step / self.last.max(1.0)
+    }
+
+    fn frame(&self, drawing: &mut Canvas, unit: &str) {
+        let panel = &self.panel;
+        panel.frame(drawing, true);
+        let (marks, step) = ticks((0.0, self.last.max(1.0)), 6);
+        for mark in marks {
+            drawing.text((self.x(mark), panel.bottom() + 12.0), &number(mark, step), TEXT, Anchor::Middle, BLACK);
+        }
+        drawing.text((panel.left + panel.width / 2.0, panel.bottom() + 32.0), "step", TEXT, Anchor::Middle, BLACK);
+        drawing.text((panel.left, panel.top - 12.0), unit, TEXT, Anchor::Left, BLACK);
+    }
+
+    fn line(&self, drawing: &mut Canvas, line: &Line, stroke: Stroke) {
+        let banded: Vec<(f64, (f64, f64))> = line.iter().filter_map(|(step, s)| Some((*step, s.band?))).collect();
         if banded.len() > 1 {
-            let upper = banded.iter().map(|(step, (_, high))| (x(*step), panel.y(*high)));
-            let lower = banded.iter().rev().map(|(step, (low, _))| (x(*step), panel.y(*low)));
-            drawing.area(upper.chain(lower).collect(), colour, 0.12);
+            let upper = banded.iter().map(|(step, (_, high))| (self.x(*step), self.panel.y(*high)));
+            let lower = banded.iter().rev().map(|(step, (low, _))| (self.x(*step), self.panel.y(*low)));
+            drawing.area(upper.chain(lower).collect(), stroke.colour, 0.12);
         }
-        let line: Vec<(f64, f64)> = spread.iter().map(|(step, s)| (x(*step), panel.y(s.mean))).collect();
-        let y = panel.top + 8.0 + index as f64 * LINE_HEIGHT;
-        let sample = [(panel.right() + 14.0, y), (panel.right() + 42.0, y)];
-        // Beyond the palette's end colours come again, dashed.
-        if index < PALETTE.len() {
-            drawing.line(&line, colour, 1.8);
-            drawing.line(&sample, colour, 2.5);
-        } else {
-            drawing.dashed(&line, colour, 1.8);
-            drawing.dashed(&sample, colour, 2.5);
-        }
-        drawing.text((panel.right() + 48.0, y), &curve.label, TEXT, Anchor::Left, BLACK);
+        stroke.draw(drawing, &self.places(line));
     }
-    drawing
-        .caption(&format!("{SPREAD_NOTE} Curves are moving averages over {WINDOW} log points, of the training rays."));
+
+    /// Where a line's means are.
+    fn places(&self, line: &Line) -> Vec<(f64, f64)> {
+        line.iter().map(|(step, s)| (self.x(*step), self.panel.y(s.mean))).collect()
+    }
+
+    /// An entry of the legend beside the panel.
+    fn entry(&self, drawing: &mut Canvas, index: usize, label: &str, stroke: Stroke) {
+        let y = self.panel.top + 8.0 + index as f64 * LINE_HEIGHT;
+        let sample = [(self.panel.right() + 14.0, y), (self.panel.right() + 42.0, y)];
+        Stroke { width: 2.5, ..stroke }.draw(drawing, &sample);
+        drawing.text((self.panel.right() + 48.0, y), label, TEXT, Anchor::Left, BLACK);
+    }
+}
+
+/// A row's colour. Beyond the palette's end colours come again, dashed.
+fn stroke(index: usize) -> Stroke {
+    Stroke { colour: PALETTE[index % PALETTE.len()], dashed: index >= PALETTE.len(), width: 1.8 }
+}
+
+/// Means over seeds against steps, with a legend; below it, where views were evaluated during training, held-out views and
+/// training views. None without points.
+pub fn curves_figure(title: &str, unit: &str, curves: &[Curve]) -> Result<Option<Figure>> {
+    let smooth = |curve: &Curve| curve.seeds.iter().map(|seed| smoothed(seed)).collect::<Vec<_>>();
+    let lines: Vec<Line> = curves.iter().map(|curve| spreads(&smooth(curve))).collect();
+    let steps = lines.iter().flatten().map(|(step, _)| *step);
+    let (Some(range), Some(last)) = (range_of(lines.iter()), steps.reduce(f64::max)) else { return Ok(None) };
+    let legend = curves.iter().map(|curve| text_width(&curve.label, TEXT)).fold(60.0, f64::max);
+    let plot = Plot { panel: Panel { left: 76.0, top: 50.0, width: 560.0, height: 320.0, range }, last };
+    let legend_height = 60.0 + curves.len() as f64 * LINE_HEIGHT;
+    let bottom = (plot.panel.bottom() + 52.0).max(legend_height);
+    let evaluated = Evaluated::new(curves, bottom, last);
+    let width = if evaluated.is_some() { legend.max(text_width(SEEN, TEXT)) } else { legend };
+    let bottom = evaluated.as_ref().map_or(bottom, |evaluated| evaluated.plot.panel.bottom() + 52.0);
+    let mut drawing = Canvas::new(plot.panel.right() + width + 70.0, bottom);
+    drawing.text((20.0, 20.0), title, TITLE, Anchor::Left, BLACK);
+    plot.frame(&mut drawing, unit);
+    for (index, (curve, line)) in curves.iter().zip(&lines).enumerate() {
+        plot.line(&mut drawing, line, stroke(index));
+        plot.entry(&mut drawing, index, &curve.label, stroke(index));
+    }
+    if let Some(evaluated) = &evaluated {
+        evaluated.draw(&mut drawing);
+    }
+    let above = if evaluated.is_some() { "above are" } else { "are" };
+    drawing.caption(&format!(
+        "{SPREAD_NOTE} Curves {above} moving averages over {WINDOW} log points, of the training rays."
+    ));
     drawing.finish().map(Some)
+}
+
+const HELD_OUT: &str = "held-out views";
+const SEEN: &str = "training views";
+
+/// The panel of evaluations during training.
+struct Evaluated {
+    plot: Plot,
+    /// Each row's held-out and training views.
+    lines: Vec<[Line; 2]>,
+}
+
+impl Evaluated {
+    /// Below `top`; none where nothing was evaluated.
+    fn new(curves: &[Curve], top: f64, last: f64) -> Option<Evaluated> {
+        let line = |seeds: &[Vec<(f64, f64)>]| spreads(&seeds.iter().map(|seed| finite(seed)).collect::<Vec<_>>());
+        let lines: Vec<[Line; 2]> = curves.iter().map(|curve| [line(&curve.held_out), line(&curve.seen)]).collect();
+        let range = range_of(lines.iter().flatten())?;
+        let panel = Panel { left: 76.0, top: top + 30.0, width: 560.0, height: 240.0, range };
+        Some(Evaluated { plot: Plot { panel, last }, lines })
+    }
+
+    fn draw(&self, drawing: &mut Canvas) {
+        self.plot.frame(drawing, "PSNR of whole views (dB)");
+        for (index, [held_out, seen]) in self.lines.iter().enumerate() {
+            let solid = Stroke { dashed: false, ..stroke(index) };
+            self.plot.line(drawing, held_out, solid);
+            self.plot.places(held_out).into_iter().for_each(|at| drawing.dot(at, 2.5, solid.colour, 1.0));
+            Stroke { dashed: true, ..solid }.draw(drawing, &self.plot.places(seen));
+        }
+        for (index, (label, dashed)) in [(HELD_OUT, false), (SEEN, true)].into_iter().enumerate() {
+            self.plot.entry(drawing, index, label, Stroke { colour: BLACK, dashed, width: 1.8 });
+        }
+    }
 }
