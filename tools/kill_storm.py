@@ -328,7 +328,7 @@ class Storm:
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--program", type=Path, default=ROOT / "target/release/augnerf")
-    parser.add_argument("--folder", type=Path, help="where to work [default: the system's temporary folder]")
+    parser.add_argument("--folder", type=Path, help="where to work [default: the system's temporary folder; --short: in memory, where it can]")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--only", type=lambda text: text.split(","), help="parts, with commas between them")
     parser.add_argument("--short", action="store_true")
@@ -339,6 +339,8 @@ def main():
     for name, (default, short) in numbers.items():
         if getattr(arguments, name) is None:
             setattr(arguments, name, short if arguments.short else default)
+    if arguments.short and not arguments.folder and os.access("/dev/shm", os.W_OK):
+        arguments.folder = Path("/dev/shm")
     arguments.program = arguments.program.resolve()
     if not arguments.program.exists():
         sys.exit(f"kill_storm: {arguments.program} is missing: cargo build --release")

@@ -326,7 +326,7 @@ fn probe(folder: &Path) -> Result<()> {
     let bytes: Vec<u8> = (0..PROBE_BYTES).map(|i| (i.wrapping_mul(2_654_435_761) >> 16) as u8).collect();
     let written = remove(&name).and_then(|()| write_synced(&name, &bytes));
     let removed = remove(&name);
-    written.and_then(|_| removed).map_err(|error| Error::unwritable(folder, &error))
+    written.and(removed).map_err(|error| Error::unwritable(folder, &error))
 }
 
 fn check_space(path: &Path, needed: u64) -> Result<()> {
