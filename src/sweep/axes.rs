@@ -1,7 +1,7 @@
 //! What a sweep varies: settings that move together, and the values that they take.
 
 use serde::{Deserialize, Serialize};
-use toml::Value;
+use toml::{Table, Value};
 
 use crate::base::rng::{Random, Stream};
 use crate::report::AxisValue;
@@ -20,6 +20,9 @@ pub struct Axis {
     pub panel: String,
     /// Dotted names of the settings.
     pub keys: Vec<String>,
+    /// Settings of all its points, by their dotted names, besides what it varies.
+    #[serde(default, skip_serializing_if = "Table::is_empty")]
+    pub set: Table,
     /// The values; all keys take the same.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub values: Option<Vec<Value>>,

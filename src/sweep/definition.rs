@@ -85,16 +85,18 @@ pub enum Combine {
 #[serde(deny_unknown_fields)]
 pub struct Budget {
     /// What is equal.
+    #[serde(default)]
     pub kind: BudgetKind,
     /// The row whose `train.steps` sets the budget.
     pub like: String,
 }
 
 /// What rows of equal budget have in common.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum BudgetKind {
-    /// Network evaluations: passes forward or back through a network at one point.
+    /// Network evaluations: passes forward or back through a network at one point. The same on every machine and day.
+    #[default]
     Evaluations,
     /// Wall time of the steps, as measured on the machine that starts the sweep.
     Seconds,

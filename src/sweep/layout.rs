@@ -161,7 +161,8 @@ impl Builder<'_> {
         for (table, value) in [&self.definition.set, &row.set].into_iter().flatten() {
             flatten(table, value, &mut assign);
         }
-        for (_, point) in axes {
+        for (axis, point) in axes {
+            axis.set.iter().for_each(|(table, value)| flatten(table, value, &mut assign));
             point.sets.iter().for_each(|(key, value)| assign(key, value.clone()));
         }
         match self.scene {

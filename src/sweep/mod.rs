@@ -38,7 +38,7 @@ pub use definition::{Budget, BudgetKind, Combine, Definition, Overrides, Row};
 pub use folder::{Change, SweepFolder};
 pub use layout::Place;
 pub use material::{Material, Scalars};
-pub use planning::{CostGroup, begin, plan_costs};
+pub use planning::{CostGroup, PublishedCosts, begin, plan_costs};
 pub use point_folder::{Failure, PointFolder, PointResult, PointState};
 pub use points::{Point, expand};
 pub use provenance::{Missing, Provenance};

@@ -10,7 +10,7 @@ use crate::settings::Config;
 
 use super::budget::StepCosts;
 use super::definition::Definition;
-use super::folder::{Change, SweepFolder};
+use super::folder::{Change, STEP_SECONDS, SweepFolder};
 use super::layout::{Laid, lay_out};
 use super::points::{Point, apply_budgets};
 use super::training::{Cost, Trainings};
@@ -144,6 +144,42 @@ impl StepCosts for Unknown {
     }
 }
 
+/// Seconds of a step as the sweep's tables were made with, which lie beside them; measured where they are not there. A sweep
+/// that is begun anew, on another day or machine, comes to the same steps and so to the same points.
+pub struct PublishedCosts<'a> {
+    known: BTreeMap<String, f64>,
+    measure: &'a dyn StepCosts,
+}
+
+impl<'a> PublishedCosts<'a> {
+    /// Those of the tables in `results`.
+    ///
+    /// # Errors
+    /// A file that holds no seconds.
+    pub fn beside(results: &Path, measure: &'a dyn StepCosts) -> Result<PublishedCosts<'a>> {
+        Ok(PublishedCosts { known: read_seconds(&results.join(STEP_SECONDS))?, measure })
+    }
+}
+
+impl StepCosts for PublishedCosts<'_> {
+    fn seconds_per_step(&self, config: &Config) -> Result<f64> {
+        match self.known.get(&config.step_shape()) {
+            Some(seconds) => Ok(*seconds),
+            None => self.measure.seconds_per_step(config),
+        }
+    }
+}
+
+/// Seconds by the shapes of steps; none where there is no such file.
+fn read_seconds(path: &Path) -> Result<BTreeMap<String, f64>> {
+    let known: BTreeMap<String, f64> = read_json(path, "delete it")?.unwrap_or_default();
+    if let Some((shape, seconds)) = known.iter().find(|(_, seconds)| !(seconds.is_finite() && **seconds > 0.0)) {
+        let found = format!("a step of {shape} takes {seconds} s, which no step does");
+        return Err(Error::Checkpoint(format!("cannot use {}: {found}; delete it", path.display())));
+    }
+    Ok(known)
+}
+
 /// Seconds of a step as measured when the sweep was begun, kept with it: an extended sweep keeps
 /// its points. Used under the folder's lock.
 struct KeptCosts<'a> {
@@ -155,11 +191,7 @@ struct KeptCosts<'a> {
 impl<'a> KeptCosts<'a> {
     fn new(folder: &SweepFolder, measure: &'a dyn StepCosts) -> Result<KeptCosts<'a>> {
         let path = folder.step_seconds();
-        let known: BTreeMap<String, f64> = read_json(&path, "delete it")?.unwrap_or_default();
-        if let Some((shape, seconds)) = known.iter().find(|(_, seconds)| **seconds <= 0.0) {
-            let found = format!("a step of {shape} takes {seconds} s, which no step does");
-            return Err(Error::Checkpoint(format!("cannot use {}: {found}; delete it", path.display())));
-        }
+        let known = read_seconds(&path)?;
         Ok(KeptCosts { path, known: Mutex::new(known), measure })
     }
 }

@@ -92,24 +92,31 @@ pub fn expand(definition: &Definition, data_root: Option<&Path>, costs: &dyn Ste
 /// Two rows that are the same experiment.
 pub(super) fn apply_budgets(laid: &[Laid], costs: &dyn StepCosts) -> Result<Vec<Point>> {
     let mut points: Vec<Point> = Vec::new();
-    let mut known: HashMap<String, usize> = HashMap::new();
+    let mut known: HashMap<String, (usize, Vec<&Laid>)> = HashMap::new();
     for laid in laid {
         let point = point(laid, costs)?;
-        let Some(&index) = known.get(&point.id) else {
-            known.insert(point.id.clone(), points.len());
+        let Some((index, others)) = known.get_mut(&point.id) else {
+            known.insert(point.id.clone(), (points.len(), vec![laid]));
             points.push(point);
             continue;
         };
-        let (places, place) = (&mut points[index].places, &laid.place);
-        if let Some(same) = places.iter().find(|other| other.row != place.row && other.axes == place.axes) {
+        if let Some(same) = others.iter().find(|other| is_same_row(other, laid)) {
             return Err(Error::Config(format!(
                 "rows '{}' and '{}' are the same experiment; change or remove one",
-                same.row, place.row
+                same.place.row, laid.place.row
             )));
         }
-        places.push(place.clone());
+        others.push(laid);
+        points[*index].places.push(laid.place.clone());
     }
     Ok(points)
+}
+
+/// Two rows that come to one configuration are one by mistake. Budgets of two kinds may come to the same steps.
+fn is_same_row(a: &Laid, b: &Laid) -> bool {
+    let kind = |laid: &Laid| laid.budget.as_ref().map(|(kind, _)| *kind);
+    let budgets_differ = kind(a).is_some() && kind(b).is_some() && kind(a) != kind(b);
+    a.place.row != b.place.row && a.place.axes == b.place.axes && !budgets_differ
 }
 
 /// The point of one place.

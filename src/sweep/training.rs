@@ -25,8 +25,13 @@ use super::runner::Work;
 const SMOOTHNESS: Lattice = Lattice { domain: [[-1.0; 3], [1.0; 3]], side: 64 };
 /// Scenes in memory at once: points come scene by scene.
 const SCENES: usize = 2;
-/// Steps that a measurement of step time takes, after as many that warm up.
-const MEASURED_STEPS: u32 = 4;
+/// Seconds that steps warm up for, and are then timed for, where a budget hangs on them. A few steps tell a clock's and a cold
+/// cache's mood: two such measurements of one machine came to budgets that differed by several per cent.
+const CALIBRATION: [f64; 2] = [2.0, 6.0];
+/// The same for what is only told to a person.
+const ESTIMATE: [f64; 2] = [0.0, 0.0];
+/// Either takes as many steps at least.
+const LEAST_STEPS: usize = 4;
 
 /// Everything that the trainings of a sweep share.
 pub struct Trainings<'a> {
@@ -112,7 +117,7 @@ impl Trainings<'_> {
     /// Measures a few real steps and a piece of a held-out view, for as many as an evaluation renders.
     pub fn cost(&self, config: &Config) -> Result<Cost> {
         reset_peak_memory();
-        let seconds_per_step = self.seconds_per_step(config)?;
+        let seconds_per_step = self.time_steps(config, ESTIMATE)?;
         let (trainer, scene, config) = self.trainer(config)?;
         let mut seconds_evaluation = 0.0;
         if let Some(view) = scene.test.first() {
@@ -131,6 +136,16 @@ impl Trainings<'_> {
     }
 }
 
+impl Trainings<'_> {
+    /// Seconds of a step: the median of real ones, from the initial weights on.
+    fn time_steps(&self, config: &Config, [warm_up, timed]: [f64; 2]) -> Result<f64> {
+        let (mut trainer, _, _) = self.trainer(config)?;
+        let mut step = || trainer.step(false).map(|_| ());
+        time_each(&mut step, warm_up)?;
+        Ok(median(time_each(&mut step, timed)?))
+    }
+}
+
 /// Starts the system's record of the highest memory anew, where it keeps one (Linux).
 fn reset_peak_memory() {
     // Where it fails the record stays that of the whole process: too high, never too low.
@@ -139,16 +154,27 @@ fn reset_peak_memory() {
 
 impl StepCosts for Trainings<'_> {
     fn seconds_per_step(&self, config: &Config) -> Result<f64> {
-        let (mut trainer, _, _) = self.trainer(config)?;
-        for _ in 0..MEASURED_STEPS {
-            trainer.step(false)?;
-        }
-        let started = std::time::Instant::now();
-        for _ in 0..MEASURED_STEPS {
-            trainer.step(false)?;
-        }
-        Ok(started.elapsed().as_secs_f64() / f64::from(MEASURED_STEPS))
+        self.time_steps(config, CALIBRATION)
     }
+}
+
+/// Takes steps until they have taken `least` seconds in all; returns the seconds of each.
+fn time_each(mut step: impl FnMut() -> Result<()>, least: f64) -> Result<Vec<f64>> {
+    let (mut seconds, mut total) = (Vec::new(), 0.0);
+    while seconds.len() < LEAST_STEPS || total < least {
+        let started = std::time::Instant::now();
+        step()?;
+        seconds.push(started.elapsed().as_secs_f64());
+        total += seconds[seconds.len() - 1];
+    }
+    Ok(seconds)
+}
+
+/// The middle one; of an even number the lower of the two. One step that the machine broke off for something else moves a
+/// mean, and not this.
+fn median(mut seconds: Vec<f64>) -> f64 {
+    seconds.sort_by(f64::total_cmp);
+    seconds[(seconds.len() - 1) / 2]
 }
 
 impl Work for Trainings<'_> {
@@ -235,5 +261,28 @@ impl Listener for Beating<'_> {
             _ => {}
         }
         self.events.on(event);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::time::Duration;
+
+    #[test]
+    fn steps_are_timed_for_seconds_and_one_hiccup_does_not_count() {
+        let mut taken = 0;
+        let slow_once = || {
+            taken += 1;
+            std::thread::sleep(Duration::from_millis(if taken == 7 { 120 } else { 2 }));
+            Ok(())
+        };
+        let seconds = time_each(slow_once, 0.3).unwrap();
+        assert!(seconds.len() > 10 && seconds.iter().sum::<f64>() >= 0.3, "{}", seconds.len());
+        let (mean, median) = (seconds.iter().sum::<f64>() / seconds.len() as f64, median(seconds));
+        assert!(median < mean && (0.002..0.01).contains(&median), "{median} {mean}");
+        // A step of seconds is taken several times all the same.
+        assert_eq!(time_each(|| Ok(()), 0.0).unwrap().len(), LEAST_STEPS);
+        assert_eq!(super::median(vec![3.0, 1.0, 2.0, 9.0]), 2.0);
     }
 }

@@ -24,6 +24,7 @@ mod regularizers;
 mod runtime;
 mod settings;
 mod sweep_cli;
+mod sweep_controls;
 mod sweep_folder;
 mod sweep_plots;
 mod sweep_run;

@@ -7,7 +7,7 @@ use std::sync::Mutex;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 use crate::common::{assert_says, needs};
-use augnerf::augment::Site;
+use augnerf::augment::{Epsilon, Site};
 use augnerf::base::{Error, Result};
 use augnerf::report::Status;
 use augnerf::runtime::Runtime;
@@ -46,7 +46,7 @@ pub fn parse(text: &str) -> Result<Definition> {
     Definition::parse(text, "test.toml")
 }
 
-fn points_of(text: &str) -> Result<Vec<Point>> {
+pub fn points_of(text: &str) -> Result<Vec<Point>> {
     expand(&parse(text)?, None, &Costs)
 }
 
@@ -427,7 +427,7 @@ fn scenes_that_are_not_here_have_no_data_and_the_others_run() {
 
 /// Counts measurements; each takes longer than the one before.
 #[derive(Default)]
-struct Slower(AtomicUsize);
+pub struct Slower(pub AtomicUsize);
 
 impl StepCosts for Slower {
     fn seconds_per_step(&self, _: &Config) -> Result<f64> {
@@ -590,5 +590,14 @@ fn the_figure_has_the_paper_s_axes_around_one_best_point() {
     // NeRF; 7 axes with 5, 5, 5, 5, 5, 5 and 8 values that share the best point, plus equal sizes within a fixed epsilon.
     let best = points.iter().max_by_key(|point| point.places.len()).unwrap();
     assert_eq!(best.places.len(), 7, "{:?}", best.places);
-    assert_eq!(points.len(), 1 + 6 * 4 + 7 + 1);
+    // Three axes of five step sizes whose epsilon goes with them, and two controls.
+    assert_eq!(points.len(), 1 + 6 * 4 + 7 + 1 + 3 * 5 + 2);
+    let with_it = |point: &&Point| point.places[0].axes.iter().any(|value| value.axis == "step size, epsilon with it");
+    for point in points.iter().filter(with_it) {
+        let reaching =
+            point.config.perturb.sites.iter().filter(|(_, site)| site.epsilon == Some(Epsilon::Reach)).count();
+        let sites = [("input coordinates", 3), ("features", 1), ("output", 2)];
+        let of_panel = sites.iter().find(|(panel, _)| *panel == point.places[0].axes[0].panel).unwrap().1;
+        assert_eq!(reaching, of_panel, "{}", point.label());
+    }
 }

@@ -268,7 +268,7 @@ fn markdown_tells_everything_beside_the_numbers() {
         "- baseline: NeRF",
         "| output & only \\* | 25.00 (1) | +0.12, no interval |  |  |  |",
         "- \\* not in the paper: output & only",
-        "- † levels without effect on the loss: Aug-NeRF (rgb, density)",
+        "- † levels without effect: Aug-NeRF (rgb, density)",
         "- § points without numbers: + TV Reg., features steps = 3 (done 2, failed 1: collapsed \\| at step 7)",
         "- in the paper, NeRF: quoted from the NeRF paper, 1008x752, width 256, 4096 rays a step; here 101x76 instead of \
          1008x752",
@@ -466,4 +466,35 @@ fn what_training_differs_in_is_said_and_the_rate_stands_in_the_caption() {
     assert!(markdown.contains("learning_rate 0.0005 to 0.000005"), "{markdown}");
     // What rows are named for is not told again, nor what all of them share.
     assert!(!markdown.contains("rows differ in lambda") && !markdown.contains("view_octaves"), "{markdown}");
+}
+
+/// The manipulation check of a noise sweep, whichever of both rows is compared with the other.
+#[test]
+fn tables_say_what_a_corruption_costs_the_baseline() {
+    let noisy = |mut record: Record| {
+        record.protocol.push(("corruption".into(), "gaussian-noise 3 (std 0.18)".into()));
+        record
+    };
+    let records = |scene: &str| -> Vec<Record> {
+        let seeds = (0..3).zip([25.0, 24.875, 25.125]).zip([24.5, 24.375, 24.75]);
+        let pair = |((seed, clean), corrupted)| {
+            [point(scene, "clean", seed, clean), noisy(point(scene, "NeRF", seed, corrupted))]
+        };
+        seeds.flat_map(pair).chain([noisy(point(scene, "Aug-NeRF", 0, 24.0))]).collect()
+    };
+    let note = |rows: Vec<RowSpec>| -> Vec<String> {
+        let spec = TableSpec { rows, metrics: vec!["psnr".into()], must_match: vec![], ..spec() };
+        let text = table_markdown(&Table::new(&spec, &records("fern"), false).unwrap());
+        text.lines().filter(|line| line.contains("cost of")).map(String::from).collect()
+    };
+    let row = |name: &str, baseline: Option<&str>| RowSpec {
+        name: name.into(),
+        baseline: baseline.map(String::from),
+        ..RowSpec::default()
+    };
+    // Differences 0.5, 0.5 and 0.375: mean 0.4583, standard error 0.0417, Student t of two degrees of freedom 4.303.
+    let cost = "- cost of gaussian-noise 3 (std 0.18) to NeRF: psnr +0.46 [+0.28, +0.64] (clean minus corrupted, paired by seed, 95 % interval)";
+    assert_eq!(note(vec![row("clean", Some("NeRF")), row("NeRF", None), row("Aug-NeRF", Some("NeRF"))]), [cost]);
+    assert_eq!(note(vec![row("clean", None), row("NeRF", Some("clean")), row("Aug-NeRF", Some("NeRF"))]), [cost]);
+    assert!(note(vec![row("clean", None), row("NeRF", None), row("Aug-NeRF", Some("NeRF"))]).is_empty());
 }

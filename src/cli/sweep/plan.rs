@@ -6,7 +6,7 @@ use crate::base::Result;
 use crate::cli::Compute;
 use crate::cli::progress::{Console, print};
 use crate::runtime::Runtime;
-use crate::sweep::{Change, Point, Trainings, expand, plan_costs};
+use crate::sweep::{Change, Point, PublishedCosts, Trainings, expand, plan_costs};
 
 use super::{Changes, Location, duration};
 
@@ -34,7 +34,7 @@ impl PlanArguments {
         let data_root = self.location.data_root.as_deref();
         let points = match folder.points(data_root)? {
             Some(points) if folder.compare(&definition)? == Change::None => points,
-            _ => expand(&definition, data_root, &trainings)?,
+            _ => expand(&definition, data_root, &PublishedCosts::beside(&self.location.results()?, &trainings)?)?,
         };
         print(&format!("{} points", points.len()))?;
         let left: Vec<&Point> =

@@ -12,12 +12,14 @@ use crate::report::Status;
 use crate::report::tables::table_terminal;
 use crate::run::load_lpips;
 use crate::runtime::Runtime;
-use crate::sweep::{Collector, Material, Options, Point, Results, Runner, SweepFolder, Trainings, begin};
+use crate::sweep::{
+    Collector, Material, Options, Point, PublishedCosts, Results, Runner, SweepFolder, Trainings, begin,
+};
 
 use super::{Changes, Location, terminal_width};
 
 pub const EXAMPLES: &str = "Examples:
-  augnerf sweep run sweeps/smoke.toml                      two minutes on the embedded scene
+  augnerf sweep run sweeps/smoke.toml                      three minutes on the embedded scene
   augnerf sweep run sweeps/tab4_ablation.toml --scenes builtin --preset smoke --name tab4_builtin
   AUGNERF_DATA=~/data augnerf sweep run sweeps/tab1_llff.toml --jobs 2
   augnerf sweep run sweeps/tab1_llff.toml --retry-failed   once more, with what failed
@@ -83,7 +85,9 @@ impl RunArguments {
         say_what_is_missing(&missing, &console);
         let smoothness = definition.metric_in(Scope::Lattice).is_some();
         let trainings = Trainings::new(runtime.clone(), (lpips, weights), smoothness, &console);
-        let points = begin(&folder, &definition, self.location.data_root.as_deref(), self.extend, &trainings)?;
+        let (name, results) = (self.location.name()?, self.location.results()?);
+        let costs = PublishedCosts::beside(&results, &trainings)?;
+        let points = begin(&folder, &definition, self.location.data_root.as_deref(), self.extend, &costs)?;
         let options = Options {
             jobs: usize::from(self.jobs),
             fail_fast: self.fail_fast,
@@ -102,7 +106,6 @@ impl RunArguments {
             stop: &stop,
         };
         let ran = runner.run();
-        let (name, results) = (self.location.name()?, self.location.results()?);
         // A stopped sweep leaves the table of what is done, too.
         let table = Results::take(&results).and_then(|results| {
             let material = Material::of_folder(&folder, &definition, &points)?;

@@ -18,7 +18,7 @@ type Mark = (char, &'static str, fn(&Line) -> Option<String>);
 const MARKS: [Mark; 6] = [
     ('#', "not run here: the paper's numbers alone", |line| line.quoted.then(String::new)),
     ('*', "not in the paper", |line| line.ours.then(String::new)),
-    ('†', "levels without effect on the loss", |line| joined(&line.inactive_levels)),
+    ('†', "levels without effect", |line| joined(&line.inactive_levels)),
     ('‡', "NOT COMPARABLE, built by force: differs from the scene's first row in", |line| joined(&line.mixed)),
     ('§', "points without numbers", |line| line.unfinished().then(|| status_and_reason(line))),
     ('¶', "settings that differ between seeds", |line| joined(&line.differs)),
@@ -114,18 +114,22 @@ pub(super) fn mean_text(cell: &Cell) -> String {
 /// `+0.31 [+0.10, +0.52], p 0.021, higher`: the words are the verdict's, and none where there is none.
 pub(super) fn difference_text(cell: &Cell) -> String {
     let Some(comparison) = &cell.comparison else { return String::new() };
-    let signed = |value: f64| {
-        let text = number(&cell.metric, value);
-        if text.starts_with('-') { text } else { format!("+{text}") }
-    };
-    let difference = signed(comparison.difference);
     let pairs = if comparison.pairs < cell.n { format!(" ({} pairs)", comparison.pairs) } else { String::new() };
+    let difference = interval_text(&cell.metric, comparison.difference, comparison.interval);
     match comparison.interval {
-        Some((low, high)) => {
-            format!("{difference} [{}, {}]{pairs}{}", signed(low), signed(high), conclusion(cell, comparison))
-        }
+        Some(_) => format!("{difference}{pairs}{}", conclusion(cell, comparison)),
         None => format!("{difference}{pairs}, no interval"),
     }
+}
+
+/// `+0.31 [+0.10, +0.52]`, without the brackets where there is no interval.
+fn interval_text(metric: &str, difference: f64, interval: Option<(f64, f64)>) -> String {
+    let signed = |value: f64| {
+        let text = number(metric, value);
+        if text.starts_with('-') { text } else { format!("+{text}") }
+    };
+    let ends = interval.map_or(String::new(), |(low, high)| format!(" [{}, {}]", signed(low), signed(high)));
+    signed(difference) + &ends
 }
 
 fn conclusion(cell: &Cell, comparison: &Comparison) -> String {
@@ -160,6 +164,7 @@ fn number(metric: &str, value: f64) -> String {
 /// What stands below the lines of a scene.
 pub(super) fn scene_notes(lines: &[&Line]) -> Vec<String> {
     let mut notes = baseline_notes(lines);
+    notes.extend(corruption_notes(lines));
     notes.extend(varied_notes(lines));
     notes.extend(MARKS.iter().filter_map(|mark| mark_note(mark, lines)));
     notes.extend(published_notes(lines));
@@ -187,6 +192,35 @@ fn baseline_notes(lines: &[&Line]) -> Vec<String> {
         [(baseline, _)] => vec![format!("baseline: {baseline}")],
         several => several.iter().map(|(baseline, labels)| format!("baseline of {labels}: {baseline}")).collect(),
     }
+}
+
+/// What a corruption of the training views costs: a line beside one of the same method that saw clean views. Where that is
+/// little, no line of the table tests robustness against it.
+fn corruption_notes(lines: &[&Line]) -> Vec<String> {
+    let note = |line: &&Line| {
+        let baseline = lines.iter().find(|other| Some(&other.label) == line.baseline.as_ref())?;
+        let same = |name: &str| line.protocol(name) == baseline.protocol(name);
+        let (own, other) = (line.protocol("corruption"), baseline.protocol("corruption"));
+        if own.is_empty() == other.is_empty() || !["method", "perturb_kind", "regularizers"].into_iter().all(same) {
+            return None;
+        }
+        // Clean minus corrupted, whichever of both is the baseline.
+        let (sign, what, whom) = if own.is_empty() { (1.0, other, &baseline.label) } else { (-1.0, own, &line.label) };
+        let cost = |cell: &Cell| {
+            let comparison = cell.comparison?;
+            let turned = |(low, high): (f64, f64)| if sign < 0.0 { (-high, -low) } else { (low, high) };
+            let text = interval_text(&cell.metric, sign * comparison.difference, comparison.interval.map(turned));
+            Some(format!("{} {text}", cell.metric))
+        };
+        let costs: Vec<String> = line.cells.iter().filter_map(cost).collect();
+        (!costs.is_empty()).then(|| {
+            format!(
+                "cost of {what} to {whom}: {} (clean minus corrupted, paired by seed, 95 % interval)",
+                costs.join(", ")
+            )
+        })
+    };
+    lines.iter().filter_map(note).collect()
 }
 
 /// What the definition makes different between the lines, where a reader would take it as equal.

@@ -1,0 +1,135 @@
+//! What shipped sweeps promise: controls, equal cost, and points that hang on no clock.
+
+use std::path::Path;
+use std::sync::atomic::Ordering;
+
+use augnerf::augment::{Epsilon, Site};
+use augnerf::base::Error;
+use augnerf::settings::{Config, DeltaSource, SecondPass};
+use augnerf::sweep::{Definition, Point, PublishedCosts, StepCosts, SweepFolder, begin, expand};
+use tempfile::TempDir;
+
+use crate::sweep_run::{BASE, Costs, Slower, parse, points_of};
+
+/// What could explain an augmented row's result without an attack is trained beside it, in every shipped sweep.
+#[test]
+fn every_shipped_sweep_with_an_augmented_row_has_its_controls() {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("sweeps");
+    let mut augmented = 0;
+    for entry in std::fs::read_dir(folder).unwrap() {
+        let path = entry.unwrap().path();
+        let name = path.file_stem().unwrap().to_string_lossy().into_owned();
+        let mut definition = Definition::read(&path).unwrap();
+        definition.seeds.truncate(1);
+        let points = expand(&definition, None, &Costs).unwrap();
+        let of_row = |row: &str| points.iter().find(|point| point.places.iter().any(|place| place.row == row)).unwrap();
+        // Rows with a second pass, each with what it is compared with: settings of that pass and of the scene.
+        let passes: Vec<(String, SecondPass, String, &Config)> = definition
+            .row
+            .iter()
+            .filter_map(|row| {
+                let config = &of_row(&row.name).config;
+                let baseline = row.baseline.clone().or(definition.baseline.clone()).unwrap_or_default();
+                let trained_on = format!("{:?}", config.data.corruption);
+                config
+                    .method
+                    .is_augmented()
+                    .then(|| (baseline + &trained_on, config.perturb.second, row.name.clone(), config))
+            })
+            .collect();
+        for (group, second, row, config) in &passes {
+            // Levels and variants of the method by themselves have the whole method's controls.
+            let whole = Site::ALL.into_iter().all(|site| config.perturb.sites[site].on());
+            let is_whole = whole && !name.starts_with("variants");
+            if *second != SecondPass::Perturbed(DeltaSource::WorstCase) || !is_whole {
+                continue;
+            }
+            augmented += 1;
+            let of_kind = |kind| passes.iter().filter(move |pass| pass.1 == kind && pass.0 == *group);
+            assert!(of_kind(SecondPass::Clean).count() > 0, "{name}: no second clean pass beside '{row}'");
+            let same_sets = |other: &Config| {
+                (other.method, other.perturb.sizes, other.perturb.geometry)
+                    == (config.method, config.perturb.sizes, config.perturb.geometry)
+            };
+            let uniform = of_kind(SecondPass::Perturbed(DeltaSource::Uniform)).filter(|pass| same_sets(pass.3)).count();
+            assert!(uniform > 0, "{name}: no uniform draws in the sets of '{row}'");
+        }
+        if name.starts_with("variants") {
+            let kinds: Vec<SecondPass> = passes.iter().map(|pass| pass.1).collect();
+            assert!(kinds.contains(&SecondPass::Clean) && kinds.contains(&SecondPass::Perturbed(DeltaSource::Uniform)));
+        }
+        let corrupted = |point: &Point| point.config.data.corruption.is_on();
+        assert!(
+            points.iter().all(|point| !corrupted(point)) || points.iter().any(|point| !corrupted(point)),
+            "{name}: nothing says what the corruption costs"
+        );
+    }
+    assert!(augmented > 25, "{augmented}");
+}
+
+#[test]
+fn equal_cost_is_four_steps_of_nerf_by_evaluations_where_nobody_says_otherwise() {
+    let text = format!("{BASE}[[row]]\nname = \"NeRF, equal\"\nbudget = {{ like = \"Aug-NeRF\" }}\n");
+    let points = points_of(&text).unwrap();
+    let steps = |row: &str| points.iter().find(|point| point.places[0].row == row).unwrap().config.train.steps;
+    assert_eq!(steps("NeRF, equal"), 4 * steps("Aug-NeRF"));
+}
+
+/// Evaluations and seconds may agree to the step, and both are unknown where the scene is not at hand: no mistake in the file.
+#[test]
+fn budgets_of_two_kinds_may_come_to_the_same_steps() {
+    let equal = |name: &str, kind: &str| {
+        format!("[[row]]\nname = \"{name}\"\nbudget = {{ kind = \"{kind}\", like = \"Aug-NeRF\" }}\n")
+    };
+    let both = equal("evaluations", "evaluations") + &equal("seconds", "seconds");
+    let points = points_of(&format!("{BASE}{both}")).unwrap();
+    assert_eq!(points.iter().filter(|point| point.places.len() == 2).count(), 2, "a step of Costs takes 4 to 1");
+    let absent = BASE.replace("[\"builtin\"]", "[\"nerf_llff_data/nowhere\"]").replace("\"smoke\"", "\"cpu\"");
+    let points = points_of(&format!("{absent}{both}")).unwrap();
+    assert!(points.iter().any(|point| point.without_budget && point.places.len() == 2));
+    let twice = equal("evaluations", "evaluations") + &equal("again", "evaluations");
+    assert!(points_of(&format!("{BASE}{twice}")).unwrap_err().to_string().contains("the same experiment"));
+}
+
+/// The points of a table in `results` do not hang on the clock of the day on which it is made again.
+#[test]
+fn seconds_beside_the_tables_are_used_again() {
+    let definition = parse(&format!("{BASE}budget = {{ kind = \"seconds\", like = \"NeRF\" }}\n")).unwrap();
+    let dir = TempDir::new().unwrap();
+    let [first, results, second] = ["first", "results", "second"].map(|name| dir.path().join(name));
+    std::fs::create_dir(&results).unwrap();
+    let start = |folder: &Path, costs: &dyn StepCosts| {
+        let costs = PublishedCosts::beside(&results, costs)?;
+        let points = begin(&SweepFolder::new(folder), &definition, None, false, &costs)?;
+        Ok::<_, Error>(points.into_iter().map(|point| point.id).collect::<Vec<_>>())
+    };
+    let slower = Slower::default();
+    let published = start(&first, &slower).unwrap();
+    std::fs::copy(first.join("step_seconds.json"), results.join("step_seconds.json")).unwrap();
+    assert_eq!(start(&second, &slower).unwrap(), published);
+    assert_eq!(slower.0.load(Ordering::SeqCst), 2, "nothing is measured again");
+    assert!(second.join("step_seconds.json").is_file());
+    for wrong in ["{\"1da64b355f14\": 0}", "{\"1da64b355f14\": -1.5}", "[1]", "{"] {
+        std::fs::write(results.join("step_seconds.json"), wrong).unwrap();
+        let refused = start(&dir.path().join("third"), &slower).unwrap_err().to_string();
+        assert!(refused.contains("step_seconds.json") && refused.contains("delete it"), "{wrong}: {refused}");
+    }
+}
+
+#[test]
+fn an_axis_sets_what_all_its_points_share() {
+    let axis = "[[axis]]\nname = \"step size\"\nkeys = [\"perturb.feature.step_size\"]\nset = { \"perturb.feature.epsilon\" = \"reach\", perturb = { \
+                lambda = 0.5 } }\nvalues = [1e-3, 1e-2]\n";
+    let points = points_of(&format!("{BASE}{axis}")).unwrap();
+    let augmented: Vec<&Point> = points.iter().filter(|point| point.config.method.is_augmented()).collect();
+    assert_eq!(augmented.len(), 4);
+    for point in augmented {
+        let perturb = &point.config.perturb;
+        assert_eq!((perturb.sites[Site::Feature].epsilon, perturb.lambda), (Some(Epsilon::Reach), 0.5));
+        assert!(perturb.sites[Site::Feature].step_size.is_some());
+    }
+    let unknown = points_of(&format!("{BASE}{}", axis.replace("lambda", "lamda"))).unwrap_err().to_string();
+    assert!(unknown.contains("lamda"), "{unknown}");
+    let definition = parse(&format!("{BASE}{axis}")).unwrap();
+    assert_eq!(parse(&definition.to_toml()).unwrap(), definition);
+}
