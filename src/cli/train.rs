@@ -112,7 +112,7 @@ fn summarise(Finished { report, seconds, .. }: &Finished, folder: &Path, console
     }
     let inactive = report.inactive_levels();
     if !inactive.is_empty() {
-        console.say(&format!("inactive levels (no effect on the loss): {}", inactive.join(", ")));
+        console.say(&format!("inactive levels (no effect): {}", inactive.join(", ")));
     }
     console.say(&format!("results: {}", folder.display()));
 }

@@ -50,7 +50,7 @@ impl Report {
         write_atomic(csv, self.csv().as_bytes())
     }
 
-    /// Sites whose deltas had no effect on the loss.
+    /// Sites whose deltas had no effect.
     pub fn inactive_levels(&self) -> Vec<&'static str> {
         self.attack.iter().filter(|site| site.inactive).map(|site| site.site).collect()
     }

@@ -24,7 +24,7 @@ pub struct PointResult {
     pub metrics: Vec<(String, Option<f64>)>,
     /// Name and text of each field of the protocol.
     pub protocol: Vec<(String, String)>,
-    /// Sites whose deltas had no effect on the loss.
+    /// Sites whose deltas had no effect.
     pub inactive_levels: Vec<String>,
 }
 

@@ -268,7 +268,7 @@ fn markdown_tells_everything_beside_the_numbers() {
         "- baseline: NeRF",
         "| output & only \\* | 25.00 (1) | +0.12, no interval |  |  |  |",
         "- \\* not in the paper: output & only",
-        "- † levels without effect: Aug-NeRF (rgb, density)",
+        "- † levels without effect on the loss: Aug-NeRF (rgb, density)",
         "- § points without numbers: + TV Reg., features steps = 3 (done 2, failed 1: collapsed \\| at step 7)",
         "- in the paper, NeRF: quoted from the NeRF paper, 1008x752, width 256, 4096 rays a step; here 101x76 instead of \
          1008x752",

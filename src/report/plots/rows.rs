@@ -126,7 +126,7 @@ fn caption(lines: &[&Line], column: usize) -> String {
     let inactive: Vec<String> =
         inactive.map(|line| format!("{} ({})", line.label, line.inactive_levels.join(", "))).collect();
     if !inactive.is_empty() {
-        text += &format!(" † levels without effect: {}.", inactive.join("; "));
+        text += &format!(" † levels without effect on the loss: {}.", inactive.join("; "));
     }
     let mixed: Vec<&str> = lines.iter().filter(|line| !line.mixed.is_empty()).map(|line| line.label.as_str()).collect();
     if !mixed.is_empty() {

@@ -98,7 +98,7 @@ pub struct Line {
     pub status: String,
     /// Why the first point without numbers has none; empty otherwise.
     pub reason: String,
-    /// Sites whose deltas had no effect on the loss with at least one seed.
+    /// Sites whose deltas had no effect with at least one seed.
     pub inactive_levels: Vec<String>,
     /// One for each of the table's metrics.
     pub cells: Vec<Cell>,

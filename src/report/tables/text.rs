@@ -18,7 +18,7 @@ type Mark = (char, &'static str, fn(&Line) -> Option<String>);
 const MARKS: [Mark; 6] = [
     ('#', "not run here: the paper's numbers alone", |line| line.quoted.then(String::new)),
     ('*', "not in the paper", |line| line.ours.then(String::new)),
-    ('†', "levels without effect", |line| joined(&line.inactive_levels)),
+    ('†', "levels without effect on the loss", |line| joined(&line.inactive_levels)),
     ('‡', "NOT COMPARABLE, built by force: differs from the scene's first row in", |line| joined(&line.mixed)),
     ('§', "points without numbers", |line| line.unfinished().then(|| status_and_reason(line))),
     ('¶', "settings that differ between seeds", |line| joined(&line.differs)),
