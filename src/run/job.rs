@@ -14,7 +14,7 @@ use crate::base::{Event, Image, Listener, Result};
 use crate::data::Scene;
 use crate::methods::Model;
 use crate::metrics::{Lpips, MeanMetrics};
-use crate::runtime::{Host, Runtime, Timing, host, peak_memory_mib};
+use crate::runtime::{Host, MemoryWatch, Runtime, Timing, host};
 use crate::settings::Resolved;
 use crate::train::{Trainer, checkpoint};
 
@@ -74,6 +74,7 @@ struct Experiment<'a> {
     /// The run was begun by an earlier session.
     resumed: bool,
     started_unix: u64,
+    memory: MemoryWatch,
 }
 
 /// What a finished training gives besides its files.
@@ -112,10 +113,11 @@ impl<'a> Job<'a> {
     /// A folder that holds a run (unless it is to be replaced) or anything else, or that cannot be written; a disk without room; settings
     /// that the scene contradicts; fields that start dead again and again.
     pub fn create(folder: &Path, existing: Existing, setup: Setup<'a>) -> Result<Job<'a>> {
+        let memory = MemoryWatch::begin();
         surface_reference(&setup.config, setup.scene)?;
         let trainer = setup.trainer()?;
         let run = RunDir::create(folder, existing, setup.bytes_needed())?;
-        Job::begin(run, setup, trainer, None, Vec::new())
+        Job::begin(run, setup, trainer, None, Vec::new(), memory)
     }
 
     /// The newest checkpoint of a locked run ([`RunDir::take`]) that is whole, or its start. The settings are the run's own,
@@ -124,6 +126,7 @@ impl<'a> Job<'a> {
     /// # Errors
     /// A checkpoint of other settings, or none that is whole; a folder that cannot be written; a disk without room.
     pub fn resume(run: RunDir, setup: Setup<'a>) -> Result<Job<'a>> {
+        let memory = MemoryWatch::begin();
         surface_reference(&setup.config, setup.scene)?;
         let earlier = run.read_timing()?;
         let (newest, notes) = checkpoint::newest_whole(&run.checkpoints())?;
@@ -132,7 +135,7 @@ impl<'a> Job<'a> {
             // Killed before its first checkpoint: step 0 is a function of the configuration.
             None => setup.trainer()?,
         };
-        Job::begin(run, setup, trainer, Some(earlier), notes)
+        Job::begin(run, setup, trainer, Some(earlier), notes, memory)
     }
 
     /// `before` is there if the run is resumed: what its sessions took, as far as they said.
@@ -142,13 +145,14 @@ impl<'a> Job<'a> {
         trainer: Trainer,
         before: Option<Option<Timing>>,
         notes: Vec<String>,
+        memory: MemoryWatch,
     ) -> Result<Job<'a>> {
         run.check_writable(setup.bytes_needed())?;
         // In a resumed run: where scene and weights are now, for the next time.
         write_atomic(&run.config(), setup.config.to_toml().as_bytes())?;
         let resumed = before.is_some();
         let started_unix = host::unix_seconds() as u64;
-        let experiment = Experiment { run, setup, earlier: before.flatten(), notes, resumed, started_unix };
+        let experiment = Experiment { run, setup, earlier: before.flatten(), notes, resumed, started_unix, memory };
         Ok(Job { experiment, trainer })
     }
 
@@ -251,7 +255,7 @@ impl Experiment<'_> {
             seconds_training: training,
             seconds_evaluation: evaluation + earlier(|timing| timing.seconds_evaluation),
             rays_per_second: (training > 0.0).then(|| step as f64 * config.train.rays as f64 / training),
-            peak_memory_mib: peak_memory_mib(),
+            peak_memory_mib: self.memory.peak_mib(),
             device: runtime.name().to_string(),
             threads: runtime.threads(),
             host: Host::current(),

@@ -17,7 +17,8 @@ pub struct Timing {
     pub seconds_evaluation: f64,
     /// Rays trained on per second of training; `None` before the first step.
     pub rays_per_second: Option<f64>,
-    /// Highest resident memory of this process in MiB; `None` where the system does not say.
+    /// Highest resident memory of this process in MiB while the last session ran; `None` where the system does not say, and
+    /// where the process trained other runs at the same time.
     pub peak_memory_mib: Option<f64>,
     /// As asked for: `cpu`, `cuda`, `cuda:1`, `cuda-tf32`, `metal`.
     pub device: String,

@@ -8,11 +8,13 @@ use rayon::{ThreadPool, ThreadPoolBuilder};
 use crate::base::{Error, Result};
 
 pub(crate) mod host;
+mod memory;
 mod process;
 mod work;
 
 pub use host::{Host, Timing};
 pub(crate) use host::{free_memory_mib, host_name, peak_memory_mib};
+pub(crate) use memory::MemoryWatch;
 pub use work::Work;
 pub(crate) use work::{count_multiply_adds, count_points};
 

@@ -10,7 +10,7 @@ use crate::data::corruption::corrupt;
 use crate::data::{self, Scene, seen_views};
 use crate::metrics::Lpips;
 use crate::run::{Existing, Finished, Job, Report, RunDir, Setup, SmoothnessReport, Viewer, columns, locate_scene};
-use crate::runtime::{Runtime, peak_memory_mib};
+use crate::runtime::{MemoryWatch, Runtime};
 use crate::settings::{Config, CorruptionConfig, DataConfig, Resolved};
 use crate::space::Lattice;
 use crate::train::Trainer;
@@ -116,7 +116,7 @@ impl Cost {
 impl Trainings<'_> {
     /// Measures a few real steps and a piece of a held-out view, for as many as an evaluation renders.
     pub fn cost(&self, config: &Config) -> Result<Cost> {
-        reset_peak_memory();
+        let memory = MemoryWatch::begin();
         let seconds_per_step = self.time_steps(config, ESTIMATE)?;
         let (trainer, scene, config) = self.trainer(config)?;
         let mut seconds_evaluation = 0.0;
@@ -132,7 +132,7 @@ impl Trainings<'_> {
             seconds_evaluation =
                 started.elapsed().as_secs_f64() / share * (scene.test.len() + seen_views(&scene, &config).len()) as f64;
         }
-        Ok(Cost { seconds_per_step, seconds_evaluation, peak_memory_mib: peak_memory_mib() })
+        Ok(Cost { seconds_per_step, seconds_evaluation, peak_memory_mib: memory.peak_mib() })
     }
 }
 
@@ -144,12 +144,6 @@ impl Trainings<'_> {
         time_each(&mut step, warm_up)?;
         Ok(median(time_each(&mut step, timed)?))
     }
-}
-
-/// Starts the system's record of the highest memory anew, where it keeps one (Linux).
-fn reset_peak_memory() {
-    // Where it fails the record stays that of the whole process: too high, never too low.
-    let _ = std::fs::write("/proc/self/clear_refs", "5");
 }
 
 impl StepCosts for Trainings<'_> {
