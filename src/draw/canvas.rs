@@ -52,6 +52,12 @@ const LEAST_SPAN: f64 = 1e-200;
 pub struct Colour(u8, u8, u8);
 
 impl Colour {
+    /// The nearest to one of three shares.
+    pub fn of(rgb: [f32; 3]) -> Colour {
+        let [r, g, b] = rgb.map(|share| (share.clamp(0.0, 1.0) * 255.0).round() as u8);
+        Colour(r, g, b)
+    }
+
     fn text(self) -> String {
         format!("rgb({},{},{})", self.0, self.1, self.2)
     }
@@ -292,6 +298,9 @@ pub fn number(value: f64, step: f64) -> String {
 /// Round numbers across a range, and the step between them.
 pub fn ticks((low, high): (f64, f64), most: usize) -> (Vec<f64>, f64) {
     let raw = (high - low) / most as f64;
+    if !(raw > LEAST_SPAN && raw < MOST) {
+        return (Vec::new(), 1.0);
+    }
     let power = 10f64.powf(raw.log10().floor());
     let step = [1.0, 2.0, 5.0, 10.0].map(|m| m * power).into_iter().find(|step| *step >= raw).unwrap_or(raw);
     let first = (low / step).ceil() as i64;

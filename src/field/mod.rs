@@ -32,6 +32,7 @@ use encoding::Code;
 pub use encoding::{
     encode, encode_integrated, encode_integrated_reference, encode_reference, encoded_channels, integrated_channels,
 };
+pub(crate) use fused::forget as forget_buffers;
 pub(crate) use peak::peak_gflops;
 pub use spatial::{DensityAt, Spatial, spatial_reference};
 

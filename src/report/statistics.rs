@@ -86,6 +86,15 @@ pub fn holm(p_values: &[Option<f64>]) -> Vec<Option<f64>> {
     corrected
 }
 
+/// A p value, with as many digits as tell it from the level of significance.
+pub fn p_text(p: f64) -> String {
+    match format!("{p:.3}").as_str() {
+        "0.000" => "< 0.001".into(),
+        "0.050" => format!("{p:.5}"),
+        text => text.into(),
+    }
+}
+
 /// Mean and its standard error; none where numbers are too large for them.
 fn centre_and_error(differences: &[f64]) -> Option<(f64, f64)> {
     Some((mean(differences)?, standard_error(differences)?)).filter(|(a, b)| a.is_finite() && b.is_finite())

@@ -12,6 +12,7 @@ use candle_core::DType;
 use crate::base::files::write_atomic;
 use crate::base::{Event, Image, Listener, Result};
 use crate::data::Scene;
+use crate::field::forget_buffers;
 use crate::methods::Model;
 use crate::metrics::{Lpips, MeanMetrics};
 use crate::runtime::{Host, MemoryWatch, Runtime, Timing, host};
@@ -87,6 +88,12 @@ pub struct Finished {
     pub seconds: f64,
 }
 
+/// Watches the memory of a run from its beginning, without the buffers that an earlier one left on the threads.
+pub(crate) fn watch_memory(runtime: &Runtime) -> MemoryWatch {
+    runtime.on_every_thread(forget_buffers);
+    MemoryWatch::begin()
+}
+
 impl Setup<'_> {
     fn trainer(&self) -> Result<Trainer> {
         Trainer::new(&self.config, self.scene, DType::F32, &self.runtime)
@@ -113,7 +120,7 @@ impl<'a> Job<'a> {
     /// A folder that holds a run (unless it is to be replaced) or anything else, or that cannot be written; a disk without room; settings
     /// that the scene contradicts; fields that start dead again and again.
     pub fn create(folder: &Path, existing: Existing, setup: Setup<'a>) -> Result<Job<'a>> {
-        let memory = MemoryWatch::begin();
+        let memory = watch_memory(&setup.runtime);
         surface_reference(&setup.config, setup.scene)?;
         let trainer = setup.trainer()?;
         let run = RunDir::create(folder, existing, setup.bytes_needed())?;
@@ -126,7 +133,7 @@ impl<'a> Job<'a> {
     /// # Errors
     /// A checkpoint of other settings, or none that is whole; a folder that cannot be written; a disk without room.
     pub fn resume(run: RunDir, setup: Setup<'a>) -> Result<Job<'a>> {
-        let memory = MemoryWatch::begin();
+        let memory = watch_memory(&setup.runtime);
         surface_reference(&setup.config, setup.scene)?;
         let earlier = run.read_timing()?;
         let (newest, notes) = checkpoint::newest_whole(&run.checkpoints())?;

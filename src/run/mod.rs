@@ -32,6 +32,7 @@ pub(crate) use corruption::write_corrupted;
 pub use evaluate::{RenderedView, Viewer};
 pub use folder::{Existing, RunDir};
 pub use inputs::{load_lpips, load_scene, locate_scene};
+pub(crate) use job::watch_memory;
 pub use job::{Finished, Job, Setup};
 pub use mesh::{MeshFormat, MeshOptions, MeshReport, named_mesh};
 pub use mesh_picture::{Eye, MeshPicture, mesh_picture};

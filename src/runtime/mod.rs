@@ -94,6 +94,11 @@ impl Runtime {
         self.pool.install(work)
     }
 
+    /// Does `work` once on each of the runtime's threads and waits for all.
+    pub(crate) fn on_every_thread(&self, work: impl Fn() + Sync) {
+        self.pool.broadcast(|_| work());
+    }
+
     /// The device.
     pub fn device(&self) -> &Device {
         &self.device

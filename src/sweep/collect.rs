@@ -12,6 +12,7 @@ use super::points::Point;
 use super::provenance::{Provenance, sha256};
 use crate::report::exporters::{Collected, EXPORTERS, File as Export};
 use crate::report::plots::{Curve, Surface};
+use crate::report::statistics::mean;
 use crate::report::tables::Table;
 use crate::report::{Status, TableSpec};
 
@@ -109,7 +110,7 @@ impl Collector<'_> {
         Ok(table)
     }
 
-    /// Training PSNR of the points without axis values, row by row.
+    /// PSNR of the points without axis values, row by row: of the rays that were trained on and of held-out views.
     fn curves(&self, spec: &TableSpec, scene: &str) -> Vec<Curve> {
         let mut curves = Vec::new();
         for row in &spec.rows {
@@ -127,7 +128,10 @@ impl Collector<'_> {
             let seeds = of("psnr");
             if !seeds.is_empty() {
                 let (held_out, seen) = (of("test_psnr"), of("train_psnr"));
-                curves.push(Curve { label: row.name.clone(), seeds, held_out, seen });
+                let per_step = |point: &&Point| Some(self.seconds_of(point)? / point.config.train.steps as f64);
+                let seconds: Vec<f64> = points.iter().filter_map(|point| per_step(point)).collect();
+                let seconds_per_step = mean(&seconds);
+                curves.push(Curve { label: row.name.clone(), seeds, held_out, seen, seconds_per_step });
             }
         }
         curves
@@ -143,6 +147,12 @@ impl Collector<'_> {
             Some((row.name.clone(), picture.clone()))
         };
         self.definition.row.iter().filter_map(of_row).collect()
+    }
+
+    /// Seconds of a point's training steps, where clocks are asked for.
+    fn seconds_of(&self, point: &Point) -> Option<f64> {
+        let (_, clocks) = self.material.timing.iter().filter(|_| self.with_timing).find(|(id, _)| *id == point.id)?;
+        clocks.iter().find(|(name, _)| name == "seconds_training").and_then(|(_, seconds)| *seconds)
     }
 }
 

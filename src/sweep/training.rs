@@ -9,8 +9,10 @@ use crate::base::{Error, Event, Listener, Result};
 use crate::data::corruption::corrupt;
 use crate::data::{self, Scene, seen_views};
 use crate::metrics::Lpips;
-use crate::run::{Existing, Finished, Job, Report, RunDir, Setup, SmoothnessReport, Viewer, columns, locate_scene};
-use crate::runtime::{MemoryWatch, Runtime};
+use crate::run::{
+    Existing, Finished, Job, Report, RunDir, Setup, SmoothnessReport, Viewer, columns, locate_scene, watch_memory,
+};
+use crate::runtime::Runtime;
 use crate::settings::{Config, CorruptionConfig, DataConfig, Resolved};
 use crate::space::Lattice;
 use crate::train::Trainer;
@@ -116,7 +118,7 @@ impl Cost {
 impl Trainings<'_> {
     /// Measures a few real steps and a piece of a held-out view, for as many as an evaluation renders.
     pub fn cost(&self, config: &Config) -> Result<Cost> {
-        let memory = MemoryWatch::begin();
+        let memory = watch_memory(&self.runtime);
         let seconds_per_step = self.time_steps(config, ESTIMATE)?;
         let (trainer, scene, config) = self.trainer(config)?;
         let mut seconds_evaluation = 0.0;

@@ -280,3 +280,24 @@ fn a_point_without_its_settings_fails_and_keeps_its_checkpoints() {
     std::fs::remove_dir_all(point.join("run/checkpoints")).unwrap();
     demand(&[&run[..], &["--retry-failed"]].concat(), dir.path(), 0);
 }
+
+/// Memory is the point's own: not that of a larger one before it, and none of two at once.
+#[cfg(all(target_os = "linux", target_env = "gnu"))]
+#[test]
+fn each_point_has_its_own_memory() {
+    let large = r#"{ "data.width" = 64, "train.rays" = 1024, "train.chunk" = 1024, "field.width" = 128, "sampling.coarse" = 32 }"#;
+    let rows = format!("[[row]]\nname = \"NeRF\"\nset = {large}\n[[row]]\nname = \"small\"\n");
+    let (head, _) = TINY.split_once("[[row]]").unwrap();
+    let definition = head.replace("\"train.steps\" = 60", "\"train.steps\" = 2").replace("[0, 1]", "[0]") + &rows;
+    let dir = workplace(&definition);
+    let memory = |arguments: &[&str]| -> Vec<String> {
+        demand(&[&["sweep", "run", "tiny.toml", "--quiet"], arguments].concat(), dir.path(), 0);
+        let name = arguments.last().unwrap();
+        let timing = self::rows(&text(&dir.path().join("results").join(name).join("timing.csv")));
+        timing.iter().map(|row| row["peak_memory_mib"].clone()).collect()
+    };
+    let one_by_one = memory(&["--name", "one"]);
+    let [large, small] = [0, 1].map(|index| one_by_one[index].parse::<f64>().unwrap());
+    assert!(large > small + 50.0, "{large} MiB, then {small} MiB");
+    assert_eq!(memory(&["--jobs", "2", "--name", "two"]), ["", ""]);
+}

@@ -2,7 +2,7 @@
 
 use augnerf::base::rng::{Random, Stream};
 use augnerf::report::exporters::{Collected, EXPORTERS};
-use augnerf::report::plots::{Curve, Figure, axes_figure, curves_figure, rows_figure};
+use augnerf::report::plots::{Curve, Figure, axes_figure, curves_figure, heatmap_figures, rows_figure, seconds_figure};
 use augnerf::report::tables::Table;
 use augnerf::report::{AxisValue, Record, RowSpec, Status, TableSpec};
 
@@ -115,7 +115,7 @@ fn the_paper_s_figure() {
     }
     // Panels of coordinates and output show nothing; those of features do.
     assert_eq!(figure.svg.matches("3 seeds: no pair passes").count(), 4);
-    assert_eq!(figure.svg.matches("differ, p 0.").count(), 3);
+    assert_eq!(figure.svg.matches("differ, p ").count(), 3);
     assert!(figure.svg.contains("output steps = 3 (Aug-NeRF)"), "the missing value is named");
     assert!(axes_figure(&spec, &records, "orchids", "psnr").unwrap().is_none());
     assert!(axes_figure(&spec, &records, "fern", "ssim").unwrap().is_none());
@@ -180,6 +180,19 @@ fn rows_with_axes_of_their_own_stand_beside_plain_ones() {
     );
 }
 
+/// Training and held-out values at a level; the last held-out one is of the end.
+fn curve(label: &str, level: f64, seconds_per_step: Option<f64>) -> Curve {
+    let value = |seed: u64, i: u64| level - 8.0 / i as f64 + noise(seed, i);
+    Curve {
+        label: label.into(),
+        seeds: (0..3).map(|seed| (1..=60).map(|i| (50.0 * i as f64, value(seed, i))).collect()).collect(),
+        held_out: (0..3)
+            .map(|seed| (1..=3).map(|i| (1000.0 * i as f64, value(seed, 20 * i) - 1.0)).collect())
+            .collect(),
+        seconds_per_step,
+    }
+}
+
 #[test]
 fn training_curves() {
     let curve = |label: &str, level: f64| Curve {
@@ -199,6 +212,32 @@ fn training_curves() {
             .unwrap()
             .is_none()
     );
+}
+
+/// Each row along its own seconds; rows whose seconds are not known are left out.
+#[test]
+fn training_curves_against_seconds() {
+    let curve = |label: &str, seconds_per_step| Curve {
+        label: label.into(),
+        seeds: vec![(1..=4).map(|i| (500.0 * i as f64, 20.0 + i as f64)).collect(); 2],
+        seconds_per_step,
+        ..Curve::default()
+    };
+    let curves = [curve("fast", Some(0.01)), curve("slow", Some(0.04)), curve("unknown", None)];
+    let svg = seconds_figure("t", "u", &curves).unwrap().unwrap().svg;
+    assert!(svg.contains("seconds of training") && svg.contains("slow") && !svg.contains("unknown"));
+    // 2000 steps of the slow one are 80 seconds, which the axis ends at, and of the fast one a quarter of that.
+    let ends: Vec<f64> = svg
+        .lines()
+        .filter(|line| line.starts_with("<polyline") && line.contains("1.8"))
+        .map(|line| {
+            let points = line.split("points=\"").nth(1).unwrap().split('"').next().unwrap();
+            points.split(' ').next_back().unwrap().split(',').next().unwrap().parse().unwrap()
+        })
+        .collect();
+    assert_eq!(ends, [76.0 + 560.0 / 4.0, 76.0 + 560.0]);
+    assert!(seconds_figure("t", "u", &curves[2..]).unwrap().is_none());
+    assert!(curves_figure("t", "u", &curves).unwrap().unwrap().svg.contains("unknown"));
 }
 
 /// Where views were evaluated during training, a second panel has held-out and training views of each row.
@@ -256,6 +295,31 @@ fn a_product_of_two_axes_is_drawn_too() {
     for value in ["1e-3", "1e-2", "1e-1", "1"] {
         assert!(figure.svg.contains(&format!("features epsilon = {value}: 3 seeds")), "{value}");
     }
+    // The same as a heatmap: a cell for each of the 16 places, one of which is not measured.
+    records.iter_mut().filter(|record| record.axes.len() == 2).last().unwrap().status = Status::Waiting;
+    let last = records.iter().rposition(|record| record.axes.len() == 2).unwrap();
+    records[last - 2..=last].iter_mut().for_each(|record| record.status = Status::Waiting);
+    let spec = spec(&["NeRF", "Aug-NeRF"]);
+    let table = Table::new(&spec, &records, false).unwrap();
+    let maps = heatmap_figures(&table, &records, "fern", "psnr").unwrap();
+    let [map] = maps.as_slice() else { panic!("{} heatmaps", maps.len()) };
+    keep("heatmap", map);
+    let differ =
+        table.lines.iter().filter_map(|line| line.cells[0].comparison?.verdict()).filter(|v| v.is_difference());
+    // A frame is a line, and what differs has one; the grey one is of the cell without data.
+    assert_eq!(map.svg.matches("<polyline").count(), 1 + differ.count());
+    assert_eq!((map.svg.matches("no data").count(), map.svg.matches("± 0.").count()), (1, 15));
+    for words in ["features: epsilon", "features: steps", "1e-3", "PSNR (dB) on fern, Aug-NeRF"] {
+        assert!(map.svg.contains(words), "{words}");
+    }
+    assert!(heatmap_figures(&table, &records, "fern", "ssim").unwrap().is_empty());
+    let single = figure_records();
+    let table = Table::new(&spec, &single, false).unwrap();
+    assert!(heatmap_figures(&table, &single, "fern", "psnr").unwrap().is_empty(), "one axis at a time has none");
+    let (table, records) = (Some(&table), &single[..]);
+    let collected = Collected { spec: &spec, records, timing: &[], with_timing: false, table, curves: &[] };
+    let files = EXPORTERS.iter().flat_map(|exporter| exporter.export(&collected).unwrap());
+    assert_eq!(files.filter(|(name, _)| name.starts_with("heatmap_")).count(), 0);
 }
 
 /// Numbers at the ends of what a computer holds, and letters that XML does not: figures are drawn all the same.
@@ -288,9 +352,17 @@ fn the_smallest_and_largest_numbers_and_odd_letters_are_drawn() {
             let table = Table::new(&spec, &records, false).unwrap();
             rows_figure(&table, &records, "fern", "psnr").unwrap();
             axes_figure(&spec, &records, "fern", "psnr").unwrap();
+            heatmap_figures(&table, &records, "fern", "psnr").unwrap();
             let seeds = vec![vec![(0.0, a), (1.0, b)], vec![(0.0, b), (a, b)]];
-            let curve = Curve { label: odd[1].into(), held_out: seeds.clone(), seen: seeds.clone(), seeds };
-            curves_figure("t\u{0}", "u", &[curve]).unwrap();
+            let curve = Curve {
+                label: odd[1].into(),
+                held_out: seeds.clone(),
+                seen: seeds.clone(),
+                seeds,
+                seconds_per_step: Some(b),
+            };
+            curves_figure("t\u{0}", "u", std::slice::from_ref(&curve)).unwrap();
+            seconds_figure("t\u{0}", "u", &[curve]).unwrap();
         }
     }
 }

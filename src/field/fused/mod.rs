@@ -29,6 +29,7 @@ use forward::{Inputs, Kept, Prefix, Wanted};
 use slope::Tape;
 
 pub use layout::Network;
+pub use pool::forget;
 
 /// Lays a field's weights out: `parameters` are weight and bias of every layer in the order of
 /// parameters, f32 on the processor.

@@ -1,7 +1,9 @@
 //! Figures, each as SVG and PNG.
 
 use crate::base::Result;
-use crate::report::plots::{Figure, axes_figure, curves_figure, rows_figure, surfaces_figure};
+use crate::report::plots::{
+    Figure, axes_figure, curves_figure, heatmap_figures, rows_figure, seconds_figure, surfaces_figure,
+};
 
 use super::{Collected, Exporter, File};
 
@@ -42,7 +44,35 @@ impl Exporter for Axes {
     }
 }
 
-/// `curves_SCENE_psnr`: training.
+/// `heatmap_SCENE_METRIC`: a metric over two axes that are varied together; numbered where there are several.
+pub struct Heatmaps;
+
+impl Exporter for Heatmaps {
+    fn needs_table(&self) -> bool {
+        true
+    }
+
+    fn owns(&self, file: &str) -> bool {
+        is_figure(file, "heatmap_")
+    }
+
+    fn export(&self, collected: &Collected) -> Result<Vec<File>> {
+        let table = collected.table()?;
+        let mut files = Vec::new();
+        for (scene, _) in table.scenes() {
+            for metric in &table.metrics {
+                for (index, figure) in heatmap_figures(table, collected.records, scene, metric)?.into_iter().enumerate()
+                {
+                    let number = if index == 0 { String::new() } else { format!("_{}", index + 1) };
+                    files.extend(files_of(&format!("heatmap_{scene}_{metric}{number}"), Some(figure)));
+                }
+            }
+        }
+        Ok(files)
+    }
+}
+
+/// `curves_SCENE_psnr`: training, against steps and, where clocks are asked for, against seconds.
 pub struct Curves;
 
 impl Exporter for Curves {
@@ -58,10 +88,10 @@ impl Exporter for Curves {
         let mut files = Vec::new();
         for (scene, curves) in collected.curves {
             let title = format!("{}: training on {scene}", collected.spec.title);
-            files.extend(files_of(
-                &format!("curves_{scene}_psnr"),
-                curves_figure(&title, "PSNR of the step's rays (dB)", curves)?,
-            ));
+            let unit = "PSNR of the step's rays (dB)";
+            files.extend(files_of(&format!("curves_{scene}_psnr"), curves_figure(&title, unit, curves)?));
+            // There where clocks are asked for, because it does not repeat.
+            files.extend(files_of(&format!("curves_{scene}_psnr_seconds"), seconds_figure(&title, unit, curves)?));
         }
         Ok(files)
     }

@@ -68,6 +68,7 @@ pub static EXPORTERS: [&dyn Exporter; 9] = [
     &text::LATEX,
     &figures::Rows,
     &figures::Axes,
+    &figures::Heatmaps,
     &figures::Curves,
     &figures::Surfaces,
 ];

@@ -7,7 +7,7 @@ use crate::draw::canvas::{
     Anchor, BLACK, Canvas, Colour, GREY, GRID, LINE_HEIGHT, PALETTE, Panel, RED, TEXT, TITLE, number, range, text_width,
 };
 use crate::metrics::{Direction, Metric};
-use crate::report::statistics::{SIGNIFICANCE, holm, least_provable, p_value, paired_differences};
+use crate::report::statistics::{SIGNIFICANCE, holm, least_provable, p_text, p_value, paired_differences};
 use crate::report::{AxisValue, Record, Status, TableSpec, label};
 
 const PANEL: (f64, f64) = (250.0, 190.0);
@@ -172,11 +172,13 @@ fn draw_values(drawing: &mut Canvas, panel: &Panel, lines: &[&Series], metric: &
     let Some((index, best)) = lines.first().and_then(|series| best(series, metric)) else { return };
     let (value, _) = lines[0].points[index];
     let (x, y) = (x(value), panel.y(best.mean));
-    drawing.dot((x, y), 5.0, RED, 1.0);
+    // Red is for what is told apart.
+    let colour = if Pairs::new(lines[0]).tells_apart(value) { RED } else { GREY };
+    drawing.dot((x, y), 5.0, colour, 1.0);
     let label = number(best.mean, (panel.range.1 - panel.range.0) / 50.0);
     let half = text_width(&label, TEXT) / 2.0;
     let x = x.clamp(panel.left + half + 2.0, panel.right() - half - 2.0);
-    drawing.text((x, (y - 14.0).max(panel.top + 8.0)), &label, TEXT, Anchor::Middle, RED);
+    drawing.text((x, (y - 14.0).max(panel.top + 8.0)), &label, TEXT, Anchor::Middle, colour);
 }
 
 fn draw_series(drawing: &mut Canvas, panel: &Panel, series: &Series, colour: Colour, x: &impl Fn(&str) -> f64) {
@@ -217,7 +219,7 @@ fn verdict(series: &Series, metric: &str) -> String {
     match (seeds, pairs.best()) {
         (0, _) => "no data".into(),
         (1, _) => "one seed: no spread known".into(),
-        (_, Some((a, b, p))) if p < SIGNIFICANCE => format!("{seeds} seeds: {a} and {b} differ, p {p:.3}"),
+        (_, Some((a, b, p))) if p < SIGNIFICANCE => format!("{seeds} seeds: {a} and {b} differ, p {}", p_text(p)),
         _ => {
             let least = least_provable(&pairs.differences).zip(Metric::find(metric));
             let least = least.map_or(String::new(), |(least, metric)| format!(" ({} would)", metric.with_unit(least)));
@@ -245,12 +247,20 @@ impl<'a> Pairs<'a> {
         }
     }
 
-    /// The two values that are told apart best, with the p value of their paired t test after Holm's correction over all
-    /// pairs.
-    fn best(&self) -> Option<(&'a str, &'a str, f64)> {
+    /// All pairs that share two seeds, with the p values of their paired t tests after Holm's correction.
+    fn corrected(&self) -> impl Iterator<Item = (&'a str, &'a str, f64)> {
         let p_values: Vec<Option<f64>> = self.differences.iter().map(|differences| p_value(differences)).collect();
-        let corrected = holm(&p_values).into_iter().zip(&self.names).filter_map(|(p, names)| Some((p?, names)));
-        corrected.min_by(|a, b| a.0.total_cmp(&b.0)).map(|(p, (a, b))| (*a, *b, p))
+        holm(&p_values).into_iter().zip(&self.names).filter_map(|(p, (a, b))| Some((*a, *b, p?)))
+    }
+
+    /// The two values that are told apart best.
+    fn best(&self) -> Option<(&'a str, &'a str, f64)> {
+        self.corrected().min_by(|a, b| a.2.total_cmp(&b.2))
+    }
+
+    /// A value differs from another one.
+    fn tells_apart(&self, value: &str) -> bool {
+        self.corrected().any(|(a, b, p)| p < SIGNIFICANCE && (a == value || b == value))
     }
 }
 
@@ -266,7 +276,7 @@ fn caption(series: &[Series], baseline: Option<&str>, metric: &str) -> String {
     let missing: Vec<String> = missing.collect();
     let mut text = SPREAD_NOTE.to_string();
     if series.iter().any(|series| best(series, metric).is_some()) {
-        text += " The best mean of each panel is marked with its value.";
+        text += " The best mean of each panel is marked with its value, in red where it differs from another one.";
     }
     if let Some(baseline) = baseline {
         text += &format!(" Dashed: {baseline}.");
@@ -303,7 +313,7 @@ mod tests {
         };
         // The seeds lie further apart than the values do, and agree on the difference.
         let paired = series(vec![("1", vec![20.0, 22.0, 24.0]), ("3", vec![20.5, 22.51, 24.49])]);
-        assert_eq!(verdict(&paired, "psnr"), "3 seeds: 1 and 3 differ, p 0.000");
+        assert_eq!(verdict(&paired, "psnr"), "3 seeds: 1 and 3 differ, p < 0.001");
         let best_index = |metric: &str| best(&paired, metric).map(|(index, _)| index);
         assert_eq!((best_index("psnr"), best_index("lpips_alex")), (Some(1), Some(0)));
         // More of a reference's own roughness, or of filled space, is neither better nor worse.

@@ -20,6 +20,20 @@ pub struct Curve {
     pub held_out: Vec<Vec<(f64, f64)>>,
     /// The same of training views.
     pub seen: Vec<Vec<(f64, f64)>>,
+    /// Mean seconds of a step over the seeds; none where clocks do not count.
+    pub seconds_per_step: Option<f64>,
+}
+
+impl Curve {
+    /// The same against seconds of training; none where they are not known.
+    fn in_seconds(&self) -> Option<Curve> {
+        let seconds = self.seconds_per_step?;
+        let scaled = |seeds: &[Vec<(f64, f64)>]| -> Vec<Vec<(f64, f64)>> {
+            seeds.iter().map(|seed| seed.iter().map(|(step, value)| (step * seconds, *value)).collect()).collect()
+        };
+        let [seeds, held_out, seen] = [&self.seeds, &self.held_out, &self.seen].map(|seeds| scaled(seeds));
+        Some(Curve { label: self.label.clone(), seeds, held_out, seen, seconds_per_step: None })
+    }
 }
 
 /// Steps with what the values of all seeds spread over there.
@@ -76,21 +90,28 @@ struct Plot {
     panel: Panel,
     /// The last step.
     last: f64,
+    /// What is drawn along.
+    along: &'static str,
 }
 
 impl Plot {
+    /// Where the x axis ends.
+    fn end(&self) -> f64 {
+        if self.last > 0.0 { self.last } else { 1.0 }
+    }
+
     fn x(&self, step: f64) -> f64 {
-        self.panel.left + self.panel.width * step / self.last.max(1.0)
+        self.panel.left + self.panel.width * step / self.end()
     }
 
     fn frame(&self, drawing: &mut Canvas, unit: &str) {
         let panel = &self.panel;
         panel.frame(drawing, true);
-        let (marks, step) = ticks((0.0, self.last.max(1.0)), 6);
+        let (marks, step) = ticks((0.0, self.end()), 6);
         for mark in marks {
             drawing.text((self.x(mark), panel.bottom() + 12.0), &number(mark, step), TEXT, Anchor::Middle, BLACK);
         }
-        drawing.text((panel.left + panel.width / 2.0, panel.bottom() + 32.0), "step", TEXT, Anchor::Middle, BLACK);
+        drawing.text((panel.left + panel.width / 2.0, panel.bottom() + 32.0), self.along, TEXT, Anchor::Middle, BLACK);
         drawing.text((panel.left, panel.top - 12.0), unit, TEXT, Anchor::Left, BLACK);
     }
 
@@ -126,15 +147,25 @@ fn stroke(index: usize) -> Stroke {
 /// Means over seeds against steps, with a legend; below it, where views were evaluated during training, held-out views and
 /// training views. None without points.
 pub fn curves_figure(title: &str, unit: &str, curves: &[Curve]) -> Result<Option<Figure>> {
+    figure(title, unit, "step", curves)
+}
+
+/// The same against seconds of training, of the curves whose seconds are known.
+pub fn seconds_figure(title: &str, unit: &str, curves: &[Curve]) -> Result<Option<Figure>> {
+    let curves: Vec<Curve> = curves.iter().filter_map(Curve::in_seconds).collect();
+    figure(title, unit, "seconds of training", &curves)
+}
+
+fn figure(title: &str, unit: &str, along: &'static str, curves: &[Curve]) -> Result<Option<Figure>> {
     let smooth = |curve: &Curve| curve.seeds.iter().map(|seed| smoothed(seed)).collect::<Vec<_>>();
     let lines: Vec<Line> = curves.iter().map(|curve| spreads(&smooth(curve))).collect();
     let steps = lines.iter().flatten().map(|(step, _)| *step);
     let (Some(range), Some(last)) = (range_of(lines.iter()), steps.reduce(f64::max)) else { return Ok(None) };
     let legend = curves.iter().map(|curve| text_width(&curve.label, TEXT)).fold(60.0, f64::max);
-    let plot = Plot { panel: Panel { left: 76.0, top: 50.0, width: 560.0, height: 320.0, range }, last };
+    let plot = Plot { panel: Panel { left: 76.0, top: 50.0, width: 560.0, height: 320.0, range }, last, along };
     let legend_height = 60.0 + curves.len() as f64 * LINE_HEIGHT;
     let bottom = (plot.panel.bottom() + 52.0).max(legend_height);
-    let evaluated = Evaluated::new(curves, bottom, last);
+    let evaluated = Evaluated::new(curves, bottom, last, along);
     let width = if evaluated.is_some() { legend.max(text_width(SEEN, TEXT)) } else { legend };
     let bottom = evaluated.as_ref().map_or(bottom, |evaluated| evaluated.plot.panel.bottom() + 52.0);
     let mut drawing = Canvas::new(plot.panel.right() + width + 70.0, bottom);
@@ -166,12 +197,12 @@ struct Evaluated {
 
 impl Evaluated {
     /// Below `top`; none where nothing was evaluated.
-    fn new(curves: &[Curve], top: f64, last: f64) -> Option<Evaluated> {
+    fn new(curves: &[Curve], top: f64, last: f64, along: &'static str) -> Option<Evaluated> {
         let line = |seeds: &[Vec<(f64, f64)>]| spreads(&seeds.iter().map(|seed| finite(seed)).collect::<Vec<_>>());
         let lines: Vec<[Line; 2]> = curves.iter().map(|curve| [line(&curve.held_out), line(&curve.seen)]).collect();
         let range = range_of(lines.iter().flatten())?;
         let panel = Panel { left: 76.0, top: top + 30.0, width: 560.0, height: 240.0, range };
-        Some(Evaluated { plot: Plot { panel, last }, lines })
+        Some(Evaluated { plot: Plot { panel, last, along }, lines })
     }
 
     fn draw(&self, drawing: &mut Canvas) {

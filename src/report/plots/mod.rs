@@ -5,12 +5,14 @@ use crate::report::statistics::{mean, standard_deviation};
 
 mod axes;
 mod curves;
+mod heatmap;
 mod rows;
 mod surfaces;
 
 pub use crate::draw::Figure;
 pub use axes::axes_figure;
-pub use curves::{Curve, curves_figure};
+pub use curves::{Curve, curves_figure, seconds_figure};
+pub use heatmap::heatmap_figures;
 pub use rows::rows_figure;
 pub use surfaces::{Surface, surfaces_figure};
 

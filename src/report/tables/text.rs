@@ -3,6 +3,7 @@
 use super::{Cell, Comparison, Line, Table, distinct};
 use crate::metrics::Metric;
 use crate::report::PUBLISHED_NOTE;
+use crate::report::statistics::p_text;
 use crate::settings::columns::{COLUMNS, Told};
 
 const HOW_TO_READ: &str = "difference to the baseline, paired by seed, with its 95 % Student t interval and the p value \
@@ -140,15 +141,6 @@ fn conclusion(cell: &Cell, comparison: &Comparison) -> String {
         format!(", equivalent within {}", number(&cell.metric, equivalence.margin))
     });
     format!("{p}{words}{equivalent}")
-}
-
-/// A p value, with as many digits as tell it from the level of significance.
-fn p_text(p: f64) -> String {
-    match format!("{p:.3}").as_str() {
-        "0.000" => "< 0.001".into(),
-        "0.050" => format!("{p:.5}"),
-        text => text.into(),
-    }
 }
 
 /// The paper's number with the paper's digits; empty without one.
