@@ -60,6 +60,16 @@ pub fn measure_depth(
     values.set("normal_roughness_truth", truth(compared.normal_roughness(&compared.reference)));
 }
 
+/// A view's depth errors, rendered minus reference, at the pixels whose reference depth is known, row-major; NaN where the
+/// rendering is not solid. Over the others [`measure_depth`] takes its errors.
+pub fn depth_errors(rendered: &[f32], acc: &[f32], reference: &[f32]) -> Vec<f32> {
+    let error = |i: usize| match acc[i] >= SOLID && rendered[i].is_finite() {
+        true => (f64::from(rendered[i]) - f64::from(reference[i])) as f32,
+        false => f32::NAN,
+    };
+    (0..reference.len()).filter(|&i| reference[i].is_finite()).map(error).collect()
+}
+
 fn mean(values: impl Iterator<Item = f64>) -> Option<f64> {
     let (sum, count) = values.fold((0.0, 0u64), |(sum, count), value| (sum + value, count + 1));
     (count > 0).then(|| sum / count as f64)
@@ -170,6 +180,10 @@ mod tests {
         let acc: Vec<f32> = (0..120).map(|i| if i % 4 == 3 { 0.4 } else { 1.0 }).collect();
         let metrics = measured(&view(|x, _| if x % 4 == 2 { 3.5 } else { f32::NAN }), &acc, &truth, true);
         assert_eq!((metrics.get("depth_mae"), metrics.get("depth_left_out")), (Some(0.5), Some(0.5)));
+        // The errors that are kept are those of the same pixels: 30 known ones of each kind, one kind solid.
+        let errors = depth_errors(&view(|x, _| if x % 4 == 2 { 3.5 } else { f32::NAN }), &acc, &truth);
+        assert_eq!((errors.len(), errors.iter().filter(|error| **error == 0.5).count()), (60, 30));
+        assert_eq!(errors.iter().filter(|error| error.is_nan()).count(), 30);
         let empty = measured(&truth, &acc, &view(|_, _| f32::INFINITY), true);
         assert_eq!(empty, ViewMetrics::new("v"));
     }

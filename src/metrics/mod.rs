@@ -11,7 +11,7 @@ mod ssim;
 mod values;
 mod weights;
 
-pub use depth::measure_depth;
+pub use depth::{depth_errors, measure_depth};
 pub use lpips::{Backbone, Lpips};
 pub use registry::{Digits, Direction, METRICS, Metric, Needs, Scope};
 pub use ssim::ssim;

@@ -40,6 +40,8 @@ pub enum Scope {
     Lattice,
     /// On the surface of the evaluated field (`eval.mesh`).
     Surface,
+    /// On the rows of a sweep side by side: over the pixels that all of them show.
+    Common,
 }
 
 /// What a metric needs besides a rendered view and its photograph.
@@ -146,7 +148,7 @@ const fn seen_lpips(backbone: Backbone, scope: Scope, key: &'static str, label: 
 }
 
 /// All metrics, in the order of files.
-pub static METRICS: [Metric; 35] = [
+pub static METRICS: [Metric; 38] = [
     Metric { key: "psnr", label: "PSNR (dB)", ..DECIBEL },
     Metric { key: "psnr_float", label: "PSNR float (dB)", ..DECIBEL },
     Metric {
@@ -208,6 +210,15 @@ pub static METRICS: [Metric; 35] = [
     Metric { key: "depth_mae", label: "mean depth error", ..DEPTH },
     Metric { key: "depth_rmse", label: "depth rmse", ..DEPTH },
     Metric { key: "depth_left_out", label: "depth left out", unit: "", ..DEPTH },
+    Metric { key: "depth_mae_common", label: "mean depth error, common pixels", scope: Scope::Common, ..DEPTH },
+    Metric { key: "depth_rmse_common", label: "depth rmse, common pixels", scope: Scope::Common, ..DEPTH },
+    Metric {
+        key: "depth_left_out_common",
+        label: "depth left out by any row",
+        unit: "",
+        scope: Scope::Common,
+        ..TRUTH
+    },
     Metric { key: "depth_roughness", label: "depth roughness", ..DEPTH },
     Metric { key: "depth_roughness_truth", label: "depth roughness truth", ..TRUTH },
     Metric { key: "normal_roughness", label: "normal roughness", unit: "degrees", ..DEPTH },
@@ -237,7 +248,7 @@ mod tests {
 
     #[test]
     fn what_describes_has_no_better_way() {
-        let roughness = ["normal_roughness_truth", "depth_roughness_truth"];
+        let roughness = ["normal_roughness_truth", "depth_roughness_truth", "depth_left_out_common"];
         for key in [&["occupied", "largest_density", "train_psnr", "gap", "gap_lpips_vgg"], &roughness[..]].concat() {
             assert_eq!(Metric::find(key).unwrap().direction, Direction::Neither, "{key}");
         }

@@ -105,7 +105,7 @@ pub struct MeanMetrics(Values);
 
 impl Default for MeanMetrics {
     fn default() -> MeanMetrics {
-        MeanMetrics(Values::of(|scope| !matches!(scope, Scope::ViewAlone | Scope::Lattice)))
+        MeanMetrics(Values::of(|scope| !matches!(scope, Scope::ViewAlone | Scope::Lattice | Scope::Common)))
     }
 }
 

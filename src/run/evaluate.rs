@@ -6,7 +6,7 @@ use rayon::prelude::*;
 use crate::base::{Error, Event, Image, Listener, Result};
 use crate::data::{Camera, RayBuffer, Scene, View, seen_views};
 use crate::methods::Model;
-use crate::metrics::{Lpips, ViewMetrics, measure, measure_depth};
+use crate::metrics::{Lpips, ViewMetrics, depth_errors, measure, measure_depth};
 use crate::runtime::Runtime;
 use crate::settings::Resolved;
 
@@ -98,6 +98,12 @@ impl Viewer<'_> {
         }
         let image = Image { width: camera.width, height: camera.height, channels: 3, pixels: rgb };
         Ok(RenderedView { image, depth, acc })
+    }
+
+    /// The errors of a rendered view's depth, as `depth_errors.gz` keeps them; none of a view without a depth of its own.
+    pub(super) fn depth_errors(&self, view: &View, rendered: &RenderedView) -> Option<Vec<f32>> {
+        let reference = view.depth.as_ref()?;
+        Some(depth_errors(&self.scene_depth(&view.camera, rendered), &rendered.acc, reference))
     }
 
     /// Renders and measures every held-out view. `unless_stopped` may refuse to begin another, `each` is handed each that is done.

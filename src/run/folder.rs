@@ -18,6 +18,7 @@ use super::lock::{LOCK, RunLock};
 const CONFIG: &str = "config.toml";
 const METRICS_JSON: &str = "metrics.json";
 const METRICS_CSV: &str = "metrics.csv";
+const DEPTH_ERRORS: &str = "depth_errors.gz";
 const SMOOTHNESS: &str = "smoothness.csv";
 const SCALARS: &str = "scalars.csv";
 const TIMING: &str = "timing.json";
@@ -27,7 +28,7 @@ const RENDERS: &str = "renders";
 const MESH: &str = "mesh";
 
 /// The files of a run, apart from the lock.
-const FILES: [&str; 6] = [CONFIG, METRICS_JSON, METRICS_CSV, SMOOTHNESS, SCALARS, TIMING];
+const FILES: [&str; 7] = [CONFIG, METRICS_JSON, METRICS_CSV, DEPTH_ERRORS, SMOOTHNESS, SCALARS, TIMING];
 /// The folders of a run.
 const FOLDERS: [&str; 3] = [TENSORBOARD, CHECKPOINTS, RENDERS];
 
@@ -198,6 +199,11 @@ impl RunDir {
     /// `metrics.json` and `metrics.csv` in a folder that need not be a run's.
     pub fn metrics_in(folder: &Path) -> [PathBuf; 2] {
         [METRICS_JSON, METRICS_CSV].map(|name| folder.join(name))
+    }
+
+    /// `depth_errors.gz` in a folder that need not be a run's.
+    pub fn depth_errors_in(folder: &Path) -> PathBuf {
+        folder.join(DEPTH_ERRORS)
     }
 
     /// `metrics.json`: metrics of the held-out views and their mean, with provenance.

@@ -262,7 +262,7 @@ impl Experiment<'_> {
             seconds_training: training,
             seconds_evaluation: evaluation + earlier(|timing| timing.seconds_evaluation),
             rays_per_second: (training > 0.0).then(|| step as f64 * config.train.rays as f64 / training),
-            peak_memory_mib: self.memory.peak_mib(),
+            peak_memory_mib: self.memory.peak_mib().filter(|_| runtime.is_alone()),
             device: runtime.name().to_string(),
             threads: runtime.threads(),
             host: Host::current(),

@@ -9,6 +9,7 @@
 mod balance;
 mod columns;
 mod corruption;
+mod depth_errors;
 mod evaluate;
 mod folder;
 mod inputs;
@@ -29,6 +30,7 @@ mod trained;
 pub use balance::{BalancedWeight, balance};
 pub use columns::columns;
 pub(crate) use corruption::write_corrupted;
+pub use depth_errors::DepthErrors;
 pub use evaluate::{RenderedView, Viewer};
 pub use folder::{Existing, RunDir};
 pub use inputs::{load_lpips, load_scene, locate_scene};

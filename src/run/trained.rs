@@ -13,7 +13,7 @@ use crate::runtime::Runtime;
 use crate::settings::Resolved;
 use crate::train::checkpoint::{self, State};
 
-use super::{Protocol, RenderedView, Report, RunDir, Viewer, load_scene, surface_reference};
+use super::{DepthErrors, Protocol, RenderedView, Report, RunDir, Viewer, load_scene, surface_reference};
 
 /// The newest checkpoint of a run, with its scene: everything that can be looked at or measured.
 ///
@@ -127,10 +127,14 @@ impl Measurement<'_> {
     pub fn write(
         &self,
         unless_stopped: impl Fn() -> Result<()>,
-        each: impl FnMut(usize, &View, &RenderedView) -> Result<()>,
+        mut each: impl FnMut(usize, &View, &RenderedView) -> Result<()>,
     ) -> Result<Report> {
         let attack = SiteSummary::read(&self.run.scalars(), self.state.step)?;
-        let views = self.viewer.evaluate(self.lpips, self.events, &unless_stopped, each)?;
+        let mut errors = DepthErrors::default();
+        let views = self.viewer.evaluate(self.lpips, self.events, &unless_stopped, |index, view, rendered| {
+            errors.views.extend(self.viewer.depth_errors(view, rendered));
+            each(index, view, rendered)
+        })?;
         let training_views = self.viewer.evaluate_seen(self.lpips, self.events, &unless_stopped)?;
         let surface = self.viewer.surface(self.events, &unless_stopped)?;
         let protocol = Protocol::new(self.viewer.config, self.viewer.scene, self.state).with_lpips(self.lpips);
@@ -143,6 +147,7 @@ impl Measurement<'_> {
         }
         let report = Report::new(views, training_views, chamfer, protocol, attack);
         let [json, csv] = RunDir::metrics_in(self.folder);
+        errors.write(&RunDir::depth_errors_in(self.folder))?;
         report.write(&json, &csv)?;
         Ok(report)
     }

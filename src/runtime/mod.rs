@@ -42,6 +42,8 @@ pub struct Runtime {
     name: String,
     pool: Arc<ThreadPool>,
     counters: Arc<work::Counters>,
+    /// No other job shares its threads.
+    alone: bool,
 }
 
 impl Runtime {
@@ -78,7 +80,7 @@ impl Runtime {
             .start_handler(move |_| own.clone().adopt_thread())
             .build()
             .map_err(|e| Error::Config(format!("threads {threads}: cannot start the threads: {e}")))?;
-        Ok(Runtime { device, name, pool: Arc::new(pool), counters })
+        Ok(Runtime { device, name, pool: Arc::new(pool), counters, alone: true })
     }
 
     /// A runtime on the same device for one of `jobs` that share this one's threads (each has at least one).
@@ -86,7 +88,13 @@ impl Runtime {
     /// # Errors
     /// [`Error::Config`]: the system gives no threads.
     pub fn share(&self, jobs: usize) -> Result<Runtime> {
-        Runtime::with_threads(self.device.clone(), self.name.clone(), (self.threads() / jobs).max(1))
+        let own = Runtime::with_threads(self.device.clone(), self.name.clone(), (self.threads() / jobs).max(1))?;
+        Ok(Runtime { alone: jobs == 1, ..own })
+    }
+
+    /// No other job shares what this one was made of, so that the process's memory is its own.
+    pub(crate) fn is_alone(&self) -> bool {
+        self.alone
     }
 
     /// Does `work` on the runtime's threads and waits for it. On one of them already, it goes on there.

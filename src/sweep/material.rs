@@ -13,9 +13,10 @@ use crate::base::{Error, Image, Result};
 use crate::data::images;
 use crate::report::tables::PointTiming;
 use crate::report::{Record, Status};
-use crate::run::RunDir;
+use crate::run::{DepthErrors, RunDir};
 use crate::runtime::Timing;
 
+use super::common_depth::{add_common_depth, wants_depth};
 use super::definition::Definition;
 use super::folder::{STEP_SECONDS, SweepFolder};
 use super::points::Point;
@@ -73,6 +74,10 @@ impl Material {
             if picture.exists() {
                 material.surfaces.insert(point.id.clone(), read_picture(&picture)?);
             }
+        }
+        if wants_depth(&definition.metrics) {
+            let errors = |id: &str| DepthErrors::read(&RunDir::depth_errors_in(&folder.point(id).run()));
+            add_common_depth(&mut material.records, errors)?;
         }
         Ok(material)
     }

@@ -15,6 +15,7 @@ mod budget;
 mod checks;
 mod claim;
 mod collect;
+mod common_depth;
 mod comparability;
 mod definition;
 mod extends;

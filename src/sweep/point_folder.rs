@@ -8,7 +8,9 @@ use serde::{Deserialize, Serialize};
 use crate::base::files::{clean_temporaries, discard, is_temporary, read_json, write_atomic, write_json};
 use crate::base::input::{TEXT_BYTES, read_text};
 use crate::base::{Class, Error, Result};
+use crate::metrics::{Metric, Scope};
 use crate::report::Status;
+use crate::run::RunDir;
 use crate::settings::Config;
 
 use super::claim::{CLAIM, Claim, Claimed, Watch};
@@ -133,7 +135,12 @@ impl PointFolder {
     /// The point is done and lacks one of these metrics.
     pub fn lacks(&self, metrics: &[String]) -> Result<bool> {
         let Some(result) = self.result()? else { return Ok(false) };
-        let has = |name: &String| result.metrics.iter().any(|(known, value)| known == name && value.is_some());
+        let is_common = |name: &str| Metric::find(name).is_some_and(|metric| metric.scope == Scope::Common);
+        let has = |name: &String| match is_common(name) {
+            // Made of all rows when they are collected, from what each evaluation keeps.
+            true => RunDir::depth_errors_in(&self.run()).is_file(),
+            false => result.metrics.iter().any(|(known, value)| known == name && value.is_some()),
+        };
         Ok(!metrics.iter().all(has))
     }
 

@@ -8,6 +8,7 @@ use crate::common::assert_says;
 use crate::common::files::{assert_same_files, entries, files, json, newest, rows, text};
 use crate::common::program::{self, augnerf};
 use augnerf::base::rng::{Random, Stream};
+use augnerf::run::DepthErrors;
 use tempfile::TempDir;
 
 /// Runs of about a second: two methods, two seeds, the embedded scene at 16 x 16.
@@ -300,4 +301,45 @@ fn each_point_has_its_own_memory() {
     let [large, small] = [0, 1].map(|index| one_by_one[index].parse::<f64>().unwrap());
     assert!(large > small + 50.0, "{large} MiB, then {small} MiB");
     assert_eq!(memory(&["--jobs", "2", "--name", "two"]), ["", ""]);
+}
+
+/// Depth errors are compared over the pixels that all rows show; what each evaluation keeps gives its own numbers again.
+#[test]
+fn rows_are_compared_over_their_common_pixels() {
+    let metrics = r#"metrics = ["depth_mae", "depth_left_out", "depth_mae_common", "depth_left_out_common"]"#;
+    let definition = TINY.replace(r#"metrics = ["psnr", "ssim", "tv"]"#, metrics).replace("[0, 1]", "[0]");
+    let definition = definition.replace("\"data.width\" = 16", "\"data.width\" = 24").replace("= 60", "= 150");
+    let dir = workplace(&definition);
+    demand(&["sweep", "run", "tiny.toml", "--quiet"], dir.path(), 0);
+    let points = rows(&text(&dir.path().join("results/tiny/points.csv")));
+    let number = |row: usize, name: &str| points[row][name].parse::<f64>().unwrap();
+    let common = number(0, "depth_left_out_common");
+    assert_eq!(common, number(1, "depth_left_out_common"), "one mask for both rows");
+    for (row, point) in points.iter().enumerate() {
+        assert!(number(row, "depth_left_out") <= common);
+        let run = dir.path().join("runs/tiny/points").join(&point["id"]).join("run");
+        let errors = DepthErrors::read(&run.join("depth_errors.gz")).unwrap().unwrap();
+        let mean = |view: &Vec<f32>| {
+            let solid: Vec<f64> =
+                view.iter().filter(|error| error.is_finite()).map(|error| f64::from(error.abs())).collect();
+            solid.iter().sum::<f64>() / solid.len() as f64
+        };
+        let own = errors.views.iter().map(mean).sum::<f64>() / errors.views.len() as f64;
+        assert!((own - number(row, "depth_mae")).abs() < 1e-6 * own, "{own} {}", point["depth_mae"]);
+    }
+    assert!(
+        number(0, "depth_mae_common") > 0.0
+            && text(&dir.path().join("results/tiny/table.md")).contains("depth_mae_common")
+    );
+
+    // A run of an earlier version keeps no errors: nothing is common until it is measured again.
+    let first = dir.path().join("runs/tiny/points").join(&points[0]["id"]).join("run/depth_errors.gz");
+    let kept = std::fs::read(&first).unwrap();
+    std::fs::remove_file(&first).unwrap();
+    demand(&["sweep", "collect", "runs/tiny"], dir.path(), 0);
+    let without = rows(&text(&dir.path().join("results/tiny/table.csv")));
+    assert!(without.iter().all(|row| row["depth_mae_common_mean"].is_empty() && !row["depth_mae_mean"].is_empty()));
+    demand(&["sweep", "run", "tiny.toml", "--quiet", "--remeasure"], dir.path(), 0);
+    assert_eq!(std::fs::read(&first).unwrap(), kept);
+    assert_eq!(rows(&text(&dir.path().join("results/tiny/points.csv"))), points);
 }

@@ -1,0 +1,163 @@
+//! Depth errors over the pixels that all rows show. A row's own numbers are over the pixels where it is solid itself: who
+//! leaves more out would look better.
+
+use crate::base::Result;
+use crate::metrics::{Metric, Needs, Scope};
+use crate::report::{Record, Status};
+use crate::run::DepthErrors;
+
+/// The table is about depth: it asks for a metric over a view's own pixels or over the common ones.
+pub fn wants_depth(metrics: &[String]) -> bool {
+    let about_depth = |metric: &Metric| metric.scope == Scope::Common || matches!(metric.needs, Needs::Depth);
+    metrics
+        .iter()
+        .filter_map(|key| Metric::find(key))
+        .any(|metric| about_depth(metric) && metric.scope != Scope::Surface)
+}
+
+/// Adds to measured points what [`Scope::Common`] metrics come to: over the pixels of each held-out view at which every
+/// measured point of the scene and seed is solid. `errors_of` gives a point's errors. Where one point has none, or others'
+/// views, none of its seed has the metrics.
+pub fn add_common_depth(records: &mut [Record], errors_of: impl Fn(&str) -> Result<Option<DepthErrors>>) -> Result<()> {
+    let groups = distinct(records.iter().filter(|r| r.status == Status::Done).map(|r| (r.scene.clone(), r.seed)));
+    for (scene, seed) in groups {
+        let of_group = |r: &&Record| r.status == Status::Done && (&r.scene, r.seed) == (&scene, seed);
+        let ids = distinct(records.iter().filter(of_group).map(|record| record.id.clone()));
+        let Some(mask) = common_mask(&ids, &errors_of)? else { continue };
+        for id in ids {
+            let Some(errors) = errors_of(&id)? else { continue };
+            let metrics = measured(&errors, &mask);
+            for record in records.iter_mut().filter(|record| record.id == id && record.status == Status::Done) {
+                record.metrics.extend(metrics.iter().map(|(key, value)| (key.to_string(), *value)));
+            }
+        }
+    }
+    Ok(())
+}
+
+fn distinct<T: PartialEq>(items: impl Iterator<Item = T>) -> Vec<T> {
+    let mut seen = Vec::new();
+    for item in items {
+        if !seen.contains(&item) {
+            seen.push(item);
+        }
+    }
+    seen
+}
+
+/// Where all points are solid, view by view; none where one has no errors, or errors of other views. One point is in memory
+/// at a time.
+fn common_mask(
+    ids: &[String],
+    errors_of: &impl Fn(&str) -> Result<Option<DepthErrors>>,
+) -> Result<Option<Vec<Vec<bool>>>> {
+    let mut mask: Option<Vec<Vec<bool>>> = None;
+    for id in ids {
+        let Some(errors) = errors_of(id)? else { return Ok(None) };
+        let solid: Vec<Vec<bool>> =
+            errors.views.iter().map(|view| view.iter().map(|error| error.is_finite()).collect()).collect();
+        match &mut mask {
+            None => mask = Some(solid),
+            Some(mask) if !mask.iter().map(Vec::len).eq(solid.iter().map(Vec::len)) => return Ok(None),
+            Some(mask) => {
+                let pixels = mask.iter_mut().flatten().zip(solid.iter().flatten());
+                pixels.for_each(|(common, own)| *common &= own);
+            }
+        }
+    }
+    Ok(mask)
+}
+
+/// Means over views of a point's errors at the common pixels, and of the share that these leave out. A view without a common
+/// pixel has no error, and neither has the mean.
+fn measured(errors: &DepthErrors, mask: &[Vec<bool>]) -> [(&'static str, Option<f64>); 3] {
+    let at_common = |(view, mask): (&Vec<f32>, &Vec<bool>)| -> Vec<f64> {
+        view.iter().zip(mask).filter(|(_, common)| **common).map(|(error, _)| f64::from(*error)).collect()
+    };
+    let views: Vec<Vec<f64>> = errors.views.iter().zip(mask).map(at_common).collect();
+    let mean_of = |of_view: &dyn Fn(&[f64]) -> Option<f64>| -> Option<f64> {
+        let values: Option<Vec<f64>> = views.iter().map(|view| of_view(view)).collect();
+        mean(values?.into_iter())
+    };
+    let left_out = errors.views.iter().zip(&views).filter(|(all, _)| !all.is_empty());
+    let left_out = left_out.map(|(all, common)| 1.0 - common.len() as f64 / all.len() as f64);
+    [
+        ("depth_mae_common", mean_of(&|view| mean(view.iter().map(|error| error.abs())))),
+        ("depth_rmse_common", mean_of(&|view| mean(view.iter().map(|error| error * error)).map(f64::sqrt))),
+        ("depth_left_out_common", mean(left_out)),
+    ]
+}
+
+fn mean(values: impl Iterator<Item = f64>) -> Option<f64> {
+    let (sum, count) = values.fold((0.0, 0u64), |(sum, count), value| (sum + value, count + 1));
+    (count > 0).then(|| sum / count as f64)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const NAN: f32 = f32::NAN;
+
+    fn record(id: &str, seed: u64) -> Record {
+        Record {
+            id: id.into(),
+            scene: "s".into(),
+            row: id.into(),
+            axes: vec![],
+            seed,
+            status: Status::Done,
+            reason: String::new(),
+            metrics: vec![],
+            protocol: vec![],
+            inactive_levels: vec![],
+        }
+    }
+
+    fn values(record: &Record) -> Vec<Option<f64>> {
+        ["depth_mae_common", "depth_rmse_common", "depth_left_out_common"].map(|key| record.metric(key)).to_vec()
+    }
+
+    /// The row that leaves its worst pixel out has the smaller error over its own pixels, and the larger over common ones.
+    #[test]
+    fn who_leaves_its_errors_out_gains_nothing() {
+        let errors = |id: &str| {
+            let views = match id {
+                "honest" => vec![vec![0.0, 0.5, -4.0, 0.5], vec![0.5, 0.5]],
+                "hiding" => vec![vec![1.0, -1.0, NAN, 1.0], vec![1.0, 1.0]],
+                "other seed" => vec![vec![0.25, NAN, NAN, NAN], vec![0.25, NAN]],
+                _ => return Ok(None),
+            };
+            Ok(Some(DepthErrors { views }))
+        };
+        let mut records = vec![record("honest", 0), record("hiding", 0), record("other seed", 1)];
+        add_common_depth(&mut records, errors).unwrap();
+        // Over its own pixels the first would have a mean error of (5 / 4 + 0.5) / 2 = 0.875, the second one of 1.
+        let honest = [Some((1.0 / 3.0 + 0.5) / 2.0), Some(((0.5f64 / 3.0).sqrt() + 0.5) / 2.0), Some(0.125)];
+        assert_eq!(values(&records[0]), honest);
+        assert_eq!(values(&records[1]), [Some(1.0), Some(1.0), Some(0.125)]);
+        assert_eq!(values(&records[2]), [Some(0.25), Some(0.25), Some((0.75 + 0.5) / 2.0)]);
+
+        // A measured point without errors leaves nothing that is common; one that is not measured does not count.
+        let mut records = vec![record("honest", 0), record("unknown", 0)];
+        add_common_depth(&mut records, errors).unwrap();
+        assert_eq!(values(&records[0]), [None; 3]);
+        records[1].status = Status::Failed;
+        add_common_depth(&mut records, errors).unwrap();
+        assert_eq!(records[0].metric("depth_left_out_common"), Some(0.0));
+    }
+
+    #[test]
+    fn other_views_and_empty_masks_have_no_number() {
+        let errors = |id: &str| {
+            Ok(Some(DepthErrors { views: if id == "a" { vec![vec![1.0, NAN]] } else { vec![vec![NAN, 1.0]] } }))
+        };
+        let mut records = vec![record("a", 0), record("b", 0)];
+        add_common_depth(&mut records, errors).unwrap();
+        assert_eq!(values(&records[0]), [None, None, Some(1.0)]);
+        let longer = |id: &str| Ok(Some(DepthErrors { views: vec![vec![1.0; id.len()]] }));
+        let mut records = vec![record("a", 0), record("bb", 0)];
+        add_common_depth(&mut records, longer).unwrap();
+        assert_eq!(values(&records[0]), [None; 3]);
+    }
+}
