@@ -180,19 +180,6 @@ fn rows_with_axes_of_their_own_stand_beside_plain_ones() {
     );
 }
 
-/// Training and held-out values at a level; the last held-out one is of the end.
-fn curve(label: &str, level: f64, seconds_per_step: Option<f64>) -> Curve {
-    let value = |seed: u64, i: u64| level - 8.0 / i as f64 + noise(seed, i);
-    Curve {
-        label: label.into(),
-        seeds: (0..3).map(|seed| (1..=60).map(|i| (50.0 * i as f64, value(seed, i))).collect()).collect(),
-        held_out: (0..3)
-            .map(|seed| (1..=3).map(|i| (1000.0 * i as f64, value(seed, 20 * i) - 1.0)).collect())
-            .collect(),
-        seconds_per_step,
-    }
-}
-
 #[test]
 fn training_curves() {
     let curve = |label: &str, level: f64| Curve {

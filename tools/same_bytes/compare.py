@@ -21,7 +21,8 @@ LATER += ["rgb_padding", "resample_padding", "jitter", "density_noise", "batchin
 LATER += ["warmup_share", "warmup_from", "dead_start_share", "chunk", "eval_chunk", "xyz_radius", "norms", "perturb_last"]
 LATER += ["core", "precision", "instructions", "train_views"]
 LATER += [f"{kind}_{metric}" for kind in ("train", "gap") for metric in ("ssim", "lpips_alex", "lpips_vgg", "lpips_squeeze")]
-LATER += ["train_psnr", "gap"]
+LATER += ["train_psnr", "gap", "depth_mae_common", "depth_rmse_common", "depth_left_out_common"]
+LATER += ["published_lpips", "published_average"]
 # Settings, with the defaults that they stand at in TOML files.
 LATER_SETTINGS = {"holdout_offset": "0", "validation": "0", "views_seed": "0", "geometry": '"sampling"'}
 
