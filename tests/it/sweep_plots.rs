@@ -304,7 +304,8 @@ fn a_product_of_two_axes_is_drawn_too() {
     let table = Table::new(&spec, &single, false).unwrap();
     assert!(heatmap_figures(&table, &single, "fern", "psnr").unwrap().is_empty(), "one axis at a time has none");
     let (table, records) = (Some(&table), &single[..]);
-    let collected = Collected { spec: &spec, records, timing: &[], with_timing: false, table, curves: &[] };
+    let collected =
+        Collected { spec: &spec, records, timing: &[], with_timing: false, table, curves: &[], surfaces: &[] };
     let files = EXPORTERS.iter().flat_map(|exporter| exporter.export(&collected).unwrap());
     assert_eq!(files.filter(|(name, _)| name.starts_with("heatmap_")).count(), 0);
 }

@@ -60,7 +60,7 @@ pub trait Exporter: Sync {
 }
 
 /// All exporters, in the order in which they write.
-pub static EXPORTERS: [&dyn Exporter; 9] = [
+pub static EXPORTERS: [&dyn Exporter; 10] = [
     &text::POINTS_CSV,
     &text::TIMING_CSV,
     &text::TABLE_CSV,
