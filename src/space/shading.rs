@@ -202,8 +202,8 @@ impl Target {
         let mut pixels = vec![0.0; width * height * 3];
         for (index, colour) in self.colours.iter().enumerate() {
             let (x, y) = (index % self.camera.width / SAMPLES, index / self.camera.width / SAMPLES);
-            for channel in 0..3 {
-                pixels[(y * width + x) * 3 + channel] += colour[channel] / (SAMPLES * SAMPLES) as f32;
+            for (channel, value) in colour.iter().enumerate() {
+                pixels[(y * width + x) * 3 + channel] += value / (SAMPLES * SAMPLES) as f32;
             }
         }
         Image { width, height, channels: 3, pixels }

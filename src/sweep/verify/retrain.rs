@@ -1,6 +1,6 @@
 //! Points trained again, and their numbers compared to the last digit.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::sync::atomic::AtomicUsize;
 
 use super::archive::Archive;
@@ -99,6 +99,6 @@ impl Scratch {
 impl Drop for Scratch {
     fn drop(&mut self) {
         // Trainings of a process that is killed stay behind; what stays otherwise is only space.
-        let _ = std::fs::remove_dir_all(Path::new(&self.0));
+        let _ = std::fs::remove_dir_all(&self.0);
     }
 }
