@@ -129,7 +129,7 @@ impl Collector<'_> {
             if !seeds.is_empty() {
                 let (held_out, seen) = (of("test_psnr"), of("train_psnr"));
                 let per_step = |point: &&Point| Some(self.seconds_of(point)? / point.config.train.steps as f64);
-                let seconds: Vec<f64> = points.iter().filter_map(|point| per_step(point)).collect();
+                let seconds: Vec<f64> = points.iter().filter_map(per_step).collect();
                 let seconds_per_step = mean(&seconds);
                 curves.push(Curve { label: row.name.clone(), seeds, held_out, seen, seconds_per_step });
             }

@@ -99,8 +99,11 @@ impl Grid {
     }
 }
 
+/// A column's name, and its text in a line.
+type Column = (&'static str, fn(&Line) -> String);
+
 /// Numbers of the paper that belong beside no metric of ours: it does not name the backbone of its LPIPS.
-pub(super) const UNKNOWN_BACKBONE: [(&str, fn(&Line) -> String); 2] = [
+pub(super) const UNKNOWN_BACKBONE: [Column; 2] = [
     ("LPIPS", |line| line.published_lpips.map_or(String::new(), |value| format!("{value:.3}"))),
     ("average", |line| line.published_average.map_or(String::new(), |value| format!("{value:.3}"))),
 ];

@@ -46,16 +46,12 @@ impl Verifier<'_> {
     pub fn folder(&self, path: &Path) -> Result<Findings> {
         let mut findings = Findings::default();
         match kind(path)? {
-            Kind::Sweep => {
-                let archive = Archive::read(path, self.data_root)?;
-                files::check(&archive, self.update, &mut findings)?;
-                ids::check(&archive, self.data_root, &mut findings)?;
-                inputs::check(&archive, &self.trainings.lpips, self.trainings.events, &mut findings)?;
-                if self.retrain > 0 {
-                    let how = (self.retrain, self.any_revision);
-                    retrain::check(&archive, how, self.runtime, self.trainings, self.stop, &mut findings)?;
-                }
-            }
+            Kind::Sweep => match Archive::read(path, self.data_root) {
+                Ok(archive) => self.sweep(&archive, &mut findings)?,
+                // Files that do not fit together are what is looked for.
+                Err(Error::Data(message)) => findings.wrong(message),
+                Err(error) => return Err(error),
+            },
             Kind::Runs => runs::check(path, &mut findings)?,
             Kind::Other => {
                 return Err(Error::Data(format!(
@@ -66,6 +62,17 @@ impl Verifier<'_> {
         }
         quoted(path, &mut findings)?;
         Ok(findings)
+    }
+
+    fn sweep(&self, archive: &Archive, findings: &mut Findings) -> Result<()> {
+        files::check(archive, self.update, findings)?;
+        ids::check(archive, self.data_root, findings)?;
+        inputs::check(archive, &self.trainings.lpips, self.trainings.events, findings)?;
+        if self.retrain > 0 {
+            let how = (self.retrain, self.any_revision);
+            retrain::check(archive, how, self.runtime, self.trainings, self.stop, findings)?;
+        }
+        Ok(())
     }
 }
 

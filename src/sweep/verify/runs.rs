@@ -23,8 +23,11 @@ pub fn run_folders(folder: &Path) -> Result<Vec<PathBuf>> {
     Ok(runs)
 }
 
+/// Names and values, as text.
+type Fields = Vec<(String, String)>;
+
 /// Name and means of each run below a folder.
-pub fn means(folder: &Path) -> Result<Vec<(String, Vec<(String, String)>)>> {
+pub fn means(folder: &Path) -> Result<Vec<(String, Fields)>> {
     let of_run = |path: PathBuf| {
         let report = Report::read(&path)?;
         Ok((name(&path), report.mean.iter().map(|(key, value)| (key.clone(), text(value))).collect()))

@@ -102,14 +102,17 @@ fn failures() -> PathBuf {
     folder
 }
 
+/// Since when an input is read, its name and bytes.
+type Now = Arc<Mutex<Option<(Instant, String, Vec<u8>)>>>;
+
 /// Ends the program where an input does not come back, and leaves the input.
 struct Watch {
-    now: Arc<Mutex<Option<(Instant, String, Vec<u8>)>>>,
+    now: Now,
 }
 
 impl Watch {
     fn new() -> Watch {
-        let now: Arc<Mutex<Option<(Instant, String, Vec<u8>)>>> = Arc::default();
+        let now: Now = Arc::default();
         let watched = now.clone();
         std::thread::spawn(move || {
             loop {

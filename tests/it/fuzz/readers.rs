@@ -19,6 +19,8 @@ use super::formats::Format;
 use super::seeds;
 use crate::common::{tiny_config, trained};
 
+type Read = dyn Fn(&[u8]) -> Result<()>;
+
 /// A reader of files.
 pub struct Reader {
     /// What it reads.
@@ -29,7 +31,7 @@ pub struct Reader {
     /// What is missing from sound files that are too small to be whole.
     pub lacks: Option<&'static str>,
     /// Reads a file of these bytes.
-    pub read: Box<dyn Fn(&[u8]) -> Result<()>>,
+    pub read: Box<Read>,
 }
 
 fn reader(
