@@ -112,7 +112,7 @@ fn what_is_not_at_hand_is_said() {
     std::fs::create_dir(dir.path().join("empty")).unwrap();
     assert_says(&verify(dir.path(), &["empty"], 3), &["holds no results"]);
     std::fs::remove_file(dir.path().join("results/mip_fern/points.json")).unwrap();
-    assert_says(&verify(dir.path(), &[], 3), &["has no points.json"]);
+    assert_says(&verify(dir.path(), &[], 10), &["has no points.json"]);
     assert_says(&verify(Path::new(ROOT), &["results/mip_fern", "--retrain", "1"], 2), &["git worktree add"]);
 }
 
