@@ -23,6 +23,8 @@ LATER += ["core", "precision", "instructions", "train_views"]
 LATER += [f"{kind}_{metric}" for kind in ("train", "gap") for metric in ("ssim", "lpips_alex", "lpips_vgg", "lpips_squeeze")]
 LATER += ["train_psnr", "gap", "depth_mae_common", "depth_rmse_common", "depth_left_out_common"]
 LATER += ["published_lpips", "published_average"]
+# Columns that took another meaning when a later one came: left out where one side alone has that.
+REDEFINED = {"inactive_levels": "step_over_radius"}
 # Settings, with the defaults that they stand at in TOML files.
 LATER_SETTINGS = {"holdout_offset": "0", "validation": "0", "views_seed": "0", "geometry": '"sampling"'}
 
@@ -131,9 +133,10 @@ def without_later(a, b, ending):
         return without_fields(a, b)
     if ending == ".csv":
         columns = [set(side.split(b"\n", 1)[0].decode().strip().split(",")) for side in (a, b)]
-        for column in LATER:
-            if (column in columns[0]) != (column in columns[1]):
-                a, b = without_column(a, column), without_column(b, column)
+        apart = columns[0] ^ columns[1]
+        redefined = [column for column, later in REDEFINED.items() if later in apart]
+        for column in [name for name in LATER if name in apart] + redefined:
+            a, b = without_column(a, column), without_column(b, column)
     if ending in (".toml", ".txt"):
         # In what programs say stand settings, too, and metrics, a line each.
         lines = [rb"%s = %s" % (name.encode(), default.encode()) for name, default in LATER_SETTINGS.items()]
