@@ -11,6 +11,7 @@ use crate::settings::Resolved;
 
 pub mod checkpoint;
 mod health;
+mod memory;
 mod optimizer;
 mod stats;
 mod sums;
@@ -59,9 +60,12 @@ impl Trainer {
     /// A run at step 0, whose steps are taken on the runtime's device and threads. Dead starts are drawn again.
     ///
     /// # Errors
-    /// [`Error::Config`](crate::base::Error::Config): a regularizer's box that the scene's rays do not meet, or one that would take
-    /// too long; [`Error::Diverged`](crate::base::Error::Diverged): a field that starts dead again and again.
+    /// [`Error::Config`](crate::base::Error::Config): more memory than the processor has free; a regularizer's box that the scene's
+    /// rays do not meet, or one that would take too long; [`Error::Diverged`](crate::base::Error::Diverged): a field that starts dead again and again.
     pub fn new(config: &Resolved, scene: &Scene, dtype: DType, runtime: &Runtime) -> Result<Trainer> {
+        if runtime.device().is_cpu() {
+            memory::check_memory(config, scene)?;
+        }
         runtime.install(|| {
             let start = Model::start(config, scene, dtype, runtime.device())?;
             Trainer::with(config, start, runtime)

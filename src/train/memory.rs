@@ -1,0 +1,114 @@
+//! What a training takes of memory at the least, refused before it is taken: a system that has given more than it has ends
+//! the program without a word.
+
+use crate::base::{Error, Result};
+use crate::data::Scene;
+use crate::methods::Model;
+use crate::runtime::free_memory_mib;
+use crate::settings::{Core, Resolved};
+
+/// Weights, their gradient and Adam's two moments.
+const COPIES: f64 = 4.0;
+/// Bytes of a number.
+const NUMBER: f64 = 4.0;
+
+/// A piece of work with the settings that decide how much it takes.
+struct Need {
+    what: &'static str,
+    settings: String,
+    mib: f64,
+}
+
+/// Refuses a training, with its evaluations, that takes more than this machine has free. The least is counted, so that
+/// nothing is refused that could run.
+///
+/// # Errors
+/// [`Error::Config`] with the settings, what they take and what is free.
+pub fn check_memory(config: &Resolved, scene: &Scene) -> Result<()> {
+    match free_memory_mib() {
+        Some(free) => needs(config, scene).iter().try_for_each(|need| check(need, free)),
+        None => Ok(()),
+    }
+}
+
+fn check(need: &Need, free: f64) -> Result<()> {
+    if need.mib <= free {
+        return Ok(());
+    }
+    let gib = |mib: f64| format!("{:.1} GiB", mib / 1024.0);
+    Err(Error::Config(format!(
+        "{}: {} take {} at the least, and {} are free here; choose smaller numbers",
+        need.settings,
+        need.what,
+        gib(need.mib),
+        gib(free)
+    )))
+}
+
+fn needs(config: &Resolved, scene: &Scene) -> Vec<Need> {
+    let (field, train) = (&config.field, &config.train);
+    let mib = |numbers: f64| numbers * NUMBER / f64::from(1 << 20);
+    let parameters = Model::parameter_names(config);
+    let weights: f64 = parameters.iter().map(|(_, shape)| shape.iter().map(|&n| n as f64).product::<f64>()).sum();
+    let mut needs = vec![Need {
+        what: "weights, their gradient and Adam's moments",
+        settings: format!("field.width = {} with field.depth = {}", field.width, field.depth),
+        mib: mib(COPIES * weights),
+    }];
+    // The fused core works in tiles; candle's operations keep each layer's output of all points.
+    if field.core == Core::Plain {
+        let samples = config.sampling.coarse as f64;
+        let layers = field.depth as f64;
+        let width = field.width as f64;
+        let chunk = train.chunk.min(train.rays);
+        needs.push(Need {
+            what: "the layers' outputs of a chunk, which the backward pass needs,",
+            settings: format!("train.chunk = {} of {} rays, field.core = \"plain\"", train.chunk, train.rays),
+            mib: mib(chunk as f64 * samples * width * layers),
+        });
+        let pixels = scene.test.iter().map(|view| view.camera.width * view.camera.height).max().unwrap_or(0);
+        needs.push(Need {
+            what: "a layer's input and output of a chunk",
+            settings: format!("eval.chunk = {}, field.core = \"plain\"", config.eval.chunk),
+            mib: mib(2.0 * config.eval.chunk.min(pixels) as f64 * samples * width),
+        });
+    }
+    needs
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::settings::{DataKind, build, parse_assignment};
+
+    fn needs_of(settings: &[&str]) -> Vec<Need> {
+        let assignments: Vec<_> = settings.iter().map(|text| parse_assignment(text).unwrap()).collect();
+        let config = build(None, None, &assignments).unwrap().resolve(DataKind::Blender, 2.0, 6.0).unwrap();
+        needs(&config, &crate::bench::scene())
+    }
+
+    #[test]
+    fn networks_that_no_memory_holds_are_refused_in_a_sentence() {
+        // 63 inner layers of 4096 x 4096, the feature's, and the view layer of half as many, in each of two networks.
+        let [need] = &needs_of(&["field.width=4096", "field.depth=64"])[..] else { panic!("one need") };
+        let inner = 4.0 * 4.0 * 2.0 * 64.5 * 4096.0 * 4096.0 / f64::from(1 << 20);
+        assert!((1.0..1.01).contains(&(need.mib / inner)), "{}", need.mib);
+        let refusal = check(need, 16.0 * 1024.0).unwrap_err().to_string();
+        for words in ["field.width = 4096", "field.depth = 64", "GiB", "16.0 GiB are free"] {
+            assert!(refusal.contains(words), "{words}: {refusal}");
+        }
+        assert!(check(need, 40.0 * 1024.0).is_ok());
+    }
+
+    #[test]
+    fn chunks_of_the_plain_core_count_by_the_rays_that_there_are() {
+        let all = needs_of(&["field.core=plain", "train.chunk=1048576", "eval.chunk=1048576"]);
+        let [_, training, evaluation] = &all[..] else { panic!("three needs") };
+        // 1,024 rays, 64 coarse samples, 8 layers of 256 numbers.
+        assert_eq!(training.mib, 1024.0 * 64.0 * 8.0 * 256.0 * 4.0 / f64::from(1 << 20));
+        let refusal = check(training, 100.0).unwrap_err().to_string();
+        assert!(refusal.contains("train.chunk = 1048576 of 1024 rays"), "{refusal}");
+        assert!(evaluation.mib < training.mib);
+        assert_eq!(needs_of(&["train.chunk=1048576"]).len(), 1);
+    }
+}
