@@ -8,4 +8,5 @@ pub mod statistics;
 pub mod tables;
 
 pub use published::{PUBLISHED_NOTE, PublishedProtocol, PublishedRow, published_rows};
+pub(crate) use record::distinct;
 pub use record::{AxisValue, PublishedKey, Record, RowSpec, Status, TableSpec, label};

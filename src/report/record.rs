@@ -162,3 +162,14 @@ pub struct PublishedKey {
     /// The method as the paper names it.
     pub method: String,
 }
+
+/// Each item once, in the order of first appearance.
+pub(crate) fn distinct<T: PartialEq>(items: impl Iterator<Item = T>) -> Vec<T> {
+    let mut seen = Vec::new();
+    for item in items {
+        if !seen.contains(&item) {
+            seen.push(item);
+        }
+    }
+    seen
+}

@@ -3,7 +3,7 @@
 
 use crate::base::Result;
 use crate::metrics::{Metric, Needs, Scope};
-use crate::report::{Record, Status};
+use crate::report::{Record, Status, distinct};
 use crate::run::DepthErrors;
 
 /// The table is about depth: it asks for a metric over a view's own pixels or over the common ones.
@@ -33,16 +33,6 @@ pub fn add_common_depth(records: &mut [Record], errors_of: impl Fn(&str) -> Resu
         }
     }
     Ok(())
-}
-
-fn distinct<T: PartialEq>(items: impl Iterator<Item = T>) -> Vec<T> {
-    let mut seen = Vec::new();
-    for item in items {
-        if !seen.contains(&item) {
-            seen.push(item);
-        }
-    }
-    seen
 }
 
 /// Where all points are solid, view by view; none where one has no errors, or errors of other views. One point is in memory

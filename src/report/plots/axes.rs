@@ -8,7 +8,7 @@ use crate::draw::canvas::{
 };
 use crate::metrics::{Direction, Metric};
 use crate::report::statistics::{SIGNIFICANCE, holm, least_provable, p_text, p_value, paired_differences};
-use crate::report::{AxisValue, Record, Status, TableSpec, label};
+use crate::report::{AxisValue, Record, Status, TableSpec, distinct, label};
 
 const PANEL: (f64, f64) = (250.0, 190.0);
 const GAP: (f64, f64) = (30.0, 92.0);
@@ -287,16 +287,6 @@ fn caption(series: &[Series], baseline: Option<&str>, metric: &str) -> String {
         text += &format!(" Without data: {}.", missing.join("; "));
     }
     text
-}
-
-fn distinct<T: PartialEq + Copy>(items: impl Iterator<Item = T>) -> Vec<T> {
-    let mut seen = Vec::new();
-    for item in items {
-        if !seen.contains(&item) {
-            seen.push(item);
-        }
-    }
-    seen
 }
 
 #[cfg(test)]

@@ -22,7 +22,7 @@ pub use terminal::table_terminal;
 
 use crate::base::Result;
 use crate::report::statistics::{mean, paired_differences, standard_deviation};
-use crate::report::{AxisValue, PublishedRow, Record, RowSpec, Status, TableSpec};
+use crate::report::{AxisValue, PublishedRow, Record, RowSpec, Status, TableSpec, distinct};
 use crate::settings::columns::is_per_seed;
 
 /// A table, ready to be rendered.
@@ -329,15 +329,4 @@ fn status_text(points: &[&Record]) -> String {
         format!("{} {count}", status.name())
     });
     counts.collect::<Vec<String>>().join(", ")
-}
-
-/// Each item once, in the order of first appearance.
-fn distinct<T: PartialEq>(items: impl Iterator<Item = T>) -> Vec<T> {
-    let mut seen = Vec::new();
-    for item in items {
-        if !seen.contains(&item) {
-            seen.push(item);
-        }
-    }
-    seen
 }

@@ -1,8 +1,9 @@
 //! What the tables for readers say: numbers, marks and notes, before any escaping.
 
-use super::{Cell, Comparison, Line, Table, distinct};
+use super::{Cell, Comparison, Line, Table};
 use crate::metrics::Metric;
 use crate::report::PUBLISHED_NOTE;
+use crate::report::distinct;
 use crate::report::statistics::p_text;
 use crate::settings::columns::{COLUMNS, Told};
 
