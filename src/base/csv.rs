@@ -22,6 +22,21 @@ pub fn plain_cell(cell: &str) -> &str {
     cell.strip_prefix(TEXT).filter(|_| begins_like_formula).unwrap_or(cell)
 }
 
+/// Longest name of a column that is read: ten times that of any table of this program.
+const MOST_NAME: usize = 400;
+
+/// Names of the columns of a table that is read.
+///
+/// # Errors
+/// A head that cannot be read, and a name that nobody gave: readers keep it beside every cell of its column.
+pub fn column_names<R: std::io::Read>(reader: &mut csv::Reader<R>) -> Result<Vec<String>, String> {
+    let names: Vec<String> = reader.headers().map_err(|e| e.to_string())?.iter().map(String::from).collect();
+    match names.iter().find(|name| name.len() > MOST_NAME) {
+        Some(name) => Err(format!("a column's name has {} bytes, at most {MOST_NAME} are read", name.len())),
+        None => Ok(names),
+    }
+}
+
 /// Rows of equally many cells, the head among them, quoted where a cell asks for it.
 pub fn csv_text(rows: impl IntoIterator<Item = Vec<String>>) -> String {
     let mut writer = csv::Writer::from_writer(Vec::new());

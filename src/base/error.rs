@@ -44,7 +44,7 @@ pub enum Error {
     #[error("{}", shown(.0))]
     NotComparable(String),
     /// Results that do not come out of what they are said to be made of.
-    #[error("{0}")]
+    #[error("{}", shown(.0))]
     Mismatch(String),
     /// A failure inside the tensor library: a defect of this program or of the device.
     #[error("tensor operation failed: {}", shown(&tensor_sentence(.0)))]

@@ -136,17 +136,19 @@ fn after_prefix(prefix: &str, name: &OsStr) -> Option<OsString> {
     Some(unsafe { OsStr::from_encoded_bytes_unchecked(rest) }.to_os_string())
 }
 
+/// Names of a folder's entries, in order.
+#[cfg(test)]
+pub(super) fn names(dir: &Path) -> Vec<String> {
+    let mut names: Vec<String> =
+        fs::read_dir(dir).unwrap().map(|entry| entry.unwrap().file_name().into_string().unwrap()).collect();
+    names.sort();
+    names
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::base::files::{AtomicDir, write_atomic};
-
-    fn names(dir: &Path) -> Vec<String> {
-        let mut names: Vec<String> =
-            fs::read_dir(dir).unwrap().map(|entry| entry.unwrap().file_name().into_string().unwrap()).collect();
-        names.sort();
-        names
-    }
 
     #[test]
     fn what_kills_left_is_put_right() {

@@ -10,16 +10,19 @@
 //! All numbers are little-endian. That is 4 bytes a pixel of the scene's surface, of which packing saves a tenth: 0.2 MB for
 //! the embedded scene, 1 MB for 25 views of 200 x 200, 30 MB for NeRF-Synthetic's 200 views of 400 x 400.
 
-use std::io::{Read, Write};
+use std::io::{self, BufRead, BufReader, Read, Write};
 use std::path::Path;
 
 use flate2::{Compression, GzBuilder, read::GzDecoder};
 
 use crate::base::files::write_atomic;
+use crate::base::input::open_regular;
 use crate::base::{Error, Result};
 
-/// What a file unpacks to, at most: eight times what a large evaluation has.
-const MOST_UNPACKED: u64 = 1 << 30;
+/// What a file unpacks to, at most: 200 views of 800 x 800, each pixel's depth known.
+const MOST_UNPACKED: usize = 1 << 29;
+/// Numbers that are unpacked at a time.
+const BLOCK: usize = 4096;
 
 /// Errors of each held-out view.
 #[derive(Clone, Debug, Default)]
@@ -45,9 +48,9 @@ impl DepthErrors {
 
     /// Reads the file; none where it does not exist.
     pub fn read(path: &Path) -> Result<Option<DepthErrors>> {
-        let file = match std::fs::File::open(path) {
+        let file = match open_regular(path) {
             Ok(file) => file,
-            Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(None),
+            Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(None),
             Err(error) => return Err(Error::unreadable(path, &error)),
         };
         let damaged = |what: &str| {
@@ -56,23 +59,35 @@ impl DepthErrors {
                 path.display()
             ))
         };
-        let mut bytes = Vec::new();
-        let unpacked = GzDecoder::new(file).take(MOST_UNPACKED + 1).read_to_end(&mut bytes);
-        unpacked.map_err(|e| damaged(&e.to_string()))?;
-        if bytes.len() as u64 > MOST_UNPACKED {
-            return Err(damaged(&format!("it unpacks to more than {} GiB", MOST_UNPACKED >> 30)));
-        }
-        let (mut rest, mut views) = (bytes.as_slice(), Vec::new());
-        while !rest.is_empty() {
-            let (count, after) = rest.split_first_chunk::<4>().ok_or_else(|| damaged("it ends early"))?;
-            let length = 4 * u32::from_le_bytes(*count) as usize;
-            let (view, after) = after.split_at_checked(length).ok_or_else(|| damaged("it ends early"))?;
-            let number = |bytes: &[u8]| f32::from_le_bytes(bytes.try_into().expect("four bytes"));
-            views.push(view.chunks_exact(4).map(number).collect());
-            rest = after;
+        let cannot = |error: io::Error| match error.kind() {
+            io::ErrorKind::UnexpectedEof => damaged("it ends early"),
+            _ => damaged(&error.to_string()),
+        };
+        let mut unpacked = BufReader::new(GzDecoder::new(file));
+        let (mut views, mut taken) = (Vec::new(), 0);
+        while !unpacked.fill_buf().map_err(cannot)?.is_empty() {
+            let mut count = [0; 4];
+            unpacked.read_exact(&mut count).map_err(cannot)?;
+            let count = u32::from_le_bytes(count) as usize;
+            taken += size_of::<Vec<f32>>() + 4 * count;
+            if taken > MOST_UNPACKED {
+                return Err(damaged(&format!("it unpacks to more than {} MiB", MOST_UNPACKED >> 20)));
+            }
+            views.push(read_view(&mut unpacked, count).map_err(cannot)?);
         }
         Ok(Some(DepthErrors { views }))
     }
+}
+
+/// `count` numbers. Memory is taken for those that are there.
+fn read_view(unpacked: &mut impl Read, count: usize) -> io::Result<Vec<f32>> {
+    let (mut view, mut block) = (Vec::new(), [0; 4 * BLOCK]);
+    while view.len() < count {
+        let block = &mut block[..4 * BLOCK.min(count - view.len())];
+        unpacked.read_exact(block)?;
+        view.extend(block.chunks_exact(4).map(|bytes| f32::from_le_bytes(bytes.try_into().expect("four bytes"))));
+    }
+    Ok(view)
 }
 
 #[cfg(test)]
@@ -98,9 +113,14 @@ mod tests {
             let error = DepthErrors::read(&path).unwrap_err().to_string();
             assert!(error.contains("depth_errors.gz is damaged"), "{error}");
         }
-        let mut writer = GzBuilder::new().write(Vec::new(), Compression::fast());
-        writer.write_all(&[255; 6]).unwrap();
-        std::fs::write(&path, writer.finish().unwrap()).unwrap();
-        assert!(DepthErrors::read(&path).unwrap_err().to_string().contains("ends early"));
+        for (content, said) in
+            [(&[2, 0, 0, 0, 0, 0][..], "ends early"), (&[9, 0], "ends early"), (&[255; 6], "512 MiB")]
+        {
+            let mut writer = GzBuilder::new().write(Vec::new(), Compression::fast());
+            writer.write_all(content).unwrap();
+            std::fs::write(&path, writer.finish().unwrap()).unwrap();
+            let error = DepthErrors::read(&path).unwrap_err().to_string();
+            assert!(error.contains(said), "{error}");
+        }
     }
 }

@@ -6,7 +6,7 @@ use std::path::Path;
 
 use flate2::{Compression, GzBuilder, read::GzDecoder};
 
-use crate::base::csv::{csv_text, plain_cell};
+use crate::base::csv::{column_names, csv_text, plain_cell};
 use crate::base::files::{read_json, write_atomic};
 use crate::base::input::{TABLE_BYTES, read_bytes};
 use crate::base::{Error, Image, Result};
@@ -25,6 +25,11 @@ use super::points::Point;
 pub const SCALARS: &str = "scalars.csv.gz";
 /// No log of a sweep is as long: what unpacks to more is no such file.
 const MOST_UNPACKED: u64 = 1 << 28;
+/// Most bytes that a log takes in memory: twice what those of the largest shipped sweep take. Cells take ten times what they
+/// take in a file, and a file that is packed a thousand times less.
+const MOST_TAKEN: usize = 1 << 29;
+/// Most pixels of a surface's picture: three times those of a view of 4K.
+const MOST_PIXELS: usize = 24_000_000;
 
 /// What a sweep's points left.
 #[derive(Clone, Debug, Default)]
@@ -67,7 +72,7 @@ impl Material {
                 material.timing.push((point.id.clone(), clocks(&timing)));
             }
             if let Some(bytes) = optional(&run.join("scalars.csv"))? {
-                let scalars = Scalars::parse(&bytes).map_err(|e| damaged(&run.join("scalars.csv"), &e))?;
+                let scalars = Scalars::parse(bytes.as_slice()).map_err(|e| damaged(&run.join("scalars.csv"), &e))?;
                 material.scalars.insert(point.id.clone(), scalars);
             }
             let picture = RunDir::surface_picture_in(&run);
@@ -120,13 +125,18 @@ impl Material {
 }
 
 impl Scalars {
-    fn parse(bytes: &[u8]) -> std::result::Result<Scalars, csv::Error> {
-        let mut reader = csv::Reader::from_reader(bytes);
-        let cells = |record: &csv::StringRecord| {
-            record.iter().map(|cell| plain_cell(cell).to_string()).collect::<Vec<String>>()
-        };
-        let head = cells(reader.headers()?);
-        let rows = reader.records().map(|row| row.map(|row| cells(&row))).collect::<std::result::Result<_, _>>()?;
+    fn parse(table: impl Read) -> std::result::Result<Scalars, String> {
+        let mut reader = csv::Reader::from_reader(table);
+        let head = column_names(&mut reader)?.iter().map(|name| plain_cell(name).to_string()).collect();
+        let (mut rows, mut taken) = (Vec::new(), 0);
+        for row in reader.records() {
+            let row = row.map_err(|e| e.to_string())?;
+            taken += 2 * size_of::<Vec<String>>() + row.len() * size_of::<String>() + row.as_slice().len();
+            if taken > MOST_TAKEN {
+                return Err(format!("its cells take more than {} MiB of memory", MOST_TAKEN >> 20));
+            }
+            rows.push(row.iter().map(|cell| plain_cell(cell).to_string()).collect());
+        }
         Ok(Scalars { head, rows })
     }
 
@@ -146,21 +156,18 @@ impl Scalars {
 pub fn read_scalars(results: &Path) -> Result<BTreeMap<String, Scalars>> {
     let path = results.join(SCALARS);
     let Some(bytes) = optional(&path)? else { return Ok(BTreeMap::new()) };
-    let mut text = Vec::new();
-    let read = GzDecoder::new(bytes.as_slice()).take(MOST_UNPACKED + 1).read_to_end(&mut text);
-    read.map_err(|e| damaged(&path, &e))?;
-    if text.len() as u64 > MOST_UNPACKED {
+    let mut text = GzDecoder::new(bytes.as_slice()).take(MOST_UNPACKED);
+    let all = Scalars::parse(&mut text).map_err(|e| damaged(&path, &e))?;
+    if text.limit() == 0 {
         return Err(damaged(&path, &format!("it unpacks to more than {} MiB", MOST_UNPACKED >> 20)));
     }
-    let all = Scalars::parse(&text).map_err(|e| damaged(&path, &e))?;
     if all.head.first().is_none_or(|name| name != "id") {
         return Err(damaged(&path, &"its first column is not 'id'"));
     }
     let mut by_point: BTreeMap<String, Scalars> = BTreeMap::new();
     for mut row in all.rows {
-        let own = by_point.entry(row.remove(0)).or_default();
-        own.head = all.head[1..].to_vec();
-        own.rows.push(row);
+        let empty = || Scalars { head: all.head[1..].to_vec(), rows: Vec::new() };
+        by_point.entry(row.remove(0)).or_insert_with(empty).rows.push(row);
     }
     Ok(by_point)
 }
@@ -172,8 +179,13 @@ fn packed(bytes: &[u8]) -> Vec<u8> {
     written.expect("memory takes everything")
 }
 
-/// A picture as it is.
+/// A picture as it is, of which a pixel takes up to 32 bytes on the way.
 fn read_picture(path: &Path) -> Result<Image> {
+    let (width, height) = images::size(path)?;
+    if width * height > MOST_PIXELS {
+        let found = format!("{width}x{height} pixels are more than a view of an evaluation has; delete it");
+        return Err(damaged(path, &found));
+    }
     let decoded = images::decode(path)?;
     Ok(images::averaged(&decoded, (decoded.width() as usize, decoded.height() as usize)))
 }

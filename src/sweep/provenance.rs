@@ -12,6 +12,8 @@ use crate::base::input::{TEXT_BYTES, read_text};
 use crate::base::{Error, Result};
 use crate::report::{Record, Status};
 
+use super::words::check_name;
+
 /// The file's name.
 pub const PROVENANCE: &str = "provenance.toml";
 
@@ -68,7 +70,20 @@ impl Provenance {
             Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(None),
             Err(error) => return Err(Error::unreadable(&path, &error)),
         };
-        toml::from_str(&text).map(Some).map_err(|e| Error::Data(format!("{}: {e}", path.display())))
+        let bad = |e: String| Error::Data(format!("{}: {e}", path.display()));
+        let read: Provenance = toml::from_str(&text).map_err(|e| bad(e.to_string()))?;
+        read.check_names().map_err(bad)?;
+        Ok(Some(read))
+    }
+
+    /// Pinned files lie in the folder itself, and the sweep's name can be printed.
+    fn check_names(&self) -> std::result::Result<(), String> {
+        check_name("the sweep's name", &self.name)?;
+        let is_plain = |name: &str| Path::new(name).file_name().is_some_and(|plain| plain == name);
+        match self.pinned.keys().find(|name| !is_plain(name)) {
+            Some(name) => Err(format!("pinned: {name:?} is not the name of a file in this folder")),
+            None => Ok(()),
+        }
     }
 
     /// Writes it into a results' folder.

@@ -12,6 +12,7 @@ mod fused;
 mod fuzz;
 mod geometry;
 mod hostile;
+mod hostile_results;
 mod interruption;
 mod layering;
 mod loaders;

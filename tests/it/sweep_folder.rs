@@ -5,13 +5,12 @@ use std::sync::Mutex;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::{Duration, SystemTime};
 
-use super::sweep_run::{BASE, Costs, Fake, OPTIONS, parse, run, statuses, sweep};
+use super::sweep_run::{BASE, Costs, Fake, OPTIONS, parse, run, run_heard, statuses, sweep};
 use crate::common::assert_says;
 use crate::common::files::entries;
 use augnerf::base::{Event, Listener};
 use augnerf::report::Status;
-use augnerf::runtime::Runtime;
-use augnerf::sweep::{Claim, Runner, Watch, begin};
+use augnerf::sweep::{Claim, Watch, begin};
 use tempfile::TempDir;
 
 #[test]
@@ -88,18 +87,8 @@ fn a_runner_says_for_whom_it_waits() {
     point.begin(&points[0]).unwrap();
     sign_from_elsewhere(point.path(), 50, 1_000_000);
     let (stop, notes, fake) = (AtomicUsize::new(0), Notes::default(), Fake::default());
-    let runtime = Runtime::new("cpu", Some(2)).unwrap();
-    let runner = Runner {
-        folder: &folder,
-        points: &points,
-        runtime: &runtime,
-        work: &fake,
-        options: OPTIONS,
-        events: &notes,
-        stop: &stop,
-    };
     std::thread::scope(|scope| {
-        let ended = scope.spawn(|| runner.run());
+        let ended = scope.spawn(|| run_heard(&folder, &points, &fake, OPTIONS, (&notes, &stop)));
         for _ in 0..600 {
             std::thread::sleep(Duration::from_millis(20));
             if !notes.0.lock().unwrap().is_empty() {

@@ -8,7 +8,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 
 use crate::common::{assert_says, needs};
 use augnerf::augment::{Epsilon, Site};
-use augnerf::base::{Error, Result};
+use augnerf::base::{Error, Listener, Result};
 use augnerf::report::Status;
 use augnerf::runtime::Runtime;
 use augnerf::settings::Config;
@@ -103,9 +103,19 @@ pub fn sweep(dir: &Path, text: &str) -> (SweepFolder, Definition, Vec<Point>) {
 }
 
 pub fn run(folder: &SweepFolder, points: &[Point], work: &dyn Work, options: Options) -> Result<()> {
-    let stop = AtomicUsize::new(0);
-    Runner { folder, points, runtime: &Runtime::new("cpu", Some(2)).unwrap(), work, options, events: &(), stop: &stop }
-        .run()
+    run_heard(folder, points, work, options, (&(), &AtomicUsize::new(0)))
+}
+
+/// The same with somebody who hears of it and may stop it.
+pub fn run_heard(
+    folder: &SweepFolder,
+    points: &[Point],
+    work: &dyn Work,
+    options: Options,
+    (events, stop): (&dyn Listener, &AtomicUsize),
+) -> Result<()> {
+    let runtime = &Runtime::new("cpu", Some(2)).unwrap();
+    Runner { folder, points, runtime, work, options, events, stop }.run()
 }
 
 pub fn statuses(folder: &SweepFolder, points: &[Point]) -> Vec<Status> {

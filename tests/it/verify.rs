@@ -11,7 +11,7 @@ const ROOT: &str = env!("CARGO_MANIFEST_DIR");
 
 /// Verifies in a folder, without anything of this machine, and returns everything said.
 #[track_caller]
-fn verify(dir: &Path, arguments: &[&str], code: i32) -> String {
+pub fn verify(dir: &Path, arguments: &[&str], code: i32) -> String {
     let mut command = augnerf(&[&["verify"], arguments].concat());
     program::demand(command.current_dir(dir).env_remove("AUGNERF_DATA").env_remove("AUGNERF_LPIPS_WEIGHTS"), code)
 }
@@ -25,7 +25,7 @@ fn copy(from: &Path, to: &Path) {
 }
 
 /// A copy of committed results, to be changed.
-fn results(name: &str) -> (TempDir, PathBuf) {
+pub fn results(name: &str) -> (TempDir, PathBuf) {
     let dir = TempDir::new().unwrap();
     let folder = dir.path().join("results").join(name);
     copy(&Path::new(ROOT).join("results").join(name), &folder);

@@ -8,9 +8,9 @@ use crate::base::{Error, Result};
 use crate::cli::progress::print;
 use crate::draw::SVG_ALONE;
 use crate::report::tables::table_terminal;
-use crate::sweep::{Collector, Material, Results, SweepFolder, check_name};
+use crate::sweep::{SweepFolder, check_name};
 
-use super::{RESULTS, RUNS, begun, terminal_width};
+use super::{How, RESULTS, RUNS, begun, collect, terminal_width};
 
 #[derive(Args)]
 pub struct CollectArguments {
@@ -43,17 +43,9 @@ impl CollectArguments {
             Some(runs) => runs.with_file_name(RESULTS).join(&name),
             None => path.join(RESULTS),
         });
-        let held = Results::take(&results)?;
-        let material = Material::of_folder(&folder, &definition, &points)?;
-        let collector = Collector {
-            material: &material,
-            definition: &definition,
-            points: &points,
-            name: &name,
-            force: self.force,
-            with_timing: self.with_timing,
-        };
-        print(&table_terminal(&collector.write(&held)?, terminal_width()))?;
+        let how = How { force: self.force, with_timing: self.with_timing };
+        let table = collect((&folder, &definition, &points), &name, &results, how)?;
+        print(&table_terminal(&table, terminal_width()))?;
         print(&format!("tables: {}", results.display()))?;
         SVG_ALONE.into_iter().try_for_each(print)
     }

@@ -6,8 +6,9 @@ use std::path::{Path, PathBuf};
 use clap::{Args, Subcommand};
 
 use crate::base::{Error, Result};
+use crate::report::tables::Table;
 use crate::settings::parse_assignment;
-use crate::sweep::{Definition, Overrides, Point, SweepFolder, check_name};
+use crate::sweep::{Collector, Definition, Material, Overrides, Point, Results, SweepFolder, check_name};
 
 mod collect;
 mod plan;
@@ -137,4 +138,25 @@ fn duration(seconds: f64) -> String {
         s if s < 172_800.0 => format!("{:.1} h", s / 3600.0),
         s => format!("{:.1} days", s / 86_400.0),
     }
+}
+
+/// How tables are made.
+struct How {
+    /// Rows that differ in an uncontrolled setting stand side by side, marked.
+    force: bool,
+    /// With clocks.
+    with_timing: bool,
+}
+
+/// Writes tables and figures of what the points of a sweep's folder left into `results`, and returns the table.
+fn collect(
+    (folder, definition, points): (&SweepFolder, &Definition, &[Point]),
+    name: &str,
+    results: &Path,
+    how: How,
+) -> Result<Table> {
+    let results = Results::take(results)?;
+    let material = &Material::of_folder(folder, definition, points)?;
+    let How { force, with_timing } = how;
+    Collector { material, definition, points, name, force, with_timing }.write(&results)
 }

@@ -12,11 +12,9 @@ use crate::report::Status;
 use crate::report::tables::table_terminal;
 use crate::run::load_lpips;
 use crate::runtime::Runtime;
-use crate::sweep::{
-    Collector, Material, Options, Point, PublishedCosts, Results, Runner, SweepFolder, Trainings, begin,
-};
+use crate::sweep::{Options, Point, PublishedCosts, Runner, SweepFolder, Trainings, begin};
 
-use super::{Changes, Location, terminal_width};
+use super::{Changes, How, Location, collect, terminal_width};
 
 pub const EXAMPLES: &str = "Examples:
   augnerf sweep run sweeps/smoke.toml                      three minutes on the embedded scene
@@ -107,18 +105,8 @@ impl RunArguments {
         };
         let ran = runner.run();
         // A stopped sweep leaves the table of what is done, too.
-        let table = Results::take(&results).and_then(|results| {
-            let material = Material::of_folder(&folder, &definition, &points)?;
-            let collector = Collector {
-                material: &material,
-                definition: &definition,
-                points: &points,
-                name: &name,
-                force: self.force,
-                with_timing: false,
-            };
-            collector.write(&results)
-        });
+        let how = How { force: self.force, with_timing: false };
+        let table = collect((&folder, &definition, &points), &name, &results, how);
         ran?;
         if let Ok(table) = &table
             && !quiet

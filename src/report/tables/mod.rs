@@ -17,7 +17,7 @@ pub use comparison::{Comparison, Equivalence, Verdict};
 pub use delimited::{PointTiming, points_csv, table_csv, timing_csv};
 pub use latex::table_latex;
 pub use markdown::table_markdown;
-pub use read::{read_points, read_timing};
+pub use read::{PlaceText, read_points, read_timing};
 pub use terminal::table_terminal;
 
 use crate::base::Result;

@@ -1,21 +1,34 @@
 //! `points.csv` read back.
 
 use super::delimited::POINT_COLUMNS;
-use crate::base::csv::plain_cell;
+use crate::base::csv::{column_names, plain_cell};
 use crate::report::{AxisValue, Record, Status};
 
 /// The first column of the protocol: metrics stand before it.
 const FIRST_OF_PROTOCOL: &str = "protocol";
 
-/// The records that a `points.csv` was written from. `axes` tells the values of a point's axes, by its name, row and the
-/// text that the file has of them; `clocks` are columns that are neither metrics nor protocol.
+/// What a line of `points.csv` says of its point's place, each as text.
+#[derive(Clone, Copy, Debug)]
+pub struct PlaceText<'a> {
+    /// The point's name.
+    pub id: &'a str,
+    /// The scene's name.
+    pub scene: &'a str,
+    /// The row's name.
+    pub row: &'a str,
+    /// Values on the axes.
+    pub axes: &'a str,
+}
+
+/// The records that a `points.csv` was written from. `axes` tells the values of a point's axes by its place, none for a
+/// place that does not exist; `clocks` are columns that are neither metrics nor protocol.
 pub fn read_points(
     text: &str,
     clocks: &[String],
-    axes: impl Fn(&str, &str, &str) -> Option<Vec<AxisValue>>,
+    axes: impl Fn(PlaceText) -> Option<Vec<AxisValue>>,
 ) -> Result<Vec<Record>, String> {
     let mut reader = csv::Reader::from_reader(text.as_bytes());
-    let head: Vec<String> = reader.headers().map_err(|e| e.to_string())?.iter().map(String::from).collect();
+    let head = column_names(&mut reader)?;
     if head.len() < POINT_COLUMNS.len() || head.iter().zip(POINT_COLUMNS).any(|(found, column)| found != column) {
         return Err(format!("its first columns are not {}", POINT_COLUMNS.join(", ")));
     }
@@ -28,10 +41,10 @@ pub fn read_points(
         let known = Status::ALL.into_iter().find(|known| known.name() == status);
         let number = |column: usize| match &row[column] {
             "" => Ok(None),
-            cell => {
-                let parsed = cell.parse().map(Some);
-                parsed.map_err(|_| format!("line {line}, column {}: '{cell}' is no number", head[column]))
-            }
+            cell => match finite(cell) {
+                Some(number) => Ok(Some(number)),
+                None => Err(format!("line {line}, column {}: '{cell}' is no finite number", head[column])),
+            },
         };
         let metric = |column: usize| Ok((head[column].clone(), number(column)?));
         let metrics = (POINT_COLUMNS.len()..protocol).map(metric).collect::<Result<_, String>>()?;
@@ -46,8 +59,9 @@ pub fn read_points(
             id: id.into(),
             scene: scene.into(),
             row: name.into(),
-            axes: axes(id, name, axes_text)
-                .ok_or_else(|| format!("line {line}: point {id} has no place in row '{name}' at '{axes_text}'"))?,
+            axes: axes(PlaceText { id, scene, row: name, axes: axes_text }).ok_or_else(|| {
+                format!("line {line}: point {id} has no place in row '{name}' of scene '{scene}' at '{axes_text}'")
+            })?,
             seed: seed.parse().map_err(|_| format!("line {line}: seed '{seed}' is no whole number"))?,
             status,
             reason: reason.into(),
@@ -62,16 +76,22 @@ pub fn read_points(
 /// Clock times from a `timing.csv`, by point.
 pub fn read_timing(text: &str) -> Result<Vec<super::PointTiming>, String> {
     let mut reader = csv::Reader::from_reader(text.as_bytes());
-    let head = reader.headers().map_err(|e| e.to_string())?.clone();
+    let head = column_names(&mut reader)?;
     let rows = reader.records().map(|row| {
         let row = row.map_err(|e| e.to_string())?;
         let clock = |column: usize| {
-            let value = (!row[column].is_empty()).then(|| row[column].parse()).transpose();
-            value
-                .map(|value| (head[column].to_string(), value))
-                .map_err(|_| format!("{} of point {}: '{}' is no number", &head[column], &row[0], &row[column]))
+            let value = finite(&row[column]);
+            if value.is_none() && !row[column].is_empty() {
+                return Err(format!("{} of point {}: '{}' is no finite number", head[column], &row[0], &row[column]));
+            }
+            Ok((head[column].clone(), value))
         };
         Ok((row[0].to_string(), (2..row.len()).map(clock).collect::<Result<_, String>>()?))
     });
     rows.collect()
+}
+
+/// A cell's number: those of this program are finite.
+fn finite(cell: &str) -> Option<f64> {
+    cell.parse().ok().filter(|number: &f64| number.is_finite())
 }

@@ -47,13 +47,14 @@ impl Archive {
         let clocks: Vec<String> =
             timing.iter().flat_map(|(_, clocks)| clocks.iter().map(|(name, _)| name.clone())).collect();
         let of_points = text("points.csv")?.ok_or_else(|| absent("points.csv"))?;
-        let records = read_points(&of_points, &clocks, |id, row, axes| {
-            let point = points.iter().find(|point| point.id == id)?;
+        // A scene names files: one that is not the point's would name others.
+        let records = read_points(&of_points, &clocks, |found| {
+            let point = points.iter().find(|point| point.id == found.id && point.scene == found.scene)?;
             let at = |axes: &[_]| label("", axes).trim_start_matches(", ").to_string();
             point
                 .places
                 .iter()
-                .find(|place| place.row == row && at(&place.axes) == axes)
+                .find(|place| place.row == found.row && at(&place.axes) == found.axes)
                 .map(|place| place.axes.clone())
         });
         let records = records.map_err(|e| in_file("points.csv", e))?;

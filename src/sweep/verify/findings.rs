@@ -2,6 +2,8 @@
 
 use std::fmt::Display;
 
+use crate::base::shown;
+
 /// What became of a check.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Outcome {
@@ -29,7 +31,7 @@ impl Outcome {
 pub struct Finding {
     /// What became of it.
     pub outcome: Outcome,
-    /// What was checked, what was found.
+    /// What was checked, what was found, fit for a terminal.
     pub text: String,
 }
 
@@ -70,6 +72,6 @@ impl Findings {
     }
 
     fn add(&mut self, outcome: Outcome, text: impl Display) {
-        self.lines.push(Finding { outcome, text: text.to_string() });
+        self.lines.push(Finding { outcome, text: shown(&text.to_string()).into_owned() });
     }
 }

@@ -17,9 +17,9 @@ mod pages;
 mod retrain;
 mod runs;
 
+pub use archive::Archive;
 pub use findings::{Finding, Findings, Outcome};
 
-use archive::Archive;
 use numbers::Cells;
 use pages::Page;
 

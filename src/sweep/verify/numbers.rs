@@ -7,7 +7,7 @@
 
 use std::path::Path;
 
-use crate::base::csv::plain_cell;
+use crate::base::csv::{column_names, plain_cell};
 use crate::base::{Error, Result};
 use crate::sweep::material::optional;
 
@@ -89,11 +89,11 @@ impl Cells {
 
 fn csv_rows(path: &Path) -> Result<Vec<Row>> {
     let Some(bytes) = optional(path)? else { return Ok(Vec::new()) };
-    let bad = |e: csv::Error| Error::Data(format!("{}: {e}", path.display()));
+    let bad = |e: String| Error::Data(format!("{}: {e}", path.display()));
     let mut reader = csv::Reader::from_reader(bytes.as_slice());
-    let head = reader.headers().map_err(bad)?.clone();
+    let head = column_names(&mut reader).map_err(bad)?;
     let rows = reader.records().map(|record| {
-        let record = record.map_err(bad)?;
+        let record = record.map_err(|e| bad(e.to_string()))?;
         let cells: Vec<(String, String)> =
             head.iter().zip(&record).map(|(name, cell)| (name.to_string(), plain_cell(cell).to_string())).collect();
         let cell = |name: &str| {
@@ -107,6 +107,9 @@ fn csv_rows(path: &Path) -> Result<Vec<Row>> {
     rows.collect()
 }
 
+/// Of the smallest number, all digits.
+const MOST_DECIMALS: usize = 1074;
+
 /// Whether a number as it is quoted is this one, to the digits that are quoted: `-0.10`, `+1.95`, `8,657`, `4.1e5`, `-9 %`.
 pub fn is_quoted_as(value: f64, quoted: &str) -> std::result::Result<bool, String> {
     let (text, value) = match quoted.strip_suffix('%') {
@@ -118,6 +121,9 @@ pub fn is_quoted_as(value: f64, quoted: &str) -> std::result::Result<bool, Strin
     let (mantissa, is_scientific) = digits.split_once(['e', 'E']).map_or((digits, false), |(m, _)| (m, true));
     let parsed: f64 = text.parse().map_err(|_| format!("'{quoted}' is no number"))?;
     let decimals = mantissa.split_once('.').map_or(0, |(_, decimals)| decimals.len());
+    if decimals > MOST_DECIMALS {
+        return Err(format!("'{quoted}' has {decimals} decimals, a number has at most {MOST_DECIMALS}"));
+    }
     let rounded = if is_scientific { format!("{value:.decimals$e}") } else { format!("{value:.decimals$}") };
     let rounded: f64 = rounded.parse().expect("printed");
     // A plus is a claim, too.
@@ -136,5 +142,6 @@ mod tests {
         assert!(is(413_275.0, "4.13e5") && !is(413_275.0, "4.14e5"));
         assert!(is(-0.0904, "-9 %") && !is(-0.0904, "-9.1 %"));
         assert!(is_quoted_as(1.0, "one").is_err());
+        assert!(is_quoted_as(0.1, &format!("0.{}", "1".repeat(100_000))).unwrap_err().contains("100000 decimals"));
     }
 }

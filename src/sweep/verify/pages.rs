@@ -113,11 +113,14 @@ impl Quote {
     }
 }
 
+/// Longer than any paragraph: more would be kept with each of its comments.
+const MOST_LINES: usize = 64;
+
 /// The paragraph or item that ends above a line, comments left out.
 fn block_before(lines: &[&str], at: usize) -> String {
     let mut block: Vec<&str> = Vec::new();
     let mut in_comment = false;
-    for line in lines[..at].iter().rev() {
+    for line in lines[..at].iter().rev().take(MOST_LINES) {
         let text = line.trim_start();
         in_comment |= text.ends_with("-->");
         if in_comment {

@@ -1,11 +1,12 @@
 //! Folders of single runs: what each left must agree with itself, and a summary with all of them.
 
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use serde_json::{Map, Value};
 
 use super::findings::Findings;
-use crate::base::csv::plain_cell;
+use crate::base::csv::{column_names, plain_cell};
 use crate::base::files::read_json;
 use crate::base::{Error, Result};
 use crate::sweep::material::optional;
@@ -37,25 +38,29 @@ pub fn means(folder: &Path) -> Result<Vec<(String, Fields)>> {
 
 /// Checks every run below a folder, and its summary.
 pub fn check(folder: &Path, findings: &mut Findings) -> Result<()> {
-    let runs = run_folders(folder)?;
-    let mut wrong = Vec::new();
-    for run in &runs {
-        let report = Report::read(run)?;
-        report.check_means(&name(run), &mut wrong);
-        check_views(run, &report, &mut wrong)?;
+    let (mut runs, mut wrong) = (BTreeMap::new(), Vec::new());
+    for run in run_folders(folder)? {
+        let report = Report::read(&run)?;
+        report.check_means(&name(&run), &mut wrong);
+        check_views(&run, &report, &mut wrong)?;
+        let smoothness = csv_lines(&run.join("smoothness.csv"))?.and_then(|mut lines| lines.pop());
+        runs.insert(name(&run), (report, smoothness));
     }
     findings.of(format!("{} runs: means are those of the views, metrics.csv that of metrics.json", runs.len()), wrong);
     let path = folder.join("summary.csv");
     if let Some(lines) = csv_lines(&path)? {
         let mut wrong = Vec::new();
         for line in &lines {
-            check_summary(folder, line, &mut wrong)?;
+            check_summary(&runs, line, &mut wrong);
         }
         findings.of(format!("summary.csv: {} lines agree with their runs", lines.len()), wrong);
     }
     findings.not_checked("tables and weights: these are single runs, whose configurations are not kept");
     Ok(())
 }
+
+/// A line's cells by column.
+type Line = Map<String, Value>;
 
 /// `metrics.json` as any revision wrote it.
 #[derive(serde::Deserialize)]
@@ -84,7 +89,8 @@ impl Report {
                 key => mean(key),
             };
             let Some((made, found)) = made.zip(found.as_f64()) else { continue };
-            if (made - found).abs() > 1e-12 * made.abs() {
+            // What is not finite is no mean: it compares as unequal.
+            if !made.is_finite() || (made - found).abs() > 1e-12 * made.abs() {
                 wrong.push(format!("{run}/metrics.json: mean {key} is {found}, its views make {made}"));
             }
         }
@@ -113,15 +119,12 @@ fn check_views(run: &Path, report: &Report, wrong: &mut Vec<String>) -> Result<(
 }
 
 /// A line of `summary.csv` has its run's means and protocol, and the smoothness of its evaluated network.
-fn check_summary(folder: &Path, line: &Map<String, Value>, wrong: &mut Vec<String>) -> Result<()> {
+fn check_summary(runs: &BTreeMap<String, (Report, Option<Line>)>, line: &Line, wrong: &mut Vec<String>) {
     let run = line.get("run").map(text).unwrap_or_default();
-    // The name comes from a file: it must stay below the folder.
-    if !run_folders(folder)?.iter().any(|known| name(known) == run) {
+    let Some((report, smoothness)) = runs.get(&run) else {
         wrong.push(format!("summary.csv: there is no run '{run}'"));
-        return Ok(());
-    }
-    let report = Report::read(&folder.join(&run))?;
-    let smoothness = csv_lines(&folder.join(&run).join("smoothness.csv"))?.and_then(|mut lines| lines.pop());
+        return;
+    };
     for (column, cell) in line {
         let known = [Some(&report.mean), Some(&report.protocol), smoothness.as_ref()];
         let known = known.into_iter().flatten().find_map(|part| part.get(column));
@@ -129,17 +132,16 @@ fn check_summary(folder: &Path, line: &Map<String, Value>, wrong: &mut Vec<Strin
             wrong.push(format!("summary.csv: {column} of {run} is '{}', its run has another", text(cell)));
         }
     }
-    Ok(())
 }
 
-/// The lines of a CSV file, each its cells by column; none where there is no such file.
-fn csv_lines(path: &Path) -> Result<Option<Vec<Map<String, Value>>>> {
+/// The lines of a CSV file; none where there is no such file.
+fn csv_lines(path: &Path) -> Result<Option<Vec<Line>>> {
     let Some(bytes) = optional(path)? else { return Ok(None) };
-    let bad = |e: csv::Error| Error::Data(format!("{}: {e}", path.display()));
+    let bad = |e: String| Error::Data(format!("{}: {e}", path.display()));
     let mut reader = csv::Reader::from_reader(bytes.as_slice());
-    let head = reader.headers().map_err(bad)?.clone();
+    let head = column_names(&mut reader).map_err(bad)?;
     let line = |row: csv::Result<csv::StringRecord>| {
-        let row = row.map_err(bad)?;
+        let row = row.map_err(|e| bad(e.to_string()))?;
         Ok(head
             .iter()
             .zip(&row)

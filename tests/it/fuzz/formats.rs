@@ -1,6 +1,10 @@
 //! Formats that protect their content by lengths and sums: changes get below them, so that readers are not stopped by the
 //! first sum that is wrong.
 
+use std::io::{Read, Write};
+
+use flate2::{Compression, read::GzDecoder, write::GzEncoder};
+
 use super::mutate::{Dice, change_bytes, change_text};
 
 /// What kind of file an input is.
@@ -22,6 +26,8 @@ pub enum Format {
     Pickle,
     /// A zip archive with a pickle in it.
     Archive,
+    /// Packed by gzip: a text or bytes.
+    Gzip,
 }
 
 /// One change of a file.
@@ -40,7 +46,37 @@ pub fn change(format: Format, bytes: &mut Vec<u8>, seeds: &[Vec<u8>], dice: &mut
         Format::Safetensors => change_headed(bytes, 0, 8, seeds, dice),
         Format::Pickle => change_pickle(bytes, seeds, dice),
         Format::Archive => change_archive(bytes, seeds, dice),
+        Format::Gzip => change_packed(bytes, seeds, dice),
     }
+}
+
+/// What gzip packed; as much of it as is whole.
+fn unpacked(bytes: &[u8]) -> Vec<u8> {
+    let mut content = Vec::new();
+    let _ = GzDecoder::new(bytes).take(1 << 24).read_to_end(&mut content);
+    content
+}
+
+/// Packed by gzip.
+pub fn packed(content: &[u8]) -> Vec<u8> {
+    let mut writer = GzEncoder::new(Vec::new(), Compression::fast());
+    writer.write_all(content).unwrap();
+    writer.finish().unwrap()
+}
+
+/// Changes what is packed, or, rarely, packs much more of it.
+fn change_packed(bytes: &mut Vec<u8>, seeds: &[Vec<u8>], dice: &mut Dice) {
+    let mut content = unpacked(bytes);
+    if dice.one_in(2000) {
+        content = content.repeat((8 << 20) / content.len().max(1));
+    } else {
+        let contents: Vec<Vec<u8>> = seeds.iter().map(|seed| unpacked(seed)).collect();
+        match content.iter().all(u8::is_ascii) {
+            true => change_text(&mut content, &contents, dice),
+            false => change_bytes(&mut content, &contents, dice),
+        }
+    }
+    *bytes = packed(&content);
 }
 
 fn find(bytes: &[u8], what: &[u8]) -> Option<usize> {

@@ -20,6 +20,7 @@ pub mod formats;
 pub mod memory;
 mod mutate;
 mod readers;
+pub mod results;
 mod seeds;
 
 use std::cell::RefCell;

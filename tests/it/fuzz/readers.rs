@@ -11,13 +11,14 @@ use augnerf::report::tables::Table;
 use augnerf::run::{RunDir, Scalars};
 use augnerf::settings::{Config, DataConfig, Method, Preset, build, parse_assignment};
 use augnerf::space::{read_mesh, sample};
-use augnerf::sweep::{Definition, Failure, Point, PointResult, StepCosts, SweepFolder, expand};
+use augnerf::sweep::{Definition, Failure, Point, PointResult, SweepFolder, expand};
 use augnerf::train::checkpoint;
 use candle_core::{DType, Device};
 
 use super::formats::Format;
-use super::seeds;
+use super::{results, seeds};
 use crate::common::{tiny_config, trained};
+use crate::sweep_run::Costs;
 
 type Read = dyn Fn(&[u8]) -> Result<()>;
 
@@ -34,7 +35,7 @@ pub struct Reader {
     pub read: Box<Read>,
 }
 
-fn reader(
+pub fn reader(
     name: &'static str,
     format: Format,
     seeds: Vec<Vec<u8>>,
@@ -71,10 +72,11 @@ pub fn all(folder: &Path) -> Vec<Reader> {
     ];
     all.extend(runs(&below("run")));
     all.extend(sweep_folders(&below("folder")));
+    all.extend(results::all(&below("results")));
     all
 }
 
-fn write(path: &Path, bytes: &[u8]) {
+pub fn write(path: &Path, bytes: &[u8]) {
     fs::write(path, bytes).unwrap();
 }
 
@@ -182,14 +184,6 @@ fn configs(file: PathBuf) -> Reader {
     })
 }
 
-struct OneSecond;
-
-impl StepCosts for OneSecond {
-    fn seconds_per_step(&self, _: &Config) -> Result<f64> {
-        Ok(1.0)
-    }
-}
-
 /// Sweep files, and the points of those that are read.
 fn sweeps(file: PathBuf) -> Reader {
     let shipped = crate::common::files::files(&Path::new(env!("CARGO_MANIFEST_DIR")).join("sweeps"), &[]);
@@ -202,7 +196,7 @@ fn sweeps(file: PathBuf) -> Reader {
         write(&file, bytes);
         let definition = Definition::read(&file)?;
         Definition::parse(&definition.to_toml(), "again")?;
-        expand(&definition, None, &OneSecond).map(drop)
+        expand(&definition, None, &Costs).map(drop)
     })
 }
 
@@ -222,7 +216,7 @@ fn runs(dir: &Path) -> Vec<Reader> {
             write(&own.join("config.toml"), bytes);
             RunDir::open(&own)?.read_config().map(drop)
         }),
-        reader("run, timing.json", Format::Text, vec![TIMING.into()], move |bytes| {
+        reader("run, timing.json", Format::Text, vec![seeds::TIMING.into()], move |bytes| {
             write(&clocks.join("config.toml"), b"");
             write(&clocks.join("timing.json"), bytes);
             RunDir::open(&clocks)?.read_timing().map(drop)
@@ -244,12 +238,6 @@ fn runs(dir: &Path) -> Vec<Reader> {
 }
 
 const SCALARS: &str = "step,loss,gain.t,inactive.t\n1,0.5,,\n2,0.25,0.1,0\n3,1e-3,-0.2,1\n4,0.125,0,0\n";
-const TIMING: &str = r#"{
-  "seconds_training": 12.5, "seconds_evaluation": 0.1, "rays_per_second": null, "peak_memory_mib": 100.5, "device": "cpu",
-  "threads": 2, "host": {"name": "a", "os": "linux", "arch": "x86_64", "cpu": "one", "cpus": 2}, "started_unix": 1,
-  "finished_unix": 2, "sessions": 1
-}
-"#;
 
 /// Every record and the table of a sweep's folder.
 fn records(folder: &SweepFolder, definition: &Definition) -> Result<()> {
@@ -262,7 +250,7 @@ fn records(folder: &SweepFolder, definition: &Definition) -> Result<()> {
 /// The files of a sweep's folder.
 fn sweep_folders(dir: &Path) -> Vec<Reader> {
     let definition = Definition::parse(seeds::SMALL_SWEEP, "small.toml").unwrap();
-    let points: Vec<Point> = expand(&definition, None, &OneSecond).unwrap();
+    let points: Vec<Point> = expand(&definition, None, &Costs).unwrap();
     let begin = |name: &str| {
         let folder = SweepFolder::new(&dir.join(name));
         drop(folder.lock().unwrap());

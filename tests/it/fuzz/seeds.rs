@@ -237,3 +237,32 @@ pub const ASSIGNMENTS: [&str; 16] = [
     "data.corruption.kind=pepper",
     "train.precrop_steps=0",
 ];
+
+/// A run's `timing.json`.
+pub const TIMING: &str = r#"{
+  "seconds_training": 12.5, "seconds_evaluation": 0.1, "rays_per_second": null, "peak_memory_mib": 100.5, "device": "cpu",
+  "threads": 2, "host": {"name": "a", "os": "linux", "arch": "x86_64", "cpu": "one", "cpus": 2}, "started_unix": 1,
+  "finished_unix": 2, "sessions": 1
+}
+"#;
+
+/// A run's `scalars.csv` with curves.
+pub const CURVES: &str =
+    "step,loss,psnr,test_psnr,train_psnr\n10,0.5,12.5,,\n20,0.25,15,14.5,15.5\n40,0.125,18,17.25,18.5\n";
+
+/// A run's `metrics.json` and `metrics.csv`.
+pub const METRICS: &str = r#"{
+  "mean": {"psnr": 21.5, "psnr_of_mean": 20.0, "lpips_vgg": null},
+  "views": [
+    {"name": "r_0", "psnr": 21.0, "mse": 0.015, "lpips_vgg": null},
+    {"name": "r_8", "psnr": 22.0, "mse": 0.005, "lpips_vgg": null}
+  ],
+  "protocol": {"protocol": 1, "scene": "builtin", "ndc": true}
+}
+"#;
+pub const METRICS_CSV: &str = "name,psnr,mse,lpips_vgg,scene\nr_0,21.0,0.015,,builtin\nr_8,22.0,0.005,,builtin\n";
+
+/// A page that quotes `runs`.
+pub const PAGE: &str = "# Runs\n\nNeRF reaches 21.46 dB here,\nand -21.5 elsewhere.\n<!-- numbers runs: 21.46 = psnr_mean of NeRF; \
+    -21.5 = -psnr of a -->\n\n<!-- table runs: row | psnr_mean | psnr_mean / psnr_mean of NeRF -->\n\n| row | PSNR | share |\n\
+    |---|---:|---:|\n| NeRF \u{2020} | 21.46 | 1.00 |\n";

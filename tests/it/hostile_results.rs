@@ -1,0 +1,142 @@
+//! Results' folders that were made to harm `augnerf verify`, or whoever reads what it says.
+
+use std::fs;
+use std::io::Write;
+use std::path::Path;
+
+use crate::common::assert_says;
+use crate::common::files::text;
+use crate::fuzz::formats::packed;
+use crate::fuzz::results::done_sweep;
+use crate::verify::{results, verify};
+use augnerf::run::{DepthErrors, RunDir};
+use augnerf::sweep::Material;
+use tempfile::TempDir;
+
+/// Replaces the first of a text in a file.
+#[track_caller]
+fn change(file: &Path, from: &str, to: &str) {
+    let before = text(file);
+    assert!(before.contains(from), "{}: {from}", file.display());
+    fs::write(file, before.replacen(from, to, 1)).unwrap();
+}
+
+/// A hundredth of its size is there: 120 kB that came to six gigabytes.
+#[test]
+fn packed_files_take_no_more_memory_than_large_ones() {
+    let (dir, folder) = results("geometry");
+    fs::write(folder.join("scalars.csv.gz"), packed(&[&b"id,loss\n"[..], &b",\n".repeat(60_000_000)].concat()))
+        .unwrap();
+    assert_says(&verify(dir.path(), &[], 5), &["scalars.csv.gz", "take more than 512 MiB of memory"]);
+    let path = dir.path().join("depth_errors.gz");
+    // Fifty million views without a pixel.
+    fs::write(&path, packed(&vec![0; 200_000_000])).unwrap();
+    let error = DepthErrors::read(&path).unwrap_err().to_string();
+    assert_says(&error, &["depth_errors.gz is damaged", "more than 512 MiB"]);
+}
+
+/// Thirty million black pixels are 30 kB, and half a gigabyte as colours to compute with.
+#[test]
+fn surfaces_have_the_size_of_a_view() {
+    let dir = TempDir::new().unwrap();
+    let (sweep, definition, points) = done_sweep(dir.path());
+    let picture = RunDir::surface_picture_in(&sweep.point(&points[1].id).run());
+    image::GrayImage::new(6000, 5000).save(&picture).unwrap();
+    let error = Material::of_folder(&sweep, &definition, &points).unwrap_err().to_string();
+    assert_says(&error, &["surface.png", "6000x5000"]);
+}
+
+#[cfg(unix)]
+#[test]
+fn depth_errors_are_read_of_a_file_alone() {
+    let error = DepthErrors::read(Path::new("/dev/zero")).unwrap_err().to_string();
+    assert_says(&error, &["/dev/zero", "device"]);
+}
+
+#[test]
+fn scenes_and_pinned_files_of_others_are_not_touched() {
+    let (dir, folder) = results("geometry");
+    let points = text(&folder.join("points.csv"));
+    change(&folder.join("points.csv"), ",builtin,", ",../../victim,");
+    assert_says(&verify(dir.path(), &["--update"], 10), &["points.csv: line 2", "of scene '../../victim'"]);
+    assert!(fs::read_dir(dir.path()).unwrap().all(|entry| entry.unwrap().file_name() == "results"));
+    fs::write(folder.join("points.csv"), points).unwrap();
+    change(&folder.join("provenance.toml"), "\"curves_builtin_psnr.svg\"", "\"../../victim\"");
+    assert_says(&verify(dir.path(), &[], 10), &["provenance.toml", "\"../../victim\"", "not the name of a file"]);
+}
+
+/// Names of columns were kept beside every cell: a megabyte of these came to a hundred gigabytes.
+#[test]
+fn columns_have_names_of_a_line() {
+    let (dir, folder) = results("geometry");
+    let table = format!("row,{}\n{}", "x".repeat(500_000), "a,\n".repeat(200_000));
+    for name in ["table.csv", "points.csv", "timing.csv"] {
+        let before = text(&folder.join(name));
+        fs::write(folder.join(name), &table).unwrap();
+        let said = verify(dir.path(), &[], if name == "timing.csv" { 10 } else { 3 });
+        assert_says(&said, &[name, "a column's name has 500000 bytes"]);
+        fs::write(folder.join(name), before).unwrap();
+    }
+}
+
+#[test]
+fn numbers_that_no_point_has_are_refused() {
+    for (name, number) in [("points.csv", "nan"), ("points.csv", "inf"), ("timing.csv", "1e999")] {
+        let (dir, folder) = results("geometry");
+        let before = text(&folder.join(name));
+        let line = before.lines().nth(1).unwrap();
+        let cell = line.split(',').find(|cell| cell.contains('.') && cell.parse::<f64>().is_ok()).unwrap();
+        fs::write(folder.join(name), before.replacen(cell, number, 1)).unwrap();
+        assert_says(&verify(dir.path(), &[], 10), &[name, "no finite number", number]);
+    }
+}
+
+#[test]
+fn a_page_may_quote_more_decimals_than_numbers_have() {
+    let (dir, _) = results("geometry");
+    let number = format!("23.{}", "5".repeat(100_000));
+    let page = format!("NeRF reaches {number} dB.\n<!-- numbers geometry: {number} = psnr_mean of NeRF -->\n");
+    fs::write(dir.path().join("results/page.md"), page).unwrap();
+    assert_says(&verify(dir.path(), &[], 10), &["100000 decimals"]);
+}
+
+/// A folder of one run, its mean PSNR beside what its views make.
+fn single_run(mse: &str, of_mean: &str) -> TempDir {
+    let dir = TempDir::new().unwrap();
+    let run = dir.path().join("results/runs/a");
+    fs::create_dir_all(&run).unwrap();
+    let metrics = format!(
+        r#"{{"mean": {{"psnr_of_mean": {of_mean}}}, "views": [{{"name": "v", "mse": {mse}}}], "protocol": {{}}}}"#
+    );
+    fs::write(run.join("metrics.json"), metrics).unwrap();
+    fs::write(run.join("metrics.csv"), format!("name,mse\nv,{mse}\n")).unwrap();
+    dir
+}
+
+#[test]
+fn a_mean_that_is_no_number_does_not_hold() {
+    verify(single_run("0.01", "20.0").path(), &[], 0);
+    for (mse, of_mean) in [("-0.01", "20.0"), ("0.0", "20.0")] {
+        assert_says(&verify(single_run(mse, of_mean).path(), &[], 10), &["psnr_of_mean is 20,"]);
+    }
+}
+
+#[test]
+fn what_is_found_carries_no_commands_to_the_terminal() {
+    let dir = single_run("0.01", "20.0");
+    fs::write(dir.path().join("results/runs/summary.csv"), "run,mse\n\u{1b}[31mb,1\n").unwrap();
+    let said = verify(dir.path(), &[], 10);
+    assert!(!said.contains('\u{1b}'), "{said:?}");
+    assert_says(&said, &["there is no run '\\u{1b}[31mb'"]);
+}
+
+/// Each line read its run again: half a minute for a file of a hundred kilobytes.
+#[test]
+fn a_summary_reads_each_run_once() {
+    let dir = single_run("0.01", "20.0");
+    let mut summary = fs::File::create(dir.path().join("results/runs/summary.csv")).unwrap();
+    summary.write_all(&[&b"run\n"[..], &b"a\n".repeat(100_000)].concat()).unwrap();
+    let started = std::time::Instant::now();
+    verify(dir.path(), &[], 0);
+    assert!(started.elapsed().as_secs() < 2, "took {:?}", started.elapsed());
+}
