@@ -50,14 +50,50 @@ pub struct PassGeometry<'a> {
     pub direction_norm: &'a Tensor,
     /// Near and far, in the units of `t_vals`.
     pub bounds: (f64, f64),
-    /// N of the cap (far - near) |d| / (2 (N - 1)) on the radius of `xyz`: columns of the coarse pass's `t_vals`.
+    /// Columns of the coarse pass's `t_vals`.
     pub coarse_samples: usize,
+    /// N of the cap (far - near) |d| / (2 (N - 1)) on the radius of `xyz`: `coarse_samples`, or the paper's.
+    pub cap_samples: usize,
     /// The field's width.
     pub width: usize,
     /// A pixel's size.
     pub pixel: PixelScale,
-    /// What a gap between neighbours in `t_vals` counts for the set of `t`: 1, or what makes it one of the paper's pass.
-    pub gap: f64,
+    /// How much closer the samples that the set of `t` is measured in lie than those of the pass.
+    pub density: SampleDensity,
+}
+
+/// Samples of the paper's pass along a stretch of a ray, over the pass's own.
+///
+/// A fine pass holds the coarse samples, evenly spread over near..far, and `fine` more, drawn from a distribution p over the
+/// ray: gaps are 1 / (coarse / S + fine p) wide on average, S = far - near. The paper's pass takes other numbers of both and the
+/// same p, so that its samples are `coarse` times as dense where there are only coarse ones, and `drawn` times where
+/// nearly all are drawn.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SampleDensity {
+    /// Of the coarse samples.
+    pub coarse: f64,
+    /// Of the drawn ones.
+    pub drawn: f64,
+}
+
+impl SampleDensity {
+    /// The pass's own.
+    pub const OWN: SampleDensity = SampleDensity { coarse: 1.0, drawn: 1.0 };
+
+    /// The one number, where the share of coarse samples does not matter.
+    pub fn uniform(&self) -> Option<f64> {
+        (self.coarse == self.drawn).then_some(self.coarse)
+    }
+
+    /// Around each sample: `coarse` s + `drawn` (1 - s), with the share s of coarse samples there. They make gaps of
+    /// `coarse_gap`, so that where gaps are g wide they are g / `coarse_gap` of the samples, and at most all.
+    ///
+    /// # Errors
+    /// Those of candle.
+    pub fn around(&self, gaps: &Tensor, coarse_gap: f64) -> Result<Tensor> {
+        let share = (gaps * (1.0 / coarse_gap))?.minimum(&gaps.ones_like()?)?;
+        Ok(share.affine(self.coarse - self.drawn, self.drawn)?)
+    }
 }
 
 impl<'a> PassGeometry<'a> {
@@ -78,13 +114,25 @@ impl<'a> PassGeometry<'a> {
 
     /// The same pass, its sets measured in the paper's samples and pixels.
     ///
-    /// A pass of G gaps along a ray has gaps in proportion to 1/G, wherever its samples lie: the coarse pass's by their
-    /// definition, the fine pass's because they are drawn from a distribution that does not know how many are drawn. The
-    /// paper's pass of G' gaps would have had them G / G' times as wide.
+    /// The samples of a coarse pass are evenly spread, the edges of MipNeRF's fine intervals all drawn: those of the paper's
+    /// pass are as much denser everywhere as there are more of them. Other fine passes: [`SampleDensity`].
+    ///
+    /// # Errors
+    /// Those of candle.
     pub fn of_paper(self, paper: &PaperPass) -> Result<PassGeometry<'a>> {
-        let gap = (self.t_vals.dim(1)? - 1) as f64 / paper.gaps(self.is_coarse) as f64;
+        let columns = self.t_vals.dim(1)?;
+        let ratio = |paper: usize, own: usize| paper as f64 / own as f64;
+        let density = if self.is_coarse || self.has_edges()? {
+            let all = ratio(paper.gaps(self.is_coarse), columns - 1);
+            SampleDensity { coarse: all, drawn: all }
+        } else {
+            SampleDensity {
+                coarse: ratio(paper.gaps(true), self.coarse_samples - 1),
+                drawn: ratio(paper.fine, columns - self.coarse_samples),
+            }
+        };
         let pixel = self.pixel.at_width(paper.image_width);
-        Ok(PassGeometry { gap, coarse_samples: paper.coarse, pixel, ..self })
+        Ok(PassGeometry { density, cap_samples: paper.coarse, pixel, ..self })
     }
 }
 

@@ -13,7 +13,7 @@ mod site;
 mod sites;
 
 pub use epsilon::{Epsilon, REACH};
-pub use geometry::{Geometry, PaperPass, PassGeometry, PixelScale};
+pub use geometry::{Geometry, PaperPass, PassGeometry, PixelScale, SampleDensity};
 pub use search::{Iterate, worst_case};
 pub use set::{DeltaSet, Draw, Norm};
 pub use sets::{Deltas, Sets};

@@ -1,7 +1,7 @@
 //! What the perturbed pass and the search promise.
 
 use crate::common::{flat, parameters, tiny_config, tiny_scene, trained};
-use augnerf::augment::{Deltas, Draw, Norm, PassGeometry, Passes, PixelScale, Sets, Site, worst_case};
+use augnerf::augment::{Deltas, Draw, Norm, PassGeometry, Passes, PixelScale, SampleDensity, Sets, Site, worst_case};
 use augnerf::base::rng::{Random, Stream};
 use augnerf::data::{RayBuffer, RayParts, Rays};
 use augnerf::field::Field;
@@ -34,9 +34,10 @@ fn geometry<'a>(
         direction_norm,
         bounds,
         coarse_samples: samples,
+        cap_samples: samples,
         width,
         pixel,
-        gap: 1.0,
+        density: SampleDensity::OWN,
     }
 }
 

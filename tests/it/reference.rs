@@ -4,7 +4,7 @@
 
 use crate::common::flat;
 use crate::common::reference::Reference;
-use augnerf::augment::{DeltaSet, Deltas, Norm, PassGeometry, PixelScale, Sets, Site, worst_case};
+use augnerf::augment::{DeltaSet, Deltas, Norm, PassGeometry, PixelScale, SampleDensity, Sets, Site, worst_case};
 use augnerf::data::Rays;
 use augnerf::field::{Field, encode};
 use augnerf::render::sampling::inverse_cdf;
@@ -159,9 +159,10 @@ impl Attack {
                 direction_norm: &rays.direction_norm,
                 bounds: (0.2, 1.8),
                 coarse_samples: 7,
+                cap_samples: 7,
                 width: 16,
                 pixel,
-                gap: 1.0,
+                density: SampleDensity::OWN,
             },
         )
         .unwrap();

@@ -32,7 +32,8 @@ pub const SITE: About = About {
 };
 
 /// At most epsilon of the gap to the nearer neighbour (the ends: to their one neighbour), within near..far; in the paper's
-/// geometry of the gap that its pass would have there, and at most half of this one.
+/// geometry of the gap that its pass would have there, and at most half of this one. How many of the samples around are coarse
+/// ones is told by the mean of the two gaps, which random draws move less than the nearer one.
 ///
 /// The radius is two roundings short of its name: with epsilon 1/2 two neighbours may meet, and a
 /// gap that was rounded up would let them pass each other.
@@ -49,7 +50,16 @@ fn set(numbers: &SiteNumbers, _: &SetChoices, pass: &PassGeometry) -> Result<Del
     let nearer = before.minimum(&after)?;
     let radius = match numbers.epsilon {
         // The paper's gaps may be wider than these: beyond half of these order would be lost.
-        Epsilon::Units(epsilon) => (nearer * ((epsilon * pass.gap).min(LARGEST) * short))?,
+        Epsilon::Units(epsilon) => match pass.density.uniform() {
+            Some(density) => (nearer * ((epsilon / density).min(LARGEST) * short))?,
+            None => {
+                let coarse_gap = (far - near) / (pass.coarse_samples as f64 - 1.0);
+                let density = pass.density.around(&((before + after)? * 0.5)?, coarse_gap)?;
+                let share =
+                    (density.recip()? * epsilon)?.minimum(&pass.scalar(LARGEST)?.broadcast_as((rays, samples))?)?;
+                ((nearer * share)? * short)?
+            }
+        },
         Epsilon::Reach => (nearer * (LARGEST * short))?.broadcast_minimum(&pass.scalar(numbers.radius(|e| e))?)?,
     };
     let zero = t_vals.zeros_like()?;

@@ -29,7 +29,7 @@ pub const SITE: About = About {
 /// A ball or box per sample of epsilon pixels, where a pixel is at most (far - near) |d| / (2 (N - 1)).
 fn set(numbers: &SiteNumbers, choices: &SetChoices, pass: &PassGeometry) -> Result<DeltaSet> {
     let (near, far) = pass.bounds;
-    let cap = (pass.direction_norm * ((far - near) / (2.0 * (pass.coarse_samples as f64 - 1.0))))?;
+    let cap = (pass.direction_norm * ((far - near) / (2.0 * (pass.cap_samples as f64 - 1.0))))?;
     let pixel = pass.scalar(pixel(&pass.pixel, choices.xyz_radius))?;
     let radius = match choices.xyz_radius {
         Radius::Pixel => cap.broadcast_minimum(&pixel)?,

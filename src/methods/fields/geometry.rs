@@ -2,7 +2,7 @@
 
 use candle_core::{Device, Tensor};
 
-use crate::augment::{Geometry, PaperPass, PassGeometry, PixelScale, Sets, Site, StepUnit};
+use crate::augment::{Geometry, PaperPass, PassGeometry, PixelScale, SampleDensity, Sets, Site, StepUnit};
 use crate::base::Result;
 use crate::data::Scene;
 use crate::settings::Resolved;
@@ -45,8 +45,19 @@ impl AttackGeometry {
         is_coarse: bool,
     ) -> Result<PassGeometry<'a>> {
         let AttackGeometry { bounds, pixel, coarse_columns: coarse_samples, width, paper } = *self;
-        let own =
-            PassGeometry { is_coarse, t_vals, samples, direction_norm, bounds, coarse_samples, width, pixel, gap: 1.0 };
+        let (density, cap_samples) = (SampleDensity::OWN, coarse_samples);
+        let own = PassGeometry {
+            is_coarse,
+            t_vals,
+            samples,
+            direction_norm,
+            bounds,
+            coarse_samples,
+            cap_samples,
+            width,
+            pixel,
+            density,
+        };
         paper.map_or(Ok(own), |paper| own.of_paper(&paper))
     }
 }
