@@ -12,3 +12,20 @@ pub struct Image {
     /// `height * width * channels` values.
     pub pixels: Vec<f32>,
 }
+
+impl Image {
+    /// Every `stride`-th pixel across and down, from the first one on.
+    ///
+    /// ```
+    /// use augnerf::base::Image;
+    ///
+    /// let image = Image { width: 3, height: 2, channels: 1, pixels: vec![0.0, 0.1, 0.2, 0.3, 0.4, 0.5] };
+    /// assert_eq!(image.every(2), Image { width: 2, height: 1, channels: 1, pixels: vec![0.0, 0.2] });
+    /// ```
+    pub fn every(&self, stride: usize) -> Image {
+        let (columns, rows) = ((0..self.width).step_by(stride), (0..self.height).step_by(stride));
+        let at = |x: usize, y: usize| &self.pixels[(y * self.width + x) * self.channels..][..self.channels];
+        let pixels = rows.clone().flat_map(|y| columns.clone().flat_map(move |x| at(x, y).iter().copied()));
+        Image { width: columns.len(), height: rows.len(), channels: self.channels, pixels: pixels.collect() }
+    }
+}

@@ -60,16 +60,22 @@ impl Viewer<'_> {
     /// # Errors
     /// [`Error::Diverged`]: a colour that is not a number.
     pub fn render(&self, camera: &Camera) -> Result<RenderedView> {
-        self.runtime.install(|| self.render_here(camera))
+        self.render_every(1, camera)
     }
 
-    fn render_here(&self, camera: &Camera) -> Result<RenderedView> {
+    /// Every `stride`-th pixel of the view across and down, from the first one on, as a picture of these.
+    fn render_every(&self, stride: usize, camera: &Camera) -> Result<RenderedView> {
+        self.runtime.install(|| self.render_here(stride, camera))
+    }
+
+    fn render_here(&self, stride: usize, camera: &Camera) -> Result<RenderedView> {
         let Viewer { model, config, scene, runtime } = *self;
         let device = runtime.device();
         let painter = model.painter(config, scene)?;
-        let (width, height) = (camera.width as u32, camera.height as u32);
+        let places = |size: usize| (0..size as u32).step_by(stride);
+        let (width, height) = (places(camera.width).len(), places(camera.height).len());
         let pixels: Vec<(&Camera, u32, u32)> =
-            (0..height).flat_map(|y| (0..width).map(move |x| (camera, x, y))).collect();
+            places(camera.height).flat_map(|y| places(camera.width).map(move |x| (camera, x, y))).collect();
         let render = |part: &[(&Camera, u32, u32)]| -> Result<[Vec<f32>; 3]> {
             let rays = RayBuffer::new(part, scene.ndc.as_ref(), config.data.pixel_origin, painter.ray_parts())
                 .to_tensors(DType::F32, device)?;
@@ -92,11 +98,11 @@ impl Viewer<'_> {
             return Err(Error::Diverged(format!(
                 "the rendered colour of pixel ({}, {}) is not a number: the weights are broken; delete the \
                  newest checkpoint to fall back on the one before it",
-                bad / 3 % camera.width,
-                bad / 3 / camera.width
+                bad / 3 % width * stride,
+                bad / 3 / width * stride
             )));
         }
-        let image = Image { width: camera.width, height: camera.height, channels: 3, pixels: rgb };
+        let image = Image { width, height, channels: 3, pixels: rgb };
         Ok(RenderedView { image, depth, acc })
     }
 
@@ -126,6 +132,24 @@ impl Viewer<'_> {
     ) -> Result<Vec<ViewMetrics>> {
         let views = seen_views(self.scene, self.config).into_iter().map(|place| &self.scene.train[place]).collect();
         self.measure("evaluating training views", views, lpips, events, unless_stopped, |_, _, _| Ok(()))
+    }
+
+    /// Measures every `stride`-th pixel, across and down, of every held-out view and of the training views of [`seen_views`].
+    pub(super) fn evaluate_sparsely(
+        &self,
+        stride: usize,
+        unless_stopped: impl Fn() -> Result<()>,
+    ) -> Result<[Vec<ViewMetrics>; 2]> {
+        let of_view = |view: &View| {
+            unless_stopped()?;
+            let rendered = self.render_every(stride, &view.camera)?;
+            measure(&view.name, &rendered.image, &view.image.every(stride), &[])
+        };
+        let seen = seen_views(self.scene, self.config);
+        Ok([
+            self.scene.test.iter().map(&of_view).collect::<Result<_>>()?,
+            seen.into_iter().map(|place| of_view(&self.scene.train[place])).collect::<Result<_>>()?,
+        ])
     }
 
     fn measure(

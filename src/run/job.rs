@@ -292,8 +292,8 @@ impl Between for Watcher<'_> {
         let saved = trainer.step_count() - 1;
         let unless_stopped = || self.experiment.check_signal(self.signal, saved);
         let viewer = self.experiment.viewer(trainer);
-        let views = viewer.evaluate(&[], &(), unless_stopped, |_, _, _| Ok(()))?;
-        let seen = viewer.evaluate_seen(&[], &(), unless_stopped)?;
+        let stride = trainer.config().train.eval_stride;
+        let [views, seen] = viewer.evaluate_sparsely(stride, unless_stopped)?;
         self.seconds_evaluation += started.elapsed().as_secs_f64();
         let mut mean = MeanMetrics::from_views(&views);
         mean.set_seen(&seen);

@@ -86,6 +86,8 @@ section! {
         pub log_every: u64 = 100, work().whole(1, u64::MAX, "at least 1");
         /// Steps between two evaluations during training (0 = only at the end).
         pub eval_every: u64 = 0, work();
+        /// Those evaluations take every so manyth pixel of a view, across and down: 1 = all of them.
+        pub eval_stride: usize = 1, work().whole(1, 1000, "1 to 1000").later().same_time();
         /// Steps between two checkpoints (0 = by time only).
         pub checkpoint_every: u64 = 10_000, work();
         /// Minutes between two checkpoints (0 = by steps only).

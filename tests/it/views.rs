@@ -97,6 +97,25 @@ fn a_run_tells_of_training_views_in_its_files_and_while_it_trains() {
     assert!(!scalars.contains("train_psnr") && scalars.contains("test_psnr"));
 }
 
+/// Curves need no more than a part of each picture; the numbers of the run are of all of it.
+#[test]
+fn evaluations_between_steps_may_take_a_part_of_the_pixels() {
+    let all = ["train.eval_every=3", "data.test_skip=2"];
+    let (whole, every) = run(&all, &());
+    let (sparse, some) = run(&[all[0], all[1], "train.eval_stride=3"], &());
+    assert_eq!((&sparse["mean"], &sparse["views"]), (&whole["mean"], &whole["views"]));
+    assert_eq!(sparse["protocol"]["config_hash"], whole["protocol"]["config_hash"]);
+    let cell = |scalars: &str, name: &str| -> f64 {
+        let column = scalars.lines().next().unwrap().split(',').position(|own| own == name).unwrap();
+        scalars.lines().nth(1).unwrap().split(',').nth(column).unwrap().parse().unwrap()
+    };
+    for name in ["test_psnr", "train_psnr"] {
+        let (all, ninth) = (cell(&every, name), cell(&some, name));
+        assert!(all != ninth && (all - ninth).abs() < 3.0, "{name}: {all} {ninth}");
+    }
+    assert_eq!(cell(&every, "loss"), cell(&some, "loss"));
+}
+
 #[test]
 fn choices_among_views_that_cannot_be_are_refused_in_words() {
     let refused = |settings: &[&str], words: &[&str]| {
