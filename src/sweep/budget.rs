@@ -1,5 +1,7 @@
 //! What a step costs, and how many steps of one row cost as much as another row's.
 
+use serde::{Deserialize, Serialize};
+
 use crate::base::Result;
 use crate::settings::{
     Config, DeltaSource, LatticePoints, PerturbConfig, RegularizedFields, RegularizerConfig, SecondPass,
@@ -11,6 +13,38 @@ use super::definition::BudgetKind;
 pub trait StepCosts {
     /// Seconds of one training step of a configuration.
     fn seconds_per_step(&self, config: &Config) -> Result<f64>;
+
+    /// Told once, before: all configurations, of distinct shapes, whose seconds will be asked for. They are compared with one
+    /// another, and so should come from one source.
+    fn prepare(&self, _configs: &[&Config]) -> Result<()> {
+        Ok(())
+    }
+
+    /// What they are measured on; none where nothing is known of it.
+    fn clock(&self) -> Option<Clock> {
+        None
+    }
+}
+
+/// What seconds were measured on.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Clock {
+    /// The processor's model, or `unknown`.
+    pub processor: String,
+    /// The device, as `cpu`.
+    pub device: String,
+    /// Threads that worked.
+    pub threads: usize,
+    /// The code's revision.
+    pub code_revision: String,
+}
+
+impl std::fmt::Display for Clock {
+    /// `12th Gen Intel(R) Core(TM) i5 (cpu, 2 threads, revision 21b6470)`.
+    fn fmt(&self, f: &mut std::fmt::Formatter) -> std::fmt::Result {
+        let Clock { processor, device, threads, code_revision } = self;
+        write!(f, "{processor} ({device}, {threads} threads, revision {code_revision})")
+    }
 }
 
 /// Steps of `config` that cost as much as all steps of `like`; at least 1.

@@ -1,18 +1,17 @@
 //! The points of a sweep: decided once, when its folder is begun, and read from there afterwards.
 
 use std::collections::{BTreeMap, HashSet};
-use std::path::{Path, PathBuf};
-use std::sync::Mutex;
+use std::path::Path;
 
-use crate::base::files::{read_json, write_json};
 use crate::base::{Error, Result};
 use crate::settings::Config;
 
 use super::budget::StepCosts;
 use super::definition::Definition;
-use super::folder::{Change, STEP_SECONDS, SweepFolder};
+use super::folder::{Change, SweepFolder};
 use super::layout::{Laid, lay_out};
 use super::points::{Point, apply_budgets};
+use super::step_seconds::{KeptCosts, Unknown};
 use super::training::{Cost, Trainings};
 
 /// The points that `folder` was begun with; a new folder is begun with those of `definition`. A
@@ -132,85 +131,5 @@ impl StepCosts for Unmeasured {
     fn seconds_per_step(&self, config: &Config) -> Result<f64> {
         let digits = u32::from_str_radix(&config.step_shape()[..6], 16).expect("a hexadecimal hash");
         Ok(1.0 + f64::from(digits) / f64::from(1 << 24))
-    }
-}
-
-/// No number.
-struct Unknown;
-
-impl StepCosts for Unknown {
-    fn seconds_per_step(&self, _: &Config) -> Result<f64> {
-        Err(Error::Config("not measured".into()))
-    }
-}
-
-/// Seconds of a step as the sweep's tables were made with, which lie beside them; measured where they are not there. A sweep
-/// that is begun anew, on another day or machine, comes to the same steps and so to the same points.
-pub struct PublishedCosts<'a> {
-    known: BTreeMap<String, f64>,
-    measure: &'a dyn StepCosts,
-}
-
-impl<'a> PublishedCosts<'a> {
-    /// Those of the tables in `results`.
-    ///
-    /// # Errors
-    /// A file that holds no seconds.
-    pub fn beside(results: &Path, measure: &'a dyn StepCosts) -> Result<PublishedCosts<'a>> {
-        Ok(PublishedCosts { known: read_seconds(&results.join(STEP_SECONDS))?, measure })
-    }
-}
-
-impl StepCosts for PublishedCosts<'_> {
-    fn seconds_per_step(&self, config: &Config) -> Result<f64> {
-        match self.known.get(&config.step_shape()) {
-            Some(seconds) => Ok(*seconds),
-            None => self.measure.seconds_per_step(config),
-        }
-    }
-}
-
-/// Seconds by the shapes of steps; none where there is no such file.
-fn read_seconds(path: &Path) -> Result<BTreeMap<String, f64>> {
-    let known: BTreeMap<String, f64> = read_json(path, "delete it")?.unwrap_or_default();
-    if let Some((shape, seconds)) = known.iter().find(|(_, seconds)| !(seconds.is_finite() && **seconds > 0.0)) {
-        let found = format!("a step of {shape} takes {seconds} s, which no step does");
-        return Err(Error::Checkpoint(format!("cannot use {}: {found}; delete it", path.display())));
-    }
-    Ok(known)
-}
-
-/// Seconds of a step as measured when the sweep was begun, kept with it: an extended sweep keeps
-/// its points. Used under the folder's lock.
-struct KeptCosts<'a> {
-    path: PathBuf,
-    known: Mutex<BTreeMap<String, f64>>,
-    measure: &'a dyn StepCosts,
-}
-
-impl<'a> KeptCosts<'a> {
-    fn new(folder: &SweepFolder, measure: &'a dyn StepCosts) -> Result<KeptCosts<'a>> {
-        let path = folder.step_seconds();
-        let known = read_seconds(&path)?;
-        Ok(KeptCosts { path, known: Mutex::new(known), measure })
-    }
-}
-
-/// The step times that are kept in a folder; any other is an error.
-pub(super) fn kept_step_seconds(folder: &SweepFolder) -> Result<impl StepCosts> {
-    KeptCosts::new(folder, &Unknown)
-}
-
-impl StepCosts for KeptCosts<'_> {
-    fn seconds_per_step(&self, config: &Config) -> Result<f64> {
-        let mut known = self.known.lock().expect("no panic while measuring");
-        let shape = config.step_shape();
-        if let Some(seconds) = known.get(&shape) {
-            return Ok(*seconds);
-        }
-        let seconds = self.measure.seconds_per_step(config)?;
-        known.insert(shape, seconds);
-        write_json(&self.path, &*known)?;
-        Ok(seconds)
     }
 }

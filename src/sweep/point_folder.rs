@@ -26,7 +26,7 @@ pub struct PointResult {
     pub metrics: Vec<(String, Option<f64>)>,
     /// Name and text of each field of the protocol.
     pub protocol: Vec<(String, String)>,
-    /// Sites whose deltas had no effect.
+    /// Sites that were inactive, by what the protocol's `inactive_by` says.
     pub inactive_levels: Vec<String>,
 }
 

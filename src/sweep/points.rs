@@ -1,6 +1,6 @@
 //! The points of a sweep: places of its table, each with a configuration of its own or one that others share.
 
-use std::collections::HashMap;
+use std::collections::{HashMap, HashSet};
 use std::path::Path;
 
 use serde::{Deserialize, Serialize};
@@ -10,7 +10,7 @@ use crate::report::label;
 use crate::settings::Config;
 
 use super::budget::{StepCosts, steps_within};
-use super::definition::Definition;
+use super::definition::{BudgetKind, Definition};
 use super::layout::{Laid, Place, lay_out, missing, scene_folder};
 
 /// Ends the name of a point whose budget could not be told.
@@ -91,6 +91,7 @@ pub fn expand(definition: &Definition, data_root: Option<&Path>, costs: &dyn Ste
 /// # Errors
 /// Two rows that are the same experiment.
 pub(super) fn apply_budgets(laid: &[Laid], costs: &dyn StepCosts) -> Result<Vec<Point>> {
+    costs.prepare(&timed(laid))?;
     let mut points: Vec<Point> = Vec::new();
     let mut known: HashMap<String, (usize, Vec<&Laid>)> = HashMap::new();
     for laid in laid {
@@ -110,6 +111,16 @@ pub(super) fn apply_budgets(laid: &[Laid], costs: &dyn StepCosts) -> Result<Vec<
         points[*index].places.push(laid.place.clone());
     }
     Ok(points)
+}
+
+/// One configuration of each shape whose seconds budgets hang on.
+fn timed(laid: &[Laid]) -> Vec<&Config> {
+    let mut known = HashSet::new();
+    let in_seconds = laid.iter().filter(|laid| laid.decay_steps.is_some()).filter_map(|laid| match &laid.budget {
+        Some((BudgetKind::Seconds, like)) => Some([&laid.config, like]),
+        _ => None,
+    });
+    in_seconds.flatten().filter(|config| known.insert(config.step_shape())).collect()
 }
 
 /// Two rows that come to one configuration are one by mistake. Budgets of two kinds may come to the same steps.

@@ -1,23 +1,25 @@
 //! Trains and measures points for real.
 
+use std::collections::BTreeMap;
 use std::sync::atomic::AtomicUsize;
 use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Instant;
 
 use candle_core::DType;
 
-use crate::base::{Error, Event, Listener, Result};
+use crate::base::{Error, Event, Listener, Result, revision};
 use crate::data::corruption::corrupt;
 use crate::data::{self, Scene, seen_views};
 use crate::metrics::Lpips;
 use crate::run::{
     Existing, Finished, Job, Report, RunDir, Setup, SmoothnessReport, Viewer, columns, locate_scene, watch_memory,
 };
-use crate::runtime::Runtime;
+use crate::runtime::{Host, Runtime};
 use crate::settings::{Config, CorruptionConfig, DataConfig, Resolved};
 use crate::space::Lattice;
 use crate::train::Trainer;
 
-use super::budget::StepCosts;
+use super::budget::{Clock, StepCosts};
 use super::claim::Beat;
 use super::point_folder::{PointFolder, PointResult};
 use super::points::Point;
@@ -48,6 +50,8 @@ pub struct Trainings<'a> {
     /// Hears how loading, training and measuring go.
     pub events: &'a dyn Listener,
     scenes: Mutex<Vec<(String, Arc<Scene>)>>,
+    /// Seconds of a step by its shape, as far as budgets asked for them.
+    seconds: Mutex<BTreeMap<String, f64>>,
 }
 
 impl<'a> Trainings<'a> {
@@ -58,7 +62,15 @@ impl<'a> Trainings<'a> {
         smoothness: bool,
         events: &'a dyn Listener,
     ) -> Trainings<'a> {
-        Trainings { runtime, lpips, lpips_weights, smoothness, events, scenes: Mutex::default() }
+        Trainings {
+            runtime,
+            lpips,
+            lpips_weights,
+            smoothness,
+            events,
+            scenes: Mutex::default(),
+            seconds: Mutex::default(),
+        }
     }
 
     /// The scene of a configuration, which it resolves.
@@ -119,7 +131,7 @@ impl Trainings<'_> {
     /// Measures a few real steps and a piece of a held-out view, for as many as an evaluation renders.
     pub fn cost(&self, config: &Config) -> Result<Cost> {
         let memory = watch_memory(&self.runtime);
-        let seconds_per_step = self.time_steps(config, ESTIMATE)?;
+        let seconds_per_step = self.time_steps(&[config], ESTIMATE)?[0];
         let (trainer, scene, config) = self.trainer(config)?;
         let mut seconds_evaluation = 0.0;
         if let Some(view) = scene.test.first() {
@@ -128,7 +140,7 @@ impl Trainings<'_> {
             let rows = (2 * self.runtime.threads() * config.eval.chunk).div_ceil(camera.width);
             camera.height = rows.min(view.camera.height);
             let viewer = Viewer { model: trainer.model(), config: &config, scene: &scene, runtime: &self.runtime };
-            let started = std::time::Instant::now();
+            let started = Instant::now();
             viewer.render(&camera)?;
             let share = camera.height as f64 / view.camera.height as f64;
             seconds_evaluation =
@@ -139,29 +151,55 @@ impl Trainings<'_> {
 }
 
 impl Trainings<'_> {
-    /// Seconds of a step: the median of real ones, from the initial weights on.
-    fn time_steps(&self, config: &Config, [warm_up, timed]: [f64; 2]) -> Result<f64> {
-        let (mut trainer, _, _) = self.trainer(config)?;
-        let mut step = || trainer.step(false).map(|_| ());
-        time_each(&mut step, warm_up)?;
-        Ok(median(time_each(&mut step, timed)?))
+    /// Seconds of a step of each: the median of real ones, from the initial weights on.
+    fn time_steps(&self, configs: &[&Config], [warm_up, timed]: [f64; 2]) -> Result<Vec<f64>> {
+        let trainers: Result<Vec<Trainer>> = configs.iter().map(|config| Ok(self.trainer(config)?.0)).collect();
+        let mut trainers = trainers?;
+        let mut step = |index: usize| trainers[index].step(false).map(|_| ());
+        time_in_turns(configs.len(), &mut step, warm_up)?;
+        Ok(time_in_turns(configs.len(), &mut step, timed)?.into_iter().map(median).collect())
     }
 }
 
 impl StepCosts for Trainings<'_> {
     fn seconds_per_step(&self, config: &Config) -> Result<f64> {
-        self.time_steps(config, CALIBRATION)
+        let known = || self.seconds.lock().unwrap_or_else(PoisonError::into_inner).get(&config.step_shape()).copied();
+        match known() {
+            Some(seconds) => Ok(seconds),
+            None => {
+                self.prepare(&[config])?;
+                Ok(known().expect("just measured"))
+            }
+        }
+    }
+
+    fn prepare(&self, configs: &[&Config]) -> Result<()> {
+        let measured = self.time_steps(configs, CALIBRATION)?;
+        let mut seconds = self.seconds.lock().unwrap_or_else(PoisonError::into_inner);
+        seconds.extend(configs.iter().map(|config| config.step_shape()).zip(measured));
+        Ok(())
+    }
+
+    fn clock(&self) -> Option<Clock> {
+        Some(Clock {
+            processor: Host::current().cpu.unwrap_or_else(|| "unknown".into()),
+            device: self.runtime.name().to_string(),
+            threads: self.runtime.threads(),
+            code_revision: revision().to_string(),
+        })
     }
 }
 
-/// Takes steps until they have taken `least` seconds in all; returns the seconds of each.
-fn time_each(mut step: impl FnMut() -> Result<()>, least: f64) -> Result<Vec<f64>> {
-    let (mut seconds, mut total) = (Vec::new(), 0.0);
-    while seconds.len() < LEAST_STEPS || total < least {
-        let started = std::time::Instant::now();
-        step()?;
-        seconds.push(started.elapsed().as_secs_f64());
-        total += seconds[seconds.len() - 1];
+/// Takes steps of so many trainings, one of each in turn, so that a busy minute falls on all of them: until each has taken
+/// `least` seconds in all. Returns the seconds of each one's steps.
+fn time_in_turns(trainings: usize, mut step: impl FnMut(usize) -> Result<()>, least: f64) -> Result<Vec<Vec<f64>>> {
+    let mut seconds = vec![Vec::new(); trainings];
+    while seconds.iter().any(|own: &Vec<f64>| own.len() < LEAST_STEPS || own.iter().sum::<f64>() < least) {
+        for (index, own) in seconds.iter_mut().enumerate() {
+            let started = Instant::now();
+            step(index)?;
+            own.push(started.elapsed().as_secs_f64());
+        }
     }
     Ok(seconds)
 }
@@ -268,17 +306,28 @@ mod tests {
     #[test]
     fn steps_are_timed_for_seconds_and_one_hiccup_does_not_count() {
         let mut taken = 0;
-        let slow_once = || {
+        let slow_once = |_| {
             taken += 1;
             std::thread::sleep(Duration::from_millis(if taken == 7 { 120 } else { 2 }));
             Ok(())
         };
-        let seconds = time_each(slow_once, 0.3).unwrap();
+        let seconds = time_in_turns(1, slow_once, 0.3).unwrap().remove(0);
         assert!(seconds.len() > 10 && seconds.iter().sum::<f64>() >= 0.3, "{}", seconds.len());
         let (mean, median) = (seconds.iter().sum::<f64>() / seconds.len() as f64, median(seconds));
         assert!(median < mean && (0.002..0.01).contains(&median), "{median} {mean}");
         // A step of seconds is taken several times all the same.
-        assert_eq!(time_each(|| Ok(()), 0.0).unwrap().len(), LEAST_STEPS);
+        let mut order = Vec::new();
+        let each = time_in_turns(
+            2,
+            |index| {
+                order.push(index);
+                Ok(())
+            },
+            0.0,
+        )
+        .unwrap();
+        assert_eq!((each[0].len(), each[1].len()), (LEAST_STEPS, LEAST_STEPS));
+        assert_eq!(order, [0, 1].repeat(LEAST_STEPS), "one of each in turn");
         assert_eq!(super::median(vec![3.0, 1.0, 2.0, 9.0]), 2.0);
     }
 }

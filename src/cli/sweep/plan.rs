@@ -34,7 +34,12 @@ impl PlanArguments {
         let data_root = self.location.data_root.as_deref();
         let points = match folder.points(data_root)? {
             Some(points) if folder.compare(&definition)? == Change::None => points,
-            _ => expand(&definition, data_root, &PublishedCosts::beside(&self.location.results()?, &trainings)?)?,
+            _ => {
+                let costs = PublishedCosts::beside(&self.location.results()?, &trainings)?;
+                let points = expand(&definition, data_root, &costs)?;
+                costs.note().iter().for_each(|note| console.say(note));
+                points
+            }
         };
         print(&format!("{} points", points.len()))?;
         let left: Vec<&Point> =

@@ -86,6 +86,7 @@ impl RunArguments {
         let (name, results) = (self.location.name()?, self.location.results()?);
         let costs = PublishedCosts::beside(&results, &trainings)?;
         let points = begin(&folder, &definition, self.location.data_root.as_deref(), self.extend, &costs)?;
+        costs.note().iter().for_each(|note| console.say(note));
         let options = Options {
             jobs: usize::from(self.jobs),
             fail_fast: self.fail_fast,

@@ -10,8 +10,8 @@ use crate::settings::Config;
 use crate::sweep::budget::StepCosts;
 use crate::sweep::folder::SweepFolder;
 use crate::sweep::layout::{Laid, lay_out};
-use crate::sweep::planning::kept_step_seconds;
 use crate::sweep::points::{Point, WITHOUT_BUDGET, point};
+use crate::sweep::step_seconds::kept_step_seconds;
 
 /// Compares `points.csv`, `points.json` and `sweep.toml`.
 pub fn check(archive: &Archive, data_root: Option<&Path>, findings: &mut Findings) -> Result<()> {

@@ -1,0 +1,162 @@
+//! `step_seconds.json`: seconds of a step, where budgets are in seconds. Those of one sweep are of one clock: seconds of two
+//! machines or days say nothing of each other.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::sync::Mutex;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use serde::{Deserialize, Serialize};
+
+use crate::base::files::{read_json, write_json};
+use crate::base::{Error, Result};
+use crate::settings::Config;
+
+use super::budget::{Clock, StepCosts};
+use super::folder::{STEP_SECONDS, SweepFolder};
+
+/// What the file holds.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+struct StepSeconds {
+    /// What they were measured on; none in files of earlier versions, which hold the seconds alone.
+    #[serde(flatten)]
+    clock: Option<Clock>,
+    /// By the shapes of steps.
+    seconds: BTreeMap<String, f64>,
+}
+
+/// The file as any version wrote it.
+#[derive(Deserialize)]
+#[serde(untagged)]
+enum AnyVersion {
+    Now(StepSeconds),
+    Early(BTreeMap<String, f64>),
+}
+
+impl StepSeconds {
+    /// Nothing where there is no such file.
+    fn read(path: &Path) -> Result<StepSeconds> {
+        let file = match read_json(path, "delete it")? {
+            Some(AnyVersion::Now(file)) => file,
+            Some(AnyVersion::Early(seconds)) => StepSeconds { clock: None, seconds },
+            None => StepSeconds::default(),
+        };
+        if let Some((shape, seconds)) =
+            file.seconds.iter().find(|(_, seconds)| !(seconds.is_finite() && **seconds > 0.0))
+        {
+            let found = format!("a step of {shape} takes {seconds} s, which no step does");
+            return Err(Error::Checkpoint(format!("cannot use {}: {found}; delete it", path.display())));
+        }
+        Ok(file)
+    }
+
+    fn of(&self, config: &Config) -> Option<f64> {
+        self.seconds.get(&config.step_shape()).copied()
+    }
+}
+
+/// Seconds of a step as the sweep's tables were made with, which lie beside them, if all that are needed are there; otherwise
+/// all are measured. A sweep that is begun anew, on another day or machine, comes to the same steps and so to the same points.
+pub struct PublishedCosts<'a> {
+    path: PathBuf,
+    known: StepSeconds,
+    measure: &'a dyn StepCosts,
+    used: AtomicBool,
+}
+
+impl<'a> PublishedCosts<'a> {
+    /// Those of the tables in `results`.
+    ///
+    /// # Errors
+    /// A file that holds no seconds.
+    pub fn beside(results: &Path, measure: &'a dyn StepCosts) -> Result<PublishedCosts<'a>> {
+        let path = results.join(STEP_SECONDS);
+        Ok(PublishedCosts { known: StepSeconds::read(&path)?, path, measure, used: AtomicBool::new(false) })
+    }
+
+    /// For a person: that the file was used, and what it was measured on; none where it was not.
+    pub fn note(&self) -> Option<String> {
+        let clock = self.known.clock.as_ref().map_or(String::new(), |clock| format!(", measured on {clock}"));
+        let used = self.used.load(Ordering::SeqCst);
+        used.then(|| format!("budgets in seconds: as {} has them{clock}", self.path.display()))
+    }
+}
+
+impl StepCosts for PublishedCosts<'_> {
+    fn prepare(&self, configs: &[&Config]) -> Result<()> {
+        let all = !configs.is_empty() && configs.iter().all(|config| self.known.of(config).is_some());
+        self.used.store(all, Ordering::SeqCst);
+        if all { Ok(()) } else { self.measure.prepare(configs) }
+    }
+
+    fn seconds_per_step(&self, config: &Config) -> Result<f64> {
+        match self.known.of(config).filter(|_| self.used.load(Ordering::SeqCst)) {
+            Some(seconds) => Ok(seconds),
+            None => self.measure.seconds_per_step(config),
+        }
+    }
+
+    fn clock(&self) -> Option<Clock> {
+        if self.used.load(Ordering::SeqCst) { self.known.clock.clone() } else { self.measure.clock() }
+    }
+}
+
+/// Seconds of a step as measured when the sweep was begun, kept with it: an extended sweep keeps its points. Used under the
+/// folder's lock.
+pub struct KeptCosts<'a> {
+    path: PathBuf,
+    known: Mutex<StepSeconds>,
+    measure: &'a dyn StepCosts,
+}
+
+impl<'a> KeptCosts<'a> {
+    pub fn new(folder: &SweepFolder, measure: &'a dyn StepCosts) -> Result<KeptCosts<'a>> {
+        let path = folder.step_seconds();
+        let known = StepSeconds::read(&path)?;
+        Ok(KeptCosts { path, known: Mutex::new(known), measure })
+    }
+}
+
+/// The step times that are kept in a folder; any other is an error.
+pub fn kept_step_seconds(folder: &SweepFolder) -> Result<impl StepCosts> {
+    KeptCosts::new(folder, &Unknown)
+}
+
+impl StepCosts for KeptCosts<'_> {
+    /// Shapes that an extension brings are measured beside the kept ones, and told in seconds of the kept clock.
+    fn prepare(&self, configs: &[&Config]) -> Result<()> {
+        let mut known = self.known.lock().expect("no panic while measuring");
+        if configs.iter().all(|config| known.of(config).is_some()) {
+            return Ok(());
+        }
+        self.measure.prepare(configs)?;
+        let mut measured = BTreeMap::new();
+        for config in configs {
+            measured.insert(config.step_shape(), self.measure.seconds_per_step(config)?);
+        }
+        let both = || measured.iter().filter_map(|(shape, now)| Some((known.seconds.get(shape)?, now)));
+        let (kept, now) = both().fold((0.0, 0.0), |(kept, sum), (before, now)| (kept + before, sum + now));
+        let pace = if now > 0.0 { kept / now } else { 1.0 };
+        if known.seconds.is_empty() {
+            known.clock = self.measure.clock();
+        }
+        for (shape, seconds) in measured {
+            known.seconds.entry(shape).or_insert(seconds * pace);
+        }
+        write_json(&self.path, &*known)
+    }
+
+    fn seconds_per_step(&self, config: &Config) -> Result<f64> {
+        let known = self.known.lock().expect("no panic while measuring").of(config);
+        known.map_or_else(|| self.measure.seconds_per_step(config), Ok)
+    }
+}
+
+/// No number.
+pub struct Unknown;
+
+impl StepCosts for Unknown {
+    fn seconds_per_step(&self, _: &Config) -> Result<f64> {
+        Err(Error::Config("not measured".into()))
+    }
+}
