@@ -60,14 +60,14 @@ pub fn equivalence_p_value(differences: &[f64], margin: f64) -> Option<f64> {
     })
 }
 
-/// The least mean difference that would pass Holm's first step among these families of differences, at their pooled
-/// spread; none where no family has two differences, or none spreads.
-pub fn least_provable(families: &[Vec<f64>]) -> Option<f64> {
-    let spread: Vec<&Vec<f64>> = families.iter().filter(|family| family.len() > 1).collect();
-    let pairs = spread.iter().map(|family| family.len()).min()?;
-    let squares: Vec<f64> = spread.iter().filter_map(|family| Some(standard_deviation(family)?.powi(2))).collect();
+/// The least mean difference that would pass Holm's first step among so many tests, at the pooled spread of these groups of
+/// differences; none where no group has two differences, or none spreads, or there is no test.
+pub fn least_provable(groups: &[&[f64]], tests: usize) -> Option<f64> {
+    let spread: Vec<&&[f64]> = groups.iter().filter(|group| group.len() > 1 && tests > 0).collect();
+    let pairs = spread.iter().map(|group| group.len()).min()?;
+    let squares: Vec<f64> = spread.iter().filter_map(|group| Some(standard_deviation(group)?.powi(2))).collect();
     let error = (mean(&squares)? / pairs as f64).sqrt();
-    let quantile = student(pairs).inverse_cdf(1.0 - SIGNIFICANCE / (2.0 * spread.len() as f64));
+    let quantile = student(pairs).inverse_cdf(1.0 - SIGNIFICANCE / (2.0 * tests as f64));
     (error > 0.0).then_some(quantile * error)
 }
 
@@ -204,9 +204,9 @@ mod tests {
     #[test]
     fn a_difference_of_the_least_provable_size_has_the_p_value_of_holm_s_first_step() {
         let family = [-0.1, 0.0, 0.1];
-        let least = least_provable(&[family.to_vec(), family.map(|x| x + 5.0).to_vec()]).unwrap();
+        let least = least_provable(&[&family, &family.map(|x| x + 5.0)], 2).unwrap();
         close(p_value(&family.map(|x| x + least)), SIGNIFICANCE / 2.0);
-        assert_eq!((least_provable(&[vec![1.0]]), least_provable(&[vec![1.0; 3]])), (None, None));
+        assert_eq!((least_provable(&[&[1.0]], 1), least_provable(&[&[1.0; 3]], 1)), (None, None));
     }
 
     #[test]

@@ -1,13 +1,14 @@
 //! The paper's figure: a metric against what is varied, one panel a level. Where several axes are varied together, the
 //! first is drawn along and each value of the others is a line of its own.
 
+use super::pairs::Tests;
+use super::series::Series;
 use super::{Figure, SPREAD_NOTE, Spread, metric_label};
 use crate::base::Result;
 use crate::draw::canvas::{
     Anchor, BLACK, Canvas, Colour, GREY, GRID, LINE_HEIGHT, PALETTE, Panel, RED, TEXT, TITLE, number, range, text_width,
 };
 use crate::metrics::{Direction, Metric};
-use crate::report::statistics::{SIGNIFICANCE, holm, least_provable, p_text, p_value, paired_differences};
 use crate::report::{AxisValue, Record, Status, TableSpec, distinct, label};
 
 const PANEL: (f64, f64) = (250.0, 190.0);
@@ -15,23 +16,6 @@ const GAP: (f64, f64) = (30.0, 92.0);
 /// Lines of words that the gap below a panel has room for.
 const LINES_IN_GAP: usize = 3;
 const MARGIN: (f64, f64) = (76.0, 66.0);
-
-/// One line of one panel: values of an axis with what was measured there.
-struct Series<'a> {
-    axis: &'a str,
-    panel: &'a str,
-    /// The row, with the values of further axes.
-    label: String,
-    /// Value, then seed and number of each point.
-    points: Vec<(&'a str, Vec<(u64, f64)>)>,
-}
-
-impl Series<'_> {
-    fn means(&self) -> Vec<(usize, Spread)> {
-        let spread = |index: usize| Some((index, Spread::new(&numbers(&self.points[index].1))?));
-        (0..self.points.len()).filter_map(spread).collect()
-    }
-}
 
 /// Panels by axis (down) and level (across) of a scene's points with axes; none where there are
 /// no such points.
@@ -48,11 +32,13 @@ pub fn axes_figure(spec: &TableSpec, records: &[Record], scene: &str, metric: &s
     if series.is_empty() {
         return Ok(None);
     }
+    let tests = Tests::new(&series);
     let axes = distinct(series.iter().map(|series| series.axis));
     let columns = distinct(series.iter().map(|series| series.panel));
     let most = axes.iter().flat_map(|axis| columns.iter().map(|column| on(&series, axis, column).count())).max();
     let further = most.unwrap_or(0).saturating_sub(LINES_IN_GAP) as f64 * LINE_HEIGHT;
-    let (width, height) = (PANEL.0.max(width_of_words(&series, &records, metric)) + GAP.0, PANEL.1 + GAP.1 + further);
+    let (width, height) =
+        (PANEL.0.max(width_of_words(&series, &tests, &records, metric)) + GAP.0, PANEL.1 + GAP.1 + further);
     let mut drawing =
         Canvas::new((MARGIN.0 + columns.len() as f64 * width).max(560.0), MARGIN.1 + axes.len() as f64 * height);
     let title = format!("{}: {} on {scene}", spec.title, metric_label(metric));
@@ -78,7 +64,7 @@ pub fn axes_figure(spec: &TableSpec, records: &[Record], scene: &str, metric: &s
             let name = if column.is_empty() { axis.to_string() } else { format!("{column}: {axis}") };
             drawing.text((panel.left, panel.top - 14.0), &name, TEXT, Anchor::Left, BLACK);
             draw_baseline(&mut drawing, &panel, baseline.as_ref());
-            draw_values(&mut drawing, &panel, &lines, metric);
+            draw_values(&mut drawing, &panel, &lines, &tests, metric);
         }
     }
     drawing.caption(&caption(&series, baseline.as_ref().map(|(name, _)| *name), metric));
@@ -111,11 +97,11 @@ fn series<'a>(records: &[&'a Record], metric: &str) -> Vec<Series<'a>> {
 }
 
 /// What the words below a panel ask for where the values of further axes are among them.
-fn width_of_words(series: &[Series], records: &[&Record], metric: &str) -> f64 {
+fn width_of_words(series: &[Series], tests: &Tests, records: &[&Record], metric: &str) -> f64 {
     if records.iter().all(|record| record.axes.len() < 2) {
         return 0.0;
     }
-    series.iter().map(|s| text_width(&format!("{}: {}", s.label, verdict(s, metric)), TEXT)).fold(0.0, f64::max)
+    series.iter().map(|s| text_width(&format!("{}: {}", s.label, tests.verdict(s, metric)), TEXT)).fold(0.0, f64::max)
 }
 
 /// The lines of one panel.
@@ -143,7 +129,7 @@ fn draw_baseline(drawing: &mut Canvas, panel: &Panel, baseline: Option<&(&str, V
     drawing.dashed(&[(panel.left, y), (panel.right(), y)], GREY, 1.5);
 }
 
-fn draw_values(drawing: &mut Canvas, panel: &Panel, lines: &[&Series], metric: &str) {
+fn draw_values(drawing: &mut Canvas, panel: &Panel, lines: &[&Series], tests: &Tests, metric: &str) {
     let names = distinct(lines.iter().flat_map(|series| series.points.iter().map(|(value, _)| *value)));
     let x = |name: &str| {
         let index = names.iter().position(|known| *known == name).expect("from the same list");
@@ -158,7 +144,7 @@ fn draw_values(drawing: &mut Canvas, panel: &Panel, lines: &[&Series], metric: &
         draw_series(drawing, panel, series, colour, &x);
     }
     for (index, series) in lines.iter().enumerate() {
-        let verdict = verdict(series, metric);
+        let verdict = tests.verdict(series, metric);
         let text = if lines.len() > 1 { format!("{}: {verdict}", series.label) } else { verdict };
         let colour = if lines.len() > 1 { PALETTE[index % PALETTE.len()] } else { GREY };
         drawing.text(
@@ -173,7 +159,7 @@ fn draw_values(drawing: &mut Canvas, panel: &Panel, lines: &[&Series], metric: &
     let (value, _) = lines[0].points[index];
     let (x, y) = (x(value), panel.y(best.mean));
     // Red is for what is told apart.
-    let colour = if Pairs::new(lines[0]).tells_apart(value) { RED } else { GREY };
+    let colour = if tests.tells_apart(lines[0], value) { RED } else { GREY };
     drawing.dot((x, y), 5.0, colour, 1.0);
     let label = number(best.mean, (panel.range.1 - panel.range.0) / 50.0);
     let half = text_width(&label, TEXT) / 2.0;
@@ -211,63 +197,6 @@ fn best(series: &Series, metric: &str) -> Option<(usize, Spread)> {
     series.means().into_iter().max_by(|(_, a), (_, b)| (sign * a.mean).total_cmp(&(sign * b.mean)))
 }
 
-/// Whether any two values of the axis are told apart by seeds that they share, in words; where none are, the least
-/// difference that would have been.
-fn verdict(series: &Series, metric: &str) -> String {
-    let seeds = series.points.iter().map(|(_, seeds)| seeds.len()).max().unwrap_or(0);
-    let pairs = Pairs::new(series);
-    match (seeds, pairs.best()) {
-        (0, _) => "no data".into(),
-        (1, _) => "one seed: no spread known".into(),
-        (_, Some((a, b, p))) if p < SIGNIFICANCE => format!("{seeds} seeds: {a} and {b} differ, p {}", p_text(p)),
-        _ => {
-            let least = least_provable(&pairs.differences).zip(Metric::find(metric));
-            let least = least.map_or(String::new(), |(least, metric)| format!(" ({} would)", metric.with_unit(least)));
-            format!("{seeds} seeds: no pair passes{least}")
-        }
-    }
-}
-
-/// All pairs of values, with their differences seed by seed. Values that come to the same numbers are the same training
-/// (as step sizes that land on the set's corners) and stand once.
-struct Pairs<'a> {
-    names: Vec<(&'a str, &'a str)>,
-    differences: Vec<Vec<f64>>,
-}
-
-impl<'a> Pairs<'a> {
-    fn new(series: &Series<'a>) -> Pairs<'a> {
-        let points = &series.points;
-        let is_new = |i: &usize| points[..*i].iter().all(|(_, seeds)| *seeds != points[*i].1);
-        let distinct: Vec<usize> = (0..points.len()).filter(is_new).collect();
-        let pairs = || distinct.iter().enumerate().flat_map(|(n, &j)| distinct[..n].iter().map(move |&i| (i, j)));
-        Pairs {
-            names: pairs().map(|(i, j)| (points[i].0, points[j].0)).collect(),
-            differences: pairs().map(|(i, j)| paired_differences(&points[i].1, &points[j].1)).collect(),
-        }
-    }
-
-    /// All pairs that share two seeds, with the p values of their paired t tests after Holm's correction.
-    fn corrected(&self) -> impl Iterator<Item = (&'a str, &'a str, f64)> {
-        let p_values: Vec<Option<f64>> = self.differences.iter().map(|differences| p_value(differences)).collect();
-        holm(&p_values).into_iter().zip(&self.names).filter_map(|(p, (a, b))| Some((*a, *b, p?)))
-    }
-
-    /// The two values that are told apart best.
-    fn best(&self) -> Option<(&'a str, &'a str, f64)> {
-        self.corrected().min_by(|a, b| a.2.total_cmp(&b.2))
-    }
-
-    /// A value differs from another one.
-    fn tells_apart(&self, value: &str) -> bool {
-        self.corrected().any(|(a, b, p)| p < SIGNIFICANCE && (a == value || b == value))
-    }
-}
-
-fn numbers(seeds: &[(u64, f64)]) -> Vec<f64> {
-    seeds.iter().map(|(_, number)| *number).collect()
-}
-
 fn caption(series: &[Series], baseline: Option<&str>, metric: &str) -> String {
     let missing = series.iter().flat_map(|s| {
         let empty = s.points.iter().filter(|(_, seeds)| seeds.is_empty());
@@ -282,7 +211,7 @@ fn caption(series: &[Series], baseline: Option<&str>, metric: &str) -> String {
         text += &format!(" Dashed: {baseline}.");
     }
     text += " \"No pair passes\": of no two values of the panel is a difference shown (paired t tests over seeds, Holm's p \
-             below 0.05 over all pairs); in brackets the least one that would have been.";
+             below 0.05 over all pairs of the figure); in brackets the least one that would have been.";
     if !missing.is_empty() {
         text += &format!(" Without data: {}.", missing.join("; "));
     }
@@ -295,6 +224,7 @@ mod tests {
 
     #[test]
     fn the_words_follow_the_paired_differences() {
+        let verdict = |series: &Series, metric: &str| Tests::new(std::slice::from_ref(series)).verdict(series, metric);
         let series = |points: Vec<(&'static str, Vec<f64>)>| Series {
             axis: "steps",
             panel: "",
@@ -317,7 +247,7 @@ mod tests {
         // A value that is the same training as another makes no further pair.
         let twice =
             series(vec![("1", vec![20.0, 20.0, 20.0]), ("3", vec![20.5, 20.52, 20.6]), ("5", vec![20.5, 20.52, 20.6])]);
-        assert_eq!(Pairs::new(&twice).names, [("1", "3")]);
+        assert_eq!(super::super::pairs::pairs(&twice).iter().map(|pair| pair.values).collect::<Vec<_>>(), [("1", "3")]);
         assert_eq!(verdict(&series(vec![("1", vec![20.0]), ("3", vec![21.0])]), "psnr"), "one seed: no spread known");
         assert_eq!(verdict(&series(vec![("1", vec![])]), "psnr"), "no data");
     }

@@ -6,7 +6,9 @@ use crate::report::statistics::{mean, standard_deviation};
 mod axes;
 mod curves;
 mod heatmap;
+mod pairs;
 mod rows;
+mod series;
 mod surfaces;
 
 pub use crate::draw::Figure;

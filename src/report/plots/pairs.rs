@@ -1,0 +1,133 @@
+//! Which values of an axis are told apart, over all panels of a figure.
+
+use super::series::Series;
+use crate::metrics::Metric;
+use crate::report::statistics::{SIGNIFICANCE, holm, least_provable, p_text, p_value, paired_differences};
+
+/// Two values of a series, with their differences seed by seed.
+pub(super) struct Pair<'a> {
+    /// Which line of which panel.
+    series: (&'a str, &'a str, &'a str),
+    pub(super) values: (&'a str, &'a str),
+    differences: Vec<f64>,
+    /// Of the paired t test, after Holm's correction over all pairs of the figure; none of fewer than two seeds.
+    p: Option<f64>,
+}
+
+/// The pairs of values of all panels: one family of tests. Values that come to the same numbers are the same training (as step
+/// sizes that land on the set's corners), and pairs of the same differences are one test, as where panels share a point.
+pub(super) struct Tests<'a>(Vec<Pair<'a>>);
+
+impl<'a> Tests<'a> {
+    pub(super) fn new(series: &'a [Series<'a>]) -> Tests<'a> {
+        let mut pairs: Vec<Pair> = series.iter().flat_map(pairs).collect();
+        let first = |i: usize| (0..i).find(|&j| is_same_test(&pairs[j], &pairs[i])).unwrap_or(i);
+        let firsts: Vec<usize> = (0..pairs.len()).map(first).collect();
+        let own = |(i, pair): (usize, &Pair)| (firsts[i] == i).then(|| p_value(&pair.differences)).flatten();
+        let corrected = holm(&pairs.iter().enumerate().map(own).collect::<Vec<Option<f64>>>());
+        pairs.iter_mut().zip(&firsts).for_each(|(pair, first)| pair.p = corrected[*first]);
+        Tests(pairs)
+    }
+
+    fn of(&self, series: &Series) -> impl Iterator<Item = &Pair<'a>> {
+        self.0.iter().filter(|pair| pair.series == series.place())
+    }
+
+    /// A value differs from another one of its line.
+    pub(super) fn tells_apart(&self, series: &Series, value: &str) -> bool {
+        let shown = |pair: &Pair| pair.p.is_some_and(|p| p < SIGNIFICANCE);
+        self.of(series).any(|pair| shown(pair) && (pair.values.0 == value || pair.values.1 == value))
+    }
+
+    /// Whether any two values of the axis are told apart by seeds that they share, in words; where none are, the least
+    /// difference that would have been.
+    pub(super) fn verdict(&self, series: &Series, metric: &str) -> String {
+        let seeds = series.points.iter().map(|(_, seeds)| seeds.len()).max().unwrap_or(0);
+        let tested = self.of(series).filter_map(|pair| Some((pair.values, pair.p?)));
+        match (seeds, tested.min_by(|(_, a), (_, b)| a.total_cmp(b))) {
+            (0, _) => "no data".into(),
+            (1, _) => "one seed: no spread known".into(),
+            (_, Some(((a, b), p))) if p < SIGNIFICANCE => {
+                format!("{seeds} seeds: {a} and {b} differ, p {}", p_text(p))
+            }
+            _ => {
+                let least = self.least_provable(series).zip(Metric::find(metric));
+                let least =
+                    least.map_or(String::new(), |(least, metric)| format!(" ({} would)", metric.with_unit(least)));
+                format!("{seeds} seeds: no pair passes{least}")
+            }
+        }
+    }
+
+    /// The least difference between two values of a line that would pass Holm's first step over the whole figure, at the
+    /// line's pooled spread.
+    fn least_provable(&self, series: &Series) -> Option<f64> {
+        let family =
+            self.0.iter().enumerate().filter(|(i, pair)| {
+                pair.p.is_some() && self.0[..*i].iter().all(|earlier| !is_same_test(earlier, pair))
+            });
+        let differences: Vec<&[f64]> = self.of(series).map(|pair| pair.differences.as_slice()).collect();
+        least_provable(&differences, family.count())
+    }
+}
+
+/// All pairs of a line's values that differ in any number.
+pub(super) fn pairs<'a>(series: &'a Series<'a>) -> Vec<Pair<'a>> {
+    let points = &series.points;
+    let is_new = |i: &usize| points[..*i].iter().all(|(_, seeds)| *seeds != points[*i].1);
+    let distinct: Vec<usize> = (0..points.len()).filter(is_new).collect();
+    let both = distinct.iter().enumerate().flat_map(|(n, &j)| distinct[..n].iter().map(move |&i| (i, j)));
+    let pair = |(i, j): (usize, usize)| Pair {
+        series: series.place(),
+        values: (points[i].0, points[j].0),
+        differences: paired_differences(&points[i].1, &points[j].1),
+        p: None,
+    };
+    both.map(pair).collect()
+}
+
+/// Trainings that differ in anything do not differ by the same numbers, seed by seed, from others.
+fn is_same_test(a: &Pair, b: &Pair) -> bool {
+    !a.differences.is_empty() && a.differences == b.differences
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A figure has many panels, and what passes in one of them alone is what chance brings.
+    #[test]
+    fn all_panels_of_a_figure_are_one_family() {
+        let panel = |panel: &'static str, differences: [f64; 3]| Series {
+            axis: "steps",
+            panel,
+            label: "r".into(),
+            points: vec![
+                ("1", vec![(0, 20.0), (1, 20.0), (2, 20.0)]),
+                ("3", (0..).zip(differences.map(|difference| 20.0 + difference)).collect()),
+            ],
+        };
+        let strong = panel("a", [0.5, 0.56, 0.62]);
+        let p = p_value(&[0.5, 0.56, 0.62]).unwrap();
+        let alone = [strong];
+        assert!(p > 0.001 && p < SIGNIFICANCE / 4.0 && Tests::new(&alone).tells_apart(&alone[0], "3"));
+        let noise = [0.1, -0.2, 0.05];
+        let many = |panels: usize| -> Vec<Series> {
+            let names = ["b", "c", "d", "e", "f", "g", "h", "i", "j", "k", "l", "m", "n", "o", "p"];
+            let others = (0..panels).map(|i| panel(names[i], noise.map(|x| x * (1.0 + i as f64))));
+            std::iter::once(panel("a", [0.5, 0.56, 0.62])).chain(others).collect()
+        };
+        let few = many(3);
+        let tests = Tests::new(&few);
+        assert!((tests.0[0].p.unwrap() / (4.0 * p) - 1.0).abs() < 1e-12);
+        assert!(tests.tells_apart(&few[0], "3"));
+        let all = many(15);
+        let tests = Tests::new(&all);
+        assert!(!tests.tells_apart(&all[0], "3") && tests.verdict(&all[0], "psnr").contains("no pair passes ("));
+        // The same numbers in another panel are the same trainings, and no further test.
+        let twice = [panel("a", [0.5, 0.56, 0.62]), panel("b", [0.5, 0.56, 0.62])];
+        let tests = Tests::new(&twice);
+        assert_eq!(tests.0[0].p, tests.0[1].p);
+        assert!((tests.0[0].p.unwrap() / p - 1.0).abs() < 1e-12);
+    }
+}
