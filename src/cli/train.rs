@@ -111,8 +111,8 @@ fn summarise(Finished { report, seconds, .. }: &Finished, folder: &Path, console
         ));
     }
     let inactive = report.inactive_levels();
-    if !inactive.is_empty() {
-        console.say(&format!("inactive levels (no effect): {}", inactive.join(", ")));
+    if let (Some(site), false) = (report.attack.first(), inactive.is_empty()) {
+        console.say(&format!("{}: {}", site.inactive_by().meaning(), inactive.join(", ")));
     }
     console.say(&format!("results: {}", folder.display()));
 }

@@ -7,11 +7,13 @@ use serde::Serialize;
 use crate::augment::Site;
 use crate::base::input::{TABLE_BYTES, read_text};
 use crate::base::{Error, Result};
+use crate::settings::columns::InactiveBy;
 
 /// A site whose gain is under this share of the clean loss is inactive in a step.
 const INACTIVE_SHARE: f64 = 1e-4;
-/// A site whose deltas move the rendered colour by less than this, in 8-bit steps, is inactive in a run: no picture of 8 bits
-/// shows it. Unlike a share of the loss it does not depend on how far training has come.
+/// A site whose deltas move the rendered colours by less than this, in 8-bit steps, on average over rays and channels, is
+/// inactive in a run; single colours may move further. Unlike a share of the loss it does not depend on how far training has
+/// come.
 const LEAST_SHIFT: f64 = 0.5;
 /// Logged steps, the last ones, whose mean shift tells whether a site is inactive in a run.
 const LAST_LOGS: usize = 10;
@@ -61,8 +63,8 @@ pub struct SiteSummary {
     pub mean_share_at_bound: Option<f64>,
     /// Share of logged steps at which the gain was under 1e-4 of the clean loss.
     pub inactive_share: f64,
-    /// The deltas move the rendered colour by less than half an 8-bit step over the last logs: the run does not test this
-    /// site. Of a run that logged no shift: inactive at more than half of the logged steps.
+    /// The deltas move the rendered colours by less than half an 8-bit step on average over the last logs. Of a run that
+    /// logged no shift: inactive at more than half of the logged steps.
     pub inactive: bool,
     /// Mean shift of the rendered colour over the last logs, in 8-bit steps; none where it was not logged.
     pub last_shift: Option<f64>,
@@ -74,6 +76,11 @@ pub fn columns(site: Site) -> [String; 5] {
 }
 
 impl SiteSummary {
+    /// What its `inactive` was judged by.
+    pub fn inactive_by(&self) -> InactiveBy {
+        if self.last_shift.is_some() { InactiveBy::Colour } else { InactiveBy::Loss }
+    }
+
     /// Summarises every site that has diagnostics in a run's `scalars.csv`, up to the step of the
     /// checkpoint in question: a killed run may have logged further, and half a line at the end.
     pub fn read(scalars: &Path, last_step: u64) -> Result<Vec<SiteSummary>> {
@@ -227,6 +234,8 @@ mod tests {
             summary(&(header.to_string() + &rows), 3)
         };
         assert!(old([1, 1, 0]).inactive && !old([1, 0, 0]).inactive);
-        assert_eq!(old([1, 1, 0]).last_shift, None);
+        assert_eq!((old([1, 1, 0]).last_shift, old([1, 1, 0]).inactive_by()), (None, InactiveBy::Loss));
+        let header = header.replace('\n', ",shift.rgb\n");
+        assert_eq!(summary(&(header + "1,1,1,1,0,0.1\n"), 1).inactive_by(), InactiveBy::Colour);
     }
 }

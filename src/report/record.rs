@@ -23,7 +23,7 @@ pub struct Record {
     pub metrics: Vec<(String, Option<f64>)>,
     /// Name and text of each field of the protocol; empty until the point is done.
     pub protocol: Vec<(String, String)>,
-    /// Sites whose deltas had no effect.
+    /// Sites that were inactive, by what the protocol's `inactive_by` says.
     pub inactive_levels: Vec<String>,
 }
 

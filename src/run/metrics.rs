@@ -34,9 +34,10 @@ impl Report {
         views: Vec<ViewMetrics>,
         training_views: Vec<ViewMetrics>,
         surface: Option<Chamfer>,
-        protocol: Protocol,
+        mut protocol: Protocol,
         attack: Vec<SiteSummary>,
     ) -> Report {
+        protocol.set("inactive_by", attack.first().map(|site| site.inactive_by().name()).into());
         let mut mean = MeanMetrics::from_views(&views);
         mean.set_seen(&training_views);
         mean.set("chamfer", surface.as_ref().map(|surface| surface.chamfer));
@@ -50,7 +51,7 @@ impl Report {
         write_atomic(csv, self.csv().as_bytes())
     }
 
-    /// Sites whose deltas had no effect.
+    /// Sites that were [inactive](SiteSummary::inactive).
     pub fn inactive_levels(&self) -> Vec<&'static str> {
         self.attack.iter().filter(|site| site.inactive).map(|site| site.site).collect()
     }

@@ -257,7 +257,7 @@ mod tests {
         let found = [of_settings(&config), of_scene(&config, &scene), of_state(&config, &state)].concat();
         for column in COLUMNS {
             let here = found.iter().filter(|(name, _)| *name == column.name).count();
-            let measured = usize::from(column.name == "lpips_weights");
+            let measured = usize::from(["lpips_weights", "inactive_by"].contains(&column.name));
             assert_eq!(here + measured + usize::from(column.setting().is_some()), 1, "{}", column.name);
         }
         assert!(found.iter().all(|(name, _)| find(name).is_some()));

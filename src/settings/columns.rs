@@ -213,7 +213,46 @@ pub const COLUMNS: &[Column] = &[
     column("core").where_differing(),
     column("precision").where_differing(),
     column("instructions").where_differing(),
+    column(INACTIVE_BY).of(perturbed),
 ];
+
+/// What the sites of a run were judged inactive by.
+pub const INACTIVE_BY: &str = "inactive_by";
+
+/// The values of [`INACTIVE_BY`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum InactiveBy {
+    /// How far a site's deltas move the rendered colours.
+    Colour,
+    /// What they add to the loss: in points of older programs, which lack the column.
+    Loss,
+}
+
+impl InactiveBy {
+    /// Both.
+    pub const ALL: [InactiveBy; 2] = [InactiveBy::Loss, InactiveBy::Colour];
+
+    /// As files name it.
+    pub const fn name(self) -> &'static str {
+        match self {
+            InactiveBy::Colour => "colour",
+            InactiveBy::Loss => "loss",
+        }
+    }
+
+    /// That of a name; of any other that of points without the column.
+    pub fn of_name(name: &str) -> InactiveBy {
+        if name == InactiveBy::Colour.name() { InactiveBy::Colour } else { InactiveBy::Loss }
+    }
+
+    /// What is said of sites that are inactive by it.
+    pub const fn meaning(self) -> &'static str {
+        match self {
+            InactiveBy::Colour => "sites that move the rendered colours by less than half an 8-bit step on average",
+            InactiveBy::Loss => "sites without effect on the loss",
+        }
+    }
+}
 
 /// The column of that name.
 pub fn find(name: &str) -> Option<&'static Column> {

@@ -4,6 +4,7 @@ use std::collections::HashMap;
 
 use crate::common::files::rows;
 use augnerf::base::Error;
+use augnerf::report::plots::rows_figure;
 use augnerf::report::tables::{
     Line, Table, Verdict, points_csv, table_csv, table_latex, table_markdown, table_terminal,
 };
@@ -252,6 +253,35 @@ fn table_csv_has_every_line() {
     assert_eq!(low, table().lines[1].cells[0].comparison.unwrap().interval.unwrap().0);
 }
 
+/// Points of older programs were judged by the loss; those that logged shifts by the colour, which is what is said of them.
+#[test]
+fn inactive_sites_are_worded_by_what_was_judged() {
+    let mut records = records();
+    for record in records.iter_mut().filter(|record| record.row == "Aug-NeRF") {
+        record.protocol.push(("inactive_by".into(), "colour".into()));
+    }
+    let table = Table::new(&spec(), &records, false).unwrap();
+    let by_colour = "sites that move the rendered colours by less than half an 8-bit step on average: Aug-NeRF";
+    let text = table_markdown(&table);
+    assert!(text.contains(&format!("- † {by_colour} (rgb, density)")) && !text.contains("on the loss"), "{text}");
+    assert!(text.contains("| Aug-NeRF † |"), "one mark");
+    let figure = rows_figure(&table, &records, "fern", "psnr").unwrap().unwrap().svg;
+    assert!(figure.contains("8-bit") && !figure.contains("effect"), "{figure}");
+}
+
+/// Depth over a row's own pixels compares rows on different ones.
+#[test]
+fn a_verdict_on_depth_over_own_pixels_comes_with_a_note() {
+    let note = |metric: &str| {
+        let spec = TableSpec { metrics: vec![metric.into()], ..spec() };
+        let mut records = records();
+        records.iter_mut().flat_map(|record| &mut record.metrics).for_each(|(name, _)| *name = metric.into());
+        table_markdown(&Table::new(&spec, &records, false).unwrap()).contains("on different pixels")
+    };
+    assert!(note("depth_mae") && note("depth_rmse"));
+    assert!(!note("depth_mae_common") && !note("psnr"));
+}
+
 #[test]
 fn markdown_tells_everything_beside_the_numbers() {
     let text = table_markdown(&table());
@@ -268,7 +298,7 @@ fn markdown_tells_everything_beside_the_numbers() {
         "- baseline: NeRF",
         "| output & only \\* | 25.00 (1) | +0.12, no interval |  |  |  |",
         "- \\* not in the paper: output & only",
-        "- † levels without effect on the loss: Aug-NeRF (rgb, density)",
+        "- † sites without effect on the loss: Aug-NeRF (rgb, density)",
         "- § points without numbers: + TV Reg., features steps = 3 (done 2, failed 1: collapsed \\| at step 7)",
         "- in the paper, NeRF: quoted from the NeRF paper, 1008x752, width 256, 4096 rays a step; here 101x76 instead of \
          1008x752",

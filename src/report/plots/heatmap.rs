@@ -9,6 +9,7 @@ use crate::draw::scale_colour;
 use crate::metrics::Metric;
 use crate::report::tables::{Cell, Line, Table, Verdict};
 use crate::report::{AxisValue, Record, label};
+use crate::settings::columns::InactiveBy;
 
 const CELL: (f64, f64) = (74.0, 44.0);
 const TOP: f64 = 70.0;
@@ -152,14 +153,16 @@ fn draw_bar(drawing: &mut Canvas, (x, y): (f64, f64), height: f64, range: (f64, 
 fn caption<'a>(lines: impl Iterator<Item = &'a Line> + Clone) -> String {
     let mut text =
         "Means over seeds, with standard deviations. Cells in a red frame differ from the baseline by Holm's p \
-                    below 0.05, corrected over the table's rows."
+                    below 0.05, corrected over the rows of the scene's table."
             .to_string();
-    let is_inactive = |line: &&Line| !line.inactive_levels.is_empty();
-    let inactive: Vec<&str> = lines.clone().filter(is_inactive).map(|line| line.axes.as_str()).collect();
-    match inactive.len() {
-        0 => {}
-        all if all == lines.count() => text += " Everywhere some levels are without effect on the loss.",
-        _ => text += &format!(" Levels without effect on the loss at: {}.", inactive.join("; ")),
+    for by in InactiveBy::ALL {
+        let inactive = lines.clone().filter(|line| line.inactive_sites(by).is_some());
+        let inactive: Vec<&str> = inactive.map(|line| line.axes.as_str()).collect();
+        match inactive.len() {
+            0 => {}
+            all if all == lines.clone().count() => text += &format!(" Everywhere there are {}.", by.meaning()),
+            _ => text += &format!(" There are {} at: {}.", by.meaning(), inactive.join("; ")),
+        }
     }
     text
 }

@@ -7,6 +7,7 @@ use crate::draw::canvas::{
 };
 use crate::report::tables::{Cell, Comparison, Line, Table, Verdict};
 use crate::report::{Record, Status};
+use crate::settings::columns::InactiveBy;
 
 const ROW: f64 = 26.0;
 const PANEL: f64 = 330.0;
@@ -114,7 +115,7 @@ fn words(comparison: &Comparison) -> String {
 
 fn caption(lines: &[&Line], column: usize) -> String {
     let mut text = "Large dots are means over seeds, faint dots the seeds. Differences are paired by seed; higher and lower \
-                    (red) by Holm's p below 0.05 over the rows, not distinguishable where the interval holds 0, no word \
+                    (red) by Holm's p below 0.05 over the rows of the scene's table, not distinguishable where the interval holds 0, no word \
                     between the two."
         .to_string();
     let comparisons = lines.iter().filter_map(|line| line.cells[column].comparison);
@@ -122,11 +123,12 @@ fn caption(lines: &[&Line], column: usize) -> String {
     if let Some(margin) = margins.reduce(f64::max) {
         text += &format!(" Equivalent: within {margin} of the baseline, by two one-sided tests (Holm).");
     }
-    let inactive = lines.iter().filter(|line| !line.inactive_levels.is_empty());
-    let inactive: Vec<String> =
-        inactive.map(|line| format!("{} ({})", line.label, line.inactive_levels.join(", "))).collect();
-    if !inactive.is_empty() {
-        text += &format!(" † levels without effect on the loss: {}.", inactive.join("; "));
+    for by in InactiveBy::ALL {
+        let sites = lines.iter().filter_map(|line| Some(format!("{} ({})", line.label, line.inactive_sites(by)?)));
+        let sites: Vec<String> = sites.collect();
+        if !sites.is_empty() {
+            text += &format!(" † {}: {}.", by.meaning(), sites.join("; "));
+        }
     }
     let mixed: Vec<&str> = lines.iter().filter(|line| !line.mixed.is_empty()).map(|line| line.label.as_str()).collect();
     if !mixed.is_empty() {

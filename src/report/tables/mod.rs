@@ -23,7 +23,7 @@ pub use terminal::table_terminal;
 use crate::base::Result;
 use crate::report::statistics::{mean, paired_differences, standard_deviation};
 use crate::report::{AxisValue, PublishedRow, Record, RowSpec, Status, TableSpec, distinct};
-use crate::settings::columns::is_per_seed;
+use crate::settings::columns::{INACTIVE_BY, InactiveBy, is_per_seed};
 
 /// A table, ready to be rendered.
 ///
@@ -98,7 +98,7 @@ pub struct Line {
     pub status: String,
     /// Why the first point without numbers has none; empty otherwise.
     pub reason: String,
-    /// Sites whose deltas had no effect with at least one seed.
+    /// Sites that were inactive with at least one seed.
     pub inactive_levels: Vec<String>,
     /// One for each of the table's metrics.
     pub cells: Vec<Cell>,
@@ -164,6 +164,12 @@ impl Line {
     /// Whether it lacks a point that the definition asks for.
     pub fn unfinished(&self) -> bool {
         self.ids.len() < self.points
+    }
+
+    /// Its inactive sites, `rgb, density`, where they were judged by that; none where there are none.
+    pub fn inactive_sites(&self, by: InactiveBy) -> Option<String> {
+        let judged = !self.inactive_levels.is_empty() && InactiveBy::of_name(self.protocol(INACTIVE_BY)) == by;
+        judged.then(|| self.inactive_levels.join(", "))
     }
 
     /// Text of a protocol field; empty where it is missing or differs between the seeds.

@@ -5,22 +5,26 @@ use crate::metrics::Metric;
 use crate::report::PUBLISHED_NOTE;
 use crate::report::distinct;
 use crate::report::statistics::p_text;
-use crate::settings::columns::{COLUMNS, Told};
+use crate::settings::columns::{COLUMNS, InactiveBy, Told};
 
 const HOW_TO_READ: &str = "difference to the baseline, paired by seed, with its 95 % Student t interval and the p value \
-     after Holm's correction over the scene's rows; \"higher\" and \"lower\" where that is below 0.05, \"not \
+     after Holm's correction over the rows of the scene's table; \"higher\" and \"lower\" where that is below 0.05, \"not \
      distinguishable\" where the interval holds 0, which proves no equality, and no word between the two";
 const EQUIVALENCE: &str = "\"equivalent within\" a margin that the definition states: two one-sided paired t tests, with \
      Holm's p below 0.05";
+
+/// Metrics that each row is measured in over its own pixels.
+const OWN_PIXELS: [&str; 4] = ["depth_mae", "depth_rmse", "depth_roughness", "normal_roughness"];
 
 /// What a mark beside a row's name means: its symbol, its meaning and, where a line bears it,
 /// what there is to say of that line.
 type Mark = (char, &'static str, fn(&Line) -> Option<String>);
 
-const MARKS: [Mark; 6] = [
+const MARKS: [Mark; 7] = [
     ('#', "not run here: the paper's numbers alone", |line| line.quoted.then(String::new)),
     ('*', "not in the paper", |line| line.ours.then(String::new)),
-    ('†', "levels without effect on the loss", |line| joined(&line.inactive_levels)),
+    ('†', InactiveBy::Loss.meaning(), |line| line.inactive_sites(InactiveBy::Loss)),
+    ('†', InactiveBy::Colour.meaning(), |line| line.inactive_sites(InactiveBy::Colour)),
     ('‡', "NOT COMPARABLE, built by force: differs from the scene's first row in", |line| joined(&line.mixed)),
     ('§', "points without numbers", |line| line.unfinished().then(|| status_and_reason(line))),
     ('¶', "settings that differ between seeds", |line| joined(&line.differs)),
@@ -172,6 +176,20 @@ pub(super) fn general_notes(table: &Table) -> Vec<String> {
     let mut notes = vec!["mean ± standard deviation (number of seeds)".to_string()];
     if table.lines.iter().any(|line| line.baseline.is_some()) {
         notes.push(HOW_TO_READ.to_string());
+    }
+    let is_own = |metric: &&String| OWN_PIXELS.contains(&metric.as_str());
+    let has_verdict = |metric: &str| {
+        let cells = table.lines.iter().flat_map(|line| &line.cells).filter(|cell| cell.metric == metric);
+        cells.filter_map(|cell| cell.comparison).any(|comparison| comparison.verdict().is_some())
+    };
+    let own: Vec<&str> =
+        table.metrics.iter().filter(is_own).map(String::as_str).filter(|metric| has_verdict(metric)).collect();
+    if !own.is_empty() {
+        notes.push(format!(
+            "{}: over the pixels where a row is solid itself, so that rows are compared on different pixels, and one that \
+             leaves more out (depth_left_out) on easier ones; metrics named _common are over the pixels that all rows have",
+            own.join(", ")
+        ));
     }
     let compared = || table.lines.iter().flat_map(|line| &line.cells).filter_map(|cell| cell.comparison);
     if compared().any(|comparison| comparison.equivalence.is_some()) {
