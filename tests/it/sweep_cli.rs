@@ -247,7 +247,7 @@ fn the_smoke_sweep_leaves_every_table_and_figure() {
     demand(&["sweep", "collect", "runs/smoke"], dir.path(), 0);
     assert_eq!(first, files(&results, &[]), "collected from files alone, the tables are the same");
     let table = rows(&text(&results.join("table.csv")));
-    assert_eq!(table.len(), 6);
+    assert_eq!(table.len(), 7);
     for column in [
         "row",
         "psnr_mean",

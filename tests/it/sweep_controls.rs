@@ -3,9 +3,9 @@
 use std::path::Path;
 use std::sync::atomic::Ordering;
 
-use augnerf::augment::{Epsilon, Site};
+use augnerf::augment::{Epsilon, Geometry, Site};
 use augnerf::base::Error;
-use augnerf::settings::{Config, DeltaSource, SecondPass};
+use augnerf::settings::{Config, DeltaSource, SecondPass, Sizes};
 use augnerf::sweep::{Definition, Point, PublishedCosts, StepCosts, SweepFolder, begin, expand};
 use tempfile::TempDir;
 
@@ -67,6 +67,52 @@ fn every_shipped_sweep_with_an_augmented_row_has_its_controls() {
     assert!(augmented > 25, "{augmented}");
 }
 
+/// The paper's claim is a smaller gap between seen and unseen views: every table has it, and every curve held-out values on its
+/// way, about twenty of them.
+#[test]
+fn every_shipped_sweep_tells_seen_from_unseen_views() {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("sweeps");
+    let mut sweeps = 0;
+    for entry in std::fs::read_dir(folder).unwrap() {
+        let path = entry.unwrap().path();
+        let name = path.file_stem().unwrap().to_string_lossy().into_owned();
+        let mut definition = Definition::read(&path).unwrap();
+        definition.seeds.truncate(1);
+        assert!(definition.metrics.iter().any(|metric| metric == "gap"), "{name}: no gap");
+        let few = if name == "smoke" { 2..3 } else { 10..101 };
+        for point in expand(&definition, None, &Costs).unwrap() {
+            let (train, eval) = (&point.config.train, &point.config.eval);
+            let between = (train.steps - 1).checked_div(train.eval_every).unwrap_or(0);
+            assert!(few.contains(&between) && eval.train_views != Some(0), "{name}, {}: {between}", point.label());
+        }
+        sweeps += 1;
+    }
+    assert!(sweeps > 15);
+}
+
+/// A row's name says whose sets uniform draws are taken from.
+#[test]
+fn uniform_draws_are_named_by_their_sets() {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("sweeps");
+    let mut rows = 0;
+    for entry in std::fs::read_dir(folder).unwrap() {
+        let path = entry.unwrap().path();
+        for point in expand(&Definition::read(&path).unwrap(), None, &Costs).unwrap() {
+            let perturb = &point.config.perturb;
+            let uniform = perturb.second == SecondPass::Perturbed(DeltaSource::Uniform);
+            if !point.config.method.is_augmented() || !uniform {
+                continue;
+            }
+            for row in point.places.iter().map(|place| &place.row).filter(|row| row.contains("niform draws")) {
+                rows += 1;
+                assert_eq!(row.contains("calibrated"), perturb.sizes == Sizes::Calibrated, "{}: {row}", path.display());
+                assert_eq!(row.contains("paper's geometry"), perturb.geometry == Geometry::Paper, "{row}");
+            }
+        }
+    }
+    assert!(rows > 20, "{rows}");
+}
+
 #[test]
 fn equal_cost_is_four_steps_of_nerf_by_evaluations_where_nobody_says_otherwise() {
     let text = format!("{BASE}[[row]]\nname = \"NeRF, equal\"\nbudget = {{ like = \"Aug-NeRF\" }}\n");
@@ -109,6 +155,27 @@ fn seconds_beside_the_tables_are_used_again() {
     assert_eq!(start(&second, &slower).unwrap(), published);
     assert_eq!(slower.0.load(Ordering::SeqCst), 2, "nothing is measured again");
     assert!(second.join("step_seconds.json").is_file());
+    // A file that lacks one of the shapes says nothing of this sweep: seconds of two clocks are not compared.
+    let whole = std::fs::read_to_string(results.join("step_seconds.json")).unwrap();
+    let mut file: serde_json::Value = serde_json::from_str(&whole).unwrap();
+    let shapes = file["seconds"].as_object_mut().unwrap();
+    let (missing, other) = (shapes.keys().next().unwrap().clone(), shapes.keys().nth(1).unwrap().clone());
+    shapes.remove(&missing);
+    shapes.insert(other.clone(), 1e6.into());
+    std::fs::write(results.join("step_seconds.json"), file.to_string()).unwrap();
+    let partial = dir.path().join("partial");
+    start(&partial, &Slower::default()).unwrap();
+    let kept: serde_json::Value =
+        serde_json::from_str(&std::fs::read_to_string(partial.join("step_seconds.json")).unwrap()).unwrap();
+    assert!(kept["seconds"][&missing].is_f64() && kept["seconds"][&other].as_f64().unwrap() < 10.0, "{kept}");
+    // An earlier version's file holds the seconds alone.
+    let early = serde_json::from_str::<serde_json::Value>(&whole).unwrap()["seconds"].to_string();
+    std::fs::write(results.join("step_seconds.json"), early).unwrap();
+    let costs = PublishedCosts::beside(&results, &slower).unwrap();
+    let ids = |points: Vec<Point>| points.into_iter().map(|point| point.id).collect::<Vec<_>>();
+    assert!(costs.note().is_none());
+    assert_eq!(ids(expand(&definition, None, &costs).unwrap()), published);
+    assert!(costs.note().unwrap().contains("step_seconds.json"));
     for wrong in ["{\"1da64b355f14\": 0}", "{\"1da64b355f14\": -1.5}", "[1]", "{"] {
         std::fs::write(results.join("step_seconds.json"), wrong).unwrap();
         let refused = start(&dir.path().join("third"), &slower).unwrap_err().to_string();
