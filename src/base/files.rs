@@ -12,7 +12,7 @@ use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 
-use crate::base::input::{TABLE_BYTES, read_bytes};
+use crate::base::input::{JSON_BYTES, read_bytes};
 use crate::base::{Error, Result};
 
 pub use super::temporaries::{REPLACED, TEMPORARY, clean_temporaries, is_temporary};
@@ -43,7 +43,12 @@ pub(crate) fn json_bytes<T: Serialize>(value: &T) -> io::Result<Vec<u8>> {
 /// # Errors
 /// [`Error::Data`] for a file that the system does not read, [`Error::Checkpoint`] for one that is not what it should be.
 pub fn read_json<T: for<'de> Deserialize<'de>>(path: &Path, advice: &str) -> Result<Option<T>> {
-    let bytes = match read_bytes(path, TABLE_BYTES) {
+    read_large_json(path, JSON_BYTES, advice)
+}
+
+/// [`read_json`] of a file that may have so many bytes.
+pub fn read_large_json<T: for<'de> Deserialize<'de>>(path: &Path, most: u64, advice: &str) -> Result<Option<T>> {
+    let bytes = match read_bytes(path, most) {
         Ok(bytes) => bytes,
         Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(None),
         Err(error) => return Err(Error::unreadable(path, &error)),

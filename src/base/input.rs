@@ -9,8 +9,10 @@ use std::path::Path;
 
 /// Most bytes of settings and of definitions of sweeps: a hundred times those of anybody's.
 pub const TEXT_BYTES: u64 = 4 << 20;
-/// Most bytes of a table or a JSON file of this program: ten times those of a sweep of 10,000 points.
+/// Most bytes of a table of this program: a log of 200,000 steps, every step logged.
 pub const TABLE_BYTES: u64 = 256 << 20;
+/// Most bytes of a JSON file of this program: ten times those of a report on a thousand views.
+pub const JSON_BYTES: u64 = 8 << 20;
 /// Most bytes of a checkpoint's tensors.
 pub const TENSORS_BYTES: u64 = 16 << 30;
 

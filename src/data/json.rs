@@ -1,8 +1,12 @@
 //! Fields of a JSON document, with messages that name the file and the key.
 
+use std::cell::Cell;
 use std::f64::consts::PI;
+use std::fmt;
 use std::path::{Path, PathBuf};
 
+use serde::Deserializer;
+use serde::de::{self, DeserializeSeed, MapAccess, SeqAccess, Visitor};
 use serde_json::Value;
 
 use super::pose::{self, Pose};
@@ -22,10 +26,82 @@ pub(super) struct Object<'a> {
     value: &'a Value,
 }
 
+/// Most values of a scene's poses, a hundred for each of some ten thousand views: a short text can hold millions, each of
+/// which takes memory.
+const MOST_VALUES: usize = 1 << 20;
+
 /// Reads a JSON file.
 pub(super) fn read(file: &Path) -> Result<Value> {
     let text = read_bytes(file, MOST_BYTES).map_err(|e| Error::unreadable(file, &e))?;
-    serde_json::from_slice(&text).map_err(|e| Error::Data(format!("{} is not valid JSON: {e}", file.display())))
+    let invalid = |e| Error::Data(format!("{} is not valid JSON: {e}", file.display()));
+    let mut reader = serde_json::Deserializer::from_slice(&text);
+    let value = Counted(&Cell::new(0)).deserialize(&mut reader).map_err(invalid)?;
+    reader.end().map_err(invalid)?;
+    Ok(value)
+}
+
+/// Reads a value as it stands, while those that it counts are not too many.
+#[derive(Clone, Copy)]
+struct Counted<'a>(&'a Cell<usize>);
+
+impl<'de> DeserializeSeed<'de> for Counted<'_> {
+    type Value = Value;
+
+    fn deserialize<D: Deserializer<'de>>(self, input: D) -> std::result::Result<Value, D::Error> {
+        self.0.set(self.0.get() + 1);
+        if self.0.get() > MOST_VALUES {
+            return Err(de::Error::custom(format!("more than {MOST_VALUES} values, which no scene has")));
+        }
+        input.deserialize_any(self)
+    }
+}
+
+impl<'de> Visitor<'de> for Counted<'_> {
+    type Value = Value;
+
+    fn expecting(&self, f: &mut fmt::Formatter) -> fmt::Result {
+        f.write_str("a JSON value")
+    }
+
+    fn visit_unit<E>(self) -> std::result::Result<Value, E> {
+        Ok(Value::Null)
+    }
+
+    fn visit_bool<E>(self, value: bool) -> std::result::Result<Value, E> {
+        Ok(value.into())
+    }
+
+    fn visit_u64<E>(self, value: u64) -> std::result::Result<Value, E> {
+        Ok(value.into())
+    }
+
+    fn visit_i64<E>(self, value: i64) -> std::result::Result<Value, E> {
+        Ok(value.into())
+    }
+
+    fn visit_f64<E>(self, value: f64) -> std::result::Result<Value, E> {
+        Ok(value.into())
+    }
+
+    fn visit_str<E>(self, value: &str) -> std::result::Result<Value, E> {
+        Ok(value.into())
+    }
+
+    fn visit_seq<A: SeqAccess<'de>>(self, mut list: A) -> std::result::Result<Value, A::Error> {
+        let mut values = Vec::new();
+        while let Some(value) = list.next_element_seed(self)? {
+            values.push(value);
+        }
+        Ok(Value::Array(values))
+    }
+
+    fn visit_map<A: MapAccess<'de>>(self, mut entries: A) -> std::result::Result<Value, A::Error> {
+        let mut map = serde_json::Map::new();
+        while let Some(key) = entries.next_key::<String>()? {
+            map.insert(key, entries.next_value_seed(self)?);
+        }
+        Ok(Value::Object(map))
+    }
 }
 
 impl<'a> Object<'a> {

@@ -29,7 +29,7 @@ use sha2::{Digest, Sha256};
 
 use crate::base::{Error, Image, Listener, Result};
 
-use crate::settings::{Background, DataConfig, scene_name, short_hash};
+use crate::settings::{Background, DataConfig, DataKind, scene_name, short_hash};
 
 /// One posed photograph.
 #[derive(Clone, Debug)]
@@ -119,6 +119,17 @@ const SMALLEST: f64 = 1e-6;
 fn brief(number: f64) -> String {
     let plain = number == 0.0 || (1e-5..1e15).contains(&number.abs());
     if plain { number.to_string() } else { format!("{number:e}") }
+}
+
+/// Start and end of a ray's interval as [`load`] will find them; none where the scene's files say it.
+pub fn known_bounds(config: &DataConfig) -> Option<(f64, f64)> {
+    let usual = match config.kind {
+        DataKind::Blender | DataKind::BuiltinBlender => Some((2.0, 6.0)),
+        kind if kind.forward_facing() && config.ndc => Some((0.0, 1.0)),
+        _ => None,
+    };
+    let (near, far) = (usual.map(|(near, _)| near), usual.map(|(_, far)| far));
+    config.near.or(near).zip(config.far.or(far))
 }
 
 /// Loads the scene that `config` names. Its kind must be settled ([`detect`]) and `downscale` filled. `seed` is that of

@@ -89,12 +89,26 @@ impl SiteSummary {
         let whole = text.rfind('\n').map_or("", |end| &text[..end]);
         let mut reader = csv::Reader::from_reader(whole.as_bytes());
         let header = reader.headers().map_err(broken)?.clone();
-        let mut rows = reader.records().collect::<std::result::Result<Vec<_>, _>>().map_err(broken)?;
-        rows.retain(|row| row.get(0).and_then(|step| step.parse::<u64>().ok()).is_some_and(|step| step <= last_step));
-        let column = |name: &str| -> Vec<f64> {
-            let Some(index) = header.iter().position(|found| found == name) else { return Vec::new() };
-            rows.iter().filter_map(|row| row.get(index).and_then(|cell| cell.parse().ok())).collect()
+        // What is summarised, and nothing else: a log may be long.
+        let names = Site::ALL.into_iter().flat_map(columns);
+        let places = names.filter_map(|name| Some((header.iter().position(|found| found == name)?, name)));
+        let mut kept: Vec<(usize, String, Vec<f64>)> = places.map(|(place, name)| (place, name, Vec::new())).collect();
+        for row in reader.records() {
+            let row = row.map_err(broken)?;
+            if row.get(0).and_then(|step| step.parse::<u64>().ok()).is_some_and(|step| step <= last_step) {
+                let number = |place: usize| row.get(place).and_then(|cell| cell.parse::<f64>().ok());
+                kept.iter_mut().for_each(|(place, _, values)| values.extend(number(*place)));
+            }
+        }
+        let column = |name: &str| {
+            let kept = kept.iter().find(|(_, known, _)| known == name);
+            kept.map(|(.., values)| values.clone()).unwrap_or_default()
         };
+        Ok(SiteSummary::of_columns(column))
+    }
+
+    /// Of the numbers that a run logged in each column, in the order of steps.
+    pub fn of_columns(column: impl Fn(&str) -> Vec<f64>) -> Vec<SiteSummary> {
         let summarise = |site: Site| {
             let values = columns(site).map(|name| column(&name));
             let steps = values[0].len();
@@ -116,7 +130,7 @@ impl SiteSummary {
                 last_shift,
             })
         };
-        Ok(Site::ALL.into_iter().filter_map(summarise).collect())
+        Site::ALL.into_iter().filter_map(summarise).collect()
     }
 }
 

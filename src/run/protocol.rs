@@ -52,6 +52,23 @@ impl Protocol {
         Protocol(COLUMNS.iter().map(|column| (column.name, value(column.name))).collect())
     }
 
+    /// The columns that a configuration decides alone, as a run that trained to its end has them, as text.
+    pub fn of_configuration(config: &Resolved) -> Vec<(&'static str, String)> {
+        let table = config.to_table();
+        let mut own = of_settings(config);
+        own.push(("steps", config.train.steps.into()));
+        let decided = COLUMNS.iter().filter_map(|column| {
+            let set = column.setting().and_then(|setting| value_at(&table, &setting.path));
+            let set = set.map(|value| serde_json::to_value(value).expect("plain data"));
+            let known = own.iter().find(|(name, _)| *name == column.name).map(|(_, value)| value.clone());
+            let is_here = known.is_some() || column.setting().is_some();
+            let value = set.or(known).filter(|_| (column.applies)(config)).unwrap_or_default();
+            // Which program it was is no setting.
+            (is_here && column.name != "program").then(|| (column.name, cell(&value)))
+        });
+        decided.collect()
+    }
+
     /// The protocol of an evaluation that measured LPIPS with these backbones.
     pub fn with_lpips(mut self, lpips: &[Lpips]) -> Protocol {
         let named = lpips.iter().map(|lpips| format!("{} {}", lpips.backbone().name(), lpips.weights_hash()));

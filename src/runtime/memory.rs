@@ -11,9 +11,10 @@ static BEGUN: AtomicUsize = AtomicUsize::new(0);
 
 /// Watches the memory of this process from its making on.
 ///
-/// The system keeps one number for the whole process, the highest so far. The first piece of work has that; before a later one
-/// it is started anew (Linux), so that a small run after a large one does not show the large one's. What works at the same
-/// time cannot be told apart: then there is no number.
+/// The system keeps one number for the whole process, the highest so far. It is started anew (Linux) before each piece of work,
+/// the first one too, so that a small run does not show what came before it: a larger one, the measurement of step times.
+/// Where it cannot be started anew, the first has what the process took until then, and later ones have no number; nor has what
+/// works at the same time.
 pub(crate) struct MemoryWatch {
     /// Nothing else was watched when this one began, and the system's number is of its time alone.
     own: bool,
@@ -25,7 +26,7 @@ impl MemoryWatch {
     pub fn begin() -> MemoryWatch {
         let others = HELD.fetch_add(1, Ordering::SeqCst);
         let before = BEGUN.fetch_add(1, Ordering::SeqCst);
-        let own = others == 0 && (before == 0 || start_anew());
+        let own = others == 0 && (start_anew() || before == 0);
         MemoryWatch { own, number: before + 1 }
     }
 

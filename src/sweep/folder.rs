@@ -13,17 +13,19 @@
 //! ```
 
 use std::collections::{HashMap, HashSet};
-use std::fs;
 use std::path::{Path, PathBuf};
+use std::{fmt, fs};
 
-use serde::{Deserialize, Serialize};
+use serde::de::{self, SeqAccess, Visitor};
+use serde::{Deserialize, Deserializer, Serialize};
 
-use crate::base::files::{clean_temporaries, read_json, write_atomic, write_json};
+use crate::base::files::{clean_temporaries, read_large_json, write_atomic, write_json};
 use crate::base::input::{TEXT_BYTES, read_text};
 use crate::base::{Error, Result};
 use crate::settings::registry::Section;
 
 use super::definition::{Definition, scene_name};
+use super::extends::MOST_POINTS;
 use super::point_folder::PointFolder;
 use super::points::Point;
 use crate::report::{AxisValue, Record, Status};
@@ -32,6 +34,8 @@ pub(super) const DEFINITION: &str = "sweep.toml";
 pub(super) const PLAN: &str = "points.json";
 /// Measured seconds of a step, in a sweep's folder and beside its tables.
 pub(super) const STEP_SECONDS: &str = "step_seconds.json";
+/// Most bytes of it: those of as many points as a sweep may have.
+const PLAN_BYTES: u64 = 64 << 20;
 const BEGIN_LOCK: &str = "begin.lock";
 const POINTS: &str = "points";
 /// What to do with a damaged list of points.
@@ -50,7 +54,32 @@ pub struct SweepFolder {
 struct Plan {
     /// Where scenes lay.
     data_root: Option<PathBuf>,
+    #[serde(deserialize_with = "few_points")]
     points: Vec<Point>,
+}
+
+/// Points, up to as many as a sweep has: the others are not read.
+fn few_points<'de, D: Deserializer<'de>>(input: D) -> std::result::Result<Vec<Point>, D::Error> {
+    struct Few;
+    impl<'de> Visitor<'de> for Few {
+        type Value = Vec<Point>;
+
+        fn expecting(&self, f: &mut fmt::Formatter) -> fmt::Result {
+            write!(f, "at most {MOST_POINTS} points")
+        }
+
+        fn visit_seq<A: SeqAccess<'de>>(self, mut list: A) -> std::result::Result<Vec<Point>, A::Error> {
+            let mut points = Vec::new();
+            while let Some(point) = list.next_element()? {
+                if points.len() == MOST_POINTS {
+                    return Err(de::Error::custom(format!("more than {MOST_POINTS} points")));
+                }
+                points.push(point);
+            }
+            Ok(points)
+        }
+    }
+    input.deserialize_seq(Few)
 }
 
 /// How a definition relates to the one that a folder was begun with.
@@ -142,7 +171,9 @@ impl SweepFolder {
     /// where they were then; none before it was begun.
     pub fn points(&self, data_root: Option<&Path>) -> Result<Option<Vec<Point>>> {
         let path = self.path.join(PLAN);
-        let Some(Plan { data_root: then, mut points }) = read_json(&path, DELETE_PLAN)? else { return Ok(None) };
+        let Some(Plan { data_root: then, mut points }) = read_large_json(&path, PLAN_BYTES, DELETE_PLAN)? else {
+            return Ok(None);
+        };
         check_points(&points)
             .map_err(|found| Error::Checkpoint(format!("cannot use {}: {found}; {DELETE_PLAN}", path.display())))?;
         points.iter_mut().for_each(|point| point.locate(data_root.or(then.as_deref())));

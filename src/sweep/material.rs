@@ -144,6 +144,12 @@ impl Scalars {
         self.head.iter().position(|known| known == column)
     }
 
+    /// The numbers of a column.
+    pub fn numbers(&self, column: &str) -> Vec<f64> {
+        let Some(place) = self.place(column) else { return Vec::new() };
+        self.rows.iter().filter_map(|row| row[place].parse().ok()).collect()
+    }
+
     /// The numbers of two columns, where a row has both.
     pub fn pairs(&self, x: &str, y: &str) -> Vec<(f64, f64)> {
         let Some((x, y)) = self.place(x).zip(self.place(y)) else { return Vec::new() };

@@ -59,7 +59,13 @@ impl Provenance {
                 revisions.push(revision);
             }
         }
-        Provenance { name: name.into(), code_revision: revisions.join(", "), ..Provenance::default() }
+        let open = records.iter().filter(|record| record.status != Status::Done);
+        let missing = open.map(|record| Missing {
+            what: format!("the numbers of {} ({})", record.id, record.point_label()),
+            why: [record.status.name(), &record.reason].join(" ").trim().into(),
+        });
+        let missing = missing.collect();
+        Provenance { name: name.into(), code_revision: revisions.join(", "), missing, ..Provenance::default() }
     }
 
     /// That of a results' folder; none where it has none.

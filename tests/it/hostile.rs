@@ -45,16 +45,17 @@ fn weights_ask_for_no_more_than_they_hold() {
         ("zlaughs.pth", "deep"),
         ("panic-35683", "weight file"),
     ] {
-        for (linear, features) in [(name, "shape.pth"), ("shape.pth", name)] {
-            let dir = TempDir::new().unwrap();
-            fs::copy(fixture(linear), dir.path().join("squeeze_lin_v0.1.pth")).unwrap();
-            fs::copy(fixture(features), dir.path().join("squeezenet1_1_features.pth")).unwrap();
-            let message = refused(|| Lpips::load(dir.path(), Backbone::Squeeze, &Device::Cpu).map(|_| ()));
-            println!("{message}");
-            if message.contains("squeeze_lin_v0.1.pth") {
-                assert_says(&message, &[if linear == name { words } else { "sizes" }]);
-            }
-        }
+        let dir = TempDir::new().unwrap();
+        let load = || refused(|| Lpips::load(dir.path(), Backbone::Squeeze, &Device::Cpu).map(|_| ()));
+        fs::copy(fixture(name), dir.path().join("squeezenet1_1_features.pth")).unwrap();
+        fs::copy(fixture(name), dir.path().join("squeeze_lin_v0.1.pth")).unwrap();
+        assert_says(&load(), &["squeeze_lin_v0.1.pth", words]);
+        // The features are looked at where the linear layers are sound.
+        fs::remove_file(dir.path().join("squeeze_lin_v0.1.pth")).unwrap();
+        let header = r#"{"lin0.model.1.weight":{"dtype":"F32","shape":[1],"data_offsets":[0,4]}}"#;
+        let linear = [&(header.len() as u64).to_le_bytes()[..], header.as_bytes(), &[0; 4]].concat();
+        fs::write(dir.path().join("squeeze_lin_v0.1.safetensors"), linear).unwrap();
+        assert_says(&load(), &["squeezenet1_1_features.pth", words]);
     }
 }
 
@@ -305,4 +306,161 @@ fn pictures_that_memory_does_not_hold_are_refused_before_they_are_decoded() {
     }
     let arguments = ["data", "check", dir.path().to_str().unwrap(), "--set", "data.downscale=1"];
     refuse(&arguments, 3, &["2 pictures of 1000000x1000000 pixels", "GiB", "data.downscale"]);
+}
+
+/// Runs a command to its end and returns its exit code, what it said and the most MiB that it had.
+#[cfg(target_os = "linux")]
+fn watched(command: &mut std::process::Command) -> (i32, String, f64) {
+    let said = tempfile::NamedTempFile::new().unwrap();
+    let error = said.reopen().unwrap();
+    let mut child = command.stdout(std::process::Stdio::null()).stderr(error).spawn().unwrap();
+    let status = format!("/proc/{}/status", child.id());
+    let mut most = 0.0f64;
+    let code = loop {
+        let now = fs::read_to_string(&status).unwrap_or_default();
+        let kib =
+            now.lines().find_map(|line| line.strip_prefix("VmHWM:")?.trim().strip_suffix(" kB")?.parse::<f64>().ok());
+        most = most.max(kib.unwrap_or(0.0) / 1024.0);
+        if let Some(ended) = child.try_wait().unwrap() {
+            break ended.code().unwrap_or(-1);
+        }
+        std::thread::sleep(Duration::from_millis(1));
+    };
+    (code, fs::read_to_string(said.path()).unwrap(), most)
+}
+
+/// Demands that a file is refused with these words, and with less memory than is promised.
+#[cfg(target_os = "linux")]
+#[track_caller]
+fn refused_within_memory(arguments: &[&str], code: i32, words: &[&str]) {
+    let started = Instant::now();
+    let (found, said, most) = watched(&mut augnerf(arguments));
+    assert_eq!(found, code, "{said}");
+    assert_says(&said, words);
+    assert!(most > 1.0 && most < 1024.0, "{most} MiB: {said}");
+    // Other tests run beside this one.
+    assert!(started.elapsed() < 3 * SOON, "took {:?}: {said}", started.elapsed());
+}
+
+/// A results' folder with a file of its own.
+#[cfg(target_os = "linux")]
+fn committed_with(name: &str, bytes: &[u8]) -> (TempDir, String) {
+    let dir = TempDir::new().unwrap();
+    let folder = dir.path().join("smoke");
+    fs::create_dir(&folder).unwrap();
+    for entry in fs::read_dir(Path::new(env!("CARGO_MANIFEST_DIR")).join("results/smoke")).unwrap() {
+        let path = entry.unwrap().path();
+        fs::copy(&path, folder.join(path.file_name().unwrap())).unwrap();
+    }
+    fs::write(folder.join(name), bytes).unwrap();
+    let folder = folder.to_str().unwrap().to_string();
+    (dir, folder)
+}
+
+fn gzip(text: &[u8], times: usize) -> Vec<u8> {
+    let mut writer = flate2::GzBuilder::new().write(Vec::new(), flate2::Compression::fast());
+    (0..times).for_each(|_| writer.write_all(text).unwrap());
+    writer.finish().unwrap()
+}
+
+#[cfg(target_os = "linux")]
+#[test]
+fn logs_that_unpack_to_gigabytes_are_refused_as_they_are_read() {
+    let commas = [&b"id,step"[..], &[b','; 1000], b"\n", &[b','; 1 << 20]].concat();
+    for (text, words) in [
+        // Rows of empty cells, of which each takes more memory than its comma.
+        (gzip(&commas, 256), "scalars.csv.gz"),
+        (gzip(&[&b"id,step\n"[..], &b"x,1\n".repeat(1 << 20)].concat(), 64), "is no point of the sweep"),
+    ] {
+        let (_dir, folder) = committed_with("scalars.csv.gz", &text);
+        refused_within_memory(&["verify", &folder], 5, &["scalars.csv.gz", words]);
+    }
+    // A point of the sweep, over and over.
+    let (_dir, folder) = committed_with("scalars.csv.gz", b"");
+    let points = fs::read_to_string(Path::new(&folder).join("points.csv")).unwrap();
+    let id = points.lines().nth(1).unwrap().split(',').next().unwrap();
+    let rows = gzip(&[&b"id,step\n"[..], &format!("{id},1\n").repeat(1 << 20).into_bytes()].concat(), 8);
+    fs::write(Path::new(&folder).join("scalars.csv.gz"), rows).unwrap();
+    refused_within_memory(&["verify", &folder], 5, &["step 1 does not follow step 1"]);
+}
+
+/// 67 million views without a pixel, of which each took more memory than its four bytes.
+#[test]
+fn depth_errors_have_the_views_that_were_evaluated() {
+    let dir = TempDir::new().unwrap();
+    let path = dir.path().join("depth_errors.gz");
+    fs::write(&path, gzip(&[0; 1 << 20], 256)).unwrap();
+    let message = refused(|| augnerf::run::DepthErrors::read(&path, 8));
+    assert_says(&message, &["depth_errors.gz", "more than the 8 views"]);
+    let message = refused(|| augnerf::run::DepthErrors::read(&path, 67_000_000));
+    assert_says(&message, &["67000000 views"]);
+    // A view that says that it has four billion pixels, of which a few million are there.
+    fs::write(&path, gzip(&[255; 1 << 20], 16)).unwrap();
+    assert_says(&refused(|| augnerf::run::DepthErrors::read(&path, 8)), &["more than 134217728 pixels"]);
+}
+
+#[cfg(target_os = "linux")]
+#[test]
+fn poses_of_millions_of_values_are_refused_as_they_are_read() {
+    let dir = scene(r#""camera_angle_x": 0.7"#, "0.5");
+    for (open, value, close) in [("[", r#"{"a":0},"#, "0]"), ("[", "[],", "0]"), (r#"[{"frames":["#, "0,", "0]}]")] {
+        let values = value.repeat((31 << 20) / value.len());
+        let text = format!(r#"{{"camera_angle_x": 0.7, "frames": {open}{values}{close}}}"#);
+        fs::write(dir.path().join("transforms.json"), text).unwrap();
+        let arguments = ["data", "check", dir.path().to_str().unwrap()];
+        refused_within_memory(&arguments, 3, &["transforms.json", "more than 1048576 values"]);
+    }
+}
+
+#[cfg(target_os = "linux")]
+#[test]
+fn plans_of_more_points_than_a_sweep_has_are_refused_as_they_are_read() {
+    let committed = Path::new(env!("CARGO_MANIFEST_DIR")).join("results/smoke/points.json");
+    let plan: serde_json::Value = serde_json::from_slice(&fs::read(committed).unwrap()).unwrap();
+    let point = plan["points"][0].to_string();
+    let points = vec![point.as_str(); 10_001].join(",");
+    let text = format!(r#"{{"data_root": null, "points": [{points}]}}"#);
+    assert!(text.len() < 64 << 20, "{}", text.len());
+    let (_dir, folder) = committed_with("points.json", text.as_bytes());
+    let (code, said, most) = watched(&mut augnerf(&["verify", &folder]));
+    assert!(code == 5 && most < 1024.0, "{most} MiB: {said}");
+    assert_says(&said, &["points.json", "more than 10000 points"]);
+    let (_dir, folder) = committed_with("points.json", &vec![b' '; 65 << 20]);
+    refused_within_memory(&["verify", &folder], 3, &["points.json", "more than 64 MiB"]);
+}
+
+/// Names of rows that spreadsheets, browsers and LaTeX would obey.
+#[test]
+fn names_of_rows_are_words_in_every_file() {
+    let dir = TempDir::new().unwrap();
+    let mut run = augnerf(&["sweep", "run", fixture("inj.toml").to_str().unwrap(), "--quiet"]);
+    demand(run.current_dir(dir.path()), 0);
+    let read = |name: &str| fs::read_to_string(dir.path().join("results/inj").join(name)).unwrap();
+    for name in ["table.csv", "points.csv"] {
+        let table = read(name);
+        for row in csv::Reader::from_reader(table.as_bytes()).records() {
+            let row = row.unwrap();
+            let obeyed = |cell: &str| cell.starts_with(['=', '@', '+', '-']) && cell.parse::<f64>().is_err();
+            assert!(!row.iter().any(obeyed), "{name}: {row:?}");
+        }
+        assert!(table.contains("=cmd|"), "{table}");
+    }
+    for name in ["table.md", "rows_builtin_psnr.svg"] {
+        let text = read(name);
+        assert!(!text.contains("<script>") && text.contains("script"), "{name}: {text}");
+    }
+    let (markdown, latex) = (read("table.md"), read("table.tex"));
+    assert!(!markdown.contains("[click](") && !markdown.contains("![img]("), "{markdown}");
+    assert!(!latex.contains("\\input{") && !latex.contains("& 50%") && latex.contains("etc/passwd"), "{latex}");
+}
+
+#[test]
+fn names_with_control_characters_are_refused() {
+    let sound = fs::read_to_string(fixture("inj.toml")).unwrap();
+    for name in ["line1\\nline2", "para1\\n\\npara2", "x\\u0000y", "\\u001b[31mred", "\\ttab"] {
+        let text = sound.replace("&lt;b&gt;", name);
+        assert!(text != sound);
+        let message = refused(|| augnerf::sweep::Definition::parse(&text, "inj.toml"));
+        assert_says(&message, &["control character"]);
+    }
 }

@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use crate::common::assert_says;
 use crate::common::files::{assert_same_files, rows, text};
 use crate::common::program::{self, augnerf};
+use sha2::{Digest, Sha256};
 use tempfile::TempDir;
 
 const ROOT: &str = env!("CARGO_MANIFEST_DIR");
@@ -75,6 +76,107 @@ fn what_is_changed_is_found() {
     assert_says(&verify(dir.path(), &[], 10), &["rows_builtin_ssim.svg: the points do not make it"]);
 }
 
+/// Sets cells of a column of a CSV file: in the lines that `of` picks.
+fn forge(file: &Path, column: &str, value: &str, of: impl Fn(&csv::StringRecord) -> bool) {
+    let mut reader = csv::Reader::from_path(file).unwrap();
+    let head = reader.headers().unwrap().clone();
+    let at = head.iter().position(|name| name == column).unwrap();
+    let mut writer = csv::Writer::from_writer(Vec::new());
+    writer.write_record(&head).unwrap();
+    let mut changed = 0;
+    for row in reader.records() {
+        let row = row.unwrap();
+        let is_meant = of(&row) && row[at] != *value;
+        changed += usize::from(is_meant);
+        writer
+            .write_record(row.iter().enumerate().map(|(i, cell)| if is_meant && i == at { value } else { cell }))
+            .unwrap();
+    }
+    assert!(changed > 0, "{column}");
+    std::fs::write(file, writer.into_inner().unwrap()).unwrap();
+}
+
+/// A hash is no proof of what the points make.
+#[test]
+fn forged_tables_are_not_held_to_their_own_hash() {
+    let (dir, folder) = results("geometry");
+    let provenance = folder.join("provenance.toml");
+    let before = text(&provenance);
+    let pin = |name: &str| {
+        let hash: String =
+            Sha256::digest(std::fs::read(folder.join(name)).unwrap()).iter().map(|b| format!("{b:02x}")).collect();
+        format!("\"{name}\" = \"{hash}\"\n")
+    };
+    let names = ["table.csv", "table.md", "table.tex"];
+    for name in names {
+        let file = folder.join(name);
+        std::fs::write(&file, text(&file).replace("23.57", "33.57")).unwrap();
+    }
+    let pins: String = names.into_iter().map(pin).collect();
+    std::fs::write(&provenance, before.replace("[pinned]\n", &format!("[pinned]\n{pins}"))).unwrap();
+    let page = dir.path().join("results/surfaces.md");
+    std::fs::write(page, "NeRF reaches 33.57 dB.\n<!-- numbers geometry: 33.57 = psnr_mean of NeRF -->\n").unwrap();
+    let said = verify(dir.path(), &[], 10);
+    assert_says(&said, &["table.csv, line", "'33.57' is quoted as psnr_mean, which is 23.5"]);
+    assert_says(&said, &["table.tex: provenance.toml has its hash under [pinned], but the points make it"]);
+    // Curves are held to theirs where it is said why their logs are gone.
+    let without = before.replace("scalars.csv.gz, and so the training curves", "the logs");
+    std::fs::write(&provenance, without).unwrap();
+    assert_says(&verify(dir.path(), &["--update"], 10), &["curves_builtin_psnr.svg", "no [[missing]] says why"]);
+    let rows = pin("rows_builtin_psnr.svg").replace("rows_builtin_psnr", "rows_builtin_other");
+    std::fs::write(&provenance, before.replace("[pinned]\n", &format!("[pinned]\n{rows}"))).unwrap();
+    assert_says(&verify(dir.path(), &[], 10), &["rows_builtin_other.svg", "the points do not make it"]);
+}
+
+/// Tables and figures written anew from it do not make a changed `points.csv` right.
+#[test]
+fn forged_columns_are_held_to_what_decides_them() {
+    let augmented = |row: &csv::StringRecord| row[2].starts_with("Aug-NeRF");
+    let first = |row: &csv::StringRecord| row[2] == *"NeRF" && row[4] == *"0";
+    for (name, column, value, augmented_only, words) in [
+        (
+            "geometry",
+            "steps",
+            "6000",
+            false,
+            "steps of NeRF · builtin · seed 0 is '6000', its configuration says '3000'",
+        ),
+        ("geometry", "code_revision", "deadbeef", false, "provenance.toml has 'f52a25627886'"),
+        ("geometry", "learning_rate", "1", false, "learning_rate of"),
+        ("geometry", "samples_fine", "128", false, "samples_fine of"),
+        ("geometry", "psnr", "", false, "psnr of NeRF · builtin · seed 0 is empty"),
+        ("geometry", "status", "waiting", false, "is 'waiting', and no [[missing]]"),
+        ("smoke", "levels", "xyz", true, "levels of"),
+        ("smoke", "attack_numbers", "xyz 1/1/1", true, "attack_numbers of"),
+        ("smoke", "norms", "xyz l2", true, "norms of"),
+        ("smoke", "inactive_levels", "rgb", true, "inactive_levels of"),
+        ("smoke", "lpips_squeeze", "", false, "lpips_squeeze of NeRF · builtin · seed 0 is empty"),
+        ("smoke", "laplacian", "", false, "laplacian of NeRF · builtin · seed 0 is empty"),
+        ("tab4_fern", "lpips_squeeze", "", false, "lpips_squeeze of"),
+    ] {
+        let (dir, folder) = results(name);
+        verify(dir.path(), &[], 0);
+        let of = |row: &csv::StringRecord| if augmented_only { augmented(row) } else { first(row) };
+        forge(&folder.join("points.csv"), column, value, of);
+        assert_says(&verify(dir.path(), &["--update"], 10), &[words]);
+        assert_says(&verify(dir.path(), &[], 10), &[words]);
+    }
+}
+
+#[test]
+fn folders_that_nothing_checks_are_wrong() {
+    let (dir, _) = results("geometry");
+    let foo = dir.path().join("results/foo");
+    std::fs::create_dir(&foo).unwrap();
+    std::fs::write(foo.join("table.csv"), "scene,row,axes,psnr_mean\nfern,NeRF,,34.10\n").unwrap();
+    let page = dir.path().join("results/surfaces.md");
+    std::fs::write(&page, "NeRF reaches 34.10 dB.\n<!-- numbers foo: 34.10 = psnr_mean of NeRF -->\n").unwrap();
+    assert_says(&verify(dir.path(), &[], 10), &["WRONG        foo: neither", "there is no results folder 'foo'"]);
+    std::fs::remove_dir_all(&foo).unwrap();
+    std::fs::write(&page, "NeRF reaches 34.10 dB.\n<!-- numbers geometry/: 34.10 = psnr_mean of NeRF -->\n").unwrap();
+    assert_says(&verify(dir.path(), &[], 10), &["there is no results folder 'geometry/'"]);
+}
+
 #[test]
 fn update_writes_tables_from_points_alone() {
     let (dir, folder) = results("geometry");
@@ -132,11 +234,18 @@ row = [{ name = "NeRF" }, { name = "equal", set = { "field.depth" = 3 }, budget 
 "#;
     std::fs::write(dir.path().join("tiny.toml"), definition).unwrap();
     program::demand(augnerf(&["sweep", "run", "tiny.toml", "--quiet"]).current_dir(dir.path()), 0);
+    let folder = dir.path().join("results/tiny");
     let said = verify(dir.path(), &["--retrain", "2"], 0);
     assert_says(&said, &["tables and figures from 4 points", "trained again, every number to the last digit"]);
     assert!(!said.contains("step times are not kept"), "{said}");
-    let folder = dir.path().join("results/tiny");
     assert!(folder.join("curves_builtin_psnr.svg").exists() && folder.join("scalars.csv.gz").exists());
+    // A measurement that is empty is none that was left out.
+    let points = folder.join("points.csv");
+    let kept = text(&points);
+    forge(&points, "psnr", "", |_| true);
+    assert_says(&verify(dir.path(), &["--retrain", "2", "--update"], 10), &["psnr is '", "points.csv has ''"]);
+    std::fs::write(&points, kept).unwrap();
+    assert_says(&verify(dir.path(), &["--update"], 0), &["written anew"]);
     // Pictures of surfaces cannot be made again: they are held to their hash.
     assert_says(&said, &["surfaces_builtin.svg: it is as it was committed"]);
     let points = rows(&text(&folder.join("points.csv")));

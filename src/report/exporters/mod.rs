@@ -59,6 +59,9 @@ pub trait Exporter: Sync {
     fn export(&self, collected: &Collected) -> Result<Vec<File>>;
 }
 
+/// The exporter of training curves, which are drawn from the points' logs.
+pub static CURVES: &dyn Exporter = &figures::Curves;
+
 /// All exporters, in the order in which they write.
 pub static EXPORTERS: [&dyn Exporter; 10] = [
     &text::POINTS_CSV,

@@ -6,7 +6,7 @@ use super::archive::Archive;
 use super::findings::Findings;
 use crate::base::files::write_atomic;
 use crate::base::{Error, Result};
-use crate::report::exporters::EXPORTERS;
+use crate::report::exporters::{CURVES, EXPORTERS};
 use crate::sweep::folder::{DEFINITION, PLAN, STEP_SECONDS};
 use crate::sweep::material::{SCALARS, optional};
 use crate::sweep::provenance::{PROVENANCE, sha256};
@@ -14,9 +14,13 @@ use crate::sweep::provenance::{PROVENANCE, sha256};
 /// What tables and figures are made of: read, never made.
 const KEPT: [&str; 6] = [DEFINITION, PLAN, STEP_SECONDS, SCALARS, PROVENANCE, "timing.csv"];
 
-/// Compares all files of a results' folder with what its points make, or, with `update`, writes what differs.
-pub fn check(archive: &Archive, update: bool, findings: &mut Findings) -> Result<()> {
-    let mut made: BTreeMap<String, Vec<u8>> = BTreeMap::new();
+/// Files by their names.
+pub type Made = BTreeMap<String, Vec<u8>>;
+
+/// Compares all files of a results' folder with what its points make, or, with `update`, writes what differs. Returns what
+/// the points make.
+pub fn check(archive: &Archive, update: bool, findings: &mut Findings) -> Result<Made> {
+    let mut made = Made::new();
     let table = archive.files(&mut |name, bytes| {
         made.insert(name.into(), bytes.to_vec());
         Ok(())
@@ -28,9 +32,8 @@ pub fn check(archive: &Archive, update: bool, findings: &mut Findings) -> Result
             line.mixed.join(", ")
         ));
     }
-    let count = made.keys().filter(|name| !archive.provenance.pinned.contains_key(*name)).count();
     let mut wrong = Vec::new();
-    for (name, bytes) in made.iter().filter(|(name, _)| !archive.provenance.pinned.contains_key(*name)) {
+    for (name, bytes) in &made {
         let path = archive.path.join(name);
         let found = optional(&path)?;
         // A sweep without any clock has had none since it was collected.
@@ -44,18 +47,23 @@ pub fn check(archive: &Archive, update: bool, findings: &mut Findings) -> Result
         }
         wrong.push(difference(name, found.as_deref(), bytes));
     }
-    findings.of(format!("{count} tables and figures from {} points", archive.done().count()), wrong);
+    findings.of(format!("{} tables and figures from {} points", made.len(), archive.done().count()), wrong);
+    pins(archive, &made, findings)?;
     others(archive, &made, update, findings)?;
     for missing in &archive.provenance.missing {
         findings.not_checked(format!("{}: {}", missing.what, missing.why));
     }
-    Ok(())
+    Ok(made)
 }
 
-/// Files that the points do not make: pinned ones have their hash, figures of an earlier time do not belong.
-fn others(archive: &Archive, made: &BTreeMap<String, Vec<u8>>, update: bool, findings: &mut Findings) -> Result<()> {
-    let pinned = &archive.provenance.pinned;
-    for (name, hash) in pinned {
+/// Files that are held to their hash, because nothing makes them again. What is made again needs none, and a hash would be
+/// no proof of it.
+fn pins(archive: &Archive, made: &Made, findings: &mut Findings) -> Result<()> {
+    for (name, hash) in &archive.provenance.pinned {
+        if let Some(reason) = no_pin(archive, made, name) {
+            findings.wrong(format!("{name}: {PROVENANCE} has its hash under [pinned], but {reason}"));
+            continue;
+        }
         match optional(&archive.path.join(name))? {
             None => findings.wrong(format!("{name}: it is not there, {PROVENANCE} has its hash")),
             Some(bytes) if sha256(&bytes) != *hash => {
@@ -64,6 +72,27 @@ fn others(archive: &Archive, made: &BTreeMap<String, Vec<u8>>, update: bool, fin
             Some(_) => findings.not_checked(format!("{name}: it is as it was committed; nothing here makes it again")),
         }
     }
+    Ok(())
+}
+
+/// Why a file must not be pinned; none where it may be. Curves and surfaces are drawn from what a results' folder may lack.
+fn no_pin(archive: &Archive, made: &Made, name: &str) -> Option<String> {
+    let Some(owner) = EXPORTERS.iter().find(|exporter| exporter.owns(name)) else {
+        return KEPT.contains(&name).then(|| "tables are made of it".into());
+    };
+    let lacks = |what: &str| archive.provenance.missing.iter().any(|missing| missing.what.contains(what));
+    match () {
+        () if made.contains_key(name) => Some("the points make it".into()),
+        () if !owner.repeats() => None,
+        () if !CURVES.owns(name) => Some("the points do not make it".into()),
+        () if lacks(SCALARS) => None,
+        () => Some(format!("no [[missing]] says why there is no {SCALARS} to make it of")),
+    }
+}
+
+/// Files that the points do not make: figures of an earlier time do not belong.
+fn others(archive: &Archive, made: &Made, update: bool, findings: &mut Findings) -> Result<()> {
+    let pinned = &archive.provenance.pinned;
     let listed = std::fs::read_dir(&archive.path).map_err(|e| Error::unreadable(&archive.path, &e))?;
     let mut names = Vec::new();
     for entry in listed {

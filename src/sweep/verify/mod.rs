@@ -8,8 +8,10 @@ use crate::runtime::Runtime;
 use crate::sweep::training::Trainings;
 
 mod archive;
+mod columns;
 mod files;
 mod findings;
+mod gaps;
 mod ids;
 mod inputs;
 mod numbers;
@@ -20,6 +22,7 @@ mod runs;
 pub use archive::Archive;
 pub use findings::{Finding, Findings, Outcome};
 
+use files::Made;
 use numbers::Cells;
 use pages::Page;
 
@@ -45,34 +48,42 @@ impl Verifier<'_> {
     /// Verifies a sweep's results, or a folder of single runs.
     pub fn folder(&self, path: &Path) -> Result<Findings> {
         let mut findings = Findings::default();
-        match kind(path)? {
+        let cells = match kind(path)? {
             Kind::Sweep => match Archive::read(path, self.data_root) {
-                Ok(archive) => self.sweep(&archive, &mut findings)?,
+                Ok(archive) => Cells::of_sweep(path, &self.sweep(&archive, &mut findings)?)?,
                 // Files that do not fit together are what is looked for.
-                Err(Error::Data(message)) => findings.wrong(message),
+                Err(Error::Data(message)) => {
+                    findings.wrong(message);
+                    return Ok(findings);
+                }
                 Err(error) => return Err(error),
             },
-            Kind::Runs => runs::check(path, &mut findings)?,
+            Kind::Runs => {
+                runs::check(path, &mut findings)?;
+                Cells::of_runs(path)?
+            }
             Kind::Other => {
                 return Err(Error::Data(format!(
                     "{} holds no results: neither a sweep's (points.csv) nor single runs (RUN/metrics.json)",
                     path.display()
                 )));
             }
-        }
-        quoted(path, &mut findings)?;
+        };
+        quoted(path, &cells, &mut findings)?;
         Ok(findings)
     }
 
-    fn sweep(&self, archive: &Archive, findings: &mut Findings) -> Result<()> {
-        files::check(archive, self.update, findings)?;
+    fn sweep(&self, archive: &Archive, findings: &mut Findings) -> Result<Made> {
+        let made = files::check(archive, self.update, findings)?;
         ids::check(archive, self.data_root, findings)?;
+        columns::check(archive, findings)?;
+        gaps::check(archive, findings);
         inputs::check(archive, &self.trainings.lpips, self.trainings.events, findings)?;
         if self.retrain > 0 {
             let how = (self.retrain, self.any_revision);
             retrain::check(archive, how, self.runtime, self.trainings, self.stop, findings)?;
         }
-        Ok(())
+        Ok(made)
     }
 }
 
@@ -95,14 +106,8 @@ pub fn results_in(path: &Path) -> Result<Vec<PathBuf>> {
     if !matches!(kind(path)?, Kind::Other) {
         return Ok(vec![path.to_path_buf()]);
     }
-    let mut folders = Vec::new();
-    for entry in std::fs::read_dir(path).map_err(|e| Error::unreadable(path, &e))? {
-        let entry = entry.map_err(|e| Error::unreadable(path, &e))?.path();
-        if entry.is_dir() && !matches!(kind(&entry)?, Kind::Other) {
-            folders.push(entry);
-        }
-    }
-    folders.sort();
+    let mut folders = folders_in(path)?;
+    folders.retain(|folder| !matches!(kind(folder), Ok(Kind::Other)));
     if folders.is_empty() {
         return Err(Error::Data(format!(
             "{} holds no results: neither a sweep's (points.csv) nor single runs (RUN/metrics.json)",
@@ -113,12 +118,11 @@ pub fn results_in(path: &Path) -> Result<Vec<PathBuf>> {
 }
 
 /// Numbers that pages quote from a results' folder.
-fn quoted(path: &Path, findings: &mut Findings) -> Result<()> {
-    let cells = Cells::read(path)?;
+fn quoted(path: &Path, cells: &Cells, findings: &mut Findings) -> Result<()> {
     for page in pages_beside(path)? {
         let (mut count, mut wrong) = (0, Vec::new());
         for quote in page.quotes.iter().filter(|quote| quote.folder == cells.name) {
-            let (numbers, reasons) = quote.check(&cells);
+            let (numbers, reasons) = quote.check(cells);
             count += numbers;
             wrong.extend(reasons.into_iter().map(|reason| format!("{}, line {}: {reason}", page.name, quote.line)));
         }
@@ -129,17 +133,25 @@ fn quoted(path: &Path, findings: &mut Findings) -> Result<()> {
     Ok(())
 }
 
-/// Numbers of the pages beside results that no comment traces, and comments that name no folder.
+/// What belongs to no folder of results: folders that hold something else, comments on pages beside them that name no
+/// folder, and numbers there that no comment traces.
 pub fn untraced(results: &Path) -> Result<Findings> {
     let mut findings = Findings::default();
+    let mut names = Vec::new();
+    for folder in folders_in(results)? {
+        let name = folder.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
+        match kind(&folder)? {
+            Kind::Other => findings.wrong(format!(
+                "{name}: neither a sweep's results (points.csv) nor single runs (RUN/metrics.json): nothing in it can be \
+                 checked"
+            )),
+            Kind::Sweep | Kind::Runs => names.push(name),
+        }
+    }
     for page in pages_beside(&results.join("any"))? {
-        for quote in &page.quotes {
-            if !results.join(&quote.folder).is_dir() {
-                findings.wrong(format!(
-                    "{}, line {}: there is no results folder '{}'",
-                    page.name, quote.line, quote.folder
-                ));
-            }
+        for quote in page.quotes.iter().filter(|quote| !names.contains(&quote.folder)) {
+            findings
+                .wrong(format!("{}, line {}: there is no results folder '{}'", page.name, quote.line, quote.folder));
         }
         if page.unmarked > 0 {
             findings
@@ -147,6 +159,19 @@ pub fn untraced(results: &Path) -> Result<Findings> {
         }
     }
     Ok(findings)
+}
+
+/// The folders in a folder, by name.
+fn folders_in(path: &Path) -> Result<Vec<PathBuf>> {
+    let mut folders = Vec::new();
+    for entry in std::fs::read_dir(path).map_err(|e| Error::unreadable(path, &e))? {
+        let entry = entry.map_err(|e| Error::unreadable(path, &e))?.path();
+        if entry.is_dir() {
+            folders.push(entry);
+        }
+    }
+    folders.sort();
+    Ok(folders)
 }
 
 /// The pages on results: those in the folder above, and the README above that.

@@ -7,6 +7,7 @@
 
 use std::path::Path;
 
+use super::files::Made;
 use crate::base::csv::{column_names, plain_cell};
 use crate::base::{Error, Result};
 use crate::sweep::material::optional;
@@ -36,16 +37,21 @@ impl Row {
 }
 
 impl Cells {
-    /// Of a sweep's results or of a folder of single runs.
-    pub fn read(folder: &Path) -> Result<Cells> {
-        let name = folder.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
-        let mut rows = csv_rows(&folder.join("table.csv"))?;
-        rows.extend(csv_rows(&folder.join("summary.csv"))?);
+    /// Of a sweep: its tables as its points make them, whatever stands in the folder.
+    pub fn of_sweep(folder: &Path, made: &Made) -> Result<Cells> {
+        let rows = |name: &str| csv_rows(&folder.join(name), made.get(name).map_or(&[], Vec::as_slice));
+        Ok(Cells { name: name(folder), rows: rows("table.csv")?, points: rows("points.csv")? })
+    }
+
+    /// Of a folder of single runs: its summary, or their means.
+    pub fn of_runs(folder: &Path) -> Result<Cells> {
+        let summary = folder.join("summary.csv");
+        let mut rows = csv_rows(&summary, &optional(&summary)?.unwrap_or_default())?;
         if rows.is_empty() {
             let row = |(label, cells)| Row { label, scene: String::new(), seed: String::new(), cells };
             rows.extend(super::runs::means(folder)?.into_iter().map(row));
         }
-        Ok(Cells { name, rows, points: csv_rows(&folder.join("points.csv"))? })
+        Ok(Cells { name: name(folder), rows, points: Vec::new() })
     }
 
     /// What an expression comes to; `row` stands where it names none. None: the cell is empty.
@@ -87,10 +93,13 @@ impl Cells {
     }
 }
 
-fn csv_rows(path: &Path) -> Result<Vec<Row>> {
-    let Some(bytes) = optional(path)? else { return Ok(Vec::new()) };
+fn name(folder: &Path) -> String {
+    folder.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default()
+}
+
+fn csv_rows(path: &Path, bytes: &[u8]) -> Result<Vec<Row>> {
     let bad = |e: String| Error::Data(format!("{}: {e}", path.display()));
-    let mut reader = csv::Reader::from_reader(bytes.as_slice());
+    let mut reader = csv::Reader::from_reader(bytes);
     let head = column_names(&mut reader).map_err(bad)?;
     let rows = reader.records().map(|record| {
         let record = record.map_err(|e| bad(e.to_string()))?;

@@ -292,10 +292,9 @@ fern,+ l1 Reg.,,18.7473,0.1548,-0.2262,-0.5160,0.0635
     const POINTS_CSV: &str = "scene,row,axes,seed,chamfer\nfern,NeRF,,0,0.061\nfern,NeRF,,2,0.138\n";
 
     fn check(page: &str) -> (usize, Vec<String>, usize) {
-        let folder = tempfile::tempdir().unwrap();
-        std::fs::write(folder.path().join("table.csv"), TABLE_CSV).unwrap();
-        std::fs::write(folder.path().join("points.csv"), POINTS_CSV).unwrap();
-        let cells = Cells::read(folder.path()).unwrap();
+        let made =
+            [("table.csv", TABLE_CSV), ("points.csv", POINTS_CSV)].map(|(name, text)| (name.into(), text.into()));
+        let cells = Cells::of_sweep(Path::new("x"), &made.into()).unwrap();
         let page = Page::parse("page.md".into(), page);
         let (mut count, mut wrong) = (0, Vec::new());
         for quote in &page.quotes {

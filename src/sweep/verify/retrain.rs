@@ -1,15 +1,16 @@
 //! Points trained again, and their numbers compared to the last digit.
 
-use std::path::PathBuf;
 use std::sync::atomic::AtomicUsize;
 
 use super::archive::Archive;
 use super::findings::Findings;
 use crate::base::csv::csv_number;
 use crate::base::{Error, Result, revision};
-use crate::report::Record;
+use crate::metrics::{METRICS, Needs, Scope};
+use crate::report::{Record, distinct};
 use crate::runtime::Runtime;
 use crate::sweep::folder::SweepFolder;
+use crate::sweep::point_folder::PointResult;
 use crate::sweep::points::Point;
 use crate::sweep::runner::{Options, Runner};
 use crate::sweep::training::Trainings;
@@ -47,8 +48,8 @@ pub fn check(
         return Ok(());
     }
     let points: Vec<Point> = (0..count).map(|index| at_hand[index * at_hand.len() / count].clone()).collect();
-    let scratch = Scratch::new()?;
-    let folder = SweepFolder::new(&scratch.0);
+    let scratch = tempfile::tempdir().map_err(|e| Error::unwritable(&std::env::temp_dir(), &e))?;
+    let (folder, mut open) = (SweepFolder::new(scratch.path()), Vec::new());
     let options = Options { jobs: 1, fail_fast: false, retry_failed: false, most_deaths: 1, remeasure: Vec::new() };
     let (events, work) = (trainings.events, trainings);
     Runner { folder: &folder, points: &points, runtime, work, options, events, stop }.run()?;
@@ -60,45 +61,44 @@ pub fn check(
             continue;
         }
         let result = folder.point(&point.id).result()?.expect("it has not failed");
-        let wrong = differences(record, &result.metrics, &result.protocol);
+        let wrong = differences(archive, record, &result, &mut open);
         findings.of(format!("{}: trained again, every number to the last digit", point.label()), wrong);
+    }
+    for metric in distinct(open.into_iter()) {
+        findings.not_checked(format!("{metric} of points trained again: it is not measured here"));
     }
     Ok(())
 }
 
-/// What is another number than in the record. What only one of them has was not measured there.
-fn differences(record: &Record, metrics: &[(String, Option<f64>)], protocol: &[(String, String)]) -> Vec<String> {
+/// What is another number than in the record, or is there in one of them alone. Names of metrics that could not be
+/// compared are left in `open`.
+fn differences(archive: &Archive, record: &Record, result: &PointResult, open: &mut Vec<&'static str>) -> Vec<String> {
+    let records = &archive.material.records;
     let mut wrong = Vec::new();
-    for (name, value) in metrics {
-        let (then, now) = (csv_number(record.metric(name)), csv_number(*value));
-        if !then.is_empty() && !now.is_empty() && then != now {
-            wrong.push(format!("{}: {name} is {now}, points.csv has {then}", record.point_label()));
+    for metric in METRICS.iter().filter(|metric| metric.scope != Scope::Common) {
+        let key = metric.key;
+        // Metrics that are younger than the points are not in their file.
+        let Some((_, then)) = record.metrics.iter().find(|(name, _)| name == key) else { continue };
+        let (then, now) = (csv_number(*then), csv_number(result.metric(key)));
+        let weights_differ = matches!(metric.needs, Needs::Lpips(_))
+            && (now.is_empty() || !records.iter().any(|record| record.metric(key).is_some()));
+        match now {
+            now if now == then => {}
+            _ if weights_differ => open.push(key),
+            now => wrong.push(format!("{}: {key} is '{now}', points.csv has '{then}'", record.point_label())),
         }
     }
-    for (name, now) in protocol.iter().filter(|(name, _)| !OF_THE_PROGRAM.contains(&name.as_str())) {
-        let then = record.protocol(name);
-        if !then.is_empty() && then != now {
+    for (name, now) in result.protocol.iter().filter(|(name, _)| !OF_THE_PROGRAM.contains(&name.as_str())) {
+        // Columns that are younger than the points are not in their file.
+        let then = record.protocol.iter().find(|(known, _)| known == name).map(|(_, then)| then);
+        if then.is_some_and(|then| then != now && !(name == "lpips_weights" && (then.is_empty() || now.is_empty()))) {
+            let then = record.protocol(name);
             wrong.push(format!("{}: {name} is '{now}', points.csv has '{then}'", record.point_label()));
         }
     }
+    if record.inactive_levels != result.inactive_levels {
+        let (then, now) = (record.inactive_levels.join(" "), result.inactive_levels.join(" "));
+        wrong.push(format!("{}: inactive_levels is '{now}', points.csv has '{then}'", record.point_label()));
+    }
     wrong
-}
-
-/// A folder that is deleted at the end.
-struct Scratch(PathBuf);
-
-impl Scratch {
-    fn new() -> Result<Scratch> {
-        let path = std::env::temp_dir().join(format!("augnerf-verify-{}", std::process::id()));
-        let _ = std::fs::remove_dir_all(&path);
-        std::fs::create_dir_all(&path).map_err(|e| Error::unwritable(&path, &e))?;
-        Ok(Scratch(path))
-    }
-}
-
-impl Drop for Scratch {
-    fn drop(&mut self) {
-        // Trainings of a process that is killed stay behind; what stays otherwise is only space.
-        let _ = std::fs::remove_dir_all(&self.0);
-    }
 }
