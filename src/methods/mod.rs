@@ -20,7 +20,7 @@ mod painter;
 
 pub use batches::{Batch, Batches};
 pub use diagnostics::{SiteDiagnostics, SiteSummary};
-pub use fields::{Balance, FieldLearner, FieldPainter, Fields, step_over_radius};
+pub use fields::{Balance, FieldLearner, FieldPainter, Fields, parts, step_over_radius};
 pub use gradients::Gradients;
 pub use learner::{Learned, Learner, LogColumns, Term, UnlessStopped};
 pub use painter::{Painted, Painter};

@@ -80,7 +80,27 @@ pub fn peak_memory_mib() -> Option<f64> {
 pub fn free_memory_mib() -> Option<f64> {
     let value = field_of("/proc/meminfo", "MemAvailable")?;
     let kib: f64 = value.strip_suffix("kB")?.trim().parse().ok()?;
-    Some(kib / 1024.0)
+    Some(group_memory_mib().map_or(kib / 1024.0, |group| group.min(kib / 1024.0)))
+}
+
+/// What the control groups of this process, as containers have them, leave of their limits; `None` without a limit.
+fn group_memory_mib() -> Option<f64> {
+    const GROUPS: &str = "/sys/fs/cgroup";
+    let own = std::fs::read_to_string("/proc/self/cgroup").ok()?;
+    let path = own.lines().find_map(|line| line.strip_prefix("0::/"))?;
+    let folder = Path::new(GROUPS).join(path);
+    let groups = folder.ancestors().take_while(|group| group.starts_with(GROUPS));
+    groups.filter_map(room_mib).reduce(f64::min)
+}
+
+/// Limit minus use of one control group; pages of files that it can give back are not in use.
+fn room_mib(group: &Path) -> Option<f64> {
+    let number = |text: &str| text.trim().parse::<f64>().ok();
+    let read = |name: &str| std::fs::read_to_string(group.join(name)).ok();
+    let (most, used) = (number(&read("memory.max")?)?, number(&read("memory.current")?)?);
+    let stat = read("memory.stat").unwrap_or_default();
+    let files = stat.lines().find_map(|line| number(line.strip_prefix("inactive_file ")?)).unwrap_or(0.0);
+    Some((most - used + files).max(0.0) / f64::from(1 << 20))
 }
 
 /// The widest instruction set that this processor has and kernels are written for: `x86-64-v4` (AVX-512), `x86-64-v3` (AVX2

@@ -3,7 +3,7 @@
 
 use crate::base::{Error, Result};
 use crate::data::Scene;
-use crate::methods::Model;
+use crate::methods::{Model, parts};
 use crate::runtime::free_memory_mib;
 use crate::settings::{Core, Resolved};
 
@@ -24,9 +24,9 @@ struct Need {
 ///
 /// # Errors
 /// [`Error::Config`] with the settings, what they take and what is free.
-pub fn check_memory(config: &Resolved, scene: &Scene) -> Result<()> {
+pub fn check_memory(config: &Resolved, scene: &Scene, threads: usize) -> Result<()> {
     match free_memory_mib() {
-        Some(free) => needs(config, scene).iter().try_for_each(|need| check(need, free)),
+        Some(free) => needs(config, scene, threads).iter().try_for_each(|need| check(need, free)),
         None => Ok(()),
     }
 }
@@ -45,7 +45,24 @@ fn check(need: &Need, free: f64) -> Result<()> {
     )))
 }
 
-fn needs(config: &Resolved, scene: &Scene) -> Vec<Need> {
+/// MiB that candle's graphs hold at the end of a forward pass of a training step: of each chunk that is at work, what every
+/// operation on its samples gave. The larger clean pass counts; a perturbed one takes more.
+pub fn graphs_mib(config: &Resolved, threads: usize) -> f64 {
+    let (field, train) = (&config.field, &config.train);
+    let chunk = train.chunk.min(train.rays).max(1);
+    let at_work = parts(train.rays.div_ceil(chunk)).min(threads);
+    let (width, depth) = (field.width as f64, field.depth as f64);
+    let encoded = |octaves: usize| (3 + 6 * octaves) as f64;
+    let (position, view) = (encoded(field.position_octaves), encoded(field.view_octaves));
+    // A layer's product, sum with the bias and ReLU; the encoding, its sines and what joins them.
+    let trunk = 3.0 * (width * depth + position) + field.skips.len() as f64 * (width + position);
+    // The feature, joined with the encoded direction, and a layer of half the width.
+    let colour = 2.0 * width + width + view + 1.5 * width;
+    let samples = (config.sampling.coarse + config.sampling.fine) as f64;
+    (at_work * chunk) as f64 * samples * (trunk + colour) * NUMBER / f64::from(1 << 20)
+}
+
+fn needs(config: &Resolved, scene: &Scene, threads: usize) -> Vec<Need> {
     let (field, train) = (&config.field, &config.train);
     let mib = |numbers: f64| numbers * NUMBER / f64::from(1 << 20);
     let parameters = Model::parameter_names(config);
@@ -57,14 +74,15 @@ fn needs(config: &Resolved, scene: &Scene) -> Vec<Need> {
     }];
     // The fused core works in tiles; candle's operations keep each layer's output of all points.
     if field.core == Core::Plain {
-        let samples = config.sampling.coarse as f64;
-        let layers = field.depth as f64;
+        let samples = (config.sampling.coarse + config.sampling.fine) as f64;
         let width = field.width as f64;
-        let chunk = train.chunk.min(train.rays);
         needs.push(Need {
-            what: "the layers' outputs of a chunk, which the backward pass needs,",
-            settings: format!("train.chunk = {} of {} rays, field.core = \"plain\"", train.chunk, train.rays),
-            mib: mib(chunk as f64 * samples * width * layers),
+            what: "the layers' outputs of the chunks at work, which the backward pass needs,",
+            settings: format!(
+                "train.chunk = {} of {} rays on {threads} threads, field.core = \"plain\"",
+                train.chunk, train.rays
+            ),
+            mib: graphs_mib(config, threads),
         });
         let pixels = scene.test.iter().map(|view| view.camera.width * view.camera.height).max().unwrap_or(0);
         needs.push(Need {
@@ -84,7 +102,7 @@ mod tests {
     fn needs_of(settings: &[&str]) -> Vec<Need> {
         let assignments: Vec<_> = settings.iter().map(|text| parse_assignment(text).unwrap()).collect();
         let config = build(None, None, &assignments).unwrap().resolve(DataKind::Blender, 2.0, 6.0).unwrap();
-        needs(&config, &crate::bench::scene())
+        needs(&config, &crate::bench::scene(), 2)
     }
 
     #[test]
@@ -104,10 +122,15 @@ mod tests {
     fn chunks_of_the_plain_core_count_by_the_rays_that_there_are() {
         let all = needs_of(&["field.core=plain", "train.chunk=1048576", "eval.chunk=1048576"]);
         let [_, training, evaluation] = &all[..] else { panic!("three needs") };
-        // 1,024 rays, 64 coarse samples, 8 layers of 256 numbers.
-        assert_eq!(training.mib, 1024.0 * 64.0 * 8.0 * 256.0 * 4.0 / f64::from(1 << 20));
+        // 1,024 rays, 64 coarse and 128 fine samples; three tensors of each of 8 layers of 256 numbers are most of it.
+        let trunk = 1024.0 * 192.0 * 3.0 * 8.0 * 256.0 * 4.0 / f64::from(1 << 20);
+        assert!((1.1..1.3).contains(&(training.mib / trunk)), "{} of {trunk}", training.mib);
         let refusal = check(training, 100.0).unwrap_err().to_string();
-        assert!(refusal.contains("train.chunk = 1048576 of 1024 rays"), "{refusal}");
+        assert!(refusal.contains("train.chunk = 1048576 of 1024 rays on 2 threads"), "{refusal}");
+        // Two chunks are at work where there are more, on two threads.
+        let of = |chunk: &str| needs_of(&["field.core=plain", chunk])[1].mib / training.mib;
+        assert_eq!(of("train.chunk=512"), 1.0);
+        assert_eq!(of("train.chunk=256"), 0.5);
         assert!(evaluation.mib < training.mib);
         assert_eq!(needs_of(&["train.chunk=1048576"]).len(), 1);
     }

@@ -16,6 +16,7 @@ mod optimizer;
 mod stats;
 mod sums;
 
+pub use memory::graphs_mib;
 pub use optimizer::{Adam, Moments, learning_rate};
 pub use stats::StepStats;
 
@@ -64,7 +65,7 @@ impl Trainer {
     /// rays do not meet, or one that would take too long; [`Error::Diverged`](crate::base::Error::Diverged): a field that starts dead again and again.
     pub fn new(config: &Resolved, scene: &Scene, dtype: DType, runtime: &Runtime) -> Result<Trainer> {
         if runtime.device().is_cpu() {
-            memory::check_memory(config, scene)?;
+            memory::check_memory(config, scene, runtime.threads())?;
         }
         runtime.install(|| {
             let start = Model::start(config, scene, dtype, runtime.device())?;

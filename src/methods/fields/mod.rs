@@ -21,4 +21,5 @@ pub use geometry::step_over_radius;
 pub use learner::FieldLearner;
 pub use networks::Fields;
 pub use painter::FieldPainter;
+pub use passes::parts;
 pub use regularized::Balance;

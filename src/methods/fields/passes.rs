@@ -18,6 +18,11 @@ use super::terms::{Counts, StepLoss};
 /// Parts of a step that threads share; each sums its gradients in place.
 const PARTS: usize = 16;
 
+/// How many parts a step of so many chunks has.
+pub fn parts(chunks: usize) -> usize {
+    chunks.div_ceil(chunks.div_ceil(PARTS).max(1))
+}
+
 impl FieldLearner {
     /// All passes through the rays of a step, chunk by chunk.
     pub(super) fn passes(
