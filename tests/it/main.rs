@@ -12,6 +12,8 @@ mod fused;
 mod fuzz;
 mod geometry;
 mod hostile;
+#[cfg(target_os = "linux")]
+mod hostile_memory;
 mod hostile_results;
 mod interruption;
 mod layering;

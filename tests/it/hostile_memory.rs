@@ -1,0 +1,119 @@
+//! How much memory the program takes of files that are made to take more, and of trainings: watched from outside.
+
+use std::fs;
+use std::path::Path;
+use std::process::Command;
+use std::time::{Duration, Instant};
+
+use crate::common::assert_says;
+use crate::common::program::augnerf;
+use crate::hostile::{SOON, scene};
+use augnerf::settings::{DataKind, Preset, build, parse_assignment};
+use tempfile::TempDir;
+
+/// Runs a command to its end and returns its exit code, what it said and the most MiB that it had.
+fn watched(command: &mut Command) -> (i32, String, f64) {
+    let said = tempfile::NamedTempFile::new().unwrap();
+    // Both append: neither writes over the other.
+    let log = || fs::File::options().append(true).open(said.path()).unwrap();
+    let mut child = command.stdout(log()).stderr(log()).spawn().unwrap();
+    let status = format!("/proc/{}/status", child.id());
+    let mut most = 0.0f64;
+    let code = loop {
+        let now = fs::read_to_string(&status).unwrap_or_default();
+        let kib =
+            now.lines().find_map(|line| line.strip_prefix("VmHWM:")?.trim().strip_suffix(" kB")?.parse::<f64>().ok());
+        most = most.max(kib.unwrap_or(0.0) / 1024.0);
+        if let Some(ended) = child.try_wait().unwrap() {
+            break ended.code().unwrap_or(-1);
+        }
+        std::thread::sleep(Duration::from_millis(1));
+    };
+    (code, fs::read_to_string(said.path()).unwrap(), most)
+}
+
+/// Demands that a file is refused with these words, and with less memory than is promised.
+#[track_caller]
+fn refused_within_memory(arguments: &[&str], code: i32, words: &[&str]) {
+    let started = Instant::now();
+    let (found, said, most) = watched(&mut augnerf(arguments));
+    assert_eq!(found, code, "{said}");
+    assert_says(&said, words);
+    assert!(most > 1.0 && most < 1024.0, "{most} MiB: {said}");
+    // Other tests run beside this one.
+    assert!(started.elapsed() < 3 * SOON, "took {:?}: {said}", started.elapsed());
+}
+
+/// A results' folder with a file of its own.
+fn committed_with(name: &str, bytes: &[u8]) -> (TempDir, String) {
+    let dir = TempDir::new().unwrap();
+    let folder = dir.path().join("smoke");
+    fs::create_dir(&folder).unwrap();
+    for entry in fs::read_dir(Path::new(env!("CARGO_MANIFEST_DIR")).join("results/smoke")).unwrap() {
+        let path = entry.unwrap().path();
+        fs::copy(&path, folder.join(path.file_name().unwrap())).unwrap();
+    }
+    fs::write(folder.join(name), bytes).unwrap();
+    let folder = folder.to_str().unwrap().to_string();
+    (dir, folder)
+}
+
+#[test]
+fn poses_of_millions_of_values_are_refused_as_they_are_read() {
+    let dir = scene(r#""camera_angle_x": 0.7"#, "0.5");
+    for (open, value, close) in [("[", r#"{"a":0},"#, "0]"), ("[", "[],", "0]"), (r#"[{"frames":["#, "0,", "0]}]")] {
+        let values = value.repeat((31 << 20) / value.len());
+        let text = format!(r#"{{"camera_angle_x": 0.7, "frames": {open}{values}{close}}}"#);
+        fs::write(dir.path().join("transforms.json"), text).unwrap();
+        let arguments = ["data", "check", dir.path().to_str().unwrap()];
+        refused_within_memory(&arguments, 3, &["transforms.json", "more than 1048576 values"]);
+    }
+}
+
+#[test]
+fn plans_of_more_points_than_a_sweep_has_are_refused_as_they_are_read() {
+    let committed = Path::new(env!("CARGO_MANIFEST_DIR")).join("results/smoke/points.json");
+    let plan: serde_json::Value = serde_json::from_slice(&fs::read(committed).unwrap()).unwrap();
+    let point = plan["points"][0].to_string();
+    let points = vec![point.as_str(); 10_001].join(",");
+    let text = format!(r#"{{"data_root": null, "points": [{points}]}}"#);
+    assert!(text.len() < 64 << 20, "{}", text.len());
+    let (_dir, folder) = committed_with("points.json", text.as_bytes());
+    let (code, said, most) = watched(&mut augnerf(&["verify", &folder]));
+    assert!(code == 5 && most < 1024.0, "{most} MiB: {said}");
+    assert_says(&said, &["points.json", "more than 10000 points"]);
+    let (_dir, folder) = committed_with("points.json", &vec![b' '; 65 << 20]);
+    refused_within_memory(&["verify", &folder], 10, &["points.json", "more than 64 MiB"]);
+}
+
+/// What a training of the plain core is said to take is near what it takes: neither is more than one and a half times the
+/// other, so that what fits is not refused.
+#[test]
+fn memory_is_estimated_before_it_is_taken() {
+    let every = [
+        "field.core=plain",
+        "train.steps=2",
+        "train.batching=all-images",
+        "eval.chunk=64",
+        "eval.train_views=0",
+        "eval.pictures=0",
+        "data.test_skip=8",
+    ];
+    for (threads, own) in [
+        ("2", ["train.rays=4096", "train.chunk=1024", "field.width=128", "field.depth=8", "sampling.fine=24"]),
+        ("1", ["train.rays=2048", "train.chunk=512", "field.width=128", "field.depth=4", "sampling.fine=64"]),
+        ("2", ["train.rays=1024", "train.chunk=1024", "field.width=256", "field.depth=8", "sampling.fine=0"]),
+    ] {
+        let dir = TempDir::new().unwrap();
+        let mut train = augnerf(&["train", "-q", "--preset", "smoke", "--threads", threads, "--out", "run"]);
+        train.current_dir(dir.path()).args(every.iter().chain(&own).flat_map(|set| ["--set", set]));
+        let (code, said, most) = watched(&mut train);
+        assert_eq!(code, 0, "{said}");
+        let sets: Vec<_> = every.iter().chain(&own).map(|set| parse_assignment(set).unwrap()).collect();
+        let config = build(Some(Preset::Smoke), None, &sets).unwrap();
+        let config = config.resolve(DataKind::BuiltinBlender, 2.0, 6.0).unwrap();
+        let said = augnerf::train::graphs_mib(&config, threads.parse().unwrap());
+        println!("{said:.0} MiB estimated, {most:.0} MiB taken");
+        assert!(said < 1.5 * most && most < 1.5 * said, "{said} MiB estimated, {most} MiB taken");
+    }
+}
