@@ -122,8 +122,8 @@ mod tests {
     fn chunks_of_the_plain_core_count_by_the_rays_that_there_are() {
         let all = needs_of(&["field.core=plain", "train.chunk=1048576", "eval.chunk=1048576"]);
         let [_, training, evaluation] = &all[..] else { panic!("three needs") };
-        // 1,024 rays, 64 coarse and 128 fine samples; three tensors of each of 8 layers of 256 numbers are most of it.
-        let trunk = 1024.0 * 192.0 * 3.0 * 8.0 * 256.0 * 4.0 / f64::from(1 << 20);
+        // 1,024 rays, 64 coarse and 64 fine samples; three tensors of each of 8 layers of 256 numbers are most of it.
+        let trunk = 1024.0 * 128.0 * 3.0 * 8.0 * 256.0 * 4.0 / f64::from(1 << 20);
         assert!((1.1..1.3).contains(&(training.mib / trunk)), "{} of {trunk}", training.mib);
         let refusal = check(training, 100.0).unwrap_err().to_string();
         assert!(refusal.contains("train.chunk = 1048576 of 1024 rays on 2 threads"), "{refusal}");
