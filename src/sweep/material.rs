@@ -150,6 +150,17 @@ impl Scalars {
         self.rows.iter().filter_map(|row| row[place].parse().ok()).collect()
     }
 
+    /// A log's steps rise from row to row; a curve that ran back and forth would be long to draw, and show nothing.
+    fn check_rising(&self) -> std::result::Result<(), String> {
+        let steps = self.numbers("step");
+        match steps.windows(2).find(|pair| pair[0] >= pair[1]) {
+            Some(pair) => {
+                Err(format!("step {} stands behind step {}, and steps rise from row to row", pair[1], pair[0]))
+            }
+            None => Ok(()),
+        }
+    }
+
     /// The numbers of two columns, where a row has both.
     pub fn pairs(&self, x: &str, y: &str) -> Vec<(f64, f64)> {
         let Some((x, y)) = self.place(x).zip(self.place(y)) else { return Vec::new() };
@@ -174,6 +185,9 @@ pub fn read_scalars(results: &Path) -> Result<BTreeMap<String, Scalars>> {
     for mut row in all.rows {
         let empty = || Scalars { head: all.head[1..].to_vec(), rows: Vec::new() };
         by_point.entry(row.remove(0)).or_insert_with(empty).rows.push(row);
+    }
+    for (id, scalars) in &by_point {
+        scalars.check_rising().map_err(|e| damaged(&path, &format!("point {id}: {e}")))?;
     }
     Ok(by_point)
 }
