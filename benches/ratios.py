@@ -4,9 +4,14 @@
     python3 -m venv .venv && .venv/bin/pip install torch
     cargo build --release
     benches/ratios.py --python .venv/bin/python --threads 2
+    benches/ratios.py --python .venv/bin/python --threads 2 --bf16
 
-Nothing else should run beside it. Each line is one kind of step: medians over the rounds of each program's own median
-step, their ratio, the lowest and the highest ratio of a round, and what augnerf says of its own work.
+Nothing else should run beside it. A round times both programs one after the other, in an order that changes from round
+to round. Each line is one kind of step: medians over the rounds of each program's own median step, the median of the
+rounds' ratios, their lowest and highest, and what augnerf says of its own work: multiply-adds of a step, share of the
+peak of large f32 products, share of points that its backward passes saw. `hash` is a hash-grid field (torch_hash_peer.py).
+
+--bf16 is what users of either switch on: torch.autocast there, field.precision here. --peer-bf16 does it there alone.
 """
 import argparse
 import json
@@ -15,12 +20,13 @@ import statistics
 import subprocess
 
 HERE = pathlib.Path(__file__).parent
-# Method, rays, coarse, fine, width, steps.
+# Method, rays, coarse, fine, width, steps; of hash the samples that place and those that are shaded.
 PROCESSOR = [
     ("nerf", 256, 64, 64, 256, 5),
     ("aug", 256, 64, 64, 256, 3),
     ("nerf", 256, 32, 32, 64, 40),
     ("aug", 256, 32, 32, 64, 20),
+    ("hash", 1024, 48, 32, 64, 20),
 ]
 GPU = [
     ("nerf", 1024, 64, 64, 256, 20),
@@ -28,6 +34,8 @@ GPU = [
     ("nerf", 1024, 64, 128, 256, 20),
     ("aug", 1024, 64, 128, 256, 10),
 ]
+# What makes augnerf's step of NeRF that of the peer's hash grid, whose tables have 2^17 entries.
+HASH = ["field.encoding=hash"]
 
 
 def ask(command):
@@ -37,8 +45,41 @@ def ask(command):
     return json.loads(done.stdout.splitlines()[-1])
 
 
-def cell(value, width, digits):
-    return f"{'-':>{width}}" if value is None else f"{value:{width}.{digits}f}"
+def cell(value, width, digits, scale=1.0):
+    return f"{'-':>{width}}" if value is None else f"{value * scale:{width}.{digits}f}"
+
+
+def peer_command(kind, arguments):
+    method, rays, coarse, fine, width, steps = kind
+    program = [arguments.python, str(HERE / ("torch_hash_peer.py" if method == "hash" else "torch_peer.py"))]
+    flags = ["--rays", str(rays), "--steps", str(steps), "--threads", str(arguments.threads)]
+    if method == "hash":
+        flags += ["--placing", str(coarse), "--shaded", str(fine)]
+    else:
+        flags += ["--method", method, "--coarse", str(coarse), "--fine", str(fine), "--width", str(width)]
+        flags += ["--device", arguments.device] + ["--tf32"] * arguments.tf32
+    return program + flags + ["--bf16"] * (arguments.bf16 or arguments.peer_bf16)
+
+
+def our_command(kind, arguments):
+    method, rays, coarse, fine, width, steps = kind
+    flags = ["--method", "nerf" if method == "hash" else method, "--rays", str(rays), "--coarse", str(coarse)]
+    flags += ["--fine", str(fine), "--width", str(width), "--steps", str(steps), "--threads", str(arguments.threads)]
+    settings = HASH if method == "hash" else []
+    settings = settings + ["field.precision=bf16"] * arguments.bf16
+    flags += [word for setting in settings for word in ("--set", setting)]
+    return [arguments.augnerf, "bench", *flags, "--device", arguments.device + "-tf32" * arguments.tf32]
+
+
+def line(kind, rounds):
+    """What the rounds of a kind of step say; each is (peer's JSON, ours)."""
+    seconds = [[timed["seconds_per_step"] for timed in side] for side in zip(*rounds)]
+    peer, ours = map(statistics.median, seconds)
+    ratios = sorted(theirs / mine for theirs, mine in zip(*seconds))
+    last = rounds[-1][1]
+    return (f"{kind[0]:6} {kind[4]:5} {peer:8.4f} {ours:9.4f} {statistics.median(ratios):6.2f} "
+            f"{ratios[0]:5.2f}..{ratios[-1]:5.2f} {cell(last['multiply_adds_per_step'], 8, 2, 1e-9)} "
+            f"{cell(last['gflops'], 8, 0)} {cell(last['share_of_peak'], 7, 2)} {cell(last['active_share'], 6, 2)}")
 
 
 def main():
@@ -49,28 +90,22 @@ def main():
     parser.add_argument("--rounds", type=int, default=3)
     parser.add_argument("--device", default="cpu", help="cpu or cuda; cuda takes the paper's sizes")
     parser.add_argument("--tf32", action="store_true")
-    parser.add_argument("--only", help="method:width, such as aug:256")
+    parser.add_argument("--bf16", action="store_true", help="both in bfloat16")
+    parser.add_argument("--peer-bf16", action="store_true", help="PyTorch alone in bfloat16")
+    parser.add_argument("--only", help="method:width, such as aug:256 or hash:64")
     arguments = parser.parse_args()
-    threads = str(arguments.threads)
-    print(f"{'method':6} {'width':>5} {'torch s':>8} {'augnerf s':>9} {'ratio':>6} {'of rounds':>12} {'GFLOP/s':>8} "
-          f"{'of peak':>7} {'active':>6}")
-    for method, rays, coarse, fine, width, steps in PROCESSOR if arguments.device == "cpu" else GPU:
-        if arguments.only and arguments.only != f"{method}:{width}":
+    print(f"{'method':6} {'width':>5} {'torch s':>8} {'augnerf s':>9} {'ratio':>6} {'of rounds':>12} {'Gmul-add':>8} "
+          f"{'GFLOP/s':>8} {'of peak':>7} {'active':>6}")
+    for kind in PROCESSOR if arguments.device == "cpu" else GPU:
+        if arguments.only and arguments.only != f"{kind[0]}:{kind[4]}":
             continue
-        flags = ["--method", method, "--rays", str(rays), "--coarse", str(coarse), "--fine", str(fine)]
-        flags += ["--width", str(width), "--steps", str(steps), "--threads", threads]
-        our_device = ["--device", arguments.device + "-tf32" * arguments.tf32]
-        their_device = ["--device", arguments.device] + ["--tf32"] * arguments.tf32
+        commands = [peer_command(kind, arguments), our_command(kind, arguments)]
         rounds = []
-        for _ in range(arguments.rounds):
-            peer = ask([arguments.python, str(HERE / "torch_peer.py"), *flags, *their_device])
-            rounds.append((peer["seconds_per_step"], ask([arguments.augnerf, "bench", *flags, *our_device])))
-        peer = statistics.median(peer for peer, _ in rounds)
-        ours = statistics.median(ours["seconds_per_step"] for _, ours in rounds)
-        ratios = sorted(peer / ours["seconds_per_step"] for peer, ours in rounds)
-        last = rounds[-1][1]
-        print(f"{method:6} {width:5} {peer:8.4f} {ours:9.4f} {peer / ours:6.2f} {ratios[0]:5.2f}..{ratios[-1]:5.2f} "
-              f"{cell(last['gflops'], 8, 0)} {cell(last['share_of_peak'], 7, 2)} {cell(last['active_share'], 6, 2)}", flush=True)
+        for turn in range(arguments.rounds):
+            # Whoever comes second finds the processor warm: they change places.
+            timed = [ask(command) for command in (commands if turn % 2 == 0 else commands[::-1])]
+            rounds.append(timed if turn % 2 == 0 else timed[::-1])
+        print(line(kind, rounds), flush=True)
 
 
 if __name__ == "__main__":

@@ -14,9 +14,9 @@ use augnerf::render::Composite;
 use augnerf::render::sampling::{importance, stratified};
 use augnerf::render::volume::{composite, composite_reference};
 use augnerf::runtime::Runtime;
-use augnerf::settings::{Config, Core, DataKind, FieldConfig, Method, RegularizerConfig};
+use augnerf::settings::{Config, Core, DataKind, FieldConfig, Method, RegularizerConfig, TrainConfig};
 use augnerf::space::{CHUNK, Quadrature};
-use augnerf::train::{Adam, Trainer};
+use augnerf::train::{Adam, AdamSettings, Trainer};
 use candle_core::{DType, Device, Tensor, Var};
 use criterion::{Criterion, criterion_group, criterion_main};
 use rayon::prelude::*;
@@ -36,7 +36,7 @@ fn step(criterion: &mut Criterion) {
         config.field.width = width;
         config.train.collapse_steps = 0;
         config.train.dead_start_share = 0.0;
-        let config = config.resolve(DataKind::Blender, 2.0, 6.0).expect("valid settings");
+        let config = config.resolve(DataKind::Blender, augnerf::bench::EXTENT).expect("valid settings");
         let mut trainer = Trainer::new(&config, &augnerf::bench::scene(), DType::F32, &runtime).expect("a trainer");
         group.bench_function(name, |bencher| bencher.iter(|| black_box(trainer.step(false).expect("a step"))));
     }
@@ -114,7 +114,7 @@ fn parts(criterion: &mut Criterion) {
     group.bench_function("importance", |bencher| bencher.iter(|| importance(&t_vals, &density, &u).expect("samples")));
     let field = Field::init(&FieldConfig::default(), 0, 0, DType::F32, &Device::Cpu).expect("a field");
     let gradients: Vec<Option<Tensor>> = field.variables().iter().map(|(_, var)| Some(draw(6, var.dims()))).collect();
-    let mut adam = Adam::new(field.variables().to_vec()).expect("moments");
+    let mut adam = Adam::new(AdamSettings::of(&TrainConfig::default()), field.variables().to_vec()).expect("moments");
     group.bench_function("adam", |bencher| bencher.iter(|| adam.update(&gradients, 1e-6, 1).expect("an update")));
     group.finish();
 }

@@ -75,7 +75,7 @@ fn main() -> Result<()> {
     let settings = ["field.width=32", "train.rays=128", "train.decay_steps=150"];
     let settings = settings.iter().map(|text| parse_assignment(text)).collect::<Result<Vec<_>>>()?;
     // The kind settles defaults alone: that of scenes seen from all around, without normalised device coordinates.
-    let config = build(Some(Preset::Smoke), None, &settings)?.resolve(DataKind::Transforms, scene.near, scene.far)?;
+    let config = build(Some(Preset::Smoke), None, &settings)?.resolve(DataKind::Transforms, scene.extent())?;
     let mut trainer = Trainer::new(&config, &scene, DType::F32, &runtime)?;
     for _ in 0..150 {
         trainer.step(false)?;

@@ -9,7 +9,7 @@ use crate::base::{Error, Image, Result, revision};
 use crate::data::{Camera, Scene, View};
 use crate::field::peak_gflops;
 use crate::runtime::{Runtime, peak_memory_mib};
-use crate::settings::{DataKind, Method, REGULARIZERS, Regularizer, Resolved, parse_assignment};
+use crate::settings::{DataKind, Extent, Method, REGULARIZERS, Regularizer, Resolved, parse_assignment};
 use crate::train::Trainer;
 
 /// Steps before the clock starts.
@@ -90,6 +90,9 @@ pub struct Timed {
     pub peak_memory_mib: Option<f64>,
 }
 
+/// That of [`scene`].
+pub const EXTENT: Extent = Extent { near: 2.0, far: 6.0, pixels: 64 };
+
 /// One 64 x 64 view of noise, seen from (0, 0, 4) along -z between 2 and 6.
 pub fn scene() -> Scene {
     let camera = Camera {
@@ -140,7 +143,7 @@ impl Workload {
         all.extend(self.set.iter().cloned());
         let mut config = crate::settings::build(None, None, &all)?;
         config.train.precrop_steps = Some(0);
-        config.resolve(DataKind::Blender, 2.0, 6.0)
+        config.resolve(DataKind::Blender, crate::bench::EXTENT)
     }
 
     /// Takes the steps on a runtime and times them.

@@ -5,6 +5,7 @@
 //! search ascends a loss that it is handed as a closure, so it can be tested on a quadratic with a known maximum.
 
 mod epsilon;
+mod flat;
 mod geometry;
 mod search;
 mod set;
@@ -13,6 +14,7 @@ mod site;
 mod sites;
 
 pub use epsilon::{Epsilon, REACH};
+pub(crate) use flat::{larger, smaller};
 pub use geometry::{Geometry, PaperPass, PassGeometry, PixelScale, SampleDensity};
 pub use search::{Iterate, worst_case};
 pub use set::{DeltaSet, Draw, Norm};

@@ -2,7 +2,7 @@
 
 use candle_core::{Tensor, Var};
 
-use crate::augment::set::DeltaSet;
+use crate::augment::flat::ascend;
 use crate::augment::sets::{Deltas, Sets};
 use crate::augment::site::{SiteNumbers, StepUnit};
 use crate::augment::sites::{PerSite, Site};
@@ -55,27 +55,18 @@ pub fn worst_case(
             // No gradient: the loss does not depend on this delta (sign(0) = 0).
             let Some(gradient) = gradients.get(&variable) else { continue };
             let set = sets.get(site).expect("is on");
-            let step = step_along(set, &gradient.detach(), numbers[site].step_size, unit)?;
-            deltas.set(site, set.project(&(used.get(site).expect("is on").detach() + step)?)?);
+            let delta = used.get(site).expect("is on").detach();
+            deltas.set(site, ascend(set, &delta, &gradient.detach(), numbers[site].step_size, unit)?);
         }
     }
     Ok(deltas)
-}
-
-/// One step up the gradient, before its projection.
-fn step_along(set: &DeltaSet, gradient: &Tensor, step_size: f64, unit: StepUnit) -> Result<Tensor> {
-    let direction = set.direction(gradient)?;
-    Ok(match unit {
-        StepUnit::Absolute => (direction * step_size)?,
-        StepUnit::Relative => direction.broadcast_mul(&(&set.radius * step_size)?)?,
-    })
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::augment::epsilon::Epsilon;
-    use crate::augment::set::Norm;
+    use crate::augment::set::{DeltaSet, Norm};
     use crate::augment::site::Passes;
     use candle_core::{DType, Device};
 

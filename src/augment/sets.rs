@@ -2,6 +2,7 @@
 
 use candle_core::Tensor;
 
+use crate::augment::flat;
 use crate::augment::geometry::PassGeometry;
 use crate::augment::set::{DeltaSet, Draw};
 use crate::augment::site::{SetChoices, SiteNumbers};
@@ -74,7 +75,7 @@ impl Sets {
     pub fn draw(&self, draw: Draw, random: impl Fn(Site) -> Random) -> Result<Deltas> {
         let mut deltas = Deltas::default();
         for (site, set) in self.iter() {
-            deltas.set(site, set.draw(draw, &mut random(site))?);
+            deltas.set(site, flat::draw(set, draw, &mut random(site))?);
         }
         Ok(deltas)
     }

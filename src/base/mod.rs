@@ -8,6 +8,7 @@ mod image;
 pub mod input;
 mod revision;
 pub mod rng;
+pub(crate) mod simd;
 mod temporaries;
 pub(crate) mod tensors;
 mod text;

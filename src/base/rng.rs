@@ -147,22 +147,44 @@ impl Random {
         drawn
     }
 
-    /// A tensor of uniform numbers in 0..1.
-    pub fn uniform_tensor(&mut self, shape: &[usize], dtype: DType, device: &Device) -> Result<Tensor> {
-        let count: usize = shape.iter().product();
-        let values: Vec<f32> = (0..count).map(|_| self.uniform() as f32).collect();
-        Ok(Tensor::from_vec(values, shape, device)?.to_dtype(dtype)?)
+    /// `count` uniform numbers in 0..1, as [`Random::uniform`] draws them.
+    pub fn uniform_values(&mut self, count: usize) -> Vec<f32> {
+        self.uniform_map(count, |unit| unit)
     }
 
-    /// A tensor of standard normal numbers.
-    pub fn normal_tensor(&mut self, shape: &[usize], dtype: DType, device: &Device) -> Result<Tensor> {
-        let count: usize = shape.iter().product();
+    /// What `map` makes of `count` uniform numbers in 0..1.
+    pub fn uniform_map(&mut self, count: usize, map: impl Fn(f32) -> f32) -> Vec<f32> {
+        let mut bytes = [0u8; 1024];
+        let mut values = Vec::with_capacity(count);
+        while values.len() < count {
+            let bytes = &mut bytes[..1024.min(4 * (count - values.len()))];
+            self.chacha.fill_bytes(bytes);
+            let words = bytes.as_chunks::<4>().0.iter().map(|bytes| u32::from_le_bytes(*bytes) >> 8);
+            values.extend(words.map(|word| map(word as f32 * (1.0 / (1u32 << 24) as f32))));
+        }
+        values
+    }
+
+    /// `count` standard normal numbers, in pairs.
+    pub fn normal_values(&mut self, count: usize) -> Vec<f32> {
         let mut values = Vec::with_capacity(count + 1);
         while values.len() < count {
             let (a, b) = self.normal_pair();
             values.extend([a as f32, b as f32]);
         }
         values.truncate(count);
+        values
+    }
+
+    /// A tensor of uniform numbers in 0..1.
+    pub fn uniform_tensor(&mut self, shape: &[usize], dtype: DType, device: &Device) -> Result<Tensor> {
+        let values = self.uniform_values(shape.iter().product());
+        Ok(Tensor::from_vec(values, shape, device)?.to_dtype(dtype)?)
+    }
+
+    /// A tensor of standard normal numbers.
+    pub fn normal_tensor(&mut self, shape: &[usize], dtype: DType, device: &Device) -> Result<Tensor> {
+        let values = self.normal_values(shape.iter().product());
         Ok(Tensor::from_vec(values, shape, device)?.to_dtype(dtype)?)
     }
 }
@@ -177,6 +199,18 @@ mod tests {
         assert_eq!(first(Stream::Jitter, 3), first(Stream::Jitter, 3));
         assert_ne!(first(Stream::Jitter, 3), first(Stream::Jitter, 4));
         assert_ne!(first(Stream::Jitter, 3), first(Stream::Search, 3));
+    }
+
+    /// Numbers that are drawn many at once are those that are drawn one by one, whatever came before.
+    #[test]
+    fn blocks_of_numbers_are_the_numbers_one_by_one() {
+        for (before, count) in [(0, 1), (3, 255), (1, 256), (7, 1000)] {
+            let (mut blocks, mut single) = (Random::new(1, Stream::Jitter, 2), Random::new(1, Stream::Jitter, 2));
+            (0..before).for_each(|_| assert_eq!(blocks.uniform(), single.uniform()));
+            let expected: Vec<f32> = (0..count).map(|_| single.uniform() as f32).collect();
+            assert_eq!(blocks.uniform_values(count), expected);
+            assert_eq!(blocks.uniform(), single.uniform());
+        }
     }
 
     #[test]

@@ -7,7 +7,7 @@ use toml::Value;
 
 use crate::base::{Error, Result};
 use crate::data::{self, Format};
-use crate::settings::{Config, Preset, build, data_section, parse_assignment};
+use crate::settings::{Config, Encoding, Method, Preset, build, data_section, parse_assignment};
 
 use super::LpipsWeights;
 
@@ -17,8 +17,9 @@ pub struct Experiment {
     /// Scene folder: LLFF, NeRF-Synthetic (Blender) or transforms.json [default: the embedded scene]
     #[arg(long, value_name = "DIR")]
     data: Option<PathBuf>,
-    /// smoke (seconds), cpu (minutes), paper-llff, paper-blender, released-llff or released-blender [default: smoke for
-    /// the embedded scene, the paper's settings for a real one]
+    /// fast (a minute: a hash grid), smoke (seconds: small networks), cpu (minutes: small networks), paper-llff, paper-blender,
+    /// released-llff or released-blender [default: fast for the embedded scene (methods of MipNeRF: smoke), the paper's settings
+    /// for a real one]
     #[arg(long, value_name = "NAME")]
     preset: Option<String>,
     /// TOML file with settings over the preset's; a run's config.toml repeats that run (it has every number filled
@@ -68,7 +69,17 @@ impl Experiment {
         if preset.is_none() && self.config.is_none() {
             // What the scene asks for.
             preset = Format::of(data::detect(&data_section(&assignments)?)?).map(|format| format.preset);
+            if preset == Some(Preset::Fast) && !may_be_on_a_grid(&assignments) {
+                preset = Some(Preset::Smoke);
+            }
         }
         build(preset, self.config.as_deref(), &assignments)
     }
+}
+
+/// The method that assignments name, if any, has fields on hash grids.
+fn may_be_on_a_grid(assignments: &[(Vec<String>, Value)]) -> bool {
+    let named = assignments.iter().rev().find(|(path, _)| path[..] == ["method"]);
+    let method = named.and_then(|(_, method)| method.clone().try_into::<Method>().ok());
+    method.is_none_or(|method| method.representation(Encoding::Hash).is_some())
 }

@@ -31,6 +31,16 @@ pub fn print_shown(text: &str) -> Result<()> {
     print(&shown(text))
 }
 
+/// Seconds for a person.
+pub fn duration(seconds: f64) -> String {
+    match seconds {
+        s if s < 120.0 => format!("{s:.0} s"),
+        s if s < 7200.0 => format!("{:.0} min", s / 60.0),
+        s if s < 172_800.0 => format!("{:.1} h", s / 3600.0),
+        s => format!("{:.1} days", s / 86_400.0),
+    }
+}
+
 /// What becomes of an attempt to write to standard output.
 pub fn printed(written: std::io::Result<()>) -> Result<()> {
     match written {

@@ -10,7 +10,7 @@ use crate::run::{Pictures, Trained, write_path};
 use crate::runtime::Runtime;
 
 use super::compare::pictures_folder;
-use super::progress::Console;
+use super::progress::{Console, duration};
 use super::{Compute, Sources};
 
 #[derive(Args)]
@@ -67,6 +67,13 @@ impl RenderArguments {
             console.on(Event::Advanced);
             rendered
         };
+        let cameras: Vec<&Camera> = match self.what {
+            What::Path => chosen(&scene.path, self.frames.map(usize::from)),
+            What::Views => scene.test.iter().map(|view| &view.camera).collect(),
+        };
+        if let Some(seconds) = viewer.estimate_seconds(&cameras)? {
+            console.say(&expected(&cameras, seconds));
+        }
         match self.what {
             What::Views => {
                 let pictures = Pictures::new(pictures_dir.path(), scene, scene.test.len());
@@ -77,12 +84,11 @@ impl RenderArguments {
                 pictures.finish()?;
             }
             What::Path => {
-                let cameras = chosen(&scene.path, self.frames.map(usize::from));
                 if cameras.is_empty() {
                     return Err(Error::Data(format!("scene {} has no camera path; use --what views", scene.name)));
                 }
                 console.on(Event::Started { what: "rendering", parts: cameras.len() as u64 });
-                let frames = cameras.iter().map(render).collect::<Result<Vec<_>>>()?;
+                let frames = cameras.iter().map(|camera| render(camera)).collect::<Result<Vec<_>>>()?;
                 write_path(pictures_dir.path(), scene, &frames, self.fps)?;
             }
         }
@@ -94,7 +100,19 @@ impl RenderArguments {
 }
 
 /// `count` of the cameras, evenly spaced.
-fn chosen(cameras: &[Camera], count: Option<usize>) -> Vec<Camera> {
+fn chosen(cameras: &[Camera], count: Option<usize>) -> Vec<&Camera> {
     let count = count.unwrap_or(cameras.len()).min(cameras.len());
-    (0..count).map(|i| cameras[i * cameras.len() / count]).collect()
+    (0..count).map(|i| &cameras[i * cameras.len() / count]).collect()
+}
+
+/// What rendering will take, in words.
+fn expected(cameras: &[&Camera], seconds: f64) -> String {
+    let Camera { width, height, .. } = *cameras[0];
+    let each = seconds / cameras.len() as f64;
+    let each = if each < 10.0 { format!("{each:.1} s") } else { duration(each) };
+    let (views, each) = match cameras.len() {
+        1 => ("1 view".to_string(), String::new()),
+        count => (format!("{count} views"), format!("{each} each, ")),
+    };
+    format!("{views} of {width} x {height} pixels: about {each}{} in all", duration(seconds))
 }

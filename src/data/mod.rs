@@ -29,7 +29,7 @@ use sha2::{Digest, Sha256};
 
 use crate::base::{Error, Image, Listener, Result};
 
-use crate::settings::{Background, DataConfig, DataKind, scene_name, short_hash};
+use crate::settings::{Background, DataConfig, DataKind, Extent, scene_name, short_hash};
 
 /// One posed photograph.
 #[derive(Clone, Debug)]
@@ -75,6 +75,12 @@ impl Scene {
     /// Start and end of a ray's interval, in the units of `t_vals`.
     pub fn bounds(&self) -> (f64, f64) {
         (self.near, self.far)
+    }
+
+    /// What settings that hang on the scene follow from.
+    pub fn extent(&self) -> Extent {
+        let sides = self.train.iter().chain(&self.test).map(|view| view.camera.width.max(view.camera.height));
+        Extent { near: self.near, far: self.far, pixels: sides.max().unwrap_or(0) }
     }
 
     /// The format that the scene was read in; none for a scene of one's own making.

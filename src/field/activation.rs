@@ -21,12 +21,54 @@ pub(super) fn activate_density(activation: DensityActivation, raw: &Tensor) -> R
         // max(NaN, 0) is 0: adding 0 * raw, which is 0 or NaN, keeps what went wrong in sight.
         DensityActivation::Relu => raw.relu()? + (raw * 0.0)?.detach(),
         DensityActivation::Softplus => softplus(&shifted(raw)?),
+        // min(NaN, 11) is 11, as above.
+        DensityActivation::Exp => bounded(&shifted(raw)?)?.exp()? + (raw * 0.0)?.detach(),
     }
+}
+
+/// [`activate_density`] of one number.
+pub fn density_of(activation: DensityActivation, raw: f32) -> f32 {
+    match activation {
+        DensityActivation::Relu => raw.max(0.0) + raw * 0.0,
+        DensityActivation::Softplus => {
+            let x = raw - 1.0;
+            x.max(0.0) + ((-x.abs()).exp() + 1.0).ln()
+        }
+        DensityActivation::Exp => exponent(raw).unwrap_or(LARGEST_EXPONENT as f32).exp() + raw * 0.0,
+    }
+}
+
+/// What a gradient of density is in raw density, as candle finds it for [`activate_density`].
+pub fn raw_density_gradient(activation: DensityActivation, raw: f32, gradient: f32) -> f32 {
+    match activation {
+        DensityActivation::Relu => gradient * f32::from(u8::from(raw >= 0.0)),
+        DensityActivation::Softplus => {
+            let x = raw - 1.0;
+            let (linear, sign) = if x >= 0.0 { (gradient, 1.0) } else { (0.0, -1.0) };
+            let decay = (-x.abs()).exp();
+            linear + -(gradient / (decay + 1.0) * decay) * sign
+        }
+        DensityActivation::Exp => exponent(raw).map_or(0.0, |x| gradient * x.exp()),
+    }
+}
+
+/// The exponent of [`DensityActivation::Exp`]; none at the largest and beyond.
+fn exponent(raw: f32) -> Option<f32> {
+    Some(raw - 1.0).filter(|x| *x < LARGEST_EXPONENT as f32)
 }
 
 /// MipNeRF starts from thin air: softplus(raw - 1).
 fn shifted(raw: &Tensor) -> Result<Tensor> {
     raw.affine(1.0, -1.0)
+}
+
+/// Largest exponent of [`DensityActivation::Exp`].
+const LARGEST_EXPONENT: f64 = 11.0;
+
+/// x, or the largest exponent, where there is no gradient.
+fn bounded(x: &Tensor) -> Result<Tensor> {
+    let below = x.detach().lt(LARGEST_EXPONENT)?;
+    below.where_cond(x, &(x.zeros_like()? + LARGEST_EXPONENT)?)
 }
 
 /// ln(1 + exp(x)) without overflow.
@@ -55,6 +97,12 @@ impl Activated {
                 let second = (&first * first.affine(-1.0, 1.0)?)?;
                 let third = (&second * first.affine(-2.0, 1.0)?)?;
                 Ok(Activated { value, first, curved: Some((second, third)) })
+            }
+            // All derivatives of exp are itself, and 0 beyond the bound.
+            DensityActivation::Exp => {
+                let below = shifted(raw)?.detach().lt(LARGEST_EXPONENT)?.to_dtype(raw.dtype())?;
+                let first = (&value * below)?;
+                Ok(Activated { value, curved: Some((first.clone(), first.clone())), first })
             }
         }
     }
@@ -109,9 +157,27 @@ mod tests {
     use super::*;
     use candle_core::Device;
 
+    /// One number at a time, forward and back, to the bit of the operations on tensors.
+    #[test]
+    fn one_number_is_activated_as_a_tensor_is() {
+        let raw: Vec<f32> = (-40..=40).map(|i| i as f32 * 0.37).chain([1.0, -0.0, 90.0, -90.0]).collect();
+        let pull: Vec<f32> = raw.iter().map(|raw| (raw * 1.3).sin()).collect();
+        for activation in [DensityActivation::Relu, DensityActivation::Softplus, DensityActivation::Exp] {
+            let variable = candle_core::Var::new(raw.as_slice(), &Device::Cpu).unwrap();
+            let density = activate_density(activation, &variable).unwrap();
+            let pulled = (&density * Tensor::new(pull.as_slice(), &Device::Cpu).unwrap()).unwrap();
+            let store = pulled.sum_all().unwrap().backward().unwrap();
+            let slopes = store.get(&variable).unwrap().to_vec1::<f32>().unwrap();
+            for (i, (density, slope)) in density.to_vec1::<f32>().unwrap().into_iter().zip(slopes).enumerate() {
+                assert_eq!(density_of(activation, raw[i]), density, "{activation:?} of {}", raw[i]);
+                assert_eq!(raw_density_gradient(activation, raw[i], pull[i]), slope, "{activation:?} at {}", raw[i]);
+            }
+        }
+    }
+
     #[test]
     fn nan_is_not_taken_for_empty_space() {
-        for activation in [DensityActivation::Relu, DensityActivation::Softplus] {
+        for activation in [DensityActivation::Relu, DensityActivation::Softplus, DensityActivation::Exp] {
             let raw = Tensor::new(&[f32::NAN, -1.0, 2.0], &Device::Cpu).unwrap();
             let density = activate_density(activation, &raw).unwrap().to_vec1::<f32>().unwrap();
             assert!(density[0].is_nan() && density[1] >= 0.0 && density[2] > 0.0, "{activation:?}: {density:?}");

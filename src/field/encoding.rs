@@ -17,7 +17,7 @@ pub fn encode(x: &Tensor, octaves: usize) -> Result<Tensor> {
     if !x.device().is_cpu() {
         return encode_reference(x, octaves);
     }
-    x.contiguous()?.apply_op1(Encode(Code { kind: Encoding::Positional, octaves }))
+    x.contiguous()?.apply_op1(Encode(Code::Positional(octaves)))
 }
 
 /// The same in plain candle operations.
@@ -79,7 +79,7 @@ pub fn encode_integrated(gaussians: &Tensor, octaves: usize) -> Result<Tensor> {
     if !gaussians.device().is_cpu() {
         return encode_integrated_reference(gaussians, octaves);
     }
-    gaussians.contiguous()?.apply_op1(Encode(Code { kind: Encoding::Integrated, octaves }))
+    gaussians.contiguous()?.apply_op1(Encode(Code::Integrated(octaves)))
 }
 
 /// The same in plain candle operations.
@@ -139,56 +139,69 @@ pub(super) fn integrated_gradient_into<T: WithDType>(encoded: &[T], gradient: &[
     }
 }
 
-/// Which encoding, with its octaves.
+/// What turns a position into a network's input.
 #[derive(Clone, Copy)]
-pub(super) struct Code {
-    pub(super) kind: Encoding,
-    pub(super) octaves: usize,
+pub(super) enum Code {
+    /// Of a point, with so many octaves.
+    Positional(usize),
+    /// Of a Gaussian, with so many octaves.
+    Integrated(usize),
+    /// Nothing: so many features of a hash grid are the input as they are.
+    Features(usize),
 }
 
 impl Code {
     /// That of a field's positions.
     pub(super) fn of_positions(config: &FieldConfig) -> Code {
-        Code { kind: config.encoding, octaves: config.position_octaves }
+        match config.encoding {
+            Encoding::Positional => Code::Positional(config.position_octaves),
+            Encoding::Integrated => Code::Integrated(config.position_octaves),
+            Encoding::Hash => Code::Features(config.hash.levels * config.hash.features),
+        }
     }
 
-    /// Numbers of one position: a point's, or a Gaussian's mean and variance.
+    /// Numbers of one position: a point's, a Gaussian's mean and variance, or features.
     pub(super) fn inputs(self) -> usize {
-        match self.kind {
-            Encoding::Positional => 3,
-            Encoding::Integrated => 6,
+        match self {
+            Code::Positional(_) => 3,
+            Code::Integrated(_) => 6,
+            Code::Features(channels) => channels,
         }
     }
 
     pub(super) fn channels(self) -> usize {
-        match self.kind {
-            Encoding::Positional => encoded_channels(self.octaves),
-            Encoding::Integrated => integrated_channels(self.octaves),
+        match self {
+            Code::Positional(octaves) => encoded_channels(octaves),
+            Code::Integrated(octaves) => integrated_channels(octaves),
+            Code::Features(channels) => channels,
         }
     }
 
     /// In candle's graph.
     pub(super) fn apply(self, positions: &Tensor) -> Result<Tensor> {
-        match self.kind {
-            Encoding::Positional => encode(positions, self.octaves),
-            Encoding::Integrated => encode_integrated(positions, self.octaves),
+        match self {
+            Code::Positional(octaves) => encode(positions, octaves),
+            Code::Integrated(octaves) => encode_integrated(positions, octaves),
+            Code::Features(_) => Ok(positions.clone()),
         }
     }
 
     fn rows<T: WithDType>(self, x: &[T]) -> Vec<T> {
         let mut out = vec![T::from_f64(0.0); x.len() / self.inputs() * self.channels()];
-        match self.kind {
-            Encoding::Positional => encode_into(x, self.octaves, &mut out),
-            Encoding::Integrated => integrated_into(x, self.octaves, &mut out),
+        match self {
+            Code::Positional(octaves) => encode_into(x, octaves, &mut out),
+            Code::Integrated(octaves) => integrated_into(x, octaves, &mut out),
+            Code::Features(_) => out.copy_from_slice(x),
         }
         out
     }
 
     /// Gradient in the positions, from the encoding itself and its gradient.
     pub(super) fn gradient_into<T: WithDType>(self, encoded: &[T], gradient: &[T], out: &mut [T]) {
-        match self.kind {
-            Encoding::Positional => gradient_into(encoded, gradient, self.octaves, out),
-            Encoding::Integrated => integrated_gradient_into(encoded, gradient, self.octaves, out),
+        match self {
+            Code::Positional(octaves) => gradient_into(encoded, gradient, octaves, out),
+            Code::Integrated(octaves) => integrated_gradient_into(encoded, gradient, octaves, out),
+            Code::Features(_) => out.copy_from_slice(gradient),
         }
     }
 

@@ -15,17 +15,21 @@ use std::sync::Arc;
 
 use crate::base::Result;
 use crate::base::rng::{Random, Stream};
-use crate::settings::{Core, Encoding, FieldConfig, Init};
+use crate::settings::{Core, Encoding, FieldConfig, Init, Precision};
 
 mod activation;
 mod dense;
 mod density;
 mod encoding;
 mod fused;
+mod grid;
+pub mod hash;
 mod peak;
+mod slopes;
 mod spatial;
 
 pub use activation::Cotangents;
+pub(crate) use activation::{density_of, raw_density_gradient};
 pub use dense::{dense, dense_reference};
 pub use density::{Density, FieldDensity};
 use encoding::Code;
@@ -33,6 +37,8 @@ pub use encoding::{
     encode, encode_integrated, encode_integrated_reference, encode_reference, encoded_channels, integrated_channels,
 };
 pub(crate) use fused::forget as forget_buffers;
+use grid::Grid;
+pub use grid::TableRecord;
 pub(crate) use peak::peak_gflops;
 pub use spatial::{DensityAt, Spatial, spatial_reference};
 
@@ -59,8 +65,11 @@ pub struct Field {
     trunk: Vec<Layer>,
     density: Layer,
     feature: Layer,
-    view: Layer,
+    /// Layers that read the view direction, the first of them with the trunk's feature.
+    view: Vec<Layer>,
     rgb: Layer,
+    /// The hash grid, where positions are encoded by one.
+    grid: Option<Grid>,
     /// The parameters as variables, in the order of [`Field::parameter_names`]; empty when frozen.
     variables: Vec<(String, Var)>,
     /// The weights laid out for the fused core, where it applies: a copy (see [`Field::prepared`]).
@@ -73,7 +82,7 @@ pub struct Field {
 /// where they are: the fused core computes the trunk below the feature delta, or all of it, once.
 pub struct FixedPoints<'a> {
     field: &'a Field,
-    points: Tensor,
+    inputs: Inputs,
     below: fused::Below,
 }
 
@@ -83,7 +92,25 @@ impl FixedPoints<'_> {
     /// # Errors
     /// Those of candle: shapes that do not fit.
     pub fn forward(&self, viewdirs: &Tensor, delta: Option<FeatureDelta>) -> Result<RawOutput> {
-        self.field.raw_at(&self.points, viewdirs, delta, Some(&self.below))
+        self.field.raw_at(&self.inputs, viewdirs, delta, Some(&self.below))
+    }
+}
+
+/// What the networks of a field read.
+struct Inputs {
+    /// Points `[n, 3]`, Gaussians `[n, 6]`, or features `[n, channels]`.
+    values: Tensor,
+    /// 1 where there can be density, 0 elsewhere, `[n]`; none where it is 1 everywhere.
+    inside: Option<Tensor>,
+}
+
+/// Raw density where there is none, of which every activation makes 0.
+const NOTHING: f64 = -1e4;
+
+impl Inputs {
+    fn only_inside(&self, raw: Tensor) -> Result<Tensor> {
+        let Some(inside) = &self.inside else { return Ok(raw) };
+        Ok(((raw * inside)? + inside.affine(-NOTHING, NOTHING)?)?)
     }
 }
 
@@ -93,6 +120,8 @@ pub struct RawOutput {
     pub rgb: Tensor,
     /// Density before its activation, `[n]`, 1 / length.
     pub density: Tensor,
+    /// Both behind each other, `[4 n]`, where one operation gives them: colours of all points, then densities.
+    pub joined: Option<Tensor>,
 }
 
 /// A delta added to the output of one trunk layer.
@@ -120,21 +149,21 @@ fn layer_shapes(config: &FieldConfig) -> Vec<(String, usize, usize)> {
         .collect();
     shapes.push(("density".into(), 1, width));
     shapes.push(("feature".into(), width, width));
-    shapes.push(("view".into(), width / 2, width + direction));
-    shapes.push(("rgb".into(), 3, width / 2));
+    let neurons = config.view_neurons();
+    shapes.push(("view".into(), neurons, width + direction));
+    shapes.extend((1..config.view_depth).map(|i| (format!("view.{i}"), neurons, neurons)));
+    shapes.push(("rgb".into(), 3, neurons));
     shapes
 }
 
 impl Field {
     /// Names and shapes of all parameters in their fixed order: `trunk.0.weight`, `trunk.0.bias`,
-    /// ..., `rgb.bias`.
+    /// ..., `rgb.bias`; before them `table`, where there is a hash grid.
     pub fn parameter_names(config: &FieldConfig) -> Vec<(String, Vec<usize>)> {
-        layer_shapes(config)
-            .into_iter()
-            .flat_map(|(name, outputs, inputs)| {
-                [(format!("{name}.weight"), vec![outputs, inputs]), (format!("{name}.bias"), vec![outputs])]
-            })
-            .collect()
+        let of_layers = layer_shapes(config).into_iter().flat_map(|(name, outputs, inputs)| {
+            [(format!("{name}.weight"), vec![outputs, inputs]), (format!("{name}.bias"), vec![outputs])]
+        });
+        Grid::parameter(config).into_iter().chain(of_layers).collect()
     }
 
     /// A field with weights drawn from `seed`'s stream `Init` at `index`.
@@ -145,6 +174,9 @@ impl Field {
             Ok(unit.affine(2.0 * bound, -bound)?)
         };
         let mut parameters = Vec::new();
+        if let Some((_, shape)) = Grid::parameter(config) {
+            parameters.push(draw(&shape, grid::INITIAL)?);
+        }
         for (_, outputs, inputs) in layer_shapes(config) {
             let (weight, bias) = match config.init {
                 // Glorot and Bengio 2010, equation 16.
@@ -164,10 +196,21 @@ impl Field {
 
     /// A field over given parameter values, in the order of [`Field::parameter_names`]. The
     /// values are copied.
+    ///
+    /// # Errors
+    /// Values that are not those of the shape, or a precision that their type or device does not have.
     pub fn from_parameters(config: &FieldConfig, values: Vec<Tensor>) -> Result<Field> {
         let expected = Field::parameter_names(config);
         if values.len() != expected.len() {
             return Err(tensor_error(format!("{} parameters given, {} expected", values.len(), expected.len())));
+        }
+        let is_fused = |value: &Tensor| value.device().is_cpu() && value.dtype() == DType::F32;
+        if config.precision == Precision::Bf16 && !(config.core == Core::Fused && values.iter().all(is_fused)) {
+            return Err(crate::base::Error::Config(
+                "field.precision = \"bf16\" is for the fused core, and that is for f32 weights on a processor: run with \
+                 device cpu, or choose field.precision = \"f32\""
+                    .into(),
+            ));
         }
         let mut variables = Vec::with_capacity(values.len());
         for ((name, shape), value) in expected.into_iter().zip(values) {
@@ -182,14 +225,17 @@ impl Field {
 
     fn assemble(config: &FieldConfig, tensors: Vec<Tensor>) -> Field {
         let mut tensors = tensors.into_iter();
+        let grid = (config.encoding == Encoding::Hash).then(|| Grid::new(config, tensors.next().expect("a table")));
         let mut next = |name: String| Layer {
             name,
             weight: tensors.next().expect("one weight a layer"),
             bias: tensors.next().expect("one bias a layer"),
         };
         let mut layers: Vec<Layer> = layer_shapes(config).into_iter().map(|(name, _, _)| next(name)).collect();
-        let mut pop = || layers.pop().expect("four heads");
-        let (rgb, view, feature, density) = (pop(), pop(), pop(), pop());
+        let rgb = layers.pop().expect("a colour head");
+        let view = layers.split_off(layers.len() - config.view_depth);
+        let mut pop = || layers.pop().expect("two heads");
+        let (feature, density) = (pop(), pop());
         Field {
             config: config.clone(),
             trunk: layers,
@@ -197,6 +243,7 @@ impl Field {
             feature,
             view,
             rgb,
+            grid,
             variables: Vec::new(),
             network: None,
             recorder: None,
@@ -214,6 +261,9 @@ impl Field {
         {
             return Ok(self.clone());
         }
+        if let Some(grid) = &self.grid {
+            grid.fetch()?;
+        }
         let parameters: Vec<Tensor> =
             self.layers().flat_map(|layer| [layer.weight.clone(), layer.bias.clone()]).collect();
         Ok(Field { network: Some(Arc::new(fused::prepare(&self.config, &parameters)?)), ..self.clone() })
@@ -224,15 +274,33 @@ impl Field {
     pub fn recording(&self) -> Result<Field> {
         let field = self.prepared()?;
         let recorder = field.network.clone().map(|network| Arc::new(fused::Recorder::new(network)));
-        Ok(Field { recorder, ..field })
+        let grid = field.grid.as_ref().map(|grid| if recorder.is_some() { grid.recording() } else { grid.clone() });
+        Ok(Field { recorder, grid, ..field })
     }
 
     /// The gradients of the weights that backward passes through this field have added up, in the order of
-    /// parameters; none for a field that does not record.
-    pub fn recorded(&self) -> Result<Option<Vec<Tensor>>> {
-        let Some(recorder) = &self.recorder else { return Ok(None) };
-        let shapes = Field::parameter_names(&self.config).into_iter().map(|(_, shape)| shape).collect();
-        Ok(Some(recorder.gradients(shapes)?))
+    /// parameters; none for a field that does not record, and none of a hash grid's table, which [`Field::table_records`]
+    /// has.
+    pub fn recorded(&self) -> Result<Vec<Option<Tensor>>> {
+        let Some(recorder) = &self.recorder else { return Ok(vec![None; self.variables.len()]) };
+        let table = self.grid.iter().map(|_| None);
+        let shapes = layer_shapes(&self.config)
+            .into_iter()
+            .flat_map(|(_, outputs, inputs)| [vec![outputs, inputs], vec![outputs]])
+            .collect();
+        Ok(table.chain(recorder.gradients(shapes)?.into_iter().map(Some)).collect())
+    }
+
+    /// What backward passes through this field have left for the table of its hash grid, in their order.
+    pub fn table_records(&self) -> Vec<TableRecord> {
+        self.grid.as_ref().map_or_else(Vec::new, Grid::take_records)
+    }
+
+    /// The gradient of the hash grid's table, `[entries, features]`, from records in their order; none without a grid or
+    /// records.
+    pub fn table_gradient(&self, records: &[TableRecord]) -> Result<Option<Tensor>> {
+        let Some(grid) = self.grid.as_ref().filter(|_| !records.is_empty()) else { return Ok(None) };
+        Ok(Some(grid.table_gradient(records)?))
     }
 
     /// The fused core, where it applies and nobody expects gradients of the weights in candle's graph.
@@ -244,7 +312,7 @@ impl Field {
 
     /// All layers in the order of parameters.
     fn layers(&self) -> impl Iterator<Item = &Layer> {
-        self.trunk.iter().chain([&self.density, &self.feature, &self.view, &self.rgb])
+        self.trunk.iter().chain([&self.density, &self.feature]).chain(&self.view).chain([&self.rgb])
     }
 
     /// The same weights (shared, not copied) for which no gradient is ever computed.
@@ -253,12 +321,15 @@ impl Field {
     }
 
     /// Points `[n, 3]` that do not move any more; their gradient is not wanted.
-    pub fn fix(&self, points: &Tensor) -> FixedPoints<'_> {
-        FixedPoints { field: self, points: points.detach(), below: fused::Below::default() }
+    pub fn fix(&self, points: &Tensor) -> Result<FixedPoints<'_>> {
+        let inputs = self.inputs(&points.detach())?;
+        Ok(FixedPoints { field: self, inputs, below: fused::Below::default() })
     }
 
     fn detached(&self) -> Field {
-        let tensors = self.layers().flat_map(|layer| [layer.weight.detach(), layer.bias.detach()]).collect();
+        let table = self.grid.iter().map(|grid| grid.table().detach());
+        let of_layers = self.layers().flat_map(|layer| [layer.weight.detach(), layer.bias.detach()]);
+        let tensors = table.chain(of_layers).collect();
         Field { network: self.network.clone(), ..Field::assemble(&self.config, tensors) }
     }
 
@@ -290,36 +361,48 @@ impl Field {
     /// Raw colour and density of points `[n, 3]` seen along unit directions `viewdirs [rays, 3]`; each ray has the
     /// same number of points, one ray's behind another's.
     pub fn forward(&self, points: &Tensor, viewdirs: &Tensor, delta: Option<FeatureDelta>) -> Result<RawOutput> {
-        self.raw_at(points, viewdirs, delta, None)
+        self.raw_at(&self.inputs(points)?, viewdirs, delta, None)
+    }
+
+    /// What the networks read at `positions`: themselves, or their features in the hash grid.
+    fn inputs(&self, positions: &Tensor) -> Result<Inputs> {
+        let Some(grid) = &self.grid else { return Ok(Inputs { values: positions.clone(), inside: None }) };
+        Ok(Inputs { values: grid.encode(positions)?, inside: grid.inside(positions)? })
     }
 
     fn raw_at(
         &self,
-        points: &Tensor,
+        inputs: &Inputs,
         viewdirs: &Tensor,
         delta: Option<FeatureDelta>,
         below: Option<&fused::Below>,
     ) -> Result<RawOutput> {
-        let (n, _) = points.dims2()?;
+        let (n, _) = inputs.values.dims2()?;
         if let Some(query) = self.query(below) {
-            let raw = query.run(points, viewdirs, delta.map(|delta| (delta.layer, delta.delta)))?;
-            return Ok(RawOutput { rgb: raw.narrow(0, 0, 3 * n)?.reshape((n, 3))?, density: raw.narrow(0, 3 * n, n)? });
+            let raw = query.run(&inputs.values, viewdirs, delta.map(|delta| (delta.layer, delta.delta)))?;
+            let (rgb, density) = (raw.narrow(0, 0, 3 * n)?.reshape((n, 3))?, raw.narrow(0, 3 * n, n)?);
+            let joined = inputs.inside.is_none().then_some(raw);
+            return Ok(RawOutput { rgb, density: inputs.only_inside(density)?, joined });
         }
         let encoded_views = self.encode_views(viewdirs, n / viewdirs.dim(0)?.max(1))?;
-        let hidden = self.trunk(points, delta)?;
-        let density = self.layer(&self.density, &hidden, false)?.squeeze(1)?;
+        let hidden = self.trunk(&inputs.values, delta)?;
+        let density = inputs.only_inside(self.layer(&self.density, &hidden, false)?.squeeze(1)?)?;
         let feature = self.layer(&self.feature, &hidden, false)?;
-        let view = self.layer(&self.view, &Tensor::cat(&[&feature, &encoded_views], 1)?, true)?;
-        Ok(RawOutput { rgb: self.layer(&self.rgb, &view, false)?, density })
+        let mut view = Tensor::cat(&[&feature, &encoded_views], 1)?;
+        for layer in &self.view {
+            view = self.layer(layer, &view, true)?;
+        }
+        Ok(RawOutput { rgb: self.layer(&self.rgb, &view, false)?, density, joined: None })
     }
 
     /// Raw density alone, `[n]`.
     pub fn raw_density(&self, points: &Tensor) -> Result<Tensor> {
+        let inputs = self.inputs(points)?;
         if let Some(query) = self.query(None).filter(|query| query.recorder.is_none() && !points.track_op()) {
-            return Ok(query.density(points)?);
+            return inputs.only_inside(query.density(&inputs.values)?);
         }
-        let hidden = self.trunk(points, None)?;
-        Ok(self.layer(&self.density, &hidden, false)?.squeeze(1)?)
+        let hidden = self.trunk(&inputs.values, None)?;
+        inputs.only_inside(self.layer(&self.density, &hidden, false)?.squeeze(1)?)
     }
 
     /// Colour from raw colour, of any shape: a sigmoid, spread by `field.rgb_padding` to both sides.
@@ -337,14 +420,14 @@ impl Field {
     /// What this field is queried at for `points [n, 3]`: the same or, for a field of integrated encoding, Gaussians `[n, 6]`
     /// around them of a `variance` along each axis, length^2.
     pub fn positions(&self, points: &Tensor, variance: [f64; 3]) -> Result<Tensor> {
-        if self.config.encoding == Encoding::Positional {
+        if self.config.encoding != Encoding::Integrated {
             return Ok(points.clone());
         }
         let variance = Tensor::new(&variance, points.device())?.to_dtype(points.dtype())?;
         Ok(Tensor::cat(&[points, &variance.broadcast_as(points.shape())?], 1)?)
     }
 
-    /// The trunk's last output, `[n, width]`.
+    /// The trunk's last output, `[n, width]`, for points, Gaussians or a grid's features.
     fn trunk(&self, points: &Tensor, delta: Option<FeatureDelta>) -> Result<Tensor> {
         let encoded = Code::of_positions(&self.config).apply(points)?;
         let mut hidden = None;

@@ -18,7 +18,9 @@
 //! u_0 = r,   u_l = (W_l u_(l-1) + b_l dL/d raw) m_l,   dL/dW_l = s_l^T u_(l-1),   dL/db_l = s_l^T dL/d raw
 //! ```
 //!
-//! Both are first-order, so candle's second derivatives are never asked for.
+//! Both are first-order, so candle's second derivatives are never asked for. Where a hash grid is the encoding, e is linear
+//! in its table: with e_bar held, the loss pulls on the table as it would through the encoding D e that an operator D =
+//! dL/d raw + dL/d gradient . nabla + dL/d Laplacian nabla^2 makes at each point, whose cotangent is e_bar.
 //! [`spatial_reference`] finds the same with forward tangents in plain candle operations.
 
 use candle_core::{Device, Tensor, Var};
@@ -28,8 +30,10 @@ use crate::settings::{DensityActivation, Encoding};
 
 use super::activation::{Activated, Cotangents};
 use super::dense::mask_where_zero;
+use super::encoding::Code;
 use super::fused::Slope;
-use super::{Field, Layer, encode, encode_reference, encoded_channels, tensor_error};
+use super::slopes::Slopes;
+use super::{Field, Layer, TableRecord, encode_reference, tensor_error};
 
 /// Density and its derivatives in space at `n` points.
 pub struct DensityAt {
@@ -37,7 +41,7 @@ pub struct DensityAt {
     pub density: Tensor,
     /// `[n, 3]`, 1 / length^2.
     pub gradient: Tensor,
-    /// `[n]`, 1 / length^3.
+    /// `[n]`, 1 / length^3. NaN for a hash grid that is interpolated linearly, which has none.
     pub laplacian: Tensor,
 }
 
@@ -51,8 +55,9 @@ pub struct Spatial<'a> {
 /// What a loss's derivatives need to reach the weights.
 struct Tape<'a> {
     field: &'a Field,
-    /// Derivatives of the encoding, channel by channel, `[n, channels]`.
     slopes: Slopes,
+    /// d raw / d encoding, `[n, channels]`.
+    e_bar: Tensor,
     trunk: Trunk,
     activated: Activated,
     raw_gradient: Tensor,
@@ -72,49 +77,6 @@ enum Trunk {
     Fused(Slope),
 }
 
-/// First and second derivatives of each channel of an encoding in its own coordinate, and which
-/// channel belongs to which coordinate.
-struct Slopes {
-    first: Tensor,
-    second: Tensor,
-    /// `[channels, 3]`, 1 where the channel belongs to the axis.
-    axes: Tensor,
-}
-
-impl Slopes {
-    /// From the encoding itself: sine's slope is the frequency times the cosine beside it.
-    fn new(encoded: &Tensor, octaves: usize) -> Result<Slopes> {
-        let channels = encoded_channels(octaves);
-        // first = encoded @ turn + identity: each wave reads its partner.
-        let (mut turn, mut constant) = (vec![0f64; channels * channels], vec![0f64; channels]);
-        let (mut curvature, mut axes) = (vec![0f64; channels], vec![0f64; channels * 3]);
-        for axis in 0..3 {
-            constant[axis] = 1.0;
-            axes[axis * 3 + axis] = 1.0;
-            for octave in 0..octaves {
-                let frequency = 2f64.powi(octave as i32);
-                let (sin, cos) = (3 + 6 * octave + axis, 6 + 6 * octave + axis);
-                turn[cos * channels + sin] = frequency;
-                turn[sin * channels + cos] = -frequency;
-                for channel in [sin, cos] {
-                    curvature[channel] = -frequency * frequency;
-                    axes[channel * 3 + axis] = 1.0;
-                }
-            }
-        }
-        let (dtype, device) = (encoded.dtype(), encoded.device());
-        let tensor = |values: Vec<f64>, shape: (usize, usize)| {
-            Tensor::from_vec(values, shape, &Device::Cpu)?.to_dtype(dtype)?.to_device(device)
-        };
-        let first = encoded.matmul(&tensor(turn, (channels, channels))?)?;
-        Ok(Slopes {
-            first: first.broadcast_add(&tensor(constant, (1, channels))?)?,
-            second: encoded.broadcast_mul(&tensor(curvature, (1, channels))?)?,
-            axes: tensor(axes, (channels, 3))?,
-        })
-    }
-}
-
 impl Field {
     /// Gradient of density in space, `[n, 3]`, where the field is queried at `positions`: points `[n, 3]`, or Gaussians
     /// `[n, 6]`, whose means move.
@@ -132,23 +94,25 @@ impl Field {
         if self.config.encoding == Encoding::Integrated {
             return Err(tensor_error("density's derivatives are those of a field that is queried at points".into()));
         }
-        let encoded = encode(&points.detach(), self.config.position_octaves)?;
-        let slopes = Slopes::new(&encoded, self.config.position_octaves)?;
+        let (points, frozen) = (points.detach(), self.detached());
+        let inputs = frozen.inputs(&points)?;
+        let encoded = Code::of_positions(&self.config).apply(&inputs.values)?;
+        let slopes = Slopes::of(&frozen, &points, &encoded)?;
         let (raw, e_bar, trunk) = match &self.network {
             Some(network) => {
                 // Behind a ReLU nothing else has a derivative.
                 let positive_alone = self.config.density_activation == DensityActivation::Relu;
-                let fused = Slope::new(network.clone(), points, positive_alone)?;
+                let fused = Slope::new(network.clone(), &inputs.values, positive_alone)?;
                 (fused.raw.clone(), fused.slope.clone(), Trunk::Fused(fused))
             }
             None => self.plain_slope(encoded)?,
         };
-        let raw_gradient = (&e_bar * &slopes.first)?.matmul(&slopes.axes)?;
-        let raw_laplacian = (&e_bar * &slopes.second)?.sum(1)?;
+        let raw = inputs.only_inside(raw)?;
+        let (raw_gradient, raw_laplacian) = (slopes.gradient(&e_bar)?, slopes.laplacian(&e_bar)?);
         let activated = Activated::new(self.config.density_activation, &raw)?;
         let (gradient, laplacian) = activated.chain(&raw_gradient, &raw_laplacian)?;
         let density = activated.value.clone();
-        let tape = Tape { field: self, slopes, trunk, activated, raw_gradient, raw_laplacian };
+        let tape = Tape { field: self, slopes, e_bar, trunk, activated, raw_gradient, raw_laplacian };
         Ok(Spatial { at: DensityAt { density, gradient, laplacian }, tape })
     }
 
@@ -193,7 +157,7 @@ impl Field {
     /// The columns of trunk layer `i`'s weight that read the encoding and the layer below.
     fn split_inputs(&self, i: usize) -> Result<(Option<Tensor>, Option<Tensor>)> {
         let weight = &self.trunk[i].weight;
-        let channels = encoded_channels(self.config.position_octaves);
+        let channels = Code::of_positions(&self.config).channels();
         if i == 0 {
             return Ok((Some(weight.clone()), None));
         }
@@ -209,27 +173,42 @@ impl Spatial<'_> {
     /// Gradients of a loss with these derivatives, in the order of [`Field::parameter_names`];
     /// none for layers that density does not depend on.
     pub fn weight_gradients(&self, loss: &Cotangents) -> Result<Vec<Option<Tensor>>> {
+        let (mut gradients, record) = self.recorded_gradients(loss)?;
+        if let Some(record) = record {
+            gradients[0] = self.tape.field.table_gradient(&[record])?;
+        }
+        Ok(gradients)
+    }
+
+    /// The same, where the gradient of a hash grid's table, which is as large as the table, may be left to
+    /// [`Field::table_gradient`], to be made of many records at once.
+    pub fn recorded_gradients(&self, loss: &Cotangents) -> Result<(Vec<Option<Tensor>>, Option<TableRecord>)> {
         let tape = &self.tape;
         let raw = tape.activated.pull_back(loss, &tape.raw_gradient, &tape.raw_laplacian)?;
-        let pull = tape.pull_on_encoding(&raw.gradient, &raw.laplacian)?;
+        let pull = tape.slopes.pull(&raw.gradient, &raw.laplacian)?;
         let field = tape.field;
-        let mut gradients = vec![None; 2 * field.layers().count()];
+        let mut gradients = vec![None; Field::parameter_names(&field.config).len()];
         if pull.is_none() && raw.density.is_none() {
-            return Ok(gradients);
+            return Ok((gradients, None));
+        }
+        let (of_table, of_layers) = gradients.split_at_mut(usize::from(field.grid.is_some()));
+        let mut record = None;
+        if let (Slopes::Grid(grid), [of_table]) = (&tape.slopes, of_table) {
+            (*of_table, record) = grid.table_gradient(&raw, &tape.e_bar)?;
         }
         match &tape.trunk {
             Trunk::Plain { encoded, hidden, adjoints } => {
-                plain_gradients(&field.detached(), (encoded, hidden, adjoints), pull, raw.density, &mut gradients)?;
+                plain_gradients(&field.detached(), (encoded, hidden, adjoints), pull, raw.density, of_layers)?;
             }
             Trunk::Fused(slope) => {
                 let found = slope.gradients(pull.as_ref(), raw.density.as_ref())?;
-                let shapes = Field::parameter_names(&field.config).into_iter().map(|(_, shape)| shape);
-                for ((gradient, values), shape) in gradients.iter_mut().zip(found).zip(shapes) {
+                let shapes = field.layers().flat_map(|layer| [layer.weight.shape(), layer.bias.shape()]);
+                for ((gradient, values), shape) in of_layers.iter_mut().zip(found).zip(shapes) {
                     *gradient = Some(Tensor::from_vec(values, shape, &Device::Cpu)?);
                 }
             }
         }
-        Ok(gradients)
+        Ok((gradients, record))
     }
 }
 
@@ -275,33 +254,18 @@ fn plain_gradients(
     Ok(())
 }
 
-impl Tape<'_> {
-    /// dL/d e_bar, `[n, channels]`.
-    fn pull_on_encoding(&self, gradient: &Option<Tensor>, laplacian: &Option<Tensor>) -> Result<Option<Tensor>> {
-        let through_gradient = gradient
-            .as_ref()
-            .map(|gradient| gradient.matmul(&self.slopes.axes.t()?)? * &self.slopes.first)
-            .transpose()?;
-        let through_laplacian = laplacian
-            .as_ref()
-            .map(|laplacian| self.slopes.second.broadcast_mul(&laplacian.unsqueeze(1)?))
-            .transpose()?;
-        Ok(match (through_gradient, through_laplacian) {
-            (Some(a), Some(b)) => Some((a + b)?),
-            (a, b) => a.or(b),
-        })
-    }
-}
-
 /// Density, gradient and Laplacian (`[n]`, `[n, 3]`, `[n]`) by forward tangents in plain candle
-/// operations, differentiable in the weights: the slow and obvious way.
+/// operations, differentiable in the weights: the slow and obvious way. The Laplacian of a hash grid that is interpolated
+/// linearly is that within its cells.
 pub fn spatial_reference(field: &Field, points: &Tensor) -> Result<(Tensor, Tensor, Tensor)> {
     let config = field.config();
-    let encoded = encode_reference(points, config.position_octaves)?;
-    let slopes = Slopes::new(&encoded, config.position_octaves)?;
-    let along = |axis: usize| slopes.first.broadcast_mul(&slopes.axes.narrow(1, axis, 1)?.t()?);
+    let inputs = field.inputs(points)?;
+    let encoded = match &field.grid {
+        Some(_) => inputs.values.clone(),
+        None => encode_reference(points, config.position_octaves)?,
+    };
     // Three tangents and the sum of second derivatives: linear maps and masks carry all four.
-    let start = [along(0)?, along(1)?, along(2)?, slopes.second.clone()];
+    let start = Slopes::of(field, points, &encoded)?.tangents()?;
     let (mut hidden, mut tangents) = (encoded.clone(), start.clone());
     let linear = |x: &Tensor, layer: &Layer| x.matmul(&layer.weight.t()?);
     for (i, layer) in field.trunk.iter().enumerate() {
@@ -318,7 +282,7 @@ pub fn spatial_reference(field: &Field, points: &Tensor) -> Result<(Tensor, Tens
             *tangent = (linear(tangent, layer)? * &mask)?;
         }
     }
-    let raw = linear(&hidden, &field.density)?.broadcast_add(&field.density.bias)?.squeeze(1)?;
+    let raw = inputs.only_inside(linear(&hidden, &field.density)?.broadcast_add(&field.density.bias)?.squeeze(1)?)?;
     let [x, y, z, laplacian] = tangents.map(|tangent| linear(&tangent, &field.density));
     let gradient = Tensor::cat(&[x?, y?, z?], 1)?;
     let activated = Activated::new(config.density_activation, &raw)?;

@@ -17,8 +17,8 @@ pub struct Smoothness {
     pub l1: f64,
     /// Integral of the gradient's length, length.
     pub tv: f64,
-    /// Integral of abs(Laplacian), 1.
-    pub laplacian: f64,
+    /// Integral of abs(Laplacian), 1; none where density has no Laplacian ([`crate::settings::FieldConfig::has_laplacian`]).
+    pub laplacian: Option<f64>,
     /// Largest density, 1 / length.
     pub largest_density: f64,
     /// Share of points with positive density: all of them where density is a softplus.
@@ -27,26 +27,28 @@ pub struct Smoothness {
 
 /// Measures a field on every cell's midpoint. `advance` is called after each chunk of cells.
 pub fn measure(field: &Field, lattice: &Lattice, mut advance: impl FnMut()) -> Result<Smoothness> {
-    let terms: [&dyn SpaceTerm; 3] = [&L1, &Tv, &Laplacian];
     let points = Quadrature::full(*lattice);
     let volume = points.volume_each();
     let field = &field.prepared()?;
-    let mut sum = Smoothness::default();
+    let bent = field.config().has_laplacian();
+    let mut sum = Smoothness { laplacian: bent.then_some(0.0), ..Smoothness::default() };
     over_chunks(
         &points,
         field.dtype(),
         field.device(),
         |points| {
             let at = field.spatial(points)?.at;
-            let [l1, tv, laplacian] = terms.map(|term| Ok::<f64, Error>(term_sum(term, &at)?.to_scalar()?));
+            let integral = |term: &dyn SpaceTerm| Ok::<f64, Error>(term_sum(term, &at)?.to_scalar()?);
+            let (l1, tv) = (integral(&L1)?, integral(&Tv)?);
+            let laplacian = bent.then(|| integral(&Laplacian)).transpose()?;
             let positive = at.density.gt(0f64)?.to_dtype(DType::F64)?.sum_all()?.to_scalar::<f64>()?;
             let largest_density = at.density.max(0)?.to_dtype(DType::F64)?.to_scalar()?;
-            Ok(Smoothness { l1: l1?, tv: tv?, laplacian: laplacian?, largest_density, occupied: positive })
+            Ok(Smoothness { l1, tv, laplacian, largest_density, occupied: positive })
         },
         |chunk: Smoothness| {
             sum.l1 += volume * chunk.l1;
             sum.tv += volume * chunk.tv;
-            sum.laplacian += volume * chunk.laplacian;
+            sum.laplacian = sum.laplacian.zip(chunk.laplacian).map(|(sum, chunk)| sum + volume * chunk);
             sum.largest_density = sum.largest_density.max(chunk.largest_density);
             sum.occupied += chunk.occupied;
             advance();

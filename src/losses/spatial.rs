@@ -3,7 +3,7 @@
 use candle_core::{DType, Tensor};
 
 use crate::base::Result;
-use crate::field::{Cotangents, DensityAt, Field};
+use crate::field::{Cotangents, DensityAt, Field, TableRecord};
 use crate::space::{Lattice, Quadrature, chunk_size, chunks_at_once, over_chunks};
 
 use super::SpaceTerm;
@@ -33,40 +33,73 @@ pub fn regularize_unless(
 ) -> Result<Regularized> {
     let volume = points.volume_each();
     let field = &field.prepared()?;
-    let mut sum: Option<Regularized> = None;
+    let mut sum: Option<Chunk> = None;
     over_chunks(
         points,
         field.dtype(),
         field.device(),
-        |points| regularize_at(field, points, terms, volume),
+        |points| chunk_at(field, points, terms, volume),
         |chunk| {
             unless_stopped()?;
             match &mut sum {
                 None => sum = Some(chunk),
-                Some(sum) => sum.add(chunk)?,
+                Some(sum) => sum.add(chunk, field)?,
             }
             Ok(())
         },
     )?;
-    Ok(sum.expect("there are points"))
+    sum.expect("there are points").finish(field)
 }
 
 /// The same at `points [n, 3]`, each of which stands for `volume`.
 pub fn regularize_at(field: &Field, points: &Tensor, terms: &[WeightedSpaceTerm], volume: f64) -> Result<Regularized> {
+    chunk_at(field, points, terms, volume)?.finish(field)
+}
+
+/// What points give.
+struct Chunk {
+    regularized: Regularized,
+    /// What a hash grid's table is still to gain.
+    records: Vec<TableRecord>,
+}
+
+/// Points of records that wait for one another: adding up a table's gradient takes as long as a few thousand of them.
+const MOST_RECORDED: usize = 1 << 16;
+
+fn chunk_at(field: &Field, points: &Tensor, terms: &[WeightedSpaceTerm], volume: f64) -> Result<Chunk> {
     let spatial = field.spatial(points)?;
     let values: Vec<Tensor> = terms.iter().map(|(term, _)| term_sum(*term, &spatial.at)).collect::<Result<_>>()?;
     let values = (Tensor::stack(&values, 0)? * volume)?;
-    let gradients = spatial.weight_gradients(&cotangents(&spatial.at, terms, volume)?)?;
-    Ok(Regularized { values, gradients })
+    let (gradients, record) = spatial.recorded_gradients(&cotangents(&spatial.at, terms, volume)?)?;
+    Ok(Chunk { regularized: Regularized { values, gradients }, records: record.into_iter().collect() })
 }
 
-impl Regularized {
-    fn add(&mut self, other: Regularized) -> Result<()> {
-        self.values = (&self.values + other.values)?;
-        for (sum, gradient) in self.gradients.iter_mut().zip(other.gradients) {
+impl Chunk {
+    fn add(&mut self, other: Chunk, field: &Field) -> Result<()> {
+        let sum = &mut self.regularized;
+        sum.values = (&sum.values + other.regularized.values)?;
+        for (sum, gradient) in sum.gradients.iter_mut().zip(other.regularized.gradients) {
             *sum = plus(sum.take(), gradient)?;
         }
+        self.records.extend(other.records);
+        if self.records.iter().map(TableRecord::count).sum::<usize>() >= MOST_RECORDED {
+            self.settle(field)?;
+        }
         Ok(())
+    }
+
+    /// Adds the records to the table's gradient, which comes first.
+    fn settle(&mut self, field: &Field) -> Result<()> {
+        if let Some(gradient) = field.table_gradient(&std::mem::take(&mut self.records))? {
+            let sum = &mut self.regularized.gradients[0];
+            *sum = plus(sum.take(), Some(gradient))?;
+        }
+        Ok(())
+    }
+
+    fn finish(mut self, field: &Field) -> Result<Regularized> {
+        self.settle(field)?;
+        Ok(self.regularized)
     }
 }
 
@@ -109,7 +142,7 @@ pub fn estimate_seconds(field: &Field, lattice: &Lattice, count: usize, terms: &
         if terms.is_empty() {
             field.spatial(&points)?;
         } else {
-            regularize_at(field, &points, terms, 1.0)?;
+            chunk_at(field, &points, terms, 1.0)?;
         }
         device.synchronize()?;
         Ok(started.elapsed().as_secs_f64())

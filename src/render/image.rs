@@ -29,7 +29,9 @@ pub fn resample(
 ) -> Result<Tensor> {
     match field.config().encoding {
         Encoding::Positional => sampling::importance(t_vals, weights, u),
-        Encoding::Integrated => sampling::resample_intervals(t_vals, weights, u, sampling.resample_padding),
+        Encoding::Integrated | Encoding::Hash => {
+            sampling::resample_intervals(t_vals, weights, u, sampling.resample_padding)
+        }
     }
 }
 
@@ -52,11 +54,15 @@ pub fn render_rays(
 
 /// The `t_vals` of an evaluation's fine pass, after the coarse field at `t_vals`.
 pub fn fine_t_vals(coarse: &Field, rays: &Rays, t_vals: &Tensor, sampling: &SamplingConfig) -> Result<Tensor> {
-    // The coarse pass only places samples: density alone will do.
+    let u = sampling::even_u(rays.len(), columns(coarse, sampling).1, t_vals)?;
+    place(coarse, rays, t_vals, sampling, &u)
+}
+
+/// The fine pass's `t_vals` at `u`, by the density of the coarse field at `t_vals` alone: no colours, no gradients, no noise.
+pub fn place(coarse: &Field, rays: &Rays, t_vals: &Tensor, sampling: &SamplingConfig, u: &Tensor) -> Result<Tensor> {
     let positions = positions_at(coarse, rays, t_vals)?.flatten(0, 1)?;
     let raw = coarse.raw_density(&positions)?.reshape((rays.len(), sampling.coarse))?;
     let intervals = volume::intervals(t_vals, &rays.direction_norm, sampling.coarse)?;
     let weights = volume::weights_from_density(&coarse.activate_density(&raw)?, &intervals)?;
-    let u = sampling::even_u(rays.len(), columns(coarse, sampling).1, t_vals)?;
-    resample(coarse, sampling, t_vals, &weights, &u)
+    resample(coarse, sampling, t_vals, &weights, u)
 }

@@ -6,6 +6,8 @@ use crate::base::Result;
 
 mod cast;
 mod image;
+mod light;
+mod loss;
 mod pass;
 mod perturbed;
 pub mod sampling;
@@ -13,8 +15,9 @@ mod scan;
 pub mod volume;
 
 pub use cast::{gaussians_at, points_at, positions_at, ray_parts, samples_of};
-pub use image::{columns, fine_t_vals, render_rays, resample};
-pub use pass::{Pass, PassOutput, clean_pass, noiseless_acc};
+pub use image::{columns, fine_t_vals, place, render_rays, resample};
+pub use loss::{PassLoss, clean_pass_loss, noiseless_acc, perturbed_pass_loss};
+pub use pass::{Pass, PassOutput, clean_pass};
 pub use perturbed::{FixedSamples, Perturbation, PerturbedOutput, UsedDeltas, perturbed_pass};
 pub use volume::Composite;
 

@@ -1,6 +1,6 @@
 //! One clean pass of rays through one field.
 
-use candle_core::{D, Tensor};
+use candle_core::Tensor;
 
 use crate::base::Result;
 use crate::data::Rays;
@@ -39,10 +39,15 @@ pub struct PassOutput {
 
 /// Renders one pass without perturbation.
 pub fn clean_pass(field: &Field, pass: Pass) -> Result<PassOutput> {
+    let raw = clean_raw(field, pass)?;
+    finish(pass, pass.t_vals, &raw, activate(field, &raw, pass.density_noise)?)
+}
+
+/// Raw colour and density of a pass without perturbation.
+pub(super) fn clean_raw(field: &Field, pass: Pass) -> Result<RawOutput> {
     let positions = positions_at(field, pass.rays, pass.t_vals)?.flatten(0, 1)?;
     let raw = field.forward(&positions, &pass.rays.viewdirs, None)?;
-    let raw = by_ray(raw, pass.rays.len(), samples_of(field, pass.t_vals)?)?;
-    finish(pass, pass.t_vals, &raw, activate(field, &raw, pass.density_noise)?)
+    by_ray(raw, pass.rays.len(), samples_of(field, pass.t_vals)?)
 }
 
 /// Composites the samples of a pass whose samples lie at `t_vals`.
@@ -53,19 +58,10 @@ pub(super) fn finish(pass: Pass, t_vals: &Tensor, raw: &RawOutput, samples: Samp
     Ok(PassOutput { composite, rgb, density, t_vals, raw_density })
 }
 
-/// Accumulation of rays without density noise, `[rays]`: what an evaluation would see.
-pub fn noiseless_acc(field: &Field, out: &PassOutput, pass: Pass) -> Result<Tensor> {
-    if pass.density_noise.is_none() {
-        return Ok(out.composite.acc.detach());
-    }
-    let samples = out.raw_density.dim(1)?;
-    let intervals = volume::intervals(pass.t_vals, &pass.rays.direction_norm, samples)?;
-    Ok(volume::weights_from_density(&field.activate_density(&out.raw_density)?, &intervals)?.sum(D::Minus1)?)
-}
-
 /// A field's raw output as rgb `[rays, samples, 3]` and density `[rays, samples]`.
 pub(super) fn by_ray(raw: RawOutput, rays: usize, samples: usize) -> Result<RawOutput> {
-    Ok(RawOutput { rgb: raw.rgb.reshape((rays, samples, 3))?, density: raw.density.reshape((rays, samples))? })
+    let (rgb, density) = (raw.rgb.reshape((rays, samples, 3))?, raw.density.reshape((rays, samples))?);
+    Ok(RawOutput { rgb, density, ..raw })
 }
 
 /// What is composited: colour and density of each sample.

@@ -57,9 +57,14 @@ impl UsedDeltas {
 /// # Errors
 /// Those of candle: shapes that do not fit.
 pub fn perturbed_pass(field: &Field, pass: Pass, perturbation: Perturbation) -> Result<PerturbedOutput> {
+    query(field, pass, perturbation)?.finish()
+}
+
+/// The pass through its field.
+pub(super) fn query<'a>(field: &'a Field, pass: Pass<'a>, perturbation: Perturbation<'a>) -> Result<Queried<'a>> {
     let samples = MovedSamples::new(field, pass, perturbation.deltas)?;
     let query = |viewdirs: &Tensor, delta: Option<FeatureDelta>| field.forward(&samples.positions, viewdirs, delta);
-    perturb(field, pass, &samples.t_vals, perturbation, query)
+    Queried::new(field, pass, &samples.t_vals, perturbation, query)
 }
 
 /// The samples of a pass that no delta moves any more. What depends on them alone is computed once for all passes
@@ -81,7 +86,7 @@ impl<'a> FixedSamples<'a> {
     /// Those of candle: shapes that do not fit.
     pub fn new(field: &'a Field, pass: Pass<'a>, deltas: &Deltas) -> Result<FixedSamples<'a>> {
         let MovedSamples { t_vals, positions } = MovedSamples::new(field, pass, deltas)?;
-        Ok(FixedSamples { field, pass, t_vals, points: field.fix(&positions) })
+        Ok(FixedSamples { field, pass, t_vals, points: field.fix(&positions)? })
     }
 
     /// As [`perturbed_pass`]; the deltas of [`FixedSamples::MOVED_BY`] are those that it was made with.
@@ -89,8 +94,13 @@ impl<'a> FixedSamples<'a> {
     /// # Errors
     /// Those of candle: shapes that do not fit.
     pub fn perturbed_pass(&self, perturbation: Perturbation) -> Result<PerturbedOutput> {
+        self.query(perturbation)?.finish()
+    }
+
+    /// The pass through its field.
+    pub(super) fn query<'b>(&'b self, perturbation: Perturbation<'b>) -> Result<Queried<'b>> {
         let query = |viewdirs: &Tensor, delta: Option<FeatureDelta>| self.points.forward(viewdirs, delta);
-        perturb(self.field, self.pass, &self.t_vals, perturbation, query)
+        Queried::new(self.field, self.pass, &self.t_vals, perturbation, query)
     }
 }
 
@@ -117,30 +127,49 @@ impl MovedSamples {
     }
 }
 
-/// The pass behind its samples, which `query` takes to raw colour and density.
-fn perturb(
-    field: &Field,
-    pass: Pass,
-    t_vals: &Tensor,
-    perturbation: Perturbation,
-    query: impl FnOnce(&Tensor, Option<FeatureDelta>) -> Result<RawOutput>,
-) -> Result<PerturbedOutput> {
-    let deltas = perturbation.deltas;
-    let viewdirs = match deltas.get(Site::View) {
-        Some(delta) => tilt(pass.rays, delta)?,
-        None => pass.rays.viewdirs.clone(),
-    };
-    let feature = deltas.get(Site::Feature).map(|delta| delta.flatten(0, 1)).transpose()?;
-    let feature = feature.as_ref().map(|delta| FeatureDelta { layer: perturbation.injection_layer, delta });
-    let raw = by_ray(query(&viewdirs, feature)?, pass.rays.len(), samples_of(field, t_vals)?)?;
-    let mut used = UsedDeltas::of(perturbation);
-    let values = match perturbation.output {
-        OutputPlace::After => {
-            add_after(activate(field, &raw, pass.density_noise)?, perturbation, field.config().rgb_padding, &mut used)?
-        }
-        OutputPlace::Before => activate(field, &add_before(&raw, perturbation, &mut used)?, pass.density_noise)?,
-    };
-    Ok(PerturbedOutput { pass: finish(pass, t_vals, &raw, values)?, used })
+/// A perturbed pass that has been through its field, and no further.
+pub(super) struct Queried<'a> {
+    pub(super) field: &'a Field,
+    pub(super) pass: Pass<'a>,
+    /// With their delta.
+    pub(super) t_vals: Tensor,
+    pub(super) perturbation: Perturbation<'a>,
+    pub(super) raw: RawOutput,
+}
+
+impl<'a> Queried<'a> {
+    /// With samples at `t_vals`, which `query` takes to raw colour and density.
+    fn new(
+        field: &'a Field,
+        pass: Pass<'a>,
+        t_vals: &Tensor,
+        perturbation: Perturbation<'a>,
+        query: impl FnOnce(&Tensor, Option<FeatureDelta>) -> Result<RawOutput>,
+    ) -> Result<Queried<'a>> {
+        let deltas = perturbation.deltas;
+        let viewdirs = match deltas.get(Site::View) {
+            Some(delta) => tilt(pass.rays, delta)?,
+            None => pass.rays.viewdirs.clone(),
+        };
+        let feature = deltas.get(Site::Feature).map(|delta| delta.flatten(0, 1)).transpose()?;
+        let feature = feature.as_ref().map(|delta| FeatureDelta { layer: perturbation.injection_layer, delta });
+        let raw = by_ray(query(&viewdirs, feature)?, pass.rays.len(), samples_of(field, t_vals)?)?;
+        Ok(Queried { field, pass, t_vals: t_vals.clone(), perturbation, raw })
+    }
+
+    /// The pass behind its field.
+    pub(super) fn finish(self) -> Result<PerturbedOutput> {
+        let Queried { field, pass, t_vals, perturbation, raw } = self;
+        let mut used = UsedDeltas::of(perturbation);
+        let values = match perturbation.output {
+            OutputPlace::After => {
+                let values = activate(field, &raw, pass.density_noise)?;
+                add_after(values, perturbation, field.config().rgb_padding, &mut used)?
+            }
+            OutputPlace::Before => activate(field, &add_before(&raw, perturbation, &mut used)?, pass.density_noise)?,
+        };
+        Ok(PerturbedOutput { pass: finish(pass, &t_vals, &raw, values)?, used })
+    }
 }
 
 /// Moves unit view directions by two small angles `[rays, 2]` in their tangent planes.
@@ -193,5 +222,5 @@ fn add_before(raw: &RawOutput, p: Perturbation, used: &mut UsedDeltas) -> Result
         used.deltas.set(site, projected);
         straight_through(moved, value, delta)
     };
-    Ok(RawOutput { rgb: add(Site::Rgb, &raw.rgb)?, density: add(Site::Density, &raw.density)? })
+    Ok(RawOutput { rgb: add(Site::Rgb, &raw.rgb)?, density: add(Site::Density, &raw.density)?, joined: None })
 }

@@ -5,7 +5,7 @@ use candle_core::{CpuStorage, CustomOp3, Layout, Result, Shape, Tensor, WithDTyp
 use crate::field::contiguous;
 
 /// Scalars that the scans are written for. Sums along a ray are in f64.
-trait Real: WithDType {
+pub(super) trait Real: WithDType {
     fn exp_neg(self) -> Self;
 }
 
@@ -29,6 +29,26 @@ pub(super) struct Scan {
     pub direction_norm: Vec<f64>,
     pub last_interval: f64,
     pub background: Option<[f32; 3]>,
+}
+
+/// What a forward pass went through, and left.
+pub(super) struct Passed<'a, T> {
+    pub(super) rgb: &'a [T],
+    pub(super) density: &'a [T],
+    pub(super) t_vals: &'a [T],
+    pub(super) weights: &'a [T],
+    /// Transmittance behind each sample.
+    pub(super) behind: &'a [T],
+}
+
+/// Gradients of what rays show; 0 where there are none.
+pub(super) struct Pull<'a, T> {
+    pub(super) colours: &'a [T],
+    pub(super) depths: Option<&'a [T]>,
+    pub(super) accs: Option<&'a [T]>,
+    pub(super) weights: Option<&'a [T]>,
+    /// Positions want a gradient; left 0 otherwise.
+    pub(super) wants_t_vals: bool,
 }
 
 /// One ray's samples.
@@ -109,10 +129,12 @@ impl Scan {
         self.background.unwrap_or_default().map(f64::from)
     }
 
-    fn forward<T: Real>(&self, rgb: &[T], density: &[T], t_vals: &[T]) -> Vec<T> {
+    /// The flat output, and the transmittance behind each sample.
+    pub(super) fn forward<T: Real>(&self, rgb: &[T], density: &[T], t_vals: &[T]) -> (Vec<T>, Vec<T>) {
         let rays = self.direction_norm.len();
         let samples = density.len().checked_div(rays).unwrap_or(0);
         let mut out = vec![T::from_f64(0.0); rays * (5 + samples)];
+        let mut all_behind = Vec::with_capacity(density.len());
         let (colours, rest) = out.split_at_mut(3 * rays);
         let (depths, rest) = rest.split_at_mut(rays);
         let (accs, weights) = rest.split_at_mut(rays);
@@ -120,8 +142,9 @@ impl Scan {
             let ray = self.ray(i, samples, rgb, density, t_vals);
             let (mut colour, mut depth, mut acc) = ([0f64; 3], 0.0, 0.0);
             let weights = &mut weights[i * samples..][..samples];
-            ray.scan(|k, Light { weight, .. }| {
+            ray.scan(|k, Light { weight, behind, .. }| {
                 weights[k] = T::from_f64(weight);
+                all_behind.push(T::from_f64(behind));
                 for (sum, c) in colour.iter_mut().zip(&ray.rgb[3 * k..3 * k + 3]) {
                     *sum += weight * c.to_f64();
                 }
@@ -134,56 +157,71 @@ impl Scan {
             depths[i] = T::from_f64(depth);
             accs[i] = T::from_f64(acc);
         }
-        out
+        (out, all_behind)
+    }
+
+    /// Accumulation of each ray, the sum of its weights.
+    pub(super) fn accumulations<T: Real>(&self, density: &[T], t_vals: &[T]) -> Vec<T> {
+        let rays = self.direction_norm.len();
+        let [samples, columns] = [density, t_vals].map(|values| values.len().checked_div(rays).unwrap_or(0));
+        let acc = |(i, &norm): (usize, &f64)| {
+            let (density, t_vals) = (&density[i * samples..][..samples], &t_vals[i * columns..][..columns]);
+            let ray = Ray { rgb: &[], density, t_vals, norm, last_interval: self.last_interval };
+            let mut acc = 0.0;
+            ray.scan(|_, light| acc += light.weight);
+            T::from_f64(acc)
+        };
+        self.direction_norm.iter().enumerate().map(acc).collect()
     }
 
     /// With G_k the gradient of weight k: that of the optical depth o_k = density_k * interval_k is
     /// G_k T_k exp(-o_k) - sum over l > k of G_l w_l, where the last interval's o takes part in no other weight.
-    fn backward<T: Real>(&self, rgb: &[T], density: &[T], t_vals: &[T], gradient: &[T]) -> [Vec<T>; 3] {
+    pub(super) fn backward<T: Real>(&self, passed: Passed<T>, pull: Pull<T>) -> [Vec<T>; 3] {
+        let Passed { rgb, density, t_vals, weights, behind } = passed;
         let rays = self.direction_norm.len();
         let samples = density.len().checked_div(rays).unwrap_or(0);
-        let (g_colours, rest) = gradient.split_at(3 * rays);
-        let (g_depths, rest) = rest.split_at(rays);
-        let (g_accs, g_weights) = rest.split_at(rays);
         let zeros = |n: usize| vec![T::from_f64(0.0); n];
         let mut out = [zeros(rgb.len()), zeros(density.len()), zeros(t_vals.len())];
         let [d_rgb, d_density, d_t] = &mut out;
-        let (mut weights, mut behind) = (vec![0f64; samples], vec![0f64; samples]);
+        let pulled = |gradient: Option<&[T]>, at: usize| gradient.map_or(0.0, |gradient| gradient[at].to_f64());
         for i in 0..rays {
             let ray = self.ray(i, samples, rgb, density, t_vals);
-            ray.scan(|k, light| (weights[k], behind[k]) = (light.weight, light.behind));
-            let g_colour: [f64; 3] = std::array::from_fn(|c| g_colours[3 * i + c].to_f64());
-            let (g_depth, fill) = (g_depths[i].to_f64(), self.fill());
-            let g_acc = g_accs[i].to_f64() - (0..3).map(|c| g_colour[c] * fill[c]).sum::<f64>();
+            let g_colour: [f64; 3] = std::array::from_fn(|c| pull.colours[3 * i + c].to_f64());
+            let (g_depth, fill) = (pulled(pull.depths, i), self.fill());
+            let g_acc = pulled(pull.accs, i) - (0..3).map(|c| g_colour[c] * fill[c]).sum::<f64>();
             let row = i * samples;
             // What the samples behind contribute: nothing behind the last.
             let mut later = 0.0;
             for k in (0..samples).rev() {
                 let colour = &ray.rgb[3 * k..3 * k + 3];
+                let weight = weights[row + k].to_f64();
                 let of_colour: f64 = (0..3).map(|c| g_colour[c] * colour[c].to_f64()).sum();
-                let g_weight = of_colour + g_depth * ray.position(k) + g_acc + g_weights[row + k].to_f64();
+                let g_weight = of_colour + g_depth * ray.position(k) + g_acc + pulled(pull.weights, row + k);
                 for c in 0..3 {
-                    d_rgb[3 * (row + k) + c] = T::from_f64(weights[k] * g_colour[c]);
+                    d_rgb[3 * (row + k) + c] = T::from_f64(weight * g_colour[c]);
                 }
-                let d_optical = g_weight * behind[k] - later;
+                let d_optical = g_weight * behind[row + k].to_f64() - later;
                 d_density[row + k] = T::from_f64(d_optical * ray.interval(k).to_f64());
+                later += g_weight * weight;
+                if !pull.wants_t_vals {
+                    continue;
+                }
                 let d_length = d_optical * ray.density[k].to_f64() * ray.norm;
                 let mut add = |column: usize, value: f64| {
                     let at = &mut d_t[i * ray.t_vals.len() + column];
                     *at = T::from_f64(at.to_f64() + value);
                 };
-                let pull = g_depth * weights[k];
+                let along = g_depth * weight;
                 if ray.has_edges() {
-                    add(k, 0.5 * pull);
-                    add(k + 1, 0.5 * pull);
+                    add(k, 0.5 * along);
+                    add(k + 1, 0.5 * along);
                 } else {
-                    add(k, pull);
+                    add(k, along);
                 }
                 if k + 1 < ray.t_vals.len() {
                     add(k, -d_length);
                     add(k + 1, d_length);
                 }
-                later += g_weight * weights[k];
             }
         }
         out
@@ -219,7 +257,7 @@ impl CustomOp3 for Scan {
                     contiguous($density, density_layout)?,
                     contiguous($t_vals, t_layout)?,
                 );
-                let out = self.forward(rgb, density, t_vals);
+                let (out, _) = self.forward(rgb, density, t_vals);
                 let n = out.len();
                 Ok((CpuStorage::$kind(out), Shape::from(n)))
             }};
@@ -254,8 +292,23 @@ impl Scan {
     ) -> Result<(Option<Tensor>, Option<Tensor>, Option<Tensor>)> {
         let values = |tensor: &Tensor| tensor.flatten_all()?.to_vec1::<T>();
         let [rgb, density, t_vals] = arguments;
-        let found = self.backward(&values(rgb)?, &values(density)?, &values(t_vals)?, &values(gradient)?);
-        let [d_rgb, d_density, d_t] = found;
+        let (of_rgb, of_density, of_t) = (values(rgb)?, values(density)?, values(t_vals)?);
+        let rays = self.direction_norm.len();
+        let (out, behind) = self.forward(&of_rgb, &of_density, &of_t);
+        let gradient = values(gradient)?;
+        let (colours, rest) = gradient.split_at(3 * rays);
+        let (depths, rest) = rest.split_at(rays);
+        let (accs, weights) = rest.split_at(rays);
+        let passed =
+            Passed { rgb: &of_rgb, density: &of_density, t_vals: &of_t, weights: &out[5 * rays..], behind: &behind };
+        let pull = Pull {
+            colours,
+            depths: Some(depths),
+            accs: Some(accs),
+            weights: Some(weights),
+            wants_t_vals: t_vals.track_op(),
+        };
+        let [d_rgb, d_density, d_t] = self.backward(passed, pull);
         let tensor = |values: Vec<T>, like: &Tensor| {
             like.track_op().then(|| Tensor::from_vec(values, like.shape(), like.device())).transpose()
         };

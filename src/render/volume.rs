@@ -22,6 +22,18 @@ pub struct Composite {
     pub weights: Tensor,
 }
 
+impl Composite {
+    /// What a [`Scan`] leaves.
+    pub(super) fn of_flat(out: &Tensor, rays: usize, samples: usize) -> Result<Composite> {
+        Ok(Composite {
+            rgb: out.narrow(0, 0, 3 * rays)?.reshape((rays, 3))?,
+            depth: out.narrow(0, 3 * rays, rays)?,
+            acc: out.narrow(0, 4 * rays, rays)?,
+            weights: out.narrow(0, 5 * rays, rays * samples)?.reshape((rays, samples))?,
+        })
+    }
+}
+
 /// Lengths of `samples` intervals in scene units, `[rays, samples]`: differences of `t_vals` times the length of the
 /// direction `direction_norm` `[rays, 1]`. Of points `[rays, samples]` the last one is [`LAST_INTERVAL`] long; edges
 /// `[rays, samples + 1]` (MipNeRF) bound every interval.
@@ -87,12 +99,7 @@ pub fn composite(
     let direction_norm = direction_norm.to_dtype(DType::F64)?.flatten_all()?.to_vec1()?;
     let scan = Scan { direction_norm, last_interval: LAST_INTERVAL, background };
     let out = rgb.contiguous()?.apply_op3(&density.contiguous()?, &t_vals.contiguous()?, scan)?;
-    Ok(Composite {
-        rgb: out.narrow(0, 0, 3 * rays)?.reshape((rays, 3))?,
-        depth: out.narrow(0, 3 * rays, rays)?,
-        acc: out.narrow(0, 4 * rays, rays)?,
-        weights: out.narrow(0, 5 * rays, rays * samples)?.reshape((rays, samples))?,
-    })
+    Composite::of_flat(&out, rays, samples)
 }
 
 /// The same in plain candle operations.

@@ -1,14 +1,19 @@
 //! Rendering of whole views and their metrics.
 
+use std::time::Instant;
+
 use candle_core::DType;
 use rayon::prelude::*;
 
 use crate::base::{Error, Event, Image, Listener, Result};
 use crate::data::{Camera, RayBuffer, Scene, View, seen_views};
-use crate::methods::Model;
+use crate::methods::{Model, Painter};
 use crate::metrics::{Lpips, ViewMetrics, depth_errors, measure, measure_depth};
 use crate::runtime::Runtime;
 use crate::settings::Resolved;
+
+/// Chunks of each thread that an estimate of time is made from.
+const CHUNKS_TIMED: usize = 4;
 
 /// One rendered view, row-major.
 pub struct RenderedView {
@@ -69,13 +74,27 @@ impl Viewer<'_> {
     }
 
     fn render_here(&self, stride: usize, camera: &Camera) -> Result<RenderedView> {
-        let Viewer { model, config, scene, runtime } = *self;
-        let device = runtime.device();
-        let painter = model.painter(config, scene)?;
         let places = |size: usize| (0..size as u32).step_by(stride);
         let (width, height) = (places(camera.width).len(), places(camera.height).len());
         let pixels: Vec<(&Camera, u32, u32)> =
             places(camera.height).flat_map(|y| places(camera.width).map(move |x| (camera, x, y))).collect();
+        let [rgb, depth, acc] = self.paint(&*self.model.painter(self.config, self.scene)?, &pixels)?;
+        if let Some(bad) = rgb.iter().position(|value| !value.is_finite()) {
+            return Err(Error::Diverged(format!(
+                "the rendered colour of pixel ({}, {}) is not a number: the weights are broken; delete the \
+                 newest checkpoint to fall back on the one before it",
+                bad / 3 % width * stride,
+                bad / 3 / width * stride
+            )));
+        }
+        let image = Image { width, height, channels: 3, pixels: rgb };
+        Ok(RenderedView { image, depth, acc })
+    }
+
+    /// Some pixels: colours, mean distances, accumulated weights.
+    fn paint(&self, painter: &dyn Painter, pixels: &[(&Camera, u32, u32)]) -> Result<[Vec<f32>; 3]> {
+        let Viewer { config, scene, runtime, .. } = *self;
+        let device = runtime.device();
         let render = |part: &[(&Camera, u32, u32)]| -> Result<[Vec<f32>; 3]> {
             let rays = RayBuffer::new(part, scene.ndc.as_ref(), config.data.pixel_origin, painter.ray_parts())
                 .to_tensors(DType::F32, device)?;
@@ -88,22 +107,35 @@ impl Viewer<'_> {
         } else {
             pixels.chunks(config.eval.chunk).map(render).collect()
         };
-        let (mut rgb, mut depth, mut acc) = (Vec::new(), Vec::new(), Vec::new());
-        for [part_rgb, part_depth, part_acc] in parts? {
-            rgb.extend(part_rgb);
-            depth.extend(part_depth);
-            acc.extend(part_acc);
+        let mut painted: [Vec<f32>; 3] = Default::default();
+        for part in parts? {
+            painted.iter_mut().zip(part).for_each(|(whole, part)| whole.extend(part));
         }
-        if let Some(bad) = rgb.iter().position(|value| !value.is_finite()) {
-            return Err(Error::Diverged(format!(
-                "the rendered colour of pixel ({}, {}) is not a number: the weights are broken; delete the \
-                 newest checkpoint to fall back on the one before it",
-                bad / 3 % width * stride,
-                bad / 3 / width * stride
-            )));
+        Ok(painted)
+    }
+
+    /// Seconds that views of `cameras` will take, from some rows in the middle of the first: enough to give each thread a
+    /// few chunks. None where these would be a tenth of all rows or more, which are soon rendered.
+    ///
+    /// # Errors
+    /// Those of candle.
+    pub fn estimate_seconds(&self, cameras: &[&Camera]) -> Result<Option<f64>> {
+        let Some(first) = cameras.first() else { return Ok(None) };
+        let pixels: usize = cameras.iter().map(|camera| camera.width * camera.height).sum();
+        let rows = (CHUNKS_TIMED * self.runtime.threads() * self.config.eval.chunk).div_ceil(first.width);
+        let timed = rows * first.width;
+        if rows > first.height || 10 * timed > pixels {
+            return Ok(None);
         }
-        let image = Image { width, height, channels: 3, pixels: rgb };
-        Ok(RenderedView { image, depth, acc })
+        self.runtime.install(|| {
+            let painter = self.model.painter(self.config, self.scene)?;
+            let top = (first.height - rows) / 2;
+            let started = Instant::now();
+            let some: Vec<(&Camera, u32, u32)> =
+                (top..top + rows).flat_map(|y| (0..first.width as u32).map(move |x| (*first, x, y as u32))).collect();
+            self.paint(&*painter, &some)?;
+            Ok(Some(started.elapsed().as_secs_f64() / timed as f64 * pixels as f64))
+        })
     }
 
     /// The errors of a rendered view's depth, as `depth_errors.gz` keeps them; none of a view without a depth of its own.

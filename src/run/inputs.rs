@@ -56,7 +56,7 @@ pub fn load_scene(config: Config, events: &dyn Listener) -> Result<(Resolved, Sc
     let located = locate_scene(config)?;
     let mut scene = data::load(&located.data, located.seed, events)?;
     scene.name.clone_from(&located.data.name);
-    Ok((located.resolve(scene.near, scene.far), scene))
+    Ok((located.resolve(scene.extent()), scene))
 }
 
 /// Every LPIPS backbone whose weights the folder holds; none for an empty name.

@@ -10,8 +10,8 @@ use crate::methods::{Model, step_over_radius};
 use crate::metrics::Lpips;
 use crate::settings::columns::{COLUMNS, find, perturbed, regularized};
 use crate::settings::{
-    Config, Core, EvalSplit, LatticePoints, RegularizerConfig, Resolved, ResolvedPerturb, Schedule, TrainViews,
-    value_at,
+    Config, Core, Encoding, EvalSplit, HashConfig, LatticePoints, Precision, RegularizerConfig, Resolved,
+    ResolvedPerturb, Schedule, TrainViews, value_at, word,
 };
 use crate::train::checkpoint::State;
 
@@ -122,6 +122,8 @@ fn of_settings(config: &Resolved) -> Found {
         ("regularizer_points", in_space.map(regularizer_points).into()),
         ("regularizer_domain", in_space.map(|regularizer| format!("{:?}", regularizer.domain)).into()),
         ("learning_rate", learning_rate(config).into()),
+        ("adam", format!("beta2 {}, epsilon {:e}", config.train.adam_beta2, config.train.adam_epsilon).into()),
+        ("hash_grid", (config.field.encoding == Encoding::Hash).then(|| hash_grid(&config.field.hash)).into()),
         ("config_hash", config.hash().into()),
         ("program", version().into()),
     ]
@@ -166,13 +168,17 @@ fn of_state(config: &Resolved, state: &State) -> Found {
         Core::Plain => "plain".into(),
         Core::Fused => by_device(|device| if device == "cpu" { "fused" } else { "plain" }),
     };
+    let precision = match config.field.precision {
+        Precision::Bf16 => "bf16".into(),
+        Precision::F32 => by_device(|device| if device == "cuda-tf32" { "tf32" } else { "f32" }),
+    };
     vec![
         ("steps", state.step.into()),
         ("redraws", redraws.collect::<Vec<String>>().join(", ").into()),
         ("code_revision", state.revisions.join(" + ").into()),
         ("device", state.devices.join(" + ").into()),
         ("core", core.into()),
-        ("precision", by_device(|device| if device == "cuda-tf32" { "tf32" } else { "f32" }).into()),
+        ("precision", precision.into()),
         ("instructions", state.instructions.join(" + ").into()),
     ]
 }
@@ -185,6 +191,17 @@ fn learning_rate(config: &Resolved) -> String {
         Schedule::Exponential => format!("{start}, times {} every {}", train.decay_rate, config.decay_steps),
         Schedule::LogLinear => format!("{start} to {}", train.final_learning_rate),
     }
+}
+
+/// Levels, features, table, resolutions, interpolation and place of a hash grid.
+fn hash_grid(hash: &HashConfig) -> String {
+    let HashConfig { levels, features, log2_table, coarsest, finest, interpolation, bounds, contraction } = hash;
+    let interpolation = word(interpolation);
+    let finest = finest.map_or_else(String::new, |finest| finest.to_string());
+    let place = bounds.map_or_else(String::new, |bounds| format!(", box {bounds:?}"));
+    let contraction =
+        contraction.map_or_else(String::new, |contraction| format!(", contraction {}", word(contraction)));
+    format!("{levels} x {features}, 2^{log2_table}, {coarsest} to {finest}, {interpolation}{place}{contraction}")
 }
 
 /// Which of the training views were kept; none for all.

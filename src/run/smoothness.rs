@@ -96,7 +96,7 @@ fn measure_fields(
     events.on(Event::Started { what: "measuring", parts });
     let measured = fields.into_iter().map(|(role, field)| {
         let smoothness = measure(field, lattice, || events.on(Event::Advanced))?;
-        if !smoothness.l1.is_finite() || !smoothness.laplacian.is_finite() {
+        if !smoothness.l1.is_finite() || !smoothness.laplacian.is_none_or(f64::is_finite) {
             return Err(Error::Diverged(format!(
                 "the density of the {role} field is not a number: its weights are broken"
             )));
@@ -113,7 +113,7 @@ fn measure_fields(
 /// # Errors
 /// [`Error::Config`]: a method whose field is queried at Gaussians.
 pub fn check_measurable(run: &Path, config: &Config) -> Result<()> {
-    if config.method.representation().has_derivatives_at_points() {
+    if config.representation().has_derivatives_at_points() {
         return Ok(());
     }
     Err(Error::Config(format!(

@@ -3,7 +3,7 @@
 //! value, the others are made in `run::Protocol`.
 
 use super::registry::{Effect, REGISTRY, Setting};
-use super::{Batching, Config, Schedule};
+use super::{Batching, Config, Encoding, Schedule};
 use crate::augment::Site;
 
 /// When rows of one scene must agree in a column.
@@ -214,6 +214,10 @@ pub const COLUMNS: &[Column] = &[
     column("precision").where_differing(),
     column("instructions").where_differing(),
     column(INACTIVE_BY).of(perturbed),
+    column("view_depth").where_differing(),
+    column("view_width").where_differing(),
+    column("adam").where_differing(),
+    column("hash_grid").where_differing().of(|config| config.field.encoding == Encoding::Hash),
 ];
 
 /// What the sites of a run were judged inactive by.

@@ -43,6 +43,11 @@ impl DataKind {
         }
     }
 
+    /// Everything lies within 1.5 of the origin, as in NeRF-Synthetic.
+    pub fn has_known_extent(self) -> bool {
+        matches!(self, DataKind::Blender | DataKind::BuiltinBlender)
+    }
+
     /// Comes split into training, validation and test views; of the others every N-th view is held out.
     pub fn has_splits(self) -> bool {
         match self {

@@ -4,7 +4,7 @@ use sha2::{Digest, Sha256};
 use toml::{Table, Value};
 
 use super::registry::{Effect, REGISTRY, Section};
-use super::{Config, EvalConfig, PerturbConfig};
+use super::{Config, Encoding, EvalConfig, HashConfig, PerturbConfig};
 
 impl Config {
     /// A 12-digit content hash of [`Config::portable`].
@@ -25,6 +25,9 @@ impl Config {
         portable.reset(&Config::default(), |rule| rule.effect != Effect::Numbers);
         if !self.method.is_augmented() {
             portable.perturb = PerturbConfig::default();
+        }
+        if self.field.encoding != Encoding::Hash {
+            portable.field.hash = HashConfig::default();
         }
         portable.regularizer.resolve();
         portable.data.corruption.resolve();

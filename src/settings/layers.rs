@@ -4,6 +4,7 @@ use std::path::Path;
 
 use toml::{Table, Value};
 
+use super::identity::value_at;
 use super::registry::{REGISTRY, nearest};
 use super::site::forget_passes;
 use super::{Config, DataConfig, Method};
@@ -13,6 +14,8 @@ use crate::base::{Error, Result};
 /// A named set of settings.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Preset {
+    /// A minute on two cores, any scene: a field on a hash grid.
+    Fast,
     /// Seconds on two cores; the embedded scene.
     Smoke,
     /// Minutes on two cores: width 64, 32 + 32 samples, 512 rays, 3,000 steps.
@@ -29,7 +32,8 @@ pub enum Preset {
 
 impl Preset {
     /// All presets with the names that the command line takes.
-    pub const ALL: [(&str, Preset); 6] = [
+    pub const ALL: [(&str, Preset); 7] = [
+        ("fast", Preset::Fast),
         ("smoke", Preset::Smoke),
         ("cpu", Preset::Cpu),
         ("paper-llff", Preset::PaperLlff),
@@ -54,6 +58,7 @@ impl Preset {
 
     fn text(self) -> &'static str {
         match self {
+            Preset::Fast => include_str!("presets/fast.toml"),
             Preset::Smoke => include_str!("presets/smoke.toml"),
             Preset::Cpu => include_str!("presets/cpu.toml"),
             Preset::PaperLlff => include_str!("presets/paper-llff.toml"),
@@ -64,10 +69,12 @@ impl Preset {
     }
 }
 
-/// What lies between preset and file for the method that a table of settings names.
-fn method_layer(table: &Table) -> Option<&'static str> {
-    let method = table.get("method").cloned().and_then(|method| method.try_into::<Method>().ok());
-    method.and_then(|method| method.representation().layer())
+/// What lies between preset and file for the method and the encoding that settings name, the later ones first.
+fn representation_layer(layers: [&Table; 2]) -> Option<&'static str> {
+    let named = |path: &str| layers.iter().find_map(|layer| value_at(layer, path)).cloned();
+    let method = named("method").map_or(Some(Method::default()), |method| method.try_into::<Method>().ok())?;
+    let encoding = named("field.encoding").map_or(Some(method.encoding()), |encoding| encoding.try_into().ok())?;
+    method.representation(encoding)?.layer()
 }
 
 /// More parts than any field's name has.
@@ -120,7 +127,7 @@ pub fn build(preset: Option<Preset>, file: Option<&Path>, assignments: &[(Vec<St
     for (path, value) in assignments {
         assign(&mut table, path, value.clone())?;
     }
-    if let Some(layer) = method_layer(&table) {
+    if let Some(layer) = representation_layer([&table, &base]) {
         lay_over(&mut base, toml::from_str(layer).expect("presets are valid TOML"));
     }
     lay_over(&mut base, table);

@@ -30,6 +30,9 @@ pub enum Representation {
     Nerf,
     /// One field that is queried at Gaussians, which stand for conical frustums (Barron et al. 2021).
     MipNerf,
+    /// One field on a hash grid (Mueller et al. 2022), queried at the middles of intervals, that places its samples by its own
+    /// density.
+    HashNerf,
 }
 
 impl Method {
@@ -46,11 +49,21 @@ impl Method {
         }
     }
 
-    /// What holds the scene.
-    pub fn representation(self) -> Representation {
+    /// What holds the scene with positions in this encoding; none where the method has no such field.
+    pub fn representation(self, encoding: Encoding) -> Option<Representation> {
+        match (self, encoding) {
+            (Method::Nerf | Method::AugNerf, Encoding::Positional) => Some(Representation::Nerf),
+            (Method::Nerf | Method::AugNerf, Encoding::Hash) => Some(Representation::HashNerf),
+            (Method::MipNerf | Method::AugMipNerf, Encoding::Integrated) => Some(Representation::MipNerf),
+            _ => None,
+        }
+    }
+
+    /// The encoding where none is named.
+    pub fn encoding(self) -> Encoding {
         match self {
-            Method::Nerf | Method::AugNerf => Representation::Nerf,
-            Method::MipNerf | Method::AugMipNerf => Representation::MipNerf,
+            Method::Nerf | Method::AugNerf => Encoding::Positional,
+            Method::MipNerf | Method::AugMipNerf => Encoding::Integrated,
         }
     }
 
@@ -61,22 +74,19 @@ impl Method {
 }
 
 impl Representation {
-    /// How its fields encode positions. It decides what a ray's `t_vals` are: see [`Encoding::at_intervals`].
-    pub fn encoding(self) -> Encoding {
-        match self {
-            Representation::Nerf => Encoding::Positional,
-            Representation::MipNerf => Encoding::Integrated,
-        }
-    }
-
     /// The fine pass has a field of its own; otherwise one field serves both.
     pub fn has_fine_field(self) -> bool {
         self == Representation::Nerf
     }
 
+    /// The coarse pass learns from its colours; otherwise it only places samples, by density.
+    pub fn has_coarse_loss(self) -> bool {
+        self != Representation::HashNerf
+    }
+
     /// Density has a gradient and a Laplacian at points, of which terms in space and measures of smoothness are made.
     pub fn has_derivatives_at_points(self) -> bool {
-        !self.encoding().at_intervals()
+        self != Representation::MipNerf
     }
 
     /// Settings that lie between preset and file, as TOML.
@@ -84,15 +94,16 @@ impl Representation {
         match self {
             Representation::Nerf => None,
             Representation::MipNerf => Some(include_str!("presets/mip-nerf.toml")),
+            Representation::HashNerf => Some(include_str!("presets/hash-nerf.toml")),
         }
     }
 }
 
 impl Encoding {
-    /// Fields are queried at the intervals between neighbouring `t_vals`, not at `t_vals`: the one place that tells edges
+    /// Passes sample the intervals between neighbouring `t_vals`, not `t_vals` themselves: the one place that tells edges
     /// from samples.
     pub fn at_intervals(self) -> bool {
-        self == Encoding::Integrated
+        self != Encoding::Positional
     }
 
     /// `t_vals` of a pass with so many samples.

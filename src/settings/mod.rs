@@ -10,6 +10,7 @@ mod data;
 mod document;
 mod eval;
 mod field;
+mod hash;
 mod identity;
 mod layers;
 mod method;
@@ -29,17 +30,19 @@ pub use corruption::{CorruptionConfig, CorruptionKind};
 pub use data::{Background, DataConfig, DataKind, EvalSplit, PixelOrigin, TrainViews};
 pub use document::{settings_page, settings_text};
 pub use eval::{EvalConfig, MESH_SIDES, MeshConfig, NO_REFERENCE};
-pub use field::{Core, DensityActivation, Encoding, FieldConfig, Init};
+pub use field::{Core, DensityActivation, Encoding, FieldConfig, Init, Precision};
+pub use hash::{Contraction, HashConfig, Interpolation};
 pub use identity::{scene_name, short_hash, value_at};
 pub use layers::{Preset, build, data_section, parse_assignment};
 pub use method::{Method, Representation};
 pub use perturb::{Objective, OutputPlace, PerturbConfig, PerturbField, Resample, ResolvedPerturb};
 pub use regularizer::{LatticePoints, REGULARIZERS, RegularizedFields, Regularizer, RegularizerConfig};
-pub use resolved::{Located, Resolved};
+pub use resolved::{Extent, Located, Resolved};
 pub use sampling::SamplingConfig;
 pub use second_pass::{DeltaSource, SecondPass};
 pub use site::{SiteConfig, Sizes};
 pub use train::{Batching, Schedule, TrainConfig};
+pub use types::word;
 
 use crate::base::{Error, Result};
 use registry::{numbers, section};
@@ -88,6 +91,14 @@ impl Config {
     /// The configuration as TOML, every field written out.
     pub fn to_toml(&self) -> String {
         toml::to_string(self).expect("a configuration is plain data")
+    }
+
+    /// What holds the scene.
+    ///
+    /// # Panics
+    /// Where the method has no field of that encoding, which [`Config::validate`] refuses.
+    pub fn representation(&self) -> Representation {
+        self.method.representation(self.field.encoding).expect("the encoding was checked")
     }
 
     /// Samples of the coarse and of the fine pass; the latter 0 where there is none.

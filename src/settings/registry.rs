@@ -223,8 +223,8 @@ mod tests {
     use crate::settings::layers::leaves;
     use crate::settings::types::choices;
     use crate::settings::{
-        Config, CorruptionConfig, DataConfig, EvalConfig, FieldConfig, MeshConfig, PerturbConfig, RegularizerConfig,
-        SamplingConfig, TrainConfig,
+        Config, CorruptionConfig, DataConfig, EvalConfig, FieldConfig, HashConfig, MeshConfig, PerturbConfig,
+        RegularizerConfig, SamplingConfig, TrainConfig,
     };
 
     /// What a configuration file may hold is what the table lists, each once and with words.
@@ -236,6 +236,7 @@ mod tests {
         add("data.", choices::<DataConfig>());
         add("data.corruption.", choices::<CorruptionConfig>());
         add("field.", choices::<FieldConfig>());
+        add("field.hash.", choices::<HashConfig>());
         add("sampling.", choices::<SamplingConfig>());
         add("train.", choices::<TrainConfig>());
         add("regularizer.", choices::<RegularizerConfig>());

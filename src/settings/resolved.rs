@@ -2,7 +2,7 @@
 
 use std::ops::Deref;
 
-use super::{Batching, Config, DataKind, ResolvedPerturb};
+use super::{Batching, Config, DataKind, Encoding, ResolvedPerturb};
 use crate::base::Result;
 
 /// A configuration whose scene is found. It reads as the draft that it fills in; what depends on the scene's kind stands
@@ -26,6 +26,17 @@ pub struct Resolved {
     located: Located,
     /// Section `perturb` with every number filled in.
     pub perturb: ResolvedPerturb,
+}
+
+/// What open numbers follow from, of a scene that is loaded.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Extent {
+    /// Start of a ray's interval, in the units of `t_vals`.
+    pub near: f64,
+    /// Its end.
+    pub far: f64,
+    /// Pixels along the longer side of a picture.
+    pub pixels: usize,
 }
 
 impl Deref for Located {
@@ -65,21 +76,27 @@ impl Config {
         Ok(Located { config: self, density_noise, batching, decay_steps, precrop_steps })
     }
 
-    /// [`Config::locate`] and [`Located::resolve`] for a scene whose kind and bounds are known.
+    /// [`Config::locate`] and [`Located::resolve`] for a scene whose kind and extent are known.
     ///
     /// # Errors
     /// Those of [`Config::locate`].
-    pub fn resolve(self, kind: DataKind, near: f64, far: f64) -> Result<Resolved> {
-        Ok(self.locate(kind)?.resolve(near, far))
+    pub fn resolve(self, kind: DataKind, extent: Extent) -> Result<Resolved> {
+        Ok(self.locate(kind)?.resolve(extent))
     }
 }
 
 impl Located {
-    /// Fills the fields whose default depends on the scene's bounds (in the units of `t_vals`).
-    pub fn resolve(mut self, near: f64, far: f64) -> Resolved {
+    /// Fills the fields whose default depends on the scene's extent.
+    pub fn resolve(mut self, extent: Extent) -> Resolved {
+        let Extent { near, far, pixels } = extent;
         let perturb = self.config.perturb.clone();
         let perturb = perturb.resolve(far - near, self.config.sampling.coarse, self.config.field.width);
         self.config.perturb = perturb.clone().into_draft();
+        if self.config.field.encoding == Encoding::Hash {
+            let kind = self.config.data.kind;
+            let ndc = kind.forward_facing() && self.config.data.ndc && !self.config.data.spherify;
+            self.config.field.hash.resolve(ndc, kind.has_known_extent(), (near, far), pixels);
+        }
         Resolved { located: self, perturb }
     }
 

@@ -34,6 +34,10 @@ fn is_positive(value: f64) -> bool {
     value > 0.0
 }
 
+fn is_memory(beta: f64) -> bool {
+    (0.0..1.0).contains(&beta)
+}
+
 fn is_share_above_0(share: f64) -> bool {
     share > 0.0 && share <= 1.0
 }
@@ -54,6 +58,10 @@ section! {
         pub batching: Option<Batching> = None, numbers().column("batching");
         /// Adam's initial learning rate.
         pub learning_rate: f64 = 5e-4, numbers().real(is_positive, "positive").columns(RATE).same_time();
+        /// Adam's memory of squared gradients (beta 2; 0.99 for hash grids).
+        pub adam_beta2: f64 = 0.999, numbers().real(is_memory, "at least 0, below 1").columns(&["adam"]).later().same_time();
+        /// Added to Adam's divisor (1e-15 for hash grids, whose gradients are small).
+        pub adam_epsilon: f64 = 1e-8, numbers().real(is_positive, "positive").columns(&["adam"]).later().same_time();
         /// Weight of the coarse pass's loss beside the fine one's (1 for NeRF, 0.1 for MipNeRF).
         pub coarse_weight: f64 = 1.0,
             numbers().real(is_positive, "positive").column("coarse_weight").later().same_time();

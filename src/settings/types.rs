@@ -186,3 +186,9 @@ macro_rules! choice {
 }
 
 pub(super) use choice;
+
+/// A choice as files have it.
+pub fn word(choice: impl serde::Serialize) -> String {
+    let value = toml::Value::try_from(choice).expect("a choice is plain data");
+    value.as_str().expect("a choice is a word").to_string()
+}

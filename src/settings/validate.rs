@@ -1,7 +1,10 @@
 //! Checks of settings against one another. What one may hold by itself stands in its section.
 
 use super::registry::Section;
-use super::{Config, DataKind, EvalSplit, LatticePoints, MESH_SIDES, Objective, PerturbField, SecondPass, Sizes};
+use super::{
+    Config, Core, DataKind, Encoding, EvalSplit, LatticePoints, MESH_SIDES, Objective, PerturbField, Precision,
+    Regularizer, Resample, SecondPass, Sizes, word,
+};
 use crate::augment::{Epsilon, Norm, REACH, Site, StepUnit};
 use crate::base::{Error, Result, SettingError};
 
@@ -85,23 +88,41 @@ impl Config {
 
     fn validate_field(&self) -> Result<()> {
         let (field, method) = (&self.field, self.method.name());
-        require(field.width.is_multiple_of(2), "field.width", field.width, "even (the view layer has half of it)")?;
-        let representation = self.method.representation();
-        let integrated = field.encoding.at_intervals();
+        let halves = field.view_width.is_some() || field.width.is_multiple_of(2);
+        require(
+            halves,
+            "field.width",
+            field.width,
+            "even (the view layer has half of it, unless field.view_width says otherwise)",
+        )?;
         let octaves = field.position_octaves;
+        let integrated = field.encoding == Encoding::Integrated;
         require(!integrated || octaves >= 1, "field.position_octaves", octaves, "1 to 20")?;
-        refuse(representation.encoding() != field.encoding, || {
-            format!(
+        let Some(representation) = self.method.representation(field.encoding) else {
+            return Err(Error::Config(format!(
                 "field.encoding = \"{}\" is not that of method {method}: integrated is for mip-nerf and aug-mip-nerf, \
-                 positional for nerf and aug-nerf",
-                if integrated { "integrated" } else { "positional" },
-            )
-        })?;
+                 positional and hash are for nerf and aug-nerf",
+                word(field.encoding),
+            )));
+        };
         refuse(!representation.has_derivatives_at_points() && self.regularizer.has_space_terms(), || {
             format!(
                 "regularizer.kind with method {method}: terms in space are made of derivatives at points, and this field is \
                  queried at Gaussians; use nerf or aug-nerf, or the distortion loss alone"
             )
+        })?;
+        let (coarsest, finest) = (field.hash.coarsest, field.hash.finest);
+        if let Some(finest) = finest {
+            let allowed = format!("{coarsest} (field.hash.coarsest) to 65536");
+            require(finest >= coarsest, "field.hash.finest", finest, &allowed)?;
+        }
+        refuse(field.encoding == Encoding::Hash && self.sampling.fine == 0, || {
+            "sampling.fine = 0 with field.encoding = \"hash\": the coarse pass of a hash field only places the samples of the fine one; \
+             set sampling.fine to at least 2"
+                .into()
+        })?;
+        refuse(field.precision == Precision::Bf16 && field.core == Core::Plain, || {
+            "field.precision = \"bf16\" is for field.core = \"fused\": the plain one is the reference and computes in f32".into()
         })?;
         for (i, &skip) in field.skips.iter().enumerate() {
             let allowed = format!("a layer from 1 to {} (field.depth - 1)", field.depth - 1);
@@ -124,6 +145,16 @@ impl Config {
         require(perturb.objective == Objective::Paper || lambda <= 1.0, "perturb.lambda", lambda, allowed)?;
         let layer = perturb.injection_layer;
         let fresh = perturb.second == SecondPass::Clean;
+        refuse(
+            self.method.is_augmented()
+                && perturb.resample == Resample::Perturbed
+                && !self.representation().has_coarse_loss(),
+            || {
+                "perturb.resample = \"perturbed\" with field.encoding = \"hash\": there is no perturbed coarse pass to resample \
+                 from; use \"clean\""
+                    .into()
+            },
+        )?;
         let perturbs = self.method.is_augmented() && !fresh;
         if perturbs && perturb.sites[Site::Feature].on() {
             let allowed = format!("1 to {} (field.depth)", self.field.depth);
@@ -200,6 +231,11 @@ impl Config {
                  term, or none for the defaults",
                 kinds.len()
             )
+        })?;
+        refuse(kinds.contains(&Regularizer::Laplacian) && !self.field.has_laplacian(), || {
+            "regularizer.kind = \"laplacian\" with field.hash.interpolation = \"linear\": a trilinear grid has no second derivative \
+             along an axis; set field.hash.interpolation = \"smoothstep\""
+                .into()
         })?;
         let (points, lattice) = (regularizer.points_per_step, regularizer.lattice);
         if regularizer.points == LatticePoints::Sampled {

@@ -93,7 +93,7 @@ impl<'a> Trainings<'a> {
             }
         };
         drop(scenes);
-        let config = config.resolve(scene.near, scene.far);
+        let config = config.resolve(scene.extent());
         if !corruption.is_on() {
             return Ok((config, scene));
         }
@@ -259,7 +259,7 @@ impl Trainings<'_> {
         let Finished { report, model, .. } = finished;
         let mut metrics: Vec<(String, Option<f64>)> =
             report.mean.iter().map(|(metric, value)| (metric.key.to_string(), value)).collect();
-        if self.smoothness && config.method.representation().has_derivatives_at_points() {
+        if self.smoothness && config.representation().has_derivatives_at_points() {
             let (protocol, events) = (report.protocol.clone(), self.events);
             let smoothness = SmoothnessReport::measure(model, scene, &SMOOTHNESS, protocol, runtime, events)?;
             smoothness.write(&RunDir::open(path)?.smoothness())?;

@@ -17,7 +17,7 @@ use crate::methods::{Model, Start};
 use crate::runtime::Runtime;
 use crate::settings::{Config, Resolved};
 
-use super::{Adam, Moments, Trainer, sums};
+use super::{Adam, AdamSettings, Moments, Trainer, sums};
 
 const FORMAT: u32 = 1;
 const TENSORS: &str = "state.safetensors";
@@ -353,7 +353,7 @@ impl Trainer {
         let first = tensors.all("adam.first.", &names)?;
         let second = tensors.all("adam.second.", &names)?;
         let moments = first.into_iter().zip(second).map(|(first, second)| Moments { first, second }).collect();
-        let adam = Adam::restore(model.variables(), moments);
+        let adam = Adam::restore(AdamSettings::of(&config.train), model.variables(), moments);
         let State { step, empty_steps, redraws, revisions, devices, instructions, .. } = state;
         let learner = model.learner(config, scene, dtype, runtime.device())?;
         let trainer = Trainer::with(config, Start { model, learner, redraws }, runtime)?;

@@ -101,7 +101,7 @@ mod tests {
 
     fn needs_of(settings: &[&str]) -> Vec<Need> {
         let assignments: Vec<_> = settings.iter().map(|text| parse_assignment(text).unwrap()).collect();
-        let config = build(None, None, &assignments).unwrap().resolve(DataKind::Blender, 2.0, 6.0).unwrap();
+        let config = build(None, None, &assignments).unwrap().resolve(DataKind::Blender, crate::bench::EXTENT).unwrap();
         needs(&config, &crate::bench::scene(), 2)
     }
 

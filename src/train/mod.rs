@@ -17,7 +17,7 @@ mod stats;
 mod sums;
 
 pub use memory::graphs_mib;
-pub use optimizer::{Adam, Moments, learning_rate};
+pub use optimizer::{Adam, AdamSettings, Moments, learning_rate};
 pub use stats::StepStats;
 
 /// State of a run in memory.
@@ -77,7 +77,7 @@ impl Trainer {
         Ok(Trainer {
             config: config.clone(),
             runtime: runtime.clone(),
-            adam: Adam::new(model.variables())?,
+            adam: Adam::new(AdamSettings::of(&config.train), model.variables())?,
             model,
             learner,
             step: 0,

@@ -3,15 +3,30 @@
 use std::cell::RefCell;
 
 use candle_core::{CpuStorage, InplaceOp1, Layout, Storage, Tensor, Var, WithDType};
-use pulp::Arch;
 use rayon::prelude::*;
 
 use crate::base::Result;
-use crate::settings::{Located, Schedule};
+use crate::base::simd::vectorized;
+use crate::field::hash::{Moving, SparseAdam};
+use crate::settings::{Located, Schedule, TrainConfig};
 
 const BETA1: f64 = 0.9;
-const BETA2: f64 = 0.999;
-const EPSILON: f64 = 1e-8;
+
+/// What a run may choose of Adam.
+#[derive(Clone, Copy, Debug)]
+pub struct AdamSettings {
+    /// Memory of squared gradients.
+    pub beta2: f64,
+    /// Added to the divisor.
+    pub epsilon: f64,
+}
+
+impl AdamSettings {
+    /// Those of a run.
+    pub fn of(train: &TrainConfig) -> AdamSettings {
+        AdamSettings { beta2: train.adam_beta2, epsilon: train.adam_epsilon }
+    }
+}
 
 /// The learning rate of the update that follows `step` finished ones. Exponential:
 /// learning_rate * decay_rate^(step / decay_steps). Log-linear (Barron et al. 2021): learning_rate^(1 - s) *
@@ -45,24 +60,25 @@ pub struct Moments {
 
 /// Adam (Kingma and Ba 2015) without weight decay.
 pub struct Adam {
+    settings: AdamSettings,
     variables: Vec<(String, Var)>,
     moments: Vec<Moments>,
 }
 
 impl Adam {
     /// Moments at zero.
-    pub fn new(variables: Vec<(String, Var)>) -> Result<Adam> {
+    pub fn new(settings: AdamSettings, variables: Vec<(String, Var)>) -> Result<Adam> {
         let zero = |(_, var): &(String, Var)| -> Result<Moments> {
             Ok(Moments { first: var.zeros_like()?, second: var.zeros_like()? })
         };
         let moments = variables.iter().map(zero).collect::<Result<_>>()?;
-        Ok(Adam { variables, moments })
+        Ok(Adam { settings, variables, moments })
     }
 
     /// Saved moments, in the order of the variables.
-    pub fn restore(variables: Vec<(String, Var)>, moments: Vec<Moments>) -> Adam {
+    pub fn restore(settings: AdamSettings, variables: Vec<(String, Var)>, moments: Vec<Moments>) -> Adam {
         assert_eq!(variables.len(), moments.len(), "one pair of moments a parameter");
-        Adam { variables, moments }
+        Adam { settings, variables, moments }
     }
 
     /// The parameters that are updated.
@@ -79,11 +95,14 @@ impl Adam {
     /// (1 for the first). A parameter without gradient has gradient 0.
     pub fn update(&mut self, gradients: &[Option<Tensor>], learning_rate: f64, updates: u64) -> Result<()> {
         let correction1 = 1.0 - BETA1.powf(updates as f64);
-        let correction2 = 1.0 - BETA2.powf(updates as f64);
+        let AdamSettings { beta2, epsilon } = self.settings;
+        let correction2 = 1.0 - beta2.powf(updates as f64);
         if self.variables.iter().all(|(_, var)| var.device().is_cpu()) {
-            let update = Update { rate: learning_rate / correction1, correction2 };
+            let update = Update { settings: self.settings, rate: learning_rate / correction1, correction2 };
             let all = self.variables.par_iter().zip(&self.moments).zip(gradients);
-            return all.try_for_each(|(((_, var), moments), gradient)| update.apply(var, moments, gradient.as_ref()));
+            return all.try_for_each(|(((name, var), moments), gradient)| {
+                update.apply(var, moments, gradient.as_ref(), is_table(name))
+            });
         }
         for (((_, var), moments), gradient) in self.variables.iter().zip(&mut self.moments).zip(gradients) {
             let zero;
@@ -95,8 +114,8 @@ impl Adam {
                 }
             };
             moments.first = ((&moments.first * BETA1)? + (gradient * (1.0 - BETA1))?)?;
-            moments.second = ((&moments.second * BETA2)? + (gradient.sqr()? * (1.0 - BETA2))?)?;
-            let scale = ((&moments.second / correction2)?.sqrt()? + EPSILON)?;
+            moments.second = ((&moments.second * beta2)? + (gradient.sqr()? * (1.0 - beta2))?)?;
+            let scale = ((&moments.second / correction2)?.sqrt()? + epsilon)?;
             let step = ((&moments.first * (learning_rate / correction1))? / scale)?;
             var.set(&(var.as_tensor() - step)?)?;
         }
@@ -106,13 +125,17 @@ impl Adam {
 
 /// The update on a processor: one pass over parameter, moments and gradient, in place.
 struct Update {
+    settings: AdamSettings,
     /// The learning rate over the first moment's correction.
     rate: f64,
     correction2: f64,
 }
 
 impl Update {
-    fn apply(&self, var: &Var, moments: &Moments, gradient: Option<&Tensor>) -> Result<()> {
+    fn apply(&self, var: &Var, moments: &Moments, gradient: Option<&Tensor>, sparse: bool) -> Result<()> {
+        if sparse && gradient.is_none() {
+            return Ok(());
+        }
         let zero;
         let gradient = match gradient {
             Some(gradient) => &gradient.contiguous()?,
@@ -124,13 +147,29 @@ impl Update {
         let (gradient, layout) = gradient.storage_and_layout();
         let Storage::Cpu(gradient) = &*gradient else { unreachable!("parameters are on the processor") };
         let (start, end) = layout.contiguous_offsets().expect("made contiguous");
+        let features = if sparse { var.dim(1)? } else { 1 };
         let update = |p: &mut CpuStorage, m: &mut CpuStorage, v: &mut CpuStorage| {
+            if let (
+                true,
+                CpuStorage::F32(values),
+                CpuStorage::F32(first),
+                CpuStorage::F32(second),
+                CpuStorage::F32(g),
+            ) = (sparse, &mut *p, &mut *m, &mut *v, gradient)
+            {
+                self.pass_table(Moving { values, first, second }, &g[start..end], features);
+                return Ok(());
+            }
             macro_rules! pass {
                 ($kind:ident, $sqrt:expr) => {
                     if let (CpuStorage::$kind(p), CpuStorage::$kind(m), CpuStorage::$kind(v), CpuStorage::$kind(g)) =
                         (&mut *p, &mut *m, &mut *v, gradient)
                     {
-                        return Ok(self.pass(p, (m, v), &g[start..end], $sqrt));
+                        let g = &g[start..end];
+                        return Ok(match sparse {
+                            true => self.pass_entries(p, (m, v), g, features, $sqrt),
+                            false => self.pass(p, (m, v), g, $sqrt),
+                        });
                     }
                 };
             }
@@ -139,6 +178,38 @@ impl Update {
             candle_core::bail!("adam: parameters, moments and gradients are all f32 or all f64")
         };
         Ok(lend(var, |p| lend(&moments.first, |m| lend(&moments.second, |v| update(p, m, v))))?)
+    }
+
+    /// Blocks of a table side by side: it is far larger than all other parameters together.
+    fn pass_table(&self, Moving { values, first, second }: Moving, gradient: &[f32], features: usize) {
+        const ENTRIES: usize = 1 << 14;
+        let AdamSettings { beta2, epsilon } = self.settings;
+        let (rate, correction2) = (self.rate, self.correction2);
+        let adam = SparseAdam { rate, correction2, betas: [BETA1, beta2], epsilon };
+        let size = ENTRIES * features;
+        let moments = first.par_chunks_mut(size).zip(second.par_chunks_mut(size));
+        let blocks = values.par_chunks_mut(size).zip(moments).zip(gradient.par_chunks(size));
+        blocks.for_each(|((values, (first, second)), gradient)| {
+            adam.update(Moving { values, first, second }, gradient, features);
+        });
+    }
+
+    /// The same entry by entry, in any precision.
+    fn pass_entries<T: WithDType>(
+        &self,
+        parameters: &mut [T],
+        (first, second): (&mut [T], &mut [T]),
+        gradient: &[T],
+        features: usize,
+        sqrt: impl Fn(T) -> T + Copy,
+    ) {
+        let moments = first.chunks_exact_mut(features).zip(second.chunks_exact_mut(features));
+        let entries = parameters.chunks_exact_mut(features).zip(moments).zip(gradient.chunks_exact(features));
+        for ((parameters, moments), gradient) in entries {
+            if gradient.iter().any(|g| *g != T::from_f64(0.0)) {
+                self.pass(parameters, moments, gradient, sqrt);
+            }
+        }
     }
 
     fn pass<T: WithDType>(
@@ -150,12 +221,13 @@ impl Update {
     ) {
         let sizes = [first.len(), second.len(), gradient.len()];
         assert!(sizes.iter().all(|size| *size == parameters.len()), "one moment and one gradient a parameter");
-        let [keep1, take1, keep2, take2] = [BETA1, 1.0 - BETA1, BETA2, 1.0 - BETA2].map(T::from_f64);
-        let [rate, correction2, epsilon] = [self.rate, self.correction2, EPSILON].map(T::from_f64);
-        Arch::new().dispatch(
+        let AdamSettings { beta2, epsilon } = self.settings;
+        let [keep1, take1, keep2, take2] = [BETA1, 1.0 - BETA1, beta2, 1.0 - beta2].map(T::from_f64);
+        let [rate, correction2, epsilon] = [self.rate, self.correction2, epsilon].map(T::from_f64);
+        vectorized(
             #[inline(always)]
             || {
-                for (((p, m), v), g) in parameters.iter_mut().zip(first).zip(second).zip(gradient) {
+                for (((p, m), v), g) in parameters.iter_mut().zip(&mut *first).zip(&mut *second).zip(gradient) {
                     *m = *m * keep1 + take1 * *g;
                     *v = *v * keep2 + take2 * (*g * *g);
                     *p -= *m * rate / (sqrt(*v / correction2) + epsilon);
@@ -163,6 +235,11 @@ impl Update {
             },
         );
     }
+}
+
+/// Of a hash grid: an update leaves its entries without gradient as they are, moments included (Mueller et al. 2022).
+fn is_table(name: &str) -> bool {
+    name.ends_with(".table")
 }
 
 /// Lends a tensor's values to a closure, to be changed. The tensor is the only one of its storage.
@@ -191,7 +268,7 @@ mod tests {
     #[test]
     fn the_first_step_is_the_learning_rate() {
         let var = Var::new(&[1.0f64, -2.0, 3.0], &Device::Cpu).unwrap();
-        let mut adam = Adam::new(vec![("p".into(), var.clone())]).unwrap();
+        let mut adam = Adam::new(AdamSettings::of(&TrainConfig::default()), vec![("p".into(), var.clone())]).unwrap();
         let gradient = Tensor::new(&[4.0f64, -0.5, 0.0], &Device::Cpu).unwrap();
         adam.update(&[Some(gradient)], 0.1, 1).unwrap();
         let found = var.to_vec1::<f64>().unwrap();
@@ -202,7 +279,7 @@ mod tests {
     #[test]
     fn many_steps_follow_the_scalar_recursion() {
         let var = Var::new(&[0.3f64], &Device::Cpu).unwrap();
-        let mut adam = Adam::new(vec![("p".into(), var.clone())]).unwrap();
+        let mut adam = Adam::new(AdamSettings::of(&TrainConfig::default()), vec![("p".into(), var.clone())]).unwrap();
         let (mut p, mut m, mut v) = (0.3f64, 0.0f64, 0.0f64);
         for t in 1..=20 {
             let g = (t as f64).sin();

@@ -31,7 +31,7 @@ const TINY: [&str; 14] = [
 ];
 
 fn tiny<'a>(out: &'a Path, further: &[&'a str]) -> Vec<&'a str> {
-    let mut arguments = vec!["train", "--quiet", "--out", out.to_str().unwrap()];
+    let mut arguments = vec!["train", "--quiet", "--preset", "smoke", "--out", out.to_str().unwrap()];
     arguments.extend(TINY);
     arguments.extend([
         "--set",
@@ -117,20 +117,28 @@ fn a_run_leaves_everything_it_promises() {
 #[test]
 fn equal_seeds_give_equal_bytes_with_one_thread_and_with_two() {
     let dir = TempDir::new().unwrap();
-    for method in ["nerf", "aug-nerf"] {
+    let positional = "positional";
+    let runs = [("nerf", "f32", positional), ("aug-nerf", "f32", positional), ("aug-nerf", "bf16", positional)];
+    for (method, precision, encoding) in runs.into_iter().chain([("nerf", "f32", "hash"), ("aug-nerf", "bf16", "hash")])
+    {
         let runs: Vec<PathBuf> = ["1", "2", "3"]
             .map(|threads| {
-                let out = dir.path().join(format!("{method}-{threads}"));
-                succeed(&tiny(&out, &["--method", method, "--threads", threads, "--set", "train.steps=20"]));
+                let out = dir.path().join(format!("{method}-{precision}-{encoding}-{threads}"));
+                let precision = format!("field.precision={precision}");
+                let encoding = format!("field.encoding={encoding}");
+                let set = ["--set", "train.steps=20", "--set", &precision, "--set", &encoding];
+                succeed(&tiny(&out, &[&["--method", method, "--threads", threads][..], &set].concat()));
                 out
             })
             .into();
+        let metrics = text(&runs[0].join("metrics.json"));
+        assert!(metrics.contains(&format!(r#""precision": "{precision}""#)), "{metrics}");
         assert_same(&runs[0], &runs[1]);
         assert_same(&runs[0], &runs[2]);
     }
     let other = dir.path().join("other");
     succeed(&tiny(&other, &["--seed", "1", "--set", "train.steps=20"]));
-    assert_ne!(files(&other, &FLEETING), files(&dir.path().join("nerf-1"), &FLEETING));
+    assert_ne!(files(&other, &FLEETING), files(&dir.path().join("nerf-f32-positional-1"), &FLEETING));
 }
 
 #[test]
@@ -203,7 +211,8 @@ fn smoothness_is_measured_on_one_lattice_for_all_runs() {
 
 #[test]
 fn balance_prints_a_grid_of_weights() {
-    let mut arguments = vec!["balance", "--quiet", "--steps", "3", "--set", "regularizer.points_per_step=256"];
+    let mut arguments =
+        vec!["balance", "--quiet", "--preset", "smoke", "--steps", "3", "--set", "regularizer.points_per_step=256"];
     arguments.extend(TINY);
     let table = printed(&arguments);
     let rows: Vec<Vec<&str>> = table.lines().skip(1).map(|line| line.split(',').collect()).collect();
@@ -346,8 +355,10 @@ fn no_arguments_train_the_embedded_scene_in_the_default_place() {
         let arguments = [&["train", "--print-config", "--quiet"], further].concat();
         printed(&arguments)
     };
-    let smoke = print(&[]);
-    assert!(smoke.contains("steps = 1200") && smoke.contains("kind = \"builtin-blender\""), "{smoke}");
+    let fast = print(&[]);
+    assert!(fast.contains("encoding = \"hash\"") && fast.contains("kind = \"builtin-blender\""), "{fast}");
+    let smoke = print(&["--method", "mip-nerf"]);
+    assert!(smoke.contains("steps = 1200") && smoke.contains("encoding = \"integrated\""), "{smoke}");
     let scene = dir.path().join("scene");
     succeed(&["data", "export-builtin", scene.to_str().unwrap(), "--width", "16"]);
     let paper = print(&["--data", scene.to_str().unwrap()]);
@@ -373,6 +384,26 @@ fn eval_and_render_read_a_run_back() {
     refuse(&["render", folder, "--out", folder], 4, &["already holds files"]);
     succeed(&["render", "--quiet", folder, "--what", "views"]);
     assert!(out.join("renders/views/r_7_beside.png").is_file());
+}
+
+/// What rendering will take is told before it starts, where there is something to wait for.
+#[test]
+fn render_tells_what_it_will_take() {
+    let dir = TempDir::new().unwrap();
+    let out = dir.path().join("run");
+    succeed(&tiny(&out, &["--set", "eval.chunk=1"]));
+    let folder = out.to_str().unwrap();
+    let said = |further: &[&str]| {
+        let output = succeed(&[&["render", folder], further].concat());
+        String::from_utf8(output.stderr).unwrap()
+    };
+    let views = said(&["--what", "views"]);
+    assert!(
+        views.starts_with("8 views of ") && views.contains(" pixels: about ") && views.contains(" in all"),
+        "{views}"
+    );
+    assert!(said(&["--frames", "1"]).starts_with("1 view of "));
+    assert_eq!(said(&["--frames", "1", "--quiet"]), "");
 }
 
 #[test]
@@ -417,11 +448,15 @@ fn wrong_settings_are_refused_with_exit_code_2() {
     refuse(&["train", "--method", "nerv"], 2, &["nerv", "aug-nerf"]);
     refuse(&["train", "--device", "tpu"], 2, &["tpu", "cuda"]);
     refuse(
-        &["train", "--method", "aug-nerf", "--set", "perturb.injection_layer=9"],
+        &["train", "--preset", "smoke", "--method", "aug-nerf", "--set", "perturb.injection_layer=9"],
         2,
         &["perturb.injection_layer", "9", "1 to 4"],
     );
-    refuse(&["train", "--set", "data.width=16", "--set", "train.rays=100"], 2, &["train.rays", "100", "64"]);
+    refuse(
+        &["train", "--preset", "smoke", "--set", "data.width=16", "--set", "train.rays=100"],
+        2,
+        &["train.rays", "100", "64"],
+    );
     refuse(&["train", "--config", "nowhere.toml"], 2, &["nowhere.toml"]);
     refuse(&["train", "--no-such-flag"], 2, &["--no-such-flag"]);
     let dir = TempDir::new().unwrap();

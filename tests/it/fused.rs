@@ -3,7 +3,7 @@
 use crate::common::flat;
 use augnerf::base::rng::{Random, Stream};
 use augnerf::field::{FeatureDelta, Field};
-use augnerf::settings::{Core, Encoding, FieldConfig};
+use augnerf::settings::{Contraction, Core, Encoding, FieldConfig, HashConfig, Interpolation, Precision};
 use candle_core::{DType, Device, Tensor, Var};
 use proptest::prelude::*;
 
@@ -49,11 +49,16 @@ fn random(seed: u64, index: u64, shape: &[usize]) -> Tensor {
 
 fn field(case: &Case, core: Core, dtype: DType) -> Field {
     let config = FieldConfig { core, ..case.field.clone() };
-    let exact = Field::init(&config, case.seed, 0, DType::F64, &CPU).unwrap();
+    let exact = FieldConfig { precision: Precision::F32, ..config.clone() };
+    let exact = Field::init(&exact, case.seed, 0, DType::F64, &CPU).unwrap();
     // Biases that are not 0, and the same numbers in every precision.
     let values = exact.variables().iter().enumerate().map(|(i, (_, var))| {
-        let value =
-            if var.rank() == 1 { random(case.seed, 100 + i as u64, var.dims()) } else { var.as_tensor().clone() };
+        let is_table = matches!(case.field.encoding, Encoding::Hash) && i == 0;
+        let value = if var.rank() == 1 || is_table {
+            random(case.seed, 100 + i as u64, var.dims())
+        } else {
+            var.as_tensor().clone()
+        };
         value.to_dtype(DType::F32).unwrap().to_dtype(dtype).unwrap()
     });
     Field::from_parameters(&config, values.collect()).unwrap()
@@ -67,7 +72,7 @@ fn ask(case: &Case, field: &Field, dtype: DType, frozen: bool) -> Found {
         Var::from_tensor(&single.to_dtype(dtype).unwrap()).unwrap()
     };
     let points = match case.field.encoding {
-        Encoding::Positional => input(0, &[n, 3]),
+        Encoding::Positional | Encoding::Hash => input(0, &[n, 3]),
         Encoding::Integrated => {
             // Variances from 1e-6 to 1.
             let variance = (random(case.seed, 6, &[n, 3]) * 7.0).unwrap().exp().unwrap().affine(1e-3, 0.0).unwrap();
@@ -95,10 +100,14 @@ fn ask(case: &Case, field: &Field, dtype: DType, frozen: bool) -> Found {
         Some(gradient) => gradient.clone(),
         None => var.zeros_like().unwrap(),
     };
-    let weights = match recording.recorded().unwrap() {
-        Some(recorded) => recorded,
-        None => recording.variables().iter().map(|(_, var)| of(var)).collect(),
-    };
+    let records = recording.table_records();
+    let recorded = recording.recorded().unwrap().into_iter().zip(recording.variables());
+    let weights = recorded.map(|(recorded, (name, var))| match recorded {
+        Some(gradient) => gradient,
+        None if name == "table" && !records.is_empty() => recording.table_gradient(&records).unwrap().unwrap(),
+        None => of(var),
+    });
+    let weights = weights.collect();
     Found { outputs: vec![raw.rgb, raw.density], inputs: vec![of(&points), of(&viewdirs), of(&delta)], weights }
 }
 
@@ -132,6 +141,36 @@ proptest! {
         }
         prop_assert!(frozen.weights.is_empty());
     }
+
+    #[test]
+    fn a_fused_hash_field_equals_the_plain_one(case in case(), smooth in any::<bool>(), view_depth in 1usize..3) {
+        let case = on_a_grid(&case, if smooth { Interpolation::Smoothstep } else { Interpolation::Linear }, view_depth);
+        let exact = ask(&case, &field(&case, Core::Plain, DType::F64), DType::F64, false);
+        let fused = ask(&case, &field(&case, Core::Fused, DType::F32), DType::F32, false);
+        assert_close("outputs", &fused.outputs, &exact.outputs, 2e-5);
+        assert_close("weights", &fused.weights, &exact.weights, 2e-2);
+        assert_close("inputs", &fused.inputs, &exact.inputs, 2e-2);
+        let frozen = ask(&case, &field(&case, Core::Fused, DType::F32), DType::F32, true);
+        for (a, b) in frozen.inputs.iter().chain(&frozen.outputs).zip(fused.inputs.iter().chain(&fused.outputs)) {
+            prop_assert_eq!(flat(a), flat(b), "frozen weights change no bit of the rest");
+        }
+    }
+}
+
+/// A field on a hash grid with dense and hashed levels, whose table is far from its start.
+fn on_a_grid(case: &Case, interpolation: Interpolation, view_depth: usize) -> Case {
+    let hash = HashConfig {
+        levels: 5,
+        log2_table: 9,
+        coarsest: 4,
+        finest: Some(40),
+        interpolation,
+        bounds: Some([[-1.0; 3], [1.0; 3]]),
+        contraction: Some(Contraction::None),
+        ..HashConfig::default()
+    };
+    let field = FieldConfig { encoding: Encoding::Hash, hash, view_depth, ..case.field.clone() };
+    Case { field, ..case.clone() }
 }
 
 fn paper() -> Case {
@@ -205,7 +244,7 @@ fn fixed_points_change_nothing() {
         let n = case.rays * case.samples;
         let single = |index: u64, shape: &[usize]| random(case.seed, index, shape).to_dtype(DType::F32).unwrap();
         let (points, viewdirs) = (single(0, &[n, 3]), single(1, &[case.rays, 3]));
-        let fixed = frozen.fix(&points);
+        let fixed = frozen.fix(&points).unwrap();
         for index in 2..5 {
             let query = |at_fixed: bool, with_delta: bool| {
                 let delta = Var::from_tensor(&single(index, &[n, 24])).unwrap();
@@ -302,7 +341,88 @@ fn strided_arguments_and_gradients() {
             (&raw.rgb * weights.t().unwrap().contiguous().unwrap()).unwrap()
         };
         product.sum_all().unwrap().backward().unwrap();
-        recording.recorded().unwrap().unwrap().iter().flat_map(flat).collect::<Vec<f64>>()
+        recording.recorded().unwrap().iter().flatten().flat_map(flat).collect::<Vec<f64>>()
     };
     assert_eq!(loss_of(true), loss_of(false));
+}
+
+fn in_bf16(case: &Case) -> Case {
+    Case { field: FieldConfig { precision: Precision::Bf16, ..case.field.clone() }, ..case.clone() }
+}
+
+/// Off by so much of the whole, as vectors.
+fn off(found: &[Tensor], expected: &[Tensor]) -> Vec<f64> {
+    assert_eq!(found.len(), expected.len());
+    let norm = |values: &mut dyn Iterator<Item = f64>| values.map(|value| value * value).sum::<f64>().sqrt();
+    let each = found.iter().zip(expected).map(|(found, expected)| {
+        let (found, expected) = (flat(found), flat(expected));
+        let scale = norm(&mut expected.iter().copied()).max(1e-6);
+        norm(&mut found.iter().zip(&expected).map(|(a, b)| a - b)) / scale
+    });
+    each.collect()
+}
+
+/// Rounding to 8 bits moves an output by less than a percent, and gradients by more: where a sum comes to lie beyond the
+/// kink of its ReLU, a whole path is gone. What frozen weights, one gradient alone and fixed points change is nothing.
+#[test]
+fn bf16_is_near_f64() {
+    for (width, samples, layer, pulled) in [(64, 1, 0, 1.0), (64, 300, 4, 0.6), (42, 129, 2, 1.0), (256, 200, 8, 1.0)] {
+        let field_config = FieldConfig { width, ..FieldConfig::default() };
+        let case = Case { field: field_config, samples, layer, pulled, ..paper() };
+        let exact = ask(&case, &field(&case, Core::Plain, DType::F64), DType::F64, false);
+        let half_case = in_bf16(&case);
+        let half_field = field(&half_case, Core::Fused, DType::F32);
+        let half = ask(&half_case, &half_field, DType::F32, false);
+        let [outputs, weights] = [off(&half.outputs, &exact.outputs), off(&half.weights, &exact.weights)];
+        assert!(outputs.iter().all(|off| (1e-6..0.02).contains(off)), "{width}: outputs {outputs:?}");
+        let mean = weights.iter().sum::<f64>() / weights.len() as f64;
+        assert!((1e-4..0.15).contains(&mean), "{width}: weights {weights:?}");
+        let inputs = off(&half.inputs, &exact.inputs);
+        assert!(inputs.iter().all(|off| *off < 0.35), "{width}: inputs {inputs:?}");
+        let frozen = ask(&half_case, &half_field, DType::F32, true);
+        for (a, b) in frozen.inputs.iter().chain(&frozen.outputs).zip(half.inputs.iter().chain(&half.outputs)) {
+            assert_eq!(flat(a), flat(b), "frozen weights change no bit of the rest");
+        }
+    }
+}
+
+/// A delta far smaller than what a layer's output is rounded by has its effect: its product is one of its own.
+#[test]
+fn bf16_does_not_round_a_small_delta_away() {
+    let case = Case { layer: 8, samples: 64, ..paper() };
+    let n = case.rays * case.samples;
+    let single = |index: u64, shape: &[usize]| random(case.seed, index, shape).to_dtype(DType::F32).unwrap();
+    let (points, viewdirs) = (single(0, &[n, 3]), single(1, &[case.rays, 3]));
+    let delta = (single(2, &[n, 256]) * 1e-4).unwrap();
+    let effect = |field: Field, dtype: DType| {
+        let given = |tensor: &Tensor| tensor.to_dtype(dtype).unwrap();
+        let fixed = field.fix(&given(&points)).unwrap();
+        let density = |delta: &Tensor| {
+            let at = FeatureDelta { layer: case.layer, delta };
+            let found = field.forward(&given(&points), &given(&viewdirs), Some(at)).unwrap().density;
+            let at = FeatureDelta { layer: case.layer, delta };
+            assert_eq!(flat(&found), flat(&fixed.forward(&given(&viewdirs), Some(at)).unwrap().density));
+            found
+        };
+        let (with, without) = (density(&given(&delta)), density(&given(&delta.zeros_like().unwrap())));
+        (with - without).unwrap()
+    };
+    let exact = effect(field(&case, Core::Plain, DType::F64).frozen().unwrap(), DType::F64);
+    let half = effect(field(&in_bf16(&case), Core::Fused, DType::F32).frozen().unwrap(), DType::F32);
+    let off = off(&[half], &[exact]);
+    assert!(off[0] < 0.01, "{off:?}");
+}
+
+#[test]
+fn bf16_is_refused_where_it_does_not_apply() {
+    let half = in_bf16(&paper()).field;
+    let refusal = |config: &FieldConfig, dtype: DType| match Field::init(config, 0, 0, dtype, &CPU) {
+        Ok(_) => panic!("{config:?} in {dtype:?}"),
+        Err(error) => error.to_string(),
+    };
+    for refusal in [refusal(&half, DType::F64), refusal(&FieldConfig { core: Core::Plain, ..half.clone() }, DType::F32)]
+    {
+        assert!(refusal.contains("field.precision") && refusal.contains("fused"), "{refusal}");
+    }
+    Field::init(&half, 0, 0, DType::F32, &CPU).unwrap();
 }

@@ -24,7 +24,7 @@ fn trained(dir: &TempDir, further: &[&str]) -> String {
         "train.precrop_steps=5",
         "eval.pictures=0",
     ];
-    let mut arguments = vec!["train", "--quiet", "--out", &out];
+    let mut arguments = vec!["train", "--quiet", "--preset", "smoke", "--out", &out];
     arguments.extend(settings.iter().flat_map(|setting| ["--set", setting]));
     arguments.extend(further);
     succeed(&arguments);

@@ -111,7 +111,7 @@ fn memory_is_estimated_before_it_is_taken() {
         assert_eq!(code, 0, "{said}");
         let sets: Vec<_> = every.iter().chain(&own).map(|set| parse_assignment(set).unwrap()).collect();
         let config = build(Some(Preset::Smoke), None, &sets).unwrap();
-        let config = config.resolve(DataKind::BuiltinBlender, 2.0, 6.0).unwrap();
+        let config = config.resolve(DataKind::BuiltinBlender, augnerf::bench::EXTENT).unwrap();
         let said = augnerf::train::graphs_mib(&config, threads.parse().unwrap());
         println!("{said:.0} MiB estimated, {most:.0} MiB taken");
         assert!(said < 1.5 * most && most < 1.5 * said, "{said} MiB estimated, {most} MiB taken");

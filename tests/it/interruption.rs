@@ -27,7 +27,7 @@ const TINY: [&str; 9] = [
 
 fn arguments<'a>(out: &'a Path, further: &[&'a str]) -> Vec<&'a str> {
     let set = TINY.iter().chain(further).flat_map(|setting| ["--set", setting]);
-    ["train", "--quiet", "--out", out.to_str().unwrap()].into_iter().chain(set).collect()
+    ["train", "--quiet", "--preset", "smoke", "--out", out.to_str().unwrap()].into_iter().chain(set).collect()
 }
 
 fn trained(dir: &TempDir) -> PathBuf {
@@ -255,7 +255,8 @@ fn a_hangup_that_is_ignored_stays_so() {
 /// A whole lattice of 1024 cells a side in each step would take hours, and says so.
 #[test]
 fn a_step_that_would_take_hours_is_refused() {
-    let full = ["regularizer.kind=tv", "regularizer.points=full", "regularizer.lattice=1024", "field.width=128"];
+    let network = ["field.width=512", "field.depth=8"];
+    let full = [&["regularizer.kind=tv", "regularizer.points=full", "regularizer.lattice=1024"], &network[..]].concat();
     let dir = TempDir::new().unwrap();
     let message = demand(&mut augnerf(&arguments(&dir.path().join("run"), &full)), 2);
     assert_says(&message, &["regularizer.lattice = 1024", "s a step here", "10 minutes", "sampled"]);

@@ -17,6 +17,7 @@ mod hostile_memory;
 mod hostile_results;
 mod interruption;
 mod layering;
+mod light;
 mod loaders;
 mod metrics;
 mod output;

@@ -78,7 +78,7 @@ impl Setting {
         let rays =
             RayBuffer::new(&pixels, None, Default::default(), RayParts::ALL).to_tensors(DType::F64, &CPU).unwrap();
         let draw = |random: &mut Random, shape: &[usize]| random.uniform_tensor(shape, DType::F64, &CPU).unwrap();
-        let columns = samples + usize::from(method.representation().encoding().at_intervals());
+        let columns = samples + usize::from(method.encoding().at_intervals());
         let jitter = draw(&mut random, &[rays.len(), columns]);
         let t_vals = sampling::stratified(2.0, 6.0, rays.len(), columns, Some(&jitter), &rays.origins).unwrap();
         let noise = draw(&mut random, &[rays.len(), samples]);
@@ -172,9 +172,7 @@ fn loss_gradients_in_every_delta_equal_finite_differences() {
             let samples = 6;
             let free = |i: &usize| {
                 used[*i] == given[*i]
-                    && (site != Site::Density
-                        || method.representation().encoding().at_intervals()
-                        || i % samples != samples - 1)
+                    && (site != Site::Density || method.encoding().at_intervals() || i % samples != samples - 1)
             };
             let difference = |i: usize| {
                 let at = |by: f64| {

@@ -34,6 +34,20 @@ fn run(settings: &[&str], events: &dyn Listener) -> (serde_json::Value, String) 
     (serde_json::from_str(&text("metrics.json")).unwrap(), text("scalars.csv"))
 }
 
+/// An estimate grows with the pixels, and is not made where making it would be a good part of the work.
+#[test]
+fn views_are_estimated_from_a_few_rows() {
+    let seconds = |chunk: usize, views: usize| {
+        let config = tiny_config(augnerf::settings::Method::Nerf, |config| config.eval.chunk = chunk);
+        let (trainer, scene) = (trained(&config, 1), tiny_scene());
+        let viewer = Viewer { model: trainer.model(), config: &config, scene: &scene, runtime: runtime() };
+        viewer.estimate_seconds(&vec![&scene.train[0].camera; views]).unwrap()
+    };
+    let (one, many) = (seconds(1, 1).unwrap(), seconds(1, 1000).unwrap());
+    assert!(one > 0.0 && many > 20.0 * one, "{one} {many}");
+    assert_eq!((seconds(4096, 1), seconds(1, 0)), (None, None));
+}
+
 /// What is told of training views is what rendering them gives, and touches nothing of the held-out ones.
 #[test]
 fn the_gap_is_between_training_views_as_rendered_and_held_out_ones() {

@@ -10,6 +10,8 @@ use crate::report::tables::Table;
 use crate::settings::parse_assignment;
 use crate::sweep::{Collector, Definition, Material, Overrides, Point, Results, SweepFolder, check_name};
 
+use super::progress::duration;
+
 mod collect;
 mod plan;
 mod run;
@@ -128,16 +130,6 @@ fn begun(folder: &SweepFolder, data_root: Option<&Path>) -> Result<Vec<Point>> {
     folder.points(data_root)?.ok_or_else(|| {
         Error::Checkpoint(format!("{} has no points.json: `augnerf sweep run` writes it", folder.path().display()))
     })
-}
-
-/// Seconds for a person.
-fn duration(seconds: f64) -> String {
-    match seconds {
-        s if s < 120.0 => format!("{s:.0} s"),
-        s if s < 7200.0 => format!("{:.0} min", s / 60.0),
-        s if s < 172_800.0 => format!("{:.1} h", s / 3600.0),
-        s => format!("{:.1} days", s / 86_400.0),
-    }
 }
 
 /// How tables are made.

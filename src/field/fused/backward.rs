@@ -3,9 +3,11 @@
 use crate::field::encoding::gradient_into;
 use crate::runtime::count_points;
 
-use super::forward::{Inputs, Kept, Wanted};
-use super::kernels::{add, apply_mask};
-use super::layout::{Network, TILE};
+use super::forward::{Inputs, Kept, Wanted, targets};
+use super::kernels::panels::{Gathered, Panels, Slab};
+use super::kernels::product::{ByRay, Finish, Left, Out, Rows, Source};
+use super::kernels::{add_rows, bias_gradient, head_gradient, weight_gradient};
+use super::layout::{Layer, Network, TILE};
 use super::pool::Buffer;
 
 /// Gradients of a backward pass; what was not wanted is empty.
@@ -29,19 +31,46 @@ struct Backward<'a> {
     lowest: usize,
 }
 
+/// Room for a layer's gradients at a tile's rows: as products read them and, where that differs, as gradients of weights
+/// do.
+struct Pull {
+    left: Slab,
+    right: Slab,
+}
+
+impl Pull {
+    fn new(network: &Network, weights: bool, columns: usize) -> Pull {
+        let right = if weights && network.pairs() { network.right(TILE, columns) } else { Slab::default() };
+        Pull { left: network.left(TILE, columns), right }
+    }
+
+    fn for_weights(&self) -> Panels<'_> {
+        if self.right.is_empty() { self.left.rows(0) } else { self.right.rows(0) }
+    }
+
+    /// Puts rows here.
+    fn take(&mut self, from: Rows, rows: usize, columns: usize, finish: Finish) {
+        let (across, panels) = targets(&mut self.left, &mut self.right, 0);
+        from.finish(rows, columns, Finish { across, panels, ..finish });
+    }
+}
+
 /// Room for the gradients of a tile's rows.
 struct Rooms {
     scratch: Scratch,
-    /// Of a trunk layer's output, and of its input.
-    trunk: [Buffer<f32>; 2],
-    view: Buffer<f32>,
+    /// Of a layer's output, and of its input.
+    trunk: [Pull; 2],
+    views: [Pull; 2],
     encoded: Buffer<f32>,
+    /// The encoding as gradients of weights read it.
+    encoding: Slab,
+    delta: Buffer<f32>,
 }
 
 /// What the rows' gradients are added to.
 struct Sums<'a> {
     out: InputGradients,
-    /// Of what a ray's direction adds to its points, `[rays, width / 2]`; empty where nothing wants it.
+    /// Of what a ray's direction adds to its points, `[rays, view neurons]`; empty where nothing wants it.
     of_rays: Vec<f32>,
     /// Of the weights, flat in the order of parameters.
     weights: &'a mut [f32],
@@ -82,18 +111,21 @@ impl Backward<'_> {
             viewdirs: vec![0f32; if wanted.viewdirs { 3 * rays } else { 0 }],
             delta: vec![0f32; if wanted.delta { n * width } else { 0 }],
         };
-        let of_rays = vec![0f32; if self.by_rays() { rays * (width / 2) } else { 0 }];
+        let of_rays = vec![0f32; if self.by_rays() { rays * network.views[0].bias.len() } else { 0 }];
         let mut sums = Sums { out, of_rays, weights };
         let (g_colour, g_density) = gradient.split_at(if rays > 0 { 3 * n } else { 0 });
         let active: Vec<usize> = (0..n)
             .filter(|&i| g_density[i] != 0.0 || rays > 0 && g_colour[3 * i..][..3].iter().any(|&g| g != 0.0))
             .collect();
         count_points(n, active.len());
+        let pulls = |columns: usize| [0; 2].map(|_| Pull::new(network, wanted.weights, columns));
         let mut rooms = Rooms {
             scratch: Scratch::default(),
-            trunk: [Buffer::new(TILE * width), Buffer::new(TILE * width)],
-            view: Buffer::new(TILE * width / 2),
+            trunk: pulls(width),
+            views: pulls(network.views[0].linear.outputs()),
             encoded: Buffer::new(TILE * position),
+            encoding: if wanted.weights { network.right(TILE, position) } else { Slab::default() },
+            delta: Buffer::new(if wanted.delta { TILE * width } else { 0 }),
         };
         for rows in active.chunks(TILE) {
             self.heads(rows, (g_colour, g_density), &mut rooms, &mut sums);
@@ -119,76 +151,134 @@ impl Backward<'_> {
         self.lowest < depth || self.delta_layer == depth && self.wanted.delta
     }
 
-    /// Through colour, view layer and density to the trunk's output, whose gradient is left in the first room.
+    /// Through colour, the layers above the trunk and density to the trunk's output, whose gradient is left in the first
+    /// room.
     fn heads(&self, rows: &[usize], (g_colour, g_density): (&[f32], &[f32]), rooms: &mut Rooms, sums: &mut Sums) {
-        let (network, kept, wanted) = (self.network, self.kept, self.wanted);
-        let (width, depth, into_trunk) = (network.width(), network.depth(), self.reaches_trunk());
-        let Rooms { scratch, trunk, view, .. } = rooms;
-        let d_output = &mut trunk[0][..rows.len() * width];
-        let dv = &mut view[..rows.len() * (width / 2)];
+        let (network, kept) = (self.network, self.kept);
+        let Rooms { scratch, trunk: [output, _], views, delta, .. } = rooms;
         let density = scratch.density.rows(g_density, 1, rows);
+        if self.wanted.weights {
+            let hidden = scratch.hidden.rows(&kept.hidden[network.depth() - 1], rows);
+            head_gradient(density, 1, hidden, network.density.linear.weights_of(sums.weights));
+            add_rows(network.density.linear.bias_of(sums.weights), density);
+        }
+        let mut sources = Vec::new();
         if self.rays > 0 {
             let colour = scratch.colour.rows(g_colour, 3, rows);
-            network.rgb.input_gradient(colour, dv, false);
-            apply_mask(dv, scratch.mask.rows(&kept.view_mask, width / 2, rows));
+            let pull =
+                self.views(rows, colour, (&mut scratch.hidden, &mut scratch.view, &mut scratch.mask), views, sums);
+            sources.extend(back(pull, &network.views[0]));
+        }
+        if self.reaches_trunk() {
+            let density = Some((density, &network.density.head.weights[..]));
+            let rooms = (output, &mut delta[..], &mut scratch.mask);
+            self.arrive(network.depth() - 1, &sources, density, rows, rooms, sums);
+        }
+    }
+
+    /// Through colour and the layers above the trunk, down to the first of them.
+    fn views<'a>(
+        &self,
+        rows: &[usize],
+        colour: &[f32],
+        (hidden, view, mask): (&mut Gathered, &mut Gathered, &mut Gathered),
+        rooms: &'a mut [Pull; 2],
+        sums: &mut Sums,
+    ) -> &'a Pull {
+        let (network, kept, wanted) = (self.network, self.kept, self.wanted);
+        let (rgb, top) = (&network.rgb, network.views.len() - 1);
+        if wanted.weights {
+            let inputs = view.rows(&kept.views[top], rows);
+            head_gradient(colour, rgb.linear.outputs(), inputs, rgb.linear.weights_of(sums.weights));
+            add_rows(rgb.linear.bias_of(sums.weights), colour);
+        }
+        let rays: Vec<usize> = rows.iter().map(|row| row / self.samples).collect();
+        let [mut above, mut here] = rooms.each_mut();
+        for (i, layer) in network.views.iter().enumerate().rev() {
+            let by_ray = (i == 0 && self.by_rays()).then(|| ByRay { sums: &mut sums.of_rays, rays: &rays });
+            let finish = Finish { mask: Some(mask.masks(&kept.view_masks[i], rows)), by_ray, ..Finish::default() };
+            let sources: Vec<Source> =
+                network.views.get(i + 1).and_then(|layer| back(above, layer)).into_iter().collect();
+            let from = match i == top {
+                true => Rows::Few { dz: colour, weights: &rgb.head.weights, outputs: rgb.linear.outputs() },
+                false => Rows::Products(&sources),
+            };
+            here.take(from, rows.len(), layer.linear.outputs(), finish);
             if wanted.weights {
-                let view = scratch.input.rows(&kept.view, width / 2, rows);
-                network.rgb.gradients(colour, view, sums.weights);
-                let hidden = scratch.input.rows(&kept.hidden[depth - 1], width, rows);
-                network.view.weight_gradient(dv, hidden, 0, width, sums.weights);
-            }
-            if self.by_rays() {
-                for (dv, &row) in dv.chunks_exact(width / 2).zip(rows) {
-                    add(&mut sums.of_rays[row / self.samples * (width / 2)..][..width / 2], dv);
+                let inputs = match i {
+                    0 => hidden.rows(&kept.hidden[network.depth() - 1], rows),
+                    _ => view.rows(&kept.views[i - 1], rows),
+                };
+                let sum = &mut sums.weights[layer.linear.weight_offset..];
+                weight_gradient(here.for_weights(), inputs, rows.len(), sum, layer.linear.inputs);
+                // The first layer's comes by rays.
+                if i > 0 {
+                    bias_gradient(here.for_weights(), rows.len(), layer.linear.bias_of(sums.weights));
                 }
             }
-            if into_trunk {
-                network.view.input_gradient(dv, 0, width, d_output, false);
-            }
+            std::mem::swap(&mut above, &mut here);
         }
-        if wanted.weights {
-            let hidden = scratch.input.rows(&kept.hidden[depth - 1], width, rows);
-            network.density.gradients(density, hidden, sums.weights);
+        above
+    }
+
+    /// Gradients of trunk layer `l`'s output: those that a delta there wants, and, masked, those that go further down.
+    fn arrive(
+        &self,
+        l: usize,
+        sources: &[Source],
+        density: Option<(&[f32], &[f32])>,
+        rows: &[usize],
+        (room, delta, mask): (&mut Pull, &mut [f32], &mut Gathered),
+        sums: &mut Sums,
+    ) {
+        let (width, count) = (self.network.width(), rows.len());
+        let (of_delta, on) = (l + 1 == self.delta_layer && self.wanted.delta, l >= self.lowest);
+        let out = of_delta.then(|| Out { values: &mut delta[..count * width], stride: width, accumulate: false });
+        let mask = on.then(|| mask.masks(&self.kept.masks[l], rows));
+        let finish = Finish { density, out, mask, ..Finish::default() };
+        match on {
+            true => room.take(Rows::Products(sources), count, width, finish),
+            false => Rows::Products(sources).finish(count, width, finish),
         }
-        if into_trunk {
-            network.density.input_gradient(density, d_output, self.rays > 0);
+        if of_delta {
+            scatter(&delta[..count * width], width, rows, &mut sums.out.delta);
         }
     }
 
     /// Down the trunk; the gradient of the encoding is left in its room.
     fn trunk(&self, rows: &[usize], rooms: &mut Rooms, sums: &mut Sums) {
         let (network, kept, wanted) = (self.network, self.kept, self.wanted);
-        let (width, position) = (network.width(), network.position_channels());
-        let Rooms { scratch, trunk: [a, b], encoded, .. } = rooms;
-        let (mut d_output, mut d_input) = (&mut a[..rows.len() * width], &mut b[..rows.len() * width]);
-        let de = &mut encoded[..rows.len() * position];
+        let (position, count) = (network.position_channels(), rows.len());
+        let Rooms { scratch, trunk, encoded, encoding, delta, .. } = rooms;
+        let [mut output, mut input] = trunk.each_mut();
+        let de = &mut encoded[..count * position];
         de.fill(0.0);
-        for (l, layer) in network.trunk.iter().enumerate().rev() {
-            if l + 1 == self.delta_layer && wanted.delta {
-                scatter(d_output, width, rows, &mut sums.out.delta);
-            }
-            if l < self.lowest {
-                break;
-            }
-            apply_mask(d_output, scratch.mask.rows(&kept.masks[l], width, rows));
-            let (encodes, from) = (network.encodes(l), network.encoded_inputs(l));
+        if wanted.weights {
+            let panels = Some(encoding.rows_mut(0));
+            Rows::Chosen(&kept.encoded, rows).finish(count, position, Finish { panels, ..Finish::default() });
+        }
+        for l in (self.lowest..network.depth()).rev() {
+            let layer = &network.trunk[l];
             if wanted.weights {
-                if encodes {
-                    let encoded = scratch.input.rows(&kept.encoded, position, rows);
-                    layer.weight_gradient(d_output, encoded, 0, position, sums.weights);
+                let (dz, from) = (output.for_weights(), network.encoded_inputs(l));
+                let sum = &mut sums.weights[layer.linear.weight_offset..];
+                if network.encodes(l) {
+                    weight_gradient(dz, encoding.rows(0), count, sum, layer.linear.inputs);
                 }
                 if l > 0 {
-                    let hidden = scratch.input.rows(&kept.hidden[l - 1], width, rows);
-                    layer.weight_gradient(d_output, hidden, from, width, sums.weights);
+                    let hidden = scratch.hidden.rows(&kept.hidden[l - 1], rows);
+                    weight_gradient(dz, hidden, count, &mut sum[from..], layer.linear.inputs);
                 }
-                layer.bias_gradient(d_output, sums.weights);
+                bias_gradient(dz, count, layer.linear.bias_of(sums.weights));
             }
-            if encodes && wanted.points {
-                layer.input_gradient(d_output, 0, position, de, true);
+            if let Some(weights) = layer.to_encoded.as_ref().filter(|_| wanted.points) {
+                let sources = [Source { left: Left::Panels(output.left.rows(0)), weights }];
+                let out = Some(Out { values: &mut *de, stride: position, accumulate: true });
+                Rows::Products(&sources).finish(count, position, Finish { out, ..Finish::default() });
             }
-            if l > 0 {
-                layer.input_gradient(d_output, from, width, d_input, false);
-                std::mem::swap(&mut d_output, &mut d_input);
+            if let Some(source) = back(output, layer) {
+                self.arrive(l - 1, &[source], None, rows, (input, &mut *delta, &mut scratch.mask), sums);
+                std::mem::swap(&mut output, &mut input);
             }
         }
     }
@@ -196,7 +286,7 @@ impl Backward<'_> {
     /// From the encoding to the points.
     fn points(&self, rows: &[usize], rooms: &mut Rooms, out: &mut InputGradients) {
         let (code, position) = (self.network.code(), self.network.position_channels());
-        let encoded = rooms.scratch.input.rows(&self.kept.encoded, position, rows);
+        let encoded = rooms.scratch.encoded.rows(&self.kept.encoded, position, rows);
         let mut d_points = vec![0f32; code.inputs() * rows.len()];
         code.gradient_into(encoded, &rooms.encoded[..rows.len() * position], &mut d_points);
         scatter(&d_points, code.inputs(), rows, &mut out.points);
@@ -206,33 +296,42 @@ impl Backward<'_> {
     fn directions(&self, sums: &mut Sums) {
         let (network, kept, wanted) = (self.network, self.kept, self.wanted);
         let (width, direction) = (network.width(), network.view_channels());
+        let (view, stride) = (&network.views[0].linear, network.views[0].bias.len());
         if wanted.weights && self.rays > 0 {
-            network.view.weight_gradient(&sums.of_rays, &kept.encoded_views, width, direction, sums.weights);
-            network.view.bias_gradient(&sums.of_rays, sums.weights);
+            view.weight_gradient((&sums.of_rays, stride), &kept.encoded_views, width, direction, sums.weights);
+            let bias = view.bias_of(sums.weights);
+            sums.of_rays.chunks_exact(stride).for_each(|of_ray| add_rows(bias, &of_ray[..bias.len()]));
         }
         if wanted.viewdirs {
             let mut d_views = vec![0f32; self.rays * direction];
-            network.view.input_gradient(&sums.of_rays, width, direction, &mut d_views, false);
+            view.input_gradient((&sums.of_rays, stride), width, direction, &mut d_views, false);
             gradient_into(&kept.encoded_views, &d_views, network.config.view_octaves, &mut sums.out.viewdirs);
         }
     }
 }
 
+/// A layer's gradients as the left side of a product with its weights, for the layer below.
+fn back<'a>(pull: &'a Pull, layer: &'a Layer) -> Option<Source<'a>> {
+    layer.to_below.as_ref().map(|weights| Source { left: Left::Panels(pull.left.rows(0)), weights })
+}
+
 /// Room for rows that are brought together.
 #[derive(Default)]
 struct Scratch {
-    colour: Room<f32>,
-    density: Room<f32>,
-    input: Room<f32>,
-    mask: Room<u8>,
+    colour: Room,
+    density: Room,
+    encoded: Room,
+    hidden: Gathered,
+    view: Gathered,
+    mask: Gathered,
 }
 
 #[derive(Default)]
-struct Room<T>(Vec<T>);
+struct Room(Vec<f32>);
 
-impl<T: Copy> Room<T> {
+impl Room {
     /// The rows of `values`, brought together unless they are neighbours.
-    fn rows<'a>(&'a mut self, values: &'a [T], columns: usize, rows: &[usize]) -> &'a [T] {
+    fn rows<'a>(&'a mut self, values: &'a [f32], columns: usize, rows: &[usize]) -> &'a [f32] {
         let (first, last) = (rows[0], rows[rows.len() - 1]);
         if last - first + 1 == rows.len() {
             return &values[first * columns..][..rows.len() * columns];

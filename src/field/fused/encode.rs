@@ -1,57 +1,65 @@
-//! The encoding of a tile in f32: sines and cosines of eight numbers at a time.
+//! The encoding of a tile in f32: sines and cosines of eight points at a time.
 
 use std::f64::consts::FRAC_2_PI;
 
-use pulp::Arch;
-
+use crate::base::simd::vectorized;
 use crate::field::encoding::{Code, encode_into, encoded_channels, integrated_into};
-use crate::settings::Encoding;
 
-/// Numbers worked on at once.
-const LANES: usize = 8;
+/// Points worked on at once.
+const POINTS: usize = 8;
+/// Their numbers: three vectors of AVX-512, none of which waits for another.
+const LANES: usize = 3 * POINTS;
+/// Room for this many.
+const MOST_OCTAVES: usize = 20;
 /// Beyond it the reduction below loses digits.
 const LARGEST: f32 = 1e5;
 
 /// A tile's positions in a field's encoding.
 pub fn encode_positions(code: Code, x: &[f32], out: &mut [f32]) {
-    match code.kind {
-        Encoding::Positional => encode_tile(x, code.octaves, out),
-        Encoding::Integrated => integrated_into(x, code.octaves, out),
+    match code {
+        Code::Positional(octaves) => encode_tile(x, octaves, out),
+        Code::Integrated(octaves) => integrated_into(x, octaves, out),
+        Code::Features(_) => out.copy_from_slice(x),
     }
 }
 
 /// `[n, 3]` -> `[n, 3 + 6 octaves]`, as [`crate::field::encode`].
 pub fn encode_tile(x: &[f32], octaves: usize, out: &mut [f32]) {
-    if octaves == 0 || x.iter().any(|value| value.abs() > LARGEST) {
+    if octaves == 0 || octaves > MOST_OCTAVES || x.iter().any(|value| value.abs() > LARGEST) {
         return encode_into(x, octaves, out);
     }
-    Arch::new().dispatch(
+    vectorized(
         #[inline(always)]
         || {
             let channels = encoded_channels(octaves);
             for (row, x) in out.chunks_exact_mut(channels).zip(x.chunks_exact(3)) {
                 row[..3].copy_from_slice(x);
             }
-            let mut start = 0;
-            for block in x.chunks(LANES) {
+            let (mut sines, mut cosines) = ([[0f32; LANES]; MOST_OCTAVES], [[0f32; LANES]; MOST_OCTAVES]);
+            let (sines, cosines) = (&mut sines[..octaves], &mut cosines[..octaves]);
+            for (number, block) in x.chunks(LANES).enumerate() {
                 let mut angles = [0f64; LANES];
                 angles.iter_mut().zip(block).for_each(|(angle, x)| *angle = f64::from(*x));
                 let (mut sin, mut cos) = ([0f64; LANES], [0f64; LANES]);
                 for i in 0..LANES {
                     (sin[i], cos[i]) = sin_cos(angles[i]);
                 }
-                for octave in 0..octaves {
-                    for i in 0..block.len() {
-                        let (row, axis) = ((start + i) / 3, (start + i) % 3);
-                        let wave = &mut out[row * channels + 3 + 6 * octave..][..6];
-                        wave[axis] = sin[i] as f32;
-                        wave[3 + axis] = cos[i] as f32;
+                for (sine, cosine) in sines.iter_mut().zip(&mut *cosines) {
+                    for i in 0..LANES {
+                        (sine[i], cosine[i]) = (sin[i] as f32, cos[i] as f32);
                     }
                     for i in 0..LANES {
                         (sin[i], cos[i]) = (2.0 * sin[i] * cos[i], (cos[i] - sin[i]) * (cos[i] + sin[i]));
                     }
                 }
-                start += block.len();
+                let rows = out[number * POINTS * channels..].chunks_exact_mut(channels).take(block.len() / 3);
+                for (row, three) in rows.zip(0..) {
+                    let waves = row[3..].as_chunks_mut::<6>().0;
+                    for ((wave, sine), cosine) in waves.iter_mut().zip(&*sines).zip(&*cosines) {
+                        let (sine, cosine) = (sine.as_chunks::<3>().0[three], cosine.as_chunks::<3>().0[three]);
+                        *wave = [sine[0], sine[1], sine[2], cosine[0], cosine[1], cosine[2]];
+                    }
+                }
             }
         },
     );

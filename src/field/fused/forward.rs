@@ -1,7 +1,9 @@
 //! Forward on tiles of points, with what the backward pass needs kept.
 
 use super::encode::{encode_positions, encode_tile};
-use super::kernels::{add, add_of_rays_relu};
+use super::kernels::head_forward;
+use super::kernels::panels::{Form, Masks, Panels, PanelsMut, Slab};
+use super::kernels::product::{Bias, Finish, Left, Rows, Source};
 use super::layout::{Network, TILE, Tile, tiles};
 use super::pool::Buffer;
 
@@ -22,7 +24,7 @@ pub struct Inputs<'a> {
 pub struct Prefix {
     encoded: Buffer<f32>,
     /// Output of the layer that the delta is added to, or of the last one; without the delta.
-    hidden: Buffer<f32>,
+    hidden: Slab,
 }
 
 /// What a backward pass will be asked for.
@@ -46,134 +48,243 @@ pub struct Kept {
     pub(super) encoded: Buffer<f32>,
     pub(super) encoded_views: Buffer<f32>,
     /// Each trunk layer's output, delta included.
-    pub(super) hidden: Vec<Buffer<f32>>,
+    pub(super) hidden: Vec<Slab>,
     /// Where each trunk layer's output was positive.
-    pub(super) masks: Vec<Buffer<u8>>,
-    pub(super) view: Buffer<f32>,
-    pub(super) view_mask: Buffer<u8>,
+    pub(super) masks: Vec<Masks>,
+    /// The same of the layers above the trunk.
+    pub(super) views: Vec<Slab>,
+    pub(super) view_masks: Vec<Masks>,
 }
 
-/// Room for a tile, where nothing is kept.
+/// Room for a tile's layers, as products read them; they take turns.
 struct Rooms {
     encoded: Buffer<f32>,
-    /// Trunk layers take turns in these.
-    layers: [Buffer<f32>; 2],
-    view: Buffer<f32>,
+    trunk: [Slab; 2],
+    views: [Slab; 2],
+    /// The delta, where it is bf16: its product is one of its own, since it would drown in what it is added to.
+    delta: Slab,
 }
 
-impl Rooms {
-    fn new(width: usize, position: usize) -> Rooms {
-        let layers = [Buffer::new(TILE * width), Buffer::new(TILE * width)];
-        Rooms { encoded: Buffer::new(TILE * position), layers, view: Buffer::new(TILE * width / 2) }
+/// What a layer reads of the one below: its output and, where it is bf16, the delta.
+struct Below<'a>([Panels<'a>; 2], usize);
+
+impl<'a> Below<'a> {
+    fn parts(&self) -> &[Panels<'a>] {
+        &self.0[..self.1]
     }
 }
 
+/// Where a layer's output goes: as the left side of bf16, and as f32 or what gradients of weights read.
+pub(super) fn targets<'a>(
+    room: &'a mut Slab,
+    kept: &'a mut Slab,
+    start: usize,
+) -> (Option<PanelsMut<'a>>, Option<PanelsMut<'a>>) {
+    let kept_rows = |kept: &'a mut Slab| (!kept.is_empty()).then(|| kept.rows_mut(start));
+    match room.form() {
+        Form::Across => (Some(room.rows_mut(0)), kept_rows(kept)),
+        _ if kept.is_empty() => (None, Some(room.rows_mut(0))),
+        _ => (None, kept_rows(kept)),
+    }
+}
+
+/// The layer's output as products read it.
+fn left_of<'a>(room: &'a Slab, kept: &'a Slab, start: usize) -> Panels<'a> {
+    if room.form() == Form::Across || kept.is_empty() { room.rows(0) } else { kept.rows(start) }
+}
+
 impl Network {
+    fn rooms(&self, with_delta: bool) -> Rooms {
+        let (width, view) = (self.width(), self.views[0].linear.outputs());
+        let delta = if with_delta && self.pairs() { self.left(TILE, width) } else { Slab::default() };
+        Rooms {
+            encoded: Buffer::new(TILE * self.position_channels()),
+            trunk: [self.left(TILE, width), self.left(TILE, width)],
+            views: [self.left(TILE, view), self.left(TILE, view)],
+            delta,
+        }
+    }
+
     /// The trunk up to layer `layer` (1-based) at points `[n, 3]`.
     pub fn prefix(&self, points: &[f32], layer: usize) -> Prefix {
         let n = points.len() / self.code().inputs();
-        let (width, position) = (self.config.width, self.position_channels());
-        let mut prefix = Prefix { encoded: Buffer::new(n * position), hidden: Buffer::new(n * width) };
-        let mut layers = [Buffer::new(TILE * width), Buffer::new(TILE * width)];
+        let (width, position) = (self.width(), self.position_channels());
+        let mut prefix = Prefix { encoded: Buffer::new(n * position), hidden: self.left(n, width) };
+        let mut rooms = [self.left(TILE, width), self.left(TILE, width)];
         for tile in tiles(n) {
             let encoded = tile.of_mut(&mut prefix.encoded, position);
             encode_positions(self.code(), tile.of(points, self.code().inputs()), encoded);
             for l in 0..layer {
-                let [a, b] = &mut layers;
+                let [a, b] = &mut rooms;
                 let (below, output) = if l % 2 == 0 { (&*b, a) } else { (&*a, b) };
-                self.trunk_layer(l, encoded, &below[..tile.rows * width], &mut output[..tile.rows * width], None);
+                let to = if l + 1 == layer { prefix.hidden.rows_mut(tile.start) } else { output.rows_mut(0) };
+                let (across, panels) = if self.pairs() { (Some(to), None) } else { (None, Some(to)) };
+                let finish = Finish { across, panels, ..Finish::default() };
+                self.trunk_layer(l, encoded, &[below.rows(0)], tile.rows, finish);
             }
-            tile.of_mut(&mut prefix.hidden, width).copy_from_slice(&layers[(layer - 1) % 2][..tile.rows * width]);
         }
         prefix
+    }
+
+    /// Trunk layer `l` (from 0) of a tile, with its ReLU, from the encoding and the parts of the layer below.
+    fn trunk_layer(&self, l: usize, encoded: &[f32], below: &[Panels], rows: usize, finish: Finish) {
+        let layer = &self.trunk[l];
+        let encoded = layer.encoded.iter().map(|weights| Source { left: Left::Rows(encoded), weights });
+        let below = below
+            .iter()
+            .flat_map(|part| layer.below.iter().map(|weights| Source { left: Left::Panels(*part), weights }));
+        let sources: Vec<Source> = encoded.chain(below).collect();
+        let bias = Some(Bias { values: &layer.bias, of_rays: (0, 0) });
+        Rows::Products(&sources).finish(rows, self.width(), Finish { bias, relu: true, ..finish });
     }
 
     /// Raw colours `[n, 3]` followed by raw densities `[n]`, or raw densities alone; and what a backward pass for
     /// `wanted` needs.
     pub fn forward(&self, inputs: Inputs, wanted: Wanted) -> (Vec<f32>, Kept) {
         let n = inputs.points.len() / self.code().inputs();
-        let (width, position) = (self.width(), self.position_channels());
         let rays = inputs.viewdirs.len() / 3;
         let samples = n.checked_div(rays).unwrap_or(0);
         let colours = if rays > 0 { 3 * n } else { 0 };
         let mut raw = vec![0f32; colours + n];
         let mut kept = self.kept(n, rays, wanted);
         encode_tile(inputs.viewdirs, self.config.view_octaves, &mut kept.encoded_views);
-        let mut rooms = Rooms::new(width, position);
+        let mut rooms = self.rooms(inputs.delta.is_some());
         let of_rays = self.view_of_rays(&kept.encoded_views, rays);
         let (raw_colour, raw_density) = raw.split_at_mut(colours);
         for tile in tiles(n) {
-            self.encode_and_trunk(inputs, wanted, tile, &mut kept, &mut rooms);
-            let last = match kept.hidden.last().filter(|_| wanted.weights) {
-                Some(hidden) => tile.of(hidden, width),
-                None => &rooms.layers[(self.depth() - 1) % 2][..tile.rows * width],
-            };
-            self.density.forward(last, tile.of_mut(raw_density, 1));
-            if rays == 0 {
-                continue;
+            self.encode(inputs, tile, &mut kept, &mut rooms);
+            self.trunk(inputs, wanted, tile, &mut kept, &mut rooms);
+            let top = self.depth() - 1;
+            let output = (&rooms.trunk[top % 2], &kept.hidden[top]);
+            let last = self.below(top + 1, inputs, output, &rooms.delta, tile);
+            head_forward(&self.density.head, last.parts(), tile.of_mut(raw_density, 1));
+            if rays > 0 {
+                let bias = Bias { values: &of_rays, of_rays: (tile.start, samples) };
+                let views = (&mut kept.views[..], &mut kept.view_masks[..], &mut rooms.views);
+                self.colour(last.parts(), bias, wanted, tile, views, tile.of_mut(raw_colour, 3));
             }
-            let view = match wanted.weights {
-                true => tile.of_mut(&mut kept.view, width / 2),
-                false => &mut rooms.view[..tile.rows * (width / 2)],
-            };
-            self.view.forward(last, 0, width, view, false);
-            let mask = wanted.any().then(|| tile.of_mut(&mut kept.view_mask, width / 2));
-            add_of_rays_relu(view, &of_rays, width / 2, (tile.start, samples), mask);
-            self.rgb.forward(view, tile.of_mut(raw_colour, 3));
         }
         (raw, kept)
+    }
+
+    /// Raw colours of a tile, through the layers above the trunk; `bias` is what the first of them adds.
+    fn colour(
+        &self,
+        last: &[Panels],
+        bias: Bias,
+        wanted: Wanted,
+        tile: Tile,
+        (kept, masks, rooms): (&mut [Slab], &mut [Masks], &mut [Slab; 2]),
+        raw: &mut [f32],
+    ) {
+        for (i, layer) in self.views.iter().enumerate() {
+            let [a, b] = &mut *rooms;
+            let (room, output) = if i % 2 == 0 { (&*b, a) } else { (&*a, b) };
+            let (kept_below, from_here) = kept.split_at_mut(i);
+            let below = kept_below.last().map(|kept| [left_of(room, kept, tile.start)]);
+            let sources: Vec<Source> = below
+                .as_ref()
+                .map_or(last, |below| below)
+                .iter()
+                .flat_map(|part| layer.below.iter().map(|weights| Source { left: Left::Panels(*part), weights }))
+                .collect();
+            let bias = if i == 0 { bias } else { Bias { values: &layer.bias, of_rays: (0, 0) } };
+            let positive = wanted.any().then(|| masks[i].rows_mut(tile.start));
+            let (across, panels) = targets(output, &mut from_here[0], tile.start);
+            let finish = Finish { bias: Some(bias), relu: true, positive, across, panels, ..Finish::default() };
+            Rows::Products(&sources).finish(tile.rows, layer.linear.outputs(), finish);
+        }
+        let top = self.views.len() - 1;
+        let view = left_of(&rooms[top % 2], &kept[top], tile.start);
+        head_forward(&self.rgb.head, &[view], raw);
     }
 
     /// Room for what a backward pass for `wanted` needs of `n` points on `rays` rays.
     fn kept(&self, n: usize, rays: usize, wanted: Wanted) -> Kept {
         let (width, depth) = (self.width(), self.depth());
-        let whole = |wanted: bool, size: usize| Buffer::new(if wanted { n * size } else { 0 });
-        let mask = |size: usize| Buffer::new(if wanted.any() { n * size } else { 0 });
+        let rows = |wanted: bool| if wanted { n } else { 0 };
+        let views = || self.views.iter().map(|layer| layer.linear.outputs());
         Kept {
-            encoded: whole(wanted.weights || wanted.points, self.position_channels()),
+            encoded: Buffer::new(rows(wanted.weights || wanted.points) * self.position_channels()),
             encoded_views: Buffer::new(rays * self.view_channels()),
-            hidden: (0..depth).map(|_| whole(wanted.weights, width)).collect(),
-            masks: (0..depth).map(|_| mask(width)).collect(),
-            view: whole(wanted.weights && rays > 0, width / 2),
-            view_mask: if rays > 0 { mask(width / 2) } else { Buffer::default() },
+            hidden: (0..depth).map(|_| self.right(rows(wanted.weights), width)).collect(),
+            masks: (0..depth).map(|_| Masks::new(rows(wanted.any()), width)).collect(),
+            views: views().map(|width| self.right(rows(wanted.weights && rays > 0), width)).collect(),
+            view_masks: views().map(|width| Masks::new(rows(wanted.any() && rays > 0), width)).collect(),
         }
     }
 
-    /// Encoding and trunk of a tile. Its last layer is left where it is kept, or in the rooms.
-    fn encode_and_trunk(&self, inputs: Inputs, wanted: Wanted, tile: Tile, kept: &mut Kept, rooms: &mut Rooms) {
-        let (width, depth, position) = (self.width(), self.depth(), self.position_channels());
+    /// The encoding of a tile, where it is kept or in its room, unless an earlier pass has left it.
+    fn encode(&self, inputs: Inputs, tile: Tile, kept: &mut Kept, rooms: &mut Rooms) {
+        if inputs.prefix.is_some() {
+            return;
+        }
+        let position = self.position_channels();
+        let encoded = match kept.encoded.is_empty() {
+            true => &mut rooms.encoded[..tile.rows * position],
+            false => tile.of_mut(&mut kept.encoded, position),
+        };
+        encode_positions(self.code(), tile.of(inputs.points, self.code().inputs()), encoded);
+    }
+
+    /// What layer `l` reads of the layer below, whose output is in its room or kept.
+    fn below<'a>(
+        &self,
+        l: usize,
+        inputs: Inputs<'a>,
+        (room, kept): (&'a Slab, &'a Slab),
+        delta: &'a Slab,
+        tile: Tile,
+    ) -> Below<'a> {
+        let hidden = match inputs.prefix.filter(|_| self.pairs() && l == self.first_layer(inputs) + 1) {
+            Some(prefix) => prefix.hidden.rows(tile.start),
+            None => left_of(room, kept, tile.start),
+        };
+        match self.pairs() && inputs.delta.is_some_and(|(layer, _)| layer == l) {
+            true => Below([hidden, delta.rows(0)], 2),
+            false => Below([hidden; 2], 1),
+        }
+    }
+
+    /// The trunk layer (from 0) whose output is the first that a pass needs.
+    fn first_layer(&self, inputs: Inputs) -> usize {
+        match inputs.prefix {
+            Some(_) => inputs.delta.map_or(self.depth(), |(layer, _)| layer) - 1,
+            None => 0,
+        }
+    }
+
+    /// The trunk of a tile. Its last layer is left where it is kept, or in its room.
+    fn trunk(&self, inputs: Inputs, wanted: Wanted, tile: Tile, kept: &mut Kept, rooms: &mut Rooms) {
+        let (width, position, first) = (self.width(), self.position_channels(), self.first_layer(inputs));
         let encoded = match inputs.prefix {
             Some(prefix) => tile.of(&prefix.encoded, position),
-            None => {
-                let encoded = match kept.encoded.is_empty() {
-                    true => &mut rooms.encoded[..tile.rows * position],
-                    false => tile.of_mut(&mut kept.encoded, position),
-                };
-                encode_positions(self.code(), tile.of(inputs.points, self.code().inputs()), encoded);
-                encoded
-            }
+            None if kept.encoded.is_empty() => &rooms.encoded[..tile.rows * position],
+            None => tile.of(&kept.encoded, position),
         };
-        let first = if inputs.prefix.is_some() { inputs.delta.map_or(depth, |(layer, _)| layer) - 1 } else { 0 };
-        for l in first..depth {
-            // Layers are kept whole where weights want gradients, otherwise they take turns in two tiles.
-            let (below, output) = if wanted.weights {
-                let (below, rest) = kept.hidden.split_at_mut(l);
-                let below = below.last().map_or(&[][..], |below| tile.of(below, width));
-                (below, tile.of_mut(&mut rest[0], width))
-            } else {
-                let [a, b] = &mut rooms.layers;
-                let (below, output) = if l % 2 == 0 { (&*b, a) } else { (&*a, b) };
-                (&below[..tile.rows * width], &mut output[..tile.rows * width])
-            };
+        for l in first..self.depth() {
+            let delta = inputs.delta.filter(|(at, _)| *at == l + 1).map(|(_, delta)| tile.of(delta, width));
+            let [a, b] = &mut rooms.trunk;
+            let (room, output) = if l % 2 == 0 { (&*b, a) } else { (&*a, b) };
+            let (kept_below, from_here) = kept.hidden.split_at_mut(l);
+            let (across, panels) = targets(output, &mut from_here[0], tile.start);
             match inputs.prefix.filter(|_| l == first) {
-                Some(prefix) => output.copy_from_slice(tile.of(&prefix.hidden, width)),
+                // As bf16 it is read where it is.
+                Some(_) if self.pairs() => {}
+                Some(prefix) => {
+                    let finish = Finish { delta, panels, ..Finish::default() };
+                    Rows::Panels(prefix.hidden.rows(tile.start)).finish(tile.rows, width, finish);
+                }
                 None => {
-                    let mask = wanted.any().then(|| tile.of_mut(&mut kept.masks[l], width));
-                    self.trunk_layer(l, encoded, below, output, mask);
+                    let below = kept_below.last().map(|kept| self.below(l, inputs, (room, kept), &rooms.delta, tile));
+                    let positive = wanted.any().then(|| kept.masks[l].rows_mut(tile.start));
+                    let finish = Finish { positive, delta, across, panels, ..Finish::default() };
+                    self.trunk_layer(l, encoded, below.as_ref().map_or(&[], Below::parts), tile.rows, finish);
                 }
             }
-            if let Some((_, delta)) = inputs.delta.filter(|(at, _)| *at == l + 1) {
-                add(output, tile.of(delta, width));
+            if let Some(delta) = delta.filter(|_| self.pairs()) {
+                let across = Some(rooms.delta.rows_mut(0));
+                Rows::Given(delta).finish(tile.rows, width, Finish { across, ..Finish::default() });
             }
         }
     }

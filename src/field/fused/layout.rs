@@ -5,41 +5,62 @@
 //! ninth of all multiply-adds is spared. Gradients of V W are sorted out once a step
 //! ([`Network::parameter_gradients`]).
 
+use std::sync::OnceLock;
+
 use crate::field::encoding::{Code, encoded_channels};
 use crate::field::layer_shapes;
-use crate::settings::FieldConfig;
+use crate::settings::{FieldConfig, Precision};
 
-use super::kernels::{
-    Matrix, add_bias, add_bias_relu, add_rows, few_forward, few_input_gradient, few_weight_gradient, multiply,
-};
+use super::kernels::panels::{Form, Packed, Slab, filled_up};
+use super::kernels::product::{Bias, Finish, Left, Out, Rows, Source};
+use super::kernels::{Head, Matrix, add_bias, few_forward, multiply};
 use super::pool::Buffer;
 
 /// Points worked through at once: their layers stay in a core's second-level cache.
 pub(super) const TILE: usize = 512;
 
-/// One layer's weights `[outputs, inputs]`, the same transposed, biases, and where weights and biases start in the
-/// flat gradient.
+/// One layer's weights `[outputs, inputs]` and biases, and where they start in the flat gradient.
 pub(super) struct Linear {
     weight: Vec<f32>,
-    transposed: Vec<f32>,
+    transposed: OnceLock<Vec<f32>>,
     pub(super) bias: Vec<f32>,
-    inputs: usize,
-    weight_offset: usize,
+    pub(super) inputs: usize,
+    pub(super) weight_offset: usize,
     bias_offset: usize,
 }
 
+/// A layer of many outputs, packed for products with rows and with their gradients.
+pub(super) struct Layer {
+    pub(super) linear: Linear,
+    /// The bias, filled up to a panel.
+    pub(super) bias: Vec<f32>,
+    /// Weights that read the encoding; always f32.
+    pub(super) encoded: Option<Packed>,
+    /// Weights that read the layer below.
+    pub(super) below: Option<Packed>,
+    /// The transposes of both, in the field's precision.
+    pub(super) to_encoded: Option<Packed>,
+    pub(super) to_below: Option<Packed>,
+}
+
 /// A layer of few outputs.
-pub(super) struct Head(Linear);
+pub(super) struct Output {
+    pub(super) linear: Linear,
+    pub(super) head: Head,
+}
 
 /// A field's weights, laid out for tiles: a copy, made once a step.
 pub struct Network {
     pub(super) config: FieldConfig,
-    pub(super) trunk: Vec<Linear>,
-    pub(super) density: Head,
-    /// Feature and view layer in one, `[width / 2, width + view channels]`.
-    pub(super) view: Linear,
-    pub(super) rgb: Head,
-    /// What `view` was made of.
+    pub(super) trunk: Vec<Layer>,
+    pub(super) density: Output,
+    /// Layers above the trunk; the first reads it, with the feature layer in its weights, and the encoded direction:
+    /// The first `[neurons, width + view channels]`, the others `[neurons, neurons]`.
+    pub(super) views: Vec<Layer>,
+    /// Weights of the first view layer that read the direction.
+    of_direction: Packed,
+    pub(super) rgb: Output,
+    /// What the first view layer was made of.
     parts: Parts,
     /// Numbers of the flat gradient.
     pub gradient_size: usize,
@@ -75,15 +96,21 @@ pub(super) fn tiles(n: usize) -> impl Iterator<Item = Tile> {
 
 impl Linear {
     fn new(weight: Vec<f32>, bias: Vec<f32>, inputs: usize, offset: &mut usize) -> Linear {
-        let outputs = bias.len();
-        let transposed = (0..inputs).flat_map(|i| (0..outputs).map(move |o| (o, i)));
-        let transposed = transposed.map(|(o, i)| weight[o * inputs + i]).collect();
         let (weight_offset, bias_offset) = (*offset, *offset + weight.len());
-        *offset = bias_offset + outputs;
-        Linear { weight, transposed, bias, inputs, weight_offset, bias_offset }
+        *offset = bias_offset + bias.len();
+        Linear { weight, transposed: OnceLock::new(), bias, inputs, weight_offset, bias_offset }
     }
 
-    fn outputs(&self) -> usize {
+    /// `[inputs, outputs]`.
+    fn transposed(&self) -> &[f32] {
+        self.transposed.get_or_init(|| {
+            let outputs = self.outputs();
+            let order = (0..self.inputs).flat_map(|i| (0..outputs).map(move |o| (o, i)));
+            order.map(|(o, i)| self.weight[o * self.inputs + i]).collect()
+        })
+    }
+
+    pub(super) fn outputs(&self) -> usize {
         self.bias.len()
     }
 
@@ -96,20 +123,34 @@ impl Linear {
     pub(super) fn forward(&self, x: &[f32], from: usize, columns: usize, y: &mut [f32], accumulate: bool) {
         let outputs = self.outputs();
         let x = Matrix::new(x, y.len() / outputs, columns, columns);
-        let weight = Matrix::new(&self.transposed[from * outputs..], columns, outputs, outputs);
+        let weight = Matrix::new(&self.transposed()[from * outputs..], columns, outputs, outputs);
         multiply(y, outputs, x, weight, accumulate);
     }
 
-    /// `x += dz W`, or `x = dz W`, for the same inputs.
-    pub(super) fn input_gradient(&self, dz: &[f32], from: usize, columns: usize, x: &mut [f32], accumulate: bool) {
-        let dz = Matrix::new(dz, dz.len() / self.outputs(), self.outputs(), self.outputs());
+    /// `x += dz W`, or `x = dz W`, for the same inputs; rows of `dz` are `stride` apart.
+    pub(super) fn input_gradient(
+        &self,
+        (dz, stride): (&[f32], usize),
+        from: usize,
+        columns: usize,
+        x: &mut [f32],
+        accumulate: bool,
+    ) {
+        let dz = Matrix::new(dz, dz.len() / stride, self.outputs(), stride);
         multiply(x, columns, dz, self.columns(from, columns), accumulate);
     }
 
-    /// Adds `dz^T x` to the gradient of the weights that read `x`.
-    pub(super) fn weight_gradient(&self, dz: &[f32], x: &[f32], from: usize, columns: usize, sum: &mut [f32]) {
-        let rows = dz.len() / self.outputs();
-        let dz = Matrix::new(dz, rows, self.outputs(), self.outputs());
+    /// Adds `dz^T x` to the gradient of the weights that read `x`; rows of `dz` are `stride` apart.
+    pub(super) fn weight_gradient(
+        &self,
+        (dz, stride): (&[f32], usize),
+        x: &[f32],
+        from: usize,
+        columns: usize,
+        sum: &mut [f32],
+    ) {
+        let rows = dz.len() / stride;
+        let dz = Matrix::new(dz, rows, self.outputs(), stride);
         let sum = &mut sum[self.weight_offset + from..];
         multiply(sum, self.inputs, dz.transposed(), Matrix::new(x, rows, columns, columns), true);
     }
@@ -125,41 +166,48 @@ impl Linear {
         &mut sum[self.bias_offset..][..self.outputs()]
     }
 
-    pub(super) fn bias_gradient(&self, dz: &[f32], sum: &mut [f32]) {
-        add_rows(self.bias_of(sum), dz);
+    /// The part of a flat gradient that belongs to the weights.
+    pub(super) fn weights_of<'a>(&self, sum: &'a mut [f32]) -> &'a mut [f32] {
+        &mut sum[self.weight_offset..self.bias_offset]
     }
 }
 
-impl Head {
-    /// `y [rows, outputs]` of `x [rows, inputs]`.
+impl Layer {
+    /// With numbers of inputs from the encoding and then from the layer below.
+    fn new(linear: Linear, pairs: bool, [encoded, below]: [usize; 2]) -> Layer {
+        let pack = |pairs: bool, from: usize, inputs: usize| {
+            let (outputs, inputs) = ((linear.outputs(), linear.inputs), (inputs, 1));
+            (inputs.0 > 0).then(|| Packed::new(pairs, outputs, inputs, &linear.weight[from..]))
+        };
+        let back = |from: usize, inputs: usize| {
+            let (outputs, inputs) = ((linear.outputs(), linear.inputs), (inputs, 1));
+            (inputs.0 > 0).then(|| Packed::new(pairs, inputs, outputs, &linear.weight[from..]))
+        };
+        Layer {
+            bias: filled_up(&linear.bias),
+            encoded: pack(false, 0, encoded),
+            below: pack(pairs, encoded, below),
+            to_encoded: back(0, encoded),
+            to_below: back(encoded, below),
+            linear,
+        }
+    }
+}
+
+impl Output {
+    fn new(linear: Linear) -> Output {
+        Output { head: Head::new(&linear.weight, &linear.bias), linear }
+    }
+
+    /// `y [rows, outputs]` of `x [rows, inputs]`, row after row.
     pub(super) fn forward(&self, x: &[f32], y: &mut [f32]) {
-        few_forward(x, &self.0.weight, self.0.outputs(), y);
-        add_bias(y, &self.0.bias);
-    }
-
-    /// `x = dz W`, or `x += dz W`.
-    pub(super) fn input_gradient(&self, dz: &[f32], x: &mut [f32], accumulate: bool) {
-        few_input_gradient(dz, &self.0.weight, self.0.outputs(), x, accumulate);
-    }
-
-    /// Adds to the gradients of weights and biases.
-    pub(super) fn gradients(&self, dz: &[f32], x: &[f32], sum: &mut [f32]) {
-        few_weight_gradient(dz, x, self.0.outputs(), self.weights_of(sum));
-        self.0.bias_gradient(dz, sum);
+        few_forward(x, &self.linear.weight, self.linear.outputs(), y);
+        add_bias(y, &self.linear.bias);
     }
 
     /// `[outputs, inputs]`.
     pub(super) fn weights(&self) -> &[f32] {
-        &self.0.weight
-    }
-
-    /// The part of a flat gradient that belongs to the weights.
-    pub(super) fn weights_of<'a>(&self, sum: &'a mut [f32]) -> &'a mut [f32] {
-        &mut sum[self.0.weight_offset..self.0.bias_offset]
-    }
-
-    pub(super) fn bias_of<'a>(&self, sum: &'a mut [f32]) -> &'a mut [f32] {
-        self.0.bias_of(sum)
+        &self.linear.weight
     }
 }
 
@@ -174,45 +222,62 @@ impl Network {
             layers.push((weight, values.next().expect("one bias a layer"), inputs));
         }
         let mut heads = layers.split_off(config.depth).into_iter();
-        let mut head = || heads.next().expect("four heads");
-        let (density, feature, view, rgb) = (head(), head(), head(), head());
+        let mut head = || heads.next().expect("density, feature and a view layer");
+        let (density, feature, view) = (head(), head(), head());
         let mut linear = |(weight, bias, inputs)| Linear::new(weight, bias, inputs, &mut offset);
-        let trunk = layers.into_iter().map(&mut linear).collect();
-        let density = Head(linear(density));
-        let (width, inputs) = (config.width, view.2);
+        let (width, pairs) = (config.width, config.precision == Precision::Bf16);
+        let trunk = layers.into_iter().enumerate().map(|(l, layer)| {
+            let below = if l > 0 { width } else { 0 };
+            let layer = linear(layer);
+            let encoded = layer.inputs - below;
+            Layer::new(layer, pairs, [encoded, below])
+        });
+        let trunk = trunk.collect();
+        let density = Output::new(linear(density));
+        let (outputs, inputs) = (view.1.len(), view.2);
         let (mut joint, mut joint_bias) = (view.0.clone(), view.1);
-        let of_feature = Matrix::new(&view.0, width / 2, width, inputs);
+        let of_feature = Matrix::new(&view.0, outputs, width, inputs);
         multiply(&mut joint, inputs, of_feature, Matrix::new(&feature.0, width, width, width), false);
         multiply(&mut joint_bias, 1, of_feature, Matrix::new(&feature.1, width, 1, 1), true);
         let joint = linear((joint, joint_bias, inputs));
-        let rgb = Head(linear(rgb));
+        let of_direction = Packed::new(false, (outputs, inputs), (inputs - width, 1), &joint.weight[width..]);
+        let mut views = vec![Layer::new(joint, pairs, [0, width])];
+        for layer in heads.by_ref().take(config.view_depth - 1) {
+            let layer = linear(layer);
+            let inputs = layer.inputs;
+            views.push(Layer::new(layer, pairs, [0, inputs]));
+        }
+        let rgb = Output::new(linear(heads.next().expect("a colour head")));
         let parts = Parts { feature: feature.0, feature_bias: feature.1, view: view.0 };
-        Network { config: config.clone(), trunk, density, view: joint, rgb, parts, gradient_size: offset }
+        Network { config: config.clone(), trunk, density, views, of_direction, rgb, parts, gradient_size: offset }
     }
 
     /// Gradients of every layer's weight and bias, in the order of parameters, from the flat sum of backward passes.
     pub fn parameter_gradients(&self, sum: &[f32]) -> Vec<Vec<f32>> {
         let mut gradients = self.trunk_gradients(sum);
-        let [mut view, view_bias] = self.view.gradients_in(sum);
-        let (width, inputs) = (self.config.width, self.view.inputs);
+        let joint = &self.views[0].linear;
+        let [mut view, view_bias] = joint.gradients_in(sum);
+        let (width, outputs, inputs) = (self.config.width, joint.outputs(), joint.inputs);
         // With G and s the gradients of V W and of the bias: dW = V^T G, db = V^T s, dV = G W^T + s b^T.
-        let joint = Matrix::new(&sum[self.view.weight_offset..], width / 2, width, inputs);
-        let of_bias = Matrix::new(&view_bias, width / 2, 1, 1);
-        let back = Matrix::new(&self.parts.view, width / 2, width, inputs).transposed();
+        let of_joint = Matrix::new(&sum[joint.weight_offset..], outputs, width, inputs);
+        let of_bias = Matrix::new(&view_bias, outputs, 1, 1);
+        let back = Matrix::new(&self.parts.view, outputs, width, inputs).transposed();
         let (mut feature, mut feature_bias) = (vec![0f32; width * width], vec![0f32; width]);
-        multiply(&mut feature, width, back, joint, false);
+        multiply(&mut feature, width, back, of_joint, false);
         multiply(&mut feature_bias, 1, back, of_bias, false);
         let weight = Matrix::new(&self.parts.feature, width, width, width);
-        multiply(&mut view, inputs, joint, weight.transposed(), false);
+        multiply(&mut view, inputs, of_joint, weight.transposed(), false);
         multiply(&mut view, inputs, of_bias, Matrix::new(&self.parts.feature_bias, 1, width, width), true);
         gradients.extend([feature, feature_bias, view, view_bias]);
-        gradients.extend(self.rgb.0.gradients_in(sum));
+        let rest = self.views[1..].iter().map(|layer| &layer.linear).chain([&self.rgb.linear]);
+        gradients.extend(rest.flat_map(|linear| linear.gradients_in(sum)));
         gradients
     }
 
     /// The same of the trunk and the density head, which come first.
     pub(super) fn trunk_gradients(&self, sum: &[f32]) -> Vec<Vec<f32>> {
-        self.trunk.iter().chain([&self.density.0]).flat_map(|layer| layer.gradients_in(sum)).collect()
+        let layers = self.trunk.iter().map(|layer| &layer.linear).chain([&self.density.linear]);
+        layers.flat_map(|linear| linear.gradients_in(sum)).collect()
     }
 
     /// Trunk layers.
@@ -252,37 +317,35 @@ impl Network {
         if self.skips(layer) { self.position_channels() } else { 0 }
     }
 
-    /// Trunk layer `l` (from 0) of a tile, with its ReLU. The lowest layer does not read `below`.
-    pub(super) fn trunk_layer(
-        &self,
-        l: usize,
-        encoded: &[f32],
-        below: &[f32],
-        output: &mut [f32],
-        mask: Option<&mut [u8]>,
-    ) {
-        self.trunk_product(l, encoded, below, output);
-        add_bias_relu(output, &self.trunk[l].bias, mask);
+    /// Whether numbers between layers are bf16.
+    pub(super) fn pairs(&self) -> bool {
+        self.config.precision == Precision::Bf16
     }
 
-    /// Trunk layer `l`'s weights times its input.
-    pub(super) fn trunk_product(&self, l: usize, encoded: &[f32], below: &[f32], output: &mut [f32]) {
-        let (layer, width, position) = (&self.trunk[l], self.config.width, self.position_channels());
-        if self.encodes(l) {
-            layer.forward(encoded, 0, position, output, false);
-        }
-        if l > 0 {
-            layer.forward(below, self.encoded_inputs(l), width, output, self.encodes(l));
-        }
+    /// Room for a layer's rows that the next product reads.
+    pub(super) fn left(&self, rows: usize, columns: usize) -> Slab {
+        Slab::new(if self.pairs() { Form::Across } else { Form::Single }, rows, columns)
     }
 
-    /// What a ray's direction and the bias add to the view layer at each of its points, `[rays, width / 2]`.
+    /// Room for a layer's rows that gradients of weights read.
+    pub(super) fn right(&self, rows: usize, columns: usize) -> Slab {
+        Slab::new(if self.pairs() { Form::Down } else { Form::Single }, rows, columns)
+    }
+
+    /// What a ray's direction and the bias add to the first view layer at each of its points, `[rays, columns]` with
+    /// columns filled up to a panel.
     pub(super) fn view_of_rays(&self, encoded_views: &[f32], rays: usize) -> Buffer<f32> {
-        let mut of_rays = Buffer::new(rays * (self.config.width / 2));
-        if rays > 0 {
-            self.view.forward(encoded_views, self.config.width, self.view_channels(), &mut of_rays, false);
-            add_bias(&mut of_rays, &self.view.bias);
-        }
+        let view = &self.views[0];
+        let stride = view.bias.len();
+        let mut of_rays = Buffer::new(rays * stride);
+        of_rays.fill(0.0);
+        let sources = [Source { left: Left::Rows(encoded_views), weights: &self.of_direction }];
+        let finish = Finish {
+            bias: Some(Bias { values: &view.bias, of_rays: (0, 0) }),
+            out: Some(Out { values: &mut of_rays, stride, accumulate: false }),
+            ..Finish::default()
+        };
+        Rows::Products(&sources).finish(rays, view.linear.outputs(), finish);
         of_rays
     }
 }

@@ -141,7 +141,7 @@ pub struct Slope {
 }
 
 impl Slope {
-    /// At points `[n, 3]`. Where raw density is not positive the slope is left 0 if `positive_alone` is set.
+    /// At points `[n, 3]`, or features `[n, channels]` of a hash grid. Where raw density is not positive the slope is left 0 if `positive_alone` is set.
     pub fn new(network: Arc<Network>, points: &Tensor, positive_alone: bool) -> Result<Slope> {
         let points = points.detach().contiguous()?;
         // NaN matters: it is to be found and reported.
@@ -165,18 +165,18 @@ impl Slope {
 }
 
 /// A tensor's values, readable while this lives.
-struct Values<'a> {
+pub struct Values<'a> {
     storage: Box<dyn Deref<Target = Storage> + 'a>,
     layout: &'a Layout,
 }
 
 impl<'a> Values<'a> {
-    fn of(tensor: &'a Tensor) -> Values<'a> {
+    pub fn of(tensor: &'a Tensor) -> Values<'a> {
         let (storage, layout) = tensor.storage_and_layout();
         Values { storage: Box::new(storage), layout }
     }
 
-    fn slice(&self) -> Result<&[f32]> {
+    pub fn slice(&self) -> Result<&[f32]> {
         match &**self.storage {
             Storage::Cpu(storage) => slice(storage, self.layout),
             _ => candle_core::bail!("the fused field is for processors"),

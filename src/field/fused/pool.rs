@@ -1,69 +1,84 @@
 //! Buffers that a thread uses again: fresh memory would be cleared, and paid for page by page.
 
 use std::cell::RefCell;
+use std::marker::PhantomData;
 use std::ops::{Deref, DerefMut};
-use std::thread::LocalKey;
 
 /// Buffers that wait on one thread, at most.
 const MOST: usize = 64;
 
+/// A cache line, so that no vector straddles two.
+#[derive(Clone, Copy)]
+#[repr(align(64))]
+struct Line {
+    _bytes: [u8; 64],
+}
+
+impl Line {
+    const ZERO: Line = Line { _bytes: [0; 64] };
+}
+
 thread_local! {
-    static FLOATS: RefCell<Vec<Vec<f32>>> = const { RefCell::new(Vec::new()) };
-    static BYTES: RefCell<Vec<Vec<u8>>> = const { RefCell::new(Vec::new()) };
+    static WAITING: RefCell<Vec<Vec<Line>>> = const { RefCell::new(Vec::new()) };
 }
 
 /// Numbers that buffers are made of.
-pub trait Pooled: Copy + Default + 'static {
-    fn pool() -> &'static LocalKey<RefCell<Vec<Vec<Self>>>>;
-}
+///
+/// # Safety
+/// Any bits are one, and 64 bytes hold a whole number of them.
+pub unsafe trait Pooled: Copy {}
 
-impl Pooled for f32 {
-    fn pool() -> &'static LocalKey<RefCell<Vec<Vec<f32>>>> {
-        &FLOATS
-    }
-}
-
-impl Pooled for u8 {
-    fn pool() -> &'static LocalKey<RefCell<Vec<Vec<u8>>>> {
-        &BYTES
-    }
-}
+// SAFETY: as the trait says.
+unsafe impl Pooled for f32 {}
+// SAFETY: as the trait says.
+unsafe impl Pooled for u16 {}
 
 /// Gives back what waits on this thread: the next run may need less.
 pub fn forget() {
-    FLOATS.take();
-    BYTES.take();
+    WAITING.take();
 }
 
 /// A buffer whose first content is anything.
-#[derive(Default)]
-pub struct Buffer<T: Pooled>(Vec<T>);
+pub struct Buffer<T: Pooled> {
+    lines: Vec<Line>,
+    len: usize,
+    numbers: PhantomData<T>,
+}
 
 impl<T: Pooled> Buffer<T> {
     pub fn new(len: usize) -> Buffer<T> {
         if len == 0 {
-            return Buffer(Vec::new());
+            return Buffer::default();
         }
-        let mut values = T::pool().with_borrow_mut(|waiting| {
-            let fits = waiting.iter().position(|values| values.capacity() >= len);
+        let count = (len * size_of::<T>()).div_ceil(size_of::<Line>());
+        let mut lines = WAITING.with_borrow_mut(|waiting| {
+            let fits = waiting.iter().position(|lines| lines.len() >= count);
             fits.map(|index| waiting.swap_remove(index)).unwrap_or_default()
         });
-        values.resize(len, T::default());
-        Buffer(values)
+        if lines.len() < count {
+            lines.resize(count, Line::ZERO);
+        }
+        Buffer { lines, len, numbers: PhantomData }
+    }
+}
+
+impl<T: Pooled> Default for Buffer<T> {
+    fn default() -> Buffer<T> {
+        Buffer { lines: Vec::new(), len: 0, numbers: PhantomData }
     }
 }
 
 impl<T: Pooled> Drop for Buffer<T> {
     fn drop(&mut self) {
-        if self.0.capacity() == 0 {
+        if self.lines.capacity() == 0 {
             return;
         }
-        let values = std::mem::take(&mut self.0);
+        let lines = std::mem::take(&mut self.lines);
         // A thread that ends may have no pool any more.
-        let _ = T::pool().try_with(|waiting| {
+        let _ = WAITING.try_with(|waiting| {
             let mut waiting = waiting.borrow_mut();
             if waiting.len() < MOST {
-                waiting.push(values);
+                waiting.push(lines);
             }
         });
     }
@@ -72,12 +87,14 @@ impl<T: Pooled> Drop for Buffer<T> {
 impl<T: Pooled> Deref for Buffer<T> {
     type Target = [T];
     fn deref(&self) -> &[T] {
-        &self.0
+        // SAFETY: the lines hold `len` numbers, aligned, and any bits are one.
+        unsafe { std::slice::from_raw_parts(self.lines.as_ptr().cast(), self.len) }
     }
 }
 
 impl<T: Pooled> DerefMut for Buffer<T> {
     fn deref_mut(&mut self) -> &mut [T] {
-        &mut self.0
+        // SAFETY: as above; they are borrowed mutably.
+        unsafe { std::slice::from_raw_parts_mut(self.lines.as_mut_ptr().cast(), self.len) }
     }
 }

@@ -2,8 +2,8 @@
 //! tiles; and the weights' gradients of what is made of both.
 
 use super::backward::scatter;
-use super::encode::encode_tile;
-use super::kernels::{add_rows, few_input_gradient, few_weight_gradient, mask_where_zero, scale_rows};
+use super::encode::encode_positions;
+use super::kernels::{add_bias_relu, add_rows, few_input_gradient, few_weight_gradient, mask_where_zero, scale_rows};
 use super::layout::{Network, TILE, tiles};
 use super::pool::Buffer;
 
@@ -28,9 +28,20 @@ pub struct Slope {
 }
 
 impl Network {
-    /// At points `[n, 3]`. Points whose raw density does not `matter` have slope 0 and take no part in what follows.
+    /// Trunk layer `l`'s weights times its input. The lowest layer does not read `below`.
+    fn trunk_product(&self, l: usize, encoded: &[f32], below: &[f32], output: &mut [f32]) {
+        let (layer, width, position) = (&self.trunk[l].linear, self.width(), self.position_channels());
+        if self.encodes(l) {
+            layer.forward(encoded, 0, position, output, false);
+        }
+        if l > 0 {
+            layer.forward(below, self.encoded_inputs(l), width, output, self.encodes(l));
+        }
+    }
+
+    /// At points `[n, 3]`, or features `[n, channels]` of a hash grid. Points whose raw density does not `matter` have slope 0 and take no part in what follows.
     pub fn slope(&self, points: &[f32], matters: impl Fn(f32) -> bool) -> Slope {
-        let n = points.len() / 3;
+        let n = points.len() / self.code().inputs();
         let (width, depth, position) = (self.width(), self.depth(), self.position_channels());
         let layers = || (0..depth).map(|_| Buffer::new(n * width)).collect();
         let mut tape = Tape {
@@ -43,12 +54,14 @@ impl Network {
         for tile in tiles(n) {
             let first = tape.points.len();
             let encoded = &mut tape.encoded[first * position..][..tile.rows * position];
-            encode_tile(tile.of(points, 3), self.config.position_octaves, encoded);
+            encode_positions(self.code(), tile.of(points, self.code().inputs()), encoded);
             let rows = first * width..(first + tile.rows) * width;
             for l in 0..depth {
                 let (below, from_here) = tape.hidden.split_at_mut(l);
                 let below = below.last().map_or(&[][..], |below| &below[rows.clone()]);
-                self.trunk_layer(l, encoded, below, &mut from_here[0][rows.clone()], None);
+                let output = &mut from_here[0][rows.clone()];
+                self.trunk_product(l, encoded, below, output);
+                add_bias_relu(output, &self.trunk[l].linear.bias);
             }
             let densities = tile.of_mut(&mut raw, 1);
             self.density.forward(&tape.hidden[depth - 1][rows], densities);
@@ -71,14 +84,15 @@ impl Network {
             row.copy_from_slice(self.density.weights());
         }
         for l in (0..depth).rev() {
+            let layer = &self.trunk[l].linear;
             let (below, from_here) = tape.adjoints.split_at_mut(l);
             let adjoint = &mut from_here[0][rows.clone()];
             mask_where_zero(adjoint, &tape.hidden[l][rows.clone()]);
             if self.encodes(l) {
-                self.trunk[l].input_gradient(adjoint, 0, position, &mut d_encoded, true);
+                layer.input_gradient((adjoint, width), 0, position, &mut d_encoded, true);
             }
             if let Some(below) = below.last_mut() {
-                self.trunk[l].input_gradient(adjoint, self.encoded_inputs(l), width, &mut below[rows.clone()], false);
+                layer.input_gradient((adjoint, width), self.encoded_inputs(l), width, &mut below[rows.clone()], false);
             }
         }
         scatter(&d_encoded, position, &tape.points[first..], slope);
@@ -104,13 +118,13 @@ impl Network {
                     u.iter_mut().zip(&pull[point * position..]).for_each(|(u, pull)| *u += pull);
                 }
             }
-            for (l, layer) in self.trunk.iter().enumerate() {
+            for (l, layer) in self.trunk.iter().map(|layer| &layer.linear).enumerate() {
                 let (adjoint, hidden) = (&tape.adjoints[l][rows.clone()], &tape.hidden[l][rows.clone()]);
                 if self.encodes(l) {
-                    layer.weight_gradient(adjoint, u_0, 0, position, &mut sum);
+                    layer.weight_gradient((adjoint, width), u_0, 0, position, &mut sum);
                 }
                 if l > 0 {
-                    layer.weight_gradient(adjoint, below, self.encoded_inputs(l), width, &mut sum);
+                    layer.weight_gradient((adjoint, width), below, self.encoded_inputs(l), width, &mut sum);
                 }
                 few_weight_gradient(d, adjoint, 1, layer.bias_of(&mut sum));
                 if pull.is_some() {
@@ -123,8 +137,8 @@ impl Network {
                 }
                 std::mem::swap(&mut u, &mut below);
             }
-            add_rows(self.density.weights_of(&mut sum), below);
-            add_rows(self.density.bias_of(&mut sum), d);
+            add_rows(self.density.linear.weights_of(&mut sum), below);
+            add_rows(self.density.linear.bias_of(&mut sum), d);
         }
         self.trunk_gradients(&sum)
     }

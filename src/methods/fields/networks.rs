@@ -3,7 +3,7 @@
 use candle_core::{DType, Device, Tensor, Var};
 
 use crate::base::Result;
-use crate::field::Field;
+use crate::field::{Field, TableRecord};
 use crate::settings::{Config, PerturbField};
 
 /// Coarse and fine field, and the further field of the released code's perturbed pass.
@@ -35,7 +35,7 @@ impl Fields {
     /// `fine`, `adversarial`.
     pub fn roles(config: &Config) -> Vec<&'static str> {
         let mut roles = vec!["coarse"];
-        if config.sampling.fine > 0 && config.method.representation().has_fine_field() {
+        if config.sampling.fine > 0 && config.representation().has_fine_field() {
             roles.push("fine");
         }
         if config.method.is_augmented() && config.perturb.field == PerturbField::Separate {
@@ -63,7 +63,7 @@ impl Fields {
         Fields {
             coarse: fields.remove("coarse").expect("there is always a coarse field"),
             fine: fields.remove("fine"),
-            one: config.sampling.fine > 0 && !config.method.representation().has_fine_field(),
+            one: config.sampling.fine > 0 && !config.representation().has_fine_field(),
             adversarial: fields.remove("adversarial"),
         }
     }
@@ -115,10 +115,25 @@ impl Fields {
     pub fn recorded(&self) -> Result<Vec<Option<Tensor>>> {
         let mut gradients = Vec::new();
         for (_, field) in self.by_role() {
-            match field.recorded()? {
-                Some(recorded) => gradients.extend(recorded.into_iter().map(Some)),
-                None => gradients.extend(vec![None; field.variables().len()]),
+            gradients.extend(field.recorded()?);
+        }
+        Ok(gradients)
+    }
+
+    /// What the gradients of hash grids are made of, field by field in the fixed order.
+    pub fn table_records(&self) -> Vec<Vec<TableRecord>> {
+        self.by_role().into_iter().map(|(_, field)| field.table_records()).collect()
+    }
+
+    /// Gradients made of records, field by field, in the order of all parameters; none but those of hash grids.
+    pub fn table_gradients(&self, records: &[Vec<TableRecord>]) -> Result<Vec<Option<Tensor>>> {
+        let mut gradients = Vec::new();
+        for ((_, field), records) in self.by_role().into_iter().zip(records) {
+            let mut of_field = vec![None; field.variables().len()];
+            if let Some(gradient) = field.table_gradient(records)? {
+                of_field[0] = Some(gradient);
             }
+            gradients.extend(of_field);
         }
         Ok(gradients)
     }

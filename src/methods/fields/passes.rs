@@ -4,10 +4,11 @@ use candle_core::{DType, Tensor};
 use rayon::prelude::*;
 
 use crate::base::Result;
+use crate::field::Field;
 use crate::methods::diagnostics::Sums;
 use crate::methods::gradients::Gradients;
 use crate::methods::learner::UnlessStopped;
-use crate::render::{Pass, PassOutput, clean_pass, noiseless_acc, photometric_loss, resample};
+use crate::render::{Pass, noiseless_acc, place, resample};
 
 use super::chunk::Chunk;
 use super::learner::FieldLearner;
@@ -49,6 +50,7 @@ impl FieldLearner {
             }
             let mut sum = sum.expect("a part has chunks");
             sum.gradients.merge(Gradients(fields.recorded()?))?;
+            sum.tables = fields.table_records();
             Ok(sum)
         };
         // One thread a part: a chunk's tensors stay in its core's cache. Parts are the same whatever
@@ -59,11 +61,9 @@ impl FieldLearner {
         } else {
             parts.into_iter().map(work).collect()
         };
-        let mut parts = parts?.into_iter();
-        let mut sum = parts.next().expect("a batch has rays");
-        for part in parts {
-            sum.add(part)?;
-        }
+        let mut sum = ChunkResult::sum(parts?)?;
+        let tables = std::mem::take(&mut sum.tables);
+        sum.gradients.merge(Gradients(self.fields.table_gradients(&tables)?))?;
         Ok(sum)
     }
 
@@ -97,12 +97,18 @@ impl FieldLearner {
         step_loss: StepLoss,
         result: &mut ChunkResult,
     ) -> Result<Option<Tensor>> {
-        let coarse = clean_pass(&fields.coarse, self.coarse_pass(chunk))?;
         let Chunk { target, share, .. } = chunk;
         let weight = step_loss.clean * share;
+        if let (Some(field), Some(u), false) = (fields.fine(), &chunk.u, self.has_coarse_loss()) {
+            let placing = fields.coarse.frozen()?;
+            let t_vals = place(&placing, &chunk.rays, &chunk.t_coarse, &self.config.sampling, u)?;
+            return self.clean_fine(field, chunk, t_vals, step_loss, result).map(Some);
+        }
         let coarse_weight = self.coarse_weight(fields);
         let counts = Counts { weight: weight * coarse_weight, share: *share, is_evaluated: fields.fine().is_none() };
-        result.losses.coarse = Some(self.descend_clean(&coarse, target, step_loss, counts, result)?);
+        let (loss, coarse) =
+            self.descend_clean(&fields.coarse, self.coarse_pass(chunk), target, step_loss, counts, result)?;
+        result.losses.coarse = Some(loss);
         let (Some(field), Some(u)) = (fields.fine(), &chunk.u) else {
             result.losses.largest_acc =
                 Some(largest(&noiseless_acc(&fields.coarse, &coarse, self.coarse_pass(chunk))?)?);
@@ -111,11 +117,30 @@ impl FieldLearner {
         let weights = &coarse.composite.weights;
         let t_vals = resample(&fields.coarse, &self.config.sampling, &chunk.t_coarse, weights, u)?;
         drop(coarse);
-        let fine = clean_pass(field, self.fine_pass(chunk, &t_vals))?;
-        let counts = Counts { weight, share: *share, is_evaluated: true };
-        result.losses.fine = Some(self.descend_clean(&fine, target, step_loss, counts, result)?);
+        self.clean_fine(field, chunk, t_vals, step_loss, result).map(Some)
+    }
+
+    /// The clean fine pass of a chunk with its samples at `t_vals`, which are returned.
+    fn clean_fine(
+        &self,
+        field: &Field,
+        chunk: &Chunk,
+        t_vals: Tensor,
+        step_loss: StepLoss,
+        result: &mut ChunkResult,
+    ) -> Result<Tensor> {
+        let Chunk { target, share, .. } = chunk;
+        let counts = Counts { weight: step_loss.clean * share, share: *share, is_evaluated: true };
+        let (loss, fine) =
+            self.descend_clean(field, self.fine_pass(chunk, &t_vals), target, step_loss, counts, result)?;
+        result.losses.fine = Some(loss);
         result.losses.largest_acc = Some(largest(&noiseless_acc(field, &fine, self.fine_pass(chunk, &t_vals))?)?);
-        Ok(Some(t_vals))
+        Ok(t_vals)
+    }
+
+    /// The coarse pass learns; otherwise it only places samples.
+    pub(super) fn has_coarse_loss(&self) -> bool {
+        self.config.representation().has_coarse_loss()
     }
 
     /// Weight of the coarse pass's loss; 1 where it is the only pass.
@@ -136,16 +161,9 @@ impl FieldLearner {
         Pass { t_vals, density_noise: chunk.noise_fine.as_ref(), ..self.coarse_pass(chunk) }
     }
 
-    /// Adds the gradients of `weight` times the photometric loss; returns the loss in f64.
-    pub(super) fn descend(
-        &self,
-        out: &PassOutput,
-        target: &Tensor,
-        weight: f64,
-        gradients: &mut Gradients,
-    ) -> Result<Tensor> {
-        let loss = photometric_loss(&out.composite.rgb, target)?;
-        gradients.add(&self.variables, &(&loss * weight)?.backward()?)?;
+    /// Adds the gradients of `weight` times a loss; returns the loss in f64.
+    pub(super) fn descend(&self, loss: &Tensor, weight: f64, gradients: &mut Gradients) -> Result<Tensor> {
+        gradients.add(&self.variables, &(loss * weight)?.backward()?)?;
         Ok(loss.detach().to_dtype(DType::F64)?)
     }
 }

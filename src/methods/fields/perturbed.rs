@@ -8,7 +8,8 @@ use crate::base::rng::{Random, Stream};
 use crate::field::Field;
 use crate::methods::gradients::Gradients;
 use crate::render::{
-    FixedSamples, Pass, PassOutput, Perturbation, UsedDeltas, perturbed_pass, photometric_loss, resample, samples_of,
+    FixedSamples, Pass, PassLoss, Perturbation, PerturbedOutput, UsedDeltas, perturbed_pass, perturbed_pass_loss,
+    photometric_loss, resample, samples_of,
 };
 use crate::settings::{DeltaSource, Resample, SecondPass};
 
@@ -65,7 +66,7 @@ impl FieldLearner {
         let alone = StepLoss { clean: weight, terms: &[], ..self.step_loss() };
         self.clean(fields, &fresh, alone, &mut second)?;
         gradients.merge(second.gradients)?;
-        Ok(second.losses.clean(self.coarse_weight(fields))?.expect("every chunk has a coarse pass"))
+        Ok(second.losses.clean(self.coarse_weight(fields))?.expect("every chunk has a clean pass"))
     }
 
     /// The perturbed passes of a chunk on the clean pass's samples.
@@ -80,20 +81,29 @@ impl FieldLearner {
     ) -> Result<Tensor> {
         let adversarial = fields.adversarial.as_ref();
         let own = adversarial.unwrap_or(&fields.coarse);
-        let coarse = self.perturbed_pass(chunk, own, self.coarse_pass(chunk), true)?;
-        let coarse = PerturbedPass { loss_weight: self.coarse_weight(fields), ..coarse };
-        let (loss, out) = self.descend_perturbed(source, &coarse, weight, result)?;
-        let (Some(field), Some(t_fine), Some(u)) = (fields.fine(), t_fine, &chunk.u) else { return Ok(loss) };
+        let coarse = if self.has_coarse_loss() {
+            let coarse = self.perturbed_pass(chunk, own, self.coarse_pass(chunk), true)?;
+            let coarse = PerturbedPass { loss_weight: self.coarse_weight(fields), ..coarse };
+            Some(self.descend_perturbed(source, &coarse, weight, result)?)
+        } else {
+            None
+        };
+        let fine = fields.fine().zip(t_fine).zip(chunk.u.as_ref());
+        let Some(((field, t_fine), u)) = fine else { return Ok(coarse.expect("one of the passes is evaluated").0) };
         let resampled;
-        let t_vals = match self.config.perturb.resample {
-            Resample::Clean => t_fine,
-            Resample::Perturbed => {
+        let t_vals = match (self.config.perturb.resample, &coarse) {
+            (Resample::Perturbed, Some((_, out))) => {
                 resampled = resample(own, &self.config.sampling, &out.t_vals, &out.composite.weights, u)?;
                 &resampled
             }
+            _ => t_fine,
         };
         let fine = self.perturbed_pass(chunk, adversarial.unwrap_or(field), self.fine_pass(chunk, t_vals), false)?;
-        Ok((loss + self.descend_perturbed(source, &fine, weight, result)?.0)?)
+        let (loss, _) = self.descend_perturbed(source, &fine, weight, result)?;
+        Ok(match coarse {
+            Some((coarse, _)) => (coarse + loss)?,
+            None => loss,
+        })
     }
 
     fn perturbed_pass<'a>(
@@ -125,15 +135,20 @@ impl FieldLearner {
         pass: &PerturbedPass,
         weight: f64,
         result: &mut ChunkResult,
-    ) -> Result<(Tensor, PassOutput)> {
+    ) -> Result<(Tensor, PassLoss)> {
         let deltas = self.find_deltas(source, pass)?;
-        let out = perturbed_pass(pass.field, pass.pass, self.perturbation(pass, &deltas))?;
+        let perturbation = self.perturbation(pass, &deltas);
+        let out = match &mut result.diagnostics {
+            Some(sums) => {
+                let PerturbedOutput { pass: out, used } = perturbed_pass(pass.field, pass.pass, perturbation)?;
+                self.diagnose(pass, &used, sums)?;
+                PassLoss::of(out, pass.target)?
+            }
+            None => perturbed_pass_loss(pass.field, pass.pass, perturbation, pass.target)?.0,
+        };
         let share = pass.share * pass.loss_weight;
-        let loss = self.descend(&out.pass, pass.target, weight * share, &mut result.gradients)?;
-        if let Some(sums) = &mut result.diagnostics {
-            self.diagnose(pass, &out.used, sums)?;
-        }
-        Ok(((loss * share)?, out.pass))
+        let loss = self.descend(&out.loss, weight * share, &mut result.gradients)?;
+        Ok(((loss * share)?, out))
     }
 
     fn perturbation<'a>(&self, pass: &'a PerturbedPass, deltas: &'a Deltas) -> Perturbation<'a> {
@@ -166,11 +181,11 @@ impl FieldLearner {
                 fixed = Some(FixedSamples::new(&field, pass.pass, at.deltas)?);
             }
             let perturbation = self.perturbation(pass, at.deltas);
-            let out = match &fixed {
-                Some(fixed) => fixed.perturbed_pass(perturbation)?,
-                None => perturbed_pass(&field, pass.pass, perturbation)?,
+            let (out, used) = match &fixed {
+                Some(fixed) => fixed.perturbed_pass_loss(perturbation, pass.target)?,
+                None => perturbed_pass_loss(&field, pass.pass, perturbation, pass.target)?,
             };
-            Ok((photometric_loss(&out.pass.composite.rgb, pass.target)?, out.used.deltas))
+            Ok((out.loss, used))
         })
     }
 

@@ -7,7 +7,7 @@ use crate::field::Field;
 use crate::losses::{LossTerm, SpaceTerm, WeightedTerm, estimate_seconds, regularize_unless};
 use crate::methods::gradients::Gradients;
 use crate::methods::learner::UnlessStopped;
-use crate::settings::{LatticePoints, REGULARIZERS, RegularizedFields, RegularizerConfig};
+use crate::settings::{LatticePoints, REGULARIZERS, RegularizedFields, Regularizer, RegularizerConfig};
 use crate::space::{Lattice, Quadrature};
 
 use super::learner::FieldLearner;
@@ -122,6 +122,7 @@ impl FieldLearner {
             };
             Ok(Balance { term: name, photometric_norm, term_norm: gradients.norm()? })
         };
-        REGULARIZERS.into_iter().map(|regularizer| alone(LossTerm::of(regularizer))).collect()
+        let measurable = |term: &Regularizer| *term != Regularizer::Laplacian || self.config.field.has_laplacian();
+        REGULARIZERS.into_iter().filter(measurable).map(|regularizer| alone(LossTerm::of(regularizer))).collect()
     }
 }

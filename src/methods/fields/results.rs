@@ -4,6 +4,7 @@ use candle_core::Tensor;
 
 use crate::base::Result;
 use crate::base::tensors::sum;
+use crate::field::TableRecord;
 use crate::methods::gradients::Gradients;
 
 use crate::methods::diagnostics::Sums;
@@ -12,6 +13,8 @@ use crate::methods::diagnostics::Sums;
 pub(super) struct ChunkResult {
     pub(super) gradients: Gradients,
     pub(super) losses: Losses,
+    /// Of each field, what its hash grid's gradient is made of.
+    pub(super) tables: Vec<Vec<TableRecord>>,
     /// Where they are asked for.
     pub(super) diagnostics: Option<Sums>,
 }
@@ -30,12 +33,33 @@ pub(super) struct Losses {
 
 impl ChunkResult {
     pub(super) fn new(parameters: usize) -> ChunkResult {
-        ChunkResult { gradients: Gradients::none(parameters), losses: Losses::default(), diagnostics: None }
+        let gradients = Gradients::none(parameters);
+        ChunkResult { gradients, losses: Losses::default(), tables: Vec::new(), diagnostics: None }
+    }
+
+    /// The sum of the parts of a step, which has at least one, in their order.
+    pub(super) fn sum(parts: Vec<ChunkResult>) -> Result<ChunkResult> {
+        let (mut gradients, mut rest) = (Vec::with_capacity(parts.len()), None::<ChunkResult>);
+        for part in parts {
+            let ChunkResult { gradients: of_part, losses, tables, diagnostics } = part;
+            gradients.push(of_part);
+            let part = ChunkResult { gradients: Gradients::none(0), losses, tables, diagnostics };
+            match &mut rest {
+                Some(sum) => sum.add(part)?,
+                None => rest = Some(part),
+            }
+        }
+        Ok(ChunkResult { gradients: Gradients::sum(gradients)?, ..rest.expect("a batch has rays") })
     }
 
     pub(super) fn add(&mut self, other: ChunkResult) -> Result<()> {
         self.gradients.merge(other.gradients)?;
         self.losses.add(other.losses)?;
+        if self.tables.is_empty() {
+            self.tables = other.tables;
+        } else {
+            self.tables.iter_mut().zip(other.tables).for_each(|(records, more)| records.extend(more));
+        }
         if let (Some(mine), Some(other)) = (&mut self.diagnostics, other.diagnostics) {
             mine.merge(other);
         }

@@ -12,7 +12,10 @@ use crate::methods::diagnostics;
 impl Learner for FieldLearner {
     fn columns(&self) -> LogColumns {
         let config = &self.config;
-        let mut photometric = vec!["loss_coarse".to_string()];
+        let mut photometric = Vec::new();
+        if self.has_coarse_loss() {
+            photometric.push("loss_coarse".to_string());
+        }
         if config.sampling.fine > 0 {
             photometric.push("loss_fine".into());
         }
@@ -32,7 +35,7 @@ impl Learner for FieldLearner {
             let name = term.name();
             return Err(Error::Config(format!("the loss has a term '{name}' already; give the new one another name")));
         }
-        if matches!(term, LossTerm::InSpace(_)) && !self.config.method.representation().has_derivatives_at_points() {
+        if matches!(term, LossTerm::InSpace(_)) && !self.config.representation().has_derivatives_at_points() {
             return Err(Error::Config(format!(
                 "the term '{}' is made of density's derivatives at points, which method {} has not; use nerf or aug-nerf",
                 term.name(),
@@ -45,7 +48,7 @@ impl Learner for FieldLearner {
 
     fn learn(&mut self, step: u64, log: bool, unless_stopped: &UnlessStopped) -> Result<Learned> {
         let whole = self.draw(step)?;
-        let ChunkResult { mut gradients, losses, diagnostics } =
+        let ChunkResult { mut gradients, losses, diagnostics, .. } =
             self.passes(&whole, self.step_loss(), log, unless_stopped)?;
         let mut in_space = Vec::new();
         let terms_in_space = terms::in_space(&self.terms);
@@ -57,14 +60,13 @@ impl Learner for FieldLearner {
         let on_rays = losses.on_rays.as_ref().map_or(Ok(Vec::new()), |values| values.to_vec1::<f64>())?;
         let regularizers = terms::in_order(&self.terms, &on_rays, &in_space);
         let [coarse, fine, perturbed, largest_acc] = losses.read()?;
-        let coarse = coarse.expect("every chunk has a coarse pass");
-        let clean = self.coarse_weight(&self.fields) * coarse + fine.unwrap_or(0.0);
-        let (terms, loss) = self.terms([Some(coarse), fine, perturbed], regularizers);
+        let clean = self.coarse_weight(&self.fields) * coarse.unwrap_or(0.0) + fine.unwrap_or(0.0);
+        let (terms, loss) = self.terms([coarse, fine, perturbed], regularizers);
         Ok(Learned {
             gradients,
             terms,
             loss,
-            mse: fine.unwrap_or(coarse),
+            mse: fine.or(coarse).expect("every chunk has a pass that is evaluated"),
             largest_acc: largest_acc.expect("every chunk has one"),
             sites: diagnostics.map_or_else(Vec::new, |sums| sums.finish(clean)),
         })

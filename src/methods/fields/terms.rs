@@ -4,8 +4,9 @@ use candle_core::{DType, Tensor};
 
 use crate::base::Result;
 use crate::base::tensors::sum;
+use crate::field::Field;
 use crate::losses::{LossTerm, RayPass, RayTerm, SpaceTerm, WeightedTerm};
-use crate::render::{PassOutput, photometric_loss};
+use crate::render::{Pass, PassLoss, clean_pass, clean_pass_loss, photometric_loss};
 use crate::settings::{Config, Objective, RegularizedFields};
 
 use super::learner::FieldLearner;
@@ -86,29 +87,36 @@ impl FieldLearner {
         StepLoss { clean, perturbed, terms: &self.terms, fields: self.config.regularizer.fields }
     }
 
-    /// Adds the gradients of a clean pass's photometric loss and of the terms on its rays, in one way back. Returns the
-    /// photometric loss times the share; the terms' means over the rays, unweighted, are added to the result's losses.
+    /// Renders a clean pass and adds the gradients of its photometric loss and of the terms on its rays, in one way back.
+    /// Returns the photometric loss times the share; the terms' means over the rays, unweighted, are added to the
+    /// result's losses.
     pub(super) fn descend_clean(
         &self,
-        out: &PassOutput,
+        field: &Field,
+        pass: Pass,
         target: &Tensor,
         step_loss: StepLoss,
         Counts { weight, share, is_evaluated }: Counts,
         result: &mut ChunkResult,
-    ) -> Result<Tensor> {
+    ) -> Result<(Tensor, PassLoss)> {
+        let mut terms = step_loss.terms_on(is_evaluated).peekable();
+        if terms.peek().is_none() {
+            let out = clean_pass_loss(field, pass, target)?;
+            let loss = self.descend(&out.loss, weight, &mut result.gradients)?;
+            return Ok(((loss * share)?, out));
+        }
+        let out = clean_pass(field, pass)?;
+        let seen = RayPass { output: &out, bounds: self.bounds };
         let loss = photometric_loss(&out.composite.rgb, target)?;
         let mut total = (&loss * weight)?;
-        let pass = RayPass { output: out, bounds: self.bounds };
         let mut values = Vec::new();
-        for (term, weight) in step_loss.terms_on(is_evaluated) {
-            let mean = term.per_ray(&pass)?.mean_all()?;
+        for (term, weight) in terms {
+            let mean = term.per_ray(&seen)?.mean_all()?;
             total = (total + (&mean * (weight * share))?.to_dtype(loss.dtype())?)?;
             values.push((mean.detach().to_dtype(DType::F64)? * share)?);
         }
         result.gradients.add(&self.variables, &total.backward()?)?;
-        if !values.is_empty() {
-            result.losses.on_rays = sum(result.losses.on_rays.take(), Some(Tensor::stack(&values, 0)?))?;
-        }
-        Ok((loss.detach().to_dtype(DType::F64)? * share)?)
+        result.losses.on_rays = sum(result.losses.on_rays.take(), Some(Tensor::stack(&values, 0)?))?;
+        Ok(((loss.detach().to_dtype(DType::F64)? * share)?, PassLoss::of(out, target)?))
     }
 }

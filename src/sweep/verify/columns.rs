@@ -7,7 +7,7 @@ use crate::data::known_bounds;
 use crate::methods::SiteSummary;
 use crate::report::{Record, Status};
 use crate::run::Protocol;
-use crate::settings::{Config, DataKind, Located};
+use crate::settings::{Config, DataKind, Extent, Located};
 use crate::sweep::points::Point;
 use crate::sweep::provenance::Provenance;
 
@@ -59,7 +59,11 @@ struct Decided {
 fn decided(point: &Point, record: &Record) -> Result<Decided> {
     let config = point.config.clone();
     let located = config.locate(kind(&point.config, record.protocol("dataset")))?;
-    let at = |located: &Located, near, far| Protocol::of_configuration(&located.clone().resolve(near, far));
+    let sides = ["width", "height"].into_iter().filter_map(|side| record.protocol(side).parse().ok());
+    let pixels: usize = sides.max().unwrap_or(0);
+    let at = |located: &Located, near, far| {
+        Protocol::of_configuration(&located.clone().resolve(Extent { near, far, pixels }))
+    };
     // The hash of a resolved configuration hangs on the settings that its revision had; points' names and scenes are
     // compared with their configurations elsewhere.
     let keep = |columns: Vec<Text>| -> Vec<Text> {

@@ -55,7 +55,7 @@ pub fn tiny_config(method: Method, change: impl FnOnce(&mut Config)) -> Resolved
     config.field.skips = vec![2];
     config.field.position_octaves = 4;
     config.field.view_octaves = 2;
-    if method.representation().encoding().at_intervals() {
+    if method.encoding().at_intervals() {
         // What `build` lays under such a method, with fewer octaves.
         config.field.encoding = Encoding::Integrated;
         config.field.position_octaves = 6;
@@ -71,7 +71,7 @@ pub fn tiny_config(method: Method, change: impl FnOnce(&mut Config)) -> Resolved
     config.train.learning_rate = 5e-3;
     config.train.precrop_steps = Some(0);
     change(&mut config);
-    config.resolve(DataKind::Blender, 2.0, 6.0).unwrap()
+    config.resolve(DataKind::Blender, augnerf::bench::EXTENT).unwrap()
 }
 
 /// The processor, with all its threads.

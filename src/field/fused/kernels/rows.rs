@@ -2,8 +2,8 @@
 //! One thread each; the processor's widest instructions are chosen at run time.
 
 use gemm::Parallelism;
-use pulp::Arch;
 
+use crate::base::simd::vectorized;
 use crate::runtime::count_multiply_adds;
 
 /// A read-only matrix inside a slice.
@@ -81,7 +81,7 @@ const LANES: usize = 16;
 pub fn few_forward(x: &[f32], weight: &[f32], outputs: usize, y: &mut [f32]) {
     let columns = weight.len() / outputs;
     count_multiply_adds(y.len() * columns);
-    Arch::new().dispatch(
+    vectorized(
         #[inline(always)]
         || {
             for (x, y) in x.chunks_exact(columns).zip(y.chunks_exact_mut(outputs)) {
@@ -111,7 +111,7 @@ fn dot(a: &[f32], b: &[f32]) -> f32 {
 pub fn few_input_gradient(dz: &[f32], weight: &[f32], outputs: usize, dx: &mut [f32], accumulate: bool) {
     let columns = weight.len() / outputs;
     count_multiply_adds(dz.len() * columns);
-    Arch::new().dispatch(
+    vectorized(
         #[inline(always)]
         || {
             for (dz, dx) in dz.chunks_exact(outputs).zip(dx.chunks_exact_mut(columns)) {
@@ -130,7 +130,7 @@ pub fn few_input_gradient(dz: &[f32], weight: &[f32], outputs: usize, dx: &mut [
 pub fn few_weight_gradient(dz: &[f32], x: &[f32], outputs: usize, sum: &mut [f32]) {
     let columns = sum.len() / outputs;
     count_multiply_adds(dz.len() * columns);
-    Arch::new().dispatch(
+    vectorized(
         #[inline(always)]
         || {
             for (dz, x) in dz.chunks_exact(outputs).zip(x.chunks_exact(columns)) {
@@ -151,7 +151,7 @@ fn add_scaled(sum: &mut [f32], scale: f32, values: &[f32]) {
 
 /// Adds `bias` to every row.
 pub fn add_bias(rows: &mut [f32], bias: &[f32]) {
-    Arch::new().dispatch(
+    vectorized(
         #[inline(always)]
         || {
             for row in rows.chunks_exact_mut(bias.len()) {
@@ -163,56 +163,16 @@ pub fn add_bias(rows: &mut [f32], bias: &[f32]) {
     );
 }
 
-/// Adds `bias` to every row, then ReLU; `mask` is 1 where the sum was positive. NaN stays NaN, to be found and
-/// reported.
-pub fn add_bias_relu(rows: &mut [f32], bias: &[f32], mask: Option<&mut [u8]>) {
-    add_relu(rows, bias.len(), |_| bias, mask);
-}
-
-/// The same with a bias for each ray, `[rays, columns]`: the rows are points from number `start` on, `samples` a ray.
-pub fn add_of_rays_relu(
-    rows: &mut [f32],
-    of_rays: &[f32],
-    columns: usize,
-    (start, samples): (usize, usize),
-    mask: Option<&mut [u8]>,
-) {
-    add_relu(rows, columns, |row| &of_rays[(start + row) / samples * columns..][..columns], mask);
-}
-
-#[inline(always)]
-fn add_relu<'a>(rows: &mut [f32], columns: usize, bias: impl Fn(usize) -> &'a [f32], mask: Option<&mut [u8]>) {
-    let relu = |sum: f32| if sum < 0.0 { 0.0 } else { sum };
-    Arch::new().dispatch(
-        #[inline(always)]
-        || match mask {
-            Some(mask) => {
-                for (i, (row, mask)) in rows.chunks_exact_mut(columns).zip(mask.chunks_exact_mut(columns)).enumerate() {
-                    for ((value, b), mask) in row.iter_mut().zip(bias(i)).zip(mask) {
-                        let sum = *value + b;
-                        *value = relu(sum);
-                        *mask = u8::from(sum > 0.0);
-                    }
-                }
-            }
-            None => {
-                for (i, row) in rows.chunks_exact_mut(columns).enumerate() {
-                    for (value, b) in row.iter_mut().zip(bias(i)) {
-                        *value = relu(*value + b);
-                    }
-                }
-            }
-        },
-    );
-}
-
-/// Puts 0 where the mask is 0.
-pub fn apply_mask(values: &mut [f32], mask: &[u8]) {
-    Arch::new().dispatch(
+/// Adds `bias` to every row, then ReLU. NaN stays NaN, to be found and reported.
+pub fn add_bias_relu(rows: &mut [f32], bias: &[f32]) {
+    vectorized(
         #[inline(always)]
         || {
-            for (value, &mask) in values.iter_mut().zip(mask) {
-                *value = if mask == 0 { 0.0 } else { *value };
+            for row in rows.chunks_exact_mut(bias.len()) {
+                for (value, b) in row.iter_mut().zip(bias) {
+                    let sum = *value + b;
+                    *value = if sum < 0.0 { 0.0 } else { sum };
+                }
             }
         },
     );
@@ -220,7 +180,7 @@ pub fn apply_mask(values: &mut [f32], mask: &[u8]) {
 
 /// Puts 0 where the other value is 0.
 pub fn mask_where_zero(values: &mut [f32], others: &[f32]) {
-    Arch::new().dispatch(
+    vectorized(
         #[inline(always)]
         || {
             for (value, &other) in values.iter_mut().zip(others) {
@@ -233,7 +193,7 @@ pub fn mask_where_zero(values: &mut [f32], others: &[f32]) {
 /// `out = rows`, each row times its number in `scales`.
 pub fn scale_rows(rows: &[f32], scales: &[f32], out: &mut [f32]) {
     let columns = rows.len() / scales.len();
-    Arch::new().dispatch(
+    vectorized(
         #[inline(always)]
         || {
             for ((row, out), scale) in rows.chunks_exact(columns).zip(out.chunks_exact_mut(columns)).zip(scales) {
@@ -245,21 +205,9 @@ pub fn scale_rows(rows: &[f32], scales: &[f32], out: &mut [f32]) {
     );
 }
 
-/// `sum += values`, element by element.
-pub fn add(sum: &mut [f32], values: &[f32]) {
-    Arch::new().dispatch(
-        #[inline(always)]
-        || {
-            for (sum, value) in sum.iter_mut().zip(values) {
-                *sum += value;
-            }
-        },
-    );
-}
-
 /// Adds every row to `sum`.
 pub fn add_rows(sum: &mut [f32], rows: &[f32]) {
-    Arch::new().dispatch(
+    vectorized(
         #[inline(always)]
         || {
             for row in rows.chunks_exact(sum.len()) {

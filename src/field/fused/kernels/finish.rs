@@ -1,0 +1,270 @@
+//! What is done with rows of sums before they leave the registers, and where they go.
+
+use super::panels::{Bits, BitsMut, Form, PanelsMut, padded};
+use super::simd::{LANES, Simd};
+
+/// The sums of a block of rows.
+pub(super) type Block<S, const MR: usize, const NV: usize> = [[<S as Simd>::V; NV]; MR];
+
+/// What is added to every row.
+#[derive(Clone, Copy)]
+pub struct Bias<'a> {
+    /// Filled up to a panel; `[rays, columns]` where each ray has its own.
+    pub values: &'a [f32],
+    /// Number of the first row, and rows of a ray; 0 of them where all rows share one.
+    pub of_rays: (usize, usize),
+}
+
+/// Where f32 go row after row.
+pub struct Out<'a> {
+    pub values: &'a mut [f32],
+    /// From one row to the next.
+    pub stride: usize,
+    /// They are added; then nothing else is done with the rows.
+    pub accumulate: bool,
+}
+
+/// Sums by ray, `[rays, columns]` with columns filled up to a panel, and each row's ray.
+pub struct ByRay<'a> {
+    pub sums: &'a mut [f32],
+    pub rays: &'a [usize],
+}
+
+/// What is done with each row, in this order.
+#[derive(Default)]
+pub struct Finish<'a> {
+    pub bias: Option<Bias<'a>>,
+    /// A number for each row, times a row of weights filled up to a panel, is added.
+    pub density: Option<(&'a [f32], &'a [f32])>,
+    /// Negative numbers become 0.
+    pub relu: bool,
+    /// Receives where the numbers are positive.
+    pub positive: Option<BitsMut<'a>>,
+    /// Receives the numbers so far.
+    pub out: Option<Out<'a>>,
+    /// Numbers without their bit become 0.
+    pub mask: Option<Bits<'a>>,
+    pub by_ray: Option<ByRay<'a>>,
+    /// Receives the numbers so far as the left side of bf16.
+    pub across: Option<PanelsMut<'a>>,
+    /// Is added, `[rows, columns]`.
+    pub delta: Option<&'a [f32]>,
+    /// Receives the numbers in f32, or as bf16 for gradients of weights.
+    pub panels: Option<PanelsMut<'a>>,
+}
+
+impl Finish<'_> {
+    /// Whether pairs of bf16 are written.
+    pub(super) fn check(&self, rows: usize, columns: usize) -> bool {
+        let whole = padded(columns);
+        let bias = self.bias.is_none_or(|bias| match bias.of_rays {
+            (_, 0) => bias.values.len() == whole,
+            (first, samples) => rows == 0 || ((first + rows - 1) / samples + 1) * whole <= bias.values.len(),
+        });
+        let density = self.density.is_none_or(|(d, w)| d.len() == rows && w.len() == whole);
+        let masks = self.positive.as_ref().is_none_or(|bits| bits.fits(rows, columns))
+            && self.mask.is_none_or(|bits| bits.fits(rows, columns));
+        let plain = self.out.as_ref().is_none_or(|out| columns <= out.stride && out.values.len() >= rows * out.stride)
+            && self.delta.is_none_or(|delta| delta.len() == rows * columns);
+        let by_ray = self.by_ray.as_ref().is_none_or(|by_ray| {
+            by_ray.rays.len() == rows && by_ray.rays.iter().all(|ray| (ray + 1) * whole <= by_ray.sums.len())
+        });
+        let across = self.across.as_ref().is_none_or(|to| to.shape.form == Form::Across && to.fits(rows, columns));
+        let panels = self.panels.as_ref().is_none_or(|to| to.shape.form != Form::Across && to.fits(rows, columns));
+        let alone = !self.out.as_ref().is_some_and(|out| out.accumulate) || self.is_out_alone();
+        assert!(
+            bias && density && masks && plain && by_ray && across && panels && alone,
+            "what rows are finished with does not fit"
+        );
+        self.across.is_some() || self.panels.as_ref().is_some_and(|to| to.shape.form == Form::Down)
+    }
+}
+
+impl Finish<'_> {
+    /// Rows go to `out` as they are, and nowhere else: sums of few rows begin with what is there.
+    fn is_out_alone(&self) -> bool {
+        let Finish { bias, density, relu, positive, out: _, mask, by_ray, across, delta, panels } = self;
+        let elsewhere = positive.is_some() || by_ray.is_some() || across.is_some() || panels.is_some();
+        !(elsewhere || *relu || bias.is_some() || density.is_some() || mask.is_some() || delta.is_some())
+    }
+
+    /// Finishes a block of sums that begins at a row and a column. `holds_out`: they hold what was in `out`, too.
+    #[inline(always)]
+    pub(super) unsafe fn block<S: Simd, const MR: usize, const NV: usize>(
+        &mut self,
+        sums: &mut Block<S, MR, NV>,
+        (row, column): (usize, usize),
+        columns: usize,
+        holds_out: bool,
+    ) {
+        // SAFETY: `check` has seen that all slices have these rows and columns.
+        unsafe {
+            self.add::<S, MR, NV>(sums, (row, column), columns);
+            if self.relu {
+                for sum in sums.iter_mut() {
+                    for v in sum {
+                        *v = S::relu(*v);
+                    }
+                }
+            }
+            if let Some(positive) = &mut self.positive {
+                let (mut to, step) = (positive.at(row, column), positive.shape.step(column) / LANES);
+                for sums in sums.iter() {
+                    for v in 0..NV {
+                        *to.add(v) = S::positive(sums[v]);
+                    }
+                    to = to.wrapping_add(step);
+                }
+            }
+            if let Some(out) = &mut self.out {
+                for r in 0..MR {
+                    let to = out.values.as_mut_ptr().add((row + r) * out.stride);
+                    put::<S, NV>(to, &sums[r], (column, columns), out.accumulate && !holds_out);
+                }
+            }
+            if let Some(mask) = self.mask {
+                let (mut bits, step) = (mask.at(row, column), mask.shape.step(column) / LANES);
+                for sums in sums.iter_mut() {
+                    for v in 0..NV {
+                        sums[v] = S::keep(sums[v], *bits.add(v));
+                    }
+                    bits = bits.wrapping_add(step);
+                }
+            }
+            self.leave::<S, MR, NV>(sums, (row, column), columns);
+        }
+    }
+
+    /// Bias and density.
+    #[inline(always)]
+    unsafe fn add<S: Simd, const MR: usize, const NV: usize>(
+        &self,
+        sums: &mut Block<S, MR, NV>,
+        (row, column): (usize, usize),
+        columns: usize,
+    ) {
+        // SAFETY: as in `block`.
+        unsafe {
+            if let Some(bias) = self.bias {
+                let values = bias.values.as_ptr().wrapping_add(column);
+                for (r, sums) in sums.iter_mut().enumerate() {
+                    let from = match bias.of_rays {
+                        (_, 0) => values,
+                        (first, samples) => values.wrapping_add((first + row + r) / samples * padded(columns)),
+                    };
+                    for v in 0..NV {
+                        sums[v] = S::add(sums[v], S::load(from.add(LANES * v)));
+                    }
+                }
+            }
+            if let Some((d, weights)) = self.density {
+                for r in 0..MR {
+                    let d = S::splat(*d.as_ptr().add(row + r));
+                    for v in 0..NV {
+                        let weight = S::load(weights.as_ptr().add(column + LANES * v));
+                        sums[r][v] = S::add(sums[r][v], S::mul(d, weight));
+                    }
+                }
+            }
+        }
+    }
+
+    /// The second half of it: where the numbers go.
+    #[inline(always)]
+    unsafe fn leave<S: Simd, const MR: usize, const NV: usize>(
+        &mut self,
+        sums: &mut Block<S, MR, NV>,
+        (row, column): (usize, usize),
+        columns: usize,
+    ) {
+        // SAFETY: as in `block`.
+        unsafe {
+            if let Some(by_ray) = &mut self.by_ray {
+                for r in 0..MR {
+                    let ray = *by_ray.rays.as_ptr().add(row + r);
+                    let to = by_ray.sums.as_mut_ptr().add(ray * padded(columns) + column);
+                    for v in 0..NV {
+                        let to = to.add(LANES * v);
+                        S::store(to, S::add(S::load(to), sums[r][v]));
+                    }
+                }
+            }
+            if let Some(across) = self.across.as_mut().filter(|_| S::PAIRS) {
+                let (mut to, step) = (across.at(row, column), across.shape.step(column));
+                for sums in sums.iter() {
+                    for v in 0..NV {
+                        S::store_rounded(to.add(LANES / 2 * v), sums[v]);
+                    }
+                    to = to.wrapping_add(step);
+                }
+            }
+            if let Some(delta) = self.delta {
+                for r in 0..MR {
+                    let delta = given::<S, NV>(delta.as_ptr().add((row + r) * columns), column, columns);
+                    for v in 0..NV {
+                        sums[r][v] = S::add(sums[r][v], delta[v]);
+                    }
+                }
+            }
+            let Some(panels) = &mut self.panels else { return };
+            let (mut to, step) = (panels.at(row, column), panels.shape.step(column));
+            if S::PAIRS && panels.shape.form == Form::Down {
+                for r in (0..MR).step_by(2) {
+                    for v in 0..NV {
+                        let next = if r + 1 < MR { sums[r + 1][v] } else { S::splat(0.0) };
+                        S::store(to.add(LANES * v), S::pair(sums[r][v], next));
+                    }
+                    to = to.wrapping_add(step);
+                }
+            } else {
+                for sums in sums.iter() {
+                    for v in 0..NV {
+                        S::store(to.add(LANES * v), sums[v]);
+                    }
+                    to = to.wrapping_add(step);
+                }
+            }
+        }
+    }
+}
+
+/// Writes a row's numbers from `column` on, or adds them to what is there.
+#[inline(always)]
+pub(super) unsafe fn put<S: Simd, const NV: usize>(
+    row: *mut f32,
+    numbers: &[S::V; NV],
+    (column, columns): (usize, usize),
+    accumulate: bool,
+) {
+    // SAFETY: the row has `columns` numbers.
+    unsafe {
+        let before = if accumulate { given::<S, NV>(row, column, columns) } else { [S::splat(0.0); NV] };
+        for v in 0..NV {
+            let first = column + LANES * v;
+            let sum = if accumulate { S::add(before[v], numbers[v]) } else { numbers[v] };
+            if first + LANES <= columns {
+                S::store(row.add(first), sum);
+            } else if first < columns {
+                S::store_first(row.add(first), sum, columns - first);
+            }
+        }
+    }
+}
+
+/// Numbers of a row from `column` on; beyond its end 0.
+#[inline(always)]
+pub(super) unsafe fn given<S: Simd, const NV: usize>(row: *const f32, column: usize, columns: usize) -> [S::V; NV] {
+    // SAFETY: the row has `columns` numbers.
+    unsafe {
+        let mut out = [S::splat(0.0); NV];
+        for (v, out) in out.iter_mut().enumerate() {
+            let first = column + LANES * v;
+            if first + LANES <= columns {
+                *out = S::load(row.add(first));
+            } else if first < columns {
+                *out = S::load_first(row.add(first), columns - first);
+            }
+        }
+        out
+    }
+}

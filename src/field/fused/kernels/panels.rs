@@ -1,0 +1,345 @@
+//! How a layer's rows lie in memory: in panels of 64 columns (the last one of 32, where that is enough), each row after
+//! row. So a product reads its left side and writes its result without packing, and the gradient of weights finds
+//! 64 neighbours of every row in one stream.
+
+use super::simd::{round, word};
+use crate::base::simd::vectorized;
+use crate::field::fused::pool::Buffer;
+
+/// Columns of a panel.
+pub const PANEL: usize = 64;
+/// Columns are filled up to a multiple of this.
+const STEP: usize = 32;
+
+/// Columns with those that fill the last panel up.
+pub fn padded(columns: usize) -> usize {
+    columns.next_multiple_of(STEP)
+}
+
+/// What a word holds.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Form {
+    /// An f32.
+    Single,
+    /// bf16 of two neighbours in a row: the left side of a product.
+    Across,
+    /// bf16 of two neighbours in a column: either side of a gradient of weights.
+    Down,
+}
+
+/// Form and size of rows in panels.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Shape {
+    pub form: Form,
+    pub rows: usize,
+    pub columns: usize,
+}
+
+impl Shape {
+    pub fn words(self) -> usize {
+        let columns = padded(self.columns);
+        match self.form {
+            Form::Single => columns * self.rows,
+            Form::Across => columns * self.rows / 2,
+            Form::Down => columns * self.rows.div_ceil(2),
+        }
+    }
+
+    /// Columns of the panel that `column` is in.
+    #[inline(always)]
+    pub fn width(self, column: usize) -> usize {
+        (padded(self.columns) - column / PANEL * PANEL).min(PANEL)
+    }
+
+    /// Words from a row, or pair of rows, to the next within the panel of `column`.
+    #[inline(always)]
+    pub fn step(self, column: usize) -> usize {
+        if self.form == Form::Across { self.width(column) / 2 } else { self.width(column) }
+    }
+
+    /// Where a row's words from `column` on are; both even where two share a word.
+    #[inline(always)]
+    pub fn offset(self, row: usize, column: usize) -> usize {
+        let (panel, inner) = (column / PANEL * PANEL, column % PANEL);
+        match self.form {
+            Form::Single => panel * self.rows + row * self.width(column) + inner,
+            Form::Across => (panel * self.rows + row * self.width(column) + inner) / 2,
+            Form::Down => panel * self.rows.div_ceil(2) + row / 2 * self.width(column) + inner,
+        }
+    }
+}
+
+/// Rows in panels.
+#[derive(Default)]
+pub struct Slab {
+    words: Buffer<f32>,
+    shape: Option<Shape>,
+}
+
+impl Slab {
+    pub fn new(form: Form, rows: usize, columns: usize) -> Slab {
+        let shape = Shape { form, rows, columns };
+        Slab { words: Buffer::new(shape.words()), shape: Some(shape) }
+    }
+
+    pub fn form(&self) -> Form {
+        self.shape.unwrap_or(EMPTY).form
+    }
+
+    /// Without rows.
+    pub fn is_empty(&self) -> bool {
+        self.words.is_empty()
+    }
+
+    /// The rows from `start` on.
+    pub fn rows(&self, start: usize) -> Panels<'_> {
+        Panels { words: &self.words, shape: self.shape.unwrap_or(EMPTY), start }
+    }
+
+    pub fn rows_mut(&mut self, start: usize) -> PanelsMut<'_> {
+        PanelsMut { words: &mut self.words, shape: self.shape.unwrap_or(EMPTY), start }
+    }
+}
+
+const EMPTY: Shape = Shape { form: Form::Single, rows: 0, columns: 0 };
+
+/// Rows in panels, from row `start` on.
+#[derive(Clone, Copy)]
+pub struct Panels<'a> {
+    pub words: &'a [f32],
+    pub shape: Shape,
+    pub start: usize,
+}
+
+/// The same to write to.
+pub struct PanelsMut<'a> {
+    pub words: &'a mut [f32],
+    pub shape: Shape,
+    pub start: usize,
+}
+
+impl Panels<'_> {
+    /// Whether `rows` rows are there, and begin with a whole word.
+    pub fn fits(&self, rows: usize, columns: usize) -> bool {
+        fits(self.words.len(), self.shape, (self.start, rows), columns)
+    }
+
+    #[inline(always)]
+    pub fn at(&self, row: usize, column: usize) -> *const f32 {
+        self.words.as_ptr().wrapping_add(self.shape.offset(self.start + row, column))
+    }
+}
+
+impl PanelsMut<'_> {
+    pub fn fits(&self, rows: usize, columns: usize) -> bool {
+        fits(self.words.len(), self.shape, (self.start, rows), columns)
+    }
+
+    #[inline(always)]
+    pub fn at(&mut self, row: usize, column: usize) -> *mut f32 {
+        self.words.as_mut_ptr().wrapping_add(self.shape.offset(self.start + row, column))
+    }
+}
+
+fn fits(words: usize, shape: Shape, (start, rows): (usize, usize), columns: usize) -> bool {
+    let whole = shape.form != Form::Down || start.is_multiple_of(2);
+    whole && shape.columns == columns && start + rows <= shape.rows && shape.words() <= words
+}
+
+/// A bit for each number of rows in panels.
+#[derive(Default)]
+pub struct Masks {
+    bits: Buffer<u16>,
+    shape: Option<Shape>,
+}
+
+impl Masks {
+    pub fn new(rows: usize, columns: usize) -> Masks {
+        let shape = Shape { form: Form::Single, rows, columns };
+        Masks { bits: Buffer::new(shape.words() / 16), shape: Some(shape) }
+    }
+
+    pub fn rows(&self, start: usize) -> Bits<'_> {
+        Bits { bits: &self.bits, shape: self.shape.unwrap_or(EMPTY), start }
+    }
+
+    pub fn rows_mut(&mut self, start: usize) -> BitsMut<'_> {
+        BitsMut { bits: &mut self.bits, shape: self.shape.unwrap_or(EMPTY), start }
+    }
+}
+
+/// Masks from row `start` on.
+#[derive(Clone, Copy)]
+pub struct Bits<'a> {
+    pub bits: &'a [u16],
+    pub shape: Shape,
+    pub start: usize,
+}
+
+/// The same to write to.
+pub struct BitsMut<'a> {
+    pub bits: &'a mut [u16],
+    pub shape: Shape,
+    pub start: usize,
+}
+
+impl Bits<'_> {
+    pub fn fits(&self, rows: usize, columns: usize) -> bool {
+        fits(16 * self.bits.len(), self.shape, (self.start, rows), columns)
+    }
+
+    #[inline(always)]
+    pub fn at(&self, row: usize, column: usize) -> *const u16 {
+        self.bits.as_ptr().wrapping_add(self.shape.offset(self.start + row, column) / 16)
+    }
+}
+
+impl BitsMut<'_> {
+    pub fn fits(&self, rows: usize, columns: usize) -> bool {
+        fits(16 * self.bits.len(), self.shape, (self.start, rows), columns)
+    }
+
+    #[inline(always)]
+    pub fn at(&mut self, row: usize, column: usize) -> *mut u16 {
+        self.bits.as_mut_ptr().wrapping_add(self.shape.offset(self.start + row, column) / 16)
+    }
+}
+
+/// Whether rows are neighbours that can be read where they are.
+fn neighbours(rows: &[usize], form: Form) -> bool {
+    let (first, last) = (rows[0], rows[rows.len() - 1]);
+    last - first + 1 == rows.len() && (form != Form::Down || first.is_multiple_of(2))
+}
+
+/// Room for rows that are brought together.
+#[derive(Default)]
+pub struct Gathered {
+    slab: Slab,
+    masks: Masks,
+}
+
+impl Gathered {
+    /// The rows `rows` (ascending, at least one) of `all`, where they are or brought together.
+    pub fn rows<'a>(&'a mut self, all: &'a Slab, rows: &[usize]) -> Panels<'a> {
+        let Some(shape) = all.shape else { return all.rows(0) };
+        if neighbours(rows, shape.form) {
+            return all.rows(rows[0]);
+        }
+        let to = Shape { rows: rows.len().next_multiple_of(2), ..shape };
+        if self.slab.shape != Some(to) {
+            self.slab = Slab::new(to.form, to.rows, to.columns);
+        }
+        for column in (0..padded(shape.columns)).step_by(PANEL) {
+            let width = shape.width(column);
+            let out = &mut self.slab.words[to.offset(0, column)..];
+            match shape.form {
+                Form::Down => {
+                    for (pair, out) in rows.chunks(2).zip(out.chunks_exact_mut(width)) {
+                        let of = |row: usize| (&all.words[shape.offset(row, column)..][..width], row % 2 == 1);
+                        pair_up(of(pair[0]), pair.get(1).map(|row| of(*row)), out);
+                    }
+                }
+                Form::Single | Form::Across => {
+                    let step = shape.step(column);
+                    for (row, out) in rows.iter().zip(out.chunks_exact_mut(step)) {
+                        out.copy_from_slice(&all.words[shape.offset(*row, column)..][..step]);
+                    }
+                }
+            }
+        }
+        self.slab.rows(0)
+    }
+
+    /// The same of masks.
+    pub fn masks<'a>(&'a mut self, all: &'a Masks, rows: &[usize]) -> Bits<'a> {
+        let Some(shape) = all.shape else { return all.rows(0) };
+        if neighbours(rows, Form::Single) {
+            return all.rows(rows[0]);
+        }
+        let to = Shape { rows: rows.len(), ..shape };
+        if self.masks.shape != Some(to) {
+            self.masks = Masks::new(to.rows, to.columns);
+        }
+        for column in (0..padded(shape.columns)).step_by(PANEL) {
+            let width = shape.width(column) / 16;
+            let out = self.masks.bits[to.offset(0, column) / 16..].chunks_exact_mut(width);
+            for (row, out) in rows.iter().zip(out) {
+                out.copy_from_slice(&all.bits[shape.offset(*row, column) / 16..][..width]);
+            }
+        }
+        self.masks.rows(0)
+    }
+}
+
+/// One half of each word of `a` (the second where told) with one of `b`.
+fn pair_up((a, a_second): (&[f32], bool), b: Option<(&[f32], bool)>, out: &mut [f32]) {
+    let half = |word: f32, second: bool| word.to_bits() >> (16 * u32::from(second)) & 0xffff;
+    vectorized(
+        #[inline(always)]
+        || match b {
+            Some((b, b_second)) => {
+                for ((out, a), b) in out.iter_mut().zip(a).zip(b) {
+                    *out = f32::from_bits(half(*a, a_second) | half(*b, b_second) << 16);
+                }
+            }
+            None => out.iter_mut().zip(a).for_each(|(out, a)| *out = f32::from_bits(half(*a, a_second))),
+        },
+    );
+}
+
+/// Weights in the order in which a product reads them: for each panel of outputs, input after input.
+#[derive(Default)]
+pub struct Packed {
+    pub words: Buffer<f32>,
+    /// Two inputs share a word, as bf16.
+    pub pairs: bool,
+    pub outputs: usize,
+    pub inputs: usize,
+}
+
+impl Packed {
+    /// Of weights whose number for output `o` and input `i` is `weights[o * output_stride + i * input_stride]`.
+    pub fn new(
+        pairs: bool,
+        (outputs, output_stride): (usize, usize),
+        (inputs, input_stride): (usize, usize),
+        weights: &[f32],
+    ) -> Packed {
+        let steps = if pairs { inputs.div_ceil(2) } else { inputs };
+        let shape = Shape { form: Form::Single, rows: steps, columns: outputs };
+        let mut words = Buffer::new(shape.words());
+        for panel in (0..padded(outputs)).step_by(PANEL) {
+            let width = shape.width(panel);
+            let rows = words[shape.offset(0, panel)..].chunks_exact_mut(width).take(steps);
+            let given = width.min(outputs - panel);
+            for (step, row) in rows.enumerate() {
+                row[given..].fill(0.0);
+                for (o, to) in row[..given].iter_mut().enumerate() {
+                    let at = |i: usize| weights[(panel + o) * output_stride + i * input_stride];
+                    *to = match pairs {
+                        false => at(step),
+                        true if 2 * step + 1 < inputs => word(at(2 * step), at(2 * step + 1)),
+                        true => f32::from_bits(round(at(2 * step))),
+                    };
+                }
+            }
+        }
+        Packed { words, pairs, outputs, inputs }
+    }
+
+    /// Words from one panel's input to the next, and where panel and input begin.
+    #[inline(always)]
+    pub fn at(&self, panel: usize, input: usize) -> (*const f32, usize) {
+        let (steps, step) = if self.pairs { (self.inputs.div_ceil(2), input / 2) } else { (self.inputs, input) };
+        let shape = Shape { form: Form::Single, rows: steps, columns: self.outputs };
+        let panel_start = panel / PANEL * PANEL;
+        (self.words.as_ptr().wrapping_add(shape.offset(step, panel_start) + panel % PANEL), shape.width(panel))
+    }
+}
+
+/// `values` and zeros up to a whole panel.
+pub fn filled_up(values: &[f32]) -> Vec<f32> {
+    let mut out = values.to_vec();
+    out.resize(padded(values.len()), 0.0);
+    out
+}

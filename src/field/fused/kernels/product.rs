@@ -1,0 +1,323 @@
+//! Products of rows with packed weights, and other rows that are finished as they are.
+
+use std::mem::MaybeUninit;
+
+use crate::runtime::count_multiply_adds;
+
+use super::finish::{Block, given};
+use super::panels::{Form, PANEL, Packed, Panels, padded};
+use super::simd::{LANES, Simd};
+use super::{Kernel, launch};
+
+pub use super::finish::{Bias, ByRay, Finish, Out};
+
+/// The left side of a product.
+#[derive(Clone, Copy)]
+pub enum Left<'a> {
+    /// f32, row after row.
+    Rows(&'a [f32]),
+    Panels(Panels<'a>),
+}
+
+/// A left side with the weights that read it.
+#[derive(Clone, Copy)]
+pub struct Source<'a> {
+    pub left: Left<'a>,
+    pub weights: &'a Packed,
+}
+
+/// Where rows come from that are finished: `rows` of them.
+#[derive(Clone, Copy)]
+pub enum Rows<'a> {
+    /// The sum of products `x W^T`, each summed up by itself in the order of its inputs.
+    Products(&'a [Source<'a>]),
+    /// Of few outputs: sums of `weights` rows (each filled up to a panel) times numbers of `dz [rows, outputs]`.
+    Few { dz: &'a [f32], weights: &'a [f32], outputs: usize },
+    /// f32, row after row.
+    Given(&'a [f32]),
+    /// The same, brought together.
+    Chosen(&'a [f32], &'a [usize]),
+    /// f32 in panels.
+    Panels(Panels<'a>),
+}
+
+impl Rows<'_> {
+    /// Finishes `rows` rows of `columns` numbers.
+    pub fn finish(self, rows: usize, columns: usize, mut to: Finish) {
+        let pairs = self.check(rows, columns) | to.check(rows, columns);
+        count_multiply_adds(rows * columns * self.terms());
+        launch(pairs, Finished { from: self, rows, columns, to: &mut to });
+    }
+
+    /// Products that make up a number.
+    fn terms(&self) -> usize {
+        match self {
+            Rows::Products(sources) => sources.iter().map(|source| source.weights.inputs).sum(),
+            Rows::Few { outputs, .. } => *outputs,
+            _ => 0,
+        }
+    }
+
+    /// Whether pairs of bf16 are read.
+    fn check(&self, rows: usize, columns: usize) -> bool {
+        let fits = match self {
+            Rows::Products(sources) => sources.iter().all(|source| source.fits(rows, columns)),
+            Rows::Few { dz, weights, outputs } => {
+                dz.len() == rows * outputs && weights.len() == outputs * padded(columns)
+            }
+            Rows::Given(values) => values.len() == rows * columns,
+            Rows::Chosen(values, chosen) => {
+                chosen.len() == rows && chosen.iter().all(|row| (row + 1) * columns <= values.len())
+            }
+            Rows::Panels(panels) => panels.shape.form == Form::Single && panels.fits(rows, columns),
+        };
+        assert!(fits, "rows that are finished do not fit");
+        matches!(self, Rows::Products(sources) if sources.iter().any(|source| source.weights.pairs))
+    }
+}
+
+impl Source<'_> {
+    fn fits(&self, rows: usize, columns: usize) -> bool {
+        let Packed { outputs, inputs, pairs, .. } = *self.weights;
+        let left = match self.left {
+            Left::Rows(values) => !pairs && values.len() == rows * inputs,
+            Left::Panels(panels) => {
+                let form = if pairs { Form::Across } else { Form::Single };
+                panels.shape.form == form && panels.fits(rows, inputs)
+            }
+        };
+        left && outputs == columns
+    }
+}
+
+/// Checked.
+struct Finished<'a, 'b> {
+    from: Rows<'a>,
+    rows: usize,
+    columns: usize,
+    to: &'a mut Finish<'b>,
+}
+
+impl Kernel for Finished<'_, '_> {
+    #[inline(always)]
+    unsafe fn run<S: Simd>(mut self) {
+        // SAFETY: as the caller promises; `Rows::finish` has checked the slices.
+        unsafe {
+            for panel in (0..padded(self.columns)).step_by(PANEL) {
+                let width = (padded(self.columns) - panel).min(PANEL);
+                match width == PANEL {
+                    true if S::WIDE => self.panel::<S, 6, 4>(panel),
+                    false if S::WIDE => self.panel::<S, 12, 2>(panel),
+                    _ => {
+                        for column in (panel..panel + width).step_by(LANES) {
+                            self.panel::<S, 6, 1>(column);
+                        }
+                    }
+                }
+            }
+        }
+    }
+}
+
+impl Finished<'_, '_> {
+    #[inline(always)]
+    unsafe fn panel<S: Simd, const MR: usize, const NV: usize>(&mut self, column: usize) {
+        let mut row = 0;
+        // SAFETY: as in `run`.
+        unsafe {
+            while row + MR <= self.rows {
+                self.block::<S, MR, NV>(row, column);
+                row += MR;
+            }
+            while row + 4 <= self.rows {
+                self.block::<S, 4, NV>(row, column);
+                row += 4;
+            }
+            while row + 2 <= self.rows {
+                self.block::<S, 2, NV>(row, column);
+                row += 2;
+            }
+            if row < self.rows {
+                self.block::<S, 1, NV>(row, column);
+            }
+        }
+    }
+
+    #[inline(always)]
+    unsafe fn block<S: Simd, const MR: usize, const NV: usize>(&mut self, row: usize, column: usize) {
+        // SAFETY: as in `run`.
+        unsafe {
+            let sums = self.sums::<S, MR, NV>(row, column);
+            let goes_on = self.rows == 1 && matches!(self.from, Rows::Products(_));
+            // Two rows at a time, so that a row's numbers stay in registers all the way.
+            for r in (0..MR / 2 * 2).step_by(2) {
+                let mut pair = [sums[r], sums[r + 1]];
+                self.to.block::<S, 2, NV>(&mut pair, (row + r, column), self.columns, goes_on);
+            }
+            if MR % 2 == 1 {
+                self.to.block::<S, 1, NV>(&mut [sums[MR - 1]], (row + MR - 1, column), self.columns, goes_on);
+            }
+        }
+    }
+
+    #[inline(always)]
+    unsafe fn sums<S: Simd, const MR: usize, const NV: usize>(&self, row: usize, column: usize) -> Block<S, MR, NV> {
+        // SAFETY: as in `run`.
+        unsafe {
+            let mut sums = [[S::splat(0.0); NV]; MR];
+            match self.from {
+                // A single row has a single sum, which goes on from what is there.
+                Rows::Products(sources) if self.rows == 1 => {
+                    if let Some(out) = self.to.out.as_ref().filter(|out| out.accumulate) {
+                        sums[0] = given::<S, NV>(out.values.as_ptr(), column, self.columns);
+                    }
+                    for source in sources {
+                        source.multiply::<S, MR, NV>(&mut sums, row, column);
+                    }
+                    sums
+                }
+                Rows::Products(sources) => {
+                    let Some((last, others)) = sources.split_last() else { return sums };
+                    // Sums of the others wait in memory: registers hold one source's.
+                    let mut room = MaybeUninit::<Block<S, MR, NV>>::uninit();
+                    let waiting = std::hint::black_box(room.as_mut_ptr());
+                    for (i, source) in others.iter().enumerate() {
+                        let mut of_source = [[S::splat(0.0); NV]; MR];
+                        source.multiply::<S, MR, NV>(&mut of_source, row, column);
+                        if i > 0 {
+                            add_block::<S, MR, NV>(&mut of_source, &*waiting);
+                        }
+                        waiting.write(of_source);
+                    }
+                    last.multiply::<S, MR, NV>(&mut sums, row, column);
+                    if !others.is_empty() {
+                        add_block::<S, MR, NV>(&mut sums, &*waiting);
+                    }
+                    sums
+                }
+                from => from.rows::<S, MR, NV>(row, column, self.columns),
+            }
+        }
+    }
+}
+
+impl Rows<'_> {
+    /// Rows that are no products.
+    #[inline(always)]
+    unsafe fn rows<S: Simd, const MR: usize, const NV: usize>(
+        self,
+        row: usize,
+        column: usize,
+        columns: usize,
+    ) -> Block<S, MR, NV> {
+        let mut sums = [[unsafe { S::splat(0.0) }; NV]; MR];
+        for (r, sums) in sums.iter_mut().enumerate() {
+            let row = row + r;
+            // SAFETY: `check` has seen that the slices have these rows and columns.
+            unsafe {
+                match self {
+                    Rows::Products(_) => {}
+                    Rows::Few { dz, weights, outputs } => {
+                        for o in 0..outputs {
+                            let scale = S::splat(*dz.as_ptr().add(row * outputs + o));
+                            let weights = weights.as_ptr().add(o * padded(columns) + column);
+                            for v in 0..NV {
+                                sums[v] = S::add(sums[v], S::mul(scale, S::load(weights.add(LANES * v))));
+                            }
+                        }
+                    }
+                    Rows::Given(values) => *sums = given::<S, NV>(values.as_ptr().add(row * columns), column, columns),
+                    Rows::Chosen(values, chosen) => {
+                        let from = values.as_ptr().add(*chosen.as_ptr().add(row) * columns);
+                        *sums = given::<S, NV>(from, column, columns);
+                    }
+                    Rows::Panels(panels) => {
+                        let from = panels.at(row, column);
+                        for v in 0..NV {
+                            sums[v] = S::load(from.add(LANES * v));
+                        }
+                    }
+                }
+            }
+        }
+        sums
+    }
+}
+
+#[inline(always)]
+pub(super) unsafe fn add_block<S: Simd, const MR: usize, const NV: usize>(
+    sums: &mut Block<S, MR, NV>,
+    others: &Block<S, MR, NV>,
+) {
+    for r in 0..MR {
+        for v in 0..NV {
+            // SAFETY: the processor has the instructions.
+            sums[r][v] = unsafe { S::add(sums[r][v], others[r][v]) };
+        }
+    }
+}
+
+impl Source<'_> {
+    #[inline(always)]
+    unsafe fn multiply<S: Simd, const MR: usize, const NV: usize>(
+        &self,
+        sums: &mut Block<S, MR, NV>,
+        row: usize,
+        column: usize,
+    ) {
+        let inputs = self.weights.inputs;
+        // SAFETY: left side and weights have these rows, inputs and outputs.
+        unsafe {
+            match self.left {
+                Left::Rows(values) => {
+                    let left = (values.as_ptr().add(row * inputs), inputs, 1);
+                    multiply_add::<S, false, MR, NV>(sums, left, self.weights.at(column, 0), inputs);
+                }
+                Left::Panels(panels) => {
+                    for input in (0..inputs).step_by(PANEL) {
+                        let count = (inputs - input).min(PANEL);
+                        let left = (panels.at(row, input), panels.shape.step(input), 1);
+                        let weights = self.weights.at(column, input);
+                        if S::PAIRS && self.weights.pairs {
+                            multiply_add::<S, true, MR, NV>(sums, left, weights, count.div_ceil(2));
+                        } else {
+                            multiply_add::<S, false, MR, NV>(sums, left, weights, count);
+                        }
+                    }
+                }
+            }
+        }
+    }
+}
+
+/// Adds to `sums [MR, NV vectors]` the products of `steps` words of each row of `a` with vectors of `b`, step after step.
+/// `a`: where it begins, and words to the next row and step; `b`: where it begins, and words to the next step.
+#[inline(always)]
+pub(super) unsafe fn multiply_add<S: Simd, const PAIRS: bool, const MR: usize, const NV: usize>(
+    sums: &mut Block<S, MR, NV>,
+    (a, a_row, a_step): (*const f32, usize, usize),
+    (b, b_step): (*const f32, usize),
+    steps: usize,
+) {
+    let (mut a, mut b, mut block) = (a, b, *sums);
+    // SAFETY: both sides have these words.
+    unsafe {
+        for _ in 0..steps {
+            let mut right = [S::splat(0.0); NV];
+            for v in 0..NV {
+                right[v] = S::load(b.add(LANES * v));
+            }
+            for r in 0..MR {
+                let left = S::splat(*a.add(r * a_row));
+                for v in 0..NV {
+                    block[r][v] = match PAIRS {
+                        true => S::dot_pairs(left, right[v], block[r][v]),
+                        false => S::mul_add(left, right[v], block[r][v]),
+                    };
+                }
+            }
+            (a, b) = (a.wrapping_add(a_step), b.wrapping_add(b_step));
+        }
+    }
+    *sums = block;
+}

@@ -1,0 +1,273 @@
+//! A field's hash grid in candle's terms: the table as a parameter, the encoding as a differentiable operation, and the
+//! records that the table's gradient is made of.
+//!
+//! The gradient of a table is as large as the table, and a chunk of rays touches little of it. So a recording field keeps
+//! what each chunk would add, and the whole is added up once a step, levels side by side.
+
+use std::sync::{Arc, Mutex, PoisonError};
+
+use candle_core::{CpuStorage, CustomOp1, CustomOp2, DType, Device, Layout, Result, Shape, Tensor, Var};
+
+use super::contiguous;
+use super::fused::Values;
+use super::hash::{Contraction, Cotangents, Domain, HashGrid, Interpolation, Operator, Real, fetch_tables};
+use crate::settings::{self, Encoding, FieldConfig};
+
+/// Entries of a table start uniformly between minus this and this (Mueller et al. 2022, section 4).
+pub(super) const INITIAL: f64 = 1e-4;
+
+/// Where points lie in the grid's cube, and the gradient of their encoding or of what operators make of it: what they
+/// add to the table's gradient.
+pub struct TableRecord {
+    pub(super) points: Vec<f32>,
+    pub(super) gradient: Vec<f32>,
+    pub(super) operators: Option<Vec<Operator<f32>>>,
+}
+
+impl TableRecord {
+    /// Points of the record.
+    pub fn count(&self) -> usize {
+        self.points.len() / 3
+    }
+
+    fn cotangents(&self) -> Cotangents<'_> {
+        Cotangents { points: &self.points, d_out: &self.gradient, operators: self.operators.as_deref() }
+    }
+}
+
+/// A hash grid with its table.
+#[derive(Clone)]
+pub(super) struct Grid {
+    pub(super) shape: Arc<HashGrid>,
+    pub(super) domain: Domain,
+    pub(super) table: Tensor,
+    records: Option<Arc<Mutex<Vec<TableRecord>>>>,
+}
+
+impl Grid {
+    /// Name and shape of the table; none without a grid.
+    pub(super) fn parameter(config: &FieldConfig) -> Option<(String, Vec<usize>)> {
+        if config.encoding != Encoding::Hash {
+            return None;
+        }
+        let shape = shape_of(config);
+        Some(("table".into(), vec![shape.entries(), shape.features()]))
+    }
+
+    /// Over a table `[entries, features]`.
+    pub(super) fn new(config: &FieldConfig, table: Tensor) -> Grid {
+        let hash = &config.hash;
+        let bounds = hash.bounds.unwrap_or([[-1.5; 3], [1.5; 3]]);
+        let contraction = match hash.contraction.unwrap_or(settings::Contraction::None) {
+            settings::Contraction::None => Contraction::None,
+            settings::Contraction::Axes => Contraction::Axes,
+            settings::Contraction::Ball => Contraction::Ball,
+        };
+        let domain = Domain::new(bounds[0], bounds[1], contraction);
+        Grid { shape: Arc::new(shape_of(config)), domain, table, records: None }
+    }
+
+    /// Brings the table into the caches, before threads read it in no order.
+    pub(super) fn fetch(&self) -> Result<()> {
+        fetch_tables(Values::of(&self.table.contiguous()?).slice()?);
+        Ok(())
+    }
+
+    pub(super) fn table(&self) -> &Tensor {
+        &self.table
+    }
+
+    /// The same table with records of its own.
+    pub(super) fn recording(&self) -> Grid {
+        Grid { table: self.table.detach(), records: Some(Arc::default()), ..self.clone() }
+    }
+
+    pub(super) fn take_records(&self) -> Vec<TableRecord> {
+        let records = self.records.as_ref();
+        records.map_or_else(Vec::new, |records| {
+            std::mem::take(&mut *records.lock().unwrap_or_else(PoisonError::into_inner))
+        })
+    }
+
+    /// The table's gradient, `[entries, features]`, from records in their order.
+    pub(super) fn table_gradient(&self, records: &[TableRecord]) -> Result<Tensor> {
+        let mut sum = vec![0f32; self.shape.entries() * self.shape.features()];
+        let records: Vec<Cotangents> = records.iter().map(TableRecord::cotangents).collect();
+        self.shape.table_gradient(&records, &mut sum);
+        Tensor::from_vec(sum, (self.shape.entries(), self.shape.features()), &Device::Cpu)
+    }
+
+    /// Features `[n, channels]` at points `[n, 3]`.
+    pub(super) fn encode(&self, points: &Tensor) -> Result<Tensor> {
+        if !points.device().is_cpu() {
+            candle_core::bail!("hash grids are for processors");
+        }
+        let points = points.contiguous()?;
+        if points.dtype() != DType::F32 || self.table.track_op() {
+            return points.apply_op2(&self.table.contiguous()?, Reference { grid: self.clone() });
+        }
+        // Where points are not tracked, the graph would never come back for the table.
+        let tracked = match &self.records {
+            Some(_) if !points.track_op() => Var::from_tensor(&points)?.as_tensor().clone(),
+            _ => points.clone(),
+        };
+        let operation = Encode { grid: self.clone(), wants_points: points.track_op(), unit: Mutex::default() };
+        tracked.apply_op1(operation)
+    }
+
+    /// 1 where points `[n, 3]` lie in the box, 0 elsewhere; none where the grid has all of space, or all of them do.
+    pub(super) fn inside(&self, points: &Tensor) -> Result<Option<Tensor>> {
+        if self.domain.contraction() != Contraction::None {
+            return Ok(None);
+        }
+        let positions = points.detach().to_dtype(DType::F64)?.contiguous()?.flatten_all()?.to_vec1::<f64>()?;
+        let inside = self.domain.inside(&positions);
+        if inside.iter().all(|inside| *inside) {
+            return Ok(None);
+        }
+        let inside: Vec<f64> = inside.into_iter().map(|inside| f64::from(u8::from(inside))).collect();
+        Ok(Some(Tensor::new(inside, points.device())?.to_dtype(points.dtype())?))
+    }
+}
+
+fn shape_of(config: &FieldConfig) -> HashGrid {
+    let hash = &config.hash;
+    // A grid of its own, outside a run, is as fine as that of pictures of 1,024 pixels.
+    let resolutions = (hash.coarsest as u32, hash.finest.unwrap_or(2048) as u32);
+    let interpolation = match hash.interpolation {
+        settings::Interpolation::Linear => Interpolation::Linear,
+        settings::Interpolation::Smoothstep => Interpolation::Smoothstep,
+    };
+    HashGrid::new(hash.levels, hash.features, hash.log2_table as u32, resolutions, interpolation)
+}
+
+/// The encoding in f32, without the table in the graph.
+struct Encode {
+    grid: Grid,
+    wants_points: bool,
+    /// The points in the grid's cube, from the forward to the backward pass.
+    unit: Mutex<Vec<f32>>,
+}
+
+impl CustomOp1 for Encode {
+    fn name(&self) -> &'static str {
+        "hash-encode"
+    }
+
+    fn cpu_fwd(&self, points: &CpuStorage, layout: &Layout) -> Result<(CpuStorage, Shape)> {
+        let CpuStorage::F32(points) = points else { candle_core::bail!("points are f32 here") };
+        let points = contiguous(points, layout)?;
+        let Grid { shape, domain, table, .. } = &self.grid;
+        let mut unit = vec![0f32; points.len()];
+        let n = points.len() / 3;
+        domain.map(points, &mut unit, &mut vec![false; n]);
+        let mut out = vec![0f32; n * shape.channels()];
+        shape.encode(Values::of(&table.contiguous()?).slice()?, &unit, &mut out);
+        *self.unit.lock().unwrap_or_else(PoisonError::into_inner) = unit;
+        Ok((CpuStorage::F32(out), Shape::from((n, shape.channels()))))
+    }
+
+    fn bwd(&self, points: &Tensor, _features: &Tensor, gradient: &Tensor) -> Result<Option<Tensor>> {
+        let Grid { shape, domain, table, records } = &self.grid;
+        let unit = std::mem::take(&mut *self.unit.lock().unwrap_or_else(PoisonError::into_inner));
+        if unit.is_empty() && points.elem_count() > 0 {
+            candle_core::bail!("hash encoding: a second backward pass through one forward pass");
+        }
+        let gradient = gradient.contiguous()?;
+        let gradient = Values::of(&gradient).slice()?.to_vec();
+        let d_points = if self.wants_points {
+            let mut d_unit = vec![0f32; unit.len()];
+            shape.point_gradient(Values::of(&table.contiguous()?).slice()?, &unit, &gradient, &mut d_unit);
+            let points = points.contiguous()?;
+            let mut d_points = vec![0f32; unit.len()];
+            domain.pull_back(Values::of(&points).slice()?, &d_unit, &mut d_points);
+            Some(Tensor::from_vec(d_points, points.shape(), &Device::Cpu)?)
+        } else {
+            None
+        };
+        if let Some(records) = records {
+            let record = TableRecord { points: unit, gradient, operators: None };
+            records.lock().unwrap_or_else(PoisonError::into_inner).push(record);
+        }
+        Ok(d_points)
+    }
+}
+
+/// The encoding as the paper writes it, with the table in the graph; in f32 and f64.
+struct Reference {
+    grid: Grid,
+}
+
+impl Reference {
+    fn features<T: Real + Default>(&self, points: &[T], table: &[T]) -> Vec<T> {
+        let unit = self.unit(points);
+        let mut out = vec![T::default(); points.len() / 3 * self.grid.shape.channels()];
+        self.grid.shape.encode_reference(table, &unit, &mut out);
+        out
+    }
+
+    fn unit<T: Real + Default>(&self, points: &[T]) -> Vec<T> {
+        let mut unit = vec![T::default(); points.len()];
+        self.grid.domain.map(points, &mut unit, &mut vec![false; points.len() / 3]);
+        unit
+    }
+
+    /// Gradients of points and table.
+    fn gradients<T: Real + Default>(&self, points: &[T], table: &[T], gradient: &[T]) -> (Vec<T>, Vec<T>) {
+        let Grid { shape, domain, .. } = &self.grid;
+        let unit = self.unit(points);
+        let (mut d_unit, mut d_points) = (vec![T::default(); points.len()], vec![T::default(); points.len()]);
+        shape.point_gradient_reference(table, &unit, gradient, &mut d_unit);
+        domain.pull_back(points, &d_unit, &mut d_points);
+        let mut d_table = vec![T::default(); table.len()];
+        shape.table_gradient_reference(&unit, gradient, &mut d_table);
+        (d_points, d_table)
+    }
+}
+
+impl CustomOp2 for Reference {
+    fn name(&self) -> &'static str {
+        "hash-encode-reference"
+    }
+
+    fn cpu_fwd(
+        &self,
+        points: &CpuStorage,
+        points_layout: &Layout,
+        table: &CpuStorage,
+        table_layout: &Layout,
+    ) -> Result<(CpuStorage, Shape)> {
+        let shape = Shape::from((points_layout.shape().dims2()?.0, self.grid.shape.channels()));
+        let out = match (points, table) {
+            (CpuStorage::F32(points), CpuStorage::F32(table)) => {
+                CpuStorage::F32(self.features(contiguous(points, points_layout)?, contiguous(table, table_layout)?))
+            }
+            (CpuStorage::F64(points), CpuStorage::F64(table)) => {
+                CpuStorage::F64(self.features(contiguous(points, points_layout)?, contiguous(table, table_layout)?))
+            }
+            _ => candle_core::bail!("points and table are both f32 or both f64"),
+        };
+        Ok((out, shape))
+    }
+
+    fn bwd(
+        &self,
+        points: &Tensor,
+        table: &Tensor,
+        _features: &Tensor,
+        gradient: &Tensor,
+    ) -> Result<(Option<Tensor>, Option<Tensor>)> {
+        macro_rules! of {
+            ($kind:ty) => {{
+                let flat = |tensor: &Tensor| tensor.contiguous()?.flatten_all()?.to_vec1::<$kind>();
+                let (d_points, d_table) = self.gradients(&flat(points)?, &flat(table)?, &flat(gradient)?);
+                let like = |values: Vec<$kind>, tensor: &Tensor| Tensor::from_vec(values, tensor.shape(), &Device::Cpu);
+                Ok((Some(like(d_points, points)?), Some(like(d_table, table)?)))
+            }};
+        }
+        match points.dtype() {
+            DType::F64 => of!(f64),
+            _ => of!(f32),
+        }
+    }
+}

@@ -1,0 +1,102 @@
+//! Adam for tables, of which a step reaches some entries only.
+
+use super::by_features;
+use super::simd::{Kernel, LANES, Processor, Simd};
+
+/// The numbers of an update (Kingma and Ba 2015, algorithm 1).
+#[derive(Clone, Copy, Debug)]
+pub struct SparseAdam {
+    /// The learning rate over the first moment's correction, 1 - beta1^t.
+    pub rate: f64,
+    /// The second moment's correction, 1 - beta2^t.
+    pub correction2: f64,
+    /// Decay of the two moments; Instant-NGP takes 0.9 and 0.99.
+    pub betas: [f64; 2],
+    /// Added to the root of the second moment; Instant-NGP takes 1e-15.
+    pub epsilon: f64,
+}
+
+/// Parameters with their moments, `[entries, features]` each.
+pub struct Moving<'a> {
+    /// The parameters.
+    pub values: &'a mut [f32],
+    /// Means of gradients.
+    pub first: &'a mut [f32],
+    /// Means of squared gradients.
+    pub second: &'a mut [f32],
+}
+
+impl SparseAdam {
+    /// One update. An entry whose gradient is 0 in all its `features` stays as it is, moments included: it was not read
+    /// in this step (Instant-NGP, section 4).
+    ///
+    /// # Panics
+    /// If the sizes do not go together.
+    pub fn update(&self, moving: Moving, gradient: &[f32], features: usize) {
+        self.update_on(Processor::here(), moving, gradient, features);
+    }
+
+    pub(super) fn update_on(&self, processor: Processor, moving: Moving, gradient: &[f32], features: usize) {
+        let Moving { values, first, second } = moving;
+        let sizes = [values.len(), first.len(), second.len()];
+        assert!(sizes.iter().all(|size| *size == gradient.len()), "one moment and one gradient a parameter");
+        assert!(gradient.len().is_multiple_of(features), "whole entries");
+        by_features!(features, F => {
+            processor.run(Update::<F> { adam: *self, values, first, second, gradient });
+        });
+    }
+}
+
+/// Sizes were checked.
+struct Update<'a, const F: usize> {
+    adam: SparseAdam,
+    values: &'a mut [f32],
+    first: &'a mut [f32],
+    second: &'a mut [f32],
+    gradient: &'a [f32],
+}
+
+impl<const F: usize> Kernel for Update<'_, F> {
+    #[inline(always)]
+    fn run(self, _: impl Simd) {
+        let adam = self.adam;
+        let [keep1, take1] = [adam.betas[0], 1.0 - adam.betas[0]].map(
+            #[inline(always)]
+            |x| x as f32,
+        );
+        let [keep2, take2] = [adam.betas[1], 1.0 - adam.betas[1]].map(
+            #[inline(always)]
+            |x| x as f32,
+        );
+        let [rate, correction2, epsilon] = [adam.rate, adam.correction2, adam.epsilon].map(
+            #[inline(always)]
+            |x| x as f32,
+        );
+        let blocks = self.values.chunks_mut(LANES * F).zip(self.first.chunks_mut(LANES * F));
+        let blocks = blocks.zip(self.second.chunks_mut(LANES * F)).zip(self.gradient.chunks(LANES * F));
+        for (((values, first), second), gradient) in blocks {
+            let mut reached = [[false; F]; LANES];
+            let mut any = false;
+            for (reached, gradient) in reached.iter_mut().zip(gradient.as_chunks::<F>().0) {
+                let mut here = false;
+                for g in gradient {
+                    here |= *g != 0.0;
+                }
+                *reached = [here; F];
+                any |= here;
+            }
+            if !any {
+                continue;
+            }
+            let block = values.iter_mut().zip(first).zip(second).zip(gradient).zip(reached.as_flattened());
+            for ((((value, m), v), g), reached) in block {
+                let first = keep1.mul_add(*m, take1 * g);
+                let second = keep2.mul_add(*v, take2 * (g * g));
+                let moved = *value - rate * first / ((second / correction2).sqrt() + epsilon);
+                *m = if *reached { first } else { *m };
+                *v = if *reached { second } else { *v };
+                *value = if *reached { moved } else { *value };
+            }
+        }
+    }
+}

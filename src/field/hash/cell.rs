@@ -1,0 +1,143 @@
+//! Points among a level's cells.
+
+use super::simd::{LANES, Lanes, Simd};
+use super::{Interpolation, Level, PRIMES};
+
+/// Points taken through all levels before the next: they, their encodings and a level's table stay in near caches.
+pub const BLOCK: usize = 512;
+
+/// A block's points by axes, groups of [`LANES`]. What is missing in the last group is 0.
+pub struct Block {
+    groups: [[Lanes; 3]; BLOCK / LANES],
+    points: usize,
+}
+
+impl Block {
+    pub fn empty() -> Block {
+        Block { groups: [[[0.0; LANES]; 3]; BLOCK / LANES], points: 0 }
+    }
+
+    /// Takes `points [n, 3]`, n <= [`BLOCK`], for those that were here.
+    #[inline(always)]
+    pub fn fill(&mut self, points: &[f32]) {
+        self.points = points.len() / 3;
+        for (group, points) in self.groups.iter_mut().zip(points.chunks(3 * LANES)) {
+            if points.len() < 3 * LANES {
+                *group = [[0.0; LANES]; 3];
+            }
+            for (i, point) in points.as_chunks::<3>().0.iter().enumerate() {
+                for axis in 0..3 {
+                    group[axis][i] = point[axis];
+                }
+            }
+        }
+    }
+
+    /// Each group's first point, number of points, and coordinates.
+    #[inline(always)]
+    pub fn groups(&self) -> impl Iterator<Item = (usize, usize, &[Lanes; 3])> {
+        let points = self.points;
+        let starts = (0..points).step_by(LANES);
+        starts.zip(&self.groups).map(move |(start, group)| (start, LANES.min(points - start), group))
+    }
+}
+
+/// The cells that points stand in, and where.
+pub struct Cells<S: Simd> {
+    /// Each cell's lowest vertex.
+    vertex: [S::Ints; 3],
+    /// The position in the cell, 0..1.
+    pub position: [S::Floats; 3],
+}
+
+impl<S: Simd> Cells<S> {
+    /// The cells of points. A point on a face belongs to the cell above it, on the cube's last face to the one below.
+    #[inline(always)]
+    pub fn of(simd: S, level: &Level, points: &[Lanes; 3]) -> Cells<S> {
+        let resolution = simd.splat(level.resolution as f32);
+        let last = simd.splat((level.resolution - 1) as f32);
+        let axis = |points: &Lanes| {
+            let scaled = simd.mul(simd.load(points), resolution);
+            let (vertex, floor) = simd.floor_within(scaled, last);
+            (vertex, simd.sub(scaled, floor))
+        };
+        let [x, y, z] = [axis(&points[0]), axis(&points[1]), axis(&points[2])];
+        Cells { vertex: [x.0, y.0, z.0], position: [x.1, y.1, z.1] }
+    }
+
+    /// The entries of the cells' eight vertices, all within the level's table: x changes first, then y, then z.
+    #[inline(always)]
+    pub fn corners(&self, simd: S, level: &Level) -> [S::Ints; 8] {
+        let [x, y, z] = self.vertex;
+        let add = |a, b| simd.add_ints(a, b);
+        let one = simd.splat_ints(1);
+        if level.dense {
+            let row = simd.splat_ints(level.resolution + 1);
+            let plane = simd.mul_ints(row, row);
+            let a = add(x, simd.mul_ints(row, add(y, simd.mul_ints(row, z))));
+            let (b, c) = (add(a, row), add(a, plane));
+            let d = add(b, plane);
+            return [a, add(a, one), b, add(b, one), c, add(c, one), d, add(d, one)];
+        }
+        let mask = simd.splat_ints(level.entries as u32 - 1);
+        let primes = [simd.splat_ints(PRIMES[0]), simd.splat_ints(PRIMES[1])];
+        let (x1, y, z) = (add(x, one), simd.mul_ints(y, primes[0]), simd.mul_ints(z, primes[1]));
+        let (y1, z1) = (add(y, primes[0]), add(z, primes[1]));
+        let edges = [simd.xor(y, z), simd.xor(y1, z), simd.xor(y, z1), simd.xor(y1, z1)];
+        let entry = |x, edge: usize| simd.and(simd.xor(x, edges[edge]), mask);
+        [entry(x, 0), entry(x1, 0), entry(x, 1), entry(x1, 1), entry(x, 2), entry(x1, 2), entry(x, 3), entry(x1, 3)]
+    }
+
+    /// The features of the cells' eight vertices.
+    #[inline(always)]
+    pub fn features<const F: usize>(&self, simd: S, level: &Level, table: &[[f32; F]]) -> [[S::Floats; F]; 8] {
+        assert!(table.len() >= level.entries);
+        let corners = self.corners(simd, level);
+        let mut features = [[simd.splat(0.0); F]; 8];
+        for k in 0..8 {
+            // SAFETY: the corners lie within the level's entries, and the table has those.
+            features[k] = unsafe { simd.gather(table, corners[k]) };
+        }
+        features
+    }
+}
+
+impl Interpolation {
+    /// The upper vertex's share at a position in a cell.
+    #[inline(always)]
+    pub fn shares<S: Simd>(self, simd: S, position: [S::Floats; 3]) -> [S::Floats; 3] {
+        let share = |f| match self {
+            Interpolation::Linear => f,
+            Interpolation::Smoothstep => {
+                simd.mul(simd.mul(f, f), simd.neg_mul_add(simd.splat(2.0), f, simd.splat(3.0)))
+            }
+        };
+        [share(position[0]), share(position[1]), share(position[2])]
+    }
+
+    /// The share's derivative.
+    #[inline(always)]
+    pub fn slopes<S: Simd>(self, simd: S, position: [S::Floats; 3]) -> [S::Floats; 3] {
+        let slope = |f| match self {
+            Interpolation::Linear => simd.splat(1.0),
+            Interpolation::Smoothstep => simd.mul(simd.mul(simd.splat(6.0), f), simd.sub(simd.splat(1.0), f)),
+        };
+        [slope(position[0]), slope(position[1]), slope(position[2])]
+    }
+
+    /// The share's second derivative.
+    #[inline(always)]
+    pub fn bends<S: Simd>(self, simd: S, position: [S::Floats; 3]) -> [S::Floats; 3] {
+        let bend = |f| match self {
+            Interpolation::Linear => simd.splat(0.0),
+            Interpolation::Smoothstep => simd.neg_mul_add(simd.splat(12.0), f, simd.splat(6.0)),
+        };
+        [bend(position[0]), bend(position[1]), bend(position[2])]
+    }
+}
+
+/// `(1 - share) a + share b`: a where the share is 0 and b where it is 1, to the bit.
+#[inline(always)]
+pub fn mix<S: Simd>(simd: S, share: S::Floats, a: S::Floats, b: S::Floats) -> S::Floats {
+    simd.mul_add(share, b, simd.neg_mul_add(share, a, a))
+}

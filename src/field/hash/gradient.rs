@@ -1,0 +1,104 @@
+//! Gradients in the points.
+
+use super::cell::{BLOCK, Block, Cells, mix};
+use super::simd::{Kernel, LANES, Lanes, Processor, Simd};
+use super::{HashGrid, by_features};
+
+impl HashGrid {
+    /// What has the gradient `d_out [n, channels]` in the encodings has `d_points [n, 3]` in the points: the cell's
+    /// own, which jumps at its faces where the interpolation is linear.
+    ///
+    /// # Panics
+    /// If the sizes do not go together.
+    pub fn point_gradient(&self, tables: &[f32], points: &[f32], d_out: &[f32], d_points: &mut [f32]) {
+        self.point_gradient_on(Processor::here(), tables, (points, d_out), d_points);
+    }
+
+    pub(super) fn point_gradient_on(
+        &self,
+        processor: Processor,
+        tables: &[f32],
+        (points, d_out): (&[f32], &[f32]),
+        d_points: &mut [f32],
+    ) {
+        self.check(tables.len(), points.len(), d_out.len());
+        assert_eq!(points.len(), d_points.len(), "one gradient a point");
+        by_features!(self.features, F => {
+            let (tables, d_out) = (tables.as_chunks().0, d_out.as_chunks().0);
+            processor.run(PointGradient::<F> { grid: self, tables, points, d_out, d_points });
+        });
+    }
+}
+
+/// Sizes were checked.
+struct PointGradient<'a, const F: usize> {
+    grid: &'a HashGrid,
+    tables: &'a [[f32; F]],
+    points: &'a [f32],
+    d_out: &'a [[f32; F]],
+    d_points: &'a mut [f32],
+}
+
+impl<const F: usize> Kernel for PointGradient<'_, F> {
+    #[inline(always)]
+    fn run(self, simd: impl Simd) {
+        let levels = self.grid.levels.len();
+        let mut block = Block::empty();
+        let blocks = self.points.chunks(3 * BLOCK).zip(self.d_out.chunks(levels * BLOCK));
+        for ((points, d_out), d_points) in blocks.zip(self.d_points.chunks_mut(3 * BLOCK)) {
+            block.fill(points);
+            let mut sums = [[[0.0; LANES]; 3]; BLOCK / LANES];
+            for (l, level) in self.grid.levels.iter().enumerate() {
+                let table = &self.tables[level.offset..][..level.entries];
+                let resolution = simd.splat(level.resolution as f32);
+                for ((start, count, points), sums) in block.groups().zip(&mut sums) {
+                    let mut d_features = [[0.0; F]; LANES];
+                    let rows = d_out[start * levels..][..count * levels].chunks_exact(levels);
+                    for (d_features, row) in d_features.iter_mut().zip(rows) {
+                        *d_features = row[l];
+                    }
+                    let d_features = simd.columns(&d_features);
+                    let cells = Cells::of(simd, level, points);
+                    let corners = cells.features(simd, level, table);
+                    let shares = self.grid.interpolation.shares(simd, cells.position);
+                    let slopes = self.grid.interpolation.slopes(simd, cells.position);
+                    let mut along = [simd.splat(0.0); 3];
+                    for feature in 0..F {
+                        let slope = differences(simd, shares, |k| corners[k][feature]);
+                        for axis in 0..3 {
+                            along[axis] = simd.mul_add(d_features[feature], slope[axis], along[axis]);
+                        }
+                    }
+                    for axis in 0..3 {
+                        let factor = simd.mul(slopes[axis], resolution);
+                        let sum = simd.mul_add(along[axis], factor, simd.load(&sums[axis]));
+                        sums[axis] = simd.store(sum);
+                    }
+                }
+            }
+            write(&sums, d_points);
+        }
+    }
+}
+
+/// Numbers of groups, axis by axis, point by point.
+#[inline(always)]
+fn write(groups: &[[Lanes; 3]], points: &mut [f32]) {
+    for (group, points) in groups.iter().zip(points.chunks_mut(3 * LANES)) {
+        for (i, point) in points.as_chunks_mut::<3>().0.iter_mut().enumerate() {
+            *point = [group[0][i], group[1][i], group[2][i]];
+        }
+    }
+}
+
+/// The derivative of the interpolation between eight corners in the share of each axis.
+#[inline(always)]
+fn differences<S: Simd>(simd: S, [x, y, z]: [S::Floats; 3], corner: impl Fn(usize) -> S::Floats) -> [S::Floats; 3] {
+    let edge = |k| mix(simd, x, corner(k), corner(k + 1));
+    let slope = |k| simd.sub(corner(k + 1), corner(k));
+    let edges = [edge(0), edge(2), edge(4), edge(6)];
+    let along_x = mix(simd, z, mix(simd, y, slope(0), slope(2)), mix(simd, y, slope(4), slope(6)));
+    let along_y = mix(simd, z, simd.sub(edges[1], edges[0]), simd.sub(edges[3], edges[2]));
+    let along_z = simd.sub(mix(simd, y, edges[2], edges[3]), mix(simd, y, edges[0], edges[1]));
+    [along_x, along_y, along_z]
+}

@@ -1,0 +1,176 @@
+//! The multiresolution hash encoding of Instant-NGP (Müller et al. 2022, section 3): features at the vertices of grids
+//! of growing resolution, interpolated at a point and written side by side.
+//!
+//! Level l cuts the unit cube into N_l^3 cells, N_l = floor(N_min b^l). Where its (N_l + 1)^3 vertices fit into a table
+//! of T entries each has its own; elsewhere a spatial hash (equation 4) names the entry, and vertices share entries.
+//! All tables lie one behind the other in one array, `[entries, features]`: the encoding's only parameters.
+//!
+//! Points are `[n, 3]` in the unit cube ([`Domain`] maps scene points there), encodings and their cotangents
+//! `[n, levels * features]`, level after level. The kernels work in f32 on slices, one thread each, with one order of
+//! operations and of additions: the bits are the same on every processor. The functions named `_reference` have the
+//! same in f64, written as in the paper.
+//!
+//! A point that is NaN has an encoding that is NaN. A point outside the cube is in the cell next to it, whose
+//! interpolation is continued beyond it.
+
+mod adam;
+mod cell;
+mod domain;
+mod encode;
+mod gradient;
+mod operator;
+mod reference;
+mod scatter;
+mod simd;
+#[cfg(test)]
+mod tests;
+
+pub use adam::{Moving, SparseAdam};
+pub use domain::{Contraction, Domain};
+pub use encode::fetch_tables;
+pub use operator::Operator;
+pub use reference::Real;
+pub use scatter::Cotangents;
+
+/// An expression for the grid's number of features as a constant.
+macro_rules! by_features {
+    ($features:expr, $constant:ident => $work:block) => {
+        by_features!($features, $constant => $work, 1 2 3 4 5 6 7 8)
+    };
+    ($features:expr, $constant:ident => $work:block, $($number:literal)*) => {
+        match $features {
+            $($number => {
+                const $constant: usize = $number;
+                $work
+            })*
+            features => unreachable!("{features} features were refused"),
+        }
+    };
+}
+use by_features;
+
+/// How features are interpolated between a cell's vertices along each axis.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Interpolation {
+    /// By the position f in the cell: continuous, with kinks at the cells' faces and no second derivative along an
+    /// axis.
+    Linear,
+    /// By f^2 (3 - 2 f): once continuously differentiable, with slope 0 at the cells' faces.
+    Smoothstep,
+}
+
+impl Interpolation {
+    /// The upper vertex's share at the position `f` in a cell, its first and its second derivative.
+    fn share(self, f: f64) -> [f64; 3] {
+        match self {
+            Interpolation::Linear => [f, 1.0, 0.0],
+            Interpolation::Smoothstep => [f * f * (3.0 - 2.0 * f), 6.0 * f * (1.0 - f), 6.0 - 12.0 * f],
+        }
+    }
+}
+
+/// One grid of the encoding.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Level {
+    /// Cells along an axis, N_l.
+    pub resolution: u32,
+    /// Entries of its table.
+    pub entries: usize,
+    /// Entries of all tables before it.
+    pub offset: usize,
+    /// Whether each vertex has an entry of its own.
+    pub dense: bool,
+}
+
+/// Factors of the spatial hash along y and z; along x it is 1.
+const PRIMES: [u32; 2] = [2_654_435_761, 805_459_861];
+
+impl Level {
+    /// The entry of a vertex, each coordinate in 0..=resolution.
+    fn entry(&self, [x, y, z]: [u32; 3]) -> usize {
+        let vertices = self.resolution as usize + 1;
+        if self.dense {
+            return x as usize + vertices * (y as usize + vertices * z as usize);
+        }
+        let hash = x ^ y.wrapping_mul(PRIMES[0]) ^ z.wrapping_mul(PRIMES[1]);
+        hash as usize % self.entries
+    }
+}
+
+/// The grids of an encoding: sizes, no values.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct HashGrid {
+    levels: Vec<Level>,
+    features: usize,
+    interpolation: Interpolation,
+}
+
+impl HashGrid {
+    /// The most features of an entry.
+    pub const MOST_FEATURES: usize = 8;
+    /// The largest log2 of a table's entries.
+    pub const LARGEST_TABLE: u32 = 24;
+    /// The finest resolution that f32 positions tell cells of.
+    pub const FINEST: u32 = 1 << 20;
+
+    /// Grids whose resolution grows from `coarsest` to `finest` by equal factors, with at most 2^`log2_table` entries
+    /// of `features` numbers a level.
+    ///
+    /// # Panics
+    /// If there is no level or no cell, `finest` is less than `coarsest` or more than [`HashGrid::FINEST`], or features
+    /// or tables are none or more than the largest: settings are checked before.
+    pub fn new(
+        levels: usize,
+        features: usize,
+        log2_table: u32,
+        (coarsest, finest): (u32, u32),
+        interpolation: Interpolation,
+    ) -> HashGrid {
+        assert!(levels > 0 && (1..=HashGrid::MOST_FEATURES).contains(&features), "no such hash grid");
+        assert!(0 < coarsest && coarsest <= finest && finest <= HashGrid::FINEST, "no such resolutions");
+        assert!((1..=HashGrid::LARGEST_TABLE).contains(&log2_table), "no such table");
+        let growth = (f64::from(finest) / f64::from(coarsest)).ln() / (levels.max(2) - 1) as f64;
+        let mut offset = 0;
+        let level = |l: usize| {
+            // A whole number may come out a rounding error below itself.
+            let resolution = (f64::from(coarsest) * (growth * l as f64).exp() * (1.0 + 1e-12)).floor() as u32;
+            let vertices = (u64::from(resolution) + 1).pow(3);
+            let entries = vertices.min(1 << log2_table) as usize;
+            offset += entries;
+            Level { resolution, entries, offset: offset - entries, dense: vertices <= 1 << log2_table }
+        };
+        HashGrid { levels: (0..levels).map(level).collect(), features, interpolation }
+    }
+
+    /// The grids, coarsest first.
+    pub fn levels(&self) -> &[Level] {
+        &self.levels
+    }
+
+    /// Numbers of an entry.
+    pub fn features(&self) -> usize {
+        self.features
+    }
+
+    /// How features are interpolated.
+    pub fn interpolation(&self) -> Interpolation {
+        self.interpolation
+    }
+
+    /// Entries of all tables, the first dimension of the parameters.
+    pub fn entries(&self) -> usize {
+        self.levels.last().map_or(0, |level| level.offset + level.entries)
+    }
+
+    /// Numbers of a point's encoding.
+    pub fn channels(&self) -> usize {
+        self.levels.len() * self.features
+    }
+
+    /// Points of `[n, 3]`, where tables and `[n, channels]` have the sizes that go with them.
+    fn check(&self, tables: usize, points: usize, encoded: usize) -> usize {
+        assert_eq!(tables, self.entries() * self.features, "the tables are not this grid's");
+        assert!(points.is_multiple_of(3) && encoded == points / 3 * self.channels(), "one encoding a point");
+        points / 3
+    }
+}

@@ -1,0 +1,166 @@
+//! The encoding as the paper writes it, in f64, vertex by vertex: what the kernels are tested against, and what serves
+//! fields of f64.
+
+use super::operator::ORDERS;
+use super::{HashGrid, Level, Operator};
+
+/// Numbers that the reference takes and gives.
+pub trait Real: Copy + Into<f64> {
+    /// The nearest.
+    fn nearest(value: f64) -> Self;
+}
+
+impl Real for f32 {
+    fn nearest(value: f64) -> f32 {
+        value as f32
+    }
+}
+
+impl Real for f64 {
+    fn nearest(value: f64) -> f64 {
+        value
+    }
+}
+
+/// A vertex of the cell that a point stands in.
+struct Vertex {
+    /// Its entry, counted over all tables.
+    entry: usize,
+    /// What it counts along each axis, and the first and second derivative of that in the point's coordinate.
+    along: [[f64; 3]; 3],
+}
+
+impl Vertex {
+    /// The derivative of its weight, `order` times along each axis.
+    fn weight(&self, order: [usize; 3]) -> f64 {
+        (0..3).map(|axis| self.along[axis][order[axis]]).product()
+    }
+
+    /// What an operator makes of its weight.
+    fn operated(&self, operator: &Operator<f64>) -> f64 {
+        operator.iter().zip(ORDERS).map(|(factor, order)| factor * self.weight(order)).sum()
+    }
+}
+
+impl HashGrid {
+    /// The eight vertices around a point.
+    fn vertices(&self, level: &Level, point: [f64; 3]) -> [Vertex; 8] {
+        let resolution = f64::from(level.resolution);
+        std::array::from_fn(|k| {
+            let mut vertex = [0; 3];
+            let mut along = [[0.0; 3]; 3];
+            for axis in 0..3 {
+                let scaled = point[axis] * resolution;
+                let cell = scaled.floor().clamp(0.0, resolution - 1.0);
+                let up = k >> axis & 1;
+                let [share, slope, bend] = self.interpolation.share(scaled - cell);
+                vertex[axis] = cell as u32 + up as u32;
+                along[axis] = match up {
+                    0 => [1.0 - share, -slope * resolution, -bend * resolution * resolution],
+                    _ => [share, slope * resolution, bend * resolution * resolution],
+                };
+            }
+            Vertex { entry: level.offset + level.entry(vertex), along }
+        })
+    }
+
+    /// Calls with each point's number, channel, entry in the tables' array, and vertex.
+    fn each_vertex<T: Real>(&self, points: &[T], mut visit: impl FnMut(usize, usize, usize, &Vertex)) {
+        for (i, point) in points.as_chunks::<3>().0.iter().enumerate() {
+            for (l, level) in self.levels.iter().enumerate() {
+                for vertex in self.vertices(level, point.map(Into::into)) {
+                    for feature in 0..self.features {
+                        let entry = vertex.entry * self.features + feature;
+                        visit(i, l * self.features + feature, entry, &vertex);
+                    }
+                }
+            }
+        }
+    }
+
+    /// As [`HashGrid::encode`], as the sum over vertices.
+    ///
+    /// # Panics
+    /// If the sizes do not go together.
+    pub fn encode_reference<T: Real>(&self, tables: &[T], points: &[T], out: &mut [T]) {
+        self.check(tables.len(), points.len(), out.len());
+        let mut sums = vec![0.0; out.len()];
+        self.each_vertex(points, |point, channel, entry, vertex| {
+            sums[point * self.channels() + channel] += vertex.weight([0; 3]) * tables[entry].into();
+        });
+        write(&sums, out);
+    }
+
+    /// As [`HashGrid::point_gradient`].
+    ///
+    /// # Panics
+    /// If the sizes do not go together.
+    pub fn point_gradient_reference<T: Real>(&self, tables: &[T], points: &[T], d_out: &[T], d_points: &mut [T]) {
+        self.check(tables.len(), points.len(), d_out.len());
+        let mut sums = vec![0.0; points.len()];
+        self.each_vertex(points, |point, channel, entry, vertex| {
+            let d = d_out[point * self.channels() + channel].into() * tables[entry].into();
+            for (axis, order) in [[1, 0, 0], [0, 1, 0], [0, 0, 1]].into_iter().enumerate() {
+                sums[3 * point + axis] += d * vertex.weight(order);
+            }
+        });
+        write(&sums, d_points);
+    }
+
+    /// The gradient in the tables, `sum [entries, features]`, of one record.
+    ///
+    /// # Panics
+    /// If the sizes do not go together.
+    pub fn table_gradient_reference<T: Real>(&self, points: &[T], d_out: &[T], sum: &mut [T]) {
+        self.check(sum.len(), points.len(), d_out.len());
+        let mut sums = vec![0.0; sum.len()];
+        self.each_vertex(points, |point, channel, entry, vertex| {
+            sums[entry] += vertex.weight([0; 3]) * d_out[point * self.channels() + channel].into();
+        });
+        write(&sums, sum);
+    }
+
+    /// As [`HashGrid::differentiate`].
+    ///
+    /// # Panics
+    /// If the sizes do not go together.
+    pub fn differentiate_reference<T: Real>(
+        &self,
+        tables: &[T],
+        points: &[T],
+        operators: &[Operator<f64>],
+        out: &mut [T],
+    ) {
+        assert_eq!(self.check(tables.len(), points.len(), out.len()), operators.len(), "one operator a point");
+        let mut sums = vec![0.0; out.len()];
+        self.each_vertex(points, |point, channel, entry, vertex| {
+            sums[point * self.channels() + channel] += vertex.operated(&operators[point]) * tables[entry].into();
+        });
+        write(&sums, out);
+    }
+
+    /// The gradient in the tables, `sum [entries, features]`, of one record with operators.
+    ///
+    /// # Panics
+    /// If the sizes do not go together.
+    pub fn operator_gradient_reference<T: Real>(
+        &self,
+        points: &[T],
+        operators: &[Operator<f64>],
+        d_out: &[T],
+        sum: &mut [T],
+    ) {
+        assert_eq!(self.check(sum.len(), points.len(), d_out.len()), operators.len(), "one operator a point");
+        let mut sums = vec![0.0; sum.len()];
+        self.each_vertex(points, |point, channel, entry, vertex| {
+            sums[entry] += vertex.operated(&operators[point]) * d_out[point * self.channels() + channel].into();
+        });
+        write(&sums, sum);
+    }
+}
+
+fn write<T: Real>(values: &[f64], out: &mut [T]) {
+    for (out, value) in out.iter_mut().zip(values) {
+        *out = T::nearest(*value);
+    }
+}

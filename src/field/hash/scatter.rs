@@ -1,0 +1,120 @@
+//! Gradients in the tables.
+
+use rayon::prelude::*;
+
+use super::cell::{BLOCK, Block, Cells};
+use super::simd::{Kernel, LANES, Lanes, Processor, Simd};
+use super::{HashGrid, Interpolation, Operator, by_features, operator};
+
+/// Points and the gradients in their encodings, or in what operators make of those.
+#[derive(Clone, Copy)]
+pub struct Cotangents<'a> {
+    /// `[n, 3]`, in the unit cube.
+    pub points: &'a [f32],
+    /// `[n, channels]`.
+    pub d_out: &'a [f32],
+    /// `[n]`; none where the gradients are in the encodings themselves.
+    pub operators: Option<&'a [Operator<f32>]>,
+}
+
+impl<'a> Cotangents<'a> {
+    /// Gradients `d_out [n, channels]` in the encodings of `points [n, 3]` in the unit cube.
+    pub fn new(points: &'a [f32], d_out: &'a [f32]) -> Cotangents<'a> {
+        Cotangents { points, d_out, operators: None }
+    }
+}
+
+impl HashGrid {
+    /// The tables' gradient of all records, written over what is in `sum [entries, features]`. Each level is worked on
+    /// by one thread, in the order of records and points, so that the bytes do not depend on the number of threads.
+    ///
+    /// # Panics
+    /// If the sizes do not go together.
+    pub fn table_gradient(&self, records: &[Cotangents], sum: &mut [f32]) {
+        assert_eq!(sum.len(), self.entries() * self.features, "the gradient is of another grid's tables");
+        let mut rest = sum;
+        let mut parts = Vec::with_capacity(self.levels.len());
+        for level in &self.levels {
+            let (part, behind) = rest.split_at_mut(level.entries * self.features);
+            parts.push(part);
+            rest = behind;
+        }
+        parts.into_par_iter().enumerate().for_each(|(level, sum)| {
+            // Cleared here, the table is in a near cache when it is added to.
+            sum.fill(0.0);
+            for record in records {
+                self.scatter(level, *record, sum);
+            }
+        });
+    }
+
+    /// Adds one level's part of a record to that level's `sum [level's entries, features]`, in the order of the points.
+    ///
+    /// # Panics
+    /// If the sizes do not go together.
+    pub fn scatter(&self, level: usize, record: Cotangents, sum: &mut [f32]) {
+        self.scatter_on(Processor::here(), level, record, sum);
+    }
+
+    pub(super) fn scatter_on(&self, processor: Processor, level: usize, record: Cotangents, sum: &mut [f32]) {
+        let Cotangents { points, d_out, operators } = record;
+        let count = self.check(self.entries() * self.features, points.len(), d_out.len());
+        assert!(operators.is_none_or(|operators| operators.len() == count), "one operator a point");
+        assert_eq!(sum.len(), self.levels[level].entries * self.features, "the gradient is of another level's table");
+        by_features!(self.features, F => {
+            let (d_out, sum) = (d_out.as_chunks().0, sum.as_chunks_mut().0);
+            match operators {
+                None => processor.run(Scatter::<F> { grid: self, level, points, d_out, sum }),
+                Some(operators) => {
+                    processor.run(operator::Scatter::<F> { grid: self, level, points, operators, d_out, sum });
+                }
+            }
+        });
+    }
+}
+
+/// Sizes were checked.
+struct Scatter<'a, const F: usize> {
+    grid: &'a HashGrid,
+    level: usize,
+    points: &'a [f32],
+    d_out: &'a [[f32; F]],
+    sum: &'a mut [[f32; F]],
+}
+
+impl<const F: usize> Kernel for Scatter<'_, F> {
+    #[inline(always)]
+    fn run(self, simd: impl Simd) {
+        let levels = self.grid.levels.len();
+        let level = &self.grid.levels[self.level];
+        let mut block = Block::empty();
+        let mut d_block = [[0.0; F]; BLOCK];
+        for (points, d_out) in self.points.chunks(3 * BLOCK).zip(self.d_out.chunks(levels * BLOCK)) {
+            block.fill(points);
+            // All at once, as each waits for memory, and many can wait together.
+            for (d_features, row) in d_block.iter_mut().zip(d_out.chunks_exact(levels)) {
+                *d_features = row[self.level];
+            }
+            for (start, count, points) in block.groups() {
+                let cells = Cells::of(simd, level, points);
+                let corners = simd.store_corners(cells.corners(simd, level));
+                let weights = weights(simd, self.grid.interpolation, &cells);
+                simd.add_weighted(self.sum, &corners, &weights, &d_block[start..][..count]);
+            }
+        }
+    }
+}
+
+/// What each corner's feature counts in the interpolation.
+#[inline(always)]
+fn weights<S: Simd>(simd: S, interpolation: Interpolation, cells: &Cells<S>) -> [Lanes; 8] {
+    let [x1, y1, z1] = interpolation.shares(simd, cells.position);
+    let rest = |share| simd.sub(simd.splat(1.0), share);
+    let [x0, y0, z0] = [rest(x1), rest(y1), rest(z1)];
+    let edges = [simd.mul(y0, z0), simd.mul(y1, z0), simd.mul(y0, z1), simd.mul(y1, z1)];
+    let mut weights = [[0.0; LANES]; 8];
+    for (weights, edge) in weights.as_chunks_mut::<2>().0.iter_mut().zip(edges) {
+        *weights = [simd.store(simd.mul(x0, edge)), simd.store(simd.mul(x1, edge))];
+    }
+    weights
+}

@@ -1,0 +1,203 @@
+//! Derivatives of the encoding against the reference, finite differences and each other.
+
+use super::super::operator::ORDERS;
+use super::*;
+
+/// An operator for each of `count` points, no number of which is 0.
+fn operators(count: usize, seed: u64) -> Vec<Operator<f64>> {
+    signed(10 * count, seed).as_chunks().0.to_vec()
+}
+
+/// The same with derivatives counted as the finest cells count them, so that all of a point's numbers matter.
+fn scaled(grid: &HashGrid, operators: &[Operator<f64>]) -> Vec<Operator<f64>> {
+    let finest = f64::from(grid.levels.last().unwrap().resolution);
+    let order = |i: usize| ORDERS[i].iter().sum::<usize>() as i32;
+    operators.iter().map(|operator| std::array::from_fn(|i| operator[i] / finest.powi(order(i)))).collect()
+}
+
+#[test]
+fn kernels_of_operators_follow_the_reference_with_the_same_bits_on_each_processor() {
+    for grid in grids() {
+        for count in [1, 16, 37, 530] {
+            let points = inner_points(&grid, count);
+            let (tables, d_out) = (signed(grid.entries() * grid.features(), 2), signed(count * grid.channels(), 3));
+            let operators32: Vec<Operator<f32>> =
+                scaled(&grid, &operators(count, 4)).iter().map(|operator| operator.map(|x| x as f32)).collect();
+            let operators: Vec<Operator<f64>> = operators32.iter().map(|operator| operator.map(f64::from)).collect();
+            let [points32, tables32, d_out32] = [&points, &tables, &d_out].map(|values| narrow(values));
+            let [tables, d_out] =
+                [&tables32, &d_out32].map(|values| values.iter().map(|x| f64::from(*x)).collect::<Vec<_>>());
+            let mut expected = [vec![0.0; d_out.len()], vec![0.0; tables.len()]];
+            grid.differentiate_reference(&tables, &points, &operators, &mut expected[0]);
+            grid.operator_gradient_reference(&points, &operators, &d_out, &mut expected[1]);
+            let mut first: Option<[Vec<f32>; 2]> = None;
+            for processor in Processor::all() {
+                let mut found = [vec![0f32; d_out.len()], vec![0.0; tables.len()]];
+                grid.differentiate_on(processor, &tables32, (&points32, &operators32), &mut found[0]);
+                let record = Cotangents::of_operators(&points32, &operators32, &d_out32);
+                for (l, level) in grid.levels.iter().enumerate() {
+                    let sum = &mut found[1][level.offset * grid.features..][..level.entries * grid.features];
+                    grid.scatter_on(processor, l, record, sum);
+                }
+                for (found, expected) in found.iter().zip(&expected) {
+                    let off = off(found, expected);
+                    assert!(off < 2e-4, "{grid:?} {processor:?} {count}: {off}");
+                }
+                let first = first.get_or_insert_with(|| found.clone());
+                for (found, first) in found.iter().zip(first) {
+                    assert_eq!(bits(found), bits(first), "{grid:?} {processor:?} {count}");
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn operators_of_low_order_are_the_encoding_and_its_gradient() {
+    for grid in grids() {
+        let count = 37;
+        let points = narrow(&inner_points(&grid, count));
+        let (tables, d_out) = (signed(grid.entries() * grid.features(), 2), signed(count * grid.channels(), 3));
+        let [tables, d_out] = [&tables, &d_out].map(|values| narrow(values));
+        let apply = |number: usize| {
+            let mut operator = [0.0; 10];
+            operator[number] = 1.0;
+            let mut out = vec![0.0; d_out.len()];
+            grid.differentiate(&tables, &points, &vec![operator; count], &mut out);
+            out
+        };
+        let wide = |values: &[f32]| values.iter().map(|x| f64::from(*x)).collect::<Vec<_>>();
+        let mut encoded = vec![0.0; d_out.len()];
+        grid.encode(&tables, &points, &mut encoded);
+        assert!(off(&apply(0), &wide(&encoded)) < 1e-6);
+        let mut d_points = vec![0.0; points.len()];
+        grid.point_gradient(&tables, &points, &d_out, &mut d_points);
+        let slopes = [apply(1), apply(2), apply(3)];
+        let row = |values: &[f32], point: usize| wide(&values[point * grid.channels()..][..grid.channels()]);
+        let along = |point: usize, axis: usize| {
+            let pairs = row(&slopes[axis], point).into_iter().zip(row(&d_out, point));
+            pairs.map(|(slope, d)| slope * d).sum::<f64>() as f32
+        };
+        let found: Vec<f32> = (0..3 * count).map(|i| along(i / 3, i % 3)).collect();
+        assert!(off(&found, &wide(&d_points)) < 1e-5, "{grid:?}");
+    }
+}
+
+#[test]
+fn operators_are_finite_differences() {
+    for interpolation in BOTH {
+        let grid = HashGrid::new(4, 2, 7, (3, 30), interpolation);
+        let (count, step) = (6, 1e-5);
+        let points = inner_points(&grid, count);
+        let tables = signed(grid.entries() * 2, 5);
+        let apply = |order: [usize; 3], points: &[f64]| {
+            let operator = ORDERS.map(|here| if here == order { 1.0 } else { 0.0 });
+            let mut out = vec![0.0; count * grid.channels()];
+            grid.differentiate_reference(&tables, points, &[operator; 6], &mut out);
+            out
+        };
+        let mut encoded = vec![0.0; count * grid.channels()];
+        grid.encode_reference(&tables, &points, &mut encoded);
+        assert_eq!(apply([0; 3], &points), encoded);
+        for order in &ORDERS[1..] {
+            // One derivative less, moved along the axis that is left.
+            let axis = (0..3).find(|axis| order[*axis] > 0).unwrap();
+            let mut below = *order;
+            below[axis] -= 1;
+            let [up, down] = [step, -step].map(|by| {
+                let moved: Vec<f64> =
+                    points.iter().enumerate().map(|(i, x)| if i % 3 == axis { x + by } else { *x }).collect();
+                apply(below, &moved)
+            });
+            let found = apply(*order, &points);
+            for ((found, up), down) in found.iter().zip(&up).zip(&down) {
+                let expected = (up - down) / (2.0 * step);
+                assert!((found - expected).abs() < 1e-4 * (1.0 + expected.abs()), "{order:?} {found} {expected}");
+            }
+            let bent = interpolation == Interpolation::Smoothstep || order.iter().all(|times| *times < 2);
+            assert_eq!(found.iter().any(|x| x.abs() > 1e-3), bent, "{interpolation:?} {order:?}");
+        }
+    }
+}
+
+/// The tables' gradient is the transpose: both pair tables and gradients to the same number.
+#[test]
+fn gradients_of_operators_are_their_transposes() {
+    for grid in grids() {
+        let count = 20;
+        let points = inner_points(&grid, count);
+        let (tables, d_out) = (signed(grid.entries() * grid.features(), 7), signed(count * grid.channels(), 8));
+        let operators = scaled(&grid, &operators(count, 9));
+        let (mut out, mut d_tables) = (vec![0.0; d_out.len()], vec![0.0; tables.len()]);
+        grid.differentiate_reference(&tables, &points, &operators, &mut out);
+        grid.operator_gradient_reference(&points, &operators, &d_out, &mut d_tables);
+        let pair = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
+        let (a, b) = (pair(&out, &d_out), pair(&d_tables, &tables));
+        assert!((a - b).abs() < 1e-10 * (1.0 + a.abs()) && a != 0.0, "{a} {b}");
+    }
+}
+
+#[test]
+fn records_with_and_without_operators_add_up() {
+    let grid = HashGrid::new(5, 2, 8, (4, 64), Interpolation::Smoothstep);
+    let points = narrow(&numbers(3 * 700, 1));
+    let d_out = narrow(&signed(700 * grid.channels(), 2));
+    let mut twice = [0.0; 10];
+    twice[0] = 2.0;
+    let operators = vec![twice; 700];
+    let gradient = |records: &[Cotangents]| {
+        let mut sum = vec![f32::NAN; grid.entries() * 2];
+        grid.table_gradient(records, &mut sum);
+        sum
+    };
+    let plain = Cotangents::new(&points, &d_out);
+    let found = gradient(&[Cotangents::of_operators(&points, &operators, &d_out), plain]);
+    let expected: Vec<f64> = gradient(&[plain]).iter().map(|x| 3.0 * f64::from(*x)).collect();
+    assert!(off(&found, &expected) < 1e-5);
+}
+
+/// Derivatives in the scene of a function of the cube's coordinates, whose derivatives in the cube are known.
+#[test]
+fn a_domain_s_operators_are_finite_differences() {
+    // x y + 2 y^2 z + sin(3 x) z, and what an operator takes of it.
+    let value = |[x, y, z]: [f64; 3]| x * y + 2.0 * y * y * z + (3.0 * x).sin() * z;
+    let derivatives = |[x, y, z]: [f64; 3]| {
+        let (sin, cos) = (3.0 * x).sin_cos();
+        let first = [y + 3.0 * cos * z, x + 4.0 * y * z, 2.0 * y * y + sin];
+        let second = [-9.0 * sin * z, 4.0 * z, 0.0];
+        let mixed = [1.0, 3.0 * cos, 4.0 * y];
+        let [[a, b, c], [d, e, f], [g, h, i]] = [first, second, mixed];
+        [value([x, y, z]), a, b, c, d, e, f, g, h, i]
+    };
+    const STEP: f64 = 1e-4;
+    for contraction in CONTRACTIONS {
+        let domain = Domain::new([-2.0, 0.0, 1.0], [2.0, 1.0, 4.0], contraction);
+        let place = |point: [f64; 3]| {
+            let (mut unit, mut inside) = ([0.0; 3], [false]);
+            domain.map(&point, &mut unit, &mut inside);
+            (unit, inside[0])
+        };
+        for point in [[0.3, 0.6, 1.2], [-3.1, 0.2, 2.0], [5.0, -4.0, 9.0], [-1.9, 0.95, 3.9], [0.1, 0.4, 40.0]] {
+            let (unit, inside) = place(point);
+            let apply = |value: f64, gradient: [f64; 3], laplacian: f64| {
+                let operator = domain.operator(point, value, gradient, laplacian);
+                operator.iter().zip(derivatives(unit)).map(|(a, b)| a * b).sum::<f64>()
+            };
+            let mut laplacian = 0.0;
+            for axis in 0..3 {
+                let [up, middle, down] = [STEP, 0.0, -STEP].map(|by| {
+                    let mut moved = point;
+                    moved[axis] += by;
+                    if inside { value(place(moved).0) } else { 0.0 }
+                });
+                laplacian += (up - 2.0 * middle + down) / (STEP * STEP);
+                let (found, expected) =
+                    (apply(0.0, [0, 1, 2].map(|i| f64::from(u8::from(i == axis))), 0.0), (up - down) / (2.0 * STEP));
+                assert!((found - expected).abs() < 1e-7, "{contraction:?} {point:?} {axis}: {found} {expected}");
+            }
+            let found = apply(0.0, [0.0; 3], 1.0);
+            assert!((found - laplacian).abs() < 1e-6, "{contraction:?} {point:?}: {found} {laplacian}");
+            assert_eq!(apply(1.0, [0.0; 3], 0.0), value(unit));
+        }
+    }
+}

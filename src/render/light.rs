@@ -1,0 +1,296 @@
+//! From a field's raw output to the photometric loss of its rays as one differentiable operation, in f32 on processors:
+//! activations, density noise, output deltas behind them, compositing, loss.
+//!
+//! `activate`, `add_after`, [`super::volume::composite`] and [`photometric_loss`] are the same in operations on tensors:
+//! they serve everything else, and are the reference, which this equals to the bit.
+
+use candle_core::{CpuStorage, CustomOp3, DType, Device, Layout, Result as TensorResult, Shape, Tensor};
+
+use crate::augment::{DeltaSet, Deltas, Norm, Sets, Site, larger, smaller};
+use crate::base::Result;
+use crate::base::tensors::with_values;
+use crate::field::{Field, RawOutput, density_of, raw_density_gradient};
+use crate::settings::DensityActivation;
+
+use super::pass::Pass;
+use super::photometric_loss;
+use super::scan::{Passed, Pull, Scan};
+use super::volume::{Composite, LAST_INTERVAL};
+
+/// Samples behind their field.
+#[derive(Clone, Copy)]
+pub(super) struct Samples<'a> {
+    pub(super) field: &'a Field,
+    pub(super) pass: Pass<'a>,
+    /// Where they lie: the pass's `t_vals` with their delta.
+    pub(super) t_vals: &'a Tensor,
+    /// `[rays, samples, 3]` and `[rays, samples]`.
+    pub(super) raw: &'a RawOutput,
+    /// Output deltas that are added behind the activations, and their sets.
+    pub(super) added: Option<(&'a Deltas, &'a Sets)>,
+}
+
+/// What they show.
+pub(super) struct Lit {
+    /// A scalar, with its graph.
+    pub(super) loss: Tensor,
+    /// Without a graph.
+    pub(super) composite: Composite,
+    /// The output deltas as they were used: projected onto what the samples leave them.
+    pub(super) used: Vec<(Site, Tensor)>,
+}
+
+/// The box of an output delta.
+struct Cube {
+    radius: f32,
+    /// 1 for each sample of a ray that may move, 0 for others.
+    mask: Option<Vec<f32>>,
+}
+
+impl Cube {
+    /// None of another kind of set.
+    fn of(set: &DeltaSet) -> Result<Option<Cube>> {
+        if set.norm != Norm::Linf || set.bounds.is_some() || set.radius.elem_count() != 1 {
+            return Ok(None);
+        }
+        let mask = set.mask.as_ref().map(|mask| mask.flatten_all()?.to_vec1::<f32>()).transpose()?;
+        Ok(Some(Cube { radius: set.radius.flatten_all()?.to_vec1::<f32>()?[0], mask }))
+    }
+}
+
+/// The output deltas of a pass, added behind the activations.
+struct Added {
+    /// Of colours `[3 n]`, then of densities `[n]`; 0 where a site is off.
+    delta: Tensor,
+    rgb: Option<Cube>,
+    density: Option<Cube>,
+}
+
+impl Added {
+    /// Those of samples. The inner option is empty where there are none, the outer one where plain operations must do it.
+    fn of(samples: &Samples) -> Result<Option<Option<Added>>> {
+        let Samples { raw, added: Some((deltas, sets)), .. } = samples else { return Ok(Some(None)) };
+        let at = |site: Site| deltas.get(site).zip(sets.get(site));
+        let (rgb, density) = (at(Site::Rgb), at(Site::Density));
+        if rgb.is_none() && density.is_none() {
+            return Ok(Some(None));
+        }
+        let cube = |site: Option<(&Tensor, &DeltaSet)>| site.map_or(Ok(None), |(_, set)| Cube::of(set));
+        let (of_rgb, of_density) = (cube(rgb)?, cube(density)?);
+        if of_rgb.is_some() != rgb.is_some() || of_density.is_some() != density.is_some() {
+            return Ok(None);
+        }
+        let flat = |site: Option<(&Tensor, &DeltaSet)>, raw: &Tensor| match site {
+            Some((delta, _)) => delta.flatten_all(),
+            None => raw.detach().flatten_all()?.zeros_like(),
+        };
+        let delta = Tensor::cat(&[flat(rgb, &raw.rgb)?, flat(density, &raw.density)?], 0)?;
+        Ok(Some(Some(Added { delta, rgb: of_rgb, density: of_density })))
+    }
+}
+
+/// The operation: raw output `[4 n]`, positions and output deltas `[4 n]` to the loss, which is known when it is made.
+struct Light {
+    activation: DensityActivation,
+    /// `field.rgb_padding`.
+    padding: f64,
+    scan: Scan,
+    /// Added to raw density, `[n]`.
+    noise: Option<Vec<f32>>,
+    loss: f32,
+    /// Colours of the rays less their targets, `[3 rays]`.
+    errors: Vec<f32>,
+    seen: Seen,
+    /// Output deltas want a gradient.
+    wants_delta: bool,
+}
+
+/// What the samples show.
+#[derive(Default)]
+struct Seen {
+    /// Sigmoids of raw colours, `[3 n]`.
+    sigmoids: Vec<f32>,
+    /// Colours and densities that are composited.
+    rgb: Vec<f32>,
+    density: Vec<f32>,
+    /// Output deltas as they were used, `[3 n]` and `[n]`.
+    used: [Vec<f32>; 2],
+    /// Weights and what is left behind each sample, `[n]`.
+    weights: Vec<f32>,
+    behind: Vec<f32>,
+}
+
+impl Samples<'_> {
+    /// Their light, and its loss against `target` `[rays, 3]`. None where plain operations must do it.
+    pub(super) fn light(&self, target: &Tensor) -> Result<Option<Lit>> {
+        let Samples { field, pass, t_vals, raw, .. } = *self;
+        let on_processor = |joined: &&Tensor| joined.device().is_cpu() && joined.dtype() == DType::F32;
+        let Some(joined) = raw.joined.as_ref().filter(on_processor) else { return Ok(None) };
+        let Some(added) = Added::of(self)? else { return Ok(None) };
+        let (rays, samples) = raw.density.dims2()?;
+        let direction_norm = pass.rays.direction_norm.to_dtype(DType::F64)?.flatten_all()?.to_vec1()?;
+        let mut light = Light {
+            activation: field.config().density_activation,
+            padding: field.config().rgb_padding,
+            scan: Scan { direction_norm, last_interval: LAST_INTERVAL, background: pass.background },
+            noise: pass.density_noise.map(|noise| noise.flatten_all()?.to_vec1()).transpose()?,
+            loss: 0.0,
+            errors: Vec::new(),
+            seen: Seen::default(),
+            wants_delta: added.as_ref().is_some_and(|added| added.delta.track_op()),
+        };
+        let t_vals = t_vals.contiguous()?;
+        let seen = with_values(joined, |raw| light.see(raw, added.as_ref(), samples));
+        let Some(seen) = seen.transpose()? else { return Ok(None) };
+        let Some((out, behind)) = with_values(&t_vals, |t| light.scan.forward(&seen.rgb, &seen.density, t)) else {
+            return Ok(None);
+        };
+        let device = joined.device();
+        light.seen = Seen { weights: out[5 * rays..].to_vec(), behind, ..seen };
+        let composite = Composite::of_flat(&Tensor::from_vec(out, rays * (5 + samples), device)?, rays, samples)?;
+        light.errors = (&composite.rgb - target)?.flatten_all()?.to_vec1()?;
+        light.loss = photometric_loss(&composite.rgb, target)?.to_scalar()?;
+        let used = light.take_used(added.as_ref(), (rays, samples), device)?;
+        let none = || Tensor::zeros(1, DType::F32, device);
+        let delta = added.map_or_else(none, |added| Ok(added.delta))?;
+        let loss = joined.apply_op3(&t_vals, &delta, light)?;
+        Ok(Some(Lit { loss, composite, used }))
+    }
+}
+
+impl Light {
+    /// From raw output `[4 n]` to what is composited.
+    fn see(&self, raw: &[f32], added: Option<&Added>, samples: usize) -> Result<Seen> {
+        let (colours, densities) = raw.split_at(raw.len() / 4 * 3);
+        let sigmoids: Vec<f32> = colours.iter().map(|raw| 1.0 / ((-raw).exp() + 1.0)).collect();
+        let (scale, shift) = self.spread();
+        let rgb =
+            if self.padding > 0.0 { sigmoids.iter().map(|s| s * scale + shift).collect() } else { sigmoids.clone() };
+        let density = (0..densities.len()).map(|i| density_of(self.activation, self.noisy(densities, i))).collect();
+        let mut seen = Seen { sigmoids, rgb, density, ..Seen::default() };
+        if let Some(added) = added {
+            let delta = added.delta.detach().to_vec1::<f32>()?;
+            let (of_rgb, of_density) = delta.split_at(seen.rgb.len());
+            if let Some(cube) = &added.rgb {
+                let limits = (-self.padding as f32, (1.0 + self.padding) as f32);
+                seen.used[0] = cube.add(&mut seen.rgb, of_rgb, limits, 3 * samples);
+            }
+            if let Some(cube) = &added.density {
+                seen.used[1] = cube.add(&mut seen.density, of_density, (0.0, f32::MAX), samples);
+            }
+        }
+        Ok(seen)
+    }
+
+    /// What spreads colours by the padding: factor and summand.
+    fn spread(&self) -> (f32, f32) {
+        ((1.0 + 2.0 * self.padding) as f32, -self.padding as f32)
+    }
+
+    fn noisy(&self, densities: &[f32], i: usize) -> f32 {
+        self.noise.as_ref().map_or(densities[i], |noise| densities[i] + noise[i])
+    }
+
+    /// The output deltas as they were used.
+    fn take_used(
+        &mut self,
+        added: Option<&Added>,
+        (rays, samples): (usize, usize),
+        device: &Device,
+    ) -> Result<Vec<(Site, Tensor)>> {
+        let [rgb, density] = std::mem::take(&mut self.seen.used);
+        let mut used = Vec::new();
+        if added.is_some_and(|added| added.rgb.is_some()) {
+            used.push((Site::Rgb, Tensor::from_vec(rgb, (rays, samples, 3), device)?));
+        }
+        if added.is_some_and(|added| added.density.is_some()) {
+            used.push((Site::Density, Tensor::from_vec(density, (rays, samples), device)?));
+        }
+        Ok(used)
+    }
+
+    /// Gradients of raw output, positions and output deltas from the loss's.
+    fn pull_back(&self, raw: &[f32], t_vals: &[f32], gradient: f32) -> [Vec<f32>; 3] {
+        // As candle goes back through the mean of the squares.
+        let of_mean = gradient * (1.0 / self.errors.len() as f64) as f32;
+        let colours: Vec<f32> = self.errors.iter().map(|error| error * of_mean * 2.0).collect();
+        let Seen { sigmoids, rgb, density, weights, behind, .. } = &self.seen;
+        let pull = Pull { colours: &colours, depths: None, accs: None, weights: None, wants_t_vals: true };
+        let [d_rgb, d_density, d_t] = self.scan.backward(Passed { rgb, density, t_vals, weights, behind }, pull);
+        let (scale, _) = self.spread();
+        let raw_density = &raw[rgb.len()..];
+        // The last summand makes a negative 0 a positive one, as candle's sums do.
+        let of_rgb = d_rgb.iter().zip(sigmoids).map(|(&d, s)| {
+            let d = if self.padding > 0.0 { d * scale } else { d };
+            d * ((1.0 - s) * s) + 0.0
+        });
+        let of_density = d_density
+            .iter()
+            .enumerate()
+            .map(|(i, &d)| raw_density_gradient(self.activation, self.noisy(raw_density, i), d) + 0.0);
+        let d_raw = of_rgb.chain(of_density).collect();
+        let d_delta = if self.wants_delta { [d_rgb, d_density].concat() } else { Vec::new() };
+        [d_raw, d_t, d_delta]
+    }
+}
+
+impl Cube {
+    /// Adds `delta` to `values`, projected so that they stay within `limits`. Returns it projected. As `add_after`.
+    fn add(&self, values: &mut [f32], delta: &[f32], (low, high): (f32, f32), of_ray: usize) -> Vec<f32> {
+        let entries = values.iter_mut().zip(delta).enumerate();
+        let projected = entries.map(|(i, (value, &delta))| {
+            let now = *value;
+            // Density has no upper limit; what is above it by rounding stays.
+            let (lower, upper) = if high == f32::MAX { (-now, high) } else { (-now + low, -now + high) };
+            let mut used = larger(smaller(delta, self.radius), -self.radius);
+            used = larger(smaller(used, upper), lower);
+            if let Some(mask) = &self.mask {
+                used *= mask[i % of_ray];
+            }
+            let moved = now + used;
+            let legal = if high == f32::MAX { moved.max(0.0) } else { smaller(larger(moved, low), high) };
+            // 0, or NaN where there was one.
+            let broken = (now * 0.0).abs() + (delta * 0.0).abs();
+            *value = legal + broken;
+            used
+        });
+        projected.collect()
+    }
+}
+
+impl CustomOp3 for Light {
+    fn name(&self) -> &'static str {
+        "light"
+    }
+
+    fn cpu_fwd(
+        &self,
+        _raw: &CpuStorage,
+        _raw_layout: &Layout,
+        _t_vals: &CpuStorage,
+        _t_layout: &Layout,
+        _delta: &CpuStorage,
+        _delta_layout: &Layout,
+    ) -> TensorResult<(CpuStorage, Shape)> {
+        Ok((CpuStorage::F32(vec![self.loss]), Shape::from(())))
+    }
+
+    fn bwd(
+        &self,
+        raw: &Tensor,
+        t_vals: &Tensor,
+        delta: &Tensor,
+        _loss: &Tensor,
+        gradient: &Tensor,
+    ) -> TensorResult<(Option<Tensor>, Option<Tensor>, Option<Tensor>)> {
+        let gradient = gradient.to_scalar()?;
+        let found = with_values(raw, |raw| with_values(t_vals, |t_vals| self.pull_back(raw, t_vals, gradient)));
+        let Some([d_raw, d_t, d_delta]) = found.flatten() else {
+            candle_core::bail!("light: arguments are not laid out one number behind another");
+        };
+        let tensor = |values: Vec<f32>, like: &Tensor| {
+            like.track_op().then(|| Tensor::from_vec(values, like.shape(), like.device())).transpose()
+        };
+        Ok((tensor(d_raw, raw)?, tensor(d_t, t_vals)?, tensor(d_delta, delta)?))
+    }
+}

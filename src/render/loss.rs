@@ -1,0 +1,146 @@
+//! Passes with their photometric loss: behind the field one operation, where there is one that can do it.
+
+use candle_core::{D, DType, Tensor};
+
+use crate::augment::{Deltas, Site};
+use crate::base::Result;
+use crate::base::tensors::with_values;
+use crate::field::{Field, density_of};
+use crate::settings::OutputPlace;
+
+use super::light::{Lit, Samples};
+use super::pass::{Pass, PassOutput, activate, clean_raw, finish};
+use super::perturbed::{FixedSamples, Perturbation, PerturbedOutput, Queried, query};
+use super::photometric_loss;
+use super::scan::Scan;
+use super::volume::{self, Composite, LAST_INTERVAL};
+
+/// A pass with its photometric loss, which alone need have a graph.
+pub struct PassLoss {
+    /// [`photometric_loss`] of the pass's colours, a scalar with its graph.
+    pub loss: Tensor,
+    /// Colour, depth, accumulation, weights.
+    pub composite: Composite,
+    /// As in [`PassOutput`].
+    pub t_vals: Tensor,
+    /// As in [`PassOutput`].
+    pub raw_density: Tensor,
+}
+
+impl PassLoss {
+    /// Of a pass of which everything has a graph, whose colours should be `target` `[rays, 3]`.
+    pub fn of(out: PassOutput, target: &Tensor) -> Result<PassLoss> {
+        let loss = photometric_loss(&out.composite.rgb, target)?;
+        Ok(PassLoss { loss, composite: out.composite, t_vals: out.t_vals, raw_density: out.raw_density })
+    }
+}
+
+/// [`super::clean_pass`] with its loss against `target` `[rays, 3]`.
+pub fn clean_pass_loss(field: &Field, pass: Pass, target: &Tensor) -> Result<PassLoss> {
+    let raw = clean_raw(field, pass)?;
+    let samples = Samples { field, pass, t_vals: pass.t_vals, raw: &raw, added: None };
+    if let Some(lit) = samples.light(target)? {
+        return Ok(pass_of(lit, samples).0);
+    }
+    PassLoss::of(finish(pass, pass.t_vals, &raw, activate(field, &raw, pass.density_noise)?)?, target)
+}
+
+/// [`super::perturbed_pass`] with its loss against `target` `[rays, 3]`, and the deltas as they were used.
+///
+/// # Errors
+/// Those of candle: shapes that do not fit.
+pub fn perturbed_pass_loss(
+    field: &Field,
+    pass: Pass,
+    perturbation: Perturbation,
+    target: &Tensor,
+) -> Result<(PassLoss, Deltas)> {
+    loss_of(query(field, pass, perturbation)?, target)
+}
+
+impl FixedSamples<'_> {
+    /// As [`perturbed_pass_loss`].
+    ///
+    /// # Errors
+    /// Those of candle: shapes that do not fit.
+    pub fn perturbed_pass_loss(&self, perturbation: Perturbation, target: &Tensor) -> Result<(PassLoss, Deltas)> {
+        loss_of(self.query(perturbation)?, target)
+    }
+}
+
+fn loss_of(queried: Queried, target: &Tensor) -> Result<(PassLoss, Deltas)> {
+    let Queried { field, pass, t_vals, perturbation: Perturbation { deltas, sets, output, .. }, raw } = &queried;
+    if *output == OutputPlace::After {
+        let samples = Samples { field, pass: *pass, t_vals, raw, added: Some((deltas, sets)) };
+        if let Some(lit) = samples.light(target)? {
+            let (pass, used) = pass_of(lit, samples);
+            let mut deltas = (*deltas).clone();
+            used.into_iter().for_each(|(site, delta)| deltas.set(site, delta));
+            return Ok((pass, deltas));
+        }
+    }
+    let PerturbedOutput { pass, used } = queried.finish()?;
+    Ok((PassLoss::of(pass, target)?, used.deltas))
+}
+
+fn pass_of(Lit { loss, composite, used }: Lit, samples: Samples) -> (PassLoss, Vec<(Site, Tensor)>) {
+    let (t_vals, raw_density) = (samples.t_vals.detach(), samples.raw.density.detach());
+    (PassLoss { loss, composite, t_vals, raw_density }, used)
+}
+
+/// Accumulation of rays without density noise, `[rays]`: what an evaluation would see.
+pub fn noiseless_acc(field: &Field, out: &PassLoss, pass: Pass) -> Result<Tensor> {
+    if pass.density_noise.is_none() {
+        return Ok(out.composite.acc.detach());
+    }
+    let direction_norm: Vec<f64> = pass.rays.direction_norm.to_dtype(DType::F64)?.flatten_all()?.to_vec1()?;
+    let activation = field.config().density_activation;
+    let accumulate = |raw: &[f32], t_vals: &[f32]| {
+        let density: Vec<f32> = raw.iter().map(|&raw| density_of(activation, raw)).collect();
+        Scan { direction_norm, last_interval: LAST_INTERVAL, background: None }.accumulations(&density, t_vals)
+    };
+    let acc = with_values(&out.raw_density, |raw| with_values(pass.t_vals, |t_vals| accumulate(raw, t_vals))).flatten();
+    match acc {
+        Some(acc) => Ok(Tensor::from_vec(acc, pass.rays.len(), out.raw_density.device())?),
+        None => noiseless_acc_reference(field, out, pass),
+    }
+}
+
+/// The same in operations on tensors.
+fn noiseless_acc_reference(field: &Field, out: &PassLoss, pass: Pass) -> Result<Tensor> {
+    let intervals = volume::intervals(pass.t_vals, &pass.rays.direction_norm, out.raw_density.dim(1)?)?;
+    Ok(volume::weights_from_density(&field.activate_density(&out.raw_density)?, &intervals)?.sum(D::Minus1)?)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::base::rng::{Random, Stream};
+    use crate::data::Rays;
+    use crate::settings::{DensityActivation, FieldConfig};
+    use candle_core::Device;
+
+    #[test]
+    fn noise_is_left_out_of_accumulations() {
+        let draw = |index: u64, shape: &[usize]| {
+            Random::new(index, Stream::Init, 0).uniform_tensor(shape, DType::F32, &Device::Cpu).unwrap()
+        };
+        let rays = Rays::new(draw(1, &[4, 3]), draw(2, &[4, 3]), draw(3, &[4, 3])).unwrap();
+        let (raw_density, noise) = ((draw(4, &[4, 6]) - 0.4).unwrap(), draw(5, &[4, 6]));
+        for (activation, columns) in [(DensityActivation::Relu, 6), (DensityActivation::Softplus, 7)] {
+            let config = FieldConfig { width: 8, density_activation: activation, ..FieldConfig::default() };
+            let field = Field::init(&config, 0, 0, DType::F32, &Device::Cpu).unwrap();
+            let t_vals = draw(6, &[4, columns]).cumsum(1).unwrap().contiguous().unwrap();
+            let none = draw(7, &[4]);
+            let composite =
+                Composite { rgb: none.clone(), depth: none.clone(), acc: none.clone(), weights: none.clone() };
+            let out = PassLoss { loss: none, composite, t_vals: t_vals.clone(), raw_density: raw_density.clone() };
+            let pass = Pass { rays: &rays, t_vals: &t_vals, density_noise: Some(&noise), background: None };
+            let found = noiseless_acc(&field, &out, pass).unwrap().to_vec1::<f32>().unwrap();
+            let expected = noiseless_acc_reference(&field, &out, pass).unwrap().to_vec1::<f32>().unwrap();
+            for (found, expected) in found.iter().zip(&expected) {
+                assert!((found - expected).abs() < 1e-6 && *found > 0.0, "{activation:?}: {found} {expected}");
+            }
+        }
+    }
+}

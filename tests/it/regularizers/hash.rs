@@ -1,0 +1,314 @@
+//! The same of fields on a hash grid.
+
+use super::*;
+use augnerf::field::Spatial;
+use augnerf::settings::{Contraction, HashConfig, Interpolation};
+
+const CONTRACTIONS: [Contraction; 3] = [Contraction::None, Contraction::Axes, Contraction::Ball];
+
+/// Points of -1..1 lie on both sides of this box.
+const GRID_BOX: [[f64; 3]; 2] = [[-0.8, -0.5, -2.0], [0.7, 1.5, 2.0]];
+
+fn on_grid(interpolation: Interpolation, contraction: Contraction, config: FieldConfig) -> FieldConfig {
+    let hash = HashConfig {
+        levels: 4,
+        features: 2,
+        log2_table: 8,
+        coarsest: 3,
+        finest: Some(14),
+        interpolation,
+        bounds: Some(GRID_BOX),
+        contraction: Some(contraction),
+    };
+    FieldConfig { encoding: Encoding::Hash, hash, ..config }
+}
+
+/// Interpolations, contractions and activations, each with each, on trunks with and without skips.
+fn grids() -> Vec<FieldConfig> {
+    use DensityActivation::{Exp, Relu, Softplus};
+    let trunks = [shape(1, &[], 0, Exp), shape(3, &[1], 0, Relu), shape(4, &[2, 3], 0, Softplus)];
+    let mut grids = Vec::new();
+    for interpolation in [Interpolation::Linear, Interpolation::Smoothstep] {
+        for contraction in CONTRACTIONS {
+            grids.extend(trunks.iter().map(|trunk| on_grid(interpolation, contraction, trunk.clone())));
+        }
+    }
+    grids
+}
+
+/// A field with tables as large as training makes them, alive at `points`.
+fn rough(config: &FieldConfig, seed: u64, points: &Tensor) -> Field {
+    let drawn = (0..50).map(|index| {
+        let field = Field::init(config, seed, index, DType::F64, &CPU).unwrap();
+        let mut values: Vec<Tensor> = field.variables().iter().map(|(_, var)| var.as_tensor().clone()).collect();
+        values[0] = (&values[0] * 1e4).unwrap();
+        Field::from_parameters(config, values).unwrap()
+    });
+    let alive = |field: &Field| {
+        let raw = flat(&field.raw_density(points).unwrap());
+        let inside: Vec<f64> = raw.into_iter().filter(|raw| *raw > -1e3).collect();
+        let share = inside.iter().filter(|raw| **raw > 0.0).count() as f64 / inside.len() as f64;
+        (0.2..0.8).contains(&share)
+    };
+    drawn.into_iter().find(alive).expect("a field that is alive")
+}
+
+/// Those of `odd_cotangents` that are named, without the Laplacian's where density has none.
+fn chosen(used: [bool; 3], n: usize) -> Cotangents {
+    let odd = odd_cotangents(n);
+    Cotangents {
+        density: odd.density.filter(|_| used[0]),
+        gradient: odd.gradient.filter(|_| used[1]),
+        laplacian: odd.laplacian.filter(|_| used[2]),
+    }
+}
+
+fn subsets(config: &FieldConfig) -> Vec<[bool; 3]> {
+    let all =
+        [[true, false, false], [false, true, false], [true, true, false], [false, false, true], [true, true, true]];
+    all.into_iter().filter(|used| config.has_laplacian() || !used[2]).collect()
+}
+
+#[test]
+fn the_adjoint_equals_forward_tangents_and_autodiff() {
+    for (i, config) in grids().iter().enumerate() {
+        let points = points(i as u64, 33);
+        let field = rough(config, i as u64, &points);
+        let (density, gradient, laplacian) = spatial_reference(&field, &points).unwrap();
+        let spatial = field.spatial(&points).unwrap();
+        assert!(relative(&spatial.at.density, &density) < 1e-12, "{config:?}");
+        assert!(relative(&spatial.at.gradient, &gradient) < 1e-11, "{config:?}");
+        assert!(relative(&field.density_gradient(&points).unwrap(), &gradient) < 1e-11, "{config:?}");
+        match config.has_laplacian() {
+            true => assert!(relative(&spatial.at.laplacian, &laplacian) < 1e-10, "{config:?}"),
+            false => assert!(flat(&spatial.at.laplacian).iter().all(|value| value.is_nan())),
+        }
+        for used in subsets(config) {
+            let odd = chosen(used, 33);
+            let found = spatial.weight_gradients(&odd).unwrap();
+            let pairs = [(&density, odd.density), (&gradient, odd.gradient), (&laplacian, odd.laplacian)];
+            let terms = pairs.into_iter().filter_map(|(value, d)| Some((value * d?).unwrap().sum_all().unwrap()));
+            let terms: Vec<Tensor> = terms.collect();
+            let expected = Tensor::stack(&terms, 0).unwrap().sum_all().unwrap().backward().unwrap();
+            assert!(found[0].as_ref().is_some_and(|table| flat(table).iter().any(|value| *value != 0.0)));
+            for ((name, var), found) in field.variables().iter().zip(found) {
+                match (found, expected.get(var)) {
+                    (Some(found), Some(expected)) => {
+                        assert!(relative(&found, expected) < 1e-9, "{name} {used:?} {config:?}")
+                    }
+                    (None, Some(expected)) => assert!(flat(expected).iter().all(|v| *v == 0.0), "{name} {used:?}"),
+                    (Some(_), None) => panic!("{name} {used:?} {config:?}"),
+                    (None, None) => {}
+                }
+            }
+        }
+    }
+}
+
+/// Stencils that cross a kink, of the networks or of a linear grid, disagree, as they must: most do not.
+#[test]
+fn derivatives_equal_finite_differences_of_density() {
+    const H: f64 = 1e-4;
+    for (i, config) in grids().iter().enumerate() {
+        let points = points(20 + i as u64, 90);
+        let field = rough(config, 20 + i as u64, &points);
+        let at = field.spatial(&points).unwrap().at;
+        let density = |points: &Tensor| flat(&field.activate_density(&field.raw_density(points).unwrap()).unwrap());
+        let middle = density(&points);
+        let (mut slopes, mut curvature) = (vec![[0.0; 3]; 90], vec![0.0; 90]);
+        for axis in 0..3 {
+            let [up, down] = [H, -H].map(|by| {
+                let mut step = [0.0; 3];
+                step[axis] = by;
+                density(&points.broadcast_add(&Tensor::new(&step, &CPU).unwrap()).unwrap())
+            });
+            for n in 0..90 {
+                slopes[n][axis] = (up[n] - down[n]) / (2.0 * H);
+                curvature[n] += (up[n] - 2.0 * middle[n] + down[n]) / (H * H);
+            }
+        }
+        let found = at.gradient.to_vec2::<f64>().unwrap();
+        let close = |a: f64, b: f64, tolerance: f64| (a - b).abs() < tolerance * (1.0 + b.abs());
+        let right = (0..90).filter(|n| (0..3).all(|axis| close(found[*n][axis], slopes[*n][axis], 1e-4))).count();
+        assert!(right > 80 && found.iter().flatten().any(|slope| slope.abs() > 0.1), "{right} {config:?}");
+        if config.has_laplacian() {
+            let found = flat(&at.laplacian);
+            let right = (0..90).filter(|n| close(found[*n], curvature[*n], 1e-3)).count();
+            assert!(right > 80 && found.iter().any(|value| value.abs() > 1.0), "{right} {config:?}");
+        }
+    }
+}
+
+/// Of the table as of the networks, along random directions.
+#[test]
+fn weight_gradients_equal_finite_differences() {
+    for (i, config) in grids().iter().enumerate() {
+        let points = points(40 + i as u64, 9);
+        let field = rough(config, 40 + i as u64, &points);
+        let values: Vec<Tensor> = field.variables().iter().map(|(_, var)| var.copy().unwrap()).collect();
+        for term in terms().into_iter().filter(|(term, _)| config.has_laplacian() || term.name() != "laplacian") {
+            let value = |values: &[Tensor]| {
+                let field = Field::from_parameters(config, values.to_vec()).unwrap();
+                flat(&regularize_at(&field, &points, &[term], 0.1).unwrap().values)[0]
+            };
+            let exact = regularize_at(&field, &points, &[term], 0.1).unwrap().gradients;
+            assert!(exact[0].is_some());
+            for (index, gradient) in exact.iter().enumerate() {
+                let Some(gradient) = gradient else { continue };
+                let random =
+                    Random::new(index as u64, Stream::Init, 0).uniform_tensor(gradient.dims(), DType::F64, &CPU);
+                let unit = random.unwrap().affine(2.0, -1.0).unwrap();
+                let slope = (gradient * &unit).unwrap().sum_all().unwrap().to_scalar::<f64>().unwrap();
+                let moved = |h: f64| {
+                    let mut values = values.clone();
+                    values[index] = (&values[index] + (&unit * h).unwrap()).unwrap();
+                    value(&values)
+                };
+                let best = [1e-4, 1e-5, 1e-6, 1e-7]
+                    .map(|h| ((moved(h) - moved(-h)) / (2.0 * h) - slope).abs() / (slope.abs() + 1e-4))
+                    .into_iter()
+                    .fold(f64::INFINITY, f64::min);
+                assert!(best < 1e-5, "{} parameter {index}: {best:e} of {slope} {config:?}", term.0.name());
+            }
+        }
+    }
+}
+
+#[test]
+fn nothing_is_outside_the_box() {
+    for interpolation in [Interpolation::Linear, Interpolation::Smoothstep] {
+        for activation in [DensityActivation::Exp, DensityActivation::Relu, DensityActivation::Softplus] {
+            let config = on_grid(interpolation, Contraction::None, shape(2, &[], 0, activation));
+            let field = rough(&config, 3, &points(3, 64));
+            let outside = Tensor::new(&[[-0.81f64, 0.0, 0.0], [0.0, 1.6, 0.0], [0.0, 0.0, -9.0]], &CPU).unwrap();
+            let spatial: Spatial = field.spatial(&outside).unwrap();
+            assert_eq!(flat(&spatial.at.density), [0.0; 3]);
+            assert_eq!(flat(&spatial.at.gradient), [0.0; 9]);
+            for used in subsets(&config) {
+                for gradient in spatial.weight_gradients(&chosen(used, 3)).unwrap().into_iter().flatten() {
+                    assert!(flat(&gradient).iter().all(|value| *value == 0.0), "{config:?} {used:?}");
+                }
+            }
+        }
+    }
+}
+
+/// The kernels, behind the plain networks and behind the fused ones, against f64.
+#[test]
+fn kernels_equal_the_reference() {
+    for (i, config) in grids().iter().enumerate() {
+        let few = points(60 + i as u64, 64).to_dtype(DType::F32).unwrap().to_dtype(DType::F64).unwrap();
+        let exact = rough(config, 60 + i as u64, &few);
+        let singles: Vec<Tensor> = exact.variables().iter().map(|(_, var)| var.to_dtype(DType::F32).unwrap()).collect();
+        let doubles = singles.iter().map(|value| value.to_dtype(DType::F64).unwrap()).collect();
+        let exact = Field::from_parameters(config, doubles).unwrap();
+        let plain = Field::from_parameters(config, singles).unwrap();
+        let fused = plain.prepared().unwrap();
+        let b = exact.spatial(&few).unwrap();
+        let single = few.to_dtype(DType::F32).unwrap();
+        for (name, field) in [("plain", plain), ("fused", fused)] {
+            let a = field.spatial(&single).unwrap();
+            assert!(relative(&a.at.density, &b.at.density) < 1e-4, "{name} {config:?}");
+            assert!(relative(&a.at.gradient, &b.at.gradient) < 1e-4, "{name} {config:?}");
+            let off = if config.has_laplacian() { relative(&a.at.laplacian, &b.at.laplacian) } else { 0.0 };
+            assert!(off < 1e-3, "{name} {off} {config:?}");
+            for used in subsets(config) {
+                let odd = chosen(used, 64);
+                let narrow = |d: &Option<Tensor>| d.as_ref().map(|d| d.to_dtype(DType::F32).unwrap());
+                let single = Cotangents {
+                    density: narrow(&odd.density),
+                    gradient: narrow(&odd.gradient),
+                    laplacian: narrow(&odd.laplacian),
+                };
+                let (a, b) = (a.weight_gradients(&single).unwrap(), b.weight_gradients(&odd).unwrap());
+                for ((parameter, _), (a, b)) in Field::parameter_names(config).iter().zip(a.iter().zip(&b)) {
+                    match (a, b) {
+                        (Some(a), Some(b)) => {
+                            assert!(relative(a, b) < 1e-3, "{name} {parameter} {used:?} {} {config:?}", relative(a, b))
+                        }
+                        (Some(a), None) => assert!(flat(a).iter().all(|v| *v == 0.0), "{parameter} {used:?}"),
+                        (None, None) => {}
+                        (None, Some(_)) => panic!("{name} {parameter} {used:?}"),
+                    }
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn chunks_add_up_to_the_same_bytes_for_any_number_of_threads() {
+    let config = on_grid(Interpolation::Smoothstep, Contraction::Ball, shape(1, &[], 0, DensityActivation::Exp));
+    let few = points(9, 64);
+    let values = rough(&config, 9, &few).variables().iter().map(|(_, var)| var.to_dtype(DType::F32).unwrap()).collect();
+    let field = Field::from_parameters(&config, values).unwrap();
+    // More points than records wait for, none on a face of the grid, where second derivatives jump.
+    let lattice = Lattice { domain: [[-1.013, -0.971, -0.937], [0.991, 0.957, 1.019]], side: 42 };
+    let sums = [1, 2, 3].map(|threads| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        let found = pool.install(|| regularize(&field, &Quadrature::full(lattice), &terms()).unwrap());
+        found.gradients.into_iter().map(|gradient| gradient.map(|gradient| flat(&gradient))).collect::<Vec<_>>()
+    });
+    assert_eq!(sums[0], sums[1]);
+    assert_eq!(sums[0], sums[2]);
+    let values: Vec<Tensor> = field.variables().iter().map(|(_, var)| var.to_dtype(DType::F64).unwrap()).collect();
+    let exact = Field::from_parameters(&config, values).unwrap();
+    let exact = regularize(&exact, &Quadrature::full(lattice), &terms()).unwrap();
+    for (found, expected) in sums[0].iter().zip(exact.gradients) {
+        let (Some(found), Some(expected)) = (found, expected) else { continue };
+        let found = Tensor::from_vec(found.clone(), expected.shape(), &CPU).unwrap();
+        assert!(relative(&found, &expected) < 1e-3, "{}", relative(&found, &expected));
+    }
+}
+
+#[test]
+fn a_linear_grid_has_no_laplacian() {
+    let lattice = Lattice { domain: BOX, side: 8 };
+    for interpolation in [Interpolation::Linear, Interpolation::Smoothstep] {
+        let config = on_grid(interpolation, Contraction::Axes, shape(1, &[], 0, DensityActivation::Exp));
+        let found = measure(&rough(&config, 5, &points(5, 64)), &lattice, || ()).unwrap();
+        assert!(found.l1 > 0.0 && found.tv > 0.0);
+        assert_eq!(
+            found.laplacian.is_some_and(|laplacian| laplacian > 0.0),
+            interpolation == Interpolation::Smoothstep
+        );
+        assert_eq!(found.laplacian.is_some(), interpolation == Interpolation::Smoothstep);
+    }
+    let config = |interpolation: Interpolation, kind: Regularizer| {
+        let config = augnerf::settings::Config {
+            regularizer: RegularizerConfig { kind: vec![kind], ..RegularizerConfig::default() },
+            ..augnerf::settings::Config::default()
+        };
+        let field =
+            FieldConfig { skips: Vec::new(), ..on_grid(interpolation, Contraction::None, config.field.clone()) };
+        augnerf::settings::Config { field, ..config }.validate()
+    };
+    let message = config(Interpolation::Linear, Regularizer::Laplacian).unwrap_err().to_string();
+    assert_says(&message, &["laplacian", "no second derivative", "smoothstep"]);
+    config(Interpolation::Smoothstep, Regularizer::Laplacian).unwrap();
+    config(Interpolation::Linear, Regularizer::Tv).unwrap();
+}
+
+#[test]
+fn terms_lower_what_they_measure() {
+    let lattice = Lattice { domain: BOX, side: 24 };
+    let train = |kind: Vec<Regularizer>, weight: Vec<f64>| {
+        let config = tiny_config(Method::Nerf, |config| {
+            let shape = shape(1, &[], 0, DensityActivation::Exp);
+            config.field = on_grid(Interpolation::Smoothstep, Contraction::None, shape);
+            config.field.hash.bounds = Some([[-1.5; 3], [1.5; 3]]);
+            config.sampling.fine = 16;
+            (config.regularizer.kind, config.regularizer.weight) = (kind, weight);
+            (config.regularizer.lattice, config.regularizer.points_per_step) = (16, 256);
+        });
+        let trained = trained(&config, 100);
+        let fields = trained.model().fields().unwrap().by_role();
+        let found = measure(fields.last().unwrap().1, &lattice, || ()).unwrap();
+        [found.l1, found.tv, found.laplacian.unwrap()]
+    };
+    let plain = train(Vec::new(), Vec::new());
+    for (i, (term, weight)) in IN_SPACE.into_iter().zip([1e-3, 1e-4, 1e-6]).enumerate() {
+        let found = train(vec![term], vec![weight]);
+        assert!(found[i] < 0.9 * plain[i], "{}: {found:?}, plain {plain:?}", term.name());
+    }
+}
