@@ -141,7 +141,7 @@ class Storm:
         if (run / "config.toml").exists():
             return ["resume", "--quiet", "--threads", "2", run]
         method = ["--method", "aug-nerf"] if run.parent.name == "aug" else []
-        return ["train", "--quiet", "--threads", "2", "--out", run, *method, *(w for s in SET for w in ("--set", s))]
+        return ["train", "--quiet", "--preset", "smoke", "--threads", "2", "--out", run, *method, *(w for s in SET for w in ("--set", s))]
 
     def sweep(self, out):
         return ["sweep", "run", self.definition, "--out", out, "--quiet", "--threads", "2", "--max-deaths", "1000000"]
