@@ -154,8 +154,11 @@ impl RunDir {
 
     /// Puts right what a killed session left half-written. Call it while holding the lock.
     pub fn clean(&self) -> Result<()> {
-        let folders = [self.path.clone(), self.checkpoints(), self.renders()];
-        folders.iter().filter(|folder| folder.is_dir()).try_for_each(|folder| clean_temporaries(folder).map(|_| ()))
+        let below = FOLDERS.iter().chain(&[MESH]).map(|name| self.path.join(name));
+        std::iter::once(self.path.clone())
+            .chain(below)
+            .filter(|folder| folder.is_dir())
+            .try_for_each(|folder| clean_temporaries(&folder).map(|_| ()))
     }
 
     /// Takes the run for this process until the value is dropped.
@@ -284,7 +287,7 @@ fn check_vacant(path: &Path, existing: Existing) -> Result<()> {
 
 /// What stands in a folder that a run is to go into.
 struct Content {
-    /// One of its entries. The lock, temporary entries and empty folders of ours do not count.
+    /// One of its entries. The lock, temporary entries, and folders of ours with nothing but temporary entries do not count.
     entry: Option<String>,
     /// Whether a run made it: it has our lock file, or, copied without it, `config.toml` beside
     /// `checkpoints/`. The name `config.toml` alone is too common to go by.
@@ -296,8 +299,7 @@ impl Content {
         let run = path.join(LOCK).is_file() || path.join(CONFIG).is_file() && path.join(CHECKPOINTS).is_dir();
         for entry in fs::read_dir(path)? {
             let name = entry?.file_name();
-            let idle =
-                name == LOCK || is_temporary(&name) || is_own_folder(&name) && is_empty_folder(&path.join(&name));
+            let idle = name == LOCK || is_temporary(&name) || is_own_folder(&name) && is_idle_folder(&path.join(&name));
             if !idle {
                 return Ok(Content { entry: Some(name.to_string_lossy().into_owned()), run });
             }
@@ -310,8 +312,9 @@ fn is_own_folder(name: &OsStr) -> bool {
     FOLDERS.iter().any(|own| name == *own)
 }
 
-fn is_empty_folder(path: &Path) -> bool {
-    fs::read_dir(path).is_ok_and(|mut entries| entries.next().is_none())
+/// Whether a folder holds nothing, or nothing but what a kill left of a file under way: of [`probe`]'s, say.
+fn is_idle_folder(path: &Path) -> bool {
+    fs::read_dir(path).is_ok_and(|mut entries| entries.all(|entry| entry.is_ok_and(|e| is_temporary(&e.file_name()))))
 }
 
 /// Deletes a run's entries and what kills left; the lock stays.
@@ -386,6 +389,24 @@ mod tests {
     }
 
     #[test]
+    fn a_start_killed_while_it_probed_is_free() {
+        for name in FOLDERS {
+            let dir = tempfile::tempdir().unwrap();
+            let run = RunDir::create(dir.path(), Existing::Refuse, 0).unwrap();
+            run.check_writable(0).unwrap();
+            drop(run);
+            let left = dir.path().join(name).join(".augnerf-tmp-1-probe");
+            fs::write(&left, "half").unwrap();
+            let again =
+                RunDir::create(dir.path(), Existing::Refuse, 0).unwrap_or_else(|error| panic!("{name}: {error}"));
+            assert!(!left.exists(), "{name}");
+            fs::write(&left, "half").unwrap();
+            again.clean().unwrap();
+            assert!(!left.exists(), "{name}");
+        }
+    }
+
+    #[test]
     fn a_half_deleted_run_can_be_overwritten_again() {
         let dir = tempfile::tempdir().unwrap();
         fs::write(dir.path().join(METRICS_CSV), "").unwrap();
@@ -412,7 +433,9 @@ mod tests {
         let dir = tempfile::tempdir().unwrap();
         let run = RunDir::create(&dir.path().join("run"), Existing::Refuse, 0).unwrap();
         run.check_writable(0).unwrap();
-        assert!(is_empty_folder(&run.checkpoints()) && is_empty_folder(&run.renders()));
+        for name in FOLDERS {
+            assert_eq!(fs::read_dir(run.path().join(name)).unwrap().count(), 0, "{name}");
+        }
         fs::create_dir(run.scalars()).unwrap();
         assert!(run.check_writable(0).unwrap_err().to_string().contains("scalars.csv"));
         fs::remove_dir(run.scalars()).unwrap();
