@@ -138,7 +138,12 @@ impl<'a> Job<'a> {
         let earlier = run.read_timing()?;
         let (newest, notes) = checkpoint::newest_whole(&run.checkpoints())?;
         let trainer = match newest {
-            Some(newest) => Trainer::resume(&newest, &setup.config, setup.scene, DType::F32, &setup.runtime)?,
+            Some(newest) => {
+                let trainer = Trainer::resume(&newest, &setup.config, setup.scene, DType::F32, &setup.runtime)?;
+                // A kill may have come between the newest checkpoint and the end of the one that it replaces.
+                trainer.save(&run.checkpoints())?;
+                trainer
+            }
             // Killed before its first checkpoint: step 0 is a function of the configuration.
             None => setup.trainer()?,
         };

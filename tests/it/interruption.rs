@@ -82,6 +82,18 @@ fn a_flipped_bit_in_a_checkpoint_is_refused_and_resume_goes_back() {
     assert_eq!(entries(&out.join("checkpoints")).len(), 3, "what is left of them stays");
 }
 
+/// Killed after its last checkpoint was written and before the one that it replaces was deleted.
+#[test]
+fn a_checkpoint_that_was_replaced_is_gone_when_a_run_ends() {
+    let dir = TempDir::new().unwrap();
+    let (out, kept) = (dir.path().join("run"), dir.path().join("kept"));
+    succeed(&arguments(&out, &["train.keep_checkpoints=1"]));
+    copy(&out, &kept);
+    copy(&checkpoint(&out, 30), &checkpoint(&out, 20));
+    succeed(&["resume", "--quiet", out.to_str().unwrap()]);
+    assert_same_files(&kept, &out, &FLEETING);
+}
+
 fn copy(from: &Path, to: &Path) {
     assert!(Command::new("cp").args(["-r".as_ref(), from.as_os_str(), to.as_os_str()]).status().unwrap().success());
 }
