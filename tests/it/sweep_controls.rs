@@ -38,6 +38,12 @@ fn every_shipped_sweep_with_an_augmented_row_has_its_controls() {
             })
             .collect();
         for (group, second, row, config) in &passes {
+            // A row beside no other, or beside the same method in another precision, says nothing of augmentation.
+            let baseline = definition.row.iter().find(|other| other.name == *row).and_then(|row| row.baseline.clone());
+            let baseline = baseline.or(definition.baseline.clone());
+            if baseline.is_none_or(|baseline| of_row(&baseline).config.method == config.method) {
+                continue;
+            }
             // Levels and variants of the method by themselves have the whole method's controls.
             let whole = Site::ALL.into_iter().all(|site| config.perturb.sites[site].on());
             let is_whole = whole && !name.starts_with("variants");
