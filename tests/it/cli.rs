@@ -31,7 +31,11 @@ const TINY: [&str; 14] = [
 ];
 
 fn tiny<'a>(out: &'a Path, further: &[&'a str]) -> Vec<&'a str> {
-    let mut arguments = vec!["train", "--quiet", "--preset", "smoke", "--out", out.to_str().unwrap()];
+    tiny_of("smoke", out, further)
+}
+
+fn tiny_of<'a>(preset: &'a str, out: &'a Path, further: &[&'a str]) -> Vec<&'a str> {
+    let mut arguments = vec!["train", "--quiet", "--preset", preset, "--out", out.to_str().unwrap()];
     arguments.extend(TINY);
     arguments.extend([
         "--set",
@@ -227,17 +231,30 @@ fn balance_prints_a_grid_of_weights() {
 
 #[test]
 fn killed_and_resumed_equals_not_having_stopped() {
-    ["aug-nerf", "aug-mip-nerf"].into_iter().for_each(killed_and_resumed);
+    let set = ["--set", "train.steps=120", "--set", "train.eval_every=40"];
+    for method in ["aug-nerf", "aug-mip-nerf"] {
+        killed_and_resumed("smoke", 60, &[&["--method", method][..], &set].concat());
+    }
 }
 
-fn killed_and_resumed(method: &str) {
+/// Tables and the moments of entries that gradients have met go through checkpoints, too.
+#[test]
+fn a_hash_field_killed_and_resumed_equals_one_that_was_not() {
+    let small = ["field.hash.levels=4", "field.hash.log2_table=10", "train.steps=90", "train.eval_every=30"];
+    for (method, precision) in [("nerf", "f32"), ("aug-nerf", "f32"), ("aug-nerf", "bf16")] {
+        let precision = format!("field.precision={precision}");
+        let set = small.into_iter().chain([precision.as_str()]).flat_map(|setting| ["--set", setting]);
+        killed_and_resumed("fast", 20, &["--method", method].into_iter().chain(set).collect::<Vec<_>>());
+    }
+}
+
+/// A run that is killed once it has the checkpoint of `step`.
+fn killed_and_resumed(preset: &str, step: u64, further: &[&str]) {
     let dir = TempDir::new().unwrap();
-    let straight = dir.path().join("straight");
-    let further = ["--method", method, "--set", "train.steps=120", "--set", "train.eval_every=40"];
-    succeed(&tiny(&straight, &further));
-    let killed = dir.path().join("killed");
-    let mut child = start(&tiny(&killed, &further));
-    wait_for_checkpoint(&killed, 60, &mut child);
+    let (straight, killed) = (dir.path().join("straight"), dir.path().join("killed"));
+    succeed(&tiny_of(preset, &straight, further));
+    let mut child = start(&tiny_of(preset, &killed, further));
+    wait_for_checkpoint(&killed, step, &mut child);
     child.kill().unwrap(); // SIGKILL
     child.wait().unwrap();
     assert!(!killed.join("metrics.json").exists(), "it was killed too late to test anything");
