@@ -17,7 +17,7 @@ impl Definition {
     pub fn table(&self, name: &str, points: &[Point]) -> TableSpec {
         TableSpec {
             name: name.to_string(),
-            title: self.title.clone(),
+            title: self.full_title(),
             metrics: self.metrics.clone(),
             rows: self.rows(),
             must_match: must_match(&self.metrics, points),

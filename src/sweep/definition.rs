@@ -52,6 +52,9 @@ pub struct Definition {
     /// Settings of every point over the preset's, by their dotted names.
     #[serde(default)]
     pub set: Table,
+    /// What of these the command line said, `preset` and settings: the title may speak of what the file says.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub changed: BTreeMap<String, Value>,
     /// The table's rows, in its order.
     #[serde(default)]
     pub row: Vec<Row>,
@@ -187,7 +190,8 @@ impl Definition {
 
     /// Lays what the command line asks for over the file.
     pub fn apply(&mut self, overrides: Overrides) -> Result<()> {
-        if let Some(preset) = overrides.preset {
+        if let Some(preset) = overrides.preset.filter(|preset| *preset != self.preset) {
+            self.changed.insert("preset".into(), preset.as_str().into());
             self.preset = preset;
         }
         if let Some(scenes) = overrides.scenes {
@@ -197,9 +201,22 @@ impl Definition {
             self.seeds = seeds;
         }
         for (path, value) in overrides.set {
-            self.set.insert(path.join("."), value);
+            let name = path.join(".");
+            if self.set.get(&name) != Some(&value) {
+                self.changed.insert(name.clone(), value.clone());
+            }
+            self.set.insert(name, value);
         }
         self.check().map_err(Error::Config)
+    }
+
+    /// The title with what the command line changed: `Ablation, 3,000 steps (with train.steps = 20)`.
+    pub(super) fn full_title(&self) -> String {
+        if self.changed.is_empty() {
+            return self.title.clone();
+        }
+        let changed: Vec<String> = self.changed.iter().map(|(name, value)| format!("{name} = {value}")).collect();
+        format!("{} (with {})", self.title, changed.join(", "))
     }
 
     /// The row that a row is compared with; none for a baseline.

@@ -21,7 +21,7 @@ impl Definition {
     /// All that tables and figures print of the definition can be printed.
     pub(super) fn check_words(&self) -> Checked {
         let is_break = |letter: char| letter == '\n' || letter == '\t';
-        check_name("title", &self.title.replace(is_break, " "))?;
+        check_name("title", &self.full_title().replace(is_break, " "))?;
         self.scenes.iter().try_for_each(|scene| check_name("the scene's name", scene_name(scene)))?;
         self.quoted.iter().try_for_each(|method| check_name("the quoted method", method))?;
         self.row.iter().try_for_each(|row| check_name("the row's name", &row.name))?;

@@ -220,6 +220,30 @@ fn sigterm_stops_with_the_signal_s_code_and_the_next_run_ends_it() {
     demand(&["sweep", "run", "tiny.toml", "--quiet"], dir.path(), 0);
 }
 
+/// "60 steps" above results of 5 would be a false title. What the folder keeps makes the same files again.
+#[test]
+fn titles_say_what_the_command_line_changed() {
+    let dir = workplace(&TINY.replace("\"tiny\"", "\"tiny, 60 steps\""));
+    let run = |further: &[&str]| {
+        demand(&[&["sweep", "run", "tiny.toml", "--quiet", "--seeds", "0"], further].concat(), dir.path(), 0);
+        files(&dir.path().join("results/tiny"), &[])
+    };
+    let results = dir.path().join("results/tiny");
+    let titled = ["table.md", "table.tex", "rows_builtin_psnr.svg", "curves_builtin_psnr.svg"];
+    // The same as the file says, and no title of another.
+    let plain = run(&["--set", "train.steps=60", "--preset", "smoke"]);
+    titled.iter().for_each(|name| assert!(!text(&results.join(name)).contains("(with"), "{name}"));
+    assert_eq!(run(&[]), plain);
+    let changed = run(&["--set", "train.steps=5", "--set", "seed=0", "--extend"]);
+    for name in titled {
+        let text = text(&results.join(name));
+        assert!(text.contains("tiny, 60 steps (with seed = 0, train.steps = 5)"), "{name}: {text}");
+    }
+    demand(&["sweep", "collect", "runs/tiny"], dir.path(), 0);
+    assert_eq!(files(&results, &[]), changed);
+    crate::verify::verify(dir.path(), &[], 0);
+}
+
 #[test]
 fn the_smoke_sweep_leaves_every_table_and_figure() {
     let dir = TempDir::new().unwrap();
