@@ -10,8 +10,8 @@ use candle_core::{CpuStorage, CustomOp1, CustomOp2, DType, Device, Layout, Resul
 
 use super::contiguous;
 use super::fused::Values;
-use super::hash::{Contraction, Cotangents, Domain, HashGrid, Interpolation, Operator, Real, fetch_tables};
-use crate::settings::{self, Encoding, FieldConfig};
+use super::hash::{Cotangents, Domain, HashGrid, Operator, Real, fetch_tables};
+use crate::settings::{Contraction, Encoding, FieldConfig};
 
 /// Entries of a table start uniformly between minus this and this (Mueller et al. 2022, section 4).
 pub(super) const INITIAL: f64 = 1e-4;
@@ -58,12 +58,7 @@ impl Grid {
     pub(super) fn new(config: &FieldConfig, table: Tensor) -> Grid {
         let hash = &config.hash;
         let bounds = hash.bounds.unwrap_or([[-1.5; 3], [1.5; 3]]);
-        let contraction = match hash.contraction.unwrap_or(settings::Contraction::None) {
-            settings::Contraction::None => Contraction::None,
-            settings::Contraction::Axes => Contraction::Axes,
-            settings::Contraction::Ball => Contraction::Ball,
-        };
-        let domain = Domain::new(bounds[0], bounds[1], contraction);
+        let domain = Domain::new(bounds[0], bounds[1], hash.contraction.unwrap_or(Contraction::None));
         Grid { shape: Arc::new(shape_of(config)), domain, table, records: None }
     }
 
@@ -134,11 +129,7 @@ fn shape_of(config: &FieldConfig) -> HashGrid {
     let hash = &config.hash;
     // A grid of its own, outside a run, is as fine as that of pictures of 1,024 pixels.
     let resolutions = (hash.coarsest as u32, hash.finest.unwrap_or(2048) as u32);
-    let interpolation = match hash.interpolation {
-        settings::Interpolation::Linear => Interpolation::Linear,
-        settings::Interpolation::Smoothstep => Interpolation::Smoothstep,
-    };
-    HashGrid::new(hash.levels, hash.features, hash.log2_table as u32, resolutions, interpolation)
+    HashGrid::new(hash.levels, hash.features, hash.log2_table as u32, resolutions, hash.interpolation)
 }
 
 /// The encoding in f32, without the table in the graph.

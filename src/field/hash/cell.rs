@@ -1,7 +1,9 @@
 //! Points among a level's cells.
 
+use crate::settings::Interpolation;
+
 use super::simd::{LANES, Lanes, Simd};
-use super::{Interpolation, Level, PRIMES};
+use super::{Level, PRIMES};
 
 /// Points taken through all levels before the next: they, their encodings and a level's table stay in near caches.
 pub const BLOCK: usize = 512;

@@ -1,21 +1,14 @@
 //! The part of space that a hash grid covers.
 
+use crate::settings::Contraction;
+
 use super::{Operator, Real};
 
-/// What becomes of points outside the box.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Contraction {
-    /// They are outside: the density there is 0.
-    None,
-    /// Each axis by itself, so that boxes stay boxes: the box fills the middle half of the cube along each axis, and
-    /// infinity lies on its faces.
-    Axes,
-    /// All together (Barron et al. 2022, equation 10): the ball within the box, an ellipsoid where its sides differ,
-    /// fills the ball of half the cube's size, and infinity lies on the ball within the cube.
-    Ball,
-}
-
 /// A box of the scene's space, and how it and the space around it lie in the unit cube.
+///
+/// Without a contraction the box fills the cube. Contracted by axes, it fills the middle half of the cube along each, and
+/// infinity lies on the cube's faces. Contracted to a ball, the ball within the box, an ellipsoid where its sides differ,
+/// fills the ball of half the cube's size, and infinity lies on the ball within the cube.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Domain {
     low: [f64; 3],

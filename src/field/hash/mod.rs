@@ -26,11 +26,13 @@ mod simd;
 mod tests;
 
 pub use adam::{Moving, SparseAdam};
-pub use domain::{Contraction, Domain};
+pub use domain::Domain;
 pub use encode::fetch_tables;
 pub use operator::Operator;
 pub use reference::Real;
 pub use scatter::Cotangents;
+
+use crate::settings::Interpolation;
 
 /// An expression for the grid's number of features as a constant.
 macro_rules! by_features {
@@ -48,16 +50,6 @@ macro_rules! by_features {
     };
 }
 use by_features;
-
-/// How features are interpolated between a cell's vertices along each axis.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Interpolation {
-    /// By the position f in the cell: continuous, with kinks at the cells' faces and no second derivative along an
-    /// axis.
-    Linear,
-    /// By f^2 (3 - 2 f): once continuously differentiable, with slope 0 at the cells' faces.
-    Smoothstep,
-}
 
 impl Interpolation {
     /// The upper vertex's share at the position `f` in a cell, its first and its second derivative.

@@ -2,9 +2,11 @@
 
 use rayon::prelude::*;
 
+use crate::settings::Interpolation;
+
 use super::cell::{BLOCK, Block, Cells};
 use super::simd::{Kernel, LANES, Lanes, Processor, Simd};
-use super::{HashGrid, Interpolation, Operator, by_features, operator};
+use super::{HashGrid, Operator, by_features, operator};
 
 /// Points and the gradients in their encodings, or in what operators make of those.
 #[derive(Clone, Copy)]

@@ -2,6 +2,7 @@
 
 use super::simd::Processor;
 use super::*;
+use crate::settings::Contraction;
 
 mod operators;
 
