@@ -40,7 +40,7 @@ pub(crate) use fused::forget as forget_buffers;
 use grid::Grid;
 pub use grid::TableRecord;
 pub(crate) use peak::peak_gflops;
-pub use spatial::{DensityAt, Spatial, spatial_reference};
+pub use spatial::{DensityAt, Order, Spatial, spatial_reference};
 
 /// The values of a contiguous tensor on a processor, for operations of our own.
 pub(crate) fn contiguous<'a, T>(values: &'a [T], layout: &Layout) -> candle_core::Result<&'a [T]> {

@@ -31,7 +31,7 @@ impl Slopes {
     /// Of a field's encoding of `points [n, 3]`, which is `encoded`.
     pub(super) fn of(field: &Field, points: &Tensor, encoded: &Tensor) -> Result<Slopes> {
         Ok(match &field.grid {
-            Some(grid) => Slopes::Grid(GridSlopes::new(grid.clone(), points, field.config.has_laplacian())?),
+            Some(grid) => Slopes::Grid(GridSlopes::new(grid.clone(), points)?),
             None => Slopes::Waves(Waves::new(encoded, field.config.position_octaves)?),
         })
     }
@@ -44,15 +44,11 @@ impl Slopes {
         }
     }
 
-    /// Its Laplacian `[n]`; NaN where the encoding has none.
+    /// Its Laplacian `[n]`, which not every encoding has ([`crate::settings::FieldConfig::has_laplacian`]).
     pub(super) fn laplacian(&self, e_bar: &Tensor) -> Result<Tensor> {
         match self {
             Slopes::Waves(waves) => Ok((e_bar * &waves.second)?.sum(1)?),
-            Slopes::Grid(grid) if grid.bent => Ok((e_bar * grid.laplacian()?)?.sum(1)?),
-            Slopes::Grid(_) => {
-                let n = e_bar.dim(0)?;
-                Ok(Tensor::full(f64::NAN, n, e_bar.device())?.to_dtype(e_bar.dtype())?)
-            }
+            Slopes::Grid(grid) => Ok((e_bar * grid.laplacian()?)?.sum(1)?),
         }
     }
 
@@ -134,16 +130,14 @@ pub(super) struct GridSlopes {
     /// Where the points lie in the scene and in the grid's cube, `[n, 3]`.
     points: Vec<f64>,
     unit: Vec<f64>,
-    /// There are second derivatives along an axis.
-    bent: bool,
 }
 
 impl GridSlopes {
-    fn new(grid: Grid, points: &Tensor, bent: bool) -> Result<GridSlopes> {
+    fn new(grid: Grid, points: &Tensor) -> Result<GridSlopes> {
         let points = values(points)?;
         let mut unit = vec![0.0; points.len()];
         grid.domain.map(&points, &mut unit, &mut vec![false; points.len() / 3]);
-        Ok(GridSlopes { grid, points, unit, bent })
+        Ok(GridSlopes { grid, points, unit })
     }
 
     fn along(&self, axis: usize) -> Result<Tensor> {

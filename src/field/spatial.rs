@@ -35,7 +35,18 @@ use super::fused::Slope;
 use super::slopes::Slopes;
 use super::{Field, Layer, TableRecord, encode_reference, tensor_error};
 
-/// Density and its derivatives in space at `n` points.
+/// Up to which derivative density is asked for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Order {
+    /// Density alone.
+    Density,
+    /// And its gradient.
+    Gradient,
+    /// And its Laplacian.
+    Laplacian,
+}
+
+/// Density and its derivatives in space at `n` points. Those that were not asked for are NaN.
 pub struct DensityAt {
     /// After the activation, `[n]`, 1 / length.
     pub density: Tensor,
@@ -91,6 +102,11 @@ impl Field {
     /// Density, gradient and Laplacian at `points [n, 3]`; by the fused core where the field is prepared for it
     /// ([`Field::prepared`]).
     pub fn spatial(&self, points: &Tensor) -> Result<Spatial<'_>> {
+        self.spatial_up_to(Order::Laplacian, points)
+    }
+
+    /// The same up to a derivative: no work is done for those above it.
+    pub fn spatial_up_to(&self, order: Order, points: &Tensor) -> Result<Spatial<'_>> {
         if self.config.encoding == Encoding::Integrated {
             return Err(tensor_error("density's derivatives are those of a field that is queried at points".into()));
         }
@@ -108,7 +124,11 @@ impl Field {
             None => self.plain_slope(encoded)?,
         };
         let raw = inputs.only_inside(raw)?;
-        let (raw_gradient, raw_laplacian) = (slopes.gradient(&e_bar)?, slopes.laplacian(&e_bar)?);
+        let (raw_gradient, raw_laplacian) = match order {
+            Order::Density => (unasked(&raw, &[3])?, unasked(&raw, &[])?),
+            Order::Laplacian if self.config.has_laplacian() => (slopes.gradient(&e_bar)?, slopes.laplacian(&e_bar)?),
+            Order::Gradient | Order::Laplacian => (slopes.gradient(&e_bar)?, unasked(&raw, &[])?),
+        };
         let activated = Activated::new(self.config.density_activation, &raw)?;
         let (gradient, laplacian) = activated.chain(&raw_gradient, &raw_laplacian)?;
         let density = activated.value.clone();
@@ -210,6 +230,12 @@ impl Spatial<'_> {
         }
         Ok((gradients, record))
     }
+}
+
+/// NaN of `shape` for each number of `raw [n]`.
+fn unasked(raw: &Tensor, shape: &[usize]) -> Result<Tensor> {
+    let shape = [&[raw.dim(0)?], shape].concat();
+    Ok(Tensor::full(f64::NAN, shape, raw.device())?.to_dtype(raw.dtype())?)
 }
 
 /// The forward recursion on the weights' gradients. Something pulls.

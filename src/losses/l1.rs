@@ -3,7 +3,7 @@
 use candle_core::Tensor;
 
 use crate::base::Result;
-use crate::field::{Cotangents, DensityAt};
+use crate::field::{Cotangents, DensityAt, Order};
 
 use super::SpaceTerm;
 
@@ -13,6 +13,10 @@ pub struct L1;
 impl SpaceTerm for L1 {
     fn name(&self) -> &str {
         "l1"
+    }
+
+    fn order(&self) -> Order {
+        Order::Density
     }
 
     fn at_points(&self, at: &DensityAt) -> Result<Tensor> {

@@ -17,7 +17,7 @@ use std::sync::Arc;
 use candle_core::{Tensor, Var};
 
 use crate::base::Result;
-use crate::field::{Cotangents, DensityAt};
+use crate::field::{Cotangents, DensityAt, Order};
 use crate::render::PassOutput;
 use crate::settings::{Regularizer, RegularizerConfig};
 
@@ -55,6 +55,10 @@ pub trait RayTerm: Send + Sync {
 pub trait SpaceTerm: Send + Sync {
     /// Its name in logs (`regularizer.NAME`) and tables.
     fn name(&self) -> &str;
+    /// Up to which derivative it reads density; those above are NaN.
+    fn order(&self) -> Order {
+        Order::Laplacian
+    }
     /// What is integrated, `[n]`.
     fn at_points(&self, at: &DensityAt) -> Result<Tensor>;
     /// Derivatives of the sum over points; where they are not written out, those that candle finds.

@@ -3,7 +3,7 @@
 use candle_core::{DType, Tensor};
 
 use crate::base::Result;
-use crate::field::{Cotangents, DensityAt, Field, TableRecord};
+use crate::field::{Cotangents, DensityAt, Field, Order, TableRecord};
 use crate::space::{Lattice, Quadrature, chunk_size, chunks_at_once, over_chunks};
 
 use super::SpaceTerm;
@@ -67,7 +67,8 @@ struct Chunk {
 const MOST_RECORDED: usize = 1 << 16;
 
 fn chunk_at(field: &Field, points: &Tensor, terms: &[WeightedSpaceTerm], volume: f64) -> Result<Chunk> {
-    let spatial = field.spatial(points)?;
+    let order = terms.iter().map(|(term, _)| term.order()).max().unwrap_or(Order::Density);
+    let spatial = field.spatial_up_to(order, points)?;
     let values: Vec<Tensor> = terms.iter().map(|(term, _)| term_sum(*term, &spatial.at)).collect::<Result<_>>()?;
     let values = (Tensor::stack(&values, 0)? * volume)?;
     let (gradients, record) = spatial.recorded_gradients(&cotangents(&spatial.at, terms, volume)?)?;

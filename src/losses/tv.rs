@@ -3,7 +3,7 @@
 use candle_core::Tensor;
 
 use crate::base::Result;
-use crate::field::{Cotangents, DensityAt};
+use crate::field::{Cotangents, DensityAt, Order};
 
 use super::SpaceTerm;
 
@@ -13,6 +13,10 @@ pub struct Tv;
 impl SpaceTerm for Tv {
     fn name(&self) -> &str {
         "tv"
+    }
+
+    fn order(&self) -> Order {
+        Order::Gradient
     }
 
     fn at_points(&self, at: &DensityAt) -> Result<Tensor> {

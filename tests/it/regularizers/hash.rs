@@ -1,7 +1,7 @@
 //! The same of fields on a hash grid.
 
 use super::*;
-use augnerf::field::Spatial;
+use augnerf::field::{Order, Spatial};
 use augnerf::settings::{Contraction, HashConfig, Interpolation};
 
 const CONTRACTIONS: [Contraction; 3] = [Contraction::None, Contraction::Axes, Contraction::Ball];
@@ -53,55 +53,11 @@ fn rough(config: &FieldConfig, seed: u64, points: &Tensor) -> Field {
     drawn.into_iter().find(alive).expect("a field that is alive")
 }
 
-/// Those of `odd_cotangents` that are named, without the Laplacian's where density has none.
-fn chosen(used: [bool; 3], n: usize) -> Cotangents {
-    let odd = odd_cotangents(n);
-    Cotangents {
-        density: odd.density.filter(|_| used[0]),
-        gradient: odd.gradient.filter(|_| used[1]),
-        laplacian: odd.laplacian.filter(|_| used[2]),
-    }
-}
-
-fn subsets(config: &FieldConfig) -> Vec<[bool; 3]> {
-    let all =
-        [[true, false, false], [false, true, false], [true, true, false], [false, false, true], [true, true, true]];
-    all.into_iter().filter(|used| config.has_laplacian() || !used[2]).collect()
-}
-
 #[test]
 fn the_adjoint_equals_forward_tangents_and_autodiff() {
     for (i, config) in grids().iter().enumerate() {
         let points = points(i as u64, 33);
-        let field = rough(config, i as u64, &points);
-        let (density, gradient, laplacian) = spatial_reference(&field, &points).unwrap();
-        let spatial = field.spatial(&points).unwrap();
-        assert!(relative(&spatial.at.density, &density) < 1e-12, "{config:?}");
-        assert!(relative(&spatial.at.gradient, &gradient) < 1e-11, "{config:?}");
-        assert!(relative(&field.density_gradient(&points).unwrap(), &gradient) < 1e-11, "{config:?}");
-        match config.has_laplacian() {
-            true => assert!(relative(&spatial.at.laplacian, &laplacian) < 1e-10, "{config:?}"),
-            false => assert!(flat(&spatial.at.laplacian).iter().all(|value| value.is_nan())),
-        }
-        for used in subsets(config) {
-            let odd = chosen(used, 33);
-            let found = spatial.weight_gradients(&odd).unwrap();
-            let pairs = [(&density, odd.density), (&gradient, odd.gradient), (&laplacian, odd.laplacian)];
-            let terms = pairs.into_iter().filter_map(|(value, d)| Some((value * d?).unwrap().sum_all().unwrap()));
-            let terms: Vec<Tensor> = terms.collect();
-            let expected = Tensor::stack(&terms, 0).unwrap().sum_all().unwrap().backward().unwrap();
-            assert!(found[0].as_ref().is_some_and(|table| flat(table).iter().any(|value| *value != 0.0)));
-            for ((name, var), found) in field.variables().iter().zip(found) {
-                match (found, expected.get(var)) {
-                    (Some(found), Some(expected)) => {
-                        assert!(relative(&found, expected) < 1e-9, "{name} {used:?} {config:?}")
-                    }
-                    (None, Some(expected)) => assert!(flat(expected).iter().all(|v| *v == 0.0), "{name} {used:?}"),
-                    (Some(_), None) => panic!("{name} {used:?} {config:?}"),
-                    (None, None) => {}
-                }
-            }
-        }
+        assert_adjoint_is_exact(&rough(config, i as u64, &points), &points);
     }
 }
 
@@ -258,6 +214,42 @@ fn chunks_add_up_to_the_same_bytes_for_any_number_of_threads() {
         let (Some(found), Some(expected)) = (found, expected) else { continue };
         let found = Tensor::from_vec(found.clone(), expected.shape(), &CPU).unwrap();
         assert!(relative(&found, &expected) < 1e-3, "{}", relative(&found, &expected));
+    }
+}
+
+/// What is above the order is NaN, which no result that needs it would survive; what is below it has the bytes that it has
+/// beside the Laplacian, and so have the weights' gradients.
+#[test]
+fn derivatives_that_are_not_asked_for_are_not_computed() {
+    let points = points(9, 33);
+    let bits = |tensor: &Tensor| flat(tensor).into_iter().map(f64::to_bits).collect::<Vec<_>>();
+    let is_nan = |tensor: &Tensor| flat(tensor).iter().all(|value| value.is_nan());
+    let whole = |term: &dyn SpaceTerm, field: &Field| {
+        let spatial = field.spatial(&points).unwrap();
+        spatial.weight_gradients(&term.cotangents(&spatial.at).unwrap()).unwrap()
+    };
+    for config in grids().iter().chain(&shapes()) {
+        let field = match config.encoding {
+            Encoding::Hash => rough(config, 9, &points),
+            _ => field(config, 9, &points),
+        };
+        let all = field.spatial(&points).unwrap().at;
+        assert_eq!(is_nan(&all.laplacian), !config.has_laplacian());
+        for order in [Order::Density, Order::Gradient] {
+            let at = field.spatial_up_to(order, &points).unwrap().at;
+            assert_eq!(bits(&at.density), bits(&all.density));
+            assert!(is_nan(&at.laplacian));
+            match order {
+                Order::Density => assert!(is_nan(&at.gradient)),
+                _ => assert_eq!(bits(&at.gradient), bits(&all.gradient)),
+            }
+        }
+        for term in [&L1 as &dyn SpaceTerm, &Tv] {
+            let found = regularize_at(&field, &points, &[(term, 1.0)], 1.0).unwrap().gradients;
+            for (found, expected) in found.iter().zip(whole(term, &field)) {
+                assert_eq!(found.as_ref().map(bits), expected.as_ref().map(bits), "{} {config:?}", term.name());
+            }
+        }
     }
 }
 
