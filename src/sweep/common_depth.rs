@@ -1,7 +1,7 @@
 //! Depth errors over the pixels that all rows show. A row's own numbers are over the pixels where it is solid itself: who
 //! leaves more out would look better.
 
-use crate::base::Result;
+use crate::base::{Error, Result};
 use crate::metrics::{Metric, Needs, Scope};
 use crate::report::{Record, Status, distinct};
 use crate::run::DepthErrors;
@@ -18,12 +18,21 @@ pub fn wants_depth(metrics: &[String]) -> bool {
 /// Adds to measured points what [`Scope::Common`] metrics come to: over the pixels of each held-out view at which every
 /// measured point of the scene and seed is solid. `errors_of` gives a point's errors. Where one point has none, or others'
 /// views, none of its seed has the metrics.
+///
+/// # Errors
+/// Errors of another number of views than the point was measured on.
 pub fn add_common_depth(records: &mut [Record], errors_of: impl Fn(&str) -> Result<Option<DepthErrors>>) -> Result<()> {
     let groups = distinct(records.iter().filter(|r| r.status == Status::Done).map(|r| (r.scene.clone(), r.seed)));
     for (scene, seed) in groups {
         let of_group = |r: &&Record| r.status == Status::Done && (&r.scene, r.seed) == (&scene, seed);
         let ids = distinct(records.iter().filter(of_group).map(|record| record.id.clone()));
-        let Some(mask) = common_mask(&ids, &errors_of)? else { continue };
+        let checked = |id: &str| -> Result<Option<DepthErrors>> {
+            let errors = errors_of(id)?;
+            let measured = records.iter().filter(of_group).find(|record| record.id == id).zip(errors.as_ref());
+            measured.map_or(Ok(()), |(record, errors)| check_views(record, errors))?;
+            Ok(errors)
+        };
+        let Some(mask) = common_mask(&ids, &checked)? else { continue };
         for id in ids {
             let Some(errors) = errors_of(&id)? else { continue };
             let metrics = measured(&errors, &mask);
@@ -31,6 +40,22 @@ pub fn add_common_depth(records: &mut [Record], errors_of: impl Fn(&str) -> Resu
                 record.metrics.extend(metrics.iter().map(|(key, value)| (key.to_string(), *value)));
             }
         }
+    }
+    Ok(())
+}
+
+/// A point's errors are of as many views as it was measured on; of fewer where some of these have no depth of their own, so
+/// that the point has no mean depth.
+fn check_views(record: &Record, errors: &DepthErrors) -> Result<()> {
+    let Ok(measured) = record.protocol("views_evaluated").parse::<usize>() else { return Ok(()) };
+    let found = errors.views.len();
+    let all_have_depth = record.metric("depth_left_out").is_some();
+    if found > measured || all_have_depth && found < measured {
+        return Err(Error::Checkpoint(format!(
+            "depth_errors.gz of point {} is damaged: it has {found} views, its measurement {measured}; delete it, or \
+             measure the run again with `augnerf eval`",
+            record.id
+        )));
     }
     Ok(())
 }
@@ -135,6 +160,23 @@ mod tests {
         records[1].status = Status::Failed;
         add_common_depth(&mut records, errors).unwrap();
         assert_eq!(records[0].metric("depth_left_out_common"), Some(0.0));
+    }
+
+    #[test]
+    fn errors_of_another_number_of_views_than_were_measured_are_damage() {
+        let errors = |id: &str| Ok(Some(DepthErrors { views: vec![vec![1.0]; id.len()] }));
+        let measured = |id: &str, depth: Option<f64>| Record {
+            protocol: vec![("views_evaluated".into(), "2".into())],
+            metrics: vec![("depth_left_out".into(), depth)],
+            ..record(id, 0)
+        };
+        let said = |id: &str, depth| add_common_depth(&mut [measured(id, depth)], errors).err().map(|e| e.to_string());
+        assert_eq!((said("ab", Some(0.0)), said("ab", None), said("a", None)), (None, None, None));
+        for (id, depth) in [("a", Some(0.0)), ("abc", Some(0.0)), ("abc", None)] {
+            let said = said(id, depth).unwrap();
+            assert!(said.contains(&format!("point {id} is damaged: it has {} views", id.len())), "{said}");
+            assert!(said.contains("its measurement 2; delete it"), "{said}");
+        }
     }
 
     #[test]

@@ -359,6 +359,11 @@ fn rows_are_compared_over_their_common_pixels() {
     // A run of an earlier version keeps no errors: nothing is common until it is measured again.
     let first = dir.path().join("runs/tiny/points").join(&points[0]["id"]).join("run/depth_errors.gz");
     let kept = std::fs::read(&first).unwrap();
+    let mut fewer = DepthErrors::read(&first).unwrap().unwrap();
+    fewer.views.pop();
+    fewer.write(&first).unwrap();
+    let message = demand(&["sweep", "collect", "runs/tiny"], dir.path(), 5);
+    assert_says(&message, &["depth_errors.gz", "is damaged", "7 views", "measurement 8", "augnerf eval"]);
     std::fs::remove_file(&first).unwrap();
     demand(&["sweep", "collect", "runs/tiny"], dir.path(), 0);
     let without = rows(&text(&dir.path().join("results/tiny/table.csv")));

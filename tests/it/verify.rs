@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use crate::common::assert_says;
 use crate::common::files::{assert_same_files, rows, text};
 use crate::common::program::{self, augnerf};
+use augnerf::run::DepthErrors;
 use sha2::{Digest, Sha256};
 use tempfile::TempDir;
 
@@ -74,6 +75,24 @@ fn what_is_changed_is_found() {
     assert_found(dir.path(), &at("curves_builtin_psnr.svg"), "NeRF", "NerF", &["SHA-256", "curves_builtin_psnr.svg"]);
     std::fs::write(at("rows_builtin_ssim.svg"), "old").unwrap();
     assert_says(&verify(dir.path(), &[], 10), &["rows_builtin_ssim.svg: the points do not make it"]);
+}
+
+/// A run's depth errors are of the views that were measured.
+#[test]
+fn depth_errors_of_other_views_are_found() {
+    let dir = TempDir::new().unwrap();
+    let run = dir.path().join("results/runs/nerf");
+    copy(&Path::new(ROOT).join("results/regularizers/builtin_nerf"), &run);
+    verify(dir.path(), &[], 0);
+    let metrics = text(&run.join("metrics.json"));
+    let views = metrics.matches("\"psnr\"").count() - 1;
+    // As if every view had a depth.
+    std::fs::write(run.join("metrics.json"), metrics.replace("\"psnr\"", "\"depth_left_out\": 0.5, \"psnr\"")).unwrap();
+    DepthErrors { views: vec![vec![0.5]; views] }.write(&run.join("depth_errors.gz")).unwrap();
+    verify(dir.path(), &[], 0);
+    DepthErrors { views: vec![vec![0.5]; views - 1] }.write(&run.join("depth_errors.gz")).unwrap();
+    let words = format!("depths of {} views, metrics.json has {views}", views - 1);
+    assert_says(&verify(dir.path(), &[], 10), &["depth_errors.gz", &words]);
 }
 
 /// Sets cells of a column of a CSV file: in the lines that `of` picks.

@@ -9,6 +9,7 @@ use super::findings::Findings;
 use crate::base::csv::{column_names, plain_cell};
 use crate::base::files::read_json;
 use crate::base::{Error, Result};
+use crate::run::{DepthErrors, RunDir};
 use crate::sweep::material::optional;
 
 /// Run folders below a folder, by name.
@@ -43,6 +44,7 @@ pub fn check(folder: &Path, findings: &mut Findings) -> Result<()> {
         let report = Report::read(&run)?;
         report.check_means(&name(&run), &mut wrong);
         check_views(&run, &report, &mut wrong)?;
+        check_depths(&run, &report, &mut wrong)?;
         let smoothness = csv_lines(&run.join("smoothness.csv"))?.and_then(|mut lines| lines.pop());
         runs.insert(name(&run), (report, smoothness));
     }
@@ -114,6 +116,18 @@ fn check_views(run: &Path, report: &Report, wrong: &mut Vec<String>) -> Result<(
                 wrong.push(format!("{}: {column} is '{}', metrics.json has another", path.display(), text(cell)));
             }
         }
+    }
+    Ok(())
+}
+
+/// `depth_errors.gz` has the views of `metrics.json` that have a depth of their own.
+fn check_depths(run: &Path, report: &Report, wrong: &mut Vec<String>) -> Result<()> {
+    let path = RunDir::depth_errors_in(run);
+    let Some(errors) = DepthErrors::read(&path)? else { return Ok(()) };
+    let found = errors.views.iter().filter(|view| !view.is_empty()).count();
+    let measured = report.views.iter().filter(|view| view.get("depth_left_out").is_some_and(Value::is_number)).count();
+    if found != measured {
+        wrong.push(format!("{}: depths of {found} views, metrics.json has {measured}", path.display()));
     }
     Ok(())
 }
