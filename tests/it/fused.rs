@@ -123,37 +123,39 @@ fn assert_close(what: &str, found: &[Tensor], expected: &[Tensor], mean: f64) {
     }
 }
 
+/// The plain field in f64 is the oracle.
+fn assert_fused_equals_plain(case: &Case) {
+    let exact = ask(case, &field(case, Core::Plain, DType::F64), DType::F64, false);
+    let fused_field = field(case, Core::Fused, DType::F32);
+    let fused = ask(case, &fused_field, DType::F32, false);
+    assert_close("outputs", &fused.outputs, &exact.outputs, 2e-5);
+    // In a small case one ReLU that a rounding flips is a good part of a gradient.
+    assert_close("weights", &fused.weights, &exact.weights, 2e-2);
+    assert_close("inputs", &fused.inputs, &exact.inputs, 2e-2);
+    assert_frozen_is_the_same(case, &fused_field, &fused);
+}
+
+/// Frozen weights change no bit of what a field gives besides their gradients.
+fn assert_frozen_is_the_same(case: &Case, field: &Field, found: &Found) {
+    let frozen = ask(case, field, DType::F32, true);
+    assert!(frozen.weights.is_empty());
+    for (a, b) in frozen.inputs.iter().chain(&frozen.outputs).zip(found.inputs.iter().chain(&found.outputs)) {
+        assert_eq!(flat(a), flat(b));
+    }
+}
+
 proptest! {
     #![proptest_config(ProptestConfig { cases: 60, failure_persistence: None, ..ProptestConfig::default() })]
 
-    /// The plain field in f64 is the oracle.
     #[test]
     fn fused_equals_plain(case in case()) {
-        let exact = ask(&case, &field(&case, Core::Plain, DType::F64), DType::F64, false);
-        let fused = ask(&case, &field(&case, Core::Fused, DType::F32), DType::F32, false);
-        assert_close("outputs", &fused.outputs, &exact.outputs, 2e-5);
-        // In a small case one ReLU that a rounding flips is a good part of a gradient.
-        assert_close("weights", &fused.weights, &exact.weights, 2e-2);
-        assert_close("inputs", &fused.inputs, &exact.inputs, 2e-2);
-        let frozen = ask(&case, &field(&case, Core::Fused, DType::F32), DType::F32, true);
-        for (a, b) in frozen.inputs.iter().chain(&frozen.outputs).zip(fused.inputs.iter().chain(&fused.outputs)) {
-            prop_assert_eq!(flat(a), flat(b), "frozen weights change no bit of the rest");
-        }
-        prop_assert!(frozen.weights.is_empty());
+        assert_fused_equals_plain(&case);
     }
 
     #[test]
     fn a_fused_hash_field_equals_the_plain_one(case in case(), smooth in any::<bool>(), view_depth in 1usize..3) {
-        let case = on_a_grid(&case, if smooth { Interpolation::Smoothstep } else { Interpolation::Linear }, view_depth);
-        let exact = ask(&case, &field(&case, Core::Plain, DType::F64), DType::F64, false);
-        let fused = ask(&case, &field(&case, Core::Fused, DType::F32), DType::F32, false);
-        assert_close("outputs", &fused.outputs, &exact.outputs, 2e-5);
-        assert_close("weights", &fused.weights, &exact.weights, 2e-2);
-        assert_close("inputs", &fused.inputs, &exact.inputs, 2e-2);
-        let frozen = ask(&case, &field(&case, Core::Fused, DType::F32), DType::F32, true);
-        for (a, b) in frozen.inputs.iter().chain(&frozen.outputs).zip(fused.inputs.iter().chain(&fused.outputs)) {
-            prop_assert_eq!(flat(a), flat(b), "frozen weights change no bit of the rest");
-        }
+        let interpolation = if smooth { Interpolation::Smoothstep } else { Interpolation::Linear };
+        assert_fused_equals_plain(&on_a_grid(&case, interpolation, view_depth));
     }
 }
 
@@ -379,9 +381,33 @@ fn bf16_is_near_f64() {
         assert!((1e-4..0.15).contains(&mean), "{width}: weights {weights:?}");
         let inputs = off(&half.inputs, &exact.inputs);
         assert!(inputs.iter().all(|off| *off < 0.35), "{width}: inputs {inputs:?}");
-        let frozen = ask(&half_case, &half_field, DType::F32, true);
-        for (a, b) in frozen.inputs.iter().chain(&frozen.outputs).zip(half.inputs.iter().chain(&half.outputs)) {
-            assert_eq!(flat(a), flat(b), "frozen weights change no bit of the rest");
+        assert_frozen_is_the_same(&half_case, &half_field, &half);
+    }
+}
+
+/// As docs/performance.md has it: bf16 where a field that records or is frozen is queried, f32 in derivatives in space and
+/// where candle's graph is to have the weights.
+#[test]
+fn bf16_is_where_passes_are_and_f32_where_derivatives_in_space_are() {
+    for case in [paper(), on_a_grid(&Case { layer: 0, ..paper() }, Interpolation::Smoothstep, 2)] {
+        let [half, single] = [in_bf16(&case), case.clone()].map(|case| field(&case, Core::Fused, DType::F32));
+        let given = |index: u64, shape: &[usize]| random(case.seed, index, shape).to_dtype(DType::F32).unwrap();
+        let n = case.rays * case.samples;
+        let (points, viewdirs) = (given(0, &[n, 3]), given(1, &[case.rays, 3]));
+        let density = |field: &Field| flat(&field.forward(&points, &viewdirs, None).unwrap().density);
+        let frozen = half.frozen().unwrap();
+        let rounded = density(&frozen);
+        assert_eq!(rounded, density(&half.recording().unwrap()));
+        assert_eq!(rounded, flat(&frozen.raw_density(&points).unwrap()), "what places samples and makes meshes");
+        assert_ne!(rounded, density(&single.frozen().unwrap()));
+        assert_eq!(density(&half), density(&single), "in candle's graph");
+        let in_space = |field: &Field| {
+            let prepared = field.prepared().unwrap();
+            let at = prepared.spatial(&points).unwrap().at;
+            [at.density, at.gradient, at.laplacian, field.frozen().unwrap().density_gradient(&points).unwrap()]
+        };
+        for (half, single) in in_space(&half).iter().zip(&in_space(&single)) {
+            assert_eq!(flat(half), flat(single), "in space");
         }
     }
 }
