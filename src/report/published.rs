@@ -10,8 +10,9 @@ The paper's SRN, LLFF, NV and NeRF rows of tables 1 and 2 and the NeRF row of ta
 which scored SRN at 504x376 (LLFF) and 512x512 (Blender), the others at 1008x752 and 800x800; the paper's own runs are \
 at 504x378 and 400x400, 500000 steps, width 256. SRN's SSIM on orchids is that of fern (0.611), and the average made of \
 it; the NeRF paper has 0.449. \
-In table A1 the NeRF row of width 128 equals the quoted one of width 256. The paper gives no seeds, no rays a step, \
-no LPIPS backbone and no severity of its noises: its numbers stand beside ours and are not subtracted.";
+In table A1 the NeRF row of width 128 equals the quoted one of width 256. The paper gives no seeds, no samples a ray \
+and no rays a step (its released code does), no LPIPS backbone and no severity of its noises: its numbers stand beside \
+ours and are not subtracted.";
 
 /// One row of the paper's tables.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
@@ -49,8 +50,16 @@ pub struct PublishedProtocol {
     pub steps: Option<u64>,
     /// Width of the trunk.
     pub field_width: Option<usize>,
+    /// Layers of the trunk.
+    pub field_depth: Option<usize>,
+    /// Coarse samples of a ray, and fine ones.
+    pub samples: Option<(usize, usize)>,
     /// Rays of a step.
     pub rays: Option<usize>,
+    /// Samples and rays are what the paper's released code has: the paper gives none.
+    pub by_released_code: bool,
+    /// Views that were trained on, and others that were evaluated.
+    pub views: Option<(usize, usize)>,
     /// What is known to be wrong with it; empty otherwise.
     pub remark: &'static str,
 }
@@ -115,14 +124,38 @@ impl PublishedRow {
         };
         let own = source == "the paper's own run";
         let nerf = self.method == "NeRF";
+        // Of MipNeRF there is no released code.
+        let by_released_code = own && self.method != "MipNeRF";
         PublishedProtocol {
             source,
             width,
             height,
             steps: own.then_some(500_000),
             field_width: (own || nerf).then(|| self.stated_width()),
-            rays: (nerf && !own).then_some(4096),
+            // "The same MLP architecture" as the original NeRF's.
+            field_depth: (own || nerf).then_some(8),
+            samples: match by_released_code {
+                true => Some((64, if is_llff { 64 } else { 128 })),
+                false => (nerf && !own).then_some((64, 128)),
+            },
+            rays: match by_released_code {
+                true => Some(1024),
+                false => (nerf && !own).then_some(4096),
+            },
+            by_released_code,
+            views: self.views(),
             remark: if (&*self.method, &*self.scene) == ("SRN", "orchids") { WRONG_SSIM } else { "" },
+        }
+    }
+
+    /// Views of both papers, which trained and tested all models on the same ones: every eighth of an LLFF scene is held out.
+    fn views(&self) -> Option<(usize, usize)> {
+        match (self.dataset.as_str(), self.scene.as_str()) {
+            ("blender", _) => Some((100, 200)),
+            (_, "fern") => Some((17, 3)),
+            (_, "orchids") => Some((21, 4)),
+            (_, "trex") => Some((48, 7)),
+            _ => None,
         }
     }
 
@@ -136,10 +169,14 @@ impl PublishedRow {
 impl PublishedProtocol {
     /// All that is known, for a reader.
     pub fn text(&self) -> String {
+        let code = if self.by_released_code { " in the released code" } else { "" };
         let known = [
             self.steps.map(|steps| format!(", {steps} steps")),
             self.field_width.map(|width| format!(", width {width}")),
-            self.rays.map(|rays| format!(", {rays} rays a step")),
+            self.field_depth.map(|depth| format!(", {depth} layers")),
+            self.samples.map(|(coarse, fine)| format!(", {coarse} + {fine} samples{code}")),
+            self.rays.map(|rays| format!(", {rays} rays a step{code}")),
+            self.views.map(|(trained, evaluated)| format!(", {trained} views trained on and {evaluated} evaluated")),
         ];
         let known: String = known.into_iter().flatten().collect();
         let remark = if self.remark.is_empty() { String::new() } else { format!("; {}", self.remark) };
@@ -149,19 +186,26 @@ impl PublishedProtocol {
     /// In what a measured point is known to differ: `101x76 instead of 504x378, steps 2000
     /// instead of 500000`; empty where nothing is. What either does not tell is left out.
     pub fn difference(&self, record: &Record) -> String {
-        let size = match (record.protocol("width"), record.protocol("height")) {
-            ("", _) | (_, "") => String::new(),
-            (width, height) => format!("{width}x{height}"),
+        let both = |names: [&str; 2], between: &str| match names.map(|name| record.protocol(name)) {
+            ["", _] | [_, ""] => String::new(),
+            [first, second] => format!("{first}{between}{second}"),
         };
+        let (size, samples) = (both(["width", "height"], "x"), both(["samples_coarse", "samples_fine"], " + "));
+        let number = |name| record.protocol(name).to_string();
+        let code = if self.by_released_code { " of the released code" } else { "" };
         let pairs = [
-            ("", size.as_str(), Some(format!("{}x{}", self.width, self.height))),
-            ("steps ", record.protocol("steps"), self.steps.map(|steps| steps.to_string())),
-            ("field_width ", record.protocol("field_width"), self.field_width.map(|width| width.to_string())),
-            ("rays ", record.protocol("rays"), self.rays.map(|rays| rays.to_string())),
+            ("", size, Some(format!("{}x{}", self.width, self.height)), ""),
+            ("steps ", number("steps"), self.steps.map(|steps| steps.to_string()), ""),
+            ("field_width ", number("field_width"), self.field_width.map(|width| width.to_string()), ""),
+            ("field_depth ", number("field_depth"), self.field_depth.map(|depth| depth.to_string()), ""),
+            ("samples ", samples, self.samples.map(|(coarse, fine)| format!("{coarse} + {fine}")), code),
+            ("rays ", number("rays"), self.rays.map(|rays| rays.to_string()), code),
+            ("views_trained ", number("views_trained"), self.views.map(|(trained, _)| trained.to_string()), ""),
+            ("views_evaluated ", number("views_evaluated"), self.views.map(|(_, evaluated)| evaluated.to_string()), ""),
         ];
-        let differing = pairs.into_iter().filter_map(|(name, ours, theirs)| {
-            let theirs = theirs.filter(|theirs| !ours.is_empty() && theirs != ours)?;
-            Some(format!("{name}{ours} instead of {theirs}"))
+        let differing = pairs.into_iter().filter_map(|(name, ours, theirs, whose)| {
+            let theirs = theirs.filter(|theirs| !ours.is_empty() && *theirs != ours)?;
+            Some(format!("{name}{ours} instead of {theirs}{whose}"))
         });
         differing.collect::<Vec<String>>().join(", ")
     }
@@ -194,19 +238,27 @@ mod tests {
 
     #[test]
     fn quoted_rows_say_so() {
-        let quoted = "quoted from the NeRF paper, 1008x752, width 256, 4096 rays a step";
-        assert_eq!(text("tab4", "clean", "NeRF", "fern"), quoted);
-        assert_eq!(text("tab1", "clean", "LLFF", "fern"), "quoted from the NeRF paper, 1008x752");
-        assert_eq!(text("tab1", "clean", "SRN", "fern"), "quoted from the NeRF paper, 504x376");
-        assert_eq!(text("tab2", "clean", "SRN", "drums"), "quoted from the NeRF paper, 512x512");
-        assert_eq!(text("tab2", "clean", "NV", "chair"), "quoted from the NeRF paper, 800x800");
-        let own = "the paper's own run, 504x378, 500000 steps, width 256";
-        assert_eq!(text("tab4", "clean", "Aug-NeRF", "fern"), own);
-        assert_eq!(text("tabA2", "pepper_noise", "NeRF", "fern"), own);
-        let own = "the paper's own run, 800x800, 500000 steps, width 128";
-        assert_eq!(text("tabA1", "width_128_full_res", "NeRF", "chair"), own);
-        let own = "the paper's own run, 400x400, 500000 steps, width 512";
-        assert_eq!(text("tabA1", "width_512_half_res", "Aug-NeRF", "chair"), own);
+        let fern = ", 17 views trained on and 3 evaluated";
+        let blender = ", 100 views trained on and 200 evaluated";
+        let quoted = "quoted from the NeRF paper, 1008x752, width 256, 8 layers, 64 + 128 samples, 4096 rays a step";
+        assert_eq!(text("tab4", "clean", "NeRF", "fern"), format!("{quoted}{fern}"));
+        assert_eq!(text("tab1", "clean", "LLFF", "fern"), format!("quoted from the NeRF paper, 1008x752{fern}"));
+        assert_eq!(text("tab1", "clean", "SRN", "fern"), format!("quoted from the NeRF paper, 504x376{fern}"));
+        assert_eq!(text("tab2", "clean", "SRN", "drums"), format!("quoted from the NeRF paper, 512x512{blender}"));
+        assert_eq!(text("tab2", "clean", "NV", "chair"), format!("quoted from the NeRF paper, 800x800{blender}"));
+        let code = "in the released code";
+        let own = |size: &str, width: usize, fine: usize, views: &str| {
+            format!(
+                "the paper's own run, {size}, 500000 steps, width {width}, 8 layers, 64 + {fine} samples {code}, 1024 \
+                 rays a step {code}{views}"
+            )
+        };
+        assert_eq!(text("tab4", "clean", "Aug-NeRF", "fern"), own("504x378", 256, 64, fern));
+        assert_eq!(text("tabA2", "pepper_noise", "NeRF", "fern"), own("504x378", 256, 64, fern));
+        assert_eq!(text("tabA1", "width_128_full_res", "NeRF", "chair"), own("800x800", 128, 128, blender));
+        assert_eq!(text("tabA1", "width_512_half_res", "Aug-NeRF", "chair"), own("400x400", 512, 128, blender));
+        let mip = "the paper's own run, 504x378, 500000 steps, width 256, 8 layers";
+        assert_eq!(text("tab1", "clean", "MipNeRF", "fern"), format!("{mip}{fern}"));
     }
 
     /// The paper prints fern's SSIM for SRN on orchids: the number stays as it is printed, and says so.
@@ -216,7 +268,7 @@ mod tests {
         assert_eq!(srn("orchids").ssim, srn("fern").ssim);
         assert!(
             text("tab1", "clean", "SRN", "orchids")
-                .ends_with("504x376; its SSIM is that of fern, the NeRF paper has 0.449")
+                .ends_with("4 evaluated; its SSIM is that of fern, the NeRF paper has 0.449")
         );
         assert_eq!(published_rows().iter().filter(|row| !row.protocol().remark.is_empty()).count(), 1);
         assert!(PUBLISHED_NOTE.contains("0.449") && !PUBLISHED_NOTE.contains("1008x756"));
@@ -224,8 +276,7 @@ mod tests {
 
     #[test]
     fn differences_name_what_is_known_to_differ() {
-        let fields = [("width", "101"), ("height", "76"), ("steps", "500000"), ("field_width", "64"), ("rays", "512")];
-        let record = Record {
+        let mut record = Record {
             id: String::new(),
             scene: "fern".into(),
             row: "Aug-NeRF".into(),
@@ -234,12 +285,29 @@ mod tests {
             status: Status::Done,
             reason: String::new(),
             metrics: Vec::new(),
-            protocol: fields.map(|(name, text)| (name.to_string(), text.to_string())).to_vec(),
+            protocol: Vec::new(),
             inactive_levels: Vec::new(),
         };
+        let mut set = |fields: &[(&str, &str)]| {
+            record.protocol = fields.iter().map(|(name, text)| (name.to_string(), text.to_string())).collect();
+            record.clone()
+        };
+        let record = set(&[("width", "101"), ("height", "76"), ("steps", "500000"), ("field_width", "64")]);
         let own = find("tab4", "clean", "Aug-NeRF", "fern").unwrap().protocol();
         assert_eq!(own.difference(&record), "101x76 instead of 504x378, field_width 64 instead of 256");
         let quoted = find("tab1", "clean", "SRN", "fern").unwrap().protocol();
         assert_eq!(quoted.difference(&record), "101x76 instead of 504x376");
+        // Everything that a point tells and the papers or the code do.
+        let small = [("field_depth", "4"), ("samples_coarse", "32"), ("samples_fine", "16"), ("rays", "512")];
+        let record = set(&[&small[..], &[("views_trained", "8"), ("views_evaluated", "2")]].concat());
+        let (depth, views) =
+            ("field_depth 4 instead of 8", "views_trained 8 instead of 17, views_evaluated 2 instead of 3");
+        let code =
+            "samples 32 + 16 instead of 64 + 64 of the released code, rays 512 instead of 1024 of the released code";
+        assert_eq!(own.difference(&record), format!("{depth}, {code}, {views}"));
+        let nerf = find("tab4", "clean", "NeRF", "fern").unwrap().protocol();
+        let paper = "samples 32 + 16 instead of 64 + 128, rays 512 instead of 4096";
+        assert_eq!(nerf.difference(&record), format!("{depth}, {paper}, {views}"));
+        assert_eq!(quoted.difference(&record), views);
     }
 }

@@ -248,7 +248,8 @@ fn table_csv_has_every_line() {
     assert_eq!(cells(&rows[4], &names), ["output & only", "true", "1", "1", "25", "", "0.125", "", ""]);
     assert_eq!(cells(&rows[6], &names), ["Aug-NeRF", "false", "1", "0", "", "", "", "", ""]);
     assert_eq!(cells(&rows[0], &["width", "height", "steps", "seconds_mean"]), ["101", "76", "2000", "0.5"]);
-    assert_eq!(rows[0]["published_protocol"], "quoted from the NeRF paper, 1008x752, width 256, 4096 rays a step");
+    let quoted = "quoted from the NeRF paper, 1008x752, width 256, 8 layers, 64 + 128 samples, 4096 rays a step";
+    assert_eq!(rows[0]["published_protocol"], format!("{quoted}, 17 views trained on and 3 evaluated"));
     let low: f64 = rows[1]["psnr_low"].parse().unwrap();
     assert_eq!(low, table().lines[1].cells[0].comparison.unwrap().interval.unwrap().0);
 }
@@ -300,8 +301,8 @@ fn markdown_tells_everything_beside_the_numbers() {
         "- \\* not in the paper: output & only",
         "- † sites without effect on the loss: Aug-NeRF (rgb, density)",
         "- § points without numbers: + TV Reg., features steps = 3 (done 2, failed 1: collapsed \\| at step 7)",
-        "- in the paper, NeRF: quoted from the NeRF paper, 1008x752, width 256, 4096 rays a step; here 101x76 instead of \
-         1008x752",
+        "- in the paper, NeRF: quoted from the NeRF paper, 1008x752, width 256, 8 layers, 64 + 128 samples, 4096 rays \
+         a step, 17 views trained on and 3 evaluated; here 101x76 instead of 1008x752",
         "### chair",
         "| Aug-NeRF § |  |  |  |  |  |",
         "- § points without numbers: Aug-NeRF (no data 1: chair is not on this machine)",
