@@ -9,18 +9,26 @@ use augnerf::settings::{Config, DeltaSource, SecondPass, Sizes};
 use augnerf::sweep::{Definition, Point, PublishedCosts, StepCosts, SweepFolder, begin, expand};
 use tempfile::TempDir;
 
+use crate::common::files::entries;
 use crate::sweep_run::{BASE, Costs, Slower, parse, points_of};
+
+/// Every shipped sweep by its file's name, with one seed.
+fn shipped() -> Vec<(String, Definition)> {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("sweeps");
+    let read = |path: std::path::PathBuf| {
+        let name = path.file_stem().unwrap().to_string_lossy().into_owned();
+        let mut definition = Definition::read(&path).unwrap();
+        definition.seeds.truncate(1);
+        (name, definition)
+    };
+    entries(&folder).into_iter().map(read).collect()
+}
 
 /// What could explain an augmented row's result without an attack is trained beside it, in every shipped sweep.
 #[test]
 fn every_shipped_sweep_with_an_augmented_row_has_its_controls() {
-    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("sweeps");
     let mut augmented = 0;
-    for entry in std::fs::read_dir(folder).unwrap() {
-        let path = entry.unwrap().path();
-        let name = path.file_stem().unwrap().to_string_lossy().into_owned();
-        let mut definition = Definition::read(&path).unwrap();
-        definition.seeds.truncate(1);
+    for (name, definition) in shipped() {
         let points = expand(&definition, None, &Costs).unwrap();
         let of_row = |row: &str| points.iter().find(|point| point.places.iter().any(|place| place.row == row)).unwrap();
         // Rows with a second pass, each with what it is compared with: settings of that pass and of the scene.
@@ -77,13 +85,8 @@ fn every_shipped_sweep_with_an_augmented_row_has_its_controls() {
 /// way, about twenty of them.
 #[test]
 fn every_shipped_sweep_tells_seen_from_unseen_views() {
-    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("sweeps");
     let mut sweeps = 0;
-    for entry in std::fs::read_dir(folder).unwrap() {
-        let path = entry.unwrap().path();
-        let name = path.file_stem().unwrap().to_string_lossy().into_owned();
-        let mut definition = Definition::read(&path).unwrap();
-        definition.seeds.truncate(1);
+    for (name, definition) in shipped() {
         assert!(definition.metrics.iter().any(|metric| metric == "gap"), "{name}: no gap");
         let few = if name == "smoke" { 2..3 } else { 10..101 };
         for point in expand(&definition, None, &Costs).unwrap() {
@@ -99,11 +102,9 @@ fn every_shipped_sweep_tells_seen_from_unseen_views() {
 /// A row's name says whose sets uniform draws are taken from.
 #[test]
 fn uniform_draws_are_named_by_their_sets() {
-    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("sweeps");
     let mut rows = 0;
-    for entry in std::fs::read_dir(folder).unwrap() {
-        let path = entry.unwrap().path();
-        for point in expand(&Definition::read(&path).unwrap(), None, &Costs).unwrap() {
+    for (name, definition) in shipped() {
+        for point in expand(&definition, None, &Costs).unwrap() {
             let perturb = &point.config.perturb;
             let uniform = perturb.second == SecondPass::Perturbed(DeltaSource::Uniform);
             if !point.config.method.is_augmented() || !uniform {
@@ -111,12 +112,12 @@ fn uniform_draws_are_named_by_their_sets() {
             }
             for row in point.places.iter().map(|place| &place.row).filter(|row| row.contains("niform draws")) {
                 rows += 1;
-                assert_eq!(row.contains("calibrated"), perturb.sizes == Sizes::Calibrated, "{}: {row}", path.display());
+                assert_eq!(row.contains("calibrated"), perturb.sizes == Sizes::Calibrated, "{name}: {row}");
                 assert_eq!(row.contains("paper's geometry"), perturb.geometry == Geometry::Paper, "{row}");
             }
         }
     }
-    assert!(rows > 20, "{rows}");
+    assert!(rows > 7, "{rows}");
 }
 
 #[test]

@@ -66,11 +66,16 @@ pub trait Simd: Copy {
     ) {
         for (i, row) in rows.iter().enumerate().take(LANES) {
             for (corners, weights) in corners.iter().zip(weights) {
-                let entry = &mut table[corners[i] as usize];
-                for (sum, feature) in entry.iter_mut().zip(row) {
-                    *sum = weights[i].mul_add(*feature, *sum);
-                }
+                self.add_to_entry(&mut table[corners[i] as usize], weights[i], row);
             }
+        }
+    }
+
+    /// Adds features times a weight to an entry.
+    #[inline(always)]
+    fn add_to_entry<const F: usize>(self, entry: &mut [f32; F], weight: f32, features: &[f32; F]) {
+        for (sum, feature) in entry.iter_mut().zip(features) {
+            *sum = weight.mul_add(*feature, *sum);
         }
     }
 
@@ -363,31 +368,17 @@ mod wide {
 
         /// A pair by one load, one operation and one store of 64 bits.
         #[inline(always)]
-        fn add_weighted<const F: usize>(
-            self,
-            table: &mut [[f32; F]],
-            corners: &[[u32; LANES]; 8],
-            weights: &[Lanes; 8],
-            rows: &[[f32; F]],
-        ) {
-            for (i, row) in rows.iter().enumerate().take(LANES) {
-                for (corners, weights) in corners.iter().zip(weights) {
-                    let entry = &mut table[corners[i] as usize];
-                    if F != 2 {
-                        for (sum, feature) in entry.iter_mut().zip(row) {
-                            *sum = weights[i].mul_add(*feature, *sum);
-                        }
-                        continue;
-                    }
-                    // SAFETY: the processor has FMA, as there is a `Wide`; entry and row are two numbers each.
-                    unsafe {
-                        let entry = entry.as_mut_ptr().cast();
-                        let row = _mm_castsi128_ps(_mm_loadl_epi64(row.as_ptr().cast()));
-                        let sum = _mm_castsi128_ps(_mm_loadl_epi64(entry));
-                        let sum = _mm_fmadd_ps(_mm_set1_ps(weights[i]), row, sum);
-                        _mm_storel_epi64(entry, _mm_castps_si128(sum));
-                    }
-                }
+        fn add_to_entry<const F: usize>(self, entry: &mut [f32; F], weight: f32, features: &[f32; F]) {
+            if F != 2 {
+                return Plain.add_to_entry(entry, weight, features);
+            }
+            // SAFETY: the processor has FMA, as there is a `Wide`; entry and features are two numbers each.
+            unsafe {
+                let entry = entry.as_mut_ptr().cast();
+                let features = _mm_castsi128_ps(_mm_loadl_epi64(features.as_ptr().cast()));
+                let sum = _mm_castsi128_ps(_mm_loadl_epi64(entry));
+                let sum = _mm_fmadd_ps(_mm_set1_ps(weight), features, sum);
+                _mm_storel_epi64(entry, _mm_castps_si128(sum));
             }
         }
     }

@@ -7,143 +7,120 @@ use crate::report::plots::{
 
 use super::{Collected, Exporter, File};
 
-/// `rows_SCENE_METRIC`: the rows of a sweep without axes of its own; a row that has some is a line for each of its values.
-pub struct Rows;
-
-impl Exporter for Rows {
-    fn needs_table(&self) -> bool {
-        true
-    }
-
-    fn owns(&self, file: &str) -> bool {
-        is_figure(file, "rows_")
-    }
-
-    fn export(&self, collected: &Collected) -> Result<Vec<File>> {
-        of_metrics(collected, "rows", |scene, metric| match collected.spec.varied {
-            true => Ok(None),
-            false => rows_figure(collected.table()?, collected.records, scene, metric),
-        })
-    }
+/// The figures of one kind, whose files are named `KIND_...`.
+pub struct Figures {
+    kind: &'static str,
+    repeats: bool,
+    figures: fn(&Collected) -> Result<Vec<Named>>,
 }
+
+/// A figure's file name without its ending, and the figure where there is one.
+type Named = (String, Option<Figure>);
+
+/// `rows_SCENE_METRIC`: the rows of a sweep without axes of its own; a row that has some is a line for each of its values.
+pub static ROWS: Figures = Figures {
+    kind: "rows_",
+    repeats: true,
+    figures: |collected| {
+        let table = collected.table()?;
+        each_metric(collected, |scene, metric| match collected.spec.varied {
+            true => Ok(vec![]),
+            false => Ok(vec![rows_figure(table, collected.records, scene, metric)?]),
+        })
+    },
+};
 
 /// `axes_SCENE_METRIC`: a metric against what is varied.
-pub struct Axes;
-
-impl Exporter for Axes {
-    fn needs_table(&self) -> bool {
-        true
-    }
-
-    fn owns(&self, file: &str) -> bool {
-        is_figure(file, "axes_")
-    }
-
-    fn export(&self, collected: &Collected) -> Result<Vec<File>> {
-        of_metrics(collected, "axes", |scene, metric| axes_figure(collected.spec, collected.records, scene, metric))
-    }
-}
+pub static AXES: Figures = Figures {
+    kind: "axes_",
+    repeats: true,
+    figures: |collected| {
+        each_metric(collected, |scene, metric| Ok(vec![axes_figure(collected.spec, collected.records, scene, metric)?]))
+    },
+};
 
 /// `heatmap_SCENE_METRIC`: a metric over two axes that are varied together; numbered where there are several.
-pub struct Heatmaps;
+pub static HEATMAPS: Figures = Figures {
+    kind: "heatmap_",
+    repeats: true,
+    figures: |collected| {
+        let table = collected.table()?;
+        each_metric(collected, |scene, metric| {
+            let figures = heatmap_figures(table, collected.records, scene, metric)?;
+            Ok(figures.into_iter().map(Some).collect())
+        })
+    },
+};
 
-impl Exporter for Heatmaps {
+/// `curves_SCENE_psnr`: training, against steps and, where clocks are asked for, against seconds.
+pub static CURVES: Figures = Figures {
+    kind: "curves_",
+    repeats: true,
+    figures: |collected| {
+        let mut figures = Vec::new();
+        for (scene, curves) in collected.curves {
+            let title = format!("{}: training on {scene}", collected.spec.title);
+            let unit = "PSNR of the step's rays (dB)";
+            figures.push((format!("{scene}_psnr"), curves_figure(&title, unit, curves)?));
+            // There where clocks are asked for, because it does not repeat.
+            figures.push((format!("{scene}_psnr_seconds"), seconds_figure(&title, unit, curves)?));
+        }
+        Ok(figures)
+    },
+};
+
+/// `surfaces_SCENE`: the rows' surfaces, where the points drew any.
+pub static SURFACES: Figures = Figures {
+    kind: "surfaces_",
+    repeats: false,
+    figures: |collected| {
+        let mut figures = Vec::new();
+        for (scene, surfaces) in collected.surfaces {
+            let title = format!("{}: surfaces of {scene}", collected.spec.title);
+            figures.push((scene.clone(), surfaces_figure(&title, surfaces)?));
+        }
+        Ok(figures)
+    },
+};
+
+impl Exporter for Figures {
     fn needs_table(&self) -> bool {
         true
     }
 
     fn owns(&self, file: &str) -> bool {
-        is_figure(file, "heatmap_")
+        file.starts_with(self.kind) && (file.ends_with(".svg") || file.ends_with(".png"))
+    }
+
+    fn repeats(&self) -> bool {
+        self.repeats
     }
 
     fn export(&self, collected: &Collected) -> Result<Vec<File>> {
-        let table = collected.table()?;
         let mut files = Vec::new();
-        for (scene, _) in table.scenes() {
-            for metric in &table.metrics {
-                for (index, figure) in heatmap_figures(table, collected.records, scene, metric)?.into_iter().enumerate()
-                {
-                    let number = if index == 0 { String::new() } else { format!("_{}", index + 1) };
-                    files.extend(files_of(&format!("heatmap_{scene}_{metric}{number}"), Some(figure)));
-                }
+        for (name, figure) in (self.figures)(collected)? {
+            if let Some(figure) = figure {
+                files.extend(figure.files(&format!("{}{name}", self.kind)));
             }
         }
         Ok(files)
     }
 }
 
-/// `curves_SCENE_psnr`: training, against steps and, where clocks are asked for, against seconds.
-pub struct Curves;
-
-impl Exporter for Curves {
-    fn needs_table(&self) -> bool {
-        true
-    }
-
-    fn owns(&self, file: &str) -> bool {
-        is_figure(file, "curves_")
-    }
-
-    fn export(&self, collected: &Collected) -> Result<Vec<File>> {
-        let mut files = Vec::new();
-        for (scene, curves) in collected.curves {
-            let title = format!("{}: training on {scene}", collected.spec.title);
-            let unit = "PSNR of the step's rays (dB)";
-            files.extend(files_of(&format!("curves_{scene}_psnr"), curves_figure(&title, unit, curves)?));
-            // There where clocks are asked for, because it does not repeat.
-            files.extend(files_of(&format!("curves_{scene}_psnr_seconds"), seconds_figure(&title, unit, curves)?));
-        }
-        Ok(files)
-    }
-}
-
-/// `surfaces_SCENE`: the rows' surfaces, where the points drew any.
-pub struct Surfaces;
-
-impl Exporter for Surfaces {
-    fn needs_table(&self) -> bool {
-        true
-    }
-
-    fn owns(&self, file: &str) -> bool {
-        is_figure(file, "surfaces_")
-    }
-
-    fn repeats(&self) -> bool {
-        false
-    }
-
-    fn export(&self, collected: &Collected) -> Result<Vec<File>> {
-        let mut files = Vec::new();
-        for (scene, surfaces) in collected.surfaces {
-            let title = format!("{}: surfaces of {scene}", collected.spec.title);
-            files.extend(files_of(&format!("surfaces_{scene}"), surfaces_figure(&title, surfaces)?));
-        }
-        Ok(files)
-    }
-}
-
-fn is_figure(file: &str, kind: &str) -> bool {
-    file.starts_with(kind) && (file.ends_with(".svg") || file.ends_with(".png"))
-}
-
-/// A figure for each scene and metric that has one.
-fn of_metrics(
+/// The figures of each scene and metric, numbered from the second on.
+fn each_metric(
     collected: &Collected,
-    kind: &str,
-    figure: impl Fn(&str, &str) -> Result<Option<Figure>>,
-) -> Result<Vec<File>> {
+    figures: impl Fn(&str, &str) -> Result<Vec<Option<Figure>>>,
+) -> Result<Vec<Named>> {
     let table = collected.table()?;
-    let mut files = Vec::new();
+    let mut named = Vec::new();
     for (scene, _) in table.scenes() {
         for metric in &table.metrics {
-            files.extend(files_of(&format!("{kind}_{scene}_{metric}"), figure(scene, metric)?));
+            for (index, figure) in figures(scene, metric)?.into_iter().enumerate() {
+                let number = if index == 0 { String::new() } else { format!("_{}", index + 1) };
+                named.push((format!("{scene}_{metric}{number}"), figure));
+            }
         }
     }
-    Ok(files)
-}
-
-/// A figure's files, where there is one.
-fn files_of(name: &str, figure: Option<Figure>) -> Vec<File> {
-    figure.into_iter().flat_map(|figure| figure.files(name)).collect()
+    Ok(named)
 }

@@ -60,7 +60,7 @@ pub trait Exporter: Sync {
 }
 
 /// The exporter of training curves, which are drawn from the points' logs.
-pub static CURVES: &dyn Exporter = &figures::Curves;
+pub static CURVES: &dyn Exporter = &figures::CURVES;
 
 /// All exporters, in the order in which they write.
 pub static EXPORTERS: [&dyn Exporter; 10] = [
@@ -69,9 +69,9 @@ pub static EXPORTERS: [&dyn Exporter; 10] = [
     &text::TABLE_CSV,
     &text::MARKDOWN,
     &text::LATEX,
-    &figures::Rows,
-    &figures::Axes,
-    &figures::Heatmaps,
-    &figures::Curves,
-    &figures::Surfaces,
+    &figures::ROWS,
+    &figures::AXES,
+    &figures::HEATMAPS,
+    &figures::CURVES,
+    &figures::SURFACES,
 ];
