@@ -10,8 +10,8 @@ use crate::methods::{Model, step_over_radius};
 use crate::metrics::Lpips;
 use crate::settings::columns::{COLUMNS, find, perturbed, regularized};
 use crate::settings::{
-    Config, Core, Encoding, EvalSplit, HashConfig, LatticePoints, Precision, RegularizerConfig, Resolved,
-    ResolvedPerturb, Schedule, TrainViews, value_at, word,
+    Config, Core, Encoding, EvalSplit, HashConfig, LatticePoints, Precision, RegularizerConfig, Representation,
+    Resolved, ResolvedPerturb, Schedule, TrainViews, value_at, word,
 };
 use crate::train::checkpoint::State;
 
@@ -115,7 +115,7 @@ fn of_settings(config: &Resolved) -> Found {
         ("split", split_name(config).into()),
         ("training_views", training_views(config).into()),
         ("validation", (config.data.validation > 0).then(|| format!("every-{}", config.data.validation)).into()),
-        ("levels", perturb.map(levels).into()),
+        ("levels", perturb.map(|perturb| levels(perturb, config.representation())).into()),
         ("attack_numbers", perturb.map(attack_numbers).into()),
         ("norms", perturb.map(norms).into()),
         ("regularizers", regularizer.map(regularizers).into()),
@@ -197,11 +197,11 @@ fn learning_rate(config: &Resolved) -> String {
 fn hash_grid(hash: &HashConfig) -> String {
     let HashConfig { levels, features, log2_table, coarsest, finest, interpolation, bounds, contraction } = hash;
     let interpolation = word(interpolation);
-    let finest = finest.map_or_else(String::new, |finest| finest.to_string());
+    let finest = finest.filter(|_| *levels > 1).map_or_else(String::new, |finest| format!(" to {finest}"));
     let place = bounds.map_or_else(String::new, |bounds| format!(", box {bounds:?}"));
     let contraction =
         contraction.map_or_else(String::new, |contraction| format!(", contraction {}", word(contraction)));
-    format!("{levels} x {features}, 2^{log2_table}, {coarsest} to {finest}, {interpolation}{place}{contraction}")
+    format!("{levels} x {features}, 2^{log2_table}, {coarsest}{finest}, {interpolation}{place}{contraction}")
 }
 
 /// Which of the training views were kept; none for all.
@@ -212,10 +212,13 @@ fn training_views(config: &Config) -> Option<String> {
     })
 }
 
-fn levels(perturb: &ResolvedPerturb) -> String {
+/// The sites that are on, each with its pass where it takes part in one of them alone.
+fn levels(perturb: &ResolvedPerturb, representation: Representation) -> String {
     let named = perturb.sites_on().map(|(site, config)| match config.passes {
         Passes::Coarse => format!("{}:coarse", site.name()),
         Passes::Fine => format!("{}:fine", site.name()),
+        // A coarse pass that only places samples is not perturbed.
+        Passes::Both if !representation.has_coarse_loss() => format!("{}:fine", site.name()),
         Passes::Both | Passes::Off => site.name().to_string(),
     });
     named.collect::<Vec<String>>().join(" ")

@@ -122,6 +122,14 @@ pub fn regularized(config: &Config) -> bool {
     !config.regularizer.kind.is_empty()
 }
 
+fn on_hash_grid(config: &Config) -> bool {
+    config.field.encoding == Encoding::Hash
+}
+
+fn without_hash_grid(config: &Config) -> bool {
+    !on_hash_grid(config)
+}
+
 fn warmed_up(config: &Config) -> bool {
     config.train.schedule == Schedule::LogLinear
 }
@@ -172,7 +180,7 @@ pub const COLUMNS: &[Column] = &[
     column("rays").in_caption(),
     column("steps").in_caption(),
     column("learning_rate").in_caption(),
-    column("coarse_weight").in_caption(),
+    column("coarse_weight").in_caption().of(without_hash_grid),
     column("seed").per_seed(),
     column("redraws").per_seed(),
     column("config_hash").per_seed(),
@@ -192,7 +200,7 @@ pub const COLUMNS: &[Column] = &[
     column("views_seen").in_caption().unless_varied(),
     column("views_seed").where_differing().unless_varied(),
     column("encoding").where_differing(),
-    column("position_octaves").where_differing(),
+    column("position_octaves").where_differing().of(without_hash_grid),
     column("view_octaves").where_differing(),
     column("skips").where_differing(),
     column("rgb_padding").where_differing(),
@@ -217,7 +225,7 @@ pub const COLUMNS: &[Column] = &[
     column("view_depth").where_differing(),
     column("view_width").where_differing(),
     column("adam").where_differing(),
-    column("hash_grid").where_differing().of(|config| config.field.encoding == Encoding::Hash),
+    column("hash_grid").where_differing().of(on_hash_grid),
 ];
 
 /// What the sites of a run were judged inactive by.

@@ -78,7 +78,7 @@ section! {
         /// How positions are encoded: `positional` for NeRF, `integrated` for MipNeRF, `hash` for NeRF on a hash grid (section
         /// `field.hash`), which is one field that places its samples by its own density.
         pub encoding: Encoding = Encoding::Positional, numbers().column("encoding").later();
-        /// Octaves of the position's encoding (10: 63 channels; integrated, 16: 96).
+        /// Octaves of the position's encoding (10: 63 channels; integrated, 16: 96; hash grids have none).
         pub position_octaves: usize = 10, numbers().whole(0, 20, "0 to 20").column("position_octaves");
         /// Octaves of the view direction's encoding (4: 27 channels).
         pub view_octaves: usize = 4, numbers().whole(0, 20, "0 to 20").column("view_octaves");

@@ -7,6 +7,11 @@ use super::registry::{choice, numbers, section};
 /// Most cells along a side of the box.
 const FINEST: usize = 1 << 16;
 
+/// Shortest side of a box, and the farthest that one reaches, in scene units: between them its coordinates can be computed
+/// with.
+const SHORTEST: f64 = 1e-6;
+const FARTHEST: f64 = 1e12;
+
 /// How a grid's features are interpolated between the corners of a cell.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
@@ -51,13 +56,14 @@ section! {
         pub finest: Option<usize> = None,
             numbers().whole(1, 1 << 16, "1 to 65536 cells, at least field.hash.coarsest").columns(COLUMN);
         /// Between the corners of a cell: `linear` or `smoothstep`, which the Laplacian needs.
-        pub interpolation: Interpolation = Interpolation::Linear, numbers().columns(COLUMN).same_time();
-        /// The box that the grid fills, two corners in scene units (NDC: -1 to 1 is the frustum). Empty = 1.5 to each side of the origin;
-        /// NDC: 1.5 to each side, and -1 to 1 along the view axis; with a contraction, the cube that reaches as far as the middle of a ray.
-        pub bounds: Option<[[f64; 3]; 2]> = None, numbers().corners().columns(COLUMN).same_time();
+        pub interpolation: Interpolation = Interpolation::Linear, numbers().columns(COLUMN);
+        /// The box that the grid fills, two corners in scene units (NDC: -1 to 1 is the frustum). Empty = for NDC 1.5 to each side
+        /// of the scene's origin, and -1 to 1 along the view axis; else without a contraction 1.5 to each side, and with one as far
+        /// to each side as the middle of a ray is from its start.
+        pub bounds: Option<[[f64; 3]; 2]> = None, numbers().corners().columns(COLUMN);
         /// What becomes of points outside: `none` (nothing is there), `ball` or `axes` (all of space is drawn into it). Empty = `ball` for
         /// captures without a known extent, `none` otherwise.
-        pub contraction: Option<Contraction> = None, numbers().columns(COLUMN).same_time();
+        pub contraction: Option<Contraction> = None, numbers().columns(COLUMN);
     }
     sections {}
 }
@@ -68,8 +74,51 @@ impl HashConfig {
         self.finest.get_or_insert((2 * pixels).clamp(self.coarsest, FINEST));
         let contraction = if bounded || ndc { Contraction::None } else { Contraction::Ball };
         let contraction = *self.contraction.get_or_insert(contraction);
-        let reach = if contraction != Contraction::None { 0.5 * (near + far) } else { 1.5 };
+        let reach = match contraction {
+            // A ray's t_vals are 0 to 1 there, and no lengths of the box.
+            _ if ndc => 1.5,
+            Contraction::None => 1.5,
+            Contraction::Axes | Contraction::Ball => (0.5 * (near + far)).max(SHORTEST),
+        };
         let depth = if ndc { 1.0 } else { reach };
         self.bounds.get_or_insert([[-reach, -reach, -depth], [reach, reach, depth]]);
+    }
+
+    /// The first setting that cannot be computed with beside the others: its name in the section, its value, and what is allowed.
+    pub(super) fn wrong(&self) -> Option<(&'static str, String, String)> {
+        let HashConfig { coarsest, finest, bounds, .. } = *self;
+        if let Some(finest) = finest.filter(|finest| *finest < coarsest) {
+            return Some(("finest", finest.to_string(), format!("{coarsest} (field.hash.coarsest) to {FINEST}")));
+        }
+        let [low, high] = bounds?;
+        let is_sound =
+            low.iter().zip(&high).all(|(low, high)| high - low >= SHORTEST && low.abs().max(high.abs()) <= FARTHEST);
+        let allowed = format!("two corners from -{FARTHEST:e} to {FARTHEST:e}, each side at least {SHORTEST:e} long");
+        (!is_sound).then(|| ("bounds", format!("{:?}", [low, high]), allowed))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn bounds(contraction: Contraction, ndc: bool, interval: (f64, f64)) -> [[f64; 3]; 2] {
+        let mut hash = HashConfig { contraction: Some(contraction), ..HashConfig::default() };
+        hash.resolve(ndc, false, interval, 100);
+        assert!(hash.wrong().is_none(), "{hash:?}");
+        hash.bounds.unwrap()
+    }
+
+    /// A ray's interval is 0 to 1 in NDC, whose frustum is -1 to 1.
+    #[test]
+    fn the_box_of_a_scene_in_ndc_holds_its_frustum_with_a_contraction_too() {
+        for contraction in [Contraction::None, Contraction::Axes, Contraction::Ball] {
+            assert_eq!(bounds(contraction, true, (0.0, 1.0)), [[-1.5, -1.5, -1.0], [1.5, 1.5, 1.0]]);
+        }
+        assert_eq!(bounds(Contraction::None, false, (2.0, 6.0)), [[-1.5; 3], [1.5; 3]]);
+        assert_eq!(bounds(Contraction::Ball, false, (2.0, 6.0)), [[-4.0; 3], [4.0; 3]]);
+        // What scenes may have at the most, and at the least.
+        bounds(Contraction::Ball, false, (0.0, 1e12));
+        bounds(Contraction::Axes, false, (0.0, f64::MIN_POSITIVE));
     }
 }

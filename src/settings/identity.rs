@@ -4,7 +4,8 @@ use sha2::{Digest, Sha256};
 use toml::{Table, Value};
 
 use super::registry::{Effect, REGISTRY, Section};
-use super::{Config, Encoding, EvalConfig, HashConfig, PerturbConfig};
+use super::{Config, Encoding, EvalConfig, PerturbConfig};
+use crate::augment::Passes;
 
 impl Config {
     /// A 12-digit content hash of [`Config::portable`].
@@ -19,16 +20,15 @@ impl Config {
 
     /// Everything that can change a weight or a metric, the rest at its defaults. The scene counts
     /// by its name, not by where its folder lies; how often a run logs, evaluates or saves does
-    /// not count, and neither do section `perturb` without a perturbed pass and regularizers of weight 0.
+    /// not count, and neither do section `perturb` without a perturbed pass, regularizers of weight 0 and what the field does
+    /// not read.
     pub fn portable(&self) -> Config {
         let mut portable = self.named();
         portable.reset(&Config::default(), |rule| rule.effect != Effect::Numbers);
         if !self.method.is_augmented() {
             portable.perturb = PerturbConfig::default();
         }
-        if self.field.encoding != Encoding::Hash {
-            portable.field.hash = HashConfig::default();
-        }
+        portable.forget_unread();
         portable.regularizer.resolve();
         portable.data.corruption.resolve();
         portable
@@ -43,6 +43,7 @@ impl Config {
             shape.perturb = PerturbConfig::default();
         }
         shape.reset(&Config::default(), |rule| rule.same_time || rule.effect == Effect::Place);
+        shape.forget_unread();
         shape.eval = EvalConfig::default();
         shape.regularizer.weight = vec![1.0; shape.regularizer.kind.len()];
         // Folders of sweeps know times by names that were made with these.
@@ -64,6 +65,23 @@ impl Config {
         }
         settings.iter().for_each(|path| remove(&mut table, path));
         short_hash(Sha256::new_with_prefix(table.to_string()))
+    }
+
+    /// Resets what a field on a hash grid, or one without, does not read.
+    fn forget_unread(&mut self) {
+        let default = Config::default();
+        if self.field.encoding != Encoding::Hash {
+            self.field.hash = default.field.hash;
+            return;
+        }
+        self.field.position_octaves = default.field.position_octaves;
+        self.train.coarse_weight = default.train.coarse_weight;
+        if self.field.hash.levels == 1 {
+            self.field.hash.finest = default.field.hash.finest;
+        }
+        // Its coarse pass is never perturbed, so that both are the fine one.
+        let fine = self.perturb.sites.iter_mut().filter(|(_, site)| site.passes == Passes::Fine);
+        fine.for_each(|(_, site)| site.passes = Passes::Both);
     }
 
     /// Where a scene is named by its folder, with that name.
@@ -166,6 +184,40 @@ mod tests {
             let texts = [&["seed=3"], texts].concat();
             assert_eq!(set(Some("cpu"), &texts).hash(), hash, "{texts:?}");
         }
+    }
+
+    #[test]
+    fn what_a_hash_field_does_not_read_makes_no_other_experiment() {
+        let hash = |texts: &[&str]| set(None, &[&["field.encoding=hash"], texts].concat()).hash();
+        for unread in ["train.coarse_weight=0.5", "field.position_octaves=3"] {
+            assert_eq!(hash(&[unread]), hash(&[]), "{unread}");
+            assert_ne!(set(None, &[unread]).hash(), set(None, &[]).hash(), "{unread}");
+        }
+        let one_level = "field.hash.levels=1";
+        assert_eq!(hash(&[one_level, "field.hash.finest=64"]), hash(&[one_level]));
+        assert_ne!(hash(&["field.hash.finest=64"]), hash(&[]));
+        // Only the fine pass has a perturbed one.
+        let aug = "method=aug-nerf";
+        assert_eq!(hash(&[aug, "perturb.t.passes=fine"]), hash(&[aug]));
+        assert_ne!(hash(&[aug, "perturb.t.passes=off"]), hash(&[aug]));
+        assert_ne!(set(None, &[aug, "perturb.t.passes=fine"]).hash(), set(None, &[aug]).hash());
+    }
+
+    /// Points outside the box leave the backward pass, and second derivatives take time.
+    #[test]
+    fn a_grid_s_box_and_interpolation_change_how_long_a_step_takes() {
+        let shape = |text: &str| set(None, &["field.encoding=hash", text]).step_shape();
+        let settings = [
+            "field.hash.bounds=[[-1,-1,-1],[1,1,1]]",
+            "field.hash.contraction=ball",
+            "field.hash.interpolation=smoothstep",
+            "seed=1",
+        ];
+        let shapes = settings.map(shape);
+        assert!((0..4).all(|i| shapes[..i].iter().all(|other| *other != shapes[i])), "{shapes:?}");
+        assert_eq!(shape("train.learning_rate=0.5"), shape("train.learning_rate=0.25"));
+        let positional = |text: &str| set(None, &[text]).step_shape();
+        assert_eq!(positional(settings[0]), positional(settings[3]));
     }
 
     /// The same of the names by which folders of sweeps know seconds of a step.

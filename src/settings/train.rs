@@ -62,7 +62,8 @@ section! {
         pub adam_beta2: f64 = 0.999, numbers().real(is_memory, "at least 0, below 1").columns(&["adam"]).later().same_time();
         /// Added to Adam's divisor (1e-15 for hash grids, whose gradients are small).
         pub adam_epsilon: f64 = 1e-8, numbers().real(is_positive, "positive").columns(&["adam"]).later().same_time();
-        /// Weight of the coarse pass's loss beside the fine one's (1 for NeRF, 0.1 for MipNeRF).
+        /// Weight of the coarse pass's loss beside the fine one's (1 for NeRF, 0.1 for MipNeRF; hash
+        /// grids have no loss there).
         pub coarse_weight: f64 = 1.0,
             numbers().real(is_positive, "positive").column("coarse_weight").later().same_time();
         /// How the learning rate falls: `exponential` or `log-linear`.

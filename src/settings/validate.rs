@@ -5,7 +5,7 @@ use super::{
     Config, Core, DataKind, Encoding, EvalSplit, LatticePoints, MESH_SIDES, Objective, PerturbField, Precision,
     Regularizer, Resample, SecondPass, Sizes, word,
 };
-use crate::augment::{Epsilon, Norm, REACH, Site, StepUnit};
+use crate::augment::{Epsilon, Norm, Passes, REACH, Site, StepUnit};
 use crate::base::{Error, Result, SettingError};
 
 /// Points of a step are drawn at once: so many take a few hundred megabytes.
@@ -111,16 +111,9 @@ impl Config {
                  queried at Gaussians; use nerf or aug-nerf, or the distortion loss alone"
             )
         })?;
-        let (coarsest, finest) = (field.hash.coarsest, field.hash.finest);
-        if let Some(finest) = finest {
-            let allowed = format!("{coarsest} (field.hash.coarsest) to 65536");
-            require(finest >= coarsest, "field.hash.finest", finest, &allowed)?;
+        if let Some((name, value, allowed)) = field.hash.wrong() {
+            require(false, &format!("field.hash.{name}"), value, &allowed)?;
         }
-        refuse(field.encoding == Encoding::Hash && self.sampling.fine == 0, || {
-            "sampling.fine = 0 with field.encoding = \"hash\": the coarse pass of a hash field only places the samples of the fine one; \
-             set sampling.fine to at least 2"
-                .into()
-        })?;
         refuse(field.precision == Precision::Bf16 && field.core == Core::Plain, || {
             "field.precision = \"bf16\" is for field.core = \"fused\": the plain one is the reference and computes in f32".into()
         })?;
@@ -134,6 +127,11 @@ impl Config {
 
     fn validate_sampling(&self) -> Result<()> {
         let fine = self.sampling.fine;
+        if !self.representation().has_coarse_loss() {
+            let allowed =
+                "at least 2 with field.encoding = \"hash\", whose coarse pass only places the samples of the fine one";
+            return require(fine >= 2, "sampling.fine", fine, allowed);
+        }
         let allowed = "0 (coarse only) or at least 2 intervals";
         require(!(self.field.encoding.at_intervals() && fine == 1), "sampling.fine", fine, allowed)
     }
@@ -145,17 +143,10 @@ impl Config {
         require(perturb.objective == Objective::Paper || lambda <= 1.0, "perturb.lambda", lambda, allowed)?;
         let layer = perturb.injection_layer;
         let fresh = perturb.second == SecondPass::Clean;
-        refuse(
-            self.method.is_augmented()
-                && perturb.resample == Resample::Perturbed
-                && !self.representation().has_coarse_loss(),
-            || {
-                "perturb.resample = \"perturbed\" with field.encoding = \"hash\": there is no perturbed coarse pass to resample \
-                 from; use \"clean\""
-                    .into()
-            },
-        )?;
         let perturbs = self.method.is_augmented() && !fresh;
+        if self.method.is_augmented() && !self.representation().has_coarse_loss() {
+            self.validate_fine_alone(perturbs)?;
+        }
         if perturbs && perturb.sites[Site::Feature].on() {
             let allowed = format!("1 to {} (field.depth)", self.field.depth);
             require((1..=self.field.depth).contains(&layer), "perturb.injection_layer", layer, &allowed)?;
@@ -175,6 +166,24 @@ impl Config {
             "perturb.kind = \"fresh-jitter\" is a second pass of the same fields; perturb.field must be \"shared\""
                 .into()
         })
+    }
+
+    /// What asks for a perturbed coarse pass, where there is none.
+    fn validate_fine_alone(&self, perturbs: bool) -> Result<()> {
+        refuse(self.perturb.resample == Resample::Perturbed, || {
+            "perturb.resample = \"perturbed\" with field.encoding = \"hash\": there is no perturbed coarse pass to resample \
+             from; use \"clean\""
+                .into()
+        })?;
+        let mut sites = self.perturb.sites_on();
+        match sites.find(|(_, site)| perturbs && site.passes == Passes::Coarse) {
+            Some((site, _)) => Err(Error::Config(format!(
+                "perturb.{}.passes = \"coarse\" with field.encoding = \"hash\": the coarse pass of a hash field only places \
+                 samples and is never perturbed; use \"fine\", \"both\" (the same here) or \"off\"",
+                site.name()
+            ))),
+            None => Ok(()),
+        }
     }
 
     fn validate_sites(&self) -> Result<()> {
@@ -270,5 +279,53 @@ mod tests {
                 assert!(message.contains(word), "{assignment}: {message}");
             }
         }
+    }
+
+    /// What settings of a hash field are told; nothing where they are taken.
+    fn told(further: &[&str]) -> String {
+        let texts = ["field.encoding=hash"].iter().chain(further);
+        let set: Vec<_> = texts.map(|text| parse_assignment(text).unwrap()).collect();
+        build(None, None, &set).map_or_else(|refusal| refusal.to_string(), |_| String::new())
+    }
+
+    /// Its coarse pass is never perturbed: such an attack would never run.
+    #[test]
+    fn an_attack_on_the_coarse_pass_of_a_hash_field_is_refused() {
+        for site in ["t", "density"] {
+            let message = told(&["method=aug-nerf", &format!("perturb.{site}.passes=coarse")]);
+            assert!(message.contains(&format!("perturb.{site}.passes")) && message.contains("\"fine\""), "{message}");
+        }
+        for taken in [
+            &["method=aug-nerf", "perturb.t.passes=fine"][..],
+            &["method=nerf", "perturb.t.passes=coarse"],
+            &["method=aug-nerf", "perturb.kind=clean", "perturb.t.passes=coarse"],
+        ] {
+            assert_eq!(told(taken), "", "{taken:?}");
+        }
+    }
+
+    #[test]
+    fn a_hash_field_without_a_fine_pass_is_told_one_thing() {
+        for fine in [0, 1] {
+            let message = told(&[&format!("sampling.fine={fine}")]);
+            let says = ["sampling.fine", "at least 2", "hash"].iter().all(|words| message.contains(words));
+            assert!(says && !message.contains("coarse only"), "{message}");
+        }
+        assert_eq!(told(&["sampling.fine=2"]), "");
+    }
+
+    #[test]
+    fn a_hash_grid_s_box_is_one_that_can_be_computed_with() {
+        let with = |low: &str, high: &str| told(&[&format!("field.hash.bounds=[[{low},0,0],[{high},1,1]]")]);
+        for (low, high) in [("-1e308", "1e308"), ("-1e-320", "1e-320"), ("0", "1e-7"), ("0", "1e13"), ("1", "0")] {
+            let message = with(low, high);
+            assert!(
+                message.contains("field.hash.bounds") && message.contains("two corners"),
+                "{low} {high}: {message}"
+            );
+        }
+        assert_eq!(with("-1e12", "1e12") + &with("0", "1e-6"), "");
+        let message = told(&["field.hash.finest=8"]);
+        assert!(message.contains("field.hash.finest = 8") && message.contains("16 (field.hash.coarsest)"), "{message}");
     }
 }

@@ -283,6 +283,9 @@ fn the_protocol_s_ratio_tells_small_presets_from_the_paper_s_attack() {
     assert!(blender.starts_with("t 0.315, xyz "), "{blender}");
     assert_eq!(around(Preset::Smoke, 100.0, &["perturb.geometry=paper"]), blender);
     assert_ne!(around(Preset::Smoke, 100.0, &[]), blender);
+    // Of a field on a hash grid the fine pass alone is perturbed: 32 intervals where the paper's has 191.
+    let hash = around(Preset::Fast, 100.0, &[]);
+    assert!(hash.starts_with("t 0.955, xyz ") && hash.ends_with("feature 1, rgb 1, density 1"), "{hash}");
     // Steps in radii, and a site of the fine pass alone.
     let output = ["perturb.attack=calibrated", "perturb.levels=[\"output\"]"];
     assert_eq!(forward(Preset::Smoke, 100.0, &output), "rgb 2.5, density 2.5");

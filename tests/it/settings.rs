@@ -2,10 +2,10 @@
 
 use std::path::Path;
 
-use augnerf::augment::{Norm, Site};
+use augnerf::augment::{Norm, Passes, Site};
 use augnerf::run::{Protocol, columns};
 use augnerf::settings::columns::COLUMNS;
-use augnerf::settings::{Config, Core, Method, Schedule, TrainViews, settings_page};
+use augnerf::settings::{Config, Core, Encoding, Method, Schedule, TrainViews, settings_page};
 
 use crate::common::program::{refuse, succeed};
 use crate::common::{tiny_config, tiny_scene, trained};
@@ -118,4 +118,32 @@ fn columns_hold_the_values_of_settings() {
     ] {
         assert_eq!(mip.text(column), text, "{column}");
     }
+}
+
+/// Columns of what a field on a hash grid does not read are empty, and its attack is that of the fine pass.
+#[test]
+fn columns_of_a_hash_field_tell_what_it_reads() {
+    let of = |levels: usize| {
+        let config = tiny_config(Method::AugNerf, |config| {
+            config.field.encoding = Encoding::Hash;
+            config.field.hash.log2_table = 8;
+            config.field.hash.levels = levels;
+            config.perturb.sites[Site::Xyz].passes = Passes::Fine;
+            config.perturb.sites[Site::View].passes = Passes::Off;
+        });
+        Protocol::new(&config, &tiny_scene(), &trained(&config, 0).state())
+    };
+    let protocol = of(2);
+    for (column, text) in [
+        ("levels", "t:fine xyz:fine feature:fine rgb:fine density:fine"),
+        ("position_octaves", ""),
+        ("coarse_weight", ""),
+        ("view_octaves", "2"),
+    ] {
+        assert_eq!(protocol.text(column), text, "{column}");
+    }
+    let two = protocol.text("hash_grid");
+    assert!(two.starts_with("2 x 2, 2^8, 16 to "), "{two}");
+    let one = of(1).text("hash_grid");
+    assert!(one.starts_with("1 x 2, 2^8, 16, linear"), "{one}");
 }

@@ -62,8 +62,9 @@ impl AttackGeometry {
     }
 }
 
-/// Step size over the radius of its set, of each site that is on and has a set: in the first pass that it takes part in, with
-/// samples evenly spaced on the shortest ray of a picture. A step of 2 radii goes from one end of a set to the other.
+/// Step size over the radius of its set, of each site that is on and has a set: in the first perturbed pass that it takes part
+/// in, with samples evenly spaced on the shortest ray of a picture. A step of 2 radii goes from one end of a set to the other.
+/// A coarse pass that only places samples is not perturbed.
 ///
 /// # Errors
 /// Those of candle.
@@ -72,6 +73,7 @@ pub fn step_over_radius(config: &Resolved, scene: &Scene) -> Result<Vec<(Site, f
     let (near, far) = geometry.bounds;
     let direction_norm = Tensor::full(SHORTEST[usize::from(geometry.pixel.ndc)], (1, 1), &Device::Cpu)?;
     let (coarse, fine) = config.samples();
+    let coarse = if config.representation().has_coarse_loss() { coarse } else { 0 };
     let perturb = &config.perturb;
     let mut ratios: Vec<(Site, f64)> = Vec::new();
     for (is_coarse, samples) in [(true, coarse), (false, fine)].into_iter().filter(|(_, samples)| *samples > 0) {
