@@ -134,7 +134,7 @@ pub struct FeatureDelta<'a> {
 
 /// `(name, outputs, inputs)` of every layer, in the fixed order of parameters.
 fn layer_shapes(config: &FieldConfig) -> Vec<(String, usize, usize)> {
-    let position = Code::of_positions(config).channels();
+    let position = position_channels(config);
     let direction = encoded_channels(config.view_octaves);
     let width = config.width;
     let mut shapes: Vec<(String, usize, usize)> = (0..config.depth)
@@ -154,6 +154,11 @@ fn layer_shapes(config: &FieldConfig) -> Vec<(String, usize, usize)> {
     shapes.extend((1..config.view_depth).map(|i| (format!("view.{i}"), neurons, neurons)));
     shapes.push(("rgb".into(), 3, neurons));
     shapes
+}
+
+/// What the networks of a field read of a position: channels of its encoding.
+pub fn position_channels(config: &FieldConfig) -> usize {
+    Code::of_positions(config).channels()
 }
 
 impl Field {
@@ -367,7 +372,7 @@ impl Field {
     /// What the networks read at `positions`: themselves, or their features in the hash grid.
     fn inputs(&self, positions: &Tensor) -> Result<Inputs> {
         let Some(grid) = &self.grid else { return Ok(Inputs { values: positions.clone(), inside: None }) };
-        Ok(Inputs { values: grid.encode(positions)?, inside: grid.inside(positions)? })
+        Ok(Inputs { values: grid.encode(positions)?, inside: self.inside(positions)? })
     }
 
     fn raw_at(
@@ -393,6 +398,11 @@ impl Field {
             view = self.layer(layer, &view, true)?;
         }
         Ok(RawOutput { rgb: self.layer(&self.rgb, &view, false)?, density, joined: None })
+    }
+
+    /// 1 where there can be density, 0 elsewhere, of points `[n, 3]`, as `[n]`; none where it is 1 everywhere.
+    pub fn inside(&self, points: &Tensor) -> Result<Option<Tensor>> {
+        Ok(self.grid.as_ref().map(|grid| grid.inside(points)).transpose()?.flatten())
     }
 
     /// Raw density alone, `[n]`.

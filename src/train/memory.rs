@@ -3,6 +3,7 @@
 
 use crate::base::{Error, Result};
 use crate::data::Scene;
+use crate::field::{encoded_channels, position_channels};
 use crate::methods::{Model, parts};
 use crate::runtime::free_memory_mib;
 use crate::settings::{Core, Resolved};
@@ -52,13 +53,16 @@ pub fn graphs_mib(config: &Resolved, threads: usize) -> f64 {
     let chunk = train.chunk.min(train.rays).max(1);
     let at_work = parts(train.rays.div_ceil(chunk)).min(threads);
     let (width, depth) = (field.width as f64, field.depth as f64);
-    let encoded = |octaves: usize| (3 + 6 * octaves) as f64;
-    let (position, view) = (encoded(field.position_octaves), encoded(field.view_octaves));
+    let (position, view) = (position_channels(field) as f64, encoded_channels(field.view_octaves) as f64);
     // A layer's product, sum with the bias and ReLU; the encoding, its sines and what joins them.
     let trunk = 3.0 * (width * depth + position) + field.skips.len() as f64 * (width + position);
-    // The feature, joined with the encoded direction, and a layer of half the width.
-    let colour = 2.0 * width + width + view + 1.5 * width;
-    let samples = (config.sampling.coarse + config.sampling.fine) as f64;
+    // The feature, joined with the encoded direction, and the layers behind it.
+    let colour = 2.0 * width + width + view + 3.0 * (field.view_neurons() * field.view_depth) as f64;
+    let samples = match (config.representation().has_coarse_loss(), config.samples()) {
+        (true, _) => config.sampling.coarse + config.sampling.fine,
+        // The coarse pass keeps no graph.
+        (false, (_, fine)) => fine,
+    } as f64;
     (at_work * chunk) as f64 * samples * (trunk + colour) * NUMBER / f64::from(1 << 20)
 }
 
@@ -66,11 +70,21 @@ fn needs(config: &Resolved, scene: &Scene, threads: usize) -> Vec<Need> {
     let (field, train) = (&config.field, &config.train);
     let mib = |numbers: f64| numbers * NUMBER / f64::from(1 << 20);
     let parameters = Model::parameter_names(config);
-    let weights: f64 = parameters.iter().map(|(_, shape)| shape.iter().map(|&n| n as f64).product::<f64>()).sum();
+    let size = |(_, shape): &(String, Vec<usize>)| shape.iter().map(|&n| n as f64).product::<f64>();
+    let (tables, layers): (Vec<_>, Vec<_>) = parameters.iter().partition(|(name, _)| name.ends_with(".table"));
+    let (tables, layers) = (tables.into_iter().map(size).sum::<f64>(), layers.into_iter().map(size).sum::<f64>());
+    let hash = &field.hash;
     let mut needs = vec![Need {
         what: "weights, their gradient and Adam's moments",
-        settings: format!("field.width = {} with field.depth = {}", field.width, field.depth),
-        mib: mib(COPIES * weights),
+        settings: if tables > layers {
+            let (table, levels, features) = (hash.log2_table, hash.levels, hash.features);
+            format!(
+                "field.hash.log2_table = {table} with field.hash.levels = {levels} of field.hash.features = {features}"
+            )
+        } else {
+            format!("field.width = {} with field.depth = {}", field.width, field.depth)
+        },
+        mib: mib(COPIES * (tables + layers)),
     }];
     // The fused core works in tiles; candle's operations keep each layer's output of all points.
     if field.core == Core::Plain {
@@ -116,6 +130,29 @@ mod tests {
             assert!(refusal.contains(words), "{words}: {refusal}");
         }
         assert!(check(need, 40.0 * 1024.0).is_ok());
+    }
+
+    #[test]
+    fn a_table_that_no_memory_holds_is_refused_by_what_makes_it_large() {
+        let hash = "field.encoding=hash";
+        let needs = needs_of(&[hash, "field.hash.log2_table=24", "field.hash.levels=32", "field.hash.features=8"]);
+        let refusal = check(&needs[0], 1024.0).unwrap_err().to_string();
+        for words in ["field.hash.log2_table = 24", "field.hash.levels = 32", "field.hash.features = 8"] {
+            assert!(refusal.contains(words), "{words}: {refusal}");
+        }
+        let small = needs_of(&[hash, "field.hash.log2_table=8", "field.width=1024"]);
+        assert!(small[0].settings.starts_with("field.width = 1024"), "{}", small[0].settings);
+    }
+
+    #[test]
+    fn graphs_of_a_hash_field_count_the_channels_of_its_grid() {
+        let of = |texts: &[&str]| needs_of(&[&["field.encoding=hash", "field.core=plain"], texts].concat())[1].mib;
+        let usual = of(&[]);
+        assert_eq!(of(&["field.position_octaves=20"]), usual);
+        // Two chunks of 32 rays of 32 samples in the fine pass; three tensors of the 32 channels that 16 further levels have.
+        let further = 2.0 * 32.0 * 32.0 * 3.0 * 32.0 * 4.0 / f64::from(1 << 20);
+        assert!((of(&["field.hash.levels=32"]) - usual - further).abs() < 1e-9);
+        assert_eq!(of(&["sampling.coarse=64"]), usual);
     }
 
     #[test]

@@ -7,7 +7,7 @@ use augnerf::base::Error;
 use augnerf::data::{Camera, View};
 use augnerf::metrics::psnr_float;
 use augnerf::run::{Between, Existing, Outcome, RunDir, Session, Viewer, interrupted};
-use augnerf::settings::{Core, DataKind, Method, PerturbField, Schedule};
+use augnerf::settings::{Core, DataKind, DensityActivation, Encoding, Method, PerturbField, Schedule};
 use augnerf::train::{Trainer, checkpoint, learning_rate};
 use candle_core::{DType, Device, Tensor};
 
@@ -98,6 +98,28 @@ fn dead_starts_are_drawn_again_the_same_for_all_rows_of_a_seed() {
     assert!(drawn.iter().flatten().any(|&count| count == 0), "{drawn:?}");
     for (seed, expected) in drawn.iter().enumerate() {
         assert_eq!(&redraws(Method::AugNerf, seed as u64), expected);
+    }
+}
+
+/// Outside its box a hash field has no density, which says nothing of its weights; the exponential is never 0.
+#[test]
+fn the_start_of_a_hash_field_is_judged_within_its_box() {
+    let start = |activation: DensityActivation, (low, high): (f64, f64)| {
+        let config = tiny_config(Method::Nerf, |config| {
+            config.field.encoding = Encoding::Hash;
+            config.field.density_activation = activation;
+            let hash = &mut config.field.hash;
+            (hash.log2_table, hash.bounds) = (8, Some([[low; 3], [high; 3]]));
+        });
+        Trainer::new(&config, &tiny_scene(), DType::F32, runtime())
+    };
+    // A tenth of the rays' interval at the most lies in it.
+    assert_eq!(start(DensityActivation::Exp, (-0.2, 0.2)).unwrap().redraws(), [0]);
+    let alive = start(DensityActivation::Relu, (-0.05, 0.05)).unwrap();
+    assert!(alive.redraws()[0] < 10, "{:?}", alive.redraws());
+    for activation in [DensityActivation::Exp, DensityActivation::Relu, DensityActivation::Softplus] {
+        let refusal = start(activation, (50.0, 51.0)).err().expect("no ray meets the box").to_string();
+        assert_says(&refusal, &["field.hash.bounds", "outside", "[50.000, 50.000, 50.000]"]);
     }
 }
 

@@ -5,7 +5,8 @@ use candle_core::{DType, Device, Tensor};
 use crate::base::{Error, Result};
 use crate::data::Scene;
 use crate::render::positions_at;
-use crate::settings::{DensityActivation, Resolved};
+use crate::settings::{Contraction, DensityActivation, Encoding, FieldConfig, Resolved};
+use crate::space::Lattice;
 
 use super::learner::FieldLearner;
 use super::networks::Fields;
@@ -21,6 +22,7 @@ impl FieldLearner {
         if config.regularizer.has_space_terms() {
             regularized::lattice(&config.regularizer).check_meets(scene, "regularizer.domain")?;
         }
+        check_grid(config, scene)?;
         let mut redraws = vec![0; Fields::roles(config).len()];
         let fields = Fields::init(config, &redraws, dtype, device)?;
         let mut learner = FieldLearner::new(config, scene, fields, dtype, device)?;
@@ -49,19 +51,37 @@ impl FieldLearner {
         Ok((learner, redraws))
     }
 
-    /// Fields whose share of positive densities at `positions` is under the configured one. Softplus has none: it is
-    /// positive, and has a slope, everywhere.
+    /// Fields whose share of positive densities at `positions`, of those that lie where density can be, is under the
+    /// configured one. Softplus and the exponential have none: they are positive, and have a slope, everywhere.
     fn dead_fields(&self, positions: &Tensor) -> Result<Vec<usize>> {
-        if self.config.field.density_activation == DensityActivation::Softplus {
-            return Ok(Vec::new());
+        match self.config.field.density_activation {
+            DensityActivation::Relu => {}
+            DensityActivation::Softplus | DensityActivation::Exp => return Ok(Vec::new()),
         }
         let mut dead = Vec::new();
         for (index, (_, field)) in self.fields.by_role().into_iter().enumerate() {
-            let positive = field.frozen()?.raw_density(positions)?.gt(0f64)?.to_dtype(DType::F64)?;
-            if positive.mean_all()?.to_scalar::<f64>()? < self.config.train.dead_start_share {
+            let sum = |tensor: &Tensor| tensor.to_dtype(DType::F64)?.sum_all()?.to_scalar::<f64>();
+            let positive = sum(&field.frozen()?.raw_density(positions)?.gt(0f64)?)?;
+            let looked_at = match field.inside(positions)? {
+                Some(inside) => sum(&inside)?,
+                None => positions.dim(0)? as f64,
+            };
+            // Where none lies there, nothing is known: 0 times infinity is under no share.
+            if positive * looked_at.recip() < self.config.train.dead_start_share {
                 dead.push(index);
             }
         }
         Ok(dead)
+    }
+}
+
+/// Refuses a hash grid's box that no ray meets: outside of it nothing is.
+fn check_grid(config: &Resolved, scene: &Scene) -> Result<()> {
+    let FieldConfig { encoding, hash, .. } = &config.field;
+    match (encoding, hash.contraction, hash.bounds) {
+        (Encoding::Hash, Some(Contraction::None), Some(domain)) => {
+            Lattice { domain, side: 1 }.check_meets(scene, "field.hash.bounds")
+        }
+        _ => Ok(()),
     }
 }
