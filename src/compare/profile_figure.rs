@@ -249,7 +249,7 @@ fn caption(profiles: &Profiles) -> String {
         x + width - 1,
         profiles.pixel.1
     );
-    if runs().any(|run| run.at_intervals) {
+    if runs().any(|run| run.queries_gaussians) {
         text += " MipNeRF's field is queried at Gaussians of these places' own short intervals, which no evaluation queries.";
     }
     text + &trained_on(runs())

@@ -24,8 +24,8 @@ pub struct RunView {
     pub ndc: Option<Ndc>,
     /// Ends of a ray's interval in the units of `t_vals`.
     pub bounds: (f64, f64),
-    /// Its field is queried at intervals of rays.
-    pub at_intervals: bool,
+    /// Its field is queried at Gaussians of intervals, not at points.
+    pub queries_gaussians: bool,
     /// Every setting that can change a number, by its name in `config.toml`.
     pub(super) settings: Vec<(String, String)>,
 }
@@ -42,7 +42,7 @@ impl RunView {
             index,
             ndc: scene.ndc,
             bounds: scene.bounds(),
-            at_intervals: config.field.encoding.at_intervals(),
+            queries_gaussians: config.field.encoding.queries_gaussians(),
             settings: settings(config),
         })
     }

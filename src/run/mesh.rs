@@ -243,7 +243,7 @@ impl MeshReport {
             threshold: drawing.threshold,
             domain: drawing.lattice.domain,
             box_units: if scene.ndc.is_some() { "NDC" } else { "scene units" },
-            variance: config.field.encoding.at_intervals().then(|| drawing.lattice.cell_variance()),
+            variance: config.field.encoding.queries_gaussians().then(|| drawing.lattice.cell_variance()),
             cap: drawing.cap,
             density,
             vertices: mesh.vertices.len(),

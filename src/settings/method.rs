@@ -106,6 +106,11 @@ impl Encoding {
         self != Encoding::Positional
     }
 
+    /// The field is queried at Gaussians that stand for conical frustums, not at points.
+    pub fn queries_gaussians(self) -> bool {
+        self == Encoding::Integrated
+    }
+
     /// `t_vals` of a pass with so many samples.
     pub fn t_vals(self, samples: usize) -> usize {
         samples + usize::from(self.at_intervals())

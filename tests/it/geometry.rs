@@ -213,6 +213,17 @@ fn broken_weights_are_named() {
 }
 
 #[test]
+fn a_mesh_of_a_hash_field_was_queried_at_points() {
+    let dir = TempDir::new().unwrap();
+    let set = ["--set", "field.encoding=hash", "--set", "field.hash.log2_table=8", "--set", "train.steps=2"];
+    let run = trained(&dir, &set);
+    // Low enough for any start.
+    succeed(&["mesh", &run, "--quiet", "--resolution", "8", "--threshold", "1e-6", "--cap"]);
+    let report = json(&Path::new(&run).join("mesh/mesh.json"));
+    assert!(report["variance"].is_null() && report["vertices"].as_u64() > Some(0), "{report}");
+}
+
+#[test]
 fn an_evaluation_measures_depth_and_where_asked_the_surface() {
     ["nerf", "mip-nerf"].into_iter().for_each(measures_depth_and_surface);
 }

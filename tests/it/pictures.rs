@@ -14,7 +14,7 @@ use augnerf::compare::{
 use augnerf::data::Scene;
 use augnerf::metrics::{psnr, quantise};
 use augnerf::run::{RenderedView, Viewer};
-use augnerf::settings::{Config, Method, PixelOrigin, Resolved};
+use augnerf::settings::{Config, Encoding, Method, PixelOrigin, Resolved};
 use augnerf::train::checkpoint::State;
 use tempfile::TempDir;
 
@@ -307,6 +307,20 @@ fn profiled(run: &Run, label: &str) -> (RunView, Profile) {
     let contender = run.run_view(label);
     let profile = Profile::measure(&run.viewer(), &contender, PIXEL, PATCH).unwrap();
     (contender, profile)
+}
+
+/// The caption's words on Gaussians are of MipNeRF's field alone.
+#[test]
+fn only_a_field_of_integrated_encoding_is_said_to_be_queried_at_gaussians() {
+    let on_grid = |config: &mut Config| {
+        config.field.encoding = Encoding::Hash;
+        config.field.hash.log2_table = 8;
+    };
+    let of = |method, change: fn(&mut Config)| Run::new(method, 0, change).run_view("run").queries_gaussians;
+    assert_eq!(
+        [of(Method::Nerf, on_grid), of(Method::Nerf, |_| {}), of(Method::MipNerf, |_| {})],
+        [false, false, true]
+    );
 }
 
 #[test]
