@@ -332,6 +332,31 @@ fn every_column_of_the_protocol_is_described() {
     }
 }
 
+/// What is laid over presets without being asked for stands on the page, name and value.
+#[test]
+fn the_training_page_has_every_setting_that_hash_grids_and_mip_nerf_bring() {
+    let text = std::fs::read_to_string(root().join("docs/training.md")).unwrap();
+    let between = |from: &str, to: &str| text.split_once(from).expect(from).1.split_once(to).expect(to).0.to_string();
+    for (layer, rows) in [
+        ("hash-nerf", between("## Hash grids", "\n## ")),
+        ("mip-nerf", between("MipNeRF (Barron et al. 2021)", "\n## ")),
+    ] {
+        let file = root().join(format!("src/settings/presets/{layer}.toml"));
+        let sections: toml::Table = toml::from_str(&std::fs::read_to_string(file).unwrap()).unwrap();
+        for (section, settings) in &sections {
+            for (key, value) in settings.as_table().unwrap() {
+                let row = rows.lines().find(|line| line.starts_with(&format!("| `{section}.{key}` |")));
+                let row = row.unwrap_or_else(|| panic!("{layer}: {section}.{key} has no row"));
+                let words = row.split('|').nth(2).unwrap().trim().trim_start_matches('`');
+                let found = words.split([' ', ';', ':', '`']).next().unwrap();
+                let is_same =
+                    found == value.to_string() || value.as_float().is_some_and(|float| Ok(float) == found.parse());
+                assert!(is_same, "{layer}: {section}.{key} = {value}: {row}");
+            }
+        }
+    }
+}
+
 #[test]
 fn every_metric_and_exit_code_is_described() {
     let metrics = page("metrics.md").prose;
