@@ -11,6 +11,7 @@ use candle_core::{CpuStorage, CustomOp1, CustomOp2, DType, Device, Layout, Resul
 use super::contiguous;
 use super::fused::Values;
 use super::hash::{Cotangents, Domain, HashGrid, Operator, Real, fetch_tables};
+use crate::base::tensors::with_values;
 use crate::settings::{Contraction, Encoding, FieldConfig};
 
 /// Entries of a table start uniformly between minus this and this (Mueller et al. 2022, section 4).
@@ -112,16 +113,22 @@ impl Grid {
 
     /// 1 where points `[n, 3]` lie in the box, 0 elsewhere; none where the grid has all of space, or all of them do.
     pub(super) fn inside(&self, points: &Tensor) -> Result<Option<Tensor>> {
+        let Some(inside) = self.are_inside(points)? else { return Ok(None) };
+        let inside: Vec<f64> = inside.into_iter().map(|inside| f64::from(u8::from(inside))).collect();
+        Ok(Some(Tensor::new(inside, points.device())?.to_dtype(points.dtype())?))
+    }
+
+    /// Which of points `[n, 3]` lie in the box; none where the grid has all of space, or all of them do.
+    pub(super) fn are_inside(&self, points: &Tensor) -> Result<Option<Vec<bool>>> {
         if self.domain.contraction() != Contraction::None {
             return Ok(None);
         }
-        let positions = points.detach().to_dtype(DType::F64)?.contiguous()?.flatten_all()?.to_vec1::<f64>()?;
-        let inside = self.domain.inside(&positions);
-        if inside.iter().all(|inside| *inside) {
-            return Ok(None);
-        }
-        let inside: Vec<f64> = inside.into_iter().map(|inside| f64::from(u8::from(inside))).collect();
-        Ok(Some(Tensor::new(inside, points.device())?.to_dtype(points.dtype())?))
+        let points = points.detach().contiguous()?;
+        let inside = match with_values(&points, |points| self.domain.inside(points)) {
+            Some(inside) => inside,
+            None => self.domain.inside(&points.to_dtype(DType::F64)?.flatten_all()?.to_vec1::<f64>()?),
+        };
+        Ok(inside.iter().any(|inside| !inside).then_some(inside))
     }
 }
 
@@ -260,5 +267,41 @@ impl CustomOp2 for Reference {
             DType::F64 => of!(f64),
             _ => of!(f32),
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::base::rng::{Random, Stream};
+    use crate::field::Field;
+    use crate::settings::HashConfig;
+
+    /// What is not asked about points outside the box is what masking it afterwards leaves, to the bit.
+    #[test]
+    fn points_outside_the_box_are_not_asked_about() {
+        let hash = HashConfig {
+            levels: 5,
+            log2_table: 9,
+            coarsest: 4,
+            finest: Some(40),
+            bounds: Some([[-1.0; 3], [1.0; 3]]),
+            contraction: Some(Contraction::None),
+            ..HashConfig::default()
+        };
+        let config = FieldConfig { encoding: Encoding::Hash, hash, width: 64, ..FieldConfig::default() };
+        let field = Field::init(&config, 3, 0, DType::F32, &Device::Cpu).unwrap().frozen().unwrap();
+        let drawn = Random::new(4, Stream::Init, 0).uniform_tensor(&[1300, 3], DType::F32, &Device::Cpu).unwrap();
+        for (scale, some_inside, some_outside) in [(1.3, true, true), (0.9, true, false)] {
+            let points = drawn.affine(2.0 * scale, -scale).unwrap();
+            let found = field.raw_density(&points).unwrap().to_vec1::<f32>().unwrap();
+            let inputs = field.inputs(&points).unwrap();
+            let all = field.query(None).unwrap().density(&inputs.values).unwrap();
+            assert_eq!(found, inputs.only_inside(all).unwrap().to_vec1::<f32>().unwrap(), "scale {scale}");
+            let outside = found.iter().filter(|raw| **raw == -1e4).count();
+            assert_eq!((outside < 1300, outside > 0), (some_inside, some_outside), "scale {scale}");
+        }
+        let nothing = field.raw_density(&drawn.affine(1.0, 5.0).unwrap()).unwrap().to_vec1::<f32>().unwrap();
+        assert_eq!(nothing, vec![-1e4; 1300], "all of them outside");
     }
 }

@@ -407,12 +407,28 @@ impl Field {
 
     /// Raw density alone, `[n]`.
     pub fn raw_density(&self, points: &Tensor) -> Result<Tensor> {
-        let inputs = self.inputs(points)?;
         if let Some(query) = self.query(None).filter(|query| query.recorder.is_none() && !points.track_op()) {
-            return inputs.only_inside(query.density(&inputs.values)?);
+            return self.queried_density(query, points);
         }
+        let inputs = self.inputs(points)?;
         let hidden = self.trunk(&inputs.values, None)?;
         inputs.only_inside(self.layer(&self.density, &hidden, false)?.squeeze(1)?)
+    }
+
+    /// The same by the fused core, which is not asked about points outside a grid's box.
+    fn queried_density(&self, query: fused::Query, points: &Tensor) -> Result<Tensor> {
+        let Some(grid) = &self.grid else { return Ok(query.density(points)?) };
+        let Some(inside) = grid.are_inside(points)? else { return Ok(query.density(&grid.encode(points)?)?) };
+        let asked: Vec<u32> = (0..).zip(&inside).filter_map(|(i, inside)| inside.then_some(i)).collect();
+        let mut raw = vec![NOTHING as f32; inside.len()];
+        if !asked.is_empty() {
+            let points = points.index_select(&Tensor::new(asked.as_slice(), points.device())?, 0)?;
+            let found = query.density(&grid.encode(&points)?)?.to_vec1::<f32>()?;
+            for (i, found) in asked.iter().zip(found) {
+                raw[*i as usize] = found;
+            }
+        }
+        Ok(Tensor::new(raw, points.device())?)
     }
 
     /// Colour from raw colour, of any shape: a sigmoid, spread by `field.rgb_padding` to both sides.

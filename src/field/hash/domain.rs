@@ -52,8 +52,8 @@ impl Domain {
     }
 
     /// Whether each of `points [n, 3]` lies in the box, or space has no outside. A point that is not finite does.
-    pub fn inside(&self, points: &[f64]) -> Vec<bool> {
-        points.as_chunks::<3>().0.iter().map(|point| !self.is_outside(*point)).collect()
+    pub fn inside<T: Real>(&self, points: &[T]) -> Vec<bool> {
+        points.as_chunks::<3>().0.iter().map(|point| !self.is_outside(point.map(Into::into))).collect()
     }
 
     /// What has the gradient `d_unit [n, 3]` in the cube has `d_points [n, 3]` in the scene: 0 at points outside.
