@@ -78,6 +78,9 @@ pub struct Timed {
     pub points_per_clean_pass: usize,
     /// Multiply-adds of matrix products that the fused core did in a step; none where it does not apply.
     pub multiply_adds_per_step: Option<f64>,
+    /// Bytes that a step read and wrote of a hash grid's tables and their gradient: 8 corners of a cell in every level for each
+    /// point encoded, differentiated or scattered, and Adam's passes over the tables. None of other fields.
+    pub table_bytes_per_step: Option<f64>,
     /// Share of points whose gradient was not 0, and which a backward pass therefore saw.
     pub active_share: Option<f64>,
     /// Twice the multiply-adds over the time.
@@ -187,6 +190,7 @@ impl Workload {
             rays_per_second: self.rays as f64 / median,
             points_per_clean_pass: self.rays * (coarse + fine),
             multiply_adds_per_step: fused.then_some(multiply_adds),
+            table_bytes_per_step: (done.table_bytes > 0).then(|| done.table_bytes as f64 / self.steps as f64),
             active_share: fused.then(|| done.active_points as f64 / done.points as f64),
             gflops: fused.then_some(gflops),
             gemm_peak_gflops: peak,

@@ -16,7 +16,7 @@ pub use host::{Host, Timing};
 pub(crate) use host::{free_memory_mib, host_name, peak_memory_mib};
 pub(crate) use memory::MemoryWatch;
 pub use work::Work;
-pub(crate) use work::{count_multiply_adds, count_points};
+pub(crate) use work::{count_multiply_adds, count_points, count_table_bytes};
 
 /// What a thread's stack holds: the main thread's usual size, for work that was made for it.
 const STACK_BYTES: usize = 8 << 20;
@@ -167,9 +167,9 @@ mod tests {
         one.install(|| count_multiply_adds(5));
         other.install(|| count_points(3, 2));
         count_multiply_adds(100);
-        assert_eq!(one.work(), Work { multiply_adds: 5, points: 0, active_points: 0 });
-        assert_eq!(other.work(), Work { multiply_adds: 0, points: 3, active_points: 2 });
-        assert_eq!(other.work() - other.work(), Work { multiply_adds: 0, points: 0, active_points: 0 });
+        assert_eq!(one.work(), Work { multiply_adds: 5, table_bytes: 0, points: 0, active_points: 0 });
+        assert_eq!(other.work(), Work { multiply_adds: 0, table_bytes: 0, points: 3, active_points: 2 });
+        assert_eq!(other.work() - other.work(), Work { multiply_adds: 0, table_bytes: 0, points: 0, active_points: 0 });
     }
 
     #[test]

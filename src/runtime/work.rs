@@ -8,6 +8,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 #[derive(Debug, Default)]
 pub(super) struct Counters {
     multiply_adds: AtomicU64,
+    table_bytes: AtomicU64,
     points: AtomicU64,
     active_points: AtomicU64,
 }
@@ -17,6 +18,9 @@ pub(super) struct Counters {
 pub struct Work {
     /// Multiply-adds of matrix products.
     pub multiply_adds: u64,
+    /// Bytes of a hash grid's tables and their gradient that were read and written at the corners of points' cells, and by Adam
+    /// passing over the tables.
+    pub table_bytes: u64,
     /// Points that backward passes were asked for.
     pub points: u64,
     /// Those of them whose gradient was not 0.
@@ -30,6 +34,7 @@ impl std::ops::Sub for Work {
     fn sub(self, earlier: Work) -> Work {
         Work {
             multiply_adds: self.multiply_adds - earlier.multiply_adds,
+            table_bytes: self.table_bytes - earlier.table_bytes,
             points: self.points - earlier.points,
             active_points: self.active_points - earlier.active_points,
         }
@@ -46,6 +51,7 @@ impl Counters {
         let load = |count: &AtomicU64| count.load(Ordering::Relaxed);
         Work {
             multiply_adds: load(&self.multiply_adds),
+            table_bytes: load(&self.table_bytes),
             points: load(&self.points),
             active_points: load(&self.active_points),
         }
@@ -64,6 +70,13 @@ impl Counters {
 pub(crate) fn count_multiply_adds(count: usize) {
     count_with(|own| {
         own.multiply_adds.fetch_add(count as u64, Ordering::Relaxed);
+    });
+}
+
+/// Counts bytes of a hash grid's tables.
+pub(crate) fn count_table_bytes(count: usize) {
+    count_with(|own| {
+        own.table_bytes.fetch_add(count as u64, Ordering::Relaxed);
     });
 }
 

@@ -645,6 +645,13 @@ fn bench_says_what_it_did() {
     let ratio = work(&aug) / work(&nerf);
     assert!((3.0..4.5).contains(&ratio) && work(&tv) > work(&nerf), "{nerf} {aug} {tv}");
     assert!(ask(&["--set", "field.core=plain"])["multiply_adds_per_step"].is_null());
+    // 8 corners x 4 levels x 2 features of 4 bytes at 64 + 64 points, then read and written at most at 64 of them, and 7 numbers
+    // a parameter by Adam.
+    let hash = "--set field.encoding=hash --set field.hash.levels=4 --set field.hash.log2_table=8";
+    let grid = ask(&hash.split(' ').collect::<Vec<_>>());
+    let (corners, bytes) = ((8 * 4 * 2 * 4 * 64) as f64, grid["table_bytes_per_step"].as_f64().unwrap());
+    assert!((2.0 * corners..4.0 * corners + (7 * 4 * 2 * 4 * 256) as f64 + 1.0).contains(&bytes), "{bytes}");
+    assert!(nerf["table_bytes_per_step"].is_null());
     refuse(&bench(&["--set", "field.width=32"]), 2, &["field.width", "a flag of its own"]);
     for (flag, value) in
         [("--rays", "0"), ("--coarse", "1"), ("--width", "1"), ("--width", "9999999"), ("--steps", "0")]

@@ -1,5 +1,7 @@
 //! Adam for tables, of which a step reaches some entries only.
 
+use crate::runtime::count_table_bytes;
+
 use super::by_features;
 use super::simd::{Kernel, LANES, Processor, Simd};
 
@@ -41,6 +43,8 @@ impl SparseAdam {
         let sizes = [values.len(), first.len(), second.len()];
         assert!(sizes.iter().all(|size| *size == gradient.len()), "one moment and one gradient a parameter");
         assert!(gradient.len().is_multiple_of(features), "whole entries");
+        // The gradient is read; values and moments are read and written, where the whole table is reached.
+        count_table_bytes(7 * size_of_val(gradient));
         by_features!(features, F => {
             processor.run(Update::<F> { adam: *self, values, first, second, gradient });
         });

@@ -2,7 +2,7 @@
 
 use super::cell::{BLOCK, Block, Cells, mix};
 use super::simd::{Kernel, Processor, Simd};
-use super::{HashGrid, by_features};
+use super::{HashGrid, by_features, count_corners};
 
 /// Reads one number of each cache line: once a step, this costs a tenth of what encoding loses to tables that other
 /// work has pushed out of the caches, as it reads them in order.
@@ -21,6 +21,7 @@ impl HashGrid {
 
     pub(super) fn encode_on(&self, processor: Processor, tables: &[f32], points: &[f32], out: &mut [f32]) {
         self.check(tables.len(), points.len(), out.len());
+        count_corners(out.len());
         by_features!(self.features, F => {
             let (tables, out) = (tables.as_chunks().0, out.as_chunks_mut().0);
             processor.run(Encode::<F> { grid: self, tables, points, out });

@@ -2,7 +2,7 @@
 
 use super::cell::{BLOCK, Block, Cells, mix};
 use super::simd::{Kernel, LANES, Lanes, Processor, Simd};
-use super::{HashGrid, by_features};
+use super::{HashGrid, by_features, count_corners};
 
 impl HashGrid {
     /// What has the gradient `d_out [n, channels]` in the encodings has `d_points [n, 3]` in the points: the cell's
@@ -22,6 +22,7 @@ impl HashGrid {
         d_points: &mut [f32],
     ) {
         self.check(tables.len(), points.len(), d_out.len());
+        count_corners(d_out.len());
         assert_eq!(points.len(), d_points.len(), "one gradient a point");
         by_features!(self.features, F => {
             let (tables, d_out) = (tables.as_chunks().0, d_out.as_chunks().0);

@@ -13,6 +13,8 @@
 //! A point that is NaN has an encoding that is NaN. A point outside the cube is in the cell next to it, whose
 //! interpolation is continued beyond it.
 
+use crate::runtime::count_table_bytes;
+
 mod adam;
 mod cell;
 mod domain;
@@ -50,6 +52,11 @@ macro_rules! by_features {
     };
 }
 use by_features;
+
+/// Counts the entries at the 8 corners of points' cells in every level, read once: of `encoded` numbers in their encodings.
+fn count_corners(encoded: usize) {
+    count_table_bytes(8 * size_of::<f32>() * encoded);
+}
 
 impl Interpolation {
     /// The upper vertex's share at the position `f` in a cell, its first and its second derivative.

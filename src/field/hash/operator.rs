@@ -6,7 +6,7 @@
 
 use super::cell::{BLOCK, Block, Cells};
 use super::simd::{Kernel, LANES, Lanes, Processor, Simd};
-use super::{Cotangents, HashGrid, Level, by_features};
+use super::{Cotangents, HashGrid, Level, by_features, count_corners};
 
 /// A linear differential operator at a point of the unit cube, of second order at most: what it takes of the value, of
 /// the derivatives along x, y, z, of those along xx, yy, zz, and of those along xy, xz, yz.
@@ -34,6 +34,7 @@ impl HashGrid {
         out: &mut [f32],
     ) {
         assert_eq!(self.check(tables.len(), points.len(), out.len()), operators.len(), "one operator a point");
+        count_corners(out.len());
         by_features!(self.features, F => {
             let (tables, out) = (tables.as_chunks().0, out.as_chunks_mut().0);
             processor.run(Differentiate::<F> { grid: self, tables, points, operators, out });

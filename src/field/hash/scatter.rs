@@ -6,7 +6,7 @@ use crate::settings::Interpolation;
 
 use super::cell::{BLOCK, Block, Cells};
 use super::simd::{Kernel, LANES, Lanes, Processor, Simd};
-use super::{HashGrid, Operator, by_features, operator};
+use super::{HashGrid, Operator, by_features, count_corners, operator};
 
 /// Points and the gradients in their encodings, or in what operators make of those.
 #[derive(Clone, Copy)]
@@ -63,6 +63,8 @@ impl HashGrid {
         let count = self.check(self.entries() * self.features, points.len(), d_out.len());
         assert!(operators.is_none_or(|operators| operators.len() == count), "one operator a point");
         assert_eq!(sum.len(), self.levels[level].entries * self.features, "the gradient is of another level's table");
+        // Read and written, in one level of them.
+        count_corners(2 * d_out.len() / self.levels.len());
         by_features!(self.features, F => {
             let (d_out, sum) = (d_out.as_chunks().0, sum.as_chunks_mut().0);
             match operators {
