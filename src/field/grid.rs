@@ -11,6 +11,7 @@ use candle_core::{CpuStorage, CustomOp1, CustomOp2, DType, Device, Layout, Resul
 use super::contiguous;
 use super::fused::Values;
 use super::hash::{Cotangents, Domain, HashGrid, Operator, Real, fetch_tables};
+use super::inside::Inside;
 use crate::base::tensors::with_values;
 use crate::settings::{Contraction, Encoding, FieldConfig};
 
@@ -111,13 +112,6 @@ impl Grid {
         tracked.apply_op1(operation)
     }
 
-    /// 1 where points `[n, 3]` lie in the box, 0 elsewhere; none where the grid has all of space, or all of them do.
-    pub(super) fn inside(&self, points: &Tensor) -> Result<Option<Tensor>> {
-        let Some(inside) = self.are_inside(points)? else { return Ok(None) };
-        let inside: Vec<f64> = inside.into_iter().map(|inside| f64::from(u8::from(inside))).collect();
-        Ok(Some(Tensor::new(inside, points.device())?.to_dtype(points.dtype())?))
-    }
-
     /// Which of points `[n, 3]` lie in the box; none where the grid has all of space, or all of them do.
     pub(super) fn are_inside(&self, points: &Tensor) -> Result<Option<Vec<bool>>> {
         if self.domain.contraction() != Contraction::None {
@@ -129,6 +123,11 @@ impl Grid {
             None => self.domain.inside(&points.to_dtype(DType::F64)?.flatten_all()?.to_vec1::<f64>()?),
         };
         Ok(inside.iter().any(|inside| !inside).then_some(inside))
+    }
+
+    /// The same, for what is made at these points.
+    pub(super) fn inside(&self, points: &Tensor) -> Result<Option<Inside>> {
+        Ok(self.are_inside(points)?.map(Inside::new))
     }
 }
 

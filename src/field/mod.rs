@@ -24,6 +24,7 @@ mod encoding;
 mod fused;
 mod grid;
 pub mod hash;
+mod inside;
 mod peak;
 mod slopes;
 mod spatial;
@@ -39,6 +40,7 @@ pub use encoding::{
 pub(crate) use fused::forget as forget_buffers;
 use grid::Grid;
 pub use grid::TableRecord;
+use inside::{Inside, NOTHING};
 pub(crate) use peak::peak_gflops;
 pub use spatial::{DensityAt, Order, Spatial, spatial_reference};
 
@@ -100,17 +102,14 @@ impl FixedPoints<'_> {
 struct Inputs {
     /// Points `[n, 3]`, Gaussians `[n, 6]`, or features `[n, channels]`.
     values: Tensor,
-    /// 1 where there can be density, 0 elsewhere, `[n]`; none where it is 1 everywhere.
-    inside: Option<Tensor>,
+    /// Where there can be density; none where that is everywhere.
+    inside: Option<Inside>,
 }
 
-/// Raw density where there is none, of which every activation makes 0.
-const NOTHING: f64 = -1e4;
-
 impl Inputs {
+    /// Raw density `[n]`, or raw output that ends with it, without density where there is none.
     fn only_inside(&self, raw: Tensor) -> Result<Tensor> {
-        let Some(inside) = &self.inside else { return Ok(raw) };
-        Ok(((raw * inside)? + inside.affine(-NOTHING, NOTHING)?)?)
+        Ok(self.inside.as_ref().map_or(Ok(raw.clone()), |inside| inside.only(&raw))?)
     }
 }
 
@@ -372,7 +371,7 @@ impl Field {
     /// What the networks read at `positions`: themselves, or their features in the hash grid.
     fn inputs(&self, positions: &Tensor) -> Result<Inputs> {
         let Some(grid) = &self.grid else { return Ok(Inputs { values: positions.clone(), inside: None }) };
-        Ok(Inputs { values: grid.encode(positions)?, inside: self.inside(positions)? })
+        Ok(Inputs { values: grid.encode(positions)?, inside: grid.inside(positions)? })
     }
 
     fn raw_at(
@@ -385,9 +384,9 @@ impl Field {
         let (n, _) = inputs.values.dims2()?;
         if let Some(query) = self.query(below) {
             let raw = query.run(&inputs.values, viewdirs, delta.map(|delta| (delta.layer, delta.delta)))?;
+            let raw = inputs.only_inside(raw)?;
             let (rgb, density) = (raw.narrow(0, 0, 3 * n)?.reshape((n, 3))?, raw.narrow(0, 3 * n, n)?);
-            let joined = inputs.inside.is_none().then_some(raw);
-            return Ok(RawOutput { rgb, density: inputs.only_inside(density)?, joined });
+            return Ok(RawOutput { rgb, density, joined: Some(raw) });
         }
         let encoded_views = self.encode_views(viewdirs, n / viewdirs.dim(0)?.max(1))?;
         let hidden = self.trunk(&inputs.values, delta)?;
@@ -402,7 +401,8 @@ impl Field {
 
     /// 1 where there can be density, 0 elsewhere, of points `[n, 3]`, as `[n]`; none where it is 1 everywhere.
     pub fn inside(&self, points: &Tensor) -> Result<Option<Tensor>> {
-        Ok(self.grid.as_ref().map(|grid| grid.inside(points)).transpose()?.flatten())
+        let inside = self.grid.as_ref().map(|grid| grid.inside(points)).transpose()?.flatten();
+        Ok(inside.map(|inside| inside.mask(points)).transpose()?)
     }
 
     /// Raw density alone, `[n]`.

@@ -127,7 +127,8 @@ mod tests {
         };
         let rays = Rays::new(draw(1, &[4, 3]), draw(2, &[4, 3]), draw(3, &[4, 3])).unwrap();
         let (raw_density, noise) = ((draw(4, &[4, 6]) - 0.4).unwrap(), draw(5, &[4, 6]));
-        for (activation, columns) in [(DensityActivation::Relu, 6), (DensityActivation::Softplus, 7)] {
+        use DensityActivation::{Exp, Relu, Softplus};
+        for (activation, columns) in [(Relu, 6), (Softplus, 7), (Exp, 6)] {
             let config = FieldConfig { width: 8, density_activation: activation, ..FieldConfig::default() };
             let field = Field::init(&config, 0, 0, DType::F32, &Device::Cpu).unwrap();
             let t_vals = draw(6, &[4, columns]).cumsum(1).unwrap().contiguous().unwrap();

@@ -285,23 +285,73 @@ fn integrated_encoding() {
 
 #[test]
 fn no_points_and_one_point() {
-    let field = field(&paper(), Core::Fused, DType::F32).frozen().unwrap();
-    let empty = |shape: &[usize]| Tensor::zeros(shape, DType::F32, &CPU).unwrap();
-    let raw = field.forward(&empty(&[0, 3]), &empty(&[0, 3]), None).unwrap();
-    assert_eq!((raw.rgb.dims(), raw.density.dims()), (&[0, 3][..], &[0][..]));
-    assert_eq!(field.raw_density(&empty(&[0, 3])).unwrap().dims(), [0]);
-    let one = random(1, 0, &[1, 3]).to_dtype(DType::F32).unwrap();
-    let both = field.forward(&one, &one, None).unwrap().density;
-    assert_eq!(flat(&both), flat(&field.raw_density(&one).unwrap()), "density alone is the same density");
+    for case in [paper(), on_a_grid(&paper(), Interpolation::Linear, 2)] {
+        let field = field(&case, Core::Fused, DType::F32);
+        let empty = |shape: &[usize]| Tensor::zeros(shape, DType::F32, &CPU).unwrap();
+        for field in [field.frozen().unwrap(), field.recording().unwrap()] {
+            let points = Var::from_tensor(&empty(&[0, 3])).unwrap();
+            let raw = field.forward(&points, &empty(&[0, 3]), None).unwrap();
+            assert_eq!((raw.rgb.dims(), raw.density.dims()), (&[0, 3][..], &[0][..]));
+            let gradients = raw.density.sum_all().unwrap().backward().unwrap();
+            assert!(gradients.get(&points).is_none_or(|gradient| gradient.dims() == [0, 3]));
+            assert_eq!(field.raw_density(&empty(&[0, 3])).unwrap().dims(), [0]);
+        }
+        let field = field.frozen().unwrap();
+        let one = random(1, 0, &[1, 3]).to_dtype(DType::F32).unwrap();
+        let both = field.forward(&one, &one, None).unwrap().density;
+        assert_eq!(flat(&both), flat(&field.raw_density(&one).unwrap()), "density alone is the same density");
+    }
+}
+
+/// Beyond a box that ends raw density is what every activation makes 0 of, whatever the network says, and has no
+/// gradient; within it nothing is different. Both cores and both types.
+#[test]
+fn points_outside_a_box_have_no_density() {
+    let case = on_a_grid(&Case { layer: 0, ..paper() }, Interpolation::Linear, 1);
+    let places = [[0.3, -0.2, 0.9], [0.3, -1.2, 0.9], [-0.4, 0.1, 0.0], [9.0, 9.0, 9.0], [0.7, 0.7, -1.5]];
+    let inside = [0, 2];
+    let ask = |field: &Field, chosen: &[usize]| {
+        let points = chosen.iter().flat_map(|&i| places[i]).collect::<Vec<f64>>();
+        let points = Tensor::from_vec(points, (chosen.len(), 3), &CPU).unwrap().to_dtype(field.dtype()).unwrap();
+        let viewdirs = random(1, 0, &[1, 3]).to_dtype(field.dtype()).unwrap();
+        let points = Var::from_tensor(&points).unwrap();
+        let raw = field.forward(&points, &viewdirs, None).unwrap();
+        let alone = field.raw_density(&points.as_detached_tensor()).unwrap();
+        let store = raw.density.sum_all().unwrap().backward().unwrap();
+        (flat(&raw.density), flat(&alone), flat(&raw.rgb), flat(store.get(&points).unwrap()))
+    };
+    for (core, dtype) in [(Core::Plain, DType::F64), (Core::Plain, DType::F32), (Core::Fused, DType::F32)] {
+        let field = field(&case, core, dtype).frozen().unwrap();
+        let (density, alone, rgb, gradient) = ask(&field, &[0, 1, 2, 3, 4]);
+        let (of_inside, _, rgb_inside, gradient_inside) = ask(&field, &inside);
+        let near = |a: &[f64], b: &[f64]| a.iter().zip(b).all(|(a, b)| (a - b).abs() < 1e-4 * a.abs().max(1.0));
+        for (i, of_point) in gradient.chunks_exact(3).enumerate() {
+            let at = |values: &[f64], i: usize| values[3 * i..][..3].to_vec();
+            match inside.iter().position(|&at| at == i) {
+                Some(k) => {
+                    assert!(near(&[density[i]], &[of_inside[k]]), "{core:?} {dtype:?} {i}");
+                    assert!(near(&at(&rgb, i), &at(&rgb_inside, k)), "{core:?} {dtype:?} {i}");
+                    assert!(near(of_point, &at(&gradient_inside, k)), "{core:?} {dtype:?} {i}");
+                    assert!(of_point.iter().all(|gradient| *gradient != 0.0), "{core:?} {i}: {of_point:?}");
+                }
+                None => assert_eq!((density[i], of_point), (-1e4, &[0.0; 3][..]), "{core:?} {dtype:?} {i}"),
+            }
+            assert_eq!(density[i], alone[i]);
+        }
+    }
 }
 
 /// A NaN is not swallowed by a ReLU or a vanishing octave, so that training finds it.
 #[test]
 fn nan_stays_nan() {
-    use Encoding::{Integrated, Positional};
-    // Of two points the second has one: in its position, in the mean of a Gaussian of which no octave is left, in a variance.
-    for (encoding, position_octaves, at) in [(Positional, 10, 4), (Integrated, 16, 7), (Integrated, 16, 10)] {
+    use Encoding::{Hash, Integrated, Positional};
+    // Of two points the second has one: in its position, in the mean of a Gaussian of which no octave is left, in a
+    // variance, in its position on a grid.
+    for (encoding, position_octaves, at) in
+        [(Positional, 10, 4), (Integrated, 16, 7), (Integrated, 16, 10), (Hash, 10, 4)]
+    {
         let case = Case { field: FieldConfig { encoding, position_octaves, ..FieldConfig::default() }, ..paper() };
+        let case = if encoding == Hash { on_a_grid(&case, Interpolation::Linear, 1) } else { case };
         let numbers = if encoding == Integrated { 6 } else { 3 };
         let mut values = vec![0.1f32; 2 * numbers];
         if at == 7 {

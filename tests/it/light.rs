@@ -8,7 +8,7 @@ use augnerf::field::Field;
 use augnerf::render::{
     Pass, PassLoss, Perturbation, clean_pass, clean_pass_loss, perturbed_pass, perturbed_pass_loss, sampling,
 };
-use augnerf::settings::{Method, Resolved};
+use augnerf::settings::{Contraction, DensityActivation, Encoding, FieldConfig, HashConfig, Method, Resolved};
 use candle_core::{DType, Device, Tensor, Var};
 
 const CPU: Device = Device::Cpu;
@@ -64,6 +64,39 @@ impl Setting {
         Setting { config, field, rays, t_vals, noise, background, target, sets }
     }
 
+    /// The same of a field of another kind.
+    fn of(self, config: FieldConfig) -> Setting {
+        let field = Field::init(&config, 1, 0, DType::F32, &CPU).unwrap();
+        Setting { field, ..self }
+    }
+
+    fn in_exp(self) -> Setting {
+        let config = FieldConfig { density_activation: DensityActivation::Exp, ..self.field.config().clone() };
+        self.of(config)
+    }
+
+    /// On a hash grid as training makes them, in a box that rays enter and leave; of a method with intervals, as grids
+    /// have them.
+    fn on_a_grid(self) -> Setting {
+        let hash = HashConfig {
+            levels: 4,
+            log2_table: 8,
+            coarsest: 3,
+            finest: Some(14),
+            bounds: Some([[-0.7; 3], [0.9; 3]]),
+            contraction: Some(Contraction::None),
+            ..HashConfig::default()
+        };
+        let density_activation = DensityActivation::Exp;
+        let config = FieldConfig { encoding: Encoding::Hash, hash, density_activation, ..self.field.config().clone() };
+        let setting = self.of(config);
+        let mut values: Vec<Tensor> =
+            setting.field.variables().iter().map(|(_, var)| var.as_tensor().clone()).collect();
+        values[0] = (&values[0] * 1e4).unwrap();
+        let field = Field::from_parameters(setting.field.config(), values).unwrap();
+        Setting { field, ..setting }
+    }
+
     fn pass(&self) -> Pass<'_> {
         let Setting { rays, t_vals, noise, background, .. } = self;
         Pass { rays, t_vals, density_noise: noise.as_ref(), background: *background }
@@ -104,30 +137,39 @@ fn all(field: &Field, out: &PassLoss, variables: &[Var]) -> Vec<Vec<u32>> {
     .to_vec();
     found.extend(variables.iter().map(|variable| store.get(variable).map_or(Vec::new(), bits)));
     found.extend(field.recorded().unwrap().iter().flatten().map(bits));
+    found.extend(field.table_gradient(&field.table_records()).unwrap().iter().map(bits));
     found
 }
 
-const METHODS: [Method; 2] = [Method::AugNerf, Method::AugMipNerf];
+/// Fields of every activation, at points and at Gaussians, and on a grid that ends; poor settings and rich ones.
+fn settings(norm: Norm) -> Vec<(String, Setting)> {
+    let of = |rich: bool| {
+        let new = |method| Setting::new(method, rich, norm);
+        let points = new(Method::AugNerf);
+        let [exp, grid] = [new(Method::AugNerf).in_exp(), new(Method::AugMipNerf).on_a_grid()];
+        [("ReLU", points), ("softplus", new(Method::AugMipNerf)), ("exp", exp), ("grid", grid)]
+            .map(|(name, setting)| (format!("{name}, rich: {rich}"), setting))
+    };
+    [false, true].into_iter().flat_map(of).collect()
+}
 
 #[test]
 fn a_clean_pass_is_lit_by_one_operation() {
-    for (method, rich) in METHODS.into_iter().flat_map(|method| [(method, false), (method, true)]) {
-        let setting = Setting::new(method, rich, Norm::Linf);
+    for (name, setting) in settings(Norm::Linf) {
         let (one, many) = (setting.field.recording().unwrap(), setting.field.recording().unwrap());
         let lit = clean_pass_loss(&one, setting.pass(), &setting.target).unwrap();
         let plain = PassLoss::of(clean_pass(&many, setting.pass()).unwrap(), &setting.target).unwrap();
         assert!(!lit.composite.rgb.track_op() && plain.composite.rgb.track_op(), "one of two ways");
         let found = all(&one, &lit, &[]);
         assert!(found.iter().flatten().any(|&bits| bits != 0));
-        assert_eq!(found, all(&many, &plain, &[]), "{method:?} {rich}");
+        assert_eq!(found, all(&many, &plain, &[]), "{name}");
     }
 }
 
 #[test]
 fn a_perturbed_pass_is_lit_by_one_operation() {
-    for (method, rich) in METHODS.into_iter().flat_map(|method| [(method, false), (method, true)]) {
-        for off in [None, Some(Site::Rgb), Some(Site::Density)] {
-            let mut setting = Setting::new(method, rich, Norm::Linf);
+    for off in [None, Some(Site::Rgb), Some(Site::Density)] {
+        for (name, mut setting) in settings(Norm::Linf) {
             if let Some(off) = off {
                 let mut kept = Sets::default();
                 let sites = setting.sets.iter().filter(|(site, _)| *site != off);
@@ -148,15 +190,31 @@ fn a_perturbed_pass_is_lit_by_one_operation() {
             let plain = perturbed_pass(&many, setting.pass(), perturbation(&deltas)).unwrap();
             for (site, _) in setting.sets.iter() {
                 let (found, expected) = (used.get(site).unwrap(), plain.used.deltas.get(site).unwrap());
-                assert_eq!(bits(found), bits(expected), "{method:?} {rich}: delta of {}", site.name());
+                assert_eq!(bits(found), bits(expected), "{name}: delta of {}", site.name());
             }
             let plain = PassLoss::of(plain.pass, &setting.target).unwrap();
             assert!(!lit.composite.rgb.track_op() && plain.composite.rgb.track_op(), "one of two ways");
             let (found, expected) = (all(&one, &lit, &variables), all(&many, &plain, &variables));
             let equal: Vec<bool> = found.iter().zip(&expected).map(|(found, expected)| found == expected).collect();
-            assert!(equal.iter().all(|equal| *equal), "{method:?} {rich} {off:?}: {equal:?}");
+            assert!(equal.iter().all(|equal| *equal), "{name} {off:?}: {equal:?}");
         }
     }
+}
+
+/// On a grid that ends rays have samples on both sides, of which those outside add nothing and learn nothing.
+#[test]
+fn samples_outside_a_grid_are_empty() {
+    let setting = Setting::new(Method::AugMipNerf, true, Norm::Linf).on_a_grid();
+    let field = setting.field.recording().unwrap();
+    let lit = clean_pass_loss(&field, setting.pass(), &setting.target).unwrap();
+    let (raw, weights) = (flat(&lit.raw_density), flat(&lit.composite.weights));
+    let outside: Vec<usize> = (0..raw.len()).filter(|&i| raw[i] == -1e4).collect();
+    assert!((5..raw.len() - 5).contains(&outside.len()), "{raw:?}");
+    assert!(outside.iter().all(|&i| weights[i] == 0.0) && weights.iter().any(|weight| *weight > 0.01), "{weights:?}");
+    lit.loss.backward().unwrap();
+    let records = field.table_records();
+    assert_eq!(records.iter().map(|record| record.count()).sum::<usize>(), raw.len());
+    assert!(flat(&field.table_gradient(&records).unwrap().unwrap()).iter().any(|gradient| *gradient != 0.0));
 }
 
 /// What it cannot do goes the long way: a ball of colours.

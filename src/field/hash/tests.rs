@@ -226,6 +226,29 @@ fn vertices_and_faces_belong_to_one_cell() {
     }
 }
 
+/// Vertices whose hashes agree read one entry, and what pulls on either is added up there.
+#[test]
+fn colliding_vertices_share_one_entry() {
+    for (processor, interpolation) in Processor::all().into_iter().flat_map(|each| BOTH.map(|kind| (each, kind))) {
+        let grid = HashGrid::new(1, 2, 8, (32, 32), interpolation);
+        let level = &grid.levels()[0];
+        let first = [3, 5, 7];
+        let vertices = (0..32u32.pow(3)).map(|i| [i % 32, i / 32 % 32, i / 1024]);
+        let second = vertices.into_iter().find(|&v| v != first && level.entry(v) == level.entry(first)).unwrap();
+        let points: Vec<f32> = [first, second].concat().iter().map(|&k| k as f32 / 32.0).collect();
+        let entry = 2 * level.entry(first);
+        let tables = narrow(&signed(grid.entries() * 2, 12));
+        let mut out = [0.0; 4];
+        grid.encode_on(processor, &tables, &points, &mut out);
+        assert_eq!([&out[..2], &out[2..]], [&tables[entry..][..2]; 2], "at a vertex stands its entry alone");
+        let mut sum = vec![0.0; tables.len()];
+        grid.scatter_on(processor, 0, Cotangents::new(&points, &[1.0, -2.0, 0.5, 0.25]), &mut sum);
+        assert_eq!(sum[entry..][..2], [1.5, -1.75]);
+        sum[entry..][..2].fill(0.0);
+        assert!(sum.iter().all(|value| *value == 0.0), "nothing lands elsewhere");
+    }
+}
+
 #[test]
 fn smoothstep_has_a_continuous_gradient_and_no_slope_across_faces() {
     let gradient = |interpolation, x: f32| {

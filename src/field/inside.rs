@@ -1,0 +1,74 @@
+//! Raw density of points that may lie outside a hash grid's box, as a differentiable operation on processors.
+
+use std::sync::Arc;
+
+use candle_core::{CpuStorage, CustomOp1, Layout, Result, Shape, Tensor, WithDType};
+
+use super::contiguous;
+
+/// Raw density where there is none, of which every activation makes 0.
+pub(super) const NOTHING: f64 = -1e4;
+
+/// Which of `n` points lie where there can be density.
+#[derive(Clone)]
+pub(super) struct Inside(Arc<[bool]>);
+
+impl Inside {
+    pub(super) fn new(inside: Vec<bool>) -> Inside {
+        Inside(inside.into())
+    }
+
+    /// 1 inside, 0 outside, `[n]`, in the type of `like`.
+    pub(super) fn mask(&self, like: &Tensor) -> Result<Tensor> {
+        let mask: Vec<u8> = self.0.iter().map(|inside| u8::from(*inside)).collect();
+        Tensor::new(mask, like.device())?.to_dtype(like.dtype())
+    }
+
+    /// Raw density `[n]`, or what ends with it as raw output `[4 n]` does, with [`NOTHING`] at points outside, where it
+    /// has no gradient.
+    pub(super) fn only(&self, raw: &Tensor) -> Result<Tensor> {
+        raw.contiguous()?.apply_op1(Replace { inside: self.clone(), by: NOTHING })
+    }
+}
+
+/// Of its argument's last `n` numbers, replaces those of points outside.
+struct Replace {
+    inside: Inside,
+    by: f64,
+}
+
+impl Replace {
+    fn replaced<T: WithDType>(&self, values: &[T]) -> Result<Vec<T>> {
+        let Inside(inside) = &self.inside;
+        let Some(first) = values.len().checked_sub(inside.len()) else {
+            candle_core::bail!("{} numbers do not end with those of {} points", values.len(), inside.len());
+        };
+        let by = T::from_f64(self.by);
+        let mut values = values.to_vec();
+        for (value, _) in values[first..].iter_mut().zip(&**inside).filter(|(_, inside)| !**inside) {
+            // 0 is added, or NaN where there was one.
+            *value = *value * T::zero() + by;
+        }
+        Ok(values)
+    }
+}
+
+impl CustomOp1 for Replace {
+    fn name(&self) -> &'static str {
+        "only-inside"
+    }
+
+    fn cpu_fwd(&self, values: &CpuStorage, layout: &Layout) -> Result<(CpuStorage, Shape)> {
+        let replaced = match values {
+            CpuStorage::F32(values) => CpuStorage::F32(self.replaced(contiguous(values, layout)?)?),
+            CpuStorage::F64(values) => CpuStorage::F64(self.replaced(contiguous(values, layout)?)?),
+            _ => candle_core::bail!("raw density is f32 or f64"),
+        };
+        Ok((replaced, layout.shape().clone()))
+    }
+
+    fn bwd(&self, _raw: &Tensor, _replaced: &Tensor, gradient: &Tensor) -> Result<Option<Tensor>> {
+        let zeros = Replace { inside: self.inside.clone(), by: 0.0 };
+        Ok(Some(gradient.contiguous()?.apply_op1_no_bwd(&zeros)?))
+    }
+}
