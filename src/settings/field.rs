@@ -99,7 +99,7 @@ section! {
         pub core: Core = Core::Fused, numbers().columns(&["core"]);
         /// In which numbers the fused core computes. `f32`, or `bf16`: what passes between layers, and the weights that it
         /// is multiplied with, are rounded to bf16; sums, the encoding with its products, heads and all else are f32.
-        /// Every processor gives the same numbers; with AVX-512 BF16 it is twice as fast as `f32`.
+        /// The layers' products have the same bits on every processor; with AVX-512 BF16 they are twice as fast as in `f32`.
         pub precision: Precision = Precision::F32, numbers().columns(&["precision"]).later();
     }
     sections {
