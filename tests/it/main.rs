@@ -11,6 +11,7 @@ mod docs;
 mod fused;
 mod fuzz;
 mod geometry;
+mod hash_runs;
 mod hostile;
 #[cfg(target_os = "linux")]
 mod hostile_memory;
