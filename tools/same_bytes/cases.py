@@ -57,8 +57,8 @@ TINY = (
 
 # Scenes: arguments, and what they need.
 SCENES = {
-    "builtin": ("--set data.test_skip=4", ()),
-    "builtin-forward": ("--set data.kind=builtin-forward --set data.test_skip=2", ()),
+    "builtin": ("--preset smoke --set data.test_skip=4", ()),
+    "builtin-forward": ("--preset smoke --set data.kind=builtin-forward --set data.test_skip=2", ()),
     "fern": ("--data $DATA/nerf_llff_data/fern --preset smoke --set data.test_skip=3", ("fern",)),
     "chair": ("--data $DATA/nerf_synthetic/chair --preset smoke --set data.test_skip=100", ("chair",)),
 }
@@ -244,7 +244,7 @@ augnerf sweep status missing
 """
 
 USES = r"""
-T="$TINY"
+T="--preset smoke $TINY"
 augnerf train --quiet --out nerf $T --set data.test_skip=4
 augnerf train --quiet --out aug $T --set data.test_skip=4 --method aug-nerf --set perturb.attack=calibrated
 augnerf train --quiet --out mip $T --set data.test_skip=4 --method mip-nerf
@@ -321,10 +321,10 @@ def config_cases():
     """Resolved settings, and what a scene is found to be."""
     presets = ("smoke", "cpu", "paper-llff", "paper-blender", "released-llff", "released-blender")
     for scene, (arguments, needs) in SCENES.items():
+        lines = [f"augnerf train --print-config {arguments}"]
         arguments = arguments.replace("--preset smoke", "")
         # The chair's views take their time to load.
         methods = ("nerf", "aug-nerf", "mip-nerf", "aug-mip-nerf") if scene != "chair" else ("aug-nerf",)
-        lines = [f"augnerf train --print-config {arguments}"]
         for preset in presets:
             for method in methods:
                 lines.append(f"augnerf train --print-config --set data.width=16 {arguments} --preset {preset} --method {method}")

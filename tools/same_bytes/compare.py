@@ -23,10 +23,15 @@ LATER += ["core", "precision", "instructions", "train_views"]
 LATER += [f"{kind}_{metric}" for kind in ("train", "gap") for metric in ("ssim", "lpips_alex", "lpips_vgg", "lpips_squeeze")]
 LATER += ["train_psnr", "gap", "depth_mae_common", "depth_rmse_common", "depth_left_out_common"]
 LATER += ["published_lpips", "published_average"]
+LATER += ["view_depth", "view_width", "adam", "hash_grid", "inactive_by", "table_bytes_per_step"]
 # Columns that took another meaning when a later one came: left out where one side alone has that.
 REDEFINED = {"inactive_levels": "step_over_radius"}
 # Settings, with the defaults that they stand at in TOML files.
 LATER_SETTINGS = {"holdout_offset": "0", "validation": "0", "views_seed": "0", "geometry": '"sampling"'}
+LATER_SETTINGS |= {"view_depth": "1", "precision": '"f32"', "adam_beta2": "0.999", "adam_epsilon": "0.00000001", "eval_stride": "1"}
+LATER_SETTINGS |= {"levels": "16", "features": "2", "log2_table": "17", "coarsest": "16", "interpolation": '"linear"'}
+# Sections of those, with the empty line before them.
+LATER_SECTIONS = [rb"\n\[field\.hash\]"]
 
 # Files that hold clocks and processes: their numbers do not count, their words do.
 CLOCKS = {"timing.json", "timing.csv", "run.lock"}
@@ -139,7 +144,7 @@ def without_later(a, b, ending):
             a, b = without_column(a, column), without_column(b, column)
     if ending in (".toml", ".txt"):
         # In what programs say stand settings, too, and metrics, a line each.
-        lines = [rb"%s = %s" % (name.encode(), default.encode()) for name, default in LATER_SETTINGS.items()]
+        lines = [rb"%s = %s" % (name.encode(), default.encode()) for name, default in LATER_SETTINGS.items()] + LATER_SECTIONS
         lines += [rb' *"%s": .*' % column.encode() for column in LATER if ending == ".txt"]
         for line in (re.compile(rb"(?m)^%s\n" % line) for line in lines):
             if bool(line.search(a)) != bool(line.search(b)):
