@@ -351,7 +351,7 @@ def use_cases():
                "augnerf mesh aug --resolution 20 --threshold 0.5 --cap --largest --bbox -1,-1,-0.5,1,1,1\n"
                "augnerf mesh mip --resolution 16 --threshold 0.5 --quiet\n"
                "augnerf chamfer nerf builtin --points 2000\naugnerf chamfer nerf/mesh/mesh.obj aug --points 1000 --at 0.01,0.1 --seed 3\n")
-    yield Case("balance", f"augnerf balance {TINY} --steps 5 --set regularizer.points_per_step=256")
+    yield Case("balance", f"augnerf balance --preset smoke {TINY} --steps 5 --set regularizer.points_per_step=256")
     yield Case("bench", "\n".join(f"augnerf bench --method {method} --rays 8 --coarse 4 --fine 4 --width 8 --steps 1"
                                   for method in ("nerf", "aug", "mip", "tv", "laplacian")))
     yield Case("refusals", REFUSALS)
