@@ -224,7 +224,9 @@ fn a_signal_acts_within_a_long_step() {
     for (signal, code) in [("-TERM", 143), ("-HUP", 129)] {
         let out = dir.path().join(signal);
         let long = ["regularizer.kind=tv", "regularizer.points=full", "regularizer.lattice=200", "train.steps=2"];
-        let mut child = augnerf(&arguments(&out, &long)).stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap();
+        let mut command = augnerf(&arguments(&out, &long));
+        heed_hangups(&mut command);
+        let mut child = command.stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap();
         let started = Instant::now();
         while !std::fs::read_dir(out.join("tensorboard")).is_ok_and(|mut entries| entries.next().is_some()) {
             assert!(child.try_wait().unwrap().is_none() && started.elapsed() < Duration::from_secs(120));
@@ -238,6 +240,19 @@ fn a_signal_acts_within_a_long_step() {
         assert_eq!(output.status.code(), Some(code), "{message}");
         assert!(sent.elapsed() < Duration::from_secs(10), "{:?}", sent.elapsed());
         assert_says(&message, &["stopping with a checkpoint", "at step 0", "augnerf resume"]);
+    }
+}
+
+/// Takes back what `nohup` asks for, under which these tests may run.
+#[cfg(target_os = "linux")]
+fn heed_hangups(command: &mut Command) {
+    use std::os::unix::process::CommandExt;
+    // SAFETY: `signal` may be called between fork and exec, and with these arguments changes this process alone.
+    unsafe {
+        command.pre_exec(|| match libc::signal(libc::SIGHUP, libc::SIG_DFL) {
+            libc::SIG_ERR => Err(std::io::Error::last_os_error()),
+            _ => Ok(()),
+        });
     }
 }
 
