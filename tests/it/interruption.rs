@@ -217,7 +217,7 @@ fn many_collect_one_sweep_at_once() {
 }
 
 /// Runs of a step that takes minutes: the first signal is heard and acts within it.
-#[cfg(target_os = "linux")]
+#[cfg(all(target_os = "linux", target_env = "gnu"))]
 #[test]
 fn a_signal_acts_within_a_long_step() {
     let dir = TempDir::new().unwrap();
@@ -244,7 +244,7 @@ fn a_signal_acts_within_a_long_step() {
 }
 
 /// Takes back what `nohup` asks for, under which these tests may run.
-#[cfg(target_os = "linux")]
+#[cfg(all(target_os = "linux", target_env = "gnu"))]
 fn heed_hangups(command: &mut Command) {
     use std::os::unix::process::CommandExt;
     // SAFETY: `signal` may be called between fork and exec, and with these arguments changes this process alone.
