@@ -28,6 +28,10 @@ mod reference;
 mod regularizers;
 mod runtime;
 mod settings;
+#[cfg(unix)]
+mod slurm;
+#[cfg(unix)]
+mod slurm_jobs;
 mod sweep_cli;
 mod sweep_controls;
 mod sweep_folder;

@@ -19,6 +19,9 @@ pub struct CollectArguments {
     /// Folder for tables and figures [default: results/NAME of runs/NAME, otherwise FOLDER/results]
     #[arg(long, value_name = "DIR")]
     results: Option<PathBuf>,
+    /// The sweep's name in tables [default: the folder's]
+    #[arg(long)]
+    name: Option<String>,
     /// Put rows side by side that differ in an uncontrolled setting, such as the code's revision, and mark them
     #[arg(long)]
     force: bool,
@@ -36,7 +39,8 @@ impl CollectArguments {
         let definition = folder.definition()?;
         let points = begun(&folder, self.data_root.as_deref())?;
         let path = std::path::absolute(&self.folder).map_err(|e| Error::unreadable(&self.folder, &e))?;
-        let name = path.file_name().map_or("sweep".into(), |name| name.to_string_lossy().into_owned());
+        let own = || path.file_name().map_or("sweep".into(), |name| name.to_string_lossy().into_owned());
+        let name = self.name.clone().unwrap_or_else(own);
         check_name("the sweep's name", &name).map_err(Error::Config)?;
         let runs = path.parent().filter(|parent| parent.file_name().is_some_and(|name| name == RUNS));
         let results = self.results.clone().unwrap_or_else(|| match runs {

@@ -11,6 +11,7 @@ use augnerf::report::tables::Table;
 use augnerf::run::{RunDir, Scalars};
 use augnerf::settings::{Config, DataConfig, Method, Preset, build, parse_assignment};
 use augnerf::space::{read_mesh, sample};
+use augnerf::sweep::slurm::Slurm;
 use augnerf::sweep::{Definition, Failure, Point, PointResult, SweepFolder, expand};
 use augnerf::train::checkpoint;
 use candle_core::{DType, Device};
@@ -284,8 +285,18 @@ fn sweep_folders(dir: &Path) -> Vec<Reader> {
             records(&folder, &definition)
         }));
     }
+    let folder = begin("jobs");
+    let slurm = Slurm::of(&folder);
+    fs::create_dir_all(slurm.path()).unwrap();
+    let path = slurm.path().join("jobs.json");
+    readers.push(reader("sweep, slurm/jobs.json", Format::Text, vec![JOBS.into()], move |bytes| {
+        write(&path, bytes);
+        slurm.jobs().map(drop)
+    }));
     readers
 }
+
+const JOBS: &str = r#"{"jobs": [{"points": "12", "tables": "13;gpu"}, {"points": "14", "tables": null}]}"#;
 
 const CLAIM: &str =
     r#"{"host": "a", "pid": 7, "nonce": 3, "step": 4, "steps": 40, "seconds": 1.5, "first": 0, "deaths": 1}"#;
