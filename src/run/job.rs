@@ -202,8 +202,9 @@ impl Experiment<'_> {
         let evaluating = Instant::now();
         let (report, picture) = self.evaluate(session.trainer(), events, signal)?;
         if let Some(picture) = picture {
-            session.picture("view", &picture)?;
+            session.picture("eval/view", &picture)?;
         }
+        session.evaluated(&report.mean)?;
         let seconds = evaluating.elapsed().as_secs_f64() + watcher.seconds_evaluation;
         self.timing(session.trainer().step_count(), session.seconds(), seconds).write(&self.run.timing())?;
         Ok(Finished { report, model: session.trainer().model().clone(), seconds: session.seconds() })

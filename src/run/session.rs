@@ -7,6 +7,9 @@ use crate::base::{Error, Event, Image, Listener, Result};
 use crate::run::{EventWriter, RunDir, Scalars};
 
 use crate::methods::LogColumns;
+use crate::metrics::MeanMetrics;
+use crate::settings::registry::{Effect, REGISTRY};
+use crate::settings::{Config, value_at};
 use crate::train::{StepStats, Trainer};
 
 /// What is done between steps.
@@ -58,6 +61,32 @@ fn columns(trainer: &Trainer) -> Vec<String> {
     [named(&["learning_rate", "loss"]), photometric, named(&["psnr"]), named(evaluation), named(seen), further].concat()
 }
 
+/// What TensorBoard calls a column: by whether it was measured on the rays that are trained on or on views, so that no two
+/// numbers share a name. `scalars.csv` keeps the columns' own.
+fn tag(column: &str) -> String {
+    match column {
+        "test_psnr" => "eval/psnr".into(),
+        "test_psnr_float" => "eval/psnr_float".into(),
+        // Of training views, but evaluated.
+        seen if SEEN_COLUMNS.contains(&seen) => format!("eval/{seen}"),
+        trained => format!("train/{}", trained.replace('.', "/")),
+    }
+}
+
+/// What a run is told apart by: its method, scene and seed, and all settings that can change a number and are not at their
+/// defaults.
+fn settings(config: &Config) -> Vec<(String, toml::Value)> {
+    let (own, default) = (config.portable().to_table(), Config::default().portable().to_table());
+    let always = ["method", "data.name", "seed", "train.steps"];
+    let of_numbers = REGISTRY.settings.iter().filter(|setting| setting.rule.effect == Effect::Numbers);
+    let named = always.into_iter().chain(
+        of_numbers
+            .map(|setting| setting.path.as_str())
+            .filter(|path| !always.contains(path) && value_at(&own, path) != value_at(&default, path)),
+    );
+    named.filter_map(|path| Some((path.to_string(), value_at(&own, path)?.clone()))).collect()
+}
+
 /// One row of the logs.
 fn values(stats: &StepStats) -> Vec<(String, f64)> {
     let mut values = vec![("learning_rate".to_string(), stats.learning_rate), ("loss".into(), stats.loss)];
@@ -79,7 +108,10 @@ impl<'a> Session<'a> {
         let columns: Vec<&str> = columns.iter().map(String::as_str).collect();
         let step = trainer.step_count();
         let scalars = Scalars::resume(&run.scalars(), &columns, step)?;
-        let events = EventWriter::create(&run.tensorboard(), resumed.then_some(step))?;
+        let mut events = EventWriter::create(&run.tensorboard(), resumed.then_some(step))?;
+        let config: &Config = trainer.config();
+        let group = Config { seed: 0, ..config.clone() }.hash();
+        events.settings(&group, &settings(config))?;
         Ok(Session { run, trainer, scalars, events, stepping: Duration::ZERO })
     }
 
@@ -96,6 +128,15 @@ impl<'a> Session<'a> {
     /// Adds a picture to the TensorBoard events, at the step reached.
     pub fn picture(&mut self, tag: &str, picture: &Image) -> Result<()> {
         self.events.image(self.trainer.step_count(), tag, picture)
+    }
+
+    /// Adds what the evaluation of the finished training came to to the TensorBoard events.
+    pub fn evaluated(&mut self, mean: &MeanMetrics) -> Result<()> {
+        let known: Vec<(String, f64)> =
+            mean.iter().filter_map(|(metric, value)| Some((format!("eval/{}", metric.key), value?))).collect();
+        let tagged: Vec<(&str, f64)> = known.iter().map(|(tag, value)| (tag.as_str(), *value)).collect();
+        self.events.scalars(self.trainer.step_count(), &tagged)?;
+        self.events.finished()
     }
 
     /// Trains to the last step, or until `signal` holds a signal's number, which ends a long step before its end. Checkpoints are written
@@ -152,8 +193,7 @@ impl<'a> Session<'a> {
         }
         let named: Vec<(&str, f64)> = values.iter().map(|(name, value)| (name.as_str(), *value)).collect();
         self.scalars.append(stats.step, &named)?;
-        // TensorBoard groups by what stands before a slash: gain.t -> gain/t.
-        let tags: Vec<String> = values.iter().map(|(name, _)| name.replace('.', "/")).collect();
+        let tags: Vec<String> = values.iter().map(|(name, _)| tag(name)).collect();
         let tagged: Vec<(&str, f64)> = tags.iter().map(String::as_str).zip(values.iter().map(|v| v.1)).collect();
         self.events.scalars(stats.step, &tagged)
     }
@@ -181,5 +221,26 @@ pub fn interrupted(signal: i32, step: u64, run: &std::path::Path) -> Error {
             "stopped by signal {signal} at step {step}; nothing is lost: augnerf resume {} goes on from there",
             run.display()
         ),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn no_two_columns_share_a_tag() {
+        assert_eq!(tag("psnr"), "train/psnr");
+        assert_eq!(tag("test_psnr"), "eval/psnr");
+        assert_eq!((tag("train_psnr"), tag("gap")), ("eval/train_psnr".into(), "eval/gap".into()));
+        assert_eq!((tag("gain.t"), tag("loss_coarse")), ("train/gain/t".into(), "train/loss_coarse".into()));
+    }
+
+    #[test]
+    fn settings_are_those_that_tell_runs_apart() {
+        let mut config = Config::default();
+        config.train.rays += 1;
+        let names: Vec<String> = settings(&config).into_iter().map(|(name, _)| name).collect();
+        assert_eq!(names, ["method", "data.name", "seed", "train.steps", "train.rays"]);
     }
 }

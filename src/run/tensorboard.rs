@@ -71,6 +71,43 @@ impl EventWriter {
         self.write(step, &bytes_field(event::SUMMARY, &bytes_field(summary::VALUE, &message)))
     }
 
+    /// Says what was set, for the table of the HParams tab: numbers, booleans and, of anything else, its text. Runs of one
+    /// `group` are its seeds.
+    pub fn settings(&mut self, group: &str, settings: &[(String, toml::Value)]) -> Result<()> {
+        let mut start = Vec::new();
+        for (name, setting) in settings {
+            let entry = [bytes_field(map::KEY, name.as_bytes()), bytes_field(map::VALUE, &any_value(setting))].concat();
+            start.extend(bytes_field(session_start::HPARAMS, &entry));
+        }
+        start.extend(bytes_field(session_start::GROUP_NAME, group.as_bytes()));
+        start.extend(fixed64_field(session_start::TIME, unix_seconds()));
+        self.hparams("_hparams_/session_start_info", &bytes_field(hparams::SESSION_START, &start))
+    }
+
+    /// Says for the same table that the run is done.
+    pub fn finished(&mut self) -> Result<()> {
+        let end =
+            [varint_field(session_end::STATUS, session_end::SUCCESS), fixed64_field(session_end::TIME, unix_seconds())];
+        self.hparams("_hparams_/session_end_info", &bytes_field(hparams::SESSION_END, &end.concat()))
+    }
+
+    /// Data of the plugin `hparams`, beside a tensor of one 0, which the reader asks for.
+    fn hparams(&mut self, tag: &str, data: &[u8]) -> Result<()> {
+        let plugin = [bytes_field(plugin::NAME, b"hparams"), bytes_field(plugin::CONTENT, data)].concat();
+        let shape = bytes_field(tensor::DIM, &varint_field(tensor::SIZE, 1));
+        let zero = [
+            varint_field(tensor::DTYPE, tensor::FLOAT),
+            bytes_field(tensor::SHAPE, &shape),
+            bytes_field(tensor::FLOATS, &0f32.to_le_bytes()),
+        ];
+        let message = [
+            bytes_field(value::TAG, tag.as_bytes()),
+            bytes_field(value::TENSOR, &zero.concat()),
+            bytes_field(value::METADATA, &bytes_field(metadata::PLUGIN, &plugin)),
+        ];
+        self.write(0, &bytes_field(event::SUMMARY, &bytes_field(summary::VALUE, &message.concat())))
+    }
+
     /// The event file.
     pub fn path(&self) -> &Path {
         &self.path
@@ -139,6 +176,72 @@ mod value {
     pub const TAG: u64 = 1;
     pub const SIMPLE_VALUE: u64 = 2;
     pub const IMAGE: u64 = 4;
+    pub const TENSOR: u64 = 8;
+    pub const METADATA: u64 = 9;
+}
+
+/// Field number of `SummaryMetadata`.
+mod metadata {
+    pub const PLUGIN: u64 = 1;
+}
+
+/// Field numbers of `SummaryMetadata.PluginData`.
+mod plugin {
+    pub const NAME: u64 = 1;
+    pub const CONTENT: u64 = 2;
+}
+
+/// Field numbers of `TensorProto` with its shape, and the number of the type.
+mod tensor {
+    pub const DTYPE: u64 = 1;
+    pub const SHAPE: u64 = 2;
+    pub const FLOATS: u64 = 5;
+    pub const DIM: u64 = 2;
+    pub const SIZE: u64 = 1;
+    pub const FLOAT: u64 = 1;
+}
+
+/// Field numbers of `HParamsPluginData`.
+mod hparams {
+    pub const SESSION_START: u64 = 3;
+    pub const SESSION_END: u64 = 4;
+}
+
+/// Field numbers of `SessionStartInfo`.
+mod session_start {
+    pub const HPARAMS: u64 = 1;
+    pub const GROUP_NAME: u64 = 4;
+    pub const TIME: u64 = 5;
+}
+
+/// Field numbers of `SessionEndInfo`, and the status of a run that is done.
+mod session_end {
+    pub const STATUS: u64 = 1;
+    pub const TIME: u64 = 2;
+    pub const SUCCESS: u64 = 1;
+}
+
+/// Field numbers of an entry of a map.
+mod map {
+    pub const KEY: u64 = 1;
+    pub const VALUE: u64 = 2;
+}
+
+/// Field numbers of `google.protobuf.Value`.
+mod any {
+    pub const NUMBER: u64 = 2;
+    pub const TEXT: u64 = 3;
+    pub const FLAG: u64 = 4;
+}
+
+fn any_value(setting: &toml::Value) -> Vec<u8> {
+    match setting {
+        toml::Value::Integer(number) => fixed64_field(any::NUMBER, *number as f64),
+        toml::Value::Float(number) => fixed64_field(any::NUMBER, *number),
+        toml::Value::Boolean(flag) => varint_field(any::FLAG, u64::from(*flag)),
+        toml::Value::String(text) => bytes_field(any::TEXT, text.as_bytes()),
+        other => bytes_field(any::TEXT, other.to_string().as_bytes()),
+    }
 }
 
 /// Field numbers of `Summary.Image`.
@@ -270,6 +373,36 @@ mod tests {
         assert_eq!(read, [(b"loss/clean".to_vec(), 0.125), (b"psnr".to_vec(), 21.5)]);
         let png = field(&field(&field(&field(&records[2], 5), 1), 4), 4);
         assert_eq!(::image::load_from_memory(&png).unwrap().width(), 2);
+    }
+
+    #[test]
+    fn settings_read_back() {
+        let dir = tempfile::tempdir().unwrap();
+        let mut writer = EventWriter::create(dir.path(), None).unwrap();
+        let settings = [("method".to_string(), "aug-nerf".into()), ("train.steps".to_string(), 250.into())];
+        writer.settings("a1b2", &settings).unwrap();
+        writer.finished().unwrap();
+        let records = read_records(&fs::read(writer.path()).unwrap());
+        let of = |record: &[u8]| {
+            let value = field(&field(record, 5), 1);
+            let plugin = field(&field(&value, 9), 1);
+            assert_eq!(field(&plugin, 1), b"hparams");
+            (String::from_utf8(field(&value, 1)).unwrap(), field(&plugin, 2))
+        };
+        let (tag, data) = of(&records[1]);
+        assert_eq!(tag, "_hparams_/session_start_info");
+        let start = field(&data, 3);
+        assert_eq!(field(&start, 4), b"a1b2");
+        let entries: Vec<Vec<u8>> =
+            read_fields(&start).into_iter().filter(|(number, _)| *number == 1).map(|(_, entry)| entry).collect();
+        assert_eq!(
+            (field(&entries[0], 1), field(&field(&entries[0], 2), 3)),
+            (b"method".to_vec(), b"aug-nerf".to_vec())
+        );
+        let steps = f64::from_le_bytes(field(&field(&entries[1], 2), 2).try_into().unwrap());
+        assert_eq!((field(&entries[1], 1), steps), (b"train.steps".to_vec(), 250.0));
+        let (tag, data) = of(&records[2]);
+        assert_eq!((tag.as_str(), number(&field(&field(&data, 4), 1))), ("_hparams_/session_end_info", 1));
     }
 
     #[test]
