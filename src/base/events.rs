@@ -48,6 +48,8 @@ pub enum Event<'a> {
         points: usize,
         /// Steps that it trains.
         steps: u64,
+        /// Seconds until the whole sweep is done, by what its points took so far; none before the first one is done.
+        seconds_left: Option<f64>,
     },
     /// A point of a sweep is measured.
     PointFinished {

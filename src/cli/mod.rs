@@ -21,6 +21,7 @@ mod mesh;
 mod profile;
 mod progress;
 mod render;
+mod score;
 mod settings;
 mod signals;
 mod sweep;
@@ -73,6 +74,7 @@ const COMPARE_EXAMPLES: &str = "Examples:
   augnerf compare runs/fern-nerf-* runs/fern-aug-nerf-*    the first view, the box where they differ most
   augnerf compare A B --view 2 --zoom 120,80,100,75 --gif  a view and box of your own, and a fade from A to B
   augnerf compare A B C --label NeRF --label TV --label Aug-NeRF --box-width 64 --out figures/fern
+  augnerf compare runs/tab4_fern --rows NeRF,Aug-NeRF --seed 0    rows of a sweep by their names
 
 It leaves compare.png, compare.json with its numbers and each run's protocol, and fade.gif.";
 
@@ -118,6 +120,9 @@ enum Command {
     Verify(verify::VerifyArguments),
     /// Measure a trained run on its held-out views again
     Eval(eval::EvalArguments),
+    /// Measure pictures that any program rendered, under the same protocol, alone or as a row of a sweep's table
+    #[command(after_help = score::EXAMPLES)]
+    Score(score::ScoreArguments),
     /// Measure how smooth runs are: l1, total variation and Laplacian of density on a full lattice, as CSV
     #[command(after_help = MEASURE_EXAMPLES)]
     Measure(measure::MeasureArguments),
@@ -227,6 +232,7 @@ pub fn main() -> ExitCode {
         Command::Sweep(command) => command.run(),
         Command::Verify(arguments) => arguments.run(),
         Command::Eval(arguments) => arguments.run(),
+        Command::Score(arguments) => arguments.run(),
         Command::Measure(arguments) => arguments.run(),
         Command::Balance(arguments) => arguments.run(),
         Command::Bench(arguments) => arguments.run(),

@@ -34,14 +34,15 @@ pub struct ProfileArguments {
 
 impl ProfileArguments {
     pub fn run(self) -> Result<()> {
-        check_overlay(self.runs.count())?;
+        let runs = self.runs.named()?;
+        check_overlay(runs.len())?;
         self.out.as_deref().map_or(Ok(()), AtomicDir::check_vacant)?;
         let pixel = self.pixel.as_deref().map(parse_pixel).transpose()?;
         let runtime = self.compute.runtime()?;
-        runtime.install(|| self.profile(pixel, &runtime))
+        runtime.install(|| self.profile(&runs, pixel, &runtime))
     }
 
-    fn profile(&self, named: Option<(usize, usize)>, runtime: &Runtime) -> Result<()> {
+    fn profile(&self, runs: &[(PathBuf, String)], named: Option<(usize, usize)>, runtime: &Runtime) -> Result<()> {
         let console = Console::new(self.compute.quiet);
         let place = |run: &RunView| -> Result<((usize, usize), Window)> {
             let size = (run.view.camera.width, run.view.camera.height);
@@ -52,7 +53,7 @@ impl ProfileArguments {
             let (pixel, patch) = place(run)?;
             Profile::measure(viewer, run, pixel, patch)
         };
-        let (runs, folders) = self.runs.gather(runtime, &console, measure)?;
+        let (runs, folders) = self.runs.gather(runs, runtime, &console, measure)?;
         let (pixel, patch) = place(&runs[0].0)?;
         let (folder, pictures) = pictures_folder(self.out.as_deref(), folders[0].renders().join("profile"))?;
         Profiles { runs, pixel, patch }.write(pictures.path())?;

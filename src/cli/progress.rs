@@ -124,8 +124,9 @@ impl Listener for Console {
     fn on(&self, event: Event<'_>) {
         match event {
             Event::Note(line) => self.say(line),
-            Event::PointStarted { label, ended, points, steps } => {
-                self.say(&format!("[{}/{points}] {label} ({steps} steps)", ended + 1));
+            Event::PointStarted { label, ended, points, steps, seconds_left } => {
+                let left = seconds_left.map_or(String::new(), |left| format!("; about {} left in all", duration(left)));
+                self.say(&format!("[{}/{points}] {label} ({steps} steps){left}", ended + 1));
             }
             Event::PointFinished { label, psnr } => {
                 let psnr = psnr.map_or(String::new(), |psnr| format!(", PSNR {psnr:.2} dB"));

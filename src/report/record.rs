@@ -123,12 +123,19 @@ pub struct TableSpec {
     pub equivalence: Vec<(String, f64)>,
     /// All rows are varied along axes, but for single ones to compare with: figures are drawn against the axes.
     pub varied: bool,
+    /// What stands below the table besides: what was chosen of a sweep, and of which sweeps.
+    pub notes: Vec<String>,
 }
 
 impl TableSpec {
     /// The margin of equivalence of a metric; none where the definition states none.
     pub fn margin(&self, metric: &str) -> Option<f64> {
         self.equivalence.iter().find(|(known, _)| known == metric).map(|(_, margin)| *margin)
+    }
+
+    /// A row that was not trained here: pictures of another program.
+    pub fn is_scored(&self, row: &str) -> bool {
+        self.rows.iter().any(|known| known.scored && known.name == row)
     }
 
     /// The table has a metric whose key begins so.
@@ -148,6 +155,8 @@ pub struct RowSpec {
     pub ours: bool,
     /// Not run here: the paper's numbers alone.
     pub quoted: bool,
+    /// Not trained here: pictures that another program rendered, measured under our protocol.
+    pub scored: bool,
     /// Where the paper's numbers are: table, condition and method of `published.csv`; the scene is the record's.
     pub published: Option<PublishedKey>,
 }

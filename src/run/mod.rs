@@ -21,6 +21,7 @@ mod metrics;
 mod pictures;
 mod protocol;
 mod scalars;
+mod score;
 mod session;
 mod smoothness;
 mod surface;
@@ -43,6 +44,7 @@ pub(crate) use pictures::{Pictures, write_path};
 pub use protocol::Protocol;
 pub(crate) use protocol::split_name;
 pub use scalars::Scalars;
+pub use score::{Matching, Picture, Score, ScoredView, Truth, pictures, score};
 pub use session::{Between, EVALUATION_COLUMNS, Outcome, SEEN_COLUMNS, Session, interrupted};
 pub use smoothness::{SmoothnessReport, check_measurable};
 pub use surface::{

@@ -52,6 +52,16 @@ impl Protocol {
         Protocol(COLUMNS.iter().map(|column| (column.name, value(column.name))).collect())
     }
 
+    /// The columns that say which views of which scene numbers are of, as text: all that is known of pictures that were not
+    /// rendered here.
+    pub fn of_views(config: &Resolved, scene: &Scene) -> Vec<(&'static str, String)> {
+        const OF_VIEWS: [&str; 9] =
+            ["protocol", "dataset", "scene", "width", "height", "background", "split", "views_evaluated", "data_hash"];
+        let found = [of_settings(config), of_scene(config, scene)].concat();
+        let known = |name| found.iter().find(|(known, _)| *known == name).map(|(_, value)| cell(value));
+        OF_VIEWS.into_iter().filter_map(|name| Some((name, known(name)?))).collect()
+    }
+
     /// The columns that a configuration decides alone, as a run that trained to its end has them, as text.
     pub fn of_configuration(config: &Resolved) -> Vec<(&'static str, String)> {
         let table = config.to_table();

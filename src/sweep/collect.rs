@@ -6,15 +6,16 @@ use std::path::{Path, PathBuf};
 use crate::base::files::{clean_temporaries, remove, wait_and_hold, write_atomic};
 use crate::base::{Error, Result};
 
-use super::definition::{Definition, Row};
+use super::definition::Definition;
 use super::material::Material;
 use super::points::Point;
 use super::provenance::{Provenance, sha256};
+use super::scored::with_scored;
 use crate::report::exporters::{Collected, EXPORTERS, File as Export};
 use crate::report::plots::{Curve, Surface};
 use crate::report::statistics::mean;
 use crate::report::tables::Table;
-use crate::report::{Status, TableSpec};
+use crate::report::{RowSpec, Status, TableSpec};
 
 /// What is collected, and how.
 pub struct Collector<'a> {
@@ -50,9 +51,14 @@ impl Results {
         Ok(Results { path: path.to_path_buf(), _held: held })
     }
 
+    /// The folder.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
     /// Deletes tables and figures of an earlier time that were not written again.
-    fn delete_others(&self, written: &[Export]) -> Result<()> {
-        let own = |name: &str| EXPORTERS.iter().any(|exporter| exporter.needs_table() && exporter.owns(name));
+    pub(super) fn delete_others(&self, written: &[Export]) -> Result<()> {
+        let own = |name: &str| EXPORTERS.iter().any(|exporter| exporter.owns(name));
         for entry in std::fs::read_dir(&self.path).map_err(|e| Error::unreadable(&self.path, &e))? {
             let path = entry.map_err(|e| Error::unreadable(&self.path, &e))?.path();
             let Some(name) = path.file_name().map(|name| name.to_string_lossy()) else { continue };
@@ -89,10 +95,33 @@ impl Collector<'_> {
     /// Hands over the files of all exporters, those first that show no rows side by side: the others are not made where
     /// rows may not be put so. Returns the table.
     pub fn files(&self, take: Taking) -> Result<Table> {
-        let spec = self.definition.table(self.name, self.points);
+        let Collector { material, definition, points, name, force, with_timing } = *self;
+        let spec = &with_scored(definition.table(name, points), definition, &material.scored);
+        Sheet { spec, material, points, force, with_timing }.files(take)
+    }
+}
+
+/// Rows side by side: all of a sweep's, or chosen ones of several.
+pub(super) struct Sheet<'a> {
+    /// The rows and what is shown of them.
+    pub spec: &'a TableSpec,
+    /// What the points left.
+    pub material: &'a Material,
+    /// The points.
+    pub points: &'a [Point],
+    /// See [`Collector`].
+    pub force: bool,
+    /// See [`Collector`].
+    pub with_timing: bool,
+}
+
+impl Sheet<'_> {
+    /// See [`Collector::files`].
+    pub fn files(&self, take: Taking) -> Result<Table> {
+        let records = self.material.all_records();
         let mut collected = Collected {
-            spec: &spec,
-            records: &self.material.records,
+            spec: self.spec,
+            records: &records,
             timing: &self.material.timing,
             with_timing: self.with_timing,
             table: None,
@@ -100,9 +129,9 @@ impl Collector<'_> {
             surfaces: &[],
         };
         export(&collected, take)?;
-        let table = Table::new(&spec, &self.material.records, self.force)?;
+        let table = Table::new(self.spec, &records, self.force)?;
         let curves: Vec<_> =
-            table.scenes().into_iter().map(|(scene, _)| (scene.to_string(), self.curves(&spec, scene))).collect();
+            table.scenes().into_iter().map(|(scene, _)| (scene.to_string(), self.curves(scene))).collect();
         let surfaces: Vec<_> =
             table.scenes().iter().map(|(scene, _)| (scene.to_string(), self.surfaces(scene))).collect();
         (collected.table, collected.curves, collected.surfaces) = (Some(&table), &curves, &surfaces);
@@ -111,9 +140,9 @@ impl Collector<'_> {
     }
 
     /// PSNR of the points without axis values, row by row: of the rays that were trained on and of held-out views.
-    fn curves(&self, spec: &TableSpec, scene: &str) -> Vec<Curve> {
+    fn curves(&self, scene: &str) -> Vec<Curve> {
         let mut curves = Vec::new();
-        for row in &spec.rows {
+        for row in &self.spec.rows {
             let own = |point: &&Point| {
                 point.scene == scene && point.places.iter().any(|place| place.row == row.name && place.axes.is_empty())
             };
@@ -139,14 +168,14 @@ impl Collector<'_> {
 
     /// The surface of each row's first point that has one.
     fn surfaces(&self, scene: &str) -> Vec<Surface> {
-        let of_row = |row: &Row| {
+        let of_row = |row: &RowSpec| {
             let own = |point: &&Point| {
                 point.scene == scene && point.places.iter().any(|place| place.row == row.name && place.axes.is_empty())
             };
             let picture = self.points.iter().filter(own).find_map(|point| self.material.surfaces.get(&point.id))?;
             Some((row.name.clone(), picture.clone()))
         };
-        self.definition.row.iter().filter_map(of_row).collect()
+        self.spec.rows.iter().filter_map(of_row).collect()
     }
 
     /// Seconds of a point's training steps, where clocks are asked for.

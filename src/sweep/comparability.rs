@@ -23,13 +23,14 @@ impl Definition {
             must_match: must_match(&self.metrics, points),
             equivalence: self.equivalence.clone().into_iter().collect(),
             varied: !self.axis.is_empty(),
+            notes: Vec::new(),
         }
     }
 }
 
 /// Columns of the protocol that must be equal in all rows of a scene: all of the evaluation, but for those that the points
 /// differ in by definition.
-fn must_match(metrics: &[String], points: &[Point]) -> Vec<String> {
+pub(super) fn must_match(metrics: &[String], points: &[Point]) -> Vec<String> {
     let tables: Vec<Table> = points.iter().map(|point| point.config.to_table()).collect();
     let mut first_of_scene: HashMap<&str, &Table> = HashMap::new();
     for (point, table) in points.iter().zip(&tables) {

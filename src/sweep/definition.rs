@@ -251,7 +251,7 @@ impl Definition {
     }
 
     /// The rows as tables know them, those that are quoted first.
-    pub(super) fn rows(&self) -> Vec<RowSpec> {
+    pub fn rows(&self) -> Vec<RowSpec> {
         let key = |condition: Option<&String>, method: &str| {
             self.published.clone().map(|table| PublishedKey {
                 table,
@@ -270,6 +270,7 @@ impl Definition {
             baseline: self.baseline_of(row),
             ours: row.ours,
             quoted: false,
+            scored: false,
             published: key(row.condition.as_ref(), row.published.as_ref().unwrap_or(&row.name)).filter(|_| !row.ours),
         });
         quoted.chain(rows).collect()

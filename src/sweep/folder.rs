@@ -10,7 +10,6 @@
 //! points/ID/result.json   metrics and protocol: the point is done
 //! points/ID/failed.json   why it is not
 //! points/ID/claim.json    who works on it, and how far it is
-//! slurm/                  what was submitted to a cluster
 //! ```
 
 use std::collections::{HashMap, HashSet};
@@ -103,6 +102,11 @@ impl SweepFolder {
     /// The folder itself.
     pub fn path(&self) -> &Path {
         &self.path
+    }
+
+    /// A sweep was begun here.
+    pub fn is_begun(&self) -> bool {
+        self.path.join(PLAN).is_file() && self.path.join(DEFINITION).is_file()
     }
 
     /// `step_seconds.json`.

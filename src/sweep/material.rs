@@ -7,7 +7,7 @@ use std::path::Path;
 use flate2::{Compression, GzBuilder, read::GzDecoder};
 
 use crate::base::csv::{column_names, csv_text, plain_cell};
-use crate::base::files::{read_json, write_atomic};
+use crate::base::files::{json_bytes, read_json, write_atomic};
 use crate::base::input::{TABLE_BYTES, read_bytes};
 use crate::base::{Error, Image, Result};
 use crate::data::images;
@@ -20,6 +20,7 @@ use super::common_depth::{add_common_depth, wants_depth};
 use super::definition::Definition;
 use super::folder::{STEP_SECONDS, SweepFolder};
 use super::points::Point;
+use super::scored::{SCORED, Scored};
 
 /// The logs of all points, beside the tables.
 pub const SCALARS: &str = "scalars.csv.gz";
@@ -44,6 +45,8 @@ pub struct Material {
     pub surfaces: BTreeMap<String, Image>,
     /// `step_seconds.json`, where budgets in seconds needed it.
     pub step_seconds: Option<Vec<u8>>,
+    /// Pictures of other programs that stand in the table, too.
+    pub scored: Vec<Scored>,
 }
 
 /// A run's `scalars.csv`.
@@ -61,6 +64,7 @@ impl Material {
         let mut material = Material {
             records: folder.records(definition, points)?,
             step_seconds: optional(&folder.step_seconds())?,
+            scored: folder.scored(definition)?,
             ..Material::default()
         };
         for point in points {
@@ -87,11 +91,18 @@ impl Material {
         Ok(material)
     }
 
+    /// The points and, behind them, the pictures of other programs.
+    pub fn all_records(&self) -> Vec<Record> {
+        self.records.iter().cloned().chain(self.scored.iter().map(Scored::record)).collect()
+    }
+
     /// Writes what tables and figures can be made of again into their folder: the definition, the points with their
     /// configurations, the measured step times and the logs.
     pub fn archive(&self, definition: &Definition, points: &[Point], results: &Path) -> Result<()> {
         SweepFolder::new(results).archive(definition, points)?;
-        let kept = [(STEP_SECONDS, self.step_seconds.clone()), (SCALARS, self.packed_scalars())];
+        let scored = (!self.scored.is_empty()).then(|| json_bytes(&self.scored)).transpose();
+        let scored = scored.map_err(|e| Error::unwritable(&results.join(SCORED), &e))?;
+        let kept = [(STEP_SECONDS, self.step_seconds.clone()), (SCALARS, self.packed_scalars()), (SCORED, scored)];
         for (name, bytes) in kept {
             let path = results.join(name);
             match bytes {

@@ -2,15 +2,16 @@
 //! earlier one was stopped or killed.
 
 use std::collections::HashMap;
-use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
-use std::time::{Duration, SystemTime};
+use std::sync::{Mutex, PoisonError};
+use std::time::{Duration, Instant, SystemTime};
 
 use crate::base::{Class, Error, Event, Listener, Result};
 use crate::runtime::Runtime;
 
 use super::claim::{Beat, Claim, Watch};
 use super::folder::SweepFolder;
+use super::pace::{Pace, spent};
 use super::point_folder::{Failure, PointFolder, PointResult};
 use super::points::Point;
 
@@ -44,9 +45,6 @@ pub struct Options {
     pub most_deaths: u32,
     /// Measure finished points again that lack one of these metrics.
     pub remeasure: Vec<String>,
-    /// Leave points to the runners that work on them, instead of waiting for their end. Whether one of another machine lives
-    /// takes a look or two.
-    pub leave_to_others: bool,
 }
 
 /// Runs the points of a sweep, beside other runners on the same folder.
@@ -89,6 +87,7 @@ impl Runner<'_> {
         let again = self.to_do_again(&runnable)?;
         let failed = AtomicBool::new(false);
         let said = Mutex::new(Vec::new());
+        let pace = Mutex::new(Pace::of(self.folder, &runnable));
         let worker = || -> Result<()> {
             let runtime = self.runtime.share(self.options.jobs)?;
             loop {
@@ -102,7 +101,7 @@ impl Runner<'_> {
                         std::thread::sleep(LOOK_EVERY);
                     }
                     Next::Run(point, folder, claim) => {
-                        if runtime.install(|| self.run_point(point, &folder, &runtime, claim))?.is_err() {
+                        if runtime.install(|| self.run_point(point, &folder, &runtime, claim, &pace))?.is_err() {
                             failed.store(true, Ordering::SeqCst);
                         }
                     }
@@ -158,9 +157,6 @@ impl Runner<'_> {
                 continue;
             }
             let Some(claim) = Claim::take(folder.path(), watch)? else {
-                if self.options.leave_to_others && watch.sees_life(folder.path()) {
-                    continue;
-                }
                 others.push(Claim::look(folder.path()).map_or("a runner that just began".into(), |claim| claim.who()));
                 continue;
             };
@@ -196,10 +192,11 @@ impl Runner<'_> {
         folder: &PointFolder,
         runtime: &Runtime,
         claim: Claim,
+        pace: &Mutex<Pace>,
     ) -> Result<std::result::Result<(), ()>> {
-        let ended = self.points.iter().filter(|point| self.folder.point(&point.id).ended()).count();
-        let (label, points) = (point.label(), self.points.len());
-        self.events.on(Event::PointStarted { label: &label, ended, points, steps: point.config.train.steps });
+        let begun = Instant::now();
+        let label = point.label();
+        self.say_what_begins(point, &label, pace);
         let outcome = if claim.deaths >= self.options.most_deaths {
             Err(Failure {
                 reason: format!(
@@ -228,6 +225,8 @@ impl Runner<'_> {
         match &outcome {
             Ok(result) => {
                 folder.finish(result)?;
+                let seconds = spent(folder).unwrap_or_else(|| begun.elapsed().as_secs_f64());
+                pace.lock().unwrap_or_else(PoisonError::into_inner).add(point, seconds);
                 self.events.on(Event::PointFinished { label: &label, psnr: result.metric("psnr") });
             }
             Err(failure) => {
@@ -236,6 +235,16 @@ impl Runner<'_> {
             }
         }
         Ok(outcome.map(|_| ()).map_err(|_| ()))
+    }
+
+    fn say_what_begins(&self, point: &Point, label: &str, pace: &Mutex<Pace>) {
+        let open = |point: &&Point| !self.folder.point(&point.id).ended();
+        let ended = self.points.len() - self.points.iter().filter(open).count();
+        let left = self.points.iter().filter(|point| point.no_data.is_none()).filter(open);
+        let pace = *pace.lock().unwrap_or_else(PoisonError::into_inner);
+        let seconds_left = pace.seconds_of(left).map(|seconds| seconds / self.options.jobs as f64);
+        let (points, steps) = (self.points.len(), point.config.train.steps);
+        self.events.on(Event::PointStarted { label, ended, points, steps, seconds_left });
     }
 
     /// A panic is a defect of this program; it fails its point and no other.

@@ -27,17 +27,15 @@ mod pictures;
 mod reference;
 mod regularizers;
 mod runtime;
+mod score;
 mod settings;
-#[cfg(unix)]
-mod slurm;
-#[cfg(unix)]
-mod slurm_jobs;
 mod sweep_cli;
 mod sweep_controls;
 mod sweep_folder;
 mod sweep_plots;
 mod sweep_run;
 mod sweep_tables;
+mod sweep_views;
 mod training;
 mod verify;
 mod views;

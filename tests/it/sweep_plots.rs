@@ -37,6 +37,7 @@ fn spec(rows: &[&str]) -> TableSpec {
         must_match: vec![],
         equivalence: vec![],
         varied: false,
+        notes: vec![],
     }
 }
 

@@ -17,6 +17,7 @@ fn row(name: &str, baseline: Option<&str>, method: &str) -> RowSpec {
         baseline: baseline.map(str::to_string),
         ours: method.is_empty(),
         quoted: false,
+        scored: false,
         published: (!method.is_empty()).then_some(key),
     }
 }
@@ -35,6 +36,7 @@ fn spec() -> TableSpec {
         must_match: vec!["width".into(), "code_revision".into()],
         equivalence: vec![],
         varied: false,
+        notes: vec![],
     }
 }
 

@@ -1,27 +1,45 @@
 //! `augnerf sweep collect`.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use clap::Args;
 
 use crate::base::{Error, Result};
 use crate::cli::progress::print;
 use crate::draw::SVG_ALONE;
-use crate::report::tables::table_terminal;
-use crate::sweep::{SweepFolder, check_name};
+use crate::report::tables::{Table, table_terminal};
+use crate::sweep::{Choice, Definition, Material, Point, Source, SweepFolder, View};
 
-use super::{How, RESULTS, RUNS, begun, collect, terminal_width};
+use super::{How, RESULTS, RUNS, begun, collect, name_of, terminal_width};
+
+pub const EXAMPLES: &str = "Examples:
+  augnerf sweep collect runs/tab4_fern                     its tables and figures once more, into results/tab4_fern
+  augnerf sweep collect runs/tab4_fern --rows NeRF,Aug-NeRF --metrics psnr,ssim --out figures/two
+  augnerf sweep collect runs/tab4_fern --baseline 'NeRF + second clean pass' --out figures/second
+  augnerf sweep collect runs/a --merge runs/b --out figures/both
+
+Chosen rows, metrics, another baseline or several sweeps need a folder of their own; intervals, p values and Holm's
+correction are those of the rows that are shown.";
 
 #[derive(Args)]
 pub struct CollectArguments {
     /// Folder of a sweep: runs/NAME, or what --out named
     folder: PathBuf,
     /// Folder for tables and figures [default: results/NAME of runs/NAME, otherwise FOLDER/results]
-    #[arg(long, value_name = "DIR")]
+    #[arg(long, visible_alias = "out", value_name = "DIR")]
     results: Option<PathBuf>,
-    /// The sweep's name in tables [default: the folder's]
-    #[arg(long)]
-    name: Option<String>,
+    /// The row that all others are compared with; none compares nothing
+    #[arg(long, value_name = "ROW")]
+    baseline: Option<String>,
+    /// Rows, in the order of the table
+    #[arg(long, value_name = "ROW,...")]
+    rows: Vec<String>,
+    /// Metrics, in the order of the columns
+    #[arg(long, value_delimiter = ',', value_name = "METRIC,...")]
+    metrics: Vec<String>,
+    /// Another sweep's folder, whose rows come after; once for each
+    #[arg(long, value_name = "FOLDER")]
+    merge: Vec<PathBuf>,
     /// Put rows side by side that differ in an uncontrolled setting, such as the code's revision, and mark them
     #[arg(long)]
     force: bool,
@@ -33,24 +51,74 @@ pub struct CollectArguments {
     data_root: Option<PathBuf>,
 }
 
+/// A sweep as its folder has it.
+struct Opened {
+    name: String,
+    folder: SweepFolder,
+    definition: Definition,
+    points: Vec<Point>,
+}
+
 impl CollectArguments {
     pub fn run(self) -> Result<()> {
-        let folder = SweepFolder::new(&self.folder);
-        let definition = folder.definition()?;
-        let points = begun(&folder, self.data_root.as_deref())?;
-        let path = std::path::absolute(&self.folder).map_err(|e| Error::unreadable(&self.folder, &e))?;
-        let own = || path.file_name().map_or("sweep".into(), |name| name.to_string_lossy().into_owned());
-        let name = self.name.clone().unwrap_or_else(own);
-        check_name("the sweep's name", &name).map_err(Error::Config)?;
-        let runs = path.parent().filter(|parent| parent.file_name().is_some_and(|name| name == RUNS));
-        let results = self.results.clone().unwrap_or_else(|| match runs {
-            Some(runs) => runs.with_file_name(RESULTS).join(&name),
-            None => path.join(RESULTS),
-        });
-        let how = How { force: self.force, with_timing: self.with_timing };
-        let table = collect((&folder, &definition, &points), &name, &results, how)?;
+        let choice = Choice { baseline: self.baseline.clone(), rows: self.rows.clone(), metrics: self.metrics.clone() };
+        let sweep = self.open(&self.folder)?;
+        let (table, results) = match choice.is_all() && self.merge.is_empty() {
+            true => {
+                let results = self.results(&sweep.name)?;
+                let how = How { force: self.force, with_timing: self.with_timing };
+                (collect((&sweep.folder, &sweep.definition, &sweep.points), &sweep.name, &results, how)?, results)
+            }
+            false => self.view(sweep, choice)?,
+        };
         print(&table_terminal(&table, terminal_width()))?;
         print(&format!("tables: {}", results.display()))?;
         SVG_ALONE.into_iter().try_for_each(print)
+    }
+
+    fn open(&self, path: &Path) -> Result<Opened> {
+        let folder = SweepFolder::new(path);
+        let definition = folder.definition()?;
+        let points = begun(&folder, self.data_root.as_deref())?;
+        Ok(Opened { name: name_of(path)?, folder, definition, points })
+    }
+
+    /// Where the whole sweep's tables are.
+    fn results(&self, name: &str) -> Result<PathBuf> {
+        let path = std::path::absolute(&self.folder).map_err(|e| Error::unreadable(&self.folder, &e))?;
+        let runs = path.parent().filter(|parent| parent.file_name().is_some_and(|name| name == RUNS));
+        Ok(self.results.clone().unwrap_or_else(|| match runs {
+            Some(runs) => runs.with_file_name(RESULTS).join(name),
+            None => path.join(RESULTS),
+        }))
+    }
+
+    fn view(&self, first: Opened, choice: Choice) -> Result<(Table, PathBuf)> {
+        let Some(results) = self.results.clone() else {
+            return Err(Error::Config(
+                "--baseline, --rows, --metrics and --merge make tables of their own beside the sweep's: name a folder for \
+                 them with --out"
+                    .into(),
+            ));
+        };
+        let others = self.merge.iter().map(|path| self.open(path)).collect::<Result<Vec<_>>>()?;
+        let sweeps: Vec<Opened> = std::iter::once(first).chain(others).collect();
+        let source = |opened: &'_ Opened| -> Result<Material> {
+            Material::of_folder(&opened.folder, &opened.definition, &opened.points)
+        };
+        let materials = sweeps.iter().map(source).collect::<Result<Vec<_>>>()?;
+        let sources: Vec<Source> = sweeps
+            .iter()
+            .zip(materials)
+            .map(|(Opened { name, folder, definition, points }, material)| Source {
+                name: name.clone(),
+                folder,
+                definition,
+                points,
+                material,
+            })
+            .collect();
+        let view = View::new(&name_of(&results)?, &sources, choice)?;
+        Ok((view.write(&results, self.force, self.with_timing)?, results))
     }
 }

@@ -2,13 +2,13 @@
 
 use clap::Args;
 
-use crate::base::Result;
+use crate::base::{Error, Result};
 use crate::cli::Compute;
-use crate::cli::progress::{Console, print};
+use crate::cli::progress::{Console, print, print_shown};
 use crate::runtime::Runtime;
-use crate::sweep::{Point, Trainings, plan_costs};
+use crate::sweep::{Change, Point, PublishedCosts, Trainings, expand, plan_costs};
 
-use super::{Changes, Location, duration, planned_points};
+use super::{Changes, Location, duration};
 
 #[derive(Args)]
 pub struct PlanArguments {
@@ -31,7 +31,16 @@ impl PlanArguments {
         let definition = self.changes.definition(&self.location)?;
         let folder = self.location.folder()?;
         let trainings = Trainings::new(runtime.clone(), (Vec::new(), String::new()), false, &console);
-        let points = planned_points(&self.location, &definition, &trainings, &console)?;
+        let data_root = self.location.data_root.as_deref();
+        let points = match folder.points(data_root)? {
+            Some(points) if folder.compare(&definition)? == Change::None => points,
+            _ => {
+                let costs = PublishedCosts::beside(&self.location.results()?, &trainings)?;
+                let points = expand(&definition, data_root, &costs)?;
+                costs.note().iter().for_each(|note| console.say(note));
+                points
+            }
+        };
         print(&format!("{} points", points.len()))?;
         let left: Vec<&Point> =
             points.iter().filter(|point| point.no_data.is_none() && !folder.point(&point.id).ended()).collect();
@@ -48,16 +57,24 @@ impl PlanArguments {
                 mebibytes(group.cost.peak_memory_mib)
             ))
         })?;
-        let missing = points.iter().filter(|point| point.no_data.is_some()).count();
-        if missing > 0 {
-            print(&format!("{missing:4} x no data"))?;
+        let missing: Vec<&Point> = points.iter().filter(|point| point.no_data.is_some()).collect();
+        if let Some(reason) = missing.first().and_then(|point| point.no_data.as_ref()) {
+            print_shown(&format!("{:4} x no data: {reason}", missing.len()))?;
         }
+        let missing = missing.len();
         let ended = points.len() - missing - left.len();
         if ended > 0 {
             print(&format!("{ended:4} x done or failed before"))?;
         }
+        if left.is_empty() && missing > 0 {
+            return Err(Error::PointsWithoutData(format!(
+                "nothing could be measured: the {missing} points that are left have no data here; put the scenes below \
+                 --data-root (AUGNERF_DATA)"
+            )));
+        }
+        let counted = if missing == 0 { String::new() } else { format!(" for the {} points with data", left.len()) };
         print(&format!(
-            "{} in all, one point after the other, and {} of memory; --jobs N needs N times as much. Rendering is counted; \
+            "{} in all{counted}, one point after the other, and {} of memory; --jobs N needs N times as much. Rendering is counted; \
              LPIPS and smoothness are not",
             duration(total),
             mebibytes(memory)

@@ -8,8 +8,7 @@ use clap::Args;
 use crate::base::{Error, Result};
 use crate::cli::progress::print_shown;
 use crate::report::Status;
-use crate::sweep::slurm::{Queue, Slurm};
-use crate::sweep::{Point, SweepFolder};
+use crate::sweep::{Pace, Point, SweepFolder};
 
 use super::{begun, duration};
 
@@ -55,33 +54,37 @@ fn screen_lines(lines: &[String], (rows, columns): (u16, u16)) -> usize {
 
 /// The points' states, and how many have not ended.
 fn states(folder: &SweepFolder, points: &[Point]) -> Result<(Vec<String>, usize)> {
-    let mut lines = Vec::new();
+    let (mut lines, mut running, mut trained) = (Vec::new(), 0, 0.0);
     let mut counts: BTreeMap<&str, usize> = BTreeMap::new();
-    // What cannot be asked does not hide what files say.
-    let (queue, unheard) = match Slurm::of(folder).queue() {
-        Ok(queue) => (queue, None),
-        Err(error) => (Queue::default(), Some(format!("the queue is not shown: {error}"))),
-    };
-    for (index, point) in points.iter().enumerate() {
+    for point in points {
         let state = folder.point(&point.id).state(point)?;
         *counts.entry(state.status.name()).or_default() += 1;
         let what = match (state.status, &state.claim) {
             (Status::Running, Some(claim)) => {
+                running += 1;
+                trained += claim.step as f64 / claim.steps.max(1) as f64;
                 let left = claim.seconds_left.map_or(String::new(), |left| format!(", {} left", duration(left)));
-                format!("step {} of {}{left} ({}, process {})", claim.step, claim.steps, claim.host, claim.pid)
+                let step = match claim.steps {
+                    0 => "it begins".to_string(),
+                    steps => format!("step {} of {steps}", claim.step),
+                };
+                format!("{step}{left} ({}, process {})", claim.host, claim.pid)
             }
             (Status::Done, _) => state.result.metric("psnr").map_or(String::new(), |psnr| format!("PSNR {psnr:.2} dB")),
             _ => state.reason.clone(),
         };
-        let task = queue.task(index).filter(|_| state.status != Status::Done).map(|task| task.to_string());
-        let what =
-            [Some(what).filter(|what| !what.is_empty()), task].into_iter().flatten().collect::<Vec<_>>().join("; ");
         lines.push(format!("{:8} {} {}  {what}", state.status.name(), point.id, point.label()));
     }
     let counts: Vec<String> = counts.iter().map(|(status, count)| format!("{count} {status}")).collect();
-    lines.extend(queue.tables().map(|task| format!("tables: {task}")));
-    lines.extend(unheard);
-    lines.push(format!("{}: {}", folder.path().display(), counts.join(", ")));
-    let left = |point: &&Point| point.no_data.is_none() && !folder.point(&point.id).ended();
-    Ok((lines, points.iter().filter(left).count()))
+    let open = |point: &&Point| point.no_data.is_none() && !folder.point(&point.id).ended();
+    let left: Vec<&Point> = points.iter().filter(open).collect();
+    let all: Vec<&Point> = points.iter().collect();
+    // Points that are being trained count with the share that is left of them.
+    let share = 1.0 - trained / left.len().max(1) as f64;
+    let seconds = Pace::of(folder, &all).seconds_of(left.iter().copied()).filter(|_| running > 0);
+    let eta = seconds.map_or(String::new(), |seconds| {
+        format!("; about {} left with {running} at once", duration(seconds * share / f64::from(running)))
+    });
+    lines.push(format!("{}: {}{eta}", folder.path().display(), counts.join(", ")));
+    Ok((lines, left.len()))
 }

@@ -33,6 +33,11 @@ impl<'a> Collected<'a> {
         self.table.ok_or_else(|| Error::Output("the table is not made yet".into()))
     }
 
+    /// The points that were trained here, or the pictures of other programs.
+    fn records_of(&self, scored: bool) -> Vec<Record> {
+        self.records.iter().filter(|record| self.spec.is_scored(&record.row) == scored).cloned().collect()
+    }
+
     /// The clock times that tables show.
     fn joined_timing(&self) -> &'a [PointTiming] {
         if self.with_timing { self.timing } else { &[] }
@@ -63,8 +68,9 @@ pub trait Exporter: Sync {
 pub static CURVES: &dyn Exporter = &figures::CURVES;
 
 /// All exporters, in the order in which they write.
-pub static EXPORTERS: [&dyn Exporter; 10] = [
+pub static EXPORTERS: [&dyn Exporter; 11] = [
     &text::POINTS_CSV,
+    &text::SCORED_CSV,
     &text::TIMING_CSV,
     &text::TABLE_CSV,
     &text::MARKDOWN,

@@ -9,37 +9,48 @@ use super::{Collected, Exporter, File};
 pub struct TextFile {
     name: &'static str,
     needs_table: bool,
-    text: fn(&Collected) -> Result<String>,
+    /// None where there is nothing to write.
+    text: fn(&Collected) -> Result<Option<String>>,
 }
 
 /// One line a point.
 pub static POINTS_CSV: TextFile = TextFile {
     name: "points.csv",
     needs_table: false,
-    text: |collected| Ok(points_csv(collected.records, collected.joined_timing())),
+    text: |collected| Ok(Some(points_csv(&collected.records_of(false), collected.joined_timing()))),
+};
+
+/// One line a set of pictures that another program rendered.
+pub static SCORED_CSV: TextFile = TextFile {
+    name: "scored.csv",
+    needs_table: false,
+    text: |collected| {
+        let scored = collected.records_of(true);
+        Ok((!scored.is_empty()).then(|| points_csv(&scored, &[])))
+    },
 };
 
 /// Clock times, apart from what repeats.
 pub static TIMING_CSV: TextFile = TextFile {
     name: "timing.csv",
     needs_table: false,
-    text: |collected| Ok(timing_csv(collected.records, collected.timing)),
+    text: |collected| Ok(Some(timing_csv(collected.records, collected.timing))),
 };
 
 /// One line a row, all digits.
 pub static TABLE_CSV: TextFile = TextFile {
     name: "table.csv",
     needs_table: true,
-    text: |collected| Ok(table_csv(collected.table()?, collected.joined_timing())),
+    text: |collected| Ok(Some(table_csv(collected.table()?, collected.joined_timing()))),
 };
 
 /// The table as GitHub prints it.
 pub static MARKDOWN: TextFile =
-    TextFile { name: "table.md", needs_table: true, text: |collected| Ok(table_markdown(collected.table()?)) };
+    TextFile { name: "table.md", needs_table: true, text: |collected| Ok(Some(table_markdown(collected.table()?))) };
 
 /// The table for a paper.
 pub static LATEX: TextFile =
-    TextFile { name: "table.tex", needs_table: true, text: |collected| Ok(table_latex(collected.table()?)) };
+    TextFile { name: "table.tex", needs_table: true, text: |collected| Ok(Some(table_latex(collected.table()?))) };
 
 impl Exporter for TextFile {
     fn needs_table(&self) -> bool {
@@ -51,6 +62,7 @@ impl Exporter for TextFile {
     }
 
     fn export(&self, collected: &Collected) -> Result<Vec<File>> {
-        Ok(vec![(self.name.to_string(), (self.text)(collected)?.into_bytes())])
+        let text = (self.text)(collected)?;
+        Ok(text.into_iter().map(|text| (self.name.to_string(), text.into_bytes())).collect())
     }
 }

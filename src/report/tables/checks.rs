@@ -59,14 +59,17 @@ fn row_names(spec: &TableSpec) -> String {
 /// Refuses measured points of one scene that differ in a field of `must_match`.
 pub(super) fn check_controlled(spec: &TableSpec, groups: &[Group]) -> Result<()> {
     for point in groups.iter().flat_map(Group::done) {
-        let first = first_of_scene(groups, &point.scene).expect("the point itself is measured");
-        if let Some(field) =
-            spec.must_match.iter().find(|field| disagree(field, point.protocol(field), first.protocol(field)))
-        {
+        let Some(first) = first_of_scene(groups, &point.scene) else { continue };
+        let differing = disagreements(spec, point, first);
+        if let Some((field, others)) = differing.split_first() {
             let value_in =
                 |record: &Record| format!("`{}` in {} (seed {})", record.protocol(field), record.label(), record.seed);
+            let others = match others.is_empty() {
+                true => String::new(),
+                false => format!("; they differ in {} as well", others.join(", ")),
+            };
             return Err(Error::NotComparable(format!(
-                "the rows of scene {} are not comparable, {field} is {} and {}: run them under one setting, or \
+                "the rows of scene {} are not comparable, {field} is {} and {}{others}: run them under one setting, or \
                  build the table anyway with --force, which marks the rows that differ",
                 point.scene,
                 value_in(first),
@@ -77,15 +80,25 @@ pub(super) fn check_controlled(spec: &TableSpec, groups: &[Group]) -> Result<()>
     Ok(())
 }
 
-/// The fields of `must_match` in which a point of the group differs from the scene's first.
-pub(super) fn mixed_fields(spec: &TableSpec, group: &Group, groups: &[Group]) -> Vec<String> {
-    let Some(first) = first_of_scene(groups, group.scene) else { return Vec::new() };
-    let differs =
-        |field: &&String| group.done().any(|point| disagree(field, point.protocol(field), first.protocol(field)));
+/// The fields of `must_match` in which a point differs from another one of its scene. What is not known of pictures that
+/// another program rendered is no difference.
+pub fn disagreements(spec: &TableSpec, point: &Record, first: &Record) -> Vec<String> {
+    let scored = spec.is_scored(&point.row);
+    let differs = |field: &&String| {
+        let own = point.protocol(field);
+        !(scored && own.is_empty()) && disagree(field, own, first.protocol(field))
+    };
     spec.must_match.iter().filter(differs).cloned().collect()
 }
 
-/// The first measured point of a scene in the table's order.
+/// The fields of `must_match` in which a point of the group differs from the scene's first.
+pub(super) fn mixed_fields(spec: &TableSpec, group: &Group, groups: &[Group]) -> Vec<String> {
+    let Some(first) = first_of_scene(groups, group.scene) else { return Vec::new() };
+    let differing: Vec<String> = group.done().flat_map(|point| disagreements(spec, point, first)).collect();
+    spec.must_match.iter().filter(|field| differing.contains(field)).cloned().collect()
+}
+
+/// The first point of a scene, in the table's order, that was trained here.
 fn first_of_scene<'a>(groups: &[Group<'a>], scene: &str) -> Option<&'a Record> {
-    groups.iter().filter(|group| group.scene == scene).flat_map(Group::done).next()
+    groups.iter().filter(|group| group.scene == scene && !group.row.scored).flat_map(Group::done).next()
 }

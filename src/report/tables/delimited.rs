@@ -109,7 +109,12 @@ pub fn table_csv(table: &Table, timing: &[PointTiming]) -> String {
 fn line_cells(line: &Line) -> Vec<String> {
     vec![
         line.scene.clone(),
-        if line.quoted { "published" } else { "run" }.into(),
+        match (line.quoted, line.scored) {
+            (true, _) => "published",
+            (_, true) => "scored",
+            _ => "run",
+        }
+        .into(),
         line.row.clone(),
         line.axes.clone(),
         line.baseline.clone().unwrap_or_default(),

@@ -66,12 +66,13 @@ const ACCENTED: &str =
     "ÀÁÂÃÄÅÆÇÈÉÊËÌÍÎÏÑÒÓÔÕÖØÙÚÛÜÝàáâãäåæçèéêëìíîïñòóôõöøùúûüýÿßĆćČčĎďĚěŁłŃńŇňŐőŒœŘřŚśŠšŤťŮůŰűŸŹźŻżŽž";
 
 /// Signs and Greek letters as mathematics has them.
-const SPECIAL: [(char, &str); 58] = [
+const SPECIAL: [(char, &str); 59] = [
     ('±', "$\\pm$"),
     ('†', "$\\dagger$"),
     ('‡', "$\\ddagger$"),
     ('§', "\\S{}"),
     ('¶', "\\P{}"),
+    ('‖', "$\\|$"),
     ('·', "$\\cdot$"),
     ('×', "$\\times$"),
     ('−', "$-$"),

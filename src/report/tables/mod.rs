@@ -13,6 +13,7 @@ mod read;
 mod terminal;
 mod text;
 
+pub use checks::disagreements;
 pub use comparison::{Comparison, Equivalence, Verdict};
 pub use delimited::{PointTiming, points_csv, table_csv, timing_csv};
 pub use latex::table_latex;
@@ -71,6 +72,8 @@ pub struct Table {
     pub metrics: Vec<String>,
     /// By scene, then row, then axes.
     pub lines: Vec<Line>,
+    /// What stands below the table besides.
+    pub notes: Vec<String>,
 }
 
 /// The points that differ in their seed only.
@@ -90,6 +93,8 @@ pub struct Line {
     pub ours: bool,
     /// The paper's numbers alone; not run here.
     pub quoted: bool,
+    /// Pictures of another program, measured here.
+    pub scored: bool,
     /// Folder names of the measured points.
     pub ids: Vec<String>,
     /// Points that the definition asks for.
@@ -150,7 +155,8 @@ impl Table {
             lines.extend(groups.iter().filter(|group| group.scene == scene).map(|group| line(spec, group, &groups)));
         }
         comparison::correct_p_values(&mut lines);
-        Ok(Table { name: spec.name.clone(), title: spec.title.clone(), metrics: spec.metrics.clone(), lines })
+        let TableSpec { name, title, metrics, notes, .. } = spec.clone();
+        Ok(Table { name, title, metrics, lines, notes })
     }
 
     /// Each scene with its lines.
@@ -236,6 +242,7 @@ fn line(spec: &TableSpec, group: &Group, groups: &[Group]) -> Line {
         baseline: baseline.map(|baseline| baseline.points[0].label()),
         ours: group.row.ours,
         quoted: false,
+        scored: group.row.scored,
         ids: group.done().map(|point| point.id.clone()).collect(),
         points: group.points.len(),
         status: status_text(&group.points),
@@ -271,6 +278,7 @@ fn quoted_line(spec: &TableSpec, row: &RowSpec, scene: &str) -> Option<Line> {
         baseline: None,
         ours: false,
         quoted: true,
+        scored: false,
         ids: Vec::new(),
         points: 0,
         status: String::new(),

@@ -1,7 +1,7 @@
 //! What the tables for readers say: numbers, marks and notes, before any escaping.
 
 use super::{Cell, Comparison, Line, Table};
-use crate::metrics::Metric;
+use crate::metrics::{Metric, Needs};
 use crate::report::PUBLISHED_NOTE;
 use crate::report::distinct;
 use crate::report::statistics::p_text;
@@ -13,6 +13,9 @@ const HOW_TO_READ: &str = "difference to the baseline, paired by seed, with its 
 const EQUIVALENCE: &str = "\"equivalent within\" a margin that the definition states: two one-sided paired t tests, with \
      Holm's p below 0.05";
 
+const SCORED: &str = "not trained here: pictures that another program rendered, measured under our protocol; nothing is \
+     known of their training, and another code's seed shares no random numbers with ours";
+
 /// Metrics that each row is measured in over its own pixels.
 const OWN_PIXELS: [&str; 4] = ["depth_mae", "depth_rmse", "depth_roughness", "normal_roughness"];
 
@@ -20,8 +23,9 @@ const OWN_PIXELS: [&str; 4] = ["depth_mae", "depth_rmse", "depth_roughness", "no
 /// what there is to say of that line.
 type Mark = (char, &'static str, fn(&Line) -> Option<String>);
 
-const MARKS: [Mark; 7] = [
+const MARKS: [Mark; 8] = [
     ('#', "not run here: the paper's numbers alone", |line| line.quoted.then(String::new)),
+    ('‖', SCORED, |line| line.scored.then(|| line.ids.join(", "))),
     ('*', "not in the paper", |line| line.ours.then(String::new)),
     ('†', InactiveBy::Loss.meaning(), |line| line.inactive_sites(InactiveBy::Loss)),
     ('†', InactiveBy::Colour.meaning(), |line| line.inactive_sites(InactiveBy::Colour)),
@@ -54,7 +58,8 @@ fn columns(told: &[Told]) -> impl Iterator<Item = &'static str> {
 
 /// The protocol fields that a scene's measured lines share: `dataset llff, width 504, ...`.
 pub(super) fn protocol_text(lines: &[&Line]) -> String {
-    let measured: Vec<&&Line> = lines.iter().filter(|line| !line.ids.is_empty()).collect();
+    // Of what another program rendered most is unknown.
+    let measured: Vec<&&Line> = lines.iter().filter(|line| !line.ids.is_empty() && !line.scored).collect();
     if measured.is_empty() {
         return "nothing is measured yet".into();
     }
@@ -167,13 +172,15 @@ pub(super) fn scene_notes(lines: &[&Line]) -> Vec<String> {
     notes.extend(corruption_notes(lines));
     notes.extend(varied_notes(lines));
     notes.extend(MARKS.iter().filter_map(|mark| mark_note(mark, lines)));
+    notes.extend(unmeasured_notes(lines));
     notes.extend(published_notes(lines));
     notes
 }
 
 /// What stands below the table: how to read its cells.
 pub(super) fn general_notes(table: &Table) -> Vec<String> {
-    let mut notes = vec!["mean ± standard deviation (number of seeds)".to_string()];
+    let mut notes = table.notes.clone();
+    notes.push("mean ± standard deviation (number of seeds)".into());
     if table.lines.iter().any(|line| line.baseline.is_some()) {
         notes.push(HOW_TO_READ.to_string());
     }
@@ -255,6 +262,35 @@ fn mark_note((symbol, meaning, of): &Mark, lines: &[&Line]) -> Option<String> {
     });
     let marked: Vec<String> = marked.collect();
     (!marked.is_empty()).then(|| format!("{symbol} {meaning}: {}", marked.join("; ")))
+}
+
+/// Why a column is empty, of metrics that no line of the scene has.
+fn unmeasured_notes(lines: &[&Line]) -> Vec<String> {
+    let measured: Vec<&&Line> = lines.iter().filter(|line| !line.ids.is_empty()).collect();
+    let Some(first) = measured.first() else { return Vec::new() };
+    let with_weights = measured.iter().any(|line| !line.protocol("lpips_weights").is_empty());
+    let empty = (0..first.cells.len()).filter(|&metric| measured.iter().all(|line| line.cells[metric].n == 0));
+    let note = |metric: usize| {
+        let metric = Metric::find(&first.cells[metric].metric)?;
+        Some(format!("{}: empty, {}", metric.key, why_empty(metric.needs, with_weights)))
+    };
+    empty.filter_map(note).collect()
+}
+
+fn why_empty(needs: Needs, with_weights: bool) -> &'static str {
+    match (needs, with_weights) {
+        (Needs::Lpips(_), false) => {
+            "no LPIPS weights were at hand; `sweep run --remeasure` with --lpips-weights measures it from the checkpoints"
+        }
+        (Needs::Lpips(_), true) => {
+            "the weights at hand were of another backbone, or the views are too small for this one"
+        }
+        (Needs::Depth, _) => "the scene's held-out views have no depth to measure it by",
+        (Needs::ExactDepth, _) => "the scene's held-out views have no exact depth to measure it by",
+        (Needs::DerivativesAtPoints, _) => "the rows' fields have no derivatives at points",
+        (Needs::Mesh, _) => "no surface was compared with a reference mesh",
+        (Needs::Nothing, _) => "the program that measured the points did not measure it; `sweep run --remeasure` does",
+    }
 }
 
 fn published_notes(lines: &[&Line]) -> Vec<String> {

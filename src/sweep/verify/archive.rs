@@ -11,6 +11,7 @@ use crate::sweep::folder::SweepFolder;
 use crate::sweep::material::{Material, optional, read_scalars};
 use crate::sweep::points::Point;
 use crate::sweep::provenance::Provenance;
+use crate::sweep::scored::read_scored;
 
 /// Everything that tables and figures of a sweep are made of, as its results' folder keeps it.
 pub struct Archive {
@@ -65,6 +66,7 @@ impl Archive {
             timing,
             scalars: read_scalars(path)?,
             step_seconds: optional(&folder.step_seconds())?,
+            scored: read_scored(path, &definition)?,
             ..Material::default()
         };
         Ok(Archive { path: path.to_path_buf(), definition, points, material, provenance, with_timing })

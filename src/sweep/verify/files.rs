@@ -10,9 +10,10 @@ use crate::report::exporters::{CURVES, EXPORTERS};
 use crate::sweep::folder::{DEFINITION, PLAN, STEP_SECONDS};
 use crate::sweep::material::{SCALARS, optional};
 use crate::sweep::provenance::{PROVENANCE, sha256};
+use crate::sweep::scored::SCORED;
 
 /// What tables and figures are made of: read, never made.
-const KEPT: [&str; 6] = [DEFINITION, PLAN, STEP_SECONDS, SCALARS, PROVENANCE, "timing.csv"];
+const KEPT: [&str; 7] = [DEFINITION, PLAN, STEP_SECONDS, SCALARS, SCORED, PROVENANCE, "timing.csv"];
 
 /// Files by their names.
 pub type Made = BTreeMap<String, Vec<u8>>;

@@ -6,6 +6,7 @@ use std::sync::atomic::AtomicUsize;
 use crate::base::{Error, Result};
 use crate::runtime::Runtime;
 use crate::sweep::training::Trainings;
+use crate::sweep::view::VIEW;
 
 mod archive;
 mod columns;
@@ -48,6 +49,13 @@ impl Verifier<'_> {
     /// Verifies a sweep's results, or a folder of single runs.
     pub fn folder(&self, path: &Path) -> Result<Findings> {
         let mut findings = Findings::default();
+        if path.join(VIEW).exists() {
+            findings.not_checked(format!(
+                "{}: a view of sweeps; what it shows stands in their own results",
+                path.display()
+            ));
+            return Ok(findings);
+        }
         let cells = match kind(path)? {
             Kind::Sweep => match Archive::read(path, self.data_root) {
                 Ok(archive) => Cells::of_sweep(path, &self.sweep(&archive, &mut findings)?)?,

@@ -7,12 +7,11 @@ use augnerf::base::{Error, Result};
 use augnerf::data::{self, images};
 use augnerf::methods::SiteSummary;
 use augnerf::metrics::{Backbone, Lpips};
-use augnerf::report::tables::Table;
+use augnerf::report::tables::{Table, points_csv};
 use augnerf::run::{RunDir, Scalars};
 use augnerf::settings::{Config, DataConfig, Method, Preset, build, parse_assignment};
 use augnerf::space::{read_mesh, sample};
-use augnerf::sweep::slurm::Slurm;
-use augnerf::sweep::{Definition, Failure, Point, PointResult, SweepFolder, expand};
+use augnerf::sweep::{Definition, Failure, Material, Point, PointResult, SweepFolder, expand};
 use augnerf::train::checkpoint;
 use candle_core::{DType, Device};
 
@@ -285,18 +284,18 @@ fn sweep_folders(dir: &Path) -> Vec<Reader> {
             records(&folder, &definition)
         }));
     }
-    let folder = begin("jobs");
-    let slurm = Slurm::of(&folder);
-    fs::create_dir_all(slurm.path()).unwrap();
-    let path = slurm.path().join("jobs.json");
-    readers.push(reader("sweep, slurm/jobs.json", Format::Text, vec![JOBS.into()], move |bytes| {
+    let (folder, own) = (begin("scored"), definition.clone());
+    let path = folder.path().join("scored/a.json");
+    fs::create_dir_all(path.parent().unwrap()).unwrap();
+    readers.push(reader("sweep, scored", Format::Text, vec![SCORED.into()], move |bytes| {
         write(&path, bytes);
-        slurm.jobs().map(drop)
+        Material::of_folder(&folder, &own, &[]).map(|material| drop(points_csv(&material.all_records(), &[])))
     }));
     readers
 }
 
-const JOBS: &str = r#"{"jobs": [{"points": "12", "tables": "13;gpu"}, {"points": "14", "tables": null}]}"#;
+const SCORED: &str = r#"{"row": "other", "scene": "builtin", "seed": 1, "predictions_sha256": "ab", "truth": "cd",
+    "metrics": [["psnr", 20.5], ["ssim", null]], "protocol": [["width", "16"]]}"#;
 
 const CLAIM: &str =
     r#"{"host": "a", "pid": 7, "nonce": 3, "step": 4, "steps": 40, "seconds": 1.5, "first": 0, "deaths": 1}"#;

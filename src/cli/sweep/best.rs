@@ -1,0 +1,82 @@
+//! `augnerf sweep best`.
+
+use std::path::PathBuf;
+
+use clap::Args;
+
+use crate::base::Result;
+use crate::cli::progress::{print, print_shown};
+use crate::metrics::Metric;
+use crate::sweep::{Best, Material, SweepFolder, best};
+
+use super::{begun, name_of};
+
+#[derive(Args)]
+pub struct BestArguments {
+    /// Folder of a sweep: runs/NAME, or what --out named
+    folder: PathBuf,
+    /// What to judge by, in its mean over the seeds
+    #[arg(long, value_name = "METRIC", default_value = "psnr")]
+    metric: String,
+    /// As one JSON array, an entry a scene
+    #[arg(long)]
+    json: bool,
+    /// Compare rows that differ in an uncontrolled setting, such as the code's revision
+    #[arg(long)]
+    force: bool,
+    /// Folder that the definition's scenes lie in
+    #[arg(long, env = "AUGNERF_DATA", value_name = "DIR")]
+    data_root: Option<PathBuf>,
+}
+
+impl BestArguments {
+    pub fn run(self) -> Result<()> {
+        let folder = SweepFolder::new(&self.folder);
+        let definition = folder.definition()?;
+        let points = begun(&folder, self.data_root.as_deref())?;
+        let spec = definition.table(&name_of(&self.folder)?, &points);
+        let material = Material::of_folder(&folder, &definition, &points)?;
+        let found = best(&folder, &spec, &points, &material, &self.metric, self.force)?;
+        if self.json {
+            return print(&serde_json::to_string_pretty(&found).expect("plain data"));
+        }
+        found.iter().try_for_each(|best| print_shown(&text(best)))
+    }
+}
+
+fn text(best: &Best) -> String {
+    let metric = Metric::find(&best.metric).expect("checked");
+    let next =
+        best.next.as_ref().map_or(String::new(), |(label, mean)| format!(" (next: {label}, {})", metric.text(*mean)));
+    let mut lines = vec![format!(
+        "{}: {}, {} {}, mean of {} seeds{next}",
+        best.scene,
+        best.label,
+        best.metric,
+        metric.with_unit(best.mean),
+        best.seeds.len()
+    )];
+    let settings: Vec<String> = best.settings.iter().map(|(name, value)| format!("{name} = {value}")).collect();
+    if !settings.is_empty() {
+        lines.push(format!("  {}", settings.join(", ")));
+    }
+    let seed = |seed: &crate::sweep::BestSeed| {
+        format!("  seed {}: {}  {}", seed.seed, metric.text(seed.value), seed.run.display())
+    };
+    lines.extend(best.seeds.iter().map(seed));
+    if !best.unfinished.is_empty() {
+        lines.push(format!("  not looked at, for want of points: {}", best.unfinished.join(", ")));
+    }
+    lines.push(match best.on_validation {
+        true => format!(
+            "  chosen among {} rows by views that were kept for choices (split {})",
+            best.candidates, best.split
+        ),
+        false => format!(
+            "  chosen among {} rows by the views that results are told of (split {}), so that its number flatters it: \
+             data.validation or data.eval_split = \"val\" keeps views for choices",
+            best.candidates, best.split
+        ),
+    });
+    lines.join("\n")
+}

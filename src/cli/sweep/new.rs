@@ -1,0 +1,34 @@
+//! `augnerf sweep new`.
+
+use std::path::PathBuf;
+
+use clap::Args;
+
+use crate::base::Result;
+use crate::cli::progress::{print, print_shown};
+use crate::sweep::write_new;
+
+pub const EXAMPLES: &str = "Examples:
+  augnerf sweep new                                        sweep.toml with every key explained; it runs as it is
+  augnerf sweep new fern.toml --from tab4_fern             one of the shipped sweeps, to be changed";
+
+#[derive(Args)]
+pub struct NewArguments {
+    /// The file to write
+    #[arg(default_value = "sweep.toml")]
+    file: PathBuf,
+    /// A shipped sweep instead of the commented one: smoke, tab4_fern, epsilon, ...
+    #[arg(long, value_name = "NAME")]
+    from: Option<String>,
+}
+
+impl NewArguments {
+    pub fn run(self) -> Result<()> {
+        for path in write_new(&self.file, self.from.as_deref())? {
+            print_shown(&path.display().to_string())?;
+        }
+        let file = self.file.display();
+        print("")?;
+        print_shown(&format!("next: augnerf sweep plan {file}\n      augnerf sweep run {file}"))
+    }
+}

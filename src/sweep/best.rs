@@ -1,0 +1,139 @@
+//! Which settings of a finished sweep came out best, by the mean over their seeds.
+
+use std::path::PathBuf;
+
+use serde::Serialize;
+
+use crate::base::{Error, Result};
+use crate::metrics::{Direction, Metric};
+use crate::report::TableSpec;
+use crate::report::tables::{Line, Table};
+use crate::settings::registry::REGISTRY;
+use crate::settings::value_at;
+
+use super::folder::SweepFolder;
+use super::material::Material;
+use super::points::Point;
+
+/// The best line of a scene.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Best {
+    /// The scene's name.
+    pub scene: String,
+    /// Row and values of axes.
+    pub label: String,
+    /// The metric's key.
+    pub metric: String,
+    /// Its mean over the seeds.
+    pub mean: f64,
+    /// One of each seed.
+    pub seeds: Vec<BestSeed>,
+    /// What its settings are, of those in which the scene's points differ.
+    pub settings: Vec<(String, String)>,
+    /// The line after it, with its mean.
+    pub next: Option<(String, f64)>,
+    /// Lines that it was chosen from, itself included.
+    pub candidates: usize,
+    /// Lines that lack a seed's number: they were not looked at.
+    pub unfinished: Vec<String>,
+    /// The views that were measured, as in the protocol: `test`, `every-8-val`.
+    pub split: String,
+    /// These are views kept for choices, and not those that results are told of.
+    pub on_validation: bool,
+}
+
+/// A point of the best line.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct BestSeed {
+    /// Its seed.
+    pub seed: u64,
+    /// The metric's value.
+    pub value: f64,
+    /// Its run folder.
+    pub run: PathBuf,
+}
+
+/// The best line of each scene. A line that lacks a point is not looked at: a mean over fewer seeds is another number.
+///
+/// # Errors
+/// A metric that there is not, or of which neither more nor less is better; nothing measured; rows that may not stand side by
+/// side, unless `force`.
+pub fn best(
+    folder: &SweepFolder,
+    spec: &TableSpec,
+    points: &[Point],
+    material: &Material,
+    metric: &str,
+    force: bool,
+) -> Result<Vec<Best>> {
+    let known = Metric::in_tables().find(|known| known.key == metric && known.direction != Direction::Neither);
+    let Some(known) = known else {
+        let keys: Vec<&str> =
+            Metric::in_tables().filter(|m| m.direction != Direction::Neither).map(|m| m.key).collect();
+        return Err(Error::Config(format!(
+            "--metric {metric}: no metric of this name has a best value; choose from {}",
+            keys.join(", ")
+        )));
+    };
+    let spec = TableSpec { metrics: vec![metric.into()], ..spec.clone() };
+    let table = Table::new(&spec, &material.records, force)?;
+    let of_scene = |(scene, lines): (&str, Vec<&Line>)| {
+        let mut ranked: Vec<(&Line, f64)> = lines.iter().filter_map(|line| Some((*line, complete(line)?))).collect();
+        ranked.sort_by(|a, b| match known.direction {
+            Direction::Up => b.1.total_cmp(&a.1),
+            _ => a.1.total_cmp(&b.1),
+        });
+        let (line, mean) = *ranked.first()?;
+        let missing = |line: &&&Line| !line.quoted && complete(line).is_none();
+        let split = line.protocol("split").to_string();
+        Some(Best {
+            scene: scene.into(),
+            label: line.label.clone(),
+            metric: metric.into(),
+            mean,
+            seeds: seeds(folder, material, line, metric),
+            settings: settings(points, line),
+            next: ranked.get(1).map(|(line, mean)| (line.label.clone(), *mean)),
+            candidates: ranked.len(),
+            unfinished: lines.iter().filter(missing).map(|line| line.label.clone()).collect(),
+            on_validation: split == "val" || split.split('-').any(|part| part == "val"),
+            split,
+        })
+    };
+    let found: Vec<Best> = table.scenes().into_iter().filter_map(of_scene).collect();
+    if found.is_empty() {
+        return Err(Error::Config(format!(
+            "{} has no row whose points are all done and have {metric}: `augnerf sweep status` shows how far they are",
+            folder.path().display()
+        )));
+    }
+    Ok(found)
+}
+
+/// The mean of a line all of whose points have the metric.
+fn complete(line: &Line) -> Option<f64> {
+    let cell = &line.cells[0];
+    cell.mean.filter(|_| line.points > 0 && cell.n == line.points && !line.scored)
+}
+
+fn seeds(folder: &SweepFolder, material: &Material, line: &Line, metric: &str) -> Vec<BestSeed> {
+    let own = material.records.iter().filter(|r| r.scene == line.scene && r.label() == line.label);
+    let seed = |record: &crate::report::Record| {
+        let run = folder.point(&record.id).run();
+        Some(BestSeed { seed: record.seed, value: record.metric(metric)?, run })
+    };
+    own.filter_map(seed).collect()
+}
+
+/// The line's value of each setting in which points of its scene differ, but for the seed.
+fn settings(points: &[Point], line: &Line) -> Vec<(String, String)> {
+    let of_scene: Vec<&Point> = points.iter().filter(|point| point.scene == line.scene).collect();
+    let tables: Vec<toml::Table> = of_scene.iter().map(|point| point.config.to_table()).collect();
+    let Some(own) = of_scene.iter().position(|point| line.ids.contains(&point.id)) else { return Vec::new() };
+    let text = |table: &toml::Table, path: &str| value_at(table, path).map_or("unset".into(), ToString::to_string);
+    let varied = REGISTRY.settings.iter().map(|setting| setting.path.as_str()).filter(|path| {
+        let value = text(&tables[own], path);
+        *path != "seed" && tables.iter().any(|table| text(table, path) != value)
+    });
+    varied.map(|path| (path.to_string(), text(&tables[own], path))).collect()
+}

@@ -1,0 +1,110 @@
+//! `by-name/`: the points of a sweep's folder under the names of their rows, as symbolic links.
+//!
+//! ```text
+//! by-name/Aug-NeRF/seed-0 -> ../../points/ID         of several scenes: by-name/SCENE/ROW/seed-0
+//! ```
+
+use std::collections::BTreeSet;
+use std::path::PathBuf;
+
+use crate::base::Result;
+use crate::report::label;
+
+use super::folder::SweepFolder;
+use super::points::Point;
+
+/// Longest name of a folder in bytes; most file systems take 255.
+const LONGEST: usize = 120;
+
+/// The points' places below `by-name/` and where each link leads.
+pub fn links(points: &[Point]) -> Vec<(PathBuf, PathBuf)> {
+    let scenes: BTreeSet<&str> = points.iter().map(|point| point.scene.as_str()).collect();
+    let (mut taken, mut names) = (BTreeSet::new(), Vec::<((String, String), String)>::new());
+    let mut links = Vec::new();
+    for point in points {
+        for place in &point.places {
+            let cell = (point.scene.clone(), label(&place.row, &place.axes));
+            if !names.iter().any(|(known, _)| *known == cell) {
+                let name = unused(&safe(&cell.1), &point.scene, &mut taken);
+                names.push((cell.clone(), name));
+            }
+            let (_, name) = names.iter().find(|(known, _)| *known == cell).expect("just named");
+            let scene = if scenes.len() > 1 { PathBuf::from(safe(&point.scene)) } else { PathBuf::new() };
+            let link = scene.join(name).join(format!("seed-{}", point.config.seed));
+            let up: PathBuf = link.iter().map(|_| "..").collect();
+            links.push((link, up.join("points").join(&point.id)));
+        }
+    }
+    links
+}
+
+/// A name that no other cell of the scene has: some file systems do not tell upper case from lower.
+fn unused(name: &str, scene: &str, taken: &mut BTreeSet<(String, String)>) -> String {
+    let numbered = (1..).map(|number| if number == 1 { name.to_string() } else { format!("{name}-{number}") });
+    let mut numbered = numbered.into_iter();
+    numbered.find(|name| taken.insert((scene.to_string(), name.to_lowercase()))).expect("numbers do not end")
+}
+
+/// The name as every file system takes it: without separators, signs with a meaning of their own, control characters, and dots
+/// and spaces at its ends.
+fn safe(name: &str) -> String {
+    let plain = |letter: char| match letter {
+        '/' | '\\' | '<' | '>' | ':' | '"' | '|' | '?' | '*' => '-',
+        letter if letter.is_control() => '-',
+        letter => letter,
+    };
+    let name: String = name.chars().map(plain).collect();
+    let mut name = name.trim_matches([' ', '.']).to_string();
+    while name.len() > LONGEST {
+        name.pop();
+    }
+    if name.is_empty() { "row".into() } else { name }
+}
+
+impl SweepFolder {
+    /// Writes the links anew. Returns why there are none, where the file system or the system has none.
+    ///
+    /// # Errors
+    /// A folder that cannot be written.
+    #[cfg(unix)]
+    pub fn link_by_name(&self, points: &[Point]) -> Result<Option<String>> {
+        use crate::base::Error;
+        use crate::base::files::AtomicDir;
+
+        let _lock = self.lock()?;
+        let folder = AtomicDir::new(&self.path().join("by-name"))?;
+        for (link, target) in links(points) {
+            let link = folder.path().join(link);
+            let parent = link.parent().expect("a row's folder");
+            std::fs::create_dir_all(parent).map_err(|e| Error::unwritable(parent, &e))?;
+            if let Err(error) = std::os::unix::fs::symlink(target, &link) {
+                return Ok(Some(format!("no links below {}: {error}", self.path().join("by-name").display())));
+            }
+        }
+        folder.commit()?;
+        Ok(None)
+    }
+
+    /// Elsewhere a link takes rights that few have.
+    #[cfg(not(unix))]
+    pub fn link_by_name(&self, _points: &[Point]) -> Result<Option<String>> {
+        Ok(None)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_are_those_that_file_systems_take() {
+        assert_eq!(safe("NeRF, features steps = 3"), "NeRF, features steps = 3");
+        assert_eq!(safe("a/b\\c: d?\u{7}"), "a-b-c- d--");
+        assert_eq!(safe("..."), "row");
+        assert_eq!(safe(" .. x. "), "x");
+        assert!(safe(&"é".repeat(200)).len() <= LONGEST);
+        let mut taken = BTreeSet::new();
+        let mut name = |name: &str| unused(name, "fern", &mut taken);
+        assert_eq!([name("A"), name("a"), name("A")], ["A", "a-2", "A-3"]);
+    }
+}

@@ -1,0 +1,407 @@
+//! Tables of finished sweeps other than their own: chosen rows and metrics, another baseline, several sweeps in one. Nothing is
+//! run, and the statistics are those of what is shown.
+
+use std::collections::{BTreeMap, HashMap, HashSet};
+use std::path::Path;
+
+use serde::Serialize;
+
+use crate::base::files::write_atomic;
+use crate::base::{Error, Result};
+use crate::metrics::{Metric, Scope};
+use crate::report::tables::{Table, points_csv};
+use crate::report::{AxisValue, Record, RowSpec, Status, TableSpec};
+use crate::run::{DepthErrors, RunDir};
+
+use super::collect::{Results, Sheet};
+use super::common_depth::{add_common_depth, wants_depth};
+use super::comparability::must_match;
+use super::definition::Definition;
+use super::folder::{DEFINITION, SweepFolder};
+use super::material::Material;
+use super::points::Point;
+use super::provenance::sha256;
+use super::scored::with_scored;
+
+/// What a view's folder has instead of a sweep's definition.
+pub const VIEW: &str = "view.toml";
+/// Compared with nothing.
+const NO_BASELINE: &str = "none";
+
+/// A sweep that was run, or is being run.
+pub struct Source<'a> {
+    /// Its name.
+    pub name: String,
+    /// Its folder.
+    pub folder: &'a SweepFolder,
+    /// What was run.
+    pub definition: &'a Definition,
+    /// Its points.
+    pub points: &'a [Point],
+    /// What they left.
+    pub material: Material,
+}
+
+/// What is shown of sweeps.
+#[derive(Clone, Debug, Default, Serialize)]
+pub struct Choice {
+    /// The row that all others are compared with, instead of the definitions'; `none` compares nothing.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub baseline: Option<String>,
+    /// Rows in the order of the table; empty for all.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub rows: Vec<String>,
+    /// Metrics in the order of the columns; empty for all.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub metrics: Vec<String>,
+}
+
+impl Choice {
+    /// Everything, as the definitions have it.
+    pub fn is_all(&self) -> bool {
+        self.baseline.is_none() && self.rows.is_empty() && self.metrics.is_empty()
+    }
+}
+
+/// Rows of sweeps, chosen and side by side.
+pub struct View {
+    spec: TableSpec,
+    material: Material,
+    points: Vec<Point>,
+    choice: Choice,
+    sweeps: Vec<Origin>,
+}
+
+/// A sweep that a view shows, in `view.toml`.
+#[derive(Clone, Debug, Serialize)]
+struct Origin {
+    name: String,
+    /// SHA-256 of its `points.csv`.
+    points_sha256: String,
+}
+
+impl View {
+    /// Of one sweep, or several: rows of one name are one row unless their settings differ, in which case the later sweep's gets
+    /// that sweep's name in brackets.
+    ///
+    /// # Errors
+    /// A row or metric that there is not; a baseline that is not among the rows.
+    pub fn new(name: &str, sources: &[Source], choice: Choice) -> Result<View> {
+        let (first, others) = sources.split_first().expect("at least one sweep");
+        let origin = |source: &Source| Origin {
+            name: source.name.clone(),
+            points_sha256: sha256(points_csv(&source.material.records, &[]).as_bytes()),
+        };
+        let mut view = View {
+            spec: TableSpec { name: name.into(), ..table_of(first) },
+            material: first.material.clone(),
+            points: first.points.to_vec(),
+            choice: choice.clone(),
+            sweeps: sources.iter().map(origin).collect(),
+        };
+        others.iter().for_each(|source| view.merge(source));
+        if !others.is_empty() {
+            view.match_all(sources);
+        }
+        view.choose(&choice)?;
+        view.measure_common(sources)?;
+        view.spec.notes = view.notes();
+        Ok(view)
+    }
+
+    /// Adds another sweep's rows, points and files.
+    fn merge(&mut self, source: &Source) {
+        let other = table_of(source);
+        let names: HashMap<&str, String> =
+            other.rows.iter().map(|row| (row.name.as_str(), self.name_of(row, source))).collect();
+        let renamed = |name: &str| names.get(name).cloned().unwrap_or_else(|| name.to_string());
+        for row in &other.rows {
+            let name = renamed(&row.name);
+            if !self.spec.rows.iter().any(|known| known.name == name) {
+                self.spec.rows.push(RowSpec { name, baseline: row.baseline.as_deref().map(renamed), ..row.clone() });
+            }
+        }
+        for metric in &other.metrics {
+            if !self.spec.metrics.contains(metric) {
+                self.spec.metrics.push(metric.clone());
+            }
+        }
+        for (metric, margin) in &other.equivalence {
+            if self.spec.margin(metric).is_none() {
+                self.spec.equivalence.push((metric.clone(), *margin));
+            }
+        }
+        self.spec.title = [self.spec.title.as_str(), other.title.as_str()].join(" + ");
+        self.spec.varied |= other.varied;
+        for record in &source.material.records {
+            self.add_record(Record { row: renamed(&record.row), ..record.clone() });
+        }
+        for point in source.points {
+            let mut point = point.clone();
+            point.places.iter_mut().for_each(|place| place.row = renamed(&place.row));
+            match self.points.iter_mut().find(|known| known.id == point.id) {
+                Some(known) => known.places.extend(point.places),
+                None => self.points.push(point),
+            }
+        }
+        let own: HashSet<String> = self.material.timing.iter().map(|(id, _)| id.clone()).collect();
+        self.material.timing.extend(source.material.timing.iter().filter(|(id, _)| !own.contains(id)).cloned());
+        self.material.scalars.extend(source.material.scalars.clone());
+        self.material.surfaces.extend(source.material.surfaces.clone());
+        let scored = source.material.scored.iter().cloned();
+        self.material.scored.extend(scored.map(|mut scored| {
+            scored.row = renamed(&scored.row);
+            scored
+        }));
+    }
+
+    /// What a row of another sweep is called beside those that are there.
+    fn name_of(&self, row: &RowSpec, source: &Source) -> String {
+        let is_taken = |name: &str| self.spec.rows.iter().any(|known| known.name == name);
+        let known = self.spec.rows.iter().find(|known| known.name == row.name);
+        let same = known.is_none_or(|known| match (known.quoted || row.quoted, known.scored || row.scored) {
+            (true, _) => known.quoted == row.quoted && known.published == row.published,
+            (_, true) => false,
+            _ => is_alike(&settings_of(&self.points, &row.name), &settings_of(source.points, &row.name)),
+        });
+        if same {
+            return row.name.clone();
+        }
+        let numbered = (1..).map(|number| match number {
+            1 => format!("{} ({})", row.name, source.name),
+            _ => format!("{} ({} {number})", row.name, source.name),
+        });
+        numbered.into_iter().find(|name| !is_taken(name)).expect("numbers do not end")
+    }
+
+    /// One point a seed and place: a measured one before one that is not.
+    fn add_record(&mut self, record: Record) {
+        let place = |record: &Record| (record.scene.clone(), record.row.clone(), record.axes.clone(), record.seed);
+        let records = &mut self.material.records;
+        match records.iter_mut().find(|known| place(known) == place(&record)) {
+            Some(known) if known.status != Status::Done && record.status == Status::Done => *known = record,
+            Some(_) => {}
+            None => records.push(record),
+        }
+    }
+
+    /// Rows must agree in what each sweep's own rows must: what one of them varies may differ.
+    fn match_all(&mut self, sources: &[Source]) {
+        let all: Vec<Vec<String>> = sources.iter().map(|s| must_match(&self.spec.metrics, s.points)).collect();
+        self.spec.must_match.retain(|column| all.iter().all(|own| own.contains(column)));
+    }
+
+    fn choose(&mut self, choice: &Choice) -> Result<()> {
+        if !choice.rows.is_empty() {
+            let names = self.spec.rows.iter().map(|row| row.name.as_str()).collect::<Vec<&str>>();
+            let chosen = split_names("--rows", &choice.rows, &names)?;
+            let row = |name: &String| self.spec.rows.iter().find(|row| row.name == *name).expect("split").clone();
+            self.spec.rows = chosen.iter().map(row).collect();
+            self.choice.rows = chosen;
+        }
+        let shown = |name: &str| self.spec.rows.iter().any(|row| row.name == name);
+        self.material.records.retain(|record| shown(&record.row));
+        self.material.scored.retain(|scored| shown(&scored.row));
+        let ids: HashSet<&str> = self.material.records.iter().map(|record| record.id.as_str()).collect();
+        self.points.retain(|point| ids.contains(point.id.as_str()));
+        self.material.timing.retain(|(id, _)| ids.contains(id.as_str()));
+        self.choose_baseline(choice.baseline.as_deref())?;
+        if !choice.metrics.is_empty() {
+            self.spec.metrics = metrics(&choice.metrics)?;
+        }
+        let TableSpec { equivalence, metrics, .. } = &mut self.spec;
+        equivalence.retain(|(metric, _)| metrics.contains(metric));
+        Ok(())
+    }
+
+    fn choose_baseline(&mut self, baseline: Option<&str>) -> Result<()> {
+        let names: Vec<String> = self.spec.rows.iter().map(|row| row.name.clone()).collect();
+        let listed = || names.join(", ");
+        match baseline {
+            Some(NO_BASELINE) => self.spec.rows.iter_mut().for_each(|row| row.baseline = None),
+            Some(name) => {
+                let known = self.spec.rows.iter().find(|row| row.name == name);
+                if known.is_none_or(|row| row.quoted) {
+                    return Err(Error::Config(format!(
+                        "--baseline {name}: no row that is shown has this name and numbers of its own; the rows are {}, and \
+                         {NO_BASELINE} compares nothing",
+                        listed()
+                    )));
+                }
+                let seeded = |row: &RowSpec| {
+                    !self.material.scored.iter().any(|scored| scored.row == row.name && scored.seed.is_none())
+                };
+                let others = self.spec.rows.iter_mut().filter(|row| !row.quoted);
+                others.for_each(|row| row.baseline = (row.name != name && seeded(row)).then(|| name.to_string()));
+            }
+            None => {
+                let lost = self.spec.rows.iter().find_map(|row| {
+                    let baseline = row.baseline.as_ref().filter(|baseline| !names.contains(baseline))?;
+                    Some((row.name.clone(), baseline.clone()))
+                });
+                if let Some((row, baseline)) = lost {
+                    return Err(Error::Config(format!(
+                        "--rows leaves out '{baseline}', which '{row}' is compared with: name it, too, or another row with \
+                         --baseline, or --baseline {NO_BASELINE}"
+                    )));
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// Metrics over the pixels that all rows show are over those of the rows shown.
+    fn measure_common(&mut self, sources: &[Source]) -> Result<()> {
+        let is_common = |name: &str| Metric::find(name).is_some_and(|metric| metric.scope == Scope::Common);
+        let records = &mut self.material.records;
+        records.iter_mut().for_each(|record| record.metrics.retain(|(name, _)| !is_common(name)));
+        if !wants_depth(&self.spec.metrics) {
+            return Ok(());
+        }
+        let errors = |id: &str| {
+            let of = |source: &Source| DepthErrors::read(&RunDir::depth_errors_in(&source.folder.point(id).run()));
+            let found = sources.iter().map(of).find(|errors| !matches!(errors, Ok(None)));
+            found.unwrap_or(Ok(None))
+        };
+        add_common_depth(records, errors)
+    }
+
+    /// What was chosen: whoever reads the table alone would take it for the whole.
+    fn notes(&self) -> Vec<String> {
+        let names: Vec<&str> = self.sweeps.iter().map(|sweep| sweep.name.as_str()).collect();
+        let Choice { baseline, rows, metrics } = &self.choice;
+        let chosen = [
+            (!rows.is_empty()).then_some("rows"),
+            (!metrics.is_empty()).then_some("metrics"),
+            baseline.is_some().then_some("the baseline"),
+        ];
+        let chosen: Vec<&str> = chosen.into_iter().flatten().collect();
+        let chosen = match chosen.is_empty() {
+            true => String::new(),
+            false => format!(
+                "; {} chosen after the points were run: intervals, p values and Holm's correction are those of the rows \
+                 shown here",
+                chosen.join(", ")
+            ),
+        };
+        vec![format!("a view of {}{chosen}", names.join(" and "))]
+    }
+
+    /// Writes tables and figures into a folder of the view's own. Returns the table.
+    ///
+    /// # Errors
+    /// A folder with a sweep's own tables; [`Error::NotComparable`] where rows may not stand side by side.
+    pub fn write(&self, results: &Path, force: bool, with_timing: bool) -> Result<Table> {
+        if results.join(DEFINITION).exists() {
+            return Err(Error::Output(format!(
+                "{} holds the whole tables of a sweep: name another folder for chosen rows with --out",
+                results.display()
+            )));
+        }
+        let results = Results::take(results)?;
+        let mut files = Vec::new();
+        let sheet = Sheet { spec: &self.spec, material: &self.material, points: &self.points, force, with_timing };
+        let table = sheet.files(&mut |name, bytes| {
+            files.push((name.to_string(), bytes.to_vec()));
+            Ok(())
+        });
+        write_atomic(&results.path().join(VIEW), self.to_toml().as_bytes())?;
+        files.iter().try_for_each(|(name, bytes)| write_atomic(&results.path().join(name), bytes))?;
+        results.delete_others(&files)?;
+        table
+    }
+
+    fn to_toml(&self) -> String {
+        #[derive(Serialize)]
+        struct File<'a> {
+            #[serde(flatten)]
+            choice: &'a Choice,
+            sweep: &'a [Origin],
+        }
+        toml::to_string(&File { choice: &self.choice, sweep: &self.sweeps }).expect("plain data")
+    }
+}
+
+fn table_of(source: &Source) -> TableSpec {
+    with_scored(source.definition.table(&source.name, source.points), source.definition, &source.material.scored)
+}
+
+/// The places of a row with the hash of its settings but for the seed.
+type Settings = BTreeMap<(String, Vec<(String, String, String)>), String>;
+
+fn settings_of(points: &[Point], row: &str) -> Settings {
+    let mut settings = Settings::new();
+    for point in points {
+        for place in point.places.iter().filter(|place| place.row == row) {
+            let mut config = point.config.clone();
+            config.seed = 0;
+            let value = |value: &AxisValue| (value.axis.clone(), value.panel.clone(), value.value.clone());
+            settings.insert((point.scene.clone(), place.axes.iter().map(value).collect()), config.hash());
+        }
+    }
+    settings
+}
+
+/// Equal settings wherever both have points.
+fn is_alike(a: &Settings, b: &Settings) -> bool {
+    a.iter().all(|(place, hash)| b.get(place).is_none_or(|other| other == hash))
+}
+
+/// Names with commas between them, of which each is one of `known`: names may have commas of their own, so that the longest one
+/// counts.
+///
+/// # Errors
+/// A name that there is not, or twice.
+pub fn split_names(flag: &str, texts: &[String], known: &[&str]) -> Result<Vec<String>> {
+    let mut names: Vec<String> = Vec::new();
+    for text in texts {
+        let parts: Vec<&str> = text.split(',').collect();
+        let mut from = 0;
+        while from < parts.len() {
+            let joined = |to: usize| parts[from..to].join(",").trim().to_string();
+            let Some(to) = (from + 1..=parts.len()).rev().find(|&to| known.contains(&joined(to).as_str())) else {
+                return Err(Error::Config(format!(
+                    "{flag}: '{}' is no row; the rows are {}",
+                    parts[from].trim(),
+                    known.join(", ")
+                )));
+            };
+            if names.contains(&joined(to)) {
+                return Err(Error::Config(format!("{flag}: '{}' is named twice", joined(to))));
+            }
+            names.push(joined(to));
+            from = to;
+        }
+    }
+    Ok(names)
+}
+
+fn metrics(names: &[String]) -> Result<Vec<String>> {
+    let mut chosen: Vec<String> = Vec::new();
+    for name in names {
+        if !Metric::in_tables().any(|metric| metric.key == name) {
+            let known: Vec<&str> = Metric::in_tables().map(|metric| metric.key).collect();
+            return Err(Error::Config(format!("--metrics: '{name}' does not exist; choose from {}", known.join(", "))));
+        }
+        if chosen.contains(name) {
+            return Err(Error::Config(format!("--metrics: '{name}' is named twice")));
+        }
+        chosen.push(name.clone());
+    }
+    Ok(chosen)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_may_hold_commas() {
+        let known = ["NeRF", "NeRF, equal steps", "Aug-NeRF"];
+        let split = |text: &str| split_names("--rows", &[text.to_string()], &known);
+        assert_eq!(split("Aug-NeRF,NeRF").unwrap(), ["Aug-NeRF", "NeRF"]);
+        assert_eq!(split("NeRF, equal steps, NeRF").unwrap(), ["NeRF, equal steps", "NeRF"]);
+        assert!(split("NeRF,Nerf").unwrap_err().to_string().contains("'Nerf' is no row; the rows are NeRF, "));
+        assert!(split("NeRF,NeRF").unwrap_err().to_string().contains("twice"));
+    }
+}

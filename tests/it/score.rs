@@ -1,0 +1,254 @@
+//! Pictures of any program under our protocol, and rows of a real sweep under their names.
+
+use std::path::{Path, PathBuf};
+
+use crate::common::files::{entries, json, rows, text};
+use crate::common::program::{self, augnerf};
+use crate::common::{assert_says, needs};
+use serde_json::Value;
+use tempfile::TempDir;
+
+const TINY: &str = r#"
+title = "tiny"
+preset = "smoke"
+scenes = ["builtin"]
+seeds = [0, 1]
+metrics = ["psnr", "ssim"]
+baseline = "NeRF"
+
+[set]
+"data.width" = 16
+"field.width" = 16
+"sampling.coarse" = 8
+"sampling.fine" = 8
+"train.rays" = 64
+"train.steps" = 3
+"train.eval_every" = 2
+"train.log_every" = 1
+"eval.pictures" = 100
+
+[[row]]
+name = "NeRF"
+
+[[row]]
+name = "Aug-NeRF"
+set = { method = "aug-nerf" }
+"#;
+
+/// Runs in a folder, demands an exit code, and returns everything said.
+#[track_caller]
+fn demand(dir: &Path, arguments: &[&str], code: i32) -> String {
+    program::demand(augnerf(arguments).current_dir(dir), code)
+}
+
+/// The line of JSON of a score.
+#[track_caller]
+fn scored(dir: &Path, arguments: &[&str]) -> Value {
+    let said = demand(dir, &[&["score"], arguments, &["--quiet"]].concat(), 0);
+    assert_eq!(said.lines().count(), 1, "{said}");
+    serde_json::from_str(&said).unwrap()
+}
+
+/// A sweep of a few steps.
+fn swept() -> TempDir {
+    let dir = TempDir::new().unwrap();
+    std::fs::write(dir.path().join("tiny.toml"), TINY).unwrap();
+    demand(dir.path(), &["sweep", "run", "tiny.toml", "--quiet"], 0);
+    dir
+}
+
+/// A point's run by its row and seed.
+fn run(dir: &Path, row: &str, seed: u64) -> PathBuf {
+    let points = rows(&text(&dir.join("results/tiny/points.csv")));
+    let point = points.iter().find(|point| point["row"] == row && point["seed"] == seed.to_string()).unwrap();
+    dir.join("runs/tiny/points").join(&point["id"]).join("run")
+}
+
+/// Copies pictures under other names.
+fn renamed(from: &Path, to: &Path, name: impl Fn(usize) -> String) {
+    std::fs::create_dir_all(to).unwrap();
+    let own = entries(from).into_iter().filter(|path| path.to_string_lossy().ends_with("_rgb.png"));
+    for (index, path) in own.enumerate() {
+        std::fs::copy(path, to.join(name(index))).unwrap();
+    }
+}
+
+#[test]
+fn a_run_s_own_pictures_score_what_it_measured() {
+    let work = swept();
+    let dir = work.path();
+    let run = run(dir, "NeRF", 0);
+    let (renders, metrics) = (run.join("renders"), json(&run.join("metrics.json")));
+    let [renders, of] = [&renders, &run].map(|path| path.to_str().unwrap());
+    let own = scored(dir, &[renders, of, "--out", "views.csv"]);
+    for key in ["psnr", "ssim"] {
+        assert_eq!(own[key], metrics["mean"][key], "{key}");
+    }
+    assert!(own["psnr_float"].is_null() && own["psnr_of_mean"].is_null(), "{own}");
+    assert_eq!(own["protocol"]["data_hash"], metrics["protocol"]["data_hash"]);
+    assert_eq!(own["protocol"]["background"], "white");
+    let views = rows(&text(&dir.join("views.csv")));
+    assert_eq!(views.len(), metrics["views"].as_array().unwrap().len());
+    for (row, view) in views.iter().zip(metrics["views"].as_array().unwrap()) {
+        assert_eq!(row["name"], view["name"].as_str().unwrap());
+        assert_eq!(row["psnr"].parse::<f64>().unwrap(), view["psnr"].as_f64().unwrap());
+        assert_eq!(row["prediction_sha256"].len(), 64);
+    }
+    // Against the pictures of the photographs, and the scene read anew: the same numbers.
+    let folders = scored(dir, &[renders, renders]);
+    let scene = scored(dir, &[renders, "--data", "builtin", "--set", "data.width=16"]);
+    assert_eq!((&folders["psnr"], &scene["psnr"]), (&own["psnr"], &own["psnr"]));
+    assert_eq!(folders["predictions_sha256"], own["predictions_sha256"]);
+    assert_eq!(scene["truth_sha256"], own["truth_sha256"]);
+    // Other names in the same order, and what equals its truth.
+    let (other, numbered) = (dir.join("other"), |index: usize| format!("r_{}.png", index + 1));
+    renamed(Path::new(renders), &other, numbered);
+    let ordered = scored(dir, &["other", of, "--match", "order"]);
+    assert_eq!(ordered["psnr"], own["psnr"], "more than nine views: r_2 is before r_10");
+    assert_ne!(ordered["predictions_sha256"], Value::Null);
+    let said = demand(dir, &["score", "other", "other", "--match", "order"], 0);
+    assert_says(&said, &["infinite", "\"psnr\":null", "\"ssim\":1.0"]);
+}
+
+#[test]
+fn what_cannot_be_scored_is_refused() {
+    let work = swept();
+    let dir = work.path();
+    let run = run(dir, "NeRF", 0);
+    let (renders, of) = (run.join("renders"), run.to_str().unwrap());
+    renamed(&renders, &dir.join("other"), |index| format!("x_{index}.png"));
+    assert_says(
+        &demand(dir, &["score", "other", of], 3),
+        &["views have no picture of their name", "x_0", "--match order"],
+    );
+    std::fs::remove_file(dir.join("other/x_0.png")).unwrap();
+    assert_says(&demand(dir, &["score", "other", of, "--match", "order"], 3), &["pictures for", "one picture a view"]);
+    let renders = renders.to_str().unwrap();
+    let small = ["score", renders, "--data", "builtin", "--set", "data.width=12"];
+    assert_says(&demand(dir, &small, 3), &["is 16x16 pixels", "is 12x12", "data.width"]);
+    assert_says(&demand(dir, &["score", renders], 2), &["name what the pictures should show", "--data"]);
+    std::fs::create_dir(dir.join("empty")).unwrap();
+    assert_says(&demand(dir, &["score", "empty", of], 3), &["empty holds no PNG or JPEG files"]);
+    assert_says(&demand(dir, &["score", "nowhere", of], 3), &["nowhere"]);
+    std::fs::create_dir(dir.join("clear")).unwrap();
+    image::RgbaImage::from_pixel(16, 16, image::Rgba([10, 20, 30, 40])).save(dir.join("clear/0.png")).unwrap();
+    assert_says(&demand(dir, &["score", "clear", "clear"], 3), &["see-through", "--background"]);
+    demand(dir, &["score", "clear", "clear", "--background", "black"], 0);
+    std::fs::write(dir.join("clear/0.png"), "no picture").unwrap();
+    assert_says(&demand(dir, &["score", "clear", "clear"], 3), &["0.png"]);
+    assert_says(&demand(dir, &["score", renders, "--into", "empty", "--row", "x"], 5), &["empty", "runs/NAME"]);
+    let of_sweep = ["score", renders, "--into", "runs/tiny", "--row", "NeRF", "--seed", "0"];
+    assert_says(&demand(dir, &of_sweep, 2), &["'NeRF' is one of the sweep's own"]);
+    // Half of the views, as pictures of their own: the sweep's points were measured on others.
+    std::fs::create_dir(dir.join("half")).unwrap();
+    std::fs::copy(dir.join("other/x_1.png"), dir.join("half/x_1.png")).unwrap();
+    let of_half = ["score", "half", "half", "--into", "runs/tiny", "--row", "half", "--seed", "0"];
+    assert_says(&demand(dir, &of_half, 9), &["views_evaluated is `1`", "of the sweep"]);
+    assert!(!dir.join("runs/tiny/scored").exists());
+}
+
+#[test]
+fn scored_rows_stand_marked_in_the_table() {
+    let work = swept();
+    let dir = work.path();
+    for seed in [0, 1] {
+        let renders = run(dir, "NeRF", seed).join("renders");
+        let seed = seed.to_string();
+        let into = [renders.to_str().unwrap(), "--into", "runs/tiny", "--row", "other code", "--seed", &seed];
+        scored(dir, &into);
+        // Once more takes its own place.
+        scored(dir, &into);
+    }
+    let renders = run(dir, "Aug-NeRF", 0).join("renders");
+    scored(dir, &[renders.to_str().unwrap(), "--into", "runs/tiny", "--row", "single"]);
+    let before = rows(&text(&dir.join("results/tiny/table.csv")));
+    demand(dir, &["sweep", "collect", "runs/tiny"], 0);
+    let table = rows(&text(&dir.join("results/tiny/table.csv")));
+    let of = |name: &str| table.iter().find(|row| row["row"] == name).unwrap();
+    let (own, other, single) = (of("NeRF"), of("other code"), of("single"));
+    assert_eq!((other["source"].as_str(), other["psnr_mean"].as_str()), ("scored", own["psnr_mean"].as_str()));
+    assert_eq!((other["psnr_pairs"].as_str(), other["psnr_difference"].as_str()), ("2", "0"));
+    assert_eq!((single["psnr_n"].as_str(), single["psnr_difference"].as_str()), ("1", ""));
+    for column in ["steps", "method", "code_revision"] {
+        assert_eq!(other[column], "", "{column} is unknown");
+    }
+    // Whoever trained here is what it was.
+    assert_eq!(before.len() + 2, table.len());
+    assert_eq!(of("Aug-NeRF")["psnr_difference"], before[1]["psnr_difference"]);
+    let markdown = text(&dir.join("results/tiny/table.md"));
+    assert_says(&markdown, &["| other code ‖ |", "not trained here", "All rows: protocol 1", "scored-"]);
+    assert!(text(&dir.join("results/tiny/table.tex")).contains("$\\|$"));
+    let points = rows(&text(&dir.join("results/tiny/points.csv")));
+    assert_eq!(points.len(), 4, "they are no points");
+    assert_eq!(rows(&text(&dir.join("results/tiny/scored.csv"))).len(), 3);
+    crate::verify::verify(dir, &[], 0);
+    std::fs::write(dir.join("results/tiny/scored.json"), "[]").unwrap();
+    assert_says(&crate::verify::verify(dir, &[], 10), &["WRONG", "table.csv"]);
+    std::fs::remove_dir_all(dir.join("runs/tiny/scored")).unwrap();
+    demand(dir, &["sweep", "collect", "runs/tiny"], 0);
+    assert!(!dir.join("results/tiny/scored.csv").exists() && !dir.join("results/tiny/scored.json").exists());
+    crate::verify::verify(dir, &[], 0);
+}
+
+#[test]
+fn rows_of_a_sweep_are_compared_by_their_names() {
+    let work = swept();
+    let dir = work.path();
+    demand(dir, &["compare", "runs/tiny", "--rows", "Aug-NeRF,NeRF", "--seed", "1", "--out", "pair", "--quiet"], 0);
+    let compared = json(&dir.join("pair/compare.json"));
+    let text = compared.to_string();
+    assert!(text.find("\"Aug-NeRF\"").unwrap() < text.find("\"NeRF\"").unwrap(), "{text}");
+    let seeds: Vec<&Value> = compared["runs"].as_array().unwrap().iter().map(|run| &run["protocol"]["seed"]).collect();
+    assert_eq!(seeds, [&Value::from(1), &Value::from(1)]);
+    demand(dir, &["profile", "runs/tiny", "--out", "ray", "--quiet"], 0);
+    assert_says(&demand(dir, &["compare", "runs/tiny", "--rows", "Nerf"], 2), &["'Nerf' is no row", "Aug-NeRF"]);
+    assert_says(&demand(dir, &["compare", "runs/tiny", "--seed", "7"], 2), &["--seed 7", "0, 1"]);
+    assert_says(&demand(dir, &["compare", "runs/tiny", "--scene", "fern"], 2), &["--scene fern", "builtin"]);
+    let run = run(dir, "NeRF", 0);
+    let run = run.to_str().unwrap();
+    assert_says(&demand(dir, &["compare", run, "--seed", "0"], 2), &["pick runs of a sweep"]);
+    assert_says(&demand(dir, &["compare", "runs/tiny", run], 2), &["name it alone"]);
+}
+
+/// What no two numbers may share: a tag.
+#[test]
+fn tensorboard_tells_training_from_evaluation() {
+    let work = swept();
+    let run = run(work.path(), "Aug-NeRF", 1);
+    let [file] = <[PathBuf; 1]>::try_from(entries(&run.join("tensorboard"))).unwrap();
+    let bytes = std::fs::read(file).unwrap();
+    // A tag is a length and its letters: 10 is the field's key.
+    let has = |tag: &str| {
+        let field = [&[10, tag.len() as u8], tag.as_bytes()].concat();
+        bytes.windows(field.len()).any(|window| window == field)
+    };
+    for tag in ["train/psnr", "train/loss", "train/gain/t", "eval/psnr", "eval/ssim", "eval/gap", "eval/train_psnr"] {
+        assert!(has(tag), "{tag}");
+    }
+    for tag in ["psnr", "loss", "test_psnr", "train_psnr"] {
+        assert!(!has(tag), "{tag}");
+    }
+    for word in ["_hparams_/session_start_info", "_hparams_/session_end_info", "train.steps", "aug-nerf"] {
+        assert!(bytes.windows(word.len()).any(|window| window == word.as_bytes()), "{word}");
+    }
+    let head = text(&run.join("scalars.csv"));
+    assert!(head.lines().next().unwrap().contains(",psnr,test_psnr,"), "columns keep their names");
+}
+
+#[test]
+#[ignore = "needs AUGNERF_LPIPS_WEIGHTS"]
+fn lpips_and_the_average_are_those_of_an_evaluation() {
+    let dir = TempDir::new().unwrap();
+    let weights = needs::lpips_weights();
+    let weights = weights.to_str().unwrap();
+    let train = ["train", "--quiet", "--out", "run", "--preset", "smoke", "--lpips-weights", weights];
+    let set = ["--set", "train.steps=2", "--set", "data.width=40", "--set", "eval.pictures=100"];
+    demand(dir.path(), &[&train[..], &set].concat(), 0);
+    let metrics = json(&dir.path().join("run/metrics.json"));
+    let own = scored(dir.path(), &["run/renders", "run", "--lpips-weights", weights]);
+    for key in ["psnr", "lpips_squeeze", "average_squeeze"] {
+        assert!(metrics["mean"][key].is_f64(), "{key}");
+        assert_eq!(own[key], metrics["mean"][key], "{key}");
+    }
+    assert_eq!(own["protocol"]["lpips_weights"], metrics["protocol"]["lpips_weights"]);
+}

@@ -1,0 +1,312 @@
+//! Finished sweeps looked at again: chosen rows, another baseline, two sweeps in one table, the best row, names for points.
+
+use std::path::{Path, PathBuf};
+
+use crate::common::assert_says;
+use crate::common::files::{rows, text};
+use crate::common::program::{self, augnerf};
+use crate::sweep_run::Costs;
+use augnerf::sweep::{Claim, Definition, Point, PointResult, SHIPPED, SweepFolder, TEMPLATE, Watch, expand};
+use tempfile::TempDir;
+
+const BASE: &str = r#"
+title = "Which one?"
+preset = "smoke"
+scenes = ["builtin"]
+seeds = [0, 1, 2]
+metrics = ["psnr", "ssim", "lpips_squeeze"]
+baseline = "NeRF"
+
+[[row]]
+name = "NeRF"
+
+[[row]]
+name = "A, long"
+set = { method = "aug-nerf" }
+
+[[row]]
+name = "B"
+set = { "regularizer.kind" = "tv", "regularizer.weight" = 1e-5 }
+
+[[row]]
+name = "C"
+set = { "regularizer.kind" = "l1", "regularizer.weight" = 1e-5 }
+"#;
+
+/// Runs in a folder, demands an exit code, and returns everything said.
+#[track_caller]
+fn demand(dir: &Path, arguments: &[&str], code: i32) -> String {
+    program::demand(augnerf(arguments).current_dir(dir), code)
+}
+
+/// PSNR of a row and seed: rows differ by more than seeds do, and the seeds of all rows rise and fall together.
+fn psnr(point: &Point) -> f64 {
+    let row = match point.places[0].row.as_str() {
+        "NeRF" => 20.0,
+        "A, long" => 21.0,
+        "B" => 20.2,
+        _ => 19.0,
+    };
+    let seed = point.config.seed as f64;
+    row + 0.3 * seed + 0.01 * (row * 7.0 + seed * 3.0).sin()
+}
+
+/// A sweep's folder whose points are all done, without any training.
+fn finished(dir: &Path, name: &str, definition: &str, fields: &[(&str, &str)]) -> (PathBuf, Vec<Point>) {
+    let path = dir.join("runs").join(name);
+    let folder = SweepFolder::new(&path);
+    let definition = Definition::parse(definition, name).unwrap();
+    let points = expand(&definition, None, &Costs).unwrap();
+    std::fs::create_dir_all(path.join("points")).unwrap();
+    folder.begin(&definition, &points, None).unwrap();
+    for point in &points {
+        let metrics = [("psnr", Some(psnr(point))), ("ssim", Some(0.5)), ("lpips_squeeze", None)];
+        let known =
+            [("protocol", "1"), ("code_revision", "abc"), ("width", "16"), ("views_evaluated", "3"), ("split", "test")];
+        let mut protocol: Vec<(String, String)> = Vec::new();
+        for (name, text) in known.iter().chain(fields) {
+            protocol.retain(|(known, _)| known != name);
+            protocol.push((name.to_string(), text.to_string()));
+        }
+        folder.point(&point.id).begin(point).unwrap();
+        let metrics = metrics.map(|(name, value)| (name.to_string(), value)).to_vec();
+        folder.point(&point.id).finish(&PointResult { metrics, protocol, inactive_levels: vec![] }).unwrap();
+    }
+    (path, points)
+}
+
+fn number(row: &std::collections::HashMap<String, String>, column: &str) -> f64 {
+    row[column].parse().unwrap_or_else(|_| panic!("{column}: {row:?}"))
+}
+
+#[test]
+fn chosen_rows_have_the_statistics_of_what_is_shown() {
+    let dir = TempDir::new().unwrap();
+    finished(dir.path(), "one", BASE, &[]);
+    demand(dir.path(), &["sweep", "collect", "runs/one"], 0);
+    let whole = rows(&text(&dir.path().join("results/one/table.csv")));
+    assert_eq!(whole.len(), 4);
+    let notes = text(&dir.path().join("results/one/table.md"));
+    assert_says(&notes, &["lpips_squeeze: empty, no LPIPS weights were at hand", "--remeasure"]);
+
+    let collect =
+        |further: &[&str], code: i32| demand(dir.path(), &[&["sweep", "collect", "runs/one"], further].concat(), code);
+    // The row's name has a comma of its own.
+    collect(&["--rows", "B,A, long,NeRF", "--metrics", "psnr", "--out", "view"], 0);
+    let chosen = rows(&text(&dir.path().join("view/table.csv")));
+    assert_eq!(chosen.iter().map(|row| row["row"].as_str()).collect::<Vec<_>>(), ["B", "A, long", "NeRF"]);
+    assert!(!chosen[0].contains_key("ssim_mean"), "{chosen:?}");
+    let of = |table: &[std::collections::HashMap<String, String>], name: &str| {
+        table.iter().find(|row| row["row"] == name).unwrap().clone()
+    };
+    // One comparison instead of three: nothing is left to correct.
+    collect(&["--rows", "NeRF,A, long", "--out", "pair"], 0);
+    let (pair, whole_p) = (of(&rows(&text(&dir.path().join("pair/table.csv"))), "A, long"), of(&whole, "A, long"));
+    assert_eq!(number(&pair, "psnr_p"), number(&whole_p, "psnr_p"));
+    assert_eq!(number(&pair, "psnr_p_holm"), number(&pair, "psnr_p"));
+    assert!(number(&whole_p, "psnr_p_holm") > number(&whole_p, "psnr_p"), "{whole_p:?}");
+    let markdown = text(&dir.path().join("view/table.md"));
+    assert_says(&markdown, &["a view of one; rows, metrics chosen after the points were run", "Holm's correction"]);
+    assert!(text(&dir.path().join("view/view.toml")).contains("points_sha256"));
+
+    collect(&["--baseline", "A, long", "--out", "other"], 0);
+    let other = rows(&text(&dir.path().join("other/table.csv")));
+    assert_eq!(of(&other, "A, long")["baseline"], "");
+    let turned = number(&of(&other, "NeRF"), "psnr_difference");
+    assert!((turned + number(&of(&whole, "A, long"), "psnr_difference")).abs() < 1e-9);
+    collect(&["--rows", "B,C", "--baseline", "none", "--out", "none"], 0);
+    assert!(rows(&text(&dir.path().join("none/table.csv"))).iter().all(|row| row["psnr_difference"].is_empty()));
+
+    assert_says(&collect(&["--rows", "B"], 2), &["--out"]);
+    assert_says(
+        &collect(&["--rows", "B", "--out", "x"], 2),
+        &["leaves out 'NeRF'", "'B' is compared with", "--baseline"],
+    );
+    assert_says(&collect(&["--rows", "Nerf", "--out", "x"], 2), &["'Nerf' is no row", "A, long"]);
+    assert_says(&collect(&["--baseline", "D", "--out", "x"], 2), &["--baseline D", "NeRF"]);
+    assert_says(&collect(&["--metrics", "psnrr", "--out", "x"], 2), &["'psnrr' does not exist", "psnr"]);
+    assert_says(&collect(&["--rows", "NeRF", "--out", "results/one"], 4), &["whole tables", "--out"]);
+    // The sweep's own tables are what they were, and a view beside them does not disturb their check.
+    assert_eq!(rows(&text(&dir.path().join("results/one/table.csv"))), whole);
+    collect(&["--rows", "NeRF,B", "--out", "results/view"], 0);
+    let said = crate::verify::verify(dir.path(), &["results/view"], 0);
+    assert!(said.contains("a view of sweeps"), "{said}");
+}
+
+#[test]
+fn two_sweeps_stand_in_one_table_where_they_agree() {
+    let dir = TempDir::new().unwrap();
+    let later = BASE
+        .replace("[0, 1, 2]", "[3, 4]")
+        .replace("\"tv\", \"regularizer.weight\" = 1e-5", "\"tv\", \"regularizer.weight\" = 1e-4");
+    finished(dir.path(), "monday", BASE, &[]);
+    finished(dir.path(), "tuesday", &later, &[]);
+    let merge = ["sweep", "collect", "runs/monday", "--merge", "runs/tuesday", "--out", "both"];
+    demand(dir.path(), &merge, 0);
+    let table = rows(&text(&dir.path().join("both/table.csv")));
+    let names: Vec<(&str, &str)> = table.iter().map(|row| (row["row"].as_str(), row["psnr_n"].as_str())).collect();
+    let expected = [("NeRF", "5"), ("A, long", "5"), ("B", "3"), ("C", "5"), ("B (tuesday)", "2")];
+    assert_eq!(names, expected, "seeds of equal settings join, other settings do not");
+    let other = &table[4];
+    assert_eq!((other["baseline"].as_str(), other["psnr_pairs"].as_str()), ("NeRF", "2"));
+    assert!(text(&dir.path().join("both/table.md")).contains("a view of monday and tuesday"));
+
+    finished(dir.path(), "wednesday", &later, &[("code_revision", "def"), ("width", "32")]);
+    let refused = [&merge[..4], &["runs/wednesday", "--out", "third"]].concat();
+    assert_says(
+        &demand(dir.path(), &refused, 9),
+        &["width is `16` in NeRF", "`32`", "they differ in code_revision as well", "--force"],
+    );
+    demand(dir.path(), &[&refused[..], &["--force"]].concat(), 0);
+    assert_says(&text(&dir.path().join("third/table.md")), &["NOT COMPARABLE", "B (wednesday) (width, code_revision)"]);
+}
+
+#[test]
+fn the_best_row_is_told_with_its_settings_and_folders() {
+    let dir = TempDir::new().unwrap();
+    let (folder, points) = finished(dir.path(), "one", BASE, &[]);
+    let told = demand(dir.path(), &["sweep", "best", "runs/one"], 0);
+    let own = points.iter().find(|point| point.places[0].row == "A, long").unwrap();
+    let words =
+        ["builtin: A, long, psnr 21.3", "mean of 3 seeds (next: B", "method = \"aug-nerf\"", &own.id, "split test"];
+    assert_says(&told, &words);
+    // A row without one of its points is not looked at, however good the others are.
+    std::fs::remove_file(SweepFolder::new(&folder).point(&own.id).path().join("result.json")).unwrap();
+    let told = demand(dir.path(), &["sweep", "best", "runs/one"], 0);
+    assert_says(&told, &["builtin: B, psnr", "not looked at, for want of points: A, long"]);
+    let printed = program::printed(&["sweep", "best", folder.to_str().unwrap(), "--json"]);
+    let best: serde_json::Value = serde_json::from_str(&printed).unwrap();
+    assert_eq!((best[0]["label"].as_str(), best[0]["seeds"].as_array().unwrap().len()), (Some("B"), 3));
+    assert_says(
+        &demand(dir.path(), &["sweep", "best", "runs/one", "--metric", "occupied"], 2),
+        &["best value", "psnr"],
+    );
+    assert_says(
+        &demand(dir.path(), &["sweep", "best", "runs/one", "--metric", "lpips_squeeze"], 2),
+        &["lpips_squeeze"],
+    );
+
+    let (_, points) = finished(dir.path(), "kept", BASE, &[("split", "every-8-val")]);
+    let told = demand(dir.path(), &["sweep", "best", "runs/kept"], 0);
+    assert!(told.contains("kept for choices") && points.len() == 12, "{told}");
+}
+
+#[cfg(unix)]
+#[test]
+fn points_have_the_names_of_their_rows() {
+    let dir = TempDir::new().unwrap();
+    let odd = BASE.replace("name = \"B\"", "name = \"B/2: \\\"x\\\"\"");
+    let (folder, points) = finished(dir.path(), "one", &odd, &[]);
+    demand(dir.path(), &["sweep", "collect", "runs/one"], 0);
+    let named = |row: &str, seed: u64| folder.join("by-name").join(row).join(format!("seed-{seed}"));
+    for point in &points {
+        let row = point.places[0].row.replace("B/2: \"x\"", "B-2- -x-");
+        let link = named(&row, point.config.seed);
+        assert!(std::fs::read_link(&link).unwrap().is_relative());
+        assert!(link.join("result.json").is_file(), "{}", link.display());
+        assert!(link.canonicalize().unwrap().ends_with(&point.id));
+    }
+    // A moved folder takes its links along; what no longer belongs goes.
+    std::fs::create_dir(folder.join("by-name/old")).unwrap();
+    let moved = dir.path().join("runs/moved");
+    std::fs::rename(&folder, &moved).unwrap();
+    assert!(moved.join("by-name/NeRF/seed-1/result.json").is_file());
+    demand(dir.path(), &["sweep", "collect", "runs/moved"], 0);
+    assert!(!moved.join("by-name/old").exists() && moved.join("by-name/NeRF/seed-1/result.json").is_file());
+}
+
+#[test]
+fn a_new_sweep_file_runs_as_it_is_and_explains_every_key() {
+    let dir = TempDir::new().unwrap();
+    let said = demand(dir.path(), &["sweep", "new"], 0);
+    assert_says(&said, &["sweep.toml", "augnerf sweep plan sweep.toml"]);
+    let file = dir.path().join("sweep.toml");
+    let definition = Definition::read(&file).unwrap();
+    assert_eq!(expand(&definition, None, &Costs).unwrap().len(), 8);
+    assert_says(&demand(dir.path(), &["sweep", "new"], 4), &["sweep.toml is there already"]);
+    // Every key of the page's tables has its line.
+    let page = text(&Path::new(env!("CARGO_MANIFEST_DIR")).join("docs/sweep-file.md"));
+    let (schema, _) = page.split_once("## Published numbers").unwrap();
+    let keys: Vec<&str> = schema.lines().filter_map(|line| line.strip_prefix("| `")?.split('`').next()).collect();
+    assert!(keys.len() > 35, "{keys:?}");
+    let explains = |key: &str| {
+        TEMPLATE.lines().any(|line| {
+            let line = line.trim_start_matches("# ");
+            line.starts_with(&format!("{key} ="))
+                || line.contains(&format!(" {key} ="))
+                || [format!("[{key}]"), format!("[[{key}]]")].contains(&line.to_string())
+        })
+    };
+    keys.iter().for_each(|key| assert!(explains(key), "the new file does not explain `{key}`"));
+    // What stands behind "# " is TOML.
+    for line in TEMPLATE.lines().filter_map(|line| line.strip_prefix("# ")) {
+        let is_key = line.split_once(" = ").is_some_and(|(key, _)| key.bytes().all(|b| b.is_ascii_lowercase()));
+        assert!(!is_key || toml::from_str::<toml::Table>(line).is_ok(), "{line}");
+    }
+}
+
+#[test]
+fn shipped_sweeps_are_written_with_what_they_extend() {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("sweeps");
+    let files = crate::common::files::entries(&folder);
+    let names: Vec<_> = files.iter().map(|path| path.file_stem().unwrap().to_str().unwrap()).collect();
+    let carried: Vec<&str> = SHIPPED.iter().map(|(name, _)| *name).collect();
+    assert!(names.iter().all(|name| carried.contains(name)) && names.len() == carried.len(), "{names:?} {carried:?}");
+    let dir = TempDir::new().unwrap();
+    demand(dir.path(), &["sweep", "new", "mine.toml", "--from", "tab4_fern"], 0);
+    let mine = Definition::read(&dir.path().join("mine.toml")).unwrap();
+    assert_eq!(mine, Definition::read(&folder.join("tab4_fern.toml")).unwrap());
+    // The base is there already, as it is shipped.
+    demand(dir.path(), &["sweep", "new", "second.toml", "--from", "tab4_embedded"], 0);
+    std::fs::write(dir.path().join("tab4_ablation.toml"), "changed").unwrap();
+    assert_says(
+        &demand(dir.path(), &["sweep", "new", "third.toml", "--from", "tab4_fern"], 4),
+        &["tab4_ablation.toml is there"],
+    );
+    assert_says(&demand(dir.path(), &["sweep", "new", "x.toml", "--from", "nothing"], 2), &["--from nothing", "smoke"]);
+}
+
+#[test]
+fn plans_without_data_say_so_and_points_that_begin_have_no_step() {
+    let dir = TempDir::new().unwrap();
+    let absent = BASE.replace("\"builtin\"", "\"orchids\"");
+    std::fs::write(dir.path().join("absent.toml"), &absent).unwrap();
+    let said = demand(dir.path(), &["sweep", "plan", "absent.toml"], 8);
+    assert_says(&said, &["12 x no data", "orchids", "nothing could be measured", "--data-root"]);
+    assert!(!said.contains("0 s in all"), "{said}");
+
+    let (folder, points) = finished(dir.path(), "one", BASE, &[]);
+    let point = SweepFolder::new(&folder).point(&points[0].id);
+    std::fs::remove_file(point.path().join("result.json")).unwrap();
+    let claim = Claim::take(point.path(), &Watch::default()).unwrap().unwrap();
+    let said = demand(dir.path(), &["sweep", "status", "runs/one"], 0);
+    assert!(said.contains("it begins") && !said.contains("of 0"), "{said}");
+    claim.beat.begin(0, 250);
+    drop(claim);
+}
+
+#[test]
+fn damaged_sets_of_pictures_are_refused() {
+    let dir = TempDir::new().unwrap();
+    let (folder, _) = finished(dir.path(), "one", BASE, &[]);
+    let scored = folder.join("scored");
+    std::fs::create_dir(&scored).unwrap();
+    for (text, words) in [
+        ("{", "cannot read"),
+        (
+            r#"{"row":"NeRF","scene":"builtin","seed":0,"predictions_sha256":"a","truth":"b","metrics":[],"protocol":[]}"#,
+            "one of the sweep's own",
+        ),
+        (
+            r#"{"row":"x","scene":"../x","seed":0,"predictions_sha256":"a","truth":"b","metrics":[],"protocol":[]}"#,
+            "none of the sweep's",
+        ),
+        (
+            r#"{"row":"x\u0007","scene":"builtin","seed":0,"predictions_sha256":"a","truth":"b","metrics":[],"protocol":[]}"#,
+            "control character",
+        ),
+    ] {
+        std::fs::write(scored.join("a.json"), text).unwrap();
+        assert_says(&demand(dir.path(), &["sweep", "collect", "runs/one"], 5), &["a.json", words]);
+    }
+}
