@@ -3,7 +3,7 @@
 //! `claim.json`, which appears whole or not at all and whose heartbeat says that its runner lives. Clocks of machines differ:
 //! whoever wants such a claim watches whether it changes, by a clock of its own.
 
-use std::collections::HashMap;
+use std::collections::{HashMap, HashSet};
 use std::fs::{self, File, TryLockError};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
@@ -115,6 +115,10 @@ pub struct Watch {
     patience: [Duration; 2],
     /// Each as it was when it was last seen to change, and when that was.
     seen: Mutex<HashMap<PathBuf, (Vec<u8>, Instant)>>,
+    /// Those that were seen to change.
+    changed: Mutex<HashSet<PathBuf>>,
+    /// Those whose lock was held at the last look.
+    locked: Mutex<HashSet<PathBuf>>,
 }
 
 impl Default for Watch {
@@ -126,7 +130,7 @@ impl Default for Watch {
 impl Watch {
     /// One that takes a claim for dead after `quiet` without a change, or after `old` where its date says that it is old.
     pub fn with_patience(quiet: Duration, old: Duration) -> Watch {
-        Watch { patience: [quiet, old], seen: Mutex::default() }
+        Watch { patience: [quiet, old], seen: Mutex::default(), changed: Mutex::default(), locked: Mutex::default() }
     }
 
     /// Whether a claim has not changed for so long that its runner must be dead. The first look at one never says so.
@@ -138,11 +142,29 @@ impl Watch {
         let mut seen = self.seen.lock().unwrap_or_else(PoisonError::into_inner);
         match seen.get(file) {
             Some((before, since)) if *before == now => since.elapsed() >= patience,
-            _ => {
+            before => {
+                if before.is_some() {
+                    self.changed.lock().unwrap_or_else(PoisonError::into_inner).insert(file.to_path_buf());
+                }
                 seen.insert(file.to_path_buf(), (now, Instant::now()));
                 false
             }
         }
+    }
+
+    /// Whether the runner that has the point in `folder` surely lives: its claim was seen to change, or its lock was held in
+    /// two looks, one after the other. Somebody who only looks at a claim holds the lock for a moment.
+    pub(super) fn sees_life(&self, folder: &Path) -> bool {
+        let file = folder.join(CLAIM);
+        let mut locked = self.locked.lock().unwrap_or_else(PoisonError::into_inner);
+        let held_twice = match is_locked(&folder.join(LOCK)) {
+            Some(true) => !locked.insert(file.clone()),
+            _ => {
+                locked.remove(&file);
+                false
+            }
+        };
+        held_twice || self.changed.lock().unwrap_or_else(PoisonError::into_inner).contains(&file)
     }
 }
 

@@ -10,6 +10,7 @@
 //! points/ID/result.json   metrics and protocol: the point is done
 //! points/ID/failed.json   why it is not
 //! points/ID/claim.json    who works on it, and how far it is
+//! slurm/                  what was submitted to a cluster
 //! ```
 
 use std::collections::{HashMap, HashSet};

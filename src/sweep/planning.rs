@@ -47,6 +47,19 @@ pub fn begin(
     Ok(points)
 }
 
+/// Refuses a folder that was begun with another definition, as [`begin`] does without `extend`.
+pub fn check_unchanged(folder: &SweepFolder, definition: &Definition, data_root: Option<&Path>) -> Result<()> {
+    if folder.compare(definition)? != Change::Changed {
+        return Ok(());
+    }
+    let laid = lay_out(definition, data_root)?;
+    let before = folder.points(data_root)?.unwrap_or_default();
+    if reworded(&folder.definition()?, definition, &laid, &before) {
+        return Ok(());
+    }
+    Err(refusal(folder, &laid, &before))
+}
+
 /// Points that cost the same: of equal steps and shape.
 pub struct CostGroup<'a> {
     /// Points of one shape and number of steps, which cost the same.

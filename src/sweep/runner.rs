@@ -45,6 +45,9 @@ pub struct Options {
     pub most_deaths: u32,
     /// Measure finished points again that lack one of these metrics.
     pub remeasure: Vec<String>,
+    /// Leave points to the runners that work on them, instead of waiting for their end. Whether one of another machine lives
+    /// takes a look or two.
+    pub leave_to_others: bool,
 }
 
 /// Runs the points of a sweep, beside other runners on the same folder.
@@ -157,6 +160,9 @@ impl Runner<'_> {
                 continue;
             }
             let Some(claim) = Claim::take(folder.path(), watch)? else {
+                if self.options.leave_to_others && watch.sees_life(folder.path()) {
+                    continue;
+                }
                 others.push(Claim::look(folder.path()).map_or("a runner that just began".into(), |claim| claim.who()));
                 continue;
             };

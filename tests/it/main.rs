@@ -29,6 +29,10 @@ mod regularizers;
 mod runtime;
 mod score;
 mod settings;
+#[cfg(unix)]
+mod slurm;
+#[cfg(unix)]
+mod slurm_jobs;
 mod sweep_cli;
 mod sweep_controls;
 mod sweep_folder;

@@ -92,8 +92,14 @@ impl Work for Fake {
     }
 }
 
-pub const OPTIONS: Options =
-    Options { jobs: 1, fail_fast: false, retry_failed: false, most_deaths: 10, remeasure: Vec::new() };
+pub const OPTIONS: Options = Options {
+    jobs: 1,
+    fail_fast: false,
+    retry_failed: false,
+    most_deaths: 10,
+    remeasure: Vec::new(),
+    leave_to_others: false,
+};
 
 pub fn sweep(dir: &Path, text: &str) -> (SweepFolder, Definition, Vec<Point>) {
     let folder = SweepFolder::new(dir);

@@ -8,7 +8,7 @@ use crate::base::{Error, Result};
 use crate::cli::progress::print;
 use crate::draw::SVG_ALONE;
 use crate::report::tables::{Table, table_terminal};
-use crate::sweep::{Choice, Definition, Material, Point, Source, SweepFolder, View};
+use crate::sweep::{Choice, Definition, Material, Point, Source, SweepFolder, View, check_name};
 
 use super::{How, RESULTS, RUNS, begun, collect, name_of, terminal_width};
 
@@ -28,6 +28,9 @@ pub struct CollectArguments {
     /// Folder for tables and figures [default: results/NAME of runs/NAME, otherwise FOLDER/results]
     #[arg(long, visible_alias = "out", value_name = "DIR")]
     results: Option<PathBuf>,
+    /// The sweep's name in tables [default: the folder's]
+    #[arg(long)]
+    name: Option<String>,
     /// The row that all others are compared with; none compares nothing
     #[arg(long, value_name = "ROW")]
     baseline: Option<String>,
@@ -62,7 +65,11 @@ struct Opened {
 impl CollectArguments {
     pub fn run(self) -> Result<()> {
         let choice = Choice { baseline: self.baseline.clone(), rows: self.rows.clone(), metrics: self.metrics.clone() };
-        let sweep = self.open(&self.folder)?;
+        let mut sweep = self.open(&self.folder)?;
+        if let Some(name) = &self.name {
+            check_name("the sweep's name", name).map_err(Error::Config)?;
+            sweep.name.clone_from(name);
+        }
         let (table, results) = match choice.is_all() && self.merge.is_empty() {
             true => {
                 let results = self.results(&sweep.name)?;

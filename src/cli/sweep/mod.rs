@@ -6,18 +6,29 @@ use std::path::{Path, PathBuf};
 use clap::{Args, Subcommand};
 
 use crate::base::{Error, Result};
+use crate::metrics::{Lpips, Metric, Needs, Scope};
 use crate::report::tables::Table;
+use crate::run::load_lpips;
+use crate::runtime::Runtime;
 use crate::settings::parse_assignment;
-use crate::sweep::{Collector, Definition, Material, Overrides, Point, Results, SweepFolder, check_name};
+use crate::sweep::{
+    Change, Collector, Definition, Material, Overrides, Point, PublishedCosts, Results, StepCosts, SweepFolder,
+    Trainings, begin, check_name, expand,
+};
 
-use super::progress::{duration, report};
+use super::LpipsWeights;
+use super::progress::{Console, duration, report};
 
+mod begin;
 mod best;
+mod cancel;
 mod collect;
 mod new;
 mod plan;
 mod run;
+mod run_point;
 mod status;
+mod submit;
 
 /// Points of the sweep NAME are in `runs/NAME`.
 const RUNS: &str = "runs";
@@ -36,6 +47,17 @@ pub enum SweepCommand {
     /// Write tables and figures from what is done, from files alone: all of a sweep, chosen rows, or several sweeps
     #[command(after_help = collect::EXAMPLES)]
     Collect(collect::CollectArguments),
+    /// Lay out a sweep's folder without running anything: its points may then run anywhere
+    #[command(after_help = begin::EXAMPLES)]
+    Begin(begin::BeginArguments),
+    /// Run one point of a folder that was begun: a task of a cluster's job array, or of a loop
+    #[command(after_help = run_point::EXAMPLES)]
+    RunPoint(run_point::RunPointArguments),
+    /// Have a cluster run the points: a Slurm job array, and a job that collects
+    #[command(after_help = submit::EXAMPLES)]
+    Submit(submit::SubmitArguments),
+    /// Take what was submitted out of the queue; what runs stops with a checkpoint
+    Cancel(cancel::CancelArguments),
     /// Say which row is best, with its settings and folders
     Best(best::BestArguments),
     /// Write a sweep file with comments, to be changed and run
@@ -50,6 +72,10 @@ impl SweepCommand {
             SweepCommand::Plan(arguments) => arguments.run(),
             SweepCommand::Status(arguments) => arguments.run(),
             SweepCommand::Collect(arguments) => arguments.run(),
+            SweepCommand::Begin(arguments) => arguments.run(),
+            SweepCommand::RunPoint(arguments) => arguments.run(),
+            SweepCommand::Submit(arguments) => arguments.run(),
+            SweepCommand::Cancel(arguments) => arguments.run(),
             SweepCommand::Best(arguments) => arguments.run(),
             SweepCommand::New(arguments) => arguments.run(),
         }
@@ -140,6 +166,77 @@ fn begun(folder: &SweepFolder, data_root: Option<&Path>) -> Result<Vec<Point>> {
     folder.points(data_root)?.ok_or_else(|| {
         Error::Checkpoint(format!("{} has no points.json: `augnerf sweep run` writes it", folder.path().display()))
     })
+}
+
+/// Lays out the folder of a sweep, or goes on with it; says where seconds of steps came from, which `measure` gives.
+fn begin_folder(
+    location: &Location,
+    definition: &Definition,
+    extend: bool,
+    measure: &dyn StepCosts,
+    console: &Console,
+) -> Result<(SweepFolder, Vec<Point>)> {
+    let folder = location.folder()?;
+    let costs = PublishedCosts::beside(&location.results()?, measure)?;
+    let points = begin(&folder, definition, location.data_root.as_deref(), extend, &costs)?;
+    costs.note().iter().for_each(|note| console.say(note));
+    Ok((folder, points))
+}
+
+/// The points that a sweep has or, before its folder is begun with this definition, would have.
+fn planned_points(
+    location: &Location,
+    definition: &Definition,
+    measure: &dyn StepCosts,
+    console: &Console,
+) -> Result<Vec<Point>> {
+    let (folder, data_root) = (location.folder()?, location.data_root.as_deref());
+    match folder.points(data_root)? {
+        Some(points) if folder.compare(definition)? == Change::None => Ok(points),
+        _ => {
+            let costs = PublishedCosts::beside(&location.results()?, measure)?;
+            let points = expand(definition, data_root, &costs)?;
+            costs.note().iter().for_each(|note| console.say(note));
+            Ok(points)
+        }
+    }
+}
+
+/// What trains and measures the points of a definition, and which of its metrics that can be with the LPIPS weights at hand; what
+/// cannot is said.
+fn trainings<'a>(
+    definition: &Definition,
+    weights: &LpipsWeights,
+    runtime: &Runtime,
+    console: &'a Console,
+) -> Result<(Trainings<'a>, Vec<String>)> {
+    let weights = weights.lpips_weights.as_ref().map(std::path::absolute).transpose();
+    let weights = weights.map_err(|e| Error::Config(format!("--lpips-weights: {e}")))?;
+    let weights = weights.map_or(String::new(), |dir| dir.to_string_lossy().into_owned());
+    let lpips = load_lpips(&weights, runtime.device())?;
+    let (measured, missing): (Vec<_>, Vec<_>) =
+        definition.metrics.iter().cloned().partition(|metric| measurable(metric, &lpips));
+    say_what_is_missing(&missing, console);
+    let smoothness = definition.metric_in(Scope::Lattice).is_some();
+    Ok((Trainings::new(runtime.clone(), (lpips, weights), smoothness, console), measured))
+}
+
+fn say_what_is_missing(metrics: &[String], console: &Console) {
+    if !metrics.is_empty() {
+        console.say(&format!(
+            "not measured, for want of LPIPS weights (--lpips-weights, AUGNERF_LPIPS_WEIGHTS): {}; with --remeasure a \
+             later run measures them from the points' checkpoints",
+            metrics.join(", ")
+        ));
+    }
+}
+
+/// Whether a metric can be had with these LPIPS backbones.
+fn measurable(metric: &str, lpips: &[Lpips]) -> bool {
+    match Metric::find(metric).map(|metric| metric.needs) {
+        Some(Needs::Lpips(backbone)) => lpips.iter().any(|lpips| lpips.backbone() == backbone),
+        _ => true,
+    }
 }
 
 /// The name of a sweep by its folder: the folder's own.

@@ -6,9 +6,9 @@ use crate::base::{Error, Result};
 use crate::cli::Compute;
 use crate::cli::progress::{Console, print, print_shown};
 use crate::runtime::Runtime;
-use crate::sweep::{Change, Point, PublishedCosts, Trainings, expand, plan_costs};
+use crate::sweep::{Point, Trainings, plan_costs};
 
-use super::{Changes, Location, duration};
+use super::{Changes, Location, duration, planned_points};
 
 #[derive(Args)]
 pub struct PlanArguments {
@@ -31,16 +31,7 @@ impl PlanArguments {
         let definition = self.changes.definition(&self.location)?;
         let folder = self.location.folder()?;
         let trainings = Trainings::new(runtime.clone(), (Vec::new(), String::new()), false, &console);
-        let data_root = self.location.data_root.as_deref();
-        let points = match folder.points(data_root)? {
-            Some(points) if folder.compare(&definition)? == Change::None => points,
-            _ => {
-                let costs = PublishedCosts::beside(&self.location.results()?, &trainings)?;
-                let points = expand(&definition, data_root, &costs)?;
-                costs.note().iter().for_each(|note| console.say(note));
-                points
-            }
-        };
+        let points = planned_points(&self.location, &definition, &trainings, &console)?;
         print(&format!("{} points", points.len()))?;
         let left: Vec<&Point> =
             points.iter().filter(|point| point.no_data.is_none() && !folder.point(&point.id).ended()).collect();

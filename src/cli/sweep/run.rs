@@ -7,14 +7,12 @@ use crate::cli::progress::{Console, print};
 use crate::cli::signals::catch_signals;
 use crate::cli::{Compute, LpipsWeights};
 use crate::draw::SVG_ALONE;
-use crate::metrics::{Lpips, Metric, Needs, Scope};
 use crate::report::Status;
 use crate::report::tables::table_terminal;
-use crate::run::load_lpips;
 use crate::runtime::Runtime;
-use crate::sweep::{Options, Point, PublishedCosts, Runner, SweepFolder, Trainings, begin};
+use crate::sweep::{Options, Point, Runner, SweepFolder};
 
-use super::{Changes, How, Location, collect, link_by_name, terminal_width};
+use super::{Changes, How, Location, begin_folder, collect, link_by_name, terminal_width, trainings};
 
 pub const EXAMPLES: &str = "Examples:
   augnerf sweep run sweeps/smoke.toml                      three minutes on the embedded scene
@@ -73,20 +71,9 @@ impl RunArguments {
         let quiet = self.compute.quiet;
         let console = if self.jobs == 1 { Console::new(quiet) } else { Console::without_bars(quiet) };
         let definition = self.changes.definition(&self.location)?;
-        let folder = self.location.folder()?;
-        let weights = self.weights.lpips_weights.as_ref().map(std::path::absolute).transpose();
-        let weights = weights.map_err(|e| Error::Config(format!("--lpips-weights: {e}")))?;
-        let weights = weights.map_or(String::new(), |dir| dir.to_string_lossy().into_owned());
-        let lpips = load_lpips(&weights, runtime.device())?;
-        let (measured, missing): (Vec<_>, Vec<_>) =
-            definition.metrics.iter().cloned().partition(|metric| measurable(metric, &lpips));
-        say_what_is_missing(&missing, &console);
-        let smoothness = definition.metric_in(Scope::Lattice).is_some();
-        let trainings = Trainings::new(runtime.clone(), (lpips, weights), smoothness, &console);
+        let (trainings, measured) = trainings(&definition, &self.weights, runtime, &console)?;
         let (name, results) = (self.location.name()?, self.location.results()?);
-        let costs = PublishedCosts::beside(&results, &trainings)?;
-        let points = begin(&folder, &definition, self.location.data_root.as_deref(), self.extend, &costs)?;
-        costs.note().iter().for_each(|note| console.say(note));
+        let (folder, points) = begin_folder(&self.location, &definition, self.extend, &trainings, &console)?;
         link_by_name(&folder, &points);
         let options = Options {
             jobs: usize::from(self.jobs),
@@ -94,6 +81,7 @@ impl RunArguments {
             retry_failed: self.retry_failed,
             most_deaths: self.max_deaths,
             remeasure: if self.remeasure { measured } else { Vec::new() },
+            leave_to_others: false,
         };
         let stop = catch_signals()?;
         let runner = Runner {
@@ -120,24 +108,6 @@ impl RunArguments {
         // What became of the points comes before what became of the table.
         summarise(&folder, &points)?;
         table.map(|_| ())
-    }
-}
-
-fn say_what_is_missing(metrics: &[String], console: &Console) {
-    if !metrics.is_empty() {
-        console.say(&format!(
-            "not measured, for want of LPIPS weights (--lpips-weights, AUGNERF_LPIPS_WEIGHTS): {}; with --remeasure a \
-             later run measures them from the points' checkpoints",
-            metrics.join(", ")
-        ));
-    }
-}
-
-/// Whether a metric can be had with these LPIPS backbones.
-fn measurable(metric: &str, lpips: &[Lpips]) -> bool {
-    match Metric::find(metric).map(|metric| metric.needs) {
-        Some(Needs::Lpips(backbone)) => lpips.iter().any(|lpips| lpips.backbone() == backbone),
-        _ => true,
     }
 }
 

@@ -8,6 +8,7 @@ use clap::Args;
 use crate::base::{Error, Result};
 use crate::cli::progress::print_shown;
 use crate::report::Status;
+use crate::sweep::slurm::{Queue, Slurm};
 use crate::sweep::{Pace, Point, SweepFolder};
 
 use super::{begun, duration};
@@ -56,7 +57,12 @@ fn screen_lines(lines: &[String], (rows, columns): (u16, u16)) -> usize {
 fn states(folder: &SweepFolder, points: &[Point]) -> Result<(Vec<String>, usize)> {
     let (mut lines, mut running, mut trained) = (Vec::new(), 0, 0.0);
     let mut counts: BTreeMap<&str, usize> = BTreeMap::new();
-    for point in points {
+    // What cannot be asked does not hide what files say.
+    let (queue, unheard) = match Slurm::of(folder).queue() {
+        Ok(queue) => (queue, None),
+        Err(error) => (Queue::default(), Some(format!("the queue is not shown: {error}"))),
+    };
+    for (index, point) in points.iter().enumerate() {
         let state = folder.point(&point.id).state(point)?;
         *counts.entry(state.status.name()).or_default() += 1;
         let what = match (state.status, &state.claim) {
@@ -73,9 +79,14 @@ fn states(folder: &SweepFolder, points: &[Point]) -> Result<(Vec<String>, usize)
             (Status::Done, _) => state.result.metric("psnr").map_or(String::new(), |psnr| format!("PSNR {psnr:.2} dB")),
             _ => state.reason.clone(),
         };
+        let task = queue.task(index).filter(|_| state.status != Status::Done).map(|task| task.to_string());
+        let what =
+            [Some(what).filter(|what| !what.is_empty()), task].into_iter().flatten().collect::<Vec<_>>().join("; ");
         lines.push(format!("{:8} {} {}  {what}", state.status.name(), point.id, point.label()));
     }
     let counts: Vec<String> = counts.iter().map(|(status, count)| format!("{count} {status}")).collect();
+    lines.extend(queue.tables().map(|task| format!("tables: {task}")));
+    lines.extend(unheard);
     let open = |point: &&Point| point.no_data.is_none() && !folder.point(&point.id).ended();
     let left: Vec<&Point> = points.iter().filter(open).collect();
     let all: Vec<&Point> = points.iter().collect();

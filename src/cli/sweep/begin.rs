@@ -1,0 +1,44 @@
+//! `augnerf sweep begin`.
+
+use clap::Args;
+
+use crate::base::Result;
+use crate::cli::Compute;
+use crate::cli::progress::{Console, print};
+use crate::sweep::Trainings;
+
+use super::{Changes, Location, begin_folder};
+
+pub const EXAMPLES: &str = "Examples:
+  augnerf sweep begin sweeps/smoke.toml                    lays out runs/smoke, whose points any number of
+  augnerf sweep run-point runs/smoke --index 3             machines may then run, one each";
+
+#[derive(Args)]
+pub struct BeginArguments {
+    #[command(flatten)]
+    location: Location,
+    #[command(flatten)]
+    changes: Changes,
+    /// Take a definition that has changed since the folder was begun; points that it no longer has stay on disk
+    #[arg(long)]
+    extend: bool,
+    #[command(flatten)]
+    compute: Compute,
+}
+
+impl BeginArguments {
+    pub fn run(self) -> Result<()> {
+        let runtime = self.compute.runtime()?;
+        let console = Console::new(self.compute.quiet);
+        let definition = self.changes.definition(&self.location)?;
+        let trainings = Trainings::new(runtime.clone(), (Vec::new(), String::new()), false, &console);
+        let begun = runtime.install(|| begin_folder(&self.location, &definition, self.extend, &trainings, &console))?;
+        let (folder, points) = begun;
+        let last = points.len().saturating_sub(1);
+        print(&format!(
+            "{folder}: {} points, --index 0 to {last} of `augnerf sweep run-point {folder} --index N`",
+            points.len(),
+            folder = folder.path().display()
+        ))
+    }
+}

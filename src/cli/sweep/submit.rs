@@ -1,0 +1,214 @@
+//! `augnerf sweep submit`.
+
+use std::path::{Path, PathBuf};
+
+use clap::{Args, ValueEnum};
+
+use crate::base::{Error, Result};
+use crate::cli::LpipsWeights;
+use crate::cli::progress::{Console, print};
+use crate::runtime::Runtime;
+use crate::settings::Config;
+use crate::sweep::slurm::{Chosen, Request, Script, Slurm, array};
+use crate::sweep::{Point, StepCosts, SweepFolder, check_unchanged};
+
+use super::{Changes, Location, begin_folder, planned_points, trainings};
+
+pub const EXAMPLES: &str = "Examples:
+  augnerf sweep submit sweeps/tab1_llff.toml --time 12:00:00 --mem 8G --cpus 8 --array-limit 16
+  augnerf sweep submit sweeps/tab1_llff.toml --partition gpu --gres gpu:1 --device cuda --sbatch=--account=lab
+  augnerf sweep submit sweeps/smoke.toml --dry-run         prints the scripts and what would be submitted
+  augnerf sweep submit sweeps/smoke.toml --retry-failed    once more, with what failed
+
+It lays out the sweep's folder, submits what has not ended as a job array, then a job that collects the tables, prints the
+array's number and ends. The folder must be seen by all machines. See `augnerf sweep status` and `augnerf sweep cancel`.";
+
+/// What runs the points.
+#[derive(Clone, Copy, Debug, ValueEnum)]
+enum Scheduler {
+    Slurm,
+}
+
+#[derive(Args)]
+pub struct SubmitArguments {
+    #[command(flatten)]
+    location: Location,
+    #[command(flatten)]
+    changes: Changes,
+    /// What runs the points
+    #[arg(long, value_enum, default_value = "slurm")]
+    scheduler: Scheduler,
+    /// Partition
+    #[arg(long, value_name = "NAME")]
+    partition: Option<String>,
+    /// Time limit of a point's turn, as Slurm writes it: 90 (minutes), 12:00:00, 2-00:00:00; what is not done by then goes on
+    /// from its last checkpoint in another turn
+    #[arg(long)]
+    time: Option<String>,
+    /// Memory of a point: 8G
+    #[arg(long)]
+    mem: Option<String>,
+    /// Processor cores of a point, which are its threads [default: what Slurm gives, mostly 1]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
+    cpus: Option<u16>,
+    /// Generic resources of a point: gpu:1
+    #[arg(long, value_name = "LIST")]
+    gres: Option<String>,
+    /// Points at once at most
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
+    array_limit: Option<u32>,
+    /// A further option of sbatch, for points and tables: --sbatch=--account=lab
+    #[arg(long, value_name = "OPTION", allow_hyphen_values = true)]
+    sbatch: Vec<String>,
+    /// Print the scripts and what would be submitted; nothing is written
+    #[arg(long)]
+    dry_run: bool,
+    /// Submit points that failed, too
+    #[arg(long)]
+    retry_failed: bool,
+    /// Take a definition that has changed since the folder was begun; points that it no longer has stay on disk
+    #[arg(long)]
+    extend: bool,
+    /// A point that was killed so often in a row, never at a later checkpoint, counts as failed (memory, mostly)
+    #[arg(long, value_name = "N", default_value_t = 5, value_parser = clap::value_parser!(u32).range(1..))]
+    max_deaths: u32,
+    #[command(flatten)]
+    weights: LpipsWeights,
+    /// Device of the points: cpu, cuda, cuda-tf32 or metal [default: cpu]
+    #[arg(long, value_name = "DEVICE")]
+    device: Option<String>,
+    /// No summary; errors are still printed
+    #[arg(long, short)]
+    quiet: bool,
+}
+
+impl SubmitArguments {
+    pub fn run(self) -> Result<()> {
+        let Scheduler::Slurm = self.scheduler;
+        let console = Console::new(self.quiet);
+        let definition = self.changes.definition(&self.location)?;
+        let folder = self.location.folder()?;
+        let (name, path) = (self.location.name()?, absolute(folder.path())?);
+        let script = Script { name: &name, folder: &path, request: self.request() };
+        script.check()?;
+        // Weights that cannot be read are known here, and not by every task.
+        trainings(&definition, &self.weights, &Runtime::new("cpu", Some(1))?, &console)?;
+        if self.dry_run {
+            if !self.extend {
+                check_unchanged(&folder, &definition, self.location.data_root.as_deref())?;
+            }
+            let points = planned_points(&self.location, &definition, &Elsewhere, &console)?;
+            return self.show(&script, &folder, &points);
+        }
+        let (folder, points) = begin_folder(&self.location, &definition, self.extend, &Elsewhere, &console)?;
+        self.submit(&script, &folder, &points, &console)
+    }
+
+    fn request(&self) -> Request {
+        Request {
+            partition: self.partition.clone(),
+            time: self.time.clone(),
+            mem: self.mem.clone(),
+            cpus: self.cpus,
+            gres: self.gres.clone(),
+            at_once: self.array_limit,
+            further: self.sbatch.clone(),
+        }
+    }
+
+    fn submit(&self, script: &Script, folder: &SweepFolder, points: &[Point], console: &Console) -> Result<()> {
+        // Of two that submit one sweep the second sees what the first did.
+        let _lock = folder.lock()?;
+        let slurm = Slurm::of(folder);
+        let chosen = Chosen::among(points, folder, &slurm.queue()?, self.retry_failed)?;
+        let shown = folder.path().display();
+        if chosen.indices.is_empty() {
+            let hint = if chosen.failed > 0 { "; --retry-failed submits what failed" } else { "" };
+            console.say(&format!(
+                "nothing to submit: {} points in {shown}, {}{hint}; `augnerf sweep collect {shown}` writes their tables",
+                points.len(),
+                chosen.left_out()
+            ));
+            return Ok(());
+        }
+        let (array, tables) = self.scripts(script, &chosen)?;
+        let submitted = slurm.submit(&array, &tables)?;
+        console.say(&format!("submitted: {}", counted(&chosen, points)));
+        console.say(&format!("job {}; its messages are in {}", submitted.points, slurm.path().join("log").display()));
+        if let Some(tables) = &submitted.tables {
+            let results = self.location.results()?;
+            console.say(&format!("job {tables} writes the tables into {} when they have ended", results.display()));
+        }
+        console.say(&format!("`augnerf sweep status {shown}` shows how far they are"));
+        print(submitted.points.number())
+    }
+
+    /// The same without doing it.
+    fn show(&self, script: &Script, folder: &SweepFolder, points: &[Point]) -> Result<()> {
+        let slurm = Slurm::of(folder);
+        let chosen = Chosen::among(points, folder, &slurm.queue()?, self.retry_failed)?;
+        let (array, tables) = self.scripts(script, &chosen)?;
+        for (name, text) in [("points.sbatch", array), ("tables.sbatch", tables)] {
+            print(&format!("# ---- {}\n{text}", slurm.path().join(name).display()))?;
+        }
+        print(&format!("# would be submitted: {}", counted(&chosen, points)))
+    }
+
+    /// The script of the points and that of the tables.
+    fn scripts(&self, script: &Script, chosen: &Chosen) -> Result<(String, String)> {
+        let program = std::env::current_exe()
+            .map_err(|e| Error::Output(format!("cannot tell where this program is, for the jobs to run it: {e}")))?;
+        let folder = script.folder.display().to_string();
+        let [program, deaths] = [program.display().to_string(), self.max_deaths.to_string()];
+        let mut point = ["sweep", "run-point", &folder, "--max-deaths", &deaths].map(String::from).to_vec();
+        let mut tables = ["sweep", "collect", &folder, "--results"].map(String::from).to_vec();
+        tables.push(absolute(&self.location.results()?)?.display().to_string());
+        if script.folder.file_name().is_some_and(|own| own != script.name) {
+            tables.extend(["--name".into(), script.name.into()]);
+        }
+        if let Some(root) = &self.location.data_root {
+            let root = ["--data-root".into(), absolute(root)?.display().to_string()];
+            point.extend(root.clone());
+            tables.extend(root);
+        }
+        if let Some(weights) = &self.weights.lpips_weights {
+            point.extend(["--lpips-weights".into(), absolute(weights)?.display().to_string()]);
+        }
+        if let Some(device) = &self.device {
+            point.extend(["--device".into(), device.clone()]);
+        }
+        if self.retry_failed {
+            point.push("--retry-failed".into());
+        }
+        let with_program = |rest: Vec<String>| [vec![program.clone()], rest].concat();
+        Ok((script.points(&chosen.indices, &with_program(point)), script.tables(&with_program(tables))))
+    }
+}
+
+/// How many points are submitted: `8 of 14 points (6 done): 0-7`.
+fn counted(chosen: &Chosen, points: &[Point]) -> String {
+    let others = chosen.left_out();
+    let others = if others.is_empty() { others } else { format!(" ({others})") };
+    format!("{} of {} points{others}: {}", chosen.indices.len(), points.len(), array(&chosen.indices))
+}
+
+fn absolute(path: &Path) -> Result<PathBuf> {
+    std::path::absolute(path).map_err(|e| Error::unreadable(path, &e))
+}
+
+/// Seconds of steps are those of the machines that train, and this is not one of them.
+struct Elsewhere;
+
+impl StepCosts for Elsewhere {
+    fn seconds_per_step(&self, _: &Config) -> Result<f64> {
+        Err(Error::Config(
+            "this sweep has budgets in seconds, which are those of a machine that trains: begin it on such a one with `augnerf \
+             sweep begin FILE` (by `srun`, with its --device and --threads), then submit it"
+                .into(),
+        ))
+    }
+
+    fn prepare(&self, configs: &[&Config]) -> Result<()> {
+        configs.first().map_or(Ok(()), |config| self.seconds_per_step(config).map(|_| ()))
+    }
+}

@@ -1,0 +1,264 @@
+//! The scripts that are submitted, for people to read, change and submit by hand.
+
+use std::path::Path;
+
+use crate::base::{Error, Result};
+
+/// Before the end of the time limit, what runs is told to write a checkpoint.
+const STOP_BEFORE: u32 = 120;
+/// The least time limit, in minutes: more than a checkpoint takes, so that each turn gets further.
+const LEAST_MINUTES: u64 = 10;
+
+/// What a job asks the cluster for.
+#[derive(Clone, Debug, Default)]
+pub struct Request {
+    /// Partition.
+    pub partition: Option<String>,
+    /// Time limit of a task, as Slurm writes it: `90`, `12:00:00`, `2-00:00:00`.
+    pub time: Option<String>,
+    /// Memory of a task: `8G`.
+    pub mem: Option<String>,
+    /// Processor cores of a task.
+    pub cpus: Option<u16>,
+    /// Generic resources of a task: `gpu:1`.
+    pub gres: Option<String>,
+    /// Tasks at once at most.
+    pub at_once: Option<u32>,
+    /// Further options of `sbatch`, as `--account=lab`.
+    pub further: Vec<String>,
+}
+
+/// What both scripts are made of.
+#[derive(Clone, Debug)]
+pub struct Script<'a> {
+    /// The sweep's name.
+    pub name: &'a str,
+    /// The sweep's folder, absolute.
+    pub folder: &'a Path,
+    /// What is asked for.
+    pub request: Request,
+}
+
+impl Request {
+    /// Refuses what would make no line of a script, and time limits that are none or too short.
+    pub fn check(&self) -> Result<()> {
+        let named =
+            [("--partition", &self.partition), ("--time", &self.time), ("--mem", &self.mem), ("--gres", &self.gres)];
+        let further = self.further.iter().map(|option| ("--sbatch", option));
+        for (flag, value) in named.iter().filter_map(|(flag, value)| Some((*flag, value.as_ref()?))).chain(further) {
+            if value.is_empty() || value.chars().any(|c| c.is_control() || c.is_whitespace()) {
+                return Err(Error::Config(format!("{flag} {value:?}: give a value without spaces and line breaks")));
+            }
+        }
+        if let Some(option) = self.further.iter().find(|option| !option.starts_with('-')) {
+            return Err(Error::Config(format!(
+                "--sbatch {option}: give an option of sbatch, as --sbatch=--account=lab"
+            )));
+        }
+        let Some(time) = &self.time else { return Ok(()) };
+        match minutes(time) {
+            Some(minutes) if minutes >= LEAST_MINUTES => Ok(()),
+            Some(_) => Err(Error::Config(format!(
+                "--time {time} is too short: points are stopped with a checkpoint {STOP_BEFORE} seconds before its end, so \
+                 that it must be at least {LEAST_MINUTES} minutes"
+            ))),
+            None => Err(Error::Config(format!(
+                "--time {time} is no time limit: it must be MINUTES, HOURS:MINUTES:SECONDS, DAYS-HOURS or \
+                 DAYS-HOURS:MINUTES:SECONDS"
+            ))),
+        }
+    }
+}
+
+/// Whole minutes of a time limit: `M`, `M:S`, `H:M:S`, `D-H`, `D-H:M`, `D-H:M:S`.
+fn minutes(time: &str) -> Option<u64> {
+    let number = |text: &str| text.parse::<u32>().ok().map(u64::from);
+    let (days, rest) = match time.split_once('-') {
+        Some((days, rest)) => (Some(number(days)?), rest),
+        None => (None, time),
+    };
+    let parts: Vec<u64> = rest.split(':').map(number).collect::<Option<_>>()?;
+    let within = match (days, parts.as_slice()) {
+        (Some(_), [hours]) => hours * 60,
+        (Some(_), [hours, minutes] | [hours, minutes, _]) | (None, [hours, minutes, _]) => hours * 60 + minutes,
+        (None, [minutes] | [minutes, _]) => *minutes,
+        _ => return None,
+    };
+    Some(days.unwrap_or(0) * 24 * 60 + within)
+}
+
+/// Sorted numbers as Slurm's `--array` has them: `0-3,7,9-12`.
+pub fn array(indices: &[usize]) -> String {
+    let mut spans: Vec<(usize, usize)> = Vec::new();
+    for &index in indices {
+        match spans.last_mut() {
+            Some((_, last)) if *last + 1 == index => *last = index,
+            _ => spans.push((index, index)),
+        }
+    }
+    let text = |(first, last): &(usize, usize)| {
+        if first == last { first.to_string() } else { format!("{first}-{last}") }
+    };
+    spans.iter().map(text).collect::<Vec<_>>().join(",")
+}
+
+/// A word as a shell reads it, and Slurm in its `#SBATCH` lines.
+pub fn quoted(word: &str) -> String {
+    let plain = |c: char| c.is_ascii_alphanumeric() || "_-./:=,@%+".contains(c);
+    if !word.is_empty() && word.chars().all(plain) { word.into() } else { format!("'{}'", word.replace('\'', r"'\''")) }
+}
+
+/// A command line of so many words.
+fn line(words: &[String]) -> String {
+    words.iter().map(|word| quoted(word)).collect::<Vec<_>>().join(" ")
+}
+
+impl Script<'_> {
+    /// Refuses a folder that no line of a script can name.
+    pub fn check(&self) -> Result<()> {
+        let folder = self.folder.display().to_string();
+        // Slurm reads a backslash in the name of a log as something else.
+        if folder.chars().any(|c| c.is_control() || "\\'\"".contains(c)) {
+            return Err(Error::Config(format!(
+                "{folder:?} cannot stand in a job's script: choose a folder (--out) whose path has no quotes, backslashes and \
+                 line breaks"
+            )));
+        }
+        self.request.check()
+    }
+
+    /// The job array: its tasks run `command`, which is `augnerf sweep run-point FOLDER` with what it needs, with their number.
+    pub fn points(&self, indices: &[usize], command: &[String]) -> String {
+        let Request { partition, time, mem, cpus, gres, at_once, further } = &self.request;
+        let limit = at_once.map_or(String::new(), |limit| format!("%{limit}"));
+        let mut directives = vec![
+            format!("--job-name={}", self.name),
+            format!("--array={}{limit}", array(indices)),
+            self.log("%A_%a"),
+            "--open-mode=append".into(),
+            "--requeue".into(),
+            format!("--signal=B:USR1@{STOP_BEFORE}"),
+            "--ntasks=1".into(),
+        ];
+        let options = [("partition", partition), ("time", time), ("mem", mem), ("gres", gres)];
+        directives.extend(options.iter().filter_map(|(name, value)| Some(format!("--{name}={}", value.as_ref()?))));
+        directives.extend(cpus.map(|cpus| format!("--cpus-per-task={cpus}")));
+        directives.extend(further.iter().cloned());
+        let head = format!(
+            "# Points of the sweep {}. Task N of this array runs point N of\n# {}/points.json\n# A point that is done, or \
+             that another runner works on, ends its task at once; one that was stopped or killed\n# goes on from its last \
+             checkpoint. Written by `augnerf sweep submit`; it may be changed and submitted by hand.",
+            self.name,
+            self.folder.display()
+        );
+        format!("#!/bin/bash\n{head}\n{}\n{}", sbatch_lines(&directives), POINTS.replace("COMMAND", &line(command)))
+    }
+
+    /// The job that collects the tables by `command` when all points have ended.
+    pub fn tables(&self, command: &[String]) -> String {
+        let Request { partition, mem, further, .. } = &self.request;
+        let mut directives = vec![
+            format!("--job-name={}-tables", self.name),
+            self.log("%j"),
+            "--requeue".into(),
+            "--ntasks=1".into(),
+            "--time=30".into(),
+        ];
+        let options = [("partition", partition), ("mem", mem)];
+        directives.extend(options.iter().filter_map(|(name, value)| Some(format!("--{name}={}", value.as_ref()?))));
+        directives.extend(further.iter().cloned());
+        let head = format!("# Tables and figures of the sweep {}, when its points have ended.", self.name);
+        format!("#!/bin/bash\n{head}\n{}\n{}\n", sbatch_lines(&directives), line(command))
+    }
+
+    /// Where a job's messages go; `pattern` is Slurm's name of the job.
+    fn log(&self, pattern: &str) -> String {
+        let folder = self.folder.display().to_string().replace('%', "%%");
+        format!("--output={folder}/slurm/log/{pattern}.out")
+    }
+}
+
+/// The options as lines of a script.
+fn sbatch_lines(options: &[String]) -> String {
+    options.iter().map(|option| format!("#SBATCH {}\n", quoted(option))).collect()
+}
+
+/// What a task does.
+const POINTS: &str = r#"# A preemption, the end of the time limit and scancel reach this script as TERM or USR1. The point writes a checkpoint
+# at USR1, however often it comes, and ends with 143.
+trap 'kill -USR1 "$point" 2> /dev/null' TERM USR1
+
+COMMAND \
+  --index "$SLURM_ARRAY_TASK_ID" --threads "${SLURM_CPUS_PER_TASK:-${SLURM_CPUS_ON_NODE:-1}}" &
+point=$!
+# A signal ends `wait` early.
+while kill -0 "$point" 2> /dev/null; do wait "$point"; done
+wait "$point"
+code=$?
+
+case $code in
+  129 | 130 | 137 | 138 | 143) ;; # stopped with a checkpoint, or killed: it goes on below
+  *) exit "$code" ;;              # 0: done. All else would fail again; the reason is in the point's failed.json
+esac
+# Where Slurm still takes the task for running, nobody has cancelled it or put it back into the queue: this does the latter.
+task=${SLURM_ARRAY_JOB_ID}_$SLURM_ARRAY_TASK_ID
+state=$(squeue --noheader --jobs="$task" --format=%T)
+if [ "$state" = RUNNING ]; then
+  scontrol requeue "$task" || echo "not put back; 'augnerf sweep submit' submits what is left" >&2
+else
+  echo "Slurm says ${state:-nothing} of this task: it is left as it is" >&2
+fi
+exit "$code"
+"#;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn arrays_are_spans() {
+        assert_eq!(array(&[3]), "3");
+        assert_eq!(array(&[0, 1, 2, 3, 7, 9, 10]), "0-3,7,9-10");
+        assert_eq!(array(&[]), "");
+    }
+
+    #[test]
+    fn time_limits_are_read_as_slurm_reads_them() {
+        let cases = [("90", 90), ("10:30", 10), ("02:15:00", 135), ("2-0", 2880), ("1-1:30", 1530), ("0-0:11:59", 11)];
+        for (text, expected) in cases {
+            assert_eq!(minutes(text), Some(expected), "{text}");
+        }
+        for wrong in ["", "soon", "1:2:3:4", "-5", "1-", "99999999999", "1h"] {
+            assert_eq!(minutes(wrong), None, "{wrong}");
+        }
+    }
+
+    #[test]
+    fn words_stay_words() {
+        assert_eq!(quoted("/a/b-c.d"), "/a/b-c.d");
+        assert_eq!(quoted("it's a $HOME"), r"'it'\''s a $HOME'");
+        assert_eq!(quoted(""), "''");
+    }
+
+    #[test]
+    fn requests_that_make_no_line_are_refused() {
+        let request = |change: &dyn Fn(&mut Request)| {
+            let mut request = Request::default();
+            change(&mut request);
+            request.check().map_err(|error| error.to_string())
+        };
+        assert_eq!(request(&|_| ()), Ok(()));
+        assert_eq!(request(&|r| r.time = Some("12:00:00".into())), Ok(()));
+        let cases: [(&dyn Fn(&mut Request), &str); 5] = [
+            (&|r| r.partition = Some("a\n#SBATCH --begin=now".into()), "--partition"),
+            (&|r| r.mem = Some(String::new()), "--mem"),
+            (&|r| r.further = vec!["account".into()], "--sbatch account"),
+            (&|r| r.time = Some("1".into()), "at least 10 minutes"),
+            (&|r| r.time = Some("1 day".into()), "--time"),
+        ];
+        for (change, word) in cases {
+            let refused = request(change).unwrap_err();
+            assert!(refused.contains(word), "{refused}");
+        }
+    }
+}

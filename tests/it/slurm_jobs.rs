@@ -1,0 +1,160 @@
+//! `sweep submit` with the Slurm of this machine: tasks at once on its nodes, kills, preemptions, failures, a cancelled sweep.
+//!
+//! ```sh
+//! tools/slurm_here.sh DIR && . DIR/env      # where there is none: two nodes on this machine
+//! cargo test --release --test it slurm_jobs:: -- --ignored --nocapture
+//! DIR/stop
+//! ```
+
+use std::path::{Path, PathBuf};
+use std::process::Command;
+use std::time::{Duration, Instant};
+
+use super::slurm::TINY;
+use crate::common::assert_says;
+use crate::common::files::{assert_same_files, entries, json, text};
+use crate::common::program::{self, augnerf};
+use tempfile::TempDir;
+
+/// As long as all that is submitted here may take.
+const PATIENCE: Duration = Duration::from_secs(600);
+
+/// Six points, four of some seconds and two that fail.
+fn definition() -> String {
+    let seeds = TINY.replace("seeds = [0]", "seeds = [0, 1]");
+    let steps = seeds.replace("\"train.steps\" = 30", "\"train.steps\" = 4000");
+    steps.replace("\"train.checkpoint_every\" = 10", "\"train.checkpoint_every\" = 50")
+}
+
+/// A folder with the sweep in it; none, said aloud, where there is no Slurm.
+fn workplace() -> Option<TempDir> {
+    let answered = Command::new("sinfo").arg("--noheader").output().is_ok_and(|output| output.status.success());
+    if !answered {
+        eprintln!("SKIPPED: no Slurm answers here; tools/slurm_here.sh starts one");
+        return None;
+    }
+    let dir = TempDir::new().unwrap();
+    std::fs::write(dir.path().join("tiny.toml"), definition()).unwrap();
+    Some(dir)
+}
+
+#[track_caller]
+fn demand(arguments: &[&str], dir: &Path, code: i32) -> String {
+    program::demand(augnerf(arguments).current_dir(dir), code)
+}
+
+/// What a command of Slurm says.
+#[track_caller]
+fn slurm(program: &str, arguments: &[&str]) -> String {
+    let output = Command::new(program).args(arguments).output().unwrap();
+    let said = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert!(output.status.success(), "{program} {arguments:?}: {said}");
+    String::from_utf8(output.stdout).unwrap()
+}
+
+/// Tasks of the jobs in the queue: task, state, node.
+fn queue(name: &str) -> Vec<(String, String, String)> {
+    let said = slurm("squeue", &["-h", "-r", "--name", name, "-o", "%K %T %N"]);
+    let line = |line: &str| {
+        let mut words = line.split(' ').map(String::from);
+        let mut next = || words.next().unwrap_or_default();
+        (next(), next(), next())
+    };
+    said.lines().map(line).collect()
+}
+
+#[track_caller]
+fn wait_for(what: &str, dir: &Path, holds: impl Fn() -> bool) {
+    let started = Instant::now();
+    while !holds() {
+        if started.elapsed() > PATIENCE {
+            let logs = entries(&dir.join("runs/tiny/slurm/log"));
+            let logs: Vec<String> = logs.iter().map(|log| format!("{}:\n{}", log.display(), text(log))).collect();
+            panic!("{what}: not within {PATIENCE:?}; {:?}\n{}", queue("tiny,tiny-tables"), logs.join("\n"));
+        }
+        std::thread::sleep(Duration::from_millis(200));
+    }
+}
+
+/// The points' folders, in the order of their numbers.
+fn points(dir: &Path) -> Vec<PathBuf> {
+    let folder = dir.join("runs/tiny");
+    let ids = json(&folder.join("points.json"))["points"].as_array().unwrap().clone();
+    ids.iter().map(|point| folder.join("points").join(point["id"].as_str().unwrap())).collect()
+}
+
+/// It is trained right now and will be for a while.
+fn in_training(point: &Path) -> bool {
+    let lines = std::fs::read_to_string(point.join("run/scalars.csv")).map_or(0, |text| text.lines().count());
+    point.join("claim.json").exists() && lines > 4
+}
+
+fn sessions(point: &Path) -> u64 {
+    json(&point.join("run/timing.json"))["sessions"].as_u64().unwrap()
+}
+
+#[test]
+#[ignore = "needs Slurm"]
+fn a_sweep_on_a_cluster_equals_one_at_home_whatever_befalls_its_tasks() {
+    let (Some(home), Some(cluster)) = (workplace(), workplace()) else { return };
+    let dir = cluster.path();
+    let said = demand(&["sweep", "submit", "tiny.toml", "--cpus", "1", "--mem", "200", "--time", "20"], dir, 0);
+    assert_says(&said, &["6 of 6 points: 0-5", "writes the tables"]);
+    let job = said.lines().last().unwrap().to_string();
+    let all = points(dir);
+    // Of each seed the first, broken, and the last row.
+    let good = [0, 2, 3, 5];
+    wait_for("four points at once", dir, || good.iter().all(|&index| in_training(&all[index])));
+    let running = queue("tiny");
+    let mut nodes: Vec<&str> = running.iter().filter(|task| task.1 == "RUNNING").map(|task| task.2.as_str()).collect();
+    assert!(nodes.len() >= 4, "{running:?}");
+    nodes.sort_unstable();
+    nodes.dedup();
+    assert_eq!(nodes.len(), 2, "{running:?}");
+    let status = demand(&["sweep", "status", "runs/tiny"], dir, 0);
+    assert_says(&status, &[&format!("job {job}_0 RUNNING"), "PENDING (Dependency)"]);
+    assert_says(&demand(&["sweep", "submit", "tiny.toml"], dir, 0), &["nothing to submit", "in the queue already"]);
+
+    // A preemption, a signal before the end of the time, a kill; the fourth is left alone.
+    slurm("scontrol", &["requeue", &format!("{job}_0")]);
+    slurm("scancel", &["--signal=USR1", "--batch", &format!("{job}_2")]);
+    let pid = json(&all[3].join("claim.json"))["pid"].to_string();
+    assert!(Command::new("kill").args(["-9", &pid]).status().unwrap().success());
+    wait_for("the end of all jobs", dir, || queue("tiny,tiny-tables").is_empty());
+    let logs: Vec<String> = entries(&dir.join("runs/tiny/slurm/log")).iter().map(|log| text(log)).collect();
+    assert!(logs.iter().filter(|log| log.contains("stopping with a checkpoint")).count() == 2, "{logs:#?}");
+    assert_eq!(good.map(|index| sessions(&all[index])), [2, 2, 2, 1], "{logs:#?}");
+    let status = demand(&["sweep", "status", "runs/tiny"], dir, 0);
+    assert_says(&status, &["4 done, 2 failed", "not a number"]);
+    assert_says(&demand(&["sweep", "submit", "tiny.toml"], dir, 0), &["nothing to submit", "4 done, 2 failed"]);
+
+    demand(&["sweep", "run", "tiny.toml", "--quiet"], home.path(), 7);
+    assert_same_files(&home.path().join("results/tiny"), &dir.join("results/tiny"), &["timing.csv"]);
+    for (a, b) in points(home.path()).iter().zip(&all) {
+        assert_same_files(a, b, &["run/timing.json", "run/run.lock", "run/tensorboard"]);
+    }
+}
+
+#[test]
+#[ignore = "needs Slurm"]
+fn a_cancelled_sweep_stays_cancelled_and_goes_on_at_home() {
+    let Some(cluster) = workplace() else { return };
+    let dir = cluster.path();
+    let submit = ["sweep", "submit", "tiny.toml", "--quiet", "--set", "train.steps=8000", "--seeds", "0"];
+    let said = demand(&[&submit[..], &["--partition", "nowhere"]].concat(), dir, 2);
+    assert_says(&said, &["sbatch refuses", "invalid partition"]);
+    demand(&[&submit[..], &["--array-limit", "1"]].concat(), dir, 0);
+    let own = points(dir)[0].clone();
+    wait_for("a step", dir, || in_training(&own));
+    let said = demand(&["sweep", "cancel", "runs/tiny"], dir, 0);
+    assert_says(&said, &["1 points of job", "RUNNING", "2 points of job", "PENDING", "1 tables of job"]);
+    wait_for("an empty queue", dir, || queue("tiny,tiny-tables").is_empty());
+    // As long as a task that was put back would wait.
+    std::thread::sleep(Duration::from_secs(10));
+    assert_eq!(queue("tiny,tiny-tables"), []);
+    let log = entries(&dir.join("runs/tiny/slurm/log")).iter().map(|log| text(log)).collect::<String>();
+    assert_says(&log, &["stopping with a checkpoint", "CANCELLED"]);
+    assert!(!own.join("result.json").exists() && !own.join("claim.json").exists());
+    demand(&["sweep", "run-point", "runs/tiny", "--index", "0", "--quiet"], dir, 0);
+    assert_eq!(sessions(&own), 2);
+}
