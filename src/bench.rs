@@ -94,7 +94,7 @@ pub struct Timed {
 }
 
 /// That of [`scene`].
-pub const EXTENT: Extent = Extent { near: 2.0, far: 6.0, pixels: 64 };
+pub const EXTENT: Extent = Extent { near: 2.0, far: 6.0, domain: None, pixels: 64 };
 
 /// One 64 x 64 view of noise, seen from (0, 0, 4) along -z between 2 and 6.
 pub fn scene() -> Scene {
@@ -119,6 +119,7 @@ pub fn scene() -> Scene {
         background: None,
         path: vec![],
         corrupted: None,
+        place: Default::default(),
     }
 }
 

@@ -1,14 +1,15 @@
 //! `augnerf data`.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use clap::{Args, Subcommand};
 
-use crate::base::files::AtomicDir;
+use crate::base::files::{AtomicDir, write_atomic};
 use crate::base::{Error, Result};
+use crate::data::Scene;
 use crate::data::corruption::corrupt;
 use crate::data::formats::builtin::export;
-use crate::run::{load_scene, split_name, write_corrupted};
+use crate::run::{load_scene, scene_picture, split_name, write_corrupted};
 use crate::settings::{build, parse_assignment};
 
 use super::experiment::Experiment;
@@ -32,6 +33,9 @@ pub struct CheckArguments {
     /// Settings of section data, as in training: --set data.downscale=4
     #[arg(long, value_name = "FIELD=VALUE")]
     set: Vec<String>,
+    /// Draw cameras, points, the ends of rays and the box from two sides, too: a PNG or SVG
+    #[arg(long, value_name = "FILE.png")]
+    picture: Option<PathBuf>,
     /// No progress bar
     #[arg(long, short)]
     quiet: bool,
@@ -104,8 +108,36 @@ impl CorruptArguments {
     }
 }
 
+/// Draws the scene into a file whose ending names the kind.
+fn draw(scene: &Scene, file: &Path) -> Result<()> {
+    let figure = scene_picture(scene)?;
+    match (ending(file)?, figure.png) {
+        (Ending::Svg, _) => write_atomic(file, figure.svg.as_bytes()),
+        (Ending::Png, Some(png)) => write_atomic(file, &png),
+        (Ending::Png, None) => Err(Error::Config(format!(
+            "--picture {}: this augnerf was built without PNG figures (feature png-figures); let the name end in .svg",
+            file.display()
+        ))),
+    }
+}
+
+enum Ending {
+    Png,
+    Svg,
+}
+
+fn ending(file: &Path) -> Result<Ending> {
+    match file.extension().map(|ending| ending.to_ascii_lowercase()) {
+        Some(ending) if ending == "png" => Ok(Ending::Png),
+        Some(ending) if ending == "svg" => Ok(Ending::Svg),
+        _ => Err(Error::Config(format!("--picture {}: let the file's name end in .png or .svg", file.display()))),
+    }
+}
+
 impl CheckArguments {
     fn run(self) -> Result<()> {
+        // Refused before pictures are read.
+        self.picture.as_ref().map_or(Ok(()), |file| ending(file).map(|_| ()))?;
         let mut assignments = self.set.iter().map(|text| parse_assignment(text)).collect::<Result<Vec<_>>>()?;
         if let Some(dir) = &self.dir {
             let dir = toml::Value::String(dir.to_string_lossy().into_owned());
@@ -117,6 +149,6 @@ impl CheckArguments {
         for (label, value) in scene.describe().into_iter().chain([split]) {
             print_shown(&format!("{label:>16}  {value}"))?;
         }
-        Ok(())
+        self.picture.as_ref().map_or(Ok(()), |file| draw(&scene, file))
     }
 }

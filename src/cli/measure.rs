@@ -15,6 +15,9 @@ use super::experiment::Experiment;
 use super::progress::{Console, print};
 use super::{Compute, numbers};
 
+/// The paper's box for its regularizers.
+const PAPER_BOX: [[f64; 3]; 2] = [[-1.0; 3], [1.0; 3]];
+
 #[derive(Args)]
 pub struct MeasureArguments {
     /// Run folders; each run's newest checkpoint is measured
@@ -23,15 +26,10 @@ pub struct MeasureArguments {
     /// Cells along each side of the box; numbers of different lattices are not comparable
     #[arg(long, value_name = "N", default_value_t = 64)]
     lattice: usize,
-    /// Corners of the box in the units that the field is queried in (NDC where the run uses it)
-    #[arg(
-        long,
-        alias = "domain",
-        value_name = "X,Y,Z,X,Y,Z",
-        default_value = "-1,-1,-1,1,1,1",
-        allow_hyphen_values = true
-    )]
-    bbox: String,
+    /// Corners of the box in the units that the field is queried in (NDC where the run uses it) [default: -1..1, the
+    /// paper's; of transforms.json, COLMAP and spherified scenes what most cameras look at]
+    #[arg(long, alias = "domain", value_name = "X,Y,Z,X,Y,Z", allow_hyphen_values = true)]
+    bbox: Option<String>,
     /// Scene folder, if it has moved since training
     #[arg(long, value_name = "DIR")]
     data: Option<PathBuf>,
@@ -42,22 +40,24 @@ pub struct MeasureArguments {
 impl MeasureArguments {
     pub fn run(self) -> Result<()> {
         let runtime = self.compute.runtime()?;
-        let lattice = Lattice { domain: parse_box("bbox", &self.bbox)?, side: self.lattice };
-        check_lattice(&lattice)?;
+        let domain = self.bbox.as_deref().map(|text| parse_box("bbox", text)).transpose()?;
+        check_lattice(&Lattice { domain: domain.unwrap_or(PAPER_BOX), side: self.lattice })?;
         // A run that has no such numbers is refused before the first is measured.
         for run in &self.runs {
             check_measurable(run, &RunDir::open(run)?.read_config()?)?;
         }
-        runtime.install(|| self.measure(&lattice, &runtime))
+        runtime.install(|| self.measure(domain, &runtime))
     }
 
-    fn measure(&self, lattice: &Lattice, runtime: &Runtime) -> Result<()> {
+    fn measure(&self, domain: Option<[[f64; 3]; 2]>, runtime: &Runtime) -> Result<()> {
         let console = Console::new(self.compute.quiet);
         let mut header = true;
         for run in &self.runs {
             let trained = Trained::open(run, self.data.as_deref(), runtime, &console)?;
+            let domain = domain.or(trained.scene.place.domain).unwrap_or(PAPER_BOX);
+            let lattice = Lattice { domain, side: self.lattice };
             lattice.check_meets(&trained.scene, "--bbox")?;
-            let report = trained.measure_smoothness(lattice, &console)?;
+            let report = trained.measure_smoothness(&lattice, &console)?;
             for field in &report.fields {
                 let (mut names, mut values): (Vec<_>, Vec<_>) = columns(field).into_iter().unzip();
                 names.insert(0, "run".into());

@@ -8,13 +8,13 @@ use crate::base::{Error, Result};
 use crate::data::Camera;
 use crate::draw::write_png8;
 use crate::run::{
-    BUILTIN, Eye, MeshFormat, MeshOptions, MeshPicture, MeshReport, Trained, columns, mesh_picture, named_mesh,
-    reference_mesh,
+    BUILTIN, Eye, MeshFormat, MeshOptions, MeshPicture, MeshReport, MeshUnits, Trained, columns, mesh_picture,
+    named_mesh, reference_mesh,
 };
 use crate::runtime::Runtime;
 use crate::settings::MESH_SIDES;
 use crate::settings::registry::{check_flag, numbers};
-use crate::space::{self, Lattice, Paint, Score};
+use crate::space::{self, Lattice, Normals, Paint, Score};
 
 use super::Compute;
 use super::compare::pictures_folder;
@@ -33,7 +33,7 @@ pub struct MeshArguments {
     #[arg(long, value_name = "DENSITY")]
     threshold: Option<f64>,
     /// Corners of the box in the units that the field is queried in [default: NDC -1..1; embedded scene -1.2..1.2;
-    /// NeRF-Synthetic -1.5..1.5; otherwise what the training rays run through]
+    /// NeRF-Synthetic -1.5..1.5; otherwise what most cameras look at, or what the training rays run through]
     #[arg(long, value_name = "X,Y,Z,X,Y,Z", allow_hyphen_values = true)]
     bbox: Option<String>,
     /// Settings that the other flags change
@@ -48,6 +48,12 @@ pub struct MeshArguments {
     /// Files to write, one or both
     #[arg(long, value_enum, value_delimiter = ',', default_value = "ply")]
     format: Vec<Format>,
+    /// Units of the mesh files: the scene's, or those of the capture's own poses (scene.json has the way between them)
+    #[arg(long, value_enum, default_value = "scene")]
+    units: UnitsName,
+    /// Where normals come from
+    #[arg(long, value_enum, default_value = "triangles")]
+    normals: NormalsName,
     /// Write the densities, too: density.npy, float32 [x, y, z] at the cells' midpoints
     #[arg(long)]
     density: bool,
@@ -64,6 +70,22 @@ pub struct MeshArguments {
     data: Option<PathBuf>,
     #[command(flatten)]
     compute: Compute,
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+enum UnitsName {
+    /// The scene's, after recentring and scaling
+    Scene,
+    /// The capture's
+    Capture,
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+enum NormalsName {
+    /// The mean of the triangles around a vertex
+    Triangles,
+    /// Density's gradient at the vertex, rough where density is
+    Density,
 }
 
 /// A picture of the mesh.
@@ -213,6 +235,14 @@ impl MeshArguments {
             density: self.density,
             most_mib: self.memory,
             picture: self.picture.picture()?,
+            normals: match self.normals {
+                NormalsName::Triangles => Normals::Triangles,
+                NormalsName::Density => Normals::Density,
+            },
+            units: match self.units {
+                UnitsName::Scene => MeshUnits::Scene,
+                UnitsName::Capture => MeshUnits::Capture,
+            },
         };
         check_options(&options)?;
         Ok(options)

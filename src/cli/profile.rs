@@ -54,6 +54,7 @@ impl ProfileArguments {
             Profile::measure(viewer, run, pixel, patch)
         };
         let (runs, folders) = self.runs.gather(runs, runtime, &console, measure)?;
+        runs.iter().try_for_each(|(run, _)| run.check_same_interval(&runs[0].0))?;
         let (pixel, patch) = place(&runs[0].0)?;
         let (folder, pictures) = pictures_folder(self.out.as_deref(), folders[0].renders().join("profile"))?;
         Profiles { runs, pixel, patch }.write(pictures.path())?;

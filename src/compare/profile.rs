@@ -11,6 +11,7 @@ use crate::render::sampling::stratified;
 use crate::render::volume::{middles, transmittance};
 use crate::render::{Pass, PassOutput, clean_pass, columns, fine_t_vals, points_at, ray_parts};
 use crate::run::Viewer;
+use crate::settings::Spacing;
 
 /// Even samples of a ray: over 6 units, more than two for each period of the encoding's finest octave, 2 pi / 2^9.
 pub const EVEN: usize = 1024;
@@ -89,13 +90,14 @@ impl Profile {
         let Viewer { model, config, scene, runtime } = *viewer;
         let device = runtime.device();
         let camera = &run.view.camera;
-        let (near, far) = scene.bounds();
+        let bounds = scene.bounds();
         let fields = model.fields()?.frozen()?;
         let (coarse, fine) = (&fields.coarse, fields.fine());
         let parts = ray_parts(fields.evaluated());
         let rays = |pixels: &[(usize, usize)]| {
             let pixels: Vec<_> = pixels.iter().map(|&(x, y)| (camera, x as u32, y as u32)).collect();
-            RayBuffer::new(&pixels, scene.ndc.as_ref(), config.data.pixel_origin, parts).to_tensors(DType::F32, device)
+            RayBuffer::new(&pixels, scene.ndc.as_ref(), config.data.origin_of_pixels(), parts)
+                .to_tensors(DType::F32, device)
         };
         let pass = |field, rays: &Rays, t_vals: &Tensor| {
             clean_pass(field, Pass { rays, t_vals, density_noise: None, background: scene.background })
@@ -103,7 +105,7 @@ impl Profile {
         let ray = rays(&[pixel])?;
         let sampling = &config.sampling;
         let (coarse_columns, _) = columns(coarse, sampling);
-        let t_vals = stratified(near, far, 1, coarse_columns, None, &ray.origins)?;
+        let t_vals = stratified(bounds, sampling.spacing, 1, coarse_columns, None, &ray.origins)?;
         let coarse_pass = pass(coarse, &ray, &t_vals)?;
         let fine_pass = fine.map(|fine| pass(fine, &ray, &fine_t_vals(coarse, &ray, &t_vals, sampling)?));
         let fine_pass = fine_pass.transpose()?;
@@ -111,7 +113,7 @@ impl Profile {
         let around = rays(&pixels)?;
         // MipNeRF's intervals have one edge more.
         let even_columns = EVEN + coarse_columns - sampling.coarse;
-        let t_vals = stratified(near, far, pixels.len(), even_columns, None, &around.origins)?;
+        let t_vals = stratified(bounds, Spacing::Depth, pixels.len(), even_columns, None, &around.origins)?;
         let even = samples(&around, &pass(fields.evaluated(), &around, &t_vals)?)?;
         let shown = &fine_pass.as_ref().unwrap_or(&coarse_pass).composite;
         let acc = shown.acc.to_vec1::<f32>()?[0];

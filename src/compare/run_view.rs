@@ -66,7 +66,6 @@ impl RunView {
                 ("the resolution", format!("{width} x {height}")),
                 ("the held-out view", format!("{} ({})", run.view.name, run.protocol.text("split"))),
                 ("data.ndc", run.ndc.is_some().to_string()),
-                ("the rays' interval (data.near, data.far)", format!("{} to {}", run.bounds.0, run.bounds.1)),
                 ("the background", run.protocol.text("background")),
                 ("the focal length", format!("{focal:?}")),
                 ("the principal point", format!("{centre:?}")),
@@ -85,6 +84,22 @@ impl RunView {
             return differ("the photograph", "one".into(), format!("another ({others} of {values} values)"));
         }
         Ok(())
+    }
+
+    /// Refuses a run whose rays have other ends than those of `first`: what is measured from near to far is not comparable.
+    pub fn check_same_interval(&self, first: &RunView) -> Result<()> {
+        if self.bounds == first.bounds {
+            return Ok(());
+        }
+        let words = |run: &RunView| format!("{} to {}", run.bounds.0, run.bounds.1);
+        Err(Error::Config(format!(
+            "rays of {} run from {}, and of {} from {}: densities along them are compared over one interval; give runs that agree in \
+             data.near and data.far (`augnerf compare` shows runs that do not)",
+            self.label,
+            words(self),
+            first.label,
+            words(first)
+        )))
     }
 
     /// Scene and view in words.

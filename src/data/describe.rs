@@ -1,7 +1,9 @@
 //! A scene in words, for `data check`.
 
-use super::{Camera, Scene, View};
+use super::{Camera, Rig, Scene, View, pose};
 
+/// Bounds that are farther apart, as a factor, are wide for samples that are even in depth.
+const WIDE: f64 = 20.0;
 /// Names of so many views are written out.
 const NAMES: usize = 6;
 
@@ -20,14 +22,61 @@ impl Scene {
             row("focal length", format!("{:.3} x {:.3} pixels (first view)", focal[0], focal[1]));
             row("principal point", format!("{:.3}, {:.3} (first view)", centre[0], centre[1]));
         }
+        for (label, words) in &self.place.notes {
+            row(label, words.clone());
+        }
         row("near, far", format!("{:.4} to {:.4}", self.near, self.far));
         row("coordinates", if self.ndc.is_some() { "NDC" } else { "world" }.into());
+        self.describe_place(&mut row);
         row("background", self.background.map_or("none (opaque photographs)".into(), |c| format!("{c:?}")));
         row("exact depth", self.depth_words().into());
         let corrupted = self.corrupted.as_ref().map_or("none", |corrupted| &corrupted.what);
         row("corruption", format!("{corrupted} (training views)"));
         row("video path", format!("{} cameras", self.path.len()));
         rows
+    }
+
+    /// Where cameras stand, what they look at, how far that is, and how the scene's units follow from the capture's.
+    fn describe_place(&self, row: &mut impl FnMut(&str, String)) {
+        let cameras: Vec<Camera> = self.train.iter().chain(&self.test).map(|view| view.camera).collect();
+        if cameras.is_empty() {
+            return;
+        }
+        let (rig, world) = (Rig::of(&cameras), &self.place.world);
+        let sides = pose::sub(rig.extent[1], rig.extent[0]);
+        let spread =
+            rig.spread.map_or("all ways".into(), |spread| format!("up to {spread:.0} degrees from their mean"));
+        let [x, y, z] = sides;
+        row("cameras", format!("within {x:.3} x {y:.3} x {z:.3} scene units, turned {spread}"));
+        row(
+            "looking at",
+            rig.subject.map_or("no common point".into(), |subject| {
+                let ([x, y, z], [least, median, most]) = (subject.focus, subject.depths);
+                format!(
+                    "[{x:.3}, {y:.3}, {z:.3}], {median:.3} away ({least:.3} to {most:.3}), {:.3} around it",
+                    subject.radius
+                )
+            }),
+        );
+        if let Some(domain) = self.place.domain {
+            let text = |[x, y, z]: [f64; 3]| format!("[{x:.3}, {y:.3}, {z:.3}]");
+            row("box", format!("{} to {} (meshes, measure, hash grids)", text(domain[0]), text(domain[1])));
+        }
+        let [x, y, z] = pose::column(&world.rotation_and_origin, 3);
+        row(
+            "scene units",
+            match *world == super::WorldToScene::default() {
+                true => "the capture's own".into(),
+                false => {
+                    format!("{:.5} to one of the capture's, whose origin is at [{x:.4}, {y:.4}, {z:.4}]", world.scale)
+                }
+            },
+        );
+        // LLFF's authors sample such scenes in disparity.
+        if self.ndc.is_none() && self.near > 0.0 && self.far / self.near > WIDE {
+            let times = self.far / self.near;
+            row("wide bounds", format!("far is {times:.0} times near: try --set sampling.spacing=disparity"));
+        }
     }
 }
 

@@ -227,6 +227,13 @@ pub(super) fn read_all(
     Ok((images, clear.contains(&true)))
 }
 
+/// The folder of the files, their size and the one that they are averaged down to, for people.
+pub(super) fn folder_words(paths: &[PathBuf], from: (usize, usize), to: (usize, usize)) -> String {
+    let folder = paths.first().and_then(|path| path.parent()).unwrap_or(Path::new(""));
+    let averaged = if from == to { "as stored".into() } else { format!("averaged down to {} x {}", to.0, to.1) };
+    format!("{}: {} x {} pixels, {averaged}", folder.display(), from.0, from.1)
+}
+
 /// A name for each view: its file's stem; the whole path where stems repeat.
 pub(super) fn names(paths: &[PathBuf]) -> Vec<String> {
     let stem = |path: &PathBuf| path.file_stem().map(|s| s.to_string_lossy().into_owned()).unwrap_or_default();

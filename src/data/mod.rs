@@ -9,19 +9,25 @@ pub mod formats;
 pub mod images;
 mod json;
 pub(crate) mod npy;
+mod place;
 pub(crate) mod ply;
 pub mod pose;
 pub(crate) mod rays;
 pub(crate) mod resample;
+mod rig;
 pub mod vector;
 mod views;
+mod world;
 
 pub use camera::{Camera, Ndc};
 pub use corruption::Corrupted;
 pub use detect::detect;
 pub use formats::{Capture, FORMATS, Format, ReferenceDepth};
+pub use place::Place;
 pub use rays::{Footprint, RayBuffer, RayParts, Rays};
+pub use rig::{Rig, Subject};
 pub use views::seen_views;
+pub use world::WorldToScene;
 
 use std::sync::Arc;
 
@@ -51,7 +57,7 @@ pub struct View {
 pub struct Scene {
     /// The folder's name, or `builtin`.
     pub name: String,
-    /// `llff`, `blender`, `transforms`, `builtin-blender`, `builtin-forward`.
+    /// `llff`, `blender`, `transforms`, `colmap`, `builtin-blender`, `builtin-forward`.
     pub kind: &'static str,
     /// Views that are trained on.
     pub train: Vec<View>,
@@ -69,6 +75,8 @@ pub struct Scene {
     pub path: Vec<Camera>,
     /// What was done to the training views after they were read.
     pub corrupted: Option<Corrupted>,
+    /// Where it lies: units, box, points.
+    pub place: Place,
 }
 
 impl Scene {
@@ -80,7 +88,7 @@ impl Scene {
     /// What settings that hang on the scene follow from.
     pub fn extent(&self) -> Extent {
         let sides = self.train.iter().chain(&self.test).map(|view| view.camera.width.max(view.camera.height));
-        Extent { near: self.near, far: self.far, pixels: sides.max().unwrap_or(0) }
+        Extent { near: self.near, far: self.far, domain: self.place.domain, pixels: sides.max().unwrap_or(0) }
     }
 
     /// The format that the scene was read in; none for a scene of one's own making.
@@ -136,6 +144,15 @@ pub fn known_bounds(config: &DataConfig) -> Option<(f64, f64)> {
     };
     let (near, far) = (usual.map(|(near, _)| near), usual.map(|(_, far)| far));
     config.near.or(near).zip(config.far.or(far))
+}
+
+/// Whether [`load`] may find a box that most cameras look at, which a hash grid then fills.
+pub fn may_have_box(config: &DataConfig) -> bool {
+    match config.kind {
+        DataKind::Transforms | DataKind::Colmap => true,
+        DataKind::Llff => !config.ndc,
+        DataKind::Auto | DataKind::Blender | DataKind::BuiltinBlender | DataKind::BuiltinForward => false,
+    }
 }
 
 /// Loads the scene that `config` names. Its kind must be settled ([`detect`]) and `downscale` filled. `seed` is that of

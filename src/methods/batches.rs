@@ -51,7 +51,7 @@ impl Batches {
             images: scene.train.iter().map(|view| view.image.clone()).collect(),
             offsets: running_sums(scene.train.iter().map(pixels)),
             ndc: scene.ndc,
-            pixel_origin: config.data.pixel_origin,
+            pixel_origin: config.data.origin_of_pixels(),
             parts,
             epoch: None,
         };
@@ -187,6 +187,7 @@ mod tests {
             background: None,
             path: vec![],
             corrupted: None,
+            place: Default::default(),
         }
     }
 

@@ -41,11 +41,12 @@ pub fn render_rays(
     coarse: &Field,
     fine: Option<&Field>,
     rays: &Rays,
-    (near, far): (f64, f64),
+    bounds: (f64, f64),
     sampling: &SamplingConfig,
     background: Option<[f32; 3]>,
 ) -> Result<Composite> {
-    let t_vals = sampling::stratified(near, far, rays.len(), columns(coarse, sampling).0, None, &rays.origins)?;
+    let columns = columns(coarse, sampling).0;
+    let t_vals = sampling::stratified(bounds, sampling.spacing, rays.len(), columns, None, &rays.origins)?;
     let pass = Pass { rays, t_vals: &t_vals, density_noise: None, background };
     let Some(fine) = fine else { return Ok(clean_pass(coarse, pass)?.composite) };
     let t_vals = fine_t_vals(coarse, rays, &t_vals, sampling)?;

@@ -6,24 +6,20 @@
 use candle_core::{DType, Tensor};
 
 use crate::base::Result;
+use crate::settings::Spacing;
 
-/// Stratified samples: `samples` points linspace(near, far), each moved uniformly within the bin
+/// Stratified samples: `samples` points evenly spaced from near to far (in t or in 1 / t), each moved uniformly within the bin
 /// that its mid-points to the neighbours bound. `jitter` is uniform in 0..1, `[rays, samples]`;
 /// without it the points themselves are repeated for `rays` rays.
 pub fn stratified(
-    near: f64,
-    far: f64,
+    bounds: (f64, f64),
+    spacing: Spacing,
     rays: usize,
     samples: usize,
     jitter: Option<&Tensor>,
     like: &Tensor,
 ) -> Result<Tensor> {
-    let points: Vec<f64> = (0..samples)
-        .map(|i| {
-            let s = i as f64 / (samples - 1) as f64;
-            near * (1.0 - s) + far * s
-        })
-        .collect();
+    let points: Vec<f64> = (0..samples).map(|i| spacing.at(bounds, i as f64 / (samples - 1) as f64)).collect();
     let mid = |i: usize| 0.5 * (points[i] + points[i + 1]);
     let lower: Vec<f64> = (0..samples).map(|i| if i == 0 { points[0] } else { mid(i - 1) }).collect();
     let upper: Vec<f64> = (0..samples).map(|i| if i + 1 == samples { points[i] } else { mid(i) }).collect();
@@ -200,11 +196,14 @@ mod tests {
     fn stratified_samples_stay_in_their_bins_and_are_sorted() {
         let like = Tensor::zeros(1, DType::F64, &Device::Cpu).unwrap();
         let jitter = Tensor::new(&[[0.0, 0.0, 0.0, 0.0], [0.999, 0.999, 0.999, 0.999]], &Device::Cpu).unwrap();
-        let t = stratified(2.0, 5.0, 2, 4, Some(&jitter), &like).unwrap().to_vec2::<f64>().unwrap();
+        let t = stratified((2.0, 5.0), Spacing::Depth, 2, 4, Some(&jitter), &like).unwrap().to_vec2::<f64>().unwrap();
         assert_eq!(t[0], [2.0, 2.5, 3.5, 4.5]);
         assert!(t[1].iter().zip([2.5, 3.5, 4.5, 5.0]).all(|(a, b)| (a - b).abs() < 2e-3 && *a < b));
-        let still = stratified(2.0, 5.0, 1, 4, None, &like).unwrap().to_vec2::<f64>().unwrap();
+        let still = stratified((2.0, 5.0), Spacing::Depth, 1, 4, None, &like).unwrap().to_vec2::<f64>().unwrap();
         assert_eq!(still[0], [2.0, 3.0, 4.0, 5.0]);
+        let near = stratified((0.5, 8.0), Spacing::Disparity, 1, 6, None, &like).unwrap().to_vec2::<f64>().unwrap();
+        let expected = [2.0, 1.625, 1.25, 0.875, 0.5, 0.125].map(|disparity: f64| 1.0 / disparity);
+        assert!(near[0].iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-12), "{near:?}");
     }
 
     /// Weights blurred, padded and inverted by hand, one u at a time along the piecewise-linear CDF.
@@ -262,7 +261,8 @@ mod tests {
         let mut random = crate::base::rng::Random::new(3, crate::base::rng::Stream::Jitter, 0);
         let mut draw = |shape: &[usize]| random.uniform_tensor(shape, DType::F64, &Device::Cpu).unwrap();
         let (rays, coarse, fine) = (40, 16, 24);
-        let t_vals = stratified(2.0, 6.0, rays, coarse, Some(&draw(&[rays, coarse])), &draw(&[1])).unwrap();
+        let t_vals =
+            stratified((2.0, 6.0), Spacing::Depth, rays, coarse, Some(&draw(&[rays, coarse])), &draw(&[1])).unwrap();
         // Empty rays, and rays with all weight in one place, among the others.
         let weights = draw(&[rays, coarse]).powf(8.0).unwrap();
         let scale = Tensor::from_vec((0..rays).map(|i| (i % 3) as f64).collect(), (rays, 1), &Device::Cpu).unwrap();

@@ -96,7 +96,7 @@ impl Viewer<'_> {
         let Viewer { config, scene, runtime, .. } = *self;
         let device = runtime.device();
         let render = |part: &[(&Camera, u32, u32)]| -> Result<[Vec<f32>; 3]> {
-            let rays = RayBuffer::new(part, scene.ndc.as_ref(), config.data.pixel_origin, painter.ray_parts())
+            let rays = RayBuffer::new(part, scene.ndc.as_ref(), config.data.origin_of_pixels(), painter.ray_parts())
                 .to_tensors(DType::F32, device)?;
             let out = painter.paint(&rays)?;
             let host = |tensor: &candle_core::Tensor| tensor.to_dtype(DType::F32)?.flatten_all()?.to_vec1::<f32>();

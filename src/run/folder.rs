@@ -16,6 +16,7 @@ use crate::train::checkpoint;
 use super::lock::{LOCK, RunLock};
 
 const CONFIG: &str = "config.toml";
+const SCENE: &str = "scene.json";
 const METRICS_JSON: &str = "metrics.json";
 const METRICS_CSV: &str = "metrics.csv";
 const DEPTH_ERRORS: &str = "depth_errors.gz";
@@ -28,7 +29,7 @@ const RENDERS: &str = "renders";
 const MESH: &str = "mesh";
 
 /// The files of a run, apart from the lock.
-const FILES: [&str; 7] = [CONFIG, METRICS_JSON, METRICS_CSV, DEPTH_ERRORS, SMOOTHNESS, SCALARS, TIMING];
+const FILES: [&str; 8] = [CONFIG, SCENE, METRICS_JSON, METRICS_CSV, DEPTH_ERRORS, SMOOTHNESS, SCALARS, TIMING];
 /// The folders of a run.
 const FOLDERS: [&str; 3] = [TENSORBOARD, CHECKPOINTS, RENDERS];
 
@@ -197,6 +198,11 @@ impl RunDir {
     /// `config.toml`: the resolved configuration.
     pub fn config(&self) -> PathBuf {
         self.path.join(CONFIG)
+    }
+
+    /// `scene.json`: units, bounds and box of the scene.
+    pub fn scene_file(&self) -> PathBuf {
+        self.path.join(SCENE)
     }
 
     /// `metrics.json` and `metrics.csv` in a folder that need not be a run's.

@@ -4,10 +4,11 @@ use std::path::Path;
 
 use candle_core::Device;
 
-use crate::base::{Error, Listener, Result};
+use crate::base::{Error, Event, Listener, Result};
+use crate::data::formats::llff::settle_orbit;
 use crate::data::{self, Scene};
 use crate::metrics::{Backbone, Lpips};
-use crate::settings::{Config, Located, NO_REFERENCE, Resolved, scene_name};
+use crate::settings::{Config, Located, NO_REFERENCE, Resolved, Spacing, scene_name};
 
 use super::BUILTIN;
 
@@ -15,7 +16,12 @@ use super::BUILTIN;
 ///
 /// # Errors
 /// A folder or reference mesh that is not there; a folder that no format knows; settings that contradict the scene.
-pub fn locate_scene(mut config: Config) -> Result<Located> {
+pub fn locate_scene(config: Config) -> Result<Located> {
+    locate(config).map(|(located, _)| located)
+}
+
+/// The same, with what is to be said of a capture that goes around something.
+fn locate(mut config: Config) -> Result<(Located, Option<String>)> {
     let kind = data::detect(&config.data)?;
     if !config.data.dir.is_empty() {
         // Found again from any working directory; `.` gets its real name.
@@ -32,7 +38,9 @@ pub fn locate_scene(mut config: Config) -> Result<Located> {
     if config.data.name.is_empty() {
         config.data.name = scene_name(&config.data.dir);
     }
-    config.locate(kind)
+    config.data.kind = kind;
+    let orbit = settle_orbit(&mut config.data);
+    Ok((config.locate(kind)?, orbit))
 }
 
 /// Locates and loads the scene of a configuration, which it resolves.
@@ -53,10 +61,23 @@ pub fn locate_scene(mut config: Config) -> Result<Located> {
 /// # Ok::<(), augnerf::base::Error>(())
 /// ```
 pub fn load_scene(config: Config, events: &dyn Listener) -> Result<(Resolved, Scene)> {
-    let located = locate_scene(config)?;
+    let (located, orbit) = locate(config)?;
+    orbit.iter().for_each(|words| events.on(Event::Note(words)));
     let mut scene = data::load(&located.data, located.seed, events)?;
     scene.name.clone_from(&located.data.name);
+    check_spacing(&located, &scene)?;
     Ok((located.resolve(scene.extent()), scene))
+}
+
+/// Refuses samples that are even in disparity on rays that start at 0.
+fn check_spacing(config: &Config, scene: &Scene) -> Result<()> {
+    if config.sampling.spacing == Spacing::Depth || scene.near > 0.0 {
+        return Ok(());
+    }
+    Err(Error::Config(format!(
+        "sampling.spacing = \"disparity\" needs rays that start beyond 0, and those of {} start at {}: set data.near",
+        scene.name, scene.near
+    )))
 }
 
 /// Every LPIPS backbone whose weights the folder holds; none for an empty name.

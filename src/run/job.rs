@@ -21,7 +21,7 @@ use crate::train::{Trainer, checkpoint};
 
 use super::{
     Between, EVALUATION_COLUMNS, Existing, Measurement, Outcome, Pictures, Report, RunDir, SEEN_COLUMNS, Session,
-    Viewer, interrupted, surface_reference,
+    Viewer, interrupted, scene_file, surface_reference,
 };
 
 /// What a training is made of.
@@ -162,6 +162,7 @@ impl<'a> Job<'a> {
         run.check_writable(setup.bytes_needed())?;
         // In a resumed run: where scene and weights are now, for the next time.
         write_atomic(&run.config(), setup.config.to_toml().as_bytes())?;
+        scene_file::write(&run.scene_file(), setup.scene)?;
         let resumed = before.is_some();
         let started_unix = host::unix_seconds() as u64;
         let experiment = Experiment { run, setup, earlier: before.flatten(), notes, resumed, started_unix, memory };

@@ -4,18 +4,20 @@ use std::fs::File;
 use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
 
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use crate::base::files::{AtomicDir, write_json};
+use crate::base::input::{JSON_BYTES, read_text};
 use crate::base::{Error, Event, Listener, Result, version};
-use crate::data::{Format, npy};
+use crate::data::{Format, WorldToScene, npy};
 use crate::draw::write_png8;
 use crate::settings::DataKind;
 use crate::space::{
-    self, DensityRange, Drawing, FinishedMesh, Lattice, LevelSet, Mesh, Reference, finish_mesh, level_set,
+    self, DensityRange, Drawing, FinishedMesh, Lattice, LevelSet, Mesh, Normals, Reference, finish_mesh, level_set,
 };
 
 use super::mesh_picture::{MeshPicture, mesh_picture};
+use super::scene_file::WorldMatrix;
 use super::{
     BUILTIN, Protocol, RunDir, Trained, folder::free_bytes, most_memory_mib, reference_mesh, surface_box,
     surface_threshold,
@@ -45,6 +47,21 @@ pub struct MeshOptions {
     pub most_mib: Option<f64>,
     /// A picture of the mesh to draw, too.
     pub picture: Option<MeshPicture>,
+    /// Where its normals come from.
+    pub normals: Normals,
+    /// The units of the files.
+    pub units: MeshUnits,
+}
+
+/// The units of a mesh's files.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum MeshUnits {
+    /// The scene's, after recentring and scaling.
+    #[default]
+    Scene,
+    /// Those of the capture's own files.
+    Capture,
 }
 
 impl Default for MeshOptions {
@@ -60,6 +77,8 @@ impl Default for MeshOptions {
             density: false,
             most_mib: None,
             picture: None,
+            normals: Normals::default(),
+            units: MeshUnits::default(),
         }
     }
 }
@@ -133,8 +152,12 @@ pub struct MeshReport {
     /// Corners of the box, in the units that the field is queried in.
     #[serde(rename = "box")]
     pub domain: [[f64; 3]; 2],
-    /// `NDC` or `scene units`: those of box, threshold and densities. The mesh is always in scene units.
+    /// `NDC` or `scene units`: those of box, threshold and densities.
     pub box_units: &'static str,
+    /// Those of the mesh, its area and its volume.
+    pub units: MeshUnits,
+    /// From the capture's units to the scene's: x_scene = scale R x_capture + t, and `matrix` is `[scale R | t]`.
+    pub world_to_scene: WorldMatrix,
     /// What a MipNeRF field is queried at: Gaussians of a cell's variance along each axis, in these units squared. Empty for
     /// a field that is queried at points.
     pub variance: Option<[f64; 3]>,
@@ -150,15 +173,17 @@ pub struct MeshReport {
     pub closed: bool,
     /// Directed edges that do not.
     pub open_edges: usize,
-    /// Area in scene units.
+    /// Area, units squared.
     pub area: f64,
-    /// Volume in scene units; empty for an open mesh, which encloses none.
+    /// Volume, units cubed; empty for an open mesh, which encloses none.
     pub volume: Option<f64>,
     /// Connected parts of the level set.
     pub components: usize,
     /// Those that were left out.
     pub components_dropped: usize,
-    /// Vertices where density has no gradient, whose normal is that of the triangles around them.
+    /// Where normals come from.
+    pub normals: Normals,
+    /// Vertices whose normal is that of the triangles around them.
     pub normals_of_triangles: usize,
     /// Where the numbers come from.
     pub protocol: Protocol,
@@ -192,16 +217,20 @@ impl Trained {
         if options.largest {
             mesh = mesh.keep(&components[0]);
         }
-        let finished = finish_mesh(&*self.model.density()?, mesh, &drawing.lattice, self.scene.ndc.as_ref())?;
+        let (density, ndc) = (self.model.density()?, self.scene.ndc.as_ref());
+        let mut finished = finish_mesh(&*density, mesh, &drawing.lattice, ndc, options.normals)?;
         if let Some(picture) = &options.picture {
             let cameras = picture.cameras(&self.scene)?;
             write_png8(&picture.file, &mesh_picture(&finished.mesh, &cameras, picture.paint)?)?;
+        }
+        if options.units == MeshUnits::Capture {
+            in_capture(&mut finished.mesh, &self.scene.place.world);
         }
         for format in &options.formats {
             format.write(&files.path().join(format.file()), &finished.mesh)?;
         }
         let dropped = if options.largest { components.len() - 1 } else { 0 };
-        let report = MeshReport::new(self, &drawing, range, &finished, [components.len(), dropped]);
+        let report = MeshReport::new(self, &drawing, range, &finished, options, [components.len(), dropped]);
         write_json(&files.path().join("mesh.json"), &report)?;
         files.commit()?;
         Ok(report)
@@ -233,6 +262,7 @@ impl MeshReport {
         drawing: &Drawing,
         density: DensityRange,
         finished: &FinishedMesh,
+        options: &MeshOptions,
         [components, components_dropped]: [usize; 2],
     ) -> MeshReport {
         let Trained { scene, config, state, .. } = trained;
@@ -243,6 +273,8 @@ impl MeshReport {
             threshold: drawing.threshold,
             domain: drawing.lattice.domain,
             box_units: if scene.ndc.is_some() { "NDC" } else { "scene units" },
+            units: options.units,
+            world_to_scene: WorldMatrix::of(&scene.place.world),
             variance: config.field.encoding.queries_gaussians().then(|| drawing.lattice.cell_variance()),
             cap: drawing.cap,
             density,
@@ -254,10 +286,18 @@ impl MeshReport {
             volume: (open_edges == 0).then(|| mesh.volume()),
             components,
             components_dropped,
+            normals: options.normals,
             normals_of_triangles: finished.flat,
             protocol: trained.protocol(),
         }
     }
+}
+
+/// A mesh of the scene in the units of its capture.
+fn in_capture(mesh: &mut Mesh, world: &WorldToScene) {
+    let single = |point: [f64; 3]| point.map(|v| v as f32);
+    mesh.vertices.iter_mut().for_each(|vertex| *vertex = single(world.to_capture(vertex.map(f64::from))));
+    mesh.normals.iter_mut().for_each(|normal| *normal = single(world.direction_to_capture(normal.map(f64::from))));
 }
 
 /// The begun file of densities, on a disk with room for it.
@@ -302,5 +342,29 @@ pub fn named_mesh(name: &str, other: &str) -> Result<Reference> {
     let file = files.into_iter().find(|file| file.is_file()).ok_or_else(|| {
         Error::Data(format!("{name} has no mesh yet: draw it with `augnerf mesh {name}`, then compare again"))
     })?;
+    check_units(&run, name)?;
     reference_mesh(&file.to_string_lossy())
+}
+
+/// Refuses a run's mesh that is in its capture's units: what it is compared with is in the scene's.
+fn check_units(run: &RunDir, name: &str) -> Result<()> {
+    #[derive(Deserialize)]
+    struct Units {
+        #[serde(default)]
+        units: MeshUnits,
+    }
+    let path = run.mesh().join("mesh.json");
+    if !path.is_file() {
+        return Ok(());
+    }
+    let text = read_text(&path, JSON_BYTES).map_err(|e| Error::unreadable(&path, &e))?;
+    let Units { units } = serde_json::from_str(&text)
+        .map_err(|e| Error::Data(format!("{} is not what `augnerf mesh` writes: {e}", path.display())))?;
+    if units == MeshUnits::Scene {
+        return Ok(());
+    }
+    Err(Error::Config(format!(
+        "{name} has a mesh in its capture's units, and distances are measured in the scene's: draw it again without --units \
+         capture, or name the mesh files themselves where both are in one unit"
+    )))
 }

@@ -26,14 +26,14 @@ pub fn most_memory_mib() -> f64 {
 }
 
 /// The box that a scene's surface is looked for in where none is named, in the units that the field is queried in: all
-/// of NDC, the objects of NeRF-Synthetic and of the embedded scene with some room, otherwise the box that the training
-/// rays run through.
+/// of NDC, the objects of NeRF-Synthetic and of the embedded scene with some room, of other captures what most cameras look
+/// at, and where they look at nothing in common the box that the training rays run through.
 pub fn surface_box(scene: &Scene) -> [[f64; 3]; 2] {
     let cube = |half: f64| [[-half; 3], [half; 3]];
     match scene.format().and_then(|format| format.object_half) {
         _ if scene.ndc.is_some() => cube(1.0),
         Some(half) => cube(half),
-        None => Lattice::seen(scene),
+        None => scene.place.domain.unwrap_or_else(|| Lattice::seen(scene)),
     }
 }
 
@@ -153,7 +153,7 @@ impl Viewer<'_> {
     /// the mean NDC depth.
     pub(super) fn scene_depth(&self, camera: &Camera, rendered: &RenderedView) -> Vec<f32> {
         let Some(ndc) = self.scene.ndc else { return rendered.depth.clone() };
-        let shift = self.config.data.pixel_origin.shift();
+        let shift = self.config.data.origin_of_pixels().shift();
         let along = |(i, &t): (usize, &f32)| {
             let (x, y) = ((i % camera.width) as f64 + shift, (i / camera.width) as f64 + shift);
             let (origin, direction) = camera.ray(x, y);

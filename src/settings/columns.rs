@@ -226,6 +226,7 @@ pub const COLUMNS: &[Column] = &[
     column("view_width").where_differing(),
     column("adam").where_differing(),
     column("hash_grid").where_differing().of(on_hash_grid),
+    column("spacing").where_differing(),
 ];
 
 /// What the sites of a run were judged inactive by.

@@ -9,7 +9,7 @@ use super::registry::{Range, Settable, choice, numbers, place, section};
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum DataKind {
-    /// Decided by the files found: `poses_bounds.npy`, `transforms_train.json`, `transforms.json`.
+    /// Decided by the files found: `poses_bounds.npy`, `transforms_train.json`, `transforms.json`, `sparse/0`.
     #[default]
     Auto,
     /// `poses_bounds.npy` with `images_{factor}` or `images`.
@@ -18,6 +18,8 @@ pub enum DataKind {
     Blender,
     /// One `transforms.json` as instant-ngp and nerfstudio write it.
     Transforms,
+    /// A COLMAP model in `sparse/0` with `images` or `images_{factor}`.
+    Colmap,
     /// The embedded scene seen from all around, like a Blender scene.
     BuiltinBlender,
     /// The embedded scene seen from the front, like an LLFF scene.
@@ -26,11 +28,12 @@ pub enum DataKind {
 
 impl DataKind {
     /// All kinds.
-    pub const ALL: [DataKind; 6] = [
+    pub const ALL: [DataKind; 7] = [
         DataKind::Auto,
         DataKind::Llff,
         DataKind::Blender,
         DataKind::Transforms,
+        DataKind::Colmap,
         DataKind::BuiltinBlender,
         DataKind::BuiltinForward,
     ];
@@ -39,7 +42,22 @@ impl DataKind {
     pub fn forward_facing(self) -> bool {
         match self {
             DataKind::Llff | DataKind::BuiltinForward => true,
-            DataKind::Auto | DataKind::Blender | DataKind::Transforms | DataKind::BuiltinBlender => false,
+            DataKind::Auto | DataKind::Blender | DataKind::Transforms | DataKind::Colmap | DataKind::BuiltinBlender => {
+                false
+            }
+        }
+    }
+
+    /// Where in a pixel its ray goes through, unless it is set: COLMAP's poses are for the centre, published numbers of the
+    /// others for the corner.
+    fn pixel_origin(self) -> PixelOrigin {
+        match self {
+            DataKind::Transforms | DataKind::Colmap => PixelOrigin::Centre,
+            DataKind::Auto
+            | DataKind::Llff
+            | DataKind::Blender
+            | DataKind::BuiltinBlender
+            | DataKind::BuiltinForward => PixelOrigin::Corner,
         }
     }
 
@@ -52,7 +70,9 @@ impl DataKind {
     pub fn has_splits(self) -> bool {
         match self {
             DataKind::Blender | DataKind::BuiltinBlender => true,
-            DataKind::Auto | DataKind::Llff | DataKind::Transforms | DataKind::BuiltinForward => false,
+            DataKind::Auto | DataKind::Llff | DataKind::Transforms | DataKind::Colmap | DataKind::BuiltinForward => {
+                false
+            }
         }
     }
 
@@ -61,7 +81,11 @@ impl DataKind {
         match self {
             DataKind::Llff => 8,
             DataKind::Blender => 2,
-            DataKind::Auto | DataKind::Transforms | DataKind::BuiltinBlender | DataKind::BuiltinForward => 1,
+            DataKind::Auto
+            | DataKind::Transforms
+            | DataKind::Colmap
+            | DataKind::BuiltinBlender
+            | DataKind::BuiltinForward => 1,
         }
     }
 
@@ -72,6 +96,7 @@ impl DataKind {
             DataKind::Llff => "llff",
             DataKind::Blender => "blender",
             DataKind::Transforms => "transforms",
+            DataKind::Colmap => "colmap",
             DataKind::BuiltinBlender => "builtin-blender",
             DataKind::BuiltinForward => "builtin-forward",
         }
@@ -199,23 +224,36 @@ section! {
             numbers().whole(0, i64::MAX as u64, "at most 2^63 - 1").column("views_seed").later().same_time();
         /// Background of RGBA images.
         pub background: Background = Background::White, numbers().columns(&["background"]);
-        /// LLFF: rays in normalised device coordinates.
+        /// LLFF: rays in normalised device coordinates. Of a capture that goes around something: see `recognise_orbits`.
         pub ndc: bool = true, numbers().columns(&["ndc"]);
-        /// LLFF: poses recentred onto their mean pose.
+        /// LLFF: poses recentred onto their mean pose. transforms.json, COLMAP: the cameras' mean at the origin, and all of them
+        /// within 1 of it along each axis.
         pub recentre: bool = true, numbers();
         /// LLFF: poses and bounds scaled by 1 / (bound_factor * nearest bound); 0 = not scaled.
         pub bound_factor: f64 = 0.75, numbers().real(|factor| factor >= 0.0, "0 (not scaled) or positive");
         /// LLFF: poses mapped to a sphere around the point they look at (for inward-facing captures).
         pub spherify: bool = false, numbers();
-        /// Overrides the scene's near bound; empty = the scene's own.
+        /// LLFF: where cameras stand beyond the near plane, or turn by more than 40 degrees from their mean, `ndc` is switched off
+        /// and `spherify` on, and that is said. With `false` both are as they are set.
+        pub recognise_orbits: bool = true, numbers().columns(&["ndc"]).later().same_time();
+        /// Start of a ray's interval, scene units (0 to 1 under NDC). Empty = the scene's own: of the format (LLFF's depth bounds,
+        /// 2 for Blender), or found from COLMAP's points or what the cameras look at (`augnerf data check` says which).
         pub near: Option<f64> = None, numbers().real(|near| near >= 0.0, "a finite distance of at least 0");
-        /// Overrides the scene's far bound; empty = the scene's own.
+        /// Its end. Empty = the scene's own, as for `near` (6 for Blender).
         pub far: Option<f64> = None, numbers().real(|far| far >= 0.0, "a finite distance of at least 0");
-        /// Where in a pixel its ray goes through.
-        pub pixel_origin: PixelOrigin = PixelOrigin::Corner, numbers().column("pixel_origin");
+        /// Where in a pixel its ray goes through. Empty = `centre` for COLMAP and transforms.json, whose poses are for that,
+        /// `corner` otherwise.
+        pub pixel_origin: Option<PixelOrigin> = None, numbers().column("pixel_origin");
     }
     sections {
         /// What is done to the training views.
         pub corruption: CorruptionConfig, true;
+    }
+}
+
+impl DataConfig {
+    /// `pixel_origin`, or the kind's own.
+    pub fn origin_of_pixels(&self) -> PixelOrigin {
+        self.pixel_origin.unwrap_or(self.kind.pixel_origin())
     }
 }

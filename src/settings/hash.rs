@@ -58,8 +58,9 @@ section! {
         /// Between the corners of a cell: `linear` or `smoothstep`, which the Laplacian needs.
         pub interpolation: Interpolation = Interpolation::Linear, numbers().columns(COLUMN);
         /// The box that the grid fills, two corners in scene units (NDC: -1 to 1 is the frustum). Empty = for NDC 1.5 to each side
-        /// of the scene's origin, and -1 to 1 along the view axis; else without a contraction 1.5 to each side, and with one as far
-        /// to each side as the middle of a ray is from its start.
+        /// of the scene's origin, and -1 to 1 along the view axis; else what most cameras look at (transforms.json, COLMAP, LLFF
+        /// spherified), where they look at something; else without a contraction 1.5 to each side, and with one as far to each side
+        /// as the middle of a ray is from its start.
         pub bounds: Option<[[f64; 3]; 2]> = None, numbers().corners().columns(COLUMN);
         /// What becomes of points outside: `none` (nothing is there), `ball` or `axes` (all of space is drawn into it). Empty = `ball` for
         /// captures without a known extent, `none` otherwise.
@@ -70,7 +71,14 @@ section! {
 
 impl HashConfig {
     /// Fills what depends on the scene: seen in NDC or not, within known bounds or not.
-    pub(super) fn resolve(&mut self, ndc: bool, bounded: bool, (near, far): (f64, f64), pixels: usize) {
+    pub(super) fn resolve(
+        &mut self,
+        ndc: bool,
+        bounded: bool,
+        (near, far): (f64, f64),
+        domain: Option<[[f64; 3]; 2]>,
+        pixels: usize,
+    ) {
         self.finest.get_or_insert((2 * pixels).clamp(self.coarsest, FINEST));
         let contraction = if bounded || ndc { Contraction::None } else { Contraction::Ball };
         let contraction = *self.contraction.get_or_insert(contraction);
@@ -80,6 +88,9 @@ impl HashConfig {
             Contraction::None => 1.5,
             Contraction::Axes | Contraction::Ball => (0.5 * (near + far)).max(SHORTEST),
         };
+        if let Some(domain) = domain.filter(|_| !ndc) {
+            self.bounds.get_or_insert(domain);
+        }
         let depth = if ndc { 1.0 } else { reach };
         self.bounds.get_or_insert([[-reach, -reach, -depth], [reach, reach, depth]]);
     }
@@ -104,7 +115,7 @@ mod tests {
 
     fn bounds(contraction: Contraction, ndc: bool, interval: (f64, f64)) -> [[f64; 3]; 2] {
         let mut hash = HashConfig { contraction: Some(contraction), ..HashConfig::default() };
-        hash.resolve(ndc, false, interval, 100);
+        hash.resolve(ndc, false, interval, None, 100);
         assert!(hash.wrong().is_none(), "{hash:?}");
         hash.bounds.unwrap()
     }

@@ -58,6 +58,10 @@ impl Config {
 
     fn text_hash_without(&self, settings: &[String]) -> String {
         let (mut table, defaults) = (self.to_table(), Config::default().to_table());
+        // It had this value where nobody set it, before it could be left open.
+        if let Some(data) = table.get_mut("data").and_then(Value::as_table_mut) {
+            data.entry("pixel_origin").or_insert_with(|| "corner".into());
+        }
         for path in REGISTRY.later() {
             if value_at(&table, path) == value_at(&defaults, path) {
                 remove(&mut table, path);

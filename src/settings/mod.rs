@@ -38,7 +38,7 @@ pub use method::{Method, Representation};
 pub use perturb::{Objective, OutputPlace, PerturbConfig, PerturbField, Resample, ResolvedPerturb};
 pub use regularizer::{LatticePoints, REGULARIZERS, RegularizedFields, Regularizer, RegularizerConfig};
 pub use resolved::{Extent, Located, Resolved};
-pub use sampling::SamplingConfig;
+pub use sampling::{SamplingConfig, Spacing};
 pub use second_pass::{DeltaSource, SecondPass};
 pub use site::{SiteConfig, Sizes};
 pub use train::{Batching, Schedule, TrainConfig};

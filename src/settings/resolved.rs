@@ -35,6 +35,8 @@ pub struct Extent {
     pub near: f64,
     /// Its end.
     pub far: f64,
+    /// The box that most cameras look at, scene units, where only the scene's own geometry tells it.
+    pub domain: Option<[[f64; 3]; 2]>,
     /// Pixels along the longer side of a picture.
     pub pixels: usize,
 }
@@ -64,6 +66,7 @@ impl Config {
         let forward = kind.forward_facing();
         self.data.kind = kind;
         self.data.downscale.get_or_insert(kind.downscale());
+        self.data.pixel_origin = Some(self.data.origin_of_pixels());
         let density_noise = *self.sampling.density_noise.get_or_insert(if forward { 1.0 } else { 0.0 });
         let batching =
             *self.train.batching.get_or_insert(if forward { Batching::AllImages } else { Batching::OneImage });
@@ -88,14 +91,14 @@ impl Config {
 impl Located {
     /// Fills the fields whose default depends on the scene's extent.
     pub fn resolve(mut self, extent: Extent) -> Resolved {
-        let Extent { near, far, pixels } = extent;
+        let Extent { near, far, domain, pixels } = extent;
         let perturb = self.config.perturb.clone();
         let perturb = perturb.resolve(far - near, self.config.sampling.coarse, self.config.field.width);
         self.config.perturb = perturb.clone().into_draft();
         if self.config.field.encoding == Encoding::Hash {
             let kind = self.config.data.kind;
             let ndc = kind.forward_facing() && self.config.data.ndc && !self.config.data.spherify;
-            self.config.field.hash.resolve(ndc, kind.has_known_extent(), (near, far), pixels);
+            self.config.field.hash.resolve(ndc, kind.has_known_extent(), (near, far), domain, pixels);
         }
         Resolved { located: self, perturb }
     }

@@ -1,6 +1,31 @@
 //! Section `sampling`: samples along a ray.
 
-use super::registry::{numbers, section};
+use serde::{Deserialize, Serialize};
+
+use super::registry::{choice, numbers, section};
+
+/// What the coarse samples of a ray are evenly spaced in.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Spacing {
+    /// In t.
+    #[default]
+    Depth,
+    /// In 1 / t, as nerf-pytorch's `lindisp`: more of them near the camera.
+    Disparity,
+}
+
+impl Spacing {
+    /// The t at a share of the way from near to far; near is positive where spacing is in disparity.
+    pub fn at(self, (near, far): (f64, f64), share: f64) -> f64 {
+        match self {
+            Spacing::Depth => near * (1.0 - share) + far * share,
+            Spacing::Disparity => 1.0 / ((1.0 - share) / near + share / far),
+        }
+    }
+}
+
+choice!(Spacing);
 
 section! {
     /// Samples along a ray.
@@ -14,6 +39,9 @@ section! {
         pub resample_padding: f64 = 0.01,
             numbers().real(|padding| padding > 0.0, "positive: where all weights are 0, intervals are drawn from it alone")
                 .column("resample_padding").later().same_time();
+        /// What the coarse samples are evenly spaced in: `depth`, or `disparity` (1 / depth), for bounds that are far apart
+        /// without NDC.
+        pub spacing: Spacing = Spacing::Depth, numbers().column("spacing").later().same_time();
         /// Jitter in training.
         pub jitter: bool = true, numbers().column("jitter");
         /// Standard deviation of the noise on raw density in training. Empty = 1 for forward-facing

@@ -2,8 +2,8 @@
 
 use super::registry::Section;
 use super::{
-    Config, Core, DataKind, Encoding, EvalSplit, LatticePoints, MESH_SIDES, Objective, PerturbField, Precision,
-    Regularizer, Resample, SecondPass, Sizes, word,
+    Config, Core, DataKind, Encoding, EvalSplit, Geometry, LatticePoints, MESH_SIDES, Objective, PerturbField,
+    Precision, Regularizer, Resample, SecondPass, Sizes, Spacing, word,
 };
 use crate::augment::{Epsilon, Norm, Passes, REACH, Site, StepUnit};
 use crate::base::{Error, Result, SettingError};
@@ -125,7 +125,24 @@ impl Config {
         Ok(())
     }
 
+    fn validate_spacing(&self) -> Result<()> {
+        let (data, in_disparity) = (&self.data, self.sampling.spacing == Spacing::Disparity);
+        let ndc = data.kind.forward_facing() && data.ndc && !data.spherify;
+        refuse(in_disparity && ndc, || {
+            "sampling.spacing = \"disparity\" with data.ndc: normalised device coordinates are even in disparity already; \
+             set data.ndc=false, or leave sampling.spacing at \"depth\""
+                .into()
+        })?;
+        let of_paper = self.method.is_augmented() && self.perturb.geometry == Geometry::Paper;
+        refuse(in_disparity && of_paper, || {
+            "sampling.spacing = \"disparity\" with perturb.geometry = \"paper\": the paper's gaps are those of samples that are even \
+             in depth; leave perturb.geometry at \"sampling\""
+                .into()
+        })
+    }
+
     fn validate_sampling(&self) -> Result<()> {
+        self.validate_spacing()?;
         let fine = self.sampling.fine;
         if !self.representation().has_coarse_loss() {
             let allowed =

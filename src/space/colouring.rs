@@ -2,6 +2,7 @@
 
 use candle_core::Tensor;
 use rayon::prelude::*;
+use serde::Serialize;
 
 use crate::base::{Error, Result};
 use crate::data::Ndc;
@@ -11,23 +12,34 @@ use crate::space::{CHUNK, Lattice};
 
 use super::Mesh;
 
+/// Where the normals of a mesh come from.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Normals {
+    /// The area-weighted mean of the triangles around a vertex: the shape that is drawn.
+    #[default]
+    Triangles,
+    /// Against density's exact gradient at the vertex, which is rough where density is.
+    Density,
+}
+
 /// A finished mesh.
 pub struct FinishedMesh {
     /// In scene units, with normals and colours.
     pub mesh: Mesh,
-    /// Vertices where density is flat (an interpolated vertex may lie where the field is empty): they have the
-    /// mean normal of the triangles around them.
+    /// Vertices that have the mean normal of the triangles around them: all, or of [`Normals::Density`] those where density is
+    /// flat (an interpolated vertex may lie where the field is empty).
     pub flat: usize,
 }
 
 /// Finishes a level set that `density` has on `lattice`: brings it from NDC to scene units where `ndc` is given, and gives
-/// each vertex its outward normal, against density's exact gradient, and the colour that is seen there by an eye that looks
-/// against the normal.
+/// each vertex its outward normal and the colour that is seen there by an eye that looks against the normal.
 pub fn finish_mesh(
     density: &dyn Density,
     level_set: Mesh,
     lattice: &Lattice,
     ndc: Option<&Ndc>,
+    normals: Normals,
 ) -> Result<FinishedMesh> {
     let queried = level_set.vertices.clone();
     let mut mesh = in_scene(level_set, ndc)?;
@@ -38,7 +50,10 @@ pub fn finish_mesh(
         let points: Vec<f32> = part.iter().flat_map(|&i| queried[i]).collect();
         let points = Tensor::from_vec(points, (part.len(), 3), device)?;
         let variance = lattice.cell_variance();
-        let slopes = density.gradient(&points, variance)?.to_vec2::<f32>()?;
+        let slopes = match normals {
+            Normals::Triangles => vec![vec![0.0; 3]; part.len()],
+            Normals::Density => density.gradient(&points, variance)?.to_vec2::<f32>()?,
+        };
         let outward = |(&i, slope): (&usize, &Vec<f32>)| {
             let slope: Vec3 = std::array::from_fn(|axis| f64::from(slope[axis]));
             let slope = ndc.map_or(slope, |ndc| ndc.pull_back(mesh.vertex(i as u32), slope));

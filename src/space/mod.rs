@@ -16,7 +16,7 @@ mod shading;
 
 pub use cells::{CHUNK, densities};
 pub(crate) use cells::{chunk_count, chunk_size, chunks_at_once, over_chunks};
-pub use colouring::{FinishedMesh, finish_mesh, in_scene};
+pub use colouring::{FinishedMesh, Normals, finish_mesh, in_scene};
 pub use distance::{Chamfer, PointCloud, Reference, Score, chamfer, sample};
 pub use files::{read_mesh, write_obj, write_ply};
 pub use lattice::{Lattice, Quadrature};

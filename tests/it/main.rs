@@ -5,6 +5,7 @@ mod common;
 mod attack_geometry;
 mod bad_data;
 mod cli;
+mod colmap;
 mod corruption;
 mod device;
 mod docs;

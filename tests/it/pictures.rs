@@ -326,7 +326,7 @@ fn only_a_field_of_integrated_encoding_is_said_to_be_queried_at_gaussians() {
 #[test]
 fn a_profile_is_what_an_evaluation_sees() {
     for (method, change) in [(Method::Nerf, PixelOrigin::Corner), (Method::AugNerf, PixelOrigin::Centre)] {
-        let run = Run::new(method, 40, |config| config.data.pixel_origin = change);
+        let run = Run::new(method, 40, |config| config.data.pixel_origin = Some(change));
         let (contender, profile) = profiled(&run, "run");
         let rendered = run.viewer().render(&contender.view.camera).unwrap();
         let fine = profile.fine.as_ref().unwrap();

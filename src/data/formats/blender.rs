@@ -10,7 +10,7 @@ use crate::base::{Error, Listener, Result};
 use crate::data::images::{self, Size};
 use crate::data::json::{self, Object};
 use crate::data::pose::Pose;
-use crate::data::{Camera, Scene, View, background, depth, name_of};
+use crate::data::{Camera, Place, Scene, View, background, depth, name_of};
 use crate::settings::{DataConfig, DataKind, EvalSplit};
 
 /// Start and end of a ray, as for all of NeRF's synthetic scenes.
@@ -46,6 +46,7 @@ pub fn load(config: &DataConfig, events: &dyn Listener) -> Result<Scene> {
         kind: DataKind::Blender.name(),
         path: orbit().into_iter().map(|pose| Camera { pose, ..camera }).collect(),
         corrupted: None,
+        place: Place::default(),
         train: train.views(config, camera, "reading train images", events)?,
         test: {
             let camera = test.camera(size, target);

@@ -2,7 +2,7 @@
 
 use crate::base::Image;
 use crate::data::views::split;
-use crate::data::{Camera, Ndc, Scene, View};
+use crate::data::{Camera, Ndc, Place, Scene, View};
 use crate::settings::DataConfig;
 
 /// Posed photographs in their order, before any is held out.
@@ -19,6 +19,8 @@ pub struct Capture {
     pub ndc: Option<Ndc>,
     /// What see-through pixels were put on; none for opaque photographs.
     pub background: Option<[f32; 3]>,
+    /// Where it lies: units, box, points.
+    pub place: Place,
 }
 
 impl Capture {
@@ -37,8 +39,8 @@ impl Capture {
     /// of every `config.validation` others is kept for choices, and of those that are evaluated every `config.test_skip`-th
     /// stays. `kind` is the format's name in files and tables.
     pub fn hold_out(self, name: String, kind: &'static str, config: &DataConfig) -> Scene {
-        let Capture { views, path, near, far, ndc, background } = self;
+        let Capture { views, path, near, far, ndc, background, place } = self;
         let (train, test) = split(views, config);
-        Scene { name, kind, train, test, near, far, ndc, background, path, corrupted: None }
+        Scene { name, kind, train, test, near, far, ndc, background, path, corrupted: None, place }
     }
 }

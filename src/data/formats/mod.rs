@@ -6,6 +6,7 @@
 pub mod blender;
 pub mod builtin;
 mod capture;
+pub mod colmap;
 pub mod llff;
 pub mod transforms;
 
@@ -50,7 +51,7 @@ pub struct Format {
 }
 
 /// All formats; a folder is of the first that detects it.
-pub static FORMATS: [Format; 5] = [
+pub static FORMATS: [Format; 6] = [
     Format {
         kind: DataKind::Llff,
         marker: Some("poses_bounds.npy (LLFF)"),
@@ -76,6 +77,16 @@ pub static FORMATS: [Format; 5] = [
         marker: Some("transforms.json (instant-ngp, nerfstudio)"),
         detect: |dir| dir.join(transforms::TRANSFORMS_FILE).is_file(),
         read: transforms::load,
+        preset: Preset::PaperBlender,
+        depth: ReferenceDepth::None,
+        object_half: None,
+        has_mesh: false,
+    },
+    Format {
+        kind: DataKind::Colmap,
+        marker: Some("sparse/0/cameras.bin or .txt (COLMAP)"),
+        detect: colmap::is_scene,
+        read: colmap::load,
         preset: Preset::PaperBlender,
         depth: ReferenceDepth::None,
         object_half: None,

@@ -65,8 +65,14 @@ impl FieldLearner {
             true => Some(random.uniform_tensor(&[n, columns], self.dtype, &self.device)?),
             false => None,
         };
-        let (near, far) = self.bounds;
-        let t_coarse = sampling::stratified(near, far, n, columns, jitter.as_ref(), &rays.origins)?;
+        let t_coarse = sampling::stratified(
+            self.bounds,
+            self.config.sampling.spacing,
+            n,
+            columns,
+            jitter.as_ref(),
+            &rays.origins,
+        )?;
         let std = self.config.density_noise;
         let mut noise = |samples: usize| -> Result<Option<Tensor>> {
             if std == 0.0 {

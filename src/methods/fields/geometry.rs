@@ -78,7 +78,10 @@ pub fn step_over_radius(config: &Resolved, scene: &Scene) -> Result<Vec<(Site, f
     let mut ratios: Vec<(Site, f64)> = Vec::new();
     for (is_coarse, samples) in [(true, coarse), (false, fine)].into_iter().filter(|(_, samples)| *samples > 0) {
         let columns = config.field.encoding.t_vals(samples);
-        let at = |i: usize| near + (far - near) * i as f64 / (columns - 1) as f64;
+        let at = |i: usize| match config.sampling.spacing {
+            Spacing::Depth => near + (far - near) * i as f64 / (columns - 1) as f64,
+            spacing => spacing.at((near, far), i as f64 / (columns - 1) as f64),
+        };
         let t_vals = Tensor::from_vec((0..columns).map(at).collect::<Vec<f64>>(), (1, columns), &Device::Cpu)?;
         let pass = geometry.pass(&t_vals, samples, &direction_norm, is_coarse)?;
         for (site, set) in Sets::new(&perturb.numbers, &perturb.set_choices(), &pass)?.iter() {

@@ -3,7 +3,7 @@
 use super::archive::Archive;
 use super::findings::Findings;
 use crate::base::Result;
-use crate::data::known_bounds;
+use crate::data::{known_bounds, may_have_box};
 use crate::methods::SiteSummary;
 use crate::report::{Record, Status};
 use crate::run::Protocol;
@@ -61,18 +61,22 @@ fn decided(point: &Point, record: &Record) -> Result<Decided> {
     let located = config.locate(kind(&point.config, record.protocol("dataset")))?;
     let sides = ["width", "height"].into_iter().filter_map(|side| record.protocol(side).parse().ok());
     let pixels: usize = sides.max().unwrap_or(0);
-    let at = |located: &Located, near, far| {
-        Protocol::of_configuration(&located.clone().resolve(Extent { near, far, pixels }))
+    let at = |located: &Located, (near, far), domain| {
+        Protocol::of_configuration(&located.clone().resolve(Extent { near, far, domain, pixels }))
     };
     // The hash of a resolved configuration hangs on the settings that its revision had; points' names and scenes are
     // compared with their configurations elsewhere.
     let keep = |columns: Vec<Text>| -> Vec<Text> {
         columns.into_iter().filter(|(name, _)| !["config_hash", "scene"].contains(name)).collect()
     };
-    if let Some((near, far)) = known_bounds(&located.data) {
-        return Ok(Decided { columns: keep(at(&located, near, far)), unknown: Vec::new() });
+    let (bounds, own_box) = (known_bounds(&located.data), may_have_box(&located.data));
+    if let Some(bounds) = bounds.filter(|_| !own_box) {
+        return Ok(Decided { columns: keep(at(&located, bounds, None)), unknown: Vec::new() });
     }
-    let (short, long): (Vec<Text>, Vec<Text>) = (keep(at(&located, 0.0, 1.0)), keep(at(&located, 0.0, 2.0)));
+    // Two scenes that differ in all that is not known: what they agree in hangs on the configuration alone.
+    let some_box = own_box.then_some([[-0.5; 3], [0.25; 3]]);
+    let short = keep(at(&located, bounds.unwrap_or((0.0, 1.0)), None));
+    let long = keep(at(&located, bounds.unwrap_or((0.0, 2.0)), some_box));
     let unknown = short.iter().zip(&long).filter(|(short, long)| short != long).map(|((name, _), _)| *name).collect();
     let same = short.into_iter().zip(long).filter(|(short, long)| short == long);
     Ok(Decided { columns: same.map(|(short, _)| short).collect(), unknown })

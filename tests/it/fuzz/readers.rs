@@ -60,6 +60,12 @@ pub fn all(folder: &Path) -> Vec<Reader> {
         meshes(below("obj").join("a.obj"), "mesh, obj", Format::Text, vec![seeds::OBJ.into()]),
         llff(below("llff")),
         transforms(below("transforms")),
+        colmap(below("colmap cameras"), "scene, colmap cameras.bin", "cameras.bin"),
+        colmap(below("colmap images"), "scene, colmap images.bin", "images.bin"),
+        colmap(below("colmap points"), "scene, colmap points3D.bin", "points3D.bin"),
+        colmap(below("colmap cameras text"), "scene, colmap cameras.txt", "cameras.txt"),
+        colmap(below("colmap images text"), "scene, colmap images.txt", "images.txt"),
+        colmap(below("colmap points text"), "scene, colmap points3D.txt", "points3D.txt"),
         blender(below("blender")),
         depth_maps(below("depth")),
         pictures(below("png").join("a.png"), "picture, png", Format::Png, seeds::pngs()),
@@ -141,6 +147,21 @@ fn transforms(dir: PathBuf) -> Reader {
     ];
     reader("scene, transforms.json", Format::Text, keys.map(seeds::transforms).to_vec(), move |bytes| {
         write(&dir.join("transforms.json"), bytes);
+        load(config_of(&dir))
+    })
+}
+
+/// One file of a COLMAP model beside sound ones of the others.
+fn colmap(dir: PathBuf, name: &'static str, file: &'static str) -> Reader {
+    write_pictures(&dir.join("images"), 4);
+    let model = dir.join("sparse/0");
+    fs::create_dir_all(&model).unwrap();
+    let is_text = file.ends_with(".txt");
+    crate::colmap::fuzz_model().write(&model, is_text);
+    let sound = fs::read(model.join(file)).unwrap();
+    let format = if is_text { Format::Text } else { Format::Bytes };
+    reader(name, format, vec![sound], move |bytes| {
+        write(&model.join(file), bytes);
         load(config_of(&dir))
     })
 }

@@ -21,7 +21,7 @@ pub use stage::{Frame, Hit, Stage};
 use crate::base::{Error, Result};
 use crate::data::formats::Capture;
 use crate::data::resample::composite;
-use crate::data::{Camera, Ndc, Scene, View, background};
+use crate::data::{Camera, Ndc, Place, Scene, View, background};
 use crate::settings::{DataConfig, DataKind, EvalSplit};
 use views::Split;
 
@@ -66,6 +66,7 @@ pub fn load_blender(config: &DataConfig) -> Result<Scene> {
         background: Some(background),
         path: views::orbit(width),
         corrupted: None,
+        place: Place::default(),
     })
 }
 
@@ -80,7 +81,8 @@ pub fn load_forward(config: &DataConfig) -> Result<Scene> {
     let ndc = Ndc { width: camera.width as f64, height: camera.height as f64, focal: camera.focal[0] };
     let (near, far) = if config.ndc { (0.0, 1.0) } else { depth_range(&all) };
     let ndc = config.ndc.then_some(ndc);
-    let capture = Capture { views: all, path: views::spiral(width), near, far, ndc, background: None };
+    let capture =
+        Capture { views: all, path: views::spiral(width), near, far, ndc, background: None, place: Place::default() };
     Ok(capture.hold_out("builtin".into(), DataKind::BuiltinForward.name(), config))
 }
 
@@ -108,7 +110,7 @@ fn depth_range(views: &[View]) -> (f64, f64) {
 }
 
 fn view(stage: &Stage, name: &str, camera: &Camera, config: &DataConfig, background: [f32; 3]) -> View {
-    let picture = stage.render(camera, config.pixel_origin);
+    let picture = stage.render(camera, config.origin_of_pixels());
     View {
         name: name.into(),
         camera: *camera,

@@ -217,7 +217,7 @@ fn settings_are_honoured() {
     let val = load(&DataConfig { eval_split: EvalSplit::Val, ..base.clone() }).unwrap();
     assert_eq!(val.test.len(), 4);
     let centre = crate::settings::PixelOrigin::Centre;
-    let centred = load(&DataConfig { pixel_origin: centre, ..base.clone() }).unwrap();
+    let centred = load(&DataConfig { pixel_origin: Some(centre), ..base.clone() }).unwrap();
     assert_ne!(centred.train[0].image, val.train[0].image);
     let small = load(&DataConfig { width: 0, downscale: Some(4), ..base.clone() }).unwrap();
     assert_eq!(small.train[0].camera.width, 25);

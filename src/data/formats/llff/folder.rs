@@ -15,6 +15,13 @@ pub(super) struct Source {
     pub(super) target: (usize, usize),
 }
 
+impl Source {
+    /// Which files are read, and what is made of them.
+    pub(super) fn words(&self) -> String {
+        images::folder_words(&self.paths, self.stored, self.target)
+    }
+}
+
 /// Finds the images: for a factor, `images_{factor}` as it is or `images` averaged down; for a
 /// width, the smallest folder that is at least as wide.
 pub(super) fn find(dir: &Path, size: Size) -> Result<Source> {

@@ -2,11 +2,13 @@
 //! conventions for axes, scale and video path.
 
 mod folder;
+mod orbit;
 mod path;
 mod poses;
 
 use std::path::Path;
 
+pub use orbit::settle_orbit;
 pub use poses::Poses;
 
 pub(super) use path::{POSES, spiral};
@@ -15,7 +17,7 @@ use crate::base::{Error, Listener, Result};
 use crate::data::formats::Capture;
 use crate::data::images::{self, Size};
 use crate::data::pose::Pose;
-use crate::data::{Camera, Ndc, Scene, background, name_of};
+use crate::data::{Camera, Ndc, Place, Rig, Scene, background, name_of};
 use crate::settings::{DataConfig, DataKind};
 use folder::Source;
 
@@ -50,14 +52,27 @@ pub fn load(config: &DataConfig, events: &dyn Listener) -> Result<Scene> {
     let (images, clear) = images::read_all(&source.paths, source.target, background(config), "reading images", events)?;
     let ndc = Ndc { width: source.target.0 as f64, height: source.target.1 as f64, focal: camera.focal[0] };
     let capture = Capture {
-        views: Capture::views(names, cameras, images),
+        views: Capture::views(names, cameras.clone(), images),
         near: if config.ndc { 0.0 } else { 0.9 * poses.nearest() },
         far: if config.ndc { 1.0 } else { poses.farthest() },
         ndc: config.ndc.then_some(ndc),
         background: clear.then(|| background(config)),
         path: path.into_iter().map(|pose| Camera { pose, ..camera }).collect(),
+        place: place(&poses, &cameras, &source, config),
     };
     Ok(capture.hold_out(name_of(config), DataKind::Llff.name(), config))
+}
+
+/// Units, box and what was chosen. Of cameras that face forward only NDC tells where objects lie.
+fn place(poses: &Poses, cameras: &[Camera], source: &Source, config: &DataConfig) -> Place {
+    let mut place = Place { world: poses.world, ..Place::default() };
+    if config.spherify {
+        place.domain = Rig::of(cameras).subject.map(|subject| subject.domain());
+    }
+    place.note("images", source.words());
+    let [near, far] = [poses.nearest(), poses.farthest()].map(|bound| bound / poses.world.scale);
+    place.note("bounds from", format!("{POSES_FILE}, whose depths run from {near:.4} to {far:.4} in the file's units"));
+    place
 }
 
 /// Scales, recentres and, where asked, spherifies; returns the video path.

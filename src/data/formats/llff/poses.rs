@@ -5,7 +5,7 @@ use std::path::Path;
 use super::path::{circle, spiral};
 use crate::base::{Error, Result};
 use crate::data::pose::{self, Pose, Vec3};
-use crate::data::{LARGEST, SMALLEST, brief, npy};
+use crate::data::{LARGEST, SMALLEST, WorldToScene, brief, npy};
 
 /// Numbers of one row: a 3x5 matrix `[down | right | back | origin | (height, width, focal)]` and two bounds.
 const COLUMNS: usize = 17;
@@ -23,6 +23,8 @@ pub struct Poses {
     pub height: f64,
     /// Their focal length in pixels.
     pub focal: f64,
+    /// From the file's units to those that the poses are in now.
+    pub world: WorldToScene,
 }
 
 impl Poses {
@@ -49,6 +51,7 @@ impl Poses {
             width,
             height,
             focal,
+            world: WorldToScene::default(),
         })
     }
 
@@ -68,8 +71,7 @@ impl Poses {
                     .into(),
             ));
         };
-        let inverse = pose::inverse_rigid(&average);
-        self.poses.iter_mut().for_each(|p| *p = pose::compose(&inverse, p));
+        self.place(&pose::inverse_rigid(&average));
         Ok(())
     }
 
@@ -81,8 +83,7 @@ impl Poses {
                 "the cameras look at no common point, so their poses fit no sphere; set data.spherify=false".into(),
             )
         })?;
-        let inverse = pose::inverse_rigid(&frame);
-        self.poses.iter_mut().for_each(|p| *p = pose::compose(&inverse, p));
+        self.place(&pose::inverse_rigid(&frame));
         let square = self.poses.iter().map(|p| pose::dot(pose::column(p, 3), pose::column(p, 3))).sum::<f64>();
         self.scale((self.poses.len() as f64 / square).sqrt());
         Ok(())
@@ -108,7 +109,13 @@ impl Poses {
         self.bounds.iter().map(|b| b[1]).fold(0.0, f64::max)
     }
 
+    fn place(&mut self, motion: &Pose) {
+        self.poses.iter_mut().for_each(|p| *p = pose::compose(motion, p));
+        self.world = self.world.moved(motion);
+    }
+
     fn scale(&mut self, factor: f64) {
+        self.world = self.world.scaled(factor);
         self.poses.iter_mut().flatten().for_each(|row| row[3] *= factor);
         self.bounds.iter_mut().flatten().for_each(|bound| *bound *= factor);
     }
@@ -184,7 +191,14 @@ mod tests {
             pose::look_along(pose::sub(origin, [5.0, 1.0, 0.5]), [0.0, 0.0, 1.0], origin).unwrap()
         };
         let poses: Vec<Pose> = (0..9).map(at).collect();
-        Poses { bounds: vec![[2.0, 5.0]; 9], poses, width: 8.0, height: 6.0, focal: 7.0 }
+        Poses {
+            bounds: vec![[2.0, 5.0]; 9],
+            poses,
+            width: 8.0,
+            height: 6.0,
+            focal: 7.0,
+            world: WorldToScene::default(),
+        }
     }
 
     #[test]
@@ -205,6 +219,19 @@ mod tests {
             let (origin, back) = (pose::column(p, 3), pose::column(p, 2));
             assert!((pose::length(origin) - 1.0).abs() < 1e-12);
             assert!(pose::length(pose::sub(origin, back)) < 1e-9);
+        }
+    }
+
+    #[test]
+    fn the_way_from_the_file_s_units_is_kept() {
+        let mut poses = ring();
+        let file = poses.poses.clone();
+        poses.scale_bounds(0.75);
+        poses.recentre().unwrap();
+        poses.spherify().unwrap();
+        for (file, now) in file.iter().zip(&poses.poses) {
+            let placed = poses.world.camera(file);
+            assert!(placed.iter().flatten().zip(now.iter().flatten()).all(|(a, b)| (a - b).abs() < 1e-9), "{placed:?}");
         }
     }
 

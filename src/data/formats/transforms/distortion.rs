@@ -12,13 +12,15 @@ const TOLERANCE: f64 = 1e-9;
 /// The largest zoom that is tried to keep undefined pixels out of the picture.
 const LARGEST_ZOOM: f64 = 4.0;
 
-/// Radial (k1 to k3) and tangential (p1, p2) coefficients, on coordinates of focal length 1.
+/// Radial (k1 to k6) and tangential (p1, p2) coefficients, on coordinates of focal length 1.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Distortion {
     /// Radial coefficients of r^2, r^4 and r^6.
     pub radial: [f64; 3],
     /// Tangential coefficients p1 and p2.
     pub tangential: [f64; 2],
+    /// Radial coefficients k4 to k6, which the others are divided by: of 1, r^2, r^4 and r^6 the first is 1.
+    pub rational: [f64; 3],
 }
 
 /// Focal lengths and principal point in pixels, x and y.
@@ -38,13 +40,20 @@ impl Distortion {
 
     /// Where the lens puts the pinhole camera's point (`x`, `y`).
     pub fn distort(&self, [x, y]: [f64; 2]) -> [f64; 2] {
-        let ([k1, k2, k3], [p1, p2]) = (self.radial, self.tangential);
+        let [p1, p2] = self.tangential;
         let r2 = x * x + y * y;
-        let radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3));
+        let (radial, _) = self.radial(r2);
         [
             x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x),
             y * radial + 2.0 * p2 * x * y + p1 * (r2 + 2.0 * y * y),
         ]
+    }
+
+    /// The radial factor at a squared radius, and its derivative by that.
+    fn radial(&self, r2: f64) -> (f64, f64) {
+        let of = |[a, b, c]: [f64; 3]| (1.0 + r2 * (a + r2 * (b + r2 * c)), a + r2 * (2.0 * b + r2 * 3.0 * c));
+        let ((above, above_slope), (below, below_slope)) = (of(self.radial), of(self.rational));
+        (above / below, (above_slope * below - above * below_slope) / (below * below))
     }
 
     /// The pinhole camera's point that the lens puts at `seen`; `None` where there is none, or more
@@ -78,10 +87,9 @@ impl Distortion {
     }
 
     fn jacobian(&self, [x, y]: [f64; 2]) -> [[f64; 2]; 2] {
-        let ([k1, k2, k3], [p1, p2]) = (self.radial, self.tangential);
-        let r2 = x * x + y * y;
-        let radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3));
-        let slope = 2.0 * (k1 + r2 * (2.0 * k2 + r2 * 3.0 * k3));
+        let [p1, p2] = self.tangential;
+        let (radial, slope) = self.radial(x * x + y * y);
+        let slope = 2.0 * slope;
         let mixed = slope * x * y + 2.0 * (p1 * x + p2 * y);
         [
             [radial + slope * x * x + 2.0 * p1 * y + 6.0 * p2 * x, mixed],
@@ -161,7 +169,8 @@ mod tests {
     #[test]
     fn distortion_round_trips_over_the_image() {
         for k1 in [-0.2, 0.0, 0.15] {
-            let distortion = Distortion { radial: [k1, 0.03, -0.004], tangential: [0.002, -0.003] };
+            let rational = if k1 > 0.0 { [0.02, -0.01, 0.003] } else { [0.0; 3] };
+            let distortion = Distortion { radial: [k1, 0.03, -0.004], tangential: [0.002, -0.003], rational };
             for i in 0..21 {
                 for j in 0..21 {
                     let point = [f64::from(i - 10) * 0.06, f64::from(j - 10) * 0.05];
@@ -181,7 +190,7 @@ mod tests {
     #[test]
     fn the_pinhole_camera_sees_only_what_was_photographed() {
         for k1 in [-0.1, 0.1] {
-            let distortion = Distortion { radial: [k1, 0.0, 0.0], tangential: [0.001, 0.0] };
+            let distortion = Distortion { radial: [k1, 0.0, 0.0], tangential: [0.001, 0.0], ..Distortion::default() };
             let camera = pinhole(LENS, &distortion, (100, 80)).unwrap();
             for point in border((100, 80)) {
                 let [x, y] = source_of(camera, LENS, &distortion, point);
@@ -193,7 +202,8 @@ mod tests {
     /// A photograph whose value is the pinhole coordinate itself must come out as a linear ramp.
     #[test]
     fn rectified_images_obey_the_pinhole_camera() {
-        let distortion = Distortion { radial: [0.08, -0.01, 0.0], tangential: [0.002, -0.001] };
+        let distortion =
+            Distortion { radial: [0.08, -0.01, 0.0], tangential: [0.002, -0.001], ..Distortion::default() };
         let (width, height) = (100, 80);
         let value = |i: usize| {
             let (x, y) = ((i % width) as f64 + 0.5, (i / width) as f64 + 0.5);

@@ -89,6 +89,7 @@ fn distortion(keys: &Keys) -> Result<Distortion> {
     Ok(Distortion {
         radial: [coefficient("k1")?, coefficient("k2")?, coefficient("k3")?],
         tangential: [coefficient("p1")?, coefficient("p2")?],
+        rational: [0.0; 3],
     })
 }
 

@@ -13,14 +13,15 @@ pub mod distortion;
 mod lens;
 mod path;
 
+pub(super) use path::around;
 use std::path::{Path, PathBuf};
 
 use crate::base::{Error, Image, Listener, Result};
 use crate::data::formats::Capture;
 use crate::data::images::{self, Size};
 use crate::data::json::{self, Object};
-use crate::data::pose::{self, Pose};
-use crate::data::{Camera, Scene, background, name_of, resample};
+use crate::data::pose::Pose;
+use crate::data::{Camera, Place, Scene, WorldToScene, background, name_of, resample};
 use crate::settings::{DataConfig, DataKind};
 use distortion::Intrinsics;
 use lens::Lens;
@@ -28,8 +29,8 @@ use lens::Lens;
 /// The file that makes a folder such a scene.
 pub const TRANSFORMS_FILE: &str = "transforms.json";
 
-/// Start and end of a ray where the configuration names none. After recentring, cameras lie within
-/// [-1, 1]: the scene between and around them ends well before 6, and 0.05 clears the lens.
+/// Start and end of a ray where the configuration names none and the cameras look at no common point. After recentring,
+/// cameras lie within [-1, 1]: the scene between and around them ends well before 6, and 0.05 clears the lens.
 pub const BOUNDS: [f64; 2] = [0.05, 6.0];
 
 /// A photograph before it is read.
@@ -45,9 +46,10 @@ struct Frame {
 pub fn load(config: &DataConfig, events: &dyn Listener) -> Result<Scene> {
     let file = Path::new(&config.dir).join(TRANSFORMS_FILE);
     let (mut frames, stored) = read_frames(&file)?;
-    if config.recentre {
-        recentre(&mut frames);
-    }
+    let world = match config.recentre {
+        true => WorldToScene::centre(&mut frames.iter_mut().map(|frame| &mut frame.pose).collect::<Vec<&mut Pose>>()),
+        false => WorldToScene::default(),
+    };
     let paths: Vec<PathBuf> = frames.iter().map(|f| f.path.clone()).collect();
     let target = Size::of(config).apply(stored, &paths[0])?;
     let cameras: Vec<Camera> = frames.iter().map(|f| f.camera(stored, target)).collect();
@@ -55,13 +57,16 @@ pub fn load(config: &DataConfig, events: &dyn Listener) -> Result<Scene> {
     let poses: Vec<Pose> = cameras.iter().map(|c| c.pose).collect();
     let path = path::around(&poses).map_err(|e| Error::Data(format!("{}: {e}", file.display())))?;
     let first = cameras[0];
+    let (mut place, (near, far)) = Place::of_cameras(&cameras, world, BOUNDS);
+    notes(&mut place, &paths, stored, target, &frames);
     let capture = Capture {
         views: Capture::views(images::names(&paths), cameras, images),
-        near: BOUNDS[0],
-        far: BOUNDS[1],
+        near,
+        far,
         ndc: None,
         background: clear.then(|| background(config)),
         path: path.into_iter().map(|pose| Camera { pose, ..first }).collect(),
+        place,
     };
     Ok(capture.hold_out(name_of(config), DataKind::Transforms.name(), config))
 }
@@ -106,20 +111,14 @@ impl Frame {
     }
 }
 
-/// Moves the cameras' mean to the origin and scales so that no coordinate of a camera leaves [-1, 1].
-fn recentre(frames: &mut [Frame]) {
-    let mean = pose::mean(frames.iter().map(|f| pose::column(&f.pose, 3)));
-    let mut largest: f64 = 0.0;
-    for frame in frames.iter_mut() {
-        for (row, mean) in frame.pose.iter_mut().zip(mean) {
-            row[3] -= mean;
-            largest = largest.max(row[3].abs());
-        }
-    }
-    // Cameras in one place (a panorama) have no extent to scale by.
-    if largest > 1e-9 {
-        frames.iter_mut().flat_map(|f| &mut f.pose).for_each(|row| row[3] /= largest);
-    }
+/// What was found and chosen, for people.
+fn notes(place: &mut Place, paths: &[PathBuf], stored: (usize, usize), target: (usize, usize), frames: &[Frame]) {
+    place.note("images", images::folder_words(paths, stored, target));
+    let zoom = frames.iter().map(|frame| frame.pinhole.focal[0] / frame.lens.intrinsics.focal[0]).fold(1.0, f64::max);
+    let undone = frames.iter().filter(|frame| !frame.lens.distortion.is_none()).count();
+    let words =
+        if undone == 0 { "none".into() } else { format!("undone in {undone} images, zoomed in by up to {zoom:.3}") };
+    place.note("distortion", words);
 }
 
 /// Decodes all frames, undoes their distortion at the stored size, then averages them down.

@@ -11,7 +11,7 @@ const FORWARD_FACING: f64 = 0.8;
 
 /// A circle through the cameras' mean height and distance around the point they look at; a spiral
 /// where they look the same way, or at nothing in common.
-pub(super) fn around(poses: &[Pose]) -> Result<Vec<Pose>> {
+pub(in crate::data::formats) fn around(poses: &[Pose]) -> Result<Vec<Pose>> {
     let agreement = pose::length(pose::mean(poses.iter().map(|p| pose::column(p, 2))));
     let circle = if agreement < FORWARD_FACING { orbit(poses) } else { None };
     match circle {

@@ -1,0 +1,74 @@
+//! Ends of rays and the box of a COLMAP scene, from its points.
+
+use super::model::Model;
+use crate::data::rig::percentile;
+use crate::data::{Camera, Place, Rig, WorldToScene};
+
+/// Depths of a view's points between these shares count: a few are always wrong.
+const SHARES: [f64; 2] = [0.01, 0.99];
+/// Of the views' depths, those between these shares count.
+const VIEWS: [f64; 2] = [0.02, 0.98];
+/// Room before the nearest and behind the farthest depth, as a factor.
+const ROOM: [f64; 2] = [0.8, 1.25];
+/// A view with fewer points tells nothing.
+const LEAST_POINTS: usize = 8;
+/// The box holds this share of the points along each axis, and a tenth of its sides more.
+const BOX: [f64; 2] = [0.05, 0.95];
+const BOX_ROOM: f64 = 0.1;
+/// It reaches no farther from what the cameras look at than so many times what fills their pictures.
+const BOX_REACH: f64 = 2.0;
+
+/// The scene's place and the ends of its rays: from the points, otherwise from the cameras, otherwise `unknown`.
+pub(super) fn of(model: &Model, cameras: &[Camera], world: WorldToScene, unknown: [f64; 2]) -> (Place, (f64, f64)) {
+    let (mut place, by_cameras) = Place::of_cameras(cameras, world, unknown);
+    let points: Vec<[f64; 3]> = model.points.iter().map(|point| world.point(point.place)).collect();
+    place.points = points.iter().map(|point| point.map(|v| v as f32)).collect();
+    let ends: Vec<[f64; 2]> = model
+        .depths()
+        .iter()
+        .map(|depths| depths.iter().copied().filter(|depth| *depth > 0.0).collect::<Vec<f64>>())
+        .filter(|depths| depths.len() >= LEAST_POINTS)
+        .map(|depths| SHARES.map(|share| world.scale * percentile(&depths, share)))
+        .collect();
+    let over_views = |end: usize| {
+        let mut values: Vec<f64> = ends.iter().map(|ends| ends[end]).collect();
+        values.sort_by(f64::total_cmp);
+        (!values.is_empty()).then(|| ROOM[end] * percentile(&values, VIEWS[end]))
+    };
+    let Some((near, far)) = over_views(0).zip(over_views(1)).filter(|(near, far)| near < far) else {
+        return (place, by_cameras);
+    };
+    place.domain = Some(domain(&points, cameras));
+    place.notes.clear();
+    place.note(
+        "bounds from",
+        format!("depths of {} points in {} views, 1 % to 99 % of each, with a fifth of room", points.len(), ends.len()),
+    );
+    (place, (near, far))
+}
+
+/// The box of the points, without those that lie far from the others and from what the cameras look at.
+fn domain(points: &[[f64; 3]], cameras: &[Camera]) -> [[f64; 3]; 2] {
+    let subject = Rig::of(cameras).subject;
+    let mut domain = [[0.0; 3]; 2];
+    for axis in 0..3 {
+        let mut values: Vec<f64> = points.iter().map(|point| point[axis]).collect();
+        values.sort_by(f64::total_cmp);
+        let [low, high] = BOX.map(|share| percentile(&values, share));
+        let room = BOX_ROOM * (high - low);
+        let (mut low, mut high) = (low - room, high + room);
+        if let Some(subject) = subject {
+            let reach = BOX_REACH * subject.radius;
+            let (least, most) = (subject.focus[axis] - reach, subject.focus[axis] + reach);
+            // Points that all lie beyond are not what the cameras look at, or the cameras' axes miss them: the points are right.
+            if low < most && high > least {
+                (low, high) = (low.max(least), high.min(most));
+            }
+        }
+        // A flat scene has a box, too.
+        let least_side = 1e-3 * (1.0 + low.abs().max(high.abs()));
+        (domain[0][axis], domain[1][axis]) =
+            if high - low < least_side { (low - least_side, high + least_side) } else { (low, high) };
+    }
+    domain
+}

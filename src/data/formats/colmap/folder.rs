@@ -1,0 +1,106 @@
+//! Which of a COLMAP scene's image folders is read: `images`, or the smaller `images_{factor}` beside it.
+
+use std::path::{Path, PathBuf};
+
+use super::model::Photograph;
+use crate::base::{Error, Result};
+use crate::data::images::{self, Size};
+
+/// Folders of images, each with the factor by which its name says that it is smaller.
+fn folders(dir: &Path) -> Result<Vec<(usize, PathBuf)>> {
+    let entries = std::fs::read_dir(dir).map_err(|e| Error::unreadable(dir, &e))?;
+    let factor = |name: &str| match name.strip_prefix("images") {
+        Some("") => Some(1),
+        Some(rest) => rest.strip_prefix('_')?.parse().ok().filter(|factor| *factor > 1),
+        None => None,
+    };
+    let named = entries.flatten().filter(|entry| entry.path().is_dir());
+    let mut found: Vec<(usize, PathBuf)> =
+        named.filter_map(|entry| Some((factor(&entry.file_name().to_string_lossy())?, entry.path()))).collect();
+    found.sort();
+    Ok(found)
+}
+
+/// The files of a scene's photographs in the folder that serves the working resolution best.
+pub(super) struct Source {
+    /// A file for each photograph; none for those that are not there.
+    pub(super) files: Vec<Option<PathBuf>>,
+    /// By how much the folder's name says that they are smaller than the originals.
+    pub(super) factor: usize,
+    /// Folders that were passed over, for people.
+    pub(super) passed: Vec<String>,
+}
+
+impl Source {
+    fn found(&self) -> usize {
+        self.files.iter().flatten().count()
+    }
+}
+
+/// Of a factor, the folder of that factor, then `images`, then one whose factor divides it. Of a width, the smallest that is as
+/// wide. A folder that lacks photographs is passed over where another has them all.
+pub(super) fn find(dir: &Path, photographs: &[Photograph], size: Size) -> Result<Source> {
+    let mut folders = folders(dir)?;
+    match size {
+        Size::Factor(wanted) => {
+            let wanted = wanted.max(1);
+            folders.retain(|(factor, _)| wanted.is_multiple_of(*factor));
+            folders.sort_by_key(|(factor, _)| (*factor != wanted, *factor));
+        }
+        // Smaller ones first.
+        Size::Width(_) => folders.reverse(),
+    }
+    let mut best: Option<Source> = None;
+    let mut passed = Vec::new();
+    for (factor, folder) in &folders {
+        let files = photographs.iter().map(|photograph| file(folder, &photograph.name)).collect();
+        let source = Source { files, factor: *factor, passed: Vec::new() };
+        let (found, all) = (source.found(), photographs.len());
+        if let (Size::Width(width), Some(first)) = (size, source.files.iter().flatten().next())
+            && images::size(first)?.0 < width as usize
+        {
+            continue;
+        }
+        if found < all {
+            passed.push(format!("{} has {found} of {all} images", folder.display()));
+        }
+        if best.as_ref().is_none_or(|best| best.found() < found) {
+            best = Some(source);
+        }
+        if found == all {
+            break;
+        }
+    }
+    let source = best.filter(|source| source.found() > 0).ok_or_else(|| none(dir, &folders, photographs, size))?;
+    if source.found() == photographs.len() {
+        return Ok(Source { passed, ..source });
+    }
+    Ok(source)
+}
+
+fn none(dir: &Path, folders: &[(usize, PathBuf)], photographs: &[Photograph], size: Size) -> Error {
+    let wanted = match size {
+        Size::Factor(factor) => format!("data.downscale = {factor}"),
+        Size::Width(width) => format!("data.width = {width}"),
+    };
+    let there: Vec<String> = folders.iter().map(|(_, folder)| folder.display().to_string()).collect();
+    let looked =
+        if there.is_empty() { "there is no such folder".into() } else { format!("looked in {}", there.join(", ")) };
+    Error::Data(format!(
+        "{} has none of the {} images of its COLMAP model, such as {:?}, for {wanted}, in images or a smaller images_2, images_4, \
+         images_8: {looked}",
+        dir.display(),
+        photographs.len(),
+        photographs.first().map_or("", |photograph| photograph.name.as_str())
+    ))
+}
+
+/// A photograph's file: of its name, or of another ending, as smaller copies may have.
+fn file(folder: &Path, name: &str) -> Option<PathBuf> {
+    let file = folder.join(name);
+    if file.is_file() && images::is_image(&file) {
+        return Some(file);
+    }
+    let endings = images::ENDINGS.iter().flat_map(|ending| [ending.to_string(), ending.to_ascii_uppercase()]);
+    endings.map(|ending| file.with_extension(ending)).find(|file| file.is_file())
+}

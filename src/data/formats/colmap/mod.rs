@@ -1,0 +1,213 @@
+//! COLMAP scenes: a model in `sparse/0` (`cameras`, `images`, `points3D`, `.bin` or `.txt`) beside `images` or, as 3D Gaussian
+//! splatting writes them, smaller `images_2`, `images_4`, `images_8`.
+//!
+//! The formats are those of COLMAP's documentation ("Output Format"). Its principal points count from the corner of the first
+//! pixel, whose centre is at 0.5: `data.pixel_origin` is `centre` where it is not set.
+
+mod binary;
+mod bounds;
+mod folder;
+mod model;
+mod text;
+
+use std::path::{Path, PathBuf};
+
+use crate::base::{Error, Event, Image, Listener, Result};
+use crate::data::formats::Capture;
+use crate::data::formats::transforms::distortion::{self, Distortion, Intrinsics};
+use crate::data::formats::transforms::{BOUNDS, around};
+use crate::data::images::{self, Size};
+use crate::data::pose::Pose;
+use crate::data::{Camera, Place, Scene, WorldToScene, background, name_of, resample};
+use crate::settings::{DataConfig, DataKind};
+use folder::Source;
+use model::{Lens, Model, Photograph};
+
+/// Whether a folder holds a model.
+pub fn is_scene(dir: &Path) -> bool {
+    model::find(dir).is_some()
+}
+
+/// By how much, beyond a pixel, the sides of an image may differ from those that its camera was found for.
+const SIZE_TOLERANCE: f64 = 0.01;
+
+/// A photograph that is there, before it is read.
+struct Frame {
+    path: PathBuf,
+    pose: Pose,
+    /// Intrinsics for the stored image.
+    lens: Intrinsics,
+    distortion: Distortion,
+    /// The camera without distortion, at the stored size.
+    pinhole: Intrinsics,
+    stored: (usize, usize),
+}
+
+/// Reads such a scene. Views are sorted by name; every `config.holdout`-th is held out.
+pub fn load(config: &DataConfig, events: &dyn Listener) -> Result<Scene> {
+    let dir = Path::new(&config.dir);
+    let model = Model::read(dir)?;
+    let source = folder::find(dir, &model.photographs, Size::of(config))?;
+    let missing = check_missing(dir, &model, &source, events)?;
+    let mut frames = frames(dir, &model, &source)?;
+    let paths: Vec<PathBuf> = frames.iter().map(|frame| frame.path.clone()).collect();
+    let stored = images::common_size(&paths)?;
+    let target = target(config, &source, stored, &paths[0])?;
+    let world = match config.recentre {
+        true => WorldToScene::centre(&mut frames.iter_mut().map(|frame| &mut frame.pose).collect::<Vec<&mut Pose>>()),
+        false => WorldToScene::default(),
+    };
+    let cameras: Vec<Camera> = frames.iter().map(|frame| frame.camera(target)).collect();
+    let (mut place, (near, far)) = bounds::of(&model, &cameras, world, BOUNDS);
+    place.note("images", images::folder_words(&paths, stored, target));
+    notes(&mut place, &model, &frames, &missing, &source);
+    let poses: Vec<Pose> = cameras.iter().map(|camera| camera.pose).collect();
+    let path = around(&poses).map_err(|e| Error::Data(format!("{}: {e}", dir.display())))?;
+    let first = cameras[0];
+    let (images, clear) = read_images(&frames, target, background(config), events)?;
+    let capture = Capture {
+        views: Capture::views(images::names(&paths), cameras, images),
+        near,
+        far,
+        ndc: None,
+        background: clear.then(|| background(config)),
+        path: path.into_iter().map(|pose| Camera { pose, ..first }).collect(),
+        place,
+    };
+    Ok(capture.hold_out(name_of(config), DataKind::Colmap.name(), config))
+}
+
+/// Says which photographs are not there; refuses where half of them are not.
+fn check_missing(dir: &Path, model: &Model, source: &Source, events: &dyn Listener) -> Result<Vec<String>> {
+    let is_missing =
+        |(photograph, file): (&Photograph, &Option<PathBuf>)| file.is_none().then(|| photograph.name.clone());
+    let missing: Vec<String> = model.photographs.iter().zip(&source.files).filter_map(is_missing).collect();
+    if missing.is_empty() {
+        return Ok(missing);
+    }
+    let words = format!(
+        "{}: {} of the {} images of the COLMAP model are not there: {}",
+        dir.display(),
+        missing.len(),
+        model.photographs.len(),
+        missing.join(", ")
+    );
+    if 2 * missing.len() > model.photographs.len() {
+        return Err(Error::Data(format!("{words}; with more than half of them gone it is another capture's model")));
+    }
+    events.on(Event::Note(&format!("{words}; they are left out")));
+    Ok(missing)
+}
+
+/// All photographs that are there, with the cameras that they become.
+fn frames(dir: &Path, model: &Model, source: &Source) -> Result<Vec<Frame>> {
+    let there = model.photographs.iter().zip(&source.files);
+    let there = there.filter_map(|(photograph, file)| file.clone().map(|file| (photograph, file)));
+    there.map(|(photograph, path)| frame(&model.lenses[&photograph.camera], photograph, path, dir)).collect()
+}
+
+fn frame(lens: &Lens, photograph: &Photograph, path: PathBuf, dir: &Path) -> Result<Frame> {
+    let stored = images::size(&path)?;
+    let size = [stored.0 as f64, stored.1 as f64];
+    let scale = [size[0] / lens.size[0], size[1] / lens.size[1]];
+    if (lens.size[1] * scale[0] - size[1]).abs() > 1.0 + SIZE_TOLERANCE * size[1] {
+        return Err(Error::Data(format!(
+            "{} is {}x{} pixels, but camera {} of the COLMAP model is for {}x{}: it was cropped or turned, so the camera is not \
+             its own",
+            path.display(),
+            stored.0,
+            stored.1,
+            photograph.camera,
+            lens.size[0],
+            lens.size[1]
+        )));
+    }
+    let scaled = |values: [f64; 2]| [values[0] * scale[0], values[1] * scale[1]];
+    let intrinsics = Intrinsics { focal: scaled(lens.intrinsics.focal), centre: scaled(lens.intrinsics.centre) };
+    let Some(pinhole) = distortion::pinhole(intrinsics, &lens.distortion, stored) else {
+        return Err(Error::Data(format!(
+            "{}: the lens distortion of camera {} ({}, {:?}) cannot be undone over the whole image: its coefficients are too \
+             large; undistort the images first with COLMAP's image_undistorter",
+            dir.display(),
+            photograph.camera,
+            lens.model,
+            lens.distortion
+        )));
+    };
+    let Photograph { pose, .. } = *photograph;
+    Ok(Frame { path, pose, lens: intrinsics, distortion: lens.distortion, pinhole, stored })
+}
+
+impl Frame {
+    /// The pinhole camera at the working resolution.
+    fn camera(&self, target: (usize, usize)) -> Camera {
+        let scale = [target.0 as f64 / self.stored.0 as f64, target.1 as f64 / self.stored.1 as f64];
+        let scaled = |values: [f64; 2]| [values[0] * scale[0], values[1] * scale[1]];
+        let Intrinsics { focal, centre } = self.pinhole;
+        Camera { width: target.0, height: target.1, focal: scaled(focal), centre: scaled(centre), pose: self.pose }
+    }
+}
+
+/// The working resolution: what is left of a factor after the folder's, to the nearest pixel as the smaller folders are made.
+fn target(config: &DataConfig, source: &Source, stored: (usize, usize), file: &Path) -> Result<(usize, usize)> {
+    match Size::of(config) {
+        Size::Factor(factor) => {
+            let rest = (factor / source.factor).max(1) as f64;
+            let divide = |side: usize| ((side as f64 / rest).round() as usize).max(1);
+            Ok((divide(stored.0), divide(stored.1)))
+        }
+        width => width.apply(stored, file),
+    }
+}
+
+/// Decodes all photographs, undoes their distortion at the stored size, then averages them down.
+fn read_images(
+    frames: &[Frame],
+    target: (usize, usize),
+    background: [f32; 3],
+    events: &dyn Listener,
+) -> Result<(Vec<Image>, bool)> {
+    images::check_memory(frames.len(), target)?;
+    let paths: Vec<PathBuf> = frames.iter().map(|frame| frame.path.clone()).collect();
+    let read = |i: usize, path: &Path| {
+        let Frame { lens, distortion, pinhole, stored, .. } = &frames[i];
+        let image = if distortion.is_none() {
+            images::read(path, target)?
+        } else {
+            let flat = distortion::rectify(&images::read(path, *stored)?, *lens, distortion, *pinhole);
+            resample::shrink(&flat, target.0, target.1)
+        };
+        Ok(resample::composite(image, background))
+    };
+    let (images, clear): (Vec<Image>, Vec<bool>) =
+        images::each(&paths, "reading images", events, read)?.into_iter().unzip();
+    Ok((images, clear.contains(&true)))
+}
+
+/// What was found and chosen, for people.
+fn notes(place: &mut Place, model: &Model, frames: &[Frame], missing: &[String], source: &Source) {
+    let mut models: Vec<&str> = model.lenses.values().map(|lens| lens.model).collect();
+    models.sort_unstable();
+    models.dedup();
+    let (cameras, points) = (model.lenses.len(), model.points.len());
+    place.note(
+        "model",
+        format!(
+            "{}: {cameras} cameras ({}), {} images, {points} points",
+            model.folder,
+            models.join(", "),
+            model.photographs.len()
+        ),
+    );
+    let zoom = frames.iter().map(|frame| frame.pinhole.focal[0] / frame.lens.focal[0]).fold(1.0, f64::max);
+    let undone = frames.iter().filter(|frame| !frame.distortion.is_none()).count();
+    let words =
+        if undone == 0 { "none".into() } else { format!("undone in {undone} images, zoomed in by up to {zoom:.3}") };
+    place.note("distortion", words);
+    if !missing.is_empty() {
+        place.note("missing images", missing.len().to_string());
+    }
+    if !source.passed.is_empty() {
+        place.note("passed over", source.passed.join("; "));
+    }
+}

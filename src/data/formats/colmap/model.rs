@@ -1,0 +1,263 @@
+//! What a COLMAP model holds, whichever way it is written.
+
+use std::collections::{HashMap, HashSet};
+use std::path::{Path, PathBuf};
+
+use super::{binary, text};
+use crate::base::{Error, Result};
+use crate::data::formats::transforms::distortion::{Distortion, Intrinsics};
+use crate::data::pose::{self, Pose, Vec3};
+use crate::data::{LARGEST, SMALLEST, brief};
+
+/// Where a model lies in a scene's folder, the first that is there.
+pub(super) const FOLDERS: [&str; 3] = ["sparse/0", "sparse", "colmap/sparse/0"];
+/// How far from 1 a quaternion's length may be: files print few digits.
+const LENGTH_TOLERANCE: f64 = 1e-2;
+
+/// COLMAP's camera models: number, name, parameters. Those from the fifth on bend rays as no pinhole camera does.
+const MODELS: [(i32, &str, usize); 12] = [
+    (0, "SIMPLE_PINHOLE", 3),
+    (1, "PINHOLE", 4),
+    (2, "SIMPLE_RADIAL", 4),
+    (3, "RADIAL", 5),
+    (4, "OPENCV", 8),
+    (6, "FULL_OPENCV", 12),
+    (5, "OPENCV_FISHEYE", 8),
+    (7, "FOV", 5),
+    (8, "SIMPLE_RADIAL_FISHEYE", 4),
+    (9, "RADIAL_FISHEYE", 5),
+    (10, "THIN_PRISM_FISHEYE", 12),
+    (11, "RAD_TAN_THIN_PRISM_FISHEYE", 16),
+];
+/// So many of them are pinholes with OpenCV's distortion, or without.
+const READ: usize = 6;
+
+/// A camera: what photographs were taken with.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct Lens {
+    pub(super) model: &'static str,
+    /// Columns and rows of its photographs.
+    pub(super) size: [f64; 2],
+    pub(super) intrinsics: Intrinsics,
+    pub(super) distortion: Distortion,
+}
+
+/// A photograph whose pose was found.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct Photograph {
+    pub(super) id: u32,
+    pub(super) camera: u32,
+    /// Its file below the folder of images.
+    pub(super) name: String,
+    /// Camera to world, OpenGL axes.
+    pub(super) pose: Pose,
+}
+
+/// A point that was triangulated.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct Point {
+    pub(super) place: Vec3,
+    /// Photographs that it is seen in.
+    pub(super) seen_in: Vec<u32>,
+}
+
+/// Cameras, photographs (sorted by name) and points.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub(super) struct Model {
+    /// The folder below the scene's.
+    pub(super) folder: &'static str,
+    pub(super) lenses: HashMap<u32, Lens>,
+    pub(super) photographs: Vec<Photograph>,
+    pub(super) points: Vec<Point>,
+}
+
+/// The folder of a scene's model, if there is one, and whether it is binary.
+pub(super) fn find(dir: &Path) -> Option<(&'static str, bool)> {
+    let is_there = |folder: &str, ending: &str| {
+        let file = |name: &str| dir.join(folder).join(format!("{name}.{ending}"));
+        file("cameras").is_file() && file("images").is_file()
+    };
+    let found = |&folder: &&'static str| is_there(folder, "bin") || is_there(folder, "txt");
+    FOLDERS.iter().find(found).map(|&folder| (folder, is_there(folder, "bin")))
+}
+
+impl Model {
+    /// Reads the model of a scene's folder.
+    pub(super) fn read(dir: &Path) -> Result<Model> {
+        let Some((folder, is_binary)) = find(dir) else {
+            return Err(Error::Data(format!(
+                "{} holds no COLMAP model: cameras and images, .bin or .txt, are looked for in {}",
+                dir.display(),
+                FOLDERS.join(", ")
+            )));
+        };
+        let ending = if is_binary { "bin" } else { "txt" };
+        let file = |name: &str| dir.join(folder).join(format!("{name}.{ending}"));
+        let [cameras, images, points] = ["cameras", "images", "points3D"].map(file);
+        let mut model = Model { folder, ..Model::default() };
+        let (lenses, photographs) = match is_binary {
+            true => (binary::lenses(&cameras)?, binary::photographs(&images)?),
+            false => (text::lenses(&cameras)?, text::photographs(&images)?),
+        };
+        // A capture may come without its points, and with files of points that are empty.
+        if points.is_file() {
+            model.points = if is_binary { binary::points(&points)? } else { text::points(&points)? };
+        }
+        (model.lenses, model.photographs) = (lenses.into_iter().collect(), photographs);
+        model.photographs.sort_by(|a, b| a.name.cmp(&b.name));
+        model.check(&images)?;
+        Ok(model)
+    }
+
+    fn check(&self, images: &PathBuf) -> Result<()> {
+        let fail = |what: String| Err(Error::Data(format!("{}: {what}", images.display())));
+        if self.photographs.is_empty() {
+            return fail("no image has a pose: the reconstruction found none".into());
+        }
+        let (mut names, mut ids) = (HashSet::new(), HashSet::new());
+        for Photograph { id, camera, name, .. } in &self.photographs {
+            if !self.lenses.contains_key(camera) {
+                return fail(format!("image {name:?} is of camera {camera}, which the file of cameras does not have"));
+            }
+            if !(names.insert(name) && ids.insert(id)) {
+                return fail(format!("image {name:?} (number {id}) is there twice: each has one pose"));
+            }
+            let inside =
+                !name.is_empty() && !Path::new(name).is_absolute() && !name.split(['/', '\\']).any(|part| part == "..");
+            if !inside {
+                return fail(format!("an image is called {name:?}, which is no file below the folder of images"));
+            }
+        }
+        Ok(())
+    }
+
+    /// The depths of the points that each photograph sees, sorted, by photograph.
+    pub(super) fn depths(&self) -> Vec<Vec<f64>> {
+        let places: HashMap<u32, usize> =
+            self.photographs.iter().enumerate().map(|(place, photograph)| (photograph.id, place)).collect();
+        let mut depths = vec![Vec::new(); self.photographs.len()];
+        for point in &self.points {
+            for place in point.seen_in.iter().filter_map(|id| places.get(id)) {
+                let pose = &self.photographs[*place].pose;
+                depths[*place].push(-pose::dot(pose::sub(point.place, pose::column(pose, 3)), pose::column(pose, 2)));
+            }
+        }
+        depths.iter_mut().for_each(|depths| depths.sort_by(f64::total_cmp));
+        depths
+    }
+}
+
+/// Number and parameters of a model by its name.
+pub(super) fn model_of_name(name: &str) -> std::result::Result<(&'static str, usize), String> {
+    let known = MODELS.iter().find(|(_, known, _)| *known == name);
+    known.map(|&(_, name, parameters)| (name, parameters)).ok_or_else(|| unknown(name))
+}
+
+/// Name and parameters of a model by its number.
+pub(super) fn model_of_number(number: i32) -> std::result::Result<(&'static str, usize), String> {
+    let known = MODELS.iter().find(|(known, ..)| *known == number);
+    known.map(|&(_, name, parameters)| (name, parameters)).ok_or_else(|| unknown(&format!("number {number}")))
+}
+
+fn unknown(model: &str) -> String {
+    let read: Vec<&str> = MODELS[..READ].iter().map(|(_, name, _)| *name).collect();
+    format!(
+        "its camera model is {model}, but only {} are read; undistort the images first with COLMAP's image_undistorter",
+        read.join(", ")
+    )
+}
+
+/// The lens of a camera's model, size and parameters, as many as the model has; what is wrong with them otherwise.
+pub(super) fn lens(model: &'static str, size: [f64; 2], values: &[f64]) -> std::result::Result<Lens, String> {
+    if MODELS[READ..].iter().any(|(_, name, _)| *name == model) {
+        return Err(unknown(model));
+    }
+    if let Some(value) = values.iter().find(|value| value.is_nan() || value.abs() > LARGEST) {
+        return Err(format!(
+            "it has the parameter {}: every number must be finite, of at most {LARGEST:e}",
+            brief(*value)
+        ));
+    }
+    let at = |i: usize| values.get(i).copied().unwrap_or(0.0);
+    let one_focal = matches!(model, "SIMPLE_PINHOLE" | "SIMPLE_RADIAL" | "RADIAL");
+    let first = if one_focal { 1 } else { 2 };
+    let focal = if one_focal { [at(0); 2] } else { [at(0), at(1)] };
+    let further = |i: usize| at(first + 2 + i);
+    let radial_only = Distortion { radial: [further(0), further(1), 0.0], ..Distortion::default() };
+    let distortion = match model {
+        "SIMPLE_RADIAL" | "RADIAL" => radial_only,
+        "OPENCV" => Distortion { tangential: [further(2), further(3)], ..radial_only },
+        "FULL_OPENCV" => Distortion {
+            radial: [further(0), further(1), further(4)],
+            tangential: [further(2), further(3)],
+            rational: [further(5), further(6), further(7)],
+        },
+        _ => Distortion::default(),
+    };
+    if focal.iter().chain(&size).any(|value| *value < SMALLEST) {
+        return Err(format!("it has {size:?} pixels and the focal lengths {focal:?}: all must be positive"));
+    }
+    Ok(Lens { model, size, intrinsics: Intrinsics { focal, centre: [at(first), at(first + 1)] }, distortion })
+}
+
+/// The camera-to-world pose, OpenGL axes, of a rotation as a quaternion (w, x, y, z) and a shift that lead from the world to
+/// COLMAP's camera (x right, y down, z forward); what is wrong with them otherwise.
+pub(super) fn pose(quaternion: [f64; 4], shift: Vec3) -> std::result::Result<Pose, String> {
+    let length = quaternion.iter().map(|v| v * v).sum::<f64>().sqrt();
+    if shift.iter().any(|v| v.is_nan() || v.abs() > LARGEST) || (length - 1.0).abs().is_nan() {
+        return Err(format!(
+            "its pose is {quaternion:?} and {shift:?}: every number must be finite, of at most {LARGEST:e}"
+        ));
+    }
+    if (length - 1.0).abs() > LENGTH_TOLERANCE {
+        return Err(format!("its quaternion has length {}, and that of a rotation is 1", brief(length)));
+    }
+    let [w, x, y, z] = quaternion.map(|v| v / length);
+    // Rows: the camera's right, down and forward axes in the world.
+    let right = [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)];
+    let down = [2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - w * x)];
+    let forward = [2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)];
+    let origin =
+        std::array::from_fn(|axis| -(right[axis] * shift[0] + down[axis] * shift[1] + forward[axis] * shift[2]));
+    Ok(pose::from_columns([right, down.map(|v| -v), forward.map(|v| -v), origin]))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_pose_leads_from_the_camera_to_the_world() {
+        let quaternion = [0.5f64, -0.1, 0.7, 0.2];
+        let length = quaternion.iter().map(|v| v * v).sum::<f64>().sqrt();
+        let shift = [0.3, -1.0, 2.0];
+        let found = pose(quaternion.map(|v| v / length), shift).unwrap();
+        assert_eq!(pose::check_rotation(&found), Ok(()));
+        // The camera's own place is the world's origin where the shift is 0.
+        let origin = pose::column(&found, 3);
+        // R origin + shift = 0, the rows of R being right, down, forward.
+        let rows = [pose::column(&found, 0), pose::column(&found, 1).map(|v| -v), pose::column(&found, 2).map(|v| -v)];
+        for (row, shift) in rows.iter().zip(shift) {
+            assert!((pose::dot(*row, origin) + shift).abs() < 1e-12);
+        }
+        assert!(pose([0.0; 4], shift).unwrap_err().contains("length 0"));
+        assert!(pose([f64::NAN, 0.0, 0.0, 1.0], shift).unwrap_err().contains("finite"));
+    }
+
+    #[test]
+    fn parameters_are_those_of_colmap_s_models() {
+        let read = |model, values: &[f64]| lens(model, [8.0, 6.0], values).unwrap();
+        let opencv = read("OPENCV", &[7.0, 7.5, 4.0, 3.0, 0.1, 0.2, 0.3, 0.4]);
+        assert_eq!((opencv.intrinsics.focal, opencv.intrinsics.centre), ([7.0, 7.5], [4.0, 3.0]));
+        assert_eq!((opencv.distortion.radial, opencv.distortion.tangential), ([0.1, 0.2, 0.0], [0.3, 0.4]));
+        let radial = read("SIMPLE_RADIAL", &[7.0, 4.0, 3.0, 0.1]);
+        assert_eq!((radial.intrinsics.focal, radial.distortion.radial), ([7.0; 2], [0.1, 0.0, 0.0]));
+        let full = read("FULL_OPENCV", &[7.0, 7.0, 4.0, 3.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8]).distortion;
+        assert_eq!((full.radial, full.tangential, full.rational), ([0.1, 0.2, 0.5], [0.3, 0.4], [0.6, 0.7, 0.8]));
+        assert!(read("SIMPLE_PINHOLE", &[7.0, 4.0, 3.0]).distortion.is_none());
+        let refused = |model, values: &[f64]| lens(model, [8.0, 6.0], values).unwrap_err();
+        assert!(refused("OPENCV_FISHEYE", &[1.0; 8]).contains("image_undistorter"));
+        assert!(refused("PINHOLE", &[0.0, 1.0, 4.0, 3.0]).contains("positive"));
+        assert!(model_of_number(99).unwrap_err().contains("number 99"));
+    }
+}
