@@ -14,7 +14,7 @@ use augnerf::render::Composite;
 use augnerf::render::sampling::{importance, stratified};
 use augnerf::render::volume::{composite, composite_reference};
 use augnerf::runtime::Runtime;
-use augnerf::settings::{Config, Core, DataKind, FieldConfig, Method, RegularizerConfig, TrainConfig};
+use augnerf::settings::{Config, Core, DataKind, FieldConfig, Method, RegularizerConfig, Spacing, TrainConfig};
 use augnerf::space::{CHUNK, Quadrature};
 use augnerf::train::{Adam, AdamSettings, Trainer};
 use candle_core::{DType, Device, Tensor, Var};
@@ -97,7 +97,8 @@ fn parts(criterion: &mut Criterion) {
         let recording = field.recording().expect("a field");
         group.bench_function(format!("field-train-{name}"), |bencher| bencher.iter(|| asked(&recording, &points)));
     }
-    let t_vals = stratified(2.0, 6.0, RAYS, SAMPLES, Some(&draw(2, &[RAYS, SAMPLES])), &points).expect("samples");
+    let t_vals = stratified((2.0, 6.0), Spacing::Depth, RAYS, SAMPLES, Some(&draw(2, &[RAYS, SAMPLES])), &points)
+        .expect("samples");
     let rgb = Var::from_tensor(&draw(3, &[RAYS, SAMPLES, 3])).expect("a variable");
     let density = Var::from_tensor(&draw(4, &[RAYS, SAMPLES])).expect("a variable");
     let norm = Tensor::ones((RAYS, 1), DType::F32, &Device::Cpu).expect("ones");

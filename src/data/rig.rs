@@ -4,8 +4,8 @@
 use super::Camera;
 use super::pose::{self, Pose, Vec3};
 
-/// Mean distance over which rays start, at the least: 0 would be the lens.
-const LEAST_NEAR: f64 = 0.05;
+/// Rays start at no less than this share of the way from the nearest camera to what it looks at: 0 would be the lens.
+const LEAST_NEAR: f64 = 0.2;
 /// How many radii behind what is looked at rays end, so that a background is there, too.
 const BEHIND: f64 = 3.0;
 /// Share of the cameras that must have the common point before them and within their picture.
@@ -79,8 +79,8 @@ impl Subject {
 
     /// Ends of a ray: half way from the nearest camera to what is looked at, and some way behind that for the farthest.
     pub fn bounds(&self) -> (f64, f64) {
-        let [least, median, largest] = self.depths;
-        let near = (0.5 * (least - self.radius)).max(LEAST_NEAR * median);
+        let [least, _, largest] = self.depths;
+        let near = (0.5 * (least - self.radius)).max(LEAST_NEAR * least);
         (near, largest + BEHIND * self.radius)
     }
 }

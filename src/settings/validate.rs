@@ -2,10 +2,10 @@
 
 use super::registry::Section;
 use super::{
-    Config, Core, DataKind, Encoding, EvalSplit, Geometry, LatticePoints, MESH_SIDES, Objective, PerturbField,
-    Precision, Regularizer, Resample, SecondPass, Sizes, Spacing, word,
+    Config, Core, DataKind, Encoding, EvalSplit, LatticePoints, MESH_SIDES, Objective, PerturbField, Precision,
+    Regularizer, Resample, SecondPass, Sizes, Spacing, word,
 };
-use crate::augment::{Epsilon, Norm, Passes, REACH, Site, StepUnit};
+use crate::augment::{Epsilon, Geometry, Norm, Passes, REACH, Site, StepUnit};
 use crate::base::{Error, Result, SettingError};
 
 /// Points of a step are drawn at once: so many take a few hundred megabytes.

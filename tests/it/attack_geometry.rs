@@ -125,7 +125,9 @@ fn fine_pass(rays: usize, of: Of, drawn: usize) -> Tensor {
         Tensor::from_vec(numbers, (rays, columns), &CPU).unwrap()
     };
     let like = Tensor::zeros(1, DType::F64, &CPU).unwrap();
-    let t_vals = stratified(0.0, 1.0, rays, of.coarse, Some(&uniform(of.coarse)), &like).unwrap();
+    let t_vals =
+        stratified((0.0, 1.0), augnerf::settings::Spacing::Depth, rays, of.coarse, Some(&uniform(of.coarse)), &like)
+            .unwrap();
     let weight = |t: &f64| f64::from(u8::from((SURFACE[0]..SURFACE[1]).contains(t)));
     let weights: Vec<f64> = t_vals.flatten_all().unwrap().to_vec1::<f64>().unwrap().iter().map(weight).collect();
     let weights = Tensor::from_vec(weights, (rays, of.coarse), &CPU).unwrap();

@@ -44,7 +44,15 @@ impl Setting {
         let mut draw = |shape: &[usize]| random.uniform_tensor(shape, DType::F32, &CPU).unwrap();
         let columns = SAMPLES + usize::from(method.encoding().at_intervals());
         let jitter = draw(&[RAYS, columns]);
-        let t_vals = sampling::stratified(2.0, 6.0, RAYS, columns, Some(&jitter), &rays.origins).unwrap();
+        let t_vals = sampling::stratified(
+            (2.0, 6.0),
+            augnerf::settings::Spacing::Depth,
+            RAYS,
+            columns,
+            Some(&jitter),
+            &rays.origins,
+        )
+        .unwrap();
         let (noise, target) = (draw(&[RAYS, SAMPLES]), draw(&[RAYS, 3]));
         let geometry = PassGeometry {
             is_coarse: true,

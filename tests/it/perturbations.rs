@@ -80,7 +80,15 @@ impl Setting {
         let draw = |random: &mut Random, shape: &[usize]| random.uniform_tensor(shape, DType::F64, &CPU).unwrap();
         let columns = samples + usize::from(method.encoding().at_intervals());
         let jitter = draw(&mut random, &[rays.len(), columns]);
-        let t_vals = sampling::stratified(2.0, 6.0, rays.len(), columns, Some(&jitter), &rays.origins).unwrap();
+        let t_vals = sampling::stratified(
+            (2.0, 6.0),
+            augnerf::settings::Spacing::Depth,
+            rays.len(),
+            columns,
+            Some(&jitter),
+            &rays.origins,
+        )
+        .unwrap();
         let noise = draw(&mut random, &[rays.len(), samples]);
         let target = draw(&mut random, &[rays.len(), 3]);
         let pixel = PixelScale { width: 16.0, height: 16.0, focal: 20.0, ndc: false };

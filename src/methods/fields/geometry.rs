@@ -5,7 +5,7 @@ use candle_core::{Device, Tensor};
 use crate::augment::{Geometry, PaperPass, PassGeometry, PixelScale, SampleDensity, Sets, Site, StepUnit};
 use crate::base::Result;
 use crate::data::Scene;
-use crate::settings::Resolved;
+use crate::settings::{Resolved, Spacing};
 
 /// Shortest direction of a ray, seen from the front: in NDC a ray goes from -1 to 1 along the view axis, in the world 1.
 const SHORTEST: [f64; 2] = [1.0, 2.0];

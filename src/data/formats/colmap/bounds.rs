@@ -13,7 +13,7 @@ const ROOM: [f64; 2] = [0.8, 1.25];
 /// A view with fewer points tells nothing.
 const LEAST_POINTS: usize = 8;
 /// The box holds this share of the points along each axis, and a tenth of its sides more.
-const BOX: [f64; 2] = [0.05, 0.95];
+const BOX: [f64; 2] = [0.01, 0.99];
 const BOX_ROOM: f64 = 0.1;
 /// It reaches no farther from what the cameras look at than so many times what fills their pictures.
 const BOX_REACH: f64 = 2.0;

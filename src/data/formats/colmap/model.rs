@@ -77,8 +77,8 @@ pub(super) fn find(dir: &Path) -> Option<(&'static str, bool)> {
         let file = |name: &str| dir.join(folder).join(format!("{name}.{ending}"));
         file("cameras").is_file() && file("images").is_file()
     };
-    let found = |&folder: &&'static str| is_there(folder, "bin") || is_there(folder, "txt");
-    FOLDERS.iter().find(found).map(|&folder| (folder, is_there(folder, "bin")))
+    let found = |folder: &&str| is_there(folder, "bin") || is_there(folder, "txt");
+    FOLDERS.into_iter().find(found).map(|folder| (folder, is_there(folder, "bin")))
 }
 
 impl Model {
