@@ -116,9 +116,11 @@ impl SweepFolder {
         }
         let mut all: Vec<Scored> = Vec::new();
         for file in files {
-            all.extend(read_json::<Scored>(&file, DELETE)?);
-            check(&all, definition, &file)?;
+            let Some(scored) = read_json::<Scored>(&file, DELETE)? else { continue };
+            check(std::slice::from_ref(&scored), definition, &file)?;
+            all.push(scored);
         }
+        check_places(&all, &folder)?;
         all.sort_by(|a, b| a.place().cmp(&b.place()));
         Ok(all)
     }
@@ -131,6 +133,14 @@ impl SweepFolder {
     pub fn add_scored(&self, scored: &Scored, spec: &TableSpec, points: &[Record]) -> Result<PathBuf> {
         let definition = self.definition()?;
         scored.check(&definition).map_err(Error::Config)?;
+        let same_row = |other: &&Scored| (&other.row, &other.scene) == (&scored.row, &scored.scene);
+        let known = self.scored(&definition)?;
+        if known.iter().filter(same_row).any(|other| other.seed.is_some() != scored.seed.is_some()) {
+            return Err(Error::Config(format!(
+                "row '{}' has sets with a seed and would have one without: give each one, or another row",
+                scored.row
+            )));
+        }
         let spec = with_scored(spec.clone(), &definition, std::slice::from_ref(scored));
         let (own, done) = (scored.record(), |point: &&Record| point.status == Status::Done);
         if let Some(first) = points.iter().filter(done).find(|point| point.scene == scored.scene) {
@@ -163,18 +173,31 @@ impl SweepFolder {
 pub fn read_scored(results: &Path, definition: &Definition) -> Result<Vec<Scored>> {
     let file = results.join(SCORED);
     let all: Vec<Scored> = read_json(&file, "delete it, and collect the sweep again")?.unwrap_or_default();
+    check_places(&all, &file)?;
     check(&all, definition, &file)?;
     Ok(all)
 }
 
 /// Refuses what `score --into` would not have written.
 fn check(all: &[Scored], definition: &Definition, file: &Path) -> Result<()> {
+    refuse(file, all.iter().find_map(|scored| scored.check(definition).err()))
+}
+
+/// One set a row, scene and seed.
+fn check_places(all: &[Scored], file: &Path) -> Result<()> {
     let mut places = HashSet::new();
-    let found = match all.iter().find(|scored| !places.insert(scored.place())) {
-        _ if all.len() > MOST => Some(format!("more than {MOST} sets of pictures")),
-        Some(twice) => Some(format!("row '{}' has two sets of one seed on scene {}", twice.row, twice.scene)),
-        None => all.iter().find_map(|scored| scored.check(definition).err()),
-    };
+    let twice = all.iter().find(|scored| !places.insert(scored.place()));
+    refuse(
+        file,
+        match twice {
+            _ if all.len() > MOST => Some(format!("more than {MOST} sets of pictures")),
+            Some(twice) => Some(format!("row '{}' has two sets of one seed on scene {}", twice.row, twice.scene)),
+            None => None,
+        },
+    )
+}
+
+fn refuse(file: &Path, found: Option<String>) -> Result<()> {
     found.map_or(Ok(()), |found| Err(Error::Checkpoint(format!("cannot use {}: {found}; {DELETE}", file.display()))))
 }
 

@@ -161,6 +161,8 @@ fn scored_rows_stand_marked_in_the_table() {
     }
     let renders = run(dir, "Aug-NeRF", 0).join("renders");
     scored(dir, &[renders.to_str().unwrap(), "--into", "runs/tiny", "--row", "single"]);
+    let mixed = [renders.to_str().unwrap(), "--into", "runs/tiny", "--row", "single", "--seed", "0"];
+    assert_says(&demand(dir, &[&["score"], &mixed[..]].concat(), 2), &["'single' has sets", "give each one"]);
     let before = rows(&text(&dir.join("results/tiny/table.csv")));
     demand(dir, &["sweep", "collect", "runs/tiny"], 0);
     let table = rows(&text(&dir.join("results/tiny/table.csv")));

@@ -180,6 +180,7 @@ fn begin_folder(
     let costs = PublishedCosts::beside(&location.results()?, measure)?;
     let points = begin(&folder, definition, location.data_root.as_deref(), extend, &costs)?;
     costs.note().iter().for_each(|note| console.say(note));
+    link_by_name(&folder, &points);
     Ok((folder, points))
 }
 

@@ -12,7 +12,7 @@ use crate::report::tables::table_terminal;
 use crate::runtime::Runtime;
 use crate::sweep::{Options, Point, Runner, SweepFolder};
 
-use super::{Changes, How, Location, begin_folder, collect, link_by_name, terminal_width, trainings};
+use super::{Changes, How, Location, begin_folder, collect, terminal_width, trainings};
 
 pub const EXAMPLES: &str = "Examples:
   augnerf sweep run sweeps/smoke.toml                      three minutes on the embedded scene
@@ -74,7 +74,6 @@ impl RunArguments {
         let (trainings, measured) = trainings(&definition, &self.weights, runtime, &console)?;
         let (name, results) = (self.location.name()?, self.location.results()?);
         let (folder, points) = begin_folder(&self.location, &definition, self.extend, &trainings, &console)?;
-        link_by_name(&folder, &points);
         let options = Options {
             jobs: usize::from(self.jobs),
             fail_fast: self.fail_fast,
