@@ -88,7 +88,7 @@ impl HashConfig {
             Contraction::None => 1.5,
             Contraction::Axes | Contraction::Ball => (0.5 * (near + far)).max(SHORTEST),
         };
-        if let Some(domain) = domain.filter(|_| !ndc) {
+        if let Some(domain) = domain.filter(|domain| !ndc && is_sound(*domain)) {
             self.bounds.get_or_insert(domain);
         }
         let depth = if ndc { 1.0 } else { reach };
@@ -101,12 +101,15 @@ impl HashConfig {
         if let Some(finest) = finest.filter(|finest| *finest < coarsest) {
             return Some(("finest", finest.to_string(), format!("{coarsest} (field.hash.coarsest) to {FINEST}")));
         }
-        let [low, high] = bounds?;
-        let is_sound =
-            low.iter().zip(&high).all(|(low, high)| high - low >= SHORTEST && low.abs().max(high.abs()) <= FARTHEST);
+        let bounds = bounds?;
         let allowed = format!("two corners from -{FARTHEST:e} to {FARTHEST:e}, each side at least {SHORTEST:e} long");
-        (!is_sound).then(|| ("bounds", format!("{:?}", [low, high]), allowed))
+        (!is_sound(bounds)).then(|| ("bounds", format!("{bounds:?}"), allowed))
     }
+}
+
+/// A box that can be computed with.
+fn is_sound([low, high]: [[f64; 3]; 2]) -> bool {
+    low.iter().zip(&high).all(|(low, high)| high - low >= SHORTEST && low.abs().max(high.abs()) <= FARTHEST)
 }
 
 #[cfg(test)]

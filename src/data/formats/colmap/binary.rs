@@ -2,15 +2,13 @@
 
 use std::path::Path;
 
-use super::model::{Lens, Photograph, Point, lens, model_of_number, pose};
+use super::model::{Lens, MOST_NAME, Photograph, Point, lens, model_of_number, pose};
 use crate::base::input::read_bytes;
 use crate::base::{Error, Result};
 use crate::data::LARGEST;
 
 /// Most bytes of a file: those of some hundred million observations.
 const MOST_BYTES: u64 = 4 << 30;
-/// Longest name of an image.
-const MOST_NAME: usize = 4096;
 
 /// What is left of a file.
 struct Bytes<'a> {

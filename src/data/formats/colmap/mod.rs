@@ -31,6 +31,14 @@ pub fn is_scene(dir: &Path) -> bool {
 /// By how much, beyond a pixel, the sides of an image may differ from those that its camera was found for.
 const SIZE_TOLERANCE: f64 = 0.01;
 
+/// So many names of missing images are written out.
+const NAMES: usize = 20;
+
+/// A name as a list has it.
+fn shown(name: &str) -> String {
+    name.chars().take(100).collect()
+}
+
 /// A photograph that is there, before it is read.
 struct Frame {
     path: PathBuf,
@@ -85,12 +93,14 @@ fn check_missing(dir: &Path, model: &Model, source: &Source, events: &dyn Listen
     if missing.is_empty() {
         return Ok(missing);
     }
+    let named: Vec<String> = missing.iter().take(NAMES).map(|name| format!("{:?}", shown(name))).collect();
+    let more = if missing.len() > NAMES { ", ..." } else { "" };
     let words = format!(
-        "{}: {} of the {} images of the COLMAP model are not there: {}",
+        "{}: {} of the {} images of the COLMAP model are not there: {}{more}",
         dir.display(),
         missing.len(),
         model.photographs.len(),
-        missing.join(", ")
+        named.join(", ")
     );
     if 2 * missing.len() > model.photographs.len() {
         return Err(Error::Data(format!("{words}; with more than half of them gone it is another capture's model")));

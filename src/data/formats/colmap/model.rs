@@ -11,6 +11,8 @@ use crate::data::{LARGEST, SMALLEST, brief};
 
 /// Where a model lies in a scene's folder, the first that is there.
 pub(super) const FOLDERS: [&str; 3] = ["sparse/0", "sparse", "colmap/sparse/0"];
+/// Longest name of an image.
+pub(super) const MOST_NAME: usize = 1024;
 /// How far from 1 a quaternion's length may be: files print few digits.
 const LENGTH_TOLERANCE: f64 = 1e-2;
 
@@ -116,6 +118,12 @@ impl Model {
         }
         let (mut names, mut ids) = (HashSet::new(), HashSet::new());
         for Photograph { id, camera, name, .. } in &self.photographs {
+            if name.len() > MOST_NAME {
+                return fail(format!(
+                    "the name of image {id} has {} bytes, more than any file's ({MOST_NAME})",
+                    name.len()
+                ));
+            }
             if !self.lenses.contains_key(camera) {
                 return fail(format!("image {name:?} is of camera {camera}, which the file of cameras does not have"));
             }

@@ -35,8 +35,7 @@ impl<'a> Words<'a> {
 
     fn number<T: FromStr>(&mut self, what: &str) -> Result<T> {
         let word = self.word(what)?;
-        let shown: String = word.chars().take(40).filter(|letter| !letter.is_control()).collect();
-        word.parse().map_err(|_| self.error(&format!("{what} is {shown:?}, which is no such number")))
+        word.parse().map_err(|_| self.error(&format!("{what} is {:?}, which is no such number", shown(word))))
     }
 
     fn numbers<const N: usize>(&mut self, what: &str) -> Result<[f64; N]> {
@@ -46,6 +45,11 @@ impl<'a> Words<'a> {
         }
         Ok(numbers)
     }
+}
+
+/// A word as people can read it.
+fn shown(word: &str) -> String {
+    word.chars().take(40).filter(|letter| !letter.is_control()).collect()
 }
 
 /// The file's text.
@@ -63,7 +67,7 @@ pub(super) fn lenses(file: &Path) -> Result<Vec<(u32, Lens)>> {
     let text = read(file)?;
     let camera = |mut words: Words| {
         let id = words.number("the camera's number")?;
-        let (model, parameters) = model_of_name(words.word("the model")?).map_err(|what| words.error(&what))?;
+        let (model, parameters) = model_of_name(&shown(words.word("the model")?)).map_err(|what| words.error(&what))?;
         let size = words.numbers("width or height")?;
         let mut values = Vec::new();
         for _ in 0..parameters {
