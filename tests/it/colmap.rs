@@ -337,7 +337,7 @@ fn broken_models_are_refused_in_a_sentence() {
         }
     };
     refused(
-        |model| (model.cameras[0].1, model.cameras[0].2) = (5, "OPENCV_FISHEYE"),
+        |model| model.cameras[0] = (3, 5, "OPENCV_FISHEYE", [32; 2], vec![40.0; 8]),
         &["cameras", "OPENCV_FISHEYE", "undistort"],
     );
     refused(|model| model.cameras[0].4[0] = f64::NAN, &["cameras", "finite"]);
@@ -426,7 +426,7 @@ fn a_colmap_folder_is_checked_drawn_trained_and_meshed() {
     assert_eq!(config["data"]["pixel_origin"].as_str(), Some("centre"));
 
     let vertices = |units: &str| {
-        let out = export.dir.path().join(units).display().to_string();
+        let out = export.dir.path().join(format!("mesh in {units}")).display().to_string();
         // Any level set will do: that of the middle of the densities there.
         let mesh = ["mesh", &run, "--resolution", "8", "--units", units, "--cap", "--out", &out, "-q"];
         let threshold = threshold(&mesh);

@@ -8,6 +8,7 @@ mod binary;
 mod bounds;
 mod folder;
 mod model;
+mod read;
 mod text;
 
 use std::path::{Path, PathBuf};
@@ -25,7 +26,7 @@ use model::{Lens, Model, Photograph};
 
 /// Whether a folder holds a model.
 pub fn is_scene(dir: &Path) -> bool {
-    model::find(dir).is_some()
+    read::find(dir).is_some()
 }
 
 /// By how much, beyond a pixel, the sides of an image may differ from those that its camera was found for.
@@ -54,7 +55,7 @@ struct Frame {
 /// Reads such a scene. Views are sorted by name; every `config.holdout`-th is held out.
 pub fn load(config: &DataConfig, events: &dyn Listener) -> Result<Scene> {
     let dir = Path::new(&config.dir);
-    let model = Model::read(dir)?;
+    let model = read::model(dir)?;
     let source = folder::find(dir, &model.photographs, Size::of(config))?;
     let missing = check_missing(dir, &model, &source, events)?;
     let mut frames = frames(dir, &model, &source)?;
