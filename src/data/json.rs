@@ -231,7 +231,12 @@ impl<'a> Object<'a> {
         let folder = self.file.parent().unwrap_or(Path::new(""));
         let named = folder.join(&written);
         if let Some(path) = image_at(&named) {
-            return Ok(Picture { path: Some(path), written });
+            if path.is_file() {
+                return Ok(Picture { path: Some(path), written });
+            }
+            let found = path.display();
+            let what = format!("\"{key}\" is \"{text}\", but {found} is a device or a pipe, where a file is needed");
+            return Err(self.error(&what));
         }
         if named.is_file() {
             return Err(self.error(&format!(
@@ -283,11 +288,12 @@ pub(super) struct Picture {
 
 /// The image at a path, or at the path with an image's ending.
 fn image_at(path: &Path) -> Option<PathBuf> {
-    if path.is_file() && is_image(path) {
+    let is_there = |path: &Path| path.exists() && !path.is_dir();
+    if is_there(path) && is_image(path) {
         return Some(path.to_path_buf());
     }
     let endings = ENDINGS.iter().flat_map(|ending| [ending.to_string(), ending.to_ascii_uppercase()]);
-    endings.map(|ending| PathBuf::from(format!("{}.{ending}", path.display()))).find(|path| path.is_file())
+    endings.map(|ending| PathBuf::from(format!("{}.{ending}", path.display()))).find(|path| is_there(path))
 }
 
 /// Whether a path names its place from a root: `/home/me/a.png`, `C:/a.png`.

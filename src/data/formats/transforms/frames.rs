@@ -7,7 +7,7 @@ use image::metadata::Orientation;
 
 use super::distortion::{self, Intrinsics};
 use super::lens::Lens;
-use super::mask;
+use super::mask::{self, Masked};
 use crate::base::{Event, Image, Listener, Result};
 use crate::data::images::{self, Size};
 use crate::data::json::{Object, Picture};
@@ -197,7 +197,9 @@ impl Frame {
     fn view(&self, name: String, camera: Camera, background: [f32; 3]) -> Result<(View, bool)> {
         let size = (camera.width, camera.height);
         let (image, clear) = resample::composite(self.image(size)?, background);
-        let mask = self.mask.as_ref().map(|file| mask::read(file, self, size)).transpose()?;
+        let photograph = Masked { path: &self.path, size: self.size };
+        let read = |file| mask::read(file, &photograph, |mask| self.rectified(mask), size);
+        let mask = self.mask.as_deref().map(read).transpose()?;
         Ok((View { name, camera, image: image.into(), depth: None, mask: mask.map(Into::into) }, clear))
     }
 }

@@ -2,7 +2,6 @@
 
 use std::path::{Path, PathBuf};
 
-use super::frames::Frame;
 use crate::base::{Error, Image, Result};
 use crate::data::json::Object;
 use crate::data::{images, resample};
@@ -26,10 +25,24 @@ pub(super) fn file_of(frame: Object, document: Object) -> Result<Option<PathBuf>
     picture.path.clone().map(Some).ok_or_else(missing)
 }
 
-/// Which pixels of a frame's view of `size` count, row by row: those of whose area the mask is black nowhere.
-pub(super) fn read(file: &Path, frame: &Frame, (width, height): (usize, usize)) -> Result<Vec<bool>> {
+/// A photograph that is masked.
+pub(super) struct Masked<'a> {
+    /// Its file.
+    pub(super) path: &'a Path,
+    /// Its width and height.
+    pub(super) size: (usize, usize),
+}
+
+/// Which pixels of the photograph's view of `width` x `height` count, row by row: those of whose area the mask is black nowhere.
+/// `rectified` undoes the photograph's distortion.
+pub(super) fn read(
+    file: &Path,
+    photograph: &Masked,
+    rectified: impl Fn(Image) -> Image,
+    (width, height): (usize, usize),
+) -> Result<Vec<bool>> {
     let mask = counting(file)?;
-    let (columns, rows) = frame.size;
+    let (columns, rows) = photograph.size;
     let shape = (mask.width as f64 * rows as f64 / columns as f64 - mask.height as f64).abs();
     if mask.width < columns || mask.height < rows || shape > 1.0 {
         return Err(Error::Data(format!(
@@ -38,16 +51,16 @@ pub(super) fn read(file: &Path, frame: &Frame, (width, height): (usize, usize)) 
             file.display(),
             mask.width,
             mask.height,
-            frame.path.display()
+            photograph.path.display()
         )));
     }
-    let mask = frame.rectified(resample::shrink(&mask, columns, rows));
+    let mask = rectified(resample::shrink(&mask, columns, rows));
     let kept: Vec<bool> = resample::shrink(&mask, width, height).pixels.iter().map(|&share| share >= WHOLE).collect();
     if !kept.contains(&true) {
         return Err(Error::Data(format!(
             "{} leaves no pixel of {} at {width}x{height} (black is masked): remove the frame, or mend the mask",
             file.display(),
-            frame.path.display()
+            photograph.path.display()
         )));
     }
     Ok(kept)
