@@ -107,7 +107,7 @@ pub fn scene() -> Scene {
     };
     let pixels = (0..64 * 64 * 3).map(|i| (i * 7919 % 256) as f32 / 255.0).collect();
     let image = Image { width: 64, height: 64, channels: 3, pixels };
-    let view = View { name: "noise".into(), camera, image: image.into(), depth: None };
+    let view = View { name: "noise".into(), camera, image: image.into(), depth: None, mask: None };
     Scene {
         name: "noise".into(),
         kind: "blender",

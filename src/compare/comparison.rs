@@ -2,10 +2,10 @@
 
 use super::differences::{Difference, differences};
 use super::run_view::RunView;
-use super::window::{Window, crop, most_different};
+use super::window::{Window, crop, crop_mask, most_different};
 use crate::base::{Error, Image, Result};
 use crate::draw::{depth_range, quantise};
-use crate::metrics::{ViewMetrics, measure};
+use crate::metrics::{ViewMetrics, measure_unmasked, unmasked_or};
 use crate::run::RenderedView;
 
 /// Share of the view's sides that the box has where nobody says how large it is to be.
@@ -44,9 +44,12 @@ impl Comparison {
         let Some((first, _)) = runs.first() else {
             return Err(Error::Config("there is no run to compare; name at least one".into()));
         };
-        let (truth, bounds) = (first.view.image.clone(), first.bounds);
+        let (truth, mask, bounds) = (first.view.image.clone(), first.view.mask.clone(), first.bounds);
         check_box(window, box_width, &truth)?;
-        let images: Vec<&Image> = runs.iter().map(|(_, rendered)| &rendered.image).collect();
+        // What is masked is no error.
+        let counted: Vec<Image> =
+            runs.iter().map(|(_, rendered)| unmasked_or(rendered.image.clone(), &truth, mask.as_deref())).collect();
+        let images: Vec<&Image> = counted.iter().collect();
         let chosen = match window {
             Some(window) => window,
             None => most_different(&images, &truth, box_size(box_width, truth.width, truth.height)),
@@ -59,10 +62,12 @@ impl Comparison {
         let named: Vec<&RunView> = runs.iter().map(|(run, _)| run).collect();
         let differences = differences(&named);
         let truth_in_box = crop(&truth, chosen);
-        let sides = runs.into_iter().map(|(run, rendered)| {
-            let metrics = measure(&run.view.name, &rendered.image, &truth, &[])?;
-            let metrics_in_box = measure(&run.view.name, &crop(&rendered.image, chosen), &truth_in_box, &[])?;
-            let errors = errors(&rendered.image, &truth);
+        let mask_in_box = mask.as_ref().map(|mask| crop_mask(mask, truth.width, chosen));
+        let sides = runs.into_iter().zip(&counted).map(|((run, rendered), counted)| {
+            let (name, in_box) = (&run.view.name, crop(&rendered.image, chosen));
+            let metrics = measure_unmasked(name, &rendered.image, &truth, mask.as_deref(), &[])?;
+            let metrics_in_box = measure_unmasked(name, &in_box, &truth_in_box, mask_in_box.as_deref(), &[])?;
+            let errors = errors(counted, &truth);
             Ok(Side { run, rendered, errors, metrics, metrics_in_box })
         });
         let sides = sides.collect::<Result<Vec<Side>>>()?;

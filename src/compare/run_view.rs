@@ -83,6 +83,9 @@ impl RunView {
             let values = self.view.image.pixels.len();
             return differ("the photograph", "one".into(), format!("another ({others} of {values} values)"));
         }
+        if self.view.mask != first.view.mask {
+            return differ("the photograph's mask", "one".into(), "another, or none".into());
+        }
         Ok(())
     }
 

@@ -44,6 +44,12 @@ pub fn crop(image: &Image, window: Window) -> Image {
     Image { width, height, channels: image.channels, pixels }
 }
 
+/// The same of a mask of an image of `columns`.
+pub fn crop_mask(mask: &[bool], columns: usize, window: Window) -> Vec<bool> {
+    let Window { x, y, width, height } = window;
+    (y..y + height).flat_map(|line| mask[line * columns + x..][..width].to_vec()).collect()
+}
+
 /// Sums of squared differences over all rectangles that start in the upper left corner,
 /// `[height + 1, width + 1]`, in squares of 1/255: those of 8-bit values are integers, so that sums are exact.
 struct Sums {

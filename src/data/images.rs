@@ -1,12 +1,15 @@
 //! Image files: finding out their sizes, decoding them in parallel, bringing them to the working
 //! resolution.
 //!
-//! Pixels are taken as stored: an EXIF orientation is not applied, as COLMAP does not apply it either.
+//! Pixels are taken as stored: an EXIF orientation is not applied, as COLMAP does not apply it either. Only where a capture's file
+//! says that its poses are those of turned photographs is it ([`crate::data::formats::transforms`]).
 
+use std::fs::File;
 use std::io::{BufReader, Cursor};
 use std::path::{Path, PathBuf};
 
-use image::{DynamicImage, ImageFormat, ImageReader};
+use image::metadata::Orientation;
+use image::{DynamicImage, ImageDecoder, ImageFormat, ImageReader};
 use rayon::prelude::*;
 
 use super::resample;
@@ -19,7 +22,7 @@ use crate::settings::DataConfig;
 const MOST_BYTES: u64 = 1 << 30;
 
 /// Endings of files that count as images, lower case.
-pub const ENDINGS: [&str; 3] = ["png", "jpg", "jpeg"];
+pub const ENDINGS: [&str; 4] = ["png", "jpg", "jpeg", "webp"];
 
 /// The working resolution, as the configuration asks for it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -58,6 +61,16 @@ impl Size {
     }
 }
 
+/// The sizes that images of `from` are brought to: by the factor, or all by what makes the widest of them as wide as asked for, so
+/// that what is far from the camera is as large in each. `file` is one of them.
+pub fn working_sizes(size: Size, from: &[(usize, usize)], file: &Path) -> Result<Vec<(usize, usize)>> {
+    let widest = from.iter().map(|size| size.0).max().unwrap_or(1);
+    let Size::Width(width) = size else { return from.iter().map(|&from| size.apply(from, file)).collect() };
+    let scaled = |side: usize| ((side as f64 * width as f64 / widest as f64).round() as usize).max(1);
+    size.apply((widest, 1), file)?;
+    Ok(from.iter().map(|&(width, height)| (scaled(width), scaled(height))).collect())
+}
+
 /// Whether a file's ending is one of [`ENDINGS`].
 pub fn is_image(path: &Path) -> bool {
     let ending = path.extension().map(|e| e.to_string_lossy().to_ascii_lowercase());
@@ -82,10 +95,24 @@ pub fn list(dir: &Path) -> Result<Vec<PathBuf>> {
 
 /// Width and height that a file's header states.
 pub fn size(path: &Path) -> Result<(usize, usize)> {
+    let (width, height) = open(path)?.into_dimensions().map_err(|e| undecodable(path, &e))?;
+    sound(path, (width, height))
+}
+
+/// Width, height and the turn that EXIF asks viewers for.
+pub(super) fn header(path: &Path) -> Result<((usize, usize), Orientation)> {
+    let mut decoder = open(path)?.into_decoder().map_err(|e| undecodable(path, &e))?;
+    let size = sound(path, decoder.dimensions())?;
+    // Damaged notes are no damage of the picture.
+    Ok((size, decoder.orientation().unwrap_or(Orientation::NoTransforms)))
+}
+
+fn open(path: &Path) -> Result<ImageReader<BufReader<File>>> {
     let reader = open_regular(path).map(|file| ImageReader::new(BufReader::new(file)));
-    let reader = reader.and_then(ImageReader::with_guessed_format);
-    let reader = reader.map_err(|e| Error::unreadable(path, &e))?;
-    let (width, height) = reader.into_dimensions().map_err(|e| undecodable(path, &e))?;
+    reader.and_then(ImageReader::with_guessed_format).map_err(|e| Error::unreadable(path, &e))
+}
+
+fn sound(path: &Path, (width, height): (u32, u32)) -> Result<(usize, usize)> {
     if width == 0 || height == 0 {
         return Err(Error::Data(format!("{} is an image of {width}x{height} pixels: it is empty", path.display())));
     }
@@ -115,7 +142,7 @@ pub fn common_size(paths: &[PathBuf]) -> Result<(usize, usize)> {
     Ok(expected)
 }
 
-/// Decodes one PNG or JPEG file of 8 or 16 bits.
+/// Decodes one PNG, JPEG or WebP file of 8 or 16 bits.
 pub fn decode(path: &Path) -> Result<DynamicImage> {
     let bytes = read_bytes(path, MOST_BYTES).map_err(|e| Error::unreadable(path, &e))?;
     let format = image::guess_format(&bytes).map_err(|e| undecodable(path, &e))?;
@@ -138,7 +165,7 @@ fn undecodable(path: &Path, error: &dyn std::fmt::Display) -> Error {
     let error = error.to_string();
     let error = error.trim_end_matches(['.', '\n', ' ']);
     Error::Data(format!(
-        "cannot decode {} as an image: {error}; PNG and JPEG files are read, this one may be truncated or damaged",
+        "cannot decode {} as an image: {error}; PNG, JPEG and WebP files are read, this one may be truncated or damaged",
         path.display()
     ))
 }
@@ -165,13 +192,20 @@ pub fn read(path: &Path, to: (usize, usize)) -> Result<Image> {
 }
 
 /// Refuses more pictures of a size than the machine has memory free for.
-pub(super) fn check_memory(count: usize, (width, height): (usize, usize)) -> Result<()> {
+pub(super) fn check_memory(count: usize, size: (usize, usize)) -> Result<()> {
+    check_memory_of(&vec![size; count])
+}
+
+/// The same of pictures that have sizes of their own.
+pub(super) fn check_memory_of(sizes: &[(usize, usize)]) -> Result<()> {
     let Some(free) = free_memory_mib() else { return Ok(()) };
-    let needed = [count, width, height, 3 * size_of::<f32>()].into_iter().fold(1.0, |all, factor| all * factor as f64);
-    let needed = needed / f64::from(1 << 20);
+    let bytes = |&(width, height): &(usize, usize)| width as f64 * height as f64 * (3 * size_of::<f32>()) as f64;
+    let needed = sizes.iter().map(bytes).sum::<f64>() / f64::from(1 << 20);
     if needed <= free {
         return Ok(());
     }
+    let count = sizes.len();
+    let (width, height) = sizes.iter().copied().max_by_key(|size| size.0.saturating_mul(size.1)).unwrap_or_default();
     Err(Error::Data(format!(
         "{count} pictures of {width}x{height} pixels take {:.1} GiB of memory, and {:.1} GiB are free: make them smaller \
           with data.downscale or data.width",
@@ -185,9 +219,12 @@ fn at_once(paths: &[PathBuf]) -> Result<usize> {
     /// Samples of up to 16 bits with alpha.
     const PIXEL_BYTES: usize = 8;
     const BYTES: usize = 1 << 31;
-    let Some(first) = paths.first() else { return Ok(1) };
-    let (width, height) = size(first)?;
-    Ok((BYTES / PIXEL_BYTES / (width * height)).max(1))
+    let mut largest = 1;
+    for path in paths {
+        let (width, height) = size(path)?;
+        largest = largest.max(width.saturating_mul(height));
+    }
+    Ok((BYTES / PIXEL_BYTES / largest).max(1))
 }
 
 /// Runs `read` over all files in parallel. Of several failures the first file's is reported,

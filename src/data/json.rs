@@ -1,5 +1,6 @@
 //! Fields of a JSON document, with messages that name the file and the key.
 
+use std::borrow::Cow;
 use std::cell::Cell;
 use std::f64::consts::PI;
 use std::fmt;
@@ -9,6 +10,7 @@ use serde::Deserializer;
 use serde::de::{self, DeserializeSeed, MapAccess, SeqAccess, Visitor};
 use serde_json::Value;
 
+use super::images::{ENDINGS, is_image};
 use super::pose::{self, Pose};
 use super::{LARGEST, SMALLEST, brief};
 use crate::base::input::read_bytes;
@@ -30,14 +32,47 @@ pub(super) struct Object<'a> {
 /// which takes memory.
 const MOST_VALUES: usize = 1 << 20;
 
-/// Reads a JSON file.
+/// Reads a JSON file. A byte order mark is no part of it, and numbers that are none (`NaN`, as Python writes them) are taken as
+/// texts: they harm only where a number is needed.
 pub(super) fn read(file: &Path) -> Result<Value> {
     let text = read_bytes(file, MOST_BYTES).map_err(|e| Error::unreadable(file, &e))?;
+    let text = quote_no_numbers(text.strip_prefix(BYTE_ORDER_MARK).unwrap_or(&text));
     let invalid = |e| Error::Data(format!("{} is not valid JSON: {e}", file.display()));
     let mut reader = serde_json::Deserializer::from_slice(&text);
     let value = Counted(&Cell::new(0)).deserialize(&mut reader).map_err(invalid)?;
     reader.end().map_err(invalid)?;
     Ok(value)
+}
+
+const BYTE_ORDER_MARK: &[u8] = b"\xef\xbb\xbf";
+/// What Python's and JavaScript's writers leave of numbers that are none.
+const NO_NUMBERS: [&[u8]; 3] = [b"-Infinity", b"Infinity", b"NaN"];
+
+/// The text with quotes around `NaN`, `Infinity` and `-Infinity` where they stand outside of texts.
+fn quote_no_numbers(text: &[u8]) -> Cow<'_, [u8]> {
+    let mut quoted = Vec::new();
+    let (mut copied, mut at, mut in_text) = (0, 0, false);
+    while at < text.len() {
+        match text[at] {
+            b'\\' if in_text => at += 1,
+            b'"' => in_text = !in_text,
+            b'-' | b'I' | b'N' if !in_text => {
+                if let Some(word) = NO_NUMBERS.iter().find(|word| text[at..].starts_with(word)) {
+                    quoted.extend_from_slice(&text[copied..at]);
+                    quoted.extend([b"\"", *word, b"\""].concat());
+                    at += word.len() - 1;
+                    copied = at + 1;
+                }
+            }
+            _ => {}
+        }
+        at += 1;
+    }
+    if copied == 0 {
+        return text.into();
+    }
+    quoted.extend_from_slice(&text[copied..]);
+    quoted.into()
 }
 
 /// Reads a value as it stands, while those that it counts are not too many.
@@ -187,26 +222,44 @@ impl<'a> Object<'a> {
         Ok(pose)
     }
 
-    /// The image file that `file_path` names, relative to the JSON file, with or without an ending.
-    pub(super) fn image(&self) -> Result<PathBuf> {
-        let value = self.required("file_path")?;
-        let text = value.as_str().ok_or_else(|| self.wrong("file_path", value, "a text"))?;
-        let relative = text.replace('\\', "/");
+    /// The image file that `key` names; see [`Picture`].
+    pub(super) fn picture(&self, key: &str) -> Result<Picture> {
+        let value = self.required(key)?;
+        let text = value.as_str().ok_or_else(|| self.wrong(key, value, "a text"))?;
+        let written = text.replace('\\', "/");
+        let written = written.trim_start_matches("./").to_string();
         let folder = self.file.parent().unwrap_or(Path::new(""));
-        let path = folder.join(relative.trim_start_matches("./"));
-        if path.is_file() && super::images::is_image(&path) {
-            return Ok(path);
-        }
-        for ending in ["png", "jpg", "jpeg", "PNG", "JPG", "JPEG"] {
-            let candidate = PathBuf::from(format!("{}.{ending}", path.display()));
-            if candidate.is_file() {
-                return Ok(candidate);
+        let named = folder.join(&written);
+        if let Some(path) = image_at(&named) {
+            if path.is_file() {
+                return Ok(Picture { path: Some(path), written });
             }
+            let found = path.display();
+            let what = format!("\"{key}\" is \"{text}\", but {found} is a device or a pipe, where a file is needed");
+            return Err(self.error(&what));
         }
-        Err(self.error(&format!(
-            "\"file_path\" is \"{text}\", but there is no image {} (also not with .png, .jpg or .jpeg added)",
-            path.display()
-        )))
+        if named.is_file() {
+            return Err(self.error(&format!(
+                "\"{key}\" is \"{text}\", and {} is there, but only PNG, JPEG and WebP files are read: convert it",
+                named.display()
+            )));
+        }
+        // Where the capture lay on the machine that wrote the file, it lies here below the file's own folder.
+        let path =
+            if is_absolute(&written) { parts(&written).find_map(|part| image_at(&folder.join(part))) } else { None };
+        Ok(Picture { path, written })
+    }
+
+    /// Keys of the object in their order.
+    pub(super) fn keys(&self) -> impl Iterator<Item = &'a str> {
+        self.value.as_object().into_iter().flat_map(|map| map.keys().map(String::as_str))
+    }
+
+    /// A list of texts that may be missing.
+    pub(super) fn texts(&self, key: &str) -> Result<Option<Vec<&'a str>>> {
+        let Some(value) = self.get(key) else { return Ok(None) };
+        let texts = value.as_array().and_then(|list| list.iter().map(Value::as_str).collect());
+        texts.map(Some).ok_or_else(|| self.wrong(key, value, "a list of texts"))
     }
 
     /// A key that must be there.
@@ -224,6 +277,42 @@ impl<'a> Object<'a> {
     }
 }
 
+/// An image that a file names, relative to itself, with or without an ending; by an absolute path that is not there, by as much
+/// of its end as there is below the file's folder.
+pub(super) struct Picture {
+    /// Where it is; none where it is not.
+    pub(super) path: Option<PathBuf>,
+    /// As it is written, with slashes and without `./` in front.
+    pub(super) written: String,
+}
+
+/// The image at a path, or at the path with an image's ending.
+fn image_at(path: &Path) -> Option<PathBuf> {
+    let is_there = |path: &Path| path.exists() && !path.is_dir();
+    if is_there(path) && is_image(path) {
+        return Some(path.to_path_buf());
+    }
+    let endings = ENDINGS.iter().flat_map(|ending| [ending.to_string(), ending.to_ascii_uppercase()]);
+    endings.map(|ending| PathBuf::from(format!("{}.{ending}", path.display()))).find(|path| is_there(path))
+}
+
+/// Whether a path names its place from a root: `/home/me/a.png`, `C:/a.png`.
+fn is_absolute(written: &str) -> bool {
+    let drive = written
+        .as_bytes()
+        .first_chunk::<2>()
+        .is_some_and(|[letter, colon]| letter.is_ascii_alphabetic() && *colon == b':');
+    written.starts_with('/') || drive
+}
+
+/// The ends of a path, from all behind the root to the file's name.
+fn parts(written: &str) -> impl Iterator<Item = &str> {
+    written
+        .match_indices('/')
+        .map(|(at, _)| &written[at + 1..])
+        .filter(|part| !part.starts_with('/') && !part.is_empty())
+}
+
 fn kind(value: &Value) -> &'static str {
     match value {
         Value::Null => "null",
@@ -232,5 +321,26 @@ fn kind(value: &Value) -> &'static str {
         Value::String(_) => "a text",
         Value::Array(_) => "an array",
         Value::Object(_) => "an object",
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_is_no_number_becomes_a_text_and_texts_stay() {
+        let quoted = |text: &'static str| String::from_utf8(quote_no_numbers(text.as_bytes()).into_owned()).unwrap();
+        assert_eq!(quoted(r#"[NaN, -Infinity,Infinity, -3]"#), r#"["NaN", "-Infinity","Infinity", -3]"#);
+        for same in [r#"{"NaN": "a \" NaN", "b": null}"#, "", "N", "\"\\"] {
+            assert_eq!(quoted(same), same);
+        }
+    }
+
+    #[test]
+    fn paths_of_another_machine_end_in_ever_less() {
+        assert!(is_absolute("/a/b.png") && is_absolute("C:/a/b.png") && !is_absolute("a/b.png") && !is_absolute("C"));
+        assert_eq!(parts("/a//b/c.png").collect::<Vec<_>>(), ["a//b/c.png", "b/c.png", "c.png"]);
+        assert_eq!(parts("C:/a/c.png").collect::<Vec<_>>(), ["a/c.png", "c.png"]);
     }
 }

@@ -50,6 +50,8 @@ pub struct View {
     /// (the embedded scene) or in steps of 8 bits. `f32::INFINITY` where the ray hits nothing, NaN where it
     /// is not known.
     pub depth: Option<Vec<f32>>,
+    /// Which pixels count, row-major: the others are neither trained on nor measured. All of them where there is no mask.
+    pub mask: Option<Arc<[bool]>>,
 }
 
 /// A loaded scene, ready for training: every pose final, every image at the working resolution.
@@ -108,7 +110,7 @@ impl Scene {
         digest.update(self.far.to_le_bytes());
         for (split, views) in [("train", &self.train), ("test", &self.test)] {
             digest.update(split);
-            for View { name, camera, image, .. } in views {
+            for View { name, camera, image, mask, .. } in views {
                 digest.update(name);
                 let Camera { focal, centre, pose, .. } = camera;
                 let geometry = focal.iter().chain(centre).chain(pose.iter().flatten());
@@ -116,6 +118,10 @@ impl Scene {
                 // In pieces: one call a number would take longer than the hash.
                 for pixels in image.pixels.chunks(1024) {
                     digest.update(pixels.iter().flat_map(|value| value.to_le_bytes()).collect::<Vec<u8>>());
+                }
+                if let Some(mask) = mask {
+                    digest.update("mask");
+                    digest.update(mask.iter().map(|&counts| counts.into()).collect::<Vec<u8>>());
                 }
             }
         }

@@ -18,7 +18,9 @@ pub struct Batches {
     cameras: Vec<Camera>,
     /// Shared with the scene.
     images: Vec<Arc<Image>>,
-    /// How many pixels the views before each have, and after the last all of them.
+    /// The pixels of each view that its mask leaves, row by row; none where there is no mask.
+    unmasked: Vec<Option<Vec<u32>>>,
+    /// How many pixels the views before each have, masked ones left out, and after the last all of them.
     offsets: Vec<usize>,
     ndc: Option<Ndc>,
     pixel_origin: PixelOrigin,
@@ -40,7 +42,10 @@ impl Batches {
     /// Batches over the training views of `scene`. A batch larger than what it is drawn from is
     /// refused: it would be smaller than the configuration says.
     pub fn new(config: &Located, scene: &Scene, parts: RayParts) -> Result<Batches> {
-        let pixels = |view: &View| view.camera.width * view.camera.height;
+        let unmasked: Vec<Option<Vec<u32>>> = scene.train.iter().map(unmasked).collect();
+        let pixels = |(view, unmasked): (&View, &Option<Vec<u32>>)| {
+            unmasked.as_ref().map_or(view.camera.width * view.camera.height, Vec::len)
+        };
         let batches = Batches {
             seed: config.seed,
             rays: config.train.rays,
@@ -49,7 +54,8 @@ impl Batches {
             precrop_fraction: config.train.precrop_fraction,
             cameras: scene.train.iter().map(|view| view.camera).collect(),
             images: scene.train.iter().map(|view| view.image.clone()).collect(),
-            offsets: running_sums(scene.train.iter().map(pixels)),
+            offsets: running_sums(scene.train.iter().zip(&unmasked).map(pixels)),
+            unmasked,
             ndc: scene.ndc,
             pixel_origin: config.data.origin_of_pixels(),
             parts,
@@ -63,10 +69,7 @@ impl Batches {
         let (available, of) = match self.batching {
             Batching::AllImages => (self.pixels(), "all training images have"),
             Batching::OneImage => {
-                let smallest = self.cameras.iter().map(|camera| {
-                    let side = |size| self.part(size, 0).1 as usize;
-                    side(camera.width) * side(camera.height)
-                });
+                let smallest = (0..self.cameras.len()).map(|view| self.kept(view, 0));
                 (smallest.min().unwrap_or(0), "one image (its central part during train.precrop_steps) has")
             }
         };
@@ -77,8 +80,9 @@ impl Batches {
         }
         if self.rays > available {
             return Err(Error::Config(format!(
-                "train.rays = {} is out of range: it must be at most {available}, the pixels that {of}",
-                self.rays
+                "train.rays = {} is out of range: it must be at most {available}, the pixels that {of}{}",
+                self.rays,
+                if self.unmasked.iter().any(Option::is_some) { " beside its mask" } else { "" }
             )));
         }
         Ok(())
@@ -131,18 +135,49 @@ impl Batches {
     fn locate(&self, flat: usize) -> (usize, u32, u32) {
         let view = self.offsets.partition_point(|&offset| offset <= flat) - 1;
         let (rest, width) = (flat - self.offsets[view], self.cameras[view].width);
+        let rest = self.unmasked[view].as_ref().map_or(rest, |unmasked| unmasked[rest] as usize);
         (view, (rest % width) as u32, (rest / width) as u32)
+    }
+
+    /// How many pixels of a view a step draws from.
+    fn kept(&self, view: usize, step: u64) -> usize {
+        let ((_, width), (_, height)) = self.central(view, step);
+        self.unmasked[view].as_ref().map_or((width * height) as usize, |_| self.unmasked_in_centre(view, step).len())
+    }
+
+    /// First pixel and number of pixels across and down that a step draws from.
+    fn central(&self, view: usize, step: u64) -> ((u32, u32), (u32, u32)) {
+        let camera = &self.cameras[view];
+        (self.part(camera.width, step), self.part(camera.height, step))
+    }
+
+    /// The pixels of a masked view that a step draws from.
+    fn unmasked_in_centre(&self, view: usize, step: u64) -> Vec<(u32, u32)> {
+        let ((x0, width), (y0, height)) = self.central(view, step);
+        let (columns, all) = (self.cameras[view].width as u32, self.unmasked[view].as_deref().unwrap_or_default());
+        let places = all.iter().map(|flat| (flat % columns, flat / columns));
+        places.filter(|(x, y)| (x0..x0 + width).contains(x) && (y0..y0 + height).contains(y)).collect()
     }
 
     /// Distinct pixels of one image, of its central part during pre-crop.
     fn of_one_image(&self, step: u64) -> Vec<(usize, u32, u32)> {
         let mut random = Random::new(self.seed, Stream::Batches, step);
         let view = random.below(self.cameras.len() as u32) as usize;
-        let camera = &self.cameras[view];
-        let ((x0, width), (y0, height)) = (self.part(camera.width, step), self.part(camera.height, step));
+        if self.unmasked[view].is_some() {
+            let places = self.unmasked_in_centre(view, step);
+            let chosen = random.distinct(self.rays, places.len() as u32);
+            return chosen.iter().map(|&place| places[place as usize]).map(|(x, y)| (view, x, y)).collect();
+        }
+        let ((x0, width), (y0, height)) = self.central(view, step);
         let chosen = random.distinct(self.rays, width * height);
         chosen.iter().map(|&flat| (view, x0 + flat % width, y0 + flat / width)).collect()
     }
+}
+
+/// The pixels that a view's mask leaves, row by row.
+fn unmasked(view: &View) -> Option<Vec<u32>> {
+    let mask = view.mask.as_ref()?;
+    Some(mask.iter().enumerate().filter(|(_, counts)| **counts).map(|(flat, _)| flat as u32).collect())
 }
 
 /// 0, the first, the first two, ..., all.
@@ -174,7 +209,7 @@ mod tests {
             // Every pixel's colour names it.
             let pixels = (0..48).flat_map(|p| [index as f32, (p % 8) as f32, (p / 8) as f32]).collect();
             let image = Image { width: 8, height: 6, channels: 3, pixels };
-            View { name: index.to_string(), camera, image: image.into(), depth: None }
+            View { name: index.to_string(), camera, image: image.into(), depth: None, mask: None }
         };
         Scene {
             name: "test".into(),
@@ -229,6 +264,41 @@ mod tests {
                 assert!(pixels.iter().all(|p| (2.0..6.0).contains(&p[1]) && (1.0..5.0).contains(&p[2])), "{pixels:?}");
             }
         }
+    }
+
+    /// Of every view the left half counts, so that the mask cuts through the central part, too.
+    fn masked(batching: Batching, rays: usize) -> Result<Batches> {
+        let mut config = Config::default();
+        config.train.rays = rays;
+        config.train.batching = Some(batching);
+        config.train.precrop_steps = Some(5);
+        let mut scene = scene();
+        let left: Arc<[bool]> = (0..48).map(|pixel| pixel % 8 < 4).collect();
+        scene.train.iter_mut().for_each(|view| view.mask = Some(left.clone()));
+        Batches::new(&config.locate(DataKind::Blender).unwrap(), &scene, RayParts::default())
+    }
+
+    #[test]
+    fn masked_pixels_are_never_drawn_and_all_others_are() {
+        let mut all = masked(Batching::AllImages, 12).unwrap();
+        let targets: Vec<f32> = (0..6).flat_map(|step| all.batch(step).target).collect();
+        let mut pixels: Vec<&[f32]> = targets.chunks(3).collect();
+        assert!(pixels.iter().all(|pixel| pixel[1] < 4.0));
+        pixels.sort_by(|a, b| a.partial_cmp(b).unwrap());
+        pixels.dedup();
+        assert_eq!(pixels.len(), 72);
+        let mut one = masked(Batching::OneImage, 6).unwrap();
+        for step in 0..10 {
+            let batch = one.batch(step);
+            assert_eq!((batch.rays.len(), batch.target.len()), (6, 18));
+            let pixels: Vec<&[f32]> = batch.target.chunks(3).collect();
+            assert!((0..6).all(|i| pixels[..i].iter().all(|pixel| *pixel != pixels[i])));
+            let from = if step < 5 { 2.0..4.0 } else { 0.0..4.0 };
+            assert!(pixels.iter().all(|pixel| from.contains(&pixel[1])), "{step}: {pixels:?}");
+        }
+        // The central part is 4 x 3, of which the left half counts.
+        let said = masked(Batching::OneImage, 7).err().expect("too many").to_string();
+        assert!(said.contains("at most 6") && said.contains("mask"), "{said}");
     }
 
     #[test]

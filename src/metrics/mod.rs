@@ -6,6 +6,7 @@
 
 mod depth;
 mod lpips;
+mod masked;
 mod registry;
 mod ssim;
 mod values;
@@ -13,6 +14,7 @@ mod weights;
 
 pub use depth::{depth_errors, measure_depth};
 pub use lpips::{Backbone, Lpips};
+pub(crate) use masked::{share, unmasked_or};
 pub use registry::{Digits, Direction, METRICS, Metric, Needs, Scope};
 pub use ssim::ssim;
 pub use values::{MeanMetrics, Values, ViewMetrics};
@@ -38,17 +40,33 @@ use crate::base::{Error, Image, Result};
 /// # Ok::<(), augnerf::base::Error>(())
 /// ```
 pub fn measure(name: &str, rendered: &Image, truth: &Image, lpips: &[Lpips]) -> Result<ViewMetrics> {
+    measure_unmasked(name, rendered, truth, None, lpips)
+}
+
+/// The same of the pixels that count, where a mask says which do: squared errors are means over these, SSIM is the mean over
+/// windows that hold no other. For LPIPS the rendered picture is the photograph where it is masked, and the distance, to which
+/// these pixels then add next to nothing, is divided by the share of the others, so that it is a mean over their area.
+pub fn measure_unmasked(
+    name: &str,
+    rendered: &Image,
+    truth: &Image,
+    mask: Option<&[bool]>,
+    lpips: &[Lpips],
+) -> Result<ViewMetrics> {
     check_finite(name, rendered)?;
-    let error = mse(rendered, truth)?;
+    check_mask(truth, mask)?;
+    let error = masked::mse(rendered, truth, mask)?;
     let (rendered, truth) = (quantise(rendered), quantise(truth));
     let mut view = ViewMetrics::new(name);
-    view.values.set("psnr", psnr_from_mse(mse(&rendered, &truth)?));
-    view.values.set("psnr_float", psnr_from_mse(error));
-    view.values.set("mse", Some(error));
-    view.values.set("ssim", ssim(&rendered, &truth)?);
-    for model in lpips.iter().filter(|model| model.backbone().fits(truth.width, truth.height)) {
+    view.values.set("psnr", masked::mse(&rendered, &truth, mask)?.and_then(psnr_from_mse));
+    view.values.set("psnr_float", error.and_then(psnr_from_mse));
+    view.values.set("mse", error);
+    view.values.set("ssim", masked::ssim(&rendered, &truth, mask)?);
+    let rendered = unmasked_or(rendered, &truth, mask);
+    let share = share(mask);
+    for model in lpips.iter().filter(|model| share > 0.0 && model.backbone().fits(truth.width, truth.height)) {
         let distance = model.distance(&rendered, &truth)?;
-        view.values.set(&format!("lpips_{}", model.backbone().name()), Some(distance));
+        view.values.set(&format!("lpips_{}", model.backbone().name()), Some(distance / share));
     }
     Ok(view)
 }
@@ -109,6 +127,17 @@ fn check_same_shape(a: &Image, b: &Image) -> Result<()> {
         return Err(Error::Data(format!("cannot compare images of {shape} that hold {found} and {other} values")));
     }
     Ok(())
+}
+
+fn check_mask(image: &Image, mask: Option<&[bool]>) -> Result<()> {
+    let pixels = image.width * image.height;
+    match mask.map(<[bool]>::len) {
+        Some(count) if count != pixels => Err(Error::Data(format!(
+            "a mask of {count} pixels is not that of an image of {}x{}",
+            image.width, image.height
+        ))),
+        _ => Ok(()),
+    }
 }
 
 fn check_finite(name: &str, image: &Image) -> Result<()> {

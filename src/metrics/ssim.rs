@@ -5,7 +5,8 @@ use rayon::prelude::*;
 use super::check_same_shape;
 use crate::base::{Image, Result};
 
-const WINDOW: usize = 11;
+/// Columns and rows of the window.
+pub(super) const WINDOW: usize = 11;
 const SIGMA: f64 = 1.5;
 /// `(K * range)^2` for K 0.01 and 0.03 and a range of 1.
 const C1: f64 = 0.01 * 0.01;
@@ -29,6 +30,18 @@ pub fn ssim(a: &Image, b: &Image) -> Result<Option<f64>> {
     Ok(Some(sum / a.channels as f64))
 }
 
+/// The mean over those positions, row by row, that `counted` holds; none where it holds none.
+pub(super) fn ssim_where(a: &Image, b: &Image, counted: &[bool]) -> Result<Option<f64>> {
+    check_same_shape(a, b)?;
+    let count = counted.iter().filter(|counts| **counts).count();
+    if count == 0 {
+        return Ok(None);
+    }
+    let taps = gaussian();
+    let sum: f64 = (0..a.channels).map(|channel| window_sum(a, b, channel, &taps, |place| counted[place])).sum();
+    Ok(Some(sum / (a.channels * count) as f64))
+}
+
 fn gaussian() -> [f64; WINDOW] {
     let centre = (WINDOW / 2) as f64;
     let taps: [f64; WINDOW] = std::array::from_fn(|i| (-0.5 * ((i as f64 - centre) / SIGMA).powi(2)).exp());
@@ -37,15 +50,27 @@ fn gaussian() -> [f64; WINDOW] {
 }
 
 fn channel_ssim(a: &Image, b: &Image, channel: usize, taps: &[f64; WINDOW]) -> f64 {
+    let windows = (a.width + 1 - WINDOW) * (a.height + 1 - WINDOW);
+    window_sum(a, b, channel, taps, |_| true) / windows as f64
+}
+
+/// The sum over the windows at places, row by row, that `counts` holds of.
+fn window_sum(
+    a: &Image,
+    b: &Image,
+    channel: usize,
+    taps: &[f64; WINDOW],
+    counts: impl Fn(usize) -> bool + Sync,
+) -> f64 {
     let (out_width, out_height) = (a.width + 1 - WINDOW, a.height + 1 - WINDOW);
     let across = filter_across(a, b, channel, taps); // [height, out_width]
     let row_sum = |y: usize| -> f64 {
         let at = |x: usize| similarity(filter_down(&across[y * out_width + x..], out_width, taps));
-        (0..out_width).map(at).sum()
+        (0..out_width).filter(|x| counts(y * out_width + x)).map(at).sum()
     };
     // Collected before summing, so that the result does not depend on the number of threads.
     let rows: Vec<f64> = (0..out_height).into_par_iter().map(row_sum).collect();
-    rows.iter().sum::<f64>() / (out_width * out_height) as f64
+    rows.iter().sum()
 }
 
 fn filter_across(a: &Image, b: &Image, channel: usize, taps: &[f64; WINDOW]) -> Vec<Moments> {

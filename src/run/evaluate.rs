@@ -8,7 +8,7 @@ use rayon::prelude::*;
 use crate::base::{Error, Event, Image, Listener, Result};
 use crate::data::{Camera, RayBuffer, Scene, View, seen_views};
 use crate::methods::{Model, Painter};
-use crate::metrics::{Lpips, ViewMetrics, depth_errors, measure, measure_depth};
+use crate::metrics::{Lpips, ViewMetrics, depth_errors, measure_depth, measure_unmasked};
 use crate::runtime::Runtime;
 use crate::settings::Resolved;
 
@@ -175,7 +175,12 @@ impl Viewer<'_> {
         let of_view = |view: &View| {
             unless_stopped()?;
             let rendered = self.render_every(stride, &view.camera)?;
-            measure(&view.name, &rendered.image, &view.image.every(stride), &[])
+            let (columns, rows) = (view.image.width, view.image.height);
+            let mask = view.mask.as_ref().map(|mask| -> Vec<bool> {
+                let kept = |y: usize| (0..columns).step_by(stride).map(move |x| mask[y * columns + x]);
+                (0..rows).step_by(stride).flat_map(kept).collect()
+            });
+            measure_unmasked(&view.name, &rendered.image, &view.image.every(stride), mask.as_deref(), &[])
         };
         let seen = seen_views(self.scene, self.config);
         Ok([
@@ -201,7 +206,7 @@ impl Viewer<'_> {
         for (index, view) in views.into_iter().enumerate() {
             unless_stopped()?;
             let rendered = self.render(&view.camera)?;
-            let mut measured = measure(&view.name, &rendered.image, &view.image, lpips)?;
+            let mut measured = measure_unmasked(&view.name, &rendered.image, &view.image, view.mask.as_deref(), lpips)?;
             if let Some(reference) = &view.depth {
                 let depth = self.scene_depth(&view.camera, &rendered);
                 let exact = self.scene.has_exact_depth();

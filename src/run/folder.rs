@@ -10,7 +10,7 @@ use crate::base::files::{clean_temporaries, discard, is_temporary, read_json, re
 use crate::base::input::{TEXT_BYTES, read_text};
 use crate::base::{Error, Result};
 use crate::runtime::Timing;
-use crate::settings::Config;
+use crate::settings::{Config, DataKind, Split};
 use crate::train::checkpoint;
 
 use super::lock::{LOCK, RunLock};
@@ -145,7 +145,12 @@ impl RunDir {
         let path = self.config();
         let text = read_text(&path, TEXT_BYTES)
             .map_err(|e| Error::Checkpoint(format!("cannot read {}: {e}", path.display())))?;
-        Config::from_toml(&text, &path.display().to_string())
+        let mut config = Config::from_toml(&text, &path.display().to_string())?;
+        if config.data.kind == DataKind::Transforms {
+            // What the files' own split is was settled when the run began; earlier versions knew none.
+            config.data.split.get_or_insert(Split::Every);
+        }
+        Ok(config)
     }
 
     /// What earlier sessions of the run took; none before its first checkpoint.

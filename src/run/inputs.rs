@@ -6,9 +6,10 @@ use candle_core::Device;
 
 use crate::base::{Error, Event, Listener, Result};
 use crate::data::formats::llff::settle_orbit;
+use crate::data::formats::transforms;
 use crate::data::{self, Scene};
 use crate::metrics::{Backbone, Lpips};
-use crate::settings::{Config, Located, NO_REFERENCE, Resolved, Spacing, scene_name};
+use crate::settings::{Config, DataKind, Located, NO_REFERENCE, Resolved, Spacing, Split, scene_name};
 
 use super::BUILTIN;
 
@@ -40,6 +41,10 @@ fn locate(mut config: Config) -> Result<(Located, Option<String>)> {
     }
     config.data.kind = kind;
     let orbit = settle_orbit(&mut config.data);
+    if kind == DataKind::Transforms && config.data.split.is_none() {
+        let named = transforms::is_named(Path::new(&config.data.dir))?;
+        config.data.split = named.then_some(Split::Own);
+    }
     Ok((config.locate(kind)?, orbit))
 }
 

@@ -43,6 +43,23 @@ fn depth_picture(view: &RenderedView, (near, far): (f32, f32)) -> Result<Image> 
     depth_colour(&view.depth, width, height, near, far, Some(&view.acc))
 }
 
+/// White where a pixel counts, black elsewhere.
+fn mask_picture(mask: &[bool], width: usize, height: usize) -> Image {
+    let pixels = mask.iter().flat_map(|&counts| [f32::from(u8::from(counts)); 3]).collect();
+    Image { width, height, channels: 3, pixels }
+}
+
+/// Puts diagonal stripes, half grey and half the picture darkened, over what is masked.
+fn stripe(picture: &mut Image, mask: &[bool]) {
+    /// Pixels across two stripes.
+    const PERIOD: usize = 8;
+    let width = picture.width;
+    for (at, texel) in picture.pixels.chunks_exact_mut(3).enumerate().filter(|(at, _)| !mask[*at]) {
+        let bright = (at % width + at / width) % PERIOD < PERIOD / 2;
+        texel.iter_mut().for_each(|value| *value = if bright { 0.6 } else { 0.4 * *value });
+    }
+}
+
 /// Frames of a path: `rgb_000.png`, `depth_000.png` (colours), `depth16_000.png`, `rgb.gif`,
 /// `depth.gif`, `depth.json`.
 pub fn write_path(folder: &Path, scene: &Scene, frames: &[RenderedView], fps: f64) -> Result<()> {
@@ -68,7 +85,8 @@ pub fn write_path(folder: &Path, scene: &Scene, frames: &[RenderedView], fps: f6
 }
 
 /// Pictures of held-out views: `NAME_rgb.png`, `NAME_truth.png`, `NAME_depth.png`,
-/// `NAME_depth16.png`, `NAME_beside.png` (render, truth, depth) and `depth.json`.
+/// `NAME_depth16.png`, `NAME_beside.png` (render, truth, depth) and `depth.json`; of a masked one `NAME_mask.png` (white
+/// counts), too, and beside the others the truth is striped where it is masked.
 pub struct Pictures<'a> {
     folder: &'a Path,
     scene: &'a Scene,
@@ -99,7 +117,12 @@ impl<'a> Pictures<'a> {
         write_png8(&file("truth"), &view.image)?;
         write_png8(&file("depth"), &colours)?;
         write_depth16(&file("depth16"), &solid_depth(rendered), width, height, self.scene.far as f32)?;
-        let all = beside(&[&rendered.image, &view.image, &colours], GAP)?;
+        let mut truth = view.image.as_ref().clone();
+        if let Some(mask) = &view.mask {
+            write_png8(&file("mask"), &mask_picture(mask, width, height))?;
+            stripe(&mut truth, mask);
+        }
+        let all = beside(&[&rendered.image, &truth, &colours], GAP)?;
         write_png8(&file("beside"), &all)?;
         Ok(Some(all))
     }

@@ -5,9 +5,9 @@ use serde_json::Value;
 
 use crate::augment::{Passes, Site};
 use crate::base::version;
-use crate::data::{Scene, seen_views};
+use crate::data::{Camera, Scene, View, seen_views};
 use crate::methods::{Model, step_over_radius};
-use crate::metrics::Lpips;
+use crate::metrics::{Lpips, share};
 use crate::settings::columns::{COLUMNS, find, perturbed, regularized};
 use crate::settings::{
     Config, Core, Encoding, EvalSplit, HashConfig, LatticePoints, Precision, RegularizerConfig, Representation,
@@ -141,7 +141,6 @@ fn of_settings(config: &Resolved) -> Found {
 
 /// What was loaded.
 fn of_scene(config: &Resolved, scene: &Scene) -> Found {
-    let camera = scene.test.first().or(scene.train.first()).map(|view| view.camera);
     let background = match scene.background {
         None => "none",
         Some([1.0, 1.0, 1.0]) => "white",
@@ -150,8 +149,8 @@ fn of_scene(config: &Resolved, scene: &Scene) -> Found {
     let corrupted = scene.corrupted.as_ref();
     vec![
         ("dataset", scene.kind.into()),
-        ("width", camera.map_or(0, |camera| camera.width).into()),
-        ("height", camera.map_or(0, |camera| camera.height).into()),
+        ("width", side(scene, |camera| camera.width)),
+        ("height", side(scene, |camera| camera.height)),
         ("background", background.into()),
         ("ndc", scene.ndc.is_some().into()),
         ("views_trained", scene.train.len().into()),
@@ -161,8 +160,36 @@ fn of_scene(config: &Resolved, scene: &Scene) -> Found {
         ("corruption", corrupted.map(|corrupted| corrupted.what.clone()).into()),
         ("corruption_hash", corrupted.map(|_| scene.hash()).into()),
         ("mesh", surface::describe(config, scene).into()),
+        ("masks", masks(scene).into()),
         ("step_over_radius", perturbed(config).then(|| ratios(config, scene)).into()),
     ]
+}
+
+/// A side of the evaluated views in pixels; where they differ in it, the sides in the order of the views: `1080/1920`.
+fn side(scene: &Scene, of: fn(&Camera) -> usize) -> Value {
+    let views = if scene.test.is_empty() { &scene.train } else { &scene.test };
+    let mut sides: Vec<usize> = Vec::new();
+    for side in views.iter().map(|view| of(&view.camera)) {
+        if !sides.contains(&side) {
+            sides.push(side);
+        }
+    }
+    match sides[..] {
+        [] => 0.into(),
+        [side] => side.into(),
+        _ => sides.iter().map(usize::to_string).collect::<Vec<String>>().join("/").into(),
+    }
+}
+
+/// How much of the views is masked, in words; none where nothing is.
+fn masks(scene: &Scene) -> Option<String> {
+    let of = |views: &[View]| {
+        let views = views.iter().map(|view| 1.0 - share(view.mask.as_deref()));
+        let (count, sum) = views.fold((0, 0.0), |(count, sum), share| (count + 1, sum + share));
+        format!("{:.2} %", 100.0 * sum / f64::from(count.max(1)))
+    };
+    let any = scene.train.iter().chain(&scene.test).any(|view| view.mask.is_some());
+    any.then(|| format!("{} of trained, {} of evaluated pixels left out", of(&scene.train), of(&scene.test)))
 }
 
 /// What happened, and on what.
@@ -274,7 +301,7 @@ fn regularizer_points(regularizer: &RegularizerConfig) -> String {
 /// these is view 3, counted from 0; with `-val` behind, those that are kept for choices instead.
 pub fn split_name(config: &Config) -> String {
     let data = &config.data;
-    let split = match (data.kind.has_splits(), data.eval_split) {
+    let split = match (data.has_splits(), data.eval_split) {
         (true, EvalSplit::Val) => "val".to_string(),
         (true, EvalSplit::Test) => "test".to_string(),
         (false, eval_split) => {

@@ -196,7 +196,7 @@ pub const COLUMNS: &[Column] = &[
     column("attack_geometry").where_differing().of(perturbed),
     column("step_over_radius").of(perturbed),
     column("training_views").in_caption().unless_varied(),
-    column("validation").in_caption().unless_varied().of(|config| !config.data.kind.has_splits()),
+    column("validation").in_caption().unless_varied().of(|config| !config.data.has_splits()),
     column("views_seen").in_caption().unless_varied(),
     column("views_seed").where_differing().unless_varied(),
     column("encoding").where_differing(),
@@ -227,6 +227,7 @@ pub const COLUMNS: &[Column] = &[
     column("adam").where_differing(),
     column("hash_grid").where_differing().of(on_hash_grid),
     column("spacing").where_differing(),
+    column("masks").in_caption().unless_varied(),
 ];
 
 /// What the sites of a run were judged inactive by.

@@ -125,6 +125,16 @@ pub enum EvalSplit {
     Val,
 }
 
+/// Which views of a capture without fixed splits are held out.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Split {
+    /// Those that its author names: `train_filenames` and its like, or a `transforms_{train,val,test}.json` each.
+    Own,
+    /// Every N-th.
+    Every,
+}
+
 /// Where in a pixel its ray goes through.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
@@ -146,7 +156,7 @@ impl PixelOrigin {
     }
 }
 
-choice!(DataKind, Background, EvalSplit, PixelOrigin);
+choice!(DataKind, Background, EvalSplit, Split, PixelOrigin);
 
 /// Which of a scene's training views are kept.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -183,6 +193,13 @@ fn is_plain_name(name: &str) -> bool {
     !name.contains(['/', '\\']) && name != "." && name != ".."
 }
 
+impl DataConfig {
+    /// Splits are given, as far as is known; otherwise every N-th view is held out.
+    pub fn has_splits(&self) -> bool {
+        self.kind.has_splits() || self.split == Some(Split::Own)
+    }
+}
+
 section! {
     /// The scene and how it is read.
     pub struct DataConfig {
@@ -214,6 +231,9 @@ section! {
         /// Of the views that are not held out, the middle one of every N is kept for choices (0 = none): never trained on,
         /// and evaluated with `eval_split = "val"` alone. Blender scenes have a split for that, and pay this no heed.
         pub validation: usize = 0, numbers().columns(&["validation", "views_trained", "views_seen"]).later().same_time();
+        /// Whether a capture with `transforms.json` keeps the split that its files name (`own`), or every N-th view is held out
+        /// (`every`). Empty = its own where there is one.
+        pub split: Option<Split> = None, numbers().columns(SPLIT).later().same_time();
         /// Few-view studies: how many of the training views are kept, drawn with `views_seed` (a smaller number keeps a part
         /// of what a larger one keeps), or the names of those that are. Empty = all.
         pub train_views: Option<TrainViews> = None,

@@ -4,7 +4,7 @@ use sha2::{Digest, Sha256};
 use toml::{Table, Value};
 
 use super::registry::{Effect, REGISTRY, Section};
-use super::{Config, Encoding, EvalConfig, PerturbConfig};
+use super::{Config, Encoding, EvalConfig, PerturbConfig, Split};
 use crate::augment::Passes;
 
 impl Config {
@@ -57,7 +57,10 @@ impl Config {
     }
 
     fn text_hash_without(&self, settings: &[String]) -> String {
-        let (mut table, defaults) = (self.to_table(), Config::default().to_table());
+        let mut read = self.clone();
+        // Every N-th was the only split of captures before there was a choice.
+        read.data.split = read.data.split.filter(|split| *split != Split::Every);
+        let (mut table, defaults) = (read.to_table(), Config::default().to_table());
         // It had this value where nobody set it, before it could be left open.
         if let Some(data) = table.get_mut("data").and_then(Value::as_table_mut) {
             data.entry("pixel_origin").or_insert_with(|| "corner".into());

@@ -27,7 +27,7 @@ mod types;
 mod validate;
 
 pub use corruption::{CorruptionConfig, CorruptionKind};
-pub use data::{Background, DataConfig, DataKind, EvalSplit, PixelOrigin, TrainViews};
+pub use data::{Background, DataConfig, DataKind, EvalSplit, PixelOrigin, Split, TrainViews};
 pub use document::{settings_page, settings_text};
 pub use eval::{EvalConfig, MESH_SIDES, MeshConfig, NO_REFERENCE};
 pub use field::{Core, DensityActivation, Encoding, FieldConfig, Init, Precision};

@@ -3,7 +3,7 @@
 use super::registry::Section;
 use super::{
     Config, Core, DataKind, Encoding, EvalSplit, LatticePoints, MESH_SIDES, Objective, PerturbField, Precision,
-    Regularizer, Resample, SecondPass, Sizes, Spacing, word,
+    Regularizer, Resample, SecondPass, Sizes, Spacing, Split, word,
 };
 use crate::augment::{Epsilon, Geometry, Norm, Passes, REACH, Site, StepUnit};
 use crate::base::{Error, Result, SettingError};
@@ -48,7 +48,8 @@ impl Config {
         refuse(data.spherify && !matches!(kind, DataKind::Auto | DataKind::Llff), || {
             format!("data.spherify = true is for LLFF scenes; this one is {}", kind.name())
         })?;
-        let without_val = kind != DataKind::Auto && !kind.has_splits() && data.validation == 0;
+        let may_have = matches!(kind, DataKind::Auto | DataKind::Transforms) && data.split != Some(Split::Every);
+        let without_val = !may_have && !data.has_splits() && data.validation == 0;
         refuse(data.eval_split == EvalSplit::Val && without_val, || {
             format!(
                 "data.eval_split = \"val\" is for scenes with a validation split, and this one is {}: keep every N-th view for \
@@ -69,7 +70,17 @@ impl Config {
             offset,
             &format!("0 to {} (below data.holdout)", holdout - 1),
         )?;
-        refuse(offset > 0 && kind.has_splits(), || {
+        let own = data.split == Some(Split::Own);
+        refuse(own && !matches!(kind, DataKind::Auto | DataKind::Transforms | DataKind::Blender), || {
+            format!("data.split = \"own\" is for captures whose files name a split; this one is {}", kind.name())
+        })?;
+        refuse(data.split == Some(Split::Every) && kind.has_splits(), || {
+            format!(
+                "data.split = \"every\" is for captures of which views are held out; this one is {}, whose splits are given",
+                kind.name()
+            )
+        })?;
+        refuse(offset > 0 && data.has_splits(), || {
             format!(
                 "data.holdout_offset = {offset} is for scenes of which every N-th view is held out; this one is {}, whose splits \
                  are given",

@@ -4,6 +4,7 @@ mod common;
 
 mod attack_geometry;
 mod bad_data;
+mod captures;
 mod cli;
 mod colmap;
 mod corruption;

@@ -2,12 +2,13 @@
 //! evaluation views where there are any.
 
 use std::f64::consts::PI;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use rayon::prelude::*;
 
 use crate::base::{Error, Listener, Result};
-use crate::data::images::{self, Size};
+use crate::data::formats::transforms::frames::{self, Frame};
+use crate::data::formats::transforms::transforms_file;
 use crate::data::json::{self, Object};
 use crate::data::pose::Pose;
 use crate::data::{Camera, Place, Scene, View, background, depth, name_of};
@@ -20,45 +21,41 @@ const ORBIT_POSES: usize = 40;
 /// Its elevation in degrees and its radius, as nerf-pytorch's.
 const ORBIT: (f64, f64) = (-30.0, 4.0);
 
-/// The file that a split's poses are in.
-pub fn transforms_file(split: &str) -> String {
-    format!("transforms_{split}.json")
-}
-
 /// Reads a Blender scene. The evaluation views are those of `config.eval_split`.
 pub fn load(config: &DataConfig, events: &dyn Listener) -> Result<Scene> {
     let eval = match config.eval_split {
         EvalSplit::Test => "test",
         EvalSplit::Val => "val",
     };
-    let mut train = Split::read(config, "train")?;
-    let mut test = Split::read(config, eval)?;
-    test.keep_every(config.test_skip);
-    let size = images::common_size(&train.paths)?;
-    let both = [train.paths[0].clone(), test.paths[0].clone()];
-    images::common_size(&both)?;
-    images::common_size(&test.paths)?;
-    let target = Size::of(config).apply(size, &train.paths[0])?;
-    let camera = train.camera(size, target);
-    let eval_label = format!("reading {eval} images");
+    let train = read_split(config, "train", events)?;
+    let test: Vec<Frame> = read_split(config, eval, events)?.into_iter().step_by(config.test_skip.max(1)).collect();
+    let both: Vec<&Frame> = train.iter().chain(&test).collect();
+    let sizes = frames::working_sizes(&both, config)?;
+    let cameras: Vec<Camera> = both.iter().zip(sizes).map(|(frame, size)| frame.camera(size, in_turn)).collect();
+    frames::note_shared(&both[..train.len()], &both[train.len()..], events);
+    let (of_train, of_test) = cameras.split_at(train.len());
+    let background = background(config);
+    let (train_views, _) = frames::views(&train, of_train, background, "reading train images", events)?;
+    let (mut test_views, _) = frames::views(&test, of_test, background, &format!("reading {eval} images"), events)?;
+    read_depths(&mut test_views, &test)?;
     Ok(Scene {
         name: name_of(config),
         kind: DataKind::Blender.name(),
-        path: orbit().into_iter().map(|pose| Camera { pose, ..camera }).collect(),
+        path: orbit().into_iter().map(|pose| Camera { pose, ..cameras[0] }).collect(),
         corrupted: None,
         place: Place::default(),
-        train: train.views(config, camera, "reading train images", events)?,
-        test: {
-            let camera = test.camera(size, target);
-            let mut views = test.views(config, camera, &eval_label, events)?;
-            read_depths(&mut views, &test.paths)?;
-            views
-        },
+        train: train_views,
+        test: test_views,
         near: BOUNDS[0],
         far: BOUNDS[1],
         ndc: None,
-        background: Some(background(config)),
+        background: Some(background),
     })
+}
+
+/// Rounded so as nerf-pytorch does.
+fn in_turn(value: f64, to: f64, from: f64) -> f64 {
+    value * to / from
 }
 
 /// nerf-pytorch's video path: a full turn of 40 poses, 30 degrees up at distance 4, z is up.
@@ -82,74 +79,25 @@ pub fn sphere_pose(azimuth: f64, elevation: f64, radius: f64) -> Pose {
     [turned(0).map(|v| -v), turned(2), turned(1)]
 }
 
-/// One `transforms_*.json`.
-struct Split {
-    angle: f64,
-    paths: Vec<PathBuf>,
-    poses: Vec<Pose>,
+/// The frames of one `transforms_*.json`, at least one.
+fn read_split(config: &DataConfig, name: &str, events: &dyn Listener) -> Result<Vec<Frame>> {
+    let dir = Path::new(&config.dir);
+    let file = dir.join(transforms_file(name));
+    if !file.exists() {
+        return Err(missing(dir, &file, name));
+    }
+    let value = json::read(&file)?;
+    frames::read(Object::document(&file, &value)?, events)
 }
 
-impl Split {
-    fn read(config: &DataConfig, name: &str) -> Result<Split> {
-        let dir = Path::new(&config.dir);
-        let file = dir.join(transforms_file(name));
-        if !file.exists() {
-            return Err(missing(dir, &file, name));
-        }
-        let value = json::read(&file)?;
-        let document = Object::document(&file, &value)?;
-        document.required("camera_angle_x")?;
-        for key in ["k1", "k2", "k3", "p1", "p2"] {
-            if let Some(value) = document.number(key)?.filter(|value| *value != 0.0) {
-                return Err(document.error(&format!(
-                    "\"{key}\" is {value}, but Blender scenes are read without distortion; merge the splits into one \
-                     transforms.json, for which it is undone"
-                )));
-            }
-        }
-        let angle = document.angle("camera_angle_x")?.unwrap_or_default();
-        let mut split = Split { angle, paths: Vec::new(), poses: Vec::new() };
-        for frame in document.frames()? {
-            split.paths.push(frame.image()?);
-            split.poses.push(frame.pose()?);
-        }
-        Ok(split)
-    }
-
-    fn keep_every(&mut self, step: usize) {
-        self.paths = self.paths.iter().step_by(step.max(1)).cloned().collect();
-        self.poses = self.poses.iter().step_by(step.max(1)).copied().collect();
-    }
-
-    /// Intrinsics at `target` of images stored at `size`: one focal length for square pixels, unless
-    /// rounding the size down bent them.
-    fn camera(&self, size: (usize, usize), target: (usize, usize)) -> Camera {
-        let focal = 0.5 * size.0 as f64 / (0.5 * self.angle).tan();
-        let (width, height) = target;
-        let scale = |to: usize, from: usize| focal * to as f64 / from as f64;
-        Camera {
-            width,
-            height,
-            focal: [scale(width, size.0), scale(height, size.1)],
-            centre: [width as f64 / 2.0, height as f64 / 2.0],
-            pose: [[0.0; 4]; 3],
-        }
-    }
-
-    fn views(&mut self, config: &DataConfig, camera: Camera, label: &str, events: &dyn Listener) -> Result<Vec<View>> {
-        let target = (camera.width, camera.height);
-        let (images, _) = images::read_all(&self.paths, target, background(config), label, events)?;
-        let cameras = self.poses.iter().map(|&pose| Camera { pose, ..camera });
-        let named = images::names(&self.paths).into_iter().zip(cameras).zip(images);
-        Ok(named.map(|((name, camera), image)| View { name, camera, image: image.into(), depth: None }).collect())
-    }
-}
-
-/// Fills in the depth of the views whose images have a depth map beside them.
-fn read_depths(views: &mut [View], paths: &[PathBuf]) -> Result<()> {
-    views.par_iter_mut().zip(paths).try_for_each(|(view, path)| {
-        if let Some(map) = depth::file_of(path) {
+/// Fills in the depth of the views whose images have a depth map beside them; it is none where a mask is.
+fn read_depths(views: &mut [View], frames: &[Frame]) -> Result<()> {
+    views.par_iter_mut().zip(frames).filter(|(_, frame)| frame.is_flat()).try_for_each(|(view, frame)| {
+        if let Some(map) = depth::file_of(&frame.path) {
             view.depth = depth::read(&map, &view.camera, BOUNDS)?;
+        }
+        if let (Some(depth), Some(mask)) = (&mut view.depth, &view.mask) {
+            depth.iter_mut().zip(mask.iter()).filter(|(_, counts)| !**counts).for_each(|(depth, _)| *depth = f32::NAN);
         }
         Ok(())
     })

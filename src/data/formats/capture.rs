@@ -31,6 +31,7 @@ impl Capture {
             camera,
             image: image.into(),
             depth: None,
+            mask: None,
         };
         names.into_iter().zip(cameras).zip(images).map(view).collect()
     }
@@ -41,6 +42,25 @@ impl Capture {
     pub fn hold_out(self, name: String, kind: &'static str, config: &DataConfig) -> Scene {
         let Capture { views, path, near, far, ndc, background, place } = self;
         let (train, test) = split(views, config);
+        Scene { name, kind, train, test, near, far, ndc, background, path, corrupted: None, place }
+    }
+
+    /// The scene whose split is given: views at the places of `train`, and every `config.test_skip`-th of those at the places of
+    /// `test`.
+    pub(super) fn split_as(
+        self,
+        name: String,
+        kind: &'static str,
+        config: &DataConfig,
+        train: &[bool],
+        test: &[bool],
+    ) -> Scene {
+        let Capture { views, path, near, far, ndc, background, place } = self;
+        let of = |chosen: &[bool], step: usize| {
+            let chosen = views.iter().zip(chosen).filter(|(_, chosen)| **chosen);
+            chosen.step_by(step).map(|(view, _)| view.clone()).collect()
+        };
+        let (train, test) = (of(train, 1), of(test, config.test_skip.max(1)));
         Scene { name, kind, train, test, near, far, ndc, background, path, corrupted: None, place }
     }
 }

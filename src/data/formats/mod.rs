@@ -65,7 +65,7 @@ pub static FORMATS: [Format; 6] = [
     Format {
         kind: DataKind::Blender,
         marker: Some("transforms_train.json (Blender)"),
-        detect: |dir| dir.join(blender::transforms_file("train")).is_file(),
+        detect: |dir| dir.join(transforms::transforms_file("train")).is_file(),
         read: blender::load,
         preset: Preset::PaperBlender,
         depth: ReferenceDepth::EightBit,

@@ -7,7 +7,7 @@ use crate::data::{known_bounds, may_have_box};
 use crate::methods::SiteSummary;
 use crate::report::{Record, Status};
 use crate::run::Protocol;
-use crate::settings::{Config, DataKind, Extent, Located};
+use crate::settings::{Config, DataKind, Extent, Located, Split};
 use crate::sweep::points::Point;
 use crate::sweep::provenance::Provenance;
 
@@ -57,8 +57,15 @@ struct Decided {
 }
 
 fn decided(point: &Point, record: &Record) -> Result<Decided> {
-    let config = point.config.clone();
-    let located = config.locate(kind(&point.config, record.protocol("dataset")))?;
+    let mut config = point.config.clone();
+    let kind = kind(&point.config, record.protocol("dataset"));
+    // Whether a capture's files name a split stands in its folder, which is not at hand.
+    let own =
+        kind == DataKind::Transforms && ["test", "val"].iter().any(|split| record.protocol("split").starts_with(split));
+    if own {
+        config.data.split.get_or_insert(Split::Own);
+    }
+    let located = config.locate(kind)?;
     let sides = ["width", "height"].into_iter().filter_map(|side| record.protocol(side).parse().ok());
     let pixels: usize = sides.max().unwrap_or(0);
     let at = |located: &Located, (near, far), domain| {

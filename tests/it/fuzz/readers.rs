@@ -67,9 +67,11 @@ pub fn all(folder: &Path) -> Vec<Reader> {
         colmap(below("colmap images text"), "scene, colmap images.txt", "images.txt"),
         colmap(below("colmap points text"), "scene, colmap points3D.txt", "points3D.txt"),
         blender(below("blender")),
+        masks(below("mask")),
         depth_maps(below("depth")),
         pictures(below("png").join("a.png"), "picture, png", Format::Png, seeds::pngs()),
         pictures(below("jpeg").join("a.jpg"), "picture, jpeg", Format::Bytes, seeds::jpegs()),
+        pictures(below("webp").join("a.webp"), "picture, webp", Format::Bytes, seeds::webps()),
         configs(below("config").join("config.toml")),
         reader("--set", Format::Text, seeds::ASSIGNMENTS.map(Vec::from).to_vec(), |bytes| {
             let assignment = parse_assignment(&String::from_utf8_lossy(bytes))?;
@@ -144,7 +146,10 @@ fn transforms(dir: PathBuf) -> Reader {
         "\"camera_angle_x\": 0.7",
         "\"camera_model\": \"OPENCV\",\n  \"fl_x\": 30.5,\n  \"fl_y\": 30,\n  \"cx\": 16,\n  \"cy\": 12,\n  \"w\": 32,\n  \
          \"h\": 24,\n  \"k1\": 0.05,\n  \"k2\": -0.01,\n  \"p1\": 0.001,\n  \"aabb_scale\": 4",
+        "\"fl_x\": 20,\n  \"sharpness\": NaN,\n  \"mask_path\": \"/home/me/mask.png\",\n  \"train_filenames\": [\"views/1\", \
+         \"views/3\"],\n  \"val_filenames\": [\"views/2\"],\n  \"test_filenames\": [\"./views/0\"]",
     ];
+    image::GrayImage::from_fn(16, 12, |x, _| image::Luma([u8::from(x < 9)])).save(dir.join("mask.png")).unwrap();
     reader("scene, transforms.json", Format::Text, keys.map(seeds::transforms).to_vec(), move |bytes| {
         write(&dir.join("transforms.json"), bytes);
         load(config_of(&dir))
@@ -172,6 +177,15 @@ fn blender(dir: PathBuf) -> Reader {
     write(&dir.join("transforms_test.json"), &sound);
     reader("scene, transforms_train.json", Format::Text, vec![sound], move |bytes| {
         write(&dir.join("transforms_train.json"), bytes);
+        load(config_of(&dir))
+    })
+}
+
+fn masks(dir: PathBuf) -> Reader {
+    write_pictures(&dir.join("views"), 4);
+    write(&dir.join("transforms.json"), &seeds::transforms("\"camera_angle_x\": 0.7, \"mask_path\": \"mask.png\""));
+    reader("scene, mask", Format::Png, vec![seeds::depth_map()], move |bytes| {
+        write(&dir.join("mask.png"), bytes);
         load(config_of(&dir))
     })
 }

@@ -116,6 +116,13 @@ pub fn jpegs() -> Vec<Vec<u8>> {
     [rgb, grey].iter().map(|picture: &DynamicImage| encoded(picture, ImageFormat::Jpeg)).collect()
 }
 
+/// WebP files, which are written without loss alone.
+pub fn webps() -> Vec<Vec<u8>> {
+    let rgb = DynamicImage::ImageRgb8(picture(24, 17));
+    let clear = rgb.to_rgba8().into();
+    [rgb, clear].iter().map(|picture: &DynamicImage| encoded(picture, ImageFormat::WebP)).collect()
+}
+
 /// A depth map as NeRF-Synthetic's: four equal channels.
 pub fn depth_map() -> Vec<u8> {
     let map = ImageBuffer::from_fn(16, 12, |x, _| Rgba([if x < 4 { 0 } else { 120 }; 4]));

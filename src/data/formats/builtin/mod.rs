@@ -116,6 +116,7 @@ fn view(stage: &Stage, name: &str, camera: &Camera, config: &DataConfig, backgro
         camera: *camera,
         image: composite(picture.image, background).0.into(),
         depth: Some(picture.depth),
+        mask: None,
     }
 }
 

@@ -10,6 +10,28 @@ const MODELS: [&str; 6] = ["OPENCV", "FULL_OPENCV", "PINHOLE", "SIMPLE_PINHOLE",
 /// Coefficients that none of the supported models has.
 const UNSUPPORTED: [&str; 3] = ["k4", "k5", "k6"];
 
+/// What is read of a document or a frame here.
+pub(super) const KEYS: [&str; 18] = [
+    "fl_x",
+    "fl_y",
+    "cx",
+    "cy",
+    "w",
+    "h",
+    "camera_angle_x",
+    "camera_angle_y",
+    "camera_model",
+    "is_fisheye",
+    "k1",
+    "k2",
+    "k3",
+    "k4",
+    "k5",
+    "k6",
+    "p1",
+    "p2",
+];
+
 /// What took a photograph.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Lens {
@@ -28,6 +50,11 @@ impl Keys<'_> {
         Ok(self.frame.number(key)?.or(self.document.number(key)?))
     }
 
+    /// `w` and `h`, of which those of `size` are missing.
+    fn stated(&self, size: [f64; 2]) -> Result<[f64; 2]> {
+        Ok([self.positive("w")?.unwrap_or(size[0]), self.positive("h")?.unwrap_or(size[1])])
+    }
+
     fn angle(&self, key: &str) -> Result<Option<f64>> {
         Ok(self.frame.angle(key)?.or(self.document.angle(key)?))
     }
@@ -42,17 +69,30 @@ impl Keys<'_> {
     }
 }
 
+/// Whether an image of `size` is one of the `stated` size, smaller or larger: a pixel either way is rounding, more is a crop or a
+/// turn.
+fn is_scaled(stated: [f64; 2], size: [f64; 2]) -> bool {
+    (stated[1] * size[0] / stated[0] - size[1]).abs() <= 1.0 + 0.01 * size[1]
+}
+
 impl Lens {
+    /// Whether `w` and `h` are there, of images of this shape and no other that its turn has.
+    pub(super) fn is_of(frame: Object, document: Object, (width, height): (usize, usize)) -> Result<bool> {
+        let keys = Keys { frame, document };
+        let (Some(w), Some(h)) = (keys.positive("w")?, keys.positive("h")?) else { return Ok(false) };
+        let (width, height) = (width as f64, height as f64);
+        Ok(is_scaled([w, h], [width, height]) && !is_scaled([w, h], [height, width]))
+    }
+
     /// The lens of a frame whose image is `stored` (width, height). Intrinsics written for images of
     /// another size (`w`, `h`) are scaled to it.
     pub(super) fn read(frame: Object, document: Object, stored: (usize, usize)) -> Result<Lens> {
         let keys = Keys { frame, document };
         check_model(&keys)?;
         let size = [stored.0 as f64, stored.1 as f64];
-        let stated = [keys.positive("w")?.unwrap_or(size[0]), keys.positive("h")?.unwrap_or(size[1])];
+        let stated = keys.stated(size)?;
         let scale = [size[0] / stated[0], size[1] / stated[1]];
-        // A pixel either way is rounding; more is a crop or a turn.
-        if (stated[1] * scale[0] - size[1]).abs() > 1.0 + 0.01 * size[1] {
+        if !is_scaled(stated, size) {
             return Err(frame.error(&format!(
                 "the image is {}x{} pixels, but \"w\" and \"h\" say {}x{}: it was cropped or turned, \
                  so the intrinsics are not its own",
@@ -97,7 +137,7 @@ fn check_model(keys: &Keys) -> Result<()> {
     let model = keys.frame.text("camera_model")?.or(keys.document.text("camera_model")?).unwrap_or("OPENCV");
     let fisheye = |object: Object| object.get("is_fisheye").and_then(|v| v.as_bool()).unwrap_or(false);
     let advice = "undistort the images first, for example with COLMAP's image_undistorter";
-    if !MODELS.contains(&model) {
+    if !MODELS.contains(&model.to_ascii_uppercase().as_str()) {
         let what = format!("\"camera_model\" is \"{model}\", but only {} are read; {advice}", MODELS.join(", "));
         return Err(keys.frame.error(&what));
     }

@@ -1,66 +1,90 @@
-//! Captures with one `transforms.json`, as instant-ngp and nerfstudio write it.
+//! Captures with a `transforms.json`, as instant-ngp and nerfstudio write it, or with one for each split.
 //!
-//! Read: `fl_x`, `fl_y`, `cx`, `cy`, `w`, `h`, `camera_angle_x`, `camera_angle_y`, `camera_model`,
-//! `k1`, `k2`, `k3`, `p1`, `p2` (for all frames or in a frame) and each frame's `file_path` and
-//! `transform_matrix`.
+//! Read, for all frames or in a frame: `fl_x`, `fl_y`, `cx`, `cy`, `w`, `h`, `camera_angle_x`, `camera_angle_y`, `camera_model`,
+//! `k1`, `k2`, `k3`, `p1`, `p2`, `mask_path`; each frame's `file_path` and `transform_matrix`; `train_filenames`,
+//! `val_filenames` and `test_filenames`. What else stands there is ignored, and `data check` names it: `aabb_scale`, `scale` and `offset` say
+//! how instant-ngp places the scene in its unit cube, `applied_transform` and `ply_file_path` tie the poses to a point cloud.
 //!
-//! Not read: `aabb_scale`, `scale` and `offset` say how instant-ngp places the scene in its unit
-//! cube, which this program does not have; `applied_transform` and `ply_file_path` tie the poses to
-//! a point cloud, which is not used; `train_filenames` and its like, because every program's runs
-//! here hold out every N-th view alike.
+//! A photograph's pixels are taken as they are stored. Where `w` and `h` are those of a photograph turned as its EXIF orientation
+//! says, they are turned.
 
 pub mod distortion;
+pub(super) mod frames;
 mod lens;
+mod mask;
 mod path;
+mod split;
 
-pub(super) use path::around;
 use std::path::{Path, PathBuf};
 
-use crate::base::{Error, Image, Listener, Result};
+pub(super) use path::around;
+pub use split::{Role, is_named};
+
+use crate::base::{Error, Listener, Result};
 use crate::data::formats::Capture;
-use crate::data::images::{self, Size};
-use crate::data::json::{self, Object};
+use crate::data::images;
 use crate::data::pose::Pose;
-use crate::data::{Camera, Place, Scene, WorldToScene, background, name_of, resample};
-use crate::settings::{DataConfig, DataKind};
-use distortion::Intrinsics;
-use lens::Lens;
+use crate::data::{Camera, Place, Scene, WorldToScene, background, name_of};
+use crate::settings::{DataConfig, DataKind, EvalSplit, Split};
+use frames::Frame;
+use split::Listing;
 
 /// The file that makes a folder such a scene.
 pub const TRANSFORMS_FILE: &str = "transforms.json";
+
+/// The file that a split's poses are in.
+pub fn transforms_file(split: &str) -> String {
+    format!("transforms_{split}.json")
+}
 
 /// Start and end of a ray where the configuration names none and the cameras look at no common point. After recentring,
 /// cameras lie within [-1, 1]: the scene between and around them ends well before 6, and 0.05 clears the lens.
 pub const BOUNDS: [f64; 2] = [0.05, 6.0];
 
-/// A photograph before it is read.
-struct Frame {
-    path: PathBuf,
-    pose: Pose,
-    lens: Lens,
-    /// The camera without distortion, at the stored size.
-    pinhole: Intrinsics,
-}
-
-/// Reads such a scene. Frames are sorted by file; every `config.holdout`-th is held out.
+/// Reads such a scene. Frames are sorted by file; the author's split is kept where there is one and `data.split` is not `every`,
+/// otherwise every `config.holdout`-th is held out.
 pub fn load(config: &DataConfig, events: &dyn Listener) -> Result<Scene> {
-    let file = Path::new(&config.dir).join(TRANSFORMS_FILE);
-    let (mut frames, stored) = read_frames(&file)?;
+    let dir = Path::new(&config.dir);
+    let Listing { frames: mut all, named, ignored } = split::read(dir, events)?;
+    let by_author = match config.split {
+        Some(Split::Every) => false,
+        None => named,
+        Some(Split::Own) if named => true,
+        Some(Split::Own) => {
+            return Err(Error::Data(format!(
+                "{}: data.split = \"own\" is for captures that name a split, and this one has no train_filenames, val_filenames or \
+                 test_filenames: leave data.split empty",
+                config.dir
+            )));
+        }
+    };
+    if !by_author && config.eval_split == EvalSplit::Val && config.validation == 0 {
+        return Err(Error::Config(format!(
+            "data.eval_split = \"val\" is for scenes with a validation split, and {} names none: keep every N-th view for that with \
+             data.validation",
+            config.dir
+        )));
+    }
+    all.sort_by(|a, b| a.0.path.cmp(&b.0.path));
+    if !by_author {
+        // Splits of their own files may share photographs.
+        all.dedup_by(|a, b| a.0.path == b.0.path);
+    }
+    let (mut frames, roles): (Vec<Frame>, Vec<Option<Role>>) = all.into_iter().unzip();
     let world = match config.recentre {
         true => WorldToScene::centre(&mut frames.iter_mut().map(|frame| &mut frame.pose).collect::<Vec<&mut Pose>>()),
         false => WorldToScene::default(),
     };
-    let paths: Vec<PathBuf> = frames.iter().map(|f| f.path.clone()).collect();
-    let target = Size::of(config).apply(stored, &paths[0])?;
-    let cameras: Vec<Camera> = frames.iter().map(|f| f.camera(stored, target)).collect();
-    let (images, clear) = read_images(&frames, stored, target, background(config), events)?;
+    let targets = frames::working_sizes(&frames.iter().collect::<Vec<_>>(), config)?;
+    let cameras: Vec<Camera> = frames.iter().zip(targets).map(|(frame, size)| frame.camera(size, by_ratio)).collect();
+    let (views, clear) = frames::views(&frames, &cameras, background(config), "reading images", events)?;
     let poses: Vec<Pose> = cameras.iter().map(|c| c.pose).collect();
-    let path = path::around(&poses).map_err(|e| Error::Data(format!("{}: {e}", file.display())))?;
+    let path = path::around(&poses).map_err(|e| Error::Data(format!("{}: {e}", config.dir)))?;
     let first = cameras[0];
     let (mut place, (near, far)) = Place::of_cameras(&cameras, world, BOUNDS);
-    notes(&mut place, &paths, stored, target, &frames);
+    notes(&mut place, &frames, &cameras, &ignored);
     let capture = Capture {
-        views: Capture::views(images::names(&paths), cameras, images),
+        views,
         near,
         far,
         ndc: None,
@@ -68,80 +92,49 @@ pub fn load(config: &DataConfig, events: &dyn Listener) -> Result<Scene> {
         path: path.into_iter().map(|pose| Camera { pose, ..first }).collect(),
         place,
     };
-    Ok(capture.hold_out(name_of(config), DataKind::Transforms.name(), config))
-}
-
-/// All frames, sorted by file, and the size of their images.
-fn read_frames(file: &Path) -> Result<(Vec<Frame>, (usize, usize))> {
-    let value = json::read(file)?;
-    let document = Object::document(file, &value)?;
-    let mut listed = Vec::new();
-    for object in document.frames()? {
-        listed.push((object.image()?, object.pose()?, object));
+    let (name, kind) = (name_of(config), DataKind::Transforms.name());
+    if !by_author {
+        return Ok(capture.hold_out(name, kind, config));
     }
-    listed.sort_by(|a, b| a.0.cmp(&b.0));
-    let paths: Vec<PathBuf> = listed.iter().map(|(path, ..)| path.clone()).collect();
-    let stored = images::common_size(&paths)?;
-    let frame = |(path, pose, object): (PathBuf, Pose, Object)| {
-        let lens = Lens::read(object, document, stored)?;
-        let Some(pinhole) = distortion::pinhole(lens.intrinsics, &lens.distortion, stored) else {
-            return Err(object.error(&format!(
-                "the lens distortion (k1, k2, k3 = {:?}, p1, p2 = {:?}) cannot be undone over the whole image: \
-                 its coefficients are too large",
-                lens.distortion.radial, lens.distortion.tangential
-            )));
-        };
-        Ok(Frame { path, pose, lens, pinhole })
+    let wanted = match config.eval_split {
+        EvalSplit::Test => Role::Test,
+        EvalSplit::Val => Role::Val,
     };
-    Ok((listed.into_iter().map(frame).collect::<Result<_>>()?, stored))
+    if !roles.contains(&Some(wanted)) {
+        return Err(split::without(wanted, &config.dir, &roles));
+    }
+    let of = |wanted: Role| -> Vec<&Frame> {
+        frames.iter().zip(&roles).filter(|(_, role)| **role == Some(wanted)).map(|(frame, _)| frame).collect()
+    };
+    frames::note_shared(&of(Role::Train), &of(wanted), events);
+    let placed = |wanted: Role| roles.iter().map(|role| *role == Some(wanted)).collect::<Vec<bool>>();
+    Ok(capture.split_as(name, kind, config, &placed(Role::Train), &placed(wanted)))
 }
 
-impl Frame {
-    /// The pinhole camera at the working resolution.
-    fn camera(&self, stored: (usize, usize), target: (usize, usize)) -> Camera {
-        let scale = [target.0 as f64 / stored.0 as f64, target.1 as f64 / stored.1 as f64];
-        let scaled = |values: [f64; 2]| [values[0] * scale[0], values[1] * scale[1]];
-        Camera {
-            width: target.0,
-            height: target.1,
-            focal: scaled(self.pinhole.focal),
-            centre: scaled(self.pinhole.centre),
-            pose: self.pose,
-        }
-    }
+/// Rounded so since the first runs, whose hashes of data hang on it.
+fn by_ratio(value: f64, to: f64, from: f64) -> f64 {
+    value * (to / from)
 }
 
 /// What was found and chosen, for people.
-fn notes(place: &mut Place, paths: &[PathBuf], stored: (usize, usize), target: (usize, usize), frames: &[Frame]) {
-    place.note("images", images::folder_words(paths, stored, target));
-    let zoom = frames.iter().map(|frame| frame.pinhole.focal[0] / frame.lens.intrinsics.focal[0]).fold(1.0, f64::max);
-    let undone = frames.iter().filter(|frame| !frame.lens.distortion.is_none()).count();
+fn notes(place: &mut Place, frames: &[Frame], cameras: &[Camera], ignored: &[String]) {
+    let paths: Vec<PathBuf> = frames.iter().map(|frame| frame.path.clone()).collect();
+    let sizes = |camera: &Camera| (camera.width, camera.height);
+    let mut words = images::folder_words(&paths, frames[0].size, sizes(&cameras[0]));
+    if frames.iter().any(|frame| frame.size != frames[0].size) {
+        words += " (the first; sizes differ)";
+    }
+    place.note("images", words);
+    let zoom = frames.iter().map(Frame::zoom).fold(1.0, f64::max);
+    let undone = frames.iter().filter(|frame| frame.is_bent()).count();
     let words =
         if undone == 0 { "none".into() } else { format!("undone in {undone} images, zoomed in by up to {zoom:.3}") };
     place.note("distortion", words);
-}
-
-/// Decodes all frames, undoes their distortion at the stored size, then averages them down.
-fn read_images(
-    frames: &[Frame],
-    stored: (usize, usize),
-    target: (usize, usize),
-    background: [f32; 3],
-    events: &dyn Listener,
-) -> Result<(Vec<Image>, bool)> {
-    images::check_memory(frames.len(), target)?;
-    let paths: Vec<PathBuf> = frames.iter().map(|f| f.path.clone()).collect();
-    let read = |i: usize, path: &Path| {
-        let Lens { intrinsics, distortion } = frames[i].lens;
-        let image = if distortion.is_none() {
-            images::read(path, target)?
-        } else {
-            let flat = distortion::rectify(&images::read(path, stored)?, intrinsics, &distortion, frames[i].pinhole);
-            resample::shrink(&flat, target.0, target.1)
-        };
-        Ok(resample::composite(image, background))
-    };
-    let (images, clear): (Vec<Image>, Vec<bool>) =
-        images::each(&paths, "reading images", events, read)?.into_iter().unzip();
-    Ok((images, clear.contains(&true)))
+    let masked = frames.iter().filter(|frame| frame.is_masked()).count();
+    if masked > 0 {
+        place.note("masks", format!("of {masked} images: black pixels are neither trained on nor measured"));
+    }
+    if !ignored.is_empty() {
+        place.note("ignored keys", ignored.join(", "));
+    }
 }
