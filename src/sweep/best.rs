@@ -49,8 +49,10 @@ pub struct BestSeed {
     pub seed: u64,
     /// The metric's value.
     pub value: f64,
-    /// Its run folder.
-    pub run: PathBuf,
+    /// The point's name.
+    pub id: String,
+    /// Its run folder; none where results alone are at hand.
+    pub run: Option<PathBuf>,
 }
 
 /// The best line of each scene. A line that lacks a point is not looked at: a mean over fewer seeds is another number.
@@ -119,8 +121,8 @@ fn complete(line: &Line) -> Option<f64> {
 fn seeds(folder: &SweepFolder, material: &Material, line: &Line, metric: &str) -> Vec<BestSeed> {
     let own = material.records.iter().filter(|r| r.scene == line.scene && r.label() == line.label);
     let seed = |record: &crate::report::Record| {
-        let run = folder.point(&record.id).run();
-        Some(BestSeed { seed: record.seed, value: record.metric(metric)?, run })
+        let run = Some(folder.point(&record.id).run()).filter(|run| run.is_dir());
+        Some(BestSeed { seed: record.seed, value: record.metric(metric)?, id: record.id.clone(), run })
     };
     own.filter_map(seed).collect()
 }

@@ -32,8 +32,8 @@ const NO_BASELINE: &str = "none";
 pub struct Source<'a> {
     /// Its name.
     pub name: String,
-    /// Its folder.
-    pub folder: &'a SweepFolder,
+    /// The folder of its points; none where its results alone are at hand.
+    pub folder: Option<&'a SweepFolder>,
     /// What was run.
     pub definition: &'a Definition,
     /// Its points.
@@ -131,7 +131,9 @@ impl View {
                 self.spec.equivalence.push((metric.clone(), *margin));
             }
         }
-        self.spec.title = [self.spec.title.as_str(), other.title.as_str()].join(" + ");
+        if self.spec.title != other.title {
+            self.spec.title = [self.spec.title.as_str(), other.title.as_str()].join(" + ");
+        }
         self.spec.varied |= other.varied;
         for record in &source.material.records {
             self.add_record(Record { row: renamed(&record.row), ..record.clone() });
@@ -250,17 +252,22 @@ impl View {
         Ok(())
     }
 
-    /// Metrics over the pixels that all rows show are over those of the rows shown.
+    /// Metrics over the pixels that all rows show are over those of the rows shown. Where the points are not at hand, a single
+    /// sweep's stay over those of all its rows.
     fn measure_common(&mut self, sources: &[Source]) -> Result<()> {
         let is_common = |name: &str| Metric::find(name).is_some_and(|metric| metric.scope == Scope::Common);
+        let folders: Vec<&SweepFolder> = sources.iter().filter_map(|source| source.folder).collect();
+        if folders.is_empty() && sources.len() == 1 {
+            return Ok(());
+        }
         let records = &mut self.material.records;
         records.iter_mut().for_each(|record| record.metrics.retain(|(name, _)| !is_common(name)));
         if !wants_depth(&self.spec.metrics) {
             return Ok(());
         }
         let errors = |id: &str| {
-            let of = |source: &Source| DepthErrors::read(&RunDir::depth_errors_in(&source.folder.point(id).run()));
-            let found = sources.iter().map(of).find(|errors| !matches!(errors, Ok(None)));
+            let of = |folder: &&SweepFolder| DepthErrors::read(&RunDir::depth_errors_in(&folder.point(id).run()));
+            let found = folders.iter().map(of).find(|errors| !matches!(errors, Ok(None)));
             found.unwrap_or(Ok(None))
         };
         add_common_depth(records, errors)

@@ -126,6 +126,14 @@ fn chosen_rows_have_the_statistics_of_what_is_shown() {
     assert_says(&collect(&["--baseline", "D", "--out", "x"], 2), &["--baseline D", "NeRF"]);
     assert_says(&collect(&["--metrics", "psnrr", "--out", "x"], 2), &["'psnrr' does not exist", "psnr"]);
     assert_says(&collect(&["--rows", "NeRF", "--out", "results/one"], 4), &["whole tables", "--out"]);
+    // Of results alone, without the points, the same comes out; their own tables are left to `verify`.
+    collect(&["--rows", "NeRF,A, long", "--out", "again"], 0);
+    let of_results = ["sweep", "collect", "results/one", "--rows", "NeRF,A, long", "--out", "kept"];
+    demand(dir.path(), &of_results, 0);
+    let table = |folder: &str| text(&dir.path().join(folder).join("table.csv"));
+    assert_eq!(table("kept"), table("again"));
+    assert_says(&demand(dir.path(), &of_results[..3], 2), &["holds results and no points", "verify --update"]);
+    assert_says(&demand(dir.path(), &["sweep", "best", "results/one"], 0), &["A, long"]);
     // The sweep's own tables are what they were, and a view beside them does not disturb their check.
     assert_eq!(rows(&text(&dir.path().join("results/one/table.csv"))), whole);
     collect(&["--rows", "NeRF,B", "--out", "results/view"], 0);

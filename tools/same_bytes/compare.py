@@ -44,6 +44,8 @@ SAID = [
     # What is said of training views, which earlier revisions did not measure.
     (re.compile(rb"(?m)^\d+ training views: .*\n"), b""),
     (re.compile(rb"(held-out PSNR [\d.]+ dB), of training views [\d.]+ dB"), rb"\1"),
+    # `sweep run`, `sweep status`
+    (re.compile(rb"; about .* left (in all|with \d+ at once)"), b""),
     # `sweep plan`
     (re.compile(rb" +[\d.]+ s/step +\d.* a point  .*"), b" COST"),
     (re.compile(rb"(?m)^\d.* in all, one point after the other, and .* of memory"), b"COST of memory"),
@@ -100,7 +102,7 @@ def events(content):
 def files(folder):
     """Every file and empty folder below `folder` by its name there, with event files' clocks and processes taken out of their names."""
     found, counts = {}, {}
-    for path in sorted(path for path in folder.rglob("*") if path.is_file() or is_empty(path)):
+    for path in sorted(path for path in folder.rglob("*") if not path.is_symlink() and (path.is_file() or is_empty(path))):
         name = EVENTS.sub(r"events.\1", str(path.relative_to(folder)))
         counts[name] = counts.get(name, 0) + 1
         found[name if counts[name] == 1 else f"{name}.{counts[name]}"] = path

@@ -7,13 +7,13 @@ use clap::Args;
 use crate::base::Result;
 use crate::cli::progress::{print, print_shown};
 use crate::metrics::Metric;
-use crate::sweep::{Best, Material, SweepFolder, best};
+use crate::sweep::{Best, best};
 
-use super::{begun, name_of};
+use super::opened::Opened;
 
 #[derive(Args)]
 pub struct BestArguments {
-    /// Folder of a sweep: runs/NAME, or what --out named
+    /// Folder of a sweep or of its results: runs/NAME, results/NAME
     folder: PathBuf,
     /// What to judge by, in its mean over the seeds
     #[arg(long, value_name = "METRIC", default_value = "psnr")]
@@ -31,12 +31,9 @@ pub struct BestArguments {
 
 impl BestArguments {
     pub fn run(self) -> Result<()> {
-        let folder = SweepFolder::new(&self.folder);
-        let definition = folder.definition()?;
-        let points = begun(&folder, self.data_root.as_deref())?;
-        let spec = definition.table(&name_of(&self.folder)?, &points);
-        let material = Material::of_folder(&folder, &definition, &points)?;
-        let found = best(&folder, &spec, &points, &material, &self.metric, self.force)?;
+        let sweep = Opened::read(&self.folder, self.data_root.as_deref())?;
+        let spec = sweep.definition.table(&sweep.name, &sweep.points);
+        let found = best(&sweep.folder, &spec, &sweep.points, &sweep.material()?, &self.metric, self.force)?;
         if self.json {
             return print(&serde_json::to_string_pretty(&found).expect("plain data"));
         }
@@ -61,7 +58,8 @@ fn text(best: &Best) -> String {
         lines.push(format!("  {}", settings.join(", ")));
     }
     let seed = |seed: &crate::sweep::BestSeed| {
-        format!("  seed {}: {}  {}", seed.seed, metric.text(seed.value), seed.run.display())
+        let place = seed.run.as_ref().map_or(format!("point {}", seed.id), |run| run.display().to_string());
+        format!("  seed {}: {}  {place}", seed.seed, metric.text(seed.value))
     };
     lines.extend(best.seeds.iter().map(seed));
     if !best.unfinished.is_empty() {

@@ -8,9 +8,10 @@ use crate::base::{Error, Result};
 use crate::cli::progress::print;
 use crate::draw::SVG_ALONE;
 use crate::report::tables::{Table, table_terminal};
-use crate::sweep::{Choice, Definition, Material, Point, Source, SweepFolder, View, check_name};
+use crate::sweep::{Choice, View, check_name};
 
-use super::{How, RESULTS, RUNS, begun, collect, name_of, terminal_width};
+use super::opened::Opened;
+use super::{How, RESULTS, RUNS, collect, name_of, terminal_width};
 
 pub const EXAMPLES: &str = "Examples:
   augnerf sweep collect runs/tab4_fern                     its tables and figures once more, into results/tab4_fern
@@ -23,7 +24,7 @@ correction are those of the rows that are shown.";
 
 #[derive(Args)]
 pub struct CollectArguments {
-    /// Folder of a sweep: runs/NAME, or what --out named
+    /// Folder of a sweep: runs/NAME, or what --out named; of its results, where rows or the like are chosen
     folder: PathBuf,
     /// Folder for tables and figures [default: results/NAME of runs/NAME, otherwise FOLDER/results]
     #[arg(long, visible_alias = "out", value_name = "DIR")]
@@ -54,14 +55,6 @@ pub struct CollectArguments {
     data_root: Option<PathBuf>,
 }
 
-/// A sweep as its folder has it.
-struct Opened {
-    name: String,
-    folder: SweepFolder,
-    definition: Definition,
-    points: Vec<Point>,
-}
-
 impl CollectArguments {
     pub fn run(self) -> Result<()> {
         let choice = Choice { baseline: self.baseline.clone(), rows: self.rows.clone(), metrics: self.metrics.clone() };
@@ -72,6 +65,7 @@ impl CollectArguments {
         }
         let (table, results) = match choice.is_all() && self.merge.is_empty() {
             true => {
+                sweep.check_runs()?;
                 let results = self.results(&sweep.name)?;
                 let how = How { force: self.force, with_timing: self.with_timing };
                 (collect((&sweep.folder, &sweep.definition, &sweep.points), &sweep.name, &results, how)?, results)
@@ -84,10 +78,7 @@ impl CollectArguments {
     }
 
     fn open(&self, path: &Path) -> Result<Opened> {
-        let folder = SweepFolder::new(path);
-        let definition = folder.definition()?;
-        let points = begun(&folder, self.data_root.as_deref())?;
-        Ok(Opened { name: name_of(path)?, folder, definition, points })
+        Opened::read(path, self.data_root.as_deref())
     }
 
     /// Where the whole sweep's tables are.
@@ -110,21 +101,7 @@ impl CollectArguments {
         };
         let others = self.merge.iter().map(|path| self.open(path)).collect::<Result<Vec<_>>>()?;
         let sweeps: Vec<Opened> = std::iter::once(first).chain(others).collect();
-        let source = |opened: &'_ Opened| -> Result<Material> {
-            Material::of_folder(&opened.folder, &opened.definition, &opened.points)
-        };
-        let materials = sweeps.iter().map(source).collect::<Result<Vec<_>>>()?;
-        let sources: Vec<Source> = sweeps
-            .iter()
-            .zip(materials)
-            .map(|(Opened { name, folder, definition, points }, material)| Source {
-                name: name.clone(),
-                folder,
-                definition,
-                points,
-                material,
-            })
-            .collect();
+        let sources = sweeps.iter().map(Opened::source).collect::<Result<Vec<_>>>()?;
         let view = View::new(&name_of(&results)?, &sources, choice)?;
         Ok((view.write(&results, self.force, self.with_timing)?, results))
     }

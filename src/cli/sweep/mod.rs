@@ -24,6 +24,7 @@ mod best;
 mod cancel;
 mod collect;
 mod new;
+mod opened;
 mod plan;
 mod run;
 mod run_point;
