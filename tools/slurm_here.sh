@@ -54,11 +54,15 @@ JobAcctGatherType=jobacct_gather/none
 SelectType=select/cons_tres
 SelectTypeParameters=CR_Core
 SchedulerParameters=batch_sched_delay=1,sched_interval=2
+PreemptType=preempt/partition_prio
+PreemptMode=REQUEUE
 KillWait=30
 ReturnToService=2
 NodeName=left NodeHostname=$(hostname -s) NodeAddr=127.0.0.1 Port=27818 CPUs=2 RealMemory=2000
 NodeName=right NodeHostname=$(hostname -s) NodeAddr=127.0.0.1 Port=27819 CPUs=2 RealMemory=2000
 PartitionName=all Nodes=left,right Default=YES MaxTime=INFINITE State=UP
+# Its jobs take the place of others at once.
+PartitionName=urgent Nodes=left,right PriorityTier=2 MaxTime=INFINITE State=UP
 EOF
 # A mount point of its own keeps slurmd away from the control groups of this machine.
 printf 'CgroupPlugin=cgroup/v1\nCgroupMountpoint=%s\n' "$dir/cgroup" > "$dir/cgroup.conf"

@@ -152,19 +152,19 @@ impl Watch {
         }
     }
 
-    /// Whether the runner that has the point in `folder` surely lives: its claim was seen to change, or its lock was held in
-    /// two looks, one after the other. Somebody who only looks at a claim holds the lock for a moment.
+    /// Whether the runner that has the point in `folder` surely lives. One of this machine holds the lock in two looks, one after
+    /// the other (who only looks at a claim holds it for a moment). One elsewhere was seen to beat: file systems may keep the
+    /// lock of a machine that died.
     pub(super) fn sees_life(&self, folder: &Path) -> bool {
         let file = folder.join(CLAIM);
+        let here = read(&file).is_some_and(|sign| sign.host == host_name());
         let mut locked = self.locked.lock().unwrap_or_else(PoisonError::into_inner);
-        let held_twice = match is_locked(&folder.join(LOCK)) {
-            Some(true) => !locked.insert(file.clone()),
-            _ => {
-                locked.remove(&file);
-                false
-            }
-        };
-        held_twice || self.changed.lock().unwrap_or_else(PoisonError::into_inner).contains(&file)
+        if here && is_locked(&folder.join(LOCK)) == Some(true) {
+            return !locked.insert(file);
+        }
+        locked.remove(&file);
+        self.is_dead(&file);
+        self.changed.lock().unwrap_or_else(PoisonError::into_inner).contains(&file)
     }
 }
 
@@ -365,5 +365,34 @@ fn is_locked(path: &Path) -> Option<bool> {
         Ok(()) => Some(false),
         Err(TryLockError::WouldBlock) => Some(true),
         Err(TryLockError::Error(_)) => None,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_lock_speaks_for_this_machine_alone_and_a_heartbeat_for_any() {
+        let dir = tempfile::tempdir().unwrap();
+        let (watch, folder) = (Watch::default(), dir.path());
+        let lock = File::create(folder.join(LOCK)).unwrap();
+        lock.try_lock().unwrap();
+        let say = |host: String, step: u64| {
+            let sign = Sign { host, pid: 7, nonce: 1, step, steps: 9, seconds: 1.0, first: 0, deaths: 0 };
+            write_json(&folder.join(CLAIM), &sign).unwrap();
+        };
+        assert!(!watch.sees_life(folder), "whoever has the lock has not said who it is");
+        say("elsewhere".into(), 1);
+        assert!((0..3).all(|_| !watch.sees_life(folder)), "it may be the lock of the dead");
+        say("elsewhere".into(), 2);
+        assert!(watch.sees_life(folder));
+        let watch = Watch::default();
+        say(host_name(), 1);
+        assert!(!watch.sees_life(folder), "one look may meet another's");
+        assert!(watch.sees_life(folder));
+        let watch = Watch::default();
+        drop(lock);
+        assert!((0..3).all(|_| !watch.sees_life(folder)), "it is dead");
     }
 }

@@ -398,7 +398,9 @@ fn submitted_points_are_seen_in_the_queue_and_not_submitted_twice() {
     let status = cluster.demand(&["sweep", "status", "runs/tiny"], dir, 0);
     assert_says(&status, &["the queue is not shown", "Unable to contact", "1 done, 2 waiting"]);
     cluster.stand_in("squeue", "echo 'slurm_load_jobs error: Invalid job id specified' >&2; exit 1");
-    assert!(!cluster.demand(&["sweep", "status", "runs/tiny"], dir, 0).contains("queue"));
+    let status = cluster.demand(&["sweep", "status", "runs/tiny"], dir, 0);
+    assert_says(&status, &["2 waiting points are not in the queue", "augnerf sweep submit"]);
+    assert!(!status.contains("not shown"), "{status}");
     std::fs::write(folder.join("jobs.json"), r#"{"jobs": [{"points": "1 --user=root", "tables": null}]}"#).unwrap();
     assert_says(
         &cluster.demand(&["sweep", "cancel", "runs/tiny"], dir, 5),

@@ -115,15 +115,27 @@ fn a_sweep_on_a_cluster_equals_one_at_home_whatever_befalls_its_tasks() {
     assert_says(&status, &[&format!("job {job}_0 RUNNING"), "PENDING (Dependency)"]);
     assert_says(&demand(&["sweep", "submit", "tiny.toml"], dir, 0), &["nothing to submit", "in the queue already"]);
 
-    // A preemption, a signal before the end of the time, a kill; the fourth is left alone.
-    slurm("scontrol", &["requeue", &format!("{job}_0")]);
-    slurm("scancel", &["--signal=USR1", "--batch", &format!("{job}_2")]);
-    let pid = json(&all[3].join("claim.json"))["pid"].to_string();
+    // A job that takes a node's place, a signal before the end of the time, a kill.
+    let node = |index: usize| running.iter().find(|task| task.0 == index.to_string()).map(|task| task.2.as_str());
+    let (mut preempted, others): (Vec<_>, Vec<_>) = good.iter().partition(|&&index| node(index) == node(0));
+    if slurm("sinfo", &["-h", "-o", "%R"]).lines().any(|partition| partition == "urgent") {
+        let there = format!("--nodelist={}", node(0).unwrap());
+        slurm("sbatch", &["--partition=urgent", &there, "--exclusive", "--output=/dev/null", "--wrap", "sleep 1"]);
+    } else {
+        preempted = vec![0];
+        slurm("scontrol", &["requeue", &format!("{job}_0")]);
+    }
+    slurm("scancel", &["--signal=USR1", "--batch", &format!("{job}_{}", others[0])]);
+    let pid = json(&all[others[1]].join("claim.json"))["pid"].to_string();
     assert!(Command::new("kill").args(["-9", &pid]).status().unwrap().success());
     wait_for("the end of all jobs", dir, || queue("tiny,tiny-tables").is_empty());
     let logs: Vec<String> = entries(&dir.join("runs/tiny/slurm/log")).iter().map(|log| text(log)).collect();
-    assert!(logs.iter().filter(|log| log.contains("stopping with a checkpoint")).count() == 2, "{logs:#?}");
-    assert_eq!(good.map(|index| sessions(&all[index])), [2, 2, 2, 1], "{logs:#?}");
+    let stopped = logs.iter().filter(|log| log.contains("stopping with a checkpoint")).count();
+    assert_eq!(stopped, preempted.len() + 1, "{logs:#?}");
+    for index in good {
+        let disturbed = preempted.contains(&index) || others[..2].contains(&index);
+        assert_eq!(sessions(&all[index]), if disturbed { 2 } else { 1 }, "{index}: {logs:#?}");
+    }
     let status = demand(&["sweep", "status", "runs/tiny"], dir, 0);
     assert_says(&status, &["4 done, 2 failed", "not a number"]);
     assert_says(&demand(&["sweep", "submit", "tiny.toml"], dir, 0), &["nothing to submit", "4 done, 2 failed"]);

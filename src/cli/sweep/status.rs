@@ -57,11 +57,9 @@ fn screen_lines(lines: &[String], (rows, columns): (u16, u16)) -> usize {
 fn states(folder: &SweepFolder, points: &[Point]) -> Result<(Vec<String>, usize)> {
     let (mut lines, mut running, mut trained) = (Vec::new(), 0, 0.0);
     let mut counts: BTreeMap<&str, usize> = BTreeMap::new();
-    // What cannot be asked does not hide what files say.
-    let (queue, unheard) = match Slurm::of(folder).queue() {
-        Ok(queue) => (queue, None),
-        Err(error) => (Queue::default(), Some(format!("the queue is not shown: {error}"))),
-    };
+    let slurm = Slurm::of(folder);
+    let queue = slurm.queue();
+    let mut adrift = 0;
     for (index, point) in points.iter().enumerate() {
         let state = folder.point(&point.id).state(point)?;
         *counts.entry(state.status.name()).or_default() += 1;
@@ -79,14 +77,15 @@ fn states(folder: &SweepFolder, points: &[Point]) -> Result<(Vec<String>, usize)
             (Status::Done, _) => state.result.metric("psnr").map_or(String::new(), |psnr| format!("PSNR {psnr:.2} dB")),
             _ => state.reason.clone(),
         };
-        let task = queue.task(index).filter(|_| state.status != Status::Done).map(|task| task.to_string());
+        let task = queue.iter().find_map(|queue| queue.task(index)).filter(|_| state.status != Status::Done);
+        let task = task.map(ToString::to_string);
+        adrift += usize::from(state.status == Status::Waiting && task.is_none());
         let what =
             [Some(what).filter(|what| !what.is_empty()), task].into_iter().flatten().collect::<Vec<_>>().join("; ");
         lines.push(format!("{:8} {} {}  {what}", state.status.name(), point.id, point.label()));
     }
     let counts: Vec<String> = counts.iter().map(|(status, count)| format!("{count} {status}")).collect();
-    lines.extend(queue.tables().map(|task| format!("tables: {task}")));
-    lines.extend(unheard);
+    lines.extend(of_queue(&slurm, &queue, adrift)?);
     let open = |point: &&Point| point.no_data.is_none() && !folder.point(&point.id).ended();
     let left: Vec<&Point> = points.iter().filter(open).collect();
     let all: Vec<&Point> = points.iter().collect();
@@ -98,4 +97,18 @@ fn states(folder: &SweepFolder, points: &[Point]) -> Result<(Vec<String>, usize)
     });
     lines.push(format!("{}: {}{eta}", folder.path().display(), counts.join(", ")));
     Ok((lines, left.len()))
+}
+
+/// What else the queue says, of which `adrift` waiting points are not. Where it cannot be asked, files still say how far points
+/// are.
+fn of_queue(slurm: &Slurm, queue: &Result<Queue>, adrift: usize) -> Result<Vec<String>> {
+    let queue = match queue {
+        Ok(queue) => queue,
+        Err(error) => return Ok(vec![format!("the queue is not shown: {error}")]),
+    };
+    let mut lines: Vec<String> = queue.tables().map(|task| format!("tables: {task}")).collect();
+    if adrift > 0 && !slurm.jobs()?.is_empty() {
+        lines.push(format!("{adrift} waiting points are not in the queue: `augnerf sweep submit` goes on with them"));
+    }
+    Ok(lines)
 }
