@@ -11,17 +11,15 @@
 
 pub mod distortion;
 mod lens;
-mod path;
 
-pub(super) use path::around;
 use std::path::{Path, PathBuf};
 
-use crate::base::{Error, Image, Listener, Result};
+use crate::base::{Image, Listener, Result};
 use crate::data::formats::Capture;
 use crate::data::images::{self, Size};
 use crate::data::json::{self, Object};
 use crate::data::pose::Pose;
-use crate::data::{Camera, Place, Scene, WorldToScene, background, name_of, resample};
+use crate::data::{Camera, Place, Scene, WorldToScene, background, name_of, path, resample};
 use crate::settings::{DataConfig, DataKind};
 use distortion::Intrinsics;
 use lens::Lens;
@@ -55,7 +53,7 @@ pub fn load(config: &DataConfig, events: &dyn Listener) -> Result<Scene> {
     let cameras: Vec<Camera> = frames.iter().map(|f| f.camera(stored, target)).collect();
     let (images, clear) = read_images(&frames, stored, target, background(config), events)?;
     let poses: Vec<Pose> = cameras.iter().map(|c| c.pose).collect();
-    let path = path::around(&poses).map_err(|e| Error::Data(format!("{}: {e}", file.display())))?;
+    let path = path::around(&poses);
     let first = cameras[0];
     let (mut place, (near, far)) = Place::of_cameras(&cameras, world, BOUNDS);
     notes(&mut place, &paths, stored, target, &frames);
