@@ -16,6 +16,7 @@ pub use lpips::{Backbone, Lpips};
 pub use registry::{Digits, Direction, METRICS, Metric, Needs, Scope};
 pub use ssim::ssim;
 pub use values::{MeanMetrics, Values, ViewMetrics};
+pub(crate) use weights::Weights;
 
 use rayon::prelude::*;
 

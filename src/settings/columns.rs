@@ -227,6 +227,7 @@ pub const COLUMNS: &[Column] = &[
     column("adam").where_differing(),
     column("hash_grid").where_differing().of(on_hash_grid),
     column("spacing").where_differing(),
+    column("parent").where_differing(),
 ];
 
 /// What the sites of a run were judged inactive by.
