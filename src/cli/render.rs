@@ -103,7 +103,7 @@ impl RenderArguments {
         let trained = Trained::open(&self.run, self.sources.data.as_deref(), runtime, &console)?;
         let shots = self.shots(&trained, size, &console)?;
         if let Some(file) = &self.write_cameras {
-            cameras::write(file, &shots.cameras, &crate::data::WorldToScene::default(), shots.fps)?;
+            cameras::write(file, &shots.cameras, &trained.scene.place.world, shots.fps)?;
             console.say(&format!("{} cameras: {}", shots.cameras.len(), file.display()));
             return Ok(());
         }
@@ -137,7 +137,7 @@ impl RenderArguments {
                 let transforms = Path::new(&trained.config.data.dir).join("transforms.json");
                 let dataparser =
                     self.dataparser.as_ref().map(|file| Dataparser::read(file, &transforms)).transpose()?;
-                let read = cameras::read(file, &like, &crate::data::WorldToScene::default(), dataparser.as_ref())?;
+                let read = cameras::read(file, &like, &scene.place.world, dataparser.as_ref())?;
                 (read.cameras, read.fps)
             }
             (_, What::Views, _) => (scene.test.iter().map(|view| view.camera).collect(), None),

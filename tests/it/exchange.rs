@@ -101,7 +101,8 @@ fn weights_go_out_and_come_back() {
     for (index, file) in [&torch, &own].into_iter().enumerate() {
         let back = dir.path().join(format!("back{index}"));
         let smoke = ["--preset", "smoke", "--set", "data.width=12"];
-        succeed(&[&["import", path(file), "--out", path(&back)], if index == 0 { &smoke[..] } else { &[] }].concat());
+        let settings: &[&str] = if index == 0 { &smoke } else { &[] };
+        succeed(&[&["import", path(file), "--out", path(&back)], settings].concat());
         assert_eq!(parameters(&back), parameters(&run), "{}", file.display());
         // It can be measured, and taken further.
         succeed(&["eval", path(&back), "-q"]);

@@ -87,9 +87,8 @@ fn adam(config: &Config, parameters: &[&Parameter], step: u64) -> Result<Value> 
 
 /// All parameters as the checkpoint names them, with what one needs to use them.
 fn safetensors(trained: &Trained, file: &Path) -> Result<u64> {
-    let Trained { config, state, model, .. } = trained;
-    let said = serde_json::to_string(&metadata(config, &crate::data::WorldToScene::default().matrix(), state))
-        .expect("plain data");
+    let Trained { config, scene, state, model, .. } = trained;
+    let said = serde_json::to_string(&metadata(config, &scene.place.world.matrix(), state)).expect("plain data");
     let named = model
         .variables()
         .into_iter()

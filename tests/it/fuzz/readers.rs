@@ -77,7 +77,7 @@ pub fn all(folder: &Path) -> Vec<Reader> {
         }),
         sweeps(below("sweep").join("sweep.toml")),
         cameras(below("path").join("path.json"), "cameras, json", Format::Text, seeds::CAMERAS.map(Vec::from).to_vec()),
-        cameras(below("poses").join("poses.npy"), "cameras, npy", Format::Npy, vec![seeds::poses()]),
+        cameras(below("poses").join("poses.npy"), "cameras, npy", Format::Npy, vec![seeds::camera_poses()]),
         foreign(below("tar").join("a.tar"), "import, torch", Format::Archive, seeds::checkpoint_tar()),
         foreign(below("own").join("a.safetensors"), "import, safetensors", Format::Safetensors, seeds::network()),
     ];

@@ -277,8 +277,8 @@ pub const CAMERAS: [&str; 2] = [
 {"camera_angle_x": 0.7, "transform_matrix": [[0, 0, 1, 4], [0, 1, 0, 0], [-1, 0, 0, 0]]}]}"#,
 ];
 
-/// Poses alone.
-pub fn poses() -> Vec<u8> {
+/// Cameras that are poses alone.
+pub fn camera_poses() -> Vec<u8> {
     let header = "{'descr': '<f8', 'fortran_order': False, 'shape': (2, 3, 4), }\n";
     let pose = [1.0, 0.0, 0.0, 0.5, 0.0, 1.0, 0.0, 0.25, 0.0, 0.0, 1.0, 4.0f64];
     let mut bytes = b"\x93NUMPY\x01\x00".to_vec();

@@ -14,8 +14,8 @@ use std::path::{Path, PathBuf};
 
 use crate::base::{Error, Event, Image, Listener, Result};
 use crate::data::formats::Capture;
-use crate::data::formats::transforms::distortion::{self, Distortion, Intrinsics};
 use crate::data::formats::transforms::BOUNDS;
+use crate::data::formats::transforms::distortion::{self, Distortion, Intrinsics};
 use crate::data::images::{self, Size};
 use crate::data::pose::Pose;
 use crate::data::{Camera, Place, Scene, WorldToScene, background, name_of, path, resample};
