@@ -1,6 +1,6 @@
 //! The arguments that describe an experiment.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use clap::Args;
 use toml::Value;
@@ -39,14 +39,40 @@ pub struct Experiment {
     weights: LpipsWeights,
 }
 
+/// Settings as `(path, value)`.
+type Assignments = Vec<(Vec<String>, Value)>;
+
+/// What an experiment's arguments are laid over, and what over them.
+pub struct Base<'a> {
+    /// Read where no file is named.
+    pub file: Option<&'a Path>,
+    /// Under all that is named.
+    pub first: Assignments,
+    /// Over all that is named.
+    pub last: Assignments,
+    /// What becomes of the preset that the scene asks for where none is named.
+    pub preset: fn(Preset) -> Preset,
+}
+
 impl Experiment {
     /// Preset, file and assignments, in that order.
     pub fn config(&self) -> Result<Config> {
-        let mut assignments = Vec::new();
+        self.config_over(Base { file: None, first: Vec::new(), last: Vec::new(), preset: |preset| preset })
+    }
+
+    /// The same over a base. A preset or a file that is named takes the place of the base's file.
+    pub fn config_over(&self, base: Base) -> Result<Config> {
+        let file = self.config.as_deref().or(base.file.filter(|_| self.preset.is_none()));
+        let mut assignments = base.first;
         let mut assign = |path: &[&str], value: Value| {
             assignments.push((path.iter().map(|part| part.to_string()).collect::<Vec<_>>(), value));
         };
         if let Some(data) = &self.data {
+            // A file may be of another scene.
+            if self.config.is_none() && file.is_some() {
+                assign(&["data", "kind"], Value::String("auto".into()));
+                assign(&["data", "name"], Value::String(String::new()));
+            }
             let data = std::path::absolute(data).map_err(|e| Error::unreadable(data, &e))?;
             assign(&["data", "dir"], Value::String(data.to_string_lossy().into_owned()));
         }
@@ -65,15 +91,16 @@ impl Experiment {
         for text in &self.set {
             assignments.push(parse_assignment(text)?);
         }
+        assignments.extend(base.last);
         let mut preset = self.preset.as_deref().map(Preset::parse).transpose()?;
-        if preset.is_none() && self.config.is_none() {
+        if preset.is_none() && file.is_none() {
             // What the scene asks for.
-            preset = Format::of(data::detect(&data_section(&assignments)?)?).map(|format| format.preset);
+            preset = Format::of(data::detect(&data_section(&assignments)?)?).map(|format| (base.preset)(format.preset));
             if preset == Some(Preset::Fast) && !may_be_on_a_grid(&assignments) {
                 preset = Some(Preset::Smoke);
             }
         }
-        build(preset, self.config.as_deref(), &assignments)
+        build(preset, file, &assignments)
     }
 }
 

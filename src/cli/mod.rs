@@ -15,6 +15,7 @@ mod bench;
 mod compare;
 mod data;
 mod eval;
+mod exchange;
 mod experiment;
 mod measure;
 mod mesh;
@@ -129,8 +130,15 @@ enum Command {
     /// Measure which regularizer weights balance the photometric loss, as CSV: the grid for a search
     #[command(after_help = BALANCE_EXAMPLES)]
     Balance(measure::BalanceArguments),
-    /// Render held-out views or a camera path: PNG frames, depth maps and GIFs
+    /// Render held-out views or a camera path: PNG frames, depth maps, GIFs and MP4s
+    #[command(after_help = render::EXAMPLES)]
     Render(render::RenderArguments),
+    /// Write a run's weights for other programs: nerf-pytorch's checkpoints, safetensors with metadata
+    #[command(after_help = exchange::EXPORT_EXAMPLES)]
+    Export(exchange::ExportArguments),
+    /// Make a run of weights that nerf-pytorch or `export` wrote, to be measured, rendered or trained further
+    #[command(after_help = exchange::IMPORT_EXAMPLES)]
+    Import(exchange::ImportArguments),
     /// Put runs side by side: one held-out view with zoom, error and depth, as one picture
     #[command(after_help = COMPARE_EXAMPLES)]
     Compare(compare::CompareArguments),
@@ -237,6 +245,8 @@ pub fn main() -> ExitCode {
         Command::Balance(arguments) => arguments.run(),
         Command::Bench(arguments) => arguments.run(),
         Command::Render(arguments) => arguments.run(),
+        Command::Export(arguments) => arguments.run(),
+        Command::Import(arguments) => arguments.run(),
         Command::Compare(arguments) => arguments.run(),
         Command::Profile(arguments) => arguments.run(),
         Command::Mesh(arguments) => arguments.run(),

@@ -1,17 +1,36 @@
 //! `augnerf render`.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use clap::{Args, ValueEnum};
 
 use crate::base::{Error, Event, Listener, Result};
-use crate::data::Camera;
-use crate::run::{Pictures, Trained, write_path};
+use crate::data::cameras::{self, Dataparser};
+use crate::data::{Camera, View};
+use crate::draw::GIF_ALONE;
+use crate::run::{Pictures, Trained, Viewer, write_path};
 use crate::runtime::Runtime;
 
 use super::compare::pictures_folder;
 use super::progress::{Console, duration};
 use super::{Compute, Sources};
+
+pub const EXAMPLES: &str = "Examples:
+  augnerf render RUN                                       the scene's camera path, as PNG, GIF and MP4
+  augnerf render RUN --frames 30 --resolution 320x240      fewer frames, smaller ones
+  augnerf render RUN --write-cameras path.json             the path as a file, to be edited; nothing is rendered
+  augnerf render RUN --cameras path.json                   a path of one's own
+  augnerf render RUN --cameras camera_path.json --dataparser dataparser_transforms.json   one from nerfstudio's viewer
+
+A file of cameras is a camera_path.json (nerfstudio), a transforms.json or a .npy of poses, camera to world with axes right, \
+up, back, in the units of the files that the scene was read from.";
+
+/// Frames a second where neither the command line nor a file of cameras says it.
+const FPS: f64 = 15.0;
+/// From how many seconds on fewer frames are offered, and about how many seconds those take.
+const LONG: f64 = 180.0;
+/// Most pixels along a side of a picture.
+const MOST_PIXELS: usize = 16_384;
 
 #[derive(Args)]
 pub struct RenderArguments {
@@ -20,12 +39,26 @@ pub struct RenderArguments {
     /// What to render
     #[arg(long, value_enum, default_value_t = What::Path)]
     what: What,
+    /// Render the cameras of a file instead: camera_path.json (nerfstudio), transforms.json or poses as .npy
+    #[arg(long, value_name = "FILE")]
+    cameras: Option<PathBuf>,
+    /// For a camera_path.json that nerfstudio's viewer saved: the dataparser_transforms.json of its run, which leads from its
+    /// units to the capture's
+    #[arg(long, value_name = "FILE", requires = "cameras")]
+    dataparser: Option<PathBuf>,
+    /// Write the cameras to a file (.json: as camera_path.json; .npy: poses, [N,3,4]) and render nothing
+    #[arg(long, value_name = "FILE")]
+    write_cameras: Option<PathBuf>,
     /// Frames of the path, evenly chosen [default: all]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
     frames: Option<u16>,
-    /// Frames a second of the GIF
-    #[arg(long, default_value_t = 15.0, value_name = "N")]
-    fps: f64,
+    /// Pixels of a picture; it shows as much from top to bottom as before [default: the run's, or what a camera_path.json
+    /// asks for]
+    #[arg(long, value_name = "WxH")]
+    resolution: Option<String>,
+    /// Frames a second of GIF and MP4 [default: those of a camera_path.json, or 15]
+    #[arg(long, value_name = "N")]
+    fps: Option<f64>,
     /// Output folder [default: RUN/renders/path or RUN/renders/views]
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
@@ -35,84 +68,169 @@ pub struct RenderArguments {
     compute: Compute,
 }
 
-#[derive(Clone, Copy, ValueEnum)]
+#[derive(Clone, Copy, PartialEq, ValueEnum)]
 enum What {
-    /// The scene's camera path: a spiral in front of forward-facing scenes, an orbit around others
+    /// The scene's camera path: a spiral in front of forward-facing scenes; around others a circle, or a swing as far as the
+    /// cameras went
     Path,
     /// All held-out views beside the truth
     Views,
 }
 
+/// What is rendered, in which order.
+struct Shots {
+    cameras: Vec<Camera>,
+    fps: f64,
+}
+
 impl RenderArguments {
     pub fn run(self) -> Result<()> {
-        if !(self.fps.is_finite() && (0.1..=50.0).contains(&self.fps)) {
-            return Err(Error::Config(format!("--fps {} is out of range: it must be 0.1 to 50", self.fps)));
+        if let Some(fps) = self.fps.filter(|fps| !(fps.is_finite() && (0.1..=50.0).contains(fps))) {
+            return Err(Error::Config(format!("--fps {fps} is out of range: it must be 0.1 to 50")));
+        }
+        let size = self.resolution.as_deref().map(parse_size).transpose()?;
+        if self.what == What::Views && (self.cameras.is_some() || self.write_cameras.is_none() && size.is_some()) {
+            return Err(Error::Config(
+                "--what views shows held-out views as they are; leave it out to use --cameras or --resolution".into(),
+            ));
         }
         let runtime = self.compute.runtime()?;
-        runtime.install(|| self.render(&runtime))
+        runtime.install(|| self.render(size, &runtime))
     }
 
-    fn render(&self, runtime: &Runtime) -> Result<()> {
+    fn render(&self, size: Option<(usize, usize)>, runtime: &Runtime) -> Result<()> {
         let console = Console::new(self.compute.quiet);
         let trained = Trained::open(&self.run, self.sources.data.as_deref(), runtime, &console)?;
-        let (scene, renders) = (&trained.scene, trained.run.renders());
+        let shots = self.shots(&trained, size, &console)?;
+        if let Some(file) = &self.write_cameras {
+            cameras::write(file, &shots.cameras, &trained.scene.place.world, shots.fps)?;
+            console.say(&format!("{} cameras: {}", shots.cameras.len(), file.display()));
+            return Ok(());
+        }
+        let renders = trained.run.renders();
         let default = match self.what {
             What::Path => renders.join("path"),
             What::Views => renders.join("views"),
         };
-        let (folder, pictures_dir) = pictures_folder(self.out.as_deref(), default)?;
+        let (folder, pictures) = pictures_folder(self.out.as_deref(), default)?;
         let viewer = trained.viewer();
-        let render = |camera: &Camera| {
-            let rendered = viewer.render(camera);
-            console.on(Event::Advanced);
-            rendered
-        };
-        let cameras: Vec<&Camera> = match self.what {
-            What::Path => chosen(&scene.path, self.frames.map(usize::from)),
-            What::Views => scene.test.iter().map(|view| &view.camera).collect(),
-        };
-        if let Some(seconds) = viewer.estimate_seconds(&cameras)? {
-            console.say(&expected(&cameras, seconds));
+        if let Some(seconds) = viewer.estimate_seconds(&shots.cameras.iter().collect::<Vec<&Camera>>())? {
+            console.say(&expected(&shots.cameras, seconds, self.what));
         }
         match self.what {
-            What::Views => {
-                let pictures = Pictures::new(pictures_dir.path(), scene, scene.test.len());
-                console.on(Event::Started { what: "rendering", parts: scene.test.len() as u64 });
-                for (index, view) in scene.test.iter().enumerate() {
-                    pictures.write(index, view, &render(&view.camera)?)?;
-                }
-                pictures.finish()?;
-            }
-            What::Path => {
-                if cameras.is_empty() {
-                    return Err(Error::Data(format!("scene {} has no camera path; use --what views", scene.name)));
-                }
-                console.on(Event::Started { what: "rendering", parts: cameras.len() as u64 });
-                let frames = cameras.iter().map(|camera| render(camera)).collect::<Result<Vec<_>>>()?;
-                write_path(pictures_dir.path(), scene, &frames, self.fps)?;
-            }
+            What::Views => views(viewer, pictures.path(), &console)?,
+            What::Path => path(viewer, &shots, pictures.path(), &console)?,
         }
-        pictures_dir.commit()?;
+        pictures.commit()?;
         console.on(Event::Finished);
         console.say(&format!("pictures: {}", folder.display()));
+        GIF_ALONE.into_iter().filter(|_| self.what == What::Path).for_each(|note| console.say(note));
         Ok(())
+    }
+
+    /// The cameras that are asked for.
+    fn shots(&self, trained: &Trained, size: Option<(usize, usize)>, console: &Console) -> Result<Shots> {
+        let scene = &trained.scene;
+        let like = scene.test.first().or(scene.train.first()).map(|view: &View| view.camera);
+        let (all, fps) = match (&self.cameras, self.what, like) {
+            (Some(file), _, Some(like)) => {
+                let transforms = Path::new(&trained.config.data.dir).join("transforms.json");
+                let dataparser =
+                    self.dataparser.as_ref().map(|file| Dataparser::read(file, &transforms)).transpose()?;
+                let read = cameras::read(file, &like, &scene.place.world, dataparser.as_ref())?;
+                (read.cameras, read.fps)
+            }
+            (_, What::Views, _) => (scene.test.iter().map(|view| view.camera).collect(), None),
+            _ => (scene.path.clone(), None),
+        };
+        if all.is_empty() {
+            return Err(Error::Data(format!("scene {} has no camera path; use --what views or --cameras", scene.name)));
+        }
+        let count = self.frames.map_or(all.len(), usize::from);
+        if count > all.len() {
+            console.say(&format!("there are {} cameras: each is rendered once", all.len()));
+        }
+        let cameras: Vec<Camera> = chosen(&all, count.min(all.len()))
+            .map(|camera| size.map_or(*camera, |(width, height)| camera.with_size(width, height)))
+            .collect();
+        if let (Some(index), Some(_)) = (cameras.iter().position(|camera| !camera.faces_forward()), scene.ndc) {
+            return Err(Error::Data(format!(
+                "camera {index} (counted from 0) looks away from the scene's -z axis, where a scene in normalised device \
+                 coordinates is: its rays have no such coordinates; turn it, or train with data.ndc=false"
+            )));
+        }
+        // A GIF shows no more than 50.
+        let fps = self.fps.or(fps.map(|fps| fps.clamp(0.1, 240.0))).unwrap_or(FPS);
+        Ok(Shots { cameras, fps })
     }
 }
 
-/// `count` of the cameras, evenly spaced.
-fn chosen(cameras: &[Camera], count: Option<usize>) -> Vec<&Camera> {
-    let count = count.unwrap_or(cameras.len()).min(cameras.len());
-    (0..count).map(|i| &cameras[i * cameras.len() / count]).collect()
+/// Renders the held-out views beside the truth.
+fn views(viewer: Viewer, folder: &Path, console: &Console) -> Result<()> {
+    let views = &viewer.scene.test;
+    let pictures = Pictures::new(folder, viewer.scene, views.len());
+    console.on(Event::Started { what: "rendering", parts: views.len() as u64 });
+    for (index, view) in views.iter().enumerate() {
+        let rendered = viewer.render(&view.camera)?;
+        console.on(Event::Advanced);
+        pictures.write(index, view, &rendered)?;
+    }
+    pictures.finish()
 }
 
-/// What rendering will take, in words.
-fn expected(cameras: &[&Camera], seconds: f64) -> String {
-    let Camera { width, height, .. } = *cameras[0];
-    let each = seconds / cameras.len() as f64;
-    let each = if each < 10.0 { format!("{each:.1} s") } else { duration(each) };
-    let (views, each) = match cameras.len() {
-        1 => ("1 view".to_string(), String::new()),
-        count => (format!("{count} views"), format!("{each} each, ")),
+/// Renders frames of a film, which all have one size.
+fn path(viewer: Viewer, shots: &Shots, folder: &Path, console: &Console) -> Result<()> {
+    let size = |camera: &Camera| (camera.width, camera.height);
+    let (first, cameras) = (size(&shots.cameras[0]), &shots.cameras);
+    if let Some(other) = cameras.iter().position(|camera| size(camera) != first) {
+        let (a, b) = (first, size(&cameras[other]));
+        return Err(Error::Data(format!(
+            "camera {other} (counted from 0) has {}x{} pixels and the first {}x{}: name one size with --resolution {}x{}",
+            b.0, b.1, a.0, a.1, a.0, a.1
+        )));
+    }
+    console.on(Event::Started { what: "rendering", parts: cameras.len() as u64 });
+    let render = |camera: &Camera| {
+        let rendered = viewer.render(camera);
+        console.on(Event::Advanced);
+        rendered
     };
-    format!("{views} of {width} x {height} pixels: about {each}{} in all", duration(seconds))
+    let frames = cameras.iter().map(render).collect::<Result<Vec<_>>>()?;
+    write_path(folder, viewer.scene, &frames, shots.fps)
+}
+
+/// Columns and rows of a picture, as `320x240`.
+fn parse_size(text: &str) -> Result<(usize, usize)> {
+    let sides =
+        text.split_once(['x', 'X']).and_then(|(width, height)| Some((width.parse().ok()?, height.parse().ok()?)));
+    let valid = |side: usize| (1..=MOST_PIXELS).contains(&side);
+    sides.filter(|&(width, height)| valid(width) && valid(height)).ok_or_else(|| {
+        Error::Config(format!("--resolution {text}: give columns and rows, 1 to {MOST_PIXELS} each, such as 320x240"))
+    })
+}
+
+/// `count` of the cameras, evenly spaced.
+fn chosen(cameras: &[Camera], count: usize) -> impl Iterator<Item = &Camera> {
+    (0..count).map(move |i| &cameras[i * cameras.len() / count])
+}
+
+/// What rendering will take, in words; fewer frames are offered where that is long.
+fn expected(cameras: &[Camera], seconds: f64, what: What) -> String {
+    let Camera { width, height, .. } = cameras[0];
+    let each = seconds / cameras.len() as f64;
+    let apiece = if each < 10.0 { format!("{each:.1} s") } else { duration(each) };
+    let (views, apiece) = match cameras.len() {
+        1 => ("1 view".to_string(), String::new()),
+        count => (format!("{count} views"), format!("{apiece} each, ")),
+    };
+    let fewer = ((LONG / each) as usize).clamp(1, cameras.len());
+    let offer = match what {
+        What::Path if seconds > LONG && fewer < cameras.len() => {
+            let took = duration(fewer as f64 * each);
+            let (w, h) = ((width / 2).max(1), (height / 2).max(1));
+            format!("; --frames {fewer} takes {took}, --resolution {w}x{h} a quarter")
+        }
+        _ => String::new(),
+    };
+    format!("{views} of {width} x {height} pixels: about {apiece}{} in all{offer}", duration(seconds))
 }

@@ -4,12 +4,14 @@ use std::path::{Path, PathBuf};
 
 use clap::Args;
 
-use crate::base::Result;
+use crate::base::{Error, Result};
 use crate::run::{Existing, Finished, Job, RunDir, Setup, load_lpips, load_scene};
 use crate::runtime::Runtime;
 use crate::settings::Config;
+use crate::train::Origin;
+use crate::train::checkpoint::{self, State};
 
-use super::experiment::Experiment;
+use super::experiment::{Base, Experiment};
 use super::progress::{Console, print};
 use super::signals::catch_signals;
 use super::{Compute, Sources};
@@ -24,6 +26,13 @@ pub struct TrainArguments {
     /// Replace the run that the folder holds
     #[arg(long)]
     overwrite: bool,
+    /// Begin with the weights of another run: it goes on from that run's newest checkpoint, with its optimizer and (where
+    /// neither --preset nor --config names others) its settings; ask for more steps with --set train.steps=N
+    #[arg(long, value_name = "RUN")]
+    from: Option<PathBuf>,
+    /// With --from: weights alone, from step 0 with a fresh optimizer, as for another scene or learning rate
+    #[arg(long, requires = "from")]
+    restart: bool,
     /// Print the resolved configuration and stop
     #[arg(long)]
     print_config: bool,
@@ -49,7 +58,14 @@ impl TrainArguments {
 
     fn train(&self, runtime: &Runtime) -> Result<()> {
         let console = Console::new(self.compute.quiet);
-        let config = self.experiment.config()?;
+        let parent = self.from.as_deref().map(Parent::open).transpose()?;
+        let config = match &parent {
+            None => self.experiment.config()?,
+            Some(parent) => self.experiment.config_over(parent.base(self.restart))?,
+        };
+        if let Some(parent) = parent.as_ref().filter(|_| !self.restart && !self.print_config) {
+            parent.check_steps(config.train.steps)?;
+        }
         let lpips = load_lpips(&config.eval.lpips_weights, runtime.device())?;
         let (config, scene) = load_scene(config, &console)?;
         if self.print_config {
@@ -58,7 +74,57 @@ impl TrainArguments {
         let folder = self.out.clone().unwrap_or_else(|| default_folder(&config));
         let setup = Setup { config, scene: &scene, lpips: &lpips, runtime: runtime.clone() };
         let existing = if self.overwrite { Existing::Replace } else { Existing::Refuse };
-        train(Job::create(&folder, existing, setup)?, &folder, &console)
+        let job = match &parent {
+            None => Job::create(&folder, existing, setup)?,
+            Some(parent) => {
+                let origin = Origin::Checkpoint { folder: &parent.checkpoint, goes_on: !self.restart };
+                let job = Job::create_from(&folder, existing, setup, origin)?;
+                let (from, step) = (parent.run.path().display(), job.step_count());
+                console
+                    .say(&format!("weights of {from} at step {}: this run begins at step {step}", parent.state.step));
+                job
+            }
+        };
+        drop(parent);
+        train(job, &folder, &console)
+    }
+}
+
+/// The run that another begins with.
+struct Parent {
+    run: RunDir,
+    config: PathBuf,
+    checkpoint: PathBuf,
+    state: State,
+}
+
+impl Parent {
+    fn open(run: &Path) -> Result<Parent> {
+        let run = RunDir::take_to_read(run)?;
+        let checkpoint = checkpoint::latest(&run.checkpoints())?;
+        let state = checkpoint::load_state(&checkpoint)?;
+        checkpoint::check_config(&checkpoint, &state, &run.read_config()?)?;
+        Ok(Parent { config: run.config(), run, checkpoint, state })
+    }
+
+    /// Its settings, with its name over all that is named.
+    fn base(&self, restart: bool) -> Base<'_> {
+        let restarted = if restart { " restarted" } else { "" };
+        let name = format!("{}@{}{restarted}", self.state.config_hash, self.state.step);
+        let last = vec![(vec!["train".into(), "parent".into()], name.into())];
+        Base { file: Some(&self.config), first: Vec::new(), last, preset: |preset| preset }
+    }
+
+    fn check_steps(&self, steps: u64) -> Result<()> {
+        if self.state.step < steps {
+            return Ok(());
+        }
+        Err(Error::Config(format!(
+            "{} is at step {}, and train.steps = {steps}: ask for more with --set train.steps={}, or begin at step 0 with --restart",
+            self.run.path().display(),
+            self.state.step,
+            2 * self.state.step.max(1)
+        )))
     }
 }
 
@@ -117,7 +183,7 @@ fn summarise(Finished { report, seconds, .. }: &Finished, folder: &Path, console
     console.say(&format!("results: {}", folder.display()));
 }
 
-fn default_folder(config: &Config) -> PathBuf {
+pub fn default_folder(config: &Config) -> PathBuf {
     let terms = config.regularizer.kind.iter().map(|term| format!("-{}", term.name()));
     let method = std::iter::once(config.method.name().to_string()).chain(terms).collect::<String>();
     Path::new("runs").join(format!("{}-{method}-{}", config.data.name, config.hash()))

@@ -29,6 +29,20 @@ pub struct Ndc {
 }
 
 impl Camera {
+    /// The camera of a picture of another size that shows as much from top to bottom; to the sides it shows more or less,
+    /// as the size says.
+    pub fn with_size(&self, width: usize, height: usize) -> Camera {
+        let scale = height as f64 / self.height as f64;
+        let centre = [0.5 * width as f64 + (self.centre[0] - 0.5 * self.width as f64) * scale, self.centre[1] * scale];
+        Camera { width, height, focal: self.focal.map(|focal| focal * scale), centre, ..*self }
+    }
+
+    /// The same of another height and the same aspect.
+    pub fn with_height(&self, height: usize) -> Camera {
+        let width = (self.width as f64 * height as f64 / self.height as f64).round().max(1.0);
+        self.with_size(width as usize, height)
+    }
+
     /// Every ray of the view goes towards -z, as NDC needs.
     pub fn faces_forward(&self) -> bool {
         let corners = [(0.0, 0.0), (1.0, 0.0), (0.0, 1.0), (1.0, 1.0)];

@@ -157,10 +157,15 @@ impl<'a> Object<'a> {
 
     /// The elements of `frames`, at least one.
     pub(super) fn frames(&self) -> Result<Vec<Object<'a>>> {
-        let frames = self.required("frames")?;
-        let list = frames.as_array().ok_or_else(|| self.wrong("frames", frames, "an array"))?;
+        self.objects("frames")
+    }
+
+    /// The elements of a list of views, at least one.
+    pub(super) fn objects(&self, key: &str) -> Result<Vec<Object<'a>>> {
+        let frames = self.required(key)?;
+        let list = frames.as_array().ok_or_else(|| self.wrong(key, frames, "an array"))?;
         if list.is_empty() {
-            return Err(self.error("\"frames\" is empty, but at least one view is needed"));
+            return Err(self.error(&format!("\"{key}\" is empty, but at least one view is needed")));
         }
         let frame = |(i, value)| {
             let object = Object { file: self.file, place: Some(i), value };
@@ -204,10 +209,14 @@ impl<'a> Object<'a> {
 
     /// `transform_matrix`: camera to world, 4x4 or 3x4.
     pub(super) fn pose(&self) -> Result<Pose> {
-        const KEY: &str = "transform_matrix";
-        let value = self.required(KEY)?;
+        self.pose_at("transform_matrix")
+    }
+
+    /// A rigid pose under any key, 4x4 or 3x4.
+    pub(super) fn pose_at(&self, key: &str) -> Result<Pose> {
+        let value = self.required(key)?;
         let needed = format!("a 4x4 matrix of finite numbers from -{LARGEST:e} to {LARGEST:e}");
-        let wrong = || self.wrong(KEY, value, &needed);
+        let wrong = || self.wrong(key, value, &needed);
         let rows = value.as_array().filter(|rows| (3..=4).contains(&rows.len())).ok_or_else(wrong)?;
         let mut pose = [[0.0; 4]; 3];
         for (row, target) in rows.iter().zip(&mut pose) {
@@ -217,7 +226,7 @@ impl<'a> Object<'a> {
             }
         }
         pose::check_rotation(&pose).map_err(|what| {
-            self.error(&format!("the left 3x3 part of \"{KEY}\" must be a rotation, but it has {what}"))
+            self.error(&format!("the left 3x3 part of \"{key}\" must be a rotation, but it has {what}"))
         })?;
         Ok(pose)
     }

@@ -1,6 +1,7 @@
 //! Scenes: posed images split into training, validation and held-out views.
 
 pub(crate) mod camera;
+pub mod cameras;
 pub mod corruption;
 pub(crate) mod depth;
 mod describe;
@@ -9,6 +10,7 @@ pub mod formats;
 pub mod images;
 mod json;
 pub(crate) mod npy;
+pub mod path;
 mod place;
 pub(crate) mod ply;
 pub mod pose;

@@ -5,8 +5,17 @@ use std::path::Path;
 use crate::base::input::read_bytes;
 use crate::base::{Error, Result};
 
-/// Most bytes of a table: LLFF's has 136 a view.
+/// Most bytes of an array: LLFF's has 136 a view.
 const MOST_BYTES: u64 = 16 << 20;
+
+/// An array of any dimensions, row-major.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Array {
+    /// Numbers along each dimension.
+    pub shape: Vec<usize>,
+    /// As many values as their product.
+    pub values: Vec<f64>,
+}
 
 /// A two-dimensional array, row-major.
 #[derive(Clone, Debug, PartialEq)]
@@ -25,11 +34,17 @@ pub fn read_table(path: &Path) -> Result<Table> {
     parse(&bytes).map_err(|what| Error::Data(format!("{}: {what}", path.display())))
 }
 
-/// What stands before the values of a C-ordered array of little-endian float32: format version 1.0.
-pub fn header(shape: &[usize]) -> Vec<u8> {
+/// Reads a C-ordered array of little-endian float64 or float32.
+pub fn read_array(path: &Path) -> Result<Array> {
+    let bytes = read_bytes(path, MOST_BYTES).map_err(|e| Error::unreadable(path, &e))?;
+    parse_array(&bytes).map_err(|what| Error::Data(format!("{}: {what}", path.display())))
+}
+
+/// What stands before the values of a C-ordered array of `kind`, such as little-endian float32 (`<f4`): format version 1.0.
+pub fn header(kind: &str, shape: &[usize]) -> Vec<u8> {
     const PREFIX: usize = 10;
     let shape: Vec<String> = shape.iter().map(usize::to_string).collect();
-    let mut header = format!("{{'descr': '<f4', 'fortran_order': False, 'shape': ({}), }}", shape.join(", "));
+    let mut header = format!("{{'descr': '{kind}', 'fortran_order': False, 'shape': ({}), }}", shape.join(", "));
     // Data starts at a multiple of 64 bytes; the header ends with a newline.
     let padded = (PREFIX + header.len() + 1).next_multiple_of(64) - PREFIX;
     header.extend(std::iter::repeat_n(' ', padded - 1 - header.len()));
@@ -41,6 +56,14 @@ pub fn header(shape: &[usize]) -> Vec<u8> {
 }
 
 fn parse(bytes: &[u8]) -> std::result::Result<Table, String> {
+    let Array { shape, values } = parse_array(bytes)?;
+    match shape[..] {
+        [rows, columns] => Ok(Table { rows, columns, values }),
+        _ => Err(format!("the array's shape is {shape:?}, but two dimensions are needed")),
+    }
+}
+
+fn parse_array(bytes: &[u8]) -> std::result::Result<Array, String> {
     let (header, data) = split_header(bytes)?;
     let width = match field(header, "descr")?.trim_matches(['\'', '"']) {
         "<f8" => 8,
@@ -55,11 +78,12 @@ fn parse(bytes: &[u8]) -> std::result::Result<Table, String> {
     if field(header, "fortran_order")? != "False" {
         return Err("the array is in Fortran order; save it again with numpy.ascontiguousarray".into());
     }
-    let (rows, columns) = shape(header)?;
-    let expected = rows.checked_mul(columns).and_then(|n| n.checked_mul(width));
+    let shape = shape(header)?;
+    let expected = shape.iter().try_fold(width, |bytes: usize, side| bytes.checked_mul(*side));
     if expected != Some(data.len()) {
+        let announced = shape.iter().map(usize::to_string).collect::<Vec<String>>().join(" x ");
         return Err(format!(
-            "the header announces {rows} x {columns} numbers of {width} bytes, but {} bytes follow it: \
+            "the header announces {announced} numbers of {width} bytes, but {} bytes follow it: \
              the file is truncated or damaged",
             data.len()
         ));
@@ -68,7 +92,7 @@ fn parse(bytes: &[u8]) -> std::result::Result<Table, String> {
         8 => data.as_chunks::<8>().0.iter().map(|b| f64::from_le_bytes(*b)).collect(),
         _ => data.as_chunks::<4>().0.iter().map(|b| f64::from(f32::from_le_bytes(*b))).collect(),
     };
-    Ok(Table { rows, columns, values })
+    Ok(Array { shape, values })
 }
 
 /// The header's text and the bytes after it.
@@ -105,14 +129,11 @@ fn field<'a>(header: &'a str, key: &str) -> std::result::Result<&'a str, String>
     end.map(|end| value[..end].trim()).ok_or_else(|| format!("its header is damaged: {}", header.trim()))
 }
 
-fn shape(header: &str) -> std::result::Result<(usize, usize), String> {
+fn shape(header: &str) -> std::result::Result<Vec<usize>, String> {
     let text = field(header, "shape")?;
-    let dims: Vec<&str> = text.trim_matches(['(', ')']).split(',').map(str::trim).filter(|d| !d.is_empty()).collect();
-    match dims[..] {
-        [rows, columns] => rows.parse().ok().zip(columns.parse().ok()),
-        _ => None,
-    }
-    .ok_or_else(|| format!("the array's shape is {text}, but two dimensions are needed"))
+    let sides = text.trim_matches(['(', ')']).split(',').map(str::trim).filter(|side| !side.is_empty());
+    let sides: Option<Vec<usize>> = sides.map(|side| side.parse().ok()).collect();
+    sides.ok_or_else(|| format!("the array's shape is {text}, but whole numbers are needed"))
 }
 
 #[cfg(test)]
@@ -144,7 +165,8 @@ mod tests {
             (b"PK\x03\x04".to_vec(), "NUMPY"),
             (file("<i8", "False", "(1, 2)", &[0; 16]), "<i8"),
             (file("<f8", "True", "(1, 2)", &[0; 16]), "Fortran"),
-            (file("<f8", "False", "(2,)", &[0; 16]), "(2,)"),
+            (file("<f8", "False", "(2,)", &[0; 16]), "[2]"),
+            (file("<f8", "False", "(-2, 1)", &[0; 16]), "(-2, 1)"),
             (file("<f8", "False", "(1, 2)", &[0; 15]), "15 bytes"),
             (file("<f8", "False", "(18446744073709551615, 2)", &[0; 15]), "15 bytes"),
         ] {

@@ -89,7 +89,7 @@ pub fn focus_point(poses: &[Pose]) -> Option<Vec3> {
 }
 
 /// Solves a symmetric 3x3 system by Cramer's rule; `None` where it is singular.
-fn solve(m: [Vec3; 3], v: Vec3) -> Option<Vec3> {
+pub fn solve(m: [Vec3; 3], v: Vec3) -> Option<Vec3> {
     let determinant = dot(m[0], cross(m[1], m[2]));
     if !determinant.is_finite() || determinant.abs() < 1e-9 {
         return None;

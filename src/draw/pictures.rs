@@ -189,7 +189,7 @@ fn delay(index: usize, fps: f64) -> u16 {
 }
 
 /// RGB values of an image, on white where it is transparent.
-fn on_paper(picture: &Image) -> Vec<f32> {
+pub(super) fn on_paper(picture: &Image) -> Vec<f32> {
     if picture.channels == 3 {
         return picture.pixels.clone();
     }
@@ -225,7 +225,7 @@ fn check_size(found: usize, width: usize, height: usize, channels: usize) -> std
     Ok(())
 }
 
-fn unwritable(path: &Path, reason: &str) -> Error {
+pub(super) fn unwritable(path: &Path, reason: &str) -> Error {
     Error::Output(format!("cannot write {}: {reason}", path.display()))
 }
 

@@ -18,6 +18,7 @@ pub(crate) use masked::{share, unmasked_or};
 pub use registry::{Digits, Direction, METRICS, Metric, Needs, Scope};
 pub use ssim::ssim;
 pub use values::{MeanMetrics, Values, ViewMetrics};
+pub(crate) use weights::Weights;
 
 use rayon::prelude::*;
 

@@ -17,7 +17,7 @@ use crate::methods::Model;
 use crate::metrics::{Lpips, MeanMetrics};
 use crate::runtime::{Host, MemoryWatch, Runtime, Timing, host};
 use crate::settings::Resolved;
-use crate::train::{Trainer, checkpoint};
+use crate::train::{Origin, Trainer, checkpoint};
 
 use super::{
     Between, EVALUATION_COLUMNS, Existing, Measurement, Outcome, Pictures, Report, RunDir, SEEN_COLUMNS, Session,
@@ -125,6 +125,20 @@ impl<'a> Job<'a> {
         let trainer = setup.trainer()?;
         let run = RunDir::create(folder, existing, setup.bytes_needed())?;
         Job::begin(run, setup, trainer, None, Vec::new(), memory)
+    }
+
+    /// A new run in `folder` that begins with weights of elsewhere. They are its first checkpoint.
+    ///
+    /// # Errors
+    /// Those of [`Job::create`]; weights that the settings' networks do not have.
+    pub fn create_from(folder: &Path, existing: Existing, setup: Setup<'a>, origin: Origin) -> Result<Job<'a>> {
+        let memory = watch_memory(&setup.runtime);
+        surface_reference(&setup.config, setup.scene)?;
+        let trainer = Trainer::begin_from(origin, &setup.config, setup.scene, DType::F32, &setup.runtime)?;
+        let run = RunDir::create(folder, existing, setup.bytes_needed())?;
+        let job = Job::begin(run, setup, trainer, None, Vec::new(), memory)?;
+        job.trainer.save(&job.experiment.run.checkpoints())?;
+        Ok(job)
     }
 
     /// The newest checkpoint of a locked run ([`RunDir::take`]) that is whole, or its start. The settings are the run's own,

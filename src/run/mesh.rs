@@ -314,7 +314,7 @@ fn density_file(path: &Path, lattice: &Lattice) -> Result<BufWriter<File>> {
     }
     let unwritable = |e: std::io::Error| Error::unwritable(path, &e);
     let mut file = BufWriter::new(File::create(path).map_err(unwritable)?);
-    file.write_all(&npy::header(&[lattice.side; 3])).map_err(unwritable)?;
+    file.write_all(&npy::header("<f4", &[lattice.side; 3])).map_err(unwritable)?;
     Ok(file)
 }
 

@@ -8,7 +8,7 @@ use serde::Serialize;
 use crate::base::files::write_json;
 use crate::base::{Image, Result};
 use crate::data::{Scene, View};
-use crate::draw::{SOLID, beside, depth_colour, depth_range, write_depth16, write_gif, write_png8};
+use crate::draw::{SOLID, beside, depth_colour, depth_range, write_depth16, write_gif, write_mp4, write_png8};
 
 use super::RenderedView;
 
@@ -61,7 +61,7 @@ fn stripe(picture: &mut Image, mask: &[bool]) {
 }
 
 /// Frames of a path: `rgb_000.png`, `depth_000.png` (colours), `depth16_000.png`, `rgb.gif`,
-/// `depth.gif`, `depth.json`.
+/// `depth.gif`, `depth.json`, and with the feature `mp4` `rgb.mp4`, `depth.mp4`.
 pub fn write_path(folder: &Path, scene: &Scene, frames: &[RenderedView], fps: f64) -> Result<()> {
     // One range for all frames, so that a colour means the same depth throughout.
     let depths: Vec<f32> = frames.iter().flat_map(|frame| frame.depth.iter().copied()).collect();
@@ -79,8 +79,10 @@ pub fn write_path(folder: &Path, scene: &Scene, frames: &[RenderedView], fps: f6
         pictures.push(picture);
     }
     let colours: Vec<Image> = frames.iter().map(|frame| frame.image.clone()).collect();
-    write_gif(&folder.join("rgb.gif"), &colours, fps)?;
-    write_gif(&folder.join("depth.gif"), &pictures, fps)?;
+    for (name, frames) in [("rgb", &colours), ("depth", &pictures)] {
+        write_gif(&folder.join(format!("{name}.gif")), frames, fps)?;
+        write_mp4(&folder.join(format!("{name}.mp4")), frames, fps)?;
+    }
     write_json(&folder.join("depth.json"), &scale)
 }
 

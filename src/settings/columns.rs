@@ -228,6 +228,7 @@ pub const COLUMNS: &[Column] = &[
     column("hash_grid").where_differing().of(on_hash_grid),
     column("spacing").where_differing(),
     column("masks").in_caption().unless_varied(),
+    column("parent").where_differing(),
 ];
 
 /// What the sites of a run were judged inactive by.

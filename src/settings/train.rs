@@ -106,6 +106,9 @@ section! {
         /// A start with a smaller share of positive densities on the first batch is drawn again.
         pub dead_start_share: f64 = 0.05,
             numbers().real(|share| (0.0..1.0).contains(&share), "0 (off) to below 1").column("dead_start_share");
+        /// What the run began with instead of fresh weights: another run's hash and step, or the hash of a file. `train --from`
+        /// and `import` write it; a run cannot begin with it otherwise.
+        pub parent: Option<String> = None, numbers().column("parent").later().same_time();
         /// A run whose rays all accumulate under 1e-3 for so many steps has collapsed (0 = never).
         pub collapse_steps: u64 = 200, numbers();
     }

@@ -171,6 +171,14 @@ pub fn load_model(checkpoint: &Path, config: &Config, dtype: DType, device: &Dev
     Model::from_parameters(config, tensors.all("", &Model::parameter_names(config))?)
 }
 
+/// All parameters of a checkpoint on the processor, named, in their fixed order, each with its moments.
+pub fn load_parameters(checkpoint: &Path, config: &Config) -> Result<Vec<(String, Tensor, Moments)>> {
+    let (tensors, names) = (Tensors::open(checkpoint, DType::F32, &Device::Cpu)?, Model::parameter_names(config));
+    let (values, moments) = (tensors.all("", &names)?, tensors.moments(&names)?);
+    let named = names.into_iter().zip(values).zip(moments);
+    Ok(named.map(|(((name, _), value), moments)| (name, value, moments)).collect())
+}
+
 /// Refuses a checkpoint that was written under another configuration.
 pub fn check_config(checkpoint: &Path, state: &State, config: &Config) -> Result<()> {
     if state.config_hash == config.hash() {
@@ -225,14 +233,14 @@ fn read(checkpoint: &Path, name: &str) -> Result<Vec<u8>> {
 }
 
 /// The tensors of a checkpoint by name.
-struct Tensors {
+pub(super) struct Tensors {
     path: PathBuf,
     tensors: std::collections::HashMap<String, Tensor>,
     dtype: DType,
 }
 
 impl Tensors {
-    fn open(checkpoint: &Path, dtype: DType, device: &Device) -> Result<Tensors> {
+    pub(super) fn open(checkpoint: &Path, dtype: DType, device: &Device) -> Result<Tensors> {
         let path = checkpoint.join(TENSORS);
         let bytes = read(checkpoint, TENSORS)?;
         let tensors = candle_core::safetensors::load_buffer(&bytes, device)
@@ -240,7 +248,7 @@ impl Tensors {
         Ok(Tensors { path, tensors, dtype })
     }
 
-    fn all(&self, prefix: &str, names: &[(String, Vec<usize>)]) -> Result<Vec<Tensor>> {
+    pub(super) fn all(&self, prefix: &str, names: &[(String, Vec<usize>)]) -> Result<Vec<Tensor>> {
         names.iter().map(|(name, shape)| self.get(&format!("{prefix}{name}"), shape)).collect()
     }
 
@@ -350,9 +358,7 @@ impl Trainer {
         let names = Model::parameter_names(config);
         let tensors = Tensors::open(checkpoint, dtype, runtime.device())?;
         let model = Model::from_parameters(config, tensors.all("", &names)?)?;
-        let first = tensors.all("adam.first.", &names)?;
-        let second = tensors.all("adam.second.", &names)?;
-        let moments = first.into_iter().zip(second).map(|(first, second)| Moments { first, second }).collect();
+        let moments = tensors.moments(&names)?;
         let adam = Adam::restore(AdamSettings::of(&config.train), model.variables(), moments);
         let State { step, empty_steps, redraws, revisions, devices, instructions, .. } = state;
         let learner = model.learner(config, scene, dtype, runtime.device())?;

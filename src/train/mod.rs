@@ -2,7 +2,7 @@
 
 use candle_core::DType;
 
-use crate::base::Result;
+use crate::base::{Error, Result};
 use crate::data::Scene;
 use crate::losses::LossTerm;
 use crate::methods::{Learner, LogColumns, Model, Start, UnlessStopped};
@@ -13,12 +13,22 @@ pub mod checkpoint;
 mod health;
 mod memory;
 mod optimizer;
+mod origin;
 mod stats;
 mod sums;
 
 pub use memory::graphs_mib;
 pub use optimizer::{Adam, AdamSettings, Moments, learning_rate};
+pub use origin::Origin;
 pub use stats::StepStats;
+
+/// Refuses a run that needs more memory than a processor has free.
+fn check_memory(config: &Resolved, scene: &Scene, runtime: &Runtime) -> Result<()> {
+    match runtime.device().is_cpu() {
+        true => memory::check_memory(config, scene, runtime.threads()),
+        false => Ok(()),
+    }
+}
 
 /// State of a run in memory.
 ///
@@ -64,9 +74,13 @@ impl Trainer {
     /// [`Error::Config`](crate::base::Error::Config): more memory than the processor has free; a regularizer's box that the scene's
     /// rays do not meet, or one that would take too long; [`Error::Diverged`](crate::base::Error::Diverged): a field that starts dead again and again.
     pub fn new(config: &Resolved, scene: &Scene, dtype: DType, runtime: &Runtime) -> Result<Trainer> {
-        if runtime.device().is_cpu() {
-            memory::check_memory(config, scene, runtime.threads())?;
+        if let Some(parent) = &config.train.parent {
+            return Err(Error::Config(format!(
+                "train.parent = {parent:?} says that a run began with weights of elsewhere, which are not here: begin it with \
+                 `augnerf train --from RUN` or `augnerf import FILE` (with --overwrite, if it was stopped there)"
+            )));
         }
+        check_memory(config, scene, runtime)?;
         runtime.install(|| {
             let start = Model::start(config, scene, dtype, runtime.device())?;
             Trainer::with(config, start, runtime)

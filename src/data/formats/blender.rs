@@ -10,8 +10,8 @@ use crate::base::{Error, Listener, Result};
 use crate::data::formats::transforms::frames::{self, Frame};
 use crate::data::formats::transforms::transforms_file;
 use crate::data::json::{self, Object};
-use crate::data::pose::Pose;
-use crate::data::{Camera, Place, Scene, View, background, depth, name_of};
+use crate::data::pose::{self, Pose};
+use crate::data::{Camera, Place, Scene, View, background, depth, name_of, path};
 use crate::settings::{DataConfig, DataKind, EvalSplit};
 
 /// Start and end of a ray, as for all of NeRF's synthetic scenes.
@@ -20,6 +20,8 @@ const BOUNDS: [f64; 2] = [2.0, 6.0];
 const ORBIT_POSES: usize = 40;
 /// Its elevation in degrees and its radius, as nerf-pytorch's.
 const ORBIT: (f64, f64) = (-30.0, 4.0);
+/// Cameras and what they look at lie on its sphere and in its centre but for this share of the radius.
+const OFF_SPHERE: f64 = 0.15;
 
 /// Reads a Blender scene. The evaluation views are those of `config.eval_split`.
 pub fn load(config: &DataConfig, events: &dyn Listener) -> Result<Scene> {
@@ -41,7 +43,10 @@ pub fn load(config: &DataConfig, events: &dyn Listener) -> Result<Scene> {
     Ok(Scene {
         name: name_of(config),
         kind: DataKind::Blender.name(),
-        path: orbit().into_iter().map(|pose| Camera { pose, ..cameras[0] }).collect(),
+        path: path_for(&of_train.iter().map(|camera| camera.pose).collect::<Vec<_>>())
+            .into_iter()
+            .map(|pose| Camera { pose, ..cameras[0] })
+            .collect(),
         corrupted: None,
         place: Place::default(),
         train: train_views,
@@ -63,6 +68,14 @@ pub fn orbit() -> Vec<Pose> {
     let (elevation, radius) = ORBIT;
     let at = |i: usize| sphere_pose(-180.0 + 360.0 * i as f64 / ORBIT_POSES as f64, elevation, radius);
     (0..ORBIT_POSES).map(at).collect()
+}
+
+/// nerf-pytorch's path where the cameras stand on its sphere, as those of NeRF's synthetic scenes do; elsewhere one for them.
+fn path_for(poses: &[Pose]) -> Vec<Pose> {
+    let radius = ORBIT.1;
+    let on_sphere = |p: &Pose| (pose::length(pose::column(p, 3)) / radius - 1.0).abs() < OFF_SPHERE;
+    let at_origin = path::centre(poses).is_some_and(|centre| pose::length(centre) < OFF_SPHERE * radius);
+    if at_origin && poses.iter().all(on_sphere) { orbit() } else { path::around(poses) }
 }
 
 /// The pose at `azimuth` and `elevation` (degrees; negative is above) that looks at the origin from `radius`.

@@ -5,23 +5,25 @@ use std::io::BufReader;
 
 use zip::{CompressionMethod, ZipArchive};
 
-use super::pickle::{Described, named_tensors, unpickle};
-use super::{Parsed, Stored, Tensors, text};
+use super::pickle::{Described, named, unpickle};
+use super::{Contents, Parsed, Stored, text};
 
 /// The pickle's name below the archive's one folder.
 const PICKLE: &str = "/data.pkl";
 
 type Archive<'a, 'b> = ZipArchive<&'a mut BufReader<&'b File>>;
 
-pub(super) fn read(file: &mut BufReader<&File>) -> Parsed<Tensors> {
+pub(super) fn read(file: &mut BufReader<&File>) -> Parsed<Contents> {
     let mut archive = ZipArchive::new(file).map_err(text)?;
     let pickle = archive.file_names().flatten().find(|name| name.ends_with(PICKLE)).map(String::from);
     let pickle = pickle.ok_or("it has no data.pkl")?;
     place(&mut archive, &pickle)?;
     let state = unpickle(&mut BufReader::new(archive.by_name(&pickle).map_err(text)?))?;
     let folder = pickle.strip_suffix(PICKLE).unwrap_or_default();
-    let tensors = named_tensors(state)?.into_iter();
-    Ok(tensors.map(|(name, tensor)| (name, locate(&mut archive, folder, &tensor))).collect())
+    let named = named(state)?;
+    let place = |(name, tensor)| (name, locate(&mut archive, folder, &tensor));
+    let tensors = named.tensors.into_iter().map(place).collect();
+    Ok(Contents { tensors, integers: named.integers, ..Contents::default() })
 }
 
 fn locate(archive: &mut Archive, folder: &str, tensor: &Described) -> Parsed<Stored> {

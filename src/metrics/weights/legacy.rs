@@ -4,8 +4,8 @@ use std::collections::HashMap;
 use std::fs::File;
 use std::io::{BufReader, Read, Seek};
 
-use super::pickle::{Described, Storage, Value, named_tensors, unpickle};
-use super::{Parsed, Stored, Tensors, length, text};
+use super::pickle::{Described, Storage, Value, named, unpickle};
+use super::{Contents, Parsed, Stored, length, text};
 
 /// `torch.save`'s magic number 0x1950a86a20f9469cfc6c as a complete pickle.
 pub(super) const LEGACY_MAGIC: [u8; 15] =
@@ -13,12 +13,13 @@ pub(super) const LEGACY_MAGIC: [u8; 15] =
 
 /// Reads all that follows the magic number: the protocol version, facts about the machine, the
 /// state dictionary, the storages' keys, then per key its length and values.
-pub(super) fn read(file: &mut BufReader<&File>) -> Parsed<Tensors> {
+pub(super) fn read(file: &mut BufReader<&File>) -> Parsed<Contents> {
     let whole = length(file)?;
     for _ in 0..2 {
         unpickle(file)?;
     }
-    let tensors = named_tensors(unpickle(file)?)?;
+    let named = named(unpickle(file)?)?;
+    let tensors = named.tensors;
     let Value::List(keys) = unpickle(file)? else { return Err("no list of storages".into()) };
     let storages: HashMap<&str, &Storage> =
         tensors.iter().map(|(_, tensor)| (tensor.storage.key.as_str(), &tensor.storage)).collect();
@@ -33,7 +34,8 @@ pub(super) fn read(file: &mut BufReader<&File>) -> Parsed<Tensors> {
         file.seek_relative(bytes as i64).map_err(text)?;
         places.insert(key, (start, bytes));
     }
-    Ok(tensors.into_iter().map(|(name, tensor)| (name, locate(&places, &tensor))).collect())
+    let tensors = tensors.into_iter().map(|(name, tensor)| (name, locate(&places, &tensor))).collect();
+    Ok(Contents { tensors, integers: named.integers, ..Contents::default() })
 }
 
 fn read_u64(file: &mut BufReader<&File>) -> Parsed<u64> {

@@ -25,11 +25,19 @@ use legacy::LEGACY_MAGIC;
 pub struct Weights {
     path: PathBuf,
     file: File,
-    tensors: Tensors,
+    contents: Contents,
 }
 
-/// What a file holds by name: where a tensor is, or why it cannot be read.
-type Tensors = HashMap<String, Parsed<Stored>>;
+/// What a file holds by name.
+#[derive(Default)]
+struct Contents {
+    /// Where a tensor is, or why it cannot be read.
+    tensors: HashMap<String, Parsed<Stored>>,
+    /// Numbers beside them, such as the step of a checkpoint.
+    integers: HashMap<String, i64>,
+    /// What a safetensors file says of itself.
+    metadata: HashMap<String, String>,
+}
 
 /// A tensor's contiguous values in a file.
 struct Stored {
@@ -42,13 +50,33 @@ struct Stored {
 impl Weights {
     /// Opens a `.safetensors` file or, under any other extension, a PyTorch file.
     pub fn open(path: &Path) -> Result<Weights> {
-        let (file, tensors) = open(path).map_err(|reason| broken(path, &reason))?;
-        Ok(Weights { path: path.to_path_buf(), file, tensors })
+        let (file, contents) = open(path).map_err(|reason| broken(path, &reason))?;
+        Ok(Weights { path: path.to_path_buf(), file, contents })
+    }
+
+    /// Names of all tensors, in no order.
+    pub fn names(&self) -> impl Iterator<Item = &str> {
+        self.contents.tensors.keys().map(String::as_str)
+    }
+
+    /// The shape of a tensor; none where there is no such tensor, or none that can be read.
+    pub fn shape(&self, name: &str) -> Option<&[usize]> {
+        self.contents.tensors.get(name)?.as_ref().ok().map(|stored| stored.shape.as_slice())
+    }
+
+    /// An integer that stands beside the tensors.
+    pub fn integer(&self, name: &str) -> Option<i64> {
+        self.contents.integers.get(name).copied()
+    }
+
+    /// What a safetensors file says of itself under a key.
+    pub fn metadata(&self, key: &str) -> Option<&str> {
+        self.contents.metadata.get(key).map(String::as_str)
     }
 
     /// The first of `names` in the file, as `f32` on `device`; its shape must be `shape`.
     pub fn get(&self, names: &[String], shape: &[usize], device: &Device) -> Result<Tensor> {
-        let Some((name, stored)) = names.iter().find_map(|name| Some((name, self.tensors.get(name)?))) else {
+        let Some((name, stored)) = names.iter().find_map(|name| Some((name, self.contents.tensors.get(name)?))) else {
             let (path, names) = (self.path.display(), names.join(" nor "));
             let what = format!("{path} lacks the tensor {names} of shape {shape:?}; get the complete file");
             return Err(Error::Data(what));
@@ -75,17 +103,17 @@ fn text(error: impl std::fmt::Display) -> String {
     error.to_string()
 }
 
-fn open(path: &Path) -> Parsed<(File, Tensors)> {
+fn open(path: &Path) -> Parsed<(File, Contents)> {
     let file = open_regular(path).map_err(text)?;
     let mut reader = BufReader::new(&file);
-    let tensors = if path.extension().is_some_and(|e| e == "safetensors") {
+    let contents = if path.extension().is_some_and(|e| e == "safetensors") {
         safetensors::read(&mut reader)?
     } else {
         let mut magic = [0; LEGACY_MAGIC.len()];
         reader.read_exact(&mut magic).map_err(text)?;
         if magic == LEGACY_MAGIC { legacy::read(&mut reader)? } else { archive::read(&mut reader)? }
     };
-    Ok((file, tensors))
+    Ok((file, contents))
 }
 
 fn length(file: &BufReader<&File>) -> Parsed<u64> {

@@ -116,14 +116,32 @@ impl Value {
     }
 }
 
-/// The tensors of a state dictionary.
-pub(super) fn named_tensors(state: Value) -> Parsed<Vec<(String, Described)>> {
+/// What a state dictionary holds by name; of dictionaries in it, as checkpoints have them, by `outer.inner`.
+#[derive(Default)]
+pub(super) struct Named {
+    pub(super) tensors: Vec<(String, Described)>,
+    pub(super) integers: HashMap<String, i64>,
+}
+
+/// The tensors and integers of a state dictionary.
+pub(super) fn named(state: Value) -> Parsed<Named> {
     let Value::Dict(entries) = state else { return Err("no state dictionary".into()) };
-    let named = |entry| match entry {
-        (Value::Str(name), Value::Tensor(tensor)) => Some((name, tensor)),
-        _ => None,
-    };
-    Ok(entries.into_iter().filter_map(named).collect())
+    let mut named = Named::default();
+    gather("", entries, &mut named);
+    Ok(named)
+}
+
+fn gather(prefix: &str, entries: Vec<(Value, Value)>, named: &mut Named) {
+    for (key, value) in entries {
+        let Value::Str(name) = key else { continue };
+        let name = format!("{prefix}{name}");
+        match value {
+            Value::Tensor(tensor) => named.tensors.push((name, tensor)),
+            Value::Int(value) => drop(named.integers.insert(name, value)),
+            Value::Dict(inner) => gather(&format!("{name}."), inner, named),
+            _ => {}
+        }
+    }
 }
 
 /// The machine of one pickle (protocol 2, the operations that `torch.save` writes).

@@ -8,7 +8,7 @@ use candle_core::DType;
 use serde::Deserialize;
 use serde_json::Value;
 
-use super::{Parsed, Stored, Tensors, dims, elements, length, text};
+use super::{Contents, Parsed, Stored, dims, elements, length, text};
 
 /// Longest header: names, shapes and places of some ten thousand tensors.
 const MAX_HEADER: u64 = 1 << 22;
@@ -22,7 +22,7 @@ struct Described {
 }
 
 /// Reads the length of the header and the header.
-pub(super) fn read(file: &mut BufReader<&File>) -> Parsed<Tensors> {
+pub(super) fn read(file: &mut BufReader<&File>) -> Parsed<Contents> {
     let whole = length(file)?;
     let mut bytes = [0; 8];
     file.read_exact(&mut bytes).map_err(text)?;
@@ -30,9 +30,10 @@ pub(super) fn read(file: &mut BufReader<&File>) -> Parsed<Tensors> {
     let Some(data) = header.checked_add(8).filter(|data| *data <= whole && header <= MAX_HEADER) else {
         return Err(format!("a header of {header} bytes in a file of {whole}"));
     };
-    let entries: HashMap<String, Value> = serde_json::from_reader(file.take(header)).map_err(text)?;
-    let tensors = entries.into_iter().filter(|(name, _)| name != "__metadata__");
-    Ok(tensors.map(|(name, entry)| (name, place(entry, data, whole))).collect())
+    let mut entries: HashMap<String, Value> = serde_json::from_reader(file.take(header)).map_err(text)?;
+    let said = entries.remove("__metadata__").and_then(|said| HashMap::deserialize(said).ok());
+    let tensors = entries.into_iter().map(|(name, entry)| (name, place(entry, data, whole))).collect();
+    Ok(Contents { tensors, metadata: said.unwrap_or_default(), ..Contents::default() })
 }
 
 fn place(entry: Value, data: u64, whole: u64) -> Parsed<Stored> {

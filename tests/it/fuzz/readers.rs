@@ -4,11 +4,11 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use augnerf::base::{Error, Result};
-use augnerf::data::{self, images};
+use augnerf::data::{self, WorldToScene, images};
 use augnerf::methods::SiteSummary;
 use augnerf::metrics::{Backbone, Lpips};
 use augnerf::report::tables::{Table, points_csv};
-use augnerf::run::{RunDir, Scalars};
+use augnerf::run::{Foreign, RunDir, Scalars};
 use augnerf::settings::{Config, DataConfig, Method, Preset, build, parse_assignment};
 use augnerf::space::{read_mesh, sample};
 use augnerf::sweep::slurm::Slurm;
@@ -18,7 +18,7 @@ use candle_core::{DType, Device};
 
 use super::formats::Format;
 use super::{results, seeds};
-use crate::common::{tiny_config, trained};
+use crate::common::{tiny_config, tiny_scene, trained};
 use crate::sweep_run::Costs;
 
 type Read = dyn Fn(&[u8]) -> Result<()>;
@@ -78,6 +78,10 @@ pub fn all(folder: &Path) -> Vec<Reader> {
             build(Some(Preset::Smoke), None, &[assignment]).map(drop)
         }),
         sweeps(below("sweep").join("sweep.toml")),
+        cameras(below("path").join("path.json"), "cameras, json", Format::Text, seeds::CAMERAS.map(Vec::from).to_vec()),
+        cameras(below("poses").join("poses.npy"), "cameras, npy", Format::Npy, vec![seeds::camera_poses()]),
+        foreign(below("tar").join("a.tar"), "import, torch", Format::Archive, seeds::checkpoint_tar()),
+        foreign(below("own").join("a.safetensors"), "import, safetensors", Format::Safetensors, seeds::network()),
     ];
     all.extend(runs(&below("run")));
     all.extend(sweep_folders(&below("folder")));
@@ -110,6 +114,25 @@ fn meshes(file: PathBuf, name: &'static str, format: Format, seeds: Vec<Vec<u8>>
         write(&file, bytes);
         sample(&read_mesh(&file)?, 16, 0).map(drop)
     })
+}
+
+/// Cameras of renderings.
+fn cameras(file: PathBuf, name: &'static str, format: Format, seeds: Vec<Vec<u8>>) -> Reader {
+    let like = tiny_scene().train[0].camera;
+    reader(name, format, seeds, move |bytes| {
+        write(&file, bytes);
+        data::cameras::read(&file, &like, &WorldToScene::default(), None).map(drop)
+    })
+}
+
+/// Weights of other programs, as far as to the settings that they ask for.
+fn foreign(file: PathBuf, name: &'static str, format: Format, seed: Vec<u8>) -> Reader {
+    let reader = reader(name, format, vec![seed], move |bytes| {
+        write(&file, bytes);
+        Foreign::open(&file)?.settings().map(drop)
+    });
+    let lacks = (format == Format::Safetensors).then_some("its metadata has no");
+    Reader { lacks, ..reader }
 }
 
 fn config_of(dir: &Path) -> DataConfig {

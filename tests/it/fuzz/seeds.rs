@@ -273,3 +273,29 @@ pub const METRICS_CSV: &str = "name,psnr,mse,lpips_vgg,scene\nr_0,21.0,0.015,,bu
 pub const PAGE: &str = "# Runs\n\nNeRF reaches 21.50 dB here,\nand -21.5 elsewhere.\n<!-- numbers runs: 21.50 = psnr of a; -21.5 = -psnr of a \
     -->\n\n<!-- table runs: row | psnr | psnr / psnr of a -->\n\n| row | PSNR | share |\n|---|---:|---:|\n| a \u{2020} | 21.50 | 1.00 \
     |\n";
+
+/// Files of cameras.
+pub const CAMERAS: [&str; 2] = [
+    r#"{"camera_type": "perspective", "render_height": 12, "render_width": 16, "fps": 24, "seconds": 1, "camera_path": [
+{"camera_to_world": [1, 0, 0, 0.5, 0, 1, 0, 0.25, 0, 0, 1, 4, 0, 0, 0, 1], "fov": 50, "aspect": 1.3},
+{"camera_to_world": [[1, 0, 0, 0.5], [0, 1, 0, 0.25], [0, 0, 1, 4], [0, 0, 0, 1]], "fl_x": 20, "cx": 8}]}"#,
+    r#"{"w": 16, "h": 12, "fl_x": 20.5, "cy": 6, "frames": [
+{"transform_matrix": [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 4], [0, 0, 0, 1]]},
+{"camera_angle_x": 0.7, "transform_matrix": [[0, 0, 1, 4], [0, 1, 0, 0], [-1, 0, 0, 0]]}]}"#,
+];
+
+/// Cameras that are poses alone.
+pub fn camera_poses() -> Vec<u8> {
+    let header = "{'descr': '<f8', 'fortran_order': False, 'shape': (2, 3, 4), }\n";
+    let pose = [1.0, 0.0, 0.0, 0.5, 0.0, 1.0, 0.0, 0.25, 0.0, 0.0, 1.0, 4.0f64];
+    let mut bytes = b"\x93NUMPY\x01\x00".to_vec();
+    bytes.extend((header.len() as u16).to_le_bytes());
+    bytes.extend(header.bytes());
+    bytes.extend(pose.repeat(2).into_iter().flat_map(f64::to_le_bytes));
+    bytes
+}
+
+/// A checkpoint of nerf-pytorch.
+pub fn checkpoint_tar() -> Vec<u8> {
+    include_bytes!("../../fixtures/nerf_pytorch.tar").to_vec()
+}

@@ -134,7 +134,7 @@ fn write_depth(dir: &Path, name: &str, picture: &Picture) -> Result<()> {
 
 /// A 32-bit float array `[height, width]` in NumPy's format.
 fn npy_file(values: &[f32], [width, height]: [usize; 2]) -> Vec<u8> {
-    let mut bytes = npy::header(&[height, width]);
+    let mut bytes = npy::header("<f4", &[height, width]);
     bytes.extend(values.iter().flat_map(|v| v.to_le_bytes()));
     bytes
 }

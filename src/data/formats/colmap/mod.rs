@@ -15,11 +15,11 @@ use std::path::{Path, PathBuf};
 
 use crate::base::{Error, Event, Image, Listener, Result};
 use crate::data::formats::Capture;
+use crate::data::formats::transforms::BOUNDS;
 use crate::data::formats::transforms::distortion::{self, Distortion, Intrinsics};
-use crate::data::formats::transforms::{BOUNDS, around};
 use crate::data::images::{self, Size};
 use crate::data::pose::Pose;
-use crate::data::{Camera, Place, Scene, WorldToScene, background, name_of, resample};
+use crate::data::{Camera, Place, Scene, WorldToScene, background, name_of, path, resample};
 use crate::settings::{DataConfig, DataKind};
 use folder::Source;
 use model::{Lens, Model, Photograph};
@@ -71,7 +71,7 @@ pub fn load(config: &DataConfig, events: &dyn Listener) -> Result<Scene> {
     place.note("images", images::folder_words(&paths, stored, target));
     notes(&mut place, &model, &frames, &missing, &source);
     let poses: Vec<Pose> = cameras.iter().map(|camera| camera.pose).collect();
-    let path = around(&poses).map_err(|e| Error::Data(format!("{}: {e}", dir.display())))?;
+    let path = path::around(&poses);
     let first = cameras[0];
     let (images, clear) = read_images(&frames, target, background(config), events)?;
     let capture = Capture {

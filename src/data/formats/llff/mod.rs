@@ -3,7 +3,7 @@
 
 mod folder;
 mod orbit;
-mod path;
+mod paths;
 mod poses;
 
 use std::path::Path;
@@ -11,13 +11,11 @@ use std::path::Path;
 pub use orbit::settle_orbit;
 pub use poses::Poses;
 
-pub(super) use path::{POSES, spiral};
-
 use crate::base::{Error, Listener, Result};
 use crate::data::formats::Capture;
 use crate::data::images::{self, Size};
 use crate::data::pose::Pose;
-use crate::data::{Camera, Ndc, Place, Rig, Scene, background, name_of};
+use crate::data::{Camera, Ndc, Place, Rig, Scene, background, name_of, path};
 use crate::settings::{DataConfig, DataKind};
 use folder::Source;
 
@@ -83,7 +81,8 @@ fn normalise(poses: &mut Poses, config: &DataConfig) -> Result<Vec<Pose>> {
     }
     if config.spherify {
         poses.spherify()?;
-        return poses.circle();
+        // nerf-pytorch's circle turns the camera about its axis where a capture is of one side.
+        return if path::goes_around(&poses.poses) { poses.circle() } else { Ok(path::around(&poses.poses)) };
     }
     poses.spiral()
 }

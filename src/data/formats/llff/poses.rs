@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use super::path::{circle, spiral};
+use super::paths::{circle, spiral};
 use crate::base::{Error, Result};
 use crate::data::pose::{self, Pose, Vec3};
 use crate::data::{LARGEST, SMALLEST, WorldToScene, brief, npy};

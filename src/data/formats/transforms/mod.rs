@@ -12,19 +12,17 @@ pub mod distortion;
 pub(super) mod frames;
 mod lens;
 mod mask;
-mod path;
 mod split;
 
 use std::path::{Path, PathBuf};
 
-pub(super) use path::around;
 pub use split::{Role, is_named};
 
 use crate::base::{Error, Listener, Result};
 use crate::data::formats::Capture;
 use crate::data::images;
 use crate::data::pose::Pose;
-use crate::data::{Camera, Place, Scene, WorldToScene, background, name_of};
+use crate::data::{Camera, Place, Scene, WorldToScene, background, name_of, path};
 use crate::settings::{DataConfig, DataKind, EvalSplit, Split};
 use frames::Frame;
 use split::Listing;
@@ -79,7 +77,7 @@ pub fn load(config: &DataConfig, events: &dyn Listener) -> Result<Scene> {
     let cameras: Vec<Camera> = frames.iter().zip(targets).map(|(frame, size)| frame.camera(size, by_ratio)).collect();
     let (views, clear) = frames::views(&frames, &cameras, background(config), "reading images", events)?;
     let poses: Vec<Pose> = cameras.iter().map(|c| c.pose).collect();
-    let path = path::around(&poses).map_err(|e| Error::Data(format!("{}: {e}", config.dir)))?;
+    let path = path::around(&poses);
     let first = cameras[0];
     let (mut place, (near, far)) = Place::of_cameras(&cameras, world, BOUNDS);
     notes(&mut place, &frames, &cameras, &ignored);

@@ -1,12 +1,11 @@
-//! Camera paths for videos.
+//! nerf-pytorch's camera paths for videos of LLFF scenes.
 
 use std::f64::consts::TAU;
 
 use crate::base::{Error, Result};
+use crate::data::path::{POSES, percentile};
 use crate::data::pose::{self, Pose, Vec3};
 
-/// Poses of a path, as nerf-pytorch's.
-pub(in crate::data) const POSES: usize = 120;
 /// Turns of the spiral.
 const TURNS: f64 = 2.0;
 /// Oscillations along the view axis per turn of the spiral.
@@ -16,7 +15,7 @@ const RADIUS_PERCENTILE: f64 = 0.9;
 
 /// A spiral around the average pose that looks at the distance where most of the scene is
 /// (a mean in disparity between `near` and `far`, the latter pushed out as nerf-pytorch does).
-pub(in crate::data) fn spiral(poses: &[Pose], near: f64, far: f64) -> Result<Vec<Pose>> {
+pub(super) fn spiral(poses: &[Pose], near: f64, far: f64) -> Result<Vec<Pose>> {
     const FAR_SHARE: f64 = 0.75;
     let (close, distant) = (0.9 * near, 5.0 * far);
     let focus = 1.0 / ((1.0 - FAR_SHARE) / close + FAR_SHARE / distant);
@@ -54,21 +53,4 @@ pub(super) fn circle(poses: &[Pose]) -> Result<Vec<Pose>> {
 
 fn no_path() -> Error {
     Error::Data("the cameras' poses are degenerate (directions that cancel out): no video path goes around them".into())
-}
-
-/// Linear interpolation between order statistics, as NumPy's default.
-fn percentile(mut values: Vec<f64>, share: f64) -> f64 {
-    values.sort_by(f64::total_cmp);
-    let at = share * (values.len() - 1) as f64;
-    let (low, high) = (values[at.floor() as usize], values[at.ceil() as usize]);
-    low + (high - low) * at.fract()
-}
-
-#[cfg(test)]
-mod tests {
-    #[test]
-    fn percentile_interpolates() {
-        assert_eq!(super::percentile(vec![3.0, 1.0, 2.0], 0.75), 2.5);
-        assert_eq!(super::percentile(vec![4.0], 0.9), 4.0);
-    }
 }

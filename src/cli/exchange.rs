@@ -1,0 +1,120 @@
+//! `augnerf export` and `augnerf import`.
+
+use std::path::{Path, PathBuf};
+
+use clap::Args;
+
+use crate::base::{Error, Result};
+use crate::run::{Existing, Foreign, Job, Networks, Setup, export, load_scene};
+use crate::runtime::Runtime;
+use crate::settings::Preset;
+use crate::train::Origin;
+
+use super::Compute;
+use super::experiment::{Base, Experiment};
+use super::progress::Console;
+use super::train::default_folder;
+
+pub const EXPORT_EXAMPLES: &str = "Examples:
+  augnerf export RUN lego.tar                              a checkpoint that nerf-pytorch takes with --ft_path
+  augnerf export RUN lego.safetensors                      all weights with what they are: networks, encodings, scene, settings
+
+A nerf-pytorch checkpoint holds both networks, the step and Adam's state. Fields that it does not have (hash grids, MipNeRF) \
+are refused.";
+
+pub const IMPORT_EXAMPLES: &str = "Examples:
+  augnerf import 200000.tar --data nerf_synthetic/lego --preset paper-blender --out runs/lego
+  augnerf import lego.safetensors --data nerf_synthetic/lego --out runs/lego
+
+Then the run is like any other: augnerf eval runs/lego, augnerf render runs/lego, augnerf train --from runs/lego. The networks' \
+shape follows from the weights; how the scene is read and sampled is not in a nerf-pytorch checkpoint, and follows from \
+--preset and --set.";
+
+#[derive(Args)]
+pub struct ExportArguments {
+    /// Run folder; its newest checkpoint is exported
+    run: PathBuf,
+    /// The file: .tar, .pth or .pt for nerf-pytorch, .safetensors with metadata
+    file: PathBuf,
+    /// Scene folder, if it has moved since training (.safetensors alone, which tell where the scene lies)
+    #[arg(long, value_name = "DIR")]
+    data: Option<PathBuf>,
+    #[command(flatten)]
+    compute: Compute,
+}
+
+#[derive(Args)]
+pub struct ImportArguments {
+    /// The file: a checkpoint of nerf-pytorch (.tar, .pth, .pt) or an exported .safetensors
+    file: PathBuf,
+    #[command(flatten)]
+    experiment: Experiment,
+    /// Run folder [default: runs/SCENE-METHOD-HASH]
+    #[arg(long, value_name = "DIR")]
+    out: Option<PathBuf>,
+    /// Replace the run that the folder holds
+    #[arg(long)]
+    overwrite: bool,
+    #[command(flatten)]
+    compute: Compute,
+}
+
+impl ExportArguments {
+    pub fn run(self) -> Result<()> {
+        let runtime = self.compute.runtime()?;
+        let console = Console::new(self.compute.quiet);
+        let step = runtime.install(|| export(&self.run, &self.file, self.data.as_deref(), &runtime, &console))?;
+        console.say(&format!("weights of step {step}: {}", self.file.display()));
+        Ok(())
+    }
+}
+
+impl ImportArguments {
+    pub fn run(self) -> Result<()> {
+        let runtime = self.compute.runtime()?;
+        runtime.install(|| self.import(&runtime))
+    }
+
+    fn import(&self, runtime: &Runtime) -> Result<()> {
+        let console = Console::new(self.compute.quiet);
+        let foreign = Foreign::open(&self.file)?;
+        let own = own_config(foreign.networks())?;
+        let mut last = vec![(path("train.parent"), foreign.parent().into())];
+        last.push((path("train.steps"), toml::Value::Integer(foreign.step().max(1) as i64)));
+        let base = Base {
+            file: own.as_ref().map(|file| file.path()),
+            first: foreign.settings()?,
+            last,
+            // Its networks are those of the paper, which a hash grid's preset is not for.
+            preset: |preset| if preset == Preset::Fast { Preset::Cpu } else { preset },
+        };
+        let (config, scene) = load_scene(self.experiment.config_over(base)?, &console)?;
+        let values = foreign.values(&config, runtime.device())?;
+        let folder = self.out.clone().unwrap_or_else(|| default_folder(&config));
+        let networks = crate::methods::Model::parts(&config).len();
+        let (depth, width, name) = (config.field.depth, config.field.width, config.data.name.clone());
+        let setup = Setup { config, scene: &scene, lpips: &[], runtime: runtime.clone() };
+        let existing = if self.overwrite { Existing::Replace } else { Existing::Refuse };
+        Job::create_from(&folder, existing, setup, Origin::Weights { values, step: foreign.step() })?;
+        console.say(&format!(
+            "{networks} networks of {depth} layers with {width} neurons, step {}, scene {name}: {}",
+            foreign.step(),
+            folder.display()
+        ));
+        console.say(&format!("measure them with `augnerf eval {}`", folder.display()));
+        Ok(())
+    }
+}
+
+fn path(dotted: &str) -> Vec<String> {
+    dotted.split('.').map(String::from).collect()
+}
+
+/// The configuration that a file of ours brings, as a file.
+fn own_config(networks: &Networks) -> Result<Option<tempfile::NamedTempFile>> {
+    let Networks::Own { config } = networks else { return Ok(None) };
+    let unwritable = |e: std::io::Error| Error::unwritable(Path::new(&std::env::temp_dir()), &e);
+    let file = tempfile::Builder::new().suffix(".toml").tempfile().map_err(unwritable)?;
+    std::fs::write(file.path(), config).map_err(unwritable)?;
+    Ok(Some(file))
+}

@@ -1,0 +1,87 @@
+//! What a file of cameras says of their lenses and pictures.
+
+use super::super::json::Object;
+use super::super::{Camera, SMALLEST, brief};
+use crate::base::Result;
+
+/// Most pixels along a side of a picture.
+const MOST_PIXELS: f64 = 16_384.0;
+
+/// The value of the first object that has the key.
+fn first(objects: [Object; 2], key: &str) -> Result<Option<f64>> {
+    Ok(objects[0].number(key)?.or(objects[1].number(key)?))
+}
+
+/// The first's that is positive.
+fn positive(objects: [Object; 2], key: &str) -> Result<Option<f64>> {
+    match first(objects, key)? {
+        Some(value) if value < SMALLEST => {
+            let found = brief(value);
+            Err(objects[0].error(&format!("\"{key}\" is {found}, but it must be positive, at least {SMALLEST:e}")))
+        }
+        number => Ok(number),
+    }
+}
+
+/// Pixels along a side, as these keys have them.
+fn side(objects: [Object; 2], key: &str) -> Result<Option<usize>> {
+    match first(objects, key)? {
+        Some(value) if value.fract() != 0.0 || !(1.0..=MOST_PIXELS).contains(&value) => {
+            let found = brief(value);
+            Err(objects[0].error(&format!("\"{key}\" is {found}, but it must be whole, 1 to {MOST_PIXELS} pixels")))
+        }
+        value => Ok(value.map(|value| value as usize)),
+    }
+}
+
+/// The lens of a frame of a `transforms.json`, at the size that the file states.
+pub fn of_transforms(frame: Object, document: Object, like: &Camera) -> Result<Camera> {
+    let keys = [frame, document];
+    let (width, height) = (side(keys, "w")?, side(keys, "h")?);
+    let sized = width.zip(height);
+    let (width, height) = sized.unwrap_or((like.width, like.height));
+    let from_angle = |angle: Option<f64>, side: usize| angle.map(|a| 0.5 * side as f64 / (0.5 * a).tan());
+    let angle = |key| Ok::<_, crate::base::Error>(frame.angle(key)?.or(document.angle(key)?));
+    let stated = [positive(keys, "fl_x")?, positive(keys, "fl_y")?, first(keys, "cx")?, first(keys, "cy")?];
+    if sized.is_none() && stated.iter().any(Option::is_some) {
+        return Err(
+            frame.error("\"w\" and \"h\" are missing: focal length and principal point are in pixels of that size")
+        );
+    }
+    let [fl_x, fl_y, cx, cy] = stated;
+    let (x, y) =
+        (fl_x.or(from_angle(angle("camera_angle_x")?, width)), fl_y.or(from_angle(angle("camera_angle_y")?, height)));
+    let focal = match (x, y) {
+        (None, None) => return Ok(like.with_size(width, height)),
+        (Some(x), None) => [x, x],
+        (None, Some(y)) => [y, y],
+        (Some(x), Some(y)) => [x, y],
+    };
+    let centre = [cx.unwrap_or(0.5 * width as f64), cy.unwrap_or(0.5 * height as f64)];
+    Ok(Camera { width, height, focal, centre, pose: like.pose })
+}
+
+/// The lens of a camera of a `camera_path.json`: its vertical field of view in degrees at the size that is asked for. What
+/// this program wrote beside that counts first.
+pub fn of_camera_path(object: Object, document: Object, like: &Camera) -> Result<Camera> {
+    let of_document = |key| side([document, document], key);
+    let own = |key| side([object, object], key);
+    let width = own("w")?.or(of_document("render_width")?).unwrap_or(like.width);
+    let height = own("h")?.or(of_document("render_height")?).unwrap_or(like.height);
+    let own = [object, object];
+    let camera = match object.number("fov")? {
+        None => like.with_size(width, height),
+        Some(fov) if !(1e-3..=180.0 - 1e-3).contains(&fov) => {
+            let found = brief(fov);
+            return Err(object.error(&format!("\"fov\" is {found}, but it must be between 0 and 180 degrees")));
+        }
+        Some(fov) => {
+            let focal = 0.5 * height as f64 / (0.5 * fov).to_radians().tan();
+            let centre = [0.5 * width as f64, 0.5 * height as f64];
+            Camera { width, height, focal: [focal; 2], centre, pose: like.pose }
+        }
+    };
+    let focal = [positive(own, "fl_x")?.unwrap_or(camera.focal[0]), positive(own, "fl_y")?.unwrap_or(camera.focal[1])];
+    let centre = [first(own, "cx")?.unwrap_or(camera.centre[0]), first(own, "cy")?.unwrap_or(camera.centre[1])];
+    Ok(Camera { focal, centre, ..camera })
+}

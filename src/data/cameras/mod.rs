@@ -1,0 +1,185 @@
+//! Files of cameras that are rendered: a nerfstudio `camera_path.json`, a `transforms.json`, or poses as `.npy`.
+//!
+//! A file's poses are camera-to-world matrices in the capture's own units and axes, those of the files that the scene was
+//! read from, with columns right, up, back (OpenGL). One transform leads from there to the scene that was trained, the
+//! scene's [`WorldToScene`]: `x_scene = scale * R x_file + t` for places, `R` alone for directions. The same, inverted, is
+//! written. Paths that nerfstudio's viewer saved are in its own units; its `dataparser_transforms.json` leads from there to
+//! the capture's ([`Dataparser`]).
+//!
+//! What a file says of the lens counts: a field of view, or focal lengths and principal point. Lens distortion does not.
+
+mod dataparser;
+mod lens;
+mod write;
+
+use std::path::Path;
+
+use serde_json::Value;
+
+use super::json::{self, Object};
+use super::pose::{self, Pose};
+use super::{Camera, LARGEST, WorldToScene, npy};
+use crate::base::{Error, Result};
+
+pub use dataparser::Dataparser;
+pub use write::write;
+
+/// Most cameras of a file: an hour at 25 a second.
+const MOST_CAMERAS: usize = 90_000;
+/// The ending of NumPy's files, and that of the others.
+const ENDINGS: [&str; 2] = ["npy", "json"];
+
+/// The cameras of a file, in scene units.
+#[derive(Clone, Debug, PartialEq)]
+pub struct CameraFile {
+    /// Its cameras, in their order.
+    pub cameras: Vec<Camera>,
+    /// Frames a second, where it says so.
+    pub fps: Option<f64>,
+}
+
+/// Reads a file of cameras for a scene. `like` is one of the scene's own: what the file leaves open is that camera's, and
+/// pictures of a `transforms.json` or `.npy`, which do not ask for a size, have its height.
+///
+/// # Errors
+/// A file that is none of the three, or whose poses or lenses are no cameras.
+pub fn read(file: &Path, like: &Camera, world: &WorldToScene, dataparser: Option<&Dataparser>) -> Result<CameraFile> {
+    let mut read = match ending(file)? {
+        "npy" => CameraFile { cameras: read_npy(file, like)?, fps: None },
+        _ => read_json(file, like)?,
+    };
+    if read.cameras.len() > MOST_CAMERAS {
+        return Err(Error::Data(format!(
+            "{}: it has {} cameras, but at most {MOST_CAMERAS} are rendered",
+            file.display(),
+            read.cameras.len()
+        )));
+    }
+    for camera in &mut read.cameras {
+        let capture = dataparser.map_or(camera.pose, |dataparser| dataparser.to_capture(&camera.pose));
+        camera.pose = world.camera(&capture);
+    }
+    let sound = |camera: &Camera| camera.pose.iter().flatten().all(|value| value.abs() <= LARGEST);
+    match read.cameras.iter().position(|camera| !sound(camera)) {
+        None => Ok(read),
+        Some(index) => Err(Error::Data(format!(
+            "{}: camera {index} (counted from 0) is at {:?} in the scene's units: rendering computes with numbers from \
+             -{LARGEST:e} to {LARGEST:e}; check the file's units",
+            file.display(),
+            pose::column(&read.cameras[index].pose, 3)
+        ))),
+    }
+}
+
+/// One of [`ENDINGS`].
+fn ending(file: &Path) -> Result<&'static str> {
+    let found = file.extension().map(|ending| ending.to_string_lossy().to_lowercase()).unwrap_or_default();
+    ENDINGS.into_iter().find(|known| *known == found).ok_or_else(|| {
+        Error::Config(format!(
+            "{}: a file of cameras ends in .json (nerfstudio's camera_path.json, transforms.json) or .npy (poses, [N, 3, 4] \
+             or [N, 4, 4])",
+            file.display()
+        ))
+    })
+}
+
+/// Poses alone, `[N, 3, 4]` or `[N, 4, 4]`, or one of them.
+fn read_npy(file: &Path, like: &Camera) -> Result<Vec<Camera>> {
+    let array = npy::read_array(file)?;
+    let rows = match array.shape[..] {
+        [_, rows @ (3 | 4), 4] | [rows @ (3 | 4), 4] => rows,
+        _ => {
+            return Err(Error::Data(format!(
+                "{}: the array's shape is {:?}, but camera-to-world matrices are [N, 3, 4] or [N, 4, 4]",
+                file.display(),
+                array.shape
+            )));
+        }
+    };
+    let poses = array.values.chunks_exact(4 * rows).enumerate();
+    poses
+        .map(|(index, values)| {
+            let wrong = |what: String| Error::Data(format!("{}: pose {index} (counted from 0) {what}", file.display()));
+            let pose: Pose = std::array::from_fn(|row| std::array::from_fn(|column| values[4 * row + column]));
+            if pose.iter().flatten().any(|value| value.is_nan() || value.abs() > LARGEST) {
+                return Err(wrong(format!("has numbers that are not finite or beyond {LARGEST:e}")));
+            }
+            pose::check_rotation(&pose).map_err(|what| wrong(format!("has no rotation in its matrix but {what}")))?;
+            Ok(Camera { pose, ..*like })
+        })
+        .collect::<Result<Vec<_>>>()
+        .and_then(|cameras| some(cameras, file))
+}
+
+fn some(cameras: Vec<Camera>, file: &Path) -> Result<Vec<Camera>> {
+    match cameras.is_empty() {
+        false => Ok(cameras),
+        true => Err(Error::Data(format!("{}: it has no camera, but at least one is needed", file.display()))),
+    }
+}
+
+fn read_json(file: &Path, like: &Camera) -> Result<CameraFile> {
+    let value = json::read(file)?;
+    let document = Object::document(file, &value)?;
+    if document.get("camera_path").is_some() {
+        return read_camera_path(document, like);
+    }
+    if document.get("frames").is_none() {
+        return Err(document
+            .error("it has neither \"camera_path\" (nerfstudio's camera_path.json) nor \"frames\" (transforms.json)"));
+    }
+    let camera = |frame: Object| {
+        let lens = lens::of_transforms(frame, document, like)?;
+        Ok(Camera { pose: frame.pose()?, ..lens.with_height(like.height) })
+    };
+    Ok(CameraFile { cameras: document.frames()?.into_iter().map(camera).collect::<Result<_>>()?, fps: None })
+}
+
+fn read_camera_path(document: Object, like: &Camera) -> Result<CameraFile> {
+    match document.text("camera_type")? {
+        None | Some("perspective") => {}
+        Some(other) => {
+            return Err(
+                document.error(&format!("\"camera_type\" is \"{other}\", but only \"perspective\" is rendered"))
+            );
+        }
+    }
+    let fps = document.number("fps")?;
+    if let Some(fps) = fps.filter(|fps| *fps <= 0.0) {
+        return Err(document.error(&format!("\"fps\" is {fps}, but it must be positive")));
+    }
+    let camera = |object: Object| {
+        let lens = lens::of_camera_path(object, document, like)?;
+        Ok(Camera { pose: camera_to_world(object)?, ..lens })
+    };
+    let cameras = document.objects("camera_path")?.into_iter().map(camera).collect::<Result<_>>()?;
+    Ok(CameraFile { cameras, fps })
+}
+
+/// `camera_to_world`: 16 numbers, row by row, also as four rows.
+fn camera_to_world(object: Object) -> Result<Pose> {
+    const KEY: &str = "camera_to_world";
+    let value = object.required(KEY)?;
+    let wrong = || {
+        object.error(&format!(
+            "\"{KEY}\" must be the 16 numbers of a 4x4 matrix, row by row, each from -{LARGEST:e} to {LARGEST:e}"
+        ))
+    };
+    let mut numbers = Vec::new();
+    for value in value.as_array().ok_or_else(wrong)? {
+        match value {
+            Value::Array(row) => numbers.extend(row.iter().map(Value::as_f64)),
+            number => numbers.push(number.as_f64()),
+        }
+    }
+    let numbers: Option<Vec<f64>> = numbers.into_iter().map(|n| n.filter(|v| v.abs() <= LARGEST)).collect();
+    let numbers = numbers.filter(|numbers| numbers.len() == 16).ok_or_else(wrong)?;
+    let pose: Pose = std::array::from_fn(|row| std::array::from_fn(|column| numbers[4 * row + column]));
+    pose::check_rotation(&pose).map_err(|what| {
+        object.error(&format!("the left 3x3 part of \"{KEY}\" must be a rotation, but it has {what}"))
+    })?;
+    Ok(pose)
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,68 @@
+//! Cameras as files.
+
+use std::path::Path;
+
+use serde_json::{Map, Value, json};
+
+use super::super::pose::{self, Pose};
+use super::super::{Camera, WorldToScene, npy};
+use crate::base::Result;
+use crate::base::files::{write_atomic, write_json};
+
+/// How far from what a field of view says a lens may be before it is written out, pixels.
+const ROUNDING: f64 = 1e-9;
+
+/// Writes cameras of a scene in the units of its capture: as nerfstudio's `camera_path.json`, or as `.npy`, float64
+/// `[N, 3, 4]`, which keeps poses alone. [`read`](super::read) gives the same cameras back.
+///
+/// # Errors
+/// A name of another ending, or a file that cannot be written.
+pub fn write(file: &Path, cameras: &[Camera], world: &WorldToScene, fps: f64) -> Result<()> {
+    let poses: Vec<Pose> = cameras.iter().map(|camera| to_capture(world, &camera.pose)).collect();
+    if super::ending(file)? == "npy" {
+        let mut bytes = npy::header("<f8", &[poses.len(), 3, 4]);
+        bytes.extend(poses.iter().flatten().flatten().flat_map(|value| value.to_le_bytes()));
+        return write_atomic(file, &bytes);
+    }
+    let (width, height) = cameras.first().map_or((0, 0), |camera| (camera.width, camera.height));
+    let camera = |(camera, pose): (&Camera, &Pose)| {
+        let mut entry = Map::new();
+        let matrix: Vec<f64> = pose.iter().flatten().copied().chain([0.0, 0.0, 0.0, 1.0]).collect();
+        entry.insert("camera_to_world".into(), matrix.into());
+        entry.insert("fov".into(), (2.0 * (0.5 * camera.height as f64 / camera.focal[1]).atan().to_degrees()).into());
+        entry.insert("aspect".into(), (camera.width as f64 / camera.height as f64).into());
+        unsaid(camera, (width, height)).into_iter().for_each(|(key, value)| drop(entry.insert(key.into(), value)));
+        Value::Object(entry)
+    };
+    let path = json!({
+        "camera_type": "perspective",
+        "render_height": height,
+        "render_width": width,
+        "fps": fps,
+        "seconds": cameras.len() as f64 / fps,
+        "camera_path": cameras.iter().zip(&poses).map(camera).collect::<Vec<Value>>(),
+    });
+    write_json(file, &path)
+}
+
+/// What the field of view and the size of all do not say of a camera.
+fn unsaid(camera: &Camera, size: (usize, usize)) -> Vec<(&'static str, Value)> {
+    let mut said = Vec::new();
+    if (camera.width, camera.height) != size {
+        said.extend([("w", camera.width.into()), ("h", camera.height.into())]);
+    }
+    if (camera.focal[0] - camera.focal[1]).abs() > ROUNDING {
+        said.extend([("fl_x", camera.focal[0].into()), ("fl_y", camera.focal[1].into())]);
+    }
+    let middle = [0.5 * camera.width as f64, 0.5 * camera.height as f64];
+    if camera.centre.iter().zip(middle).any(|(centre, middle)| (centre - middle).abs() > ROUNDING) {
+        said.extend([("cx", camera.centre[0].into()), ("cy", camera.centre[1].into())]);
+    }
+    said
+}
+
+/// A camera of the scene in the capture's units.
+pub(super) fn to_capture(world: &WorldToScene, camera: &Pose) -> Pose {
+    let [right, up, back] = [0, 1, 2].map(|axis| world.direction_to_capture(pose::column(camera, axis)));
+    pose::from_columns([right, up, back, world.to_capture(pose::column(camera, 3))])
+}

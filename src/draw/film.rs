@@ -1,0 +1,314 @@
+//! Films as MP4 (H.264), which the feature `mp4` brings.
+
+use std::path::Path;
+
+use crate::base::{Image, Result};
+
+const WITHOUT: &str = "there is no MP4, GIFs alone: this augnerf was built without its feature mp4";
+/// What to tell about films where they have no MP4.
+pub const GIF_ALONE: Option<&str> = if cfg!(feature = "mp4") { None } else { Some(WITHOUT) };
+
+/// Writes frames of one size as an MP4 that any browser plays: H.264 at constant quality, 4:2:0, BT.601 colours. Of odd
+/// sides the last column or row is there twice, because such colours come two by two. Nothing is written without the
+/// feature `mp4`.
+///
+/// # Errors
+/// No frame, frames of several sizes, or of more than 3840 x 2160 pixels; a file that cannot be written.
+pub fn write_mp4(path: &Path, frames: &[Image], fps: f64) -> Result<()> {
+    #[cfg(feature = "mp4")]
+    {
+        use super::pictures::unwritable;
+        let bytes = filmed::film(frames, fps).map_err(|reason| unwritable(path, &reason))?;
+        crate::base::files::write_atomic(path, &bytes)
+    }
+    #[cfg(not(feature = "mp4"))]
+    {
+        let _ = (path, frames, fps);
+        Ok(())
+    }
+}
+
+#[cfg(feature = "mp4")]
+mod filmed {
+    use std::num::NonZeroU32;
+
+    use openh264::OpenH264API;
+    use openh264::encoder::{
+        BitRate, Complexity, EncodedBitStream, Encoder, EncoderConfig, FrameRate, FrameType, IntraFramePeriod, QpRange,
+        RateControlMode, UsageType, VuiConfig,
+    };
+    use openh264::formats::{RgbSliceU8, YUVBuffer};
+    use shiguredo_mp4::boxes::{Avc1Box, AvccBox, SampleEntry, VisualSampleEntryFields};
+    use shiguredo_mp4::mux::{Mp4FileMuxer, Mp4FileMuxerOptions, Sample, estimate_maximum_moov_box_size};
+    use shiguredo_mp4::{TrackKind, Uint};
+
+    use super::super::pictures::{on_paper, quantise};
+    use crate::base::Image;
+
+    type Filmed<T> = Result<T, String>;
+
+    /// Ticks a second that frames' times are counted in.
+    const TICKS: NonZeroU32 = NonZeroU32::new(90_000).expect("not 0");
+    /// Sides that the encoder takes, longer and shorter.
+    const LARGEST: [usize; 2] = [3840, 2160];
+    const SMALLEST: usize = 16;
+    /// Quantisers of the finest and the coarsest blocks: hardly any loss that is seen.
+    const QUANTISERS: (u8, u8) = (14, 22);
+    /// So many frames are at most between two that can be jumped to.
+    const BETWEEN_KEYS: u32 = 30;
+    /// Kinds of units in a stream: parameters of the sequence and of pictures.
+    const SEQUENCE: u8 = 7;
+    const PICTURE: u8 = 8;
+
+    /// The bytes of an MP4 file.
+    pub fn film(frames: &[Image], fps: f64) -> Filmed<Vec<u8>> {
+        let first = frames.first().ok_or("there is no frame")?;
+        let size = [even(first.width), even(first.height)];
+        let sides = [size[0].max(size[1]), size[0].min(size[1])];
+        if sides[0] > LARGEST[0] || sides[1] > LARGEST[1] {
+            return Err(format!(
+                "{} x {} pixels are too many for an MP4, whose frames have at most {} x {}",
+                size[0], size[1], LARGEST[0], LARGEST[1]
+            ));
+        }
+        let mut encoder = encoder(size, fps).map_err(|e| e.to_string())?;
+        let mut film = Film::new(size, frames.len())?;
+        for (index, frame) in frames.iter().enumerate() {
+            if (frame.width, frame.height) != (first.width, first.height) {
+                return Err(format!(
+                    "a frame has {}x{} pixels and the first has {}x{}",
+                    frame.width, frame.height, first.width, first.height
+                ));
+            }
+            let rgb = padded(frame, size);
+            let picture = YUVBuffer::from_rgb8_source(RgbSliceU8::new(&rgb, (size[0], size[1])));
+            let stream = encoder.encode(&picture).map_err(|e| e.to_string())?;
+            let start = |index: usize| (index as f64 * f64::from(TICKS.get()) / fps).round() as u64;
+            film.add(&stream, u32::try_from(start(index + 1) - start(index)).map_err(|e| e.to_string())?)?;
+        }
+        film.finish()
+    }
+
+    fn even(side: usize) -> usize {
+        side.next_multiple_of(2).max(SMALLEST)
+    }
+
+    /// One thread, no frame left out: the same bytes each time.
+    fn encoder([width, height]: [usize; 2], fps: f64) -> Result<Encoder, openh264::Error> {
+        let rate = (width * height) as f64 * fps.max(1.0) * 4.0;
+        let config = EncoderConfig::new()
+            .usage_type(UsageType::CameraVideoRealTime)
+            .rate_control_mode(RateControlMode::Bufferbased)
+            .bitrate(BitRate::from_bps(rate.min(1e9) as u32))
+            .qp(QpRange::new(QUANTISERS.0, QUANTISERS.1))
+            .max_frame_rate(FrameRate::from_hz(fps.max(1.0) as f32))
+            .complexity(Complexity::High)
+            .intra_frame_period(IntraFramePeriod::from_num_frames(BETWEEN_KEYS))
+            .skip_frames(false)
+            .scene_change_detect(false)
+            .background_detection(false)
+            .num_threads(1)
+            .vui(VuiConfig::bt601());
+        Encoder::with_api_config(OpenH264API::from_source(), config)
+    }
+
+    /// 8-bit RGB in which the last column and row stand for those that are missing.
+    fn padded(frame: &Image, [width, height]: [usize; 2]) -> Vec<u8> {
+        let rgb = quantise(&on_paper(frame));
+        let mut bytes = Vec::with_capacity(width * height * 3);
+        for y in 0..height {
+            for x in 0..width {
+                let at = (y.min(frame.height - 1) * frame.width + x.min(frame.width - 1)) * 3;
+                bytes.extend_from_slice(&rgb[at..at + 3]);
+            }
+        }
+        bytes
+    }
+
+    /// A file that grows by a frame at a time.
+    struct Film {
+        bytes: Vec<u8>,
+        muxer: Mp4FileMuxer,
+        size: [usize; 2],
+        begun: bool,
+    }
+
+    impl Film {
+        fn new(size: [usize; 2], frames: usize) -> Filmed<Film> {
+            // What describes the frames comes before them, so that a film plays while it loads.
+            let reserved_moov_box_size = estimate_maximum_moov_box_size(&[frames]);
+            let options = Mp4FileMuxerOptions { reserved_moov_box_size, ..Mp4FileMuxerOptions::default() };
+            let muxer = Mp4FileMuxer::with_options(options).map_err(|e| e.to_string())?;
+            Ok(Film { bytes: muxer.initial_boxes_bytes().to_vec(), muxer, size, begun: false })
+        }
+
+        fn add(&mut self, stream: &EncodedBitStream, duration: u32) -> Filmed<()> {
+            let (mut parameters, data_offset) = ([Vec::new(), Vec::new()], self.bytes.len());
+            let layers = (0..stream.num_layers()).filter_map(|i| stream.layer(i));
+            for layer in layers {
+                for unit in (0..layer.nal_count()).filter_map(|i| layer.nal_unit(i)) {
+                    let unit = without_start(unit);
+                    match unit.first().map(|byte| byte & 0x1f) {
+                        Some(SEQUENCE) => parameters[0].push(unit.to_vec()),
+                        Some(PICTURE) => parameters[1].push(unit.to_vec()),
+                        _ => {
+                            self.bytes.extend((unit.len() as u32).to_be_bytes());
+                            self.bytes.extend_from_slice(unit);
+                        }
+                    }
+                }
+            }
+            let sample = Sample {
+                track_kind: TrackKind::Video,
+                sample_entry: if self.begun { None } else { Some(self.entry(parameters)?) },
+                keyframe: stream.frame_type() == FrameType::IDR,
+                timescale: TICKS,
+                duration,
+                composition_time_offset: None,
+                data_offset: data_offset as u64,
+                data_size: self.bytes.len() - data_offset,
+            };
+            self.begun = true;
+            self.muxer.append_sample(&sample).map_err(|e| e.to_string())
+        }
+
+        /// How its frames are to be decoded.
+        fn entry(&self, [sps_list, pps_list]: [Vec<Vec<u8>>; 2]) -> Filmed<SampleEntry> {
+            let Some(&[_, profile, compatibility, level, ..]) = sps_list.first().map(Vec::as_slice) else {
+                return Err("the encoder began without the parameters of its stream".into());
+            };
+            // What baseline and main profile leave out: 4:2:0, 8 bits.
+            let is_high = !matches!(profile, 66 | 77 | 88);
+            let visual = VisualSampleEntryFields {
+                data_reference_index: VisualSampleEntryFields::DEFAULT_DATA_REFERENCE_INDEX,
+                width: self.size[0] as u16,
+                height: self.size[1] as u16,
+                horizresolution: VisualSampleEntryFields::DEFAULT_HORIZRESOLUTION,
+                vertresolution: VisualSampleEntryFields::DEFAULT_VERTRESOLUTION,
+                frame_count: VisualSampleEntryFields::DEFAULT_FRAME_COUNT,
+                compressorname: VisualSampleEntryFields::NULL_COMPRESSORNAME,
+                depth: VisualSampleEntryFields::DEFAULT_DEPTH,
+            };
+            let avcc_box = AvccBox {
+                avc_profile_indication: profile,
+                profile_compatibility: compatibility,
+                avc_level_indication: level,
+                length_size_minus_one: Uint::new(3),
+                sps_list,
+                pps_list,
+                chroma_format: is_high.then(|| Uint::new(1)),
+                bit_depth_luma_minus8: is_high.then(|| Uint::new(0)),
+                bit_depth_chroma_minus8: is_high.then(|| Uint::new(0)),
+                sps_ext_list: Vec::new(),
+            };
+            Ok(SampleEntry::Avc1(Avc1Box { visual, avcc_box, unknown_boxes: Vec::new() }))
+        }
+
+        fn finish(mut self) -> Filmed<Vec<u8>> {
+            let finished = self.muxer.finalize().map_err(|e| e.to_string())?;
+            for (offset, bytes) in finished.offset_and_bytes_pairs() {
+                let (start, end) = (offset as usize, offset as usize + bytes.len());
+                self.bytes.resize(self.bytes.len().max(end), 0);
+                self.bytes[start..end].copy_from_slice(bytes);
+            }
+            Ok(self.bytes)
+        }
+    }
+
+    /// A unit without the 00 00 01 before it.
+    fn without_start(unit: &[u8]) -> &[u8] {
+        let zeros = unit.iter().take_while(|byte| **byte == 0).count();
+        if unit.get(zeros) == Some(&1) { &unit[zeros + 1..] } else { unit }
+    }
+
+    #[cfg(test)]
+    mod tests {
+        use openh264::decoder::Decoder;
+        use openh264::formats::YUVSource;
+        use shiguredo_mp4::demux::{Input, Mp4FileDemuxer};
+
+        use super::*;
+
+        /// A disc that moves over a gradient.
+        fn frame(width: usize, height: usize, t: f64) -> Image {
+            let pixels = (0..width * height).flat_map(|i| {
+                let (x, y) = ((i % width) as f64 / width as f64, (i / width) as f64 / height as f64);
+                let disc = 1.0 / (1.0 + (40.0 * ((x - t).hypot(y - 0.5) - 0.25)).exp());
+                [0.2 + 0.6 * x, 0.3 + 0.4 * disc, 0.9 - 0.6 * y].map(|v| v as f32)
+            });
+            Image { width, height, channels: 3, pixels: pixels.collect() }
+        }
+
+        /// Frames of a file: size, ticks and decoded RGB of each.
+        fn play(bytes: &[u8]) -> Vec<(usize, usize, u32, Vec<u8>)> {
+            let mut demuxer = Mp4FileDemuxer::new();
+            while demuxer.required_input().is_some() {
+                demuxer.handle_input(Input { position: 0, data: bytes });
+            }
+            assert_eq!(demuxer.tracks().unwrap().len(), 1);
+            assert_eq!(demuxer.tracks().unwrap()[0].timescale, TICKS);
+            let (mut decoder, mut frames) = (Decoder::new().unwrap(), Vec::new());
+            let start = [0, 0, 0, 1];
+            while let Some(sample) = demuxer.next_sample().unwrap() {
+                let mut stream = Vec::new();
+                if let Some(SampleEntry::Avc1(entry)) = sample.sample_entry {
+                    assert!(sample.keyframe);
+                    let parameters = entry.avcc_box.sps_list.iter().chain(&entry.avcc_box.pps_list);
+                    parameters.for_each(|unit| stream.extend(start.iter().chain(unit)));
+                }
+                let mut data = &bytes[sample.data_offset as usize..][..sample.data_size];
+                while let Some((length, rest)) = data.split_first_chunk::<4>() {
+                    let (unit, rest) = rest.split_at(u32::from_be_bytes(*length) as usize);
+                    stream.extend(start.iter().chain(unit));
+                    data = rest;
+                }
+                let picture = decoder.decode(&stream).unwrap().expect("a frame a sample");
+                let (width, height) = picture.dimensions();
+                let mut rgb = vec![0; width * height * 3];
+                picture.write_rgb8(&mut rgb);
+                frames.push((width, height, sample.duration, rgb));
+            }
+            frames
+        }
+
+        /// Its frames come back in their number, size, order and times, and look the same; odd and small sizes grow.
+        #[test]
+        fn films_play_as_they_were_made() {
+            let films = [
+                (256, 192, (256, 192), 0.01),
+                (64, 48, (64, 48), 0.02),
+                (33, 21, (34, 22), 0.04),
+                (9, 7, (16, 16), 0.08),
+            ];
+            for (width, height, expected, most) in films {
+                let frames: Vec<Image> = (0..5).map(|i| frame(width, height, f64::from(i) / 4.0)).collect();
+                let bytes = film(&frames, 12.5).unwrap();
+                let played = play(&bytes);
+                assert_eq!(played.len(), 5);
+                for (index, (frame, (w, h, ticks, rgb))) in frames.iter().zip(&played).enumerate() {
+                    assert_eq!(((*w, *h), *ticks), (expected, 7200), "frame {index}");
+                    let apart = (0..width * height).map(|i| {
+                        let at = (i / width * w + i % width) * 3;
+                        let c = |c: usize| (f32::from(rgb[at + c]) / 255.0 - frame.pixels[3 * i + c]).abs();
+                        f64::from(c(0).max(c(1)).max(c(2)))
+                    });
+                    let mean = apart.sum::<f64>() / (width * height) as f64;
+                    assert!(mean < most, "{width} x {height}, frame {index}: {mean}");
+                }
+            }
+        }
+
+        #[test]
+        fn films_are_the_same_bytes_twice() {
+            let frames: Vec<Image> = (0..3).map(|i| frame(40, 30, f64::from(i) / 2.0)).collect();
+            assert_eq!(film(&frames, 15.0).unwrap(), film(&frames, 15.0).unwrap());
+        }
+
+        #[test]
+        fn what_is_no_film_is_refused() {
+            assert!(film(&[], 15.0).unwrap_err().contains("no frame"));
+            assert!(film(&[frame(8, 8, 0.0), frame(8, 9, 0.0)], 15.0).unwrap_err().contains("8x9"));
+            assert!(film(&[frame(4000, 2, 0.0)], 15.0).unwrap_err().contains("3840"));
+        }
+    }
+}
