@@ -3,15 +3,22 @@
 use std::path::PathBuf;
 
 use clap::{Args, ValueEnum};
+use serde_json::json;
 
 use crate::base::{Error, Event, Listener, Result};
 use crate::data::Camera;
 use crate::run::{Pictures, Trained, write_path};
 use crate::runtime::Runtime;
 
+use super::answer::Answer;
 use super::compare::pictures_folder;
 use super::progress::{Console, duration};
-use super::{Compute, Sources};
+use super::{Compute, Moved};
+
+pub const EXAMPLES: &str = "Examples:
+  augnerf render runs/fern-nerf-*                          the scene's camera path
+  augnerf render RUN --frames 30 --fps 10                  fewer frames of it
+  augnerf render RUN --what views                          the held-out views beside the truth";
 
 #[derive(Args)]
 pub struct RenderArguments {
@@ -30,9 +37,11 @@ pub struct RenderArguments {
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
     #[command(flatten)]
-    sources: Sources,
+    sources: Moved,
     #[command(flatten)]
     compute: Compute,
+    #[command(flatten)]
+    answer: Answer,
 }
 
 #[derive(Clone, Copy, ValueEnum)]
@@ -95,7 +104,9 @@ impl RenderArguments {
         pictures_dir.commit()?;
         console.on(Event::Finished);
         console.say(&format!("pictures: {}", folder.display()));
-        Ok(())
+        let (run, folder) = (self.run.display().to_string(), folder.display().to_string());
+        let answer = json!({ "run": run, "step": trained.state.step, "folder": folder, "frames": cameras.len() });
+        self.answer.give_silently(&answer)
     }
 }
 

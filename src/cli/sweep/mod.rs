@@ -4,10 +4,12 @@ use std::io::IsTerminal;
 use std::path::{Path, PathBuf};
 
 use clap::{Args, Subcommand};
+use serde_json::json;
 
+use crate::base::csv::plain_cell;
 use crate::base::{Error, Result};
 use crate::metrics::{Lpips, Metric, Needs, Scope};
-use crate::report::tables::Table;
+use crate::report::tables::{Table, table_csv};
 use crate::run::load_lpips;
 use crate::runtime::Runtime;
 use crate::settings::parse_assignment;
@@ -41,8 +43,10 @@ pub enum SweepCommand {
     #[command(after_help = run::EXAMPLES)]
     Run(run::RunArguments),
     /// List the points and measure what they will cost, without running them
+    #[command(after_help = plan::EXAMPLES)]
     Plan(plan::PlanArguments),
     /// Show what is done, running, failed
+    #[command(after_help = status::EXAMPLES)]
     Status(status::StatusArguments),
     /// Write tables and figures from what is done, from files alone: all of a sweep, chosen rows, or several sweeps
     #[command(after_help = collect::EXAMPLES)]
@@ -57,8 +61,10 @@ pub enum SweepCommand {
     #[command(after_help = submit::EXAMPLES)]
     Submit(submit::SubmitArguments),
     /// Take what was submitted out of the queue; what runs stops with a checkpoint
+    #[command(after_help = cancel::EXAMPLES)]
     Cancel(cancel::CancelArguments),
     /// Say which row is best, with its settings and folders
+    #[command(after_help = best::EXAMPLES)]
     Best(best::BestArguments),
     /// Write a sweep file with comments, to be changed and run
     #[command(after_help = new::EXAMPLES)]
@@ -153,6 +159,22 @@ impl Changes {
         })?;
         Ok(definition)
     }
+}
+
+/// A table for other programs: where it lies, and the rows of `table.csv` with numbers as numbers and empty cells as null.
+fn table_json(table: &Table, results: &Path) -> serde_json::Value {
+    let text = table_csv(table, &[]);
+    let mut reader = csv::Reader::from_reader(text.as_bytes());
+    let names = reader.headers().expect("a table has a head").clone();
+    let cell = |text: &str| match (text, text.parse::<f64>()) {
+        ("", _) => serde_json::Value::Null,
+        (_, Ok(number)) if number.is_finite() => number.into(),
+        (text, _) => plain_cell(text).into(),
+    };
+    let rows = reader.records().map(|row| row.expect("rows are as long as the head"));
+    let rows: Vec<serde_json::Map<String, serde_json::Value>> =
+        rows.map(|row| names.iter().map(String::from).zip(row.iter().map(cell)).collect()).collect();
+    json!({ "name": table.name, "title": table.title, "results": results.display().to_string(), "rows": rows })
 }
 
 /// Columns of the terminal; a file or a pipe gets lines that most screens show.
