@@ -161,19 +161,26 @@ impl Changes {
     }
 }
 
-/// A table for other programs: where it lies, and the rows of `table.csv` with numbers as numbers and empty cells as null.
+/// A table for other programs: where it lies, and the rows of `table.csv`, whose counts and metrics are numbers and whose empty
+/// cells are null.
 fn table_json(table: &Table, results: &Path) -> serde_json::Value {
     let text = table_csv(table, &[]);
     let mut reader = csv::Reader::from_reader(text.as_bytes());
     let names = reader.headers().expect("a table has a head").clone();
-    let cell = |text: &str| match (text, text.parse::<f64>()) {
-        ("", _) => serde_json::Value::Null,
-        (_, Ok(number)) if number.is_finite() => number.into(),
-        (text, _) => plain_cell(text).into(),
+    // A hash of digits is no number.
+    let of_metric = |name: &str| {
+        table.metrics.iter().any(|metric| name.strip_prefix(metric).is_some_and(|rest| rest.starts_with('_')))
     };
-    let rows = reader.records().map(|row| row.expect("rows are as long as the head"));
-    let rows: Vec<serde_json::Map<String, serde_json::Value>> =
-        rows.map(|row| names.iter().map(String::from).zip(row.iter().map(cell)).collect()).collect();
+    let numeric = |name: &str| ["points", "done"].contains(&name) || of_metric(name);
+    let cell = |name: &str, text: &str| match text.parse::<f64>() {
+        _ if text.is_empty() => serde_json::Value::Null,
+        Ok(number) if numeric(name) => number.into(),
+        _ => plain_cell(text).into(),
+    };
+    let object = |row: csv::StringRecord| -> serde_json::Map<String, serde_json::Value> {
+        names.iter().zip(&row).map(|(name, text)| (name.to_string(), cell(name, text))).collect()
+    };
+    let rows: Vec<_> = reader.records().map(|row| object(row.expect("rows are as long as the head"))).collect();
     json!({ "name": table.name, "title": table.title, "results": results.display().to_string(), "rows": rows })
 }
 
