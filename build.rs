@@ -16,6 +16,16 @@ fn main() {
     }
     let revision = git_revision().or_else(packaged_revision).unwrap_or_else(|| "unknown".to_string());
     println!("cargo:rustc-env=AUGNERF_REVISION={revision}");
+    println!("cargo:rustc-env=AUGNERF_FEATURES={}", features().join(" "));
+}
+
+/// The features that are built in, `default` left out.
+fn features() -> Vec<String> {
+    let name = |key: String| Some(key.strip_prefix("CARGO_FEATURE_")?.to_lowercase().replace('_', "-"));
+    let mut features: Vec<String> = std::env::vars().filter_map(|(key, _)| name(key)).collect();
+    features.retain(|feature| feature != "default");
+    features.sort();
+    features
 }
 
 /// The standard output of a successful git command. No optional locks: asking must not write.

@@ -17,5 +17,5 @@ pub(crate) use error::tensor_sentence;
 pub use error::{Class, Error, Result, SettingError};
 pub use events::{Event, Listener};
 pub use image::Image;
-pub use revision::{revision, version};
+pub use revision::{features, revision, version};
 pub use text::{line, shown};

@@ -11,6 +11,11 @@ pub fn version() -> &'static str {
     env!("CARGO_PKG_VERSION")
 }
 
+/// The features that the program was built with: `png-figures`, ...
+pub fn features() -> impl Iterator<Item = &'static str> {
+    env!("AUGNERF_FEATURES").split_whitespace()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -21,5 +26,7 @@ mod tests {
         let hexadecimal = commit.len() == 12 && commit.bytes().all(|byte| byte.is_ascii_hexdigit());
         assert!(hexadecimal || revision() == "unknown", "{}", revision());
         assert!(version().split('.').count() == 3);
+        assert_eq!(features().any(|feature| feature == "png-figures"), cfg!(feature = "png-figures"));
+        assert!(!features().any(|feature| feature == "default"));
     }
 }

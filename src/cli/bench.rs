@@ -8,7 +8,12 @@ use crate::bench::{self, Workload};
 use crate::settings::parse_assignment;
 
 use super::Compute;
+use super::answer::Answer;
 use super::progress::print;
+
+pub const EXAMPLES: &str = "Examples:
+  augnerf bench                                            steps of NeRF's networks, 1,024 rays of 64 + 64 samples
+  augnerf bench --method aug-nerf --rays 512 --width 64 --set field.encoding=hash";
 
 #[derive(Args)]
 pub struct BenchArguments {
@@ -35,6 +40,8 @@ pub struct BenchArguments {
     set: Vec<String>,
     #[command(flatten)]
     compute: Compute,
+    #[command(flatten)]
+    answer: Answer,
 }
 
 impl BenchArguments {
@@ -50,7 +57,8 @@ impl BenchArguments {
             set: self.set.iter().map(|text| parse_assignment(text)).collect::<Result<_>>()?,
         };
         let timed = workload.run(&runtime)?;
-        print(&serde_json::to_string(&timed).expect("plain data"))
+        // JSON it always was.
+        self.answer.give(&timed, || print(&serde_json::to_string(&timed).expect("plain data")))
     }
 }
 

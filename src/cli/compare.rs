@@ -3,6 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use clap::Args;
+use serde_json::json;
 
 use crate::base::files::AtomicDir;
 use crate::base::{Error, Result};
@@ -14,6 +15,7 @@ use crate::runtime::Runtime;
 use crate::sweep::{Point, SweepFolder, split_names};
 use crate::train::checkpoint;
 
+use super::answer::Answer;
 use super::progress::Console;
 use super::{Compute, numbers};
 
@@ -186,6 +188,8 @@ pub struct CompareArguments {
     out: Option<PathBuf>,
     #[command(flatten)]
     compute: Compute,
+    #[command(flatten)]
+    answer: Answer,
 }
 
 impl CompareArguments {
@@ -214,7 +218,7 @@ impl CompareArguments {
         pictures.commit()?;
         console.say(&format!("pictures: {}", folder.display()));
         SVG_ALONE.into_iter().for_each(|note| console.say(note));
-        Ok(())
+        self.answer.give_silently(&json!({ "folder": folder.display().to_string(), "comparison": comparison.json() }))
     }
 }
 

@@ -3,26 +3,33 @@
 use std::path::{Path, PathBuf};
 
 use clap::{Args, Subcommand};
+use serde::Serialize;
+use serde_json::json;
 
 use crate::base::files::{AtomicDir, write_atomic};
 use crate::base::{Error, Result};
 use crate::data::Scene;
+use crate::data::View;
 use crate::data::corruption::corrupt;
 use crate::data::formats::builtin::export;
 use crate::run::{load_scene, scene_picture, split_name, write_corrupted};
-use crate::settings::{build, parse_assignment};
+use crate::settings::{Resolved, build, parse_assignment};
 
-use super::experiment::Experiment;
+use super::UnusedWeights;
+use super::answer::Answer;
+use super::experiment::{Experiment, scene_folder};
 use super::progress::{Console, print, print_shown};
 
 #[derive(Subcommand)]
 pub enum DataCommand {
     /// Say what a scene folder holds and how it would be used
+    #[command(after_help = CHECK_EXAMPLES)]
     Check(CheckArguments),
     /// Write the training views as section data.corruption of the settings makes them, to look at
     #[command(after_help = CORRUPT_EXAMPLES)]
     Corrupt(CorruptArguments),
     /// Write the embedded scene in Blender format, with exact depth and mesh
+    #[command(after_help = EXPORT_EXAMPLES)]
     ExportBuiltin(ExportArguments),
 }
 
@@ -39,7 +46,16 @@ pub struct CheckArguments {
     /// No progress bar
     #[arg(long, short)]
     quiet: bool,
+    #[command(flatten)]
+    answer: Answer,
 }
+
+const CHECK_EXAMPLES: &str = "Examples:
+  augnerf data check                                       the embedded scene
+  augnerf data check ~/data/fern --set data.downscale=4    as training with the same settings reads it";
+
+const EXPORT_EXAMPLES: &str = "Example:
+  augnerf data export-builtin scene --width 200            then: augnerf train --data scene";
 
 const CORRUPT_EXAMPLES: &str = "Examples:
   augnerf data corrupt noisy --data fern --set data.corruption.kind=gaussian-noise
@@ -57,9 +73,13 @@ pub struct CorruptArguments {
     dir: PathBuf,
     #[command(flatten)]
     experiment: Experiment,
+    #[command(flatten)]
+    _unused: UnusedWeights,
     /// No progress bar
     #[arg(long, short)]
     quiet: bool,
+    #[command(flatten)]
+    answer: Answer,
 }
 
 #[derive(Args)]
@@ -69,6 +89,8 @@ pub struct ExportArguments {
     /// Width and height of the views in pixels
     #[arg(long, default_value_t = export::DEFAULT_WIDTH, value_name = "PIXELS")]
     width: usize,
+    #[command(flatten)]
+    answer: Answer,
 }
 
 impl DataCommand {
@@ -76,35 +98,41 @@ impl DataCommand {
         match self {
             DataCommand::Check(arguments) => arguments.run(),
             DataCommand::Corrupt(arguments) => arguments.run(),
-            DataCommand::ExportBuiltin(arguments) => {
-                let exported = export::export(&arguments.dir, arguments.width)?;
-                print(&format!(
-                    "{}: {} pictures, {} depth maps, a mesh of {} triangles",
-                    arguments.dir.display(),
-                    exported.pictures,
-                    exported.depths,
-                    exported.triangles
-                ))
-            }
+            DataCommand::ExportBuiltin(arguments) => arguments.run(),
         }
+    }
+}
+
+impl ExportArguments {
+    fn run(self) -> Result<()> {
+        let folder = self.dir.display().to_string();
+        let export::Exported { pictures, depths, triangles, .. } = export::export(&self.dir, self.width)?;
+        let answer = json!({ "folder": folder, "pictures": pictures, "depths": depths, "triangles": triangles });
+        self.answer.give(&answer, || {
+            print(&format!("{folder}: {pictures} pictures, {depths} depth maps, a mesh of {triangles} triangles"))
+        })
     }
 }
 
 impl CorruptArguments {
     fn run(self) -> Result<()> {
         AtomicDir::check_vacant(&self.dir)?;
-        let mut config = self.experiment.config()?;
+        let console = Console::new(self.quiet);
+        let mut config = self.experiment.config(&console)?;
         if !config.data.corruption.is_on() {
             let message =
                 "nothing would be corrupted: --set data.corruption.kind to gaussian-noise, shot-noise, pepper or poses";
             return Err(Error::Config(message.into()));
         }
         let corruption = std::mem::take(&mut config.data.corruption);
-        let (config, clean) = load_scene(config, &Console::new(self.quiet))?;
+        let (config, clean) = load_scene(config, &console)?;
         let mut corrupted = clean.clone();
         corrupt(&mut corrupted, &corruption, config.seed)?;
         write_corrupted(&self.dir, &clean, &corrupted, config.seed)?;
-        print(&format!("{}: {} training views", self.dir.display(), corrupted.train.len()))
+        let (folder, views) = (self.dir.display().to_string(), corrupted.train.len());
+        self.answer.give(&json!({ "folder": folder, "training_views": views }), || {
+            print(&format!("{folder}: {views} training views"))
+        })
     }
 }
 
@@ -138,17 +166,61 @@ impl CheckArguments {
     fn run(self) -> Result<()> {
         // Refused before pictures are read.
         self.picture.as_ref().map_or(Ok(()), |file| ending(file).map(|_| ()))?;
+        let console = Console::new(self.quiet);
         let mut assignments = self.set.iter().map(|text| parse_assignment(text)).collect::<Result<Vec<_>>>()?;
         if let Some(dir) = &self.dir {
-            let dir = toml::Value::String(dir.to_string_lossy().into_owned());
+            let dir = toml::Value::String(scene_folder(dir, &console)?.to_string_lossy().into_owned());
             assignments.push((vec!["data".into(), "dir".into()], dir));
         }
         let config = build(None, None, &assignments)?;
-        let (config, scene) = load_scene(config, &Console::new(self.quiet))?;
-        let split = ("split".to_string(), split_name(&config));
-        for (label, value) in scene.describe().into_iter().chain([split]) {
-            print_shown(&format!("{label:>16}  {value}"))?;
+        let (config, scene) = load_scene(config, &console)?;
+        let split = split_name(&config);
+        let said: Vec<(String, String)> =
+            scene.describe().into_iter().chain([("split".to_string(), split.clone())]).collect();
+        self.picture.as_ref().map_or(Ok(()), |file| draw(&scene, file))?;
+        self.answer.give(&CheckedScene::new(&config, &scene, split, &said), || {
+            said.iter().try_for_each(|(label, value)| print_shown(&format!("{label:>16}  {value}")))
+        })
+    }
+}
+
+/// A scene for other programs.
+#[derive(Serialize)]
+struct CheckedScene<'a> {
+    scene: &'a str,
+    dir: &'a str,
+    kind: &'a str,
+    training_views: Vec<&'a str>,
+    held_out_views: Vec<&'a str>,
+    width: usize,
+    height: usize,
+    near: f64,
+    far: f64,
+    ndc: bool,
+    split: String,
+    data_hash: String,
+    /// The lines for people, label and value.
+    said: serde_json::Map<String, serde_json::Value>,
+}
+
+impl<'a> CheckedScene<'a> {
+    fn new(config: &'a Resolved, scene: &'a Scene, split: String, said: &[(String, String)]) -> CheckedScene<'a> {
+        let names = |views: &'a [View]| views.iter().map(|view| view.name.as_str()).collect();
+        let camera = scene.train.first().map(|view| view.camera);
+        CheckedScene {
+            scene: &scene.name,
+            dir: &config.data.dir,
+            kind: scene.kind,
+            training_views: names(&scene.train),
+            held_out_views: names(&scene.test),
+            width: camera.map_or(0, |camera| camera.width),
+            height: camera.map_or(0, |camera| camera.height),
+            near: scene.near,
+            far: scene.far,
+            ndc: scene.ndc.is_some(),
+            split,
+            data_hash: scene.hash(),
+            said: said.iter().map(|(label, value)| (label.clone(), value.clone().into())).collect(),
         }
-        self.picture.as_ref().map_or(Ok(()), |file| draw(&scene, file))
     }
 }

@@ -10,10 +10,10 @@ use crate::runtime::Runtime;
 use crate::settings::Preset;
 use crate::train::Origin;
 
-use super::Compute;
 use super::experiment::{Base, Experiment};
 use super::progress::Console;
 use super::train::default_folder;
+use super::{Compute, LpipsWeights};
 
 pub const EXPORT_EXAMPLES: &str = "Examples:
   augnerf export RUN lego.tar                              a checkpoint that nerf-pytorch takes with --ft_path
@@ -56,6 +56,8 @@ pub struct ImportArguments {
     #[arg(long)]
     overwrite: bool,
     #[command(flatten)]
+    weights: LpipsWeights,
+    #[command(flatten)]
     compute: Compute,
 }
 
@@ -88,7 +90,7 @@ impl ImportArguments {
             // Its networks are those of the paper, which a hash grid's preset is not for.
             preset: |preset| if preset == Preset::Fast { Preset::Cpu } else { preset },
         };
-        let (config, scene) = load_scene(self.experiment.config_over(base)?, &console)?;
+        let (config, scene) = load_scene(self.experiment.config_over(base, &self.weights, &console)?, &console)?;
         let values = foreign.values(&config, runtime.device())?;
         let folder = self.out.clone().unwrap_or_else(|| default_folder(&config));
         let networks = crate::methods::Model::parts(&config).len();

@@ -10,11 +10,13 @@ use crate::data::{self, Format};
 use crate::settings::{Config, Encoding, Method, Preset, build, data_section, parse_assignment};
 
 use super::LpipsWeights;
+use super::progress::Console;
 
 /// Scene and settings of one experiment.
 #[derive(Args)]
 pub struct Experiment {
-    /// Scene folder: LLFF, NeRF-Synthetic (Blender) or transforms.json [default: the embedded scene]
+    /// Scene folder: LLFF, NeRF-Synthetic (Blender) or transforms.json; where there is none of that name, the one below
+    /// the folder that AUGNERF_DATA names [default: the embedded scene]
     #[arg(long, value_name = "DIR")]
     data: Option<PathBuf>,
     /// fast (a minute: a hash grid), smoke (seconds: small networks), cpu (minutes: small networks), paper-llff, paper-blender,
@@ -35,8 +37,37 @@ pub struct Experiment {
     /// Any setting, over everything else: --set train.steps=2000 --set perturb.rgb.passes=off
     #[arg(long, value_name = "FIELD=VALUE")]
     set: Vec<String>,
-    #[command(flatten)]
-    weights: LpipsWeights,
+}
+
+/// The folder that scenes are looked for in where they are not at hand.
+const DATA_ROOT: &str = "AUGNERF_DATA";
+
+/// The scene folder that a name means: that of the name, otherwise the one below `AUGNERF_DATA` or one folder deeper, which is
+/// said.
+///
+/// # Errors
+/// Neither is there; several are below `AUGNERF_DATA`.
+pub fn scene_folder(named: &Path, console: &Console) -> Result<PathBuf> {
+    let here = std::path::absolute(named).map_err(|e| Error::unreadable(named, &e))?;
+    let root = std::env::var_os(DATA_ROOT).filter(|root| !root.is_empty() && named.is_relative());
+    let Some(root) = root.filter(|_| here.symlink_metadata().is_err()).map(PathBuf::from) else { return Ok(here) };
+    let entries = std::fs::read_dir(&root).into_iter().flatten().flatten();
+    let mut deeper: Vec<PathBuf> = entries.map(|entry| entry.path().join(named)).filter(|path| path.is_dir()).collect();
+    deeper.sort();
+    let below = root.join(named);
+    let found = if below.is_dir() { vec![below] } else { deeper };
+    let place = || format!("there is no {} here, and below {DATA_ROOT} ({})", named.display(), root.display());
+    match &found[..] {
+        [] => Err(Error::Data(format!("{} there is none either: name the scene's folder", place()))),
+        [scene] => {
+            console.say(&format!("scene: {} ({DATA_ROOT})", scene.display()));
+            std::path::absolute(scene).map_err(|e| Error::unreadable(scene, &e))
+        }
+        several => {
+            let several: Vec<String> = several.iter().map(|path| path.display().to_string()).collect();
+            Err(Error::Data(format!("{} there are several: name one of {}", place(), several.join(", "))))
+        }
+    }
 }
 
 /// Settings as `(path, value)`.
@@ -54,14 +85,22 @@ pub struct Base<'a> {
     pub preset: fn(Preset) -> Preset,
 }
 
+impl Default for Base<'_> {
+    /// Nothing.
+    fn default() -> Self {
+        Base { file: None, first: Vec::new(), last: Vec::new(), preset: |preset| preset }
+    }
+}
+
 impl Experiment {
     /// Preset, file and assignments, in that order.
-    pub fn config(&self) -> Result<Config> {
-        self.config_over(Base { file: None, first: Vec::new(), last: Vec::new(), preset: |preset| preset })
+    pub fn config(&self, console: &Console) -> Result<Config> {
+        self.config_over(Base::default(), &LpipsWeights { lpips_weights: None }, console)
     }
 
-    /// The same over a base. A preset or a file that is named takes the place of the base's file.
-    pub fn config_over(&self, base: Base) -> Result<Config> {
+    /// The same over a base, of an experiment that is measured, with LPIPS where there are weights. A preset or a file that is
+    /// named takes the place of the base's file.
+    pub fn config_over(&self, base: Base, weights: &LpipsWeights, console: &Console) -> Result<Config> {
         let file = self.config.as_deref().or(base.file.filter(|_| self.preset.is_none()));
         let mut assignments = base.first;
         let mut assign = |path: &[&str], value: Value| {
@@ -73,10 +112,10 @@ impl Experiment {
                 assign(&["data", "kind"], Value::String("auto".into()));
                 assign(&["data", "name"], Value::String(String::new()));
             }
-            let data = std::path::absolute(data).map_err(|e| Error::unreadable(data, &e))?;
+            let data = scene_folder(data, console)?;
             assign(&["data", "dir"], Value::String(data.to_string_lossy().into_owned()));
         }
-        if let Some(weights) = &self.weights.lpips_weights {
+        if let Some(weights) = &weights.lpips_weights {
             let weights = std::path::absolute(weights).map_err(|e| Error::unreadable(weights, &e))?;
             assign(&["eval", "lpips_weights"], Value::String(weights.to_string_lossy().into_owned()));
         }

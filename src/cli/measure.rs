@@ -3,17 +3,28 @@
 use std::path::PathBuf;
 
 use clap::Args;
+use serde::Serialize;
+use serde_json::json;
 
 use crate::base::csv::csv_text;
 use crate::base::{Error, Result};
-use crate::run::{RunDir, Trained, balance, check_measurable, columns};
+use crate::run::{BalancedWeight, FieldSmoothness, RunDir, Trained, balance, check_measurable, columns};
 use crate::runtime::Runtime;
 use crate::settings::registry::check_flag;
 use crate::space::Lattice;
 
+use super::answer::Answer;
 use super::experiment::Experiment;
 use super::progress::{Console, print};
-use super::{Compute, numbers};
+use super::{Compute, UnusedWeights, numbers};
+
+/// A network of a run and how smooth it is.
+#[derive(Serialize)]
+struct Measured<'a> {
+    run: String,
+    #[serde(flatten)]
+    field: &'a FieldSmoothness,
+}
 
 /// The paper's box for its regularizers.
 const PAPER_BOX: [[f64; 3]; 2] = [[-1.0; 3], [1.0; 3]];
@@ -35,6 +46,8 @@ pub struct MeasureArguments {
     data: Option<PathBuf>,
     #[command(flatten)]
     compute: Compute,
+    #[command(flatten)]
+    answer: Answer,
 }
 
 impl MeasureArguments {
@@ -51,7 +64,7 @@ impl MeasureArguments {
 
     fn measure(&self, domain: Option<[[f64; 3]; 2]>, runtime: &Runtime) -> Result<()> {
         let console = Console::new(self.compute.quiet);
-        let mut header = true;
+        let (mut header, mut measured) = (true, Vec::new());
         for run in &self.runs {
             let trained = Trained::open(run, self.data.as_deref(), runtime, &console)?;
             let domain = domain.or(trained.scene.place.domain).unwrap_or(PAPER_BOX);
@@ -59,9 +72,12 @@ impl MeasureArguments {
             lattice.check_meets(&trained.scene, "--bbox")?;
             let report = trained.measure_smoothness(&lattice, &console)?;
             for field in &report.fields {
-                let (mut names, mut values): (Vec<_>, Vec<_>) = columns(field).into_iter().unzip();
-                names.insert(0, "run".into());
-                values.insert(0, run.display().to_string());
+                let row = Measured { run: run.display().to_string(), field };
+                if self.answer.json {
+                    measured.push(serde_json::to_value(row).expect("plain data"));
+                    continue;
+                }
+                let (names, values): (Vec<_>, Vec<_>) = columns(&row).into_iter().unzip();
                 if std::mem::take(&mut header) {
                     print(&csv_line(&names))?;
                 }
@@ -73,7 +89,7 @@ impl MeasureArguments {
                 false => format!("{} cannot be written: {} stays as it is", run.display(), file.display()),
             });
         }
-        Ok(())
+        self.answer.give_silently(&json!({ "fields": measured }))
     }
 }
 
@@ -107,7 +123,11 @@ pub struct BalanceArguments {
     #[arg(long, value_name = "N", default_value_t = 100)]
     steps: u64,
     #[command(flatten)]
+    _unused: UnusedWeights,
+    #[command(flatten)]
     compute: Compute,
+    #[command(flatten)]
+    answer: Answer,
 }
 
 impl BalanceArguments {
@@ -118,23 +138,30 @@ impl BalanceArguments {
 
     fn balance(&self, runtime: &Runtime) -> Result<()> {
         let console = Console::new(self.compute.quiet);
-        let (config, lines) = balance(self.experiment.config()?, self.steps, runtime, &console)?;
-        print("scene,steps,term,photometric_norm,term_norm,share,weight")?;
-        for line in lines {
-            print(&csv_line(&[
-                config.data.name.clone(),
-                self.steps.to_string(),
-                line.term,
-                format!("{:e}", line.photometric_norm),
-                format!("{:e}", line.term_norm),
-                format!("{:.3}", line.share),
-                line.weight.map_or(String::new(), |weight| format!("{weight:.2e}")),
-            ]))?;
-        }
+        let (config, lines) = balance(self.experiment.config(&console)?, self.steps, runtime, &console)?;
+        let answer = json!({ "scene": config.data.name, "steps": self.steps, "weights": lines });
+        self.answer.give(&answer, || print(&balance_csv(&config.data.name, self.steps, &lines)))?;
         console.say(
             "share: the term's pull on the weights at that weight, over the photometric loss's; use a weight with \
              --set regularizer.kind=TERM --set regularizer.weight=WEIGHT",
         );
         Ok(())
     }
+}
+
+/// The grid as CSV without a newline at its end.
+fn balance_csv(scene: &str, steps: u64, lines: &[BalancedWeight]) -> String {
+    let head = ["scene", "steps", "term", "photometric_norm", "term_norm", "share", "weight"].map(String::from);
+    let rows = lines.iter().map(|line| {
+        vec![
+            scene.to_string(),
+            steps.to_string(),
+            line.term.clone(),
+            format!("{:e}", line.photometric_norm),
+            format!("{:e}", line.term_norm),
+            format!("{:.3}", line.share),
+            line.weight.map_or(String::new(), |weight| format!("{weight:.2e}")),
+        ]
+    });
+    csv_text(std::iter::once(head.to_vec()).chain(rows)).trim_end().to_string()
 }

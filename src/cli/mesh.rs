@@ -3,6 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use clap::{Args, ValueEnum};
+use serde_json::json;
 
 use crate::base::{Error, Result};
 use crate::data::Camera;
@@ -17,6 +18,7 @@ use crate::settings::registry::{check_flag, numbers};
 use crate::space::{self, Lattice, Normals, Paint, Score};
 
 use super::Compute;
+use super::answer::Answer;
 use super::compare::pictures_folder;
 use super::measure::{csv_line, parse_box};
 use super::progress::{Console, print, report};
@@ -70,6 +72,8 @@ pub struct MeshArguments {
     data: Option<PathBuf>,
     #[command(flatten)]
     compute: Compute,
+    #[command(flatten)]
+    answer: Answer,
 }
 
 #[derive(Clone, Copy, ValueEnum)]
@@ -198,7 +202,8 @@ impl MeshArguments {
         let cameras: Vec<Camera> = shares.iter().map(|share| space::around(&mesh, *share, columns)).collect();
         write_png8(&picture.file, &mesh_picture(&mesh, &cameras, picture.paint)?)?;
         Console::new(self.compute.quiet).say(&format!("picture: {}", picture.file.display()));
-        Ok(())
+        let file = picture.file.display().to_string();
+        self.answer.give_silently(&json!({ "of": name, "folder": null, "picture": file, "mesh": null }))
     }
 
     fn draw(&self, options: &MeshOptions, runtime: &Runtime) -> Result<()> {
@@ -210,8 +215,10 @@ impl MeshArguments {
         let (folder, files) = pictures_folder(self.out.as_deref(), trained.run.mesh())?;
         let report = trained.draw_mesh_into(files, options, &console)?;
         console.say(&words(&report, &folder));
-        options.picture.iter().for_each(|picture| console.say(&format!("picture: {}", picture.file.display())));
-        Ok(())
+        let picture = options.picture.as_ref().map(|picture| picture.file.display().to_string());
+        picture.iter().for_each(|picture| console.say(&format!("picture: {picture}")));
+        let (run, folder) = (self.run.display().to_string(), folder.display().to_string());
+        self.answer.give_silently(&json!({ "of": run, "folder": folder, "picture": picture, "mesh": report }))
     }
 
     /// Preset and flags, checked.
@@ -298,6 +305,8 @@ pub struct ChamferArguments {
     /// No words beside the table; errors are still printed
     #[arg(long, short)]
     quiet: bool,
+    #[command(flatten)]
+    answer: Answer,
 }
 
 impl ChamferArguments {
@@ -309,6 +318,17 @@ impl ChamferArguments {
         let draw = |name: &str, other: &str| named_mesh(name, other)?.sample(self.points, self.seed);
         let (mesh, reference) = (draw(&self.mesh, &self.reference)?, draw(&self.reference, &self.mesh)?);
         let compared = space::chamfer(&mesh, &reference, &self.at)?;
+        if self.answer.json {
+            return self.answer.give_silently(&json!({
+                "mesh": self.mesh,
+                "reference": self.reference,
+                "points_mesh": mesh.points.len(),
+                "points_reference": reference.points.len(),
+                "seed": self.seed,
+                "distance": compared,
+                "scores": compared.scores,
+            }));
+        }
         let mut cells = vec![
             ("mesh".into(), self.mesh.clone()),
             ("reference".into(), self.reference.clone()),

@@ -4,19 +4,22 @@ use std::io::Write;
 use std::path::PathBuf;
 use std::process::ExitCode;
 use std::str::FromStr;
+use std::sync::LazyLock;
 
 use clap::{Args, CommandFactory, Parser, Subcommand};
 
-use crate::base::{Class, Error, Result};
-use crate::runtime::Runtime;
+use crate::base::{Class, Error, Result, features, revision, version};
+use crate::runtime::{Runtime, instructions};
 use crate::settings::Config;
 
+mod answer;
 mod bench;
 mod compare;
 mod data;
 mod eval;
 mod exchange;
 mod experiment;
+mod manual;
 mod measure;
 mod mesh;
 mod profile;
@@ -26,6 +29,7 @@ mod score;
 mod settings;
 mod signals;
 mod sweep;
+mod tips;
 mod train;
 mod verify;
 
@@ -34,11 +38,27 @@ mod verify;
 ///
 /// Start with `augnerf train`: it needs no data and takes less than a minute.
 #[derive(Parser)]
-#[command(version, max_term_width = 100, after_help = exit_codes())]
+#[command(version = SHORT_VERSION.as_str(), long_version = LONG_VERSION.as_str(), max_term_width = 100, after_help = exit_codes())]
 struct Arguments {
     #[command(subcommand)]
     command: Command,
 }
+
+/// Version and revision, for `-V`.
+static SHORT_VERSION: LazyLock<String> = LazyLock::new(|| format!("{} ({})", version(), revision()));
+
+/// What a report of a defect should say, for `--version`.
+static LONG_VERSION: LazyLock<String> = LazyLock::new(|| {
+    let built_in = features().collect::<Vec<_>>().join(", ");
+    let built_in = if built_in.is_empty() { "none" } else { &built_in };
+    let system = format!("{}-{}", std::env::consts::ARCH, std::env::consts::OS);
+    format!(
+        "{}\nrevision: {}\nfeatures: {built_in}\ninstructions: {} (of this processor)\nbuilt for: {system}",
+        version(),
+        revision(),
+        instructions()
+    )
+});
 
 /// What the exit codes mean, for `--help`.
 fn exit_codes() -> String {
@@ -112,6 +132,7 @@ enum Command {
     #[command(after_help = TRAIN_EXAMPLES)]
     Train(train::TrainArguments),
     /// Go on with a run that was stopped or killed
+    #[command(after_help = train::RESUME_EXAMPLES)]
     Resume(train::ResumeArguments),
     /// Run many experiments as one table: rows, axes, seeds, paired differences
     #[command(subcommand)]
@@ -119,7 +140,8 @@ enum Command {
     /// Check that committed tables, figures and quoted numbers come out of their points
     #[command(after_help = verify::EXAMPLES)]
     Verify(verify::VerifyArguments),
-    /// Measure a trained run on its held-out views again
+    /// Measure a trained run again: its held-out views, or others
+    #[command(after_help = eval::EXAMPLES)]
     Eval(eval::EvalArguments),
     /// Measure pictures that any program rendered, under the same protocol, alone or as a row of a sweep's table
     #[command(after_help = score::EXAMPLES)]
@@ -155,9 +177,17 @@ enum Command {
     #[command(subcommand)]
     Data(data::DataCommand),
     /// Explain the settings of --set and files: values, defaults, what each can change
+    #[command(after_help = settings::EXAMPLES)]
     Settings(settings::SettingsArguments),
     /// Time training steps on made-up rays, as one line of JSON
+    #[command(after_help = bench::EXAMPLES)]
     Bench(bench::BenchArguments),
+    /// Print what a shell completes commands and flags with
+    #[command(after_help = manual::COMPLETIONS_EXAMPLES)]
+    Completions(manual::CompletionsArguments),
+    /// Write manual pages, one a command
+    #[command(after_help = manual::MAN_EXAMPLES)]
+    Man(manual::ManArguments),
 }
 
 /// Where the numbers are computed; changes no setting of a run.
@@ -168,7 +198,7 @@ struct Compute {
     /// Processor threads [default: all cores]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
     threads: Option<u16>,
-    /// No progress bars and no summary; errors are still printed
+    /// No progress and no remarks; errors and answers are still printed
     #[arg(long, short)]
     quiet: bool,
 }
@@ -192,6 +222,23 @@ struct LpipsWeights {
     /// Folder with LPIPS weights (squeeze_lin_v0.1.pth, squeezenet1_1_features.pth, ...; also .safetensors); without
     /// it the lpips and average columns stay empty
     #[arg(long, env = "AUGNERF_LPIPS_WEIGHTS", value_name = "DIR")]
+    lpips_weights: Option<PathBuf>,
+}
+
+/// Where a run's scene is, if not where it was.
+#[derive(Args)]
+struct Moved {
+    /// Scene folder, if it has moved since training
+    #[arg(long, value_name = "DIR")]
+    data: Option<PathBuf>,
+    #[command(flatten)]
+    _unused: UnusedWeights,
+}
+
+/// The same flag where nothing is measured: taken, as it always was, and not offered.
+#[derive(Args)]
+struct UnusedWeights {
+    #[arg(long, value_name = "DIR", hide = true)]
     lpips_weights: Option<PathBuf>,
 }
 
@@ -232,7 +279,7 @@ pub fn command() -> clap::Command {
 pub fn main() -> ExitCode {
     let arguments = match Arguments::try_parse() {
         Ok(arguments) => arguments,
-        Err(answer) => return say(&answer),
+        Err(answer) => return say(&tips::with_tips(answer, &std::env::args_os().skip(1).collect::<Vec<_>>())),
     };
     let done = match arguments.command {
         Command::Train(arguments) => arguments.run(),
@@ -253,6 +300,8 @@ pub fn main() -> ExitCode {
         Command::Chamfer(arguments) => arguments.run(),
         Command::Data(command) => command.run(),
         Command::Settings(arguments) => arguments.run(),
+        Command::Completions(arguments) => arguments.run(),
+        Command::Man(arguments) => arguments.run(),
     };
     done.map_or_else(|error| fail(&error), |()| ExitCode::SUCCESS)
 }

@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 
 use clap::Args;
+use serde_json::json;
 
 use crate::base::files::AtomicDir;
 use crate::base::{Error, Result};
@@ -11,6 +12,7 @@ use crate::draw::SVG_ALONE;
 use crate::run::Viewer;
 use crate::runtime::Runtime;
 
+use super::answer::Answer;
 use super::compare::{Runs, pictures_folder};
 use super::progress::Console;
 use super::{Compute, numbers};
@@ -30,6 +32,8 @@ pub struct ProfileArguments {
     out: Option<PathBuf>,
     #[command(flatten)]
     compute: Compute,
+    #[command(flatten)]
+    answer: Answer,
 }
 
 impl ProfileArguments {
@@ -57,11 +61,12 @@ impl ProfileArguments {
         runs.iter().try_for_each(|(run, _)| run.check_same_interval(&runs[0].0))?;
         let (pixel, patch) = place(&runs[0].0)?;
         let (folder, pictures) = pictures_folder(self.out.as_deref(), folders[0].renders().join("profile"))?;
-        Profiles { runs, pixel, patch }.write(pictures.path())?;
+        let profiles = Profiles { runs, pixel, patch };
+        profiles.write(pictures.path())?;
         pictures.commit()?;
         console.say(&format!("profile of pixel ({}, {}): {}", pixel.0, pixel.1, folder.display()));
         SVG_ALONE.into_iter().for_each(|note| console.say(note));
-        Ok(())
+        self.answer.give_silently(&json!({ "folder": folder.display().to_string(), "profile": profiles.json() }))
     }
 }
 

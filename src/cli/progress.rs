@@ -7,6 +7,7 @@ use std::time::{Duration, Instant};
 use indicatif::{ProgressBar, ProgressStyle};
 
 use crate::base::{Error, Event, Listener, Result, shown};
+use crate::run::EVALUATING;
 
 /// Where there is no terminal, a line at most so often.
 const LINE_EVERY: Duration = Duration::from_secs(10);
@@ -61,7 +62,7 @@ pub struct Console {
 
 /// What is drawn at the moment.
 enum Bar {
-    Stretch(ProgressBar),
+    Stretch(Stretch),
     Training(TrainingBar),
 }
 
@@ -89,22 +90,13 @@ impl Console {
         self.bar.lock().expect("no panic while drawing")
     }
 
-    fn stretch(&self, what: &str, parts: u64) -> Bar {
-        if self.quiet || !std::io::stderr().is_terminal() {
-            return Bar::Stretch(ProgressBar::hidden());
-        }
-        let style = ProgressStyle::with_template("{msg:>12} {wide_bar} {pos}/{len} ETA {eta}");
-        let bar = ProgressBar::new(parts).with_style(style.expect("a valid template"));
-        Bar::Stretch(bar.with_message(what.to_string()))
-    }
-
     fn draw(&self, event: Event<'_>) {
         let mut bar = self.bar();
         match (event, &mut *bar) {
-            (Event::Started { what, parts }, _) => *bar = Some(self.stretch(what, parts)),
-            (Event::Advanced, Some(Bar::Stretch(bar))) => bar.inc(1),
+            (Event::Started { what, parts }, _) => *bar = Some(Bar::Stretch(Stretch::new(self.quiet, what, parts))),
+            (Event::Advanced, Some(Bar::Stretch(stretch))) => stretch.advance(),
             (Event::Finished, Some(Bar::Stretch(stretch))) => {
-                stretch.finish_and_clear();
+                stretch.bar.finish_and_clear();
                 *bar = None;
             }
             (Event::TrainingStarted { first, steps, rays }, _) => {
@@ -135,6 +127,48 @@ impl Listener for Console {
             Event::PointFailed { label, reason } => self.say(&format!("FAILED: {label}: {reason}")),
             _ if self.bars => self.draw(event),
             _ => {}
+        }
+    }
+}
+
+/// Draws a stretch of equal parts: how many are done, and ETA.
+struct Stretch {
+    quiet: bool,
+    what: String,
+    parts: u64,
+    done: u64,
+    bar: ProgressBar,
+    started: Instant,
+    line_at: Instant,
+}
+
+impl Stretch {
+    /// Where there is no terminal, views to evaluate are announced: they follow the last step, and may take as long as all steps.
+    fn new(quiet: bool, what: &str, parts: u64) -> Stretch {
+        let bar = if quiet || !std::io::stderr().is_terminal() {
+            if what.starts_with(EVALUATING) && !quiet {
+                report(&format!("{what}: {parts} views"));
+            }
+            ProgressBar::hidden()
+        } else {
+            let style = ProgressStyle::with_template("{msg:>12} {wide_bar} {pos}/{len} ETA {eta}");
+            let bar = ProgressBar::new(parts).with_style(style.expect("a valid template"));
+            let bar = bar.with_message(what.to_string());
+            bar.tick();
+            bar
+        };
+        let now = Instant::now();
+        Stretch { quiet, what: what.to_string(), parts, done: 0, bar, started: now, line_at: now }
+    }
+
+    fn advance(&mut self) {
+        self.done += 1;
+        self.bar.inc(1);
+        if !self.quiet && self.bar.is_hidden() && self.line_at.elapsed() >= LINE_EVERY && self.done < self.parts {
+            self.line_at = Instant::now();
+            let left =
+                self.started.elapsed().as_secs_f64() / self.done as f64 * self.parts.saturating_sub(self.done) as f64;
+            report(&format!("{} {}/{}  ETA {}", self.what, self.done, self.parts, duration(left)));
         }
     }
 }

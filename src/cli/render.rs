@@ -3,6 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use clap::{Args, ValueEnum};
+use serde_json::json;
 
 use crate::base::{Error, Event, Listener, Result};
 use crate::data::cameras::{self, Dataparser};
@@ -11,9 +12,10 @@ use crate::draw::GIF_ALONE;
 use crate::run::{Pictures, Trained, Viewer, write_path};
 use crate::runtime::Runtime;
 
+use super::answer::Answer;
 use super::compare::pictures_folder;
 use super::progress::{Console, duration};
-use super::{Compute, Sources};
+use super::{Compute, Moved};
 
 pub const EXAMPLES: &str = "Examples:
   augnerf render RUN                                       the scene's camera path, as PNG, GIF and MP4
@@ -63,9 +65,11 @@ pub struct RenderArguments {
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
     #[command(flatten)]
-    sources: Sources,
+    sources: Moved,
     #[command(flatten)]
     compute: Compute,
+    #[command(flatten)]
+    answer: Answer,
 }
 
 #[derive(Clone, Copy, PartialEq, ValueEnum)]
@@ -105,7 +109,7 @@ impl RenderArguments {
         if let Some(file) = &self.write_cameras {
             cameras::write(file, &shots.cameras, &trained.scene.place.world, shots.fps)?;
             console.say(&format!("{} cameras: {}", shots.cameras.len(), file.display()));
-            return Ok(());
+            return self.tell(&trained, None, shots.cameras.len());
         }
         let renders = trained.run.renders();
         let default = match self.what {
@@ -125,7 +129,16 @@ impl RenderArguments {
         console.on(Event::Finished);
         console.say(&format!("pictures: {}", folder.display()));
         GIF_ALONE.into_iter().filter(|_| self.what == What::Path).for_each(|note| console.say(note));
-        Ok(())
+        self.tell(&trained, Some(&folder), shots.cameras.len())
+    }
+
+    /// The answer for scripts.
+    fn tell(&self, trained: &Trained, folder: Option<&Path>, frames: usize) -> Result<()> {
+        let name = |path: &Path| path.display().to_string();
+        let (run, cameras) = (name(&self.run), self.write_cameras.as_deref().map(name));
+        let (step, folder) = (trained.state.step, folder.map(name));
+        let answer = json!({ "run": run, "step": step, "folder": folder, "cameras": cameras, "frames": frames });
+        self.answer.give_silently(&answer)
     }
 
     /// The cameras that are asked for.

@@ -16,6 +16,7 @@ use crate::run::{Matching, Picture, RunDir, Score, Truth, load_lpips, load_scene
 use crate::settings::{Config, Resolved, build, parse_assignment};
 use crate::sweep::{Material, Point, Scored, SweepFolder};
 
+use super::answer::Answer;
 use super::progress::{Console, print};
 use super::{Compute, LpipsWeights};
 
@@ -83,6 +84,8 @@ pub struct ScoreArguments {
     weights: LpipsWeights,
     #[command(flatten)]
     compute: Compute,
+    #[command(flatten)]
+    answer: Answer,
 }
 
 /// A sweep that pictures are to stand in.
@@ -130,7 +133,9 @@ impl ScoreArguments {
                 into.folder.path().display()
             ));
         }
-        print(&self.line(&scored, scene.as_ref().map(|(_, scene)| scene)).to_string())
+        // JSON it always is.
+        let line = self.line(&scored, scene.as_ref().map(|(_, scene)| scene));
+        self.answer.give(&line, || print(&line.to_string()))
     }
 
     fn sweep(&self, path: &Path) -> Result<Into> {

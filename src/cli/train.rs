@@ -11,10 +11,15 @@ use crate::settings::Config;
 use crate::train::Origin;
 use crate::train::checkpoint::{self, State};
 
+use super::answer::{Answer, Measured};
 use super::experiment::{Base, Experiment};
 use super::progress::{Console, print};
 use super::signals::catch_signals;
-use super::{Compute, Sources};
+use super::{Compute, LpipsWeights, Sources};
+
+pub const RESUME_EXAMPLES: &str = "Examples:
+  augnerf resume runs/fern-nerf-*
+  augnerf resume RUN --data ~/data/fern                    where the scene has moved";
 
 #[derive(Args)]
 pub struct TrainArguments {
@@ -37,7 +42,11 @@ pub struct TrainArguments {
     #[arg(long)]
     print_config: bool,
     #[command(flatten)]
+    weights: LpipsWeights,
+    #[command(flatten)]
     compute: Compute,
+    #[command(flatten)]
+    answer: Answer,
 }
 
 #[derive(Args)]
@@ -48,6 +57,8 @@ pub struct ResumeArguments {
     sources: Sources,
     #[command(flatten)]
     compute: Compute,
+    #[command(flatten)]
+    answer: Answer,
 }
 
 impl TrainArguments {
@@ -59,21 +70,20 @@ impl TrainArguments {
     fn train(&self, runtime: &Runtime) -> Result<()> {
         let console = Console::new(self.compute.quiet);
         let parent = self.from.as_deref().map(Parent::open).transpose()?;
-        let config = match &parent {
-            None => self.experiment.config()?,
-            Some(parent) => self.experiment.config_over(parent.base(self.restart))?,
-        };
+        let base = parent.as_ref().map_or_else(Base::default, |parent| parent.base(self.restart));
+        let config = self.experiment.config_over(base, &self.weights, &console)?;
         if let Some(parent) = parent.as_ref().filter(|_| !self.restart && !self.print_config) {
             parent.check_steps(config.train.steps)?;
         }
         let lpips = load_lpips(&config.eval.lpips_weights, runtime.device())?;
         let (config, scene) = load_scene(config, &console)?;
         if self.print_config {
-            return print(config.to_toml().trim_end());
+            return self.answer.give(&config.to_table(), || print(config.to_toml().trim_end()));
         }
         let folder = self.out.clone().unwrap_or_else(|| default_folder(&config));
         let setup = Setup { config, scene: &scene, lpips: &lpips, runtime: runtime.clone() };
         let existing = if self.overwrite { Existing::Replace } else { Existing::Refuse };
+        let words = what_is_trained(&setup);
         let job = match &parent {
             None => Job::create(&folder, existing, setup)?,
             Some(parent) => {
@@ -86,7 +96,8 @@ impl TrainArguments {
             }
         };
         drop(parent);
-        train(job, &folder, &console)
+        console.say(&words);
+        train(job, &folder, &console, self.answer)
     }
 }
 
@@ -147,14 +158,36 @@ impl ResumeArguments {
         let (config, scene) = load_scene(config, &console)?;
         let job = Job::resume(run, Setup { config, scene: &scene, lpips: &lpips, runtime: runtime.clone() })?;
         console.say(&format!("{} goes on at step {}", self.run.display(), job.step_count()));
-        train(job, &self.run, &console)
+        train(job, &self.run, &console, self.answer)
     }
 }
 
-fn train(job: Job, folder: &Path, console: &Console) -> Result<()> {
+/// What begins, in a line.
+fn what_is_trained(Setup { config, scene, .. }: &Setup) -> String {
+    let size = scene.train.first().map(|view| (view.camera.width, view.camera.height)).unwrap_or_default();
+    format!(
+        "{} on {}: {} views of {} x {} pixels, {} held out; {} steps of {} rays",
+        config.method.name(),
+        scene.name,
+        scene.train.len(),
+        size.0,
+        size.1,
+        scene.test.len(),
+        config.train.steps,
+        config.train.rays
+    )
+}
+
+/// Trains in `folder`, whose name is printed first: a script has it also where the training is stopped.
+fn train(job: Job, folder: &Path, console: &Console, answer: Answer) -> Result<()> {
+    if !answer.json {
+        print(&folder.display().to_string())?;
+    }
     let finished = job.train(console, &*catch_signals()?)?;
     summarise(&finished, folder, console);
-    Ok(())
+    let Finished { report, seconds, .. } = &finished;
+    let [metrics, _] = RunDir::metrics_in(folder);
+    answer.give_silently(&Measured::new((folder, &metrics), report, finished.steps, Some(*seconds)))
 }
 
 fn summarise(Finished { report, seconds, .. }: &Finished, folder: &Path, console: &Console) {

@@ -3,13 +3,16 @@
 use std::path::{Path, PathBuf};
 
 use clap::Args;
+use serde::Serialize;
+use serde_json::json;
 
 use crate::base::{Error, Result};
 use crate::run::load_lpips;
 use crate::runtime::Runtime;
 use crate::sweep::Trainings;
-use crate::sweep::verify::{Findings, Outcome, Verifier, results_in, untraced};
+use crate::sweep::verify::{Finding, Findings, Outcome, Verifier, results_in, untraced};
 
+use super::answer::Answer;
 use super::progress::{Console, print};
 use super::signals::catch_signals;
 use super::{Compute, LpipsWeights};
@@ -43,6 +46,21 @@ pub struct VerifyArguments {
     weights: LpipsWeights,
     #[command(flatten)]
     compute: Compute,
+    #[command(flatten)]
+    answer: Answer,
+}
+
+/// A folder and what was found in it.
+#[derive(Serialize)]
+struct Verified {
+    folder: String,
+    findings: Vec<Checked>,
+}
+
+#[derive(Serialize)]
+struct Checked {
+    outcome: &'static str,
+    what: String,
 }
 
 impl VerifyArguments {
@@ -67,12 +85,18 @@ impl VerifyArguments {
             any_revision: self.any_revision,
             stop: &stop,
         };
-        let mut wrong = Vec::new();
+        let (mut wrong, mut verified) = (Vec::new(), Vec::new());
         let mut show = |path: &Path, findings: &Findings| {
+            let folder = path.display().to_string();
             if findings.count(Outcome::Wrong) > 0 {
-                wrong.push(path.display().to_string());
+                wrong.push(folder.clone());
             }
-            print(&path.display().to_string())?;
+            if self.answer.json {
+                let checked = |line: &Finding| Checked { outcome: line.outcome.key(), what: line.text.clone() };
+                verified.push(Verified { folder, findings: findings.lines.iter().map(checked).collect() });
+                return Ok(());
+            }
+            print(&folder)?;
             findings.lines.iter().try_for_each(|line| print(&format!("  {:11}  {}", line.outcome.name(), line.text)))
         };
         for path in &self.results {
@@ -84,6 +108,7 @@ impl VerifyArguments {
                 show(path, &untraced(path)?)?;
             }
         }
+        self.answer.give_silently(&json!({ "holds": wrong.is_empty(), "folders": verified }))?;
         if wrong.is_empty() {
             return Ok(());
         }

@@ -57,6 +57,11 @@ impl Comparison {
         Ok(())
     }
 
+    /// What `compare.json` holds.
+    pub fn json(&self) -> serde_json::Value {
+        serde_json::to_value(self.file()).expect("plain data")
+    }
+
     fn file(&self) -> ComparisonFile<'_> {
         let first = self.first();
         let runs = self.sides.iter().map(|side| RunLine {

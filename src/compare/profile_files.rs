@@ -77,6 +77,11 @@ impl Profiles {
         write_json(&folder.join("profile.json"), &self.report())
     }
 
+    /// What `profile.json` holds.
+    pub fn json(&self) -> serde_json::Value {
+        serde_json::to_value(self.report()).expect("plain data")
+    }
+
     fn write_csv<'a>(&'a self, path: &Path, rows: impl Fn(&'a str, &'a Profile) -> Vec<RayRow<'a>>) -> Result<()> {
         let unwritable =
             |error: &dyn std::fmt::Display| Error::Output(format!("cannot write {}: {error}", path.display()));

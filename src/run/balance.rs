@@ -1,6 +1,7 @@
 //! Which weights balance a regularizer with the photometric loss: the grid for a search.
 
 use candle_core::DType;
+use serde::Serialize;
 
 use crate::base::{Error, Event, Listener, Result};
 use crate::losses::{LossTerm, WeightedTerm};
@@ -18,7 +19,7 @@ const MIDDLE_SHARE: f64 = 0.1;
 const GRID: [f64; 5] = [1e-2, 1e-1, 1.0, 1e1, 1e2];
 
 /// One weight of one term.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct BalancedWeight {
     /// The term's name.
     pub term: String,

@@ -15,6 +15,9 @@ use crate::settings::Resolved;
 /// Chunks of each thread that an estimate of time is made from.
 const CHUNKS_TIMED: usize = 4;
 
+/// What evaluations are called in [`Event::Started`], with what is evaluated behind it.
+pub const EVALUATING: &str = "evaluating";
+
 /// One rendered view, row-major.
 pub struct RenderedView {
     /// RGB, background included.
@@ -152,7 +155,7 @@ impl Viewer<'_> {
         unless_stopped: impl Fn() -> Result<()>,
         each: impl FnMut(usize, &View, &RenderedView) -> Result<()>,
     ) -> Result<Vec<ViewMetrics>> {
-        self.measure("evaluating", self.scene.test.iter().collect(), lpips, events, unless_stopped, each)
+        self.measure(EVALUATING, self.scene.test.iter().collect(), lpips, events, unless_stopped, each)
     }
 
     /// Renders and measures the training views of [`seen_views`] as they were trained on, corruption included.

@@ -27,6 +27,7 @@ const TENSORBOARD: &str = "tensorboard";
 const CHECKPOINTS: &str = "checkpoints";
 const RENDERS: &str = "renders";
 const MESH: &str = "mesh";
+const EVAL: &str = "eval";
 
 /// The files of a run, apart from the lock.
 const FILES: [&str; 8] = [CONFIG, SCENE, METRICS_JSON, METRICS_CSV, DEPTH_ERRORS, SMOOTHNESS, SCALARS, TIMING];
@@ -160,7 +161,7 @@ impl RunDir {
 
     /// Puts right what a killed session left half-written. Call it while holding the lock.
     pub fn clean(&self) -> Result<()> {
-        let below = FOLDERS.iter().chain(&[MESH]).map(|name| self.path.join(name));
+        let below = FOLDERS.iter().chain(&[MESH, EVAL]).map(|name| self.path.join(name));
         std::iter::once(self.path.clone())
             .chain(below)
             .filter(|folder| folder.is_dir())
@@ -266,6 +267,11 @@ impl RunDir {
         path.join(RENDERS).join("surface.png")
     }
 
+    /// `eval/`: evaluations of other checkpoints and views, a folder each.
+    pub fn evaluations(&self) -> PathBuf {
+        self.path.join(EVAL)
+    }
+
     /// `renders/`: pictures and videos.
     pub fn renders(&self) -> PathBuf {
         self.path.join(RENDERS)
@@ -336,7 +342,7 @@ fn clear(path: &Path) -> io::Result<()> {
             remove(&entry.path())?;
         }
     }
-    FILES.iter().chain(&FOLDERS).chain(&[MESH]).try_for_each(|name| discard(&path.join(name)))
+    FILES.iter().chain(&FOLDERS).chain(&[MESH, EVAL]).try_for_each(|name| discard(&path.join(name)))
 }
 
 /// Writes some blocks into `folder` as far as the disk and takes them away again.

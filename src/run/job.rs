@@ -84,6 +84,8 @@ pub struct Finished {
     pub report: Report,
     /// The model as it was evaluated.
     pub model: Model,
+    /// Steps that were taken, of so many.
+    pub steps: (u64, u64),
     /// Seconds spent on steps in this session.
     pub seconds: f64,
 }
@@ -222,7 +224,8 @@ impl Experiment<'_> {
         session.evaluated(&report.mean)?;
         let seconds = evaluating.elapsed().as_secs_f64() + watcher.seconds_evaluation;
         self.timing(session.trainer().step_count(), session.seconds(), seconds).write(&self.run.timing())?;
-        Ok(Finished { report, model: session.trainer().model().clone(), seconds: session.seconds() })
+        let steps = (session.trainer().step_count(), self.setup.config.train.steps);
+        Ok(Finished { report, model: session.trainer().model().clone(), steps, seconds: session.seconds() })
     }
 
     fn report_redraws(&self, trainer: &Trainer, events: &dyn Listener) {
@@ -231,7 +234,7 @@ impl Experiment<'_> {
             if *redraws > 0 && trainer.step_count() == 0 {
                 let share = config.train.dead_start_share;
                 events.on(Event::Note(&format!(
-                    "the {role} field started dead (under {share} of densities positive) and was drawn again {redraws} x"
+                    "first weights of the {role} field were drawn again {redraws} x: under {share} of densities were positive"
                 )));
             }
         }
@@ -262,7 +265,7 @@ impl Experiment<'_> {
         let pictures = Pictures::new(&renders, self.setup.scene, self.setup.config.eval.pictures);
         let mut first = None;
         let (run, folder, lpips) = (&self.run, self.run.path(), self.setup.lpips);
-        let measurement = Measurement { run, folder, viewer, state: &state, lpips, events };
+        let measurement = Measurement { run, folder, viewer, state: &state, lpips, events, split: None };
         let report = measurement.write(
             || self.check_signal(signal, trainer.step_count()),
             |index, view, rendered| {

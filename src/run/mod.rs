@@ -35,7 +35,7 @@ pub use balance::{BalancedWeight, balance};
 pub use columns::columns;
 pub(crate) use corruption::write_corrupted;
 pub use depth_errors::DepthErrors;
-pub use evaluate::{RenderedView, Viewer};
+pub use evaluate::{EVALUATING, RenderedView, Viewer};
 pub use exchange::{Foreign, Networks, export};
 pub use folder::{Existing, RunDir};
 pub use inputs::{load_lpips, load_scene, locate_scene};
@@ -52,10 +52,10 @@ pub use scene_file::WorldMatrix;
 pub use scene_picture::scene_picture;
 pub use score::{Matching, Picture, Score, ScoredView, Truth, pictures, score};
 pub use session::{Between, EVALUATION_COLUMNS, Outcome, SEEN_COLUMNS, Session, interrupted};
-pub use smoothness::{SmoothnessReport, check_measurable};
+pub use smoothness::{FieldSmoothness, SmoothnessReport, check_measurable};
 pub use surface::{
     BUILTIN, Surface, most_memory_mib, reference_mesh, surface_box, surface_reference, surface_threshold,
 };
 pub use tensorboard::EventWriter;
 use trained::Measurement;
-pub use trained::Trained;
+pub use trained::{Choice, Split, Trained};

@@ -10,10 +10,31 @@ use crate::draw::write_png8;
 use crate::methods::{Model, SiteSummary};
 use crate::metrics::Lpips;
 use crate::runtime::Runtime;
-use crate::settings::Resolved;
+use crate::settings::{EvalSplit, Resolved};
 use crate::train::checkpoint::{self, State};
 
 use super::{DepthErrors, Protocol, RenderedView, Report, RunDir, Viewer, load_scene, surface_reference};
+
+/// Views that a run is measured on.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Split {
+    /// Those that are held out.
+    Test,
+    /// Those that are kept for choices: `data.eval_split = "val"`.
+    Val,
+    /// All that were trained on, as they were trained on.
+    Train,
+}
+
+/// Which checkpoint of a run is opened, and which views take the place of those that it holds out; by default the newest, and
+/// none.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Choice {
+    /// The step that it was saved at.
+    pub step: Option<u64>,
+    /// The views.
+    pub split: Option<Split>,
+}
 
 /// The newest checkpoint of a run, with its scene: everything that can be looked at or measured.
 ///
@@ -54,6 +75,8 @@ pub struct Trained {
     pub model: Model,
     /// Where it is computed.
     pub runtime: Runtime,
+    /// The views that were chosen in place of the run's own.
+    split: Option<Split>,
 }
 
 impl Trained {
@@ -64,18 +87,45 @@ impl Trained {
     /// [`Error::Output`](crate::base::Error::Output): a run that another process holds;
     /// [`Error::Data`](crate::base::Error::Data): a scene that cannot be read.
     pub fn open(run: &Path, data: Option<&Path>, runtime: &Runtime, events: &dyn Listener) -> Result<Trained> {
+        Trained::open_at(run, Choice::default(), data, runtime, events)
+    }
+
+    /// The same of another checkpoint, or with other views to measure.
+    ///
+    /// # Errors
+    /// Those of [`Trained::open`]; no checkpoint of that step; a scene without views for choices.
+    pub fn open_at(
+        run: &Path,
+        choice: Choice,
+        data: Option<&Path>,
+        runtime: &Runtime,
+        events: &dyn Listener,
+    ) -> Result<Trained> {
         let run = RunDir::take_to_read(run)?;
         let mut config = run.read_config()?;
         if let Some(dir) = data {
             config.data.dir = dir.to_string_lossy().into_owned();
         }
-        let newest = checkpoint::latest(&run.checkpoints())?;
-        let mut state = checkpoint::load_state(&newest)?;
-        let model = checkpoint::load_model(&newest, &config, DType::F32, runtime.device())?;
-        checkpoint::check_config(&newest, &state, &config)?;
+        let chosen = match choice.step {
+            Some(step) => checkpoint::of_step(&run.checkpoints(), step)?,
+            None => checkpoint::latest(&run.checkpoints())?,
+        };
+        let mut state = checkpoint::load_state(&chosen)?;
+        let model = checkpoint::load_model(&chosen, &config, DType::F32, runtime.device())?;
+        checkpoint::check_config(&chosen, &state, &config)?;
         state.touch(runtime);
-        let (config, scene) = runtime.install(|| load_scene(config, events))?;
-        Ok(Trained { run, config, scene, state, model, runtime: runtime.clone() })
+        match choice.split {
+            None => {}
+            Some(Split::Test) => config.data.eval_split = EvalSplit::Test,
+            Some(Split::Val) => config.data.eval_split = EvalSplit::Val,
+            // They are measured once.
+            Some(Split::Train) => config.eval.train_views = Some(0),
+        }
+        let (config, mut scene) = runtime.install(|| load_scene(config, events))?;
+        if choice.split == Some(Split::Train) {
+            scene.test = scene.train.clone();
+        }
+        Ok(Trained { run, config, scene, state, model, runtime: runtime.clone(), split: choice.split })
     }
 
     /// Renders views of it.
@@ -86,7 +136,7 @@ impl Trained {
 
     /// Where its numbers come from.
     pub fn protocol(&self) -> Protocol {
-        Protocol::new(&self.config, &self.scene, &self.state)
+        named(self.split, Protocol::new(&self.config, &self.scene, &self.state))
     }
 
     /// Measures every held-out view, some training views, and the surface where the settings ask for one, and writes `metrics.json` and
@@ -104,8 +154,8 @@ impl Trained {
     /// Those of [`Trained::evaluate`].
     pub fn evaluate_into(&self, folder: &Path, lpips: &[Lpips], events: &dyn Listener) -> Result<Report> {
         surface_reference(&self.config, &self.scene)?;
-        let Trained { run, state, .. } = self;
-        let measurement = Measurement { run, folder, viewer: self.viewer(), state, lpips, events };
+        let Trained { run, state, split, .. } = self;
+        let measurement = Measurement { run, folder, viewer: self.viewer(), state, lpips, events, split: *split };
         self.runtime.install(|| measurement.write(|| Ok(()), |_, _, _| Ok(())))
     }
 }
@@ -119,6 +169,16 @@ pub(super) struct Measurement<'a> {
     pub state: &'a State,
     pub lpips: &'a [Lpips],
     pub events: &'a dyn Listener,
+    /// Which views stand in for those that are held out.
+    pub split: Option<Split>,
+}
+
+/// The protocol of an evaluation of these views: training views are no split of settings.
+fn named(split: Option<Split>, mut protocol: Protocol) -> Protocol {
+    if split == Some(Split::Train) {
+        protocol.set("split", "train".into());
+    }
+    protocol
 }
 
 impl Measurement<'_> {
@@ -138,6 +198,7 @@ impl Measurement<'_> {
         let training_views = self.viewer.evaluate_seen(self.lpips, self.events, &unless_stopped)?;
         let surface = self.viewer.surface(self.events, &unless_stopped)?;
         let protocol = Protocol::new(self.viewer.config, self.viewer.scene, self.state).with_lpips(self.lpips);
+        let protocol = named(self.split, protocol);
         let (chamfer, picture) = surface.map_or((None, None), |surface| (surface.chamfer, surface.picture));
         if let Some(picture) = picture {
             let path = RunDir::surface_picture_in(self.folder);

@@ -12,7 +12,7 @@ mod memory;
 mod process;
 mod work;
 
-pub use host::{Host, Timing};
+pub use host::{Host, Timing, instructions};
 pub(crate) use host::{free_memory_mib, host_name, peak_memory_mib};
 pub(crate) use memory::MemoryWatch;
 pub use work::Work;

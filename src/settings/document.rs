@@ -2,10 +2,11 @@
 
 use std::fmt::Write;
 
+use serde::Serialize;
 use toml::{Table, Value};
 
 use super::layers::{Preset, leaves};
-use super::registry::{Effect, REGISTRY, Setting, nearest};
+use super::registry::{Effect, REGISTRY, Setting, meant};
 use super::{Config, value_at};
 use crate::base::{Error, Result};
 
@@ -75,16 +76,53 @@ fn presets() -> String {
 /// # Errors
 /// A filter that is in none.
 pub fn settings_text(filter: Option<&str>) -> Result<String> {
+    let defaults = Config::default().to_table();
+    Ok(found(filter)?.into_iter().map(|setting| entry(setting, value_at(&defaults, &setting.path))).collect())
+}
+
+/// The same settings as rows for other programs.
+///
+/// # Errors
+/// A filter that is in none.
+pub fn settings_rows(filter: Option<&str>) -> Result<Vec<SettingRow>> {
+    let defaults = Config::default().to_table();
+    let row = |setting: &'static Setting| SettingRow {
+        setting: &setting.path,
+        default: value_at(&defaults, &setting.path).cloned(),
+        values: setting.values(),
+        what: &setting.doc,
+        changes: setting.rule.effect.name(),
+        columns: setting.rule.all_columns().collect(),
+    };
+    Ok(found(filter)?.into_iter().map(row).collect())
+}
+
+/// A setting as another program reads it.
+#[derive(Clone, Debug, Serialize)]
+pub struct SettingRow {
+    /// Its dotted name.
+    pub setting: &'static str,
+    /// What stands where nothing says otherwise; none where it is left open.
+    pub default: Option<Value>,
+    /// What it may be, in words.
+    pub values: String,
+    /// What it is.
+    pub what: &'static str,
+    /// What it can change: `numbers`, `work`, `place` or `output`.
+    pub changes: &'static str,
+    /// Columns of the protocol that speak of it.
+    pub columns: Vec<&'static str>,
+}
+
+/// Settings whose path or words hold `filter`.
+fn found(filter: Option<&str>) -> Result<Vec<&'static Setting>> {
     let filter = filter.unwrap_or_default().to_lowercase();
     let holds = |setting: &&Setting| setting.path.contains(&filter) || setting.doc.to_lowercase().contains(&filter);
     let found: Vec<&Setting> = REGISTRY.settings.iter().filter(holds).collect();
     if found.is_empty() {
-        let known = REGISTRY.settings.iter().map(|setting| setting.path.as_str());
-        let nearest = nearest(&filter, known).expect("there are settings");
-        return Err(Error::Config(format!("no setting speaks of '{filter}'; did you mean '{nearest}'?")));
+        return Err(Error::Config(format!("no setting speaks of '{filter}'; did you mean {}?", meant(&filter))));
     }
-    let defaults = Config::default().to_table();
-    Ok(found.into_iter().map(|setting| entry(setting, value_at(&defaults, &setting.path))).collect())
+    Ok(found)
 }
 
 /// A setting with its words, ended by a line.

@@ -5,7 +5,7 @@ use std::path::Path;
 use toml::{Table, Value};
 
 use super::identity::value_at;
-use super::registry::{REGISTRY, nearest};
+use super::registry::{REGISTRY, meant};
 use super::site::forget_passes;
 use super::{Config, DataConfig, Method};
 use crate::base::input::{TEXT_BYTES, read_named};
@@ -189,11 +189,9 @@ fn assign(table: &mut Table, path: &[String], value: Value) -> Result<()> {
 fn check_keys(layer: &Table, origin: &str) -> Result<()> {
     let unknown = leaves(layer, "").into_iter().find(|key| !REGISTRY.knows(key));
     unknown.map_or(Ok(()), |key| {
-        let known = REGISTRY.settings.iter().map(|setting| setting.path.as_str());
         // Of a name that no setting's comes near to in length, its beginning is enough.
         let key: String = key.chars().take(200).collect();
-        let nearest = nearest(&key, known).expect("there are settings");
-        Err(Error::Config(format!("{origin}: unknown key '{key}'; did you mean '{nearest}'?")))
+        Err(Error::Config(format!("{origin}: unknown key '{key}'; did you mean {}?", meant(&key))))
     })
 }
 

@@ -28,7 +28,7 @@ mod validate;
 
 pub use corruption::{CorruptionConfig, CorruptionKind};
 pub use data::{Background, DataConfig, DataKind, EvalSplit, PixelOrigin, Split, TrainViews};
-pub use document::{settings_page, settings_text};
+pub use document::{SettingRow, settings_page, settings_rows, settings_text};
 pub use eval::{EvalConfig, MESH_SIDES, MeshConfig, NO_REFERENCE};
 pub use field::{Core, DensityActivation, Encoding, FieldConfig, Init, Precision};
 pub use hash::{Contraction, HashConfig, Interpolation};

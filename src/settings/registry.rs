@@ -198,9 +198,45 @@ pub fn check_flag(flag: &str, path: &str, value: &impl Settable) -> Result<(), S
     setting.rule.check(|| path.to_string(), value).map_err(|error| error.renamed(flag))
 }
 
-/// The name that is nearest to a mistaken one, by Levenshtein's distance.
-pub(super) fn nearest<'a>(name: &str, known: impl Iterator<Item = &'a str>) -> Option<&'a str> {
-    known.min_by_key(|known| distance(known, name))
+/// Most settings that one mistaken name is answered with.
+const MOST_MEANT: usize = 3;
+
+/// The settings that end in `name`'s last part and lie in the fewest sections: `steps` gives `train.steps`, `width` both
+/// `data.width` and `field.width`.
+pub fn settings_called(name: &str) -> Vec<&'static str> {
+    let last = last_part(name);
+    shallowest(REGISTRY.settings.iter().map(|setting| setting.path.as_str()).filter(|path| last_part(path) == last))
+}
+
+/// What a mistaken name may have meant, in words: settings of that last part, otherwise those nearest by Levenshtein's distance.
+pub(super) fn meant(name: &str) -> String {
+    let known = || REGISTRY.settings.iter().map(|setting| setting.path.as_str());
+    let nearest = |among: &[&'static str]| among.iter().copied().min_by_key(|path| distance(path, name));
+    let called: Vec<&str> = known().filter(|path| last_part(path) == last_part(name)).collect();
+    let found = match (name.contains('.'), called.is_empty()) {
+        // A section is named: the one that comes nearest.
+        (true, false) => nearest(&called).into_iter().collect(),
+        (true, true) => nearest(&known().collect::<Vec<_>>()).into_iter().collect(),
+        (false, false) => settings_called(name),
+        (false, true) => {
+            let away = |path: &&str| distance(last_part(path), name);
+            let least = known().map(|path| away(&path)).min();
+            shallowest(known().filter(|path| Some(away(path)) == least))
+        }
+    };
+    found.iter().map(|path| format!("'{path}'")).collect::<Vec<_>>().join(" or ")
+}
+
+fn last_part(path: &str) -> &str {
+    path.rsplit('.').next().expect("split gives one")
+}
+
+/// Those in the fewest sections, the first few.
+fn shallowest(paths: impl Iterator<Item = &'static str>) -> Vec<&'static str> {
+    let depth = |path: &str| path.matches('.').count();
+    let paths: Vec<&str> = paths.collect();
+    let least = paths.iter().map(|path| depth(path)).min();
+    paths.into_iter().filter(|path| Some(depth(path)) == least).take(MOST_MEANT).collect()
 }
 
 fn distance(a: &str, b: &str) -> usize {
@@ -253,6 +289,25 @@ mod tests {
         listed.sort();
         assert_eq!(keys, listed);
         assert!(docs.iter().all(|doc| !doc.is_empty()));
+    }
+
+    #[test]
+    fn mistaken_names_are_answered_with_what_they_mean() {
+        for (mistake, right) in [
+            ("steps", "'train.steps'"),
+            ("stepz", "'train.steps'"),
+            ("learning_rate", "'train.learning_rate'"),
+            ("optimizer.learning_rate", "'train.learning_rate'"),
+            ("width", "'data.width' or 'field.width'"),
+            ("sed", "'seed'"),
+            ("perturb.q.epsilon", "'perturb.t.epsilon'"),
+            ("perturb.rgb.epsilom", "'perturb.rgb.epsilon'"),
+            ("trian.steps", "'train.steps'"),
+        ] {
+            assert_eq!(meant(mistake), right, "{mistake}");
+        }
+        assert_eq!(settings_called("train.steps"), ["train.steps"]);
+        assert!(settings_called("rows").is_empty());
     }
 
     #[test]

@@ -137,7 +137,7 @@ pub struct Chamfer {
 }
 
 /// Agreement at a distance (Knapitsch et al. 2017, Tanks and Temples).
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Score {
     /// Points that are at most so far from the other surface count as right.
     pub at: f64,

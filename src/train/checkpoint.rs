@@ -165,6 +165,24 @@ pub fn latest(checkpoints: &Path) -> Result<PathBuf> {
     })
 }
 
+/// The checkpoint of a step.
+///
+/// # Errors
+/// There is none; those that are there are named.
+pub fn of_step(checkpoints: &Path, step: u64) -> Result<PathBuf> {
+    let all = list(checkpoints)?;
+    let steps: Vec<String> = all.iter().map(|(step, _)| step.to_string()).collect();
+    let found = all.into_iter().find(|(of, _)| *of == step);
+    found.map(|(_, folder)| folder).ok_or_else(|| {
+        let kept = if steps.is_empty() { "none".to_string() } else { format!("those of steps {}", steps.join(", ")) };
+        Error::Checkpoint(format!(
+            "{} holds no checkpoint of step {step}: there are {kept}; train.checkpoint_every and train.keep_checkpoints say \
+             which are kept",
+            checkpoints.display()
+        ))
+    })
+}
+
 /// Values of all parameters as stored, in the order of [`Model::parameter_names`].
 pub fn load_model(checkpoint: &Path, config: &Config, dtype: DType, device: &Device) -> Result<Model> {
     let tensors = Tensors::open(checkpoint, dtype, device)?;

@@ -2,6 +2,7 @@
 
 mod common;
 
+mod answers;
 mod attack_geometry;
 mod bad_data;
 mod captures;

@@ -184,6 +184,7 @@ fn the_best_row_is_told_with_its_settings_and_folders() {
     assert_says(&told, &["builtin: B, psnr", "not looked at, for want of points: A, long"]);
     let printed = program::printed(&["sweep", "best", folder.to_str().unwrap(), "--json"]);
     let best: serde_json::Value = serde_json::from_str(&printed).unwrap();
+    let best = &best["best"];
     assert_eq!((best[0]["label"].as_str(), best[0]["seeds"].as_array().unwrap().len()), (Some("B"), 3));
     assert_says(
         &demand(dir.path(), &["sweep", "best", "runs/one", "--metric", "occupied"], 2),

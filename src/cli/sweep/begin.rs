@@ -1,9 +1,11 @@
 //! `augnerf sweep begin`.
 
 use clap::Args;
+use serde_json::json;
 
 use crate::base::Result;
 use crate::cli::Compute;
+use crate::cli::answer::Answer;
 use crate::cli::progress::{Console, print};
 use crate::sweep::Trainings;
 
@@ -24,6 +26,8 @@ pub struct BeginArguments {
     extend: bool,
     #[command(flatten)]
     compute: Compute,
+    #[command(flatten)]
+    answer: Answer,
 }
 
 impl BeginArguments {
@@ -35,10 +39,12 @@ impl BeginArguments {
         let begun = runtime.install(|| begin_folder(&self.location, &definition, self.extend, &trainings, &console))?;
         let (folder, points) = begun;
         let last = points.len().saturating_sub(1);
-        print(&format!(
-            "{folder}: {} points, --index 0 to {last} of `augnerf sweep run-point {folder} --index N`",
-            points.len(),
-            folder = folder.path().display()
-        ))
+        let folder = folder.path().display().to_string();
+        self.answer.give(&json!({ "folder": folder, "points": points.len() }), || {
+            print(&format!(
+                "{folder}: {} points, --index 0 to {last} of `augnerf sweep run-point {folder} --index N`",
+                points.len()
+            ))
+        })
     }
 }

@@ -3,13 +3,19 @@
 use std::path::PathBuf;
 
 use clap::Args;
+use serde_json::json;
 
 use crate::base::Result;
-use crate::cli::progress::{print, print_shown};
+use crate::cli::answer::Answer;
+use crate::cli::progress::print_shown;
 use crate::metrics::Metric;
 use crate::sweep::{Best, best};
 
 use super::opened::Opened;
+
+pub const EXAMPLES: &str = "Examples:
+  augnerf sweep best runs/tab4_fern                        by PSNR
+  augnerf sweep best runs/tab4_fern --metric ssim --json";
 
 #[derive(Args)]
 pub struct BestArguments {
@@ -18,15 +24,14 @@ pub struct BestArguments {
     /// What to judge by, in its mean over the seeds
     #[arg(long, value_name = "METRIC", default_value = "psnr")]
     metric: String,
-    /// As one JSON array, an entry a scene
-    #[arg(long)]
-    json: bool,
     /// Compare rows that differ in an uncontrolled setting, such as the code's revision
     #[arg(long)]
     force: bool,
     /// Folder that the definition's scenes lie in
     #[arg(long, env = "AUGNERF_DATA", value_name = "DIR")]
     data_root: Option<PathBuf>,
+    #[command(flatten)]
+    answer: Answer,
 }
 
 impl BestArguments {
@@ -34,10 +39,7 @@ impl BestArguments {
         let sweep = Opened::read(&self.folder, self.data_root.as_deref())?;
         let spec = sweep.definition.table(&sweep.name, &sweep.points);
         let found = best(&sweep.folder, &spec, &sweep.points, &sweep.material()?, &self.metric, self.force)?;
-        if self.json {
-            return print(&serde_json::to_string_pretty(&found).expect("plain data"));
-        }
-        found.iter().try_for_each(|best| print_shown(&text(best)))
+        self.answer.give(&json!({ "best": found }), || found.iter().try_for_each(|best| print_shown(&text(best))))
     }
 }
 

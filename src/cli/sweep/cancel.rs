@@ -12,6 +12,9 @@ use crate::sweep::slurm::Slurm;
 
 use super::begun;
 
+pub const EXAMPLES: &str = "Example:
+  augnerf sweep cancel runs/tab1_llff                      what ran goes on with `augnerf sweep submit`";
+
 #[derive(Args)]
 pub struct CancelArguments {
     /// Folder of a sweep: runs/NAME, or what --out named

@@ -5,19 +5,21 @@ use std::path::{Path, PathBuf};
 use clap::Args;
 
 use crate::base::{Error, Result};
+use crate::cli::answer::Answer;
 use crate::cli::progress::print;
 use crate::draw::SVG_ALONE;
 use crate::report::tables::{Table, table_terminal};
 use crate::sweep::{Choice, View, check_name};
 
 use super::opened::Opened;
-use super::{How, RESULTS, RUNS, collect, name_of, terminal_width};
+use super::{How, RESULTS, RUNS, collect, name_of, table_json, terminal_width};
 
 pub const EXAMPLES: &str = "Examples:
   augnerf sweep collect runs/tab4_fern                     its tables and figures once more, into results/tab4_fern
   augnerf sweep collect runs/tab4_fern --rows NeRF,Aug-NeRF --metrics psnr,ssim --out figures/two
   augnerf sweep collect runs/tab4_fern --baseline 'NeRF + second clean pass' --out figures/second
   augnerf sweep collect runs/a --merge runs/b --out figures/both
+  augnerf sweep collect runs/tab4_fern --json              the table's rows for a script, too
 
 Chosen rows, metrics, another baseline or several sweeps need a folder of their own; intervals, p values and Holm's
 correction are those of the rows that are shown.";
@@ -53,6 +55,8 @@ pub struct CollectArguments {
     /// Folder that the definition's scenes lie in
     #[arg(long, env = "AUGNERF_DATA", value_name = "DIR")]
     data_root: Option<PathBuf>,
+    #[command(flatten)]
+    answer: Answer,
 }
 
 impl CollectArguments {
@@ -72,9 +76,11 @@ impl CollectArguments {
             }
             false => self.view(sweep, choice)?,
         };
-        print(&table_terminal(&table, terminal_width()))?;
-        print(&format!("tables: {}", results.display()))?;
-        SVG_ALONE.into_iter().try_for_each(print)
+        self.answer.give(&table_json(&table, &results), || {
+            print(&table_terminal(&table, terminal_width()))?;
+            print(&format!("tables: {}", results.display()))?;
+            SVG_ALONE.into_iter().try_for_each(print)
+        })
     }
 
     fn open(&self, path: &Path) -> Result<Opened> {

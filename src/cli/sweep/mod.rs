@@ -4,10 +4,12 @@ use std::io::IsTerminal;
 use std::path::{Path, PathBuf};
 
 use clap::{Args, Subcommand};
+use serde_json::json;
 
+use crate::base::csv::plain_cell;
 use crate::base::{Error, Result};
 use crate::metrics::{Lpips, Metric, Needs, Scope};
-use crate::report::tables::Table;
+use crate::report::tables::{Table, table_csv};
 use crate::run::load_lpips;
 use crate::runtime::Runtime;
 use crate::settings::parse_assignment;
@@ -42,8 +44,10 @@ pub enum SweepCommand {
     #[command(after_help = run::EXAMPLES)]
     Run(run::RunArguments),
     /// List the points and measure what they will cost, without running them
+    #[command(after_help = plan::EXAMPLES)]
     Plan(plan::PlanArguments),
     /// Show what is done, running, failed
+    #[command(after_help = status::EXAMPLES)]
     Status(status::StatusArguments),
     /// Write tables and figures from what is done, from files alone: all of a sweep, chosen rows, or several sweeps
     #[command(after_help = collect::EXAMPLES)]
@@ -58,8 +62,10 @@ pub enum SweepCommand {
     #[command(after_help = submit::EXAMPLES)]
     Submit(submit::SubmitArguments),
     /// Take what was submitted out of the queue; what runs stops with a checkpoint
+    #[command(after_help = cancel::EXAMPLES)]
     Cancel(cancel::CancelArguments),
     /// Say which row is best, with its settings and folders
+    #[command(after_help = best::EXAMPLES)]
     Best(best::BestArguments),
     /// Write a sweep file with comments, to be changed and run
     #[command(after_help = new::EXAMPLES)]
@@ -154,6 +160,29 @@ impl Changes {
         })?;
         Ok(definition)
     }
+}
+
+/// A table for other programs: where it lies, and the rows of `table.csv`, whose counts and metrics are numbers and whose empty
+/// cells are null.
+fn table_json(table: &Table, results: &Path) -> serde_json::Value {
+    let text = table_csv(table, &[]);
+    let mut reader = csv::Reader::from_reader(text.as_bytes());
+    let names = reader.headers().expect("a table has a head").clone();
+    // A hash of digits is no number.
+    let of_metric = |name: &str| {
+        table.metrics.iter().any(|metric| name.strip_prefix(metric).is_some_and(|rest| rest.starts_with('_')))
+    };
+    let numeric = |name: &str| ["points", "done"].contains(&name) || of_metric(name);
+    let cell = |name: &str, text: &str| match text.parse::<f64>() {
+        _ if text.is_empty() => serde_json::Value::Null,
+        Ok(number) if numeric(name) => number.into(),
+        _ => plain_cell(text).into(),
+    };
+    let object = |row: csv::StringRecord| -> serde_json::Map<String, serde_json::Value> {
+        names.iter().zip(&row).map(|(name, text)| (name.to_string(), cell(name, text))).collect()
+    };
+    let rows: Vec<_> = reader.records().map(|row| object(row.expect("rows are as long as the head"))).collect();
+    json!({ "name": table.name, "title": table.title, "results": results.display().to_string(), "rows": rows })
 }
 
 /// Columns of the terminal; a file or a pipe gets lines that most screens show.

@@ -3,8 +3,10 @@
 use std::path::PathBuf;
 
 use clap::Args;
+use serde_json::json;
 
 use crate::base::Result;
+use crate::cli::answer::Answer;
 use crate::cli::progress::{print, print_shown};
 use crate::sweep::write_new;
 
@@ -20,15 +22,19 @@ pub struct NewArguments {
     /// A shipped sweep instead of the commented one: smoke, tab4_fern, epsilon, ...
     #[arg(long, value_name = "NAME")]
     from: Option<String>,
+    #[command(flatten)]
+    answer: Answer,
 }
 
 impl NewArguments {
     pub fn run(self) -> Result<()> {
-        for path in write_new(&self.file, self.from.as_deref())? {
-            print_shown(&path.display().to_string())?;
-        }
-        let file = self.file.display();
-        print("")?;
-        print_shown(&format!("next: augnerf sweep plan {file}\n      augnerf sweep run {file}"))
+        let written = write_new(&self.file, self.from.as_deref())?;
+        let written: Vec<String> = written.iter().map(|path| path.display().to_string()).collect();
+        self.answer.give(&json!({ "files": written }), || {
+            written.iter().try_for_each(|path| print_shown(path))?;
+            let file = self.file.display();
+            print("")?;
+            print_shown(&format!("next: augnerf sweep plan {file}\n      augnerf sweep run {file}"))
+        })
     }
 }

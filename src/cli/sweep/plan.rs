@@ -1,14 +1,20 @@
 //! `augnerf sweep plan`.
 
 use clap::Args;
+use serde::Serialize;
 
 use crate::base::{Error, Result};
 use crate::cli::Compute;
+use crate::cli::answer::Answer;
 use crate::cli::progress::{Console, print, print_shown};
 use crate::runtime::Runtime;
 use crate::sweep::{Point, Trainings, plan_costs};
 
 use super::{Changes, Location, duration, planned_points};
+
+pub const EXAMPLES: &str = "Examples:
+  augnerf sweep plan sweeps/smoke.toml                     points, seconds a step, memory
+  augnerf sweep plan sweeps/tab1_llff.toml --data-root ~/data --json";
 
 #[derive(Args)]
 pub struct PlanArguments {
@@ -18,6 +24,43 @@ pub struct PlanArguments {
     changes: Changes,
     #[command(flatten)]
     compute: Compute,
+    #[command(flatten)]
+    answer: Answer,
+}
+
+/// What a sweep will cost.
+#[derive(Default, Serialize)]
+struct Planned {
+    points: usize,
+    groups: Vec<Group>,
+    no_data: usize,
+    no_data_because: Option<String>,
+    ended: usize,
+    seconds: f64,
+    peak_memory_mib: Option<f64>,
+}
+
+/// Points that cost the same.
+#[derive(Serialize)]
+struct Group {
+    points: usize,
+    label: String,
+    seconds_per_step: f64,
+    seconds: f64,
+    peak_memory_mib: Option<f64>,
+}
+
+impl Group {
+    fn words(&self) -> String {
+        format!(
+            "{:4} x {:44} {:8.3} s/step  {:9} a point  {}",
+            self.points,
+            self.label,
+            self.seconds_per_step,
+            duration(self.seconds),
+            mebibytes(self.peak_memory_mib)
+        )
+    }
 }
 
 impl PlanArguments {
@@ -32,43 +75,65 @@ impl PlanArguments {
         let folder = self.location.folder()?;
         let trainings = Trainings::new(runtime.clone(), (Vec::new(), String::new()), false, &console);
         let points = planned_points(&self.location, &definition, &trainings, &console)?;
-        print(&format!("{} points", points.len()))?;
+        let say = |words: &str| if self.answer.json { Ok(()) } else { print(words) };
+        say(&format!("{} points", points.len()))?;
         let left: Vec<&Point> =
             points.iter().filter(|point| point.no_data.is_none() && !folder.point(&point.id).ended()).collect();
-        let (mut total, mut memory) = (0.0, None);
+        let no_data = points.iter().filter(|point| point.no_data.is_some()).count();
+        let ended = points.len() - no_data - left.len();
+        let mut planned = Planned { points: points.len(), no_data, ended, ..Planned::default() };
         plan_costs(&left, &trainings, |group| {
-            total += group.points.len() as f64 * group.seconds;
-            memory = [memory, group.cost.peak_memory_mib].into_iter().flatten().reduce(f64::max);
-            print(&format!(
-                "{:4} x {:44} {:8.3} s/step  {:9} a point  {}",
-                group.points.len(),
-                group.points[0].label(),
-                group.cost.seconds_per_step,
-                duration(group.seconds),
-                mebibytes(group.cost.peak_memory_mib)
-            ))
+            let group = Group {
+                points: group.points.len(),
+                label: group.points[0].label(),
+                seconds_per_step: group.cost.seconds_per_step,
+                seconds: group.seconds,
+                peak_memory_mib: group.cost.peak_memory_mib,
+            };
+            say(&group.words())?;
+            planned.seconds += group.points as f64 * group.seconds;
+            planned.peak_memory_mib =
+                [planned.peak_memory_mib, group.peak_memory_mib].into_iter().flatten().reduce(f64::max);
+            planned.groups.push(group);
+            Ok(())
         })?;
-        let missing: Vec<&Point> = points.iter().filter(|point| point.no_data.is_some()).collect();
-        if let Some(reason) = missing.first().and_then(|point| point.no_data.as_ref()) {
-            print_shown(&format!("{:4} x no data: {reason}", missing.len()))?;
-        }
-        let missing = missing.len();
-        let ended = points.len() - missing - left.len();
-        if ended > 0 {
-            print(&format!("{ended:4} x done or failed before"))?;
-        }
-        if left.is_empty() && missing > 0 {
+        planned.no_data_because = points.iter().find_map(|point| point.no_data.clone());
+        if left.is_empty() && no_data > 0 {
+            planned.say_what_is_left_out(self.answer)?;
             return Err(Error::PointsWithoutData(format!(
-                "nothing could be measured: the {missing} points that are left have no data here; put the scenes below \
+                "nothing could be measured: the {no_data} points that are left have no data here; put the scenes below \
                  --data-root (AUGNERF_DATA)"
             )));
         }
-        let counted = if missing == 0 { String::new() } else { format!(" for the {} points with data", left.len()) };
+        self.answer.give(&planned, || planned.say_the_end())
+    }
+}
+
+impl Planned {
+    /// Points that were not measured.
+    fn say_what_is_left_out(&self, answer: Answer) -> Result<()> {
+        if answer.json {
+            return answer.give_silently(self);
+        }
+        if let Some(reason) = &self.no_data_because {
+            print_shown(&format!("{:4} x no data: {reason}", self.no_data))?;
+        }
+        if self.ended > 0 {
+            print(&format!("{:4} x done or failed before", self.ended))?;
+        }
+        Ok(())
+    }
+
+    /// What follows the groups.
+    fn say_the_end(&self) -> Result<()> {
+        self.say_what_is_left_out(Answer { json: false })?;
+        let measured = self.points - self.no_data - self.ended;
+        let counted = if self.no_data == 0 { String::new() } else { format!(" for the {measured} points with data") };
         print(&format!(
             "{} in all{counted}, one point after the other, and {} of memory; --jobs N needs N times as much. Rendering is counted; \
              LPIPS and smoothness are not",
-            duration(total),
-            mebibytes(memory)
+            duration(self.seconds),
+            mebibytes(self.peak_memory_mib)
         ))
     }
 }

@@ -3,6 +3,7 @@
 use clap::Args;
 
 use crate::base::{Error, Result};
+use crate::cli::answer::Answer;
 use crate::cli::progress::{Console, print};
 use crate::cli::signals::catch_signals;
 use crate::cli::{Compute, LpipsWeights};
@@ -12,7 +13,7 @@ use crate::report::tables::table_terminal;
 use crate::runtime::Runtime;
 use crate::sweep::{Options, Point, Runner, SweepFolder};
 
-use super::{Changes, How, Location, begin_folder, collect, terminal_width, trainings};
+use super::{Changes, How, Location, begin_folder, collect, table_json, terminal_width, trainings};
 
 pub const EXAMPLES: &str = "Examples:
   augnerf sweep run sweeps/smoke.toml                      three minutes on the embedded scene
@@ -59,6 +60,8 @@ pub struct RunArguments {
     weights: LpipsWeights,
     #[command(flatten)]
     compute: Compute,
+    #[command(flatten)]
+    answer: Answer,
 }
 
 impl RunArguments {
@@ -97,10 +100,11 @@ impl RunArguments {
         let how = How { force: self.force, with_timing: false };
         let table = collect((&folder, &definition, &points), &name, &results, how);
         ran?;
-        if let Ok(table) = &table
-            && !quiet
-        {
-            print(&table_terminal(table, terminal_width()))?;
+        if let Ok(table) = &table {
+            self.answer.give(&table_json(table, &results), || match quiet {
+                true => print(&results.display().to_string()),
+                false => print(&table_terminal(table, terminal_width())),
+            })?;
         }
         console.say(&format!("tables: {}", results.display()));
         SVG_ALONE.into_iter().for_each(|note| console.say(note));

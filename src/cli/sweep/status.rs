@@ -4,14 +4,22 @@ use std::collections::BTreeMap;
 use std::path::PathBuf;
 
 use clap::Args;
+use serde::Serialize;
+use serde_json::json;
 
 use crate::base::{Error, Result};
+use crate::cli::answer::Answer;
 use crate::cli::progress::print_shown;
 use crate::report::Status;
 use crate::sweep::slurm::{Queue, Slurm};
 use crate::sweep::{Pace, Point, SweepFolder};
 
 use super::{begun, duration};
+
+pub const EXAMPLES: &str = "Examples:
+  augnerf sweep status runs/smoke
+  augnerf sweep status runs/smoke --watch 10               until all points have ended
+  augnerf sweep status runs/smoke --json                   for a script";
 
 #[derive(Args)]
 pub struct StatusArguments {
@@ -21,14 +29,34 @@ pub struct StatusArguments {
     #[arg(long, env = "AUGNERF_DATA", value_name = "DIR")]
     data_root: Option<PathBuf>,
     /// Show it again every so many seconds, until all points have ended
-    #[arg(long, value_name = "SECONDS", value_parser = clap::value_parser!(u16).range(1..))]
+    #[arg(long, value_name = "SECONDS", value_parser = clap::value_parser!(u16).range(1..), conflicts_with = "json")]
     watch: Option<u16>,
+    #[command(flatten)]
+    answer: Answer,
+}
+
+/// How a point stands.
+#[derive(Serialize)]
+struct PointStatus<'a> {
+    id: &'a str,
+    label: String,
+    status: &'static str,
+    reason: String,
+    step: Option<u64>,
+    steps: u64,
+    seconds_left: Option<f64>,
+    host: Option<String>,
+    process: Option<u32>,
+    psnr: Option<f64>,
 }
 
 impl StatusArguments {
     pub fn run(self) -> Result<()> {
         let folder = SweepFolder::new(&self.folder);
         let points = begun(&folder, self.data_root.as_deref())?;
+        if self.answer.json {
+            return self.answer.give_silently(&statuses(&folder, &points)?);
+        }
         let terminal = console::Term::stdout();
         let mut shown = 0;
         loop {
@@ -51,6 +79,31 @@ impl StatusArguments {
 fn screen_lines(lines: &[String], (rows, columns): (u16, u16)) -> usize {
     let of_line = |line: &String| line.chars().count().div_ceil(usize::from(columns).max(1)).max(1);
     lines.iter().map(of_line).sum::<usize>().min(usize::from(rows).saturating_sub(1))
+}
+
+/// The points' states for other programs.
+fn statuses(folder: &SweepFolder, points: &[Point]) -> Result<serde_json::Value> {
+    let mut statuses = Vec::new();
+    for point in points {
+        let state = folder.point(&point.id).state(point)?;
+        let claim = state.claim.as_ref();
+        statuses.push(PointStatus {
+            id: &point.id,
+            label: point.label(),
+            status: state.status.name(),
+            step: claim.map(|claim| claim.step),
+            steps: point.config.train.steps,
+            seconds_left: claim.and_then(|claim| claim.seconds_left),
+            host: claim.map(|claim| claim.host.clone()),
+            process: claim.map(|claim| claim.pid),
+            psnr: state.result.metric("psnr"),
+            reason: state.reason,
+        });
+    }
+    let count = |status: Status| statuses.iter().filter(|point| point.status == status.name()).count();
+    let counts: serde_json::Map<String, serde_json::Value> =
+        Status::ALL.into_iter().map(|status| (status.name().into(), count(status).into())).collect();
+    Ok(json!({ "folder": folder.path().display().to_string(), "counts": counts, "points": statuses }))
 }
 
 /// The points' states, and how many have not ended.

@@ -24,6 +24,15 @@ impl Outcome {
             Outcome::Wrong => "WRONG",
         }
     }
+
+    /// The word in files for other programs.
+    pub fn key(self) -> &'static str {
+        match self {
+            Outcome::Holds => "holds",
+            Outcome::NotChecked => "not_checked",
+            Outcome::Wrong => "wrong",
+        }
+    }
 }
 
 /// One line.

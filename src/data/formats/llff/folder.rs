@@ -41,7 +41,7 @@ fn by_factor(dir: &Path, factor: usize) -> Result<Source> {
         let wanted = if factor > 1 { format!("neither images_{factor} nor images") } else { "no images".into() };
         return Err(Error::Data(format!(
             "{} has {wanted} to read with data.downscale = {factor}; it has {}; \
-             set data.downscale to a factor that is there or add the folder",
+             set data.downscale to a factor that is there, or data.width to the columns that you want, or add the folder",
             dir.display(),
             describe_folders(dir)?
         )));

@@ -1,0 +1,18 @@
+# The program in a small image: docker build -t augnerf .
+# LPIPS weights and scenes are mounted: -v DIR:/data:ro, and -e AUGNERF_LPIPS_WEIGHTS=DIR.
+FROM rust:1-bookworm AS build
+WORKDIR /source
+COPY . .
+RUN cargo build --release --locked && strip target/release/augnerf
+
+FROM debian:bookworm-slim
+# libstdc++: the encoder of MP4 films is written in C++.
+RUN apt-get update && apt-get install -y --no-install-recommends libstdc++6 && rm -rf /var/lib/apt/lists/*
+COPY --from=build /source/target/release/augnerf /usr/local/bin/augnerf
+COPY --from=build /source/LICENSE-MIT /source/LICENSE-APACHE /usr/share/doc/augnerf/
+COPY --from=build /source/assets/fonts /usr/share/doc/augnerf/fonts
+RUN mkdir -p /usr/local/share/man/man1 && augnerf man /usr/local/share/man/man1
+ENV AUGNERF_DATA=/data
+WORKDIR /work
+ENTRYPOINT ["augnerf"]
+CMD ["--help"]

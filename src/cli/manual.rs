@@ -1,0 +1,104 @@
+//! `augnerf completions` and `augnerf man`: what shells and manuals know of the command line, from its one definition.
+
+use std::io::Write;
+use std::path::{Path, PathBuf};
+
+use clap::Args;
+use clap_complete::Shell;
+use clap_mangen::Man;
+
+use crate::base::files::write_atomic;
+use crate::base::{Error, Result};
+
+use super::progress::{print, printed};
+
+pub const COMPLETIONS_EXAMPLES: &str = "Examples:
+  augnerf completions bash > ~/.local/share/bash-completion/completions/augnerf
+  augnerf completions zsh > ~/.zfunc/_augnerf              with ~/.zfunc in fpath before compinit
+  augnerf completions fish > ~/.config/fish/completions/augnerf.fish";
+
+pub const MAN_EXAMPLES: &str = "Example:
+  augnerf man ~/.local/share/man/man1                      then: man augnerf-train";
+
+#[derive(Args)]
+pub struct CompletionsArguments {
+    /// The shell
+    #[arg(value_enum)]
+    shell: Shell,
+}
+
+#[derive(Args)]
+pub struct ManArguments {
+    /// Folder for the pages, augnerf.1 and one a command; created where it is missing
+    dir: PathBuf,
+}
+
+impl CompletionsArguments {
+    pub fn run(self) -> Result<()> {
+        let mut script = Vec::new();
+        clap_complete::generate(self.shell, &mut super::command(), "augnerf", &mut script);
+        let mut out = std::io::stdout();
+        printed(out.write_all(&script).and_then(|()| out.flush()))
+    }
+}
+
+impl ManArguments {
+    pub fn run(self) -> Result<()> {
+        std::fs::create_dir_all(&self.dir).map_err(|e| Error::unwritable(&self.dir, &e))?;
+        let mut command = super::command().disable_help_subcommand(true);
+        command.build();
+        let pages = write_pages(&command, &self.dir)?;
+        print(&format!("{}: {pages} pages", self.dir.display()))
+    }
+}
+
+/// The page of a command and of all below it; how many they are.
+fn write_pages(command: &clap::Command, dir: &Path) -> Result<usize> {
+    let man = Man::new(command.clone());
+    write_atomic(&dir.join(man.get_filename()), &page(&man, command).expect("memory takes everything"))?;
+    let inner = command.get_subcommands().filter(|inner| !inner.is_hide_set());
+    inner.map(|inner| write_pages(inner, dir)).try_fold(1, |pages, further| Ok(pages + further?))
+}
+
+/// A page whose examples keep their lines, which the crate's own would fill into a paragraph.
+fn page(man: &Man, command: &clap::Command) -> std::io::Result<Vec<u8>> {
+    let mut page = Vec::new();
+    man.render_title(&mut page)?;
+    man.render_name_section(&mut page)?;
+    man.render_synopsis_section(&mut page)?;
+    man.render_description_section(&mut page)?;
+    man.render_options_section(&mut page)?;
+    if command.has_subcommands() {
+        man.render_subcommands_section(&mut page)?;
+    }
+    if let Some(text) = command.get_after_long_help().or(command.get_after_help()) {
+        let text = text.to_string();
+        let (title, rest) = match text.split_once('\n').filter(|(head, _)| head.starts_with("Example")) {
+            Some((_, rest)) => ("EXAMPLES", rest),
+            None => ("NOTES", text.as_str()),
+        };
+        writeln!(page, ".SH {title}")?;
+        text_as_it_stands(rest, &mut page)?;
+    }
+    if command.get_version().is_some() {
+        man.render_version_section(&mut page)?;
+    }
+    Ok(page)
+}
+
+/// Indented lines as they stand, prose filled.
+fn text_as_it_stands(text: &str, page: &mut Vec<u8>) -> std::io::Result<()> {
+    let mut filled = true;
+    for line in text.lines() {
+        let prose = !line.starts_with(' ');
+        if prose != filled {
+            writeln!(page, "{}", if prose { ".fi" } else { ".nf" })?;
+            filled = prose;
+        }
+        match line.trim() {
+            "" => writeln!(page, ".PP")?,
+            text => writeln!(page, "\\&{}", text.replace('\\', "\\e").replace('-', "\\-"))?,
+        }
+    }
+    if filled { Ok(()) } else { writeln!(page, ".fi") }
+}

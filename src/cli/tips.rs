@@ -1,0 +1,95 @@
+//! What is said to a command line that is not understood.
+
+use std::ffi::OsString;
+
+use clap::error::{ContextKind, ContextValue, ErrorKind};
+
+use crate::settings::registry::settings_called;
+
+/// The error with tips that help: of a flag that is the name of a setting how it is set, of a stray word what flag it may
+/// belong to. `words` are the command line's, the program left out.
+pub fn with_tips(mut error: clap::Error, words: &[OsString]) -> clap::Error {
+    if error.kind() != ErrorKind::UnknownArgument {
+        return error;
+    }
+    // "To pass '--rows' as a value, use '-- --rows'": nobody who mistypes a flag means that.
+    error.remove(ContextKind::Suggested);
+    let Some(ContextValue::String(unknown)) = error.get(ContextKind::InvalidArg).cloned() else { return error };
+    let command = meant_command(words);
+    let has = |flag: &str| command.get_arguments().any(|argument| argument.get_long() == Some(flag));
+    let tips = match unknown.strip_prefix("--") {
+        Some(name) if has("set") => setting_tips(name, &value_of(&unknown, words)),
+        None if has("data") && !unknown.starts_with('-') => vec![format!("'--data {unknown}' names a scene")],
+        _ => Vec::new(),
+    };
+    if !tips.is_empty() {
+        // What clap found alike, such as '--set' for '--steps', is further from what was meant.
+        error.remove(ContextKind::SuggestedArg);
+        let tips = tips.into_iter().map(Into::into).collect();
+        error.insert(ContextKind::Suggested, ContextValue::StyledStrs(tips));
+    }
+    error
+}
+
+/// How the settings of that name are set: `--learning-rate` is `train.learning_rate`.
+fn setting_tips(flag: &str, value: &str) -> Vec<String> {
+    let called = settings_called(&flag.replace('-', "_"));
+    called.into_iter().map(|setting| format!("it is a setting: '--set {setting}={value}'")).collect()
+}
+
+/// The value that follows an unknown flag; `VALUE` where none does.
+fn value_of(flag: &str, words: &[OsString]) -> String {
+    let words: Vec<_> = words.iter().map(|word| word.to_string_lossy()).collect();
+    let joined = words.iter().find_map(|word| word.strip_prefix(flag)?.strip_prefix('='));
+    let next = words.iter().skip_while(|word| **word != flag).nth(1).filter(|next| !next.starts_with("--"));
+    joined.or(next.map(|next| &**next)).unwrap_or("VALUE").to_string()
+}
+
+/// The command that the first words name.
+fn meant_command(words: &[OsString]) -> clap::Command {
+    let mut command = super::command();
+    for word in words {
+        let Some(inner) = word.to_str().and_then(|name| command.find_subcommand(name)).cloned() else { break };
+        command = inner;
+    }
+    command
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn said(line: &str) -> String {
+        let words: Vec<OsString> = line.split(' ').map(OsString::from).collect();
+        let program = std::iter::once(OsString::from("augnerf"));
+        let error = crate::cli::command().try_get_matches_from(program.chain(words.clone())).unwrap_err();
+        with_tips(error, &words).to_string()
+    }
+
+    #[test]
+    fn a_flag_that_is_a_setting_is_told_how_it_is_set() {
+        for (line, tip) in [
+            ("train --steps 100", "'--set train.steps=100'"),
+            ("train --steps=100 --seed 3", "'--set train.steps=100'"),
+            ("train --learning-rate 1e-3", "'--set train.learning_rate=1e-3'"),
+            ("train --train.steps", "'--set train.steps=VALUE'"),
+            ("sweep run a.toml --width --seeds 1", "'--set data.width=VALUE'"),
+            ("train fern", "'--data fern'"),
+        ] {
+            let said = said(line);
+            assert!(said.contains(tip), "{line}: {said}");
+            assert!(!said.contains("-- --") && !said.contains("similar"), "{line}: {said}");
+        }
+    }
+
+    #[test]
+    fn other_flags_are_told_what_is_alike_and_nothing_wrong() {
+        assert!(said("train --presett fast").contains("'--preset'"));
+        for line in ["sweep collect runs/a --rows A", "eval RUN --steps 100", "compare A B --rows 1", "train --nothing"]
+        {
+            let said = said(line);
+            assert!(said.contains("unexpected argument") && !said.contains("-- --"), "{line}: {said}");
+            assert!(!said.contains("it is a setting"), "{line}: {said}");
+        }
+    }
+}

@@ -1,0 +1,278 @@
+//! Answers for scripts: one JSON object on standard output and nothing else there, with the keys of docs/scripting.md. And what
+//! shells and manuals are told of the command line.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+use std::process::Command;
+
+use crate::common::files::{json, text};
+use crate::common::program::{augnerf, demand, printed, succeed};
+use serde_json::Value;
+use tempfile::TempDir;
+
+/// A run of a second at 16 x 16.
+const TINY: &str = "--preset smoke --set data.width=16 --set field.width=16 --set sampling.coarse=8 --set sampling.fine=8 \
+                    --set train.rays=64 --set train.chunk=32 --set train.steps=12 --set train.checkpoint_every=5";
+
+const SWEEP: &str = "title = \"tiny\"\npreset = \"smoke\"\nscenes = [\"builtin\"]\nseeds = [0]\nbaseline = \"NeRF\"\n\
+    metrics = [\"psnr\"]\nrow = [{ name = \"NeRF\" }, { name = \"+ TV\", set = { \"regularizer.kind\" = \"tv\" } }]\n[set]\n\
+    \"data.width\" = 16\n\"field.width\" = 16\n\"sampling.coarse\" = 8\n\"sampling.fine\" = 8\n\"train.rays\" = 64\n\
+    \"train.chunk\" = 32\n\"train.steps\" = 4\n\"eval.pictures\" = 0\n\"regularizer.points_per_step\" = 64\n";
+
+/// The commands, in an order in which each finds what it works on; `TINY` stands for the settings of a run.
+const COMMANDS: [&str; 22] = [
+    "train --out a TINY",
+    "train --out b --seed 1 TINY",
+    "resume a",
+    "eval a",
+    "render a --frames 2",
+    "measure a --lattice 8",
+    "balance --steps 2 --set regularizer.points_per_step=64 TINY",
+    "compare a b",
+    "profile a b --patch 2",
+    "mesh a --resolution 16 --threshold 0.01",
+    "chamfer builtin builtin --points 2000",
+    "data check --set data.width=16",
+    "data corrupt noisy --set data.corruption.kind=pepper --set data.width=16",
+    "data export-builtin scene --width 16",
+    "settings steps",
+    "sweep new fresh.toml",
+    "sweep plan tiny.toml",
+    "sweep begin tiny.toml",
+    "sweep run tiny.toml",
+    "sweep status runs/tiny",
+    "sweep collect runs/tiny",
+    "verify results/tiny",
+];
+
+/// Commands that print JSON in any case, or need more than this test sets up.
+const ELSEWHERE: [&str; 3] = ["bench", "score", "sweep best"];
+
+/// A command line's words and the name of its command.
+fn words(line: &str) -> (Vec<String>, String) {
+    let line = line.replace("TINY", TINY);
+    let words: Vec<String> = line.split_whitespace().map(String::from).collect();
+    let named = if ["data", "sweep"].contains(&words[0].as_str()) { 2 } else { 1 };
+    let name = words[..named].join(" ");
+    (words, name)
+}
+
+/// Keys of each command's answer, as the page has them.
+fn documented() -> BTreeMap<String, Vec<String>> {
+    let page = text(&Path::new(env!("CARGO_MANIFEST_DIR")).join("docs/scripting.md"));
+    let rows = page.lines().filter(|line| line.starts_with("| `"));
+    let codes = |cell: &str| cell.split('`').skip(1).step_by(2).map(String::from).collect::<Vec<_>>();
+    rows.map(|row| row.split('|').skip(1).map(codes).collect::<Vec<_>>())
+        .map(|cells| (cells[0][0].clone(), cells[1].clone()))
+        .collect()
+}
+
+/// All commands that take the flag, `sweep run` and the like.
+fn commands_with(flag: &str) -> Vec<String> {
+    fn visit(command: &clap::Command, path: &str, flag: &str, found: &mut Vec<String>) {
+        for inner in command.get_subcommands() {
+            let path = format!("{path} {}", inner.get_name()).trim().to_string();
+            found.extend(inner.get_arguments().any(|own| own.get_long() == Some(flag)).then(|| path.clone()));
+            visit(inner, &path, flag, found);
+        }
+    }
+    let mut found = Vec::new();
+    visit(&augnerf::cli::command(), "", flag, &mut found);
+    found
+}
+
+#[test]
+fn every_answer_as_json_is_one_object_with_the_keys_of_its_page() {
+    let dir = TempDir::new().unwrap();
+    std::fs::write(dir.path().join("tiny.toml"), SWEEP).unwrap();
+    let documented = documented();
+    let mut seen = Vec::new();
+    for line in COMMANDS {
+        let (mut words, name) = words(line);
+        words.push("--json".into());
+        let arguments: Vec<&str> = words.iter().map(String::as_str).collect();
+        let output = augnerf(&arguments).current_dir(dir.path()).output().unwrap();
+        let said = String::from_utf8_lossy(&output.stderr);
+        assert!(output.status.success(), "{line}: {said}");
+        let printed = String::from_utf8(output.stdout).unwrap();
+        assert_eq!(printed.lines().count(), 1, "{line}: {printed}");
+        let answer: Value = serde_json::from_str(&printed).unwrap_or_else(|e| panic!("{line}: {e}: {printed}"));
+        let keys: Vec<&String> = answer.as_object().unwrap().keys().collect();
+        let wanted = documented.get(&name).unwrap_or_else(|| panic!("docs/scripting.md has no row for {name}"));
+        assert_eq!(keys, wanted.iter().collect::<Vec<_>>(), "{line}");
+        check(&name, &answer, dir.path());
+        seen.push(name);
+    }
+    seen.extend(ELSEWHERE.map(String::from));
+    for name in commands_with("json") {
+        assert!(seen.contains(&name), "{name} takes --json and is not tried");
+    }
+}
+
+/// What the answers say, beside their keys.
+fn check(name: &str, answer: &Value, dir: &Path) {
+    match name {
+        "train" | "resume" | "eval" => {
+            let run = dir.join(answer["run"].as_str().unwrap());
+            assert_eq!((&answer["step"], &answer["views"]), (&12.into(), &8.into()));
+            assert_eq!(answer["mean"], json(&run.join("metrics.json"))["mean"]);
+            assert!(dir.join(answer["metrics"].as_str().unwrap()).is_file());
+        }
+        "sweep status" => {
+            assert_eq!(answer["counts"]["done"], 2);
+            assert!(answer["points"][1]["psnr"].as_f64().is_some());
+        }
+        "sweep run" | "sweep collect" => {
+            let rows = answer["rows"].as_array().unwrap();
+            assert_eq!((rows.len(), &rows[1]["row"]), (2, &"+ TV".into()), "{answer}");
+            assert!(rows[0]["psnr_mean"].is_number() && rows[0]["psnr_difference"].is_null());
+        }
+        "sweep plan" => assert_eq!((&answer["points"], &answer["ended"]), (&2.into(), &0.into())),
+        "verify" => assert_eq!(answer["holds"], true, "{answer}"),
+        "data check" => {
+            assert_eq!((&answer["width"], answer["training_views"].as_array().unwrap().len()), (&16.into(), 40))
+        }
+        "chamfer" => assert!(answer["distance"]["chamfer"].as_f64().unwrap() > 0.0),
+        "settings" => assert_eq!(answer["settings"][0]["changes"], "numbers"),
+        _ => {}
+    }
+}
+
+#[test]
+fn a_run_s_folder_is_printed_also_where_nothing_else_is() {
+    let dir = TempDir::new().unwrap();
+    let (mut words, _) = words("train -q TINY");
+    words.extend(["--set".into(), "train.keep_checkpoints=3".into()]);
+    let arguments: Vec<&str> = words.iter().map(String::as_str).collect();
+    let output = augnerf(&arguments).current_dir(dir.path()).output().unwrap();
+    let named = String::from_utf8(output.stdout).unwrap();
+    assert!(output.status.success() && output.stderr.is_empty(), "{}", String::from_utf8_lossy(&output.stderr));
+    let run = dir.path().join(named.strip_suffix('\n').unwrap());
+    assert!(run.join("metrics.json").is_file(), "{named}");
+
+    // Other checkpoints and views leave what the run says of itself.
+    let own = text(&run.join("metrics.json"));
+    let eval = |further: &[&str]| {
+        let arguments = [&["eval", run.to_str().unwrap(), "--json", "-q"], further].concat();
+        serde_json::from_str::<Value>(&printed(&arguments)).unwrap()
+    };
+    let early = eval(&["--step", "5"]);
+    assert_eq!((&early["step"], &early["split"]), (&5.into(), &"test".into()));
+    assert!(run.join("eval/step_000000005/metrics.csv").is_file());
+    let trained = eval(&["--split", "train"]);
+    assert_eq!(
+        (&trained["split"], &trained["views"], &trained["training_views"]),
+        (&"train".into(), &40.into(), &0.into())
+    );
+    let val = eval(&["--split", "val"]);
+    assert_eq!((&val["split"], &val["step"]), (&"val".into(), &12.into()));
+    assert!(val["mean"]["psnr"] != trained["mean"]["psnr"]);
+    assert_eq!(text(&run.join("metrics.json")), own);
+    let refused = demand(&mut augnerf(&["eval", run.to_str().unwrap(), "--step", "6"]), 5);
+    assert!(refused.contains("no checkpoint of step 6") && refused.contains("5, 10, 12"), "{refused}");
+}
+
+#[test]
+fn training_says_what_it_trains_and_when_it_evaluates() {
+    let dir = TempDir::new().unwrap();
+    let (words, _) = words("train TINY");
+    let arguments: Vec<&str> = words.iter().map(String::as_str).collect();
+    let output = augnerf(&arguments).current_dir(dir.path()).output().unwrap();
+    let said = String::from_utf8(output.stderr).unwrap();
+    let first = said.lines().next().unwrap();
+    assert_eq!(first, "nerf on builtin: 40 views of 16 x 16 pixels, 8 held out; 12 steps of 64 rays");
+    let place = |words: &str| said.find(words).unwrap_or_else(|| panic!("{words}: {said}"));
+    assert!(
+        place("step 12/12") < place("evaluating: 8 views") && place("evaluating: 8 views") < place("PSNR"),
+        "{said}"
+    );
+}
+
+#[test]
+fn a_scene_that_is_not_here_is_looked_for_below_the_data_folder() {
+    let dir = TempDir::new().unwrap();
+    let root = dir.path().join("data");
+    let at = |path: &str| root.join(path).to_str().unwrap().to_string();
+    for scene in ["synthetic/small", "near"] {
+        succeed(&["data", "export-builtin", &at(scene), "--width", "16"]);
+    }
+    let check = |name: &str, code| {
+        demand(augnerf(&["data", "check", name]).env("AUGNERF_DATA", &root).current_dir(dir.path()), code)
+    };
+    assert!(check("near", 0).contains("data/near (AUGNERF_DATA)"));
+    assert!(check("synthetic/small", 0).contains("data/synthetic/small (AUGNERF_DATA)"));
+    assert!(check("small", 0).contains("data/synthetic/small (AUGNERF_DATA)"));
+    let missing = check("nowhere", 3);
+    assert!(missing.contains("nowhere") && missing.contains("AUGNERF_DATA"), "{missing}");
+    std::fs::create_dir_all(root.join("other/small")).unwrap();
+    let several = check("small", 3);
+    assert!(several.contains("other/small") && several.contains("synthetic/small"), "{several}");
+    // What is here comes first.
+    std::fs::create_dir(dir.path().join("near")).unwrap();
+    assert!(!check("near", 3).contains("AUGNERF_DATA"));
+    let print = ["train", "--data", "small", "--print-config"];
+    let printed = demand(augnerf(&print).env("AUGNERF_DATA", root.join("synthetic")).current_dir(dir.path()), 0);
+    assert!(printed.contains("kind = \"blender\"") && printed.contains("(AUGNERF_DATA)"), "{printed}");
+}
+
+#[test]
+fn every_command_has_an_example() {
+    fn visit(command: &clap::Command, path: &str) {
+        for inner in command.get_subcommands() {
+            let path = format!("{path} {}", inner.get_name());
+            if !inner.has_subcommands() {
+                let help = inner.get_after_help().map(ToString::to_string).unwrap_or_default();
+                assert!(help.contains("Example") && help.contains("augnerf "), "{path} has no example");
+            }
+            visit(inner, &path);
+        }
+    }
+    visit(&augnerf::cli::command(), "augnerf");
+}
+
+#[test]
+fn the_version_says_what_was_built() {
+    let short = printed(&["-V"]);
+    assert!(short.starts_with("augnerf ") && short.contains(augnerf::base::revision()), "{short}");
+    let long = printed(&["--version"]);
+    for words in [augnerf::base::revision(), "features: ", "instructions: "] {
+        assert!(long.contains(words), "{long}");
+    }
+    assert_eq!(long.contains("png-figures"), cfg!(feature = "png-figures"));
+}
+
+#[test]
+fn completions_and_manual_pages_come_from_the_definition() {
+    for shell in ["bash", "elvish", "fish", "powershell", "zsh"] {
+        let script = printed(&["completions", shell]);
+        assert!(script.contains("print-config") && script.contains("export-builtin"), "{shell}");
+    }
+    let dir = TempDir::new().unwrap();
+    let script = dir.path().join("augnerf.bash");
+    std::fs::write(&script, printed(&["completions", "bash"])).unwrap();
+    // What bash does when the tabulator is pressed.
+    let ask = |line: &str| {
+        let program = format!(
+            "source {}; COMP_WORDS=({line}); COMP_CWORD=$((${{#COMP_WORDS[@]}} - 1)); \
+             _augnerf augnerf \"${{COMP_WORDS[COMP_CWORD]}}\"; echo \"${{COMPREPLY[*]}}\"",
+            script.display()
+        );
+        let output = Command::new("bash").args(["-c", &program]).output();
+        output.ok().map(|output| String::from_utf8(output.stdout).unwrap())
+    };
+    if let Some(answer) = ask("augnerf tr") {
+        assert_eq!(answer.trim(), "train");
+        assert_eq!(ask("augnerf train --print").unwrap().trim(), "--print-config");
+    }
+    let pages = dir.path().join("man/man1");
+    let said = printed(&["man", pages.to_str().unwrap()]);
+    let count = std::fs::read_dir(&pages).unwrap().count();
+    assert!(said.contains(&format!("{count} pages")) && count > 25, "{said}");
+    let page = text(&pages.join("augnerf-sweep-run.1"));
+    let example = "\\&augnerf sweep run sweeps/tab1_llff.toml \\-\\-retry\\-failed";
+    for part in [".TH", ".SH EXAMPLES\n.nf\n", example, "\n.fi\n", "fail\\-fast"] {
+        assert!(page.contains(part), "{part}: {page}");
+    }
+    let file = pages.join("augnerf-train.1/below");
+    assert!(demand(&mut augnerf(&["man", file.to_str().unwrap()]), 4).contains("below"));
+}

@@ -1,0 +1,42 @@
+#!/usr/bin/env bash
+# release.sh [FEATURES]: builds the program for this Linux and packs it for others, into target/release-package:
+# augnerf-VERSION-TARGET.tar.gz with the program, README, licences, completions and manual pages, and its SHA-256.
+# FEATURES are cargo's: --no-default-features, --features cuda. Says at its end which glibc the program needs.
+set -euo pipefail
+cd "$(dirname "$0")/.."
+
+# glibc and not musl: exp and log of another libm would give other bytes than builds from source do.
+target=$(rustc -vV | sed -n 's/^host: //p')
+version=$(sed -n 's/^version = "\(.*\)"/\1/p' Cargo.toml | head -1)
+name=augnerf-$version-$target
+out=target/release-package
+rm -rf "$out"
+mkdir -p "$out/$name/completions" "$out/$name/man/man1"
+
+# The C++ library of the film encoder is linked in.
+library=$(dirname "$(g++ -print-file-name=libstdc++.a 2> /dev/null || true)")
+if [[ -e $library/libstdc++.a ]]; then
+  export CXXSTDLIB="static:-bundle=stdc++"
+  export RUSTFLAGS="${RUSTFLAGS:-} -L native=$library -C link-arg=-static-libgcc"
+fi
+cargo build --release --locked --target-dir target/release-build "$@"
+cp target/release-build/release/augnerf "$out/$name/augnerf"
+strip "$out/$name/augnerf"
+
+program=$out/$name/augnerf
+for shell in bash elvish fish zsh; do
+  "$program" completions "$shell" > "$out/$name/completions/augnerf.$shell"
+done
+"$program" man "$out/$name/man/man1"
+cp README.md CHANGELOG.md CITATION.cff LICENSE-MIT LICENSE-APACHE "$out/$name/"
+mkdir "$out/$name/fonts"
+cp assets/fonts/README.md assets/fonts/UFL.txt "$out/$name/fonts/"
+
+# Equal files give an equal archive: no owners, one order, the time of the commit.
+when=$(git log -1 --format=%ct 2> /dev/null || echo 0)
+tar --sort=name --owner=0 --group=0 --numeric-owner --mtime="@$when" -C "$out" -cf - "$name" | gzip -n9 > "$out/$name.tar.gz"
+(cd "$out" && sha256sum "$name.tar.gz" | tee "$name.tar.gz.sha256")
+
+"$program" --version
+echo "needs glibc $(objdump -T "$program" | grep -o 'GLIBC_[0-9.]*' | sort -Vu | tail -1 | cut -d_ -f2) or newer, and of libraries:"
+objdump -p "$program" | awk '/NEEDED/ { print "  " $2 }'
