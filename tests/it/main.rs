@@ -4,6 +4,7 @@ mod common;
 
 mod attack_geometry;
 mod bad_data;
+mod browser;
 mod cli;
 mod colmap;
 mod corruption;
@@ -23,6 +24,7 @@ mod light;
 mod loaders;
 mod metrics;
 mod output;
+mod page;
 mod perturbations;
 mod pictures;
 mod reference;
@@ -42,6 +44,7 @@ mod sweep_run;
 mod sweep_tables;
 mod sweep_views;
 mod training;
+mod typeset;
 mod verify;
 mod views;
 
