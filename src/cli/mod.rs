@@ -25,6 +25,7 @@ mod mesh;
 mod profile;
 mod progress;
 mod render;
+mod report;
 mod score;
 mod settings;
 mod signals;
@@ -146,6 +147,9 @@ enum Command {
     /// Measure pictures that any program rendered, under the same protocol, alone or as a row of a sweep's table
     #[command(after_help = score::EXAMPLES)]
     Score(score::ScoreArguments),
+    /// One page of runs side by side: table, figures, views, protocol, in one file that fetches nothing
+    #[command(after_help = report::EXAMPLES)]
+    Report(report::ReportArguments),
     /// Measure how smooth runs are: l1, total variation and Laplacian of density on a full lattice, as CSV
     #[command(after_help = MEASURE_EXAMPLES)]
     Measure(measure::MeasureArguments),
@@ -288,6 +292,7 @@ pub fn main() -> ExitCode {
         Command::Verify(arguments) => arguments.run(),
         Command::Eval(arguments) => arguments.run(),
         Command::Score(arguments) => arguments.run(),
+        Command::Report(arguments) => arguments.run(),
         Command::Measure(arguments) => arguments.run(),
         Command::Balance(arguments) => arguments.run(),
         Command::Bench(arguments) => arguments.run(),

@@ -38,6 +38,15 @@ pub const TEXT: f64 = 13.0;
 pub const TITLE: f64 = 15.0;
 /// From one line of text to the next.
 pub const LINE_HEIGHT: f64 = 18.0;
+/// Whether texts say how wide they are.
+#[derive(Clone, Copy)]
+enum Letters {
+    /// They do: where the face is not at hand, that of a browser is narrowed or widened, and nothing runs off the edge.
+    Fitted,
+    /// They do not: the face is at hand.
+    Free,
+}
+
 /// What a drawing leaves free at its sides.
 pub const SIDE: f64 = 20.0;
 
@@ -182,28 +191,27 @@ impl Canvas {
 
     /// The figure's files.
     pub fn finish(self) -> Result<Figure> {
-        let svg = self.svg();
-        let png = raster::png(&svg)?;
-        Ok(Figure { svg, png })
+        let png = raster::png(&self.svg(Letters::Free))?;
+        Ok(Figure { svg: self.svg(Letters::Fitted), png })
     }
 
     /// The PNG's pixels, which only the feature `png-figures` draws.
     pub fn raster(self) -> Result<Image> {
-        raster::image(&self.svg())
+        raster::image(&self.svg(Letters::Free))
     }
 
-    fn svg(&self) -> String {
+    fn svg(&self, letters: Letters) -> String {
         let (width, height) = (self.width.ceil(), self.height.ceil());
         let mut document =
             Document::new().set("viewBox", (0, 0, width, height)).set("width", width).set("height", height);
         document.append(Rectangle::new().set("width", width).set("height", height).set("fill", "white"));
-        self.marks.iter().for_each(|mark| mark.write(&mut document));
+        self.marks.iter().for_each(|mark| mark.write(&mut document, letters));
         document.to_string()
     }
 }
 
 impl Mark {
-    fn write(&self, document: &mut Document) {
+    fn write(&self, document: &mut Document, letters: Letters) {
         let points = |points: &[(f64, f64)]| {
             points.iter().map(|(x, y)| format!("{x:.1},{y:.1}")).collect::<Vec<String>>().join(" ")
         };
@@ -231,7 +239,14 @@ impl Mark {
                 let foot = y + 0.34 * size;
                 let element = Text::new(text.as_str()).set("x", format!("{x:.1}")).set("y", format!("{foot:.1}"));
                 let element = element.set("font-family", FONT_FAMILY).set("font-size", *size);
-                document.append(element.set("text-anchor", anchor).set("fill", colour.text()));
+                let element = element.set("text-anchor", anchor).set("fill", colour.text());
+                let width = text_width(text, *size);
+                document.append(match letters {
+                    Letters::Fitted if width > 0.0 => {
+                        element.set("textLength", format!("{width:.1}")).set("lengthAdjust", "spacingAndGlyphs")
+                    }
+                    Letters::Fitted | Letters::Free => element,
+                });
             }
             Mark::Picture { at: (x, y), size: (width, height), png } => {
                 let raster = Raster::new().set("x", *x).set("y", *y).set("width", *width).set("height", *height);

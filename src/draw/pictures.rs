@@ -3,6 +3,7 @@
 use std::path::Path;
 use std::sync::OnceLock;
 
+use ::image::codecs::jpeg::JpegEncoder;
 use ::image::codecs::png::PngEncoder;
 use ::image::{ExtendedColorType, ImageEncoder};
 use rayon::prelude::*;
@@ -41,6 +42,23 @@ pub(crate) fn encode_png8(picture: &Image) -> std::result::Result<Vec<u8>, Strin
     check(picture)?;
     let colours = if picture.channels == 4 { ExtendedColorType::Rgba8 } else { ExtendedColorType::Rgb8 };
     encode_png(&quantise(&picture.pixels), picture.width, picture.height, colours)
+}
+
+/// A picture as JPEG of a quality from 1 to 100; on white where it is transparent.
+pub fn encode_jpeg(picture: &Image, quality: u8) -> Result<Vec<u8>> {
+    let failed = |reason: String| Error::Output(format!("cannot encode a picture: {reason}"));
+    check(picture).map_err(failed)?;
+    let size = |length: usize| u32::try_from(length).map_err(|_| failed(format!("{length} pixels are too many")));
+    let (width, height) = (size(picture.width)?, size(picture.height)?);
+    let mut jpeg = Vec::new();
+    let encoded = JpegEncoder::new_with_quality(&mut jpeg, quality).write_image(
+        &quantise(&on_paper(picture)),
+        width,
+        height,
+        ExtendedColorType::Rgb8,
+    );
+    encoded.map_err(|e| failed(e.to_string()))?;
+    Ok(jpeg)
 }
 
 /// Writes depth as a 16-bit greyscale PNG: `depth = value / 65535 * max`. The value 0 means that

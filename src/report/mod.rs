@@ -1,6 +1,7 @@
-//! Tables and figures over points: records, statistics, published numbers.
+//! Tables, figures and a page over points: records, statistics, published numbers.
 
 pub mod exporters;
+pub mod page;
 pub mod plots;
 mod published;
 mod record;

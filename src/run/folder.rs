@@ -272,6 +272,11 @@ impl RunDir {
         self.path.join(EVAL)
     }
 
+    /// `renders/` in a folder that need not be a run's.
+    pub fn renders_in(path: &Path) -> PathBuf {
+        path.join(RENDERS)
+    }
+
     /// `renders/`: pictures and videos.
     pub fn renders(&self) -> PathBuf {
         self.path.join(RENDERS)

@@ -17,6 +17,10 @@ use crate::report::statistics::mean;
 use crate::report::tables::Table;
 use crate::report::{RowSpec, Status, TableSpec};
 
+/// The page's file in a results' folder. No part of what `augnerf verify` compares: it shows what the other files say, and
+/// pictures that lie with the runs.
+pub const PAGE: &str = "report.html";
+
 /// What is collected, and how.
 pub struct Collector<'a> {
     /// What the points left.
@@ -56,9 +60,14 @@ impl Results {
         &self.path
     }
 
-    /// Deletes tables and figures of an earlier time that were not written again.
-    pub(super) fn delete_others(&self, written: &[Export]) -> Result<()> {
-        let own = |name: &str| EXPORTERS.iter().any(|exporter| exporter.owns(name));
+    /// Writes files into the folder, and deletes tables and figures of an earlier time that are not among them.
+    pub(super) fn put(&self, files: &[Export]) -> Result<()> {
+        files.iter().try_for_each(|(name, bytes)| write_atomic(&self.path.join(name), bytes))?;
+        self.delete_others(files)
+    }
+
+    fn delete_others(&self, written: &[Export]) -> Result<()> {
+        let own = |name: &str| name == PAGE || EXPORTERS.iter().any(|exporter| exporter.owns(name));
         for entry in std::fs::read_dir(&self.path).map_err(|e| Error::unreadable(&self.path, &e))? {
             let path = entry.map_err(|e| Error::unreadable(&self.path, &e))?.path();
             let Some(name) = path.file_name().map(|name| name.to_string_lossy()) else { continue };
@@ -74,30 +83,36 @@ impl Results {
 pub type Taking<'a> = &'a mut dyn FnMut(&str, &[u8]) -> Result<()>;
 
 impl Collector<'_> {
-    /// Writes the files of all exporters, and what `augnerf verify` makes them of again. Those that show no rows side by
-    /// side are written even where rows may not be put so. Returns the table.
+    /// Writes the files of all exporters, the page of them, and what `augnerf verify` makes them of again. Those that show no
+    /// rows side by side are written even where rows may not be put so. Returns the table.
     pub fn write(&self, results: &Results) -> Result<Table> {
         self.material.archive(self.definition, self.points, &results.path)?;
         let (mut files, mut provenance) = (Vec::new(), Provenance::of(self.name, &self.material.records));
-        let table = self.files(&mut |name, bytes| {
+        let spec = self.spec();
+        let table = self.sheet(&spec).write(results, &mut files);
+        for (name, bytes) in &files {
             if EXPORTERS.iter().any(|exporter| exporter.owns(name) && !exporter.repeats()) {
-                provenance.pinned.insert(name.into(), sha256(bytes));
+                provenance.pinned.insert(name.clone(), sha256(bytes));
             }
-            files.push((name.to_string(), bytes.to_vec()));
-            Ok(())
-        });
+        }
         provenance.write(&results.path)?;
-        files.iter().try_for_each(|(name, bytes)| write_atomic(&results.path.join(name), bytes))?;
-        results.delete_others(&files)?;
+        results.put(&files)?;
         table
     }
 
     /// Hands over the files of all exporters, those first that show no rows side by side: the others are not made where
     /// rows may not be put so. Returns the table.
     pub fn files(&self, take: Taking) -> Result<Table> {
-        let Collector { material, definition, points, name, force, with_timing } = *self;
-        let spec = &with_scored(definition.table(name, points), definition, &material.scored);
-        Sheet { spec, material, points, force, with_timing }.files(take)
+        self.sheet(&self.spec()).files(take)
+    }
+
+    fn spec(&self) -> TableSpec {
+        with_scored(self.definition.table(self.name, self.points), self.definition, &self.material.scored)
+    }
+
+    fn sheet<'s>(&'s self, spec: &'s TableSpec) -> Sheet<'s> {
+        let Collector { material, points, force, with_timing, .. } = *self;
+        Sheet { spec, material, points, force, with_timing }
     }
 }
 
@@ -116,6 +131,17 @@ pub(super) struct Sheet<'a> {
 }
 
 impl Sheet<'_> {
+    /// All files, with the page of them where there is a table. Returns the table.
+    pub fn write(&self, results: &Results, files: &mut Vec<Export>) -> Result<Table> {
+        let table = self.files(&mut |name, bytes| {
+            files.push((name.to_string(), bytes.to_vec()));
+            Ok(())
+        })?;
+        let page = self.page(&table, files, &results.path)?;
+        files.push((PAGE.into(), page.into_bytes()));
+        Ok(table)
+    }
+
     /// See [`Collector::files`].
     pub fn files(&self, take: Taking) -> Result<Table> {
         let records = self.material.all_records();

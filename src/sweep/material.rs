@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 use std::io::{Read, Write};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use flate2::{Compression, GzBuilder, read::GzDecoder};
 
@@ -10,10 +10,9 @@ use crate::base::csv::{column_names, csv_text, plain_cell};
 use crate::base::files::{json_bytes, read_json, write_atomic};
 use crate::base::input::{TABLE_BYTES, read_bytes};
 use crate::base::{Error, Image, Result};
-use crate::data::images;
 use crate::report::tables::PointTiming;
 use crate::report::{Record, Status};
-use crate::run::{DepthErrors, RunDir};
+use crate::run::{DepthErrors, RunDir, read_picture};
 use crate::runtime::Timing;
 
 use super::common_depth::{add_common_depth, wants_depth};
@@ -29,8 +28,6 @@ const MOST_UNPACKED: u64 = 1 << 28;
 /// Most bytes that a log takes in memory: twice what those of the largest shipped sweep take. Cells take ten times what they
 /// take in a file, and a file that is packed a thousand times less.
 const MOST_TAKEN: usize = 1 << 29;
-/// Most pixels of a surface's picture: three times those of a view of 4K.
-const MOST_PIXELS: usize = 24_000_000;
 
 /// What a sweep's points left.
 #[derive(Clone, Debug, Default)]
@@ -43,6 +40,8 @@ pub struct Material {
     pub scalars: BTreeMap<String, Scalars>,
     /// Pictures of the points' surfaces, by the points' names: not kept beside the tables.
     pub surfaces: BTreeMap<String, Image>,
+    /// Run folders of the points that are done, by the points' names: not kept beside the tables.
+    pub runs: BTreeMap<String, PathBuf>,
     /// `step_seconds.json`, where budgets in seconds needed it.
     pub step_seconds: Option<Vec<u8>>,
     /// Pictures of other programs that stand in the table, too.
@@ -72,23 +71,30 @@ impl Material {
             if folder.point(&point.id).state(point)?.status != Status::Done {
                 continue;
             }
-            if let Some(timing) = read_json::<Timing>(&run.join("timing.json"), "delete it to go on")? {
-                material.timing.push((point.id.clone(), clocks(&timing)));
-            }
-            if let Some(bytes) = optional(&run.join("scalars.csv"))? {
-                let scalars = Scalars::parse(bytes.as_slice()).map_err(|e| damaged(&run.join("scalars.csv"), &e))?;
-                material.scalars.insert(point.id.clone(), scalars);
-            }
-            let picture = RunDir::surface_picture_in(&run);
-            if picture.exists() {
-                material.surfaces.insert(point.id.clone(), read_picture(&picture)?);
-            }
+            material.read_run(&point.id, &run)?;
         }
         if wants_depth(&definition.metrics) {
             let errors = |id: &str| DepthErrors::read(&RunDir::depth_errors_in(&folder.point(id).run()));
             add_common_depth(&mut material.records, errors)?;
         }
         Ok(material)
+    }
+
+    /// Adds the files of a run that was measured.
+    pub(super) fn read_run(&mut self, id: &str, run: &Path) -> Result<()> {
+        self.runs.insert(id.into(), run.to_path_buf());
+        if let Some(timing) = read_json::<Timing>(&run.join("timing.json"), "delete it to go on")? {
+            self.timing.push((id.into(), clocks(&timing)));
+        }
+        if let Some(bytes) = optional(&run.join("scalars.csv"))? {
+            let scalars = Scalars::parse(bytes.as_slice()).map_err(|e| damaged(&run.join("scalars.csv"), &e))?;
+            self.scalars.insert(id.into(), scalars);
+        }
+        let picture = RunDir::surface_picture_in(run);
+        if picture.exists() {
+            self.surfaces.insert(id.into(), read_picture(&picture)?);
+        }
+        Ok(())
     }
 
     /// The points and, behind them, the pictures of other programs.
@@ -208,17 +214,6 @@ fn packed(bytes: &[u8]) -> Vec<u8> {
     let mut writer = GzBuilder::new().write(Vec::new(), Compression::best());
     let written = writer.write_all(bytes).and_then(|()| writer.finish());
     written.expect("memory takes everything")
-}
-
-/// A picture as it is, of which a pixel takes up to 32 bytes on the way.
-fn read_picture(path: &Path) -> Result<Image> {
-    let (width, height) = images::size(path)?;
-    if width * height > MOST_PIXELS {
-        let found = format!("{width}x{height} pixels are more than a view of an evaluation has; delete it");
-        return Err(damaged(path, &found));
-    }
-    let decoded = images::decode(path)?;
-    Ok(images::averaged(&decoded, (decoded.width() as usize, decoded.height() as usize)))
 }
 
 /// Name and value of each clock of a run.

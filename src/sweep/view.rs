@@ -150,6 +150,7 @@ impl View {
         self.material.timing.extend(source.material.timing.iter().filter(|(id, _)| !own.contains(id)).cloned());
         self.material.scalars.extend(source.material.scalars.clone());
         self.material.surfaces.extend(source.material.surfaces.clone());
+        self.material.runs.extend(source.material.runs.clone());
         let scored = source.material.scored.iter().cloned();
         self.material.scored.extend(scored.map(|mut scored| {
             scored.row = renamed(&scored.row);
@@ -308,13 +309,9 @@ impl View {
         let results = Results::take(results)?;
         let mut files = Vec::new();
         let sheet = Sheet { spec: &self.spec, material: &self.material, points: &self.points, force, with_timing };
-        let table = sheet.files(&mut |name, bytes| {
-            files.push((name.to_string(), bytes.to_vec()));
-            Ok(())
-        });
+        let table = sheet.write(&results, &mut files);
         write_atomic(&results.path().join(VIEW), self.to_toml().as_bytes())?;
-        files.iter().try_for_each(|(name, bytes)| write_atomic(&results.path().join(name), bytes))?;
-        results.delete_others(&files)?;
+        results.put(&files)?;
         table
     }
 

@@ -332,6 +332,7 @@ fn names_of_rows_are_words_in_every_file() {
         let text = read(name);
         assert!(!text.replace("\\<", "").contains("<script>") && text.contains("script"), "{name}: {text}");
     }
+    assert_eq!(read("report.html").matches("<script").count(), 1, "the page has one script, its own");
     let (markdown, latex) = (read("table.md"), read("table.tex"));
     assert!(!markdown.contains("[click](") && !markdown.contains("![img]("), "{markdown}");
     assert!(!latex.contains("\\input{") && !latex.contains("& 50%") && latex.contains("etc/passwd"), "{latex}");

@@ -186,7 +186,7 @@ fn table_json(table: &Table, results: &Path) -> serde_json::Value {
 }
 
 /// Columns of the terminal; a file or a pipe gets lines that most screens show.
-fn terminal_width() -> u16 {
+pub(super) fn terminal_width() -> u16 {
     let (_, columns) = console::Term::stdout().size();
     if std::io::stdout().is_terminal() { columns.max(60) } else { 160 }
 }

@@ -7,15 +7,17 @@
 mod checks;
 mod comparison;
 mod delimited;
+mod heading;
 mod latex;
 mod markdown;
 mod read;
 mod terminal;
-mod text;
+pub(in crate::report) mod text;
 
 pub use checks::disagreements;
 pub use comparison::{Comparison, Equivalence, Verdict};
 pub use delimited::{PointTiming, points_csv, table_csv, timing_csv};
+pub use heading::{Heading, is_better, is_worse};
 pub use latex::table_latex;
 pub use markdown::table_markdown;
 pub use read::{PlaceText, read_points, read_timing};

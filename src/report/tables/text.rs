@@ -46,7 +46,7 @@ fn status_and_reason(line: &Line) -> String {
 }
 
 /// The line's label with its marks.
-pub(super) fn marked_label(line: &Line) -> String {
+pub(in crate::report) fn marked_label(line: &Line) -> String {
     let marks: String = MARKS.iter().filter(|(_, _, of)| of(line).is_some()).map(|(symbol, _, _)| symbol).collect();
     if marks.is_empty() { line.label.clone() } else { format!("{} {marks}", line.label) }
 }
@@ -110,16 +110,16 @@ impl Grid {
 }
 
 /// A column's name, and its text in a line.
-type Column = (&'static str, fn(&Line) -> String);
+pub(in crate::report) type Column = (&'static str, fn(&Line) -> String);
 
 /// Numbers of the paper that belong beside no metric of ours: it does not name the backbone of its LPIPS.
-pub(super) const UNKNOWN_BACKBONE: [Column; 2] = [
+pub(in crate::report) const UNKNOWN_BACKBONE: [Column; 2] = [
     ("LPIPS", |line| line.published_lpips.map_or(String::new(), |value| format!("{value:.3}"))),
     ("average", |line| line.published_average.map_or(String::new(), |value| format!("{value:.3}"))),
 ];
 
 /// `25.31 ± 0.12 (3)`; without the deviation for one seed, empty for none.
-pub(super) fn mean_text(cell: &Cell) -> String {
+pub(in crate::report) fn mean_text(cell: &Cell) -> String {
     let Some(mean) = cell.mean else { return String::new() };
     let deviation = cell.deviation.map_or(String::new(), |value| format!(" ± {}", number(&cell.metric, value)));
     format!("{}{deviation} ({})", number(&cell.metric, mean), cell.n)
@@ -128,12 +128,18 @@ pub(super) fn mean_text(cell: &Cell) -> String {
 /// `+0.31 [+0.10, +0.52], p 0.021, higher`: the words are the verdict's, and none where there is none.
 pub(super) fn difference_text(cell: &Cell) -> String {
     let Some(comparison) = &cell.comparison else { return String::new() };
-    let pairs = if comparison.pairs < cell.n { format!(" ({} pairs)", comparison.pairs) } else { String::new() };
-    let difference = interval_text(&cell.metric, comparison.difference, comparison.interval);
+    let difference = interval_of(cell);
     match comparison.interval {
-        Some(_) => format!("{difference}{pairs}{}", conclusion(cell, comparison)),
-        None => format!("{difference}{pairs}, no interval"),
+        Some(_) => format!("{difference}{}", conclusion(cell, comparison)),
+        None => format!("{difference}, no interval"),
     }
+}
+
+/// `+0.31 [+0.10, +0.52]`, with the number of pairs where a seed has none; empty without a comparison.
+pub(in crate::report) fn interval_of(cell: &Cell) -> String {
+    let Some(comparison) = &cell.comparison else { return String::new() };
+    let pairs = if comparison.pairs < cell.n { format!(" ({} pairs)", comparison.pairs) } else { String::new() };
+    interval_text(&cell.metric, comparison.difference, comparison.interval) + &pairs
 }
 
 /// `+0.31 [+0.10, +0.52]`, without the brackets where there is no interval.
@@ -157,7 +163,7 @@ fn conclusion(cell: &Cell, comparison: &Comparison) -> String {
 }
 
 /// The paper's number with the paper's digits; empty without one.
-pub(super) fn published_text(cell: &Cell) -> String {
+pub(in crate::report) fn published_text(cell: &Cell) -> String {
     cell.published.map_or(String::new(), |value| number(&cell.metric, value))
 }
 
@@ -167,7 +173,7 @@ fn number(metric: &str, value: f64) -> String {
 }
 
 /// What stands below the lines of a scene.
-pub(super) fn scene_notes(lines: &[&Line]) -> Vec<String> {
+pub(in crate::report) fn scene_notes(lines: &[&Line]) -> Vec<String> {
     let mut notes = baseline_notes(lines);
     notes.extend(corruption_notes(lines));
     notes.extend(varied_notes(lines));
@@ -177,6 +183,13 @@ pub(super) fn scene_notes(lines: &[&Line]) -> Vec<String> {
     notes
 }
 
+/// What a reader has to know before the numbers: lines that are not comparable, unfinished, attacked without effect or
+/// different between their seeds, and metrics without numbers.
+pub(in crate::report) fn warnings(lines: &[&Line]) -> Vec<String> {
+    let marks = MARKS.iter().filter(|(symbol, ..)| !['#', '‖', '*'].contains(symbol));
+    marks.filter_map(|mark| mark_note(mark, lines)).chain(unmeasured_notes(lines)).collect()
+}
+
 /// What stands below the table: how to read its cells.
 pub(super) fn general_notes(table: &Table) -> Vec<String> {
     let mut notes = table.notes.clone();
@@ -184,6 +197,13 @@ pub(super) fn general_notes(table: &Table) -> Vec<String> {
     if table.lines.iter().any(|line| line.baseline.is_some()) {
         notes.push(HOW_TO_READ.to_string());
     }
+    notes.extend(further_notes(table, EQUIVALENCE));
+    notes
+}
+
+/// Notes that stand below a table in every form; `equivalence` says how that is told where it is tested.
+pub(in crate::report) fn further_notes(table: &Table, equivalence: &str) -> Vec<String> {
+    let mut notes = Vec::new();
     let is_own = |metric: &&String| OWN_PIXELS.contains(&metric.as_str());
     let has_verdict = |metric: &str| {
         let cells = table.lines.iter().flat_map(|line| &line.cells).filter(|cell| cell.metric == metric);
@@ -200,7 +220,7 @@ pub(super) fn general_notes(table: &Table) -> Vec<String> {
     }
     let compared = || table.lines.iter().flat_map(|line| &line.cells).filter_map(|cell| cell.comparison);
     if compared().any(|comparison| comparison.equivalence.is_some()) {
-        notes.push(EQUIVALENCE.to_string());
+        notes.push(equivalence.to_string());
     }
     if table.lines.iter().any(|line| !line.published_protocol.is_empty()) {
         notes.push(PUBLISHED_NOTE.to_string());

@@ -3,9 +3,10 @@
 use std::path::{Path, PathBuf};
 
 use crate::base::{Error, Result};
+use crate::report::exporters::File;
 use crate::report::tables::{Table, read_points, read_timing};
 use crate::report::{Status, label};
-use crate::sweep::collect::{Collector, Taking};
+use crate::sweep::collect::{Collector, Sheet, Taking};
 use crate::sweep::definition::Definition;
 use crate::sweep::folder::SweepFolder;
 use crate::sweep::material::{Material, optional, read_scalars};
@@ -83,6 +84,31 @@ impl Archive {
             with_timing: self.with_timing,
         };
         collector.files(take)
+    }
+
+    /// The page of a results' folder: without pictures of views, which lie with the runs.
+    pub fn page(&self) -> Result<(Table, String)> {
+        let mut files: Vec<File> = Vec::new();
+        let table = self.files(&mut |name, bytes| {
+            files.push((name.into(), bytes.to_vec()));
+            Ok(())
+        })?;
+        // Those that nothing makes again, as they were committed.
+        for name in self.provenance.pinned.keys().filter(|name| name.ends_with(".svg")) {
+            if let Some(bytes) = optional(&self.path.join(name))? {
+                files.push((name.clone(), bytes));
+            }
+        }
+        let spec = self.definition.table(&self.provenance.name, &self.points);
+        let sheet = Sheet {
+            spec: &spec,
+            material: &self.material,
+            points: &self.points,
+            force: true,
+            with_timing: self.with_timing,
+        };
+        let page = sheet.page(&table, &files, &self.path)?;
+        Ok((table, page))
     }
 
     /// Points that were measured.

@@ -7,6 +7,7 @@ use super::findings::Findings;
 use crate::base::files::write_atomic;
 use crate::base::{Error, Result};
 use crate::report::exporters::{CURVES, EXPORTERS};
+use crate::sweep::collect::PAGE;
 use crate::sweep::folder::{DEFINITION, PLAN, STEP_SECONDS};
 use crate::sweep::material::{SCALARS, optional};
 use crate::sweep::provenance::{PROVENANCE, sha256};
@@ -109,6 +110,8 @@ fn others(archive: &Archive, made: &Made, update: bool, findings: &mut Findings)
         let without_png = name.ends_with(".png") && made.contains_key(&name.replace(".png", ".svg"));
         if without_png {
             findings.not_checked(format!("{name}: this program is built without PNG figures"));
+        } else if name == PAGE {
+            findings.not_checked(format!("{name}: it shows these files, with pictures that lie with the runs"));
         } else if !EXPORTERS.iter().any(|exporter| exporter.owns(&name)) {
             findings.not_checked(format!("{name}: nothing here makes it, and {PROVENANCE} does not name it"));
         } else if update {

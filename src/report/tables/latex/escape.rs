@@ -1,45 +1,20 @@
-//! The table for a paper: needs `\usepackage{booktabs}`.
-
-use super::Table;
-use super::text::{Grid, general_notes, protocol_text, scene_notes};
-
-/// One `table` environment with all scenes, notes below.
-pub fn table_latex(table: &Table) -> String {
-    let grid = Grid::new(table);
-    let columns = grid.head.len();
-    let mut rows = grid.rows.iter();
-    let mut text = format!("\\begin{{table}}\n\\centering\n\\caption{{{}}}\n", escape(&table.title));
-    text += &format!("\\begin{{tabular}}{{l{}}}\n\\toprule\n{}", "r".repeat(columns - 1), row_text(&grid.head));
-    for (scene, lines) in table.scenes() {
-        text += &format!("\\midrule\n\\multicolumn{{{columns}}}{{l}}{{\\emph{{{}}}}} \\\\\n", escape(scene));
-        text.extend(rows.by_ref().take(lines.len()).map(|row| row_text(row)));
-    }
-    text += "\\bottomrule\n\\end{tabular}\n\n\\smallskip\n\\begin{minipage}{\\linewidth}\n\\footnotesize\n";
-    text += &notes_text(table);
-    text += "\\end{minipage}\n\\end{table}\n";
-    if text.contains("\\augnerfletter") { format!("{LETTER}{text}") } else { text }
-}
-
-fn notes_text(table: &Table) -> String {
-    let of_scene = |(scene, lines): (&str, Vec<_>)| {
-        let protocol = format!("{scene}, all rows: {}", protocol_text(&lines));
-        std::iter::once(protocol).chain(scene_notes(&lines))
-    };
-    let notes = table.scenes().into_iter().flat_map(of_scene).chain(general_notes(table));
-    notes.map(|note| format!("{}\\par\n", escape(&note))).collect()
-}
-
-/// Cells in braces: a row must not begin with `[` or `*`, which the line end before it would take.
-fn row_text(cells: &[String]) -> String {
-    let cells: Vec<String> = cells.iter().map(|cell| format!("{{{}}}", escape(cell))).collect();
-    format!("{} \\\\\n", cells.join(" & "))
-}
+//! Text that LaTeX prints as it is.
 
 /// What LaTeX prints as it is, in any of its engines and encodings: `\augnerfletter` stands for the rest.
-fn escape(text: &str) -> String {
+pub(super) fn escape(text: &str) -> String {
+    text.split_inclusive(' ').map(escape_word).collect()
+}
+
+/// A word with its space behind. One that is longer than most lines of a table's first column may be broken: between letters of
+/// it there is nothing to break at.
+fn escape_word(text: &str) -> String {
+    let breaks = text.chars().count() > LONG_WORD;
     let mut escaped = String::with_capacity(text.len());
     let mut before = ' ';
-    for c in text.chars() {
+    for (index, c) in text.chars().enumerate() {
+        if breaks && index > 0 && index % BREAK_EVERY == 0 {
+            escaped += "\\allowbreak{}";
+        }
         match c {
             '&' | '%' | '$' | '#' | '_' | '{' | '}' => escaped.extend(['\\', c]),
             '\\' => escaped += "\\textbackslash{}",
@@ -61,12 +36,16 @@ fn escape(text: &str) -> String {
     escaped
 }
 
+/// Letters of a word that is broken where a line ends in it, and between two places to break at.
+const LONG_WORD: usize = 30;
+const BREAK_EVERY: usize = 10;
+
 /// Letters with accents that every encoding of LaTeX puts together.
 const ACCENTED: &str =
     "ÀÁÂÃÄÅÆÇÈÉÊËÌÍÎÏÑÒÓÔÕÖØÙÚÛÜÝàáâãäåæçèéêëìíîïñòóôõöøùúûüýÿßĆćČčĎďĚěŁłŃńŇňŐőŒœŘřŚśŠšŤťŮůŰűŸŹźŻżŽž";
 
 /// Signs and Greek letters as mathematics has them.
-const SPECIAL: [(char, &str); 59] = [
+const SPECIAL: [(char, &str); 61] = [
     ('±', "$\\pm$"),
     ('†', "$\\dagger$"),
     ('‡', "$\\ddagger$"),
@@ -124,6 +103,8 @@ const SPECIAL: [(char, &str); 59] = [
     ('Ψ', "$\\Psi$"),
     ('Ω', "$\\Omega$"),
     ('ϵ', "$\\epsilon$"),
+    ('↑', "$\\uparrow$"),
+    ('↓', "$\\downarrow$"),
     ('∇', "$\\nabla$"),
     ('√', "$\\surd$"),
 ];
@@ -134,7 +115,8 @@ fn special(letter: char) -> String {
 }
 
 /// The letter itself where the engine knows Unicode, its number elsewhere, where it would be an error.
-const LETTER: &str = "\\providecommand{\\augnerfletter}[1]{\\ifdefined\\Umathchar\\char\"#1\\relax\\else[U+#1]\\fi}\n";
+pub(super) const LETTER: &str =
+    "\\providecommand{\\augnerfletter}[1]{\\ifdefined\\Umathchar\\char\"#1\\relax\\else[U+#1]\\fi}\n";
 
 #[cfg(test)]
 mod tests {
@@ -153,5 +135,7 @@ mod tests {
         assert_eq!(escape("a\n\n\tb\u{0}c"), "a   b c");
         assert_eq!(escape("λ 中 é --force"), "$\\lambda$ \\augnerfletter{4E2D} é $-${}-force");
         assert_eq!(escape("-0.1 [-0.2, -0.0] pre-output"), "$-$0.1 [$-$0.2, $-$0.0] pre-output");
+        let long = "x".repeat(31);
+        assert_eq!(escape(&long).replace("\\allowbreak{}", "|"), "xxxxxxxxxx|xxxxxxxxxx|xxxxxxxxxx|x");
     }
 }

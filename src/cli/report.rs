@@ -1,0 +1,72 @@
+//! `augnerf report`.
+
+use std::path::{Path, PathBuf};
+
+use clap::Args;
+
+use crate::base::files::write_atomic;
+use crate::base::{Error, Result};
+use crate::report::tables::table_terminal;
+use crate::sweep::verify::Archive;
+use crate::sweep::{PAGE, RunsSheet, check_page_place};
+
+use super::progress::print;
+use super::sweep::terminal_width;
+
+pub const EXAMPLES: &str = "Examples:
+  augnerf report runs/fern-nerf-* runs/fern-aug-nerf-*     runs side by side, in report.html
+  augnerf report A B C --label NeRF --label NeRF --label Aug-NeRF --out figures/fern.html
+  augnerf report results/tab4_fern                         a sweep's results, in their folder
+
+Runs that differ in nothing but the seed, or have one name, are one row; the first row is what the others are compared \
+with. The page holds everything that it shows and fetches nothing. `augnerf sweep collect` writes a sweep's own.";
+
+#[derive(Args)]
+pub struct ReportArguments {
+    /// Run folders; or one folder of a sweep's results
+    #[arg(required = true, value_name = "RUN")]
+    runs: Vec<PathBuf>,
+    /// The name of a run's row: once for each run, in their order [default: the folder's name]
+    #[arg(long = "label", value_name = "NAME")]
+    labels: Vec<String>,
+    /// The page [default: report.html, in the folder of results where one is named]
+    #[arg(long, value_name = "FILE")]
+    out: Option<PathBuf>,
+    /// Add seconds and memory, with which the page no longer repeats
+    #[arg(long)]
+    with_timing: bool,
+}
+
+impl ReportArguments {
+    pub fn run(self) -> Result<()> {
+        let (table, page, out) = match self.runs.as_slice() {
+            [results] if results.join("points.csv").is_file() => {
+                if !self.labels.is_empty() || self.with_timing {
+                    return Err(Error::Config(format!(
+                        "--label and --with-timing are of runs: {} holds a sweep's results, whose rows have names; `augnerf \
+                         sweep collect --with-timing` adds seconds",
+                        results.display()
+                    )));
+                }
+                let out = check_page_place(&self.out.clone().unwrap_or_else(|| results.join(PAGE)))?;
+                let (table, page) = Archive::read(results, None)?.page()?;
+                (table, page, out)
+            }
+            runs => {
+                let out = check_page_place(&self.out.clone().unwrap_or_else(|| PAGE.into()))?;
+                let (table, page) = RunsSheet::read(runs, &self.labels)?.page(folder_of(&out), self.with_timing)?;
+                (table, page, out)
+            }
+        };
+        let folder = folder_of(&out);
+        std::fs::create_dir_all(folder).map_err(|e| Error::unwritable(folder, &e))?;
+        write_atomic(&out, page.as_bytes())?;
+        print(&table_terminal(&table, terminal_width()))?;
+        print(&format!("page: {}", out.display()))
+    }
+}
+
+/// The folder that a file lies in.
+fn folder_of(file: &Path) -> &Path {
+    file.parent().filter(|parent| *parent != Path::new("")).unwrap_or(Path::new("."))
+}

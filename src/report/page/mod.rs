@@ -1,0 +1,102 @@
+//! `report.html`: what a sweep or some runs came to, as one page that needs nothing else: no file, no network.
+//!
+//! The page is `templates/report.html`, with its style and its script beside it. What is in the names of rows, scenes and
+//! reasons is escaped there; the page's own policy lets no script run but its own, by its hash, and nothing be fetched.
+
+mod attack;
+mod facts;
+mod figures;
+mod points;
+mod protocol;
+mod results;
+mod views;
+
+use askama::Template;
+use base64::Engine;
+use base64::engine::general_purpose::STANDARD;
+use sha2::{Digest, Sha256};
+
+use crate::base::{Error, Result};
+use crate::report::Record;
+use crate::report::exporters::File;
+use crate::report::tables::{Heading, PointTiming, Table, table_latex};
+
+pub use attack::AttackLine;
+pub use views::{ShownScene, ViewOfRow, ViewOfScene};
+
+const STYLE: &str = include_str!("../../../templates/report.css");
+const SCRIPT: &str = include_str!("../../../templates/report.js");
+
+/// What the page is made of.
+pub struct Page<'a> {
+    /// The table that it shows.
+    pub table: &'a Table,
+    /// The points.
+    pub records: &'a [Record],
+    /// Files of the exporters, of which it takes the figures.
+    pub files: &'a [File],
+    /// First held-out views, scene by scene.
+    pub views: Vec<ShownScene>,
+    /// What the attack did.
+    pub attacks: Vec<AttackLine>,
+    /// Clock times, where the page is to have them: it does not repeat then.
+    pub timing: &'a [PointTiming],
+    /// Where a point's run lies, as seen from the page; none where that is not known.
+    pub link: &'a dyn Fn(&str) -> Option<String>,
+}
+
+#[derive(Template)]
+#[template(path = "report.html")]
+struct Html<'a> {
+    title: &'a str,
+    name: &'a str,
+    script_hash: String,
+    style: &'static str,
+    script: &'static str,
+    warnings: Vec<String>,
+    facts: Vec<(&'static str, String)>,
+    groups: Vec<(usize, String)>,
+    columns: Vec<results::Column>,
+    scenes: Vec<results::Scene<'a>>,
+    notes: Vec<String>,
+    latex: String,
+    figures: Vec<figures::Figure>,
+    views: &'a [ShownScene],
+    views_note: &'static str,
+    attacks: Vec<attack::Shown<'a>>,
+    points: Vec<points::Point<'a>>,
+    protocols: Vec<protocol::Scene<'a>>,
+    clocks: Vec<String>,
+    costs: Vec<protocol::Cost<'a>>,
+}
+
+impl Page<'_> {
+    /// The page's text.
+    pub fn html(&self) -> Result<String> {
+        let table = self.table;
+        let groups = (0..).zip(table.metrics.iter().map(|key| Heading::of(key).name.to_string())).collect();
+        let html = Html {
+            title: &table.title,
+            name: &table.name,
+            script_hash: format!("sha256-{}", STANDARD.encode(Sha256::digest(SCRIPT.as_bytes()))),
+            style: STYLE,
+            script: SCRIPT,
+            warnings: facts::warnings(table, self.records),
+            facts: facts::facts(table, self.records),
+            groups,
+            columns: results::columns(table),
+            scenes: results::scenes(table),
+            notes: results::notes(table),
+            latex: table_latex(table),
+            figures: figures::figures(self.files)?,
+            views: &self.views,
+            views_note: views::NOTE,
+            attacks: attack::shown(&self.attacks),
+            points: points::points(table, self.records, self.link),
+            protocols: protocol::scenes(table),
+            clocks: protocol::clocks(self.timing),
+            costs: protocol::costs(table, self.timing),
+        };
+        html.render().map_err(|e| Error::Output(format!("cannot make the page: {e}")))
+    }
+}

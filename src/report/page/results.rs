@@ -1,0 +1,144 @@
+//! The table: a column a metric, with the difference to the baseline below each mean.
+
+use crate::metrics::{Direction, Metric};
+use crate::report::statistics::p_text;
+use crate::report::tables::text::{
+    UNKNOWN_BACKBONE, further_notes, interval_of, marked_label, mean_text, published_text, scene_notes,
+};
+use crate::report::tables::{Cell, Heading, Line, Table, is_better, is_worse};
+
+const HOW_TO_READ: &str = "Mean ± standard deviation over the seeds; in brackets their number where it is not that of the \
+     definition. Below: the difference to the baseline, paired by seed, with its 95 % Student t interval, and the p value \
+     after Holm's correction over the rows of the scene's table. Bold is what is better than the baseline with a p below \
+     0.05, and nothing else; \"not distinguishable\" is said where the interval holds 0, which proves no equality.";
+const EQUIVALENCE: &str = "\"Equivalent within\" a margin that the definition states: two one-sided paired t tests, with Holm's \
+     p below 0.05.";
+
+/// A column.
+pub struct Column {
+    pub group: usize,
+    pub name: String,
+    pub unit: String,
+    pub arrow: &'static str,
+    /// A first click on its head sorts from the largest down.
+    pub down: bool,
+}
+
+/// The rows of a scene, and what is said below them.
+pub struct Scene<'a> {
+    pub name: &'a str,
+    pub rows: Vec<Row>,
+    pub notes: Vec<String>,
+}
+
+/// A row of the table.
+pub struct Row {
+    pub label: String,
+    pub quoted: bool,
+    pub cells: Vec<Number>,
+}
+
+/// A cell of the table.
+#[derive(Default)]
+pub struct Number {
+    pub group: usize,
+    /// What it is sorted by; empty without a number.
+    pub value: String,
+    pub mean: String,
+    pub spread: String,
+    pub difference: String,
+    pub conclusion: String,
+    pub better: bool,
+    pub worse: bool,
+}
+
+/// Whether the paper has numbers of a metric.
+fn is_published(table: &Table, metric: usize) -> bool {
+    table.lines.iter().any(|line| line.cells[metric].published.is_some())
+}
+
+/// Those of the paper's numbers that belong to no metric of ours, and which of them the table has.
+fn unknown_backbone(table: &Table) -> impl Iterator<Item = (&'static str, fn(&Line) -> String)> {
+    UNKNOWN_BACKBONE.into_iter().filter(|(_, text)| table.lines.iter().any(|line| !text(line).is_empty()))
+}
+
+pub fn columns(table: &Table) -> Vec<Column> {
+    let mut columns = Vec::new();
+    for (group, key) in table.metrics.iter().enumerate() {
+        let heading = Heading::of(key);
+        let (name, unit, arrow) = (heading.name.to_string(), heading.unit_text(), heading.arrow);
+        let down = Metric::find(key).is_some_and(|metric| metric.direction != Direction::Down);
+        columns.push(Column { group, name, unit, arrow, down });
+        if is_published(table, group) {
+            let (name, unit) = (format!("{}, in the paper", heading.name), String::new());
+            columns.push(Column { group, name, unit, arrow: "", down });
+        }
+    }
+    columns.extend(unknown_backbone(table).map(|(name, _)| Column {
+        group: table.metrics.len(),
+        name: format!("{name}, in the paper"),
+        unit: "of an unknown backbone".into(),
+        arrow: "",
+        down: false,
+    }));
+    columns
+}
+
+pub fn scenes(table: &Table) -> Vec<Scene<'_>> {
+    let scenes = table.scenes().into_iter().map(|(name, lines)| Scene {
+        name,
+        rows: lines.iter().map(|line| row(table, line)).collect(),
+        notes: scene_notes(&lines),
+    });
+    scenes.collect()
+}
+
+pub fn notes(table: &Table) -> Vec<String> {
+    let how = std::iter::once(HOW_TO_READ.to_string());
+    table.notes.iter().cloned().chain(how).chain(further_notes(table, EQUIVALENCE)).collect()
+}
+
+fn row(table: &Table, line: &Line) -> Row {
+    let mut cells = Vec::new();
+    for (group, cell) in line.cells.iter().enumerate() {
+        cells.push(number(group, cell, line.points));
+        if is_published(table, group) {
+            let value = cell.published.map_or(String::new(), |value| value.to_string());
+            cells.push(Number { group, value, mean: published_text(cell), ..Number::default() });
+        }
+    }
+    cells.extend(unknown_backbone(table).map(|(_, text)| Number {
+        group: table.metrics.len(),
+        value: text(line),
+        mean: text(line),
+        ..Number::default()
+    }));
+    Row { label: marked_label(line), quoted: line.quoted, cells }
+}
+
+fn number(group: usize, cell: &Cell, points: usize) -> Number {
+    // `25.31 ± 0.12 (3)`
+    let text = mean_text(cell);
+    let text = if cell.n == points { text.rsplit_once(" (").map_or(text.as_str(), |(mean, _)| mean) } else { &text };
+    let (mean, spread) = text.split_once(" ± ").unwrap_or((text, ""));
+    let comparison = cell.comparison;
+    let p = comparison.and_then(|comparison| comparison.p_holm).map(|p| format!("p {}", p_text(p)));
+    let verdict = comparison.and_then(|comparison| comparison.verdict()).map(|verdict| verdict.name().to_string());
+    let equivalence =
+        comparison.and_then(|comparison| comparison.equivalence).filter(|equivalence| equivalence.holds());
+    let equivalent = equivalence.map(|equivalence| {
+        let margin = Metric::find(&cell.metric).map_or_else(String::new, |metric| metric.text(equivalence.margin));
+        format!("equivalent within {margin}")
+    });
+    let said: Vec<String> = [p, verdict, equivalent].into_iter().flatten().collect();
+    Number {
+        group,
+        value: cell.mean.map_or(String::new(), |mean| mean.to_string()),
+        mean: mean.into(),
+        spread: spread.into(),
+        difference: interval_of(cell),
+        conclusion: said.join(", "),
+        better: is_better(cell),
+        worse: is_worse(cell),
+    }
+}

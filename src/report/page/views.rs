@@ -1,0 +1,183 @@
+//! One held-out view of each scene, as JPEG within the page.
+
+use base64::Engine;
+use base64::engine::general_purpose::STANDARD;
+
+use crate::base::{Image, Result};
+use crate::data::resample::shrink;
+use crate::draw::{depth_colour, depth_range, encode_jpeg, quantise, scale_colour};
+
+/// Bytes of all pictures in a page, as base64.
+const MOST_BYTES: usize = 3 << 20;
+/// Longest side and JPEG quality of pictures, tried in turn until all fit.
+const SIZES: [(usize, u8); 4] = [(640, 88), (480, 82), (320, 78), (200, 74)];
+
+/// What the section says about its pictures.
+pub const NOTE: &str = "Error: root of the mean squared difference of a pixel's three 8-bit colours to the truth. Error and depth \
+     have one scale for all rows of a scene, whose ends are the outermost 2 % of values; near is bright. Grey: nothing there. \
+     The pictures are JPEG, made smaller where all of them would take more than 3 MiB.";
+
+/// A row before the view.
+#[derive(Clone, Debug)]
+pub struct ViewOfRow {
+    /// The row.
+    pub label: String,
+    /// Of its first point.
+    pub seed: u64,
+    /// As it renders the view.
+    pub image: Image,
+    /// Depth; NaN where nothing is solid.
+    pub depth: Vec<f32>,
+}
+
+/// A view, and how rows show it: pictures of one size.
+#[derive(Clone, Debug)]
+pub struct ViewOfScene {
+    /// The scene.
+    pub scene: String,
+    /// The view's name.
+    pub view: String,
+    /// The photograph.
+    pub truth: Image,
+    /// The rows.
+    pub rows: Vec<ViewOfRow>,
+    /// Rows that are not shown, and why: `2 rows have no picture of it`.
+    pub left_out: Vec<String>,
+}
+
+/// Its pictures as `data:` addresses.
+#[derive(Clone, Debug)]
+pub struct ShownScene {
+    pub(super) scene: String,
+    pub(super) view: String,
+    pub(super) width: usize,
+    pub(super) height: usize,
+    pub(super) truth: String,
+    pub(super) rows: Vec<ShownRow>,
+    pub(super) note: String,
+}
+
+#[derive(Clone, Debug)]
+pub(super) struct ShownRow {
+    pub label: String,
+    pub seed: u64,
+    pub image: String,
+    pub error: String,
+    pub depth: String,
+}
+
+impl ShownRow {
+    fn bytes(&self) -> usize {
+        self.image.len() + self.error.len() + self.depth.len()
+    }
+}
+
+impl ShownScene {
+    /// Encodes a scene's pictures in its share of the page: that of one of `scenes` scenes.
+    pub fn new(view: &ViewOfScene, scenes: usize) -> Result<ShownScene> {
+        let room = MOST_BYTES / scenes.max(1);
+        for (side, quality) in SIZES {
+            let shown = ShownScene::at(view, side, quality)?;
+            if shown.bytes() <= room {
+                return Ok(shown);
+            }
+        }
+        let (side, quality) = SIZES[SIZES.len() - 1];
+        let mut shown = ShownScene::at(view, side, quality)?;
+        let all = shown.rows.len();
+        while shown.bytes() > room && shown.rows.pop().is_some() {}
+        let text = format!(
+            "{} rows of {all} are left out: all pictures would take more than the page's",
+            all - shown.rows.len()
+        );
+        shown.note = [shown.note, text].into_iter().filter(|text| !text.is_empty()).collect::<Vec<String>>().join("; ");
+        Ok(shown)
+    }
+
+    fn bytes(&self) -> usize {
+        self.truth.len() + self.rows.iter().map(ShownRow::bytes).sum::<usize>()
+    }
+
+    fn at(view: &ViewOfScene, side: usize, quality: u8) -> Result<ShownScene> {
+        let Image { width, height, .. } = view.truth;
+        let scale = (side as f64 / width.max(height) as f64).min(1.0);
+        let size = |length: usize| ((length as f64 * scale).round() as usize).clamp(1, length);
+        let encode = |picture: &Image| -> Result<String> {
+            let small = shrink(picture, size(width), size(height));
+            Ok(format!("data:image/jpeg;base64,{}", STANDARD.encode(encode_jpeg(&small, quality)?)))
+        };
+        let errors: Vec<Vec<f32>> = view.rows.iter().map(|row| errors(&row.image, &view.truth)).collect();
+        let every_error: Vec<f32> = errors.iter().flatten().copied().collect();
+        // A scale without length, where all is equal to the truth, would colour nothing.
+        let top = depth_range(&every_error, None).map_or(1.0, |(_, top)| top).max(1.0 / 255.0);
+        let depths: Vec<f32> = view.rows.iter().flat_map(|row| row.depth.iter().copied()).collect();
+        let (near, far) = depth_range(&depths, None).unwrap_or((0.0, 1.0));
+        let shown = |(row, errors): (&ViewOfRow, Vec<f32>)| -> Result<ShownRow> {
+            let pixels = errors.iter().flat_map(|error| scale_colour(error / top)).collect();
+            Ok(ShownRow {
+                label: row.label.clone(),
+                seed: row.seed,
+                image: encode(&row.image)?,
+                error: encode(&Image { width, height, channels: 3, pixels })?,
+                depth: encode(&depth_colour(&row.depth, width, height, near, far, None)?)?,
+            })
+        };
+        Ok(ShownScene {
+            scene: view.scene.clone(),
+            view: view.view.clone(),
+            width: size(width),
+            height: size(height),
+            truth: encode(&view.truth)?,
+            rows: view.rows.iter().zip(errors).map(shown).collect::<Result<_>>()?,
+            note: view.left_out.join("; "),
+        })
+    }
+}
+
+/// Root of the mean squared difference over the 8-bit colours, for each pixel, as a share of white.
+fn errors(rendered: &Image, truth: &Image) -> Vec<f32> {
+    let (a, b) = (quantise(&rendered.pixels), quantise(&truth.pixels));
+    let error = |(a, b): (&[u8], &[u8])| {
+        let sum: u32 = a.iter().zip(b).map(|(&a, &b)| u32::from(a.abs_diff(b)).pow(2)).sum();
+        (sum as f32 / a.len() as f32).sqrt() / 255.0
+    };
+    a.chunks_exact(3).zip(b.chunks_exact(3)).map(error).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn noise(seed: u32, side: usize) -> Image {
+        let value =
+            |i: usize| ((i as u32).wrapping_mul(2_654_435_761).wrapping_add(seed * 97) >> 8) as f32 / 16_777_216.0;
+        Image { width: side, height: side, channels: 3, pixels: (0..side * side * 3).map(value).collect() }
+    }
+
+    #[test]
+    fn pictures_take_their_share_and_what_is_left_out_is_said() {
+        let row = |seed: u32| ViewOfRow {
+            label: format!("row {seed}"),
+            seed: 0,
+            image: noise(seed, 700),
+            depth: vec![1.0; 700 * 700],
+        };
+        let view = |rows: u32| ViewOfScene {
+            scene: "fern".into(),
+            view: "image000".into(),
+            truth: noise(0, 700),
+            rows: (1..=rows).map(row).collect(),
+            left_out: vec![],
+        };
+        let one = ShownScene::new(&view(1), 1).unwrap();
+        assert_eq!((one.width, one.height, one.note.as_str()), (640, 640, ""));
+        let shared = ShownScene::new(&view(2), 4).unwrap();
+        assert!(shared.width < 640 && shared.bytes() <= MOST_BYTES / 4 && shared.rows.len() == 2, "{}", shared.width);
+        let many = ShownScene::new(&view(3), 100).unwrap();
+        assert!(
+            many.bytes() <= MOST_BYTES / 100 && many.rows.len() < 3 && many.note.contains("left out"),
+            "{}",
+            many.note
+        );
+    }
+}

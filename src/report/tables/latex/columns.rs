@@ -1,0 +1,202 @@
+//! Columns of a LaTeX table, and which of them stand side by side: widths are estimated from the letters of Computer
+//! Modern, a little too wide rather than too narrow.
+
+use super::escape::escape;
+use super::{Heading, Line};
+
+/// Points that a table may be wide: a text of 17 cm has 483.
+const WIDTH: f64 = 470.0;
+/// Points that the first column takes at most; longer labels go on in a second line.
+const LABEL: f64 = 165.0;
+/// Half the room between two columns, as `floats` sets it.
+pub const SEPARATION: f64 = 4.0;
+/// Points of `\footnotesize`.
+const SIZE: f64 = 8.0;
+/// Least width that a head is broken to.
+const HEAD: f64 = 48.0;
+
+/// A column: its head, and text and weight of its cell in a line.
+pub struct Column<'a> {
+    head: String,
+    cell: Box<dyn Fn(&Line) -> (String, bool) + 'a>,
+}
+
+impl<'a> Column<'a> {
+    pub fn new(head: String, cell: impl Fn(&Line) -> (String, bool) + 'a) -> Column<'a> {
+        Column { head, cell: Box::new(cell) }
+    }
+
+    /// Of its cells alone.
+    fn cells_width(&self, lines: &[&Line]) -> f64 {
+        let width = |line: &&Line| {
+            let (text, bold) = (self.cell)(line);
+            width(&text) * if bold { 1.16 } else { 1.0 }
+        };
+        lines.iter().map(width).fold(0.0, f64::max)
+    }
+
+    fn text(&self, line: &Line) -> String {
+        match (self.cell)(line) {
+            (text, true) if !text.is_empty() => format!("\\textbf{{\\boldmath {}}}", escape(&text)),
+            (text, _) => escape(&text),
+        }
+    }
+}
+
+/// Columns that stay together, under one name where they have one.
+pub struct Group<'a> {
+    pub name: Option<String>,
+    pub columns: Vec<Column<'a>>,
+}
+
+/// A group as it stands in a part: the broken lines of its heads.
+struct Laid<'g, 'a> {
+    group: &'g Group<'a>,
+    name: Vec<String>,
+    heads: Vec<Vec<String>>,
+    width: f64,
+}
+
+impl<'g, 'a> Laid<'g, 'a> {
+    fn new(group: &'g Group<'a>, lines: &[&Line]) -> Laid<'g, 'a> {
+        let broken = |column: &Column| {
+            let own = column.cells_width(lines);
+            let head = broken(&column.head, own.max(HEAD));
+            let widest = head.iter().map(|line| width(line)).fold(own, f64::max);
+            (head, widest + 2.0 * SEPARATION)
+        };
+        let (heads, widths): (Vec<_>, Vec<_>) = group.columns.iter().map(broken).unzip();
+        let own: f64 = widths.into_iter().sum();
+        let name = group.name.as_ref().map(|name| self::broken(name, own.max(HEAD))).unwrap_or_default();
+        let width = name.iter().map(|line| width(line) + 2.0 * SEPARATION).fold(own, f64::max);
+        Laid { group, name, heads, width }
+    }
+}
+
+/// Groups that fit side by side beside the labels.
+pub struct Part<'g, 'a> {
+    groups: Vec<Laid<'g, 'a>>,
+    /// Points of the first column where labels are broken.
+    label: Option<f64>,
+}
+
+/// The groups in as many parts as the width asks for.
+pub fn parts<'g, 'a>(labels: &[String], groups: &'g [Group<'a>], lines: &[&Line]) -> Vec<Part<'g, 'a>> {
+    let longest = labels.iter().map(|label| width(label)).fold(30.0, f64::max);
+    let label = (longest > LABEL).then_some(LABEL);
+    let room = WIDTH - longest.min(LABEL) - 2.0 * SEPARATION;
+    let mut parts: Vec<Part> = Vec::new();
+    let mut taken = f64::INFINITY;
+    for group in groups {
+        let laid = Laid::new(group, lines);
+        if taken + laid.width > room {
+            parts.push(Part { groups: Vec::new(), label });
+            taken = 0.0;
+        }
+        taken += laid.width;
+        parts.last_mut().expect("just begun").groups.push(laid);
+    }
+    parts
+}
+
+impl Part<'_, '_> {
+    /// Columns with that of the labels.
+    pub fn count(&self) -> usize {
+        1 + self.groups.iter().map(|laid| laid.heads.len()).sum::<usize>()
+    }
+
+    fn has_names(&self) -> bool {
+        self.groups.iter().any(|laid| !laid.name.is_empty())
+    }
+
+    /// From `\begin{tabular}` to the heads.
+    pub fn begin(&self) -> String {
+        let label = self.label.map_or("l".into(), |label| format!("p{{{label:.0}pt}}"));
+        let mut text = format!("\\begin{{tabular}}{{{label}{}}}\n\\toprule\n", "r".repeat(self.count() - 1));
+        if self.has_names() {
+            let (mut names, mut rules, mut at) = (vec!["{}".to_string()], String::new(), 2);
+            for laid in &self.groups {
+                let last = at + laid.heads.len() - 1;
+                names.push(format!("\\multicolumn{{{}}}{{c}}{{{}}}", laid.heads.len(), stacked(&laid.name, 'c')));
+                rules += &format!("\\cmidrule(lr){{{at}-{last}}}");
+                at = last + 1;
+            }
+            text += &format!("{} \\\\\n{rules}\n", names.join(" & "));
+        }
+        let heads = self.groups.iter().flat_map(|laid| &laid.heads).map(|head| format!("{{{}}}", stacked(head, 'r')));
+        let cells: Vec<String> = std::iter::once("{}".to_string()).chain(heads).collect();
+        text + &format!("{} \\\\\n", cells.join(" & "))
+    }
+
+    /// Rows that the heads take.
+    pub fn head_rows(&self) -> f64 {
+        let most = |lines: &mut dyn Iterator<Item = usize>| lines.max().unwrap_or(0) as f64;
+        let names = most(&mut self.groups.iter().map(|laid| laid.name.len()));
+        2.0 + names + most(&mut self.groups.iter().flat_map(|laid| laid.heads.iter().map(Vec::len)))
+    }
+
+    /// Rows that a label takes.
+    pub fn label_rows(&self, label: &str) -> f64 {
+        self.label.map_or(1.0, |room| (1.15 * width(label) / room).ceil().max(1.0))
+    }
+
+    /// The cells of a line, ready to be joined.
+    pub fn cells(&self, label: &str, line: &Line) -> Vec<String> {
+        let label = match self.label {
+            Some(_) => format!("\\raggedright {}\\par", escape(label)),
+            None => escape(label),
+        };
+        let columns = self.groups.iter().flat_map(|laid| &laid.group.columns);
+        std::iter::once(label).chain(columns.map(|column| column.text(line))).collect()
+    }
+}
+
+/// Cells in braces: a row must not begin with `[` or `*`, which the line end before it would take.
+pub fn row_text(cells: &[String]) -> String {
+    let cells: Vec<String> = cells.iter().map(|cell| format!("{{{cell}}}")).collect();
+    format!("{} \\\\\n", cells.join(" & "))
+}
+
+/// Lines below one another, their last on the row's line.
+fn stacked(lines: &[String], side: char) -> String {
+    let lines: Vec<String> = lines.iter().map(|line| format!("{{{}}}", escape(line))).collect();
+    match lines.as_slice() {
+        [line] => line.clone(),
+        _ => format!("\\begin{{tabular}}[b]{{@{{}}{side}@{{}}}}{}\\end{{tabular}}", lines.join("\\\\")),
+    }
+}
+
+/// A head in lines of at most so many points, broken at spaces; its arrow stays with the word before.
+fn broken(head: &str, room: f64) -> Vec<String> {
+    let mut lines: Vec<String> = Vec::new();
+    for word in head.split(' ') {
+        let joined = lines.last().map(|line| format!("{line} {word}"));
+        let fits = |joined: &String| width(joined) <= room || Heading::is_arrow(word);
+        match joined.filter(fits) {
+            Some(joined) => *lines.last_mut().expect("one was joined") = joined,
+            None => lines.push(word.into()),
+        }
+    }
+    lines
+}
+
+/// Points of a text in `\footnotesize`.
+pub fn width(text: &str) -> f64 {
+    text.chars().map(em).sum::<f64>() * SIZE
+}
+
+/// A letter's width in ems of cmr8, rounded up.
+fn em(letter: char) -> f64 {
+    match letter {
+        'i' | 'j' | 'l' | '.' | ',' | ':' | ';' | '\'' | '!' | '[' | ']' | '|' => 0.31,
+        'f' | 't' | 'r' | 's' | 'I' | '(' | ')' | ' ' | '/' => 0.44,
+        'm' | 'M' | 'W' | 'w' | '+' | '-' | '±' | '<' | '>' | '=' | '≈' | '%' | '−' => 0.92,
+        '↑' | '↓' | '†' | '‡' | '§' | '¶' | '‖' | '·' | '²' | '³' | '0'..='9' => 0.54,
+        letter if letter.is_uppercase() => 0.82,
+        // Latin with accents, too.
+        letter if u32::from(letter) < 0x180 => 0.57,
+        '\u{370}'..='\u{3ff}' => 0.75,
+        // Some are printed as their number: `[U+4E2D]`.
+        _ => 4.5,
+    }
+}

@@ -1,0 +1,146 @@
+//! The pictures that a run has of its first held-out view, read back.
+
+use std::path::{Path, PathBuf};
+
+use serde::Deserialize;
+
+use super::RunDir;
+use crate::base::files::read_json;
+use crate::base::{Error, Image, Result};
+use crate::data::images;
+
+/// Most pixels of a picture of a run: three times those of a view of 4K.
+const MOST_PIXELS: usize = 24_000_000;
+/// What to do with a damaged file of a run.
+const ADVICE: &str = "`augnerf eval` writes metrics, `augnerf render RUN --what views` pictures anew";
+
+/// What `renders` holds of the first view that was evaluated: none is picked by what it shows.
+#[derive(Clone, Debug, PartialEq)]
+pub struct FirstView {
+    /// The view.
+    pub name: String,
+    /// As the run renders it.
+    pub image: Image,
+    /// The photograph.
+    pub truth: Image,
+    /// Depth in the run's units; NaN where nothing is solid.
+    pub depth: Vec<f32>,
+}
+
+#[derive(Deserialize)]
+struct Evaluated {
+    views: Vec<Named>,
+}
+
+#[derive(Deserialize)]
+struct Named {
+    name: String,
+}
+
+#[derive(Deserialize)]
+struct Scale {
+    max: f32,
+}
+
+impl FirstView {
+    /// Of a run folder; none of a run that was not evaluated, or drew no pictures (`eval.pictures = 0`).
+    ///
+    /// # Errors
+    /// A picture is damaged, or not of the size of the others.
+    pub fn read(run: &Path) -> Result<Option<FirstView>> {
+        let [metrics, _] = RunDir::metrics_in(run);
+        let Some(Evaluated { views }) = read_json(&metrics, ADVICE)? else { return Ok(None) };
+        let Some(Named { name }) = views.into_iter().next() else { return Ok(None) };
+        if !is_plain(&name) {
+            return Err(Error::Data(format!("{}: the view {name:?} is no file's name; {ADVICE}", metrics.display())));
+        }
+        let folder = RunDir::renders_in(run);
+        let file = |what: &str| folder.join(format!("{name}_{what}.png"));
+        let Some(scale) = read_json::<Scale>(&folder.join("depth.json"), ADVICE)? else { return Ok(None) };
+        if !["rgb", "truth", "depth16"].iter().all(|what| file(what).is_file()) {
+            return Ok(None);
+        }
+        let (image, truth) = (read_picture(&file("rgb"))?, read_picture(&file("truth"))?);
+        let depth = read_depth(&file("depth16"), scale.max)?;
+        let pixels = image.width * image.height;
+        if (truth.width, truth.height) != (image.width, image.height) || depth.len() != pixels {
+            let found = format!("it has not the size of {}", file("rgb").display());
+            let other = if depth.len() == pixels { file("truth") } else { file("depth16") };
+            return Err(Error::Data(format!("cannot read {}: {found}; {ADVICE}", other.display())));
+        }
+        Ok(Some(FirstView { name, image, truth, depth }))
+    }
+}
+
+/// Whether a name stands for a file of the folder that it is joined to.
+fn is_plain(name: &str) -> bool {
+    PathBuf::from(name).file_name().is_some_and(|plain| plain == name)
+}
+
+/// A picture of a run as it is, of which a pixel takes up to 32 bytes on the way.
+pub fn read_picture(path: &Path) -> Result<Image> {
+    check_size(path)?;
+    let decoded = images::decode(path)?;
+    Ok(images::averaged(&decoded, (decoded.width() as usize, decoded.height() as usize)))
+}
+
+/// Depth of a 16-bit picture, as `write_depth16` writes it.
+fn read_depth(path: &Path, max: f32) -> Result<Vec<f32>> {
+    check_size(path)?;
+    let values = images::decode(path)?.into_luma16().into_raw();
+    let depth = |value: u16| if value == 0 { f32::NAN } else { f32::from(value) / 65535.0 * max };
+    Ok(values.into_iter().map(depth).collect())
+}
+
+fn check_size(path: &Path) -> Result<()> {
+    let (width, height) = images::size(path)?;
+    if width * height > MOST_PIXELS {
+        let found = format!("{width}x{height} pixels are more than a view of an evaluation has; delete it");
+        return Err(Error::Data(format!("cannot read {}: {found}", path.display())));
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::draw::{write_depth16, write_png8};
+
+    fn run() -> (tempfile::TempDir, PathBuf) {
+        let dir = tempfile::tempdir().unwrap();
+        let renders = dir.path().join("renders");
+        std::fs::create_dir(&renders).unwrap();
+        std::fs::write(dir.path().join("metrics.json"), r#"{"mean": {}, "views": [{"name": "r_0"}]}"#).unwrap();
+        std::fs::write(renders.join("depth.json"), r#"{"max": 6.0, "unit": "NDC", "colours": null}"#).unwrap();
+        let image = Image { width: 2, height: 1, channels: 3, pixels: vec![0.2, 0.4, 0.6, 0.0, 1.0, 0.0] };
+        write_png8(&renders.join("r_0_rgb.png"), &image).unwrap();
+        write_png8(&renders.join("r_0_truth.png"), &image).unwrap();
+        write_depth16(&renders.join("r_0_depth16.png"), &[3.0, f32::NAN], 2, 1, 6.0).unwrap();
+        (dir, renders)
+    }
+
+    #[test]
+    fn what_was_drawn_is_read_back() {
+        let (dir, renders) = run();
+        let view = FirstView::read(dir.path()).unwrap().unwrap();
+        assert_eq!((view.name.as_str(), view.image.width, &view.image.pixels), ("r_0", 2, &view.truth.pixels));
+        assert!((view.depth[0] - 3.0).abs() < 1e-4 && view.depth[1].is_nan(), "{:?}", view.depth);
+        std::fs::remove_file(renders.join("r_0_truth.png")).unwrap();
+        assert_eq!(FirstView::read(dir.path()).unwrap(), None);
+        std::fs::remove_file(dir.path().join("metrics.json")).unwrap();
+        assert_eq!(FirstView::read(dir.path()).unwrap(), None);
+    }
+
+    #[test]
+    fn what_is_damaged_is_said() {
+        let (dir, renders) = run();
+        std::fs::write(renders.join("r_0_rgb.png"), "no picture").unwrap();
+        assert!(FirstView::read(dir.path()).unwrap_err().to_string().contains("r_0_rgb.png"));
+        let (dir, renders) = run();
+        write_depth16(&renders.join("r_0_depth16.png"), &[1.0], 1, 1, 6.0).unwrap();
+        assert!(FirstView::read(dir.path()).unwrap_err().to_string().contains("r_0_depth16.png"));
+        let (dir, _) = run();
+        std::fs::write(dir.path().join("metrics.json"), r#"{"views": [{"name": "../../secret"}]}"#).unwrap();
+        assert!(FirstView::read(dir.path()).unwrap_err().to_string().contains("no file's name"));
+    }
+}

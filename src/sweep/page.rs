@@ -1,0 +1,164 @@
+//! `report.html` of a sweep, of a view of sweeps, of a results' folder or of single runs.
+
+use std::path::{Component, Path, PathBuf};
+
+use super::collect::Sheet;
+use super::material::{Material, optional};
+use crate::base::{Error, Result};
+use crate::report::exporters::File;
+use crate::report::page::{AttackLine, Page, ShownScene, ViewOfRow, ViewOfScene};
+use crate::report::tables::{Line, Table};
+use crate::report::{Status, distinct};
+use crate::run::FirstView;
+
+/// Rows of a scene whose pictures are shown at most.
+const MOST_ROWS: usize = 24;
+/// Folders that a link goes up at most: beyond, page and runs lie in no common place.
+const MOST_UP: usize = 4;
+
+impl Sheet<'_> {
+    /// The page of a table and its files, as it lies in `folder`.
+    pub fn page(&self, table: &Table, files: &[File], folder: &Path) -> Result<String> {
+        let material = self.material;
+        let numbers =
+            |id: &str, column: &str| material.scalars.get(id).map_or(Vec::new(), |scalars| scalars.numbers(column));
+        let page = Page {
+            table,
+            records: &material.all_records(),
+            files,
+            views: views(table, material)?,
+            attacks: table.lines.iter().flat_map(|line| AttackLine::of(line, numbers)).collect(),
+            timing: if self.with_timing { &material.timing } else { &[] },
+            link: &|id| link(folder, material.runs.get(id)?),
+        };
+        page.html()
+    }
+}
+
+/// The first held-out view of each scene, as the first seed of each row shows it.
+fn views(table: &Table, material: &Material) -> Result<Vec<ShownScene>> {
+    let scenes = table.scenes();
+    let mut shown = Vec::new();
+    for (scene, lines) in &scenes {
+        let measured: Vec<&Line> = lines.iter().copied().filter(|line| !line.ids.is_empty() && !line.scored).collect();
+        if let Some(view) = view(scene, &measured, material)? {
+            shown.push(ShownScene::new(&view, scenes.len())?);
+        }
+    }
+    Ok(shown)
+}
+
+/// None where no row has a picture.
+fn view(scene: &str, lines: &[&Line], material: &Material) -> Result<Option<ViewOfScene>> {
+    let mut found: Option<ViewOfScene> = None;
+    let (mut without, mut other) = (Vec::new(), Vec::new());
+    for line in &lines[..lines.len().min(MOST_ROWS)] {
+        let of_line = |id: &&str| material.records.iter().find(|record| record.id == *id);
+        let ids = line.ids.iter().map(String::as_str);
+        let first = ids.filter_map(|id| of_line(&id)).filter(|r| r.status == Status::Done).min_by_key(|r| r.seed);
+        let Some((first, run)) = first.and_then(|first| Some((first, material.runs.get(&first.id)?))) else {
+            without.push(line.label.as_str());
+            continue;
+        };
+        let Some(FirstView { name, image, truth, depth }) = FirstView::read(run)? else {
+            without.push(line.label.as_str());
+            continue;
+        };
+        let view = found.get_or_insert_with(|| ViewOfScene {
+            scene: scene.into(),
+            view: name.clone(),
+            truth: truth.clone(),
+            rows: Vec::new(),
+            left_out: Vec::new(),
+        });
+        // Photographs differ where training views are corrupted in other ways, or in size.
+        if (name, truth) != (view.view.clone(), view.truth.clone()) {
+            other.push(line.label.as_str());
+            continue;
+        }
+        view.rows.push(ViewOfRow { label: line.label.clone(), seed: first.seed, image, depth });
+    }
+    let Some(view) = &mut found else { return Ok(None) };
+    let further = lines.len().saturating_sub(MOST_ROWS);
+    let said = [
+        (!without.is_empty())
+            .then(|| format!("without pictures (eval.pictures): {}", distinct(without.into_iter()).join(", "))),
+        (!other.is_empty()).then(|| format!("of another photograph: {}", distinct(other.into_iter()).join(", "))),
+        (further > 0).then(|| format!("{further} further rows are not shown")),
+    ];
+    view.left_out = said.into_iter().flatten().collect();
+    Ok(found)
+}
+
+/// Where a folder lies as seen from another, as a relative address; none where they have nothing in common nearby.
+fn link(from: &Path, to: &Path) -> Option<String> {
+    let parts = |path: &Path| -> Option<Vec<String>> {
+        let path = std::path::absolute(path).ok()?;
+        let part = |component: Component| Some(component.as_os_str().to_str()?.to_string());
+        path.components().filter(|component| !matches!(component, Component::CurDir)).map(part).collect()
+    };
+    let (from, to) = (parts(from)?, parts(to)?);
+    let common = from.iter().zip(&to).take_while(|(a, b)| a == b).count();
+    let up = from.len() - common;
+    // Only the root, or a drive, is no common place.
+    if up > MOST_UP || common < 2 {
+        return None;
+    }
+    let down = to[common..].iter().map(|part| encoded(part));
+    Some(std::iter::repeat_n("..".to_string(), up).chain(down).map(|part| part + "/").fold("./".into(), |a, b| a + &b))
+}
+
+/// A part of a path as an address has it.
+fn encoded(part: &str) -> String {
+    let byte = |byte: u8| match byte {
+        b'a'..=b'z' | b'A'..=b'Z' | b'0'..=b'9' | b'-' | b'_' | b'.' | b'~' => char::from(byte).to_string(),
+        other => format!("%{other:02X}"),
+    };
+    part.bytes().map(byte).collect()
+}
+
+/// Refuses a file that is no page of this program.
+///
+/// # Errors
+/// Something else lies there.
+pub fn check_page_place(path: &Path) -> Result<PathBuf> {
+    let shown = path.display();
+    if path.is_dir() {
+        return Err(Error::Output(format!("cannot write {shown}: a folder is in the way; give another --out")));
+    }
+    let found = optional(path)?;
+    let is_own = |bytes: &Vec<u8>| {
+        let head = String::from_utf8_lossy(&bytes[..bytes.len().min(2048)]).into_owned();
+        bytes.is_empty() || head.contains("content=\"augnerf report\"")
+    };
+    match found.is_none_or(|bytes| is_own(&bytes)) {
+        true => Ok(path.to_path_buf()),
+        false => Err(Error::Output(format!("{shown} is no page of this program: give another --out"))),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn links_lead_from_the_page_to_the_run() {
+        let of = |from: &str, to: &str| link(Path::new(from), Path::new(to));
+        let text = Some("./../../runs/smoke/points/ab/run/".to_string());
+        assert_eq!(of("/home/a/results/smoke", "/home/a/runs/smoke/points/ab/run"), text);
+        assert_eq!(of("/home/a/x/results", "/home/a/x/points/a#b c"), Some("./../points/a%23b%20c/".into()));
+        assert_eq!(of("/home/a", "/home/a/http:"), Some("./http%3A/".into()));
+        assert_eq!(of("/tmp/results", "/home/runs"), None);
+        assert_eq!(of("/a/1/2/3/4/5/6", "/a/b"), None);
+    }
+
+    #[test]
+    fn what_is_no_page_is_kept() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("a.html");
+        assert!(check_page_place(&path).is_ok());
+        std::fs::write(&path, "mine").unwrap();
+        assert!(check_page_place(&path).unwrap_err().to_string().contains("no page of this program"));
+        assert!(check_page_place(dir.path()).is_err());
+    }
+}

@@ -1,0 +1,115 @@
+//! The page in a real browser, without a screen.
+
+use std::io::ErrorKind;
+use std::net::TcpListener;
+use std::process::Command;
+
+use crate::page::{ROW, page};
+
+const NAMES: [&str; 4] = ["chromium", "chromium-browser", "google-chrome", "chrome"];
+
+/// What the page's document is after `script` has run in it. The page's own policy would stop a second script: that alone is
+/// given up, in a copy.
+fn after(script: &str) -> String {
+    let page = page();
+    let (start, rest) = page.split_once("script-src 'sha256-").unwrap();
+    let (_, rest) = rest.split_once("'; ").unwrap();
+    let page = format!("{start}script-src 'unsafe-inline'; {rest}");
+    dom(&page.replace("</body>", &format!("<script>{script}</script></body>")))
+}
+
+/// The document that a browser makes of a page.
+fn dom(page: &str) -> String {
+    let dir = tempfile::tempdir().unwrap();
+    let file = dir.path().join("page.html");
+    std::fs::write(&file, page).unwrap();
+    let arguments = ["--headless=new", "--no-sandbox", "--disable-gpu", "--no-first-run", "--disable-extensions"];
+    for name in NAMES {
+        let mut browser = Command::new(name);
+        browser.args(arguments).arg("--virtual-time-budget=4000").arg("--dump-dom");
+        browser.arg(format!("--user-data-dir={}", dir.path().join("profile").display()));
+        match browser.arg(format!("file://{}", file.display())).env("HOME", dir.path()).output() {
+            Ok(output) => return String::from_utf8(output.stdout).unwrap(),
+            Err(error) if error.kind() == ErrorKind::NotFound => {}
+            Err(error) => panic!("{name}: {error}"),
+        }
+    }
+    panic!("no Chromium is installed: this test opens the page in one");
+}
+
+/// What a script put into the title.
+fn title(dom: &str) -> &str {
+    dom.split_once("<title>").and_then(|(_, rest)| rest.split_once("</title>")).expect("a page has a title").0
+}
+
+#[test]
+#[ignore = "needs Chromium"]
+fn heads_sort_and_rows_and_columns_are_chosen() {
+    let script = r##"
+        const names = () => all(".results tbody tr").filter(row => !row.hidden).map(row => row.cells[0].textContent.slice(0, 4)).join(" ");
+        const heads = all(".results thead button"), said = [names()];
+        for (let i = 0; i < 3; i++) { heads[1].click(); said.push(names()); }
+        heads[0].click();
+        said.push(names());
+        const filter = document.getElementById("filter");
+        filter.value = "tv";
+        filter.dispatchEvent(new Event("input"));
+        said.push(names());
+        const box = document.querySelector("input[data-group='1']");
+        box.click();
+        said.push(all(".results tr td").filter(cell => !cell.hidden && !cell.parentNode.hidden).length);
+        said.push(csv().split("\n").length + " " + csv().split("\n")[1].split('","').length);
+        document.title = said.join("; ");
+    "##;
+    let dom = after(script);
+    // Best first, then the other way round, then as it was; hidden are two rows and, of three metrics, one.
+    let expected = "NeRF &lt;scr TV; &lt;scr NeRF TV; TV NeRF &lt;scr; NeRF &lt;scr TV; &lt;scr NeRF TV; TV; 2; 2 4";
+    assert_eq!(title(&dom), expected);
+}
+
+#[test]
+#[ignore = "needs Chromium"]
+fn the_slider_uncovers_one_row_s_picture_over_another_s() {
+    let script = r##"
+        const stage = document.querySelector(".stage"), [under, over] = all("img", stage), said = [stage.hidden];
+        const [left, right, what] = all("select", stage), slider = stage.querySelector("input");
+        const set = (control, value) => { control.value = value; control.dispatchEvent(new Event("input")); };
+        const cell = (row, column) => all("table.views tbody tr")[row].cells[column].querySelector("img").src;
+        said.push([...left.options].map(option => option.text).length);
+        set(slider, 25);
+        said.push(over.style.clipPath);
+        set(left, 2); set(right, 3); set(what, "error");
+        said.push(over.src === cell(2, 2) && under.src === cell(3, 2) && over.src !== under.src);
+        set(left, 0);
+        said.push(over.hasAttribute("src"));
+        const buttons = all("figure.switch button"), shown = () => all("figure.switch .paper").map(paper => !paper.hidden).join();
+        said.push(shown());
+        buttons[1].click();
+        said.push(shown(), over.naturalWidth > 0 || under.naturalWidth > 0);
+        document.title = said.join("; ");
+    "##;
+    let dom = after(script);
+    assert_eq!(title(&dom), "false; 4; inset(0px 75% 0px 0px); true; false; true,false; false,true; true");
+}
+
+#[test]
+#[ignore = "needs Chromium"]
+fn the_page_s_policy_keeps_it_from_the_network_and_from_other_scripts() {
+    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+    listener.set_nonblocking(true).unwrap();
+    let foreign = format!(
+        "<img src=\"http://{}/picture\"><script>document.title = 'run'</script>",
+        listener.local_addr().unwrap()
+    );
+    let with_foreign = page().replace("<header>", &format!("{foreign}<header>"));
+    let kept = dom(&with_foreign);
+    assert_eq!(title(&kept), "Tiny &amp; &lt;b&gt;bold&lt;/b&gt;", "neither the script nor the row {ROW:?} ran");
+    // The page's own script did.
+    assert!(kept.contains("inset(") && kept.contains("aria-pressed=\"true\""), "{kept}");
+    assert_eq!(listener.accept().unwrap_err().kind(), ErrorKind::WouldBlock, "something was fetched");
+    // Without the policy both happen: the test can fail.
+    let (start, rest) = with_foreign.split_once("<meta http-equiv").unwrap();
+    let open = dom(&format!("{start}{}", rest.split_once('>').unwrap().1));
+    assert_eq!(title(&open), "run");
+    assert!(listener.accept().is_ok());
+}

@@ -1,0 +1,169 @@
+//! The page of a sweep or of runs: whole, escaped, the same twice.
+
+use std::path::Path;
+
+use augnerf::base::Image;
+use augnerf::report::page::{AttackLine, Page, ShownScene, ViewOfRow, ViewOfScene};
+use augnerf::report::tables::Table;
+use augnerf::report::{Record, RowSpec, Status, TableSpec};
+
+use crate::common::assert_says;
+use crate::common::files::text;
+use crate::common::program::{augnerf, demand};
+
+const ROOT: &str = env!("CARGO_MANIFEST_DIR");
+/// A name that is a script where it is not escaped.
+pub const ROW: &str = "<script>document.title = 'run'</script>\" onload=\"x";
+
+/// Three rows with three seeds each: the second better than the first, the third not.
+fn table() -> (Table, Vec<Record>) {
+    let gains = [("NeRF", [0.0, 0.0, 0.0]), (ROW, [0.5, 0.51, 0.49]), ("TV", [0.1, -0.2, 0.05])];
+    let point = |row: &str, seed: u64, psnr: f64| Record {
+        id: format!("{}-{seed}", row.len()),
+        scene: "fern".into(),
+        row: row.into(),
+        axes: vec![],
+        seed,
+        status: Status::Done,
+        reason: String::new(),
+        metrics: vec![("psnr".into(), Some(psnr)), ("ssim".into(), Some(psnr / 40.0)), ("lpips_vgg".into(), None)],
+        protocol: [("scene", "fern"), ("width", "8"), ("steps", if row == "TV" { "20" } else { "10" })]
+            .map(|(name, text)| (name.to_string(), text.to_string()))
+            .to_vec(),
+        inactive_levels: vec![],
+    };
+    let of_row = |(row, gains): (&str, [f64; 3])| -> Vec<Record> {
+        gains.into_iter().zip(0..).map(|(gain, seed)| point(row, seed, 20.0 + seed as f64 + gain)).collect()
+    };
+    let records: Vec<Record> = gains.into_iter().flat_map(of_row).collect();
+    let row = |name: &str| RowSpec {
+        name: name.into(),
+        baseline: (name != "NeRF").then(|| "NeRF".into()),
+        ..RowSpec::default()
+    };
+    let spec = TableSpec {
+        name: "tiny".into(),
+        title: "Tiny & <b>bold</b>".into(),
+        metrics: ["psnr", "ssim", "lpips_vgg"].map(String::from).to_vec(),
+        rows: gains.iter().map(|(name, _)| row(name)).collect(),
+        ..TableSpec::default()
+    };
+    (Table::new(&spec, &records, false).unwrap(), records)
+}
+
+/// The page of [`table`] with pictures of one view, curves against steps and seconds, and an attack.
+pub fn page() -> String {
+    let (table, records) = table();
+    let flat = |value: f32| Image { width: 8, height: 6, channels: 3, pixels: vec![value; 8 * 6 * 3] };
+    let row = |(index, label): (usize, &str)| ViewOfRow {
+        label: label.into(),
+        seed: 0,
+        image: flat(0.2 * (index + 1) as f32),
+        depth: vec![1.0 + index as f32; 48],
+    };
+    let view = ViewOfScene {
+        scene: "fern".into(),
+        view: "image000".into(),
+        truth: flat(0.9),
+        rows: ["NeRF", ROW, "TV"].into_iter().enumerate().map(row).collect(),
+        left_out: vec![],
+    };
+    let svg = |text: &str| {
+        let start = "<svg height=\"9\" viewBox=\"0 0 9 9\" width=\"9\" xmlns=\"http://www.w3.org/2000/svg\">";
+        format!("{start}<text x=\"0\" y=\"9\">{text}</text></svg>").into_bytes()
+    };
+    let files = [
+        ("curves_fern_psnr.svg".to_string(), svg("along steps")),
+        ("curves_fern_psnr_seconds.svg".into(), svg("time")),
+    ];
+    let attacks = AttackLine::of(&table.lines[1], |_, column| match column {
+        "gain.xyz" => vec![1e-3, 3e-3],
+        "shift.xyz" => vec![0.75],
+        _ => vec![],
+    });
+    assert_eq!((attacks.len(), attacks[0].site, attacks[0].numbers[0]), (1, "xyz", Some(2e-3)));
+    let link = |id: &str| Some(format!("./../points/{id}/run/"));
+    let views = vec![ShownScene::new(&view, 1).unwrap()];
+    Page { table: &table, records: &records, files: &files, views, attacks, timing: &[], link: &link }.html().unwrap()
+}
+
+/// The texts of an attribute.
+fn attributes<'a>(page: &'a str, name: &str) -> Vec<&'a str> {
+    page.split(&format!(" {name}=\"")).skip(1).filter_map(|rest| rest.split('"').next()).collect()
+}
+
+#[test]
+fn the_page_fetches_nothing_and_runs_nothing_but_its_own_script() {
+    let page = page();
+    assert_eq!(page, self::page(), "the same bytes twice");
+    let sources = [attributes(&page, "src"), attributes(&page, "href")].concat();
+    assert!(sources.len() > 15, "{sources:?}");
+    assert!(
+        sources.iter().all(|address| ["data:image/jpeg;base64,", "#", "./"].iter().any(|s| address.starts_with(s)))
+    );
+    assert!(!sources.iter().any(|address| address.contains("http")), "{sources:?}");
+    assert_eq!(page.matches("<script").count(), 1, "names are escaped");
+    assert!(!page.contains("\" onload=\"x") && !page.contains("<b>bold"));
+    assert_says(&page, &["default-src 'none'", "script-src 'sha256-", "&#60;script&#62;"]);
+    // The one rule: the second row's PSNR and SSIM alone are better.
+    assert_eq!(page.matches("<b>").count(), 2, "{page}");
+    assert_says(
+        &page,
+        &["lpips_vgg: empty, no LPIPS weights", "9 done", "not distinguishable", "+0.50 [+0.48, +0.52]"],
+    );
+}
+
+#[test]
+fn committed_results_become_a_page_without_their_runs() {
+    let dir = tempfile::tempdir().unwrap();
+    let out = dir.path().join("a.html");
+    let (results, named) = (format!("{ROOT}/results/few_views_chair"), out.to_str().unwrap());
+    let said = demand(&mut augnerf(&["report", &results, "--out", named]), 0);
+    assert_says(&said, &["page: "]);
+    let page = text(&out);
+    assert_says(&page, &["rows_chair_psnr", "curves_chair_psnr", "<h2>Attack</h2>", "textLength", "\\begin{table}"]);
+    // Written over itself; nothing else is.
+    demand(&mut augnerf(&["report", &results, "--out", named]), 0);
+    assert_eq!(page, text(&out));
+    std::fs::write(&out, "my notes").unwrap();
+    assert_says(&demand(&mut augnerf(&["report", &results, "--out", named]), 4), &["no page of this program"]);
+    let said = demand(&mut augnerf(&["report", "/nowhere"]).current_dir(dir.path()), 5);
+    assert_says(&said, &["cannot open run /nowhere"]);
+    assert!(!Path::new(&dir.path().join("report.html")).exists());
+}
+
+/// Runs of one configuration and two seeds are one row; its view, and seconds where asked for.
+#[test]
+fn runs_become_a_page() {
+    let dir = tempfile::tempdir().unwrap();
+    let train = |seed: &str, method: &str, out: &str| {
+        let small = [
+            "data.width=16",
+            "field.width=16",
+            "train.rays=32",
+            "train.steps=4",
+            "train.log_every=2",
+            "eval.pictures=1",
+        ];
+        let set = small.into_iter().flat_map(|set| ["--set", set]);
+        let command = ["train", "--quiet", "--preset", "smoke", "--method", method, "--out", out, "--set", seed];
+        let arguments: Vec<&str> = command.into_iter().chain(set).collect();
+        demand(augnerf(&arguments).current_dir(dir.path()), 0);
+    };
+    train("seed=0", "nerf", "a0");
+    train("seed=1", "nerf", "a1");
+    train("seed=0", "aug-nerf", "b0");
+    let report = |further: &[&str]| {
+        let arguments = [&["report", "a0", "a1", "b0"], further].concat();
+        demand(augnerf(&arguments).current_dir(dir.path()), 0);
+        text(&dir.path().join("report.html"))
+    };
+    let page = report(&[]);
+    assert_says(&page, &["3 done", "data-name=\"a0\"", "data-name=\"b0\"", "href=\"./b0/\"", "<h2>Attack</h2>"]);
+    assert!(!page.contains("data-name=\"a1\"") && !page.contains("seconds training"));
+    assert_eq!(page, report(&[]), "the same bytes twice");
+    let timed = report(&["--with-timing", "--label", "NeRF", "--label", "NeRF", "--label", "Ours"]);
+    assert_says(&timed, &["seconds training", "data-name=\"NeRF\"", "data-name=\"Ours\"", "class=\"switch\""]);
+    let said = demand(augnerf(&["report", "a0", "a1", "--label", "x"]).current_dir(dir.path()), 2);
+    assert_says(&said, &["--label: there are 1 for 2 runs"]);
+}
