@@ -31,7 +31,7 @@ const COMMANDS: [&str; 22] = [
     "compare a b",
     "profile a b --patch 2",
     "mesh a --resolution 16 --threshold 0.01",
-    "chamfer builtin builtin --points 2000",
+    "chamfer a builtin --points 2000",
     "data check --set data.width=16",
     "data corrupt noisy --set data.corruption.kind=pepper --set data.width=16",
     "data export-builtin scene --width 16",
@@ -132,7 +132,10 @@ fn check(name: &str, answer: &Value, dir: &Path) {
         "data check" => {
             assert_eq!((&answer["width"], answer["training_views"].as_array().unwrap().len()), (&16.into(), 40))
         }
-        "chamfer" => assert!(answer["distance"]["chamfer"].as_f64().unwrap() > 0.0),
+        "chamfer" => {
+            assert!(answer["distance"]["chamfer"].as_f64().unwrap() > 0.0);
+            assert_eq!(answer["scores"][0]["at"], 0.01);
+        }
         "settings" => assert_eq!(answer["settings"][0]["changes"], "numbers"),
         _ => {}
     }
@@ -183,7 +186,8 @@ fn training_says_what_it_trains_and_when_it_evaluates() {
     assert_eq!(first, "nerf on builtin: 40 views of 16 x 16 pixels, 8 held out; 12 steps of 64 rays");
     let place = |words: &str| said.find(words).unwrap_or_else(|| panic!("{words}: {said}"));
     assert!(
-        place("step 12/12") < place("evaluating: 8 views") && place("evaluating: 8 views") < place("PSNR"),
+        place("step 12/12") < place("evaluating: 8 views")
+            && place("evaluating: 8 views") < place("held-out views: PSNR"),
         "{said}"
     );
 }

@@ -173,7 +173,7 @@ fn table_json(table: &Table, results: &Path) -> serde_json::Value {
         table.metrics.iter().any(|metric| name.strip_prefix(metric).is_some_and(|rest| rest.starts_with('_')))
     };
     let numeric = |name: &str| ["points", "done"].contains(&name) || of_metric(name);
-    let cell = |name: &str, text: &str| match text.parse::<f64>() {
+    let cell = |name: &str, text: &str| match text.parse::<serde_json::Number>() {
         _ if text.is_empty() => serde_json::Value::Null,
         Ok(number) if numeric(name) => number.into(),
         _ => plain_cell(text).into(),
