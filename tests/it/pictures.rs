@@ -271,10 +271,18 @@ fn runs_that_do_not_show_the_same_are_refused_in_words() {
     refused("the scene is fern", &|run| run.protocol.set("scene", "fern".into()));
     refused("the resolution is 32 x 16", &|run| run.view.camera.width = 32);
     refused("the held-out view is r_5", &|run| run.view.name = "r_5".into());
-    refused("the rays' interval", &|run| run.bounds.0 = 1.0);
     refused("the background is black", &|run| run.protocol.set("background", "black".into()));
     refused("the camera", &|run| run.view.camera.pose[0][3] += 1e-3);
     refused("another (1 of 768 values)", &|run| Arc::make_mut(&mut run.view.image).pixels[7] += 0.5);
+    refused("the photograph's mask", &|run| run.view.mask = Some([true; 256].into()));
+    // Pictures of runs with other ends of rays stand beside each other; densities along rays do not.
+    let mut other = run.run_view("other");
+    other.bounds.0 = 1.0;
+    other.check_alike(&first).unwrap();
+    assert_says(
+        &other.check_same_interval(&first).unwrap_err().to_string(),
+        &["other from 1 to", "first from", "data.near"],
+    );
 }
 
 #[test]
