@@ -9,7 +9,7 @@ use crate::metrics::{Direction, Metric};
 use crate::report::TableSpec;
 use crate::report::tables::{Line, Table};
 use crate::settings::registry::REGISTRY;
-use crate::settings::value_at;
+use crate::settings::{Config, value_at};
 
 use super::folder::SweepFolder;
 use super::material::Material;
@@ -28,7 +28,7 @@ pub struct Best {
     pub mean: f64,
     /// One of each seed.
     pub seeds: Vec<BestSeed>,
-    /// What its settings are, of those in which the scene's points differ.
+    /// Its method, and of the settings in which the scene's points differ those that are not at their defaults.
     pub settings: Vec<(String, String)>,
     /// The line after it, with its mean.
     pub next: Option<(String, f64)>,
@@ -127,15 +127,18 @@ fn seeds(folder: &SweepFolder, material: &Material, line: &Line, metric: &str) -
     own.filter_map(seed).collect()
 }
 
-/// The line's value of each setting in which points of its scene differ, but for the seed.
+/// The line's method, and its value of each setting in which points of its scene differ and which is not at its default; settings
+/// that its method does not read are.
 fn settings(points: &[Point], line: &Line) -> Vec<(String, String)> {
     let of_scene: Vec<&Point> = points.iter().filter(|point| point.scene == line.scene).collect();
-    let tables: Vec<toml::Table> = of_scene.iter().map(|point| point.config.to_table()).collect();
+    let tables: Vec<toml::Table> = of_scene.iter().map(|point| point.config.portable().to_table()).collect();
+    let default = Config::default().portable().to_table();
     let Some(own) = of_scene.iter().position(|point| line.ids.contains(&point.id)) else { return Vec::new() };
     let text = |table: &toml::Table, path: &str| value_at(table, path).map_or("unset".into(), ToString::to_string);
     let varied = REGISTRY.settings.iter().map(|setting| setting.path.as_str()).filter(|path| {
         let value = text(&tables[own], path);
-        *path != "seed" && tables.iter().any(|table| text(table, path) != value)
+        let is_told = *path == "method" || value != text(&default, path);
+        is_told && *path != "seed" && tables.iter().any(|table| text(table, path) != value)
     });
     varied.map(|path| (path.to_string(), text(&tables[own], path))).collect()
 }
