@@ -8,7 +8,7 @@ use sha2::{Digest, Sha256};
 use crate::base::input::read_bytes;
 use crate::base::{Error, Event, Image, Listener, Result};
 use crate::data::{Scene, View, images, resample};
-use crate::metrics::{Lpips, MeanMetrics, ViewMetrics, measure};
+use crate::metrics::{Lpips, MeanMetrics, ViewMetrics, measure_unmasked};
 use crate::settings::Resolved;
 
 use super::protocol::{PROTOCOL, Protocol};
@@ -147,6 +147,14 @@ impl Target<'_> {
             Target::View(view) => &view.name,
         }
     }
+
+    /// Which pixels count, where a scene's view says so.
+    fn mask(&self) -> Option<&[bool]> {
+        match self {
+            Target::File(_) => None,
+            Target::View(view) => view.mask.as_deref(),
+        }
+    }
 }
 
 impl Truth<'_> {
@@ -256,7 +264,7 @@ fn view(picture: &Picture, target: &Target, background: Option<[f32; 3]>, lpips:
             truth.height
         )));
     }
-    let mut metrics = measure(target.name(), &image, &truth, lpips)?;
+    let mut metrics = measure_unmasked(target.name(), &image, &truth, target.mask(), lpips)?;
     // What the values were before they were rounded is not known.
     metrics.values.set("psnr_float", None);
     metrics.values.set("mse", None);
