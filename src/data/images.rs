@@ -9,7 +9,7 @@ use std::io::{BufReader, Cursor};
 use std::path::{Path, PathBuf};
 
 use image::metadata::Orientation;
-use image::{DynamicImage, ImageDecoder, ImageFormat, ImageReader};
+use image::{DynamicImage, ImageDecoder, ImageFormat, ImageReader, Limits};
 use rayon::prelude::*;
 
 use super::resample;
@@ -20,6 +20,8 @@ use crate::settings::DataConfig;
 
 /// Most bytes of a picture's file.
 const MOST_BYTES: u64 = 1 << 30;
+/// Most bytes of a decoded WebP picture: its decoder takes more than twice as many on the way, whatever the file holds.
+const MOST_WEBP: u64 = 384 << 20;
 
 /// Endings of files that count as images, lower case.
 pub const ENDINGS: [&str; 4] = ["png", "jpg", "jpeg", "webp"];
@@ -149,8 +151,13 @@ pub fn decode(path: &Path) -> Result<DynamicImage> {
     if format == ImageFormat::Jpeg && !jpeg_is_complete(&bytes) {
         return Err(undecodable(path, &"its end-of-image marker is missing"));
     }
-    let decoded = ImageReader::with_format(Cursor::new(&bytes), format).decode();
-    decoded.map_err(|e| undecodable(path, &e))
+    let mut reader = ImageReader::with_format(Cursor::new(&bytes), format);
+    if format == ImageFormat::WebP {
+        let mut limits = Limits::default();
+        limits.max_alloc = Some(MOST_WEBP);
+        reader.limits(limits);
+    }
+    reader.decode().map_err(|e| undecodable(path, &e))
 }
 
 /// Whether the last scan of a JPEG is closed by an end-of-image marker. The decoder fills what is
