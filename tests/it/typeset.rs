@@ -47,7 +47,6 @@ fn every_committed_table_fits_the_page() {
     for path in tables {
         let log = set(&text(&path));
         assert!(too_wide(&log) <= 1.0, "{}: {log}", path.display());
-        assert!(!log.contains("Float too large"), "{}: {log}", path.display());
     }
     // A cell too wide is noticed.
     assert!(too_wide(&set(&"x".repeat(200))) > 100.0);
