@@ -139,6 +139,7 @@ impl<'a> Job<'a> {
         let trainer = Trainer::begin_from(origin, &setup.config, setup.scene, DType::F32, &setup.runtime)?;
         let run = RunDir::create(folder, existing, setup.bytes_needed())?;
         let job = Job::begin(run, setup, trainer, None, Vec::new(), memory)?;
+        super::session::write_head(&job.experiment.run, &job.trainer)?;
         job.trainer.save(&job.experiment.run.checkpoints())?;
         Ok(job)
     }

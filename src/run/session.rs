@@ -87,6 +87,13 @@ fn settings(config: &Config) -> Vec<(String, toml::Value)> {
     named.filter_map(|path| Some((path.to_string(), value_at(&own, path)?.clone()))).collect()
 }
 
+/// Writes the head of `scalars.csv`, for a run that may be measured before its first step.
+pub(super) fn write_head(run: &RunDir, trainer: &Trainer) -> Result<()> {
+    let columns = columns(trainer);
+    let columns: Vec<&str> = columns.iter().map(String::as_str).collect();
+    Scalars::create(&run.scalars(), &columns).map(drop)
+}
+
 /// One row of the logs.
 fn values(stats: &StepStats) -> Vec<(String, f64)> {
     let mut values = vec![("learning_rate".to_string(), stats.learning_rate), ("loss".into(), stats.loss)];

@@ -46,8 +46,9 @@ fn weights(run: &Path) -> Vec<u8> {
 /// Imports the fixture with its own number of samples.
 fn import(out: &Path) {
     let file = fixture("nerf_pytorch.tar");
-    let samples = ["--set", "sampling.coarse=24", "--set", "sampling.fine=24", "--set", "data.width=16"];
-    succeed(&[&["import", path(&file), "--out", path(out)], &samples[..]].concat());
+    let samples = ["--set", "sampling.coarse=24", "--set", "sampling.fine=24"];
+    let small = ["--set", "data.width=16", "--set", "train.rays=32"];
+    succeed(&[&["import", path(&file), "--out", path(out)], &samples[..], &small].concat());
 }
 
 /// tools/nerf_pytorch_fixture.py wrote the weights and the picture that PyTorch renders of them.
@@ -100,7 +101,7 @@ fn weights_go_out_and_come_back() {
     };
     for (index, file) in [&torch, &own].into_iter().enumerate() {
         let back = dir.path().join(format!("back{index}"));
-        let smoke = ["--preset", "smoke", "--set", "data.width=12"];
+        let smoke = ["--preset", "smoke", "--set", "data.width=12", "--set", "train.rays=32"];
         let settings: &[&str] = if index == 0 { &smoke } else { &[] };
         succeed(&[&["import", path(file), "--out", path(&back)], settings].concat());
         assert_eq!(parameters(&back), parameters(&run), "{}", file.display());
