@@ -9,8 +9,8 @@ const HEIGHT: f64 = 610.0;
 const ROW: f64 = 9.6;
 /// Points that a line of the notes is long.
 const LINE: f64 = 470.0;
-/// Lines of a part on one page.
-const ROWS: usize = 54;
+/// Rows of a part on one page, besides its heads.
+const ROWS: f64 = 50.0;
 
 /// Something that is not divided between pages.
 pub struct Block {
@@ -45,9 +45,16 @@ impl Block {
     }
 }
 
-/// Lines of a part, page by page.
-pub fn pages<T>(lines: &[T]) -> impl Iterator<Item = &[T]> {
-    lines.chunks(ROWS)
+/// How many of the lines that take so many rows each go on each page.
+pub fn pages(rows: &[f64]) -> Vec<usize> {
+    let mut pages: Vec<(usize, f64)> = Vec::new();
+    for taken in rows {
+        match pages.last_mut().filter(|(_, all)| all + taken <= ROWS) {
+            Some((count, all)) => (*count, *all) = (*count + 1, *all + taken),
+            None => pages.push((1, *taken)),
+        }
+    }
+    pages.into_iter().map(|(count, _)| count).collect()
 }
 
 /// The blocks in as many environments as their heights ask for, each under the caption.

@@ -119,8 +119,11 @@ fn blocks(table: &Table, groups: &[Group], shown: impl Fn(&Line) -> bool) -> Vec
     let labels: Vec<String> = lines.iter().map(|line| marked_label(line)).collect();
     let mut blocks = Vec::new();
     for part in parts(&labels, groups, &lines) {
-        for (lines, labels) in floats::pages(&lines).zip(floats::pages(&labels)) {
-            blocks.push(block(&part, lines, labels));
+        let rows: Vec<f64> = labels.iter().map(|label| part.label_rows(label)).collect();
+        let mut at = 0;
+        for count in floats::pages(&rows) {
+            blocks.push(block(&part, &lines[at..at + count], &labels[at..at + count]));
+            at += count;
         }
     }
     blocks
