@@ -141,12 +141,12 @@ fn settings_that_contradict_the_scene() {
 #[test]
 fn image_folders() {
     let dir = llff();
-    fs::rename(dir.path().join("images"), dir.path().join("images_4")).unwrap();
-    refuses(DataConfig { downscale: Some(8), ..config(dir.path()) }, &["images_8", "images_4", "data.downscale"]);
-    fs::remove_dir_all(dir.path().join("images_4")).unwrap();
+    fs::rename(dir.path().join("images"), dir.path().join("images_3")).unwrap();
+    refuses(DataConfig { downscale: Some(8), ..config(dir.path()) }, &["images_8", "images_3", "data.downscale"]);
+    fs::remove_dir_all(dir.path().join("images_3")).unwrap();
     refuses(config(dir.path()), &["no images_* folder at all"]);
     fs::create_dir(dir.path().join("images")).unwrap();
-    refuses(config(dir.path()), &["images", "no PNG or JPEG"]);
+    refuses(config(dir.path()), &["no images", "it has images"]);
 }
 
 #[test]
@@ -305,4 +305,24 @@ fn full_size_images_are_averaged_down_and_nothing_is_left_in_the_data() {
     let expected = [6.5 / 255.0, 8.5 / 255.0, 0.25 / 255.0];
     let close = |(found, expected): (&f32, f64)| (f64::from(*found) - expected).abs() < 1e-6;
     assert!(view.image.pixels.iter().zip(expected).all(close), "{:?}", &view.image.pixels[..3]);
+}
+
+/// Folders of smaller images are taken where they serve: averaged further, and passed over where images are missing.
+#[test]
+fn smaller_images_are_averaged_and_incomplete_folders_passed_over() {
+    let dir = llff();
+    let columns = |factor: usize| {
+        let scene = try_load(DataConfig { downscale: Some(factor), holdout: 2, ..config(dir.path()) }).unwrap();
+        let passed = scene.place.notes.iter().find(|note| note.0 == "passed over").map(|note| note.1.clone());
+        (scene.train[0].camera.width, passed)
+    };
+    write_image(&dir.path().join("images_2/0.png"), 8, 6);
+    let (width, passed) = columns(2);
+    assert_eq!(width, 8);
+    assert!(passed.is_some_and(|passed| passed.contains("images_2 has 1 images for 4 poses")));
+    for i in 0..4 {
+        write_image(&dir.path().join(format!("images_2/{i}.png")), 8, 6);
+    }
+    fs::remove_dir_all(dir.path().join("images")).unwrap();
+    assert_eq!([2, 4].map(columns), [(8, None), (4, None)]);
 }

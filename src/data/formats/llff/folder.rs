@@ -13,6 +13,8 @@ pub(super) struct Source {
     pub(super) stored: (usize, usize),
     /// Width and height to average them down to.
     pub(super) target: (usize, usize),
+    /// Folders that were passed over, for people.
+    pub(super) passed: Vec<String>,
 }
 
 impl Source {
@@ -22,23 +24,29 @@ impl Source {
     }
 }
 
-/// Finds the images: for a factor, `images_{factor}` as it is or `images` averaged down; for a
-/// width, the smallest folder that is at least as wide.
-pub(super) fn find(dir: &Path, size: Size) -> Result<Source> {
+/// Finds the images of so many poses: for a factor, `images_{factor}` as it is, or `images` averaged down, or a folder whose
+/// factor divides it; for a width, the smallest folder that is at least as wide. A folder that has not an image a pose is passed over
+/// where another has.
+pub(super) fn find(dir: &Path, size: Size, poses: usize) -> Result<Source> {
     match size {
-        Size::Factor(factor) => by_factor(dir, factor),
-        Size::Width(width) => by_width(dir, width),
+        Size::Factor(factor) => by_factor(dir, factor, poses),
+        Size::Width(width) => by_width(dir, width, poses),
     }
 }
 
-fn by_factor(dir: &Path, factor: usize) -> Result<Source> {
-    let (ready, full) = (dir.join(format!("images_{factor}")), dir.join("images"));
-    if factor > 1 && ready.is_dir() {
-        let (paths, stored) = open(&ready)?;
-        return Ok(Source { paths, stored, target: stored });
+fn by_factor(dir: &Path, factor: usize, poses: usize) -> Result<Source> {
+    let mut found: Vec<(usize, Vec<PathBuf>)> = Vec::new();
+    for name in folders(dir)? {
+        let Some(of) = factor_of(&name).filter(|of| factor.is_multiple_of(*of)) else { continue };
+        found.push((of, images::list(&dir.join(name))?));
     }
-    if !full.is_dir() {
-        let wanted = if factor > 1 { format!("neither images_{factor} nor images") } else { "no images".into() };
+    // Ready-made ones first, then the originals, then the smallest that can be averaged.
+    found.sort_by_key(|(of, _)| (*of != factor, *of != 1, std::cmp::Reverse(*of)));
+    found.retain(|(_, paths)| !paths.is_empty());
+    let whole = found.iter().position(|(_, paths)| paths.len() == poses);
+    let passed = found.iter().take(whole.unwrap_or(0)).map(|(_, paths)| passed_over(paths, poses)).collect();
+    if found.is_empty() {
+        let wanted = if factor > 1 { format!("no images in images_{factor} or images") } else { "no images".into() };
         return Err(Error::Data(format!(
             "{} has {wanted} to read with data.downscale = {factor}; it has {}; \
              set data.downscale to a factor that is there, or data.width to the columns that you want, or add the folder",
@@ -46,24 +54,25 @@ fn by_factor(dir: &Path, factor: usize) -> Result<Source> {
             describe_folders(dir)?
         )));
     }
-    let (paths, stored) = open(&full)?;
+    let (of, paths) = found.swap_remove(whole.unwrap_or(0));
+    let stored = images::common_size(&paths)?;
     // To the nearest, as ImageMagick made the published folders.
-    let divide = |n: usize| ((n as f64 / factor as f64).round() as usize).max(1);
-    Ok(Source { paths, stored, target: (divide(stored.0), divide(stored.1)) })
+    let divide = |n: usize| ((n as f64 * of as f64 / factor as f64).round() as usize).max(1);
+    Ok(Source { paths, stored, target: (divide(stored.0), divide(stored.1)), passed })
 }
 
-fn by_width(dir: &Path, width: usize) -> Result<Source> {
-    let mut best: Option<(Vec<PathBuf>, (usize, usize))> = None;
+fn by_width(dir: &Path, width: usize, poses: usize) -> Result<Source> {
+    let mut found = Vec::new();
     for name in folders(dir)? {
         let paths = images::list(&dir.join(name))?;
         let Some(first) = paths.first() else { continue };
         let stored = images::size(first)?;
-        let better = best.as_ref().is_none_or(|(_, found)| stored.0 < found.0);
-        if stored.0 >= width && better {
-            best = Some((paths, stored));
+        if stored.0 >= width {
+            found.push((paths.len() != poses, stored.0, paths));
         }
     }
-    let Some((paths, _)) = best else {
+    let best = (0..found.len()).min_by_key(|&i| (found[i].0, found[i].1));
+    let Some((_, columns, paths)) = best.map(|i| found.swap_remove(i)) else {
         return Err(Error::Data(format!(
             "{} has no images of at least data.width = {width} columns; it has {}",
             dir.display(),
@@ -72,16 +81,22 @@ fn by_width(dir: &Path, width: usize) -> Result<Source> {
     };
     let stored = images::common_size(&paths)?;
     let target = Size::Width(width).apply(stored, &paths[0])?;
-    Ok(Source { paths, stored, target })
+    let smaller = found.iter().filter(|(lacking, ..)| *lacking).filter(|(_, other, _)| *other < columns);
+    let passed = smaller.map(|(_, _, paths)| passed_over(paths, poses)).collect();
+    Ok(Source { paths, stored, target, passed })
 }
 
-fn open(dir: &Path) -> Result<(Vec<PathBuf>, (usize, usize))> {
-    let paths = images::list(dir)?;
-    if paths.is_empty() {
-        return Err(Error::Data(format!("{} holds no PNG or JPEG files", dir.display())));
+fn passed_over(paths: &[PathBuf], poses: usize) -> String {
+    let folder = paths.first().and_then(|path| path.parent()).unwrap_or(Path::new(""));
+    format!("{} has {} images for {poses} poses", folder.display(), paths.len())
+}
+
+/// By how much the images of a folder of this name are smaller than the originals.
+fn factor_of(name: &str) -> Option<usize> {
+    match name.strip_prefix("images")? {
+        "" => Some(1),
+        rest => rest.strip_prefix('_')?.parse().ok().filter(|factor| *factor > 1),
     }
-    let stored = images::common_size(&paths)?;
-    Ok((paths, stored))
 }
 
 /// Names of the folders `images` and `images_*`, sorted.

@@ -36,7 +36,7 @@ pub fn load(config: &DataConfig, events: &dyn Listener) -> Result<Scene> {
     let dir = Path::new(&config.dir);
     let file = dir.join(POSES_FILE);
     let mut poses = Poses::read(&file)?;
-    let source = folder::find(dir, Size::of(config))?;
+    let source = folder::find(dir, Size::of(config), poses.poses.len())?;
     check_count(&source, poses.poses.len(), &file)?;
     check_size(&source, &poses, config, &file)?;
     let name_file = |e: Error| Error::Data(format!("{}: {e}", file.display()));
@@ -68,6 +68,9 @@ fn place(poses: &Poses, cameras: &[Camera], source: &Source, config: &DataConfig
         place.domain = Rig::of(cameras).subject.map(|subject| subject.domain());
     }
     place.note("images", source.words());
+    if !source.passed.is_empty() {
+        place.note("passed over", source.passed.join("; "));
+    }
     let [near, far] = [poses.nearest(), poses.farthest()].map(|bound| bound / poses.world.scale);
     place.note("bounds from", format!("{POSES_FILE}, whose depths run from {near:.4} to {far:.4} in the file's units"));
     place
