@@ -85,7 +85,7 @@ mod tests {
     #[test]
     fn other_flags_are_told_what_is_alike_and_nothing_wrong() {
         assert!(said("train --presett fast").contains("'--preset'"));
-        for line in ["sweep collect runs/a --rows A", "eval RUN --steps 100", "compare A B --rows 1", "train --nothing"]
+        for line in ["sweep status runs/a --rows A", "eval RUN --steps 100", "chamfer A B --rows 1", "train --nothing"]
         {
             let said = said(line);
             assert!(said.contains("unexpected argument") && !said.contains("-- --"), "{line}: {said}");

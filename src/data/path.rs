@@ -197,7 +197,7 @@ mod tests {
             assert!(pose::length(pose::cross(offset, pose::column(p, 2))) < 1e-9, "it looks at the centre");
             assert!((0.0..=97.2 * 11.0 / 12.0).contains(&azimuth(p)), "{}", azimuth(p));
             assert!((pose::length(offset) - 5f64.sqrt()).abs() < 1e-6);
-            assert!(p[2][0].abs() < 1e-3, "level");
+            assert!(p[2][0].abs() < 0.03, "level but for the ridge's pull to the mean");
         }
         let reached = path.iter().map(azimuth).fold(0.0, f64::max);
         assert!(reached > 75.0, "{reached}");
