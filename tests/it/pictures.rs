@@ -281,7 +281,7 @@ fn runs_that_do_not_show_the_same_are_refused_in_words() {
     other.check_alike(&first).unwrap();
     assert_says(
         &other.check_same_interval(&first).unwrap_err().to_string(),
-        &["other from 1 to", "first from", "data.near"],
+        &["other run from 1 to", "first from", "data.near"],
     );
 }
 
