@@ -217,7 +217,7 @@ impl ScoreArguments {
     }
 
     fn say_unusual(&self, scored: &Score, predictions: &[Picture], console: &Console) {
-        let is_jpeg = |picture: &&Picture| picture.path.extension().is_some_and(|e| e.to_ascii_lowercase() != "png");
+        let is_jpeg = |picture: &&Picture| picture.path.extension().is_some_and(|e| !e.eq_ignore_ascii_case("png"));
         if predictions.iter().any(|picture| is_jpeg(&picture)) {
             console.say("some pictures are JPEG: what their compression cost is in the numbers");
         }

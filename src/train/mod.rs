@@ -71,8 +71,8 @@ impl Trainer {
     /// A run at step 0, whose steps are taken on the runtime's device and threads. Dead starts are drawn again.
     ///
     /// # Errors
-    /// [`Error::Config`](crate::base::Error::Config): more memory than the processor has free; a regularizer's box that the scene's
-    /// rays do not meet, or one that would take too long; [`Error::Diverged`](crate::base::Error::Diverged): a field that starts dead again and again.
+    /// [`Error::Config`]: more memory than the processor has free; a regularizer's box that the scene's
+    /// rays do not meet, or one that would take too long; [`Error::Diverged`]: a field that starts dead again and again.
     pub fn new(config: &Resolved, scene: &Scene, dtype: DType, runtime: &Runtime) -> Result<Trainer> {
         if let Some(parent) = &config.train.parent {
             return Err(Error::Config(format!(
@@ -139,7 +139,7 @@ impl Trainer {
     /// Takes one step. `log` asks for the learner's diagnostics.
     ///
     /// # Errors
-    /// [`Error::Diverged`](crate::base::Error::Diverged): a loss, gradient or parameter that is not a number, or nothing but empty
+    /// [`Error::Diverged`]: a loss, gradient or parameter that is not a number, or nothing but empty
     /// rays for too long.
     pub fn step(&mut self, log: bool) -> Result<StepStats> {
         self.step_unless(log, &|| Ok(()))

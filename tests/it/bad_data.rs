@@ -311,7 +311,7 @@ fn full_size_images_are_averaged_down_and_nothing_is_left_in_the_data() {
 #[test]
 fn smaller_images_are_averaged_and_incomplete_folders_passed_over() {
     let dir = llff();
-    let columns = |factor: usize| {
+    let columns = |factor: u32| {
         let scene = try_load(DataConfig { downscale: Some(factor), holdout: 2, ..config(dir.path()) }).unwrap();
         let passed = scene.place.notes.iter().find(|note| note.0 == "passed over").map(|note| note.1.clone());
         (scene.train[0].camera.width, passed)

@@ -26,11 +26,13 @@ pub struct Photograph {
     name: String,
 }
 
+/// Number, model's number and name, columns, rows, parameters.
+type Lens = (u32, i32, &'static str, [u64; 2], Vec<f64>);
+
 /// A model to write.
 #[derive(Default)]
 pub struct Model {
-    /// Number, model's number and name, columns, rows, parameters.
-    cameras: Vec<(u32, i32, &'static str, [u64; 2], Vec<f64>)>,
+    cameras: Vec<Lens>,
     photographs: Vec<Photograph>,
     /// Places, and photographs that see them.
     points: Vec<(Vec3, Vec<u32>)>,

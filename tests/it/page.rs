@@ -1,6 +1,5 @@
 //! The page of a sweep or of runs: whole, escaped, the same twice.
 
-use std::path::Path;
 
 use augnerf::base::Image;
 use augnerf::report::page::{AttackLine, Page, ShownScene, ViewOfRow, ViewOfScene};
@@ -127,9 +126,9 @@ fn committed_results_become_a_page_without_their_runs() {
     assert_eq!(page, text(&out));
     std::fs::write(&out, "my notes").unwrap();
     assert_says(&demand(&mut augnerf(&["report", &results, "--out", named]), 4), &["no page of this program"]);
-    let said = demand(&mut augnerf(&["report", "/nowhere"]).current_dir(dir.path()), 5);
+    let said = demand(augnerf(&["report", "/nowhere"]).current_dir(dir.path()), 5);
     assert_says(&said, &["cannot open run /nowhere"]);
-    assert!(!Path::new(&dir.path().join("report.html")).exists());
+    assert!(!dir.path().join("report.html").exists());
 }
 
 /// Runs of one configuration and two seeds are one row; its view, and seconds where asked for.

@@ -38,10 +38,10 @@ pub fn check(config: &Config) -> Result<()> {
         )))
     };
     if field.encoding != Encoding::Positional {
-        return refused(format!("field.encoding = \"{}\"", crate::settings::word(&field.encoding)));
+        return refused(format!("field.encoding = \"{}\"", crate::settings::word(field.encoding)));
     }
     if field.density_activation != DensityActivation::Relu {
-        return refused(format!("field.density_activation = \"{}\"", crate::settings::word(&field.density_activation)));
+        return refused(format!("field.density_activation = \"{}\"", crate::settings::word(field.density_activation)));
     }
     if field.rgb_padding != 0.0 {
         return refused(format!("field.rgb_padding = {}", field.rgb_padding));

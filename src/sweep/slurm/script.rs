@@ -249,7 +249,8 @@ mod tests {
         };
         assert_eq!(request(&|_| ()), Ok(()));
         assert_eq!(request(&|r| r.time = Some("12:00:00".into())), Ok(()));
-        let cases: [(&dyn Fn(&mut Request), &str); 5] = [
+        type Change<'a> = &'a dyn Fn(&mut Request);
+        let cases: [(Change, &str); 5] = [
             (&|r| r.partition = Some("a\n#SBATCH --begin=now".into()), "--partition"),
             (&|r| r.mem = Some(String::new()), "--mem"),
             (&|r| r.further = vec!["account".into()], "--sbatch account"),

@@ -57,7 +57,7 @@ pub(super) fn find(dir: &Path, photographs: &[Photograph], size: Size) -> Result
         let source = Source { files, factor: *factor, passed: Vec::new() };
         let (found, all) = (source.found(), photographs.len());
         if let (Size::Width(width), Some(first)) = (size, source.files.iter().flatten().next())
-            && images::size(first)?.0 < width as usize
+            && images::size(first)?.0 < width
         {
             continue;
         }

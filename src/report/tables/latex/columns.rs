@@ -15,10 +15,13 @@ const SIZE: f64 = 8.0;
 /// Least width that a head is broken to.
 const HEAD: f64 = 48.0;
 
-/// A column: its head, and text and weight of its cell in a line.
+/// Text of a line's cell, and whether it is bold.
+type Cell<'a> = Box<dyn Fn(&Line) -> (String, bool) + 'a>;
+
+/// A column: its head, and what its cells are.
 pub struct Column<'a> {
     head: String,
-    cell: Box<dyn Fn(&Line) -> (String, bool) + 'a>,
+    cell: Cell<'a>,
 }
 
 impl<'a> Column<'a> {
