@@ -1,6 +1,5 @@
 //! The page of a sweep or of runs: whole, escaped, the same twice.
 
-
 use augnerf::base::Image;
 use augnerf::report::page::{AttackLine, Page, ShownScene, ViewOfRow, ViewOfScene};
 use augnerf::report::tables::Table;
