@@ -3,6 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use clap::Args;
+use serde_json::json;
 
 use crate::base::{Error, Result};
 use crate::run::{Existing, Foreign, Job, Networks, Setup, export, load_scene};
@@ -10,6 +11,7 @@ use crate::runtime::Runtime;
 use crate::settings::Preset;
 use crate::train::Origin;
 
+use super::answer::Answer;
 use super::experiment::{Base, Experiment};
 use super::progress::Console;
 use super::train::default_folder;
@@ -40,6 +42,8 @@ pub struct ExportArguments {
     #[arg(long, value_name = "DIR")]
     data: Option<PathBuf>,
     #[command(flatten)]
+    answer: Answer,
+    #[command(flatten)]
     compute: Compute,
 }
 
@@ -58,6 +62,8 @@ pub struct ImportArguments {
     #[command(flatten)]
     weights: LpipsWeights,
     #[command(flatten)]
+    answer: Answer,
+    #[command(flatten)]
     compute: Compute,
 }
 
@@ -67,7 +73,9 @@ impl ExportArguments {
         let console = Console::new(self.compute.quiet);
         let step = runtime.install(|| export(&self.run, &self.file, self.data.as_deref(), &runtime, &console))?;
         console.say(&format!("weights of step {step}: {}", self.file.display()));
-        Ok(())
+        self.answer.give_silently(
+            &json!({ "run": self.run.display().to_string(), "step": step, "file": self.file.display().to_string() }),
+        )
     }
 }
 
@@ -104,7 +112,14 @@ impl ImportArguments {
             folder.display()
         ));
         console.say(&format!("measure them with `augnerf eval {}`", folder.display()));
-        Ok(())
+        self.answer.give_silently(&json!({
+            "run": folder.display().to_string(),
+            "step": foreign.step(),
+            "scene": name,
+            "networks": networks,
+            "depth": depth,
+            "width": width,
+        }))
     }
 }
 

@@ -3,6 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use clap::Args;
+use serde_json::json;
 
 use crate::base::files::write_atomic;
 use crate::base::{Error, Result};
@@ -10,8 +11,9 @@ use crate::report::tables::table_terminal;
 use crate::sweep::verify::Archive;
 use crate::sweep::{PAGE, RunsSheet, check_page_place};
 
+use super::answer::Answer;
 use super::progress::print;
-use super::sweep::terminal_width;
+use super::sweep::{table_json, terminal_width};
 
 pub const EXAMPLES: &str = "Examples:
   augnerf report runs/fern-nerf-* runs/fern-aug-nerf-*     runs side by side, in report.html
@@ -35,6 +37,8 @@ pub struct ReportArguments {
     /// Add seconds and memory, with which the page no longer repeats
     #[arg(long)]
     with_timing: bool,
+    #[command(flatten)]
+    answer: Answer,
 }
 
 impl ReportArguments {
@@ -61,8 +65,13 @@ impl ReportArguments {
         let folder = folder_of(&out);
         std::fs::create_dir_all(folder).map_err(|e| Error::unwritable(folder, &e))?;
         write_atomic(&out, page.as_bytes())?;
-        print(&table_terminal(&table, terminal_width()))?;
-        print(&format!("page: {}", out.display()))
+        self.answer.give(
+            &json!({ "page": out.display().to_string(), "rows": table_json(&table, folder)["rows"] }),
+            || {
+                print(&table_terminal(&table, terminal_width()))?;
+                print(&format!("page: {}", out.display()))
+            },
+        )
     }
 }
 

@@ -20,16 +20,19 @@ const SWEEP: &str = "title = \"tiny\"\npreset = \"smoke\"\nscenes = [\"builtin\"
     \"train.chunk\" = 32\n\"train.steps\" = 4\n\"eval.pictures\" = 0\n\"regularizer.points_per_step\" = 64\n";
 
 /// The commands, in an order in which each finds what it works on; `TINY` stands for the settings of a run.
-const COMMANDS: [&str; 22] = [
+const COMMANDS: [&str; 27] = [
     "train --out a TINY",
     "train --out b --seed 1 TINY",
     "resume a",
     "eval a",
     "render a --frames 2",
+    "export a a.safetensors",
+    "import a.safetensors --out c",
     "measure a --lattice 8",
     "balance --steps 2 --set regularizer.points_per_step=64 TINY",
     "compare a b",
     "profile a b --patch 2",
+    "report a b",
     "mesh a --resolution 16 --threshold 0.01",
     "chamfer a builtin --points 2000",
     "data check --set data.width=16",
@@ -39,6 +42,8 @@ const COMMANDS: [&str; 22] = [
     "sweep new fresh.toml",
     "sweep plan tiny.toml",
     "sweep begin tiny.toml",
+    "sweep submit tiny.toml --dry-run",
+    "sweep run-point runs/tiny --index 0",
     "sweep run tiny.toml",
     "sweep status runs/tiny",
     "sweep collect runs/tiny",
@@ -46,7 +51,7 @@ const COMMANDS: [&str; 22] = [
 ];
 
 /// Commands that print JSON in any case, or need more than this test sets up.
-const ELSEWHERE: [&str; 3] = ["bench", "score", "sweep best"];
+const ELSEWHERE: [&str; 4] = ["bench", "score", "sweep best", "sweep cancel"];
 
 /// A command line's words and the name of its command.
 fn words(line: &str) -> (Vec<String>, String) {

@@ -4,11 +4,13 @@ use std::collections::BTreeMap;
 use std::path::PathBuf;
 
 use clap::Args;
+use serde_json::json;
 
 use crate::base::Result;
+use crate::cli::answer::Answer;
 use crate::cli::progress::print;
 use crate::sweep::SweepFolder;
-use crate::sweep::slurm::Slurm;
+use crate::sweep::slurm::{Queue, Slurm, Task};
 
 use super::begun;
 
@@ -19,6 +21,8 @@ pub const EXAMPLES: &str = "Example:
 pub struct CancelArguments {
     /// Folder of a sweep: runs/NAME, or what --out named
     folder: PathBuf,
+    #[command(flatten)]
+    answer: Answer,
 }
 
 impl CancelArguments {
@@ -26,6 +30,13 @@ impl CancelArguments {
         let folder = SweepFolder::new(&self.folder);
         begun(&folder, None)?;
         let queue = Slurm::of(&folder).cancel()?;
+        let task = |task: &Task| json!({ "job": task.job, "point": task.index, "state": task.state });
+        let cancelled: Vec<_> = queue.tasks.iter().map(task).collect();
+        let shown = self.folder.display().to_string();
+        self.answer.give(&json!({ "folder": shown, "cancelled": cancelled }), || self.tell(&queue))
+    }
+
+    fn tell(&self, queue: &Queue) -> Result<()> {
         if queue.tasks.is_empty() {
             return print(&format!("nothing of {} is in the queue", self.folder.display()));
         }

@@ -164,7 +164,7 @@ impl Changes {
 
 /// A table for other programs: where it lies, and the rows of `table.csv`, whose counts and metrics are numbers and whose empty
 /// cells are null.
-fn table_json(table: &Table, results: &Path) -> serde_json::Value {
+pub(super) fn table_json(table: &Table, results: &Path) -> serde_json::Value {
     let text = table_csv(table, &[]);
     let mut reader = csv::Reader::from_reader(text.as_bytes());
     let names = reader.headers().expect("a table has a head").clone();

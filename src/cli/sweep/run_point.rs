@@ -4,8 +4,10 @@ use std::path::PathBuf;
 use std::sync::atomic::AtomicUsize;
 
 use clap::Args;
+use serde_json::json;
 
 use crate::base::{Error, Result};
+use crate::cli::answer::Answer;
 use crate::cli::progress::Console;
 use crate::cli::signals::catch_scheduler_signals;
 use crate::cli::{Compute, LpipsWeights};
@@ -44,6 +46,8 @@ pub struct RunPointArguments {
     data_root: Option<PathBuf>,
     #[command(flatten)]
     weights: LpipsWeights,
+    #[command(flatten)]
+    answer: Answer,
     #[command(flatten)]
     compute: Compute,
 }
@@ -135,6 +139,12 @@ impl RunPointArguments {
                 console.say(&format!("{label} is left to {who}, which works on it"));
             }
         }
-        Ok(())
+        self.answer.give_silently(&json!({
+            "folder": folder.path().display().to_string(),
+            "id": point.id,
+            "label": label,
+            "status": state.status.name(),
+            "psnr": state.result.metric("psnr"),
+        }))
     }
 }

@@ -48,6 +48,8 @@ struct PointStatus<'a> {
     host: Option<String>,
     process: Option<u32>,
     psnr: Option<f64>,
+    /// Its task in the queue of Slurm, where that is at hand.
+    task: Option<String>,
 }
 
 impl StatusArguments {
@@ -84,7 +86,8 @@ fn screen_lines(lines: &[String], (rows, columns): (u16, u16)) -> usize {
 /// The points' states for other programs.
 fn statuses(folder: &SweepFolder, points: &[Point]) -> Result<serde_json::Value> {
     let mut statuses = Vec::new();
-    for point in points {
+    let queue = Slurm::of(folder).queue();
+    for (index, point) in points.iter().enumerate() {
         let state = folder.point(&point.id).state(point)?;
         let claim = state.claim.as_ref();
         statuses.push(PointStatus {
@@ -98,6 +101,7 @@ fn statuses(folder: &SweepFolder, points: &[Point]) -> Result<serde_json::Value>
             process: claim.map(|claim| claim.pid),
             psnr: state.result.metric("psnr"),
             reason: state.reason,
+            task: queue.iter().find_map(|queue| queue.task(index)).map(ToString::to_string),
         });
     }
     let count = |status: Status| statuses.iter().filter(|point| point.status == status.name()).count();

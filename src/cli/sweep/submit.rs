@@ -3,13 +3,15 @@
 use std::path::{Path, PathBuf};
 
 use clap::{Args, ValueEnum};
+use serde_json::json;
 
 use crate::base::{Error, Result};
 use crate::cli::LpipsWeights;
+use crate::cli::answer::Answer;
 use crate::cli::progress::{Console, print};
 use crate::runtime::Runtime;
 use crate::settings::Config;
-use crate::sweep::slurm::{Chosen, Request, Script, Slurm, array};
+use crate::sweep::slurm::{Chosen, Request, Script, Slurm, Submitted, array};
 use crate::sweep::{Point, StepCosts, SweepFolder, check_unchanged};
 
 use super::{Changes, Location, begin_folder, planned_points, trainings};
@@ -81,6 +83,8 @@ pub struct SubmitArguments {
     /// No summary; errors are still printed
     #[arg(long, short)]
     quiet: bool,
+    #[command(flatten)]
+    answer: Answer,
 }
 
 impl SubmitArguments {
@@ -130,7 +134,7 @@ impl SubmitArguments {
                 points.len(),
                 chosen.left_out()
             ));
-            return Ok(());
+            return self.answer.give_silently(&answer(folder, &chosen, None, None));
         }
         let (array, tables) = self.scripts(script, &chosen)?;
         let submitted = slurm.submit(&array, &tables)?;
@@ -141,7 +145,7 @@ impl SubmitArguments {
             console.say(&format!("job {tables} writes the tables into {} when they have ended", results.display()));
         }
         console.say(&format!("`augnerf sweep status {shown}` shows how far they are"));
-        print(submitted.points.number())
+        self.answer.give(&answer(folder, &chosen, Some(&submitted), None), || print(submitted.points.number()))
     }
 
     /// The same without doing it.
@@ -149,10 +153,13 @@ impl SubmitArguments {
         let slurm = Slurm::of(folder);
         let chosen = Chosen::among(points, folder, &slurm.queue()?, self.retry_failed)?;
         let (array, tables) = self.scripts(script, &chosen)?;
-        for (name, text) in [("points.sbatch", array), ("tables.sbatch", tables)] {
-            print(&format!("# ---- {}\n{text}", slurm.path().join(name).display()))?;
-        }
-        print(&format!("# would be submitted: {}", counted(&chosen, points)))
+        let scripts = [("points.sbatch", array), ("tables.sbatch", tables)];
+        self.answer.give(&answer(folder, &chosen, None, Some(&scripts)), || {
+            for (name, text) in &scripts {
+                print(&format!("# ---- {}\n{text}", slurm.path().join(name).display()))?;
+            }
+            print(&format!("# would be submitted: {}", counted(&chosen, points)))
+        })
     }
 
     /// The script of the points and that of the tables.
@@ -184,6 +191,25 @@ impl SubmitArguments {
         let with_program = |rest: Vec<String>| [vec![program.clone()], rest].concat();
         Ok((script.points(&chosen.indices, &with_program(point)), script.tables(&with_program(tables))))
     }
+}
+
+/// What was submitted, or with scripts what would be, for other programs.
+fn answer(
+    folder: &SweepFolder,
+    chosen: &Chosen,
+    submitted: Option<&Submitted>,
+    scripts: Option<&[(&str, String)]>,
+) -> serde_json::Value {
+    let scripts = scripts.map(|all| {
+        all.iter().map(|(name, text)| (name.to_string(), text.as_str().into())).collect::<serde_json::Map<_, _>>()
+    });
+    json!({
+        "folder": folder.path().display().to_string(),
+        "points": chosen.indices,
+        "job": submitted.map(|submitted| submitted.points.number()),
+        "tables_job": submitted.and_then(|submitted| submitted.tables.as_ref()).map(|job| job.number()),
+        "scripts": scripts,
+    })
 }
 
 /// How many points are submitted: `8 of 14 points (6 done): 0-7`.
