@@ -16,13 +16,16 @@ pub struct Dataparser {
     applied: Pose,
 }
 
+/// What nerfstudio takes as `applied_transform` of a folder with COLMAP's model that states none (its
+/// nerfstudio_dataparser.py).
+const OF_COLMAP: Pose = [[0.0, 1.0, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0], [0.0, 0.0, -1.0, 0.0]];
 const IDENTITY: Pose = [[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0]];
 
 impl Dataparser {
     /// Reads the file; `transforms` is the capture's `transforms.json`, which may state an `applied_transform`.
     ///
     /// # Errors
-    /// A file that is not such a one.
+    /// A file that is not such a one; a capture with an `applied_scale`.
     pub fn read(file: &Path, transforms: &Path) -> Result<Dataparser> {
         let value = json::read(file)?;
         let document = Object::document(file, &value)?;
@@ -41,8 +44,15 @@ impl Dataparser {
         if transforms.is_file() {
             let value = json::read(transforms)?;
             let capture = Object::document(transforms, &value)?;
+            if capture.number("applied_scale")?.is_some_and(|scale| scale != 1.0) {
+                return Err(
+                    capture.error("\"applied_scale\" is not 1, and nerfstudio's units cannot be led back through one")
+                );
+            }
             if capture.get("applied_transform").is_some() {
                 applied = capture.pose_at("applied_transform")?;
+            } else if transforms.parent().is_some_and(|folder| folder.join("colmap/sparse/0").exists()) {
+                applied = OF_COLMAP;
             }
         }
         let rotation_and_origin = transform.map(|[a, b, c, t]| [a, b, c, t * scale]);

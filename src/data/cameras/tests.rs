@@ -81,8 +81,20 @@ fn nerfstudio_s_units_are_undone() {
     let parser = Dataparser::read(&parser, &transforms).unwrap();
     let original = like().pose;
     let scaled = pose::compose(&transform, &original).map(|[a, b, c, t]| [a, b, c, 0.25 * t]);
-    let (found, expected) = (parser.to_capture(&scaled), pose::compose(&applied, &original));
-    assert!(found.iter().flatten().zip(expected.iter().flatten()).all(|(a, b)| (a - b).abs() < 1e-12));
+    let same = |applied: &Pose, found: Pose| {
+        let expected = pose::compose(applied, &original);
+        found.iter().flatten().zip(expected.iter().flatten()).all(|(a, b)| (a - b).abs() < 1e-12)
+    };
+    assert!(same(&applied, parser.to_capture(&scaled)));
+
+    // A folder with COLMAP's model has its axes turned where nothing is said; an applied_scale is refused.
+    let named = dir.path().join("dataparser_transforms.json");
+    std::fs::create_dir_all(dir.path().join("colmap/sparse/0")).unwrap();
+    let transforms = file(&dir, "transforms.json", "{\"frames\": []}");
+    let turned = [[0.0, 1.0, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0], [0.0, 0.0, -1.0, 0.0]];
+    assert!(same(&turned, Dataparser::read(&named, &transforms).unwrap().to_capture(&scaled)));
+    let transforms = file(&dir, "transforms.json", "{\"applied_scale\": 0.5, \"frames\": []}");
+    assert!(Dataparser::read(&named, &transforms).unwrap_err().to_string().contains("applied_scale"));
 }
 
 #[test]
