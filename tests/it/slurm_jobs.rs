@@ -8,6 +8,7 @@
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
+use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 use super::slurm::TINY;
@@ -24,6 +25,12 @@ fn definition() -> String {
     let seeds = TINY.replace("seeds = [0]", "seeds = [0, 1]");
     let steps = seeds.replace("\"train.steps\" = 30", "\"train.steps\" = 4000");
     steps.replace("\"train.checkpoint_every\" = 10", "\"train.checkpoint_every\" = 50")
+}
+
+/// Tests take turns: their jobs have one name, and the cluster is small.
+fn alone() -> MutexGuard<'static, ()> {
+    static TURN: Mutex<()> = Mutex::new(());
+    TURN.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 /// A folder with the sweep in it; none, said aloud, where there is no Slurm.
@@ -96,6 +103,7 @@ fn sessions(point: &Path) -> u64 {
 #[test]
 #[ignore = "needs Slurm"]
 fn a_sweep_on_a_cluster_equals_one_at_home_whatever_befalls_its_tasks() {
+    let _turn = alone();
     let (Some(home), Some(cluster)) = (workplace(), workplace()) else { return };
     let dir = cluster.path();
     let said = demand(&["sweep", "submit", "tiny.toml", "--cpus", "1", "--mem", "200", "--time", "20"], dir, 0);
@@ -150,6 +158,7 @@ fn a_sweep_on_a_cluster_equals_one_at_home_whatever_befalls_its_tasks() {
 #[test]
 #[ignore = "needs Slurm"]
 fn a_cancelled_sweep_stays_cancelled_and_goes_on_at_home() {
+    let _turn = alone();
     let Some(cluster) = workplace() else { return };
     let dir = cluster.path();
     let submit = ["sweep", "submit", "tiny.toml", "--quiet", "--set", "train.steps=8000", "--seeds", "0"];
