@@ -68,13 +68,15 @@ def quoted(setting):
 
 
 def content(folder):
-    """Relative path -> hash of every file below, and of every empty folder."""
+    """Relative path -> hash of every file below, where a link leads, and every empty folder."""
     found = {}
     for path in sorted(folder.rglob("*")):
         place = path.relative_to(folder)
         if FLEETING.intersection(place.parts):
             continue
-        if path.is_file():
+        if path.is_symlink():
+            found[str(place)] = f"-> {os.readlink(path)}"
+        elif path.is_file():
             found[str(place)] = hashlib.sha256(path.read_bytes()).hexdigest()
         elif not any(path.iterdir()):
             found[str(place) + "/"] = ""
@@ -258,7 +260,7 @@ class Storm:
                 ballast.unlink()
                 self.end(self.start(command(folder)), {0})
                 kept = straight.parent / f"{kind}-disk-{life}"
-                shutil.copytree(folder, kept)
+                shutil.copytree(folder, kept, symlinks=True)
                 self.same(f"{kind} on a full disk", straight, kept)
             finally:
                 subprocess.run(["umount", place], check=True)
