@@ -6,10 +6,10 @@
 
 use candle_core::{DType, Device, Tensor, Var};
 
-use crate::base::Result;
+use crate::base::{Error, Result};
 use crate::data::Scene;
 use crate::field::{Density, FieldDensity};
-use crate::settings::{Config, Resolved};
+use crate::settings::{Ability, Config, Representation, Resolved};
 
 mod batches;
 mod diagnostics;
@@ -48,24 +48,50 @@ impl Model {
     /// # Errors
     /// Settings that do not suit the scene; no draw that is fit to learn.
     pub fn start(config: &Resolved, scene: &Scene, dtype: DType, device: &Device) -> Result<Start> {
-        let (learner, redraws) = FieldLearner::start(config, scene, dtype, device)?;
-        let model = Model::Fields(learner.fields().clone());
-        Ok(Start { model, learner: Box::new(learner), redraws })
+        match config.representation() {
+            Representation::Nerf | Representation::MipNerf | Representation::HashNerf => {
+                let (learner, redraws) = FieldLearner::start(config, scene, dtype, device)?;
+                let model = Model::Fields(learner.fields().clone());
+                Ok(Start { model, learner: Box::new(learner), redraws })
+            }
+            Representation::Srn => Err(not_here(config)),
+            Representation::Volume => Err(not_here(config)),
+            Representation::Planes => Err(not_here(config)),
+        }
     }
 
     /// Names of the networks that a configuration has, in the fixed order of parameters.
     pub fn parts(config: &Config) -> Vec<&'static str> {
-        Fields::roles(config)
+        match config.representation() {
+            Representation::Nerf | Representation::MipNerf | Representation::HashNerf => Fields::roles(config),
+            Representation::Srn => Vec::new(),
+            Representation::Volume => Vec::new(),
+            Representation::Planes => Vec::new(),
+        }
     }
 
     /// Names and shapes of all parameters, in their fixed order.
     pub fn parameter_names(config: &Config) -> Vec<(String, Vec<usize>)> {
-        Fields::parameter_names(config)
+        match config.representation() {
+            Representation::Nerf | Representation::MipNerf | Representation::HashNerf => {
+                Fields::parameter_names(config)
+            }
+            Representation::Srn => Vec::new(),
+            Representation::Volume => Vec::new(),
+            Representation::Planes => Vec::new(),
+        }
     }
 
     /// A model over given values, in the order of [`Model::parameter_names`].
     pub fn from_parameters(config: &Config, values: Vec<Tensor>) -> Result<Model> {
-        Ok(Model::Fields(Fields::from_parameters(config, values)?))
+        match config.representation() {
+            Representation::Nerf | Representation::MipNerf | Representation::HashNerf => {
+                Ok(Model::Fields(Fields::from_parameters(config, values)?))
+            }
+            Representation::Srn => Err(not_here(config)),
+            Representation::Volume => Err(not_here(config)),
+            Representation::Planes => Err(not_here(config)),
+        }
     }
 
     /// All parameters with their names, in the fixed order. They are shared: a learner's updates show.
@@ -108,4 +134,19 @@ impl Model {
             Model::Fields(fields) => Ok(fields),
         }
     }
+}
+
+/// Of a method that is known and not yet trained here.
+fn not_here(config: &Config) -> Error {
+    Error::Config(format!("method = \"{}\" is not trained by this program yet", config.method.name()))
+}
+
+/// Of a question to a model whose representation has no answer: `what` is asked for.
+///
+/// # Panics
+/// Where the representation has the ability.
+#[allow(dead_code)] // Until a method without fields is a model.
+fn lacking(representation: Representation, ability: Ability, what: &str) -> Error {
+    let why = representation.lacks(ability).expect("an ability that it lacks");
+    Error::Config(format!("{what}: {why}"))
 }

@@ -30,7 +30,7 @@ pub fn most_memory_mib() -> f64 {
 /// at, and where they look at nothing in common the box that the training rays run through.
 pub fn surface_box(scene: &Scene) -> [[f64; 3]; 2] {
     let cube = |half: f64| [[-half; 3], [half; 3]];
-    match scene.format().and_then(|format| format.object_half) {
+    match scene.format().and_then(|format| format.kind.object_half()) {
         _ if scene.ndc.is_some() => cube(1.0),
         Some(half) => cube(half),
         None => scene.place.domain.unwrap_or_else(|| Lattice::seen(scene)),

@@ -3,7 +3,7 @@
 //! value, the others are made in `run::Protocol`.
 
 use super::registry::{Effect, REGISTRY, Setting};
-use super::{Batching, Config, Encoding, Schedule};
+use super::{Batching, Config, Encoding, Method, Schedule};
 use crate::augment::Site;
 
 /// When rows of one scene must agree in a column.
@@ -122,12 +122,26 @@ pub fn regularized(config: &Config) -> bool {
     !config.regularizer.kind.is_empty()
 }
 
+/// Radiance fields are trained.
+fn of_fields(config: &Config) -> bool {
+    config.method.has_fields()
+}
+
 fn on_hash_grid(config: &Config) -> bool {
-    config.field.encoding == Encoding::Hash
+    of_fields(config) && config.field.encoding == Encoding::Hash
 }
 
 fn without_hash_grid(config: &Config) -> bool {
-    !on_hash_grid(config)
+    of_fields(config) && config.field.encoding != Encoding::Hash
+}
+
+fn at_intervals(config: &Config) -> bool {
+    of_fields(config) && config.field.encoding.at_intervals()
+}
+
+/// Steps are made of rays.
+fn of_rays(config: &Config) -> bool {
+    config.method.learns_from_rays()
 }
 
 fn warmed_up(config: &Config) -> bool {
@@ -135,7 +149,7 @@ fn warmed_up(config: &Config) -> bool {
 }
 
 fn of_one_image(config: &Config) -> bool {
-    config.train.batching == Some(Batching::OneImage)
+    of_rays(config) && config.train.batching == Some(Batching::OneImage)
 }
 
 fn cropped(config: &Config) -> bool {
@@ -171,13 +185,13 @@ pub const COLUMNS: &[Column] = &[
     column("regularizer_points").of(regularized),
     column("regularizer_domain").of(regularized),
     column("regularizer_fields").of(regularized),
-    column("field_width").in_caption(),
-    column("field_depth").in_caption(),
-    column("init").where_differing(),
-    column("density_activation").in_caption(),
-    column("samples_coarse").in_caption(),
-    column("samples_fine").in_caption(),
-    column("rays").in_caption(),
+    column("field_width").in_caption().of(of_fields),
+    column("field_depth").in_caption().of(of_fields),
+    column("init").where_differing().of(of_fields),
+    column("density_activation").in_caption().of(of_fields),
+    column("samples_coarse").in_caption().of(of_fields),
+    column("samples_fine").in_caption().of(of_fields),
+    column("rays").in_caption().of(of_rays),
     column("steps").in_caption(),
     column("learning_rate").in_caption(),
     column("coarse_weight").in_caption().of(without_hash_grid),
@@ -199,36 +213,39 @@ pub const COLUMNS: &[Column] = &[
     column("validation").in_caption().unless_varied().of(|config| !config.data.has_splits()),
     column("views_seen").in_caption().unless_varied(),
     column("views_seed").where_differing().unless_varied(),
-    column("encoding").where_differing(),
+    column("encoding").where_differing().of(of_fields),
     column("position_octaves").where_differing().of(without_hash_grid),
-    column("view_octaves").where_differing(),
-    column("skips").where_differing(),
-    column("rgb_padding").where_differing(),
-    column("resample_padding").where_differing().of(|config| config.field.encoding.at_intervals()),
-    column("jitter").where_differing(),
-    column("density_noise").where_differing(),
-    column("batching").where_differing(),
+    column("view_octaves").where_differing().of(of_fields),
+    column("skips").where_differing().of(of_fields),
+    column("rgb_padding").where_differing().of(of_fields),
+    column("resample_padding").where_differing().of(at_intervals),
+    column("jitter").where_differing().of(of_fields),
+    column("density_noise").where_differing().of(of_fields),
+    column("batching").where_differing().of(of_rays),
     column("precrop_steps").where_differing().of(of_one_image),
     column("precrop_fraction").where_differing().of(cropped),
     column("warmup_share").where_differing().of(warmed_up),
     column("warmup_from").where_differing().of(warmed_up),
-    column("dead_start_share").where_differing(),
-    column("chunk").where_differing(),
+    column("dead_start_share").where_differing().of(of_fields),
+    column("chunk").where_differing().of(of_rays),
     column("eval_chunk").where_differing(),
     column("xyz_radius").where_differing().of(|config| perturbed_at(config, Site::Xyz)),
     column("norms").where_differing().of(perturbed),
     column("perturb_last").where_differing().of(|config| perturbed_at(config, Site::Density)),
-    column("core").where_differing(),
+    column("core").where_differing().of(of_fields),
     column("precision").where_differing(),
     column("instructions").where_differing(),
     column(INACTIVE_BY).of(perturbed),
-    column("view_depth").where_differing(),
-    column("view_width").where_differing(),
+    column("view_depth").where_differing().of(of_fields),
+    column("view_width").where_differing().of(of_fields),
     column("adam").where_differing(),
     column("hash_grid").where_differing().of(on_hash_grid),
-    column("spacing").where_differing(),
+    column("spacing").where_differing().of(of_fields),
     column("masks").in_caption().unless_varied(),
     column("parent").where_differing(),
+    column("srn").where_differing().of(|config| config.method == Method::Srn),
+    column("nv").where_differing().of(|config| config.method == Method::Nv),
+    column("llff").where_differing().of(|config| config.method == Method::Llff),
 ];
 
 /// What the sites of a run were judged inactive by.

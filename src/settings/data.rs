@@ -63,7 +63,19 @@ impl DataKind {
 
     /// Everything lies within 1.5 of the origin, as in NeRF-Synthetic.
     pub fn has_known_extent(self) -> bool {
-        matches!(self, DataKind::Blender | DataKind::BuiltinBlender)
+        self.object_half().is_some()
+    }
+
+    /// Half the side of the cube around the origin that holds the objects, scene units; none where only the training rays
+    /// tell.
+    pub fn object_half(self) -> Option<f64> {
+        match self {
+            DataKind::Blender => Some(1.5),
+            DataKind::BuiltinBlender => Some(1.2),
+            DataKind::Auto | DataKind::Llff | DataKind::Transforms | DataKind::Colmap | DataKind::BuiltinForward => {
+                None
+            }
+        }
     }
 
     /// Comes split into training, validation and test views; of the others every N-th view is held out.
@@ -272,6 +284,11 @@ section! {
 }
 
 impl DataConfig {
+    /// Rays are in normalised device coordinates, as far as is known before the scene is loaded.
+    pub fn in_ndc(&self) -> bool {
+        self.kind.forward_facing() && self.ndc && !self.spherify
+    }
+
     /// `pixel_origin`, or the kind's own.
     pub fn origin_of_pixels(&self) -> PixelOrigin {
         self.pixel_origin.unwrap_or(self.kind.pixel_origin())

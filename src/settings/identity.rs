@@ -4,7 +4,7 @@ use sha2::{Digest, Sha256};
 use toml::{Table, Value};
 
 use super::registry::{Effect, REGISTRY, Section};
-use super::{Config, Encoding, EvalConfig, PerturbConfig, Split};
+use super::{Config, Encoding, EvalConfig, Method, PerturbConfig, Split, TrainConfig};
 use crate::augment::Passes;
 
 impl Config {
@@ -74,9 +74,37 @@ impl Config {
         short_hash(Sha256::new_with_prefix(table.to_string()))
     }
 
-    /// Resets what a field on a hash grid, or one without, does not read.
-    fn forget_unread(&mut self) {
+    /// Resets the sections that the method does not read: those of other methods, and of fields where it has none.
+    pub(super) fn forget_other_methods(&mut self) {
         let default = Config::default();
+        if self.method != Method::Srn {
+            self.srn = default.srn;
+        }
+        if self.method != Method::Nv {
+            self.nv = default.nv;
+        }
+        if self.method != Method::Llff {
+            self.llff = default.llff;
+        }
+        if !self.method.has_fields() {
+            (self.field, self.sampling) = (default.field, default.sampling);
+            (self.perturb, self.regularizer) = (default.perturb, default.regularizer);
+        }
+    }
+
+    /// The same with single settings that the method does not read, or a field on a hash grid, or one without.
+    fn forget_unread(&mut self) {
+        self.forget_other_methods();
+        let default = Config::default();
+        if !self.method.has_fields() {
+            self.train.coarse_weight = default.train.coarse_weight;
+            self.train.dead_start_share = default.train.dead_start_share;
+        }
+        if !self.method.learns_from_rays() {
+            let TrainConfig { rays, chunk, batching, precrop_steps, precrop_fraction, .. } = default.train;
+            self.train = TrainConfig { rays, chunk, batching, precrop_steps, precrop_fraction, ..self.train.clone() };
+        }
+        self.nv.forget_unread();
         if self.field.encoding != Encoding::Hash {
             self.field.hash = default.field.hash;
             return;
@@ -208,6 +236,44 @@ mod tests {
         assert_eq!(hash(&[aug, "perturb.t.passes=fine"]), hash(&[aug]));
         assert_ne!(hash(&[aug, "perturb.t.passes=off"]), hash(&[aug]));
         assert_ne!(set(None, &[aug, "perturb.t.passes=fine"]).hash(), set(None, &[aug]).hash());
+    }
+
+    /// Nor do sections of other methods, and those of fields in a method without.
+    #[test]
+    fn what_a_method_does_not_read_makes_no_other_experiment() {
+        let hash = |method: &str, texts: &[&str]| set(Some("cpu"), &[&[method], texts].concat()).hash();
+        let (nerf, srn, nv, llff) = ("method=nerf", "method=srn", "method=nv", "method=llff");
+        for (method, unread) in [
+            (nerf, "srn.width=64"),
+            (nerf, "nv.divide=2"),
+            (nerf, "llff.planes=16"),
+            (srn, "field.width=32"),
+            (srn, "sampling.coarse=7"),
+            (srn, "perturb.lambda=0.5"),
+            (srn, "train.coarse_weight=0.5"),
+            (srn, "llff.planes=16"),
+            (nv, "srn.width=64"),
+            (nv, "nv.kl=1"),
+            (llff, "train.rays=7"),
+            (llff, "train.batching=one-image"),
+            (llff, "field.encoding=hash"),
+        ] {
+            assert_eq!(hash(method, &[unread]), hash(method, &[]), "{method} {unread}");
+        }
+        for (method, read) in [
+            (nerf, "field.width=32"),
+            (srn, "srn.width=64"),
+            (srn, "train.rays=7"),
+            (nv, "nv.divide=2"),
+            (nv, "nv.code=variational"),
+            (llff, "llff.planes=16"),
+        ] {
+            assert_ne!(hash(method, &[read]), hash(method, &[]), "{method} {read}");
+            let shape = |texts: &[&str]| set(Some("cpu"), &[&[method], texts].concat()).step_shape();
+            assert_ne!(shape(&[read]), shape(&[]), "{method} {read}");
+        }
+        assert_eq!(hash(nv, &["nv.code=variational", "nv.kl=0.001"]), hash(nv, &["nv.code=variational"]));
+        assert_eq!(hash(nv, &["nv.warp=false", "nv.warp_resolution=5"]), hash(nv, &["nv.warp=false"]));
     }
 
     /// Points outside the box leave the backward pass, and second derivatives take time.

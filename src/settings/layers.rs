@@ -51,6 +51,16 @@ impl Preset {
         })
     }
 
+    /// Which sizes of methods without fields suit it, the general one first: tables of `presets/srn.toml` and its like.
+    pub(super) fn sizes(self) -> &'static [&'static str] {
+        match self {
+            Preset::Fast => &["small"],
+            Preset::Cpu => &["small", "cpu"],
+            Preset::Smoke => &["small", "smoke"],
+            Preset::PaperLlff | Preset::PaperBlender | Preset::ReleasedLlff | Preset::ReleasedBlender => &["paper"],
+        }
+    }
+
     /// What it sets.
     pub(super) fn table(self) -> Table {
         toml::from_str(self.text()).expect("presets are valid TOML")
@@ -70,12 +80,28 @@ impl Preset {
 }
 
 /// What lies between preset and file for the method and the encoding that settings name, the later ones first.
-fn representation_layer(layers: [&Table; 2]) -> Option<&'static str> {
+fn representation_layer(layers: [&Table; 2], preset: Option<Preset>) -> Option<Table> {
     let named = |path: &str| layers.iter().find_map(|layer| value_at(layer, path)).cloned();
     let method = named("method").map_or(Some(Method::default()), |method| method.try_into::<Method>().ok())?;
     let encoding = named("field.encoding").map_or(Some(method.encoding()), |encoding| encoding.try_into().ok())?;
-    method.representation(encoding)?.layer()
+    Some(sized(method.representation(encoding)?.layer()?, preset))
 }
+
+/// A method's layer with the tables of the sizes that suit a preset.
+fn sized(layer: &str, preset: Option<Preset>) -> Table {
+    let mut layer: Table = toml::from_str(layer).expect("presets are valid TOML");
+    let own = SIZES.map(|size| (size, layer.remove(size)));
+    let suit = preset.map_or(&["paper"][..], Preset::sizes);
+    for (_, own) in own.into_iter().filter(|(size, _)| suit.contains(size)) {
+        if let Some(Value::Table(own)) = own {
+            merge(&mut layer, own);
+        }
+    }
+    layer
+}
+
+/// Names of tables in a method's layer, in the order in which they lie over one another.
+const SIZES: [&str; 4] = ["paper", "small", "cpu", "smoke"];
 
 /// More parts than any field's name has.
 const DEEPEST: usize = 8;
@@ -127,8 +153,8 @@ pub fn build(preset: Option<Preset>, file: Option<&Path>, assignments: &[(Vec<St
     for (path, value) in assignments {
         assign(&mut table, path, value.clone())?;
     }
-    if let Some(layer) = representation_layer([&table, &base]) {
-        lay_over(&mut base, toml::from_str(layer).expect("presets are valid TOML"));
+    if let Some(layer) = representation_layer([&table, &base], preset) {
+        lay_over(&mut base, layer);
     }
     lay_over(&mut base, table);
     let text = toml::to_string(&base).expect("a table of settings is plain data");
@@ -246,6 +272,29 @@ mod tests {
             let message = set(&[&format!("{mistake}=1")]).unwrap_err().to_string();
             let right = assignment.split_once('=').unwrap().0;
             assert!(message.contains(&format!("'{mistake}'; did you mean '{right}'")), "{message}");
+        }
+    }
+
+    /// A method without fields has its own size for a preset; the original's where none is named.
+    #[test]
+    fn methods_without_fields_have_a_size_for_each_preset() {
+        let method = |name: &str, preset| build(preset, None, &[parse_assignment(&format!("method={name}")).unwrap()]);
+        let of = |name: &str, preset| method(name, preset).unwrap().train;
+        for preset in [None, Some(Preset::PaperBlender), Some(Preset::ReleasedLlff)] {
+            let (srn, nv) = (of("srn", preset), of("nv", preset));
+            assert_eq!((srn.rays, srn.learning_rate, srn.steps, srn.decay_rate), (262_144, 5e-5, 175_000, 1.0));
+            assert_eq!((nv.rays, nv.learning_rate, nv.steps, nv.decay_rate), (262_144, 1e-4, 500_000, 1.0));
+        }
+        let steps = ["srn", "nv", "llff"].map(|name| [Preset::Cpu, Preset::Fast].map(|p| of(name, Some(p)).steps));
+        assert_eq!(steps, [[10_000, 1_500], [5_000, 1_500], [1_500, 1_500]]);
+        let nv = |preset| method("nv", Some(preset)).unwrap().nv;
+        let sides = [Preset::PaperLlff, Preset::Cpu, Preset::Smoke].map(|p| (nv(p).resolution, nv(p).divide));
+        assert_eq!(sides, [(128, 1), (64, 4), (32, 4)]);
+        for (name, preset) in Preset::ALL {
+            for baseline in ["srn", "nv", "llff"] {
+                let config = method(baseline, Some(preset)).unwrap_or_else(|e| panic!("{name}, {baseline}: {e}"));
+                assert_eq!(Config::from_toml(&config.to_toml(), name).unwrap(), config, "{name}, {baseline}");
+            }
         }
     }
 

@@ -19,6 +19,12 @@ pub enum Method {
     MipNerf,
     /// The same with the perturbed pass.
     AugMipNerf,
+    /// Scene Representation Networks (Sitzmann et al. 2019).
+    Srn,
+    /// Neural Volumes (Lombardi et al. 2019).
+    Nv,
+    /// Local Light Field Fusion (Mildenhall et al. 2019), trained on the scene.
+    Llff,
 }
 
 choice!(Method);
@@ -33,11 +39,29 @@ pub enum Representation {
     /// One field on a hash grid (Mueller et al. 2022), queried at the middles of intervals, that places its samples by its own
     /// density.
     HashNerf,
+    /// Features in space, and where each ray ends (Sitzmann et al. 2019).
+    Srn,
+    /// A volume of voxels that a network makes, behind a warp (Lombardi et al. 2019).
+    Volume,
+    /// A stack of planes for each training view, which a network makes of it and its neighbours (Mildenhall et al. 2019).
+    Planes,
+}
+
+/// What a representation can be asked for, and not every one has.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Ability {
+    /// Density in space: surfaces.
+    Density,
+    /// Density with its derivatives at points: smoothness, and regularizers made of it.
+    Derivatives,
+    /// Weights of samples along a ray, of fields that are queried there.
+    Samples,
 }
 
 impl Method {
     /// All methods.
-    pub const ALL: [Method; 4] = [Method::Nerf, Method::AugNerf, Method::MipNerf, Method::AugMipNerf];
+    pub const ALL: [Method; 7] =
+        [Method::Nerf, Method::AugNerf, Method::MipNerf, Method::AugMipNerf, Method::Srn, Method::Nv, Method::Llff];
 
     /// The name in files and tables.
     pub fn name(self) -> &'static str {
@@ -46,24 +70,44 @@ impl Method {
             Method::AugNerf => "aug-nerf",
             Method::MipNerf => "mip-nerf",
             Method::AugMipNerf => "aug-mip-nerf",
+            Method::Srn => "srn",
+            Method::Nv => "nv",
+            Method::Llff => "llff",
         }
     }
 
-    /// What holds the scene with positions in this encoding; none where the method has no such field.
+    /// What holds the scene with positions in this encoding; none where the method has no such field. A method without fields
+    /// pays the encoding no heed.
     pub fn representation(self, encoding: Encoding) -> Option<Representation> {
         match (self, encoding) {
             (Method::Nerf | Method::AugNerf, Encoding::Positional) => Some(Representation::Nerf),
             (Method::Nerf | Method::AugNerf, Encoding::Hash) => Some(Representation::HashNerf),
             (Method::MipNerf | Method::AugMipNerf, Encoding::Integrated) => Some(Representation::MipNerf),
-            _ => None,
+            (Method::Srn, _) => Some(Representation::Srn),
+            (Method::Nv, _) => Some(Representation::Volume),
+            (Method::Llff, _) => Some(Representation::Planes),
+            (Method::Nerf | Method::AugNerf | Method::MipNerf | Method::AugMipNerf, _) => None,
         }
+    }
+
+    /// It trains radiance fields, as sections `field` and `sampling` say.
+    pub fn has_fields(self) -> bool {
+        match self {
+            Method::Nerf | Method::AugNerf | Method::MipNerf | Method::AugMipNerf => true,
+            Method::Srn | Method::Nv | Method::Llff => false,
+        }
+    }
+
+    /// Its steps are made of rays, as settings of section `train` say; otherwise of windows of views.
+    pub fn learns_from_rays(self) -> bool {
+        self != Method::Llff
     }
 
     /// The encoding where none is named.
     pub fn encoding(self) -> Encoding {
         match self {
-            Method::Nerf | Method::AugNerf => Encoding::Positional,
             Method::MipNerf | Method::AugMipNerf => Encoding::Integrated,
+            Method::Nerf | Method::AugNerf | Method::Srn | Method::Nv | Method::Llff => Encoding::Positional,
         }
     }
 
@@ -86,15 +130,41 @@ impl Representation {
 
     /// Density has a gradient and a Laplacian at points, of which terms in space and measures of smoothness are made.
     pub fn has_derivatives_at_points(self) -> bool {
-        self != Representation::MipNerf
+        self.lacks(Ability::Derivatives).is_none()
     }
 
-    /// Settings that lie between preset and file, as TOML.
+    /// Why it cannot be asked for something, in words that end a sentence; none where it can.
+    pub fn lacks(self, ability: Ability) -> Option<&'static str> {
+        use Representation::{HashNerf, MipNerf, Nerf, Planes, Srn, Volume};
+        match (self, ability) {
+            (Nerf | HashNerf, _) | (MipNerf, Ability::Density | Ability::Samples) | (Volume, Ability::Density) => None,
+            (MipNerf, Ability::Derivatives) => Some("its field is queried at Gaussians, not at points"),
+            (Srn, Ability::Density | Ability::Derivatives) => {
+                Some("an SRN knows where a ray ends, not where space is full")
+            }
+            (Srn, Ability::Samples) => Some("an SRN steps to one point of each ray, and has no weights along it"),
+            (Volume, Ability::Derivatives) => Some(
+                "opacity is trilinear between voxels, so that its gradient jumps at their faces, and a warp lies before it",
+            ),
+            (Volume, Ability::Samples) => {
+                Some("its volume is one lookup a step, not a field that is queried at samples")
+            }
+            (Planes, Ability::Density | Ability::Derivatives) => {
+                Some("LLFF has a stack of planes for each training view, and no density in space")
+            }
+            (Planes, Ability::Samples) => Some("LLFF blends planes of several views, and has no samples along a ray"),
+        }
+    }
+
+    /// Settings that lie between preset and file, as TOML; in tables named by sizes, what those have that suit a preset.
     pub(super) fn layer(self) -> Option<&'static str> {
         match self {
             Representation::Nerf => None,
             Representation::MipNerf => Some(include_str!("presets/mip-nerf.toml")),
             Representation::HashNerf => Some(include_str!("presets/hash-nerf.toml")),
+            Representation::Srn => Some(include_str!("presets/srn.toml")),
+            Representation::Volume => Some(include_str!("presets/nv.toml")),
+            Representation::Planes => Some(include_str!("presets/llff.toml")),
         }
     }
 }

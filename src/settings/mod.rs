@@ -1,7 +1,7 @@
 //! The whole experiment as data: nested sections whose defaults are the paper's, presets,
 //! `--set a.b=v`, and checks across fields.
 //!
-//! Layers, later over earlier: defaults, preset, the method's own (MipNeRF), configuration file, `--data`/`--method`/`--seed`,
+//! Layers, later over earlier: defaults, preset, the method's own (MipNeRF, SRN), configuration file, `--data`/`--method`/`--seed`,
 //! `--set`. The result is what stands in every run's `config.toml`.
 
 pub mod columns;
@@ -15,6 +15,7 @@ mod identity;
 mod layers;
 mod method;
 mod perturb;
+mod planes;
 pub mod registry;
 mod regularizer;
 mod resolved;
@@ -22,9 +23,12 @@ mod rules;
 mod sampling;
 mod second_pass;
 mod site;
+mod srn;
 mod train;
 mod types;
 mod validate;
+mod volume;
+mod without_fields;
 
 pub use corruption::{CorruptionConfig, CorruptionKind};
 pub use data::{Background, DataConfig, DataKind, EvalSplit, PixelOrigin, Split, TrainViews};
@@ -34,15 +38,18 @@ pub use field::{Core, DensityActivation, Encoding, FieldConfig, Init, Precision}
 pub use hash::{Contraction, HashConfig, Interpolation};
 pub use identity::{scene_name, short_hash, value_at};
 pub use layers::{Preset, build, data_section, parse_assignment};
-pub use method::{Method, Representation};
+pub use method::{Ability, Method, Representation};
 pub use perturb::{Objective, OutputPlace, PerturbConfig, PerturbField, Resample, ResolvedPerturb};
+pub use planes::{PlanesConfig, PlanesLoss};
 pub use regularizer::{LatticePoints, REGULARIZERS, RegularizedFields, Regularizer, RegularizerConfig};
 pub use resolved::{Extent, Located, Resolved};
 pub use sampling::{SamplingConfig, Spacing};
 pub use second_pass::{DeltaSource, SecondPass};
 pub use site::{SiteConfig, Sizes};
+pub use srn::SrnConfig;
 pub use train::{Batching, Schedule, TrainConfig};
 pub use types::word;
+pub use volume::{VolumeCode, VolumeConfig};
 
 use crate::base::{Error, Result};
 use registry::{numbers, section};
@@ -54,15 +61,15 @@ section! {
         /// Seed of every random stream.
         pub seed: u64 = 0, numbers().whole(0, i64::MAX as u64, "at most 2^63 - 1").column("seed").same_time();
         /// What is trained: `nerf` or `mip-nerf` (clean pass only), `aug-nerf` or `aug-mip-nerf` (clean + perturbed pass,
-        /// section `perturb`).
+        /// section `perturb`), `srn`, `nv` or `llff` (sections of these names).
         pub method: Method = Method::Nerf, numbers().column("method");
     }
     sections {
         /// The scene.
         pub data: DataConfig, false;
-        /// The network.
+        /// The network of a method of fields (NeRF, MipNeRF).
         pub field: FieldConfig, false;
-        /// Samples along a ray.
+        /// Samples along a ray of a method of fields.
         pub sampling: SamplingConfig, false;
         /// Optimisation.
         pub train: TrainConfig, false;
@@ -72,6 +79,12 @@ section! {
         pub regularizer: RegularizerConfig, false;
         /// Evaluation and its pictures.
         pub eval: EvalConfig, false;
+        /// Scene Representation Networks; read by `method = "srn"` alone.
+        pub srn: SrnConfig, true;
+        /// Neural Volumes; read by `method = "nv"` alone.
+        pub nv: VolumeConfig, true;
+        /// Local Light Field Fusion; read by `method = "llff"` alone.
+        pub llff: PlanesConfig, true;
     }
 }
 

@@ -260,7 +260,7 @@ mod tests {
     use crate::settings::types::choices;
     use crate::settings::{
         Config, CorruptionConfig, DataConfig, EvalConfig, FieldConfig, HashConfig, MeshConfig, PerturbConfig,
-        RegularizerConfig, SamplingConfig, TrainConfig,
+        PlanesConfig, RegularizerConfig, SamplingConfig, SrnConfig, TrainConfig, VolumeConfig,
     };
 
     /// What a configuration file may hold is what the table lists, each once and with words.
@@ -278,6 +278,9 @@ mod tests {
         add("regularizer.", choices::<RegularizerConfig>());
         add("eval.", choices::<EvalConfig>());
         add("eval.mesh.", choices::<MeshConfig>());
+        add("srn.", choices::<SrnConfig>());
+        add("nv.", choices::<VolumeConfig>());
+        add("llff.", choices::<PlanesConfig>());
         // Section perturb is read and written by hand: what it writes, and a key that it only reads.
         let perturb = toml::Table::try_from(PerturbConfig::default().resolve(1.0, 1, 256).into_draft()).unwrap();
         let sites = perturb.iter().filter(|(_, value)| value.is_table()).map(|(site, _)| format!("perturb.{site}"));
@@ -294,11 +297,11 @@ mod tests {
     #[test]
     fn mistaken_names_are_answered_with_what_they_mean() {
         for (mistake, right) in [
-            ("steps", "'train.steps'"),
-            ("stepz", "'train.steps'"),
+            ("steps", "'train.steps' or 'srn.steps'"),
+            ("stepz", "'train.steps' or 'srn.steps' or 'nv.step'"),
             ("learning_rate", "'train.learning_rate'"),
             ("optimizer.learning_rate", "'train.learning_rate'"),
-            ("width", "'data.width' or 'field.width'"),
+            ("width", "'data.width' or 'field.width' or 'srn.width'"),
             ("sed", "'seed'"),
             ("perturb.q.epsilon", "'perturb.t.epsilon'"),
             ("perturb.rgb.epsilom", "'perturb.rgb.epsilon'"),

@@ -2,7 +2,7 @@
 
 use std::ops::Deref;
 
-use super::{Batching, Config, DataKind, Encoding, ResolvedPerturb};
+use super::{Batching, Config, DataKind, Representation, ResolvedPerturb};
 use crate::base::Result;
 
 /// A configuration whose scene is found. It reads as the draft that it fills in; what depends on the scene's kind stands
@@ -76,6 +76,7 @@ impl Config {
         self.regularizer.resolve();
         self.data.corruption.resolve();
         self.validate()?;
+        self.forget_other_methods();
         Ok(Located { config: self, density_noise, batching, decay_steps, precrop_steps })
     }
 
@@ -95,10 +96,15 @@ impl Located {
         let perturb = self.config.perturb.clone();
         let perturb = perturb.resolve(far - near, self.config.sampling.coarse, self.config.field.width);
         self.config.perturb = perturb.clone().into_draft();
-        if self.config.field.encoding == Encoding::Hash {
-            let kind = self.config.data.kind;
-            let ndc = kind.forward_facing() && self.config.data.ndc && !self.config.data.spherify;
-            self.config.field.hash.resolve(ndc, kind.has_known_extent(), (near, far), domain, pixels);
+        let (kind, ndc) = (self.config.data.kind, self.config.data.in_ndc());
+        match self.config.representation() {
+            Representation::Nerf | Representation::MipNerf => {}
+            Representation::HashNerf => {
+                self.config.field.hash.resolve(ndc, kind.has_known_extent(), (near, far), domain, pixels);
+            }
+            Representation::Srn => {}
+            Representation::Volume => self.config.nv.resolve(kind, domain),
+            Representation::Planes => self.config.llff.resolve(kind.has_known_extent(), (near, far)),
         }
         Resolved { located: self, perturb }
     }

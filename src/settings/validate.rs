@@ -12,7 +12,7 @@ use crate::base::{Error, Result, SettingError};
 const MOST_POINTS_PER_STEP: usize = 1 << 22;
 
 /// Refuses `path = value` unless `ok`.
-fn require(ok: bool, path: &str, value: impl std::fmt::Display, allowed: &str) -> Result<()> {
+pub(super) fn require(ok: bool, path: &str, value: impl std::fmt::Display, allowed: &str) -> Result<()> {
     if ok {
         return Ok(());
     }
@@ -20,7 +20,7 @@ fn require(ok: bool, path: &str, value: impl std::fmt::Display, allowed: &str) -
 }
 
 /// Refuses with a sentence where `wrong`.
-fn refuse(wrong: bool, message: impl FnOnce() -> String) -> Result<()> {
+pub(super) fn refuse(wrong: bool, message: impl FnOnce() -> String) -> Result<()> {
     if wrong { Err(Error::Config(message())) } else { Ok(()) }
 }
 
@@ -32,9 +32,12 @@ impl Config {
     pub fn validate(&self) -> Result<()> {
         self.check("")?;
         self.validate_data()?;
-        self.validate_field()?;
-        self.validate_sampling()?;
-        self.validate_perturb()?;
+        self.validate_representation()?;
+        if self.method.has_fields() {
+            self.validate_field()?;
+            self.validate_sampling()?;
+            self.validate_perturb()?;
+        }
         self.validate_sites()?;
         self.validate_regularizer()?;
         let side = self.eval.mesh.resolution;
@@ -138,8 +141,7 @@ impl Config {
 
     fn validate_spacing(&self) -> Result<()> {
         let (data, in_disparity) = (&self.data, self.sampling.spacing == Spacing::Disparity);
-        let ndc = data.kind.forward_facing() && data.ndc && !data.spherify;
-        refuse(in_disparity && ndc, || {
+        refuse(in_disparity && data.in_ndc(), || {
             "sampling.spacing = \"disparity\" with data.ndc: normalised device coordinates are even in disparity already; \
              set data.ndc=false, or leave sampling.spacing at \"depth\""
                 .into()

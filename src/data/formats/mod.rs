@@ -43,9 +43,6 @@ pub struct Format {
     pub preset: Preset,
     /// Reference depth that views may have.
     pub depth: ReferenceDepth,
-    /// Half the side of the cube around the origin that holds the objects, scene units; none where only the training rays
-    /// tell.
-    pub object_half: Option<f64>,
     /// The scene's own surface is known.
     pub has_mesh: bool,
 }
@@ -59,7 +56,6 @@ pub static FORMATS: [Format; 6] = [
         read: llff::load,
         preset: Preset::PaperLlff,
         depth: ReferenceDepth::None,
-        object_half: None,
         has_mesh: false,
     },
     Format {
@@ -69,7 +65,6 @@ pub static FORMATS: [Format; 6] = [
         read: blender::load,
         preset: Preset::PaperBlender,
         depth: ReferenceDepth::EightBit,
-        object_half: Some(1.5),
         has_mesh: false,
     },
     Format {
@@ -79,7 +74,6 @@ pub static FORMATS: [Format; 6] = [
         read: transforms::load,
         preset: Preset::PaperBlender,
         depth: ReferenceDepth::None,
-        object_half: None,
         has_mesh: false,
     },
     Format {
@@ -89,7 +83,6 @@ pub static FORMATS: [Format; 6] = [
         read: colmap::load,
         preset: Preset::PaperBlender,
         depth: ReferenceDepth::None,
-        object_half: None,
         has_mesh: false,
     },
     Format {
@@ -99,7 +92,6 @@ pub static FORMATS: [Format; 6] = [
         read: |config, _| builtin::load_blender(config),
         preset: Preset::Fast,
         depth: ReferenceDepth::Exact,
-        object_half: Some(1.2),
         has_mesh: true,
     },
     Format {
@@ -109,7 +101,6 @@ pub static FORMATS: [Format; 6] = [
         read: |config, _| builtin::load_forward(config),
         preset: Preset::Fast,
         depth: ReferenceDepth::Exact,
-        object_half: None,
         has_mesh: false,
     },
 ];
