@@ -309,7 +309,7 @@ mod tests {
         ] {
             assert_eq!(meant(mistake), right, "{mistake}");
         }
-        assert_eq!(settings_called("train.steps"), ["train.steps"]);
+        assert_eq!(settings_called("train.steps"), ["train.steps", "srn.steps"]);
         assert!(settings_called("rows").is_empty());
     }
 
