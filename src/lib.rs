@@ -87,7 +87,7 @@
 //! | 6 | `losses` |
 //! | 5 | `render`, `space`, `report` |
 //! | 4 | `field`, `metrics` |
-//! | 3 | `data`, `draw` |
+//! | 3 | `data`, `draw`, `grids` |
 //! | 2 | `settings` |
 //! | 1 | `augment`, `runtime` |
 //! | 0 | `base` |
@@ -108,6 +108,7 @@ pub mod compare;
 pub mod data;
 pub mod draw;
 pub mod field;
+pub mod grids;
 pub mod losses;
 pub mod methods;
 pub mod metrics;

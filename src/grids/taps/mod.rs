@@ -1,0 +1,159 @@
+//! Convolutions in three dimensions, plain and transposed: products over taps.
+//!
+//! Row `r` of the result is `bias + sum over taps of x[place(r, tap)] W[tap]`, where a place outside the lattice holds zeros.
+//! A transposed convolution that doubles the sides is eight such products of 2 x 2 x 2 taps, one for each parity of the
+//! result's cells, so that no tap meets an inserted zero.
+
+mod plain;
+mod plan;
+mod product;
+
+use std::sync::Arc;
+
+use candle_core::{CpuStorage, CustomOp3, DType, Device, Layout, Result, Shape, Tensor};
+
+use plan::Plan;
+use product::Right;
+
+use super::values::{Values, slice};
+
+/// A product over taps on lattices of one size, with weights `[taps, inputs, outputs]`.
+#[derive(Clone)]
+pub struct TapProduct {
+    plan: Arc<Plan>,
+    /// The plan of the input's gradient.
+    reversed: Arc<Plan>,
+    /// Where each matrix of the weights stands in the convolution's kernel, along z, y, x.
+    kernel: Vec<[usize; 3]>,
+    slope: f32,
+}
+
+impl TapProduct {
+    /// A convolution of 3 x 3 x 3 taps, `dilation` cells apart, at every `stride`-th cell of a lattice. What is missing at the
+    /// border is zero, half of it on either side and an odd one at the far side, as TensorFlow's `SAME` has it: a lattice
+    /// of even sides and stride 2 lacks only what follows its last cell.
+    pub fn convolution(sides: [usize; 3], stride: usize, dilation: usize) -> TapProduct {
+        let kernel = plan::cube(3).collect();
+        TapProduct::new(Plan::convolution(sides, stride, dilation), kernel)
+    }
+
+    /// A transposed convolution of 4 x 4 x 4 taps with stride 2 and padding 1: sides are doubled.
+    pub fn transposed(sides: [usize; 3]) -> TapProduct {
+        let (plan, kernel) = Plan::transposed(sides);
+        TapProduct::new(plan, kernel)
+    }
+
+    fn new(plan: Plan, kernel: Vec<[usize; 3]>) -> TapProduct {
+        TapProduct { reversed: Arc::new(plan.reversed()), plan: Arc::new(plan), kernel, slope: 1.0 }
+    }
+
+    /// The same with negative results times `slope`, a positive number (a leaky ReLU).
+    pub fn leaky(self, slope: f32) -> TapProduct {
+        TapProduct { slope, ..self }
+    }
+
+    /// Where each of the weights' matrices stands in the kernel that others write as `[.., z, y, x]`: what position of it
+    /// to read for the first, the second and so on.
+    pub fn kernel(&self) -> &[[usize; 3]] {
+        &self.kernel
+    }
+
+    /// Sides of the result, along z, y, x.
+    pub fn sides(&self) -> [usize; 3] {
+        self.plan.sides
+    }
+
+    /// The product: `x [z, y, x, inputs]`, `weight [taps, inputs, outputs]` in the order of [`TapProduct::kernel`],
+    /// `bias [outputs]` -> `[z', y', x', outputs]`.
+    pub fn forward(&self, x: &Tensor, weight: &Tensor, bias: &Tensor) -> Result<Tensor> {
+        let (x_dims, weight_dims) = (x.dims4()?, weight.dims3()?);
+        let (z, y, x_side, channels) = x_dims;
+        let (taps, inputs, outputs) = weight_dims;
+        let fits = [z, y, x_side] == self.plan.sources[0] && taps == self.kernel.len() && inputs == channels;
+        if !fits || bias.dims() != [outputs] {
+            let (sides, taps) = (self.plan.sources[0], self.kernel.len());
+            candle_core::bail!(
+                "product of {taps} taps over {sides:?}: x {x_dims:?}, weight {weight_dims:?}, bias {:?} do not fit",
+                bias.shape()
+            );
+        }
+        if x.dtype() != DType::F32 || !x.device().is_cpu() {
+            return self.plain(x, weight, bias);
+        }
+        let operation = Fast {
+            product: self.clone(),
+            wants_x: x.track_op(),
+            wants_weight: weight.track_op(),
+            wants_bias: bias.track_op(),
+        };
+        x.contiguous()?.apply_op3(&weight.contiguous()?, &bias.contiguous()?, operation)
+    }
+
+    /// The same in candle's own operations.
+    pub fn plain(&self, x: &Tensor, weight: &Tensor, bias: &Tensor) -> Result<Tensor> {
+        plain::product(&self.plan, f64::from(self.slope), x, weight, bias)
+    }
+}
+
+/// The product in f32 with the gradients that are wanted.
+struct Fast {
+    product: TapProduct,
+    wants_x: bool,
+    wants_weight: bool,
+    wants_bias: bool,
+}
+
+impl CustomOp3 for Fast {
+    fn name(&self) -> &'static str {
+        "tap-product"
+    }
+
+    fn cpu_fwd(
+        &self,
+        x: &CpuStorage,
+        x_layout: &Layout,
+        weight: &CpuStorage,
+        weight_layout: &Layout,
+        bias: &CpuStorage,
+        bias_layout: &Layout,
+    ) -> Result<(CpuStorage, Shape)> {
+        let (x, weight) = (slice::<f32>(x, x_layout)?, slice::<f32>(weight, weight_layout)?);
+        let bias = slice::<f32>(bias, bias_layout)?;
+        let TapProduct { plan, slope, .. } = &self.product;
+        let (channels, outputs) = (x_layout.dims()[3], bias.len());
+        let finish = |rows: &mut [f32]| product::add_bias(rows, bias, *slope);
+        let out = product::product(plan, x, channels, &Right::Straight(weight), outputs, &finish);
+        let [z, y, x] = plan.sides;
+        Ok((CpuStorage::F32(plan.woven(out, outputs)), Shape::from((z, y, x, outputs))))
+    }
+
+    fn bwd(
+        &self,
+        x: &Tensor,
+        weight: &Tensor,
+        bias: &Tensor,
+        out: &Tensor,
+        gradient: &Tensor,
+    ) -> Result<(Option<Tensor>, Option<Tensor>, Option<Tensor>)> {
+        let TapProduct { plan, reversed, slope, .. } = &self.product;
+        let (channels, outputs) = (x.dim(3)?, bias.elem_count());
+        let gradient = gradient.contiguous()?;
+        let d_rows = plan.unwoven(Values::of(&gradient).slice()?, Values::of(out).slice()?, outputs, *slope);
+        let like = |values: Vec<f32>, tensor: &Tensor| Tensor::from_vec(values, tensor.shape(), &Device::Cpu);
+        let d_x = self.wants_x.then(|| {
+            let weight = Values::of(weight);
+            let right = Right::turned(weight.slice()?, reversed, channels, outputs);
+            let d_x = product::product(reversed, &d_rows, outputs, &right, channels, &|_| {});
+            like(reversed.woven(d_x, channels), x)
+        });
+        let d_weight = self.wants_weight.then(|| {
+            let x = Values::of(x);
+            like(product::weight_gradient(plan, x.slice()?, channels, &d_rows, outputs), weight)
+        });
+        let d_bias = self.wants_bias.then(|| like(product::bias_gradient(&d_rows, outputs), bias));
+        Ok((d_x.transpose()?, d_weight.transpose()?, d_bias.transpose()?))
+    }
+}
+
+#[cfg(test)]
+mod tests;

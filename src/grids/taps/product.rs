@@ -1,0 +1,292 @@
+//! The product in f32: tiles of rows, what their taps read brought together, times the weights.
+
+use std::ops::Range;
+
+use gemm::Parallelism;
+use rayon::prelude::*;
+
+use crate::runtime::count_multiply_adds;
+
+use super::plan::{Group, Plan, blocks, count};
+
+/// Numbers that a tile brings together, at most: what a core's cache holds.
+const TILE: usize = 1 << 18;
+/// Rows of a tile, at least and at most.
+const ROWS: (usize, usize) = (64, 256);
+/// Parts of a gradient over many rows, which are added up in their order.
+const PARTS: usize = 8;
+/// Fewer numbers than this in a row are multiplied with several matrices at once.
+const FEW: usize = 32;
+
+/// The right side: for each tap a matrix `[channels, outputs]`.
+pub(super) enum Right<'a> {
+    /// As they are, in the order of taps.
+    Straight(&'a [f32]),
+    /// The transposed ones of a product that is reversed, by the taps' `weight`.
+    Turned(&'a [f32]),
+    /// The same brought into the order of each group's taps.
+    Packed(Vec<Vec<f32>>),
+}
+
+impl Right<'_> {
+    /// The transposed matrices of `weight [taps, inputs, outputs]` for the plan of the input's gradient.
+    pub(super) fn turned<'a>(weight: &'a [f32], reversed: &Plan, inputs: usize, outputs: usize) -> Right<'a> {
+        if outputs >= FEW {
+            return Right::Turned(weight);
+        }
+        let of_group = |group: &Group| {
+            let mut packed = Vec::with_capacity(group.taps.len() * inputs * outputs);
+            for tap in &group.taps {
+                let matrix = &weight[tap.weight * inputs * outputs..][..inputs * outputs];
+                (0..outputs).for_each(|out| packed.extend((0..inputs).map(|input| matrix[input * outputs + out])));
+            }
+            packed
+        };
+        Right::Packed(reversed.groups.iter().map(of_group).collect())
+    }
+}
+
+/// A matrix in memory.
+#[derive(Clone, Copy)]
+struct Matrix<'a> {
+    values: &'a [f32],
+    size: (usize, usize),
+    /// From row to row, from column to column.
+    strides: (usize, usize),
+}
+
+impl<'a> Matrix<'a> {
+    fn rows(values: &'a [f32], rows: usize, columns: usize) -> Matrix<'a> {
+        Matrix { values, size: (rows, columns), strides: (columns, 1) }
+    }
+
+    fn transposed(self) -> Matrix<'a> {
+        let swap = |(a, b)| (b, a);
+        Matrix { size: swap(self.size), strides: swap(self.strides), ..self }
+    }
+
+    fn fits(&self) -> bool {
+        let ((rows, columns), (down, across)) = (self.size, self.strides);
+        rows * columns == 0 || (rows - 1) * down + (columns - 1) * across < self.values.len()
+    }
+}
+
+/// `out += a b`, row after row.
+fn multiply(out: &mut [f32], a: Matrix, b: Matrix) {
+    let ((m, k), n) = (a.size, b.size.1);
+    assert!(k == b.size.0 && out.len() == m * n && a.fits() && b.fits(), "matrices do not fit");
+    count_multiply_adds(m * n * k);
+    let strides = |(down, across): (usize, usize)| (down as isize, across as isize);
+    let ((a_down, a_across), (b_down, b_across)) = (strides(a.strides), strides(b.strides));
+    let (to, a, b) = (out.as_mut_ptr(), a.values.as_ptr(), b.values.as_ptr());
+    // SAFETY: every index that the product reads or writes was checked to lie within its slice; `out` is borrowed
+    // mutably, so that it overlaps neither operand.
+    unsafe {
+        let none = Parallelism::None;
+        let (down, across) = (n as isize, 1);
+        gemm::gemm(
+            m, n, k, to, across, down, true, a, a_across, a_down, b, b_across, b_down, 1.0, 1.0, false, false, false,
+            none,
+        );
+    }
+}
+
+/// Rows of a tile of so many numbers each.
+fn tile(numbers: usize) -> usize {
+    (TILE / numbers.max(1)).clamp(ROWS.0, ROWS.1)
+}
+
+/// Tiles of a group's rows.
+fn tiles(group: &Group, channels: usize) -> impl Iterator<Item = Range<usize>> + use<> {
+    let (rows, tile) = (count(group.cells), tile(group.taps.len() * channels));
+    (0..rows).step_by(tile).map(move |start| start..(start + tile).min(rows))
+}
+
+/// The rows of all groups, each finished by `finish` while it is at hand: `source` holds `channels` numbers a cell.
+pub(super) fn product(
+    plan: &Plan,
+    source: &[f32],
+    channels: usize,
+    right: &Right,
+    outputs: usize,
+    finish: &(impl Fn(&mut [f32]) + Sync),
+) -> Vec<f32> {
+    let rows = plan.rows().last().map_or(0, |last| last.end);
+    let mut out = vec![0f32; rows * outputs];
+    let (mut work, mut rest) = (Vec::new(), &mut out[..]);
+    for (index, group) in plan.groups.iter().enumerate() {
+        for rows in tiles(group, channels) {
+            let (tile, after) = std::mem::take(&mut rest).split_at_mut(rows.len() * outputs);
+            work.push((index, rows, tile));
+            rest = after;
+        }
+    }
+    work.into_par_iter().for_each_init(Vec::new, |gathered, (index, rows, out)| {
+        let group = &plan.groups[index];
+        for run in group.live(plan, &rows) {
+            gather(plan, group, &rows, &run, source, channels, gathered);
+            let left = Matrix::rows(gathered, rows.len(), run.len() * channels);
+            match right {
+                Right::Straight(weight) => {
+                    let first = group.taps[run.start].weight;
+                    let weight = &weight[first * channels * outputs..][..run.len() * channels * outputs];
+                    multiply(out, left, Matrix::rows(weight, run.len() * channels, outputs));
+                }
+                Right::Packed(groups) => {
+                    let weight = &groups[index][run.start * channels * outputs..][..run.len() * channels * outputs];
+                    multiply(out, left, Matrix::rows(weight, run.len() * channels, outputs));
+                }
+                Right::Turned(weight) => {
+                    for (at, tap) in group.taps[run.clone()].iter().enumerate() {
+                        let left = Matrix { values: &gathered[at * channels..], size: (rows.len(), channels), ..left };
+                        let weight = &weight[tap.weight * channels * outputs..][..channels * outputs];
+                        multiply(out, left, Matrix::rows(weight, outputs, channels).transposed());
+                    }
+                }
+            }
+        }
+        finish(out);
+    });
+    out
+}
+
+/// Adds `bias` to rows and multiplies negative sums with `slope`.
+pub(super) fn add_bias(rows: &mut [f32], bias: &[f32], slope: f32) {
+    for row in rows.chunks_exact_mut(bias.len().max(1)) {
+        for (value, bias) in row.iter_mut().zip(bias) {
+            let sum = *value + bias;
+            // Not `max`: a NaN must stay one, to be found and reported.
+            *value = if sum < 0.0 { slope * sum } else { sum };
+        }
+    }
+}
+
+/// What `taps` read for `rows`: a row of `taps.len() * channels` numbers for each.
+fn gather(
+    plan: &Plan,
+    group: &Group,
+    rows: &Range<usize>,
+    taps: &Range<usize>,
+    source: &[f32],
+    channels: usize,
+    gathered: &mut Vec<f32>,
+) {
+    let width = taps.len() * channels;
+    gathered.resize(rows.len() * width, 0.0);
+    let (starts, runs) = (plan.cells(), runs(group, taps));
+    let mut place = group.place(rows.start);
+    for row in gathered.chunks_exact_mut(width.max(1)) {
+        let at = |axis: usize, offset: isize| (plan.stride * place[axis]) as isize + offset;
+        let mut rest = row;
+        for run in &runs {
+            let tap = &group.taps[run.start];
+            let [depth, height, length] = plan.sources[tap.source];
+            let [z, y, x] = [0, 1, 2].map(|axis| at(axis, tap.offset[axis]));
+            let (into, after) = rest.split_at_mut(run.len() * channels);
+            rest = after;
+            if z < 0 || y < 0 || z >= depth as isize || y >= height as isize {
+                into.fill(0.0);
+                continue;
+            }
+            // The part of the run that lies on the line; all of it, nearly always.
+            let first = (-x).clamp(0, run.len() as isize) as usize;
+            let last = (length as isize - x).clamp(first as isize, run.len() as isize) as usize;
+            let line = starts[tap.source].start + (z as usize * height + y as usize) * length;
+            let cell = line as isize + x + first as isize;
+            into[..first * channels].fill(0.0);
+            if first < last {
+                let read = &source[cell as usize * channels..][..(last - first) * channels];
+                into[first * channels..last * channels].copy_from_slice(read);
+            }
+            into[last * channels..].fill(0.0);
+        }
+        place[2] += 1;
+        for axis in [2, 1] {
+            if place[axis] == group.cells[axis] {
+                place[axis] = 0;
+                place[axis - 1] += 1;
+            }
+        }
+    }
+}
+
+/// Taps that read neighbours along x, which lie side by side in memory.
+fn runs(group: &Group, taps: &Range<usize>) -> Vec<Range<usize>> {
+    let mut runs: Vec<Range<usize>> = Vec::new();
+    for index in taps.clone() {
+        let tap = &group.taps[index];
+        match runs.last_mut() {
+            Some(run) => {
+                let first = &group.taps[run.start];
+                let [z, y, x] = first.offset;
+                let next = [z, y, x + run.len() as isize];
+                if tap.source == first.source && tap.offset == next {
+                    run.end += 1;
+                } else {
+                    runs.push(index..index + 1);
+                }
+            }
+            None => runs.push(index..index + 1),
+        }
+    }
+    runs
+}
+
+/// The weights' gradient `[taps, channels, outputs]` of the rows' one, `d_rows`, which lies group by group.
+pub(super) fn weight_gradient(
+    plan: &Plan,
+    source: &[f32],
+    channels: usize,
+    d_rows: &[f32],
+    outputs: usize,
+) -> Vec<f32> {
+    let matrix = channels * outputs;
+    let taps: usize = plan.groups.iter().map(|group| group.taps.len()).sum();
+    let parts = PARTS.div_ceil(plan.groups.len());
+    let mut sums = vec![0f32; parts * taps * matrix];
+    let (rows, mut work, mut rest) = (plan.rows(), Vec::new(), &mut sums[..]);
+    for part in 0..parts {
+        for (group, rows) in plan.groups.iter().zip(&rows) {
+            let (sum, after) = std::mem::take(&mut rest).split_at_mut(group.taps.len() * matrix);
+            work.push((part, group, rows.start, sum));
+            rest = after;
+        }
+    }
+    work.into_par_iter().for_each_init(Vec::new, |gathered, (part, group, start, sum)| {
+        for rows in tiles(group, channels).skip(part).step_by(parts) {
+            let d_tile = &d_rows[(start + rows.start) * outputs..(start + rows.end) * outputs];
+            for run in group.live(plan, &rows) {
+                gather(plan, group, &rows, &run, source, channels, gathered);
+                let left = Matrix::rows(gathered, rows.len(), run.len() * channels).transposed();
+                let sum = &mut sum[run.start * matrix..run.end * matrix];
+                multiply(sum, left, Matrix::rows(d_tile, rows.len(), outputs));
+            }
+        }
+    });
+    let (total, others) = sums.split_at_mut(taps * matrix);
+    for other in others.chunks_exact(total.len().max(1)) {
+        total.iter_mut().zip(other).for_each(|(total, other)| *total += other);
+    }
+    sums.truncate(taps * matrix);
+    sums
+}
+
+/// The bias's gradient: sums over rows, of tiles in f32 and of those in f64.
+pub(super) fn bias_gradient(d_rows: &[f32], outputs: usize) -> Vec<f32> {
+    let of_part = |part: &[f32]| {
+        let mut total = vec![0f64; outputs];
+        for tile in part.chunks(ROWS.1 * outputs.max(1)) {
+            let mut sum = vec![0f32; outputs];
+            for row in tile.chunks_exact(outputs.max(1)) {
+                sum.iter_mut().zip(row).for_each(|(sum, value)| *sum += value);
+            }
+            total.iter_mut().zip(sum).for_each(|(total, sum)| *total += f64::from(sum));
+        }
+        total
+    };
+    let rows = d_rows.len() / outputs.max(1);
+    let parts = blocks((0..PARTS).map(|part| (part + 1) * rows / PARTS - part * rows / PARTS));
+    let sums: Vec<Vec<f64>> =
+        parts.into_par_iter().map(|rows| of_part(&d_rows[rows.start * outputs..rows.end * outputs])).collect();
+    (0..outputs).map(|column| sums.iter().map(|sum| sum[column]).sum::<f64>() as f32).collect()
+}

@@ -1,0 +1,178 @@
+use super::*;
+use crate::grids::reference::{check_differences, error, fixture, on_any_threads, ramp, values};
+use candle_core::Var;
+
+/// Weights `[out, in, z, y, x]`, or `[in, out, z, y, x]` of transposed convolutions, in the order of taps.
+fn in_order(product: &TapProduct, weight: &Tensor, transposed: bool) -> Tensor {
+    let axes = if transposed { [2, 3, 4, 0, 1] } else { [2, 3, 4, 1, 0] };
+    let weight = weight.permute(axes).unwrap().contiguous().unwrap();
+    let (_, height, width, inputs, outputs) = weight.dims5().unwrap();
+    let flat = weight.reshape(((), inputs, outputs)).unwrap();
+    let order: Vec<u32> = product.kernel().iter().map(|[z, y, x]| ((z * height + y) * width + x) as u32).collect();
+    flat.index_select(&Tensor::new(order, &Device::Cpu).unwrap(), 0).unwrap()
+}
+
+/// `[1, channels, z, y, x]` with channels last.
+fn channels_last(x: &Tensor) -> Tensor {
+    x.squeeze(0).unwrap().permute([1, 2, 3, 0]).unwrap().contiguous().unwrap()
+}
+
+fn f32_of(tensor: &Tensor) -> Tensor {
+    tensor.to_dtype(DType::F32).unwrap()
+}
+
+/// Result and gradients of `sum(out * cotangent)` in x, weight and bias.
+fn all_of(product: &TapProduct, arguments: &[Tensor; 3], cotangent: &Tensor) -> Vec<Tensor> {
+    let [x, weight, bias] = arguments.each_ref().map(|tensor| Var::from_tensor(tensor).unwrap());
+    let out = product.forward(&x, &weight, &bias).unwrap();
+    let gradients = (&out * cotangent).unwrap().sum_all().unwrap().backward().unwrap();
+    std::iter::once(out).chain([x, weight, bias].map(|var| gradients.get(&var).unwrap().clone())).collect()
+}
+
+/// Numbers of the original modules, in f64 to 1e-6 (they are rounded to f32) and in f32 to 1e-5.
+#[test]
+fn numbers_are_those_of_torch() {
+    let sides = |name: &str| {
+        let (_, _, z, y, x) = fixture(&format!("{name}.x")).dims5().unwrap();
+        [z, y, x]
+    };
+    let cases = [
+        ("nv.deconv", TapProduct::transposed(sides("nv.deconv"))),
+        ("llff.conv.plain", TapProduct::convolution(sides("llff.conv.plain"), 1, 1)),
+        ("llff.conv.stride2", TapProduct::convolution(sides("llff.conv.stride2"), 2, 1)),
+        ("llff.conv.dilation2", TapProduct::convolution(sides("llff.conv.dilation2"), 1, 2)),
+    ];
+    for (name, product) in cases {
+        let of = |what: &str| fixture(&format!("{name}.{what}"));
+        let weight = |what: &str| in_order(&product, &of(what), name == "nv.deconv");
+        let arguments = [channels_last(&of("x")), weight("weight"), of("bias")];
+        let cotangent = channels_last(&of("cotangent"));
+        let expected =
+            [channels_last(&of("out")), channels_last(&of("grad.x")), weight("grad.weight"), of("grad.bias")];
+        for (found, expected) in all_of(&product, &arguments, &cotangent).iter().zip(&expected) {
+            assert!(error(found, expected) < 1e-6, "{name}, plain: {}", error(found, expected));
+        }
+        let found = all_of(&product, &arguments.each_ref().map(f32_of), &f32_of(&cotangent));
+        for (found, expected) in found.iter().zip(&expected) {
+            assert!(error(found, expected) < 1e-5, "{name}, fast: {}", error(found, expected));
+        }
+    }
+}
+
+/// All kinds of products over odd, even and single cells, few channels and many.
+fn shapes() -> Vec<(TapProduct, [Tensor; 3], Tensor)> {
+    let kinds: [(usize, usize); 4] = [(1, 1), (2, 1), (1, 2), (0, 0)];
+    let sizes = [([1, 1, 1], 40, 36), ([2, 3, 5], 3, 40), ([5, 6, 7], 35, 4), ([9, 8, 6], 5, 6)];
+    let mut all = Vec::new();
+    for (stride, dilation) in kinds {
+        for (sides, inputs, outputs) in sizes {
+            let product = match stride {
+                0 => TapProduct::transposed(sides).leaky(0.2),
+                _ => TapProduct::convolution(sides, stride, dilation).leaky(0.5),
+            };
+            let [z, y, x] = sides;
+            let weight = ramp(&[product.kernel().len(), inputs, outputs], 0.4);
+            let arguments = [ramp(&[z, y, x, inputs], 0.1), weight, ramp(&[outputs], 0.9)];
+            let [z, y, x] = product.sides();
+            all.push((product, arguments, ramp(&[z, y, x, outputs], 0.7)));
+        }
+    }
+    all
+}
+
+#[test]
+fn fast_products_are_the_plain_ones_on_any_number_of_threads() {
+    for (product, arguments, cotangent) in shapes() {
+        let plain = all_of(&product, &arguments, &cotangent);
+        let (arguments, cotangent) = (arguments.each_ref().map(f32_of), f32_of(&cotangent));
+        let fast = on_any_threads(|| all_of(&product, &arguments, &cotangent));
+        for (index, (fast, plain)) in fast.iter().zip(&plain).enumerate() {
+            let error = error(fast, plain);
+            assert!(error < 3e-6, "{:?} -> {:?}, {index}: {error}", product.plan.sources, product.sides());
+        }
+    }
+}
+
+/// The sum as it is written, over the kernel's positions and the cells that they lie on.
+#[test]
+fn plain_products_are_the_sums_of_the_definition() {
+    for (stride, dilation) in [(1usize, 1usize), (2, 1), (1, 2), (2, 2)] {
+        let sides = [4usize, 5, 3];
+        let product = TapProduct::convolution(sides, stride, dilation);
+        let (inputs, outputs) = (2, 3);
+        let (x, weight) = (ramp(&[4, 5, 3, inputs], 0.2), ramp(&[27, inputs, outputs], 0.5));
+        let bias = ramp(&[outputs], 0.1);
+        let found = values(&product.forward(&x, &weight, &bias).unwrap());
+        let (x, weight, bias) = (values(&x), values(&weight), values(&bias));
+        let out = sides.map(|side| side.div_ceil(stride));
+        assert_eq!(product.sides(), out);
+        // TensorFlow's: as many cells are missing as the last window reaches beyond, the smaller half of them before.
+        let before = [0, 1, 2].map(|i| ((out[i] - 1) * stride + 2 * dilation + 1).saturating_sub(sides[i]) / 2);
+        for (row, found) in found.chunks(outputs).enumerate() {
+            let place = [row / (out[1] * out[2]), row / out[2] % out[1], row % out[2]];
+            let mut sum = bias.clone();
+            for (tap, at) in plan::cube(3).enumerate() {
+                let cell = [0, 1, 2].map(|i| (stride * place[i] + at[i] * dilation).wrapping_sub(before[i]));
+                if (0..3).any(|i| cell[i] >= sides[i]) {
+                    continue;
+                }
+                let flat = (cell[0] * sides[1] + cell[1]) * sides[2] + cell[2];
+                for input in 0..inputs {
+                    let value = x[flat * inputs + input];
+                    let weights = &weight[(tap * inputs + input) * outputs..][..outputs];
+                    sum.iter_mut().zip(weights).for_each(|(sum, weight)| *sum += value * weight);
+                }
+            }
+            found.iter().zip(&sum).for_each(|(a, b)| assert!((a - b).abs() < 1e-12, "{a} {b}"));
+        }
+    }
+}
+
+/// <T x, y> = <x, T* y>, where T* is the convolution of 4 x 4 x 4 taps with stride 2 and padding 1 as it is written.
+#[test]
+fn transposed_convolutions_are_the_adjoint_ones() {
+    let (sides, inputs, outputs) = ([3usize, 2, 4], 2, 3);
+    let product = TapProduct::transposed(sides);
+    let (x, y) = (ramp(&[3, 2, 4, inputs], 0.3), ramp(&[6, 4, 8, outputs], 0.8));
+    let weight = ramp(&[64, inputs, outputs], 0.6);
+    let bias = Tensor::zeros(outputs, DType::F64, &Device::Cpu).unwrap();
+    let left = (product.forward(&x, &weight, &bias).unwrap() * &y).unwrap().sum_all().unwrap();
+    let (x, y, weight) = (values(&x), values(&y), values(&weight));
+    let mut right = 0.0;
+    for cell in 0..24 {
+        let place = [cell / 8, cell / 4 % 2, cell % 4];
+        for (tap, at) in product.kernel().iter().enumerate() {
+            let from = [0, 1, 2].map(|i| (2 * place[i] + at[i]).wrapping_sub(1));
+            if (0..3).any(|i| from[i] >= 2 * sides[i]) {
+                continue;
+            }
+            let flat = (from[0] * 4 + from[1]) * 8 + from[2];
+            for (input, output) in (0..inputs).flat_map(|input| (0..outputs).map(move |output| (input, output))) {
+                let weight = weight[(tap * inputs + input) * outputs + output];
+                right += x[cell * inputs + input] * weight * y[flat * outputs + output];
+            }
+        }
+    }
+    assert!((left.to_scalar::<f64>().unwrap() - right).abs() < 1e-12);
+}
+
+#[test]
+fn gradients_are_those_of_differences() {
+    for product in [TapProduct::transposed([2, 1, 3]), TapProduct::convolution([3, 2, 4], 2, 1)] {
+        let product = product.leaky(0.2);
+        let [z, y, x] = product.plan.sources[0];
+        let taps = product.kernel().len();
+        let [x, weight, bias] = [ramp(&[z, y, x, 2], 0.1), ramp(&[taps, 2, 2], 0.4), ramp(&[2], 0.9)]
+            .map(|tensor| Var::from_tensor(&tensor).unwrap());
+        check_differences(&[x.clone(), weight.clone(), bias.clone()], 1e-8, || {
+            product.forward(&x, &weight, &bias).unwrap().sqr().unwrap().sum_all().unwrap()
+        });
+    }
+}
+
+#[test]
+fn tensors_that_do_not_fit_are_named() {
+    let product = TapProduct::convolution([2, 2, 2], 1, 1);
+    let said = product.forward(&ramp(&[2, 2, 3, 4], 0.0), &ramp(&[27, 4, 2], 0.0), &ramp(&[2], 0.0)).unwrap_err();
+    assert!(said.to_string().contains("(2, 2, 3, 4)"), "{said}");
+}
