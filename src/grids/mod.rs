@@ -6,5 +6,6 @@
 
 #[cfg(test)]
 pub(crate) mod reference;
+pub mod norm;
 pub mod taps;
 mod values;

@@ -1,0 +1,390 @@
+//! Layer normalisation, with the ReLU behind it where there is one, as one differentiable operation.
+//!
+//! `y = g n + b` with `n = (x - m) / sqrt(v + epsilon)`, where m and v are the mean and the population variance of what is
+//! normalised together, and g and b belong to channels (Ba, Kiros and Hinton 2016, equation 4). With `e = dy g`, 0 where a ReLU
+//! gave 0: `dx = (e - mean(e) - n mean(e n)) / sqrt(v + epsilon)`. candle's own layer norm leaves no gradient behind.
+
+use std::ops::{Add, Mul, Sub};
+use std::sync::{Mutex, PoisonError};
+
+use candle_core::{CpuStorage, CustomOp3, D, Layout, Result, Shape, Storage, Tensor};
+use rayon::prelude::*;
+
+use crate::base::simd::vectorized;
+
+/// What has a mean and a variance in common.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Together {
+    /// The channels at one place (PyTorch's `LayerNorm` over the last axis).
+    Channels,
+    /// All places and channels of one sample, an entry of the first axis (TensorFlow slim's `layer_norm`).
+    Sample,
+}
+
+/// A normalisation of tensors whose last axis holds channels.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct LayerNorm {
+    /// What has a mean and a variance in common.
+    pub together: Together,
+    /// Is added to variances.
+    pub epsilon: f64,
+    /// Negative results become 0.
+    pub relu: bool,
+}
+
+impl LayerNorm {
+    /// `x [.., channels]` normalised, times `scale [channels]`, plus `shift [channels]`; f32 or f64, on any device. The same
+    /// bits whatever the number of threads.
+    ///
+    /// # Errors
+    /// Shapes that do not fit; those of candle.
+    pub fn apply(&self, x: &Tensor, scale: &Tensor, shift: &Tensor) -> Result<Tensor> {
+        let channels = x.dim(D::Minus1)?;
+        if scale.dims() != [channels] || shift.dims() != [channels] {
+            candle_core::bail!("layer norm: x {:?}, scale {:?}, shift {:?} do not fit", x, scale.shape(), shift.shape());
+        }
+        if !x.device().is_cpu() {
+            return self.reference(x, scale, shift);
+        }
+        let operation = Normalise { norm: *self, moments: Mutex::default() };
+        x.contiguous()?.apply_op3(&scale.contiguous()?, &shift.contiguous()?, operation)
+    }
+
+    /// The same of candle's operations.
+    ///
+    /// # Errors
+    /// Those of candle.
+    pub fn reference(&self, x: &Tensor, scale: &Tensor, shift: &Tensor) -> Result<Tensor> {
+        let groups = match self.together {
+            Together::Channels => x.flatten_to(D::Minus2)?,
+            Together::Sample => x.flatten_from(1)?,
+        };
+        let centred = groups.broadcast_sub(&groups.mean_keepdim(1)?)?;
+        let deviation = (centred.sqr()?.mean_keepdim(1)? + self.epsilon)?.sqrt()?;
+        let normal = centred.broadcast_div(&deviation)?.reshape(x.shape())?;
+        let y = normal.broadcast_mul(scale)?.broadcast_add(shift)?;
+        if self.relu { y.relu() } else { Ok(y) }
+    }
+}
+
+/// Numbers that one thread works through at once; sums are taken block by block, in their order.
+const BLOCK: usize = 1 << 15;
+
+/// Sums that run side by side.
+const LANES: usize = 16;
+
+/// f32 or f64. Sums are in f64.
+trait Number:
+    Copy + Send + Sync + PartialOrd + Into<f64> + Add<Output = Self> + Sub<Output = Self> + Mul<Output = Self>
+{
+    const ZERO: Self;
+    fn of(value: f64) -> Self;
+}
+
+impl Number for f32 {
+    const ZERO: f32 = 0.0;
+    #[inline(always)]
+    fn of(value: f64) -> f32 {
+        value as f32
+    }
+}
+
+impl Number for f64 {
+    const ZERO: f64 = 0.0;
+    #[inline(always)]
+    fn of(value: f64) -> f64 {
+        value
+    }
+}
+
+/// Mean and 1 / sqrt(v + epsilon) of numbers that are normalised together.
+#[derive(Clone, Copy)]
+struct Moments {
+    mean: f64,
+    inverse: f64,
+}
+
+/// How a tensor is cut: counts of numbers, each a multiple of the one before.
+#[derive(Clone, Copy)]
+struct Cut {
+    channels: usize,
+    /// Numbers that are normalised together.
+    group: usize,
+    /// Groups that a thread takes at least.
+    part: usize,
+}
+
+impl Cut {
+    fn new(together: Together, shape: &Shape) -> Result<Cut> {
+        let dims = shape.dims();
+        let channels = dims.last().copied().unwrap_or(0);
+        let group = match together {
+            Together::Channels => channels,
+            Together::Sample => dims.iter().skip(1).product(),
+        };
+        if group == 0 || dims.len() < 2 {
+            candle_core::bail!("layer norm: there is nothing to normalise in {shape:?}");
+        }
+        Ok(Cut { channels, group, part: (BLOCK / group).max(1) * group })
+    }
+
+    /// Numbers of a block within a group.
+    fn block(self) -> usize {
+        (BLOCK / self.channels).max(1) * self.channels
+    }
+}
+
+struct Normalise {
+    norm: LayerNorm,
+    /// Of every group, from the forward to the backward pass.
+    moments: Mutex<Vec<Moments>>,
+}
+
+impl Normalise {
+    fn forward<T: Number>(&self, cut: Cut, x: &[T], scale: &[T], shift: &[T]) -> Vec<T> {
+        let mut y = vec![T::ZERO; x.len()];
+        let of_group = |(x, y): (&[T], &mut [T])| -> Moments {
+            let moments = self.moments_of(x);
+            let blocks = x.par_chunks(cut.block()).zip(y.par_chunks_mut(cut.block()));
+            blocks.for_each(|(x, y)| normalise(x, moments, (scale, shift), self.norm.relu, y));
+            moments
+        };
+        let parts = x.par_chunks(cut.part).zip(y.par_chunks_mut(cut.part));
+        let of_part = |(x, y): (&[T], &mut [T])| -> Vec<Moments> {
+            x.chunks(cut.group).zip(y.chunks_mut(cut.group)).map(of_group).collect()
+        };
+        let moments: Vec<Vec<Moments>> = parts.map(of_part).collect();
+        *self.moments.lock().unwrap_or_else(PoisonError::into_inner) = moments.concat();
+        y
+    }
+
+    fn moments_of<T: Number>(&self, group: &[T]) -> Moments {
+        let count = group.len() as f64;
+        let mean = sum_of(group, |value| value) / count;
+        let variance = sum_of(group, |value| (value - mean) * (value - mean)) / count;
+        Moments { mean, inverse: 1.0 / (variance + self.norm.epsilon).sqrt() }
+    }
+
+    /// Gradients of x, scale and shift from that of `y`, what the forward pass gave.
+    fn backward<T: Number>(&self, cut: Cut, [x, y, dy]: [&[T]; 3], scale: &[T]) -> [Vec<T>; 3] {
+        let moments = self.moments.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut dx = vec![T::ZERO; x.len()];
+        let of_part = |(part, dx): (usize, &mut [T])| -> Pull {
+            let mut pull = Pull::none(cut.channels);
+            for (i, dx) in dx.chunks_mut(cut.group).enumerate() {
+                let first = part * cut.part + i * cut.group;
+                let [x, y, dy] = [x, y, dy].map(|values| &values[first..first + cut.group]);
+                let back = Back { x, y, dy, moments: moments[first / cut.group], relu: self.norm.relu, cut };
+                pull.add(&back.group(scale, dx));
+            }
+            pull
+        };
+        let parts: Vec<Pull> = dx.par_chunks_mut(cut.part).enumerate().map(of_part).collect();
+        let Pull { scale, shift } = Pull::sum(cut.channels, &parts);
+        let numbers = |sums: Vec<f64>| sums.into_iter().map(T::of).collect();
+        [dx, numbers(scale), numbers(shift)]
+    }
+}
+
+/// Gradients of scale and shift, `[channels]` each.
+struct Pull {
+    scale: Vec<f64>,
+    shift: Vec<f64>,
+}
+
+impl Pull {
+    fn none(channels: usize) -> Pull {
+        Pull { scale: vec![0.0; channels], shift: vec![0.0; channels] }
+    }
+
+    fn sum(channels: usize, parts: &[Pull]) -> Pull {
+        let mut sum = Pull::none(channels);
+        parts.iter().for_each(|part| sum.add(part));
+        sum
+    }
+
+    fn add(&mut self, other: &Pull) {
+        self.scale.iter_mut().zip(&other.scale).for_each(|(sum, value)| *sum += value);
+        self.shift.iter_mut().zip(&other.shift).for_each(|(sum, value)| *sum += value);
+    }
+}
+
+/// One group's way back.
+struct Back<'a, T> {
+    x: &'a [T],
+    y: &'a [T],
+    dy: &'a [T],
+    moments: Moments,
+    relu: bool,
+    cut: Cut,
+}
+
+impl<T: Number> Back<'_, T> {
+    /// Writes the gradient of x and returns the others.
+    fn group(&self, scale: &[T], dx: &mut [T]) -> Pull {
+        let (channels, block, count) = (self.cut.channels, self.cut.block(), self.x.len() as f64);
+        let blocks = self.x.par_chunks(block).zip(self.y.par_chunks(block)).zip(self.dy.par_chunks(block));
+        let pulls: Vec<Pull> = blocks.clone().map(|((x, y), dy)| self.pull(x, y, dy)).collect();
+        let pull = Pull::sum(channels, &pulls);
+        let weighted = |sums: &[f64]| sums.iter().zip(scale).map(|(sum, scale)| sum * (*scale).into()).sum::<f64>();
+        let means = [weighted(&pull.shift) / count, weighted(&pull.scale) / count];
+        let blocks = blocks.zip(dx.par_chunks_mut(block));
+        blocks.for_each(|(((x, y), dy), dx)| self.input(x, y, dy, (scale, means), dx));
+        pull
+    }
+
+    /// A block's part of the gradients of scale and shift.
+    fn pull(&self, x: &[T], y: &[T], dy: &[T]) -> Pull {
+        let (mut sums, channels) = (Pull::none(self.cut.channels), self.cut.channels);
+        let Moments { mean, inverse } = self.moments;
+        vectorized(
+            #[inline(always)]
+            || {
+                let rows = x.chunks_exact(channels).zip(y.chunks_exact(channels)).zip(dy.chunks_exact(channels));
+                for ((x, y), dy) in rows {
+                    let sums = sums.scale.iter_mut().zip(&mut sums.shift);
+                    for ((x, (y, dy)), (scale, shift)) in x.iter().zip(y.iter().zip(dy)).zip(sums) {
+                        let dy: f64 = masked(*dy, *y, self.relu).into();
+                        *shift += dy;
+                        *scale += dy * (((*x).into() - mean) * inverse);
+                    }
+                }
+            },
+        );
+        sums
+    }
+
+    /// A block of the gradient of x; `means`: of e, and of e n.
+    fn input(&self, x: &[T], y: &[T], dy: &[T], (scale, means): (&[T], [f64; 2]), dx: &mut [T]) {
+        let [mean, inverse, of_e, of_e_n] = [self.moments.mean, self.moments.inverse, means[0], means[1]].map(T::of);
+        let channels = self.cut.channels;
+        vectorized(
+            #[inline(always)]
+            || {
+                let rows = x.chunks_exact(channels).zip(y.chunks_exact(channels)).zip(dy.chunks_exact(channels));
+                for (((x, y), dy), dx) in rows.zip(dx.chunks_exact_mut(channels)) {
+                    let given = x.iter().zip(y.iter().zip(dy)).zip(scale);
+                    for (((x, (y, dy)), scale), dx) in given.zip(dx) {
+                        let normal = (*x - mean) * inverse;
+                        *dx = (masked(*dy, *y, self.relu) * *scale - of_e - normal * of_e_n) * inverse;
+                    }
+                }
+            },
+        );
+    }
+}
+
+/// A gradient behind the ReLU, where there is one.
+#[inline(always)]
+fn masked<T: Number>(dy: T, y: T, relu: bool) -> T {
+    if relu && !(y > T::ZERO) { T::ZERO } else { dy }
+}
+
+/// A block of whole rows.
+fn normalise<T: Number>(x: &[T], moments: Moments, (scale, shift): (&[T], &[T]), relu: bool, y: &mut [T]) {
+    let (mean, inverse) = (T::of(moments.mean), T::of(moments.inverse));
+    vectorized(
+        #[inline(always)]
+        || {
+            for (x, y) in x.chunks_exact(scale.len()).zip(y.chunks_exact_mut(scale.len())) {
+                for ((x, y), (scale, shift)) in x.iter().zip(y).zip(scale.iter().zip(shift)) {
+                    let value = (*x - mean) * inverse * *scale + *shift;
+                    // Not `max`: a NaN must stay one, to be found and reported.
+                    *y = if relu && value < T::ZERO { T::ZERO } else { value };
+                }
+            }
+        },
+    );
+}
+
+/// The sum of what `term` makes of numbers: of blocks, in their order.
+fn sum_of<T: Number>(numbers: &[T], term: impl Fn(f64) -> f64 + Sync) -> f64 {
+    let of_block = |block: &[T]| {
+        let mut lanes = [0f64; LANES];
+        let (whole, rest) = block.as_chunks::<LANES>();
+        vectorized(
+            #[inline(always)]
+            || {
+                for numbers in whole {
+                    for (lane, number) in lanes.iter_mut().zip(numbers) {
+                        *lane += term((*number).into());
+                    }
+                }
+            },
+        );
+        lanes.iter().sum::<f64>() + rest.iter().map(|number| term((*number).into())).sum::<f64>()
+    };
+    match numbers.len() <= BLOCK {
+        true => of_block(numbers),
+        false => numbers.par_chunks(BLOCK).map(of_block).collect::<Vec<f64>>().iter().sum(),
+    }
+}
+
+fn slice<'a, T>(values: &'a [T], layout: &Layout) -> Result<&'a [T]> {
+    match layout.contiguous_offsets() {
+        Some((start, end)) => Ok(&values[start..end]),
+        None => candle_core::bail!("layer norm needs contiguous arguments, got {layout:?}"),
+    }
+}
+
+impl CustomOp3 for Normalise {
+    fn name(&self) -> &'static str {
+        "layer-norm"
+    }
+
+    fn cpu_fwd(
+        &self,
+        x: &CpuStorage,
+        x_layout: &Layout,
+        scale: &CpuStorage,
+        scale_layout: &Layout,
+        shift: &CpuStorage,
+        shift_layout: &Layout,
+    ) -> Result<(CpuStorage, Shape)> {
+        let shape = x_layout.shape();
+        let cut = Cut::new(self.norm.together, shape)?;
+        macro_rules! of {
+            ($kind:ident, $x:ident, $scale:ident, $shift:ident) => {{
+                let (scale, shift) = (slice($scale, scale_layout)?, slice($shift, shift_layout)?);
+                CpuStorage::$kind(self.forward(cut, slice($x, x_layout)?, scale, shift))
+            }};
+        }
+        let y = match (x, scale, shift) {
+            (CpuStorage::F32(x), CpuStorage::F32(scale), CpuStorage::F32(shift)) => of!(F32, x, scale, shift),
+            (CpuStorage::F64(x), CpuStorage::F64(scale), CpuStorage::F64(shift)) => of!(F64, x, scale, shift),
+            _ => candle_core::bail!("layer norm is for f32 and f64, all of one kind"),
+        };
+        Ok((y, shape.clone()))
+    }
+
+    fn bwd(
+        &self,
+        x: &Tensor,
+        scale: &Tensor,
+        shift: &Tensor,
+        y: &Tensor,
+        dy: &Tensor,
+    ) -> Result<(Option<Tensor>, Option<Tensor>, Option<Tensor>)> {
+        let cut = Cut::new(self.norm.together, x.shape())?;
+        let all = [x.clone(), y.contiguous()?, dy.contiguous()?, scale.clone()];
+        let [x_at, y_at, dy_at, scale_at] = all.each_ref().map(Tensor::storage_and_layout);
+        macro_rules! of {
+            ($x:ident, $y:ident, $dy:ident, $scale:ident) => {{
+                let all = [slice($x, x_at.1)?, slice($y, y_at.1)?, slice($dy, dy_at.1)?];
+                let [dx, d_scale, d_shift] = self.backward(cut, all, slice($scale, scale_at.1)?);
+                let tensor = |values, like: &Tensor| Tensor::from_vec(values, like.shape(), like.device());
+                (tensor(dx, x)?, tensor(d_scale, scale)?, tensor(d_shift, shift)?)
+            }};
+        }
+        use {CpuStorage as C, Storage::Cpu};
+        let (dx, d_scale, d_shift) = match (&*x_at.0, &*y_at.0, &*dy_at.0, &*scale_at.0) {
+            (Cpu(C::F32(x_)), Cpu(C::F32(y)), Cpu(C::F32(dy)), Cpu(C::F32(g))) => of!(x_, y, dy, g),
+            (Cpu(C::F64(x_)), Cpu(C::F64(y)), Cpu(C::F64(dy)), Cpu(C::F64(g))) => of!(x_, y, dy, g),
+            _ => candle_core::bail!("layer norm is for f32 and f64, all of one kind"),
+        };
+        Ok((Some(dx), Some(d_scale), Some(d_shift)))
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,134 @@
+use std::collections::HashMap;
+
+use candle_core::{DType, Device, Var};
+use rayon::ThreadPoolBuilder;
+
+use super::*;
+
+const RELATIVE: f64 = 1e-12;
+
+fn ramp(shape: &[usize], phase: f64) -> Tensor {
+    let n: usize = shape.iter().product();
+    let values: Vec<f64> = (0..n).map(|i| (i as f64 * 0.7 + phase).sin() + 0.1 * (i % 7) as f64).collect();
+    Tensor::from_vec(values, shape, &Device::Cpu).unwrap()
+}
+
+fn values(tensor: &Tensor) -> Vec<f64> {
+    tensor.to_dtype(DType::F64).unwrap().flatten_all().unwrap().to_vec1().unwrap()
+}
+
+/// Largest difference over the largest number.
+fn difference(found: &Tensor, expected: &Tensor) -> f64 {
+    let (found, expected) = (values(found), values(expected));
+    assert_eq!(found.len(), expected.len());
+    let largest = expected.iter().fold(0.0, |largest: f64, value| largest.max(value.abs()));
+    let far = found.iter().zip(&expected).fold(0.0, |far: f64, (a, b)| far.max((a - b).abs()));
+    far / largest
+}
+
+fn all_kinds() -> impl Iterator<Item = LayerNorm> {
+    [Together::Channels, Together::Sample].into_iter().flat_map(|together| {
+        [false, true].map(|relu| LayerNorm { together, epsilon: if relu { 1e-5 } else { 1e-12 }, relu })
+    })
+}
+
+/// The result, and gradients of x, scale and shift of `sum(y * pull)`.
+fn run(
+    [x, scale, shift, pull]: [&Tensor; 4],
+    apply: impl Fn(&Tensor, &Tensor, &Tensor) -> Result<Tensor>,
+) -> [Tensor; 4] {
+    let variables = [x, scale, shift].map(|tensor| Var::from_tensor(tensor).unwrap());
+    let y = apply(&variables[0], &variables[1], &variables[2]).unwrap();
+    let store = (&y * pull).unwrap().sum_all().unwrap().backward().unwrap();
+    let [dx, d_scale, d_shift] = variables.each_ref().map(|variable| store.get(variable).unwrap().clone());
+    [y, dx, d_scale, d_shift]
+}
+
+#[test]
+fn rows_have_mean_shift_and_deviation_scale() {
+    let (scale, shift) = (Tensor::full(3.0, 50, &Device::Cpu).unwrap(), Tensor::full(2.0, 50, &Device::Cpu).unwrap());
+    let norm = LayerNorm { together: Together::Channels, epsilon: 0.0, relu: false };
+    for row in norm.apply(&ramp(&[4, 50], 0.3), &scale, &shift).unwrap().to_vec2::<f64>().unwrap() {
+        let mean = row.iter().sum::<f64>() / 50.0;
+        let variance = row.iter().map(|value| (value - mean).powi(2)).sum::<f64>() / 50.0;
+        assert!((mean - 2.0).abs() < 1e-12 && (variance - 9.0).abs() < 1e-12, "{mean} {variance}");
+    }
+}
+
+/// PyTorch's and slim's layer norm: value and gradients.
+#[test]
+fn numbers_are_those_of_the_original_modules() {
+    let path = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/fixtures/baselines.safetensors");
+    let tensors: HashMap<String, Tensor> = candle_core::safetensors::load(path, &Device::Cpu).unwrap();
+    let kinds = [("srn.norm", Together::Channels, 1e-5), ("llff.norm", Together::Sample, 1e-12)];
+    for (prefix, together, epsilon) in kinds {
+        let get = |name: &str| tensors[&format!("{prefix}.{name}")].to_dtype(DType::F64).unwrap();
+        let given = ["x", "scale", "shift", "cotangent"].map(get);
+        let norm = LayerNorm { together, epsilon, relu: false };
+        let found = run(given.each_ref(), |x, scale, shift| norm.apply(x, scale, shift));
+        for (found, name) in found.iter().zip(["out", "grad.x", "grad.scale", "grad.shift"]) {
+            let far = difference(found, &get(name));
+            assert!(far < RELATIVE, "{prefix}.{name}: {far}");
+        }
+    }
+}
+
+/// Of many blocks and of few numbers, in f64 and f32.
+#[test]
+fn value_and_gradients_are_those_of_plain_operations() {
+    for norm in all_kinds() {
+        for shape in [[2, 3, 5], [3, 1500, 24]] {
+            let (x, pull) = (ramp(&shape, 0.1), ramp(&shape, 0.9));
+            let (scale, shift) = (ramp(&[shape[2]], 0.5), ramp(&[shape[2]], 0.2));
+            let given = [&x, &scale, &shift, &pull];
+            let plain = run(given, |x, scale, shift| norm.reference(x, scale, shift));
+            let found = run(given, |x, scale, shift| norm.apply(x, scale, shift));
+            let single = given.map(|tensor| tensor.to_dtype(DType::F32).unwrap());
+            let found_single = run(single.each_ref(), |x, scale, shift| norm.apply(x, scale, shift));
+            for ((found, single), plain) in found.iter().zip(&found_single).zip(&plain) {
+                let (far, far_single) = (difference(found, plain), difference(single, plain));
+                assert!(far < RELATIVE && far_single < 1e-4, "{norm:?} {shape:?}: {far} {far_single}");
+            }
+        }
+    }
+}
+
+#[test]
+fn gradients_are_those_of_finite_differences() {
+    const STEP: f64 = 1e-5;
+    for norm in all_kinds() {
+        let given = [ramp(&[2, 3, 5], 0.1), ramp(&[5], 0.5), ramp(&[5], 0.2), ramp(&[2, 3, 5], 0.9)];
+        let found = run(given.each_ref(), |x, scale, shift| norm.apply(x, scale, shift));
+        for argument in 0..3 {
+            let loss = |i: usize, by: f64| {
+                let mut moved = values(&given[argument]);
+                moved[i] += by;
+                let mut given = given.clone();
+                given[argument] = Tensor::from_vec(moved, given[argument].shape(), &Device::Cpu).unwrap();
+                let y = norm.apply(&given[0], &given[1], &given[2]).unwrap();
+                values(&(y * &given[3]).unwrap()).iter().sum::<f64>()
+            };
+            for (i, gradient) in values(&found[argument + 1]).into_iter().enumerate() {
+                let expected = (loss(i, STEP) - loss(i, -STEP)) / (2.0 * STEP);
+                assert!((gradient - expected).abs() < 1e-7, "{norm:?}, {argument}, {i}: {gradient} {expected}");
+            }
+        }
+    }
+}
+
+#[test]
+fn bits_do_not_depend_on_threads_and_nan_stays() {
+    for norm in all_kinds() {
+        let given = [ramp(&[3, 1500, 24], 0.1), ramp(&[24], 0.5), ramp(&[24], 0.2), ramp(&[3, 1500, 24], 0.9)];
+        let given = given.map(|tensor| tensor.to_dtype(DType::F32).unwrap());
+        let with = |threads: usize| {
+            let pool = ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+            pool.install(|| run(given.each_ref(), |x, scale, shift| norm.apply(x, scale, shift)).map(|t| values(&t)))
+        };
+        let one = with(1);
+        assert!(one == with(2) && one == with(3), "{norm:?}");
+        let broken = (&given[0] * f64::NAN).unwrap();
+        let y = norm.apply(&broken, &given[1], &given[2]).unwrap();
+        assert!(values(&y).iter().all(|value| value.is_nan()), "{norm:?}");
+    }
+}
