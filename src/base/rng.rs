@@ -32,6 +32,8 @@ pub enum Stream {
     Regularizer,
     /// Points on meshes that are compared.
     Surface,
+    /// Where marched rays start.
+    March,
     /// Values of a sweep's random axes.
     Axis,
     /// Choices among a scene's views.
@@ -50,7 +52,8 @@ impl Stream {
             Stream::Corruption => 6,
             Stream::Regularizer => 7,
             Stream::Surface => 8,
-            // 9 and 10 are spoken for: marching rays, codes.
+            Stream::March => 9,
+            // 10 is spoken for: codes.
             Stream::Axis => 11,
             Stream::Views => 12,
         }

@@ -21,7 +21,7 @@ mod activation;
 mod dense;
 mod density;
 mod encoding;
-mod fused;
+pub(crate) mod fused;
 mod grid;
 pub mod hash;
 mod inside;

@@ -41,7 +41,12 @@ impl LayerNorm {
     pub fn apply(&self, x: &Tensor, scale: &Tensor, shift: &Tensor) -> Result<Tensor> {
         let channels = x.dim(D::Minus1)?;
         if scale.dims() != [channels] || shift.dims() != [channels] {
-            candle_core::bail!("layer norm: x {:?}, scale {:?}, shift {:?} do not fit", x, scale.shape(), shift.shape());
+            candle_core::bail!(
+                "layer norm: x {:?}, scale {:?}, shift {:?} do not fit",
+                x,
+                scale.shape(),
+                shift.shape()
+            );
         }
         if !x.device().is_cpu() {
             return self.reference(x, scale, shift);

@@ -17,6 +17,7 @@ mod fields;
 mod gradients;
 mod learner;
 mod painter;
+mod srn;
 
 pub use batches::{Batch, Batches};
 pub use diagnostics::{SiteDiagnostics, SiteSummary};
@@ -24,12 +25,15 @@ pub use fields::{Balance, FieldLearner, FieldPainter, Fields, parts, step_over_r
 pub use gradients::Gradients;
 pub use learner::{Learned, Learner, LogColumns, Term, UnlessStopped};
 pub use painter::{Painted, Painter};
+pub use srn::{March, Srn, SrnLearner, SrnPainter};
 
 /// The parameters of one experiment. The one place that tells methods apart.
 #[derive(Clone)]
 pub enum Model {
     /// NeRF and MipNeRF, augmented or not.
     Fields(Fields),
+    /// Scene Representation Networks.
+    Srn(Srn),
 }
 
 /// What a run begins with.
@@ -54,7 +58,12 @@ impl Model {
                 let model = Model::Fields(learner.fields().clone());
                 Ok(Start { model, learner: Box::new(learner), redraws })
             }
-            Representation::Srn => Err(not_here(config)),
+            Representation::Srn => {
+                let srn = Srn::init(&config.srn, config.seed, dtype, device)?;
+                let model = Model::Srn(srn);
+                let learner = model.learner(config, scene, dtype, device)?;
+                Ok(Start { model, learner, redraws: vec![0] })
+            }
             Representation::Volume => Err(not_here(config)),
             Representation::Planes => Err(not_here(config)),
         }
@@ -64,7 +73,7 @@ impl Model {
     pub fn parts(config: &Config) -> Vec<&'static str> {
         match config.representation() {
             Representation::Nerf | Representation::MipNerf | Representation::HashNerf => Fields::roles(config),
-            Representation::Srn => Vec::new(),
+            Representation::Srn => vec!["srn"],
             Representation::Volume => Vec::new(),
             Representation::Planes => Vec::new(),
         }
@@ -76,7 +85,7 @@ impl Model {
             Representation::Nerf | Representation::MipNerf | Representation::HashNerf => {
                 Fields::parameter_names(config)
             }
-            Representation::Srn => Vec::new(),
+            Representation::Srn => Srn::parameter_names(&config.srn),
             Representation::Volume => Vec::new(),
             Representation::Planes => Vec::new(),
         }
@@ -88,7 +97,7 @@ impl Model {
             Representation::Nerf | Representation::MipNerf | Representation::HashNerf => {
                 Ok(Model::Fields(Fields::from_parameters(config, values)?))
             }
-            Representation::Srn => Err(not_here(config)),
+            Representation::Srn => Ok(Model::Srn(Srn::from_parameters(&config.srn, values)?)),
             Representation::Volume => Err(not_here(config)),
             Representation::Planes => Err(not_here(config)),
         }
@@ -98,6 +107,7 @@ impl Model {
     pub fn variables(&self) -> Vec<(String, Var)> {
         match self {
             Model::Fields(fields) => fields.variables(),
+            Model::Srn(srn) => srn.variables().to_vec(),
         }
     }
 
@@ -105,6 +115,7 @@ impl Model {
     pub fn learner(&self, config: &Resolved, scene: &Scene, dtype: DType, device: &Device) -> Result<Box<dyn Learner>> {
         Ok(match self {
             Model::Fields(fields) => Box::new(FieldLearner::new(config, scene, fields.clone(), dtype, device)?),
+            Model::Srn(srn) => Box::new(SrnLearner::new(config, scene, srn.clone(), dtype, device)?),
         })
     }
 
@@ -112,6 +123,7 @@ impl Model {
     pub fn painter(&self, config: &Config, scene: &Scene) -> Result<Box<dyn Painter>> {
         Ok(match self {
             Model::Fields(fields) => Box::new(FieldPainter::new(fields, config, scene)?),
+            Model::Srn(srn) => Box::new(SrnPainter::new(srn)?),
         })
     }
 
@@ -122,6 +134,7 @@ impl Model {
     pub fn density(&self) -> Result<Box<dyn Density>> {
         Ok(match self {
             Model::Fields(fields) => Box::new(FieldDensity::new(fields.evaluated())?),
+            Model::Srn(_) => return Err(lacking(Representation::Srn, Ability::Density, "there is no density")),
         })
     }
 
@@ -132,6 +145,7 @@ impl Model {
     pub fn fields(&self) -> Result<&Fields> {
         match self {
             Model::Fields(fields) => Ok(fields),
+            Model::Srn(_) => Err(lacking(Representation::Srn, Ability::Samples, "there are no radiance fields")),
         }
     }
 }
@@ -145,7 +159,6 @@ fn not_here(config: &Config) -> Error {
 ///
 /// # Panics
 /// Where the representation has the ability.
-#[allow(dead_code)] // Until a method without fields is a model.
 fn lacking(representation: Representation, ability: Ability, what: &str) -> Error {
     let why = representation.lacks(ability).expect("an ability that it lacks");
     Error::Config(format!("{what}: {why}"))

@@ -1,0 +1,277 @@
+//! An SRN's parameters, and its march in candle's operations: the reference, and the path of other devices and of f64.
+
+use candle_core::{DType, Device, Tensor, Var};
+
+use crate::base::rng::{Random, Stream};
+use crate::base::{Error, Result};
+use crate::data::Rays;
+use crate::field::dense;
+use crate::grids::norm::{LayerNorm, Together};
+use crate::settings::SrnConfig;
+
+use super::cell::{Lstm, clamp_gradient};
+
+/// Numbers of the recurrent cell's state.
+pub(super) const HIDDEN: usize = 16;
+/// Bound of the gradient at each of its outputs.
+pub(super) const GRADIENT_LIMIT: f64 = 10.0;
+/// Is added to a layer's variance.
+pub(super) const EPSILON: f64 = 1e-5;
+/// Parameters of a layer: weight, bias, and the normalisation's scale and shift.
+pub(super) const OF_BLOCK: usize = 4;
+
+/// How a parameter is drawn.
+enum Drawn {
+    /// Normal with variance 2 / inputs (He et al. 2015).
+    Kaiming,
+    /// Uniform within 1 / sqrt(inputs), PyTorch's own.
+    Uniform,
+    /// The same, with 1 for the forget gates.
+    Gates,
+    All(f64),
+}
+
+/// A parameter, its shape, the inputs of its layer, and how it is drawn.
+struct Parameter {
+    name: String,
+    shape: Vec<usize>,
+    inputs: usize,
+    drawn: Drawn,
+}
+
+fn linear(name: &str, outputs: usize, inputs: usize, weight: Drawn) -> Vec<Parameter> {
+    let parameter = |part, shape, drawn| Parameter { name: format!("{name}.{part}"), shape, inputs, drawn };
+    vec![parameter("weight", vec![outputs, inputs], weight), parameter("bias", vec![outputs], Drawn::Uniform)]
+}
+
+fn block(name: &str, outputs: usize, inputs: usize) -> Vec<Parameter> {
+    let mut parameters = linear(name, outputs, inputs, Drawn::Kaiming);
+    let of_norm = [("scale", 1.0), ("shift", 0.0)];
+    parameters.extend(of_norm.map(|(part, value)| Parameter {
+        name: format!("{name}.{part}"),
+        shape: vec![outputs],
+        inputs,
+        drawn: Drawn::All(value),
+    }));
+    parameters
+}
+
+/// All parameters in their fixed order: of Phi, the LSTM, the step's head, and G.
+fn parameters(config: &SrnConfig) -> Vec<Parameter> {
+    let width = config.width;
+    let mut all: Vec<Parameter> = Vec::new();
+    for k in 0..config.phi_layers {
+        all.extend(block(&format!("phi.{k}"), width, if k == 0 { 3 } else { width }));
+    }
+    let gates = 4 * HIDDEN;
+    let of_cell = [
+        ("weight_ih", vec![gates, width], Drawn::Uniform),
+        ("weight_hh", vec![gates, HIDDEN], Drawn::Uniform),
+        ("bias_ih", vec![gates], Drawn::Gates),
+        ("bias_hh", vec![gates], Drawn::Gates),
+    ];
+    all.extend(of_cell.map(|(part, shape, drawn)| Parameter {
+        name: format!("lstm.{part}"),
+        shape,
+        // PyTorch bounds all of a cell's weights by its state.
+        inputs: HIDDEN,
+        drawn,
+    }));
+    all.extend(linear("head", 1, HIDDEN, Drawn::Uniform));
+    for k in 0..config.pixel_layers {
+        all.extend(block(&format!("pixel.{k}"), width, width));
+    }
+    all.extend(linear(&format!("pixel.{}", config.pixel_layers), 3, width, Drawn::Kaiming));
+    all
+}
+
+impl Parameter {
+    fn draw(&self, random: &mut Random, dtype: DType, device: &Device) -> Result<Tensor> {
+        let bound = (self.inputs as f64).recip().sqrt();
+        let uniform = |random: &mut Random| -> Result<Tensor> {
+            Ok(random.uniform_tensor(&self.shape, dtype, device)?.affine(2.0 * bound, -bound)?)
+        };
+        Ok(match self.drawn {
+            Drawn::Kaiming => (random.normal_tensor(&self.shape, dtype, device)? * (2f64.sqrt() * bound))?,
+            Drawn::Uniform => uniform(random)?,
+            Drawn::Gates => {
+                let drawn = uniform(random)?;
+                let ones = Tensor::ones(HIDDEN, dtype, device)?;
+                let rest = drawn.narrow(0, 2 * HIDDEN, 2 * HIDDEN)?;
+                Tensor::cat(&[&drawn.narrow(0, 0, HIDDEN)?, &ones, &rest], 0)?
+            }
+            Drawn::All(value) => Tensor::full(value, self.shape.as_slice(), device)?.to_dtype(dtype)?,
+        })
+    }
+}
+
+/// The parameters of one scene's SRN.
+#[derive(Clone)]
+pub struct Srn {
+    config: SrnConfig,
+    /// In the fixed order; without gradients where there are no variables.
+    tensors: Vec<Tensor>,
+    variables: Vec<(String, Var)>,
+}
+
+/// What a march went through. Lists are by step; positions and depths are in scene units times `srn.scale`.
+pub struct March {
+    /// Where each ray was before each step, and at the end, `[rays, 3]`.
+    pub x: Vec<Tensor>,
+    /// Phi there, `[rays, width]`.
+    pub v: Vec<Tensor>,
+    /// The cell's output behind each step, `[rays, 16]`.
+    pub h: Vec<Tensor>,
+    /// The cell's memory behind each step, `[rays, 16]`.
+    pub c: Vec<Tensor>,
+    /// Length of each step, `[rays, 1]`; it may be negative.
+    pub delta: Vec<Tensor>,
+    /// Depth at the end, `[rays, 1]`.
+    pub z: Tensor,
+    /// Colour from -1 to 1, unless it overshoots, `[rays, 3]`.
+    pub colour: Tensor,
+}
+
+impl Srn {
+    /// Names and shapes of all parameters, in their fixed order.
+    pub fn parameter_names(config: &SrnConfig) -> Vec<(String, Vec<usize>)> {
+        parameters(config).into_iter().map(|parameter| (parameter.name, parameter.shape)).collect()
+    }
+
+    /// Freshly drawn from `seed`'s stream `Init`.
+    ///
+    /// # Errors
+    /// Those of candle.
+    pub fn init(config: &SrnConfig, seed: u64, dtype: DType, device: &Device) -> Result<Srn> {
+        let mut random = Random::new(seed, Stream::Init, 0);
+        let drawn = parameters(config).into_iter().map(|parameter| parameter.draw(&mut random, dtype, device));
+        Srn::from_parameters(config, drawn.collect::<Result<_>>()?)
+    }
+
+    /// Over given values, in the order of [`Srn::parameter_names`]. They are copied.
+    ///
+    /// # Errors
+    /// Values of other shapes.
+    pub fn from_parameters(config: &SrnConfig, values: Vec<Tensor>) -> Result<Srn> {
+        let expected = Srn::parameter_names(config);
+        if values.len() != expected.len() {
+            return Err(misfit(format!("{} parameters given, {} expected", values.len(), expected.len())));
+        }
+        let mut variables = Vec::with_capacity(values.len());
+        for ((name, shape), value) in expected.into_iter().zip(values) {
+            if value.dims() != shape {
+                return Err(misfit(format!("{name} has shape {:?}, expected {shape:?}", value.dims())));
+            }
+            variables.push((name, Var::from_tensor(&value.copy()?)?));
+        }
+        let tensors = variables.iter().map(|(_, var)| var.as_tensor().clone()).collect();
+        Ok(Srn { config: config.clone(), tensors, variables })
+    }
+
+    /// The parameters in their fixed order; empty where it is frozen.
+    pub fn variables(&self) -> &[(String, Var)] {
+        &self.variables
+    }
+
+    /// The same parameters (shared, not copied) for which no gradient is ever computed.
+    pub fn frozen(&self) -> Srn {
+        let tensors = self.tensors.iter().map(Tensor::detach).collect();
+        Srn { config: self.config.clone(), tensors, variables: Vec::new() }
+    }
+
+    /// The section that it was built with.
+    pub fn config(&self) -> &SrnConfig {
+        &self.config
+    }
+
+    /// They are where the march in f32 on packed weights works.
+    pub(super) fn is_fast(&self) -> bool {
+        self.tensors.iter().all(|tensor| tensor.device().is_cpu() && tensor.dtype() == DType::F32)
+    }
+
+    /// The parameters in their fixed order.
+    pub(super) fn tensors(&self) -> &[Tensor] {
+        &self.tensors
+    }
+
+    /// The march of rays from depths `z_0 [rays, 1]`, in scene units times `srn.scale`.
+    ///
+    /// # Errors
+    /// Those of candle.
+    pub fn march(&self, rays: &Rays, z_0: &Tensor) -> Result<March> {
+        let scale = self.config.scale;
+        let mut position = ((&rays.origins * scale)? + rays.directions.broadcast_mul(z_0)?)?;
+        let (mut z, steps) = (z_0.clone(), self.config.steps);
+        let state = Tensor::zeros((rays.len(), HIDDEN), z_0.dtype(), z_0.device())?;
+        let (mut hidden, mut memory) = (state.clone(), state);
+        let [mut x, mut v, mut h, mut c, mut delta] = [const { Vec::new() }; 5];
+        for _ in 0..steps {
+            let feature = self.phi(&position)?;
+            let (output, next) = self.lstm().apply(&feature, (&hidden, &memory), self.is_trainable())?;
+            (hidden, memory) = (clamp_gradient(&output, GRADIENT_LIMIT)?, next);
+            let length = self.step(&hidden)?;
+            let next = (&position + rays.viewdirs.broadcast_mul(&length)?)?;
+            x.push(std::mem::replace(&mut position, next));
+            z = (z + length.div(&rays.direction_norm)?)?;
+            v.push(feature);
+            h.push(hidden.clone());
+            c.push(memory.clone());
+            delta.push(length);
+        }
+        let feature = self.phi(&position)?;
+        let colour = self.pixel(&feature)?;
+        x.push(position);
+        v.push(feature);
+        Ok(March { x, v, h, c, delta, z, colour })
+    }
+
+    fn is_trainable(&self) -> bool {
+        !self.variables.is_empty()
+    }
+
+    /// Where the cell's parameters begin.
+    fn of_lstm(&self) -> usize {
+        OF_BLOCK * self.config.phi_layers
+    }
+
+    /// Where those of G begin, behind the step's head.
+    fn of_pixel(&self) -> usize {
+        self.of_lstm() + 4 + 2
+    }
+
+    fn lstm(&self) -> Lstm<'_> {
+        let [weight_ih, weight_hh, bias_ih, bias_hh] = [0, 1, 2, 3].map(|part| &self.tensors[self.of_lstm() + part]);
+        Lstm { weight_ih, weight_hh, bias_ih, bias_hh }
+    }
+
+    /// Features of points `[n, 3]`, `[n, width]`.
+    fn phi(&self, points: &Tensor) -> Result<Tensor> {
+        (0..self.config.phi_layers).try_fold(points.clone(), |x, k| self.block(OF_BLOCK * k, &x))
+    }
+
+    /// Length of a step, `[n, 1]`.
+    fn step(&self, hidden: &Tensor) -> Result<Tensor> {
+        self.linear(self.of_lstm() + 4, hidden)
+    }
+
+    /// Colours of features.
+    fn pixel(&self, features: &Tensor) -> Result<Tensor> {
+        let (first, layers) = (self.of_pixel(), self.config.pixel_layers);
+        let hidden = (0..layers).try_fold(features.clone(), |x, k| self.block(first + OF_BLOCK * k, &x))?;
+        self.linear(first + OF_BLOCK * layers, &hidden)
+    }
+
+    fn linear(&self, at: usize, x: &Tensor) -> Result<Tensor> {
+        Ok(dense(x, &self.tensors[at], &self.tensors[at + 1], false, self.is_trainable())?)
+    }
+
+    /// A linear layer, layer normalisation, ReLU.
+    fn block(&self, at: usize, x: &Tensor) -> Result<Tensor> {
+        let norm = LayerNorm { together: Together::Channels, epsilon: EPSILON, relu: true };
+        Ok(norm.apply(&self.linear(at, x)?, &self.tensors[at + 2], &self.tensors[at + 3])?)
+    }
+}
+
+fn misfit(message: String) -> Error {
+    candle_core::Error::Msg(message).into()
+}
