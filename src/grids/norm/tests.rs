@@ -62,7 +62,11 @@ fn numbers_are_those_of_the_original_modules() {
     let tensors: HashMap<String, Tensor> = candle_core::safetensors::load(path, &Device::Cpu).unwrap();
     let kinds = [("srn.norm", Together::Channels, 1e-5), ("llff.norm", Together::Sample, 1e-12)];
     for (prefix, together, epsilon) in kinds {
-        let get = |name: &str| tensors[&format!("{prefix}.{name}")].to_dtype(DType::F64).unwrap();
+        let get = |name: &str| {
+            let tensor = tensors[&format!("{prefix}.{name}")].to_dtype(DType::F64).unwrap();
+            // PyTorch's volumes have their channels first.
+            if tensor.rank() == 5 { tensor.permute([0, 2, 3, 4, 1]).unwrap() } else { tensor }
+        };
         let given = ["x", "scale", "shift", "cotangent"].map(get);
         let norm = LayerNorm { together, epsilon, relu: false };
         let found = run(given.each_ref(), |x, scale, shift| norm.apply(x, scale, shift));
