@@ -4,8 +4,8 @@
 //! a backward pass of its own whose sums have a fixed order, and a plain one in candle's terms for all else, which tests
 //! hold it to.
 
+pub mod norm;
 #[cfg(test)]
 pub(crate) mod reference;
-pub mod norm;
 pub mod taps;
 mod values;
