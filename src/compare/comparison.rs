@@ -4,7 +4,7 @@ use super::differences::{Difference, differences};
 use super::run_view::RunView;
 use super::window::{Window, crop, crop_mask, most_different};
 use crate::base::{Error, Image, Result};
-use crate::draw::{depth_range, quantise};
+use crate::draw::{depth_range, pixel_errors};
 use crate::metrics::{ViewMetrics, measure_unmasked, unmasked_or};
 use crate::run::RenderedView;
 
@@ -67,7 +67,7 @@ impl Comparison {
             let (name, in_box) = (&run.view.name, crop(&rendered.image, chosen));
             let metrics = measure_unmasked(name, &rendered.image, &truth, mask.as_deref(), &[])?;
             let metrics_in_box = measure_unmasked(name, &in_box, &truth_in_box, mask_in_box.as_deref(), &[])?;
-            let errors = errors(counted, &truth);
+            let errors = pixel_errors(counted, &truth);
             Ok(Side { run, rendered, errors, metrics, metrics_in_box })
         });
         let sides = sides.collect::<Result<Vec<Side>>>()?;
@@ -139,16 +139,6 @@ fn box_size(columns: Option<usize>, width: usize, height: usize) -> (usize, usiz
     let columns = columns.unwrap_or((width + BOX_SHARE / 2) / BOX_SHARE).max(1);
     let rows = (columns as f64 * height as f64 / width as f64).round() as usize;
     (columns, rows.clamp(1, height))
-}
-
-/// Root of the mean squared difference over channels of the 8-bit values, for each pixel.
-fn errors(rendered: &Image, truth: &Image) -> Vec<f32> {
-    let (a, b) = (quantise(&rendered.pixels), quantise(&truth.pixels));
-    let error = |(a, b): (&[u8], &[u8])| {
-        let sum: u32 = a.iter().zip(b).map(|(&a, &b)| u32::from(a.abs_diff(b)).pow(2)).sum();
-        (sum as f32 / a.len() as f32).sqrt() / 255.0
-    };
-    a.chunks_exact(3).zip(b.chunks_exact(3)).map(error).collect()
 }
 
 /// PSNR and SSIM as far as they are known.

@@ -32,6 +32,16 @@ pub fn quantise(pixels: &[f32]) -> Vec<u8> {
     pixels.iter().map(|&value| (value.clamp(0.0, 1.0) * 255.0).round() as u8).collect()
 }
 
+/// Root of the mean squared difference over channels of the 8-bit values, for each pixel, as a share of white.
+pub fn pixel_errors(rendered: &Image, truth: &Image) -> Vec<f32> {
+    let (a, b) = (quantise(&rendered.pixels), quantise(&truth.pixels));
+    let error = |(a, b): (&[u8], &[u8])| {
+        let sum: u32 = a.iter().zip(b).map(|(&a, &b)| u32::from(a.abs_diff(b)).pow(2)).sum();
+        (sum as f32 / a.len() as f32).sqrt() / 255.0
+    };
+    a.chunks_exact(3).zip(b.chunks_exact(3)).map(error).collect()
+}
+
 /// Writes an RGB or RGBA image as PNG, 8 bits a channel, whole or not at all.
 pub fn write_png8(path: &Path, picture: &Image) -> Result<()> {
     let png = encode_png8(picture).map_err(|reason| unwritable(path, &reason))?;

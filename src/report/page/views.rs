@@ -5,7 +5,7 @@ use base64::engine::general_purpose::STANDARD;
 
 use crate::base::{Image, Result};
 use crate::data::resample::shrink;
-use crate::draw::{depth_colour, depth_range, encode_jpeg, quantise, scale_colour};
+use crate::draw::{depth_colour, depth_range, encode_jpeg, pixel_errors, scale_colour};
 
 /// Bytes of all pictures in a page, as base64.
 const MOST_BYTES: usize = 3 << 20;
@@ -106,7 +106,7 @@ impl ShownScene {
             let small = shrink(picture, size(width), size(height));
             Ok(format!("data:image/jpeg;base64,{}", STANDARD.encode(encode_jpeg(&small, quality)?)))
         };
-        let errors: Vec<Vec<f32>> = view.rows.iter().map(|row| errors(&row.image, &view.truth)).collect();
+        let errors: Vec<Vec<f32>> = view.rows.iter().map(|row| pixel_errors(&row.image, &view.truth)).collect();
         let every_error: Vec<f32> = errors.iter().flatten().copied().collect();
         // A scale without length, where all is equal to the truth, would colour nothing.
         let top = depth_range(&every_error, None).map_or(1.0, |(_, top)| top).max(1.0 / 255.0);
@@ -132,16 +132,6 @@ impl ShownScene {
             note: view.left_out.join("; "),
         })
     }
-}
-
-/// Root of the mean squared difference over the 8-bit colours, for each pixel, as a share of white.
-fn errors(rendered: &Image, truth: &Image) -> Vec<f32> {
-    let (a, b) = (quantise(&rendered.pixels), quantise(&truth.pixels));
-    let error = |(a, b): (&[u8], &[u8])| {
-        let sum: u32 = a.iter().zip(b).map(|(&a, &b)| u32::from(a.abs_diff(b)).pow(2)).sum();
-        (sum as f32 / a.len() as f32).sqrt() / 255.0
-    };
-    a.chunks_exact(3).zip(b.chunks_exact(3)).map(error).collect()
 }
 
 #[cfg(test)]
