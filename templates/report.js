@@ -28,7 +28,12 @@ for (const box of all("input[data-group]")) box.addEventListener("change", () =>
 });
 
 // Copies: LaTeX whole, CSV as the tables stand here.
-const quoted = text => `"${text.replace(/\s+/g, " ").trim().replaceAll('"', '""')}"`;
+// Text that a spreadsheet would take for a formula gets an apostrophe, as in the files; numbers keep their signs.
+const quoted = text => {
+  const line = text.replace(/\s+/g, " ").trim();
+  const formula = /^[=+\-@]/.test(line) && !/^[+\-][\d.]+(?=$|[\s,%])/.test(line);
+  return `"${(formula ? "'" : "") + line.replaceAll('"', '""')}"`;
+};
 const csv = () => all(".results").map(table => {
   const scene = table.closest(".box").previousElementSibling.textContent;
   const line = row => [...row.cells].filter(cell => !cell.hidden).map(cell => quoted(cell.innerText)).join(",");

@@ -12,7 +12,7 @@ use crate::base::{Error, Result, version};
 use crate::data::Scene;
 use crate::metrics::METRICS;
 use crate::metrics::Scope;
-use crate::run::{Matching, Picture, RunDir, Score, Truth, load_lpips, load_scene, pictures, score};
+use crate::run::{Matching, Picture, RunDir, Score, Truth, both_pictures, load_lpips, load_scene, pictures, score};
 use crate::settings::{Config, Resolved, build, parse_assignment};
 use crate::sweep::{Material, Point, Scored, SweepFolder};
 
@@ -21,7 +21,7 @@ use super::progress::{Console, print};
 use super::{Compute, LpipsWeights};
 
 pub const EXAMPLES: &str = "Examples:
-  augnerf score renders/ truth/                            two folders of PNG or JPEG files with equal names
+  augnerf score renders/ truth/                            two folders of PNG, JPEG or WebP files with equal names
   augnerf score renders/ --data fern --set data.downscale=8    against the held-out views of a scene
   augnerf score renders/ runs/fern-nerf-0                  against those of a run, as it saw them
   augnerf score renders/ --into runs/smoke --row nerf-pytorch --seed 0    as a row of a sweep's table
@@ -47,14 +47,14 @@ enum Behind {
 
 #[derive(Args)]
 pub struct ScoreArguments {
-    /// Folder with the pictures that a program rendered, PNG or JPEG
+    /// Folder with the pictures that a program rendered: PNG, JPEG or WebP
     predictions: PathBuf,
     /// What they should show: a folder of pictures, or a run folder, whose held-out views it is then [default: --data, or the
     /// scene of --into]
-    #[arg(conflicts_with = "data")]
+    #[arg(conflicts_with_all = ["data", "into"])]
     truth: Option<PathBuf>,
     /// Scene folder whose held-out views they should show, or builtin
-    #[arg(long, value_name = "DIR")]
+    #[arg(long, value_name = "DIR", conflicts_with = "into")]
     data: Option<PathBuf>,
     /// A setting of how that scene is read: --set data.downscale=8
     #[arg(long, value_name = "FIELD=VALUE", requires = "data")]
@@ -68,7 +68,8 @@ pub struct ScoreArguments {
     /// CSV file for the numbers and hashes of each view
     #[arg(long, value_name = "FILE")]
     out: Option<PathBuf>,
-    /// Folder of a sweep in whose table the pictures are to stand, marked as scored
+    /// Folder of a sweep in whose table the pictures are to stand, marked as scored; what they should show are then the
+    /// held-out views of its scene
     #[arg(long, value_name = "SWEEP", requires = "row")]
     into: Option<PathBuf>,
     /// What the table calls them
@@ -100,11 +101,13 @@ impl ScoreArguments {
         let runtime = self.compute.runtime()?;
         let console = Console::new(self.compute.quiet);
         let into = self.into.as_deref().map(|path| self.sweep(path)).transpose()?;
-        let predictions = pictures(&self.predictions, "_rgb")?;
         let scene = self.held_out(into.as_ref(), &console)?;
-        let truth = match (&scene, &self.truth) {
-            (Some((config, scene)), _) => Truth::Scene(config, scene),
-            (None, Some(folder)) => Truth::Pictures(pictures(folder, "_truth")?),
+        let (predictions, truth) = match (&scene, &self.truth) {
+            (Some((config, scene)), _) => (pictures(&self.predictions, "_rgb")?, Truth::Scene(config, scene)),
+            (None, Some(folder)) => {
+                let (predictions, truth) = both_pictures(&self.predictions, folder)?;
+                (predictions, Truth::Pictures(truth))
+            }
             (None, None) => {
                 return Err(Error::Config(
                     "name what the pictures should show: a folder of pictures, a run, a scene with --data, or a sweep with \
@@ -217,7 +220,8 @@ impl ScoreArguments {
     }
 
     fn say_unusual(&self, scored: &Score, predictions: &[Picture], console: &Console) {
-        let is_jpeg = |picture: &&Picture| picture.path.extension().is_some_and(|e| !e.eq_ignore_ascii_case("png"));
+        let ending = |picture: &Picture| picture.path.extension().map(|ending| ending.to_ascii_lowercase());
+        let is_jpeg = |picture: &&Picture| ending(picture).is_some_and(|ending| ending == "jpg" || ending == "jpeg");
         if predictions.iter().any(|picture| is_jpeg(&picture)) {
             console.say("some pictures are JPEG: what their compression cost is in the numbers");
         }

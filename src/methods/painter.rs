@@ -17,7 +17,7 @@ pub struct Painted {
 
 /// Turns rays into their image, without randomness. What a method needs for all rays alike is prepared when the painter
 /// is made.
-pub trait Painter: Sync {
+pub trait Painter: Send + Sync {
     /// What it needs of rays.
     fn ray_parts(&self) -> RayParts {
         RayParts::default()

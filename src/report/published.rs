@@ -281,7 +281,7 @@ mod tests {
             scene: "fern".into(),
             row: "Aug-NeRF".into(),
             axes: Vec::new(),
-            seed: 0,
+            seed: Some(0),
             status: Status::Done,
             reason: String::new(),
             metrics: Vec::new(),

@@ -13,8 +13,8 @@ pub struct Record {
     pub row: String,
     /// Values of the axes that the point lies on, in the definition's order; empty for a plain row.
     pub axes: Vec<AxisValue>,
-    /// Seed of every random stream.
-    pub seed: u64,
+    /// Seed of every random stream; none of pictures that were scored without one.
+    pub seed: Option<u64>,
     /// How far the point has come.
     pub status: Status,
     /// First line of why it failed or has no data; empty otherwise.
@@ -91,7 +91,12 @@ impl Record {
 
     /// For a person: row, scene, seed.
     pub fn point_label(&self) -> String {
-        format!("{} · {} · seed {}", self.label(), self.scene, self.seed)
+        format!("{} · {} · {}", self.label(), self.scene, self.seed_text())
+    }
+
+    /// `seed 3`, or `no seed`.
+    pub fn seed_text(&self) -> String {
+        self.seed.map_or("no seed".into(), |seed| format!("seed {seed}"))
     }
 
     /// A metric's value, where there is one.

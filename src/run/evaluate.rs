@@ -68,20 +68,36 @@ impl Viewer<'_> {
     /// # Errors
     /// [`Error::Diverged`]: a colour that is not a number.
     pub fn render(&self, camera: &Camera) -> Result<RenderedView> {
-        self.render_every(1, camera)
+        self.render_with(&*self.painter()?, camera)
+    }
+
+    /// What paints the scene's rays with the model as it is now. To make it may take longer than a view: make one for many.
+    ///
+    /// # Errors
+    /// Those of candle.
+    pub fn painter(&self) -> Result<Box<dyn Painter>> {
+        self.runtime.install(|| self.model.painter(self.config, self.scene))
+    }
+
+    /// [`Viewer::render`] with a painter at hand.
+    ///
+    /// # Errors
+    /// The same.
+    pub fn render_with(&self, painter: &dyn Painter, camera: &Camera) -> Result<RenderedView> {
+        self.render_every(painter, 1, camera)
     }
 
     /// Every `stride`-th pixel of the view across and down, from the first one on, as a picture of these.
-    fn render_every(&self, stride: usize, camera: &Camera) -> Result<RenderedView> {
-        self.runtime.install(|| self.render_here(stride, camera))
+    fn render_every(&self, painter: &dyn Painter, stride: usize, camera: &Camera) -> Result<RenderedView> {
+        self.runtime.install(|| self.render_here(painter, stride, camera))
     }
 
-    fn render_here(&self, stride: usize, camera: &Camera) -> Result<RenderedView> {
+    fn render_here(&self, painter: &dyn Painter, stride: usize, camera: &Camera) -> Result<RenderedView> {
         let places = |size: usize| (0..size as u32).step_by(stride);
         let (width, height) = (places(camera.width).len(), places(camera.height).len());
         let pixels: Vec<(&Camera, u32, u32)> =
             places(camera.height).flat_map(|y| places(camera.width).map(move |x| (camera, x, y))).collect();
-        let [rgb, depth, acc] = self.paint(&*self.model.painter(self.config, self.scene)?, &pixels)?;
+        let [rgb, depth, acc] = self.paint(painter, &pixels)?;
         if let Some(bad) = rgb.iter().position(|value| !value.is_finite()) {
             return Err(Error::Diverged(format!(
                 "the rendered colour of pixel ({}, {}) is not a number: the weights are broken; delete the \
@@ -175,9 +191,10 @@ impl Viewer<'_> {
         stride: usize,
         unless_stopped: impl Fn() -> Result<()>,
     ) -> Result<[Vec<ViewMetrics>; 2]> {
+        let painter = self.painter()?;
         let of_view = |view: &View| {
             unless_stopped()?;
-            let rendered = self.render_every(stride, &view.camera)?;
+            let rendered = self.render_every(&*painter, stride, &view.camera)?;
             let (columns, rows) = (view.image.width, view.image.height);
             let mask = view.mask.as_ref().map(|mask| -> Vec<bool> {
                 let kept = |y: usize| (0..columns).step_by(stride).map(move |x| mask[y * columns + x]);
@@ -205,10 +222,11 @@ impl Viewer<'_> {
             return Ok(Vec::new());
         }
         events.on(Event::Started { what, parts: views.len() as u64 });
+        let painter = self.painter()?;
         let mut metrics = Vec::with_capacity(views.len());
         for (index, view) in views.into_iter().enumerate() {
             unless_stopped()?;
-            let rendered = self.render(&view.camera)?;
+            let rendered = self.render_with(&*painter, &view.camera)?;
             let mut measured = measure_unmasked(&view.name, &rendered.image, &view.image, view.mask.as_deref(), lpips)?;
             if let Some(reference) = &view.depth {
                 let depth = self.scene_depth(&view.camera, &rendered);

@@ -52,7 +52,7 @@ pub(crate) use protocol::split_name;
 pub use scalars::Scalars;
 pub use scene_file::WorldMatrix;
 pub use scene_picture::scene_picture;
-pub use score::{Matching, Picture, Score, ScoredView, Truth, pictures, score};
+pub use score::{Matching, Picture, Score, ScoredView, Truth, both_pictures, pictures, score};
 pub use session::{Between, EVALUATION_COLUMNS, Outcome, SEEN_COLUMNS, Session, interrupted};
 pub use smoothness::{FieldSmoothness, SmoothnessReport, check_measurable};
 pub use surface::{

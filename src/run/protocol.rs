@@ -8,6 +8,7 @@ use crate::base::version;
 use crate::data::{Camera, Scene, View, seen_views};
 use crate::methods::{Model, step_over_radius};
 use crate::metrics::{Lpips, share};
+use crate::report::distinct;
 use crate::settings::columns::{COLUMNS, find, perturbed, regularized};
 use crate::settings::{
     Config, Core, Encoding, EvalSplit, HashConfig, LatticePoints, Precision, RegularizerConfig, Representation,
@@ -171,17 +172,14 @@ fn of_scene(config: &Resolved, scene: &Scene) -> Found {
 /// A side of the evaluated views in pixels; where they differ in it, the sides in the order of the views: `1080/1920`.
 fn side(scene: &Scene, of: fn(&Camera) -> usize) -> Value {
     let views = if scene.test.is_empty() { &scene.train } else { &scene.test };
-    let mut sides: Vec<usize> = Vec::new();
-    for side in views.iter().map(|view| of(&view.camera)) {
-        if !sides.contains(&side) {
-            sides.push(side);
-        }
-    }
-    match sides[..] {
-        [] => 0.into(),
-        [side] => side.into(),
-        _ => sides.iter().map(usize::to_string).collect::<Vec<String>>().join("/").into(),
-    }
+    let text = sides(views.iter().map(|view| of(&view.camera)));
+    text.parse::<usize>().map_or(text.into(), Value::from)
+}
+
+/// Different sides in their order: `800`, `1080/1920`; 0 of none.
+pub(super) fn sides(all: impl Iterator<Item = usize>) -> String {
+    let different = distinct(all);
+    if different.is_empty() { "0".into() } else { different.iter().map(usize::to_string).collect::<Vec<_>>().join("/") }
 }
 
 /// How much of the views is masked, in words; none where nothing is.

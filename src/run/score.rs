@@ -11,7 +11,7 @@ use crate::data::{Scene, View, images, resample};
 use crate::metrics::{Lpips, MeanMetrics, ViewMetrics, measure_unmasked};
 use crate::settings::Resolved;
 
-use super::protocol::{PROTOCOL, Protocol};
+use super::protocol::{PROTOCOL, Protocol, sides};
 
 /// Most bytes of a picture's file.
 const MOST_BYTES: u64 = 1 << 30;
@@ -85,7 +85,7 @@ pub fn pictures(folder: &Path, suffix: &str) -> Result<Vec<Picture>> {
     let mut all: Vec<Picture> = images::list(folder)?.into_iter().map(picture).collect();
     if all.is_empty() {
         return Err(Error::Data(format!(
-            "{} holds no PNG or JPEG files: name the folder of the pictures",
+            "{} holds no PNG, JPEG or WebP files: name the folder of the pictures",
             folder.display()
         )));
     }
@@ -108,6 +108,23 @@ pub fn pictures(folder: &Path, suffix: &str) -> Result<Vec<Picture>> {
             pair[1].path.display()
         ))),
         None => Ok(all),
+    }
+}
+
+/// The pictures of two folders that are held against each other. What this program puts behind names tells its files apart, unless
+/// whole names alone have a partner each.
+///
+/// # Errors
+/// Those of [`pictures`].
+pub fn both_pictures(predictions: &Path, truth: &Path) -> Result<(Vec<Picture>, Vec<Picture>)> {
+    let alike = |a: &[Picture], b: &[Picture]| a.iter().map(|picture| &picture.name).eq(b.iter().map(|other| &other.name));
+    let own = (pictures(predictions, "_rgb")?, pictures(truth, "_truth")?);
+    if alike(&own.0, &own.1) {
+        return Ok(own);
+    }
+    match (pictures(predictions, ""), pictures(truth, "")) {
+        (Ok(predictions), Ok(truth)) if alike(&predictions, &truth) => Ok((predictions, truth)),
+        _ => Ok(own),
     }
 }
 
@@ -307,12 +324,12 @@ fn protocol(
             Protocol::of_views(config, scene).into_iter().map(|(name, text)| (name.to_string(), text)).collect()
         }
         Truth::Pictures(_) => {
-            let (width, height) = images::size(&pairs[0].0.path)?;
+            let sizes = pairs.iter().map(|(picture, _)| images::size(&picture.path)).collect::<Result<Vec<_>>>()?;
             let background = background.map_or("", |colour| if colour == [1.0; 3] { "white" } else { "black" });
             let known = [
                 ("protocol", PROTOCOL.to_string()),
-                ("width", width.to_string()),
-                ("height", height.to_string()),
+                ("width", sides(sizes.iter().map(|(width, _)| *width as usize))),
+                ("height", sides(sizes.iter().map(|(_, height)| *height as usize))),
                 ("background", background.to_string()),
                 ("views_evaluated", pairs.len().to_string()),
             ];

@@ -63,12 +63,14 @@ fn columns(trainer: &Trainer) -> Vec<String> {
 
 /// What TensorBoard calls a column: by whether it was measured on the rays that are trained on or on views, so that no two
 /// numbers share a name. `scalars.csv` keeps the columns' own.
-fn tag(column: &str) -> String {
+fn tag(column: &str, eval_stride: usize) -> String {
+    // Of every N-th pixel it is another number than that of whole views at the end.
+    let evaluated = if eval_stride == 1 { "eval" } else { "eval_sparse" };
     match column {
-        "test_psnr" => "eval/psnr".into(),
-        "test_psnr_float" => "eval/psnr_float".into(),
+        "test_psnr" => format!("{evaluated}/psnr"),
+        "test_psnr_float" => format!("{evaluated}/psnr_float"),
         // Of training views, but evaluated.
-        seen if SEEN_COLUMNS.contains(&seen) => format!("eval/{seen}"),
+        seen if SEEN_COLUMNS.contains(&seen) => format!("{evaluated}/{seen}"),
         trained => format!("train/{}", trained.replace('.', "/")),
     }
 }
@@ -200,7 +202,8 @@ impl<'a> Session<'a> {
         }
         let named: Vec<(&str, f64)> = values.iter().map(|(name, value)| (name.as_str(), *value)).collect();
         self.scalars.append(stats.step, &named)?;
-        let tags: Vec<String> = values.iter().map(|(name, _)| tag(name)).collect();
+        let stride = self.trainer.config().train.eval_stride;
+        let tags: Vec<String> = values.iter().map(|(name, _)| tag(name, stride)).collect();
         let tagged: Vec<(&str, f64)> = tags.iter().map(String::as_str).zip(values.iter().map(|v| v.1)).collect();
         self.events.scalars(stats.step, &tagged)
     }
@@ -237,10 +240,13 @@ mod tests {
 
     #[test]
     fn no_two_columns_share_a_tag() {
-        assert_eq!(tag("psnr"), "train/psnr");
-        assert_eq!(tag("test_psnr"), "eval/psnr");
-        assert_eq!((tag("train_psnr"), tag("gap")), ("eval/train_psnr".into(), "eval/gap".into()));
-        assert_eq!((tag("gain.t"), tag("loss_coarse")), ("train/gain/t".into(), "train/loss_coarse".into()));
+        let of = |column: &str| tag(column, 1);
+        assert_eq!(of("psnr"), "train/psnr");
+        assert_eq!(of("test_psnr"), "eval/psnr");
+        assert_eq!((of("train_psnr"), of("gap")), ("eval/train_psnr".into(), "eval/gap".into()));
+        assert_eq!((of("gain.t"), of("loss_coarse")), ("train/gain/t".into(), "train/loss_coarse".into()));
+        // Of every fourth pixel it is another number than that of whole views, which has `eval/psnr`.
+        assert_eq!((tag("test_psnr", 4), tag("psnr", 4)), ("eval_sparse/psnr".into(), "train/psnr".into()));
     }
 
     #[test]

@@ -71,6 +71,14 @@ impl Runtime {
         Runtime::with_threads(open(device)?, device.to_string(), threads)
     }
 
+    /// Refuses a name that is no device's, without opening one: whoever uses it may be another machine.
+    ///
+    /// # Errors
+    /// [`Error::Config`].
+    pub fn check_name(device: &str) -> Result<()> {
+        kind_and_index(device).map(|_| ())
+    }
+
     fn with_threads(device: Device, name: String, threads: usize) -> Result<Runtime> {
         let counters = Arc::new(work::Counters::default());
         let own = counters.clone();
@@ -139,11 +147,10 @@ impl Runtime {
 }
 
 fn open(name: &str) -> Result<Device> {
-    let refuse = |found: String| Error::Config(format!("device {name}: {found}"));
-    let (kind, index) = name.split_once(':').unwrap_or((name, "0"));
-    let index: usize = index.parse().map_err(|_| refuse(format!("'{index}' is not a device number")))?;
+    let refuse = |found: String| refused(name, &found);
+    let (kind, index) = kind_and_index(name)?;
     match kind {
-        "cpu" if name == "cpu" => Ok(Device::Cpu),
+        "cpu" => Ok(Device::Cpu),
         "cuda" | "cuda-tf32" if cfg!(feature = "cuda") => {
             process::round_products(kind == "cuda-tf32", name)?;
             Device::new_cuda(index).map_err(|e| refuse(e.to_string()))
@@ -153,8 +160,22 @@ fn open(name: &str) -> Result<Device> {
             let feature = kind.trim_end_matches("-tf32");
             Err(refuse(format!("this program was built without {feature}; build it with --features {feature}")))
         }
-        _ => Err(refuse("choose cpu, cuda, cuda:N, cuda-tf32 or metal".into())),
+        _ => unreachable!("a kind of device"),
     }
+}
+
+/// What a name says, whether this program was built with it or not.
+fn kind_and_index(name: &str) -> Result<(&str, usize)> {
+    let (kind, index) = name.split_once(':').unwrap_or((name, "0"));
+    if !["cpu", "cuda", "cuda-tf32", "metal"].contains(&kind) || (kind == "cpu" && name != kind) {
+        return Err(refused(name, "choose cpu, cuda, cuda:N, cuda-tf32 or metal"));
+    }
+    let index = index.parse().map_err(|_| refused(name, &format!("'{index}' is not a device number")))?;
+    Ok((kind, index))
+}
+
+fn refused(name: &str, found: &str) -> Error {
+    Error::Config(format!("device {name}: {found}"))
 }
 
 #[cfg(test)]

@@ -122,7 +122,7 @@ fn seeds(folder: &SweepFolder, material: &Material, line: &Line, metric: &str) -
     let own = material.records.iter().filter(|r| r.scene == line.scene && r.label() == line.label);
     let seed = |record: &crate::report::Record| {
         let run = Some(folder.point(&record.id).run()).filter(|run| run.is_dir());
-        Some(BestSeed { seed: record.seed, value: record.metric(metric)?, id: record.id.clone(), run })
+        Some(BestSeed { seed: record.seed?, value: record.metric(metric)?, id: record.id.clone(), run })
     };
     own.filter_map(seed).collect()
 }

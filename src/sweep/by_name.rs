@@ -4,7 +4,7 @@
 //! by-name/Aug-NeRF/seed-0 -> ../../points/ID         of several scenes: by-name/SCENE/ROW/seed-0
 //! ```
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::PathBuf;
 
 use crate::base::Result;
@@ -19,7 +19,10 @@ const LONGEST: usize = 120;
 /// The points' places below `by-name/` and where each link leads.
 pub fn links(points: &[Point]) -> Vec<(PathBuf, PathBuf)> {
     let scenes: BTreeSet<&str> = points.iter().map(|point| point.scene.as_str()).collect();
-    let (mut taken, mut names) = (BTreeSet::new(), Vec::<((String, String), String)>::new());
+    let mut taken = BTreeSet::new();
+    let folders: BTreeMap<&str, String> =
+        scenes.iter().map(|scene| (*scene, unused(&safe(scene), "", &mut taken))).collect();
+    let mut names = Vec::<((String, String), String)>::new();
     let mut links = Vec::new();
     for point in points {
         for place in &point.places {
@@ -29,7 +32,7 @@ pub fn links(points: &[Point]) -> Vec<(PathBuf, PathBuf)> {
                 names.push((cell.clone(), name));
             }
             let (_, name) = names.iter().find(|(known, _)| *known == cell).expect("just named");
-            let scene = if scenes.len() > 1 { PathBuf::from(safe(&point.scene)) } else { PathBuf::new() };
+            let scene = if scenes.len() > 1 { PathBuf::from(&folders[point.scene.as_str()]) } else { PathBuf::new() };
             let link = scene.join(name).join(format!("seed-{}", point.config.seed));
             let up: PathBuf = link.iter().map(|_| "..").collect();
             links.push((link, up.join("points").join(&point.id)));
@@ -38,7 +41,7 @@ pub fn links(points: &[Point]) -> Vec<(PathBuf, PathBuf)> {
     links
 }
 
-/// A name that no other cell of the scene has: some file systems do not tell upper case from lower.
+/// A name that no other cell of the scene, or no other scene where `scene` is empty, has: some file systems do not tell upper case from lower.
 fn unused(name: &str, scene: &str, taken: &mut BTreeSet<(String, String)>) -> String {
     let numbered = (1..).map(|number| if number == 1 { name.to_string() } else { format!("{name}-{number}") });
     let mut numbered = numbered.into_iter();

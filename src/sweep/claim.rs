@@ -102,6 +102,12 @@ impl Beat {
         self.step.store(first, Ordering::Relaxed);
     }
 
+    /// Training was over when this runner took the point: all that it does is to measure it.
+    pub fn only_evaluates(&self) -> bool {
+        let [first, steps] = [&self.first, &self.steps].map(|value| value.load(Ordering::Relaxed));
+        steps > 0 && first == steps
+    }
+
     /// A step is done.
     pub fn stepped(&self, step: u64) {
         self.step.store(step, Ordering::Relaxed);

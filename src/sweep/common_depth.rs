@@ -120,7 +120,7 @@ mod tests {
             scene: "s".into(),
             row: id.into(),
             axes: vec![],
-            seed,
+            seed: Some(seed),
             status: Status::Done,
             reason: String::new(),
             metrics: vec![],

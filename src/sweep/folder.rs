@@ -203,7 +203,7 @@ impl SweepFolder {
                     scene: point.scene.clone(),
                     row: place.row.clone(),
                     axes: place.axes.clone(),
-                    seed: point.config.seed,
+                    seed: Some(point.config.seed),
                     status: state.status,
                     // What else a state has to say depends on the clock.
                     reason: match state.status {

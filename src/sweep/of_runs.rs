@@ -87,7 +87,7 @@ impl RunsSheet {
     /// The row of runs that differ from this one in their seed, where one has no such seed yet; otherwise a row of its own.
     fn row_of(&self, config: &Config, id: &str, settings: &mut Vec<(String, String)>) -> String {
         let key = format!("{} {}", config.data.name, Config { seed: 0, ..config.clone() }.hash());
-        let taken = |row: &str| self.material.records.iter().any(|r| r.row == row && r.seed == config.seed);
+        let taken = |row: &str| self.material.records.iter().any(|r| r.row == row && r.seed == Some(config.seed));
         if let Some((_, row)) = settings.iter().find(|(known, row)| *known == key && !taken(row)) {
             return row.clone();
         }
@@ -109,7 +109,7 @@ impl RunsSheet {
             scene: scene.clone(),
             row: row.clone(),
             axes: Vec::new(),
-            seed: config.seed,
+            seed: Some(config.seed),
             status: Status::Done,
             reason: String::new(),
             metrics,

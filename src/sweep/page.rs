@@ -56,7 +56,7 @@ fn view(scene: &str, lines: &[&Line], material: &Material) -> Result<Option<View
         let of_line = |id: &&str| material.records.iter().find(|record| record.id == *id);
         let ids = line.ids.iter().map(String::as_str);
         let first = ids.filter_map(|id| of_line(&id)).filter(|r| r.status == Status::Done).min_by_key(|r| r.seed);
-        let Some((first, run)) = first.and_then(|first| Some((first, material.runs.get(&first.id)?))) else {
+        let Some((seed, run)) = first.and_then(|first| Some((first.seed?, material.runs.get(&first.id)?))) else {
             without.push(line.label.as_str());
             continue;
         };
@@ -76,7 +76,7 @@ fn view(scene: &str, lines: &[&Line], material: &Material) -> Result<Option<View
             other.push(line.label.as_str());
             continue;
         }
-        view.rows.push(ViewOfRow { label: line.label.clone(), seed: first.seed, image, depth });
+        view.rows.push(ViewOfRow { label: line.label.clone(), seed, image, depth });
     }
     let Some(view) = &mut found else { return Ok(None) };
     let further = lines.len().saturating_sub(MOST_ROWS);
@@ -93,7 +93,8 @@ fn view(scene: &str, lines: &[&Line], material: &Material) -> Result<Option<View
 /// Where a folder lies as seen from another, as a relative address; none where they have nothing in common nearby.
 fn link(from: &Path, to: &Path) -> Option<String> {
     let parts = |path: &Path| -> Option<Vec<String>> {
-        let path = std::path::absolute(path).ok()?;
+        // `..` in it would count as a folder to climb out of.
+        let path = path.canonicalize().or_else(|_| std::path::absolute(path)).ok()?;
         let part = |component: Component| Some(component.as_os_str().to_str()?.to_string());
         path.components().filter(|component| !matches!(component, Component::CurDir)).map(part).collect()
     };

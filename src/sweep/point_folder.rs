@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 
-use crate::base::files::{clean_temporaries, discard, is_temporary, read_json, write_atomic, write_json};
+use crate::base::files::{clean_temporaries, discard, is_temporary, read_json, remove, write_atomic, write_json};
 use crate::base::input::{TEXT_BYTES, read_text};
 use crate::base::{Class, Error, Result};
 use crate::metrics::{Metric, Scope};
@@ -18,6 +18,17 @@ use super::points::Point;
 
 /// What to do with a damaged file of a point.
 const DELETE: &str = "delete it to have the point done again";
+
+/// Turns of a scheduler that led to nothing.
+const STOPS: &str = "stops.json";
+
+/// `stops.json`.
+#[derive(Default, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Stops {
+    /// Turns, one after the other, that began with the training done and ended before the evaluation did.
+    evaluations: u32,
+}
 
 /// What a finished point leaves.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -149,6 +160,19 @@ impl PointFolder {
         fs::metadata(self.result_file()).and_then(|metadata| metadata.modified()).ok()
     }
 
+    /// Counts a turn that could only evaluate and was stopped before it had. Returns how many there were.
+    pub fn count_stop(&self) -> Result<u32> {
+        let file = self.path.join(STOPS);
+        let stops = read_json::<Stops>(&file, DELETE)?.unwrap_or_default().evaluations.saturating_add(1);
+        write_json(&file, &Stops { evaluations: stops })?;
+        Ok(stops)
+    }
+
+    fn forget_stops(&self) -> Result<()> {
+        let file = self.path.join(STOPS);
+        remove(&file).map_err(|e| Error::unwritable(&file, &e))
+    }
+
     /// When the point failed; tells one failure from another.
     pub fn failed_at(&self) -> Option<std::time::SystemTime> {
         fs::metadata(self.failure_file()).and_then(|metadata| metadata.modified()).ok()
@@ -156,6 +180,7 @@ impl PointFolder {
 
     /// Marks the point as done.
     pub fn finish(&self, result: &PointResult) -> Result<()> {
+        self.forget_stops()?;
         write_json(&self.result_file(), result)
     }
 
@@ -168,6 +193,7 @@ impl PointFolder {
     /// that was what failed, from the start.
     pub fn forgive(&self) -> Result<()> {
         let Some(failure) = self.failure()? else { return Ok(()) };
+        self.forget_stops()?;
         let run = self.run();
         if failure.class() == Some(Class::Checkpoint) {
             discard(&run).map_err(|e| Error::unwritable(&run, &e))?;

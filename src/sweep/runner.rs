@@ -215,10 +215,13 @@ impl Runner<'_> {
         } else {
             match self.work(point, folder, runtime, &claim) {
                 Ok(result) => Ok(result),
-                Err(error @ Error::Interrupted { .. }) => {
-                    self.check_stop()?;
-                    return Err(error);
-                }
+                Err(error @ Error::Interrupted { .. }) => match self.evaluation_too_long(folder, &claim)? {
+                    Some(failure) => Err(failure),
+                    None => {
+                        self.check_stop()?;
+                        return Err(error);
+                    }
+                },
                 // A full disk is no point's fault, and every other one's as well.
                 Err(error @ Error::Output(_)) => return Err(error),
                 Err(error) => Err(Failure { reason: error.to_string(), exit_code: error.exit_code() }),
@@ -241,6 +244,22 @@ impl Runner<'_> {
             }
         }
         Ok(outcome.map(|_| ()).map_err(|_| ()))
+    }
+
+    /// A scheduler whose turns are shorter than the evaluation would run it from its first view again and again. None where
+    /// this turn had more to do, or a person stopped it.
+    fn evaluation_too_long(&self, folder: &PointFolder, claim: &Claim) -> Result<Option<Failure>> {
+        if !self.options.leave_to_others || !claim.beat.only_evaluates() {
+            return Ok(None);
+        }
+        let stops = folder.count_stop()?;
+        Ok((stops >= self.options.most_deaths).then(|| Failure {
+            reason: format!(
+                "the training is done, and {stops} turns were stopped before its evaluation was: give a turn more time \
+                 (sweep submit --time) and try again with --retry-failed"
+            ),
+            exit_code: Class::Internal.exit_code(),
+        }))
     }
 
     fn say_what_begins(&self, point: &Point, label: &str, pace: &Mutex<Pace>) {

@@ -41,7 +41,7 @@ pub struct Scored {
     pub seed: Option<u64>,
     /// SHA-256 over the names and the bytes of the pictures.
     pub predictions_sha256: String,
-    /// The same of what they were held against; that of poses and pixels where it was a scene of ours.
+    /// The same of what they were held against, by the names and the 8-bit values of its views.
     pub truth: String,
     /// Means over the views.
     pub metrics: Vec<(String, Option<f64>)>,
@@ -62,7 +62,7 @@ impl Scored {
             scene: self.scene.clone(),
             row: self.row.clone(),
             axes: Vec::new(),
-            seed: self.seed.unwrap_or(0),
+            seed: self.seed,
             status: Status::Done,
             reason: String::new(),
             metrics: self.metrics.clone(),
@@ -141,6 +141,18 @@ impl SweepFolder {
                 scored.row
             )));
         }
+        let same_pictures = |other: &&Scored| {
+            other.predictions_sha256 == scored.predictions_sha256 && other.seed != scored.seed
+        };
+        if let Some(other) = known.iter().filter(same_row).find(same_pictures) {
+            return Err(Error::Config(format!(
+                "row '{}' has these very pictures as seed {}: render those of seed {}, or delete {}",
+                scored.row,
+                other.seed.unwrap_or_default(),
+                scored.seed.unwrap_or_default(),
+                self.path().join(FOLDER).join(other.file()).display()
+            )));
+        }
         let spec = with_scored(spec.clone(), &definition, std::slice::from_ref(scored));
         let (own, done) = (scored.record(), |point: &&Record| point.status == Status::Done);
         if let Some(first) = points.iter().filter(done).find(|point| point.scene == scored.scene) {
@@ -183,18 +195,18 @@ fn check(all: &[Scored], definition: &Definition, file: &Path) -> Result<()> {
     refuse(file, all.iter().find_map(|scored| scored.check(definition).err()))
 }
 
-/// One set a row, scene and seed.
+/// One set a row, scene and seed, and one seed a set: the same pictures under two seeds would have no spread.
 fn check_places(all: &[Scored], file: &Path) -> Result<()> {
-    let mut places = HashSet::new();
-    let twice = all.iter().find(|scored| !places.insert(scored.place()));
-    refuse(
-        file,
-        match twice {
-            _ if all.len() > MOST => Some(format!("more than {MOST} sets of pictures")),
-            Some(twice) => Some(format!("row '{}' has two sets of one seed on scene {}", twice.row, twice.scene)),
-            None => None,
-        },
-    )
+    let (mut places, mut sets) = (HashSet::new(), HashSet::new());
+    let found = all.iter().find_map(|scored| {
+        let Scored { row, scene, predictions_sha256, .. } = scored;
+        let place = places.insert(scored.place());
+        let set = sets.insert((row, scene, predictions_sha256));
+        (!place)
+            .then(|| format!("row '{row}' has two sets of one seed on scene {scene}"))
+            .or_else(|| (!set).then(|| format!("row '{row}' has the same pictures under two seeds on scene {scene}")))
+    });
+    refuse(file, (all.len() > MOST).then(|| format!("more than {MOST} sets of pictures")).or(found))
 }
 
 fn refuse(file: &Path, found: Option<String>) -> Result<()> {

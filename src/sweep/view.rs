@@ -298,19 +298,28 @@ impl View {
     /// Writes tables and figures into a folder of the view's own. Returns the table.
     ///
     /// # Errors
-    /// A folder with a sweep's own tables; [`Error::NotComparable`] where rows may not stand side by side.
+    /// A folder with a sweep's own tables, or with files of someone else; [`Error::NotComparable`] where rows may not stand side by
+    /// side.
     pub fn write(&self, results: &Path, force: bool, with_timing: bool) -> Result<Table> {
-        if results.join(DEFINITION).exists() {
-            return Err(Error::Output(format!(
-                "{} holds the whole tables of a sweep: name another folder for chosen rows with --out",
+        let refuse = |holds: &str| {
+            Err(Error::Output(format!(
+                "{} holds {holds}: name another folder for chosen rows with --out",
                 results.display()
-            )));
+            )))
+        };
+        if results.join(DEFINITION).exists() {
+            return refuse("the whole tables of a sweep");
+        }
+        // Tables and figures of an earlier time are deleted, and other files may have their names.
+        if !results.join(VIEW).exists() && std::fs::read_dir(results).is_ok_and(|mut files| files.next().is_some()) {
+            return refuse("files that are no view of a sweep");
         }
         let results = Results::take(results)?;
+        // First, so that a view that is killed here is known for one.
+        write_atomic(&results.path().join(VIEW), self.to_toml().as_bytes())?;
         let mut files = Vec::new();
         let sheet = Sheet { spec: &self.spec, material: &self.material, points: &self.points, force, with_timing };
         let table = sheet.write(&results, &mut files);
-        write_atomic(&results.path().join(VIEW), self.to_toml().as_bytes())?;
         results.put(&files)?;
         table
     }

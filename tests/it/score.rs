@@ -100,6 +100,11 @@ fn a_run_s_own_pictures_score_what_it_measured() {
     assert_eq!((&folders["psnr"], &scene["psnr"]), (&own["psnr"], &own["psnr"]));
     assert_eq!(folders["predictions_sha256"], own["predictions_sha256"]);
     assert_eq!(scene["truth_sha256"], own["truth_sha256"]);
+    // Whole names that are equal, whatever ends them.
+    let (a, b) = (dir.join("a"), dir.join("b"));
+    renamed(Path::new(renders), &a, |index| format!("{index}_rgb.png"));
+    renamed(Path::new(renders), &b, |index| format!("{index}_rgb.png"));
+    assert_eq!(scored(dir, &["a", "b"])["ssim"], 1.0);
     // Other names in the same order, and what equals its truth.
     let (other, numbered) = (dir.join("other"), |index: usize| format!("r_{}.png", index + 1));
     renamed(Path::new(renders), &other, numbered);
@@ -128,7 +133,7 @@ fn what_cannot_be_scored_is_refused() {
     assert_says(&demand(dir, &small, 3), &["is 16x16 pixels", "is 12x12", "data.width"]);
     assert_says(&demand(dir, &["score", renders], 2), &["name what the pictures should show", "--data"]);
     std::fs::create_dir(dir.join("empty")).unwrap();
-    assert_says(&demand(dir, &["score", "empty", of], 3), &["empty holds no PNG or JPEG files"]);
+    assert_says(&demand(dir, &["score", "empty", of], 3), &["empty holds no PNG, JPEG or WebP files"]);
     assert_says(&demand(dir, &["score", "nowhere", of], 3), &["nowhere"]);
     std::fs::create_dir(dir.join("clear")).unwrap();
     image::RgbaImage::from_pixel(16, 16, image::Rgba([10, 20, 30, 40])).save(dir.join("clear/0.png")).unwrap();
@@ -142,8 +147,12 @@ fn what_cannot_be_scored_is_refused() {
     // Half of the views, as pictures of their own: the sweep's points were measured on others.
     std::fs::create_dir(dir.join("half")).unwrap();
     std::fs::copy(dir.join("other/x_1.png"), dir.join("half/x_1.png")).unwrap();
-    let of_half = ["score", "half", "half", "--into", "runs/tiny", "--row", "half", "--seed", "0"];
-    assert_says(&demand(dir, &of_half, 9), &["views_evaluated is `1`", "of the sweep"]);
+    let of_half = ["score", "half", "--into", "runs/tiny", "--row", "half", "--seed", "0"];
+    assert_says(&demand(dir, &of_half, 3), &["views have no picture of their name"]);
+    // Whatever else they are like: in a table stand pictures of the sweep's own views.
+    for easy in [&["half"][..], &["--data", "builtin"]] {
+        assert_says(&demand(dir, &[&of_half[..], easy].concat(), 2), &["--into", "cannot be used with"]);
+    }
     assert!(!dir.join("runs/tiny/scored").exists());
 }
 
@@ -159,6 +168,9 @@ fn scored_rows_stand_marked_in_the_table() {
         // Once more takes its own place.
         scored(dir, &into);
     }
+    let first = run(dir, "NeRF", 0).join("renders");
+    let again = ["score", first.to_str().unwrap(), "--into", "runs/tiny", "--row", "other code", "--seed", "2"];
+    assert_says(&demand(dir, &again, 2), &["'other code' has these very pictures as seed 0"]);
     let renders = run(dir, "Aug-NeRF", 0).join("renders");
     scored(dir, &[renders.to_str().unwrap(), "--into", "runs/tiny", "--row", "single"]);
     let mixed = [renders.to_str().unwrap(), "--into", "runs/tiny", "--row", "single", "--seed", "0"];
@@ -182,7 +194,9 @@ fn scored_rows_stand_marked_in_the_table() {
     assert!(text(&dir.join("results/tiny/table.tex")).contains("$\\|$"));
     let points = rows(&text(&dir.join("results/tiny/points.csv")));
     assert_eq!(points.len(), 4, "they are no points");
-    assert_eq!(rows(&text(&dir.join("results/tiny/scored.csv"))).len(), 3);
+    let sets = rows(&text(&dir.join("results/tiny/scored.csv")));
+    let seeds: Vec<&str> = sets.iter().map(|set| set["seed"].as_str()).collect();
+    assert_eq!(seeds, ["0", "1", ""]);
     crate::verify::verify(dir, &[], 0);
     std::fs::write(dir.join("results/tiny/scored.json"), "[]").unwrap();
     assert_says(&crate::verify::verify(dir, &[], 10), &["WRONG", "table.csv"]);

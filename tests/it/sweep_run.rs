@@ -273,6 +273,32 @@ fn a_failure_is_retried_once_a_runner_and_under_its_claim() {
     assert_eq!(statuses(&folder, &points)[0], Status::Failed);
 }
 
+/// An evaluation begins with its first view again: turns that are too short for it lead nowhere.
+#[test]
+fn turns_that_are_too_short_for_an_evaluation_fail_the_point_at_last() {
+    let dir = TempDir::new().unwrap();
+    let (folder, _, points) = sweep(dir.path(), BASE);
+    let one = &points[..1];
+    let turn = |first: u32, leave_to_others: bool| {
+        let fake = Fake { stop_at: Some(1), first, ..Fake::default() };
+        let options = Options { most_deaths: 2, leave_to_others, ..OPTIONS };
+        run_heard(&folder, one, &fake, options, (&(), &AtomicUsize::new(0)))
+    };
+    // One that trained got further, and a person may stop as often as he likes.
+    for (first, by_scheduler) in [(9, true), (9, true), (10, false), (10, false), (10, true)] {
+        assert!(matches!(turn(first, by_scheduler), Err(Error::Interrupted { .. })), "{first} {by_scheduler}");
+        assert_eq!(statuses(&folder, one), [Status::Waiting]);
+    }
+    turn(10, true).unwrap();
+    let failure = folder.point(&one[0].id).failure().unwrap().unwrap();
+    assert!(failure.reason.contains("2 turns were stopped before its evaluation was"), "{}", failure.reason);
+    // Tried again it has as many turns as before.
+    let options = Options { retry_failed: true, ..OPTIONS };
+    run(&folder, one, &Fake::default(), options).unwrap();
+    assert_eq!(statuses(&folder, one), [Status::Done]);
+    assert!(!folder.point(&one[0].id).path().join("stops.json").exists());
+}
+
 #[test]
 fn a_full_disk_stops_the_sweep_and_fails_no_point() {
     struct Full;

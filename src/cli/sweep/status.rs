@@ -1,6 +1,6 @@
 //! `augnerf sweep status`.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, HashMap};
 use std::path::PathBuf;
 
 use clap::Args;
@@ -107,12 +107,19 @@ fn statuses(folder: &SweepFolder, points: &[Point]) -> Result<serde_json::Value>
     let count = |status: Status| statuses.iter().filter(|point| point.status == status.name()).count();
     let counts: serde_json::Map<String, serde_json::Value> =
         Status::ALL.into_iter().map(|status| (status.name().into(), count(status).into())).collect();
-    Ok(json!({ "folder": folder.path().display().to_string(), "counts": counts, "points": statuses }))
+    let tables: Vec<String> = queue.iter().flat_map(Queue::tables).map(ToString::to_string).collect();
+    Ok(json!({
+        "folder": folder.path().display().to_string(),
+        "counts": counts,
+        "points": statuses,
+        "tables": tables,
+        "queue_error": queue.err().map(|error| error.to_string()),
+    }))
 }
 
 /// The points' states, and how many have not ended.
 fn states(folder: &SweepFolder, points: &[Point]) -> Result<(Vec<String>, usize)> {
-    let (mut lines, mut running, mut trained) = (Vec::new(), 0, 0.0);
+    let (mut lines, mut running, mut trained) = (Vec::new(), 0, HashMap::new());
     let mut counts: BTreeMap<&str, usize> = BTreeMap::new();
     let slurm = Slurm::of(folder);
     let queue = slurm.queue();
@@ -123,7 +130,7 @@ fn states(folder: &SweepFolder, points: &[Point]) -> Result<(Vec<String>, usize)
         let what = match (state.status, &state.claim) {
             (Status::Running, Some(claim)) => {
                 running += 1;
-                trained += claim.step as f64 / claim.steps.max(1) as f64;
+                trained.insert(&point.id, claim.step as f64 / claim.steps.max(1) as f64);
                 let left = claim.seconds_left.map_or(String::new(), |left| format!(", {} left", duration(left)));
                 let step = match claim.steps {
                     0 => "it begins".to_string(),
@@ -145,12 +152,15 @@ fn states(folder: &SweepFolder, points: &[Point]) -> Result<(Vec<String>, usize)
     lines.extend(of_queue(&slurm, &queue, adrift)?);
     let open = |point: &&Point| point.no_data.is_none() && !folder.point(&point.id).ended();
     let left: Vec<&Point> = points.iter().filter(open).collect();
-    let all: Vec<&Point> = points.iter().collect();
+    let pace = Pace::of(folder, &points.iter().collect::<Vec<&Point>>());
     // Points that are being trained count with the share that is left of them.
-    let share = 1.0 - trained / left.len().max(1) as f64;
-    let seconds = Pace::of(folder, &all).seconds_of(left.iter().copied()).filter(|_| running > 0);
-    let eta = seconds.map_or(String::new(), |seconds| {
-        format!("; about {} left with {running} at once", duration(seconds * share / f64::from(running)))
+    let of_point = |point: &&Point| {
+        let trained = trained.get(&point.id).copied().unwrap_or(0.0);
+        Some(pace.seconds_of(std::iter::once(*point))? * (1.0 - trained))
+    };
+    let seconds: Option<f64> = left.iter().map(of_point).sum();
+    let eta = seconds.filter(|_| running > 0).map_or(String::new(), |seconds| {
+        format!("; about {} left with {running} at once", duration(seconds / f64::from(running)))
     });
     lines.push(format!("{}: {}{eta}", folder.path().display(), counts.join(", ")));
     Ok((lines, left.len()))

@@ -96,6 +96,7 @@ impl SubmitArguments {
         let (name, path) = (self.location.name()?, absolute(folder.path())?);
         let script = Script { name: &name, folder: &path, request: self.request() };
         script.check()?;
+        self.device.as_deref().map_or(Ok(()), Runtime::check_name)?;
         // Weights that cannot be read are known here, and not by every task.
         trainings(&definition, &self.weights, &Runtime::new("cpu", Some(1))?, &console)?;
         if self.dry_run {
@@ -103,7 +104,11 @@ impl SubmitArguments {
                 check_unchanged(&folder, &definition, self.location.data_root.as_deref())?;
             }
             let points = planned_points(&self.location, &definition, &Elsewhere, &console)?;
-            return self.show(&script, &folder, &points);
+            return self.show(&script, &folder, &points, &console);
+        }
+        if self.extend {
+            let points = planned_points(&self.location, &definition, &Elsewhere, &console)?;
+            check_numbers(&folder, &points)?;
         }
         let (folder, points) = begin_folder(&self.location, &definition, self.extend, &Elsewhere, &console)?;
         self.submit(&script, &folder, &points, &console)
@@ -128,13 +133,7 @@ impl SubmitArguments {
         let chosen = Chosen::among(points, folder, &slurm.queue()?, self.retry_failed)?;
         let shown = folder.path().display();
         if chosen.indices.is_empty() {
-            let hint = if chosen.failed > 0 { "; --retry-failed submits what failed" } else { "" };
-            console.say(&format!(
-                "nothing to submit: {} points in {shown}, {}{hint}; `augnerf sweep collect {shown}` writes their tables",
-                points.len(),
-                chosen.left_out()
-            ));
-            return self.answer.give_silently(&answer(folder, &chosen, None, None));
+            return self.nothing_left(folder, &chosen, points, console);
         }
         let (array, tables) = self.scripts(script, &chosen)?;
         let submitted = slurm.submit(&array, &tables)?;
@@ -148,10 +147,29 @@ impl SubmitArguments {
         self.answer.give(&answer(folder, &chosen, Some(&submitted), None), || print(submitted.points.number()))
     }
 
+    fn nothing_left(
+        &self,
+        folder: &SweepFolder,
+        chosen: &Chosen,
+        points: &[Point],
+        console: &Console,
+    ) -> Result<()> {
+        let (shown, left_out) = (folder.path().display(), chosen.left_out());
+        let hint = if chosen.failed > 0 { "; --retry-failed submits what failed" } else { "" };
+        console.say(&format!(
+            "nothing to submit: {} points in {shown}, {left_out}{hint}; `augnerf sweep collect {shown}` writes their tables",
+            points.len()
+        ));
+        self.answer.give_silently(&answer(folder, chosen, None, None))
+    }
+
     /// The same without doing it.
-    fn show(&self, script: &Script, folder: &SweepFolder, points: &[Point]) -> Result<()> {
+    fn show(&self, script: &Script, folder: &SweepFolder, points: &[Point], console: &Console) -> Result<()> {
         let slurm = Slurm::of(folder);
         let chosen = Chosen::among(points, folder, &slurm.queue()?, self.retry_failed)?;
+        if chosen.indices.is_empty() {
+            return self.nothing_left(folder, &chosen, points, console);
+        }
         let (array, tables) = self.scripts(script, &chosen)?;
         let scripts = [("points.sbatch", array), ("tables.sbatch", tables)];
         self.answer.give(&answer(folder, &chosen, None, Some(&scripts)), || {
@@ -191,6 +209,24 @@ impl SubmitArguments {
         let with_program = |rest: Vec<String>| [vec![program.clone()], rest].concat();
         Ok((script.points(&chosen.indices, &with_program(point)), script.tables(&with_program(tables))))
     }
+}
+
+/// Refuses to number points anew while tasks of other points have those numbers: a task knows its point by its number, which it
+/// reads when it begins.
+fn check_numbers(folder: &SweepFolder, planned: &[Point]) -> Result<()> {
+    let queue = Slurm::of(folder).queue()?;
+    let before = folder.points(None)?.unwrap_or_default();
+    let moved = |index: &usize| before.get(*index).map(|point| &point.id) != planned.get(*index).map(|point| &point.id);
+    let moved: Vec<String> =
+        queue.tasks.iter().filter_map(|task| task.index).filter(moved).map(|index| index.to_string()).collect();
+    if moved.is_empty() {
+        return Ok(());
+    }
+    let shown = folder.path().display();
+    Err(Error::Config(format!(
+        "--extend would give the numbers of other points to those of tasks {}, which are in the queue: let them end, or          `augnerf sweep cancel {shown}`, which loses nothing, then submit",
+        moved.join(", ")
+    )))
 }
 
 /// What was submitted, or with scripts what would be, for other programs.

@@ -12,7 +12,8 @@ pub fn facts(table: &Table, records: &[Record]) -> Vec<(&'static str, String)> {
     };
     let counts = Status::ALL.into_iter().map(|status| (status.name(), ids(status))).filter(|(_, count)| *count > 0);
     let counts: Vec<String> = counts.map(|(name, count)| format!("{count} {name}")).collect();
-    let seeds: Vec<String> = distinct(records.iter().map(|record| record.seed)).iter().map(u64::to_string).collect();
+    let seeds: Vec<String> =
+        distinct(records.iter().filter_map(|record| record.seed)).iter().map(u64::to_string).collect();
     let of_column = |name: &str| {
         let texts = records.iter().filter(|record| record.status == Status::Done).map(|record| record.protocol(name));
         distinct(texts.filter(|text| !text.is_empty())).join(", ")
@@ -40,7 +41,7 @@ pub fn warnings(table: &Table, records: &[Record]) -> Vec<String> {
     };
     let mut warnings: Vec<String> = table.scenes().into_iter().flat_map(of_scene).collect();
     let done = records.iter().filter(|record| record.status == Status::Done);
-    if distinct(done.map(|record| record.seed)).len() == 1 && table.lines.iter().any(|line| line.baseline.is_some()) {
+    if distinct(done.filter_map(|record| record.seed)).len() == 1 && table.lines.iter().any(|line| line.baseline.is_some()) {
         warnings.push("one seed: no spread, no interval and no test is known".into());
     }
     warnings

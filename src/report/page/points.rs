@@ -10,7 +10,8 @@ pub struct Point<'a> {
     pub link: String,
     pub scene: &'a str,
     pub label: String,
-    pub seed: u64,
+    /// Empty of pictures that were scored without one.
+    pub seed: String,
     pub status: &'static str,
     pub reason: &'a str,
     /// Group of columns, what it is sorted by, and text of each metric.
@@ -28,7 +29,7 @@ pub fn points<'a>(table: &Table, records: &'a [Record], link: &dyn Fn(&str) -> O
         link: link(&record.id).unwrap_or_default(),
         scene: &record.scene,
         label: record.label(),
-        seed: record.seed,
+        seed: record.seed.map_or(String::new(), |seed| seed.to_string()),
         status: record.status.name(),
         reason: &record.reason,
         metrics: table.metrics.iter().enumerate().map(|metric| number(record, metric)).collect(),

@@ -22,11 +22,11 @@ pub(super) fn check_definition(spec: &TableSpec, records: &[Record]) -> Result<(
             |other: &&Record| (place(other), other.seed, &other.axes) == (place(record), record.seed, &record.axes);
         if let Some(other) = records[..index].iter().find(same) {
             return Err(Error::Config(format!(
-                "points {} and {} are both {} with seed {} on scene {}: a seed counts once in a row",
+                "points {} and {} are both {} with {} on scene {}: a seed counts once in a row",
                 other.id,
                 record.id,
                 record.label(),
-                record.seed,
+                record.seed_text(),
                 record.scene
             )));
         }
@@ -63,7 +63,7 @@ pub(super) fn check_controlled(spec: &TableSpec, groups: &[Group]) -> Result<()>
         let differing = disagreements(spec, point, first);
         if let Some((field, others)) = differing.split_first() {
             let value_in =
-                |record: &Record| format!("`{}` in {} (seed {})", record.protocol(field), record.label(), record.seed);
+                |record: &Record| format!("`{}` in {} ({})", record.protocol(field), record.label(), record.seed_text());
             let others = match others.is_empty() {
                 true => String::new(),
                 false => format!("; they differ in {} as well", others.join(", ")),

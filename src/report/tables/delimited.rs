@@ -59,7 +59,7 @@ fn point_cells(record: &Record) -> Vec<String> {
         record.scene.clone(),
         record.row.clone(),
         axes_text(record),
-        record.seed.to_string(),
+        record.seed.map_or(String::new(), |seed| seed.to_string()),
         record.status.name().into(),
         record.reason.clone(),
         record.inactive_levels.join(" "),

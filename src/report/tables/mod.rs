@@ -201,7 +201,8 @@ impl<'a> Group<'a> {
 
     /// Seed and value of each measured point that has the metric.
     fn values(&self, metric: &str) -> Vec<(u64, f64)> {
-        self.done().filter_map(|point| Some((point.seed, point.metric(metric)?))).collect()
+        // What has no seed is alone in its row, and compared with nothing.
+        self.done().filter_map(|point| Some((point.seed.unwrap_or_default(), point.metric(metric)?))).collect()
     }
 
     /// The row's baseline at the same axis values, or without any where it has none there.

@@ -62,7 +62,7 @@ pub fn read_points(
             axes: axes(PlaceText { id, scene, row: name, axes: axes_text }).ok_or_else(|| {
                 format!("line {line}: point {id} has no place in row '{name}' of scene '{scene}' at '{axes_text}'")
             })?,
-            seed: seed.parse().map_err(|_| format!("line {line}: seed '{seed}' is no whole number"))?,
+            seed: Some(seed.parse().map_err(|_| format!("line {line}: seed '{seed}' is no whole number"))?),
             status,
             reason: reason.into(),
             metrics,

@@ -149,9 +149,11 @@ impl Slurm {
     pub fn cancel(&self) -> Result<Queue> {
         let jobs = self.jobs()?;
         let queue = Queue::of(&jobs)?;
-        let held = jobs.iter().filter(|job| queue.holds(job));
-        // What collects first: it would begin when the points are gone.
-        held.flat_map(|job| job.tables.iter().chain([&job.points])).try_for_each(scancel)?;
-        Ok(queue)
+        let is_held = |id: &&JobId| queue.tasks.iter().any(|task| task.job == id.number());
+        // What collects first: it would begin when the points are gone. What is refused keeps no other job in the queue.
+        let tables = jobs.iter().filter_map(|job| job.tables.as_ref());
+        let held = tables.chain(jobs.iter().map(|job| &job.points)).filter(is_held);
+        let refused: Vec<String> = held.filter_map(|job| scancel(job).err()).map(|error| error.to_string()).collect();
+        if refused.is_empty() { Ok(queue) } else { Err(Error::Config(refused.join("; "))) }
     }
 }

@@ -35,7 +35,7 @@ pub fn check(archive: &Archive, data_root: Option<&Path>, findings: &mut Finding
             };
             match records.iter().find(same) {
                 None => wrong.push(format!("points.csv lacks {}", point.label())),
-                Some(record) if (record.seed, &record.scene) != (point.config.seed, &point.scene) => {
+                Some(record) if (record.seed, &record.scene) != (Some(point.config.seed), &point.scene) => {
                     wrong.push(format!("points.csv: {} stands there as {}", point.label(), record.point_label()));
                 }
                 Some(_) => {}
