@@ -117,7 +117,8 @@ pub fn pictures(folder: &Path, suffix: &str) -> Result<Vec<Picture>> {
 /// # Errors
 /// Those of [`pictures`].
 pub fn both_pictures(predictions: &Path, truth: &Path) -> Result<(Vec<Picture>, Vec<Picture>)> {
-    let alike = |a: &[Picture], b: &[Picture]| a.iter().map(|picture| &picture.name).eq(b.iter().map(|other| &other.name));
+    let alike =
+        |a: &[Picture], b: &[Picture]| a.iter().map(|picture| &picture.name).eq(b.iter().map(|other| &other.name));
     let own = (pictures(predictions, "_rgb")?, pictures(truth, "_truth")?);
     if alike(&own.0, &own.1) {
         return Ok(own);

@@ -141,9 +141,8 @@ impl SweepFolder {
                 scored.row
             )));
         }
-        let same_pictures = |other: &&Scored| {
-            other.predictions_sha256 == scored.predictions_sha256 && other.seed != scored.seed
-        };
+        let same_pictures =
+            |other: &&Scored| other.predictions_sha256 == scored.predictions_sha256 && other.seed != scored.seed;
         if let Some(other) = known.iter().filter(same_row).find(same_pictures) {
             return Err(Error::Config(format!(
                 "row '{}' has these very pictures as seed {}: render those of seed {}, or delete {}",

@@ -21,7 +21,7 @@ fn table() -> (Table, Vec<Record>) {
         scene: "fern".into(),
         row: row.into(),
         axes: vec![],
-        seed,
+        seed: Some(seed),
         status: Status::Done,
         reason: String::new(),
         metrics: vec![("psnr".into(), Some(psnr)), ("ssim".into(), Some(psnr / 40.0)), ("lpips_vgg".into(), None)],

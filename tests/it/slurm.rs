@@ -330,6 +330,9 @@ fn what_slurm_cannot_take_is_refused_in_a_sentence() {
     assert_says(&submit(&["--sbatch", "account=lab"], 2), &["--sbatch account=lab", "--sbatch=--account=lab"]);
     assert_says(&submit(&["--out", "it's"], 2), &["quotes", "--out"]);
     assert_says(&submit(&["--scheduler", "pbs"], 2), &["pbs", "slurm"]);
+    // Every task would end with it. Whether a CUDA is there, this machine does not know.
+    assert_says(&submit(&["--device", "cudaa"], 2), &["device cudaa", "cuda:N"]);
+    assert_says(&submit(&["--device", "cuda:1"], 0), &["--device cuda:1"]);
     let seconds = TINY.to_string() + "\n[[row]]\nname = \"equal\"\nbudget = { kind = \"seconds\", like = \"NeRF\" }\n";
     std::fs::write(dir.path().join("tiny.toml"), seconds).unwrap();
     assert_says(&submit(&[], 2), &["budgets in seconds", "augnerf sweep begin"]);
@@ -387,16 +390,42 @@ fn submitted_points_are_seen_in_the_queue_and_not_submitted_twice() {
     let said = cluster.demand(&submit, dir, 0);
     assert_says(&said, &["nothing to submit", "1 done, 2 in the queue already"]);
     assert_eq!(cluster.calls().len(), 2, "nothing was submitted");
+    let said = cluster.demand(&[&submit[..], &["--dry-run"]].concat(), dir, 0);
+    assert!(said.contains("nothing to submit") && !said.contains("--array="), "{said}");
+    let answer = |code: &str| -> serde_json::Value {
+        serde_json::from_str(code.lines().last().unwrap()).unwrap_or_else(|_| panic!("{code}"))
+    };
+    let status = answer(&cluster.demand(&["sweep", "status", "runs/tiny", "--json"], dir, 0));
+    assert_eq!(status["tables"][0], "job 13 PENDING (Dependency)");
+    assert!(status["queue_error"].is_null());
+    // Running tasks know their points by numbers, which a row in front would give to others.
+    let head = TINY.replacen("[[row]]", "[[row]]\nname = \"wide\"\nset = { \"field.width\" = 32 }\n\n[[row]]", 1);
+    std::fs::write(dir.join("tiny.toml"), head).unwrap();
+    let said = cluster.demand(&[&submit[..], &["--extend"]].concat(), dir, 2);
+    assert_says(&said, &["tasks 1, 2", "sweep cancel"]);
+    // Behind them it moves nothing.
+    let last = "\n[[row]]\nname = \"wide\"\nset = { \"field.width\" = 32 }\n";
+    std::fs::write(dir.join("tiny.toml"), TINY.to_string() + last).unwrap();
+    let said = cluster.demand(&[&submit[..], &["--extend", "--dry-run"]].concat(), dir, 0);
+    assert_says(&said, &["1 of 4 points", ": 3"]);
+    std::fs::write(dir.join("tiny.toml"), TINY).unwrap();
 
+    cluster.stand_in("scancel", "[ $1 != 13 ] || { echo 'Access denied' >&2; exit 1; }");
+    let said = cluster.demand(&["sweep", "cancel", "runs/tiny"], dir, 2);
+    assert_says(&said, &["scancel refuses job 13: Access denied"]);
+    assert_eq!(cluster.calls()[2..], ["scancel 13", "scancel 12"], "one refusal keeps no other job in the queue");
+    cluster.stand_in("scancel", "true");
     let said = cluster.demand(&["sweep", "cancel", "runs/tiny"], dir, 0);
     assert_says(&said, &["1 points of job 12 RUNNING", "1 points of job 12 PENDING", "1 tables of job 13"]);
-    assert_eq!(cluster.calls()[2..], ["scancel 13", "scancel 12"]);
+    assert_eq!(cluster.calls()[4..], ["scancel 13", "scancel 12"]);
     cluster.queue("");
     assert_says(&cluster.demand(&["sweep", "cancel", "runs/tiny"], dir, 0), &["nothing of runs/tiny is in the queue"]);
     // Without an answer, files still say how far the points are.
     cluster.stand_in("squeue", "echo 'slurm_load_jobs error: Unable to contact slurm controller' >&2; exit 1");
     let status = cluster.demand(&["sweep", "status", "runs/tiny"], dir, 0);
     assert_says(&status, &["the queue is not shown", "Unable to contact", "1 done, 2 waiting"]);
+    let status = answer(&cluster.demand(&["sweep", "status", "runs/tiny", "--json"], dir, 0));
+    assert!(status["queue_error"].as_str().unwrap().contains("Unable to contact"), "{status}");
     cluster.stand_in("squeue", "echo 'slurm_load_jobs error: Invalid job id specified' >&2; exit 1");
     let status = cluster.demand(&["sweep", "status", "runs/tiny"], dir, 0);
     assert_says(&status, &["2 waiting points are not in the queue", "augnerf sweep submit"]);

@@ -47,7 +47,7 @@ fn record(row: &str, axes: Vec<AxisValue>, seed: u64, psnr: Option<f64>) -> Reco
         scene: "fern".into(),
         row: row.into(),
         axes,
-        seed,
+        seed: Some(seed),
         status: if psnr.is_some() { Status::Done } else { Status::Waiting },
         reason: String::new(),
         metrics: vec![("psnr".into(), psnr)],

@@ -224,7 +224,7 @@ fn a_finished_sweep_is_not_run_again() {
     assert_eq!(fake.count(), 4);
     let records = folder.records(&definition, &points).unwrap();
     let cells: Vec<(&str, u64, Option<f64>)> =
-        records.iter().map(|r| (r.row.as_str(), r.seed, r.metric("psnr"))).collect();
+        records.iter().map(|r| (r.row.as_str(), r.seed.unwrap(), r.metric("psnr"))).collect();
     let expected = [("NeRF", 0, 20.0), ("NeRF", 1, 21.0), ("Aug-NeRF", 0, 20.0), ("Aug-NeRF", 1, 21.0)];
     assert_eq!(cells, expected.map(|(row, seed, psnr)| (row, seed, Some(psnr))));
 }

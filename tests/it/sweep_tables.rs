@@ -57,7 +57,7 @@ fn point(scene: &str, row: &str, seed: u64, psnr: f64) -> Record {
         scene: scene.into(),
         row: row.into(),
         axes: Vec::new(),
-        seed,
+        seed: Some(seed),
         status: Status::Done,
         reason: String::new(),
         metrics: vec![("psnr".into(), Some(psnr)), ("average_vgg".into(), None)],

@@ -126,6 +126,13 @@ fn chosen_rows_have_the_statistics_of_what_is_shown() {
     assert_says(&collect(&["--baseline", "D", "--out", "x"], 2), &["--baseline D", "NeRF"]);
     assert_says(&collect(&["--metrics", "psnrr", "--out", "x"], 2), &["'psnrr' does not exist", "psnr"]);
     assert_says(&collect(&["--rows", "NeRF", "--out", "results/one"], 4), &["whole tables", "--out"]);
+    // Somebody's own figures, some of which have names of ours.
+    std::fs::create_dir(dir.path().join("paper")).unwrap();
+    std::fs::write(dir.path().join("paper/rows_overview.png"), "mine").unwrap();
+    assert_says(&collect(&["--rows", "NeRF", "--out", "paper"], 4), &["paper holds files that are no view", "--out"]);
+    assert_eq!(text(&dir.path().join("paper/rows_overview.png")), "mine");
+    collect(&["--rows", "NeRF", "--out", "pair"], 0);
+    collect(&["--rows", "NeRF,A, long", "--out", "pair"], 0);
     // Of results alone, without the points, the same comes out; their own tables are left to `verify`.
     collect(&["--rows", "NeRF,A, long", "--out", "again"], 0);
     let of_results = ["sweep", "collect", "results/one", "--rows", "NeRF,A, long", "--out", "kept"];

@@ -147,13 +147,7 @@ impl SubmitArguments {
         self.answer.give(&answer(folder, &chosen, Some(&submitted), None), || print(submitted.points.number()))
     }
 
-    fn nothing_left(
-        &self,
-        folder: &SweepFolder,
-        chosen: &Chosen,
-        points: &[Point],
-        console: &Console,
-    ) -> Result<()> {
+    fn nothing_left(&self, folder: &SweepFolder, chosen: &Chosen, points: &[Point], console: &Console) -> Result<()> {
         let (shown, left_out) = (folder.path().display(), chosen.left_out());
         let hint = if chosen.failed > 0 { "; --retry-failed submits what failed" } else { "" };
         console.say(&format!(

@@ -41,7 +41,9 @@ pub fn warnings(table: &Table, records: &[Record]) -> Vec<String> {
     };
     let mut warnings: Vec<String> = table.scenes().into_iter().flat_map(of_scene).collect();
     let done = records.iter().filter(|record| record.status == Status::Done);
-    if distinct(done.filter_map(|record| record.seed)).len() == 1 && table.lines.iter().any(|line| line.baseline.is_some()) {
+    if distinct(done.filter_map(|record| record.seed)).len() == 1
+        && table.lines.iter().any(|line| line.baseline.is_some())
+    {
         warnings.push("one seed: no spread, no interval and no test is known".into());
     }
     warnings

@@ -91,7 +91,9 @@ fn series<'a>(records: &[&'a Record], metric: &str) -> Vec<Series<'a>> {
         }
         let seeds = points.iter_mut().find(|(known, _)| known == value).expect("just put there");
         let measured = Some(record).filter(|r| r.status == Status::Done).and_then(|r| r.metric(metric));
-        seeds.1.extend(measured.filter(|value| value.is_finite()).map(|value| (record.seed.unwrap_or_default(), value)));
+        seeds
+            .1
+            .extend(measured.filter(|value| value.is_finite()).map(|value| (record.seed.unwrap_or_default(), value)));
     }
     all
 }

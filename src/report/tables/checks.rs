@@ -62,8 +62,9 @@ pub(super) fn check_controlled(spec: &TableSpec, groups: &[Group]) -> Result<()>
         let Some(first) = first_of_scene(groups, &point.scene) else { continue };
         let differing = disagreements(spec, point, first);
         if let Some((field, others)) = differing.split_first() {
-            let value_in =
-                |record: &Record| format!("`{}` in {} ({})", record.protocol(field), record.label(), record.seed_text());
+            let value_in = |record: &Record| {
+                format!("`{}` in {} ({})", record.protocol(field), record.label(), record.seed_text())
+            };
             let others = match others.is_empty() {
                 true => String::new(),
                 false => format!("; they differ in {} as well", others.join(", ")),
