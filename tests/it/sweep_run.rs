@@ -285,11 +285,12 @@ fn turns_that_are_too_short_for_an_evaluation_fail_the_point_at_last() {
         run_heard(&folder, one, &fake, options, (&(), &AtomicUsize::new(0)))
     };
     // One that trained got further, and a person may stop as often as he likes.
-    for (first, by_scheduler) in [(9, true), (9, true), (10, false), (10, false), (10, true)] {
+    let waits = Status::Waiting;
+    let turns = [(9, true, waits), (9, true, waits), (10, false, waits), (10, true, waits), (10, true, Status::Failed)];
+    for (first, by_scheduler, status) in turns {
         assert!(matches!(turn(first, by_scheduler), Err(Error::Interrupted { .. })), "{first} {by_scheduler}");
-        assert_eq!(statuses(&folder, one), [Status::Waiting]);
+        assert_eq!(statuses(&folder, one), [status], "{first} {by_scheduler}");
     }
-    turn(10, true).unwrap();
     let failure = folder.point(&one[0].id).failure().unwrap().unwrap();
     assert!(failure.reason.contains("2 turns were stopped before its evaluation was"), "{}", failure.reason);
     // Tried again it has as many turns as before.
