@@ -20,18 +20,18 @@ pub struct BenchArguments {
     /// A method as train names it, or nerf with one regularizer
     #[arg(long, default_value = "nerf", value_parser = methods())]
     method: String,
-    /// Rays of a step
-    #[arg(long, value_name = "N", default_value_t = 1024, value_parser = clap::value_parser!(u16).range(1..=4096))]
-    rays: u16,
-    /// Samples of the coarse pass
-    #[arg(long, value_name = "N", default_value_t = 64, value_parser = clap::value_parser!(u16).range(3..=4096))]
-    coarse: u16,
-    /// Further samples of the fine pass (mip: all its intervals)
-    #[arg(long, value_name = "N", default_value_t = 64, value_parser = clap::value_parser!(u16).range(..=4096))]
-    fine: u16,
-    /// Width of both networks, which have 8 layers
-    #[arg(long, value_name = "N", default_value_t = 256, value_parser = clap::value_parser!(u16).range(4..=4096))]
-    width: u16,
+    /// Rays of a step [default: 1024]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=4096))]
+    rays: Option<u16>,
+    /// Samples of the coarse pass [default: 64]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(3..=4096))]
+    coarse: Option<u16>,
+    /// Further samples of the fine pass (mip: all its intervals) [default: 64]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(..=4096))]
+    fine: Option<u16>,
+    /// Width of both networks, which have 8 layers, or of SRN's layers [default: 256]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(4..=4096))]
+    width: Option<u16>,
     /// Steps that are timed, after two that are not
     #[arg(long, value_name = "N", default_value_t = 5, value_parser = clap::value_parser!(u16).range(1..))]
     steps: u16,
@@ -49,10 +49,10 @@ impl BenchArguments {
         let runtime = self.compute.runtime()?;
         let workload = Workload {
             method: self.method,
-            rays: self.rays.into(),
-            coarse: self.coarse.into(),
-            fine: self.fine.into(),
-            width: self.width.into(),
+            rays: self.rays.map(usize::from),
+            coarse: self.coarse.map(usize::from),
+            fine: self.fine.map(usize::from),
+            width: self.width.map(usize::from),
             steps: self.steps.into(),
             set: self.set.iter().map(|text| parse_assignment(text)).collect::<Result<_>>()?,
         };

@@ -7,9 +7,9 @@ use serde_json::json;
 
 use crate::base::files::AtomicDir;
 use crate::base::{Error, Result};
-use crate::compare::{Profile, Profiles, RunView, Window, check_overlay, patch_around};
+use crate::compare::{Profile, Profiles, RunView, Window, check_overlay, check_profiled, patch_around};
 use crate::draw::SVG_ALONE;
-use crate::run::Viewer;
+use crate::run::{RunDir, Viewer};
 use crate::runtime::Runtime;
 
 use super::answer::Answer;
@@ -57,6 +57,10 @@ impl ProfileArguments {
             let (pixel, patch) = place(run)?;
             Profile::measure(viewer, run, pixel, patch)
         };
+        // Before anything is rendered.
+        for (run, label) in runs {
+            check_profiled(label, &RunDir::open(run)?.read_config()?)?;
+        }
         let (runs, folders) = self.runs.gather(runs, runtime, &console, measure)?;
         runs.iter().try_for_each(|(run, _)| run.check_same_interval(&runs[0].0))?;
         let (pixel, patch) = place(&runs[0].0)?;

@@ -37,7 +37,7 @@ impl Comparison {
     /// of `box_width` columns (a fifth of the view's where not given) and the view's aspect over which the runs'
     /// squared errors differ most.
     pub fn new(
-        runs: Vec<(RunView, RenderedView)>,
+        mut runs: Vec<(RunView, RenderedView)>,
         window: Option<Window>,
         box_width: Option<usize>,
     ) -> Result<Comparison> {
@@ -46,6 +46,10 @@ impl Comparison {
         };
         let (truth, mask, bounds) = (first.view.image.clone(), first.view.mask.clone(), first.bounds);
         check_box(window, box_width, &truth)?;
+        // Methods without NDC stand beside those with it in scene units.
+        if runs.iter().any(|(run, _)| run.ndc.is_none()) {
+            runs.iter_mut().for_each(|(run, rendered)| run.leave_ndc(&mut rendered.depth));
+        }
         // What is masked is no error.
         let counted: Vec<Image> =
             runs.iter().map(|(_, rendered)| unmasked_or(rendered.image.clone(), &truth, mask.as_deref())).collect();

@@ -18,7 +18,7 @@ pub use comparison::Comparison;
 pub(crate) use comparison::check_box;
 pub use differences::{Difference, differences};
 pub(crate) use fade::check_fade;
-pub use profile::{Profile, Profiles, RaySmoothness, patch_around};
+pub use profile::{Profile, Profiles, RaySmoothness, check_profiled, patch_around};
 pub(crate) use profile_figure::check_overlay;
 pub use run_view::{RunView, labels};
 pub use window::{Window, crop, most_different};

@@ -24,6 +24,8 @@ pub struct RunView {
     pub ndc: Option<Ndc>,
     /// Ends of a ray's interval in the units of `t_vals`.
     pub bounds: (f64, f64),
+    /// Where in a pixel its ray goes through, from the pixel's corner.
+    pub(super) shift: f64,
     /// Its field is queried at Gaussians of intervals, not at points.
     pub queries_gaussians: bool,
     /// Every setting that can change a number, by its name in `config.toml`.
@@ -42,13 +44,13 @@ impl RunView {
             index,
             ndc: scene.ndc,
             bounds: scene.bounds(),
+            shift: config.data.origin_of_pixels().shift(),
             queries_gaussians: config.field.encoding.queries_gaussians(),
             settings: settings(config),
         })
     }
 
-    /// Refuses a run that does not show what `first` shows: another scene, view, resolution, camera or photograph,
-    /// or another measure of depth.
+    /// Refuses a run that does not show what `first` shows: another scene, view, resolution, camera or photograph.
     pub fn check_alike(&self, first: &RunView) -> Result<()> {
         let differ = |what: &str, own: String, other: String| {
             Err(Error::Config(format!(
@@ -65,7 +67,6 @@ impl RunView {
                 ("the kind of scene", run.protocol.text("dataset")),
                 ("the resolution", format!("{width} x {height}")),
                 ("the held-out view", format!("{} ({})", run.view.name, run.protocol.text("split"))),
-                ("data.ndc", run.ndc.is_some().to_string()),
                 ("the background", run.protocol.text("background")),
                 ("the focal length", format!("{focal:?}")),
                 ("the principal point", format!("{centre:?}")),
@@ -103,6 +104,19 @@ impl RunView {
             first.label,
             words(first)
         )))
+    }
+
+    /// Takes a rendering's depths out of NDC: along the view's axis in scene units, as other runs have them.
+    pub(super) fn leave_ndc(&mut self, depth: &mut [f32]) {
+        if self.ndc.take().is_none() {
+            return;
+        }
+        let camera = &self.view.camera;
+        for (index, depth) in depth.iter_mut().enumerate() {
+            let (x, y) = ((index % camera.width) as f64 + self.shift, (index / camera.width) as f64 + self.shift);
+            let (origin, direction) = camera.ray(x, y);
+            *depth = Ndc::world_t(origin, direction, (*depth).into()) as f32;
+        }
     }
 
     /// Scene and view in words.

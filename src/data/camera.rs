@@ -28,6 +28,9 @@ pub struct Ndc {
     pub focal: f64,
 }
 
+/// Distance of the plane that NDC begin at.
+const NEAR: f64 = 1.0;
+
 impl Camera {
     /// The camera of a picture of another size that shows as much from top to bottom; to the sides it shows more or less,
     /// as the size says.
@@ -59,9 +62,14 @@ impl Camera {
 }
 
 impl Ndc {
+    /// The depth of a world ray at `t` of the ray that it is mapped to, in lengths of its direction: infinite from 1 on.
+    pub fn world_t(origin: [f64; 3], direction: [f64; 3], t: f64) -> f64 {
+        let z = -NEAR / (1.0 - t).max(0.0);
+        (z - origin[2]) / direction[2]
+    }
+
     /// Maps a world ray to NDC: `t` in 0..1 covers the near plane at 1 to infinity.
     pub fn map(&self, origin: [f64; 3], direction: [f64; 3]) -> ([f64; 3], [f64; 3]) {
-        const NEAR: f64 = 1.0;
         let shift = -(NEAR + origin[2]) / direction[2];
         let o: [f64; 3] = std::array::from_fn(|i| origin[i] + shift * direction[i]);
         let d = direction;
@@ -103,8 +111,10 @@ mod tests {
             let world = NDC.unmap(std::array::from_fn(|i| o[i] + t * d[i])).unwrap();
             let s = (world[2] - origin[2]) / direction[2];
             assert!((0..3).all(|i| (world[i] - origin[i] - s * direction[i]).abs() < 1e-12), "{t}: {world:?}");
+            assert!((Ndc::world_t(origin, direction, t) - s).abs() < 1e-12);
         }
         assert_eq!(NDC.unmap([0.0, 0.0, 1.0]), None);
+        assert_eq!(Ndc::world_t(origin, direction, 1.0), f64::INFINITY);
     }
 
     #[test]

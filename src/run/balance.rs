@@ -7,7 +7,7 @@ use crate::base::{Error, Event, Listener, Result};
 use crate::losses::{LossTerm, WeightedTerm};
 use crate::methods::FieldLearner;
 use crate::runtime::Runtime;
-use crate::settings::{Config, Method, REGULARIZERS, Resolved};
+use crate::settings::{Ability, Config, Method, REGULARIZERS, Resolved};
 use crate::space::Lattice;
 use crate::train::Trainer;
 
@@ -55,6 +55,9 @@ fn balance_here(
     runtime: &Runtime,
     events: &dyn Listener,
 ) -> Result<(Resolved, Vec<BalancedWeight>)> {
+    if !config.method.has_fields() {
+        config.require_ability(Ability::Derivatives, "balance", "leave the method out")?;
+    }
     if config.method != Method::Nerf {
         return Err(Error::Config(format!(
             "balance measures regularizers beside the loss of plain NeRF: leave method {} out",

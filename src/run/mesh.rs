@@ -11,7 +11,7 @@ use crate::base::input::{JSON_BYTES, read_text};
 use crate::base::{Error, Event, Listener, Result, version};
 use crate::data::{Format, WorldToScene, npy};
 use crate::draw::write_png8;
-use crate::settings::DataKind;
+use crate::settings::{Ability, DataKind};
 use crate::space::{
     self, DensityRange, Drawing, FinishedMesh, Lattice, LevelSet, Mesh, Normals, Reference, finish_mesh, level_set,
 };
@@ -217,6 +217,8 @@ impl Trained {
         if options.largest {
             mesh = mesh.keep(&components[0]);
         }
+        let instead = "`augnerf compare` shows its depth";
+        self.config.require_ability(Ability::Density, "a mesh of this run", instead)?;
         let (density, ndc) = (self.model.density()?, self.scene.ndc.as_ref());
         let mut finished = finish_mesh(&*density, mesh, &drawing.lattice, ndc, options.normals)?;
         if let Some(picture) = &options.picture {

@@ -13,7 +13,7 @@ use crate::data::Scene;
 use crate::losses::{Smoothness, estimate_seconds, measure};
 use crate::methods::Model;
 use crate::runtime::Runtime;
-use crate::settings::Config;
+use crate::settings::{Ability, Config};
 use crate::space::{Lattice, chunk_count};
 
 use super::{Protocol, Trained, columns};
@@ -111,10 +111,15 @@ fn measure_fields(
 /// Refuses a run that has no such numbers.
 ///
 /// # Errors
-/// [`Error::Config`]: a method whose field is queried at Gaussians.
+/// [`Error::Config`]: a method whose field is queried at Gaussians, or which has no field.
 pub fn check_measurable(run: &Path, config: &Config) -> Result<()> {
-    if config.representation().has_derivatives_at_points() {
-        return Ok(());
+    let Some(why) = config.representation().lacks(Ability::Derivatives) else { return Ok(()) };
+    if !config.method.has_fields() {
+        return Err(Error::Config(format!(
+            "{}: method {} has no l1, TV or Laplacian of density: {why}; measure nerf and aug-nerf runs",
+            run.display(),
+            config.method.name()
+        )));
     }
     Err(Error::Config(format!(
         "{}: a field of method {} is queried at Gaussians, not at points, and has no l1, TV or Laplacian; measure \

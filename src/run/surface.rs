@@ -5,7 +5,7 @@ use std::path::Path;
 use crate::base::{Error, Event, Image, Listener, Result};
 use crate::data::{Camera, Scene};
 use crate::runtime::free_memory_mib;
-use crate::settings::{Config, MeshConfig, NO_REFERENCE};
+use crate::settings::{Config, MeshConfig, NO_REFERENCE, Representation};
 use crate::space::{Chamfer, Drawing, Lattice, Reference, chamfer, in_scene, level_set, read_mesh, sample};
 
 use super::mesh_picture::surface_picture;
@@ -41,7 +41,12 @@ pub fn surface_box(scene: &Scene) -> [[f64; 3]; 2] {
 /// between a ray's samples, ln 2 * samples / (far - near). A thinner veil is no surface to the run's own rendering,
 /// and a denser one cannot be had of it. For the paper's 64 + 128 samples from 2 to 6 it is 33 (the paper: 25).
 /// Under NDC, where rays run through 2 units from z = -1 to 1, `far - near` is 2.
+///
+/// Neural Volumes add up opacity * length: half the light of one step is stopped where that is 1/2.
 pub fn surface_threshold(config: &Config, scene: &Scene) -> f64 {
+    if let (Representation::Volume, Some((_, half))) = (config.representation(), config.nv.cube()) {
+        return 0.5 / (config.nv.step_length() * half);
+    }
     let length = if scene.ndc.is_some() { 2.0 * (scene.far - scene.near) } else { scene.far - scene.near };
     let (coarse, fine) = config.samples();
     let samples = if fine > 0 { fine } else { coarse };

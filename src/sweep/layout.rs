@@ -111,6 +111,18 @@ fn reason_of<T>(config: &Config, located: &Result<T>) -> Option<String> {
     }
 }
 
+/// Refuses a budget that does not count what the method does.
+fn check_budget(kind: BudgetKind, config: &Config) -> Result<()> {
+    if kind == BudgetKind::Seconds || config.method.has_fields() {
+        return Ok(());
+    }
+    Err(Error::Config(format!(
+        "budget.kind = \"evaluations\" counts passes through a field's network at points, and method {} has no such field; \
+         set budget.kind = \"seconds\"",
+        config.method.name()
+    )))
+}
+
 struct Builder<'a> {
     definition: &'a Definition,
     preset: Preset,
@@ -139,7 +151,10 @@ impl Builder<'_> {
         let budget = row.budget.as_ref().or(self.definition.budget.as_ref()).filter(|budget| budget.like != row.name);
         let budget = budget.map(|budget| {
             let other = self.definition.row.iter().find(|row| row.name == budget.like).expect("checked");
-            Ok::<_, Error>((budget.kind, self.plain_config(other, &Vec::new())?))
+            let like = self.plain_config(other, &Vec::new())?;
+            check_budget(budget.kind, &config).map_err(|error| in_row(row, axes, error))?;
+            check_budget(budget.kind, &like).map_err(|error| in_row(other, &Vec::new(), error))?;
+            Ok::<_, Error>((budget.kind, like))
         });
         Ok(Laid {
             scene: scene_name(self.scene).to_string(),

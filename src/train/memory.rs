@@ -6,7 +6,7 @@ use crate::data::Scene;
 use crate::field::{encoded_channels, position_channels};
 use crate::methods::{Model, parts};
 use crate::runtime::free_memory_mib;
-use crate::settings::{Core, Resolved};
+use crate::settings::{Core, Representation, Resolved, SrnConfig, VolumeConfig};
 
 /// Weights, their gradient and Adam's two moments.
 const COPIES: f64 = 4.0;
@@ -47,7 +47,7 @@ fn check(need: &Need, free: f64) -> Result<()> {
 }
 
 /// MiB that candle's graphs hold at the end of a forward pass of a training step: of each chunk that is at work, what every
-/// operation on its samples gave. The larger clean pass counts; a perturbed one takes more.
+/// operation on its samples gave. The larger clean pass counts; a perturbed one takes more. For methods of fields.
 pub fn graphs_mib(config: &Resolved, threads: usize) -> f64 {
     let (field, train) = (&config.field, &config.train);
     let chunk = train.chunk.min(train.rays).max(1);
@@ -73,21 +73,13 @@ fn needs(config: &Resolved, scene: &Scene, threads: usize) -> Vec<Need> {
     let size = |(_, shape): &(String, Vec<usize>)| shape.iter().map(|&n| n as f64).product::<f64>();
     let (tables, layers): (Vec<_>, Vec<_>) = parameters.iter().partition(|(name, _)| name.ends_with(".table"));
     let (tables, layers) = (tables.into_iter().map(size).sum::<f64>(), layers.into_iter().map(size).sum::<f64>());
-    let hash = &field.hash;
     let mut needs = vec![Need {
         what: "weights, their gradient and Adam's moments",
-        settings: if tables > layers {
-            let (table, levels, features) = (hash.log2_table, hash.levels, hash.features);
-            format!(
-                "field.hash.log2_table = {table} with field.hash.levels = {levels} of field.hash.features = {features}"
-            )
-        } else {
-            format!("field.width = {} with field.depth = {}", field.width, field.depth)
-        },
+        settings: sizes(config, tables > layers),
         mib: mib(COPIES * (tables + layers)),
     }];
     // The fused core works in tiles; candle's operations keep each layer's output of all points.
-    if field.core == Core::Plain {
+    if config.method.has_fields() && field.core == Core::Plain {
         let samples = (config.sampling.coarse + config.sampling.fine) as f64;
         let width = field.width as f64;
         needs.push(Need {
@@ -106,6 +98,31 @@ fn needs(config: &Resolved, scene: &Scene, threads: usize) -> Vec<Need> {
         });
     }
     needs
+}
+
+/// The settings that most of the weights hang on.
+fn sizes(config: &Resolved, of_tables: bool) -> String {
+    let (field, hash) = (&config.field, &config.field.hash);
+    match config.representation() {
+        Representation::HashNerf if of_tables => {
+            let (table, levels, features) = (hash.log2_table, hash.levels, hash.features);
+            format!(
+                "field.hash.log2_table = {table} with field.hash.levels = {levels} of field.hash.features = {features}"
+            )
+        }
+        Representation::Nerf | Representation::MipNerf | Representation::HashNerf => {
+            format!("field.width = {} with field.depth = {}", field.width, field.depth)
+        }
+        Representation::Srn => {
+            let SrnConfig { width, phi_layers, pixel_layers, .. } = config.srn;
+            format!("srn.width = {width} with srn.phi_layers = {phi_layers} and srn.pixel_layers = {pixel_layers}")
+        }
+        Representation::Volume => {
+            let VolumeConfig { resolution, divide, warp_resolution, .. } = config.nv;
+            format!("nv.resolution = {resolution}, nv.divide = {divide} and nv.warp_resolution = {warp_resolution}")
+        }
+        Representation::Planes => "method = \"llff\"".into(),
+    }
 }
 
 #[cfg(test)]

@@ -17,7 +17,8 @@ use page::Page;
 use shell::commands;
 
 /// Sections of the configuration: code that starts with one of them names a setting.
-const SECTIONS: [&str; 7] = ["data", "field", "sampling", "train", "perturb", "regularizer", "eval"];
+const SECTIONS: [&str; 10] =
+    ["data", "field", "sampling", "train", "perturb", "regularizer", "eval", "srn", "nv", "llff"];
 
 fn root() -> PathBuf {
     PathBuf::from(env!("CARGO_MANIFEST_DIR"))

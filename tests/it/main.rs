@@ -25,6 +25,7 @@ mod interruption;
 mod layering;
 mod light;
 mod loaders;
+mod methods;
 mod metrics;
 mod output;
 mod page;

@@ -22,10 +22,11 @@ type Parameter = (String, Tensor, Moments);
 /// or as safetensors that say what they are. Returns the step that they are of.
 ///
 /// # Errors
-/// No run, or one without a whole checkpoint; a field that nerf-pytorch has not; for safetensors a scene that cannot be read (its
+/// No run, or one without a whole checkpoint; a method without fields; a field that nerf-pytorch has not; for safetensors a scene that cannot be read (its
 /// `world_to_scene` is written); a file that cannot be written.
 pub fn export(run: &Path, file: &Path, data: Option<&Path>, runtime: &Runtime, events: &dyn Listener) -> Result<u64> {
     let format = Format::of(file)?;
+    check_fields(&RunDir::open(run)?.read_config()?)?;
     if format == Format::Safetensors {
         return safetensors(&Trained::open(run, data, runtime, events)?, file);
     }
@@ -40,6 +41,18 @@ pub fn export(run: &Path, file: &Path, data: Option<&Path>, runtime: &Runtime, e
         .map_err(|e| Error::Output(format!("cannot write {}: {e}", file.display())))?;
     write_atomic(file, &bytes)?;
     Ok(state.step)
+}
+
+/// Refuses a run without radiance fields.
+fn check_fields(config: &Config) -> Result<()> {
+    if config.method.has_fields() {
+        return Ok(());
+    }
+    Err(Error::Config(format!(
+        "export with method {}: files for other programs hold radiance fields, and this run has none; its weights are \
+         the .safetensors of its checkpoints",
+        config.method.name()
+    )))
 }
 
 fn tensor(values: &Tensor) -> Result<Value> {

@@ -1,0 +1,202 @@
+//! Methods without radiance fields: what cannot be asked of them is refused in a sentence, and their protocol is theirs.
+
+use crate::common::program::refuse;
+use crate::common::{assert_says, tiny_scene};
+use augnerf::base::Result;
+use augnerf::run::{Protocol, check_measurable, surface_threshold};
+use augnerf::settings::{Ability, Config, DataKind, Extent, Preset, Representation, build, parse_assignment};
+use augnerf::sweep::{Definition, StepCosts, expand};
+
+/// The methods, and why each has no density in space; none where it has one.
+const BASELINES: [(&str, Option<&str>); 3] = [
+    ("srn", Some("an SRN knows where a ray ends, not where space is full")),
+    ("nv", None),
+    ("llff", Some("no density in space")),
+];
+
+fn draft(settings: &[&str]) -> Result<Config> {
+    let set: Vec<_> = settings.iter().map(|text| parse_assignment(text).unwrap()).collect();
+    build(Some(Preset::Smoke), None, &set)
+}
+
+/// What is said of settings of a method on a kind of scene; nothing where they are taken.
+fn said(kind: DataKind, settings: &[&str]) -> String {
+    let located = draft(settings).and_then(|config| config.locate(kind));
+    located.map_or_else(|refusal| refusal.to_string(), |_| String::new())
+}
+
+#[test]
+fn what_cannot_apply_is_refused_by_its_setting() {
+    for (method, no_density) in BASELINES {
+        let named = format!("method={method}");
+        let with = |setting: &str| said(DataKind::Blender, &[&named, setting]);
+        for term in ["l1", "tv", "laplacian", "distortion"] {
+            let told = with(&format!("regularizer.kind={term}"));
+            assert_says(&told, &[&format!("regularizer.kind = \"{term}\" with method {method}: "), "nerf or aug-nerf"]);
+        }
+        let told = with("eval.mesh.resolution=64");
+        match no_density {
+            Some(why) => assert_says(&told, &[&format!("eval.mesh.resolution = 64 with method {method}: "), why]),
+            None => assert_eq!(told, ""),
+        }
+        // Read by no method without a second pass, and so taken.
+        assert_eq!(with("perturb.lambda=0.5") + &with("field.width=7") + &with("regularizer.weight=3"), "");
+    }
+    assert_says(&said(DataKind::Blender, &["method=aug-srn"]), &["aug-srn", "llff"]);
+}
+
+#[test]
+fn forward_facing_scenes_are_taken_in_the_world_and_by_methods_that_work_there() {
+    for forward in [DataKind::Llff, DataKind::BuiltinForward] {
+        assert_eq!(said(forward, &["method=srn"]) + &said(forward, &["method=llff"]), "");
+        for method in ["method=srn", "method=llff"] {
+            assert_says(&said(forward, &[method, "data.ndc=true"]), &["data.ndc = true", "set data.ndc=false"]);
+        }
+        let told = said(forward, &["method=nv"]);
+        assert_says(&told, &[forward.name(), "no bounded box and no known background", "use srn, llff"]);
+    }
+    assert_eq!(said(DataKind::Llff, &["method=nv", "data.ndc=false", "data.spherify=true"]), "");
+}
+
+#[test]
+fn numbers_that_networks_cannot_have_are_named() {
+    for (setting, words) in [
+        ("nv.resolution=48", ["nv.resolution = 48", "a power of two"]),
+        ("nv.divide=3", ["nv.divide = 3", "a power of two"]),
+        ("nv.step=0", ["nv.step = 0", "above 0.0001"]),
+        ("llff.planes=12", ["llff.planes = 12", "a multiple of 8"]),
+        ("llff.window=100", ["llff.window = 100", "a multiple of 8"]),
+        ("llff.crop=128", ["llff.crop = 128", "64 (llff.window)"]),
+        ("llff.far=0", ["llff.far = 0", "positive"]),
+        ("srn.steps=0", ["srn.steps = 0", "1 to 1000"]),
+        ("srn.scale=0", ["srn.scale = 0", "positive"]),
+    ] {
+        let method = format!("method={}", setting.split('.').next().unwrap());
+        assert_says(&said(DataKind::Blender, &[&method, setting]), &words);
+    }
+    let ends = ["method=llff", "llff.near=3", "llff.far=2"];
+    assert_says(&said(DataKind::Blender, &ends), &["llff.far = 2", "beyond llff.near = 3"]);
+}
+
+#[test]
+fn every_lack_has_its_reason_and_every_reason_is_told() {
+    for (method, no_density) in BASELINES {
+        let config = draft(&[&format!("method={method}")]).unwrap();
+        let why = config.representation().lacks(Ability::Density);
+        assert_eq!(why.is_some(), no_density.is_some(), "{method}");
+        for ability in [Ability::Density, Ability::Derivatives, Ability::Samples] {
+            let Some(why) = config.representation().lacks(ability) else { continue };
+            let told = config.require_ability(ability, "a question", "ask another").unwrap_err().to_string();
+            assert_eq!(told, format!("a question with method {method}: {why}; ask another"));
+        }
+        let told = check_measurable("RUN".as_ref(), &config).unwrap_err().to_string();
+        assert_says(&told, &["RUN: method", method, "no l1, TV or Laplacian", "measure nerf and aug-nerf runs"]);
+    }
+    for field in [Representation::Nerf, Representation::HashNerf] {
+        assert!([Ability::Density, Ability::Derivatives, Ability::Samples].iter().all(|a| field.lacks(*a).is_none()));
+    }
+}
+
+#[test]
+fn commands_that_need_fields_are_refused_before_anything_is_computed() {
+    for (method, _) in BASELINES {
+        refuse(&["balance", "--method", method, "--preset", "smoke"], 2, &["balance with method", method]);
+        refuse(&["bench", "--method", method, "--coarse", "8"], 2, &["--coarse 8", method, "leave it out"]);
+    }
+    refuse(&["bench", "--method", "llff", "--rays", "8"], 2, &["--rays 8", "llff"]);
+    refuse(&["bench", "--method", "srn", "--set", "srn.width=8"], 2, &["srn.width", "flag of its own"]);
+}
+
+/// A step of every row takes a second.
+struct Equal;
+
+impl StepCosts for Equal {
+    fn seconds_per_step(&self, _: &Config) -> Result<f64> {
+        Ok(1.0)
+    }
+}
+
+#[test]
+fn budgets_of_evaluations_are_for_fields_and_those_of_seconds_for_all() {
+    let text = |kind: &str, like: &str| {
+        format!(
+            "title = \"t\"\npreset = \"smoke\"\nscenes = [\"builtin\"]\nseeds = [0]\nbudget = {{ kind = \"{kind}\", like = \
+             \"{like}\" }}\n[[row]]\nname = \"NeRF\"\n[[row]]\nname = \"SRN\"\nset = {{ method = \"srn\" }}\n"
+        )
+    };
+    let points =
+        |kind: &str, like: &str| expand(&Definition::parse(&text(kind, like), "t.toml").unwrap(), None, &Equal);
+    for like in ["NeRF", "SRN"] {
+        let told = points("evaluations", like).unwrap_err().to_string();
+        assert_says(&told, &["row 'SRN'", "budget.kind = \"evaluations\"", "method srn", "budget.kind = \"seconds\""]);
+    }
+    let steps: Vec<u64> = points("seconds", "NeRF").unwrap().iter().map(|point| point.config.train.steps).collect();
+    assert_eq!(steps, [1200, 1200]);
+}
+
+#[test]
+fn columns_of_other_methods_are_empty() {
+    const OF_FIELDS: [&str; 13] = [
+        "field_width",
+        "field_depth",
+        "init",
+        "density_activation",
+        "samples_coarse",
+        "samples_fine",
+        "coarse_weight",
+        "encoding",
+        "position_octaves",
+        "jitter",
+        "density_noise",
+        "core",
+        "spacing",
+    ];
+    let decided = |method: &str| {
+        let config = draft(&[method]).unwrap().resolve(DataKind::Blender, augnerf::bench::EXTENT).unwrap();
+        Protocol::of_configuration(&config)
+    };
+    let nerf = decided("method=nerf");
+    for (method, _) in BASELINES {
+        let own = decided(&format!("method={method}"));
+        let value = |columns: &[(&str, String)], name: &str| {
+            columns.iter().find(|(known, _)| *known == name).unwrap_or_else(|| panic!("{name}")).1.clone()
+        };
+        assert_eq!(value(&nerf, method), "");
+        for (other, _) in BASELINES {
+            assert_eq!(value(&own, other).is_empty(), other != method, "{method} {other}");
+        }
+        for column in OF_FIELDS {
+            assert_eq!(value(&own, column), "", "{method} {column}");
+            assert_ne!(value(&nerf, column), "", "{column}");
+        }
+        for column in ["rays", "batching", "chunk"] {
+            assert_eq!(value(&own, column).is_empty(), method == "llff", "{method} {column}");
+        }
+        assert_ne!(value(&own, "learning_rate"), "");
+    }
+}
+
+/// A scene fills what is left open, and a resolved configuration resolves to itself.
+#[test]
+fn open_numbers_follow_from_the_scene() {
+    let resolved =
+        |method: &str, kind: DataKind, extent: Extent| draft(&[method]).unwrap().resolve(kind, extent).unwrap();
+    let extent = augnerf::bench::EXTENT;
+    let nv = resolved("method=nv", DataKind::Blender, extent);
+    assert_eq!((nv.nv.bounds, nv.nv.step), (Some([[-1.5; 3], [1.5; 3]]), Some(2.0 / 32.0)));
+    assert_eq!(nv.nv.cube(), Some(([0.0; 3], 1.5)));
+    // Half of the light is stopped in one step of 2/32 of half the cube's side, 1.5.
+    assert_eq!(surface_threshold(&nv, &tiny_scene()), 0.5 / (2.0 / 32.0 * 1.5));
+    let builtin = resolved("method=nv", DataKind::BuiltinBlender, extent);
+    assert_eq!(builtin.nv.cube(), Some(([0.0; 3], 1.2)));
+    let flat = Some([[-1.0, 0.0, -1.0], [3.0, 1.0, 1.0]]);
+    let capture = resolved("method=nv", DataKind::Transforms, Extent { domain: flat, ..extent });
+    assert_eq!(capture.nv.cube(), Some(([1.0, 0.5, 0.0], 2.0)));
+    assert_eq!(resolved("method=nv", DataKind::Transforms, extent).nv.cube(), None);
+    let llff = resolved("method=llff", DataKind::Blender, extent).llff.clone();
+    assert_eq!((llff.near, llff.far), (Some(2.0), Some(6.0)));
+    let llff = resolved("method=llff", DataKind::Llff, extent);
+    assert_eq!((llff.llff.near, llff.llff.far), (Some(2.0), Some(12.0)));
+    let again = llff.clone().into_draft().resolve(DataKind::Llff, extent).unwrap();
+    assert_eq!((again.hash(), &*again), (llff.hash(), &*llff));
+}
