@@ -243,9 +243,9 @@ pub const COLUMNS: &[Column] = &[
     column("spacing").where_differing().of(of_fields),
     column("masks").in_caption().unless_varied(),
     column("parent").where_differing(),
-    column("srn").where_differing().of(|config| config.method == Method::Srn),
-    column("nv").where_differing().of(|config| config.method == Method::Nv),
-    column("llff").where_differing().of(|config| config.method == Method::Llff),
+    column("srn").of(|config| config.method == Method::Srn),
+    column("nv").of(|config| config.method == Method::Nv),
+    column("llff").of(|config| config.method == Method::Llff),
 ];
 
 /// What the sites of a run were judged inactive by.

@@ -16,6 +16,8 @@ macro_rules! shipped {
 }
 
 shipped![
+    "baselines_chair",
+    "baselines_fern",
     "epsilon",
     "few_views_chair",
     "fig_embedded",

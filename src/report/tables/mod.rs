@@ -8,6 +8,7 @@ mod checks;
 mod comparison;
 mod delimited;
 mod heading;
+mod kinds;
 mod latex;
 mod markdown;
 mod read;

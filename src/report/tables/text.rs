@@ -1,5 +1,6 @@
 //! What the tables for readers say: numbers, marks and notes, before any escaping.
 
+use super::kinds::{kind_notes, llff_note};
 use super::{Cell, Comparison, Line, Table};
 use crate::metrics::{Metric, Needs};
 use crate::report::PUBLISHED_NOTE;
@@ -177,6 +178,7 @@ pub(in crate::report) fn scene_notes(lines: &[&Line]) -> Vec<String> {
     let mut notes = baseline_notes(lines);
     notes.extend(corruption_notes(lines));
     notes.extend(varied_notes(lines));
+    notes.extend(kind_notes(lines));
     notes.extend(MARKS.iter().filter_map(|mark| mark_note(mark, lines)));
     notes.extend(unmeasured_notes(lines));
     notes.extend(published_notes(lines));
@@ -225,6 +227,7 @@ pub(in crate::report) fn further_notes(table: &Table, equivalence: &str) -> Vec<
     if table.lines.iter().any(|line| !line.published_protocol.is_empty()) {
         notes.push(PUBLISHED_NOTE.to_string());
     }
+    notes.extend(llff_note(table));
     notes
 }
 

@@ -1,0 +1,56 @@
+//! Notes of tables whose rows are trained in different ways: with radiance fields, or without.
+
+use super::{Line, Table};
+use crate::report::distinct;
+use crate::settings::columns::{COLUMNS, Told};
+
+/// Columns of methods without fields, each with all of its settings.
+const OWN: [&str; 3] = ["srn", "nv", "llff"];
+
+/// What a row of LLFF is here.
+const LLFF_NOTE: &str = "LLFF is trained on the scene here: the published LLFF uses one network trained on other scenes with a \
+     perceptual (VGG) loss, and that network is not obtainable; here the same architecture learns from this scene's training views \
+     alone, each from its neighbours, by squared error, so that its numbers are not those of the published method";
+
+fn is_without_fields(line: &Line) -> bool {
+    OWN.iter().any(|column| !line.protocol(column).is_empty())
+}
+
+/// What stands below the lines of a scene, where some are trained without fields: what each of these is, and what the others
+/// have in common.
+pub(super) fn kind_notes(lines: &[&Line]) -> Vec<String> {
+    if !lines.iter().any(|line| is_without_fields(line)) {
+        return Vec::new();
+    }
+    let labels = |holds: &dyn Fn(&Line) -> bool| {
+        lines.iter().filter(|line| holds(line)).map(|line| line.label.as_str()).collect::<Vec<_>>().join(", ")
+    };
+    let mut notes = Vec::new();
+    for column in OWN {
+        let texts = distinct(lines.iter().map(|line| line.protocol(column)));
+        for text in texts.into_iter().filter(|text| !text.is_empty()) {
+            notes.push(format!("{}: {text}", labels(&|line| line.protocol(column) == text)));
+        }
+    }
+    // A caption tells what all lines share, and a note what they differ in: this is neither.
+    let mut shared: Vec<(String, Vec<String>)> = Vec::new();
+    for name in COLUMNS.iter().filter(|column| column.told == Told::Always).map(|column| column.name) {
+        let measured = lines.iter().filter(|line| !line.ids.is_empty());
+        let texts = distinct(measured.map(|line| line.protocol(name)));
+        let [one] = texts.iter().filter(|text| !text.is_empty()).collect::<Vec<_>>()[..] else { continue };
+        if texts.len() > 1 {
+            let of = labels(&|line| line.protocol(name) == *one);
+            match shared.iter_mut().find(|(known, _)| *known == of) {
+                Some((_, told)) => told.push(format!("{name} {one}")),
+                None => shared.push((of, vec![format!("{name} {one}")])),
+            }
+        }
+    }
+    notes.extend(shared.into_iter().map(|(labels, told)| format!("{labels}: {}", told.join(", "))));
+    notes
+}
+
+/// The footnote of LLFF, where a row is trained here.
+pub(super) fn llff_note(table: &Table) -> Option<String> {
+    table.lines.iter().any(|line| !line.protocol("llff").is_empty()).then(|| LLFF_NOTE.to_string())
+}
