@@ -40,7 +40,7 @@ fn what_cannot_apply_is_refused_by_its_setting() {
             None => assert_eq!(told, ""),
         }
         // Read by no method without a second pass, and so taken.
-        assert_eq!(with("perturb.lambda=0.5") + &with("field.width=7") + &with("regularizer.weight=3"), "");
+        assert_eq!(with("perturb.lambda=0.5") + &with("field.width=7"), "");
     }
     assert_says(&said(DataKind::Blender, &["method=aug-srn"]), &["aug-srn", "llff"]);
 }
@@ -136,7 +136,7 @@ fn budgets_of_evaluations_are_for_fields_and_those_of_seconds_for_all() {
 
 #[test]
 fn columns_of_other_methods_are_empty() {
-    const OF_FIELDS: [&str; 13] = [
+    const OF_FIELDS: [&str; 12] = [
         "field_width",
         "field_depth",
         "init",
@@ -148,7 +148,6 @@ fn columns_of_other_methods_are_empty() {
         "position_octaves",
         "jitter",
         "density_noise",
-        "core",
         "spacing",
     ];
     let decided = |method: &str| {
