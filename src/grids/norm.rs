@@ -4,13 +4,14 @@
 //! normalised together, and g and b belong to channels (Ba, Kiros and Hinton 2016, equation 4). With `e = dy g`, 0 where a ReLU
 //! gave 0: `dx = (e - mean(e) - n mean(e n)) / sqrt(v + epsilon)`. candle's own layer norm leaves no gradient behind.
 
-use std::ops::{Add, Mul, Sub};
 use std::sync::{Mutex, PoisonError};
 
-use candle_core::{CpuStorage, CustomOp3, D, Layout, Result, Shape, Storage, Tensor};
+use candle_core::{CpuStorage, CustomOp3, D, DType, Layout, Result, Shape, Tensor, WithDType};
 use rayon::prelude::*;
 
 use crate::base::simd::vectorized;
+
+use super::values::{Values, slice};
 
 /// What has a mean and a variance in common.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -79,9 +80,7 @@ const BLOCK: usize = 1 << 15;
 const LANES: usize = 16;
 
 /// f32 or f64. Sums are in f64.
-trait Number:
-    Copy + Send + Sync + PartialOrd + Into<f64> + Add<Output = Self> + Sub<Output = Self> + Mul<Output = Self>
-{
+trait Number: WithDType + Into<f64> {
     const ZERO: Self;
     fn of(value: f64) -> Self;
 }
@@ -188,6 +187,19 @@ impl Normalise {
         let Pull { scale, shift } = Pull::sum(cut.channels, &parts);
         let numbers = |sums: Vec<f64>| sums.into_iter().map(T::of).collect();
         [dx, numbers(scale), numbers(shift)]
+    }
+}
+
+impl Normalise {
+    /// Gradients of x, scale and shift.
+    fn gradients<T: Number>(&self, x: &Tensor, scale: &Tensor, y: &Tensor, dy: &Tensor) -> Result<[Tensor; 3]> {
+        let cut = Cut::new(self.norm.together, x.shape())?;
+        let (y, dy) = (y.contiguous()?, dy.contiguous()?);
+        let [of_x, of_y, of_dy, of_scale] = [x, &y, &dy, scale].map(Values::of);
+        let all = [of_x.slice::<T>()?, of_y.slice()?, of_dy.slice()?];
+        let [dx, d_scale, d_shift] = self.backward(cut, all, of_scale.slice()?);
+        let tensor = |values, like: &Tensor| Tensor::from_vec(values, like.shape(), like.device());
+        Ok([tensor(dx, x)?, tensor(d_scale, scale)?, tensor(d_shift, scale)?])
     }
 }
 
@@ -325,13 +337,6 @@ fn sum_of<T: Number>(numbers: &[T], term: impl Fn(f64) -> f64 + Sync) -> f64 {
     }
 }
 
-fn slice<'a, T>(values: &'a [T], layout: &Layout) -> Result<&'a [T]> {
-    match layout.contiguous_offsets() {
-        Some((start, end)) => Ok(&values[start..end]),
-        None => candle_core::bail!("layer norm needs contiguous arguments, got {layout:?}"),
-    }
-}
-
 impl CustomOp3 for Normalise {
     fn name(&self) -> &'static str {
         "layer-norm"
@@ -348,16 +353,16 @@ impl CustomOp3 for Normalise {
     ) -> Result<(CpuStorage, Shape)> {
         let shape = x_layout.shape();
         let cut = Cut::new(self.norm.together, shape)?;
-        macro_rules! of {
-            ($kind:ident, $x:ident, $scale:ident, $shift:ident) => {{
-                let (scale, shift) = (slice($scale, scale_layout)?, slice($shift, shift_layout)?);
-                CpuStorage::$kind(self.forward(cut, slice($x, x_layout)?, scale, shift))
-            }};
-        }
-        let y = match (x, scale, shift) {
-            (CpuStorage::F32(x), CpuStorage::F32(scale), CpuStorage::F32(shift)) => of!(F32, x, scale, shift),
-            (CpuStorage::F64(x), CpuStorage::F64(scale), CpuStorage::F64(shift)) => of!(F64, x, scale, shift),
-            _ => candle_core::bail!("layer norm is for f32 and f64, all of one kind"),
+        let y = match x {
+            CpuStorage::F32(_) => {
+                let (scale, shift) = (slice(scale, scale_layout)?, slice(shift, shift_layout)?);
+                CpuStorage::F32(self.forward(cut, slice::<f32>(x, x_layout)?, scale, shift))
+            }
+            CpuStorage::F64(_) => {
+                let (scale, shift) = (slice(scale, scale_layout)?, slice(shift, shift_layout)?);
+                CpuStorage::F64(self.forward(cut, slice::<f64>(x, x_layout)?, scale, shift))
+            }
+            _ => candle_core::bail!("layer norm is for f32 and f64"),
         };
         Ok((y, shape.clone()))
     }
@@ -366,26 +371,13 @@ impl CustomOp3 for Normalise {
         &self,
         x: &Tensor,
         scale: &Tensor,
-        shift: &Tensor,
+        _shift: &Tensor,
         y: &Tensor,
         dy: &Tensor,
     ) -> Result<(Option<Tensor>, Option<Tensor>, Option<Tensor>)> {
-        let cut = Cut::new(self.norm.together, x.shape())?;
-        let all = [x.clone(), y.contiguous()?, dy.contiguous()?, scale.clone()];
-        let [x_at, y_at, dy_at, scale_at] = all.each_ref().map(Tensor::storage_and_layout);
-        macro_rules! of {
-            ($x:ident, $y:ident, $dy:ident, $scale:ident) => {{
-                let all = [slice($x, x_at.1)?, slice($y, y_at.1)?, slice($dy, dy_at.1)?];
-                let [dx, d_scale, d_shift] = self.backward(cut, all, slice($scale, scale_at.1)?);
-                let tensor = |values, like: &Tensor| Tensor::from_vec(values, like.shape(), like.device());
-                (tensor(dx, x)?, tensor(d_scale, scale)?, tensor(d_shift, shift)?)
-            }};
-        }
-        use {CpuStorage as C, Storage::Cpu};
-        let (dx, d_scale, d_shift) = match (&*x_at.0, &*y_at.0, &*dy_at.0, &*scale_at.0) {
-            (Cpu(C::F32(x_)), Cpu(C::F32(y)), Cpu(C::F32(dy)), Cpu(C::F32(g))) => of!(x_, y, dy, g),
-            (Cpu(C::F64(x_)), Cpu(C::F64(y)), Cpu(C::F64(dy)), Cpu(C::F64(g))) => of!(x_, y, dy, g),
-            _ => candle_core::bail!("layer norm is for f32 and f64, all of one kind"),
+        let [dx, d_scale, d_shift] = match x.dtype() {
+            DType::F32 => self.gradients::<f32>(x, scale, y, dy)?,
+            _ => self.gradients::<f64>(x, scale, y, dy)?,
         };
         Ok((Some(dx), Some(d_scale), Some(d_shift)))
     }

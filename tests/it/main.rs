@@ -41,6 +41,7 @@ mod settings;
 mod slurm;
 #[cfg(unix)]
 mod slurm_jobs;
+mod srn;
 mod sweep_cli;
 mod sweep_controls;
 mod sweep_folder;

@@ -1,30 +1,10 @@
-use std::collections::HashMap;
-
 use candle_core::{DType, Device, Var};
-use rayon::ThreadPoolBuilder;
+
+use crate::grids::reference::{check_differences, error, fixture, on_any_threads, ramp, values};
 
 use super::*;
 
 const RELATIVE: f64 = 1e-12;
-
-fn ramp(shape: &[usize], phase: f64) -> Tensor {
-    let n: usize = shape.iter().product();
-    let values: Vec<f64> = (0..n).map(|i| (i as f64 * 0.7 + phase).sin() + 0.1 * (i % 7) as f64).collect();
-    Tensor::from_vec(values, shape, &Device::Cpu).unwrap()
-}
-
-fn values(tensor: &Tensor) -> Vec<f64> {
-    tensor.to_dtype(DType::F64).unwrap().flatten_all().unwrap().to_vec1().unwrap()
-}
-
-/// Largest difference over the largest number.
-fn difference(found: &Tensor, expected: &Tensor) -> f64 {
-    let (found, expected) = (values(found), values(expected));
-    assert_eq!(found.len(), expected.len());
-    let largest = expected.iter().fold(0.0, |largest: f64, value| largest.max(value.abs()));
-    let far = found.iter().zip(&expected).fold(0.0, |far: f64, (a, b)| far.max((a - b).abs()));
-    far / largest
-}
 
 fn all_kinds() -> impl Iterator<Item = LayerNorm> {
     [Together::Channels, Together::Sample].into_iter().flat_map(|together| {
@@ -58,12 +38,10 @@ fn rows_have_mean_shift_and_deviation_scale() {
 /// PyTorch's and slim's layer norm: value and gradients.
 #[test]
 fn numbers_are_those_of_the_original_modules() {
-    let path = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/fixtures/baselines.safetensors");
-    let tensors: HashMap<String, Tensor> = candle_core::safetensors::load(path, &Device::Cpu).unwrap();
     let kinds = [("srn.norm", Together::Channels, 1e-5), ("llff.norm", Together::Sample, 1e-12)];
     for (prefix, together, epsilon) in kinds {
         let get = |name: &str| {
-            let tensor = tensors[&format!("{prefix}.{name}")].to_dtype(DType::F64).unwrap();
+            let tensor = fixture(&format!("{prefix}.{name}"));
             // PyTorch's volumes have their channels first.
             if tensor.rank() == 5 { tensor.permute([0, 2, 3, 4, 1]).unwrap() } else { tensor }
         };
@@ -71,7 +49,7 @@ fn numbers_are_those_of_the_original_modules() {
         let norm = LayerNorm { together, epsilon, relu: false };
         let found = run(given.each_ref(), |x, scale, shift| norm.apply(x, scale, shift));
         for (found, name) in found.iter().zip(["out", "grad.x", "grad.scale", "grad.shift"]) {
-            let far = difference(found, &get(name));
+            let far = error(found, &get(name));
             assert!(far < RELATIVE, "{prefix}.{name}: {far}");
         }
     }
@@ -90,7 +68,7 @@ fn value_and_gradients_are_those_of_plain_operations() {
             let single = given.map(|tensor| tensor.to_dtype(DType::F32).unwrap());
             let found_single = run(single.each_ref(), |x, scale, shift| norm.apply(x, scale, shift));
             for ((found, single), plain) in found.iter().zip(&found_single).zip(&plain) {
-                let (far, far_single) = (difference(found, plain), difference(single, plain));
+                let (far, far_single) = (error(found, plain), error(single, plain));
                 assert!(far < RELATIVE && far_single < 1e-4, "{norm:?} {shape:?}: {far} {far_single}");
             }
         }
@@ -99,24 +77,13 @@ fn value_and_gradients_are_those_of_plain_operations() {
 
 #[test]
 fn gradients_are_those_of_finite_differences() {
-    const STEP: f64 = 1e-5;
     for norm in all_kinds() {
-        let given = [ramp(&[2, 3, 5], 0.1), ramp(&[5], 0.5), ramp(&[5], 0.2), ramp(&[2, 3, 5], 0.9)];
-        let found = run(given.each_ref(), |x, scale, shift| norm.apply(x, scale, shift));
-        for argument in 0..3 {
-            let loss = |i: usize, by: f64| {
-                let mut moved = values(&given[argument]);
-                moved[i] += by;
-                let mut given = given.clone();
-                given[argument] = Tensor::from_vec(moved, given[argument].shape(), &Device::Cpu).unwrap();
-                let y = norm.apply(&given[0], &given[1], &given[2]).unwrap();
-                values(&(y * &given[3]).unwrap()).iter().sum::<f64>()
-            };
-            for (i, gradient) in values(&found[argument + 1]).into_iter().enumerate() {
-                let expected = (loss(i, STEP) - loss(i, -STEP)) / (2.0 * STEP);
-                assert!((gradient - expected).abs() < 1e-7, "{norm:?}, {argument}, {i}: {gradient} {expected}");
-            }
-        }
+        let given = [ramp(&[2, 3, 5], 0.1), ramp(&[5], 0.5), ramp(&[5], 0.2)];
+        let [x, scale, shift] = given.each_ref().map(|tensor| Var::from_tensor(tensor).unwrap());
+        let pull = ramp(&[2, 3, 5], 0.9);
+        check_differences(&[x.clone(), scale.clone(), shift.clone()], 1e-7, || {
+            (norm.apply(&x, &scale, &shift).unwrap() * &pull).unwrap().sum_all().unwrap()
+        });
     }
 }
 
@@ -125,12 +92,7 @@ fn bits_do_not_depend_on_threads_and_nan_stays() {
     for norm in all_kinds() {
         let given = [ramp(&[3, 1500, 24], 0.1), ramp(&[24], 0.5), ramp(&[24], 0.2), ramp(&[3, 1500, 24], 0.9)];
         let given = given.map(|tensor| tensor.to_dtype(DType::F32).unwrap());
-        let with = |threads: usize| {
-            let pool = ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-            pool.install(|| run(given.each_ref(), |x, scale, shift| norm.apply(x, scale, shift)).map(|t| values(&t)))
-        };
-        let one = with(1);
-        assert!(one == with(2) && one == with(3), "{norm:?}");
+        on_any_threads(|| run(given.each_ref(), |x, scale, shift| norm.apply(x, scale, shift)).to_vec());
         let broken = (&given[0] * f64::NAN).unwrap();
         let y = norm.apply(&broken, &given[1], &given[2]).unwrap();
         assert!(values(&y).iter().all(|value| value.is_nan()), "{norm:?}");

@@ -1,0 +1,164 @@
+//! Scene Representation Networks through the trainer and through everything that is done with a run.
+
+use std::path::Path;
+use std::sync::OnceLock;
+
+use crate::common::files::{assert_same_files, json, text};
+use crate::common::program::{refuse, succeed};
+use crate::common::reference::Reference;
+use crate::common::{flat, runtime, tiny_config, tiny_scene};
+use augnerf::data::{RayBuffer, RayParts};
+use augnerf::methods::{Model, Painter, Srn, SrnPainter};
+use augnerf::runtime::Runtime;
+use augnerf::settings::{Method, PixelOrigin, Resolved, SrnConfig};
+use augnerf::train::{Adam, AdamSettings, Trainer};
+use candle_core::{DType, Device, Tensor, Var};
+use tempfile::TempDir;
+
+/// Of a run, what need not repeat: clocks, locks and event files.
+const FLEETING: [&str; 3] = ["timing.json", "run.lock", "tensorboard"];
+
+/// A run of a second on the embedded scene, with a checkpoint every 20 steps of 40, both of which are kept.
+const SMALL: &str = "data.width=16 srn.width=24 train.rays=64 train.chunk=16 train.steps=40 train.checkpoint_every=20 \
+    train.keep_checkpoints=2 eval.pictures=1";
+
+fn train(out: &Path, threads: &str) {
+    let set = SMALL.split_whitespace().flat_map(|setting| ["--set", setting]);
+    let run = ["train", "--quiet", "--preset", "smoke", "--method", "srn", "--threads", threads, "--out"];
+    succeed(&run.into_iter().chain([out.to_str().unwrap()]).chain(set).collect::<Vec<_>>());
+}
+
+/// One run for the tests that only read it.
+fn small() -> &'static Path {
+    static RUN: OnceLock<(TempDir, std::path::PathBuf)> = OnceLock::new();
+    let (_, run) = RUN.get_or_init(|| {
+        let dir = TempDir::new().unwrap();
+        let out = dir.path().join("run");
+        train(&out, "1");
+        (dir, out)
+    });
+    run
+}
+
+fn tiny() -> Resolved {
+    tiny_config(Method::Srn, |config| {
+        config.srn = SrnConfig { width: 48, ..SrnConfig::default() };
+        config.train.chunk = 16;
+    })
+}
+
+/// One update at the original's rate, from its gradients.
+#[test]
+fn adam_takes_the_originals_step() {
+    let reference = Reference::load("baselines");
+    let wide = |name: String| reference.get(&name).to_dtype(DType::F64).unwrap();
+    let names = Srn::parameter_names(&SrnConfig { width: 8, ..SrnConfig::default() });
+    let variables: Vec<(String, Var)> = names
+        .into_iter()
+        .map(|(name, _)| (name.clone(), Var::from_tensor(&wide(format!("srn.{name}"))).unwrap()))
+        .collect();
+    let gradients: Vec<Option<Tensor>> =
+        variables.iter().map(|(name, _)| Some(wide(format!("srn.grad.{name}")))).collect();
+    let mut adam = Adam::new(AdamSettings { beta2: 0.999, epsilon: 1e-8 }, variables.clone()).unwrap();
+    adam.update(&gradients, 5e-5, 1).unwrap();
+    for (name, var) in &variables {
+        for (found, expected) in flat(var).into_iter().zip(reference.values(&format!("srn.adam.{name}"))) {
+            assert!((found - expected).abs() < 1e-12, "{name}: {found}, not {expected}");
+        }
+    }
+}
+
+/// f32 on packed weights and f64 in candle's operations take the same steps.
+#[test]
+fn steps_in_f32_are_those_of_f64() {
+    let steps = |dtype: DType| -> Vec<[f64; 3]> {
+        let mut trainer = Trainer::new(&tiny(), &tiny_scene(), dtype, runtime()).unwrap();
+        let step = |_| {
+            let stats = trainer.step(true).unwrap();
+            [stats.loss, stats.mse, stats.term("depth_deviation").unwrap()]
+        };
+        (0..4).map(step).collect()
+    };
+    for (single, double) in steps(DType::F32).iter().zip(steps(DType::F64)) {
+        for (a, b) in single.iter().zip(double) {
+            assert!((a - b).abs() < 2e-3 * b.abs(), "{single:?} {double:?}");
+        }
+    }
+}
+
+#[test]
+fn steps_are_the_same_with_any_number_of_threads() {
+    let parameters = |threads: usize| -> Vec<f64> {
+        let runtime = Runtime::new("cpu", Some(threads)).unwrap();
+        let mut trainer = Trainer::new(&tiny(), &tiny_scene(), DType::F32, &runtime).unwrap();
+        (0..3).for_each(|_| drop(trainer.step(false).unwrap()));
+        trainer.model().variables().iter().flat_map(|(_, var)| flat(var)).collect()
+    };
+    let one = parameters(1);
+    assert!(one == parameters(2) && one == parameters(3));
+}
+
+/// A picture is the march's end from one depth: opaque, colours from 0 to 1, depths along the camera's axis.
+#[test]
+fn pictures_in_f32_are_those_of_f64() {
+    let scene = tiny_scene();
+    let camera = &scene.train[0].camera;
+    let pixels: Vec<_> = (0..16).map(|i| (camera, i, 15 - i)).collect();
+    let rays = RayBuffer::new(&pixels, None, PixelOrigin::Corner, RayParts::default());
+    let config = SrnConfig { width: 48, scale: 1.5, ..SrnConfig::default() };
+    let single = Srn::init(&config, 4, DType::F32, &Device::Cpu).unwrap();
+    let wide = single.variables().iter().map(|(_, var)| var.to_dtype(DType::F64).unwrap()).collect();
+    let double = Srn::from_parameters(&config, wide).unwrap();
+    let paint = |srn: &Srn, dtype: DType| {
+        let painted = SrnPainter::new(srn).unwrap().paint(&rays.to_tensors(dtype, &Device::Cpu).unwrap()).unwrap();
+        [painted.rgb, painted.depth, painted.acc].map(|tensor| flat(&tensor))
+    };
+    let (single, double) = (paint(&single, DType::F32), paint(&double, DType::F64));
+    for (single, double) in single.iter().zip(&double) {
+        assert!(single.iter().zip(double).all(|(a, b)| (a - b).abs() < 1e-4), "{single:?} {double:?}");
+    }
+    let [rgb, depth, acc] = double;
+    assert!(rgb.iter().all(|value| (0.0..=1.0).contains(value)) && acc.iter().all(|acc| *acc == 1.0));
+    assert!(depth.iter().any(|z| (z - config.start_depth / config.scale).abs() > 1e-3), "{depth:?}");
+}
+
+#[test]
+fn a_run_that_was_cut_off_ends_as_one_that_was_not() {
+    let dir = TempDir::new().unwrap();
+    let out = dir.path().join("run");
+    train(&out, "3");
+    assert_same_files(small(), &out, &FLEETING);
+    std::fs::remove_dir_all(out.join("checkpoints/step_000000040")).unwrap();
+    succeed(&["resume", "--quiet", "--threads", "2", out.to_str().unwrap()]);
+    assert_same_files(small(), &out, &FLEETING);
+}
+
+#[test]
+fn a_run_has_its_terms_parameters_and_pictures() {
+    let run = small();
+    let header = text(&run.join("scalars.csv"));
+    for column in ["loss_image", "loss_depth", "depth_deviation", "psnr"] {
+        assert!(header.lines().next().unwrap().split(',').any(|name| name == column), "{column}: {header}");
+    }
+    let state =
+        candle_core::safetensors::load(run.join("checkpoints/step_000000040/state.safetensors"), &Device::Cpu).unwrap();
+    for name in ["phi.0.weight", "phi.3.scale", "lstm.weight_hh", "head.bias", "pixel.5.bias"] {
+        assert!(state.keys().any(|key| key.ends_with(name)), "{name}: {:?}", state.keys());
+    }
+    let dir = TempDir::new().unwrap();
+    let (name, copy) = (run.to_str().unwrap(), dir.path().join("compared"));
+    succeed(&["render", "--quiet", name, "--frames", "1", "--out", dir.path().join("path").to_str().unwrap()]);
+    succeed(&["compare", "--quiet", name, name, "--out", copy.to_str().unwrap()]);
+    let metrics = json(&run.join("metrics.json"));
+    assert!(metrics["mean"]["psnr"].as_f64().unwrap() > 5.0, "{metrics}");
+    assert!(metrics["protocol"]["srn"].as_str().unwrap().starts_with("width 24, 4 + 5 layers, 10 steps"), "{metrics}");
+}
+
+#[test]
+fn what_an_srn_cannot_say_is_refused() {
+    let run = small().to_str().unwrap();
+    refuse(&["mesh", run], 2, &["an SRN knows where a ray ends"]);
+    refuse(&["measure", run], 2, &["an SRN knows where a ray ends"]);
+    let model = Model::Srn(Srn::init(&SrnConfig::default(), 0, DType::F32, &Device::Cpu).unwrap());
+    assert!(model.density().is_err() && model.fields().is_err());
+}
