@@ -146,9 +146,11 @@ fn a_run_has_its_terms_parameters_and_pictures() {
         assert!(state.keys().any(|key| key.ends_with(name)), "{name}: {:?}", state.keys());
     }
     let dir = TempDir::new().unwrap();
-    let (name, copy) = (run.to_str().unwrap(), dir.path().join("compared"));
-    succeed(&["render", "--quiet", name, "--frames", "1", "--out", dir.path().join("path").to_str().unwrap()]);
-    succeed(&["compare", "--quiet", name, name, "--out", copy.to_str().unwrap()]);
+    let [other, path, compared] = ["other", "path", "compared"].map(|name| dir.path().join(name));
+    train(&other, "2");
+    let [run_name, other, path, compared] = [run, &other, &path, &compared].map(|path| path.to_str().unwrap());
+    succeed(&["render", "--quiet", run_name, "--frames", "1", "--out", path]);
+    succeed(&["compare", "--quiet", run_name, other, "--out", compared]);
     let metrics = json(&run.join("metrics.json"));
     assert!(metrics["mean"]["psnr"].as_f64().unwrap() > 5.0, "{metrics}");
     assert!(metrics["protocol"]["srn"].as_str().unwrap().starts_with("width 24, 4 + 5 layers, 10 steps"), "{metrics}");

@@ -1,5 +1,7 @@
 //! The march, its loss and its gradients against the original modules' numbers, closed forms and finite differences.
 
+mod march;
+
 use std::collections::HashMap;
 
 use candle_core::{DType, Device, Tensor, Var};

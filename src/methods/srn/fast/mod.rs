@@ -11,6 +11,3 @@ mod weights;
 
 pub(super) use forward::Lines;
 pub(super) use weights::Network;
-
-#[cfg(test)]
-mod tests;

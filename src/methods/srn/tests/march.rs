@@ -5,11 +5,10 @@ use candle_core::{DType, Device, Tensor};
 use crate::base::rng::{Random, Stream};
 use crate::data::Rays;
 use crate::methods::gradients::Gradients;
+use crate::methods::srn::fast::{Lines, Network};
 use crate::methods::srn::network::Srn;
 use crate::methods::srn::step::{Sums, Weights};
 use crate::settings::SrnConfig;
-
-use super::{Lines, Network};
 
 /// Rays that look about from near (0, 0, 4), and colours.
 struct Given {
