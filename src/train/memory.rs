@@ -97,7 +97,26 @@ fn needs(config: &Resolved, scene: &Scene, threads: usize) -> Vec<Need> {
             mib: mib(2.0 * config.eval.chunk.min(pixels) as f64 * samples * width),
         });
     }
+    if config.representation() == Representation::Srn {
+        needs.push(marches(config, threads));
+    }
     needs
+}
+
+/// What each layer normalised, at every step along the rays of the chunks at work.
+fn marches(config: &Resolved, threads: usize) -> Need {
+    let (train, srn) = (&config.train, &config.srn);
+    let chunk = train.chunk.min(train.rays).max(1);
+    let at_work = parts(train.rays.div_ceil(chunk)).min(threads);
+    let layers = srn.phi_layers * (srn.steps + 1) + srn.pixel_layers;
+    Need {
+        what: "the layers' outputs of the chunks at work, which the backward pass needs,",
+        settings: format!(
+            "train.chunk = {} of {} rays on {threads} threads, srn.width = {} with srn.steps = {}",
+            train.chunk, train.rays, srn.width, srn.steps
+        ),
+        mib: (at_work * chunk) as f64 * (layers * srn.width) as f64 * NUMBER / f64::from(1 << 20),
+    }
 }
 
 /// The settings that most of the weights hang on.
@@ -170,6 +189,14 @@ mod tests {
         let further = 2.0 * 32.0 * 32.0 * 3.0 * 32.0 * 4.0 / f64::from(1 << 20);
         assert!((of(&["field.hash.levels=32"]) - usual - further).abs() < 1e-9);
         assert_eq!(of(&["sampling.coarse=64"]), usual);
+    }
+
+    #[test]
+    fn marches_count_by_their_layers_and_steps() {
+        let of = |settings: &[&str]| needs_of(&[&["method=srn", "train.rays=1024"], settings].concat())[1].mib;
+        // Two chunks of 128 rays: 4 layers at 11 points each, and 5, of 256 numbers.
+        assert_eq!(of(&[]), 256.0 * 49.0 * 256.0 * 4.0 / f64::from(1 << 20));
+        assert_eq!(of(&["train.chunk=1024", "srn.steps=21"]), 1024.0 * 93.0 * 256.0 * 4.0 / f64::from(1 << 20));
     }
 
     #[test]
