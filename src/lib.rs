@@ -1,5 +1,5 @@
 //! augnerf trains neural radiance fields, plain (NeRF) and with worst-case augmentation
-//! (Aug-NeRF), and measures both under one protocol.
+//! (Aug-NeRF), SRN, Neural Volumes and LLFF beside them, and measures all under one protocol.
 //!
 //! # Where to start
 //!

@@ -28,7 +28,7 @@ pub struct Experiment {
     /// in, so it is no base for another scene or attack)
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
-    /// nerf, aug-nerf, mip-nerf or aug-mip-nerf [default: nerf]
+    /// nerf, aug-nerf, mip-nerf, aug-mip-nerf, srn, nv or llff [default: nerf]
     #[arg(long, value_name = "METHOD")]
     method: Option<String>,
     /// Seed of every random stream [default: 0]

@@ -1,11 +1,15 @@
 //! Methods without radiance fields: what cannot be asked of them is refused in a sentence, and their protocol is theirs.
 
-use crate::common::program::refuse;
+use crate::common::files::json;
+use crate::common::program::{refuse, succeed};
 use crate::common::{assert_says, tiny_scene};
 use augnerf::base::Result;
+use augnerf::report::tables::{Table, table_latex, table_markdown};
+use augnerf::report::{Record, RowSpec, Status, TableSpec};
 use augnerf::run::{Protocol, check_measurable, surface_threshold};
 use augnerf::settings::{Ability, Config, DataKind, Extent, Preset, Representation, build, parse_assignment};
 use augnerf::sweep::{Definition, StepCosts, expand};
+use tempfile::TempDir;
 
 /// The methods, and why each has no density in space; none where it has one.
 const BASELINES: [(&str, Option<&str>); 3] = [
@@ -198,4 +202,85 @@ fn open_numbers_follow_from_the_scene() {
     assert_eq!((llff.llff.near, llff.llff.far), (Some(2.0), Some(12.0)));
     let again = llff.clone().into_draft().resolve(DataKind::Llff, extent).unwrap();
     assert_eq!((again.hash(), &*again), (llff.hash(), &*llff));
+}
+
+/// A table of rows with and without fields says what each is: captions and notes of differences are about what all have.
+#[test]
+fn tables_tell_what_rows_without_fields_are() {
+    let record = |row: &str, protocol: &[(&str, &str)]| Record {
+        id: row.into(),
+        scene: "chair".into(),
+        row: row.into(),
+        axes: Vec::new(),
+        seed: 0,
+        status: Status::Done,
+        reason: String::new(),
+        metrics: vec![("psnr".into(), Some(20.0))],
+        protocol: protocol.iter().map(|(name, value)| (name.to_string(), value.to_string())).collect(),
+        inactive_levels: Vec::new(),
+    };
+    let nerf = [("width", "200"), ("field_width", "64"), ("field_depth", "8"), ("rays", "512")];
+    let records = [
+        record("NeRF", &nerf),
+        record("Aug-NeRF", &nerf),
+        record("SRN", &[("width", "200"), ("rays", "1024"), ("srn", "width 256, 10 steps")]),
+        record("LLFF (trained on the scene)", &[("width", "200"), ("llff", "32 planes")]),
+    ];
+    let printed = |records: &[Record]| {
+        let rows = records.iter().map(|record| RowSpec { name: record.row.clone(), ..RowSpec::default() }).collect();
+        let spec = TableSpec { metrics: vec!["psnr".into()], rows, ..TableSpec::default() };
+        let table = Table::new(&spec, records, false).unwrap();
+        (table_markdown(&table), table_latex(&table))
+    };
+    let (markdown, latex) = printed(&records);
+    let notes = [
+        "SRN: width 256, 10 steps",
+        "LLFF (trained on the scene): 32 planes",
+        "NeRF, Aug-NeRF: field_width 64, field_depth 8",
+        "rows differ in rays: 512 (NeRF, Aug-NeRF); 1024 (SRN)",
+        "one network trained on other scenes",
+    ];
+    assert_says(&markdown, &notes);
+    assert_says(&latex, &["SRN: width 256", "LLFF is trained on the scene here"]);
+    let (fields, _) = printed(&records[..2]);
+    assert!(notes.iter().all(|note| !fields.contains(note)), "{fields}");
+    let (without_llff, _) = printed(&records[..3]);
+    assert!(without_llff.contains(notes[0]) && !without_llff.contains(notes[4]), "{without_llff}");
+}
+
+/// Runs in NDC stand beside those with rays in the world, depths of both in scene units.
+#[test]
+fn runs_with_and_without_ndc_are_compared_in_scene_units() {
+    let dir = TempDir::new().unwrap();
+    let path = |name: &str| dir.path().join(name).display().to_string();
+    let [world, ndc] = ["world", "ndc"].map(|name| {
+        let (out, mapped) = (path(name), format!("data.ndc={}", name == "ndc"));
+        let small = [
+            "data.kind=builtin-forward",
+            &mapped,
+            "data.width=24",
+            "field.width=16",
+            "train.steps=8",
+            "eval.pictures=0",
+        ];
+        let set = small.iter().flat_map(|setting| ["--set", setting]);
+        let train = ["train", "--quiet", "--preset", "smoke", "--out", &out].into_iter().chain(set);
+        succeed(&train.collect::<Vec<_>>());
+        out
+    });
+    let compared = |runs: &[&String], out: &str| {
+        let runs = runs.iter().map(|run| run.as_str());
+        succeed(&["compare", "--quiet", "--out", out].into_iter().chain(runs).collect::<Vec<_>>());
+        let file = json(&std::path::Path::new(out).join("compare.json"));
+        let end = |i: usize| file["depth_colours"][i].as_f64().unwrap();
+        (file["depth_unit"].as_str().unwrap().to_string(), end(0), end(1))
+    };
+    let (unit, near, far) = compared(&[&ndc], &path("alone"));
+    assert!(unit == "NDC" && near >= 0.0 && far <= 1.0, "{unit} {near} {far}");
+    for (name, runs) in [("first", [&ndc, &world]), ("second", [&world, &ndc])] {
+        // NDC begin a unit before the cameras' mean.
+        let (unit, near, far) = compared(&runs, &path(name));
+        assert!(unit == "scene units" && near > 0.5 && far > near && far.is_finite(), "{unit} {near} {far}");
+    }
+    refuse(&["profile", &ndc, &world, "--out", &path("profile")], 2, &["one interval"]);
 }
