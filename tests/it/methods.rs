@@ -212,7 +212,7 @@ fn tables_tell_what_rows_without_fields_are() {
         scene: "chair".into(),
         row: row.into(),
         axes: Vec::new(),
-        seed: 0,
+        seed: Some(0),
         status: Status::Done,
         reason: String::new(),
         metrics: vec![("psnr".into(), Some(20.0))],
