@@ -8,7 +8,10 @@ use serde_json::json;
 
 use crate::base::csv::csv_text;
 use crate::base::{Error, Result};
-use crate::run::{BalancedWeight, FieldSmoothness, RunDir, Trained, balance, check_measurable, columns};
+use crate::run::{
+    BalancedWeight, FieldSmoothness, RunDir, SMOOTHNESS_SIDE, Trained, balance, check_measurable, columns,
+    smoothness_box,
+};
 use crate::runtime::Runtime;
 use crate::settings::registry::check_flag;
 use crate::space::Lattice;
@@ -26,16 +29,13 @@ struct Measured<'a> {
     field: &'a FieldSmoothness,
 }
 
-/// The paper's box for its regularizers.
-const PAPER_BOX: [[f64; 3]; 2] = [[-1.0; 3], [1.0; 3]];
-
 #[derive(Args)]
 pub struct MeasureArguments {
     /// Run folders; each run's newest checkpoint is measured
     #[arg(required = true)]
     runs: Vec<PathBuf>,
     /// Cells along each side of the box; numbers of different lattices are not comparable
-    #[arg(long, value_name = "N", default_value_t = 64)]
+    #[arg(long, value_name = "N", default_value_t = SMOOTHNESS_SIDE)]
     lattice: usize,
     /// Corners of the box in the units that the field is queried in (NDC where the run uses it) [default: -1..1, the
     /// paper's; of transforms.json, COLMAP and spherified scenes what most cameras look at]
@@ -54,7 +54,8 @@ impl MeasureArguments {
     pub fn run(self) -> Result<()> {
         let runtime = self.compute.runtime()?;
         let domain = self.bbox.as_deref().map(|text| parse_box("bbox", text)).transpose()?;
-        check_lattice(&Lattice { domain: domain.unwrap_or(PAPER_BOX), side: self.lattice })?;
+        domain.map_or(Ok(()), |domain| check_flag("--bbox", "regularizer.domain", &domain))?;
+        check_flag("--lattice", "regularizer.lattice", &self.lattice)?;
         // A run that has no such numbers is refused before the first is measured.
         for run in &self.runs {
             check_measurable(run, &RunDir::open(run)?.read_config()?)?;
@@ -67,7 +68,7 @@ impl MeasureArguments {
         let (mut header, mut measured) = (true, Vec::new());
         for run in &self.runs {
             let trained = Trained::open(run, self.data.as_deref(), runtime, &console)?;
-            let domain = domain.or(trained.scene.place.domain).unwrap_or(PAPER_BOX);
+            let domain = domain.unwrap_or_else(|| smoothness_box(&trained.scene));
             let lattice = Lattice { domain, side: self.lattice };
             lattice.check_meets(&trained.scene, "--bbox")?;
             let report = trained.measure_smoothness(&lattice, &console)?;
@@ -91,13 +92,6 @@ impl MeasureArguments {
         }
         self.answer.give_silently(&json!({ "fields": measured }))
     }
-}
-
-/// Checks a lattice as a configuration's.
-fn check_lattice(lattice: &Lattice) -> Result<()> {
-    check_flag("--bbox", "regularizer.domain", &lattice.domain)?;
-    check_flag("--lattice", "regularizer.lattice", &lattice.side)?;
-    Ok(())
 }
 
 /// Cells as a line of CSV.

@@ -20,6 +20,16 @@ use super::{Protocol, Trained, columns};
 
 /// A measurement that would take longer is refused.
 const MOST_HOURS: f64 = 12.0;
+/// The paper's box for its regularizers.
+const PAPER_BOX: [[f64; 3]; 2] = [[-1.0; 3], [1.0; 3]];
+/// Cells along each side of the lattice where no others are asked for.
+pub const SMOOTHNESS_SIDE: usize = 64;
+
+/// The box that a scene's fields are measured in where no other is asked for, in `measure` as in sweeps: what most cameras look
+/// at, and where nothing tells that the paper's.
+pub fn smoothness_box(scene: &Scene) -> [[f64; 3]; 2] {
+    scene.place.domain.unwrap_or(PAPER_BOX)
+}
 
 /// One network's smoothness.
 #[derive(Clone, Debug, PartialEq, Serialize)]

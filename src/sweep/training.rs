@@ -12,7 +12,8 @@ use crate::data::corruption::corrupt;
 use crate::data::{self, Scene, seen_views};
 use crate::metrics::Lpips;
 use crate::run::{
-    Existing, Finished, Job, Report, RunDir, Setup, SmoothnessReport, Viewer, columns, locate_scene, watch_memory,
+    Existing, Finished, Job, Report, RunDir, SMOOTHNESS_SIDE, Setup, SmoothnessReport, Viewer, columns, locate_scene,
+    smoothness_box, watch_memory,
 };
 use crate::runtime::{Host, Runtime};
 use crate::settings::{Config, CorruptionConfig, DataConfig, Resolved};
@@ -25,8 +26,8 @@ use super::point_folder::{PointFolder, PointResult};
 use super::points::Point;
 use super::runner::Work;
 
-/// The lattice that tables measure smoothness on, whatever a row was trained with.
-const SMOOTHNESS: Lattice = Lattice { domain: [[-1.0; 3], [1.0; 3]], side: 64 };
+/// The column of a point's protocol that says in what box `l1`, `tv` and their like are integrals.
+const SMOOTHNESS_DOMAIN: &str = "smoothness_domain";
 /// Scenes in memory at once: points come scene by scene.
 const SCENES: usize = 2;
 /// Seconds that steps warm up for, and are then timed for, where a budget hangs on them. A few steps tell a clock's and a cold
@@ -257,19 +258,22 @@ impl Trainings<'_> {
         finished: &Finished,
     ) -> Result<PointResult> {
         let Finished { report, model, .. } = finished;
+        let Report { protocol, .. } = report;
+        let mut told = columns(protocol);
         let mut metrics: Vec<(String, Option<f64>)> =
             report.mean.iter().map(|(metric, value)| (metric.key.to_string(), value)).collect();
         if self.smoothness && config.representation().has_derivatives_at_points() {
-            let (protocol, events) = (report.protocol.clone(), self.events);
-            let smoothness = SmoothnessReport::measure(model, scene, &SMOOTHNESS, protocol, runtime, events)?;
+            // One lattice for all rows, whatever they were trained with.
+            let lattice = Lattice { domain: smoothness_box(scene), side: SMOOTHNESS_SIDE };
+            let smoothness = SmoothnessReport::measure(model, scene, &lattice, protocol.clone(), runtime, self.events)?;
             smoothness.write(&RunDir::open(path)?.smoothness())?;
             let evaluated = smoothness.fields.last().expect("there is a field");
             metrics.extend(numbers(&evaluated.smoothness));
+            told.push((SMOOTHNESS_DOMAIN.into(), evaluated.domain.clone()));
         }
-        debug_assert_eq!(report.protocol.text("config_hash"), config.hash());
-        let Report { protocol, .. } = report;
+        debug_assert_eq!(protocol.text("config_hash"), config.hash());
         let inactive_levels = report.inactive_levels().into_iter().map(String::from).collect();
-        Ok(PointResult { metrics, protocol: columns(protocol), inactive_levels })
+        Ok(PointResult { metrics, protocol: told, inactive_levels })
     }
 }
 

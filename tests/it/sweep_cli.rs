@@ -63,6 +63,26 @@ fn assert_same_tables(a: &Path, b: &Path) {
     assert_same_files(&a.join("results/tiny"), &b.join("results/tiny"), &["timing.csv"]);
 }
 
+/// Of a capture the box is what its cameras look at, in a table as in a measurement of the same run.
+#[test]
+fn smoothness_of_a_point_is_that_of_measure() {
+    let one = TINY.replace("seeds = [0, 1]", "seeds = [0]").replace("\"builtin\"", "\"ring\"");
+    let definition = one.split("[[row]]").take(2).collect::<Vec<_>>().join("[[row]]");
+    let dir = workplace(&definition.replace("= 60", "= 4").replace("[set]", "[set]\n\"data.kind\" = \"transforms\""));
+    demand(&["data", "export-builtin", "ring", "--width", "16"], dir.path(), 0);
+    demand(&["sweep", "run", "tiny.toml", "--data-root", ".", "--quiet"], dir.path(), 0);
+    let point = rows(&text(&dir.path().join("results/tiny/points.csv"))).remove(0);
+    let run = dir.path().join("runs/tiny/points").join(&point["id"]).join("run");
+    demand(&["measure", "--quiet", run.to_str().unwrap()], dir.path(), 0);
+    let measured = rows(&text(&run.join("smoothness.csv"))).pop().unwrap();
+    let number = |row: &std::collections::HashMap<String, String>, name: &str| row[name].parse::<f64>().unwrap();
+    for metric in ["l1", "tv", "laplacian", "largest_density", "occupied"] {
+        assert_eq!(number(&point, metric), number(&measured, metric), "{metric}");
+    }
+    assert_eq!(point["smoothness_domain"], measured["domain"]);
+    assert_ne!(measured["domain"], "[[-1.0, -1.0, -1.0], [1.0, 1.0, 1.0]]");
+}
+
 /// `AUGNERF_SWEEP_KILLS` kills instead of 20.
 #[test]
 fn killed_at_random_moments_equals_undisturbed() {
