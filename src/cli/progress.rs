@@ -147,7 +147,7 @@ impl Stretch {
     fn new(quiet: bool, what: &str, parts: u64) -> Stretch {
         let bar = if quiet || !std::io::stderr().is_terminal() {
             if what.starts_with(EVALUATING) && !quiet {
-                report(&format!("{what}: {parts} views"));
+                report(&format!("{what}: {parts} view{}", if parts == 1 { "" } else { "s" }));
             }
             ProgressBar::hidden()
         } else {

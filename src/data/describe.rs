@@ -45,22 +45,28 @@ impl Scene {
         let (rig, world) = (Rig::of(&cameras), &self.place.world);
         let sides = pose::sub(rig.extent[1], rig.extent[0]);
         let spread =
-            rig.spread.map_or("all ways".into(), |spread| format!("up to {spread:.0} degrees from their mean"));
+            rig.spread.map_or("all around".into(), |spread| format!("within {spread:.0} degrees of their mean"));
         let [x, y, z] = sides;
-        row("cameras", format!("within {x:.3} x {y:.3} x {z:.3} scene units, turned {spread}"));
+        row("cameras", format!("within {x:.3} x {y:.3} x {z:.3} scene units, viewing directions {spread}"));
         row(
             "looking at",
             rig.subject.map_or("no common point".into(), |subject| {
                 let ([x, y, z], [least, median, most]) = (subject.focus, subject.depths);
                 format!(
-                    "[{x:.3}, {y:.3}, {z:.3}], {median:.3} away ({least:.3} to {most:.3}), {:.3} around it",
+                    "[{x:.3}, {y:.3}, {z:.3}], distance {median:.3} ({least:.3} to {most:.3}), radius {:.3}",
                     subject.radius
                 )
             }),
         );
-        if let Some(domain) = self.place.domain {
-            let text = |[x, y, z]: [f64; 3]| format!("[{x:.3}, {y:.3}, {z:.3}]");
-            row("box", format!("{} to {} (meshes, measure, hash grids)", text(domain[0]), text(domain[1])));
+        let text = |[x, y, z]: [f64; 3]| format!("[{x:.3}, {y:.3}, {z:.3}]");
+        match (self.place.domain, self.format().and_then(|format| format.kind.object_half())) {
+            (Some([low, high]), _) => {
+                row("box", format!("{} to {} (meshes, measure, hash grids)", text(low), text(high)))
+            }
+            (None, Some(half)) => {
+                row("box", format!("the format's: within {half} of the origin along each axis (meshes)"))
+            }
+            (None, None) => {}
         }
         let [x, y, z] = pose::column(&world.rotation_and_origin, 3);
         row(
@@ -68,7 +74,10 @@ impl Scene {
             match *world == super::WorldToScene::default() {
                 true => "the capture's own".into(),
                 false => {
-                    format!("{:.5} to one of the capture's, whose origin is at [{x:.4}, {y:.4}, {z:.4}]", world.scale)
+                    format!(
+                        "scale {:.5} scene units per capture unit, the capture's origin at [{x:.4}, {y:.4}, {z:.4}]",
+                        world.scale
+                    )
                 }
             },
         );

@@ -7,6 +7,7 @@ pub(crate) mod depth;
 mod describe;
 mod detect;
 pub mod formats;
+mod heard;
 pub mod images;
 mod json;
 pub(crate) mod npy;
@@ -36,6 +37,7 @@ use std::sync::Arc;
 use sha2::{Digest, Sha256};
 
 use crate::base::{Error, Image, Listener, Result};
+use heard::Heard;
 
 use crate::settings::{Background, DataConfig, DataKind, Extent, scene_name, short_hash};
 
@@ -169,7 +171,9 @@ pub fn load(config: &DataConfig, seed: u64, events: &dyn Listener) -> Result<Sce
     let Some(format) = Format::of(config.kind) else {
         return Err(Error::Config("data.kind = \"auto\" has to be settled before the scene is loaded".into()));
     };
-    let mut scene = (format.read)(config, events)?;
+    let heard = Heard::new(events);
+    let mut scene = (format.read)(config, &heard)?;
+    heard.words(&config.dir).into_iter().for_each(|words| scene.place.note("noted", words));
     scene.near = config.near.unwrap_or(scene.near);
     scene.far = config.far.unwrap_or(scene.far);
     check(&scene, config)?;

@@ -28,10 +28,7 @@ impl Place {
             return (place, (near, far));
         };
         place.domain = Some(subject.domain());
-        place.note(
-            "bounds from",
-            "the cameras: what they look at, a part of the way before it, some room behind".into(),
-        );
+        place.note("bounds from", subject.bounds_words());
         (place, subject.bounds())
     }
 

@@ -83,6 +83,16 @@ impl Subject {
         let near = (0.5 * (least - self.radius)).max(LEAST_NEAR * least);
         (near, largest + BEHIND * self.radius)
     }
+
+    /// How these ends come about.
+    pub fn bounds_words(&self) -> String {
+        let [least, _, largest] = self.depths;
+        format!(
+            "the cameras, which are {least:.3} to {largest:.3} away from what they look at (radius {:.3}): half way to it from the \
+             nearest one, {BEHIND} radii behind it for the farthest",
+            self.radius
+        )
+    }
 }
 
 /// The depth of a point that a camera has within its picture; none where it has not.

@@ -233,9 +233,10 @@ impl Experiment<'_> {
         let config = &self.setup.config;
         for (role, redraws) in Model::parts(config).iter().zip(trainer.redraws()) {
             if *redraws > 0 && trainer.step_count() == 0 {
-                let share = config.train.dead_start_share;
+                let percent = (1e5 * config.train.dead_start_share).round() / 1e3;
+                let often = if *redraws == 1 { "once".into() } else { format!("{redraws} times") };
                 events.on(Event::Note(&format!(
-                    "first weights of the {role} field were drawn again {redraws} x: under {share} of densities were positive"
+                    "{role} network re-initialised {often} (dead start: under {percent} % of its densities were positive)"
                 )));
             }
         }

@@ -109,6 +109,16 @@ fn all(scene: &Scene) -> impl Iterator<Item = &View> {
     scene.train.iter().chain(&scene.test)
 }
 
+/// What the scene says of itself under a label.
+fn told(scene: &Scene, label: &str) -> String {
+    let row = scene.describe().into_iter().find(|(own, _)| own == label);
+    row.unwrap_or_else(|| panic!("no line '{label}'")).1
+}
+
+fn noted(scene: &Scene) -> String {
+    told(scene, "noted")
+}
+
 fn view<'a>(scene: &'a Scene, name: &str) -> &'a View {
     all(scene).find(|view| view.name == name).unwrap()
 }
@@ -123,6 +133,10 @@ fn missing_photographs_are_left_out_and_named_while_half_are_there() {
     assert_eq!(notes.len(), 1, "{notes:?}");
     assert_says(&notes[0], &["transforms.json: 5 of 10", "images/0.png", "images/4.png", "images/8.png"]);
     assert!(!notes[0].contains("images/1.png"));
+    // It stays with the scene, whoever was quiet, without the folder that the scene lies in.
+    let kept = noted(&scene);
+    assert_says(&kept, &["transforms.json: 5 of 10", "images/0.png"]);
+    assert!(!kept.contains(&folder.path().display().to_string()), "{kept}");
     folder.remove(1);
     folder.refuses(&["6 of 10", "at least half", "images/1.png", "images/8.png"]);
 }
@@ -233,6 +247,45 @@ fn split_files_have_their_intrinsics_honoured() {
     assert!(all(&capture).all(|view| view.camera.pose.iter().all(|row| row[3].abs() <= 1.0 + 1e-12)));
 }
 
+/// A file for each split makes a capture a Blender scene: it says what was read, and that its rays end before their subject.
+#[test]
+fn bounds_of_another_scene_are_told() {
+    let folder = Folder::new(8);
+    let near = |number: usize| {
+        let mut frame = frame(number, &format!("images/{number}.png"));
+        for axis in [0, 2] {
+            let at = frame["transform_matrix"][axis][3].as_f64().unwrap();
+            frame["transform_matrix"][axis][3] = (at / 4.0).into();
+        }
+        frame
+    };
+    for (split, first) in [("train", 0), ("test", 4)] {
+        let frames: Vec<Value> = (first..first + 4).map(near).collect();
+        let document = json!({"fl_x": 20, "k1": 0.1, "frames": frames});
+        fs::write(folder.path().join(format!("transforms_{split}.json")), document.to_string()).unwrap();
+    }
+    let at = |change: fn(&mut DataConfig)| {
+        let (scene, notes) = read(folder.path(), |data| {
+            data.downscale = Some(1);
+            change(data);
+        });
+        (scene.unwrap(), notes.concat())
+    };
+    let (scene, notes) = at(|_| {});
+    assert_eq!(scene.kind, "blender");
+    assert_says(&notes, &["1.000 away", "from 2 to 6", "data.near", "--set data.kind=transforms"]);
+    assert_says(&noted(&scene), &["1.000 away"]);
+    assert_says(&told(&scene, "looking at"), &["distance 1.000 (1.000 to 1.000), radius 0.3"]);
+    assert_says(&told(&scene, "bounds from"), &["2 to 6", "NeRF's synthetic scenes"]);
+    assert_says(&told(&scene, "distortion"), &["undone in 8 images"]);
+    assert_says(&told(&scene, "box"), &["1.5"]);
+    let (scene, notes) = at(|data| (data.near, data.far) = (Some(0.2), Some(3.0)));
+    assert!(notes.is_empty() && scene.near == 0.2, "{notes}");
+    let (scene, notes) = at(|data| data.kind = DataKind::Transforms);
+    assert!(notes.is_empty() && scene.near < 1.0, "{notes}");
+    assert_says(&told(&scene, "bounds from"), &["away from what they look at", "half way", "3 radii"]);
+}
+
 #[test]
 fn photographs_that_are_trained_on_and_evaluated_are_named() {
     let folder = Folder::new(8);
@@ -260,6 +313,7 @@ fn a_photograph_that_is_listed_twice_is_used_once() {
     let scene = scene.unwrap();
     assert_eq!((scene.train.len(), scene.test.len()), (7, 2));
     assert_says(&notes.concat(), &["1 frames are listed again", "images/4"]);
+    assert_says(&noted(&scene), &["1 frames are listed again", "images/4"]);
     twice(frame(5, "images/4.png")).refuses(&["images/4.png", "twice", "two poses"]);
 }
 
@@ -387,9 +441,11 @@ fn exif_orientation_is_named_and_applied_only_where_the_file_says_so() {
     fs::write(folder.path().join("images/3.jpg"), turned_jpeg(photograph(3, 16, 12), 6)).unwrap();
     folder.document["frames"][3]["file_path"] = "images/3.jpg".into();
     let (scene, notes) = folder.read(|_| {});
-    let camera = view(&scene.unwrap(), "3").camera;
+    let scene = scene.unwrap();
+    let camera = view(&scene, "3").camera;
     assert_eq!((camera.width, camera.height), (16, 12));
     assert_says(&notes.concat(), &["1 photographs", "EXIF", "not applied", "images/3.jpg"]);
+    assert_says(&noted(&scene), &["EXIF", "images/3.jpg"]);
     // The intrinsics are those of the turned photograph: 90 degrees clockwise, so that the left column is its top row.
     folder.document["frames"][3]["w"] = 12.into();
     folder.document["frames"][3]["h"] = 16.into();
@@ -441,8 +497,7 @@ fn small_liberties_of_files_are_no_errors() {
         names
     };
     assert_eq!(sorted(&scene), (0..9).map(|i| i.to_string()).collect::<Vec<_>>());
-    let told = scene.describe().into_iter().find(|(label, _)| label == "ignored keys").unwrap().1;
-    assert_eq!(told, "aabb_scale, sharpness");
+    assert_eq!(told(&scene, "ignored keys"), "aabb_scale, sharpness");
     // Where a number is needed, none is no number.
     fs::write(folder.path().join("transforms.json"), text.replace("\"fl_x\":20.0", "\"fl_x\":-Infinity")).unwrap();
     let said = read(folder.path(), |_| {}).0.unwrap_err().to_string();

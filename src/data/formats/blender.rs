@@ -6,12 +6,12 @@ use std::path::Path;
 
 use rayon::prelude::*;
 
-use crate::base::{Error, Listener, Result};
+use crate::base::{Error, Event, Listener, Result};
 use crate::data::formats::transforms::frames::{self, Frame};
-use crate::data::formats::transforms::transforms_file;
+use crate::data::formats::transforms::{notes, transforms_file};
 use crate::data::json::{self, Object};
 use crate::data::pose::{self, Pose};
-use crate::data::{Camera, Place, Scene, View, background, depth, name_of, path};
+use crate::data::{Camera, Place, Rig, Scene, View, background, depth, name_of, path};
 use crate::settings::{DataConfig, DataKind, EvalSplit};
 
 /// Start and end of a ray, as for all of NeRF's synthetic scenes.
@@ -20,6 +20,8 @@ const BOUNDS: [f64; 2] = [2.0, 6.0];
 const ORBIT_POSES: usize = 40;
 /// Its elevation in degrees and its radius, as nerf-pytorch's.
 const ORBIT: (f64, f64) = (-30.0, 4.0);
+/// Objects that are photographed fill about this share of what the cameras look at.
+const OF_SUBJECT: f64 = 0.5;
 /// Cameras and what they look at lie on its sphere and in its centre but for this share of the radius.
 const OFF_SPHERE: f64 = 0.15;
 
@@ -35,6 +37,11 @@ pub fn load(config: &DataConfig, events: &dyn Listener) -> Result<Scene> {
     let sizes = frames::working_sizes(&both, config)?;
     let cameras: Vec<Camera> = both.iter().zip(sizes).map(|(frame, size)| frame.camera(size, in_turn)).collect();
     frames::note_shared(&both[..train.len()], &both[train.len()..], events);
+    check_bounds(config, &cameras, events);
+    let mut place = Place::default();
+    notes(&mut place, &both, &cameras, &[]);
+    let [near, far] = BOUNDS;
+    place.note("bounds from", format!("the format: {near} to {far}, as for all of NeRF's synthetic scenes"));
     let (of_train, of_test) = cameras.split_at(train.len());
     let background = background(config);
     let (train_views, _) = frames::views(&train, of_train, background, "reading train images", events)?;
@@ -48,7 +55,7 @@ pub fn load(config: &DataConfig, events: &dyn Listener) -> Result<Scene> {
             .map(|pose| Camera { pose, ..cameras[0] })
             .collect(),
         corrupted: None,
-        place: Place::default(),
+        place,
         train: train_views,
         test: test_views,
         near: BOUNDS[0],
@@ -56,6 +63,24 @@ pub fn load(config: &DataConfig, events: &dyn Listener) -> Result<Scene> {
         ndc: None,
         background: Some(background),
     })
+}
+
+/// Says where rays end before what the cameras look at, or begin behind it: photographs of a capture with a file for each split
+/// are taken for such a scene.
+fn check_bounds(config: &DataConfig, cameras: &[Camera], events: &dyn Listener) {
+    let Some(subject) = Rig::of(cameras).subject else { return };
+    let (near, far) = (config.near.unwrap_or(BOUNDS[0]), config.far.unwrap_or(BOUNDS[1]));
+    let ([_, distance, _], reach) = (subject.depths, OF_SUBJECT * subject.radius);
+    if near <= distance - reach && distance + reach <= far {
+        return;
+    }
+    events.on(Event::Note(&format!(
+        "{}: what the cameras look at is {distance:.3} away from them (radius {:.3}), and rays run from {near} to {far}, the bounds of \
+         NeRF's synthetic scenes where none are set: set data.near and data.far, or read the folder as a capture of photographs with \
+         --set data.kind=transforms",
+        Path::new(&config.dir).join(transforms_file("train")).display(),
+        subject.radius
+    )));
 }
 
 /// Rounded so as nerf-pytorch does.

@@ -80,7 +80,7 @@ pub fn load(config: &DataConfig, events: &dyn Listener) -> Result<Scene> {
     let path = path::around(&poses);
     let first = cameras[0];
     let (mut place, (near, far)) = Place::of_cameras(&cameras, world, BOUNDS);
-    notes(&mut place, &frames, &cameras, &ignored);
+    notes(&mut place, &frames.iter().collect::<Vec<_>>(), &cameras, &ignored);
     let capture = Capture {
         views,
         near,
@@ -115,7 +115,7 @@ fn by_ratio(value: f64, to: f64, from: f64) -> f64 {
 }
 
 /// What was found and chosen, for people.
-fn notes(place: &mut Place, frames: &[Frame], cameras: &[Camera], ignored: &[String]) {
+pub(super) fn notes(place: &mut Place, frames: &[&Frame], cameras: &[Camera], ignored: &[String]) {
     let paths: Vec<PathBuf> = frames.iter().map(|frame| frame.path.clone()).collect();
     let sizes = |camera: &Camera| (camera.width, camera.height);
     let mut words = images::folder_words(&paths, frames[0].size, sizes(&cameras[0]));
@@ -123,7 +123,7 @@ fn notes(place: &mut Place, frames: &[Frame], cameras: &[Camera], ignored: &[Str
         words += " (the first; sizes differ)";
     }
     place.note("images", words);
-    let zoom = frames.iter().map(Frame::zoom).fold(1.0, f64::max);
+    let zoom = frames.iter().map(|frame| frame.zoom()).fold(1.0, f64::max);
     let undone = frames.iter().filter(|frame| frame.is_bent()).count();
     let words =
         if undone == 0 { "none".into() } else { format!("undone in {undone} images, zoomed in by up to {zoom:.3}") };

@@ -1,0 +1,37 @@
+//! What readers say on their way, kept beside the scene: a sentence on a screen is gone where nobody looks.
+
+use std::sync::{Mutex, PoisonError};
+
+use crate::base::{Event, Listener};
+
+/// Hands every event on, and keeps the sentences.
+pub(super) struct Heard<'a> {
+    events: &'a dyn Listener,
+    said: Mutex<Vec<String>>,
+}
+
+impl<'a> Heard<'a> {
+    pub(super) fn new(events: &'a dyn Listener) -> Heard<'a> {
+        Heard { events, said: Mutex::default() }
+    }
+
+    /// All that was said, without the scene's folder: where that lies is no part of the scene. None where nothing was.
+    pub(super) fn words(self, folder: &str) -> Option<String> {
+        let said = self.said.into_inner().unwrap_or_else(PoisonError::into_inner);
+        let folder = folder.trim_end_matches('/');
+        let bare = |words: &String| {
+            let rest = words.strip_prefix(folder).and_then(|rest| rest.strip_prefix('/').or(rest.strip_prefix(": ")));
+            rest.unwrap_or(words).to_string()
+        };
+        (!said.is_empty()).then(|| said.iter().map(bare).collect::<Vec<String>>().join("; "))
+    }
+}
+
+impl Listener for Heard<'_> {
+    fn on(&self, event: Event<'_>) {
+        if let Event::Note(words) = event {
+            self.said.lock().unwrap_or_else(PoisonError::into_inner).push(words.into());
+        }
+        self.events.on(event);
+    }
+}
