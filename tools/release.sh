@@ -1,7 +1,8 @@
 #!/usr/bin/env bash
 # release.sh [FEATURES]: builds the program for this Linux and packs it for others, into target/release-package:
 # augnerf-VERSION-TARGET.tar.gz with the program, README, licences, completions and manual pages, and its SHA-256.
-# FEATURES are cargo's: --no-default-features, --features cuda. Says at its end which glibc the program needs.
+# FEATURES are cargo's: --no-default-features, --features cuda. Says at its end which glibc the program needs, and packs nothing
+# where it needs any other library (CUDA's apart).
 set -euo pipefail
 cd "$(dirname "$0")/.."
 
@@ -13,17 +14,28 @@ out=target/release-package
 rm -rf "$out"
 mkdir -p "$out/$name/completions" "$out/$name/man/man1"
 
-# The C++ library of the film encoder is linked in.
+# The C++ library of the film encoder is linked in, and so is the compiler's.
+export RUSTFLAGS="${RUSTFLAGS:-} -C link-arg=-static-libgcc"
 library=$(dirname "$(g++ -print-file-name=libstdc++.a 2> /dev/null || true)")
 if [[ -e $library/libstdc++.a ]]; then
   export CXXSTDLIB="static:-bundle=stdc++"
-  export RUSTFLAGS="${RUSTFLAGS:-} -L native=$library -C link-arg=-static-libgcc"
+  RUSTFLAGS="$RUSTFLAGS -L native=$library"
 fi
 cargo build --release --locked --target-dir target/release-build "$@"
 cp target/release-build/release/augnerf "$out/$name/augnerf"
 strip "$out/$name/augnerf"
 
 program=$out/$name/augnerf
+needed=$(objdump -p "$program" | awk '/NEEDED/ { print $2 }')
+own='^(lib(c|m|dl|rt|pthread|util)\.so\.[0-9]+|ld-linux.*)$'
+[[ " $* " == *cuda* ]] && own="$own|^lib(cu|nv)"
+if foreign=$(grep -Ev "$own" <<< "$needed"); then
+  echo "$program needs" $foreign "beside glibc, which other machines may lack: install g++ with libstdc++.a, or leave films out with" \
+    "--no-default-features --features png-figures" >&2
+  rm -rf "$out"
+  exit 1
+fi
+
 for shell in bash elvish fish zsh; do
   "$program" completions "$shell" > "$out/$name/completions/augnerf.$shell"
 done
@@ -38,5 +50,4 @@ tar --sort=name --owner=0 --group=0 --numeric-owner --mtime="@$when" -C "$out" -
 (cd "$out" && sha256sum "$name.tar.gz" | tee "$name.tar.gz.sha256")
 
 "$program" --version
-echo "needs glibc $(objdump -T "$program" | grep -o 'GLIBC_[0-9.]*' | sort -Vu | tail -1 | cut -d_ -f2) or newer, and of libraries:"
-objdump -p "$program" | awk '/NEEDED/ { print "  " $2 }'
+echo "needs glibc $(objdump -T "$program" | grep -o 'GLIBC_[0-9.]*' | sort -Vu | tail -1 | cut -d_ -f2) or newer, and of libraries:" $needed

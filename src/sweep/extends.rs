@@ -21,8 +21,18 @@ pub fn read(path: &Path) -> Result<Table> {
 }
 
 fn read_at(path: &Path, depth: usize) -> Result<Table> {
-    let text = read_named(path, TEXT_BYTES)
-        .map_err(|e| Error::Config(format!("cannot read the sweep file {}: {e}", path.display())))?;
+    let unreadable = |e: std::io::Error| {
+        // A scene's name, most likely.
+        let tip = match (depth, path.extension()) {
+            (0, None) => format!(
+                "; a sweep is a TOML file, which `augnerf sweep new` writes; `augnerf train --data {}` trains on a scene",
+                path.display()
+            ),
+            _ => String::new(),
+        };
+        Error::Config(format!("cannot read the sweep file {}: {e}{tip}", path.display()))
+    };
+    let text = read_named(path, TEXT_BYTES).map_err(unreadable)?;
     let in_file = |message: String| Error::Config(format!("{}: {message}", path.display()));
     let mut table: Table = toml::from_str(&text).map_err(|e| in_file(e.to_string()))?;
     // Before each is looked for among those of the file that this one extends.

@@ -514,6 +514,20 @@ fn wrong_regularizers_are_refused_with_exit_code_2() {
 }
 
 #[test]
+fn what_is_not_there_is_not_called_broken() {
+    let dir = TempDir::new().unwrap();
+    let said = |arguments: &[&str], code| demand(augnerf(arguments).current_dir(dir.path()), code);
+    for file in ["x.tar", "x.safetensors"] {
+        let message = said(&["import", file, "--out", "q"], 3);
+        assert!(message.contains(&format!("cannot read {file}: No such file")), "{message}");
+        assert!(!message.contains("get it again"), "{message}");
+    }
+    let message = said(&["sweep", "run", "fern"], 2);
+    assert_says(&message, &["sweep file fern", "TOML", "`augnerf train --data fern`"]);
+    assert!(!said(&["sweep", "run", "fern.toml"], 2).contains("augnerf train"));
+}
+
+#[test]
 fn bad_data_is_refused_with_exit_code_3() {
     let dir = TempDir::new().unwrap();
     let path = |name: &str| dir.path().join(name).to_str().unwrap().to_string();

@@ -50,7 +50,8 @@ struct Stored {
 impl Weights {
     /// Opens a `.safetensors` file or, under any other extension, a PyTorch file.
     pub fn open(path: &Path) -> Result<Weights> {
-        let (file, contents) = open(path).map_err(|reason| broken(path, &reason))?;
+        let file = open_regular(path).map_err(|e| Error::unreadable(path, &e))?;
+        let contents = contents(&file, path).map_err(|reason| broken(path, &reason))?;
         Ok(Weights { path: path.to_path_buf(), file, contents })
     }
 
@@ -103,17 +104,14 @@ fn text(error: impl std::fmt::Display) -> String {
     error.to_string()
 }
 
-fn open(path: &Path) -> Parsed<(File, Contents)> {
-    let file = open_regular(path).map_err(text)?;
-    let mut reader = BufReader::new(&file);
-    let contents = if path.extension().is_some_and(|e| e == "safetensors") {
-        safetensors::read(&mut reader)?
-    } else {
-        let mut magic = [0; LEGACY_MAGIC.len()];
-        reader.read_exact(&mut magic).map_err(text)?;
-        if magic == LEGACY_MAGIC { legacy::read(&mut reader)? } else { archive::read(&mut reader)? }
-    };
-    Ok((file, contents))
+fn contents(file: &File, path: &Path) -> Parsed<Contents> {
+    let mut reader = BufReader::new(file);
+    if path.extension().is_some_and(|e| e == "safetensors") {
+        return safetensors::read(&mut reader);
+    }
+    let mut magic = [0; LEGACY_MAGIC.len()];
+    reader.read_exact(&mut magic).map_err(text)?;
+    if magic == LEGACY_MAGIC { legacy::read(&mut reader) } else { archive::read(&mut reader) }
 }
 
 fn length(file: &BufReader<&File>) -> Parsed<u64> {

@@ -3,13 +3,20 @@
 //!
 //! A record is the payload's length (u64), a checksum of those eight bytes (u32), the payload and
 //! its checksum, all little-endian; the checksum is CRC-32C, rotated and offset. The payload is an
-//! `Event` message, of which the modules at the end of this file name the fields in use.
+//! `Event` message, of which [`messages`] names the fields in use.
 //!
 //! Event files hold wall times: they are the part of a run that differs between two equal runs.
+
+mod messages;
 
 use std::fs::{self, File};
 use std::io::Write;
 use std::path::{Path, PathBuf};
+
+use messages::{
+    any_value, bytes_field, event, fixed32_field, fixed64_field, hparams, image, map, metadata, plugin, session_end,
+    session_log, session_start, summary, tensor, value, varint_field,
+};
 
 use super::scalars::check_finite;
 use crate::base::{Error, Image, Result};
@@ -149,134 +156,6 @@ fn record(payload: &[u8]) -> Vec<u8> {
 
 fn masked_checksum(bytes: &[u8]) -> u32 {
     crc32c::crc32c(bytes).rotate_right(15).wrapping_add(MASK)
-}
-
-/// Field numbers of `Event`.
-mod event {
-    pub const WALL_TIME: u64 = 1;
-    pub const STEP: u64 = 2;
-    pub const FILE_VERSION: u64 = 3;
-    pub const SUMMARY: u64 = 5;
-    pub const SESSION_LOG: u64 = 7;
-}
-
-/// Field numbers of `SessionLog` and the status that marks a restart.
-mod session_log {
-    pub const STATUS: u64 = 1;
-    pub const START: u64 = 1;
-}
-
-/// Field numbers of `Summary`.
-mod summary {
-    pub const VALUE: u64 = 1;
-}
-
-/// Field numbers of `Summary.Value`.
-mod value {
-    pub const TAG: u64 = 1;
-    pub const SIMPLE_VALUE: u64 = 2;
-    pub const IMAGE: u64 = 4;
-    pub const TENSOR: u64 = 8;
-    pub const METADATA: u64 = 9;
-}
-
-/// Field number of `SummaryMetadata`.
-mod metadata {
-    pub const PLUGIN: u64 = 1;
-}
-
-/// Field numbers of `SummaryMetadata.PluginData`.
-mod plugin {
-    pub const NAME: u64 = 1;
-    pub const CONTENT: u64 = 2;
-}
-
-/// Field numbers of `TensorProto` with its shape, and the number of the type.
-mod tensor {
-    pub const DTYPE: u64 = 1;
-    pub const SHAPE: u64 = 2;
-    pub const FLOATS: u64 = 5;
-    pub const DIM: u64 = 2;
-    pub const SIZE: u64 = 1;
-    pub const FLOAT: u64 = 1;
-}
-
-/// Field numbers of `HParamsPluginData`.
-mod hparams {
-    pub const SESSION_START: u64 = 3;
-    pub const SESSION_END: u64 = 4;
-}
-
-/// Field numbers of `SessionStartInfo`.
-mod session_start {
-    pub const HPARAMS: u64 = 1;
-    pub const GROUP_NAME: u64 = 4;
-    pub const TIME: u64 = 5;
-}
-
-/// Field numbers of `SessionEndInfo`, and the status of a run that is done.
-mod session_end {
-    pub const STATUS: u64 = 1;
-    pub const TIME: u64 = 2;
-    pub const SUCCESS: u64 = 1;
-}
-
-/// Field numbers of an entry of a map.
-mod map {
-    pub const KEY: u64 = 1;
-    pub const VALUE: u64 = 2;
-}
-
-/// Field numbers of `google.protobuf.Value`.
-mod any {
-    pub const NUMBER: u64 = 2;
-    pub const TEXT: u64 = 3;
-    pub const FLAG: u64 = 4;
-}
-
-fn any_value(setting: &toml::Value) -> Vec<u8> {
-    match setting {
-        toml::Value::Integer(number) => fixed64_field(any::NUMBER, *number as f64),
-        toml::Value::Float(number) => fixed64_field(any::NUMBER, *number),
-        toml::Value::Boolean(flag) => varint_field(any::FLAG, u64::from(*flag)),
-        toml::Value::String(text) => bytes_field(any::TEXT, text.as_bytes()),
-        other => bytes_field(any::TEXT, other.to_string().as_bytes()),
-    }
-}
-
-/// Field numbers of `Summary.Image`.
-mod image {
-    pub const HEIGHT: u64 = 1;
-    pub const WIDTH: u64 = 2;
-    pub const COLORSPACE: u64 = 3;
-    pub const ENCODED: u64 = 4;
-}
-
-/// Base-128 number, lowest group first, with the top bit set on all but the last byte.
-fn varint(mut number: u64) -> Vec<u8> {
-    let mut bytes = Vec::new();
-    while number >= 0x80 {
-        bytes.push(number as u8 | 0x80);
-        number >>= 7;
-    }
-    bytes.push(number as u8);
-    bytes
-}
-
-fn varint_field(field: u64, number: u64) -> Vec<u8> {
-    [varint(field << 3), varint(number)].concat()
-}
-
-fn fixed64_field(field: u64, number: f64) -> Vec<u8> {
-    [varint(field << 3 | 1), number.to_le_bytes().to_vec()].concat()
-}
-
-fn bytes_field(field: u64, bytes: &[u8]) -> Vec<u8> {
-    [&varint(field << 3 | 2), &varint(bytes.len() as u64), bytes].concat()
-}
-
-fn fixed32_field(field: u64, number: f32) -> Vec<u8> {
-    [varint(field << 3 | 5), number.to_le_bytes().to_vec()].concat()
 }
 
 #[cfg(test)]
