@@ -16,9 +16,9 @@ use super::progress::print;
 use super::sweep::{table_json, terminal_width};
 
 pub const EXAMPLES: &str = "Examples:
-  augnerf report runs/fern-nerf-* runs/fern-aug-nerf-*     runs side by side, in report.html
+  augnerf report runs/fern-nerf-* runs/fern-aug-nerf-*  # runs side by side, in report.html
   augnerf report A B C --label NeRF --label NeRF --label Aug-NeRF --out figures/fern.html
-  augnerf report results/tab4_fern                         a sweep's results, in their folder
+  augnerf report results/tab4_fern                      # a sweep's results, in their folder
 
 Runs that differ in nothing but the seed, or have one name, are one row; the first row is what the others are compared \
 with. The page holds everything that it shows and fetches nothing. `augnerf sweep collect` writes a sweep's own.";
@@ -28,7 +28,7 @@ pub struct ReportArguments {
     /// Run folders; or one folder of a sweep's results
     #[arg(required = true, value_name = "RUN")]
     runs: Vec<PathBuf>,
-    /// The name of a run's row: once for each run, in their order [default: the folder's name]
+    /// The name of a run's row: once for each run, in their order [default: its method and the settings that differ]
     #[arg(long = "label", value_name = "NAME")]
     labels: Vec<String>,
     /// The page [default: report.html, in the folder of results where one is named]

@@ -2,8 +2,9 @@
 
 use serde::Serialize;
 
-use super::run_view::RunView;
+use super::run_view::{RunView, settings};
 use crate::run::columns;
+use crate::settings::Config;
 use crate::settings::columns::{Column, find};
 use crate::settings::registry::REGISTRY;
 
@@ -27,27 +28,35 @@ fn is_derived(column: &str) -> bool {
 }
 
 /// In what the runs differ: fields of their protocols first, then settings that these do not speak of.
-/// A setting of the perturbed pass differs between runs that have one.
 pub fn differences(runs: &[&RunView]) -> Vec<Difference> {
+    let mut found = differing(runs.iter().map(|run| columns(&run.protocol)).collect(), is_derived);
+    found.extend(differing(runs.iter().map(|run| run.settings.clone()).collect(), has_column));
+    found
+}
+
+/// In what settings that can change a number configurations differ, their seeds apart.
+pub fn differing_settings(configs: &[&Config]) -> Vec<Difference> {
+    differing(configs.iter().map(|config| settings(config)).collect(), |name| name == "seed")
+}
+
+/// The names that have not one value in all rows, but for those to `skip`. A setting of the perturbed pass differs between rows
+/// that have one.
+fn differing(rows: Vec<Vec<(String, String)>>, skip: fn(&str) -> bool) -> Vec<Difference> {
     let mut found = Vec::new();
-    let mut compare = |rows: Vec<Vec<(String, String)>>, skip: &dyn Fn(&str) -> bool| {
-        let names = rows.iter().flatten().map(|(name, _)| name).collect::<Vec<_>>();
-        for (index, name) in names.iter().enumerate() {
-            if skip(name) || names[..index].contains(name) {
-                continue;
-            }
-            let value = |row: &Vec<(String, String)>| row.iter().find(|(own, _)| own == *name).map(|(_, v)| v.clone());
-            let values: Vec<Option<String>> = rows.iter().map(value).collect();
-            let mut counted = values.iter().filter(|value| value.is_some() || !name.starts_with("perturb."));
-            let first = counted.next();
-            if counted.any(|value| Some(value) != first) {
-                let values = values.into_iter().map(Option::unwrap_or_default).collect();
-                found.push(Difference { name: name.to_string(), values });
-            }
+    let names = rows.iter().flatten().map(|(name, _)| name).collect::<Vec<_>>();
+    for (index, name) in names.iter().enumerate() {
+        if skip(name) || names[..index].contains(name) {
+            continue;
         }
-    };
-    compare(runs.iter().map(|run| columns(&run.protocol)).collect(), &is_derived);
-    compare(runs.iter().map(|run| run.settings.clone()).collect(), &has_column);
+        let value = |row: &Vec<(String, String)>| row.iter().find(|(own, _)| own == *name).map(|(_, v)| v.clone());
+        let values: Vec<Option<String>> = rows.iter().map(value).collect();
+        let mut counted = values.iter().filter(|value| value.is_some() || !name.starts_with("perturb."));
+        let first = counted.next();
+        if counted.any(|value| Some(value) != first) {
+            let values = values.into_iter().map(Option::unwrap_or_default).collect();
+            found.push(Difference { name: name.to_string(), values });
+        }
+    }
     found
 }
 

@@ -16,7 +16,7 @@ mod window;
 
 pub use comparison::Comparison;
 pub(crate) use comparison::check_box;
-pub use differences::{Difference, differences};
+pub use differences::{Difference, differences, differing_settings};
 pub(crate) use fade::check_fade;
 pub use profile::{Profile, Profiles, RaySmoothness, check_profiled, patch_around};
 pub(crate) use profile_figure::check_overlay;

@@ -188,7 +188,7 @@ fn check_labels(runs: &[PathBuf], given: &[String]) -> Result<Vec<String>> {
 }
 
 /// Every setting that can change a number, without section `perturb` where there is no perturbed pass.
-fn settings(config: &Config) -> Vec<(String, String)> {
+pub(super) fn settings(config: &Config) -> Vec<(String, String)> {
     let mut table = toml::Table::try_from(config.portable()).expect("a configuration is plain data");
     if !config.method.is_augmented() {
         table.remove("perturb");

@@ -12,7 +12,7 @@ use super::material::Material;
 use super::points::Point;
 use crate::base::files::read_json;
 use crate::base::{Error, Result};
-use crate::compare::labels;
+use crate::compare::{differing_settings, labels};
 use crate::metrics::{Metric, Scope};
 use crate::report::exporters::File;
 use crate::report::tables::Table;
@@ -21,6 +21,8 @@ use crate::run::RunDir;
 use crate::settings::Config;
 
 const ADVICE: &str = "`augnerf eval` writes it anew";
+/// So many differing settings stand in a row's name.
+const MOST_SETTINGS: usize = 3;
 
 /// Runs side by side: those that differ in nothing but the seed, or were given one name, are one row.
 pub struct RunsSheet {
@@ -63,9 +65,9 @@ impl RunsSheet {
             material: Material::default(),
             points: Vec::new(),
         };
-        let mut settings: Vec<(String, String)> = Vec::new();
-        for (index, (run, id)) in runs.iter().zip(ids).enumerate() {
-            let config = RunDir::open(run)?.read_config()?;
+        let configs = runs.iter().map(|run| RunDir::open(run)?.read_config()).collect::<Result<Vec<Config>>>()?;
+        let rows = if names.is_empty() { row_names(&configs, &ids) } else { names.to_vec() };
+        for (((run, id), config), row) in runs.iter().zip(ids).zip(configs).zip(rows) {
             let [path, _] = RunDir::metrics_in(run);
             let evaluated: Evaluated = read_json(&path, ADVICE)?.ok_or_else(|| {
                 Error::Checkpoint(format!(
@@ -73,26 +75,11 @@ impl RunsSheet {
                     run.display()
                 ))
             })?;
-            let row = match names.get(index) {
-                Some(name) => name.clone(),
-                None => sheet.row_of(&config, &id, &mut settings),
-            };
             sheet.material.read_run(&id, run)?;
             sheet.add(id, row, config, evaluated);
         }
         sheet.finish();
         Ok(sheet)
-    }
-
-    /// The row of runs that differ from this one in their seed, where one has no such seed yet; otherwise a row of its own.
-    fn row_of(&self, config: &Config, id: &str, settings: &mut Vec<(String, String)>) -> String {
-        let key = format!("{} {}", config.data.name, Config { seed: 0, ..config.clone() }.hash());
-        let taken = |row: &str| self.material.records.iter().any(|r| r.row == row && r.seed == Some(config.seed));
-        if let Some((_, row)) = settings.iter().find(|(known, row)| *known == key && !taken(row)) {
-            return row.clone();
-        }
-        settings.push((key, id.to_string()));
-        id.to_string()
     }
 
     fn add(&mut self, id: String, row: String, config: Config, evaluated: Evaluated) {
@@ -157,4 +144,45 @@ impl RunsSheet {
         let page = sheet.page(&table, &files, folder)?;
         Ok((table, page))
     }
+}
+
+/// The row of each run where none is named: runs that differ in nothing but the seed are one. A row is called by its method and the
+/// settings that differ among the rows, or where another of its scene would be called so by its first run's `id`.
+fn row_names(configs: &[Config], ids: &[String]) -> Vec<String> {
+    let key = |config: &Config| (config.data.name.clone(), Config { seed: 0, ..config.clone() }.hash());
+    let mut rows: Vec<Vec<usize>> = Vec::new();
+    for (run, config) in configs.iter().enumerate() {
+        let is_other_seed = |row: &&mut Vec<usize>| {
+            key(&configs[row[0]]) == key(config) && row.iter().all(|&other| configs[other].seed != config.seed)
+        };
+        match rows.iter_mut().find(is_other_seed) {
+            Some(row) => row.push(run),
+            None => rows.push(vec![run]),
+        }
+    }
+    let firsts: Vec<&Config> = rows.iter().map(|row| &configs[row[0]]).collect();
+    let called: Vec<(&str, String)> =
+        firsts.iter().map(|config| config.data.name.as_str()).zip(called(&firsts)).collect();
+    let mut names = vec![String::new(); configs.len()];
+    for (row, own) in rows.iter().zip(&called) {
+        let is_unique = called.iter().filter(|other| *other == own).count() == 1;
+        let name = if is_unique { &own.1 } else { &ids[row[0]] };
+        row.iter().for_each(|&run| names[run].clone_from(name));
+    }
+    names
+}
+
+/// Method and differing settings of each configuration: `aug-nerf (train.steps 4000)`.
+fn called(configs: &[&Config]) -> Vec<String> {
+    let differences = differing_settings(configs);
+    let told = differences.iter().filter(|difference| !["method", "data.name"].contains(&difference.name.as_str()));
+    let told: Vec<_> = told.collect();
+    let name = |(row, config): (usize, &&Config)| {
+        let own = told.iter().filter(|difference| !difference.values[row].is_empty()).take(MOST_SETTINGS);
+        let own = own.map(|difference| format!("{} {}", difference.name, difference.values[row]));
+        let own = own.collect::<Vec<String>>().join(", ");
+        let method = config.method.name();
+        if own.is_empty() { method.into() } else { format!("{method} ({own})") }
+    };
+    configs.iter().enumerate().map(name).collect()
 }

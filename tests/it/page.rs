@@ -157,11 +157,23 @@ fn runs_become_a_page() {
         text(&dir.path().join("report.html"))
     };
     let page = report(&[]);
-    assert_says(&page, &["3 done", "data-name=\"a0\"", "data-name=\"b0\"", "href=\"./b0/\"", "<h2>Attack</h2>"]);
-    assert!(!page.contains("data-name=\"a1\"") && !page.contains("seconds training"));
+    assert_says(
+        &page,
+        &["3 done", "data-name=\"nerf\"", "data-name=\"aug-nerf\"", "href=\"./b0/\"", "<h2>Attack</h2>"],
+    );
+    assert!(!page.contains("data-name=\"a0\"") && !page.contains("seconds training"));
     assert_eq!(page, report(&[]), "the same bytes twice");
     let timed = report(&["--with-timing", "--label", "NeRF", "--label", "NeRF", "--label", "Ours"]);
     assert_says(&timed, &["seconds training", "data-name=\"NeRF\"", "data-name=\"Ours\"", "class=\"switch\""]);
+    // Other settings of one method are told; what nothing tells apart goes by its folder.
+    train("train.learning_rate=0.002", "nerf", "c0");
+    train("seed=0", "nerf", "d0");
+    let said = demand(augnerf(&["report", "a0", "c0", "--out", "c.html"]).current_dir(dir.path()), 0);
+    assert_says(&said, &["nerf (train.learning_rate 0.005)", "nerf (train.learning_rate 0.002)"]);
+    let said = demand(augnerf(&["report", "a0", "d0", "b0", "--out", "d.html"]).current_dir(dir.path()), 0);
+    let page = text(&dir.path().join("d.html"));
+    assert_says(&page, &["data-name=\"a0\"", "data-name=\"d0\"", "data-name=\"aug-nerf\""]);
+    assert!(!said.contains("(train."), "{said}");
     let said = demand(augnerf(&["report", "a0", "a1", "--label", "x"]).current_dir(dir.path()), 2);
     assert_says(&said, &["--label: there are 1 for 2 runs"]);
 }
