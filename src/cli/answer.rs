@@ -1,5 +1,7 @@
 //! Answers for people, or as JSON for other programs.
 
+use std::path::Path;
+
 use clap::Args;
 use serde::Serialize;
 
@@ -21,6 +23,11 @@ impl Answer {
     /// Prints `value` where JSON is asked for, and otherwise what `words` prints.
     pub fn give(self, value: &impl Serialize, words: impl FnOnce() -> Result<()>) -> Result<()> {
         if self.json { print(&serde_json::to_string(value).expect("plain data")) } else { words() }
+    }
+
+    /// The same of a command that leaves a folder or a file, whose name alone is printed, quiet or not: what scripts go on with.
+    pub fn give_place(self, value: &impl Serialize, place: &Path) -> Result<()> {
+        self.give(value, || print(&place.display().to_string()))
     }
 
     /// The same of a command that has nothing for people but what it said on its way.
@@ -48,7 +55,7 @@ pub struct Measured<'a> {
 impl<'a> Measured<'a> {
     /// Of the run in folder `run`, which is to take `steps` steps and whose files are in `metrics`; `seconds` were spent on steps.
     pub fn new(
-        (run, metrics): (&std::path::Path, &std::path::Path),
+        (run, metrics): (&Path, &Path),
         report: &'a Report,
         (step, steps): (u64, u64),
         seconds: Option<f64>,

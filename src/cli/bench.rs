@@ -12,7 +12,7 @@ use super::answer::Answer;
 use super::progress::print;
 
 pub const EXAMPLES: &str = "Examples:
-  augnerf bench                                            steps of NeRF's networks, 1,024 rays of 64 + 64 samples
+  augnerf bench  # steps of NeRF's networks, 1,024 rays of 64 + 64 samples
   augnerf bench --method aug-nerf --rays 512 --width 64 --set field.encoding=hash";
 
 #[derive(Args)]

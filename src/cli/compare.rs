@@ -216,9 +216,9 @@ impl CompareArguments {
         let (folder, pictures) = pictures_folder(self.out.as_deref(), folders[0].renders().join("compare"))?;
         comparison.write(pictures.path(), self.gif)?;
         pictures.commit()?;
-        console.say(&format!("pictures: {}", folder.display()));
         SVG_ALONE.into_iter().for_each(|note| console.say(note));
-        self.answer.give_silently(&json!({ "folder": folder.display().to_string(), "comparison": comparison.json() }))
+        let answer = json!({ "folder": folder.display().to_string(), "comparison": comparison.json() });
+        self.answer.give_place(&answer, &folder)
     }
 }
 

@@ -51,20 +51,20 @@ pub struct CheckArguments {
 }
 
 const CHECK_EXAMPLES: &str = "Examples:
-  augnerf data check                                       the embedded scene
-  augnerf data check ~/data/fern --set data.downscale=4    as training with the same settings reads it";
+  augnerf data check                                     # the embedded scene
+  augnerf data check ~/data/fern --set data.downscale=4  # as training reads it so";
 
 const EXPORT_EXAMPLES: &str = "Example:
-  augnerf data export-builtin scene --width 200            then: augnerf train --data scene";
+  augnerf data export-builtin scene --width 200  # then: augnerf train --data scene";
 
 const CORRUPT_EXAMPLES: &str = "Examples:
   augnerf data corrupt noisy --data fern --set data.corruption.kind=gaussian-noise
   augnerf data corrupt moved --data fern --set data.corruption.kind=poses --seed 1
-  augnerf data corrupt seen --config RUN/config.toml      what a run was trained on
+  augnerf data corrupt seen --config RUN/config.toml  # what a run was trained on
 
-DIR gets views/NAME.png, beside.png (the first view, clean and corrupted), views.csv (each view's PSNR in dB to the
-clean one, degrees that its camera was turned by, scene units that it was moved by) and corruption.json. Pixels are
-those that training with the same settings and seed sees; of poses, views.csv is all there is to see. Held-out views
+DIR gets views/NAME.png, beside.png (the first view, clean and corrupted), views.csv (each view's PSNR in dB to the \
+clean one, degrees that its camera was turned by, scene units that it was moved by) and corruption.json. Pixels are \
+those that training with the same settings and seed sees; of poses, views.csv is all there is to see. Held-out views \
 are never touched.";
 
 #[derive(Args)]

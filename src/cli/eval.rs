@@ -13,9 +13,9 @@ use super::progress::{Console, print};
 use super::{Compute, Sources};
 
 pub const EXAMPLES: &str = "Examples:
-  augnerf eval runs/fern-nerf-*                            the held-out views, with this program
-  augnerf eval RUN --step 2000 --split train               another checkpoint, on all views that were trained on
-  augnerf eval RUN --lpips-weights ~/lpips --json          with LPIPS, for a script
+  augnerf eval runs/fern-nerf-*                    # the held-out views, with this program
+  augnerf eval RUN --step 2000 --split train       # another checkpoint, on the trained views
+  augnerf eval RUN --lpips-weights ~/lpips --json  # with LPIPS, for a script
 
 Evaluations of another checkpoint or split go to RUN/eval and leave the run's own metrics as they are.";
 

@@ -18,8 +18,8 @@ use super::train::default_folder;
 use super::{Compute, LpipsWeights};
 
 pub const EXPORT_EXAMPLES: &str = "Examples:
-  augnerf export RUN lego.tar                              a checkpoint that nerf-pytorch takes with --ft_path
-  augnerf export RUN lego.safetensors                      all weights with what they are: networks, encodings, scene, settings
+  augnerf export RUN lego.tar          # a checkpoint that nerf-pytorch takes with --ft_path
+  augnerf export RUN lego.safetensors  # all weights, with networks, encodings and settings
 
 A nerf-pytorch checkpoint holds both networks, the step and Adam's state. Fields that it does not have (hash grids, MipNeRF) \
 are refused.";
@@ -72,9 +72,10 @@ impl ExportArguments {
         let runtime = self.compute.runtime()?;
         let console = Console::new(self.compute.quiet);
         let step = runtime.install(|| export(&self.run, &self.file, self.data.as_deref(), &runtime, &console))?;
-        console.say(&format!("weights of step {step}: {}", self.file.display()));
-        self.answer.give_silently(
+        console.say(&format!("weights of step {step}"));
+        self.answer.give_place(
             &json!({ "run": self.run.display().to_string(), "step": step, "file": self.file.display().to_string() }),
+            &self.file,
         )
     }
 }
@@ -107,19 +108,19 @@ impl ImportArguments {
         let existing = if self.overwrite { Existing::Replace } else { Existing::Refuse };
         Job::create_from(&folder, existing, setup, Origin::Weights { values, step: foreign.step() })?;
         console.say(&format!(
-            "{networks} networks of {depth} layers with {width} neurons, step {}, scene {name}: {}",
-            foreign.step(),
-            folder.display()
+            "{networks} networks of {depth} layers with {width} neurons, step {}, scene {name}",
+            foreign.step()
         ));
         console.say(&format!("measure them with `augnerf eval {}`", folder.display()));
-        self.answer.give_silently(&json!({
+        let answer = json!({
             "run": folder.display().to_string(),
             "step": foreign.step(),
             "scene": name,
             "networks": networks,
             "depth": depth,
             "width": width,
-        }))
+        });
+        self.answer.give_place(&answer, &folder)
     }
 }
 

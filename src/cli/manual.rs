@@ -14,11 +14,11 @@ use super::progress::{print, printed};
 
 pub const COMPLETIONS_EXAMPLES: &str = "Examples:
   augnerf completions bash > ~/.local/share/bash-completion/completions/augnerf
-  augnerf completions zsh > ~/.zfunc/_augnerf              with ~/.zfunc in fpath before compinit
+  augnerf completions zsh > ~/.zfunc/_augnerf  # with ~/.zfunc in fpath before compinit
   augnerf completions fish > ~/.config/fish/completions/augnerf.fish";
 
 pub const MAN_EXAMPLES: &str = "Example:
-  augnerf man ~/.local/share/man/man1                      then: man augnerf-train";
+  augnerf man ~/.local/share/man/man1  # then: man augnerf-train";
 
 #[derive(Args)]
 pub struct CompletionsArguments {

@@ -1,6 +1,6 @@
 //! `augnerf mesh` and `augnerf chamfer`.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use clap::{Args, ValueEnum};
 use serde_json::json;
@@ -201,9 +201,8 @@ impl MeshArguments {
         let shares = if self.picture.at.is_empty() { vec![FILE_EYE] } else { self.picture.at.clone() };
         let cameras: Vec<Camera> = shares.iter().map(|share| space::around(&mesh, *share, columns)).collect();
         write_png8(&picture.file, &mesh_picture(&mesh, &cameras, picture.paint)?)?;
-        Console::new(self.compute.quiet).say(&format!("picture: {}", picture.file.display()));
         let file = picture.file.display().to_string();
-        self.answer.give_silently(&json!({ "of": name, "folder": null, "picture": file, "mesh": null }))
+        self.answer.give_place(&json!({ "of": name, "folder": null, "picture": file, "mesh": null }), &picture.file)
     }
 
     fn draw(&self, options: &MeshOptions, runtime: &Runtime) -> Result<()> {
@@ -214,11 +213,11 @@ impl MeshArguments {
         }
         let (folder, files) = pictures_folder(self.out.as_deref(), trained.run.mesh())?;
         let report = trained.draw_mesh_into(files, options, &console)?;
-        console.say(&words(&report, &folder));
+        console.say(&words(&report));
         let picture = options.picture.as_ref().map(|picture| picture.file.display().to_string());
         picture.iter().for_each(|picture| console.say(&format!("picture: {picture}")));
-        let (run, folder) = (self.run.display().to_string(), folder.display().to_string());
-        self.answer.give_silently(&json!({ "of": run, "folder": folder, "picture": picture, "mesh": report }))
+        let (run, named) = (self.run.display().to_string(), folder.display().to_string());
+        self.answer.give_place(&json!({ "of": run, "folder": named, "picture": picture, "mesh": report }), &folder)
     }
 
     /// Preset and flags, checked.
@@ -269,21 +268,20 @@ fn check_options(options: &MeshOptions) -> Result<()> {
     Ok(())
 }
 
-fn words(report: &MeshReport, folder: &Path) -> String {
+fn words(report: &MeshReport) -> String {
     let shape = match report.volume {
         Some(volume) => format!("closed, area {:.4}, volume {volume:.4}", report.area),
         None => format!("open at {} edges where it leaves the box, area {:.4}", report.open_edges, report.area),
     };
     format!(
-        "level set {:.4} of {}^3: {} vertices, {} faces in {} parts ({} left out), {shape}; density up to {}: {}",
+        "level set {:.4} of {}^3: {} vertices, {} faces in {} parts ({} left out), {shape}; density up to {}",
         report.threshold,
         report.resolution,
         report.vertices,
         report.faces,
         report.components,
         report.components_dropped,
-        report.density.largest,
-        folder.display()
+        report.density.largest
     )
 }
 

@@ -71,48 +71,47 @@ fn exit_codes() -> String {
 }
 
 const TRAIN_EXAMPLES: &str = "Examples:
-  augnerf train                                            the embedded scene, under a minute
-  augnerf train --data fern --preset cpu                   NeRF on a real scene, minutes
-  augnerf train --data fern --preset cpu --method aug-nerf  the same with worst-case augmentation
+  augnerf train                                             # the embedded scene, under a minute
+  augnerf train --data fern --preset cpu                    # NeRF on a real scene, minutes
+  augnerf train --data fern --preset cpu --method aug-nerf  # the same with worst-case augmentation
   augnerf train --data fern --preset cpu --method aug-nerf --set perturb.attack=calibrated
-  augnerf train --data fern --preset cpu --method aug-nerf --set perturb.rgb.passes=off --set perturb.density.passes=off
+  augnerf train --data fern --preset cpu --method aug-nerf --set 'perturb.levels=[\"feature\"]'
   augnerf train --data fern --preset cpu --set regularizer.kind=tv --set regularizer.weight=8e-7
-  augnerf train --data fern --preset cpu --set 'regularizer.kind=[\"tv\",\"l1\"]' --set 'regularizer.weight=[8e-7,3e-5]'
+  augnerf train --data fern --preset cpu --set 'regularizer.kind=[\"tv\",\"l1\"]'
   augnerf train --data fern --preset paper-llff --print-config";
 
 const MEASURE_EXAMPLES: &str = "Examples:
-  augnerf measure runs/fern-nerf-*                         coarse and fine field, the box [-1,1]^3, 64 cells a side
+  augnerf measure runs/fern-nerf-*  # coarse and fine field, 64 cells a side
   augnerf measure runs/fern-nerf-* --lattice 128 > smoothness.csv
 
 Each run's own smoothness.csv has the same numbers with the run's whole protocol.";
 
 const BALANCE_EXAMPLES: &str = "Examples:
-  augnerf balance --data fern --preset cpu                 after 100 steps of plain NeRF
+  augnerf balance --data fern --preset cpu  # after 100 steps of plain NeRF
   augnerf balance --data fern --preset cpu --set regularizer.points_per_step=16384
 
 For each term the weights at which its gradient is 0.1 %, 1 %, 10 %, 100 % and 1000 % as long as the photometric loss's.";
 
 const COMPARE_EXAMPLES: &str = "Examples:
-  augnerf compare runs/fern-nerf-* runs/fern-aug-nerf-*    the first view, the box where they differ most
-  augnerf compare A B --view 2 --zoom 120,80,100,75 --gif  a view and box of your own, and a fade from A to B
+  augnerf compare runs/fern-nerf-* runs/fern-aug-nerf-*         # where they differ most
+  augnerf compare A B --view 2 --zoom 120,80,100,75 --gif       # a box of your own, and a fade
   augnerf compare A B C --label NeRF --label TV --label Aug-NeRF --box-width 64 --out figures/fern
-  augnerf compare runs/tab4_fern --rows NeRF,Aug-NeRF --seed 0    rows of a sweep by their names
+  augnerf compare runs/tab4_fern --rows NeRF,Aug-NeRF --seed 0  # rows of a sweep by their names
 
 It leaves compare.png, compare.json with its numbers and each run's protocol, and fade.gif.";
 
 const PROFILE_EXAMPLES: &str = "Examples:
-  augnerf profile runs/fern-nerf-* runs/fern-aug-nerf-*    the ray of the first view's middle pixel
+  augnerf profile runs/fern-nerf-* runs/fern-aug-nerf-*  # the ray of the first view's middle pixel
   augnerf profile A B --view 2 --pixel 240,96 --patch 16 --out figures/ray
 
-It leaves profile.png and profile.svg;
-ray.csv: the samples of the pixel's ray as an evaluation takes them (coarse, fine), and even ones;
-patch.csv: even samples of all rays of the patch; profile.json: how smooth each run is.";
+It leaves profile.png and profile.svg; ray.csv: the samples of the pixel's ray as an evaluation takes them (coarse, fine), and \
+even ones; patch.csv: even samples of all rays of the patch; profile.json: how smooth each run is.";
 
 const MESH_EXAMPLES: &str = "Examples:
-  augnerf mesh runs/builtin-nerf-*                         256 cells a side of the scene's own box
-  augnerf mesh runs/chair-nerf-* --preset paper            512 cells a side of [-1,1]^3, density 25, as the paper's figures
-  augnerf mesh RUN --resolution 400 --threshold 5 --bbox -1,-1,-0.5,1,1,1 --largest --format ply,obj
-  augnerf mesh RUN --picture mesh.png --view 0,4           a shaded picture from two held-out views' cameras
+  augnerf mesh runs/builtin-nerf-*                # 256 cells a side of the scene's own box
+  augnerf mesh runs/chair-nerf-* --preset paper   # 512 cells a side of [-1,1]^3, density 25
+  augnerf mesh RUN --resolution 400 --threshold 5 --bbox -1,-1,-0.5,1,1,1 --format ply,obj
+  augnerf mesh RUN --picture mesh.png --view 0,4  # shaded, from two held-out views' cameras
   augnerf mesh builtin --picture truth.png --paint colours --at 0.1,0.6
 
 A density has no surface of its own: the mesh is the level set where it equals the threshold. Where that leaves the box \
@@ -120,7 +119,7 @@ the mesh is open, unless --cap closes it. Runs in normalised device coordinates 
 --threshold) and written in scene units.";
 
 const CHAMFER_EXAMPLES: &str = "Examples:
-  augnerf chamfer RUN builtin                              a run's mesh against the embedded scene
+  augnerf chamfer RUN builtin  # a run's mesh against the embedded scene
   augnerf chamfer mesh.ply reference.obj --at 0.005,0.01 --points 1000000
 
 chamfer is the sum of both mean distances to the other surface's nearest point (Euclidean). Both meshes count as they \

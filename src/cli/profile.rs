@@ -68,9 +68,10 @@ impl ProfileArguments {
         let profiles = Profiles { runs, pixel, patch };
         profiles.write(pictures.path())?;
         pictures.commit()?;
-        console.say(&format!("profile of pixel ({}, {}): {}", pixel.0, pixel.1, folder.display()));
+        console.say(&format!("profile of pixel ({}, {})", pixel.0, pixel.1));
         SVG_ALONE.into_iter().for_each(|note| console.say(note));
-        self.answer.give_silently(&json!({ "folder": folder.display().to_string(), "profile": profiles.json() }))
+        let answer = json!({ "folder": folder.display().to_string(), "profile": profiles.json() });
+        self.answer.give_place(&answer, &folder)
     }
 }
 

@@ -18,13 +18,13 @@ use super::progress::{Console, duration};
 use super::{Compute, Moved};
 
 pub const EXAMPLES: &str = "Examples:
-  augnerf render RUN                                       the scene's camera path, as PNG, GIF and MP4
-  augnerf render RUN --frames 30 --resolution 320x240      fewer frames, smaller ones
-  augnerf render RUN --write-cameras path.json             the path as a file, to be edited; nothing is rendered
-  augnerf render RUN --cameras path.json                   a path of one's own
-  augnerf render RUN --cameras camera_path.json --dataparser dataparser_transforms.json   one from nerfstudio's viewer
+  augnerf render RUN                                   # the scene's camera path: PNG, GIF, MP4
+  augnerf render RUN --frames 30 --resolution 320x240  # fewer frames, smaller ones
+  augnerf render RUN --write-cameras path.json         # the path as a file, to be edited
+  augnerf render RUN --cameras path.json               # a path of one's own
+  augnerf render RUN --cameras camera_path.json --dataparser dataparser_transforms.json
 
-A file of cameras is a camera_path.json (nerfstudio), a transforms.json or a .npy of poses, camera to world with axes right, \
+A file of cameras is a camera_path.json (nerfstudio; with --dataparser what its viewer saved), a transforms.json or a .npy of poses, camera to world with axes right, \
 up, back, in the units of the files that the scene was read from.";
 
 /// Frames a second where neither the command line nor a file of cameras says it.
@@ -108,8 +108,8 @@ impl RenderArguments {
         let shots = self.shots(&trained, size, &console)?;
         if let Some(file) = &self.write_cameras {
             cameras::write(file, &shots.cameras, &trained.scene.place.world, shots.fps)?;
-            console.say(&format!("{} cameras: {}", shots.cameras.len(), file.display()));
-            return self.tell(&trained, None, shots.cameras.len());
+            console.say(&format!("{} cameras", shots.cameras.len()));
+            return self.tell(&trained, None, file, shots.cameras.len());
         }
         let renders = trained.run.renders();
         let default = match self.what {
@@ -127,18 +127,17 @@ impl RenderArguments {
         }
         pictures.commit()?;
         console.on(Event::Finished);
-        console.say(&format!("pictures: {}", folder.display()));
         GIF_ALONE.into_iter().filter(|_| self.what == What::Path).for_each(|note| console.say(note));
-        self.tell(&trained, Some(&folder), shots.cameras.len())
+        self.tell(&trained, Some(&folder), &folder, shots.cameras.len())
     }
 
-    /// The answer for scripts.
-    fn tell(&self, trained: &Trained, folder: Option<&Path>, frames: usize) -> Result<()> {
+    /// The answer: what was made, pictures in a folder or a file of cameras.
+    fn tell(&self, trained: &Trained, folder: Option<&Path>, made: &Path, frames: usize) -> Result<()> {
         let name = |path: &Path| path.display().to_string();
         let (run, cameras) = (name(&self.run), self.write_cameras.as_deref().map(name));
         let (step, folder) = (trained.state.step, folder.map(name));
         let answer = json!({ "run": run, "step": step, "folder": folder, "cameras": cameras, "frames": frames });
-        self.answer.give_silently(&answer)
+        self.answer.give_place(&answer, made)
     }
 
     /// The cameras that are asked for.

@@ -21,12 +21,12 @@ use super::progress::{Console, print};
 use super::{Compute, LpipsWeights};
 
 pub const EXAMPLES: &str = "Examples:
-  augnerf score renders/ truth/                            two folders of PNG, JPEG or WebP files with equal names
-  augnerf score renders/ --data fern --set data.downscale=8    against the held-out views of a scene
-  augnerf score renders/ runs/fern-nerf-0                  against those of a run, as it saw them
-  augnerf score renders/ --into runs/smoke --row nerf-pytorch --seed 0    as a row of a sweep's table
+  augnerf score renders/ truth/                                         # two folders, equal names
+  augnerf score renders/ --data fern --set data.downscale=8             # held-out views of a scene
+  augnerf score renders/ runs/fern-nerf-0                               # those of a run
+  augnerf score renders/ --into runs/smoke --row nerf-pytorch --seed 0  # a row of a table
 
-Values are rounded to 8 bits, as ours are before they are measured; PSNR is the mean of the views'. One line of JSON on
+Pictures are PNG, JPEG or WebP. Values are rounded to 8 bits, as ours are before they are measured; PSNR is the mean of the views'. One line of JSON on \
 standard output has the means and the SHA-256 of what was scored.";
 
 /// How pictures find their views.

@@ -9,9 +9,9 @@ use crate::base::Result;
 use crate::settings::{settings_page, settings_rows, settings_text};
 
 pub const EXAMPLES: &str = "Examples:
-  augnerf settings                                         all of them
-  augnerf settings learning_rate                           those whose name or words hold this
-  augnerf settings near --json                             the same for a script";
+  augnerf settings                # all of them
+  augnerf settings learning_rate  # those whose name or words hold this
+  augnerf settings near --json    # the same for a script";
 
 #[derive(Args)]
 pub struct SettingsArguments {

@@ -19,7 +19,7 @@ use super::{Compute, LpipsWeights, Sources};
 
 pub const RESUME_EXAMPLES: &str = "Examples:
   augnerf resume runs/fern-nerf-*
-  augnerf resume RUN --data ~/data/fern                    where the scene has moved";
+  augnerf resume RUN --data ~/data/fern  # where the scene has moved";
 
 #[derive(Args)]
 pub struct TrainArguments {

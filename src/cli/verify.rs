@@ -18,10 +18,10 @@ use super::signals::catch_signals;
 use super::{Compute, LpipsWeights};
 
 pub const EXAMPLES: &str = "Examples:
-  augnerf verify                                           all of results/: tables, figures, ids, quoted numbers
-  augnerf verify results/tab4_fern --data-root ~/data      with the hash of the scene
-  augnerf verify results/smoke --retrain 2                 trains two points again, and compares every digit
-  augnerf verify results/smoke --update                    writes tables and figures anew from points.csv
+  augnerf verify                                       # all of results/
+  augnerf verify results/tab4_fern --data-root ~/data  # with the hash of the scene
+  augnerf verify results/smoke --retrain 2             # trains two points again
+  augnerf verify results/smoke --update                # tables and figures anew
 
 What could not be checked is said, with the reason. Exit codes: 0 everything that was checked holds, 10 something does not.";
 

@@ -180,6 +180,34 @@ fn a_run_s_folder_is_printed_also_where_nothing_else_is() {
     assert!(refused.contains("no checkpoint of step 6") && refused.contains("5, 10, 12"), "{refused}");
 }
 
+/// A script goes on with what a command left, which is all that is printed where it is quiet.
+#[test]
+fn what_a_command_leaves_is_printed_also_where_nothing_else_is() {
+    let dir = TempDir::new().unwrap();
+    let say = |line: &str| {
+        let (words, _) = words(line);
+        let output = augnerf(&words.iter().map(String::as_str).collect::<Vec<_>>()).current_dir(dir.path()).output();
+        let output = output.unwrap();
+        let said = String::from_utf8_lossy(&output.stderr);
+        assert!(output.status.success() && said.is_empty(), "{line}: {said}");
+        String::from_utf8(output.stdout).unwrap()
+    };
+    say("train -q --out a TINY");
+    say("train -q --out b --seed 1 TINY");
+    for (line, left) in [
+        ("export -q a a.safetensors", "a.safetensors"),
+        ("import -q a.safetensors --out c", "c"),
+        ("render -q a --frames 2", "a/renders/path"),
+        ("render -q a --write-cameras path.json", "path.json"),
+        ("compare -q a b", "a/renders/compare"),
+        ("profile -q a b --patch 2 --out ray", "ray"),
+        ("mesh -q a --resolution 16 --threshold 0.01", "a/mesh"),
+    ] {
+        assert_eq!(say(line), format!("{left}\n"), "{line}");
+        assert!(dir.path().join(left).exists(), "{line}");
+    }
+}
+
 #[test]
 fn training_says_what_it_trains_and_when_it_evaluates() {
     let dir = TempDir::new().unwrap();

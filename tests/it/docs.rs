@@ -53,11 +53,24 @@ fn helps() -> Vec<(String, String)> {
     out
 }
 
-/// Commands in the examples of a help, whose remarks stand behind two spaces.
+/// Commands in the examples of a help.
 fn help_commands(help: &str) -> Vec<Vec<String>> {
-    let examples = help.lines().map(str::trim).filter(|line| line.contains("augnerf "));
-    let bare = examples.map(|line| line.split("  ").next().expect("split gives one"));
-    bare.flat_map(commands).collect()
+    help.lines().map(str::trim).filter(|line| line.contains("augnerf ")).flat_map(commands).collect()
+}
+
+/// What keeps a line of a help's end from being copied into a shell, or read where the terminal is narrow: examples are one command
+/// each, with a remark as shells have them, and prose is broken by the terminal alone.
+fn unfit(line: &str) -> Option<&'static str> {
+    let Some(example) = line.strip_prefix("  ") else {
+        let ends = line.is_empty() || line.starts_with("Example") || line.ends_with('.');
+        return (!ends).then_some("prose is broken by hand");
+    };
+    let command = example.split(" # ").next().expect("split gives one").trim_end();
+    match commands(example).len() {
+        _ if line.chars().count() >= 100 => Some("it is wrapped"),
+        1 => command.contains("  ").then_some("a remark without #"),
+        _ => Some("no command"),
+    }
 }
 
 /// Why the command line refuses a command; none where it takes it. `...` stands for more of the same and `COMMAND` for
@@ -136,6 +149,23 @@ fn every_command_in_the_help_is_one() {
     }
     assert!(wrong.is_empty(), "{}", wrong.join("\n"));
     assert!(found > 20, "only {found} commands were found");
+}
+
+#[test]
+fn examples_of_the_help_can_be_copied() {
+    fn visit(command: &clap::Command, wrong: &mut Vec<String>) {
+        let help = command.get_after_help().map(ToString::to_string).unwrap_or_default();
+        for line in help.lines().filter(|_| help.starts_with("Example")) {
+            wrong.extend(unfit(line).map(|why| format!("{} --help: {why}: {line}", command.get_name())));
+        }
+        command.get_subcommands().for_each(|inner| visit(inner, wrong));
+    }
+    let mut wrong = Vec::new();
+    visit(&augnerf::cli::command(), &mut wrong);
+    assert!(wrong.is_empty(), "{}", wrong.join("\n"));
+    assert_eq!(unfit("  augnerf train      the embedded scene"), Some("a remark without #"));
+    assert_eq!(unfit("Values are rounded to"), Some("prose is broken by hand"));
+    assert!(unfit(&format!("  augnerf train --out {}", "a".repeat(90))).is_some() && unfit("  ls").is_some());
 }
 
 #[test]

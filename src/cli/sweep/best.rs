@@ -14,7 +14,7 @@ use crate::sweep::{Best, best};
 use super::opened::Opened;
 
 pub const EXAMPLES: &str = "Examples:
-  augnerf sweep best runs/tab4_fern                        by PSNR
+  augnerf sweep best runs/tab4_fern  # by PSNR
   augnerf sweep best runs/tab4_fern --metric ssim --json";
 
 #[derive(Args)]

@@ -15,7 +15,7 @@ use crate::sweep::slurm::{Queue, Slurm, Task};
 use super::begun;
 
 pub const EXAMPLES: &str = "Example:
-  augnerf sweep cancel runs/tab1_llff                      what ran goes on with `augnerf sweep submit`";
+  augnerf sweep cancel runs/tab1_llff  # what ran goes on with `augnerf sweep submit`";
 
 #[derive(Args)]
 pub struct CancelArguments {

@@ -15,13 +15,13 @@ use super::opened::Opened;
 use super::{How, RESULTS, RUNS, collect, name_of, table_json, terminal_width};
 
 pub const EXAMPLES: &str = "Examples:
-  augnerf sweep collect runs/tab4_fern                     its tables and figures once more, into results/tab4_fern
+  augnerf sweep collect runs/tab4_fern         # tables and figures once more, in results/
   augnerf sweep collect runs/tab4_fern --rows NeRF,Aug-NeRF --metrics psnr,ssim --out figures/two
   augnerf sweep collect runs/tab4_fern --baseline 'NeRF + second clean pass' --out figures/second
   augnerf sweep collect runs/a --merge runs/b --out figures/both
-  augnerf sweep collect runs/tab4_fern --json              the table's rows for a script, too
+  augnerf sweep collect runs/tab4_fern --json  # the table's rows for a script, too
 
-Chosen rows, metrics, another baseline or several sweeps need a folder of their own; intervals, p values and Holm's
+Chosen rows, metrics, another baseline or several sweeps need a folder of their own; intervals, p values and Holm's \
 correction are those of the rows that are shown.";
 
 #[derive(Args)]

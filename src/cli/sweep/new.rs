@@ -11,8 +11,8 @@ use crate::cli::progress::{print, print_shown};
 use crate::sweep::write_new;
 
 pub const EXAMPLES: &str = "Examples:
-  augnerf sweep new                                        sweep.toml with every key explained; it runs as it is
-  augnerf sweep new fern.toml --from tab4_fern             one of the shipped sweeps, to be changed";
+  augnerf sweep new                             # sweep.toml, every key explained; it runs as it is
+  augnerf sweep new fern.toml --from tab4_fern  # one of the shipped sweeps, to be changed";
 
 #[derive(Args)]
 pub struct NewArguments {

@@ -13,7 +13,7 @@ use crate::sweep::{Point, Trainings, plan_costs};
 use super::{Changes, Location, duration, planned_points};
 
 pub const EXAMPLES: &str = "Examples:
-  augnerf sweep plan sweeps/smoke.toml                     points, seconds a step, memory
+  augnerf sweep plan sweeps/smoke.toml  # points, seconds a step, memory
   augnerf sweep plan sweeps/tab1_llff.toml --data-root ~/data --json";
 
 #[derive(Args)]

@@ -18,9 +18,9 @@ use crate::sweep::{Claim, Options, Point, Runner, SweepFolder};
 use super::{begun, trainings};
 
 pub const EXAMPLES: &str = "Examples:
-  augnerf sweep begin sweeps/smoke.toml                    once: lays out runs/smoke
-  augnerf sweep run-point runs/smoke --index 3             then on any machine that sees it
-  augnerf sweep run-point runs/smoke --id 97ce1e35         by the name in runs/smoke/points
+  augnerf sweep begin sweeps/smoke.toml             # once: lays out runs/smoke
+  augnerf sweep run-point runs/smoke --index 3      # then on any machine that sees it
+  augnerf sweep run-point runs/smoke --id 97ce1e35  # by the name in runs/smoke/points
 
 Exit codes: 0 the point is done, or another runner works on it; 143 stopped with a checkpoint by SIGTERM or SIGUSR1 (130 \
 Ctrl-C, 129 a hangup), run it again; 7 it failed; 8 its scene is not here; 2 to 5 wrong usage, data, disk or folder.";

@@ -18,8 +18,8 @@ use super::{begun, duration};
 
 pub const EXAMPLES: &str = "Examples:
   augnerf sweep status runs/smoke
-  augnerf sweep status runs/smoke --watch 10               until all points have ended
-  augnerf sweep status runs/smoke --json                   for a script";
+  augnerf sweep status runs/smoke --watch 10  # until all points have ended
+  augnerf sweep status runs/smoke --json      # for a script";
 
 #[derive(Args)]
 pub struct StatusArguments {
