@@ -8,7 +8,7 @@ use augnerf::data::{self, WorldToScene, images};
 use augnerf::methods::SiteSummary;
 use augnerf::metrics::{Backbone, Lpips};
 use augnerf::report::tables::{Table, points_csv};
-use augnerf::run::{Foreign, RunDir, Scalars};
+use augnerf::run::{Foreign, Matching, RunDir, Scalars, Truth, pictures as listed, score};
 use augnerf::settings::{Config, DataConfig, Method, Preset, build, parse_assignment};
 use augnerf::space::{read_mesh, sample};
 use augnerf::sweep::slurm::Slurm;
@@ -72,6 +72,7 @@ pub fn all(folder: &Path) -> Vec<Reader> {
         pictures(below("png").join("a.png"), "picture, png", Format::Png, seeds::pngs()),
         pictures(below("jpeg").join("a.jpg"), "picture, jpeg", Format::Bytes, seeds::jpegs()),
         pictures(below("webp").join("a.webp"), "picture, webp", Format::Bytes, seeds::webps()),
+        scored(below("score")),
         configs(below("config").join("config.toml")),
         reader("--set", Format::Text, seeds::ASSIGNMENTS.map(Vec::from).to_vec(), |bytes| {
             let assignment = parse_assignment(&String::from_utf8_lossy(bytes))?;
@@ -113,6 +114,20 @@ fn meshes(file: PathBuf, name: &'static str, format: Format, seeds: Vec<Vec<u8>>
     reader(name, format, seeds, move |bytes| {
         write(&file, bytes);
         sample(&read_mesh(&file)?, 16, 0).map(drop)
+    })
+}
+
+/// A picture of another program, measured against a sound one.
+fn scored(dir: PathBuf) -> Reader {
+    let truth = dir.join("truth");
+    write_pictures(&truth, 1);
+    let sound = fs::read(truth.join("0.png")).unwrap();
+    let own = dir.join("own");
+    fs::create_dir_all(&own).unwrap();
+    reader("picture, score", Format::Png, vec![sound], move |bytes| {
+        write(&own.join("0.png"), bytes);
+        let truth = Truth::Pictures(listed(&truth, "_truth")?);
+        score(&listed(&own, "_rgb")?, &truth, Matching::Name, None, &[], &()).map(drop)
     })
 }
 
