@@ -17,6 +17,7 @@ mod fields;
 mod gradients;
 mod learner;
 mod painter;
+mod planes;
 mod srn;
 
 pub use batches::{Batch, Batches};
@@ -25,6 +26,7 @@ pub use fields::{Balance, FieldLearner, FieldPainter, Fields, parts, step_over_r
 pub use gradients::Gradients;
 pub use learner::{Learned, Learner, LogColumns, Term, UnlessStopped};
 pub use painter::{Painted, Painter};
+pub use planes::{MpiNetwork, PlanesLearner, PlanesPainter};
 pub use srn::{March, Srn, SrnLearner, SrnPainter};
 
 /// The parameters of one experiment. The one place that tells methods apart.
@@ -34,6 +36,8 @@ pub enum Model {
     Fields(Fields),
     /// Scene Representation Networks.
     Srn(Srn),
+    /// The network of LLFF, trained on the scene.
+    Planes(MpiNetwork),
 }
 
 /// What a run begins with.
@@ -65,7 +69,11 @@ impl Model {
                 Ok(Start { model, learner, redraws: vec![0] })
             }
             Representation::Volume => Err(not_here(config)),
-            Representation::Planes => Err(not_here(config)),
+            Representation::Planes => {
+                let network = MpiNetwork::init(config, dtype, device)?;
+                let learner = PlanesLearner::start(config, scene, network.clone())?;
+                Ok(Start { model: Model::Planes(network), learner: Box::new(learner), redraws: vec![0] })
+            }
         }
     }
 
@@ -75,7 +83,7 @@ impl Model {
             Representation::Nerf | Representation::MipNerf | Representation::HashNerf => Fields::roles(config),
             Representation::Srn => vec!["srn"],
             Representation::Volume => Vec::new(),
-            Representation::Planes => Vec::new(),
+            Representation::Planes => vec!["planes"],
         }
     }
 
@@ -87,7 +95,7 @@ impl Model {
             }
             Representation::Srn => Srn::parameter_names(&config.srn),
             Representation::Volume => Vec::new(),
-            Representation::Planes => Vec::new(),
+            Representation::Planes => MpiNetwork::parameter_names(config),
         }
     }
 
@@ -99,7 +107,7 @@ impl Model {
             }
             Representation::Srn => Ok(Model::Srn(Srn::from_parameters(&config.srn, values)?)),
             Representation::Volume => Err(not_here(config)),
-            Representation::Planes => Err(not_here(config)),
+            Representation::Planes => Ok(Model::Planes(MpiNetwork::from_parameters(config, values)?)),
         }
     }
 
@@ -108,6 +116,7 @@ impl Model {
         match self {
             Model::Fields(fields) => fields.variables(),
             Model::Srn(srn) => srn.variables().to_vec(),
+            Model::Planes(network) => network.variables(),
         }
     }
 
@@ -116,6 +125,7 @@ impl Model {
         Ok(match self {
             Model::Fields(fields) => Box::new(FieldLearner::new(config, scene, fields.clone(), dtype, device)?),
             Model::Srn(srn) => Box::new(SrnLearner::new(config, scene, srn.clone(), dtype, device)?),
+            Model::Planes(network) => Box::new(PlanesLearner::new(config, scene, network.clone())?),
         })
     }
 
@@ -124,6 +134,7 @@ impl Model {
         Ok(match self {
             Model::Fields(fields) => Box::new(FieldPainter::new(fields, config, scene)?),
             Model::Srn(srn) => Box::new(SrnPainter::new(srn)?),
+            Model::Planes(network) => Box::new(network.painter(config, scene)?),
         })
     }
 
@@ -135,6 +146,7 @@ impl Model {
         Ok(match self {
             Model::Fields(fields) => Box::new(FieldDensity::new(fields.evaluated())?),
             Model::Srn(_) => return Err(lacking(Representation::Srn, Ability::Density, "there is no density")),
+            Model::Planes(_) => return Err(lacking(Representation::Planes, Ability::Density, "there is no density")),
         })
     }
 
@@ -146,6 +158,7 @@ impl Model {
         match self {
             Model::Fields(fields) => Ok(fields),
             Model::Srn(_) => Err(lacking(Representation::Srn, Ability::Samples, "there are no radiance fields")),
+            Model::Planes(_) => Err(lacking(Representation::Planes, Ability::Samples, "there are no radiance fields")),
         }
     }
 }

@@ -1,0 +1,134 @@
+//! The over operator: what is seen of planes that lie behind one another, each with its own alpha.
+//!
+//! Plane 0 is the farthest. Plane k counts `w_k = a_k prod (1 - a_j + 1e-10)`, over the nearer planes j; the number is LLFF's
+//! (Mildenhall et al. 2019, the authors' code) and keeps opaque planes from ending all slopes.
+
+use candle_core::{CpuStorage, CustomOp1, DType, Layout, Result, Shape, Tensor, WithDType};
+use rayon::prelude::*;
+
+use super::values::{Values, slice};
+
+/// What an opaque plane lets through.
+const LEAK: f64 = 1e-10;
+
+/// Rays that one thread works through at once.
+const PART: usize = 256;
+
+/// Numbers of a plane: red, green, blue, alpha.
+const CHANNELS: usize = 4;
+
+/// What is left of the light of planes that are met from the nearest on.
+#[derive(Clone, Copy, Debug)]
+pub struct Passing {
+    transmittance: f64,
+}
+
+impl Default for Passing {
+    fn default() -> Passing {
+        Passing { transmittance: 1.0 }
+    }
+}
+
+impl Passing {
+    /// The weight of the next plane.
+    #[inline(always)]
+    pub fn weight(&mut self, alpha: f64) -> f64 {
+        let weight = alpha * self.transmittance;
+        self.transmittance *= 1.0 - alpha + LEAK;
+        weight
+    }
+}
+
+/// Planes `[rays, planes, 4]` (RGBA, straight alpha) over one another: colour times what it counts, and the sum of weights,
+/// `[rays, 4]`; f32 or f64 on a processor, sums in f64.
+///
+/// # Errors
+/// Another shape; those of candle.
+pub fn over(planes: &Tensor) -> Result<Tensor> {
+    let (_, _, channels) = planes.dims3()?;
+    if channels != CHANNELS {
+        candle_core::bail!("over: planes have red, green, blue and alpha, not {channels} channels");
+    }
+    planes.contiguous()?.apply_op1(Over)
+}
+
+struct Over;
+
+impl Over {
+    fn forward<T: WithDType>(planes: &[T], count: usize) -> Vec<T> {
+        let mut out = vec![T::from_f64(0.0); planes.len() / count.max(1)];
+        let parts = out.par_chunks_mut(PART * CHANNELS).zip(planes.par_chunks(PART * CHANNELS * count));
+        parts.for_each(|(out, planes)| {
+            for (out, ray) in out.chunks_exact_mut(CHANNELS).zip(planes.chunks_exact(CHANNELS * count)) {
+                let (mut sum, mut passing) = ([0f64; CHANNELS], Passing::default());
+                for plane in ray.chunks_exact(CHANNELS).rev() {
+                    let weight = passing.weight(plane[3].to_f64());
+                    (0..3).for_each(|c| sum[c] += weight * plane[c].to_f64());
+                    sum[3] += weight;
+                }
+                out.iter_mut().zip(sum).for_each(|(out, sum)| *out = T::from_f64(sum));
+            }
+        });
+        out
+    }
+
+    /// With G_k the gradient of weight k, T_k the transmittance before it and S_k what the farther planes add per unit of light
+    /// behind it, that of alpha k is `T_k (G_k - S_k)`; `S = G_k a_k + (1 - a_k + 1e-10) S_k` for the next nearer one.
+    fn backward<T: WithDType>(planes: &[T], pull: &[T], count: usize) -> Vec<T> {
+        let mut out = vec![T::from_f64(0.0); planes.len()];
+        let size = CHANNELS * count;
+        let parts = out.par_chunks_mut(PART * size).zip(planes.par_chunks(PART * size));
+        parts.zip(pull.par_chunks(PART * CHANNELS)).for_each(|((out, planes), pull)| {
+            let mut before = vec![0f64; count];
+            let rays = out.chunks_exact_mut(size).zip(planes.chunks_exact(size)).zip(pull.chunks_exact(CHANNELS));
+            for ((out, ray), pull) in rays {
+                let mut passing = Passing::default();
+                for k in (0..count).rev() {
+                    before[k] = passing.transmittance;
+                    passing.weight(ray[CHANNELS * k + 3].to_f64());
+                }
+                let pull: [f64; CHANNELS] = std::array::from_fn(|c| pull[c].to_f64());
+                let mut behind = 0.0;
+                let planes = out.chunks_exact_mut(CHANNELS).zip(ray.chunks_exact(CHANNELS)).zip(&before);
+                for ((out, plane), before) in planes {
+                    let alpha = plane[3].to_f64();
+                    let of_weight = pull[3] + (0..3).map(|c| pull[c] * plane[c].to_f64()).sum::<f64>();
+                    (0..3).for_each(|c| out[c] = T::from_f64(pull[c] * alpha * before));
+                    out[3] = T::from_f64(before * (of_weight - behind));
+                    behind = of_weight * alpha + (1.0 - alpha + LEAK) * behind;
+                }
+            }
+        });
+        out
+    }
+}
+
+impl CustomOp1 for Over {
+    fn name(&self) -> &'static str {
+        "over"
+    }
+
+    fn cpu_fwd(&self, planes: &CpuStorage, layout: &Layout) -> Result<(CpuStorage, Shape)> {
+        let (rays, count, _) = layout.shape().dims3()?;
+        let out = match planes {
+            CpuStorage::F64(_) => CpuStorage::F64(Over::forward(slice(planes, layout)?, count)),
+            _ => CpuStorage::F32(Over::forward(slice(planes, layout)?, count)),
+        };
+        Ok((out, Shape::from((rays, CHANNELS))))
+    }
+
+    fn bwd(&self, planes: &Tensor, _out: &Tensor, pull: &Tensor) -> Result<Option<Tensor>> {
+        let (shape, device) = (planes.dims3()?, planes.device());
+        let pull = pull.contiguous()?;
+        let (from, pull) = (Values::of(planes), Values::of(&pull));
+        Ok(Some(match planes.dtype() {
+            DType::F64 => {
+                Tensor::from_vec(Over::backward::<f64>(from.slice()?, pull.slice()?, shape.1), shape, device)?
+            }
+            _ => Tensor::from_vec(Over::backward::<f32>(from.slice()?, pull.slice()?, shape.1), shape, device)?,
+        }))
+    }
+}
+
+#[cfg(test)]
+mod tests;

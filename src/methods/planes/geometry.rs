@@ -1,0 +1,119 @@
+//! Where planes lie and where rays meet them.
+
+use crate::data::Camera;
+use crate::data::pose::{Pose, column};
+use crate::data::vector::{Vec3, dot, sub};
+use crate::grids::planes::Places;
+
+/// Depths of planes from `far` to `near`, at equal distances in disparity: LLFF's number 0 is the farthest.
+pub fn depths(near: f64, far: f64, planes: usize) -> Vec<f64> {
+    let last = (planes.max(2) - 1) as f64;
+    (0..planes).map(|k| 1.0 / (1.0 / far + k as f64 / last * (1.0 / near - 1.0 / far))).collect()
+}
+
+/// A vector in the camera's axes.
+fn turned(pose: &Pose, v: Vec3) -> Vec3 {
+    [0, 1, 2].map(|axis| dot(column(pose, axis), v))
+}
+
+/// A camera whose pixels are counted from the middle of the first: `shift` says where that is.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Eye {
+    /// What the scene says of it.
+    pub camera: Camera,
+    /// Pixel coordinates of the middle of the first pixel.
+    pub shift: f64,
+}
+
+impl Eye {
+    /// Where it is.
+    pub fn place(&self) -> Vec3 {
+        column(&self.camera.pose, 3)
+    }
+
+    /// The pixel that shows a point of the camera's axes; not a number behind it.
+    #[inline(always)]
+    fn pixel(&self, [x, y, z]: Vec3) -> [f64; 2] {
+        let Camera { focal, centre, .. } = &self.camera;
+        let inverse = if z < 0.0 { -1.0 / z } else { f64::NAN };
+        [centre[0] + focal[0] * x * inverse - self.shift, centre[1] - focal[1] * y * inverse - self.shift]
+    }
+
+    /// Origin and direction of the ray through a pixel; t is depth along the camera's axis.
+    pub fn ray(&self, [column, row]: [f64; 2]) -> (Vec3, Vec3) {
+        self.camera.ray(column + self.shift, row + self.shift)
+    }
+
+    /// Where a ray meets this camera's planes at `depths`: a pixel and the ray's t for each; not numbers where it meets a plane
+    /// before its origin, or from behind.
+    pub fn hits(&self, origin: Vec3, direction: Vec3, depths: &[f64], mut each: impl FnMut(usize, [f64; 2], f64)) {
+        let pose = &self.camera.pose;
+        let origin = turned(pose, sub(origin, column(pose, 3)));
+        let direction = turned(pose, direction);
+        for (k, depth) in depths.iter().enumerate() {
+            let t = (-depth - origin[2]) / direction[2];
+            let met = t > 0.0 && direction[2] < 0.0;
+            let t = if met { t } else { f64::NAN };
+            let [x, y] = [0, 1].map(|axis| origin[axis] + t * direction[axis]);
+            each(k, self.pixel([x, y, -depth]), t);
+        }
+    }
+
+    /// The same of many rays, without t.
+    pub fn places(&self, rays: &[(Vec3, Vec3)], depths: &[f64]) -> Places {
+        let mut of_rays = vec![[f64::NAN; 2]; rays.len() * depths.len()];
+        for ((origin, direction), places) in rays.iter().zip(of_rays.chunks_exact_mut(depths.len())) {
+            self.hits(*origin, *direction, depths, |k, pixel, _| places[k] = pixel);
+        }
+        Places { planes: depths.len(), of_rays }
+    }
+}
+
+/// How another camera sees a plane of this one: where it sees the plane's point of a pixel, which is linear before the division.
+#[derive(Clone, Copy, Debug)]
+pub struct Homography {
+    base: Vec3,
+    per_column: Vec3,
+    per_row: Vec3,
+    seen_by: Eye,
+}
+
+impl Homography {
+    /// Of `seen_by` for the plane at `depth` of `own`.
+    pub fn new(own: &Eye, seen_by: &Eye, depth: f64) -> Homography {
+        let direction = |pixel: [f64; 2]| own.ray(pixel).1;
+        let (origin, first) = own.ray([0.0, 0.0]);
+        let pose = &seen_by.camera.pose;
+        let along = |v: Vec3| turned(pose, v.map(|value| value * depth));
+        let base = sub(std::array::from_fn(|i| origin[i] + depth * first[i]), column(pose, 3));
+        Homography {
+            base: turned(pose, base),
+            per_column: along(sub(direction([1.0, 0.0]), first)),
+            per_row: along(sub(direction([0.0, 1.0]), first)),
+            seen_by: *seen_by,
+        }
+    }
+
+    /// The pixel of the other camera; not a number where it is behind it.
+    #[inline(always)]
+    pub fn pixel(&self, column: f64, row: f64) -> [f64; 2] {
+        let at = |i: usize| self.base[i] + column * self.per_column[i] + row * self.per_row[i];
+        self.seen_by.pixel([at(0), at(1), at(2)])
+    }
+}
+
+/// Views by their distance from `place`, nearest first; of equally far ones the first.
+pub fn nearest(eyes: &[Eye], place: Vec3) -> Vec<(usize, f64)> {
+    let distance = |eye: &Eye| dot(sub(eye.place(), place), sub(eye.place(), place)).sqrt();
+    let mut all: Vec<(usize, f64)> = eyes.iter().map(distance).enumerate().collect();
+    all.sort_by(|a, b| a.1.total_cmp(&b.1));
+    all
+}
+
+/// The views that the network sees for the planes of view `own`: itself and the nearest others of `eyes`, without `left_out`;
+/// where there are too few, itself again.
+pub fn inputs_of(eyes: &[Eye], own: usize, count: usize, left_out: Option<usize>) -> Vec<usize> {
+    let others = nearest(eyes, eyes[own].place()).into_iter().map(|(view, _)| view);
+    let others = others.filter(|view| *view != own && Some(*view) != left_out);
+    std::iter::once(own).chain(others).chain(std::iter::repeat(own)).take(count).collect()
+}

@@ -1,0 +1,225 @@
+//! The network of LLFF (Mildenhall et al. 2019): a 3D U-Net that turns a plane-sweep volume into a multiplane image.
+//!
+//! Convolutions of 3 x 3 x 3 without bias, layer normalisation over a whole sample and ReLU, in TensorFlow slim's order; the
+//! last has a bias and nothing behind it. Three levels of half the side each, along the planes, too. The layers are those that
+//! third parties wrote down of the authors' network; the authors published none.
+
+use std::sync::{Arc, Mutex};
+
+use candle_core::{DType, Device, Tensor, Var};
+
+use crate::base::Result;
+use crate::base::rng::{Random, Stream};
+use crate::grids::norm::{LayerNorm, Together};
+use crate::grids::taps::TapProduct;
+use crate::grids::up::upsample;
+use crate::settings::Config;
+
+use super::mpi::Kept;
+
+/// Taps of a convolution.
+const TAPS: usize = 27;
+
+/// slim's own normalisation.
+const NORM: LayerNorm = LayerNorm { together: Together::Sample, epsilon: 1e-12, relu: true };
+
+/// A convolution: its name, channels in and out, stride, dilation.
+struct Layer {
+    name: &'static str,
+    inputs: usize,
+    outputs: usize,
+    stride: usize,
+    dilation: usize,
+}
+
+const fn layer(name: &'static str, inputs: usize, outputs: usize, stride: usize, dilation: usize) -> Layer {
+    Layer { name, inputs, outputs, stride, dilation }
+}
+
+/// All convolutions with a normalisation, in their order; channels that depend on the number of input views are 0 here.
+const LAYERS: [Layer; 17] = [
+    layer("conv1_1", 0, 8, 1, 1),
+    layer("conv1_2", 8, 16, 2, 1),
+    layer("conv2_1", 16, 16, 1, 1),
+    layer("conv2_2", 16, 32, 2, 1),
+    layer("conv3_1", 32, 32, 1, 1),
+    layer("conv3_2", 32, 32, 1, 1),
+    layer("conv3_3", 32, 64, 2, 1),
+    layer("conv4_1", 64, 64, 1, 2),
+    layer("conv4_2", 64, 64, 1, 2),
+    layer("conv4_3", 64, 64, 1, 2),
+    layer("conv5_1", 128, 32, 1, 1),
+    layer("conv5_2", 32, 32, 1, 1),
+    layer("conv5_3", 32, 32, 1, 1),
+    layer("conv6_1", 64, 16, 1, 1),
+    layer("conv6_2", 16, 16, 1, 1),
+    layer("conv7_1", 32, 8, 1, 1),
+    layer("conv7_2", 8, 8, 1, 1),
+];
+
+/// The last convolution.
+const LAST: Layer = layer("conv7_3", 8, 0, 1, 1);
+
+/// A kind of parameter of a layer.
+#[derive(Clone, Copy, PartialEq)]
+enum Kind {
+    Weight,
+    Scale,
+    Shift,
+    Bias,
+}
+
+impl Kind {
+    fn name(self) -> &'static str {
+        match self {
+            Kind::Weight => "weight",
+            Kind::Scale => "scale",
+            Kind::Shift => "shift",
+            Kind::Bias => "bias",
+        }
+    }
+}
+
+/// Parameters of one layer with its channels.
+fn kinds(layer: &Layer, inputs: usize) -> (Vec<Kind>, usize, usize) {
+    match layer.name == LAST.name {
+        true => (vec![Kind::Weight, Kind::Bias], layer.inputs, inputs),
+        false if layer.inputs == 0 => (vec![Kind::Weight, Kind::Scale, Kind::Shift], 3 * inputs, layer.outputs),
+        false => (vec![Kind::Weight, Kind::Scale, Kind::Shift], layer.inputs, layer.outputs),
+    }
+}
+
+/// The network's parameters in their fixed order, with what the last painter made of them.
+#[derive(Clone)]
+pub struct MpiNetwork {
+    variables: Vec<(String, Var)>,
+    /// Input views.
+    inputs: usize,
+    /// Multiplane images that these weights gave.
+    pub(super) kept: Arc<Mutex<Option<Kept>>>,
+}
+
+impl MpiNetwork {
+    /// Freshly drawn weights: uniform by Xavier's rule, as slim has it; scales 1, shifts and the bias 0.
+    ///
+    /// # Errors
+    /// Those of candle.
+    pub fn init(config: &Config, dtype: DType, device: &Device) -> Result<MpiNetwork> {
+        let mut values = Vec::new();
+        for (part, layer) in LAYERS.iter().chain([&LAST]).enumerate() {
+            let (kinds, from, to) = kinds(layer, config.llff.inputs);
+            let limit = (6.0 / (TAPS * (from + to)) as f64).sqrt() as f32;
+            for kind in kinds {
+                let tensor = match kind {
+                    Kind::Weight => {
+                        let mut random = Random::part(config.seed, Stream::Init, 0, part as u64);
+                        let drawn = random.uniform_map(TAPS * from * to, |unit| limit * (2.0 * unit - 1.0));
+                        Tensor::from_vec(drawn, (TAPS, from, to), device)?.to_dtype(dtype)?
+                    }
+                    Kind::Scale => Tensor::ones(to, dtype, device)?,
+                    Kind::Shift | Kind::Bias => Tensor::zeros(to, dtype, device)?,
+                };
+                values.push(tensor);
+            }
+        }
+        MpiNetwork::from_parameters(config, values)
+    }
+
+    /// Names and shapes of all parameters, in their fixed order. Kernels are `[taps, in, out]`, taps along z, y, x.
+    pub fn parameter_names(config: &Config) -> Vec<(String, Vec<usize>)> {
+        let of_layer = |layer: &Layer| {
+            let (kinds, from, to) = kinds(layer, config.llff.inputs);
+            let name = layer.name;
+            kinds.into_iter().map(move |kind| {
+                let shape = if kind == Kind::Weight { vec![TAPS, from, to] } else { vec![to] };
+                (format!("planes.{name}.{}", kind.name()), shape)
+            })
+        };
+        LAYERS.iter().chain([&LAST]).flat_map(of_layer).collect()
+    }
+
+    /// A network over given values, in the order of [`MpiNetwork::parameter_names`].
+    ///
+    /// # Errors
+    /// Those of candle.
+    pub fn from_parameters(config: &Config, values: Vec<Tensor>) -> Result<MpiNetwork> {
+        let names = MpiNetwork::parameter_names(config);
+        let variable = |((name, _), value): ((String, Vec<usize>), Tensor)| Ok((name, Var::from_tensor(&value)?));
+        let variables: Result<Vec<(String, Var)>> = names.into_iter().zip(values).map(variable).collect();
+        Ok(MpiNetwork { variables: variables?, inputs: config.llff.inputs, kept: Arc::default() })
+    }
+
+    /// All parameters with their names, in the fixed order.
+    pub fn variables(&self) -> Vec<(String, Var)> {
+        self.variables.clone()
+    }
+
+    /// How many views it sees.
+    pub fn inputs(&self) -> usize {
+        self.inputs
+    }
+
+    /// The device that the parameters are on.
+    pub fn device(&self) -> &Device {
+        self.variables[0].1.device()
+    }
+
+    /// Their kind of numbers.
+    pub fn dtype(&self) -> DType {
+        self.variables[0].1.dtype()
+    }
+
+    /// The parameters as they are now, with gradients or without.
+    pub fn weights(&self, trainable: bool) -> Weights {
+        let tensor =
+            |(_, var): &(String, Var)| if trainable { var.as_tensor().clone() } else { var.as_detached_tensor() };
+        Weights { tensors: self.variables.iter().map(tensor).collect() }
+    }
+}
+
+/// A network's parameters as tensors, in their order.
+pub struct Weights {
+    tensors: Vec<Tensor>,
+}
+
+impl Weights {
+    /// A plane-sweep volume `[planes, height, width, 3 views]` to numbers of every cell, `[planes, height, width, views]`: channel 0
+    /// is alpha's, the others the views' (see [`crate::grids::mix::mix`]). Sides are multiples of 8.
+    ///
+    /// # Errors
+    /// Other sides; those of candle.
+    pub fn forward(&self, sweep: &Tensor) -> Result<Tensor> {
+        let one_2 = self.all(&["conv1_1", "conv1_2"], sweep)?;
+        let two_2 = self.all(&["conv2_1", "conv2_2"], &one_2)?;
+        let three_3 = self.all(&["conv3_1", "conv3_2", "conv3_3"], &two_2)?;
+        let four_3 = self.all(&["conv4_1", "conv4_2", "conv4_3"], &three_3)?;
+        let five_3 = self.all(&["conv5_1", "conv5_2", "conv5_3"], &joined(&four_3, &three_3)?)?;
+        let six_2 = self.all(&["conv6_1", "conv6_2"], &joined(&five_3, &two_2)?)?;
+        let seven_2 = self.all(&["conv7_1", "conv7_2"], &joined(&six_2, &one_2)?)?;
+        let [weight, bias] = [0, 1].map(|i| &self.tensors[3 * LAYERS.len() + i]);
+        Ok(convolution(&LAST, &seven_2)?.forward(&seven_2, weight, bias)?)
+    }
+
+    /// Some convolutions after one another.
+    fn all(&self, names: &[&str], x: &Tensor) -> Result<Tensor> {
+        names.iter().try_fold(x.clone(), |x, name| self.one(name, &x))
+    }
+
+    fn one(&self, name: &str, x: &Tensor) -> Result<Tensor> {
+        let index = LAYERS.iter().position(|layer| layer.name == name).expect("the network has it");
+        let [weight, scale, shift] = [0, 1, 2].map(|i| &self.tensors[3 * index + i]);
+        let no_bias = shift.detach().zeros_like()?;
+        let y = convolution(&LAYERS[index], x)?.forward(x, weight, &no_bias)?;
+        Ok(NORM.apply(&y.unsqueeze(0)?, scale, shift)?.squeeze(0)?)
+    }
+}
+
+fn convolution(layer: &Layer, x: &Tensor) -> Result<TapProduct> {
+    let (z, y, x, _) = x.dims4()?;
+    Ok(TapProduct::convolution([z, y, x], layer.stride, layer.dilation))
+}
+
+/// Two lattices' channels side by side, on the next finer one.
+fn joined(a: &Tensor, b: &Tensor) -> Result<Tensor> {
+    Ok(upsample(&Tensor::cat(&[a, b], 3)?)?)
+}

@@ -1,0 +1,82 @@
+//! The training views as the method sees them, and what it refuses.
+
+use candle_core::Device;
+
+use crate::base::{Error, Result};
+use crate::data::{Camera, Scene};
+use crate::settings::Config;
+
+use super::geometry::{Eye, depths};
+use super::mpi::Seen;
+
+/// Views that learning takes at the least: one that is left out, one whose planes are predicted, one beside it.
+const FEWEST_VIEWS: usize = 3;
+
+/// What learning and painting have in common. Views that are held out are no part of it.
+#[derive(Clone)]
+pub struct Stage {
+    /// The training views.
+    pub views: Vec<Seen>,
+    /// Depths of every view's planes, the farthest first.
+    pub depths: Vec<f64>,
+    /// What is behind everything.
+    pub background: Option<[f32; 3]>,
+}
+
+impl Stage {
+    /// Of the training views of `scene`.
+    ///
+    /// # Errors
+    /// A scene or a device that the method has no use for.
+    pub fn new(config: &Config, scene: &Scene, device: &Device) -> Result<Stage> {
+        check(scene, device)?;
+        let shift = config.data.origin_of_pixels().shift();
+        let seen = |camera: Camera| Eye { camera, shift };
+        let views = scene.train.iter().map(|view| Seen { eye: seen(view.camera), image: view.image.clone() }).collect();
+        let (near, far) = bounds(config, scene)?;
+        Ok(Stage { views, depths: depths(near, far, config.llff.planes), background: scene.background })
+    }
+}
+
+/// Depths of the nearest and the farthest plane.
+fn bounds(config: &Config, scene: &Scene) -> Result<(f64, f64)> {
+    let near = config.llff.near.unwrap_or(scene.near);
+    let far = config.llff.far.unwrap_or(scene.far);
+    match near > 0.0 && near < far {
+        true => Ok((near, far)),
+        false => Err(Error::Config(format!(
+            "llff.near = {near} and llff.far = {far}, where they are empty the scene's own, make no planes: disparities are even \
+             from one to the other; give 0 < llff.near < llff.far"
+        ))),
+    }
+}
+
+fn check(scene: &Scene, device: &Device) -> Result<()> {
+    if !device.is_cpu() {
+        return Err(Error::Config(
+            "method llff is computed on processors alone: its operations have no kernels for other devices; use --device cpu".into(),
+        ));
+    }
+    if scene.ndc.is_some() {
+        return Err(Error::Config(
+            "data.ndc = true does not suit method llff, whose planes stand in the scene itself; set data.ndc=false"
+                .into(),
+        ));
+    }
+    if scene.train.len() < FEWEST_VIEWS {
+        return Err(Error::Config(format!(
+            "method llff learns from views that it leaves out and needs at least {FEWEST_VIEWS} training views; {} leaves {}: hold \
+             out fewer (data.holdout, data.validation, data.train_views), or use another method",
+            scene.name,
+            scene.train.len()
+        )));
+    }
+    if let Some(view) = scene.train.iter().find(|view| view.mask.is_some()) {
+        return Err(Error::Config(format!(
+            "training view {} has a mask, and method llff would show what is under it: its colours are those of whole views; use nerf, \
+             or remove the masks",
+            view.name
+        )));
+    }
+    Ok(())
+}
