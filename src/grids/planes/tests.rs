@@ -1,1 +1,71 @@
+use candle_core::{Device, Var};
 
+use super::*;
+use crate::grids::reference::{check_differences, error, fixture, on_any_threads, ramp, values};
+
+/// Places of some rays: between pixels, on them, in the pixel beyond an edge, outside, nowhere.
+fn places(planes: usize) -> Arc<Places> {
+    let some =
+        [[0.3, 1.6], [2.0, 1.0], [-0.4, 2.7], [3.7, -0.2], [5.0, 1.0], [f64::NAN, 0.0], [3.0, 2.0], [-1.0, -1.0]];
+    let of_rays = (0..8 * planes).map(|i| some[(i * 3 + i / 8) % 8]).collect();
+    Arc::new(Places { planes, of_rays })
+}
+
+/// A tent around every pixel, as the interpolation is defined.
+fn slow(planes: &Tensor, places: &Places) -> Tensor {
+    let (count, height, width, channels) = planes.dims4().unwrap();
+    let all = values(planes);
+    let tent = |a: f64, b: usize| (1.0 - (a - b as f64).abs()).max(0.0);
+    let mut out = Vec::new();
+    for (i, [x, y]) in places.of_rays.iter().enumerate() {
+        for c in 0..channels {
+            let at = |row: usize, column: usize| all[((i % count * height + row) * width + column) * channels + c];
+            let sum = (0..height).flat_map(|row| (0..width).map(move |column| (row, column)));
+            let sum: f64 = sum.map(|(row, column)| tent(*x, column) * tent(*y, row) * at(row, column)).sum();
+            out.push(if x.is_nan() { 0.0 } else { sum });
+        }
+    }
+    Tensor::from_vec(out, (places.rays(), count, channels), &Device::Cpu).unwrap()
+}
+
+#[test]
+fn values_are_tents_around_pixels_and_fade_beyond_the_edge() {
+    let (planes, places) = (ramp(&[3, 3, 4, 2], 0.4), places(3));
+    let expected = slow(&planes, &places);
+    assert!(error(&plane_sample(&planes, places.clone()).unwrap(), &expected) < 1e-14);
+    let fast = plane_sample(&planes.to_dtype(DType::F32).unwrap(), places).unwrap();
+    assert!(error(&fast, &expected) < 1e-6);
+}
+
+#[test]
+fn gradients_are_central_differences() {
+    let planes = Var::from_tensor(&ramp(&[3, 3, 4, 2], 0.1)).unwrap();
+    let (places, cotangent) = (places(3), ramp(&[8, 3, 2], 0.9));
+    check_differences(&[planes.clone()], 1e-8, || {
+        (plane_sample(&planes, places.clone()).unwrap() * &cotangent).unwrap().sum_all().unwrap()
+    });
+}
+
+#[test]
+fn threads_change_no_bit() {
+    let of_rays = (0..4 * 2000).map(|i| [(i as f64 * 0.37).sin() * 6.0 + 4.0, (i as f64 * 0.21).cos() * 5.0 + 3.0]);
+    let places = Arc::new(Places { planes: 4, of_rays: of_rays.collect() });
+    on_any_threads(|| {
+        let planes = ramp(&[4, 7, 9, 4], 0.0).to_dtype(DType::F32).unwrap();
+        let planes = Var::from_tensor(&planes).unwrap();
+        let out = plane_sample(&planes, places.clone()).unwrap();
+        let gradients = out.sqr().unwrap().sum_all().unwrap().backward().unwrap();
+        vec![out.detach(), gradients.get(&planes).unwrap().clone()]
+    });
+}
+
+/// LLFF's own coordinates of a row of planes lead to its own renderings once composited: see `over` and `methods::planes`; here the
+/// same pixels of one plane are read twice.
+#[test]
+fn a_place_on_a_pixel_is_the_pixel() {
+    let mpi = fixture("llff.mpis").narrow(0, 2, 1).unwrap().squeeze(0).unwrap();
+    let planes = mpi.permute((2, 0, 1, 3)).unwrap().contiguous().unwrap();
+    let of_rays = (0..48).flat_map(|i| [[(i % 8) as f64, (i / 8) as f64]; 4]).collect();
+    let read = plane_sample(&planes, Arc::new(Places { planes: 4, of_rays })).unwrap();
+    assert_eq!(values(&read), values(&mpi.reshape((48, 4, 4)).unwrap()));
+}

@@ -14,10 +14,10 @@ use crate::methods::gradients::Gradients;
 use crate::methods::learner::{Learned, Learner, LogColumns, Term, UnlessStopped};
 use crate::settings::{PlanesLoss, Resolved};
 
+use super::blend::{Blended, blend, blend_weight};
 use super::geometry::{Eye, inputs_of};
 use super::mpi::Seen;
 use super::network::{MpiNetwork, Weights};
-use super::painter::{EMPTY, blend_weight};
 use super::stage::Stage;
 use super::sweep::sweep;
 use super::windows::{Reference, Work};
@@ -30,15 +30,7 @@ pub struct PlanesLearner {
     config: Resolved,
     network: MpiNetwork,
     variables: Vec<(String, Var)>,
-    stage: Stage,
-}
-
-/// What a crop looks like.
-struct Blended {
-    /// `[rays, 3]`.
-    rgb: Tensor,
-    /// Accumulation, `[rays]`.
-    acc: Tensor,
+    pub(super) stage: Stage,
 }
 
 impl PlanesLearner {
@@ -74,26 +66,14 @@ impl PlanesLearner {
 
     /// What is blended of the references' planes on the crop.
     fn blended(&self, weights: &Weights, work: &Work, unless_stopped: &UnlessStopped) -> Result<Blended> {
-        let Stage { depths, background, .. } = &self.stage;
         let nearest = work.references.iter().map(|reference| reference.distance).fold(f64::INFINITY, f64::min);
-        let (mut sum, mut total) = (None, 0.0);
-        for reference in &work.references {
+        let rendering = |reference: &Reference| -> Result<(Tensor, f64)> {
             unless_stopped()?;
             let eye = &self.stage.views[reference.view].eye;
-            let weight = blend_weight(eye, reference.distance, nearest, depths);
-            let seen = (self.seen(weights, reference, work.target)? * weight)?;
-            sum = crate::base::tensors::sum(sum, Some(seen))?;
-            total += weight;
-        }
-        let sum = sum.expect("a step has a reference");
-        let acc = (sum.narrow(1, 3, 1)? / total)?;
-        // As a picture has it: what is all but empty shows the background.
-        let empty = acc.lt(EMPTY)?;
-        let background = Tensor::new(&background.unwrap_or_default(), sum.device())?.to_dtype(sum.dtype())?;
-        let full = empty.where_cond(&acc.ones_like()?, &(sum.narrow(1, 3, 1)? + 1e-10)?)?;
-        let rgb = sum.narrow(1, 0, 3)?.broadcast_div(&full)?;
-        let rgb = empty.broadcast_as(rgb.shape())?.where_cond(&background.broadcast_as(rgb.shape())?, &rgb)?;
-        Ok(Blended { rgb, acc: acc.squeeze(1)? })
+            let weight = blend_weight(eye, reference.distance, nearest, &self.stage.depths);
+            Ok((self.seen(weights, reference, work.target)?, weight))
+        };
+        blend(work.references.iter().map(rendering).collect::<Result<_>>()?, self.stage.background)
     }
 
     /// Colour times weight and sum of weights, `[rays, 4]`, of one reference's planes, whose inputs lack the target.

@@ -10,6 +10,7 @@
 //! 504 x 376 and 32 planes, 412 MB for the 17 training views of fern. A prediction of a whole view holds its finest lattice's
 //! channels beside that, about 1.6 GB there.
 
+mod blend;
 mod geometry;
 mod learner;
 mod mpi;

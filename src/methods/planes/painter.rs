@@ -9,14 +9,9 @@ use crate::data::Rays;
 use crate::data::vector::Vec3;
 use crate::methods::painter::{Painted, Painter};
 
+use super::blend::{EMPTY, LEAST, blend_weight};
 use super::geometry::{Eye, nearest};
 use super::mpi::{Met, Mpis};
-
-/// What is added to the sum of weights that colours are divided by (the authors' code).
-const LEAST: f64 = 1e-10;
-
-/// Accumulation under which a ray shows the background.
-pub const EMPTY: f64 = 1e-3;
 
 /// Renders rays from the multiplane images nearest to their origin.
 pub struct PlanesPainter {
@@ -26,13 +21,6 @@ pub struct PlanesPainter {
     pub(super) blend: usize,
     /// The scene's, where it has one.
     pub(super) background: Option<[f32; 3]>,
-}
-
-/// What a view at distance l counts beside the nearest: `exp(-(l - nearest) f / (planes near))`, f in pixels. LLFF's own weight
-/// has no nearest: it is the same up to a factor that the blend divides out, without the underflow far away.
-pub fn blend_weight(eye: &Eye, distance: f64, nearest: f64, depths: &[f64]) -> f64 {
-    let near = depths[depths.len() - 1];
-    (-(distance - nearest) * eye.camera.focal[0] / (depths.len() as f64 * near)).exp()
 }
 
 impl PlanesPainter {

@@ -1,0 +1,50 @@
+//! Several multiplane images' renderings of the same rays as one picture.
+
+use candle_core::Tensor;
+
+use crate::base::Result;
+use crate::base::tensors::sum;
+
+use super::geometry::Eye;
+
+/// What is added to the sum of weights that colours are divided by (the authors' code).
+pub const LEAST: f64 = 1e-10;
+
+/// Accumulation under which a ray shows the background.
+pub const EMPTY: f64 = 1e-3;
+
+/// What a view at distance l counts beside the nearest: `exp(-(l - nearest) f / (planes near))`, f in pixels. LLFF's own weight
+/// has no nearest: it is the same up to a factor that the blend divides out, without the underflow far away.
+pub fn blend_weight(eye: &Eye, distance: f64, nearest: f64, depths: &[f64]) -> f64 {
+    let near = depths[depths.len() - 1];
+    (-(distance - nearest) * eye.camera.focal[0] / (depths.len() as f64 * near)).exp()
+}
+
+/// What some rays show.
+pub struct Blended {
+    /// `[rays, 3]`.
+    pub rgb: Tensor,
+    /// Accumulation, `[rays]`.
+    pub acc: Tensor,
+}
+
+/// Renderings `[rays, 4]` (colour times weight, sum of weights) with what they count: the weighted sum of colours over that of
+/// weights, and the background where next to nothing is.
+///
+/// # Errors
+/// No rendering; those of candle.
+pub fn blend(renderings: Vec<(Tensor, f64)>, background: Option<[f32; 3]>) -> Result<Blended> {
+    let total: f64 = renderings.iter().map(|(_, weight)| weight).sum();
+    let weighted = |(rendering, weight): (Tensor, f64)| -> Result<Tensor> { Ok((rendering * weight)?) };
+    let all = renderings.into_iter().map(weighted).try_fold(None, |all, one| sum(all, Some(one?)))?;
+    let all = all.ok_or_else(|| candle_core::Error::Msg("blend: there is no rendering".into()))?;
+    let of_weights = all.narrow(1, 3, 1)?;
+    let acc = (&of_weights / total)?;
+    let empty = acc.lt(EMPTY)?;
+    let full = empty.where_cond(&acc.ones_like()?, &(of_weights + LEAST)?)?;
+    let rgb = all.narrow(1, 0, 3)?.broadcast_div(&full)?;
+    let behind = Tensor::new(&background.unwrap_or_default(), all.device())?.to_dtype(all.dtype())?;
+    let behind = behind.broadcast_as(rgb.shape())?.contiguous()?;
+    let rgb = empty.broadcast_as(rgb.shape())?.contiguous()?.where_cond(&behind, &rgb)?;
+    Ok(Blended { rgb, acc: acc.squeeze(1)? })
+}

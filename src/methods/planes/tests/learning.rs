@@ -1,0 +1,206 @@
+//! The network and how it learns.
+
+use candle_core::{DType, Device, Tensor, Var};
+
+use crate::base::Result;
+use crate::data::Scene;
+use crate::grids::reference::{error, on_any_threads, ramp};
+use crate::methods::learner::Learner;
+use crate::methods::planes::windows::Work;
+use crate::methods::planes::{MpiNetwork, PlanesLearner};
+use crate::methods::{Learned, Model};
+use crate::settings::{Config, PlanesLoss, Resolved};
+
+use super::{config, numbers, scene};
+
+fn network(config: &Config, dtype: DType) -> MpiNetwork {
+    MpiNetwork::init(config, dtype, &Device::Cpu).unwrap()
+}
+
+fn learned(config: &Resolved, scene: &Scene, dtype: DType, step: u64) -> Learned {
+    let mut learner = PlanesLearner::start(config, scene, network(config, dtype)).unwrap();
+    learner.learn(step, false, &|| Ok(())).unwrap()
+}
+
+/// As many as slim's layers have with five inputs; Xavier's rule bounds them.
+#[test]
+fn parameters_are_those_of_the_network() {
+    let config = Config::default();
+    let names = MpiNetwork::parameter_names(&config);
+    let count: usize = names.iter().map(|(_, shape)| shape.iter().product::<usize>()).sum();
+    assert_eq!(count, 679_968 + 5 + 1_072);
+    let variables = network(&config, DType::F32).variables();
+    for ((name, shape), (own, var)) in names.iter().zip(&variables) {
+        assert_eq!((name, &shape[..]), (own, var.dims()));
+        let values = numbers(var);
+        match name.rsplit_once('.').unwrap().1 {
+            "weight" => {
+                let limit = (6.0 / (27 * (shape[1] + shape[2])) as f64).sqrt();
+                let largest = values.iter().fold(0.0, |largest: f64, value| largest.max(value.abs()));
+                assert!((0.98 * limit..=limit * (1.0 + 1e-6)).contains(&largest), "{name}: {largest} of {limit}");
+            }
+            "scale" => assert!(values.iter().all(|value| *value == 1.0)),
+            _ => assert!(values.iter().all(|value| *value == 0.0)),
+        }
+    }
+    assert_eq!(variables[0].0, "planes.conv1_1.weight");
+}
+
+#[test]
+fn f32_is_near_f64() {
+    let config = config(&scene(16), |config| config.llff.inputs = 2);
+    let sweep = ((ramp(&[8, 16, 8, 6], 0.3) * 0.5).unwrap() + 0.5).unwrap();
+    let exact = network(&config, DType::F64).weights(false).forward(&sweep).unwrap();
+    let fast = network(&config, DType::F32).weights(false).forward(&sweep.to_dtype(DType::F32).unwrap()).unwrap();
+    assert_eq!(exact.dims(), [8, 16, 8, 2]);
+    assert!(error(&fast, &exact) < 1e-4, "{}", error(&fast, &exact));
+}
+
+/// Slopes of the whole loss along some parameters of every layer: network, head, planes, over and blend together.
+#[test]
+fn gradients_of_a_step_are_central_differences() {
+    for loss in [PlanesLoss::Mse, PlanesLoss::L1] {
+        let scene = scene(16);
+        let config = config(&scene, |config| config.llff.loss = loss);
+        let network = network(&config, DType::F64);
+        let mut learner = PlanesLearner::start(&config, &scene, network.clone()).unwrap();
+        let gradients = learner.learn(1, false, &|| Ok(())).unwrap().gradients.0;
+        for (index, (name, var)) in network.variables().into_iter().enumerate().filter(|(index, _)| index % 5 < 2) {
+            let found = numbers(gradients[index].as_ref().unwrap_or_else(|| panic!("{name} has no gradient")));
+            let at = numbers(&var);
+            let place = at.len() * 2 / 3;
+            let mut moved = |by: f64| {
+                let mut values = at.clone();
+                values[place] += by;
+                var.set(&Tensor::from_vec(values, var.dims(), &Device::Cpu).unwrap()).unwrap();
+                learner.learn(1, false, &|| Ok(())).unwrap().loss
+            };
+            let slope = (moved(1e-6) - moved(-1e-6)) / 2e-6;
+            moved(0.0);
+            let scale = found.iter().fold(1e-6, |scale: f64, value| scale.max(value.abs()));
+            assert!((found[place] - slope).abs() < 1e-3 * scale, "{loss:?} {name}: {} and {slope}", found[place]);
+        }
+    }
+}
+
+#[test]
+fn threads_change_no_bit_of_a_step() {
+    let scene = scene(24);
+    let config = config(&scene, |_| {});
+    on_any_threads(|| {
+        let learned = learned(&config, &scene, DType::F32, 3);
+        let loss = Tensor::new(&[learned.loss, learned.mse, learned.largest_acc], &Device::Cpu).unwrap();
+        learned.gradients.0.into_iter().flatten().chain([loss]).collect()
+    });
+}
+
+fn bits(learned: &Learned) -> Vec<u64> {
+    let gradients = learned.gradients.0.iter().flatten().flat_map(numbers).map(f64::to_bits);
+    gradients.chain([learned.loss.to_bits()]).collect()
+}
+
+/// The view that is left out says what is asked for at the crop's pixels, and nothing else of it is seen.
+#[test]
+fn the_view_that_is_left_out_is_no_input() {
+    let plain = scene(32);
+    let config = config(&plain, |_| {});
+    let eyes: Vec<_> = {
+        let learner = PlanesLearner::start(&config, &plain, network(&config, DType::F32)).unwrap();
+        learner.stage.views.iter().map(|view| view.eye).collect()
+    };
+    let depths = super::super::geometry::depths(1.0, 4.0, 8);
+    let mut seen = [0; 4];
+    for step in 0..6 {
+        let work = Work::draw(&config.llff, config.seed, step, &eyes, &depths).unwrap();
+        assert!(work.references.iter().all(|reference| reference.view != work.target) && work.counted() >= 32);
+        seen[work.target] += 1;
+        let usual = learned(&config, &plain, DType::F32, step);
+        let painted = |inside: bool| {
+            let mut scene = plain.clone();
+            let mut image = (*scene.train[work.target].image).clone();
+            for (i, pixel) in image.pixels.chunks_mut(3).enumerate() {
+                let asked = work.pixels.contains(&[i % 32, i / 32]);
+                if asked == inside {
+                    pixel.fill(0.0);
+                }
+            }
+            scene.train[work.target].image = image.into();
+            learned(&config, &scene, DType::F32, step)
+        };
+        assert_eq!(bits(&painted(false)), bits(&usual), "step {step}");
+        assert_ne!(bits(&painted(true)), bits(&usual), "step {step}");
+    }
+    assert!(seen.iter().filter(|times| **times > 0).count() > 1, "{seen:?}");
+}
+
+/// Pictures, steps and multiplane images are the same whatever the held-out views are.
+#[test]
+fn views_that_are_held_out_are_never_an_input() {
+    let plain = scene(24);
+    let mut other = plain.clone();
+    other.test[0].camera.pose[0][3] = 9.0;
+    other.test[0].image = plain.train[0].image.clone();
+    other.test.push(plain.train[1].clone());
+    let config = config(&plain, |_| {});
+    for step in 0..3 {
+        let [a, b] = [&plain, &other].map(|scene| bits(&learned(&config, scene, DType::F32, step)));
+        assert_eq!(a, b);
+    }
+    let network = network(&config, DType::F32);
+    let [a, b] = [&plain, &other].map(|scene| network.painter(&config, scene).unwrap().mpis);
+    // The second painter takes what the first has made: nothing that it is made of differs.
+    assert!(std::sync::Arc::ptr_eq(&a, &b));
+}
+
+/// Weights that moved, or another picture, are seen; the same ones cost no second prediction.
+#[test]
+fn multiplane_images_are_those_of_the_weights_as_they_are() {
+    let scene = scene(16);
+    let config = config(&scene, |_| {});
+    let network = network(&config, DType::F32);
+    let planes = |scene: &Scene| -> Vec<Vec<u8>> {
+        let painter = network.painter(&config, scene).unwrap();
+        painter.mpis.all.iter().map(|mpi| mpi.planes.clone()).collect()
+    };
+    let before = planes(&scene);
+    assert_eq!(planes(&scene), before);
+    let mut darker = scene.clone();
+    let mut image = (*darker.train[2].image).clone();
+    image.pixels.iter_mut().for_each(|value| *value *= 0.5);
+    darker.train[2].image = image.into();
+    assert_ne!(planes(&darker), before);
+    assert_eq!(planes(&scene), before);
+    let (_, weight): (String, Var) = network.variables().swap_remove(0);
+    weight.set(&(weight.as_detached_tensor() * 1.5).unwrap()).unwrap();
+    assert_ne!(planes(&scene), before);
+}
+
+fn refused(scene: &Scene, change: impl FnOnce(&mut Config)) -> String {
+    let config = config(scene, change);
+    let said: Result<_> = Model::start(&config, scene, DType::F32, &Device::Cpu);
+    said.err().expect("it is refused").to_string()
+}
+
+#[test]
+fn scenes_that_it_cannot_learn_are_refused_in_a_sentence() {
+    let mut few = scene(16);
+    few.train.truncate(2);
+    let said = refused(&few, |_| {});
+    assert!(said.contains("at least 3") && said.contains("leaves 2") && said.contains("data.holdout"), "{said}");
+    let mut masked = scene(16);
+    masked.train[1].mask = Some(vec![true; 256].into());
+    let said = refused(&masked, |_| {});
+    assert!(said.contains("view1") && said.contains("mask"), "{said}");
+    let mut from_zero = scene(16);
+    from_zero.near = 0.0;
+    let said = refused(&from_zero, |config| (config.llff.near, config.llff.far) = (None, None));
+    assert!(said.contains("llff.near = 0"), "{said}");
+    let mut ndc = scene(16);
+    ndc.ndc = Some(crate::data::Ndc { width: 16.0, height: 16.0, focal: 19.2 });
+    assert!(refused(&ndc, |_| {}).contains("data.ndc=false"));
+    // Neighbours whose planes are far apart: the nearest plane is shifted by hundreds of pixels.
+    let said = refused(&scene(200), |config| {
+        (config.llff.near, config.llff.far) = (Some(0.02), Some(4.0));
+    });
+    assert!(said.contains("llff.window = 16") && said.contains("data.downscale"), "{said}");
+}
