@@ -32,6 +32,7 @@ mod page;
 mod paths;
 mod perturbations;
 mod pictures;
+mod planes;
 mod reference;
 mod regularizers;
 mod runtime;

@@ -1,0 +1,77 @@
+//! LLFF, trained on the scene, through everything that is done with a run.
+
+use std::path::Path;
+
+use crate::common::files::json;
+use crate::common::program::{refuse, succeed};
+use crate::common::{flat, runtime};
+use augnerf::data::Scene;
+use augnerf::run::load_scene;
+use augnerf::settings::{Resolved, build, parse_assignment};
+use augnerf::train::Trainer;
+use candle_core::DType;
+use tempfile::TempDir;
+
+/// A few milliseconds a step on the embedded forward-facing scene at 32 x 32.
+const SMALL: &str = "data.kind=builtin-forward data.width=32 llff.planes=8 llff.inputs=3 llff.window=32 llff.crop=16 \
+    train.learning_rate=2e-3";
+
+fn small() -> Vec<&'static str> {
+    SMALL.split_whitespace().flat_map(|setting| ["--set", setting]).collect()
+}
+
+fn scene() -> (Resolved, Scene) {
+    let settings = format!("method=llff data.ndc=false {SMALL}");
+    let settings: Vec<_> = settings.split_whitespace().map(|text| parse_assignment(text).unwrap()).collect();
+    load_scene(build(None, None, &settings).unwrap(), &()).unwrap()
+}
+
+fn weights(trainer: &Trainer) -> Vec<f64> {
+    trainer.model().variables().iter().flat_map(|(_, var)| flat(var)).collect()
+}
+
+/// Later steps come nearer to the views that they leave out, and a run that was saved goes on as if it had not been.
+#[test]
+fn steps_lower_the_loss_and_a_resumed_run_is_the_straight_one() {
+    let (config, scene) = scene();
+    let mut trainer = Trainer::new(&config, &scene, DType::F32, runtime()).unwrap();
+    let mut losses: Vec<f64> = (0..40).map(|_| trainer.step(false).unwrap().loss).collect();
+    let dir = TempDir::new().unwrap();
+    let checkpoint = trainer.save(dir.path()).unwrap();
+    let mut resumed = Trainer::resume(&checkpoint, &config, &scene, DType::F32, runtime()).unwrap();
+    for _ in 0..3 {
+        let (straight, again) = (trainer.step(true).unwrap(), resumed.step(true).unwrap());
+        assert_eq!(straight.loss.to_bits(), again.loss.to_bits());
+        losses.push(straight.loss);
+    }
+    assert_eq!(weights(&trainer), weights(&resumed));
+    let mean = |losses: &[f64]| losses.iter().sum::<f64>() / losses.len() as f64;
+    let (first, last) = (mean(&losses[..8]), mean(&losses[losses.len() - 8..]));
+    assert!(last < 0.7 * first, "{first} {last}");
+}
+
+#[test]
+fn a_run_is_evaluated_rendered_and_compared() {
+    let dir = TempDir::new().unwrap();
+    let [run, compared] = ["run", "compared"].map(|name| dir.path().join(name).display().to_string());
+    let train = ["train", "--quiet", "--preset", "smoke", "--method", "llff", "--out", &run, "--set", "train.steps=12"];
+    succeed(&[&train[..], &small()].concat());
+    let path = Path::new(&run).join("metrics.json");
+    let metrics = json(&path);
+    assert!(metrics["mean"]["psnr"].as_f64().unwrap() > 8.0, "{metrics}");
+    assert!(metrics["protocol"]["llff"].as_str().unwrap().contains("8 planes"), "{metrics}");
+    succeed(&["eval", "--quiet", &run]);
+    assert_eq!(json(&path), metrics, "the checkpoint gives the same numbers as the trained network");
+    succeed(&["render", "--quiet", &run, "--frames", "2"]);
+    assert!(Path::new(&run).join("renders/path/rgb_001.png").is_file());
+    succeed(&["compare", "--quiet", &run, "--out", &compared]);
+    refuse(&["mesh", &run], 2, &["LLFF has a stack of planes for each training view"]);
+}
+
+#[test]
+fn too_few_views_are_refused_in_a_sentence() {
+    let dir = TempDir::new().unwrap();
+    let run = dir.path().join("run").display().to_string();
+    let train = ["train", "--preset", "smoke", "--method", "llff", "--out", &run, "--set", "data.train_views=2"];
+    refuse(&[&train[..], &small()].concat(), 2, &["needs at least 3 training views", "leaves 2"]);
+}
