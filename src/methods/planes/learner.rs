@@ -1,7 +1,5 @@
 //! How the network learns: a training view is left out, and those around it have to show it.
 
-use std::sync::Arc;
-
 use candle_core::{D, DType, Tensor, Var};
 
 use crate::base::{Error, Image, Result};
@@ -16,7 +14,7 @@ use crate::settings::{PlanesLoss, Resolved};
 
 use super::blend::{Blended, blend, blend_weight};
 use super::geometry::{Eye, inputs_of};
-use super::mpi::Seen;
+use super::mpi::{Seen, eyes};
 use super::network::{MpiNetwork, Weights};
 use super::stage::Stage;
 use super::sweep::sweep;
@@ -46,17 +44,17 @@ impl PlanesLearner {
     /// The same at the start of a run: work is there for its steps.
     ///
     /// # Errors
-    /// Those of [`PlanesLearner::new`]; windows that hold too few of the planes.
+    /// Those of [`PlanesLearner::new`]; pictures that no memory holds the planes of; windows that hold too few of the planes.
     pub fn start(config: &Resolved, scene: &Scene, network: MpiNetwork) -> Result<PlanesLearner> {
         let learner = PlanesLearner::new(config, scene, network)?;
+        learner.stage.check_memory()?;
         learner.draw(0)?;
         Ok(learner)
     }
 
     /// The work of the step that follows `step` finished ones.
     fn draw(&self, step: u64) -> Result<Work> {
-        let eyes: Vec<Eye> = self.stage.views.iter().map(|view| view.eye).collect();
-        Work::draw(&self.config.llff, self.config.seed, step, &eyes, &self.stage.depths)
+        Work::draw(&self.config.llff, self.config.seed, step, &eyes(&self.stage.views), &self.stage.depths)
     }
 
     /// The network that learns.
@@ -79,13 +77,12 @@ impl PlanesLearner {
     /// Colour times weight and sum of weights, `[rays, 4]`, of one reference's planes, whose inputs lack the target.
     fn seen(&self, weights: &Weights, reference: &Reference, target: usize) -> Result<Tensor> {
         let Stage { views, depths, .. } = &self.stage;
-        let eyes: Vec<Eye> = views.iter().map(|view| view.eye).collect();
-        let inputs = inputs_of(&eyes, reference.view, self.config.llff.inputs, Some(target));
+        let inputs = inputs_of(&eyes(views), reference.view, self.config.llff.inputs, Some(target));
         let seen: Vec<(&Eye, &Image)> = inputs.iter().map(|&view| (&views[view].eye, &*views[view].image)).collect();
         let (dtype, device) = (self.network.dtype(), self.network.device());
         let volume = sweep(&views[reference.view].eye, &seen, depths, reference.window, dtype, device)?;
         let planes = mix(&weights.forward(&volume)?, &volume)?;
-        Ok(over(&plane_sample(&planes, Arc::new(reference.places.clone()))?)?)
+        Ok(over(&plane_sample(&planes, reference.places.clone())?)?)
     }
 
     /// The mean over counted pixels of what `per_number` gives, `[rays, 3]`.

@@ -40,7 +40,7 @@ impl MpiNetwork {
     pub fn painter(&self, config: &Config, scene: &Scene) -> Result<PlanesPainter> {
         let stage = stage::Stage::new(config, scene, self.device())?;
         let mpis = self.mpis(&stage.views, &stage.depths)?;
-        let eyes = stage.views.iter().map(|view| view.eye).collect();
+        let eyes = mpi::eyes(&stage.views);
         Ok(PlanesPainter { mpis, eyes, blend: config.llff.blend, background: stage.background })
     }
 }

@@ -2,10 +2,9 @@
 
 use std::sync::{Arc, PoisonError};
 
-use candle_core::Tensor;
+use candle_core::{DType, Tensor};
 use sha2::{Digest, Sha256};
 
-use crate::base::tensors::with_values;
 use crate::base::{Error, Image, Result};
 use crate::data::vector::Vec3;
 use crate::grids::mix::mix;
@@ -32,6 +31,11 @@ impl Seen {
     fn is(&self, other: &Seen) -> bool {
         self.eye == other.eye && Arc::ptr_eq(&self.image, &other.image)
     }
+}
+
+/// Their cameras.
+pub fn eyes(views: &[Seen]) -> Vec<Eye> {
+    views.iter().map(|view| view.eye).collect()
 }
 
 /// One view's planes.
@@ -66,18 +70,10 @@ impl Mpi {
     pub fn new(eye: Eye, rgba: &Tensor) -> Result<Mpi> {
         let (_, height, width, _) = rgba.dims4()?;
         let (rows, columns) = (eye.camera.height, eye.camera.width);
-        let cut = |values: &[f64]| -> Vec<u8> {
-            let lines = values.chunks_exact(4 * width).enumerate().filter(|(line, _)| line % height < rows);
-            lines.flat_map(|(_, line)| line[..4 * columns].iter().map(|value| stored(*value))).collect()
-        };
-        let in_f32 = with_values(&rgba.contiguous()?, |values| {
-            let lines = values.chunks_exact(4 * width).enumerate().filter(|(line, _)| line % height < rows);
-            lines.flat_map(|(_, line)| line[..4 * columns].iter().map(|value| stored(f64::from(*value)))).collect()
-        });
-        let planes = match in_f32 {
-            Some(planes) => planes,
-            None => cut(&rgba.flatten_all()?.to_dtype(candle_core::DType::F64)?.to_vec1()?),
-        };
+        let values = rgba.to_dtype(DType::F32)?.flatten_all()?.to_vec1::<f32>()?;
+        let lines = values.chunks_exact(4 * width).enumerate().filter(|(line, _)| line % height < rows);
+        let planes =
+            lines.flat_map(|(_, line)| line[..4 * columns].iter().map(|value| stored((*value).into()))).collect();
         Ok(Mpi { eye, planes })
     }
 
@@ -148,7 +144,7 @@ impl MpiNetwork {
     /// # Errors
     /// Weights that are not numbers; those of candle.
     pub fn predict(&self, views: &[Seen], view: usize, depths: &[f64]) -> Result<Mpi> {
-        let eyes: Vec<Eye> = views.iter().map(|view| view.eye).collect();
+        let eyes = eyes(views);
         let eye = eyes[view];
         let seen: Vec<(&Eye, &Image)> = inputs_of(&eyes, view, self.inputs(), None)
             .into_iter()
@@ -157,7 +153,7 @@ impl MpiNetwork {
         let window = Window::whole(eye.camera.width, eye.camera.height);
         let volume = sweep(&eye, &seen, depths, window, self.dtype(), self.device())?;
         let raw = self.weights(false).forward(&volume)?;
-        let sum = raw.sum_all()?.to_dtype(candle_core::DType::F64)?.to_scalar::<f64>()?;
+        let sum = raw.sum_all()?.to_dtype(DType::F64)?.to_scalar::<f64>()?;
         if !sum.is_finite() {
             return Err(Error::Diverged(format!(
                 "the planes of training view {view} are not numbers: the weights are broken; delete the newest checkpoint to fall \
@@ -171,7 +167,7 @@ impl MpiNetwork {
     fn digest(&self) -> Result<[u8; 32]> {
         let mut digest = Sha256::new();
         for (_, var) in self.variables() {
-            let values = var.as_detached_tensor().flatten_all()?.to_dtype(candle_core::DType::F64)?.to_vec1::<f64>()?;
+            let values = var.as_detached_tensor().flatten_all()?.to_dtype(DType::F64)?.to_vec1::<f64>()?;
             let bytes: Vec<u8> = values.iter().flat_map(|value| value.to_le_bytes()).collect();
             digest.update(bytes);
         }

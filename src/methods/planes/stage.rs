@@ -4,6 +4,7 @@ use candle_core::Device;
 
 use crate::base::{Error, Result};
 use crate::data::{Camera, Scene};
+use crate::runtime::free_memory_mib;
 use crate::settings::Config;
 
 use super::geometry::{Eye, depths};
@@ -11,6 +12,13 @@ use super::mpi::Seen;
 
 /// Views that learning takes at the least: one that is left out, one whose planes are predicted, one beside it.
 const FEWEST_VIEWS: usize = 3;
+
+/// Bytes of a plane's pixel that stays: RGBA.
+const KEPT_BYTES: f64 = 4.0;
+
+/// Bytes of a cell of the finest lattice while a view is predicted: the 32 channels that come up from the next one, and 8 of
+/// what is made of them.
+const PREDICTED_BYTES: f64 = 160.0;
 
 /// What learning and painting have in common. Views that are held out are no part of it.
 #[derive(Clone)]
@@ -35,6 +43,31 @@ impl Stage {
         let views = scene.train.iter().map(|view| Seen { eye: seen(view.camera), image: view.image.clone() }).collect();
         let (near, far) = bounds(config, scene)?;
         Ok(Stage { views, depths: depths(near, far, config.llff.planes), background: scene.background })
+    }
+}
+
+impl Stage {
+    /// Refuses views whose planes take more memory than this machine has free. The least is counted, so that nothing is refused
+    /// that could run.
+    ///
+    /// # Errors
+    /// [`Error::Config`] with what is needed and what is free.
+    pub fn check_memory(&self) -> Result<()> {
+        let cells = |view: &Seen| (view.eye.camera.width * view.eye.camera.height * self.depths.len()) as f64;
+        let (all, largest) =
+            self.views.iter().map(cells).fold((0.0, 0f64), |(all, largest), n| (all + n, largest.max(n)));
+        let mib = (all * KEPT_BYTES + largest * PREDICTED_BYTES) / f64::from(1 << 20);
+        match free_memory_mib() {
+            Some(free) if mib > free => Err(Error::Config(format!(
+                "llff.planes = {}: the planes of {} training views take {:.1} GiB at the least once a picture is rendered, and {:.1} \
+                 GiB are free here; choose fewer planes, or shrink the pictures by data.downscale",
+                self.depths.len(),
+                self.views.len(),
+                mib / 1024.0,
+                free / 1024.0
+            ))),
+            _ => Ok(()),
+        }
     }
 }
 

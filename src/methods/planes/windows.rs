@@ -1,5 +1,7 @@
 //! What a step works on: a crop of a view that is left out, and windows of views around it.
 
+use std::sync::Arc;
+
 use crate::base::rng::{Random, Stream};
 use crate::base::{Error, Result};
 use crate::data::vector::Vec3;
@@ -25,7 +27,7 @@ pub struct Reference {
     /// The part that is predicted.
     pub window: Window,
     /// Where the crop's rays meet its planes: pixels of the window.
-    pub places: Places,
+    pub places: Arc<Places>,
     /// The distance of its camera from that of the view that is left out.
     pub distance: f64,
 }
@@ -100,7 +102,7 @@ impl Work {
             count(&eyes[view], window, &places, &mut counts);
             let shift = [window.left, window.top].map(|first| first as f64);
             places.of_rays.iter_mut().for_each(|[x, y]| (*x, *y) = (*x - shift[0], *y - shift[1]));
-            Reference { view, window, places, distance }
+            Reference { view, window, places: Arc::new(places), distance }
         };
         let references = chosen.iter().map(reference).collect();
         Work { target, pixels, counts, references }

@@ -106,7 +106,7 @@ fn the_view_that_is_left_out_is_no_input() {
     let config = config(&plain, |_| {});
     let eyes: Vec<_> = {
         let learner = PlanesLearner::start(&config, &plain, network(&config, DType::F32)).unwrap();
-        learner.stage.views.iter().map(|view| view.eye).collect()
+        crate::methods::planes::mpi::eyes(&learner.stage.views)
     };
     let depths = super::super::geometry::depths(1.0, 4.0, 8);
     let mut seen = [0; 4];
@@ -198,6 +198,10 @@ fn scenes_that_it_cannot_learn_are_refused_in_a_sentence() {
     let mut ndc = scene(16);
     ndc.ndc = Some(crate::data::Ndc { width: 16.0, height: 16.0, focal: 19.2 });
     assert!(refused(&ndc, |_| {}).contains("data.ndc=false"));
+    let mut huge = scene(16);
+    huge.train.iter_mut().for_each(|view| (view.camera.width, view.camera.height) = (1 << 20, 1 << 16));
+    let said = refused(&huge, |_| {});
+    assert!(said.contains("llff.planes = 8") && said.contains("4 training views"), "{said}");
     // Neighbours whose planes are far apart: the nearest plane is shifted by hundreds of pixels.
     let said = refused(&scene(200), |config| {
         (config.llff.near, config.llff.far) = (Some(0.02), Some(4.0));
