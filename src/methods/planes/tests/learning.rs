@@ -56,27 +56,29 @@ fn f32_is_near_f64() {
     assert!(error(&fast, &exact) < 1e-4, "{}", error(&fast, &exact));
 }
 
-/// Slopes of the whole loss along some parameters of every layer: network, head, planes, over and blend together.
+/// Slopes of the whole loss along some parameters of every kind: network, head, planes, over and blend together.
 #[test]
 fn gradients_of_a_step_are_central_differences() {
-    for loss in [PlanesLoss::Mse, PlanesLoss::L1] {
-        let scene = scene(16);
+    for (loss, every) in [(PlanesLoss::Mse, 6), (PlanesLoss::L1, 17)] {
+        let scene = scene(8);
         let config = config(&scene, |config| config.llff.loss = loss);
         let network = network(&config, DType::F64);
         let mut learner = PlanesLearner::start(&config, &scene, network.clone()).unwrap();
         let gradients = learner.learn(1, false, &|| Ok(())).unwrap().gradients.0;
-        for (index, (name, var)) in network.variables().into_iter().enumerate().filter(|(index, _)| index % 5 < 2) {
-            let found = numbers(gradients[index].as_ref().unwrap_or_else(|| panic!("{name} has no gradient")));
-            let at = numbers(&var);
+        let variables = network.variables();
+        assert!(gradients.iter().all(Option::is_some) && gradients.len() == variables.len());
+        for (index, (name, var)) in variables.into_iter().enumerate().filter(|(index, _)| index % every == every - 1) {
+            let (found, at) = (numbers(gradients[index].as_ref().unwrap()), numbers(&var));
             let place = at.len() * 2 / 3;
+            let set = |values: Vec<f64>| var.set(&Tensor::from_vec(values, var.dims(), &Device::Cpu).unwrap()).unwrap();
             let mut moved = |by: f64| {
                 let mut values = at.clone();
                 values[place] += by;
-                var.set(&Tensor::from_vec(values, var.dims(), &Device::Cpu).unwrap()).unwrap();
+                set(values);
                 learner.learn(1, false, &|| Ok(())).unwrap().loss
             };
             let slope = (moved(1e-6) - moved(-1e-6)) / 2e-6;
-            moved(0.0);
+            set(at);
             let scale = found.iter().fold(1e-6, |scale: f64, value| scale.max(value.abs()));
             assert!((found[place] - slope).abs() < 1e-3 * scale, "{loss:?} {name}: {} and {slope}", found[place]);
         }
@@ -127,8 +129,8 @@ fn the_view_that_is_left_out_is_no_input() {
             scene.train[work.target].image = image.into();
             learned(&config, &scene, DType::F32, step)
         };
-        assert_eq!(bits(&painted(false)), bits(&usual), "step {step}");
-        assert_ne!(bits(&painted(true)), bits(&usual), "step {step}");
+        assert!(bits(&painted(false)) == bits(&usual), "step {step}");
+        assert!(bits(&painted(true)) != bits(&usual), "step {step}");
     }
     assert!(seen.iter().filter(|times| **times > 0).count() > 1, "{seen:?}");
 }
@@ -144,7 +146,7 @@ fn views_that_are_held_out_are_never_an_input() {
     let config = config(&plain, |_| {});
     for step in 0..3 {
         let [a, b] = [&plain, &other].map(|scene| bits(&learned(&config, scene, DType::F32, step)));
-        assert_eq!(a, b);
+        assert!(a == b, "step {step}");
     }
     let network = network(&config, DType::F32);
     let [a, b] = [&plain, &other].map(|scene| network.painter(&config, scene).unwrap().mpis);
@@ -163,16 +165,18 @@ fn multiplane_images_are_those_of_the_weights_as_they_are() {
         painter.mpis.all.iter().map(|mpi| mpi.planes.clone()).collect()
     };
     let before = planes(&scene);
-    assert_eq!(planes(&scene), before);
+    // Millions of numbers, which a message would print.
+    assert!(planes(&scene) == before);
     let mut darker = scene.clone();
     let mut image = (*darker.train[2].image).clone();
     image.pixels.iter_mut().for_each(|value| *value *= 0.5);
     darker.train[2].image = image.into();
-    assert_ne!(planes(&darker), before);
-    assert_eq!(planes(&scene), before);
-    let (_, weight): (String, Var) = network.variables().swap_remove(0);
-    weight.set(&(weight.as_detached_tensor() * 1.5).unwrap()).unwrap();
-    assert_ne!(planes(&scene), before);
+    assert!(planes(&darker) != before);
+    assert!(planes(&scene) == before);
+    // The bias of alpha: behind every other convolution a normalisation takes its size away.
+    let (_, bias): (String, Var) = network.variables().pop().unwrap();
+    bias.set(&(bias.as_detached_tensor() + 0.5).unwrap()).unwrap();
+    assert!(planes(&scene) != before);
 }
 
 fn refused(scene: &Scene, change: impl FnOnce(&mut Config)) -> String {
@@ -202,9 +206,12 @@ fn scenes_that_it_cannot_learn_are_refused_in_a_sentence() {
     huge.train.iter_mut().for_each(|view| (view.camera.width, view.camera.height) = (1 << 20, 1 << 16));
     let said = refused(&huge, |_| {});
     assert!(said.contains("llff.planes = 8") && said.contains("4 training views"), "{said}");
-    // Neighbours whose planes are far apart: the nearest plane is shifted by hundreds of pixels.
-    let said = refused(&scene(200), |config| {
-        (config.llff.near, config.llff.far) = (Some(0.02), Some(4.0));
-    });
+    // Planes ten pixels apart, of which a window of 16 holds two; where all others are beside the view, some crops can be had.
+    let wide = scene(400);
+    let config = config(&wide, |_| {});
+    let learner = PlanesLearner::new(&config, &wide, network(&config, DType::F32)).unwrap();
+    let eyes = crate::methods::planes::mpi::eyes(&learner.stage.views);
+    let said = (0..40).find_map(|seed| Work::draw(&config.llff, seed, 0, &eyes, &learner.stage.depths).err());
+    let said = said.expect("most seeds find none").to_string();
     assert!(said.contains("llff.window = 16") && said.contains("data.downscale"), "{said}");
 }
