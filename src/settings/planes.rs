@@ -38,7 +38,7 @@ section! {
         pub blend: usize = 5, numbers().whole(1, 16, "1 to 16 views").columns(COLUMN).same_time();
         /// Pixels along a side of the window of a view that a step works on: a multiple of 8.
         pub window: usize = 96, numbers().whole(16, 1024, "16 to 1024 pixels, a multiple of 8").columns(COLUMN);
-        /// Pixels along a side of the window's middle that the loss is measured on.
+        /// Pixels along a side of what a step asks for of the view that is left out.
         pub crop: usize = 64, numbers().whole(8, 1024, "8 to llff.window pixels").columns(COLUMN);
         /// Views of a step whose planes are blended into the one that is left out.
         pub references: usize = 2, numbers().whole(1, 8, "1 to 8 views").columns(COLUMN);
