@@ -2,7 +2,7 @@
 //! for.
 
 use super::validate::{refuse, require};
-use super::{Ability, Config, Representation};
+use super::{Ability, Config, DataKind, Representation};
 use crate::base::{Error, Result};
 
 impl Config {
@@ -34,10 +34,13 @@ impl Config {
         let (data, method) = (&self.data, self.method.name());
         let forward = data.kind.forward_facing() && !data.spherify;
         refuse(representation == Representation::Volume && forward, || {
+            let around = match data.kind {
+                DataKind::Llff => ", or data.spherify=true where the cameras go around something",
+                _ => "",
+            };
             format!(
                 "data.kind = \"{}\" with method {method}: a forward-facing scene has no bounded box and no known background, which \
-                 Neural Volumes need (the paper has no such row, either); use srn, llff, nerf or aug-nerf, or data.spherify=true \
-                 where the cameras go around something",
+                 Neural Volumes need (the paper has no such row, either); use srn, llff, nerf or aug-nerf{around}",
                 data.kind.name()
             )
         })?;
