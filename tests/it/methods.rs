@@ -284,3 +284,29 @@ fn runs_with_and_without_ndc_are_compared_in_scene_units() {
     }
     refuse(&["profile", &ndc, &world, "--out", &path("profile")], 2, &["one interval"]);
 }
+
+/// A run of a second refuses in the words of its method; what does not hang on fields is done.
+#[test]
+fn runs_without_fields_refuse_what_needs_them() {
+    let dir = TempDir::new().unwrap();
+    let path = |name: &str| dir.path().join(name).display().to_string();
+    let small = "data.width=24 data.test_skip=20 train.steps=2 train.rays=32 eval.pictures=0 eval.train_views=0 srn.width=8 \
+                 llff.window=24 llff.crop=8 llff.planes=8";
+    for (method, why) in [("srn", "an SRN knows where a ray ends"), ("llff", "no density in space")] {
+        let run = path(method);
+        let set = small.split_whitespace().flat_map(|setting| ["--set", setting]);
+        let train = ["train", "--quiet", "--preset", "smoke", "--method", method, "--out", &run];
+        succeed(&train.into_iter().chain(set).collect::<Vec<_>>());
+        refuse(&["mesh", &run], 2, &["a mesh of this run with method", method, why, "augnerf compare"]);
+        refuse(&["measure", &run], 2, &[method, "no l1, TV or Laplacian", why]);
+        refuse(&["profile", &run], 2, &["a profile along a ray with method", method, "augnerf compare"]);
+        for file in ["x.tar", "x.safetensors"] {
+            refuse(&["export", &run, &path(file)], 2, &["export with method", method, "radiance fields"]);
+        }
+        let protocol = &json(&dir.path().join(method).join("metrics.json"))["protocol"];
+        assert!(protocol["field_width"].is_null() && protocol[method].is_string(), "{protocol}");
+    }
+    let bench = ["bench", "--method", "llff", "--steps", "1", "--set", "llff.window=32", "--set", "llff.crop=16"];
+    succeed(&[&bench[..], &["--set", "llff.planes=8"]].concat());
+    succeed(&["bench", "--method", "srn", "--steps", "1", "--rays", "4", "--width", "8"]);
+}
