@@ -10,6 +10,7 @@ use crate::base::{Error, Result};
 use crate::data::formats::transforms::BOUNDS;
 use crate::data::{Scene, View, WorldToScene};
 use crate::settings::{DataConfig, DataKind};
+use crate::train::checkpoint;
 
 use super::RunDir;
 
@@ -95,8 +96,9 @@ pub(super) fn is_early((near, far): (f64, f64)) -> bool {
 /// The scene as a run saw it when it began.
 pub(super) struct SeenScene {
     file: PathBuf,
-    /// None where the run was begun by a version that left no such file.
     said: Option<SceneFile>,
+    /// The run was trained by a version that left no such file. One that a kill left without it has no checkpoint either.
+    early: bool,
 }
 
 impl SeenScene {
@@ -104,14 +106,15 @@ impl SeenScene {
     pub(super) fn of(run: &RunDir) -> Result<SeenScene> {
         let file = run.scene_file();
         let said = read_json(&file, "bring back a copy, or delete it to take the scene as it is now")?;
-        Ok(SeenScene { file, said })
+        let early = said.is_none() && !checkpoint::list(&run.checkpoints())?.is_empty();
+        Ok(SeenScene { file, said, early })
     }
 
     /// The ends of its rays; none where the scene's files say them now as then.
     pub(super) fn bounds(&self, data: &DataConfig) -> Option<(f64, f64)> {
         match &self.said {
             Some(said) => Some((said.near, said.far)),
-            None => (data.kind == DataKind::Transforms).then_some(BOUNDS.into()),
+            None => (self.early && data.kind == DataKind::Transforms).then_some(BOUNDS.into()),
         }
     }
 

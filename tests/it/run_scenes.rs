@@ -29,10 +29,11 @@ fn early(dir: &Path, kind: DataKind, [near, far]: [f64; 2]) -> Config {
     config.resolve(kind, Extent { near, far, domain: None, pixels: 16 }).unwrap().into_draft()
 }
 
-/// The folder of a run with these settings alone, as version 0.1.0 left it.
+/// The folder of a run of these settings that has a checkpoint, and no `scene.json`: version 0.1.0 wrote none.
 fn begun(config: &Config) -> (TempDir, RunDir) {
     let dir = TempDir::new().unwrap();
     fs::write(dir.path().join("config.toml"), config.to_toml()).unwrap();
+    fs::create_dir_all(dir.path().join("checkpoints/step_000000002")).unwrap();
     let run = RunDir::open(dir.path()).unwrap();
     (dir, run)
 }
@@ -121,6 +122,10 @@ fn runs_of_earlier_versions_keep_their_coordinates() {
     assert_eq!((scene.bounds(), scene.test.len(), config.hash()), ((0.05, 6.0), 3, old.hash()));
     let (today, now) = load_scene(draft(folder.path()), &()).unwrap();
     assert!(today.data.split == Some(Split::Own) && now.test.len() == 1 && now.bounds() != (0.05, 6.0));
+    // Of one that was killed before its first checkpoint nothing was trained.
+    let (killed, none) = begun(&old);
+    fs::remove_dir_all(killed.path().join("checkpoints")).unwrap();
+    assert_eq!(again(&none).1.bounds(), now.bounds());
     // So does a run that goes on from it.
     let next = settings_to_go_on(&run).unwrap();
     assert_eq!((next.data.split, next.data.near, next.data.far), (Some(Split::Every), Some(0.05), Some(6.0)));
