@@ -12,7 +12,7 @@ use crate::settings::Preset;
 use crate::train::Origin;
 
 use super::answer::Answer;
-use super::experiment::{Base, Experiment};
+use super::experiment::{Base, Experiment, settings_file};
 use super::progress::Console;
 use super::train::default_folder;
 use super::{Compute, LpipsWeights};
@@ -21,8 +21,8 @@ pub const EXPORT_EXAMPLES: &str = "Examples:
   augnerf export RUN lego.tar          # a checkpoint that nerf-pytorch takes with --ft_path
   augnerf export RUN lego.safetensors  # all weights, with networks, encodings and settings
 
-A nerf-pytorch checkpoint holds both networks, the step and Adam's state. Fields that it does not have (hash grids, MipNeRF) \
-are refused.";
+A nerf-pytorch checkpoint holds both networks, the step and Adam's state. Fields that it does not have (hash grids, MipNeRF, \
+other skips than field.skips=[5]) are refused.";
 
 pub const IMPORT_EXAMPLES: &str = "Examples:
   augnerf import 200000.tar --data nerf_synthetic/lego --preset paper-blender --out runs/lego
@@ -38,7 +38,7 @@ pub struct ExportArguments {
     run: PathBuf,
     /// The file: .tar, .pth or .pt for nerf-pytorch, .safetensors with metadata
     file: PathBuf,
-    /// Scene folder, if it has moved since training (.safetensors alone, which tell where the scene lies)
+    /// Scene folder, if it has moved since training (.safetensors alone, which tell how its units follow from the capture's)
     #[arg(long, value_name = "DIR")]
     data: Option<PathBuf>,
     #[command(flatten)]
@@ -89,17 +89,21 @@ impl ImportArguments {
     fn import(&self, runtime: &Runtime) -> Result<()> {
         let console = Console::new(self.compute.quiet);
         let foreign = Foreign::open(&self.file)?;
-        let own = own_config(foreign.networks())?;
-        let mut last = vec![(path("train.parent"), foreign.parent().into())];
-        last.push((path("train.steps"), toml::Value::Integer(foreign.step().max(1) as i64)));
+        let own = match foreign.networks() {
+            Networks::Own { config } => Some(settings_file(config)?),
+            Networks::NerfPytorch { .. } => None,
+        };
+        let mut first = foreign.settings()?;
+        first.push((path("train.steps"), toml::Value::Integer(foreign.step().max(1) as i64)));
         let base = Base {
             file: own.as_ref().map(|file| file.path()),
-            first: foreign.settings()?,
-            last,
+            first,
+            last: vec![(path("train.parent"), foreign.parent().into())],
             // Its networks are those of the paper, which a hash grid's preset is not for.
             preset: |preset| if preset == Preset::Fast { Preset::Cpu } else { preset },
         };
         let (config, scene) = load_scene(self.experiment.config_over(base, &self.weights, &console)?, &console)?;
+        check_steps(&self.file, foreign.step(), config.train.steps)?;
         let values = foreign.values(&config, runtime.device())?;
         let folder = self.out.clone().unwrap_or_else(|| default_folder(&config));
         let networks = crate::methods::Model::parts(&config).len();
@@ -128,11 +132,13 @@ fn path(dotted: &str) -> Vec<String> {
     dotted.split('.').map(String::from).collect()
 }
 
-/// The configuration that a file of ours brings, as a file.
-fn own_config(networks: &Networks) -> Result<Option<tempfile::NamedTempFile>> {
-    let Networks::Own { config } = networks else { return Ok(None) };
-    let unwritable = |e: std::io::Error| Error::unwritable(Path::new(&std::env::temp_dir()), &e);
-    let file = tempfile::Builder::new().suffix(".toml").tempfile().map_err(unwritable)?;
-    std::fs::write(file.path(), config).map_err(unwritable)?;
-    Ok(Some(file))
+/// Refuses a run that would end before the step that its weights are of.
+fn check_steps(file: &Path, step: u64, steps: u64) -> Result<()> {
+    if step <= steps {
+        return Ok(());
+    }
+    Err(Error::Config(format!(
+        "{} is of step {step}, and train.steps = {steps}: leave it out to end there, or ask for more with --set train.steps=N",
+        file.display()
+    )))
 }

@@ -3,6 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use clap::Args;
+use tempfile::NamedTempFile;
 use toml::Value;
 
 use crate::base::{Error, Result};
@@ -15,7 +16,7 @@ use super::progress::Console;
 /// Scene and settings of one experiment.
 #[derive(Args)]
 pub struct Experiment {
-    /// Scene folder: LLFF, NeRF-Synthetic (Blender) or transforms.json; where there is none of that name, the one below
+    /// Scene folder: LLFF, NeRF-Synthetic (Blender), transforms.json or COLMAP; where there is none of that name, the one below
     /// the folder that AUGNERF_DATA names [default: the embedded scene]
     #[arg(long, value_name = "DIR")]
     data: Option<PathBuf>,
@@ -92,7 +93,23 @@ impl Default for Base<'_> {
     }
 }
 
+/// Settings as a file for [`Base::file`].
+///
+/// # Errors
+/// It cannot be written.
+pub fn settings_file(toml: &str) -> Result<NamedTempFile> {
+    let unwritable = |e: std::io::Error| Error::unwritable(&std::env::temp_dir(), &e);
+    let file = tempfile::Builder::new().suffix(".toml").tempfile().map_err(unwritable)?;
+    std::fs::write(file.path(), toml).map_err(unwritable)?;
+    Ok(file)
+}
+
 impl Experiment {
+    /// Whether the scene's folder is named.
+    pub fn names_scene(&self) -> bool {
+        self.data.is_some()
+    }
+
     /// Preset, file and assignments, in that order.
     pub fn config(&self, console: &Console) -> Result<Config> {
         self.config_over(Base::default(), &LpipsWeights { lpips_weights: None }, console)

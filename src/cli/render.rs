@@ -6,11 +6,11 @@ use clap::{Args, ValueEnum};
 use serde_json::json;
 
 use crate::base::{Error, Event, Listener, Result};
-use crate::data::cameras::{self, Dataparser};
+use crate::data::cameras::{self, Dataparser, MOST_PIXELS};
 use crate::data::{Camera, View};
-use crate::draw::GIF_ALONE;
-use crate::run::{Pictures, Trained, Viewer, write_path};
-use crate::runtime::Runtime;
+use crate::draw::without_mp4;
+use crate::run::{PathPictures, Pictures, Trained, Viewer};
+use crate::runtime::{Runtime, free_memory_mib};
 
 use super::answer::Answer;
 use super::compare::pictures_folder;
@@ -31,8 +31,6 @@ up, back, in the units of the files that the scene was read from.";
 const FPS: f64 = 15.0;
 /// From how many seconds on fewer frames are offered, and about how many seconds those take.
 const LONG: f64 = 180.0;
-/// Most pixels along a side of a picture.
-const MOST_PIXELS: usize = 16_384;
 
 #[derive(Args)]
 pub struct RenderArguments {
@@ -93,9 +91,13 @@ impl RenderArguments {
             return Err(Error::Config(format!("--fps {fps} is out of range: it must be 0.1 to 50")));
         }
         let size = self.resolution.as_deref().map(parse_size).transpose()?;
-        if self.what == What::Views && (self.cameras.is_some() || self.write_cameras.is_none() && size.is_some()) {
+        let of_path = [size.is_some(), self.frames.is_some(), self.fps.is_some()];
+        if self.what == What::Views
+            && (self.cameras.is_some() || self.write_cameras.is_none() && of_path.contains(&true))
+        {
             return Err(Error::Config(
-                "--what views shows held-out views as they are; leave it out to use --cameras or --resolution".into(),
+                "--what views shows all held-out views as they are; leave it out to use --cameras, --resolution, --frames or --fps"
+                    .into(),
             ));
         }
         let runtime = self.compute.runtime()?;
@@ -111,6 +113,10 @@ impl RenderArguments {
             console.say(&format!("{} cameras", shots.cameras.len()));
             return self.tell(&trained, None, file, shots.cameras.len());
         }
+        let no_mp4 = match self.what {
+            What::Path => without_mp4(film_size(&shots)?),
+            What::Views => None,
+        };
         let renders = trained.run.renders();
         let default = match self.what {
             What::Path => renders.join("path"),
@@ -127,7 +133,7 @@ impl RenderArguments {
         }
         pictures.commit()?;
         console.on(Event::Finished);
-        GIF_ALONE.into_iter().filter(|_| self.what == What::Path).for_each(|note| console.say(note));
+        no_mp4.iter().for_each(|note| console.say(note));
         self.tell(&trained, Some(&folder), &folder, shots.cameras.len())
     }
 
@@ -190,8 +196,8 @@ fn views(viewer: Viewer, folder: &Path, console: &Console) -> Result<()> {
     pictures.finish()
 }
 
-/// Renders frames of a film, which all have one size.
-fn path(viewer: Viewer, shots: &Shots, folder: &Path, console: &Console) -> Result<()> {
+/// The one size that all frames of a film have, of which the memory has room for as many.
+fn film_size(shots: &Shots) -> Result<(usize, usize)> {
     let size = |camera: &Camera| (camera.width, camera.height);
     let (first, cameras) = (size(&shots.cameras[0]), &shots.cameras);
     if let Some(other) = cameras.iter().position(|camera| size(camera) != first) {
@@ -201,14 +207,31 @@ fn path(viewer: Viewer, shots: &Shots, folder: &Path, console: &Console) -> Resu
             b.0, b.1, a.0, a.1, a.0, a.1
         )));
     }
+    let needed = (cameras.len() * PathPictures::PIXEL_BYTES) as f64 * (first.0 * first.1) as f64 / f64::from(1 << 20);
+    if let Some(free) = free_memory_mib().filter(|free| needed > *free) {
+        return Err(Error::Config(format!(
+            "the depth of {} frames of {} x {} pixels takes {:.1} GiB of memory until all are rendered, and {:.1} GiB are free: ask for \
+             fewer with --frames or smaller ones with --resolution",
+            cameras.len(),
+            first.0,
+            first.1,
+            needed / 1024.0,
+            free / 1024.0
+        )));
+    }
+    Ok(first)
+}
+
+/// Renders frames of a film.
+fn path(viewer: Viewer, shots: &Shots, folder: &Path, console: &Console) -> Result<()> {
+    let Shots { cameras, fps } = shots;
+    let mut pictures = PathPictures::begin(folder, viewer.scene, film_size(shots)?, cameras.len(), *fps)?;
     console.on(Event::Started { what: "rendering", parts: cameras.len() as u64 });
-    let render = |camera: &Camera| {
-        let rendered = viewer.render(camera);
+    for camera in cameras {
+        pictures.add(viewer.render(camera)?)?;
         console.on(Event::Advanced);
-        rendered
-    };
-    let frames = cameras.iter().map(render).collect::<Result<Vec<_>>>()?;
-    write_path(folder, viewer.scene, &frames, shots.fps)
+    }
+    pictures.finish()
 }
 
 /// Columns and rows of a picture, as `320x240`.

@@ -12,7 +12,9 @@ use crate::base::{Error, Result, version};
 use crate::data::Scene;
 use crate::metrics::METRICS;
 use crate::metrics::Scope;
-use crate::run::{Matching, Picture, RunDir, Score, Truth, both_pictures, load_lpips, load_scene, pictures, score};
+use crate::run::{
+    Matching, Picture, RunDir, Score, Truth, both_pictures, load_lpips, load_scene, load_scene_of, pictures, score,
+};
 use crate::settings::{Config, Resolved, build, parse_assignment};
 use crate::sweep::{Material, Point, Scored, SweepFolder};
 
@@ -162,7 +164,10 @@ impl ScoreArguments {
     /// The scene whose held-out views are the truth; none where that is a folder of pictures.
     fn held_out(&self, into: Option<&Into>, console: &Console) -> Result<Option<(Resolved, Scene)>> {
         let config = match (&self.truth, &self.data, into) {
-            (Some(truth), ..) if RunDir::holds_run(truth) => RunDir::open(truth)?.read_config()?,
+            (Some(truth), ..) if RunDir::holds_run(truth) => {
+                let run = RunDir::open(truth)?;
+                return load_scene_of(&run, run.read_config()?, console).map(Some);
+            }
             (Some(_), ..) => return Ok(None),
             (None, Some(data), _) => self.config(data)?,
             (None, None, Some(into)) => {

@@ -3,16 +3,17 @@
 use std::path::{Path, PathBuf};
 
 use clap::Args;
+use tempfile::NamedTempFile;
 
 use crate::base::{Error, Result};
-use crate::run::{Existing, Finished, Job, RunDir, Setup, load_lpips, load_scene};
+use crate::run::{Existing, Finished, Job, RunDir, Setup, load_lpips, load_scene, load_scene_of, settings_to_go_on};
 use crate::runtime::Runtime;
 use crate::settings::Config;
 use crate::train::Origin;
 use crate::train::checkpoint::{self, State};
 
 use super::answer::{Answer, Measured};
-use super::experiment::{Base, Experiment};
+use super::experiment::{Base, Experiment, settings_file};
 use super::progress::{Console, print};
 use super::signals::catch_signals;
 use super::{Compute, LpipsWeights, Sources};
@@ -69,7 +70,9 @@ impl TrainArguments {
 
     fn train(&self, runtime: &Runtime) -> Result<()> {
         let console = Console::new(self.compute.quiet);
-        let parent = self.from.as_deref().map(Parent::open).transpose()?;
+        // Weights that start anew on another scene take nothing of their own scene's with them.
+        let elsewhere = self.restart && self.experiment.names_scene();
+        let parent = self.from.as_deref().map(|run| Parent::open(run, elsewhere)).transpose()?;
         let base = parent.as_ref().map_or_else(Base::default, |parent| parent.base(self.restart));
         let config = self.experiment.config_over(base, &self.weights, &console)?;
         if let Some(parent) = parent.as_ref().filter(|_| !self.restart && !self.print_config) {
@@ -104,18 +107,22 @@ impl TrainArguments {
 /// The run that another begins with.
 struct Parent {
     run: RunDir,
-    config: PathBuf,
+    /// Its settings as a file.
+    config: NamedTempFile,
     checkpoint: PathBuf,
     state: State,
 }
 
 impl Parent {
-    fn open(run: &Path) -> Result<Parent> {
+    /// `elsewhere`: its weights go to another scene.
+    fn open(run: &Path, elsewhere: bool) -> Result<Parent> {
         let run = RunDir::take_to_read(run)?;
         let checkpoint = checkpoint::latest(&run.checkpoints())?;
         let state = checkpoint::load_state(&checkpoint)?;
-        checkpoint::check_config(&checkpoint, &state, &run.read_config()?)?;
-        Ok(Parent { config: run.config(), run, checkpoint, state })
+        let own = run.read_config()?;
+        checkpoint::check_config(&checkpoint, &state, &own)?;
+        let config = settings_file(&if elsewhere { own } else { settings_to_go_on(&run)? }.to_toml())?;
+        Ok(Parent { run, config, checkpoint, state })
     }
 
     /// Its settings, with its name over all that is named.
@@ -123,7 +130,7 @@ impl Parent {
         let restarted = if restart { " restarted" } else { "" };
         let name = format!("{}@{}{restarted}", self.state.config_hash, self.state.step);
         let last = vec![(vec!["train".into(), "parent".into()], name.into())];
-        Base { file: Some(&self.config), first: Vec::new(), last, preset: |preset| preset }
+        Base { file: Some(self.config.path()), first: Vec::new(), last, preset: |preset| preset }
     }
 
     fn check_steps(&self, steps: u64) -> Result<()> {
@@ -155,7 +162,7 @@ impl ResumeArguments {
         }
         config.eval.lpips_weights = self.sources.weights.or(&config);
         let lpips = load_lpips(&config.eval.lpips_weights, runtime.device())?;
-        let (config, scene) = load_scene(config, &console)?;
+        let (config, scene) = load_scene_of(&run, config, &console)?;
         let job = Job::resume(run, Setup { config, scene: &scene, lpips: &lpips, runtime: runtime.clone() })?;
         console.say(&format!("{} goes on at step {}", self.run.display(), job.step_count()));
         train(job, &self.run, &console, self.answer)

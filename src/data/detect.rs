@@ -7,8 +7,8 @@ use crate::base::{Error, Result};
 use crate::settings::{DataConfig, DataKind};
 
 /// The kind of scene that `config` names: `config.kind` where it is set, by the files in the folder
-/// otherwise (`poses_bounds.npy`, `transforms_train.json`, `transforms.json`, in this order). No
-/// folder means the embedded scene.
+/// otherwise (`poses_bounds.npy`, `transforms_train.json`, `transforms.json`, COLMAP's `sparse/0`: the order of
+/// [`FORMATS`]). No folder means the embedded scene.
 pub fn detect(config: &DataConfig) -> Result<DataKind> {
     let embedded = Format::of(config.kind).is_some_and(|format| format.marker.is_none());
     if config.dir.is_empty() {

@@ -101,12 +101,45 @@ pub fn size(path: &Path) -> Result<(usize, usize)> {
     sound(path, (width, height))
 }
 
+/// Whether a file is of a format that may lose values on the way.
+pub(super) fn may_be_lossy(path: &Path) -> Result<bool> {
+    Ok(matches!(open(path)?.format(), Some(ImageFormat::Jpeg | ImageFormat::WebP)))
+}
+
+/// By how much the images of a folder of this name are smaller than the originals: `images`, `images_{factor}`.
+pub(super) fn factor_of(name: &str) -> Option<usize> {
+    match name.strip_prefix("images")? {
+        "" => Some(1),
+        rest => rest.strip_prefix('_')?.parse().ok().filter(|factor| *factor > 1),
+    }
+}
+
 /// Width, height and the turn that EXIF asks viewers for.
 pub(super) fn header(path: &Path) -> Result<((usize, usize), Orientation)> {
     let mut decoder = open(path)?.into_decoder().map_err(|e| undecodable(path, &e))?;
     let size = sound(path, decoder.dimensions())?;
     // Damaged notes are no damage of the picture.
     Ok((size, decoder.orientation().unwrap_or(Orientation::NoTransforms)))
+}
+
+/// Says which photographs viewers show turned: pixels are taken as they are stored.
+pub(super) fn note_turned(scene: &Path, paths: &[PathBuf], events: &dyn Listener) -> Result<()> {
+    let mut turned: Vec<String> = Vec::new();
+    for path in paths {
+        if header(path)?.1 != Orientation::NoTransforms {
+            turned.push(path.file_name().unwrap_or_default().to_string_lossy().into_owned());
+        }
+    }
+    if !turned.is_empty() {
+        events.on(Event::Note(&format!(
+            "{}: {} photographs have an EXIF orientation, which is not applied (pixels are taken as they are stored, as COLMAP takes \
+             them): {}",
+            scene.display(),
+            turned.len(),
+            turned.join(", ")
+        )));
+    }
+    Ok(())
 }
 
 fn open(path: &Path) -> Result<ImageReader<BufReader<File>>> {
@@ -278,13 +311,26 @@ pub(super) fn folder_words(paths: &[PathBuf], from: (usize, usize), to: (usize, 
     format!("{}: {} x {} pixels, {averaged}", folder.display(), from.0, from.1)
 }
 
-/// A name for each view: its file's stem; the whole path where stems repeat.
+/// The folder that all files lie in or below.
+fn common_folder(paths: &[PathBuf]) -> PathBuf {
+    let folders = paths.iter().map(|path| path.parent().unwrap_or(Path::new("")).to_path_buf());
+    let shared = |common: PathBuf, folder: PathBuf| {
+        let parts = common.components().zip(folder.components());
+        parts.take_while(|(a, b)| a == b).map(|(part, _)| part).collect()
+    };
+    folders.reduce(shared).unwrap_or_default()
+}
+
+/// A name for each view: its file's stem; where stems repeat, its path below the folder that all have in common. Where that folder
+/// lies is in no name, for hashes of scenes hang on them.
 pub(super) fn names(paths: &[PathBuf]) -> Vec<String> {
     let stem = |path: &PathBuf| path.file_stem().map(|s| s.to_string_lossy().into_owned()).unwrap_or_default();
     let mut names: Vec<String> = paths.iter().map(stem).collect();
     let distinct = |names: &[String]| names.iter().collect::<std::collections::HashSet<_>>().len() == names.len();
     if !distinct(&names) {
-        names = paths.iter().map(|p| p.with_extension("").to_string_lossy().replace(['/', '\\'], "_")).collect();
+        let common = common_folder(paths);
+        let below = |path: &PathBuf| path.strip_prefix(&common).unwrap_or(path).with_extension("");
+        names = paths.iter().map(|path| below(path).to_string_lossy().replace(['/', '\\'], "_")).collect();
     }
     if !distinct(&names) {
         names.iter_mut().enumerate().for_each(|(i, name)| name.push_str(&format!("_{i}")));
@@ -316,8 +362,10 @@ mod tests {
 
     #[test]
     fn repeated_stems_get_longer_names() {
-        let paths = ["a/0.png", "b/0.png"].map(PathBuf::from);
-        assert_eq!(names(&paths), ["a_0", "b_0"]);
+        let below = |folder: &str| ["a/0.png", "b/0.png", "b/c/1.png"].map(|file| Path::new(folder).join(file));
+        for folder in ["", "/home/someone/capture", "../here"] {
+            assert_eq!(names(&below(folder)), ["a_0", "b_0", "b_c_1"], "{folder}");
+        }
         assert_eq!(names(&["a/0.png", "a/1.png"].map(PathBuf::from)), ["0", "1"]);
     }
 }

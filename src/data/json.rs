@@ -241,7 +241,7 @@ impl<'a> Object<'a> {
         let named = folder.join(&written);
         if let Some(path) = image_at(&named) {
             if path.is_file() {
-                return Ok(Picture { path: Some(path), written });
+                return Ok(Picture { place: path.clone(), path: Some(path), written });
             }
             let found = path.display();
             let what = format!("\"{key}\" is \"{text}\", but {found} is a device or a pipe, where a file is needed");
@@ -256,7 +256,7 @@ impl<'a> Object<'a> {
         // Where the capture lay on the machine that wrote the file, it lies here below the file's own folder.
         let path =
             if is_absolute(&written) { parts(&written).find_map(|part| image_at(&folder.join(part))) } else { None };
-        Ok(Picture { path, written })
+        Ok(Picture { place: path.clone().unwrap_or(named), path, written })
     }
 
     /// Keys of the object in their order.
@@ -269,6 +269,12 @@ impl<'a> Object<'a> {
         let Some(value) = self.get(key) else { return Ok(None) };
         let texts = value.as_array().and_then(|list| list.iter().map(Value::as_str).collect());
         texts.map(Some).ok_or_else(|| self.wrong(key, value, "a list of texts"))
+    }
+
+    /// A truth value that may be missing.
+    pub(super) fn truth(&self, key: &str) -> Result<Option<bool>> {
+        let Some(value) = self.get(key) else { return Ok(None) };
+        value.as_bool().map(Some).ok_or_else(|| self.wrong(key, value, "true or false"))
     }
 
     /// A key that must be there.
@@ -288,9 +294,12 @@ impl<'a> Object<'a> {
 
 /// An image that a file names, relative to itself, with or without an ending; by an absolute path that is not there, by as much
 /// of its end as there is below the file's folder.
+#[derive(Clone)]
 pub(super) struct Picture {
     /// Where it is; none where it is not.
     pub(super) path: Option<PathBuf>,
+    /// Where it is, or would be.
+    pub(super) place: PathBuf,
     /// As it is written, with slashes and without `./` in front.
     pub(super) written: String,
 }

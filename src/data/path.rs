@@ -3,6 +3,7 @@
 use std::f64::consts::{PI, TAU};
 
 use super::pose::{self, Pose, Vec3};
+use super::rig;
 
 /// Poses of a path, as nerf-pytorch's.
 pub const POSES: usize = 120;
@@ -147,12 +148,10 @@ fn range(values: impl Iterator<Item = f64>) -> [f64; 2] {
     [0.5 * (low + high), 0.5 * (high - low)]
 }
 
-/// Linear interpolation between order statistics, as NumPy's default.
+/// A percentile of at least one number, as NumPy's default.
 pub fn percentile(mut values: Vec<f64>, share: f64) -> f64 {
     values.sort_by(f64::total_cmp);
-    let at = share * (values.len() - 1) as f64;
-    let (low, high) = (values[at.floor() as usize], values[at.ceil() as usize]);
-    low + (high - low) * at.fract()
+    rig::percentile(&values, share)
 }
 
 #[cfg(test)]

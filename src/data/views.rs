@@ -12,7 +12,7 @@ const SEEN: u64 = 1;
 /// Splits views in their order into those to train on and those to evaluate: see `data.holdout`, `data.holdout_offset`,
 /// `data.validation`, `data.eval_split` and `data.test_skip`. Views that are held out, or kept for choices, are in neither
 /// unless they are evaluated.
-pub(super) fn split(views: Vec<View>, config: &DataConfig) -> (Vec<View>, Vec<View>) {
+pub(super) fn split<T>(views: Vec<T>, config: &DataConfig) -> (Vec<T>, Vec<T>) {
     let DataConfig { holdout, holdout_offset, validation, eval_split, test_skip, .. } = *config;
     let (held_out, rest) = part(views, |place| place % holdout.max(1) == holdout_offset);
     // The middle one of every N: neighbours of those that are held out tell less.
@@ -25,9 +25,9 @@ pub(super) fn split(views: Vec<View>, config: &DataConfig) -> (Vec<View>, Vec<Vi
 }
 
 /// Views at places that `holds` picks, and the others.
-fn part(views: Vec<View>, holds: impl Fn(usize) -> bool) -> (Vec<View>, Vec<View>) {
+fn part<T>(views: Vec<T>, holds: impl Fn(usize) -> bool) -> (Vec<T>, Vec<T>) {
     let (picked, others): (Vec<_>, Vec<_>) = views.into_iter().enumerate().partition(|(place, _)| holds(*place));
-    let views = |placed: Vec<(usize, View)>| placed.into_iter().map(|(_, view)| view).collect();
+    let views = |placed: Vec<(usize, T)>| placed.into_iter().map(|(_, view)| view).collect();
     (views(picked), views(others))
 }
 

@@ -1,30 +1,46 @@
 //! Films as MP4 (H.264), which the feature `mp4` brings.
 
-use std::path::Path;
+#[cfg(feature = "mp4")]
+pub(super) use filmed::Mp4;
 
-use crate::base::{Image, Result};
+/// Sides that the encoder takes, longer and shorter.
+const LARGEST: [usize; 2] = [3840, 2160];
+const SMALLEST: usize = 16;
 
-const WITHOUT: &str = "there is no MP4, GIFs alone: this augnerf was built without its feature mp4";
-/// What to tell about films where they have no MP4.
-pub const GIF_ALONE: Option<&str> = if cfg!(feature = "mp4") { None } else { Some(WITHOUT) };
-
-/// Writes frames of one size as an MP4 that any browser plays: H.264 at constant quality, 4:2:0, BT.601 colours. Of odd
-/// sides the last column or row is there twice, because such colours come two by two. Nothing is written without the
-/// feature `mp4`.
-///
-/// # Errors
-/// No frame, frames of several sizes, or of more than 3840 x 2160 pixels; a file that cannot be written.
-pub fn write_mp4(path: &Path, frames: &[Image], fps: f64) -> Result<()> {
-    #[cfg(feature = "mp4")]
-    {
-        use super::pictures::unwritable;
-        let bytes = filmed::film(frames, fps).map_err(|reason| unwritable(path, &reason))?;
-        crate::base::files::write_atomic(path, &bytes)
+/// Why there is no MP4 beside the GIF of pictures of a size (width, height); none where there is one.
+pub fn without_mp4((width, height): (usize, usize)) -> Option<String> {
+    if cfg!(not(feature = "mp4")) {
+        return Some("there is no MP4, GIFs alone: this augnerf was built without its feature mp4".into());
     }
-    #[cfg(not(feature = "mp4"))]
-    {
-        let _ = (path, frames, fps);
-        Ok(())
+    let sides = [even(width), even(height)];
+    let fits = sides[0].max(sides[1]) <= LARGEST[0] && sides[0].min(sides[1]) <= LARGEST[1];
+    (!fits).then(|| {
+        let [long, short] = LARGEST;
+        format!("there is no MP4, pictures and GIFs alone: its frames have at most {long} x {short} pixels, and these {width} x {height}")
+    })
+}
+
+/// A side as frames have it: colours come two by two.
+fn even(side: usize) -> usize {
+    side.next_multiple_of(2).max(SMALLEST)
+}
+
+/// None is made without the feature.
+#[cfg(not(feature = "mp4"))]
+pub(super) enum Mp4 {}
+
+#[cfg(not(feature = "mp4"))]
+impl Mp4 {
+    pub fn begin(_: (usize, usize), _: usize, _: f64) -> Result<Mp4, String> {
+        unreachable!("without_mp4 says so")
+    }
+
+    pub fn add(&mut self, _: &crate::base::Image) -> Result<(), String> {
+        match *self {}
+    }
+
+    pub fn finish(self) -> Result<Vec<u8>, String> {
+        match self {}
     }
 }
 
@@ -43,15 +59,13 @@ mod filmed {
     use shiguredo_mp4::{TrackKind, Uint};
 
     use super::super::pictures::{on_paper, quantise};
+    use super::even;
     use crate::base::Image;
 
     type Filmed<T> = Result<T, String>;
 
     /// Ticks a second that frames' times are counted in.
     const TICKS: NonZeroU32 = NonZeroU32::new(90_000).expect("not 0");
-    /// Sides that the encoder takes, longer and shorter.
-    const LARGEST: [usize; 2] = [3840, 2160];
-    const SMALLEST: usize = 16;
     /// Quantisers of the finest and the coarsest blocks: hardly any loss that is seen.
     const QUANTISERS: (u8, u8) = (14, 22);
     /// So many frames are at most between two that can be jumped to.
@@ -60,37 +74,46 @@ mod filmed {
     const SEQUENCE: u8 = 7;
     const PICTURE: u8 = 8;
 
-    /// The bytes of an MP4 file.
-    pub fn film(frames: &[Image], fps: f64) -> Filmed<Vec<u8>> {
-        let first = frames.first().ok_or("there is no frame")?;
-        let size = [even(first.width), even(first.height)];
-        let sides = [size[0].max(size[1]), size[0].min(size[1])];
-        if sides[0] > LARGEST[0] || sides[1] > LARGEST[1] {
-            return Err(format!(
-                "{} x {} pixels are too many for an MP4, whose frames have at most {} x {}",
-                size[0], size[1], LARGEST[0], LARGEST[1]
-            ));
+    /// An MP4 that any browser plays: H.264 at constant quality, 4:2:0, BT.601 colours. Of odd sides the last column or row is there
+    /// twice.
+    pub struct Mp4 {
+        encoder: Encoder,
+        film: Film,
+        /// Of the frames as they come.
+        first: (usize, usize),
+        fps: f64,
+        count: usize,
+    }
+
+    impl Mp4 {
+        /// One of `frames` frames of a size (width, height), at most [`LARGEST`](super::LARGEST).
+        pub fn begin(first: (usize, usize), frames: usize, fps: f64) -> Filmed<Mp4> {
+            let size = [even(first.0), even(first.1)];
+            let encoder = encoder(size, fps).map_err(|e| e.to_string())?;
+            Ok(Mp4 { encoder, film: Film::new(size, frames)?, first, fps, count: 0 })
         }
-        let mut encoder = encoder(size, fps).map_err(|e| e.to_string())?;
-        let mut film = Film::new(size, frames.len())?;
-        for (index, frame) in frames.iter().enumerate() {
-            if (frame.width, frame.height) != (first.width, first.height) {
+
+        pub fn add(&mut self, frame: &Image) -> Filmed<()> {
+            let (first, size) = (self.first, self.film.size);
+            if (frame.width, frame.height) != first {
                 return Err(format!(
                     "a frame has {}x{} pixels and the first has {}x{}",
-                    frame.width, frame.height, first.width, first.height
+                    frame.width, frame.height, first.0, first.1
                 ));
             }
             let rgb = padded(frame, size);
             let picture = YUVBuffer::from_rgb8_source(RgbSliceU8::new(&rgb, (size[0], size[1])));
-            let stream = encoder.encode(&picture).map_err(|e| e.to_string())?;
-            let start = |index: usize| (index as f64 * f64::from(TICKS.get()) / fps).round() as u64;
-            film.add(&stream, u32::try_from(start(index + 1) - start(index)).map_err(|e| e.to_string())?)?;
+            let stream = self.encoder.encode(&picture).map_err(|e| e.to_string())?;
+            let start = |index: usize| (index as f64 * f64::from(TICKS.get()) / self.fps).round() as u64;
+            let ticks = u32::try_from(start(self.count + 1) - start(self.count)).map_err(|e| e.to_string())?;
+            self.count += 1;
+            self.film.add(&stream, ticks)
         }
-        film.finish()
-    }
 
-    fn even(side: usize) -> usize {
-        side.next_multiple_of(2).max(SMALLEST)
+        /// The bytes of the file.
+        pub fn finish(self) -> Filmed<Vec<u8>> {
+            self.film.finish()
+        }
     }
 
     /// One thread, no frame left out: the same bytes each time.
@@ -227,7 +250,14 @@ mod filmed {
         use openh264::formats::YUVSource;
         use shiguredo_mp4::demux::{Input, Mp4FileDemuxer};
 
+        use super::super::without_mp4;
         use super::*;
+
+        fn film(frames: &[Image], fps: f64) -> Filmed<Vec<u8>> {
+            let mut film = Mp4::begin((frames[0].width, frames[0].height), frames.len(), fps)?;
+            frames.iter().try_for_each(|frame| film.add(frame))?;
+            film.finish()
+        }
 
         /// A disc that moves over a gradient.
         fn frame(width: usize, height: usize, t: f64) -> Image {
@@ -306,9 +336,9 @@ mod filmed {
 
         #[test]
         fn what_is_no_film_is_refused() {
-            assert!(film(&[], 15.0).unwrap_err().contains("no frame"));
             assert!(film(&[frame(8, 8, 0.0), frame(8, 9, 0.0)], 15.0).unwrap_err().contains("8x9"));
-            assert!(film(&[frame(4000, 2, 0.0)], 15.0).unwrap_err().contains("3840"));
+            assert!(without_mp4((3842, 4)).unwrap().contains("3840 x 2160") && without_mp4((4, 3842)).is_some());
+            assert!(without_mp4((2400, 2200)).is_some() && without_mp4((2160, 3840)).is_none());
         }
     }
 }

@@ -4,12 +4,13 @@ pub(crate) mod canvas;
 mod film;
 pub(crate) mod pictures;
 mod raster;
+mod reel;
 
 pub use canvas::Figure;
-pub(crate) use film::GIF_ALONE;
-pub use film::write_mp4;
+pub use film::without_mp4;
 pub use pictures::{
-    SOLID, beside, depth_colour, depth_range, encode_jpeg, pixel_errors, quantise, scale_colour, write_depth16,
-    write_gif, write_png8, write_timed_gif,
+    SOLID, beside, depth_colour, depth_range, depth_range_of, encode_jpeg, pixel_errors, quantise, scale_colour,
+    write_depth16, write_png8,
 };
 pub(crate) use raster::SVG_ALONE;
+pub use reel::{Reel, write_timed_gif};

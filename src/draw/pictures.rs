@@ -1,4 +1,4 @@
-//! Pictures: 8-bit PNGs, depth as colours and as 16-bit PNGs, comparisons side by side, GIFs.
+//! Pictures: 8-bit PNGs, depth as colours and as 16-bit PNGs, comparisons side by side.
 
 use std::path::Path;
 use std::sync::OnceLock;
@@ -6,7 +6,6 @@ use std::sync::OnceLock;
 use ::image::codecs::jpeg::JpegEncoder;
 use ::image::codecs::png::PngEncoder;
 use ::image::{ExtendedColorType, ImageEncoder};
-use rayon::prelude::*;
 
 use crate::base::files::write_atomic;
 use crate::base::{Error, Image, Result};
@@ -21,10 +20,6 @@ const NOTHING: [f32; 3] = [0.5, 0.5, 0.5];
 const OUTLIERS: f64 = 0.02;
 /// Accumulation from which on a pixel's depth counts in [`depth_range`].
 pub const SOLID: f32 = 0.5;
-/// Sampling factor of the colour quantisation: 1 is best and slowest, 30 worst.
-const GIF_SPEED: i32 = 1;
-/// Shortest frame of a GIF in hundredths of a second; viewers slow down what is shorter.
-const GIF_SHORTEST: u64 = 2;
 
 /// The nearest 8-bit value of each number, clamped to 0..=1 first: the rounding of
 /// the metrics, so that what is measured is what is seen.
@@ -95,10 +90,18 @@ fn depth_to_u16(depth: f32, max: f32) -> u16 {
 /// The range that shows `depth` well: its 2nd and 98th percentile over the pixels with finite
 /// depth and, where given, an accumulation of at least one half. `None` if no pixel is left.
 pub fn depth_range(depth: &[f32], acc: Option<&[f32]>) -> Option<(f32, f32)> {
-    let solid = |index: usize| acc.is_none_or(|acc| acc.get(index).is_some_and(|&acc| acc >= SOLID));
-    let mut kept: Vec<f32> =
-        depth.iter().enumerate().filter(|(index, depth)| depth.is_finite() && solid(*index)).map(|(_, &d)| d).collect();
-    kept.sort_by(f32::total_cmp);
+    depth_range_of(&[(depth, acc)])
+}
+
+/// The same over all pixels of some views, each its depth and accumulation.
+pub fn depth_range_of(views: &[(&[f32], Option<&[f32]>)]) -> Option<(f32, f32)> {
+    let mut kept: Vec<f32> = Vec::new();
+    for (depth, acc) in views {
+        let solid = |index: usize| acc.is_none_or(|acc| acc.get(index).is_some_and(|&acc| acc >= SOLID));
+        let numbered = depth.iter().enumerate();
+        kept.extend(numbered.filter(|(index, depth)| depth.is_finite() && solid(*index)).map(|(_, &depth)| depth));
+    }
+    kept.sort_unstable_by(f32::total_cmp);
     let last = kept.len().checked_sub(1)?;
     let at = |share: f64| kept[(share * last as f64).round() as usize];
     Some((at(OUTLIERS), at(1.0 - OUTLIERS)))
@@ -157,65 +160,6 @@ pub fn beside(pictures: &[&Image], gap: usize) -> Result<Image> {
     Ok(Image { width, height, channels: 3, pixels })
 }
 
-/// Writes frames of one size as a GIF that repeats for ever, each frame with 256 colours of its
-/// own. GIF counts hundredths of a second; frames differ by one where `fps` does not divide them,
-/// so that the whole has the right length. Rates above 50 are shown at 50.
-pub fn write_gif(path: &Path, frames: &[Image], fps: f64) -> Result<()> {
-    if !(fps.is_finite() && fps > 0.0) {
-        return Err(unwritable(path, &format!("the frame rate is {fps} and must be positive")));
-    }
-    let delays: Vec<u16> = (0..frames.len()).map(|index| delay(index, fps)).collect();
-    write_timed_gif(path, frames, &delays)
-}
-
-/// The same with a time of its own for each frame, in hundredths of a second.
-pub fn write_timed_gif(path: &Path, frames: &[Image], delays: &[u16]) -> Result<()> {
-    let bytes = encode_gif(frames, delays).map_err(|reason| unwritable(path, &reason))?;
-    write_atomic(path, &bytes)
-}
-
-fn encode_gif(frames: &[Image], delays: &[u16]) -> std::result::Result<Vec<u8>, String> {
-    let first = frames.first().ok_or("there is no frame")?;
-    let size = |length: usize| u16::try_from(length).map_err(|_| format!("{length} pixels are too many for a GIF"));
-    let (width, height) = (size(first.width)?, size(first.height)?);
-    for frame in frames {
-        check(frame)?;
-        if (frame.width, frame.height) != (first.width, first.height) {
-            let (w, h) = (frame.width, frame.height);
-            return Err(format!("a frame has {w}x{h} pixels and the first has {width}x{height}"));
-        }
-    }
-    let quantised: Vec<gif::Frame> = frames
-        .par_iter()
-        .zip(delays)
-        .map(|(frame, &delay)| {
-            let rgb = quantise(&on_paper(frame));
-            gif::Frame { delay, ..gif::Frame::from_rgb_speed(width, height, &rgb, GIF_SPEED) }
-        })
-        .collect();
-    let mut bytes = Vec::new();
-    write_frames(&mut bytes, width, height, &quantised).map_err(|error| error.to_string())?;
-    Ok(bytes)
-}
-
-fn write_frames(
-    bytes: &mut Vec<u8>,
-    width: u16,
-    height: u16,
-    frames: &[gif::Frame],
-) -> std::result::Result<(), gif::EncodingError> {
-    let mut encoder = gif::Encoder::new(bytes, width, height, &[])?;
-    encoder.set_repeat(gif::Repeat::Infinite)?;
-    frames.iter().try_for_each(|frame| encoder.write_frame(frame))
-}
-
-/// Hundredths of a second that frame `index` stays, from the rounded times of its start and end.
-fn delay(index: usize, fps: f64) -> u16 {
-    let start = |index: usize| (index as f64 * 100.0 / fps).round() as u64;
-    let length = start(index + 1).saturating_sub(start(index));
-    length.clamp(GIF_SHORTEST, u16::MAX as u64) as u16
-}
-
 /// RGB values of an image, on white where it is transparent.
 pub(super) fn on_paper(picture: &Image) -> Vec<f32> {
     if picture.channels == 3 {
@@ -238,7 +182,7 @@ fn encode_png(
     Ok(png)
 }
 
-fn check(picture: &Image) -> std::result::Result<(), String> {
+pub(super) fn check(picture: &Image) -> std::result::Result<(), String> {
     if picture.channels != 3 && picture.channels != 4 {
         return Err(format!("a picture has {} channels and must have 3 or 4", picture.channels));
     }
@@ -367,20 +311,7 @@ mod tests {
     }
 
     #[test]
-    fn frame_times_add_up() {
-        let total: u64 = (0..48).map(|index| delay(index, 24.0) as u64).sum();
-        assert_eq!(total, 200);
-        assert_eq!(delay(0, 1000.0), 2);
-        assert_eq!(delay(0, 1e-9), u16::MAX);
-    }
-
-    #[test]
     fn bad_frames_are_errors() {
-        let small = plain(1, 1, [0.0; 3]);
-        assert!(encode_gif(&[], &[]).is_err());
-        assert!(encode_gif(&[small.clone(), plain(2, 1, [0.0; 3])], &[10, 10]).unwrap_err().contains("2x1"));
-        assert!(write_gif(Path::new("never.gif"), std::slice::from_ref(&small), 0.0).is_err());
-        assert!(encode_gif(&[plain(70_000, 1, [0.0; 3])], &[10]).unwrap_err().contains("too many"));
-        assert!(encode_png8(&Image { width: 2, ..small }).is_err());
+        assert!(encode_png8(&Image { width: 2, ..plain(1, 1, [0.0; 3]) }).is_err());
     }
 }

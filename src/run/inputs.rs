@@ -11,7 +11,8 @@ use crate::data::{self, Scene};
 use crate::metrics::{Backbone, Lpips};
 use crate::settings::{Config, DataKind, Located, NO_REFERENCE, Resolved, Spacing, Split, scene_name};
 
-use super::BUILTIN;
+use super::scene_file::{SeenScene, is_early};
+use super::{BUILTIN, RunDir};
 
 /// Finds the kind of scene and where it lies, and fills what depends on that.
 ///
@@ -22,7 +23,19 @@ pub fn locate_scene(config: Config) -> Result<Located> {
 }
 
 /// The same, with what is to be said of a capture that goes around something.
-fn locate(mut config: Config) -> Result<(Located, Option<String>)> {
+fn locate(config: Config) -> Result<(Located, Option<String>)> {
+    let mut config = find(config)?;
+    let orbit = settle_orbit(&mut config.data);
+    if config.data.kind == DataKind::Transforms && config.data.split.is_none() {
+        let named = transforms::is_named(Path::new(&config.data.dir))?;
+        config.data.split = named.then_some(Split::Own);
+    }
+    let kind = config.data.kind;
+    Ok((config.locate(kind)?, orbit))
+}
+
+/// Finds the kind of scene, and where it and all else lies.
+fn find(mut config: Config) -> Result<Config> {
     let kind = data::detect(&config.data)?;
     if !config.data.dir.is_empty() {
         // Found again from any working directory; `.` gets its real name.
@@ -40,12 +53,7 @@ fn locate(mut config: Config) -> Result<(Located, Option<String>)> {
         config.data.name = scene_name(&config.data.dir);
     }
     config.data.kind = kind;
-    let orbit = settle_orbit(&mut config.data);
-    if kind == DataKind::Transforms && config.data.split.is_none() {
-        let named = transforms::is_named(Path::new(&config.data.dir))?;
-        config.data.split = named.then_some(Split::Own);
-    }
-    Ok((config.locate(kind)?, orbit))
+    Ok(config)
 }
 
 /// Locates and loads the scene of a configuration, which it resolves.
@@ -68,10 +76,49 @@ fn locate(mut config: Config) -> Result<(Located, Option<String>)> {
 pub fn load_scene(config: Config, events: &dyn Listener) -> Result<(Resolved, Scene)> {
     let (located, orbit) = locate(config)?;
     orbit.iter().for_each(|words| events.on(Event::Note(words)));
+    let scene = load(&located, events)?;
+    Ok((located.resolve(scene.extent()), scene))
+}
+
+/// Loads the scene of a run's own settings as it was when the run began: what is settled in a draft was settled then, by an earlier
+/// version perhaps, and is not again. `config` may name another folder for it, or other views to evaluate.
+///
+/// # Errors
+/// Those of [`load_scene`]; a scene that has changed since ([`Error::Data`]).
+pub fn load_scene_of(run: &RunDir, config: Config, events: &dyn Listener) -> Result<(Resolved, Scene)> {
+    let (begun, seen) = (run.read_config()?.data, SeenScene::of(run)?);
+    let config = find(config)?;
+    let kind = config.data.kind;
+    let located = config.locate(kind)?;
+    let mut scene = load(&located, events)?;
+    seen.restore_bounds(&mut scene, &located.data);
+    seen.check(&scene, &located.data, begun.eval_split == located.data.eval_split)?;
+    Ok((located.resolve(scene.extent()), scene))
+}
+
+/// A run's settings for another run that goes on in its coordinates: what an earlier version settled in another way is set.
+///
+/// # Errors
+/// Settings or a `scene.json` that cannot be read.
+pub fn settings_to_go_on(run: &RunDir) -> Result<Config> {
+    let mut config = run.read_config()?;
+    let bounds = SeenScene::of(run)?.bounds(&config.data);
+    if let Some((near, far)) = bounds.filter(|bounds| config.data.kind == DataKind::Transforms && is_early(*bounds)) {
+        config.data.near.get_or_insert(near);
+        config.data.far.get_or_insert(far);
+    }
+    if settle_orbit(&mut config.data.clone()).is_some() {
+        config.data.recognise_orbits = false;
+    }
+    Ok(config)
+}
+
+/// Loads a scene that was located.
+fn load(located: &Located, events: &dyn Listener) -> Result<Scene> {
     let mut scene = data::load(&located.data, located.seed, events)?;
     scene.name.clone_from(&located.data.name);
-    check_spacing(&located, &scene)?;
-    Ok((located.resolve(scene.extent()), scene))
+    check_spacing(located, &scene)?;
+    Ok(scene)
 }
 
 /// Refuses samples that are even in disparity on rays that start at 0.

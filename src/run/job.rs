@@ -19,6 +19,7 @@ use crate::runtime::{Host, MemoryWatch, Runtime, Timing, host};
 use crate::settings::Resolved;
 use crate::train::{Origin, Trainer, checkpoint};
 
+use super::scene_file::SeenScene;
 use super::{
     Between, EVALUATION_COLUMNS, Existing, Measurement, Outcome, Pictures, Report, RunDir, SEEN_COLUMNS, Session,
     Viewer, interrupted, scene_file, surface_reference,
@@ -145,13 +146,15 @@ impl<'a> Job<'a> {
     }
 
     /// The newest checkpoint of a locked run ([`RunDir::take`]) that is whole, or its start. The settings are the run's own,
-    /// resolved with the scene where it lies now. Of checkpoints that are damaged the training's events begin with a note.
+    /// resolved with the scene where it lies now ([`load_scene_of`](super::load_scene_of)). Of checkpoints that are damaged the training's events begin with a note.
     ///
     /// # Errors
-    /// A checkpoint of other settings, or none that is whole; a folder that cannot be written; a disk without room.
+    /// A scene that has changed since the run began; a checkpoint of other settings, or none that is whole; a folder that cannot be
+    /// written; a disk without room.
     pub fn resume(run: RunDir, setup: Setup<'a>) -> Result<Job<'a>> {
         let memory = watch_memory(&setup.runtime);
         surface_reference(&setup.config, setup.scene)?;
+        SeenScene::of(&run)?.check(setup.scene, &setup.config.data, true)?;
         let earlier = run.read_timing()?;
         let (newest, notes) = checkpoint::newest_whole(&run.checkpoints())?;
         let trainer = match newest {

@@ -8,7 +8,7 @@ use serde::Serialize;
 use crate::base::files::write_json;
 use crate::base::{Image, Result};
 use crate::data::{Scene, View};
-use crate::draw::{SOLID, beside, depth_colour, depth_range, write_depth16, write_gif, write_mp4, write_png8};
+use crate::draw::{Reel, SOLID, beside, depth_colour, depth_range, depth_range_of, write_depth16, write_png8};
 
 use super::RenderedView;
 
@@ -60,30 +60,62 @@ fn stripe(picture: &mut Image, mask: &[bool]) {
     }
 }
 
-/// Frames of a path: `rgb_000.png`, `depth_000.png` (colours), `depth16_000.png`, `rgb.gif`,
-/// `depth.gif`, `depth.json`, and with the feature `mp4` `rgb.mp4`, `depth.mp4`.
-pub fn write_path(folder: &Path, scene: &Scene, frames: &[RenderedView], fps: f64) -> Result<()> {
-    // One range for all frames, so that a colour means the same depth throughout.
-    let depths: Vec<f32> = frames.iter().flat_map(|frame| frame.depth.iter().copied()).collect();
-    let accs: Vec<f32> = frames.iter().flat_map(|frame| frame.acc.iter().copied()).collect();
-    let range = depth_range(&depths, Some(&accs));
-    let scale = DepthScale::new(scene, range);
-    let mut pictures = Vec::with_capacity(frames.len());
-    for (index, frame) in frames.iter().enumerate() {
-        let Image { width, height, .. } = frame.image;
-        write_png8(&folder.join(format!("rgb_{index:03}.png")), &frame.image)?;
-        let path = folder.join(format!("depth16_{index:03}.png"));
-        write_depth16(&path, &solid_depth(frame), width, height, scale.max)?;
-        let picture = depth_picture(frame, range.unwrap_or((scene.near as f32, scene.far as f32)))?;
-        write_png8(&folder.join(format!("depth_{index:03}.png")), &picture)?;
-        pictures.push(picture);
+/// Frames of a path, written as they come: `rgb_000.png`, `depth_000.png` (colours), `depth16_000.png`, `rgb.gif`,
+/// `depth.gif`, `depth.json`, and where there can be one `rgb.mp4`, `depth.mp4`. What stays in memory is depth, whose colours
+/// hang on the range of all frames.
+pub struct PathPictures<'a> {
+    folder: &'a Path,
+    scene: &'a Scene,
+    size: (usize, usize),
+    fps: f64,
+    rgb: Reel,
+    depths: Vec<Depth>,
+}
+
+/// Depth of a frame, and how solid what is seen there is.
+struct Depth {
+    depth: Vec<f32>,
+    acc: Vec<f32>,
+}
+
+impl<'a> PathPictures<'a> {
+    /// Bytes that a pixel takes until the last frame is there: depth and accumulation, and depth again where their range is sought.
+    pub const PIXEL_BYTES: usize = 3 * size_of::<f32>();
+
+    /// Of `frames` frames of a size (width, height), so many a second.
+    pub fn begin(folder: &'a Path, scene: &'a Scene, size: (usize, usize), frames: usize, fps: f64) -> Result<Self> {
+        let rgb = Reel::begin(&folder.join("rgb"), size, frames, fps)?;
+        Ok(PathPictures { folder, scene, size, fps, rgb, depths: Vec::with_capacity(frames) })
     }
-    let colours: Vec<Image> = frames.iter().map(|frame| frame.image.clone()).collect();
-    for (name, frames) in [("rgb", &colours), ("depth", &pictures)] {
-        write_gif(&folder.join(format!("{name}.gif")), frames, fps)?;
-        write_mp4(&folder.join(format!("{name}.mp4")), frames, fps)?;
+
+    /// Writes the next frame.
+    pub fn add(&mut self, frame: RenderedView) -> Result<()> {
+        let (index, (width, height)) = (self.depths.len(), self.size);
+        write_png8(&self.folder.join(format!("rgb_{index:03}.png")), &frame.image)?;
+        let path = self.folder.join(format!("depth16_{index:03}.png"));
+        write_depth16(&path, &solid_depth(&frame), width, height, self.scene.far as f32)?;
+        self.rgb.add(&frame.image)?;
+        self.depths.push(Depth { depth: frame.depth, acc: frame.acc });
+        Ok(())
     }
-    write_json(&folder.join("depth.json"), &scale)
+
+    /// Writes the colours of depth: one range for all frames, so that a colour means the same depth throughout.
+    pub fn finish(self) -> Result<()> {
+        let PathPictures { folder, scene, size, fps, rgb, depths } = self;
+        rgb.finish()?;
+        let views: Vec<(&[f32], Option<&[f32]>)> =
+            depths.iter().map(|Depth { depth, acc }| (depth.as_slice(), Some(acc.as_slice()))).collect();
+        let range = depth_range_of(&views);
+        let (near, far) = range.unwrap_or((scene.near as f32, scene.far as f32));
+        let mut film = Reel::begin(&folder.join("depth"), size, depths.len(), fps)?;
+        for (index, Depth { depth, acc }) in depths.iter().enumerate() {
+            let picture = depth_colour(depth, size.0, size.1, near, far, Some(acc))?;
+            write_png8(&folder.join(format!("depth_{index:03}.png")), &picture)?;
+            film.add(&picture)?;
+        }
+        film.finish()?;
+        write_json(&folder.join("depth.json"), &DepthScale::new(scene, range))
+    }
 }
 
 /// Pictures of held-out views: `NAME_rgb.png`, `NAME_truth.png`, `NAME_depth.png`,

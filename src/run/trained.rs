@@ -13,7 +13,7 @@ use crate::runtime::Runtime;
 use crate::settings::{EvalSplit, Resolved};
 use crate::train::checkpoint::{self, State};
 
-use super::{DepthErrors, Protocol, RenderedView, Report, RunDir, Viewer, load_scene, surface_reference};
+use super::{DepthErrors, Protocol, RenderedView, Report, RunDir, Viewer, load_scene_of, surface_reference};
 
 /// Views that a run is measured on.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -85,7 +85,8 @@ impl Trained {
     /// # Errors
     /// [`Error::Checkpoint`](crate::base::Error::Checkpoint): no run, no checkpoint, a damaged one, or one of other settings;
     /// [`Error::Output`](crate::base::Error::Output): a run that another process holds;
-    /// [`Error::Data`](crate::base::Error::Data): a scene that cannot be read.
+    /// [`Error::Data`](crate::base::Error::Data): a scene that cannot be read, or has changed since the
+    /// run began.
     pub fn open(run: &Path, data: Option<&Path>, runtime: &Runtime, events: &dyn Listener) -> Result<Trained> {
         Trained::open_at(run, Choice::default(), data, runtime, events)
     }
@@ -121,7 +122,7 @@ impl Trained {
             // They are measured once.
             Some(Split::Train) => config.eval.train_views = Some(0),
         }
-        let (config, mut scene) = runtime.install(|| load_scene(config, events))?;
+        let (config, mut scene) = runtime.install(|| load_scene_of(&run, config, events))?;
         if choice.split == Some(Split::Train) {
             scene.test = scene.train.clone();
         }

@@ -229,7 +229,7 @@ section! {
         /// Exact width in pixels instead of `downscale` (0 = use `downscale`); height follows the aspect.
         pub width: u32 = 0,
             numbers().whole(0, 16_384, "0 (use data.downscale) to 16384 pixels").columns(&["width", "height"]);
-        /// Every N-th view is held out (LLFF, transforms, embedded forward scene), starting with the first, or with that of
+        /// Every N-th view is held out (LLFF, transforms, COLMAP, embedded forward scene), starting with the first, or with that of
         /// `holdout_offset`.
         pub holdout: usize = 8,
             numbers().whole(2, u64::MAX, "at least 2, so that views are left to train on").columns(SPLIT);
@@ -238,7 +238,8 @@ section! {
         /// `test`: held-out views are evaluated. `val`: those for choices, a Blender scene's `transforms_val.json` or what
         /// `validation` keeps.
         pub eval_split: EvalSplit = EvalSplit::Test, numbers().columns(SPLIT);
-        /// How many views come before the first that is held out (below `holdout`; LLFF, transforms, embedded forward scene).
+        /// How many views come before the first that is held out (below `holdout`; LLFF, transforms, COLMAP, embedded forward
+        /// scene).
         pub holdout_offset: usize = 0, numbers().columns(SPLIT).later().same_time();
         /// Of the views that are not held out, the middle one of every N is kept for choices (0 = none): never trained on,
         /// and evaluated with `eval_split = "val"` alone. Blender scenes have a split for that, and pay this no heed.

@@ -4,7 +4,7 @@ use sha2::{Digest, Sha256};
 use toml::{Table, Value};
 
 use super::registry::{Effect, REGISTRY, Section};
-use super::{Config, Encoding, EvalConfig, Method, PerturbConfig, Split, TrainConfig};
+use super::{Config, Encoding, EvalConfig, Method, NO_REFERENCE, PerturbConfig, Split, TrainConfig};
 use crate::augment::Passes;
 
 impl Config {
@@ -32,6 +32,17 @@ impl Config {
         portable.regularizer.resolve();
         portable.data.corruption.resolve();
         portable
+    }
+
+    /// The same experiment without where things lie; its scene is named.
+    pub fn without_places(&self) -> Config {
+        let mut anywhere = self.named();
+        anywhere.reset(&Config::default(), |rule| rule.effect == Effect::Place);
+        // A mesh of this machine is no reference elsewhere; one that has a name is.
+        let reference = &self.eval.mesh.reference;
+        let is_file = std::path::Path::new(reference).is_absolute();
+        anywhere.eval.mesh.reference = if is_file { NO_REFERENCE.into() } else { reference.clone() };
+        anywhere
     }
 
     /// A name for all configurations whose steps take equally long: what does not change the time of a step is left out.

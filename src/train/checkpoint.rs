@@ -31,6 +31,9 @@ pub struct State {
     pub format: u32,
     /// Steps finished.
     pub step: u64,
+    /// The step at which Adam's moments were 0: that of imported weights.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub adam_since: u64,
     /// Steps in a row on which every ray was empty.
     pub empty_steps: u64,
     /// Redraws of each field before it was alive.
@@ -46,6 +49,12 @@ pub struct State {
     /// Instruction sets that processors took them with.
     #[serde(default)]
     pub instructions: Vec<String>,
+}
+
+/// Serde hands over a reference.
+#[allow(clippy::trivially_copy_pass_by_ref)]
+fn is_zero(step: &u64) -> bool {
+    *step == 0
 }
 
 impl State {
@@ -221,6 +230,10 @@ pub fn load_state(checkpoint: &Path) -> Result<State> {
         let found = format!("its format is {}, this program reads {FORMAT}", state.format);
         return Err(damaged(&path, &found));
     }
+    if state.adam_since > state.step {
+        let found = format!("Adam began at step {}, beyond its own, {}", state.adam_since, state.step);
+        return Err(damaged(&path, &found));
+    }
     Ok(state)
 }
 
@@ -327,6 +340,7 @@ impl Trainer {
         let mut state = State {
             format: FORMAT,
             step: self.step,
+            adam_since: self.adam_since,
             empty_steps: self.empty_steps,
             redraws: self.redraws.clone(),
             config_hash: self.config.hash(),
@@ -378,9 +392,9 @@ impl Trainer {
         let model = Model::from_parameters(config, tensors.all("", &names)?)?;
         let moments = tensors.moments(&names)?;
         let adam = Adam::restore(AdamSettings::of(&config.train), model.variables(), moments);
-        let State { step, empty_steps, redraws, revisions, devices, instructions, .. } = state;
+        let State { step, adam_since, empty_steps, redraws, revisions, devices, instructions, .. } = state;
         let learner = model.learner(config, scene, dtype, runtime.device())?;
         let trainer = Trainer::with(config, Start { model, learner, redraws }, runtime)?;
-        Ok(Trainer { adam, step, empty_steps, revisions, devices, instructions, ..trainer })
+        Ok(Trainer { adam, step, adam_since, empty_steps, revisions, devices, instructions, ..trainer })
     }
 }

@@ -56,6 +56,8 @@ pub struct Trainer {
     learner: Box<dyn Learner>,
     adam: Adam,
     step: u64,
+    /// The step at which its moments were 0.
+    adam_since: u64,
     /// Steps in a row on which every ray was empty.
     empty_steps: u64,
     /// Redraws of each part of the model before it was fit to learn.
@@ -95,6 +97,7 @@ impl Trainer {
             model,
             learner,
             step: 0,
+            adam_since: 0,
             empty_steps: 0,
             redraws,
             revisions: Vec::new(),
@@ -168,7 +171,7 @@ impl Trainer {
         let train = &self.config.train;
         health::check_step(&stats, &gradients, &self.adam, train.learning_rate)?;
         self.empty_steps = health::count_empty(self.empty_steps, &stats, train.collapse_steps)?;
-        self.adam.update(&gradients.0, stats.learning_rate, stats.step)?;
+        self.adam.update(&gradients.0, stats.learning_rate, stats.step - self.adam_since)?;
         health::check_parameters(stats.step, &self.adam, train.learning_rate)?;
         self.step += 1;
         Ok(stats)

@@ -52,7 +52,11 @@ impl Trainer {
                 let model = Model::from_parameters(config, values)?;
                 let redraws = vec![0; Model::parts(config).len()];
                 let learner = model.learner(config, scene, dtype, runtime.device())?;
-                Ok(Trainer { step, ..Trainer::with(config, Start { model, learner, redraws }, runtime)? })
+                Ok(Trainer {
+                    step,
+                    adam_since: step,
+                    ..Trainer::with(config, Start { model, learner, redraws }, runtime)?
+                })
             }
         })
     }
@@ -70,13 +74,13 @@ impl Trainer {
         let model = Model::from_parameters(config, tensors.all("", &names)?)?;
         let moments = if goes_on { Some(tensors.moments(&names)?) } else { None };
         let variables = model.variables();
-        let State { step, empty_steps, redraws, revisions, devices, instructions, .. } = state;
+        let State { step, adam_since, empty_steps, redraws, revisions, devices, instructions, .. } = state;
         let learner = model.learner(config, scene, dtype, runtime.device())?;
         let fresh = Trainer::with(config, Start { model, learner, redraws }, runtime)?;
         let trainer = Trainer { revisions, devices, instructions, ..fresh };
         let Some(moments) = moments else { return Ok(trainer) };
         let adam = Adam::restore(AdamSettings::of(&config.train), variables, moments);
-        Ok(Trainer { adam, step, empty_steps, ..trainer })
+        Ok(Trainer { adam, step, adam_since, empty_steps, ..trainer })
     }
 }
 

@@ -30,7 +30,7 @@ impl Listener for Notes {
 }
 
 /// A capture that is being made: photographs on a ring around the origin, 16 x 12.
-struct Folder {
+pub struct Folder {
     dir: TempDir,
     document: Value,
 }
@@ -49,7 +49,7 @@ fn frame(number: usize, path: &str) -> Value {
 }
 
 impl Folder {
-    fn new(count: usize) -> Folder {
+    pub fn new(count: usize) -> Folder {
         let folder = Folder { dir: TempDir::new().unwrap(), document: json!({"fl_x": 20.0}) };
         fs::create_dir(folder.path().join("images")).unwrap();
         (0..count).for_each(|i| folder.save(&format!("images/{i}.png"), photograph(i, 16, 12).into()));
@@ -57,20 +57,24 @@ impl Folder {
         folder.with("frames", frames.into())
     }
 
-    fn with(mut self, key: &str, value: Value) -> Folder {
+    pub fn with(mut self, key: &str, value: Value) -> Folder {
         self.document[key] = value;
         self
     }
 
-    fn path(&self) -> &Path {
+    pub fn path(&self) -> &Path {
         self.dir.path()
+    }
+
+    pub fn document(&self) -> &Value {
+        &self.document
     }
 
     fn save(&self, name: &str, picture: DynamicImage) {
         picture.save(self.path().join(name)).unwrap();
     }
 
-    fn remove(&self, number: usize) {
+    pub fn remove(&self, number: usize) {
         fs::remove_file(self.path().join(format!("images/{number}.png"))).unwrap();
     }
 
@@ -80,7 +84,7 @@ impl Folder {
         read(self.path(), change)
     }
 
-    fn load(&self, change: impl FnOnce(&mut DataConfig)) -> Scene {
+    pub fn load(&self, change: impl FnOnce(&mut DataConfig)) -> Scene {
         self.read(change).0.unwrap()
     }
 
@@ -126,19 +130,20 @@ fn view<'a>(scene: &'a Scene, name: &str) -> &'a View {
 #[test]
 fn missing_photographs_are_left_out_and_named_while_half_are_there() {
     let folder = Folder::new(10);
-    (0..5).for_each(|i| folder.remove(2 * i));
+    (0..5).for_each(|i| folder.remove(2 * i + 1));
     let (scene, notes) = folder.read(|_| {});
     let scene = scene.unwrap();
-    assert_eq!((scene.train.len(), scene.test.len()), (4, 1));
+    // Every 8th of those that are listed is held out.
+    assert_eq!((names(&scene.train), names(&scene.test)), (vec!["2", "4", "6"], vec!["0", "8"]));
     assert_eq!(notes.len(), 1, "{notes:?}");
-    assert_says(&notes[0], &["transforms.json: 5 of 10", "images/0.png", "images/4.png", "images/8.png"]);
-    assert!(!notes[0].contains("images/1.png"));
+    assert_says(&notes[0], &["transforms.json: 5 of 10", "images/1.png", "images/5.png", "images/9.png"]);
+    assert!(!notes[0].contains("images/0.png"));
     // It stays with the scene, whoever was quiet, without the folder that the scene lies in.
     let kept = noted(&scene);
-    assert_says(&kept, &["transforms.json: 5 of 10", "images/0.png"]);
+    assert_says(&kept, &["transforms.json: 5 of 10", "images/1.png"]);
     assert!(!kept.contains(&folder.path().display().to_string()), "{kept}");
-    folder.remove(1);
-    folder.refuses(&["6 of 10", "at least half", "images/1.png", "images/8.png"]);
+    folder.remove(0);
+    folder.refuses(&["6 of 10", "at least half", "images/0.png", "images/9.png"]);
 }
 
 #[test]
@@ -171,6 +176,14 @@ fn a_list_that_is_not_there_has_what_the_others_leave() {
     let folder = Folder::new(6).with("train_filenames", json!(["images/0.png", "images/4.png"]));
     let scene = folder.load(|_| {});
     assert_eq!((names(&scene.train), names(&scene.test)), (vec!["0", "4"], vec!["1", "2", "3", "5"]));
+    let two = |role: &str, first: &str| {
+        let folder = Folder::new(6).with("train_filenames", json!(["images/0.png", "images/4.png"]));
+        folder.with(&format!("{role}_filenames"), json!([first]))
+    };
+    let scene = two("val", "images/1.png").load(|_| {});
+    assert_eq!((names(&scene.train), names(&scene.test)), (vec!["0", "4"], vec!["2", "3", "5"]));
+    let scene = two("test", "images/1.png").load(|data| data.eval_split = EvalSplit::Val);
+    assert_eq!((names(&scene.train), names(&scene.test)), (vec!["0", "4"], vec!["2", "3", "5"]));
     let folder = Folder::new(6).with("val_filenames", json!(["images/0.png"]));
     folder.refuses(&["no views for data.eval_split=test", "data.eval_split=val"]);
     Folder::new(6).with("val_filenames", json!([1])).refuses(&["val_filenames", "a list of texts"]);
@@ -299,6 +312,16 @@ fn photographs_that_are_trained_on_and_evaluated_are_named() {
         data.split = Some(Split::Every);
     });
     assert_eq!(all(&every.0.unwrap()).count(), 6);
+    // One of them has another pose there.
+    let test = folder.path().join("transforms_test.json");
+    let mut document: Value = serde_json::from_str(&fs::read_to_string(&test).unwrap()).unwrap();
+    document["frames"][1]["transform_matrix"][0][3] = json!(1.5);
+    fs::write(&test, document.to_string()).unwrap();
+    let every = read(folder.path(), |data| {
+        data.kind = DataKind::Transforms;
+        data.split = Some(Split::Every);
+    });
+    assert_says(&every.0.unwrap_err().to_string(), &["images/3.png", "twice", "two poses"]);
 }
 
 #[test]
@@ -358,6 +381,20 @@ fn masks_are_undistorted_with_their_photographs() {
     for (texel, &counts) in image.pixels.chunks_exact(3).zip(mask.iter()) {
         assert_eq!(counts, texel[0] >= 1.0 - 1e-4, "{texel:?}");
     }
+}
+
+/// JPEG turns black beside white into dark grey.
+#[test]
+fn masks_that_lost_values_count_where_they_are_bright() {
+    let folder = Folder::new(9).with("mask_path", "mask.jpg".into());
+    let half = grey(16, 12, |x, _| if x < 5 { 255 } else { 0 });
+    folder.save("mask.jpg", half.clone());
+    let stored = image::open(folder.path().join("mask.jpg")).unwrap().into_luma8();
+    assert!(stored.pixels().any(|pixel| (1..128).contains(&pixel.0[0])), "nothing leaks");
+    let scene = folder.load(|_| {});
+    let mask = scene.train[0].mask.as_ref().unwrap();
+    let expected: Vec<bool> = half.into_luma8().pixels().map(|pixel| pixel.0[0] > 0).collect();
+    assert_eq!(&mask[..], expected);
 }
 
 #[test]
@@ -457,6 +494,18 @@ fn exif_orientation_is_named_and_applied_only_where_the_file_says_so() {
     assert!(green(6, 1) < 25.0 && green(6, 14) > 125.0, "{} {}", green(6, 1), green(6, 14));
 }
 
+/// As of transforms.json, so of the formats that know no turn.
+#[test]
+fn exif_orientation_is_named_for_llff() {
+    let dir = TempDir::new().unwrap();
+    crate::colmap::arc(dir.path(), 20.0);
+    fs::remove_file(dir.path().join("images/03.png")).unwrap();
+    fs::write(dir.path().join("images/03.jpg"), turned_jpeg(photograph(3, 16, 12), 6)).unwrap();
+    let (scene, notes) = read(dir.path(), |data| data.downscale = Some(1));
+    assert_eq!(all(&scene.unwrap()).count(), 12);
+    assert_says(&notes.concat(), &["1 photographs", "EXIF", "not applied", "03.jpg"]);
+}
+
 #[test]
 fn portraits_stand_beside_landscapes() {
     let folder = Folder::new(9);
@@ -475,6 +524,15 @@ fn portraits_stand_beside_landscapes() {
     // One scale for all, the widest as wide as asked for.
     assert_eq!(sizes(|data| data.width = 16), [(8, 6), (6, 8), (16, 12)]);
     assert_says(&folder.read(|data| data.width = 33).0.unwrap_err().to_string(), &["data.width = 33", "32"]);
+}
+
+#[test]
+fn fisheye_is_refused_however_it_is_written() {
+    let with = |value: Value| Folder::new(9).with("is_fisheye", value);
+    with(json!(true)).refuses(&["is_fisheye", "is true", "pinhole"]);
+    with(json!(1)).refuses(&["is_fisheye", "1", "true or false"]);
+    with(json!("true")).refuses(&["is_fisheye", "true or false"]);
+    with(json!(false)).load(|_| {});
 }
 
 #[test]
@@ -513,6 +571,6 @@ fn fox_loads_with_the_photographs_that_are_there() {
     let kind = data::detect(&config).unwrap();
     let notes = Notes::default();
     let scene = data::load(&DataConfig { kind, ..config }, 0, &notes).unwrap();
-    assert_eq!((scene.train.len(), scene.test.len(), scene.train[0].camera.height), (43, 7, 96));
+    assert_eq!((scene.train.len(), scene.test.len(), scene.train[0].camera.height), (42, 8, 96));
     assert_says(&notes.0.into_inner().unwrap().concat(), &["17 of 67"]);
 }

@@ -401,6 +401,31 @@ fn eval_and_render_read_a_run_back() {
     refuse(&["render", folder, "--out", folder], 4, &["already holds files"]);
     succeed(&["render", "--quiet", folder, "--what", "views"]);
     assert!(out.join("renders/views/r_7_beside.png").is_file());
+    for ignored in ["--frames", "--fps"] {
+        refuse(&["render", folder, "--what", "views", ignored, "2"], 2, &["--what views", ignored]);
+    }
+}
+
+/// Frames that an MP4 cannot have, and more of them than memory has room for.
+#[test]
+fn large_pictures_are_rendered_without_mp4_and_refused_beyond_memory() {
+    let dir = TempDir::new().unwrap();
+    let (out, wide) = (dir.path().join("run"), dir.path().join("wide"));
+    succeed(&tiny(&out, &["--set", "train.steps=2"]));
+    let (folder, pictures) = (out.to_str().unwrap(), wide.to_str().unwrap());
+    let said = succeed(&["render", folder, "--frames", "1", "--resolution", "3842x4", "--out", pictures]);
+    assert_says(&String::from_utf8_lossy(&said.stderr), &["no MP4"]);
+    for file in ["rgb_000.png", "depth_000.png", "depth16_000.png", "rgb.gif", "depth.gif", "depth.json"] {
+        assert!(wide.join(file).is_file(), "{file}");
+    }
+    assert!(!wide.join("rgb.mp4").exists());
+    let camera = serde_json::json!({"camera_to_world": [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 4, 0, 0, 0, 1]});
+    let film = serde_json::json!({"camera_path": vec![camera; 3000]});
+    let cameras = dir.path().join("path.json");
+    std::fs::write(&cameras, film.to_string()).unwrap();
+    let cameras = cameras.to_str().unwrap();
+    let large = ["render", folder, "--cameras", cameras, "--resolution", "16384x16384"];
+    refuse(&large, 2, &["3000 frames of 16384 x 16384", "memory", "--frames", "--resolution"]);
 }
 
 /// What rendering will take is told before it starts, where there is something to wait for.

@@ -342,6 +342,7 @@ fn broken_models_are_refused_in_a_sentence() {
         |model| model.cameras[0] = (3, 5, "OPENCV_FISHEYE", [32; 2], vec![40.0; 8]),
         &["cameras", "OPENCV_FISHEYE", "undistort"],
     );
+    refused(|model| model.cameras.push(model.cameras[0].clone()), &["cameras", "camera 3 is there twice"]);
     refused(|model| model.cameras[0].4[0] = f64::NAN, &["cameras", "finite"]);
     refused(|model| model.photographs[2].camera = 8, &["images", "camera 8"]);
     refused(|model| model.photographs[2].quaternion = [0.0; 4], &["images", "quaternion"]);
@@ -352,15 +353,52 @@ fn broken_models_are_refused_in_a_sentence() {
     refused(|model| model.cameras[0].3 = [32, 48], &["r_0.png", "32x48", "cropped or turned"]);
     let others = |model: &mut Model| model.photographs.iter_mut().for_each(|photograph| photograph.name.insert(0, 'x'));
     refused(others, &["images", "x", "none of the"]);
+    // Without second lines every other image would be lost.
+    fs::remove_dir_all(&sparse).unwrap();
+    export.model().write(&sparse, true);
+    let images = fs::read_to_string(sparse.join("images.txt")).unwrap();
+    let first: Vec<&str> = images.lines().filter(|line| line.ends_with(".png")).collect();
+    fs::write(sparse.join("images.txt"), first.join("\n")).unwrap();
+    assert_says(&export.load(|_| ()).unwrap_err().to_string(), &["images.txt, line 2", "second line of image 7"]);
+    fs::remove_dir_all(&sparse).unwrap();
     // Cut files.
     export.model().write(&sparse, false);
-    fs::remove_file(sparse.join("cameras.txt")).ok();
     let images = fs::read(sparse.join("images.bin")).unwrap();
     fs::write(sparse.join("images.bin"), &images[..images.len() - 3]).unwrap();
     assert_says(&export.load(|_| ()).unwrap_err().to_string(), &["images.bin", "ends within"]);
     // A count that no memory holds.
     fs::write(sparse.join("images.bin"), [&u64::MAX.to_le_bytes()[..], &images[8..]].concat()).unwrap();
     assert_says(&export.load(|_| ()).unwrap_err().to_string(), &["images.bin", "ends within"]);
+}
+
+#[test]
+fn portraits_stand_beside_landscapes() {
+    let dir = TempDir::new().unwrap();
+    let mut model = fuzz_model();
+    model.cameras = vec![
+        (1, 0, "SIMPLE_PINHOLE", [16, 12], vec![15.0, 8.0, 6.0]),
+        (2, 0, "SIMPLE_PINHOLE", [12, 16], vec![15.0, 6.0, 8.0]),
+    ];
+    model.write(&dir.path().join("sparse/0"), false);
+    fs::create_dir(dir.path().join("images")).unwrap();
+    for (i, photograph) in model.photographs.iter().enumerate() {
+        let (width, height) = if photograph.camera == 1 { (16, 12) } else { (12, 16) };
+        let picture = image::RgbImage::from_pixel(width, height, image::Rgb([i as u8 * 40; 3]));
+        picture.save(dir.path().join("images").join(&photograph.name)).unwrap();
+    }
+    for change in [|config: &mut DataConfig| config.downscale = Some(2), |config: &mut DataConfig| config.width = 8] {
+        let (kind, dir) = (DataKind::Colmap, dir.path().display().to_string());
+        let mut config = DataConfig { dir, kind, downscale: Some(1), ..DataConfig::default() };
+        change(&mut config);
+        let scene = data::load(&config, 0, &()).unwrap();
+        let mut sizes: Vec<(String, usize, usize, [f64; 2])> = views(&scene)
+            .map(|view| (view.name.clone(), view.image.width, view.image.height, view.camera.centre))
+            .collect();
+        sizes.sort_by(|a, b| a.0.cmp(&b.0));
+        let expected = [(8, 6, [4.0, 3.0]), (6, 8, [3.0, 4.0])].repeat(2);
+        assert_eq!(sizes.into_iter().map(|(_, w, h, centre)| (w, h, centre)).collect::<Vec<_>>(), expected);
+        assert!(format!("{:?}", scene.place.notes).contains("sizes differ"), "{:?}", scene.place.notes);
+    }
 }
 
 #[test]
@@ -373,6 +411,15 @@ fn images_that_are_gone_are_left_out_and_named() {
         DataConfig { dir: export.capture().display().to_string(), kind: DataKind::Colmap, ..DataConfig::default() };
     let scene = data::load(&DataConfig { downscale: Some(1), ..config }, 0, &heard).unwrap();
     assert_eq!(views(&scene).count(), export.scene.train.len() - 1);
+    // It moves no other.
+    fs::copy(export.dir.path().join("export/train/r_1.png"), export.capture().join("images/r_1.png")).unwrap();
+    let whole = export.load(|_| ()).unwrap();
+    fs::remove_file(export.capture().join("images/r_1.png")).unwrap();
+    for view in views(&scene) {
+        let held_out = |scene: &Scene| scene.test.iter().any(|other| other.name == view.name);
+        let same = views(&whole).find(|other| other.name == view.name).unwrap();
+        assert!(held_out(&scene) == held_out(&whole) && same.camera == view.camera, "{}", view.name);
+    }
     assert_says(&heard.text(), &["1 of the", "r_1.png", "left out"]);
     let most = export.scene.train.len() / 2 + 2;
     for view in &export.scene.train[..most] {
@@ -456,7 +503,7 @@ fn threshold(mesh: &[&str]) -> String {
 }
 
 /// `poses_bounds.npy` of twelve cameras on an arc of so many degrees around (0, 0, -3).
-fn arc(dir: &Path, degrees: f64) {
+pub fn arc(dir: &Path, degrees: f64) {
     let row = |view: usize| {
         let angle = (degrees * (view as f64 / 11.0 - 0.5)).to_radians();
         let (sin, cos) = angle.sin_cos();

@@ -35,6 +35,7 @@ mod pictures;
 mod planes;
 mod reference;
 mod regularizers;
+mod run_scenes;
 mod runtime;
 mod score;
 mod settings;

@@ -6,7 +6,7 @@ use std::path::Path;
 
 use augnerf::base::Image;
 use augnerf::base::files::{AtomicDir, clean_temporaries, write_atomic};
-use augnerf::draw::{beside, depth_colour, depth_range, write_depth16, write_gif, write_png8};
+use augnerf::draw::{Reel, beside, depth_colour, depth_range, write_depth16, write_png8};
 use augnerf::run::{EventWriter, Existing, RunDir, Scalars};
 
 fn finished_run(path: &Path) {
@@ -165,7 +165,9 @@ fn pictures_read_back() {
     let frames: Vec<Image> = (0..12)
         .map(|i| depth_colour(&ball_depth(size, i as f32 * 0.05), size, size, near, far, None).unwrap())
         .collect();
-    write_gif(&dir.join("video.gif"), &frames, 24.0).unwrap();
+    let mut reel = Reel::begin(&dir.join("video"), (size, size), frames.len(), 24.0).unwrap();
+    frames.iter().for_each(|frame| reel.add(frame).unwrap());
+    reel.finish().unwrap();
     check_gif(&fs::read(dir.join("video.gif")).unwrap(), &frames);
 
     let mut events = EventWriter::create(&dir, None).unwrap();

@@ -150,6 +150,9 @@ fn llff_orbits_are_in_the_middle_of_every_frame() {
     let scene = load(dir.path(), |config| (config.ndc, config.spherify) = (false, true));
     assert_eq!((scene.kind, scene.train.len()), ("llff", 35));
     assert_shown(&scene, 0.2);
+    // Without spherifying, too, where a spiral would look away.
+    let scene = load(dir.path(), |config| config.ndc = false);
+    assert_shown(&scene, 1e-3);
 }
 
 #[test]

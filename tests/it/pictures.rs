@@ -101,6 +101,7 @@ impl Run {
         let state = State {
             format: 1,
             step: 30,
+            adam_since: 0,
             empty_steps: 0,
             redraws: vec![0, 0],
             config_hash: self.config.hash(),

@@ -1,11 +1,12 @@
 //! What a file of cameras says of their lenses and pictures.
 
+use super::super::formats::transforms::check_model;
 use super::super::json::Object;
 use super::super::{Camera, SMALLEST, brief};
 use crate::base::Result;
 
-/// Most pixels along a side of a picture.
-const MOST_PIXELS: f64 = 16_384.0;
+/// Most pixels along a side of a picture that is rendered.
+pub const MOST_PIXELS: usize = 16_384;
 
 /// The value of the first object that has the key.
 fn first(objects: [Object; 2], key: &str) -> Result<Option<f64>> {
@@ -26,7 +27,7 @@ fn positive(objects: [Object; 2], key: &str) -> Result<Option<f64>> {
 /// Pixels along a side, as these keys have them.
 fn side(objects: [Object; 2], key: &str) -> Result<Option<usize>> {
     match first(objects, key)? {
-        Some(value) if value.fract() != 0.0 || !(1.0..=MOST_PIXELS).contains(&value) => {
+        Some(value) if value.fract() != 0.0 || !(1.0..=MOST_PIXELS as f64).contains(&value) => {
             let found = brief(value);
             Err(objects[0].error(&format!("\"{key}\" is {found}, but it must be whole, 1 to {MOST_PIXELS} pixels")))
         }
@@ -36,6 +37,7 @@ fn side(objects: [Object; 2], key: &str) -> Result<Option<usize>> {
 
 /// The lens of a frame of a `transforms.json`, at the size that the file states.
 pub fn of_transforms(frame: Object, document: Object, like: &Camera) -> Result<Camera> {
+    check_model(frame, document)?;
     let keys = [frame, document];
     let (width, height) = (side(keys, "w")?, side(keys, "h")?);
     let sized = width.zip(height);

@@ -22,6 +22,7 @@ use super::{Camera, LARGEST, WorldToScene, npy};
 use crate::base::{Error, Result};
 
 pub use dataparser::Dataparser;
+pub use lens::MOST_PIXELS;
 pub use write::write;
 
 /// Most cameras of a file: an hour at 25 a second.
@@ -48,13 +49,7 @@ pub fn read(file: &Path, like: &Camera, world: &WorldToScene, dataparser: Option
         "npy" => CameraFile { cameras: read_npy(file, like)?, fps: None },
         _ => read_json(file, like)?,
     };
-    if read.cameras.len() > MOST_CAMERAS {
-        return Err(Error::Data(format!(
-            "{}: it has {} cameras, but at most {MOST_CAMERAS} are rendered",
-            file.display(),
-            read.cameras.len()
-        )));
-    }
+    check_count(file, read.cameras.len())?;
     for camera in &mut read.cameras {
         let capture = dataparser.map_or(camera.pose, |dataparser| dataparser.to_capture(&camera.pose));
         camera.pose = world.camera(&capture);
@@ -69,6 +64,14 @@ pub fn read(file: &Path, like: &Camera, world: &WorldToScene, dataparser: Option
             pose::column(&read.cameras[index].pose, 3)
         ))),
     }
+}
+
+/// Refuses more cameras than are rendered, in files that are read and in those that are written.
+fn check_count(file: &Path, cameras: usize) -> Result<()> {
+    if cameras <= MOST_CAMERAS {
+        return Ok(());
+    }
+    Err(Error::Data(format!("{}: it has {cameras} cameras, but at most {MOST_CAMERAS} are rendered", file.display())))
 }
 
 /// One of [`ENDINGS`].

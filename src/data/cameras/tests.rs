@@ -119,3 +119,16 @@ fn what_is_no_camera_is_named() {
         assert!(error.contains(words) && error.contains(name), "{text}: {error}");
     }
 }
+
+#[test]
+fn fisheye_cameras_are_refused() {
+    let dir = tempfile::tempdir().unwrap();
+    let frame = "\"frames\": [{\"transform_matrix\": [[1,0,0,2],[0,1,0,4],[0,0,1,6],[0,0,0,1]]}]";
+    for (key, word) in
+        [("\"camera_model\": \"OPENCV_FISHEYE\"", "OPENCV_FISHEYE"), ("\"is_fisheye\": true", "is_fisheye")]
+    {
+        let file = file(&dir, "t.json", &format!("{{{key}, {frame}}}"));
+        let said = read(&file, &like(), &world(), None).unwrap_err().to_string();
+        assert!(said.contains(word), "{said}");
+    }
+}

@@ -16,8 +16,9 @@ const ROUNDING: f64 = 1e-9;
 /// `[N, 3, 4]`, which keeps poses alone. [`read`](super::read) gives the same cameras back.
 ///
 /// # Errors
-/// A name of another ending, or a file that cannot be written.
+/// A name of another ending, more cameras than are read, or a file that cannot be written.
 pub fn write(file: &Path, cameras: &[Camera], world: &WorldToScene, fps: f64) -> Result<()> {
+    super::check_count(file, cameras.len())?;
     let poses: Vec<Pose> = cameras.iter().map(|camera| to_capture(world, &camera.pose)).collect();
     if super::ending(file)? == "npy" {
         let mut bytes = npy::header("<f8", &[poses.len(), 3, 4]);

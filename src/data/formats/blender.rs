@@ -7,7 +7,7 @@ use std::path::Path;
 use rayon::prelude::*;
 
 use crate::base::{Error, Event, Listener, Result};
-use crate::data::formats::transforms::frames::{self, Frame};
+use crate::data::formats::transforms::frames::{self, Frame, Listed};
 use crate::data::formats::transforms::{notes, transforms_file};
 use crate::data::json::{self, Object};
 use crate::data::pose::{self, Pose};
@@ -31,8 +31,9 @@ pub fn load(config: &DataConfig, events: &dyn Listener) -> Result<Scene> {
         EvalSplit::Test => "test",
         EvalSplit::Val => "val",
     };
-    let train = read_split(config, "train", events)?;
-    let test: Vec<Frame> = read_split(config, eval, events)?.into_iter().step_by(config.test_skip.max(1)).collect();
+    let (train, train_names) = frames::found(read_split(config, "train", events)?);
+    let listed = read_split(config, eval, events)?.into_iter().step_by(config.test_skip.max(1)).collect();
+    let (test, test_names) = frames::found(listed);
     let both: Vec<&Frame> = train.iter().chain(&test).collect();
     let sizes = frames::working_sizes(&both, config)?;
     let cameras: Vec<Camera> = both.iter().zip(sizes).map(|(frame, size)| frame.camera(size, in_turn)).collect();
@@ -44,8 +45,9 @@ pub fn load(config: &DataConfig, events: &dyn Listener) -> Result<Scene> {
     place.note("bounds from", format!("the format: {near} to {far}, as for all of NeRF's synthetic scenes"));
     let (of_train, of_test) = cameras.split_at(train.len());
     let background = background(config);
-    let (train_views, _) = frames::views(&train, of_train, background, "reading train images", events)?;
-    let (mut test_views, _) = frames::views(&test, of_test, background, &format!("reading {eval} images"), events)?;
+    let (train_views, _) = frames::views(&train, &train_names, of_train, background, "reading train images", events)?;
+    let label = format!("reading {eval} images");
+    let (mut test_views, _) = frames::views(&test, &test_names, of_test, background, &label, events)?;
     read_depths(&mut test_views, &test)?;
     Ok(Scene {
         name: name_of(config),
@@ -118,7 +120,7 @@ pub fn sphere_pose(azimuth: f64, elevation: f64, radius: f64) -> Pose {
 }
 
 /// The frames of one `transforms_*.json`, at least one.
-fn read_split(config: &DataConfig, name: &str, events: &dyn Listener) -> Result<Vec<Frame>> {
+fn read_split(config: &DataConfig, name: &str, events: &dyn Listener) -> Result<Vec<Listed>> {
     let dir = Path::new(&config.dir);
     let file = dir.join(transforms_file(name));
     if !file.exists() {

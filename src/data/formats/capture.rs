@@ -40,27 +40,50 @@ impl Capture {
     /// of every `config.validation` others is kept for choices, and of those that are evaluated every `config.test_skip`-th
     /// stays. `kind` is the format's name in files and tables.
     pub fn hold_out(self, name: String, kind: &'static str, config: &DataConfig) -> Scene {
-        let Capture { views, path, near, far, ndc, background, place } = self;
-        let (train, test) = split(views, config);
-        Scene { name, kind, train, test, near, far, ndc, background, path, corrupted: None, place }
+        let there = vec![true; self.views.len()];
+        self.hold_out_listed(name, kind, config, &there)
     }
 
-    /// The scene whose split is given: views at the places of `train`, and every `config.test_skip`-th of those at the places of
-    /// `test`.
-    pub(super) fn split_as(
-        self,
+    /// The same of a list of photographs, `there` of which have a view: what each is for hangs on the whole list, so that one that
+    /// is gone makes no other change sides.
+    pub(super) fn hold_out_listed(
+        mut self,
         name: String,
         kind: &'static str,
         config: &DataConfig,
-        train: &[bool],
-        test: &[bool],
+        there: &[bool],
     ) -> Scene {
-        let Capture { views, path, near, far, ndc, background, place } = self;
+        let (train, test) = split(self.places(there), config);
+        self.into_scene(name, kind, train.into_iter().flatten().collect(), test.into_iter().flatten().collect())
+    }
+
+    /// The scene whose split is given: views at the places of `train`, and every `config.test_skip`-th of those at the places of
+    /// `test`, in a list as above.
+    pub(super) fn split_as(
+        mut self,
+        name: String,
+        kind: &'static str,
+        config: &DataConfig,
+        there: &[bool],
+        [train, test]: [&[bool]; 2],
+    ) -> Scene {
+        let views = self.places(there);
         let of = |chosen: &[bool], step: usize| {
             let chosen = views.iter().zip(chosen).filter(|(_, chosen)| **chosen);
-            chosen.step_by(step).map(|(view, _)| view.clone()).collect()
+            chosen.step_by(step).filter_map(|(view, _)| view.clone()).collect()
         };
         let (train, test) = (of(train, 1), of(test, config.test_skip.max(1)));
+        self.into_scene(name, kind, train, test)
+    }
+
+    /// The views in their places of a list.
+    fn places(&mut self, there: &[bool]) -> Vec<Option<View>> {
+        let mut views = std::mem::take(&mut self.views).into_iter();
+        there.iter().map(|there| there.then(|| views.next().expect("a view for each that is there"))).collect()
+    }
+
+    fn into_scene(self, name: String, kind: &'static str, train: Vec<View>, test: Vec<View>) -> Scene {
+        let Capture { path, near, far, ndc, background, place, .. } = self;
         Scene { name, kind, train, test, near, far, ndc, background, path, corrupted: None, place }
     }
 }

@@ -13,7 +13,8 @@ use crate::base::{Error, Listener, Result, version};
 use crate::run::{RunDir, Trained};
 use crate::runtime::Runtime;
 use crate::settings::{Config, word};
-use crate::train::{Moments, checkpoint};
+use crate::train::Moments;
+use crate::train::checkpoint::{self, State};
 
 /// A parameter with its moments.
 type Parameter = (String, Tensor, Moments);
@@ -27,6 +28,13 @@ type Parameter = (String, Tensor, Moments);
 pub fn export(run: &Path, file: &Path, data: Option<&Path>, runtime: &Runtime, events: &dyn Listener) -> Result<u64> {
     let format = Format::of(file)?;
     check_fields(&RunDir::open(run)?.read_config()?)?;
+    if let (Some(data), Format::Torch) = (data, format) {
+        return Err(Error::Config(format!(
+            "--data {}: a file for nerf-pytorch says nothing of the scene, so that its folder is not read: leave --data out, or export \
+             to .safetensors",
+            data.display()
+        )));
+    }
     if format == Format::Safetensors {
         return safetensors(&Trained::open(run, data, runtime, events)?, file);
     }
@@ -37,7 +45,7 @@ pub fn export(run: &Path, file: &Path, data: Option<&Path>, runtime: &Runtime, e
     let state = checkpoint::load_state(&newest)?;
     checkpoint::check_config(&newest, &state, &config)?;
     let parameters = checkpoint::load_parameters(&newest, &config)?;
-    let bytes = torch_file(&torch_checkpoint(&config, &parameters, state.step)?)
+    let bytes = torch_file(&torch_checkpoint(&config, &parameters, &state)?)
         .map_err(|e| Error::Output(format!("cannot write {}: {e}", file.display())))?;
     write_atomic(file, &bytes)?;
     Ok(state.step)
@@ -60,8 +68,8 @@ fn tensor(values: &Tensor) -> Result<Value> {
 }
 
 /// What nerf-pytorch's `torch.save` is given.
-fn torch_checkpoint(config: &Config, parameters: &[Parameter], step: u64) -> Result<Value> {
-    let mut entries = vec![(Key::Name(STEP.into()), Value::Int(step as i64))];
+fn torch_checkpoint(config: &Config, parameters: &[Parameter], state: &State) -> Result<Value> {
+    let mut entries = vec![(Key::Name(STEP.into()), Value::Int(state.step as i64))];
     let mut all: Vec<&Parameter> = Vec::new();
     for (role, key) in NETWORKS {
         let within = |parameter: &Parameter| parameter.0.strip_prefix(role)?.strip_prefix('.').and_then(name);
@@ -74,15 +82,15 @@ fn torch_checkpoint(config: &Config, parameters: &[Parameter], step: u64) -> Res
         entries.push((Key::Name(key.into()), value));
         all.extend(network.into_iter().map(|(_, parameter)| parameter));
     }
-    entries.push((Key::Name(OPTIMIZER.into()), adam(config, &all, step)?));
+    entries.push((Key::Name(OPTIMIZER.into()), adam(config, &all, state.step - state.adam_since)?));
     Ok(Value::Dict(entries))
 }
 
-/// The state of PyTorch's Adam.
-fn adam(config: &Config, parameters: &[&Parameter], step: u64) -> Result<Value> {
+/// The state of PyTorch's Adam after so many updates.
+fn adam(config: &Config, parameters: &[&Parameter], updates: u64) -> Result<Value> {
     let state = parameters.iter().enumerate().map(|(index, (_, _, moments))| {
         let (first, second) = (tensor(&moments.first)?, tensor(&moments.second)?);
-        let state = dict([("step", Value::Int(step as i64)), ("exp_avg", first), ("exp_avg_sq", second)]);
+        let state = dict([("step", Value::Int(updates as i64)), ("exp_avg", first), ("exp_avg_sq", second)]);
         Ok((Key::Index(index as i64), state))
     });
     let train = &config.train;
@@ -113,7 +121,7 @@ fn safetensors(trained: &Trained, file: &Path) -> Result<u64> {
     Ok(state.step)
 }
 
-fn metadata(config: &crate::settings::Resolved, world_to_scene: &[[f64; 4]; 3], state: &checkpoint::State) -> Json {
+fn metadata(config: &crate::settings::Resolved, world_to_scene: &[[f64; 4]; 3], state: &State) -> Json {
     let field = &config.field;
     json!({
         "format": 1,
@@ -138,6 +146,6 @@ fn metadata(config: &crate::settings::Resolved, world_to_scene: &[[f64; 4]; 3], 
         },
         "scene": config.data.name,
         "world_to_scene": world_to_scene,
-        "config": config.to_toml(),
+        "config": config.without_places().to_toml(),
     })
 }

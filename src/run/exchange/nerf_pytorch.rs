@@ -50,5 +50,13 @@ pub fn check(config: &Config) -> Result<()> {
         let (depth, neurons) = (field.view_depth, field.view_neurons());
         return refused(format!("{depth} layers of {neurons} neurons before colour, but 1 of {}", field.width / 2));
     }
+    // Its layer after the fifth reads the position again (skips=[4] in its own count), and in fields of fewer it is no layer.
+    let skips: &[usize] = if field.depth > 5 { &[5] } else { &[] };
+    if field.depth == 5 || field.skips != skips {
+        return refused(format!(
+            "field.depth = {} with field.skips = {:?}, but [5] at depths from 6 on, and [] at depths up to 4",
+            field.depth, field.skips
+        ));
+    }
     Ok(())
 }

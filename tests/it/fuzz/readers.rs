@@ -4,11 +4,12 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use augnerf::base::{Error, Result};
+use augnerf::data::cameras::Dataparser;
 use augnerf::data::{self, WorldToScene, images};
 use augnerf::methods::SiteSummary;
 use augnerf::metrics::{Backbone, Lpips};
 use augnerf::report::tables::{Table, points_csv};
-use augnerf::run::{Foreign, Matching, RunDir, Scalars, Truth, pictures as listed, score};
+use augnerf::run::{Foreign, Matching, Networks, RunDir, Scalars, Truth, pictures as listed, score};
 use augnerf::settings::{Config, DataConfig, Method, Preset, build, parse_assignment};
 use augnerf::space::{read_mesh, sample};
 use augnerf::sweep::slurm::Slurm;
@@ -82,7 +83,8 @@ pub fn all(folder: &Path) -> Vec<Reader> {
         cameras(below("path").join("path.json"), "cameras, json", Format::Text, seeds::CAMERAS.map(Vec::from).to_vec()),
         cameras(below("poses").join("poses.npy"), "cameras, npy", Format::Npy, vec![seeds::camera_poses()]),
         foreign(below("tar").join("a.tar"), "import, torch", Format::Archive, seeds::checkpoint_tar()),
-        foreign(below("own").join("a.safetensors"), "import, safetensors", Format::Safetensors, seeds::network()),
+        foreign(below("own").join("a.safetensors"), "import, safetensors", Format::Safetensors, seeds::exported()),
+        dataparser(below("dataparser")),
     ];
     all.extend(runs(&below("run")));
     all.extend(sweep_folders(&below("folder")));
@@ -140,14 +142,30 @@ fn cameras(file: PathBuf, name: &'static str, format: Format, seeds: Vec<Vec<u8>
     })
 }
 
-/// Weights of other programs, as far as to the settings that they ask for.
+/// Weights of other programs and of this one, as far as to the settings that they ask for.
 fn foreign(file: PathBuf, name: &'static str, format: Format, seed: Vec<u8>) -> Reader {
-    let reader = reader(name, format, vec![seed], move |bytes| {
+    reader(name, format, vec![seed], move |bytes| {
         write(&file, bytes);
-        Foreign::open(&file)?.settings().map(drop)
-    });
-    let lacks = (format == Format::Safetensors).then_some("its metadata has no");
-    Reader { lacks, ..reader }
+        let foreign = Foreign::open(&file)?;
+        if let Networks::Own { config } = foreign.networks() {
+            Config::from_toml(config, "its configuration")?;
+        }
+        foreign.settings().map(drop)
+    })
+}
+
+/// The way to nerfstudio's units, beside a capture with a way of its own.
+fn dataparser(dir: PathBuf) -> Reader {
+    let file = dir.join("dataparser_transforms.json");
+    let rows = "[[0.8, -0.6, 0.0, 1.5], [0.6, 0.8, 0.0, -2.0], [0.0, 0.0, 1.0, 0.25]]";
+    let capture = dir.join("transforms.json");
+    write(&capture, format!("{{\"applied_transform\": {rows}, \"applied_scale\": 1.0}}").as_bytes());
+    let seed = format!("{{\"transform\": {rows}, \"scale\": 0.25}}").into_bytes();
+    let camera = tiny_scene().train[0].camera.pose;
+    reader("cameras, dataparser_transforms.json", Format::Text, vec![seed], move |bytes| {
+        write(&file, bytes);
+        Dataparser::read(&file, &capture).map(|dataparser| _ = dataparser.to_capture(&camera))
+    })
 }
 
 fn config_of(dir: &Path) -> DataConfig {

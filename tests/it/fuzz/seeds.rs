@@ -67,13 +67,18 @@ pub fn zipped() -> Vec<u8> {
 
 /// A safetensors file of these tensors.
 pub fn safetensors(tensors: &[(&str, Vec<usize>)]) -> Vec<u8> {
-    let mut header = serde_json::Map::new();
+    safetensors_with(tensors, serde_json::json!({}))
+}
+
+/// The same with a header that has begun.
+fn safetensors_with(tensors: &[(&str, Vec<usize>)], header: serde_json::Value) -> Vec<u8> {
+    let serde_json::Value::Object(mut header) = header else { unreachable!("a header is an object") };
     let mut data = Vec::new();
     for (name, shape) in tensors {
         let start = data.len();
         data.extend(values(shape));
         let place = serde_json::json!({"dtype": "F32", "shape": shape, "data_offsets": [start, data.len()]});
-        header.insert(name.to_string(), place);
+        header.insert((*name).to_string(), place);
     }
     let header = serde_json::to_vec(&header).unwrap();
     [&(header.len() as u64).to_le_bytes()[..], &header, &data].concat()
@@ -82,6 +87,13 @@ pub fn safetensors(tensors: &[(&str, Vec<usize>)]) -> Vec<u8> {
 /// The network's first tensors as safetensors.
 pub fn network() -> Vec<u8> {
     safetensors(&tensors())
+}
+
+/// The same as `augnerf export` writes it.
+pub fn exported() -> Vec<u8> {
+    let config = augnerf::settings::Config::default().to_toml();
+    let said = serde_json::json!({"format": 1, "step": 7, "config": config}).to_string();
+    safetensors_with(&tensors(), serde_json::json!({"__metadata__": {"augnerf": said}}))
 }
 
 /// The linear layer that belongs to them.

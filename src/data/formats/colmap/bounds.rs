@@ -42,7 +42,11 @@ pub(super) fn of(model: &Model, cameras: &[Camera], world: WorldToScene, unknown
     place.notes.clear();
     place.note(
         "bounds from",
-        format!("depths of {} points in {} views, 1 % to 99 % of each, with a fifth of room", points.len(), ends.len()),
+        format!(
+            "depths of {} points in {} views, 1 % to 99 % of each, with a fifth of room before and a quarter behind",
+            points.len(),
+            ends.len()
+        ),
     );
     (place, (near, far))
 }

@@ -9,14 +9,10 @@ use crate::data::images::{self, Size};
 /// Folders of images, each with the factor by which its name says that it is smaller.
 fn folders(dir: &Path) -> Result<Vec<(usize, PathBuf)>> {
     let entries = std::fs::read_dir(dir).map_err(|e| Error::unreadable(dir, &e))?;
-    let factor = |name: &str| match name.strip_prefix("images") {
-        Some("") => Some(1),
-        Some(rest) => rest.strip_prefix('_')?.parse().ok().filter(|factor| *factor > 1),
-        None => None,
-    };
     let named = entries.flatten().filter(|entry| entry.path().is_dir());
-    let mut found: Vec<(usize, PathBuf)> =
-        named.filter_map(|entry| Some((factor(&entry.file_name().to_string_lossy())?, entry.path()))).collect();
+    let mut found: Vec<(usize, PathBuf)> = named
+        .filter_map(|entry| Some((images::factor_of(&entry.file_name().to_string_lossy())?, entry.path())))
+        .collect();
     found.sort();
     Ok(found)
 }
@@ -56,8 +52,8 @@ pub(super) fn find(dir: &Path, photographs: &[Photograph], size: Size) -> Result
         let files = photographs.iter().map(|photograph| file(folder, &photograph.name)).collect();
         let source = Source { files, factor: *factor, passed: Vec::new() };
         let (found, all) = (source.found(), photographs.len());
-        if let (Size::Width(width), Some(first)) = (size, source.files.iter().flatten().next())
-            && images::size(first)?.0 < width
+        if let Size::Width(width) = size
+            && widest(&source.files)?.is_some_and(|widest| widest < width)
         {
             continue;
         }
@@ -76,6 +72,12 @@ pub(super) fn find(dir: &Path, photographs: &[Photograph], size: Size) -> Result
         return Ok(Source { passed, ..source });
     }
     Ok(source)
+}
+
+/// Columns of the widest of these files, by which a width is measured.
+fn widest(files: &[Option<PathBuf>]) -> Result<Option<usize>> {
+    let columns: Result<Vec<usize>> = files.iter().flatten().map(|file| Ok(images::size(file)?.0)).collect();
+    Ok(columns?.into_iter().max())
 }
 
 fn none(dir: &Path, folders: &[(usize, PathBuf)], photographs: &[Photograph], size: Size) -> Error {

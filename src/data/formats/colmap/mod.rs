@@ -52,30 +52,30 @@ struct Frame {
     stored: (usize, usize),
 }
 
-/// Reads such a scene. Views are sorted by name; every `config.holdout`-th is held out.
+/// Reads such a scene. Views are sorted by name; every `config.holdout`-th is held out. Where the scene lies and what a view is for
+/// hangs on all images of the model, also on those that are not there.
 pub fn load(config: &DataConfig, events: &dyn Listener) -> Result<Scene> {
     let dir = Path::new(&config.dir);
     let model = read::model(dir)?;
     let source = folder::find(dir, &model.photographs, Size::of(config))?;
     let missing = check_missing(dir, &model, &source, events)?;
-    let mut frames = frames(dir, &model, &source)?;
-    let paths: Vec<PathBuf> = frames.iter().map(|frame| frame.path.clone()).collect();
-    let stored = images::common_size(&paths)?;
-    let target = target(config, &source, stored, &paths[0])?;
+    let mut poses: Vec<Pose> = model.photographs.iter().map(|photograph| photograph.pose).collect();
     let world = match config.recentre {
-        true => WorldToScene::centre(&mut frames.iter_mut().map(|frame| &mut frame.pose).collect::<Vec<&mut Pose>>()),
+        true => WorldToScene::centre(&mut poses.iter_mut().collect::<Vec<&mut Pose>>()),
         false => WorldToScene::default(),
     };
-    let cameras: Vec<Camera> = frames.iter().map(|frame| frame.camera(target)).collect();
-    let (mut place, (near, far)) = bounds::of(&model, &cameras, world, BOUNDS);
-    place.note("images", images::folder_words(&paths, stored, target));
-    notes(&mut place, &model, &frames, &missing, &source);
-    let poses: Vec<Pose> = cameras.iter().map(|camera| camera.pose).collect();
     let path = path::around(&poses);
+    let there: Vec<bool> = source.files.iter().map(Option::is_some).collect();
+    let (frames, names) = frames(dir, &model, &source, &poses)?;
+    let targets = targets(config, &source, &frames)?;
+    let cameras: Vec<Camera> = frames.iter().zip(&targets).map(|(frame, &target)| frame.camera(target)).collect();
+    let (mut place, (near, far)) = bounds::of(&model, &cameras, world, BOUNDS);
+    place.note("images", folder_words(&frames, targets[0]));
+    notes(&mut place, &model, &frames, &missing, &source);
     let first = cameras[0];
-    let (images, clear) = read_images(&frames, target, background(config), events)?;
+    let (images, clear) = read_images(dir, &frames, &targets, background(config), events)?;
     let capture = Capture {
-        views: Capture::views(images::names(&paths), cameras, images),
+        views: Capture::views(names, cameras, images),
         near,
         far,
         ndc: None,
@@ -83,7 +83,7 @@ pub fn load(config: &DataConfig, events: &dyn Listener) -> Result<Scene> {
         path: path.into_iter().map(|pose| Camera { pose, ..first }).collect(),
         place,
     };
-    Ok(capture.hold_out(name_of(config), DataKind::Colmap.name(), config))
+    Ok(capture.hold_out_listed(name_of(config), DataKind::Colmap.name(), config, &there))
 }
 
 /// Says which photographs are not there; refuses where half of them are not.
@@ -110,11 +110,18 @@ fn check_missing(dir: &Path, model: &Model, source: &Source, events: &dyn Listen
     Ok(missing)
 }
 
-/// All photographs that are there, with the cameras that they become.
-fn frames(dir: &Path, model: &Model, source: &Source) -> Result<Vec<Frame>> {
-    let there = model.photographs.iter().zip(&source.files);
-    let there = there.filter_map(|(photograph, file)| file.clone().map(|file| (photograph, file)));
-    there.map(|(photograph, path)| frame(&model.lenses[&photograph.camera], photograph, path, dir)).collect()
+/// All photographs that are there, with the cameras that they become and the names that they have among all. `poses` are those of
+/// all in the scene.
+fn frames(dir: &Path, model: &Model, source: &Source, poses: &[Pose]) -> Result<(Vec<Frame>, Vec<String>)> {
+    let Model { photographs, lenses, .. } = model;
+    let names = images::names(&photographs.iter().map(|photograph| photograph.name.clone().into()).collect::<Vec<_>>());
+    let (mut frames, mut found) = (Vec::new(), Vec::new());
+    for (((photograph, file), pose), name) in photographs.iter().zip(&source.files).zip(poses).zip(names) {
+        let Some(file) = file.clone() else { continue };
+        frames.push(Frame { pose: *pose, ..frame(&lenses[&photograph.camera], photograph, file, dir)? });
+        found.push(name);
+    }
+    Ok((frames, found))
 }
 
 fn frame(lens: &Lens, photograph: &Photograph, path: PathBuf, dir: &Path) -> Result<Frame> {
@@ -159,29 +166,40 @@ impl Frame {
     }
 }
 
-/// The working resolution: what is left of a factor after the folder's, to the nearest pixel as the smaller folders are made.
-fn target(config: &DataConfig, source: &Source, stored: (usize, usize), file: &Path) -> Result<(usize, usize)> {
+/// The working resolutions: what is left of a factor after the folder's, to the nearest pixel as the smaller folders are made; of a
+/// width one scale for all.
+fn targets(config: &DataConfig, source: &Source, frames: &[Frame]) -> Result<Vec<(usize, usize)>> {
+    let stored: Vec<(usize, usize)> = frames.iter().map(|frame| frame.stored).collect();
     match Size::of(config) {
         Size::Factor(factor) => {
             let rest = (factor / source.factor).max(1) as f64;
             let divide = |side: usize| ((side as f64 / rest).round() as usize).max(1);
-            Ok((divide(stored.0), divide(stored.1)))
+            Ok(stored.into_iter().map(|(width, height)| (divide(width), divide(height))).collect())
         }
-        width => width.apply(stored, file),
+        width => images::working_sizes(width, &stored, &frames[0].path),
     }
+}
+
+/// The folder and the size of the first of its images.
+fn folder_words(frames: &[Frame], target: (usize, usize)) -> String {
+    let (paths, first) = ([frames[0].path.clone()], frames[0].stored);
+    let differ = frames.iter().any(|frame| frame.stored != first);
+    images::folder_words(&paths, first, target) + if differ { " (the first; sizes differ)" } else { "" }
 }
 
 /// Decodes all photographs, undoes their distortion at the stored size, then averages them down.
 fn read_images(
+    scene: &Path,
     frames: &[Frame],
-    target: (usize, usize),
+    targets: &[(usize, usize)],
     background: [f32; 3],
     events: &dyn Listener,
 ) -> Result<(Vec<Image>, bool)> {
-    images::check_memory(frames.len(), target)?;
+    images::check_memory_of(targets)?;
     let paths: Vec<PathBuf> = frames.iter().map(|frame| frame.path.clone()).collect();
+    images::note_turned(scene, &paths, events)?;
     let read = |i: usize, path: &Path| {
-        let Frame { lens, distortion, pinhole, stored, .. } = &frames[i];
+        let (Frame { lens, distortion, pinhole, stored, .. }, target) = (&frames[i], targets[i]);
         let image = if distortion.is_none() {
             images::read(path, target)?
         } else {

@@ -41,7 +41,13 @@ pub(super) fn model(dir: &Path) -> Result<Model> {
     if points.is_file() {
         model.points = if is_binary { binary::points(&points)? } else { text::points(&points)? };
     }
-    (model.lenses, model.photographs) = (lenses.into_iter().collect(), photographs);
+    for (id, lens) in lenses {
+        if model.lenses.insert(id, lens).is_some() {
+            let what = format!("camera {id} is there twice: remove the one that no image is of");
+            return Err(Error::Data(format!("{}: {what}", cameras.display())));
+        }
+    }
+    model.photographs = photographs;
     model.photographs.sort_by(|a, b| a.name.cmp(&b.name));
     check(&model, &images)?;
     Ok(model)

@@ -91,9 +91,22 @@ pub(super) fn photographs(file: &Path) -> Result<Vec<Photograph>> {
         // A name may have spaces.
         let name = words.rest.to_string();
         photographs.push(Photograph { id, camera, name, pose });
-        lines.next();
+        lines.next().map_or(Ok(()), |seen| check_seen(&seen, id))?;
     }
     Ok(photographs)
+}
+
+/// The second line of an image has three numbers for each point that is seen in it. Another image's first line has not, and would be
+/// skipped where second lines were left out.
+fn check_seen(seen: &Words, id: u32) -> Result<()> {
+    let are_numbers = seen.rest.split_whitespace().all(|word| word.parse::<f64>().is_ok());
+    if are_numbers && seen.rest.split_whitespace().count().is_multiple_of(3) {
+        return Ok(());
+    }
+    Err(seen.error(&format!(
+        "the second line of image {id} is to be here, empty or with three numbers for each point that is seen in the image: each \
+         image takes two lines"
+    )))
 }
 
 pub(super) fn points(file: &Path) -> Result<Vec<Point>> {

@@ -37,7 +37,7 @@ pub(super) fn find(dir: &Path, size: Size, poses: usize) -> Result<Source> {
 fn by_factor(dir: &Path, factor: usize, poses: usize) -> Result<Source> {
     let mut found: Vec<(usize, Vec<PathBuf>)> = Vec::new();
     for name in folders(dir)? {
-        let Some(of) = factor_of(&name).filter(|of| factor.is_multiple_of(*of)) else { continue };
+        let Some(of) = images::factor_of(&name).filter(|of| factor.is_multiple_of(*of)) else { continue };
         found.push((of, images::list(&dir.join(name))?));
     }
     // Ready-made ones first, then the originals, then the smallest that can be averaged.
@@ -89,14 +89,6 @@ fn by_width(dir: &Path, width: usize, poses: usize) -> Result<Source> {
 fn passed_over(paths: &[PathBuf], poses: usize) -> String {
     let folder = paths.first().and_then(|path| path.parent()).unwrap_or(Path::new(""));
     format!("{} has {} images for {poses} poses", folder.display(), paths.len())
-}
-
-/// By how much the images of a folder of this name are smaller than the originals.
-fn factor_of(name: &str) -> Option<usize> {
-    match name.strip_prefix("images")? {
-        "" => Some(1),
-        rest => rest.strip_prefix('_')?.parse().ok().filter(|factor| *factor > 1),
-    }
 }
 
 /// Names of the folders `images` and `images_*`, sorted.

@@ -47,6 +47,7 @@ pub fn load(config: &DataConfig, events: &dyn Listener) -> Result<Scene> {
     if config.ndc {
         check_facing(&cameras, &names, &file)?;
     }
+    images::note_turned(dir, &source.paths, events)?;
     let (images, clear) = images::read_all(&source.paths, source.target, background(config), "reading images", events)?;
     let ndc = Ndc { width: source.target.0 as f64, height: source.target.1 as f64, focal: camera.focal[0] };
     let capture = Capture {
@@ -87,7 +88,9 @@ fn normalise(poses: &mut Poses, config: &DataConfig) -> Result<Vec<Pose>> {
         // nerf-pytorch's circle turns the camera about its axis where a capture is of one side.
         return if path::goes_around(&poses.poses) { poses.circle() } else { Ok(path::around(&poses.poses)) };
     }
-    poses.spiral()
+    // A spiral is for cameras that face forward.
+    let goes_around = !config.ndc && orbit::is_around(&poses.poses);
+    if goes_around { Ok(path::around(&poses.poses)) } else { poses.spiral() }
 }
 
 /// The focal length at the working resolution: the file's over the factor, as nerf-pytorch.

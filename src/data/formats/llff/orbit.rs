@@ -34,6 +34,11 @@ fn why_around(config: &DataConfig) -> Option<String> {
     around(&poses.poses)
 }
 
+/// Whether recentred and scaled poses go around something, or are of no capture that faces forward.
+pub(super) fn is_around(poses: &[Pose]) -> bool {
+    around(poses).is_some()
+}
+
 /// Why recentred and scaled poses do not face forward; none where they do.
 fn around(poses: &[Pose]) -> Option<String> {
     let turn = |p: &Pose| pose::column(p, 2)[2].clamp(-1.0, 1.0).acos().to_degrees();

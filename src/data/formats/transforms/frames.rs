@@ -36,23 +36,48 @@ pub(in crate::data::formats) struct Frame {
     mask: Option<PathBuf>,
 }
 
-/// A frame of the document whose photograph is there.
-struct Listed<'a> {
+/// A frame of a file, whether its photograph is there or not: where the scene lies, what its views are called and what each is
+/// for hangs on the whole list.
+pub(in crate::data::formats) struct Listed {
+    /// Where the photograph is, or would be.
+    pub(super) place: PathBuf,
+    /// As the file names it.
+    pub(super) written: String,
+    /// Camera to world.
+    pub(super) pose: Pose,
+    /// The photograph, if it is there.
+    pub(in crate::data::formats) frame: Option<Frame>,
+}
+
+impl Listed {
+    /// What frames are sorted by: their files' names, which they have whether those are there or not.
+    pub(super) fn order(&self) -> PathBuf {
+        let name = PathBuf::from(&self.written);
+        if images::is_image(&name) { name } else { PathBuf::from(format!("{}.png", self.written)) }
+    }
+}
+
+/// A frame of the document.
+struct Entry<'a> {
     object: Object<'a>,
-    path: PathBuf,
-    written: String,
+    picture: Picture,
     pose: Pose,
 }
 
-/// The frames of a document in its order. Those whose photographs are missing, and what is listed twice, are left out with a note.
+/// The frames of a document in its order. Missing photographs, and what is listed twice and left out, are told in a note.
 ///
 /// # Errors
 /// Less than half of the photographs are there; one stands there with two poses; fields that cannot be used.
-pub(in crate::data::formats) fn read(document: Object, events: &dyn Listener) -> Result<Vec<Frame>> {
+pub(in crate::data::formats) fn read(document: Object, events: &dyn Listener) -> Result<Vec<Listed>> {
     let note = |what: &str| events.on(Event::Note(&document.error(what).to_string()));
-    let listed = distinct(existing(document, &note)?, document, &note)?;
-    let frames = listed.into_iter().map(|listed| Frame::new(listed, document)).collect::<Result<Vec<_>>>()?;
-    let turned: Vec<&str> = frames.iter().filter(|f| f.1).map(|f| f.0.written.as_str()).collect();
+    let mut turned: Vec<String> = Vec::new();
+    let mut listed: Vec<Listed> = Vec::new();
+    for entry in distinct(entries(document, &note)?, document, &note)? {
+        let Picture { place, written, .. } = entry.picture.clone();
+        let (pose, found) = (entry.pose, Frame::find(entry, document)?);
+        turned.extend(found.iter().filter(|found| found.1).map(|_| written.clone()));
+        listed.push(Listed { place, written, pose, frame: found.map(|(frame, _)| frame) });
+    }
     if !turned.is_empty() {
         note(&format!(
             "{} photographs have an EXIF orientation, which is not applied (pixels are taken as they are stored, as COLMAP takes \
@@ -61,26 +86,23 @@ pub(in crate::data::formats) fn read(document: Object, events: &dyn Listener) ->
             turned.join(", ")
         ));
     }
-    Ok(frames.into_iter().map(|(frame, _)| frame).collect())
+    Ok(listed)
 }
 
-/// The frames whose photographs are there, which have to be half of them.
-fn existing<'a>(document: Object<'a>, note: &dyn Fn(&str)) -> Result<Vec<Listed<'a>>> {
-    let (mut found, mut missing, mut first) = (Vec::new(), Vec::new(), None);
+/// The frames, of which half have to have their photographs.
+fn entries<'a>(document: Object<'a>, note: &dyn Fn(&str)) -> Result<Vec<Entry<'a>>> {
+    let (mut entries, mut missing, mut first) = (Vec::new(), Vec::new(), None);
     for object in document.frames()? {
-        let Picture { path, written } = object.picture("file_path")?;
-        let pose = object.pose()?;
-        match path {
-            Some(path) => found.push(Listed { object, path, written, pose }),
-            None => {
-                first.get_or_insert(object);
-                missing.push(written);
-            }
+        let entry = Entry { object, picture: object.picture("file_path")?, pose: object.pose()? };
+        if entry.picture.path.is_none() {
+            first.get_or_insert(object);
+            missing.push(entry.picture.written.clone());
         }
+        entries.push(entry);
     }
-    let (count, all) = (missing.len(), missing.len() + found.len());
+    let (count, all) = (missing.len(), entries.len());
     match first {
-        Some(object) if found.len() < missing.len() => {
+        Some(object) if 2 * count > all => {
             let more = if count > NAMES { format!(" and {} more", count - NAMES) } else { String::new() };
             missing.truncate(NAMES);
             Err(object.error(&format!(
@@ -91,28 +113,28 @@ fn existing<'a>(document: Object<'a>, note: &dyn Fn(&str)) -> Result<Vec<Listed<
         }
         Some(_) => {
             note(&format!("{count} of {all} photographs are not there and are left out: {}", missing.join(", ")));
-            Ok(found)
+            Ok(entries)
         }
-        None => Ok(found),
+        None => Ok(entries),
     }
 }
 
 /// Each photograph once: a second frame of it would be trained on and held out.
-fn distinct<'a>(listed: Vec<Listed<'a>>, document: Object, note: &dyn Fn(&str)) -> Result<Vec<Listed<'a>>> {
+fn distinct<'a>(entries: Vec<Entry<'a>>, document: Object, note: &dyn Fn(&str)) -> Result<Vec<Entry<'a>>> {
     let mut places: HashMap<PathBuf, usize> = HashMap::new();
-    let (mut kept, mut again): (Vec<Listed>, Vec<String>) = (Vec::new(), Vec::new());
-    for frame in listed {
-        match places.get(&frame.path) {
-            Some(&place) if kept[place].pose == frame.pose => again.push(frame.written),
+    let (mut kept, mut again): (Vec<Entry>, Vec<String>) = (Vec::new(), Vec::new());
+    for entry in entries {
+        match places.get(&entry.picture.place) {
+            Some(&place) if kept[place].pose == entry.pose => again.push(entry.picture.written),
             Some(_) => {
                 return Err(document.error(&format!(
                     "\"frames\" has the photograph {} twice, with two poses: remove the wrong one",
-                    frame.path.display()
+                    entry.picture.place.display()
                 )));
             }
             None => {
-                places.insert(frame.path.clone(), kept.len());
-                kept.push(frame);
+                places.insert(entry.picture.place.clone(), kept.len());
+                kept.push(entry);
             }
         }
     }
@@ -123,8 +145,9 @@ fn distinct<'a>(listed: Vec<Listed<'a>>, document: Object, note: &dyn Fn(&str)) 
 }
 
 impl Frame {
-    /// The flag says that the photograph has an EXIF orientation which is not applied.
-    fn new(Listed { object, path, written, pose }: Listed, document: Object) -> Result<(Frame, bool)> {
+    /// The photograph of an entry, if it is there. The flag says that it has an EXIF orientation which is not applied.
+    fn find(Entry { object, picture, pose }: Entry, document: Object) -> Result<Option<(Frame, bool)>> {
+        let Picture { path: Some(path), written, .. } = picture else { return Ok(None) };
         let (stored, orientation) = images::header(&path)?;
         let turned = (stored.1, stored.0);
         let turns = orientation != Orientation::NoTransforms;
@@ -139,7 +162,7 @@ impl Frame {
             )));
         };
         let mask = mask::file_of(object, document)?;
-        Ok((Frame { path, written, pose, size, turn, lens, pinhole, mask }, turns && !applied))
+        Ok(Some((Frame { path, written, pose, size, turn, lens, pinhole, mask }, turns && !applied)))
     }
 
     /// Whether distortion is undone.
@@ -210,6 +233,13 @@ fn swaps(orientation: Orientation) -> bool {
     matches!(orientation, Rotate90 | Rotate90FlipH | Rotate270 | Rotate270FlipH)
 }
 
+/// Those of a list whose photographs are there, each with the pose and the name that it has among all.
+pub(in crate::data::formats) fn found(listed: Vec<Listed>) -> (Vec<Frame>, Vec<String>) {
+    let names = images::names(&listed.iter().map(|listed| listed.place.clone()).collect::<Vec<_>>());
+    let named = listed.into_iter().zip(names);
+    named.filter_map(|(Listed { pose, frame, .. }, name)| Some((Frame { pose, ..frame? }, name))).unzip()
+}
+
 /// The sizes that the frames' photographs are brought to.
 pub(in crate::data::formats) fn working_sizes(frames: &[&Frame], config: &DataConfig) -> Result<Vec<(usize, usize)>> {
     let sizes: Vec<(usize, usize)> = frames.iter().map(|frame| frame.size).collect();
@@ -217,9 +247,10 @@ pub(in crate::data::formats) fn working_sizes(frames: &[&Frame], config: &DataCo
     images::working_sizes(Size::of(config), &sizes, first)
 }
 
-/// The views of frames through their cameras, on `background`. The flag says whether anything was see-through.
+/// The views of frames, so called, through their cameras, on `background`. The flag says whether anything was see-through.
 pub(in crate::data::formats) fn views(
     frames: &[Frame],
+    names: &[String],
     cameras: &[Camera],
     background: [f32; 3],
     label: &str,
@@ -228,7 +259,6 @@ pub(in crate::data::formats) fn views(
     let sizes: Vec<(usize, usize)> = cameras.iter().map(|camera| (camera.width, camera.height)).collect();
     images::check_memory_of(&sizes)?;
     let paths: Vec<PathBuf> = frames.iter().map(|frame| frame.path.clone()).collect();
-    let names = images::names(&paths);
     let read = |i: usize, _: &Path| frames[i].view(names[i].clone(), cameras[i], background);
     let (views, clear): (Vec<View>, Vec<bool>) = images::each(&paths, label, events, read)?.into_iter().unzip();
     Ok((views, clear.contains(&true)))

@@ -88,7 +88,8 @@ impl Lens {
     /// another size (`w`, `h`) are scaled to it.
     pub(super) fn read(frame: Object, document: Object, stored: (usize, usize)) -> Result<Lens> {
         let keys = Keys { frame, document };
-        check_model(&keys)?;
+        check_model(frame, document)?;
+        check_coefficients(&keys)?;
         let size = [stored.0 as f64, stored.1 as f64];
         let stated = keys.stated(size)?;
         let scale = [size[0] / stated[0], size[1] / stated[1]];
@@ -133,20 +134,28 @@ fn distortion(keys: &Keys) -> Result<Distortion> {
     })
 }
 
-fn check_model(keys: &Keys) -> Result<()> {
-    let model = keys.frame.text("camera_model")?.or(keys.document.text("camera_model")?).unwrap_or("OPENCV");
-    let fisheye = |object: Object| object.get("is_fisheye").and_then(|v| v.as_bool()).unwrap_or(false);
-    let advice = "undistort the images first, for example with COLMAP's image_undistorter";
+const ADVICE: &str = "undistort the images first, for example with COLMAP's image_undistorter";
+
+/// Refuses lenses that are no pinholes, whatever their distortion.
+pub(in crate::data) fn check_model(frame: Object, document: Object) -> Result<()> {
+    const FISHEYE: &str = "is_fisheye";
+    let model = frame.text("camera_model")?.or(document.text("camera_model")?).unwrap_or("OPENCV");
     if !MODELS.contains(&model.to_ascii_uppercase().as_str()) {
-        let what = format!("\"camera_model\" is \"{model}\", but only {} are read; {advice}", MODELS.join(", "));
-        return Err(keys.frame.error(&what));
+        let what = format!("\"camera_model\" is \"{model}\", but only {} are read; {ADVICE}", MODELS.join(", "));
+        return Err(frame.error(&what));
     }
-    if fisheye(keys.frame) || fisheye(keys.document) {
-        return Err(keys.frame.error(&format!("\"is_fisheye\" is true, but only pinhole lenses are read; {advice}")));
+    for object in [frame, document] {
+        if object.truth(FISHEYE)? == Some(true) {
+            return Err(frame.error(&format!("\"{FISHEYE}\" is true, but only pinhole lenses are read; {ADVICE}")));
+        }
     }
+    Ok(())
+}
+
+fn check_coefficients(keys: &Keys) -> Result<()> {
     for key in UNSUPPORTED {
         if let Some(value) = keys.number(key)?.filter(|v| *v != 0.0) {
-            let what = format!("\"{key}\" is {value}, but of distortion only k1, k2, k3, p1 and p2 are read; {advice}");
+            let what = format!("\"{key}\" is {value}, but of distortion only k1, k2, k3, p1 and p2 are read; {ADVICE}");
             return Err(keys.frame.error(&what));
         }
     }

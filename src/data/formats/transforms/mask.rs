@@ -66,10 +66,12 @@ pub(super) fn read(
     Ok(kept)
 }
 
-/// 1 where a mask counts, 0 where it is black or clear.
+/// 1 where a mask counts, 0 where it is black or clear. Where values may have been lost on the way, as by JPEG, black has dark
+/// specks around it that are none of its author's: there what is brighter than half counts.
 fn counting(file: &Path) -> Result<Image> {
+    let darkest = if images::may_be_lossy(file)? { u16::MAX / 2 } else { 0 };
     let mask = images::decode(file)?.into_luma_alpha16();
     let (width, height) = (mask.width() as usize, mask.height() as usize);
-    let pixels = mask.pixels().map(|pixel| f32::from(u8::from(pixel.0[0] > 0 && pixel.0[1] > 0))).collect();
+    let pixels = mask.pixels().map(|pixel| f32::from(u8::from(pixel.0[0] > darkest && pixel.0[1] > 0))).collect();
     Ok(Image { width, height, channels: 1, pixels })
 }

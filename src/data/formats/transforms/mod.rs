@@ -14,8 +14,10 @@ mod lens;
 mod mask;
 mod split;
 
+use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
+pub(in crate::data) use lens::check_model;
 pub use split::{Role, is_named};
 
 use crate::base::{Error, Listener, Result};
@@ -24,8 +26,8 @@ use crate::data::images;
 use crate::data::pose::Pose;
 use crate::data::{Camera, Place, Scene, WorldToScene, background, name_of, path};
 use crate::settings::{DataConfig, DataKind, EvalSplit, Split};
-use frames::Frame;
-use split::Listing;
+use frames::{Frame, Listed};
+use split::{Listing, Roles};
 
 /// The file that makes a folder such a scene.
 pub const TRANSFORMS_FILE: &str = "transforms.json";
@@ -40,10 +42,57 @@ pub fn transforms_file(split: &str) -> String {
 pub const BOUNDS: [f64; 2] = [0.05, 6.0];
 
 /// Reads such a scene. Frames are sorted by file; the author's split is kept where there is one and `data.split` is not `every`,
-/// otherwise every `config.holdout`-th is held out.
+/// otherwise every `config.holdout`-th is held out. Where the scene lies and what a view is for hangs on all that are listed, also
+/// on those whose photographs are not there.
 pub fn load(config: &DataConfig, events: &dyn Listener) -> Result<Scene> {
-    let dir = Path::new(&config.dir);
-    let Listing { frames: mut all, named, ignored } = split::read(dir, events)?;
+    let Listing { frames: all, named, ignored } = split::read(Path::new(&config.dir), events)?;
+    let by_author = by_author(config, named)?;
+    let (mut listed, roles): (Vec<Listed>, Vec<Option<Role>>) = ordered(all, by_author, config)?.into_iter().unzip();
+    let world = match config.recentre {
+        true => WorldToScene::centre(&mut listed.iter_mut().map(|listed| &mut listed.pose).collect::<Vec<&mut Pose>>()),
+        false => WorldToScene::default(),
+    };
+    let path = path::around(&listed.iter().map(|listed| listed.pose).collect::<Vec<Pose>>());
+    let there: Vec<bool> = listed.iter().map(|listed| listed.frame.is_some()).collect();
+    let (frames, names) = frames::found(listed);
+    let targets = frames::working_sizes(&frames.iter().collect::<Vec<_>>(), config)?;
+    let cameras: Vec<Camera> = frames.iter().zip(targets).map(|(frame, size)| frame.camera(size, by_ratio)).collect();
+    let (views, clear) = frames::views(&frames, &names, &cameras, background(config), "reading images", events)?;
+    let first = cameras[0];
+    let (mut place, (near, far)) = Place::of_cameras(&cameras, world, BOUNDS);
+    notes(&mut place, &frames.iter().collect::<Vec<_>>(), &cameras, &ignored);
+    let capture = Capture {
+        views,
+        near,
+        far,
+        ndc: None,
+        background: clear.then(|| background(config)),
+        path: path.into_iter().map(|pose| Camera { pose, ..first }).collect(),
+        place,
+    };
+    let (name, kind) = (name_of(config), DataKind::Transforms.name());
+    if !by_author {
+        return Ok(capture.hold_out_listed(name, kind, config, &there));
+    }
+    let wanted = match config.eval_split {
+        EvalSplit::Test => Role::Test,
+        EvalSplit::Val => Role::Val,
+    };
+    if !roles.contains(&Some(wanted)) {
+        return Err(split::without(wanted, &config.dir, &roles));
+    }
+    let of = |wanted: Role| roles.iter().map(|role| *role == Some(wanted)).collect::<Vec<bool>>();
+    let (train, evaluated) = (of(Role::Train), of(wanted));
+    let found = |chosen: &[bool]| -> Vec<&Frame> {
+        let chosen = chosen.iter().zip(&there).filter(|(_, there)| **there);
+        frames.iter().zip(chosen).filter(|(_, (chosen, _))| **chosen).map(|(frame, _)| frame).collect()
+    };
+    frames::note_shared(&found(&train), &found(&evaluated), events);
+    Ok(capture.split_as(name, kind, config, &there, [&train, &evaluated]))
+}
+
+/// Whether the author's split is kept; `named` says that there is one.
+fn by_author(config: &DataConfig, named: bool) -> Result<bool> {
     let by_author = match config.split {
         Some(Split::Every) => false,
         None => named,
@@ -63,50 +112,31 @@ pub fn load(config: &DataConfig, events: &dyn Listener) -> Result<Scene> {
             config.dir
         )));
     }
-    all.sort_by(|a, b| a.0.path.cmp(&b.0.path));
-    if !by_author {
-        // Splits of their own files may share photographs.
-        all.dedup_by(|a, b| a.0.path == b.0.path);
+    Ok(by_author)
+}
+
+/// Frames by their files. Files of splits may share photographs, of which a split of another kind has each once.
+fn ordered(mut all: Roles, by_author: bool, config: &DataConfig) -> Result<Roles> {
+    all.sort_by_cached_key(|(listed, _)| (listed.order(), listed.place.clone()));
+    if by_author {
+        return Ok(all);
     }
-    let (mut frames, roles): (Vec<Frame>, Vec<Option<Role>>) = all.into_iter().unzip();
-    let world = match config.recentre {
-        true => WorldToScene::centre(&mut frames.iter_mut().map(|frame| &mut frame.pose).collect::<Vec<&mut Pose>>()),
-        false => WorldToScene::default(),
-    };
-    let targets = frames::working_sizes(&frames.iter().collect::<Vec<_>>(), config)?;
-    let cameras: Vec<Camera> = frames.iter().zip(targets).map(|(frame, size)| frame.camera(size, by_ratio)).collect();
-    let (views, clear) = frames::views(&frames, &cameras, background(config), "reading images", events)?;
-    let poses: Vec<Pose> = cameras.iter().map(|c| c.pose).collect();
-    let path = path::around(&poses);
-    let first = cameras[0];
-    let (mut place, (near, far)) = Place::of_cameras(&cameras, world, BOUNDS);
-    notes(&mut place, &frames.iter().collect::<Vec<_>>(), &cameras, &ignored);
-    let capture = Capture {
-        views,
-        near,
-        far,
-        ndc: None,
-        background: clear.then(|| background(config)),
-        path: path.into_iter().map(|pose| Camera { pose, ..first }).collect(),
-        place,
-    };
-    let (name, kind) = (name_of(config), DataKind::Transforms.name());
-    if !by_author {
-        return Ok(capture.hold_out(name, kind, config));
+    let mut poses: HashMap<PathBuf, Pose> = HashMap::new();
+    let mut kept = Vec::with_capacity(all.len());
+    for (listed, role) in all {
+        match poses.insert(listed.place.clone(), listed.pose) {
+            None => kept.push((listed, role)),
+            Some(other) if other == listed.pose => {}
+            Some(_) => {
+                return Err(Error::Data(format!(
+                    "{}: the transforms_*.json of its splits list the photograph {} twice, with two poses: remove the wrong one",
+                    config.dir,
+                    listed.place.display()
+                )));
+            }
+        }
     }
-    let wanted = match config.eval_split {
-        EvalSplit::Test => Role::Test,
-        EvalSplit::Val => Role::Val,
-    };
-    if !roles.contains(&Some(wanted)) {
-        return Err(split::without(wanted, &config.dir, &roles));
-    }
-    let of = |wanted: Role| -> Vec<&Frame> {
-        frames.iter().zip(&roles).filter(|(_, role)| **role == Some(wanted)).map(|(frame, _)| frame).collect()
-    };
-    frames::note_shared(&of(Role::Train), &of(wanted), events);
-    let placed = |wanted: Role| roles.iter().map(|role| *role == Some(wanted)).collect::<Vec<bool>>();
-    Ok(capture.split_as(name, kind, config, &placed(Role::Train), &placed(wanted)))
+    Ok(kept)
 }
 
 /// Rounded so since the first runs, whose hashes of data hang on it.

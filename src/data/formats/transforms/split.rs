@@ -4,7 +4,7 @@
 use std::collections::{BTreeSet, HashMap, HashSet};
 use std::path::Path;
 
-use super::frames::Frame;
+use super::frames::Listed;
 use super::{TRANSFORMS_FILE, frames, lens, mask, transforms_file};
 use crate::base::{Error, Listener, Result};
 use crate::data::json::{self, Object};
@@ -53,7 +53,7 @@ pub fn is_named(dir: &Path) -> Result<bool> {
 }
 
 /// A capture's frames, each with what its author wants of it; none where he wants nothing of it, or names no split.
-pub(super) type Roles = Vec<(Frame, Option<Role>)>;
+pub(super) type Roles = Vec<(Listed, Option<Role>)>;
 
 /// What a folder's files list.
 pub(super) struct Listing {
@@ -118,14 +118,15 @@ fn of_one_file(file: &Path, events: &dyn Listener) -> Result<Listing> {
             }
         }
     }
-    // What no list names is of the list that is not there.
+    // What no list names is of the list that is not there; of several that are not, of the first that a capture cannot do without.
     let rest = match &listed[..] {
         [None, ..] => Some(Role::Train),
-        [_, None, None] => Some(Role::Test),
+        [_, _, None] => Some(Role::Test),
+        [_, None, _] => Some(Role::Val),
         _ => None,
     };
-    let role = |frame: &Frame| roles.get(frame.written.as_str()).copied().or(rest);
-    let with_role = |frame: Frame| {
+    let role = |frame: &Listed| roles.get(frame.written.as_str()).copied().or(rest);
+    let with_role = |frame: Listed| {
         let role = role(&frame);
         (frame, role)
     };

@@ -1,0 +1,172 @@
+//! Moving pictures that grow by a frame at a time: GIF, and MP4 where there can be one. No frame stays in memory.
+
+use std::fs::File;
+use std::io::{BufWriter, Write};
+use std::path::{Path, PathBuf};
+
+use rayon::prelude::*;
+
+use super::film;
+use super::pictures::{check, on_paper, quantise, unwritable};
+use crate::base::files::write_atomic;
+use crate::base::{Image, Result};
+
+/// Sampling factor of the colour quantisation: 1 is best and slowest, 30 worst.
+const GIF_SPEED: i32 = 1;
+/// Shortest frame of a GIF in hundredths of a second; viewers slow down what is shorter.
+const GIF_SHORTEST: u64 = 2;
+
+/// What went wrong, without the file's name.
+type Shown<T> = std::result::Result<T, String>;
+
+/// A GIF that repeats for ever, each frame with 256 colours of its own.
+struct Gif<W: Write> {
+    encoder: gif::Encoder<W>,
+    size: (u16, u16),
+    /// Frames and their times: colours are sought for as many at once as there are threads.
+    waiting: Vec<(Vec<u8>, u16)>,
+}
+
+impl<W: Write> Gif<W> {
+    fn begin(writer: W, (width, height): (usize, usize)) -> Shown<Gif<W>> {
+        let side = |length: usize| u16::try_from(length).map_err(|_| format!("{length} pixels are too many for a GIF"));
+        let size = (side(width)?, side(height)?);
+        let encoder = gif::Encoder::new(writer, size.0, size.1, &[]);
+        let mut encoder = encoder.map_err(|error| error.to_string())?;
+        encoder.set_repeat(gif::Repeat::Infinite).map_err(|error| error.to_string())?;
+        Ok(Gif { encoder, size, waiting: Vec::new() })
+    }
+
+    /// A frame that stays so many hundredths of a second.
+    fn add(&mut self, frame: &Image, delay: u16) -> Shown<()> {
+        check(frame)?;
+        let (width, height) = self.size;
+        if (frame.width, frame.height) != (width.into(), height.into()) {
+            let (w, h) = (frame.width, frame.height);
+            return Err(format!("a frame has {w}x{h} pixels and the first has {width}x{height}"));
+        }
+        self.waiting.push((quantise(&on_paper(frame)), delay));
+        if self.waiting.len() < rayon::current_num_threads() { Ok(()) } else { self.write_waiting() }
+    }
+
+    fn write_waiting(&mut self) -> Shown<()> {
+        let (width, height) = self.size;
+        let coloured = |(rgb, delay): (Vec<u8>, u16)| gif::Frame {
+            delay,
+            ..gif::Frame::from_rgb_speed(width, height, &rgb, GIF_SPEED)
+        };
+        let frames: Vec<gif::Frame> = std::mem::take(&mut self.waiting).into_par_iter().map(coloured).collect();
+        frames.iter().try_for_each(|frame| self.encoder.write_frame(frame)).map_err(|error| error.to_string())
+    }
+
+    fn finish(mut self) -> Shown<W> {
+        self.write_waiting()?;
+        self.encoder.into_inner().map_err(|error| error.to_string())
+    }
+}
+
+/// Writes frames of one size as a GIF, each with a time of its own in hundredths of a second.
+///
+/// # Errors
+/// No frame, frames of several sizes or too large for a GIF; a file that cannot be written.
+pub fn write_timed_gif(path: &Path, frames: &[Image], delays: &[u16]) -> Result<()> {
+    let bytes = timed_gif(frames, delays).map_err(|reason| unwritable(path, &reason))?;
+    write_atomic(path, &bytes)
+}
+
+fn timed_gif(frames: &[Image], delays: &[u16]) -> Shown<Vec<u8>> {
+    let first = frames.first().ok_or("there is no frame")?;
+    let mut gif = Gif::begin(Vec::new(), (first.width, first.height))?;
+    frames.iter().zip(delays).try_for_each(|(frame, &delay)| gif.add(frame, delay))?;
+    gif.finish()
+}
+
+/// Hundredths of a second that frame `index` stays, from the rounded times of its start and end: frames differ by one where `fps`
+/// does not divide them, so that the whole has the right length.
+fn delay(index: usize, fps: f64) -> u16 {
+    let start = |index: usize| (index as f64 * 100.0 / fps).round() as u64;
+    let length = start(index + 1).saturating_sub(start(index));
+    length.clamp(GIF_SHORTEST, u16::MAX as u64) as u16
+}
+
+/// A film as `NAME.gif` and, unless [`without_mp4`](super::without_mp4) says why not, `NAME.mp4`, of which a kill leaves a part:
+/// write them into a folder that appears as a whole.
+pub struct Reel {
+    path: PathBuf,
+    gif: Gif<BufWriter<File>>,
+    mp4: Option<film::Mp4>,
+    fps: f64,
+    count: usize,
+}
+
+impl Reel {
+    /// A film of `frames` frames of `size` (width, height), so many a second; a GIF shows at most 50. `path` lacks the ending.
+    ///
+    /// # Errors
+    /// A rate that is not positive; frames too large for a GIF; a file that cannot be written.
+    pub fn begin(path: &Path, size: (usize, usize), frames: usize, fps: f64) -> Result<Reel> {
+        if !(fps.is_finite() && fps > 0.0) {
+            return Err(unwritable(path, &format!("the frame rate is {fps} and must be positive")));
+        }
+        let file = path.with_extension("gif");
+        let writer = File::create(&file).map_err(|error| unwritable(&file, &error.to_string()))?;
+        let gif = Gif::begin(BufWriter::new(writer), size).map_err(|reason| unwritable(&file, &reason))?;
+        let mp4 = film::without_mp4(size).is_none().then(|| film::Mp4::begin(size, frames, fps)).transpose();
+        let mp4 = mp4.map_err(|reason| unwritable(&path.with_extension("mp4"), &reason))?;
+        Ok(Reel { path: path.to_path_buf(), gif, mp4, fps, count: 0 })
+    }
+
+    /// The next frame.
+    ///
+    /// # Errors
+    /// A frame of another size; a file that cannot be written.
+    pub fn add(&mut self, frame: &Image) -> Result<()> {
+        let Reel { path, gif, mp4, fps, count } = self;
+        gif.add(frame, delay(*count, *fps)).map_err(|reason| unwritable(&path.with_extension("gif"), &reason))?;
+        if let Some(mp4) = mp4 {
+            mp4.add(frame).map_err(|reason| unwritable(&path.with_extension("mp4"), &reason))?;
+        }
+        *count += 1;
+        Ok(())
+    }
+
+    /// Writes what is left.
+    ///
+    /// # Errors
+    /// A file that cannot be written.
+    pub fn finish(self) -> Result<()> {
+        let [gif, mp4] = ["gif", "mp4"].map(|ending| self.path.with_extension(ending));
+        let mut writer = self.gif.finish().map_err(|reason| unwritable(&gif, &reason))?;
+        writer.flush().map_err(|error| unwritable(&gif, &error.to_string()))?;
+        match self.mp4 {
+            Some(film) => write_atomic(&mp4, &film.finish().map_err(|reason| unwritable(&mp4, &reason))?),
+            None => Ok(()),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn plain(width: usize, height: usize) -> Image {
+        Image { width, height, channels: 3, pixels: vec![0.0; 3 * width * height] }
+    }
+
+    #[test]
+    fn frame_times_add_up() {
+        let total: u64 = (0..48).map(|index| delay(index, 24.0) as u64).sum();
+        assert_eq!(total, 200);
+        assert_eq!(delay(0, 1000.0), 2);
+        assert_eq!(delay(0, 1e-9), u16::MAX);
+    }
+
+    #[test]
+    fn bad_frames_are_errors() {
+        let small = plain(1, 1);
+        assert!(timed_gif(&[], &[]).is_err());
+        assert!(timed_gif(&[small.clone(), plain(2, 1)], &[10, 10]).unwrap_err().contains("2x1"));
+        assert!(timed_gif(&[plain(70_000, 1)], &[10]).unwrap_err().contains("too many"));
+        assert!(Reel::begin(Path::new("never"), (1, 1), 1, 0.0).is_err());
+    }
+}

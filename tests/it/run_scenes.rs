@@ -1,0 +1,181 @@
+//! A run and its scene: read again as it was when the run began, by whatever version, or refused.
+
+use std::fs;
+use std::path::Path;
+
+use augnerf::data::Scene;
+use augnerf::run::{RunDir, load_scene, load_scene_of, settings_to_go_on};
+use augnerf::settings::{Config, DataKind, Extent, PixelOrigin, Resolved, Split, scene_name};
+use serde_json::json;
+use tempfile::TempDir;
+
+use crate::captures::Folder;
+use crate::colmap::arc;
+use crate::common::files::{json as read_json, text};
+use crate::common::program::{refuse, succeed};
+
+/// A draft for a scene's folder.
+fn draft(dir: &Path) -> Config {
+    let mut config = Config::default();
+    config.data.dir = dir.display().to_string();
+    config.data.downscale = Some(1);
+    config
+}
+
+/// What version 0.1.0 made of it: bounds are not filled in, pixels count from their corners.
+fn early(dir: &Path, kind: DataKind, [near, far]: [f64; 2]) -> Config {
+    let mut config = draft(dir);
+    (config.data.name, config.data.pixel_origin) = (scene_name(&config.data.dir), Some(PixelOrigin::Corner));
+    config.resolve(kind, Extent { near, far, domain: None, pixels: 16 }).unwrap().into_draft()
+}
+
+/// The folder of a run of these settings that has a checkpoint, and no `scene.json`: version 0.1.0 wrote none.
+fn begun(config: &Config) -> (TempDir, RunDir) {
+    let dir = TempDir::new().unwrap();
+    fs::write(dir.path().join("config.toml"), config.to_toml()).unwrap();
+    fs::create_dir_all(dir.path().join("checkpoints/step_000000002")).unwrap();
+    let run = RunDir::open(dir.path()).unwrap();
+    (dir, run)
+}
+
+fn again(run: &RunDir) -> (Resolved, Scene) {
+    load_scene_of(run, run.read_config().unwrap(), &()).unwrap()
+}
+
+fn train(data: &Path, out: &Path, further: &[&str]) {
+    let sets =
+        ["data.downscale=1", "field.width=16", "field.depth=2", "field.skips=[]", "train.rays=32", "eval.pictures=0"];
+    let sets = sets.iter().flat_map(|set| ["--set", set]);
+    let [data, out] = [data, out].map(|path| path.to_str().unwrap());
+    let train = ["train", "--data", data, "--preset", "smoke", "--out", out, "-q", "--set", "train.steps=2"];
+    succeed(&train.into_iter().chain(sets).chain(further.iter().copied()).collect::<Vec<&str>>());
+}
+
+#[test]
+fn a_scene_that_has_changed_is_refused_whatever_reads_the_run() {
+    let (folder, out) = (Folder::new(17), TempDir::new().unwrap());
+    folder.load(|_| {});
+    let run = out.path().join("run");
+    train(folder.path(), &run, &[]);
+    let (name, before) = (run.to_str().unwrap(), text(&run.join("metrics.json")));
+    let views = &read_json(&run.join("scene.json"))["views"];
+    assert_eq!(views["evaluated"], json!(["0", "16", "9"]), "every 8th by the files' names");
+    assert_eq!(views["trained"].as_array().unwrap().len(), 14);
+    succeed(&["eval", name, "-q"]);
+    succeed(&["eval", name, "-q", "--split", "train"]);
+    let refused = |words: &[&str]| {
+        for command in [&["eval"][..], &["render", "--frames", "1"], &["resume"], &["mesh", "--resolution", "8"]] {
+            refuse(&[command, &[name]].concat(), 3, &[&["scene.json", "--data"], words].concat());
+        }
+        assert_eq!(text(&run.join("metrics.json")), before);
+    };
+    let gone = folder.path().join("images/1.png");
+    let kept = fs::read(&gone).unwrap();
+    fs::remove_file(&gone).unwrap();
+    refused(&["trained on", "1 are gone (1)"]);
+    fs::write(&gone, kept).unwrap();
+    succeed(&["eval", name, "-q"]);
+    // Another pose moves all of them.
+    let sound = text(&folder.path().join("transforms.json"));
+    fs::write(folder.path().join("transforms.json"), sound.replacen("0.5]", "0.75]", 1)).unwrap();
+    refused(&["other coordinates"]);
+}
+
+/// It leaves its place, and no other view changes place or side.
+#[test]
+fn a_photograph_that_is_gone_moves_no_other() {
+    let folder = Folder::new(17);
+    let whole = folder.load(|_| {});
+    folder.remove(1);
+    let without = folder.load(|_| {});
+    let told = |views: &[augnerf::data::View]| {
+        let told = views.iter().filter(|view| view.name != "1").map(|view| (view.name.clone(), view.camera.pose));
+        told.collect::<Vec<_>>()
+    };
+    assert_eq!(whole.train.len(), without.train.len() + 1);
+    assert_eq!((told(&whole.train), told(&whole.test)), (told(&without.train), told(&without.test)));
+    assert_eq!(whole.place.world, without.place.world);
+    assert_eq!(whole.path.len(), without.path.len());
+    // A name is of the whole list, too.
+    let rename = |folder: Folder| {
+        let mut frames = folder.document()["frames"].clone();
+        fs::create_dir(folder.path().join("other")).unwrap();
+        fs::rename(folder.path().join("images/3.png"), folder.path().join("other/2.png")).unwrap();
+        frames[3]["file_path"] = "other/2.png".into();
+        folder.with("frames", frames)
+    };
+    let folder = rename(Folder::new(9));
+    let name = |scene: &Scene| scene.train.iter().chain(&scene.test).any(|view| view.name == "images_2");
+    assert!(name(&folder.load(|_| {})));
+    fs::remove_file(folder.path().join("other/2.png")).unwrap();
+    assert!(name(&folder.load(|_| {})));
+}
+
+/// Version 0.1.0 knew no bounds from cameras, no author's split and no orbits.
+#[test]
+fn runs_of_earlier_versions_keep_their_coordinates() {
+    let folder = Folder::new(17).with("test_filenames", json!(["images/3.png"]));
+    folder.load(|_| {});
+    let old = early(folder.path(), DataKind::Transforms, [0.05, 6.0]);
+    let (_dir, run) = begun(&old);
+    let (config, scene) = again(&run);
+    assert_eq!((scene.bounds(), scene.test.len(), config.hash()), ((0.05, 6.0), 3, old.hash()));
+    let (today, now) = load_scene(draft(folder.path()), &()).unwrap();
+    assert!(today.data.split == Some(Split::Own) && now.test.len() == 1 && now.bounds() != (0.05, 6.0));
+    // Of one that was killed before its first checkpoint nothing was trained.
+    let (killed, none) = begun(&old);
+    fs::remove_dir_all(killed.path().join("checkpoints")).unwrap();
+    assert_eq!(again(&none).1.bounds(), now.bounds());
+    // So does a run that goes on from it.
+    let next = settings_to_go_on(&run).unwrap();
+    assert_eq!((next.data.split, next.data.near, next.data.far), (Some(Split::Every), Some(0.05), Some(6.0)));
+    assert_eq!(load_scene(next, &()).unwrap().1.hash(), scene.hash());
+
+    let orbit = TempDir::new().unwrap();
+    arc(orbit.path(), 90.0);
+    let old = early(orbit.path(), DataKind::Llff, [0.0, 1.0]);
+    let (_dir, run) = begun(&old);
+    let (config, scene) = again(&run);
+    assert!(config.data.ndc && !config.data.spherify && scene.ndc.is_some() && config.hash() == old.hash());
+    assert!(load_scene(draft(orbit.path()), &()).unwrap().1.ndc.is_none());
+    assert!(load_scene(settings_to_go_on(&run).unwrap(), &()).unwrap().1.ndc.is_some());
+}
+
+/// What others are given tells nothing of where things lie here, and they name the scene.
+#[test]
+fn exported_weights_tell_no_folders() {
+    let (folder, out) = (Folder::new(9), TempDir::new().unwrap());
+    folder.load(|_| {});
+    let [run, file, back] = ["run", "a.safetensors", "back"].map(|name| out.path().join(name));
+    train(folder.path(), &run, &[]);
+    let [name, file, back] = [&run, &file, &back].map(|path| path.to_str().unwrap());
+    succeed(&["export", name, file, "-q"]);
+    let bytes = fs::read(file).unwrap();
+    let (_, header) = safetensors::SafeTensors::read_metadata(&bytes).unwrap();
+    let said = &header.metadata().as_ref().unwrap()["augnerf"];
+    assert!(!said.contains(folder.path().to_str().unwrap()), "{said}");
+    refuse(&["import", file, "--out", back], 2, &["data.dir"]);
+    succeed(&["import", file, "--out", back, "--data", folder.path().to_str().unwrap(), "-q"]);
+    succeed(&["eval", back, "-q"]);
+    let psnr = |run: &str| read_json(&Path::new(run).join("metrics.json"))["mean"]["psnr"].clone();
+    assert_eq!(psnr(back), psnr(name));
+}
+
+/// The same by commands: what is taken up again leaves a `scene.json` that says how it was.
+#[test]
+fn a_run_without_scene_json_goes_on_in_the_bounds_of_its_version() {
+    let (folder, out) = (Folder::new(17), TempDir::new().unwrap());
+    folder.load(|_| {});
+    let [run, next] = ["run", "next"].map(|name| out.path().join(name));
+    train(folder.path(), &run, &[]);
+    fs::remove_file(run.join("scene.json")).unwrap();
+    let name = run.to_str().unwrap();
+    succeed(&["eval", name, "-q"]);
+    succeed(&["resume", name, "-q"]);
+    let seen = read_json(&run.join("scene.json"));
+    assert_eq!((&seen["near"], &seen["far"]), (&json!(0.05), &json!(6.0)));
+    succeed(&["eval", name, "-q"]);
+    succeed(&["train", "--from", name, "--set", "train.steps=4", "--out", next.to_str().unwrap(), "-q"]);
+    let config: toml::Table = text(&next.join("config.toml")).parse().unwrap();
+    assert_eq!((config["data"]["near"].as_float(), config["data"]["far"].as_float()), (Some(0.05), Some(6.0)));
+}
