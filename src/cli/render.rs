@@ -188,8 +188,9 @@ fn views(viewer: Viewer, folder: &Path, console: &Console) -> Result<()> {
     let views = &viewer.scene.test;
     let pictures = Pictures::new(folder, viewer.scene, views.len());
     console.on(Event::Started { what: "rendering", parts: views.len() as u64 });
+    let painter = viewer.painter()?;
     for (index, view) in views.iter().enumerate() {
-        let rendered = viewer.render(&view.camera)?;
+        let rendered = viewer.render_with(&*painter, &view.camera)?;
         console.on(Event::Advanced);
         pictures.write(index, view, &rendered)?;
     }
@@ -227,8 +228,9 @@ fn path(viewer: Viewer, shots: &Shots, folder: &Path, console: &Console) -> Resu
     let Shots { cameras, fps } = shots;
     let mut pictures = PathPictures::begin(folder, viewer.scene, film_size(shots)?, cameras.len(), *fps)?;
     console.on(Event::Started { what: "rendering", parts: cameras.len() as u64 });
+    let painter = viewer.painter()?;
     for camera in cameras {
-        pictures.add(viewer.render(camera)?)?;
+        pictures.add(viewer.render_with(&*painter, camera)?)?;
         console.on(Event::Advanced);
     }
     pictures.finish()
