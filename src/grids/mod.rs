@@ -4,12 +4,16 @@
 //! a backward pass of its own whose sums have a fixed order, and a plain one in candle's terms for all else, which tests
 //! hold it to.
 
+pub mod march;
 pub mod mix;
 pub mod norm;
 pub mod over;
 pub mod planes;
 #[cfg(test)]
 pub(crate) mod reference;
+pub mod softplus;
 pub mod taps;
+pub mod trilinear;
 pub mod up;
 mod values;
+pub mod variation;

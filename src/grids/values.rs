@@ -3,6 +3,7 @@
 use std::ops::Deref;
 
 use candle_core::{CpuStorage, Layout, Result, Storage, Tensor, WithDType};
+use rayon::prelude::*;
 
 /// A tensor's values, readable while this lives.
 pub(super) struct Values<'a> {
@@ -31,4 +32,37 @@ pub(super) fn slice<'a, T: WithDType>(storage: &'a CpuStorage, layout: &Layout) 
         Some((start, end)) => Ok(&T::cpu_storage_as_slice(storage)?[start..end]),
         None => candle_core::bail!("this operation needs contiguous arguments, got {layout:?}"),
     }
+}
+
+/// Runs a block with `T` as the kind of number, f32 or f64.
+macro_rules! each_kind {
+    ($dtype:expr, $kind:ident => $work:block) => {
+        match $dtype {
+            candle_core::DType::F32 => {
+                type $kind = f32;
+                $work
+            }
+            candle_core::DType::F64 => {
+                type $kind = f64;
+                $work
+            }
+            other => candle_core::bail!("this operation is of f32 and f64, not {other:?}"),
+        }
+    };
+}
+
+pub(super) use each_kind;
+
+/// The sum of parts in their order, of `count` numbers each.
+pub(super) fn summed<T: WithDType>(parts: Vec<Vec<T>>, count: usize) -> Vec<T> {
+    const BLOCK: usize = 1 << 14;
+    let mut parts = parts.into_iter();
+    let mut total = parts.next().unwrap_or_else(|| vec![T::zero(); count]);
+    let rest: Vec<Vec<T>> = parts.collect();
+    total.par_chunks_mut(BLOCK).enumerate().for_each(|(block, total)| {
+        for part in &rest {
+            total.iter_mut().zip(&part[block * BLOCK..]).for_each(|(total, value)| *total += *value);
+        }
+    });
+    total
 }

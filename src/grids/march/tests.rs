@@ -1,0 +1,250 @@
+#![allow(clippy::needless_range_loop, reason = "rows of several tables are counted")]
+
+use super::*;
+use crate::grids::reference::{check_differences, error, fixture, on_any_threads, ramp, values};
+use candle_core::Var;
+
+fn lines(origins: &Tensor, directions: &Tensor) -> Arc<[Line]> {
+    let rows = |tensor: &Tensor| tensor.to_vec2::<f64>().unwrap().into_iter().map(|row| [row[0], row[1], row[2]]);
+    rows(origins).zip(rows(directions)).map(|(origin, direction)| Line { origin, direction }).collect()
+}
+
+/// `[1, channels, z, y, x]` with channels last.
+fn channels_last(grid: &Tensor) -> Tensor {
+    grid.squeeze(0).unwrap().permute([1, 2, 3, 0]).unwrap().contiguous().unwrap()
+}
+
+fn reference_march() -> March {
+    let lines = lines(&fixture("nv.march.o"), &fixture("nv.march.u"));
+    March { lines, step: values(&fixture("nv.march.dt"))[0], pace: Pace::Even }
+}
+
+fn reference_grids() -> [Var; 2] {
+    ["nv.march.template", "nv.march.warp"].map(|name| Var::from_tensor(&channels_last(&fixture(name))).unwrap())
+}
+
+/// Rays in all directions around and in the box, some of them beside it.
+fn drawn(rays: usize, pace: Pace) -> March {
+    let origins = (ramp(&[rays, 3], 0.2) * 2.5).unwrap();
+    let towards = ((ramp(&[rays, 3], 1.1) * 0.9).unwrap() - &origins).unwrap();
+    let unit = towards.broadcast_div(&towards.sqr().unwrap().sum_keepdim(1).unwrap().sqrt().unwrap()).unwrap();
+    March { lines: lines(&origins, &unit), step: 0.13, pace }
+}
+
+const DRAWN: Pace = Pace::Drawn { jitter: 0.3, seed: 4, step: 7 };
+
+/// A volume of which rays are filled or not, and a warp near the identity.
+fn grids() -> [Tensor; 2] {
+    let template = ((ramp(&[5, 6, 4, 4], 0.5) + 1.02).unwrap() * 0.9).unwrap();
+    let at = |n: usize, i: usize| -1.0 + 2.0 * i as f64 / (n as f64 - 1.0);
+    let identity = (0..27).flat_map(|i| [at(3, i % 3), at(3, i / 3 % 3), at(3, i / 9)]).collect::<Vec<f64>>();
+    let warp = (Tensor::from_vec(identity, (3, 3, 3, 3), &Device::Cpu).unwrap() * 0.8).unwrap();
+    [template, (warp + (ramp(&[3, 3, 3, 3], 0.1) * 0.05).unwrap()).unwrap()]
+}
+
+/// Result and gradients of `sum(out * cotangent)` in template and warp.
+fn all_of(march: &March, grids: [Tensor; 2], plain: bool) -> Vec<Tensor> {
+    let [template, warp] = grids.each_ref().map(|grid| Var::from_tensor(grid).unwrap());
+    let out = match plain {
+        true => march.plain(&template, Some(warp.as_tensor())).unwrap(),
+        false => march.forward(&template, Some(warp.as_tensor())).unwrap(),
+    };
+    let cotangent = ramp(&[march.lines.len(), 5], 0.6).to_dtype(out.dtype()).unwrap();
+    let gradients = (&out * cotangent).unwrap().sum_all().unwrap().backward().unwrap();
+    vec![out, gradients.get(&template).unwrap().clone(), gradients.get(&warp).unwrap().clone()]
+}
+
+/// Asserts that positions and values of all samples are the original's, to 1e-9 of their size.
+pub(crate) fn check_samples(march: &March, template: &Tensor, warp: &Tensor, name: &str) {
+    let sides =
+        |grid: &Tensor| Lattice { sides: [grid.dims()[0], grid.dims()[1], grid.dims()[2]], outside: Outside::Zeros };
+    let operation = Marched { march: march.clone(), template: sides(template), warp: Some(sides(warp)) };
+    let (template, warp) = (values(template), values(warp));
+    let expected = |what: &str| fixture(&format!("{name}.samples.{what}")).to_vec3::<f64>().unwrap();
+    let alpha = fixture(&format!("{name}.samples.alpha")).to_vec2::<f64>().unwrap();
+    let (points, rgb) = (expected("points"), expected("rgb"));
+    let mut compared = 0;
+    for ray in 0..points.len() {
+        let mut mine = Vec::new();
+        operation.follow(ray, &template, &warp, |sample| mine.push(sample));
+        let is_inside = |k: &usize| is_inside([points[ray][*k][0], points[ray][*k][1], points[ray][*k][2]]);
+        for (sample, k) in mine.iter().zip((0..points[ray].len()).filter(is_inside)) {
+            let at = march.lines[ray].at(sample.t);
+            let theirs = [&points[ray][k][..], &rgb[ray][k][..], &alpha[ray][k..=k]].concat();
+            for (a, b) in at.iter().chain(&sample.value).zip(theirs) {
+                assert!((a - b).abs() < 1e-9 * b.abs().max(1.0), "{name}, ray {ray}, sample {k}: {a} {b}");
+            }
+            compared += 1;
+        }
+    }
+    assert!(compared > 20, "{compared}");
+}
+
+#[test]
+fn samples_are_the_originals() {
+    let [template, warp] = reference_grids();
+    check_samples(&reference_march(), &template, &warp, "nv.march");
+}
+
+/// The closed form against the original's gradients in each sample's colour and opacity, and its rays.
+#[test]
+fn sample_gradients_are_the_originals() {
+    let march = reference_march();
+    let read = |what: &str| fixture(&format!("nv.march.{what}")).to_vec2::<f64>().unwrap();
+    let (background, cotangent, d_alpha) = (read("bg"), read("plain.cotangent"), read("plain.grad.alpha"));
+    let rows = |what: &str| fixture(&format!("nv.march.{what}")).to_vec3::<f64>().unwrap();
+    let (points, rgb, d_rgb) = (rows("samples.points"), rows("samples.rgb"), rows("plain.grad.rgb"));
+    let alpha = read("samples.alpha");
+    let place = Lattice { sides: [2; 3], outside: Outside::Zeros };
+    for ray in 0..6 {
+        let (mut samples, mut which, mut sum) = (Vec::new(), Vec::new(), 0.0);
+        for k in 0..15 {
+            let [x, y, z] = [0, 1, 2].map(|axis| points[ray][k][axis]);
+            if !is_inside([x, y, z]) || sum >= 1.0 {
+                // What lies outside, or behind a full ray, pulls nothing.
+                assert!(d_alpha[ray][k] == 0.0 && d_rgb[ray][k].iter().all(|d| *d == 0.0), "ray {ray}, sample {k}");
+                continue;
+            }
+            let full = sum + alpha[ray][k] * march.step;
+            let [r, g, b] = [0, 1, 2].map(|channel| rgb[ray][k][channel]);
+            let value = [r, g, b, alpha[ray][k]];
+            let (before, fills) = (sum, full > 1.0);
+            sum = full.min(1.0);
+            let place = place.place([0.0; 3]);
+            samples.push(Sample { t: 0.0, step: march.step, warped: None, place, value, before, after: sum, fills });
+            which.push(k);
+        }
+        // The background shows through what is left.
+        let acc = -(0..3).map(|channel| cotangent[ray][channel] * background[ray][channel].max(0.0)).sum::<f64>();
+        let gradient = [&cotangent[ray][..], &[acc, 0.0]].concat();
+        for (pull, k) in pulls(&samples, &gradient).zip(which) {
+            assert!(
+                (pull[3] - d_alpha[ray][k]).abs() < 1e-10,
+                "ray {ray}, sample {k}: {} {}",
+                pull[3],
+                d_alpha[ray][k]
+            );
+            (0..3).for_each(|c| assert!((pull[c] - d_rgb[ray][k][c]).abs() < 1e-12, "ray {ray}, sample {k}"));
+        }
+    }
+}
+
+/// Colours, losses and all gradients of the original's march through given grids, colour calibration included.
+#[test]
+fn rays_and_gradients_are_the_originals() {
+    let march = reference_march();
+    let [template, warp] = reference_grids();
+    let background = Var::from_tensor(&fixture("nv.march.bg")).unwrap();
+    let calibration = Var::from_tensor(&fixture("nv.march.calibration")).unwrap();
+    let out = march.forward(&template, Some(warp.as_tensor())).unwrap();
+    let (rgb, acc) = (out.narrow(1, 0, 3).unwrap(), out.narrow(1, 3, 1).unwrap());
+    let behind = (1.0 - &acc).unwrap().broadcast_mul(&background.relu().unwrap()).unwrap();
+    let plain = (&rgb + &behind).unwrap();
+    assert!(error(&plain, &fixture("nv.march.plain.rgb")) < 1e-12);
+    assert!(error(&acc, &fixture("nv.march.plain.acc")) < 1e-12);
+    // Rays 0..3 are camera a's, 3..6 camera b's.
+    let of = |what: usize| {
+        let each = calibration.narrow(1, what, 1).unwrap().broadcast_as((2, 3, 3)).unwrap();
+        each.contiguous().unwrap().reshape((6, 3)).unwrap()
+    };
+    let shown = (((rgb * of(0)).unwrap() + of(1)).unwrap() + behind).unwrap();
+    assert!(error(&shown, &fixture("nv.march.rgb")) < 1e-12);
+    assert!(error(&acc, &fixture("nv.march.acc")) < 1e-12);
+    let image = ((shown - fixture("nv.march.target")).unwrap() / 25.0).unwrap().sqr().unwrap().mean_all().unwrap();
+    let prior = ((&acc + 0.1).unwrap().log().unwrap() + (1.1 - &acc).unwrap().log().unwrap()).unwrap();
+    let prior = (prior.mean_all().unwrap() + 2.20727).unwrap();
+    assert!(error(&image, &fixture("nv.march.irgbmse")) < 1e-12);
+    assert!(error(&prior, &fixture("nv.march.alphapr").flatten_all().unwrap().mean(0).unwrap()) < 1e-12);
+    let loss = (image + (prior * 0.01).unwrap()).unwrap();
+    assert!(error(&loss, &fixture("nv.march.loss")) < 1e-12);
+    let gradients = loss.backward().unwrap();
+    let of = |var: &Var| gradients.get(var).unwrap().clone();
+    let channels_last = |name: &str| channels_last(&fixture(name));
+    let error_of_template = error(&of(&template), &channels_last("nv.march.grad.template"));
+    assert!(error_of_template < 1e-6, "{error_of_template}");
+    assert!(error(&of(&warp), &channels_last("nv.march.grad.warp")) < 1e-11);
+    for (camera, name) in ["a", "b"].into_iter().enumerate() {
+        let expected = |what: &str| fixture(&format!("nv.march.grad.{what}"));
+        let bg = expected(&format!("bg.{name}")).squeeze(1).unwrap().t().unwrap();
+        assert!(error(&of(&background).narrow(0, 3 * camera, 3).unwrap(), &bg) < 1e-12);
+        for (what, part) in [(0, "weight"), (1, "bias")] {
+            let expected = expected(&format!("calibration.{name}.{part}")).flatten_all().unwrap();
+            let found = of(&calibration).get(camera).unwrap().get(what).unwrap();
+            assert!(error(&found, &expected) < 1e-11, "{name} {part}");
+        }
+    }
+}
+
+#[test]
+fn fast_marches_are_the_plain_ones_on_any_number_of_threads() {
+    for (march, name) in [(drawn(150, Pace::Even), "even"), (drawn(150, DRAWN), "drawn")] {
+        let plain = all_of(&march, grids(), true);
+        let full = values(&plain[0].narrow(1, 3, 1).unwrap()).iter().filter(|acc| **acc == 1.0).count();
+        assert!((20..130).contains(&full), "{full} rays are full");
+        let double = all_of(&march, grids(), false);
+        let single = grids().map(|grid| grid.to_dtype(DType::F32).unwrap());
+        let fast = on_any_threads(|| all_of(&march, single.clone(), false));
+        for index in 0..3 {
+            let of = |found: &[Tensor]| error(&found[index], &plain[index]);
+            assert!(of(&double) < 1e-11, "{name} {index}: {}", of(&double));
+            assert!(of(&fast) < 2e-4, "{name} {index}, in f32: {}", of(&fast));
+        }
+    }
+}
+
+#[test]
+fn gradients_are_those_of_differences() {
+    let march = drawn(7, DRAWN);
+    let [template, warp] = grids().map(|grid| Var::from_tensor(&grid).unwrap());
+    let cotangent = ramp(&[7, 5], 0.6);
+    check_differences(&[template.clone(), warp.clone()], 1e-6, || {
+        let out = march.forward(&template, Some(warp.as_tensor())).unwrap();
+        (out * &cotangent).unwrap().sum_all().unwrap()
+    });
+}
+
+/// A box of one opacity and colour: accumulation is opacity times length until it is 1, to a step.
+#[test]
+fn accumulation_is_opacity_times_length() {
+    let cells = Tensor::new(&[0.2, 0.4, 0.6, 0.45], &Device::Cpu).unwrap();
+    // Two voxels beyond, so that nothing fades within the box.
+    let template = cells.reshape((1, 1, 1, 4)).unwrap().broadcast_as((4, 4, 4, 4)).unwrap().contiguous().unwrap();
+    let slant = [1.0 / 3.0, 2.0 / 3.0, 2.0 / 3.0];
+    let rays = [
+        ([-3.0, 0.1, 0.2], [1.0, 0.0, 0.0], 2.0),
+        ([0.0; 3], slant, 1.5),
+        ([-1.0; 3], slant, 3.0),
+        ([3.0, 3.0, 0.0], [1.0, 0.0, 0.0], 0.0),
+    ];
+    let lines: Arc<[Line]> = rays.iter().map(|&(origin, direction, _)| Line { origin, direction }).collect();
+    let step = 1e-3;
+    let out = March { lines, step, pace: Pace::Even }.forward(&template, None).unwrap().to_vec2::<f64>().unwrap();
+    for (found, (_, _, length)) in out.iter().zip(rays) {
+        let acc = f64::min(0.45 * length, 1.0);
+        assert!((found[3] - acc).abs() <= 0.45 * step, "{found:?}");
+        (0..3).for_each(|c| assert!((found[c] - found[3] * [0.2, 0.4, 0.6][c]).abs() < 1e-9, "{found:?}"));
+    }
+    assert_eq!(out[2][3], 1.0, "the diagonal one is full");
+}
+
+/// A ball: accumulation is opacity times the chord, to the width of a voxel and a step.
+#[test]
+fn a_ball_is_as_opaque_as_its_chords_are_long() {
+    let (side, radius, opacity) = (65usize, 0.6, 0.7);
+    let voxel = 2.0 / (side as f64 - 1.0);
+    let at = |i: usize| -1.0 + i as f64 * voxel;
+    let cells = (0..side * side * side).flat_map(|cell| {
+        let [x, y, z] = [at(cell % side), at(cell / side % side), at(cell / (side * side))];
+        let inside = (0.5 + (radius - (x * x + y * y + z * z).sqrt()) / voxel).clamp(0.0, 1.0);
+        [1.0, 1.0, 1.0, opacity * inside]
+    });
+    let template = Tensor::from_vec(cells.collect::<Vec<f64>>(), (side, side, side, 4), &Device::Cpu).unwrap();
+    let heights = [0.0, 0.2, 0.4, 0.7];
+    let lines = heights.iter().map(|y| Line { origin: [-2.0, *y, 0.1], direction: [1.0, 0.0, 0.0] }).collect();
+    let march = March { lines, step: 0.01, pace: Pace::Even };
+    let out = march.forward(&template, None).unwrap().to_vec2::<f64>().unwrap();
+    for (found, y) in out.iter().zip(heights) {
+        let half = (radius * radius - y * y - 0.01f64).max(0.0).sqrt();
+        assert!((found[3] - (opacity * 2.0 * half).min(1.0)).abs() < opacity * (voxel + 0.01), "{y}: {found:?}");
+    }
+}
