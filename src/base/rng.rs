@@ -32,8 +32,10 @@ pub enum Stream {
     Regularizer,
     /// Points on meshes that are compared.
     Surface,
-    /// Where marched rays start.
+    /// Where marched rays start, and their steps.
     March,
+    /// Codes that decoders read.
+    Code,
     /// Values of a sweep's random axes.
     Axis,
     /// Choices among a scene's views.
@@ -53,7 +55,7 @@ impl Stream {
             Stream::Regularizer => 7,
             Stream::Surface => 8,
             Stream::March => 9,
-            // 10 is spoken for: codes.
+            Stream::Code => 10,
             Stream::Axis => 11,
             Stream::Views => 12,
         }

@@ -19,6 +19,7 @@ mod learner;
 mod painter;
 mod planes;
 mod srn;
+mod volume;
 
 pub use batches::{Batch, Batches};
 pub use diagnostics::{SiteDiagnostics, SiteSummary};
@@ -28,6 +29,7 @@ pub use learner::{Learned, Learner, LogColumns, Term, UnlessStopped};
 pub use painter::{Painted, Painter};
 pub use planes::{MpiNetwork, PlanesLearner, PlanesPainter};
 pub use srn::{March, Srn, SrnLearner, SrnPainter};
+pub use volume::{NeuralVolume, VolumeDensity, VolumeLearner, VolumePainter};
 
 /// The parameters of one experiment. The one place that tells methods apart.
 #[derive(Clone)]
@@ -36,6 +38,8 @@ pub enum Model {
     Fields(Fields),
     /// Scene Representation Networks.
     Srn(Srn),
+    /// Neural Volumes.
+    Volume(NeuralVolume),
     /// The network of LLFF, trained on the scene.
     Planes(MpiNetwork),
 }
@@ -68,7 +72,11 @@ impl Model {
                 let learner = model.learner(config, scene, dtype, device)?;
                 Ok(Start { model, learner, redraws: vec![0] })
             }
-            Representation::Volume => Err(not_here(config)),
+            Representation::Volume => {
+                let model = Model::Volume(NeuralVolume::init(config, dtype, device)?);
+                let learner = model.learner(config, scene, dtype, device)?;
+                Ok(Start { model, learner, redraws: vec![0] })
+            }
             Representation::Planes => {
                 let network = MpiNetwork::init(config, dtype, device)?;
                 let learner = PlanesLearner::start(config, scene, network.clone())?;
@@ -82,7 +90,7 @@ impl Model {
         match config.representation() {
             Representation::Nerf | Representation::MipNerf | Representation::HashNerf => Fields::roles(config),
             Representation::Srn => vec!["srn"],
-            Representation::Volume => Vec::new(),
+            Representation::Volume => vec!["volume"],
             Representation::Planes => vec!["planes"],
         }
     }
@@ -94,7 +102,7 @@ impl Model {
                 Fields::parameter_names(config)
             }
             Representation::Srn => Srn::parameter_names(&config.srn),
-            Representation::Volume => Vec::new(),
+            Representation::Volume => NeuralVolume::parameter_names(config),
             Representation::Planes => MpiNetwork::parameter_names(config),
         }
     }
@@ -106,7 +114,7 @@ impl Model {
                 Ok(Model::Fields(Fields::from_parameters(config, values)?))
             }
             Representation::Srn => Ok(Model::Srn(Srn::from_parameters(&config.srn, values)?)),
-            Representation::Volume => Err(not_here(config)),
+            Representation::Volume => Ok(Model::Volume(NeuralVolume::from_parameters(config, values)?)),
             Representation::Planes => Ok(Model::Planes(MpiNetwork::from_parameters(config, values)?)),
         }
     }
@@ -116,6 +124,7 @@ impl Model {
         match self {
             Model::Fields(fields) => fields.variables(),
             Model::Srn(srn) => srn.variables().to_vec(),
+            Model::Volume(volume) => volume.variables(),
             Model::Planes(network) => network.variables(),
         }
     }
@@ -125,6 +134,7 @@ impl Model {
         Ok(match self {
             Model::Fields(fields) => Box::new(FieldLearner::new(config, scene, fields.clone(), dtype, device)?),
             Model::Srn(srn) => Box::new(SrnLearner::new(config, scene, srn.clone(), dtype, device)?),
+            Model::Volume(volume) => Box::new(VolumeLearner::new(config, scene, volume.clone(), dtype, device)?),
             Model::Planes(network) => Box::new(PlanesLearner::new(config, scene, network.clone())?),
         })
     }
@@ -134,6 +144,7 @@ impl Model {
         Ok(match self {
             Model::Fields(fields) => Box::new(FieldPainter::new(fields, config, scene)?),
             Model::Srn(srn) => Box::new(SrnPainter::new(srn)?),
+            Model::Volume(volume) => Box::new(VolumePainter::new(volume, config, scene)?),
             Model::Planes(network) => Box::new(network.painter(config, scene)?),
         })
     }
@@ -146,6 +157,7 @@ impl Model {
         Ok(match self {
             Model::Fields(fields) => Box::new(FieldDensity::new(fields.evaluated())?),
             Model::Srn(_) => return Err(lacking(Representation::Srn, Ability::Density, "there is no density")),
+            Model::Volume(volume) => Box::new(VolumeDensity::new(volume)?),
             Model::Planes(_) => return Err(lacking(Representation::Planes, Ability::Density, "there is no density")),
         })
     }
@@ -158,14 +170,10 @@ impl Model {
         match self {
             Model::Fields(fields) => Ok(fields),
             Model::Srn(_) => Err(lacking(Representation::Srn, Ability::Samples, "there are no radiance fields")),
+            Model::Volume(_) => Err(lacking(Representation::Volume, Ability::Samples, "there are no radiance fields")),
             Model::Planes(_) => Err(lacking(Representation::Planes, Ability::Samples, "there are no radiance fields")),
         }
     }
-}
-
-/// Of a method that is known and not yet trained here.
-fn not_here(config: &Config) -> Error {
-    Error::Config(format!("method = \"{}\" is not trained by this program yet", config.method.name()))
 }
 
 /// Of a question to a model whose representation has no answer: `what` is asked for.

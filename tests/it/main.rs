@@ -55,6 +55,7 @@ mod training;
 mod typeset;
 mod verify;
 mod views;
+mod volumes;
 
 /// Counts what is taken, for the tests that bound it.
 #[global_allocator]
