@@ -25,7 +25,7 @@ pub struct TapProduct {
     reversed: Arc<Plan>,
     /// Where each matrix of the weights stands in the convolution's kernel, along z, y, x.
     kernel: Vec<[usize; 3]>,
-    slope: f32,
+    slope: f64,
 }
 
 impl TapProduct {
@@ -48,7 +48,7 @@ impl TapProduct {
     }
 
     /// The same with negative results times `slope`, a positive number (a leaky ReLU).
-    pub fn leaky(self, slope: f32) -> TapProduct {
+    pub fn leaky(self, slope: f64) -> TapProduct {
         TapProduct { slope, ..self }
     }
 
@@ -91,7 +91,7 @@ impl TapProduct {
 
     /// The same in candle's own operations.
     pub fn plain(&self, x: &Tensor, weight: &Tensor, bias: &Tensor) -> Result<Tensor> {
-        plain::product(&self.plan, f64::from(self.slope), x, weight, bias)
+        plain::product(&self.plan, self.slope, x, weight, bias)
     }
 }
 
@@ -121,7 +121,7 @@ impl CustomOp3 for Fast {
         let bias = slice::<f32>(bias, bias_layout)?;
         let TapProduct { plan, slope, .. } = &self.product;
         let (channels, outputs) = (x_layout.dims()[3], bias.len());
-        let finish = |rows: &mut [f32]| product::add_bias(rows, bias, *slope);
+        let finish = |rows: &mut [f32]| product::add_bias(rows, bias, *slope as f32);
         let out = product::product(plan, x, channels, &Right::Straight(weight), outputs, &finish);
         let [z, y, x] = plan.sides;
         Ok((CpuStorage::F32(plan.woven(out, outputs)), Shape::from((z, y, x, outputs))))
@@ -138,7 +138,7 @@ impl CustomOp3 for Fast {
         let TapProduct { plan, reversed, slope, .. } = &self.product;
         let (channels, outputs) = (x.dim(3)?, bias.elem_count());
         let gradient = gradient.contiguous()?;
-        let d_rows = plan.unwoven(Values::of(&gradient).slice()?, Values::of(out).slice()?, outputs, *slope);
+        let d_rows = plan.unwoven(Values::of(&gradient).slice()?, Values::of(out).slice()?, outputs, *slope as f32);
         let like = |values: Vec<f32>, tensor: &Tensor| Tensor::from_vec(values, tensor.shape(), &Device::Cpu);
         let d_x = self.wants_x.then(|| {
             let weight = Values::of(weight);

@@ -35,7 +35,7 @@ impl NeuralVolume {
         let doublings = self.sizes.channels.len() - 1;
         for index in 0..doublings {
             let product = TapProduct::transposed([1 << index; 3]);
-            let product = if index + 1 < doublings { product.leaky(SLOPE as f32) } else { product };
+            let product = if index + 1 < doublings { product.leaky(SLOPE) } else { product };
             let [weight, bias] = next(&mut layers);
             volume = product.forward(&volume, weight, bias)?;
         }
