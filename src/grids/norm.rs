@@ -294,7 +294,7 @@ impl<T: Number> Back<'_, T> {
 /// A gradient behind the ReLU, where there is one.
 #[inline(always)]
 fn masked<T: Number>(dy: T, y: T, relu: bool) -> T {
-    if relu && !(y > T::ZERO) { T::ZERO } else { dy }
+    if !relu || y > T::ZERO { dy } else { T::ZERO }
 }
 
 /// A block of whole rows.

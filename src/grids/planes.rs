@@ -62,7 +62,7 @@ pub fn corners([column, row]: [f64; 2], width: usize, height: usize) -> [Corner;
 /// Places of another number of planes; those of candle.
 pub fn plane_sample(planes: &Tensor, places: Arc<Places>) -> Result<Tensor> {
     let (count, _, _, _) = planes.dims4()?;
-    if count != places.planes || places.of_rays.len() % count.max(1) != 0 {
+    if count != places.planes || !places.of_rays.len().is_multiple_of(count.max(1)) {
         candle_core::bail!("plane sample: {count} planes and places of {}", places.planes);
     }
     planes.contiguous()?.apply_op1(PlaneSample { places })

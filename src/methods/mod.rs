@@ -33,6 +33,7 @@ pub use volume::{NeuralVolume, VolumeDensity, VolumeLearner, VolumePainter};
 
 /// The parameters of one experiment. The one place that tells methods apart.
 #[derive(Clone)]
+#[expect(clippy::large_enum_variant, reason = "a run has one, and never moves it often")]
 pub enum Model {
     /// NeRF and MipNeRF, augmented or not.
     Fields(Fields),

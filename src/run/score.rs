@@ -329,8 +329,8 @@ fn protocol(
             let background = background.map_or("", |colour| if colour == [1.0; 3] { "white" } else { "black" });
             let known = [
                 ("protocol", PROTOCOL.to_string()),
-                ("width", sides(sizes.iter().map(|(width, _)| *width as usize))),
-                ("height", sides(sizes.iter().map(|(_, height)| *height as usize))),
+                ("width", sides(sizes.iter().map(|(width, _)| *width))),
+                ("height", sides(sizes.iter().map(|(_, height)| *height))),
                 ("background", background.to_string()),
                 ("views_evaluated", pairs.len().to_string()),
             ];

@@ -41,7 +41,9 @@ fn colours_are_weighed_by_the_reference_s_slopes() {
 fn gradients_are_central_differences() {
     let raw = Var::from_tensor(&(ramp(&[2, 2, 3], 0.3) * 3.0).unwrap()).unwrap();
     let (sweep, cotangent) = (ramp(&[2, 2, 9], 0.8), ramp(&[2, 2, 4], 0.1));
-    check_differences(&[raw.clone()], 1e-8, || (mix(&raw, &sweep).unwrap() * &cotangent).unwrap().sum_all().unwrap());
+    check_differences(std::slice::from_ref(&raw), 1e-8, || {
+        (mix(&raw, &sweep).unwrap() * &cotangent).unwrap().sum_all().unwrap()
+    });
 }
 
 #[test]

@@ -42,7 +42,9 @@ fn an_opaque_plane_is_all_that_is_seen() {
 fn gradients_are_central_differences() {
     let planes = Var::from_tensor(&planes(&[3, 5, 4], 0.7)).unwrap();
     let cotangent = ramp(&[3, 4], 0.3);
-    check_differences(&[planes.clone()], 1e-8, || (over(&planes).unwrap() * &cotangent).unwrap().sum_all().unwrap());
+    check_differences(std::slice::from_ref(&planes), 1e-8, || {
+        (over(&planes).unwrap() * &cotangent).unwrap().sum_all().unwrap()
+    });
 }
 
 /// An opaque plane has the slope that the product of the others gives: nothing is divided by what it lets through.

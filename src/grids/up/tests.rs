@@ -22,7 +22,7 @@ fn values_and_gradients_are_torch_s() {
 fn gradients_of_two_consumers_add_up() {
     let x = Var::from_tensor(&ramp(&[2, 3, 2, 3], 0.5)).unwrap();
     let cotangent = ramp(&[4, 6, 4, 3], 0.2);
-    check_differences(&[x.clone()], 1e-8, || {
+    check_differences(std::slice::from_ref(&x), 1e-8, || {
         let fine = (upsample(&x).unwrap() * &cotangent).unwrap().sum_all().unwrap();
         (fine + x.sqr().unwrap().sum_all().unwrap()).unwrap()
     });

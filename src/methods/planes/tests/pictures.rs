@@ -53,9 +53,9 @@ fn a_shifted_camera_sees_a_shifted_wall() {
             let (column, row) = (i % width + pixels, i / width);
             let inside = column < width;
             assert!((seen[3] - f64::from(inside)).abs() < 1e-9, "{b} {i}: {seen:?}");
-            for c in 0..3 {
+            for (c, seen) in seen[..3].iter().enumerate() {
                 let expected = if inside { image.pixels[3 * (row * width + column) + c] } else { 0.0 };
-                assert!((seen[c] - f64::from(expected)).abs() < 1e-9, "{b} {i}");
+                assert!((seen - f64::from(expected)).abs() < 1e-9, "{b} {i}");
             }
         }
     }

@@ -126,9 +126,9 @@ impl Network {
                 let (state, output) = self.remember(feature, tape.states.last().zip(tape.outputs.last()), rays);
                 for (ray, norm) in norms.iter().enumerate() {
                     let length = self.step_length(&state, ray);
-                    for axis in 3 * ray..3 * ray + 3 {
-                        x[axis] += length * lines.viewdirs[axis];
-                    }
+                    let axes = 3 * ray..3 * ray + 3;
+                    let along = x[axes.clone()].iter_mut().zip(&lines.viewdirs[axes]);
+                    along.for_each(|(x, direction)| *x += length * direction);
                     tape.z[ray] += length / norm;
                 }
                 if !keep {
