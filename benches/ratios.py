@@ -20,13 +20,14 @@ import statistics
 import subprocess
 
 HERE = pathlib.Path(__file__).parent
-# Method, rays, coarse, fine, width, steps; of hash the samples that place and those that are shaded.
+# Method, rays, coarse, fine, width, steps; of hash the samples that place and those that are shaded, of srn none.
 PROCESSOR = [
     ("nerf", 256, 64, 64, 256, 5),
     ("aug", 256, 64, 64, 256, 3),
     ("nerf", 256, 32, 32, 64, 40),
     ("aug", 256, 32, 32, 64, 20),
     ("hash", 1024, 48, 32, 64, 20),
+    ("srn", 1024, None, None, 256, 20),
 ]
 GPU = [
     ("nerf", 1024, 64, 64, 256, 20),
@@ -34,6 +35,8 @@ GPU = [
     ("nerf", 1024, 64, 128, 256, 20),
     ("aug", 1024, 64, 128, 256, 10),
 ]
+# Those of their own.
+PEERS = {"hash": "torch_hash_peer.py", "srn": "srn_peer.py"}
 # What makes augnerf's step of NeRF that of the peer's hash grid, whose tables have 2^17 entries.
 HASH = ["field.encoding=hash"]
 
@@ -51,10 +54,12 @@ def cell(value, width, digits, scale=1.0):
 
 def peer_command(kind, arguments):
     method, rays, coarse, fine, width, steps = kind
-    program = [arguments.python, str(HERE / ("torch_hash_peer.py" if method == "hash" else "torch_peer.py"))]
+    program = [arguments.python, str(HERE / PEERS.get(method, "torch_peer.py"))]
     flags = ["--rays", str(rays), "--steps", str(steps), "--threads", str(arguments.threads)]
     if method == "hash":
         flags += ["--placing", str(coarse), "--shaded", str(fine)]
+    elif method == "srn":
+        flags += ["--width", str(width)]
     else:
         flags += ["--method", method, "--coarse", str(coarse), "--fine", str(fine), "--width", str(width)]
         flags += ["--device", arguments.device] + ["--tf32"] * arguments.tf32
@@ -63,8 +68,9 @@ def peer_command(kind, arguments):
 
 def our_command(kind, arguments):
     method, rays, coarse, fine, width, steps = kind
-    flags = ["--method", "nerf" if method == "hash" else method, "--rays", str(rays), "--coarse", str(coarse)]
-    flags += ["--fine", str(fine), "--width", str(width), "--steps", str(steps), "--threads", str(arguments.threads)]
+    flags = ["--method", "nerf" if method == "hash" else method, "--rays", str(rays), "--width", str(width)]
+    flags += ["--steps", str(steps), "--threads", str(arguments.threads)]
+    flags += [] if coarse is None else ["--coarse", str(coarse), "--fine", str(fine)]
     settings = HASH if method == "hash" else []
     settings = settings + ["field.precision=bf16"] * arguments.bf16
     flags += [word for setting in settings for word in ("--set", setting)]
@@ -98,6 +104,8 @@ def main():
           f"{'GFLOP/s':>8} {'of peak':>7} {'active':>6}")
     for kind in PROCESSOR if arguments.device == "cpu" else GPU:
         if arguments.only and arguments.only != f"{kind[0]}:{kind[4]}":
+            continue
+        if kind[0] == "srn" and (arguments.bf16 or arguments.peer_bf16):
             continue
         commands = [peer_command(kind, arguments), our_command(kind, arguments)]
         rounds = []

@@ -251,7 +251,7 @@ impl Workload {
             points_per_clean_pass: config.method.has_fields().then_some(rays * (coarse + fine)),
             multiply_adds_per_step: fused.then_some(multiply_adds),
             table_bytes_per_step: (done.table_bytes > 0).then(|| done.table_bytes as f64 / self.steps as f64),
-            active_share: fused.then(|| done.active_points as f64 / done.points as f64),
+            active_share: (done.points > 0).then(|| done.active_points as f64 / done.points as f64),
             gflops: fused.then_some(gflops),
             gemm_peak_gflops: peak,
             share_of_peak: peak.map(|peak| gflops / peak),
