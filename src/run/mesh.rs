@@ -209,6 +209,7 @@ impl Trained {
     }
 
     fn draw_mesh_here(&self, files: AtomicDir, options: &MeshOptions, events: &dyn Listener) -> Result<MeshReport> {
+        self.config.require_ability(Ability::Density, "a mesh of this run", "`augnerf compare` shows its depth")?;
         let drawing = options.drawing(self);
         drawing.lattice.check_meets(&self.scene, "the mesh's lattice")?;
         options.picture.iter().try_for_each(|picture| picture.cameras(&self.scene).map(|_| ()))?;
@@ -217,8 +218,6 @@ impl Trained {
         if options.largest {
             mesh = mesh.keep(&components[0]);
         }
-        let instead = "`augnerf compare` shows its depth";
-        self.config.require_ability(Ability::Density, "a mesh of this run", instead)?;
         let (density, ndc) = (self.model.density()?, self.scene.ndc.as_ref());
         let mut finished = finish_mesh(&*density, mesh, &drawing.lattice, ndc, options.normals)?;
         if let Some(picture) = &options.picture {

@@ -191,7 +191,11 @@ fn what_cannot_be_taken_over_is_refused() {
     refuse(&["export", path(&short), path(&dir.path().join("x.onnx"))], 2, &["x.onnx", ".tar"]);
     // Its skips are none of nerf-pytorch's; a scene is no part of such a file.
     refuse(&["export", path(&short), path(&dir.path().join("x.tar"))], 2, &["field.skips", "[5]", ".safetensors"]);
-    refuse(&["export", path(&short), path(&dir.path().join("x.tar")), "--data", "here"], 2, &["--data here", ".tar"]);
+    refuse(
+        &["export", path(&short), path(&dir.path().join("x.tar")), "--data", "here"],
+        2,
+        &["--data here", "nerf-pytorch", ".safetensors"],
+    );
     let file = fixture("nerf_pytorch.tar");
     refuse(
         &["import", path(&file), "--set", "field.width=8", "--out", path(&out)],

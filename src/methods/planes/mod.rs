@@ -16,6 +16,7 @@ mod learner;
 mod mpi;
 mod network;
 mod painter;
+mod predict;
 mod stage;
 mod sweep;
 mod windows;

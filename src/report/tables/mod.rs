@@ -35,12 +35,12 @@ use crate::settings::columns::{INACTIVE_BY, InactiveBy, is_per_seed};
 /// use augnerf::report::tables::{Table, table_markdown};
 /// use augnerf::report::{Record, RowSpec, Status, TableSpec};
 ///
-/// let record = |row: &str, seed, psnr| Record {
+/// let record = |row: &str, seed: u64, psnr| Record {
 ///     id: format!("{row}-{seed}"),
 ///     scene: "fern".into(),
 ///     row: row.into(),
 ///     axes: vec![],
-///     seed,
+///     seed: Some(seed),
 ///     status: Status::Done,
 ///     reason: String::new(),
 ///     metrics: vec![("psnr".into(), Some(psnr))],
