@@ -91,6 +91,11 @@ fn every_shipped_sweep_tells_seen_from_unseen_views() {
         let few = if name == "smoke" { 2..3 } else { 10..101 };
         for point in expand(&definition, None, &Costs).unwrap() {
             let (train, eval) = (&point.config.train, &point.config.eval);
+            // Their steps are those of a machine that has the scene.
+            let unknown = point.no_data.is_some() && point.places.iter().all(|place| place.row.ends_with("equal seconds"));
+            if unknown {
+                continue;
+            }
             let between = (train.steps - 1).checked_div(train.eval_every).unwrap_or(0);
             assert!(few.contains(&between) && eval.train_views != Some(0), "{name}, {}: {between}", point.label());
         }
