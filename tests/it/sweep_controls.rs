@@ -92,7 +92,8 @@ fn every_shipped_sweep_tells_seen_from_unseen_views() {
         for point in expand(&definition, None, &Costs).unwrap() {
             let (train, eval) = (&point.config.train, &point.config.eval);
             // Their steps are those of a machine that has the scene.
-            let unknown = point.no_data.is_some() && point.places.iter().all(|place| place.row.ends_with("equal seconds"));
+            let unknown =
+                point.no_data.is_some() && point.places.iter().all(|place| place.row.ends_with("equal seconds"));
             if unknown {
                 continue;
             }
