@@ -1,43 +1,26 @@
 //! Scene Representation Networks through the trainer and through everything that is done with a run.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
 
-use crate::common::files::{assert_same_files, json, text};
+use crate::common::files::{json, text};
+use crate::common::learning::{Small, assert_precisions_agree, assert_threads_agree};
 use crate::common::program::{refuse, succeed};
 use crate::common::reference::Reference;
-use crate::common::{flat, runtime, tiny_config, tiny_scene};
+use crate::common::{flat, tiny_config, tiny_scene};
 use augnerf::data::{RayBuffer, RayParts};
 use augnerf::methods::{Model, Painter, Srn, SrnPainter};
-use augnerf::runtime::Runtime;
 use augnerf::settings::{Method, PixelOrigin, Resolved, SrnConfig};
-use augnerf::train::{Adam, AdamSettings, Trainer};
+use augnerf::train::{Adam, AdamSettings};
 use candle_core::{DType, Device, Tensor, Var};
 use tempfile::TempDir;
 
-/// Of a run, what need not repeat: clocks, locks and event files.
-const FLEETING: [&str; 3] = ["timing.json", "run.lock", "tensorboard"];
-
-/// A run of a second on the embedded scene, with a checkpoint every 20 steps of 40, both of which are kept.
-const SMALL: &str = "data.width=16 srn.width=24 train.rays=64 train.chunk=16 train.steps=40 train.checkpoint_every=20 \
-    train.keep_checkpoints=2 eval.pictures=1";
-
-fn train(out: &Path, threads: &str) {
-    let set = SMALL.split_whitespace().flat_map(|setting| ["--set", setting]);
-    let run = ["train", "--quiet", "--preset", "smoke", "--method", "srn", "--threads", threads, "--out"];
-    succeed(&run.into_iter().chain([out.to_str().unwrap()]).chain(set).collect::<Vec<_>>());
-}
+const SMALL: Small = Small { method: "srn", settings: "srn.width=24 train.chunk=16" };
 
 /// One run for the tests that only read it.
 fn small() -> &'static Path {
-    static RUN: OnceLock<(TempDir, std::path::PathBuf)> = OnceLock::new();
-    let (_, run) = RUN.get_or_init(|| {
-        let dir = TempDir::new().unwrap();
-        let out = dir.path().join("run");
-        train(&out, "1");
-        (dir, out)
-    });
-    run
+    static RUN: OnceLock<(TempDir, PathBuf)> = OnceLock::new();
+    &RUN.get_or_init(|| SMALL.once()).1
 }
 
 fn tiny() -> Resolved {
@@ -68,34 +51,11 @@ fn adam_takes_the_originals_step() {
     }
 }
 
-/// f32 on packed weights and f64 in candle's operations take the same steps.
+/// f32 on packed weights and f64 in candle's operations.
 #[test]
-fn steps_in_f32_are_those_of_f64() {
-    let steps = |dtype: DType| -> Vec<[f64; 3]> {
-        let mut trainer = Trainer::new(&tiny(), &tiny_scene(), dtype, runtime()).unwrap();
-        let step = |_| {
-            let stats = trainer.step(true).unwrap();
-            [stats.loss, stats.mse, stats.term("depth_deviation").unwrap()]
-        };
-        (0..4).map(step).collect()
-    };
-    for (single, double) in steps(DType::F32).iter().zip(steps(DType::F64)) {
-        for (a, b) in single.iter().zip(double) {
-            assert!((a - b).abs() < 2e-3 * b.abs(), "{single:?} {double:?}");
-        }
-    }
-}
-
-#[test]
-fn steps_are_the_same_with_any_number_of_threads() {
-    let parameters = |threads: usize| -> Vec<f64> {
-        let runtime = Runtime::new("cpu", Some(threads)).unwrap();
-        let mut trainer = Trainer::new(&tiny(), &tiny_scene(), DType::F32, &runtime).unwrap();
-        (0..3).for_each(|_| drop(trainer.step(false).unwrap()));
-        trainer.model().variables().iter().flat_map(|(_, var)| flat(var)).collect()
-    };
-    let one = parameters(1);
-    assert!(one == parameters(2) && one == parameters(3));
+fn steps_are_the_same_in_both_precisions_and_with_any_number_of_threads() {
+    assert_precisions_agree(&tiny(), "depth_deviation");
+    assert_threads_agree(&tiny());
 }
 
 /// A picture is the march's end from one depth: opaque, colours from 0 to 1, depths along the camera's axis.
@@ -124,13 +84,7 @@ fn pictures_in_f32_are_those_of_f64() {
 
 #[test]
 fn a_run_that_was_cut_off_ends_as_one_that_was_not() {
-    let dir = TempDir::new().unwrap();
-    let out = dir.path().join("run");
-    train(&out, "3");
-    assert_same_files(small(), &out, &FLEETING);
-    std::fs::remove_dir_all(out.join("checkpoints/step_000000040")).unwrap();
-    succeed(&["resume", "--quiet", "--threads", "2", out.to_str().unwrap()]);
-    assert_same_files(small(), &out, &FLEETING);
+    SMALL.assert_resumes(small());
 }
 
 #[test]
@@ -147,7 +101,7 @@ fn a_run_has_its_terms_parameters_and_pictures() {
     }
     let dir = TempDir::new().unwrap();
     let [other, path, compared] = ["other", "path", "compared"].map(|name| dir.path().join(name));
-    train(&other, "2");
+    SMALL.train(&other, "2");
     let [run_name, other, path, compared] = [run, &other, &path, &compared].map(|path| path.to_str().unwrap());
     succeed(&["render", "--quiet", run_name, "--frames", "1", "--out", path]);
     succeed(&["compare", "--quiet", run_name, other, "--out", compared]);

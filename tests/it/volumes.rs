@@ -1,42 +1,25 @@
 //! Neural Volumes through the trainer and through everything that is done with a run.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
 
-use crate::common::files::{assert_same_files, json, text};
+use crate::common::files::{json, text};
+use crate::common::learning::{Small, assert_precisions_agree, assert_threads_agree};
 use crate::common::program::{refuse, succeed};
-use crate::common::{flat, runtime, tiny_config, tiny_scene};
+use crate::common::{flat, tiny_config, tiny_scene};
 use augnerf::data::{RayBuffer, RayParts};
 use augnerf::methods::{NeuralVolume, Painter, VolumePainter};
-use augnerf::runtime::Runtime;
 use augnerf::settings::{Method, PixelOrigin, Resolved, VolumeCode, VolumeConfig};
-use augnerf::train::Trainer;
 use candle_core::{DType, Device};
 use tempfile::TempDir;
 
-/// Of a run, what need not repeat: clocks, locks and event files.
-const FLEETING: [&str; 3] = ["timing.json", "run.lock", "tensorboard"];
-
-/// A run of a second on the embedded scene, with a checkpoint every 20 steps of 40, both of which are kept.
-const SMALL: &str = "data.width=16 nv.resolution=16 nv.divide=16 nv.warp_resolution=4 nv.code=variational train.rays=64 \
-    train.steps=40 train.checkpoint_every=20 train.keep_checkpoints=2 eval.pictures=1";
-
-fn train(out: &Path, threads: &str) {
-    let set = SMALL.split_whitespace().flat_map(|setting| ["--set", setting]);
-    let run = ["train", "--quiet", "--preset", "smoke", "--method", "nv", "--threads", threads, "--out"];
-    succeed(&run.into_iter().chain([out.to_str().unwrap()]).chain(set).collect::<Vec<_>>());
-}
+const SMALL: Small =
+    Small { method: "nv", settings: "nv.resolution=16 nv.divide=16 nv.warp_resolution=4 nv.code=variational" };
 
 /// One run for the tests that only read it.
 fn small() -> &'static Path {
-    static RUN: OnceLock<(TempDir, std::path::PathBuf)> = OnceLock::new();
-    let (_, run) = RUN.get_or_init(|| {
-        let dir = TempDir::new().unwrap();
-        let out = dir.path().join("run");
-        train(&out, "1");
-        (dir, out)
-    });
-    run
+    static RUN: OnceLock<(TempDir, PathBuf)> = OnceLock::new();
+    &RUN.get_or_init(|| SMALL.once()).1
 }
 
 fn tiny(code: VolumeCode) -> Resolved {
@@ -45,36 +28,13 @@ fn tiny(code: VolumeCode) -> Resolved {
     })
 }
 
-/// f32 by operations of our own and f64 by the same or candle's take the same steps.
+/// f32 by operations of our own and f64 by the same or candle's.
 #[test]
-fn steps_in_f32_are_those_of_f64() {
+fn steps_are_the_same_in_both_precisions_and_with_any_number_of_threads() {
     for code in [VolumeCode::Fixed, VolumeCode::Variational] {
-        let steps = |dtype: DType| -> Vec<[f64; 3]> {
-            let mut trainer = Trainer::new(&tiny(code), &tiny_scene(), dtype, runtime()).unwrap();
-            let step = |_| {
-                let stats = trainer.step(true).unwrap();
-                [stats.loss, stats.mse, stats.term("mean_acc").unwrap()]
-            };
-            (0..4).map(step).collect()
-        };
-        for (single, double) in steps(DType::F32).iter().zip(steps(DType::F64)) {
-            for (a, b) in single.iter().zip(double) {
-                assert!((a - b).abs() < 2e-3 * b.abs(), "{code:?}: {single:?} {double:?}");
-            }
-        }
+        assert_precisions_agree(&tiny(code), "mean_acc");
     }
-}
-
-#[test]
-fn steps_are_the_same_with_any_number_of_threads() {
-    let parameters = |threads: usize| -> Vec<f64> {
-        let runtime = Runtime::new("cpu", Some(threads)).unwrap();
-        let mut trainer = Trainer::new(&tiny(VolumeCode::Fixed), &tiny_scene(), DType::F32, &runtime).unwrap();
-        (0..3).for_each(|_| drop(trainer.step(false).unwrap()));
-        trainer.model().variables().iter().flat_map(|(_, var)| flat(var)).collect()
-    };
-    let one = parameters(1);
-    assert!(one == parameters(2) && one == parameters(3));
+    assert_threads_agree(&tiny(VolumeCode::Fixed));
 }
 
 /// A picture: colours from 0 to 1, distances between where rays enter the box and where they leave it, in steps of `directions`.
@@ -105,13 +65,7 @@ fn pictures_are_of_the_box() {
 
 #[test]
 fn a_run_that_was_cut_off_ends_as_one_that_was_not() {
-    let dir = TempDir::new().unwrap();
-    let out = dir.path().join("run");
-    train(&out, "3");
-    assert_same_files(small(), &out, &FLEETING);
-    std::fs::remove_dir_all(out.join("checkpoints/step_000000040")).unwrap();
-    succeed(&["resume", "--quiet", "--threads", "2", out.to_str().unwrap()]);
-    assert_same_files(small(), &out, &FLEETING);
+    SMALL.assert_resumes(small());
 }
 
 #[test]
@@ -128,7 +82,7 @@ fn a_run_has_its_terms_parameters_pictures_and_surface() {
     }
     let dir = TempDir::new().unwrap();
     let at = |name: &str| dir.path().join(name).to_str().unwrap().to_string();
-    train(&dir.path().join("other"), "2");
+    SMALL.train(&dir.path().join("other"), "2");
     let name = run.to_str().unwrap();
     succeed(&["render", "--quiet", name, "--frames", "1", "--out", &at("path")]);
     succeed(&["compare", "--quiet", name, &at("other"), "--out", &at("compared")]);

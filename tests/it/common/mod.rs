@@ -1,6 +1,7 @@
 //! Small things that several test files share.
 
 pub mod files;
+pub mod learning;
 pub mod needs;
 pub mod program;
 pub mod reference;
