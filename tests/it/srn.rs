@@ -112,7 +112,8 @@ fn a_run_has_its_terms_parameters_and_pictures() {
 
 #[test]
 fn what_an_srn_cannot_say_is_refused() {
-    let run = small().to_str().unwrap();
+    let (_dir, run) = SMALL.once();
+    let run = run.to_str().unwrap();
     refuse(&["mesh", run], 2, &["an SRN knows where a ray ends"]);
     refuse(&["measure", run], 2, &["an SRN knows where a ray ends"]);
     let model = Model::Srn(Srn::init(&SrnConfig::default(), 0, DType::F32, &Device::Cpu).unwrap());
