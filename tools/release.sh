@@ -14,13 +14,14 @@ out=target/release-package
 rm -rf "$out"
 mkdir -p "$out/$name/completions" "$out/$name/man/man1"
 
-# The C++ library of the film encoder is linked in, and so is the compiler's.
-export RUSTFLAGS="${RUSTFLAGS:-} -C link-arg=-static-libgcc"
-library=$(dirname "$(g++ -print-file-name=libstdc++.a 2> /dev/null || true)")
-if [[ -e $library/libstdc++.a ]]; then
-  export CXXSTDLIB="static:-bundle=stdc++"
-  RUSTFLAGS="$RUSTFLAGS -L native=$library"
-fi
+# The compiler's library and the film encoder's C++ library are linked in: where the linker looks first it finds archives alone.
+archives=$PWD/target/release-archives
+mkdir -p "$archives"
+for of in gcc_s:gcc_eh stdc++:stdc++; do
+  archive=$(g++ -print-file-name="lib${of#*:}.a" 2> /dev/null || true)
+  [[ -e $archive ]] && ln -sf "$archive" "$archives/lib${of%:*}.a"
+done
+export RUSTFLAGS="${RUSTFLAGS:-} -L native=$archives"
 cargo build --release --locked --target-dir target/release-build "$@"
 cp target/release-build/release/augnerf "$out/$name/augnerf"
 strip "$out/$name/augnerf"
@@ -30,7 +31,7 @@ needed=$(objdump -p "$program" | awk '/NEEDED/ { print $2 }')
 own='^(lib(c|m|dl|rt|pthread|util)\.so\.[0-9]+|ld-linux.*)$'
 [[ " $* " == *cuda* ]] && own="$own|^lib(cu|nv)"
 if foreign=$(grep -Ev "$own" <<< "$needed"); then
-  echo "$program needs" $foreign "beside glibc, which other machines may lack: install g++ with libstdc++.a, or leave films out with" \
+  echo "$program needs" $foreign "beside glibc, which other machines may lack: install g++ with libstdc++.a and libgcc_eh.a, or leave films out with" \
     "--no-default-features --features png-figures" >&2
   rm -rf "$out"
   exit 1
