@@ -23,6 +23,15 @@ pub trait Painter: Send + Sync {
         RayParts::default()
     }
 
-    /// The image of `rays`.
+    /// Makes what rays from the origins of `rays` need beside themselves. It is called by one thread with a ray of each camera
+    /// before pictures of that camera are painted.
+    ///
+    /// # Errors
+    /// Weights that are not numbers; those of candle.
+    fn prepare(&self, _rays: &Rays) -> Result<()> {
+        Ok(())
+    }
+
+    /// The image of `rays`, whose origins are prepared.
     fn paint(&self, rays: &Rays) -> Result<Painted>;
 }

@@ -6,7 +6,7 @@ use candle_core::DType;
 use rayon::prelude::*;
 
 use crate::base::{Error, Event, Image, Listener, Result};
-use crate::data::{Camera, RayBuffer, Scene, View, seen_views};
+use crate::data::{Camera, RayBuffer, Rays, Scene, View, seen_views};
 use crate::methods::{Model, Painter};
 use crate::metrics::{Lpips, ViewMetrics, depth_errors, measure_depth, measure_unmasked};
 use crate::runtime::Runtime;
@@ -97,6 +97,7 @@ impl Viewer<'_> {
         let (width, height) = (places(camera.width).len(), places(camera.height).len());
         let pixels: Vec<(&Camera, u32, u32)> =
             places(camera.height).flat_map(|y| places(camera.width).map(move |x| (camera, x, y))).collect();
+        self.prepare(painter, camera)?;
         let [rgb, depth, acc] = self.paint(painter, &pixels)?;
         if let Some(bad) = rgb.iter().position(|value| !value.is_finite()) {
             return Err(Error::Diverged(format!(
@@ -110,18 +111,26 @@ impl Viewer<'_> {
         Ok(RenderedView { image, depth, acc })
     }
 
+    /// What pictures of `camera` need.
+    fn prepare(&self, painter: &dyn Painter, camera: &Camera) -> Result<()> {
+        painter.prepare(&self.rays(painter, &[(camera, 0, 0)])?)
+    }
+
+    fn rays(&self, painter: &dyn Painter, pixels: &[(&Camera, u32, u32)]) -> Result<Rays> {
+        let origin = self.config.data.origin_of_pixels();
+        RayBuffer::new(pixels, self.scene.ndc.as_ref(), origin, painter.ray_parts())
+            .to_tensors(DType::F32, self.runtime.device())
+    }
+
     /// Some pixels: colours, mean distances, accumulated weights.
     fn paint(&self, painter: &dyn Painter, pixels: &[(&Camera, u32, u32)]) -> Result<[Vec<f32>; 3]> {
-        let Viewer { config, scene, runtime, .. } = *self;
-        let device = runtime.device();
+        let Viewer { config, runtime, .. } = *self;
         let render = |part: &[(&Camera, u32, u32)]| -> Result<[Vec<f32>; 3]> {
-            let rays = RayBuffer::new(part, scene.ndc.as_ref(), config.data.origin_of_pixels(), painter.ray_parts())
-                .to_tensors(DType::F32, device)?;
-            let out = painter.paint(&rays)?;
+            let out = painter.paint(&self.rays(painter, part)?)?;
             let host = |tensor: &candle_core::Tensor| tensor.to_dtype(DType::F32)?.flatten_all()?.to_vec1::<f32>();
             Ok([host(&out.rgb)?, host(&(out.depth / &out.acc)?)?, host(&out.acc)?])
         };
-        let parts: Result<Vec<[Vec<f32>; 3]>> = if device.is_cpu() {
+        let parts: Result<Vec<[Vec<f32>; 3]>> = if runtime.device().is_cpu() {
             pixels.par_chunks(config.eval.chunk).map(render).collect()
         } else {
             pixels.chunks(config.eval.chunk).map(render).collect()
@@ -148,6 +157,7 @@ impl Viewer<'_> {
         }
         self.runtime.install(|| {
             let painter = self.model.painter(self.config, self.scene)?;
+            self.prepare(&*painter, first)?;
             let top = (first.height - rows) / 2;
             let started = Instant::now();
             let some: Vec<(&Camera, u32, u32)> =

@@ -16,7 +16,7 @@ use crate::run::{
     smoothness_box, watch_memory,
 };
 use crate::runtime::{Host, Runtime};
-use crate::settings::{Config, CorruptionConfig, DataConfig, Resolved};
+use crate::settings::{Config, CorruptionConfig, DataConfig, Resolved, TrainConfig};
 use crate::space::Lattice;
 use crate::train::Trainer;
 
@@ -141,11 +141,21 @@ impl Trainings<'_> {
             let rows = (2 * self.runtime.threads() * config.eval.chunk).div_ceil(camera.width);
             camera.height = rows.min(view.camera.height);
             let viewer = Viewer { model: trainer.model(), config: &config, scene: &scene, runtime: &self.runtime };
-            let started = Instant::now();
-            viewer.render(&camera)?;
-            let share = camera.height as f64 / view.camera.height as f64;
-            seconds_evaluation =
-                started.elapsed().as_secs_f64() / share * (scene.test.len() + seen_views(&scene, &config).len()) as f64;
+            let painter = viewer.painter()?;
+            let timed = || -> Result<f64> {
+                let started = Instant::now();
+                viewer.render_with(&*painter, &camera)?;
+                Ok(started.elapsed().as_secs_f64())
+            };
+            // What a painter prepares for a view is there the second time.
+            let (first, rows_alone) = (timed()?, timed()?);
+            let rays = (view.camera.height as f64 / camera.height as f64) * rows_alone;
+            let preparing = (first - rows_alone).max(0.0);
+            let views = (scene.test.len() + seen_views(&scene, &config).len()) as f64;
+            let TrainConfig { steps, eval_every, eval_stride, .. } = config.train;
+            let between = steps.saturating_sub(1).checked_div(eval_every).unwrap_or(0) as f64;
+            let sparse = rays / (eval_stride * eval_stride) as f64;
+            seconds_evaluation = views * (rays + preparing + between * (sparse + preparing));
         }
         Ok(Cost { seconds_per_step, seconds_evaluation, peak_memory_mib: memory.peak_mib() })
     }

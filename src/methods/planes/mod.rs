@@ -33,11 +33,10 @@ pub use network::MpiNetwork;
 pub use painter::PlanesPainter;
 
 impl MpiNetwork {
-    /// What shows `scene` with the weights as they are now: predicts the multiplane images of all training views, unless they
-    /// are known.
+    /// What shows `scene` with the weights as they are now.
     ///
     /// # Errors
-    /// A scene that the method cannot show; weights that are not numbers; those of candle.
+    /// A scene that the method cannot show; those of candle.
     pub fn painter(&self, config: &Config, scene: &Scene) -> Result<PlanesPainter> {
         let stage = stage::Stage::new(config, scene, self.device())?;
         let mpis = self.mpis(&stage.views, &stage.depths)?;

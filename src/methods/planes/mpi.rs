@@ -1,6 +1,6 @@
 //! Multiplane images of whole views, kept in 8 bits.
 
-use std::sync::Arc;
+use std::sync::{Arc, OnceLock};
 
 use candle_core::{DType, Tensor};
 
@@ -10,6 +10,7 @@ use crate::grids::over::Passing;
 use crate::grids::planes::corners;
 
 use super::geometry::Eye;
+use super::network::MpiNetwork;
 
 /// What LLFF adds to stored alphas.
 const ALPHA_FLOOR: f64 = 1e-8;
@@ -97,22 +98,55 @@ impl Mpi {
     }
 }
 
-/// The multiplane images of a scene's training views.
+/// The multiplane images of a scene's training views by weights that stay, each predicted when it is first needed: a picture needs
+/// those next to its camera alone.
 pub struct Mpis {
-    /// One of each view.
-    pub all: Vec<Mpi>,
+    /// What predicts them.
+    pub network: MpiNetwork,
+    /// What they are made of.
+    pub views: Vec<Seen>,
     /// Depths of the planes, the farthest first.
     pub depths: Vec<f64>,
+    predicted: Vec<OnceLock<Mpi>>,
 }
 
-/// Multiplane images with all that they were made of.
+impl Mpis {
+    /// None of them predicted.
+    pub fn new(network: MpiNetwork, views: &[Seen], depths: &[f64]) -> Mpis {
+        let predicted = views.iter().map(|_| OnceLock::new()).collect();
+        Mpis { network, views: views.to_vec(), depths: depths.to_vec(), predicted }
+    }
+
+    /// Predicts that of a view, unless it is there.
+    ///
+    /// # Errors
+    /// Those of [`MpiNetwork::predict`].
+    pub fn make(&self, view: usize) -> Result<()> {
+        if self.predicted[view].get().is_none() {
+            self.keep(view, self.network.predict(&self.views, view, &self.depths)?);
+        }
+        Ok(())
+    }
+
+    /// Holds that of a view, unless it is there: another thread that was faster has left the same numbers.
+    pub fn keep(&self, view: usize, mpi: Mpi) {
+        let _ = self.predicted[view].set(mpi);
+    }
+
+    /// That of a view.
+    ///
+    /// # Errors
+    /// It was not made: rays are painted from where nothing was prepared.
+    pub fn of(&self, view: usize) -> Result<&Mpi> {
+        let missing = || candle_core::Error::Msg(format!("the planes of training view {view} are not prepared"));
+        Ok(self.predicted[view].get().ok_or_else(missing)?)
+    }
+}
+
+/// Multiplane images with what they hang on.
 pub struct Kept {
     /// Hash of the network's weights.
     pub weights: [u8; 32],
-    /// Depths of the planes.
-    pub depths: Vec<f64>,
-    /// What they were made of.
-    pub views: Vec<Seen>,
     /// The images.
     pub mpis: Arc<Mpis>,
 }

@@ -89,7 +89,7 @@ fn kinds(layer: &Layer, inputs: usize) -> (Vec<Kind>, usize, usize) {
     }
 }
 
-/// The network's parameters in their fixed order, with what the last painter made of them.
+/// The network's parameters in their fixed order, with what the last painter makes of them.
 #[derive(Clone)]
 pub struct MpiNetwork {
     variables: Vec<(String, Var)>,
@@ -147,6 +147,17 @@ impl MpiNetwork {
         let variable = |((name, _), value): ((String, Vec<usize>), Tensor)| Ok((name, Var::from_tensor(&value)?));
         let variables: Result<Vec<(String, Var)>> = names.into_iter().zip(values).map(variable).collect();
         Ok(MpiNetwork { variables: variables?, inputs: config.llff.inputs, kept: Arc::default() })
+    }
+
+    /// The same weights, which stay when these learn on.
+    ///
+    /// # Errors
+    /// Those of candle.
+    pub(super) fn copy(&self) -> Result<MpiNetwork> {
+        let copied =
+            |(name, var): &(String, Var)| Ok((name.clone(), Var::from_tensor(&var.as_detached_tensor().copy()?)?));
+        let variables: Result<Vec<(String, Var)>> = self.variables.iter().map(copied).collect();
+        Ok(MpiNetwork { variables: variables?, inputs: self.inputs, kept: Arc::default() })
     }
 
     /// All parameters with their names, in the fixed order.

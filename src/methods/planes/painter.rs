@@ -11,7 +11,7 @@ use crate::methods::painter::{Painted, Painter};
 
 use super::blend::{EMPTY, LEAST, blend_weight};
 use super::geometry::{Eye, nearest};
-use super::mpi::{Met, Mpis};
+use super::mpi::{Met, Mpi, Mpis};
 
 /// Renders rays from the multiplane images nearest to their origin.
 pub struct PlanesPainter {
@@ -34,12 +34,17 @@ impl PlanesPainter {
         near.iter().take(self.blend).map(weight).collect()
     }
 
+    /// The same with the views' planes.
+    fn planes(&self, origin: Vec3) -> Result<Vec<(&Mpi, f64)>> {
+        self.blended(origin).into_iter().map(|(view, weight)| Ok((self.mpis.of(view)?, weight))).collect()
+    }
+
     /// One ray: colour, sum of weights times t, accumulation.
-    fn ray(&self, blended: &[(usize, f64)], (origin, direction): (Vec3, Vec3)) -> ([f64; 3], f64, f64) {
+    fn ray(&self, blended: &[(&Mpi, f64)], (origin, direction): (Vec3, Vec3)) -> ([f64; 3], f64, f64) {
         let mut places = vec![([0.0; 2], 0.0); self.mpis.depths.len()];
         let (mut sum, mut weights) = (Met::default(), 0.0);
-        for (view, weight) in blended {
-            let met = self.mpis.all[*view].meet(origin, direction, &self.mpis.depths, &mut places);
+        for (mpi, weight) in blended {
+            let met = mpi.meet(origin, direction, &self.mpis.depths, &mut places);
             sum.rgb.iter_mut().zip(met.rgb).for_each(|(sum, rgb)| *sum += weight * rgb);
             sum.acc += weight * met.acc;
             sum.depth += weight * met.depth;
@@ -54,20 +59,26 @@ impl PlanesPainter {
     }
 }
 
+fn vectors(tensor: &Tensor) -> Result<Vec<Vec3>> {
+    let flat = tensor.to_dtype(DType::F64)?.flatten_all()?.to_vec1::<f64>()?;
+    Ok(flat.chunks_exact(3).map(|v| [v[0], v[1], v[2]]).collect())
+}
+
 impl Painter for PlanesPainter {
+    fn prepare(&self, rays: &Rays) -> Result<()> {
+        let views = vectors(&rays.origins)?.into_iter().flat_map(|origin| self.blended(origin));
+        views.into_iter().try_for_each(|(view, _)| self.mpis.make(view))
+    }
+
     fn paint(&self, rays: &Rays) -> Result<Painted> {
-        let vectors = |tensor: &Tensor| -> Result<Vec<Vec3>> {
-            let flat = tensor.to_dtype(DType::F64)?.flatten_all()?.to_vec1::<f64>()?;
-            Ok(flat.chunks_exact(3).map(|v| [v[0], v[1], v[2]]).collect())
-        };
         let (origins, directions) = (vectors(&rays.origins)?, vectors(&rays.directions)?);
         let count = origins.len();
         let [mut rgb, mut depth, mut acc] = [3 * count, count, count].map(Vec::<f64>::with_capacity);
         // Rays of one camera have one origin: it is asked once.
-        let mut known: Option<(Vec3, Vec<(usize, f64)>)> = None;
+        let mut known: Option<(Vec3, Vec<(&Mpi, f64)>)> = None;
         for ray in origins.into_iter().zip(directions) {
             if known.as_ref().is_none_or(|(origin, _)| *origin != ray.0) {
-                known = Some((ray.0, self.blended(ray.0)));
+                known = Some((ray.0, self.planes(ray.0)?));
             }
             let (_, blended) = known.as_ref().expect("just made");
             let (colour, along, full) = self.ray(blended, ray);

@@ -14,25 +14,24 @@ use super::network::MpiNetwork;
 use super::sweep::{Window, sweep};
 
 impl MpiNetwork {
-    /// The multiplane images of all `views`, by these weights as they are now. What was predicted before is handed out again
-    /// where weights, views and depths are the same: a picture after another costs no second prediction.
+    /// The multiplane images of `views` by these weights as they are now, each predicted when it is needed. Those of before are handed
+    /// out again where weights, views and depths are the same: a picture after another costs no second prediction.
     ///
     /// # Errors
-    /// Weights that are not numbers; those of candle.
+    /// Those of candle.
     pub fn mpis(&self, views: &[Seen], depths: &[f64]) -> Result<Arc<Mpis>> {
         let weights = self.digest()?;
         let mut kept = self.kept.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some(known) = &*kept {
-            let same_views = known.views.len() == views.len() && known.views.iter().zip(views).all(|(a, b)| a.is(b));
-            if known.weights == weights && known.depths == depths && same_views {
-                return Ok(known.mpis.clone());
-            }
+        let same = |mpis: &Mpis| {
+            mpis.depths == depths
+                && mpis.views.len() == views.len()
+                && mpis.views.iter().zip(views).all(|(a, b)| a.is(b))
+        };
+        if let Some(known) = kept.as_ref().filter(|known| known.weights == weights && same(&known.mpis)) {
+            return Ok(known.mpis.clone());
         }
-        // Before the new ones take their memory.
-        *kept = None;
-        let all = (0..views.len()).map(|view| self.predict(views, view, depths)).collect::<Result<_>>()?;
-        let mpis = Arc::new(Mpis { all, depths: depths.to_vec() });
-        *kept = Some(Kept { weights, depths: depths.to_vec(), views: views.to_vec(), mpis: mpis.clone() });
+        let mpis = Arc::new(Mpis::new(self.copy()?, views, depths));
+        *kept = Some(Kept { weights, mpis: mpis.clone() });
         Ok(mpis)
     }
 

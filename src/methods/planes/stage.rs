@@ -59,7 +59,7 @@ impl Stage {
         let mib = (all * KEPT_BYTES + largest * PREDICTED_BYTES) / f64::from(1 << 20);
         match free_memory_mib() {
             Some(free) if mib > free => Err(Error::Config(format!(
-                "llff.planes = {}: the planes of {} training views take {:.1} GiB at the least once a picture is rendered, and {:.1} \
+                "llff.planes = {}: the planes of {} training views take {:.1} GiB once pictures from all sides are rendered, and {:.1} \
                  GiB are free here; choose fewer planes, or shrink the pictures by data.downscale",
                 self.depths.len(),
                 self.views.len(),

@@ -3,13 +3,14 @@
 use candle_core::{DType, Device, Tensor, Var};
 
 use crate::base::Result;
-use crate::data::Scene;
+use crate::data::{RayBuffer, RayParts, Scene};
 use crate::grids::reference::{error, on_any_threads, ramp};
 use crate::methods::learner::Learner;
+use crate::methods::painter::Painter;
 use crate::methods::planes::windows::Work;
-use crate::methods::planes::{MpiNetwork, PlanesLearner};
+use crate::methods::planes::{MpiNetwork, PlanesLearner, PlanesPainter};
 use crate::methods::{Learned, Model};
-use crate::settings::{Config, PlanesLoss, Resolved};
+use crate::settings::{Config, PixelOrigin, PlanesLoss, Resolved};
 
 use super::{config, numbers, scene};
 
@@ -160,10 +161,11 @@ fn multiplane_images_are_those_of_the_weights_as_they_are() {
     let scene = scene(16);
     let config = config(&scene, |_| {});
     let network = network(&config, DType::F32);
-    let planes = |scene: &Scene| -> Vec<Vec<u8>> {
-        let painter = network.painter(&config, scene).unwrap();
-        painter.mpis.all.iter().map(|mpi| mpi.planes.clone()).collect()
+    let of = |painter: &PlanesPainter| -> Vec<Vec<u8>> {
+        let mpi = |view: usize| painter.mpis.make(view).and_then(|()| Ok(painter.mpis.of(view)?.planes.clone()));
+        (0..4).map(|view| mpi(view).unwrap()).collect()
     };
+    let planes = |scene: &Scene| of(&network.painter(&config, scene).unwrap());
     let before = planes(&scene);
     // Millions of numbers, which a message would print.
     assert!(planes(&scene) == before);
@@ -175,8 +177,27 @@ fn multiplane_images_are_those_of_the_weights_as_they_are() {
     assert!(planes(&scene) == before);
     // The bias of alpha: behind every other convolution a normalisation takes its size away.
     let (_, bias): (String, Var) = network.variables().pop().unwrap();
+    let dark = planes(&darker);
+    let early = network.painter(&config, &scene).unwrap();
     bias.set(&(bias.as_detached_tensor() + 0.5).unwrap()).unwrap();
     assert!(planes(&scene) != before);
+    // A painter that was made before, and has predicted nothing yet, shows the weights of its time.
+    assert!(dark != before && of(&early) == before);
+}
+
+/// A picture needs the planes of the views next to its camera alone, and says so where they are missing.
+#[test]
+fn the_planes_of_far_views_are_not_predicted() {
+    let scene = scene(16);
+    let config = config(&scene, |config| config.llff.blend = 2);
+    let painter = network(&config, DType::F32).painter(&config, &scene).unwrap();
+    let rays = RayBuffer::new(&[(&scene.train[1].camera, 3, 4)], None, PixelOrigin::Corner, RayParts::default());
+    let rays = rays.to_tensors(DType::F32, &Device::Cpu).unwrap();
+    assert!(painter.paint(&rays).err().unwrap().to_string().contains("not prepared"));
+    painter.prepare(&rays).unwrap();
+    painter.paint(&rays).unwrap();
+    let made: Vec<usize> = (0..4).filter(|view| painter.mpis.of(*view).is_ok()).collect();
+    assert_eq!(made, [0, 1]);
 }
 
 fn refused(scene: &Scene, change: impl FnOnce(&mut Config)) -> String {

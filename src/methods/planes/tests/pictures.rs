@@ -10,12 +10,12 @@ use crate::grids::over::over;
 use crate::grids::planes::plane_sample;
 use crate::methods::painter::{Painted, Painter};
 use crate::methods::planes::geometry::{Eye, depths, nearest};
-use crate::methods::planes::mpi::{Mpi, Mpis};
+use crate::methods::planes::mpi::Mpi;
 use crate::methods::planes::sweep::{Window, padded, sweep};
 use crate::methods::planes::{PlanesPainter, blend::blend};
 use crate::settings::PixelOrigin;
 
-use super::{eye, f64s, numbers, picture, texture};
+use super::{eye, f64s, made, numbers, picture, texture};
 
 /// Planes that are empty but for one, which has a picture.
 fn wall(image: &Image, planes: usize, opaque: usize) -> Tensor {
@@ -101,7 +101,7 @@ fn painter(background: Option<[f32; 3]>) -> PlanesPainter {
         image
     };
     let mpi = |eye: &Eye| Mpi::new(*eye, &wall(&bits(picture(eye, 2.0)), 4, 1)).unwrap();
-    let mpis = Arc::new(Mpis { all: eyes.iter().map(mpi).collect(), depths: four() });
+    let mpis = made(eyes.iter().map(mpi).collect(), four());
     PlanesPainter { mpis, eyes, blend: 1, background }
 }
 

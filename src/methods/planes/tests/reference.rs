@@ -13,10 +13,10 @@ use crate::methods::painter::Painter;
 use crate::methods::planes::PlanesPainter;
 use crate::methods::planes::blend::{blend, blend_weight};
 use crate::methods::planes::geometry::{Eye, depths, inputs_of, nearest};
-use crate::methods::planes::mpi::{Mpi, Mpis, stored};
+use crate::methods::planes::mpi::{Mpi, stored};
 use crate::methods::planes::sweep::{Window, sweep};
 
-use super::{f64s, numbers};
+use super::{f64s, made, numbers};
 
 const WIDTH: usize = 8;
 const HEIGHT: usize = 6;
@@ -195,7 +195,7 @@ fn a_painter_shows_what_the_operations_give() {
     let total: f64 = renderings.iter().map(|(_, weight)| weight).sum();
     let expected = blend(renderings, None).unwrap();
     assert!(total > 0.0);
-    let mpis = Arc::new(Mpis { all, depths: planes() });
+    let mpis = made(all, planes());
     let painter = PlanesPainter { mpis, eyes: eyes(), blend: 5, background: None };
     let flat = |i: usize| goal_rays().iter().flat_map(|ray| if i == 0 { ray.0 } else { ray.1 }).collect::<Vec<f64>>();
     let [origins, directions] = [0, 1].map(|i| f64s(flat(i), &[48, 3]));
