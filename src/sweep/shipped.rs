@@ -16,6 +16,7 @@ macro_rules! shipped {
 }
 
 shipped![
+    "baselines_builtin",
     "baselines_chair",
     "baselines_fern",
     "epsilon",
