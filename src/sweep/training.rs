@@ -35,6 +35,8 @@ const SCENES: usize = 2;
 const CALIBRATION: [f64; 2] = [2.0, 6.0];
 /// The same for what is only told to a person.
 const ESTIMATE: [f64; 2] = [0.0, 0.0];
+/// In so many turns.
+const TURNS: f64 = 16.0;
 /// Either takes as many steps at least.
 const LEAST_STEPS: usize = 4;
 
@@ -201,15 +203,21 @@ impl StepCosts for Trainings<'_> {
     }
 }
 
-/// Takes steps of so many trainings, one of each in turn, so that a busy minute falls on all of them: until each has taken
-/// `least` seconds in all. Returns the seconds of each one's steps.
+/// Takes steps of so many trainings in turn, so that a busy minute falls on all of them: until each has taken `least` seconds in
+/// all. A turn is a share of these, or one step where that takes longer. Returns the seconds of each one's steps.
 fn time_in_turns(trainings: usize, mut step: impl FnMut(usize) -> Result<()>, least: f64) -> Result<Vec<Vec<f64>>> {
     let mut seconds = vec![Vec::new(); trainings];
     while seconds.iter().any(|own: &Vec<f64>| own.len() < LEAST_STEPS || own.iter().sum::<f64>() < least) {
         for (index, own) in seconds.iter_mut().enumerate() {
-            let started = Instant::now();
-            step(index)?;
-            own.push(started.elapsed().as_secs_f64());
+            let turn = Instant::now();
+            loop {
+                let started = Instant::now();
+                step(index)?;
+                own.push(started.elapsed().as_secs_f64());
+                if turn.elapsed().as_secs_f64() >= least / TURNS {
+                    break;
+                }
+            }
         }
     }
     Ok(seconds)
@@ -329,6 +337,13 @@ mod tests {
         assert!(seconds.len() > 10 && seconds.iter().sum::<f64>() >= 0.3, "{}", seconds.len());
         let (mean, median) = (seconds.iter().sum::<f64>() / seconds.len() as f64, median(seconds));
         assert!(median < mean && (0.002..0.01).contains(&median), "{median} {mean}");
+        // Fast steps are as many in a turn as the time of one has room for: nobody waits for slow ones beside each of them.
+        let sleep = |index| {
+            std::thread::sleep(Duration::from_millis([1, 40][index]));
+            Ok(())
+        };
+        let both = time_in_turns(2, sleep, 0.32).unwrap();
+        assert!(both[0].len() > 3 * both[1].len(), "{} {}", both[0].len(), both[1].len());
         // A step of seconds is taken several times all the same.
         let mut order = Vec::new();
         let each = time_in_turns(

@@ -165,6 +165,11 @@ fn runs_become_a_page() {
     assert_eq!(page, report(&[]), "the same bytes twice");
     let timed = report(&["--with-timing", "--label", "NeRF", "--label", "NeRF", "--label", "Ours"]);
     assert_says(&timed, &["seconds training", "data-name=\"NeRF\"", "data-name=\"Ours\"", "class=\"switch\""]);
+    // A run alone is beside nothing: no figure of rows, no word of differences.
+    assert_says(&page, &["rows_builtin_psnr", "Below each mean: the difference"]);
+    demand(augnerf(&["report", "a0", "--out", "alone.html"]).current_dir(dir.path()), 0);
+    let alone = text(&dir.path().join("alone.html"));
+    assert!(!alone.contains("rows_builtin_psnr") && !alone.contains("difference to the baseline"));
     // Other settings of one method are told; what nothing tells apart goes by its folder.
     train("train.learning_rate=0.002", "nerf", "c0");
     train("seed=0", "nerf", "d0");

@@ -7,8 +7,9 @@ use crate::report::tables::text::{
 };
 use crate::report::tables::{Cell, Heading, Line, Table, is_better, is_worse};
 
-const HOW_TO_READ: &str = "Mean ± standard deviation over the seeds; in brackets their number where it is not that of the \
-     definition. Below: the difference to the baseline, paired by seed, with its 95 % Student t interval, and the p value \
+const MEANS: &str =
+    "Mean ± standard deviation over the seeds; in brackets their number where it is not that of the definition.";
+const DIFFERENCES: &str = "Below each mean: the difference to the baseline, paired by seed, with its 95 % Student t interval, and the p value \
      after Holm's correction over the rows of the scene's table. Bold is what is better than the baseline with a p below \
      0.05, and nothing else; \"not distinguishable\" is said where the interval holds 0, which proves no equality.";
 const EQUIVALENCE: &str = "\"Equivalent within\" a margin that the definition states: two one-sided paired t tests, with Holm's \
@@ -94,7 +95,8 @@ pub fn scenes(table: &Table) -> Vec<Scene<'_>> {
 }
 
 pub fn notes(table: &Table) -> Vec<String> {
-    let how = std::iter::once(HOW_TO_READ.to_string());
+    let compared = table.lines.iter().flat_map(|line| &line.cells).any(|cell| cell.comparison.is_some());
+    let how = std::iter::once(MEANS).chain(compared.then_some(DIFFERENCES)).map(String::from);
     table.notes.iter().cloned().chain(how).chain(further_notes(table, EQUIVALENCE)).collect()
 }
 

@@ -35,10 +35,13 @@ impl Scale {
     }
 }
 
-/// One horizontal line for each of the scene's lines; none where nothing is measured.
+/// One horizontal line for each of the scene's lines; none where nothing is measured, or no line is beside another.
 pub fn rows_figure(table: &Table, records: &[Record], scene: &str, metric: &str) -> Result<Option<Figure>> {
     let Some(column) = table.metrics.iter().position(|known| known == metric) else { return Ok(None) };
     let lines: Vec<&Line> = table.lines.iter().filter(|line| line.scene == scene && !line.quoted).collect();
+    if lines.len() < 2 {
+        return Ok(None);
+    }
     let seeds: Vec<Vec<f64>> = lines.iter().map(|line| seeds(line, records, metric)).collect();
     let Some(values) = range(seeds.iter().flatten().copied()) else { return Ok(None) };
     let cells: Vec<&Cell> = lines.iter().map(|line| &line.cells[column]).collect();
