@@ -234,6 +234,7 @@ pub(super) fn leaves(table: &Table, prefix: &str) -> Vec<String> {
 mod tests {
     use super::*;
     use crate::augment::Site;
+    use crate::settings::{Batching, TrainConfig};
 
     fn set(texts: &[&str]) -> Result<Config> {
         let assignments: Result<Vec<_>> = texts.iter().map(|t| parse_assignment(t)).collect();
@@ -284,6 +285,9 @@ mod tests {
             let (srn, nv) = (of("srn", preset), of("nv", preset));
             assert_eq!((srn.rays, srn.learning_rate, srn.steps, srn.decay_rate), (262_144, 5e-5, 175_000, 1.0));
             assert_eq!((nv.rays, nv.learning_rate, nv.steps, nv.decay_rate), (262_144, 1e-4, 500_000, 1.0));
+            // More rays than one picture has.
+            let batches = |train: &TrainConfig| (train.batching, train.precrop_steps);
+            assert_eq!([batches(&srn), batches(&nv)], [(Some(Batching::AllImages), Some(0)); 2]);
         }
         let steps = ["srn", "nv", "llff"].map(|name| [Preset::Cpu, Preset::Fast].map(|p| of(name, Some(p)).steps));
         assert_eq!(steps, [[10_000, 1_500], [5_000, 1_500], [1_500, 1_500]]);

@@ -17,7 +17,8 @@ const TRIES: usize = 16;
 /// A pixel counts where so many of its planes are in each window, or not in the window's view at all.
 const HELD: f64 = 0.75;
 
-/// A crop is taken where so many of its pixels count; of those that have fewer the best.
+/// A crop is taken where so many of its pixels count; of those that have fewer the best. Where disparities are large for the
+/// window no pixel of any crop may: then those count that have a plane in every window.
 const ENOUGH: f64 = 0.5;
 
 /// A view whose planes a step predicts.
@@ -40,6 +41,8 @@ pub struct Work {
     pub pixels: Vec<[usize; 2]>,
     /// Which of them count.
     pub counts: Vec<bool>,
+    /// Which have a plane in every window.
+    shown: Vec<bool>,
     /// Whose planes are blended.
     pub references: Vec<Reference>,
 }
@@ -47,32 +50,38 @@ pub struct Work {
 impl Work {
     /// How many pixels count.
     pub fn counted(&self) -> usize {
-        self.counts.iter().filter(|counts| **counts).count()
+        number(&self.counts)
     }
 
     /// The work of the step that follows `step` finished ones.
     ///
     /// # Errors
-    /// Windows that hold too few of the planes of any crop.
+    /// Views around no crop of which there are planes.
     pub fn draw(config: &PlanesConfig, seed: u64, step: u64, eyes: &[Eye], depths: &[f64]) -> Result<Work> {
         let mut random = Random::new(seed, Stream::Batches, step);
         let mut best: Option<Work> = None;
+        let worth = |work: &Work| (work.counted(), number(&work.shown));
         for _ in 0..TRIES {
             let work = Work::try_one(config, &mut random, eyes, depths);
             if work.counted() as f64 >= ENOUGH * work.pixels.len() as f64 {
                 return Ok(work);
             }
-            if best.as_ref().is_none_or(|best| best.counted() < work.counted()) {
+            if best.as_ref().is_none_or(|best| worth(best) < worth(&work)) {
                 best = Some(work);
             }
         }
-        best.filter(|work| work.counted() > 0).ok_or_else(|| {
-            Error::Config(format!(
-                "llff.window = {} is too small: in {TRIES} tries no pixel had three quarters of the planes of neighbouring views \
-                 within it; raise it, or shrink the pictures by data.downscale",
-                config.window
-            ))
-        })
+        let mut best = best.expect("there are tries");
+        if best.counted() == 0 {
+            best.counts.clone_from(&best.shown);
+        }
+        if best.counted() > 0 {
+            return Ok(best);
+        }
+        Err(Error::Config(format!(
+            "method llff learns a view from the planes of the views next to it, and in {TRIES} crops of views no ray met a plane of all \
+             {} of them: the training views see too little of the same; train on more views, or set llff.references to fewer",
+            best.references.len()
+        )))
     }
 
     fn try_one(config: &PlanesConfig, random: &mut Random, eyes: &[Eye], depths: &[f64]) -> Work {
@@ -94,19 +103,24 @@ impl Work {
         let rays: Vec<(Vec3, Vec3)> = pixels.iter().map(|pixel| ray(pixel.map(|at| at as f64))).collect();
         let middle = ray([left as f64 + 0.5 * (columns - 1) as f64, top as f64 + 0.5 * (rows - 1) as f64]);
         let plane = random.below(depths.len() as u32) as usize;
-        let mut counts = vec![true; pixels.len()];
+        let [mut counts, mut shown] = [0, 1].map(|_| vec![true; pixels.len()]);
         let reference = |place: &u32| {
             let (view, distance) = others[*place as usize];
             let window = window(&eyes[view], config.window, middle, depths, plane);
             let mut places = eyes[view].places(&rays, depths);
             count(&eyes[view], window, &places, &mut counts);
+            show(window, &places, &mut shown);
             let shift = [window.left, window.top].map(|first| first as f64);
             places.of_rays.iter_mut().for_each(|[x, y]| (*x, *y) = (*x - shift[0], *y - shift[1]));
             Reference { view, window, places: Arc::new(places), distance }
         };
         let references = chosen.iter().map(reference).collect();
-        Work { target, pixels, counts, references }
+        Work { target, pixels, counts, shown, references }
     }
+}
+
+fn number(of: &[bool]) -> usize {
+    of.iter().filter(|holds| **holds).count()
 }
 
 /// The window of a view around where the crop's middle ray meets a plane.
@@ -131,5 +145,12 @@ fn count(eye: &Eye, window: Window, places: &Places, counts: &mut [bool]) {
         let missed = places.iter().filter(|place| seen(**place) && !window.holds(**place)).count();
         let met = places.iter().any(|place| seen(*place));
         *counts &= met && missed as f64 <= (1.0 - HELD) * places.len() as f64;
+    }
+}
+
+/// Takes out the pixels that the window has no plane of.
+fn show(window: Window, places: &Places, shown: &mut [bool]) {
+    for (shown, places) in shown.iter_mut().zip(places.of_rays.chunks_exact(places.planes)) {
+        *shown &= places.iter().any(|place| window.holds(*place));
     }
 }

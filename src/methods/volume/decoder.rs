@@ -57,7 +57,8 @@ fn linear(x: &Tensor, [weight, bias]: &Pair) -> Result<Tensor> {
 }
 
 fn leaky(x: &Tensor) -> Result<Tensor> {
-    Ok((x.relu()? - (x.neg()?.relu()? * SLOPE)?)?)
+    // candle's ReLU makes zeros of what is no number, and broken weights are to be seen.
+    Ok(x.lt(0.0)?.where_cond(&(x * SLOPE)?, x)?)
 }
 
 /// A mixture of affine maps `A(x) = s R(q) (x - t)`, weighted by what their lattices have where they lead.
