@@ -181,7 +181,7 @@ fn what_is_trained(Setup { config, scene, .. }: &Setup) -> String {
         size.1,
         scene.test.len(),
         config.train.steps,
-        config.train.rays
+        config.rays_per_step()
     )
 }
 

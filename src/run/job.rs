@@ -211,8 +211,9 @@ impl Experiment<'_> {
     fn train(&self, trainer: Trainer, events: &dyn Listener, signal: &AtomicUsize) -> Result<Finished> {
         self.notes.iter().for_each(|note| events.on(Event::Note(note)));
         self.report_redraws(&trainer, events);
-        let (first, train) = (trainer.step_count(), &self.setup.config.train);
-        events.on(Event::TrainingStarted { first, steps: train.steps, rays: train.rays });
+        let (first, config) = (trainer.step_count(), &self.setup.config);
+        let (steps, rays) = (config.train.steps, config.rays_per_step());
+        events.on(Event::TrainingStarted { first, steps, rays });
         let mut watcher = Watcher { experiment: self, events, signal, seconds_evaluation: 0.0 };
         let mut session = Session::new(&self.run, trainer, self.resumed)?;
         let outcome = session.run(signal, events, &mut watcher);
@@ -290,7 +291,7 @@ impl Experiment<'_> {
         Timing {
             seconds_training: training,
             seconds_evaluation: evaluation + earlier(|timing| timing.seconds_evaluation),
-            rays_per_second: (training > 0.0).then(|| step as f64 * config.train.rays as f64 / training),
+            rays_per_second: (training > 0.0).then(|| step as f64 * config.rays_per_step() as f64 / training),
             peak_memory_mib: self.memory.peak_mib().filter(|_| runtime.is_alone()),
             device: runtime.name().to_string(),
             threads: runtime.threads(),

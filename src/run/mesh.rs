@@ -330,7 +330,13 @@ pub fn named_mesh(name: &str, other: &str) -> Result<Reference> {
         return reference_mesh(name);
     }
     let run = RunDir::open(path)?;
-    let scene = run.read_config()?.data;
+    let config = run.read_config()?;
+    config.require_ability(
+        Ability::Density,
+        &format!("the surface of {name}"),
+        "compare runs of nerf, aug-nerf or nv",
+    )?;
+    let scene = config.data;
     if other == BUILTIN && !Format::of(scene.kind).is_some_and(|format| format.has_mesh) {
         return Err(Error::Config(format!(
             "{name} is of {} ({}), in units of its own: `{BUILTIN}` is the surface of {} alone",

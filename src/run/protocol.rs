@@ -226,6 +226,7 @@ fn learning_rate(config: &Resolved) -> String {
     let train = &config.train;
     let start = train.learning_rate;
     match train.schedule {
+        Schedule::Exponential if train.decay_rate == 1.0 => format!("{start}, constant"),
         Schedule::Exponential => format!("{start}, times {} every {}", train.decay_rate, config.decay_steps),
         Schedule::LogLinear => format!("{start} to {}", train.final_learning_rate),
     }

@@ -114,6 +114,14 @@ impl Config {
         self.method.representation(self.field.encoding).expect("the encoding was checked")
     }
 
+    /// Rays whose colours a step compares: of LLFF those of its crop.
+    pub fn rays_per_step(&self) -> usize {
+        match self.representation() {
+            Representation::Planes => self.llff.crop * self.llff.crop,
+            _ => self.train.rays,
+        }
+    }
+
     /// Samples of the coarse and of the fine pass; the latter 0 where there is none.
     pub fn samples(&self) -> (usize, usize) {
         let SamplingConfig { coarse, fine, .. } = self.sampling;

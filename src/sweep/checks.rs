@@ -4,9 +4,12 @@ use std::collections::HashSet;
 use std::hash::Hash;
 
 use super::axes::Axis;
-use super::definition::{Combine, Definition, scene_name};
+use toml::{Table, Value};
+
+use super::definition::{Combine, Definition, Row, scene_name};
 use super::extends::MOST_POINTS;
 use crate::metrics::Metric;
+use crate::settings::Method;
 
 impl Definition {
     /// Checks a definition as far as that is possible without configurations.
@@ -21,10 +24,26 @@ impl Definition {
         if let Some(row) = self.row.iter().find(|row| !row.axes && !row.axis.is_empty()) {
             return Err(format!("row '{}' has axes of its own and axes = false; remove one of them", row.name));
         }
+        self.check_published()?;
         self.rows()
             .iter()
             .filter_map(|row| Some((row, row.published.as_ref()?)))
             .try_for_each(|(row, key)| key.check().map_err(|message| format!("row '{}' {message}", row.name)))
+    }
+
+    /// A row that trains LLFF on its scene is not the published method.
+    fn check_published(&self) -> std::result::Result<(), String> {
+        let method = |set: &Table| set.get("method").and_then(Value::as_str).map(str::to_string);
+        let common = method(&self.set);
+        let is_llff = |row: &Row| method(&row.set).or_else(|| common.clone()).as_deref() == Some(Method::Llff.name());
+        match self.row.iter().find(|row| self.published.is_some() && !row.ours && is_llff(row)) {
+            Some(row) => Err(format!(
+                "row '{}' trains LLFF on the scene, and the published LLFF was trained on others: set ours = true, and name it otherwise \
+                 (quoted = [\"LLFF\"] is the paper's)",
+                row.name
+            )),
+            None => Ok(()),
+        }
     }
 
     /// No list is longer than anyone means, nor is what they come to.

@@ -41,7 +41,7 @@ fn find_non_finite(tensors: &[Option<Tensor>], adam: &Adam) -> Result<Option<Str
 fn non_finite(step: u64, tensor: &str, learning_rate: f64) -> Error {
     Error::Diverged(format!(
         "training went non-finite at step {step}: the {tensor} is not a number; lower train.learning_rate \
-         ({learning_rate}), the step sizes of section perturb or regularizer.weight, and start a new run"
+         ({learning_rate}), or step sizes and weights in sections perturb, regularizer, srn or nv, and start a new run"
     ))
 }
 

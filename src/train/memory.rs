@@ -2,14 +2,16 @@
 //! the program without a word.
 
 use crate::base::{Error, Result};
-use crate::data::Scene;
+use crate::data::{Scene, View};
 use crate::field::{encoded_channels, position_channels};
 use crate::methods::{Model, parts};
 use crate::runtime::free_memory_mib;
-use crate::settings::{Core, Representation, Resolved, SrnConfig, VolumeConfig};
+use crate::settings::{Core, PlanesConfig, Representation, Resolved, SrnConfig, VolumeConfig};
 
 /// Weights, their gradient and Adam's two moments.
 const COPIES: f64 = 4.0;
+/// Numbers of a cell of LLFF's finest lattice.
+const PER_CELL: f64 = 106.0;
 /// Bytes of a number.
 const NUMBER: f64 = 4.0;
 
@@ -100,7 +102,23 @@ fn needs(config: &Resolved, scene: &Scene, threads: usize) -> Vec<Need> {
     if config.representation() == Representation::Srn {
         needs.push(marches(config, threads));
     }
+    if config.representation() == Representation::Planes {
+        needs.push(windows(config, scene));
+    }
     needs
+}
+
+/// What the network of LLFF computed of each reference's window, without what the allocator holds beside it: 424 bytes a cell of
+/// the finest lattice were measured from windows of 96 to 160 pixels.
+fn windows(config: &Resolved, scene: &Scene) -> Need {
+    let PlanesConfig { planes, window, references, .. } = config.llff;
+    let cells = |view: &View| view.camera.width.min(window) * view.camera.height.min(window) * planes;
+    let cells = references * scene.train.iter().map(cells).min().unwrap_or(0);
+    Need {
+        what: "the layers' outputs of a step's windows, which the backward pass needs,",
+        settings: format!("llff.window = {window} with llff.planes = {planes} and llff.references = {references}"),
+        mib: cells as f64 * PER_CELL * NUMBER / f64::from(1 << 20),
+    }
 }
 
 /// What each layer normalised, at every step along the rays of the chunks at work.
@@ -197,6 +215,15 @@ mod tests {
         // Two chunks of 128 rays: 4 layers at 11 points each, and 5, of 256 numbers.
         assert_eq!(of(&[]), 256.0 * 49.0 * 256.0 * 4.0 / f64::from(1 << 20));
         assert_eq!(of(&["train.chunk=1024", "srn.steps=21"]), 1024.0 * 93.0 * 256.0 * 4.0 / f64::from(1 << 20));
+    }
+
+    #[test]
+    fn windows_count_as_far_as_views_reach() {
+        let of = |settings: &[&str]| needs_of(&[&["method=llff", "llff.references=2"], settings].concat())[1].mib;
+        let camera = crate::bench::scene().train[0].camera;
+        let mib = |[x, y]: [usize; 2], planes: usize| (2 * x * y * planes) as f64 * 424.0 / f64::from(1 << 20);
+        assert_eq!(of(&["llff.window=16", "llff.crop=8"]), mib([16, 16], 32));
+        assert_eq!(of(&["llff.window=1024", "llff.planes=64"]), mib([camera.width, camera.height], 64));
     }
 
     #[test]

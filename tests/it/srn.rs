@@ -107,6 +107,7 @@ fn a_run_has_its_terms_parameters_and_pictures() {
     succeed(&["compare", "--quiet", run_name, other, "--out", compared]);
     let metrics = json(&run.join("metrics.json"));
     assert!(metrics["mean"]["psnr"].as_f64().unwrap() > 5.0, "{metrics}");
+    assert!(metrics["protocol"]["learning_rate"].as_str().unwrap().ends_with(", constant"), "{metrics}");
     assert!(metrics["protocol"]["srn"].as_str().unwrap().starts_with("width 24, 4 + 5 layers, 10 steps"), "{metrics}");
 }
 
@@ -115,6 +116,7 @@ fn what_an_srn_cannot_say_is_refused() {
     let (_dir, run) = SMALL.once();
     let run = run.to_str().unwrap();
     refuse(&["mesh", run], 2, &["an SRN knows where a ray ends"]);
+    refuse(&["chamfer", run, "builtin"], 2, &["an SRN knows where a ray ends"]);
     refuse(&["measure", run], 2, &["an SRN knows where a ray ends"]);
     let model = Model::Srn(Srn::init(&SrnConfig::default(), 0, DType::F32, &Device::Cpu).unwrap());
     assert!(model.density().is_err() && model.fields().is_err());

@@ -198,6 +198,10 @@ fn wrong_definitions_are_refused_with_words() {
         (axis("\"train.rays\"", "8, 8"), vec!["axis 'a'", "8", "twice"]),
         (replace("seeds = [0, 1]", "seeds = [9223372036854775807, 9223372036854775808]"), vec!["seed"]),
         (format!("published = \"tab9\"\n{BASE}"), vec!["NeRF", "clean", "tab9", "lacks"]),
+        (
+            format!("published = \"tab1\"\n{BASE}\n[[row]]\nname = \"LLFF\"\nset = {{ method = \"llff\" }}\n"),
+            vec!["'LLFF'", "was trained on others", "ours = true"],
+        ),
         (axis("\"train.rays\"", "8, 16") + "[[row]]\nname = \"Twin\"\n", vec!["'NeRF'", "'Twin'", "same experiment"]),
         (axis("", "8"), vec!["axis 'a'", "keys"]),
         (axis("\"train.raise\"", "8"), vec!["unknown key", "train.rays"]),

@@ -10,7 +10,6 @@ use crate::grids::over::Passing;
 use crate::grids::planes::corners;
 
 use super::geometry::Eye;
-use super::network::MpiNetwork;
 
 /// What LLFF adds to stored alphas.
 const ALPHA_FLOOR: f64 = 1e-8;
@@ -98,32 +97,34 @@ impl Mpi {
     }
 }
 
+/// Predicts the multiplane image of one of some views, by its number, at some depths.
+pub type Predict = Box<dyn Fn(&[Seen], usize, &[f64]) -> Result<Mpi> + Send + Sync>;
+
 /// The multiplane images of a scene's training views by weights that stay, each predicted when it is first needed: a picture needs
 /// those next to its camera alone.
 pub struct Mpis {
-    /// What predicts them.
-    pub network: MpiNetwork,
     /// What they are made of.
     pub views: Vec<Seen>,
     /// Depths of the planes, the farthest first.
     pub depths: Vec<f64>,
+    predict: Predict,
     predicted: Vec<OnceLock<Mpi>>,
 }
 
 impl Mpis {
     /// None of them predicted.
-    pub fn new(network: MpiNetwork, views: &[Seen], depths: &[f64]) -> Mpis {
+    pub fn new(views: &[Seen], depths: &[f64], predict: Predict) -> Mpis {
         let predicted = views.iter().map(|_| OnceLock::new()).collect();
-        Mpis { network, views: views.to_vec(), depths: depths.to_vec(), predicted }
+        Mpis { views: views.to_vec(), depths: depths.to_vec(), predict, predicted }
     }
 
     /// Predicts that of a view, unless it is there.
     ///
     /// # Errors
-    /// Those of [`MpiNetwork::predict`].
+    /// Those of the prediction.
     pub fn make(&self, view: usize) -> Result<()> {
         if self.predicted[view].get().is_none() {
-            self.keep(view, self.network.predict(&self.views, view, &self.depths)?);
+            self.keep(view, (self.predict)(&self.views, view, &self.depths)?);
         }
         Ok(())
     }

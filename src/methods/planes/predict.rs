@@ -30,7 +30,9 @@ impl MpiNetwork {
         if let Some(known) = kept.as_ref().filter(|known| known.weights == weights && same(&known.mpis)) {
             return Ok(known.mpis.clone());
         }
-        let mpis = Arc::new(Mpis::new(self.copy()?, views, depths));
+        let network = self.copy()?;
+        let predict = Box::new(move |views: &[Seen], view: usize, depths: &[f64]| network.predict(views, view, depths));
+        let mpis = Arc::new(Mpis::new(views, depths, predict));
         *kept = Some(Kept { weights, mpis: mpis.clone() });
         Ok(mpis)
     }

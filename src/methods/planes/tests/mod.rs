@@ -10,7 +10,6 @@ use crate::settings::{Config, DataKind, Method, Resolved};
 
 use super::geometry::Eye;
 use super::mpi::{Mpi, Mpis, Seen};
-use super::network::MpiNetwork;
 
 mod learning;
 mod pictures;
@@ -83,10 +82,9 @@ fn config(scene: &Scene, change: impl FnOnce(&mut Config)) -> Resolved {
 
 /// Planes that no network made.
 fn made(all: Vec<Mpi>, depths: Vec<f64>) -> Arc<Mpis> {
-    let network = MpiNetwork::init(&Config::default(), DType::F32, &Device::Cpu).unwrap();
     let image = Arc::new(Image { width: 0, height: 0, channels: 3, pixels: vec![] });
     let views: Vec<Seen> = all.iter().map(|mpi| Seen { eye: mpi.eye, image: image.clone() }).collect();
-    let mpis = Mpis::new(network, &views, &depths);
+    let mpis = Mpis::new(&views, &depths, Box::new(|_, _, _| unreachable!("all are there")));
     all.into_iter().enumerate().for_each(|(view, mpi)| mpis.keep(view, mpi));
     Arc::new(mpis)
 }
