@@ -284,7 +284,7 @@ impl Tensors {
     }
 
     fn get(&self, name: &str, shape: &[usize]) -> Result<Tensor> {
-        let other = "the configuration describes another method or architecture (method; its section; of nerf, aug-nerf and MipNeRF \
+        let other = "the configuration describes another architecture or method (method; its own section; of nerf, aug-nerf and MipNeRF \
                      sections field, sampling, perturb.field)";
         let Some(tensor) = self.tensors.get(name) else {
             return Err(damaged(&self.path, &format!("it has no tensor {name}; {other}")));
