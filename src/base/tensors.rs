@@ -1,4 +1,4 @@
-//! Sums of tensors that may be missing, and a look at their values.
+//! Sums of tensors that may be missing, a look at their values, a ReLU that hides nothing.
 
 use candle_core::{CpuStorage, Storage, Tensor};
 
@@ -12,11 +12,30 @@ pub fn sum(a: Option<Tensor>, b: Option<Tensor>) -> Result<Option<Tensor>> {
     })
 }
 
+/// `x` where it is not under 0, `slope x` elsewhere; what is no number stays none, where candle's own ReLU gives 0.
+pub fn leaky_relu(x: &Tensor, slope: f64) -> candle_core::Result<Tensor> {
+    x.lt(0.0)?.where_cond(&(x * slope)?, x)
+}
+
 /// Lets `read` see the values of a contiguous f32 tensor on a processor; none of another.
 pub fn with_values<R>(tensor: &Tensor, read: impl FnOnce(&[f32]) -> R) -> Option<R> {
     let (storage, layout) = tensor.storage_and_layout();
     match (&*storage, layout.contiguous_offsets()) {
         (Storage::Cpu(CpuStorage::F32(values)), Some((start, end))) => Some(read(&values[start..end])),
         _ => None,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use candle_core::Device;
+
+    use super::*;
+
+    #[test]
+    fn a_leaky_relu_keeps_what_is_no_number() {
+        let x = Tensor::new(&[-2.0, 0.0, 3.0, f64::NAN], &Device::Cpu).unwrap();
+        let y: Vec<f64> = leaky_relu(&x, 0.25).unwrap().to_vec1().unwrap();
+        assert!(y[..3] == [-0.5, 0.0, 3.0] && y[3].is_nan(), "{y:?}");
     }
 }

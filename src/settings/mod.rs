@@ -114,7 +114,7 @@ impl Config {
         self.method.representation(self.field.encoding).expect("the encoding was checked")
     }
 
-    /// Rays whose colours a step compares: of LLFF those of its crop.
+    /// Rays whose colours a step compares: of LLFF those of a whole crop.
     pub fn rays_per_step(&self) -> usize {
         match self.representation() {
             Representation::Planes => self.llff.crop * self.llff.crop,

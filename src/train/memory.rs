@@ -113,6 +113,7 @@ fn needs(config: &Resolved, scene: &Scene, threads: usize) -> Vec<Need> {
 fn windows(config: &Resolved, scene: &Scene) -> Need {
     let PlanesConfig { planes, window, references, .. } = config.llff;
     let cells = |view: &View| view.camera.width.min(window) * view.camera.height.min(window) * planes;
+    let references = references.min(scene.train.len().saturating_sub(1));
     let cells = references * scene.train.iter().map(cells).min().unwrap_or(0);
     Need {
         what: "the layers' outputs of a step's windows, which the backward pass needs,",

@@ -2,6 +2,8 @@
 
 use candle_core::{Device, Result, Tensor};
 
+use crate::base::tensors::leaky_relu;
+
 use super::plan::{Group, Plan, count, cube};
 
 /// Rows are brought together by their index, multiplied and put in order.
@@ -18,7 +20,7 @@ pub(super) fn product(plan: &Plan, slope: f64, x: &Tensor, weight: &Tensor, bias
         groups.push(read.matmul(&weight)?);
     }
     let rows = Tensor::cat(&groups, 0)?.index_select(&order(plan, x.device())?, 0)?.broadcast_add(bias)?;
-    let rows = if slope == 1.0 { rows } else { (rows.relu()? - (rows.neg()?.relu()? * slope)?)? };
+    let rows = if slope == 1.0 { rows } else { leaky_relu(&rows, slope)? };
     let [z, y, x] = plan.sides;
     rows.reshape((z, y, x, outputs))
 }

@@ -47,8 +47,8 @@ impl Stage {
 }
 
 impl Stage {
-    /// Refuses views whose planes take more memory than this machine has free. The least is counted, so that nothing is refused
-    /// that could run.
+    /// Refuses views whose planes take more memory than this machine has free. Those of all views are
+    /// counted, which a path around the scene needs.
     ///
     /// # Errors
     /// [`Error::Config`] with what is needed and what is free.

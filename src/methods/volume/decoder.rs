@@ -3,6 +3,7 @@
 use candle_core::{D, DType, Device, Tensor};
 
 use crate::base::Result;
+use crate::base::tensors::leaky_relu;
 use crate::field::dense;
 use crate::grids::softplus::softplus;
 use crate::grids::taps::TapProduct;
@@ -31,7 +32,8 @@ impl NeuralVolume {
         let layers = self.layers(frozen);
         let mut layers = layers.iter();
         let code = code.unsqueeze(0)?;
-        let mut volume = leaky(&linear(&code, next(&mut layers))?)?.reshape((1, 1, 1, self.sizes.channels[0]))?;
+        let mut volume =
+            leaky_relu(&linear(&code, next(&mut layers))?, SLOPE)?.reshape((1, 1, 1, self.sizes.channels[0]))?;
         let doublings = self.sizes.channels.len() - 1;
         for index in 0..doublings {
             let product = TapProduct::transposed([1 << index; 3]);
@@ -41,7 +43,7 @@ impl NeuralVolume {
         }
         let template = softplus(&volume, [25.0, 25.0, 25.0, 1.0], [100.0, 100.0, 100.0, 0.0])?;
         let mut head = || -> Result<Tensor> {
-            let hidden = leaky(&linear(&code, next(&mut layers))?)?;
+            let hidden = leaky_relu(&linear(&code, next(&mut layers))?, SLOPE)?;
             linear(&hidden, next(&mut layers))
         };
         let warp = match &self.sizes.warp {
@@ -54,11 +56,6 @@ impl NeuralVolume {
 
 fn linear(x: &Tensor, [weight, bias]: &Pair) -> Result<Tensor> {
     Ok(dense(x, weight, bias, false, true)?)
-}
-
-fn leaky(x: &Tensor) -> Result<Tensor> {
-    // candle's ReLU makes zeros of what is no number, and broken weights are to be seen.
-    Ok(x.lt(0.0)?.where_cond(&(x * SLOPE)?, x)?)
 }
 
 /// A mixture of affine maps `A(x) = s R(q) (x - t)`, weighted by what their lattices have where they lead.

@@ -9,8 +9,8 @@ use crate::report::tables::{Cell, Heading, Line, Table, is_better, is_worse};
 
 const MEANS: &str =
     "Mean ± standard deviation over the seeds; in brackets their number where it is not that of the definition.";
-const DIFFERENCES: &str = "Below each mean: the difference to the baseline, paired by seed, with its 95 % Student t interval, and the p value \
-     after Holm's correction over the rows of the scene's table. Bold is what is better than the baseline with a p below \
+const DIFFERENCES: &str = "Below each mean: the difference to the baseline, paired by seed, with its 95 % Student t interval, \
+     and the p value after Holm's correction over the rows of the scene's table. Bold is what is better than the baseline with a p below \
      0.05, and nothing else; \"not distinguishable\" is said where the interval holds 0, which proves no equality.";
 const EQUIVALENCE: &str = "\"Equivalent within\" a margin that the definition states: two one-sided paired t tests, with Holm's \
      p below 0.05.";

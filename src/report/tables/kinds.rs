@@ -10,8 +10,8 @@ const OWN: [&str; 3] = ["srn", "nv", "llff"];
 /// What a row of LLFF is here.
 const LLFF_NOTE: &str = "LLFF is trained on the scene here: the published LLFF uses one network trained on other scenes with a \
      perceptual (VGG) loss, and that network is not obtainable; here the same architecture learns from this scene's training views \
-     alone, each from its neighbours, so that its numbers are not those of the published method; a training view is shown from its own planes, which saw \
-     its picture, so that train_psnr and gap say less than those of other rows";
+     alone, each from its neighbours, so that its numbers are not those of the published method; a training view is \
+     shown from its own planes, which saw its picture, so that train_psnr and gap say less than those of other rows";
 
 fn is_without_fields(line: &Line) -> bool {
     OWN.iter().any(|column| !line.protocol(column).is_empty())
