@@ -171,7 +171,13 @@ mod tests {
     fn needs_of(settings: &[&str]) -> Vec<Need> {
         let assignments: Vec<_> = settings.iter().map(|text| parse_assignment(text).unwrap()).collect();
         let config = build(None, None, &assignments).unwrap().resolve(DataKind::Blender, crate::bench::EXTENT).unwrap();
-        needs(&config, &crate::bench::scene(), 2)
+        needs(&config, &scene_of(3), 2)
+    }
+
+    fn scene_of(views: usize) -> Scene {
+        let mut scene = crate::bench::scene();
+        scene.train = vec![scene.train[0].clone(); views];
+        scene
     }
 
     #[test]
@@ -225,6 +231,8 @@ mod tests {
         let mib = |[x, y]: [usize; 2], planes: usize| (2 * x * y * planes) as f64 * 424.0 / f64::from(1 << 20);
         assert_eq!(of(&["llff.window=16", "llff.crop=8"]), mib([16, 16], 32));
         assert_eq!(of(&["llff.window=1024", "llff.planes=64"]), mib([camera.width, camera.height], 64));
+        // Of three views two others are seen, however many are asked for.
+        assert_eq!(of(&["llff.window=16", "llff.crop=8", "llff.references=5"]), mib([16, 16], 32));
     }
 
     #[test]
