@@ -167,10 +167,10 @@ mod tests {
 
     #[cfg(target_os = "linux")]
     #[test]
-    fn peak_memory_grows_with_use() {
-        let before = peak_memory_mib().unwrap();
-        let block = vec![1u8; 64 << 20];
-        assert!(block.iter().step_by(4096).all(|&byte| byte == 1));
-        assert!(peak_memory_mib().unwrap() >= before.max(64.0));
+    fn peak_memory_counts_what_is_held() {
+        // Not what it was before: other tests in this process, whose runs are measured each by itself, may forget the peak.
+        let block = std::hint::black_box(vec![1u8; 64 << 20]);
+        assert!(peak_memory_mib().unwrap() >= 64.0);
+        drop(block);
     }
 }
