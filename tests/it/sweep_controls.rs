@@ -53,14 +53,6 @@ fn every_shipped_sweep_with_an_augmented_row_has_its_controls() {
                 continue;
             }
             // Levels and variants of the method by themselves have the whole method's controls.
-            // A row of equal cost is beside NeRF's of that cost; the controls of its steps are its method's.
-            if definition
-                .row
-                .iter()
-                .any(|other| other.name == *row && other.budget.is_some() && other.baseline.is_some())
-            {
-                continue;
-            }
             let whole = Site::ALL.into_iter().all(|site| config.perturb.sites[site].on());
             let is_whole = whole && !name.starts_with("variants");
             if *second != SecondPass::Perturbed(DeltaSource::WorstCase) || !is_whole {
