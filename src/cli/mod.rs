@@ -78,6 +78,7 @@ const TRAIN_EXAMPLES: &str = "Examples:
   augnerf train --data fern --preset cpu --method aug-nerf --set 'perturb.levels=[\"feature\"]'
   augnerf train --data fern --preset cpu --set regularizer.kind=tv --set regularizer.weight=8e-7
   augnerf train --data fern --preset cpu --set 'regularizer.kind=[\"tv\",\"l1\"]'
+  augnerf train --data fern --preset fast --method srn     # or llff; nv on bounded scenes
   augnerf train --data fern --preset paper-llff --print-config";
 
 const MEASURE_EXAMPLES: &str = "Examples:
