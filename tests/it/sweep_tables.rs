@@ -273,6 +273,25 @@ fn inactive_sites_are_worded_by_what_was_judged() {
 }
 
 /// Depth over a row's own pixels compares rows on different ones.
+/// An empty cell of what a method cannot have is explained; one of a point that failed has its own mark.
+#[test]
+fn cells_that_a_method_leaves_empty_are_explained() {
+    let with_tv = |row: &str, tv: Option<f64>| {
+        let mut record = point("chair", row, 0, 25.0);
+        record.metrics.push(("tv".into(), tv));
+        record
+    };
+    let failed = unmeasured(point("chair", "+ TV Reg.", 0, 0.0), Status::Failed, "collapsed");
+    let spec = TableSpec { metrics: vec!["psnr".into(), "tv".into()], ..spec() };
+    let text = |tv| {
+        let records = [with_tv("NeRF", Some(2.0)), with_tv("output & only", tv), failed.clone()];
+        table_markdown(&Table::new(&spec, &records, false).unwrap())
+    };
+    let note = "tv: empty in output & only, the rows' fields have no derivatives at points";
+    assert!(text(None).contains(note), "{}", text(None));
+    assert!(!text(Some(1.0)).contains("tv: empty"), "{}", text(Some(1.0)));
+}
+
 #[test]
 fn a_verdict_on_depth_over_own_pixels_comes_with_a_note() {
     let note = |metric: &str| {

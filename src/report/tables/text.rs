@@ -289,15 +289,24 @@ fn mark_note((symbol, meaning, of): &Mark, lines: &[&Line]) -> Option<String> {
 
 /// Why a column is empty, of metrics that no line of the scene has.
 fn unmeasured_notes(lines: &[&Line]) -> Vec<String> {
-    let measured: Vec<&&Line> = lines.iter().filter(|line| !line.ids.is_empty()).collect();
+    let measured: Vec<&Line> = lines.iter().copied().filter(|line| !line.ids.is_empty()).collect();
     let Some(first) = measured.first() else { return Vec::new() };
     let with_weights = measured.iter().any(|line| !line.protocol("lpips_weights").is_empty());
-    let empty = (0..first.cells.len()).filter(|&metric| measured.iter().all(|line| line.cells[metric].n == 0));
     let note = |metric: usize| {
+        let (empty, filled): (Vec<&Line>, Vec<&Line>) =
+            measured.iter().copied().partition(|line| line.cells[metric].n == 0);
         let metric = Metric::find(&first.cells[metric].metric)?;
-        Some(format!("{}: empty, {}", metric.key, why_empty(metric.needs, with_weights)))
+        let labels = || empty.iter().map(|line| line.label.as_str()).collect::<Vec<&str>>().join(", ");
+        let of = match (empty.is_empty(), filled.is_empty()) {
+            (true, _) => return None,
+            (false, true) => String::new(),
+            // Where some rows have it, what they lack is told by their marks, but for what their method cannot have.
+            (false, false) if metric.needs == Needs::DerivativesAtPoints => format!(" in {}", labels()),
+            (false, false) => return None,
+        };
+        Some(format!("{}: empty{of}, {}", metric.key, why_empty(metric.needs, with_weights)))
     };
-    empty.filter_map(note).collect()
+    (0..first.cells.len()).filter_map(note).collect()
 }
 
 fn why_empty(needs: Needs, with_weights: bool) -> &'static str {
