@@ -81,6 +81,9 @@ impl Definition {
         if let Some(seed) = self.seeds.iter().find(|seed| i64::try_from(**seed).is_err()) {
             return Err(format!("seeds: {seed} is out of range: a seed is at most 2^63 - 1"));
         }
+        if let Some((key, _)) = self.by_seed.iter().find(|(_, values)| values.is_empty()) {
+            return Err(format!("by_seed.\"{key}\": there are no values; list at least one"));
+        }
         not_empty_and_distinct("metrics", &self.metrics)?;
         let names: Vec<&str> = self.row.iter().map(|row| row.name.as_str()).collect();
         not_empty_and_distinct("rows", &names)?;

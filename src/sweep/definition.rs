@@ -52,6 +52,9 @@ pub struct Definition {
     /// Settings of every point over the preset's, by their dotted names.
     #[serde(default)]
     pub set: Table,
+    /// Settings that go with the seed, each a list: a seed takes its entry number `seed mod length`.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub by_seed: BTreeMap<String, Vec<Value>>,
     /// What of these the command line said, `preset` and settings: the title may speak of what the file says.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub changed: BTreeMap<String, Value>,

@@ -173,9 +173,12 @@ impl Builder<'_> {
         let mut assign = |key: &str, value: Value| {
             assignments.push((key.split('.').map(String::from).collect(), value));
         };
-        for (table, value) in [&self.definition.set, &row.set].into_iter().flatten() {
-            flatten(table, value, &mut assign);
+        self.definition.set.iter().for_each(|(table, value)| flatten(table, value, &mut assign));
+        // Not by the seed's place in the list: one and the same whichever seeds a command line runs.
+        for (key, values) in &self.definition.by_seed {
+            assign(key, values[(self.seed % values.len() as u64) as usize].clone());
         }
+        row.set.iter().for_each(|(table, value)| flatten(table, value, &mut assign));
         for (axis, point) in axes {
             axis.set.iter().for_each(|(table, value)| flatten(table, value, &mut assign));
             point.sets.iter().for_each(|(key, value)| assign(key, value.clone()));

@@ -104,6 +104,7 @@ fn reworded(before: &Definition, definition: &Definition, laid: &[Laid], points:
     let without_settings = |definition: &Definition| {
         let mut bare = definition.clone();
         bare.set.clear();
+        bare.by_seed.clear();
         bare.changed.clear();
         bare.row.iter_mut().for_each(|row| row.set.clear());
         bare

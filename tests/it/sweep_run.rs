@@ -171,6 +171,29 @@ values = [1, 2, 3]
     assert!(points_of(&format!("{plain}{axes}")).unwrap()[0].places[0].axes.is_empty());
 }
 
+/// A seed holds out the same views in every row and in any selection of seeds, others than the next seed's; and a table may hold
+/// seeds of several splits because the definition says so.
+#[test]
+fn settings_by_seed_go_with_the_seed_under_rows() {
+    let text = BASE
+        .replace("[\"builtin\"]", "[\"builtin-forward\"]")
+        .replace("[0, 1]", "[10, 11, 13]\nby_seed = { \"data.holdout_offset\" = [0, 3, 6], \"train.steps\" = [20] }")
+        .replace("set = { method", "set = { \"train.steps\" = 30, method");
+    let points = points_of(&text).unwrap();
+    let of = |seed| points.iter().filter(move |point| point.config.seed == seed);
+    let offsets = |seed| of(seed).map(|point| point.config.data.holdout_offset).collect::<Vec<_>>();
+    assert_eq!([offsets(10), offsets(11), offsets(13)], [vec![3; 2], vec![6; 2], vec![3; 2]]);
+    assert!(of(10).map(|point| point.config.train.steps).eq([20, 30]));
+    let definition = parse(&text).unwrap();
+    assert_eq!(parse(&definition.to_toml()).unwrap(), definition);
+    assert!(!definition.table("t", &points).must_match.contains(&"split".to_string()));
+    assert!(parse(BASE).unwrap().table("t", &points_of(BASE).unwrap()).must_match.contains(&"split".to_string()));
+    let message = points_of(&text.replace("[20]", "[]")).unwrap_err().to_string();
+    assert!(message.contains("by_seed.\"train.steps\""), "{message}");
+    let message = points_of(&text.replace("data.holdout_offset", "data.hold")).unwrap_err().to_string();
+    assert!(message.contains("data.hold"), "{message}");
+}
+
 #[test]
 fn wrong_definitions_are_refused_with_words() {
     let values = |count: usize| (1..=count).map(|i| format!("{i},")).collect::<String>();
