@@ -32,6 +32,8 @@ shipped![
     "precision",
     "regularizer_grid",
     "smoke",
+    "study_gate_chair",
+    "study_gate_fern",
     "tab1_llff",
     "tab2_blender",
     "tab3_noise",

@@ -1,0 +1,35 @@
+#!/usr/bin/env python3
+"""Gives a NeRF-Synthetic scene that was published without validation views a list of them, made of its test views.
+
+    tools/chair_val.py DATA/nerf_synthetic/chair STUDY/nerf_synthetic/chair
+
+The new folder links to the scene's pictures and files, and adds transforms_val.json: the test views from the sixth on. With
+data.test_skip = 10 a run with data.eval_split = "test" sees views 0, 10, ..., 190 and one with "val" sees 5, 15, ..., 195: no view
+that settings are chosen by is one that results are reported on. A scene with a validation split of its own needs none of this.
+"""
+import argparse
+import json
+import pathlib
+
+FIRST = 5
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("scene", type=pathlib.Path)
+    parser.add_argument("folder", type=pathlib.Path)
+    arguments = parser.parse_args()
+    scene = arguments.scene.resolve()
+    if (scene / "transforms_val.json").exists():
+        parser.error(f"{scene} has a validation split of its own")
+    transforms = json.loads((scene / "transforms_test.json").read_text())
+    transforms["frames"] = transforms["frames"][FIRST:]
+    arguments.folder.mkdir(parents=True, exist_ok=True)
+    for path in scene.iterdir():
+        link = arguments.folder / path.name
+        if not link.exists():
+            link.symlink_to(path)
+    (arguments.folder / "transforms_val.json").write_text(json.dumps(transforms))
+
+
+main()
