@@ -1,5 +1,6 @@
 //! Tables, figures and a page over points: records, statistics, published numbers.
 
+mod across;
 pub mod exporters;
 pub mod page;
 pub mod plots;
@@ -8,6 +9,7 @@ mod record;
 pub mod statistics;
 pub mod tables;
 
+pub use across::{Across, Block};
 pub use published::{PUBLISHED_NOTE, PublishedProtocol, PublishedRow, published_rows};
 pub(crate) use record::distinct;
 pub use record::{AxisValue, PublishedKey, Record, RowSpec, Status, TableSpec, label};

@@ -37,6 +37,15 @@ pub fn interval(differences: &[f64]) -> Option<(f64, f64)> {
     Some((centre - half, centre + half))
 }
 
+/// A two-sided 95 % interval of the mean of `n` differences, widened so that so many such intervals hold at once with 95 %
+/// (Bonferroni).
+pub fn simultaneous((low, high): (f64, f64), n: usize, tests: usize) -> (f64, f64) {
+    let quantile = |share: f64| student(n).inverse_cdf(1.0 - share / 2.0);
+    let (centre, half) = ((low + high) / 2.0, (high - low) / 2.0);
+    let half = half * quantile(SIGNIFICANCE / tests.max(1) as f64) / quantile(SIGNIFICANCE);
+    (centre - half, centre + half)
+}
+
 /// The p value of the two-sided paired t test that the mean difference is 0; none of fewer than
 /// two differences. Where all are equal, it is 1 for a difference of 0 and 0 for any other.
 pub fn p_value(differences: &[f64]) -> Option<f64> {

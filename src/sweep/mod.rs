@@ -10,6 +10,7 @@
 //!                                  records ─► tables, plots
 //! ```
 
+mod across;
 mod axes;
 mod best;
 mod budget;
@@ -41,6 +42,7 @@ pub mod verify;
 mod view;
 mod words;
 
+pub use across::{ACROSS, ACROSS_CSV, ACROSS_PAGE, Asked};
 pub use axes::{Axis, AxisPoint, RandomSpan, Scale, Span};
 pub use best::{Best, BestSeed, best};
 pub use budget::{Clock, StepCosts, evaluations_per_step, steps_within};
@@ -62,5 +64,5 @@ pub use scored::Scored;
 pub use shipped::{SHIPPED, TEMPLATE, write_new};
 pub use step_seconds::PublishedCosts;
 pub use training::{Cost, Trainings};
-pub use view::{Choice, Source, View, split_names};
+pub use view::{Choice, Origin, Source, View, split_names};
 pub use words::check_name;

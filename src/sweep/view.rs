@@ -4,7 +4,7 @@
 use std::collections::{BTreeMap, HashMap, HashSet};
 use std::path::Path;
 
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use crate::base::files::write_atomic;
 use crate::base::{Error, Result};
@@ -72,12 +72,21 @@ pub struct View {
     sweeps: Vec<Origin>,
 }
 
-/// A sweep that a view shows, in `view.toml`.
-#[derive(Clone, Debug, Serialize)]
-struct Origin {
-    name: String,
+/// A sweep that a view shows, in `view.toml` and `across.toml`.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Origin {
+    /// The sweep's name.
+    pub name: String,
     /// SHA-256 of its `points.csv`.
-    points_sha256: String,
+    pub points_sha256: String,
+}
+
+impl Origin {
+    pub(super) fn of(source: &Source) -> Origin {
+        let points = points_csv(&source.material.records, &[]);
+        Origin { name: source.name.clone(), points_sha256: sha256(points.as_bytes()) }
+    }
 }
 
 impl View {
@@ -88,16 +97,12 @@ impl View {
     /// A row or metric that there is not; a baseline that is not among the rows.
     pub fn new(name: &str, sources: &[Source], choice: Choice) -> Result<View> {
         let (first, others) = sources.split_first().expect("at least one sweep");
-        let origin = |source: &Source| Origin {
-            name: source.name.clone(),
-            points_sha256: sha256(points_csv(&source.material.records, &[]).as_bytes()),
-        };
         let mut view = View {
             spec: TableSpec { name: name.into(), ..table_of(first) },
             material: first.material.clone(),
             points: first.points.to_vec(),
             choice: choice.clone(),
-            sweeps: sources.iter().map(origin).collect(),
+            sweeps: sources.iter().map(Origin::of).collect(),
         };
         others.iter().for_each(|source| view.merge(source));
         if !others.is_empty() {
@@ -293,6 +298,14 @@ impl View {
             ),
         };
         vec![format!("a view of {}{chosen}", names.join(" and "))]
+    }
+
+    /// The table alone.
+    ///
+    /// # Errors
+    /// [`Error::NotComparable`] where rows may not stand side by side.
+    pub fn table(&self) -> Result<Table> {
+        Table::new(&self.spec, &self.material.records, false)
     }
 
     /// Writes tables and figures into a folder of the view's own. Returns the table.

@@ -51,7 +51,7 @@ const COMMANDS: [&str; 27] = [
 ];
 
 /// Commands that print JSON in any case, or need more than this test sets up.
-const ELSEWHERE: [&str; 4] = ["bench", "score", "sweep best", "sweep cancel"];
+const ELSEWHERE: [&str; 5] = ["bench", "score", "sweep across", "sweep best", "sweep cancel"];
 
 /// A command line's words and the name of its command.
 fn words(line: &str) -> (Vec<String>, String) {

@@ -229,6 +229,60 @@ fn quoted_numbers_are_read_again() {
     assert_says(&verify(dir.path(), &[], 0), &["not checked", "1 numbers with decimals that no comment traces"]);
 }
 
+/// One question to two committed sweeps: p values over the two, files that are made again, a page in the folder that quotes them.
+#[test]
+fn a_comparison_across_sweeps_is_made_again() {
+    let (dir, _) = results("few_views_chair");
+    for name in ["geometry_chair", "mip_chair"] {
+        copy(&Path::new(ROOT).join("results").join(name), &dir.path().join("results").join(name));
+    }
+    let across = |rest: &[&str], code: i32| {
+        let folders = ["results/geometry_chair", "results/mip_chair", "results/few_views_chair"];
+        let mut command = augnerf(&[&["sweep", "across"], &folders[..], &["--out", "results/both"], rest].concat());
+        program::demand(command.current_dir(dir.path()).env_remove("AUGNERF_DATA"), code)
+    };
+    assert_says(&across(&["--row", "Nerf"], 2), &["sweep 'geometry_chair'", "'Nerf' is no row"]);
+    assert_says(&across(&["--row", "NeRF"], 2), &["both 'NeRF'"]);
+    let said = across(&["--row", "Aug-NeRF"], 0);
+    assert_says(&said, &["Aug-NeRF against NeRF, psnr", "few_views_chair", "files: results/both"]);
+    let folder = dir.path().join("results/both");
+    let blocks = rows(&folder.join("across.csv"));
+    let own = |name: &str, column: &str| {
+        let table = rows(&dir.path().join("results").join(name).join("table.csv"));
+        table.iter().find(|row| row["row"] == "Aug-NeRF").unwrap()[column].clone()
+    };
+    for block in &blocks {
+        assert_eq!(block["difference"], own(&block["sweep"], "psnr_difference"), "{}", block["sweep"]);
+        assert_eq!(block["p"], own(&block["sweep"], "psnr_p"), "{}", block["sweep"]);
+    }
+    // A sweep of one seed claims nothing and takes no part in the correction.
+    let p = |row: usize, column: &str| blocks[row][column].parse::<f64>().unwrap();
+    assert!(blocks[2]["p_holm"].is_empty() && blocks[2]["simultaneous_low"].is_empty());
+    assert_eq!(p(0, "p_holm").min(p(1, "p_holm")), 2.0 * p(0, "p").min(p(1, "p")));
+    let page = folder.join("README.md");
+    let quote = |number: &str| {
+        let text = format!("A difference of {number} dB.\n<!-- numbers both: {number} = difference of mip_chair -->\n");
+        std::fs::write(&page, text).unwrap();
+    };
+    let right = format!("{:+.2}", p(1, "difference"));
+    quote(&right);
+    assert_says(
+        &verify(dir.path(), &["results/both"], 0),
+        &["comparisons of 3 sweeps", "both/README.md: 1 quoted numbers"],
+    );
+    quote("+9.99");
+    assert_says(&verify(dir.path(), &["results/both"], 10), &["both/README.md, line 2", "'+9.99' is quoted"]);
+    quote(&right);
+    let csv = folder.join("across.csv");
+    let (before, difference) = (text(&csv), &blocks[1]["difference"]);
+    std::fs::write(&csv, before.replace(difference, "0.5")).unwrap();
+    assert_says(&verify(dir.path(), &["results/both"], 10), &["WRONG", "across.csv, line 3"]);
+    assert_says(&verify(dir.path(), &["results/both", "--update"], 0), &["across.csv: written anew"]);
+    assert_eq!(text(&csv), before);
+    std::fs::remove_dir_all(dir.path().join("results/mip_chair")).unwrap();
+    assert_says(&verify(dir.path(), &["results/both"], 10), &["mip_chair"]);
+}
+
 #[test]
 fn what_is_not_at_hand_is_said() {
     let (dir, _) = results("mip_fern");

@@ -21,6 +21,7 @@ use crate::sweep::{
 use super::LpipsWeights;
 use super::progress::{Console, duration, report};
 
+mod across;
 mod begin;
 mod best;
 mod cancel;
@@ -67,6 +68,9 @@ pub enum SweepCommand {
     /// Say which row is best, with its settings and folders
     #[command(after_help = best::EXAMPLES)]
     Best(best::BestArguments),
+    /// Compare two rows in each of several sweeps, corrected over the sweeps
+    #[command(after_help = across::EXAMPLES)]
+    Across(across::AcrossArguments),
     /// Write a sweep file with comments, to be changed and run
     #[command(after_help = new::EXAMPLES)]
     New(new::NewArguments),
@@ -84,6 +88,7 @@ impl SweepCommand {
             SweepCommand::Submit(arguments) => arguments.run(),
             SweepCommand::Cancel(arguments) => arguments.run(),
             SweepCommand::Best(arguments) => arguments.run(),
+            SweepCommand::Across(arguments) => arguments.run(),
             SweepCommand::New(arguments) => arguments.run(),
         }
     }

@@ -32,7 +32,7 @@ fn row_text(cells: &[String]) -> String {
 }
 
 /// Text that Markdown prints as it is; a line break would end a row. No link, no image, no HTML, no formula comes of it.
-fn escape(text: &str) -> String {
+pub(in crate::report) fn escape(text: &str) -> String {
     let letters: Vec<char> = text.chars().collect();
     let is_word = |letter: Option<&char>| letter.is_some_and(|letter| letter.is_alphanumeric());
     let escaped = letters.iter().enumerate().map(|(i, &c)| {

@@ -20,6 +20,7 @@ pub use comparison::{Comparison, Equivalence, Verdict};
 pub use delimited::{PointTiming, points_csv, table_csv, timing_csv};
 pub use heading::{Heading, is_better, is_worse};
 pub use latex::table_latex;
+pub(in crate::report) use markdown::escape;
 pub use markdown::table_markdown;
 pub use read::{PlaceText, read_points, read_timing};
 pub use terminal::table_terminal;

@@ -140,17 +140,20 @@ pub(super) fn difference_text(cell: &Cell) -> String {
 pub(in crate::report) fn interval_of(cell: &Cell) -> String {
     let Some(comparison) = &cell.comparison else { return String::new() };
     let pairs = if comparison.pairs < cell.n { format!(" ({} pairs)", comparison.pairs) } else { String::new() };
-    interval_text(&cell.metric, comparison.difference, comparison.interval) + &pairs
+    signed_interval(&cell.metric, comparison.difference, comparison.interval) + &pairs
 }
 
 /// `+0.31 [+0.10, +0.52]`, without the brackets where there is no interval.
-fn interval_text(metric: &str, difference: f64, interval: Option<(f64, f64)>) -> String {
-    let signed = |value: f64| {
-        let text = number(metric, value);
-        if text.starts_with('-') { text } else { format!("+{text}") }
-    };
+pub(in crate::report) fn signed_interval(metric: &str, difference: f64, interval: Option<(f64, f64)>) -> String {
+    let signed = |value: f64| signed_text(metric, value);
     let ends = interval.map_or(String::new(), |(low, high)| format!(" [{}, {}]", signed(low), signed(high)));
     signed(difference) + &ends
+}
+
+/// A difference with its sign and the digits of its metric.
+pub(in crate::report) fn signed_text(metric: &str, value: f64) -> String {
+    let text = number(metric, value);
+    if text.starts_with('-') { text } else { format!("+{text}") }
 }
 
 fn conclusion(cell: &Cell, comparison: &Comparison) -> String {
@@ -253,7 +256,7 @@ fn corruption_notes(lines: &[&Line]) -> Vec<String> {
         let cost = |cell: &Cell| {
             let comparison = cell.comparison?;
             let turned = |(low, high): (f64, f64)| if sign < 0.0 { (-high, -low) } else { (low, high) };
-            let text = interval_text(&cell.metric, sign * comparison.difference, comparison.interval.map(turned));
+            let text = signed_interval(&cell.metric, sign * comparison.difference, comparison.interval.map(turned));
             Some(format!("{} {text}", cell.metric))
         };
         let costs: Vec<String> = line.cells.iter().filter_map(cost).collect();

@@ -126,7 +126,7 @@ fn others(archive: &Archive, made: &Made, update: bool, findings: &mut Findings)
 }
 
 /// Where a file differs, for a person: the first line of a text.
-fn difference(name: &str, found: Option<&[u8]>, made: &[u8]) -> String {
+pub fn difference(name: &str, found: Option<&[u8]>, made: &[u8]) -> String {
     let Some(found) = found else { return format!("{name}: the points make it, and it is not there") };
     let texts = std::str::from_utf8(found).ok().zip(std::str::from_utf8(made).ok());
     let Some((found, made)) = texts else { return format!("{name}: it is not the picture that the points make") };

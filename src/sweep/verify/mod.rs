@@ -5,9 +5,11 @@ use std::sync::atomic::AtomicUsize;
 
 use crate::base::{Error, Result};
 use crate::runtime::Runtime;
+use crate::sweep::across::{ACROSS, ACROSS_PAGE};
 use crate::sweep::training::Trainings;
 use crate::sweep::view::VIEW;
 
+mod across;
 mod archive;
 mod columns;
 mod files;
@@ -70,6 +72,15 @@ impl Verifier<'_> {
                 runs::check(path, &mut findings)?;
                 Cells::of_runs(path)?
             }
+            Kind::Pages => match across::check(path, self.data_root, self.update, &mut findings) {
+                Ok(Some(cells)) => cells,
+                Ok(None) => return Ok(findings),
+                Err(error) if matches!(error, Error::Data(_)) || error.is_of_settings() => {
+                    findings.wrong(error);
+                    return Ok(findings);
+                }
+                Err(error) => return Err(error),
+            },
             Kind::Other => {
                 return Err(Error::Data(format!(
                     "{} holds no results: neither a sweep's (points.csv) nor single runs (RUN/metrics.json)",
@@ -99,6 +110,8 @@ impl Verifier<'_> {
 enum Kind {
     Sweep,
     Runs,
+    /// Text on results in other folders, or a comparison across them.
+    Pages,
     Other,
 }
 
@@ -106,7 +119,11 @@ fn kind(path: &Path) -> Result<Kind> {
     if path.join("points.csv").exists() || path.join("sweep.toml").exists() {
         return Ok(Kind::Sweep);
     }
-    Ok(if runs::run_folders(path)?.is_empty() { Kind::Other } else { Kind::Runs })
+    if !runs::run_folders(path)?.is_empty() {
+        return Ok(Kind::Runs);
+    }
+    let is_pages = path.join(ACROSS).exists() || !pages_in(path)?.is_empty() && folders_in(path)?.is_empty();
+    Ok(if is_pages { Kind::Pages } else { Kind::Other })
 }
 
 /// The results' folders that are meant by a path: itself, or those that lie in it.
@@ -153,7 +170,7 @@ pub fn untraced(results: &Path) -> Result<Findings> {
                 "{name}: neither a sweep's results (points.csv) nor single runs (RUN/metrics.json): nothing in it can be \
                  checked"
             )),
-            Kind::Sweep | Kind::Runs => names.push(name),
+            Kind::Sweep | Kind::Runs | Kind::Pages => names.push(name),
         }
     }
     for page in pages_beside(&results.join("any"))? {
@@ -182,17 +199,29 @@ fn folders_in(path: &Path) -> Result<Vec<PathBuf>> {
     Ok(folders)
 }
 
-/// The pages on results: those in the folder above, and the README above that.
+/// The pages on results: those in the folder above, those in folders of pages there, and the README above that.
 fn pages_beside(path: &Path) -> Result<Vec<Page>> {
     let absolute = std::path::absolute(path).map_err(|e| Error::unreadable(path, &e))?;
     let Some(results) = absolute.parent() else { return Ok(Vec::new()) };
-    let mut paths = Vec::new();
-    for entry in std::fs::read_dir(results).map_err(|e| Error::unreadable(results, &e))? {
-        paths.push(entry.map_err(|e| Error::unreadable(results, &e))?.path());
+    let mut paths = pages_in(results)?;
+    for folder in folders_in(results)? {
+        if matches!(kind(&folder), Ok(Kind::Pages)) {
+            paths.extend(pages_in(&folder)?);
+        }
     }
-    paths.retain(|path| path.extension().is_some_and(|ending| ending == "md"));
-    paths.sort();
     let root = results.parent().unwrap_or(results);
     paths.extend(Some(root.join("README.md")).filter(|path| root != results && path.exists()));
     paths.iter().map(|path| Page::read(path, root)).collect()
+}
+
+/// The pages in a folder that people wrote.
+fn pages_in(folder: &Path) -> Result<Vec<PathBuf>> {
+    let mut paths = Vec::new();
+    for entry in std::fs::read_dir(folder).map_err(|e| Error::unreadable(folder, &e))? {
+        paths.push(entry.map_err(|e| Error::unreadable(folder, &e))?.path());
+    }
+    let is_page = |path: &Path| path.extension().is_some_and(|ending| ending == "md") && !path.ends_with(ACROSS_PAGE);
+    paths.retain(|path| is_page(path));
+    paths.sort();
+    Ok(paths)
 }

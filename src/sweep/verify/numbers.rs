@@ -10,6 +10,7 @@ use std::path::Path;
 use super::files::Made;
 use crate::base::csv::{column_names, plain_cell};
 use crate::base::{Error, Result};
+use crate::sweep::across::ACROSS_CSV;
 use crate::sweep::material::optional;
 
 /// The tables of a results' folder.
@@ -52,6 +53,11 @@ impl Cells {
             rows.extend(super::runs::means(folder)?.into_iter().map(row));
         }
         Ok(Cells { name: name(folder), rows, points: Vec::new() })
+    }
+
+    /// Of comparisons across sweeps: a line a block, by the sweep's name.
+    pub fn of_blocks(folder: &Path, csv: &str) -> Result<Cells> {
+        Ok(Cells { name: name(folder), rows: csv_rows(&folder.join(ACROSS_CSV), csv.as_bytes())?, points: Vec::new() })
     }
 
     /// What an expression comes to; `row` stands where it names none. None: the cell is empty.
@@ -108,7 +114,7 @@ fn csv_rows(path: &Path, bytes: &[u8]) -> Result<Vec<Row>> {
         let cell = |name: &str| {
             cells.iter().find(|(known, _)| known == name).map(|(_, text)| text.clone()).unwrap_or_default()
         };
-        let name = if cell("row").is_empty() { cell("run") } else { cell("row") };
+        let name = ["row", "run", "sweep"].map(cell).into_iter().find(|name| !name.is_empty()).unwrap_or_default();
         let axes = cell("axes");
         let label = if axes.is_empty() { name } else { format!("{name}, {axes}") };
         Ok(Row { label, scene: cell("scene"), seed: cell("seed"), cells })

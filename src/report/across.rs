@@ -1,0 +1,271 @@
+//! One comparison of each of several tables, corrected over the tables: what a study asks of all its blocks at once.
+
+use super::statistics::{holm, simultaneous};
+use super::tables::text::{signed_interval, signed_text};
+use super::tables::{Comparison, Line, Table, escape};
+use crate::base::csv::{csv_number, csv_text};
+use crate::report::statistics::p_text;
+
+/// The comparisons, one a table, scene and place on axes.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Across {
+    /// The row that is compared.
+    pub row: String,
+    /// What it is compared with.
+    pub baseline: String,
+    /// Key of the metric.
+    pub metric: String,
+    /// In the order of the tables.
+    pub blocks: Vec<Block>,
+}
+
+/// One of them.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Block {
+    /// The table's name: the sweep's.
+    pub sweep: String,
+    /// The scene.
+    pub scene: String,
+    /// The place on axes; mostly none.
+    pub axes: String,
+    /// The difference, its p values corrected over the blocks; none without a seed that both rows have.
+    pub comparison: Option<Comparison>,
+    /// Ends of the interval that holds with 95 % for all blocks at once (Bonferroni).
+    pub simultaneous: Option<(f64, f64)>,
+}
+
+const HOW_TO_READ: &str = "the difference is paired by seed, with its 95 % Student t interval; p is that of the paired t test \
+     after Holm's correction over these comparisons, one a block; the simultaneous intervals hold with 95 % for all of them at \
+     once (Bonferroni)";
+
+impl Across {
+    /// Of tables whose first metric is the one that is compared and in which `row` has `baseline` for its baseline.
+    pub fn new(row: &str, baseline: &str, tables: &[Table]) -> Across {
+        let block = |table: &Table, line: &Line| Block {
+            sweep: table.name.clone(),
+            scene: line.scene.clone(),
+            axes: line.axes.clone(),
+            comparison: line.cells[0].comparison,
+            simultaneous: None,
+        };
+        let of = |table| -> Vec<Block> {
+            let table: &Table = table;
+            table.lines.iter().filter(|line| line.row == row).map(|line| block(table, line)).collect()
+        };
+        let mut across = Across {
+            row: row.into(),
+            baseline: baseline.into(),
+            metric: tables.first().and_then(|table| table.metrics.first()).cloned().unwrap_or_default(),
+            blocks: tables.iter().flat_map(of).collect(),
+        };
+        across.correct();
+        across
+    }
+
+    fn correct(&mut self) {
+        let all = |p: fn(&Comparison) -> Option<f64>| -> Vec<Option<f64>> {
+            self.blocks.iter().map(|block| block.comparison.as_ref().and_then(p)).collect()
+        };
+        let p = all(|comparison| comparison.p);
+        let tests = p.iter().flatten().count();
+        let (p, equivalence) = (holm(&p), holm(&all(|c| c.equivalence.and_then(|equivalence| equivalence.p))));
+        for ((block, p), of_equivalence) in self.blocks.iter_mut().zip(p).zip(equivalence) {
+            let Some(comparison) = &mut block.comparison else { continue };
+            comparison.p_holm = p;
+            comparison.equivalence.iter_mut().for_each(|equivalence| equivalence.p_holm = of_equivalence);
+            block.simultaneous = comparison.interval.map(|ends| simultaneous(ends, comparison.pairs, tests));
+        }
+    }
+
+    /// A line a block, all digits.
+    pub fn csv(&self) -> String {
+        const HEAD: [&str; 20] = [
+            "sweep",
+            "scene",
+            "axes",
+            "compared",
+            "baseline",
+            "metric",
+            "pairs",
+            "difference",
+            "low",
+            "high",
+            "p",
+            "p_holm",
+            "simultaneous_low",
+            "simultaneous_high",
+            "verdict",
+            "margin",
+            "p_equivalence",
+            "p_equivalence_holm",
+            "equivalent",
+            "ruled_out",
+        ];
+        let rows = self.blocks.iter().map(|block| {
+            let found = block.comparison.as_ref();
+            let number = |of: fn(&Comparison) -> Option<f64>| csv_number(found.and_then(of));
+            let equivalence = found.and_then(|comparison| comparison.equivalence);
+            vec![
+                block.sweep.clone(),
+                block.scene.clone(),
+                block.axes.clone(),
+                self.row.clone(),
+                self.baseline.clone(),
+                self.metric.clone(),
+                found.map_or(0, |comparison| comparison.pairs).to_string(),
+                number(|comparison| Some(comparison.difference)),
+                number(|comparison| Some(comparison.interval?.0)),
+                number(|comparison| Some(comparison.interval?.1)),
+                number(|comparison| comparison.p),
+                number(|comparison| comparison.p_holm),
+                csv_number(block.simultaneous.map(|ends| ends.0)),
+                csv_number(block.simultaneous.map(|ends| ends.1)),
+                found.and_then(Comparison::verdict).map_or(String::new(), |verdict| verdict.name().into()),
+                csv_number(equivalence.map(|equivalence| equivalence.margin)),
+                csv_number(equivalence.and_then(|equivalence| equivalence.p)),
+                csv_number(equivalence.and_then(|equivalence| equivalence.p_holm)),
+                equivalence.map_or(String::new(), |equivalence| equivalence.holds().to_string()),
+                block.ruled_out().map_or(String::new(), |ruled_out| ruled_out.to_string()),
+            ]
+        });
+        csv_text(std::iter::once(HEAD.map(String::from).to_vec()).chain(rows))
+    }
+
+    /// The same for readers.
+    pub fn markdown(&self) -> String {
+        let mut text = format!(
+            "**{} against {}, {}: one comparison a block**\n\n",
+            escape(&self.row),
+            escape(&self.baseline),
+            escape(&self.metric)
+        );
+        text += "| block | seeds | difference, 95 % interval | simultaneous interval | p (Holm) | said |\n";
+        text += "|---|---:|---:|---:|---:|---|\n";
+        text.extend(self.blocks.iter().map(|block| self.row_text(block)));
+        text += &format!("\n- {HOW_TO_READ}\n");
+        if self.blocks.iter().any(|block| block.margin().is_some()) {
+            text += "- \"equivalent within\" a margin that the sweep states: two one-sided paired t tests, with Holm's p below 0.05; \
+                     \"ruled out\": the upper end of the simultaneous interval lies below the margin\n";
+        }
+        text
+    }
+
+    fn row_text(&self, block: &Block) -> String {
+        let place = [&block.sweep, &block.scene, &block.axes].into_iter().filter(|text| !text.is_empty());
+        let place = place.map(|text| escape(text)).collect::<Vec<_>>().join(", ");
+        let Some(comparison) = &block.comparison else {
+            return format!("| {place} | 0 |  |  |  | no seed that both rows have |\n");
+        };
+        format!(
+            "| {place} | {} | {} | {} | {} | {} |\n",
+            comparison.pairs,
+            signed_interval(&self.metric, comparison.difference, comparison.interval),
+            block.simultaneous.map_or(String::new(), |(low, high)| {
+                format!("[{}, {}]", signed_text(&self.metric, low), signed_text(&self.metric, high))
+            }),
+            comparison.p_holm.map_or(String::new(), p_text),
+            self.words(block, comparison)
+        )
+    }
+
+    fn words(&self, block: &Block, comparison: &Comparison) -> String {
+        let mut words: Vec<String> =
+            comparison.verdict().map(|verdict| verdict.name().to_string()).into_iter().collect();
+        if let Some(margin) = block.margin() {
+            let margin = signed_text(&self.metric, margin);
+            let margin = margin.trim_start_matches('+');
+            words.extend(comparison.is_equivalent().then(|| format!("equivalent within {margin}")));
+            words.extend((block.ruled_out() == Some(true)).then(|| format!("+{margin} or more is ruled out")));
+        }
+        words.join(", ")
+    }
+}
+
+impl Block {
+    fn margin(&self) -> Option<f64> {
+        Some(self.comparison?.equivalence?.margin)
+    }
+
+    /// Whether the simultaneous interval ends below the margin; none without a margin or an interval.
+    pub fn ruled_out(&self) -> Option<bool> {
+        Some(self.simultaneous?.1 < self.margin()?)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::report::{Record, RowSpec, Status, TableSpec};
+
+    /// A table with the differences, seed by seed.
+    fn table(name: &str, differences: &[f64]) -> Table {
+        let row = |name: &str, baseline: Option<&str>| RowSpec {
+            name: name.into(),
+            baseline: baseline.map(String::from),
+            ..RowSpec::default()
+        };
+        let record = |row: &str, seed: usize, psnr: f64| Record {
+            id: format!("{row}-{seed}"),
+            scene: "fern".into(),
+            row: row.into(),
+            axes: vec![],
+            seed: Some(seed as u64),
+            status: Status::Done,
+            reason: String::new(),
+            metrics: vec![("psnr".into(), Some(psnr))],
+            protocol: vec![],
+            inactive_levels: vec![],
+        };
+        let spec = TableSpec {
+            name: name.into(),
+            metrics: vec!["psnr".into()],
+            rows: vec![row("NeRF", None), row("Aug-NeRF", Some("NeRF"))],
+            equivalence: vec![("psnr".into(), 0.3)],
+            ..TableSpec::default()
+        };
+        let of_seed = |(seed, difference): (usize, &f64)| {
+            [record("NeRF", seed, 20.0), record("Aug-NeRF", seed, 20.0 + difference)]
+        };
+        let records: Vec<Record> = differences.iter().enumerate().flat_map(of_seed).collect();
+        Table::new(&spec, &records, false).unwrap()
+    }
+
+    #[test]
+    fn p_values_are_corrected_over_the_blocks_and_intervals_widened() {
+        let clear = [0.5, 0.55, 0.45, 0.52];
+        let near = [0.01, -0.02, 0.03, -0.01];
+        let tables = [table("a", &clear), table("b", &near)];
+        let across = Across::new("Aug-NeRF", "NeRF", &tables);
+        let [a, b] = &across.blocks[..] else { panic!("two blocks") };
+        let (own, of_a) = (tables[0].lines[1].cells[0].comparison.unwrap(), a.comparison.unwrap());
+        // The smaller of two p values is doubled, the other stays.
+        assert_eq!(of_a.p_holm, Some(2.0 * own.p.unwrap()));
+        let of_b = b.comparison.unwrap();
+        assert_eq!(of_b.p_holm, of_b.p);
+        // t of 3 degrees of freedom: scipy.stats.t.ppf([0.975, 0.9875], 3) = 3.182446305283718, 4.176534846187437
+        let ratio = (a.simultaneous.unwrap().1 - of_a.difference) / (of_a.interval.unwrap().1 - of_a.difference);
+        assert!((ratio - 4.176534846187437 / 3.182446305283718).abs() < 1e-6, "{ratio}");
+        assert_eq!((a.ruled_out(), b.ruled_out()), (Some(false), Some(true)));
+        let text = across.markdown();
+        assert!(text.contains("| a, fern | 4 | +0.51 ["), "{text}");
+        assert!(
+            text.contains("| higher |") && text.contains("equivalent within 0.30, +0.30 or more is ruled out |"),
+            "{text}"
+        );
+        let csv = across.csv();
+        assert!(csv.starts_with("sweep,scene,") && csv.lines().count() == 3, "{csv}");
+    }
+
+    #[test]
+    fn one_block_is_itself_and_a_single_seed_claims_nothing() {
+        let tables = [table("a", &[0.5, 0.55, 0.45])];
+        let across = Across::new("Aug-NeRF", "NeRF", &tables);
+        let own = tables[0].lines[1].cells[0].comparison.unwrap();
+        let found = across.blocks[0].comparison.unwrap();
+        assert_eq!((found.p_holm, found.interval), (own.p, own.interval));
+        let (wide, plain) = (across.blocks[0].simultaneous.unwrap(), own.interval.unwrap());
+        assert!((wide.0 - plain.0).abs() < 1e-12 && (wide.1 - plain.1).abs() < 1e-12);
+        let single = Across::new("Aug-NeRF", "NeRF", &[table("a", &[0.5])]);
+        assert_eq!((single.blocks[0].simultaneous, single.blocks[0].ruled_out()), (None, None));
+    }
+}

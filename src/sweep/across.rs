@@ -1,0 +1,97 @@
+//! One comparison of each of several sweeps, corrected over the sweeps, and the folder that keeps it.
+
+use std::path::Path;
+
+use serde::{Deserialize, Serialize};
+
+use crate::base::files::write_atomic;
+use crate::base::{Error, Result};
+use crate::report::Across;
+
+use super::folder::DEFINITION;
+use super::material::optional;
+use super::view::{Choice, Origin, Source, View};
+
+/// What a folder of such comparisons has instead of a sweep's definition.
+pub const ACROSS: &str = "across.toml";
+/// For readers; a page of the folder that is made.
+pub const ACROSS_PAGE: &str = "across.md";
+/// A line a block.
+pub const ACROSS_CSV: &str = "across.csv";
+
+/// What is asked of every sweep, and which sweeps these are: `across.toml`.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Asked {
+    /// The row that is compared.
+    pub row: String,
+    /// What it is compared with.
+    pub baseline: String,
+    /// Key of the metric.
+    pub metric: String,
+    /// The sweeps, in the order of the blocks.
+    pub sweep: Vec<Origin>,
+}
+
+impl Asked {
+    /// Asks sweeps whether `row` differs from `baseline` in a metric.
+    ///
+    /// # Errors
+    /// A sweep that is named twice, or has not both rows.
+    pub fn new(row: &str, baseline: &str, metric: &str, sources: &[Source]) -> Result<(Asked, Across)> {
+        if row == baseline {
+            return Err(Error::Config(format!("--row and --baseline are both '{row}'; name two rows")));
+        }
+        let mut tables = Vec::new();
+        for (index, source) in sources.iter().enumerate() {
+            if sources[..index].iter().any(|other| other.name == source.name) {
+                return Err(Error::Config(format!("sweep '{}' is named twice: each is one block", source.name)));
+            }
+            let choice = Choice {
+                baseline: Some(baseline.into()),
+                rows: vec![baseline.into(), row.into()],
+                metrics: vec![metric.into()],
+            };
+            let view = View::new(&source.name, std::slice::from_ref(source), choice);
+            let table = view.and_then(|view| view.table());
+            tables.push(table.map_err(|error| error.within(&format!("sweep '{}'", source.name)))?);
+        }
+        let asked = Asked {
+            row: row.into(),
+            baseline: baseline.into(),
+            metric: metric.into(),
+            sweep: sources.iter().map(Origin::of).collect(),
+        };
+        Ok((asked, Across::new(row, baseline, &tables)))
+    }
+
+    /// Reads a folder's; none where it has none.
+    pub fn read(folder: &Path) -> Result<Option<Asked>> {
+        let path = folder.join(ACROSS);
+        let bad = |e: String| Error::Data(format!("{}: {e}", path.display()));
+        let Some(bytes) = optional(&path)? else { return Ok(None) };
+        let text = String::from_utf8(bytes).map_err(|e| bad(e.to_string()))?;
+        toml::from_str(&text).map(Some).map_err(|e| bad(e.to_string()))
+    }
+
+    /// The files of the folder, by their names.
+    pub fn files(&self, across: &Across) -> [(&'static str, String); 3] {
+        let asked = toml::to_string(self).expect("plain data");
+        [(ACROSS, asked), (ACROSS_CSV, across.csv()), (ACROSS_PAGE, across.markdown())]
+    }
+
+    /// Writes them into a folder, which may hold pages beside them.
+    ///
+    /// # Errors
+    /// A folder with a sweep's own tables.
+    pub fn write(&self, across: &Across, folder: &Path) -> Result<()> {
+        if folder.join(DEFINITION).exists() {
+            return Err(Error::Output(format!(
+                "{} holds the tables of a sweep: name another folder with --out",
+                folder.display()
+            )));
+        }
+        std::fs::create_dir_all(folder).map_err(|e| Error::unwritable(folder, &e))?;
+        self.files(across).iter().try_for_each(|(name, text)| write_atomic(&folder.join(name), text.as_bytes()))
+    }
+}

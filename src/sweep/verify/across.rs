@@ -1,0 +1,53 @@
+//! Comparisons across sweeps, made again from the sweeps' results beside them.
+
+use std::path::Path;
+
+use super::archive::Archive;
+use super::files::difference;
+use super::findings::Findings;
+use super::numbers::Cells;
+use crate::base::files::write_atomic;
+use crate::base::{Error, Result};
+use crate::sweep::across::{ACROSS, Asked};
+use crate::sweep::material::optional;
+use crate::sweep::view::Source;
+
+/// Compares a folder's files with what the sweeps beside it make, or, with `update`, writes what differs. Returns what pages may
+/// quote; none where the folder holds pages alone.
+pub fn check(path: &Path, data_root: Option<&Path>, update: bool, findings: &mut Findings) -> Result<Option<Cells>> {
+    let Some(kept) = Asked::read(path)? else {
+        findings.not_checked("pages: the numbers that they quote are checked with the folders that these are of");
+        return Ok(None);
+    };
+    let absolute = std::path::absolute(path).map_err(|e| Error::unreadable(path, &e))?;
+    let results = absolute.parent().unwrap_or(&absolute);
+    let read = |name: &str| Archive::read(&results.join(name), data_root);
+    let archives = kept.sweep.iter().map(|sweep| read(&sweep.name)).collect::<Result<Vec<_>>>()?;
+    let sources: Vec<Source> = archives.iter().map(source_of).collect();
+    let (asked, across) = Asked::new(&kept.row, &kept.baseline, &kept.metric, &sources)?;
+    let mut wrong = Vec::new();
+    for (name, text) in asked.files(&across) {
+        let found = optional(&path.join(name))?;
+        if found.as_deref() == Some(text.as_bytes()) {
+            continue;
+        }
+        if update {
+            write_atomic(&path.join(name), text.as_bytes())?;
+            findings.holds(format!("{name}: written anew"));
+            continue;
+        }
+        wrong.push(difference(name, found.as_deref(), text.as_bytes()));
+    }
+    findings.of(format!("comparisons of {} sweeps, of which {ACROSS} has the hashes", kept.sweep.len()), wrong);
+    Cells::of_blocks(path, &across.csv()).map(Some)
+}
+
+fn source_of(archive: &Archive) -> Source<'_> {
+    Source {
+        name: archive.provenance.name.clone(),
+        folder: None,
+        definition: &archive.definition,
+        points: &archive.points,
+        material: archive.material.clone(),
+    }
+}
