@@ -20,6 +20,8 @@ def main():
     parser.add_argument("folder", type=pathlib.Path)
     arguments = parser.parse_args()
     scene = arguments.scene.resolve()
+    if arguments.folder.resolve() == scene:
+        parser.error("name a folder of its own: the scene's stays as it was published")
     if (scene / "transforms_val.json").exists():
         parser.error(f"{scene} has a validation split of its own")
     transforms = json.loads((scene / "transforms_test.json").read_text())
@@ -27,7 +29,7 @@ def main():
     arguments.folder.mkdir(parents=True, exist_ok=True)
     for path in scene.iterdir():
         link = arguments.folder / path.name
-        if not link.exists():
+        if not link.is_symlink():
             link.symlink_to(path)
     (arguments.folder / "transforms_val.json").write_text(json.dumps(transforms))
 

@@ -171,8 +171,10 @@ impl ScoreArguments {
             (Some(_), ..) => return Ok(None),
             (None, Some(data), _) => self.config(data)?,
             (None, None, Some(into)) => {
-                let point = into.points.iter().find(|point| point.scene == into.scene).expect("a point's scene");
-                point.config.clone()
+                let of_scene = || into.points.iter().filter(|point| point.scene == into.scene);
+                // Held-out views may go with the seed.
+                let of_seed = of_scene().find(|point| Some(point.config.seed) == self.seed);
+                of_seed.or_else(|| of_scene().next()).expect("a point's scene").config.clone()
             }
             (None, None, None) => return Ok(None),
         };

@@ -4,6 +4,7 @@ use super::statistics::{holm, simultaneous};
 use super::tables::text::{signed_interval, signed_text};
 use super::tables::{Comparison, Line, Table, escape};
 use crate::base::csv::{csv_number, csv_text};
+use crate::metrics::{Direction, Metric};
 use crate::report::statistics::p_text;
 
 /// The comparisons, one a table, scene and place on axes.
@@ -30,13 +31,17 @@ pub struct Block {
     pub axes: String,
     /// The difference, its p values corrected over the blocks; none without a seed that both rows have.
     pub comparison: Option<Comparison>,
+    /// How many points of the row have come how far: `done 5`.
+    pub status: String,
+    /// The row lacks a point that its sweep asks for.
+    pub unfinished: bool,
     /// Ends of the interval that holds with 95 % for all blocks at once (Bonferroni).
     pub simultaneous: Option<(f64, f64)>,
 }
 
 const HOW_TO_READ: &str = "the difference is paired by seed, with its 95 % Student t interval; p is that of the paired t test \
      after Holm's correction over these comparisons, one a block; the simultaneous intervals hold with 95 % for all of them at \
-     once (Bonferroni)";
+     once (Bonferroni), which is stricter than Holm's p: \"higher\" and \"lower\" go by p";
 
 impl Across {
     /// Of tables whose first metric is the one that is compared and in which `row` has `baseline` for its baseline.
@@ -46,6 +51,8 @@ impl Across {
             scene: line.scene.clone(),
             axes: line.axes.clone(),
             comparison: line.cells[0].comparison,
+            status: line.status.clone(),
+            unfinished: line.unfinished(),
             simultaneous: None,
         };
         let of = |table| -> Vec<Block> {
@@ -79,10 +86,11 @@ impl Across {
 
     /// A line a block, all digits.
     pub fn csv(&self) -> String {
-        const HEAD: [&str; 20] = [
+        const HEAD: [&str; 21] = [
             "sweep",
             "scene",
             "axes",
+            "status",
             "compared",
             "baseline",
             "metric",
@@ -109,6 +117,7 @@ impl Across {
                 block.sweep.clone(),
                 block.scene.clone(),
                 block.axes.clone(),
+                block.status.clone(),
                 self.row.clone(),
                 self.baseline.clone(),
                 self.metric.clone(),
@@ -124,8 +133,8 @@ impl Across {
                 csv_number(equivalence.map(|equivalence| equivalence.margin)),
                 csv_number(equivalence.and_then(|equivalence| equivalence.p)),
                 csv_number(equivalence.and_then(|equivalence| equivalence.p_holm)),
-                equivalence.map_or(String::new(), |equivalence| equivalence.holds().to_string()),
-                block.ruled_out().map_or(String::new(), |ruled_out| ruled_out.to_string()),
+                equivalence.filter(|e| e.p_holm.is_some()).map_or(String::new(), |e| e.holds().to_string()),
+                block.ruled_out(&self.metric).map_or(String::new(), |ruled_out| ruled_out.to_string()),
             ]
         });
         csv_text(std::iter::once(HEAD.map(String::from).to_vec()).chain(rows))
@@ -145,7 +154,7 @@ impl Across {
         text += &format!("\n- {HOW_TO_READ}\n");
         if self.blocks.iter().any(|block| block.margin().is_some()) {
             text += "- \"equivalent within\" a margin that the sweep states: two one-sided paired t tests, with Holm's p below 0.05; \
-                     \"ruled out\": the upper end of the simultaneous interval lies below the margin\n";
+                     \"ruled out\": all of the simultaneous interval is worse than a gain of the margin\n";
         }
         text
     }
@@ -154,7 +163,10 @@ impl Across {
         let place = [&block.sweep, &block.scene, &block.axes].into_iter().filter(|text| !text.is_empty());
         let place = place.map(|text| escape(text)).collect::<Vec<_>>().join(", ");
         let Some(comparison) = &block.comparison else {
-            return format!("| {place} | 0 |  |  |  | no seed that both rows have |\n");
+            return format!(
+                "| {place} | 0 |  |  |  | no seed in which both rows have it; {} |\n",
+                escape(&block.status)
+            );
         };
         format!(
             "| {place} | {} | {} | {} | {} | {} |\n",
@@ -175,8 +187,11 @@ impl Across {
             let margin = signed_text(&self.metric, margin);
             let margin = margin.trim_start_matches('+');
             words.extend(comparison.is_equivalent().then(|| format!("equivalent within {margin}")));
-            words.extend((block.ruled_out() == Some(true)).then(|| format!("+{margin} or more is ruled out")));
+            words.extend(
+                (block.ruled_out(&self.metric) == Some(true)).then(|| format!("a gain of {margin} is ruled out")),
+            );
         }
+        words.extend(block.unfinished.then(|| format!("UNFINISHED: {}", escape(&block.status))));
         words.join(", ")
     }
 }
@@ -186,9 +201,15 @@ impl Block {
         Some(self.comparison?.equivalence?.margin)
     }
 
-    /// Whether the simultaneous interval ends below the margin; none without a margin or an interval.
-    pub fn ruled_out(&self) -> Option<bool> {
-        Some(self.simultaneous?.1 < self.margin()?)
+    /// Whether all of the simultaneous interval is worse than a gain of the margin; none without a margin or an interval, and
+    /// of a metric that has no better.
+    pub fn ruled_out(&self, metric: &str) -> Option<bool> {
+        let ((low, high), margin) = (self.simultaneous?, self.margin()?);
+        match Metric::find(metric)?.direction {
+            Direction::Up => Some(high < margin),
+            Direction::Down => Some(low > -margin),
+            Direction::Neither => None,
+        }
     }
 }
 
@@ -245,11 +266,13 @@ mod tests {
         // t of 3 degrees of freedom: scipy.stats.t.ppf([0.975, 0.9875], 3) = 3.182446305283718, 4.176534846187437
         let ratio = (a.simultaneous.unwrap().1 - of_a.difference) / (of_a.interval.unwrap().1 - of_a.difference);
         assert!((ratio - 4.176534846187437 / 3.182446305283718).abs() < 1e-6, "{ratio}");
-        assert_eq!((a.ruled_out(), b.ruled_out()), (Some(false), Some(true)));
+        assert_eq!((a.ruled_out("psnr"), b.ruled_out("psnr")), (Some(false), Some(true)));
+        // Less is better: what is far above 0 is no gain, and what is near 0 is none of the margin.
+        assert_eq!((a.ruled_out("lpips_squeeze"), b.ruled_out("lpips_squeeze")), (Some(true), Some(true)));
         let text = across.markdown();
         assert!(text.contains("| a, fern | 4 | +0.51 ["), "{text}");
         assert!(
-            text.contains("| higher |") && text.contains("equivalent within 0.30, +0.30 or more is ruled out |"),
+            text.contains("| higher |") && text.contains("equivalent within 0.30, a gain of 0.30 is ruled out |"),
             "{text}"
         );
         let csv = across.csv();
@@ -266,6 +289,7 @@ mod tests {
         let (wide, plain) = (across.blocks[0].simultaneous.unwrap(), own.interval.unwrap());
         assert!((wide.0 - plain.0).abs() < 1e-12 && (wide.1 - plain.1).abs() < 1e-12);
         let single = Across::new("Aug-NeRF", "NeRF", &[table("a", &[0.5])]);
-        assert_eq!((single.blocks[0].simultaneous, single.blocks[0].ruled_out()), (None, None));
+        assert_eq!((single.blocks[0].simultaneous, single.blocks[0].ruled_out("psnr")), (None, None));
+        assert!(single.csv().lines().nth(1).unwrap().ends_with(",,0.3,,,,"), "{}", single.csv());
     }
 }

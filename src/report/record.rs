@@ -123,6 +123,8 @@ pub struct TableSpec {
     pub rows: Vec<RowSpec>,
     /// Protocol fields that must be equal in all rows of a scene.
     pub must_match: Vec<String>,
+    /// Those of them that go with the seed: they must be equal in all rows of a scene with one seed.
+    pub by_seed: Vec<String>,
     /// Metrics with the margin within which a row counts as equivalent to its baseline, in the metric's unit. Without one
     /// no equivalence is claimed.
     pub equivalence: Vec<(String, f64)>,

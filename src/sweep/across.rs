@@ -5,12 +5,12 @@ use std::path::Path;
 use serde::{Deserialize, Serialize};
 
 use crate::base::files::write_atomic;
+use crate::base::input::{TEXT_BYTES, read_text};
 use crate::base::{Error, Result};
 use crate::report::Across;
 
 use super::folder::DEFINITION;
-use super::material::optional;
-use super::view::{Choice, Origin, Source, View};
+use super::view::{Choice, Origin, Source, VIEW, View};
 
 /// What a folder of such comparisons has instead of a sweep's definition.
 pub const ACROSS: &str = "across.toml";
@@ -42,17 +42,23 @@ impl Asked {
         if row == baseline {
             return Err(Error::Config(format!("--row and --baseline are both '{row}'; name two rows")));
         }
+        if sources.is_empty() {
+            return Err(Error::Config("no sweep is named: a comparison across sweeps needs at least one".into()));
+        }
         let mut tables = Vec::new();
         for (index, source) in sources.iter().enumerate() {
             if sources[..index].iter().any(|other| other.name == source.name) {
                 return Err(Error::Config(format!("sweep '{}' is named twice: each is one block", source.name)));
             }
+            [row, baseline].into_iter().try_for_each(|name| has_row(source, name))?;
             let choice = Choice {
                 baseline: Some(baseline.into()),
                 rows: vec![baseline.into(), row.into()],
                 metrics: vec![metric.into()],
             };
-            let view = View::new(&source.name, std::slice::from_ref(source), choice);
+            // Metrics over common pixels are the sweep's own, of all its rows: its results have no others.
+            let source = Source { folder: None, ..source.clone() };
+            let view = View::new(&source.name, std::slice::from_ref(&source), choice);
             let table = view.and_then(|view| view.table());
             tables.push(table.map_err(|error| error.within(&format!("sweep '{}'", source.name)))?);
         }
@@ -65,13 +71,11 @@ impl Asked {
         Ok((asked, Across::new(row, baseline, &tables)))
     }
 
-    /// Reads a folder's; none where it has none.
-    pub fn read(folder: &Path) -> Result<Option<Asked>> {
+    /// Reads a folder's.
+    pub fn read(folder: &Path) -> Result<Asked> {
         let path = folder.join(ACROSS);
-        let bad = |e: String| Error::Data(format!("{}: {e}", path.display()));
-        let Some(bytes) = optional(&path)? else { return Ok(None) };
-        let text = String::from_utf8(bytes).map_err(|e| bad(e.to_string()))?;
-        toml::from_str(&text).map(Some).map_err(|e| bad(e.to_string()))
+        let text = read_text(&path, TEXT_BYTES).map_err(|e| Error::unreadable(&path, &e))?;
+        toml::from_str(&text).map_err(|e| Error::Data(format!("{}: {e}", path.display())))
     }
 
     /// The files of the folder, by their names.
@@ -83,15 +87,28 @@ impl Asked {
     /// Writes them into a folder, which may hold pages beside them.
     ///
     /// # Errors
-    /// A folder with a sweep's own tables.
+    /// A folder with tables of a sweep, or with other folders.
     pub fn write(&self, across: &Across, folder: &Path) -> Result<()> {
-        if folder.join(DEFINITION).exists() {
-            return Err(Error::Output(format!(
-                "{} holds the tables of a sweep: name another folder with --out",
-                folder.display()
-            )));
+        let refuse = |holds: &str| {
+            Err(Error::Output(format!("{} holds {holds}: name another folder with --out", folder.display())))
+        };
+        if [DEFINITION, VIEW].iter().any(|name| folder.join(name).exists()) {
+            return refuse("tables of a sweep");
+        }
+        let mut entries = std::fs::read_dir(folder).into_iter().flatten().flatten();
+        if entries.any(|entry| entry.path().is_dir()) {
+            return refuse("other folders");
         }
         std::fs::create_dir_all(folder).map_err(|e| Error::unwritable(folder, &e))?;
         self.files(across).iter().try_for_each(|(name, text)| write_atomic(&folder.join(name), text.as_bytes()))
     }
+}
+
+fn has_row(source: &Source, name: &str) -> Result<()> {
+    let scored = source.material.scored.iter().map(|scored| scored.row.as_str());
+    let rows: Vec<&str> = source.definition.row.iter().map(|row| row.name.as_str()).chain(scored).collect();
+    if rows.contains(&name) {
+        return Ok(());
+    }
+    Err(Error::Config(format!("sweep '{}' has no row '{name}'; its rows are {}", source.name, rows.join(", "))))
 }

@@ -6,8 +6,8 @@ use serde::Serialize;
 
 use crate::base::{Error, Result};
 use crate::metrics::{Direction, Metric};
-use crate::report::TableSpec;
 use crate::report::tables::{Line, Table};
+use crate::report::{TableSpec, distinct};
 use crate::settings::registry::REGISTRY;
 use crate::settings::{Config, value_at};
 
@@ -87,7 +87,9 @@ pub fn best(
         });
         let (line, mean) = *ranked.first()?;
         let missing = |line: &&&Line| !line.quoted && complete(line).is_none();
-        let split = line.protocol("split").to_string();
+        let of_line = material.records.iter().filter(|r| r.scene == line.scene && r.label() == line.label);
+        let splits = distinct(of_line.map(|record| record.protocol("split").to_string()));
+        let is_validation = |split: &String| split.split('-').any(|part| part == "val");
         Some(Best {
             scene: scene.into(),
             label: line.label.clone(),
@@ -98,8 +100,8 @@ pub fn best(
             next: ranked.get(1).map(|(line, mean)| (line.label.clone(), *mean)),
             candidates: ranked.len(),
             unfinished: lines.iter().filter(missing).map(|line| line.label.clone()).collect(),
-            on_validation: split == "val" || split.split('-').any(|part| part == "val"),
-            split,
+            on_validation: splits.iter().all(is_validation),
+            split: splits.join(", "),
         })
     };
     let found: Vec<Best> = table.scenes().into_iter().filter_map(of_scene).collect();

@@ -1,6 +1,7 @@
 //! What rows of a sweep must share to stand in one table.
 
-use std::collections::HashMap;
+use std::collections::{BTreeSet, HashMap};
+use std::hash::Hash;
 
 use toml::Table;
 
@@ -8,7 +9,7 @@ use super::definition::Definition;
 use super::points::Point;
 use crate::metrics::{Metric, Needs};
 use crate::report::TableSpec;
-use crate::settings::columns::{Agreement, COLUMNS};
+use crate::settings::columns::{Agreement, COLUMNS, Column};
 use crate::settings::registry::REGISTRY;
 use crate::settings::value_at;
 
@@ -21,6 +22,7 @@ impl Definition {
             metrics: self.metrics.clone(),
             rows: self.rows(),
             must_match: must_match(&self.metrics, points),
+            by_seed: by_seed(points),
             equivalence: self.equivalence.clone().into_iter().collect(),
             varied: !self.axis.is_empty(),
             notes: Vec::new(),
@@ -28,29 +30,39 @@ impl Definition {
     }
 }
 
-/// Columns of the protocol that must be equal in all rows of a scene: all of the evaluation, but for those that the points
-/// differ in by definition.
+/// Columns of the protocol that must be equal in all rows of a scene: all of the evaluation, but for those that the points of one
+/// seed differ in by definition.
 pub(super) fn must_match(metrics: &[String], points: &[Point]) -> Vec<String> {
-    let tables: Vec<Table> = points.iter().map(|point| point.config.to_table()).collect();
-    let mut first_of_scene: HashMap<&str, &Table> = HashMap::new();
-    for (point, table) in points.iter().zip(&tables) {
-        first_of_scene.entry(&point.scene).or_insert(table);
-    }
-    let varies = |path: &str| {
-        let differs = |(point, table): (&Point, &Table)| {
-            value_at(table, path) != value_at(first_of_scene[point.scene.as_str()], path)
-        };
-        points.iter().zip(&tables).any(differs)
-    };
+    let varied = varied(points, |point| (point.scene.as_str(), point.config.seed));
     let must_agree = COLUMNS.iter().filter(|column| match column.agreement {
         Agreement::Always => true,
-        Agreement::UnlessVaried => {
-            !REGISTRY.settings.iter().any(|setting| column.follows(setting) && varies(&setting.path))
-        }
+        Agreement::UnlessVaried => !varied.contains(column.name),
         Agreement::ForLpips => metrics.iter().any(|key| needs_lpips(key)),
         Agreement::Free => false,
     });
     must_agree.map(|column| column.name.to_string()).collect()
+}
+
+/// Columns that points of a scene differ in by definition, seed by seed.
+pub(super) fn by_seed(points: &[Point]) -> Vec<String> {
+    let (of_scene, of_seed) = (varied(points, |point| &point.scene), varied(points, |p| (&p.scene, p.config.seed)));
+    of_scene.difference(&of_seed).map(|name| name.to_string()).collect()
+}
+
+/// Columns that follow a setting in which points of one group differ.
+fn varied<'p, K: Hash + Eq>(points: &'p [Point], group: impl Fn(&'p Point) -> K) -> BTreeSet<&'static str> {
+    let tables: Vec<Table> = points.iter().map(|point| point.config.to_table()).collect();
+    let mut firsts: HashMap<K, &Table> = HashMap::new();
+    for (point, table) in points.iter().zip(&tables) {
+        firsts.entry(group(point)).or_insert(table);
+    }
+    let varies = |path: &str| {
+        let differs =
+            |(point, table): (&'p Point, &Table)| value_at(table, path) != value_at(firsts[&group(point)], path);
+        points.iter().zip(&tables).any(differs)
+    };
+    let follows = |column: &&Column| REGISTRY.settings.iter().any(|s| column.follows(s) && varies(&s.path));
+    COLUMNS.iter().filter(follows).map(|column| column.name).collect()
 }
 
 fn needs_lpips(metric: &str) -> bool {

@@ -208,6 +208,7 @@ impl Definition {
             if self.set.get(&name) != Some(&value) {
                 self.changed.insert(name.clone(), value.clone());
             }
+            self.by_seed.remove(&name);
             self.set.insert(name, value);
         }
         self.check().map_err(Error::Config)

@@ -6,7 +6,7 @@ use serde::Deserialize;
 use serde_json::{Map, Value};
 
 use super::collect::Sheet;
-use super::comparability::must_match;
+use super::comparability::{by_seed, must_match};
 use super::layout::Place;
 use super::material::Material;
 use super::points::Point;
@@ -130,6 +130,8 @@ impl RunsSheet {
             _ => format!("{} on {scenes}", names.join(", ")),
         };
         self.spec.must_match = must_match(&self.spec.metrics, &self.points);
+        // Runs of two seeds may differ in anything: nothing defines what they share.
+        self.spec.by_seed = by_seed(&self.points);
     }
 
     /// The table, and the page as it lies in `folder`. Rows that differ in what is not varied are marked.

@@ -10,13 +10,13 @@ use crate::base::files::write_atomic;
 use crate::base::{Error, Result};
 use crate::metrics::{Metric, Scope};
 use crate::report::tables::{Table, points_csv};
-use crate::report::{AxisValue, Record, RowSpec, Status, TableSpec};
+use crate::report::{AxisValue, Record, RowSpec, Status, TableSpec, distinct};
 use crate::run::{DepthErrors, RunDir};
 
 use super::collect::{Results, Sheet};
 use super::common_depth::{add_common_depth, wants_depth};
-use super::comparability::must_match;
-use super::definition::Definition;
+use super::comparability::{by_seed, must_match};
+use super::definition::{Definition, Row};
 use super::folder::{DEFINITION, SweepFolder};
 use super::material::Material;
 use super::points::Point;
@@ -29,6 +29,7 @@ pub const VIEW: &str = "view.toml";
 const NO_BASELINE: &str = "none";
 
 /// A sweep that was run, or is being run.
+#[derive(Clone)]
 pub struct Source<'a> {
     /// Its name.
     pub name: String,
@@ -65,6 +66,8 @@ impl Choice {
 
 /// Rows of sweeps, chosen and side by side.
 pub struct View {
+    /// The first sweep's.
+    first: Definition,
     spec: TableSpec,
     material: Material,
     points: Vec<Point>,
@@ -98,6 +101,7 @@ impl View {
     pub fn new(name: &str, sources: &[Source], choice: Choice) -> Result<View> {
         let (first, others) = sources.split_first().expect("at least one sweep");
         let mut view = View {
+            first: first.definition.clone(),
             spec: TableSpec { name: name.into(), ..table_of(first) },
             material: first.material.clone(),
             points: first.points.to_vec(),
@@ -170,6 +174,10 @@ impl View {
         let same = known.is_none_or(|known| match (known.quoted || row.quoted, known.scored || row.scored) {
             (true, _) => known.quoted == row.quoted && known.published == row.published,
             (_, true) => false,
+            // Points of two seeds differ in these by definition.
+            _ if !(self.first.by_seed.is_empty() && source.definition.by_seed.is_empty()) => {
+                is_defined_alike(&self.first, source.definition, &row.name)
+            }
             _ => is_alike(&settings_of(&self.points, &row.name), &settings_of(source.points, &row.name)),
         });
         if same {
@@ -197,6 +205,8 @@ impl View {
     fn match_all(&mut self, sources: &[Source]) {
         let all: Vec<Vec<String>> = sources.iter().map(|s| must_match(&self.spec.metrics, s.points)).collect();
         self.spec.must_match.retain(|column| all.iter().all(|own| own.contains(column)));
+        let by_seed = sources.iter().flat_map(|source| by_seed(source.points));
+        self.spec.by_seed = distinct(by_seed);
     }
 
     fn choose(&mut self, choice: &Choice) -> Result<()> {
@@ -305,7 +315,7 @@ impl View {
     /// # Errors
     /// [`Error::NotComparable`] where rows may not stand side by side.
     pub fn table(&self) -> Result<Table> {
-        Table::new(&self.spec, &self.material.records, false)
+        Table::new(&self.spec, &self.material.all_records(), false)
     }
 
     /// Writes tables and figures into a folder of the view's own. Returns the table.
@@ -366,6 +376,15 @@ fn settings_of(points: &[Point], row: &str) -> Settings {
         }
     }
     settings
+}
+
+/// A row is the same in both definitions, word by word.
+fn is_defined_alike(a: &Definition, b: &Definition, row: &str) -> bool {
+    let row_of = |definition: &Definition| {
+        let rows = definition.row.iter().map(|own| Row { baseline: None, ours: false, ..own.clone() });
+        rows.into_iter().find(|own| own.name == row)
+    };
+    (&a.preset, &a.set, &a.by_seed, &a.axis, row_of(a)) == (&b.preset, &b.set, &b.by_seed, &b.axis, row_of(b))
 }
 
 /// Equal settings wherever both have points.

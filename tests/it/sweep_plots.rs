@@ -35,6 +35,7 @@ fn spec(rows: &[&str]) -> TableSpec {
         metrics: vec!["psnr".into()],
         rows: rows.iter().enumerate().map(row).collect(),
         must_match: vec![],
+        by_seed: vec![],
         equivalence: vec![],
         varied: false,
         notes: vec![],

@@ -186,8 +186,17 @@ fn settings_by_seed_go_with_the_seed_under_rows() {
     assert!(of(10).map(|point| point.config.train.steps).eq([20, 30]));
     let definition = parse(&text).unwrap();
     assert_eq!(parse(&definition.to_toml()).unwrap(), definition);
-    assert!(!definition.table("t", &points).must_match.contains(&"split".to_string()));
-    assert!(parse(BASE).unwrap().table("t", &points_of(BASE).unwrap()).must_match.contains(&"split".to_string()));
+    let table = definition.table("t", &points);
+    assert!(
+        [&table.must_match, &table.by_seed].iter().all(|columns| columns.contains(&"split".to_string())),
+        "{table:?}"
+    );
+    assert!(parse(BASE).unwrap().table("t", &points_of(BASE).unwrap()).by_seed.is_empty());
+    let mut other = definition.clone();
+    let set = vec![(vec!["data".to_string(), "holdout_offset".into()], toml::Value::Integer(1))];
+    other.apply(Overrides { set, ..Overrides::default() }).unwrap();
+    let offsets = expand(&other, None, &Costs).unwrap();
+    assert!(offsets.iter().all(|point| point.config.data.holdout_offset == 1), "the command line's setting");
     let message = points_of(&text.replace("[20]", "[]")).unwrap_err().to_string();
     assert!(message.contains("by_seed.\"train.steps\""), "{message}");
     let message = points_of(&text.replace("data.holdout_offset", "data.hold")).unwrap_err().to_string();

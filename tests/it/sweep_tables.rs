@@ -34,6 +34,7 @@ fn spec() -> TableSpec {
             row("output & only", Some("NeRF"), ""),
         ],
         must_match: vec!["width".into(), "code_revision".into()],
+        by_seed: vec![],
         equivalence: vec![],
         varied: false,
         notes: vec![],
@@ -203,6 +204,33 @@ fn uncontrolled_settings_are_refused_or_marked() {
     assert!(table_latex(&table).contains("$\\ddagger$ NOT COMPARABLE"));
 }
 
+/// What goes with the seed may differ between seeds, and not between two rows of one seed.
+#[test]
+fn settings_by_seed_are_controlled_seed_by_seed() {
+    let held_out = |row: &str, seed: u64, split: &str| {
+        let mut record = point("fern", row, seed, 25.0);
+        record.protocol.push(("split".into(), split.into()));
+        record
+    };
+    let plain = TableSpec { must_match: vec!["split".into()], ..spec() };
+    let by_seed = TableSpec { by_seed: vec!["split".into()], ..plain.clone() };
+    let records = |last: &str| {
+        [
+            held_out("NeRF", 0, "every-8"),
+            held_out("Aug-NeRF", 0, "every-8"),
+            held_out("NeRF", 1, "every-8-from-3"),
+            held_out("Aug-NeRF", 1, last),
+        ]
+    };
+    let same = records("every-8-from-3");
+    assert!(matches!(Table::new(&plain, &same, false), Err(Error::NotComparable(_))));
+    let table = Table::new(&by_seed, &same, false).unwrap();
+    assert!(table.lines.iter().all(|line| line.mixed.is_empty()));
+    let other = records("every-8");
+    assert!(matches!(Table::new(&by_seed, &other, false), Err(Error::NotComparable(_))));
+    assert_eq!(Table::new(&by_seed, &other, true).unwrap().lines[1].mixed, ["split"]);
+}
+
 #[test]
 fn what_cannot_be_placed_is_refused() {
     let refusal = |spec: &TableSpec, records: &[Record]| Table::new(spec, records, true).unwrap_err().to_string();
@@ -272,8 +300,7 @@ fn inactive_sites_are_worded_by_what_was_judged() {
     assert!(figure.contains("8-bit") && !figure.contains("effect"), "{figure}");
 }
 
-/// Depth over a row's own pixels compares rows on different ones.
-/// An empty cell of what a method cannot have is explained; one of a point that failed has its own mark.
+/// An empty cell of what a method cannot have is explained; those of a failed point and of one that lacks the metric are not its.
 #[test]
 fn cells_that_a_method_leaves_empty_are_explained() {
     let with_tv = |row: &str, tv: Option<f64>| {
@@ -283,15 +310,18 @@ fn cells_that_a_method_leaves_empty_are_explained() {
     };
     let failed = unmeasured(point("chair", "+ TV Reg.", 0, 0.0), Status::Failed, "collapsed");
     let spec = TableSpec { metrics: vec!["psnr".into(), "tv".into()], ..spec() };
-    let text = |tv| {
-        let records = [with_tv("NeRF", Some(2.0)), with_tv("output & only", tv), failed.clone()];
+    let text = |srn: &str| {
+        let mut other = with_tv("output & only", None);
+        other.protocol.push(("srn".into(), srn.into()));
+        let records = [with_tv("NeRF", Some(2.0)), other, failed.clone()];
         table_markdown(&Table::new(&spec, &records, false).unwrap())
     };
-    let note = "tv: empty in output & only, the rows' fields have no derivatives at points";
-    assert!(text(None).contains(note), "{}", text(None));
-    assert!(!text(Some(1.0)).contains("tv: empty"), "{}", text(Some(1.0)));
+    let note = "tv: empty of output & only, which are no fields that are queried at points";
+    assert!(text("width 256").contains(note), "{}", text("width 256"));
+    assert!(!text("").contains("tv: empty"), "{}", text(""));
 }
 
+/// Depth over a row's own pixels compares rows on different ones.
 #[test]
 fn a_verdict_on_depth_over_own_pixels_comes_with_a_note() {
     let note = |metric: &str| {

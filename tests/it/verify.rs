@@ -196,6 +196,13 @@ fn folders_that_nothing_checks_are_wrong() {
     let page = dir.path().join("results/surfaces.md");
     std::fs::write(&page, "NeRF reaches 34.10 dB.\n<!-- numbers foo: 34.10 = psnr_mean of NeRF -->\n").unwrap();
     assert_says(&verify(dir.path(), &[], 10), &["WRONG        foo: neither", "there is no results folder 'foo'"]);
+    // A page beside what the program makes is no folder of pages; by itself it is, and what it quotes has to be somewhere.
+    std::fs::write(foo.join("README.md"), "NeRF reaches 34.10 dB.\n<!-- numbers foo: 34.10 = psnr_mean of NeRF -->\n")
+        .unwrap();
+    assert_says(&verify(dir.path(), &[], 10), &["WRONG        foo: neither"]);
+    std::fs::remove_file(foo.join("table.csv")).unwrap();
+    std::fs::remove_file(&page).unwrap();
+    assert_says(&verify(dir.path(), &[], 10), &["foo/README.md, line 2: there is no results folder 'foo'"]);
     std::fs::remove_dir_all(&foo).unwrap();
     std::fs::write(&page, "NeRF reaches 34.10 dB.\n<!-- numbers geometry/: 34.10 = psnr_mean of NeRF -->\n").unwrap();
     assert_says(&verify(dir.path(), &[], 10), &["there is no results folder 'geometry/'"]);
@@ -241,14 +248,16 @@ fn a_comparison_across_sweeps_is_made_again() {
         let mut command = augnerf(&[&["sweep", "across"], &folders[..], &["--out", "results/both"], rest].concat());
         program::demand(command.current_dir(dir.path()).env_remove("AUGNERF_DATA"), code)
     };
-    assert_says(&across(&["--row", "Nerf"], 2), &["sweep 'geometry_chair'", "'Nerf' is no row"]);
+    assert_says(&across(&["--row", "Nerf"], 2), &["sweep 'geometry_chair' has no row 'Nerf'", "its rows are NeRF, "]);
+    assert_says(&across(&["--row", "Aug-NeRF,NeRF + second clean pass"], 2), &["has no row"]);
+    assert_says(&across(&["--row", "Aug-NeRF", "--out", "results"], 4), &["results holds other folders"]);
     assert_says(&across(&["--row", "NeRF"], 2), &["both 'NeRF'"]);
     let said = across(&["--row", "Aug-NeRF"], 0);
     assert_says(&said, &["Aug-NeRF against NeRF, psnr", "few_views_chair", "files: results/both"]);
     let folder = dir.path().join("results/both");
-    let blocks = rows(&folder.join("across.csv"));
+    let blocks = rows(&text(&folder.join("across.csv")));
     let own = |name: &str, column: &str| {
-        let table = rows(&dir.path().join("results").join(name).join("table.csv"));
+        let table = rows(&text(&dir.path().join("results").join(name).join("table.csv")));
         table.iter().find(|row| row["row"] == "Aug-NeRF").unwrap()[column].clone()
     };
     for block in &blocks {
@@ -279,8 +288,17 @@ fn a_comparison_across_sweeps_is_made_again() {
     assert_says(&verify(dir.path(), &["results/both"], 10), &["WRONG", "across.csv, line 3"]);
     assert_says(&verify(dir.path(), &["results/both", "--update"], 0), &["across.csv: written anew"]);
     assert_eq!(text(&csv), before);
+    // What names results elsewhere, or what is not there, does not hold.
+    let asked = folder.join("across.toml");
+    let named = text(&asked);
+    std::fs::write(&asked, named.replace("\"mip_chair\"", "\"../mip_chair\"")).unwrap();
+    assert_says(&verify(dir.path(), &["results/both"], 10), &["'../mip_chair' is not the name of a folder"]);
+    std::fs::write(&asked, named).unwrap();
     std::fs::remove_dir_all(dir.path().join("results/mip_chair")).unwrap();
     assert_says(&verify(dir.path(), &["results/both"], 10), &["mip_chair"]);
+    // Without what it asks it is files that nothing makes.
+    std::fs::remove_file(&asked).unwrap();
+    assert_says(&verify(dir.path(), &["results/both"], 3), &["holds no results"]);
 }
 
 #[test]

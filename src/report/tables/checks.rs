@@ -58,8 +58,9 @@ fn row_names(spec: &TableSpec) -> String {
 
 /// Refuses measured points of one scene that differ in a field of `must_match`.
 pub(super) fn check_controlled(spec: &TableSpec, groups: &[Group]) -> Result<()> {
-    for point in groups.iter().flat_map(Group::done) {
-        let Some(first) = first_of_scene(groups, &point.scene) else { continue };
+    let pairs =
+        groups.iter().flat_map(Group::done).flat_map(|point| firsts(groups, point).map(move |first| (point, first)));
+    for (point, first) in pairs {
         let differing = disagreements(spec, point, first);
         if let Some((field, others)) = differing.split_first() {
             let value_in = |record: &Record| {
@@ -81,25 +82,29 @@ pub(super) fn check_controlled(spec: &TableSpec, groups: &[Group]) -> Result<()>
     Ok(())
 }
 
-/// The fields of `must_match` in which a point differs from another one of its scene. What is not known of pictures that
-/// another program rendered is no difference.
+/// The fields of `must_match` in which a point differs from another one of its scene. What goes with the seed may differ from
+/// another seed's, and what is not known of pictures that another program rendered is no difference.
 pub fn disagreements(spec: &TableSpec, point: &Record, first: &Record) -> Vec<String> {
     let scored = spec.is_scored(&point.row);
     let differs = |field: &&String| {
         let own = point.protocol(field);
-        !(scored && own.is_empty()) && disagree(field, own, first.protocol(field))
+        let goes_with_seed = point.seed != first.seed && spec.by_seed.contains(field);
+        !(scored && own.is_empty()) && !goes_with_seed && disagree(field, own, first.protocol(field))
     };
     spec.must_match.iter().filter(differs).cloned().collect()
 }
 
 /// The fields of `must_match` in which a point of the group differs from the scene's first.
 pub(super) fn mixed_fields(spec: &TableSpec, group: &Group, groups: &[Group]) -> Vec<String> {
-    let Some(first) = first_of_scene(groups, group.scene) else { return Vec::new() };
-    let differing: Vec<String> = group.done().flat_map(|point| disagreements(spec, point, first)).collect();
+    let of_point = |point| firsts(groups, point).flat_map(|first| disagreements(spec, point, first));
+    let differing: Vec<String> = group.done().flat_map(of_point).collect();
     spec.must_match.iter().filter(|field| differing.contains(field)).cloned().collect()
 }
 
-/// The first point of a scene, in the table's order, that was trained here.
-fn first_of_scene<'a>(groups: &[Group<'a>], scene: &str) -> Option<&'a Record> {
-    groups.iter().filter(|group| group.scene == scene && !group.row.scored).flat_map(Group::done).next()
+/// The first points, in the table's order, that were trained here: of the point's scene, and of its scene with its seed.
+fn firsts<'a>(groups: &[Group<'a>], point: &Record) -> impl Iterator<Item = &'a Record> {
+    let of_scene =
+        || groups.iter().filter(|group| group.scene == point.scene && !group.row.scored).flat_map(Group::done);
+    let of_seed = of_scene().find(|other| other.seed == point.seed);
+    of_scene().next().into_iter().chain(of_seed)
 }

@@ -13,7 +13,8 @@ const LLFF_NOTE: &str = "LLFF is trained on the scene here: the published LLFF u
      alone, each from its neighbours, so that its numbers are not those of the published method; a training view is \
      shown from its own planes, which saw its picture, so that train_psnr and gap say less than those of other rows";
 
-fn is_without_fields(line: &Line) -> bool {
+/// A row of a method without fields.
+pub(super) fn is_without_fields(line: &Line) -> bool {
     OWN.iter().any(|column| !line.protocol(column).is_empty())
 }
 

@@ -1,6 +1,6 @@
 //! What the tables for readers say: numbers, marks and notes, before any escaping.
 
-use super::kinds::{kind_notes, llff_note};
+use super::kinds::{is_without_fields, kind_notes, llff_note};
 use super::{Cell, Comparison, Line, Table};
 use crate::metrics::{Metric, Needs};
 use crate::report::PUBLISHED_NOTE;
@@ -299,15 +299,14 @@ fn unmeasured_notes(lines: &[&Line]) -> Vec<String> {
         let (empty, filled): (Vec<&Line>, Vec<&Line>) =
             measured.iter().copied().partition(|line| line.cells[metric].n == 0);
         let metric = Metric::find(&first.cells[metric].metric)?;
-        let labels = || empty.iter().map(|line| line.label.as_str()).collect::<Vec<&str>>().join(", ");
-        let of = match (empty.is_empty(), filled.is_empty()) {
-            (true, _) => return None,
-            (false, true) => String::new(),
-            // Where some rows have it, what they lack is told by their marks, but for what their method cannot have.
-            (false, false) if metric.needs == Needs::DerivativesAtPoints => format!(" in {}", labels()),
-            (false, false) => return None,
-        };
-        Some(format!("{}: empty{of}, {}", metric.key, why_empty(metric.needs, with_weights)))
+        if filled.is_empty() {
+            return Some(format!("{}: empty, {}", metric.key, why_empty(metric.needs, with_weights)));
+        }
+        // Where some rows have it, others may have no field to measure it on.
+        let cannot = |line: &&Line| metric.needs == Needs::DerivativesAtPoints && is_without_fields(line);
+        let labels: Vec<&str> = empty.into_iter().filter(cannot).map(|line| line.label.as_str()).collect();
+        let why = "which are no fields that are queried at points";
+        (!labels.is_empty()).then(|| format!("{}: empty of {}, {why}", metric.key, labels.join(", ")))
     };
     (0..first.cells.len()).filter_map(note).collect()
 }

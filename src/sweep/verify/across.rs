@@ -13,15 +13,25 @@ use crate::sweep::material::optional;
 use crate::sweep::view::Source;
 
 /// Compares a folder's files with what the sweeps beside it make, or, with `update`, writes what differs. Returns what pages may
-/// quote; none where the folder holds pages alone.
-pub fn check(path: &Path, data_root: Option<&Path>, update: bool, findings: &mut Findings) -> Result<Option<Cells>> {
-    let Some(kept) = Asked::read(path)? else {
-        findings.not_checked("pages: the numbers that they quote are checked with the folders that these are of");
-        return Ok(None);
-    };
+/// quote.
+pub fn check(path: &Path, data_root: Option<&Path>, update: bool, findings: &mut Findings) -> Result<Cells> {
+    let kept = Asked::read(path)?;
     let absolute = std::path::absolute(path).map_err(|e| Error::unreadable(path, &e))?;
     let results = absolute.parent().unwrap_or(&absolute);
-    let read = |name: &str| Archive::read(&results.join(name), data_root);
+    let read = |name: &str| {
+        // A path would name results that no verification of these looks at.
+        if Path::new(name).file_name().is_none_or(|plain| plain != name) {
+            return Err(Error::Data(format!("{ACROSS}: sweep '{name}' is not the name of a folder beside this one")));
+        }
+        let archive = Archive::read(&results.join(name), data_root)?;
+        match archive.provenance.name == name {
+            true => Ok(archive),
+            false => Err(Error::Data(format!(
+                "{ACROSS}: the results of sweep '{name}' belong into a folder of that name, and results/{name} holds '{}'",
+                archive.provenance.name
+            ))),
+        }
+    };
     let archives = kept.sweep.iter().map(|sweep| read(&sweep.name)).collect::<Result<Vec<_>>>()?;
     let sources: Vec<Source> = archives.iter().map(source_of).collect();
     let (asked, across) = Asked::new(&kept.row, &kept.baseline, &kept.metric, &sources)?;
@@ -39,7 +49,7 @@ pub fn check(path: &Path, data_root: Option<&Path>, update: bool, findings: &mut
         wrong.push(difference(name, found.as_deref(), text.as_bytes()));
     }
     findings.of(format!("comparisons of {} sweeps, of which {ACROSS} has the hashes", kept.sweep.len()), wrong);
-    Cells::of_blocks(path, &across.csv()).map(Some)
+    Cells::of_blocks(path, &across.csv())
 }
 
 fn source_of(archive: &Archive) -> Source<'_> {

@@ -16,6 +16,11 @@ use crate::sweep::scored::SCORED;
 /// What tables and figures are made of: read, never made.
 const KEPT: [&str; 7] = [DEFINITION, PLAN, STEP_SECONDS, SCALARS, SCORED, PROVENANCE, "timing.csv"];
 
+/// Whether a file of a results' folder is one that tables and figures are made of.
+pub fn is_kept(name: &str) -> bool {
+    KEPT.contains(&name)
+}
+
 /// Files by their names.
 pub type Made = BTreeMap<String, Vec<u8>>;
 

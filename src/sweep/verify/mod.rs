@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::AtomicUsize;
 
 use crate::base::{Error, Result};
+use crate::report::exporters::EXPORTERS;
 use crate::runtime::Runtime;
 use crate::sweep::across::{ACROSS, ACROSS_PAGE};
 use crate::sweep::training::Trainings;
@@ -72,10 +73,19 @@ impl Verifier<'_> {
                 runs::check(path, &mut findings)?;
                 Cells::of_runs(path)?
             }
-            Kind::Pages => match across::check(path, self.data_root, self.update, &mut findings) {
-                Ok(Some(cells)) => cells,
-                Ok(None) => return Ok(findings),
-                Err(error) if matches!(error, Error::Data(_)) || error.is_of_settings() => {
+            Kind::Pages => {
+                findings
+                    .not_checked("pages: the numbers that they quote are checked with the folders that these are of");
+                return Ok(findings);
+            }
+            Kind::Across => match across::check(path, self.data_root, self.update, &mut findings) {
+                Ok(cells) => cells,
+                // What is missing beside it, or does not fit any more, is what is looked for.
+                Err(error @ (Error::Data(_) | Error::Checkpoint(_) | Error::NotComparable(_))) => {
+                    findings.wrong(error);
+                    return Ok(findings);
+                }
+                Err(error) if error.is_of_settings() => {
                     findings.wrong(error);
                     return Ok(findings);
                 }
@@ -110,7 +120,9 @@ impl Verifier<'_> {
 enum Kind {
     Sweep,
     Runs,
-    /// Text on results in other folders, or a comparison across them.
+    /// One comparison of each of several sweeps.
+    Across,
+    /// Text on results in other folders.
     Pages,
     Other,
 }
@@ -122,13 +134,26 @@ fn kind(path: &Path) -> Result<Kind> {
     if !runs::run_folders(path)?.is_empty() {
         return Ok(Kind::Runs);
     }
-    let is_pages = path.join(ACROSS).exists() || !pages_in(path)?.is_empty() && folders_in(path)?.is_empty();
-    Ok(if is_pages { Kind::Pages } else { Kind::Other })
+    if !folders_in(path)?.is_empty() {
+        return Ok(Kind::Other);
+    }
+    Ok(match path.join(ACROSS).exists() {
+        true => Kind::Across,
+        false if holds_pages_alone(path)? => Kind::Pages,
+        false => Kind::Other,
+    })
+}
+
+/// Whether people wrote all that a folder holds: a page at least, and nothing that the program leaves in results.
+fn holds_pages_alone(path: &Path) -> Result<bool> {
+    let names = files_in(path)?;
+    let is_made = |name: &String| files::is_kept(name) || EXPORTERS.iter().any(|exporter| exporter.owns(name));
+    Ok(names.iter().any(|name| name.ends_with(".md")) && !names.iter().any(is_made))
 }
 
 /// The results' folders that are meant by a path: itself, or those that lie in it.
 pub fn results_in(path: &Path) -> Result<Vec<PathBuf>> {
-    if !matches!(kind(path)?, Kind::Other) {
+    if !matches!(kind(path)?, Kind::Other | Kind::Pages) {
         return Ok(vec![path.to_path_buf()]);
     }
     let mut folders = folders_in(path)?;
@@ -170,7 +195,8 @@ pub fn untraced(results: &Path) -> Result<Findings> {
                 "{name}: neither a sweep's results (points.csv) nor single runs (RUN/metrics.json): nothing in it can be \
                  checked"
             )),
-            Kind::Sweep | Kind::Runs | Kind::Pages => names.push(name),
+            Kind::Sweep | Kind::Runs | Kind::Across => names.push(name),
+            Kind::Pages => {}
         }
     }
     for page in pages_beside(&results.join("any"))? {
@@ -205,7 +231,7 @@ fn pages_beside(path: &Path) -> Result<Vec<Page>> {
     let Some(results) = absolute.parent() else { return Ok(Vec::new()) };
     let mut paths = pages_in(results)?;
     for folder in folders_in(results)? {
-        if matches!(kind(&folder), Ok(Kind::Pages)) {
+        if matches!(kind(&folder), Ok(Kind::Pages | Kind::Across)) {
             paths.extend(pages_in(&folder)?);
         }
     }
@@ -216,12 +242,19 @@ fn pages_beside(path: &Path) -> Result<Vec<Page>> {
 
 /// The pages in a folder that people wrote.
 fn pages_in(folder: &Path) -> Result<Vec<PathBuf>> {
-    let mut paths = Vec::new();
+    let mut names = files_in(folder)?;
+    let made = folder.join(ACROSS).exists();
+    names.retain(|name| name.ends_with(".md") && !(made && name == ACROSS_PAGE));
+    Ok(names.into_iter().map(|name| folder.join(name)).collect())
+}
+
+/// Names in a folder, folders among them.
+fn files_in(folder: &Path) -> Result<Vec<String>> {
+    let mut names = Vec::new();
     for entry in std::fs::read_dir(folder).map_err(|e| Error::unreadable(folder, &e))? {
-        paths.push(entry.map_err(|e| Error::unreadable(folder, &e))?.path());
+        let entry = entry.map_err(|e| Error::unreadable(folder, &e))?;
+        names.push(entry.file_name().to_string_lossy().into_owned());
     }
-    let is_page = |path: &Path| path.extension().is_some_and(|ending| ending == "md") && !path.ends_with(ACROSS_PAGE);
-    paths.retain(|path| is_page(path));
-    paths.sort();
-    Ok(paths)
+    names.sort();
+    Ok(names)
 }
