@@ -243,16 +243,19 @@ fn a_comparison_across_sweeps_is_made_again() {
     for name in ["geometry_chair", "mip_chair"] {
         copy(&Path::new(ROOT).join("results").join(name), &dir.path().join("results").join(name));
     }
-    let across = |rest: &[&str], code: i32| {
+    let across = |out: &str, row: &str, code: i32| {
         let folders = ["results/geometry_chair", "results/mip_chair", "results/few_views_chair"];
-        let mut command = augnerf(&[&["sweep", "across"], &folders[..], &["--out", "results/both"], rest].concat());
+        let mut command = augnerf(&[&["sweep", "across"], &folders[..], &["--out", out, "--row", row]].concat());
         program::demand(command.current_dir(dir.path()).env_remove("AUGNERF_DATA"), code)
     };
-    assert_says(&across(&["--row", "Nerf"], 2), &["sweep 'geometry_chair' has no row 'Nerf'", "its rows are NeRF, "]);
-    assert_says(&across(&["--row", "Aug-NeRF,NeRF + second clean pass"], 2), &["has no row"]);
-    assert_says(&across(&["--row", "Aug-NeRF", "--out", "results"], 4), &["results holds other folders"]);
-    assert_says(&across(&["--row", "NeRF"], 2), &["both 'NeRF'"]);
-    let said = across(&["--row", "Aug-NeRF"], 0);
+    assert_says(
+        &across("results/both", "Nerf", 2),
+        &["sweep 'geometry_chair' has no row 'Nerf'", "its rows are NeRF, "],
+    );
+    assert_says(&across("results/both", "Aug-NeRF,NeRF + second clean pass", 2), &["has no row"]);
+    assert_says(&across("results", "Aug-NeRF", 4), &["results holds other folders"]);
+    assert_says(&across("results/both", "NeRF", 2), &["both 'NeRF'"]);
+    let said = across("results/both", "Aug-NeRF", 0);
     assert_says(&said, &["Aug-NeRF against NeRF, psnr", "few_views_chair", "files: results/both"]);
     let folder = dir.path().join("results/both");
     let blocks = rows(&text(&folder.join("across.csv")));

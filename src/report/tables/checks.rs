@@ -89,7 +89,8 @@ pub fn disagreements(spec: &TableSpec, point: &Record, first: &Record) -> Vec<St
     let differs = |field: &&String| {
         let own = point.protocol(field);
         let goes_with_seed = point.seed != first.seed && spec.by_seed.contains(field);
-        !(scored && own.is_empty()) && !goes_with_seed && disagree(field, own, first.protocol(field))
+        let is_unknown = scored && own.is_empty();
+        !is_unknown && !goes_with_seed && disagree(field, own, first.protocol(field))
     };
     spec.must_match.iter().filter(differs).cloned().collect()
 }
