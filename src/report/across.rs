@@ -270,7 +270,7 @@ mod tests {
         // Less is better: what is far above 0 is no gain, and what is near 0 is none of the margin.
         assert_eq!((a.ruled_out("lpips_squeeze"), b.ruled_out("lpips_squeeze")), (Some(true), Some(true)));
         let text = across.markdown();
-        assert!(text.contains("| a, fern | 4 | +0.51 ["), "{text}");
+        assert!(text.contains("| a, fern | 4 | +0.50 ["), "{text}");
         assert!(
             text.contains("| higher |") && text.contains("equivalent within 0.30, a gain of 0.30 is ruled out |"),
             "{text}"
