@@ -16,13 +16,14 @@ use crate::settings::value_at;
 impl Definition {
     /// What tables and plots of these points need to know.
     pub fn table(&self, name: &str, points: &[Point]) -> TableSpec {
+        let must_match = must_match(&self.metrics, points);
         TableSpec {
             name: name.to_string(),
             title: self.full_title(),
             metrics: self.metrics.clone(),
             rows: self.rows(),
-            must_match: must_match(&self.metrics, points),
-            by_seed: by_seed(points),
+            by_seed: by_seed(&must_match, points),
+            must_match,
             equivalence: self.equivalence.clone().into_iter().collect(),
             varied: !self.axis.is_empty(),
             notes: Vec::new(),
@@ -43,10 +44,10 @@ pub(super) fn must_match(metrics: &[String], points: &[Point]) -> Vec<String> {
     must_agree.map(|column| column.name.to_string()).collect()
 }
 
-/// Columns that points of a scene differ in by definition, seed by seed.
-pub(super) fn by_seed(points: &[Point]) -> Vec<String> {
-    let (of_scene, of_seed) = (varied(points, |point| &point.scene), varied(points, |p| (&p.scene, p.config.seed)));
-    of_scene.difference(&of_seed).map(|name| name.to_string()).collect()
+/// Those of the columns that must be equal in which points of a scene differ by definition, seed by seed.
+pub(super) fn by_seed(must_match: &[String], points: &[Point]) -> Vec<String> {
+    let varied = varied(points, |point| point.scene.as_str());
+    must_match.iter().filter(|column| varied.contains(column.as_str())).cloned().collect()
 }
 
 /// Columns that follow a setting in which points of one group differ.

@@ -131,7 +131,7 @@ impl RunsSheet {
         };
         self.spec.must_match = must_match(&self.spec.metrics, &self.points);
         // Runs of two seeds may differ in anything: nothing defines what they share.
-        self.spec.by_seed = by_seed(&self.points);
+        self.spec.by_seed = by_seed(&self.spec.must_match, &self.points);
     }
 
     /// The table, and the page as it lies in `folder`. Rows that differ in what is not varied are marked.

@@ -205,7 +205,7 @@ impl View {
     fn match_all(&mut self, sources: &[Source]) {
         let all: Vec<Vec<String>> = sources.iter().map(|s| must_match(&self.spec.metrics, s.points)).collect();
         self.spec.must_match.retain(|column| all.iter().all(|own| own.contains(column)));
-        let by_seed = sources.iter().flat_map(|source| by_seed(source.points));
+        let by_seed = sources.iter().flat_map(|source| by_seed(&self.spec.must_match, source.points));
         self.spec.by_seed = distinct(by_seed);
     }
 
