@@ -79,9 +79,11 @@ impl Cells {
 
     fn term(&self, term: &str, row: Option<&str>) -> std::result::Result<Option<f64>, String> {
         let (column, place) = term.trim().split_once(" of ").unwrap_or((term.trim(), row.unwrap_or_default()));
-        let (label, scene) = place.split_once(" on ").unwrap_or((place, ""));
         let (column, seed) = column.split_once('@').unwrap_or((column, ""));
         let lines = if seed.is_empty() { &self.rows } else { &self.points };
+        // A row's own name may have the word: "NeRF on a hash grid".
+        let is_row = lines.iter().any(|line| line.label == place);
+        let (label, scene) = if is_row { (place, "") } else { place.rsplit_once(" on ").unwrap_or((place, "")) };
         let fits = |row: &&Row| {
             row.label == label && (scene.is_empty() || row.scene == scene) && (seed.is_empty() || row.seed == seed)
         };
@@ -147,7 +149,23 @@ pub fn is_quoted_as(value: f64, quoted: &str) -> std::result::Result<bool, Strin
 
 #[cfg(test)]
 mod tests {
-    use super::is_quoted_as;
+    use std::path::Path;
+
+    use super::{Cells, csv_rows, is_quoted_as};
+
+    #[test]
+    fn a_row_is_named_with_its_scene_or_has_the_word_in_its_own_name() {
+        let csv = "row,scene,psnr_mean\nNeRF,chair,23.3\nNeRF,fern,19.2\nNeRF on a hash grid,chair,29.8\nNeRF on a hash grid,fern,21.0\n\
+                   NV on a grid,chair,22.8\n";
+        let rows = csv_rows(Path::new("table.csv"), csv.as_bytes()).unwrap();
+        let cells = Cells { name: "grids".into(), rows, points: Vec::new() };
+        let value = |place: &str| cells.value(&format!("psnr_mean of {place}"), None);
+        assert_eq!(value("NeRF on chair"), Ok(Some(23.3)));
+        assert_eq!(value("NeRF on a hash grid on fern"), Ok(Some(21.0)));
+        assert_eq!(value("NV on a grid"), Ok(Some(22.8)));
+        assert!(value("NeRF on a hash grid").unwrap_err().contains("several rows"));
+        assert!(value("NeRF on drums").unwrap_err().contains("no row 'NeRF'"));
+    }
 
     #[test]
     fn numbers_are_compared_to_the_digits_that_are_quoted() {
