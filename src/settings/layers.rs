@@ -289,6 +289,10 @@ mod tests {
             let batches = |train: &TrainConfig| (train.batching, train.precrop_steps);
             assert_eq!([batches(&srn), batches(&nv)], [(Some(Batching::AllImages), Some(0)); 2]);
         }
+        // An SRN has nothing that a plain background could empty.
+        let small = of("srn", Some(Preset::Cpu));
+        assert_eq!((small.batching, small.precrop_steps), (Some(Batching::AllImages), Some(0)));
+        assert_eq!(of("nv", Some(Preset::Cpu)).batching, None);
         let steps = ["srn", "nv", "llff"].map(|name| [Preset::Cpu, Preset::Fast].map(|p| of(name, Some(p)).steps));
         assert_eq!(steps, [[10_000, 1_500], [5_000, 1_500], [1_500, 1_500]]);
         let nv = |preset| method("nv", Some(preset)).unwrap().nv;
