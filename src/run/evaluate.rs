@@ -143,7 +143,8 @@ impl Viewer<'_> {
     }
 
     /// Seconds that views of `cameras` will take, from some rows in the middle of the first: enough to give each thread a
-    /// few chunks. None where these would be a tenth of all rows or more, which are soon rendered.
+    /// few chunks. None where these would be a tenth of all rows or more, which are soon rendered, and where preparing the
+    /// first view took longer than they did: what the others need beside it is not known.
     ///
     /// # Errors
     /// Those of candle.
@@ -157,13 +158,16 @@ impl Viewer<'_> {
         }
         self.runtime.install(|| {
             let painter = self.model.painter(self.config, self.scene)?;
+            let preparing = Instant::now();
             self.prepare(&*painter, first)?;
+            let prepared = preparing.elapsed();
             let top = (first.height - rows) / 2;
             let started = Instant::now();
             let some: Vec<(&Camera, u32, u32)> =
                 (top..top + rows).flat_map(|y| (0..first.width as u32).map(move |x| (*first, x, y as u32))).collect();
             self.paint(&*painter, &some)?;
-            Ok(Some(started.elapsed().as_secs_f64() / timed as f64 * pixels as f64))
+            let painted = started.elapsed();
+            Ok((prepared <= painted).then(|| painted.as_secs_f64() / timed as f64 * pixels as f64))
         })
     }
 

@@ -94,6 +94,7 @@ fn memory_is_estimated_before_it_is_taken() {
         "field.core=plain",
         "train.steps=2",
         "train.batching=all-images",
+        "data.width=32",
         "eval.chunk=64",
         "eval.train_views=0",
         "eval.pictures=0",

@@ -317,20 +317,7 @@ fn a_product_of_two_axes_is_drawn_too() {
 fn the_smallest_and_largest_numbers_and_odd_letters_are_drawn() {
     let odd = ["NeRF", "A\u{1}u\u{fffe}g <&> λ 中"];
     let spec = spec(&odd);
-    let extremes = [
-        5e-324,
-        -5e-324,
-        0.0,
-        1e-308,
-        1e308,
-        -1e308,
-        f64::MAX,
-        f64::MIN,
-        1.0,
-        1.0 + f64::EPSILON,
-        f64::NAN,
-        f64::INFINITY,
-    ];
+    let extremes = [5e-324, -5e-324, 0.0, 1e308, f64::MAX, f64::MIN, 1.0, 1.0 + f64::EPSILON, f64::NAN, f64::INFINITY];
     for a in extremes {
         for b in extremes {
             let at = |value: &str| vec![axis_value("steps", "", value)];
