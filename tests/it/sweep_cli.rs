@@ -270,7 +270,7 @@ fn the_smoke_sweep_leaves_every_table_and_figure() {
     let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("sweeps/smoke.toml");
     let file = file.to_str().unwrap();
     demand(
-        &["sweep", "run", file, "--quiet", "--set", "train.steps=20", "--set", "data.width=24", "--jobs", "2"],
+        &["sweep", "run", file, "--quiet", "--set", "train.steps=20", "--set", "data.width=40", "--jobs", "2"],
         dir.path(),
         0,
     );
@@ -330,7 +330,7 @@ fn a_point_without_its_settings_fails_and_keeps_its_checkpoints() {
 #[cfg(all(target_os = "linux", target_env = "gnu"))]
 #[test]
 fn each_point_has_its_own_memory() {
-    let large = r#"{ "data.width" = 24, "train.rays" = 1024, "train.chunk" = 1024, "field.width" = 128, "sampling.coarse" = 32 }"#;
+    let large = r#"{ "data.width" = 64, "train.rays" = 1024, "train.chunk" = 1024, "field.width" = 128, "sampling.coarse" = 32 }"#;
     let rows = format!("[[row]]\nname = \"NeRF\"\nset = {large}\n[[row]]\nname = \"small\"\n");
     let (head, _) = TINY.split_once("[[row]]").unwrap();
     let definition = head.replace("\"train.steps\" = 60", "\"train.steps\" = 2").replace("[0, 1]", "[0]") + &rows;
