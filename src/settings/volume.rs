@@ -50,7 +50,7 @@ section! {
         /// Two corners in scene units; the volume is the cube around their middle that holds them. Empty = the box that the scene's
         /// surface is looked for in; a capture whose cameras look at nothing in common needs it.
         pub bounds: Option<[[f64; 3]; 2]> = None, numbers().corners().columns(COLUMN);
-        /// Length of a step along a ray, of which the volume's side has 2. Empty = 2 / resolution.
+        /// Length of a step along a ray, in the volume's units: its side is 2. Empty = 2 / resolution.
         pub step: Option<f64> = None,
             numbers().real(|step| step > 1e-4 && step <= 1.0, "above 0.0001, at most 1").columns(COLUMN);
         /// Standard deviation of the logarithm of each step's length in training; a view is shown without.
@@ -92,7 +92,7 @@ impl VolumeConfig {
         Some((std::array::from_fn(|axis| 0.5 * (low[axis] + high[axis])), 0.5 * side))
     }
 
-    /// Length of a step along a ray, of which the volume's side has 2.
+    /// Length of a step along a ray, in the volume's units: its side is 2.
     pub fn step_length(&self) -> f64 {
         self.step.unwrap_or(2.0 / self.resolution as f64)
     }

@@ -47,7 +47,7 @@ impl PlanesLearner {
     /// Those of [`PlanesLearner::new`]; pictures that no memory holds the planes of; windows that hold too few of the planes.
     pub fn start(config: &Resolved, scene: &Scene, network: MpiNetwork) -> Result<PlanesLearner> {
         let learner = PlanesLearner::new(config, scene, network)?;
-        learner.stage.check_memory()?;
+        learner.stage.check_memory(config.llff.inputs)?;
         learner.draw(0)?;
         Ok(learner)
     }

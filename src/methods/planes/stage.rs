@@ -16,9 +16,12 @@ const FEWEST_VIEWS: usize = 3;
 /// Bytes of a plane's pixel that stays: RGBA.
 const KEPT_BYTES: f64 = 4.0;
 
-/// Bytes of a cell of the finest lattice while a view is predicted: the 32 channels that come up from the next one, and 8 of
-/// what is made of them.
-const PREDICTED_BYTES: f64 = 160.0;
+/// Bytes of a cell of the finest lattice while a view is predicted, at the last layer but one: the 32 channels that come up from
+/// the next lattice, the 8 of the layer before, its own before and after normalisation, and what coarser lattices keep.
+const PREDICTED_BYTES: f64 = 4.0 * (32.0 + 3.0 * 8.0) + 24.0;
+
+/// And of each input view's colour in the plane sweep, which the mixture needs at the end.
+const SWEPT_BYTES: f64 = 4.0 * 3.0;
 
 /// What learning and painting have in common. Views that are held out are no part of it.
 #[derive(Clone)]
@@ -47,16 +50,17 @@ impl Stage {
 }
 
 impl Stage {
-    /// Refuses views whose planes take more memory than this machine has free. Those of all views are
-    /// counted, which a path around the scene needs.
+    /// Refuses views whose planes take more memory than this machine has free, predicted of `inputs` views each. Those of all
+    /// views are counted, which a path around the scene needs.
     ///
     /// # Errors
     /// [`Error::Config`] with what is needed and what is free.
-    pub fn check_memory(&self) -> Result<()> {
+    pub fn check_memory(&self, inputs: usize) -> Result<()> {
         let cells = |view: &Seen| (view.eye.camera.width * view.eye.camera.height * self.depths.len()) as f64;
         let (all, largest) =
             self.views.iter().map(cells).fold((0.0, 0f64), |(all, largest), n| (all + n, largest.max(n)));
-        let mib = (all * KEPT_BYTES + largest * PREDICTED_BYTES) / f64::from(1 << 20);
+        let predicted = PREDICTED_BYTES + SWEPT_BYTES * inputs as f64;
+        let mib = (all * KEPT_BYTES + largest * predicted) / f64::from(1 << 20);
         match free_memory_mib() {
             Some(free) if mib > free => Err(Error::Config(format!(
                 "llff.planes = {}: the planes of {} training views take {:.1} GiB once pictures from all sides are rendered, and {:.1} \

@@ -8,13 +8,14 @@ use crate::settings::Config;
 
 use candle_core::Tensor;
 
+use super::cube::Cube;
 use super::decoder::Decoded;
 use super::learner::WHITE;
 use super::parameters::NeuralVolume;
 
 /// Marches rays through a volume that was decoded once, by even steps.
 pub struct VolumePainter {
-    volume: NeuralVolume,
+    cube: Cube,
     decoded: Decoded,
     step: f64,
     background: [f32; 3],
@@ -27,7 +28,7 @@ impl VolumePainter {
     /// Those of candle.
     pub fn new(volume: &NeuralVolume, config: &Config, scene: &Scene) -> Result<VolumePainter> {
         Ok(VolumePainter {
-            volume: volume.clone(),
+            cube: volume.cube,
             decoded: volume.decode(&volume.code().0.detach(), true)?,
             step: config.nv.step_length(),
             background: scene.background.unwrap_or_default(),
@@ -37,8 +38,7 @@ impl VolumePainter {
 
 impl Painter for VolumePainter {
     fn paint(&self, rays: &Rays) -> Result<Painted> {
-        let cube = self.volume.cube;
-        let lines = cube.lines(&rays.origins, &rays.viewdirs)?;
+        let lines = self.cube.lines(&rays.origins, &rays.viewdirs)?;
         let march = March { lines, step: self.step, pace: Pace::Even };
         let out = march.forward(&self.decoded.template, self.decoded.warp.as_ref())?;
         let acc = out.narrow(1, 3, 1)?;
@@ -46,7 +46,7 @@ impl Painter for VolumePainter {
         let behind = (1.0 - &acc)?.broadcast_mul(&background)?;
         let rgb = ((out.narrow(1, 0, 3)? / WHITE)? + behind)?.clamp(0.0, 1.0)?;
         // From the volume's lengths to the scene's, and from those to lengths of `directions`.
-        let distance = (out.narrow(1, 4, 1)? * cube.half)?;
+        let distance = (out.narrow(1, 4, 1)? * self.cube.half)?;
         let depth = (distance / rays.direction_norm.to_dtype(out.dtype())?)?.squeeze(1)?;
         Ok(Painted { rgb, depth, acc: acc.squeeze(1)? })
     }
