@@ -1,83 +1,42 @@
-//! Lattices twice as fine: every cell becomes eight.
+//! Convolutions over lattices twice as fine.
 
-use candle_core::{CpuStorage, CustomOp1, DType, Layout, Result, Shape, Tensor, WithDType};
-use rayon::prelude::*;
+use candle_core::{DType, Device, Result, Tensor};
 
-use super::values::{Values, slice};
+use super::taps::TapProduct;
 
-/// `[z, y, x, channels]` to `[2 z, 2 y, 2 x, channels]` by the nearest cell; f32 or f64 on a processor. candle's own forgets all
-/// but one consumer's gradient where its input has several.
+/// Positions of a kernel of 3 x 3 x 3.
+const TAPS: usize = 27;
+
+/// A convolution of 3 x 3 x 3 taps over the lattice that has eight cells for each of `x [z, y, x, inputs]`, with
+/// `weight [27, inputs, outputs]`, taps along z, y, x, and `bias [outputs]` -> `[2 z, 2 y, 2 x, outputs]`.
+///
+/// The 27 cells that a row reads are copies of eight: their weights are added up first. That is a transposed convolution of
+/// 4 x 4 x 4 taps and 8 of 27 products, and the finer lattice of inputs is never made.
 ///
 /// # Errors
-/// Another shape; those of candle.
-pub fn upsample(x: &Tensor) -> Result<Tensor> {
-    x.dims4()?;
-    x.contiguous()?.apply_op1(Upsample)
+/// Shapes that do not fit; those of candle.
+pub fn convolution(x: &Tensor, weight: &Tensor, bias: &Tensor) -> Result<Tensor> {
+    let (z, y, x_side, _) = x.dims4()?;
+    let (taps, inputs, outputs) = weight.dims3()?;
+    if taps != TAPS {
+        candle_core::bail!("a convolution over a finer lattice has {TAPS} taps, not {taps}");
+    }
+    let product = TapProduct::transposed([z, y, x_side]);
+    let sums = sums(product.kernel(), weight.dtype(), weight.device())?;
+    let weight = sums.matmul(&weight.reshape((TAPS, inputs * outputs))?)?;
+    product.forward(x, &weight.reshape(((), inputs, outputs))?, bias)
 }
 
-struct Upsample;
-
-/// Rows of cells along x: for each of the finer lattice, the coarse one that it is made of.
-fn coarse_row(fine: usize, height: usize) -> usize {
-    let (z, y) = (fine / (2 * height), fine % (2 * height));
-    z / 2 * height + y / 2
-}
-
-impl Upsample {
-    fn forward<T: WithDType>(x: &[T], (_, height, width, channels): (usize, usize, usize, usize)) -> Vec<T> {
-        let row = width * channels;
-        let mut out = vec![T::from_f64(0.0); 8 * x.len()];
-        out.par_chunks_mut(2 * row).enumerate().for_each(|(fine, out)| {
-            let x = &x[coarse_row(fine, height) * row..][..row];
-            for (out, x) in out.chunks_exact_mut(2 * channels).zip(x.chunks_exact(channels)) {
-                let (left, right) = out.split_at_mut(channels);
-                left.copy_from_slice(x);
-                right.copy_from_slice(x);
-            }
-        });
-        out
-    }
-
-    fn backward<T: WithDType>(pull: &[T], (_, height, width, channels): (usize, usize, usize, usize)) -> Vec<T> {
-        let row = width * channels;
-        let mut out = vec![T::from_f64(0.0); pull.len() / 8];
-        out.par_chunks_mut(row).enumerate().for_each(|(coarse, out)| {
-            let (z, y) = (coarse / height, coarse % height);
-            for fine in [(0, 0), (0, 1), (1, 0), (1, 1)].map(|(dz, dy)| (2 * z + dz) * 2 * height + 2 * y + dy) {
-                let pull = &pull[fine * 2 * row..][..2 * row];
-                for (out, pull) in out.chunks_exact_mut(channels).zip(pull.chunks_exact(2 * channels)) {
-                    let (left, right) = pull.split_at(channels);
-                    out.iter_mut().zip(left.iter().zip(right)).for_each(|(sum, (l, r))| *sum += *l + *r);
-                }
-            }
-        });
-        out
-    }
-}
-
-impl CustomOp1 for Upsample {
-    fn name(&self) -> &'static str {
-        "upsample"
-    }
-
-    fn cpu_fwd(&self, x: &CpuStorage, layout: &Layout) -> Result<(CpuStorage, Shape)> {
-        let dims = layout.shape().dims4()?;
-        let out = match x {
-            CpuStorage::F64(_) => CpuStorage::F64(Upsample::forward(slice(x, layout)?, dims)),
-            _ => CpuStorage::F32(Upsample::forward(slice(x, layout)?, dims)),
-        };
-        let (depth, height, width, channels) = dims;
-        Ok((out, Shape::from((2 * depth, 2 * height, 2 * width, channels))))
-    }
-
-    fn bwd(&self, x: &Tensor, _out: &Tensor, pull: &Tensor) -> Result<Option<Tensor>> {
-        let (dims, pull) = (x.dims4()?, pull.contiguous()?);
-        let values = Values::of(&pull);
-        Ok(Some(match pull.dtype() {
-            DType::F64 => Tensor::from_vec(Upsample::backward::<f64>(values.slice()?, dims), dims, x.device())?,
-            _ => Tensor::from_vec(Upsample::backward::<f32>(values.slice()?, dims), dims, x.device())?,
-        }))
-    }
+/// Which of the 27 taps fall on the same coarse cell: `[64, 27]` of ones and zeros, a row for each of `kernel`.
+fn sums(kernel: &[[usize; 3]], dtype: DType, device: &Device) -> Result<Tensor> {
+    // Position k of the transposed kernel leads from cell i to 2 i + k - 1, which reads cell 2 i + k - 1 + t - 1 of the finer
+    // lattice through tap t: a copy of cell i where k + t is 2 or 3.
+    let meets = |k: &[usize; 3], tap: usize| {
+        let t = [tap / 9, tap / 3 % 3, tap % 3];
+        (0..3).all(|axis| matches!(k[axis] + t[axis], 2 | 3))
+    };
+    let ones = kernel.iter().flat_map(|k| (0..TAPS).map(move |tap| f64::from(u8::from(meets(k, tap)))));
+    Tensor::from_iter(ones, device)?.reshape((kernel.len(), TAPS))?.to_dtype(dtype)
 }
 
 #[cfg(test)]

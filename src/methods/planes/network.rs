@@ -12,7 +12,7 @@ use crate::base::Result;
 use crate::base::rng::{Random, Stream};
 use crate::grids::norm::{LayerNorm, Together};
 use crate::grids::taps::TapProduct;
-use crate::grids::up::upsample;
+use crate::grids::up;
 use crate::settings::Config;
 
 use super::mpi::Kept;
@@ -23,42 +23,53 @@ const TAPS: usize = 27;
 /// slim's own normalisation.
 const NORM: LayerNorm = LayerNorm { together: Together::Sample, epsilon: 1e-12, relu: true };
 
-/// A convolution: its name, channels in and out, stride, dilation.
+/// Sides of a layer's lattice beside those of the one that it reads.
+enum Sides {
+    Same,
+    /// The same, of taps two cells apart.
+    Dilated,
+    Halved,
+    /// It reads the nearest cells.
+    Doubled,
+}
+
+use Sides::{Dilated, Doubled, Halved, Same};
+
+/// A convolution: its name, channels in and out.
 struct Layer {
     name: &'static str,
     inputs: usize,
     outputs: usize,
-    stride: usize,
-    dilation: usize,
+    sides: Sides,
 }
 
-const fn layer(name: &'static str, inputs: usize, outputs: usize, stride: usize, dilation: usize) -> Layer {
-    Layer { name, inputs, outputs, stride, dilation }
+const fn layer(name: &'static str, inputs: usize, outputs: usize, sides: Sides) -> Layer {
+    Layer { name, inputs, outputs, sides }
 }
 
 /// All convolutions with a normalisation, in their order; channels that depend on the number of input views are 0 here.
 const LAYERS: [Layer; 17] = [
-    layer("conv1_1", 0, 8, 1, 1),
-    layer("conv1_2", 8, 16, 2, 1),
-    layer("conv2_1", 16, 16, 1, 1),
-    layer("conv2_2", 16, 32, 2, 1),
-    layer("conv3_1", 32, 32, 1, 1),
-    layer("conv3_2", 32, 32, 1, 1),
-    layer("conv3_3", 32, 64, 2, 1),
-    layer("conv4_1", 64, 64, 1, 2),
-    layer("conv4_2", 64, 64, 1, 2),
-    layer("conv4_3", 64, 64, 1, 2),
-    layer("conv5_1", 128, 32, 1, 1),
-    layer("conv5_2", 32, 32, 1, 1),
-    layer("conv5_3", 32, 32, 1, 1),
-    layer("conv6_1", 64, 16, 1, 1),
-    layer("conv6_2", 16, 16, 1, 1),
-    layer("conv7_1", 32, 8, 1, 1),
-    layer("conv7_2", 8, 8, 1, 1),
+    layer("conv1_1", 0, 8, Same),
+    layer("conv1_2", 8, 16, Halved),
+    layer("conv2_1", 16, 16, Same),
+    layer("conv2_2", 16, 32, Halved),
+    layer("conv3_1", 32, 32, Same),
+    layer("conv3_2", 32, 32, Same),
+    layer("conv3_3", 32, 64, Halved),
+    layer("conv4_1", 64, 64, Dilated),
+    layer("conv4_2", 64, 64, Dilated),
+    layer("conv4_3", 64, 64, Dilated),
+    layer("conv5_1", 128, 32, Doubled),
+    layer("conv5_2", 32, 32, Same),
+    layer("conv5_3", 32, 32, Same),
+    layer("conv6_1", 64, 16, Doubled),
+    layer("conv6_2", 16, 16, Same),
+    layer("conv7_1", 32, 8, Doubled),
+    layer("conv7_2", 8, 8, Same),
 ];
 
 /// The last convolution.
-const LAST: Layer = layer("conv7_3", 8, 0, 1, 1);
+const LAST: Layer = layer("conv7_3", 8, 0, Same);
 
 /// A kind of parameter of a layer.
 #[derive(Clone, Copy, PartialEq)]
@@ -208,7 +219,7 @@ impl Weights {
         let six_2 = self.all(&["conv6_1", "conv6_2"], &joined(&five_3, &two_2)?)?;
         let seven_2 = self.all(&["conv7_1", "conv7_2"], &joined(&six_2, &one_2)?)?;
         let [weight, bias] = [0, 1].map(|i| &self.tensors[3 * LAYERS.len() + i]);
-        Ok(convolution(&LAST, &seven_2)?.forward(&seven_2, weight, bias)?)
+        convolution(&LAST, &seven_2, weight, bias)
     }
 
     /// Some convolutions after one another.
@@ -220,17 +231,23 @@ impl Weights {
         let index = LAYERS.iter().position(|layer| layer.name == name).expect("the network has it");
         let [weight, scale, shift] = [0, 1, 2].map(|i| &self.tensors[3 * index + i]);
         let no_bias = shift.detach().zeros_like()?;
-        let y = convolution(&LAYERS[index], x)?.forward(x, weight, &no_bias)?;
+        let y = convolution(&LAYERS[index], x, weight, &no_bias)?;
         Ok(NORM.apply(&y.unsqueeze(0)?, scale, shift)?.squeeze(0)?)
     }
 }
 
-fn convolution(layer: &Layer, x: &Tensor) -> Result<TapProduct> {
-    let (z, y, x, _) = x.dims4()?;
-    Ok(TapProduct::convolution([z, y, x], layer.stride, layer.dilation))
+fn convolution(layer: &Layer, x: &Tensor, weight: &Tensor, bias: &Tensor) -> Result<Tensor> {
+    let (depth, height, width, _) = x.dims4()?;
+    let product = |stride, dilation| TapProduct::convolution([depth, height, width], stride, dilation);
+    Ok(match layer.sides {
+        Same => product(1, 1).forward(x, weight, bias)?,
+        Dilated => product(1, 2).forward(x, weight, bias)?,
+        Halved => product(2, 1).forward(x, weight, bias)?,
+        Doubled => up::convolution(x, weight, bias)?,
+    })
 }
 
-/// Two lattices' channels side by side, on the next finer one.
+/// Two lattices' channels side by side.
 fn joined(a: &Tensor, b: &Tensor) -> Result<Tensor> {
-    Ok(upsample(&Tensor::cat(&[a, b], 3)?)?)
+    Ok(Tensor::cat(&[a, b], 3)?)
 }

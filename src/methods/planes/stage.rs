@@ -16,9 +16,9 @@ const FEWEST_VIEWS: usize = 3;
 /// Bytes of a plane's pixel that stays: RGBA.
 const KEPT_BYTES: f64 = 4.0;
 
-/// Bytes of a cell of the finest lattice while a view is predicted, at the last layer but one: the 32 channels that come up from
-/// the next lattice, the 8 of the layer before, its own before and after normalisation, and what coarser lattices keep.
-const PREDICTED_BYTES: f64 = 4.0 * (32.0 + 3.0 * 8.0) + 24.0;
+/// Bytes of a cell of the finest lattice while a view is predicted, at its last layers: the 8 channels of one of them before
+/// it, before its normalisation and after that, and what coarser lattices keep.
+const PREDICTED_BYTES: f64 = 4.0 * 3.0 * 8.0 + 30.0;
 
 /// And of each input view's colour in the plane sweep, which the mixture needs at the end.
 const SWEPT_BYTES: f64 = 4.0 * 3.0;
