@@ -8,7 +8,7 @@
 //!
 //! Multiplane images are kept in 8 bits, as the authors keep them: `views * planes * height * width * 4` bytes, 24 MB a view at
 //! 504 x 376 and 32 planes, 412 MB for the 17 training views of fern. A prediction of a whole view holds its finest lattice's
-//! channels beside that, about 1.9 GB there.
+//! channels beside that, about 1.2 GB there.
 
 mod blend;
 mod geometry;
