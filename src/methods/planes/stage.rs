@@ -9,6 +9,7 @@ use crate::settings::Config;
 
 use super::geometry::{Eye, depths};
 use super::mpi::Seen;
+use super::sweep::padded;
 
 /// Views that learning takes at the least: one that is left out, one whose planes are predicted, one beside it.
 const FEWEST_VIEWS: usize = 3;
@@ -16,9 +17,9 @@ const FEWEST_VIEWS: usize = 3;
 /// Bytes of a plane's pixel that stays: RGBA.
 const KEPT_BYTES: f64 = 4.0;
 
-/// Bytes of a cell of the finest lattice while a view is predicted, at its last layers: the 8 channels of one of them before
-/// it, before its normalisation and after that, and what coarser lattices keep.
-const PREDICTED_BYTES: f64 = 4.0 * 3.0 * 8.0 + 30.0;
+/// Bytes of a cell of the finest lattice while a view is predicted, at the last layers: a layer's input, its product and the
+/// normalised result, 8 channels each, and what coarser lattices keep.
+const PREDICTED_BYTES: f64 = 4.0 * 3.0 * 8.0 + 37.0;
 
 /// And of each input view's colour in the plane sweep, which the mixture needs at the end.
 const SWEPT_BYTES: f64 = 4.0 * 3.0;
@@ -56,7 +57,8 @@ impl Stage {
     /// # Errors
     /// [`Error::Config`] with what is needed and what is free.
     pub fn check_memory(&self, inputs: usize) -> Result<()> {
-        let cells = |view: &Seen| (view.eye.camera.width * view.eye.camera.height * self.depths.len()) as f64;
+        let side = |size: usize| padded(size) as f64;
+        let cells = |view: &Seen| side(view.eye.camera.width) * side(view.eye.camera.height) * self.depths.len() as f64;
         let (all, largest) =
             self.views.iter().map(cells).fold((0.0, 0f64), |(all, largest), n| (all + n, largest.max(n)));
         let predicted = PREDICTED_BYTES + SWEPT_BYTES * inputs as f64;
