@@ -160,8 +160,7 @@ impl Across {
     }
 
     fn row_text(&self, block: &Block) -> String {
-        let place = [&block.sweep, &block.scene, &block.axes].into_iter().filter(|text| !text.is_empty());
-        let place = place.map(|text| escape(text)).collect::<Vec<_>>().join(", ");
+        let place = escape(&block.place());
         let Some(comparison) = &block.comparison else {
             return format!(
                 "| {place} | 0 |  |  |  | no seed in which both rows have it; {} |\n",
@@ -176,11 +175,12 @@ impl Across {
                 format!("[{}, {}]", signed_text(&self.metric, low), signed_text(&self.metric, high))
             }),
             comparison.p_holm.map_or(String::new(), p_text),
-            self.words(block, comparison)
+            escape(&self.words(block, comparison))
         )
     }
 
-    fn words(&self, block: &Block, comparison: &Comparison) -> String {
+    /// What is said of a block.
+    pub(super) fn words(&self, block: &Block, comparison: &Comparison) -> String {
         let mut words: Vec<String> =
             comparison.verdict().map(|verdict| verdict.name().to_string()).into_iter().collect();
         if let Some(margin) = block.margin() {
@@ -191,13 +191,20 @@ impl Across {
                 (block.ruled_out(&self.metric) == Some(true)).then(|| format!("a gain of {margin} is ruled out")),
             );
         }
-        words.extend(block.unfinished.then(|| format!("UNFINISHED: {}", escape(&block.status))));
+        words.extend(block.unfinished.then(|| format!("UNFINISHED: {}", block.status)));
         words.join(", ")
     }
 }
 
 impl Block {
-    fn margin(&self) -> Option<f64> {
+    /// Sweep, scene and place on axes.
+    pub(super) fn place(&self) -> String {
+        let parts = [&self.sweep, &self.scene, &self.axes].into_iter().filter(|text| !text.is_empty());
+        parts.map(String::as_str).collect::<Vec<&str>>().join(", ")
+    }
+
+    /// The difference that the sweep states to count for none.
+    pub(super) fn margin(&self) -> Option<f64> {
         Some(self.comparison?.equivalence?.margin)
     }
 

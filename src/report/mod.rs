@@ -4,6 +4,7 @@ mod across;
 pub mod exporters;
 pub mod page;
 pub mod plots;
+pub mod power;
 mod published;
 mod record;
 pub mod statistics;

@@ -8,6 +8,7 @@ use crate::base::files::write_atomic;
 use crate::base::input::{TEXT_BYTES, read_text};
 use crate::base::{Error, Result};
 use crate::report::Across;
+use crate::report::plots::across_figure;
 
 use super::folder::DEFINITION;
 use super::view::{Choice, Origin, Source, VIEW, View};
@@ -18,6 +19,8 @@ pub const ACROSS: &str = "across.toml";
 pub const ACROSS_PAGE: &str = "across.md";
 /// A line a block.
 pub const ACROSS_CSV: &str = "across.csv";
+/// The figure's name, without its ending.
+const FIGURE: &str = "across";
 
 /// What is asked of every sweep, and which sweeps these are: `across.toml`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -79,9 +82,12 @@ impl Asked {
     }
 
     /// The files of the folder, by their names.
-    pub fn files(&self, across: &Across) -> [(&'static str, String); 3] {
+    pub fn files(&self, across: &Across) -> Result<Vec<(String, Vec<u8>)>> {
         let asked = toml::to_string(self).expect("plain data");
-        [(ACROSS, asked), (ACROSS_CSV, across.csv()), (ACROSS_PAGE, across.markdown())]
+        let texts = [(ACROSS, asked), (ACROSS_CSV, across.csv()), (ACROSS_PAGE, across.markdown())];
+        let texts = texts.into_iter().map(|(name, text)| (name.to_string(), text.into_bytes()));
+        let figure = across_figure(across)?.into_iter().flat_map(|figure| figure.files(FIGURE));
+        Ok(texts.chain(figure).collect())
     }
 
     /// Writes them into a folder, which may hold pages beside them.
@@ -100,7 +106,7 @@ impl Asked {
             return refuse("other folders");
         }
         std::fs::create_dir_all(folder).map_err(|e| Error::unwritable(folder, &e))?;
-        self.files(across).iter().try_for_each(|(name, text)| write_atomic(&folder.join(name), text.as_bytes()))
+        self.files(across)?.iter().try_for_each(|(name, bytes)| write_atomic(&folder.join(name), bytes))
     }
 }
 

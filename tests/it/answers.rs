@@ -47,6 +47,7 @@ const COMMANDS: [&str; 27] = [
     "sweep run tiny.toml",
     "sweep status runs/tiny",
     "sweep collect runs/tiny",
+    "sweep power runs/tiny --difference 0.5",
     "verify results/tiny",
 ];
 
@@ -131,6 +132,10 @@ fn check(name: &str, answer: &Value, dir: &Path) {
             let rows = answer["rows"].as_array().unwrap();
             assert_eq!((rows.len(), &rows[1]["row"]), (2, &"+ TV".into()), "{answer}");
             assert!(rows[0]["psnr_mean"].is_number() && rows[0]["psnr_difference"].is_null());
+        }
+        "sweep power" => {
+            let row = &answer["rows"][0];
+            assert_eq!((&row["label"], &row["seeds"], &row["deviation"]), (&"+ TV".into(), &1.into(), &Value::Null));
         }
         "sweep plan" => assert_eq!((&answer["points"], &answer["ended"]), (&2.into(), &0.into())),
         "verify" => assert_eq!(answer["holds"], true, "{answer}"),

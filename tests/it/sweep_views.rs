@@ -207,6 +207,38 @@ fn the_best_row_is_told_with_its_settings_and_folders() {
     assert!(told.contains("kept for choices") && points.len() == 12, "{told}");
 }
 
+#[test]
+fn seeds_that_a_difference_takes_are_told_without_means() {
+    let dir = TempDir::new().unwrap();
+    let (folder, points) = finished(dir.path(), "one", BASE, &[]);
+    let power = |further: &[&str], code| demand(dir.path(), &[&["sweep", "power", "runs/one"], further].concat(), code);
+    let of = |row: &str| points.iter().filter(|point| point.places[0].row == row).map(psnr).collect::<Vec<f64>>();
+    let differences: Vec<f64> = of("B").iter().zip(of("NeRF")).map(|(own, baseline)| own - baseline).collect();
+    let mean = differences.iter().sum::<f64>() / 3.0;
+    let deviation = (differences.iter().map(|value| (value - mean).powi(2)).sum::<f64>() / 2.0).sqrt();
+
+    let json = |further: &[&str]| -> serde_json::Value {
+        let arguments = [&["sweep", "power", folder.to_str().unwrap(), "--json"], further].concat();
+        serde_json::from_str(&program::printed(&arguments)).unwrap()
+    };
+    let needed = |answer: &serde_json::Value| {
+        let row = answer["rows"].as_array().unwrap().iter().find(|row| row["label"] == "B").unwrap().clone();
+        assert_eq!((&row["baseline"], &row["seeds"]), (&"NeRF".into(), &3.into()));
+        assert!((row["deviation"].as_f64().unwrap() - deviation).abs() < 1e-9, "{row}");
+        row["seeds_needed"].as_u64().unwrap()
+    };
+    let [one, three, ten] = [&["--tests", "1"][..], &[], &["--tests", "10"]]
+        .map(|further| needed(&json(&[&["--difference", "0.008"], further].concat())));
+    assert!(3 < one && one < three && three < ten, "{one} {three} {ten}");
+
+    let told = power(&["--difference", "0.3"], 0);
+    assert_says(&told, &["0.30 dB in 80 of 100", "no means", "builtin: B minus NeRF, seeds so far 3", "3 needed"]);
+    assert!(!told.contains("20.") && !told.contains(&format!("{mean:.2}")), "a mean is shown: {told}");
+    assert_says(&power(&[], 2), &["no margin for psnr", "--difference"]);
+    assert_says(&power(&["--difference", "-1"], 2), &["--difference -1", "above 0"]);
+    assert_says(&power(&["--difference", "1", "--baseline", "D"], 2), &["--baseline D", "NeRF"]);
+}
+
 #[cfg(unix)]
 #[test]
 fn points_have_the_names_of_their_rows() {

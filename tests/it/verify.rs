@@ -258,6 +258,10 @@ fn a_comparison_across_sweeps_is_made_again() {
     let said = across("results/both", "Aug-NeRF", 0);
     assert_says(&said, &["Aug-NeRF against NeRF, psnr", "few_views_chair", "files: results/both"]);
     let folder = dir.path().join("results/both");
+    assert_says(
+        &text(&folder.join("across.svg")),
+        &["Aug-NeRF against NeRF", "difference in PSNR", "few_views_chair, chair"],
+    );
     let blocks = rows(&text(&folder.join("across.csv")));
     let own = |name: &str, column: &str| {
         let table = rows(&text(&dir.path().join("results").join(name).join("table.csv")));
@@ -291,6 +295,9 @@ fn a_comparison_across_sweeps_is_made_again() {
     assert_says(&verify(dir.path(), &["results/both"], 10), &["WRONG", "across.csv, line 3"]);
     assert_says(&verify(dir.path(), &["results/both", "--update"], 0), &["across.csv: written anew"]);
     assert_eq!(text(&csv), before);
+    std::fs::write(folder.join("across.svg"), "<svg/>").unwrap();
+    assert_says(&verify(dir.path(), &["results/both"], 10), &["WRONG", "across.svg"]);
+    assert_says(&verify(dir.path(), &["results/both", "--update"], 0), &["across.svg: written anew"]);
     // What names results elsewhere, or what is not there, does not hold.
     let asked = folder.join("across.toml");
     let named = text(&asked);

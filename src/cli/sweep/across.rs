@@ -32,7 +32,7 @@ pub struct AcrossArguments {
     /// In which metric
     #[arg(long, default_value = "psnr")]
     metric: String,
-    /// Folder for across.toml, across.csv and across.md
+    /// Folder for across.toml, across.csv, across.md and the figure across.svg
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
     /// Folder that the definitions' scenes lie in

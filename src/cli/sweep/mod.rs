@@ -29,6 +29,7 @@ mod collect;
 mod new;
 mod opened;
 mod plan;
+mod power;
 mod run;
 mod run_point;
 mod status;
@@ -71,6 +72,9 @@ pub enum SweepCommand {
     /// Compare two rows in each of several sweeps, corrected over the sweeps
     #[command(after_help = across::EXAMPLES)]
     Across(across::AcrossArguments),
+    /// Say how many seeds a difference takes, without showing any
+    #[command(after_help = power::EXAMPLES)]
+    Power(power::PowerArguments),
     /// Write a sweep file with comments, to be changed and run
     #[command(after_help = new::EXAMPLES)]
     New(new::NewArguments),
@@ -89,6 +93,7 @@ impl SweepCommand {
             SweepCommand::Cancel(arguments) => arguments.run(),
             SweepCommand::Best(arguments) => arguments.run(),
             SweepCommand::Across(arguments) => arguments.run(),
+            SweepCommand::Power(arguments) => arguments.run(),
             SweepCommand::New(arguments) => arguments.run(),
         }
     }

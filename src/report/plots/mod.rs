@@ -3,8 +3,10 @@
 use crate::metrics::Metric;
 use crate::report::statistics::{mean, standard_deviation};
 
+mod across;
 mod axes;
 mod curves;
+mod differences;
 mod heatmap;
 mod pairs;
 mod rows;
@@ -12,6 +14,7 @@ mod series;
 mod surfaces;
 
 pub use crate::draw::Figure;
+pub use across::across_figure;
 pub use axes::axes_figure;
 pub use curves::{Curve, curves_figure, seconds_figure};
 pub use heatmap::heatmap_figures;

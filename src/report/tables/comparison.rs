@@ -2,7 +2,7 @@
 //! metric leaves below [`SIGNIFICANCE`]. Tables, CSV and figures all ask here.
 
 use super::{Cell, Line};
-use crate::report::statistics::{SIGNIFICANCE, equivalence_p_value, holm, interval, mean, p_value};
+use crate::report::statistics::{SIGNIFICANCE, equivalence_p_value, holm, interval, mean, p_value, standard_deviation};
 
 /// A metric of a line against that of its baseline, paired by seed.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -11,6 +11,8 @@ pub struct Comparison {
     pub pairs: usize,
     /// Mean of ours minus the baseline's.
     pub difference: f64,
+    /// Standard deviation of the differences; none of one pair.
+    pub deviation: Option<f64>,
     /// Ends of the 95 % interval; none of one pair.
     pub interval: Option<(f64, f64)>,
     /// P value of the paired t test; none of one pair.
@@ -72,6 +74,7 @@ impl Comparison {
         Some(Comparison {
             pairs: differences.len(),
             difference: mean(differences)?,
+            deviation: standard_deviation(differences),
             interval: interval(differences),
             p: p_value(differences),
             p_holm: None,

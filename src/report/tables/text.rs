@@ -361,8 +361,15 @@ mod tests {
     #[test]
     fn differences_say_how_sure_they_are() {
         let interval = Some((0.25, 0.75));
-        let sure =
-            Comparison { pairs: 3, difference: 0.5, interval, p: Some(0.01), p_holm: Some(0.0001), equivalence: None };
+        let sure = Comparison {
+            pairs: 3,
+            difference: 0.5,
+            deviation: Some(0.1),
+            interval,
+            p: Some(0.01),
+            p_holm: Some(0.0001),
+            equivalence: None,
+        };
         assert_eq!(difference_text(&cell("psnr", 3, Some(sure))), "+0.50 [+0.25, +0.75], p < 0.001, higher");
         let below = Comparison { difference: -0.5, interval: Some((-0.75, -0.25)), p_holm: Some(0.0496), ..sure };
         assert_eq!(difference_text(&cell("psnr", 3, Some(below))), "-0.50 [-0.75, -0.25], p 0.04960, lower");

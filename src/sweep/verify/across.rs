@@ -36,17 +36,17 @@ pub fn check(path: &Path, data_root: Option<&Path>, update: bool, findings: &mut
     let sources: Vec<Source> = archives.iter().map(source_of).collect();
     let (asked, across) = Asked::new(&kept.row, &kept.baseline, &kept.metric, &sources)?;
     let mut wrong = Vec::new();
-    for (name, text) in asked.files(&across) {
-        let found = optional(&path.join(name))?;
-        if found.as_deref() == Some(text.as_bytes()) {
+    for (name, bytes) in asked.files(&across)? {
+        let found = optional(&path.join(&name))?;
+        if found.as_deref() == Some(&bytes[..]) {
             continue;
         }
         if update {
-            write_atomic(&path.join(name), text.as_bytes())?;
+            write_atomic(&path.join(&name), &bytes)?;
             findings.holds(format!("{name}: written anew"));
             continue;
         }
-        wrong.push(difference(name, found.as_deref(), text.as_bytes()));
+        wrong.push(difference(&name, found.as_deref(), &bytes));
     }
     findings.of(format!("comparisons of {} sweeps, of which {ACROSS} has the hashes", kept.sweep.len()), wrong);
     Cells::of_blocks(path, &across.csv())

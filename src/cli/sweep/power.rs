@@ -1,0 +1,99 @@
+//! `augnerf sweep power`.
+
+use std::path::PathBuf;
+
+use clap::Args;
+use serde_json::json;
+
+use crate::base::{Error, Result};
+use crate::cli::answer::Answer;
+use crate::cli::progress::print_shown;
+use crate::metrics::Metric;
+use crate::report::power::{MOST_SEEDS, POWER, Spread, spreads};
+use crate::sweep::{Choice, Source, View};
+
+use super::opened::Opened;
+
+pub const EXAMPLES: &str = "Examples:
+  augnerf sweep power runs/pilot --difference 0.3
+  augnerf sweep power runs/study --difference 0.3 --tests 4  # of a study that asks four blocks one question
+
+Nothing is said of means, so that looking here before the last seed does not choose a result.";
+
+#[derive(Args)]
+pub struct PowerArguments {
+    /// Folder of a sweep or of its results: runs/NAME, results/NAME
+    folder: PathBuf,
+    /// The difference that is to be shown, in the metric's unit [default: the margin that the sweep states]
+    #[arg(long)]
+    difference: Option<f64>,
+    /// In which metric
+    #[arg(long, default_value = "psnr")]
+    metric: String,
+    /// What rows are compared with, instead of their baselines
+    #[arg(long, value_name = "ROW")]
+    baseline: Option<String>,
+    /// How many comparisons p is corrected over [default: those of the scene's table]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
+    tests: Option<u16>,
+    /// Folder that the definition's scenes lie in
+    #[arg(long, env = "AUGNERF_DATA", value_name = "DIR")]
+    data_root: Option<PathBuf>,
+    #[command(flatten)]
+    answer: Answer,
+}
+
+impl PowerArguments {
+    pub fn run(self) -> Result<()> {
+        let sweep = Opened::read(&self.folder, self.data_root.as_deref())?;
+        let metrics = vec![self.metric.clone()];
+        let choice = Choice { baseline: self.baseline.clone(), metrics, ..Choice::default() };
+        // Metrics over common pixels are the sweep's own, of all its rows.
+        let source = Source { folder: None, ..sweep.source()? };
+        let table = View::new(&sweep.name, &[source], choice)?.table()?;
+        let metric = Metric::find(&self.metric).expect("the view has it");
+        let difference = self.difference(sweep.definition.equivalence.get(&self.metric).copied())?;
+        let spreads = spreads(&table, difference, self.tests.map(usize::from));
+        let answer = json!({ "metric": self.metric, "difference": difference, "power": POWER, "rows": spreads });
+        self.answer.give(&answer, || {
+            print_shown(&format!(
+                "{}: seeds that show a difference of {} in {:.0} of 100 studies, p {}; no means are shown",
+                self.metric,
+                metric.with_unit(difference),
+                100.0 * POWER,
+                match self.tests {
+                    Some(tests) => format!("corrected over {tests} comparisons"),
+                    None => "corrected over the scene's rows".into(),
+                }
+            ))?;
+            spreads.iter().try_for_each(|spread| print_shown(&text(spread, metric)))
+        })
+    }
+
+    fn difference(&self, stated: Option<f64>) -> Result<f64> {
+        let difference = self.difference.or(stated).ok_or_else(|| {
+            Error::Config(format!(
+                "the sweep states no margin for {}: say with --difference what is to be shown",
+                self.metric
+            ))
+        })?;
+        match difference.is_finite() && difference > 0.0 {
+            true => Ok(difference),
+            false => Err(Error::Config(format!("--difference {difference}: give a number above 0"))),
+        }
+    }
+}
+
+fn text(spread: &Spread, metric: &Metric) -> String {
+    let Spread { scene, label, baseline, seeds, deviation, seeds_needed } = spread;
+    let found = match (deviation, seeds_needed) {
+        (None, _) => "two are needed for a standard deviation".to_string(),
+        (Some(deviation), None) => {
+            format!("standard deviation {}; more than {MOST_SEEDS} are needed", metric.with_unit(*deviation))
+        }
+        (Some(deviation), Some(needed)) => {
+            format!("standard deviation {}; {needed} needed", metric.with_unit(*deviation))
+        }
+    };
+    format!("{scene}: {label} minus {baseline}, seeds so far {seeds}: {found}")
+}

@@ -1,0 +1,116 @@
+//! How many seeds it takes to show a difference, from what paired differences spread over and without their means: what a study
+//! is planned by, and may look at before its last seed.
+
+use serde::Serialize;
+use statrs::distribution::{ChiSquared, Continuous, ContinuousCDF, Normal, StudentsT};
+
+use super::statistics::SIGNIFICANCE;
+use super::tables::{Line, Table};
+
+/// In so many of 100 studies a difference of the asked size is to be shown.
+pub const POWER: f64 = 0.8;
+/// A spread of two differences says next to nothing.
+const LEAST_SEEDS: usize = 3;
+/// More are not looked for.
+pub const MOST_SEEDS: usize = 1000;
+
+/// A line of a table that is compared with another.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Spread {
+    /// The scene.
+    pub scene: String,
+    /// The row with its place on axes.
+    pub label: String,
+    /// What it is compared with.
+    pub baseline: String,
+    /// Seeds that both have.
+    pub seeds: usize,
+    /// Standard deviation of the differences; none of fewer than two seeds.
+    pub deviation: Option<f64>,
+    /// Seeds that show the asked difference with [`POWER`]; none without a deviation, and where [`MOST_SEEDS`] do not.
+    pub seeds_needed: Option<usize>,
+}
+
+/// What a table's first metric spreads over and how many seeds would show `difference`, its p values corrected over so many
+/// `tests` (Holm's first step), or over those of the line's scene.
+pub fn spreads(table: &Table, difference: f64, tests: Option<usize>) -> Vec<Spread> {
+    let compared = |line: &&Line| line.baseline.is_some() && !line.quoted;
+    let of_scene = |scene: &str| table.lines.iter().filter(compared).filter(|line| line.scene == scene).count();
+    let spread = |line: &Line| {
+        let comparison = line.cells[0].comparison.as_ref();
+        let deviation = comparison.and_then(|comparison| comparison.deviation).filter(|value| value.is_finite());
+        let level = SIGNIFICANCE / tests.unwrap_or_else(|| of_scene(&line.scene)) as f64;
+        Spread {
+            scene: line.scene.clone(),
+            label: line.label.clone(),
+            baseline: line.baseline.clone().unwrap_or_default(),
+            seeds: comparison.map_or(0, |comparison| comparison.pairs),
+            deviation,
+            seeds_needed: deviation.and_then(|deviation| seeds_needed(difference / deviation, level)),
+        }
+    };
+    table.lines.iter().filter(compared).map(spread).collect()
+}
+
+/// The fewest seeds with which a two-sided paired t test at `level` shows a difference of `effect` standard deviations with
+/// [`POWER`]; none where [`MOST_SEEDS`] do not.
+fn seeds_needed(effect: f64, level: f64) -> Option<usize> {
+    (LEAST_SEEDS..=MOST_SEEDS).find(|&seeds| power(seeds, effect, level) >= POWER)
+}
+
+/// The power of a two-sided paired t test of so many seeds: P(|T| > t) of the noncentral t distribution, as the mean of a
+/// normal's tails over the sample standard deviation s, where n - 1 times its square has a chi-squared distribution.
+fn power(seeds: usize, effect: f64, level: f64) -> f64 {
+    const PARTS: usize = 400;
+    let freedom = (seeds - 1) as f64;
+    let student = StudentsT::new(0.0, 1.0, freedom).expect("two seeds or more");
+    let (normal, squares) = (Normal::standard(), ChiSquared::new(freedom).expect("two seeds or more"));
+    let critical = student.inverse_cdf(1.0 - level / 2.0);
+    // Beyond 1e6 it is shown in any case.
+    let shift = (effect * (seeds as f64).sqrt()).min(1e6);
+    let tails = |s: f64| normal.sf(critical * s - shift) + normal.cdf(-critical * s - shift);
+    let density = |s: f64| 2.0 * freedom * s * squares.pdf(freedom * s * s);
+    // Nine standard deviations of s about 1; less than 1e-12 lies outside.
+    let reach = 9.0 / (2.0 * freedom).sqrt();
+    let low = (1.0 - reach).max(0.0);
+    let step = (1.0 + reach - low) / PARTS as f64;
+    let part = |i: usize| {
+        let s = low + (i as f64 + 0.5) * step;
+        density(s) * tails(s)
+    };
+    (0..PARTS).map(part).sum::<f64>() * step
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Seeds for 80 % at 0.05 and at 0.05 / 13, by scipy's noncentral t: standard deviation, difference.
+    #[test]
+    fn seeds_are_those_of_the_noncentral_t_distribution() {
+        let differences = [0.1, 0.3, 1.0];
+        let cases: [(f64, [usize; 3], [usize; 3]); 5] = [
+            (0.03, [3, 3, 3], [6, 4, 3]),
+            (0.06, [6, 3, 3], [10, 5, 3]),
+            (0.10, [10, 4, 3], [19, 6, 4]),
+            (0.16, [23, 5, 3], [40, 9, 4]),
+            (0.38, [116, 15, 4], [206, 27, 6]),
+        ];
+        for (deviation, plain, corrected) in cases {
+            for (level, seeds) in [(SIGNIFICANCE, plain), (SIGNIFICANCE / 13.0, corrected)] {
+                let found = differences.map(|difference| seeds_needed(difference / deviation, level).unwrap());
+                assert_eq!(found, seeds, "standard deviation {deviation}, level {level}");
+            }
+        }
+    }
+
+    #[test]
+    fn power_without_a_difference_is_the_level() {
+        for seeds in [2, 3, 6, 30] {
+            let found = power(seeds, 0.0, 0.05);
+            assert!((found - 0.05).abs() < 1e-5, "{seeds} seeds: {found}");
+        }
+        assert_eq!((seeds_needed(0.0, 0.05), seeds_needed(f64::INFINITY, 0.05)), (None, Some(LEAST_SEEDS)));
+        assert_eq!(seeds_needed(f64::NAN, 0.05), None);
+    }
+}
