@@ -16,7 +16,7 @@ use super::opened::Opened;
 
 pub const EXAMPLES: &str = "Examples:
   augnerf sweep power runs/pilot --difference 0.3
-  augnerf sweep power runs/study --difference 0.3 --tests 4  # of a study that asks four blocks one question
+  augnerf sweep power runs/study --difference 0.3 --tests 4  # one question to four blocks
 
 Nothing is said of means, so that looking here before the last seed does not choose a result.";
 
