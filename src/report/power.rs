@@ -6,12 +6,12 @@ use statrs::distribution::{ContinuousCDF, Normal, StudentsT};
 use statrs::function::gamma::ln_gamma;
 
 use super::statistics::SIGNIFICANCE;
-use super::tables::{Line, Table};
+use super::tables::{Line, Table, comparisons_to_come};
 
 /// In so many of 100 studies a difference of the asked size is to be shown.
 pub const POWER: f64 = 0.8;
-/// A spread of two differences says next to nothing.
-const LEAST_SEEDS: usize = 3;
+/// A spread of two differences says next to nothing, and no fewer are named.
+pub const LEAST_SEEDS: usize = 3;
 /// More are not looked for.
 pub const MOST_SEEDS: usize = 1000;
 
@@ -28,29 +28,38 @@ pub struct Spread {
     pub seeds: usize,
     /// Standard deviation of the differences; none of fewer than two seeds.
     pub deviation: Option<f64>,
-    /// Seeds that show the asked difference with [`POWER`]; none without a deviation, and where [`MOST_SEEDS`] do not.
+    /// How many comparisons p is corrected over.
+    pub tests: usize,
+    /// Seeds that show the asked difference with [`POWER`]; none of fewer than three seeds, and where [`MOST_SEEDS`] do not.
     pub seeds_needed: Option<usize>,
 }
 
 /// What a table's first metric spreads over and how many seeds would show `difference`, its p values corrected over so many
-/// `tests` (Holm's first step), or over those of the line's scene.
+/// `tests` (Holm's first step), or over those of the line's scene. Empty where no line is compared with another.
 pub fn spreads(table: &Table, difference: f64, tests: Option<usize>) -> Vec<Spread> {
-    let compared = |line: &&Line| line.baseline.is_some() && !line.quoted;
-    let of_scene = |scene: &str| table.lines.iter().filter(compared).filter(|line| line.scene == scene).count();
+    let of_scene = |scene: &str| {
+        let lines: Vec<&Line> = table.lines.iter().filter(|line| line.scene == scene).collect();
+        comparisons_to_come(&lines, 0).max(1)
+    };
     let spread = |line: &Line| {
+        let baseline = line.baseline.clone().filter(|_| !line.quoted)?;
         let comparison = line.cells[0].comparison.as_ref();
         let deviation = comparison.and_then(|comparison| comparison.deviation).filter(|value| value.is_finite());
-        let level = SIGNIFICANCE / tests.unwrap_or_else(|| of_scene(&line.scene)) as f64;
-        Spread {
+        let seeds = comparison.map_or(0, |comparison| comparison.pairs);
+        let tests = tests.unwrap_or_else(|| of_scene(&line.scene));
+        let level = SIGNIFICANCE / tests as f64;
+        let told = deviation.filter(|_| seeds >= LEAST_SEEDS);
+        Some(Spread {
             scene: line.scene.clone(),
             label: line.label.clone(),
-            baseline: line.baseline.clone().unwrap_or_default(),
-            seeds: comparison.map_or(0, |comparison| comparison.pairs),
+            baseline,
+            seeds,
             deviation,
-            seeds_needed: deviation.and_then(|deviation| seeds_needed(difference / deviation, level)),
-        }
+            tests,
+            seeds_needed: told.and_then(|deviation| seeds_needed(difference / deviation, level)),
+        })
     };
-    table.lines.iter().filter(compared).map(spread).collect()
+    table.lines.iter().filter_map(spread).collect()
 }
 
 /// The fewest seeds with which a two-sided paired t test at `level` shows a difference of `effect` standard deviations with

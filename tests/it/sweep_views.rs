@@ -230,13 +230,26 @@ fn seeds_that_a_difference_takes_are_told_without_means() {
     let [one, three, ten] = [&["--tests", "1"][..], &[], &["--tests", "10"]]
         .map(|further| needed(&json(&[&["--difference", "0.008"], further].concat())));
     assert!(3 < one && one < three && three < ten, "{one} {three} {ten}");
+    // What agrees in every digit counts once, as in p; what is not measured, not at all.
+    let again = format!("{BASE}[[row]]\nname = \"C again\"\nset = {{ \"regularizer.kind\" = \"l1\" }}\n");
+    finished(dir.path(), "again", &again, &[]);
+    let tests = |folder: &str, metric: &str| {
+        let path = dir.path().join("runs").join(folder);
+        let arguments = ["sweep", "power", path.to_str().unwrap(), "--json", "--difference", "1", "--metric", metric];
+        let answer: serde_json::Value = serde_json::from_str(&program::printed(&arguments)).unwrap();
+        answer["rows"].as_array().unwrap().iter().map(|row| row["tests"].as_u64().unwrap()).collect::<Vec<u64>>()
+    };
+    assert_eq!((tests("one", "psnr"), tests("again", "psnr")), (vec![3; 3], vec![3; 4]));
+    assert_eq!(tests("one", "lpips_squeeze"), [1; 3]);
 
     let told = power(&["--difference", "0.3"], 0);
-    assert_says(&told, &["0.30 dB in 80 of 100", "no means", "builtin: B minus NeRF, seeds so far 3", "3 needed"]);
+    assert_says(&told, &["0.3 dB in 80 of 100", "no means", "builtin: B minus NeRF, seeds so far 3", "3 needed"]);
     assert!(!told.contains("20.") && !told.contains(&format!("{mean:.2}")), "a mean is shown: {told}");
     assert_says(&power(&[], 2), &["no margin for psnr", "--difference"]);
     assert_says(&power(&["--difference", "-1"], 2), &["--difference -1", "above 0"]);
     assert_says(&power(&["--difference", "1", "--baseline", "D"], 2), &["--baseline D", "NeRF"]);
+    assert_says(&power(&["--difference", "1", "--baseline", "none"], 2), &["no row is compared", "--baseline"]);
+    assert_says(&power(&["--difference", "0.004"], 0), &["of 0.004 dB", "standard deviation 0.0"]);
 }
 
 #[cfg(unix)]

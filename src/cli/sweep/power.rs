@@ -9,7 +9,7 @@ use crate::base::{Error, Result};
 use crate::cli::answer::Answer;
 use crate::cli::progress::print_shown;
 use crate::metrics::Metric;
-use crate::report::power::{MOST_SEEDS, POWER, Spread, spreads};
+use crate::report::power::{LEAST_SEEDS, MOST_SEEDS, POWER, Spread, spreads};
 use crate::sweep::{Choice, Source, View};
 
 use super::opened::Opened;
@@ -18,14 +18,14 @@ pub const EXAMPLES: &str = "Examples:
   augnerf sweep power runs/pilot --difference 0.3
   augnerf sweep power runs/study --difference 0.3 --tests 4  # one question to four blocks
 
-Nothing is said of means, so that looking here before the last seed does not choose a result.";
+Nothing is said of means, so that looking here before the last seed shows no result.";
 
 #[derive(Args)]
 pub struct PowerArguments {
     /// Folder of a sweep or of its results: runs/NAME, results/NAME
     folder: PathBuf,
     /// The difference that is to be shown, in the metric's unit [default: the margin that the sweep states]
-    #[arg(long)]
+    #[arg(long, allow_negative_numbers = true)]
     difference: Option<f64>,
     /// In which metric
     #[arg(long, default_value = "psnr")]
@@ -54,12 +54,15 @@ impl PowerArguments {
         let metric = Metric::find(&self.metric).expect("the view has it");
         let difference = self.difference(sweep.definition.equivalence.get(&self.metric).copied())?;
         let spreads = spreads(&table, difference, self.tests.map(usize::from));
+        if spreads.is_empty() {
+            return Err(Error::Config("no row is compared with another: name one with --baseline".into()));
+        }
         let answer = json!({ "metric": self.metric, "difference": difference, "power": POWER, "rows": spreads });
         self.answer.give(&answer, || {
             print_shown(&format!(
-                "{}: seeds that show a difference of {} in {:.0} of 100 studies, p {}; no means are shown",
+                "{}: seeds that show a difference of {} in {:.0} of 100 studies, if the spread is as found, p {}; no means are shown",
                 self.metric,
-                metric.with_unit(difference),
+                with_unit(difference.to_string(), metric),
                 100.0 * POWER,
                 match self.tests {
                     Some(tests) => format!("corrected over {tests} comparisons"),
@@ -85,15 +88,25 @@ impl PowerArguments {
 }
 
 fn text(spread: &Spread, metric: &Metric) -> String {
-    let Spread { scene, label, baseline, seeds, deviation, seeds_needed } = spread;
-    let found = match (deviation, seeds_needed) {
-        (None, _) => "two are needed for a standard deviation".to_string(),
-        (Some(deviation), None) => {
-            format!("standard deviation {}; more than {MOST_SEEDS} are needed", metric.with_unit(*deviation))
-        }
-        (Some(deviation), Some(needed)) => {
-            format!("standard deviation {}; {needed} needed", metric.with_unit(*deviation))
-        }
+    let Spread { scene, label, baseline, seeds, deviation, tests: _, seeds_needed } = spread;
+    let needed = match seeds_needed {
+        _ if *seeds < LEAST_SEEDS => format!("{LEAST_SEEDS} are the fewest that a number is drawn from"),
+        None => format!("more than {MOST_SEEDS} are needed"),
+        Some(needed) => format!("{needed} needed"),
+    };
+    let found = match deviation {
+        None => needed,
+        Some(deviation) => format!("standard deviation {}; {needed}", with_unit(two_figures(*deviation), metric)),
     };
     format!("{scene}: {label} minus {baseline}, seeds so far {seeds}: {found}")
+}
+
+fn with_unit(number: String, metric: &Metric) -> String {
+    format!("{number} {}", metric.unit).trim_end().to_string()
+}
+
+/// What a standard deviation of a few seeds is good for.
+fn two_figures(value: f64) -> String {
+    let digits = if value > 0.0 { (1.0 - value.log10().floor()).clamp(0.0, 9.0) as usize } else { 0 };
+    format!("{value:.digits$}")
 }

@@ -1,6 +1,8 @@
 //! A line against its baseline, and the one rule for what may be said of it: what Holm's correction within a scene and
 //! metric leaves below [`SIGNIFICANCE`]. Tables, CSV and figures all ask here.
 
+use std::borrow::Borrow;
+
 use super::{Cell, Line};
 use crate::report::statistics::{SIGNIFICANCE, equivalence_p_value, holm, interval, mean, p_value, standard_deviation};
 
@@ -106,9 +108,7 @@ impl Comparison {
 /// equivalence.
 pub(super) fn correct_p_values(lines: &mut [Line]) {
     for scene in lines.chunk_by_mut(|a, b| a.scene == b.scene) {
-        let firsts: Vec<usize> = (0..scene.len())
-            .map(|i| scene[..i].iter().position(|line| is_same_experiment(line, &scene[i])).unwrap_or(i))
-            .collect();
+        let firsts = firsts(scene);
         for metric in 0..scene[0].cells.len() {
             correct(scene, &firsts, metric, |c| c.p, |c, p| c.p_holm = p);
             let of_equivalence = |c: &Comparison| c.equivalence.and_then(|equivalence| equivalence.p);
@@ -117,6 +117,22 @@ pub(super) fn correct_p_values(lines: &mut [Line]) {
             });
         }
     }
+}
+
+/// How many comparisons of the metric the scene's p values are corrected over, once points that are still to come are there.
+pub(in crate::report) fn comparisons_to_come(scene: &[&Line], metric: usize) -> usize {
+    let tested = |line: &Line| {
+        let measured = line.cells[metric].comparison.is_some_and(|comparison| comparison.pairs > 1);
+        line.baseline.is_some() && !line.quoted && (measured || line.ids.len() < line.points)
+    };
+    let alone = |(i, first): (usize, &usize)| i == *first && tested(scene[i]);
+    firsts(scene).iter().enumerate().filter(|&place| alone(place)).count()
+}
+
+/// Of each line the first one that is the same experiment.
+fn firsts<L: Borrow<Line>>(scene: &[L]) -> Vec<usize> {
+    let first = |i: usize| scene[..i].iter().position(|line| is_same_experiment(line.borrow(), scene[i].borrow()));
+    (0..scene.len()).map(|i| first(i).unwrap_or(i)).collect()
 }
 
 fn correct(

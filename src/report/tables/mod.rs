@@ -16,6 +16,7 @@ mod terminal;
 pub(in crate::report) mod text;
 
 pub use checks::disagreements;
+pub(super) use comparison::comparisons_to_come;
 pub use comparison::{Comparison, Equivalence, Verdict};
 pub use delimited::{PointTiming, points_csv, table_csv, timing_csv};
 pub use heading::{Heading, is_better, is_worse};
