@@ -16,7 +16,7 @@ use crate::base::input::{JSON_BYTES, read_bytes};
 use crate::base::{Error, Result};
 
 pub use super::temporaries::{REPLACED, TEMPORARY, clean_temporaries, is_temporary};
-use super::temporaries::{clean_where, folder_of, name_of, prefixed, temporary_beside};
+use super::temporaries::{clean_where, folder_of, held_beside, name_of, prefixed};
 pub(crate) use super::temporaries::{discard, hold, remove, wait_and_hold};
 
 /// Writes `bytes` to `path` so that the file has its old content or the new one at every moment,
@@ -83,22 +83,19 @@ pub(crate) fn create_whole(path: &Path, bytes: &[u8]) -> io::Result<bool> {
 
 /// Writes a temporary file beside `target` and gives it its name with `finish`.
 fn finish_file(target: &Path, bytes: &[u8], finish: impl FnOnce(&Path) -> io::Result<()>) -> io::Result<()> {
-    let temporary = temporary_beside(target)?;
+    let (temporary, mut file) = held_beside(target, |path| File::create_new(path), |file| Some(file))?;
     // Held until it has its name: nobody takes it for a leftover.
-    let written = write_synced(&temporary, bytes).and_then(|_held| finish(&temporary));
+    let written = write_synced(&mut file, bytes).and_then(|()| finish(&temporary));
     if written.is_err() {
         let _ = fs::remove_file(&temporary);
     }
     written
 }
 
-/// A new file with `bytes` that have reached the disk, locked where the file system has locks.
-pub(crate) fn write_synced(path: &Path, bytes: &[u8]) -> io::Result<File> {
-    let mut file = File::create_new(path)?;
-    let _ = file.try_lock();
+/// Writes `bytes` and waits until they have reached the disk.
+pub(crate) fn write_synced(file: &mut File, bytes: &[u8]) -> io::Result<()> {
     file.write_all(bytes)?;
-    file.sync_all()?;
-    Ok(file)
+    file.sync_all()
 }
 
 /// A folder that is filled under a hidden name and gets its own with [`AtomicDir::commit`].
@@ -117,10 +114,10 @@ impl AtomicDir {
     pub fn new(target: &Path) -> Result<AtomicDir> {
         // A leftover that cannot be deleted is in nobody's way.
         let _ = name_of(target).and_then(|name| clean_where(folder_of(target), |entry| entry == name));
-        let temporary = temporary_beside(target)
-            .and_then(|temporary| fs::create_dir(&temporary).map(|()| temporary))
-            .map_err(|error| Error::unwritable(target, &error))?;
-        Ok(AtomicDir { _held: hold(&temporary), temporary, target: target.to_path_buf() })
+        let make = |path: &Path| fs::create_dir(path).map(|()| File::open(path).ok());
+        let (temporary, _held) =
+            held_beside(target, make, Option::as_ref).map_err(|error| Error::unwritable(target, &error))?;
+        Ok(AtomicDir { temporary, target: target.to_path_buf(), _held })
     }
 
     /// The same for a place that must be free: an empty folder or none. A file, or a folder that holds something, is not

@@ -29,9 +29,11 @@ pub(super) fn clean_where(dir: &Path, chosen: impl Fn(&OsStr) -> bool) -> io::Re
         let Some(name) = path.file_name() else { continue };
         let replaced = after_prefix(REPLACED, name);
         let Some(intended) = replaced.clone().or_else(|| intended_name(name)) else { continue };
-        if !chosen(&intended) || is_held(&path) {
+        if !chosen(&intended) {
             continue;
         }
+        // Held until it is gone, so that whoever made it just now finds out.
+        let Ok(_held) = hold_leftover(&path) else { continue };
         let original = dir.join(intended);
         match replaced {
             Some(_) if original.symlink_metadata().is_err() => fs::rename(&path, &original)?,
@@ -49,14 +51,14 @@ pub fn is_temporary(name: &OsStr) -> bool {
     bytes.starts_with(TEMPORARY.as_bytes()) || bytes.starts_with(REPLACED.as_bytes())
 }
 
-/// Deletes a file or folder (a symbolic link itself, not what it points to); absent is fine.
+/// Deletes a file or folder (a symbolic link itself, not what it points to); absent is fine, and so is one that another
+/// process deletes meanwhile.
 pub(crate) fn remove(path: &Path) -> io::Result<()> {
-    match path.symlink_metadata() {
-        Ok(found) if found.is_dir() => fs::remove_dir_all(path),
-        Ok(_) => fs::remove_file(path),
-        Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(()),
-        Err(error) => Err(error),
-    }
+    let removed = path.symlink_metadata().and_then(|found| match found.is_dir() {
+        true => fs::remove_dir_all(path),
+        false => fs::remove_file(path),
+    });
+    removed.or_else(|error| if error.kind() == io::ErrorKind::NotFound { Ok(()) } else { Err(error) })
 }
 
 /// Deletes what has a name such that a kill at any moment leaves all of it there or nothing: it loses its name first.
@@ -82,13 +84,39 @@ pub(crate) fn wait_and_hold(path: &Path) -> Option<File> {
     File::open(path).ok().filter(|file| file.lock().is_ok())
 }
 
-/// A process holds it.
-fn is_held(path: &Path) -> bool {
-    let is_ours = path.symlink_metadata().is_ok_and(|found| found.is_file() || found.is_dir());
-    is_ours && File::open(path).is_ok_and(|file| matches!(file.try_lock_shared(), Err(TryLockError::WouldBlock)))
+/// A process works on the entry.
+struct Held;
+
+/// Locks what a killed process left; none where the file system has no locks.
+fn hold_leftover(path: &Path) -> std::result::Result<Option<File>, Held> {
+    // A pipe would be waited for.
+    let can_be_opened = path.symlink_metadata().is_ok_and(|found| found.is_file() || found.is_dir());
+    let Some(file) = can_be_opened.then(|| File::open(path).ok()).flatten() else { return Ok(None) };
+    match file.try_lock() {
+        Err(TryLockError::WouldBlock) => Err(Held),
+        _ => Ok(Some(file)),
+    }
 }
 
-pub(super) fn temporary_beside(target: &Path) -> io::Result<PathBuf> {
+/// Makes an entry beside `target` and locks it by its `file`, where the file system has locks. Between the two another process
+/// may take it for a leftover and delete it: then it is made again.
+pub(super) fn held_beside<T>(
+    target: &Path,
+    make: impl Fn(&Path) -> io::Result<T>,
+    file: impl Fn(&T) -> Option<&File>,
+) -> io::Result<(PathBuf, T)> {
+    loop {
+        let path = temporary_beside(target)?;
+        let made = make(&path)?;
+        // Waits for one that is deleting it.
+        let _ = file(&made).map(File::lock);
+        if path.symlink_metadata().is_ok() {
+            return Ok((path, made));
+        }
+    }
+}
+
+fn temporary_beside(target: &Path) -> io::Result<PathBuf> {
     static COUNT: AtomicU64 = AtomicU64::new(0);
     let count = COUNT.fetch_add(1, Ordering::Relaxed);
     let prefix = format!("{TEMPORARY}{}-{count}-", std::process::id());
@@ -176,6 +204,27 @@ mod tests {
         working.commit().unwrap();
         assert_eq!(fs::read_to_string(target.join("weights")).unwrap(), "half");
         assert_eq!(names(dir.path()), ["step-10"]);
+    }
+
+    #[test]
+    fn nothing_is_taken_for_a_leftover_while_many_clean() {
+        let dir = tempfile::tempdir().unwrap();
+        let over = std::sync::atomic::AtomicBool::new(false);
+        std::thread::scope(|scope| {
+            for _ in 0..3 {
+                scope.spawn(|| {
+                    while !over.load(Ordering::Relaxed) {
+                        clean_temporaries(dir.path()).unwrap();
+                    }
+                });
+            }
+            let written = (0..2000).try_for_each(|turn| {
+                write_atomic(&dir.path().join("a"), b"whole")?;
+                AtomicDir::new(&dir.path().join(format!("folder-{turn}")))?.commit()
+            });
+            over.store(true, Ordering::Relaxed);
+            written.unwrap();
+        });
     }
 
     #[test]

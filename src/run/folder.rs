@@ -355,7 +355,7 @@ fn probe(folder: &Path) -> Result<()> {
     let name = folder.join(format!("{}{}-probe", crate::base::files::TEMPORARY, std::process::id()));
     // Not constant, so that a compressing or sparse file system needs real blocks.
     let bytes: Vec<u8> = (0..PROBE_BYTES).map(|i| (i.wrapping_mul(2_654_435_761) >> 16) as u8).collect();
-    let written = remove(&name).and_then(|()| write_synced(&name, &bytes));
+    let written = remove(&name).and_then(|()| write_synced(&mut fs::File::create_new(&name)?, &bytes));
     let removed = remove(&name);
     written.and(removed).map_err(|error| Error::unwritable(folder, &error))
 }
