@@ -122,20 +122,24 @@ impl StepCosts for Equal {
 
 #[test]
 fn budgets_of_evaluations_are_for_fields_and_those_of_seconds_for_all() {
-    let text = |kind: &str, like: &str| {
+    let text = |method: &str, kind: &str, like: &str| {
         format!(
             "title = \"t\"\npreset = \"smoke\"\nscenes = [\"builtin\"]\nseeds = [0]\nbudget = {{ kind = \"{kind}\", like = \
-             \"{like}\" }}\n[[row]]\nname = \"NeRF\"\n[[row]]\nname = \"SRN\"\nset = {{ method = \"srn\" }}\n"
+             \"{like}\" }}\n[[row]]\nname = \"NeRF\"\n[[row]]\nname = \"Other\"\nset = {{ method = \"{method}\" }}\n"
         )
     };
-    let points =
-        |kind: &str, like: &str| expand(&Definition::parse(&text(kind, like), "t.toml").unwrap(), None, &Equal);
-    for like in ["NeRF", "SRN"] {
-        let told = points("evaluations", like).unwrap_err().to_string();
-        assert_says(&told, &["row 'SRN'", "budget.kind = \"evaluations\"", "method srn", "budget.kind = \"seconds\""]);
+    for (method, _) in BASELINES {
+        let points = |kind: &str, like: &str| {
+            expand(&Definition::parse(&text(method, kind, like), "t.toml").unwrap(), None, &Equal)
+        };
+        let named = format!("method {method}");
+        for like in ["NeRF", "Other"] {
+            let told = points("evaluations", like).unwrap_err().to_string();
+            assert_says(&told, &["row 'Other'", "budget.kind = \"evaluations\"", &named, "budget.kind = \"seconds\""]);
+        }
+        let steps: Vec<u64> = points("seconds", "NeRF").unwrap().iter().map(|point| point.config.train.steps).collect();
+        assert_eq!(steps, [1200, 1200], "{method}");
     }
-    let steps: Vec<u64> = points("seconds", "NeRF").unwrap().iter().map(|point| point.config.train.steps).collect();
-    assert_eq!(steps, [1200, 1200]);
 }
 
 #[test]
@@ -291,13 +295,16 @@ fn runs_without_fields_refuse_what_needs_them() {
     let dir = TempDir::new().unwrap();
     let path = |name: &str| dir.path().join(name).display().to_string();
     let small = "data.width=24 data.test_skip=20 train.steps=2 train.rays=32 eval.pictures=0 eval.train_views=0 srn.width=8 \
-                 llff.window=24 llff.crop=8 llff.planes=8";
-    for (method, why) in [("srn", "an SRN knows where a ray ends"), ("llff", "no density in space")] {
+                 nv.resolution=8 nv.divide=16 nv.warp_resolution=4 llff.window=24 llff.crop=8 llff.planes=8";
+    for (method, no_density) in BASELINES {
         let run = path(method);
         let set = small.split_whitespace().flat_map(|setting| ["--set", setting]);
         let train = ["train", "--quiet", "--preset", "smoke", "--method", method, "--out", &run];
         succeed(&train.into_iter().chain(set).collect::<Vec<_>>());
-        refuse(&["mesh", &run], 2, &["a mesh of this run with method", method, why, "augnerf compare"]);
+        if let Some(why) = no_density {
+            refuse(&["mesh", &run], 2, &["a mesh of this run with method", method, why, "augnerf compare"]);
+        }
+        let why = no_density.unwrap_or("trilinear");
         refuse(&["measure", &run], 2, &[method, "no l1, TV or Laplacian", why]);
         refuse(&["profile", &run], 2, &["a profile along a ray with method", method, "augnerf compare"]);
         for file in ["x.tar", "x.safetensors"] {

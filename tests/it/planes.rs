@@ -3,6 +3,7 @@
 use std::path::Path;
 
 use crate::common::files::json;
+use crate::common::learning::Small;
 use crate::common::program::{refuse, succeed};
 use crate::common::{flat, runtime};
 use augnerf::data::Scene;
@@ -15,6 +16,12 @@ use tempfile::TempDir;
 /// A few milliseconds a step on the embedded forward-facing scene at 32 x 32.
 const SMALL: &str = "data.kind=builtin-forward data.width=32 llff.planes=8 llff.inputs=3 llff.window=32 llff.crop=16 \
     train.learning_rate=2e-3";
+
+/// Smaller still, with everything that a run keeps.
+const CUT_OFF: Small = Small {
+    method: "llff",
+    settings: "data.kind=builtin-forward llff.planes=8 llff.inputs=3 llff.window=16 llff.crop=8",
+};
 
 fn small() -> Vec<&'static str> {
     SMALL.split_whitespace().flat_map(|setting| ["--set", setting]).collect()
@@ -48,6 +55,12 @@ fn steps_lower_the_loss_and_a_resumed_run_is_the_straight_one() {
     let mean = |losses: &[f64]| losses.iter().sum::<f64>() / losses.len() as f64;
     let (first, last) = (mean(&losses[..8]), mean(&losses[losses.len() - 8..]));
     assert!(last < 0.7 * first, "{first} {last}");
+}
+
+#[test]
+fn a_run_that_was_cut_off_ends_as_one_that_was_not() {
+    let (_dir, run) = CUT_OFF.once();
+    CUT_OFF.assert_resumes(&run);
 }
 
 #[test]

@@ -3,6 +3,7 @@
 use super::*;
 use crate::grids::reference::{check_differences, error, fixture, on_any_threads, ramp, values};
 use candle_core::Var;
+use candle_core::backprop::GradStore;
 
 fn lines(origins: &Tensor, directions: &Tensor) -> Arc<[Line]> {
     let rows = |tensor: &Tensor| tensor.to_vec2::<f64>().unwrap().into_iter().map(|row| [row[0], row[1], row[2]]);
@@ -21,6 +22,57 @@ fn reference_march() -> March {
 
 fn reference_grids() -> [Var; 2] {
     ["nv.march.template", "nv.march.warp"].map(|name| Var::from_tensor(&channels_last(&fixture(name))).unwrap())
+}
+
+/// What the original adds to a march of six rays: a background, one a ray, and a scale and a shift of colours, one of camera a
+/// (rays 0..3) and one of b (3..6).
+pub(crate) struct Cameras {
+    pub(crate) background: Var,
+    calibration: Var,
+}
+
+impl Cameras {
+    pub(crate) fn of_reference(name: &str, dtype: DType) -> Cameras {
+        let read = |what: &str| Var::from_tensor(&fixture(&format!("{name}.{what}")).to_dtype(dtype).unwrap()).unwrap();
+        Cameras { background: read("bg"), calibration: read("calibration") }
+    }
+
+    /// The background through what is not full.
+    fn behind(&self, acc: &Tensor) -> Tensor {
+        (1.0 - acc).unwrap().broadcast_mul(&self.background.relu().unwrap()).unwrap()
+    }
+
+    /// Colours, calibrated, before the background: `[6, 3]`.
+    pub(crate) fn shown(&self, out: &Tensor) -> Tensor {
+        let of = |what: usize| {
+            let each = self.calibration.narrow(1, what, 1).unwrap().broadcast_as((2, 3, 3)).unwrap();
+            each.contiguous().unwrap().reshape((6, 3)).unwrap()
+        };
+        let calibrated = ((out.narrow(1, 0, 3).unwrap() * of(0)).unwrap() + of(1)).unwrap();
+        (calibrated + self.behind(&out.narrow(1, 3, 1).unwrap())).unwrap()
+    }
+
+    /// Asserts that the gradients in the background are the original's.
+    pub(crate) fn check_background(&self, gradients: &GradStore, name: &str, tolerance: f64) {
+        let found = gradients.get(&self.background).unwrap();
+        for (camera, letter) in ["a", "b"].into_iter().enumerate() {
+            let expected = fixture(&format!("{name}.grad.bg.{letter}")).squeeze(1).unwrap().t().unwrap();
+            let error = error(&found.narrow(0, 3 * camera, 3).unwrap(), &expected);
+            assert!(error < tolerance, "{name}, {letter}: {error}");
+        }
+    }
+
+    /// Asserts that those in the calibration are, too.
+    pub(crate) fn check_calibration(&self, gradients: &GradStore, name: &str, tolerance: f64) {
+        let found = gradients.get(&self.calibration).unwrap();
+        for (camera, letter) in ["a", "b"].into_iter().enumerate() {
+            for (what, part) in ["weight", "bias"].into_iter().enumerate() {
+                let expected = fixture(&format!("{name}.grad.calibration.{letter}.{part}")).flatten_all().unwrap();
+                let error = error(&found.get(camera).unwrap().get(what).unwrap(), &expected);
+                assert!(error < tolerance, "{name}, {letter}, {part}: {error}");
+            }
+        }
+    }
 }
 
 /// Rays in all directions around and in the box, some of them beside it.
@@ -134,20 +186,13 @@ fn sample_gradients_are_the_originals() {
 fn rays_and_gradients_are_the_originals() {
     let march = reference_march();
     let [template, warp] = reference_grids();
-    let background = Var::from_tensor(&fixture("nv.march.bg")).unwrap();
-    let calibration = Var::from_tensor(&fixture("nv.march.calibration")).unwrap();
+    let cameras = Cameras::of_reference("nv.march", DType::F64);
     let out = march.forward(&template, Some(warp.as_tensor())).unwrap();
     let (rgb, acc) = (out.narrow(1, 0, 3).unwrap(), out.narrow(1, 3, 1).unwrap());
-    let behind = (1.0 - &acc).unwrap().broadcast_mul(&background.relu().unwrap()).unwrap();
-    let plain = (&rgb + &behind).unwrap();
+    let plain = (rgb + cameras.behind(&acc)).unwrap();
     assert!(error(&plain, &fixture("nv.march.plain.rgb")) < 1e-12);
     assert!(error(&acc, &fixture("nv.march.plain.acc")) < 1e-12);
-    // Rays 0..3 are camera a's, 3..6 camera b's.
-    let of = |what: usize| {
-        let each = calibration.narrow(1, what, 1).unwrap().broadcast_as((2, 3, 3)).unwrap();
-        each.contiguous().unwrap().reshape((6, 3)).unwrap()
-    };
-    let shown = (((rgb * of(0)).unwrap() + of(1)).unwrap() + behind).unwrap();
+    let shown = cameras.shown(&out);
     assert!(error(&shown, &fixture("nv.march.rgb")) < 1e-12);
     assert!(error(&acc, &fixture("nv.march.acc")) < 1e-12);
     let image = ((shown - fixture("nv.march.target")).unwrap() / 25.0).unwrap().sqr().unwrap().mean_all().unwrap();
@@ -163,16 +208,8 @@ fn rays_and_gradients_are_the_originals() {
     let error_of_template = error(&of(&template), &channels_last("nv.march.grad.template"));
     assert!(error_of_template < 1e-6, "{error_of_template}");
     assert!(error(&of(&warp), &channels_last("nv.march.grad.warp")) < 1e-11);
-    for (camera, name) in ["a", "b"].into_iter().enumerate() {
-        let expected = |what: &str| fixture(&format!("nv.march.grad.{what}"));
-        let bg = expected(&format!("bg.{name}")).squeeze(1).unwrap().t().unwrap();
-        assert!(error(&of(&background).narrow(0, 3 * camera, 3).unwrap(), &bg) < 1e-12);
-        for (what, part) in [(0, "weight"), (1, "bias")] {
-            let expected = expected(&format!("calibration.{name}.{part}")).flatten_all().unwrap();
-            let found = of(&calibration).get(camera).unwrap().get(what).unwrap();
-            assert!(error(&found, &expected) < 1e-11, "{name} {part}");
-        }
-    }
+    cameras.check_background(&gradients, "nv.march", 1e-12);
+    cameras.check_calibration(&gradients, "nv.march", 1e-11);
 }
 
 #[test]

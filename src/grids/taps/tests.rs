@@ -158,7 +158,9 @@ fn transposed_convolutions_are_the_adjoint_ones() {
 
 #[test]
 fn gradients_are_those_of_differences() {
-    for product in [TapProduct::transposed([2, 1, 3]), TapProduct::convolution([3, 2, 4], 2, 1)] {
+    let convolution = |sides, (stride, dilation)| TapProduct::convolution(sides, stride, dilation);
+    let convolutions = [(1, 1), (2, 1), (1, 2)].map(|kind| convolution([3, 2, 4], kind));
+    for product in std::iter::once(TapProduct::transposed([2, 1, 3])).chain(convolutions) {
         let product = product.leaky(0.2);
         let [z, y, x] = product.plan.sources[0];
         let taps = product.kernel().len();

@@ -6,7 +6,7 @@ use candle_core::{DType, Device, Tensor};
 use rayon::prelude::*;
 
 use crate::base::Result;
-use crate::data::RayBuffer;
+use crate::data::{RayBuffer, Rays};
 use crate::methods::gradients::Gradients;
 
 use super::fast::{Lines, Network};
@@ -86,10 +86,10 @@ impl Chunk<'_> {
 
     /// In candle's operations.
     pub(super) fn learn_plain(&self, srn: &Srn, (dtype, device): (DType, &Device), sums: &mut Sums) -> Result<()> {
-        let count = self.rays.len();
-        let rays = self.drawn.rays.to_tensors(dtype, device)?.narrow(self.rays.start, count)?;
-        let z_0 = Tensor::from_slice(self.lines().z_0, (count, 1), device)?.to_dtype(dtype)?;
-        sums.descend(srn, &srn.march(&rays, &z_0)?, self.target(), self.weights)
+        let Lines { origins, directions, viewdirs, z_0 } = self.lines();
+        let tensor = |values: &[f32]| Tensor::from_slice(values, (self.rays.len(), ()), device)?.to_dtype(dtype);
+        let rays = Rays::new(tensor(origins)?, tensor(directions)?, tensor(viewdirs)?)?;
+        sums.descend(srn, &srn.march(&rays, &tensor(z_0)?)?, self.target(), self.weights)
     }
 }
 

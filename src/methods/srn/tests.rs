@@ -181,6 +181,18 @@ fn a_head_that_says_how_far_leads_there() {
     }
 }
 
+/// Rays that stand still show what is where they start, however many steps they take.
+#[test]
+fn a_head_of_zeros_leaves_the_colour() {
+    let fixture = Fixture::load();
+    let srn = with_head(&fixture, 0.0, 0.0);
+    let values = srn.variables().iter().map(|(_, var)| var.as_tensor().clone()).collect();
+    let once = Srn::from_parameters(&SrnConfig { steps: 1, ..fixture.config() }, values).unwrap();
+    let (march, expected) = (fixture.march(&srn), fixture.march(&once));
+    assert_near("v", &march.v[10], &march.v[0], 1e-14);
+    assert_near("colour", &march.colour, &expected.colour, 1e-14);
+}
+
 /// Positions times `scale` are what the network sees: a scene half as large at twice the scale is the same.
 #[test]
 fn a_scale_is_a_change_of_units() {

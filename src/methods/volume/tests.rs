@@ -9,7 +9,8 @@ use super::decoder::{Decoded, rotations};
 use super::learner::{divergence, drawn, losses};
 use super::parameters::{NeuralVolume, Sizes, WarpSizes, channels};
 use crate::field::Density;
-use crate::grids::march::{Line, March, Pace, tests::check_samples};
+use crate::grids::march::tests::{Cameras, check_samples};
+use crate::grids::march::{Line, March, Pace};
 use crate::grids::reference::{error, fixture, on_any_threads, ramp, values};
 use crate::grids::taps::TapProduct;
 use crate::grids::trilinear::{Outside, trilinear};
@@ -110,8 +111,8 @@ fn decoded_volumes_are_the_originals() {
     }
 }
 
-/// Rays, the four losses and the gradients of all parameters, of the decoded grids, and of the code's distribution; in f64 and
-/// in f32.
+/// Rays, the four losses and the gradients of all parameters, of the decoded grids, of the code's distribution, and of what the
+/// original has for each camera; in f64 and in f32.
 #[test]
 fn losses_and_gradients_are_the_originals() {
     for (dtype, tolerance) in [(DType::F64, 1e-11), (DType::F32, 2e-4)] {
@@ -122,7 +123,8 @@ fn losses_and_gradients_are_the_originals() {
         let code = drawn(&mean, &log_deviation, &read("noise")).unwrap();
         assert!(error(&code, &read("code")) < 1e-6);
         let decoded = volume.decode(&code, false).unwrap();
-        let (march, background) = (reference_march(), read("bg").relu().unwrap());
+        let (march, cameras) = (reference_march(), Cameras::of_reference("nv.full", dtype));
+        let background = cameras.background.relu().unwrap();
         let total = |decoded: &Decoded| {
             let terms = losses(decoded, &march, &background, &read("target")).unwrap();
             let code = divergence(&mean, &log_deviation).unwrap();
@@ -142,6 +144,7 @@ fn losses_and_gradients_are_the_originals() {
             let error = error(gradients.get(var).unwrap_or_else(|| panic!("{name}: none")), &expected);
             assert!(error < tolerance.max(2e-7), "{name}: {error}");
         }
+        cameras.check_background(&gradients, "nv.full", tolerance);
         // The same of the grids alone, and the rays.
         let cut = |tensor: &Tensor| Var::from_tensor(&tensor.detach()).unwrap();
         let (template, warp) = (cut(&decoded.template), cut(decoded.warp.as_ref().unwrap()));
@@ -152,9 +155,10 @@ fn losses_and_gradients_are_the_originals() {
             assert!(error < tolerance.max(2e-7), "{name}: {error}");
         }
         let out = march.forward(&template, Some(warp.as_tensor())).unwrap();
-        let behind = (1.0 - out.narrow(1, 3, 1).unwrap()).unwrap().broadcast_mul(&background).unwrap();
-        let rgb = (out.narrow(1, 0, 3).unwrap() + behind).unwrap();
+        let rgb = cameras.shown(&out);
         assert!(error(&rgb, &read("rgb")) < tolerance);
+        let image = ((rgb - read("target")).unwrap() / 25.0).unwrap().sqr().unwrap().mean_all().unwrap();
+        cameras.check_calibration(&image.backward().unwrap(), "nv.full", tolerance);
         if dtype == DType::F64 {
             check_samples(&march, &template, &warp, "nv.full");
         }

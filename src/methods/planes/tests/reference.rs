@@ -5,7 +5,8 @@ use std::sync::Arc;
 use candle_core::{DType, Device, Tensor, Var};
 
 use crate::base::Image;
-use crate::data::{Camera, Rays};
+use crate::data::formats::llff::{POSES_FILE, Poses};
+use crate::data::{Camera, Rays, npy};
 use crate::grids::over::over;
 use crate::grids::planes::plane_sample;
 use crate::grids::reference::{error, fixture, values};
@@ -60,6 +61,23 @@ fn goal_rays() -> Vec<([f64; 3], [f64; 3])> {
 fn rendered(view: usize, planes_of_view: &Tensor) -> Tensor {
     let places = eyes()[view].places(&goal_rays(), &planes());
     over(&plane_sample(planes_of_view, Arc::new(places)).unwrap()).unwrap()
+}
+
+/// The views' poses and the goal's as LLFF's own file holds them, read.
+#[test]
+fn poses_of_a_file_are_the_authors() {
+    let of = |name: &str| values(&fixture(name));
+    let poses = [of("llff.poses"), of("llff.goal")].concat();
+    let bounds = [of("llff.bounds"), vec![1.0, 2.0]].concat();
+    let rows: Vec<f64> = poses.chunks(15).zip(bounds.chunks(2)).flat_map(|row| [row.0, row.1].concat()).collect();
+    let bytes: Vec<u8> = rows.iter().flat_map(|value| value.to_le_bytes()).collect();
+    let dir = tempfile::tempdir().unwrap();
+    let file = dir.path().join(POSES_FILE);
+    std::fs::write(&file, [npy::header("<f8", &[7, 17]), bytes].concat()).unwrap();
+    let found = Poses::read(&file).unwrap();
+    assert_eq!((found.height, found.width, found.focal), (HEIGHT as f64, WIDTH as f64, 7.25));
+    let read: Vec<f64> = found.poses.into_iter().flatten().flatten().collect();
+    assert_eq!(read, [of("llff.c2w"), of("llff.goal_c2w")].concat());
 }
 
 #[test]
