@@ -310,6 +310,14 @@ pub fn number(value: f64, step: f64) -> String {
     format!("{value:.digits$}")
 }
 
+/// Ten to a whole power.
+fn power(exponent: f64) -> String {
+    match (-3.0..6.0).contains(&exponent) {
+        true => 10f64.powi(exponent as i32).to_string(),
+        false => format!("1e{exponent}"),
+    }
+}
+
 /// Round numbers across a range, and the step between them.
 pub fn ticks((low, high): (f64, f64), most: usize) -> (Vec<f64>, f64) {
     let raw = (high - low) / most as f64;
@@ -361,11 +369,22 @@ impl Panel {
     /// Horizontal grid lines, their numbers where asked for, and the frame.
     pub fn frame(&self, drawing: &mut Canvas, numbers: bool) {
         let (values, step) = ticks(self.range, (self.height / 40.0) as usize + 1);
-        for value in values {
+        self.frame_at(drawing, values.into_iter().map(|value| (value, number(value, step))), numbers);
+    }
+
+    /// The same of a range of decimal logarithms, with lines at powers of ten.
+    pub fn log_frame(&self, drawing: &mut Canvas, numbers: bool) {
+        let (values, _) = ticks(self.range, (self.height / 20.0) as usize);
+        let whole = values.into_iter().filter(|value| value.fract() == 0.0);
+        self.frame_at(drawing, whole.map(|value| (value, power(value))), numbers);
+    }
+
+    fn frame_at(&self, drawing: &mut Canvas, marks: impl Iterator<Item = (f64, String)>, numbers: bool) {
+        for (value, text) in marks {
             let y = self.y(value);
             drawing.line(&[(self.left, y), (self.right(), y)], GRID, 1.0);
             if numbers {
-                drawing.text((self.left - 6.0, y), &number(value, step), TEXT, Anchor::Right, BLACK);
+                drawing.text((self.left - 6.0, y), &text, TEXT, Anchor::Right, BLACK);
             }
         }
         drawing.line(&[(self.left, self.top), (self.left, self.bottom()), (self.right(), self.bottom())], BLACK, 1.0);

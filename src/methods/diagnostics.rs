@@ -7,14 +7,10 @@ use serde::Serialize;
 use crate::augment::Site;
 use crate::base::input::{TABLE_BYTES, read_text};
 use crate::base::{Error, Result};
-use crate::settings::columns::InactiveBy;
+use crate::settings::columns::{InactiveBy, LEAST_SHIFT};
 
 /// A site whose gain is under this share of the clean loss is inactive in a step.
 const INACTIVE_SHARE: f64 = 1e-4;
-/// A site whose deltas move the rendered colours by less than this, in 8-bit steps, on average over rays and channels, is
-/// inactive in a run; single colours may move further. Unlike a share of the loss it does not depend on how far training has
-/// come.
-const LEAST_SHIFT: f64 = 0.5;
 /// Logged steps, the last ones, whose mean shift tells whether a site is inactive in a run.
 const LAST_LOGS: usize = 10;
 

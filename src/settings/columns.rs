@@ -251,6 +251,11 @@ pub const COLUMNS: &[Column] = &[
 /// What the sites of a run were judged inactive by.
 pub const INACTIVE_BY: &str = "inactive_by";
 
+/// A site whose deltas move the rendered colours by less than this, in 8-bit steps, on average over rays and channels, is
+/// inactive in a run; single colours may move further. Unlike a share of the loss it does not depend on how far training has
+/// come.
+pub const LEAST_SHIFT: f64 = 0.5;
+
 /// The values of [`INACTIVE_BY`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum InactiveBy {

@@ -3,6 +3,7 @@
 use std::fs::File;
 use std::path::{Path, PathBuf};
 
+use crate::augment::Site;
 use crate::base::files::{clean_temporaries, remove, wait_and_hold, write_atomic};
 use crate::base::{Error, Result};
 
@@ -12,9 +13,9 @@ use super::points::Point;
 use super::provenance::{Provenance, sha256};
 use super::scored::with_scored;
 use crate::report::exporters::{Collected, EXPORTERS, File as Export};
-use crate::report::plots::{Curve, Surface};
+use crate::report::plots::{Curve, Seeds, Shifts, Surface};
 use crate::report::statistics::mean;
-use crate::report::tables::Table;
+use crate::report::tables::{AttackLine, Table};
 use crate::report::{RowSpec, Status, TableSpec};
 
 /// The page's file in a results' folder. No part of what `augnerf verify` compares: it shows what the other files say, and
@@ -152,15 +153,19 @@ impl Sheet<'_> {
             with_timing: self.with_timing,
             table: None,
             curves: &[],
+            attacks: &[],
+            shifts: &[],
             surfaces: &[],
         };
         export(&collected, take)?;
         let table = Table::new(self.spec, &records, self.force)?;
-        let curves: Vec<_> =
-            table.scenes().into_iter().map(|(scene, _)| (scene.to_string(), self.curves(scene))).collect();
-        let surfaces: Vec<_> =
-            table.scenes().iter().map(|(scene, _)| (scene.to_string(), self.surfaces(scene))).collect();
-        (collected.table, collected.curves, collected.surfaces) = (Some(&table), &curves, &surfaces);
+        let scenes: Vec<&str> = table.scenes().into_iter().map(|(scene, _)| scene).collect();
+        let curves: Vec<_> = scenes.iter().map(|scene| (scene.to_string(), self.curves(scene))).collect();
+        let shifts: Vec<_> = scenes.iter().map(|scene| (scene.to_string(), self.shifts(scene))).collect();
+        let surfaces: Vec<_> = scenes.iter().map(|scene| (scene.to_string(), self.surfaces(scene))).collect();
+        let attacks = self.attacks(&table);
+        (collected.table, collected.attacks) = (Some(&table), &attacks);
+        (collected.curves, collected.shifts, collected.surfaces) = (&curves, &shifts, &surfaces);
         export(&collected, take)?;
         Ok(table)
     }
@@ -169,17 +174,8 @@ impl Sheet<'_> {
     fn curves(&self, scene: &str) -> Vec<Curve> {
         let mut curves = Vec::new();
         for row in &self.spec.rows {
-            let own = |point: &&Point| {
-                point.scene == scene && point.places.iter().any(|place| place.row == row.name && place.axes.is_empty())
-            };
-            let done = |point: &&Point| {
-                self.material.records.iter().any(|record| record.id == point.id && record.status == Status::Done)
-            };
-            let points: Vec<&Point> = self.points.iter().filter(own).filter(done).collect();
-            let of = |column: &str| -> Vec<_> {
-                let scalars = points.iter().filter_map(|point| self.material.scalars.get(&point.id));
-                scalars.map(|scalars| scalars.pairs("step", column)).filter(|curve| !curve.is_empty()).collect()
-            };
+            let points = self.done(scene, row);
+            let of = |column: &str| self.logged(&points, column);
             let seeds = of("psnr");
             if !seeds.is_empty() {
                 let (held_out, seen) = (of("test_psnr"), of("train_psnr"));
@@ -192,13 +188,50 @@ impl Sheet<'_> {
         curves
     }
 
+    /// How far the attack moved colours, row by row and site by site, of the points without axis values.
+    fn shifts(&self, scene: &str) -> Vec<Shifts> {
+        let of_row = |row: &RowSpec| {
+            let points = self.done(scene, row);
+            let of_site = |site: Site| (site, self.logged(&points, &format!("shift.{}", site.name())));
+            let sites: Vec<_> = Site::ALL.into_iter().map(of_site).filter(|(_, seeds)| !seeds.is_empty()).collect();
+            (!sites.is_empty()).then(|| Shifts { label: row.name.clone(), sites })
+        };
+        self.spec.rows.iter().filter_map(of_row).collect()
+    }
+
+    /// What the attack did, line by line of a table.
+    pub(super) fn attacks<'t>(&self, table: &'t Table) -> Vec<AttackLine<'t>> {
+        let scalars = &self.material.scalars;
+        let numbers = |id: &str, column: &str| scalars.get(id).map_or(Vec::new(), |scalars| scalars.numbers(column));
+        table.lines.iter().filter_map(|line| AttackLine::of(line, numbers)).collect()
+    }
+
+    /// A row's points without axis values.
+    fn plain<'s>(&'s self, scene: &str, row: &RowSpec) -> impl Iterator<Item = &'s Point> {
+        let own = move |point: &&Point| {
+            point.scene == scene && point.places.iter().any(|place| place.row == row.name && place.axes.is_empty())
+        };
+        self.points.iter().filter(own)
+    }
+
+    /// Those that are done.
+    fn done(&self, scene: &str, row: &RowSpec) -> Vec<&Point> {
+        let done = |point: &&Point| {
+            self.material.records.iter().any(|record| record.id == point.id && record.status == Status::Done)
+        };
+        self.plain(scene, row).filter(done).collect()
+    }
+
+    /// A column of points' logs against steps, of each point that has it.
+    fn logged(&self, points: &[&Point], column: &str) -> Seeds {
+        let scalars = points.iter().filter_map(|point| self.material.scalars.get(&point.id));
+        scalars.map(|scalars| scalars.pairs("step", column)).filter(|curve| !curve.is_empty()).collect()
+    }
+
     /// The surface of each row's first point that has one.
     fn surfaces(&self, scene: &str) -> Vec<Surface> {
         let of_row = |row: &RowSpec| {
-            let own = |point: &&Point| {
-                point.scene == scene && point.places.iter().any(|place| place.row == row.name && place.axes.is_empty())
-            };
-            let picture = self.points.iter().filter(own).find_map(|point| self.material.surfaces.get(&point.id))?;
+            let picture = self.plain(scene, row).find_map(|point| self.material.surfaces.get(&point.id))?;
             Some((row.name.clone(), picture.clone()))
         };
         self.spec.rows.iter().filter_map(of_row).collect()

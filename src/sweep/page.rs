@@ -6,7 +6,7 @@ use super::collect::Sheet;
 use super::material::{Material, optional};
 use crate::base::{Error, Result};
 use crate::report::exporters::File;
-use crate::report::page::{AttackLine, Page, ShownScene, ViewOfRow, ViewOfScene};
+use crate::report::page::{Page, ShownScene, ViewOfRow, ViewOfScene};
 use crate::report::tables::{Line, Table};
 use crate::report::{Status, distinct};
 use crate::run::FirstView;
@@ -20,14 +20,12 @@ impl Sheet<'_> {
     /// The page of a table and its files, as it lies in `folder`.
     pub fn page(&self, table: &Table, files: &[File], folder: &Path) -> Result<String> {
         let material = self.material;
-        let numbers =
-            |id: &str, column: &str| material.scalars.get(id).map_or(Vec::new(), |scalars| scalars.numbers(column));
         let page = Page {
             table,
             records: &material.all_records(),
             files,
             views: views(table, material)?,
-            attacks: table.lines.iter().flat_map(|line| AttackLine::of(line, numbers)).collect(),
+            attacks: self.attacks(table),
             timing: if self.with_timing { &material.timing } else { &[] },
             link: &|id| link(folder, material.runs.get(id)?),
         };

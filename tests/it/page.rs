@@ -1,8 +1,8 @@
 //! The page of a sweep or of runs: whole, escaped, the same twice.
 
 use augnerf::base::Image;
-use augnerf::report::page::{AttackLine, Page, ShownScene, ViewOfRow, ViewOfScene};
-use augnerf::report::tables::Table;
+use augnerf::report::page::{Page, ShownScene, ViewOfRow, ViewOfScene};
+use augnerf::report::tables::{AttackLine, Table};
 use augnerf::report::{Record, RowSpec, Status, TableSpec};
 
 use crate::common::assert_says;
@@ -74,12 +74,14 @@ pub fn page() -> String {
         ("curves_fern_psnr.svg".to_string(), svg("along steps")),
         ("curves_fern_psnr_seconds.svg".into(), svg("time")),
     ];
-    let attacks = AttackLine::of(&table.lines[1], |_, column| match column {
+    let attack = AttackLine::of(&table.lines[1], |_, column| match column {
         "gain.xyz" => vec![1e-3, 3e-3],
         "shift.xyz" => vec![0.75],
         _ => vec![],
     });
-    assert_eq!((attacks.len(), attacks[0].site, attacks[0].numbers[0]), (1, "xyz", Some(2e-3)));
+    let attacks = vec![attack.unwrap()];
+    let sites = &attacks[0].sites;
+    assert_eq!((sites.len(), sites[0].site, sites[0].whole[0]), (1, "xyz", Some(2e-3)));
     let link = |id: &str| Some(format!("./../points/{id}/run/"));
     let views = vec![ShownScene::new(&view, 1).unwrap()];
     Page { table: &table, records: &records, files: &files, views, attacks, timing: &[], link: &link }.html().unwrap()

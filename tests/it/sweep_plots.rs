@@ -1,8 +1,11 @@
 //! Figures of a sweep from hand-made points. `AUGNERF_PLOTS=DIR` keeps them to look at.
 
+use augnerf::augment::Site;
 use augnerf::base::rng::{Random, Stream};
 use augnerf::report::exporters::{Collected, EXPORTERS};
-use augnerf::report::plots::{Curve, Figure, axes_figure, curves_figure, heatmap_figures, rows_figure, seconds_figure};
+use augnerf::report::plots::{
+    Curve, Figure, Shifts, axes_figure, curves_figure, heatmap_figures, rows_figure, seconds_figure, shifts_figure,
+};
 use augnerf::report::tables::Table;
 use augnerf::report::{AxisValue, Record, RowSpec, Status, TableSpec};
 
@@ -54,6 +57,21 @@ fn record(row: &str, axes: Vec<AxisValue>, seed: u64, psnr: Option<f64>) -> Reco
         metrics: vec![("psnr".into(), psnr)],
         protocol: vec![],
         inactive_levels: if row == "Aug-NeRF" { vec!["rgb".into(), "density".into()] } else { vec![] },
+    }
+}
+
+/// A table and its points, without logs.
+fn collected<'a>(spec: &'a TableSpec, records: &'a [Record], table: &'a Table) -> Collected<'a> {
+    Collected {
+        spec,
+        records,
+        timing: &[],
+        with_timing: false,
+        table: Some(table),
+        curves: &[],
+        attacks: &[],
+        shifts: &[],
+        surfaces: &[],
     }
 }
 
@@ -169,8 +187,8 @@ fn rows_with_axes_of_their_own_stand_beside_plain_ones() {
         .collect();
     let table = Table::new(&spec, &records, false).unwrap();
     let names = |spec: &TableSpec| -> Vec<String> {
-        let (table, records) = (Some(&table), &records[..]);
-        let collected = Collected { spec, records, timing: &[], with_timing: false, table, curves: &[], surfaces: &[] };
+        let (table, records) = (&table, &records[..]);
+        let collected = collected(spec, records, table);
         EXPORTERS.iter().flat_map(|exporter| exporter.export(&collected).unwrap()).map(|(name, _)| name).collect()
     };
     let has_rows = |names: Vec<String>| names.iter().any(|name| name == "rows_fern_psnr.svg");
@@ -244,6 +262,47 @@ fn training_curves_show_seen_and_unseen_views() {
     assert!(with.contains("PSNR of whole views (dB)"));
 }
 
+/// A panel a site that any row has, on one scale from a power of ten to another, with the bound of inactive sites.
+#[test]
+fn shifts_of_the_attack() {
+    let seeds = |level: f64| -> Vec<Vec<(f64, f64)>> {
+        let shift = |seed, i: u64| (50.0 * i as f64, level * (1.0 + 0.5 * noise(seed, i)));
+        (0..3).map(|seed| (1..=20).map(|i| shift(seed, i)).collect()).collect()
+    };
+    let row = |label: &str, share: f64| {
+        let levels = [3.0, 2.0, 0.1, 0.2, 2e-3, 1.2e-4];
+        let sites = Site::ALL.into_iter().zip(levels).map(|(site, level)| (site, seeds(level * share)));
+        Shifts { label: label.into(), sites: sites.collect() }
+    };
+    let all = [row("Aug-NeRF", 1.0), row("Uniform draws, paper's geometry", 0.1)];
+    let figure = shifts_figure("Ablation: shift of colours by the attack on fern", &all).unwrap().unwrap();
+    keep("attack", &figure);
+    let says = |svg: &str, word: &str| svg.contains(&format!(">\n{word}\n<"));
+    for word in ["t", "density", "Aug-NeRF", "1e-5", "0.001", "10", "1/2: inactive below"] {
+        assert!(says(&figure.svg, word), "{word}");
+    }
+    assert!(!figure.svg.contains("Shifts of 0"));
+    // A shift is drawn at its logarithm: 5 is at 0.699 of the decade, as the bound of 0.5 is in that below.
+    let flat = |value: f64| {
+        let sites = vec![(Site::Feature, vec![vec![(1.0, value), (2.0, value)]])];
+        shifts_figure("t", &[Shifts { label: "flat".into(), sites }]).unwrap()
+    };
+    let svg = flat(5.0).unwrap().svg;
+    let height = |width: &str| -> f64 {
+        let line = svg.lines().find(|line| line.contains(&format!("stroke-width=\"{width}\""))).unwrap();
+        let points = line.split("points=\"").nth(1).unwrap().split(' ').next().unwrap();
+        points.split(',').nth(1).unwrap().trim_end_matches('"').parse().unwrap()
+    };
+    // Two decades of 95 pixels each.
+    assert!((height("1.2") - height("1.8") - 95.0).abs() < 0.11, "{} {}", height("1.2"), height("1.8"));
+    assert!(says(&svg, "feature") && !says(&svg, "rgb") && says(&svg, "0.1") && says(&svg, "10"));
+    // What moves no colour has nothing to draw.
+    assert!(flat(0.0).is_none() && shifts_figure("t", &[]).unwrap().is_none());
+    let half = vec![(Site::Feature, vec![vec![(1.0, 0.0), (2.0, 1.0), (3.0, 2.0)]])];
+    let svg = shifts_figure("t", &[Shifts { label: "half".into(), sites: half }]).unwrap().unwrap().svg;
+    assert!(svg.contains("Shifts of 0 have no place on this scale."));
+}
+
 #[test]
 fn odd_input_draws_or_says_that_there_is_nothing() {
     let two = spec(&["NeRF", "Aug-NeRF"]);
@@ -305,9 +364,8 @@ fn a_product_of_two_axes_is_drawn_too() {
     let single = figure_records();
     let table = Table::new(&spec, &single, false).unwrap();
     assert!(heatmap_figures(&table, &single, "fern", "psnr").unwrap().is_empty(), "one axis at a time has none");
-    let (table, records) = (Some(&table), &single[..]);
-    let collected =
-        Collected { spec: &spec, records, timing: &[], with_timing: false, table, curves: &[], surfaces: &[] };
+    let (table, records) = (&table, &single[..]);
+    let collected = collected(&spec, records, table);
     let files = EXPORTERS.iter().flat_map(|exporter| exporter.export(&collected).unwrap());
     assert_eq!(files.filter(|(name, _)| name.starts_with("heatmap_")).count(), 0);
 }
@@ -339,6 +397,8 @@ fn the_smallest_and_largest_numbers_and_odd_letters_are_drawn() {
                 seconds_per_step: Some(b),
             };
             curves_figure("t\u{0}", "u", std::slice::from_ref(&curve)).unwrap();
+            let sites = vec![(Site::T, curve.seeds.clone()), (Site::Rgb, curve.held_out.clone())];
+            shifts_figure("t\u{0}", &[Shifts { label: odd[1].into(), sites }]).unwrap();
             seconds_figure("t\u{0}", "u", &[curve]).unwrap();
         }
     }

@@ -324,6 +324,44 @@ fn what_is_not_at_hand_is_said() {
     assert_says(&verify(Path::new(ROOT), &["results/mip_fern", "--retrain", "1"], 2), &["git worktree add"]);
 }
 
+/// What the attack did comes out of the points' logs, is held to them, and may be quoted.
+#[track_caller]
+fn assert_attack(dir: &Path, folder: &Path) {
+    let lines = rows(&text(&folder.join("attack.csv")));
+    let [line] = &lines[..] else { panic!("{lines:?}") };
+    let place = |column: &str| line[column].as_str();
+    assert_eq!(["scene", "source", "row", "axes", "n"].map(place), ["builtin", "run", "Aug-NeRF", "", "2"]);
+    assert_eq!(line.len(), 5 + 6 * 12);
+    let points = rows(&text(&folder.join("points.csv")));
+    let logs = points.iter().filter(|point| point["row"] == "Aug-NeRF");
+    let logs = logs.map(|point| rows(&text(&dir.join("runs/tiny/points").join(&point["id"]).join("run/scalars.csv"))));
+    let logs: Vec<Vec<f64>> =
+        logs.map(|log| log.iter().map(|row| row["shift.xyz"].parse().unwrap()).collect()).collect();
+    assert_eq!(logs.iter().map(Vec::len).collect::<Vec<_>>(), [4, 4]);
+    let is_mean_of = |column: &str, of: &dyn Fn(&[f64]) -> f64| {
+        let (found, made): (f64, f64) = (line[column].parse().unwrap(), (of(&logs[0]) + of(&logs[1])) / 2.0);
+        assert!((found - made).abs() <= 1e-12 * made.abs() && made > 0.0, "{column}: {found} {made}");
+    };
+    is_mean_of("shift.xyz", &|log| log.iter().sum::<f64>() / 4.0);
+    is_mean_of("first.shift.xyz", &|log| log[0]);
+    is_mean_of("last.shift.xyz", &|log| log[3]);
+    assert!(folder.join("attack_builtin.svg").exists());
+    let shift = &line["last.shift.xyz"];
+    let other = shift[..shift.len() - 1].to_string() + if shift.ends_with('1') { "2" } else { "1" };
+    assert_found(dir, &folder.join("attack.csv"), shift, &other, &["WRONG", "attack.csv, line 2"]);
+    assert_found(dir, &folder.join("attack_builtin.svg"), "density", "densitY", &["attack_builtin.svg, line"]);
+    let page = dir.join("results/page.md");
+    let quote = |number: &str| {
+        let claim = format!("{number} = last.shift.xyz of Aug-NeRF");
+        std::fs::write(&page, format!("Colours move by {number}.\n<!-- numbers tiny: {claim} -->\n")).unwrap();
+    };
+    quote(shift);
+    assert_says(&verify(dir, &[], 0), &["page.md: 1 quoted numbers"]);
+    quote(&other);
+    assert_says(&verify(dir, &[], 10), &["is quoted as last.shift.xyz of Aug-NeRF"]);
+    std::fs::remove_file(page).unwrap();
+}
+
 /// A sweep of a second, collected, verified, trained again.
 #[test]
 fn a_collected_sweep_holds_and_trains_again() {
@@ -336,13 +374,13 @@ seeds = [0, 1]
 metrics = ["psnr"]
 baseline = "NeRF"
 set = { "data.width" = 16, "field.width" = 16, "sampling.coarse" = 8, "sampling.fine" = 8, "train.rays" = 64, "train.steps" = 20, "train.log_every" = 5, "eval.pictures" = 1, "eval.mesh.resolution" = 16, "eval.mesh.reference" = "none", "eval.mesh.threshold" = 0.5 }
-row = [{ name = "NeRF" }, { name = "equal", set = { "field.depth" = 3 }, budget = { kind = "seconds", like = "NeRF" } }]
+row = [{ name = "NeRF" }, { name = "equal", set = { "field.depth" = 3 }, budget = { kind = "seconds", like = "NeRF" } }, { name = "Aug-NeRF", set = { method = "aug-nerf" } }]
 "#;
     std::fs::write(dir.path().join("tiny.toml"), definition).unwrap();
     program::demand(augnerf(&["sweep", "run", "tiny.toml", "--quiet"]).current_dir(dir.path()), 0);
     let folder = dir.path().join("results/tiny");
     let said = verify(dir.path(), &["--retrain", "2"], 0);
-    assert_says(&said, &["tables and figures from 4 points", "trained again, every number to the last digit"]);
+    assert_says(&said, &["tables and figures from 6 points", "trained again, every number to the last digit"]);
     assert!(!said.contains("step times are not kept"), "{said}");
     assert!(folder.join("curves_builtin_psnr.svg").exists() && folder.join("scalars.csv.gz").exists());
     // A measurement that is empty is none that was left out.
@@ -357,9 +395,11 @@ row = [{ name = "NeRF" }, { name = "equal", set = { "field.depth" = 3 }, budget 
     let points = rows(&text(&folder.join("points.csv")));
     assert!(points.iter().all(|row| row["mesh"].ends_with("not compared") && row["chamfer"].is_empty()), "{points:?}");
     assert_found(dir.path(), &folder.join("surfaces_builtin.svg"), "NeRF", "NerF", &["SHA-256"]);
+    assert_attack(dir.path(), &folder);
     // Curves come from the logs that are kept.
     std::fs::remove_file(folder.join("scalars.csv.gz")).unwrap();
     assert_says(&verify(dir.path(), &[], 10), &["curves_builtin_psnr.svg: the points do not make it"]);
+    assert_says(&verify(dir.path(), &[], 10), &["attack.csv: the points do not make it", "attack_builtin.svg: the"]);
     // So does the number of steps of a budget from the step times.
     program::demand(augnerf(&["sweep", "collect", "runs/tiny"]).current_dir(dir.path()), 0);
     verify(dir.path(), &[], 0);

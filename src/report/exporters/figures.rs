@@ -2,7 +2,7 @@
 
 use crate::base::Result;
 use crate::report::plots::{
-    Figure, axes_figure, curves_figure, heatmap_figures, rows_figure, seconds_figure, surfaces_figure,
+    Figure, axes_figure, curves_figure, heatmap_figures, rows_figure, seconds_figure, shifts_figure, surfaces_figure,
 };
 
 use super::{Collected, Exporter, File};
@@ -64,6 +64,20 @@ pub static CURVES: Figures = Figures {
             figures.push((format!("{scene}_psnr"), curves_figure(&title, unit, curves)?));
             // There where clocks are asked for, because it does not repeat.
             figures.push((format!("{scene}_psnr_seconds"), seconds_figure(&title, unit, curves)?));
+        }
+        Ok(figures)
+    },
+};
+
+/// `attack_SCENE`: how far the attack's deltas move colours over training, a panel a site.
+pub static ATTACK: Figures = Figures {
+    kind: "attack_",
+    repeats: true,
+    figures: |collected| {
+        let mut figures = Vec::new();
+        for (scene, shifts) in collected.shifts {
+            let title = format!("{}: shift of colours by the attack on {scene}", collected.spec.title);
+            figures.push((scene.clone(), shifts_figure(&title, shifts)?));
         }
         Ok(figures)
     },

@@ -2,8 +2,8 @@
 
 use crate::base::{Error, Result};
 
-use super::plots::{Curve, Surface};
-use super::tables::{PointTiming, Table};
+use super::plots::{Curve, Shifts, Surface};
+use super::tables::{AttackLine, PointTiming, Table};
 use super::{Record, TableSpec};
 
 mod figures;
@@ -23,6 +23,10 @@ pub struct Collected<'a> {
     pub table: Option<&'a Table>,
     /// Training curves by scene.
     pub curves: &'a [(String, Vec<Curve>)],
+    /// What the attack did, line by line of the table.
+    pub attacks: &'a [AttackLine<'a>],
+    /// How far it moved colours over training, by scene.
+    pub shifts: &'a [(String, Vec<Shifts>)],
     /// Pictures of surfaces by scene.
     pub surfaces: &'a [(String, Vec<Surface>)],
 }
@@ -64,20 +68,22 @@ pub trait Exporter: Sync {
     fn export(&self, collected: &Collected) -> Result<Vec<File>>;
 }
 
-/// The exporter of training curves, which are drawn from the points' logs.
-pub static CURVES: &dyn Exporter = &figures::CURVES;
+/// The exporters that read the points' logs, which a results' folder may lack.
+pub static OF_LOGS: [&dyn Exporter; 3] = [&text::ATTACK_CSV, &figures::CURVES, &figures::ATTACK];
 
 /// All exporters, in the order in which they write.
-pub static EXPORTERS: [&dyn Exporter; 11] = [
+pub static EXPORTERS: [&dyn Exporter; 13] = [
     &text::POINTS_CSV,
     &text::SCORED_CSV,
     &text::TIMING_CSV,
     &text::TABLE_CSV,
+    &text::ATTACK_CSV,
     &text::MARKDOWN,
     &text::LATEX,
     &figures::ROWS,
     &figures::AXES,
     &figures::HEATMAPS,
     &figures::CURVES,
+    &figures::ATTACK,
     &figures::SURFACES,
 ];

@@ -1,7 +1,7 @@
-//! Single files of text: points and clock times as CSV, the table as CSV, Markdown and LaTeX.
+//! Single files of text: points, clock times and what the attack did as CSV, the table as CSV, Markdown and LaTeX.
 
 use crate::base::Result;
-use crate::report::tables::{points_csv, table_csv, table_latex, table_markdown, timing_csv};
+use crate::report::tables::{attack_csv, points_csv, table_csv, table_latex, table_markdown, timing_csv};
 
 use super::{Collected, Exporter, File};
 
@@ -43,6 +43,10 @@ pub static TABLE_CSV: TextFile = TextFile {
     needs_table: true,
     text: |collected| Ok(Some(table_csv(collected.table()?, collected.joined_timing()))),
 };
+
+/// One line a row that was attacked: what the attack did at each site.
+pub static ATTACK_CSV: TextFile =
+    TextFile { name: "attack.csv", needs_table: true, text: |collected| Ok(attack_csv(collected.attacks)) };
 
 /// The table as GitHub prints it.
 pub static MARKDOWN: TextFile =

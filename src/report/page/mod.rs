@@ -19,9 +19,8 @@ use sha2::{Digest, Sha256};
 use crate::base::{Error, Result};
 use crate::report::Record;
 use crate::report::exporters::File;
-use crate::report::tables::{Heading, PointTiming, Table, table_latex};
+use crate::report::tables::{AttackLine, Heading, PointTiming, Table, table_latex};
 
-pub use attack::AttackLine;
 pub use views::{ShownScene, ViewOfRow, ViewOfScene};
 
 const STYLE: &str = include_str!("../../../templates/report.css");
@@ -38,7 +37,7 @@ pub struct Page<'a> {
     /// First held-out views, scene by scene.
     pub views: Vec<ShownScene>,
     /// What the attack did.
-    pub attacks: Vec<AttackLine>,
+    pub attacks: Vec<AttackLine<'a>>,
     /// Clock times, where the page is to have them: it does not repeat then.
     pub timing: &'a [PointTiming],
     /// Where a point's run lies, as seen from the page; none where that is not known.

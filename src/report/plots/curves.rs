@@ -9,17 +9,20 @@ use crate::draw::canvas::{
 /// Log points that a curve's moving average spans.
 const WINDOW: usize = 5;
 
+/// Log points of each seed: step and value.
+pub type Seeds = Vec<Vec<(f64, f64)>>;
+
 /// One row's training, seed by seed: step and value.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Curve {
     /// The row.
     pub label: String,
     /// Log points of each seed.
-    pub seeds: Vec<Vec<(f64, f64)>>,
+    pub seeds: Seeds,
     /// The same of held-out views, at evaluations; empty where there was none during training.
-    pub held_out: Vec<Vec<(f64, f64)>>,
+    pub held_out: Seeds,
     /// The same of training views.
-    pub seen: Vec<Vec<(f64, f64)>>,
+    pub seen: Seeds,
     /// Mean seconds of a step over the seeds; none where clocks do not count.
     pub seconds_per_step: Option<f64>,
 }
@@ -28,7 +31,7 @@ impl Curve {
     /// The same against seconds of training; none where they are not known.
     fn in_seconds(&self) -> Option<Curve> {
         let seconds = self.seconds_per_step?;
-        let scaled = |seeds: &[Vec<(f64, f64)>]| -> Vec<Vec<(f64, f64)>> {
+        let scaled = |seeds: &[Vec<(f64, f64)>]| -> Seeds {
             seeds.iter().map(|seed| seed.iter().map(|(step, value)| (step * seconds, *value)).collect()).collect()
         };
         let [seeds, held_out, seen] = [&self.seeds, &self.held_out, &self.seen].map(|seeds| scaled(seeds));
@@ -37,7 +40,7 @@ impl Curve {
 }
 
 /// Steps with what the values of all seeds spread over there.
-type Line = Vec<(f64, Spread)>;
+pub(super) type Line = Vec<(f64, Spread)>;
 
 fn spreads(seeds: &[Vec<(f64, f64)>]) -> Line {
     let Some(first) = seeds.first() else { return Vec::new() };
@@ -59,6 +62,11 @@ fn smoothed(points: &[(f64, f64)]) -> Vec<(f64, f64)> {
     (0..points.len()).map(around).collect()
 }
 
+/// A line of means at the log points themselves.
+pub(super) fn unsmoothed(seeds: &[Vec<(f64, f64)>]) -> Line {
+    spreads(&seeds.iter().map(|seed| finite(seed)).collect::<Vec<_>>())
+}
+
 fn finite(points: &[(f64, f64)]) -> Vec<(f64, f64)> {
     points.iter().copied().filter(|(_, value)| value.is_finite()).collect()
 }
@@ -70,14 +78,14 @@ fn range_of<'a>(lines: impl Iterator<Item = &'a Line>) -> Option<(f64, f64)> {
 
 /// How a line is drawn.
 #[derive(Clone, Copy)]
-struct Stroke {
-    colour: Colour,
-    dashed: bool,
-    width: f64,
+pub(super) struct Stroke {
+    pub(super) colour: Colour,
+    pub(super) dashed: bool,
+    pub(super) width: f64,
 }
 
 impl Stroke {
-    fn draw(self, drawing: &mut Canvas, line: &[(f64, f64)]) {
+    pub(super) fn draw(self, drawing: &mut Canvas, line: &[(f64, f64)]) {
         match self.dashed {
             true => drawing.dashed(line, self.colour, self.width),
             false => drawing.line(line, self.colour, self.width),
@@ -86,12 +94,12 @@ impl Stroke {
 }
 
 /// A panel over steps.
-struct Plot {
-    panel: Panel,
+pub(super) struct Plot {
+    pub(super) panel: Panel,
     /// The last step.
-    last: f64,
+    pub(super) last: f64,
     /// What is drawn along.
-    along: &'static str,
+    pub(super) along: &'static str,
 }
 
 impl Plot {
@@ -105,17 +113,22 @@ impl Plot {
     }
 
     fn frame(&self, drawing: &mut Canvas, unit: &str) {
+        self.panel.frame(drawing, true);
+        self.axis(drawing, unit);
+    }
+
+    /// Numbers of the x axis, what is drawn along, and what the panel shows.
+    pub(super) fn axis(&self, drawing: &mut Canvas, title: &str) {
         let panel = &self.panel;
-        panel.frame(drawing, true);
-        let (marks, step) = ticks((0.0, self.end()), 6);
+        let (marks, step) = ticks((0.0, self.end()), (panel.width / 85.0) as usize);
         for mark in marks {
             drawing.text((self.x(mark), panel.bottom() + 12.0), &number(mark, step), TEXT, Anchor::Middle, BLACK);
         }
         drawing.text((panel.left + panel.width / 2.0, panel.bottom() + 32.0), self.along, TEXT, Anchor::Middle, BLACK);
-        drawing.text((panel.left, panel.top - 12.0), unit, TEXT, Anchor::Left, BLACK);
+        drawing.text((panel.left, panel.top - 12.0), title, TEXT, Anchor::Left, BLACK);
     }
 
-    fn line(&self, drawing: &mut Canvas, line: &Line, stroke: Stroke) {
+    pub(super) fn line(&self, drawing: &mut Canvas, line: &Line, stroke: Stroke) {
         let banded: Vec<(f64, (f64, f64))> = line.iter().filter_map(|(step, s)| Some((*step, s.band?))).collect();
         if banded.len() > 1 {
             let upper = banded.iter().map(|(step, (_, high))| (self.x(*step), self.panel.y(*high)));
@@ -131,7 +144,7 @@ impl Plot {
     }
 
     /// An entry of the legend beside the panel.
-    fn entry(&self, drawing: &mut Canvas, index: usize, label: &str, stroke: Stroke) {
+    pub(super) fn entry(&self, drawing: &mut Canvas, index: usize, label: &str, stroke: Stroke) {
         let y = self.panel.top + 8.0 + index as f64 * LINE_HEIGHT;
         let sample = [(self.panel.right() + 14.0, y), (self.panel.right() + 42.0, y)];
         Stroke { width: 2.5, ..stroke }.draw(drawing, &sample);
@@ -140,7 +153,7 @@ impl Plot {
 }
 
 /// A row's colour. Beyond the palette's end colours come again, dashed.
-fn stroke(index: usize) -> Stroke {
+pub(super) fn stroke(index: usize) -> Stroke {
     Stroke { colour: PALETTE[index % PALETTE.len()], dashed: index >= PALETTE.len(), width: 1.8 }
 }
 
@@ -198,8 +211,8 @@ struct Evaluated {
 impl Evaluated {
     /// Below `top`; none where nothing was evaluated.
     fn new(curves: &[Curve], top: f64, last: f64, along: &'static str) -> Option<Evaluated> {
-        let line = |seeds: &[Vec<(f64, f64)>]| spreads(&seeds.iter().map(|seed| finite(seed)).collect::<Vec<_>>());
-        let lines: Vec<[Line; 2]> = curves.iter().map(|curve| [line(&curve.held_out), line(&curve.seen)]).collect();
+        let both = |curve: &Curve| [&curve.held_out, &curve.seen].map(|seeds| unsmoothed(seeds));
+        let lines: Vec<[Line; 2]> = curves.iter().map(both).collect();
         let range = range_of(lines.iter().flatten())?;
         let panel = Panel { left: 76.0, top: top + 30.0, width: 560.0, height: 240.0, range };
         Some(Evaluated { plot: Plot { panel, last, along }, lines })

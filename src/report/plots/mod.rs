@@ -11,14 +11,16 @@ mod heatmap;
 mod pairs;
 mod rows;
 mod series;
+mod shifts;
 mod surfaces;
 
 pub use crate::draw::Figure;
 pub use across::across_figure;
 pub use axes::axes_figure;
-pub use curves::{Curve, curves_figure, seconds_figure};
+pub use curves::{Curve, Seeds, curves_figure, seconds_figure};
 pub use heatmap::heatmap_figures;
 pub use rows::rows_figure;
+pub use shifts::{Shifts, shifts_figure};
 pub use surfaces::{Surface, surfaces_figure};
 
 /// A metric as figures name it.

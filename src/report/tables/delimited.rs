@@ -11,21 +11,10 @@ pub type PointTiming = (String, Vec<(String, Option<f64>)>);
 
 pub(super) const POINT_COLUMNS: [&str; 8] =
     ["id", "scene", "row", "axes", "seed", "status", "reason", "inactive_levels"];
-const LINE_COLUMNS: [&str; 13] = [
-    "scene",
-    "source",
-    "row",
-    "axes",
-    "baseline",
-    "ours",
-    "points",
-    "done",
-    "status",
-    "reason",
-    "inactive_levels",
-    "differs",
-    "mixed",
-];
+/// Which line of the table it is.
+pub(super) const PLACE_COLUMNS: [&str; 4] = ["scene", "source", "row", "axes"];
+const LINE_COLUMNS: [&str; 9] =
+    ["baseline", "ours", "points", "done", "status", "reason", "inactive_levels", "differs", "mixed"];
 const CELL_COLUMNS: [&str; 11] =
     ["n", "mean", "std", "pairs", "difference", "low", "high", "p", "p_holm", "verdict", "published"];
 /// Of metrics that the definition states a margin for.
@@ -88,7 +77,8 @@ pub fn table_csv(table: &Table, timing: &[PointTiming]) -> String {
     let clocks = clock_names(timing);
     let tested: Vec<bool> = (0..table.metrics.len()).map(|metric| is_tested(table, metric)).collect();
     let rows = table.lines.iter().map(|line| {
-        let mut row = line_cells(line);
+        let mut row = place_cells(line).to_vec();
+        row.extend(line_cells(line));
         row.extend(line.cells.iter().zip(&tested).flat_map(|(cell, tested)| cell_cells(cell, *tested)));
         row.extend([csv_number(line.published_lpips), csv_number(line.published_average)]);
         row.extend([line.published_protocol.clone(), line.protocol_difference.clone()]);
@@ -96,7 +86,7 @@ pub fn table_csv(table: &Table, timing: &[PointTiming]) -> String {
         row.extend(clocks.iter().map(|name| csv_number(mean_clock(timing, &line.ids, name))));
         row
     });
-    let mut head: Vec<String> = LINE_COLUMNS.iter().map(ToString::to_string).collect();
+    let mut head: Vec<String> = PLACE_COLUMNS.iter().chain(&LINE_COLUMNS).map(ToString::to_string).collect();
     for (metric, tested) in table.metrics.iter().zip(&tested) {
         let equivalence: &[&str] = if *tested { &EQUIVALENCE_COLUMNS } else { &[] };
         head.extend(CELL_COLUMNS.iter().chain(equivalence).map(|column| format!("{metric}_{column}")));
@@ -106,17 +96,17 @@ pub fn table_csv(table: &Table, timing: &[PointTiming]) -> String {
     csv_text(std::iter::once(head).chain(rows))
 }
 
-fn line_cells(line: &Line) -> Vec<String> {
-    vec![
-        line.scene.clone(),
-        match (line.quoted, line.scored) {
-            (true, _) => "published",
-            (_, true) => "scored",
-            _ => "run",
-        }
-        .into(),
-        line.row.clone(),
-        line.axes.clone(),
+pub(super) fn place_cells(line: &Line) -> [String; PLACE_COLUMNS.len()] {
+    let source = match (line.quoted, line.scored) {
+        (true, _) => "published",
+        (_, true) => "scored",
+        _ => "run",
+    };
+    [line.scene.clone(), source.into(), line.row.clone(), line.axes.clone()]
+}
+
+fn line_cells(line: &Line) -> [String; LINE_COLUMNS.len()] {
+    [
         line.baseline.clone().unwrap_or_default(),
         line.ours.to_string(),
         line.points.to_string(),

@@ -4,6 +4,7 @@
 //! that is missing is left out and `n` says so. Published numbers stand beside ours, with what is
 //! known to differ in protocol, and are never subtracted.
 
+mod attack;
 mod checks;
 mod comparison;
 mod delimited;
@@ -15,6 +16,7 @@ mod read;
 mod terminal;
 pub(in crate::report) mod text;
 
+pub use attack::{AttackLine, AttackSite, SiteMeans, attack_csv};
 pub use checks::disagreements;
 pub(super) use comparison::comparisons_to_come;
 pub use comparison::{Comparison, Equivalence, Verdict};

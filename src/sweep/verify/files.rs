@@ -6,7 +6,7 @@ use super::archive::Archive;
 use super::findings::Findings;
 use crate::base::files::write_atomic;
 use crate::base::{Error, Result};
-use crate::report::exporters::{CURVES, EXPORTERS};
+use crate::report::exporters::{EXPORTERS, OF_LOGS};
 use crate::sweep::collect::PAGE;
 use crate::sweep::folder::{DEFINITION, PLAN, STEP_SECONDS};
 use crate::sweep::material::{SCALARS, optional};
@@ -82,7 +82,8 @@ fn pins(archive: &Archive, made: &Made, findings: &mut Findings) -> Result<()> {
     Ok(())
 }
 
-/// Why a file must not be pinned; none where it may be. Curves and surfaces are drawn from what a results' folder may lack.
+/// Why a file must not be pinned; none where it may be. What is made of logs, and surfaces, are made of what a results' folder may
+/// lack.
 fn no_pin(archive: &Archive, made: &Made, name: &str) -> Option<String> {
     let Some(owner) = EXPORTERS.iter().find(|exporter| exporter.owns(name)) else {
         return KEPT.contains(&name).then(|| "tables are made of it".into());
@@ -91,7 +92,7 @@ fn no_pin(archive: &Archive, made: &Made, name: &str) -> Option<String> {
     match () {
         () if made.contains_key(name) => Some("the points make it".into()),
         () if !owner.repeats() => None,
-        () if !CURVES.owns(name) => Some("the points do not make it".into()),
+        () if !OF_LOGS.iter().any(|exporter| exporter.owns(name)) => Some("the points do not make it".into()),
         () if lacks(SCALARS) => None,
         () => Some(format!("no [[missing]] says why there is no {SCALARS} to make it of")),
     }

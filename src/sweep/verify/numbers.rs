@@ -17,7 +17,7 @@ use crate::sweep::material::optional;
 pub struct Cells {
     /// The folder's name.
     pub name: String,
-    /// `table.csv`, or `summary.csv` of single runs: a line a row.
+    /// `table.csv` with the columns of `attack.csv`, or `summary.csv` of single runs: a line a row.
     rows: Vec<Row>,
     /// `points.csv`: a line a point.
     points: Vec<Row>,
@@ -41,7 +41,8 @@ impl Cells {
     /// Of a sweep: its tables as its points make them, whatever stands in the folder.
     pub fn of_sweep(folder: &Path, made: &Made) -> Result<Cells> {
         let rows = |name: &str| csv_rows(&folder.join(name), made.get(name).map_or(&[], Vec::as_slice));
-        Ok(Cells { name: name(folder), rows: rows("table.csv")?, points: rows("points.csv")? })
+        let table = joined(rows("table.csv")?, &rows("attack.csv")?);
+        Ok(Cells { name: name(folder), rows: table, points: rows("points.csv")? })
     }
 
     /// Of a folder of single runs: its summary, or their means.
@@ -103,6 +104,21 @@ impl Cells {
 
 fn name(folder: &Path) -> String {
     folder.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default()
+}
+
+/// Rows with the columns of a further table, empty where that has no such row.
+fn joined(mut rows: Vec<Row>, further: &[Row]) -> Vec<Row> {
+    let columns = further.first().map_or(&[][..], |row| &row.cells);
+    for row in &mut rows {
+        let same = further.iter().find(|other| (&other.label, &other.scene) == (&row.label, &row.scene));
+        for (column, _) in columns {
+            if row.cell(column).is_none() {
+                let cell = same.and_then(|other| other.cell(column)).unwrap_or_default().to_string();
+                row.cells.push((column.clone(), cell));
+            }
+        }
+    }
+    rows
 }
 
 fn csv_rows(path: &Path, bytes: &[u8]) -> Result<Vec<Row>> {

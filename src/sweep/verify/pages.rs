@@ -209,13 +209,17 @@ enum Part<'a> {
     Text(&'a str),
 }
 
-/// Columns (small letters, digits, `_`, and `@` with a seed) and what stands between them.
+/// Columns (small letters, digits, `_`, a `.` between them, and `@` with a seed) and what stands between them.
 fn parts(pattern: &str) -> Vec<Part<'_>> {
     let is_name = |c: char| c.is_ascii_lowercase() || c.is_ascii_digit() || c == '_' || c == '@';
     let (mut parts, mut rest) = (Vec::new(), pattern);
     while let Some(first) = rest.chars().next() {
         let named = is_name(first);
-        let end = rest.find(|c| is_name(c) != named).unwrap_or(rest.len());
+        let ends = |(at, c): (usize, char)| {
+            let joins = named && c == '.' && rest[at + 1..].starts_with(is_name);
+            (is_name(c) != named && !joins).then_some(at)
+        };
+        let end = rest.char_indices().find_map(ends).unwrap_or(rest.len());
         let (part, after) = rest.split_at(end);
         parts.push(if named { Part::Column(part) } else { Part::Text(part) });
         rest = after;
@@ -289,11 +293,13 @@ scene,row,axes,psnr_mean,psnr_std,psnr_difference,psnr_low,psnr_high
 fern,NeRF,,18.9735,0.0466,,,
 fern,+ l1 Reg.,,18.7473,0.1548,-0.2262,-0.5160,0.0635
 ";
+    const ATTACK_CSV: &str =
+        "scene,source,row,axes,n,shift.xyz,last.shift.xyz\nfern,run,+ l1 Reg.,,3,0.7512,\nchair,run,NeRF,,3,9,9\n";
     const POINTS_CSV: &str = "scene,row,axes,seed,chamfer\nfern,NeRF,,0,0.061\nfern,NeRF,,2,0.138\n";
 
     fn check(page: &str) -> (usize, Vec<String>, usize) {
-        let made =
-            [("table.csv", TABLE_CSV), ("points.csv", POINTS_CSV)].map(|(name, text)| (name.into(), text.into()));
+        let made = [("table.csv", TABLE_CSV), ("points.csv", POINTS_CSV), ("attack.csv", ATTACK_CSV)]
+            .map(|(name, text)| (name.into(), text.into()));
         let cells = Cells::of_sweep(Path::new("x"), &made.into()).unwrap();
         let page = Page::parse("page.md".into(), page);
         let (mut count, mut wrong) = (0, Vec::new());
@@ -354,6 +360,29 @@ fern,+ l1 Reg.,,18.7473,0.1548,-0.2262,-0.5160,0.0635
             let (_, wrong, _) = page(claims);
             assert!(wrong.iter().any(|text| text.contains(reason)), "{claims}: {wrong:?}");
         }
+    }
+
+    /// Of what the attack did, rows that were not attacked have nothing.
+    #[test]
+    fn columns_of_the_attack_stand_beside_those_of_the_table() {
+        let table = |row: &str| {
+            let comment = "<!-- table x: row | psnr_mean (shift.xyz) | last.shift.xyz -->";
+            let (count, wrong, _) = check(&format!("{comment}\n\n| row | PSNR | last |\n|---|---|---|\n{row}\n"));
+            (count, wrong.join("; "))
+        };
+        assert_eq!(table("| + l1 Reg. | 18.75 (0.75) |  |"), (2, String::new()));
+        for (row, reason) in [
+            ("| + l1 Reg. | 18.75 (0.76) |  |", "'0.76' is quoted as shift.xyz, which is 0.7512"),
+            ("| + l1 Reg. | 18.75 (0.75) | 0.75 |", "'0.75' stands where x has nothing"),
+            ("| NeRF | 18.97 (0.75) |  |", "x has no shift.xyz"),
+        ] {
+            assert!(table(row).1.contains(reason), "{row}: {}", table(row).1);
+        }
+        let claim =
+            |claim: &str| check(&format!("It moves colours by 0.75.\n<!-- numbers x: {claim} -->\n")).1.join("; ");
+        assert_eq!(claim("0.75 = shift.xyz of + l1 Reg."), "");
+        assert!(claim("0.75 = last.shift.xyz of + l1 Reg.").contains("x has no last.shift.xyz"));
+        assert!(claim("0.75 = shift.t of + l1 Reg.").contains("no column 'shift.t'"));
     }
 
     #[test]

@@ -1,0 +1,184 @@
+//! What the attack did, line by line and site by site: means of the points' logs.
+
+use super::Line;
+use super::delimited::{PLACE_COLUMNS, place_cells};
+use crate::augment::Site;
+use crate::base::csv::{csv_number, csv_text};
+use crate::report::statistics::mean;
+
+/// What logs tell of a site, as `COLUMN.SITE`.
+const COLUMNS: [&str; 4] = ["gain", "gain_over_random", "share_at_bound", "shift"];
+
+/// Gain, gain over random, share at the bound, shift of colours in 8-bit steps: a mean over logged steps, then over the seeds
+/// that logged it; none where none did.
+pub type SiteMeans = [Option<f64>; COLUMNS.len()];
+
+/// What the attack of one line did.
+#[derive(Clone, Debug, PartialEq)]
+pub struct AttackLine<'a> {
+    /// The line.
+    pub line: &'a Line,
+    /// Its points that have logged any site.
+    pub seeds: usize,
+    /// The sites that any of its points has logged.
+    pub sites: Vec<AttackSite>,
+}
+
+/// One site of one line.
+#[derive(Clone, Debug, PartialEq)]
+pub struct AttackSite {
+    /// The site's name.
+    pub site: &'static str,
+    /// Over all logged steps.
+    pub whole: SiteMeans,
+    /// Over the first quarter of them, at least one.
+    pub first: SiteMeans,
+    /// Over the last quarter of them, at least one.
+    pub last: SiteMeans,
+    /// It was inactive with at least one seed.
+    pub inactive: bool,
+}
+
+impl<'a> AttackLine<'a> {
+    /// Of a line that any point has such logs of; `numbers` gives a column of a point's log, in the order of steps.
+    pub fn of(line: &'a Line, numbers: impl Fn(&str, &str) -> Vec<f64>) -> Option<AttackLine<'a>> {
+        let sites: Vec<AttackSite> =
+            Site::ALL.into_iter().filter_map(|site| AttackSite::of(line, site.name(), &numbers)).collect();
+        let has_log = |id: &str| sites.iter().any(|site| columns(site.site).any(|name| !numbers(id, &name).is_empty()));
+        let seeds = line.ids.iter().filter(|id| has_log(id)).count();
+        (!sites.is_empty()).then_some(AttackLine { line, seeds, sites })
+    }
+}
+
+impl AttackSite {
+    fn of(line: &Line, site: &'static str, numbers: &impl Fn(&str, &str) -> Vec<f64>) -> Option<AttackSite> {
+        let logs: Vec<Vec<Vec<f64>>> =
+            columns(site).map(|name| line.ids.iter().map(|id| numbers(id, &name)).collect()).collect();
+        let means = |part: fn(&[f64]) -> &[f64]| -> SiteMeans {
+            std::array::from_fn(|column| {
+                let seeds: Vec<f64> = logs[column].iter().filter_map(|log| mean(part(log))).collect();
+                mean(&seeds)
+            })
+        };
+        let whole = means(|log| log);
+        let inactive = line.inactive_levels.iter().any(|level| level == site);
+        whole.iter().any(Option::is_some).then(|| AttackSite {
+            site,
+            whole,
+            first: means(|log| &log[..log.len().div_ceil(4)]),
+            last: means(|log| &log[log.len() - log.len().div_ceil(4)..]),
+            inactive,
+        })
+    }
+
+    /// Its means with what stands before the names of their columns.
+    fn spans(&self) -> [(&'static str, &SiteMeans); 3] {
+        [("", &self.whole), ("first.", &self.first), ("last.", &self.last)]
+    }
+
+    /// Names of its columns in `attack.csv` with their numbers.
+    fn cells(&self) -> impl Iterator<Item = (String, Option<f64>)> {
+        self.spans().into_iter().flat_map(|(span, means)| {
+            columns(self.site).zip(means).map(move |(name, mean)| (format!("{span}{name}"), *mean))
+        })
+    }
+}
+
+/// The columns of a site in a log.
+fn columns(site: &str) -> impl Iterator<Item = String> {
+    COLUMNS.into_iter().map(move |column| format!("{column}.{site}"))
+}
+
+/// One line a line of the table that was attacked: its place there, its seeds, and the means of each site that any line has
+/// logged. None where no line was.
+pub fn attack_csv(lines: &[AttackLine]) -> Option<String> {
+    let any = |site: &Site| lines.iter().flat_map(|line| &line.sites).find(|of_line| of_line.site == site.name());
+    let columns: Vec<String> =
+        Site::ALL.iter().filter_map(any).flat_map(AttackSite::cells).map(|(name, _)| name).collect();
+    let head = PLACE_COLUMNS.into_iter().chain(["n"]).map(String::from).chain(columns.iter().cloned()).collect();
+    let rows = lines.iter().map(|line| {
+        let cells: Vec<(String, Option<f64>)> = line.sites.iter().flat_map(AttackSite::cells).collect();
+        let mean = |column: &String| cells.iter().find(|(name, _)| name == column).and_then(|(_, mean)| *mean);
+        let means = columns.iter().map(|column| csv_number(mean(column)));
+        place_cells(line.line).into_iter().chain([line.seeds.to_string()]).chain(means).collect()
+    });
+    (!lines.is_empty()).then(|| csv_text(std::iter::once(head).chain(rows)))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::report::tables::Table;
+    use crate::report::{Record, RowSpec, Status, TableSpec};
+
+    /// Two rows of two seeds each, the second's `xyz` inactive.
+    fn table() -> Table {
+        let names = ["NeRF", "Aug-NeRF"];
+        let record = |row: &str, seed: u64| Record {
+            id: format!("{row}-{seed}"),
+            scene: "fern".into(),
+            row: row.into(),
+            axes: vec![],
+            seed: Some(seed),
+            status: Status::Done,
+            reason: String::new(),
+            metrics: vec![("psnr".into(), Some(20.0))],
+            protocol: vec![],
+            inactive_levels: if row == names[1] { vec!["xyz".into()] } else { vec![] },
+        };
+        let row = |name: &&str| RowSpec { name: name.to_string(), ..RowSpec::default() };
+        let spec =
+            TableSpec { metrics: vec!["psnr".into()], rows: names.iter().map(row).collect(), ..TableSpec::default() };
+        let records: Vec<Record> = names.iter().flat_map(|name| [0, 1].map(|seed| record(name, seed))).collect();
+        Table::new(&spec, &records, false).unwrap()
+    }
+
+    /// Nine logs of one seed, one of the other, which logged no share.
+    fn log(id: &str, column: &str) -> Vec<f64> {
+        match (id, column) {
+            ("Aug-NeRF-0", "shift.xyz") => (1..=9).map(f64::from).collect(),
+            ("Aug-NeRF-1", "shift.xyz") => vec![11.0],
+            ("Aug-NeRF-0", "share_at_bound.xyz") => vec![0.5, 0.75],
+            ("Aug-NeRF-0" | "Aug-NeRF-1", "gain.feature") => vec![0.0],
+            _ => vec![],
+        }
+    }
+
+    #[test]
+    fn means_are_over_steps_then_seeds_and_quarters_are_those_of_each_log() {
+        let table = table();
+        assert_eq!(AttackLine::of(&table.lines[0], log), None);
+        let attack = AttackLine::of(&table.lines[1], log).unwrap();
+        assert_eq!((attack.seeds, attack.sites.len()), (2, 2));
+        let xyz = &attack.sites[0];
+        // Of nine logs a quarter is three: 1, 2, 3 and 7, 8, 9; of one it is that one.
+        assert_eq!(xyz.whole, [None, None, Some(0.625), Some((5.0 + 11.0) / 2.0)]);
+        assert_eq!(xyz.first, [None, None, Some(0.5), Some((2.0 + 11.0) / 2.0)]);
+        assert_eq!(xyz.last, [None, None, Some(0.75), Some((8.0 + 11.0) / 2.0)]);
+        assert_eq!((xyz.site, xyz.inactive, attack.sites[1].inactive), ("xyz", true, false));
+    }
+
+    #[test]
+    fn what_was_not_logged_is_empty_and_what_was_is_not() {
+        let table = table();
+        let lines: Vec<AttackLine> = table.lines.iter().filter_map(|line| AttackLine::of(line, log)).collect();
+        let csv = attack_csv(&lines).unwrap();
+        let lines: Vec<Vec<&str>> = csv.lines().map(|line| line.split(',').collect()).collect();
+        let [head, cells] = &lines[..] else { panic!("{csv}") };
+        assert_eq!(head[..7], ["scene", "source", "row", "axes", "n", "gain.xyz", "gain_over_random.xyz"]);
+        assert_eq!(head.len(), 5 + 2 * 12, "sites that no line has logged have no columns");
+        assert_eq!(cells[..5], ["fern", "run", "Aug-NeRF", "", "2"]);
+        let cell = |name: &str| cells[head.iter().position(|column| *column == name).unwrap()];
+        assert_eq!([cell("shift.xyz"), cell("first.shift.xyz"), cell("last.shift.xyz")], ["8", "6.5", "9.5"]);
+        assert_eq!([cell("gain.xyz"), cell("last.gain.xyz"), cell("shift.feature")], [""; 3]);
+        assert_eq!([cell("gain.feature"), cell("first.gain.feature")], ["0"; 2]);
+    }
+
+    #[test]
+    fn a_table_without_an_attack_has_no_file() {
+        let table = table();
+        let lines: Vec<AttackLine> =
+            table.lines.iter().filter_map(|line| AttackLine::of(line, |_, _| vec![])).collect();
+        assert_eq!(attack_csv(&lines), None);
+    }
+}
