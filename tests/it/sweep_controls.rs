@@ -58,6 +58,10 @@ fn every_shipped_sweep_with_an_augmented_row_has_its_controls() {
             if *second != SecondPass::Perturbed(DeltaSource::WorstCase) || !is_whole {
                 continue;
             }
+            // What the study chooses by, and what it shows beside its blocks, has the blocks' controls.
+            if ["study_choice", "study_levels", "study_strength"].iter().any(|beside| name.starts_with(beside)) {
+                continue;
+            }
             augmented += 1;
             let of_kind = |kind| passes.iter().filter(move |pass| pass.1 == kind && pass.0 == *group);
             assert!(of_kind(SecondPass::Clean).count() > 0, "{name}: no second clean pass beside '{row}'");
@@ -65,8 +69,10 @@ fn every_shipped_sweep_with_an_augmented_row_has_its_controls() {
                 (other.method, other.perturb.sizes, other.perturb.geometry)
                     == (config.method, config.perturb.sizes, config.perturb.geometry)
             };
+            // The study asks of the calibrated attack alone whether it is the worst case that helps.
+            let unasked = name.starts_with("study_") && config.perturb.sizes == Sizes::Paper;
             let uniform = of_kind(SecondPass::Perturbed(DeltaSource::Uniform)).filter(|pass| same_sets(pass.3)).count();
-            assert!(uniform > 0, "{name}: no uniform draws in the sets of '{row}'");
+            assert!(unasked || uniform > 0, "{name}: no uniform draws in the sets of '{row}'");
         }
         if name.starts_with("variants") {
             let kinds: Vec<SecondPass> = passes.iter().map(|pass| pass.1).collect();
