@@ -144,6 +144,13 @@ impl Canvas {
         Canvas { width, height, marks: Vec::new() }
     }
 
+    /// A canvas with a title at its top, at least as wide as that needs.
+    pub fn titled(width: f64, height: f64, title: &str) -> Canvas {
+        let mut canvas = Canvas::new(width.max(text_width(title, TITLE) + 2.0 * SIDE), height);
+        canvas.text((SIDE, 20.0), title, TITLE, Anchor::Left, BLACK);
+        canvas
+    }
+
     pub fn line(&mut self, points: &[(f64, f64)], colour: Colour, width: f64) {
         self.marks.push(Mark::Line { points: drawable(points), colour, width, dashed: false });
     }

@@ -3,7 +3,7 @@
 use crate::base::Result;
 use crate::data::pose::{self, Vec3};
 use crate::data::{Camera, Scene, View};
-use crate::draw::canvas::{Anchor, BLACK, BLUE, Canvas, Colour, Figure, GREY, PALETTE, RED, SIDE, TEXT, TITLE};
+use crate::draw::canvas::{Anchor, BLACK, BLUE, Canvas, Colour, Figure, GREY, PALETTE, RED, SIDE, TEXT};
 
 /// Side of a panel, pixels.
 const PANEL: f64 = 460.0;
@@ -34,9 +34,8 @@ struct Panel {
 /// A figure that cannot be drawn.
 pub fn scene_picture(scene: &Scene) -> Result<Figure> {
     let width = 2.0 * SIDE + 2.0 * PANEL + GAP;
-    let mut canvas = Canvas::new(width, 64.0 + PANEL);
     let title = format!("{}: {} views to train on, {} held out", scene.name, scene.train.len(), scene.test.len());
-    canvas.text((SIDE, 20.0), &title, TITLE, Anchor::Left, BLACK);
+    let mut canvas = Canvas::titled(width, 64.0 + PANEL, &title);
     let [right, forward, up] = axes(scene);
     let (middle, half, is_cut) = shown(scene);
     let views = [

@@ -3,7 +3,7 @@
 use super::differences::{PANEL, ROW, Scale, TOP, colour, widest};
 use super::{Figure, metric_label};
 use crate::base::Result;
-use crate::draw::canvas::{Anchor, BLACK, Canvas, GREY, TEXT, TITLE, range};
+use crate::draw::canvas::{Anchor, BLACK, Canvas, GREY, TEXT, range};
 use crate::report::{Across, Block, distinct};
 
 /// Ends of an interval that holds for all blocks at once.
@@ -23,10 +23,9 @@ pub fn across_figure(across: &Across) -> Result<Option<Figure>> {
     };
     let bottom = TOP + ROW * across.blocks.len() as f64;
     let width = scale.left + PANEL + widest(words.iter().map(String::as_str), 120.0) + 30.0;
-    let mut drawing = Canvas::new(width, bottom + 30.0);
     let metric = metric_label(&across.metric);
     let title = format!("{} against {}", across.row, across.baseline);
-    drawing.text((20.0, 20.0), &title, TITLE, Anchor::Left, BLACK);
+    let mut drawing = Canvas::titled(width, bottom + 30.0, &title);
     scale.frame(&mut drawing, &format!("difference in {metric}"), bottom);
     scale.zero(&mut drawing, bottom);
     for end in margins.iter().flat_map(|margin| [-margin, *margin]) {

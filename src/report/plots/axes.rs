@@ -6,7 +6,7 @@ use super::series::Series;
 use super::{Figure, SPREAD_NOTE, Spread, metric_label};
 use crate::base::Result;
 use crate::draw::canvas::{
-    Anchor, BLACK, Canvas, Colour, GREY, GRID, LINE_HEIGHT, PALETTE, Panel, RED, TEXT, TITLE, number, range, text_width,
+    Anchor, BLACK, Canvas, Colour, GREY, GRID, LINE_HEIGHT, PALETTE, Panel, RED, TEXT, number, range, text_width,
 };
 use crate::metrics::{Direction, Metric};
 use crate::report::{AxisValue, Record, Status, TableSpec, distinct, label};
@@ -39,10 +39,9 @@ pub fn axes_figure(spec: &TableSpec, records: &[Record], scene: &str, metric: &s
     let further = most.unwrap_or(0).saturating_sub(LINES_IN_GAP) as f64 * LINE_HEIGHT;
     let (width, height) =
         (PANEL.0.max(width_of_words(&series, &tests, &records, metric)) + GAP.0, PANEL.1 + GAP.1 + further);
-    let mut drawing =
-        Canvas::new((MARGIN.0 + columns.len() as f64 * width).max(560.0), MARGIN.1 + axes.len() as f64 * height);
     let title = format!("{}: {} on {scene}", spec.title, metric_label(metric));
-    drawing.text((20.0, 20.0), &title, TITLE, Anchor::Left, BLACK);
+    let whole = ((MARGIN.0 + columns.len() as f64 * width).max(560.0), MARGIN.1 + axes.len() as f64 * height);
+    let mut drawing = Canvas::titled(whole.0, whole.1, &title);
     for (down, axis) in axes.iter().enumerate() {
         for (across, column) in columns.iter().enumerate() {
             let lines: Vec<&Series> = on(&series, axis, column).collect();

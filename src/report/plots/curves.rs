@@ -3,7 +3,7 @@
 use super::{Figure, SPREAD_NOTE, Spread};
 use crate::base::Result;
 use crate::draw::canvas::{
-    Anchor, BLACK, Canvas, Colour, LINE_HEIGHT, PALETTE, Panel, TEXT, TITLE, number, range, text_width, ticks,
+    Anchor, BLACK, Canvas, Colour, LINE_HEIGHT, PALETTE, Panel, TEXT, number, range, text_width, ticks,
 };
 
 /// Log points that a curve's moving average spans.
@@ -181,8 +181,7 @@ fn figure(title: &str, unit: &str, along: &'static str, curves: &[Curve]) -> Res
     let evaluated = Evaluated::new(curves, bottom, last, along);
     let width = if evaluated.is_some() { legend.max(text_width(SEEN, TEXT)) } else { legend };
     let bottom = evaluated.as_ref().map_or(bottom, |evaluated| evaluated.plot.panel.bottom() + 52.0);
-    let mut drawing = Canvas::new(plot.panel.right() + width + 70.0, bottom);
-    drawing.text((20.0, 20.0), title, TITLE, Anchor::Left, BLACK);
+    let mut drawing = Canvas::titled(plot.panel.right() + width + 70.0, bottom, title);
     plot.frame(&mut drawing, unit);
     for (index, (curve, line)) in curves.iter().zip(&lines).enumerate() {
         plot.line(&mut drawing, line, stroke(index));

@@ -2,9 +2,7 @@
 
 use super::{Figure, metric_label};
 use crate::base::Result;
-use crate::draw::canvas::{
-    Anchor, BLACK, Canvas, Colour, GREY, PAPER, RED, TEXT, TITLE, number, range, text_width, ticks,
-};
+use crate::draw::canvas::{Anchor, BLACK, Canvas, Colour, GREY, PAPER, RED, TEXT, number, range, text_width, ticks};
 use crate::draw::scale_colour;
 use crate::metrics::Metric;
 use crate::report::tables::{Cell, Line, Table, Verdict};
@@ -76,9 +74,8 @@ impl Map<'_> {
         let words = self.rows.iter().map(|value| text_width(value, TEXT)).fold(40.0, f64::max);
         let left = 20.0 + words.max(text_width(&axis_name(self.down), TEXT)) + 10.0;
         let (right, bottom) = (left + CELL.0 * self.columns.len() as f64, TOP + CELL.1 * self.rows.len() as f64);
-        let mut drawing = Canvas::new((right + 140.0).max(560.0), bottom + 52.0);
         let title = format!("{}: {} on {scene}, {}", table.title, metric_label(key), self.title);
-        drawing.text((20.0, 20.0), &title, TITLE, Anchor::Left, BLACK);
+        let mut drawing = Canvas::titled((right + 140.0).max(560.0), bottom + 52.0, &title);
         drawing.text((20.0, TOP - 14.0), &axis_name(self.down), TEXT, Anchor::Left, BLACK);
         let middle = (left + right) / 2.0;
         drawing.text((middle, bottom + 34.0), &axis_name(self.across), TEXT, Anchor::Middle, BLACK);

@@ -3,7 +3,7 @@
 use super::differences::{PANEL, ROW, Scale, TOP, widest, words};
 use super::{Figure, metric_label};
 use crate::base::Result;
-use crate::draw::canvas::{Anchor, BLACK, BLUE, Canvas, GREY, TEXT, TITLE, range};
+use crate::draw::canvas::{Anchor, BLACK, BLUE, Canvas, GREY, TEXT, range};
 use crate::report::tables::{Cell, Line, Table};
 use crate::report::{Record, Status};
 use crate::settings::columns::InactiveBy;
@@ -27,10 +27,9 @@ pub fn rows_figure(table: &Table, records: &[Record], scene: &str, metric: &str)
     let bottom = TOP + ROW * lines.len() as f64;
     let left = Scale { left: 20.0 + label_width + 16.0, range: values };
     let right = Scale { left: left.left + PANEL + 40.0, range: differences.unwrap_or((-1.0, 1.0)) };
-    let mut drawing =
-        Canvas::new(right.left + PANEL + widest(words.iter().map(String::as_str), 120.0) + 30.0, bottom + 30.0);
     let title = format!("{}: {} on {scene}", table.title, metric_label(metric));
-    drawing.text((20.0, 20.0), &title, TITLE, Anchor::Left, BLACK);
+    let width = right.left + PANEL + widest(words.iter().map(String::as_str), 120.0) + 30.0;
+    let mut drawing = Canvas::titled(width, bottom + 30.0, &title);
     left.frame(&mut drawing, metric_label(metric), bottom);
     right.frame(&mut drawing, "difference to the baseline, 95 % interval", bottom);
     right.zero(&mut drawing, bottom);

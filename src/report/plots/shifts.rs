@@ -5,7 +5,7 @@ use super::differences::widest;
 use super::{Figure, SPREAD_NOTE, Spread};
 use crate::augment::Site;
 use crate::base::Result;
-use crate::draw::canvas::{Anchor, BLACK, Canvas, GREY, LINE_HEIGHT, Panel, SIDE, TEXT, TITLE, text_width};
+use crate::draw::canvas::{Anchor, BLACK, Canvas, GREY, LINE_HEIGHT, Panel, SIDE, TEXT};
 use crate::settings::columns::LEAST_SHIFT;
 
 const PANEL: (f64, f64) = (260.0, 190.0);
@@ -49,10 +49,10 @@ pub fn shifts_figure(title: &str, rows: &[Shifts]) -> Result<Option<Figure>> {
     let plot = |index: usize| Plot { panel: panel(index), last, along: "step" };
     let beside = plot(sites.len().min(COLUMNS) - 1);
     let legend = widest(rows.iter().map(|row| row.label.as_str()).chain([INACTIVE]), 60.0);
-    let width = (beside.panel.right() + legend + 70.0).max(text_width(title, TITLE) + 2.0 * SIDE);
+    let width = beside.panel.right() + legend + 70.0;
     let below_legend = MARGIN.1 + (rows.len() + 1) as f64 * LINE_HEIGHT;
-    let mut drawing = Canvas::new(width, (panel(sites.len() - 1).bottom() + 52.0).max(below_legend));
-    drawing.text((SIDE, 20.0), title, TITLE, Anchor::Left, BLACK);
+    let height = (panel(sites.len() - 1).bottom() + 52.0).max(below_legend);
+    let mut drawing = Canvas::titled(width, height, title);
     drawing.text((SIDE, 44.0), "shift of the rendered colours (8-bit steps)", TEXT, Anchor::Left, BLACK);
     for (index, (site, lines)) in sites.iter().enumerate() {
         draw_site(&mut drawing, &plot(index), *site, lines, index % COLUMNS == 0);

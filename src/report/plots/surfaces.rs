@@ -2,7 +2,7 @@
 
 use super::Figure;
 use crate::base::{Image, Result};
-use crate::draw::canvas::{Anchor, BLACK, Canvas, LINE_HEIGHT, TEXT, TITLE};
+use crate::draw::canvas::{Anchor, BLACK, Canvas, LINE_HEIGHT, TEXT};
 
 /// Columns and pixels of a picture in the figure.
 const ACROSS: usize = 4;
@@ -23,8 +23,8 @@ pub fn surfaces_figure(title: &str, surfaces: &[Surface]) -> Result<Option<Figur
     let tallest = surfaces.iter().map(height).fold(0.0, f64::max);
     let (across, down) = (surfaces.len().min(ACROSS), surfaces.len().div_ceil(ACROSS));
     let (step, cell) = (WIDTH + GAP, tallest + LINE_HEIGHT + GAP);
-    let mut drawing = Canvas::new(2.0 * MARGIN + across as f64 * step - GAP, TOP + down as f64 * cell + MARGIN);
-    drawing.text((MARGIN, 20.0), title, TITLE, Anchor::Left, BLACK);
+    let width = 2.0 * MARGIN + across as f64 * step - GAP;
+    let mut drawing = Canvas::titled(width, TOP + down as f64 * cell + MARGIN, title);
     for (index, surface) in surfaces.iter().enumerate() {
         let (x, y) = (MARGIN + (index % ACROSS) as f64 * step, TOP + (index / ACROSS) as f64 * cell);
         drawing.text((x, y), &surface.0, TEXT, Anchor::Left, BLACK);
