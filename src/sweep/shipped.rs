@@ -19,6 +19,8 @@ shipped![
     "baselines_builtin",
     "baselines_chair",
     "baselines_fern",
+    "baselines_llff_builtin",
+    "baselines_llff_chair",
     "epsilon",
     "few_views_chair",
     "fig_embedded",
