@@ -5,6 +5,7 @@
 //! `s` the first sample at which the sum exceeds 1, the gradient of the colour in `o_j s_j` is `c_j - c_s` before `s` and 0
 //! from there on; of a ray that is never full it is `c_j`.
 
+use std::ops::Range;
 use std::sync::Arc;
 
 use candle_core::backend::BackendStorage;
@@ -22,6 +23,8 @@ const CHANNELS: usize = 4;
 const OUT: usize = 5;
 /// Rays that a thread works through at a time.
 const RAYS: usize = 64;
+/// Samples that the plain path has a graph of at once: about half a gigabyte.
+const PLAIN_SAMPLES: usize = 1 << 20;
 
 /// A ray in the volume's coordinates.
 #[derive(Clone, Copy, Debug)]
@@ -138,7 +141,8 @@ impl March {
             candle_core::bail!("march: template {:?}, warp {warp:?} do not fit", template.shape());
         }
         if !template.device().is_cpu() || !matches!(template.dtype(), DType::F32 | DType::F64) {
-            return self.plain(template, warp);
+            let most = (2.0 * 3f64.sqrt() / self.step).ceil() as usize + 1;
+            return self.in_parts(template, warp, (PLAIN_SAMPLES / most).max(1));
         }
         let sides = |tensor: &Tensor| Ok::<_, candle_core::Error>([tensor.dim(0)?, tensor.dim(1)?, tensor.dim(2)?]);
         let lattice = |sides| Lattice { sides, outside: Outside::Zeros };
@@ -151,13 +155,14 @@ impl March {
         template.contiguous()?.apply_op2(&warp.unwrap_or(&nothing).contiguous()?, operation)
     }
 
-    /// The same in candle's own operations: all samples of all rays at once.
-    pub fn plain(&self, template: &Tensor, warp: Option<&Tensor>) -> Result<Tensor> {
+    /// Some of the rays in candle's own operations: all their samples at once.
+    fn plain(&self, template: &Tensor, warp: Option<&Tensor>, of: Range<usize>) -> Result<Tensor> {
+        let lines = &self.lines[of.clone()];
         let strides: Vec<Vec<(f64, f64)>> =
-            self.lines.iter().enumerate().map(|(index, line)| Strides::new(line, index, self).collect()).collect();
-        let (rays, samples) = (self.lines.len(), strides.iter().map(Vec::len).max().unwrap_or(0).max(1));
+            lines.iter().zip(of).map(|(line, index)| Strides::new(line, index, self).collect()).collect();
+        let (rays, samples) = (lines.len(), strides.iter().map(Vec::len).max().unwrap_or(0).max(1));
         let (mut points, mut steps, mut distances) = (Vec::new(), Vec::new(), Vec::new());
-        for (line, strides) in self.lines.iter().zip(&strides) {
+        for (line, strides) in lines.iter().zip(&strides) {
             for sample in 0..samples {
                 let (t, step) = strides.get(sample).copied().unwrap_or((0.0, 0.0));
                 let point = line.at(t);
@@ -364,5 +369,6 @@ impl CustomOp2 for Marched {
     }
 }
 
+mod parts;
 #[cfg(test)]
 pub(crate) mod tests;

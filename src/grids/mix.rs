@@ -1,6 +1,7 @@
 //! The head of LLFF's network (Mildenhall et al. 2019): alpha, and a colour mixed of what input views see.
 
-use candle_core::{CpuStorage, CustomOp1, DType, Layout, Result, Shape, Tensor, WithDType};
+use candle_core::{CpuStorage, CustomOp1, D, DType, Layout, Result, Shape, Tensor, WithDType};
+use candle_nn::ops::{sigmoid, softmax};
 use rayon::prelude::*;
 
 use super::values::{Values, slice};
@@ -12,7 +13,7 @@ const PART: usize = 4096;
 pub const MOST_INPUTS: usize = 16;
 
 /// `raw [.., inputs]` and `sweep [.., 3 inputs]` to RGBA `[.., 4]`: alpha is the sigmoid of channel 0; the softmax of the others and
-/// of a last 0 weighs the views' colours. With a gradient of `raw`; f32 or f64 on a processor.
+/// of a last 0 weighs the views' colours. With a gradient of `raw`.
 ///
 /// # Errors
 /// Shapes that do not fit; those of candle.
@@ -22,7 +23,22 @@ pub fn mix(raw: &Tensor, sweep: &Tensor) -> Result<Tensor> {
     if !fits || inputs > MOST_INPUTS || inputs == 0 || raw.dtype() != sweep.dtype() {
         candle_core::bail!("mix: {:?} and {:?} do not fit", raw.shape(), sweep.shape());
     }
-    raw.contiguous()?.apply_op1(Mix { sweep: sweep.contiguous()?.detach(), inputs })
+    let sweep = sweep.contiguous()?.detach();
+    if !raw.device().is_cpu() || !matches!(raw.dtype(), DType::F32 | DType::F64) {
+        return plain(raw, &sweep);
+    }
+    raw.contiguous()?.apply_op1(Mix { sweep, inputs })
+}
+
+/// The same in candle's own operations.
+fn plain(raw: &Tensor, sweep: &Tensor) -> Result<Tensor> {
+    let (shape, inputs) = (raw.dims(), raw.dim(D::Minus1)?);
+    let raw = raw.contiguous()?.reshape(((), inputs))?;
+    let first = raw.narrow(1, 0, 1)?;
+    let logits = Tensor::cat(&[&raw.narrow(1, 1, inputs - 1)?, &first.zeros_like()?], 1)?;
+    let weights = softmax(&logits, 1)?.unsqueeze(2)?;
+    let rgb = sweep.reshape(((), inputs, 3))?.broadcast_mul(&weights)?.sum(1)?;
+    Tensor::cat(&[&rgb, &sigmoid(&first)?], 1)?.reshape([&shape[..shape.len() - 1], &[4]].concat())
 }
 
 struct Mix {

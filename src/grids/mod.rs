@@ -1,7 +1,7 @@
 //! Operations on lattices: products over neighbouring cells, values between cells, images of volumes.
 //!
-//! Lattices are tensors with channels last, `[z, y, x, channels]`. Each operation has a fast path in f32 on processors, with
-//! a backward pass of its own whose sums have a fixed order, and a plain one in candle's terms for all else, which tests
+//! Lattices are tensors with channels last, `[z, y, x, channels]`. Each operation has a fast path on processors, with a
+//! backward pass of its own whose sums have a fixed order, and a plain one in candle's terms for other devices, which tests
 //! hold it to.
 
 pub mod march;

@@ -40,7 +40,7 @@ impl Passing {
 }
 
 /// Planes `[rays, planes, 4]` (RGBA, straight alpha) over one another: colour times what it counts, and the sum of weights,
-/// `[rays, 4]`; f32 or f64 on a processor, sums in f64.
+/// `[rays, 4]`; on a processor sums in f64.
 ///
 /// # Errors
 /// Another shape; those of candle.
@@ -49,7 +49,25 @@ pub fn over(planes: &Tensor) -> Result<Tensor> {
     if channels != CHANNELS {
         candle_core::bail!("over: planes have red, green, blue and alpha, not {channels} channels");
     }
+    if !planes.device().is_cpu() || !matches!(planes.dtype(), DType::F32 | DType::F64) {
+        return plain(planes);
+    }
     planes.contiguous()?.apply_op1(Over)
+}
+
+/// The same in candle's own operations, plane after plane.
+fn plain(planes: &Tensor) -> Result<Tensor> {
+    let (rays, count, _) = planes.dims3()?;
+    let mut transmittance = Tensor::ones((rays, 1), planes.dtype(), planes.device())?;
+    let mut sum = Tensor::zeros((rays, CHANNELS), planes.dtype(), planes.device())?;
+    for k in (0..count).rev() {
+        let plane = planes.narrow(1, k, 1)?.squeeze(1)?;
+        let alpha = plane.narrow(1, CHANNELS - 1, 1)?;
+        let weight = (&alpha * &transmittance)?;
+        sum = (sum + Tensor::cat(&[&plane.narrow(1, 0, CHANNELS - 1)?.broadcast_mul(&weight)?, &weight], 1)?)?;
+        transmittance = (transmittance * ((1.0 - alpha)? + LEAK)?)?;
+    }
+    Ok(sum)
 }
 
 struct Over;

@@ -55,8 +55,8 @@ pub fn corners([column, row]: [f64; 2], width: usize, height: usize) -> [Corner;
     ]
 }
 
-/// What rays meet on `planes [planes, height, width, channels]`: `[rays, planes, channels]`, f32 or f64 on a processor, with a
-/// gradient of `planes`. The same bits whatever the number of threads.
+/// What rays meet on `planes [planes, height, width, channels]`: `[rays, planes, channels]`, with a gradient of `planes`. The same
+/// bits whatever the number of threads.
 ///
 /// # Errors
 /// Places of another number of planes; those of candle.
@@ -65,7 +65,27 @@ pub fn plane_sample(planes: &Tensor, places: Arc<Places>) -> Result<Tensor> {
     if count != places.planes || !places.of_rays.len().is_multiple_of(count.max(1)) {
         candle_core::bail!("plane sample: {count} planes and places of {}", places.planes);
     }
+    if !planes.device().is_cpu() || !matches!(planes.dtype(), DType::F32 | DType::F64) {
+        return plain(planes, &places);
+    }
     planes.contiguous()?.apply_op1(PlaneSample { places })
+}
+
+/// The same in candle's own operations: the sum over four corners.
+fn plain(planes: &Tensor, places: &Places) -> Result<Tensor> {
+    let (count, height, width, channels) = planes.dims4()?;
+    let pixels = planes.contiguous()?.reshape((count * height * width, channels))?;
+    let corners: Vec<[Corner; 4]> = places.of_rays.iter().map(|place| corners(*place, width, height)).collect();
+    let of_corner = |corner: usize| -> Result<Tensor> {
+        let pixel = |(i, corners): (usize, &[Corner; 4])| (i % count * height * width + corners[corner].0) as u32;
+        let rows: Vec<u32> = corners.iter().enumerate().map(pixel).collect();
+        let shares: Vec<f64> = corners.iter().map(|corners| corners[corner].1).collect();
+        let rows = Tensor::from_vec(rows, corners.len(), planes.device())?;
+        let shares = Tensor::from_vec(shares, (corners.len(), 1), planes.device())?.to_dtype(planes.dtype())?;
+        pixels.index_select(&rows, 0)?.broadcast_mul(&shares)
+    };
+    let sum = (1..4).try_fold(of_corner(0)?, |sum, corner| sum + of_corner(corner)?)?;
+    sum.reshape((places.rays(), count, channels))
 }
 
 struct PlaneSample {

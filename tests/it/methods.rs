@@ -307,13 +307,24 @@ fn runs_without_fields_refuse_what_needs_them() {
         let why = no_density.unwrap_or("trilinear");
         refuse(&["measure", &run], 2, &[method, "no l1, TV or Laplacian", why]);
         refuse(&["profile", &run], 2, &["a profile along a ray with method", method, "augnerf compare"]);
+        if let Some(why) = no_density {
+            refuse(&["chamfer", &run, "builtin"], 2, &[why]);
+        }
+        let metrics = dir.path().join(method).join("metrics.json");
+        let before = json(&metrics);
+        succeed(&["eval", "--quiet", &run]);
+        assert_eq!(json(&metrics), before, "{method}: the checkpoint gives the numbers of the trained method");
         for file in ["x.tar", "x.safetensors"] {
             refuse(&["export", &run, &path(file)], 2, &["export with method", method, "radiance fields"]);
         }
-        let protocol = &json(&dir.path().join(method).join("metrics.json"))["protocol"];
+        let protocol = &before["protocol"];
         assert!(protocol["field_width"].is_null() && protocol[method].is_string(), "{protocol}");
     }
     let bench = ["bench", "--method", "llff", "--steps", "1", "--set", "llff.window=32", "--set", "llff.crop=16"];
     succeed(&[&bench[..], &["--set", "llff.planes=8"]].concat());
     succeed(&["bench", "--method", "srn", "--steps", "1", "--rays", "4", "--width", "8"]);
+    let smaller =
+        ["nv.resolution=8", "nv.divide=16", "nv.warp_resolution=4"].into_iter().flat_map(|set| ["--set", set]);
+    let bench = ["bench", "--method", "nv", "--steps", "1", "--rays", "4"].into_iter().chain(smaller);
+    succeed(&bench.collect::<Vec<_>>());
 }

@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
 
 use crate::common::files::{json, text};
-use crate::common::learning::{Small, assert_precisions_agree, assert_threads_agree};
+use crate::common::learning::{Small, assert_learns, assert_precisions_agree, assert_threads_agree};
 use crate::common::program::{refuse, succeed};
 use crate::common::reference::Reference;
 use crate::common::{flat, tiny_config, tiny_scene};
@@ -49,6 +49,11 @@ fn adam_takes_the_originals_step() {
             assert!((found - expected).abs() < 1e-12, "{name}: {found}, not {expected}");
         }
     }
+}
+
+#[test]
+fn steps_lower_the_error() {
+    assert_learns(&(tiny(), tiny_scene()), 150, 0.5);
 }
 
 /// f32 on packed weights and f64 in candle's operations.

@@ -63,6 +63,26 @@ fn assert_same_tables(a: &Path, b: &Path) {
     assert_same_files(&a.join("results/tiny"), &b.join("results/tiny"), &["timing.csv"]);
 }
 
+/// Methods with and without fields beside one another: each trains, and its cells of what it has not stay empty.
+#[test]
+fn a_table_has_rows_of_every_method() {
+    let one = TINY.replace("seeds = [0, 1]", "seeds = [0]").replace("= 60", "= 4");
+    let small = "set = { \"srn.width\" = 8, \"nv.resolution\" = 8, \"nv.divide\" = 16, \"nv.warp_resolution\" = 4, \"llff.planes\" = 8, \
+                 \"llff.window\" = 16, \"llff.crop\" = 8, method = ";
+    let methods = ["srn", "nv", "llff"];
+    let further = methods.map(|method| format!("\n[[row]]\nname = \"{method}\"\n{small}\"{method}\" }}\n"));
+    let dir = workplace(&(one + &further.concat()));
+    demand(&["sweep", "run", "tiny.toml", "--quiet"], dir.path(), 0);
+    let points = rows(&text(&dir.path().join("results/tiny/points.csv")));
+    let of = |row: &str| points.iter().find(|point| point["row"] == row).unwrap();
+    for method in methods {
+        let point = of(method);
+        assert!(point["psnr"].parse::<f64>().unwrap() > 3.0, "{point:?}");
+        assert!(!point[method].is_empty() && point["field_width"].is_empty() && point["tv"].is_empty(), "{point:?}");
+    }
+    assert!(!of("NeRF")["tv"].is_empty() && of("NeRF")["srn"].is_empty());
+}
+
 /// Of a capture the box is what its cameras look at, in a table as in a measurement of the same run.
 #[test]
 fn smoothness_of_a_point_is_that_of_measure() {

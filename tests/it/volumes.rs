@@ -4,12 +4,13 @@ use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
 
 use crate::common::files::{json, text};
-use crate::common::learning::{Small, assert_precisions_agree, assert_threads_agree};
+use crate::common::learning::{Small, assert_learns, assert_precisions_agree, assert_threads_agree};
 use crate::common::program::{refuse, succeed};
 use crate::common::{flat, tiny_config, tiny_scene};
 use augnerf::data::{RayBuffer, RayParts};
 use augnerf::methods::{NeuralVolume, Painter, VolumePainter};
-use augnerf::settings::{Method, PixelOrigin, Resolved, VolumeCode, VolumeConfig};
+use augnerf::run::load_scene;
+use augnerf::settings::{Method, PixelOrigin, Preset, Resolved, VolumeCode, VolumeConfig, build, parse_assignment};
 use candle_core::{DType, Device};
 use tempfile::TempDir;
 
@@ -26,6 +27,16 @@ fn tiny(code: VolumeCode) -> Resolved {
     tiny_config(Method::Nv, |config| {
         config.nv = VolumeConfig { code, resolution: 16, divide: 16, warp_resolution: 4, ..VolumeConfig::default() };
     })
+}
+
+#[test]
+fn steps_lower_the_error() {
+    // A volume before a plain background that learns from few rays, or at a high rate, empties itself.
+    let settings = "method=nv data.width=16 train.rays=256 train.batching=all-images train.precrop_steps=0 nv.resolution=16 \
+                    nv.divide=16 nv.warp_resolution=4";
+    let set: Vec<_> = settings.split_whitespace().map(|text| parse_assignment(text).unwrap()).collect();
+    let scene = load_scene(build(Some(Preset::Smoke), None, &set).unwrap(), &()).unwrap();
+    assert_learns(&scene, 120, 0.5);
 }
 
 /// f32 by operations of our own and f64 by the same or candle's.

@@ -95,12 +95,13 @@ fn grids() -> [Tensor; 2] {
 }
 
 /// Result and gradients of `sum(out * cotangent)` in template and warp.
-fn all_of(march: &March, grids: [Tensor; 2], plain: bool) -> Vec<Tensor> {
+fn all_of(
+    march: &March,
+    grids: [Tensor; 2],
+    forward: impl Fn(&March, &Tensor, Option<&Tensor>) -> Result<Tensor>,
+) -> Vec<Tensor> {
     let [template, warp] = grids.each_ref().map(|grid| Var::from_tensor(grid).unwrap());
-    let out = match plain {
-        true => march.plain(&template, Some(warp.as_tensor())).unwrap(),
-        false => march.forward(&template, Some(warp.as_tensor())).unwrap(),
-    };
+    let out = forward(march, &template, Some(warp.as_tensor())).unwrap();
     let cotangent = ramp(&[march.lines.len(), 5], 0.6).to_dtype(out.dtype()).unwrap();
     let gradients = (&out * cotangent).unwrap().sum_all().unwrap().backward().unwrap();
     vec![out, gradients.get(&template).unwrap().clone(), gradients.get(&warp).unwrap().clone()]
@@ -215,18 +216,33 @@ fn rays_and_gradients_are_the_originals() {
 #[test]
 fn fast_marches_are_the_plain_ones_on_any_number_of_threads() {
     for (march, name) in [(drawn(150, Pace::Even), "even"), (drawn(150, DRAWN), "drawn")] {
-        let plain = all_of(&march, grids(), true);
+        let plain = all_of(&march, grids(), |march, template, warp| march.plain(template, warp, 0..150));
         let full = values(&plain[0].narrow(1, 3, 1).unwrap()).iter().filter(|acc| **acc == 1.0).count();
         assert!((20..130).contains(&full), "{full} rays are full");
-        let double = all_of(&march, grids(), false);
+        let double = all_of(&march, grids(), March::forward);
         let single = grids().map(|grid| grid.to_dtype(DType::F32).unwrap());
-        let fast = on_any_threads(|| all_of(&march, single.clone(), false));
+        let fast = on_any_threads(|| all_of(&march, single.clone(), March::forward));
         for index in 0..3 {
             let of = |found: &[Tensor]| error(&found[index], &plain[index]);
             assert!(of(&double) < 1e-11, "{name} {index}: {}", of(&double));
             assert!(of(&fast) < 2e-4, "{name} {index}, in f32: {}", of(&fast));
         }
     }
+}
+
+/// Parts of any size, the last one smaller.
+#[test]
+fn marches_in_parts_are_whole_ones() {
+    let march = drawn(150, DRAWN);
+    let whole = all_of(&march, grids(), |march, template, warp| march.plain(template, warp, 0..150));
+    for rays in [1, 64, 150, 1000] {
+        let parts = all_of(&march, grids(), |march, template, warp| march.in_parts(template, warp, rays));
+        (0..3).for_each(|index| assert!(error(&parts[index], &whole[index]) < 1e-12, "{rays} rays, {index}"));
+    }
+    let [template, _] = grids().map(|grid| Var::from_tensor(&grid).unwrap());
+    let slope = |out: Tensor| out.sqr().unwrap().sum_all().unwrap().backward().unwrap().get(&template).unwrap().clone();
+    let expected = slope(march.forward(&template, None).unwrap());
+    assert!(error(&slope(march.in_parts(&template, None, 40).unwrap()), &expected) < 1e-11);
 }
 
 #[test]

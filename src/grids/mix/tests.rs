@@ -17,6 +17,15 @@ fn values_and_gradients_are_torch_s() {
     assert!(error(gradients.get(&raw).unwrap(), &lattice("llff.mix.grad.raw")) < 1e-13);
 }
 
+#[test]
+fn the_plain_path_s_are_torch_s_too() {
+    let raw = Var::from_tensor(&lattice("llff.mix.raw")).unwrap();
+    let out = plain(&raw, &lattice("llff.mix.sweep")).unwrap();
+    assert!(error(&out, &lattice("llff.mix.out")) < 1e-14);
+    let gradients = (out * lattice("llff.mix.cotangent")).unwrap().sum_all().unwrap().backward().unwrap();
+    assert!(error(gradients.get(&raw).unwrap(), &lattice("llff.mix.grad.raw")) < 1e-13);
+}
+
 /// Sweeps are what views see, not what is learned: the reference's slope along them is that of the weights, which colours show.
 #[test]
 fn colours_are_weighed_by_the_reference_s_slopes() {

@@ -39,6 +39,19 @@ fn an_opaque_plane_is_all_that_is_seen() {
 }
 
 #[test]
+fn the_plain_path_has_the_same_values_and_slopes() {
+    let planes = Var::from_tensor(&planes(&[5, 6, 4], 0.2)).unwrap();
+    let cotangent = ramp(&[5, 4], 0.3);
+    let both = |out: Tensor| {
+        let gradients = (&out * &cotangent).unwrap().sum_all().unwrap().backward().unwrap();
+        [out, gradients.get(&planes).unwrap().clone()]
+    };
+    for (a, b) in both(plain(&planes).unwrap()).iter().zip(both(over(&planes).unwrap())) {
+        assert!(error(a, &b) < 1e-13);
+    }
+}
+
+#[test]
 fn gradients_are_central_differences() {
     let planes = Var::from_tensor(&planes(&[3, 5, 4], 0.7)).unwrap();
     let cotangent = ramp(&[3, 4], 0.3);

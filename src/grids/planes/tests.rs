@@ -38,6 +38,20 @@ fn values_are_tents_around_pixels_and_fade_beyond_the_edge() {
 }
 
 #[test]
+fn the_plain_path_has_the_same_values_and_slopes() {
+    let planes = Var::from_tensor(&ramp(&[3, 3, 4, 2], 0.1)).unwrap();
+    let (places, cotangent) = (places(3), ramp(&[8, 3, 2], 0.9));
+    let both = |out: Tensor| {
+        let gradients = (&out * &cotangent).unwrap().sum_all().unwrap().backward().unwrap();
+        [out, gradients.get(&planes).unwrap().clone()]
+    };
+    let fast = both(plane_sample(&planes, places.clone()).unwrap());
+    for (a, b) in both(plain(&planes, &places).unwrap()).iter().zip(fast) {
+        assert!(error(a, &b) < 1e-14);
+    }
+}
+
+#[test]
 fn gradients_are_central_differences() {
     let planes = Var::from_tensor(&ramp(&[3, 3, 4, 2], 0.1)).unwrap();
     let (places, cotangent) = (places(3), ramp(&[8, 3, 2], 0.9));

@@ -37,7 +37,7 @@ impl PlanesLearner {
     /// # Errors
     /// A scene that the method cannot be trained on.
     pub fn new(config: &Resolved, scene: &Scene, network: MpiNetwork) -> Result<PlanesLearner> {
-        let stage = Stage::new(config, scene, network.device())?;
+        let stage = Stage::new(config, scene)?;
         Ok(PlanesLearner { config: config.clone(), variables: network.variables(), network, stage })
     }
 

@@ -38,7 +38,7 @@ impl MpiNetwork {
     /// # Errors
     /// A scene that the method cannot show; those of candle.
     pub fn painter(&self, config: &Config, scene: &Scene) -> Result<PlanesPainter> {
-        let stage = stage::Stage::new(config, scene, self.device())?;
+        let stage = stage::Stage::new(config, scene)?;
         let mpis = self.mpis(&stage.views, &stage.depths)?;
         let eyes = mpi::eyes(&stage.views);
         Ok(PlanesPainter { mpis, eyes, blend: config.llff.blend, background: stage.background })

@@ -1,7 +1,5 @@
 //! The training views as the method sees them, and what it refuses.
 
-use candle_core::Device;
-
 use crate::base::{Error, Result};
 use crate::data::{Camera, Scene};
 use crate::runtime::free_memory_mib;
@@ -39,9 +37,9 @@ impl Stage {
     /// Of the training views of `scene`.
     ///
     /// # Errors
-    /// A scene or a device that the method has no use for.
-    pub fn new(config: &Config, scene: &Scene, device: &Device) -> Result<Stage> {
-        check(scene, device)?;
+    /// A scene that the method has no use for.
+    pub fn new(config: &Config, scene: &Scene) -> Result<Stage> {
+        check(scene)?;
         let shift = config.data.origin_of_pixels().shift();
         let seen = |camera: Camera| Eye { camera, shift };
         let views = scene.train.iter().map(|view| Seen { eye: seen(view.camera), image: view.image.clone() }).collect();
@@ -90,12 +88,7 @@ fn bounds(config: &Config, scene: &Scene) -> Result<(f64, f64)> {
     }
 }
 
-fn check(scene: &Scene, device: &Device) -> Result<()> {
-    if !device.is_cpu() {
-        return Err(Error::Config(
-            "method llff is computed on processors alone: its operations have no kernels for other devices; use --device cpu".into(),
-        ));
-    }
+fn check(scene: &Scene) -> Result<()> {
     if scene.ndc.is_some() {
         return Err(Error::Config(
             "data.ndc = true does not suit method llff, whose planes stand in the scene itself; set data.ndc=false"

@@ -3,6 +3,7 @@
 
 use std::path::{Path, PathBuf};
 
+use augnerf::data::Scene;
 use augnerf::runtime::Runtime;
 use augnerf::settings::Resolved;
 use augnerf::train::Trainer;
@@ -70,6 +71,16 @@ pub fn assert_precisions_agree(config: &Resolved, term: &str) {
             assert!((a - b).abs() < 2e-3 * b.abs(), "{single:?} {double:?}");
         }
     }
+}
+
+/// Later steps have a smaller squared error: the mean of the last ten to that of the first ten, at most `ratio`.
+#[track_caller]
+pub fn assert_learns((config, scene): &(Resolved, Scene), steps: usize, ratio: f64) {
+    let mut trainer = Trainer::new(config, scene, DType::F32, runtime()).unwrap();
+    let errors: Vec<f64> = (0..steps).map(|_| trainer.step(false).unwrap().mse).collect();
+    let mean = |errors: &[f64]| errors.iter().sum::<f64>() / errors.len() as f64;
+    let (first, last) = (mean(&errors[..10]), mean(&errors[steps - 10..]));
+    assert!(last < ratio * first, "{first} {last}");
 }
 
 #[track_caller]

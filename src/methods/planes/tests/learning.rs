@@ -7,7 +7,6 @@ use crate::data::{RayBuffer, RayParts, Scene};
 use crate::grids::reference::{error, on_any_threads, ramp};
 use crate::methods::learner::Learner;
 use crate::methods::painter::Painter;
-use crate::methods::planes::stage::Stage;
 use crate::methods::planes::windows::Work;
 use crate::methods::planes::{MpiNetwork, PlanesLearner, PlanesPainter};
 use crate::methods::{Learned, Model};
@@ -235,16 +234,6 @@ fn scenes_that_it_cannot_learn_are_refused_in_a_sentence() {
     }
     let said = refused(&apart, |_| {});
     assert!(said.contains("see too little of the same") && said.contains("llff.references"), "{said}");
-}
-
-/// A device of a build without CUDA, which is there by name alone.
-#[cfg(not(feature = "cuda"))]
-#[test]
-fn devices_are_refused_in_a_sentence() {
-    let scene = scene(16);
-    let device = Device::Cuda(candle_core::CudaDevice);
-    let said = Stage::new(&config(&scene, |_| {}), &scene, &device).err().unwrap().to_string();
-    assert!(said.contains("on processors alone") && said.contains("--device cpu"), "{said}");
 }
 
 /// Planes ten pixels apart, of which a window of 16 holds two: no pixel has three quarters of them, and those with any count.
