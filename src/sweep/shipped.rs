@@ -20,7 +20,7 @@ shipped![
     "baselines_chair",
     "baselines_fern",
     "baselines_llff_builtin",
-    "baselines_llff_chair",
+    "baselines_presets_chair",
     "epsilon",
     "few_views_chair",
     "fig_embedded",
