@@ -23,7 +23,7 @@ const CHANNELS: usize = 4;
 const OUT: usize = 5;
 /// Rays that a thread works through at a time.
 const RAYS: usize = 64;
-/// Samples that the plain path has a graph of at once: about half a gigabyte.
+/// Samples that the plain path has a graph of at once: they bound its memory.
 const PLAIN_SAMPLES: usize = 1 << 20;
 
 /// A ray in the volume's coordinates.
