@@ -32,12 +32,15 @@ pub fn begin(
     let begun = folder.points(data_root)?;
     match (change, begun) {
         (Change::None, Some(points)) if !budgets_can_be_applied(&points) => return Ok(points),
-        (Change::Changed, Some(points)) if reworded(&folder.definition()?, definition, &laid, &points) => {
-            folder.begin(definition, &points, data_root)?;
-            return Ok(points);
-        }
-        (Change::Changed, begun) if !extend => {
-            return Err(refusal(folder, &laid, &begun.unwrap_or_default()));
+        (Change::Changed, begun) => {
+            let before = begun.unwrap_or_default();
+            if let Some(points) = reworded(&folder.definition()?, definition, &laid, &before) {
+                folder.begin(definition, &points, data_root)?;
+                return Ok(points);
+            }
+            if !extend {
+                return Err(refusal(folder, &laid, &before));
+            }
         }
         _ => {}
     }
@@ -54,7 +57,7 @@ pub fn check_unchanged(folder: &SweepFolder, definition: &Definition, data_root:
     }
     let laid = lay_out(definition, data_root)?;
     let before = folder.points(data_root)?.unwrap_or_default();
-    if reworded(&folder.definition()?, definition, &laid, &before) {
+    if reworded(&folder.definition()?, definition, &laid, &before).is_some() {
         return Ok(());
     }
     Err(refusal(folder, &laid, &before))
@@ -98,9 +101,9 @@ fn budgets_can_be_applied(points: &[Point]) -> bool {
     points.iter().any(|point| point.without_budget && point.no_data.is_none())
 }
 
-/// The definition says in other words what `before` said, such as `perturb.levels` in place of sites' passes: they come to
-/// the same points, and nothing else differs.
-fn reworded(before: &Definition, definition: &Definition, laid: &[Laid], points: &[Point]) -> bool {
+/// The points of a definition that says in other words what `before` said, such as `perturb.levels` in place of sites' passes,
+/// or changes what makes no other experiment, such as `train.eval_every`: they are the same points, and nothing else differs.
+fn reworded(before: &Definition, definition: &Definition, laid: &[Laid], points: &[Point]) -> Option<Vec<Point>> {
     let without_settings = |definition: &Definition| {
         let mut bare = definition.clone();
         bare.set.clear();
@@ -112,8 +115,10 @@ fn reworded(before: &Definition, definition: &Definition, laid: &[Laid], points:
     let same = |now: &[Point]| {
         now.len() == points.len() && now.iter().zip(points).all(|(a, b)| (&a.id, &a.places) == (&b.id, &b.places))
     };
-    without_settings(before) == without_settings(definition)
-        && apply_budgets(laid, &Unknown).is_ok_and(|now| same(&now))
+    if without_settings(before) != without_settings(definition) {
+        return None;
+    }
+    apply_budgets(laid, &Unknown).ok().filter(|now| same(now))
 }
 
 fn refusal(folder: &SweepFolder, laid: &[Laid], before: &[Point]) -> Error {

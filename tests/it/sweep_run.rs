@@ -487,6 +487,13 @@ fn a_definition_in_other_words_goes_on_with_its_points() {
     assert_eq!(folder.compare(&now).unwrap(), Change::None);
     let other = parse(&row("\"perturb.levels\" = [\"output\"]")).unwrap();
     assert!(begin(&folder, &other, None, false, &Costs).unwrap_err().to_string().contains("--extend"));
+    // What makes no other experiment is as the definition says it now.
+    let mut seldom = now.clone();
+    seldom.set.insert("train.eval_every".into(), 7.into());
+    begin(&folder, &seldom, None, true, &Costs).unwrap();
+    let points = folder.points(None).unwrap().unwrap();
+    assert_eq!(labels(&points), labels(&before));
+    assert!(points.iter().all(|point| point.config.train.eval_every == 7));
     let mut renamed = now;
     renamed.title = "another question".into();
     assert!(begin(&folder, &renamed, None, false, &Costs).unwrap_err().to_string().contains("--extend"));
