@@ -58,19 +58,22 @@ pub fn steps_within(kind: BudgetKind, config: &Config, like: &Config, costs: &dy
 
 /// Network evaluations of one step: passes through a network at one point, where a forward pass
 /// counts one, and a backward pass one for the gradient of the layers' inputs and one for that of
-/// the weights.
+/// the weights. A coarse pass that only places samples has no backward pass, and is neither searched nor perturbed.
 pub fn evaluations_per_step(config: &Config) -> f64 {
     let (coarse, fine) = config.samples();
-    let points = (config.train.rays * (coarse + fine)) as f64;
-    let clean = 3.0 * points;
-    let perturbed = match (config.method.is_augmented(), config.perturb.second) {
+    let (placing, trained) =
+        if config.representation().has_coarse_loss() { (0, coarse + fine) } else { (coarse, fine) };
+    let points = |samples: usize| (config.train.rays * samples) as f64;
+    let clean = points(placing) + 3.0 * points(trained);
+    let second = match (config.method.is_augmented(), config.perturb.second) {
         (false, _) => 0.0,
+        (true, SecondPass::Clean) => clean,
         (true, SecondPass::Perturbed(DeltaSource::WorstCase)) => {
-            3.0 * points + 2.0 * points * f64::from(search_steps(&config.perturb))
+            (3.0 + 2.0 * f64::from(search_steps(&config.perturb))) * points(trained)
         }
-        (true, _) => 3.0 * points,
+        (true, SecondPass::Perturbed(_)) => 3.0 * points(trained),
     };
-    clean + perturbed + regularizer_evaluations(config)
+    clean + second + regularizer_evaluations(config)
 }
 
 /// Ascent steps of the search: a site with fewer waits for the one with most.

@@ -118,11 +118,14 @@ fn every_shipped_sweep_tells_seen_from_unseen_views() {
     assert!(sweeps > 15);
 }
 
-/// A row's name says whose sets uniform draws are taken from.
+/// A row's name says whose sets uniform draws are taken from; but the study's have the geometry that each block chose.
 #[test]
 fn uniform_draws_are_named_by_their_sets() {
     let mut rows = 0;
     for (name, definition) in shipped() {
+        if name.starts_with("study_") {
+            continue;
+        }
         for point in expand(&definition, None, &Costs).unwrap() {
             let perturb = &point.config.perturb;
             let uniform = perturb.second == SecondPass::Perturbed(DeltaSource::Uniform);
@@ -137,6 +140,28 @@ fn uniform_draws_are_named_by_their_sets() {
         }
     }
     assert!(rows > 7, "{rows}");
+}
+
+/// The study's rivals differ in what their names say, and in nothing that each block chooses (results/study/PLAN.md).
+#[test]
+fn controls_of_the_study_have_the_sets_and_weight_of_its_attack() {
+    let mut blocks = 0;
+    for (name, definition) in shipped().into_iter().filter(|(name, _)| name.starts_with("study_")) {
+        let points = expand(&definition, None, &Costs).unwrap();
+        let perturb = |row: &str| {
+            let point = points.iter().find(|point| point.places.iter().any(|place| place.row == row));
+            point.map(|point| point.config.perturb.clone())
+        };
+        let Some(uniform) = perturb("Uniform draws, calibrated") else { continue };
+        let attack = perturb("Aug-NeRF calibrated").unwrap();
+        let clean = perturb("NeRF + second clean pass").unwrap();
+        assert_eq!(uniform.second, SecondPass::Perturbed(DeltaSource::Uniform), "{name}");
+        assert_eq!((uniform.sizes, uniform.geometry), (Sizes::Calibrated, attack.geometry), "{name}");
+        assert_eq!((uniform.lambda, clean.lambda), (attack.lambda, attack.lambda), "{name}");
+        assert_eq!(perturb("Aug-NeRF, paper's geometry").unwrap().geometry, Geometry::Paper, "{name}");
+        blocks += 1;
+    }
+    assert_eq!(blocks, 5);
 }
 
 #[test]

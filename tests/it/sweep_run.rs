@@ -11,7 +11,7 @@ use augnerf::augment::{Epsilon, Site};
 use augnerf::base::{Error, Listener, Result};
 use augnerf::report::Status;
 use augnerf::runtime::Runtime;
-use augnerf::settings::Config;
+use augnerf::settings::{Config, DeltaSource, SecondPass};
 use augnerf::sweep::{
     Beat, Change, Claim, Definition, Options, Overrides, Point, PointFolder, PointResult, Runner, StepCosts,
     SweepFolder, Watch, Work, begin, evaluations_per_step, expand,
@@ -590,6 +590,24 @@ fn budgets_give_cheap_rows_more_steps() {
     assert_eq!(decay(1) / decay(0), points[1].config.train.steps as f64 / nerf as f64, "the schedule is stretched too");
     let ratio = evaluations_per_step(&points[1].config) / evaluations_per_step(&points[0].config);
     assert_eq!(ratio, 4.0);
+}
+
+/// Of 48 samples that are placed and 32 that are trained, on a hash grid.
+#[test]
+fn passes_that_only_place_samples_cost_a_forward_pass() {
+    let text = BASE.replace("\"smoke\"", "\"fast\"") + "budget = { kind = \"evaluations\", like = \"NeRF\" }\n";
+    let points = points_of(&text).unwrap();
+    let (nerf, augmented) = (&points[0].config, &points[1].config);
+    assert_eq!((nerf.samples(), augmented.method.is_augmented()), ((48, 32), true));
+    let evaluations = |config: &Config| evaluations_per_step(config) / config.train.rays as f64;
+    assert_eq!(evaluations(nerf), f64::from(48 + 3 * 32));
+    assert_eq!(evaluations(augmented), f64::from(48 + 3 * 32 + (3 + 3 * 2) * 32));
+    assert_eq!(augmented.train.steps, nerf.train.steps / 3);
+    let mut second = augmented.clone();
+    second.perturb.second = SecondPass::Clean;
+    assert_eq!(evaluations(&second), 2.0 * evaluations(nerf));
+    second.perturb.second = SecondPass::Perturbed(DeltaSource::Uniform);
+    assert_eq!(evaluations(&second), evaluations(nerf) + f64::from(3 * 32));
 }
 
 #[test]
