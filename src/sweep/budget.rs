@@ -61,8 +61,24 @@ pub fn steps_within(kind: BudgetKind, config: &Config, like: &Config, costs: &dy
 /// the weights. A coarse pass that only places samples has no backward pass, and is neither searched nor perturbed.
 pub fn evaluations_per_step(config: &Config) -> f64 {
     let (coarse, fine) = config.samples();
-    let (placing, trained) =
-        if config.representation().has_coarse_loss() { (0, coarse + fine) } else { (coarse, fine) };
+    match config.representation().has_coarse_loss() {
+        true => evaluations(config, 0, coarse + fine),
+        false => evaluations(config, coarse, fine),
+    }
+}
+
+/// [`evaluations_per_step`] as revisions up to 8c7f6dc counted it: a pass that only places samples as one that is trained.
+pub(super) struct PlacingCountedAsTrained;
+
+impl StepCosts for PlacingCountedAsTrained {
+    fn seconds_per_step(&self, config: &Config) -> Result<f64> {
+        let (coarse, fine) = config.samples();
+        Ok(evaluations(config, 0, coarse + fine))
+    }
+}
+
+/// Of a step with so many samples a ray that are only placed by, and so many that are trained.
+fn evaluations(config: &Config, placing: usize, trained: usize) -> f64 {
     let points = |samples: usize| (config.train.rays * samples) as f64;
     let clean = points(placing) + 3.0 * points(trained);
     let second = match (config.method.is_augmented(), config.perturb.second) {

@@ -24,6 +24,7 @@ pub struct Place {
 }
 
 /// A place in the table with its configuration, its budget still to be applied.
+#[derive(Clone)]
 pub struct Laid {
     /// The scene's name.
     pub scene: String,

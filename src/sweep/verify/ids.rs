@@ -7,7 +7,8 @@ use super::findings::Findings;
 use crate::base::Result;
 use crate::report::label;
 use crate::settings::Config;
-use crate::sweep::budget::StepCosts;
+use crate::sweep::budget::{PlacingCountedAsTrained, StepCosts};
+use crate::sweep::definition::BudgetKind;
 use crate::sweep::folder::SweepFolder;
 use crate::sweep::layout::{Laid, lay_out};
 use crate::sweep::points::{Point, WITHOUT_BUDGET, point};
@@ -66,7 +67,7 @@ fn of_definition(archive: &Archive, data_root: Option<&Path>, findings: &mut Fin
     let laid = lay_out(&definition, data_root)?;
     let folder = SweepFolder::new(&archive.path);
     let kept = kept_step_seconds(&folder)?;
-    let (mut wrong, mut unchecked, mut without_scene) = (Vec::new(), Vec::new(), 0);
+    let (mut wrong, mut unchecked, mut counted_before, mut without_scene) = (Vec::new(), Vec::new(), Vec::new(), 0);
     for laid in &laid {
         let what = format!("{} · {} · seed {}", label(&laid.place.row, &laid.place.axes), laid.scene, laid.config.seed);
         let same = |known: &&Point| {
@@ -90,8 +91,18 @@ fn of_definition(archive: &Archive, data_root: Option<&Path>, findings: &mut Fin
                 point(laid, &as_known(laid, known))?
             }
         };
+        let steps_now = expected.config.train.steps;
         let expected = id(archive, &expected);
-        if expected != known.id {
+        if expected == known.id {
+            continue;
+        }
+        if as_counted_before(laid)?.is_some_and(|before| id(archive, &before) == known.id) {
+            let (row, steps) = (label(&laid.place.row, &laid.place.axes), known.config.train.steps);
+            let steps = format!("{steps} of {row}, now {steps_now}");
+            if !counted_before.contains(&steps) {
+                counted_before.push(steps);
+            }
+        } else {
             wrong.push(format!("sweep.toml makes {expected} of {what}, points.json has {}", known.id));
         }
     }
@@ -105,6 +116,12 @@ fn of_definition(archive: &Archive, data_root: Option<&Path>, findings: &mut Fin
             "{without_scene} places whose budget hangs on a scene that is not below --data-root (AUGNERF_DATA)"
         ));
     }
+    if !counted_before.is_empty() {
+        findings.holds(format!(
+            "steps from a budget in evaluations, by a revision that counted a pass that only places samples as a trained one: {}",
+            counted_before.join(", ")
+        ));
+    }
     if !unchecked.is_empty() {
         findings.not_checked(format!(
             "steps from a budget in seconds, whose step times are not kept: {}",
@@ -112,6 +129,13 @@ fn of_definition(archive: &Archive, data_root: Option<&Path>, findings: &mut Fin
         ));
     }
     Ok(())
+}
+
+/// The point with a budget of evaluations as earlier revisions counted them; none without such a budget.
+fn as_counted_before(laid: &Laid) -> Result<Option<Point>> {
+    let Some((BudgetKind::Evaluations, like)) = &laid.budget else { return Ok(None) };
+    let budget = Some((BudgetKind::Seconds, like.clone()));
+    point(&Laid { budget, ..laid.clone() }, &PlacingCountedAsTrained).map(Some)
 }
 
 /// Step times at which a point has the steps that it is known by.
