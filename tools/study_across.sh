@@ -1,14 +1,15 @@
 #!/bin/bash
-# The study's comparisons over its blocks (results/study/PLAN.md), once all five are complete: results/study_primary and what is secondary. Where
-# calibrated minus NeRF passes above 0, name those blocks, and they are compared with uniform draws and with equal evaluations, too:
+# The study's comparisons over its blocks (results/study/PLAN.md), once all five are complete, into results/study_*: the primary one, what is
+# secondary, and, of the blocks where calibrated minus NeRF passes above 0, what it is compared with there. Those blocks are read from
+# results/study_primary/across.csv. AUGNERF picks the program.
 #
 #   tools/study_across.sh
-#   tools/study_across.sh study_fern_noise study_fern_few
 set -euo pipefail
 cd "$(dirname "$0")/.."
 augnerf=${AUGNERF:-target/release/augnerf}
 chair=(study_chair_few study_chair_25 study_own_few)
 blocks=(study_chair_few study_chair_25 study_fern_few study_fern_noise study_own_few)
+seeds=8
 
 # compare OUT ROW BASELINE METRIC BLOCK...
 compare() {
@@ -17,13 +18,22 @@ compare() {
   "$augnerf" sweep across "${@/#/results/}" --row "$row" --baseline "$baseline" --metric "$metric" --out "results/$out"
 }
 
+# primary COLUMN: sweep and a column of the primary comparison, a line a block. None of its rows' names has a comma.
+primary() {
+  awk -F, -v name="$1" 'NR == 1 { for (i = 1; i <= NF; i++) at[$i] = i; next } { print $at["sweep"], $at[name] }' \
+    results/study_primary/across.csv
+}
+
+# The plan corrects over five complete blocks: a block or a seed less would make another test.
+for block in "${blocks[@]}"; do
+  [[ -f results/$block/points.csv ]] || { echo "results/$block is not there: the study is compared once all its blocks are complete" >&2; exit 2; }
+done
 calibrated="Aug-NeRF calibrated"
-if (($#)); then
-  compare study_worst_case "$calibrated" "Uniform draws, calibrated" psnr "$@"
-  compare study_cost "$calibrated" "NeRF, equal evaluations" psnr "$@"
-  exit
-fi
 compare study_primary "$calibrated" NeRF psnr "${blocks[@]}"
+if ! primary pairs | awk -v blocks=${#blocks[@]} -v seeds=$seeds '$2 != seeds { wrong = 1 } END { exit wrong || NR != blocks }'; then
+  echo "results/study_primary has not $seeds seeds in each of ${#blocks[@]} blocks: $(primary pairs | paste -sd ';')" >&2
+  exit 1
+fi
 compare study_paper "Aug-NeRF, paper's geometry" NeRF psnr "${blocks[@]}"
 compare study_tv "+ TV Reg." NeRF psnr "${blocks[@]}"
 compare study_attack_tv "$calibrated" "+ TV Reg." psnr "${blocks[@]}"
@@ -31,3 +41,11 @@ compare study_second_look "$calibrated" "NeRF + second clean pass" psnr "${block
 compare study_ssim "$calibrated" NeRF ssim "${blocks[@]}"
 compare study_lpips "$calibrated" NeRF lpips_squeeze "${blocks[@]}"
 compare study_depth "$calibrated" NeRF depth_mae_common "${chair[@]}"
+
+mapfile -t gains < <(primary verdict | awk '$2 == "higher" { print $1 }')
+if ((${#gains[@]})); then
+  compare study_worst_case "$calibrated" "Uniform draws, calibrated" psnr "${gains[@]}"
+  compare study_cost "$calibrated" "NeRF, equal evaluations" psnr "${gains[@]}"
+else
+  echo "calibrated minus NeRF passes above 0 in no block: nothing is compared with uniform draws or equal evaluations"
+fi
