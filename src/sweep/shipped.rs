@@ -53,7 +53,7 @@ shipped![
     "study_gate_own_few",
     "study_layer",
     "study_levels",
-    "study_levels_noise",
+    "study_levels_fern",
     "study_own_few",
     "study_strength",
     "tab1_llff",
