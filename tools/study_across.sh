@@ -8,7 +8,7 @@ set -euo pipefail
 cd "$(dirname "$0")/.."
 augnerf=${AUGNERF:-target/release/augnerf}
 chair=(study_chair_few study_chair_25 study_own_few)
-blocks=(study_chair_few study_chair_25 study_fern_few study_fern_noise study_own_few)
+blocks=(study_fern_few study_fern_noise study_chair_few study_chair_25 study_own_few)
 seeds=8
 
 # compare OUT ROW BASELINE METRIC BLOCK...
