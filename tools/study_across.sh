@@ -41,6 +41,8 @@ compare study_second_look "$calibrated" "NeRF + second clean pass" psnr "${block
 compare study_ssim "$calibrated" NeRF ssim "${blocks[@]}"
 compare study_lpips "$calibrated" NeRF lpips_squeeze "${blocks[@]}"
 compare study_depth "$calibrated" NeRF depth_mae_common "${chair[@]}"
+# Beside the rule: the levels' own sweeps, against the paper's "Random".
+compare study_levels_noise "$calibrated" "+ Tri-level Random Noise" psnr study_levels_fern study_levels
 
 mapfile -t gains < <(primary verdict | awk '$2 == "higher" { print $1 }')
 if ((${#gains[@]})); then
