@@ -23,10 +23,7 @@ pub fn axes_figure(spec: &TableSpec, records: &[Record], scene: &str, metric: &s
     let records: Vec<&Record> = records.iter().filter(|record| record.scene == scene).collect();
     let series = series(&records, metric);
     let baseline = baseline(spec, &records, metric);
-    let values = series
-        .iter()
-        .flat_map(|series| series.points.iter().flat_map(|(_, seeds)| seeds.iter().map(|(_, number)| *number)));
-    let Some(range) = range(values.chain(baseline.iter().flat_map(|(_, seeds)| seeds.iter().copied()))) else {
+    let Some(range) = range(drawn(&series, baseline.as_ref())) else {
         return Ok(None);
     };
     if series.is_empty() {
@@ -68,6 +65,16 @@ pub fn axes_figure(spec: &TableSpec, records: &[Record], scene: &str, metric: &s
     }
     drawing.caption(&caption(&series, baseline.as_ref().map(|(name, _)| *name), metric));
     drawing.finish().map(Some)
+}
+
+/// All numbers that panels show: those of seeds, and the ends of bands, which no seed need reach.
+fn drawn<'a>(series: &'a [Series<'a>], baseline: Option<&'a (&str, Vec<f64>)>) -> impl Iterator<Item = f64> {
+    let places = series.iter().flat_map(|series| &series.points);
+    let places = places.map(|(_, seeds)| seeds.iter().map(|(_, number)| *number).collect::<Vec<f64>>());
+    places.chain(baseline.map(|(_, seeds)| seeds.clone())).flat_map(|seeds| {
+        let band = Spread::new(&seeds).and_then(|spread| spread.band);
+        seeds.into_iter().chain(band.into_iter().flat_map(|(low, high)| [low, high]))
+    })
 }
 
 /// The points of a scene with axis values, by first axis, row and the values of further axes.
@@ -222,6 +229,20 @@ fn caption(series: &[Series], baseline: Option<&str>, metric: &str) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn panels_have_room_for_bands() {
+        let series = [Series {
+            axis: "layer",
+            panel: "",
+            label: "r".into(),
+            points: vec![("1", vec![(0, 13.5), (1, 19.5), (2, 21.0)])],
+        }];
+        // The mean is 18, the standard deviation the root of 31.5 / 2.
+        let baseline = ("NeRF", vec![12.0, 20.0]);
+        let (low, high) = range(drawn(&series, Some(&baseline))).unwrap();
+        assert!(low <= 12.0 && high >= 18.0 + 15.75_f64.sqrt(), "{low} to {high}");
+    }
 
     #[test]
     fn the_words_follow_the_paired_differences() {
