@@ -13,8 +13,8 @@ use crate::report::{AxisValue, Record, Status, TableSpec, distinct, label};
 
 const PANEL: (f64, f64) = (250.0, 190.0);
 const GAP: (f64, f64) = (30.0, 92.0);
-/// Lines of words that the gap below a panel has room for.
-const LINES_IN_GAP: usize = 3;
+/// Lines of words that the gap below a panel has room for, behind one of values.
+const LINES_IN_GAP: usize = 2;
 const MARGIN: (f64, f64) = (76.0, 66.0);
 
 /// Panels by axis (down) and level (across) of a scene's points with axes; none where there are
@@ -31,34 +31,28 @@ pub fn axes_figure(spec: &TableSpec, records: &[Record], scene: &str, metric: &s
     }
     let tests = Tests::new(&series);
     let axes = distinct(series.iter().map(|series| series.axis));
-    let columns = distinct(series.iter().map(|series| series.panel));
-    let most = axes.iter().flat_map(|axis| columns.iter().map(|column| on(&series, axis, column).count())).max();
-    let further = most.unwrap_or(0).saturating_sub(LINES_IN_GAP) as f64 * LINE_HEIGHT;
-    let (width, height) =
-        (PANEL.0.max(width_of_words(&series, &tests, &records, metric)) + GAP.0, PANEL.1 + GAP.1 + further);
+    let columns = columns(&series);
+    let width = PANEL.0.max(width_of_words(&series, &tests, &records, metric)) + GAP.0;
+    let heights: Vec<f64> = axes.iter().map(|axis| height(&series, axis)).collect();
     let title = format!("{}: {} on {scene}", spec.title, metric_label(metric));
-    let whole = ((MARGIN.0 + columns.len() as f64 * width).max(560.0), MARGIN.1 + axes.len() as f64 * height);
+    let whole = ((MARGIN.0 + columns.len() as f64 * width).max(560.0), MARGIN.1 + heights.iter().sum::<f64>());
     let mut drawing = Canvas::titled(whole.0, whole.1, &title);
+    let place = |name: &str| columns.iter().position(|column| *column == name).unwrap_or(0);
     for (down, axis) in axes.iter().enumerate() {
-        for (across, column) in columns.iter().enumerate() {
-            let lines: Vec<&Series> = on(&series, axis, column).collect();
-            if lines.is_empty() {
-                continue;
-            }
+        let panels = panels(&series, axis);
+        let leftmost = panels.iter().map(|name| place(name)).min();
+        for name in panels {
+            let lines: Vec<&Series> = on(&series, axis, name).collect();
             let panel = Panel {
-                left: MARGIN.0 + across as f64 * width,
-                top: MARGIN.1 + down as f64 * height,
+                left: MARGIN.0 + place(name) as f64 * width,
+                top: MARGIN.1 + heights[..down].iter().sum::<f64>(),
                 width: PANEL.0,
                 height: PANEL.1,
                 range,
             };
-            let first = series
-                .iter()
-                .filter(|s| s.axis == *axis)
-                .all(|s| columns.iter().position(|c| *c == s.panel) >= Some(across));
-            panel.frame(&mut drawing, first);
-            let name = if column.is_empty() { axis.to_string() } else { format!("{column}: {axis}") };
-            drawing.text((panel.left, panel.top - 14.0), &name, TEXT, Anchor::Left, BLACK);
+            panel.frame(&mut drawing, Some(place(name)) == leftmost);
+            let title = if name.is_empty() { axis.to_string() } else { format!("{name}: {axis}") };
+            drawing.text((panel.left, panel.top - 14.0), &title, TEXT, Anchor::Left, BLACK);
             draw_baseline(&mut drawing, &panel, baseline.as_ref());
             draw_values(&mut drawing, &panel, &lines, &tests, metric);
         }
@@ -112,6 +106,43 @@ fn width_of_words(series: &[Series], tests: &Tests, records: &[&Record], metric:
     series.iter().map(|s| text_width(&format!("{}: {}", s.label, tests.verdict(s, metric)), TEXT)).fold(0.0, f64::max)
 }
 
+/// The panels of an axis.
+fn panels<'a>(series: &[Series<'a>], axis: &str) -> Vec<&'a str> {
+    distinct(series.iter().filter(|s| s.axis == axis).map(|s| s.panel))
+}
+
+/// The panels that have a column, from left to right: those that stand beside another one in some row. A panel that is alone in each
+/// of its rows is drawn in the first column.
+fn columns<'a>(series: &[Series<'a>]) -> Vec<&'a str> {
+    let mut names = distinct(series.iter().map(|s| s.panel));
+    names.retain(|name| series.iter().any(|s| s.panel == *name && panels(series, s.axis).len() > 1));
+    if names.is_empty() { vec![""] } else { names }
+}
+
+/// A value below its axis: what is varied together line by line, numbers by three digits.
+fn tick(value: &str) -> Vec<String> {
+    let short = |text: &str| match text.parse::<f64>() {
+        Ok(exact) if text.len() > 6 => number(exact, exact.abs() / 100.0),
+        _ => text.to_string(),
+    };
+    value.split(" / ").map(short).collect()
+}
+
+/// The most lines that a value takes below its axis.
+fn lines_of_values<'s, 'a: 's>(series: impl IntoIterator<Item = &'s Series<'a>>) -> usize {
+    let values = series.into_iter().flat_map(|s| &s.points);
+    values.map(|(value, _)| tick(value).len()).max().unwrap_or(1)
+}
+
+/// A row of panels, with what stands below them.
+fn height(series: &[Series], axis: &str) -> f64 {
+    let words = panels(series, axis).into_iter().map(|panel| {
+        let lines = on(series, axis, panel).count();
+        lines_of_values(on(series, axis, panel)) - 1 + lines
+    });
+    PANEL.1 + GAP.1 + words.max().unwrap_or(0).saturating_sub(LINES_IN_GAP) as f64 * LINE_HEIGHT
+}
+
 /// The lines of one panel.
 fn on<'s, 'a>(series: &'s [Series<'a>], axis: &'s str, panel: &'s str) -> impl Iterator<Item = &'s Series<'a>> {
     series.iter().filter(move |s| s.axis == axis && s.panel == panel)
@@ -145,8 +176,12 @@ fn draw_values(drawing: &mut Canvas, panel: &Panel, lines: &[&Series], tests: &T
     };
     for name in &names {
         drawing.line(&[(x(name), panel.top), (x(name), panel.bottom())], GRID, 1.0);
-        drawing.text((x(name), panel.bottom() + 12.0), name, TEXT, Anchor::Middle, BLACK);
+        for (down, words) in tick(name).iter().enumerate() {
+            let at = (x(name), panel.bottom() + 12.0 + down as f64 * LINE_HEIGHT);
+            drawing.text(at, words, TEXT, Anchor::Middle, BLACK);
+        }
     }
+    let below = lines_of_values(lines.iter().copied()) - 1;
     // Beyond the palette's end colours come again.
     for (series, colour) in lines.iter().zip(PALETTE.into_iter().cycle()) {
         draw_series(drawing, panel, series, colour, &x);
@@ -156,7 +191,7 @@ fn draw_values(drawing: &mut Canvas, panel: &Panel, lines: &[&Series], tests: &T
         let text = if lines.len() > 1 { format!("{}: {verdict}", series.label) } else { verdict };
         let colour = if lines.len() > 1 { PALETTE[index % PALETTE.len()] } else { GREY };
         drawing.text(
-            (panel.left, panel.bottom() + 30.0 + index as f64 * LINE_HEIGHT),
+            (panel.left, panel.bottom() + 30.0 + (below + index) as f64 * LINE_HEIGHT),
             &text,
             TEXT,
             Anchor::Left,
@@ -242,6 +277,22 @@ mod tests {
         let baseline = ("NeRF", vec![12.0, 20.0]);
         let (low, high) = range(drawn(&series, Some(&baseline))).unwrap();
         assert!(low <= 12.0 && high >= 18.0 + 15.75_f64.sqrt(), "{low} to {high}");
+    }
+
+    #[test]
+    fn values_below_an_axis_are_short() {
+        assert_eq!(tick("0.01568627450980392 / 0.18823529411764706"), ["0.0157", "0.188"]);
+        assert_eq!(tick("0.0625 / 1.0"), ["0.0625", "1.0"]);
+        assert_eq!((tick("sampling"), tick("1000")), (vec!["sampling".to_string()], vec!["1000".to_string()]));
+    }
+
+    #[test]
+    fn a_panel_that_is_alone_in_its_rows_takes_no_column() {
+        let at = |axis, panel| Series { axis, panel, label: "r".into(), points: Vec::new() };
+        let levels =
+            [at("steps", "input"), at("steps", "features"), at("layer", "features"), at("lambda", "all levels")];
+        assert_eq!(columns(&levels), ["input", "features"]);
+        assert_eq!(columns(&[at("layer", "")]), [""]);
     }
 
     #[test]
