@@ -74,7 +74,7 @@ const TRAIN_EXAMPLES: &str = "Examples:
   augnerf train                                             # the embedded scene, under a minute
   augnerf train --data fern --preset cpu                    # NeRF on a real scene, minutes
   augnerf train --data fern --preset cpu --method aug-nerf  # the same with worst-case augmentation
-  augnerf train --data fern --preset cpu --method aug-nerf --set perturb.attack=calibrated --set perturb.lambda=0.003
+  augnerf train --data fern --preset cpu --method aug-nerf --set perturb.attack=calibrated
   augnerf train --data fern --preset cpu --method aug-nerf --set 'perturb.levels=[\"feature\"]'
   augnerf train --data fern --preset cpu --set regularizer.kind=tv --set regularizer.weight=8e-7
   augnerf train --data fern --preset cpu --set 'regularizer.kind=[\"tv\",\"l1\"]'

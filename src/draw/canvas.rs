@@ -317,6 +317,18 @@ pub fn number(value: f64, step: f64) -> String {
     format!("{value:.digits$}")
 }
 
+/// A setting's value as a label has it: long numbers by three digits at most, all else as it is.
+pub fn short(text: &str) -> String {
+    match text.parse::<f64>() {
+        Ok(exact) if text.len() > 6 && (1e-3..1e6).contains(&exact.abs()) => number(exact, exact.abs() / 100.0),
+        // Through its own digits, so that none is a zero at the end.
+        Ok(exact) if text.len() > 6 => {
+            format!("{:e}", format!("{exact:.2e}").parse::<f64>().expect("a number's own digits"))
+        }
+        _ => text.to_string(),
+    }
+}
+
 /// Ten to a whole power.
 fn power(exponent: f64) -> String {
     match (-3.0..6.0).contains(&exponent) {

@@ -73,7 +73,7 @@ section! {
         /// Which numbers fill the empty fields of sites.
         #[serde(rename = "attack")]
         pub sizes: Sizes = Sizes::Paper, numbers().key("attack").column("attack");
-        /// The second pass's weight in the loss. The default is the paper's; `attack = "calibrated"` needs less.
+        /// The second pass's weight in the loss. The default is the paper's; on hash grids `attack = "calibrated"` asks for less.
         pub lambda: f64 = 0.1,
             numbers()
                 .real(|weight| weight >= 0.0, "0 or positive, and at most 1 with perturb.objective = \"released\"")

@@ -27,7 +27,7 @@ fn root() -> PathBuf {
 /// Every page that people read.
 fn pages() -> Vec<Page> {
     let mut files: Vec<PathBuf> = ["README.md", "CHANGELOG.md", "CONTRIBUTING.md"].map(PathBuf::from).to_vec();
-    for folder in ["docs", "results"] {
+    for folder in ["docs", "results", "results/study"] {
         for entry in std::fs::read_dir(root().join(folder)).unwrap() {
             let name = entry.unwrap().file_name();
             files

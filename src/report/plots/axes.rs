@@ -6,14 +6,15 @@ use super::series::Series;
 use super::{Figure, SPREAD_NOTE, Spread, metric_label};
 use crate::base::Result;
 use crate::draw::canvas::{
-    Anchor, BLACK, Canvas, Colour, GREY, GRID, LINE_HEIGHT, PALETTE, Panel, RED, TEXT, number, range, text_width,
+    Anchor, BLACK, Canvas, Colour, GREY, GRID, LINE_HEIGHT, PALETTE, PAPER, Panel, RED, TEXT, number, range, short,
+    text_width,
 };
 use crate::metrics::{Direction, Metric};
 use crate::report::{AxisValue, Record, Status, TableSpec, distinct, label};
 
 const PANEL: (f64, f64) = (250.0, 190.0);
 const GAP: (f64, f64) = (30.0, 92.0);
-/// Lines of words that the gap below a panel has room for, behind one of values.
+/// Lines of words that the gap below a panel has room for, below one line of values.
 const LINES_IN_GAP: usize = 2;
 const MARGIN: (f64, f64) = (76.0, 66.0);
 
@@ -32,10 +33,10 @@ pub fn axes_figure(spec: &TableSpec, records: &[Record], scene: &str, metric: &s
     let tests = Tests::new(&series);
     let axes = distinct(series.iter().map(|series| series.axis));
     let columns = columns(&series);
-    let width = PANEL.0.max(width_of_words(&series, &tests, &records, metric)) + GAP.0;
+    let width = PANEL.0.max(width_of_words(&series, &tests, metric)) + GAP.0;
     let heights: Vec<f64> = axes.iter().map(|axis| height(&series, axis)).collect();
     let title = format!("{}: {} on {scene}", spec.title, metric_label(metric));
-    let whole = ((MARGIN.0 + columns.len() as f64 * width).max(560.0), MARGIN.1 + heights.iter().sum::<f64>());
+    let whole = ((MARGIN.0 + columns.len().max(1) as f64 * width).max(560.0), MARGIN.1 + heights.iter().sum::<f64>());
     let mut drawing = Canvas::titled(whole.0, whole.1, &title);
     let place = |name: &str| columns.iter().position(|column| *column == name).unwrap_or(0);
     for (down, axis) in axes.iter().enumerate() {
@@ -98,12 +99,13 @@ fn series<'a>(records: &[&'a Record], metric: &str) -> Vec<Series<'a>> {
     all
 }
 
-/// What the words below a panel ask for where the values of further axes are among them.
-fn width_of_words(series: &[Series], tests: &Tests, records: &[&Record], metric: &str) -> f64 {
-    if records.iter().all(|record| record.axes.len() < 2) {
-        return 0.0;
-    }
-    series.iter().map(|s| text_width(&format!("{}: {}", s.label, tests.verdict(s, metric)), TEXT)).fold(0.0, f64::max)
+/// What the words below a panel ask for.
+fn width_of_words(series: &[Series], tests: &Tests, metric: &str) -> f64 {
+    let words = series.iter().map(|s| {
+        let verdict = tests.verdict(s, metric);
+        if on(series, s.axis, s.panel).count() > 1 { format!("{}: {verdict}", s.label) } else { verdict }
+    });
+    words.map(|words| text_width(&words, TEXT)).fold(0.0, f64::max)
 }
 
 /// The panels of an axis.
@@ -116,15 +118,11 @@ fn panels<'a>(series: &[Series<'a>], axis: &str) -> Vec<&'a str> {
 fn columns<'a>(series: &[Series<'a>]) -> Vec<&'a str> {
     let mut names = distinct(series.iter().map(|s| s.panel));
     names.retain(|name| series.iter().any(|s| s.panel == *name && panels(series, s.axis).len() > 1));
-    if names.is_empty() { vec![""] } else { names }
+    names
 }
 
-/// A value below its axis: what is varied together line by line, numbers by three digits.
+/// A value below its axis: what is varied together line by line.
 fn tick(value: &str) -> Vec<String> {
-    let short = |text: &str| match text.parse::<f64>() {
-        Ok(exact) if text.len() > 6 => number(exact, exact.abs() / 100.0),
-        _ => text.to_string(),
-    };
     value.split(" / ").map(short).collect()
 }
 
@@ -207,7 +205,11 @@ fn draw_values(drawing: &mut Canvas, panel: &Panel, lines: &[&Series], tests: &T
     let label = number(best.mean, (panel.range.1 - panel.range.0) / 50.0);
     let half = text_width(&label, TEXT) / 2.0;
     let x = x.clamp(panel.left + half + 2.0, panel.right() - half - 2.0);
-    drawing.text((x, (y - 14.0).max(panel.top + 8.0)), &label, TEXT, Anchor::Middle, colour);
+    let y = (y - 14.0).max(panel.top + 8.0);
+    // On a plate, so that no line runs through it.
+    let (left, right, top, bottom) = (x - half - 2.0, x + half + 2.0, y - 7.0, y + 7.0);
+    drawing.area(vec![(left, top), (right, top), (right, bottom), (left, bottom)], PAPER, 0.75);
+    drawing.text((x, y), &label, TEXT, Anchor::Middle, colour);
 }
 
 fn draw_series(drawing: &mut Canvas, panel: &Panel, series: &Series, colour: Colour, x: &impl Fn(&str) -> f64) {
@@ -243,7 +245,7 @@ fn best(series: &Series, metric: &str) -> Option<(usize, Spread)> {
 fn caption(series: &[Series], baseline: Option<&str>, metric: &str) -> String {
     let missing = series.iter().flat_map(|s| {
         let empty = s.points.iter().filter(|(_, seeds)| seeds.is_empty());
-        empty.map(|(value, _)| format!("{} {} = {value} ({})", s.panel, s.axis, s.label))
+        empty.map(|(value, _)| format!("{} {} = {} ({})", s.panel, s.axis, tick(value).join(" / "), s.label))
     });
     let missing: Vec<String> = missing.collect();
     let mut text = SPREAD_NOTE.to_string();
@@ -255,6 +257,9 @@ fn caption(series: &[Series], baseline: Option<&str>, metric: &str) -> String {
     }
     text += " \"No pair passes\": of no two values of the panel is a difference shown (paired t tests over seeds, Holm's p \
              below 0.05 over all pairs of the figure); in brackets the least one that would have been.";
+    if lines_of_values(series) > 1 {
+        text += " Values varied together stand below each other, in the order of the sweep's keys.";
+    }
     if !missing.is_empty() {
         text += &format!(" Without data: {}.", missing.join("; "));
     }
@@ -283,7 +288,24 @@ mod tests {
     fn values_below_an_axis_are_short() {
         assert_eq!(tick("0.01568627450980392 / 0.18823529411764706"), ["0.0157", "0.188"]);
         assert_eq!(tick("0.0625 / 1.0"), ["0.0625", "1.0"]);
-        assert_eq!((tick("sampling"), tick("1000")), (vec!["sampling".to_string()], vec!["1000".to_string()]));
+        assert_eq!((tick("0.00003"), tick("0.000125")), (vec!["3e-5".into()], vec!["1.25e-4".into()]));
+        assert_eq!((tick("sampling"), tick("1000")), (vec!["sampling".into()], vec!["1000".into()]));
+    }
+
+    #[test]
+    fn rows_of_panels_have_room_for_what_stands_below_them() {
+        let line = |label: &str, value: &'static str| Series {
+            axis: "epsilon",
+            panel: "",
+            label: label.into(),
+            points: vec![(value, vec![(0, 20.0)])],
+        };
+        let rows = |lines: usize, value: &'static str| -> f64 {
+            height(&(0..lines).map(|i| line(&i.to_string(), value)).collect::<Vec<_>>(), "epsilon")
+        };
+        assert_eq!(rows(LINES_IN_GAP, "1"), rows(1, "1"));
+        assert_eq!(rows(4, "1") - rows(1, "1"), 2.0 * LINE_HEIGHT);
+        assert_eq!(rows(1, "1 / 2 / 3") - rows(1, "1"), LINE_HEIGHT);
     }
 
     #[test]
@@ -292,7 +314,7 @@ mod tests {
         let levels =
             [at("steps", "input"), at("steps", "features"), at("layer", "features"), at("lambda", "all levels")];
         assert_eq!(columns(&levels), ["input", "features"]);
-        assert_eq!(columns(&[at("layer", "")]), [""]);
+        assert!(columns(&[at("layer", "")]).is_empty());
     }
 
     #[test]

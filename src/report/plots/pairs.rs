@@ -1,6 +1,7 @@
 //! Which values of an axis are told apart, over all panels of a figure.
 
 use super::series::Series;
+use crate::draw::canvas::short;
 use crate::metrics::Metric;
 use crate::report::statistics::{SIGNIFICANCE, holm, least_provable, p_text, p_value, paired_differences};
 
@@ -48,7 +49,8 @@ impl<'a> Tests<'a> {
             (0, _) => "no data".into(),
             (1, _) => "one seed: no spread known".into(),
             (_, Some(((a, b), p))) if p < SIGNIFICANCE => {
-                format!("{seeds} seeds: {a} and {b} differ, p {}", p_text(p))
+                let short = |value: &str| value.split(" / ").map(short).collect::<Vec<_>>().join(" / ");
+                format!("{seeds} seeds: {} and {} differ, p {}", short(a), short(b), p_text(p))
             }
             _ => {
                 let least = self.least_provable(series).zip(Metric::find(metric));
