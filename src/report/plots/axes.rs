@@ -2,12 +2,11 @@
 //! first is drawn along and each value of the others is a line of its own.
 
 use super::pairs::Tests;
-use super::series::Series;
+use super::series::{Series, tick};
 use super::{Figure, SPREAD_NOTE, Spread, metric_label};
 use crate::base::Result;
 use crate::draw::canvas::{
-    Anchor, BLACK, Canvas, Colour, GREY, GRID, LINE_HEIGHT, PALETTE, PAPER, Panel, RED, TEXT, number, range, short,
-    text_width,
+    Anchor, BLACK, Canvas, Colour, GREY, GRID, LINE_HEIGHT, PALETTE, PAPER, Panel, RED, TEXT, number, range, text_width,
 };
 use crate::metrics::{Direction, Metric};
 use crate::report::{AxisValue, Record, Status, TableSpec, distinct, label};
@@ -99,12 +98,20 @@ fn series<'a>(records: &[&'a Record], metric: &str) -> Vec<Series<'a>> {
     all
 }
 
-/// What the words below a panel ask for.
+/// What is said below a panel, a line each; of several lines by their names.
+fn words(lines: &[&Series], tests: &Tests, metric: &str) -> Vec<String> {
+    let verdict = |series: &&Series| match (lines.len(), tests.verdict(series, metric)) {
+        (1, verdict) => verdict,
+        (_, verdict) => format!("{}: {verdict}", series.label),
+    };
+    lines.iter().map(verdict).collect()
+}
+
+/// What the words below the widest panel ask for.
 fn width_of_words(series: &[Series], tests: &Tests, metric: &str) -> f64 {
-    let words = series.iter().map(|s| {
-        let verdict = tests.verdict(s, metric);
-        if on(series, s.axis, s.panel).count() > 1 { format!("{}: {verdict}", s.label) } else { verdict }
-    });
+    let panels = distinct(series.iter().map(|s| (s.axis, s.panel)));
+    let lines = panels.into_iter().map(|(axis, panel)| on(series, axis, panel).collect::<Vec<_>>());
+    let words = lines.flat_map(|lines| words(&lines, tests, metric));
     words.map(|words| text_width(&words, TEXT)).fold(0.0, f64::max)
 }
 
@@ -119,11 +126,6 @@ fn columns<'a>(series: &[Series<'a>]) -> Vec<&'a str> {
     let mut names = distinct(series.iter().map(|s| s.panel));
     names.retain(|name| series.iter().any(|s| s.panel == *name && panels(series, s.axis).len() > 1));
     names
-}
-
-/// A value below its axis: what is varied together line by line.
-fn tick(value: &str) -> Vec<String> {
-    value.split(" / ").map(short).collect()
 }
 
 /// The most lines that a value takes below its axis.
@@ -184,13 +186,11 @@ fn draw_values(drawing: &mut Canvas, panel: &Panel, lines: &[&Series], tests: &T
     for (series, colour) in lines.iter().zip(PALETTE.into_iter().cycle()) {
         draw_series(drawing, panel, series, colour, &x);
     }
-    for (index, series) in lines.iter().enumerate() {
-        let verdict = tests.verdict(series, metric);
-        let text = if lines.len() > 1 { format!("{}: {verdict}", series.label) } else { verdict };
+    for (index, text) in words(lines, tests, metric).iter().enumerate() {
         let colour = if lines.len() > 1 { PALETTE[index % PALETTE.len()] } else { GREY };
         drawing.text(
             (panel.left, panel.bottom() + 30.0 + (below + index) as f64 * LINE_HEIGHT),
-            &text,
+            text,
             TEXT,
             Anchor::Left,
             colour,

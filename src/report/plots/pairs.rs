@@ -1,7 +1,6 @@
 //! Which values of an axis are told apart, over all panels of a figure.
 
-use super::series::Series;
-use crate::draw::canvas::short;
+use super::series::{Series, tick};
 use crate::metrics::Metric;
 use crate::report::statistics::{SIGNIFICANCE, holm, least_provable, p_text, p_value, paired_differences};
 
@@ -49,8 +48,7 @@ impl<'a> Tests<'a> {
             (0, _) => "no data".into(),
             (1, _) => "one seed: no spread known".into(),
             (_, Some(((a, b), p))) if p < SIGNIFICANCE => {
-                let short = |value: &str| value.split(" / ").map(short).collect::<Vec<_>>().join(" / ");
-                format!("{seeds} seeds: {} and {} differ, p {}", short(a), short(b), p_text(p))
+                format!("{seeds} seeds: {} and {} differ, p {}", tick(a).join(" / "), tick(b).join(" / "), p_text(p))
             }
             _ => {
                 let least = self.least_provable(series).zip(Metric::find(metric));

@@ -1,6 +1,12 @@
 //! What a line of a figure of axes is drawn from.
 
 use super::Spread;
+use crate::draw::canvas::short;
+
+/// A value as its axis has it: one part for each setting that is varied together.
+pub(super) fn tick(value: &str) -> Vec<String> {
+    value.split(" / ").map(short).collect()
+}
 
 /// One line of one panel: values of an axis with what was measured there.
 pub(super) struct Series<'a> {
