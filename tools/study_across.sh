@@ -1,7 +1,7 @@
 #!/bin/bash
 # The study's comparisons over its blocks (results/study/PLAN.md), once all five are complete, into results/study_*: the primary one, what is
 # secondary, and, of the blocks where calibrated minus NeRF passes above 0, what it is compared with there. Those blocks are read from
-# results/study_primary/across.csv. AUGNERF picks the program.
+# results/study/study_primary/across.csv. AUGNERF picks the program.
 #
 #   tools/study_across.sh
 set -euo pipefail
@@ -21,7 +21,7 @@ compare() {
 # primary COLUMN: sweep and a column of the primary comparison, a line a block. None of its rows' names has a comma.
 primary() {
   awk -F, -v name="$1" 'NR == 1 { for (i = 1; i <= NF; i++) at[$i] = i; next } { print $at["sweep"], $at[name] }' \
-    results/study_primary/across.csv
+    results/study/study_primary/across.csv
 }
 
 # The plan corrects over five complete blocks: a block or a seed less would make another test.
@@ -31,7 +31,7 @@ done
 calibrated="Aug-NeRF calibrated"
 compare study_primary "$calibrated" NeRF psnr "${blocks[@]}"
 if ! primary pairs | awk -v blocks=${#blocks[@]} -v seeds=$seeds '$2 != seeds { wrong = 1 } END { exit wrong || NR != blocks }'; then
-  echo "results/study_primary has not $seeds seeds in each of ${#blocks[@]} blocks: $(primary pairs | paste -sd ';')" >&2
+  echo "results/study/study_primary has not $seeds seeds in each of ${#blocks[@]} blocks: $(primary pairs | paste -sd ';')" >&2
   exit 1
 fi
 compare study_paper "Aug-NeRF, paper's geometry" NeRF psnr "${blocks[@]}"

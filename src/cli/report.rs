@@ -18,7 +18,7 @@ use super::sweep::{table_json, terminal_width};
 pub const EXAMPLES: &str = "Examples:
   augnerf report runs/fern-nerf-* runs/fern-aug-nerf-*  # runs side by side, in report.html
   augnerf report A B C --label NeRF --label NeRF --label Aug-NeRF --out figures/fern.html
-  augnerf report results/tab4_fern                      # a sweep's results, in their folder
+  augnerf report results/paper/tab4_fern                      # a sweep's results, in their folder
 
 Runs that differ in nothing but the seed, or have one name, are one row; the first row is what the others are compared \
 with. The page holds everything that it shows and fetches nothing. `augnerf sweep collect` writes a sweep's own.";

@@ -19,9 +19,9 @@ use super::{Compute, LpipsWeights};
 
 pub const EXAMPLES: &str = "Examples:
   augnerf verify                                       # all of results/
-  augnerf verify results/tab4_fern --data-root ~/data  # with the hash of the scene
-  augnerf verify results/smoke --retrain 2             # trains two points again
-  augnerf verify results/smoke --update                # tables and figures anew
+  augnerf verify results/paper/tab4_fern --data-root ~/data  # with the hash of the scene
+  augnerf verify results/checks/smoke --retrain 2             # trains two points again
+  augnerf verify results/checks/smoke --update                # tables and figures anew
 
 What could not be checked is said, with the reason. Exit codes: 0 everything that was checked holds, 10 something does not.";
 

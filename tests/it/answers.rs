@@ -311,7 +311,7 @@ fn completions_and_manual_pages_come_from_the_definition() {
     let count = std::fs::read_dir(&pages).unwrap().count();
     assert!(said.contains(&format!("{count} pages")) && count > 25, "{said}");
     let page = text(&pages.join("augnerf-sweep-run.1"));
-    let example = "\\&augnerf sweep run sweeps/tab1_llff.toml \\-\\-retry\\-failed";
+    let example = "\\&augnerf sweep run sweeps/paper/tab1_llff.toml \\-\\-retry\\-failed";
     for part in [".TH", ".SH EXAMPLES\n.nf\n", example, "\n.fi\n", "fail\\-fast"] {
         assert!(page.contains(part), "{part}: {page}");
     }

@@ -49,7 +49,7 @@ fn committed_with(name: &str, bytes: &[u8]) -> (TempDir, String) {
     let dir = TempDir::new().unwrap();
     let folder = dir.path().join("smoke");
     fs::create_dir(&folder).unwrap();
-    for entry in fs::read_dir(Path::new(env!("CARGO_MANIFEST_DIR")).join("results/smoke")).unwrap() {
+    for entry in fs::read_dir(Path::new(env!("CARGO_MANIFEST_DIR")).join("results/checks/smoke")).unwrap() {
         let path = entry.unwrap().path();
         fs::copy(&path, folder.join(path.file_name().unwrap())).unwrap();
     }
@@ -72,7 +72,7 @@ fn poses_of_millions_of_values_are_refused_as_they_are_read() {
 
 #[test]
 fn plans_of_more_points_than_a_sweep_has_are_refused_as_they_are_read() {
-    let committed = Path::new(env!("CARGO_MANIFEST_DIR")).join("results/smoke/points.json");
+    let committed = Path::new(env!("CARGO_MANIFEST_DIR")).join("results/checks/smoke/points.json");
     let plan: serde_json::Value = serde_json::from_slice(&fs::read(committed).unwrap()).unwrap();
     let point = plan["points"][0].to_string();
     let points = vec![point.as_str(); 10_001].join(",");

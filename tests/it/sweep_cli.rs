@@ -287,14 +287,14 @@ fn titles_say_what_the_command_line_changed() {
 #[test]
 fn the_smoke_sweep_leaves_every_table_and_figure() {
     let dir = TempDir::new().unwrap();
-    let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("sweeps/smoke.toml");
+    let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("sweeps/checks/smoke.toml");
     let file = file.to_str().unwrap();
     demand(
         &["sweep", "run", file, "--quiet", "--set", "train.steps=20", "--set", "data.width=40", "--jobs", "2"],
         dir.path(),
         0,
     );
-    let results = dir.path().join("results/smoke");
+    let results = dir.path().join("results/checks/smoke");
     for name in [
         "points.csv",
         "table.csv",

@@ -687,7 +687,7 @@ fn a_file_extends_another() {
 
 #[test]
 fn the_figure_has_the_paper_s_axes_around_one_best_point() {
-    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("sweeps/fig_strength_location.toml");
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("sweeps/paper/fig_strength_location.toml");
     let mut definition = Definition::read(&path).unwrap();
     definition.seeds = vec![0];
     let points = expand(&definition, None, &Costs).unwrap();

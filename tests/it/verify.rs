@@ -82,7 +82,7 @@ fn what_is_changed_is_found() {
 fn depth_errors_of_other_views_are_found() {
     let dir = TempDir::new().unwrap();
     let run = dir.path().join("results/runs/nerf");
-    copy(&Path::new(ROOT).join("results/regularizers/builtin_nerf"), &run);
+    copy(&Path::new(ROOT).join("results/paper/regularizers/builtin_nerf"), &run);
     verify(dir.path(), &[], 0);
     let metrics = text(&run.join("metrics.json"));
     let views = metrics.matches("\"psnr\"").count() - 1;
@@ -133,7 +133,7 @@ fn forged_tables_are_not_held_to_their_own_hash() {
     }
     let pins: String = names.into_iter().map(pin).collect();
     std::fs::write(&provenance, before.replace("[pinned]\n", &format!("[pinned]\n{pins}"))).unwrap();
-    let page = dir.path().join("results/surfaces.md");
+    let page = dir.path().join("results/checks/surfaces.md");
     std::fs::write(page, "NeRF reaches 33.57 dB.\n<!-- numbers geometry: 33.57 = psnr_mean of NeRF -->\n").unwrap();
     let said = verify(dir.path(), &[], 10);
     assert_says(&said, &["table.csv, line", "'33.57' is quoted as psnr_mean of NeRF, which is 23.5"]);
@@ -193,7 +193,7 @@ fn folders_that_nothing_checks_are_wrong() {
     let foo = dir.path().join("results/foo");
     std::fs::create_dir(&foo).unwrap();
     std::fs::write(foo.join("table.csv"), "scene,row,axes,psnr_mean\nfern,NeRF,,34.10\n").unwrap();
-    let page = dir.path().join("results/surfaces.md");
+    let page = dir.path().join("results/checks/surfaces.md");
     std::fs::write(&page, "NeRF reaches 34.10 dB.\n<!-- numbers foo: 34.10 = psnr_mean of NeRF -->\n").unwrap();
     assert_says(&verify(dir.path(), &[], 10), &["WRONG        foo: neither", "there is no results folder 'foo'"]);
     // A page beside what the program makes is no folder of pages; by itself it is, and what it quotes has to be somewhere.
@@ -215,21 +215,21 @@ fn update_writes_tables_from_points_alone() {
     std::fs::remove_file(folder.join("rows_builtin_psnr.svg")).unwrap();
     std::fs::write(folder.join("rows_builtin_ssim.svg"), "old").unwrap();
     assert_says(&verify(dir.path(), &["--update"], 0), &["table.md: written anew", "rows_builtin_ssim.svg: deleted"]);
-    assert_same_files(&folder, &Path::new(ROOT).join("results/geometry"), &[]);
+    assert_same_files(&folder, &Path::new(ROOT).join("results/checks/geometry"), &[]);
 }
 
 #[test]
 fn quoted_numbers_are_read_again() {
     let (dir, _) = results("geometry");
-    let page = dir.path().join("results/surfaces.md");
+    let page = dir.path().join("results/checks/surfaces.md");
     let quote = |number: &str, folder: &str| {
         let text = format!("NeRF reaches {number} dB.\n<!-- numbers {folder}: {number} = psnr_mean of NeRF -->\n");
         std::fs::write(&page, text).unwrap();
     };
     quote("23.57", "geometry");
-    assert_says(&verify(dir.path(), &[], 0), &["results/surfaces.md: 1 quoted numbers"]);
+    assert_says(&verify(dir.path(), &[], 0), &["results/checks/surfaces.md: 1 quoted numbers"]);
     quote("23.58", "geometry");
-    assert_says(&verify(dir.path(), &[], 10), &["results/surfaces.md, line 2", "'23.58' is quoted as psnr_mean"]);
+    assert_says(&verify(dir.path(), &[], 10), &["results/checks/surfaces.md, line 2", "'23.58' is quoted as psnr_mean"]);
     quote("23.57", "geometrie");
     assert_says(&verify(dir.path(), &[], 10), &["no results folder 'geometrie'"]);
     std::fs::write(&page, "NeRF reaches 23.57 dB.\n").unwrap();
@@ -244,7 +244,7 @@ fn a_comparison_across_sweeps_is_made_again() {
         copy(&Path::new(ROOT).join("results").join(name), &dir.path().join("results").join(name));
     }
     let across = |out: &str, row: &str, code: i32| {
-        let folders = ["results/geometry_chair", "results/mip_chair", "results/few_views_chair"];
+        let folders = ["results/checks/geometry_chair", "results/baselines/mip_chair", "results/checks/few_views_chair"];
         let mut command = augnerf(&[&["sweep", "across"], &folders[..], &["--out", out, "--row", row]].concat());
         program::demand(command.current_dir(dir.path()).env_remove("AUGNERF_DATA"), code)
     };
@@ -304,7 +304,7 @@ fn a_comparison_across_sweeps_is_made_again() {
     std::fs::write(&asked, named.replace("\"mip_chair\"", "\"../mip_chair\"")).unwrap();
     assert_says(&verify(dir.path(), &["results/both"], 10), &["'../mip_chair' is not the name of a folder"]);
     std::fs::write(&asked, named).unwrap();
-    std::fs::remove_dir_all(dir.path().join("results/mip_chair")).unwrap();
+    std::fs::remove_dir_all(dir.path().join("results/baselines/mip_chair")).unwrap();
     assert_says(&verify(dir.path(), &["results/both"], 10), &["mip_chair"]);
     // Without what it asks it is files that nothing makes.
     std::fs::remove_file(&asked).unwrap();
@@ -319,9 +319,9 @@ fn what_is_not_at_hand_is_said() {
     assert_says(&verify(dir.path(), &["nowhere"], 3), &["nowhere"]);
     std::fs::create_dir(dir.path().join("empty")).unwrap();
     assert_says(&verify(dir.path(), &["empty"], 3), &["holds no results"]);
-    std::fs::remove_file(dir.path().join("results/mip_fern/points.json")).unwrap();
+    std::fs::remove_file(dir.path().join("results/baselines/mip_fern/points.json")).unwrap();
     assert_says(&verify(dir.path(), &[], 10), &["has no points.json"]);
-    assert_says(&verify(Path::new(ROOT), &["results/mip_fern", "--retrain", "1"], 2), &["git worktree add"]);
+    assert_says(&verify(Path::new(ROOT), &["results/baselines/mip_fern", "--retrain", "1"], 2), &["git worktree add"]);
 }
 
 /// What the attack did comes out of the points' logs, is held to them, and may be quoted.

@@ -12,7 +12,7 @@ use crate::sweep::Trainings;
 use super::{Changes, Location, begin_folder};
 
 pub const EXAMPLES: &str = "Examples:
-  augnerf sweep begin sweeps/smoke.toml         # lays out runs/smoke
+  augnerf sweep begin sweeps/checks/smoke.toml         # lays out runs/smoke
   augnerf sweep run-point runs/smoke --index 3  # runs one of its points, on any machine";
 
 #[derive(Args)]

@@ -13,8 +13,8 @@ use crate::sweep::{Point, Trainings, plan_costs};
 use super::{Changes, Location, duration, planned_points};
 
 pub const EXAMPLES: &str = "Examples:
-  augnerf sweep plan sweeps/smoke.toml  # points, seconds a step, memory
-  augnerf sweep plan sweeps/tab1_llff.toml --data-root ~/data --json";
+  augnerf sweep plan sweeps/checks/smoke.toml  # points, seconds a step, memory
+  augnerf sweep plan sweeps/paper/tab1_llff.toml --data-root ~/data --json";
 
 #[derive(Args)]
 pub struct PlanArguments {

@@ -16,10 +16,10 @@ use crate::sweep::{Options, Point, Runner, SweepFolder};
 use super::{Changes, How, Location, begin_folder, collect, table_json, terminal_width, trainings};
 
 pub const EXAMPLES: &str = "Examples:
-  augnerf sweep run sweeps/smoke.toml                     # three minutes on the embedded scene
-  augnerf sweep run sweeps/tab4_ablation.toml --scenes builtin --preset smoke --name tab4_builtin
-  AUGNERF_DATA=~/data augnerf sweep run sweeps/tab1_llff.toml --jobs 2
-  augnerf sweep run sweeps/tab1_llff.toml --retry-failed  # once more, with what failed
+  augnerf sweep run sweeps/checks/smoke.toml                     # three minutes on the embedded scene
+  augnerf sweep run sweeps/paper/tab4_ablation.toml --scenes builtin --preset smoke --name tab4_builtin
+  AUGNERF_DATA=~/data augnerf sweep run sweeps/paper/tab1_llff.toml --jobs 2
+  augnerf sweep run sweeps/paper/tab1_llff.toml --retry-failed  # once more, with what failed
 
 The same command goes on where it was stopped or killed; several on one folder share the points.
 Exit codes: 0 done, 7 some points failed, 8 scenes of some points are missing, 9 rows may not stand in one table (see --force), \

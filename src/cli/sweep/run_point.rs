@@ -18,7 +18,7 @@ use crate::sweep::{Claim, Options, Point, Runner, SweepFolder};
 use super::{begun, trainings};
 
 pub const EXAMPLES: &str = "Examples:
-  augnerf sweep begin sweeps/smoke.toml             # once: lays out runs/smoke
+  augnerf sweep begin sweeps/checks/smoke.toml             # once: lays out runs/smoke
   augnerf sweep run-point runs/smoke --index 3      # then on any machine that sees it
   augnerf sweep run-point runs/smoke --id 97ce1e35  # by the name in runs/smoke/points
 

@@ -17,10 +17,10 @@ use crate::sweep::{Point, StepCosts, SweepFolder, check_unchanged};
 use super::{Changes, Location, begin_folder, planned_points, trainings};
 
 pub const EXAMPLES: &str = "Examples:
-  augnerf sweep submit sweeps/tab1_llff.toml --time 12:00:00 --mem 8G --cpus 8 --array-limit 16
+  augnerf sweep submit sweeps/paper/tab1_llff.toml --time 12:00:00 --mem 8G --cpus 8 --array-limit 16
   augnerf sweep submit FILE --partition gpu --gres gpu:1 --device cuda --sbatch=--account=lab
-  augnerf sweep submit sweeps/smoke.toml --dry-run       # prints what would be submitted
-  augnerf sweep submit sweeps/smoke.toml --retry-failed  # once more, with what failed
+  augnerf sweep submit sweeps/checks/smoke.toml --dry-run       # prints what would be submitted
+  augnerf sweep submit sweeps/checks/smoke.toml --retry-failed  # once more, with what failed
 
 It lays out the sweep's folder, submits what has not ended as a job array, then a job that collects the tables, prints the \
 array's number and ends. The folder must be seen by all machines. `augnerf sweep status` shows the queue beside the points, \
