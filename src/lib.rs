@@ -100,26 +100,24 @@
 /// The tensor library, in the version that this crate's types are made of.
 pub use candle_core;
 
-pub mod augment;
-pub mod base;
-pub mod bench;
+pub use augnerf_core::{augment, data, field, losses, metrics, render, runtime, settings, space};
+pub use augnerf_report::{draw, report};
+pub use augnerf_run::{bench, compare, run, train};
+pub use augnerf_sweep as sweep;
+
 pub mod cli;
-pub mod compare;
-pub mod data;
-pub mod draw;
-pub mod field;
-pub mod grids;
-pub mod losses;
-pub mod methods;
-pub mod metrics;
-pub mod render;
-pub mod report;
-pub mod run;
-pub mod runtime;
-pub mod settings;
-pub mod space;
-pub mod sweep;
-pub mod train;
+
+/// Errors, events, files, random numbers and other ground that everything stands on.
+pub mod base {
+    pub use augnerf_core::base::*;
+    pub use augnerf_run::revision::{features, revision, version};
+}
+
+/// What is trained: the model of each method, how it learns and how it shows its scene.
+pub mod methods {
+    pub use augnerf_core::methods::*;
+    pub use augnerf_run::model::*;
+}
 
 /// Runs the code of the page on the library.
 #[cfg(doctest)]

@@ -1,0 +1,18 @@
+//! Methods that NeRF is compared with: Scene Representation Networks, Neural Volumes and the network of LLFF.
+//!
+//! Each has its parameters, a learner and a painter, as [`augnerf_core::methods`] asks for.
+
+#![warn(missing_docs)]
+
+pub(crate) use augnerf_core::{base, data, field, losses, methods, runtime, settings};
+
+mod families;
+pub mod grids;
+mod planes;
+mod srn;
+mod volume;
+
+pub use families::family;
+pub use planes::{MpiNetwork, PlanesLearner, PlanesPainter};
+pub use srn::{March, Srn, SrnLearner, SrnPainter};
+pub use volume::{NeuralVolume, VolumeDensity, VolumeLearner, VolumePainter};

@@ -1,0 +1,141 @@
+//! How the network learns: a training view is left out, and those around it have to show it.
+
+use candle_core::{D, DType, Tensor, Var};
+
+use crate::base::{Error, Image, Result};
+use crate::data::Scene;
+use crate::grids::mix::mix;
+use crate::grids::over::over;
+use crate::grids::planes::plane_sample;
+use crate::losses::LossTerm;
+use crate::methods::Gradients;
+use crate::methods::{Learned, Learner, LogColumns, Term, UnlessStopped};
+use crate::settings::{PlanesLoss, Resolved};
+
+use super::blend::{Blended, blend, blend_weight};
+use super::geometry::{Eye, inputs_of};
+use super::mpi::{Seen, eyes};
+use super::network::{MpiNetwork, Weights};
+use super::stage::Stage;
+use super::sweep::sweep;
+use super::windows::{Reference, Work};
+
+/// The column of the loss.
+const LOSS: &str = "loss_view";
+
+/// Trains the network on one scene's training views, leaving out one after another.
+pub struct PlanesLearner {
+    config: Resolved,
+    network: MpiNetwork,
+    variables: Vec<(String, Var)>,
+    pub(super) stage: Stage,
+}
+
+impl PlanesLearner {
+    /// Goes on with `network` on the training views of `scene`.
+    ///
+    /// # Errors
+    /// A scene that the method cannot be trained on.
+    pub fn new(config: &Resolved, scene: &Scene, network: MpiNetwork) -> Result<PlanesLearner> {
+        let stage = Stage::new(config, scene)?;
+        Ok(PlanesLearner { config: config.clone(), variables: network.variables(), network, stage })
+    }
+
+    /// The same at the start of a run: work is there for its steps.
+    ///
+    /// # Errors
+    /// Those of [`PlanesLearner::new`]; pictures that no memory holds the planes of; windows that hold too few of the planes.
+    pub fn start(config: &Resolved, scene: &Scene, network: MpiNetwork) -> Result<PlanesLearner> {
+        let learner = PlanesLearner::new(config, scene, network)?;
+        learner.stage.check_memory(config.llff.inputs)?;
+        learner.draw(0)?;
+        Ok(learner)
+    }
+
+    /// The work of the step that follows `step` finished ones.
+    fn draw(&self, step: u64) -> Result<Work> {
+        Work::draw(&self.config.llff, self.config.seed, step, &eyes(&self.stage.views), &self.stage.depths)
+    }
+
+    /// The network that learns.
+    pub fn network(&self) -> &MpiNetwork {
+        &self.network
+    }
+
+    /// What is blended of the references' planes on the crop.
+    fn blended(&self, weights: &Weights, work: &Work, unless_stopped: &UnlessStopped) -> Result<Blended> {
+        let nearest = work.references.iter().map(|reference| reference.distance).fold(f64::INFINITY, f64::min);
+        let rendering = |reference: &Reference| -> Result<(Tensor, f64)> {
+            unless_stopped()?;
+            let eye = &self.stage.views[reference.view].eye;
+            let weight = blend_weight(eye, reference.distance, nearest, &self.stage.depths);
+            Ok((self.seen(weights, reference, work.target)?, weight))
+        };
+        blend(work.references.iter().map(rendering).collect::<Result<_>>()?, self.stage.background)
+    }
+
+    /// Colour times weight and sum of weights, `[rays, 4]`, of one reference's planes, whose inputs lack the target.
+    fn seen(&self, weights: &Weights, reference: &Reference, target: usize) -> Result<Tensor> {
+        let Stage { views, depths, .. } = &self.stage;
+        let inputs = inputs_of(&eyes(views), reference.view, self.config.llff.inputs, Some(target));
+        let seen: Vec<(&Eye, &Image)> = inputs.iter().map(|&view| (&views[view].eye, &*views[view].image)).collect();
+        let (dtype, device) = (self.network.dtype(), self.network.device());
+        let volume = sweep(&views[reference.view].eye, &seen, depths, reference.window, dtype, device)?;
+        let planes = mix(&weights.forward(&volume)?, &volume)?;
+        Ok(over(&plane_sample(&planes, reference.places.clone())?)?)
+    }
+
+    /// The mean over counted pixels of what `per_number` gives, `[rays, 3]`.
+    fn mean(&self, per_number: &Tensor, work: &Work) -> Result<Tensor> {
+        let share = 1.0 / (3 * work.counted()) as f64;
+        let shares: Vec<f64> = work.counts.iter().map(|counts| if *counts { share } else { 0.0 }).collect();
+        let shares = Tensor::from_vec(shares, (work.counts.len(), 1), per_number.device())?;
+        Ok(per_number.broadcast_mul(&shares.to_dtype(per_number.dtype())?)?.sum_all()?)
+    }
+
+    /// The true colours of the crop, `[rays, 3]`.
+    fn target(&self, work: &Work) -> Result<Tensor> {
+        let Seen { image, .. } = &self.stage.views[work.target];
+        let pixel = |[column, row]: &[usize; 2]| image.pixels[3 * (row * image.width + column)..][..3].to_vec();
+        let values: Vec<f32> = work.pixels.iter().flat_map(pixel).collect();
+        Ok(Tensor::from_vec(values, (work.pixels.len(), 3), self.network.device())?.to_dtype(self.network.dtype())?)
+    }
+}
+
+impl Learner for PlanesLearner {
+    fn columns(&self) -> LogColumns {
+        LogColumns { photometric: vec![LOSS.into()], further: Vec::new() }
+    }
+
+    fn add_term(&mut self, term: LossTerm, _weight: f64) -> Result<()> {
+        Err(Error::Config(format!(
+            "the term '{}' is made of a field's density or of weights along a ray, which method llff has not; use nerf or aug-nerf",
+            term.name()
+        )))
+    }
+
+    fn learn(&mut self, step: u64, _log: bool, unless_stopped: &UnlessStopped) -> Result<Learned> {
+        let work = self.draw(step)?;
+        let blended = self.blended(&self.network.weights(true), &work, unless_stopped)?;
+        let difference = (&blended.rgb - self.target(&work)?)?;
+        let square = self.mean(&difference.sqr()?, &work)?;
+        let loss = match self.config.llff.loss {
+            PlanesLoss::Mse => square.clone(),
+            PlanesLoss::L1 => self.mean(&difference.abs()?, &work)?,
+        };
+        unless_stopped()?;
+        let mut gradients = Gradients::none(self.variables.len());
+        gradients.add(&self.variables, &loss.backward()?)?;
+        let number = |tensor: &Tensor| tensor.to_dtype(DType::F64)?.to_scalar::<f64>();
+        let value = number(&loss)?;
+        let described = "loss of the view that is left out".to_string();
+        Ok(Learned {
+            gradients,
+            terms: vec![Term { name: LOSS.into(), described, value, weight: 1.0 }],
+            loss: value,
+            mse: number(&square)?,
+            largest_acc: number(&blended.acc.max(D::Minus1)?)?,
+            sites: Vec::new(),
+        })
+    }
+}

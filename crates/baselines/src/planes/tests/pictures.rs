@@ -1,0 +1,171 @@
+//! Closed forms: a textured wall, blends of equals, a camera's own planes.
+
+use std::sync::Arc;
+
+use candle_core::{DType, Device, Tensor};
+
+use crate::base::Image;
+use crate::data::{RayBuffer, RayParts};
+use crate::grids::over::over;
+use crate::grids::planes::plane_sample;
+use crate::methods::{Painted, Painter};
+use crate::planes::geometry::{Eye, depths, nearest};
+use crate::planes::mpi::Mpi;
+use crate::planes::sweep::{Window, padded, sweep};
+use crate::planes::{PlanesPainter, blend::blend};
+use crate::settings::PixelOrigin;
+
+use super::{eye, f64s, made, numbers, picture, texture};
+
+/// Planes that are empty but for one, which has a picture.
+fn wall(image: &Image, planes: usize, opaque: usize) -> Tensor {
+    let size = image.width * image.height;
+    let mut values = vec![0.0; planes * size * 4];
+    for (i, pixel) in image.pixels.chunks(3).enumerate() {
+        let at = 4 * (opaque * size + i);
+        (0..3).for_each(|c| values[at + c] = f64::from(pixel[c]));
+        values[at + 3] = 1.0;
+    }
+    f64s(values, &[planes, image.height, image.width, 4])
+}
+
+fn rays(of: &Eye) -> Vec<([f64; 3], [f64; 3])> {
+    let (width, height) = (of.camera.width, of.camera.height);
+    (0..width * height).map(|i| of.ray([(i % width) as f64, (i / width) as f64])).collect()
+}
+
+/// Depths of four planes: 4, 2, 4/3, 1.
+fn four() -> Vec<f64> {
+    depths(1.0, 4.0, 4)
+}
+
+/// A camera that is b to the right sees a wall at depth z shifted by f b / z pixels to the left: exactly, where that is whole.
+#[test]
+fn a_shifted_camera_sees_a_shifted_wall() {
+    let (width, height, focal) = (16, 8, 20.0);
+    let own = eye([0.0, 0.0], width, height, focal);
+    let image = picture(&own, 2.0);
+    for (b, pixels) in [(0.2, 2usize), (0.5, 5), (0.0, 0)] {
+        let other = eye([b, 0.0], width, height, focal);
+        let places = own.places(&rays(&other), &four());
+        let seen = over(&plane_sample(&wall(&image, 4, 1), Arc::new(places)).unwrap()).unwrap();
+        for (i, seen) in numbers(&seen).chunks(4).enumerate() {
+            let (column, row) = (i % width + pixels, i / width);
+            let inside = column < width;
+            assert!((seen[3] - f64::from(inside)).abs() < 1e-9, "{b} {i}: {seen:?}");
+            for (c, seen) in seen[..3].iter().enumerate() {
+                let expected = if inside { image.pixels[3 * (row * width + column) + c] } else { 0.0 };
+                assert!((seen - f64::from(expected)).abs() < 1e-9, "{b} {i}");
+            }
+        }
+    }
+}
+
+/// Two views' sweep volumes agree on the plane of the wall that both see, and on no other.
+#[test]
+fn sweeps_of_two_views_agree_where_the_wall_is() {
+    let (side, focal) = (24, 30.0);
+    let [own, other] = [[0.0, 0.0], [0.25, -0.125]].map(|place| eye(place, side, side, focal));
+    let pictures = [&own, &other].map(|eye| picture(eye, 2.0));
+    let seen = [(&own, &pictures[0]), (&other, &pictures[1])];
+    // The middle, which both see on every plane.
+    let window = Window { left: 8, top: 8, width: 8, height: 8 };
+    let volume = numbers(&sweep(&own, &seen, &four(), window, DType::F64, &Device::Cpu).unwrap());
+    let differences: Vec<f64> = volume
+        .chunks(64 * 6)
+        .map(|plane| {
+            plane.chunks(6).flat_map(|cell| (0..3).map(|c| (cell[c] - cell[3 + c]).abs())).sum::<f64>() / 192.0
+        })
+        .collect();
+    // Between pixels the texture is not linear.
+    assert!(differences[1] < 2e-3, "{differences:?}");
+    assert!([0, 2, 3].iter().all(|&k| differences[k] > 0.05), "{differences:?}");
+}
+
+#[test]
+fn a_blend_of_equals_is_what_each_is() {
+    let one = f64s((0..40).map(|i| (i as f64 * 0.9).sin() * 0.3 + 0.4).collect(), &[10, 4]);
+    let alone = blend(vec![(one.clone(), 1.0)], None).unwrap();
+    let many = blend(vec![(one.clone(), 1.0), (one.clone(), 0.3), (one, 0.05)], None).unwrap();
+    for (a, b) in [(&alone.rgb, &many.rgb), (&alone.acc, &many.acc)] {
+        assert!(numbers(a).iter().zip(numbers(b)).all(|(a, b)| (a - b).abs() < 1e-7));
+    }
+}
+
+/// Three views in a row whose planes are a wall at depth 2.
+fn painter(background: Option<[f32; 3]>) -> PlanesPainter {
+    let eyes: Vec<Eye> = [0.0, 0.2, 1.0].map(|x| eye([x, 0.0], 16, 8, 20.0)).to_vec();
+    // Whole numbers of 8 bits, a little above, so that cutting off keeps them.
+    let bits = |mut image: Image| {
+        image.pixels.iter_mut().for_each(|value| *value = ((*value * 255.0).round() + 0.25).min(255.0) / 255.0);
+        image
+    };
+    let mpi = |eye: &Eye| Mpi::new(*eye, &wall(&bits(picture(eye, 2.0)), 4, 1)).unwrap();
+    let mpis = made(eyes.iter().map(mpi).collect(), four());
+    PlanesPainter { mpis, eyes, blend: 1, background }
+}
+
+fn paint(painter: &PlanesPainter, eye: &Eye) -> Painted {
+    let (width, height) = (eye.camera.width as u32, eye.camera.height as u32);
+    let pixels: Vec<_> = (0..height).flat_map(|y| (0..width).map(move |x| (&eye.camera, x, y))).collect();
+    let rays = RayBuffer::new(&pixels, None, PixelOrigin::Centre, RayParts::default());
+    painter.paint(&rays.to_tensors(DType::F32, &Device::Cpu).unwrap()).unwrap()
+}
+
+#[test]
+fn at_its_own_camera_a_view_is_its_picture() {
+    let painter = painter(None);
+    for eye in &painter.eyes {
+        let painted = paint(&painter, eye);
+        let expected = picture(eye, 2.0).pixels;
+        for (found, expected) in numbers(&painted.rgb).iter().zip(expected) {
+            assert!((found - f64::from(expected)).abs() < 0.5 / 255.0 + 1e-4);
+        }
+        assert!(numbers(&painted.acc).iter().all(|acc| (acc - 1.0).abs() < 1e-4));
+        assert!(numbers(&painted.depth).iter().all(|depth| (depth - 2.0).abs() < 1e-3));
+    }
+}
+
+/// Nearest first, and equally far ones in their order; the weights of those that are blended fall with distance.
+#[test]
+fn the_nearest_views_are_blended() {
+    let painter = PlanesPainter { blend: 2, ..painter(None) };
+    let between = eye([0.15, 0.0], 16, 8, 20.0);
+    let order: Vec<usize> = nearest(&painter.eyes, between.place()).into_iter().map(|(view, _)| view).collect();
+    assert_eq!(order, [1, 0, 2]);
+    let painted = paint(&painter, &between);
+    // Both show the same wall, seen between their pixels.
+    let expected = |i: usize, c: usize| {
+        let (origin, direction) = between.ray([(i % 16) as f64, (i / 16) as f64]);
+        texture(origin[0] + 2.0 * direction[0], origin[1] + 2.0 * direction[1], c)
+    };
+    for (i, pixel) in numbers(&painted.rgb).chunks(3).enumerate().filter(|(i, _)| (1..14).contains(&(i % 16))) {
+        assert!((0..3).all(|c| (pixel[c] - expected(i, c)).abs() < 0.02), "{i}: {pixel:?}");
+    }
+}
+
+/// Where no planes are, the scene's background is seen, and nothing has a depth.
+#[test]
+fn beside_all_planes_the_background_is_seen() {
+    let painter = painter(Some([0.1, 0.6, 0.3]));
+    let mut away = eye([0.0, 0.0], 16, 8, 20.0);
+    // Turned around.
+    (away.camera.pose[0][0], away.camera.pose[2][2]) = (-1.0, -1.0);
+    let painted = paint(&painter, &away);
+    assert!(numbers(&painted.rgb).chunks(3).all(|p| (p[0] - 0.1).abs() < 1e-6 && (p[1] - 0.6).abs() < 1e-6));
+    assert!(numbers(&painted.acc).iter().chain(&numbers(&painted.depth)).all(|value| *value == 0.0));
+}
+
+#[test]
+fn sides_are_filled_up_to_multiples_of_eight() {
+    assert_eq!([1, 8, 9, 378, 504].map(padded), [8, 8, 16, 384, 504]);
+    let window = Window::whole(5, 9);
+    assert_eq!((window.width, window.height), (8, 16));
+    assert!(window.holds([0.0, 15.0]) && !window.holds([7.5, 0.0]) && !window.holds([f64::NAN, 0.0]));
+    // What is beyond the view is cut off again.
+    let own = eye([0.0, 0.0], 5, 9, 20.0);
+    let rgba = f64s((0..8 * 16 * 8 * 4).map(|i| ((i / 4 % 8) as f64 + 0.5) / 255.0).collect(), &[8, 16, 8, 4]);
+    let mpi = Mpi::new(own, &rgba).unwrap();
+    assert_eq!(mpi.planes.len(), 8 * 9 * 5 * 4);
+    assert!(mpi.planes.iter().enumerate().all(|(i, value)| usize::from(*value) == i / 4 % 5));
+}

@@ -1,0 +1,125 @@
+//! How an SRN learns: random rays of the training views, whole marches, and the two terms of the original's loss.
+
+use candle_core::{DType, Device};
+use rayon::prelude::*;
+
+use crate::base::rng::{Random, Stream};
+use crate::base::{Error, Result};
+use crate::data::{RayParts, Scene};
+use crate::losses::LossTerm;
+use crate::methods::Batches;
+use crate::methods::{Learned, Learner, LogColumns, Term, UnlessStopped};
+use crate::settings::Resolved;
+
+use super::fast::Network;
+use super::network::Srn;
+use super::step::{Chunk, Drawn, Sums, Weights};
+
+/// Parts of a step that threads share; each sums its gradients in place.
+const PARTS: usize = 16;
+
+/// Trains the SRN of one scene.
+pub struct SrnLearner {
+    config: Resolved,
+    srn: Srn,
+    batches: Batches,
+    dtype: DType,
+    device: Device,
+}
+
+impl SrnLearner {
+    /// Goes on with `srn` on the training views of `scene`.
+    ///
+    /// # Errors
+    /// Batches that the training views do not have.
+    pub fn new(config: &Resolved, scene: &Scene, srn: Srn, dtype: DType, device: &Device) -> Result<SrnLearner> {
+        Ok(SrnLearner {
+            batches: Batches::new(config, scene, RayParts::default())?,
+            config: config.clone(),
+            srn,
+            dtype,
+            device: device.clone(),
+        })
+    }
+
+    /// The rays of a step, their targets, and the depths that they start at.
+    fn draw(&mut self, step: u64) -> Drawn {
+        let batch = self.batches.batch(step);
+        let (mean, noise) = (self.config.srn.start_depth, self.config.srn.start_noise);
+        let mut random = Random::new(self.config.seed, Stream::March, step);
+        let normal = random.normal_values(batch.rays.len());
+        let z_0 = normal.into_iter().map(|normal| (mean + noise * f64::from(normal)) as f32).collect();
+        let target = batch.target.iter().map(|value| 2.0 * value - 1.0).collect();
+        Drawn { rays: batch.rays, target, z_0 }
+    }
+
+    /// Works through the chunks of a step, parts of them at the same time.
+    fn march(&self, drawn: &Drawn, unless_stopped: &UnlessStopped) -> Result<Sums> {
+        let (rays, size) = (drawn.z_0.len(), self.config.train.chunk);
+        let srn = &self.config.srn;
+        let weights = Weights { image: srn.image_weight / (3 * rays) as f64, depth: srn.depth_weight / rays as f64 };
+        let network = self.srn.is_fast().then(|| Network::of(&self.srn)).transpose()?;
+        let of_part = |starts: &[usize]| -> Result<Sums> {
+            let mut sums = Sums::new(network.as_ref(), &self.srn);
+            for &start in starts {
+                unless_stopped()?;
+                let chunk = Chunk { drawn, rays: start..rays.min(start + size), weights };
+                match &network {
+                    Some(network) => chunk.learn_fast(network, &mut sums),
+                    None => chunk.learn_plain(&self.srn, (self.dtype, &self.device), &mut sums)?,
+                }
+            }
+            Ok(sums)
+        };
+        let starts: Vec<usize> = (0..rays).step_by(size).collect();
+        // Parts are the same whatever the number of threads, and are added up in their order: it changes no bit.
+        let parts: Vec<&[usize]> = starts.chunks(starts.len().div_ceil(PARTS)).collect();
+        let parts: Result<Vec<Sums>> = match self.device.is_cpu() {
+            true => parts.into_par_iter().map(of_part).collect(),
+            false => parts.into_iter().map(of_part).collect(),
+        };
+        Sums::sum(parts?)
+    }
+}
+
+impl Learner for SrnLearner {
+    fn columns(&self) -> LogColumns {
+        let further = ["loss_depth", "depth_deviation"].map(String::from).to_vec();
+        LogColumns { photometric: vec!["loss_image".into()], further }
+    }
+
+    fn add_term(&mut self, term: LossTerm, _weight: f64) -> Result<()> {
+        Err(Error::Config(format!(
+            "the term '{}' is made of a radiance field's samples or density, which method srn has not; use nerf",
+            term.name()
+        )))
+    }
+
+    fn learn(&mut self, step: u64, _log: bool, unless_stopped: &UnlessStopped) -> Result<Learned> {
+        let drawn = self.draw(step);
+        let sums = self.march(&drawn, unless_stopped)?;
+        let (rays, srn) = (drawn.z_0.len() as f64, &self.config.srn);
+        let [image, depth] = [sums.image / (3.0 * rays), sums.behind / rays];
+        let mean = sums.z / rays;
+        let deviation = (sums.z_squared / rays - mean * mean).max(0.0).sqrt() / srn.scale;
+        let term = |name: &str, described: &str, value: f64, weight: f64| Term {
+            name: name.into(),
+            described: described.into(),
+            value,
+            weight,
+        };
+        Ok(Learned {
+            terms: vec![
+                term("loss_image", "loss of the colours", image, srn.image_weight),
+                term("loss_depth", "loss of depths behind the camera", depth, srn.depth_weight),
+                // All rays that end at one depth show a blank picture: worth a look, and no part of the loss.
+                term("depth_deviation", "deviation of the rays' depths", deviation, 0.0),
+            ],
+            loss: srn.image_weight * image + srn.depth_weight * depth,
+            mse: sums.error / (3.0 * rays),
+            largest_acc: 1.0,
+            gradients: sums.gradients(&self.srn)?,
+            sites: Vec::new(),
+        })
+    }
+}

@@ -1,0 +1,311 @@
+//! Files and folders that appear whole or not at all.
+//!
+//! New content is written under a temporary name in the same folder (the same file system, so
+//! that the rename cannot become a copy), flushed to the disk, and renamed. A killed process
+//! leaves at most an entry whose name starts with [`TEMPORARY`] or [`REPLACED`];
+//! [`clean_temporaries`] puts those right, and so does the next [`AtomicDir`] of the same name. Such an entry is locked as long
+//! as its process works on it, and entries that are locked are left alone.
+
+use std::fs::{self, File};
+use std::io::{self, Write};
+use std::path::{Path, PathBuf};
+
+use serde::{Deserialize, Serialize};
+
+use crate::base::input::{JSON_BYTES, read_bytes};
+use crate::base::{Error, Result};
+
+pub use super::temporaries::{REPLACED, TEMPORARY, clean_temporaries, is_temporary};
+use super::temporaries::{clean_where, folder_of, held_beside, name_of, prefixed};
+pub use super::temporaries::{discard, hold, remove, wait_and_hold};
+
+/// Writes `bytes` to `path` so that the file has its old content or the new one at every moment,
+/// a crash of the machine included. A symbolic link is followed; a device or pipe, which cannot
+/// be replaced, is written to directly.
+pub fn write_atomic(path: &Path, bytes: &[u8]) -> Result<()> {
+    try_write(path, bytes).map_err(|error| Error::unwritable(path, &error))
+}
+
+/// [`write_atomic`] of `value` as indented JSON with a newline at the end.
+pub fn write_json<T: Serialize>(path: &Path, value: &T) -> Result<()> {
+    write_atomic(path, &json_bytes(value).map_err(|error| Error::unwritable(path, &error))?)
+}
+
+/// `value` as indented JSON with a newline at the end.
+pub fn json_bytes<T: Serialize>(value: &T) -> io::Result<Vec<u8>> {
+    let mut text = serde_json::to_vec_pretty(value)?;
+    text.push(b'\n');
+    Ok(text)
+}
+
+/// What `path` holds as JSON; none where there is no such file. `advice` says what to do with a damaged one.
+///
+/// # Errors
+/// [`Error::Data`] for a file that the system does not read, [`Error::Checkpoint`] for one that is not what it should be.
+pub fn read_json<T: for<'de> Deserialize<'de>>(path: &Path, advice: &str) -> Result<Option<T>> {
+    read_large_json(path, JSON_BYTES, advice)
+}
+
+/// [`read_json`] of a file that may have so many bytes.
+pub fn read_large_json<T: for<'de> Deserialize<'de>>(path: &Path, most: u64, advice: &str) -> Result<Option<T>> {
+    let bytes = match read_bytes(path, most) {
+        Ok(bytes) => bytes,
+        Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(None),
+        Err(error) => return Err(Error::unreadable(path, &error)),
+    };
+    let damaged = |error| Error::Checkpoint(format!("cannot read {}: {error}; {advice}", path.display()));
+    serde_json::from_slice(&bytes).map(Some).map_err(damaged)
+}
+
+fn try_write(path: &Path, bytes: &[u8]) -> io::Result<()> {
+    let target = match fs::metadata(path) {
+        Ok(found) if found.is_dir() => return Err(io::Error::other("it is a folder")),
+        Ok(found) if !found.is_file() => return fs::OpenOptions::new().write(true).open(path)?.write_all(bytes),
+        Ok(_) => fs::canonicalize(path)?,
+        Err(_) => path.to_path_buf(),
+    };
+    finish_file(&target, bytes, |temporary| fs::rename(temporary, &target))?;
+    sync_folder(folder_of(&target))
+}
+
+/// Writes `bytes` to `path` unless something has that name: false then. Of several processes one succeeds.
+///
+/// # Errors
+/// A folder that cannot be written; a file system without hard links.
+pub fn create_whole(path: &Path, bytes: &[u8]) -> io::Result<bool> {
+    let link = |temporary: &Path| fs::hard_link(temporary, path).and_then(|()| fs::remove_file(temporary));
+    match finish_file(path, bytes, link) {
+        Ok(()) => Ok(true),
+        Err(error) if error.kind() == io::ErrorKind::AlreadyExists => Ok(false),
+        Err(error) => Err(error),
+    }
+}
+
+/// Writes a temporary file beside `target` and gives it its name with `finish`.
+fn finish_file(target: &Path, bytes: &[u8], finish: impl FnOnce(&Path) -> io::Result<()>) -> io::Result<()> {
+    let (temporary, mut file) = held_beside(target, |path| File::create_new(path), |file| Some(file))?;
+    // Held until it has its name: nobody takes it for a leftover.
+    let written = write_synced(&mut file, bytes).and_then(|()| finish(&temporary));
+    if written.is_err() {
+        let _ = fs::remove_file(&temporary);
+    }
+    written
+}
+
+/// Writes `bytes` and waits until they have reached the disk.
+pub fn write_synced(file: &mut File, bytes: &[u8]) -> io::Result<()> {
+    file.write_all(bytes)?;
+    file.sync_all()
+}
+
+/// A folder that is filled under a hidden name and gets its own with [`AtomicDir::commit`].
+/// Dropped without a commit, it is deleted.
+#[derive(Debug)]
+pub struct AtomicDir {
+    temporary: PathBuf,
+    target: PathBuf,
+    /// Keeps other processes from taking the hidden folder for a leftover.
+    _held: Option<File>,
+}
+
+impl AtomicDir {
+    /// Creates the hidden folder next to `target`, whose parent must exist. What killed processes left of folders of this name
+    /// is put right.
+    pub fn new(target: &Path) -> Result<AtomicDir> {
+        // A leftover that cannot be deleted is in nobody's way.
+        let _ = name_of(target).and_then(|name| clean_where(folder_of(target), |entry| entry == name));
+        let make = |path: &Path| fs::create_dir(path).map(|()| File::open(path).ok());
+        let (temporary, _held) =
+            held_beside(target, make, Option::as_ref).map_err(|error| Error::unwritable(target, &error))?;
+        Ok(AtomicDir { temporary, target: target.to_path_buf(), _held })
+    }
+
+    /// The same for a place that must be free: an empty folder or none. A file, or a folder that holds something, is not
+    /// ours to replace. Missing folders on the way are created.
+    pub fn vacant(target: &Path) -> Result<AtomicDir> {
+        AtomicDir::check_vacant(target)?;
+        let parent = folder_of(target);
+        fs::create_dir_all(parent).map_err(|error| Error::unwritable(parent, &error))?;
+        AtomicDir::new(target)
+    }
+
+    /// Refuses a place that is not free, before the work whose result it is to hold.
+    pub fn check_vacant(target: &Path) -> Result<()> {
+        match fs::read_dir(target).map(|mut entries| entries.next().is_none()) {
+            Ok(true) => Ok(()),
+            Ok(false) => {
+                Err(Error::Output(format!("{} already holds files: name a new or an empty folder", target.display())))
+            }
+            Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(()),
+            Err(error) => Err(Error::unwritable(target, &error)),
+        }
+    }
+
+    /// The hidden folder; its content is what `target` will hold.
+    pub fn path(&self) -> &Path {
+        &self.temporary
+    }
+
+    /// Flushes everything inside to the disk and gives the folder its final name. A folder that
+    /// has this name already is replaced: it is moved aside first and deleted last, and a kill
+    /// between the two renames is undone by [`clean_temporaries`].
+    pub fn commit(self) -> Result<()> {
+        self.try_commit().map_err(|error| Error::unwritable(&self.target, &error))
+    }
+
+    fn try_commit(&self) -> io::Result<()> {
+        sync_tree(&self.temporary)?;
+        let parent = folder_of(&self.target);
+        let replaced = parent.join(prefixed(REPLACED, name_of(&self.target)?));
+        let mut _held = None;
+        if self.target.symlink_metadata().is_ok() {
+            discard(&replaced)?;
+            _held = hold(&self.target);
+            fs::rename(&self.target, &replaced)?;
+        }
+        if let Err(error) = fs::rename(&self.temporary, &self.target) {
+            let _ = fs::rename(&replaced, &self.target);
+            return Err(error);
+        }
+        sync_folder(parent)?;
+        discard(&replaced)
+    }
+}
+
+impl Drop for AtomicDir {
+    fn drop(&mut self) {
+        let _ = fs::remove_dir_all(&self.temporary);
+    }
+}
+
+/// Makes renames and creations in `folder` survive a crash of the machine. Only Unix can open a
+/// folder for this; file systems that do not know the operation are left alone.
+fn sync_folder(folder: &Path) -> io::Result<()> {
+    if !cfg!(unix) {
+        return Ok(());
+    }
+    match File::open(folder)?.sync_all() {
+        Err(error) if matches!(error.kind(), io::ErrorKind::InvalidInput | io::ErrorKind::Unsupported) => Ok(()),
+        other => other,
+    }
+}
+
+fn sync_tree(folder: &Path) -> io::Result<()> {
+    for entry in fs::read_dir(folder)? {
+        let entry = entry?;
+        let kind = entry.file_type()?;
+        if kind.is_dir() {
+            sync_tree(&entry.path())?;
+        } else if kind.is_file() {
+            fs::OpenOptions::new().append(true).open(entry.path())?.sync_all()?;
+        }
+    }
+    sync_folder(folder)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::base::temporaries::names;
+
+    #[test]
+    fn a_file_is_created_and_replaced_without_leftovers() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("a.json");
+        write_atomic(&path, b"one").unwrap();
+        write_atomic(&path, b"two").unwrap();
+        assert_eq!(fs::read(&path).unwrap(), b"two");
+        assert_eq!(names(dir.path()), ["a.json"]);
+    }
+
+    #[test]
+    fn a_refused_write_names_the_path_and_keeps_what_was_there() {
+        let dir = tempfile::tempdir().unwrap();
+        let folder = dir.path().join("taken");
+        fs::create_dir(&folder).unwrap();
+        let error = write_atomic(&folder, b"x").unwrap_err();
+        assert_eq!(error.exit_code(), 4);
+        assert!(error.to_string().contains("taken"), "{error}");
+        let below_file = dir.path().join("file").join("below");
+        fs::write(dir.path().join("file"), "keep").unwrap();
+        assert_eq!(write_atomic(&below_file, b"x").unwrap_err().exit_code(), 4);
+        assert_eq!(names(dir.path()), ["file", "taken"]);
+    }
+
+    #[cfg(target_os = "linux")]
+    #[test]
+    fn a_full_device_is_an_output_error_and_stays_a_device() {
+        let error = write_atomic(Path::new("/dev/full"), b"x").unwrap_err();
+        assert!(matches!(&error, Error::Output(text) if text.contains("/dev/full")), "{error}");
+        assert!(!fs::metadata("/dev/full").unwrap().is_file());
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn a_symbolic_link_stays_one() {
+        let dir = tempfile::tempdir().unwrap();
+        let (real, link) = (dir.path().join("real"), dir.path().join("link"));
+        fs::write(&real, "old").unwrap();
+        std::os::unix::fs::symlink(&real, &link).unwrap();
+        write_atomic(&link, b"new").unwrap();
+        assert_eq!(fs::read(&real).unwrap(), b"new");
+        assert!(link.symlink_metadata().unwrap().is_symlink());
+    }
+
+    #[test]
+    fn a_folder_appears_only_when_committed() {
+        let dir = tempfile::tempdir().unwrap();
+        let target = dir.path().join("step-10");
+        let abandoned = AtomicDir::new(&target).unwrap();
+        fs::write(abandoned.path().join("weights"), "half").unwrap();
+        assert!(!target.exists());
+        drop(abandoned);
+        assert!(names(dir.path()).is_empty());
+
+        for content in ["first", "second"] {
+            let folder = AtomicDir::new(&target).unwrap();
+            fs::write(folder.path().join("weights"), content).unwrap();
+            folder.commit().unwrap();
+            assert_eq!(fs::read_to_string(target.join("weights")).unwrap(), content);
+        }
+        assert_eq!(names(dir.path()), ["step-10"]);
+    }
+
+    #[test]
+    fn a_place_that_holds_something_is_not_replaced() {
+        let dir = tempfile::tempdir().unwrap();
+        let at = |name: &str| dir.path().join(name);
+        fs::write(at("file"), "keep").unwrap();
+        fs::create_dir(at("full")).unwrap();
+        fs::write(at("full").join("a"), "keep").unwrap();
+        fs::create_dir(at("empty")).unwrap();
+        for taken in ["file", "full"] {
+            let error = AtomicDir::vacant(&at(taken)).unwrap_err();
+            assert!(error.exit_code() == 4 && error.to_string().contains(taken), "{error}");
+        }
+        for free in ["empty", "new/below"] {
+            AtomicDir::vacant(&at(free)).unwrap().commit().unwrap();
+            assert!(at(free).is_dir());
+        }
+        assert_eq!(names(dir.path()), ["empty", "file", "full", "new"]);
+    }
+
+    #[test]
+    fn only_one_creates_a_file() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("claim");
+        let created: usize = std::thread::scope(|scope| {
+            let tries: Vec<_> = (0..16)
+                .map(|i| {
+                    scope.spawn({
+                        let path = &path;
+                        move || create_whole(path, &[i]).unwrap()
+                    })
+                })
+                .collect();
+            tries.into_iter().map(|one| usize::from(one.join().unwrap())).sum()
+        });
+        assert_eq!(created, 1);
+        assert_eq!(names(dir.path()), ["claim"]);
+    }
+}

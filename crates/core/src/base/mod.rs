@@ -1,0 +1,19 @@
+//! What everything else stands on: errors, events, images, random numbers, files, the code's revision.
+
+pub mod csv;
+mod error;
+mod events;
+pub mod files;
+mod image;
+pub mod input;
+pub mod rng;
+pub mod simd;
+mod temporaries;
+pub mod tensors;
+mod text;
+
+pub use error::tensor_sentence;
+pub use error::{Class, Error, Result, SettingError};
+pub use events::{Event, Listener};
+pub use image::Image;
+pub use text::{line, shown};

@@ -1,0 +1,279 @@
+//! The photographs that a `transforms*.json` lists, each with its pose, its lens and its mask.
+
+use std::collections::HashMap;
+use std::path::{Path, PathBuf};
+
+use image::metadata::Orientation;
+
+use super::distortion::{self, Intrinsics};
+use super::lens::Lens;
+use super::mask::{self, Masked};
+use crate::base::{Event, Image, Listener, Result};
+use crate::data::images::{self, Size};
+use crate::data::json::{Object, Picture};
+use crate::data::pose::Pose;
+use crate::data::{Camera, View, resample};
+use crate::settings::DataConfig;
+
+/// So many names of photographs stand in an error; a note names all.
+const NAMES: usize = 20;
+
+/// A photograph before it is read.
+pub struct Frame {
+    /// Its file.
+    pub path: PathBuf,
+    /// As the file names it.
+    pub(super) written: String,
+    /// Camera to world.
+    pub pose: Pose,
+    /// Width and height of the photograph that the lens is of.
+    pub size: (usize, usize),
+    /// The turn that brings the stored pixels there.
+    turn: Orientation,
+    lens: Lens,
+    /// The camera without distortion, at that size.
+    pinhole: Intrinsics,
+    mask: Option<PathBuf>,
+}
+
+/// A frame of a file, whether its photograph is there or not: where the scene lies, what its views are called and what each is
+/// for hangs on the whole list.
+pub struct Listed {
+    /// Where the photograph is, or would be.
+    pub(super) place: PathBuf,
+    /// As the file names it.
+    pub(super) written: String,
+    /// Camera to world.
+    pub(super) pose: Pose,
+    /// The photograph, if it is there.
+    pub frame: Option<Frame>,
+}
+
+impl Listed {
+    /// What frames are sorted by: their files' names, which they have whether those are there or not.
+    pub(super) fn order(&self) -> PathBuf {
+        let name = PathBuf::from(&self.written);
+        if images::is_image(&name) { name } else { PathBuf::from(format!("{}.png", self.written)) }
+    }
+}
+
+/// A frame of the document.
+struct Entry<'a> {
+    object: Object<'a>,
+    picture: Picture,
+    pose: Pose,
+}
+
+/// The frames of a document in its order. Missing photographs, and what is listed twice and left out, are told in a note.
+///
+/// # Errors
+/// Less than half of the photographs are there; one stands there with two poses; fields that cannot be used.
+pub fn read(document: Object, events: &dyn Listener) -> Result<Vec<Listed>> {
+    let note = |what: &str| events.on(Event::Note(&document.error(what).to_string()));
+    let mut turned: Vec<String> = Vec::new();
+    let mut listed: Vec<Listed> = Vec::new();
+    for entry in distinct(entries(document, &note)?, document, &note)? {
+        let Picture { place, written, .. } = entry.picture.clone();
+        let (pose, found) = (entry.pose, Frame::find(entry, document)?);
+        turned.extend(found.iter().filter(|found| found.1).map(|_| written.clone()));
+        listed.push(Listed { place, written, pose, frame: found.map(|(frame, _)| frame) });
+    }
+    if !turned.is_empty() {
+        note(&format!(
+            "{} photographs have an EXIF orientation, which is not applied (pixels are taken as they are stored, as COLMAP takes \
+             them; with \"w\" and \"h\" of the turned photograph they would be turned): {}",
+            turned.len(),
+            turned.join(", ")
+        ));
+    }
+    Ok(listed)
+}
+
+/// The frames, of which half have to have their photographs.
+fn entries<'a>(document: Object<'a>, note: &dyn Fn(&str)) -> Result<Vec<Entry<'a>>> {
+    let (mut entries, mut missing, mut first) = (Vec::new(), Vec::new(), None);
+    for object in document.frames()? {
+        let entry = Entry { object, picture: object.picture("file_path")?, pose: object.pose()? };
+        if entry.picture.path.is_none() {
+            first.get_or_insert(object);
+            missing.push(entry.picture.written.clone());
+        }
+        entries.push(entry);
+    }
+    let (count, all) = (missing.len(), entries.len());
+    match first {
+        Some(object) if 2 * count > all => {
+            let more = if count > NAMES { format!(" and {} more", count - NAMES) } else { String::new() };
+            missing.truncate(NAMES);
+            Err(object.error(&format!(
+                "\"file_path\" names no image (PNG, JPEG or WebP, also with the ending added), and so it is with {count} of {all} \
+                 frames: at least half of the photographs must be there; missing are {}{more}",
+                missing.join(", ")
+            )))
+        }
+        Some(_) => {
+            note(&format!("{count} of {all} photographs are not there and are left out: {}", missing.join(", ")));
+            Ok(entries)
+        }
+        None => Ok(entries),
+    }
+}
+
+/// Each photograph once: a second frame of it would be trained on and held out.
+fn distinct<'a>(entries: Vec<Entry<'a>>, document: Object, note: &dyn Fn(&str)) -> Result<Vec<Entry<'a>>> {
+    let mut places: HashMap<PathBuf, usize> = HashMap::new();
+    let (mut kept, mut again): (Vec<Entry>, Vec<String>) = (Vec::new(), Vec::new());
+    for entry in entries {
+        match places.get(&entry.picture.place) {
+            Some(&place) if kept[place].pose == entry.pose => again.push(entry.picture.written),
+            Some(_) => {
+                return Err(document.error(&format!(
+                    "\"frames\" has the photograph {} twice, with two poses: remove the wrong one",
+                    entry.picture.place.display()
+                )));
+            }
+            None => {
+                places.insert(entry.picture.place.clone(), kept.len());
+                kept.push(entry);
+            }
+        }
+    }
+    if !again.is_empty() {
+        note(&format!("{} frames are listed again and are left out: {}", again.len(), again.join(", ")));
+    }
+    Ok(kept)
+}
+
+impl Frame {
+    /// The photograph of an entry, if it is there. The flag says that it has an EXIF orientation which is not applied.
+    fn find(Entry { object, picture, pose }: Entry, document: Object) -> Result<Option<(Frame, bool)>> {
+        let Picture { path: Some(path), written, .. } = picture else { return Ok(None) };
+        let (stored, orientation) = images::header(&path)?;
+        let turned = (stored.1, stored.0);
+        let turns = orientation != Orientation::NoTransforms;
+        let applied = turns && swaps(orientation) && Lens::is_of(object, document, turned)? && stored != turned;
+        let (size, turn) = if applied { (turned, orientation) } else { (stored, Orientation::NoTransforms) };
+        let lens = Lens::read(object, document, size)?;
+        let Some(pinhole) = distortion::pinhole(lens.intrinsics, &lens.distortion, size) else {
+            return Err(object.error(&format!(
+                "the lens distortion (k1, k2, k3 = {:?}, p1, p2 = {:?}) cannot be undone over the whole image: \
+                 its coefficients are too large",
+                lens.distortion.radial, lens.distortion.tangential
+            )));
+        };
+        let mask = mask::file_of(object, document)?;
+        Ok(Some((Frame { path, written, pose, size, turn, lens, pinhole, mask }, turns && !applied)))
+    }
+
+    /// Whether distortion is undone.
+    pub(super) fn is_bent(&self) -> bool {
+        !self.lens.distortion.is_none()
+    }
+
+    /// By how much that zooms in.
+    pub(super) fn zoom(&self) -> f64 {
+        self.pinhole.focal[0] / self.lens.intrinsics.focal[0]
+    }
+
+    /// Whether it has a mask.
+    pub(super) fn is_masked(&self) -> bool {
+        self.mask.is_some()
+    }
+
+    /// Whether the photograph is the pinhole camera's as it is stored.
+    pub fn is_flat(&self) -> bool {
+        self.lens.distortion.is_none() && self.turn == Orientation::NoTransforms
+    }
+
+    /// The pinhole camera at the working resolution; `scaled(value, to, from)` brings a number of pixels there.
+    pub fn camera(&self, (width, height): (usize, usize), scaled: fn(f64, f64, f64) -> f64) -> Camera {
+        let to = [width as f64, height as f64];
+        let from = [self.size.0 as f64, self.size.1 as f64];
+        let both = |values: [f64; 2]| std::array::from_fn(|i| scaled(values[i], to[i], from[i]));
+        let Intrinsics { focal, centre } = self.pinhole;
+        Camera { width, height, focal: both(focal), centre: both(centre), pose: self.pose }
+    }
+
+    /// The photograph at the working resolution, RGB or RGBA. Distortion is undone before it is averaged down.
+    fn image(&self, (width, height): (usize, usize)) -> Result<Image> {
+        let mut decoded = images::decode(&self.path)?;
+        decoded.apply_orientation(self.turn);
+        if self.lens.distortion.is_none() {
+            return Ok(images::averaged(&decoded, (width, height)));
+        }
+        let whole = self.rectified(images::averaged(&decoded, self.size));
+        Ok(resample::shrink(&whole, width, height))
+    }
+
+    /// What the pinhole camera sees of an image of the photograph's size.
+    pub(super) fn rectified(&self, image: Image) -> Image {
+        if self.lens.distortion.is_none() {
+            return image;
+        }
+        distortion::rectify(&image, self.lens.intrinsics, &self.lens.distortion, self.pinhole)
+    }
+
+    fn view(&self, name: String, camera: Camera, background: [f32; 3]) -> Result<(View, bool)> {
+        let size = (camera.width, camera.height);
+        let (image, clear) = resample::composite(self.image(size)?, background);
+        let photograph = Masked { path: &self.path, size: self.size };
+        let read = |file| mask::read(file, &photograph, |mask| self.rectified(mask), size);
+        let mask = self.mask.as_deref().map(read).transpose()?;
+        Ok((View { name, camera, image: image.into(), depth: None, mask: mask.map(Into::into) }, clear))
+    }
+}
+
+/// Whether the turn makes a portrait of a landscape.
+fn swaps(orientation: Orientation) -> bool {
+    use Orientation::{Rotate90, Rotate90FlipH, Rotate270, Rotate270FlipH};
+    matches!(orientation, Rotate90 | Rotate90FlipH | Rotate270 | Rotate270FlipH)
+}
+
+/// Those of a list whose photographs are there, each with the pose and the name that it has among all.
+pub fn found(listed: Vec<Listed>) -> (Vec<Frame>, Vec<String>) {
+    let names = images::names(&listed.iter().map(|listed| listed.place.clone()).collect::<Vec<_>>());
+    let named = listed.into_iter().zip(names);
+    named.filter_map(|(Listed { pose, frame, .. }, name)| Some((Frame { pose, ..frame? }, name))).unzip()
+}
+
+/// The sizes that the frames' photographs are brought to.
+pub fn working_sizes(frames: &[&Frame], config: &DataConfig) -> Result<Vec<(usize, usize)>> {
+    let sizes: Vec<(usize, usize)> = frames.iter().map(|frame| frame.size).collect();
+    let first = frames.first().map_or(Path::new(""), |frame| &frame.path);
+    images::working_sizes(Size::of(config), &sizes, first)
+}
+
+/// The views of frames, so called, through their cameras, on `background`. The flag says whether anything was see-through.
+pub fn views(
+    frames: &[Frame],
+    names: &[String],
+    cameras: &[Camera],
+    background: [f32; 3],
+    label: &str,
+    events: &dyn Listener,
+) -> Result<(Vec<View>, bool)> {
+    let sizes: Vec<(usize, usize)> = cameras.iter().map(|camera| (camera.width, camera.height)).collect();
+    images::check_memory_of(&sizes)?;
+    let paths: Vec<PathBuf> = frames.iter().map(|frame| frame.path.clone()).collect();
+    let read = |i: usize, _: &Path| frames[i].view(names[i].clone(), cameras[i], background);
+    let (views, clear): (Vec<View>, Vec<bool>) = images::each(&paths, label, events, read)?.into_iter().unzip();
+    Ok((views, clear.contains(&true)))
+}
+
+/// Says which photographs are trained on and evaluated.
+pub fn note_shared(train: &[&Frame], test: &[&Frame], events: &dyn Listener) {
+    let shared: Vec<&str> = test
+        .iter()
+        .filter(|frame| train.iter().any(|other| other.path == frame.path))
+        .map(|frame| frame.written.as_str())
+        .collect();
+    if !shared.is_empty() {
+        let what = format!(
+            "{} of {} photographs that are evaluated are trained on, too, so that metrics are not of unseen views: {}",
+            shared.len(),
+            test.len(),
+            shared.join(", ")
+        );
+        events.on(Event::Note(&what));
+    }
+}

@@ -1,0 +1,245 @@
+//! Scenes: posed images split into training, validation and held-out views.
+
+pub mod camera;
+pub mod cameras;
+pub mod corruption;
+pub mod depth;
+mod describe;
+mod detect;
+pub mod formats;
+mod heard;
+pub mod images;
+mod json;
+pub mod npy;
+pub mod path;
+mod place;
+pub mod ply;
+pub mod pose;
+pub mod rays;
+pub mod resample;
+mod rig;
+pub mod vector;
+mod views;
+mod world;
+
+pub use camera::{Camera, Ndc};
+pub use corruption::Corrupted;
+pub use detect::detect;
+pub use formats::{Capture, FORMATS, Format, ReferenceDepth};
+pub use place::Place;
+pub use rays::{Footprint, RayBuffer, RayParts, Rays};
+pub use rig::{Rig, Subject};
+pub use views::seen_views;
+pub use world::WorldToScene;
+
+use std::sync::Arc;
+
+use sha2::{Digest, Sha256};
+
+use crate::base::{Error, Image, Listener, Result};
+use heard::Heard;
+
+use crate::settings::{Background, DataConfig, DataKind, Extent, scene_name, short_hash};
+
+/// One posed photograph.
+#[derive(Clone, Debug)]
+pub struct View {
+    /// The file's stem, or the embedded scene's view name; unique within its split.
+    pub name: String,
+    /// Intrinsics and pose.
+    pub camera: Camera,
+    /// RGB on the scene's background, `camera.width x camera.height`.
+    pub image: Arc<Image>,
+    /// Ground-truth depth along the view's z axis in scene units, row-major, where the scene has it: exactly
+    /// (the embedded scene) or in steps of 8 bits. `f32::INFINITY` where the ray hits nothing, NaN where it
+    /// is not known.
+    pub depth: Option<Vec<f32>>,
+    /// Which pixels count, row-major: the others are neither trained on nor measured. All of them where there is no mask.
+    pub mask: Option<Arc<[bool]>>,
+}
+
+/// A loaded scene, ready for training: every pose final, every image at the working resolution.
+#[derive(Clone, Debug)]
+pub struct Scene {
+    /// The folder's name, or `builtin`.
+    pub name: String,
+    /// `llff`, `blender`, `transforms`, `colmap`, `builtin-blender`, `builtin-forward`.
+    pub kind: &'static str,
+    /// Views that are trained on.
+    pub train: Vec<View>,
+    /// Views that are not trained on and that metrics are computed on.
+    pub test: Vec<View>,
+    /// Start of a ray's interval, in the units of `t_vals` (0 under NDC).
+    pub near: f64,
+    /// End of a ray's interval (1 under NDC).
+    pub far: f64,
+    /// Set when rays are mapped to normalised device coordinates.
+    pub ndc: Option<Ndc>,
+    /// Background colour that pixels without accumulation show; `None` for opaque photographs.
+    pub background: Option<[f32; 3]>,
+    /// Cameras of the scene's usual video path (spiral or orbit), at the working resolution.
+    pub path: Vec<Camera>,
+    /// What was done to the training views after they were read.
+    pub corrupted: Option<Corrupted>,
+    /// Where it lies: units, box, points.
+    pub place: Place,
+}
+
+impl Scene {
+    /// Start and end of a ray's interval, in the units of `t_vals`.
+    pub fn bounds(&self) -> (f64, f64) {
+        (self.near, self.far)
+    }
+
+    /// What settings that hang on the scene follow from.
+    pub fn extent(&self) -> Extent {
+        let sides = self.train.iter().chain(&self.test).map(|view| view.camera.width.max(view.camera.height));
+        Extent { near: self.near, far: self.far, domain: self.place.domain, pixels: sides.max().unwrap_or(0) }
+    }
+
+    /// The format that the scene was read in; none for a scene of one's own making.
+    pub fn format(&self) -> Option<&'static Format> {
+        FORMATS.iter().find(|format| format.kind.name() == self.kind)
+    }
+
+    /// Whether the views' depth is exact.
+    pub fn has_exact_depth(&self) -> bool {
+        self.format().is_some_and(|format| format.depth == ReferenceDepth::Exact)
+    }
+
+    /// A 12-digit hash of all views: what a number was trained and measured on.
+    pub fn hash(&self) -> String {
+        let mut digest = Sha256::new();
+        digest.update(self.near.to_le_bytes());
+        digest.update(self.far.to_le_bytes());
+        for (split, views) in [("train", &self.train), ("test", &self.test)] {
+            digest.update(split);
+            for View { name, camera, image, mask, .. } in views {
+                digest.update(name);
+                let Camera { focal, centre, pose, .. } = camera;
+                let geometry = focal.iter().chain(centre).chain(pose.iter().flatten());
+                geometry.for_each(|value| digest.update(value.to_le_bytes()));
+                // In pieces: one call a number would take longer than the hash.
+                for pixels in image.pixels.chunks(1024) {
+                    digest.update(pixels.iter().flat_map(|value| value.to_le_bytes()).collect::<Vec<u8>>());
+                }
+                if let Some(mask) = mask {
+                    digest.update("mask");
+                    digest.update(mask.iter().map(|&counts| counts.into()).collect::<Vec<u8>>());
+                }
+            }
+        }
+        short_hash(digest)
+    }
+}
+
+/// The largest number, either way, that a scene may have: training computes in f32, where products of three such numbers
+/// are still numbers.
+const LARGEST: f64 = 1e12;
+/// The smallest length or angle that a scene may have.
+const SMALLEST: f64 = 1e-6;
+
+/// A number as people write it: `0.5`, `5e-324`.
+fn brief(number: f64) -> String {
+    let plain = number == 0.0 || (1e-5..1e15).contains(&number.abs());
+    if plain { number.to_string() } else { format!("{number:e}") }
+}
+
+/// Start and end of a ray's interval as [`load`] will find them; none where the scene's files say it.
+pub fn known_bounds(config: &DataConfig) -> Option<(f64, f64)> {
+    let usual = match config.kind {
+        DataKind::Blender | DataKind::BuiltinBlender => Some((2.0, 6.0)),
+        kind if kind.forward_facing() && config.ndc => Some((0.0, 1.0)),
+        _ => None,
+    };
+    let (near, far) = (usual.map(|(near, _)| near), usual.map(|(_, far)| far));
+    config.near.or(near).zip(config.far.or(far))
+}
+
+/// Whether [`load`] may find a box that most cameras look at, which a hash grid then fills.
+pub fn may_have_box(config: &DataConfig) -> bool {
+    match config.kind {
+        DataKind::Transforms | DataKind::Colmap => true,
+        DataKind::Llff => !config.ndc,
+        DataKind::Auto | DataKind::Blender | DataKind::BuiltinBlender | DataKind::BuiltinForward => false,
+    }
+}
+
+/// Loads the scene that `config` names. Its kind must be settled ([`detect`]) and `downscale` filled. `seed` is that of
+/// the corruption of training views, where there is one.
+pub fn load(config: &DataConfig, seed: u64, events: &dyn Listener) -> Result<Scene> {
+    let Some(format) = Format::of(config.kind) else {
+        return Err(Error::Config("data.kind = \"auto\" has to be settled before the scene is loaded".into()));
+    };
+    let heard = Heard::new(events);
+    let mut scene = (format.read)(config, &heard)?;
+    heard.words(&config.dir).into_iter().for_each(|words| scene.place.note("noted", words));
+    scene.near = config.near.unwrap_or(scene.near);
+    scene.far = config.far.unwrap_or(scene.far);
+    check(&scene, config)?;
+    views::keep_training_views(&mut scene, config)?;
+    corruption::corrupt(&mut scene, &config.corruption, seed)?;
+    Ok(scene)
+}
+
+fn check(scene: &Scene, config: &DataConfig) -> Result<()> {
+    if scene.train.is_empty() || scene.test.is_empty() {
+        return Err(Error::Data(format!(
+            "{} leaves {} views to train on and {} held out (data.holdout = {}, data.validation = {}, data.test_skip = {}): \
+             both need at least one",
+            config.dir,
+            scene.train.len(),
+            scene.test.len(),
+            config.holdout,
+            config.validation,
+            config.test_skip
+        )));
+    }
+    if scene.near < scene.far {
+        return check_numbers(scene, config);
+    }
+    Err(Error::Config(format!(
+        "data.near = {} is not below data.far = {}, the scene's own bounds where one is not set: change one of them",
+        scene.near, scene.far
+    )))
+}
+
+/// What comes of a file's numbers, once poses are scaled and centred, must be numbers that can be computed with, too.
+fn check_numbers(scene: &Scene, config: &DataConfig) -> Result<()> {
+    let sound = |value: f64| value.abs() <= LARGEST;
+    let camera_is_sound = |camera: &Camera| {
+        let Camera { focal, centre, pose, .. } = camera;
+        let focal_is = focal.iter().all(|&focal| focal >= SMALLEST);
+        focal_is && focal.iter().chain(centre).chain(pose.iter().flatten()).all(|&value| sound(value))
+    };
+    let from = if config.dir.is_empty() { &scene.name } else { &config.dir };
+    if let Some(view) = scene.train.iter().chain(&scene.test).find(|view| !camera_is_sound(&view.camera)) {
+        return Err(Error::Data(format!(
+            "{from}: view {} has a focal length of {:?} pixels, its camera is at {:?}, once poses are scaled and centred: \
+             training computes with numbers from -{LARGEST:e} to {LARGEST:e}; check the poses' units and depth bounds",
+            view.name,
+            view.camera.focal,
+            pose::column(&view.camera.pose, 3)
+        )));
+    }
+    if !(sound(scene.near) && sound(scene.far) && scene.path.iter().all(camera_is_sound)) {
+        return Err(Error::Data(format!(
+            "{from}: depth bounds {} and {} and poses of this size make no video path and no rays that can be computed \
+             with (numbers from -{LARGEST:e} to {LARGEST:e}); check the poses' units and depth bounds",
+            scene.near, scene.far
+        )));
+    }
+    Ok(())
+}
+
+/// The colour that see-through pixels are put on.
+fn background(config: &DataConfig) -> [f32; 3] {
+    match config.background {
+        Background::White => [1.0; 3],
+        Background::Black => [0.0; 3],
+    }
+}
+
+fn name_of(config: &DataConfig) -> String {
+    scene_name(&config.dir)
+}

@@ -1,0 +1,272 @@
+//! The field on a processor as one differentiable operation: encoding and all layers over tiles of
+//! points, computing exactly the gradients that are asked for.
+//!
+//! candle's graph carries gradients of points, view directions and feature delta. Those of the
+//! weights go past it, into a [`Recorder`]: an operation has at most three arguments, and the
+//! gradients of many chunks add up in place. The plain path ([`Field::forward`] on a field that
+//! neither records nor is frozen) is the reference that this one is tested against.
+
+mod backward;
+mod encode;
+mod forward;
+pub mod kernels;
+mod layout;
+mod pool;
+mod slope;
+
+use std::cell::RefCell;
+use std::ops::Deref;
+use std::sync::{Arc, Mutex, PoisonError};
+
+use candle_core::backend::BackendStorage;
+use candle_core::{CpuStorage, CustomOp3, DType, Device, Layout, Result, Shape, Storage, Tensor, Var};
+
+use crate::field::contiguous;
+use crate::settings::FieldConfig;
+
+use backward::InputGradients;
+use forward::{Inputs, Kept, Prefix, Wanted};
+use slope::Tape;
+
+pub use layout::Network;
+pub use pool::forget;
+
+/// Lays a field's weights out: `parameters` are weight and bias of every layer in the order of
+/// parameters, f32 on the processor.
+pub fn prepare(config: &FieldConfig, parameters: &[Tensor]) -> Result<Network> {
+    let values = parameters.iter().map(|tensor| Ok(Values::of(&tensor.contiguous()?).slice()?.to_vec()));
+    Ok(Network::new(config, values.collect::<Result<_>>()?))
+}
+
+/// Sums gradients of a field's weights.
+pub struct Recorder {
+    network: Arc<Network>,
+    sum: Mutex<Vec<f32>>,
+}
+
+impl Recorder {
+    /// With a sum of zero.
+    pub fn new(network: Arc<Network>) -> Recorder {
+        Recorder { sum: Mutex::new(vec![0.0; network.gradient_size]), network }
+    }
+
+    /// The sums, in the order of parameters, each in the shape of its entry in `shapes`.
+    pub fn gradients(&self, shapes: Vec<Vec<usize>>) -> Result<Vec<Tensor>> {
+        let sum = self.sum.lock().unwrap_or_else(PoisonError::into_inner);
+        let gradients = self.network.parameter_gradients(&sum).into_iter().zip(shapes);
+        gradients.map(|(values, shape)| Tensor::from_vec(values, shape, &Device::Cpu)).collect()
+    }
+}
+
+/// The trunk's lower part at points that stay (see [`crate::field::FixedPoints`]), and the layer that it goes up to.
+#[derive(Default)]
+pub struct Below(RefCell<Option<(usize, Arc<Prefix>)>>);
+
+impl Below {
+    /// That of `points` up to layer `layer`, computed once.
+    fn prefix(&self, network: &Network, points: &Tensor, layer: usize) -> Result<Arc<Prefix>> {
+        let known = self.0.borrow().as_ref().filter(|(to, _)| *to == layer).map(|(_, prefix)| prefix.clone());
+        if let Some(prefix) = known {
+            return Ok(prefix);
+        }
+        let prefix = Arc::new(network.prefix(Values::of(&points.contiguous()?).slice()?, layer));
+        self.0.replace(Some((layer, prefix.clone())));
+        Ok(prefix)
+    }
+}
+
+/// One query of a field.
+pub struct Query<'a> {
+    /// The weights, as [`Network`] lays them out.
+    pub network: Arc<Network>,
+    /// Takes the gradients of the weights; without one they are constants.
+    pub recorder: Option<Arc<Recorder>>,
+    /// Keeps the trunk below a delta, where many queries share their points.
+    pub below: Option<&'a Below>,
+}
+
+impl Query<'_> {
+    /// Raw colour `[3 n]` and raw density `[n]` behind each other. `points` `[n, 3]`, `viewdirs` `[rays, 3]`, `delta`
+    /// `[n, width]` of a 1-based trunk layer.
+    pub fn run(self, points: &Tensor, viewdirs: &Tensor, delta: Option<(usize, &Tensor)>) -> Result<Tensor> {
+        let wanted = Wanted {
+            weights: self.recorder.is_some(),
+            points: points.track_op(),
+            viewdirs: viewdirs.track_op(),
+            delta: delta.is_some_and(|(_, delta)| delta.track_op()),
+        };
+        // Where nothing else is tracked, the graph would never come back for the weights.
+        let tracked;
+        let viewdirs = if wanted == (Wanted { weights: true, ..Wanted::default() }) {
+            tracked = Var::from_tensor(viewdirs)?;
+            tracked.as_tensor()
+        } else {
+            viewdirs
+        };
+        let below = self.below.filter(|_| !wanted.points && !wanted.weights && points.dim(0).is_ok_and(|n| n > 0));
+        let layer = delta.map_or(self.network.depth(), |(layer, _)| layer);
+        let prefix = below.map(|below| below.prefix(&self.network, points, layer)).transpose()?;
+        let none = Tensor::zeros(1, DType::F32, points.device())?;
+        let operation = Fused {
+            network: self.network,
+            recorder: self.recorder,
+            delta_layer: delta.map(|(layer, _)| layer),
+            wanted,
+            prefix,
+            kept: Mutex::default(),
+        };
+        let delta = delta.map_or(Ok(none), |(_, delta)| delta.contiguous())?;
+        points.contiguous()?.apply_op3(&viewdirs.contiguous()?, &delta, operation)
+    }
+
+    /// Raw density `[n]` alone, without gradients.
+    pub fn density(self, points: &Tensor) -> Result<Tensor> {
+        let points = points.detach().contiguous()?;
+        let values = Values::of(&points);
+        let inputs = Inputs { points: values.slice()?, viewdirs: &[], delta: None, prefix: None };
+        let (raw, _) = self.network.forward(inputs, Wanted::default());
+        let n = raw.len();
+        Tensor::from_vec(raw, n, points.device())
+    }
+}
+
+/// Raw density and its slope in the encoding, with the way back to the weights.
+pub struct Slope {
+    /// `[n]`.
+    pub raw: Tensor,
+    /// `[n, channels]`.
+    pub slope: Tensor,
+    network: Arc<Network>,
+    tape: Tape,
+}
+
+impl Slope {
+    /// At points `[n, 3]`, or features `[n, channels]` of a hash grid. Where raw density is not positive the slope is left 0 if `positive_alone` is set.
+    pub fn new(network: Arc<Network>, points: &Tensor, positive_alone: bool) -> Result<Slope> {
+        let points = points.detach().contiguous()?;
+        // NaN matters: it is to be found and reported.
+        let found = network.slope(Values::of(&points).slice()?, |raw| !positive_alone || raw > 0.0 || raw.is_nan());
+        let n = found.raw.len();
+        let channels = network.position_channels();
+        let raw = Tensor::from_vec(found.raw, n, points.device())?;
+        let slope = Tensor::from_vec(found.slope, (n, channels), points.device())?;
+        Ok(Slope { raw, slope, network, tape: found.tape })
+    }
+
+    /// Gradients of weight and bias of the trunk and the density head, in the order of parameters, of a loss that pulls
+    /// on the slope with `pull [n, channels]` and on raw density with `d_raw [n]`.
+    pub fn gradients(&self, pull: Option<&Tensor>, d_raw: Option<&Tensor>) -> Result<Vec<Vec<f32>>> {
+        let whole = |tensor: Option<&Tensor>| tensor.map(|tensor| tensor.contiguous()).transpose();
+        let (pull, d_raw) = (whole(pull)?, whole(d_raw)?);
+        let (pull, d_raw) = (pull.as_ref().map(Values::of), d_raw.as_ref().map(Values::of));
+        let pull = pull.as_ref().map(Values::slice).transpose()?;
+        Ok(self.network.slope_gradients(&self.tape, pull, d_raw.as_ref().map(Values::slice).transpose()?))
+    }
+}
+
+/// A tensor's values, readable while this lives.
+pub struct Values<'a> {
+    storage: Box<dyn Deref<Target = Storage> + 'a>,
+    layout: &'a Layout,
+}
+
+impl<'a> Values<'a> {
+    pub(crate) fn of(tensor: &'a Tensor) -> Values<'a> {
+        let (storage, layout) = tensor.storage_and_layout();
+        Values { storage: Box::new(storage), layout }
+    }
+
+    pub(crate) fn slice(&self) -> Result<&[f32]> {
+        match &**self.storage {
+            Storage::Cpu(storage) => slice(storage, self.layout),
+            _ => candle_core::bail!("the fused field is for processors"),
+        }
+    }
+}
+
+fn slice<'a>(storage: &'a CpuStorage, layout: &Layout) -> Result<&'a [f32]> {
+    match storage {
+        CpuStorage::F32(values) => contiguous(values, layout),
+        other => candle_core::bail!("the fused field is for f32, got {:?}", other.dtype()),
+    }
+}
+
+struct Fused {
+    network: Arc<Network>,
+    recorder: Option<Arc<Recorder>>,
+    delta_layer: Option<usize>,
+    wanted: Wanted,
+    prefix: Option<Arc<Prefix>>,
+    /// From the forward to the backward pass.
+    kept: Mutex<Option<Kept>>,
+}
+
+impl Fused {
+    fn inputs<'a>(&'a self, points: &'a [f32], viewdirs: &'a [f32], delta: &'a [f32]) -> Inputs<'a> {
+        let delta = self.delta_layer.map(|layer| (layer, delta));
+        Inputs { points, viewdirs, delta, prefix: self.prefix.as_deref() }
+    }
+}
+
+impl CustomOp3 for Fused {
+    fn name(&self) -> &'static str {
+        "fused-field"
+    }
+
+    fn cpu_fwd(
+        &self,
+        points: &CpuStorage,
+        points_layout: &Layout,
+        viewdirs: &CpuStorage,
+        viewdirs_layout: &Layout,
+        delta: &CpuStorage,
+        delta_layout: &Layout,
+    ) -> Result<(CpuStorage, Shape)> {
+        let (points, viewdirs) = (slice(points, points_layout)?, slice(viewdirs, viewdirs_layout)?);
+        let (n, rays, delta) =
+            (points.len() / self.network.code().inputs(), viewdirs.len() / 3, slice(delta, delta_layout)?);
+        if rays == 0 && n > 0 || rays > 0 && n % rays != 0 {
+            candle_core::bail!("fused field: {n} points of {rays} rays");
+        }
+        if self.delta_layer.is_some() && delta.len() != n * self.network.width() {
+            candle_core::bail!("fused field: a delta of {} values for {n} points", delta.len());
+        }
+        let (raw, kept) = self.network.forward(self.inputs(points, viewdirs, delta), self.wanted);
+        *self.kept.lock().unwrap_or_else(PoisonError::into_inner) = Some(kept);
+        Ok((CpuStorage::F32(raw), Shape::from(4 * n)))
+    }
+
+    fn bwd(
+        &self,
+        points: &Tensor,
+        viewdirs: &Tensor,
+        delta: &Tensor,
+        _raw: &Tensor,
+        gradient: &Tensor,
+    ) -> Result<(Option<Tensor>, Option<Tensor>, Option<Tensor>)> {
+        let kept = self.kept.lock().unwrap_or_else(PoisonError::into_inner).take();
+        let Some(kept) = kept else {
+            candle_core::bail!("fused field: a second backward pass through one forward pass");
+        };
+        let gradient = gradient.contiguous()?;
+        let (p, v, d, g) = (Values::of(points), Values::of(viewdirs), Values::of(delta), Values::of(&gradient));
+        let inputs = self.inputs(p.slice()?, v.slice()?, d.slice()?);
+        let network = &self.network;
+        let found = match &self.recorder {
+            Some(recorder) => {
+                let mut sums = recorder.sum.lock().unwrap_or_else(PoisonError::into_inner);
+                network.backward(inputs, &kept, g.slice()?, self.wanted, &mut sums)
+            }
+            None => network.backward(inputs, &kept, g.slice()?, self.wanted, &mut []),
+        };
+        let InputGradients { points: d_points, viewdirs: d_viewdirs, delta: d_delta } = found;
+        let tensor = |wanted: bool, values: Vec<f32>, like: &Tensor| {
+            wanted.then(|| Tensor::from_vec(values, like.shape(), like.device())).transpose()
+        };
+        Ok((
+            tensor(self.wanted.points, d_points, points)?,
+            tensor(self.wanted.viewdirs, d_viewdirs, viewdirs)?,
+            tensor(self.wanted.delta, d_delta, delta)?,
+        ))
+    }
+}

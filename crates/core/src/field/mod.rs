@@ -1,0 +1,492 @@
+//! The radiance field: an encoding, a trunk with skips, a density head and a view-dependent
+//! colour head.
+//!
+//! A field knows nothing of rays or attacks. It maps points and directions to raw colour and raw
+//! density and accepts a delta that is added to one trunk layer's output. A field of integrated encoding is queried at
+//! Gaussians, mean and diagonal variance `[n, 6]`, wherever another is queried at points `[n, 3]`.
+//!
+//! A field is queried in one of two ways behind one signature. The plain one, of candle's operations,
+//! works in f32 and f64 on any device and is the reference. The fused one (`fused`) serves
+//! [`Field::frozen`] and [`Field::recording`] fields in f32 on a processor.
+
+use candle_core::{DType, Device, Layout, Tensor, Var};
+
+use std::sync::Arc;
+
+use crate::base::Result;
+use crate::base::rng::{Random, Stream};
+use crate::settings::{Core, Encoding, FieldConfig, Init, Precision};
+
+mod activation;
+mod dense;
+mod density;
+mod encoding;
+pub mod fused;
+mod grid;
+pub mod hash;
+mod inside;
+mod peak;
+mod slopes;
+mod spatial;
+
+pub use activation::Cotangents;
+pub use activation::{density_of, raw_density_gradient};
+pub use dense::{dense, dense_reference};
+pub use density::{Density, FieldDensity};
+use encoding::Code;
+pub use encoding::{
+    encode, encode_integrated, encode_integrated_reference, encode_reference, encoded_channels, integrated_channels,
+};
+pub use fused::forget as forget_buffers;
+use grid::Grid;
+pub use grid::TableRecord;
+use inside::{Inside, NOTHING};
+pub use peak::peak_gflops;
+pub use spatial::{DensityAt, Order, Spatial, spatial_reference};
+
+/// The values of a contiguous tensor on a processor, for operations of our own.
+pub fn contiguous<'a, T>(values: &'a [T], layout: &Layout) -> candle_core::Result<&'a [T]> {
+    match layout.contiguous_offsets() {
+        Some((start, end)) => Ok(&values[start..end]),
+        None => candle_core::bail!("this operation needs contiguous arguments, got {layout:?}"),
+    }
+}
+
+/// One layer's parameters, `[outputs, inputs]` and `[outputs]`.
+#[derive(Clone)]
+struct Layer {
+    name: String,
+    weight: Tensor,
+    bias: Tensor,
+}
+
+/// A network `(points, viewdirs) -> (raw rgb, raw density)`.
+#[derive(Clone)]
+pub struct Field {
+    config: FieldConfig,
+    trunk: Vec<Layer>,
+    density: Layer,
+    feature: Layer,
+    /// Layers that read the view direction, the first of them with the trunk's feature.
+    view: Vec<Layer>,
+    rgb: Layer,
+    /// The hash grid, where positions are encoded by one.
+    grid: Option<Grid>,
+    /// The parameters as variables, in the order of [`Field::parameter_names`]; empty when frozen.
+    variables: Vec<(String, Var)>,
+    /// The weights laid out for the fused core, where it applies: a copy (see [`Field::prepared`]).
+    network: Option<Arc<fused::Network>>,
+    /// Takes the gradients of the weights past candle's graph.
+    recorder: Option<Arc<fused::Recorder>>,
+}
+
+/// Points at which a field without gradients of its weights is queried again and again, by a search that leaves them
+/// where they are: the fused core computes the trunk below the feature delta, or all of it, once.
+pub struct FixedPoints<'a> {
+    field: &'a Field,
+    inputs: Inputs,
+    below: fused::Below,
+}
+
+impl FixedPoints<'_> {
+    /// As [`Field::forward`] at these points.
+    ///
+    /// # Errors
+    /// Those of candle: shapes that do not fit.
+    pub fn forward(&self, viewdirs: &Tensor, delta: Option<FeatureDelta>) -> Result<RawOutput> {
+        self.field.raw_at(&self.inputs, viewdirs, delta, Some(&self.below))
+    }
+}
+
+/// What the networks of a field read.
+struct Inputs {
+    /// Points `[n, 3]`, Gaussians `[n, 6]`, or features `[n, channels]`.
+    values: Tensor,
+    /// Where there can be density; none where that is everywhere.
+    inside: Option<Inside>,
+}
+
+impl Inputs {
+    /// Raw density `[n]`, or raw output that ends with it, without density where there is none.
+    fn only_inside(&self, raw: Tensor) -> Result<Tensor> {
+        Ok(self.inside.as_ref().map_or(Ok(raw.clone()), |inside| inside.only(&raw))?)
+    }
+}
+
+/// What a field says before its activations.
+pub struct RawOutput {
+    /// Colour before the sigmoid, `[n, 3]`.
+    pub rgb: Tensor,
+    /// Density before its activation, `[n]`, 1 / length.
+    pub density: Tensor,
+    /// Both behind each other, `[4 n]`, where one operation gives them: colours of all points, then densities.
+    pub joined: Option<Tensor>,
+}
+
+/// A delta added to the output of one trunk layer.
+pub struct FeatureDelta<'a> {
+    /// 1-based trunk layer; the delta is added after its ReLU, before a skip's concatenation.
+    pub layer: usize,
+    /// `[n, width]`.
+    pub delta: &'a Tensor,
+}
+
+/// `(name, outputs, inputs)` of every layer, in the fixed order of parameters.
+fn layer_shapes(config: &FieldConfig) -> Vec<(String, usize, usize)> {
+    let position = position_channels(config);
+    let direction = encoded_channels(config.view_octaves);
+    let width = config.width;
+    let mut shapes: Vec<(String, usize, usize)> = (0..config.depth)
+        .map(|i| {
+            let inputs = match i {
+                0 => position,
+                i if config.skips.contains(&i) => width + position,
+                _ => width,
+            };
+            (format!("trunk.{i}"), width, inputs)
+        })
+        .collect();
+    shapes.push(("density".into(), 1, width));
+    shapes.push(("feature".into(), width, width));
+    let neurons = config.view_neurons();
+    shapes.push(("view".into(), neurons, width + direction));
+    shapes.extend((1..config.view_depth).map(|i| (format!("view.{i}"), neurons, neurons)));
+    shapes.push(("rgb".into(), 3, neurons));
+    shapes
+}
+
+/// What the networks of a field read of a position: channels of its encoding.
+pub fn position_channels(config: &FieldConfig) -> usize {
+    Code::of_positions(config).channels()
+}
+
+impl Field {
+    /// Names and shapes of all parameters in their fixed order: `trunk.0.weight`, `trunk.0.bias`,
+    /// ..., `rgb.bias`; before them `table`, where there is a hash grid.
+    pub fn parameter_names(config: &FieldConfig) -> Vec<(String, Vec<usize>)> {
+        let of_layers = layer_shapes(config).into_iter().flat_map(|(name, outputs, inputs)| {
+            [(format!("{name}.weight"), vec![outputs, inputs]), (format!("{name}.bias"), vec![outputs])]
+        });
+        Grid::parameter(config).into_iter().chain(of_layers).collect()
+    }
+
+    /// A field with weights drawn from `seed`'s stream `Init` at `index`.
+    pub fn init(config: &FieldConfig, seed: u64, index: u64, dtype: DType, device: &Device) -> Result<Field> {
+        let mut random = Random::new(seed, Stream::Init, index);
+        let mut draw = |shape: &[usize], bound: f64| -> Result<Tensor> {
+            let unit = random.uniform_tensor(shape, dtype, device)?;
+            Ok(unit.affine(2.0 * bound, -bound)?)
+        };
+        let mut parameters = Vec::new();
+        if let Some((_, shape)) = Grid::parameter(config) {
+            parameters.push(draw(&shape, grid::INITIAL)?);
+        }
+        for (_, outputs, inputs) in layer_shapes(config) {
+            let (weight, bias) = match config.init {
+                // Glorot and Bengio 2010, equation 16.
+                Init::Glorot => (
+                    draw(&[outputs, inputs], (6.0 / (inputs + outputs) as f64).sqrt())?,
+                    Tensor::zeros(outputs, dtype, device)?,
+                ),
+                Init::Torch => {
+                    let bound = 1.0 / (inputs as f64).sqrt();
+                    (draw(&[outputs, inputs], bound)?, draw(&[outputs], bound)?)
+                }
+            };
+            parameters.extend([weight, bias]);
+        }
+        Field::from_parameters(config, parameters)
+    }
+
+    /// A field over given parameter values, in the order of [`Field::parameter_names`]. The
+    /// values are copied.
+    ///
+    /// # Errors
+    /// Values that are not those of the shape, or a precision that their type or device does not have.
+    pub fn from_parameters(config: &FieldConfig, values: Vec<Tensor>) -> Result<Field> {
+        let expected = Field::parameter_names(config);
+        if values.len() != expected.len() {
+            return Err(tensor_error(format!("{} parameters given, {} expected", values.len(), expected.len())));
+        }
+        let is_fused = |value: &Tensor| value.device().is_cpu() && value.dtype() == DType::F32;
+        if config.precision == Precision::Bf16 && !(config.core == Core::Fused && values.iter().all(is_fused)) {
+            return Err(crate::base::Error::Config(
+                "field.precision = \"bf16\" is for the fused core, and that is for f32 weights on a processor: run with \
+                 device cpu, or choose field.precision = \"f32\""
+                    .into(),
+            ));
+        }
+        let mut variables = Vec::with_capacity(values.len());
+        for ((name, shape), value) in expected.into_iter().zip(values) {
+            if value.dims() != shape {
+                return Err(tensor_error(format!("{name} has shape {:?}, expected {shape:?}", value.dims())));
+            }
+            variables.push((name, Var::from_tensor(&value.copy()?)?));
+        }
+        let tensors = variables.iter().map(|(_, var)| var.as_tensor().clone()).collect();
+        Ok(Field { variables, ..Field::assemble(config, tensors) })
+    }
+
+    fn assemble(config: &FieldConfig, tensors: Vec<Tensor>) -> Field {
+        let mut tensors = tensors.into_iter();
+        let grid = (config.encoding == Encoding::Hash).then(|| Grid::new(config, tensors.next().expect("a table")));
+        let mut next = |name: String| Layer {
+            name,
+            weight: tensors.next().expect("one weight a layer"),
+            bias: tensors.next().expect("one bias a layer"),
+        };
+        let mut layers: Vec<Layer> = layer_shapes(config).into_iter().map(|(name, _, _)| next(name)).collect();
+        let rgb = layers.pop().expect("a colour head");
+        let view = layers.split_off(layers.len() - config.view_depth);
+        let mut pop = || layers.pop().expect("two heads");
+        let (feature, density) = (pop(), pop());
+        Field {
+            config: config.clone(),
+            trunk: layers,
+            density,
+            feature,
+            view,
+            rgb,
+            grid,
+            variables: Vec::new(),
+            network: None,
+            recorder: None,
+        }
+    }
+
+    /// The same field with its weights, as they are now, laid out for the fused core, where it applies. What is made of
+    /// the returned field need not do that again; after an update of the weights it is out of date.
+    pub fn prepared(&self) -> Result<Field> {
+        let weight = &self.density.weight;
+        if self.network.is_some()
+            || self.config.core == Core::Plain
+            || !weight.device().is_cpu()
+            || weight.dtype() != DType::F32
+        {
+            return Ok(self.clone());
+        }
+        if let Some(grid) = &self.grid {
+            grid.fetch()?;
+        }
+        let parameters: Vec<Tensor> =
+            self.layers().flat_map(|layer| [layer.weight.clone(), layer.bias.clone()]).collect();
+        Ok(Field { network: Some(Arc::new(fused::prepare(&self.config, &parameters)?)), ..self.clone() })
+    }
+
+    /// The same weights with a record of their gradients of its own: backward passes through the returned field add
+    /// up in it (see [`Field::recorded`]). Where the fused core does not apply, candle's gradient store has them.
+    pub fn recording(&self) -> Result<Field> {
+        let field = self.prepared()?;
+        let recorder = field.network.clone().map(|network| Arc::new(fused::Recorder::new(network)));
+        let grid = field.grid.as_ref().map(|grid| if recorder.is_some() { grid.recording() } else { grid.clone() });
+        Ok(Field { recorder, grid, ..field })
+    }
+
+    /// The gradients of the weights that backward passes through this field have added up, in the order of
+    /// parameters; none for a field that does not record, and none of a hash grid's table, which [`Field::table_records`]
+    /// has.
+    pub fn recorded(&self) -> Result<Vec<Option<Tensor>>> {
+        let Some(recorder) = &self.recorder else { return Ok(vec![None; self.variables.len()]) };
+        let table = self.grid.iter().map(|_| None);
+        let shapes = layer_shapes(&self.config)
+            .into_iter()
+            .flat_map(|(_, outputs, inputs)| [vec![outputs, inputs], vec![outputs]])
+            .collect();
+        Ok(table.chain(recorder.gradients(shapes)?.into_iter().map(Some)).collect())
+    }
+
+    /// What backward passes through this field have left for the table of its hash grid, in their order.
+    pub fn table_records(&self) -> Vec<TableRecord> {
+        self.grid.as_ref().map_or_else(Vec::new, Grid::take_records)
+    }
+
+    /// The gradient of the hash grid's table, `[entries, features]`, from records in their order; none without a grid or
+    /// records.
+    pub fn table_gradient(&self, records: &[TableRecord]) -> Result<Option<Tensor>> {
+        let Some(grid) = self.grid.as_ref().filter(|_| !records.is_empty()) else { return Ok(None) };
+        Ok(Some(grid.table_gradient(records)?))
+    }
+
+    /// The fused core, where it applies and nobody expects gradients of the weights in candle's graph.
+    fn query<'a>(&self, below: Option<&'a fused::Below>) -> Option<fused::Query<'a>> {
+        let network = self.network.clone()?;
+        let applies = self.recorder.is_some() || self.variables.is_empty();
+        applies.then(|| fused::Query { network, recorder: self.recorder.clone(), below })
+    }
+
+    /// All layers in the order of parameters.
+    fn layers(&self) -> impl Iterator<Item = &Layer> {
+        self.trunk.iter().chain([&self.density, &self.feature]).chain(&self.view).chain([&self.rgb])
+    }
+
+    /// The same weights (shared, not copied) for which no gradient is ever computed.
+    pub fn frozen(&self) -> Result<Field> {
+        self.detached().prepared()
+    }
+
+    /// Points `[n, 3]` that do not move any more; their gradient is not wanted.
+    pub fn fix(&self, points: &Tensor) -> Result<FixedPoints<'_>> {
+        let inputs = self.inputs(&points.detach())?;
+        Ok(FixedPoints { field: self, inputs, below: fused::Below::default() })
+    }
+
+    fn detached(&self) -> Field {
+        let table = self.grid.iter().map(|grid| grid.table().detach());
+        let of_layers = self.layers().flat_map(|layer| [layer.weight.detach(), layer.bias.detach()]);
+        let tensors = table.chain(of_layers).collect();
+        Field { network: self.network.clone(), ..Field::assemble(&self.config, tensors) }
+    }
+
+    /// The parameters in their fixed order; empty for a frozen field.
+    pub fn variables(&self) -> &[(String, Var)] {
+        &self.variables
+    }
+
+    /// The shape that the field was built with.
+    pub fn config(&self) -> &FieldConfig {
+        &self.config
+    }
+
+    /// Of the weights, and so of points and outputs.
+    pub fn dtype(&self) -> DType {
+        self.density.weight.dtype()
+    }
+
+    /// Where the weights are.
+    pub fn device(&self) -> &Device {
+        self.density.weight.device()
+    }
+
+    fn layer(&self, layer: &Layer, x: &Tensor, relu: bool) -> candle_core::Result<Tensor> {
+        dense(x, &layer.weight, &layer.bias, relu, !self.variables.is_empty())
+            .map_err(|e| e.context(format!("layer {}", layer.name)))
+    }
+
+    /// Raw colour and density of points `[n, 3]` seen along unit directions `viewdirs [rays, 3]`; each ray has the
+    /// same number of points, one ray's behind another's.
+    pub fn forward(&self, points: &Tensor, viewdirs: &Tensor, delta: Option<FeatureDelta>) -> Result<RawOutput> {
+        self.raw_at(&self.inputs(points)?, viewdirs, delta, None)
+    }
+
+    /// What the networks read at `positions`: themselves, or their features in the hash grid.
+    fn inputs(&self, positions: &Tensor) -> Result<Inputs> {
+        let Some(grid) = &self.grid else { return Ok(Inputs { values: positions.clone(), inside: None }) };
+        Ok(Inputs { values: grid.encode(positions)?, inside: grid.inside(positions)? })
+    }
+
+    fn raw_at(
+        &self,
+        inputs: &Inputs,
+        viewdirs: &Tensor,
+        delta: Option<FeatureDelta>,
+        below: Option<&fused::Below>,
+    ) -> Result<RawOutput> {
+        let (n, _) = inputs.values.dims2()?;
+        if let Some(query) = self.query(below) {
+            let raw = query.run(&inputs.values, viewdirs, delta.map(|delta| (delta.layer, delta.delta)))?;
+            let raw = inputs.only_inside(raw)?;
+            let (rgb, density) = (raw.narrow(0, 0, 3 * n)?.reshape((n, 3))?, raw.narrow(0, 3 * n, n)?);
+            return Ok(RawOutput { rgb, density, joined: Some(raw) });
+        }
+        let encoded_views = self.encode_views(viewdirs, n / viewdirs.dim(0)?.max(1))?;
+        let hidden = self.trunk(&inputs.values, delta)?;
+        let density = inputs.only_inside(self.layer(&self.density, &hidden, false)?.squeeze(1)?)?;
+        let feature = self.layer(&self.feature, &hidden, false)?;
+        let mut view = Tensor::cat(&[&feature, &encoded_views], 1)?;
+        for layer in &self.view {
+            view = self.layer(layer, &view, true)?;
+        }
+        Ok(RawOutput { rgb: self.layer(&self.rgb, &view, false)?, density, joined: None })
+    }
+
+    /// 1 where there can be density, 0 elsewhere, of points `[n, 3]`, as `[n]`; none where it is 1 everywhere.
+    pub fn inside(&self, points: &Tensor) -> Result<Option<Tensor>> {
+        let inside = self.grid.as_ref().map(|grid| grid.inside(points)).transpose()?.flatten();
+        Ok(inside.map(|inside| inside.mask(points)).transpose()?)
+    }
+
+    /// Raw density alone, `[n]`.
+    pub fn raw_density(&self, points: &Tensor) -> Result<Tensor> {
+        if let Some(query) = self.query(None).filter(|query| query.recorder.is_none() && !points.track_op()) {
+            return self.queried_density(query, points);
+        }
+        let inputs = self.inputs(points)?;
+        let hidden = self.trunk(&inputs.values, None)?;
+        inputs.only_inside(self.layer(&self.density, &hidden, false)?.squeeze(1)?)
+    }
+
+    /// The same by the fused core, which is not asked about points outside a grid's box.
+    fn queried_density(&self, query: fused::Query, points: &Tensor) -> Result<Tensor> {
+        let Some(grid) = &self.grid else { return Ok(query.density(points)?) };
+        let Some(inside) = grid.are_inside(points)? else { return Ok(query.density(&grid.encode(points)?)?) };
+        let asked: Vec<u32> = (0..).zip(&inside).filter_map(|(i, inside)| inside.then_some(i)).collect();
+        let mut raw = vec![NOTHING as f32; inside.len()];
+        if !asked.is_empty() {
+            let points = points.index_select(&Tensor::new(asked.as_slice(), points.device())?, 0)?;
+            let found = query.density(&grid.encode(&points)?)?.to_vec1::<f32>()?;
+            for (i, found) in asked.iter().zip(found) {
+                raw[*i as usize] = found;
+            }
+        }
+        Ok(Tensor::new(raw, points.device())?)
+    }
+
+    /// Colour from raw colour, of any shape: a sigmoid, spread by `field.rgb_padding` to both sides.
+    pub fn activate_rgb(&self, raw: &Tensor) -> Result<Tensor> {
+        let rgb = candle_nn::ops::sigmoid(raw)?;
+        let padding = self.config.rgb_padding;
+        Ok(if padding > 0.0 { rgb.affine(1.0 + 2.0 * padding, -padding)? } else { rgb })
+    }
+
+    /// Density from raw density, of any shape.
+    pub fn activate_density(&self, raw: &Tensor) -> Result<Tensor> {
+        Ok(activation::activate_density(self.config.density_activation, raw)?)
+    }
+
+    /// What this field is queried at for `points [n, 3]`: the same or, for a field of integrated encoding, Gaussians `[n, 6]`
+    /// around them of a `variance` along each axis, length^2.
+    pub fn positions(&self, points: &Tensor, variance: [f64; 3]) -> Result<Tensor> {
+        if self.config.encoding != Encoding::Integrated {
+            return Ok(points.clone());
+        }
+        let variance = Tensor::new(&variance, points.device())?.to_dtype(points.dtype())?;
+        Ok(Tensor::cat(&[points, &variance.broadcast_as(points.shape())?], 1)?)
+    }
+
+    /// The trunk's last output, `[n, width]`, for points, Gaussians or a grid's features.
+    fn trunk(&self, points: &Tensor, delta: Option<FeatureDelta>) -> Result<Tensor> {
+        let encoded = Code::of_positions(&self.config).apply(points)?;
+        let mut hidden = None;
+        for (i, layer) in self.trunk.iter().enumerate() {
+            let mut output = self.layer(layer, &self.trunk_input(i, &encoded, hidden.as_ref())?, true)?;
+            if let Some(delta) = delta.as_ref().filter(|delta| delta.layer == i + 1) {
+                output = (output + delta.delta)?;
+            }
+            hidden = Some(output);
+        }
+        Ok(hidden.expect("a trunk has layers"))
+    }
+
+    /// What trunk layer `i` (from 0) reads: the encoding, the layer below, or both.
+    fn trunk_input(&self, i: usize, encoded: &Tensor, hidden: Option<&Tensor>) -> Result<Tensor> {
+        Ok(match hidden {
+            None => encoded.clone(),
+            Some(hidden) if self.config.skips.contains(&i) => Tensor::cat(&[encoded, hidden], 1)?,
+            Some(hidden) => hidden.clone(),
+        })
+    }
+
+    /// Encodes unit directions `[rays, 3]` once a ray and repeats them for its samples:
+    /// `[rays * samples, 3 + 6 view_octaves]`.
+    fn encode_views(&self, viewdirs: &Tensor, samples: usize) -> Result<Tensor> {
+        let (rays, _) = viewdirs.dims2()?;
+        let encoded = encode(viewdirs, self.config.view_octaves)?; // [rays, channels]
+        let channels = encoded.dim(1)?;
+        let repeated = encoded.unsqueeze(1)?.broadcast_as((rays, samples, channels))?;
+        Ok(repeated.contiguous()?.reshape((rays * samples, channels))?)
+    }
+}
+
+fn tensor_error(message: String) -> crate::base::Error {
+    candle_core::Error::Msg(message).into()
+}

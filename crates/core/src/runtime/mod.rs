@@ -1,0 +1,201 @@
+//! The machine that a run is computed on: device, threads, memory, host, clocks.
+
+use std::sync::Arc;
+
+use candle_core::Device;
+use rayon::{ThreadPool, ThreadPoolBuilder};
+
+use crate::base::{Error, Result};
+
+pub mod host;
+mod memory;
+mod process;
+mod work;
+
+pub use host::{Host, Timing, instructions};
+pub use host::{free_memory_mib, host_name, peak_memory_mib};
+pub use memory::MemoryWatch;
+pub use work::Work;
+pub use work::{count_multiply_adds, count_points, count_table_bytes};
+
+/// What a thread's stack holds: the main thread's usual size, for work that was made for it.
+const STACK_BYTES: usize = 8 << 20;
+
+/// Where numbers are computed: a device, and threads of its own that share the work.
+///
+/// Several runtimes may work in one process at the same time; none changes another's numbers, and how many threads one has
+/// changes no number either. A clone is the same runtime.
+///
+/// # What is set for the whole process
+///
+/// The first runtime of a process also sets what exists once a process. Later ones find it set.
+///
+/// - Memory that was freed stays with the process (glibc's `mallopt`); a training step would take twice as long without.
+/// - candle works on the calling thread alone: `RAYON_NUM_THREADS` and `CANDLE_NUM_THREADS` become 1, the only way that candle
+///   0.11 offers. Rayon's global pool is started before, with the threads that it would have had.
+/// - With `cuda-tf32`, matrix products of all CUDA devices are rounded; a process cannot have both `cuda` and `cuda-tf32`.
+///
+/// The environment is written, so make the first runtime before C code on other threads reads it: at the start of `main`.
+#[derive(Clone, Debug)]
+pub struct Runtime {
+    device: Device,
+    name: String,
+    pool: Arc<ThreadPool>,
+    counters: Arc<work::Counters>,
+    /// No other job shares its threads.
+    alone: bool,
+}
+
+impl Runtime {
+    /// Opens `device` (`cpu`, `cuda`, `cuda:N`, `cuda-tf32` or `metal`) with so many threads (`None`: as many as the process
+    /// has processors).
+    ///
+    /// # Errors
+    /// [`Error::Config`]: a device that is unknown, not there, or not built in; threads that the system does not give; a process
+    /// that rounds matrix products otherwise.
+    ///
+    /// ```
+    /// use augnerf::runtime::Runtime;
+    ///
+    /// let runtime = Runtime::new("cpu", Some(2))?;
+    /// assert_eq!(runtime.threads(), 2);
+    /// assert!(Runtime::new("abacus", None).is_err() && Runtime::new("cpu", Some(0)).is_err());
+    /// # Ok::<(), augnerf::base::Error>(())
+    /// ```
+    pub fn new(device: &str, threads: Option<usize>) -> Result<Runtime> {
+        if threads == Some(0) {
+            return Err(Error::Config("threads = 0 is out of range: it must be at least 1".into()));
+        }
+        process::prepare();
+        let threads = threads.unwrap_or_else(|| std::thread::available_parallelism().map_or(1, usize::from));
+        Runtime::with_threads(open(device)?, device.to_string(), threads)
+    }
+
+    /// Refuses a name that is no device's, without opening one: whoever uses it may be another machine.
+    ///
+    /// # Errors
+    /// [`Error::Config`].
+    pub fn check_name(device: &str) -> Result<()> {
+        kind_and_index(device).map(|_| ())
+    }
+
+    fn with_threads(device: Device, name: String, threads: usize) -> Result<Runtime> {
+        let counters = Arc::new(work::Counters::default());
+        let own = counters.clone();
+        let pool = ThreadPoolBuilder::new()
+            .num_threads(threads)
+            .stack_size(STACK_BYTES)
+            .start_handler(move |_| own.clone().adopt_thread())
+            .build()
+            .map_err(|e| Error::Config(format!("threads {threads}: cannot start the threads: {e}")))?;
+        Ok(Runtime { device, name, pool: Arc::new(pool), counters, alone: true })
+    }
+
+    /// A runtime on the same device for one of `jobs` that share this one's threads (each has at least one).
+    ///
+    /// # Errors
+    /// [`Error::Config`]: the system gives no threads.
+    pub fn share(&self, jobs: usize) -> Result<Runtime> {
+        let own = Runtime::with_threads(self.device.clone(), self.name.clone(), (self.threads() / jobs).max(1))?;
+        Ok(Runtime { alone: jobs == 1, ..own })
+    }
+
+    /// No other job shares what this one was made of, so that the process's memory is its own.
+    pub fn is_alone(&self) -> bool {
+        self.alone
+    }
+
+    /// Does `work` on the runtime's threads and waits for it. On one of them already, it goes on there.
+    pub fn install<T: Send>(&self, work: impl FnOnce() -> T + Send) -> T {
+        self.pool.install(work)
+    }
+
+    /// Does `work` once on each of the runtime's threads and waits for all.
+    pub fn on_every_thread(&self, work: impl Fn() + Sync) {
+        self.pool.broadcast(|_| work());
+    }
+
+    /// The device.
+    pub fn device(&self) -> &Device {
+        &self.device
+    }
+
+    /// What the device was called when it was opened.
+    pub fn name(&self) -> &str {
+        &self.name
+    }
+
+    /// The device's kind: `cpu`, `cuda`, `cuda-tf32` or `metal`.
+    pub fn kind(&self) -> &str {
+        self.name.split_once(':').map_or(self.name(), |(kind, _)| kind)
+    }
+
+    /// The processor's instruction set, as far as kernels are chosen by it; none where another device computes.
+    pub fn instructions(&self) -> Option<&'static str> {
+        self.device.is_cpu().then(host::instructions)
+    }
+
+    /// How many threads share the work.
+    pub fn threads(&self) -> usize {
+        self.pool.current_num_threads()
+    }
+
+    /// What the fused core did on these threads so far.
+    pub fn work(&self) -> Work {
+        self.counters.read()
+    }
+}
+
+fn open(name: &str) -> Result<Device> {
+    let refuse = |found: String| refused(name, &found);
+    let (kind, index) = kind_and_index(name)?;
+    match kind {
+        "cpu" => Ok(Device::Cpu),
+        "cuda" | "cuda-tf32" if cfg!(feature = "cuda") => {
+            process::round_products(kind == "cuda-tf32", name)?;
+            Device::new_cuda(index).map_err(|e| refuse(e.to_string()))
+        }
+        "metal" if cfg!(feature = "metal") => Device::new_metal(index).map_err(|e| refuse(e.to_string())),
+        "cuda" | "cuda-tf32" | "metal" => {
+            let feature = kind.trim_end_matches("-tf32");
+            Err(refuse(format!("this program was built without {feature}; build it with --features {feature}")))
+        }
+        _ => unreachable!("a kind of device"),
+    }
+}
+
+/// What a name says, whether this program was built with it or not.
+fn kind_and_index(name: &str) -> Result<(&str, usize)> {
+    let (kind, index) = name.split_once(':').unwrap_or((name, "0"));
+    if !["cpu", "cuda", "cuda-tf32", "metal"].contains(&kind) || (kind == "cpu" && name != kind) {
+        return Err(refused(name, "choose cpu, cuda, cuda:N, cuda-tf32 or metal"));
+    }
+    let index = index.parse().map_err(|_| refused(name, &format!("'{index}' is not a device number")))?;
+    Ok((kind, index))
+}
+
+fn refused(name: &str, found: &str) -> Error {
+    Error::Config(format!("device {name}: {found}"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn work_is_counted_by_the_runtime_that_does_it() {
+        let [one, other] = [1, 3].map(|threads| Runtime::new("cpu", Some(threads)).unwrap());
+        one.install(|| count_multiply_adds(5));
+        other.install(|| count_points(3, 2));
+        count_multiply_adds(100);
+        assert_eq!(one.work(), Work { multiply_adds: 5, table_bytes: 0, points: 0, active_points: 0 });
+        assert_eq!(other.work(), Work { multiply_adds: 0, table_bytes: 0, points: 3, active_points: 2 });
+        assert_eq!(other.work() - other.work(), Work { multiply_adds: 0, table_bytes: 0, points: 0, active_points: 0 });
+    }
+
+    #[test]
+    fn a_share_has_a_thread_at_least() {
+        let runtime = Runtime::new("cpu", Some(3)).unwrap();
+        assert_eq!([1, 2, 3, 4].map(|jobs| runtime.share(jobs).unwrap().threads()), [3, 1, 1, 1]);
+    }
+}

@@ -1,0 +1,60 @@
+//! Work over the cells of a lattice, chunk by chunk.
+
+use candle_core::{DType, Device, Tensor};
+use rayon::prelude::*;
+
+use super::{Lattice, Quadrature};
+use crate::base::Result;
+use crate::field::Density;
+
+/// Points that one thread works on at once: what it keeps of a trunk of 8 x 256 stays near its core.
+pub const CHUNK: usize = 1024;
+/// The same on an accelerator, which wants many.
+const DEVICE_CHUNK: usize = 65_536;
+/// Chunks whose gradients are in memory at once.
+const CHUNKS_AT_ONCE: usize = 16;
+
+/// Densities at the midpoints of a lattice, each standing for its cell, in the order of the cells: `take` is handed so
+/// many at a time that memory does not grow with the lattice.
+pub fn densities(density: &dyn Density, lattice: &Lattice, take: impl FnMut(Vec<f32>) -> Result<()>) -> Result<()> {
+    let query = |points: &Tensor| {
+        let density = density.density(points, lattice.cell_variance())?;
+        Ok(density.to_dtype(DType::F32)?.to_vec1::<f32>()?)
+    };
+    over_chunks(&Quadrature::full(*lattice), density.dtype(), density.device(), query, take)
+}
+
+/// Chunks that a pass over `count` points takes.
+pub fn chunk_count(count: usize, device: &Device) -> usize {
+    count.div_ceil(chunk_size(device))
+}
+
+/// Points of a chunk.
+pub fn chunk_size(device: &Device) -> usize {
+    if device.is_cpu() { CHUNK } else { DEVICE_CHUNK }
+}
+
+/// Chunks that are worked on at once.
+pub fn chunks_at_once(device: &Device) -> usize {
+    if device.is_cpu() { rayon::current_num_threads().min(CHUNKS_AT_ONCE) } else { 1 }
+}
+
+/// Works through points of a precision on a device in chunks, some at once, and hands the results
+/// over in order: memory does not grow with their number, and the number of threads changes no bit.
+pub fn over_chunks<T: Send>(
+    points: &Quadrature,
+    dtype: DType,
+    device: &Device,
+    work: impl Fn(&Tensor) -> Result<T> + Sync,
+    mut take: impl FnMut(T) -> Result<()>,
+) -> Result<()> {
+    let (size, count) = (chunk_size(device), points.count());
+    let starts: Vec<usize> = (0..count).step_by(size).collect();
+    let one = |&start: &usize| work(&points.tensor(start, size.min(count - start), dtype, device)?);
+    for group in starts.chunks(CHUNKS_AT_ONCE) {
+        let done: Result<Vec<T>> =
+            if device.is_cpu() { group.par_iter().map(one).collect() } else { group.iter().map(one).collect() };
+        done?.into_iter().try_for_each(&mut take)?;
+    }
+    Ok(())
+}

@@ -1,0 +1,26 @@
+//! Surfaces: level sets of trained densities, meshes and their files, distances between surfaces.
+//!
+//! A density field has no surface of its own. What stands for one is a level set, density =
+//! threshold, which marching cubes draws through the midpoints of a lattice of cells.
+
+mod cells;
+mod colouring;
+mod distance;
+mod files;
+mod lattice;
+mod level;
+mod marching;
+mod mesh;
+mod nearest;
+mod shading;
+
+pub use cells::{CHUNK, densities};
+pub use cells::{chunk_count, chunk_size, chunks_at_once, over_chunks};
+pub use colouring::{FinishedMesh, Normals, finish_mesh, in_scene};
+pub use distance::{Chamfer, PointCloud, Reference, Score, chamfer, sample};
+pub use files::{read_mesh, write_obj, write_ply};
+pub use lattice::{Lattice, Quadrature};
+pub use level::{DensityRange, Drawing, LevelSet, level_set};
+pub use marching::Marcher;
+pub use mesh::{Component, Mesh};
+pub use shading::{Paint, around, resized, shade};

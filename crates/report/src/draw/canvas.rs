@@ -1,0 +1,436 @@
+//! Drawings, as SVG and PNG from the same marks.
+//!
+//! A drawing is laid out as plain data, written as SVG, and the PNG is that SVG drawn with an embedded
+//! font, so that a machine without any draws the same.
+
+use base64::Engine;
+use base64::engine::general_purpose::STANDARD;
+use svg::node::element::{Circle, Image as Raster, Polygon, Polyline, Rectangle, Text};
+use svg::{Document, Node};
+
+use super::pictures::encode_png8;
+use super::raster;
+pub use super::raster::FINENESS;
+use crate::base::{Error, Image, Result};
+
+/// A finished figure.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Figure {
+    /// SVG text.
+    pub svg: String,
+    /// PNG file, twice as fine; none without the feature `png-figures`.
+    pub png: Option<Vec<u8>>,
+}
+
+impl Figure {
+    /// `NAME.svg` and, where there is one, `NAME.png`, each with its bytes.
+    pub fn files(self, name: &str) -> impl Iterator<Item = (String, Vec<u8>)> {
+        let png = self.png.map(|png| (format!("{name}.png"), png));
+        std::iter::once((format!("{name}.svg"), self.svg.into_bytes())).chain(png)
+    }
+}
+
+/// What figures are to be lettered in.
+const FONT_FAMILY: &str = "Ubuntu, sans-serif";
+/// Letters' size.
+pub const TEXT: f64 = 13.0;
+/// Size of a title's letters.
+pub const TITLE: f64 = 15.0;
+/// From one line of text to the next.
+pub const LINE_HEIGHT: f64 = 18.0;
+/// Whether texts say how wide they are.
+#[derive(Clone, Copy)]
+enum Letters {
+    /// They do: where the face is not at hand, that of a browser is narrowed or widened, and nothing runs off the edge.
+    Fitted,
+    /// They do not: the face is at hand.
+    Free,
+}
+
+/// What a drawing leaves free at its sides.
+pub const SIDE: f64 = 20.0;
+
+/// Pixels from the corner beyond which nothing is drawn.
+const FAR: f64 = 1e6;
+/// Values beyond are drawn there, and nearer to one another than [`LEAST_SPAN`] as equal: a scale has to have a length.
+const MOST: f64 = 1e300;
+const LEAST_SPAN: f64 = 1e-200;
+
+/// Red, green, blue.
+#[derive(Clone, Copy)]
+pub struct Colour(u8, u8, u8);
+
+impl Colour {
+    /// The nearest to one of three shares.
+    pub fn of(rgb: [f32; 3]) -> Colour {
+        let [r, g, b] = rgb.map(|share| (share.clamp(0.0, 1.0) * 255.0).round() as u8);
+        Colour(r, g, b)
+    }
+
+    fn text(self) -> String {
+        format!("rgb({},{},{})", self.0, self.1, self.2)
+    }
+}
+
+/// Background of figures.
+pub const PAPER: Colour = Colour(255, 255, 255);
+/// Axes and text.
+pub const BLACK: Colour = Colour(30, 30, 30);
+/// Secondary text.
+pub const GREY: Colour = Colour(110, 110, 110);
+/// Grid lines.
+pub const GRID: Colour = Colour(225, 225, 225);
+/// First colour of differences.
+pub const BLUE: Colour = Colour(0, 114, 178);
+/// Second colour of differences.
+pub const RED: Colour = Colour(213, 94, 0);
+/// Okabe and Ito's colours, which colour-blind readers tell apart.
+pub const PALETTE: [Colour; 8] = [
+    BLUE,
+    RED,
+    Colour(0, 158, 115),
+    Colour(204, 121, 167),
+    Colour(86, 180, 233),
+    Colour(230, 159, 0),
+    Colour(90, 90, 90),
+    Colour(160, 130, 40),
+];
+
+/// Which part of a text stands at its place.
+#[derive(Clone, Copy)]
+pub enum Anchor {
+    /// At the left end of the text.
+    Left,
+    /// At the middle of the text.
+    Middle,
+    /// At the right end of the text.
+    Right,
+}
+
+enum Mark {
+    Line {
+        points: Vec<(f64, f64)>,
+        colour: Colour,
+        width: f64,
+        dashed: bool,
+    },
+    Area {
+        points: Vec<(f64, f64)>,
+        colour: Colour,
+        opacity: f64,
+    },
+    Dot {
+        at: (f64, f64),
+        radius: f64,
+        colour: Colour,
+        opacity: f64,
+    },
+    /// `at` is the anchor's end of the text's middle line.
+    Text {
+        at: (f64, f64),
+        text: String,
+        size: f64,
+        anchor: Anchor,
+        colour: Colour,
+    },
+    /// `at` is the upper left corner; pixels become rectangles.
+    Picture {
+        at: (f64, f64),
+        size: (f64, f64),
+        png: Vec<u8>,
+    },
+}
+
+/// What a figure is made of, in pixels from the upper left corner.
+pub struct Canvas {
+    /// Width in pixels.
+    pub width: f64,
+    /// Height in pixels.
+    pub height: f64,
+    marks: Vec<Mark>,
+}
+
+impl Canvas {
+    /// Returns an empty canvas of this size in pixels.
+    pub fn new(width: f64, height: f64) -> Canvas {
+        Canvas { width, height, marks: Vec::new() }
+    }
+
+    /// A canvas with a title at its top, at least as wide as that needs.
+    pub fn titled(width: f64, height: f64, title: &str) -> Canvas {
+        let mut canvas = Canvas::new(width.max(text_width(title, TITLE) + 2.0 * SIDE), height);
+        canvas.text((SIDE, 20.0), title, TITLE, Anchor::Left, BLACK);
+        canvas
+    }
+
+    /// Draws a line through points.
+    pub fn line(&mut self, points: &[(f64, f64)], colour: Colour, width: f64) {
+        self.marks.push(Mark::Line { points: drawable(points), colour, width, dashed: false });
+    }
+
+    /// Draws a dashed line through points.
+    pub fn dashed(&mut self, points: &[(f64, f64)], colour: Colour, width: f64) {
+        self.marks.push(Mark::Line { points: drawable(points), colour, width, dashed: true });
+    }
+
+    /// Fills the area within points.
+    pub fn area(&mut self, points: Vec<(f64, f64)>, colour: Colour, opacity: f64) {
+        self.marks.push(Mark::Area { points: drawable(&points), colour, opacity });
+    }
+
+    /// Draws a disc.
+    pub fn dot(&mut self, at: (f64, f64), radius: f64, colour: Colour, opacity: f64) {
+        self.marks.extend(drawable(&[at]).pop().map(|at| Mark::Dot { at, radius, colour, opacity }));
+    }
+
+    /// Writes a line of text; `at` is on its baseline.
+    pub fn text(&mut self, at: (f64, f64), text: &str, size: f64, anchor: Anchor, colour: Colour) {
+        // XML knows no way to write these.
+        let text = text.replace(|letter: char| letter.is_control() || matches!(letter, '\u{fffe}' | '\u{ffff}'), " ");
+        self.marks.extend(drawable(&[at]).pop().map(|at| Mark::Text { at, text, size, anchor, colour }));
+    }
+
+    /// The outline of a rectangle from its upper left corner.
+    pub fn outline(&mut self, (x, y): (f64, f64), (width, height): (f64, f64), colour: Colour, thickness: f64) {
+        let (right, bottom) = (x + width, y + height);
+        // A fourth corner of its own, and beyond it: a line's ends have no mitre.
+        self.line(&[(x, y), (right, y), (right, bottom), (x, bottom), (x, y), (right, y)], colour, thickness);
+    }
+
+    /// A picture, stretched to `size`; its pixels stay sharp.
+    pub fn picture(&mut self, at: (f64, f64), size: (f64, f64), picture: &Image) -> Result<()> {
+        let png = encode_png8(picture).map_err(|e| Error::Output(format!("cannot draw a figure: {e}")))?;
+        self.marks.push(Mark::Picture { at, size, png });
+        Ok(())
+    }
+
+    /// Wrapped text below everything; the drawing grows by its height.
+    pub fn caption(&mut self, text: &str) {
+        for line in wrapped(text, self.width - 2.0 * SIDE, TEXT) {
+            self.text((SIDE, self.height + LINE_HEIGHT / 2.0), &line, TEXT, Anchor::Left, GREY);
+            self.height += LINE_HEIGHT;
+        }
+        self.height += LINE_HEIGHT / 2.0;
+    }
+
+    /// The figure's files.
+    pub fn finish(self) -> Result<Figure> {
+        let png = raster::png(&self.svg(Letters::Free))?;
+        Ok(Figure { svg: self.svg(Letters::Fitted), png })
+    }
+
+    /// The PNG's pixels, which only the feature `png-figures` draws.
+    pub fn raster(self) -> Result<Image> {
+        raster::image(&self.svg(Letters::Free))
+    }
+
+    fn svg(&self, letters: Letters) -> String {
+        let (width, height) = (self.width.ceil(), self.height.ceil());
+        let mut document =
+            Document::new().set("viewBox", (0, 0, width, height)).set("width", width).set("height", height);
+        document.append(Rectangle::new().set("width", width).set("height", height).set("fill", "white"));
+        self.marks.iter().for_each(|mark| mark.write(&mut document, letters));
+        document.to_string()
+    }
+}
+
+impl Mark {
+    fn write(&self, document: &mut Document, letters: Letters) {
+        let points = |points: &[(f64, f64)]| {
+            points.iter().map(|(x, y)| format!("{x:.1},{y:.1}")).collect::<Vec<String>>().join(" ")
+        };
+        match self {
+            Mark::Line { points: along, colour, width, dashed } => {
+                let line = Polyline::new().set("points", points(along)).set("fill", "none");
+                let line = line.set("stroke", colour.text()).set("stroke-width", *width);
+                document.append(if *dashed { line.set("stroke-dasharray", "6 4") } else { line });
+            }
+            Mark::Area { points: around, colour, opacity } => {
+                let area = Polygon::new().set("points", points(around)).set("fill", colour.text());
+                document.append(area.set("fill-opacity", *opacity));
+            }
+            Mark::Dot { at: (x, y), radius, colour, opacity } => {
+                let dot = Circle::new().set("cx", format!("{x:.1}")).set("cy", format!("{y:.1}")).set("r", *radius);
+                document.append(dot.set("fill", colour.text()).set("fill-opacity", *opacity));
+            }
+            Mark::Text { at: (x, y), text, size, anchor, colour } => {
+                let anchor = match anchor {
+                    Anchor::Left => "start",
+                    Anchor::Middle => "middle",
+                    Anchor::Right => "end",
+                };
+                // From the middle of the letters to their foot.
+                let foot = y + 0.34 * size;
+                let element = Text::new(text.as_str()).set("x", format!("{x:.1}")).set("y", format!("{foot:.1}"));
+                let element = element.set("font-family", FONT_FAMILY).set("font-size", *size);
+                let element = element.set("text-anchor", anchor).set("fill", colour.text());
+                let width = text_width(text, *size);
+                document.append(match letters {
+                    Letters::Fitted if width > 0.0 => {
+                        element.set("textLength", format!("{width:.1}")).set("lengthAdjust", "spacingAndGlyphs")
+                    }
+                    Letters::Fitted | Letters::Free => element,
+                });
+            }
+            Mark::Picture { at: (x, y), size: (width, height), png } => {
+                let raster = Raster::new().set("x", *x).set("y", *y).set("width", *width).set("height", *height);
+                let raster = raster.set("preserveAspectRatio", "none");
+                // As an attribute it would not be known: SVG 2 has this value in styles alone.
+                let raster = raster.set("style", "image-rendering:pixelated");
+                document.append(raster.set("href", format!("data:image/png;base64,{}", STANDARD.encode(png))));
+            }
+        }
+    }
+}
+
+/// The places that exist, none so far outside that numbers of it would be of no use.
+fn drawable(points: &[(f64, f64)]) -> Vec<(f64, f64)> {
+    let finite = points.iter().filter(|(x, y)| x.is_finite() && y.is_finite());
+    finite.map(|(x, y)| (x.clamp(-FAR, FAR), y.clamp(-FAR, FAR))).collect()
+}
+
+/// Width of a text in pixels.
+pub fn text_width(text: &str, size: f64) -> f64 {
+    let face = ttf_parser::Face::parse(raster::FACE, 0).expect("the embedded font is a font");
+    let advance =
+        |letter: char| face.glyph_index(letter).and_then(|glyph| face.glyph_hor_advance(glyph)).unwrap_or(500);
+    text.chars().map(|letter| f64::from(advance(letter))).sum::<f64>() * size / f64::from(face.units_per_em())
+}
+
+/// Lines of at most `width` pixels in letters of `size`, broken at spaces, and within a word where it alone is longer.
+pub fn wrapped(text: &str, width: f64, size: f64) -> Vec<String> {
+    let mut lines = vec![String::new()];
+    for word in text.split_whitespace().flat_map(|word| pieces(word, width, size)) {
+        let line = lines.last_mut().expect("starts with one");
+        let longer = if line.is_empty() { word.clone() } else { format!("{line} {word}") };
+        if text_width(&longer, size) <= width || line.is_empty() {
+            *line = longer;
+        } else {
+            lines.push(word);
+        }
+    }
+    lines
+}
+
+/// A word in parts of at most `width` pixels, or of one letter.
+fn pieces(word: &str, width: f64, size: f64) -> Vec<String> {
+    let mut pieces = vec![String::new()];
+    for letter in word.chars() {
+        let piece = pieces.last_mut().expect("starts with one");
+        if !piece.is_empty() && text_width(&format!("{piece}{letter}"), size) > width {
+            pieces.push(String::new());
+        }
+        pieces.last_mut().expect("just seen").push(letter);
+    }
+    pieces
+}
+
+/// A number with the digits that a step between ticks asks for.
+pub fn number(value: f64, step: f64) -> String {
+    if value != 0.0 && !(1e-3..1e6).contains(&value.abs()) {
+        return format!("{value:.1e}");
+    }
+    let digits = (-step.log10().floor()).clamp(0.0, 6.0) as usize;
+    format!("{value:.digits$}")
+}
+
+/// A setting's value as a label has it: long numbers by three digits at most, all else as it is.
+pub fn short(text: &str) -> String {
+    match text.parse::<f64>() {
+        Ok(exact) if text.len() > 6 && (1e-3..1e6).contains(&exact.abs()) => number(exact, exact.abs() / 100.0),
+        // Through its own digits, so that none is a zero at the end.
+        Ok(exact) if text.len() > 6 => {
+            format!("{:e}", format!("{exact:.2e}").parse::<f64>().expect("a number's own digits"))
+        }
+        _ => text.to_string(),
+    }
+}
+
+/// Ten to a whole power.
+fn power(exponent: f64) -> String {
+    match (-3.0..6.0).contains(&exponent) {
+        true => 10f64.powi(exponent as i32).to_string(),
+        false => format!("1e{exponent}"),
+    }
+}
+
+/// Round numbers across a range, and the step between them.
+pub fn ticks((low, high): (f64, f64), most: usize) -> (Vec<f64>, f64) {
+    let raw = (high - low) / most as f64;
+    if !(raw > LEAST_SPAN && raw < MOST) {
+        return (Vec::new(), 1.0);
+    }
+    let power = 10f64.powf(raw.log10().floor());
+    let step = [1.0, 2.0, 5.0, 10.0].map(|m| m * power).into_iter().find(|step| *step >= raw).unwrap_or(raw);
+    let first = (low / step).ceil() as i64;
+    let last = (high / step).floor() as i64;
+    ((first..=last).map(|i| i as f64 * step).collect(), step)
+}
+
+/// A range with some room around its values; none without finite values.
+pub fn range(values: impl Iterator<Item = f64>) -> Option<(f64, f64)> {
+    let finite: Vec<f64> = values.filter(|value| value.is_finite()).map(|value| value.clamp(-MOST, MOST)).collect();
+    let low = finite.iter().copied().reduce(f64::min)?;
+    let high = finite.iter().copied().reduce(f64::max)?;
+    let size = low.abs().max(high.abs());
+    // Less than that is rounding, which has no ticks.
+    let differ = high - low > (1e-12 * size).max(LEAST_SPAN);
+    let room = if differ { 0.08 * (high - low) } else { 0.05 * size.max(1e-6) };
+    Some((low - room, high + room))
+}
+
+/// A rectangle with a vertical scale.
+pub struct Panel {
+    /// Left edge in pixels.
+    pub left: f64,
+    /// Top edge in pixels.
+    pub top: f64,
+    /// Width in pixels.
+    pub width: f64,
+    /// Height in pixels.
+    pub height: f64,
+    /// Values at the bottom and at the top edge.
+    pub range: (f64, f64),
+}
+
+impl Panel {
+    /// Returns the pixel row of a value.
+    pub fn y(&self, value: f64) -> f64 {
+        let (low, high) = self.range;
+        self.top + self.height * (high - value) / (high - low)
+    }
+
+    /// Right edge in pixels.
+    pub fn right(&self) -> f64 {
+        self.left + self.width
+    }
+
+    /// Bottom edge in pixels.
+    pub fn bottom(&self) -> f64 {
+        self.top + self.height
+    }
+
+    /// Horizontal grid lines, their numbers where asked for, and the frame.
+    pub fn frame(&self, drawing: &mut Canvas, numbers: bool) {
+        let (values, step) = ticks(self.range, (self.height / 40.0) as usize + 1);
+        self.frame_at(drawing, values.into_iter().map(|value| (value, number(value, step))), numbers);
+    }
+
+    /// The same of a range of decimal logarithms, with lines at powers of ten.
+    pub fn log_frame(&self, drawing: &mut Canvas, numbers: bool) {
+        let (values, _) = ticks(self.range, (self.height / 20.0) as usize);
+        let whole = values.into_iter().filter(|value| value.fract() == 0.0);
+        self.frame_at(drawing, whole.map(|value| (value, power(value))), numbers);
+    }
+
+    fn frame_at(&self, drawing: &mut Canvas, marks: impl Iterator<Item = (f64, String)>, numbers: bool) {
+        for (value, text) in marks {
+            let y = self.y(value);
+            drawing.line(&[(self.left, y), (self.right(), y)], GRID, 1.0);
+            if numbers {
+                drawing.text((self.left - 6.0, y), &text, TEXT, Anchor::Right, BLACK);
+            }
+        }
+        drawing.line(&[(self.left, self.top), (self.left, self.bottom()), (self.right(), self.bottom())], BLACK, 1.0);
+    }
+}

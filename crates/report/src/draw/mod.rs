@@ -1,0 +1,16 @@
+//! Pictures: figures in SVG and PNG, images, depth maps, animations.
+
+pub mod canvas;
+mod film;
+pub mod pictures;
+mod raster;
+mod reel;
+
+pub use canvas::Figure;
+pub use film::without_mp4;
+pub use pictures::{
+    SOLID, beside, depth_colour, depth_range, depth_range_of, encode_jpeg, pixel_errors, quantise, scale_colour,
+    write_depth16, write_png8,
+};
+pub use raster::SVG_ALONE;
+pub use reel::{Reel, write_timed_gif};

@@ -1,0 +1,8 @@
+//! What people look at: tables, statistics, figures, pages, pictures and videos.
+
+#![warn(missing_docs)]
+
+pub(crate) use augnerf_core::{augment, base, data, metrics, settings};
+
+pub mod draw;
+pub mod report;

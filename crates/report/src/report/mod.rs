@@ -1,0 +1,16 @@
+//! Tables, figures and a page over points: records, statistics, published numbers.
+
+mod across;
+pub mod exporters;
+pub mod page;
+pub mod plots;
+pub mod power;
+mod published;
+mod record;
+pub mod statistics;
+pub mod tables;
+
+pub use across::{Across, Block};
+pub use published::{PUBLISHED_NOTE, PublishedProtocol, PublishedRow, published_rows};
+pub use record::distinct;
+pub use record::{AxisValue, PublishedKey, Record, RowSpec, Status, TableSpec, label};

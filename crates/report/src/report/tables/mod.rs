@@ -1,0 +1,354 @@
+//! Tables of a sweep: one line a row of the definition and place on its axes, over the seeds.
+//!
+//! Replicates are seeds, never views. A line is compared with its baseline seed by seed; a number
+//! that is missing is left out and `n` says so. Published numbers stand beside ours, with what is
+//! known to differ in protocol, and are never subtracted.
+
+mod attack;
+mod checks;
+mod comparison;
+mod delimited;
+mod heading;
+mod kinds;
+mod latex;
+mod markdown;
+mod read;
+mod terminal;
+pub mod text;
+
+pub use attack::{AttackLine, AttackSite, SiteMeans, attack_csv};
+pub use checks::disagreements;
+pub(super) use comparison::comparisons_to_come;
+pub use comparison::{Comparison, Equivalence, Verdict};
+pub use delimited::{PointTiming, points_csv, table_csv, timing_csv};
+pub use heading::{Heading, is_better, is_worse};
+pub use latex::table_latex;
+pub use markdown::escape;
+pub use markdown::table_markdown;
+pub use read::{PlaceText, read_points, read_timing};
+pub use terminal::table_terminal;
+
+use crate::base::Result;
+use crate::report::statistics::{mean, paired_differences, standard_deviation};
+use crate::report::{AxisValue, PublishedRow, Record, RowSpec, Status, TableSpec, distinct};
+use crate::settings::columns::{INACTIVE_BY, InactiveBy, is_per_seed};
+
+/// A table, ready to be rendered.
+///
+/// ```
+/// use augnerf::report::tables::{Table, table_markdown};
+/// use augnerf::report::{Record, RowSpec, Status, TableSpec};
+///
+/// let record = |row: &str, seed: u64, psnr| Record {
+///     id: format!("{row}-{seed}"),
+///     scene: "fern".into(),
+///     row: row.into(),
+///     axes: vec![],
+///     seed: Some(seed),
+///     status: Status::Done,
+///     reason: String::new(),
+///     metrics: vec![("psnr".into(), Some(psnr))],
+///     protocol: vec![],
+///     inactive_levels: vec![],
+/// };
+/// let row = |name: &str, baseline: Option<&str>| RowSpec {
+///     name: name.into(),
+///     baseline: baseline.map(String::from),
+///     ..RowSpec::default()
+/// };
+/// let spec = TableSpec {
+///     metrics: vec!["psnr".into()],
+///     rows: vec![row("NeRF", None), row("Aug-NeRF", Some("NeRF"))],
+///     ..TableSpec::default()
+/// };
+/// let records =
+///     [record("NeRF", 0, 20.0), record("NeRF", 1, 21.0), record("Aug-NeRF", 0, 22.0), record("Aug-NeRF", 1, 23.5)];
+/// let table = Table::new(&spec, &records, false)?;
+/// let difference = table.lines[1].cells[0].comparison.unwrap();
+/// assert_eq!((table.lines[0].cells[0].mean, difference.difference), (Some(20.5), 2.25));
+/// assert!(table_markdown(&table).contains("| NeRF |"));
+/// # Ok::<(), augnerf::base::Error>(())
+/// ```
+#[derive(Clone, Debug, PartialEq)]
+pub struct Table {
+    /// The sweep's name.
+    pub name: String,
+    /// What the table answers.
+    pub title: String,
+    /// Keys of the printed metrics, in the order of the columns.
+    pub metrics: Vec<String>,
+    /// By scene, then row, then axes.
+    pub lines: Vec<Line>,
+    /// What stands below the table besides.
+    pub notes: Vec<String>,
+}
+
+/// The points that differ in their seed only.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Line {
+    /// The scene's name.
+    pub scene: String,
+    /// The row's name without axis values.
+    pub row: String,
+    /// The axis values: `features steps = 3, output step size = 1e-5`; empty for a plain row.
+    pub axes: String,
+    /// Row and axis values.
+    pub label: String,
+    /// Label of the line that this one is compared with; none for a baseline.
+    pub baseline: Option<String>,
+    /// A row that the paper does not have.
+    pub ours: bool,
+    /// The paper's numbers alone; not run here.
+    pub quoted: bool,
+    /// Pictures of another program, measured here.
+    pub scored: bool,
+    /// Folder names of the measured points.
+    pub ids: Vec<String>,
+    /// Points that the definition asks for.
+    pub points: usize,
+    /// How many points have come how far: `done 2, failed 1`.
+    pub status: String,
+    /// Why the first point without numbers has none; empty otherwise.
+    pub reason: String,
+    /// Sites that were inactive with at least one seed.
+    pub inactive_levels: Vec<String>,
+    /// One for each of the table's metrics.
+    pub cells: Vec<Cell>,
+    /// The paper's LPIPS, of a backbone that it does not name; none where the table has no LPIPS.
+    pub published_lpips: Option<f64>,
+    /// The same of its average.
+    pub published_average: Option<f64>,
+    /// How the paper's numbers were measured; empty without any.
+    pub published_protocol: String,
+    /// In what the measured points are known to differ from that.
+    pub protocol_difference: String,
+    /// Protocol fields that are equal over the seeds.
+    pub protocol: Vec<(String, String)>,
+    /// Protocol fields that are not, besides those that every seed has its own of.
+    pub differs: Vec<String>,
+    /// Fields of `must_match` that differ from the scene's first line; only in forced tables.
+    pub mixed: Vec<String>,
+}
+
+/// One metric of a line.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Cell {
+    /// The metric's name.
+    pub metric: String,
+    /// Seeds that have the metric.
+    pub n: usize,
+    /// Mean over them.
+    pub mean: Option<f64>,
+    /// Sample standard deviation over them.
+    pub deviation: Option<f64>,
+    /// Against the baseline; none without a seed that both have.
+    pub comparison: Option<Comparison>,
+    /// The paper's number.
+    pub published: Option<f64>,
+}
+
+impl Table {
+    /// The table of a definition's points. Lines of a scene that differ in a field of `must_match`
+    /// are an error that names it; `force` marks them instead.
+    pub fn new(spec: &TableSpec, records: &[Record], force: bool) -> Result<Table> {
+        checks::check_definition(spec, records)?;
+        let groups = groups(spec, records);
+        if !force {
+            checks::check_controlled(spec, &groups)?;
+        }
+        let mut lines: Vec<Line> = Vec::new();
+        for scene in distinct(groups.iter().map(|group| group.scene)) {
+            lines.extend(spec.rows.iter().filter(|row| row.quoted).filter_map(|row| quoted_line(spec, row, scene)));
+            lines.extend(groups.iter().filter(|group| group.scene == scene).map(|group| line(spec, group, &groups)));
+        }
+        comparison::correct_p_values(&mut lines);
+        let TableSpec { name, title, metrics, notes, .. } = spec.clone();
+        Ok(Table { name, title, metrics, lines, notes })
+    }
+
+    /// Each scene with its lines.
+    pub fn scenes(&self) -> Vec<(&str, Vec<&Line>)> {
+        let names = distinct(self.lines.iter().map(|line| line.scene.as_str()));
+        names.into_iter().map(|name| (name, self.lines.iter().filter(|line| line.scene == name).collect())).collect()
+    }
+}
+
+impl Line {
+    /// Whether it lacks a point that the definition asks for.
+    pub fn unfinished(&self) -> bool {
+        self.ids.len() < self.points
+    }
+
+    /// Its inactive sites, `rgb, density`, where they were judged by that; none where there are none.
+    pub fn inactive_sites(&self, by: InactiveBy) -> Option<String> {
+        let judged = !self.inactive_levels.is_empty() && InactiveBy::of_name(self.protocol(INACTIVE_BY)) == by;
+        judged.then(|| self.inactive_levels.join(", "))
+    }
+
+    /// Text of a protocol field; empty where it is missing or differs between the seeds.
+    pub fn protocol(&self, name: &str) -> &str {
+        self.protocol.iter().find(|(known, _)| known == name).map_or("", |(_, text)| text)
+    }
+}
+
+/// The points of a line.
+struct Group<'a> {
+    row: &'a RowSpec,
+    scene: &'a str,
+    axes: &'a [AxisValue],
+    points: Vec<&'a Record>,
+}
+
+impl<'a> Group<'a> {
+    fn done(&self) -> impl Iterator<Item = &'a Record> {
+        self.points.iter().copied().filter(|point| point.status == Status::Done)
+    }
+
+    /// Seed and value of each measured point that has the metric.
+    fn values(&self, metric: &str) -> Vec<(u64, f64)> {
+        // What has no seed is alone in its row, and compared with nothing.
+        self.done().filter_map(|point| Some((point.seed.unwrap_or_default(), point.metric(metric)?))).collect()
+    }
+
+    /// The row's baseline at the same axis values, or without any where it has none there.
+    fn baseline<'g>(&self, groups: &'g [Group<'a>]) -> Option<&'g Group<'a>> {
+        let name = self.row.baseline.as_ref()?;
+        let at = |axes: &[AxisValue]| {
+            groups.iter().find(|other| other.scene == self.scene && other.row.name == *name && other.axes == axes)
+        };
+        at(self.axes).or_else(|| at(&[]))
+    }
+}
+
+/// Points by scene as they come, then row of the definition, then axis values as they come.
+fn groups<'a>(spec: &'a TableSpec, records: &'a [Record]) -> Vec<Group<'a>> {
+    let mut groups = Vec::new();
+    for scene in distinct(records.iter().map(|record| record.scene.as_str())) {
+        for row in &spec.rows {
+            let of_row: Vec<&Record> = records.iter().filter(|r| r.scene == scene && r.row == row.name).collect();
+            for axes in distinct(of_row.iter().map(|record| record.axes.as_slice())) {
+                let points = of_row.iter().copied().filter(|record| record.axes == axes).collect();
+                groups.push(Group { row, scene, axes, points });
+            }
+        }
+    }
+    groups
+}
+
+fn line(spec: &TableSpec, group: &Group, groups: &[Group]) -> Line {
+    let (first, measured) = (group.points[0], group.done().next());
+    let label = first.label();
+    let baseline = group.baseline(groups);
+    let published = group.row.published.as_ref().and_then(|key| key.find(group.scene));
+    let differences = published.as_ref().zip(measured).map(|(row, point)| row.protocol().difference(point));
+    let (protocol, differs) = shared_protocol(group);
+    Line {
+        scene: group.scene.into(),
+        row: group.row.name.clone(),
+        axes: axes_text(first),
+        label,
+        baseline: baseline.map(|baseline| baseline.points[0].label()),
+        ours: group.row.ours,
+        quoted: false,
+        scored: group.row.scored,
+        ids: group.done().map(|point| point.id.clone()).collect(),
+        points: group.points.len(),
+        status: status_text(&group.points),
+        reason: group.points.iter().map(|point| &point.reason).find(|r| !r.is_empty()).cloned().unwrap_or_default(),
+        inactive_levels: distinct(group.done().flat_map(|point| point.inactive_levels.iter().cloned())),
+        cells: spec.metrics.iter().map(|metric| cell(spec, metric, group, baseline, published.as_ref())).collect(),
+        published_lpips: published.as_ref().map(|row| row.lpips).filter(|_| spec.has_any("lpips_")),
+        published_average: published.as_ref().map(|row| row.average).filter(|_| spec.has_any("average_")),
+        published_protocol: published.as_ref().map(|row| row.protocol().text()).unwrap_or_default(),
+        protocol_difference: differences.unwrap_or_default(),
+        protocol,
+        differs,
+        mixed: checks::mixed_fields(spec, group, groups),
+    }
+}
+
+/// A method that is not run here; none where the paper has no number for the scene.
+fn quoted_line(spec: &TableSpec, row: &RowSpec, scene: &str) -> Option<Line> {
+    let published = row.published.as_ref()?.find(scene)?;
+    let cell = |metric: &String| Cell {
+        metric: metric.clone(),
+        n: 0,
+        mean: None,
+        deviation: None,
+        comparison: None,
+        published: published.metric(metric),
+    };
+    Some(Line {
+        scene: scene.into(),
+        row: row.name.clone(),
+        axes: String::new(),
+        label: row.name.clone(),
+        baseline: None,
+        ours: false,
+        quoted: true,
+        scored: false,
+        ids: Vec::new(),
+        points: 0,
+        status: String::new(),
+        reason: String::new(),
+        inactive_levels: Vec::new(),
+        cells: spec.metrics.iter().map(cell).collect(),
+        published_lpips: Some(published.lpips).filter(|_| spec.has_any("lpips_")),
+        published_average: Some(published.average).filter(|_| spec.has_any("average_")),
+        published_protocol: published.protocol().text(),
+        protocol_difference: String::new(),
+        protocol: Vec::new(),
+        differs: Vec::new(),
+        mixed: Vec::new(),
+    })
+}
+
+fn cell(
+    spec: &TableSpec,
+    metric: &str,
+    group: &Group,
+    baseline: Option<&Group>,
+    published: Option<&PublishedRow>,
+) -> Cell {
+    let values = group.values(metric);
+    let over_seeds: Vec<f64> = values.iter().map(|(_, value)| *value).collect();
+    let differences = baseline.map(|baseline| paired_differences(&values, &baseline.values(metric)));
+    Cell {
+        metric: metric.into(),
+        n: values.len(),
+        mean: mean(&over_seeds),
+        deviation: standard_deviation(&over_seeds),
+        comparison: differences.and_then(|differences| Comparison::new(&differences, spec.margin(metric))),
+        published: published.and_then(|row| row.metric(metric)),
+    }
+}
+
+/// Protocol fields that are equal over the measured points, and the names of the others.
+fn shared_protocol(group: &Group) -> (Vec<(String, String)>, Vec<String>) {
+    let (mut shared, mut differs) = (Vec::new(), Vec::new());
+    for name in distinct(group.done().flat_map(protocol_names)).into_iter().filter(|name| !is_per_seed(name)) {
+        match distinct(group.done().map(|point| point.protocol(name))).as_slice() {
+            [text] => shared.push((name.to_string(), text.to_string())),
+            _ => differs.push(name.to_string()),
+        }
+    }
+    (shared, differs)
+}
+
+/// Names of a point's protocol fields; the scene is told elsewhere.
+fn protocol_names(point: &Record) -> impl Iterator<Item = &str> {
+    point.protocol.iter().map(|(name, _)| name.as_str()).filter(|name| *name != "scene")
+}
+
+/// A record's label without its row.
+fn axes_text(record: &Record) -> String {
+    record.label()[record.row.len()..].trim_start_matches(", ").into()
+}
+
+fn status_text(points: &[&Record]) -> String {
+    let counts = distinct(points.iter().map(|point| point.status)).into_iter().map(|status| {
+        let count = points.iter().filter(|point| point.status == status).count();
+        format!("{} {count}", status.name())
+    });
+    counts.collect::<Vec<String>>().join(", ")
+}

@@ -1,0 +1,391 @@
+//! What the tables for readers say: numbers, marks and notes, before any escaping.
+
+use super::kinds::{is_without_fields, kind_notes, llff_note};
+use super::{Cell, Comparison, Line, Table};
+use crate::metrics::{Metric, Needs};
+use crate::report::PUBLISHED_NOTE;
+use crate::report::distinct;
+use crate::report::statistics::p_text;
+use crate::settings::columns::{COLUMNS, InactiveBy, Told};
+
+const HOW_TO_READ: &str = "difference to the baseline, paired by seed, with its 95 % Student t interval and the p value \
+     after Holm's correction over the rows of the scene's table; \"higher\" and \"lower\" where that is below 0.05, \"not \
+     distinguishable\" where the interval holds 0, which proves no equality, and no word between the two";
+const EQUIVALENCE: &str = "\"equivalent within\" a margin that the definition states: two one-sided paired t tests, with \
+     Holm's p below 0.05";
+
+const SCORED: &str = "not trained here: pictures that another program rendered, measured under our protocol; nothing is \
+     known of their training, and another code's seed shares no random numbers with ours";
+
+/// Metrics that each row is measured in over its own pixels.
+const OWN_PIXELS: [&str; 4] = ["depth_mae", "depth_rmse", "depth_roughness", "normal_roughness"];
+
+/// What a mark beside a row's name means: its symbol, its meaning and, where a line bears it,
+/// what there is to say of that line.
+type Mark = (char, &'static str, fn(&Line) -> Option<String>);
+
+const MARKS: [Mark; 8] = [
+    ('#', "not run here: the paper's numbers alone", |line| line.quoted.then(String::new)),
+    ('‖', SCORED, |line| line.scored.then(|| line.ids.join(", "))),
+    ('*', "not in the paper", |line| line.ours.then(String::new)),
+    ('†', InactiveBy::Loss.meaning(), |line| line.inactive_sites(InactiveBy::Loss)),
+    ('†', InactiveBy::Colour.meaning(), |line| line.inactive_sites(InactiveBy::Colour)),
+    ('‡', "NOT COMPARABLE, built by force: differs from the scene's first row in", |line| joined(&line.mixed)),
+    ('§', "points without numbers", |line| line.unfinished().then(|| status_and_reason(line))),
+    ('¶', "settings that differ between seeds", |line| joined(&line.differs)),
+];
+
+fn joined(names: &[String]) -> Option<String> {
+    (!names.is_empty()).then(|| names.join(", "))
+}
+
+fn status_and_reason(line: &Line) -> String {
+    match line.reason.as_str() {
+        "" => line.status.clone(),
+        reason => format!("{}: {reason}", line.status),
+    }
+}
+
+/// The line's label with its marks.
+pub fn marked_label(line: &Line) -> String {
+    let marks: String = MARKS.iter().filter(|(_, _, of)| of(line).is_some()).map(|(symbol, _, _)| symbol).collect();
+    if marks.is_empty() { line.label.clone() } else { format!("{} {marks}", line.label) }
+}
+
+/// Columns of the protocol that are told there.
+fn columns(told: &[Told]) -> impl Iterator<Item = &'static str> {
+    COLUMNS.iter().filter(|column| told.contains(&column.told)).map(|column| column.name)
+}
+
+/// The protocol fields that a scene's measured lines share: `dataset llff, width 504, ...`.
+pub(super) fn protocol_text(lines: &[&Line]) -> String {
+    // Of what another program rendered most is unknown.
+    let measured: Vec<&&Line> = lines.iter().filter(|line| !line.ids.is_empty() && !line.scored).collect();
+    if measured.is_empty() {
+        return "nothing is measured yet".into();
+    }
+    let shared = columns(&[Told::Always]).filter_map(|name| {
+        match distinct(measured.iter().map(|line| line.protocol(name))).as_slice() {
+            [text] if !text.is_empty() => Some(format!("{name} {text}")),
+            _ => None,
+        }
+    });
+    shared.collect::<Vec<String>>().join(", ")
+}
+
+type CellText = fn(&Cell) -> String;
+
+/// Head and cells of the table for readers; one row of cells a line.
+pub(super) struct Grid {
+    pub head: Vec<String>,
+    /// In the order of the table's lines.
+    pub rows: Vec<Vec<String>>,
+}
+
+impl Grid {
+    /// A column of means a metric, with one of differences and one of published numbers where
+    /// the table has any.
+    pub fn new(table: &Table) -> Grid {
+        let mut head = vec!["row".to_string()];
+        let mut rows: Vec<Vec<String>> = table.lines.iter().map(|line| vec![marked_label(line)]).collect();
+        for (index, metric) in table.metrics.iter().enumerate() {
+            let columns: [(&str, CellText); 3] =
+                [("", mean_text), (" difference", difference_text), (" in the paper", published_text)];
+            for (kind, text) in columns {
+                let cells: Vec<String> = table.lines.iter().map(|line| text(&line.cells[index])).collect();
+                if kind.is_empty() || cells.iter().any(|cell| !cell.is_empty()) {
+                    head.push(format!("{metric}{kind}"));
+                    rows.iter_mut().zip(cells).for_each(|(row, cell)| row.push(cell));
+                }
+            }
+        }
+        for (name, text) in UNKNOWN_BACKBONE {
+            let cells: Vec<String> = table.lines.iter().map(text).collect();
+            if cells.iter().any(|cell| !cell.is_empty()) {
+                head.push(format!("{name} in the paper, of an unknown backbone"));
+                rows.iter_mut().zip(cells).for_each(|(row, cell)| row.push(cell));
+            }
+        }
+        Grid { head, rows }
+    }
+}
+
+/// A column's name, and its text in a line.
+pub type Column = (&'static str, fn(&Line) -> String);
+
+/// Numbers of the paper that belong beside no metric of ours: it does not name the backbone of its LPIPS.
+pub const UNKNOWN_BACKBONE: [Column; 2] = [
+    ("LPIPS", |line| line.published_lpips.map_or(String::new(), |value| format!("{value:.3}"))),
+    ("average", |line| line.published_average.map_or(String::new(), |value| format!("{value:.3}"))),
+];
+
+/// `25.31 ± 0.12 (3)`; without the deviation for one seed, empty for none.
+pub fn mean_text(cell: &Cell) -> String {
+    let Some(mean) = cell.mean else { return String::new() };
+    let deviation = cell.deviation.map_or(String::new(), |value| format!(" ± {}", number(&cell.metric, value)));
+    format!("{}{deviation} ({})", number(&cell.metric, mean), cell.n)
+}
+
+/// `+0.31 [+0.10, +0.52], p 0.021, higher`: the words are the verdict's, and none where there is none.
+pub(super) fn difference_text(cell: &Cell) -> String {
+    let Some(comparison) = &cell.comparison else { return String::new() };
+    let difference = interval_of(cell);
+    match comparison.interval {
+        Some(_) => format!("{difference}{}", conclusion(cell, comparison)),
+        None => format!("{difference}, no interval"),
+    }
+}
+
+/// `+0.31 [+0.10, +0.52]`, with the number of pairs where a seed has none; empty without a comparison.
+pub fn interval_of(cell: &Cell) -> String {
+    let Some(comparison) = &cell.comparison else { return String::new() };
+    let pairs = if comparison.pairs < cell.n { format!(" ({} pairs)", comparison.pairs) } else { String::new() };
+    signed_interval(&cell.metric, comparison.difference, comparison.interval) + &pairs
+}
+
+/// `+0.31 [+0.10, +0.52]`, without the brackets where there is no interval.
+pub fn signed_interval(metric: &str, difference: f64, interval: Option<(f64, f64)>) -> String {
+    let signed = |value: f64| signed_text(metric, value);
+    let ends = interval.map_or(String::new(), |(low, high)| format!(" [{}, {}]", signed(low), signed(high)));
+    signed(difference) + &ends
+}
+
+/// A difference with its sign and the digits of its metric.
+pub fn signed_text(metric: &str, value: f64) -> String {
+    let text = number(metric, value);
+    if text.starts_with('-') { text } else { format!("+{text}") }
+}
+
+fn conclusion(cell: &Cell, comparison: &Comparison) -> String {
+    let p = comparison.p_holm.map_or(String::new(), |p| format!(", p {}", p_text(p)));
+    let words = comparison.verdict().map_or(String::new(), |verdict| format!(", {}", verdict.name()));
+    let equivalence = comparison.equivalence.filter(|equivalence| equivalence.holds());
+    let equivalent = equivalence.map_or(String::new(), |equivalence| {
+        format!(", equivalent within {}", number(&cell.metric, equivalence.margin))
+    });
+    format!("{p}{words}{equivalent}")
+}
+
+/// The paper's number with the paper's digits; empty without one.
+pub fn published_text(cell: &Cell) -> String {
+    cell.published.map_or(String::new(), |value| number(&cell.metric, value))
+}
+
+/// A value with the digits of its metric.
+fn number(metric: &str, value: f64) -> String {
+    Metric::find(metric).map_or_else(|| value.to_string(), |metric| metric.text(value))
+}
+
+/// What stands below the lines of a scene.
+pub fn scene_notes(lines: &[&Line]) -> Vec<String> {
+    let mut notes = baseline_notes(lines);
+    notes.extend(corruption_notes(lines));
+    notes.extend(varied_notes(lines));
+    notes.extend(kind_notes(lines));
+    notes.extend(MARKS.iter().filter_map(|mark| mark_note(mark, lines)));
+    notes.extend(unmeasured_notes(lines));
+    notes.extend(published_notes(lines));
+    notes
+}
+
+/// What a reader has to know before the numbers: lines that are not comparable, unfinished, attacked without effect or
+/// different between their seeds, and metrics without numbers.
+pub fn warnings(lines: &[&Line]) -> Vec<String> {
+    let marks = MARKS.iter().filter(|(symbol, ..)| !['#', '‖', '*'].contains(symbol));
+    marks.filter_map(|mark| mark_note(mark, lines)).chain(unmeasured_notes(lines)).collect()
+}
+
+/// What stands below the table: how to read its cells.
+pub(super) fn general_notes(table: &Table) -> Vec<String> {
+    let mut notes = table.notes.clone();
+    notes.push("mean ± standard deviation (number of seeds)".into());
+    if table.lines.iter().any(|line| line.baseline.is_some()) {
+        notes.push(HOW_TO_READ.to_string());
+    }
+    notes.extend(further_notes(table, EQUIVALENCE));
+    notes
+}
+
+/// Notes that stand below a table in every form; `equivalence` says how that is told where it is tested.
+pub fn further_notes(table: &Table, equivalence: &str) -> Vec<String> {
+    let mut notes = Vec::new();
+    let is_own = |metric: &&String| OWN_PIXELS.contains(&metric.as_str());
+    let has_verdict = |metric: &str| {
+        let cells = table.lines.iter().flat_map(|line| &line.cells).filter(|cell| cell.metric == metric);
+        cells.filter_map(|cell| cell.comparison).any(|comparison| comparison.verdict().is_some())
+    };
+    let own: Vec<&str> =
+        table.metrics.iter().filter(is_own).map(String::as_str).filter(|metric| has_verdict(metric)).collect();
+    if !own.is_empty() {
+        notes.push(format!(
+            "{}: over the pixels where a row is solid itself, so that rows are compared on different pixels, and one that \
+             leaves more out (depth_left_out) on easier ones; metrics named _common are over the pixels that all rows have",
+            own.join(", ")
+        ));
+    }
+    let compared = || table.lines.iter().flat_map(|line| &line.cells).filter_map(|cell| cell.comparison);
+    if compared().any(|comparison| comparison.equivalence.is_some()) {
+        notes.push(equivalence.to_string());
+    }
+    if table.lines.iter().any(|line| !line.published_protocol.is_empty()) {
+        notes.push(PUBLISHED_NOTE.to_string());
+    }
+    notes.extend(llff_note(table));
+    notes
+}
+
+fn baseline_notes(lines: &[&Line]) -> Vec<String> {
+    match labels_by(lines, |line| line.baseline.clone()).as_slice() {
+        [(baseline, _)] => vec![format!("baseline: {baseline}")],
+        several => several.iter().map(|(baseline, labels)| format!("baseline of {labels}: {baseline}")).collect(),
+    }
+}
+
+/// What a corruption of the training views costs: a line beside one of the same method that saw clean views. Where that is
+/// little, no line of the table tests robustness against it.
+fn corruption_notes(lines: &[&Line]) -> Vec<String> {
+    let note = |line: &&Line| {
+        let baseline = lines.iter().find(|other| Some(&other.label) == line.baseline.as_ref())?;
+        let same = |name: &str| line.protocol(name) == baseline.protocol(name);
+        let (own, other) = (line.protocol("corruption"), baseline.protocol("corruption"));
+        if own.is_empty() == other.is_empty() || !["method", "perturb_kind", "regularizers"].into_iter().all(same) {
+            return None;
+        }
+        // Clean minus corrupted, whichever of both is the baseline.
+        let (sign, what, whom) = if own.is_empty() { (1.0, other, &baseline.label) } else { (-1.0, own, &line.label) };
+        let cost = |cell: &Cell| {
+            let comparison = cell.comparison?;
+            let turned = |(low, high): (f64, f64)| if sign < 0.0 { (-high, -low) } else { (low, high) };
+            let text = signed_interval(&cell.metric, sign * comparison.difference, comparison.interval.map(turned));
+            Some(format!("{} {text}", cell.metric))
+        };
+        let costs: Vec<String> = line.cells.iter().filter_map(cost).collect();
+        (!costs.is_empty()).then(|| {
+            format!(
+                "cost of {what} to {whom}: {} (clean minus corrupted, paired by seed, 95 % interval)",
+                costs.join(", ")
+            )
+        })
+    };
+    lines.iter().filter_map(note).collect()
+}
+
+/// What the definition makes different between the lines, where a reader would take it as equal.
+fn varied_notes(lines: &[&Line]) -> Vec<String> {
+    let value = |line: &Line, name: &str| Some(line.protocol(name).to_string()).filter(|text| !text.is_empty());
+    let varied = columns(&[Told::Always, Told::Differing]).filter_map(|name| {
+        let values = labels_by(lines, |line| value(line, name));
+        let named: Vec<String> = values.iter().map(|(value, labels)| format!("{value} ({labels})")).collect();
+        (values.len() > 1).then(|| format!("rows differ in {name}: {}", named.join("; ")))
+    });
+    varied.collect()
+}
+
+fn mark_note((symbol, meaning, of): &Mark, lines: &[&Line]) -> Option<String> {
+    let marked = labels_by(lines, of).into_iter().map(|(what, labels)| match what.as_str() {
+        "" => labels,
+        what => format!("{labels} ({what})"),
+    });
+    let marked: Vec<String> = marked.collect();
+    (!marked.is_empty()).then(|| format!("{symbol} {meaning}: {}", marked.join("; ")))
+}
+
+/// Why a column is empty, of metrics that no line of the scene has.
+fn unmeasured_notes(lines: &[&Line]) -> Vec<String> {
+    let measured: Vec<&Line> = lines.iter().copied().filter(|line| !line.ids.is_empty()).collect();
+    let Some(first) = measured.first() else { return Vec::new() };
+    let with_weights = measured.iter().any(|line| !line.protocol("lpips_weights").is_empty());
+    let note = |metric: usize| {
+        let (empty, filled): (Vec<&Line>, Vec<&Line>) =
+            measured.iter().copied().partition(|line| line.cells[metric].n == 0);
+        let metric = Metric::find(&first.cells[metric].metric)?;
+        if filled.is_empty() {
+            return Some(format!("{}: empty, {}", metric.key, why_empty(metric.needs, with_weights)));
+        }
+        // Where some rows have it, others may have no field to measure it on.
+        let cannot = |line: &&Line| metric.needs == Needs::DerivativesAtPoints && is_without_fields(line);
+        let labels: Vec<&str> = empty.into_iter().filter(cannot).map(|line| line.label.as_str()).collect();
+        let why = "which are no fields that are queried at points";
+        (!labels.is_empty()).then(|| format!("{}: empty of {}, {why}", metric.key, labels.join(", ")))
+    };
+    (0..first.cells.len()).filter_map(note).collect()
+}
+
+fn why_empty(needs: Needs, with_weights: bool) -> &'static str {
+    match (needs, with_weights) {
+        (Needs::Lpips(_), false) => {
+            "no LPIPS weights were at hand; `sweep run --remeasure` with --lpips-weights measures it from the checkpoints"
+        }
+        (Needs::Lpips(_), true) => {
+            "the weights at hand were of another backbone, or the views are too small for this one"
+        }
+        (Needs::Depth, _) => "the scene's held-out views have no depth to measure it by",
+        (Needs::ExactDepth, _) => "the scene's held-out views have no exact depth to measure it by",
+        (Needs::DerivativesAtPoints, _) => "the rows' fields have no derivatives at points",
+        (Needs::Mesh, _) => "no surface was compared with a reference mesh",
+        (Needs::Nothing, _) => "the program that measured the points did not measure it; `sweep run --remeasure` does",
+    }
+}
+
+fn published_notes(lines: &[&Line]) -> Vec<String> {
+    let protocol = |line: &Line| {
+        let known = Some(&line.published_protocol).filter(|text| !text.is_empty())?;
+        Some(match line.protocol_difference.as_str() {
+            "" => known.clone(),
+            difference => format!("{known}; here {difference}"),
+        })
+    };
+    let notes = labels_by(lines, protocol);
+    notes.into_iter().map(|(protocol, labels)| format!("in the paper, {labels}: {protocol}")).collect()
+}
+
+/// Each distinct text with the labels of the lines that it is said of.
+fn labels_by(lines: &[&Line], text: impl Fn(&Line) -> Option<String>) -> Vec<(String, String)> {
+    let texts = distinct(lines.iter().filter_map(|line| text(line)));
+    let labels = |said: &str| {
+        let of = lines.iter().filter(|line| text(line).as_deref() == Some(said)).map(|line| line.label.as_str());
+        of.collect::<Vec<&str>>().join(", ")
+    };
+    texts.into_iter().map(|said| (said.clone(), labels(&said))).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::Equivalence;
+    use super::*;
+
+    fn cell(metric: &str, n: usize, comparison: Option<Comparison>) -> Cell {
+        Cell { metric: metric.into(), n, mean: Some(1.0), deviation: None, comparison, published: None }
+    }
+
+    #[test]
+    fn differences_say_how_sure_they_are() {
+        let interval = Some((0.25, 0.75));
+        let sure = Comparison {
+            pairs: 3,
+            difference: 0.5,
+            deviation: Some(0.1),
+            interval,
+            p: Some(0.01),
+            p_holm: Some(0.0001),
+            equivalence: None,
+        };
+        assert_eq!(difference_text(&cell("psnr", 3, Some(sure))), "+0.50 [+0.25, +0.75], p < 0.001, higher");
+        let below = Comparison { difference: -0.5, interval: Some((-0.75, -0.25)), p_holm: Some(0.0496), ..sure };
+        assert_eq!(difference_text(&cell("psnr", 3, Some(below))), "-0.50 [-0.75, -0.25], p 0.04960, lower");
+        // The interval leaves out 0 and the correction does not pass.
+        let between = Comparison { p_holm: Some(0.07), ..sure };
+        assert_eq!(difference_text(&cell("psnr", 3, Some(between))), "+0.50 [+0.25, +0.75], p 0.070");
+        let unsure = Comparison { pairs: 2, interval: Some((-0.25, 1.25)), p_holm: Some(0.5), ..sure };
+        let text = "+0.50 [-0.25, +1.25] (2 pairs), p 0.500, not distinguishable";
+        assert_eq!(difference_text(&cell("psnr", 3, Some(unsure))), text);
+        let tested = |p_holm| Some(Equivalence { margin: 2.0, p: Some(0.01), p_holm });
+        let equal = Comparison { equivalence: tested(Some(0.04)), ..unsure };
+        assert_eq!(difference_text(&cell("psnr", 3, Some(equal))), format!("{text}, equivalent within 2.00"));
+        let unknown = Comparison { equivalence: tested(Some(0.05)), ..unsure };
+        assert_eq!(difference_text(&cell("psnr", 3, Some(unknown))), text);
+        let single = Comparison { pairs: 1, interval: None, p: None, p_holm: None, ..sure };
+        assert_eq!(difference_text(&cell("psnr", 1, Some(single))), "+0.50, no interval");
+        assert_eq!(difference_text(&cell("psnr", 1, None)), "");
+    }
+}

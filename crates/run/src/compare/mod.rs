@@ -1,0 +1,24 @@
+//! Several trained runs before the same held-out view: what must agree for that, what differs
+//! between them, and the pictures and numbers that come of it.
+
+mod comparison;
+mod comparison_figure;
+mod comparison_files;
+mod differences;
+mod fade;
+mod parts;
+mod profile;
+mod profile_figure;
+mod profile_files;
+mod run_view;
+mod shown;
+mod window;
+
+pub use comparison::Comparison;
+pub use comparison::check_box;
+pub use differences::{Difference, differences, differing_settings};
+pub use fade::check_fade;
+pub use profile::{Profile, Profiles, RaySmoothness, check_profiled, patch_around};
+pub use profile_figure::check_overlay;
+pub use run_view::{RunView, labels};
+pub use window::{Window, crop, most_different};

@@ -1,0 +1,15 @@
+//! Trainings in their folders: training, checkpoints, evaluation, rendering, meshes and comparisons.
+
+#![warn(missing_docs)]
+
+pub(crate) use augnerf_core::{
+    augment, base, data, field, losses, methods, metrics, optimizer, render, runtime, settings, space,
+};
+pub(crate) use augnerf_report::{draw, report};
+
+pub mod bench;
+pub mod compare;
+pub mod model;
+pub mod revision;
+pub mod run;
+pub mod train;

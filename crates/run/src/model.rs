@@ -1,0 +1,168 @@
+//! The parameters of one experiment: the one place that tells radiance fields from baselines.
+
+use std::sync::Arc;
+
+use candle_core::{DType, Device, Tensor, Var};
+
+use crate::base::{Error, Result};
+use crate::data::Scene;
+use crate::field::{Density, FieldDensity};
+use crate::methods::{Family, FieldLearner, FieldPainter, Fields, Learner, Network, Painter};
+use crate::settings::{Ability, Config, Representation, Resolved};
+
+/// The parameters of one experiment.
+#[derive(Clone)]
+#[expect(clippy::large_enum_variant, reason = "a run has one, and never moves it often")]
+pub enum Model {
+    /// NeRF and MipNeRF, augmented or not.
+    Fields(Fields),
+    /// Another representation: Scene Representation Networks, Neural Volumes, the network of LLFF.
+    Baseline(Representation, Arc<dyn Network>),
+}
+
+/// What a run begins with.
+pub struct Start {
+    /// The freshly drawn parameters.
+    pub model: Model,
+    /// What learns them.
+    pub learner: Box<dyn Learner>,
+    /// How often each of [`Model::parts`] was drawn again before it was fit to learn.
+    pub redraws: Vec<u64>,
+}
+
+/// How the parameters of a representation are made; `None` for radiance fields and where baselines are not built in.
+fn family(representation: Representation) -> Option<&'static dyn Family> {
+    #[cfg(feature = "baselines")]
+    return augnerf_baselines::family(representation);
+    #[cfg(not(feature = "baselines"))]
+    return {
+        let _ = representation;
+        None
+    };
+}
+
+/// The same for a representation that is no radiance field.
+fn baseline(config: &Config) -> Result<&'static dyn Family> {
+    family(config.representation()).ok_or_else(|| {
+        Error::Config(format!(
+            "method {}: this program was built without the baselines; build it with `--features baselines`",
+            config.method.name()
+        ))
+    })
+}
+
+fn is_field(config: &Config) -> bool {
+    matches!(config.representation(), Representation::Nerf | Representation::MipNerf | Representation::HashNerf)
+}
+
+impl Model {
+    /// Starts a run at step 0. Dead starts are drawn again.
+    ///
+    /// # Errors
+    /// Settings that do not suit the scene; no draw that is fit to learn; a method that is not built in.
+    pub fn start(config: &Resolved, scene: &Scene, dtype: DType, device: &Device) -> Result<Start> {
+        if is_field(config) {
+            let (learner, redraws) = FieldLearner::start(config, scene, dtype, device)?;
+            let model = Model::Fields(learner.fields().clone());
+            return Ok(Start { model, learner: Box::new(learner), redraws });
+        }
+        let representation = config.representation();
+        let network = baseline(config)?.init(config, dtype, device)?;
+        let learner = network.start(config, scene, dtype, device)?;
+        Ok(Start { model: Model::Baseline(representation, network), learner, redraws: vec![0] })
+    }
+
+    /// Names of the networks that a configuration has, in the fixed order of parameters.
+    pub fn parts(config: &Config) -> Vec<&'static str> {
+        match is_field(config) {
+            true => Fields::roles(config),
+            false => family(config.representation()).map(|family| family.part()).into_iter().collect(),
+        }
+    }
+
+    /// Names and shapes of all parameters, in their fixed order; none of a method that is not built in.
+    pub fn parameter_names(config: &Config) -> Vec<(String, Vec<usize>)> {
+        match is_field(config) {
+            true => Fields::parameter_names(config),
+            false => family(config.representation()).map(|family| family.parameter_names(config)).unwrap_or_default(),
+        }
+    }
+
+    /// Returns a model over given values, in the order of [`Model::parameter_names`].
+    ///
+    /// # Errors
+    /// Values of another number or shape; a method that is not built in.
+    pub fn from_parameters(config: &Config, values: Vec<Tensor>) -> Result<Model> {
+        if is_field(config) {
+            return Ok(Model::Fields(Fields::from_parameters(config, values)?));
+        }
+        let representation = config.representation();
+        Ok(Model::Baseline(representation, baseline(config)?.from_parameters(config, values)?))
+    }
+
+    /// All parameters with their names, in the fixed order. They are shared: a learner's updates show.
+    pub fn variables(&self) -> Vec<(String, Var)> {
+        match self {
+            Model::Fields(fields) => fields.variables(),
+            Model::Baseline(_, network) => network.variables(),
+        }
+    }
+
+    /// Returns a learner of these parameters from the training views of `scene`.
+    ///
+    /// # Errors
+    /// Settings that do not suit the scene.
+    pub fn learner(&self, config: &Resolved, scene: &Scene, dtype: DType, device: &Device) -> Result<Box<dyn Learner>> {
+        match self {
+            Model::Fields(fields) => Ok(Box::new(FieldLearner::new(config, scene, fields.clone(), dtype, device)?)),
+            Model::Baseline(_, network) => network.learner(config, scene, dtype, device),
+        }
+    }
+
+    /// Returns a renderer of `scene` with the current parameters.
+    ///
+    /// # Errors
+    /// Weights that are not numbers; those of candle.
+    pub fn painter(&self, config: &Config, scene: &Scene) -> Result<Box<dyn Painter>> {
+        match self {
+            Model::Fields(fields) => Ok(Box::new(FieldPainter::new(fields, config, scene)?)),
+            Model::Baseline(_, network) => network.painter(config, scene),
+        }
+    }
+
+    /// Returns the density in space with the current parameters.
+    ///
+    /// # Errors
+    /// A method that has none.
+    pub fn density(&self) -> Result<Box<dyn Density>> {
+        match self {
+            Model::Fields(fields) => Ok(Box::new(FieldDensity::new(fields.evaluated())?)),
+            Model::Baseline(representation, network) => {
+                let density = network.density()?;
+                density.ok_or_else(|| unsupported(*representation, Ability::Density, "there is no density"))
+            }
+        }
+    }
+
+    /// Returns the radiance fields.
+    ///
+    /// # Errors
+    /// A method that has none.
+    pub fn fields(&self) -> Result<&Fields> {
+        match self {
+            Model::Fields(fields) => Ok(fields),
+            Model::Baseline(representation, _) => {
+                Err(unsupported(*representation, Ability::Samples, "there are no radiance fields"))
+            }
+        }
+    }
+}
+
+/// Returns the error for an operation that the representation does not support.
+///
+/// # Panics
+/// If the representation has the ability.
+fn unsupported(representation: Representation, ability: Ability, what: &str) -> Error {
+    let why = representation.lacks(ability).expect("an ability that it lacks");
+    Error::Config(format!("{what}: {why}"))
+}

@@ -1,0 +1,218 @@
+//! A file of weights as the beginning of a run.
+
+use std::io::Read;
+use std::path::{Path, PathBuf};
+
+use candle_core::{Device, Tensor};
+use serde_json::Value as Json;
+use sha2::{Digest, Sha256};
+use toml::Value;
+
+use super::nerf_pytorch::{NETWORKS, STEP, name};
+use super::{Format, METADATA};
+use crate::base::input::open_regular;
+use crate::base::{Error, Result};
+use crate::metrics::Weights;
+use crate::model::Model;
+use crate::settings::{Config, short_hash};
+
+/// Most octaves of an encoding, and most layers, that are looked for.
+const MOST: usize = 64;
+
+/// A file of weights.
+pub struct Foreign {
+    path: PathBuf,
+    weights: Weights,
+    networks: Networks,
+    step: u64,
+    hash: String,
+}
+
+/// Whose names its tensors have.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Networks {
+    /// Ours, with the configuration that they were trained under.
+    Own {
+        /// The text of its `config.toml`.
+        config: String,
+    },
+    /// nerf-pytorch's: what stands before the names of each role.
+    NerfPytorch {
+        /// Role and prefix, `coarse` first.
+        prefixes: Vec<(&'static str, String)>,
+    },
+}
+
+impl Foreign {
+    /// Opens a file that [`export`](super::export) or nerf-pytorch wrote.
+    ///
+    /// # Errors
+    /// A file that cannot be read, or holds the networks of neither.
+    pub fn open(path: &Path) -> Result<Foreign> {
+        let format = Format::of(path)?;
+        let weights = Weights::open(path)?;
+        let wrong = |what: String| Error::Data(format!("{}: {what}", path.display()));
+        let (networks, step) = match format {
+            Format::Safetensors => {
+                let said = weights.metadata(METADATA).and_then(|said| serde_json::from_str::<Json>(said).ok());
+                let said = said.ok_or_else(|| {
+                    wrong(format!(
+                        "its metadata has no \"{METADATA}\" that says which networks these are: no export of augnerf"
+                    ))
+                })?;
+                let config = said.get("config").and_then(Json::as_str).map(String::from);
+                let config = config.ok_or_else(|| wrong("its metadata lacks the configuration (\"config\")".into()))?;
+                (Networks::Own { config }, said.get("step").and_then(Json::as_u64))
+            }
+            Format::Torch => {
+                let networks = nerf_pytorch(&weights).ok_or_else(|| {
+                    let mut names: Vec<&str> = weights.names().collect();
+                    names.sort_unstable();
+                    let some = names.iter().take(3).copied().collect::<Vec<&str>>().join(", ");
+                    wrong(format!(
+                        "it has no network of nerf-pytorch (network_fn_state_dict with pts_linears.0.weight); of its {} tensors \
+                         the first are: {some}",
+                        names.len()
+                    ))
+                })?;
+                let step = weights.integer(STEP).map(|step| u64::try_from(step).ok());
+                (networks, step.unwrap_or(Some(0)))
+            }
+        };
+        let step = step.ok_or_else(|| wrong("its step is no whole number from 0 on".into()))?;
+        Ok(Foreign { hash: hash(path)?, path: path.to_path_buf(), weights, networks, step })
+    }
+
+    /// Whose networks they are.
+    pub fn networks(&self) -> &Networks {
+        &self.networks
+    }
+
+    /// The step that they are of.
+    pub fn step(&self) -> u64 {
+        self.step
+    }
+
+    /// What the run's setting `train.parent` says.
+    pub fn parent(&self) -> String {
+        format!("weights {}", self.hash)
+    }
+
+    /// The settings that the shapes of nerf-pytorch's tensors ask for, as `(path, value)`; none for our own file, whose
+    /// configuration says them.
+    ///
+    /// # Errors
+    /// Networks that this program does not have.
+    pub fn settings(&self) -> Result<Vec<(Vec<String>, Value)>> {
+        let Networks::NerfPytorch { prefixes } = &self.networks else { return Ok(Vec::new()) };
+        let mut settings = self.shapes(&prefixes[0].1)?;
+        if prefixes.len() == 1 {
+            settings.push(("sampling.fine", Value::Integer(0)));
+        }
+        settings.extend([
+            ("field.encoding", "positional".into()),
+            ("field.density_activation", "relu".into()),
+            ("field.view_depth", Value::Integer(1)),
+            ("field.rgb_padding", Value::Float(0.0)),
+            ("data.pixel_origin", "corner".into()),
+        ]);
+        let path = |path: &str| path.split('.').map(String::from).collect();
+        Ok(settings.into_iter().map(|(at, value)| (path(at), value)).collect())
+    }
+
+    /// What the shapes of a network say.
+    fn shapes(&self, prefix: &str) -> Result<Vec<(&'static str, Value)>> {
+        let wrong = |what: String| Error::Data(format!("{}: {what}", self.path.display()));
+        let matrix = |name: String| match self.weights.shape(&format!("{prefix}{name}")) {
+            Some(&[outputs, inputs]) => Ok([outputs, inputs]),
+            Some(shape) => Err(wrong(format!("{prefix}{name} has the shape {shape:?}, but a layer's has two sides"))),
+            None => Err(wrong(format!(
+                "{prefix}{name} is missing: only networks that were trained with view directions (--use_viewdirs) are read"
+            ))),
+        };
+        let trunk = |i: usize| format!("pts_linears.{i}.weight");
+        let depth = (0..MOST).take_while(|i| self.weights.shape(&format!("{prefix}{}", trunk(*i))).is_some()).count();
+        let [width, position] = matrix(trunk(0))?;
+        let [neurons, view] = matrix("views_linears.0.weight".into())?;
+        let octaves = |channels: usize, of: &str| match channels.checked_sub(3) {
+            Some(rest) if rest % 6 == 0 && rest / 6 <= MOST => Ok(Value::Integer((rest / 6) as i64)),
+            _ => Err(wrong(format!("{of} has {channels} channels, but an encoding of n octaves has 3 + 6 n"))),
+        };
+        let view_channels =
+            view.checked_sub(width).ok_or_else(|| wrong("views_linears.0 reads less than the trunk gives".into()))?;
+        let mut skips = Vec::new();
+        for i in 1..depth {
+            if matrix(trunk(i))?[1] == width + position {
+                skips.push(Value::Integer(i as i64));
+            }
+        }
+        Ok(vec![
+            ("field.width", Value::Integer(width as i64)),
+            ("field.depth", Value::Integer(depth as i64)),
+            ("field.skips", Value::Array(skips)),
+            ("field.position_octaves", octaves(position, "a position")?),
+            ("field.view_octaves", octaves(view_channels, "a view direction")?),
+            ("field.view_width", Value::Integer(neurons as i64)),
+        ])
+    }
+
+    /// The parameters of a configuration, in their order.
+    ///
+    /// # Errors
+    /// One that is missing, of another shape, or not finite.
+    pub fn values(&self, config: &Config, device: &Device) -> Result<Vec<Tensor>> {
+        let value = |(ours, shape): (String, Vec<usize>)| {
+            let theirs = self.name(&ours).ok_or_else(|| {
+                Error::Config(format!(
+                    "{}: the settings ask for {ours}, which networks of nerf-pytorch do not have",
+                    self.path.display()
+                ))
+            })?;
+            let tensor = self.weights.get(&[theirs], &shape, device)?;
+            let finite = tensor.flatten_all()?.to_vec1::<f32>()?.iter().all(|value| value.is_finite());
+            finite.then_some(tensor).ok_or_else(|| {
+                Error::Data(format!(
+                    "{}: {ours} has values that are not finite: the training diverged",
+                    self.path.display()
+                ))
+            })
+        };
+        Model::parameter_names(config).into_iter().map(value).collect()
+    }
+
+    /// A parameter's name in the file.
+    fn name(&self, ours: &str) -> Option<String> {
+        let Networks::NerfPytorch { prefixes } = &self.networks else { return Some(ours.to_string()) };
+        let (role, layer) = ours.split_once('.')?;
+        let (_, prefix) = prefixes.iter().find(|(known, _)| *known == role)?;
+        Some(format!("{prefix}{}", name(layer)?))
+    }
+}
+
+/// The hash of a file's bytes.
+fn hash(path: &Path) -> Result<String> {
+    let unreadable = |e: std::io::Error| Error::unreadable(path, &e);
+    let (mut file, mut digest) = (open_regular(path).map_err(unreadable)?, Sha256::new());
+    let mut bytes = vec![0; 1 << 16];
+    loop {
+        match file.read(&mut bytes).map_err(unreadable)? {
+            0 => return Ok(short_hash(digest)),
+            read => digest.update(&bytes[..read]),
+        }
+    }
+}
+
+/// The networks of a checkpoint, or of a bare state dictionary, which is one network's.
+fn nerf_pytorch(weights: &Weights) -> Option<Networks> {
+    // Networks that were trained on several devices are called modules of something.
+    let prefix = |outer: &str| {
+        let prefixes = ["", "module."].map(|inner| format!("{outer}{inner}"));
+        prefixes.into_iter().find(|prefix| weights.shape(&format!("{prefix}pts_linears.0.weight")).is_some())
+    };
+    let mut prefixes: Vec<(&str, String)> =
+        NETWORKS.into_iter().filter_map(|(role, key)| Some((role, prefix(&format!("{key}."))?))).collect();
+    if prefixes.is_empty() {
+        prefixes.push(("coarse", prefix("")?));
+    }
+    (prefixes[0].0 == "coarse").then_some(Networks::NerfPytorch { prefixes })
+}

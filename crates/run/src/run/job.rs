@@ -1,0 +1,343 @@
+//! One training from its settings to its results, in a run folder of its own.
+//!
+//! The command line runs one, a sweep runs many; neither the other's screen nor its folders are
+//! known here.
+
+use std::path::Path;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::time::Instant;
+
+use candle_core::DType;
+
+use crate::base::files::write_atomic;
+use crate::base::{Event, Image, Listener, Result};
+use crate::data::Scene;
+use crate::field::forget_buffers;
+use crate::metrics::{Lpips, MeanMetrics};
+use crate::model::Model;
+use crate::runtime::{Host, MemoryWatch, Runtime, Timing, host};
+use crate::settings::Resolved;
+use crate::train::{Origin, Trainer, checkpoint};
+
+use super::scene_file::SeenScene;
+use super::{
+    Between, EVALUATION_COLUMNS, Existing, Measurement, Outcome, Pictures, Report, RunDir, SEEN_COLUMNS, Session,
+    Viewer, interrupted, scene_file, surface_reference,
+};
+
+/// What a training is made of.
+pub struct Setup<'a> {
+    /// The settings, resolved with the scene ([`load_scene`](super::load_scene)).
+    pub config: Resolved,
+    /// The views to train on and to measure at the end.
+    pub scene: &'a Scene,
+    /// Networks that LPIPS is measured with; none leave its columns empty.
+    pub lpips: &'a [Lpips],
+    /// Where it is computed.
+    pub runtime: Runtime,
+}
+
+/// A training that is ready to start or to go on.
+///
+/// ```
+/// use std::sync::atomic::AtomicUsize;
+///
+/// use augnerf::run::{Existing, Job, Setup, load_scene};
+/// use augnerf::runtime::Runtime;
+/// use augnerf::settings::{Preset, build};
+/// # use augnerf::settings::parse_assignment;
+/// # let folder = tempfile::tempdir().unwrap();
+/// # let folder = folder.path().join("run");
+/// # let small = ["data.width=16", "field.width=16", "train.rays=64", "train.steps=4"];
+/// # let small = small.map(|text| parse_assignment(text).unwrap());
+/// # let set = small;
+///
+/// let (config, scene) = load_scene(build(Some(Preset::Smoke), None, &set)?, &())?;
+/// let setup = Setup { config, scene: &scene, lpips: &[], runtime: Runtime::new("cpu", None)? };
+/// // A signal's number in the flag stops it with a checkpoint.
+/// let finished = Job::create(&folder, Existing::Refuse, setup)?.train(&(), &AtomicUsize::new(0))?;
+/// assert!(finished.report.mean.get("psnr").is_some());
+/// assert!(folder.join("metrics.json").is_file());
+/// # Ok::<(), augnerf::base::Error>(())
+/// ```
+pub struct Job<'a> {
+    experiment: Experiment<'a>,
+    trainer: Trainer,
+}
+
+/// A training in its folder: everything of a job but the trainer, which the session takes.
+struct Experiment<'a> {
+    run: RunDir,
+    setup: Setup<'a>,
+    /// Timing of the sessions before this one.
+    earlier: Option<Timing>,
+    /// What was found wrong with the run when it was taken up again.
+    notes: Vec<String>,
+    /// The run was begun by an earlier session.
+    resumed: bool,
+    started_unix: u64,
+    memory: MemoryWatch,
+}
+
+/// What a finished training gives besides its files.
+pub struct Finished {
+    /// The metrics as written.
+    pub report: Report,
+    /// The model as it was evaluated.
+    pub model: Model,
+    /// Steps that were taken, of so many.
+    pub steps: (u64, u64),
+    /// Seconds spent on steps in this session.
+    pub seconds: f64,
+}
+
+/// Watches the memory of a run from its beginning, without the buffers that an earlier one left on the threads.
+pub fn watch_memory(runtime: &Runtime) -> MemoryWatch {
+    runtime.on_every_thread(forget_buffers);
+    MemoryWatch::begin()
+}
+
+impl Setup<'_> {
+    fn trainer(&self) -> Result<Trainer> {
+        Trainer::new(&self.config, self.scene, DType::F32, &self.runtime)
+    }
+
+    /// A generous estimate of what a run writes: checkpoints, logs, pictures.
+    fn bytes_needed(&self) -> u64 {
+        let Setup { config, scene, .. } = self;
+        let parameters: usize =
+            Model::parameter_names(config).iter().map(|(_, shape)| shape.iter().product::<usize>()).sum();
+        // Those that are kept, one more before an evaluation, and the one that is being written.
+        let checkpoints = parameters * 3 * 4 * (config.train.keep_checkpoints + 2);
+        let pixels = scene.test.first().map_or(0, |view| view.camera.width * view.camera.height);
+        let pictures = config.eval.pictures.min(scene.test.len()) * pixels * 16;
+        let logs = ((config.train.steps / config.train.log_every) as usize).saturating_mul(1024);
+        logs.saturating_add(checkpoints + pictures + (1 << 20)) as u64
+    }
+}
+
+impl<'a> Job<'a> {
+    /// A new run in `folder`. What can be refused is refused before anything is deleted.
+    ///
+    /// # Errors
+    /// A folder that holds a run (unless it is to be replaced) or anything else, or that cannot be written; a disk without room; settings
+    /// that the scene contradicts; fields that start dead again and again.
+    pub fn create(folder: &Path, existing: Existing, setup: Setup<'a>) -> Result<Job<'a>> {
+        let memory = watch_memory(&setup.runtime);
+        surface_reference(&setup.config, setup.scene)?;
+        let trainer = setup.trainer()?;
+        let run = RunDir::create(folder, existing, setup.bytes_needed())?;
+        Job::begin(run, setup, trainer, None, Vec::new(), memory)
+    }
+
+    /// A new run in `folder` that begins with weights of elsewhere. They are its first checkpoint.
+    ///
+    /// # Errors
+    /// Those of [`Job::create`]; weights that the settings' networks do not have.
+    pub fn create_from(folder: &Path, existing: Existing, setup: Setup<'a>, origin: Origin) -> Result<Job<'a>> {
+        let memory = watch_memory(&setup.runtime);
+        surface_reference(&setup.config, setup.scene)?;
+        let trainer = Trainer::begin_from(origin, &setup.config, setup.scene, DType::F32, &setup.runtime)?;
+        let run = RunDir::create(folder, existing, setup.bytes_needed())?;
+        let job = Job::begin(run, setup, trainer, None, Vec::new(), memory)?;
+        super::session::write_head(&job.experiment.run, &job.trainer)?;
+        job.trainer.save(&job.experiment.run.checkpoints())?;
+        Ok(job)
+    }
+
+    /// The newest checkpoint of a locked run ([`RunDir::take`]) that is whole, or its start. The settings are the run's own,
+    /// resolved with the scene where it lies now ([`load_scene_of`](super::load_scene_of)). Of checkpoints that are damaged the training's events begin with a note.
+    ///
+    /// # Errors
+    /// A scene that has changed since the run began; a checkpoint of other settings, or none that is whole; a folder that cannot be
+    /// written; a disk without room.
+    pub fn resume(run: RunDir, setup: Setup<'a>) -> Result<Job<'a>> {
+        let memory = watch_memory(&setup.runtime);
+        surface_reference(&setup.config, setup.scene)?;
+        SeenScene::of(&run)?.check(setup.scene, &setup.config.data, true)?;
+        let earlier = run.read_timing()?;
+        let (newest, notes) = checkpoint::newest_whole(&run.checkpoints())?;
+        let trainer = match newest {
+            Some(newest) => {
+                let trainer = Trainer::resume(&newest, &setup.config, setup.scene, DType::F32, &setup.runtime)?;
+                // A kill may have come between the newest checkpoint and the end of the one that it replaces.
+                trainer.save(&run.checkpoints())?;
+                trainer
+            }
+            // Killed before its first checkpoint: step 0 is a function of the configuration.
+            None => setup.trainer()?,
+        };
+        Job::begin(run, setup, trainer, Some(earlier), notes, memory)
+    }
+
+    /// `before` is there if the run is resumed: what its sessions took, as far as they said.
+    fn begin(
+        run: RunDir,
+        setup: Setup<'a>,
+        trainer: Trainer,
+        before: Option<Option<Timing>>,
+        notes: Vec<String>,
+        memory: MemoryWatch,
+    ) -> Result<Job<'a>> {
+        run.check_writable(setup.bytes_needed())?;
+        // In a resumed run: where scene and weights are now, for the next time.
+        write_atomic(&run.config(), setup.config.to_toml().as_bytes())?;
+        scene_file::write(&run.scene_file(), setup.scene)?;
+        let resumed = before.is_some();
+        let started_unix = host::unix_seconds() as u64;
+        let experiment = Experiment { run, setup, earlier: before.flatten(), notes, resumed, started_unix, memory };
+        Ok(Job { experiment, trainer })
+    }
+
+    /// Steps finished so far.
+    pub fn step_count(&self) -> u64 {
+        self.trainer.step_count()
+    }
+
+    /// Trains to the last step and evaluates.
+    ///
+    /// # Errors
+    /// [`Error::Interrupted`](crate::base::Error::Interrupted), with a checkpoint, once `signal` holds a signal's number;
+    /// [`Error::Diverged`](crate::base::Error::Diverged) where training goes non-finite or collapses; files that cannot be
+    /// written.
+    pub fn train(self, events: &dyn Listener, signal: &AtomicUsize) -> Result<Finished> {
+        let Job { experiment, trainer } = self;
+        let runtime = experiment.setup.runtime.clone();
+        runtime.install(|| experiment.train(trainer, events, signal))
+    }
+}
+
+impl Experiment<'_> {
+    fn train(&self, trainer: Trainer, events: &dyn Listener, signal: &AtomicUsize) -> Result<Finished> {
+        self.notes.iter().for_each(|note| events.on(Event::Note(note)));
+        self.report_redraws(&trainer, events);
+        let (first, config) = (trainer.step_count(), &self.setup.config);
+        let (steps, rays) = (config.train.steps, config.rays_per_step());
+        events.on(Event::TrainingStarted { first, steps, rays });
+        let mut watcher = Watcher { experiment: self, events, signal, seconds_evaluation: 0.0 };
+        let mut session = Session::new(&self.run, trainer, self.resumed)?;
+        let outcome = session.run(signal, events, &mut watcher);
+        events.on(Event::TrainingFinished);
+        if let Outcome::Stopped { signal } = outcome? {
+            return Err(interrupted(signal, session.trainer().step_count(), self.run.path()));
+        }
+        let evaluating = Instant::now();
+        let (report, picture) = self.evaluate(session.trainer(), events, signal)?;
+        if let Some(picture) = picture {
+            session.picture("eval/view", &picture)?;
+        }
+        session.evaluated(&report.mean)?;
+        let seconds = evaluating.elapsed().as_secs_f64() + watcher.seconds_evaluation;
+        self.timing(session.trainer().step_count(), session.seconds(), seconds).write(&self.run.timing())?;
+        let steps = (session.trainer().step_count(), self.setup.config.train.steps);
+        Ok(Finished { report, model: session.trainer().model().clone(), steps, seconds: session.seconds() })
+    }
+
+    fn report_redraws(&self, trainer: &Trainer, events: &dyn Listener) {
+        let config = &self.setup.config;
+        for (role, redraws) in Model::parts(config).iter().zip(trainer.redraws()) {
+            if *redraws > 0 && trainer.step_count() == 0 {
+                let percent = (1e5 * config.train.dead_start_share).round() / 1e3;
+                let often = if *redraws == 1 { "once".into() } else { format!("{redraws} times") };
+                events.on(Event::Note(&format!(
+                    "{role} network re-initialised {often} (dead start: under {percent} % of its densities were positive)"
+                )));
+            }
+        }
+    }
+
+    fn viewer<'a>(&'a self, trainer: &'a Trainer) -> Viewer<'a> {
+        let Setup { config, scene, runtime, .. } = &self.setup;
+        Viewer { model: trainer.model(), config, scene, runtime }
+    }
+
+    /// Nothing, or the error of a run whose newest checkpoint is of `step`, once there is a signal.
+    fn check_signal(&self, signal: &AtomicUsize, step: u64) -> Result<()> {
+        match signal.load(Ordering::SeqCst) {
+            0 => Ok(()),
+            signal => Err(interrupted(signal as i32, step, self.run.path())),
+        }
+    }
+
+    /// Measures every held-out view and some training views; returns the first one's picture, too, where pictures are made.
+    fn evaluate(
+        &self,
+        trainer: &Trainer,
+        events: &dyn Listener,
+        signal: &AtomicUsize,
+    ) -> Result<(Report, Option<Image>)> {
+        let (viewer, state) = (self.viewer(trainer), trainer.state());
+        let renders = self.run.renders();
+        let pictures = Pictures::new(&renders, self.setup.scene, self.setup.config.eval.pictures);
+        let mut first = None;
+        let (run, folder, lpips) = (&self.run, self.run.path(), self.setup.lpips);
+        let measurement = Measurement { run, folder, viewer, state: &state, lpips, events, split: None };
+        let report = measurement.write(
+            || self.check_signal(signal, trainer.step_count()),
+            |index, view, rendered| {
+                let beside = pictures.write(index, view, rendered)?;
+                first = first.take().or(beside);
+                Ok(())
+            },
+        )?;
+        pictures.finish()?;
+        Ok((report, first))
+    }
+
+    fn timing(&self, step: u64, training: f64, evaluation: f64) -> Timing {
+        let Setup { config, runtime, .. } = &self.setup;
+        let earlier = |get: fn(&Timing) -> f64| self.earlier.as_ref().map_or(0.0, get);
+        let training = training + earlier(|timing| timing.seconds_training);
+        Timing {
+            seconds_training: training,
+            seconds_evaluation: evaluation + earlier(|timing| timing.seconds_evaluation),
+            rays_per_second: (training > 0.0).then(|| step as f64 * config.rays_per_step() as f64 / training),
+            peak_memory_mib: self.memory.peak_mib().filter(|_| runtime.is_alone()),
+            device: runtime.name().to_string(),
+            threads: runtime.threads(),
+            host: Host::current(),
+            started_unix: self.started_unix,
+            finished_unix: host::unix_seconds() as u64,
+            sessions: self
+                .earlier
+                .as_ref()
+                .map_or(usize::from(self.resumed), |timing| timing.sessions)
+                .saturating_add(1),
+        }
+    }
+}
+
+/// Evaluates between steps and keeps `timing.json` current.
+struct Watcher<'a> {
+    experiment: &'a Experiment<'a>,
+    events: &'a dyn Listener,
+    signal: &'a AtomicUsize,
+    /// Seconds spent on evaluations during training.
+    seconds_evaluation: f64,
+}
+
+impl Between for Watcher<'_> {
+    fn evaluate(&mut self, trainer: &Trainer) -> Result<Vec<(&'static str, f64)>> {
+        let started = Instant::now();
+        let saved = trainer.step_count() - 1;
+        let unless_stopped = || self.experiment.check_signal(self.signal, saved);
+        let viewer = self.experiment.viewer(trainer);
+        let stride = trainer.config().train.eval_stride;
+        let [views, seen] = viewer.evaluate_sparsely(stride, unless_stopped)?;
+        self.seconds_evaluation += started.elapsed().as_secs_f64();
+        let mut mean = MeanMetrics::from_views(&views);
+        mean.set_seen(&seen);
+        let step = trainer.step_count();
+        if let Some(psnr) = mean.get("psnr") {
+            let seen = mean.get("train_psnr").map_or(String::new(), |seen| format!(", of training views {seen:.2} dB"));
+            self.events.on(Event::Note(&format!("step {step}: held-out PSNR {psnr:.2} dB{seen}")));
+        }
+        let keys = ["psnr", "psnr_float"].into_iter().chain(SEEN_COLUMNS);
+        let values = EVALUATION_COLUMNS.into_iter().chain(SEEN_COLUMNS).zip(keys.map(|key| mean.get(key)));
+        Ok(values.filter_map(|(name, value)| value.map(|value| (name, value))).collect())
+    }
+
+    fn saved(&mut self, step: u64, seconds: f64) -> Result<()> {
+        self.experiment.timing(step, seconds, self.seconds_evaluation).write(&self.experiment.run.timing())
+    }
+}

@@ -1,0 +1,378 @@
+//! The surface of a trained run as mesh files.
+
+use std::fs::File;
+use std::io::{BufWriter, Write};
+use std::path::{Path, PathBuf};
+
+use serde::{Deserialize, Serialize};
+
+use crate::base::files::{AtomicDir, write_json};
+use crate::base::input::{JSON_BYTES, read_text};
+use crate::base::{Error, Event, Listener, Result};
+use crate::data::{Format, WorldToScene, npy};
+use crate::draw::write_png8;
+use crate::revision::version;
+use crate::settings::{Ability, DataKind};
+use crate::space::{
+    self, DensityRange, Drawing, FinishedMesh, Lattice, LevelSet, Mesh, Normals, Reference, finish_mesh, level_set,
+};
+
+use super::mesh_picture::{MeshPicture, mesh_picture};
+use super::scene_file::WorldMatrix;
+use super::{
+    BUILTIN, Protocol, RunDir, Trained, folder::free_bytes, most_memory_mib, reference_mesh, surface_box,
+    surface_threshold,
+};
+
+const DENSITY: &str = "density.npy";
+const MIB: f64 = 1024.0 * 1024.0;
+
+/// How a run's surface is drawn.
+#[derive(Clone, Debug, PartialEq)]
+pub struct MeshOptions {
+    /// Cells along each side of the box, 8 to 1024.
+    pub resolution: usize,
+    /// Density of the surface, 1 / length in the units that the field is queried in; none: [`surface_threshold`].
+    pub threshold: Option<f64>,
+    /// Lower and upper corner of the box in the units that the field is queried in; none: [`surface_box`].
+    pub domain: Option<[[f64; 3]; 2]>,
+    /// Closes the surface where it would leave the box: the outermost cells count as empty.
+    pub cap: bool,
+    /// Keeps the connected part of largest area alone.
+    pub largest: bool,
+    /// Files to write.
+    pub formats: Vec<MeshFormat>,
+    /// Writes the densities, too: `density.npy`, float32 `[x, y, z]` at the cells' midpoints.
+    pub density: bool,
+    /// Memory that lattice and mesh may take, MiB; none: [`most_memory_mib`].
+    pub most_mib: Option<f64>,
+    /// A picture of the mesh to draw, too.
+    pub picture: Option<MeshPicture>,
+    /// Where its normals come from.
+    pub normals: Normals,
+    /// The units of the files.
+    pub units: MeshUnits,
+}
+
+/// The units of a mesh's files.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum MeshUnits {
+    /// The scene's, after recentring and scaling.
+    #[default]
+    Scene,
+    /// Those of the capture's own files.
+    Capture,
+}
+
+impl Default for MeshOptions {
+    /// 256 cells a side, PLY, everything else the run's own.
+    fn default() -> MeshOptions {
+        MeshOptions {
+            resolution: 256,
+            threshold: None,
+            domain: None,
+            cap: false,
+            largest: false,
+            formats: vec![MeshFormat::Ply],
+            density: false,
+            most_mib: None,
+            picture: None,
+            normals: Normals::default(),
+            units: MeshUnits::default(),
+        }
+    }
+}
+
+impl MeshOptions {
+    /// The paper's for the chair: 512 cells a side of [-1,1]^3, density 25 (1 for drums).
+    pub fn paper() -> MeshOptions {
+        MeshOptions {
+            resolution: 512,
+            threshold: Some(25.0),
+            domain: Some([[-1.0; 3], [1.0; 3]]),
+            ..MeshOptions::default()
+        }
+    }
+
+    fn drawing(&self, trained: &Trained) -> Drawing {
+        let Trained { scene, config, .. } = trained;
+        Drawing {
+            lattice: Lattice { domain: self.domain.unwrap_or_else(|| surface_box(scene)), side: self.resolution },
+            threshold: self.threshold.unwrap_or_else(|| surface_threshold(config, scene)),
+            cap: self.cap,
+            most_mib: self.most_mib.unwrap_or_else(most_memory_mib),
+        }
+    }
+}
+
+/// A kind of mesh file.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum MeshFormat {
+    /// Binary, with normals and colours.
+    Ply,
+    /// Text, with normals, and colours behind the positions.
+    Obj,
+}
+
+impl MeshFormat {
+    /// Both.
+    pub const ALL: [MeshFormat; 2] = [MeshFormat::Ply, MeshFormat::Obj];
+
+    /// The file's name in a run's `mesh` folder.
+    pub fn file(self) -> &'static str {
+        match self {
+            MeshFormat::Ply => "mesh.ply",
+            MeshFormat::Obj => "mesh.obj",
+        }
+    }
+
+    fn write(self, path: &Path, mesh: &Mesh) -> Result<()> {
+        let comment = format!("level set of a density field by augnerf {}", version());
+        let write = || {
+            let mut out = BufWriter::new(File::create(path)?);
+            match self {
+                MeshFormat::Ply => space::write_ply(mesh, &comment, &mut out)?,
+                MeshFormat::Obj => space::write_obj(mesh, &comment, &mut out)?,
+            }
+            out.flush()
+        };
+        write().map_err(|e| Error::unwritable(path, &e))
+    }
+}
+
+/// `mesh.json`: what the mesh is and where it comes from.
+#[derive(Clone, Debug, Serialize)]
+pub struct MeshReport {
+    /// Training step of the checkpoint.
+    pub step: u64,
+    /// Cells along each side of the box.
+    pub resolution: usize,
+    /// Density of the surface.
+    pub threshold: f64,
+    /// Corners of the box, in the units that the field is queried in.
+    #[serde(rename = "box")]
+    pub domain: [[f64; 3]; 2],
+    /// `NDC` or `scene units`: those of box, threshold and densities.
+    pub box_units: &'static str,
+    /// Those of the mesh, its area and its volume.
+    pub units: MeshUnits,
+    /// From the capture's units to the scene's: x_scene = scale R x_capture + t, and `matrix` is `[scale R | t]`.
+    pub world_to_scene: WorldMatrix,
+    /// What a MipNeRF field is queried at: Gaussians of a cell's variance along each axis, in these units squared. Empty for
+    /// a field that is queried at points.
+    pub variance: Option<[f64; 3]>,
+    /// Whether the outermost cells were emptied.
+    pub cap: bool,
+    /// How densities are distributed over the cells' midpoints.
+    pub density: DensityRange,
+    /// Number of vertices.
+    pub vertices: usize,
+    /// Number of triangles.
+    pub faces: usize,
+    /// Each edge belongs to two triangles that walk it in opposite directions.
+    pub closed: bool,
+    /// Directed edges that do not.
+    pub open_edges: usize,
+    /// Area, units squared.
+    pub area: f64,
+    /// Volume, units cubed; empty for an open mesh, which encloses none.
+    pub volume: Option<f64>,
+    /// Connected parts of the level set.
+    pub components: usize,
+    /// Those that were left out.
+    pub components_dropped: usize,
+    /// Where normals come from.
+    pub normals: Normals,
+    /// Vertices whose normal is that of the triangles around them.
+    pub normals_of_triangles: usize,
+    /// Where the numbers come from.
+    pub protocol: Protocol,
+}
+
+impl Trained {
+    /// Draws the surface of the evaluated field into the run's `mesh` folder: `mesh.ply`, `mesh.obj`, `mesh.json`,
+    /// `density.npy`, all of them or none. What was there is replaced.
+    ///
+    /// # Errors
+    /// A box that the scene's rays do not meet; a level set that is empty or outgrows the memory; a disk without room; weights that
+    /// are not numbers.
+    pub fn draw_mesh(&self, options: &MeshOptions, events: &dyn Listener) -> Result<MeshReport> {
+        self.draw_mesh_into(AtomicDir::new(&self.run.mesh())?, options, events)
+    }
+
+    /// The same into another folder, as for a run on a disk that is read-only.
+    ///
+    /// # Errors
+    /// Those of [`Trained::draw_mesh`].
+    pub fn draw_mesh_into(&self, into: AtomicDir, options: &MeshOptions, events: &dyn Listener) -> Result<MeshReport> {
+        self.runtime.install(|| self.draw_mesh_here(into, options, events))
+    }
+
+    fn draw_mesh_here(&self, files: AtomicDir, options: &MeshOptions, events: &dyn Listener) -> Result<MeshReport> {
+        self.config.require_ability(Ability::Density, "a mesh of this run", "`augnerf compare` shows its depth")?;
+        let drawing = options.drawing(self);
+        drawing.lattice.check_meets(&self.scene, "the mesh's lattice")?;
+        options.picture.iter().try_for_each(|picture| picture.cameras(&self.scene).map(|_| ()))?;
+        let LevelSet { mut mesh, range } = self.level_set(&drawing, options.density.then_some(&files), events)?;
+        let components = mesh.components();
+        if options.largest {
+            mesh = mesh.keep(&components[0]);
+        }
+        let (density, ndc) = (self.model.density()?, self.scene.ndc.as_ref());
+        let mut finished = finish_mesh(&*density, mesh, &drawing.lattice, ndc, options.normals)?;
+        if let Some(picture) = &options.picture {
+            let cameras = picture.cameras(&self.scene)?;
+            write_png8(&picture.file, &mesh_picture(&finished.mesh, &cameras, picture.paint)?)?;
+        }
+        if options.units == MeshUnits::Capture {
+            in_capture(&mut finished.mesh, &self.scene.place.world);
+        }
+        for format in &options.formats {
+            format.write(&files.path().join(format.file()), &finished.mesh)?;
+        }
+        let dropped = if options.largest { components.len() - 1 } else { 0 };
+        let report = MeshReport::new(self, &drawing, range, &finished, options, [components.len(), dropped]);
+        write_json(&files.path().join("mesh.json"), &report)?;
+        files.commit()?;
+        Ok(report)
+    }
+
+    /// The level set, with `density.npy` in `density_in`.
+    fn level_set(&self, drawing: &Drawing, density_in: Option<&AtomicDir>, events: &dyn Listener) -> Result<LevelSet> {
+        let path = density_in.map(|files| files.path().join(DENSITY));
+        let volume = path.as_ref().map(|path| density_file(path, &drawing.lattice));
+        let mut volume = volume.transpose()?;
+        let out = volume.as_mut().map(|volume| volume as &mut dyn Write);
+        events.on(Event::Started { what: "density", parts: drawing.lattice.side as u64 });
+        let advance = || {
+            events.on(Event::Advanced);
+            Ok(())
+        };
+        let drawn = level_set(&*self.model.density()?, drawing, out, advance)?;
+        events.on(Event::Finished);
+        if let (Some(mut volume), Some(path)) = (volume, path) {
+            volume.flush().map_err(|e| Error::unwritable(&path, &e))?;
+        }
+        Ok(drawn)
+    }
+}
+
+impl MeshReport {
+    fn new(
+        trained: &Trained,
+        drawing: &Drawing,
+        density: DensityRange,
+        finished: &FinishedMesh,
+        options: &MeshOptions,
+        [components, components_dropped]: [usize; 2],
+    ) -> MeshReport {
+        let Trained { scene, config, state, .. } = trained;
+        let (mesh, open_edges) = (&finished.mesh, finished.mesh.open_edges());
+        MeshReport {
+            step: state.step,
+            resolution: drawing.lattice.side,
+            threshold: drawing.threshold,
+            domain: drawing.lattice.domain,
+            box_units: if scene.ndc.is_some() { "NDC" } else { "scene units" },
+            units: options.units,
+            world_to_scene: WorldMatrix::of(&scene.place.world),
+            variance: config.field.encoding.queries_gaussians().then(|| drawing.lattice.cell_variance()),
+            cap: drawing.cap,
+            density,
+            vertices: mesh.vertices.len(),
+            faces: mesh.triangles.len(),
+            closed: open_edges == 0,
+            open_edges,
+            area: mesh.area(),
+            volume: (open_edges == 0).then(|| mesh.volume()),
+            components,
+            components_dropped,
+            normals: options.normals,
+            normals_of_triangles: finished.flat,
+            protocol: trained.protocol(),
+        }
+    }
+}
+
+/// A mesh of the scene in the units of its capture.
+fn in_capture(mesh: &mut Mesh, world: &WorldToScene) {
+    let single = |point: [f64; 3]| point.map(|v| v as f32);
+    mesh.vertices.iter_mut().for_each(|vertex| *vertex = single(world.to_capture(vertex.map(f64::from))));
+    mesh.normals.iter_mut().for_each(|normal| *normal = single(world.direction_to_capture(normal.map(f64::from))));
+}
+
+/// The begun file of densities, on a disk with room for it.
+fn density_file(path: &Path, lattice: &Lattice) -> Result<BufWriter<File>> {
+    let folder = path.parent().unwrap_or(path);
+    let needed = (lattice.cells() * size_of::<f32>()) as f64;
+    if let Some(free) = free_bytes(folder).filter(|free| (*free as f64) < needed) {
+        return Err(Error::Output(format!(
+            "{} has too little room for --density: it takes {:.0} MiB and {:.0} MiB are free",
+            folder.display(),
+            needed / MIB,
+            free as f64 / MIB
+        )));
+    }
+    let unwritable = |e: std::io::Error| Error::unwritable(path, &e);
+    let mut file = BufWriter::new(File::create(path).map_err(unwritable)?);
+    file.write_all(&npy::header("<f4", &[lattice.side; 3])).map_err(unwritable)?;
+    Ok(file)
+}
+
+/// A mesh by name: `builtin` (the embedded scene's own), a PLY or OBJ file, or a run folder whose mesh was drawn. `other` is the
+/// name of what it will be compared with.
+///
+/// # Errors
+/// A file that is no mesh; a run without one; a run of another scene beside `builtin`, whose units are not the same.
+pub fn named_mesh(name: &str, other: &str) -> Result<Reference> {
+    let path = Path::new(name);
+    if name == BUILTIN || !path.is_dir() {
+        return reference_mesh(name);
+    }
+    let run = RunDir::open(path)?;
+    let config = run.read_config()?;
+    config.require_ability(
+        Ability::Density,
+        &format!("the surface of {name}"),
+        "compare runs of nerf, aug-nerf or nv",
+    )?;
+    let scene = config.data;
+    if other == BUILTIN && !Format::of(scene.kind).is_some_and(|format| format.has_mesh) {
+        return Err(Error::Config(format!(
+            "{name} is of {} ({}), in units of its own: `{BUILTIN}` is the surface of {} alone",
+            scene.name,
+            scene.kind.name(),
+            DataKind::BuiltinBlender.name()
+        )));
+    }
+    let files: [PathBuf; 2] = MeshFormat::ALL.map(|format| run.mesh().join(format.file()));
+    let file = files.into_iter().find(|file| file.is_file()).ok_or_else(|| {
+        Error::Data(format!("{name} has no mesh yet: draw it with `augnerf mesh {name}`, then compare again"))
+    })?;
+    check_units(&run, name)?;
+    reference_mesh(&file.to_string_lossy())
+}
+
+/// Refuses a run's mesh that is in its capture's units: what it is compared with is in the scene's.
+fn check_units(run: &RunDir, name: &str) -> Result<()> {
+    #[derive(Deserialize)]
+    struct Units {
+        #[serde(default)]
+        units: MeshUnits,
+    }
+    let path = run.mesh().join("mesh.json");
+    if !path.is_file() {
+        return Ok(());
+    }
+    let text = read_text(&path, JSON_BYTES).map_err(|e| Error::unreadable(&path, &e))?;
+    let Units { units } = serde_json::from_str(&text)
+        .map_err(|e| Error::Data(format!("{} is not what `augnerf mesh` writes: {e}", path.display())))?;
+    if units == MeshUnits::Scene {
+        return Ok(());
+    }
+    Err(Error::Config(format!(
+        "{name} has a mesh in its capture's units, and distances are measured in the scene's: draw it again without --units \
+         capture, or name the mesh files themselves where both are in one unit"
+    )))
+}

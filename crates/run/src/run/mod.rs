@@ -1,0 +1,63 @@
+//! One experiment from its settings to its results: scene, run folder, training, evaluation, and everything that it leaves behind.
+//!
+//! Two rules hold throughout. A file that is replaced is replaced by a rename, so that a reader
+//! (or a kill at any moment) sees the old content or the new one and never half of either. And
+//! everything written is a function of configuration and seed, with three exceptions that say so:
+//! `timing.json`, the event files under `tensorboard/` and `run.lock` hold clock times, host names
+//! or process numbers.
+
+mod balance;
+mod columns;
+mod corruption;
+mod depth_errors;
+mod evaluate;
+mod exchange;
+mod first_view;
+mod folder;
+mod inputs;
+mod job;
+mod lock;
+mod mesh;
+mod mesh_picture;
+mod metrics;
+mod pictures;
+mod protocol;
+mod scalars;
+mod scene_file;
+mod scene_picture;
+mod score;
+mod session;
+mod smoothness;
+mod surface;
+mod tensorboard;
+mod trained;
+
+pub use balance::{BalancedWeight, balance};
+pub use columns::columns;
+pub use corruption::write_corrupted;
+pub use depth_errors::DepthErrors;
+pub use evaluate::{EVALUATING, RenderedView, Viewer};
+pub use exchange::{Foreign, Networks, export};
+pub use first_view::{FirstView, read_picture};
+pub use folder::{Existing, RunDir};
+pub use inputs::{load_lpips, load_scene, load_scene_of, locate_scene, settings_to_go_on};
+pub use job::watch_memory;
+pub use job::{Finished, Job, Setup};
+pub use mesh::{MeshFormat, MeshOptions, MeshReport, MeshUnits, named_mesh};
+pub use mesh_picture::{Eye, MeshPicture, mesh_picture};
+pub use metrics::Report;
+pub use pictures::{PathPictures, Pictures};
+pub use protocol::Protocol;
+pub use protocol::split_name;
+pub use scalars::Scalars;
+pub use scene_file::WorldMatrix;
+pub use scene_picture::scene_picture;
+pub use score::{Matching, Picture, Score, ScoredView, Truth, both_pictures, pictures, score};
+pub use session::{Between, EVALUATION_COLUMNS, Outcome, SEEN_COLUMNS, Session, interrupted};
+pub use smoothness::{FieldSmoothness, SMOOTHNESS_SIDE, SmoothnessReport, check_measurable, smoothness_box};
+pub use surface::{
+    BUILTIN, Surface, most_memory_mib, reference_mesh, surface_box, surface_reference, surface_threshold,
+};
+pub use tensorboard::EventWriter;
+use trained::Measurement;
+pub use trained::{Choice, Split, Trained};

@@ -1,0 +1,354 @@
+//! The protocol of a run: what stands beside each of its numbers.
+
+use serde::ser::{Serialize, SerializeMap, Serializer};
+use serde_json::Value;
+
+use crate::augment::{Passes, Site};
+use crate::data::{Camera, Scene, View, seen_views};
+use crate::methods::step_over_radius;
+use crate::metrics::{Lpips, share};
+use crate::model::Model;
+use crate::report::distinct;
+use crate::revision::version;
+use crate::settings::columns::{COLUMNS, find, perturbed, regularized};
+use crate::settings::{
+    Config, Core, Encoding, EvalSplit, HashConfig, LatticePoints, Precision, RegularizerConfig, Representation,
+    Resolved, ResolvedPerturb, Schedule, TrainViews, value_at, word,
+};
+use crate::train::checkpoint::State;
+
+use super::columns::cell;
+use super::surface;
+
+/// Version of the evaluation protocol; numbers of different versions are not comparable.
+pub const PROTOCOL: u32 = 1;
+
+/// Where a number comes from: everything that two numbers must share to be compared. A value for each of
+/// [`COLUMNS`], in their order.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Protocol(Vec<(&'static str, Value)>);
+
+impl Serialize for Protocol {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        let mut map = serializer.serialize_map(Some(self.0.len()))?;
+        self.0.iter().try_for_each(|(name, value)| map.serialize_entry(name, value))?;
+        map.end()
+    }
+}
+
+impl Protocol {
+    /// The protocol of a run at a checkpoint's state.
+    pub fn new(config: &Resolved, scene: &Scene, state: &State) -> Protocol {
+        let table = config.to_table();
+        let found = [of_settings(config), of_scene(config, scene), of_state(config, state)].concat();
+        let value = |name: &'static str| {
+            let column = find(name).expect("a column");
+            if !(column.applies)(config) {
+                return Value::Null;
+            }
+            let set = column.setting().and_then(|setting| value_at(&table, &setting.path));
+            let set = set.map(|value| serde_json::to_value(value).expect("plain data"));
+            let own = || found.iter().find(|(known, _)| *known == name).map(|(_, value)| value.clone());
+            set.or_else(own).unwrap_or_default()
+        };
+        Protocol(COLUMNS.iter().map(|column| (column.name, value(column.name))).collect())
+    }
+
+    /// The columns that say which views of which scene numbers are of, as text: all that is known of pictures that were not
+    /// rendered here.
+    pub fn of_views(config: &Resolved, scene: &Scene) -> Vec<(&'static str, String)> {
+        const OF_VIEWS: [&str; 9] =
+            ["protocol", "dataset", "scene", "width", "height", "background", "split", "views_evaluated", "data_hash"];
+        let found = [of_settings(config), of_scene(config, scene)].concat();
+        let known = |name| found.iter().find(|(known, _)| *known == name).map(|(_, value)| cell(value));
+        OF_VIEWS.into_iter().filter_map(|name| Some((name, known(name)?))).collect()
+    }
+
+    /// The columns that a configuration decides alone, as a run that trained to its end has them, as text.
+    pub fn of_configuration(config: &Resolved) -> Vec<(&'static str, String)> {
+        let table = config.to_table();
+        let mut own = of_settings(config);
+        own.push(("steps", config.train.steps.into()));
+        let decided = COLUMNS.iter().filter_map(|column| {
+            let set = column.setting().and_then(|setting| value_at(&table, &setting.path));
+            let set = set.map(|value| serde_json::to_value(value).expect("plain data"));
+            let known = own.iter().find(|(name, _)| *name == column.name).map(|(_, value)| value.clone());
+            let is_here = known.is_some() || column.setting().is_some();
+            let value = set.or(known).filter(|_| (column.applies)(config)).unwrap_or_default();
+            // Which program it was is no setting.
+            (is_here && column.name != "program").then(|| (column.name, cell(&value)))
+        });
+        decided.collect()
+    }
+
+    /// The protocol of an evaluation that measured LPIPS with these backbones.
+    pub fn with_lpips(mut self, lpips: &[Lpips]) -> Protocol {
+        let named = lpips.iter().map(|lpips| format!("{} {}", lpips.backbone().name(), lpips.weights_hash()));
+        let named = (!lpips.is_empty()).then(|| named.collect::<Vec<String>>().join(", "));
+        self.set("lpips_weights", named.into());
+        self
+    }
+
+    /// A column's value.
+    ///
+    /// # Panics
+    /// Where there is no such column.
+    pub fn get(&self, column: &str) -> &Value {
+        let known = self.0.iter().find(|(name, _)| *name == column);
+        &known.unwrap_or_else(|| panic!("{column} is no column of the protocol")).1
+    }
+
+    /// A column's value as text; empty for none.
+    pub fn text(&self, column: &str) -> String {
+        cell(self.get(column))
+    }
+
+    /// Sets a column.
+    ///
+    /// # Panics
+    /// Where there is no such column.
+    pub fn set(&mut self, column: &str, value: Value) {
+        let known = self.0.iter_mut().find(|(name, _)| *name == column);
+        known.unwrap_or_else(|| panic!("{column} is no column of the protocol")).1 = value;
+    }
+}
+
+/// Columns and their values.
+type Found = Vec<(&'static str, Value)>;
+
+/// What several settings say together.
+fn of_settings(config: &Resolved) -> Found {
+    let perturb = Some(&config.perturb).filter(|_| perturbed(config));
+    let regularizer = Some(&config.regularizer).filter(|_| regularized(config));
+    let in_space = regularizer.filter(|regularizer| regularizer.has_space_terms());
+    vec![
+        ("protocol", PROTOCOL.into()),
+        ("scene", config.data.name.clone().into()),
+        ("split", split_name(config).into()),
+        ("training_views", training_views(config).into()),
+        ("validation", (config.data.validation > 0).then(|| format!("every-{}", config.data.validation)).into()),
+        ("levels", perturb.map(|perturb| levels(perturb, config.representation())).into()),
+        ("attack_numbers", perturb.map(attack_numbers).into()),
+        ("norms", perturb.map(norms).into()),
+        ("regularizers", regularizer.map(regularizers).into()),
+        ("regularizer_points", in_space.map(regularizer_points).into()),
+        ("regularizer_domain", in_space.map(|regularizer| format!("{:?}", regularizer.domain)).into()),
+        ("learning_rate", learning_rate(config).into()),
+        ("adam", format!("beta2 {}, epsilon {:e}", config.train.adam_beta2, config.train.adam_epsilon).into()),
+        ("srn", config.srn.text().into()),
+        ("nv", config.nv.text().into()),
+        ("llff", config.llff.text().into()),
+        ("hash_grid", (config.field.encoding == Encoding::Hash).then(|| hash_grid(&config.field.hash)).into()),
+        ("config_hash", config.hash().into()),
+        ("program", version().into()),
+    ]
+}
+
+/// What was loaded.
+fn of_scene(config: &Resolved, scene: &Scene) -> Found {
+    let background = match scene.background {
+        None => "none",
+        Some([1.0, 1.0, 1.0]) => "white",
+        Some(_) => "black",
+    };
+    let corrupted = scene.corrupted.as_ref();
+    vec![
+        ("dataset", scene.kind.into()),
+        ("width", side(scene, |camera| camera.width)),
+        ("height", side(scene, |camera| camera.height)),
+        ("background", background.into()),
+        ("ndc", scene.ndc.is_some().into()),
+        ("views_trained", scene.train.len().into()),
+        ("views_evaluated", scene.test.len().into()),
+        ("views_seen", seen_views(scene, config).len().into()),
+        ("data_hash", corrupted.map_or_else(|| scene.hash(), |corrupted| corrupted.clean_hash.clone()).into()),
+        ("corruption", corrupted.map(|corrupted| corrupted.what.clone()).into()),
+        ("corruption_hash", corrupted.map(|_| scene.hash()).into()),
+        ("mesh", surface::describe(config, scene).into()),
+        ("masks", masks(scene).into()),
+        ("step_over_radius", perturbed(config).then(|| ratios(config, scene)).into()),
+    ]
+}
+
+/// A side of the evaluated views in pixels; where they differ in it, the sides in the order of the views: `1080/1920`.
+fn side(scene: &Scene, of: fn(&Camera) -> usize) -> Value {
+    let views = if scene.test.is_empty() { &scene.train } else { &scene.test };
+    let text = sides(views.iter().map(|view| of(&view.camera)));
+    text.parse::<usize>().map_or(text.into(), Value::from)
+}
+
+/// Different sides in their order: `800`, `1080/1920`; 0 of none.
+pub(super) fn sides(all: impl Iterator<Item = usize>) -> String {
+    let different = distinct(all);
+    if different.is_empty() { "0".into() } else { different.iter().map(usize::to_string).collect::<Vec<_>>().join("/") }
+}
+
+/// How much of the views is masked, in words; none where nothing is.
+fn masks(scene: &Scene) -> Option<String> {
+    let of = |views: &[View]| {
+        let views = views.iter().map(|view| 1.0 - share(view.mask.as_deref()));
+        let (count, sum) = views.fold((0, 0.0), |(count, sum), share| (count + 1, sum + share));
+        format!("{:.2} %", 100.0 * sum / f64::from(count.max(1)))
+    };
+    let any = scene.train.iter().chain(&scene.test).any(|view| view.mask.is_some());
+    any.then(|| format!("{} of trained, {} of evaluated pixels left out", of(&scene.train), of(&scene.test)))
+}
+
+/// What happened, and on what.
+fn of_state(config: &Resolved, state: &State) -> Found {
+    let redraws = Model::parts(config).into_iter().zip(&state.redraws).map(|(role, draws)| format!("{role} {draws}"));
+    let by_device = |of: fn(&str) -> &'static str| {
+        let mut all: Vec<&str> = state.devices.iter().map(|device| of(device)).collect();
+        all.dedup();
+        all.join(" + ")
+    };
+    // The fused core is the processor's; see `Field::prepared`.
+    let core = match config.field.core {
+        Core::Plain => "plain".into(),
+        Core::Fused => by_device(|device| if device == "cpu" { "fused" } else { "plain" }),
+    };
+    let precision = match config.field.precision {
+        Precision::Bf16 => "bf16".into(),
+        Precision::F32 => by_device(|device| if device == "cuda-tf32" { "tf32" } else { "f32" }),
+    };
+    vec![
+        ("steps", state.step.into()),
+        ("redraws", redraws.collect::<Vec<String>>().join(", ").into()),
+        ("code_revision", state.revisions.join(" + ").into()),
+        ("device", state.devices.join(" + ").into()),
+        ("core", core.into()),
+        ("precision", precision.into()),
+        ("instructions", state.instructions.join(" + ").into()),
+    ]
+}
+
+/// A learning rate and how it falls, in words.
+fn learning_rate(config: &Resolved) -> String {
+    let train = &config.train;
+    let start = train.learning_rate;
+    match train.schedule {
+        Schedule::Exponential if train.decay_rate == 1.0 => format!("{start}, constant"),
+        Schedule::Exponential => format!("{start}, times {} every {}", train.decay_rate, config.decay_steps),
+        Schedule::LogLinear => format!("{start} to {}", train.final_learning_rate),
+    }
+}
+
+/// Levels, features, table, resolutions, interpolation and place of a hash grid.
+fn hash_grid(hash: &HashConfig) -> String {
+    let HashConfig { levels, features, log2_table, coarsest, finest, interpolation, bounds, contraction } = hash;
+    let interpolation = word(interpolation);
+    let finest = finest.filter(|_| *levels > 1).map_or_else(String::new, |finest| format!(" to {finest}"));
+    let place = bounds.map_or_else(String::new, |bounds| format!(", box {bounds:?}"));
+    let contraction =
+        contraction.map_or_else(String::new, |contraction| format!(", contraction {}", word(contraction)));
+    format!("{levels} x {features}, 2^{log2_table}, {coarsest}{finest}, {interpolation}{place}{contraction}")
+}
+
+/// Which of the training views were kept; none for all.
+fn training_views(config: &Config) -> Option<String> {
+    config.data.train_views.as_ref().map(|views| match views {
+        TrainViews::Number(number) => format!("{number} drawn"),
+        TrainViews::Named(names) => names.join(" "),
+    })
+}
+
+/// The sites that are on, each with its pass where it takes part in one of them alone.
+fn levels(perturb: &ResolvedPerturb, representation: Representation) -> String {
+    let named = perturb.sites_on().map(|(site, config)| match config.passes {
+        Passes::Coarse => format!("{}:coarse", site.name()),
+        Passes::Fine => format!("{}:fine", site.name()),
+        // A coarse pass that only places samples is not perturbed.
+        Passes::Both if !representation.has_coarse_loss() => format!("{}:fine", site.name()),
+        Passes::Both | Passes::Off => site.name().to_string(),
+    });
+    named.collect::<Vec<String>>().join(" ")
+}
+
+fn attack_numbers(perturb: &ResolvedPerturb) -> String {
+    let on = perturb.numbers.iter().filter(|(_, numbers)| numbers.on());
+    let numbers = on
+        .map(|(site, numbers)| format!("{} {}/{}/{}", site.name(), numbers.steps, numbers.step_size, numbers.epsilon));
+    numbers.collect::<Vec<String>>().join(", ")
+}
+
+/// Step over radius of each site, with three figures.
+fn ratios(config: &Resolved, scene: &Scene) -> String {
+    let ratios = step_over_radius(config, scene).expect("tensors of a single ray");
+    let three = |ratio: f64| format!("{ratio:.2e}").parse::<f64>().expect("just printed");
+    ratios.iter().map(|(site, ratio)| format!("{} {}", site.name(), three(*ratio))).collect::<Vec<String>>().join(", ")
+}
+
+/// Norms of the sets; sites of one number a sample have none to choose.
+fn norms(perturb: &ResolvedPerturb) -> String {
+    let on = perturb.numbers.iter().filter(|(site, numbers): &(Site, _)| numbers.on() && !site.about().scalar);
+    let named = on.map(|(site, numbers)| format!("{} {}", site.name(), numbers.norm.name()));
+    named.collect::<Vec<String>>().join(", ")
+}
+
+fn regularizers(regularizer: &RegularizerConfig) -> String {
+    let terms = regularizer.terms().map(|(term, weight)| format!("{} {weight}", term.name()));
+    terms.collect::<Vec<String>>().join(", ")
+}
+
+fn regularizer_points(regularizer: &RegularizerConfig) -> String {
+    match regularizer.points {
+        LatticePoints::Full => format!("full {}^3", regularizer.lattice),
+        LatticePoints::Sampled => {
+            let place = if regularizer.jitter { "" } else { " at midpoints" };
+            format!("sampled {} of {}^3{place}", regularizer.points_per_step, regularizer.lattice)
+        }
+    }
+}
+
+/// Which views are evaluated: `test`, `val`, or `every-8` for every 8th view held out, `every-8-from-3` where the first of
+/// these is view 3, counted from 0; with `-val` behind, those that are kept for choices instead.
+pub fn split_name(config: &Config) -> String {
+    let data = &config.data;
+    let split = match (data.has_splits(), data.eval_split) {
+        (true, EvalSplit::Val) => "val".to_string(),
+        (true, EvalSplit::Test) => "test".to_string(),
+        (false, eval_split) => {
+            let from = if data.holdout_offset == 0 { String::new() } else { format!("-from-{}", data.holdout_offset) };
+            let kept = if eval_split == EvalSplit::Val { "-val" } else { "" };
+            format!("every-{}{from}{kept}", data.holdout)
+        }
+    };
+    match data.test_skip {
+        1 => split,
+        skip => format!("{split}-skip-{skip}"),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::run::load_scene;
+    use crate::settings::{Preset, build, parse_assignment};
+
+    /// A column holds a setting's value or what is found here, never both.
+    #[test]
+    fn every_column_has_one_source() {
+        let small = [parse_assignment("data.width=8").unwrap()];
+        let (config, scene) = load_scene(build(Some(Preset::Smoke), None, &small).unwrap(), &()).unwrap();
+        let state = State { redraws: vec![0, 1], ..State::default() };
+        let found = [of_settings(&config), of_scene(&config, &scene), of_state(&config, &state)].concat();
+        for column in COLUMNS {
+            let here = found.iter().filter(|(name, _)| *name == column.name).count();
+            let measured = usize::from(["lpips_weights", "inactive_by"].contains(&column.name));
+            assert_eq!(here + measured + usize::from(column.setting().is_some()), 1, "{}", column.name);
+        }
+        assert!(found.iter().all(|(name, _)| find(name).is_some()));
+    }
+
+    #[test]
+    fn splits_are_named_by_all_that_makes_them() {
+        let named = |texts: &[&str]| {
+            let texts: Vec<_> = texts.iter().map(|text| parse_assignment(text).unwrap()).collect();
+            split_name(&build(None, None, &texts).unwrap())
+        };
+        assert_eq!(named(&["data.kind=llff"]), "every-8");
+        assert_eq!(named(&["data.kind=llff", "data.holdout=5", "data.holdout_offset=3"]), "every-5-from-3");
+        assert_eq!(named(&["data.kind=llff", "data.validation=4", "data.eval_split=val"]), "every-8-val");
+        assert_eq!(named(&["data.kind=blender", "data.eval_split=val", "data.test_skip=2"]), "val-skip-2");
+    }
+}

@@ -1,0 +1,231 @@
+//! `scalars.csv`: one row per logged step, the same bytes whether or not a run was interrupted.
+
+use std::fs::File;
+use std::path::{Path, PathBuf};
+
+use crate::base::files::write_atomic;
+use crate::base::input::{TABLE_BYTES, read_bytes};
+use crate::base::{Error, Result};
+
+const STEP: &str = "step";
+
+/// A growing table of scalars. Its columns are fixed when it is made; every row reaches the file
+/// in one write, before [`Scalars::append`] returns.
+///
+/// A row must be appended before the checkpoint of its step is saved (with [`Scalars::sync`] in
+/// between where a crash of the machine matters), since [`Scalars::resume`] keeps the rows up to
+/// the checkpoint's step and training then repeats those after it.
+#[derive(Debug)]
+pub struct Scalars {
+    path: PathBuf,
+    columns: Vec<String>,
+    /// Columns that came after the program which began the table: their values are not kept.
+    later: Vec<String>,
+    writer: csv::Writer<File>,
+}
+
+impl Scalars {
+    /// A new table with the column `step` and then `columns`; a file of this name is replaced.
+    /// Names hold ASCII letters, digits and `_ . / -` only, so that a row is always one line.
+    pub fn create(path: &Path, columns: &[&str]) -> Result<Scalars> {
+        check_columns(path, columns)?;
+        write_atomic(path, header(columns).as_bytes())?;
+        Scalars::open(path, columns)
+    }
+
+    /// Goes on with a table at `step`, the step of the checkpoint that training goes on from: rows
+    /// of later steps are cut off, and so is a last line that a kill left half-written. A missing
+    /// file is made anew. A table that an older program began keeps its columns, where those are some of `columns` in the
+    /// same order; any other column is an error.
+    pub fn resume(path: &Path, columns: &[&str], step: u64) -> Result<Scalars> {
+        if !path.exists() {
+            return Scalars::create(path, columns);
+        }
+        check_columns(path, columns)?;
+        let bytes = read_bytes(path, TABLE_BYTES).map_err(|error| Error::unreadable(path, &error))?;
+        let found = columns_of(&bytes, columns);
+        let known = found.as_deref().unwrap_or(columns);
+        let kept = rows_up_to(&bytes, &header(known), known.len(), step)
+            .map_err(|reason| Error::Checkpoint(format!("cannot continue {}: {reason}", path.display())))?;
+        write_atomic(path, &kept)?;
+        let later = columns.iter().filter(|column| !known.contains(column)).map(|column| column.to_string()).collect();
+        Ok(Scalars { later, ..Scalars::open(path, known)? })
+    }
+
+    fn open(path: &Path, columns: &[&str]) -> Result<Scalars> {
+        let file = File::options().append(true).open(path).map_err(|error| Error::unwritable(path, &error))?;
+        let writer = csv::WriterBuilder::new().has_headers(false).from_writer(file);
+        let columns = columns.iter().map(|column| column.to_string()).collect();
+        Ok(Scalars { path: path.to_path_buf(), columns, later: Vec::new(), writer })
+    }
+
+    /// Appends the row of `step`. Columns that `values` does not name stay empty. A number that is
+    /// not finite is an [`Error::Diverged`], a name without a column an [`Error::Output`]; neither
+    /// writes anything.
+    pub fn append(&mut self, step: u64, values: &[(&str, f64)]) -> Result<()> {
+        let mut cells = vec![String::new(); self.columns.len() + 1];
+        cells[0] = step.to_string();
+        for &(name, value) in values.iter().filter(|(name, _)| !self.later.iter().any(|later| later == name)) {
+            let column = self.columns.iter().position(|column| column == name).ok_or_else(|| {
+                Error::Output(format!(
+                    "cannot write {}: it has no column '{name}', only {}",
+                    self.path.display(),
+                    self.columns.join(", ")
+                ))
+            })?;
+            check_finite(step, name, value)?;
+            cells[column + 1] = value.to_string();
+        }
+        self.writer
+            .write_record(&cells)
+            .map_err(std::io::Error::from)
+            .and_then(|()| self.writer.flush())
+            .map_err(|error| Error::unwritable(&self.path, &error))
+    }
+
+    /// Waits until every row has reached the disk.
+    pub fn sync(&mut self) -> Result<()> {
+        self.writer.get_ref().sync_data().map_err(|error| Error::unwritable(&self.path, &error))
+    }
+}
+
+/// An [`Error::Diverged`] if `value` is not finite.
+pub fn check_finite(step: u64, name: &str, value: f64) -> Result<()> {
+    if value.is_finite() {
+        return Ok(());
+    }
+    Err(Error::Diverged(format!("'{name}' is {value} at step {step}")))
+}
+
+fn check_columns(path: &Path, columns: &[&str]) -> Result<()> {
+    let plain = |byte: u8| byte.is_ascii_alphanumeric() || b"_./-".contains(&byte);
+    for (index, column) in columns.iter().enumerate() {
+        let unusable = column.is_empty() || !column.bytes().all(plain) || *column == STEP;
+        if unusable || columns[..index].contains(column) {
+            return Err(Error::Output(format!(
+                "cannot write {}: '{column}' is no column name, or is there twice",
+                path.display()
+            )));
+        }
+    }
+    Ok(())
+}
+
+fn header(columns: &[&str]) -> String {
+    let names: Vec<&str> = std::iter::once(STEP).chain(columns.iter().copied()).collect();
+    names.join(",") + "\n"
+}
+
+/// The columns that a table has, where they are some of `columns` in the same order; none where it has others, or ends
+/// within its first line.
+fn columns_of<'a>(bytes: &[u8], columns: &[&'a str]) -> Option<Vec<&'a str>> {
+    let line = &bytes[..bytes.iter().position(|&byte| byte == b'\n')?];
+    let found: Vec<&str> = std::str::from_utf8(line).ok()?.split(',').skip(1).collect();
+    let kept: Vec<&str> = columns.iter().copied().filter(|column| found.contains(column)).collect();
+    (kept == found && !kept.is_empty()).then_some(kept)
+}
+
+/// The bytes of a table without its rows of steps after `last` and without an unfinished line.
+fn rows_up_to(bytes: &[u8], header: &str, columns: usize, last: u64) -> std::result::Result<Vec<u8>, String> {
+    let whole = bytes.iter().rposition(|&byte| byte == b'\n').map_or(0, |end| end + 1);
+    let mut kept = header.as_bytes().to_vec();
+    for (index, line) in bytes[..whole].split_inclusive(|&byte| byte == b'\n').enumerate() {
+        if index == 0 {
+            if line != header.as_bytes() {
+                let found = String::from_utf8_lossy(line);
+                return Err(format!("its columns are '{}', this run's are '{}'", found.trim_end(), header.trim_end()));
+            }
+            continue;
+        }
+        let step = step_of(line, columns).ok_or_else(|| format!("line {} is not a row of this table", index + 1))?;
+        if step <= last {
+            kept.extend_from_slice(line);
+        }
+    }
+    Ok(kept)
+}
+
+fn step_of(line: &[u8], columns: usize) -> Option<u64> {
+    let text = std::str::from_utf8(line).ok()?;
+    let mut cells = text.trim_end_matches('\n').split(',');
+    let step = cells.next()?.parse().ok()?;
+    (cells.count() == columns).then_some(step)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::fs;
+
+    const COLUMNS: [&str; 2] = ["loss", "psnr/train"];
+
+    fn write_steps(table: &mut Scalars, steps: std::ops::RangeInclusive<u64>) {
+        for step in steps {
+            table.append(step, &[("loss", 1.0 / step as f64)]).unwrap();
+        }
+    }
+
+    #[test]
+    fn numbers_read_back_exactly_and_missing_ones_are_empty() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("scalars.csv");
+        let mut table = Scalars::create(&path, &COLUMNS).unwrap();
+        table.append(1, &[("psnr/train", 0.1 + 0.2)]).unwrap();
+        table.append(2, &[("psnr/train", 20.0), ("loss", -1e-7)]).unwrap();
+        let text = fs::read_to_string(&path).unwrap();
+        assert_eq!(text, "step,loss,psnr/train\n1,,0.30000000000000004\n2,-0.0000001,20\n");
+    }
+
+    #[test]
+    fn a_resumed_table_equals_an_undisturbed_one() {
+        let dir = tempfile::tempdir().unwrap();
+        let (straight, broken) = (dir.path().join("a.csv"), dir.path().join("b.csv"));
+        write_steps(&mut Scalars::create(&straight, &COLUMNS).unwrap(), 1..=20);
+        write_steps(&mut Scalars::create(&broken, &COLUMNS).unwrap(), 1..=13);
+        let whole = fs::read(&broken).unwrap();
+        let row_10 = whole.windows(4).position(|bytes| bytes == b"\n11,").unwrap() + 1;
+        for length in row_10..=whole.len() {
+            fs::write(&broken, &whole[..length]).unwrap();
+            write_steps(&mut Scalars::resume(&broken, &COLUMNS, 10).unwrap(), 11..=20);
+            assert_eq!(fs::read(&broken).unwrap(), fs::read(&straight).unwrap(), "killed after {length} bytes");
+        }
+    }
+
+    #[test]
+    fn a_table_that_an_older_program_began_goes_on_with_its_own_columns() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("scalars.csv");
+        write_steps(&mut Scalars::create(&path, &COLUMNS).unwrap(), 1..=3);
+        let mut table = Scalars::resume(&path, &["loss", "later", "psnr/train", "shift.t"], 2).unwrap();
+        table.append(3, &[("loss", 0.5), ("later", 7.0), ("shift.t", 8.0), ("psnr/train", 20.0)]).unwrap();
+        assert!(table.append(4, &[("lost", 1.0)]).is_err());
+        assert_eq!(fs::read_to_string(&path).unwrap(), "step,loss,psnr/train\n1,1,\n2,0.5,\n3,0.5,20\n");
+    }
+
+    #[test]
+    fn a_table_killed_within_its_header_starts_again() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("scalars.csv");
+        fs::write(&path, "step,lo").unwrap();
+        Scalars::resume(&path, &COLUMNS, 0).unwrap();
+        assert_eq!(fs::read_to_string(&path).unwrap(), "step,loss,psnr/train\n");
+    }
+
+    #[test]
+    fn what_does_not_belong_is_refused() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("scalars.csv");
+        let mut table = Scalars::create(&path, &COLUMNS).unwrap();
+        let before = fs::read(&path).unwrap();
+        assert_eq!(table.append(3, &[("loss", f64::NAN)]).unwrap_err().exit_code(), 6);
+        assert_eq!(table.append(3, &[("lost", 1.0)]).unwrap_err().exit_code(), 4);
+        assert_eq!(fs::read(&path).unwrap(), before);
+        assert_eq!(Scalars::resume(&path, &["other"], 3).unwrap_err().exit_code(), 5);
+        fs::write(&path, "step,loss,psnr/train\n1,2\n").unwrap();
+        let error = Scalars::resume(&path, &COLUMNS, 3).unwrap_err().to_string();
+        assert!(error.contains("line 2") && error.contains("scalars.csv"), "{error}");
+        for columns in [["a,b", "c"], ["a", "a"], ["step", "a"], ["", "a"]] {
+            assert!(Scalars::create(&path, &columns).is_err());
+        }
+    }
+}

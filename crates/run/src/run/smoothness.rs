@@ -1,0 +1,157 @@
+//! How smooth a trained run's fields are: the terms of the explicit regularizers, measured on the
+//! full lattice whatever the run was trained with.
+
+use std::path::Path;
+
+use candle_core::Device;
+use serde::Serialize;
+
+use crate::base::csv::csv_of_named;
+use crate::base::files::write_atomic;
+use crate::base::{Error, Event, Listener, Result};
+use crate::data::Scene;
+use crate::losses::{Smoothness, estimate_seconds, measure};
+use crate::model::Model;
+use crate::runtime::Runtime;
+use crate::settings::{Ability, Config};
+use crate::space::{Lattice, chunk_count};
+
+use super::{Protocol, Trained, columns};
+
+/// A measurement that would take longer is refused.
+const MOST_HOURS: f64 = 12.0;
+/// The paper's box for its regularizers.
+const PAPER_BOX: [[f64; 3]; 2] = [[-1.0; 3], [1.0; 3]];
+/// Cells along each side of the lattice where no others are asked for.
+pub const SMOOTHNESS_SIDE: usize = 64;
+
+/// The box that a scene's fields are measured in where no other is asked for, in `measure` as in sweeps: what most cameras look
+/// at, and where nothing tells that the paper's.
+pub fn smoothness_box(scene: &Scene) -> [[f64; 3]; 2] {
+    scene.place.domain.unwrap_or(PAPER_BOX)
+}
+
+/// One network's smoothness.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct FieldSmoothness {
+    /// `coarse` or `fine`; the evaluated one comes last.
+    pub field: &'static str,
+    /// Cells along each side of the box.
+    pub lattice: usize,
+    /// Corners of the box, in the units of `points`.
+    pub domain: String,
+    /// What was measured.
+    #[serde(flatten)]
+    pub smoothness: Smoothness,
+}
+
+/// `smoothness.csv`: one row a network, each with the whole protocol.
+#[derive(Clone, Debug)]
+pub struct SmoothnessReport {
+    /// Coarse field, then fine field where there is one.
+    pub fields: Vec<FieldSmoothness>,
+    /// Where the numbers come from.
+    pub protocol: Protocol,
+}
+
+impl SmoothnessReport {
+    /// Measures the coarse and the fine field of a model on a runtime.
+    ///
+    /// # Errors
+    /// [`Error::Config`]: a box that the scene's rays do not meet, a lattice that would not finish; [`Error::Diverged`]: densities
+    /// that are not numbers.
+    pub fn measure(
+        model: &Model,
+        scene: &Scene,
+        lattice: &Lattice,
+        protocol: Protocol,
+        runtime: &Runtime,
+        events: &dyn Listener,
+    ) -> Result<SmoothnessReport> {
+        let fields = runtime.install(|| measure_fields(model, scene, lattice, runtime.device(), events))?;
+        Ok(SmoothnessReport { fields, protocol })
+    }
+
+    /// Writes `smoothness.csv`.
+    pub fn write(&self, path: &Path) -> Result<()> {
+        let rows = self.fields.iter().map(|field| {
+            let mut row = columns(field);
+            row.extend(columns(&self.protocol));
+            row
+        });
+        write_atomic(path, csv_of_named(rows).as_bytes())
+    }
+}
+
+fn measure_fields(
+    model: &Model,
+    scene: &Scene,
+    lattice: &Lattice,
+    device: &Device,
+    events: &dyn Listener,
+) -> Result<Vec<FieldSmoothness>> {
+    lattice.check_meets(scene, "the lattice of smoothness")?;
+    let fields: Vec<_> = model.fields()?.by_role().into_iter().filter(|(role, _)| *role != "adversarial").collect();
+    let seconds = estimate_seconds(fields[0].1, lattice, lattice.cells(), &[])?;
+    let hours = seconds * fields.len() as f64 / 3600.0;
+    if hours > MOST_HOURS {
+        return Err(Error::Config(format!(
+            "a lattice of {} a side has {} points: measuring it would take about {hours:.0} hours here (at most \
+             {MOST_HOURS} are allowed); choose fewer cells a side",
+            lattice.side,
+            lattice.cells()
+        )));
+    }
+    let parts = (fields.len() * chunk_count(lattice.cells(), device)) as u64;
+    events.on(Event::Started { what: "measuring", parts });
+    let measured = fields.into_iter().map(|(role, field)| {
+        let smoothness = measure(field, lattice, || events.on(Event::Advanced))?;
+        if !smoothness.l1.is_finite() || !smoothness.laplacian.is_none_or(f64::is_finite) {
+            return Err(Error::Diverged(format!(
+                "the density of the {role} field is not a number: its weights are broken"
+            )));
+        }
+        Ok(FieldSmoothness { field: role, lattice: lattice.side, domain: format!("{:?}", lattice.domain), smoothness })
+    });
+    let fields = measured.collect::<Result<Vec<_>>>()?;
+    events.on(Event::Finished);
+    Ok(fields)
+}
+
+/// Refuses a run that has no such numbers.
+///
+/// # Errors
+/// [`Error::Config`]: a method whose field is queried at Gaussians, or which has no field.
+pub fn check_measurable(run: &Path, config: &Config) -> Result<()> {
+    let Some(why) = config.representation().lacks(Ability::Derivatives) else { return Ok(()) };
+    if !config.method.has_fields() {
+        return Err(Error::Config(format!(
+            "{}: method {} has no l1, TV or Laplacian of density: {why}; measure nerf and aug-nerf runs",
+            run.display(),
+            config.method.name()
+        )));
+    }
+    Err(Error::Config(format!(
+        "{}: a field of method {} is queried at Gaussians, not at points, and has no l1, TV or Laplacian; measure \
+         nerf and aug-nerf runs",
+        run.display(),
+        config.method.name()
+    )))
+}
+
+impl Trained {
+    /// Measures how smooth the run's fields are on a full lattice, and writes `smoothness.csv` into its folder, if that can be
+    /// written.
+    ///
+    /// # Errors
+    /// Those of [`SmoothnessReport::measure`] and [`check_measurable`]; a file that cannot be written.
+    pub fn measure_smoothness(&self, lattice: &Lattice, events: &dyn Listener) -> Result<SmoothnessReport> {
+        check_measurable(self.run.path(), &self.config)?;
+        let (model, runtime) = (&self.model, &self.runtime);
+        let report = SmoothnessReport::measure(model, &self.scene, lattice, self.protocol(), runtime, events)?;
+        if self.run.is_writable() {
+            report.write(&self.run.smoothness())?;
+        }
+        Ok(report)
+    }
+}

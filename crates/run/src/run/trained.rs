@@ -1,0 +1,217 @@
+//! A trained run, read back.
+
+use std::path::Path;
+
+use candle_core::DType;
+
+use crate::base::{Error, Listener, Result};
+use crate::data::{Scene, View};
+use crate::draw::write_png8;
+use crate::methods::SiteSummary;
+use crate::metrics::Lpips;
+use crate::model::Model;
+use crate::runtime::Runtime;
+use crate::settings::{EvalSplit, Resolved};
+use crate::train::checkpoint::{self, State};
+
+use super::{DepthErrors, Protocol, RenderedView, Report, RunDir, Viewer, load_scene_of, surface_reference};
+
+/// Views that a run is measured on.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Split {
+    /// Those that are held out.
+    Test,
+    /// Those that are kept for choices: `data.eval_split = "val"`.
+    Val,
+    /// All that were trained on, as they were trained on.
+    Train,
+}
+
+/// Which checkpoint of a run is opened, and which views take the place of those that it holds out; by default the newest, and
+/// none.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Choice {
+    /// The step that it was saved at.
+    pub step: Option<u64>,
+    /// The views.
+    pub split: Option<Split>,
+}
+
+/// The newest checkpoint of a run, with its scene: everything that can be looked at or measured.
+///
+/// Its folder is locked as long as this value lives: no training may prune the checkpoint that is being read. One that this
+/// process cannot write is read all the same.
+///
+/// ```
+/// use augnerf::run::Trained;
+/// use augnerf::runtime::Runtime;
+/// # use std::sync::atomic::AtomicUsize;
+/// # use augnerf::run::{Existing, Job, Setup, load_scene};
+/// # use augnerf::settings::{Preset, build, parse_assignment};
+/// # let dir = tempfile::tempdir().unwrap();
+/// # let folder = dir.path().join("run");
+/// # let runtime = Runtime::new("cpu", None)?;
+/// # let small = ["data.width=16", "field.width=16", "train.rays=64", "train.steps=4"];
+/// # let small = small.map(|text| parse_assignment(text).unwrap());
+/// # let (config, scene) = load_scene(build(Some(Preset::Smoke), None, &small)?, &())?;
+/// # let setup = Setup { config, scene: &scene, lpips: &[], runtime };
+/// # Job::create(&folder, Existing::Refuse, setup)?.train(&(), &AtomicUsize::new(0))?;
+///
+/// let trained = Trained::open(&folder, None, &Runtime::new("cpu", None)?, &())?;
+/// assert_eq!((trained.state.step, trained.protocol().text("scene").as_str()), (4, "builtin"));
+/// let report = trained.evaluate(&[], &())?;
+/// assert_eq!(report.views.len(), trained.scene.test.len());
+/// # Ok::<(), augnerf::base::Error>(())
+/// ```
+pub struct Trained {
+    /// The run's folder.
+    pub run: RunDir,
+    /// The settings that it was trained with.
+    pub config: Resolved,
+    /// Its scene, loaded: training and held-out views.
+    pub scene: Scene,
+    /// Counters and provenance at the checkpoint, with this program and device as the last of those that worked on it.
+    pub state: State,
+    /// The evaluated model and its parts.
+    pub model: Model,
+    /// Where it is computed.
+    pub runtime: Runtime,
+    /// The views that were chosen in place of the run's own.
+    split: Option<Split>,
+}
+
+impl Trained {
+    /// Opens the run folder `run`; its scene lies where it did, or in `data` if it has moved.
+    ///
+    /// # Errors
+    /// [`Error::Checkpoint`](crate::base::Error::Checkpoint): no run, no checkpoint, a damaged one, or one of other settings;
+    /// [`Error::Output`](crate::base::Error::Output): a run that another process holds;
+    /// [`Error::Data`](crate::base::Error::Data): a scene that cannot be read, or has changed since the
+    /// run began.
+    pub fn open(run: &Path, data: Option<&Path>, runtime: &Runtime, events: &dyn Listener) -> Result<Trained> {
+        Trained::open_at(run, Choice::default(), data, runtime, events)
+    }
+
+    /// The same of another checkpoint, or with other views to measure.
+    ///
+    /// # Errors
+    /// Those of [`Trained::open`]; no checkpoint of that step; a scene without views for choices.
+    pub fn open_at(
+        run: &Path,
+        choice: Choice,
+        data: Option<&Path>,
+        runtime: &Runtime,
+        events: &dyn Listener,
+    ) -> Result<Trained> {
+        let run = RunDir::take_to_read(run)?;
+        let mut config = run.read_config()?;
+        if let Some(dir) = data {
+            config.data.dir = dir.to_string_lossy().into_owned();
+        }
+        let chosen = match choice.step {
+            Some(step) => checkpoint::of_step(&run.checkpoints(), step)?,
+            None => checkpoint::latest(&run.checkpoints())?,
+        };
+        let mut state = checkpoint::load_state(&chosen)?;
+        let model = checkpoint::load_model(&chosen, &config, DType::F32, runtime.device())?;
+        checkpoint::check_config(&chosen, &state, &config)?;
+        state.touch(runtime);
+        match choice.split {
+            None => {}
+            Some(Split::Test) => config.data.eval_split = EvalSplit::Test,
+            Some(Split::Val) => config.data.eval_split = EvalSplit::Val,
+            // They are measured once.
+            Some(Split::Train) => config.eval.train_views = Some(0),
+        }
+        let (config, mut scene) = runtime.install(|| load_scene_of(&run, config, events))?;
+        if choice.split == Some(Split::Train) {
+            scene.test = scene.train.clone();
+        }
+        Ok(Trained { run, config, scene, state, model, runtime: runtime.clone(), split: choice.split })
+    }
+
+    /// Renders views of it.
+    pub fn viewer(&self) -> Viewer<'_> {
+        let Trained { config, scene, model, runtime, .. } = self;
+        Viewer { model, config, scene, runtime }
+    }
+
+    /// Where its numbers come from.
+    pub fn protocol(&self) -> Protocol {
+        named(self.split, Protocol::new(&self.config, &self.scene, &self.state))
+    }
+
+    /// Measures every held-out view, some training views, and the surface where the settings ask for one, and writes `metrics.json` and
+    /// `metrics.csv` into the run's folder.
+    ///
+    /// # Errors
+    /// A surface that the scene cannot have; weights that are not numbers; files that cannot be written.
+    pub fn evaluate(&self, lpips: &[Lpips], events: &dyn Listener) -> Result<Report> {
+        self.evaluate_into(self.run.path(), lpips, events)
+    }
+
+    /// The same with the files in another folder, as for a run on a disk that is read-only.
+    ///
+    /// # Errors
+    /// Those of [`Trained::evaluate`].
+    pub fn evaluate_into(&self, folder: &Path, lpips: &[Lpips], events: &dyn Listener) -> Result<Report> {
+        surface_reference(&self.config, &self.scene)?;
+        let Trained { run, state, split, .. } = self;
+        let measurement = Measurement { run, folder, viewer: self.viewer(), state, lpips, events, split: *split };
+        self.runtime.install(|| measurement.write(|| Ok(()), |_, _, _| Ok(())))
+    }
+}
+
+/// One evaluation of a run.
+pub(super) struct Measurement<'a> {
+    pub run: &'a RunDir,
+    /// Where its files go.
+    pub folder: &'a Path,
+    pub viewer: Viewer<'a>,
+    pub state: &'a State,
+    pub lpips: &'a [Lpips],
+    pub events: &'a dyn Listener,
+    /// Which views stand in for those that are held out.
+    pub split: Option<Split>,
+}
+
+/// The protocol of an evaluation of these views: training views are no split of settings.
+fn named(split: Option<Split>, mut protocol: Protocol) -> Protocol {
+    if split == Some(Split::Train) {
+        protocol.set("split", "train".into());
+    }
+    protocol
+}
+
+impl Measurement<'_> {
+    /// Measures and writes. `unless_stopped` may end it with an error before a view or a piece of the surface; `each` is handed each
+    /// view that is measured.
+    pub fn write(
+        &self,
+        unless_stopped: impl Fn() -> Result<()>,
+        mut each: impl FnMut(usize, &View, &RenderedView) -> Result<()>,
+    ) -> Result<Report> {
+        let attack = SiteSummary::read(&self.run.scalars(), self.state.step)?;
+        let mut errors = DepthErrors::default();
+        let views = self.viewer.evaluate(self.lpips, self.events, &unless_stopped, |index, view, rendered| {
+            errors.views.extend(self.viewer.depth_errors(view, rendered));
+            each(index, view, rendered)
+        })?;
+        let training_views = self.viewer.evaluate_seen(self.lpips, self.events, &unless_stopped)?;
+        let surface = self.viewer.surface(self.events, &unless_stopped)?;
+        let protocol = Protocol::new(self.viewer.config, self.viewer.scene, self.state).with_lpips(self.lpips);
+        let protocol = named(self.split, protocol);
+        let (chamfer, picture) = surface.map_or((None, None), |surface| (surface.chamfer, surface.picture));
+        if let Some(picture) = picture {
+            let path = RunDir::surface_picture_in(self.folder);
+            let renders = path.parent().expect("it is in a folder");
+            std::fs::create_dir_all(renders).map_err(|e| Error::unwritable(renders, &e))?;
+            write_png8(&path, &picture)?;
+        }
+        let report = Report::new(views, training_views, chamfer, protocol, attack);
+        let [json, csv] = RunDir::metrics_in(self.folder);
+        errors.write(&RunDir::depth_errors_in(self.folder))?;
+        report.write(&json, &csv)?;
+        Ok(report)
+    }
+}

@@ -1,0 +1,402 @@
+//! Checkpoints: parameters, moments and counters of a run.
+//!
+//! A checkpoint is a folder `checkpoints/step_000001000` with `state.safetensors` (parameters
+//! `coarse.trunk.0.weight`, moments `adam.first.coarse...`, `adam.second.coarse...`), `state.json`,
+//! `config.toml`, and the checksums of these in `SHA256SUMS`. The folder appears whole or not at all, and goes in the same way.
+//! Random numbers are functions of the step, so no generator state is kept.
+
+use std::path::{Path, PathBuf};
+
+use candle_core::{DType, Device, Tensor};
+use serde::{Deserialize, Serialize};
+
+use crate::base::files::{AtomicDir, clean_temporaries, discard, json_bytes};
+use crate::base::{Error, Result, tensor_sentence};
+use crate::data::Scene;
+use crate::model::{Model, Start};
+use crate::revision::revision;
+use crate::runtime::Runtime;
+use crate::settings::{Config, Resolved};
+
+use super::{Adam, AdamSettings, Moments, Trainer, sums};
+
+const FORMAT: u32 = 1;
+const TENSORS: &str = "state.safetensors";
+const STATE: &str = "state.json";
+const CONFIG: &str = "config.toml";
+
+/// The counters of a checkpoint.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct State {
+    /// Layout version of the checkpoint folder.
+    pub format: u32,
+    /// Steps finished.
+    pub step: u64,
+    /// The step at which Adam's moments were 0: that of imported weights.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub adam_since: u64,
+    /// Steps in a row on which every ray was empty.
+    pub empty_steps: u64,
+    /// Redraws of each field before it was alive.
+    pub redraws: Vec<u64>,
+    /// Hash of the configuration.
+    pub config_hash: String,
+    /// Revisions of the code that took the steps, in their order.
+    #[serde(default)]
+    pub revisions: Vec<String>,
+    /// Kinds of devices that they were taken on.
+    #[serde(default)]
+    pub devices: Vec<String>,
+    /// Instruction sets that processors took them with.
+    #[serde(default)]
+    pub instructions: Vec<String>,
+}
+
+/// Serde hands over a reference.
+#[allow(clippy::trivially_copy_pass_by_ref)]
+fn is_zero(step: &u64) -> bool {
+    *step == 0
+}
+
+impl State {
+    /// Notes that this program goes on with the run, or measures it, on `runtime`'s kind of device.
+    pub fn touch(&mut self, runtime: &Runtime) {
+        let now = [
+            (&mut self.revisions, Some(revision())),
+            (&mut self.devices, Some(runtime.kind())),
+            (&mut self.instructions, runtime.instructions()),
+        ];
+        for (list, now) in now.into_iter().filter_map(|(list, now)| Some((list, now?))) {
+            if !list.iter().any(|known| known == now) {
+                list.push(now.to_string());
+            }
+        }
+    }
+}
+
+/// The folder of a step below a run's `checkpoints`.
+fn folder(checkpoints: &Path, step: u64) -> PathBuf {
+    checkpoints.join(format!("step_{step:09}"))
+}
+
+/// All checkpoints below `checkpoints`, `(step, folder)`, oldest first.
+pub fn list(checkpoints: &Path) -> Result<Vec<(u64, PathBuf)>> {
+    let entries = match std::fs::read_dir(checkpoints) {
+        Ok(entries) => entries,
+        Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(Vec::new()),
+        Err(error) => return Err(Error::unreadable(checkpoints, &error)),
+    };
+    let mut found = Vec::new();
+    for entry in entries {
+        let entry = entry.map_err(|error| Error::unreadable(checkpoints, &error))?;
+        let name = entry.file_name().to_string_lossy().into_owned();
+        if let Some(step) = step_of(&name) {
+            found.push((step, entry.path()));
+        }
+    }
+    found.sort();
+    Ok(found)
+}
+
+/// The step that a checkpoint's folder is named for.
+fn step_of(name: &str) -> Option<u64> {
+    let digits = name.strip_prefix("step_")?;
+    digits.bytes().all(|byte| byte.is_ascii_digit()).then(|| digits.parse().ok())?
+}
+
+/// What is wrong with a checkpoint's files, if anything is: one is missing, or is not what was written.
+///
+/// # Errors
+/// A file that the system does not read.
+fn flaw(checkpoint: &Path) -> Result<Option<String>> {
+    let read = |name: &str| {
+        let path = checkpoint.join(name);
+        let found = sums::read(checkpoint, name).map_err(|error| unreadable(&path, &error))?;
+        Ok::<_, Error>(found.map_err(|reason| format!("{name}: {reason}")))
+    };
+    let flaw = match (read(TENSORS)?, read(STATE)?) {
+        (Err(reason), _) | (_, Err(reason)) => Some(reason),
+        (Ok(tensors), Ok(state)) => {
+            let named = checkpoint.file_name().and_then(|name| step_of(&name.to_string_lossy()));
+            let tensors = safetensors::SafeTensors::deserialize(&tensors).err().map(|e| format!("{TENSORS}: {e}"));
+            tensors.or_else(|| match serde_json::from_slice::<State>(&state) {
+                Err(error) => Some(format!("{STATE}: {error}")),
+                Ok(State { step, .. }) if named != Some(step) => Some(format!("{STATE}: it is of step {step}")),
+                Ok(_) => None,
+            })
+        }
+    };
+    Ok(flaw)
+}
+
+/// The newest checkpoint that is whole, none where there is no checkpoint, and a sentence for each newer one, which is damaged.
+/// Those are deleted: training writes them again.
+///
+/// # Errors
+/// A file that the system does not read; checkpoints of which none is whole.
+pub fn newest_whole(checkpoints: &Path) -> Result<(Option<PathBuf>, Vec<String>)> {
+    let mut damaged: Vec<(PathBuf, String)> = Vec::new();
+    for (_, folder) in list(checkpoints)?.into_iter().rev() {
+        let Some(reason) = flaw(&folder)? else {
+            for (damaged, _) in &damaged {
+                discard(damaged).map_err(|error| Error::unwritable(damaged, &error))?;
+            }
+            let note = |(damaged, reason): (PathBuf, String)| {
+                format!(
+                    "{} is damaged ({reason}): deleted, training goes on from {}",
+                    damaged.display(),
+                    folder.display()
+                )
+            };
+            let notes = damaged.into_iter().map(note).collect();
+            return Ok((Some(folder), notes));
+        };
+        damaged.push((folder, reason));
+    }
+    match damaged.first() {
+        None => Ok((None, Vec::new())),
+        Some((folder, reason)) => Err(Error::Checkpoint(format!(
+            "no checkpoint in {} is whole; of the newest, {} is damaged ({reason}): bring back a copy, or delete them to train \
+             from the first step",
+            checkpoints.display(),
+            folder.display()
+        ))),
+    }
+}
+
+/// The newest checkpoint.
+pub fn latest(checkpoints: &Path) -> Result<PathBuf> {
+    let newest = list(checkpoints)?.pop();
+    newest.map(|(_, folder)| folder).ok_or_else(|| {
+        Error::Checkpoint(format!(
+            "{} holds no checkpoint: the run was stopped before its first one; `augnerf resume` starts it again",
+            checkpoints.display()
+        ))
+    })
+}
+
+/// The checkpoint of a step.
+///
+/// # Errors
+/// There is none; those that are there are named.
+pub fn of_step(checkpoints: &Path, step: u64) -> Result<PathBuf> {
+    let all = list(checkpoints)?;
+    let steps: Vec<String> = all.iter().map(|(step, _)| step.to_string()).collect();
+    let found = all.into_iter().find(|(of, _)| *of == step);
+    found.map(|(_, folder)| folder).ok_or_else(|| {
+        let kept = if steps.is_empty() { "none".to_string() } else { format!("those of steps {}", steps.join(", ")) };
+        Error::Checkpoint(format!(
+            "{} holds no checkpoint of step {step}: there are {kept}; train.checkpoint_every and train.keep_checkpoints say \
+             which are kept",
+            checkpoints.display()
+        ))
+    })
+}
+
+/// Values of all parameters as stored, in the order of [`Model::parameter_names`].
+pub fn load_model(checkpoint: &Path, config: &Config, dtype: DType, device: &Device) -> Result<Model> {
+    let tensors = Tensors::open(checkpoint, dtype, device)?;
+    Model::from_parameters(config, tensors.all("", &Model::parameter_names(config))?)
+}
+
+/// All parameters of a checkpoint on the processor, named, in their fixed order, each with its moments.
+pub fn load_parameters(checkpoint: &Path, config: &Config) -> Result<Vec<(String, Tensor, Moments)>> {
+    let (tensors, names) = (Tensors::open(checkpoint, DType::F32, &Device::Cpu)?, Model::parameter_names(config));
+    let (values, moments) = (tensors.all("", &names)?, tensors.moments(&names)?);
+    let named = names.into_iter().zip(values).zip(moments);
+    Ok(named.map(|(((name, _), value), moments)| (name, value, moments)).collect())
+}
+
+/// Refuses a checkpoint that was written under another configuration.
+pub fn check_config(checkpoint: &Path, state: &State, config: &Config) -> Result<()> {
+    if state.config_hash == config.hash() {
+        return Ok(());
+    }
+    Err(Error::Checkpoint(format!(
+        "{} was written under configuration {}, the run's config.toml is {}: it was changed since, or this is another \
+         version of augnerf with other settings; restore it, take that version, or \
+         start a new run",
+        checkpoint.display(),
+        state.config_hash,
+        config.hash()
+    )))
+}
+
+/// The counters of a checkpoint.
+pub fn load_state(checkpoint: &Path) -> Result<State> {
+    let path = checkpoint.join(STATE);
+    let bytes = read(checkpoint, STATE)?;
+    let state: State = serde_json::from_slice(&bytes).map_err(|e| broken(&path, &e.to_string()))?;
+    if state.format != FORMAT {
+        let found = format!("its format is {}, this program reads {FORMAT}", state.format);
+        return Err(damaged(&path, &found));
+    }
+    if state.adam_since > state.step {
+        let found = format!("Adam began at step {}, beyond its own, {}", state.adam_since, state.step);
+        return Err(damaged(&path, &found));
+    }
+    Ok(state)
+}
+
+fn damaged(path: &Path, found: &str) -> Error {
+    Error::Checkpoint(format!("cannot use the checkpoint file {}: {found}", path.display()))
+}
+
+/// A file that is not whole: the checkpoint before it may be.
+fn broken(path: &Path, found: &str) -> Error {
+    let folder = path.parent().unwrap_or(path).display();
+    damaged(
+        path,
+        &format!(
+            "{found}; `augnerf resume` goes on from the checkpoint before it, and without {folder} that one is measured"
+        ),
+    )
+}
+
+fn unreadable(path: &Path, error: &std::io::Error) -> Error {
+    damaged(path, &error.to_string())
+}
+
+/// A file of a checkpoint as it was written.
+fn read(checkpoint: &Path, name: &str) -> Result<Vec<u8>> {
+    let path = checkpoint.join(name);
+    let found = sums::read(checkpoint, name).map_err(|error| unreadable(&path, &error))?;
+    found.map_err(|reason| broken(&path, &reason))
+}
+
+/// The tensors of a checkpoint by name.
+pub(super) struct Tensors {
+    path: PathBuf,
+    tensors: std::collections::HashMap<String, Tensor>,
+    dtype: DType,
+}
+
+impl Tensors {
+    pub(super) fn open(checkpoint: &Path, dtype: DType, device: &Device) -> Result<Tensors> {
+        let path = checkpoint.join(TENSORS);
+        let bytes = read(checkpoint, TENSORS)?;
+        let tensors = candle_core::safetensors::load_buffer(&bytes, device)
+            .map_err(|e| broken(&path, &format!("it is not a whole safetensors file ({})", tensor_sentence(&e))))?;
+        Ok(Tensors { path, tensors, dtype })
+    }
+
+    pub(super) fn all(&self, prefix: &str, names: &[(String, Vec<usize>)]) -> Result<Vec<Tensor>> {
+        names.iter().map(|(name, shape)| self.get(&format!("{prefix}{name}"), shape)).collect()
+    }
+
+    fn get(&self, name: &str, shape: &[usize]) -> Result<Tensor> {
+        let other = "the configuration describes another architecture or method (method; its own section; of nerf, aug-nerf and MipNeRF \
+                     sections field, sampling, perturb.field)";
+        let Some(tensor) = self.tensors.get(name) else {
+            return Err(damaged(&self.path, &format!("it has no tensor {name}; {other}")));
+        };
+        if tensor.dims() != shape {
+            let found = format!("{name} has shape {:?}, expected {shape:?}; {other}", tensor.dims());
+            return Err(damaged(&self.path, &found));
+        }
+        Ok(tensor.to_dtype(self.dtype)?)
+    }
+}
+
+impl Trainer {
+    /// Writes a checkpoint below `checkpoints` and returns its folder. Kept are the newest
+    /// `train.keep_checkpoints` of the scheduled ones (every `train.checkpoint_every` steps, and the
+    /// last) and the newest of all: what the clock, an evaluation or a stop added is gone when the next one comes,
+    /// so that a stopped run ends with the same folders as one that never stopped.
+    pub fn save(&self, checkpoints: &Path) -> Result<PathBuf> {
+        std::fs::create_dir_all(checkpoints).map_err(|e| Error::unwritable(checkpoints, &e))?;
+        clean_temporaries(checkpoints)?;
+        let target = folder(checkpoints, self.step);
+        if !target.exists() {
+            self.write(&target)?;
+        }
+        self.prune(checkpoints)?;
+        Ok(target)
+    }
+
+    fn write(&self, target: &Path) -> Result<()> {
+        let dir = AtomicDir::new(target)?;
+        let (tensors, config) = (self.tensor_bytes()?, self.config.to_toml());
+        let state = json_bytes(&self.state()).expect("counters are plain data");
+        sums::write(dir.path(), &[(TENSORS, &tensors), (STATE, &state), (CONFIG, config.as_bytes())])?;
+        dir.commit()
+    }
+
+    fn prune(&self, checkpoints: &Path) -> Result<()> {
+        let train = &self.config.train;
+        // At step 0 only a stop leaves a checkpoint.
+        let scheduled = |step: u64| step > 0 && step.is_multiple_of(train.checkpoint_every) || step == train.steps;
+        let mut kept = 0;
+        for (step, old) in list(checkpoints)?.into_iter().rev() {
+            kept += usize::from(scheduled(step));
+            let keep = if scheduled(step) { kept <= train.keep_checkpoints } else { step == self.step };
+            if !keep {
+                discard(&old).map_err(|e| Error::unwritable(&old, &e))?;
+            }
+        }
+        Ok(())
+    }
+
+    /// Counters and provenance at this step.
+    pub fn state(&self) -> State {
+        let mut state = State {
+            format: FORMAT,
+            step: self.step,
+            adam_since: self.adam_since,
+            empty_steps: self.empty_steps,
+            redraws: self.redraws.clone(),
+            config_hash: self.config.hash(),
+            revisions: self.revisions.clone(),
+            instructions: self.instructions.clone(),
+            devices: self.devices.clone(),
+        };
+        state.touch(&self.runtime);
+        state
+    }
+
+    fn tensor_bytes(&self) -> Result<Vec<u8>> {
+        let mut named: Vec<(String, Tensor)> = Vec::new();
+        for ((name, var), moments) in self.adam.variables().iter().zip(self.adam.moments()) {
+            named.push((name.clone(), var.as_tensor().clone()));
+            named.push((format!("adam.first.{name}"), moments.first.clone()));
+            named.push((format!("adam.second.{name}"), moments.second.clone()));
+        }
+        // No metadata: its map has no fixed order.
+        safetensors::serialize(named, None)
+            .map_err(|e| Error::Checkpoint(format!("cannot serialise the checkpoint: {e}")))
+    }
+
+    /// Continues from a checkpoint folder.
+    ///
+    /// # Errors
+    /// [`Error::Checkpoint`]: one that is damaged, or was written under other settings.
+    pub fn resume(
+        checkpoint: &Path,
+        config: &Resolved,
+        scene: &Scene,
+        dtype: DType,
+        runtime: &Runtime,
+    ) -> Result<Trainer> {
+        runtime.install(|| Trainer::resume_here(checkpoint, config, scene, dtype, runtime))
+    }
+
+    fn resume_here(
+        checkpoint: &Path,
+        config: &Resolved,
+        scene: &Scene,
+        dtype: DType,
+        runtime: &Runtime,
+    ) -> Result<Trainer> {
+        let state = load_state(checkpoint)?;
+        check_config(checkpoint, &state, config)?;
+        let names = Model::parameter_names(config);
+        let tensors = Tensors::open(checkpoint, dtype, runtime.device())?;
+        let model = Model::from_parameters(config, tensors.all("", &names)?)?;
+        let moments = tensors.moments(&names)?;
+        let adam = Adam::restore(AdamSettings::of(&config.train), model.variables(), moments);
+        let State { step, adam_since, empty_steps, redraws, revisions, devices, instructions, .. } = state;
+        let learner = model.learner(config, scene, dtype, runtime.device())?;
+        let trainer = Trainer::with(config, Start { model, learner, redraws }, runtime)?;
+        Ok(Trainer { adam, step, adam_since, empty_steps, revisions, devices, instructions, ..trainer })
+    }
+}

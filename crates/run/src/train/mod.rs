@@ -1,0 +1,179 @@
+//! Training: steps of a learner, updates by Adam, checks that a run is alive, checkpoints.
+
+use candle_core::DType;
+
+use crate::base::{Error, Result};
+use crate::data::Scene;
+use crate::losses::LossTerm;
+use crate::methods::{Learner, LogColumns, UnlessStopped};
+use crate::model::{Model, Start};
+use crate::runtime::Runtime;
+use crate::settings::Resolved;
+
+pub mod checkpoint;
+mod health;
+mod memory;
+mod origin;
+mod stats;
+mod sums;
+
+pub use crate::optimizer::{Adam, AdamSettings, Moments, learning_rate};
+pub use memory::graphs_mib;
+pub use origin::Origin;
+pub use stats::StepStats;
+
+/// Refuses a run that needs more memory than a processor has free.
+fn check_memory(config: &Resolved, scene: &Scene, runtime: &Runtime) -> Result<()> {
+    match runtime.device().is_cpu() {
+        true => memory::check_memory(config, scene, runtime.threads()),
+        false => Ok(()),
+    }
+}
+
+/// State of a run in memory.
+///
+/// ```
+/// use augnerf::candle_core::DType;
+/// use augnerf::run::load_scene;
+/// use augnerf::runtime::Runtime;
+/// use augnerf::settings::{Preset, build, parse_assignment};
+/// use augnerf::train::Trainer;
+///
+/// let small = ["data.width=24", "field.width=16", "train.rays=64"].map(|text| parse_assignment(text).unwrap());
+/// let (config, scene) = load_scene(build(Some(Preset::Smoke), None, &small)?, &())?;
+/// let mut trainer = Trainer::new(&config, &scene, DType::F32, &Runtime::new("cpu", None)?)?;
+/// let first = trainer.step(false)?.loss;
+/// for _ in 0..30 {
+///     trainer.step(false)?;
+/// }
+/// assert!(trainer.step(false)?.loss < first);
+/// # Ok::<(), augnerf::base::Error>(())
+/// ```
+pub struct Trainer {
+    config: Resolved,
+    runtime: Runtime,
+    model: Model,
+    learner: Box<dyn Learner>,
+    adam: Adam,
+    step: u64,
+    /// The step at which its moments were 0.
+    adam_since: u64,
+    /// Steps in a row on which every ray was empty.
+    empty_steps: u64,
+    /// Redraws of each part of the model before it was fit to learn.
+    redraws: Vec<u64>,
+    /// Revisions of the code and kinds of devices that took earlier steps.
+    revisions: Vec<String>,
+    /// Instruction sets that its processors had.
+    instructions: Vec<String>,
+    devices: Vec<String>,
+}
+
+impl Trainer {
+    /// A run at step 0, whose steps are taken on the runtime's device and threads. Dead starts are drawn again.
+    ///
+    /// # Errors
+    /// [`Error::Config`]: more memory than the processor has free; a regularizer's box that the scene's
+    /// rays do not meet, or one that would take too long; [`Error::Diverged`]: a field that starts dead again and again.
+    pub fn new(config: &Resolved, scene: &Scene, dtype: DType, runtime: &Runtime) -> Result<Trainer> {
+        if let Some(parent) = &config.train.parent {
+            return Err(Error::Config(format!(
+                "train.parent = {parent:?} says that a run began with weights of elsewhere, which are not here: begin it with \
+                 `augnerf train --from RUN` or `augnerf import FILE` (with --overwrite, if it was stopped there)"
+            )));
+        }
+        check_memory(config, scene, runtime)?;
+        runtime.install(|| {
+            let start = Model::start(config, scene, dtype, runtime.device())?;
+            Trainer::with(config, start, runtime)
+        })
+    }
+
+    fn with(config: &Resolved, Start { model, learner, redraws }: Start, runtime: &Runtime) -> Result<Trainer> {
+        Ok(Trainer {
+            config: config.clone(),
+            runtime: runtime.clone(),
+            adam: Adam::new(AdamSettings::of(&config.train), model.variables())?,
+            model,
+            learner,
+            step: 0,
+            adam_since: 0,
+            empty_steps: 0,
+            redraws,
+            revisions: Vec::new(),
+            instructions: Vec::new(),
+            devices: Vec::new(),
+        })
+    }
+
+    /// What it was begun with.
+    pub fn config(&self) -> &Resolved {
+        &self.config
+    }
+
+    /// What is trained.
+    pub fn model(&self) -> &Model {
+        &self.model
+    }
+
+    /// Steps finished.
+    pub fn step_count(&self) -> u64 {
+        self.step
+    }
+
+    /// How often each part of the model (see [`Model::parts`]) was drawn again because it started dead.
+    pub fn redraws(&self) -> &[u64] {
+        &self.redraws
+    }
+
+    /// The columns of the learner's terms and diagnostics in the logs.
+    pub fn columns(&self) -> LogColumns {
+        self.learner.columns()
+    }
+
+    /// Adds a term of one's own to the loss; see [`Learner::add_term`].
+    ///
+    /// # Errors
+    /// A term of that name is there already, or the method cannot compute it.
+    pub fn add_term(&mut self, term: LossTerm, weight: f64) -> Result<()> {
+        self.learner.add_term(term, weight)
+    }
+
+    /// Takes one step. `log` asks for the learner's diagnostics.
+    ///
+    /// # Errors
+    /// [`Error::Diverged`]: a loss, gradient or parameter that is not a number, or nothing but empty
+    /// rays for too long.
+    pub fn step(&mut self, log: bool) -> Result<StepStats> {
+        self.step_unless(log, &|| Ok(()))
+    }
+
+    /// The same with a question that is asked again and again: its error ends the step, which counts as not taken.
+    ///
+    /// # Errors
+    /// Those of [`Trainer::step`], and the question's.
+    pub fn step_unless(&mut self, log: bool, unless_stopped: &UnlessStopped) -> Result<StepStats> {
+        self.runtime.clone().install(|| self.step_here(log, unless_stopped))
+    }
+
+    fn step_here(&mut self, log: bool, unless_stopped: &UnlessStopped) -> Result<StepStats> {
+        let learned = self.learner.learn(self.step, log, unless_stopped)?;
+        let gradients = learned.gradients;
+        let stats = StepStats {
+            step: self.step + 1,
+            learning_rate: learning_rate(&self.config, self.step),
+            terms: learned.terms,
+            loss: learned.loss,
+            mse: learned.mse,
+            largest_acc: learned.largest_acc,
+            sites: learned.sites,
+        };
+        let train = &self.config.train;
+        health::check_step(&stats, &gradients, &self.adam, train.learning_rate)?;
+        self.empty_steps = health::count_empty(self.empty_steps, &stats, train.collapse_steps)?;
+        self.adam.update(&gradients.0, stats.learning_rate, stats.step - self.adam_since)?;
+        health::check_parameters(stats.step, &self.adam, train.learning_rate)?;
+        self.step += 1;
+        Ok(stats)
+    }
+}

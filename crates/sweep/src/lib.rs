@@ -1,0 +1,74 @@
+//! Sweeps: a definition expanded to points, points run wherever there is room, tables and plots
+//! from what they left.
+//!
+//! ```text
+//! sweeps/NAME.toml ─► definition ─► points (one configuration and seed each, named by content)
+//!                                     │
+//!          folder: result, failure, claim of each ◄── runner ◄── training (or a fake one)
+//!                                     │
+//!                                     ▼
+//!                                  records ─► tables, plots
+//! ```
+
+#![warn(missing_docs)]
+
+pub(crate) use augnerf_core::{augment, base, data, methods, metrics, runtime, settings, space};
+pub(crate) use augnerf_report::report;
+pub(crate) use augnerf_run::{compare, revision, run, train};
+
+mod across;
+mod axes;
+mod best;
+mod budget;
+mod by_name;
+mod checks;
+mod claim;
+mod collect;
+mod common_depth;
+mod comparability;
+mod definition;
+mod extends;
+mod folder;
+mod layout;
+mod material;
+mod of_runs;
+mod pace;
+mod page;
+mod planning;
+mod point_folder;
+mod points;
+mod provenance;
+mod runner;
+mod scored;
+mod shipped;
+pub mod slurm;
+mod step_seconds;
+mod training;
+pub mod verify;
+mod view;
+mod words;
+
+pub use across::{ACROSS, ACROSS_CSV, ACROSS_PAGE, Asked};
+pub use axes::{Axis, AxisPoint, RandomSpan, Scale, Span};
+pub use best::{Best, BestSeed, best};
+pub use budget::{Clock, StepCosts, evaluations_per_step, steps_within};
+pub use claim::{Beat, Claim, Claimed, Watch};
+pub use collect::{Collector, PAGE, Results};
+pub use definition::{Budget, BudgetKind, Combine, Definition, Overrides, Row};
+pub use folder::{Change, SweepFolder};
+pub use layout::Place;
+pub use material::{Material, Scalars};
+pub use of_runs::RunsSheet;
+pub use pace::Pace;
+pub use page::check_page_place;
+pub use planning::{CostGroup, begin, check_unchanged, plan_costs};
+pub use point_folder::{Failure, PointFolder, PointResult, PointState};
+pub use points::{Point, expand};
+pub use provenance::{Missing, Provenance};
+pub use runner::{Options, Runner, Work};
+pub use scored::Scored;
+pub use shipped::{SHIPPED, TEMPLATE, write_new};
+pub use step_seconds::PublishedCosts;
+pub use training::{Cost, Trainings};
+pub use view::{Choice, Origin, Source, View, split_names};
+pub use words::check_name;

@@ -1,0 +1,113 @@
+//! The sweep files that the program carries: a commented one to begin with, and those of `sweeps/`.
+
+use std::path::{Path, PathBuf};
+
+use crate::base::files::write_atomic;
+use crate::base::{Error, Result};
+
+/// Every key of the schema, with what it does.
+pub const TEMPLATE: &str = include_str!("new.toml");
+
+macro_rules! shipped {
+    ($($folder:literal $name:literal),* $(,)?) => {
+        /// The files of `sweeps/`, by name.
+        pub const SHIPPED: &[(&str, &str)] =
+            &[$(($name, include_str!(concat!("../../../sweeps/", $folder, "/", $name, ".toml")))),*];
+    };
+}
+
+shipped![
+    "paper" "epsilon",
+    "paper" "fig_embedded",
+    "paper" "fig_strength_location",
+    "paper" "lambda",
+    "paper" "noise_fern",
+    "paper" "regularizer_grid",
+    "paper" "tab1_llff",
+    "paper" "tab2_blender",
+    "paper" "tab3_noise",
+    "paper" "tab4_ablation",
+    "paper" "tab4_embedded",
+    "paper" "tab4_fern",
+    "paper" "tabA1_capacity",
+    "paper" "tabA2_noise",
+    "paper" "variants",
+    "paper" "variants_blender",
+    "study" "study_chair_25",
+    "study" "study_chair_few",
+    "study" "study_choice_chair_25",
+    "study" "study_choice_chair_few",
+    "study" "study_choice_fern_few",
+    "study" "study_choice_fern_noise",
+    "study" "study_choice_own_few",
+    "study" "study_fern_few",
+    "study" "study_fern_noise",
+    "study" "study_gate_chair",
+    "study" "study_gate_chair_small",
+    "study" "study_gate_fern",
+    "study" "study_gate_fern_small",
+    "study" "study_gate_own",
+    "study" "study_gate_own_bf16",
+    "study" "study_gate_own_fern",
+    "study" "study_gate_own_few",
+    "study" "study_layer",
+    "study" "study_levels",
+    "study" "study_levels_fern",
+    "study" "study_own_few",
+    "study" "study_strength",
+    "baselines" "baselines_builtin",
+    "baselines" "baselines_chair",
+    "baselines" "baselines_fern",
+    "baselines" "baselines_llff_builtin",
+    "baselines" "baselines_presets_chair",
+    "baselines" "mip_chair",
+    "baselines" "mip_fern",
+    "checks" "few_views_chair",
+    "checks" "geometry",
+    "checks" "geometry_chair",
+    "checks" "precision",
+    "checks" "smoke",
+];
+
+/// Writes a sweep file at `file`: the commented one, or the shipped one of that name with those that it extends beside it, under
+/// their own names. Returns what was written, `file` first.
+///
+/// # Errors
+/// A name that there is not; a file that is there already.
+pub fn write_new(file: &Path, from: Option<&str>) -> Result<Vec<PathBuf>> {
+    let mut files = vec![(file.to_path_buf(), TEMPLATE)];
+    if let Some(name) = from {
+        files = vec![(file.to_path_buf(), shipped(name)?)];
+        let mut base = base_of(files[0].1);
+        while let Some(name) = base {
+            let text = shipped(&name)?;
+            files.push((file.with_file_name(format!("{name}.toml")), text));
+            base = base_of(text);
+        }
+    }
+    for (index, (path, text)) in files.iter().enumerate() {
+        // A base that is there as it is shipped serves.
+        let same = index > 0 && std::fs::read(path).is_ok_and(|found| found == text.as_bytes());
+        let taken = path.symlink_metadata().is_ok() || files[..index].iter().any(|(other, _)| other == path);
+        if taken && !same {
+            return Err(Error::Output(format!("{} is there already: name another file", path.display())));
+        }
+    }
+    files.iter().try_for_each(|(path, text)| write_atomic(path, text.as_bytes()))?;
+    Ok(files.into_iter().map(|(path, _)| path).collect())
+}
+
+fn shipped(name: &str) -> Result<&'static str> {
+    let plain = name.trim_end_matches(".toml").trim_start_matches("sweeps/");
+    SHIPPED.iter().find(|(known, _)| *known == plain).map(|(_, text)| *text).ok_or_else(|| {
+        let names: Vec<&str> = SHIPPED.iter().map(|(name, _)| *name).collect();
+        Error::Config(format!("--from {name}: no sweep of this name is shipped; choose from {}", names.join(", ")))
+    })
+}
+
+/// The shipped file that a text extends, by its name.
+fn base_of(text: &str) -> Option<String> {
+    let table: toml::Table = toml::from_str(text).ok()?;
+    let base = table.get("extends")?.as_str()?;
+    Some(base.trim_end_matches(".toml").to_string())
+}

@@ -1,0 +1,400 @@
+//! Trains and measures points for real.
+
+use std::collections::BTreeMap;
+use std::sync::atomic::AtomicUsize;
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Instant;
+
+use candle_core::DType;
+
+use crate::base::{Error, Event, Listener, Result};
+use crate::data::corruption::corrupt;
+use crate::data::{self, Scene, seen_views};
+use crate::metrics::Lpips;
+use crate::revision::revision;
+use crate::run::{
+    Existing, Finished, Job, Report, RunDir, SMOOTHNESS_SIDE, Setup, SmoothnessReport, Viewer, columns, locate_scene,
+    smoothness_box, watch_memory,
+};
+use crate::runtime::{Host, Runtime};
+use crate::settings::{Config, CorruptionConfig, DataConfig, Resolved, TrainConfig};
+use crate::space::Lattice;
+use crate::train::Trainer;
+
+use super::budget::{Clock, StepCosts};
+use super::claim::Beat;
+use super::point_folder::{PointFolder, PointResult};
+use super::points::Point;
+use super::runner::Work;
+
+/// The column of a point's protocol that says in what box `l1`, `tv` and their like are integrals.
+const SMOOTHNESS_DOMAIN: &str = "smoothness_domain";
+/// Scenes in memory at once: points come scene by scene.
+const SCENES: usize = 2;
+/// Seconds that each training is timed for where a budget hangs on its steps, from the initial weights on, or all of it where it is
+/// shorter. Fields' steps become shorter as space empties, since points of no density pass no gradient: eight seconds of NeRF on the
+/// chair told 64 ms a step where its 3,000 steps took 44 each; those of the methods beside it stayed as long as they began.
+const CALIBRATION: f64 = 100.0;
+/// The same for what is only told to a person.
+const ESTIMATE: f64 = 0.0;
+/// In so many turns.
+const TURNS: usize = 25;
+/// Each takes as many steps at least.
+const LEAST_STEPS: usize = 4;
+
+/// Everything that the trainings of a sweep share.
+pub struct Trainings<'a> {
+    /// Where costs are measured: with all threads.
+    pub runtime: Runtime,
+    /// Backbones to measure LPIPS with.
+    pub lpips: Vec<Lpips>,
+    /// Where those came from; goes into each run's settings.
+    pub lpips_weights: String,
+    /// Smoothness is among the sweep's metrics.
+    pub smoothness: bool,
+    /// Hears how loading, training and measuring go.
+    pub events: &'a dyn Listener,
+    scenes: Mutex<Vec<(String, Arc<Scene>)>>,
+    /// Seconds of a step by its shape, as far as budgets asked for them.
+    seconds: Mutex<BTreeMap<String, f64>>,
+}
+
+impl<'a> Trainings<'a> {
+    /// With no scene loaded yet.
+    pub fn new(
+        runtime: Runtime,
+        (lpips, lpips_weights): (Vec<Lpips>, String),
+        smoothness: bool,
+        events: &'a dyn Listener,
+    ) -> Trainings<'a> {
+        Trainings {
+            runtime,
+            lpips,
+            lpips_weights,
+            smoothness,
+            events,
+            scenes: Mutex::default(),
+            seconds: Mutex::default(),
+        }
+    }
+
+    /// The scene of a configuration, which it resolves.
+    pub fn scene(&self, config: Config) -> Result<(Resolved, Arc<Scene>)> {
+        let config = locate_scene(config)?;
+        let corruption = config.data.corruption;
+        let clean = DataConfig { corruption: CorruptionConfig::default(), ..config.data.clone() };
+        let key = toml::to_string(&clean).expect("settings are plain data");
+        let mut scenes = self.scenes.lock().unwrap_or_else(PoisonError::into_inner);
+        let scene = match scenes.iter().position(|(known, _)| *known == key) {
+            Some(index) => scenes[index].1.clone(),
+            None => {
+                let mut scene = data::load(&clean, 0, self.events)?;
+                scene.name.clone_from(&config.data.name);
+                if scenes.len() >= SCENES {
+                    scenes.remove(0);
+                }
+                scenes.push((key, Arc::new(scene)));
+                scenes[scenes.len() - 1].1.clone()
+            }
+        };
+        drop(scenes);
+        let config = config.resolve(scene.extent());
+        if !corruption.is_on() {
+            return Ok((config, scene));
+        }
+        let mut corrupted = Scene::clone(&scene);
+        corrupt(&mut corrupted, &corruption, config.seed)?;
+        Ok((config, Arc::new(corrupted)))
+    }
+
+    /// A trainer of a configuration at step 0, for measurements.
+    pub fn trainer(&self, config: &Config) -> Result<(Trainer, Arc<Scene>, Resolved)> {
+        let (config, scene) = self.scene(config.clone())?;
+        Ok((Trainer::new(&config, &scene, DType::F32, &self.runtime)?, scene, config))
+    }
+}
+
+/// What a point costs on this machine.
+#[derive(Clone, Copy, Debug)]
+pub struct Cost {
+    /// Seconds of a training step.
+    pub seconds_per_step: f64,
+    /// Seconds of the evaluation at the end.
+    pub seconds_evaluation: f64,
+    /// Highest resident memory while measuring; none where the system does not say.
+    pub peak_memory_mib: Option<f64>,
+}
+
+impl Cost {
+    /// Seconds of a point with so many steps.
+    pub fn seconds(&self, steps: u64) -> f64 {
+        self.seconds_per_step * steps as f64 + self.seconds_evaluation
+    }
+}
+
+impl Trainings<'_> {
+    /// Measures a few real steps and a piece of a held-out view, for as many as an evaluation renders.
+    pub fn cost(&self, config: &Config) -> Result<Cost> {
+        let memory = watch_memory(&self.runtime);
+        let seconds_per_step = median(&self.time_steps(&[config], ESTIMATE)?[0]);
+        let (trainer, scene, config) = self.trainer(config)?;
+        let mut seconds_evaluation = 0.0;
+        if let Some(view) = scene.test.first() {
+            // Some rows of the picture for every thread, as the whole picture has them.
+            let mut camera = view.camera;
+            let rows = (2 * self.runtime.threads() * config.eval.chunk).div_ceil(camera.width);
+            camera.height = rows.min(view.camera.height);
+            let viewer = Viewer { model: trainer.model(), config: &config, scene: &scene, runtime: &self.runtime };
+            let painter = viewer.painter()?;
+            let timed = || -> Result<f64> {
+                let started = Instant::now();
+                viewer.render_with(&*painter, &camera)?;
+                Ok(started.elapsed().as_secs_f64())
+            };
+            // What a painter prepares for a view is there the second time.
+            let (first, rows_alone) = (timed()?, timed()?);
+            let rays = (view.camera.height as f64 / camera.height as f64) * rows_alone;
+            let preparing = (first - rows_alone).max(0.0);
+            let views = (scene.test.len() + seen_views(&scene, &config).len()) as f64;
+            let TrainConfig { steps, eval_every, eval_stride, .. } = config.train;
+            let between = steps.saturating_sub(1).checked_div(eval_every).unwrap_or(0) as f64;
+            let sparse = rays / (eval_stride * eval_stride) as f64;
+            seconds_evaluation = views * (rays + preparing + between * (sparse + preparing));
+        }
+        Ok(Cost { seconds_per_step, seconds_evaluation, peak_memory_mib: memory.peak_mib() })
+    }
+}
+
+impl Trainings<'_> {
+    /// Seconds of the first steps of each training, as many as take `least` seconds.
+    fn time_steps(&self, configs: &[&Config], least: f64) -> Result<Vec<Vec<f64>>> {
+        let trainers: Result<Vec<Trainer>> = configs.iter().map(|config| Ok(self.trainer(config)?.0)).collect();
+        let mut trainers = trainers?;
+        let steps: Vec<usize> = configs.iter().map(|config| config.train.steps as usize).collect();
+        time_in_turns(&steps, |index| trainers[index].step(false).map(|_| ()), least)
+    }
+}
+
+impl StepCosts for Trainings<'_> {
+    fn seconds_per_step(&self, config: &Config) -> Result<f64> {
+        let known = || self.seconds.lock().unwrap_or_else(PoisonError::into_inner).get(&config.step_shape()).copied();
+        match known() {
+            Some(seconds) => Ok(seconds),
+            None => {
+                self.prepare(&[config])?;
+                Ok(known().expect("just measured"))
+            }
+        }
+    }
+
+    fn prepare(&self, configs: &[&Config]) -> Result<()> {
+        if configs.is_empty() {
+            return Ok(());
+        }
+        let minutes = (CALIBRATION * configs.len() as f64 / 60.0).ceil();
+        let what =
+            format!("timing steps of {} trainings, for budgets in seconds; {minutes} min at most", configs.len());
+        self.events.on(Event::Note(&what));
+        let timed = self.time_steps(configs, CALIBRATION)?;
+        let measured = timed.iter().map(|steps| mean_without_hiccups(steps));
+        let mut seconds = self.seconds.lock().unwrap_or_else(PoisonError::into_inner);
+        seconds.extend(configs.iter().map(|config| config.step_shape()).zip(measured));
+        Ok(())
+    }
+
+    fn clock(&self) -> Option<Clock> {
+        Some(Clock {
+            processor: Host::current().cpu.unwrap_or_else(|| "unknown".into()),
+            device: self.runtime.name().to_string(),
+            threads: self.runtime.threads(),
+            code_revision: revision().to_string(),
+        })
+    }
+}
+
+/// Takes steps of trainings in turn, so that a busy minute falls on all of them: until each has taken `least` seconds in all, or
+/// the steps that it has. A turn is a share of these seconds, or one step where that takes longer. Returns the seconds of each one's
+/// steps.
+fn time_in_turns(steps: &[usize], mut step: impl FnMut(usize) -> Result<()>, least: f64) -> Result<Vec<Vec<f64>>> {
+    let mut seconds = vec![Vec::new(); steps.len()];
+    let mut left = vec![least; steps.len()];
+    loop {
+        let mut any = false;
+        for (index, own) in seconds.iter_mut().enumerate() {
+            let turn = Instant::now();
+            while own.len() < LEAST_STEPS || (own.len() < steps[index] && left[index] > 0.0) {
+                any = true;
+                let started = Instant::now();
+                step(index)?;
+                own.push(started.elapsed().as_secs_f64());
+                left[index] -= own[own.len() - 1];
+                if turn.elapsed().as_secs_f64() >= least / TURNS as f64 {
+                    break;
+                }
+            }
+        }
+        if !any {
+            return Ok(seconds);
+        }
+    }
+}
+
+/// Mean over the medians of successive steps, as many a median as a turn has: it follows what changes in the course of a training, and
+/// one step that the machine broke off for something else does not move it.
+fn mean_without_hiccups(seconds: &[f64]) -> f64 {
+    let medians = seconds.chunks(seconds.len().div_ceil(TURNS)).map(|steps| median(steps) * steps.len() as f64);
+    medians.sum::<f64>() / seconds.len() as f64
+}
+
+/// The middle one; of an even number the lower of the two.
+fn median(seconds: &[f64]) -> f64 {
+    let mut seconds = seconds.to_vec();
+    seconds.sort_by(f64::total_cmp);
+    seconds[(seconds.len() - 1) / 2]
+}
+
+impl Work for Trainings<'_> {
+    fn run(
+        &self,
+        point: &Point,
+        folder: &PointFolder,
+        runtime: &Runtime,
+        beat: &Beat,
+        stop: &AtomicUsize,
+    ) -> Result<PointResult> {
+        let mut config = point.config.clone();
+        config.eval.lpips_weights.clone_from(&self.lpips_weights);
+        let (config, scene) = self.scene(config)?;
+        let setup = Setup { config: config.clone(), scene: &scene, lpips: &self.lpips, runtime: runtime.clone() };
+        let path = folder.run();
+        let job = if RunDir::is_vacant(&path)? {
+            // Nothing there yet, or a run that was killed before its first file.
+            Job::create(&path, Existing::Replace, setup)?
+        } else {
+            // Whatever is wrong with it is an error: it may be hours of training.
+            let run = RunDir::take(&path)?;
+            let found = run.read_config()?;
+            if found.hash() != config.hash() {
+                return Err(Error::Checkpoint(format!(
+                    "{} holds a run of other settings ({} instead of {}): delete it to train the point again",
+                    path.display(),
+                    found.hash(),
+                    config.hash()
+                )));
+            }
+            Job::resume(run, setup)?
+        };
+        let finished = job.train(&Beating { events: self.events, beat }, stop)?;
+        self.result(&config, &scene, &path, runtime, &finished)
+    }
+}
+
+impl Trainings<'_> {
+    fn result(
+        &self,
+        config: &Resolved,
+        scene: &Scene,
+        path: &std::path::Path,
+        runtime: &Runtime,
+        finished: &Finished,
+    ) -> Result<PointResult> {
+        let Finished { report, model, .. } = finished;
+        let Report { protocol, .. } = report;
+        let mut told = columns(protocol);
+        let mut metrics: Vec<(String, Option<f64>)> =
+            report.mean.iter().map(|(metric, value)| (metric.key.to_string(), value)).collect();
+        if self.smoothness && config.representation().has_derivatives_at_points() {
+            // One lattice for all rows, whatever they were trained with.
+            let lattice = Lattice { domain: smoothness_box(scene), side: SMOOTHNESS_SIDE };
+            let smoothness = SmoothnessReport::measure(model, scene, &lattice, protocol.clone(), runtime, self.events)?;
+            smoothness.write(&RunDir::open(path)?.smoothness())?;
+            let evaluated = smoothness.fields.last().expect("there is a field");
+            metrics.extend(numbers(&evaluated.smoothness));
+            told.push((SMOOTHNESS_DOMAIN.into(), evaluated.domain.clone()));
+        }
+        debug_assert_eq!(protocol.text("config_hash"), config.hash());
+        let inactive_levels = report.inactive_levels().into_iter().map(String::from).collect();
+        Ok(PointResult { metrics, protocol: told, inactive_levels })
+    }
+}
+
+/// The fields of a flat struct of numbers.
+fn numbers(row: &impl serde::Serialize) -> Vec<(String, Option<f64>)> {
+    let serde_json::Value::Object(fields) = serde_json::to_value(row).expect("plain data") else {
+        unreachable!("rows are structs")
+    };
+    fields.into_iter().map(|(name, value)| (name, value.as_f64())).collect()
+}
+
+/// Passes everything on and keeps the heartbeat's step current.
+struct Beating<'a> {
+    events: &'a dyn Listener,
+    beat: &'a Beat,
+}
+
+impl Listener for Beating<'_> {
+    fn on(&self, event: Event<'_>) {
+        match event {
+            Event::TrainingStarted { first, steps, .. } => self.beat.begin(first, steps),
+            Event::Stepped { step, .. } => self.beat.stepped(step),
+            _ => {}
+        }
+        self.events.on(event);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::time::Duration;
+
+    #[test]
+    fn steps_are_timed_for_seconds_and_one_hiccup_does_not_count() {
+        let mut taken = 0;
+        let slow_once = |_| {
+            taken += 1;
+            std::thread::sleep(Duration::from_millis(if taken == 7 { 120 } else { 2 }));
+            Ok(())
+        };
+        let seconds = time_in_turns(&[1000], slow_once, 0.3).unwrap().remove(0);
+        assert!((11..1000).contains(&seconds.len()) && seconds.iter().sum::<f64>() >= 0.3, "{}", seconds.len());
+        let mean = seconds.iter().sum::<f64>() / seconds.len() as f64;
+        let without = mean_without_hiccups(&seconds);
+        assert!(without < mean && (0.002..0.01).contains(&without), "{without} {mean}");
+        // Fast steps are as many in a turn as the time of one has room for: nobody waits for slow ones beside each of them.
+        let sleep = |index| {
+            std::thread::sleep(Duration::from_millis([1, 40][index]));
+            Ok(())
+        };
+        let both = time_in_turns(&[1000, 1000], sleep, 0.32).unwrap();
+        assert!(both[0].len() > 3 * both[1].len(), "{} {}", both[0].len(), both[1].len());
+        // A training that ends before is timed as a whole.
+        let short = time_in_turns(&[20, 1000], sleep, 0.32).unwrap();
+        assert_eq!(short[0].len(), 20);
+        assert!(short[1].len() >= 8, "{}", short[1].len());
+        // A step of seconds is taken several times all the same.
+        let mut order = Vec::new();
+        let each = time_in_turns(
+            &[1000, 1],
+            |index| {
+                order.push(index);
+                Ok(())
+            },
+            0.0,
+        )
+        .unwrap();
+        assert_eq!((each[0].len(), each[1].len()), (LEAST_STEPS, LEAST_STEPS));
+        assert_eq!(order, [0, 1].repeat(LEAST_STEPS), "one of each in turn");
+        assert_eq!(super::median(&[3.0, 1.0, 2.0, 9.0]), 2.0);
+    }
+
+    #[test]
+    fn what_becomes_faster_is_timed_in_its_mean() {
+        let falling: Vec<f64> = (0..100).map(|step| if step < 24 { 4.0 } else { 1.0 }).collect();
+        assert_eq!(mean_without_hiccups(&falling), 1.72);
+        let mut hiccup = falling.clone();
+        hiccup[50] = 1000.0;
+        assert_eq!(mean_without_hiccups(&hiccup), 1.72);
+        assert_eq!(mean_without_hiccups(&[1.0, 2.0]), 1.5, "few steps are taken as they are");
+    }
+}

@@ -1,0 +1,119 @@
+//! A results' folder as it was collected: the definition, the points and what they left.
+
+use std::path::{Path, PathBuf};
+
+use crate::base::{Error, Result};
+use crate::collect::{Collector, Sheet, Taking};
+use crate::definition::Definition;
+use crate::folder::SweepFolder;
+use crate::material::{Material, optional, read_scalars};
+use crate::points::Point;
+use crate::provenance::Provenance;
+use crate::report::exporters::File;
+use crate::report::tables::{Table, read_points, read_timing};
+use crate::report::{Status, label};
+use crate::scored::read_scored;
+
+/// Everything that tables and figures of a sweep are made of, as its results' folder keeps it.
+pub struct Archive {
+    /// The results' folder.
+    pub path: PathBuf,
+    /// What was run.
+    pub definition: Definition,
+    /// The points with their configurations, their scenes looked for on this machine.
+    pub points: Vec<Point>,
+    /// What they left.
+    pub material: Material,
+    /// Which code made it, and what is not kept.
+    pub provenance: Provenance,
+    /// Clocks were joined to the tables.
+    with_timing: bool,
+}
+
+impl Archive {
+    /// Reads a results' folder.
+    pub fn read(path: &Path, data_root: Option<&Path>) -> Result<Archive> {
+        let folder = SweepFolder::new(path);
+        let definition = folder.definition()?;
+        let absent =
+            |name: &str| Error::Data(format!("{} has no {name}: `augnerf sweep collect` writes it", path.display()));
+        let points = folder.points(data_root)?.ok_or_else(|| absent("points.json"))?;
+        let provenance = Provenance::read(path)?.ok_or_else(|| absent("provenance.toml"))?;
+        let in_file = |name: &str, e: String| Error::Data(format!("{}: {e}", path.join(name).display()));
+        let text = |name: &str| -> Result<Option<String>> {
+            let bytes = optional(&path.join(name))?;
+            bytes.map(|bytes| String::from_utf8(bytes).map_err(|e| in_file(name, e.to_string()))).transpose()
+        };
+        let timing = text("timing.csv")?.map(|text| read_timing(&text)).transpose();
+        let timing = timing.map_err(|e| in_file("timing.csv", e))?.unwrap_or_default();
+        let clocks: Vec<String> =
+            timing.iter().flat_map(|(_, clocks)| clocks.iter().map(|(name, _)| name.clone())).collect();
+        let of_points = text("points.csv")?.ok_or_else(|| absent("points.csv"))?;
+        // A scene names files: one that is not the point's would name others.
+        let records = read_points(&of_points, &clocks, |found| {
+            let point = points.iter().find(|point| point.id == found.id && point.scene == found.scene)?;
+            let at = |axes: &[_]| label("", axes).trim_start_matches(", ").to_string();
+            point
+                .places
+                .iter()
+                .find(|place| place.row == found.row && at(&place.axes) == found.axes)
+                .map(|place| place.axes.clone())
+        });
+        let records = records.map_err(|e| in_file("points.csv", e))?;
+        let head = of_points.lines().next().unwrap_or_default();
+        let with_timing = head.split(',').any(|column| clocks.iter().any(|clock| clock == column));
+        let material = Material {
+            records,
+            timing,
+            scalars: read_scalars(path)?,
+            step_seconds: optional(&folder.step_seconds())?,
+            scored: read_scored(path, &definition)?,
+            ..Material::default()
+        };
+        Ok(Archive { path: path.to_path_buf(), definition, points, material, provenance, with_timing })
+    }
+
+    /// Hands over every table and figure. Rows that may not stand side by side are marked, as `--force` does.
+    pub fn files(&self, take: Taking) -> Result<Table> {
+        let collector = Collector {
+            material: &self.material,
+            definition: &self.definition,
+            points: &self.points,
+            name: &self.provenance.name,
+            force: true,
+            with_timing: self.with_timing,
+        };
+        collector.files(take)
+    }
+
+    /// The page of a results' folder: without pictures of views, which lie with the runs.
+    pub fn page(&self) -> Result<(Table, String)> {
+        let mut files: Vec<File> = Vec::new();
+        let table = self.files(&mut |name, bytes| {
+            files.push((name.into(), bytes.to_vec()));
+            Ok(())
+        })?;
+        // Those that nothing makes again, as they were committed.
+        for name in self.provenance.pinned.keys().filter(|name| name.ends_with(".svg")) {
+            if let Some(bytes) = optional(&self.path.join(name))? {
+                files.push((name.clone(), bytes));
+            }
+        }
+        let spec = self.definition.table(&self.provenance.name, &self.points);
+        let sheet = Sheet {
+            spec: &spec,
+            material: &self.material,
+            points: &self.points,
+            force: true,
+            with_timing: self.with_timing,
+        };
+        let page = sheet.page(&table, &files, &self.path)?;
+        Ok((table, page))
+    }
+
+    /// Points that were measured.
+    pub fn done(&self) -> impl Iterator<Item = &Point> {
+        let done = |id: &str| self.material.records.iter().any(|r| r.id == id && r.status == Status::Done);
+        self.points.iter().filter(move |point| done(&point.id))
+    }
+}

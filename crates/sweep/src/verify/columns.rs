@@ -1,0 +1,132 @@
+//! Whether the protocol columns of `points.csv` say what the points' configurations and `provenance.toml` say.
+
+use super::archive::Archive;
+use super::findings::Findings;
+use crate::base::Result;
+use crate::data::{known_bounds, may_have_box};
+use crate::methods::SiteSummary;
+use crate::points::Point;
+use crate::provenance::Provenance;
+use crate::report::{Record, Status};
+use crate::run::Protocol;
+use crate::settings::{Config, DataKind, Extent, Located, Split};
+
+/// A column and what stands in it.
+type Text = (&'static str, String);
+
+/// Compares every column that settings decide, the code's revision, and what logs say of inactive sites.
+pub fn check(archive: &Archive, findings: &mut Findings) -> Result<()> {
+    let (mut wrong, mut open, mut count) = (Vec::new(), Vec::new(), 0);
+    // Points of several revisions may lack what the earlier ones did not write.
+    let one_revision = !archive.provenance.code_revision.contains(", ");
+    for record in archive.material.records.iter().filter(|record| record.status == Status::Done) {
+        let Some(point) = archive.points.iter().find(|point| point.id == record.id) else { continue };
+        let Decided { columns, unknown } = decided(point, record)?;
+        for name in unknown {
+            if !open.contains(&name) {
+                open.push(name);
+            }
+        }
+        for (name, expected) in columns {
+            // Columns that are younger than the points are not in their file.
+            let Some((_, found)) = record.protocol.iter().find(|(known, _)| known == name) else { continue };
+            if found.is_empty() && !one_revision {
+                continue;
+            }
+            count += 1;
+            if *found != expected {
+                let point = record.point_label();
+                wrong.push(format!("points.csv: {name} of {point} is '{found}', its configuration says '{expected}'"));
+            }
+        }
+    }
+    findings.of(format!("{count} cells of points.csv are those of the points' configurations"), wrong);
+    for name in open {
+        findings.not_checked(format!("{name}: it hangs on bounds that the scene's files say"));
+    }
+    revision(archive, findings);
+    inactive(archive, findings);
+    Ok(())
+}
+
+/// Columns that a configuration decides.
+struct Decided {
+    columns: Vec<Text>,
+    /// Names of those that hang on a scene's bounds, which are not known.
+    unknown: Vec<&'static str>,
+}
+
+fn decided(point: &Point, record: &Record) -> Result<Decided> {
+    let mut config = point.config.clone();
+    let kind = kind(&point.config, record.protocol("dataset"));
+    // Whether a capture's files name a split stands in its folder, which is not at hand.
+    let own =
+        kind == DataKind::Transforms && ["test", "val"].iter().any(|split| record.protocol("split").starts_with(split));
+    if own {
+        config.data.split.get_or_insert(Split::Own);
+    }
+    let located = config.locate(kind)?;
+    let sides = ["width", "height"].into_iter().filter_map(|side| record.protocol(side).parse().ok());
+    let pixels: usize = sides.max().unwrap_or(0);
+    let at = |located: &Located, (near, far), domain| {
+        Protocol::of_configuration(&located.clone().resolve(Extent { near, far, domain, pixels }))
+    };
+    // The hash of a resolved configuration hangs on the settings that its revision had; points' names and scenes are
+    // compared with their configurations elsewhere.
+    let keep = |columns: Vec<Text>| -> Vec<Text> {
+        columns.into_iter().filter(|(name, _)| !["config_hash", "scene"].contains(name)).collect()
+    };
+    let (bounds, own_box) = (known_bounds(&located.data), may_have_box(&located.data));
+    if let Some(bounds) = bounds.filter(|_| !own_box) {
+        return Ok(Decided { columns: keep(at(&located, bounds, None)), unknown: Vec::new() });
+    }
+    // Two scenes that differ in all that is not known: what they agree in hangs on the configuration alone.
+    let some_box = own_box.then_some([[-0.5; 3], [0.25; 3]]);
+    let short = keep(at(&located, bounds.unwrap_or((0.0, 1.0)), None));
+    let long = keep(at(&located, bounds.unwrap_or((0.0, 2.0)), some_box));
+    let unknown = short.iter().zip(&long).filter(|(short, long)| short != long).map(|((name, _), _)| *name).collect();
+    let same = short.into_iter().zip(long).filter(|(short, long)| short == long);
+    Ok(Decided { columns: same.map(|(short, _)| short).collect(), unknown })
+}
+
+/// The scene's kind. A folder that is not at hand is of the kind that `points.csv` names: of another, most settings differ.
+fn kind(config: &Config, dataset: &str) -> DataKind {
+    let named = DataKind::ALL.into_iter().find(|kind| *kind != DataKind::Auto && kind.name() == dataset);
+    match config.data.kind {
+        DataKind::Auto if config.data.dir.is_empty() => DataKind::BuiltinBlender,
+        DataKind::Auto => named.unwrap_or(DataKind::Transforms),
+        kind => kind,
+    }
+}
+
+/// `provenance.toml` names the revisions of the points.
+fn revision(archive: &Archive, findings: &mut Findings) {
+    let found = Provenance::of(&archive.provenance.name, &archive.material.records).code_revision;
+    let named = &archive.provenance.code_revision;
+    if found != *named {
+        findings.wrong(format!("points.csv: code_revision is '{found}', provenance.toml has '{named}'"));
+    }
+}
+
+/// Sites are called inactive by a point's log, where it is kept, and are among those that are on.
+fn inactive(archive: &Archive, findings: &mut Findings) {
+    let (mut wrong, mut count) = (Vec::new(), 0);
+    for record in archive.material.records.iter().filter(|record| record.status == Status::Done) {
+        let found = &record.inactive_levels;
+        let Some(scalars) = archive.material.scalars.get(&record.id) else { continue };
+        let summaries = SiteSummary::of_columns(|name| scalars.numbers(name));
+        let logged: Vec<&str> = summaries.iter().filter(|site| site.inactive).map(|site| site.site).collect();
+        count += 1;
+        if *found != logged {
+            let (point, found, logged) = (record.point_label(), found.join(" "), logged.join(" "));
+            wrong.push(format!("points.csv: inactive_levels of {point} is '{found}', its log says '{logged}'"));
+        }
+    }
+    if count > 0 {
+        findings.of(format!("inactive_levels of {count} points are those of their logs"), wrong);
+    }
+    let any = archive.material.scalars.len() < archive.done().count();
+    if any && archive.points.iter().any(|point| point.config.method.is_augmented()) {
+        findings.not_checked("inactive_levels: not every point's log is kept");
+    }
+}

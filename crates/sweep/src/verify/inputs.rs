@@ -1,0 +1,95 @@
+//! Whether the scenes and LPIPS weights of this machine are those that points were trained on and measured with.
+
+use super::archive::Archive;
+use super::findings::Findings;
+use crate::base::{Listener, Result};
+use crate::data;
+use crate::metrics::Lpips;
+use crate::points::Point;
+use crate::run::locate_scene;
+use crate::settings::{CorruptionConfig, DataConfig};
+
+/// Compares hashes of the scenes and of the weights.
+pub fn check(archive: &Archive, lpips: &[Lpips], events: &dyn Listener, findings: &mut Findings) -> Result<()> {
+    let mut seen: Vec<(String, String)> = Vec::new();
+    for point in archive.done() {
+        let hash = column(archive, point, "data_hash");
+        // Seeds of a row see the same views; a row may read them otherwise.
+        let clean = DataConfig { corruption: CorruptionConfig::default(), ..point.config.data.clone() };
+        let key = (hash.to_string(), toml::to_string(&clean).expect("settings are plain data"));
+        if seen.contains(&key) {
+            continue;
+        }
+        scene(point, hash, events, findings)?;
+        seen.push(key);
+    }
+    weights(archive, lpips, findings);
+    Ok(())
+}
+
+fn scene(point: &Point, hash: &str, events: &dyn Listener, findings: &mut Findings) -> Result<()> {
+    let name = &point.scene;
+    if hash.is_empty() {
+        findings.not_checked(format!("scene {name}: points.csv has no hash of it (an earlier revision)"));
+        return Ok(());
+    }
+    if point.no_data.is_some() {
+        findings.not_checked(format!("scene {name}: it is not below --data-root (AUGNERF_DATA)"));
+        return Ok(());
+    }
+    let mut config = locate_scene(point.config.clone())?.data.clone();
+    config.corruption = CorruptionConfig::default();
+    let found = match data::load(&config, 0, events) {
+        Ok(scene) => scene.hash(),
+        // Such as views kept for choices, which a scene was given beside what was published.
+        Err(error) => {
+            findings.not_checked(format!("scene {name}: {error}"));
+            return Ok(());
+        }
+    };
+    match found == hash {
+        true => findings.holds(format!("scene {name}: poses and pixels have the hash {hash}")),
+        false => findings.wrong(format!("scene {name}: poses and pixels have the hash {found}, points.csv has {hash}")),
+    }
+    Ok(())
+}
+
+fn weights(archive: &Archive, lpips: &[Lpips], findings: &mut Findings) {
+    let measured: Vec<&str> = ["alex", "vgg", "squeeze"].into_iter().filter(|name| has_lpips(archive, name)).collect();
+    let mut seen: Vec<&str> = Vec::new();
+    for point in archive.done() {
+        let named = column(archive, point, "lpips_weights");
+        if seen.contains(&named) {
+            continue;
+        }
+        seen.push(named);
+        if named.is_empty() && !measured.is_empty() {
+            let measured = measured.join(", ");
+            findings.not_checked(format!(
+                "LPIPS weights ({measured}): points.csv has no hash of them (an earlier revision)"
+            ));
+        }
+        for (backbone, hash) in named.split(", ").filter_map(|named| named.split_once(' ')) {
+            match lpips.iter().find(|lpips| lpips.backbone().name() == backbone) {
+                None => findings.not_checked(format!(
+                    "LPIPS weights ({backbone}): they are not at hand (--lpips-weights, AUGNERF_LPIPS_WEIGHTS)"
+                )),
+                Some(found) if found.weights_hash() == hash => {
+                    findings.holds(format!("LPIPS weights ({backbone}) have the hash {hash}"));
+                }
+                Some(found) => findings.wrong(format!(
+                    "LPIPS weights ({backbone}) have the hash {}, points.csv has {hash}",
+                    found.weights_hash()
+                )),
+            }
+        }
+    }
+}
+
+fn has_lpips(archive: &Archive, backbone: &str) -> bool {
+    archive.material.records.iter().any(|record| record.metric(&format!("lpips_{backbone}")).is_some())
+}
+
+fn column<'a>(archive: &'a Archive, point: &Point, name: &str) -> &'a str {
+    archive.material.records.iter().find(|record| record.id == point.id).map_or("", |record| record.protocol(name))
+}

@@ -1,0 +1,112 @@
+//! Points trained again, and their numbers compared to the last digit.
+
+use std::sync::atomic::AtomicUsize;
+
+use super::archive::Archive;
+use super::findings::Findings;
+use crate::base::csv::csv_number;
+use crate::base::{Error, Result};
+use crate::folder::SweepFolder;
+use crate::metrics::{METRICS, Needs, Scope};
+use crate::point_folder::PointResult;
+use crate::points::Point;
+use crate::report::{Record, distinct};
+use crate::revision::revision;
+use crate::runner::{Options, Runner};
+use crate::runtime::Runtime;
+use crate::training::Trainings;
+
+/// Columns that say which program or machine it was: they may differ.
+const OF_THE_PROGRAM: [&str; 3] = ["program", "code_revision", "device"];
+
+/// Trains `count` points again, spread over the sweep, and compares metrics and protocol as `points.csv` has them.
+///
+/// # Errors
+/// This program is another revision than the points', unless `any_revision`.
+pub fn check(
+    archive: &Archive,
+    (count, any_revision): (usize, bool),
+    runtime: &Runtime,
+    trainings: &Trainings,
+    stop: &AtomicUsize,
+    findings: &mut Findings,
+) -> Result<()> {
+    let pinned = &archive.provenance.code_revision;
+    if revision() != pinned && !any_revision {
+        return Err(Error::Config(format!(
+            "--retrain: {} was made by revision {pinned}, this program is {}; `git worktree add ../augnerf-{pinned} \
+             {pinned}` checks that out, and there `cargo run --release -- sweep run {}/sweep.toml` trains it; \
+             --any-revision asks whether this program gives the same numbers",
+            archive.path.display(),
+            revision(),
+            archive.path.display()
+        )));
+    }
+    let at_hand: Vec<&Point> = archive.done().filter(|point| point.no_data.is_none()).collect();
+    let count = count.min(at_hand.len());
+    if count == 0 {
+        findings.not_checked("training again: no scene of the points is at hand");
+        return Ok(());
+    }
+    let points: Vec<Point> = (0..count).map(|index| at_hand[index * at_hand.len() / count].clone()).collect();
+    let scratch = tempfile::tempdir().map_err(|e| Error::unwritable(&std::env::temp_dir(), &e))?;
+    let (folder, mut open) = (SweepFolder::new(scratch.path()), Vec::new());
+    let options = Options {
+        jobs: 1,
+        fail_fast: false,
+        retry_failed: false,
+        most_deaths: 1,
+        remeasure: Vec::new(),
+        leave_to_others: false,
+    };
+    let (events, work) = (trainings.events, trainings);
+    Runner { folder: &folder, points: &points, runtime, work, options, events, stop }.run()?;
+    for point in &points {
+        let records = archive.material.records.iter().find(|record| record.id == point.id);
+        let record = records.expect("a point that is done has a record");
+        if let Some(failure) = folder.point(&point.id).failure()? {
+            findings.wrong(format!("{}: {}", point.label(), failure.reason));
+            continue;
+        }
+        let result = folder.point(&point.id).result()?.expect("it has not failed");
+        let wrong = differences(archive, record, &result, &mut open);
+        findings.of(format!("{}: trained again, every number to the last digit", point.label()), wrong);
+    }
+    for metric in distinct(open.into_iter()) {
+        findings.not_checked(format!("{metric} of points trained again: it is not measured here"));
+    }
+    Ok(())
+}
+
+/// What is another number than in the record, or is there in one of them alone. Names of metrics that could not be
+/// compared are left in `open`.
+fn differences(archive: &Archive, record: &Record, result: &PointResult, open: &mut Vec<&'static str>) -> Vec<String> {
+    let records = &archive.material.records;
+    let mut wrong = Vec::new();
+    for metric in METRICS.iter().filter(|metric| metric.scope != Scope::Common) {
+        let key = metric.key;
+        // Metrics that are younger than the points are not in their file.
+        let Some((_, then)) = record.metrics.iter().find(|(name, _)| name == key) else { continue };
+        let (then, now) = (csv_number(*then), csv_number(result.metric(key)));
+        let weights_differ = matches!(metric.needs, Needs::Lpips(_))
+            && (now.is_empty() || !records.iter().any(|record| record.metric(key).is_some()));
+        match now {
+            now if now == then => {}
+            _ if weights_differ => open.push(key),
+            now => wrong.push(format!("{}: {key} is '{now}', points.csv has '{then}'", record.point_label())),
+        }
+    }
+    for (name, now) in result.protocol.iter().filter(|(name, _)| !OF_THE_PROGRAM.contains(&name.as_str())) {
+        // Columns that are younger than the points are not in their file.
+        let then = record.protocol.iter().find(|(known, _)| known == name).map(|(_, then)| then);
+        if then.is_some_and(|then| then != now && !(name == "lpips_weights" && (then.is_empty() || now.is_empty()))) {
+            let then = record.protocol(name);
+            wrong.push(format!("{}: {name} is '{now}', points.csv has '{then}'", record.point_label()));
+        }
+    }
+    if record.inactive_levels != result.inactive_levels {
+        let (then, now) = (record.inactive_levels.join(" "), result.inactive_levels.join(" "));
+        wrong.push(format!("{}: inactive_levels is '{now}', points.csv has '{then}'", record.point_label()));
+    }
+    wrong
+}
