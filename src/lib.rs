@@ -100,6 +100,8 @@
 /// The tensor library, in the version that this crate's types are made of.
 pub use candle_core;
 
+#[cfg(feature = "baselines")]
+pub use augnerf_baselines::grids;
 pub use augnerf_core::{augment, data, field, losses, metrics, render, runtime, settings, space};
 pub use augnerf_report::{draw, report};
 pub use augnerf_run::{bench, compare, run, train};
@@ -115,6 +117,11 @@ pub mod base {
 
 /// What is trained: the model of each method, how it learns and how it shows its scene.
 pub mod methods {
+    #[cfg(feature = "baselines")]
+    pub use augnerf_baselines::{
+        March, MpiNetwork, NeuralVolume, PlanesLearner, PlanesPainter, Srn, SrnLearner, SrnPainter, VolumeDensity,
+        VolumeLearner, VolumePainter,
+    };
     pub use augnerf_core::methods::*;
     pub use augnerf_run::model::*;
 }

@@ -22,7 +22,6 @@ mod hostile;
 mod hostile_memory;
 mod hostile_results;
 mod interruption;
-mod layering;
 mod light;
 mod loaders;
 mod methods;

@@ -194,7 +194,7 @@ const TRUNCATED: [&str; 2] = ["tabA1 width_256_half_res Aug-NeRF", "tabA2 pepper
 
 #[test]
 fn average_gives_every_published_average() {
-    let rows = rows(include_str!("../../src/report/published.csv"));
+    let rows = rows(include_str!("../../crates/report/src/report/published.csv"));
     assert_eq!(rows.len(), 57);
     let mut truncated = Vec::new();
     for row in &rows {

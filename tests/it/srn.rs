@@ -1,7 +1,7 @@
 //! Scene Representation Networks through the trainer and through everything that is done with a run.
 
 use std::path::{Path, PathBuf};
-use std::sync::OnceLock;
+use std::sync::{Arc, OnceLock};
 
 use crate::common::files::{json, text};
 use crate::common::learning::{Small, assert_learns, assert_precisions_agree, assert_threads_agree};
@@ -10,7 +10,7 @@ use crate::common::reference::Reference;
 use crate::common::{flat, tiny_config, tiny_scene};
 use augnerf::data::{RayBuffer, RayParts};
 use augnerf::methods::{Model, Painter, Srn, SrnPainter};
-use augnerf::settings::{Method, PixelOrigin, Resolved, SrnConfig};
+use augnerf::settings::{Method, PixelOrigin, Representation, Resolved, SrnConfig};
 use augnerf::train::{Adam, AdamSettings};
 use candle_core::{DType, Device, Tensor, Var};
 use tempfile::TempDir;
@@ -123,6 +123,9 @@ fn what_an_srn_cannot_say_is_refused() {
     refuse(&["mesh", run], 2, &["an SRN knows where a ray ends"]);
     refuse(&["chamfer", run, "builtin"], 2, &["an SRN knows where a ray ends"]);
     refuse(&["measure", run], 2, &["an SRN knows where a ray ends"]);
-    let model = Model::Srn(Srn::init(&SrnConfig::default(), 0, DType::F32, &Device::Cpu).unwrap());
+    let model = Model::Baseline(
+        Representation::Srn,
+        Arc::new(Srn::init(&SrnConfig::default(), 0, DType::F32, &Device::Cpu).unwrap()),
+    );
     assert!(model.density().is_err() && model.fields().is_err());
 }

@@ -229,7 +229,10 @@ fn quoted_numbers_are_read_again() {
     quote("23.57", "geometry");
     assert_says(&verify(dir.path(), &[], 0), &["results/checks/surfaces.md: 1 quoted numbers"]);
     quote("23.58", "geometry");
-    assert_says(&verify(dir.path(), &[], 10), &["results/checks/surfaces.md, line 2", "'23.58' is quoted as psnr_mean"]);
+    assert_says(
+        &verify(dir.path(), &[], 10),
+        &["results/checks/surfaces.md, line 2", "'23.58' is quoted as psnr_mean"],
+    );
     quote("23.57", "geometrie");
     assert_says(&verify(dir.path(), &[], 10), &["no results folder 'geometrie'"]);
     std::fs::write(&page, "NeRF reaches 23.57 dB.\n").unwrap();
@@ -244,7 +247,8 @@ fn a_comparison_across_sweeps_is_made_again() {
         copy(&Path::new(ROOT).join("results").join(name), &dir.path().join("results").join(name));
     }
     let across = |out: &str, row: &str, code: i32| {
-        let folders = ["results/checks/geometry_chair", "results/baselines/mip_chair", "results/checks/few_views_chair"];
+        let folders =
+            ["results/checks/geometry_chair", "results/baselines/mip_chair", "results/checks/few_views_chair"];
         let mut command = augnerf(&[&["sweep", "across"], &folders[..], &["--out", out, "--row", row]].concat());
         program::demand(command.current_dir(dir.path()).env_remove("AUGNERF_DATA"), code)
     };

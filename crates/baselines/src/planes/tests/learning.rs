@@ -2,12 +2,11 @@
 
 use candle_core::{DType, Device, Tensor, Var};
 
-use crate::base::Result;
 use crate::data::{RayBuffer, RayParts, Scene};
 use crate::grids::reference::{error, on_any_threads, ramp};
+use crate::methods::Learned;
 use crate::methods::Learner;
 use crate::methods::Painter;
-use crate::methods::{Learned, Model};
 use crate::planes::windows::Work;
 use crate::planes::{MpiNetwork, PlanesLearner, PlanesPainter};
 use crate::settings::{Config, PixelOrigin, PlanesLoss, Resolved};
@@ -109,7 +108,7 @@ fn the_view_that_is_left_out_is_no_input() {
     let config = config(&plain, |_| {});
     let eyes: Vec<_> = {
         let learner = PlanesLearner::start(&config, &plain, network(&config, DType::F32)).unwrap();
-        crate::methods::planes::mpi::eyes(&learner.stage.views)
+        crate::planes::mpi::eyes(&learner.stage.views)
     };
     let depths = super::super::geometry::depths(1.0, 4.0, 8);
     let mut seen = [0; 4];
@@ -202,8 +201,8 @@ fn the_planes_of_far_views_are_not_predicted() {
 
 fn refused(scene: &Scene, change: impl FnOnce(&mut Config)) -> String {
     let config = config(scene, change);
-    let said: Result<_> = Model::start(&config, scene, DType::F32, &Device::Cpu);
-    said.err().expect("it is refused").to_string()
+    let network = MpiNetwork::init(&config, DType::F32, &Device::Cpu).unwrap();
+    PlanesLearner::start(&config, scene, network).err().expect("it is refused").to_string()
 }
 
 #[test]
@@ -242,7 +241,7 @@ fn large_disparities_leave_every_step_its_pixels() {
     let wide = scene(400);
     let config = config(&wide, |_| {});
     let learner = PlanesLearner::new(&config, &wide, network(&config, DType::F32)).unwrap();
-    let eyes = crate::methods::planes::mpi::eyes(&learner.stage.views);
+    let eyes = crate::planes::mpi::eyes(&learner.stage.views);
     for step in 0..40 {
         let work = Work::draw(&config.llff, 0, step, &eyes, &learner.stage.depths).unwrap();
         assert!(work.counted() > 0, "step {step}");
