@@ -44,6 +44,14 @@ def cargo_build(folder, target):
     return target / "release/augnerf"
 
 
+def flatten(sweeps, folder):
+    """Copies sweep files from wherever they are below `sweeps` into one folder: their names tell them apart."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for file in sweeps.rglob("*.toml"):
+        shutil.copy2(file, folder)
+    return folder
+
+
 class Program:
     """A built revision: its program, its sweeps, the environment that its cases run in."""
 
@@ -107,7 +115,7 @@ class Old:
             with worktree(self.revision, self.cache / "worktree") as checkout:
                 target = self.target()
                 built = cargo_build(checkout, target)
-                shutil.copytree(checkout / "sweeps", sweeps, dirs_exist_ok=True)
+                flatten(checkout / "sweeps", sweeps)
                 shutil.copy2(built, self.folder / "augnerf.part")
                 shutil.rmtree(target)
                 (self.folder / "augnerf.part").rename(binary)
@@ -189,8 +197,8 @@ def main():
         return 2
     cache = Path(os.environ.get("AUGNERF_SAME_BYTES_CACHE") or REPOSITORY / "target/same_bytes").resolve()
     old = Old(revision, cache, found)
-    sweeps = git("ls-tree", "--name-only", f"{revision}:sweeps").split()
-    cases = all_cases([name.removesuffix(".toml") for name in sweeps if name.endswith(".toml")])
+    sweeps = git("ls-tree", "-r", "--name-only", f"{revision}:sweeps").split()
+    cases = all_cases(sorted(Path(name).stem for name in sweeps if name.endswith(".toml")))
     old.cases = {case.name: case for case in cases}
     chosen = [case for case in cases if any(fnmatchcase(case.name, pattern) for pattern in given.only)]
     if given.list:
@@ -204,7 +212,8 @@ def main():
     built = cargo_build(REPOSITORY, REPOSITORY / "target")
     with tempfile.TemporaryDirectory(prefix="same_bytes_") as folder:
         # A build that others start meanwhile must not exchange the program.
-        new = Program(shutil.copy2(built, Path(folder, "augnerf")), REPOSITORY / "sweeps", found)
+        sweeps = flatten(REPOSITORY / "sweeps", Path(folder, "sweeps"))
+        new = Program(shutil.copy2(built, Path(folder, "augnerf")), sweeps, found)
         results = Results(read_allowances(REPOSITORY / "tools/same_bytes.allow"))
         revisions = (revision, git("rev-parse", "--short=12", "HEAD")[:12])
         for case in chosen:

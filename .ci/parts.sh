@@ -1,0 +1,57 @@
+# What .ci/run and .ci/nightly share: named parts, a table of what each took, and what was left out. Sourced by both.
+set -euo pipefail
+cd "$(dirname "${BASH_SOURCE[0]}")/.."
+root=$PWD
+
+# Real scenes and LPIPS weights, if they are next to the checkout.
+shared="$root/../shared"
+[[ -d $shared/data ]] && export AUGNERF_DATA="$shared/data"
+[[ -d $shared/weights/lpips ]] && export AUGNERF_LPIPS_WEIGHTS="$shared/weights/lpips"
+
+if ! command -v cargo > /dev/null; then
+  echo "cargo is missing: install Rust 1.89 or newer from https://rustup.rs" >&2
+  exit 1
+fi
+
+name=$(basename "$0")
+scratch=$(mktemp -d)
+table=$scratch/table
+touch "$table"
+begun=$SECONDS
+
+finish() {
+  local status=$?
+  printf '\n%-28s %8s\n' part seconds
+  cat "$table"
+  printf '%-28s %8d\n' "in all" $((SECONDS - begun))
+  rm -rf "$scratch"
+  ((status == 0)) && echo "$name: passed" || echo "$name: NOT PASSED"
+  exit $status
+}
+trap finish EXIT
+# A stopped run has not passed.
+trap 'exit 130' INT
+trap 'exit 143' TERM
+
+# part NAME COMMAND...: runs a command and notes how long it took.
+part() {
+  local name=$1 started=$SECONDS status=0
+  shift
+  printf '\n== %s: %s\n' "$name" "$*"
+  "$@" || status=$?
+  printf '%-28s %8d%s\n' "$name" $((SECONDS - started)) "$( ((status == 0)) || echo "  FAILED")" >> "$table"
+  return $status
+}
+
+# left_out NAME REASON
+left_out() {
+  printf '\n== %s: LEFT OUT, %s\n' "$1" "$2"
+  printf '%-28s %8s  LEFT OUT: %s\n' "$1" - "$2" >> "$table"
+}
+
+# has PROGRAM [PACKAGE]: whether a program is there; a package that has it is installed if that is possible.
+has() {
+  command -v "$1" > /dev/null && return 0
+  [[ -n ${2:-} ]] && apt-get install -y --no-install-recommends "$2" > "$scratch/$1.log" 2>&1 || true
+  command -v "$1" > /dev/null
+}
