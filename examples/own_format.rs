@@ -10,7 +10,7 @@ use std::path::Path;
 
 use augnerf::base::{Error, Image, Result};
 use augnerf::candle_core::DType;
-use augnerf::data::{Camera, Capture, Place, Scene};
+use augnerf::data::{Camera, Capture, Scene, SceneSpace};
 use augnerf::metrics::measure;
 use augnerf::run::{Viewer, load_scene};
 use augnerf::runtime::Runtime;
@@ -40,8 +40,8 @@ fn load(dir: &Path, near: f64, far: f64) -> Result<Scene> {
     }
     let views = Capture::views(names, cameras, images);
     // The files' units are the scene's, and nothing is known of where objects lie.
-    let place = Place::default();
-    let capture = Capture { views, path: Vec::new(), near, far, ndc: None, background: Some([1.0; 3]), place };
+    let space = SceneSpace::default();
+    let capture = Capture { views, path: Vec::new(), near, far, ndc: None, background: Some([1.0; 3]), space };
     let split = build(None, None, &[parse_assignment("data.holdout=8")?])?;
     Ok(capture.hold_out("mine".into(), "ppm-list", &split.data))
 }

@@ -38,14 +38,14 @@
 //!  losses: on rays (distortion) ────────────────────────────────────────────────────▲
 //!          in a box: density, its gradient, its Laplacian (l1, tv, laplacian) ──────┘
 //!
-//!  checkpoint ─► run::Trained ─► methods: a Painter ─► views ─► metrics ─► metrics.json, CSV, pictures
+//!  checkpoint ─► run::Trained ─► methods: a Renderer ─► views ─► metrics ─► metrics.json, CSV, pictures
 //!                            └─► space: density on a lattice ─► level set ─► mesh ─► Chamfer distance to a reference
 //!
 //!  sweep: definition ─► points ─► one run each ─► report: records ─► tables, figures
 //!  compare: runs ─► one view or ray side by side
 //! ```
 //!
-//! A learner and a painter are all that training and evaluation know of a method; a [`field::Density`] is there or not.
+//! A learner and a renderer are all that training and evaluation know of a method; a [`field::Density`] is there or not.
 //!
 //! # Symbols
 //!
@@ -63,7 +63,7 @@
 //! | `acc` | `[rays]` | 0..1 | sum of weights |
 //! | `depth` | `[rays]` | as `t_vals` | sum of weights * t |
 //! | `delta` | see [`augment::Site`] | the site's own | what is added at a site of the perturbed pass |
-//! | `epsilon` | scalar | see [`augment::About`] | size of a delta's set |
+//! | `epsilon` | scalar | see [`augment::SiteSpec`] | size of a delta's set |
 //! | `step_size` | scalar | the delta's unit, or radii | length of one ascent step |
 //! | `lambda` | scalar | 1 | weight of the perturbed loss |
 //! | `laplacian` | `[n]` | 1 / scene unit^3 | divergence of density's gradient |
@@ -119,8 +119,8 @@ pub mod base {
 pub mod methods {
     #[cfg(feature = "baselines")]
     pub use augnerf_baselines::{
-        March, MpiNetwork, NeuralVolume, PlanesLearner, PlanesPainter, Srn, SrnLearner, SrnPainter, VolumeDensity,
-        VolumeLearner, VolumePainter,
+        MpiNetwork, NeuralVolume, PlanesLearner, PlanesRenderer, Srn, SrnLearner, SrnMarch, SrnRenderer, VolumeDensity,
+        VolumeLearner, VolumeRenderer,
     };
     pub use augnerf_core::methods::*;
     pub use augnerf_run::model::*;

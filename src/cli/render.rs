@@ -109,7 +109,7 @@ impl RenderArguments {
         let trained = Trained::open(&self.run, self.sources.data.as_deref(), runtime, &console)?;
         let shots = self.shots(&trained, size, &console)?;
         if let Some(file) = &self.write_cameras {
-            cameras::write(file, &shots.cameras, &trained.scene.place.world, shots.fps)?;
+            cameras::write(file, &shots.cameras, &trained.scene.space.world, shots.fps)?;
             console.say(&format!("{} cameras", shots.cameras.len()));
             return self.tell(&trained, None, file, shots.cameras.len());
         }
@@ -155,7 +155,7 @@ impl RenderArguments {
                 let transforms = Path::new(&trained.config.data.dir).join("transforms.json");
                 let dataparser =
                     self.dataparser.as_ref().map(|file| Dataparser::read(file, &transforms)).transpose()?;
-                let read = cameras::read(file, &like, &scene.place.world, dataparser.as_ref())?;
+                let read = cameras::read(file, &like, &scene.space.world, dataparser.as_ref())?;
                 (read.cameras, read.fps)
             }
             (_, What::Views, _) => (scene.test.iter().map(|view| view.camera).collect(), None),
@@ -188,9 +188,9 @@ fn views(viewer: Viewer, folder: &Path, console: &Console) -> Result<()> {
     let views = &viewer.scene.test;
     let pictures = Pictures::new(folder, viewer.scene, views.len());
     console.on(Event::Started { what: "rendering", parts: views.len() as u64 });
-    let painter = viewer.painter()?;
+    let renderer = viewer.renderer()?;
     for (index, view) in views.iter().enumerate() {
-        let rendered = viewer.render_with(&*painter, &view.camera)?;
+        let rendered = viewer.render_with(&*renderer, &view.camera)?;
         console.on(Event::Advanced);
         pictures.write(index, view, &rendered)?;
     }
@@ -228,9 +228,9 @@ fn path(viewer: Viewer, shots: &Shots, folder: &Path, console: &Console) -> Resu
     let Shots { cameras, fps } = shots;
     let mut pictures = PathPictures::begin(folder, viewer.scene, film_size(shots)?, cameras.len(), *fps)?;
     console.on(Event::Started { what: "rendering", parts: cameras.len() as u64 });
-    let painter = viewer.painter()?;
+    let renderer = viewer.renderer()?;
     for camera in cameras {
-        pictures.add(viewer.render_with(&*painter, camera)?)?;
+        pictures.add(viewer.render_with(&*renderer, camera)?)?;
         console.on(Event::Advanced);
     }
     pictures.finish()

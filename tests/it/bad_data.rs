@@ -313,7 +313,7 @@ fn smaller_images_are_averaged_and_incomplete_folders_passed_over() {
     let dir = llff();
     let columns = |factor: u32| {
         let scene = try_load(DataConfig { downscale: Some(factor), holdout: 2, ..config(dir.path()) }).unwrap();
-        let passed = scene.place.notes.iter().find(|note| note.0 == "passed over").map(|note| note.1.clone());
+        let passed = scene.space.notes.iter().find(|note| note.0 == "passed over").map(|note| note.1.clone());
         (scene.train[0].camera.width, passed)
     };
     write_image(&dir.path().join("images_2/0.png"), 8, 6);

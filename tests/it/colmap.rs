@@ -217,7 +217,7 @@ fn a_model_of_the_embedded_scene_reads_to_its_cameras() {
         let placed = export.load(|_| ()).unwrap();
         for view in views(&placed) {
             let own = export.scene.train.iter().find(|own| own.name == view.name).unwrap();
-            let pose = placed.place.world.camera(&own.camera.pose);
+            let pose = placed.space.world.camera(&own.camera.pose);
             assert!(worst(&view.camera, &Camera { pose, ..own.camera }) < 1e-9, "{folder} {}", view.name);
         }
         fs::remove_dir_all(export.capture().join(folder)).unwrap();
@@ -260,21 +260,21 @@ fn points_give_near_far_and_the_box() {
         scene.near,
         scene.far
     );
-    let [low, high] = scene.place.domain.unwrap();
+    let [low, high] = scene.space.domain.unwrap();
     assert!(
         (0..3).all(|axis| low[axis] > -2.0 && high[axis] < 2.0 && high[axis] - low[axis] > 0.5),
         "{low:?} {high:?}"
     );
     // A scene unit of the recentred one is another: bounds and box follow.
     let placed = export.load(|_| ()).unwrap();
-    let scale = placed.place.world.scale;
+    let scale = placed.space.world.scale;
     assert!((placed.near / scale - scene.near).abs() < 1e-9 && (placed.far / scale - scene.far).abs() < 1e-9);
-    let corner = placed.place.world.point(low);
-    assert!(pose::length(pose::sub(corner, placed.place.domain.unwrap()[0])) < 1e-9);
+    let corner = placed.space.world.point(low);
+    assert!(pose::length(pose::sub(corner, placed.space.domain.unwrap()[0])) < 1e-9);
     // Without points the cameras tell both, around the same place.
     fs::remove_file(export.capture().join("sparse/0/points3D.bin")).unwrap();
     let alone = export.load(|config| config.recentre = false).unwrap();
-    let [low, high] = alone.place.domain.unwrap();
+    let [low, high] = alone.space.domain.unwrap();
     assert!((0..3).all(|axis| low[axis] < 0.0 && 0.0 < high[axis]) && alone.near < least && alone.far > most);
     // What is set is taken.
     let set = export.load(|config| (config.near, config.far) = (Some(0.3), Some(9.0))).unwrap();
@@ -293,7 +293,7 @@ fn smaller_folders_are_taken_where_they_are_whole() {
         let small = full.resize(16, 16, image::imageops::FilterType::Triangle).to_rgb8();
         small.save(half.join(format!("{}.jpg", view.name))).unwrap();
     }
-    let notes = |scene: &Scene| format!("{:?}", scene.place.notes);
+    let notes = |scene: &Scene| format!("{:?}", scene.space.notes);
     let scene = export.load(|config| config.downscale = Some(2)).unwrap();
     let camera = scene.train[0].camera;
     assert_eq!((camera.width, camera.height), (16, 16));
@@ -322,7 +322,7 @@ fn distortion_is_undone() {
     model.write(&export.capture().join("sparse/0"), true);
     let scene = export.load(|_| ()).unwrap();
     assert!(scene.train[0].camera.focal[0] > export.scene.train[0].camera.focal[0] * 1.01);
-    assert!(format!("{:?}", scene.place.notes).contains("undone in"), "{:?}", scene.place.notes);
+    assert!(format!("{:?}", scene.space.notes).contains("undone in"), "{:?}", scene.space.notes);
 }
 
 #[test]
@@ -397,7 +397,7 @@ fn portraits_stand_beside_landscapes() {
         sizes.sort_by(|a, b| a.0.cmp(&b.0));
         let expected = [(8, 6, [4.0, 3.0]), (6, 8, [3.0, 4.0])].repeat(2);
         assert_eq!(sizes.into_iter().map(|(_, w, h, centre)| (w, h, centre)).collect::<Vec<_>>(), expected);
-        assert!(format!("{:?}", scene.place.notes).contains("sizes differ"), "{:?}", scene.place.notes);
+        assert!(format!("{:?}", scene.space.notes).contains("sizes differ"), "{:?}", scene.space.notes);
     }
 }
 
@@ -537,7 +537,7 @@ fn a_capture_in_llff_format_that_goes_around_is_read_without_ndc() {
     let (config, scene) = loaded.unwrap();
     assert_eq!((config.data.ndc, config.data.spherify, scene.ndc), (false, true, None));
     assert_says(&said, &["goes around", "60 degrees", "data.ndc=false"]);
-    assert!(scene.place.domain.is_some() && scene.far / scene.near > 20.0);
+    assert!(scene.space.domain.is_some() && scene.far / scene.near > 20.0);
     // Its configuration repeats it without a word.
     let mut again = config.clone().into_draft();
     again.data.dir = dir.path().display().to_string();

@@ -7,7 +7,7 @@ use augnerf::base::Result;
 use augnerf::report::tables::{Table, table_latex, table_markdown};
 use augnerf::report::{Record, RowSpec, Status, TableSpec};
 use augnerf::run::{Protocol, check_measurable, surface_threshold};
-use augnerf::settings::{Ability, Config, DataKind, Extent, Preset, Representation, build, parse_assignment};
+use augnerf::settings::{Capability, Config, DataKind, Extent, Preset, Representation, build, parse_assignment};
 use augnerf::sweep::{Definition, StepCosts, expand};
 use tempfile::TempDir;
 
@@ -86,18 +86,22 @@ fn numbers_that_networks_cannot_have_are_named() {
 fn every_lack_has_its_reason_and_every_reason_is_told() {
     for (method, no_density) in BASELINES {
         let config = draft(&[&format!("method={method}")]).unwrap();
-        let why = config.representation().lacks(Ability::Density);
+        let why = config.representation().lacks(Capability::Density);
         assert_eq!(why.is_some(), no_density.is_some(), "{method}");
-        for ability in [Ability::Density, Ability::Derivatives, Ability::Samples] {
-            let Some(why) = config.representation().lacks(ability) else { continue };
-            let told = config.require_ability(ability, "a question", "ask another").unwrap_err().to_string();
+        for capability in [Capability::Density, Capability::Derivatives, Capability::Samples] {
+            let Some(why) = config.representation().lacks(capability) else { continue };
+            let told = config.require_capability(capability, "a question", "ask another").unwrap_err().to_string();
             assert_eq!(told, format!("a question with method {method}: {why}; ask another"));
         }
         let told = check_measurable("RUN".as_ref(), &config).unwrap_err().to_string();
         assert_says(&told, &["RUN: method", method, "no l1, TV or Laplacian", "measure nerf and aug-nerf runs"]);
     }
     for field in [Representation::Nerf, Representation::HashNerf] {
-        assert!([Ability::Density, Ability::Derivatives, Ability::Samples].iter().all(|a| field.lacks(*a).is_none()));
+        assert!(
+            [Capability::Density, Capability::Derivatives, Capability::Samples]
+                .iter()
+                .all(|a| field.lacks(*a).is_none())
+        );
     }
 }
 

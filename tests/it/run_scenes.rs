@@ -94,7 +94,7 @@ fn a_photograph_that_is_gone_moves_no_other() {
     };
     assert_eq!(whole.train.len(), without.train.len() + 1);
     assert_eq!((told(&whole.train), told(&whole.test)), (told(&without.train), told(&without.test)));
-    assert_eq!(whole.place.world, without.place.world);
+    assert_eq!(whole.space.world, without.space.world);
     assert_eq!(whole.path.len(), without.path.len());
     // A name is of the whole list, too.
     let rename = |folder: Folder| {

@@ -9,7 +9,7 @@ use crate::common::program::{refuse, succeed};
 use crate::common::reference::Reference;
 use crate::common::{flat, tiny_config, tiny_scene};
 use augnerf::data::{RayBuffer, RayParts};
-use augnerf::methods::{Model, Painter, Srn, SrnPainter};
+use augnerf::methods::{Model, Renderer, Srn, SrnRenderer};
 use augnerf::settings::{Method, PixelOrigin, Representation, Resolved, SrnConfig};
 use augnerf::train::{Adam, AdamSettings};
 use candle_core::{DType, Device, Tensor, Var};
@@ -74,11 +74,11 @@ fn pictures_in_f32_are_those_of_f64() {
     let single = Srn::init(&config, 4, DType::F32, &Device::Cpu).unwrap();
     let wide = single.variables().iter().map(|(_, var)| var.to_dtype(DType::F64).unwrap()).collect();
     let double = Srn::from_parameters(&config, wide).unwrap();
-    let paint = |srn: &Srn, dtype: DType| {
-        let painted = SrnPainter::new(srn).unwrap().paint(&rays.to_tensors(dtype, &Device::Cpu).unwrap()).unwrap();
-        [painted.rgb, painted.depth, painted.acc].map(|tensor| flat(&tensor))
+    let render = |srn: &Srn, dtype: DType| {
+        let rendered = SrnRenderer::new(srn).unwrap().render(&rays.to_tensors(dtype, &Device::Cpu).unwrap()).unwrap();
+        [rendered.rgb, rendered.depth, rendered.acc].map(|tensor| flat(&tensor))
     };
-    let (single, double) = (paint(&single, DType::F32), paint(&double, DType::F64));
+    let (single, double) = (render(&single, DType::F32), render(&double, DType::F64));
     for (single, double) in single.iter().zip(&double) {
         assert!(single.iter().zip(double).all(|(a, b)| (a - b).abs() < 1e-4), "{single:?} {double:?}");
     }

@@ -8,7 +8,7 @@ use crate::common::learning::{Small, assert_learns, assert_precisions_agree, ass
 use crate::common::program::{refuse, succeed};
 use crate::common::{flat, tiny_config, tiny_scene};
 use augnerf::data::{RayBuffer, RayParts};
-use augnerf::methods::{NeuralVolume, Painter, VolumePainter};
+use augnerf::methods::{NeuralVolume, Renderer, VolumeRenderer};
 use augnerf::run::load_scene;
 use augnerf::settings::{Method, PixelOrigin, Preset, Resolved, VolumeCode, VolumeConfig, build, parse_assignment};
 use candle_core::{DType, Device};
@@ -56,9 +56,9 @@ fn pictures_are_of_the_box() {
     let pixels: Vec<_> = (0..16).map(|i| (camera, i, 15 - i)).collect();
     let rays = RayBuffer::new(&pixels, None, PixelOrigin::Corner, RayParts::default());
     let volume = NeuralVolume::init(&config, DType::F32, &Device::Cpu).unwrap();
-    let painter = VolumePainter::new(&volume, &config, &scene).unwrap();
-    let painted = painter.paint(&rays.to_tensors(DType::F32, &Device::Cpu).unwrap()).unwrap();
-    let [rgb, depth, acc] = [painted.rgb, painted.depth, painted.acc].map(|tensor| flat(&tensor));
+    let renderer = VolumeRenderer::new(&volume, &config, &scene).unwrap();
+    let rendered = renderer.render(&rays.to_tensors(DType::F32, &Device::Cpu).unwrap()).unwrap();
+    let [rgb, depth, acc] = [rendered.rgb, rendered.depth, rendered.acc].map(|tensor| flat(&tensor));
     assert!(rgb.iter().all(|value| (0.0..=1.0).contains(value)), "{rgb:?}");
     // A decoder begins with opacities around ln 2: rays through the box are more than half full.
     assert!(acc.iter().all(|acc| (0.0..=1.0).contains(acc)) && acc.iter().any(|acc| *acc > 0.5), "{acc:?}");

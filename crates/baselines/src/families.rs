@@ -7,11 +7,11 @@ use candle_core::{DType, Device, Tensor, Var};
 use crate::base::Result;
 use crate::data::Scene;
 use crate::field::Density;
-use crate::methods::{Family, Learner, Network, Painter};
+use crate::methods::{Family, Learner, Network, Renderer};
 use crate::planes::{MpiNetwork, PlanesLearner};
 use crate::settings::{Config, Representation, Resolved};
-use crate::srn::{Srn, SrnLearner, SrnPainter};
-use crate::volume::{NeuralVolume, VolumeDensity, VolumeLearner, VolumePainter};
+use crate::srn::{Srn, SrnLearner, SrnRenderer};
+use crate::volume::{NeuralVolume, VolumeDensity, VolumeLearner, VolumeRenderer};
 
 /// Returns how the parameters of a representation are made, or `None` if it is no baseline's.
 pub fn family(representation: Representation) -> Option<&'static dyn Family> {
@@ -52,8 +52,8 @@ impl Network for Srn {
         Ok(Box::new(SrnLearner::new(config, scene, self.clone(), dtype, device)?))
     }
 
-    fn painter(&self, _: &Config, _: &Scene) -> Result<Box<dyn Painter>> {
-        Ok(Box::new(SrnPainter::new(self)?))
+    fn renderer(&self, _: &Config, _: &Scene) -> Result<Box<dyn Renderer>> {
+        Ok(Box::new(SrnRenderer::new(self)?))
     }
 
     fn density(&self) -> Result<Option<Box<dyn Density>>> {
@@ -90,8 +90,8 @@ impl Network for NeuralVolume {
         Ok(Box::new(VolumeLearner::new(config, scene, self.clone(), dtype, device)?))
     }
 
-    fn painter(&self, config: &Config, scene: &Scene) -> Result<Box<dyn Painter>> {
-        Ok(Box::new(VolumePainter::new(self, config, scene)?))
+    fn renderer(&self, config: &Config, scene: &Scene) -> Result<Box<dyn Renderer>> {
+        Ok(Box::new(VolumeRenderer::new(self, config, scene)?))
     }
 
     fn density(&self) -> Result<Option<Box<dyn Density>>> {
@@ -132,8 +132,8 @@ impl Network for MpiNetwork {
         Ok(Box::new(PlanesLearner::start(config, scene, self.clone())?))
     }
 
-    fn painter(&self, config: &Config, scene: &Scene) -> Result<Box<dyn Painter>> {
-        Ok(Box::new(MpiNetwork::painter(self, config, scene)?))
+    fn renderer(&self, config: &Config, scene: &Scene) -> Result<Box<dyn Renderer>> {
+        Ok(Box::new(MpiNetwork::renderer(self, config, scene)?))
     }
 
     fn density(&self) -> Result<Option<Box<dyn Density>>> {

@@ -1,6 +1,6 @@
 //! Methods that NeRF is compared with: Scene Representation Networks, Neural Volumes and the network of LLFF.
 //!
-//! Each has its parameters, a learner and a painter, as [`augnerf_core::methods`] asks for.
+//! Each has its parameters, a learner and a renderer, as [`augnerf_core::methods`] asks for.
 
 #![warn(missing_docs)]
 
@@ -13,6 +13,6 @@ mod srn;
 mod volume;
 
 pub use families::family;
-pub use planes::{MpiNetwork, PlanesLearner, PlanesPainter};
-pub use srn::{March, Srn, SrnLearner, SrnPainter};
-pub use volume::{NeuralVolume, VolumeDensity, VolumeLearner, VolumePainter};
+pub use planes::{MpiNetwork, PlanesLearner, PlanesRenderer};
+pub use srn::{Srn, SrnLearner, SrnMarch, SrnRenderer};
+pub use volume::{NeuralVolume, VolumeDensity, VolumeLearner, VolumeRenderer};

@@ -120,7 +120,7 @@ pub fn scene() -> Scene {
         background: None,
         path: vec![],
         corrupted: None,
-        place: Default::default(),
+        space: Default::default(),
     }
 }
 

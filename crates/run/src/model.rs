@@ -7,8 +7,8 @@ use candle_core::{DType, Device, Tensor, Var};
 use crate::base::{Error, Result};
 use crate::data::Scene;
 use crate::field::{Density, FieldDensity};
-use crate::methods::{Family, FieldLearner, FieldPainter, Fields, Learner, Network, Painter};
-use crate::settings::{Ability, Config, Representation, Resolved};
+use crate::methods::{Family, FieldLearner, FieldRenderer, Fields, Learner, Network, Renderer};
+use crate::settings::{Capability, Config, Representation, Resolved};
 
 /// The parameters of one experiment.
 #[derive(Clone)]
@@ -123,10 +123,10 @@ impl Model {
     ///
     /// # Errors
     /// Weights that are not numbers; those of candle.
-    pub fn painter(&self, config: &Config, scene: &Scene) -> Result<Box<dyn Painter>> {
+    pub fn renderer(&self, config: &Config, scene: &Scene) -> Result<Box<dyn Renderer>> {
         match self {
-            Model::Fields(fields) => Ok(Box::new(FieldPainter::new(fields, config, scene)?)),
-            Model::Baseline(_, network) => network.painter(config, scene),
+            Model::Fields(fields) => Ok(Box::new(FieldRenderer::new(fields, config, scene)?)),
+            Model::Baseline(_, network) => network.renderer(config, scene),
         }
     }
 
@@ -139,7 +139,7 @@ impl Model {
             Model::Fields(fields) => Ok(Box::new(FieldDensity::new(fields.evaluated())?)),
             Model::Baseline(representation, network) => {
                 let density = network.density()?;
-                density.ok_or_else(|| unsupported(*representation, Ability::Density, "there is no density"))
+                density.ok_or_else(|| unsupported(*representation, Capability::Density, "there is no density"))
             }
         }
     }
@@ -152,7 +152,7 @@ impl Model {
         match self {
             Model::Fields(fields) => Ok(fields),
             Model::Baseline(representation, _) => {
-                Err(unsupported(*representation, Ability::Samples, "there are no radiance fields"))
+                Err(unsupported(*representation, Capability::Samples, "there are no radiance fields"))
             }
         }
     }
@@ -161,8 +161,8 @@ impl Model {
 /// Returns the error for an operation that the representation does not support.
 ///
 /// # Panics
-/// If the representation has the ability.
-fn unsupported(representation: Representation, ability: Ability, what: &str) -> Error {
-    let why = representation.lacks(ability).expect("an ability that it lacks");
+/// If the representation has the capability.
+fn unsupported(representation: Representation, capability: Capability, what: &str) -> Error {
+    let why = representation.lacks(capability).expect("a capability that it lacks");
     Error::Config(format!("{what}: {why}"))
 }

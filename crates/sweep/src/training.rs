@@ -145,13 +145,13 @@ impl Trainings<'_> {
             let rows = (2 * self.runtime.threads() * config.eval.chunk).div_ceil(camera.width);
             camera.height = rows.min(view.camera.height);
             let viewer = Viewer { model: trainer.model(), config: &config, scene: &scene, runtime: &self.runtime };
-            let painter = viewer.painter()?;
+            let renderer = viewer.renderer()?;
             let timed = || -> Result<f64> {
                 let started = Instant::now();
-                viewer.render_with(&*painter, &camera)?;
+                viewer.render_with(&*renderer, &camera)?;
                 Ok(started.elapsed().as_secs_f64())
             };
-            // What a painter prepares for a view is there the second time.
+            // What a renderer prepares for a view is there the second time.
             let (first, rows_alone) = (timed()?, timed()?);
             let rays = (view.camera.height as f64 / camera.height as f64) * rows_alone;
             let preparing = (first - rows_alone).max(0.0);

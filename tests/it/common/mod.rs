@@ -45,7 +45,7 @@ pub fn tiny_scene() -> Scene {
         background: Some([1.0; 3]),
         path: vec![],
         corrupted: None,
-        place: Default::default(),
+        space: Default::default(),
     }
 }
 

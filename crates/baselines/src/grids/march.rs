@@ -14,7 +14,7 @@ use rayon::prelude::*;
 
 use crate::base::rng::{Random, Stream};
 
-use super::trilinear::{Corner, Lattice, Outside, PARTS, Place};
+use super::trilinear::{Corner, Lattice, Location, Outside, PARTS};
 use super::values::{Values, each_kind, slice, summed};
 
 /// Channels of a volume: red, green, blue, opacity per length.
@@ -197,9 +197,9 @@ struct Sample<T> {
     t: T,
     step: T,
     /// Among the warp's cells.
-    warped: Option<Place<T>>,
+    warped: Option<Location<T>>,
     /// Among the template's.
-    place: Place<T>,
+    place: Location<T>,
     value: [T; CHANNELS],
     /// Accumulation before and after.
     before: T,
@@ -279,7 +279,7 @@ impl Marched {
 
 /// The mean of the corners' channels.
 #[inline(always)]
-fn mixed<T: WithDType, const C: usize>(place: &Place<T>, grid: &[T]) -> [T; C] {
+fn mixed<T: WithDType, const C: usize>(place: &Location<T>, grid: &[T]) -> [T; C] {
     let mut sum = [T::zero(); C];
     for Corner { cell, weight } in place.corners() {
         let values = &grid[cell * C..][..C];
@@ -289,7 +289,7 @@ fn mixed<T: WithDType, const C: usize>(place: &Place<T>, grid: &[T]) -> [T; C] {
 }
 
 /// The gradients in colour and opacity of each sample of a ray with this gradient: the closed form.
-fn pulls<T: WithDType>(samples: &[Sample<T>], gradient: &[T]) -> impl Iterator<Item = [T; CHANNELS]> {
+fn cotangents<T: WithDType>(samples: &[Sample<T>], gradient: &[T]) -> impl Iterator<Item = [T; CHANNELS]> {
     let [red, green, blue, acc, depth] = [0, 1, 2, 3, 4].map(|channel| gradient[channel]);
     // What a sample is worth to the loss where the ray takes all of it.
     let worth = move |sample: &Sample<T>| {
@@ -310,18 +310,18 @@ fn pulls<T: WithDType>(samples: &[Sample<T>], gradient: &[T]) -> impl Iterator<I
 
 /// Adds what a ray with this gradient adds to those of template and warp.
 fn back<T: WithDType>(samples: &[Sample<T>], gradient: &[T], template: &[T], d_template: &mut [T], d_warp: &mut [T]) {
-    for (sample, pull) in samples.iter().zip(pulls(samples, gradient)) {
-        if pull.iter().all(|pull| *pull == T::zero()) {
+    for (sample, cotangent) in samples.iter().zip(cotangents(samples, gradient)) {
+        if cotangent.iter().all(|cotangent| *cotangent == T::zero()) {
             continue;
         }
         for Corner { cell, weight } in sample.place.corners() {
             let sums = &mut d_template[cell * CHANNELS..][..CHANNELS];
-            (0..CHANNELS).for_each(|channel| sums[channel] += weight * pull[channel]);
+            (0..CHANNELS).for_each(|channel| sums[channel] += weight * cotangent[channel]);
         }
         let Some(warped) = &sample.warped else { continue };
         let d_point = sample.place.slope(|cell| {
             let values = &template[cell * CHANNELS..][..CHANNELS];
-            (0..CHANNELS).fold(T::zero(), |sum, channel| sum + pull[channel] * values[channel])
+            (0..CHANNELS).fold(T::zero(), |sum, channel| sum + cotangent[channel] * values[channel])
         });
         for Corner { cell, weight } in warped.corners() {
             let sums = &mut d_warp[cell * 3..][..3];

@@ -4,16 +4,16 @@
 //! backward pass of its own whose sums have a fixed order, and a plain one in candle's terms for other devices, which tests
 //! hold it to.
 
+pub mod alpha_over;
+pub mod blend_views;
+pub mod conv3d;
 pub mod march;
-pub mod mix;
 pub mod norm;
-pub mod over;
 pub mod planes;
 #[cfg(test)]
 pub(crate) mod reference;
 pub mod softplus;
-pub mod taps;
 pub mod trilinear;
-pub mod up;
+pub mod upsample;
 mod values;
 pub mod variation;

@@ -15,7 +15,7 @@ use super::values::{Values, slice};
 
 /// What has a mean and a variance in common.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Together {
+pub enum NormGroup {
     /// The channels at one place (PyTorch's `LayerNorm` over the last axis).
     Channels,
     /// All places and channels of one sample, an entry of the first axis (TensorFlow slim's `layer_norm`).
@@ -26,7 +26,7 @@ pub enum Together {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LayerNorm {
     /// What has a mean and a variance in common.
-    pub together: Together,
+    pub group: NormGroup,
     /// Is added to variances.
     pub epsilon: f64,
     /// Negative results become 0.
@@ -61,9 +61,9 @@ impl LayerNorm {
     /// # Errors
     /// Those of candle.
     pub fn reference(&self, x: &Tensor, scale: &Tensor, shift: &Tensor) -> Result<Tensor> {
-        let groups = match self.together {
-            Together::Channels => x.flatten_to(D::Minus2)?,
-            Together::Sample => x.flatten_from(1)?,
+        let groups = match self.group {
+            NormGroup::Channels => x.flatten_to(D::Minus2)?,
+            NormGroup::Sample => x.flatten_from(1)?,
         };
         let centred = groups.broadcast_sub(&groups.mean_keepdim(1)?)?;
         let deviation = (centred.sqr()?.mean_keepdim(1)? + self.epsilon)?.sqrt()?;
@@ -119,12 +119,12 @@ struct Cut {
 }
 
 impl Cut {
-    fn new(together: Together, shape: &Shape) -> Result<Cut> {
+    fn new(group: NormGroup, shape: &Shape) -> Result<Cut> {
         let dims = shape.dims();
         let channels = dims.last().copied().unwrap_or(0);
-        let group = match together {
-            Together::Channels => channels,
-            Together::Sample => dims.iter().skip(1).product(),
+        let group = match group {
+            NormGroup::Channels => channels,
+            NormGroup::Sample => dims.iter().skip(1).product(),
         };
         if group == 0 || dims.len() < 2 {
             candle_core::bail!("layer norm: there is nothing to normalise in {shape:?}");
@@ -173,18 +173,18 @@ impl Normalise {
     fn backward<T: Number>(&self, cut: Cut, [x, y, dy]: [&[T]; 3], scale: &[T]) -> [Vec<T>; 3] {
         let moments = self.moments.lock().unwrap_or_else(PoisonError::into_inner);
         let mut dx = vec![T::ZERO; x.len()];
-        let of_part = |(part, dx): (usize, &mut [T])| -> Pull {
-            let mut pull = Pull::none(cut.channels);
+        let of_part = |(part, dx): (usize, &mut [T])| -> Gradients {
+            let mut gradients = Gradients::none(cut.channels);
             for (i, dx) in dx.chunks_mut(cut.group).enumerate() {
                 let first = part * cut.part + i * cut.group;
                 let [x, y, dy] = [x, y, dy].map(|values| &values[first..first + cut.group]);
                 let back = Back { x, y, dy, moments: moments[first / cut.group], relu: self.norm.relu, cut };
-                pull.add(&back.group(scale, dx));
+                gradients.add(&back.group(scale, dx));
             }
-            pull
+            gradients
         };
-        let parts: Vec<Pull> = dx.par_chunks_mut(cut.part).enumerate().map(of_part).collect();
-        let Pull { scale, shift } = Pull::sum(cut.channels, &parts);
+        let parts: Vec<Gradients> = dx.par_chunks_mut(cut.part).enumerate().map(of_part).collect();
+        let Gradients { scale, shift } = Gradients::sum(cut.channels, &parts);
         let numbers = |sums: Vec<f64>| sums.into_iter().map(T::of).collect();
         [dx, numbers(scale), numbers(shift)]
     }
@@ -193,7 +193,7 @@ impl Normalise {
 impl Normalise {
     /// Gradients of x, scale and shift.
     fn gradients<T: Number>(&self, x: &Tensor, scale: &Tensor, y: &Tensor, dy: &Tensor) -> Result<[Tensor; 3]> {
-        let cut = Cut::new(self.norm.together, x.shape())?;
+        let cut = Cut::new(self.norm.group, x.shape())?;
         let (y, dy) = (y.contiguous()?, dy.contiguous()?);
         let [of_x, of_y, of_dy, of_scale] = [x, &y, &dy, scale].map(Values::of);
         let all = [of_x.slice::<T>()?, of_y.slice()?, of_dy.slice()?];
@@ -204,23 +204,23 @@ impl Normalise {
 }
 
 /// Gradients of scale and shift, `[channels]` each.
-struct Pull {
+struct Gradients {
     scale: Vec<f64>,
     shift: Vec<f64>,
 }
 
-impl Pull {
-    fn none(channels: usize) -> Pull {
-        Pull { scale: vec![0.0; channels], shift: vec![0.0; channels] }
+impl Gradients {
+    fn none(channels: usize) -> Gradients {
+        Gradients { scale: vec![0.0; channels], shift: vec![0.0; channels] }
     }
 
-    fn sum(channels: usize, parts: &[Pull]) -> Pull {
-        let mut sum = Pull::none(channels);
+    fn sum(channels: usize, parts: &[Gradients]) -> Gradients {
+        let mut sum = Gradients::none(channels);
         parts.iter().for_each(|part| sum.add(part));
         sum
     }
 
-    fn add(&mut self, other: &Pull) {
+    fn add(&mut self, other: &Gradients) {
         self.scale.iter_mut().zip(&other.scale).for_each(|(sum, value)| *sum += value);
         self.shift.iter_mut().zip(&other.shift).for_each(|(sum, value)| *sum += value);
     }
@@ -238,21 +238,21 @@ struct Back<'a, T> {
 
 impl<T: Number> Back<'_, T> {
     /// Writes the gradient of x and returns the others.
-    fn group(&self, scale: &[T], dx: &mut [T]) -> Pull {
+    fn group(&self, scale: &[T], dx: &mut [T]) -> Gradients {
         let (channels, block, count) = (self.cut.channels, self.cut.block(), self.x.len() as f64);
         let blocks = self.x.par_chunks(block).zip(self.y.par_chunks(block)).zip(self.dy.par_chunks(block));
-        let pulls: Vec<Pull> = blocks.clone().map(|((x, y), dy)| self.pull(x, y, dy)).collect();
-        let pull = Pull::sum(channels, &pulls);
+        let parts: Vec<Gradients> = blocks.clone().map(|((x, y), dy)| self.gradients(x, y, dy)).collect();
+        let gradients = Gradients::sum(channels, &parts);
         let weighted = |sums: &[f64]| sums.iter().zip(scale).map(|(sum, scale)| sum * (*scale).into()).sum::<f64>();
-        let means = [weighted(&pull.shift) / count, weighted(&pull.scale) / count];
+        let means = [weighted(&gradients.shift) / count, weighted(&gradients.scale) / count];
         let blocks = blocks.zip(dx.par_chunks_mut(block));
         blocks.for_each(|(((x, y), dy), dx)| self.input(x, y, dy, (scale, means), dx));
-        pull
+        gradients
     }
 
     /// A block's part of the gradients of scale and shift.
-    fn pull(&self, x: &[T], y: &[T], dy: &[T]) -> Pull {
-        let (mut sums, channels) = (Pull::none(self.cut.channels), self.cut.channels);
+    fn gradients(&self, x: &[T], y: &[T], dy: &[T]) -> Gradients {
+        let (mut sums, channels) = (Gradients::none(self.cut.channels), self.cut.channels);
         let Moments { mean, inverse } = self.moments;
         vectorized(
             #[inline(always)]
@@ -352,7 +352,7 @@ impl CustomOp3 for Normalise {
         shift_layout: &Layout,
     ) -> Result<(CpuStorage, Shape)> {
         let shape = x_layout.shape();
-        let cut = Cut::new(self.norm.together, shape)?;
+        let cut = Cut::new(self.norm.group, shape)?;
         let y = match x {
             CpuStorage::F32(_) => {
                 let (scale, shift) = (slice(scale, scale_layout)?, slice(shift, shift_layout)?);

@@ -16,14 +16,14 @@ const PART: usize = 256;
 /// Where rays meet planes: a column and a row in pixels for each ray and plane, `[rays, planes]`; (0, 0) is the middle of the
 /// first pixel. Not a number where a ray meets nothing.
 #[derive(Clone, Debug, Default)]
-pub struct Places {
+pub struct Locations {
     /// Planes of each ray.
     pub planes: usize,
     /// Row after row of planes.
     pub of_rays: Vec<[f64; 2]>,
 }
 
-impl Places {
+impl Locations {
     /// Rays.
     pub fn rays(&self) -> usize {
         self.of_rays.len().checked_div(self.planes).unwrap_or(0)
@@ -59,8 +59,8 @@ pub fn corners([column, row]: [f64; 2], width: usize, height: usize) -> [Corner;
 /// bits whatever the number of threads.
 ///
 /// # Errors
-/// Places of another number of planes; those of candle.
-pub fn plane_sample(planes: &Tensor, places: Arc<Places>) -> Result<Tensor> {
+/// Locations of another number of planes; those of candle.
+pub fn plane_sample(planes: &Tensor, places: Arc<Locations>) -> Result<Tensor> {
     let (count, _, _, _) = planes.dims4()?;
     if count != places.planes || !places.of_rays.len().is_multiple_of(count.max(1)) {
         candle_core::bail!("plane sample: {count} planes and places of {}", places.planes);
@@ -72,7 +72,7 @@ pub fn plane_sample(planes: &Tensor, places: Arc<Places>) -> Result<Tensor> {
 }
 
 /// The same in candle's own operations: the sum over four corners.
-fn plain(planes: &Tensor, places: &Places) -> Result<Tensor> {
+fn plain(planes: &Tensor, places: &Locations) -> Result<Tensor> {
     let (count, height, width, channels) = planes.dims4()?;
     let pixels = planes.contiguous()?.reshape((count * height * width, channels))?;
     let corners: Vec<[Corner; 4]> = places.of_rays.iter().map(|place| corners(*place, width, height)).collect();
@@ -89,7 +89,7 @@ fn plain(planes: &Tensor, places: &Places) -> Result<Tensor> {
 }
 
 struct PlaneSample {
-    places: Arc<Places>,
+    places: Arc<Locations>,
 }
 
 impl PlaneSample {
@@ -115,16 +115,20 @@ impl PlaneSample {
     }
 
     /// Each plane is a thread's own, and takes its rays in their order.
-    fn backward<T: WithDType>(&self, pull: &[T], (_, height, width, channels): (usize, usize, usize, usize)) -> Vec<T> {
+    fn backward<T: WithDType>(
+        &self,
+        cotangent: &[T],
+        (_, height, width, channels): (usize, usize, usize, usize),
+    ) -> Vec<T> {
         let (count, size) = (self.places.planes, height * width * channels);
         let mut out = vec![T::from_f64(0.0); count * size];
         out.par_chunks_mut(size).enumerate().for_each(|(k, plane)| {
             for (ray, places) in self.places.of_rays.chunks_exact(count).enumerate() {
-                let pull = &pull[(ray * count + k) * channels..][..channels];
+                let cotangent = &cotangent[(ray * count + k) * channels..][..channels];
                 for (pixel, share) in corners(places[k], width, height) {
                     let share = T::from_f64(share);
                     let pixel = &mut plane[pixel * channels..][..channels];
-                    pixel.iter_mut().zip(pull).for_each(|(sum, pull)| *sum += share * *pull);
+                    pixel.iter_mut().zip(cotangent).for_each(|(sum, cotangent)| *sum += share * *cotangent);
                 }
             }
         });
@@ -146,10 +150,10 @@ impl CustomOp1 for PlaneSample {
         Ok((out, Shape::from((self.places.rays(), dims.0, dims.3))))
     }
 
-    fn bwd(&self, planes: &Tensor, _out: &Tensor, pull: &Tensor) -> Result<Option<Tensor>> {
-        let (dims, pull) = (planes.dims4()?, pull.contiguous()?);
-        let values = Values::of(&pull);
-        Ok(Some(match pull.dtype() {
+    fn bwd(&self, planes: &Tensor, _out: &Tensor, cotangent: &Tensor) -> Result<Option<Tensor>> {
+        let (dims, cotangent) = (planes.dims4()?, cotangent.contiguous()?);
+        let values = Values::of(&cotangent);
+        Ok(Some(match cotangent.dtype() {
             DType::F64 => Tensor::from_vec(self.backward::<f64>(values.slice()?, dims), dims, planes.device())?,
             _ => Tensor::from_vec(self.backward::<f32>(values.slice()?, dims), dims, planes.device())?,
         }))

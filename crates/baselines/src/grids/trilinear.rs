@@ -38,7 +38,7 @@ pub(super) struct Lattice {
 }
 
 /// A point among the cells.
-pub(super) struct Place<T> {
+pub(super) struct Location<T> {
     /// Of the corner before the point, along z, y, x.
     low: [isize; 3],
     /// How far the point is beyond it, 0..1.
@@ -55,7 +55,7 @@ impl Lattice {
 
     /// Where the point x, y, z is.
     #[inline(always)]
-    pub(super) fn place<T: WithDType>(&self, point: [T; 3]) -> Place<T> {
+    pub(super) fn place<T: WithDType>(&self, point: [T; 3]) -> Location<T> {
         let along: [(isize, T, T); 3] = std::array::from_fn(|axis| {
             let last = (self.sides[axis] - 1) as f64;
             let at = (point[2 - axis].to_f64() + 1.0) * 0.5 * last;
@@ -68,7 +68,7 @@ impl Lattice {
             let scale = if free { 0.5 * last } else { 0.0 };
             (held.floor() as isize, T::from_f64(held - held.floor()), T::from_f64(scale))
         });
-        Place {
+        Location {
             low: along.map(|(low, ..)| low),
             part: along.map(|(_, part, _)| part),
             scale: along.map(|(.., scale)| scale),
@@ -77,7 +77,7 @@ impl Lattice {
     }
 }
 
-impl<T: WithDType> Place<T> {
+impl<T: WithDType> Location<T> {
     /// Weight of the nearer (0) or farther (1) cells along an axis.
     #[inline(always)]
     fn along(&self, axis: usize, side: usize) -> T {
@@ -219,11 +219,11 @@ impl Sampled {
         work.zip(gradient.par_chunks(channels * POINTS)).for_each(|((out, points), gradient)| {
             let rows = out.chunks_exact_mut(3).zip(points.chunks_exact(3)).zip(gradient.chunks_exact(channels));
             for ((out, at), gradient) in rows {
-                let pulled = |cell: usize| {
+                let dot = |cell: usize| {
                     let values = &grid[cell * channels..][..channels];
                     values.iter().zip(gradient).fold(T::zero(), |sum, (value, gradient)| sum + *value * *gradient)
                 };
-                out.copy_from_slice(&self.lattice.place(point(at)).slope(pulled));
+                out.copy_from_slice(&self.lattice.place(point(at)).slope(dot));
             }
         });
         out
@@ -261,10 +261,10 @@ impl CustomOp2 for Sampled {
         let gradient = gradient.contiguous()?;
         each_kind!(grid.dtype(), T => {
             let (of_grid, of_points, of_gradient) = (Values::of(grid), Values::of(points), Values::of(&gradient));
-            let (values, at, pull) = (of_grid.slice::<T>()?, of_points.slice::<T>()?, of_gradient.slice::<T>()?);
+            let (values, at, cotangent) = (of_grid.slice::<T>()?, of_points.slice::<T>()?, of_gradient.slice::<T>()?);
             let like = |values: Vec<T>, tensor: &Tensor| Tensor::from_vec(values, tensor.shape(), &Device::Cpu);
-            let d_grid = self.wants_grid.then(|| like(self.grid_gradient(at, pull, channels), grid));
-            let d_points = self.wants_points.then(|| like(self.point_gradient(values, at, pull, channels), points));
+            let d_grid = self.wants_grid.then(|| like(self.grid_gradient(at, cotangent, channels), grid));
+            let d_points = self.wants_points.then(|| like(self.point_gradient(values, at, cotangent, channels), points));
             Ok((d_grid.transpose()?, d_points.transpose()?))
         })
     }

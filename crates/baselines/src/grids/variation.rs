@@ -83,7 +83,7 @@ impl Variation {
         (roots, sums.into_iter().sum::<f64>() / self.cells())
     }
 
-    fn gradient<T: WithDType>(&self, template: &[T], pull: f64) -> Vec<T> {
+    fn gradient<T: WithDType>(&self, template: &[T], cotangent: f64) -> Vec<T> {
         let logarithms = self.logarithms(template);
         let (roots, _) = self.roots(&logarithms);
         let slope = |cell: usize| {
@@ -102,7 +102,7 @@ impl Variation {
         let mut out = vec![T::zero(); template.len()];
         out.par_chunks_mut(self.channels).enumerate().with_min_len(1 << 12).for_each(|(cell, out)| {
             let opacity = template[(cell + 1) * self.channels - 1].to_f64();
-            out[self.channels - 1] = T::from_f64(pull * slope(cell) / ((EPSILON + opacity) * self.cells()));
+            out[self.channels - 1] = T::from_f64(cotangent * slope(cell) / ((EPSILON + opacity) * self.cells()));
         });
         out
     }
@@ -122,10 +122,10 @@ impl CustomOp1 for Variation {
     }
 
     fn bwd(&self, template: &Tensor, _out: &Tensor, gradient: &Tensor) -> Result<Option<Tensor>> {
-        let pull = gradient.to_dtype(DType::F64)?.to_scalar::<f64>()?;
+        let cotangent = gradient.to_dtype(DType::F64)?.to_scalar::<f64>()?;
         each_kind!(template.dtype(), T => {
             let values = Values::of(template);
-            let out = self.gradient(values.slice::<T>()?, pull);
+            let out = self.gradient(values.slice::<T>()?, cotangent);
             Ok(Some(Tensor::from_vec(out, template.shape(), &Device::Cpu)?))
         })
     }

@@ -5,7 +5,7 @@ use candle_core::Tensor;
 use crate::base::Result;
 use crate::base::tensors::sum;
 
-use super::geometry::Eye;
+use super::geometry::Viewpoint;
 
 /// What is added to the sum of weights that colours are divided by (the authors' code).
 pub const LEAST: f64 = 1e-10;
@@ -15,7 +15,7 @@ pub const EMPTY: f64 = 1e-3;
 
 /// What a view at distance l counts beside the nearest: `exp(-(l - nearest) f / (planes near))`, f in pixels. LLFF's own weight
 /// has no nearest: it is the same up to a factor that the blend divides out, without the underflow far away.
-pub fn blend_weight(eye: &Eye, distance: f64, nearest: f64, depths: &[f64]) -> f64 {
+pub fn blend_weight(eye: &Viewpoint, distance: f64, nearest: f64, depths: &[f64]) -> f64 {
     let near = depths[depths.len() - 1];
     (-(distance - nearest) * eye.camera.focal[0] / (depths.len() as f64 * near)).exp()
 }

@@ -3,7 +3,7 @@
 use crate::data::Camera;
 use crate::data::pose::{Pose, column};
 use crate::data::vector::{Vec3, dot, sub};
-use crate::grids::planes::Places;
+use crate::grids::planes::Locations;
 
 /// Depths of planes from `far` to `near`, at equal distances in disparity: LLFF's number 0 is the farthest.
 pub fn depths(near: f64, far: f64, planes: usize) -> Vec<f64> {
@@ -18,14 +18,14 @@ fn turned(pose: &Pose, v: Vec3) -> Vec3 {
 
 /// A camera whose pixels are counted from the middle of the first: `shift` says where that is.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Eye {
+pub struct Viewpoint {
     /// What the scene says of it.
     pub camera: Camera,
     /// Pixel coordinates of the middle of the first pixel.
     pub shift: f64,
 }
 
-impl Eye {
+impl Viewpoint {
     /// Where it is.
     pub fn place(&self) -> Vec3 {
         column(&self.camera.pose, 3)
@@ -60,12 +60,12 @@ impl Eye {
     }
 
     /// The same of many rays, without t.
-    pub fn places(&self, rays: &[(Vec3, Vec3)], depths: &[f64]) -> Places {
+    pub fn places(&self, rays: &[(Vec3, Vec3)], depths: &[f64]) -> Locations {
         let mut of_rays = vec![[f64::NAN; 2]; rays.len() * depths.len()];
         for ((origin, direction), places) in rays.iter().zip(of_rays.chunks_exact_mut(depths.len())) {
             self.hits(*origin, *direction, depths, |k, pixel, _| places[k] = pixel);
         }
-        Places { planes: depths.len(), of_rays }
+        Locations { planes: depths.len(), of_rays }
     }
 }
 
@@ -75,12 +75,12 @@ pub struct Homography {
     base: Vec3,
     per_column: Vec3,
     per_row: Vec3,
-    seen_by: Eye,
+    seen_by: Viewpoint,
 }
 
 impl Homography {
     /// Of `seen_by` for the plane at `depth` of `own`.
-    pub fn new(own: &Eye, seen_by: &Eye, depth: f64) -> Homography {
+    pub fn new(own: &Viewpoint, seen_by: &Viewpoint, depth: f64) -> Homography {
         let direction = |pixel: [f64; 2]| own.ray(pixel).1;
         let (origin, first) = own.ray([0.0, 0.0]);
         let pose = &seen_by.camera.pose;
@@ -103,8 +103,8 @@ impl Homography {
 }
 
 /// Views by their distance from `place`, nearest first; of equally far ones the first.
-pub fn nearest(eyes: &[Eye], place: Vec3) -> Vec<(usize, f64)> {
-    let distance = |eye: &Eye| dot(sub(eye.place(), place), sub(eye.place(), place)).sqrt();
+pub fn nearest(eyes: &[Viewpoint], place: Vec3) -> Vec<(usize, f64)> {
+    let distance = |eye: &Viewpoint| dot(sub(eye.place(), place), sub(eye.place(), place)).sqrt();
     let mut all: Vec<(usize, f64)> = eyes.iter().map(distance).enumerate().collect();
     all.sort_by(|a, b| a.1.total_cmp(&b.1));
     all
@@ -112,7 +112,7 @@ pub fn nearest(eyes: &[Eye], place: Vec3) -> Vec<(usize, f64)> {
 
 /// The views that the network sees for the planes of view `own`: itself and the nearest others of `eyes`, without `left_out`;
 /// where there are too few, itself again.
-pub fn inputs_of(eyes: &[Eye], own: usize, count: usize, left_out: Option<usize>) -> Vec<usize> {
+pub fn inputs_of(eyes: &[Viewpoint], own: usize, count: usize, left_out: Option<usize>) -> Vec<usize> {
     let others = nearest(eyes, eyes[own].place()).into_iter().map(|(view, _)| view);
     let others = others.filter(|view| *view != own && Some(*view) != left_out);
     std::iter::once(own).chain(others).chain(std::iter::repeat(own)).take(count).collect()

@@ -4,17 +4,17 @@ use candle_core::{D, DType, Tensor, Var};
 
 use crate::base::{Error, Image, Result};
 use crate::data::Scene;
-use crate::grids::mix::mix;
-use crate::grids::over::over;
+use crate::grids::alpha_over::alpha_over;
+use crate::grids::blend_views::blend_views;
 use crate::grids::planes::plane_sample;
 use crate::losses::LossTerm;
 use crate::methods::Gradients;
-use crate::methods::{Learned, Learner, LogColumns, Term, UnlessStopped};
+use crate::methods::{Learner, LogColumns, StepResult, StopCheck, Term};
 use crate::settings::{PlanesLoss, Resolved};
 
 use super::blend::{Blended, blend, blend_weight};
-use super::geometry::{Eye, inputs_of};
-use super::mpi::{Seen, eyes};
+use super::geometry::{Viewpoint, inputs_of};
+use super::mpi::{SourceView, eyes};
 use super::network::{MpiNetwork, Weights};
 use super::stage::Stage;
 use super::sweep::sweep;
@@ -63,10 +63,10 @@ impl PlanesLearner {
     }
 
     /// What is blended of the references' planes on the crop.
-    fn blended(&self, weights: &Weights, work: &Work, unless_stopped: &UnlessStopped) -> Result<Blended> {
+    fn blended(&self, weights: &Weights, work: &Work, stop_check: &StopCheck) -> Result<Blended> {
         let nearest = work.references.iter().map(|reference| reference.distance).fold(f64::INFINITY, f64::min);
         let rendering = |reference: &Reference| -> Result<(Tensor, f64)> {
-            unless_stopped()?;
+            stop_check()?;
             let eye = &self.stage.views[reference.view].eye;
             let weight = blend_weight(eye, reference.distance, nearest, &self.stage.depths);
             Ok((self.seen(weights, reference, work.target)?, weight))
@@ -78,11 +78,12 @@ impl PlanesLearner {
     fn seen(&self, weights: &Weights, reference: &Reference, target: usize) -> Result<Tensor> {
         let Stage { views, depths, .. } = &self.stage;
         let inputs = inputs_of(&eyes(views), reference.view, self.config.llff.inputs, Some(target));
-        let seen: Vec<(&Eye, &Image)> = inputs.iter().map(|&view| (&views[view].eye, &*views[view].image)).collect();
+        let seen: Vec<(&Viewpoint, &Image)> =
+            inputs.iter().map(|&view| (&views[view].eye, &*views[view].image)).collect();
         let (dtype, device) = (self.network.dtype(), self.network.device());
         let volume = sweep(&views[reference.view].eye, &seen, depths, reference.window, dtype, device)?;
-        let planes = mix(&weights.forward(&volume)?, &volume)?;
-        Ok(over(&plane_sample(&planes, reference.places.clone())?)?)
+        let planes = blend_views(&weights.forward(&volume)?, &volume)?;
+        Ok(alpha_over(&plane_sample(&planes, reference.places.clone())?)?)
     }
 
     /// The mean over counted pixels of what `per_number` gives, `[rays, 3]`.
@@ -95,7 +96,7 @@ impl PlanesLearner {
 
     /// The true colours of the crop, `[rays, 3]`.
     fn target(&self, work: &Work) -> Result<Tensor> {
-        let Seen { image, .. } = &self.stage.views[work.target];
+        let SourceView { image, .. } = &self.stage.views[work.target];
         let pixel = |[column, row]: &[usize; 2]| image.pixels[3 * (row * image.width + column)..][..3].to_vec();
         let values: Vec<f32> = work.pixels.iter().flat_map(pixel).collect();
         Ok(Tensor::from_vec(values, (work.pixels.len(), 3), self.network.device())?.to_dtype(self.network.dtype())?)
@@ -114,22 +115,22 @@ impl Learner for PlanesLearner {
         )))
     }
 
-    fn learn(&mut self, step: u64, _log: bool, unless_stopped: &UnlessStopped) -> Result<Learned> {
+    fn step(&mut self, step: u64, _log: bool, stop_check: &StopCheck) -> Result<StepResult> {
         let work = self.draw(step)?;
-        let blended = self.blended(&self.network.weights(true), &work, unless_stopped)?;
+        let blended = self.blended(&self.network.weights(true), &work, stop_check)?;
         let difference = (&blended.rgb - self.target(&work)?)?;
         let square = self.mean(&difference.sqr()?, &work)?;
         let loss = match self.config.llff.loss {
             PlanesLoss::Mse => square.clone(),
             PlanesLoss::L1 => self.mean(&difference.abs()?, &work)?,
         };
-        unless_stopped()?;
+        stop_check()?;
         let mut gradients = Gradients::none(self.variables.len());
         gradients.add(&self.variables, &loss.backward()?)?;
         let number = |tensor: &Tensor| tensor.to_dtype(DType::F64)?.to_scalar::<f64>();
         let value = number(&loss)?;
         let described = "loss of the view that is left out".to_string();
-        Ok(Learned {
+        Ok(StepResult {
             gradients,
             terms: vec![Term { name: LOSS.into(), described, value, weight: 1.0 }],
             loss: value,

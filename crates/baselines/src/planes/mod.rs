@@ -15,8 +15,8 @@ mod geometry;
 mod learner;
 mod mpi;
 mod network;
-mod painter;
 mod predict;
+mod renderer;
 mod stage;
 mod sweep;
 mod windows;
@@ -30,17 +30,17 @@ use crate::settings::Config;
 
 pub use learner::PlanesLearner;
 pub use network::MpiNetwork;
-pub use painter::PlanesPainter;
+pub use renderer::PlanesRenderer;
 
 impl MpiNetwork {
     /// What shows `scene` with the weights as they are now.
     ///
     /// # Errors
     /// A scene that the method cannot show; those of candle.
-    pub fn painter(&self, config: &Config, scene: &Scene) -> Result<PlanesPainter> {
+    pub fn renderer(&self, config: &Config, scene: &Scene) -> Result<PlanesRenderer> {
         let stage = stage::Stage::new(config, scene)?;
         let mpis = self.mpis(&stage.views, &stage.depths)?;
         let eyes = mpi::eyes(&stage.views);
-        Ok(PlanesPainter { mpis, eyes, blend: config.llff.blend, background: stage.background })
+        Ok(PlanesRenderer { mpis, eyes, blend: config.llff.blend, background: stage.background })
     }
 }

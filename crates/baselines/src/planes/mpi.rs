@@ -6,46 +6,46 @@ use candle_core::{DType, Tensor};
 
 use crate::base::{Image, Result};
 use crate::data::vector::Vec3;
-use crate::grids::over::Passing;
+use crate::grids::alpha_over::Passing;
 use crate::grids::planes::corners;
 
-use super::geometry::Eye;
+use super::geometry::Viewpoint;
 
 /// What LLFF adds to stored alphas.
 const ALPHA_FLOOR: f64 = 1e-8;
 
 /// A view that planes are made of.
 #[derive(Clone)]
-pub struct Seen {
+pub struct SourceView {
     /// Its camera.
-    pub eye: Eye,
+    pub eye: Viewpoint,
     /// Its picture.
     pub image: Arc<Image>,
 }
 
-impl Seen {
+impl SourceView {
     /// The same picture from the same place.
-    pub fn is(&self, other: &Seen) -> bool {
+    pub fn is(&self, other: &SourceView) -> bool {
         self.eye == other.eye && Arc::ptr_eq(&self.image, &other.image)
     }
 }
 
 /// Their cameras.
-pub fn eyes(views: &[Seen]) -> Vec<Eye> {
+pub fn eyes(views: &[SourceView]) -> Vec<Viewpoint> {
     views.iter().map(|view| view.eye).collect()
 }
 
 /// One view's planes.
 pub struct Mpi {
     /// Whose pixels they have.
-    pub eye: Eye,
+    pub eye: Viewpoint,
     /// RGBA, `[planes, height, width, 4]`, the farthest plane first, each number cut off to 8 bits.
     pub planes: Vec<u8>,
 }
 
 /// What a ray meets of a multiplane image.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Met {
+pub struct MpiSample {
     /// Colour times what it counts.
     pub rgb: [f64; 3],
     /// Sum of weights.
@@ -64,7 +64,7 @@ impl Mpi {
     ///
     /// # Errors
     /// Those of candle.
-    pub fn new(eye: Eye, rgba: &Tensor) -> Result<Mpi> {
+    pub fn new(eye: Viewpoint, rgba: &Tensor) -> Result<Mpi> {
         let (_, height, width, _) = rgba.dims4()?;
         let (rows, columns) = (eye.camera.height, eye.camera.width);
         let values = rgba.to_dtype(DType::F32)?.flatten_all()?.to_vec1::<f32>()?;
@@ -75,10 +75,10 @@ impl Mpi {
     }
 
     /// What a ray meets, from the nearest plane on.
-    pub fn meet(&self, origin: Vec3, direction: Vec3, depths: &[f64], places: &mut [([f64; 2], f64)]) -> Met {
+    pub fn sample(&self, origin: Vec3, direction: Vec3, depths: &[f64], places: &mut [([f64; 2], f64)]) -> MpiSample {
         self.eye.hits(origin, direction, depths, |k, pixel, t| places[k] = (pixel, t));
         let (width, height) = (self.eye.camera.width, self.eye.camera.height);
-        let (mut met, mut passing) = (Met::default(), Passing::default());
+        let (mut sample, mut passing) = (MpiSample::default(), Passing::default());
         for (plane, (pixel, t)) in self.planes.chunks_exact(4 * width * height).zip(&*places).rev() {
             let (mut colour, mut alpha) = ([0f64; 3], 0.0);
             for (pixel, share) in corners(*pixel, width, height) {
@@ -88,23 +88,23 @@ impl Mpi {
             }
             if alpha > 0.0 {
                 let weight = passing.weight(alpha);
-                met.rgb.iter_mut().zip(colour).for_each(|(sum, c)| *sum += weight * c);
-                met.acc += weight;
-                met.depth += weight * t;
+                sample.rgb.iter_mut().zip(colour).for_each(|(sum, c)| *sum += weight * c);
+                sample.acc += weight;
+                sample.depth += weight * t;
             }
         }
-        met
+        sample
     }
 }
 
 /// Predicts the multiplane image of one of some views, by its number, at some depths.
-pub type Predict = Box<dyn Fn(&[Seen], usize, &[f64]) -> Result<Mpi> + Send + Sync>;
+pub type Predict = Box<dyn Fn(&[SourceView], usize, &[f64]) -> Result<Mpi> + Send + Sync>;
 
 /// The multiplane images of a scene's training views by weights that stay, each predicted when it is first needed: a picture needs
 /// those next to its camera alone.
 pub struct Mpis {
     /// What they are made of.
-    pub views: Vec<Seen>,
+    pub views: Vec<SourceView>,
     /// Depths of the planes, the farthest first.
     pub depths: Vec<f64>,
     predict: Predict,
@@ -113,7 +113,7 @@ pub struct Mpis {
 
 impl Mpis {
     /// None of them predicted.
-    pub fn new(views: &[Seen], depths: &[f64], predict: Predict) -> Mpis {
+    pub fn new(views: &[SourceView], depths: &[f64], predict: Predict) -> Mpis {
         let predicted = views.iter().map(|_| OnceLock::new()).collect();
         Mpis { views: views.to_vec(), depths: depths.to_vec(), predict, predicted }
     }
@@ -137,7 +137,7 @@ impl Mpis {
     /// That of a view.
     ///
     /// # Errors
-    /// It was not made: rays are painted from where nothing was prepared.
+    /// It was not made: rays are rendered from where nothing was prepared.
     pub fn of(&self, view: usize) -> Result<&Mpi> {
         let missing = || candle_core::Error::Msg(format!("the planes of training view {view} are not prepared"));
         Ok(self.predicted[view].get().ok_or_else(missing)?)
@@ -145,7 +145,7 @@ impl Mpis {
 }
 
 /// Multiplane images with what they hang on.
-pub struct Kept {
+pub struct CachedMpis {
     /// Hash of the network's weights.
     pub weights: [u8; 32],
     /// The images.

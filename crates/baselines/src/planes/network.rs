@@ -10,18 +10,18 @@ use candle_core::{DType, Device, Tensor, Var};
 
 use crate::base::Result;
 use crate::base::rng::{Random, Stream};
-use crate::grids::norm::{LayerNorm, Together};
-use crate::grids::taps::TapProduct;
-use crate::grids::up;
+use crate::grids::conv3d::Conv3d;
+use crate::grids::norm::{LayerNorm, NormGroup};
+use crate::grids::upsample;
 use crate::settings::Config;
 
-use super::mpi::Kept;
+use super::mpi::CachedMpis;
 
 /// Taps of a convolution.
 const TAPS: usize = 27;
 
 /// slim's own normalisation.
-const NORM: LayerNorm = LayerNorm { together: Together::Sample, epsilon: 1e-12, relu: true };
+const NORM: LayerNorm = LayerNorm { group: NormGroup::Sample, epsilon: 1e-12, relu: true };
 
 /// Sides of a layer's lattice beside those of the one that it reads.
 enum Sides {
@@ -100,14 +100,14 @@ fn kinds(layer: &Layer, inputs: usize) -> (Vec<Kind>, usize, usize) {
     }
 }
 
-/// The network's parameters in their fixed order, with what the last painter makes of them.
+/// The network's parameters in their fixed order, with what the last renderer makes of them.
 #[derive(Clone)]
 pub struct MpiNetwork {
     variables: Vec<(String, Var)>,
     /// Input views.
     inputs: usize,
     /// Multiplane images that these weights gave.
-    pub(super) kept: Arc<Mutex<Option<Kept>>>,
+    pub(super) kept: Arc<Mutex<Option<CachedMpis>>>,
 }
 
 impl MpiNetwork {
@@ -206,7 +206,7 @@ pub struct Weights {
 
 impl Weights {
     /// A plane-sweep volume `[planes, height, width, 3 views]` to numbers of every cell, `[planes, height, width, views]`: channel 0
-    /// is alpha's, the others the views' (see [`crate::grids::mix::mix`]). Sides are multiples of 8.
+    /// is alpha's, the others the views' (see [`crate::grids::blend_views::blend_views`]). Sides are multiples of 8.
     ///
     /// # Errors
     /// Other sides; those of candle.
@@ -238,12 +238,12 @@ impl Weights {
 
 fn convolution(layer: &Layer, x: &Tensor, weight: &Tensor, bias: &Tensor) -> Result<Tensor> {
     let (depth, height, width, _) = x.dims4()?;
-    let product = |stride, dilation| TapProduct::convolution([depth, height, width], stride, dilation);
+    let product = |stride, dilation| Conv3d::convolution([depth, height, width], stride, dilation);
     Ok(match layer.sides {
         Same => product(1, 1).forward(x, weight, bias)?,
         Dilated => product(1, 2).forward(x, weight, bias)?,
         Halved => product(2, 1).forward(x, weight, bias)?,
-        Doubled => up::convolution(x, weight, bias)?,
+        Doubled => upsample::convolution(x, weight, bias)?,
     })
 }
 

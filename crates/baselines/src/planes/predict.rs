@@ -6,10 +6,10 @@ use candle_core::DType;
 use sha2::{Digest, Sha256};
 
 use crate::base::{Error, Image, Result};
-use crate::grids::mix::mix;
+use crate::grids::blend_views::blend_views;
 
-use super::geometry::{Eye, inputs_of};
-use super::mpi::{Kept, Mpi, Mpis, Seen, eyes};
+use super::geometry::{Viewpoint, inputs_of};
+use super::mpi::{CachedMpis, Mpi, Mpis, SourceView, eyes};
 use super::network::MpiNetwork;
 use super::sweep::{Window, sweep};
 
@@ -19,7 +19,7 @@ impl MpiNetwork {
     ///
     /// # Errors
     /// Those of candle.
-    pub fn mpis(&self, views: &[Seen], depths: &[f64]) -> Result<Arc<Mpis>> {
+    pub fn mpis(&self, views: &[SourceView], depths: &[f64]) -> Result<Arc<Mpis>> {
         let weights = self.digest()?;
         let mut kept = self.kept.lock().unwrap_or_else(PoisonError::into_inner);
         let same = |mpis: &Mpis| {
@@ -31,9 +31,10 @@ impl MpiNetwork {
             return Ok(known.mpis.clone());
         }
         let network = self.copy()?;
-        let predict = Box::new(move |views: &[Seen], view: usize, depths: &[f64]| network.predict(views, view, depths));
+        let predict =
+            Box::new(move |views: &[SourceView], view: usize, depths: &[f64]| network.predict(views, view, depths));
         let mpis = Arc::new(Mpis::new(views, depths, predict));
-        *kept = Some(Kept { weights, mpis: mpis.clone() });
+        *kept = Some(CachedMpis { weights, mpis: mpis.clone() });
         Ok(mpis)
     }
 
@@ -41,10 +42,10 @@ impl MpiNetwork {
     ///
     /// # Errors
     /// Weights that are not numbers; those of candle.
-    pub fn predict(&self, views: &[Seen], view: usize, depths: &[f64]) -> Result<Mpi> {
+    pub fn predict(&self, views: &[SourceView], view: usize, depths: &[f64]) -> Result<Mpi> {
         let eyes = eyes(views);
         let eye = eyes[view];
-        let seen: Vec<(&Eye, &Image)> = inputs_of(&eyes, view, self.inputs(), None)
+        let seen: Vec<(&Viewpoint, &Image)> = inputs_of(&eyes, view, self.inputs(), None)
             .into_iter()
             .map(|input| (&views[input].eye, &*views[input].image))
             .collect();
@@ -58,7 +59,7 @@ impl MpiNetwork {
                  back on the one before it"
             )));
         }
-        Mpi::new(eye, &mix(&raw, &volume)?)
+        Mpi::new(eye, &blend_views(&raw, &volume)?)
     }
 
     /// A hash of all weights.

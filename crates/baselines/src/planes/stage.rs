@@ -5,8 +5,8 @@ use crate::data::{Camera, Scene};
 use crate::runtime::free_memory_mib;
 use crate::settings::Config;
 
-use super::geometry::{Eye, depths};
-use super::mpi::Seen;
+use super::geometry::{Viewpoint, depths};
+use super::mpi::SourceView;
 use super::sweep::padded;
 
 /// Views that learning takes at the least: one that is left out, one whose planes are predicted, one beside it.
@@ -26,7 +26,7 @@ const SWEPT_BYTES: f64 = 4.0 * 3.0;
 #[derive(Clone)]
 pub struct Stage {
     /// The training views.
-    pub views: Vec<Seen>,
+    pub views: Vec<SourceView>,
     /// Depths of every view's planes, the farthest first.
     pub depths: Vec<f64>,
     /// What is behind everything.
@@ -41,8 +41,9 @@ impl Stage {
     pub fn new(config: &Config, scene: &Scene) -> Result<Stage> {
         check(scene)?;
         let shift = config.data.origin_of_pixels().shift();
-        let seen = |camera: Camera| Eye { camera, shift };
-        let views = scene.train.iter().map(|view| Seen { eye: seen(view.camera), image: view.image.clone() }).collect();
+        let seen = |camera: Camera| Viewpoint { camera, shift };
+        let views =
+            scene.train.iter().map(|view| SourceView { eye: seen(view.camera), image: view.image.clone() }).collect();
         let (near, far) = bounds(config, scene)?;
         Ok(Stage { views, depths: depths(near, far, config.llff.planes), background: scene.background })
     }
@@ -56,7 +57,8 @@ impl Stage {
     /// [`Error::Config`] with what is needed and what is free.
     pub fn check_memory(&self, inputs: usize) -> Result<()> {
         let side = |size: usize| padded(size) as f64;
-        let cells = |view: &Seen| side(view.eye.camera.width) * side(view.eye.camera.height) * self.depths.len() as f64;
+        let cells =
+            |view: &SourceView| side(view.eye.camera.width) * side(view.eye.camera.height) * self.depths.len() as f64;
         let (all, largest) =
             self.views.iter().map(cells).fold((0.0, 0f64), |(all, largest), n| (all + n, largest.max(n)));
         let predicted = PREDICTED_BYTES + SWEPT_BYTES * inputs as f64;

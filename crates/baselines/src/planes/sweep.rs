@@ -6,7 +6,7 @@ use rayon::prelude::*;
 use crate::base::{Image, Result};
 use crate::grids::planes::corners;
 
-use super::geometry::{Eye, Homography};
+use super::geometry::{Homography, Viewpoint};
 
 /// A part of a view's pixels, which the network sees at once; its sides are multiples of 8, and may reach beyond the view: there
 /// the view's edge goes on.
@@ -49,8 +49,8 @@ pub fn padded(size: usize) -> usize {
 /// # Errors
 /// Those of candle.
 pub fn sweep(
-    own: &Eye,
-    seen: &[(&Eye, &Image)],
+    own: &Viewpoint,
+    seen: &[(&Viewpoint, &Image)],
     depths: &[f64],
     window: Window,
     dtype: DType,
@@ -63,7 +63,7 @@ pub fn sweep(
     })
 }
 
-fn values<T: WithDType>(own: &Eye, seen: &[(&Eye, &Image)], depths: &[f64], window: Window) -> Vec<T> {
+fn values<T: WithDType>(own: &Viewpoint, seen: &[(&Viewpoint, &Image)], depths: &[f64], window: Window) -> Vec<T> {
     let channels = 3 * seen.len();
     let mut out = vec![T::from_f64(0.0); depths.len() * window.height * window.width * channels];
     // Beyond the view its edge goes on.

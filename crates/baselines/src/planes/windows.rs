@@ -5,10 +5,10 @@ use std::sync::Arc;
 use crate::base::rng::{Random, Stream};
 use crate::base::{Error, Result};
 use crate::data::vector::Vec3;
-use crate::grids::planes::Places;
+use crate::grids::planes::Locations;
 use crate::settings::PlanesConfig;
 
-use super::geometry::{Eye, nearest};
+use super::geometry::{Viewpoint, nearest};
 use super::sweep::{Window, padded};
 
 /// Times that a step looks for a crop.
@@ -28,7 +28,7 @@ pub struct Reference {
     /// The part that is predicted.
     pub window: Window,
     /// Where the crop's rays meet its planes: pixels of the window.
-    pub places: Arc<Places>,
+    pub places: Arc<Locations>,
     /// The distance of its camera from that of the view that is left out.
     pub distance: f64,
 }
@@ -57,7 +57,7 @@ impl Work {
     ///
     /// # Errors
     /// Views around no crop of which there are planes.
-    pub fn draw(config: &PlanesConfig, seed: u64, step: u64, eyes: &[Eye], depths: &[f64]) -> Result<Work> {
+    pub fn draw(config: &PlanesConfig, seed: u64, step: u64, eyes: &[Viewpoint], depths: &[f64]) -> Result<Work> {
         let mut random = Random::new(seed, Stream::Batches, step);
         let mut best: Option<Work> = None;
         let worth = |work: &Work| (work.counted(), number(&work.shown));
@@ -84,7 +84,7 @@ impl Work {
         )))
     }
 
-    fn try_one(config: &PlanesConfig, random: &mut Random, eyes: &[Eye], depths: &[f64]) -> Work {
+    fn try_one(config: &PlanesConfig, random: &mut Random, eyes: &[Viewpoint], depths: &[f64]) -> Work {
         let target = random.below(eyes.len() as u32) as usize;
         let others: Vec<(usize, f64)> =
             nearest(eyes, eyes[target].place()).into_iter().filter(|(view, _)| *view != target).collect();
@@ -124,7 +124,7 @@ fn number(of: &[bool]) -> usize {
 }
 
 /// The window of a view around where the crop's middle ray meets a plane.
-fn window(eye: &Eye, side: usize, middle: (Vec3, Vec3), depths: &[f64], plane: usize) -> Window {
+fn window(eye: &Viewpoint, side: usize, middle: (Vec3, Vec3), depths: &[f64], plane: usize) -> Window {
     let at = eye.places(&[middle], &depths[plane..plane + 1]).of_rays[0];
     let along = |at: f64, size: usize| {
         let side = side.min(padded(size));
@@ -138,7 +138,7 @@ fn window(eye: &Eye, side: usize, middle: (Vec3, Vec3), depths: &[f64], plane: u
 }
 
 /// Takes out the pixels that the window holds too few planes of, and those that meet nothing of the view.
-fn count(eye: &Eye, window: Window, places: &Places, counts: &mut [bool]) {
+fn count(eye: &Viewpoint, window: Window, places: &Locations, counts: &mut [bool]) {
     let (width, height) = (eye.camera.width as f64, eye.camera.height as f64);
     for (counts, places) in counts.iter_mut().zip(places.of_rays.chunks_exact(places.planes)) {
         let seen = |[x, y]: [f64; 2]| x > -1.0 && y > -1.0 && x < width && y < height;
@@ -149,7 +149,7 @@ fn count(eye: &Eye, window: Window, places: &Places, counts: &mut [bool]) {
 }
 
 /// Takes out the pixels that the window has no plane of.
-fn show(window: Window, places: &Places, shown: &mut [bool]) {
+fn show(window: Window, places: &Locations, shown: &mut [bool]) {
     for (shown, places) in shown.iter_mut().zip(places.of_rays.chunks_exact(places.planes)) {
         *shown &= places.iter().any(|place| window.holds(*place));
     }

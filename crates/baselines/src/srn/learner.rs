@@ -8,12 +8,12 @@ use crate::base::{Error, Result};
 use crate::data::{RayParts, Scene};
 use crate::losses::LossTerm;
 use crate::methods::Batches;
-use crate::methods::{Learned, Learner, LogColumns, Term, UnlessStopped};
+use crate::methods::{Learner, LogColumns, StepResult, StopCheck, Term};
 use crate::settings::Resolved;
 
 use super::fast::Network;
 use super::network::Srn;
-use super::step::{Chunk, Drawn, Sums, Weights};
+use super::step::{Chunk, StepWork, Sums, Weights};
 
 /// Parts of a step that threads share; each sums its gradients in place.
 const PARTS: usize = 16;
@@ -43,30 +43,30 @@ impl SrnLearner {
     }
 
     /// The rays of a step, their targets, and the depths that they start at.
-    fn draw(&mut self, step: u64) -> Drawn {
+    fn draw(&mut self, step: u64) -> StepWork {
         let batch = self.batches.batch(step);
         let (mean, noise) = (self.config.srn.start_depth, self.config.srn.start_noise);
         let mut random = Random::new(self.config.seed, Stream::March, step);
         let normal = random.normal_values(batch.rays.len());
         let z_0 = normal.into_iter().map(|normal| (mean + noise * f64::from(normal)) as f32).collect();
         let target = batch.target.iter().map(|value| 2.0 * value - 1.0).collect();
-        Drawn { rays: batch.rays, target, z_0 }
+        StepWork { rays: batch.rays, target, z_0 }
     }
 
     /// Works through the chunks of a step, parts of them at the same time.
-    fn march(&self, drawn: &Drawn, unless_stopped: &UnlessStopped) -> Result<Sums> {
-        let (rays, size) = (drawn.z_0.len(), self.config.train.chunk);
+    fn march(&self, work: &StepWork, stop_check: &StopCheck) -> Result<Sums> {
+        let (rays, size) = (work.z_0.len(), self.config.train.chunk);
         let srn = &self.config.srn;
         let weights = Weights { image: srn.image_weight / (3 * rays) as f64, depth: srn.depth_weight / rays as f64 };
         let network = self.srn.is_fast().then(|| Network::of(&self.srn)).transpose()?;
         let of_part = |starts: &[usize]| -> Result<Sums> {
             let mut sums = Sums::new(network.as_ref(), &self.srn);
             for &start in starts {
-                unless_stopped()?;
-                let chunk = Chunk { drawn, rays: start..rays.min(start + size), weights };
+                stop_check()?;
+                let chunk = Chunk { work, rays: start..rays.min(start + size), weights };
                 match &network {
-                    Some(network) => chunk.learn_fast(network, &mut sums),
-                    None => chunk.learn_plain(&self.srn, (self.dtype, &self.device), &mut sums)?,
+                    Some(network) => chunk.step_fast(network, &mut sums),
+                    None => chunk.step_plain(&self.srn, (self.dtype, &self.device), &mut sums)?,
                 }
             }
             Ok(sums)
@@ -95,10 +95,10 @@ impl Learner for SrnLearner {
         )))
     }
 
-    fn learn(&mut self, step: u64, _log: bool, unless_stopped: &UnlessStopped) -> Result<Learned> {
-        let drawn = self.draw(step);
-        let sums = self.march(&drawn, unless_stopped)?;
-        let (rays, srn) = (drawn.z_0.len() as f64, &self.config.srn);
+    fn step(&mut self, step: u64, _log: bool, stop_check: &StopCheck) -> Result<StepResult> {
+        let work = self.draw(step);
+        let sums = self.march(&work, stop_check)?;
+        let (rays, srn) = (work.z_0.len() as f64, &self.config.srn);
         let [image, depth] = [sums.image / (3.0 * rays), sums.behind / rays];
         let mean = sums.z / rays;
         let deviation = (sums.z_squared / rays - mean * mean).max(0.0).sqrt() / srn.scale;
@@ -108,7 +108,7 @@ impl Learner for SrnLearner {
             value,
             weight,
         };
-        Ok(Learned {
+        Ok(StepResult {
             terms: vec![
                 term("loss_image", "loss of the colours", image, srn.image_weight),
                 term("loss_depth", "loss of depths behind the camera", depth, srn.depth_weight),

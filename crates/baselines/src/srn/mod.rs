@@ -16,11 +16,11 @@ mod cell;
 mod fast;
 mod learner;
 mod network;
-mod painter;
+mod renderer;
 mod step;
 #[cfg(test)]
 mod tests;
 
 pub use learner::SrnLearner;
-pub use network::{March, Srn};
-pub use painter::SrnPainter;
+pub use network::{Srn, SrnMarch};
+pub use renderer::SrnRenderer;

@@ -6,7 +6,7 @@ use crate::base::rng::{Random, Stream};
 use crate::base::{Error, Result};
 use crate::data::Rays;
 use crate::field::dense;
-use crate::grids::norm::{LayerNorm, Together};
+use crate::grids::norm::{LayerNorm, NormGroup};
 use crate::settings::SrnConfig;
 
 use super::cell::{Lstm, clamp_gradient};
@@ -20,8 +20,8 @@ pub(super) const EPSILON: f64 = 1e-5;
 /// Parameters of a layer: weight, bias, and the normalisation's scale and shift.
 pub(super) const OF_BLOCK: usize = 4;
 
-/// How a parameter is drawn.
-enum Drawn {
+/// How a parameter is initialized.
+enum Init {
     /// Normal with variance 2 / inputs (He et al. 2015).
     Kaiming,
     /// Uniform within 1 / sqrt(inputs), PyTorch's own.
@@ -31,27 +31,27 @@ enum Drawn {
     All(f64),
 }
 
-/// A parameter, its shape, the inputs of its layer, and how it is drawn.
+/// A parameter, its shape, the inputs of its layer, and how it is initialized.
 struct Parameter {
     name: String,
     shape: Vec<usize>,
     inputs: usize,
-    drawn: Drawn,
+    init: Init,
 }
 
-fn linear(name: &str, outputs: usize, inputs: usize, weight: Drawn) -> Vec<Parameter> {
-    let parameter = |part, shape, drawn| Parameter { name: format!("{name}.{part}"), shape, inputs, drawn };
-    vec![parameter("weight", vec![outputs, inputs], weight), parameter("bias", vec![outputs], Drawn::Uniform)]
+fn linear(name: &str, outputs: usize, inputs: usize, weight: Init) -> Vec<Parameter> {
+    let parameter = |part, shape, init| Parameter { name: format!("{name}.{part}"), shape, inputs, init };
+    vec![parameter("weight", vec![outputs, inputs], weight), parameter("bias", vec![outputs], Init::Uniform)]
 }
 
 fn block(name: &str, outputs: usize, inputs: usize) -> Vec<Parameter> {
-    let mut parameters = linear(name, outputs, inputs, Drawn::Kaiming);
+    let mut parameters = linear(name, outputs, inputs, Init::Kaiming);
     let of_norm = [("scale", 1.0), ("shift", 0.0)];
     parameters.extend(of_norm.map(|(part, value)| Parameter {
         name: format!("{name}.{part}"),
         shape: vec![outputs],
         inputs,
-        drawn: Drawn::All(value),
+        init: Init::All(value),
     }));
     parameters
 }
@@ -65,23 +65,23 @@ fn parameters(config: &SrnConfig) -> Vec<Parameter> {
     }
     let gates = 4 * HIDDEN;
     let of_cell = [
-        ("weight_ih", vec![gates, width], Drawn::Uniform),
-        ("weight_hh", vec![gates, HIDDEN], Drawn::Uniform),
-        ("bias_ih", vec![gates], Drawn::Gates),
-        ("bias_hh", vec![gates], Drawn::Gates),
+        ("weight_ih", vec![gates, width], Init::Uniform),
+        ("weight_hh", vec![gates, HIDDEN], Init::Uniform),
+        ("bias_ih", vec![gates], Init::Gates),
+        ("bias_hh", vec![gates], Init::Gates),
     ];
-    all.extend(of_cell.map(|(part, shape, drawn)| Parameter {
+    all.extend(of_cell.map(|(part, shape, init)| Parameter {
         name: format!("lstm.{part}"),
         shape,
         // PyTorch bounds all of a cell's weights by its state.
         inputs: HIDDEN,
-        drawn,
+        init,
     }));
-    all.extend(linear("head", 1, HIDDEN, Drawn::Uniform));
+    all.extend(linear("head", 1, HIDDEN, Init::Uniform));
     for k in 0..config.pixel_layers {
         all.extend(block(&format!("pixel.{k}"), width, width));
     }
-    all.extend(linear(&format!("pixel.{}", config.pixel_layers), 3, width, Drawn::Kaiming));
+    all.extend(linear(&format!("pixel.{}", config.pixel_layers), 3, width, Init::Kaiming));
     all
 }
 
@@ -91,16 +91,16 @@ impl Parameter {
         let uniform = |random: &mut Random| -> Result<Tensor> {
             Ok(random.uniform_tensor(&self.shape, dtype, device)?.affine(2.0 * bound, -bound)?)
         };
-        Ok(match self.drawn {
-            Drawn::Kaiming => (random.normal_tensor(&self.shape, dtype, device)? * (2f64.sqrt() * bound))?,
-            Drawn::Uniform => uniform(random)?,
-            Drawn::Gates => {
+        Ok(match self.init {
+            Init::Kaiming => (random.normal_tensor(&self.shape, dtype, device)? * (2f64.sqrt() * bound))?,
+            Init::Uniform => uniform(random)?,
+            Init::Gates => {
                 let drawn = uniform(random)?;
                 let ones = Tensor::ones(HIDDEN, dtype, device)?;
                 let rest = drawn.narrow(0, 2 * HIDDEN, 2 * HIDDEN)?;
                 Tensor::cat(&[&drawn.narrow(0, 0, HIDDEN)?, &ones, &rest], 0)?
             }
-            Drawn::All(value) => Tensor::full(value, self.shape.as_slice(), device)?.to_dtype(dtype)?,
+            Init::All(value) => Tensor::full(value, self.shape.as_slice(), device)?.to_dtype(dtype)?,
         })
     }
 }
@@ -115,7 +115,7 @@ pub struct Srn {
 }
 
 /// What a march went through. Lists are by step; positions and depths are in scene units times `srn.scale`.
-pub struct March {
+pub struct SrnMarch {
     /// Where each ray was before each step, and at the end, `[rays, 3]`.
     pub x: Vec<Tensor>,
     /// Phi there, `[rays, width]`.
@@ -138,14 +138,14 @@ impl Srn {
         parameters(config).into_iter().map(|parameter| (parameter.name, parameter.shape)).collect()
     }
 
-    /// Freshly drawn from `seed`'s stream `Init`.
+    /// Initializes a new SRN from `seed`'s stream `Init`.
     ///
     /// # Errors
     /// Those of candle.
     pub fn init(config: &SrnConfig, seed: u64, dtype: DType, device: &Device) -> Result<Srn> {
         let mut random = Random::new(seed, Stream::Init, 0);
-        let drawn = parameters(config).into_iter().map(|parameter| parameter.draw(&mut random, dtype, device));
-        Srn::from_parameters(config, drawn.collect::<Result<_>>()?)
+        let tensors = parameters(config).into_iter().map(|parameter| parameter.draw(&mut random, dtype, device));
+        Srn::from_parameters(config, tensors.collect::<Result<_>>()?)
     }
 
     /// Over given values, in the order of [`Srn::parameter_names`]. They are copied.
@@ -198,7 +198,7 @@ impl Srn {
     ///
     /// # Errors
     /// Those of candle.
-    pub fn march(&self, rays: &Rays, z_0: &Tensor) -> Result<March> {
+    pub fn march(&self, rays: &Rays, z_0: &Tensor) -> Result<SrnMarch> {
         let scale = self.config.scale;
         let mut position = ((&rays.origins * scale)? + rays.directions.broadcast_mul(z_0)?)?;
         let (mut z, steps) = (z_0.clone(), self.config.steps);
@@ -222,7 +222,7 @@ impl Srn {
         let colour = self.pixel(&feature)?;
         x.push(position);
         v.push(feature);
-        Ok(March { x, v, h, c, delta, z, colour })
+        Ok(SrnMarch { x, v, h, c, delta, z, colour })
     }
 
     fn is_trainable(&self) -> bool {
@@ -267,7 +267,7 @@ impl Srn {
 
     /// A linear layer, layer normalisation, ReLU.
     fn block(&self, at: usize, x: &Tensor) -> Result<Tensor> {
-        let norm = LayerNorm { together: Together::Channels, epsilon: EPSILON, relu: true };
+        let norm = LayerNorm { group: NormGroup::Channels, epsilon: EPSILON, relu: true };
         Ok(norm.apply(&self.linear(at, x)?, &self.tensors[at + 2], &self.tensors[at + 3])?)
     }
 }

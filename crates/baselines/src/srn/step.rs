@@ -10,10 +10,10 @@ use crate::data::{RayBuffer, Rays};
 use crate::methods::Gradients;
 
 use super::fast::{Lines, Network};
-use super::network::{March, Srn};
+use super::network::{Srn, SrnMarch};
 
 /// The work of a step.
-pub(super) struct Drawn {
+pub(super) struct StepWork {
     pub(super) rays: RayBuffer,
     /// Colours from -1 to 1, `[rays, 3]`.
     pub(super) target: Vec<f32>,
@@ -32,13 +32,13 @@ pub(super) struct Weights {
 
 /// Some rays of a step.
 pub(super) struct Chunk<'a> {
-    pub(super) drawn: &'a Drawn,
+    pub(super) work: &'a StepWork,
     pub(super) rays: Range<usize>,
     pub(super) weights: Weights,
 }
 
 /// Where gradients add up.
-enum Pull {
+enum GradientSum {
     /// Flat, in the order of parameters.
     Flat(Vec<f32>),
     Tensors(Gradients),
@@ -46,7 +46,7 @@ enum Pull {
 
 /// Sums over rays, and gradients of the loss.
 pub(super) struct Sums {
-    pull: Pull,
+    gradients: GradientSum,
     /// Squared errors of colours from -1 to 1.
     pub(super) image: f64,
     /// Of colours as they are shown, from 0 to 1.
@@ -59,14 +59,14 @@ pub(super) struct Sums {
 }
 
 /// Gradients of the loss where rays ended: in colours `[rays, 3]` and depths `[rays]`.
-struct Pulls {
+struct RayGradients {
     colour: Vec<f64>,
     z: Vec<f64>,
 }
 
 impl Chunk<'_> {
     fn lines(&self) -> Lines<'_> {
-        let (Drawn { rays, z_0, .. }, of) = (self.drawn, 3 * self.rays.start..3 * self.rays.end);
+        let (StepWork { rays, z_0, .. }, of) = (self.work, 3 * self.rays.start..3 * self.rays.end);
         Lines {
             origins: &rays.origins[of.clone()],
             directions: &rays.directions[of.clone()],
@@ -76,31 +76,31 @@ impl Chunk<'_> {
     }
 
     fn target(&self) -> &[f32] {
-        &self.drawn.target[3 * self.rays.start..3 * self.rays.end]
+        &self.work.target[3 * self.rays.start..3 * self.rays.end]
     }
 
     /// On packed weights.
-    pub(super) fn learn_fast(&self, network: &Network, sums: &mut Sums) {
-        sums.learn(network, self.lines(), self.target(), self.weights);
+    pub(super) fn step_fast(&self, network: &Network, sums: &mut Sums) {
+        sums.add_packed(network, self.lines(), self.target(), self.weights);
     }
 
     /// In candle's operations.
-    pub(super) fn learn_plain(&self, srn: &Srn, (dtype, device): (DType, &Device), sums: &mut Sums) -> Result<()> {
+    pub(super) fn step_plain(&self, srn: &Srn, (dtype, device): (DType, &Device), sums: &mut Sums) -> Result<()> {
         let Lines { origins, directions, viewdirs, z_0 } = self.lines();
         let tensor = |values: &[f32]| Tensor::from_slice(values, (self.rays.len(), ()), device)?.to_dtype(dtype);
         let rays = Rays::new(tensor(origins)?, tensor(directions)?, tensor(viewdirs)?)?;
-        sums.descend(srn, &srn.march(&rays, &tensor(z_0)?)?, self.target(), self.weights)
+        sums.add_plain(srn, &srn.march(&rays, &tensor(z_0)?)?, self.target(), self.weights)
     }
 }
 
 impl Sums {
     /// Nothing yet; on packed weights gradients are flat.
     pub(super) fn new(network: Option<&Network>, srn: &Srn) -> Sums {
-        let pull = match network {
-            Some(network) => Pull::Flat(vec![0.0; network.gradient_size]),
-            None => Pull::Tensors(Gradients::none(srn.variables().len())),
+        let gradients = match network {
+            Some(network) => GradientSum::Flat(vec![0.0; network.gradient_size]),
+            None => GradientSum::Tensors(Gradients::none(srn.variables().len())),
         };
-        Sums { pull, image: 0.0, error: 0.0, behind: 0.0, z: 0.0, z_squared: 0.0 }
+        Sums { gradients, image: 0.0, error: 0.0, behind: 0.0, z: 0.0, z_squared: 0.0 }
     }
 
     /// Adds marches that ended with these colours and depths, and returns the loss's gradients in them.
@@ -110,7 +110,7 @@ impl Sums {
         z: impl Iterator<Item = T>,
         target: &[f32],
         weights: Weights,
-    ) -> Pulls {
+    ) -> RayGradients {
         let of_channel = |(colour, target): (T, &f32)| {
             let (colour, target) = (colour.into(), f64::from(*target));
             let difference = colour - target;
@@ -128,33 +128,33 @@ impl Sums {
             self.behind += behind * behind;
             2.0 * weights.depth * behind
         };
-        Pulls { colour, z: z.map(of_ray).collect() }
+        RayGradients { colour, z: z.map(of_ray).collect() }
     }
 
     /// Adds a march on packed weights, and the gradients of its loss.
-    pub(super) fn learn(&mut self, network: &Network, lines: Lines, target: &[f32], weights: Weights) {
+    pub(super) fn add_packed(&mut self, network: &Network, lines: Lines, target: &[f32], weights: Weights) {
         let tape = network.march(lines, true);
-        let pulls = self.add(tape.colour.iter().copied(), tape.z.iter().copied(), target, weights);
+        let rays = self.add(tape.colour.iter().copied(), tape.z.iter().copied(), target, weights);
         let single = |values: Vec<f64>| values.into_iter().map(|value| value as f32).collect::<Vec<f32>>();
-        let (colour, z) = (single(pulls.colour), single(pulls.z));
-        if let Pull::Flat(sum) = &mut self.pull {
+        let (colour, z) = (single(rays.colour), single(rays.z));
+        if let GradientSum::Flat(sum) = &mut self.gradients {
             network.backward(lines, &tape, (&colour, &z), sum);
         }
     }
 
     /// Adds a march in candle's operations, and the gradients of its loss.
-    pub(super) fn descend(&mut self, srn: &Srn, march: &March, target: &[f32], weights: Weights) -> Result<()> {
+    pub(super) fn add_plain(&mut self, srn: &Srn, march: &SrnMarch, target: &[f32], weights: Weights) -> Result<()> {
         let values = |tensor: &Tensor| tensor.to_dtype(DType::F64)?.flatten_all()?.to_vec1::<f64>();
-        let pulls = self.add(values(&march.colour)?.into_iter(), values(&march.z)?.into_iter(), target, weights);
+        let rays = self.add(values(&march.colour)?.into_iter(), values(&march.z)?.into_iter(), target, weights);
         // The gradient of this sum is the loss's.
-        let pulled = |tensor: &Tensor, pull: Vec<f64>| -> candle_core::Result<Tensor> {
-            let pull = Tensor::from_vec(pull, tensor.shape(), tensor.device())?.to_dtype(tensor.dtype())?;
-            (tensor * pull)?.sum_all()
+        let dot = |tensor: &Tensor, cotangent: Vec<f64>| -> candle_core::Result<Tensor> {
+            let cotangent = Tensor::from_vec(cotangent, tensor.shape(), tensor.device())?.to_dtype(tensor.dtype())?;
+            (tensor * cotangent)?.sum_all()
         };
-        let sum = (pulled(&march.colour, pulls.colour)? + pulled(&march.z, pulls.z)?)?;
-        match &mut self.pull {
-            Pull::Tensors(gradients) => gradients.add(srn.variables(), &sum.backward()?),
-            Pull::Flat(_) => Ok(()),
+        let sum = (dot(&march.colour, rays.colour)? + dot(&march.z, rays.z)?)?;
+        match &mut self.gradients {
+            GradientSum::Tensors(gradients) => gradients.add(srn.variables(), &sum.backward()?),
+            GradientSum::Flat(_) => Ok(()),
         }
     }
 
@@ -165,20 +165,24 @@ impl Sums {
         let [z, z_squared] = [of(|part| part.z), of(|part| part.z_squared)];
         let (mut flat, mut tensors) = (Vec::new(), Vec::new());
         for part in parts {
-            match part.pull {
-                Pull::Flat(values) => flat.push(values),
-                Pull::Tensors(gradients) => tensors.push(gradients),
+            match part.gradients {
+                GradientSum::Flat(values) => flat.push(values),
+                GradientSum::Tensors(gradients) => tensors.push(gradients),
             }
         }
-        let pull = if flat.is_empty() { Pull::Tensors(Gradients::sum(tensors)?) } else { Pull::Flat(total(flat)) };
-        Ok(Sums { pull, image, error, behind, z, z_squared })
+        let gradients = if flat.is_empty() {
+            GradientSum::Tensors(Gradients::sum(tensors)?)
+        } else {
+            GradientSum::Flat(total(flat))
+        };
+        Ok(Sums { gradients, image, error, behind, z, z_squared })
     }
 
     /// The gradients, in the order of the variables.
     pub(super) fn gradients(self, srn: &Srn) -> Result<Gradients> {
-        let flat = match self.pull {
-            Pull::Flat(flat) => flat,
-            Pull::Tensors(gradients) => return Ok(gradients),
+        let flat = match self.gradients {
+            GradientSum::Flat(flat) => flat,
+            GradientSum::Tensors(gradients) => return Ok(gradients),
         };
         let mut rest = &flat[..];
         let tensors = srn.variables().iter().map(|(_, var)| {

@@ -11,7 +11,7 @@ use crate::methods::Gradients;
 use crate::settings::SrnConfig;
 
 use super::cell::Lstm;
-use super::network::{March, Srn};
+use super::network::{Srn, SrnMarch};
 use super::step::{Sums, Weights};
 
 /// Six rays of two cameras; what the original's loss weighs its terms with.
@@ -45,16 +45,16 @@ impl Fixture {
         Rays::new(self.get("o"), self.get("d"), self.get("u")).unwrap()
     }
 
-    fn march(&self, srn: &Srn) -> March {
+    fn march(&self, srn: &Srn) -> SrnMarch {
         srn.march(&self.rays(), &self.get("z0")).unwrap()
     }
 
     /// Loss of a step with `factor` times its weights, and its gradients.
-    fn learn(&self, srn: &Srn, factor: f64) -> (Sums, f64) {
+    fn step(&self, srn: &Srn, factor: f64) -> (Sums, f64) {
         let weights = Weights { image: WEIGHTS.image * factor, depth: WEIGHTS.depth * factor };
         let mut sums = Sums::new(None, srn);
         let target: Vec<f32> = values(&self.get("target")).into_iter().map(|value| value as f32).collect();
-        sums.descend(srn, &self.march(srn), &target, weights).unwrap();
+        sums.add_plain(srn, &self.march(srn), &target, weights).unwrap();
         let loss = weights.image * sums.image + weights.depth * sums.behind;
         (sums, loss)
     }
@@ -79,7 +79,7 @@ fn assert_near(name: &str, found: &Tensor, expected: &Tensor, tolerance: f64) {
 fn the_march_is_the_original_modules() {
     let fixture = Fixture::load();
     let march = fixture.march(&fixture.srn());
-    let March { x, v, h, c, delta, z, colour } = &march;
+    let SrnMarch { x, v, h, c, delta, z, colour } = &march;
     for (name, steps) in [("x", x), ("v", v), ("h", h), ("c", c), ("delta", delta)] {
         assert_near(name, &Tensor::stack(steps, 0).unwrap(), &fixture.get(name), 1e-12);
     }
@@ -91,7 +91,7 @@ fn the_march_is_the_original_modules() {
 fn the_loss_and_its_gradients_are_the_original_modules() {
     let fixture = Fixture::load();
     let srn = fixture.srn();
-    let (sums, loss) = fixture.learn(&srn, 1.0);
+    let (sums, loss) = fixture.step(&srn, 1.0);
     let scalar = |name: &str| values(&fixture.get(name))[0];
     let near = |found: f64, expected: f64| assert!((found - expected).abs() < 1e-12 * expected, "{found} {expected}");
     near(sums.image / (3 * RAYS) as f64, scalar("image_loss"));
@@ -108,7 +108,7 @@ fn the_loss_and_its_gradients_are_the_original_modules() {
 fn gradients_at_the_cells_outputs_are_cut_as_in_the_original() {
     let fixture = Fixture::load();
     let srn = fixture.srn();
-    let Gradients(found) = fixture.learn(&srn, 64.0).0.gradients(&srn).unwrap();
+    let Gradients(found) = fixture.step(&srn, 64.0).0.gradients(&srn).unwrap();
     let mut cut = 0;
     for ((name, _), found) in srn.variables().iter().zip(found) {
         if !(name.starts_with("phi.") || name.starts_with("lstm.")) {
@@ -211,7 +211,7 @@ fn gradients_of_the_loss_are_those_of_finite_differences() {
     const STEP: f64 = 1e-6;
     let fixture = Fixture::load();
     let srn = fixture.srn();
-    let Gradients(found) = fixture.learn(&srn, 1.0).0.gradients(&srn).unwrap();
+    let Gradients(found) = fixture.step(&srn, 1.0).0.gradients(&srn).unwrap();
     for (parameter, ((name, var), found)) in srn.variables().iter().zip(found).enumerate() {
         let found = values(&found.unwrap());
         let largest = found.iter().fold(0.0, |largest: f64, value| largest.max(value.abs()));
@@ -222,7 +222,7 @@ fn gradients_of_the_loss_are_those_of_finite_differences() {
                 let moved = Tensor::from_vec(moved, var.shape(), &Device::Cpu).unwrap();
                 let all = srn.variables().iter().enumerate();
                 let all = all.map(|(p, (_, var))| if p == parameter { moved.clone() } else { var.as_tensor().clone() });
-                fixture.learn(&Srn::from_parameters(&fixture.config(), all.collect()).unwrap(), 1.0).1
+                fixture.step(&Srn::from_parameters(&fixture.config(), all.collect()).unwrap(), 1.0).1
             };
             let expected = (loss(STEP) - loss(-STEP)) / (2.0 * STEP);
             assert!((found[i] - expected).abs() < 1e-5 * largest.max(1e-2), "{name} {i}: {} {expected}", found[i]);

@@ -5,8 +5,8 @@ use candle_core::{D, DType, Device, Tensor};
 use crate::base::Result;
 use crate::base::tensors::leaky_relu;
 use crate::field::dense;
+use crate::grids::conv3d::Conv3d;
 use crate::grids::softplus::softplus;
-use crate::grids::taps::TapProduct;
 use crate::grids::trilinear::{Outside, trilinear};
 
 use super::parameters::{NeuralVolume, Pair, SLOPE, WarpSizes, next};
@@ -36,7 +36,7 @@ impl NeuralVolume {
             leaky_relu(&linear(&code, next(&mut layers))?, SLOPE)?.reshape((1, 1, 1, self.sizes.channels[0]))?;
         let doublings = self.sizes.channels.len() - 1;
         for index in 0..doublings {
-            let product = TapProduct::transposed([1 << index; 3]);
+            let product = Conv3d::transposed([1 << index; 3]);
             let product = if index + 1 < doublings { product.leaky(SLOPE) } else { product };
             let [weight, bias] = next(&mut layers);
             volume = product.forward(&volume, weight, bias)?;

@@ -10,7 +10,7 @@ use crate::grids::variation::log_variation;
 use crate::losses::LossTerm;
 use crate::methods::Batches;
 use crate::methods::Gradients;
-use crate::methods::{Learned, Learner, LogColumns, Term, UnlessStopped};
+use crate::methods::{Learner, LogColumns, StepResult, StopCheck, Term};
 use crate::settings::Resolved;
 
 use super::decoder::Decoded;
@@ -132,7 +132,7 @@ impl Learner for VolumeLearner {
         )))
     }
 
-    fn learn(&mut self, step: u64, _log: bool, unless_stopped: &UnlessStopped) -> Result<Learned> {
+    fn step(&mut self, step: u64, _log: bool, stop_check: &StopCheck) -> Result<StepResult> {
         let batch = self.batches.batch(step);
         let rays = batch.rays.to_tensors(self.dtype, &self.device)?;
         let target = Tensor::from_vec(batch.target, (rays.len(), 3), &self.device)?.to_dtype(self.dtype)?;
@@ -144,7 +144,7 @@ impl Learner for VolumeLearner {
         };
         let (code, divergence) = self.draw_code(step)?;
         let decoded = self.volume.decode(&code, false)?;
-        unless_stopped()?;
+        stop_check()?;
         let losses = Losses { divergence, ..self.losses(&decoded, &march, &target)? };
         let term = |name: &str, described: &str, value: &Tensor, weight: f64| -> Result<Term> {
             Ok(Term { name: name.into(), described: described.into(), value: number(value)?, weight })
@@ -166,7 +166,7 @@ impl Learner for VolumeLearner {
                 total = (total + (*tensor * *weight)?)?;
             }
         }
-        unless_stopped()?;
+        stop_check()?;
         let mut gradients = Gradients::none(self.variables.len());
         gradients.add(&self.variables, &total.backward()?)?;
         let mut terms: Vec<Term> = parts.into_iter().map(|(term, _)| term).collect();
@@ -176,6 +176,6 @@ impl Learner for VolumeLearner {
         // loss.
         terms.push(term("mean_acc", "mean accumulation", &losses.acc.mean_all()?, 0.0)?);
         let largest_acc = number(&losses.acc.max_all()?)?;
-        Ok(Learned { gradients, terms, loss, mse, largest_acc, sites: Vec::new() })
+        Ok(StepResult { gradients, terms, loss, mse, largest_acc, sites: Vec::new() })
     }
 }

@@ -16,12 +16,12 @@ mod cube;
 mod decoder;
 mod density;
 mod learner;
-mod painter;
 mod parameters;
+mod renderer;
 #[cfg(test)]
 mod tests;
 
 pub use density::VolumeDensity;
 pub use learner::VolumeLearner;
-pub use painter::VolumePainter;
 pub use parameters::NeuralVolume;
+pub use renderer::VolumeRenderer;

@@ -6,7 +6,7 @@ use candle_core::{DType, Device, Tensor, Var};
 
 use crate::base::Result;
 use crate::base::rng::{Random, Stream};
-use crate::grids::taps::TapProduct;
+use crate::grids::conv3d::Conv3d;
 use crate::settings::{Config, VolumeCode, VolumeConfig};
 
 use super::cube::Cube;
@@ -119,7 +119,7 @@ impl Layer {
         }
         let matrix = self.inputs * self.outputs;
         let blocks = draw(8 * matrix);
-        let product = TapProduct::transposed([1, 1, 1]);
+        let product = Conv3d::transposed([1, 1, 1]);
         let block = |at: &[usize; 3]| (at[0] / 2 * 2 + at[1] / 2) * 2 + at[2] / 2;
         product.kernel().iter().flat_map(|at| blocks[block(at) * matrix..][..matrix].iter().copied()).collect()
     }

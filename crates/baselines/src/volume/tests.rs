@@ -9,10 +9,10 @@ use super::decoder::{Decoded, rotations};
 use super::learner::{divergence, drawn, losses};
 use super::parameters::{NeuralVolume, Sizes, WarpSizes, channels};
 use crate::field::Density;
+use crate::grids::conv3d::Conv3d;
 use crate::grids::march::tests::{Cameras, check_samples};
 use crate::grids::march::{Line, March, Pace};
 use crate::grids::reference::{error, fixture, on_any_threads, ramp, values};
-use crate::grids::taps::TapProduct;
 use crate::grids::trilinear::{Outside, trilinear};
 use crate::settings::{Config, VolumeCode, VolumeConfig, build, parse_assignment};
 
@@ -22,7 +22,7 @@ const CUBE: Cube = Cube { middle: [0.0; 3], half: 1.0 };
 fn of_reference(part: &str) -> Vec<Tensor> {
     let read = |name: String| fixture(&format!("{part}.{name}"));
     let mut all = vec![read("mu".into()), read("logstd".into())];
-    let product = TapProduct::transposed([1, 1, 1]);
+    let product = Conv3d::transposed([1, 1, 1]);
     let order: Vec<u32> = product.kernel().iter().map(|[z, y, x]| ((z * 4 + y) * 4 + x) as u32).collect();
     let order = Tensor::new(order, &Device::Cpu).unwrap();
     for layer in 0..4 {
@@ -185,7 +185,7 @@ fn first_values_are_xaviers_in_blocks() {
             let expected = 2.0 / 1.04 * 2.0 / ((inputs + outputs) * 8) as f64;
             let found = numbers.iter().map(|value| value * value).sum::<f64>() / numbers.len() as f64;
             assert!((found / expected - 1.0).abs() < 0.05, "{found} {expected}");
-            let kernel = TapProduct::transposed([1; 3]).kernel().to_vec();
+            let kernel = Conv3d::transposed([1; 3]).kernel().to_vec();
             let of = |tap: usize| &numbers[tap * inputs * outputs..(tap + 1) * inputs * outputs];
             for (a, b) in (0..taps).flat_map(|a| (0..taps).map(move |b| (a, b))) {
                 let same = (0..3).all(|axis| kernel[a][axis] / 2 == kernel[b][axis] / 2);
@@ -193,7 +193,7 @@ fn first_values_are_xaviers_in_blocks() {
             }
         }
     }
-    let product = TapProduct::transposed([2, 2, 2]);
+    let product = Conv3d::transposed([2, 2, 2]);
     let find = |name: &str| volume.variables().into_iter().find(|(own, _)| own == name).unwrap().1;
     let (weight, bias) = (find("volume.template.1.weight"), find("volume.template.1.bias"));
     let x = ramp(&[2, 2, 2, weight.dim(1).unwrap()], 0.2);

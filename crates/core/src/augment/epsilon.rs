@@ -8,7 +8,7 @@ use serde::{Deserialize, Deserializer, Serialize, Serializer};
 /// Size of a delta's set.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Epsilon {
-    /// So many of the site's units ([`crate::augment::About::unit`]); 0 is no perturbation.
+    /// So many of the site's units ([`crate::augment::SiteSpec::unit`]); 0 is no perturbation.
     Units(f64),
     /// As far as the ascent reaches, steps x step size, in the delta's own unit. `t` keeps the order of samples, too.
     Reach,

@@ -19,5 +19,5 @@ pub use geometry::{Geometry, PaperPass, PassGeometry, PixelScale, SampleDensity}
 pub use search::{Iterate, worst_case};
 pub use set::{DeltaSet, Draw, Norm};
 pub use sets::{Deltas, Sets};
-pub use site::{About, DefaultSizes, Level, Passes, Radius, SetChoices, SiteNumbers, StepUnit};
+pub use site::{DefaultSizes, Level, Passes, Radius, SetChoices, SiteNumbers, SiteSpec, StepUnit};
 pub use sites::{PerSite, Site};

@@ -134,7 +134,7 @@ pub struct DefaultSizes {
 
 /// A site: a place in the pass where a delta enters.
 #[derive(Debug)]
-pub struct About {
+pub struct SiteSpec {
     /// Its name in settings, logs and tables.
     pub name: &'static str,
     /// The level that it belongs to.

@@ -90,7 +90,7 @@ impl Ndc {
 
     /// The gradient at a world point of what has the gradient `slope` in NDC there: the transposed
     /// Jacobian of the map, times it.
-    pub fn pull_back(&self, world: [f64; 3], slope: [f64; 3]) -> [f64; 3] {
+    pub fn backward(&self, world: [f64; 3], slope: [f64; 3]) -> [f64; 3] {
         let [x, y, z] = world;
         let (sx, sy) = (-2.0 * self.focal / self.width / z, -2.0 * self.focal / self.height / z);
         [sx * slope[0], sy * slope[1], -(sx * x * slope[0] + sy * y * slope[1] + 2.0 / z * slope[2]) / z]
@@ -125,7 +125,7 @@ mod tests {
             let ndc = [-70.0 / 40.0 * p[0] / p[2], -70.0 / 30.0 * p[1] / p[2], 1.0 + 2.0 / p[2]];
             (0..3).map(|i| slope[i] * ndc[i]).sum::<f64>()
         };
-        let found = NDC.pull_back(world, slope);
+        let found = NDC.backward(world, slope);
         for (axis, found) in found.into_iter().enumerate() {
             let at = |h: f64| f(std::array::from_fn(|i| world[i] + if i == axis { h } else { 0.0 }));
             assert!((found - (at(1e-6) - at(-1e-6)) / 2e-6).abs() < 1e-8);

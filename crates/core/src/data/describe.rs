@@ -22,7 +22,7 @@ impl Scene {
             row("focal length", format!("{:.3} x {:.3} pixels (first view)", focal[0], focal[1]));
             row("principal point", format!("{:.3}, {:.3} (first view)", centre[0], centre[1]));
         }
-        for (label, words) in &self.place.notes {
+        for (label, words) in &self.space.notes {
             row(label, words.clone());
         }
         row("near, far", format!("{:.4} to {:.4}", self.near, self.far));
@@ -42,7 +42,7 @@ impl Scene {
         if cameras.is_empty() {
             return;
         }
-        let (rig, world) = (Rig::of(&cameras), &self.place.world);
+        let (rig, world) = (Rig::of(&cameras), &self.space.world);
         let sides = pose::sub(rig.extent[1], rig.extent[0]);
         let spread =
             rig.spread.map_or("all around".into(), |spread| format!("within {spread:.0} degrees of their mean"));
@@ -59,7 +59,7 @@ impl Scene {
             }),
         );
         let text = |[x, y, z]: [f64; 3]| format!("[{x:.3}, {y:.3}, {z:.3}]");
-        match (self.place.domain, self.format().and_then(|format| format.kind.object_half())) {
+        match (self.space.domain, self.format().and_then(|format| format.kind.object_half())) {
             (Some([low, high]), _) => {
                 row("box", format!("{} to {} (meshes, measure, hash grids)", text(low), text(high)))
             }

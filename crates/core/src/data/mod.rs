@@ -7,17 +7,17 @@ pub mod depth;
 mod describe;
 mod detect;
 pub mod formats;
-mod heard;
 pub mod images;
 mod json;
+mod load_notes;
 pub mod npy;
 pub mod path;
-mod place;
 pub mod ply;
 pub mod pose;
 pub mod rays;
 pub mod resample;
 mod rig;
+mod scene_space;
 pub mod vector;
 mod views;
 mod world;
@@ -26,9 +26,9 @@ pub use camera::{Camera, Ndc};
 pub use corruption::Corrupted;
 pub use detect::detect;
 pub use formats::{Capture, FORMATS, Format, ReferenceDepth};
-pub use place::Place;
 pub use rays::{Footprint, RayBuffer, RayParts, Rays};
 pub use rig::{Rig, Subject};
+pub use scene_space::SceneSpace;
 pub use views::seen_views;
 pub use world::WorldToScene;
 
@@ -37,7 +37,7 @@ use std::sync::Arc;
 use sha2::{Digest, Sha256};
 
 use crate::base::{Error, Image, Listener, Result};
-use heard::Heard;
+use load_notes::LoadNotes;
 
 use crate::settings::{Background, DataConfig, DataKind, Extent, scene_name, short_hash};
 
@@ -82,7 +82,7 @@ pub struct Scene {
     /// What was done to the training views after they were read.
     pub corrupted: Option<Corrupted>,
     /// Where it lies: units, box, points.
-    pub place: Place,
+    pub space: SceneSpace,
 }
 
 impl Scene {
@@ -94,7 +94,7 @@ impl Scene {
     /// What settings that hang on the scene follow from.
     pub fn extent(&self) -> Extent {
         let sides = self.train.iter().chain(&self.test).map(|view| view.camera.width.max(view.camera.height));
-        Extent { near: self.near, far: self.far, domain: self.place.domain, pixels: sides.max().unwrap_or(0) }
+        Extent { near: self.near, far: self.far, domain: self.space.domain, pixels: sides.max().unwrap_or(0) }
     }
 
     /// The format that the scene was read in; none for a scene of one's own making.
@@ -171,9 +171,9 @@ pub fn load(config: &DataConfig, seed: u64, events: &dyn Listener) -> Result<Sce
     let Some(format) = Format::of(config.kind) else {
         return Err(Error::Config("data.kind = \"auto\" has to be settled before the scene is loaded".into()));
     };
-    let heard = Heard::new(events);
-    let mut scene = (format.read)(config, &heard)?;
-    heard.words(&config.dir).into_iter().for_each(|words| scene.place.note("noted", words));
+    let load_notes = LoadNotes::new(events);
+    let mut scene = (format.read)(config, &load_notes)?;
+    load_notes.words(&config.dir).into_iter().for_each(|words| scene.space.note("noted", words));
     scene.near = config.near.unwrap_or(scene.near);
     scene.far = config.far.unwrap_or(scene.far);
     check(&scene, config)?;

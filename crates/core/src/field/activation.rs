@@ -120,7 +120,7 @@ impl Activated {
 
     /// The derivatives of a loss in raw density, its gradient and its Laplacian from those in
     /// density, its gradient and its Laplacian.
-    pub(super) fn pull_back(&self, loss: &Cotangents, gradient: &Tensor, laplacian: &Tensor) -> Result<Cotangents> {
+    pub(super) fn backward(&self, loss: &Cotangents, gradient: &Tensor, laplacian: &Tensor) -> Result<Cotangents> {
         let scaled = |tensor: &Option<Tensor>| tensor.as_ref().map(|tensor| tensor * &self.first).transpose();
         let columns = self.first.unsqueeze(1)?;
         let mut raw = Cotangents {
@@ -161,16 +161,21 @@ mod tests {
     #[test]
     fn one_number_is_activated_as_a_tensor_is() {
         let raw: Vec<f32> = (-40..=40).map(|i| i as f32 * 0.37).chain([1.0, -0.0, 90.0, -90.0]).collect();
-        let pull: Vec<f32> = raw.iter().map(|raw| (raw * 1.3).sin()).collect();
+        let cotangent: Vec<f32> = raw.iter().map(|raw| (raw * 1.3).sin()).collect();
         for activation in [DensityActivation::Relu, DensityActivation::Softplus, DensityActivation::Exp] {
             let variable = candle_core::Var::new(raw.as_slice(), &Device::Cpu).unwrap();
             let density = activate_density(activation, &variable).unwrap();
-            let pulled = (&density * Tensor::new(pull.as_slice(), &Device::Cpu).unwrap()).unwrap();
-            let store = pulled.sum_all().unwrap().backward().unwrap();
+            let weighted = (&density * Tensor::new(cotangent.as_slice(), &Device::Cpu).unwrap()).unwrap();
+            let store = weighted.sum_all().unwrap().backward().unwrap();
             let slopes = store.get(&variable).unwrap().to_vec1::<f32>().unwrap();
             for (i, (density, slope)) in density.to_vec1::<f32>().unwrap().into_iter().zip(slopes).enumerate() {
                 assert_eq!(density_of(activation, raw[i]), density, "{activation:?} of {}", raw[i]);
-                assert_eq!(raw_density_gradient(activation, raw[i], pull[i]), slope, "{activation:?} at {}", raw[i]);
+                assert_eq!(
+                    raw_density_gradient(activation, raw[i], cotangent[i]),
+                    slope,
+                    "{activation:?} at {}",
+                    raw[i]
+                );
             }
         }
     }

@@ -85,7 +85,7 @@ pub struct Field {
 pub struct FixedPoints<'a> {
     field: &'a Field,
     inputs: Inputs,
-    below: fused::Below,
+    below: fused::PrefixCache,
 }
 
 impl FixedPoints<'_> {
@@ -308,7 +308,7 @@ impl Field {
     }
 
     /// The fused core, where it applies and nobody expects gradients of the weights in candle's graph.
-    fn query<'a>(&self, below: Option<&'a fused::Below>) -> Option<fused::Query<'a>> {
+    fn query<'a>(&self, below: Option<&'a fused::PrefixCache>) -> Option<fused::Query<'a>> {
         let network = self.network.clone()?;
         let applies = self.recorder.is_some() || self.variables.is_empty();
         applies.then(|| fused::Query { network, recorder: self.recorder.clone(), below })
@@ -327,7 +327,7 @@ impl Field {
     /// Points `[n, 3]` that do not move any more; their gradient is not wanted.
     pub fn fix(&self, points: &Tensor) -> Result<FixedPoints<'_>> {
         let inputs = self.inputs(&points.detach())?;
-        Ok(FixedPoints { field: self, inputs, below: fused::Below::default() })
+        Ok(FixedPoints { field: self, inputs, below: fused::PrefixCache::default() })
     }
 
     fn detached(&self) -> Field {
@@ -379,7 +379,7 @@ impl Field {
         inputs: &Inputs,
         viewdirs: &Tensor,
         delta: Option<FeatureDelta>,
-        below: Option<&fused::Below>,
+        below: Option<&fused::PrefixCache>,
     ) -> Result<RawOutput> {
         let (n, _) = inputs.values.dims2()?;
         if let Some(query) = self.query(below) {

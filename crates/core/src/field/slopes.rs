@@ -53,9 +53,9 @@ impl Slopes {
     }
 
     /// dL/d e_bar `[n, channels]` of a loss with these derivatives in the gradient and the Laplacian.
-    pub(super) fn pull(&self, gradient: &Option<Tensor>, laplacian: &Option<Tensor>) -> Result<Option<Tensor>> {
+    pub(super) fn backward(&self, gradient: &Option<Tensor>, laplacian: &Option<Tensor>) -> Result<Option<Tensor>> {
         match self {
-            Slopes::Waves(waves) => waves.pull(gradient, laplacian),
+            Slopes::Waves(waves) => waves.backward(gradient, laplacian),
             Slopes::Grid(_) if gradient.is_none() && laplacian.is_none() => Ok(None),
             Slopes::Grid(grid) => {
                 let (gradient, laplacian) = (gradient.clone(), laplacian.clone());
@@ -112,7 +112,7 @@ impl Waves {
         })
     }
 
-    fn pull(&self, gradient: &Option<Tensor>, laplacian: &Option<Tensor>) -> Result<Option<Tensor>> {
+    fn backward(&self, gradient: &Option<Tensor>, laplacian: &Option<Tensor>) -> Result<Option<Tensor>> {
         let through_gradient =
             gradient.as_ref().map(|gradient| gradient.matmul(&self.axes.t()?)? * &self.first).transpose()?;
         let through_laplacian =

@@ -204,11 +204,11 @@ impl Spatial<'_> {
     /// [`Field::table_gradient`], to be made of many records at once.
     pub fn recorded_gradients(&self, loss: &Cotangents) -> Result<(Vec<Option<Tensor>>, Option<TableRecord>)> {
         let tape = &self.tape;
-        let raw = tape.activated.pull_back(loss, &tape.raw_gradient, &tape.raw_laplacian)?;
-        let pull = tape.slopes.pull(&raw.gradient, &raw.laplacian)?;
+        let raw = tape.activated.backward(loss, &tape.raw_gradient, &tape.raw_laplacian)?;
+        let cotangent = tape.slopes.backward(&raw.gradient, &raw.laplacian)?;
         let field = tape.field;
         let mut gradients = vec![None; Field::parameter_names(&field.config).len()];
-        if pull.is_none() && raw.density.is_none() {
+        if cotangent.is_none() && raw.density.is_none() {
             return Ok((gradients, None));
         }
         let (of_table, of_layers) = gradients.split_at_mut(usize::from(field.grid.is_some()));
@@ -218,10 +218,10 @@ impl Spatial<'_> {
         }
         match &tape.trunk {
             Trunk::Plain { encoded, hidden, adjoints } => {
-                plain_gradients(&field.detached(), (encoded, hidden, adjoints), pull, raw.density, of_layers)?;
+                plain_gradients(&field.detached(), (encoded, hidden, adjoints), cotangent, raw.density, of_layers)?;
             }
             Trunk::Fused(slope) => {
-                let found = slope.gradients(pull.as_ref(), raw.density.as_ref())?;
+                let found = slope.gradients(cotangent.as_ref(), raw.density.as_ref())?;
                 let shapes = field.layers().flat_map(|layer| [layer.weight.shape(), layer.bias.shape()]);
                 for ((gradient, values), shape) in of_layers.iter_mut().zip(found).zip(shapes) {
                     *gradient = Some(Tensor::from_vec(values, shape, &Device::Cpu)?);
@@ -238,19 +238,19 @@ fn unasked(raw: &Tensor, shape: &[usize]) -> Result<Tensor> {
     Ok(Tensor::full(f64::NAN, shape, raw.device())?.to_dtype(raw.dtype())?)
 }
 
-/// The forward recursion on the weights' gradients. Something pulls.
+/// The forward recursion on the weights' gradients. One of the gradients is there.
 fn plain_gradients(
     field: &Field,
     (encoded, hidden, adjoints): (&Tensor, &[Tensor], &[Tensor]),
-    pull: Option<Tensor>,
+    cotangent: Option<Tensor>,
     d_raw: Option<Tensor>,
     gradients: &mut [Option<Tensor>],
 ) -> Result<()> {
     let d_raw = d_raw.map(|d| d.unsqueeze(1)).transpose()?; // [n, 1]
     let of_raw = d_raw.as_ref().map(|d| encoded.broadcast_mul(d)).transpose()?;
-    let u_0 = match (&pull, of_raw) {
-        (Some(pull), Some(of_raw)) => (pull + of_raw)?,
-        (pull, of_raw) => pull.clone().or(of_raw).expect("something pulls"),
+    let u_0 = match (&cotangent, of_raw) {
+        (Some(cotangent), Some(of_raw)) => (cotangent + of_raw)?,
+        (cotangent, of_raw) => cotangent.clone().or(of_raw).expect("one of them has a gradient"),
     };
     let mut u: Option<Tensor> = None;
     for (i, layer) in field.trunk.iter().enumerate() {
@@ -258,7 +258,7 @@ fn plain_gradients(
         let adjoint = adjoints[i].t()?;
         gradients[2 * i] = Some(adjoint.matmul(&input)?);
         gradients[2 * i + 1] = d_raw.as_ref().map(|d| adjoint.matmul(d)?.squeeze(1)).transpose()?;
-        u = Some(match (&pull, &d_raw) {
+        u = Some(match (&cotangent, &d_raw) {
             (Some(_), _) => {
                 let moved = input.matmul(&layer.weight.t()?)?;
                 let moved = match &d_raw {
@@ -269,7 +269,7 @@ fn plain_gradients(
             }
             // Of raw density alone: the recursion is the forward pass, scaled point by point.
             (None, Some(d)) => hidden[i].broadcast_mul(d)?,
-            (None, None) => unreachable!("something pulls"),
+            (None, None) => unreachable!("one of them has a gradient"),
         });
     }
     let head = 2 * field.trunk.len();

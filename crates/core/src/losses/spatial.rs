@@ -29,7 +29,7 @@ pub fn regularize_unless(
     field: &Field,
     points: &Quadrature,
     terms: &[WeightedSpaceTerm],
-    unless_stopped: impl Fn() -> Result<()>,
+    stop_check: impl Fn() -> Result<()>,
 ) -> Result<Regularized> {
     let volume = points.volume_each();
     let field = &field.prepared()?;
@@ -40,7 +40,7 @@ pub fn regularize_unless(
         field.device(),
         |points| chunk_at(field, points, terms, volume),
         |chunk| {
-            unless_stopped()?;
+            stop_check()?;
             match &mut sum {
                 None => sum = Some(chunk),
                 Some(sum) => sum.add(chunk, field)?,

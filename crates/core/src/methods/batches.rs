@@ -222,7 +222,7 @@ mod tests {
             background: None,
             path: vec![],
             corrupted: None,
-            place: Default::default(),
+            space: Default::default(),
         }
     }
 

@@ -20,7 +20,7 @@ pub struct Term {
 }
 
 /// What a step learned.
-pub struct Learned {
+pub struct StepResult {
     /// Of the loss, in the order of the model's variables.
     pub gradients: Gradients,
     /// What the loss is made of.
@@ -45,7 +45,7 @@ pub struct LogColumns {
 }
 
 /// An error where the work at hand is to end before it is done.
-pub type UnlessStopped<'a> = dyn Fn() -> Result<()> + Sync + 'a;
+pub type StopCheck<'a> = dyn Fn() -> Result<()> + Sync + 'a;
 
 /// Learns a model's parameters from a scene's training views.
 pub trait Learner: Send {
@@ -61,6 +61,6 @@ pub trait Learner: Send {
 
     /// Draws the work of the step that follows `step` finished ones, by random numbers that depend on seed and step
     /// alone, and learns from it. Changes no parameter. `log` asks for diagnostics, which cost further passes. A long step asks
-    /// `unless_stopped` again and again, and ends with its error.
-    fn learn(&mut self, step: u64, log: bool, unless_stopped: &UnlessStopped) -> Result<Learned>;
+    /// `stop_check` again and again, and ends with its error.
+    fn step(&mut self, step: u64, log: bool, stop_check: &StopCheck) -> Result<StepResult>;
 }

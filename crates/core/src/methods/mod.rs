@@ -1,6 +1,6 @@
 //! What is trained: the model of each method, how it learns and how it shows its scene.
 //!
-//! A method has parameters, a [`Learner`] that draws a step's work and turns it into gradients, and a [`Painter`] that turns
+//! A method has parameters, a [`Learner`] that draws a step's work and turns it into gradients, and a [`Renderer`] that turns
 //! rays into colours. Some methods have a density. To add a method, implement [`Family`] and [`Network`] in a crate of its
 //! own, as `augnerf-baselines` does, and add it to the [`crate::settings::Method`]s.
 
@@ -10,12 +10,12 @@ mod fields;
 mod gradients;
 mod learner;
 mod network;
-mod painter;
+mod renderer;
 
 pub use batches::{Batch, Batches};
 pub use diagnostics::{SiteDiagnostics, SiteSummary};
-pub use fields::{Balance, FieldLearner, FieldPainter, Fields, parts, step_over_radius};
+pub use fields::{Balance, FieldLearner, FieldRenderer, Fields, parts, step_over_radius};
 pub use gradients::Gradients;
-pub use learner::{Learned, Learner, LogColumns, Term, UnlessStopped};
+pub use learner::{Learner, LogColumns, StepResult, StopCheck, Term};
 pub use network::{Family, Network};
-pub use painter::{Painted, Painter};
+pub use renderer::{RenderedRays, Renderer};

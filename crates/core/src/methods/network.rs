@@ -10,7 +10,7 @@ use crate::field::Density;
 use crate::settings::{Config, Resolved};
 
 use super::learner::Learner;
-use super::painter::Painter;
+use super::renderer::Renderer;
 
 /// The parameters of one experiment with a method that is not a radiance field.
 pub trait Network: Send + Sync {
@@ -35,7 +35,7 @@ pub trait Network: Send + Sync {
     ///
     /// # Errors
     /// Weights that are not numbers; those of candle.
-    fn painter(&self, config: &Config, scene: &Scene) -> Result<Box<dyn Painter>>;
+    fn renderer(&self, config: &Config, scene: &Scene) -> Result<Box<dyn Renderer>>;
 
     /// Returns the density in space with the current parameters, or `None` for a method without density.
     ///

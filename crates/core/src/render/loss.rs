@@ -8,7 +8,7 @@ use crate::base::tensors::with_values;
 use crate::field::{Field, density_of};
 use crate::settings::OutputPlace;
 
-use super::light::{Lit, Samples};
+use super::fused_loss::{Samples, ShadedLoss};
 use super::pass::{Pass, PassOutput, activate, clean_raw, finish};
 use super::perturbed::{FixedSamples, Perturbation, PerturbedOutput, Queried, query};
 use super::photometric_loss;
@@ -39,8 +39,8 @@ impl PassLoss {
 pub fn clean_pass_loss(field: &Field, pass: Pass, target: &Tensor) -> Result<PassLoss> {
     let raw = clean_raw(field, pass)?;
     let samples = Samples { field, pass, t_vals: pass.t_vals, raw: &raw, added: None };
-    if let Some(lit) = samples.light(target)? {
-        return Ok(pass_of(lit, samples).0);
+    if let Some(shaded) = samples.fused_loss(target)? {
+        return Ok(pass_of(shaded, samples).0);
     }
     PassLoss::of(finish(pass, pass.t_vals, &raw, activate(field, &raw, pass.density_noise)?)?, target)
 }
@@ -72,8 +72,8 @@ fn loss_of(queried: Queried, target: &Tensor) -> Result<(PassLoss, Deltas)> {
     let Queried { field, pass, t_vals, perturbation: Perturbation { deltas, sets, output, .. }, raw } = &queried;
     if *output == OutputPlace::After {
         let samples = Samples { field, pass: *pass, t_vals, raw, added: Some((deltas, sets)) };
-        if let Some(lit) = samples.light(target)? {
-            let (pass, used) = pass_of(lit, samples);
+        if let Some(shaded) = samples.fused_loss(target)? {
+            let (pass, used) = pass_of(shaded, samples);
             let mut deltas = (*deltas).clone();
             used.into_iter().for_each(|(site, delta)| deltas.set(site, delta));
             return Ok((pass, deltas));
@@ -83,7 +83,7 @@ fn loss_of(queried: Queried, target: &Tensor) -> Result<(PassLoss, Deltas)> {
     Ok((PassLoss::of(pass, target)?, used.deltas))
 }
 
-fn pass_of(Lit { loss, composite, used }: Lit, samples: Samples) -> (PassLoss, Vec<(Site, Tensor)>) {
+fn pass_of(ShadedLoss { loss, composite, used }: ShadedLoss, samples: Samples) -> (PassLoss, Vec<(Site, Tensor)>) {
     let (t_vals, raw_density) = (samples.t_vals.detach(), samples.raw.density.detach());
     (PassLoss { loss, composite, t_vals, raw_density }, used)
 }

@@ -5,8 +5,8 @@ use candle_core::Tensor;
 use crate::base::Result;
 
 mod cast;
+mod fused_loss;
 mod image;
-mod light;
 mod loss;
 mod pass;
 mod perturbed;

@@ -42,7 +42,7 @@ pub(super) struct Passed<'a, T> {
 }
 
 /// Gradients of what rays show; 0 where there are none.
-pub(super) struct Pull<'a, T> {
+pub(super) struct Gradients<'a, T> {
     pub(super) colours: &'a [T],
     pub(super) depths: Option<&'a [T]>,
     pub(super) accs: Option<&'a [T]>,
@@ -61,7 +61,7 @@ struct Ray<'a, T> {
 }
 
 /// What one sample leaves of a ray's light.
-struct Light {
+struct Contribution {
     /// T_k, transmittance before it.
     before: f64,
     /// T_k alpha_k, its weight.
@@ -91,7 +91,7 @@ impl<T: Real> Ray<'_, T> {
     }
 
     /// Visits the samples from the near end on.
-    fn scan(&self, mut visit: impl FnMut(usize, Light)) {
+    fn scan(&self, mut visit: impl FnMut(usize, Contribution)) {
         let mut before = 0.0;
         for (k, density) in self.density.iter().enumerate() {
             let optical = *density * self.interval(k);
@@ -101,7 +101,7 @@ impl<T: Real> Ray<'_, T> {
             let before_it = transmittance.to_f64();
             visit(
                 k,
-                Light {
+                Contribution {
                     before: before_it,
                     weight: (alpha * transmittance).to_f64(),
                     behind: (kept * transmittance).to_f64(),
@@ -142,7 +142,7 @@ impl Scan {
             let ray = self.ray(i, samples, rgb, density, t_vals);
             let (mut colour, mut depth, mut acc) = ([0f64; 3], 0.0, 0.0);
             let weights = &mut weights[i * samples..][..samples];
-            ray.scan(|k, Light { weight, behind, .. }| {
+            ray.scan(|k, Contribution { weight, behind, .. }| {
                 weights[k] = T::from_f64(weight);
                 all_behind.push(T::from_f64(behind));
                 for (sum, c) in colour.iter_mut().zip(&ray.rgb[3 * k..3 * k + 3]) {
@@ -168,7 +168,7 @@ impl Scan {
             let (density, t_vals) = (&density[i * samples..][..samples], &t_vals[i * columns..][..columns]);
             let ray = Ray { rgb: &[], density, t_vals, norm, last_interval: self.last_interval };
             let mut acc = 0.0;
-            ray.scan(|_, light| acc += light.weight);
+            ray.scan(|_, sample| acc += sample.weight);
             T::from_f64(acc)
         };
         self.direction_norm.iter().enumerate().map(acc).collect()
@@ -176,19 +176,19 @@ impl Scan {
 
     /// With G_k the gradient of weight k: that of the optical depth o_k = density_k * interval_k is
     /// G_k T_k exp(-o_k) - sum over l > k of G_l w_l, where the last interval's o takes part in no other weight.
-    pub(super) fn backward<T: Real>(&self, passed: Passed<T>, pull: Pull<T>) -> [Vec<T>; 3] {
+    pub(super) fn backward<T: Real>(&self, passed: Passed<T>, gradients: Gradients<T>) -> [Vec<T>; 3] {
         let Passed { rgb, density, t_vals, weights, behind } = passed;
         let rays = self.direction_norm.len();
         let samples = density.len().checked_div(rays).unwrap_or(0);
         let zeros = |n: usize| vec![T::from_f64(0.0); n];
         let mut out = [zeros(rgb.len()), zeros(density.len()), zeros(t_vals.len())];
         let [d_rgb, d_density, d_t] = &mut out;
-        let pulled = |gradient: Option<&[T]>, at: usize| gradient.map_or(0.0, |gradient| gradient[at].to_f64());
+        let entry = |gradient: Option<&[T]>, at: usize| gradient.map_or(0.0, |gradient| gradient[at].to_f64());
         for i in 0..rays {
             let ray = self.ray(i, samples, rgb, density, t_vals);
-            let g_colour: [f64; 3] = std::array::from_fn(|c| pull.colours[3 * i + c].to_f64());
-            let (g_depth, fill) = (pulled(pull.depths, i), self.fill());
-            let g_acc = pulled(pull.accs, i) - (0..3).map(|c| g_colour[c] * fill[c]).sum::<f64>();
+            let g_colour: [f64; 3] = std::array::from_fn(|c| gradients.colours[3 * i + c].to_f64());
+            let (g_depth, fill) = (entry(gradients.depths, i), self.fill());
+            let g_acc = entry(gradients.accs, i) - (0..3).map(|c| g_colour[c] * fill[c]).sum::<f64>();
             let row = i * samples;
             // What the samples behind contribute: nothing behind the last.
             let mut later = 0.0;
@@ -196,14 +196,14 @@ impl Scan {
                 let colour = &ray.rgb[3 * k..3 * k + 3];
                 let weight = weights[row + k].to_f64();
                 let of_colour: f64 = (0..3).map(|c| g_colour[c] * colour[c].to_f64()).sum();
-                let g_weight = of_colour + g_depth * ray.position(k) + g_acc + pulled(pull.weights, row + k);
+                let g_weight = of_colour + g_depth * ray.position(k) + g_acc + entry(gradients.weights, row + k);
                 for c in 0..3 {
                     d_rgb[3 * (row + k) + c] = T::from_f64(weight * g_colour[c]);
                 }
                 let d_optical = g_weight * behind[row + k].to_f64() - later;
                 d_density[row + k] = T::from_f64(d_optical * ray.interval(k).to_f64());
                 later += g_weight * weight;
-                if !pull.wants_t_vals {
+                if !gradients.wants_t_vals {
                     continue;
                 }
                 let d_length = d_optical * ray.density[k].to_f64() * ray.norm;
@@ -232,7 +232,7 @@ impl Scan {
 pub(super) fn transmittance(t_vals: &[f64], density: &[f64], norm: f64, last_interval: f64) -> Vec<f64> {
     let ray = Ray { rgb: &[], density, t_vals, norm, last_interval };
     let mut before = Vec::with_capacity(density.len());
-    ray.scan(|_, light| before.push(light.before));
+    ray.scan(|_, sample| before.push(sample.before));
     before
 }
 
@@ -278,14 +278,14 @@ impl CustomOp3 for Scan {
         gradient: &Tensor,
     ) -> Result<(Option<Tensor>, Option<Tensor>, Option<Tensor>)> {
         match gradient.dtype() {
-            candle_core::DType::F64 => self.pull_back::<f64>([rgb, density, t_vals], gradient),
-            _ => self.pull_back::<f32>([rgb, density, t_vals], gradient),
+            candle_core::DType::F64 => self.gradients::<f64>([rgb, density, t_vals], gradient),
+            _ => self.gradients::<f32>([rgb, density, t_vals], gradient),
         }
     }
 }
 
 impl Scan {
-    fn pull_back<T: Real>(
+    fn gradients<T: Real>(
         &self,
         arguments: [&Tensor; 3],
         gradient: &Tensor,
@@ -301,14 +301,14 @@ impl Scan {
         let (accs, weights) = rest.split_at(rays);
         let passed =
             Passed { rgb: &of_rgb, density: &of_density, t_vals: &of_t, weights: &out[5 * rays..], behind: &behind };
-        let pull = Pull {
+        let gradients = Gradients {
             colours,
             depths: Some(depths),
             accs: Some(accs),
             weights: Some(weights),
             wants_t_vals: t_vals.track_op(),
         };
-        let [d_rgb, d_density, d_t] = self.backward(passed, pull);
+        let [d_rgb, d_density, d_t] = self.backward(passed, gradients);
         let tensor = |values: Vec<T>, like: &Tensor| {
             like.track_op().then(|| Tensor::from_vec(values, like.shape(), like.device())).transpose()
         };

@@ -143,7 +143,7 @@ mod tests {
         assert_eq!(transmittance(&[1.0, 2.0, 3.0], &[ln2, ln2, 1.0], 1.0), [1.0, 0.5, 0.25]);
     }
 
-    /// Every output pulled at once, every input's gradient; random rays, one of them empty, one opaque.
+    /// Every output gradients_of at once, every input's gradient; random rays, one of them empty, one opaque.
     #[test]
     fn the_scan_equals_plain_candle() {
         let (rays, samples) = (5, 9);
@@ -163,21 +163,21 @@ mod tests {
             let var = |tensor: &Tensor| Var::from_tensor(&tensor.to_dtype(dtype).unwrap()).unwrap();
             let inputs = [var(&wave(&[rays, samples, 3], 2.0)), var(&density), var(&gaps.cumsum(1).unwrap())];
             let norm = norm.to_dtype(dtype).unwrap();
-            let pulled = |reference: bool| {
+            let gradients_of = |reference: bool| {
                 let composite = if reference { composite_reference } else { composite };
                 let [rgb, density, t_vals] = inputs.each_ref().map(|var| var.as_tensor());
                 let out = composite(rgb, density, t_vals, &norm, Some([0.2, 0.5, 0.9])).unwrap();
                 let outputs = [out.rgb, out.depth, out.acc, out.weights];
-                let pull = |(i, out): (usize, &Tensor)| {
+                let cotangent = |(i, out): (usize, &Tensor)| {
                     let weights = wave(out.dims(), i as f64).to_dtype(dtype).unwrap();
                     (out * weights).unwrap().sum_all().unwrap()
                 };
-                let loss = outputs.iter().enumerate().map(pull).reduce(|a, b| (a + b).unwrap()).unwrap();
+                let loss = outputs.iter().enumerate().map(cotangent).reduce(|a, b| (a + b).unwrap()).unwrap();
                 let store = loss.backward().unwrap();
                 let gradients = inputs.each_ref().map(|var| store.get(var).unwrap().clone());
                 outputs.into_iter().chain(gradients).collect::<Vec<Tensor>>()
             };
-            for (i, (found, expected)) in pulled(false).iter().zip(pulled(true)).enumerate() {
+            for (i, (found, expected)) in gradients_of(false).iter().zip(gradients_of(true)).enumerate() {
                 let values = |tensor: &Tensor| {
                     tensor.to_dtype(DType::F64).unwrap().flatten_all().unwrap().to_vec1::<f64>().unwrap()
                 };

@@ -21,7 +21,7 @@ pub enum Agreement {
 
 /// Where tables tell a column.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Told {
+pub enum CaptionRule {
     /// In the caption where all lines of a scene share it, otherwise in a note.
     Always,
     /// In a note where the lines of a scene differ in it.
@@ -36,7 +36,7 @@ pub struct Column {
     /// Its name in files.
     pub name: &'static str,
     /// Where tables tell it.
-    pub told: Told,
+    pub caption: CaptionRule,
     /// When rows of one scene must agree in it.
     pub agreement: Agreement,
     /// Each seed has its own: no difference between rows.
@@ -46,16 +46,16 @@ pub struct Column {
 }
 
 const fn column(name: &'static str) -> Column {
-    Column { name, told: Told::Nowhere, agreement: Agreement::Free, per_seed: false, applies: |_| true }
+    Column { name, caption: CaptionRule::Nowhere, agreement: Agreement::Free, per_seed: false, applies: |_| true }
 }
 
 impl Column {
     const fn in_caption(self) -> Column {
-        Column { told: Told::Always, ..self }
+        Column { caption: CaptionRule::Always, ..self }
     }
 
     const fn where_differing(self) -> Column {
-        Column { told: Told::Differing, ..self }
+        Column { caption: CaptionRule::Differing, ..self }
     }
 
     const fn always(self) -> Column {

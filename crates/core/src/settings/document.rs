@@ -131,7 +131,7 @@ fn entry(setting: &Setting, default: Option<&Value>) -> String {
     let effect = match setting.rule.effect {
         Effect::Numbers => "changes numbers",
         Effect::Work => "changes work, no numbers",
-        Effect::Place => "says where things lie",
+        Effect::Path => "says where things lie",
         Effect::Output => "changes output, no numbers",
     };
     format!("{} = {default}\n    {}\n    {}; {effect}\n", setting.path, setting.doc, setting.values())

@@ -2,7 +2,7 @@
 
 use std::ops::RangeInclusive;
 
-use super::registry::{numbers, output, place, section};
+use super::registry::{numbers, output, path, section};
 
 /// Cells along each side of a mesh's lattice.
 pub const MESH_SIDES: RangeInclusive<usize> = 8..=1024;
@@ -18,7 +18,7 @@ section! {
         /// are drawn with `data.views_seed`. Empty = as many as are held out. They take as long as held-out ones.
         pub train_views: Option<usize> = None, output().columns(&["views_seen"]).later();
         /// Folder with LPIPS weights; empty = LPIPS is not measured.
-        pub lpips_weights: String = String::new(), place().columns(&["lpips_weights"]);
+        pub lpips_weights: String = String::new(), path().columns(&["lpips_weights"]);
         /// How many held-out views `train` writes pictures of (0 = none; metrics cover all views).
         pub pictures: usize = 4, output();
     }
@@ -42,7 +42,7 @@ section! {
         pub domain: Option<[[f64; 3]; 2]> = None, output().corners().columns(MESH).key("box");
         /// PLY or OBJ file in scene units that the surface is compared with; empty = the embedded scene's own, which
         /// other scenes have not; `none` = it is drawn as a picture alone.
-        pub reference: String = String::new(), place().columns(MESH);
+        pub reference: String = String::new(), path().columns(MESH);
         /// Points that are drawn on each surface.
         pub points: usize = 200_000, output().whole(100, 20_000_000, "100 to 20000000").columns(MESH);
         /// Distance of the F-score, scene units.

@@ -4,10 +4,10 @@ use serde::{Deserialize, Serialize};
 
 use super::registry::{choice, numbers, section};
 
-/// Most cells along a side of the box.
+/// Largest number of cells along a side of the box.
 const FINEST: usize = 1 << 16;
 
-/// Shortest side of a box, and the farthest that one reaches, in scene units: between them its coordinates can be computed
+/// Shortest side of a box, and its farthest coordinate, in scene units. Coordinates between them are safe to compute
 /// with.
 const SHORTEST: f64 = 1e-6;
 const FARTHEST: f64 = 1e12;
@@ -16,61 +16,63 @@ const FARTHEST: f64 = 1e12;
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Interpolation {
-    /// Trilinear: continuous, with a gradient that jumps at faces.
+    /// Trilinear: continuous, with a gradient that jumps at cell faces.
     #[default]
     Linear,
-    /// Trilinear in 3 w^2 - 2 w^3 of each coordinate w: the gradient is continuous, and there are second derivatives.
+    /// Trilinear in 3 w^2 - 2 w^3 of each coordinate w. The gradient is continuous, and second derivatives exist.
     Smoothstep,
 }
 
-/// What becomes of points outside the box.
+/// What happens to points outside the box.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Contraction {
-    /// Nothing is there: their density is 0.
+    /// They are empty: their density is 0.
     None,
-    /// Each axis by itself, so that boxes stay boxes: all of space is drawn into twice the box.
+    /// Contracts each axis separately, so that boxes stay boxes: all of space maps into twice the box.
     Axes,
-    /// All together (Barron et al. 2022, equation 10): all of space is drawn into the ball of twice the box's size.
+    /// Contracts all axes together (Barron et al. 2022, equation 10): all of space maps into a ball of twice the box's
+    /// size.
     Ball,
 }
 
 choice!(Interpolation, Contraction);
 
-/// The protocol's column for all of it.
+/// The protocol's column for all settings of the grid.
 const COLUMN: &[&str] = &["hash_grid"];
 
 section! {
-    /// The hash grid of a field with `encoding = "hash"`; read by no other.
+    /// The hash grid of a field with `encoding = "hash"`. Other encodings ignore it.
     pub struct HashConfig {
-        /// Levels (L).
+        /// Number of levels (L).
         pub levels: usize = 16, numbers().whole(1, 32, "1 to 32 levels").columns(COLUMN);
-        /// Features of an entry (F).
+        /// Features per entry (F).
         pub features: usize = 2, numbers().whole(1, 8, "1 to 8 features").columns(COLUMN);
-        /// Entries of a level's table at most, as a power of two (log2 T); a level whose grid has fewer corners has one entry for
-        /// each.
+        /// Largest number of entries in a level's table, as a power of two (log2 T). A level whose grid has fewer
+        /// corners has one entry per corner.
         pub log2_table: usize = 17, numbers().whole(8, 24, "8 to 24").columns(COLUMN);
         /// Cells along a side of the box at the coarsest level (N_min).
         pub coarsest: usize = 16, numbers().whole(1, 1 << 16, "1 to 65536 cells").columns(COLUMN);
-        /// The same at the finest level (N_max). Empty = twice the pixels along the longer side of a picture.
+        /// Cells along a side of the box at the finest level (N_max). Empty = twice the pixels along the longer side of
+        /// an image.
         pub finest: Option<usize> = None,
             numbers().whole(1, 1 << 16, "1 to 65536 cells, at least field.hash.coarsest").columns(COLUMN);
-        /// Between the corners of a cell: `linear` or `smoothstep`, which the Laplacian needs.
+        /// Interpolation between the corners of a cell: `linear` or `smoothstep`. The Laplacian needs `smoothstep`.
         pub interpolation: Interpolation = Interpolation::Linear, numbers().columns(COLUMN);
-        /// The box that the grid fills, two corners in scene units (NDC: -1 to 1 is the frustum). Empty = for NDC 1.5 to each side
-        /// of the scene's origin, and -1 to 1 along the view axis; else what most cameras look at (transforms.json, COLMAP, LLFF
-        /// spherified), where they look at something; else without a contraction 1.5 to each side, and with one as far to each side
-        /// as the middle of a ray is from its start.
+        /// The box that the grid fills: two corners in scene units (in NDC, -1 to 1 is the frustum). Empty, in NDC: 1.5
+        /// to each side of the scene's origin, and -1 to 1 along the view axis. Empty, if the cameras look at a common
+        /// region (transforms.json, COLMAP, spherified LLFF): that region. Empty otherwise: 1.5 to each side without a
+        /// contraction, and with one the distance from a ray's start to its middle.
         pub bounds: Option<[[f64; 3]; 2]> = None, numbers().corners().columns(COLUMN);
-        /// What becomes of points outside: `none` (nothing is there), `ball` or `axes` (all of space is drawn into it). Empty = `ball` for
-        /// captures without a known extent, `none` otherwise.
+        /// What happens to points outside: `none` (they are empty), `ball` or `axes` (all of space is contracted into
+        /// the grid). Empty = `ball` for captures of unknown extent, `none` otherwise.
         pub contraction: Option<Contraction> = None, numbers().columns(COLUMN);
     }
     sections {}
 }
 
 impl HashConfig {
-    /// Fills what depends on the scene: seen in NDC or not, within known bounds or not.
+    /// Fills the settings that depend on the scene: whether it is in NDC, and whether its extent is known.
     pub(super) fn resolve(
         &mut self,
         ndc: bool,
@@ -83,7 +85,7 @@ impl HashConfig {
         let contraction = if bounded || ndc { Contraction::None } else { Contraction::Ball };
         let contraction = *self.contraction.get_or_insert(contraction);
         let reach = match contraction {
-            // A ray's t_vals are 0 to 1 there, and no lengths of the box.
+            // In NDC a ray's `t_vals` are 0 to 1, which is not a length of the box.
             _ if ndc => 1.5,
             Contraction::None => 1.5,
             Contraction::Axes | Contraction::Ball => (0.5 * (near + far)).max(SHORTEST),
@@ -95,7 +97,7 @@ impl HashConfig {
         self.bounds.get_or_insert([[-reach, -reach, -depth], [reach, reach, depth]]);
     }
 
-    /// The first setting that cannot be computed with beside the others: its name in the section, its value, and what is allowed.
+    /// Returns the first setting that does not fit the others: its name in the section, its value, and what is allowed.
     pub(super) fn wrong(&self) -> Option<(&'static str, String, String)> {
         let HashConfig { coarsest, finest, bounds, .. } = *self;
         if let Some(finest) = finest.filter(|finest| *finest < coarsest) {
@@ -107,7 +109,7 @@ impl HashConfig {
     }
 }
 
-/// A box that can be computed with.
+/// Returns whether a box is safe to compute with.
 fn is_sound([low, high]: [[f64; 3]; 2]) -> bool {
     low.iter().zip(&high).all(|(low, high)| high - low >= SHORTEST && low.abs().max(high.abs()) <= FARTHEST)
 }
@@ -131,7 +133,7 @@ mod tests {
         }
         assert_eq!(bounds(Contraction::None, false, (2.0, 6.0)), [[-1.5; 3], [1.5; 3]]);
         assert_eq!(bounds(Contraction::Ball, false, (2.0, 6.0)), [[-4.0; 3], [4.0; 3]]);
-        // What scenes may have at the most, and at the least.
+        // The largest and the smallest scenes.
         bounds(Contraction::Ball, false, (0.0, 1e12));
         bounds(Contraction::Axes, false, (0.0, f64::MIN_POSITIVE));
     }

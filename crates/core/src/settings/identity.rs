@@ -35,9 +35,9 @@ impl Config {
     }
 
     /// The same experiment without where things lie; its scene is named.
-    pub fn without_places(&self) -> Config {
+    pub fn without_paths(&self) -> Config {
         let mut anywhere = self.named();
-        anywhere.reset(&Config::default(), |rule| rule.effect == Effect::Place);
+        anywhere.reset(&Config::default(), |rule| rule.effect == Effect::Path);
         // A mesh of this machine is no reference elsewhere; one that has a name is.
         let reference = &self.eval.mesh.reference;
         let is_file = std::path::Path::new(reference).is_absolute();
@@ -53,7 +53,7 @@ impl Config {
         } else {
             shape.perturb = PerturbConfig::default();
         }
-        shape.reset(&Config::default(), |rule| rule.same_time || rule.effect == Effect::Place);
+        shape.reset(&Config::default(), |rule| rule.same_time || rule.effect == Effect::Path);
         shape.forget_unread();
         shape.eval = EvalConfig::default();
         shape.regularizer.weight = vec![1.0; shape.regularizer.kind.len()];

@@ -49,7 +49,7 @@ pub enum Representation {
 
 /// What a representation can be asked for, and not every one has.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Ability {
+pub enum Capability {
     /// Density in space: surfaces.
     Density,
     /// Density with its derivatives at points: smoothness, and regularizers made of it.
@@ -130,29 +130,33 @@ impl Representation {
 
     /// Density has a gradient and a Laplacian at points, of which terms in space and measures of smoothness are made.
     pub fn has_derivatives_at_points(self) -> bool {
-        self.lacks(Ability::Derivatives).is_none()
+        self.lacks(Capability::Derivatives).is_none()
     }
 
     /// Why it cannot be asked for something, in words that end a sentence; none where it can.
-    pub fn lacks(self, ability: Ability) -> Option<&'static str> {
+    pub fn lacks(self, capability: Capability) -> Option<&'static str> {
         use Representation::{HashNerf, MipNerf, Nerf, Planes, Srn, Volume};
-        match (self, ability) {
-            (Nerf | HashNerf, _) | (MipNerf, Ability::Density | Ability::Samples) | (Volume, Ability::Density) => None,
-            (MipNerf, Ability::Derivatives) => Some("its field is queried at Gaussians, not at points"),
-            (Srn, Ability::Density | Ability::Derivatives) => {
+        match (self, capability) {
+            (Nerf | HashNerf, _)
+            | (MipNerf, Capability::Density | Capability::Samples)
+            | (Volume, Capability::Density) => None,
+            (MipNerf, Capability::Derivatives) => Some("its field is queried at Gaussians, not at points"),
+            (Srn, Capability::Density | Capability::Derivatives) => {
                 Some("an SRN knows where a ray ends, not where space is full")
             }
-            (Srn, Ability::Samples) => Some("an SRN steps to one point of each ray, and has no weights along it"),
-            (Volume, Ability::Derivatives) => Some(
+            (Srn, Capability::Samples) => Some("an SRN steps to one point of each ray, and has no weights along it"),
+            (Volume, Capability::Derivatives) => Some(
                 "opacity is trilinear between voxels, so that its gradient jumps at their faces, and a warp lies before it",
             ),
-            (Volume, Ability::Samples) => {
+            (Volume, Capability::Samples) => {
                 Some("its volume is one lookup a step, not a field that is queried at samples")
             }
-            (Planes, Ability::Density | Ability::Derivatives) => {
+            (Planes, Capability::Density | Capability::Derivatives) => {
                 Some("LLFF has a stack of planes for each training view, and no density in space")
             }
-            (Planes, Ability::Samples) => Some("LLFF blends planes of several views, and has no samples along a ray"),
+            (Planes, Capability::Samples) => {
+                Some("LLFF blends planes of several views, and has no samples along a ray")
+            }
         }
     }
 

@@ -38,7 +38,7 @@ pub use field::{Core, DensityActivation, Encoding, FieldConfig, Init, Precision}
 pub use hash::{Contraction, HashConfig, Interpolation};
 pub use identity::{scene_name, short_hash, value_at};
 pub use layers::{Preset, build, data_section, parse_assignment};
-pub use method::{Ability, Method, Representation};
+pub use method::{Capability, Method, Representation};
 pub use perturb::{Objective, OutputPlace, PerturbConfig, PerturbField, Resample, ResolvedPerturb};
 pub use planes::{PlanesConfig, PlanesLoss};
 pub use regularizer::{LatticePoints, REGULARIZERS, RegularizedFields, Regularizer, RegularizerConfig};

@@ -5,7 +5,7 @@
 
 use std::sync::LazyLock;
 
-pub use super::rules::{Effect, Rule, numbers, output, place, work};
+pub use super::rules::{Effect, Rule, numbers, output, path, work};
 pub(super) use super::types::choice;
 pub use super::types::{Range, Settable};
 use crate::base::SettingError;

@@ -1,21 +1,21 @@
-//! Section `regularizer`: terms of the loss beside the photometric one, on density in space or on rays.
+//! Section `regularizer`: terms of the loss next to the photometric one, on density in space or on rays.
 
 use serde::{Deserialize, Deserializer, Serialize};
 
 use super::registry::{choice, numbers, section};
 
-/// An explicit regularizer: the integral over a box of what it measures at a point (paper,
-/// appendix "Implementation of explicit regularization").
+/// An explicit regularizer: the integral over a box of a quantity at a point (paper, appendix "Implementation of
+/// explicit regularization").
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Regularizer {
     /// abs(density): sparsity.
     L1,
-    /// Length of density's gradient: total variation.
+    /// Length of the density gradient: total variation.
     Tv,
     /// abs(Laplacian of density).
     Laplacian,
-    /// Spread of the weights along each ray (mip-NeRF 360, equation 15); the others are integrals over a box.
+    /// Spread of the weights along each ray (mip-NeRF 360, equation 15). The other terms are integrals over a box.
     Distortion,
 }
 
@@ -24,7 +24,7 @@ pub const REGULARIZERS: [Regularizer; 4] =
     [Regularizer::L1, Regularizer::Tv, Regularizer::Laplacian, Regularizer::Distortion];
 
 impl Regularizer {
-    /// The name in files and tables.
+    /// Returns the name in files and tables.
     pub fn name(self) -> &'static str {
         match self {
             Regularizer::L1 => "l1",
@@ -34,14 +34,15 @@ impl Regularizer {
         }
     }
 
-    /// An integral over the box of section `regularizer`, made of density's derivatives at points.
+    /// Returns whether the term is an integral over the box of section `regularizer`, of density or its derivatives at
+    /// points.
     pub fn in_space(self) -> bool {
         self != Regularizer::Distortion
     }
 
-    /// The weight where none is set: a tenth of the photometric loss's pull on the weights on fern at preset
-    /// `paper-llff`, after 100 steps. What balances another scene can be hundreds of times as much; `augnerf balance`
-    /// measures it. The distortion loss's is mip-NeRF 360's.
+    /// Returns the default weight. The term then has a tenth of the photometric loss's gradient norm on fern, preset
+    /// `paper-llff`, after 100 steps. Another scene can need hundreds of times as much; `augnerf balance` measures it.
+    /// The distortion loss has mip-NeRF 360's weight.
     fn default_weight(self) -> f64 {
         match self {
             Regularizer::L1 => 1.4e-4,
@@ -52,11 +53,11 @@ impl Regularizer {
     }
 }
 
-/// Where in the box a step queries density.
+/// The points of the box at which a step queries density.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum LatticePoints {
-    /// `points_per_step` cells of the lattice, fresh in each step: an unbiased estimate.
+    /// `points_per_step` random cells of the grid, new in each step: an unbiased estimate.
     #[default]
     Sampled,
     /// The midpoint of every cell in every step: the paper's quadrature.
@@ -67,10 +68,10 @@ pub enum LatticePoints {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum RegularizedFields {
-    /// Coarse and fine; their terms add up.
+    /// Coarse and fine; their terms are added.
     #[default]
     Both,
-    /// The one that is evaluated.
+    /// Only the network that is evaluated.
     Fine,
 }
 
@@ -84,43 +85,44 @@ section! {
         /// `l1`, `tv`, `laplacian`, `distortion`, or a list of several; empty = none.
         #[serde(deserialize_with = "kinds")]
         pub kind: Vec<Regularizer> = Vec::new(), numbers().columns(&["regularizers"]);
-        /// Weight of each term in `kind`: a number, or a list in the same order. Empty = a default for each; a term of
-        /// weight 0 is as good as not named.
+        /// Weight of each term in `kind`: a number, or a list in the same order. Empty = the default of each term. A
+        /// weight of 0 disables the term.
         #[serde(deserialize_with = "weights")]
         pub weight: Vec<f64> = Vec::new(),
             numbers().real(|weight| weight >= 0.0, "0 (off) or positive").columns(&["regularizers"]).same_time();
-        /// Lower and upper corner of the box, in the units of `points` (NDC where the scene uses it).
+        /// Lower and upper corner of the box, in the units of the points (NDC if the scene uses it).
         pub domain: [[f64; 3]; 2] = [[-1.0; 3], [1.0; 3]], numbers().corners().columns(&["regularizer_domain"]);
         /// Cells along each side of the box (N).
         pub lattice: usize = 64,
             numbers().whole(4, 1024, "4 to 1024 cells a side: fewer say nothing about smoothness, more would never finish")
                 .columns(POINTS);
-        /// `sampled` or `full`.
+        /// Which cells a step queries: `sampled` (random cells) or `full` (all cells).
         pub points: LatticePoints = LatticePoints::Sampled, numbers().columns(POINTS);
-        /// Cells that a step of `points = "sampled"` draws.
+        /// Number of cells that a step of `points = "sampled"` draws.
         pub points_per_step: usize = 4096, numbers().columns(POINTS);
-        /// A sampled cell is queried at a uniformly random point, which estimates the integral without bias; false = at
-        /// its midpoint, which estimates the full lattice's sum without bias.
+        /// Query a sampled cell at a uniformly random point, which estimates the integral without bias. `false` = at
+        /// its midpoint, which estimates the sum over the full sampling grid without bias.
         pub jitter: bool = true, numbers().columns(POINTS);
-        /// `both` or `fine`.
+        /// Which networks are regularized: `both` or `fine`.
         pub fields: RegularizedFields = RegularizedFields::Both, numbers().column("regularizer_fields");
     }
     sections {}
 }
 
 impl RegularizerConfig {
-    /// The terms with their weights.
+    /// Returns the terms with their weights.
     pub fn terms(&self) -> impl Iterator<Item = (Regularizer, f64)> + '_ {
         self.kind.iter().copied().zip(self.weight.iter().copied())
     }
 
-    /// A term is an integral over the box.
+    /// Returns whether any term is an integral over the box.
     pub fn has_space_terms(&self) -> bool {
         self.kind.iter().any(|kind| kind.in_space())
     }
 
-    /// Fills empty weights and drops what has no effect: terms of weight 0, after which nothing may tell the run from
-    /// one without them, the box where no term is an integral over it, and how to sample a lattice that is not sampled.
+    /// Fills empty weights and removes settings without effect. Those are terms of weight 0, the box if no term is an
+    /// integral over it, and the sampling of a grid that is not sampled. Afterwards the configuration equals that of a
+    /// run without them.
     pub(super) fn resolve(&mut self) {
         if self.weight.is_empty() {
             self.weight = self.kind.iter().map(|kind| kind.default_weight()).collect();

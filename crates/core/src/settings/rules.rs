@@ -11,7 +11,7 @@ pub enum Effect {
     /// How often is logged, saved and evaluated: no number.
     Work,
     /// Where things lie.
-    Place,
+    Path,
     /// What is drawn and measured besides.
     Output,
 }
@@ -22,7 +22,7 @@ impl Effect {
         match self {
             Effect::Numbers => "numbers",
             Effect::Work => "work",
-            Effect::Place => "place",
+            Effect::Path => "place",
             Effect::Output => "output",
         }
     }
@@ -73,8 +73,8 @@ pub const fn work() -> Rule {
 }
 
 /// A setting that says where something lies.
-pub const fn place() -> Rule {
-    rule(Effect::Place)
+pub const fn path() -> Rule {
+    rule(Effect::Path)
 }
 
 /// A setting that says what is drawn or measured besides.

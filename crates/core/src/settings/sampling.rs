@@ -4,19 +4,19 @@ use serde::{Deserialize, Serialize};
 
 use super::registry::{choice, numbers, section};
 
-/// What the coarse samples of a ray are evenly spaced in.
+/// The quantity in which the coarse samples of a ray are evenly spaced.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Spacing {
     /// In t.
     #[default]
     Depth,
-    /// In 1 / t, as nerf-pytorch's `lindisp`: more of them near the camera.
+    /// In 1 / t, as nerf-pytorch's `lindisp`: samples are denser near the camera.
     Disparity,
 }
 
 impl Spacing {
-    /// The t at a share of the way from near to far; near is positive where spacing is in disparity.
+    /// Returns t at a fraction of the way from near to far. Near is positive if the spacing is in disparity.
     pub fn at(self, (near, far): (f64, f64), share: f64) -> f64 {
         match self {
             Spacing::Depth => near * (1.0 - share) + far * share,
@@ -32,20 +32,20 @@ section! {
     pub struct SamplingConfig {
         /// Stratified samples of the coarse pass (MipNeRF and hash grids: intervals).
         pub coarse: usize = 64, numbers().whole(3, 4096, "3 to 4096 samples").column("samples_coarse");
-        /// Further inverse-CDF samples of the fine pass, which has `coarse + fine` (MipNeRF and hash grids: its
-        /// intervals, `fine` in all; 0 = coarse pass only, not with hash grids).
+        /// Additional inverse-CDF samples of the fine pass, which has `coarse + fine`. MipNeRF and hash grids: the
+        /// number of its intervals (0 = coarse pass only, not with hash grids).
         pub fine: usize = 64, numbers().whole(0, 4096, "0 (coarse only) to 4096 samples").column("samples_fine");
-        /// MipNeRF and hash grids: added to the blurred weights that the fine pass's intervals are drawn from.
+        /// MipNeRF and hash grids: added to the blurred weights from which the fine pass draws its intervals.
         pub resample_padding: f64 = 0.01,
             numbers().real(|padding| padding > 0.0, "positive: where all weights are 0, intervals are drawn from it alone")
                 .column("resample_padding").later().same_time();
-        /// What the coarse samples are evenly spaced in: `depth`, or `disparity` (1 / depth), for bounds that are far apart
-        /// without NDC.
+        /// The quantity in which the coarse samples are evenly spaced: `depth`, or `disparity` (1 / depth) for bounds
+        /// that are far apart without NDC.
         pub spacing: Spacing = Spacing::Depth, numbers().column("spacing").later().same_time();
-        /// Jitter in training.
+        /// Jitter samples in training.
         pub jitter: bool = true, numbers().column("jitter");
-        /// Standard deviation of the noise on raw density in training. Empty = 1 for forward-facing
-        /// scenes, 0 otherwise.
+        /// Standard deviation of the noise on raw density in training. Empty = 1 for forward-facing scenes, 0
+        /// otherwise.
         pub density_noise: Option<f64> = None, numbers().real(|noise| noise >= 0.0, "0 or positive").column("density_noise");
     }
     sections {}

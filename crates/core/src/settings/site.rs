@@ -27,7 +27,7 @@ pub struct SiteConfig {
     pub steps: Option<usize>,
     /// Length of one step, in `step_unit`.
     pub step_size: Option<f64>,
-    /// Size of the set, in the site's unit (see [`crate::augment::About::unit`]), or as far as its steps reach.
+    /// Size of the set, in the site's unit (see [`crate::augment::SiteSpec::unit`]), or as far as its steps reach.
     pub epsilon: Option<Epsilon>,
     /// The set's norm.
     pub norm: Option<Norm>,

@@ -1,4 +1,4 @@
-//! Section `train`: optimisation.
+//! Section `train`: optimization.
 
 use serde::{Deserialize, Serialize};
 
@@ -15,7 +15,7 @@ pub enum Schedule {
     LogLinear,
 }
 
-/// Where a step's rays come from.
+/// The source of a step's rays.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Batching {
@@ -43,27 +43,27 @@ fn is_share_above_0(share: f64) -> bool {
 }
 
 section! {
-    /// Optimisation.
+    /// Optimization.
     pub struct TrainConfig {
-        /// Weight updates.
+        /// Number of optimizer steps.
         pub steps: u64 = 500_000,
             numbers().whole(1, 1_000_000_000, "at least 1, at most 10^9").columns(&["steps"]).same_time();
-        /// Rays of one step.
+        /// Rays per step.
         pub rays: usize = 1024, numbers().whole(1, 1 << 20, "1 to 1048576").column("rays");
-        /// Rays that one thread works on at once; bounds memory (a GPU wants thousands). Changes results by rounding,
-        /// and the attack's random draws.
+        /// Rays that one thread processes at once. It bounds memory (a GPU needs thousands). It changes results by
+        /// rounding, and changes the attack's random draws.
         pub chunk: usize = 32, numbers().whole(1, 1 << 20, "1 to 1048576 rays").column("chunk");
-        /// Where a step's rays come from. Empty = `one-image` for scenes seen from all around,
-        /// `all-images` for forward-facing ones.
+        /// Source of a step's rays: `one-image` or `all-images`. Empty = `one-image` for scenes with cameras all
+        /// around, `all-images` for forward-facing ones.
         pub batching: Option<Batching> = None, numbers().column("batching");
-        /// Adam's initial learning rate.
+        /// Initial learning rate of Adam.
         pub learning_rate: f64 = 5e-4, numbers().real(is_positive, "positive").columns(RATE).same_time();
-        /// Adam's memory of squared gradients (beta 2; 0.99 for hash grids).
+        /// Adam's beta 2, the decay of squared gradients (0.99 for hash grids).
         pub adam_beta2: f64 = 0.999, numbers().real(is_memory, "at least 0, below 1").columns(&["adam"]).later().same_time();
-        /// Added to Adam's divisor (1e-15 for hash grids, whose gradients are small).
+        /// Adam's epsilon, added to the divisor (1e-15 for hash grids, whose gradients are small).
         pub adam_epsilon: f64 = 1e-8, numbers().real(is_positive, "positive").columns(&["adam"]).later().same_time();
-        /// Weight of the coarse pass's loss beside the fine one's (1 for NeRF, 0.1 for MipNeRF; hash
-        /// grids have no loss there).
+        /// Weight of the coarse pass's loss; the fine pass's is 1 (1 for NeRF, 0.1 for MipNeRF; hash grids have no
+        /// coarse loss).
         pub coarse_weight: f64 = 1.0,
             numbers().real(is_positive, "positive").column("coarse_weight").later().same_time();
         /// How the learning rate falls: `exponential` or `log-linear`.
@@ -71,45 +71,45 @@ section! {
         /// `log-linear`: the learning rate at the last step.
         pub final_learning_rate: f64 = 5e-6,
             numbers().real(is_positive, "positive").columns(RATE).later().same_time();
-        /// `log-linear`: share of the steps in which the rate rises to its course.
+        /// `log-linear`: share of the steps in which the rate warms up.
         pub warmup_share: f64 = 0.0025,
             numbers()
                 .real(|share| (0.0..=1.0).contains(&share), "0 (no warm-up) to 1")
                 .column("warmup_share")
                 .later()
                 .same_time();
-        /// `log-linear`: what the rate is multiplied by at the first step.
+        /// `log-linear`: factor on the rate at the first step.
         pub warmup_from: f64 = 0.01,
             numbers().real(is_share_above_0, "above 0, at most 1").column("warmup_from").later().same_time();
-        /// `exponential`: the learning rate is multiplied by this every `decay_steps`, continuously.
+        /// `exponential`: factor on the learning rate per `decay_steps`, applied continuously.
         pub decay_rate: f64 = 0.1, numbers().real(is_positive, "positive").columns(RATE).same_time();
-        /// See `decay_rate`. Empty = 250,000 for forward-facing scenes, 500,000 otherwise.
+        /// Steps per factor of `decay_rate`. Empty = 250,000 for forward-facing scenes, 500,000 otherwise.
         pub decay_steps: Option<u64> = None, numbers().whole(1, u64::MAX, "at least 1").columns(RATE).same_time();
-        /// For so many steps, one-image batches come from the central part only. Empty = 500 where
-        /// batches are of one image, 0 otherwise.
+        /// Number of first steps whose one-image batches use the central part only. Empty = 500 if `batching` is
+        /// `one-image`, 0 otherwise.
         pub precrop_steps: Option<u64> = None, numbers().column("precrop_steps");
-        /// The central part's share of each side.
+        /// Size of the central part as a fraction of each side.
         pub precrop_fraction: f64 = 0.5,
             numbers().real(is_share_above_0, "above 0, at most 1").column("precrop_fraction");
         /// Steps between two rows of `scalars.csv`.
         pub log_every: u64 = 100, work().whole(1, u64::MAX, "at least 1");
         /// Steps between two evaluations during training (0 = only at the end).
         pub eval_every: u64 = 0, work();
-        /// Those evaluations take every so manyth pixel of a view, across and down: 1 = all of them.
+        /// Evaluations during training render every N-th pixel of a view in each direction (1 = all).
         pub eval_stride: usize = 1, work().whole(1, 1000, "1 to 1000").later().same_time();
         /// Steps between two checkpoints (0 = by time only).
         pub checkpoint_every: u64 = 10_000, work();
         /// Minutes between two checkpoints (0 = by steps only).
         pub checkpoint_minutes: f64 = 10.0, work().real(|minutes| minutes >= 0.0, "0 (off) or positive");
-        /// Checkpoints kept.
+        /// Number of checkpoints to keep.
         pub keep_checkpoints: usize = 2, work().whole(1, 10_000, "1 to 10000");
-        /// A start with a smaller share of positive densities on the first batch is drawn again.
+        /// Weights are drawn again if a smaller share of densities is positive on the first batch.
         pub dead_start_share: f64 = 0.05,
             numbers().real(|share| (0.0..1.0).contains(&share), "0 (off) to below 1").column("dead_start_share");
-        /// What the run began with instead of fresh weights: another run's hash and step, or the hash of a file. `train --from`
-        /// and `import` write it; a run cannot begin with it otherwise.
+        /// The origin of the initial weights, if they are not random: another run's hash and step, or the hash of a
+        /// file. `train --from` and `import` set it; it cannot be set otherwise.
         pub parent: Option<String> = None, numbers().column("parent").later().same_time();
-        /// A run whose rays all accumulate under 1e-3 for so many steps has collapsed (0 = never).
+        /// Number of steps after which a run counts as collapsed if every ray accumulates less than 1e-3 (0 = never).
         pub collapse_steps: u64 = 200, numbers();
     }
     sections {}

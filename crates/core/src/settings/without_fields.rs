@@ -2,7 +2,7 @@
 //! for.
 
 use super::validate::{refuse, require};
-use super::{Ability, Config, DataKind, Representation};
+use super::{Capability, Config, DataKind, Representation};
 use crate::base::{Error, Result};
 
 impl Config {
@@ -16,15 +16,15 @@ impl Config {
         let Some(representation) = self.method.representation(self.field.encoding) else { return Ok(()) };
         let side = self.eval.mesh.resolution;
         if side > 0 {
-            self.require_ability(Ability::Density, &format!("eval.mesh.resolution = {side}"), "set it to 0")?;
+            self.require_capability(Capability::Density, &format!("eval.mesh.resolution = {side}"), "set it to 0")?;
         }
         if self.method.has_fields() {
             return Ok(());
         }
         for term in &self.regularizer.kind {
-            let ability = if term.in_space() { Ability::Derivatives } else { Ability::Samples };
+            let capability = if term.in_space() { Capability::Derivatives } else { Capability::Samples };
             let what = format!("regularizer.kind = \"{}\"", term.name());
-            self.require_ability(ability, &what, "leave it empty, or use nerf or aug-nerf")?;
+            self.require_capability(capability, &what, "leave it empty, or use nerf or aug-nerf")?;
         }
         self.check_space(representation)
     }
@@ -55,9 +55,9 @@ impl Config {
     /// Refuses a question that the method's representation has no answer to: `what` begins the sentence, `instead` ends it.
     ///
     /// # Errors
-    /// [`Error::Config`], where it lacks the ability.
-    pub fn require_ability(&self, ability: Ability, what: &str, instead: &str) -> Result<()> {
-        match self.representation().lacks(ability) {
+    /// [`Error::Config`], where it lacks the capability.
+    pub fn require_capability(&self, capability: Capability, what: &str, instead: &str) -> Result<()> {
+        match self.representation().lacks(capability) {
             None => Ok(()),
             Some(why) => Err(Error::Config(format!("{what} with method {}: {why}; {instead}", self.method.name()))),
         }

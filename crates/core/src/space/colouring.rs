@@ -56,7 +56,7 @@ pub fn finish_mesh(
         };
         let outward = |(&i, slope): (&usize, &Vec<f32>)| {
             let slope: Vec3 = std::array::from_fn(|axis| f64::from(slope[axis]));
-            let slope = ndc.map_or(slope, |ndc| ndc.pull_back(mesh.vertex(i as u32), slope));
+            let slope = ndc.map_or(slope, |ndc| ndc.backward(mesh.vertex(i as u32), slope));
             let flat = length(slope) == 0.0;
             let normal = if flat { faces[i] } else { scale(slope, -1.0) };
             // A vertex of slivers alone has no direction; any will do.

@@ -11,7 +11,7 @@ use crate::render::sampling::stratified;
 use crate::render::volume::{middles, transmittance};
 use crate::render::{Pass, PassOutput, clean_pass, columns, fine_t_vals, points_at, ray_parts};
 use crate::run::Viewer;
-use crate::settings::{Ability, Config, Spacing};
+use crate::settings::{Capability, Config, Spacing};
 
 /// Even samples of a ray: over 6 units, more than two for each period of the encoding's finest octave, 2 pi / 2^9.
 pub const EVEN: usize = 1024;
@@ -90,7 +90,7 @@ pub fn patch_around((x, y): (usize, usize), side: usize, (width, height): (usize
 /// [`Error::Config`]: a method without fields.
 pub fn check_profiled(label: &str, config: &Config) -> Result<()> {
     let instead = "profile runs of nerf, aug-nerf, mip-nerf and aug-mip-nerf, and show this one with `augnerf compare`";
-    config.require_ability(Ability::Samples, &format!("{label}: a profile along a ray"), instead)
+    config.require_capability(Capability::Samples, &format!("{label}: a profile along a ray"), instead)
 }
 
 impl Profile {

@@ -7,7 +7,7 @@ use crate::base::{Error, Event, Listener, Result};
 use crate::losses::{LossTerm, WeightedTerm};
 use crate::methods::FieldLearner;
 use crate::runtime::Runtime;
-use crate::settings::{Ability, Config, Method, REGULARIZERS, Resolved};
+use crate::settings::{Capability, Config, Method, REGULARIZERS, Resolved};
 use crate::space::Lattice;
 use crate::train::Trainer;
 
@@ -56,7 +56,7 @@ fn balance_here(
     events: &dyn Listener,
 ) -> Result<(Resolved, Vec<BalancedWeight>)> {
     if !config.method.has_fields() {
-        config.require_ability(Ability::Derivatives, "balance", "leave the method out")?;
+        config.require_capability(Capability::Derivatives, "balance", "leave the method out")?;
     }
     if config.method != Method::Nerf {
         return Err(Error::Config(format!(

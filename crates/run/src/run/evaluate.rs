@@ -7,7 +7,7 @@ use rayon::prelude::*;
 
 use crate::base::{Error, Event, Image, Listener, Result};
 use crate::data::{Camera, RayBuffer, Rays, Scene, View, seen_views};
-use crate::methods::Painter;
+use crate::methods::Renderer;
 use crate::metrics::{Lpips, ViewMetrics, depth_errors, measure_depth, measure_unmasked};
 use crate::model::Model;
 use crate::runtime::Runtime;
@@ -69,37 +69,37 @@ impl Viewer<'_> {
     /// # Errors
     /// [`Error::Diverged`]: a colour that is not a number.
     pub fn render(&self, camera: &Camera) -> Result<RenderedView> {
-        self.render_with(&*self.painter()?, camera)
+        self.render_with(&*self.renderer()?, camera)
     }
 
-    /// What paints the scene's rays with the model as it is now. To make it may take longer than a view: make one for many.
+    /// What renders the scene's rays with the model as it is now. To make it may take longer than a view: make one for many.
     ///
     /// # Errors
     /// Those of candle.
-    pub fn painter(&self) -> Result<Box<dyn Painter>> {
-        self.runtime.install(|| self.model.painter(self.config, self.scene))
+    pub fn renderer(&self) -> Result<Box<dyn Renderer>> {
+        self.runtime.install(|| self.model.renderer(self.config, self.scene))
     }
 
-    /// [`Viewer::render`] with a painter at hand.
+    /// [`Viewer::render`] with a renderer at hand.
     ///
     /// # Errors
     /// The same.
-    pub fn render_with(&self, painter: &dyn Painter, camera: &Camera) -> Result<RenderedView> {
-        self.render_every(painter, 1, camera)
+    pub fn render_with(&self, renderer: &dyn Renderer, camera: &Camera) -> Result<RenderedView> {
+        self.render_every(renderer, 1, camera)
     }
 
     /// Every `stride`-th pixel of the view across and down, from the first one on, as a picture of these.
-    fn render_every(&self, painter: &dyn Painter, stride: usize, camera: &Camera) -> Result<RenderedView> {
-        self.runtime.install(|| self.render_here(painter, stride, camera))
+    fn render_every(&self, renderer: &dyn Renderer, stride: usize, camera: &Camera) -> Result<RenderedView> {
+        self.runtime.install(|| self.render_here(renderer, stride, camera))
     }
 
-    fn render_here(&self, painter: &dyn Painter, stride: usize, camera: &Camera) -> Result<RenderedView> {
+    fn render_here(&self, renderer: &dyn Renderer, stride: usize, camera: &Camera) -> Result<RenderedView> {
         let places = |size: usize| (0..size as u32).step_by(stride);
         let (width, height) = (places(camera.width).len(), places(camera.height).len());
         let pixels: Vec<(&Camera, u32, u32)> =
             places(camera.height).flat_map(|y| places(camera.width).map(move |x| (camera, x, y))).collect();
-        self.prepare(painter, camera)?;
-        let [rgb, depth, acc] = self.paint(painter, &pixels)?;
+        self.prepare(renderer, camera)?;
+        let [rgb, depth, acc] = self.render_pixels(renderer, &pixels)?;
         if let Some(bad) = rgb.iter().position(|value| !value.is_finite()) {
             return Err(Error::Diverged(format!(
                 "the rendered colour of pixel ({}, {}) is not a number: the weights are broken; delete the \
@@ -113,21 +113,21 @@ impl Viewer<'_> {
     }
 
     /// What pictures of `camera` need.
-    fn prepare(&self, painter: &dyn Painter, camera: &Camera) -> Result<()> {
-        painter.prepare(&self.rays(painter, &[(camera, 0, 0)])?)
+    fn prepare(&self, renderer: &dyn Renderer, camera: &Camera) -> Result<()> {
+        renderer.prepare(&self.rays(renderer, &[(camera, 0, 0)])?)
     }
 
-    fn rays(&self, painter: &dyn Painter, pixels: &[(&Camera, u32, u32)]) -> Result<Rays> {
+    fn rays(&self, renderer: &dyn Renderer, pixels: &[(&Camera, u32, u32)]) -> Result<Rays> {
         let origin = self.config.data.origin_of_pixels();
-        RayBuffer::new(pixels, self.scene.ndc.as_ref(), origin, painter.ray_parts())
+        RayBuffer::new(pixels, self.scene.ndc.as_ref(), origin, renderer.ray_parts())
             .to_tensors(DType::F32, self.runtime.device())
     }
 
     /// Some pixels: colours, mean distances, accumulated weights.
-    fn paint(&self, painter: &dyn Painter, pixels: &[(&Camera, u32, u32)]) -> Result<[Vec<f32>; 3]> {
+    fn render_pixels(&self, renderer: &dyn Renderer, pixels: &[(&Camera, u32, u32)]) -> Result<[Vec<f32>; 3]> {
         let Viewer { config, runtime, .. } = *self;
         let render = |part: &[(&Camera, u32, u32)]| -> Result<[Vec<f32>; 3]> {
-            let out = painter.paint(&self.rays(painter, part)?)?;
+            let out = renderer.render(&self.rays(renderer, part)?)?;
             let host = |tensor: &candle_core::Tensor| tensor.to_dtype(DType::F32)?.flatten_all()?.to_vec1::<f32>();
             Ok([host(&out.rgb)?, host(&(out.depth / &out.acc)?)?, host(&out.acc)?])
         };
@@ -136,11 +136,11 @@ impl Viewer<'_> {
         } else {
             pixels.chunks(config.eval.chunk).map(render).collect()
         };
-        let mut painted: [Vec<f32>; 3] = Default::default();
+        let mut rendered: [Vec<f32>; 3] = Default::default();
         for part in parts? {
-            painted.iter_mut().zip(part).for_each(|(whole, part)| whole.extend(part));
+            rendered.iter_mut().zip(part).for_each(|(whole, part)| whole.extend(part));
         }
-        Ok(painted)
+        Ok(rendered)
     }
 
     /// Seconds that views of `cameras` will take, from some rows in the middle of the first: enough to give each thread a
@@ -158,17 +158,17 @@ impl Viewer<'_> {
             return Ok(None);
         }
         self.runtime.install(|| {
-            let painter = self.model.painter(self.config, self.scene)?;
+            let renderer = self.model.renderer(self.config, self.scene)?;
             let preparing = Instant::now();
-            self.prepare(&*painter, first)?;
+            self.prepare(&*renderer, first)?;
             let prepared = preparing.elapsed();
             let top = (first.height - rows) / 2;
             let started = Instant::now();
             let some: Vec<(&Camera, u32, u32)> =
                 (top..top + rows).flat_map(|y| (0..first.width as u32).map(move |x| (*first, x, y as u32))).collect();
-            self.paint(&*painter, &some)?;
-            let painted = started.elapsed();
-            Ok((prepared <= painted).then(|| painted.as_secs_f64() / timed as f64 * pixels as f64))
+            self.render_pixels(&*renderer, &some)?;
+            let rendered = started.elapsed();
+            Ok((prepared <= rendered).then(|| rendered.as_secs_f64() / timed as f64 * pixels as f64))
         })
     }
 
@@ -178,15 +178,15 @@ impl Viewer<'_> {
         Some(depth_errors(&self.scene_depth(&view.camera, rendered), &rendered.acc, reference))
     }
 
-    /// Renders and measures every held-out view. `unless_stopped` may refuse to begin another, `each` is handed each that is done.
+    /// Renders and measures every held-out view. `stop_check` may refuse to begin another, `each` is handed each that is done.
     pub fn evaluate(
         &self,
         lpips: &[Lpips],
         events: &dyn Listener,
-        unless_stopped: impl Fn() -> Result<()>,
+        stop_check: impl Fn() -> Result<()>,
         each: impl FnMut(usize, &View, &RenderedView) -> Result<()>,
     ) -> Result<Vec<ViewMetrics>> {
-        self.measure(EVALUATING, self.scene.test.iter().collect(), lpips, events, unless_stopped, each)
+        self.measure(EVALUATING, self.scene.test.iter().collect(), lpips, events, stop_check, each)
     }
 
     /// Renders and measures the training views of [`seen_views`] as they were trained on, corruption included.
@@ -194,22 +194,22 @@ impl Viewer<'_> {
         &self,
         lpips: &[Lpips],
         events: &dyn Listener,
-        unless_stopped: impl Fn() -> Result<()>,
+        stop_check: impl Fn() -> Result<()>,
     ) -> Result<Vec<ViewMetrics>> {
         let views = seen_views(self.scene, self.config).into_iter().map(|place| &self.scene.train[place]).collect();
-        self.measure("evaluating training views", views, lpips, events, unless_stopped, |_, _, _| Ok(()))
+        self.measure("evaluating training views", views, lpips, events, stop_check, |_, _, _| Ok(()))
     }
 
     /// Measures every `stride`-th pixel, across and down, of every held-out view and of the training views of [`seen_views`].
     pub(super) fn evaluate_sparsely(
         &self,
         stride: usize,
-        unless_stopped: impl Fn() -> Result<()>,
+        stop_check: impl Fn() -> Result<()>,
     ) -> Result<[Vec<ViewMetrics>; 2]> {
-        let painter = self.painter()?;
+        let renderer = self.renderer()?;
         let of_view = |view: &View| {
-            unless_stopped()?;
-            let rendered = self.render_every(&*painter, stride, &view.camera)?;
+            stop_check()?;
+            let rendered = self.render_every(&*renderer, stride, &view.camera)?;
             let (columns, rows) = (view.image.width, view.image.height);
             let mask = view.mask.as_ref().map(|mask| -> Vec<bool> {
                 let kept = |y: usize| (0..columns).step_by(stride).map(move |x| mask[y * columns + x]);
@@ -230,18 +230,18 @@ impl Viewer<'_> {
         views: Vec<&View>,
         lpips: &[Lpips],
         events: &dyn Listener,
-        unless_stopped: impl Fn() -> Result<()>,
+        stop_check: impl Fn() -> Result<()>,
         mut each: impl FnMut(usize, &View, &RenderedView) -> Result<()>,
     ) -> Result<Vec<ViewMetrics>> {
         if views.is_empty() {
             return Ok(Vec::new());
         }
         events.on(Event::Started { what, parts: views.len() as u64 });
-        let painter = self.painter()?;
+        let renderer = self.renderer()?;
         let mut metrics = Vec::with_capacity(views.len());
         for (index, view) in views.into_iter().enumerate() {
-            unless_stopped()?;
-            let rendered = self.render_with(&*painter, &view.camera)?;
+            stop_check()?;
+            let rendered = self.render_with(&*renderer, &view.camera)?;
             let mut measured = measure_unmasked(&view.name, &rendered.image, &view.image, view.mask.as_deref(), lpips)?;
             if let Some(reference) = &view.depth {
                 let depth = self.scene_depth(&view.camera, &rendered);

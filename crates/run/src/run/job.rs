@@ -320,10 +320,10 @@ impl Between for Watcher<'_> {
     fn evaluate(&mut self, trainer: &Trainer) -> Result<Vec<(&'static str, f64)>> {
         let started = Instant::now();
         let saved = trainer.step_count() - 1;
-        let unless_stopped = || self.experiment.check_signal(self.signal, saved);
+        let stop_check = || self.experiment.check_signal(self.signal, saved);
         let viewer = self.experiment.viewer(trainer);
         let stride = trainer.config().train.eval_stride;
-        let [views, seen] = viewer.evaluate_sparsely(stride, unless_stopped)?;
+        let [views, seen] = viewer.evaluate_sparsely(stride, stop_check)?;
         self.seconds_evaluation += started.elapsed().as_secs_f64();
         let mut mean = MeanMetrics::from_views(&views);
         mean.set_seen(&seen);

@@ -12,7 +12,7 @@ use crate::base::{Error, Event, Listener, Result};
 use crate::data::{Format, WorldToScene, npy};
 use crate::draw::write_png8;
 use crate::revision::version;
-use crate::settings::{Ability, DataKind};
+use crate::settings::{Capability, DataKind};
 use crate::space::{
     self, DensityRange, Drawing, FinishedMesh, Lattice, LevelSet, Mesh, Normals, Reference, finish_mesh, level_set,
 };
@@ -210,7 +210,11 @@ impl Trained {
     }
 
     fn draw_mesh_here(&self, files: AtomicDir, options: &MeshOptions, events: &dyn Listener) -> Result<MeshReport> {
-        self.config.require_ability(Ability::Density, "a mesh of this run", "`augnerf compare` shows its depth")?;
+        self.config.require_capability(
+            Capability::Density,
+            "a mesh of this run",
+            "`augnerf compare` shows its depth",
+        )?;
         let drawing = options.drawing(self);
         drawing.lattice.check_meets(&self.scene, "the mesh's lattice")?;
         options.picture.iter().try_for_each(|picture| picture.cameras(&self.scene).map(|_| ()))?;
@@ -226,7 +230,7 @@ impl Trained {
             write_png8(&picture.file, &mesh_picture(&finished.mesh, &cameras, picture.paint)?)?;
         }
         if options.units == MeshUnits::Capture {
-            in_capture(&mut finished.mesh, &self.scene.place.world);
+            in_capture(&mut finished.mesh, &self.scene.space.world);
         }
         for format in &options.formats {
             format.write(&files.path().join(format.file()), &finished.mesh)?;
@@ -276,7 +280,7 @@ impl MeshReport {
             domain: drawing.lattice.domain,
             box_units: if scene.ndc.is_some() { "NDC" } else { "scene units" },
             units: options.units,
-            world_to_scene: WorldMatrix::of(&scene.place.world),
+            world_to_scene: WorldMatrix::of(&scene.space.world),
             variance: config.field.encoding.queries_gaussians().then(|| drawing.lattice.cell_variance()),
             cap: drawing.cap,
             density,
@@ -332,8 +336,8 @@ pub fn named_mesh(name: &str, other: &str) -> Result<Reference> {
     }
     let run = RunDir::open(path)?;
     let config = run.read_config()?;
-    config.require_ability(
-        Ability::Density,
+    config.require_capability(
+        Capability::Density,
         &format!("the surface of {name}"),
         "compare runs of nerf, aug-nerf or nv",
     )?;

@@ -64,20 +64,20 @@ struct Views {
 
 /// Writes `scene.json`.
 pub(super) fn write(path: &Path, scene: &Scene) -> Result<()> {
-    let Scene { name, kind, near, far, ndc, place, .. } = scene;
+    let Scene { name, kind, near, far, ndc, space, .. } = scene;
     // Where the folders lie is no part of what a run leaves.
-    let told = place.notes.iter().filter(|(label, _)| !["images", "passed over"].contains(label));
+    let told = space.notes.iter().filter(|(label, _)| !["images", "passed over"].contains(label));
     let notes = told.map(|(label, words)| (label.to_string(), words.clone().into())).collect();
     write_json(
         path,
         &SceneFile {
             scene: name.clone(),
             kind: kind.to_string(),
-            world_to_scene: WorldMatrix::of(&place.world),
+            world_to_scene: WorldMatrix::of(&space.world),
             near: *near,
             far: *far,
             ndc: ndc.is_some(),
-            domain: place.domain,
+            domain: space.domain,
             notes,
             views: Some(Views { trained: names(&scene.train), evaluated: names(&scene.test) }),
         },
@@ -148,7 +148,7 @@ impl SeenScene {
             }
         }
         let Some(said) = &self.said else { return Ok(()) };
-        let (then, now) = (said.world_to_scene, WorldMatrix::of(&scene.place.world));
+        let (then, now) = (said.world_to_scene, WorldMatrix::of(&scene.space.world));
         let (a, b) = (then.matrix.as_flattened(), now.matrix.as_flattened());
         if said.ndc != scene.ndc.is_some() || !a.iter().zip(b).all(|(a, b)| is_close(*a, *b)) {
             let what = "its poses lead to other coordinates than those of the weights (world_to_scene, ndc)";

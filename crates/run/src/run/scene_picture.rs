@@ -81,7 +81,7 @@ fn axis(camera: &Camera) -> (Vec3, Vec3) {
 /// The middle of what is shown, half of its side, and whether rays end beyond.
 fn shown(scene: &Scene) -> (Vec3, f64, bool) {
     let mut places: Vec<Vec3> = views(scene).map(|view| axis(&view.camera).0).collect();
-    places.extend(scene.place.domain.iter().flatten());
+    places.extend(scene.space.domain.iter().flatten());
     let (low, high) = corners(&places);
     let (point_low, point_high) = point_corners(scene).unwrap_or((low, high));
     places.extend([point_low, point_high]);
@@ -119,7 +119,7 @@ fn corners(places: &[Vec3]) -> (Vec3, Vec3) {
 
 /// The box of most points; none without points.
 fn point_corners(scene: &Scene) -> Option<(Vec3, Vec3)> {
-    let points = &scene.place.points;
+    let points = &scene.space.points;
     let last = points.len().checked_sub(1)?;
     let mut found = [[0.0; 3]; 2];
     for axis in 0..3 {
@@ -134,10 +134,10 @@ fn point_corners(scene: &Scene) -> Option<(Vec3, Vec3)> {
 
 fn caption(scene: &Scene, half: f64, is_cut: bool) -> String {
     let mut text = String::from("Blue: cameras that are trained on; red: held out. ");
-    if !scene.place.points.is_empty() {
-        text += &format!("Grey: {} points of the capture. ", scene.place.points.len());
+    if !scene.space.points.is_empty() {
+        text += &format!("Grey: {} points of the capture. ", scene.space.points.len());
     }
-    if scene.place.domain.is_some() {
+    if scene.space.domain.is_some() {
         text += "Green: the box that most cameras look at. ";
     }
     text += &match scene.ndc {
@@ -158,8 +158,8 @@ impl Panel {
 
     fn draw(&self, canvas: &mut Canvas, scene: &Scene) {
         canvas.text((self.left, 46.0), self.name, TEXT, Anchor::Left, BLACK);
-        let every = scene.place.points.len().div_ceil(MOST_POINTS).max(1);
-        for point in scene.place.points.iter().step_by(every) {
+        let every = scene.space.points.len().div_ceil(MOST_POINTS).max(1);
+        for point in scene.space.points.iter().step_by(every) {
             let at = self.at(point.map(f64::from));
             if self.holds(at) {
                 canvas.dot(at, 1.0, GREY, 0.4);
@@ -170,7 +170,7 @@ impl Panel {
                 self.draw_camera(canvas, scene, &view.camera, colour);
             }
         }
-        if let Some(domain) = scene.place.domain {
+        if let Some(domain) = scene.space.domain {
             self.draw_box(canvas, domain);
         }
         canvas.outline((self.left, Self::TOP), (PANEL, PANEL), GREY, 1.0);

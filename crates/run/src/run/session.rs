@@ -167,7 +167,7 @@ impl<'a> Session<'a> {
                 (saved_at, saved_step) = (Instant::now(), next - 1);
             }
             let started = Instant::now();
-            let stats = match self.trainer.step_unless(log, &|| unless_stopped(signal)) {
+            let stats = match self.trainer.step_unless(log, &|| stop_check(signal)) {
                 Err(Error::Interrupted { signal, .. }) => {
                     // Within the step, which is taken again.
                     self.save(between)?;
@@ -216,7 +216,7 @@ impl<'a> Session<'a> {
 }
 
 /// An error once there is a signal.
-fn unless_stopped(signal: &AtomicUsize) -> Result<()> {
+fn stop_check(signal: &AtomicUsize) -> Result<()> {
     match signal.load(Ordering::SeqCst) {
         0 => Ok(()),
         signal => Err(Error::Interrupted { signal: signal as i32, message: format!("signal {signal} within a step") }),

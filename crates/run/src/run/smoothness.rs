@@ -13,7 +13,7 @@ use crate::data::Scene;
 use crate::losses::{Smoothness, estimate_seconds, measure};
 use crate::model::Model;
 use crate::runtime::Runtime;
-use crate::settings::{Ability, Config};
+use crate::settings::{Capability, Config};
 use crate::space::{Lattice, chunk_count};
 
 use super::{Protocol, Trained, columns};
@@ -28,7 +28,7 @@ pub const SMOOTHNESS_SIDE: usize = 64;
 /// The box that a scene's fields are measured in where no other is asked for, in `measure` as in sweeps: what most cameras look
 /// at, and where nothing tells that the paper's.
 pub fn smoothness_box(scene: &Scene) -> [[f64; 3]; 2] {
-    scene.place.domain.unwrap_or(PAPER_BOX)
+    scene.space.domain.unwrap_or(PAPER_BOX)
 }
 
 /// One network's smoothness.
@@ -123,7 +123,7 @@ fn measure_fields(
 /// # Errors
 /// [`Error::Config`]: a method whose field is queried at Gaussians, or which has no field.
 pub fn check_measurable(run: &Path, config: &Config) -> Result<()> {
-    let Some(why) = config.representation().lacks(Ability::Derivatives) else { return Ok(()) };
+    let Some(why) = config.representation().lacks(Capability::Derivatives) else { return Ok(()) };
     if !config.method.has_fields() {
         return Err(Error::Config(format!(
             "{}: method {} has no l1, TV or Laplacian of density: {why}; measure nerf and aug-nerf runs",

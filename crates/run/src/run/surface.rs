@@ -33,7 +33,7 @@ pub fn surface_box(scene: &Scene) -> [[f64; 3]; 2] {
     match scene.format().and_then(|format| format.kind.object_half()) {
         _ if scene.ndc.is_some() => cube(1.0),
         Some(half) => cube(half),
-        None => scene.place.domain.unwrap_or_else(|| Lattice::seen(scene)),
+        None => scene.space.domain.unwrap_or_else(|| Lattice::seen(scene)),
     }
 }
 
@@ -113,12 +113,12 @@ pub struct Surface {
 impl Viewer<'_> {
     /// Draws the surface that the configuration asks for and compares it with its reference mesh. None where it asks
     /// for none. Where it cannot be drawn, `events` hears why, and there is none either: that must not cost the views'
-    /// metrics. `unless_stopped` is called again and again; its error ends the drawing and is returned.
-    pub fn surface(&self, events: &dyn Listener, unless_stopped: impl Fn() -> Result<()>) -> Result<Option<Surface>> {
+    /// metrics. `stop_check` is called again and again; its error ends the drawing and is returned.
+    pub fn surface(&self, events: &dyn Listener, stop_check: impl Fn() -> Result<()>) -> Result<Option<Surface>> {
         if self.config.eval.mesh.resolution == 0 {
             return Ok(None);
         }
-        match self.compare_surface(events, unless_stopped) {
+        match self.compare_surface(events, stop_check) {
             Ok(surface) => Ok(Some(surface)),
             Err(error @ Error::Interrupted { .. }) => Err(error),
             Err(error) => {
@@ -129,7 +129,7 @@ impl Viewer<'_> {
         }
     }
 
-    fn compare_surface(&self, events: &dyn Listener, unless_stopped: impl Fn() -> Result<()>) -> Result<Surface> {
+    fn compare_surface(&self, events: &dyn Listener, stop_check: impl Fn() -> Result<()>) -> Result<Surface> {
         let Viewer { model, config, scene, .. } = *self;
         let reference = surface_reference(config, scene)?;
         let mesh = &config.eval.mesh;
@@ -143,7 +143,7 @@ impl Viewer<'_> {
         events.on(Event::Started { what: "surface", parts: mesh.resolution as u64 });
         let drawn = level_set(&*model.density()?, &drawing, None, || {
             events.on(Event::Advanced);
-            unless_stopped()
+            stop_check()
         })?;
         events.on(Event::Finished);
         let surface = in_scene(drawn.mesh, scene.ndc.as_ref())?;

@@ -184,21 +184,21 @@ fn named(split: Option<Split>, mut protocol: Protocol) -> Protocol {
 }
 
 impl Measurement<'_> {
-    /// Measures and writes. `unless_stopped` may end it with an error before a view or a piece of the surface; `each` is handed each
+    /// Measures and writes. `stop_check` may end it with an error before a view or a piece of the surface; `each` is handed each
     /// view that is measured.
     pub fn write(
         &self,
-        unless_stopped: impl Fn() -> Result<()>,
+        stop_check: impl Fn() -> Result<()>,
         mut each: impl FnMut(usize, &View, &RenderedView) -> Result<()>,
     ) -> Result<Report> {
         let attack = SiteSummary::read(&self.run.scalars(), self.state.step)?;
         let mut errors = DepthErrors::default();
-        let views = self.viewer.evaluate(self.lpips, self.events, &unless_stopped, |index, view, rendered| {
+        let views = self.viewer.evaluate(self.lpips, self.events, &stop_check, |index, view, rendered| {
             errors.views.extend(self.viewer.depth_errors(view, rendered));
             each(index, view, rendered)
         })?;
-        let training_views = self.viewer.evaluate_seen(self.lpips, self.events, &unless_stopped)?;
-        let surface = self.viewer.surface(self.events, &unless_stopped)?;
+        let training_views = self.viewer.evaluate_seen(self.lpips, self.events, &stop_check)?;
+        let surface = self.viewer.surface(self.events, &stop_check)?;
         let protocol = Protocol::new(self.viewer.config, self.viewer.scene, self.state).with_lpips(self.lpips);
         let protocol = named(self.split, protocol);
         let (chamfer, picture) = surface.map_or((None, None), |surface| (surface.chamfer, surface.picture));

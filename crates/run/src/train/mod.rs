@@ -5,7 +5,7 @@ use candle_core::DType;
 use crate::base::{Error, Result};
 use crate::data::Scene;
 use crate::losses::LossTerm;
-use crate::methods::{Learner, LogColumns, UnlessStopped};
+use crate::methods::{Learner, LogColumns, StopCheck};
 use crate::model::{Model, Start};
 use crate::runtime::Runtime;
 use crate::settings::Resolved;
@@ -152,21 +152,21 @@ impl Trainer {
     ///
     /// # Errors
     /// Those of [`Trainer::step`], and the question's.
-    pub fn step_unless(&mut self, log: bool, unless_stopped: &UnlessStopped) -> Result<StepStats> {
-        self.runtime.clone().install(|| self.step_here(log, unless_stopped))
+    pub fn step_unless(&mut self, log: bool, stop_check: &StopCheck) -> Result<StepStats> {
+        self.runtime.clone().install(|| self.step_here(log, stop_check))
     }
 
-    fn step_here(&mut self, log: bool, unless_stopped: &UnlessStopped) -> Result<StepStats> {
-        let learned = self.learner.learn(self.step, log, unless_stopped)?;
-        let gradients = learned.gradients;
+    fn step_here(&mut self, log: bool, stop_check: &StopCheck) -> Result<StepStats> {
+        let result = self.learner.step(self.step, log, stop_check)?;
+        let gradients = result.gradients;
         let stats = StepStats {
             step: self.step + 1,
             learning_rate: learning_rate(&self.config, self.step),
-            terms: learned.terms,
-            loss: learned.loss,
-            mse: learned.mse,
-            largest_acc: learned.largest_acc,
-            sites: learned.sites,
+            terms: result.terms,
+            loss: result.loss,
+            mse: result.mse,
+            largest_acc: result.largest_acc,
+            sites: result.sites,
         };
         let train = &self.config.train;
         health::check_step(&stats, &gradients, &self.adam, train.learning_rate)?;

@@ -84,8 +84,8 @@ impl CustomOp2 for InParts {
         let (mut of_template, mut of_warp) = (None, None);
         for rays in &self.parts {
             let out = self.march.plain(&template, self.has_warp.then_some(warp.as_tensor()), rays.clone())?;
-            let pull = gradient.narrow(0, rays.start, rays.len())?;
-            let gradients = (out * pull)?.sum_all()?.backward()?;
+            let cotangent = gradient.narrow(0, rays.start, rays.len())?;
+            let gradients = (out * cotangent)?.sum_all()?.backward()?;
             add(&mut of_template, gradients.get(&template))?;
             add(&mut of_warp, gradients.get(&warp))?;
         }

@@ -154,7 +154,7 @@ fn sample_gradients_are_the_originals() {
         for k in 0..15 {
             let [x, y, z] = [0, 1, 2].map(|axis| points[ray][k][axis]);
             if !is_inside([x, y, z]) || sum >= 1.0 {
-                // What lies outside, or behind a full ray, pulls nothing.
+                // What lies outside, or behind a full ray, cotangents nothing.
                 assert!(d_alpha[ray][k] == 0.0 && d_rgb[ray][k].iter().all(|d| *d == 0.0), "ray {ray}, sample {k}");
                 continue;
             }
@@ -170,14 +170,14 @@ fn sample_gradients_are_the_originals() {
         // The background shows through what is left.
         let acc = -(0..3).map(|channel| cotangent[ray][channel] * background[ray][channel].max(0.0)).sum::<f64>();
         let gradient = [&cotangent[ray][..], &[acc, 0.0]].concat();
-        for (pull, k) in pulls(&samples, &gradient).zip(which) {
+        for (cotangent, k) in cotangents(&samples, &gradient).zip(which) {
             assert!(
-                (pull[3] - d_alpha[ray][k]).abs() < 1e-10,
+                (cotangent[3] - d_alpha[ray][k]).abs() < 1e-10,
                 "ray {ray}, sample {k}: {} {}",
-                pull[3],
+                cotangent[3],
                 d_alpha[ray][k]
             );
-            (0..3).for_each(|c| assert!((pull[c] - d_rgb[ray][k][c]).abs() < 1e-12, "ray {ray}, sample {k}"));
+            (0..3).for_each(|c| assert!((cotangent[c] - d_rgb[ray][k][c]).abs() < 1e-12, "ray {ray}, sample {k}"));
         }
     }
 }

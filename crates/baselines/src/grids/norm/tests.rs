@@ -7,19 +7,19 @@ use super::*;
 const RELATIVE: f64 = 1e-12;
 
 fn all_kinds() -> impl Iterator<Item = LayerNorm> {
-    [Together::Channels, Together::Sample].into_iter().flat_map(|together| {
-        [false, true].map(|relu| LayerNorm { together, epsilon: if relu { 1e-5 } else { 1e-12 }, relu })
-    })
+    [NormGroup::Channels, NormGroup::Sample]
+        .into_iter()
+        .flat_map(|group| [false, true].map(|relu| LayerNorm { group, epsilon: if relu { 1e-5 } else { 1e-12 }, relu }))
 }
 
-/// The result, and gradients of x, scale and shift of `sum(y * pull)`.
+/// The result, and gradients of x, scale and shift of `sum(y * cotangent)`.
 fn run(
-    [x, scale, shift, pull]: [&Tensor; 4],
+    [x, scale, shift, cotangent]: [&Tensor; 4],
     apply: impl Fn(&Tensor, &Tensor, &Tensor) -> Result<Tensor>,
 ) -> [Tensor; 4] {
     let variables = [x, scale, shift].map(|tensor| Var::from_tensor(tensor).unwrap());
     let y = apply(&variables[0], &variables[1], &variables[2]).unwrap();
-    let store = (&y * pull).unwrap().sum_all().unwrap().backward().unwrap();
+    let store = (&y * cotangent).unwrap().sum_all().unwrap().backward().unwrap();
     let [dx, d_scale, d_shift] = variables.each_ref().map(|variable| store.get(variable).unwrap().clone());
     [y, dx, d_scale, d_shift]
 }
@@ -27,7 +27,7 @@ fn run(
 #[test]
 fn rows_have_mean_shift_and_deviation_scale() {
     let (scale, shift) = (Tensor::full(3.0, 50, &Device::Cpu).unwrap(), Tensor::full(2.0, 50, &Device::Cpu).unwrap());
-    let norm = LayerNorm { together: Together::Channels, epsilon: 0.0, relu: false };
+    let norm = LayerNorm { group: NormGroup::Channels, epsilon: 0.0, relu: false };
     for row in norm.apply(&ramp(&[4, 50], 0.3), &scale, &shift).unwrap().to_vec2::<f64>().unwrap() {
         let mean = row.iter().sum::<f64>() / 50.0;
         let variance = row.iter().map(|value| (value - mean).powi(2)).sum::<f64>() / 50.0;
@@ -38,15 +38,15 @@ fn rows_have_mean_shift_and_deviation_scale() {
 /// PyTorch's and slim's layer norm: value and gradients.
 #[test]
 fn numbers_are_those_of_the_original_modules() {
-    let kinds = [("srn.norm", Together::Channels, 1e-5), ("llff.norm", Together::Sample, 1e-12)];
-    for (prefix, together, epsilon) in kinds {
+    let kinds = [("srn.norm", NormGroup::Channels, 1e-5), ("llff.norm", NormGroup::Sample, 1e-12)];
+    for (prefix, group, epsilon) in kinds {
         let get = |name: &str| {
             let tensor = fixture(&format!("{prefix}.{name}"));
             // PyTorch's volumes have their channels first.
             if tensor.rank() == 5 { tensor.permute([0, 2, 3, 4, 1]).unwrap() } else { tensor }
         };
         let given = ["x", "scale", "shift", "cotangent"].map(get);
-        let norm = LayerNorm { together, epsilon, relu: false };
+        let norm = LayerNorm { group, epsilon, relu: false };
         let found = run(given.each_ref(), |x, scale, shift| norm.apply(x, scale, shift));
         for (found, name) in found.iter().zip(["out", "grad.x", "grad.scale", "grad.shift"]) {
             let far = error(found, &get(name));
@@ -60,9 +60,9 @@ fn numbers_are_those_of_the_original_modules() {
 fn value_and_gradients_are_those_of_plain_operations() {
     for norm in all_kinds() {
         for shape in [[2, 3, 5], [3, 1500, 24]] {
-            let (x, pull) = (ramp(&shape, 0.1), ramp(&shape, 0.9));
+            let (x, cotangent) = (ramp(&shape, 0.1), ramp(&shape, 0.9));
             let (scale, shift) = (ramp(&[shape[2]], 0.5), ramp(&[shape[2]], 0.2));
-            let given = [&x, &scale, &shift, &pull];
+            let given = [&x, &scale, &shift, &cotangent];
             let plain = run(given, |x, scale, shift| norm.reference(x, scale, shift));
             let found = run(given, |x, scale, shift| norm.apply(x, scale, shift));
             let single = given.map(|tensor| tensor.to_dtype(DType::F32).unwrap());
@@ -80,9 +80,9 @@ fn gradients_are_those_of_finite_differences() {
     for norm in all_kinds() {
         let given = [ramp(&[2, 3, 5], 0.1), ramp(&[5], 0.5), ramp(&[5], 0.2)];
         let [x, scale, shift] = given.each_ref().map(|tensor| Var::from_tensor(tensor).unwrap());
-        let pull = ramp(&[2, 3, 5], 0.9);
+        let cotangent = ramp(&[2, 3, 5], 0.9);
         check_differences(&[x.clone(), scale.clone(), shift.clone()], 1e-7, || {
-            (norm.apply(&x, &scale, &shift).unwrap() * &pull).unwrap().sum_all().unwrap()
+            (norm.apply(&x, &scale, &shift).unwrap() * &cotangent).unwrap().sum_all().unwrap()
         });
     }
 }

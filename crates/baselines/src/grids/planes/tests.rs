@@ -3,16 +3,16 @@ use candle_core::{Device, Var};
 use super::*;
 use crate::grids::reference::{check_differences, error, fixture, on_any_threads, ramp, values};
 
-/// Places of some rays: between pixels, on them, in the pixel beyond an edge, outside, nowhere.
-fn places(planes: usize) -> Arc<Places> {
+/// Locations of some rays: between pixels, on them, in the pixel beyond an edge, outside, nowhere.
+fn places(planes: usize) -> Arc<Locations> {
     let some =
         [[0.3, 1.6], [2.0, 1.0], [-0.4, 2.7], [3.7, -0.2], [5.0, 1.0], [f64::NAN, 0.0], [3.0, 2.0], [-1.0, -1.0]];
     let of_rays = (0..8 * planes).map(|i| some[(i * 3 + i / 8) % 8]).collect();
-    Arc::new(Places { planes, of_rays })
+    Arc::new(Locations { planes, of_rays })
 }
 
 /// A tent around every pixel, as the interpolation is defined.
-fn slow(planes: &Tensor, places: &Places) -> Tensor {
+fn slow(planes: &Tensor, places: &Locations) -> Tensor {
     let (count, height, width, channels) = planes.dims4().unwrap();
     let all = values(planes);
     let tent = |a: f64, b: usize| (1.0 - (a - b as f64).abs()).max(0.0);
@@ -63,7 +63,7 @@ fn gradients_are_central_differences() {
 #[test]
 fn threads_change_no_bit() {
     let of_rays = (0..4 * 2000).map(|i| [(i as f64 * 0.37).sin() * 6.0 + 4.0, (i as f64 * 0.21).cos() * 5.0 + 3.0]);
-    let places = Arc::new(Places { planes: 4, of_rays: of_rays.collect() });
+    let places = Arc::new(Locations { planes: 4, of_rays: of_rays.collect() });
     on_any_threads(|| {
         let planes = ramp(&[4, 7, 9, 4], 0.0).to_dtype(DType::F32).unwrap();
         let planes = Var::from_tensor(&planes).unwrap();
@@ -80,6 +80,6 @@ fn a_place_on_a_pixel_is_the_pixel() {
     let mpi = fixture("llff.mpis").narrow(0, 2, 1).unwrap().squeeze(0).unwrap();
     let planes = mpi.permute((2, 0, 1, 3)).unwrap().contiguous().unwrap();
     let of_rays = (0..48).flat_map(|i| [[(i % 8) as f64, (i / 8) as f64]; 4]).collect();
-    let read = plane_sample(&planes, Arc::new(Places { planes: 4, of_rays })).unwrap();
+    let read = plane_sample(&planes, Arc::new(Locations { planes: 4, of_rays })).unwrap();
     assert_eq!(values(&read), values(&mpi.reshape((48, 4, 4)).unwrap()));
 }

@@ -4,11 +4,11 @@ use candle_core::{DType, Device, Tensor, Var};
 
 use crate::data::{RayBuffer, RayParts, Scene};
 use crate::grids::reference::{error, on_any_threads, ramp};
-use crate::methods::Learned;
 use crate::methods::Learner;
-use crate::methods::Painter;
+use crate::methods::Renderer;
+use crate::methods::StepResult;
 use crate::planes::windows::Work;
-use crate::planes::{MpiNetwork, PlanesLearner, PlanesPainter};
+use crate::planes::{MpiNetwork, PlanesLearner, PlanesRenderer};
 use crate::settings::{Config, PixelOrigin, PlanesLoss, Resolved};
 
 use super::{config, numbers, scene};
@@ -17,9 +17,9 @@ fn network(config: &Config, dtype: DType) -> MpiNetwork {
     MpiNetwork::init(config, dtype, &Device::Cpu).unwrap()
 }
 
-fn learned(config: &Resolved, scene: &Scene, dtype: DType, step: u64) -> Learned {
+fn learned(config: &Resolved, scene: &Scene, dtype: DType, step: u64) -> StepResult {
     let mut learner = PlanesLearner::start(config, scene, network(config, dtype)).unwrap();
-    learner.learn(step, false, &|| Ok(())).unwrap()
+    learner.step(step, false, &|| Ok(())).unwrap()
 }
 
 /// As many as slim's layers have with five inputs; Xavier's rule bounds them.
@@ -64,7 +64,7 @@ fn gradients_of_a_step_are_central_differences() {
         let config = config(&scene, |config| config.llff.loss = loss);
         let network = network(&config, DType::F64);
         let mut learner = PlanesLearner::start(&config, &scene, network.clone()).unwrap();
-        let gradients = learner.learn(1, false, &|| Ok(())).unwrap().gradients.0;
+        let gradients = learner.step(1, false, &|| Ok(())).unwrap().gradients.0;
         let variables = network.variables();
         assert!(gradients.iter().all(Option::is_some) && gradients.len() == variables.len());
         for (index, (name, var)) in variables.into_iter().enumerate().filter(|(index, _)| index % every == every - 1) {
@@ -75,7 +75,7 @@ fn gradients_of_a_step_are_central_differences() {
                 let mut values = at.clone();
                 values[place] += by;
                 set(values);
-                learner.learn(1, false, &|| Ok(())).unwrap().loss
+                learner.step(1, false, &|| Ok(())).unwrap().loss
             };
             let slope = (moved(1e-6) - moved(-1e-6)) / 2e-6;
             set(at);
@@ -96,7 +96,7 @@ fn threads_change_no_bit_of_a_step() {
     });
 }
 
-fn bits(learned: &Learned) -> Vec<u64> {
+fn bits(learned: &StepResult) -> Vec<u64> {
     let gradients = learned.gradients.0.iter().flatten().flat_map(numbers).map(f64::to_bits);
     gradients.chain([learned.loss.to_bits()]).collect()
 }
@@ -117,7 +117,7 @@ fn the_view_that_is_left_out_is_no_input() {
         assert!(work.references.iter().all(|reference| reference.view != work.target) && work.counted() >= 32);
         seen[work.target] += 1;
         let usual = learned(&config, &plain, DType::F32, step);
-        let painted = |inside: bool| {
+        let rendered = |inside: bool| {
             let mut scene = plain.clone();
             let mut image = (*scene.train[work.target].image).clone();
             for (i, pixel) in image.pixels.chunks_mut(3).enumerate() {
@@ -129,8 +129,8 @@ fn the_view_that_is_left_out_is_no_input() {
             scene.train[work.target].image = image.into();
             learned(&config, &scene, DType::F32, step)
         };
-        assert!(bits(&painted(false)) == bits(&usual), "step {step}");
-        assert!(bits(&painted(true)) != bits(&usual), "step {step}");
+        assert!(bits(&rendered(false)) == bits(&usual), "step {step}");
+        assert!(bits(&rendered(true)) != bits(&usual), "step {step}");
     }
     assert!(seen.iter().filter(|times| **times > 0).count() > 1, "{seen:?}");
 }
@@ -149,8 +149,8 @@ fn views_that_are_held_out_are_never_an_input() {
         assert!(a == b, "step {step}");
     }
     let network = network(&config, DType::F32);
-    let [a, b] = [&plain, &other].map(|scene| network.painter(&config, scene).unwrap().mpis);
-    // The second painter takes what the first has made: nothing that it is made of differs.
+    let [a, b] = [&plain, &other].map(|scene| network.renderer(&config, scene).unwrap().mpis);
+    // The second renderer takes what the first has made: nothing that it is made of differs.
     assert!(std::sync::Arc::ptr_eq(&a, &b));
 }
 
@@ -160,11 +160,11 @@ fn multiplane_images_are_those_of_the_weights_as_they_are() {
     let scene = scene(16);
     let config = config(&scene, |_| {});
     let network = network(&config, DType::F32);
-    let of = |painter: &PlanesPainter| -> Vec<Vec<u8>> {
-        let mpi = |view: usize| painter.mpis.make(view).and_then(|()| Ok(painter.mpis.of(view)?.planes.clone()));
+    let of = |renderer: &PlanesRenderer| -> Vec<Vec<u8>> {
+        let mpi = |view: usize| renderer.mpis.make(view).and_then(|()| Ok(renderer.mpis.of(view)?.planes.clone()));
         (0..4).map(|view| mpi(view).unwrap()).collect()
     };
-    let planes = |scene: &Scene| of(&network.painter(&config, scene).unwrap());
+    let planes = |scene: &Scene| of(&network.renderer(&config, scene).unwrap());
     let before = planes(&scene);
     // Millions of numbers, which a message would print.
     assert!(planes(&scene) == before);
@@ -177,10 +177,10 @@ fn multiplane_images_are_those_of_the_weights_as_they_are() {
     // The bias of alpha: behind every other convolution a normalisation takes its size away.
     let (_, bias): (String, Var) = network.variables().pop().unwrap();
     let dark = planes(&darker);
-    let early = network.painter(&config, &scene).unwrap();
+    let early = network.renderer(&config, &scene).unwrap();
     bias.set(&(bias.as_detached_tensor() + 0.5).unwrap()).unwrap();
     assert!(planes(&scene) != before);
-    // A painter that was made before, and has predicted nothing yet, shows the weights of its time.
+    // A renderer that was made before, and has predicted nothing yet, shows the weights of its time.
     assert!(dark != before && of(&early) == before);
 }
 
@@ -189,13 +189,13 @@ fn multiplane_images_are_those_of_the_weights_as_they_are() {
 fn the_planes_of_far_views_are_not_predicted() {
     let scene = scene(16);
     let config = config(&scene, |config| config.llff.blend = 2);
-    let painter = network(&config, DType::F32).painter(&config, &scene).unwrap();
+    let renderer = network(&config, DType::F32).renderer(&config, &scene).unwrap();
     let rays = RayBuffer::new(&[(&scene.train[1].camera, 3, 4)], None, PixelOrigin::Corner, RayParts::default());
     let rays = rays.to_tensors(DType::F32, &Device::Cpu).unwrap();
-    assert!(painter.paint(&rays).err().unwrap().to_string().contains("not prepared"));
-    painter.prepare(&rays).unwrap();
-    painter.paint(&rays).unwrap();
-    let made: Vec<usize> = (0..4).filter(|view| painter.mpis.of(*view).is_ok()).collect();
+    assert!(renderer.render(&rays).err().unwrap().to_string().contains("not prepared"));
+    renderer.prepare(&rays).unwrap();
+    renderer.render(&rays).unwrap();
+    let made: Vec<usize> = (0..4).filter(|view| renderer.mpis.of(*view).is_ok()).collect();
     assert_eq!(made, [0, 1]);
 }
 

@@ -8,8 +8,8 @@ use crate::base::Image;
 use crate::data::{Camera, Scene, View};
 use crate::settings::{Config, DataKind, Method, Resolved};
 
-use super::geometry::Eye;
-use super::mpi::{Mpi, Mpis, Seen};
+use super::geometry::Viewpoint;
+use super::mpi::{Mpi, Mpis, SourceView};
 
 mod learning;
 mod pictures;
@@ -23,8 +23,8 @@ fn camera([x, y]: [f64; 2], width: usize, height: usize, focal: f64) -> Camera {
 }
 
 /// The same with pixels counted from the middle of the first, as most scenes have them.
-fn eye(place: [f64; 2], width: usize, height: usize, focal: f64) -> Eye {
-    Eye { camera: camera(place, width, height, focal), shift: 0.5 }
+fn eye(place: [f64; 2], width: usize, height: usize, focal: f64) -> Viewpoint {
+    Viewpoint { camera: camera(place, width, height, focal), shift: 0.5 }
 }
 
 /// A smooth texture, between 0 and 1, in units of its plane.
@@ -33,7 +33,7 @@ fn texture(x: f64, y: f64, channel: usize) -> f64 {
 }
 
 /// What a camera sees of the textured plane z = -depth.
-fn picture(eye: &Eye, depth: f64) -> Image {
+fn picture(eye: &Viewpoint, depth: f64) -> Image {
     let Camera { width, height, .. } = eye.camera;
     let pixel = |i: usize| {
         let (origin, direction) = eye.ray([(i % width) as f64, (i / width) as f64]);
@@ -62,7 +62,7 @@ fn scene(side: usize) -> Scene {
         background: None,
         path: vec![],
         corrupted: None,
-        place: Default::default(),
+        space: Default::default(),
     }
 }
 
@@ -83,7 +83,7 @@ fn config(scene: &Scene, change: impl FnOnce(&mut Config)) -> Resolved {
 /// Planes that no network made.
 fn made(all: Vec<Mpi>, depths: Vec<f64>) -> Arc<Mpis> {
     let image = Arc::new(Image { width: 0, height: 0, channels: 3, pixels: vec![] });
-    let views: Vec<Seen> = all.iter().map(|mpi| Seen { eye: mpi.eye, image: image.clone() }).collect();
+    let views: Vec<SourceView> = all.iter().map(|mpi| SourceView { eye: mpi.eye, image: image.clone() }).collect();
     let mpis = Mpis::new(&views, &depths, Box::new(|_, _, _| unreachable!("all are there")));
     all.into_iter().enumerate().for_each(|(view, mpi)| mpis.keep(view, mpi));
     Arc::new(mpis)

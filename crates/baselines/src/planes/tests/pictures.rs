@@ -6,13 +6,13 @@ use candle_core::{DType, Device, Tensor};
 
 use crate::base::Image;
 use crate::data::{RayBuffer, RayParts};
-use crate::grids::over::over;
+use crate::grids::alpha_over::alpha_over;
 use crate::grids::planes::plane_sample;
-use crate::methods::{Painted, Painter};
-use crate::planes::geometry::{Eye, depths, nearest};
+use crate::methods::{RenderedRays, Renderer};
+use crate::planes::geometry::{Viewpoint, depths, nearest};
 use crate::planes::mpi::Mpi;
 use crate::planes::sweep::{Window, padded, sweep};
-use crate::planes::{PlanesPainter, blend::blend};
+use crate::planes::{PlanesRenderer, blend::blend};
 use crate::settings::PixelOrigin;
 
 use super::{eye, f64s, made, numbers, picture, texture};
@@ -29,7 +29,7 @@ fn wall(image: &Image, planes: usize, opaque: usize) -> Tensor {
     f64s(values, &[planes, image.height, image.width, 4])
 }
 
-fn rays(of: &Eye) -> Vec<([f64; 3], [f64; 3])> {
+fn rays(of: &Viewpoint) -> Vec<([f64; 3], [f64; 3])> {
     let (width, height) = (of.camera.width, of.camera.height);
     (0..width * height).map(|i| of.ray([(i % width) as f64, (i / width) as f64])).collect()
 }
@@ -48,7 +48,7 @@ fn a_shifted_camera_sees_a_shifted_wall() {
     for (b, pixels) in [(0.2, 2usize), (0.5, 5), (0.0, 0)] {
         let other = eye([b, 0.0], width, height, focal);
         let places = own.places(&rays(&other), &four());
-        let seen = over(&plane_sample(&wall(&image, 4, 1), Arc::new(places)).unwrap()).unwrap();
+        let seen = alpha_over(&plane_sample(&wall(&image, 4, 1), Arc::new(places)).unwrap()).unwrap();
         for (i, seen) in numbers(&seen).chunks(4).enumerate() {
             let (column, row) = (i % width + pixels, i / width);
             let inside = column < width;
@@ -93,53 +93,53 @@ fn a_blend_of_equals_is_what_each_is() {
 }
 
 /// Three views in a row whose planes are a wall at depth 2.
-fn painter(background: Option<[f32; 3]>) -> PlanesPainter {
-    let eyes: Vec<Eye> = [0.0, 0.2, 1.0].map(|x| eye([x, 0.0], 16, 8, 20.0)).to_vec();
+fn renderer(background: Option<[f32; 3]>) -> PlanesRenderer {
+    let eyes: Vec<Viewpoint> = [0.0, 0.2, 1.0].map(|x| eye([x, 0.0], 16, 8, 20.0)).to_vec();
     // Whole numbers of 8 bits, a little above, so that cutting off keeps them.
     let bits = |mut image: Image| {
         image.pixels.iter_mut().for_each(|value| *value = ((*value * 255.0).round() + 0.25).min(255.0) / 255.0);
         image
     };
-    let mpi = |eye: &Eye| Mpi::new(*eye, &wall(&bits(picture(eye, 2.0)), 4, 1)).unwrap();
+    let mpi = |eye: &Viewpoint| Mpi::new(*eye, &wall(&bits(picture(eye, 2.0)), 4, 1)).unwrap();
     let mpis = made(eyes.iter().map(mpi).collect(), four());
-    PlanesPainter { mpis, eyes, blend: 1, background }
+    PlanesRenderer { mpis, eyes, blend: 1, background }
 }
 
-fn paint(painter: &PlanesPainter, eye: &Eye) -> Painted {
+fn render(renderer: &PlanesRenderer, eye: &Viewpoint) -> RenderedRays {
     let (width, height) = (eye.camera.width as u32, eye.camera.height as u32);
     let pixels: Vec<_> = (0..height).flat_map(|y| (0..width).map(move |x| (&eye.camera, x, y))).collect();
     let rays = RayBuffer::new(&pixels, None, PixelOrigin::Centre, RayParts::default());
-    painter.paint(&rays.to_tensors(DType::F32, &Device::Cpu).unwrap()).unwrap()
+    renderer.render(&rays.to_tensors(DType::F32, &Device::Cpu).unwrap()).unwrap()
 }
 
 #[test]
 fn at_its_own_camera_a_view_is_its_picture() {
-    let painter = painter(None);
-    for eye in &painter.eyes {
-        let painted = paint(&painter, eye);
+    let renderer = renderer(None);
+    for eye in &renderer.eyes {
+        let rendered = render(&renderer, eye);
         let expected = picture(eye, 2.0).pixels;
-        for (found, expected) in numbers(&painted.rgb).iter().zip(expected) {
+        for (found, expected) in numbers(&rendered.rgb).iter().zip(expected) {
             assert!((found - f64::from(expected)).abs() < 0.5 / 255.0 + 1e-4);
         }
-        assert!(numbers(&painted.acc).iter().all(|acc| (acc - 1.0).abs() < 1e-4));
-        assert!(numbers(&painted.depth).iter().all(|depth| (depth - 2.0).abs() < 1e-3));
+        assert!(numbers(&rendered.acc).iter().all(|acc| (acc - 1.0).abs() < 1e-4));
+        assert!(numbers(&rendered.depth).iter().all(|depth| (depth - 2.0).abs() < 1e-3));
     }
 }
 
 /// Nearest first, and equally far ones in their order; the weights of those that are blended fall with distance.
 #[test]
 fn the_nearest_views_are_blended() {
-    let painter = PlanesPainter { blend: 2, ..painter(None) };
+    let renderer = PlanesRenderer { blend: 2, ..renderer(None) };
     let between = eye([0.15, 0.0], 16, 8, 20.0);
-    let order: Vec<usize> = nearest(&painter.eyes, between.place()).into_iter().map(|(view, _)| view).collect();
+    let order: Vec<usize> = nearest(&renderer.eyes, between.place()).into_iter().map(|(view, _)| view).collect();
     assert_eq!(order, [1, 0, 2]);
-    let painted = paint(&painter, &between);
+    let rendered = render(&renderer, &between);
     // Both show the same wall, seen between their pixels.
     let expected = |i: usize, c: usize| {
         let (origin, direction) = between.ray([(i % 16) as f64, (i / 16) as f64]);
         texture(origin[0] + 2.0 * direction[0], origin[1] + 2.0 * direction[1], c)
     };
-    for (i, pixel) in numbers(&painted.rgb).chunks(3).enumerate().filter(|(i, _)| (1..14).contains(&(i % 16))) {
+    for (i, pixel) in numbers(&rendered.rgb).chunks(3).enumerate().filter(|(i, _)| (1..14).contains(&(i % 16))) {
         assert!((0..3).all(|c| (pixel[c] - expected(i, c)).abs() < 0.02), "{i}: {pixel:?}");
     }
 }
@@ -147,13 +147,13 @@ fn the_nearest_views_are_blended() {
 /// Where no planes are, the scene's background is seen, and nothing has a depth.
 #[test]
 fn beside_all_planes_the_background_is_seen() {
-    let painter = painter(Some([0.1, 0.6, 0.3]));
+    let renderer = renderer(Some([0.1, 0.6, 0.3]));
     let mut away = eye([0.0, 0.0], 16, 8, 20.0);
     // Turned around.
     (away.camera.pose[0][0], away.camera.pose[2][2]) = (-1.0, -1.0);
-    let painted = paint(&painter, &away);
-    assert!(numbers(&painted.rgb).chunks(3).all(|p| (p[0] - 0.1).abs() < 1e-6 && (p[1] - 0.6).abs() < 1e-6));
-    assert!(numbers(&painted.acc).iter().chain(&numbers(&painted.depth)).all(|value| *value == 0.0));
+    let rendered = render(&renderer, &away);
+    assert!(numbers(&rendered.rgb).chunks(3).all(|p| (p[0] - 0.1).abs() < 1e-6 && (p[1] - 0.6).abs() < 1e-6));
+    assert!(numbers(&rendered.acc).iter().chain(&numbers(&rendered.depth)).all(|value| *value == 0.0));
 }
 
 #[test]

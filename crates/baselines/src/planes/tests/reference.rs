@@ -7,13 +7,13 @@ use candle_core::{DType, Device, Tensor, Var};
 use crate::base::Image;
 use crate::data::formats::llff::{POSES_FILE, Poses};
 use crate::data::{Camera, Rays, npy};
-use crate::grids::over::over;
+use crate::grids::alpha_over::alpha_over;
 use crate::grids::planes::plane_sample;
 use crate::grids::reference::{error, fixture, values};
-use crate::methods::Painter;
-use crate::planes::PlanesPainter;
+use crate::methods::Renderer;
+use crate::planes::PlanesRenderer;
 use crate::planes::blend::{blend, blend_weight};
-use crate::planes::geometry::{Eye, depths, inputs_of, nearest};
+use crate::planes::geometry::{Viewpoint, depths, inputs_of, nearest};
 use crate::planes::mpi::{Mpi, stored};
 use crate::planes::sweep::{Window, sweep};
 
@@ -27,18 +27,18 @@ const ROUNDED: f64 = 2e-7;
 const BLENDED: f64 = 1e-8;
 
 /// The authors' homographies put the principal point one row higher than the middle.
-fn eye(c2w: &[f64], focal: f64) -> Eye {
+fn eye(c2w: &[f64], focal: f64) -> Viewpoint {
     let row = |r: usize| std::array::from_fn(|c| c2w[4 * r + c]);
     let centre = [0.5 * WIDTH as f64, 0.5 * HEIGHT as f64 - 1.0];
     let camera = Camera { width: WIDTH, height: HEIGHT, focal: [focal; 2], centre, pose: [row(0), row(1), row(2)] };
-    Eye { camera, shift: 0.0 }
+    Viewpoint { camera, shift: 0.0 }
 }
 
-fn eyes() -> Vec<Eye> {
+fn eyes() -> Vec<Viewpoint> {
     values(&fixture("llff.c2w")).chunks(12).map(|c2w| eye(c2w, 7.25)).collect()
 }
 
-fn goal() -> Eye {
+fn goal() -> Viewpoint {
     eye(&values(&fixture("llff.goal_c2w")), 7.25)
 }
 
@@ -60,7 +60,7 @@ fn goal_rays() -> Vec<([f64; 3], [f64; 3])> {
 /// Colour times weight and sum of weights from the goal, `[rays, 4]`.
 fn rendered(view: usize, planes_of_view: &Tensor) -> Tensor {
     let places = eyes()[view].places(&goal_rays(), &planes());
-    over(&plane_sample(planes_of_view, Arc::new(places)).unwrap()).unwrap()
+    alpha_over(&plane_sample(planes_of_view, Arc::new(places)).unwrap()).unwrap()
 }
 
 /// The views' poses and the goal's as LLFF's own file holds them, read.
@@ -107,9 +107,9 @@ fn sweep_volumes_are_the_authors() {
         channels: 3,
         pixels: pixels[view * 144..][..144].iter().map(|value| *value as f32).collect(),
     };
-    let (eyes, images): (Vec<Eye>, Vec<Image>) = (eyes(), (0..6).map(image).collect());
+    let (eyes, images): (Vec<Viewpoint>, Vec<Image>) = (eyes(), (0..6).map(image).collect());
     let inputs = inputs_of(&eyes, 0, 5, None);
-    let seen: Vec<(&Eye, &Image)> = inputs.iter().map(|&view| (&eyes[view], &images[view])).collect();
+    let seen: Vec<(&Viewpoint, &Image)> = inputs.iter().map(|&view| (&eyes[view], &images[view])).collect();
     let window = Window { left: 0, top: 0, width: WIDTH, height: HEIGHT };
     let found = sweep(&eyes[0], &seen, &planes(), window, DType::F64, &Device::Cpu).unwrap();
     let expected = fixture("llff.psv").permute((3, 1, 2, 0, 4)).unwrap().reshape((4, 6, 8, 15)).unwrap();
@@ -197,9 +197,9 @@ fn eight_bits_are_the_authors() {
     }
 }
 
-/// The painter's own way, from 8 bits, is that of the tensors' operations.
+/// The renderer's own way, from 8 bits, is that of the tensors' operations.
 #[test]
-fn a_painter_shows_what_the_operations_give() {
+fn a_renderer_shows_what_the_operations_give() {
     let loaded = |mpi: &Mpi| {
         let number = |(i, value): (usize, &u8)| {
             let value = f64::from(*value) / 255.0;
@@ -214,11 +214,11 @@ fn a_painter_shows_what_the_operations_give() {
     let expected = blend(renderings, None).unwrap();
     assert!(total > 0.0);
     let mpis = made(all, planes());
-    let painter = PlanesPainter { mpis, eyes: eyes(), blend: 5, background: None };
+    let renderer = PlanesRenderer { mpis, eyes: eyes(), blend: 5, background: None };
     let flat = |i: usize| goal_rays().iter().flat_map(|ray| if i == 0 { ray.0 } else { ray.1 }).collect::<Vec<f64>>();
     let [origins, directions] = [0, 1].map(|i| f64s(flat(i), &[48, 3]));
-    let painted = painter.paint(&Rays::new(origins, directions.clone(), directions).unwrap()).unwrap();
-    assert!(error(&painted.rgb, &expected.rgb) < 1e-9);
+    let rendered = renderer.render(&Rays::new(origins, directions.clone(), directions).unwrap()).unwrap();
+    assert!(error(&rendered.rgb, &expected.rgb) < 1e-9);
     let expected: Vec<f64> = numbers(&expected.acc).into_iter().map(|acc| acc.min(1.0)).collect();
-    assert!(error(&painted.acc, &f64s(expected, &[48])) < 1e-9);
+    assert!(error(&rendered.acc, &f64s(expected, &[48])) < 1e-9);
 }

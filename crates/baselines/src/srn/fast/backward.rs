@@ -1,7 +1,7 @@
 //! A chunk of rays on its way back.
 
 use crate::field::fused::kernels::panels::{Panels, Slab};
-use crate::field::fused::kernels::product::{Finish, Left, Out, Rows, Source};
+use crate::field::fused::kernels::product::{Finish, Lhs, Out, Rows, Source};
 use crate::field::fused::kernels::{add_rows, bias_gradient, head_forward, head_gradient, weight_gradient};
 use crate::srn::network::{GRADIENT_LIMIT, HIDDEN};
 
@@ -12,7 +12,7 @@ use super::weights::{Block, GATES, Network};
 /// Room for a layer's gradients and for outputs that are made again.
 struct Rooms {
     rays: usize,
-    pull: Slab,
+    gradient: Slab,
     next: Slab,
     /// The output of a layer in between.
     output: Slab,
@@ -22,8 +22,8 @@ struct Rooms {
     gates: Slab,
 }
 
-/// What is pulled from one step to the one before.
-struct Pulled {
+/// What is gradients from one step to the one before.
+struct StepGradients {
     /// Of positions, `[rays, 3]`.
     x: Vec<f32>,
     /// Of the cell's output and of its memory, `[rays, HIDDEN]`.
@@ -33,23 +33,23 @@ struct Pulled {
 
 impl Rooms {
     fn new(rays: usize, width: usize) -> Rooms {
-        let [pull, next, output, feature] = [0; 4].map(|_| slab(rays, width));
-        Rooms { rays, pull, next, output, feature, gates: slab(rays, GATES) }
+        let [gradient, next, output, feature] = [0; 4].map(|_| slab(rays, width));
+        Rooms { rays, gradient, next, output, feature, gates: slab(rays, GATES) }
     }
 
-    /// Takes the gradient of the last layer's output in `pull` down through the layers, and adds those of their parameters to
+    /// Takes the gradient of the last layer's output in `gradient` down through the layers, and adds those of their parameters to
     /// `sum`. What is left there is the gradient of the first layer's product.
     fn down(&mut self, blocks: &[Block], normals: &Normals, input: Panels, sum: &mut [f32]) {
         for (l, block) in blocks.iter().enumerate().rev() {
             let [weight, bias, scale, shift] = block.gradients(sum);
             let normal = (&normals.layers[l], &normals.inverse[l][..]);
-            norm::backward(block, self.rays, normal, &mut self.pull, (scale, shift));
+            norm::backward(block, self.rays, normal, &mut self.gradient, (scale, shift));
             if l > 0 {
                 norm::again(&blocks[l - 1], self.rays, &normals.layers[l - 1], &mut self.output);
             }
             let x = if l > 0 { self.output.rows(0) } else { input };
-            weight_gradient(self.pull.rows(0), x, self.rays, weight, block.inputs);
-            bias_gradient(self.pull.rows(0), self.rays, bias);
+            weight_gradient(self.gradient.rows(0), x, self.rays, weight, block.inputs);
+            bias_gradient(self.gradient.rows(0), self.rays, bias);
             if l > 0 {
                 self.below(block);
             }
@@ -59,34 +59,38 @@ impl Rooms {
     /// From the gradient of a layer's product to that of what it reads.
     fn below(&mut self, block: &Block) {
         let weights = block.back.as_ref().expect("layers that read no points have a way back");
-        let sources = [Source { left: Left::Panels(self.pull.rows(0)), weights }];
+        let sources = [Source { lhs: Lhs::Panels(self.gradient.rows(0)), weights }];
         let finish = Finish { panels: Some(self.next.rows_mut(0)), ..Finish::default() };
         Rows::Products(&sources).finish(self.rays, block.inputs, finish);
-        std::mem::swap(&mut self.pull, &mut self.next);
+        std::mem::swap(&mut self.gradient, &mut self.next);
     }
 }
 
 impl Network {
-    /// Pulls gradients of colours `[rays, 3]` and of depths `[rays]` back through a chunk's march, and adds those of the
+    /// Propagates gradients of colours `[rays, 3]` and of depths `[rays]` back through a chunk's march, and adds those of the
     /// parameters to `sum`, flat in their order.
     pub(crate) fn backward(&self, lines: Lines, tape: &Tape, (d_colour, d_z): (&[f32], &[f32]), sum: &mut [f32]) {
         let rays = d_z.len();
         let mut rooms = Rooms::new(rays, self.config.width);
-        let mut pulled =
-            Pulled { x: vec![0.0; 3 * rays], output: vec![0.0; rays * HIDDEN], memory: vec![0.0; rays * HIDDEN] };
+        let mut gradients = StepGradients {
+            x: vec![0.0; 3 * rays],
+            output: vec![0.0; rays * HIDDEN],
+            memory: vec![0.0; rays * HIDDEN],
+        };
         let end = &tape.queries[self.config.steps];
         self.colour(tape, end, d_colour, &mut rooms, sum);
-        self.phi(end, true, &mut rooms, &mut pulled, sum);
+        self.phi(end, true, &mut rooms, &mut gradients, sum);
         let norms = lines.norms();
         for step in (0..self.config.steps).rev() {
             let lengths: Vec<f32> = (0..rays)
                 .map(|ray| {
-                    let along = (3 * ray..3 * ray + 3).map(|axis| pulled.x[axis] * lines.viewdirs[axis]).sum::<f32>();
+                    let along =
+                        (3 * ray..3 * ray + 3).map(|axis| gradients.x[axis] * lines.viewdirs[axis]).sum::<f32>();
                     along + d_z[ray] / norms[ray]
                 })
                 .collect();
-            self.cell(tape, step, &lengths, &mut rooms, &mut pulled, sum);
-            self.phi(&tape.queries[step], step > 0, &mut rooms, &mut pulled, sum);
+            self.cell(tape, step, &lengths, &mut rooms, &mut gradients, sum);
+            self.phi(&tape.queries[step], step > 0, &mut rooms, &mut gradients, sum);
         }
     }
 
@@ -99,7 +103,7 @@ impl Network {
         head_gradient(d_colour, self.rgb.outputs, rooms.output.rows(0), &mut sum[weight]);
         add_rows(&mut sum[bias], d_colour);
         let from = Rows::Few { dz: d_colour, weights: &self.rgb.weights, outputs: self.rgb.outputs };
-        from.finish(rays, width, Finish { panels: Some(rooms.pull.rows_mut(0)), ..Finish::default() });
+        from.finish(rays, width, Finish { panels: Some(rooms.gradient.rows_mut(0)), ..Finish::default() });
         self.feature(end, rooms);
         let feature = std::mem::take(&mut rooms.feature);
         rooms.down(&self.pixel, &tape.pixel, feature.rows(0), sum);
@@ -114,21 +118,29 @@ impl Network {
     }
 
     /// Through Phi, from the feature's gradient in the first room; adds that of the points, where it is wanted.
-    fn phi(&self, query: &Query, of_points: bool, rooms: &mut Rooms, pulled: &mut Pulled, sum: &mut [f32]) {
+    fn phi(&self, query: &Query, of_points: bool, rooms: &mut Rooms, gradients: &mut StepGradients, sum: &mut [f32]) {
         rooms.down(&self.phi, &query.normals, query.points.rows(0), sum);
         if of_points {
-            let mut d_points = vec![0f32; pulled.x.len()];
-            head_forward(&self.to_points, &[rooms.pull.rows(0)], &mut d_points);
-            pulled.x.iter_mut().zip(&d_points).for_each(|(sum, value)| *sum += value);
+            let mut d_points = vec![0f32; gradients.x.len()];
+            head_forward(&self.to_points, &[rooms.gradient.rows(0)], &mut d_points);
+            gradients.x.iter_mut().zip(&d_points).for_each(|(sum, value)| *sum += value);
         }
     }
 
     /// Through a step's head and cell, from gradients of the steps' lengths; that of the feature is left in the first room.
-    fn cell(&self, tape: &Tape, step: usize, lengths: &[f32], rooms: &mut Rooms, pulled: &mut Pulled, sum: &mut [f32]) {
+    fn cell(
+        &self,
+        tape: &Tape,
+        step: usize,
+        lengths: &[f32],
+        rooms: &mut Rooms,
+        gradients: &mut StepGradients,
+        sum: &mut [f32],
+    ) {
         let (rays, state, cell) = (rooms.rays, &tape.states[step], &self.cell);
         let [of_input, of_recurrent, of_bias_ih, of_bias_hh, of_head, of_head_bias] = cell.at.clone();
         for (ray, length) in lengths.iter().enumerate() {
-            let d_output = &mut pulled.output[ray * HIDDEN..][..HIDDEN];
+            let d_output = &mut gradients.output[ray * HIDDEN..][..HIDDEN];
             let all = d_output.iter_mut().zip(&cell.head).zip(sum[of_head.clone()].iter_mut().zip(state.output(ray)));
             for ((d, weight), (d_weight, output)) in all {
                 *d = (*d + length * weight).clamp(-GRADIENT_LIMIT as f32, GRADIENT_LIMIT as f32);
@@ -139,20 +151,20 @@ impl Network {
         let nothing = vec![0f32; if step == 0 { rays * HIDDEN } else { 0 }];
         let before = if step > 0 { &tape.states[step - 1].memory } else { &nothing };
         let d_sums = &mut rooms.gates.rows_mut(0).words[..rays * GATES];
-        state.backward(before, &pulled.output, &mut pulled.memory, d_sums);
+        state.backward(before, &gradients.output, &mut gradients.memory, d_sums);
         self.feature(&tape.queries[step], rooms);
         let gates = rooms.gates.rows(0);
         weight_gradient(gates, rooms.feature.rows(0), rays, &mut sum[of_input], self.config.width);
         bias_gradient(gates, rays, &mut sum[of_bias_ih]);
         bias_gradient(gates, rays, &mut sum[of_bias_hh]);
-        let source = |weights| [Source { left: Left::Panels(gates), weights }];
+        let source = |weights| [Source { lhs: Lhs::Panels(gates), weights }];
         if step > 0 {
             weight_gradient(gates, tape.outputs[step - 1].rows(0), rays, &mut sum[of_recurrent], HIDDEN);
-            let out = Some(Out { values: &mut pulled.output, stride: HIDDEN, accumulate: false });
+            let out = Some(Out { values: &mut gradients.output, stride: HIDDEN, accumulate: false });
             let sources = source(&cell.recurrent_back);
             Rows::Products(&sources).finish(rays, HIDDEN, Finish { out, ..Finish::default() });
         }
-        let finish = Finish { panels: Some(rooms.pull.rows_mut(0)), ..Finish::default() };
+        let finish = Finish { panels: Some(rooms.gradient.rows_mut(0)), ..Finish::default() };
         Rows::Products(&source(&cell.input_back)).finish(rays, self.config.width, finish);
     }
 }

@@ -2,7 +2,7 @@
 
 use crate::field::fused::kernels::head_forward;
 use crate::field::fused::kernels::panels::{Form, Panels, Slab};
-use crate::field::fused::kernels::product::{Bias, Finish, Left, Out, Rows, Source};
+use crate::field::fused::kernels::product::{Bias, Finish, Lhs, Out, Rows, Source};
 use crate::srn::network::HIDDEN;
 
 use super::cell::{self, State};
@@ -92,11 +92,11 @@ impl Rooms {
         for (l, block) in blocks.iter().enumerate() {
             let [a, b] = &mut self.0;
             let (below, output) = if l % 2 == 0 { (&*b, a) } else { (&*a, b) };
-            let left = Left::Panels(if l == 0 { input } else { below.rows(0) });
+            let lhs = Lhs::Panels(if l == 0 { input } else { below.rows(0) });
             let bias = Some(Bias { values: &block.bias, of_rays: (0, 0) });
             let layer = &mut normals.layers[l];
             let finish = Finish { bias, panels: Some(layer.rows_mut(0)), ..Finish::default() };
-            Rows::Products(&[Source { left, weights: &block.weight }]).finish(rays, block.scale.len(), finish);
+            Rows::Products(&[Source { lhs, weights: &block.weight }]).finish(rays, block.scale.len(), finish);
             norm::forward(block, rays, layer, &mut normals.inverse[l], output);
         }
         self.0[(blocks.len() + 1) % 2].rows(0)
@@ -158,9 +158,9 @@ impl Network {
     /// The cell's state behind a feature, and its output; without a state before at the first step.
     fn remember(&self, feature: Panels, before: Option<(&State, &Slab)>, rays: usize) -> (State, Slab) {
         let mut sums = vec![0f32; rays * GATES];
-        let mut sources = vec![Source { left: Left::Panels(feature), weights: &self.cell.input }];
+        let mut sources = vec![Source { lhs: Lhs::Panels(feature), weights: &self.cell.input }];
         sources.extend(
-            before.map(|(_, output)| Source { left: Left::Panels(output.rows(0)), weights: &self.cell.recurrent }),
+            before.map(|(_, output)| Source { lhs: Lhs::Panels(output.rows(0)), weights: &self.cell.recurrent }),
         );
         let bias = Some(Bias { values: &self.cell.bias, of_rays: (0, 0) });
         let out = Some(Out { values: &mut sums, stride: GATES, accumulate: false });

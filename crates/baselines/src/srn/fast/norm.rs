@@ -108,16 +108,16 @@ pub(super) fn again(block: &Block, rows: usize, normal: &Slab, y: &mut Slab) {
     );
 }
 
-/// Makes the gradient of a layer's output in `pull` that of its product; adds those of scale and shift to theirs.
+/// Makes the gradient of a layer's output in `gradient` that of its product; adds those of scale and shift to theirs.
 pub(super) fn backward(
     block: &Block,
     rows: usize,
     (normal, inverse): (&Slab, &[f32]),
-    pull: &mut Slab,
+    gradient: &mut Slab,
     (d_scale, d_shift): (&mut [f32], &mut [f32]),
 ) {
-    let (normal, pull) = (normal.rows(0), pull.rows_mut(0));
-    let (shape, pull_shape, pull) = (normal.shape, pull.shape, pull.words);
+    let (normal, gradient) = (normal.rows(0), gradient.rows_mut(0));
+    let (shape, gradient_shape, gradient) = (normal.shape, gradient.shape, gradient.words);
     let share = 1.0 / shape.columns as f32;
     vectorized(
         #[inline(always)]
@@ -125,7 +125,8 @@ pub(super) fn backward(
             for (row, inverse) in inverse[..rows].iter().enumerate() {
                 let (mut of_e, mut of_e_n) = ([0f32; LANES], [0f32; LANES]);
                 for column in (0..shape.columns).step_by(PANEL) {
-                    let (n, e) = (&normal.words[piece(shape, row, column)], &mut pull[piece(pull_shape, row, column)]);
+                    let (n, e) =
+                        (&normal.words[piece(shape, row, column)], &mut gradient[piece(gradient_shape, row, column)]);
                     let numbers = e.iter_mut().zip(n).zip(block.scale[column..].iter().zip(&block.shift[column..]));
                     let sums = d_scale[column..].iter_mut().zip(&mut d_shift[column..]);
                     for (((e, n), (scale, shift)), (d_scale, d_shift)) in numbers.zip(sums) {
@@ -139,7 +140,8 @@ pub(super) fn backward(
                 }
                 let (of_e, of_e_n) = (total(of_e) * share, total(of_e_n) * share);
                 for column in (0..shape.columns).step_by(PANEL) {
-                    let (n, e) = (&normal.words[piece(shape, row, column)], &mut pull[piece(pull_shape, row, column)]);
+                    let (n, e) =
+                        (&normal.words[piece(shape, row, column)], &mut gradient[piece(gradient_shape, row, column)]);
                     e.iter_mut().zip(n).for_each(|(e, n)| *e = (*e - of_e - n * of_e_n) * inverse);
                 }
             }

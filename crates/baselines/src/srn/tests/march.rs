@@ -87,7 +87,7 @@ fn marches_and_gradients_are_those_of_f64() {
         let z_0 = Tensor::from_slice(&given.z_0, (rays, 1), &Device::Cpu).unwrap().to_dtype(DType::F64).unwrap();
         let march = exact.march(&given.rays(DType::F64), &z_0).unwrap();
         let mut sums = Sums::new(None, &exact);
-        sums.descend(&exact, &march, &given.target, weights).unwrap();
+        sums.add_plain(&exact, &march, &given.target, weights).unwrap();
         let network = Network::of(&srn).unwrap();
         let tape = network.march(given.lines(), true);
         let single = |values: &[f32]| values.iter().map(|value| f64::from(*value)).collect::<Vec<f64>>();
@@ -97,7 +97,7 @@ fn marches_and_gradients_are_those_of_f64() {
         let shown = network.march(given.lines(), false);
         assert!(shown.colour == tape.colour && shown.z == tape.z, "width {width}");
         let mut of_fast = Sums::new(Some(&network), &srn);
-        of_fast.learn(&network, given.lines(), &given.target, weights);
+        of_fast.add_packed(&network, given.lines(), &given.target, weights);
         let (Gradients(found), Gradients(expected)) =
             (of_fast.gradients(&srn).unwrap(), sums.gradients(&exact).unwrap());
         for ((name, _), (found, expected)) in srn.variables().iter().zip(found.iter().zip(&expected)) {

@@ -4,10 +4,10 @@ use candle_core::Tensor;
 
 use crate::augment::geometry::PassGeometry;
 use crate::augment::set::{DeltaSet, Norm};
-use crate::augment::site::{ANY_EPSILON, About, DefaultSizes, Level, Passes, SetChoices, SiteNumbers};
+use crate::augment::site::{ANY_EPSILON, DefaultSizes, Level, Passes, SetChoices, SiteNumbers, SiteSpec};
 use crate::base::Result;
 
-pub const SITE: About = About {
+pub const SITE: SiteSpec = SiteSpec {
     name: "density",
     level: Level::Output,
     what: "added to the density of a sample",

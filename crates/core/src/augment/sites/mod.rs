@@ -6,7 +6,7 @@
 
 use std::ops::{Index, IndexMut};
 
-use crate::augment::site::About;
+use crate::augment::site::SiteSpec;
 
 mod density;
 mod feature;
@@ -28,7 +28,7 @@ macro_rules! sites {
             pub const ALL: [Site; [$(Site::$site),*].len()] = [$(Site::$site),*];
 
             /// What there is to know of it.
-            pub fn about(self) -> &'static About {
+            pub fn about(self) -> &'static SiteSpec {
                 match self {
                     $(Site::$site => &$file::SITE,)*
                 }

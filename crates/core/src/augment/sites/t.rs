@@ -5,13 +5,13 @@ use candle_core::{DType, Tensor};
 use crate::augment::epsilon::Epsilon;
 use crate::augment::geometry::PassGeometry;
 use crate::augment::set::{DeltaSet, Norm};
-use crate::augment::site::{About, DefaultSizes, Level, Passes, SetChoices, SiteNumbers};
+use crate::augment::site::{DefaultSizes, Level, Passes, SetChoices, SiteNumbers, SiteSpec};
 use crate::base::Result;
 
 /// Half of the gap keeps the order of samples.
 const LARGEST: f64 = 0.5;
 
-pub const SITE: About = About {
+pub const SITE: SiteSpec = SiteSpec {
     name: "t",
     level: Level::Input,
     what: "shift along the ray",

@@ -3,10 +3,10 @@
 use crate::augment::epsilon::Epsilon;
 use crate::augment::geometry::{PassGeometry, PixelScale};
 use crate::augment::set::{DeltaSet, Norm};
-use crate::augment::site::{ANY_EPSILON, About, DefaultSizes, Level, Passes, Radius, SetChoices, SiteNumbers};
+use crate::augment::site::{ANY_EPSILON, DefaultSizes, Level, Passes, Radius, SetChoices, SiteNumbers, SiteSpec};
 use crate::base::Result;
 
-pub const SITE: About = About {
+pub const SITE: SiteSpec = SiteSpec {
     name: "xyz",
     level: Level::Input,
     what: "shift of a sample's point",

@@ -11,7 +11,7 @@ use crate::data::formats::transforms::frames::{self, Frame, Listed};
 use crate::data::formats::transforms::{notes, transforms_file};
 use crate::data::json::{self, Object};
 use crate::data::pose::{self, Pose};
-use crate::data::{Camera, Place, Rig, Scene, View, background, depth, name_of, path};
+use crate::data::{Camera, Rig, Scene, SceneSpace, View, background, depth, name_of, path};
 use crate::settings::{DataConfig, DataKind, EvalSplit};
 
 /// Start and end of a ray, as for all of NeRF's synthetic scenes.
@@ -39,10 +39,10 @@ pub fn load(config: &DataConfig, events: &dyn Listener) -> Result<Scene> {
     let cameras: Vec<Camera> = both.iter().zip(sizes).map(|(frame, size)| frame.camera(size, in_turn)).collect();
     frames::note_shared(&both[..train.len()], &both[train.len()..], events);
     check_bounds(config, &cameras, events);
-    let mut place = Place::default();
-    notes(&mut place, &both, &cameras, &[]);
+    let mut space = SceneSpace::default();
+    notes(&mut space, &both, &cameras, &[]);
     let [near, far] = BOUNDS;
-    place.note("bounds from", format!("the format: {near} to {far}, as for all of NeRF's synthetic scenes"));
+    space.note("bounds from", format!("the format: {near} to {far}, as for all of NeRF's synthetic scenes"));
     let (of_train, of_test) = cameras.split_at(train.len());
     let background = background(config);
     let (train_views, _) = frames::views(&train, &train_names, of_train, background, "reading train images", events)?;
@@ -57,7 +57,7 @@ pub fn load(config: &DataConfig, events: &dyn Listener) -> Result<Scene> {
             .map(|pose| Camera { pose, ..cameras[0] })
             .collect(),
         corrupted: None,
-        place,
+        space,
         train: train_views,
         test: test_views,
         near: BOUNDS[0],

@@ -2,7 +2,7 @@
 
 use crate::base::Image;
 use crate::data::views::split;
-use crate::data::{Camera, Ndc, Place, Scene, View};
+use crate::data::{Camera, Ndc, Scene, SceneSpace, View};
 use crate::settings::DataConfig;
 
 /// Posed photographs in their order, before any is held out.
@@ -20,7 +20,7 @@ pub struct Capture {
     /// What see-through pixels were put on; none for opaque photographs.
     pub background: Option<[f32; 3]>,
     /// Where it lies: units, box, points.
-    pub place: Place,
+    pub space: SceneSpace,
 }
 
 impl Capture {
@@ -83,7 +83,7 @@ impl Capture {
     }
 
     fn into_scene(self, name: String, kind: &'static str, train: Vec<View>, test: Vec<View>) -> Scene {
-        let Capture { path, near, far, ndc, background, place, .. } = self;
-        Scene { name, kind, train, test, near, far, ndc, background, path, corrupted: None, place }
+        let Capture { path, near, far, ndc, background, space, .. } = self;
+        Scene { name, kind, train, test, near, far, ndc, background, path, corrupted: None, space }
     }
 }

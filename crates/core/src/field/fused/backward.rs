@@ -3,9 +3,9 @@
 use crate::field::encoding::gradient_into;
 use crate::runtime::count_points;
 
-use super::forward::{Inputs, Kept, Wanted, targets};
+use super::forward::{Inputs, Kept, Outputs, targets};
 use super::kernels::panels::{Gathered, Panels, Slab};
-use super::kernels::product::{ByRay, Finish, Left, Out, Rows, Source};
+use super::kernels::product::{ByRay, Finish, Lhs, Out, Rows, Source};
 use super::kernels::{add_rows, bias_gradient, head_gradient, weight_gradient};
 use super::layout::{Layer, Network, TILE};
 use super::pool::Buffer;
@@ -21,7 +21,7 @@ pub struct InputGradients {
 struct Backward<'a> {
     network: &'a Network,
     kept: &'a Kept,
-    wanted: Wanted,
+    wanted: Outputs,
     rays: usize,
     /// Points of a ray.
     samples: usize,
@@ -33,24 +33,24 @@ struct Backward<'a> {
 
 /// Room for a layer's gradients at a tile's rows: as products read them and, where that differs, as gradients of weights
 /// do.
-struct Pull {
-    left: Slab,
-    right: Slab,
+struct LayerGradients {
+    lhs: Slab,
+    rhs: Slab,
 }
 
-impl Pull {
-    fn new(network: &Network, weights: bool, columns: usize) -> Pull {
-        let right = if weights && network.pairs() { network.right(TILE, columns) } else { Slab::default() };
-        Pull { left: network.left(TILE, columns), right }
+impl LayerGradients {
+    fn new(network: &Network, weights: bool, columns: usize) -> LayerGradients {
+        let rhs = if weights && network.pairs() { network.rhs(TILE, columns) } else { Slab::default() };
+        LayerGradients { lhs: network.lhs(TILE, columns), rhs }
     }
 
     fn for_weights(&self) -> Panels<'_> {
-        if self.right.is_empty() { self.left.rows(0) } else { self.right.rows(0) }
+        if self.rhs.is_empty() { self.lhs.rows(0) } else { self.rhs.rows(0) }
     }
 
     /// Puts rows here.
     fn take(&mut self, from: Rows, rows: usize, columns: usize, finish: Finish) {
-        let (across, panels) = targets(&mut self.left, &mut self.right, 0);
+        let (across, panels) = targets(&mut self.lhs, &mut self.rhs, 0);
         from.finish(rows, columns, Finish { across, panels, ..finish });
     }
 }
@@ -59,8 +59,8 @@ impl Pull {
 struct Rooms {
     scratch: Scratch,
     /// Of a layer's output, and of its input.
-    trunk: [Pull; 2],
-    views: [Pull; 2],
+    trunk: [LayerGradients; 2],
+    views: [LayerGradients; 2],
     encoded: Buffer<f32>,
     /// The encoding as gradients of weights read it.
     encoding: Slab,
@@ -77,7 +77,7 @@ struct Sums<'a> {
 }
 
 impl Network {
-    /// Pulls `gradient`, laid out as the raw output, back to what was wanted. Gradients of weights are added to
+    /// Propagates `gradient`, laid out as the raw output, back to what was wanted. Gradients of weights are added to
     /// `weights`, flat in the order of parameters. Points whose gradient is 0, as all of empty space has it behind a
     /// ReLU density, take no part: they would add 0.
     pub fn backward(
@@ -85,15 +85,15 @@ impl Network {
         inputs: Inputs,
         kept: &Kept,
         gradient: &[f32],
-        wanted: Wanted,
+        wanted: Outputs,
         weights: &mut [f32],
     ) -> InputGradients {
         let n = inputs.points.len() / self.code().inputs();
         let rays = inputs.viewdirs.len() / 3;
         let delta_layer = inputs.delta.map_or(0, |(layer, _)| layer);
         let lowest = match wanted {
-            Wanted { weights: false, points: false, delta: true, .. } => delta_layer,
-            Wanted { weights: false, points: false, delta: false, .. } => self.depth(),
+            Outputs { weights: false, points: false, delta: true, .. } => delta_layer,
+            Outputs { weights: false, points: false, delta: false, .. } => self.depth(),
             _ => 0,
         };
         let samples = n.checked_div(rays).unwrap_or(0);
@@ -118,13 +118,13 @@ impl Backward<'_> {
             .filter(|&i| g_density[i] != 0.0 || rays > 0 && g_colour[3 * i..][..3].iter().any(|&g| g != 0.0))
             .collect();
         count_points(n, active.len());
-        let pulls = |columns: usize| [0; 2].map(|_| Pull::new(network, wanted.weights, columns));
+        let room = |columns: usize| [0; 2].map(|_| LayerGradients::new(network, wanted.weights, columns));
         let mut rooms = Rooms {
             scratch: Scratch::default(),
-            trunk: pulls(width),
-            views: pulls(network.views[0].linear.outputs()),
+            trunk: room(width),
+            views: room(network.views[0].linear.outputs()),
             encoded: Buffer::new(TILE * position),
-            encoding: if wanted.weights { network.right(TILE, position) } else { Slab::default() },
+            encoding: if wanted.weights { network.rhs(TILE, position) } else { Slab::default() },
             delta: Buffer::new(if wanted.delta { TILE * width } else { 0 }),
         };
         for rows in active.chunks(TILE) {
@@ -165,9 +165,9 @@ impl Backward<'_> {
         let mut sources = Vec::new();
         if self.rays > 0 {
             let colour = scratch.colour.rows(g_colour, 3, rows);
-            let pull =
+            let gradients =
                 self.views(rows, colour, (&mut scratch.hidden, &mut scratch.view, &mut scratch.mask), views, sums);
-            sources.extend(back(pull, &network.views[0]));
+            sources.extend(back(gradients, &network.views[0]));
         }
         if self.reaches_trunk() {
             let density = Some((density, &network.density.head.weights[..]));
@@ -182,9 +182,9 @@ impl Backward<'_> {
         rows: &[usize],
         colour: &[f32],
         (hidden, view, mask): (&mut Gathered, &mut Gathered, &mut Gathered),
-        rooms: &'a mut [Pull; 2],
+        rooms: &'a mut [LayerGradients; 2],
         sums: &mut Sums,
-    ) -> &'a Pull {
+    ) -> &'a LayerGradients {
         let (network, kept, wanted) = (self.network, self.kept, self.wanted);
         let (rgb, top) = (&network.rgb, network.views.len() - 1);
         if wanted.weights {
@@ -228,7 +228,7 @@ impl Backward<'_> {
         sources: &[Source],
         density: Option<(&[f32], &[f32])>,
         rows: &[usize],
-        (room, delta, mask): (&mut Pull, &mut [f32], &mut Gathered),
+        (room, delta, mask): (&mut LayerGradients, &mut [f32], &mut Gathered),
         sums: &mut Sums,
     ) {
         let (width, count) = (self.network.width(), rows.len());
@@ -272,7 +272,7 @@ impl Backward<'_> {
                 bias_gradient(dz, count, layer.linear.bias_of(sums.weights));
             }
             if let Some(weights) = layer.to_encoded.as_ref().filter(|_| wanted.points) {
-                let sources = [Source { left: Left::Panels(output.left.rows(0)), weights }];
+                let sources = [Source { lhs: Lhs::Panels(output.lhs.rows(0)), weights }];
                 let out = Some(Out { values: &mut *de, stride: position, accumulate: true });
                 Rows::Products(&sources).finish(count, position, Finish { out, ..Finish::default() });
             }
@@ -311,8 +311,8 @@ impl Backward<'_> {
 }
 
 /// A layer's gradients as the left side of a product with its weights, for the layer below.
-fn back<'a>(pull: &'a Pull, layer: &'a Layer) -> Option<Source<'a>> {
-    layer.to_below.as_ref().map(|weights| Source { left: Left::Panels(pull.left.rows(0)), weights })
+fn back<'a>(gradients: &'a LayerGradients, layer: &'a Layer) -> Option<Source<'a>> {
+    layer.to_below.as_ref().map(|weights| Source { lhs: Lhs::Panels(gradients.lhs.rows(0)), weights })
 }
 
 /// Room for rows that are brought together.

@@ -3,7 +3,7 @@
 use super::encode::{encode_positions, encode_tile};
 use super::kernels::head_forward;
 use super::kernels::panels::{Form, Masks, Panels, PanelsMut, Slab};
-use super::kernels::product::{Bias, Finish, Left, Rows, Source};
+use super::kernels::product::{Bias, Finish, Lhs, Rows, Source};
 use super::layout::{Network, TILE, Tile, tiles};
 use super::pool::Buffer;
 
@@ -29,16 +29,16 @@ pub struct Prefix {
 
 /// What a backward pass will be asked for.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Wanted {
+pub struct Outputs {
     pub weights: bool,
     pub points: bool,
     pub viewdirs: bool,
     pub delta: bool,
 }
 
-impl Wanted {
+impl Outputs {
     fn any(self) -> bool {
-        self != Wanted::default()
+        self != Outputs::default()
     }
 }
 
@@ -66,9 +66,9 @@ struct Rooms {
 }
 
 /// What a layer reads of the one below: its output and, where it is bf16, the delta.
-struct Below<'a>([Panels<'a>; 2], usize);
+struct LayerInput<'a>([Panels<'a>; 2], usize);
 
-impl<'a> Below<'a> {
+impl<'a> LayerInput<'a> {
     fn parts(&self) -> &[Panels<'a>] {
         &self.0[..self.1]
     }
@@ -89,18 +89,18 @@ pub(super) fn targets<'a>(
 }
 
 /// The layer's output as products read it.
-fn left_of<'a>(room: &'a Slab, kept: &'a Slab, start: usize) -> Panels<'a> {
+fn lhs_of<'a>(room: &'a Slab, kept: &'a Slab, start: usize) -> Panels<'a> {
     if room.form() == Form::Across || kept.is_empty() { room.rows(0) } else { kept.rows(start) }
 }
 
 impl Network {
     fn rooms(&self, with_delta: bool) -> Rooms {
         let (width, view) = (self.width(), self.views[0].linear.outputs());
-        let delta = if with_delta && self.pairs() { self.left(TILE, width) } else { Slab::default() };
+        let delta = if with_delta && self.pairs() { self.lhs(TILE, width) } else { Slab::default() };
         Rooms {
             encoded: Buffer::new(TILE * self.position_channels()),
-            trunk: [self.left(TILE, width), self.left(TILE, width)],
-            views: [self.left(TILE, view), self.left(TILE, view)],
+            trunk: [self.lhs(TILE, width), self.lhs(TILE, width)],
+            views: [self.lhs(TILE, view), self.lhs(TILE, view)],
             delta,
         }
     }
@@ -109,8 +109,8 @@ impl Network {
     pub fn prefix(&self, points: &[f32], layer: usize) -> Prefix {
         let n = points.len() / self.code().inputs();
         let (width, position) = (self.width(), self.position_channels());
-        let mut prefix = Prefix { encoded: Buffer::new(n * position), hidden: self.left(n, width) };
-        let mut rooms = [self.left(TILE, width), self.left(TILE, width)];
+        let mut prefix = Prefix { encoded: Buffer::new(n * position), hidden: self.lhs(n, width) };
+        let mut rooms = [self.lhs(TILE, width), self.lhs(TILE, width)];
         for tile in tiles(n) {
             let encoded = tile.of_mut(&mut prefix.encoded, position);
             encode_positions(self.code(), tile.of(points, self.code().inputs()), encoded);
@@ -129,10 +129,9 @@ impl Network {
     /// Trunk layer `l` (from 0) of a tile, with its ReLU, from the encoding and the parts of the layer below.
     fn trunk_layer(&self, l: usize, encoded: &[f32], below: &[Panels], rows: usize, finish: Finish) {
         let layer = &self.trunk[l];
-        let encoded = layer.encoded.iter().map(|weights| Source { left: Left::Rows(encoded), weights });
-        let below = below
-            .iter()
-            .flat_map(|part| layer.below.iter().map(|weights| Source { left: Left::Panels(*part), weights }));
+        let encoded = layer.encoded.iter().map(|weights| Source { lhs: Lhs::Rows(encoded), weights });
+        let below =
+            below.iter().flat_map(|part| layer.below.iter().map(|weights| Source { lhs: Lhs::Panels(*part), weights }));
         let sources: Vec<Source> = encoded.chain(below).collect();
         let bias = Some(Bias { values: &layer.bias, of_rays: (0, 0) });
         Rows::Products(&sources).finish(rows, self.width(), Finish { bias, relu: true, ..finish });
@@ -140,7 +139,7 @@ impl Network {
 
     /// Raw colours `[n, 3]` followed by raw densities `[n]`, or raw densities alone; and what a backward pass for
     /// `wanted` needs.
-    pub fn forward(&self, inputs: Inputs, wanted: Wanted) -> (Vec<f32>, Kept) {
+    pub fn forward(&self, inputs: Inputs, wanted: Outputs) -> (Vec<f32>, Kept) {
         let n = inputs.points.len() / self.code().inputs();
         let rays = inputs.viewdirs.len() / 3;
         let samples = n.checked_div(rays).unwrap_or(0);
@@ -172,7 +171,7 @@ impl Network {
         &self,
         last: &[Panels],
         bias: Bias,
-        wanted: Wanted,
+        wanted: Outputs,
         tile: Tile,
         (kept, masks, rooms): (&mut [Slab], &mut [Masks], &mut [Slab; 2]),
         raw: &mut [f32],
@@ -181,12 +180,12 @@ impl Network {
             let [a, b] = &mut *rooms;
             let (room, output) = if i % 2 == 0 { (&*b, a) } else { (&*a, b) };
             let (kept_below, from_here) = kept.split_at_mut(i);
-            let below = kept_below.last().map(|kept| [left_of(room, kept, tile.start)]);
+            let below = kept_below.last().map(|kept| [lhs_of(room, kept, tile.start)]);
             let sources: Vec<Source> = below
                 .as_ref()
                 .map_or(last, |below| below)
                 .iter()
-                .flat_map(|part| layer.below.iter().map(|weights| Source { left: Left::Panels(*part), weights }))
+                .flat_map(|part| layer.below.iter().map(|weights| Source { lhs: Lhs::Panels(*part), weights }))
                 .collect();
             let bias = if i == 0 { bias } else { Bias { values: &layer.bias, of_rays: (0, 0) } };
             let positive = wanted.any().then(|| masks[i].rows_mut(tile.start));
@@ -195,21 +194,21 @@ impl Network {
             Rows::Products(&sources).finish(tile.rows, layer.linear.outputs(), finish);
         }
         let top = self.views.len() - 1;
-        let view = left_of(&rooms[top % 2], &kept[top], tile.start);
+        let view = lhs_of(&rooms[top % 2], &kept[top], tile.start);
         head_forward(&self.rgb.head, &[view], raw);
     }
 
     /// Room for what a backward pass for `wanted` needs of `n` points on `rays` rays.
-    fn kept(&self, n: usize, rays: usize, wanted: Wanted) -> Kept {
+    fn kept(&self, n: usize, rays: usize, wanted: Outputs) -> Kept {
         let (width, depth) = (self.width(), self.depth());
         let rows = |wanted: bool| if wanted { n } else { 0 };
         let views = || self.views.iter().map(|layer| layer.linear.outputs());
         Kept {
             encoded: Buffer::new(rows(wanted.weights || wanted.points) * self.position_channels()),
             encoded_views: Buffer::new(rays * self.view_channels()),
-            hidden: (0..depth).map(|_| self.right(rows(wanted.weights), width)).collect(),
+            hidden: (0..depth).map(|_| self.rhs(rows(wanted.weights), width)).collect(),
             masks: (0..depth).map(|_| Masks::new(rows(wanted.any()), width)).collect(),
-            views: views().map(|width| self.right(rows(wanted.weights && rays > 0), width)).collect(),
+            views: views().map(|width| self.rhs(rows(wanted.weights && rays > 0), width)).collect(),
             view_masks: views().map(|width| Masks::new(rows(wanted.any() && rays > 0), width)).collect(),
         }
     }
@@ -235,14 +234,14 @@ impl Network {
         (room, kept): (&'a Slab, &'a Slab),
         delta: &'a Slab,
         tile: Tile,
-    ) -> Below<'a> {
+    ) -> LayerInput<'a> {
         let hidden = match inputs.prefix.filter(|_| self.pairs() && l == self.first_layer(inputs) + 1) {
             Some(prefix) => prefix.hidden.rows(tile.start),
-            None => left_of(room, kept, tile.start),
+            None => lhs_of(room, kept, tile.start),
         };
         match self.pairs() && inputs.delta.is_some_and(|(layer, _)| layer == l) {
-            true => Below([hidden, delta.rows(0)], 2),
-            false => Below([hidden; 2], 1),
+            true => LayerInput([hidden, delta.rows(0)], 2),
+            false => LayerInput([hidden; 2], 1),
         }
     }
 
@@ -255,7 +254,7 @@ impl Network {
     }
 
     /// The trunk of a tile. Its last layer is left where it is kept, or in its room.
-    fn trunk(&self, inputs: Inputs, wanted: Wanted, tile: Tile, kept: &mut Kept, rooms: &mut Rooms) {
+    fn trunk(&self, inputs: Inputs, wanted: Outputs, tile: Tile, kept: &mut Kept, rooms: &mut Rooms) {
         let (width, position, first) = (self.width(), self.position_channels(), self.first_layer(inputs));
         let encoded = match inputs.prefix {
             Some(prefix) => tile.of(&prefix.encoded, position),
@@ -279,7 +278,7 @@ impl Network {
                     let below = kept_below.last().map(|kept| self.below(l, inputs, (room, kept), &rooms.delta, tile));
                     let positive = wanted.any().then(|| kept.masks[l].rows_mut(tile.start));
                     let finish = Finish { positive, delta, across, panels, ..Finish::default() };
-                    self.trunk_layer(l, encoded, below.as_ref().map_or(&[], Below::parts), tile.rows, finish);
+                    self.trunk_layer(l, encoded, below.as_ref().map_or(&[], LayerInput::parts), tile.rows, finish);
                 }
             }
             if let Some(delta) = delta.filter(|_| self.pairs()) {

@@ -12,7 +12,7 @@ use crate::field::layer_shapes;
 use crate::settings::{FieldConfig, Precision};
 
 use super::kernels::panels::{Form, Packed, Slab, filled_up};
-use super::kernels::product::{Bias, Finish, Left, Out, Rows, Source};
+use super::kernels::product::{Bias, Finish, Lhs, Out, Rows, Source};
 use super::kernels::{Head, Matrix, add_bias, few_forward, multiply};
 use super::pool::Buffer;
 
@@ -323,12 +323,12 @@ impl Network {
     }
 
     /// Room for a layer's rows that the next product reads.
-    pub(super) fn left(&self, rows: usize, columns: usize) -> Slab {
+    pub(super) fn lhs(&self, rows: usize, columns: usize) -> Slab {
         Slab::new(if self.pairs() { Form::Across } else { Form::Single }, rows, columns)
     }
 
     /// Room for a layer's rows that gradients of weights read.
-    pub(super) fn right(&self, rows: usize, columns: usize) -> Slab {
+    pub(super) fn rhs(&self, rows: usize, columns: usize) -> Slab {
         Slab::new(if self.pairs() { Form::Down } else { Form::Single }, rows, columns)
     }
 
@@ -339,7 +339,7 @@ impl Network {
         let stride = view.bias.len();
         let mut of_rays = Buffer::new(rays * stride);
         of_rays.fill(0.0);
-        let sources = [Source { left: Left::Rows(encoded_views), weights: &self.of_direction }];
+        let sources = [Source { lhs: Lhs::Rows(encoded_views), weights: &self.of_direction }];
         let finish = Finish {
             bias: Some(Bias { values: &view.bias, of_rays: (0, 0) }),
             out: Some(Out { values: &mut of_rays, stride, accumulate: false }),

@@ -25,7 +25,7 @@ use crate::field::contiguous;
 use crate::settings::FieldConfig;
 
 use backward::InputGradients;
-use forward::{Inputs, Kept, Prefix, Wanted};
+use forward::{Inputs, Kept, Outputs, Prefix};
 use slope::Tape;
 
 pub use layout::Network;
@@ -60,9 +60,9 @@ impl Recorder {
 
 /// The trunk's lower part at points that stay (see [`crate::field::FixedPoints`]), and the layer that it goes up to.
 #[derive(Default)]
-pub struct Below(RefCell<Option<(usize, Arc<Prefix>)>>);
+pub struct PrefixCache(RefCell<Option<(usize, Arc<Prefix>)>>);
 
-impl Below {
+impl PrefixCache {
     /// That of `points` up to layer `layer`, computed once.
     fn prefix(&self, network: &Network, points: &Tensor, layer: usize) -> Result<Arc<Prefix>> {
         let known = self.0.borrow().as_ref().filter(|(to, _)| *to == layer).map(|(_, prefix)| prefix.clone());
@@ -82,14 +82,14 @@ pub struct Query<'a> {
     /// Takes the gradients of the weights; without one they are constants.
     pub recorder: Option<Arc<Recorder>>,
     /// Keeps the trunk below a delta, where many queries share their points.
-    pub below: Option<&'a Below>,
+    pub below: Option<&'a PrefixCache>,
 }
 
 impl Query<'_> {
     /// Raw colour `[3 n]` and raw density `[n]` behind each other. `points` `[n, 3]`, `viewdirs` `[rays, 3]`, `delta`
     /// `[n, width]` of a 1-based trunk layer.
     pub fn run(self, points: &Tensor, viewdirs: &Tensor, delta: Option<(usize, &Tensor)>) -> Result<Tensor> {
-        let wanted = Wanted {
+        let wanted = Outputs {
             weights: self.recorder.is_some(),
             points: points.track_op(),
             viewdirs: viewdirs.track_op(),
@@ -97,7 +97,7 @@ impl Query<'_> {
         };
         // Where nothing else is tracked, the graph would never come back for the weights.
         let tracked;
-        let viewdirs = if wanted == (Wanted { weights: true, ..Wanted::default() }) {
+        let viewdirs = if wanted == (Outputs { weights: true, ..Outputs::default() }) {
             tracked = Var::from_tensor(viewdirs)?;
             tracked.as_tensor()
         } else {
@@ -124,7 +124,7 @@ impl Query<'_> {
         let points = points.detach().contiguous()?;
         let values = Values::of(&points);
         let inputs = Inputs { points: values.slice()?, viewdirs: &[], delta: None, prefix: None };
-        let (raw, _) = self.network.forward(inputs, Wanted::default());
+        let (raw, _) = self.network.forward(inputs, Outputs::default());
         let n = raw.len();
         Tensor::from_vec(raw, n, points.device())
     }
@@ -153,14 +153,14 @@ impl Slope {
         Ok(Slope { raw, slope, network, tape: found.tape })
     }
 
-    /// Gradients of weight and bias of the trunk and the density head, in the order of parameters, of a loss that pulls
-    /// on the slope with `pull [n, channels]` and on raw density with `d_raw [n]`.
-    pub fn gradients(&self, pull: Option<&Tensor>, d_raw: Option<&Tensor>) -> Result<Vec<Vec<f32>>> {
+    /// Gradients of weight and bias of the trunk and the density head, in the order of parameters, of a loss whose gradient
+    /// on the slope with `cotangent [n, channels]` and on raw density with `d_raw [n]`.
+    pub fn gradients(&self, cotangent: Option<&Tensor>, d_raw: Option<&Tensor>) -> Result<Vec<Vec<f32>>> {
         let whole = |tensor: Option<&Tensor>| tensor.map(|tensor| tensor.contiguous()).transpose();
-        let (pull, d_raw) = (whole(pull)?, whole(d_raw)?);
-        let (pull, d_raw) = (pull.as_ref().map(Values::of), d_raw.as_ref().map(Values::of));
-        let pull = pull.as_ref().map(Values::slice).transpose()?;
-        Ok(self.network.slope_gradients(&self.tape, pull, d_raw.as_ref().map(Values::slice).transpose()?))
+        let (cotangent, d_raw) = (whole(cotangent)?, whole(d_raw)?);
+        let (cotangent, d_raw) = (cotangent.as_ref().map(Values::of), d_raw.as_ref().map(Values::of));
+        let cotangent = cotangent.as_ref().map(Values::slice).transpose()?;
+        Ok(self.network.slope_gradients(&self.tape, cotangent, d_raw.as_ref().map(Values::slice).transpose()?))
     }
 }
 
@@ -195,7 +195,7 @@ struct Fused {
     network: Arc<Network>,
     recorder: Option<Arc<Recorder>>,
     delta_layer: Option<usize>,
-    wanted: Wanted,
+    wanted: Outputs,
     prefix: Option<Arc<Prefix>>,
     /// From the forward to the backward pass.
     kept: Mutex<Option<Kept>>,

@@ -99,8 +99,8 @@ impl Network {
     }
 
     /// Gradients of weight and bias of the trunk's layers and the density head, in the order of parameters, of a loss
-    /// that pulls on the slope with `pull [n, channels]` and on raw density with `d_raw [n]`.
-    pub fn slope_gradients(&self, tape: &Tape, pull: Option<&[f32]>, d_raw: Option<&[f32]>) -> Vec<Vec<f32>> {
+    /// that pulls on the slope with `cotangent [n, channels]` and on raw density with `d_raw [n]`.
+    pub fn slope_gradients(&self, tape: &Tape, cotangent: Option<&[f32]>, d_raw: Option<&[f32]>) -> Vec<Vec<f32>> {
         let (width, position) = (self.width(), self.position_channels());
         let mut sum = vec![0f32; self.gradient_size];
         let (mut room_a, mut room_b) = (Buffer::new(TILE * width), Buffer::new(TILE * width));
@@ -113,9 +113,9 @@ impl Network {
             let (u_0, d) = (&mut u_0[..count * position], &mut d[..count]);
             d.iter_mut().zip(points).for_each(|(d, &point)| *d = d_raw.map_or(0.0, |all| all[point]));
             scale_rows(&tape.encoded[start * position..][..count * position], d, u_0);
-            if let Some(pull) = pull {
+            if let Some(cotangent) = cotangent {
                 for (u, &point) in u_0.chunks_exact_mut(position).zip(points) {
-                    u.iter_mut().zip(&pull[point * position..]).for_each(|(u, pull)| *u += pull);
+                    u.iter_mut().zip(&cotangent[point * position..]).for_each(|(u, cotangent)| *u += cotangent);
                 }
             }
             for (l, layer) in self.trunk.iter().map(|layer| &layer.linear).enumerate() {
@@ -127,7 +127,7 @@ impl Network {
                     layer.weight_gradient((adjoint, width), below, self.encoded_inputs(l), width, &mut sum);
                 }
                 few_weight_gradient(d, adjoint, 1, layer.bias_of(&mut sum));
-                if pull.is_some() {
+                if cotangent.is_some() {
                     self.trunk_product(l, u_0, below, u);
                     few_input_gradient(d, &layer.bias, 1, u, true);
                     mask_where_zero(u, hidden);

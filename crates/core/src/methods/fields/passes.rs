@@ -7,7 +7,7 @@ use crate::base::Result;
 use crate::field::Field;
 use crate::methods::diagnostics::Sums;
 use crate::methods::gradients::Gradients;
-use crate::methods::learner::UnlessStopped;
+use crate::methods::learner::StopCheck;
 use crate::render::{Pass, noiseless_acc, place, resample};
 
 use super::chunk::Chunk;
@@ -31,7 +31,7 @@ impl FieldLearner {
         whole: &Chunk,
         step_loss: StepLoss,
         log: bool,
-        unless_stopped: &UnlessStopped,
+        stop_check: &StopCheck,
     ) -> Result<ChunkResult> {
         let size = self.config.train.chunk;
         let starts: Vec<(usize, usize)> = (0..whole.rays.len()).step_by(size).enumerate().collect();
@@ -40,7 +40,7 @@ impl FieldLearner {
             let fields = prepared.recording()?;
             let mut sum: Option<ChunkResult> = None;
             for &(index, start) in part {
-                unless_stopped()?;
+                stop_check()?;
                 let count = size.min(whole.rays.len() - start);
                 let chunk = self.work(&fields, &whole.narrow(index, start, count)?, step_loss, self.empty(log))?;
                 match &mut sum {

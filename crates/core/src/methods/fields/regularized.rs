@@ -6,7 +6,7 @@ use crate::base::{Error, Result};
 use crate::field::Field;
 use crate::losses::{LossTerm, SpaceTerm, WeightedTerm, estimate_seconds, regularize_unless};
 use crate::methods::gradients::Gradients;
-use crate::methods::learner::UnlessStopped;
+use crate::methods::learner::StopCheck;
 use crate::settings::{LatticePoints, REGULARIZERS, RegularizedFields, Regularizer, RegularizerConfig};
 use crate::space::{Lattice, Quadrature};
 
@@ -46,7 +46,7 @@ impl FieldLearner {
         terms: &[(&dyn SpaceTerm, f64)],
         config: &RegularizerConfig,
         step: u64,
-        unless_stopped: &UnlessStopped,
+        stop_check: &StopCheck,
     ) -> Result<Option<(Tensor, Gradients)>> {
         if terms.is_empty() {
             return Ok(None);
@@ -59,7 +59,7 @@ impl FieldLearner {
                 gradients.extend(vec![None; field.variables().len()]);
                 continue;
             }
-            let regularized = regularize_unless(field, &points, terms, unless_stopped)?;
+            let regularized = regularize_unless(field, &points, terms, stop_check)?;
             values = (values + regularized.values)?;
             gradients.extend(regularized.gradients);
         }
@@ -108,7 +108,7 @@ impl FieldLearner {
     pub fn balance(&mut self, config: &RegularizerConfig, step: u64) -> Result<Vec<Balance>> {
         let whole = self.draw(step)?;
         let photometric = StepLoss { clean: 1.0, perturbed: 0.0, terms: &[], fields: config.fields };
-        let to_its_end: &UnlessStopped = &|| Ok(());
+        let to_its_end: &StopCheck = &|| Ok(());
         let photometric_norm = self.passes(&whole, photometric, false, to_its_end)?.gradients.norm()?;
         let alone = |term: LossTerm| -> Result<Balance> {
             let name = term.name().to_string();

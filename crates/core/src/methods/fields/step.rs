@@ -2,7 +2,7 @@
 
 use crate::base::{Error, Result};
 use crate::losses::{LossTerm, WeightedTerm};
-use crate::methods::learner::{Learned, Learner, LogColumns, Term, UnlessStopped};
+use crate::methods::learner::{Learner, LogColumns, StepResult, StopCheck, Term};
 
 use super::learner::FieldLearner;
 use super::results::ChunkResult;
@@ -46,15 +46,15 @@ impl Learner for FieldLearner {
         Ok(())
     }
 
-    fn learn(&mut self, step: u64, log: bool, unless_stopped: &UnlessStopped) -> Result<Learned> {
+    fn step(&mut self, step: u64, log: bool, stop_check: &StopCheck) -> Result<StepResult> {
         let whole = self.draw(step)?;
         let ChunkResult { mut gradients, losses, diagnostics, .. } =
-            self.passes(&whole, self.step_loss(), log, unless_stopped)?;
+            self.passes(&whole, self.step_loss(), log, stop_check)?;
         let mut in_space = Vec::new();
         let terms_in_space = terms::in_space(&self.terms);
-        let regularized = self.regularize(&terms_in_space, &self.config.regularizer, step, unless_stopped)?;
-        if let Some((values, pull)) = regularized {
-            gradients.merge(pull)?;
+        let regularized = self.regularize(&terms_in_space, &self.config.regularizer, step, stop_check)?;
+        if let Some((values, terms)) = regularized {
+            gradients.merge(terms)?;
             in_space = values.to_vec1::<f64>()?;
         }
         let on_rays = losses.on_rays.as_ref().map_or(Ok(Vec::new()), |values| values.to_vec1::<f64>())?;
@@ -62,7 +62,7 @@ impl Learner for FieldLearner {
         let [coarse, fine, perturbed, largest_acc] = losses.read()?;
         let clean = self.coarse_weight(&self.fields) * coarse.unwrap_or(0.0) + fine.unwrap_or(0.0);
         let (terms, loss) = self.terms([coarse, fine, perturbed], regularizers);
-        Ok(Learned {
+        Ok(StepResult {
             gradients,
             terms,
             loss,

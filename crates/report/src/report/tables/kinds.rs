@@ -2,7 +2,7 @@
 
 use super::{Line, Table};
 use crate::report::distinct;
-use crate::settings::columns::{COLUMNS, Told};
+use crate::settings::columns::{COLUMNS, CaptionRule};
 
 /// Columns of methods without fields, each with all of its settings.
 const OWN: [&str; 3] = ["srn", "nv", "llff"];
@@ -36,19 +36,19 @@ pub(super) fn kind_notes(lines: &[&Line]) -> Vec<String> {
     }
     // A caption tells what all lines share, and a note what they differ in: this is neither.
     let mut shared: Vec<(String, Vec<String>)> = Vec::new();
-    for name in COLUMNS.iter().filter(|column| column.told == Told::Always).map(|column| column.name) {
+    for name in COLUMNS.iter().filter(|column| column.caption == CaptionRule::Always).map(|column| column.name) {
         let measured = lines.iter().filter(|line| !line.ids.is_empty());
         let texts = distinct(measured.map(|line| line.protocol(name)));
         let [one] = texts.iter().filter(|text| !text.is_empty()).collect::<Vec<_>>()[..] else { continue };
         if texts.len() > 1 {
             let of = labels(&|line| line.protocol(name) == *one);
             match shared.iter_mut().find(|(known, _)| *known == of) {
-                Some((_, told)) => told.push(format!("{name} {one}")),
+                Some((_, caption)) => caption.push(format!("{name} {one}")),
                 None => shared.push((of, vec![format!("{name} {one}")])),
             }
         }
     }
-    notes.extend(shared.into_iter().map(|(labels, told)| format!("{labels}: {}", told.join(", "))));
+    notes.extend(shared.into_iter().map(|(labels, caption)| format!("{labels}: {}", caption.join(", "))));
     notes
 }
 

@@ -6,7 +6,7 @@ use crate::metrics::{Metric, Needs};
 use crate::report::PUBLISHED_NOTE;
 use crate::report::distinct;
 use crate::report::statistics::p_text;
-use crate::settings::columns::{COLUMNS, InactiveBy, Told};
+use crate::settings::columns::{COLUMNS, CaptionRule, InactiveBy};
 
 const HOW_TO_READ: &str = "difference to the baseline, paired by seed, with its 95 % Student t interval and the p value \
      after Holm's correction over the rows of the scene's table; \"higher\" and \"lower\" where that is below 0.05, \"not \
@@ -53,8 +53,8 @@ pub fn marked_label(line: &Line) -> String {
 }
 
 /// Columns of the protocol that are told there.
-fn columns(told: &[Told]) -> impl Iterator<Item = &'static str> {
-    COLUMNS.iter().filter(|column| told.contains(&column.told)).map(|column| column.name)
+fn columns(told: &[CaptionRule]) -> impl Iterator<Item = &'static str> {
+    COLUMNS.iter().filter(|column| told.contains(&column.caption)).map(|column| column.name)
 }
 
 /// The protocol fields that a scene's measured lines share: `dataset llff, width 504, ...`.
@@ -64,7 +64,7 @@ pub(super) fn protocol_text(lines: &[&Line]) -> String {
     if measured.is_empty() {
         return "nothing is measured yet".into();
     }
-    let shared = columns(&[Told::Always]).filter_map(|name| {
+    let shared = columns(&[CaptionRule::Always]).filter_map(|name| {
         match distinct(measured.iter().map(|line| line.protocol(name))).as_slice() {
             [text] if !text.is_empty() => Some(format!("{name} {text}")),
             _ => None,
@@ -273,7 +273,7 @@ fn corruption_notes(lines: &[&Line]) -> Vec<String> {
 /// What the definition makes different between the lines, where a reader would take it as equal.
 fn varied_notes(lines: &[&Line]) -> Vec<String> {
     let value = |line: &Line, name: &str| Some(line.protocol(name).to_string()).filter(|text| !text.is_empty());
-    let varied = columns(&[Told::Always, Told::Differing]).filter_map(|name| {
+    let varied = columns(&[CaptionRule::Always, CaptionRule::Differing]).filter_map(|name| {
         let values = labels_by(lines, |line| value(line, name));
         let named: Vec<String> = values.iter().map(|(value, labels)| format!("{value} ({labels})")).collect();
         (values.len() > 1).then(|| format!("rows differ in {name}: {}", named.join("; ")))

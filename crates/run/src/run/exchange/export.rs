@@ -110,7 +110,7 @@ fn adam(config: &Config, parameters: &[&Parameter], updates: u64) -> Result<Valu
 /// All parameters as the checkpoint names them, with what one needs to use them.
 fn safetensors(trained: &Trained, file: &Path) -> Result<u64> {
     let Trained { config, scene, state, model, .. } = trained;
-    let said = serde_json::to_string(&metadata(config, &scene.place.world.matrix(), state)).expect("plain data");
+    let said = serde_json::to_string(&metadata(config, &scene.space.world.matrix(), state)).expect("plain data");
     let named = model
         .variables()
         .into_iter()
@@ -147,6 +147,6 @@ fn metadata(config: &crate::settings::Resolved, world_to_scene: &[[f64; 4]; 3], 
         },
         "scene": config.data.name,
         "world_to_scene": world_to_scene,
-        "config": config.without_places().to_toml(),
+        "config": config.without_paths().to_toml(),
     })
 }

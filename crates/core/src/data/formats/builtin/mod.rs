@@ -21,7 +21,7 @@ pub use stage::{Frame, Hit, Stage};
 use crate::base::{Error, Result};
 use crate::data::formats::Capture;
 use crate::data::resample::composite;
-use crate::data::{Camera, Ndc, Place, Scene, View, background};
+use crate::data::{Camera, Ndc, Scene, SceneSpace, View, background};
 use crate::settings::{DataConfig, DataKind, EvalSplit};
 use views::Split;
 
@@ -66,7 +66,7 @@ pub fn load_blender(config: &DataConfig) -> Result<Scene> {
         background: Some(background),
         path: views::orbit(width),
         corrupted: None,
-        place: Place::default(),
+        space: SceneSpace::default(),
     })
 }
 
@@ -81,8 +81,15 @@ pub fn load_forward(config: &DataConfig) -> Result<Scene> {
     let ndc = Ndc { width: camera.width as f64, height: camera.height as f64, focal: camera.focal[0] };
     let (near, far) = if config.ndc { (0.0, 1.0) } else { depth_range(&all) };
     let ndc = config.ndc.then_some(ndc);
-    let capture =
-        Capture { views: all, path: views::spiral(width), near, far, ndc, background: None, place: Place::default() };
+    let capture = Capture {
+        views: all,
+        path: views::spiral(width),
+        near,
+        far,
+        ndc,
+        background: None,
+        space: SceneSpace::default(),
+    };
     Ok(capture.hold_out("builtin".into(), DataKind::BuiltinForward.name(), config))
 }
 

@@ -2,7 +2,7 @@
 
 use super::model::Model;
 use crate::data::rig::percentile;
-use crate::data::{Camera, Place, Rig, WorldToScene};
+use crate::data::{Camera, Rig, SceneSpace, WorldToScene};
 
 /// Depths of a view's points between these shares count: a few are always wrong.
 const SHARES: [f64; 2] = [0.01, 0.99];
@@ -19,10 +19,15 @@ const BOX_ROOM: f64 = 0.1;
 const BOX_REACH: f64 = 2.0;
 
 /// The scene's place and the ends of its rays: from the points, otherwise from the cameras, otherwise `unknown`.
-pub(super) fn of(model: &Model, cameras: &[Camera], world: WorldToScene, unknown: [f64; 2]) -> (Place, (f64, f64)) {
-    let (mut place, by_cameras) = Place::of_cameras(cameras, world, unknown);
+pub(super) fn of(
+    model: &Model,
+    cameras: &[Camera],
+    world: WorldToScene,
+    unknown: [f64; 2],
+) -> (SceneSpace, (f64, f64)) {
+    let (mut space, by_cameras) = SceneSpace::of_cameras(cameras, world, unknown);
     let points: Vec<[f64; 3]> = model.points.iter().map(|point| world.point(point.place)).collect();
-    place.points = points.iter().map(|point| point.map(|v| v as f32)).collect();
+    space.points = points.iter().map(|point| point.map(|v| v as f32)).collect();
     let ends: Vec<[f64; 2]> = model
         .depths()
         .iter()
@@ -36,11 +41,11 @@ pub(super) fn of(model: &Model, cameras: &[Camera], world: WorldToScene, unknown
         (!values.is_empty()).then(|| ROOM[end] * percentile(&values, VIEWS[end]))
     };
     let Some((near, far)) = over_views(0).zip(over_views(1)).filter(|(near, far)| near < far) else {
-        return (place, by_cameras);
+        return (space, by_cameras);
     };
-    place.domain = Some(domain(&points, cameras));
-    place.notes.clear();
-    place.note(
+    space.domain = Some(domain(&points, cameras));
+    space.notes.clear();
+    space.note(
         "bounds from",
         format!(
             "depths of {} points in {} views, 1 % to 99 % of each, with a fifth of room before and a quarter behind",
@@ -48,7 +53,7 @@ pub(super) fn of(model: &Model, cameras: &[Camera], world: WorldToScene, unknown
             ends.len()
         ),
     );
-    (place, (near, far))
+    (space, (near, far))
 }
 
 /// The box of the points, without those that lie far from the others and from what the cameras look at.

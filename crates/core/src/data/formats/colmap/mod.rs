@@ -19,7 +19,7 @@ use crate::data::formats::transforms::BOUNDS;
 use crate::data::formats::transforms::distortion::{self, Distortion, Intrinsics};
 use crate::data::images::{self, Size};
 use crate::data::pose::Pose;
-use crate::data::{Camera, Place, Scene, WorldToScene, background, name_of, path, resample};
+use crate::data::{Camera, Scene, SceneSpace, WorldToScene, background, name_of, path, resample};
 use crate::settings::{DataConfig, DataKind};
 use folder::Source;
 use model::{Lens, Model, Photograph};
@@ -69,9 +69,9 @@ pub fn load(config: &DataConfig, events: &dyn Listener) -> Result<Scene> {
     let (frames, names) = frames(dir, &model, &source, &poses)?;
     let targets = targets(config, &source, &frames)?;
     let cameras: Vec<Camera> = frames.iter().zip(&targets).map(|(frame, &target)| frame.camera(target)).collect();
-    let (mut place, (near, far)) = bounds::of(&model, &cameras, world, BOUNDS);
-    place.note("images", folder_words(&frames, targets[0]));
-    notes(&mut place, &model, &frames, &missing, &source);
+    let (mut space, (near, far)) = bounds::of(&model, &cameras, world, BOUNDS);
+    space.note("images", folder_words(&frames, targets[0]));
+    notes(&mut space, &model, &frames, &missing, &source);
     let first = cameras[0];
     let (images, clear) = read_images(dir, &frames, &targets, background(config), events)?;
     let capture = Capture {
@@ -81,7 +81,7 @@ pub fn load(config: &DataConfig, events: &dyn Listener) -> Result<Scene> {
         ndc: None,
         background: clear.then(|| background(config)),
         path: path.into_iter().map(|pose| Camera { pose, ..first }).collect(),
-        place,
+        space,
     };
     Ok(capture.hold_out_listed(name_of(config), DataKind::Colmap.name(), config, &there))
 }
@@ -214,12 +214,12 @@ fn read_images(
 }
 
 /// What was found and chosen, for people.
-fn notes(place: &mut Place, model: &Model, frames: &[Frame], missing: &[String], source: &Source) {
+fn notes(space: &mut SceneSpace, model: &Model, frames: &[Frame], missing: &[String], source: &Source) {
     let mut models: Vec<&str> = model.lenses.values().map(|lens| lens.model).collect();
     models.sort_unstable();
     models.dedup();
     let (cameras, points) = (model.lenses.len(), model.points.len());
-    place.note(
+    space.note(
         "model",
         format!(
             "{}: {cameras} cameras ({}), {} images, {points} points",
@@ -232,11 +232,11 @@ fn notes(place: &mut Place, model: &Model, frames: &[Frame], missing: &[String],
     let undone = frames.iter().filter(|frame| !frame.distortion.is_none()).count();
     let words =
         if undone == 0 { "none".into() } else { format!("undone in {undone} images, zoomed in by up to {zoom:.3}") };
-    place.note("distortion", words);
+    space.note("distortion", words);
     if !missing.is_empty() {
-        place.note("missing images", missing.len().to_string());
+        space.note("missing images", missing.len().to_string());
     }
     if !source.passed.is_empty() {
-        place.note("passed over", source.passed.join("; "));
+        space.note("passed over", source.passed.join("; "));
     }
 }

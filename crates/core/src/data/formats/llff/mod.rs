@@ -15,7 +15,7 @@ use crate::base::{Error, Listener, Result};
 use crate::data::formats::Capture;
 use crate::data::images::{self, Size};
 use crate::data::pose::Pose;
-use crate::data::{Camera, Ndc, Place, Rig, Scene, background, name_of, path};
+use crate::data::{Camera, Ndc, Rig, Scene, SceneSpace, background, name_of, path};
 use crate::settings::{DataConfig, DataKind};
 use folder::Source;
 
@@ -57,24 +57,24 @@ pub fn load(config: &DataConfig, events: &dyn Listener) -> Result<Scene> {
         ndc: config.ndc.then_some(ndc),
         background: clear.then(|| background(config)),
         path: path.into_iter().map(|pose| Camera { pose, ..camera }).collect(),
-        place: place(&poses, &cameras, &source, config),
+        space: space(&poses, &cameras, &source, config),
     };
     Ok(capture.hold_out(name_of(config), DataKind::Llff.name(), config))
 }
 
 /// Units, box and what was chosen. Of cameras that face forward only NDC tells where objects lie.
-fn place(poses: &Poses, cameras: &[Camera], source: &Source, config: &DataConfig) -> Place {
-    let mut place = Place { world: poses.world, ..Place::default() };
+fn space(poses: &Poses, cameras: &[Camera], source: &Source, config: &DataConfig) -> SceneSpace {
+    let mut space = SceneSpace { world: poses.world, ..SceneSpace::default() };
     if config.spherify {
-        place.domain = Rig::of(cameras).subject.map(|subject| subject.domain());
+        space.domain = Rig::of(cameras).subject.map(|subject| subject.domain());
     }
-    place.note("images", source.words());
+    space.note("images", source.words());
     if !source.passed.is_empty() {
-        place.note("passed over", source.passed.join("; "));
+        space.note("passed over", source.passed.join("; "));
     }
     let [near, far] = [poses.nearest(), poses.farthest()].map(|bound| bound / poses.world.scale);
-    place.note("bounds from", format!("{POSES_FILE}, whose depths run from {near:.4} to {far:.4} in the file's units"));
-    place
+    space.note("bounds from", format!("{POSES_FILE}, whose depths run from {near:.4} to {far:.4} in the file's units"));
+    space
 }
 
 /// Scales, recentres and, where asked, spherifies; returns the video path.

@@ -24,7 +24,7 @@ use crate::base::{Error, Listener, Result};
 use crate::data::formats::Capture;
 use crate::data::images;
 use crate::data::pose::Pose;
-use crate::data::{Camera, Place, Scene, WorldToScene, background, name_of, path};
+use crate::data::{Camera, Scene, SceneSpace, WorldToScene, background, name_of, path};
 use crate::settings::{DataConfig, DataKind, EvalSplit, Split};
 use frames::{Frame, Listed};
 use split::{Listing, Roles};
@@ -59,8 +59,8 @@ pub fn load(config: &DataConfig, events: &dyn Listener) -> Result<Scene> {
     let cameras: Vec<Camera> = frames.iter().zip(targets).map(|(frame, size)| frame.camera(size, by_ratio)).collect();
     let (views, clear) = frames::views(&frames, &names, &cameras, background(config), "reading images", events)?;
     let first = cameras[0];
-    let (mut place, (near, far)) = Place::of_cameras(&cameras, world, BOUNDS);
-    notes(&mut place, &frames.iter().collect::<Vec<_>>(), &cameras, &ignored);
+    let (mut space, (near, far)) = SceneSpace::of_cameras(&cameras, world, BOUNDS);
+    notes(&mut space, &frames.iter().collect::<Vec<_>>(), &cameras, &ignored);
     let capture = Capture {
         views,
         near,
@@ -68,7 +68,7 @@ pub fn load(config: &DataConfig, events: &dyn Listener) -> Result<Scene> {
         ndc: None,
         background: clear.then(|| background(config)),
         path: path.into_iter().map(|pose| Camera { pose, ..first }).collect(),
-        place,
+        space,
     };
     let (name, kind) = (name_of(config), DataKind::Transforms.name());
     if !by_author {
@@ -145,24 +145,24 @@ fn by_ratio(value: f64, to: f64, from: f64) -> f64 {
 }
 
 /// What was found and chosen, for people.
-pub(super) fn notes(place: &mut Place, frames: &[&Frame], cameras: &[Camera], ignored: &[String]) {
+pub(super) fn notes(space: &mut SceneSpace, frames: &[&Frame], cameras: &[Camera], ignored: &[String]) {
     let paths: Vec<PathBuf> = frames.iter().map(|frame| frame.path.clone()).collect();
     let sizes = |camera: &Camera| (camera.width, camera.height);
     let mut words = images::folder_words(&paths, frames[0].size, sizes(&cameras[0]));
     if frames.iter().any(|frame| frame.size != frames[0].size) {
         words += " (the first; sizes differ)";
     }
-    place.note("images", words);
+    space.note("images", words);
     let zoom = frames.iter().map(|frame| frame.zoom()).fold(1.0, f64::max);
     let undone = frames.iter().filter(|frame| frame.is_bent()).count();
     let words =
         if undone == 0 { "none".into() } else { format!("undone in {undone} images, zoomed in by up to {zoom:.3}") };
-    place.note("distortion", words);
+    space.note("distortion", words);
     let masked = frames.iter().filter(|frame| frame.is_masked()).count();
     if masked > 0 {
-        place.note("masks", format!("of {masked} images: black pixels are neither trained on nor measured"));
+        space.note("masks", format!("of {masked} images: black pixels are neither trained on nor measured"));
     }
     if !ignored.is_empty() {
-        place.note("ignored keys", ignored.join(", "));
+        space.note("ignored keys", ignored.join(", "));
     }
 }

@@ -13,7 +13,7 @@ pub use super::finish::{Bias, ByRay, Finish, Out};
 
 /// The left side of a product.
 #[derive(Clone, Copy)]
-pub enum Left<'a> {
+pub enum Lhs<'a> {
     /// f32, row after row.
     Rows(&'a [f32]),
     Panels(Panels<'a>),
@@ -22,7 +22,7 @@ pub enum Left<'a> {
 /// A left side with the weights that read it.
 #[derive(Clone, Copy)]
 pub struct Source<'a> {
-    pub left: Left<'a>,
+    pub lhs: Lhs<'a>,
     pub weights: &'a Packed,
 }
 
@@ -79,9 +79,9 @@ impl Rows<'_> {
 impl Source<'_> {
     fn fits(&self, rows: usize, columns: usize) -> bool {
         let Packed { outputs, inputs, pairs, .. } = *self.weights;
-        let left = match self.left {
-            Left::Rows(values) => !pairs && values.len() == rows * inputs,
-            Left::Panels(panels) => {
+        let left = match self.lhs {
+            Lhs::Rows(values) => !pairs && values.len() == rows * inputs,
+            Lhs::Panels(panels) => {
                 let form = if pairs { Form::Across } else { Form::Single };
                 panels.shape.form == form && panels.fits(rows, inputs)
             }
@@ -268,12 +268,12 @@ impl Source<'_> {
         let inputs = self.weights.inputs;
         // SAFETY: left side and weights have these rows, inputs and outputs.
         unsafe {
-            match self.left {
-                Left::Rows(values) => {
+            match self.lhs {
+                Lhs::Rows(values) => {
                     let left = (values.as_ptr().add(row * inputs), inputs, 1);
                     multiply_add::<S, false, MR, NV>(sums, left, self.weights.at(column, 0), inputs);
                 }
-                Left::Panels(panels) => {
+                Lhs::Panels(panels) => {
                     for input in (0..inputs).step_by(PANEL) {
                         let count = (inputs - input).min(PANEL);
                         let left = (panels.at(row, input), panels.shape.step(input), 1);

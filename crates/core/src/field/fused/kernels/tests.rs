@@ -3,7 +3,7 @@
 use std::cell::Cell;
 
 use super::panels::{Form, Masks, Packed, Slab, filled_up, padded};
-use super::product::{Bias, ByRay, Finish, Left, Out, Rows, Source};
+use super::product::{Bias, ByRay, Finish, Lhs, Out, Rows, Source};
 use super::*;
 
 thread_local! {
@@ -115,8 +115,8 @@ impl Case {
         let of_encoding = Packed::new(false, (outputs, all), (Case::ENCODED, 1), &given.weights);
         let of_below = Packed::new(pairs, (outputs, all), (inputs, 1), &given.weights[Case::ENCODED..]);
         let sources = [
-            Source { left: Left::Rows(&given.encoded), weights: &of_encoding },
-            Source { left: Left::Panels(x.rows(0)), weights: &of_below },
+            Source { lhs: Lhs::Rows(&given.encoded), weights: &of_encoding },
+            Source { lhs: Lhs::Panels(x.rows(0)), weights: &of_below },
         ];
         let bias = filled_up(&given.bias);
         let (left, right) = forms(pairs);
@@ -166,7 +166,7 @@ impl Case {
             panels: Some(dx.rows_mut(0)),
             ..Finish::default()
         };
-        let sources = [Source { left: Left::Panels(dz.rows(0)), weights: &back }];
+        let sources = [Source { lhs: Lhs::Panels(dz.rows(0)), weights: &back }];
         Rows::Products(&sources).finish(rows, inputs, finish);
         let mut few = vec![0f32; rows * inputs];
         let rows_of_weights = [row.clone(), row].concat();
@@ -305,7 +305,7 @@ fn pairs_of_all_magnitudes_give_the_same_bits() {
         let packed = Packed::new(true, (outputs, inputs), (inputs, 1), &weights);
         let mut y = vec![0f32; rows * outputs];
         let out = Some(Out { values: &mut y, stride: outputs, accumulate: false });
-        let sources = [Source { left: Left::Panels(left.rows(0)), weights: &packed }];
+        let sources = [Source { lhs: Lhs::Panels(left.rows(0)), weights: &packed }];
         Rows::Products(&sources).finish(rows, outputs, Finish { out, ..Finish::default() });
         CHOSEN.set(None);
         y.into_iter().map(f32::to_bits).collect::<Vec<u32>>()

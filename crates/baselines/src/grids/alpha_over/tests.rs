@@ -25,8 +25,8 @@ fn slow(planes: &Tensor) -> Tensor {
 #[test]
 fn nearer_planes_hide_those_behind() {
     let planes = planes(&[5, 6, 4], 0.2);
-    assert!(error(&over(&planes).unwrap(), &slow(&planes)) < 1e-14);
-    let fast = over(&planes.to_dtype(DType::F32).unwrap()).unwrap();
+    assert!(error(&alpha_over(&planes).unwrap(), &slow(&planes)) < 1e-14);
+    let fast = alpha_over(&planes.to_dtype(DType::F32).unwrap()).unwrap();
     assert!(error(&fast, &slow(&planes)) < 1e-6);
 }
 
@@ -34,7 +34,7 @@ fn nearer_planes_hide_those_behind() {
 fn an_opaque_plane_is_all_that_is_seen() {
     let far =
         Tensor::new(&[[[0.9f64, 0.1, 0.4, 0.7], [0.2, 0.3, 0.5, 1.0], [0.6, 0.8, 0.1, 0.0]]], &Device::Cpu).unwrap();
-    let seen = values(&over(&far).unwrap());
+    let seen = values(&alpha_over(&far).unwrap());
     assert!(seen.iter().zip([0.2, 0.3, 0.5, 1.0]).all(|(a, b)| (a - b).abs() < 1e-9), "{seen:?}");
 }
 
@@ -46,7 +46,7 @@ fn the_plain_path_has_the_same_values_and_slopes() {
         let gradients = (&out * &cotangent).unwrap().sum_all().unwrap().backward().unwrap();
         [out, gradients.get(&planes).unwrap().clone()]
     };
-    for (a, b) in both(plain(&planes).unwrap()).iter().zip(both(over(&planes).unwrap())) {
+    for (a, b) in both(plain(&planes).unwrap()).iter().zip(both(alpha_over(&planes).unwrap())) {
         assert!(error(a, &b) < 1e-13);
     }
 }
@@ -56,7 +56,7 @@ fn gradients_are_central_differences() {
     let planes = Var::from_tensor(&planes(&[3, 5, 4], 0.7)).unwrap();
     let cotangent = ramp(&[3, 4], 0.3);
     check_differences(std::slice::from_ref(&planes), 1e-8, || {
-        (over(&planes).unwrap() * &cotangent).unwrap().sum_all().unwrap()
+        (alpha_over(&planes).unwrap() * &cotangent).unwrap().sum_all().unwrap()
     });
 }
 
@@ -66,7 +66,7 @@ fn slopes_at_opaque_and_empty_planes_are_finite() {
     let alphas = [[0.5, 0.5, 0.5, 0.3], [0.1, 0.2, 0.3, 1.0], [0.9, 0.2, 0.7, 0.0], [0.4, 0.4, 0.1, 1.0]];
     let planes =
         Var::from_tensor(&Tensor::new(&[alphas], &Device::Cpu).unwrap().to_dtype(DType::F64).unwrap()).unwrap();
-    let gradients = over(&planes).unwrap().narrow(1, 0, 3).unwrap().sum_all().unwrap().backward().unwrap();
+    let gradients = alpha_over(&planes).unwrap().narrow(1, 0, 3).unwrap().sum_all().unwrap().backward().unwrap();
     let found = values(gradients.get(&planes).unwrap());
     assert!(found.iter().all(|value| value.is_finite()));
     // The nearest: its own colour 0.9 minus what is behind it, the second plane behind (colour 0.6), once it is thinner.
@@ -77,7 +77,7 @@ fn slopes_at_opaque_and_empty_planes_are_finite() {
 fn threads_change_no_bit() {
     on_any_threads(|| {
         let planes = Var::from_tensor(&planes(&[1500, 8, 4], 0.1).to_dtype(DType::F32).unwrap()).unwrap();
-        let out = over(&planes).unwrap();
+        let out = alpha_over(&planes).unwrap();
         let gradients = out.sqr().unwrap().sum_all().unwrap().backward().unwrap();
         vec![out.detach(), gradients.get(&planes).unwrap().clone()]
     });

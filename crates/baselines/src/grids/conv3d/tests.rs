@@ -3,7 +3,7 @@ use crate::grids::reference::{check_differences, error, fixture, on_any_threads,
 use candle_core::Var;
 
 /// Weights `[out, in, z, y, x]`, or `[in, out, z, y, x]` of transposed convolutions, in the order of taps.
-fn in_order(product: &TapProduct, weight: &Tensor, transposed: bool) -> Tensor {
+fn in_order(product: &Conv3d, weight: &Tensor, transposed: bool) -> Tensor {
     let axes = if transposed { [2, 3, 4, 0, 1] } else { [2, 3, 4, 1, 0] };
     let weight = weight.permute(axes).unwrap().contiguous().unwrap();
     let (_, height, width, inputs, outputs) = weight.dims5().unwrap();
@@ -22,7 +22,7 @@ fn f32_of(tensor: &Tensor) -> Tensor {
 }
 
 /// Result and gradients of `sum(out * cotangent)` in x, weight and bias.
-fn all_of(product: &TapProduct, arguments: &[Tensor; 3], cotangent: &Tensor) -> Vec<Tensor> {
+fn all_of(product: &Conv3d, arguments: &[Tensor; 3], cotangent: &Tensor) -> Vec<Tensor> {
     let [x, weight, bias] = arguments.each_ref().map(|tensor| Var::from_tensor(tensor).unwrap());
     let out = product.forward(&x, &weight, &bias).unwrap();
     let gradients = (&out * cotangent).unwrap().sum_all().unwrap().backward().unwrap();
@@ -37,10 +37,10 @@ fn numbers_are_those_of_torch() {
         [z, y, x]
     };
     let cases = [
-        ("nv.deconv", TapProduct::transposed(sides("nv.deconv"))),
-        ("llff.conv.plain", TapProduct::convolution(sides("llff.conv.plain"), 1, 1)),
-        ("llff.conv.stride2", TapProduct::convolution(sides("llff.conv.stride2"), 2, 1)),
-        ("llff.conv.dilation2", TapProduct::convolution(sides("llff.conv.dilation2"), 1, 2)),
+        ("nv.deconv", Conv3d::transposed(sides("nv.deconv"))),
+        ("llff.conv.plain", Conv3d::convolution(sides("llff.conv.plain"), 1, 1)),
+        ("llff.conv.stride2", Conv3d::convolution(sides("llff.conv.stride2"), 2, 1)),
+        ("llff.conv.dilation2", Conv3d::convolution(sides("llff.conv.dilation2"), 1, 2)),
     ];
     for (name, product) in cases {
         let of = |what: &str| fixture(&format!("{name}.{what}"));
@@ -60,15 +60,15 @@ fn numbers_are_those_of_torch() {
 }
 
 /// All kinds of products over odd, even and single cells, few channels and many.
-fn shapes() -> Vec<(TapProduct, [Tensor; 3], Tensor)> {
+fn shapes() -> Vec<(Conv3d, [Tensor; 3], Tensor)> {
     let kinds: [(usize, usize); 4] = [(1, 1), (2, 1), (1, 2), (0, 0)];
     let sizes = [([1, 1, 1], 40, 36), ([2, 3, 5], 3, 40), ([5, 6, 7], 35, 4), ([9, 8, 6], 5, 6)];
     let mut all = Vec::new();
     for (stride, dilation) in kinds {
         for (sides, inputs, outputs) in sizes {
             let product = match stride {
-                0 => TapProduct::transposed(sides).leaky(0.2),
-                _ => TapProduct::convolution(sides, stride, dilation).leaky(0.5),
+                0 => Conv3d::transposed(sides).leaky(0.2),
+                _ => Conv3d::convolution(sides, stride, dilation).leaky(0.5),
             };
             let [z, y, x] = sides;
             let weight = ramp(&[product.kernel().len(), inputs, outputs], 0.4);
@@ -98,7 +98,7 @@ fn fast_products_are_the_plain_ones_on_any_number_of_threads() {
 fn plain_products_are_the_sums_of_the_definition() {
     for (stride, dilation) in [(1usize, 1usize), (2, 1), (1, 2), (2, 2)] {
         let sides = [4usize, 5, 3];
-        let product = TapProduct::convolution(sides, stride, dilation);
+        let product = Conv3d::convolution(sides, stride, dilation);
         let (inputs, outputs) = (2, 3);
         let (x, weight) = (ramp(&[4, 5, 3, inputs], 0.2), ramp(&[27, inputs, outputs], 0.5));
         let bias = ramp(&[outputs], 0.1);
@@ -132,7 +132,7 @@ fn plain_products_are_the_sums_of_the_definition() {
 #[test]
 fn transposed_convolutions_are_the_adjoint_ones() {
     let (sides, inputs, outputs) = ([3usize, 2, 4], 2, 3);
-    let product = TapProduct::transposed(sides);
+    let product = Conv3d::transposed(sides);
     let (x, y) = (ramp(&[3, 2, 4, inputs], 0.3), ramp(&[6, 4, 8, outputs], 0.8));
     let weight = ramp(&[64, inputs, outputs], 0.6);
     let bias = Tensor::zeros(outputs, DType::F64, &Device::Cpu).unwrap();
@@ -158,9 +158,9 @@ fn transposed_convolutions_are_the_adjoint_ones() {
 
 #[test]
 fn gradients_are_those_of_differences() {
-    let convolution = |sides, (stride, dilation)| TapProduct::convolution(sides, stride, dilation);
+    let convolution = |sides, (stride, dilation)| Conv3d::convolution(sides, stride, dilation);
     let convolutions = [(1, 1), (2, 1), (1, 2)].map(|kind| convolution([3, 2, 4], kind));
-    for product in std::iter::once(TapProduct::transposed([2, 1, 3])).chain(convolutions) {
+    for product in std::iter::once(Conv3d::transposed([2, 1, 3])).chain(convolutions) {
         let product = product.leaky(0.2);
         let [z, y, x] = product.plan.sources[0];
         let taps = product.kernel().len();
@@ -174,7 +174,7 @@ fn gradients_are_those_of_differences() {
 
 #[test]
 fn tensors_that_do_not_fit_are_named() {
-    let product = TapProduct::convolution([2, 2, 2], 1, 1);
+    let product = Conv3d::convolution([2, 2, 2], 1, 1);
     let said = product.forward(&ramp(&[2, 2, 3, 4], 0.0), &ramp(&[27, 4, 2], 0.0), &ramp(&[2], 0.0)).unwrap_err();
     assert!(said.to_string().contains("(2, 2, 3, 4)"), "{said}");
 }

@@ -3,7 +3,7 @@
 use crate::base::Result;
 use crate::data::{Rays, Scene};
 use crate::grids::march::{March, Pace};
-use crate::methods::{Painted, Painter};
+use crate::methods::{RenderedRays, Renderer};
 use crate::settings::Config;
 
 use candle_core::Tensor;
@@ -14,20 +14,20 @@ use super::learner::WHITE;
 use super::parameters::NeuralVolume;
 
 /// Marches rays through a volume that was decoded once, by even steps.
-pub struct VolumePainter {
+pub struct VolumeRenderer {
     cube: Cube,
     decoded: Decoded,
     step: f64,
     background: [f32; 3],
 }
 
-impl VolumePainter {
+impl VolumeRenderer {
     /// With the parameters as they are now: the code's mean.
     ///
     /// # Errors
     /// Those of candle.
-    pub fn new(volume: &NeuralVolume, config: &Config, scene: &Scene) -> Result<VolumePainter> {
-        Ok(VolumePainter {
+    pub fn new(volume: &NeuralVolume, config: &Config, scene: &Scene) -> Result<VolumeRenderer> {
+        Ok(VolumeRenderer {
             cube: volume.cube,
             decoded: volume.decode(&volume.code().0.detach(), true)?,
             step: config.nv.step_length(),
@@ -36,8 +36,8 @@ impl VolumePainter {
     }
 }
 
-impl Painter for VolumePainter {
-    fn paint(&self, rays: &Rays) -> Result<Painted> {
+impl Renderer for VolumeRenderer {
+    fn render(&self, rays: &Rays) -> Result<RenderedRays> {
         let lines = self.cube.lines(&rays.origins, &rays.viewdirs)?;
         let march = March { lines, step: self.step, pace: Pace::Even };
         let out = march.forward(&self.decoded.template, self.decoded.warp.as_ref())?;
@@ -48,6 +48,6 @@ impl Painter for VolumePainter {
         // From the volume's lengths to the scene's, and from those to lengths of `directions`.
         let distance = (out.narrow(1, 4, 1)? * self.cube.half)?;
         let depth = (distance / rays.direction_norm.to_dtype(out.dtype())?)?.squeeze(1)?;
-        Ok(Painted { rgb, depth, acc: acc.squeeze(1)? })
+        Ok(RenderedRays { rgb, depth, acc: acc.squeeze(1)? })
     }
 }

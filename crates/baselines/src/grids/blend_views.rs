@@ -17,17 +17,17 @@ pub const MOST_INPUTS: usize = 16;
 ///
 /// # Errors
 /// Shapes that do not fit; those of candle.
-pub fn mix(raw: &Tensor, sweep: &Tensor) -> Result<Tensor> {
+pub fn blend_views(raw: &Tensor, sweep: &Tensor) -> Result<Tensor> {
     let (rank, inputs) = (raw.rank(), *raw.dims().last().unwrap_or(&0));
     let fits = raw.dims()[..rank - 1] == sweep.dims()[..rank - 1] && sweep.dims().last() == Some(&(3 * inputs));
     if !fits || inputs > MOST_INPUTS || inputs == 0 || raw.dtype() != sweep.dtype() {
-        candle_core::bail!("mix: {:?} and {:?} do not fit", raw.shape(), sweep.shape());
+        candle_core::bail!("blend views: {:?} and {:?} do not fit", raw.shape(), sweep.shape());
     }
     let sweep = sweep.contiguous()?.detach();
     if !raw.device().is_cpu() || !matches!(raw.dtype(), DType::F32 | DType::F64) {
         return plain(raw, &sweep);
     }
-    raw.contiguous()?.apply_op1(Mix { sweep, inputs })
+    raw.contiguous()?.apply_op1(BlendViews { sweep, inputs })
 }
 
 /// The same in candle's own operations.
@@ -41,7 +41,7 @@ fn plain(raw: &Tensor, sweep: &Tensor) -> Result<Tensor> {
     Tensor::cat(&[&rgb, &sigmoid(&first)?], 1)?.reshape([&shape[..shape.len() - 1], &[4]].concat())
 }
 
-struct Mix {
+struct BlendViews {
     sweep: Tensor,
     inputs: usize,
 }
@@ -62,7 +62,7 @@ fn shares<T: WithDType>(raw: &[T]) -> (f64, [f64; MOST_INPUTS]) {
     (alpha, weights)
 }
 
-impl Mix {
+impl BlendViews {
     fn forward<T: WithDType>(&self, raw: &[T], sweep: &[T]) -> Vec<T> {
         let n = self.inputs;
         let mut out = vec![T::from_f64(0.0); raw.len() / n * 4];
@@ -81,17 +81,17 @@ impl Mix {
     }
 
     /// With q_v the slope along view v's weight w_v: that of its raw number is `w_v (q_v - sum w q)`.
-    fn backward<T: WithDType>(&self, raw: &[T], sweep: &[T], pull: &[T]) -> Vec<T> {
+    fn backward<T: WithDType>(&self, raw: &[T], sweep: &[T], gradient: &[T]) -> Vec<T> {
         let n = self.inputs;
         let mut out = vec![T::from_f64(0.0); raw.len()];
         let parts = out.par_chunks_mut(n * PART).zip(raw.par_chunks(n * PART)).zip(sweep.par_chunks(3 * n * PART));
-        parts.zip(pull.par_chunks(4 * PART)).for_each(|(((out, raw), sweep), pull)| {
+        parts.zip(gradient.par_chunks(4 * PART)).for_each(|(((out, raw), sweep), gradient)| {
             let cells = out.chunks_exact_mut(n).zip(raw.chunks_exact(n)).zip(sweep.chunks_exact(3 * n));
-            for (((out, raw), sweep), pull) in cells.zip(pull.chunks_exact(4)) {
+            for (((out, raw), sweep), gradient) in cells.zip(gradient.chunks_exact(4)) {
                 let (alpha, weights) = shares(raw);
-                let slope = |v: usize| (0..3).map(|c| pull[c].to_f64() * sweep[3 * v + c].to_f64()).sum::<f64>();
+                let slope = |v: usize| (0..3).map(|c| gradient[c].to_f64() * sweep[3 * v + c].to_f64()).sum::<f64>();
                 let mean: f64 = (0..n).map(|v| weights[v] * slope(v)).sum();
-                out[0] = T::from_f64(pull[3].to_f64() * alpha * (1.0 - alpha));
+                out[0] = T::from_f64(gradient[3].to_f64() * alpha * (1.0 - alpha));
                 for v in 0..n - 1 {
                     out[v + 1] = T::from_f64(weights[v] * (slope(v) - mean));
                 }
@@ -101,9 +101,9 @@ impl Mix {
     }
 }
 
-impl CustomOp1 for Mix {
+impl CustomOp1 for BlendViews {
     fn name(&self) -> &'static str {
-        "mix"
+        "blend-views"
     }
 
     fn cpu_fwd(&self, raw: &CpuStorage, layout: &Layout) -> Result<(CpuStorage, Shape)> {
@@ -117,15 +117,17 @@ impl CustomOp1 for Mix {
         Ok((out, Shape::from(dims)))
     }
 
-    fn bwd(&self, raw: &Tensor, _out: &Tensor, pull: &Tensor) -> Result<Option<Tensor>> {
-        let pull = pull.contiguous()?;
-        let (from, sweep, pull) = (Values::of(raw), Values::of(&self.sweep), Values::of(&pull));
+    fn bwd(&self, raw: &Tensor, _out: &Tensor, gradient: &Tensor) -> Result<Option<Tensor>> {
+        let gradient = gradient.contiguous()?;
+        let (from, sweep, gradient) = (Values::of(raw), Values::of(&self.sweep), Values::of(&gradient));
         let (shape, device) = (raw.shape(), raw.device());
         Ok(Some(match raw.dtype() {
             DType::F64 => {
-                Tensor::from_vec(self.backward::<f64>(from.slice()?, sweep.slice()?, pull.slice()?), shape, device)?
+                Tensor::from_vec(self.backward::<f64>(from.slice()?, sweep.slice()?, gradient.slice()?), shape, device)?
             }
-            _ => Tensor::from_vec(self.backward::<f32>(from.slice()?, sweep.slice()?, pull.slice()?), shape, device)?,
+            _ => {
+                Tensor::from_vec(self.backward::<f32>(from.slice()?, sweep.slice()?, gradient.slice()?), shape, device)?
+            }
         }))
     }
 }

@@ -7,23 +7,23 @@ use candle_core::{DType, Tensor};
 use crate::base::Result;
 use crate::data::Rays;
 use crate::data::vector::Vec3;
-use crate::methods::{Painted, Painter};
+use crate::methods::{RenderedRays, Renderer};
 
 use super::blend::{EMPTY, LEAST, blend_weight};
-use super::geometry::{Eye, nearest};
-use super::mpi::{Met, Mpi, Mpis};
+use super::geometry::{Viewpoint, nearest};
+use super::mpi::{Mpi, MpiSample, Mpis};
 
 /// Renders rays from the multiplane images nearest to their origin.
-pub struct PlanesPainter {
+pub struct PlanesRenderer {
     pub(super) mpis: Arc<Mpis>,
-    pub(super) eyes: Vec<Eye>,
+    pub(super) eyes: Vec<Viewpoint>,
     /// How many are blended.
     pub(super) blend: usize,
     /// The scene's, where it has one.
     pub(super) background: Option<[f32; 3]>,
 }
 
-impl PlanesPainter {
+impl PlanesRenderer {
     /// The views that are blended for rays from `origin`, with their weights.
     fn blended(&self, origin: Vec3) -> Vec<(usize, f64)> {
         let near = nearest(&self.eyes, origin);
@@ -42,12 +42,12 @@ impl PlanesPainter {
     /// One ray: colour, sum of weights times t, accumulation.
     fn ray(&self, blended: &[(&Mpi, f64)], (origin, direction): (Vec3, Vec3)) -> ([f64; 3], f64, f64) {
         let mut places = vec![([0.0; 2], 0.0); self.mpis.depths.len()];
-        let (mut sum, mut weights) = (Met::default(), 0.0);
+        let (mut sum, mut weights) = (MpiSample::default(), 0.0);
         for (mpi, weight) in blended {
-            let met = mpi.meet(origin, direction, &self.mpis.depths, &mut places);
-            sum.rgb.iter_mut().zip(met.rgb).for_each(|(sum, rgb)| *sum += weight * rgb);
-            sum.acc += weight * met.acc;
-            sum.depth += weight * met.depth;
+            let sample = mpi.sample(origin, direction, &self.mpis.depths, &mut places);
+            sum.rgb.iter_mut().zip(sample.rgb).for_each(|(sum, rgb)| *sum += weight * rgb);
+            sum.acc += weight * sample.acc;
+            sum.depth += weight * sample.depth;
             weights += weight;
         }
         let acc = sum.acc / weights;
@@ -64,13 +64,13 @@ fn vectors(tensor: &Tensor) -> Result<Vec<Vec3>> {
     Ok(flat.chunks_exact(3).map(|v| [v[0], v[1], v[2]]).collect())
 }
 
-impl Painter for PlanesPainter {
+impl Renderer for PlanesRenderer {
     fn prepare(&self, rays: &Rays) -> Result<()> {
         let views = vectors(&rays.origins)?.into_iter().flat_map(|origin| self.blended(origin));
         views.into_iter().try_for_each(|(view, _)| self.mpis.make(view))
     }
 
-    fn paint(&self, rays: &Rays) -> Result<Painted> {
+    fn render(&self, rays: &Rays) -> Result<RenderedRays> {
         let (origins, directions) = (vectors(&rays.origins)?, vectors(&rays.directions)?);
         let count = origins.len();
         let [mut rgb, mut depth, mut acc] = [3 * count, count, count].map(Vec::<f64>::with_capacity);
@@ -88,6 +88,10 @@ impl Painter for PlanesPainter {
         }
         let (dtype, device) = (rays.origins.dtype(), rays.origins.device());
         let tensor = |values: Vec<f64>, shape: &[usize]| Tensor::from_vec(values, shape, device)?.to_dtype(dtype);
-        Ok(Painted { rgb: tensor(rgb, &[count, 3])?, depth: tensor(depth, &[count])?, acc: tensor(acc, &[count])? })
+        Ok(RenderedRays {
+            rgb: tensor(rgb, &[count, 3])?,
+            depth: tensor(depth, &[count])?,
+            acc: tensor(acc, &[count])?,
+        })
     }
 }

@@ -5,7 +5,7 @@ use super::{Camera, WorldToScene};
 
 /// What is known of the space that a scene's views show.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Place {
+pub struct SceneSpace {
     /// From the units of the capture's files to the scene's.
     pub world: WorldToScene,
     /// Lower and upper corner of the box that most cameras look at, scene units: where a surface is looked for, and what a hash
@@ -17,19 +17,19 @@ pub struct Place {
     pub notes: Vec<(&'static str, String)>,
 }
 
-impl Place {
+impl SceneSpace {
     /// A place whose ray ends and box are those that the cameras' geometry tells; `unknown` where it tells none.
-    pub(super) fn of_cameras(cameras: &[Camera], world: WorldToScene, unknown: [f64; 2]) -> (Place, (f64, f64)) {
-        let mut place = Place { world, ..Place::default() };
+    pub(super) fn of_cameras(cameras: &[Camera], world: WorldToScene, unknown: [f64; 2]) -> (SceneSpace, (f64, f64)) {
+        let mut space = SceneSpace { world, ..SceneSpace::default() };
         let Some(subject) = Rig::of(cameras).subject else {
             let [near, far] = unknown;
             let words = "cameras look at no common point: usual bounds, no box; set data.near and data.far";
-            place.note("bounds from", words.into());
-            return (place, (near, far));
+            space.note("bounds from", words.into());
+            return (space, (near, far));
         };
-        place.domain = Some(subject.domain());
-        place.note("bounds from", subject.bounds_words());
-        (place, subject.bounds())
+        space.domain = Some(subject.domain());
+        space.note("bounds from", subject.bounds_words());
+        (space, subject.bounds())
     }
 
     /// Adds a line for people.

@@ -62,7 +62,7 @@ fn it_is_the_convolution_of_the_finer_lattice() {
     let slow = |x: &Tensor, weight: &Tensor, bias: &Tensor| {
         let x = finer(x);
         let (z, y, width, _) = x.dims4().unwrap();
-        TapProduct::convolution([z, y, width], 1, 1).forward(&x, weight, bias).unwrap()
+        Conv3d::convolution([z, y, width], 1, 1).forward(&x, weight, bias).unwrap()
     };
     for (sides, inputs, outputs) in [([1, 1, 1], 2, 3), ([2, 3, 4], 5, 2), ([3, 2, 5], 33, 8)] {
         let (arguments, cotangent) = case(sides, inputs, outputs);

@@ -2,24 +2,24 @@
 
 use crate::base::Result;
 use crate::data::{RayParts, Rays, Scene};
-use crate::methods::painter::{Painted, Painter};
+use crate::methods::renderer::{RenderedRays, Renderer};
 use crate::render::{ray_parts, render_rays};
 use crate::settings::{Config, SamplingConfig};
 
 use super::networks::Fields;
 
 /// Renders rays through the coarse and the fine field.
-pub struct FieldPainter {
+pub struct FieldRenderer {
     fields: Fields,
     sampling: SamplingConfig,
     bounds: (f64, f64),
     background: Option<[f32; 3]>,
 }
 
-impl FieldPainter {
+impl FieldRenderer {
     /// Of fields with their weights as they are now, in their scene.
-    pub fn new(fields: &Fields, config: &Config, scene: &Scene) -> Result<FieldPainter> {
-        Ok(FieldPainter {
+    pub fn new(fields: &Fields, config: &Config, scene: &Scene) -> Result<FieldRenderer> {
+        Ok(FieldRenderer {
             fields: fields.frozen()?,
             sampling: config.sampling.clone(),
             bounds: scene.bounds(),
@@ -28,14 +28,14 @@ impl FieldPainter {
     }
 }
 
-impl Painter for FieldPainter {
+impl Renderer for FieldRenderer {
     fn ray_parts(&self) -> RayParts {
         ray_parts(self.fields.evaluated())
     }
 
-    fn paint(&self, rays: &Rays) -> Result<Painted> {
+    fn render(&self, rays: &Rays) -> Result<RenderedRays> {
         let (coarse, fine) = (&self.fields.coarse, self.fields.fine());
         let composite = render_rays(coarse, fine, rays, self.bounds, &self.sampling, self.background)?;
-        Ok(Painted { rgb: composite.rgb, depth: composite.depth, acc: composite.acc })
+        Ok(RenderedRays { rgb: composite.rgb, depth: composite.depth, acc: composite.acc })
     }
 }

@@ -130,7 +130,7 @@ impl Plan {
     }
 
     /// The result's cells in order, of rows that lie group by group.
-    pub(super) fn woven(&self, rows: Vec<f32>, channels: usize) -> Vec<f32> {
+    pub(super) fn interleaved(&self, rows: Vec<f32>, channels: usize) -> Vec<f32> {
         if self.spread == 1 || channels == 0 {
             return rows;
         }
@@ -149,7 +149,7 @@ impl Plan {
 
     /// The way back: the gradient of the rows, group by group, before `slope` was multiplied to those that came out
     /// negative.
-    pub(super) fn unwoven(&self, gradient: &[f32], out: &[f32], channels: usize, slope: f32) -> Vec<f32> {
+    pub(super) fn deinterleaved(&self, gradient: &[f32], out: &[f32], channels: usize, slope: f32) -> Vec<f32> {
         let mut rows = vec![0f32; gradient.len()];
         let of = |into: &mut [f32], cell: usize| {
             let cells = cell * channels..(cell + 1) * channels;

@@ -2,7 +2,7 @@
 
 use candle_core::{DType, Device, Result, Tensor};
 
-use super::taps::TapProduct;
+use super::conv3d::Conv3d;
 
 /// Positions of a kernel of 3 x 3 x 3.
 const TAPS: usize = 27;
@@ -21,7 +21,7 @@ pub fn convolution(x: &Tensor, weight: &Tensor, bias: &Tensor) -> Result<Tensor>
     if taps != TAPS {
         candle_core::bail!("a convolution over a finer lattice has {TAPS} taps, not {taps}");
     }
-    let product = TapProduct::transposed([z, y, x_side]);
+    let product = Conv3d::transposed([z, y, x_side]);
     let sums = sums(product.kernel(), weight.dtype(), weight.device())?;
     let weight = sums.matmul(&weight.reshape((TAPS, inputs * outputs))?)?;
     product.forward(x, &weight.reshape(((), inputs, outputs))?, bias)

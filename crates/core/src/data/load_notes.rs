@@ -5,14 +5,14 @@ use std::sync::{Mutex, PoisonError};
 use crate::base::{Event, Listener};
 
 /// Hands every event on, and keeps the sentences.
-pub(super) struct Heard<'a> {
+pub(super) struct LoadNotes<'a> {
     events: &'a dyn Listener,
     said: Mutex<Vec<String>>,
 }
 
-impl<'a> Heard<'a> {
-    pub(super) fn new(events: &'a dyn Listener) -> Heard<'a> {
-        Heard { events, said: Mutex::default() }
+impl<'a> LoadNotes<'a> {
+    pub(super) fn new(events: &'a dyn Listener) -> LoadNotes<'a> {
+        LoadNotes { events, said: Mutex::default() }
     }
 
     /// All that was said, without the scene's folder: where that lies is no part of the scene. None where nothing was.
@@ -27,7 +27,7 @@ impl<'a> Heard<'a> {
     }
 }
 
-impl Listener for Heard<'_> {
+impl Listener for LoadNotes<'_> {
     fn on(&self, event: Event<'_>) {
         if let Event::Note(words) = event {
             self.said.lock().unwrap_or_else(PoisonError::into_inner).push(words.into());

@@ -6,7 +6,7 @@ use crate::base::Result;
 use crate::data::{RayParts, Rays};
 
 /// The image of some rays.
-pub struct Painted {
+pub struct RenderedRays {
     /// Colours with the background behind them, `[rays, 3]`.
     pub rgb: Tensor,
     /// Sum of weights times t, `[rays]`, in the units of `t_vals`; over `acc`, the mean distance.
@@ -15,16 +15,16 @@ pub struct Painted {
     pub acc: Tensor,
 }
 
-/// Turns rays into their image, without randomness. What a method needs for all rays alike is prepared when the painter
+/// Turns rays into their image, without randomness. What a method needs for all rays alike is prepared when the renderer
 /// is made.
-pub trait Painter: Send + Sync {
+pub trait Renderer: Send + Sync {
     /// What it needs of rays.
     fn ray_parts(&self) -> RayParts {
         RayParts::default()
     }
 
     /// Makes what rays from the origins of `rays` need beside themselves. It is called by one thread with a ray of each camera
-    /// before pictures of that camera are painted.
+    /// before pictures of that camera are rendered.
     ///
     /// # Errors
     /// Weights that are not numbers; those of candle.
@@ -33,5 +33,5 @@ pub trait Painter: Send + Sync {
     }
 
     /// The image of `rays`, whose origins are prepared.
-    fn paint(&self, rays: &Rays) -> Result<Painted>;
+    fn render(&self, rays: &Rays) -> Result<RenderedRays>;
 }

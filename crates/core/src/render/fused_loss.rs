@@ -14,7 +14,7 @@ use crate::settings::DensityActivation;
 
 use super::pass::Pass;
 use super::photometric_loss;
-use super::scan::{Passed, Pull, Scan};
+use super::scan::{Gradients, Passed, Scan};
 use super::volume::{Composite, LAST_INTERVAL};
 
 /// Samples behind their field.
@@ -31,7 +31,7 @@ pub(super) struct Samples<'a> {
 }
 
 /// What they show.
-pub(super) struct Lit {
+pub(super) struct ShadedLoss {
     /// A scalar, with its graph.
     pub(super) loss: Tensor,
     /// Without a graph.
@@ -41,20 +41,20 @@ pub(super) struct Lit {
 }
 
 /// The box of an output delta.
-struct Cube {
+struct BoxSet {
     radius: f32,
     /// 1 for each sample of a ray that may move, 0 for others.
     mask: Option<Vec<f32>>,
 }
 
-impl Cube {
+impl BoxSet {
     /// None of another kind of set.
-    fn of(set: &DeltaSet) -> Result<Option<Cube>> {
+    fn of(set: &DeltaSet) -> Result<Option<BoxSet>> {
         if set.norm != Norm::Linf || set.bounds.is_some() || set.radius.elem_count() != 1 {
             return Ok(None);
         }
         let mask = set.mask.as_ref().map(|mask| mask.flatten_all()?.to_vec1::<f32>()).transpose()?;
-        Ok(Some(Cube { radius: set.radius.flatten_all()?.to_vec1::<f32>()?[0], mask }))
+        Ok(Some(BoxSet { radius: set.radius.flatten_all()?.to_vec1::<f32>()?[0], mask }))
     }
 }
 
@@ -62,8 +62,8 @@ impl Cube {
 struct Added {
     /// Of colours `[3 n]`, then of densities `[n]`; 0 where a site is off.
     delta: Tensor,
-    rgb: Option<Cube>,
-    density: Option<Cube>,
+    rgb: Option<BoxSet>,
+    density: Option<BoxSet>,
 }
 
 impl Added {
@@ -75,8 +75,8 @@ impl Added {
         if rgb.is_none() && density.is_none() {
             return Ok(Some(None));
         }
-        let cube = |site: Option<(&Tensor, &DeltaSet)>| site.map_or(Ok(None), |(_, set)| Cube::of(set));
-        let (of_rgb, of_density) = (cube(rgb)?, cube(density)?);
+        let box_set = |site: Option<(&Tensor, &DeltaSet)>| site.map_or(Ok(None), |(_, set)| BoxSet::of(set));
+        let (of_rgb, of_density) = (box_set(rgb)?, box_set(density)?);
         if of_rgb.is_some() != rgb.is_some() || of_density.is_some() != density.is_some() {
             return Ok(None);
         }
@@ -90,7 +90,7 @@ impl Added {
 }
 
 /// The operation: raw output `[4 n]`, positions and output deltas `[4 n]` to the loss, which is known when it is made.
-struct Light {
+struct FusedLoss {
     activation: DensityActivation,
     /// `field.rgb_padding`.
     padding: f64,
@@ -100,14 +100,14 @@ struct Light {
     loss: f32,
     /// Colours of the rays less their targets, `[3 rays]`.
     errors: Vec<f32>,
-    seen: Seen,
+    activations: Activations,
     /// Output deltas want a gradient.
     wants_delta: bool,
 }
 
 /// What the samples show.
 #[derive(Default)]
-struct Seen {
+struct Activations {
     /// Sigmoids of raw colours, `[3 n]`.
     sigmoids: Vec<f32>,
     /// Colours and densities that are composited.
@@ -122,64 +122,66 @@ struct Seen {
 
 impl Samples<'_> {
     /// Their light, and its loss against `target` `[rays, 3]`. None where plain operations must do it.
-    pub(super) fn light(&self, target: &Tensor) -> Result<Option<Lit>> {
+    pub(super) fn fused_loss(&self, target: &Tensor) -> Result<Option<ShadedLoss>> {
         let Samples { field, pass, t_vals, raw, .. } = *self;
         let on_processor = |joined: &&Tensor| joined.device().is_cpu() && joined.dtype() == DType::F32;
         let Some(joined) = raw.joined.as_ref().filter(on_processor) else { return Ok(None) };
         let Some(added) = Added::of(self)? else { return Ok(None) };
         let (rays, samples) = raw.density.dims2()?;
         let direction_norm = pass.rays.direction_norm.to_dtype(DType::F64)?.flatten_all()?.to_vec1()?;
-        let mut light = Light {
+        let mut operation = FusedLoss {
             activation: field.config().density_activation,
             padding: field.config().rgb_padding,
             scan: Scan { direction_norm, last_interval: LAST_INTERVAL, background: pass.background },
             noise: pass.density_noise.map(|noise| noise.flatten_all()?.to_vec1()).transpose()?,
             loss: 0.0,
             errors: Vec::new(),
-            seen: Seen::default(),
+            activations: Activations::default(),
             wants_delta: added.as_ref().is_some_and(|added| added.delta.track_op()),
         };
         let t_vals = t_vals.contiguous()?;
-        let seen = with_values(joined, |raw| light.see(raw, added.as_ref(), samples));
-        let Some(seen) = seen.transpose()? else { return Ok(None) };
-        let Some((out, behind)) = with_values(&t_vals, |t| light.scan.forward(&seen.rgb, &seen.density, t)) else {
+        let activations = with_values(joined, |raw| operation.activate(raw, added.as_ref(), samples));
+        let Some(activations) = activations.transpose()? else { return Ok(None) };
+        let Some((out, behind)) =
+            with_values(&t_vals, |t| operation.scan.forward(&activations.rgb, &activations.density, t))
+        else {
             return Ok(None);
         };
         let device = joined.device();
-        light.seen = Seen { weights: out[5 * rays..].to_vec(), behind, ..seen };
+        operation.activations = Activations { weights: out[5 * rays..].to_vec(), behind, ..activations };
         let composite = Composite::of_flat(&Tensor::from_vec(out, rays * (5 + samples), device)?, rays, samples)?;
-        light.errors = (&composite.rgb - target)?.flatten_all()?.to_vec1()?;
-        light.loss = photometric_loss(&composite.rgb, target)?.to_scalar()?;
-        let used = light.take_used(added.as_ref(), (rays, samples), device)?;
+        operation.errors = (&composite.rgb - target)?.flatten_all()?.to_vec1()?;
+        operation.loss = photometric_loss(&composite.rgb, target)?.to_scalar()?;
+        let used = operation.take_used(added.as_ref(), (rays, samples), device)?;
         let none = || Tensor::zeros(1, DType::F32, device);
         let delta = added.map_or_else(none, |added| Ok(added.delta))?;
-        let loss = joined.apply_op3(&t_vals, &delta, light)?;
-        Ok(Some(Lit { loss, composite, used }))
+        let loss = joined.apply_op3(&t_vals, &delta, operation)?;
+        Ok(Some(ShadedLoss { loss, composite, used }))
     }
 }
 
-impl Light {
+impl FusedLoss {
     /// From raw output `[4 n]` to what is composited.
-    fn see(&self, raw: &[f32], added: Option<&Added>, samples: usize) -> Result<Seen> {
+    fn activate(&self, raw: &[f32], added: Option<&Added>, samples: usize) -> Result<Activations> {
         let (colours, densities) = raw.split_at(raw.len() / 4 * 3);
         let sigmoids: Vec<f32> = colours.iter().map(|raw| 1.0 / ((-raw).exp() + 1.0)).collect();
         let (scale, shift) = self.spread();
         let rgb =
             if self.padding > 0.0 { sigmoids.iter().map(|s| s * scale + shift).collect() } else { sigmoids.clone() };
         let density = (0..densities.len()).map(|i| density_of(self.activation, self.noisy(densities, i))).collect();
-        let mut seen = Seen { sigmoids, rgb, density, ..Seen::default() };
+        let mut activations = Activations { sigmoids, rgb, density, ..Activations::default() };
         if let Some(added) = added {
             let delta = added.delta.detach().to_vec1::<f32>()?;
-            let (of_rgb, of_density) = delta.split_at(seen.rgb.len());
-            if let Some(cube) = &added.rgb {
+            let (of_rgb, of_density) = delta.split_at(activations.rgb.len());
+            if let Some(box_set) = &added.rgb {
                 let limits = (-self.padding as f32, (1.0 + self.padding) as f32);
-                seen.used[0] = cube.add(&mut seen.rgb, of_rgb, limits, 3 * samples);
+                activations.used[0] = box_set.add(&mut activations.rgb, of_rgb, limits, 3 * samples);
             }
-            if let Some(cube) = &added.density {
-                seen.used[1] = cube.add(&mut seen.density, of_density, (0.0, f32::MAX), samples);
+            if let Some(box_set) = &added.density {
+                activations.used[1] = box_set.add(&mut activations.density, of_density, (0.0, f32::MAX), samples);
             }
         }
-        Ok(seen)
+        Ok(activations)
     }
 
     /// What spreads colours by the padding: factor and summand.
@@ -198,7 +200,7 @@ impl Light {
         (rays, samples): (usize, usize),
         device: &Device,
     ) -> Result<Vec<(Site, Tensor)>> {
-        let [rgb, density] = std::mem::take(&mut self.seen.used);
+        let [rgb, density] = std::mem::take(&mut self.activations.used);
         let mut used = Vec::new();
         if added.is_some_and(|added| added.rgb.is_some()) {
             used.push((Site::Rgb, Tensor::from_vec(rgb, (rays, samples, 3), device)?));
@@ -210,13 +212,13 @@ impl Light {
     }
 
     /// Gradients of raw output, positions and output deltas from the loss's.
-    fn pull_back(&self, raw: &[f32], t_vals: &[f32], gradient: f32) -> [Vec<f32>; 3] {
+    fn gradients(&self, raw: &[f32], t_vals: &[f32], gradient: f32) -> [Vec<f32>; 3] {
         // As candle goes back through the mean of the squares.
         let of_mean = gradient * (1.0 / self.errors.len() as f64) as f32;
         let colours: Vec<f32> = self.errors.iter().map(|error| error * of_mean * 2.0).collect();
-        let Seen { sigmoids, rgb, density, weights, behind, .. } = &self.seen;
-        let pull = Pull { colours: &colours, depths: None, accs: None, weights: None, wants_t_vals: true };
-        let [d_rgb, d_density, d_t] = self.scan.backward(Passed { rgb, density, t_vals, weights, behind }, pull);
+        let Activations { sigmoids, rgb, density, weights, behind, .. } = &self.activations;
+        let gradients = Gradients { colours: &colours, depths: None, accs: None, weights: None, wants_t_vals: true };
+        let [d_rgb, d_density, d_t] = self.scan.backward(Passed { rgb, density, t_vals, weights, behind }, gradients);
         let (scale, _) = self.spread();
         let raw_density = &raw[rgb.len()..];
         // The last summand makes a negative 0 a positive one, as candle's sums do.
@@ -234,7 +236,7 @@ impl Light {
     }
 }
 
-impl Cube {
+impl BoxSet {
     /// Adds `delta` to `values`, projected so that they stay within `limits`. Returns it projected. As `add_after`.
     fn add(&self, values: &mut [f32], delta: &[f32], (low, high): (f32, f32), of_ray: usize) -> Vec<f32> {
         let entries = values.iter_mut().zip(delta).enumerate();
@@ -258,9 +260,9 @@ impl Cube {
     }
 }
 
-impl CustomOp3 for Light {
+impl CustomOp3 for FusedLoss {
     fn name(&self) -> &'static str {
-        "light"
+        "fused-loss"
     }
 
     fn cpu_fwd(
@@ -284,9 +286,9 @@ impl CustomOp3 for Light {
         gradient: &Tensor,
     ) -> TensorResult<(Option<Tensor>, Option<Tensor>, Option<Tensor>)> {
         let gradient = gradient.to_scalar()?;
-        let found = with_values(raw, |raw| with_values(t_vals, |t_vals| self.pull_back(raw, t_vals, gradient)));
+        let found = with_values(raw, |raw| with_values(t_vals, |t_vals| self.gradients(raw, t_vals, gradient)));
         let Some([d_raw, d_t, d_delta]) = found.flatten() else {
-            candle_core::bail!("light: arguments are not laid out one number behind another");
+            candle_core::bail!("fused loss: arguments are not laid out one number behind another");
         };
         let tensor = |values: Vec<f32>, like: &Tensor| {
             like.track_op().then(|| Tensor::from_vec(values, like.shape(), like.device())).transpose()

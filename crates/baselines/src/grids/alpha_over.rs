@@ -44,15 +44,15 @@ impl Passing {
 ///
 /// # Errors
 /// Another shape; those of candle.
-pub fn over(planes: &Tensor) -> Result<Tensor> {
+pub fn alpha_over(planes: &Tensor) -> Result<Tensor> {
     let (_, _, channels) = planes.dims3()?;
     if channels != CHANNELS {
-        candle_core::bail!("over: planes have red, green, blue and alpha, not {channels} channels");
+        candle_core::bail!("alpha over: planes have red, green, blue and alpha, not {channels} channels");
     }
     if !planes.device().is_cpu() || !matches!(planes.dtype(), DType::F32 | DType::F64) {
         return plain(planes);
     }
-    planes.contiguous()?.apply_op1(Over)
+    planes.contiguous()?.apply_op1(AlphaOver)
 }
 
 /// The same in candle's own operations, plane after plane.
@@ -70,9 +70,9 @@ fn plain(planes: &Tensor) -> Result<Tensor> {
     Ok(sum)
 }
 
-struct Over;
+struct AlphaOver;
 
-impl Over {
+impl AlphaOver {
     fn forward<T: WithDType>(planes: &[T], count: usize) -> Vec<T> {
         let mut out = vec![T::from_f64(0.0); planes.len() / count.max(1)];
         let parts = out.par_chunks_mut(PART * CHANNELS).zip(planes.par_chunks(PART * CHANNELS * count));
@@ -92,26 +92,26 @@ impl Over {
 
     /// With G_k the gradient of weight k, T_k the transmittance before it and S_k what the farther planes add per unit of light
     /// behind it, that of alpha k is `T_k (G_k - S_k)`; `S = G_k a_k + (1 - a_k + 1e-10) S_k` for the next nearer one.
-    fn backward<T: WithDType>(planes: &[T], pull: &[T], count: usize) -> Vec<T> {
+    fn backward<T: WithDType>(planes: &[T], gradient: &[T], count: usize) -> Vec<T> {
         let mut out = vec![T::from_f64(0.0); planes.len()];
         let size = CHANNELS * count;
         let parts = out.par_chunks_mut(PART * size).zip(planes.par_chunks(PART * size));
-        parts.zip(pull.par_chunks(PART * CHANNELS)).for_each(|((out, planes), pull)| {
+        parts.zip(gradient.par_chunks(PART * CHANNELS)).for_each(|((out, planes), gradient)| {
             let mut before = vec![0f64; count];
-            let rays = out.chunks_exact_mut(size).zip(planes.chunks_exact(size)).zip(pull.chunks_exact(CHANNELS));
-            for ((out, ray), pull) in rays {
+            let rays = out.chunks_exact_mut(size).zip(planes.chunks_exact(size)).zip(gradient.chunks_exact(CHANNELS));
+            for ((out, ray), gradient) in rays {
                 let mut passing = Passing::default();
                 for k in (0..count).rev() {
                     before[k] = passing.transmittance;
                     passing.weight(ray[CHANNELS * k + 3].to_f64());
                 }
-                let pull: [f64; CHANNELS] = std::array::from_fn(|c| pull[c].to_f64());
+                let gradient: [f64; CHANNELS] = std::array::from_fn(|c| gradient[c].to_f64());
                 let mut behind = 0.0;
                 let planes = out.chunks_exact_mut(CHANNELS).zip(ray.chunks_exact(CHANNELS)).zip(&before);
                 for ((out, plane), before) in planes {
                     let alpha = plane[3].to_f64();
-                    let of_weight = pull[3] + (0..3).map(|c| pull[c] * plane[c].to_f64()).sum::<f64>();
-                    (0..3).for_each(|c| out[c] = T::from_f64(pull[c] * alpha * before));
+                    let of_weight = gradient[3] + (0..3).map(|c| gradient[c] * plane[c].to_f64()).sum::<f64>();
+                    (0..3).for_each(|c| out[c] = T::from_f64(gradient[c] * alpha * before));
                     out[3] = T::from_f64(before * (of_weight - behind));
                     behind = of_weight * alpha + (1.0 - alpha + LEAK) * behind;
                 }
@@ -121,29 +121,31 @@ impl Over {
     }
 }
 
-impl CustomOp1 for Over {
+impl CustomOp1 for AlphaOver {
     fn name(&self) -> &'static str {
-        "over"
+        "alpha-over"
     }
 
     fn cpu_fwd(&self, planes: &CpuStorage, layout: &Layout) -> Result<(CpuStorage, Shape)> {
         let (rays, count, _) = layout.shape().dims3()?;
         let out = match planes {
-            CpuStorage::F64(_) => CpuStorage::F64(Over::forward(slice(planes, layout)?, count)),
-            _ => CpuStorage::F32(Over::forward(slice(planes, layout)?, count)),
+            CpuStorage::F64(_) => CpuStorage::F64(AlphaOver::forward(slice(planes, layout)?, count)),
+            _ => CpuStorage::F32(AlphaOver::forward(slice(planes, layout)?, count)),
         };
         Ok((out, Shape::from((rays, CHANNELS))))
     }
 
-    fn bwd(&self, planes: &Tensor, _out: &Tensor, pull: &Tensor) -> Result<Option<Tensor>> {
+    fn bwd(&self, planes: &Tensor, _out: &Tensor, gradient: &Tensor) -> Result<Option<Tensor>> {
         let (shape, device) = (planes.dims3()?, planes.device());
-        let pull = pull.contiguous()?;
-        let (from, pull) = (Values::of(planes), Values::of(&pull));
+        let gradient = gradient.contiguous()?;
+        let (from, gradient) = (Values::of(planes), Values::of(&gradient));
         Ok(Some(match planes.dtype() {
             DType::F64 => {
-                Tensor::from_vec(Over::backward::<f64>(from.slice()?, pull.slice()?, shape.1), shape, device)?
+                Tensor::from_vec(AlphaOver::backward::<f64>(from.slice()?, gradient.slice()?, shape.1), shape, device)?
             }
-            _ => Tensor::from_vec(Over::backward::<f32>(from.slice()?, pull.slice()?, shape.1), shape, device)?,
+            _ => {
+                Tensor::from_vec(AlphaOver::backward::<f32>(from.slice()?, gradient.slice()?, shape.1), shape, device)?
+            }
         }))
     }
 }

@@ -11,7 +11,7 @@ fn lattice(name: &str) -> Tensor {
 #[test]
 fn values_and_gradients_are_torch_s() {
     let raw = Var::from_tensor(&lattice("llff.mix.raw")).unwrap();
-    let out = mix(&raw, &lattice("llff.mix.sweep")).unwrap();
+    let out = blend_views(&raw, &lattice("llff.mix.sweep")).unwrap();
     assert!(error(&out, &lattice("llff.mix.out")) < 1e-14);
     let gradients = (out * lattice("llff.mix.cotangent")).unwrap().sum_all().unwrap().backward().unwrap();
     assert!(error(gradients.get(&raw).unwrap(), &lattice("llff.mix.grad.raw")) < 1e-13);
@@ -39,7 +39,7 @@ fn colours_are_weighed_by_the_reference_s_slopes() {
             channels.unwrap().broadcast_as((2, 3, 4, 15)).unwrap().contiguous().unwrap()
         };
         for c in 0..3 {
-            let weight = mix(&raw, &ones(c)).unwrap().narrow(3, c, 1).unwrap();
+            let weight = blend_views(&raw, &ones(c)).unwrap().narrow(3, c, 1).unwrap();
             let slope = (weight * cotangent.narrow(3, c, 1).unwrap()).unwrap();
             assert!(error(&slope, &slopes.narrow(3, 3 * view + c, 1).unwrap().contiguous().unwrap()) < 1e-13);
         }
@@ -51,7 +51,7 @@ fn gradients_are_central_differences() {
     let raw = Var::from_tensor(&(ramp(&[2, 2, 3], 0.3) * 3.0).unwrap()).unwrap();
     let (sweep, cotangent) = (ramp(&[2, 2, 9], 0.8), ramp(&[2, 2, 4], 0.1));
     check_differences(std::slice::from_ref(&raw), 1e-8, || {
-        (mix(&raw, &sweep).unwrap() * &cotangent).unwrap().sum_all().unwrap()
+        (blend_views(&raw, &sweep).unwrap() * &cotangent).unwrap().sum_all().unwrap()
     });
 }
 
@@ -60,7 +60,7 @@ fn large_numbers_stay_numbers_and_threads_change_no_bit() {
     let out = on_any_threads(|| {
         let raw = (ramp(&[9000, 5], 0.2) * 1e4).unwrap().to_dtype(DType::F32).unwrap();
         let raw = Var::from_tensor(&raw).unwrap();
-        let out = mix(&raw, &ramp(&[9000, 15], 0.7).to_dtype(DType::F32).unwrap()).unwrap();
+        let out = blend_views(&raw, &ramp(&[9000, 15], 0.7).to_dtype(DType::F32).unwrap()).unwrap();
         let gradients = out.sqr().unwrap().sum_all().unwrap().backward().unwrap();
         vec![out.detach(), gradients.get(&raw).unwrap().clone()]
     });

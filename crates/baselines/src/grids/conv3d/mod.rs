@@ -13,13 +13,13 @@ use std::sync::Arc;
 use candle_core::{CpuStorage, CustomOp3, DType, Device, Layout, Result, Shape, Tensor};
 
 use plan::Plan;
-use product::Right;
+use product::Rhs;
 
 use super::values::{Values, slice};
 
 /// A product over taps on lattices of one size, with weights `[taps, inputs, outputs]`.
 #[derive(Clone)]
-pub struct TapProduct {
+pub struct Conv3d {
     plan: Arc<Plan>,
     /// The plan of the input's gradient.
     reversed: Arc<Plan>,
@@ -28,28 +28,28 @@ pub struct TapProduct {
     slope: f64,
 }
 
-impl TapProduct {
+impl Conv3d {
     /// A convolution of 3 x 3 x 3 taps, `dilation` cells apart, at every `stride`-th cell of a lattice. What is missing at the
     /// border is zero, half of it on either side and an odd one at the far side, as TensorFlow's `SAME` has it: a lattice
     /// of even sides and stride 2 lacks only what follows its last cell.
-    pub fn convolution(sides: [usize; 3], stride: usize, dilation: usize) -> TapProduct {
+    pub fn convolution(sides: [usize; 3], stride: usize, dilation: usize) -> Conv3d {
         let kernel = plan::cube(3).collect();
-        TapProduct::new(Plan::convolution(sides, stride, dilation), kernel)
+        Conv3d::new(Plan::convolution(sides, stride, dilation), kernel)
     }
 
     /// A transposed convolution of 4 x 4 x 4 taps with stride 2 and padding 1: sides are doubled.
-    pub fn transposed(sides: [usize; 3]) -> TapProduct {
+    pub fn transposed(sides: [usize; 3]) -> Conv3d {
         let (plan, kernel) = Plan::transposed(sides);
-        TapProduct::new(plan, kernel)
+        Conv3d::new(plan, kernel)
     }
 
-    fn new(plan: Plan, kernel: Vec<[usize; 3]>) -> TapProduct {
-        TapProduct { reversed: Arc::new(plan.reversed()), plan: Arc::new(plan), kernel, slope: 1.0 }
+    fn new(plan: Plan, kernel: Vec<[usize; 3]>) -> Conv3d {
+        Conv3d { reversed: Arc::new(plan.reversed()), plan: Arc::new(plan), kernel, slope: 1.0 }
     }
 
     /// The same with negative results times `slope`, a positive number (a leaky ReLU).
-    pub fn leaky(self, slope: f64) -> TapProduct {
-        TapProduct { slope, ..self }
+    pub fn leaky(self, slope: f64) -> Conv3d {
+        Conv3d { slope, ..self }
     }
 
     /// Where each of the weights' matrices stands in the kernel that others write as `[.., z, y, x]`: what position of it
@@ -63,7 +63,7 @@ impl TapProduct {
         self.plan.sides
     }
 
-    /// The product: `x [z, y, x, inputs]`, `weight [taps, inputs, outputs]` in the order of [`TapProduct::kernel`],
+    /// The product: `x [z, y, x, inputs]`, `weight [taps, inputs, outputs]` in the order of [`Conv3d::kernel`],
     /// `bias [outputs]` -> `[z', y', x', outputs]`.
     pub fn forward(&self, x: &Tensor, weight: &Tensor, bias: &Tensor) -> Result<Tensor> {
         let (x_dims, weight_dims) = (x.dims4()?, weight.dims3()?);
@@ -97,7 +97,7 @@ impl TapProduct {
 
 /// The product in f32 with the gradients that are wanted.
 struct Fast {
-    product: TapProduct,
+    product: Conv3d,
     wants_x: bool,
     wants_weight: bool,
     wants_bias: bool,
@@ -119,12 +119,12 @@ impl CustomOp3 for Fast {
     ) -> Result<(CpuStorage, Shape)> {
         let (x, weight) = (slice::<f32>(x, x_layout)?, slice::<f32>(weight, weight_layout)?);
         let bias = slice::<f32>(bias, bias_layout)?;
-        let TapProduct { plan, slope, .. } = &self.product;
+        let Conv3d { plan, slope, .. } = &self.product;
         let (channels, outputs) = (x_layout.dims()[3], bias.len());
         let finish = |rows: &mut [f32]| product::add_bias(rows, bias, *slope as f32);
-        let out = product::product(plan, x, channels, &Right::Straight(weight), outputs, &finish);
+        let out = product::product(plan, x, channels, &Rhs::Straight(weight), outputs, &finish);
         let [z, y, x] = plan.sides;
-        Ok((CpuStorage::F32(plan.woven(out, outputs)), Shape::from((z, y, x, outputs))))
+        Ok((CpuStorage::F32(plan.interleaved(out, outputs)), Shape::from((z, y, x, outputs))))
     }
 
     fn bwd(
@@ -135,16 +135,17 @@ impl CustomOp3 for Fast {
         out: &Tensor,
         gradient: &Tensor,
     ) -> Result<(Option<Tensor>, Option<Tensor>, Option<Tensor>)> {
-        let TapProduct { plan, reversed, slope, .. } = &self.product;
+        let Conv3d { plan, reversed, slope, .. } = &self.product;
         let (channels, outputs) = (x.dim(3)?, bias.elem_count());
         let gradient = gradient.contiguous()?;
-        let d_rows = plan.unwoven(Values::of(&gradient).slice()?, Values::of(out).slice()?, outputs, *slope as f32);
+        let d_rows =
+            plan.deinterleaved(Values::of(&gradient).slice()?, Values::of(out).slice()?, outputs, *slope as f32);
         let like = |values: Vec<f32>, tensor: &Tensor| Tensor::from_vec(values, tensor.shape(), &Device::Cpu);
         let d_x = self.wants_x.then(|| {
             let weight = Values::of(weight);
-            let right = Right::turned(weight.slice()?, reversed, channels, outputs);
+            let right = Rhs::turned(weight.slice()?, reversed, channels, outputs);
             let d_x = product::product(reversed, &d_rows, outputs, &right, channels, &|_| {});
-            like(reversed.woven(d_x, channels), x)
+            like(reversed.interleaved(d_x, channels), x)
         });
         let d_weight = self.wants_weight.then(|| {
             let x = Values::of(x);

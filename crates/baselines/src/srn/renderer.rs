@@ -4,26 +4,26 @@ use candle_core::{DType, Tensor};
 
 use crate::base::Result;
 use crate::data::Rays;
-use crate::methods::{Painted, Painter};
+use crate::methods::{RenderedRays, Renderer};
 
 use super::fast::{Lines, Network};
 use super::network::Srn;
 
 /// Marches rays from one depth, without noise.
-pub struct SrnPainter {
+pub struct SrnRenderer {
     srn: Srn,
     /// The weights laid out for the march in f32 on a processor, where that is where they are.
     network: Option<Network>,
 }
 
-impl SrnPainter {
+impl SrnRenderer {
     /// With the parameters as they are now.
     ///
     /// # Errors
     /// Those of candle.
-    pub fn new(srn: &Srn) -> Result<SrnPainter> {
+    pub fn new(srn: &Srn) -> Result<SrnRenderer> {
         let srn = srn.frozen();
-        Ok(SrnPainter { network: srn.is_fast().then(|| Network::of(&srn)).transpose()?, srn })
+        Ok(SrnRenderer { network: srn.is_fast().then(|| Network::of(&srn)).transpose()?, srn })
     }
 
     /// Colours from -1 to 1 `[rays, 3]` and depths `[rays]` in scene units times `srn.scale`.
@@ -45,10 +45,10 @@ impl SrnPainter {
     }
 }
 
-impl Painter for SrnPainter {
-    fn paint(&self, rays: &Rays) -> Result<Painted> {
+impl Renderer for SrnRenderer {
+    fn render(&self, rays: &Rays) -> Result<RenderedRays> {
         let (colour, z) = self.march(rays)?;
-        Ok(Painted {
+        Ok(RenderedRays {
             rgb: colour.affine(0.5, 0.5)?.clamp(0.0, 1.0)?,
             depth: (z / self.srn.config().scale)?,
             acc: Tensor::ones(rays.len(), colour.dtype(), colour.device())?,

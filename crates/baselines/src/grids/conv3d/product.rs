@@ -19,7 +19,7 @@ const PARTS: usize = 8;
 const FEW: usize = 32;
 
 /// The right side: for each tap a matrix `[channels, outputs]`.
-pub(super) enum Right<'a> {
+pub(super) enum Rhs<'a> {
     /// As they are, in the order of taps.
     Straight(&'a [f32]),
     /// The transposed ones of a product that is reversed, by the taps' `weight`.
@@ -28,11 +28,11 @@ pub(super) enum Right<'a> {
     Packed(Vec<Vec<f32>>),
 }
 
-impl Right<'_> {
+impl Rhs<'_> {
     /// The transposed matrices of `weight [taps, inputs, outputs]` for the plan of the input's gradient.
-    pub(super) fn turned<'a>(weight: &'a [f32], reversed: &Plan, inputs: usize, outputs: usize) -> Right<'a> {
+    pub(super) fn turned<'a>(weight: &'a [f32], reversed: &Plan, inputs: usize, outputs: usize) -> Rhs<'a> {
         if outputs >= FEW {
-            return Right::Turned(weight);
+            return Rhs::Turned(weight);
         }
         let of_group = |group: &Group| {
             let mut packed = Vec::with_capacity(group.taps.len() * inputs * outputs);
@@ -42,7 +42,7 @@ impl Right<'_> {
             }
             packed
         };
-        Right::Packed(reversed.groups.iter().map(of_group).collect())
+        Rhs::Packed(reversed.groups.iter().map(of_group).collect())
     }
 }
 
@@ -107,7 +107,7 @@ pub(super) fn product(
     plan: &Plan,
     source: &[f32],
     channels: usize,
-    right: &Right,
+    right: &Rhs,
     outputs: usize,
     finish: &(impl Fn(&mut [f32]) + Sync),
 ) -> Vec<f32> {
@@ -127,16 +127,16 @@ pub(super) fn product(
             gather(plan, group, &rows, &run, source, channels, gathered);
             let left = Matrix::rows(gathered, rows.len(), run.len() * channels);
             match right {
-                Right::Straight(weight) => {
+                Rhs::Straight(weight) => {
                     let first = group.taps[run.start].weight;
                     let weight = &weight[first * channels * outputs..][..run.len() * channels * outputs];
                     multiply(out, left, Matrix::rows(weight, run.len() * channels, outputs));
                 }
-                Right::Packed(groups) => {
+                Rhs::Packed(groups) => {
                     let weight = &groups[index][run.start * channels * outputs..][..run.len() * channels * outputs];
                     multiply(out, left, Matrix::rows(weight, run.len() * channels, outputs));
                 }
-                Right::Turned(weight) => {
+                Rhs::Turned(weight) => {
                     for (at, tap) in group.taps[run.clone()].iter().enumerate() {
                         let left = Matrix { values: &gathered[at * channels..], size: (rows.len(), channels), ..left };
                         let weight = &weight[tap.weight * channels * outputs..][..channels * outputs];
