@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use clap::{Args, ValueEnum};
 
 use crate::base::{Error, Result};
-use crate::run::{Choice, RunDir, Split, Trained, load_lpips};
+use crate::run::{OpenOptions, RunDir, Split, Trained, load_lpips};
 use crate::runtime::Runtime;
 
 use super::answer::{Answer, Measured};
@@ -64,8 +64,8 @@ impl EvalArguments {
             SplitName::Val => Split::Val,
             SplitName::Train => Split::Train,
         });
-        let choice = Choice { step: self.step, split };
-        let trained = Trained::open_at(&self.run, choice, self.sources.data.as_deref(), runtime, &console)?;
+        let options = OpenOptions { step: self.step, split };
+        let trained = Trained::open_at(&self.run, options, self.sources.data.as_deref(), runtime, &console)?;
         let (step, steps) = (trained.state.step, trained.config.train.steps);
         let folder = self.folder(&trained.run, step)?;
         let lpips = load_lpips(&self.sources.weights.or(&trained.config), runtime.device())?;

@@ -9,7 +9,7 @@ use crate::base::{Error, Result};
 use crate::data::Camera;
 use crate::draw::write_png8;
 use crate::run::{
-    BUILTIN, Eye, MeshFormat, MeshOptions, MeshPicture, MeshReport, MeshUnits, Trained, columns, mesh_picture,
+    BUILTIN, MeshFormat, MeshOptions, MeshPicture, MeshReport, MeshUnits, Trained, Viewpoint, columns, mesh_picture,
     named_mesh, reference_mesh,
 };
 use crate::runtime::Runtime;
@@ -141,16 +141,17 @@ impl PictureArguments {
         if let Some(share) = self.at.iter().find(|share| !(0.0..=1.0).contains(*share)) {
             return Err(Error::Config(format!("--at {share} is out of range: it must be 0 to 1")));
         }
-        let on_path = self.at.iter().map(|share| Eye::Path(*share));
-        let mut eyes: Vec<Eye> = self.view.iter().map(|number| Eye::View(*number)).chain(on_path).collect();
-        if eyes.is_empty() {
-            eyes.push(Eye::View(0));
+        let on_path = self.at.iter().map(|share| Viewpoint::Path(*share));
+        let mut viewpoints: Vec<Viewpoint> =
+            self.view.iter().map(|number| Viewpoint::View(*number)).chain(on_path).collect();
+        if viewpoints.is_empty() {
+            viewpoints.push(Viewpoint::View(0));
         }
         let paint = match self.paint {
             PaintName::Clay => Paint::Clay,
             PaintName::Colours => Paint::Colours,
         };
-        Ok(Some(MeshPicture { file, eyes, paint, columns: self.columns.map(usize::from) }))
+        Ok(Some(MeshPicture { file, viewpoints, paint, columns: self.columns.map(usize::from) }))
     }
 }
 

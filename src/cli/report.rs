@@ -9,7 +9,7 @@ use crate::base::files::write_atomic;
 use crate::base::{Error, Result};
 use crate::report::tables::table_terminal;
 use crate::sweep::verify::Archive;
-use crate::sweep::{PAGE, RunsSheet, check_page_place};
+use crate::sweep::{PAGE, RunsTable, check_page_place};
 
 use super::answer::Answer;
 use super::progress::print;
@@ -58,7 +58,7 @@ impl ReportArguments {
             }
             runs => {
                 let out = check_page_place(&self.out.clone().unwrap_or_else(|| PAGE.into()))?;
-                let (table, page) = RunsSheet::read(runs, &self.labels)?.page(folder_of(&out), self.with_timing)?;
+                let (table, page) = RunsTable::read(runs, &self.labels)?.page(folder_of(&out), self.with_timing)?;
                 (table, page, out)
             }
         };

@@ -16,7 +16,7 @@ use crate::run::{
     Matching, Picture, RunDir, Score, Truth, both_pictures, load_lpips, load_scene, load_scene_of, pictures, score,
 };
 use crate::settings::{Config, Resolved, build, parse_assignment};
-use crate::sweep::{Material, Point, Scored, SweepFolder};
+use crate::sweep::{Point, Scored, SweepFolder, SweepOutputs};
 
 use super::answer::Answer;
 use super::progress::{Console, print};
@@ -210,7 +210,7 @@ impl ScoreArguments {
 
     fn add(&self, scored: &Score, into: &Into) -> Result<PathBuf> {
         let definition = into.folder.definition()?;
-        let material = Material::of_folder(&into.folder, &definition, &into.points)?;
+        let outputs = SweepOutputs::of_folder(&into.folder, &definition, &into.points)?;
         let of_views = |scope| matches!(scope, Scope::View | Scope::Mean);
         let metrics = scored.mean.iter().filter(|(metric, value)| of_views(metric.scope) && value.is_some());
         let scored = Scored {
@@ -223,7 +223,7 @@ impl ScoreArguments {
             protocol: scored.protocol.clone(),
         };
         let spec = definition.table("", &into.points);
-        into.folder.add_scored(&scored, &spec, &material.records)
+        into.folder.add_scored(&scored, &spec, &outputs.records)
     }
 
     fn say_unusual(&self, scored: &Score, predictions: &[Picture], console: &Console) {

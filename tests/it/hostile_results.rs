@@ -10,7 +10,7 @@ use crate::fuzz::formats::packed;
 use crate::fuzz::results::done_sweep;
 use crate::verify::{results, verify};
 use augnerf::run::{DepthErrors, RunDir};
-use augnerf::sweep::Material;
+use augnerf::sweep::SweepOutputs;
 use tempfile::TempDir;
 
 /// Replaces the first of a text in a file.
@@ -50,7 +50,7 @@ fn surfaces_have_the_size_of_a_view() {
     let (sweep, definition, points) = done_sweep(dir.path());
     let picture = RunDir::surface_picture_in(&sweep.point(&points[1].id).run());
     image::GrayImage::new(6000, 5000).save(&picture).unwrap();
-    let error = Material::of_folder(&sweep, &definition, &points).unwrap_err().to_string();
+    let error = SweepOutputs::of_folder(&sweep, &definition, &points).unwrap_err().to_string();
     assert_says(&error, &["surface.png", "6000x5000"]);
 }
 

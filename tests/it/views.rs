@@ -57,7 +57,7 @@ fn the_gap_is_between_training_views_as_rendered_and_held_out_ones() {
     let viewer = Viewer { model: trainer.model(), config: &config, scene: &scene, runtime: runtime() };
     let go_on = || Ok(());
     let held_out = viewer.evaluate(&[], &(), go_on, |_, _, _| Ok(())).unwrap();
-    let seen = viewer.evaluate_seen(&[], &(), go_on).unwrap();
+    let seen = viewer.evaluate_training_views(&[], &(), go_on).unwrap();
     let mut mean = MeanMetrics::from_views(&held_out);
     let before = mean.clone();
     mean.set_seen(&seen);

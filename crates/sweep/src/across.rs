@@ -11,7 +11,7 @@ use crate::report::Across;
 use crate::report::plots::across_figure;
 
 use super::folder::DEFINITION;
-use super::view::{Choice, Origin, Source, VIEW, View};
+use super::view::{Origin, Selection, Source, VIEW, View};
 
 /// What a folder of such comparisons has instead of a sweep's definition.
 pub const ACROSS: &str = "across.toml";
@@ -22,10 +22,10 @@ pub const ACROSS_CSV: &str = "across.csv";
 /// The figure's name, without its ending.
 const FIGURE: &str = "across";
 
-/// What is asked of every sweep, and which sweeps these are: `across.toml`.
+/// The question to every sweep, and the sweeps: `across.toml`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Asked {
+pub struct AcrossRequest {
     /// The row that is compared.
     pub row: String,
     /// What it is compared with.
@@ -36,12 +36,12 @@ pub struct Asked {
     pub sweep: Vec<Origin>,
 }
 
-impl Asked {
+impl AcrossRequest {
     /// Asks sweeps whether `row` differs from `baseline` in a metric.
     ///
     /// # Errors
     /// A sweep that is named twice, or has not both rows.
-    pub fn new(row: &str, baseline: &str, metric: &str, sources: &[Source]) -> Result<(Asked, Across)> {
+    pub fn new(row: &str, baseline: &str, metric: &str, sources: &[Source]) -> Result<(AcrossRequest, Across)> {
         if row == baseline {
             return Err(Error::Config(format!("--row and --baseline are both '{row}'; name two rows")));
         }
@@ -54,28 +54,28 @@ impl Asked {
                 return Err(Error::Config(format!("sweep '{}' is named twice: each is one block", source.name)));
             }
             [row, baseline].into_iter().try_for_each(|name| has_row(source, name))?;
-            let choice = Choice {
+            let selection = Selection {
                 baseline: Some(baseline.into()),
                 rows: vec![baseline.into(), row.into()],
                 metrics: vec![metric.into()],
             };
             // Metrics over common pixels are the sweep's own, of all its rows: its results have no others.
             let source = Source { folder: None, ..source.clone() };
-            let view = View::new(&source.name, std::slice::from_ref(&source), choice);
+            let view = View::new(&source.name, std::slice::from_ref(&source), selection);
             let table = view.and_then(|view| view.table());
             tables.push(table.map_err(|error| error.within(&format!("sweep '{}'", source.name)))?);
         }
-        let asked = Asked {
+        let request = AcrossRequest {
             row: row.into(),
             baseline: baseline.into(),
             metric: metric.into(),
             sweep: sources.iter().map(Origin::of).collect(),
         };
-        Ok((asked, Across::new(row, baseline, &tables)))
+        Ok((request, Across::new(row, baseline, &tables)))
     }
 
     /// Reads a folder's.
-    pub fn read(folder: &Path) -> Result<Asked> {
+    pub fn read(folder: &Path) -> Result<AcrossRequest> {
         let path = folder.join(ACROSS);
         let text = read_text(&path, TEXT_BYTES).map_err(|e| Error::unreadable(&path, &e))?;
         toml::from_str(&text).map_err(|e| Error::Data(format!("{}: {e}", path.display())))
@@ -83,8 +83,8 @@ impl Asked {
 
     /// The files of the folder, by their names.
     pub fn files(&self, across: &Across) -> Result<Vec<(String, Vec<u8>)>> {
-        let asked = toml::to_string(self).expect("plain data");
-        let texts = [(ACROSS, asked), (ACROSS_CSV, across.csv()), (ACROSS_PAGE, across.markdown())];
+        let request = toml::to_string(self).expect("plain data");
+        let texts = [(ACROSS, request), (ACROSS_CSV, across.csv()), (ACROSS_PAGE, across.markdown())];
         let texts = texts.into_iter().map(|(name, text)| (name.to_string(), text.into_bytes()));
         let figure = across_figure(across)?.into_iter().flat_map(|figure| figure.files(FIGURE));
         Ok(texts.chain(figure).collect())
@@ -111,7 +111,7 @@ impl Asked {
 }
 
 fn has_row(source: &Source, name: &str) -> Result<()> {
-    let scored = source.material.scored.iter().map(|scored| scored.row.as_str());
+    let scored = source.outputs.scored.iter().map(|scored| scored.row.as_str());
     let rows: Vec<&str> = source.definition.row.iter().map(|row| row.name.as_str()).chain(scored).collect();
     if rows.contains(&name) {
         return Ok(());

@@ -12,7 +12,7 @@ use crate::settings::registry::REGISTRY;
 use crate::settings::{Config, value_at};
 
 use super::folder::SweepFolder;
-use super::material::Material;
+use super::outputs::SweepOutputs;
 use super::points::Point;
 
 /// The best line of a scene.
@@ -64,7 +64,7 @@ pub fn best(
     folder: &SweepFolder,
     spec: &TableSpec,
     points: &[Point],
-    material: &Material,
+    outputs: &SweepOutputs,
     metric: &str,
     force: bool,
 ) -> Result<Vec<Best>> {
@@ -78,7 +78,7 @@ pub fn best(
         )));
     };
     let spec = TableSpec { metrics: vec![metric.into()], ..spec.clone() };
-    let table = Table::new(&spec, &material.records, force)?;
+    let table = Table::new(&spec, &outputs.records, force)?;
     let of_scene = |(scene, lines): (&str, Vec<&Line>)| {
         let mut ranked: Vec<(&Line, f64)> = lines.iter().filter_map(|line| Some((*line, complete(line)?))).collect();
         ranked.sort_by(|a, b| match known.direction {
@@ -87,7 +87,7 @@ pub fn best(
         });
         let (line, mean) = *ranked.first()?;
         let missing = |line: &&&Line| !line.quoted && complete(line).is_none();
-        let of_line = material.records.iter().filter(|r| r.scene == line.scene && r.label() == line.label);
+        let of_line = outputs.records.iter().filter(|r| r.scene == line.scene && r.label() == line.label);
         let splits = distinct(of_line.map(|record| record.protocol("split").to_string()));
         let is_validation = |split: &String| split.split('-').any(|part| part == "val");
         Some(Best {
@@ -95,7 +95,7 @@ pub fn best(
             label: line.label.clone(),
             metric: metric.into(),
             mean,
-            seeds: seeds(folder, material, line, metric),
+            seeds: seeds(folder, outputs, line, metric),
             settings: settings(points, line),
             next: ranked.get(1).map(|(line, mean)| (line.label.clone(), *mean)),
             candidates: ranked.len(),
@@ -120,8 +120,8 @@ fn complete(line: &Line) -> Option<f64> {
     cell.mean.filter(|_| line.points > 0 && cell.n == line.points && !line.scored)
 }
 
-fn seeds(folder: &SweepFolder, material: &Material, line: &Line, metric: &str) -> Vec<BestSeed> {
-    let own = material.records.iter().filter(|r| r.scene == line.scene && r.label() == line.label);
+fn seeds(folder: &SweepFolder, outputs: &SweepOutputs, line: &Line, metric: &str) -> Vec<BestSeed> {
+    let own = outputs.records.iter().filter(|r| r.scene == line.scene && r.label() == line.label);
     let seed = |record: &crate::report::Record| {
         let run = Some(folder.point(&record.id).run()).filter(|run| run.is_dir());
         Some(BestSeed { seed: record.seed?, value: record.metric(metric)?, id: record.id.clone(), run })

@@ -8,7 +8,7 @@ use crate::base::files::{clean_temporaries, remove, wait_and_hold, write_atomic}
 use crate::base::{Error, Result};
 
 use super::definition::Definition;
-use super::material::Material;
+use super::outputs::SweepOutputs;
 use super::points::Point;
 use super::provenance::{Provenance, sha256};
 use super::scored::with_scored;
@@ -25,7 +25,7 @@ pub const PAGE: &str = "report.html";
 /// What is collected, and how.
 pub struct Collector<'a> {
     /// What the points left.
-    pub material: &'a Material,
+    pub outputs: &'a SweepOutputs,
     /// What they are points of.
     pub definition: &'a Definition,
     /// All points of the definition, done or not.
@@ -87,10 +87,10 @@ impl Collector<'_> {
     /// Writes the files of all exporters, the page of them, and what `augnerf verify` makes them of again. Those that show no
     /// rows side by side are written even where rows may not be put so. Returns the table.
     pub fn write(&self, results: &Results) -> Result<Table> {
-        self.material.archive(self.definition, self.points, &results.path)?;
-        let (mut files, mut provenance) = (Vec::new(), Provenance::of(self.name, &self.material.records));
+        self.outputs.archive(self.definition, self.points, &results.path)?;
+        let (mut files, mut provenance) = (Vec::new(), Provenance::of(self.name, &self.outputs.records));
         let spec = self.spec();
-        let table = self.sheet(&spec).write(results, &mut files);
+        let table = self.inputs(&spec).write(results, &mut files);
         for (name, bytes) in &files {
             if EXPORTERS.iter().any(|exporter| exporter.owns(name) && !exporter.repeats()) {
                 provenance.pinned.insert(name.clone(), sha256(bytes));
@@ -104,25 +104,25 @@ impl Collector<'_> {
     /// Hands over the files of all exporters, those first that show no rows side by side: the others are not made where
     /// rows may not be put so. Returns the table.
     pub fn files(&self, take: Taking) -> Result<Table> {
-        self.sheet(&self.spec()).files(take)
+        self.inputs(&self.spec()).files(take)
     }
 
     fn spec(&self) -> TableSpec {
-        with_scored(self.definition.table(self.name, self.points), self.definition, &self.material.scored)
+        with_scored(self.definition.table(self.name, self.points), self.definition, &self.outputs.scored)
     }
 
-    fn sheet<'s>(&'s self, spec: &'s TableSpec) -> Sheet<'s> {
-        let Collector { material, points, force, with_timing, .. } = *self;
-        Sheet { spec, material, points, force, with_timing }
+    fn inputs<'s>(&'s self, spec: &'s TableSpec) -> TableInputs<'s> {
+        let Collector { outputs, points, force, with_timing, .. } = *self;
+        TableInputs { spec, outputs, points, force, with_timing }
     }
 }
 
 /// Rows side by side: all of a sweep's, or chosen ones of several.
-pub(super) struct Sheet<'a> {
+pub(super) struct TableInputs<'a> {
     /// The rows and what is shown of them.
     pub spec: &'a TableSpec,
     /// What the points left.
-    pub material: &'a Material,
+    pub outputs: &'a SweepOutputs,
     /// The points.
     pub points: &'a [Point],
     /// See [`Collector`].
@@ -131,7 +131,7 @@ pub(super) struct Sheet<'a> {
     pub with_timing: bool,
 }
 
-impl Sheet<'_> {
+impl TableInputs<'_> {
     /// All files, with the page of them where there is a table. Returns the table.
     pub fn write(&self, results: &Results, files: &mut Vec<Export>) -> Result<Table> {
         let table = self.files(&mut |name, bytes| {
@@ -145,11 +145,11 @@ impl Sheet<'_> {
 
     /// See [`Collector::files`].
     pub fn files(&self, take: Taking) -> Result<Table> {
-        let records = self.material.all_records();
+        let records = self.outputs.all_records();
         let mut collected = Collected {
             spec: self.spec,
             records: &records,
-            timing: &self.material.timing,
+            timing: &self.outputs.timing,
             with_timing: self.with_timing,
             table: None,
             curves: &[],
@@ -201,7 +201,7 @@ impl Sheet<'_> {
 
     /// What the attack did, line by line of a table.
     pub(super) fn attacks<'t>(&self, table: &'t Table) -> Vec<AttackLine<'t>> {
-        let scalars = &self.material.scalars;
+        let scalars = &self.outputs.scalars;
         let numbers = |id: &str, column: &str| scalars.get(id).map_or(Vec::new(), |scalars| scalars.numbers(column));
         table.lines.iter().filter_map(|line| AttackLine::of(line, numbers)).collect()
     }
@@ -217,21 +217,21 @@ impl Sheet<'_> {
     /// Those that are done.
     fn done(&self, scene: &str, row: &RowSpec) -> Vec<&Point> {
         let done = |point: &&Point| {
-            self.material.records.iter().any(|record| record.id == point.id && record.status == Status::Done)
+            self.outputs.records.iter().any(|record| record.id == point.id && record.status == Status::Done)
         };
         self.plain(scene, row).filter(done).collect()
     }
 
     /// A column of points' logs against steps, of each point that has it.
     fn logged(&self, points: &[&Point], column: &str) -> Seeds {
-        let scalars = points.iter().filter_map(|point| self.material.scalars.get(&point.id));
+        let scalars = points.iter().filter_map(|point| self.outputs.scalars.get(&point.id));
         scalars.map(|scalars| scalars.pairs("step", column)).filter(|curve| !curve.is_empty()).collect()
     }
 
     /// The surface of each row's first point that has one.
     fn surfaces(&self, scene: &str) -> Vec<Surface> {
         let of_row = |row: &RowSpec| {
-            let picture = self.plain(scene, row).find_map(|point| self.material.surfaces.get(&point.id))?;
+            let picture = self.plain(scene, row).find_map(|point| self.outputs.surfaces.get(&point.id))?;
             Some((row.name.clone(), picture.clone()))
         };
         self.spec.rows.iter().filter_map(of_row).collect()
@@ -239,7 +239,7 @@ impl Sheet<'_> {
 
     /// Seconds of a point's training steps, where clocks are asked for.
     fn seconds_of(&self, point: &Point) -> Option<f64> {
-        let (_, clocks) = self.material.timing.iter().filter(|_| self.with_timing).find(|(id, _)| *id == point.id)?;
+        let (_, clocks) = self.outputs.timing.iter().filter(|_| self.with_timing).find(|(id, _)| *id == point.id)?;
         clocks.iter().find(|(name, _)| name == "seconds_training").and_then(|(_, seconds)| *seconds)
     }
 }

@@ -16,7 +16,7 @@ use super::definition::{BudgetKind, Combine, Definition, Row, scene_name};
 
 /// A cell of the table.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Place {
+pub struct TablePosition {
     /// The row's name.
     pub row: String,
     /// The values of axes.
@@ -25,7 +25,7 @@ pub struct Place {
 
 /// A place in the table with its configuration, its budget still to be applied.
 #[derive(Clone)]
-pub struct Laid {
+pub struct PlannedRun {
     /// The scene's name.
     pub scene: String,
     /// The scene as the definition names it.
@@ -39,7 +39,7 @@ pub struct Laid {
     /// Why its scene cannot be read; none where it can.
     pub no_data: Option<String>,
     /// Where it stands.
-    pub place: Place,
+    pub place: TablePosition,
 }
 
 /// All places of a definition's table in the order in which points are run: seed by seed, so that a part of a sweep is a
@@ -47,20 +47,20 @@ pub struct Laid {
 ///
 /// # Errors
 /// A row whose settings are wrong, by its name.
-pub fn lay_out(definition: &Definition, data_root: Option<&Path>) -> Result<Vec<Laid>> {
+pub fn lay_out(definition: &Definition, data_root: Option<&Path>) -> Result<Vec<PlannedRun>> {
     let preset = Preset::parse(&definition.preset)?;
-    let mut laid = Vec::new();
+    let mut planned = Vec::new();
     for &seed in &definition.seeds {
         for scene in &definition.scenes {
             let builder = Builder { definition, preset, scene, folder: scene_folder(scene, data_root), seed };
             for row in &definition.row {
                 for axes in combinations(definition, row)? {
-                    laid.push(builder.lay(row, &axes)?);
+                    planned.push(builder.lay(row, &axes)?);
                 }
             }
         }
     }
-    Ok(laid)
+    Ok(planned)
 }
 
 fn named(axes: &Combination) -> Vec<AxisValue> {
@@ -133,7 +133,7 @@ struct Builder<'a> {
 }
 
 impl Builder<'_> {
-    fn lay(&self, row: &Row, axes: &Combination) -> Result<Laid> {
+    fn lay(&self, row: &Row, axes: &Combination) -> Result<PlannedRun> {
         let config = self.plain_config(row, axes)?;
         if let Some(metric) = self.definition.metric_in(Scope::Surface).filter(|_| !config.eval.mesh.is_compared()) {
             let message = format!(
@@ -157,14 +157,14 @@ impl Builder<'_> {
             check_budget(budget.kind, &like).map_err(|error| in_row(other, &Vec::new(), error))?;
             Ok::<_, Error>((budget.kind, like))
         });
-        Ok(Laid {
+        Ok(PlannedRun {
             scene: scene_name(self.scene).to_string(),
             source: self.scene.to_string(),
             no_data: reason_of(&config, &located),
             decay_steps: located.ok().map(|located| located.decay_steps),
             budget: budget.transpose()?,
             config,
-            place: Place { row: row.name.clone(), axes: named(axes) },
+            place: TablePosition { row: row.name.clone(), axes: named(axes) },
         })
     }
 

@@ -5,10 +5,10 @@ use std::path::{Path, PathBuf};
 use serde::Deserialize;
 use serde_json::{Map, Value};
 
-use super::collect::Sheet;
+use super::collect::TableInputs;
 use super::comparability::{by_seed, must_match};
-use super::layout::Place;
-use super::material::Material;
+use super::layout::TablePosition;
+use super::outputs::SweepOutputs;
 use super::points::Point;
 use crate::base::files::read_json;
 use crate::base::{Error, Result};
@@ -25,9 +25,9 @@ const ADVICE: &str = "`augnerf eval` writes it anew";
 const MOST_SETTINGS: usize = 3;
 
 /// Runs side by side: those that differ in nothing but the seed, or were given one name, are one row.
-pub struct RunsSheet {
+pub struct RunsTable {
     spec: TableSpec,
-    material: Material,
+    outputs: SweepOutputs,
     points: Vec<Point>,
 }
 
@@ -46,12 +46,12 @@ struct SiteState {
     inactive: bool,
 }
 
-impl RunsSheet {
+impl RunsTable {
     /// Of run folders, each under its name of `names` where there are any. The first row is what others are compared with.
     ///
     /// # Errors
     /// A folder that is no run, or was not evaluated; fewer or more names than runs.
-    pub fn read(runs: &[PathBuf], names: &[String]) -> Result<RunsSheet> {
+    pub fn read(runs: &[PathBuf], names: &[String]) -> Result<RunsTable> {
         if !names.is_empty() && names.len() != runs.len() {
             return Err(Error::Config(format!(
                 "--label: there are {} for {} runs; give one for each run, the same one for seeds of one row",
@@ -60,9 +60,9 @@ impl RunsSheet {
             )));
         }
         let ids = labels(runs, &[])?;
-        let mut sheet = RunsSheet {
+        let mut table = RunsTable {
             spec: TableSpec { name: "runs".into(), ..TableSpec::default() },
-            material: Material::default(),
+            outputs: SweepOutputs::default(),
             points: Vec::new(),
         };
         let configs = runs.iter().map(|run| RunDir::open(run)?.read_config()).collect::<Result<Vec<Config>>>()?;
@@ -75,11 +75,11 @@ impl RunsSheet {
                     run.display()
                 ))
             })?;
-            sheet.material.read_run(&id, run)?;
-            sheet.add(id, row, config, evaluated);
+            table.outputs.read_run(&id, run)?;
+            table.add(id, row, config, evaluated);
         }
-        sheet.finish();
-        Ok(sheet)
+        table.finish();
+        Ok(table)
     }
 
     fn add(&mut self, id: String, row: String, config: Config, evaluated: Evaluated) {
@@ -91,7 +91,7 @@ impl RunsSheet {
         let scene = evaluated.protocol.get("scene").map(text).unwrap_or_default();
         let metrics: Vec<_> = evaluated.mean.iter().map(|(name, value)| (name.clone(), value.as_f64())).collect();
         let inactive = evaluated.attack.iter().filter(|site| site.inactive).map(|site| site.level.clone());
-        self.material.records.push(Record {
+        self.outputs.records.push(Record {
             id: id.clone(),
             scene: scene.clone(),
             row: row.clone(),
@@ -103,14 +103,14 @@ impl RunsSheet {
             protocol: evaluated.protocol.iter().map(|(name, value)| (name.clone(), text(value))).collect(),
             inactive_levels: inactive.collect(),
         });
-        let places = vec![Place { row, axes: Vec::new() }];
+        let places = vec![TablePosition { row, axes: Vec::new() }];
         let source = scene.clone();
         self.points.push(Point { id, scene, source, config, places, without_budget: false, no_data: None });
     }
 
     /// Rows, metrics and title of what was read.
     fn finish(&mut self) {
-        let records = &self.material.records;
+        let records = &self.outputs.records;
         let shown = Metric::in_tables().filter(|metric| {
             let is_wanted = matches!(metric.scope, Scope::View | Scope::Mean | Scope::Surface) || metric.key == "gap";
             let is_variant = ["psnr_float", "psnr_of_mean"].contains(&metric.key);
@@ -136,14 +136,14 @@ impl RunsSheet {
 
     /// The table, and the page as it lies in `folder`. Rows that differ in what is not varied are marked.
     pub fn page(&self, folder: &Path, with_timing: bool) -> Result<(Table, String)> {
-        let sheet =
-            Sheet { spec: &self.spec, material: &self.material, points: &self.points, force: true, with_timing };
+        let inputs =
+            TableInputs { spec: &self.spec, outputs: &self.outputs, points: &self.points, force: true, with_timing };
         let mut files: Vec<File> = Vec::new();
-        let table = sheet.files(&mut |name, bytes| {
+        let table = inputs.files(&mut |name, bytes| {
             files.push((name.into(), bytes.to_vec()));
             Ok(())
         })?;
-        let page = sheet.page(&table, &files, folder)?;
+        let page = inputs.page(&table, &files, folder)?;
         Ok((table, page))
     }
 }

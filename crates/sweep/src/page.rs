@@ -2,8 +2,8 @@
 
 use std::path::{Component, Path, PathBuf};
 
-use super::collect::Sheet;
-use super::material::{Material, optional};
+use super::collect::TableInputs;
+use super::outputs::{SweepOutputs, optional};
 use crate::base::{Error, Result};
 use crate::report::exporters::File;
 use crate::report::page::{Page, ShownScene, ViewOfRow, ViewOfScene};
@@ -16,30 +16,30 @@ const MOST_ROWS: usize = 24;
 /// Folders that a link goes up at most: beyond, page and runs lie in no common place.
 const MOST_UP: usize = 4;
 
-impl Sheet<'_> {
+impl TableInputs<'_> {
     /// The page of a table and its files, as it lies in `folder`.
     pub fn page(&self, table: &Table, files: &[File], folder: &Path) -> Result<String> {
-        let material = self.material;
+        let outputs = self.outputs;
         let page = Page {
             table,
-            records: &material.all_records(),
+            records: &outputs.all_records(),
             files,
-            views: views(table, material)?,
+            views: views(table, outputs)?,
             attacks: self.attacks(table),
-            timing: if self.with_timing { &material.timing } else { &[] },
-            link: &|id| link(folder, material.runs.get(id)?),
+            timing: if self.with_timing { &outputs.timing } else { &[] },
+            link: &|id| link(folder, outputs.runs.get(id)?),
         };
         page.html()
     }
 }
 
 /// The first held-out view of each scene, as the first seed of each row shows it.
-fn views(table: &Table, material: &Material) -> Result<Vec<ShownScene>> {
+fn views(table: &Table, outputs: &SweepOutputs) -> Result<Vec<ShownScene>> {
     let scenes = table.scenes();
     let mut shown = Vec::new();
     for (scene, lines) in &scenes {
         let measured: Vec<&Line> = lines.iter().copied().filter(|line| !line.ids.is_empty() && !line.scored).collect();
-        if let Some(view) = view(scene, &measured, material)? {
+        if let Some(view) = view(scene, &measured, outputs)? {
             shown.push(ShownScene::new(&view, scenes.len())?);
         }
     }
@@ -47,14 +47,14 @@ fn views(table: &Table, material: &Material) -> Result<Vec<ShownScene>> {
 }
 
 /// None where no row has a picture.
-fn view(scene: &str, lines: &[&Line], material: &Material) -> Result<Option<ViewOfScene>> {
+fn view(scene: &str, lines: &[&Line], outputs: &SweepOutputs) -> Result<Option<ViewOfScene>> {
     let mut found: Option<ViewOfScene> = None;
     let (mut without, mut other) = (Vec::new(), Vec::new());
     for line in &lines[..lines.len().min(MOST_ROWS)] {
-        let of_line = |id: &&str| material.records.iter().find(|record| record.id == *id);
+        let of_line = |id: &&str| outputs.records.iter().find(|record| record.id == *id);
         let ids = line.ids.iter().map(String::as_str);
         let first = ids.filter_map(|id| of_line(&id)).filter(|r| r.status == Status::Done).min_by_key(|r| r.seed);
-        let Some((seed, run)) = first.and_then(|first| Some((first.seed?, material.runs.get(&first.id)?))) else {
+        let Some((seed, run)) = first.and_then(|first| Some((first.seed?, outputs.runs.get(&first.id)?))) else {
             without.push(line.label.as_str());
             continue;
         };

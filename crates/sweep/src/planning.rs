@@ -9,7 +9,7 @@ use crate::settings::Config;
 use super::budget::StepCosts;
 use super::definition::Definition;
 use super::folder::{Change, SweepFolder};
-use super::layout::{Laid, lay_out};
+use super::layout::{PlannedRun, lay_out};
 use super::points::{Point, apply_budgets};
 use super::step_seconds::{KeptCosts, Unknown};
 use super::training::{Cost, Trainings};
@@ -25,8 +25,8 @@ pub fn begin(
     measure: &dyn StepCosts,
 ) -> Result<Vec<Point>> {
     // A wrong definition leaves no folder.
-    let laid = lay_out(definition, data_root)?;
-    apply_budgets(&laid, &Unmeasured)?;
+    let planned = lay_out(definition, data_root)?;
+    apply_budgets(&planned, &Unmeasured)?;
     let _lock = folder.lock()?;
     let change = folder.compare(definition)?;
     let begun = folder.points(data_root)?;
@@ -34,18 +34,18 @@ pub fn begin(
         (Change::None, Some(points)) if !budgets_can_be_applied(&points) => return Ok(points),
         (Change::Changed, begun) => {
             let before = begun.unwrap_or_default();
-            if let Some(points) = reworded(&folder.definition()?, definition, &laid, &before) {
+            if let Some(points) = reworded(&folder.definition()?, definition, &planned, &before) {
                 folder.begin(definition, &points, data_root)?;
                 return Ok(points);
             }
             if !extend {
-                return Err(refusal(folder, &laid, &before));
+                return Err(refusal(folder, &planned, &before));
             }
         }
         _ => {}
     }
     let costs = KeptCosts::new(folder, measure)?;
-    let points = apply_budgets(&laid, &costs)?;
+    let points = apply_budgets(&planned, &costs)?;
     folder.begin(definition, &points, data_root)?;
     Ok(points)
 }
@@ -55,12 +55,12 @@ pub fn check_unchanged(folder: &SweepFolder, definition: &Definition, data_root:
     if folder.compare(definition)? != Change::Changed {
         return Ok(());
     }
-    let laid = lay_out(definition, data_root)?;
+    let planned = lay_out(definition, data_root)?;
     let before = folder.points(data_root)?.unwrap_or_default();
-    if reworded(&folder.definition()?, definition, &laid, &before).is_some() {
+    if reworded(&folder.definition()?, definition, &planned, &before).is_some() {
         return Ok(());
     }
-    Err(refusal(folder, &laid, &before))
+    Err(refusal(folder, &planned, &before))
 }
 
 /// Points that cost the same: of equal steps and shape.
@@ -103,7 +103,12 @@ fn budgets_can_be_applied(points: &[Point]) -> bool {
 
 /// The points of a definition that says in other words what `before` said, such as `perturb.levels` in place of sites' passes,
 /// or changes what makes no other experiment, such as `train.eval_every`: they are the same points, and nothing else differs.
-fn reworded(before: &Definition, definition: &Definition, laid: &[Laid], points: &[Point]) -> Option<Vec<Point>> {
+fn reworded(
+    before: &Definition,
+    definition: &Definition,
+    planned: &[PlannedRun],
+    points: &[Point],
+) -> Option<Vec<Point>> {
     let without_settings = |definition: &Definition| {
         let mut bare = definition.clone();
         bare.set.clear();
@@ -118,11 +123,11 @@ fn reworded(before: &Definition, definition: &Definition, laid: &[Laid], points:
     if without_settings(before) != without_settings(definition) {
         return None;
     }
-    apply_budgets(laid, &Unknown).ok().filter(|now| same(now))
+    apply_budgets(planned, &Unknown).ok().filter(|now| same(now))
 }
 
-fn refusal(folder: &SweepFolder, laid: &[Laid], before: &[Point]) -> Error {
-    let counted = match apply_budgets(laid, &Unknown) {
+fn refusal(folder: &SweepFolder, planned: &[PlannedRun], before: &[Point]) -> Error {
+    let counted = match apply_budgets(planned, &Unknown) {
         Ok(now) => {
             let missing = |from: &[Point], other: &[Point]| {
                 let known: HashSet<&str> = other.iter().map(|point| point.id.as_str()).collect();

@@ -191,7 +191,7 @@ impl PointFolder {
 
     /// Takes a failure back, so that the point is tried again: from its last checkpoint, or, where
     /// that was what failed, from the start.
-    pub fn forgive(&self) -> Result<()> {
+    pub fn clear_failure(&self) -> Result<()> {
         let Some(failure) = self.failure()? else { return Ok(()) };
         self.forget_stops()?;
         let run = self.run();
@@ -208,7 +208,7 @@ impl PointFolder {
     }
 
     /// Deletes what a runner that was killed right after the point's end left: its claim, and files half-written.
-    pub fn tidy(&self, watch: &Watch) -> Result<()> {
+    pub fn clean_up(&self, watch: &Watch) -> Result<()> {
         let entries = fs::read_dir(&self.path).map_err(|e| Error::unreadable(&self.path, &e))?;
         let left = entries.flatten().any(|entry| is_temporary(&entry.file_name()) || entry.file_name() == CLAIM);
         if !left || !self.ended() {

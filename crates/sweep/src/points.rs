@@ -11,7 +11,7 @@ use crate::settings::Config;
 
 use super::budget::{StepCosts, steps_within};
 use super::definition::{BudgetKind, Definition};
-use super::layout::{Laid, Place, lay_out, missing, scene_folder};
+use super::layout::{PlannedRun, TablePosition, lay_out, missing, scene_folder};
 
 /// Ends the name of a point whose budget could not be told.
 pub(super) const WITHOUT_BUDGET: &str = "-without-budget";
@@ -28,7 +28,7 @@ pub struct Point {
     /// The configuration before its scene fills what depends on it.
     pub config: Config,
     /// Where it stands in the table; at least one place.
-    pub places: Vec<Place>,
+    pub places: Vec<TablePosition>,
     /// Its steps are those of a budget that could not be told without the scene.
     pub without_budget: bool,
     /// Why its scene cannot be read; none where it can.
@@ -90,67 +90,68 @@ pub fn expand(definition: &Definition, data_root: Option<&Path>, costs: &dyn Ste
 ///
 /// # Errors
 /// Two rows that are the same experiment.
-pub(super) fn apply_budgets(laid: &[Laid], costs: &dyn StepCosts) -> Result<Vec<Point>> {
-    costs.prepare(&timed(laid))?;
+pub(super) fn apply_budgets(planned: &[PlannedRun], costs: &dyn StepCosts) -> Result<Vec<Point>> {
+    costs.prepare(&timed(planned))?;
     let mut points: Vec<Point> = Vec::new();
-    let mut known: HashMap<String, (usize, Vec<&Laid>)> = HashMap::new();
-    for laid in laid {
-        let point = point(laid, costs)?;
+    let mut known: HashMap<String, (usize, Vec<&PlannedRun>)> = HashMap::new();
+    for planned in planned {
+        let point = point(planned, costs)?;
         let Some((index, others)) = known.get_mut(&point.id) else {
-            known.insert(point.id.clone(), (points.len(), vec![laid]));
+            known.insert(point.id.clone(), (points.len(), vec![planned]));
             points.push(point);
             continue;
         };
-        if let Some(same) = others.iter().find(|other| is_same_row(other, laid)) {
+        if let Some(same) = others.iter().find(|other| is_same_row(other, planned)) {
             return Err(Error::Config(format!(
                 "rows '{}' and '{}' are the same experiment; change or remove one",
-                same.place.row, laid.place.row
+                same.place.row, planned.place.row
             )));
         }
-        others.push(laid);
-        points[*index].places.push(laid.place.clone());
+        others.push(planned);
+        points[*index].places.push(planned.place.clone());
     }
     Ok(points)
 }
 
 /// One configuration of each shape whose seconds budgets hang on.
-fn timed(laid: &[Laid]) -> Vec<&Config> {
+fn timed(planned: &[PlannedRun]) -> Vec<&Config> {
     let mut known = HashSet::new();
-    let in_seconds = laid.iter().filter(|laid| laid.decay_steps.is_some()).filter_map(|laid| match &laid.budget {
-        Some((BudgetKind::Seconds, like)) => Some([&laid.config, like]),
-        _ => None,
-    });
+    let in_seconds =
+        planned.iter().filter(|planned| planned.decay_steps.is_some()).filter_map(|planned| match &planned.budget {
+            Some((BudgetKind::Seconds, like)) => Some([&planned.config, like]),
+            _ => None,
+        });
     in_seconds.flatten().filter(|config| known.insert(config.step_shape())).collect()
 }
 
 /// Two rows that come to one configuration are one by mistake. Budgets of two kinds may come to the same steps.
-fn is_same_row(a: &Laid, b: &Laid) -> bool {
-    let kind = |laid: &Laid| laid.budget.as_ref().map(|(kind, _)| *kind);
+fn is_same_row(a: &PlannedRun, b: &PlannedRun) -> bool {
+    let kind = |planned: &PlannedRun| planned.budget.as_ref().map(|(kind, _)| *kind);
     let budgets_differ = kind(a).is_some() && kind(b).is_some() && kind(a) != kind(b);
     a.place.row != b.place.row && a.place.axes == b.place.axes && !budgets_differ
 }
 
 /// The point of one place.
-pub(super) fn point(laid: &Laid, costs: &dyn StepCosts) -> Result<Point> {
-    let mut config = laid.config.clone();
-    if let (Some((kind, like)), Some(decay_steps)) = (&laid.budget, laid.decay_steps) {
+pub(super) fn point(planned: &PlannedRun, costs: &dyn StepCosts) -> Result<Point> {
+    let mut config = planned.config.clone();
+    if let (Some((kind, like)), Some(decay_steps)) = (&planned.budget, planned.decay_steps) {
         let steps = steps_within(*kind, &config, like, costs)?;
         // The decay of the learning rate is stretched too: at the old one a long run would stand still at its end.
         let stretch = steps as f64 / config.train.steps as f64;
         config.train.decay_steps = Some(((decay_steps as f64 * stretch).round() as u64).max(1));
         config.train.steps = steps;
-        let row = || format!("row '{}'", label(&laid.place.row, &laid.place.axes));
+        let row = || format!("row '{}'", label(&planned.place.row, &planned.place.axes));
         config.validate().map_err(|error| error.within(&row()))?;
     }
-    let without_budget = laid.budget.is_some() && laid.decay_steps.is_none();
+    let without_budget = planned.budget.is_some() && planned.decay_steps.is_none();
     Ok(Point {
         // Not the point that the row would be without its budget.
         id: config.hash() + if without_budget { WITHOUT_BUDGET } else { "" },
-        scene: laid.scene.clone(),
-        source: laid.source.clone(),
-        no_data: laid.no_data.clone(),
+        scene: planned.scene.clone(),
+        source: planned.source.clone(),
+        no_data: planned.no_data.clone(),
         config,
-        places: vec![laid.place.clone()],
+        places: vec![planned.place.clone()],
         without_budget,
     })
 }

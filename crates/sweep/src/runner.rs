@@ -85,7 +85,7 @@ impl Runner<'_> {
         for point in &runnable {
             let folder = self.folder.point(&point.id);
             folder.begin(point)?;
-            folder.tidy(&watch)?;
+            folder.clean_up(&watch)?;
         }
         let again = self.to_do_again(&runnable)?;
         let failed = AtomicBool::new(false);
@@ -169,7 +169,7 @@ impl Runner<'_> {
             // Another runner may have finished it between the look and the claim.
             if !folder.ended() || again() {
                 folder.clean()?;
-                folder.forgive()?;
+                folder.clear_failure()?;
                 return Ok(Next::Run(point, folder, claim));
             }
         }

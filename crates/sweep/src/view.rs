@@ -13,12 +13,12 @@ use crate::report::tables::{Table, points_csv};
 use crate::report::{AxisValue, Record, RowSpec, Status, TableSpec, distinct};
 use crate::run::{DepthErrors, RunDir};
 
-use super::collect::{Results, Sheet};
+use super::collect::{Results, TableInputs};
 use super::common_depth::{add_common_depth, wants_depth};
 use super::comparability::{by_seed, must_match};
 use super::definition::{Definition, Row};
 use super::folder::{DEFINITION, SweepFolder};
-use super::material::Material;
+use super::outputs::SweepOutputs;
 use super::points::Point;
 use super::provenance::sha256;
 use super::scored::with_scored;
@@ -40,12 +40,12 @@ pub struct Source<'a> {
     /// Its points.
     pub points: &'a [Point],
     /// What they left.
-    pub material: Material,
+    pub outputs: SweepOutputs,
 }
 
 /// What is shown of sweeps.
 #[derive(Clone, Debug, Default, Serialize)]
-pub struct Choice {
+pub struct Selection {
     /// The row that all others are compared with, instead of the definitions'; `none` compares nothing.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub baseline: Option<String>,
@@ -57,7 +57,7 @@ pub struct Choice {
     pub metrics: Vec<String>,
 }
 
-impl Choice {
+impl Selection {
     /// Everything, as the definitions have it.
     pub fn is_all(&self) -> bool {
         self.baseline.is_none() && self.rows.is_empty() && self.metrics.is_empty()
@@ -69,9 +69,9 @@ pub struct View {
     /// The first sweep's.
     first: Definition,
     spec: TableSpec,
-    material: Material,
+    outputs: SweepOutputs,
     points: Vec<Point>,
-    choice: Choice,
+    selection: Selection,
     sweeps: Vec<Origin>,
 }
 
@@ -87,7 +87,7 @@ pub struct Origin {
 
 impl Origin {
     pub(super) fn of(source: &Source) -> Origin {
-        let points = points_csv(&source.material.records, &[]);
+        let points = points_csv(&source.outputs.records, &[]);
         Origin { name: source.name.clone(), points_sha256: sha256(points.as_bytes()) }
     }
 }
@@ -98,21 +98,21 @@ impl View {
     ///
     /// # Errors
     /// A row or metric that there is not; a baseline that is not among the rows.
-    pub fn new(name: &str, sources: &[Source], choice: Choice) -> Result<View> {
+    pub fn new(name: &str, sources: &[Source], selection: Selection) -> Result<View> {
         let (first, others) = sources.split_first().expect("at least one sweep");
         let mut view = View {
             first: first.definition.clone(),
             spec: TableSpec { name: name.into(), ..table_of(first) },
-            material: first.material.clone(),
+            outputs: first.outputs.clone(),
             points: first.points.to_vec(),
-            choice: choice.clone(),
+            selection: selection.clone(),
             sweeps: sources.iter().map(Origin::of).collect(),
         };
         others.iter().for_each(|source| view.merge(source));
         if !others.is_empty() {
             view.match_all(sources);
         }
-        view.choose(&choice)?;
+        view.choose(&selection)?;
         view.measure_common(sources)?;
         view.spec.notes = view.notes();
         Ok(view)
@@ -144,7 +144,7 @@ impl View {
             self.spec.title = [self.spec.title.as_str(), other.title.as_str()].join(" + ");
         }
         self.spec.varied |= other.varied;
-        for record in &source.material.records {
+        for record in &source.outputs.records {
             self.add_record(Record { row: renamed(&record.row), ..record.clone() });
         }
         for point in source.points {
@@ -155,13 +155,13 @@ impl View {
                 None => self.points.push(point),
             }
         }
-        let own: HashSet<String> = self.material.timing.iter().map(|(id, _)| id.clone()).collect();
-        self.material.timing.extend(source.material.timing.iter().filter(|(id, _)| !own.contains(id)).cloned());
-        self.material.scalars.extend(source.material.scalars.clone());
-        self.material.surfaces.extend(source.material.surfaces.clone());
-        self.material.runs.extend(source.material.runs.clone());
-        let scored = source.material.scored.iter().cloned();
-        self.material.scored.extend(scored.map(|mut scored| {
+        let own: HashSet<String> = self.outputs.timing.iter().map(|(id, _)| id.clone()).collect();
+        self.outputs.timing.extend(source.outputs.timing.iter().filter(|(id, _)| !own.contains(id)).cloned());
+        self.outputs.scalars.extend(source.outputs.scalars.clone());
+        self.outputs.surfaces.extend(source.outputs.surfaces.clone());
+        self.outputs.runs.extend(source.outputs.runs.clone());
+        let scored = source.outputs.scored.iter().cloned();
+        self.outputs.scored.extend(scored.map(|mut scored| {
             scored.row = renamed(&scored.row);
             scored
         }));
@@ -193,7 +193,7 @@ impl View {
     /// One point a seed and place: a measured one before one that is not.
     fn add_record(&mut self, record: Record) {
         let place = |record: &Record| (record.scene.clone(), record.row.clone(), record.axes.clone(), record.seed);
-        let records = &mut self.material.records;
+        let records = &mut self.outputs.records;
         match records.iter_mut().find(|known| place(known) == place(&record)) {
             Some(known) if known.status != Status::Done && record.status == Status::Done => *known = record,
             Some(_) => {}
@@ -209,23 +209,23 @@ impl View {
         self.spec.by_seed = distinct(by_seed);
     }
 
-    fn choose(&mut self, choice: &Choice) -> Result<()> {
-        if !choice.rows.is_empty() {
+    fn choose(&mut self, selection: &Selection) -> Result<()> {
+        if !selection.rows.is_empty() {
             let names = self.spec.rows.iter().map(|row| row.name.as_str()).collect::<Vec<&str>>();
-            let chosen = split_names("--rows", &choice.rows, &names)?;
+            let chosen = split_names("--rows", &selection.rows, &names)?;
             let row = |name: &String| self.spec.rows.iter().find(|row| row.name == *name).expect("split").clone();
             self.spec.rows = chosen.iter().map(row).collect();
-            self.choice.rows = chosen;
+            self.selection.rows = chosen;
         }
         let shown = |name: &str| self.spec.rows.iter().any(|row| row.name == name);
-        self.material.records.retain(|record| shown(&record.row));
-        self.material.scored.retain(|scored| shown(&scored.row));
-        let ids: HashSet<&str> = self.material.records.iter().map(|record| record.id.as_str()).collect();
+        self.outputs.records.retain(|record| shown(&record.row));
+        self.outputs.scored.retain(|scored| shown(&scored.row));
+        let ids: HashSet<&str> = self.outputs.records.iter().map(|record| record.id.as_str()).collect();
         self.points.retain(|point| ids.contains(point.id.as_str()));
-        self.material.timing.retain(|(id, _)| ids.contains(id.as_str()));
-        self.choose_baseline(choice.baseline.as_deref())?;
-        if !choice.metrics.is_empty() {
-            self.spec.metrics = metrics(&choice.metrics)?;
+        self.outputs.timing.retain(|(id, _)| ids.contains(id.as_str()));
+        self.choose_baseline(selection.baseline.as_deref())?;
+        if !selection.metrics.is_empty() {
+            self.spec.metrics = metrics(&selection.metrics)?;
         }
         let TableSpec { equivalence, metrics, .. } = &mut self.spec;
         equivalence.retain(|(metric, _)| metrics.contains(metric));
@@ -247,7 +247,7 @@ impl View {
                     )));
                 }
                 let seeded = |row: &RowSpec| {
-                    !self.material.scored.iter().any(|scored| scored.row == row.name && scored.seed.is_none())
+                    !self.outputs.scored.iter().any(|scored| scored.row == row.name && scored.seed.is_none())
                 };
                 let others = self.spec.rows.iter_mut().filter(|row| !row.quoted);
                 others.for_each(|row| row.baseline = (row.name != name && seeded(row)).then(|| name.to_string()));
@@ -276,7 +276,7 @@ impl View {
         if folders.is_empty() && sources.len() == 1 {
             return Ok(());
         }
-        let records = &mut self.material.records;
+        let records = &mut self.outputs.records;
         records.iter_mut().for_each(|record| record.metrics.retain(|(name, _)| !is_common(name)));
         if !wants_depth(&self.spec.metrics) {
             return Ok(());
@@ -292,7 +292,7 @@ impl View {
     /// What was chosen: whoever reads the table alone would take it for the whole.
     fn notes(&self) -> Vec<String> {
         let names: Vec<&str> = self.sweeps.iter().map(|sweep| sweep.name.as_str()).collect();
-        let Choice { baseline, rows, metrics } = &self.choice;
+        let Selection { baseline, rows, metrics } = &self.selection;
         let chosen = [
             (!rows.is_empty()).then_some("rows"),
             (!metrics.is_empty()).then_some("metrics"),
@@ -315,7 +315,7 @@ impl View {
     /// # Errors
     /// [`Error::NotComparable`] where rows may not stand side by side.
     pub fn table(&self) -> Result<Table> {
-        Table::new(&self.spec, &self.material.all_records(), false)
+        Table::new(&self.spec, &self.outputs.all_records(), false)
     }
 
     /// Writes tables and figures into a folder of the view's own. Returns the table.
@@ -341,8 +341,8 @@ impl View {
         // First, so that a view that is killed here is known for one.
         write_atomic(&results.path().join(VIEW), self.to_toml().as_bytes())?;
         let mut files = Vec::new();
-        let sheet = Sheet { spec: &self.spec, material: &self.material, points: &self.points, force, with_timing };
-        let table = sheet.write(&results, &mut files);
+        let inputs = TableInputs { spec: &self.spec, outputs: &self.outputs, points: &self.points, force, with_timing };
+        let table = inputs.write(&results, &mut files);
         results.put(&files)?;
         table
     }
@@ -351,15 +351,15 @@ impl View {
         #[derive(Serialize)]
         struct File<'a> {
             #[serde(flatten)]
-            choice: &'a Choice,
+            selection: &'a Selection,
             sweep: &'a [Origin],
         }
-        toml::to_string(&File { choice: &self.choice, sweep: &self.sweeps }).expect("plain data")
+        toml::to_string(&File { selection: &self.selection, sweep: &self.sweeps }).expect("plain data")
     }
 }
 
 fn table_of(source: &Source) -> TableSpec {
-    with_scored(source.definition.table(&source.name, source.points), source.definition, &source.material.scored)
+    with_scored(source.definition.table(&source.name, source.points), source.definition, &source.outputs.scored)
 }
 
 /// The places of a row with the hash of its settings but for the seed.

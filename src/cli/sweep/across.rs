@@ -8,7 +8,7 @@ use serde_json::json;
 use crate::base::Result;
 use crate::cli::answer::Answer;
 use crate::cli::progress::{print, print_shown};
-use crate::sweep::Asked;
+use crate::sweep::AcrossRequest;
 
 use super::opened::Opened;
 
@@ -47,10 +47,10 @@ impl AcrossArguments {
         let open = |path: &PathBuf| Opened::read(path, self.data_root.as_deref());
         let sweeps = self.folders.iter().map(open).collect::<Result<Vec<_>>>()?;
         let sources = sweeps.iter().map(Opened::source).collect::<Result<Vec<_>>>()?;
-        let (asked, across) = Asked::new(&self.row, &self.baseline, &self.metric, &sources)?;
-        asked.write(&across, &self.out)?;
+        let (request, across) = AcrossRequest::new(&self.row, &self.baseline, &self.metric, &sources)?;
+        request.write(&across, &self.out)?;
         let answer =
-            json!({ "row": asked.row, "baseline": asked.baseline, "metric": asked.metric, "results": self.out });
+            json!({ "row": request.row, "baseline": request.baseline, "metric": request.metric, "results": self.out });
         self.answer.give(&answer, || {
             print_shown(across.markdown().trim_end())?;
             print(&format!("files: {}", self.out.display()))

@@ -38,7 +38,7 @@ impl BestArguments {
     pub fn run(self) -> Result<()> {
         let sweep = Opened::read(&self.folder, self.data_root.as_deref())?;
         let spec = sweep.definition.table(&sweep.name, &sweep.points);
-        let found = best(&sweep.folder, &spec, &sweep.points, &sweep.material()?, &self.metric, self.force)?;
+        let found = best(&sweep.folder, &spec, &sweep.points, &sweep.outputs()?, &self.metric, self.force)?;
         self.answer.give(&json!({ "best": found }), || found.iter().try_for_each(|best| print_shown(&text(best))))
     }
 }

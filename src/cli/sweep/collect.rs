@@ -9,7 +9,7 @@ use crate::cli::answer::Answer;
 use crate::cli::progress::print;
 use crate::draw::SVG_ALONE;
 use crate::report::tables::{Table, table_terminal};
-use crate::sweep::{Choice, View, check_name};
+use crate::sweep::{Selection, View, check_name};
 
 use super::opened::Opened;
 use super::{How, RESULTS, RUNS, collect, name_of, table_json, terminal_width};
@@ -61,20 +61,21 @@ pub struct CollectArguments {
 
 impl CollectArguments {
     pub fn run(self) -> Result<()> {
-        let choice = Choice { baseline: self.baseline.clone(), rows: self.rows.clone(), metrics: self.metrics.clone() };
+        let selection =
+            Selection { baseline: self.baseline.clone(), rows: self.rows.clone(), metrics: self.metrics.clone() };
         let mut sweep = self.open(&self.folder)?;
         if let Some(name) = &self.name {
             check_name("the sweep's name", name).map_err(Error::Config)?;
             sweep.name.clone_from(name);
         }
-        let (table, results) = match choice.is_all() && self.merge.is_empty() {
+        let (table, results) = match selection.is_all() && self.merge.is_empty() {
             true => {
                 sweep.check_runs()?;
                 let results = self.results(&sweep.name)?;
                 let how = How { force: self.force, with_timing: self.with_timing };
                 (collect((&sweep.folder, &sweep.definition, &sweep.points), &sweep.name, &results, how)?, results)
             }
-            false => self.view(sweep, choice)?,
+            false => self.view(sweep, selection)?,
         };
         self.answer.give(&table_json(&table, &results), || {
             print(&table_terminal(&table, terminal_width()))?;
@@ -97,7 +98,7 @@ impl CollectArguments {
         }))
     }
 
-    fn view(&self, first: Opened, choice: Choice) -> Result<(Table, PathBuf)> {
+    fn view(&self, first: Opened, selection: Selection) -> Result<(Table, PathBuf)> {
         let Some(results) = self.results.clone() else {
             return Err(Error::Config(
                 "--baseline, --rows, --metrics and --merge make tables of their own beside the sweep's: name a folder for \
@@ -108,7 +109,7 @@ impl CollectArguments {
         let others = self.merge.iter().map(|path| self.open(path)).collect::<Result<Vec<_>>>()?;
         let sweeps: Vec<Opened> = std::iter::once(first).chain(others).collect();
         let sources = sweeps.iter().map(Opened::source).collect::<Result<Vec<_>>>()?;
-        let view = View::new(&name_of(&results)?, &sources, choice)?;
+        let view = View::new(&name_of(&results)?, &sources, selection)?;
         Ok((view.write(&results, self.force, self.with_timing)?, results))
     }
 }

@@ -14,7 +14,7 @@ use crate::run::load_lpips;
 use crate::runtime::Runtime;
 use crate::settings::parse_assignment;
 use crate::sweep::{
-    Change, Collector, Definition, Material, Overrides, Point, PublishedCosts, Results, StepCosts, SweepFolder,
+    Change, Collector, Definition, Overrides, Point, PublishedCosts, Results, StepCosts, SweepFolder, SweepOutputs,
     Trainings, begin, check_name, expand,
 };
 
@@ -311,7 +311,7 @@ fn collect(
 ) -> Result<Table> {
     link_by_name(folder, points);
     let results = Results::take(results)?;
-    let material = &Material::of_folder(folder, definition, points)?;
+    let outputs = &SweepOutputs::of_folder(folder, definition, points)?;
     let How { force, with_timing } = how;
-    Collector { material, definition, points, name, force, with_timing }.write(&results)
+    Collector { outputs, definition, points, name, force, with_timing }.write(&results)
 }

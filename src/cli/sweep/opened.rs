@@ -4,7 +4,7 @@ use std::path::Path;
 
 use crate::base::{Error, Result};
 use crate::sweep::verify::Archive;
-use crate::sweep::{Definition, Material, Point, Source, SweepFolder};
+use crate::sweep::{Definition, Point, Source, SweepFolder, SweepOutputs};
 
 use super::{begun, name_of};
 
@@ -19,7 +19,7 @@ pub struct Opened {
     /// Its points.
     pub points: Vec<Point>,
     /// What is kept beside its tables; none of a folder with the points themselves.
-    kept: Option<Material>,
+    kept: Option<SweepOutputs>,
 }
 
 impl Opened {
@@ -27,8 +27,8 @@ impl Opened {
     pub fn read(path: &Path, data_root: Option<&Path>) -> Result<Opened> {
         let folder = SweepFolder::new(path);
         if path.join("provenance.toml").is_file() {
-            let Archive { definition, points, material, provenance, .. } = Archive::read(path, data_root)?;
-            return Ok(Opened { name: provenance.name, folder, definition, points, kept: Some(material) });
+            let Archive { definition, points, outputs, provenance, .. } = Archive::read(path, data_root)?;
+            return Ok(Opened { name: provenance.name, folder, definition, points, kept: Some(outputs) });
         }
         let definition = folder.definition()?;
         let points = begun(&folder, data_root)?;
@@ -48,10 +48,10 @@ impl Opened {
     }
 
     /// What the points left.
-    pub fn material(&self) -> Result<Material> {
+    pub fn outputs(&self) -> Result<SweepOutputs> {
         match &self.kept {
-            Some(material) => Ok(material.clone()),
-            None => Material::of_folder(&self.folder, &self.definition, &self.points),
+            Some(outputs) => Ok(outputs.clone()),
+            None => SweepOutputs::of_folder(&self.folder, &self.definition, &self.points),
         }
     }
 
@@ -62,7 +62,7 @@ impl Opened {
             folder: self.kept.is_none().then_some(&self.folder),
             definition: &self.definition,
             points: &self.points,
-            material: self.material()?,
+            outputs: self.outputs()?,
         })
     }
 }

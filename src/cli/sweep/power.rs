@@ -10,7 +10,7 @@ use crate::cli::answer::Answer;
 use crate::cli::progress::print_shown;
 use crate::metrics::Metric;
 use crate::report::power::{LEAST_SEEDS, MOST_SEEDS, POWER, Spread, spreads};
-use crate::sweep::{Choice, Source, View};
+use crate::sweep::{Selection, Source, View};
 
 use super::opened::Opened;
 
@@ -47,10 +47,10 @@ impl PowerArguments {
     pub fn run(self) -> Result<()> {
         let sweep = Opened::read(&self.folder, self.data_root.as_deref())?;
         let metrics = vec![self.metric.clone()];
-        let choice = Choice { baseline: self.baseline.clone(), metrics, ..Choice::default() };
+        let selection = Selection { baseline: self.baseline.clone(), metrics, ..Selection::default() };
         // Metrics over common pixels are the sweep's own, of all its rows.
         let source = Source { folder: None, ..sweep.source()? };
-        let table = View::new(&sweep.name, &[source], choice)?.table()?;
+        let table = View::new(&sweep.name, &[source], selection)?.table()?;
         let metric = Metric::find(&self.metric).expect("the view has it");
         let difference = self.difference(sweep.definition.equivalence.get(&self.metric).copied())?;
         let spreads = spreads(&table, difference, self.tests.map(usize::from));

@@ -13,7 +13,7 @@ use augnerf::run::{Foreign, Matching, Networks, RunDir, Scalars, Truth, pictures
 use augnerf::settings::{Config, DataConfig, Method, Preset, build, parse_assignment};
 use augnerf::space::{read_mesh, sample};
 use augnerf::sweep::slurm::Slurm;
-use augnerf::sweep::{Definition, Failure, Material, Point, PointResult, SweepFolder, expand};
+use augnerf::sweep::{Definition, Failure, Point, PointResult, SweepFolder, SweepOutputs, expand};
 use augnerf::train::checkpoint;
 use candle_core::{DType, Device};
 
@@ -389,7 +389,7 @@ fn sweep_folders(dir: &Path) -> Vec<Reader> {
     fs::create_dir_all(path.parent().unwrap()).unwrap();
     readers.push(reader("sweep, scored", Format::Text, vec![SCORED.into()], move |bytes| {
         write(&path, bytes);
-        Material::of_folder(&folder, &own, &[]).map(|material| drop(points_csv(&material.all_records(), &[])))
+        SweepOutputs::of_folder(&folder, &own, &[]).map(|outputs| drop(points_csv(&outputs.all_records(), &[])))
     }));
     readers
 }

@@ -10,8 +10,8 @@ use augnerf::run::{DepthErrors, RunDir};
 use augnerf::settings::Method;
 use augnerf::sweep::verify::{Archive, Outcome, Verifier};
 use augnerf::sweep::{
-    Collector, Definition, Material, Point, PointFolder, PointResult, PublishedCosts, Results, StepCosts, SweepFolder,
-    Trainings, expand,
+    Collector, Definition, Point, PointFolder, PointResult, PublishedCosts, Results, StepCosts, SweepFolder,
+    SweepOutputs, Trainings, expand,
 };
 use augnerf::train::checkpoint;
 
@@ -105,10 +105,10 @@ pub fn done_sweep(path: &Path) -> (SweepFolder, Definition, Vec<Point>) {
 /// The files beside a sweep's tables: read for all that is made of them, and, of two, with every table and figure.
 fn collected(folder: &Path) -> Vec<Reader> {
     let (from, definition, points) = done_sweep(&own(folder, "done"));
-    let material = Material::of_folder(&from, &definition, &points).unwrap();
+    let outputs = SweepOutputs::of_folder(&from, &definition, &points).unwrap();
     let collect = |results: &Path| {
         let all = Collector {
-            material: &material,
+            outputs: &outputs,
             definition: &definition,
             points: &points,
             name: "small",
@@ -120,8 +120,8 @@ fn collected(folder: &Path) -> Vec<Reader> {
     let tables = |results: &Path| {
         let archive = Archive::read(results, None)?;
         let spec = archive.definition.table(&archive.provenance.name, &archive.points);
-        archive.material.scalars.values().for_each(|scalars| drop(scalars.pairs("step", "psnr")));
-        Table::new(&spec, &archive.material.records, true).map(drop)
+        archive.outputs.scalars.values().for_each(|scalars| drop(scalars.pairs("step", "psnr")));
+        Table::new(&spec, &archive.outputs.records, true).map(drop)
     };
     let of_file = |(name, file, format, whole): (&'static str, &'static str, Format, bool)| {
         let results = own(folder, &name.replace(' ', "_")).join("small");
@@ -154,8 +154,8 @@ fn points(folder: &Path) -> Vec<Reader> {
         reader(name, format, seeds, move |bytes| {
             write(&path, bytes);
             sweep.point(&points[0].id).begin(&points[0])?;
-            let material = Material::of_folder(&sweep, &definition, &points)?;
-            material.scalars.values().for_each(|scalars| drop(scalars.pairs("step", "psnr")));
+            let outputs = SweepOutputs::of_folder(&sweep, &definition, &points)?;
+            outputs.scalars.values().for_each(|scalars| drop(scalars.pairs("step", "psnr")));
             Ok(())
         })
     };

@@ -19,7 +19,7 @@ pub enum Agreement {
     ForLpips,
 }
 
-/// Where tables tell a column.
+/// Where tables name a column of the protocol.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum CaptionRule {
     /// In the caption where all lines of a scene share it, otherwise in a note.
@@ -35,7 +35,7 @@ pub enum CaptionRule {
 pub struct Column {
     /// Its name in files.
     pub name: &'static str,
-    /// Where tables tell it.
+    /// Where tables name it.
     pub caption: CaptionRule,
     /// When rows of one scene must agree in it.
     pub agreement: Agreement,

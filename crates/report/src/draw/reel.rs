@@ -17,7 +17,7 @@ const GIF_SPEED: i32 = 1;
 const GIF_SHORTEST: u64 = 2;
 
 /// What went wrong, without the file's name.
-type Shown<T> = std::result::Result<T, String>;
+type Encoded<T> = std::result::Result<T, String>;
 
 /// A GIF that repeats for ever, each frame with 256 colours of its own.
 struct Gif<W: Write> {
@@ -28,7 +28,7 @@ struct Gif<W: Write> {
 }
 
 impl<W: Write> Gif<W> {
-    fn begin(writer: W, (width, height): (usize, usize)) -> Shown<Gif<W>> {
+    fn begin(writer: W, (width, height): (usize, usize)) -> Encoded<Gif<W>> {
         let side = |length: usize| u16::try_from(length).map_err(|_| format!("{length} pixels are too many for a GIF"));
         let size = (side(width)?, side(height)?);
         let encoder = gif::Encoder::new(writer, size.0, size.1, &[]);
@@ -38,7 +38,7 @@ impl<W: Write> Gif<W> {
     }
 
     /// A frame that stays so many hundredths of a second.
-    fn add(&mut self, frame: &Image, delay: u16) -> Shown<()> {
+    fn add(&mut self, frame: &Image, delay: u16) -> Encoded<()> {
         check(frame)?;
         let (width, height) = self.size;
         if (frame.width, frame.height) != (width.into(), height.into()) {
@@ -49,7 +49,7 @@ impl<W: Write> Gif<W> {
         if self.waiting.len() < rayon::current_num_threads() { Ok(()) } else { self.write_waiting() }
     }
 
-    fn write_waiting(&mut self) -> Shown<()> {
+    fn write_waiting(&mut self) -> Encoded<()> {
         let (width, height) = self.size;
         let coloured = |(rgb, delay): (Vec<u8>, u16)| gif::Frame {
             delay,
@@ -59,7 +59,7 @@ impl<W: Write> Gif<W> {
         frames.iter().try_for_each(|frame| self.encoder.write_frame(frame)).map_err(|error| error.to_string())
     }
 
-    fn finish(mut self) -> Shown<W> {
+    fn finish(mut self) -> Encoded<W> {
         self.write_waiting()?;
         self.encoder.into_inner().map_err(|error| error.to_string())
     }
@@ -74,7 +74,7 @@ pub fn write_timed_gif(path: &Path, frames: &[Image], delays: &[u16]) -> Result<
     write_atomic(path, &bytes)
 }
 
-fn timed_gif(frames: &[Image], delays: &[u16]) -> Shown<Vec<u8>> {
+fn timed_gif(frames: &[Image], delays: &[u16]) -> Encoded<Vec<u8>> {
     let first = frames.first().ok_or("there is no frame")?;
     let mut gif = Gif::begin(Vec::new(), (first.width, first.height))?;
     frames.iter().zip(delays).try_for_each(|(frame, &delay)| gif.add(frame, delay))?;

@@ -2,8 +2,8 @@
 
 use super::comparison::{Comparison, metrics_text};
 use super::differences::difference_text;
+use super::display_size::DisplaySize;
 use super::parts::{BAR, colour_bar, lines, note, trained_on};
-use super::shown::Shown;
 use super::window::{Window, crop};
 use crate::base::{Image, Result};
 use crate::draw::canvas::{Anchor, BLACK, Canvas, Figure, LINE_HEIGHT, PAPER, RED, SIDE, TEXT, TITLE, text_width};
@@ -14,16 +14,16 @@ const GAP: f64 = 10.0;
 
 /// One row for the truth and one a run: view, box, error, depth.
 pub fn draw(comparison: &Comparison) -> Result<Figure> {
-    Drawn { comparison }.draw()
+    ComparisonFigure { comparison }.draw()
 }
 
-struct Drawn<'a> {
+struct ComparisonFigure<'a> {
     comparison: &'a Comparison,
 }
 
-impl Drawn<'_> {
+impl ComparisonFigure<'_> {
     fn draw(&self) -> Result<Figure> {
-        let scale = Shown::of(self.comparison.truth());
+        let scale = DisplaySize::of(self.comparison.truth());
         let mut canvas = Canvas::new(2.0 * SIDE + 4.0 * scale.width + 3.0 * GAP, 0.0);
         let left = |column: usize| SIDE + column as f64 * (scale.width + GAP);
         let width = canvas.width - 2.0 * SIDE;
@@ -58,7 +58,7 @@ impl Drawn<'_> {
         if self.comparison.truth_depth().is_some() { "depth" } else { "" }
     }
 
-    fn draw_truth(&self, canvas: &mut Canvas, scale: &Shown, y: f64, left: &impl Fn(usize) -> f64) -> Result<()> {
+    fn draw_truth(&self, canvas: &mut Canvas, scale: &DisplaySize, y: f64, left: &impl Fn(usize) -> f64) -> Result<()> {
         self.draw_view(canvas, scale, y, left, self.comparison.truth())?;
         if self.comparison.sides.len() > 1 {
             scale.draw_map(canvas, (left(2), y), &self.error_picture(&self.comparison.spread()))?;
@@ -75,7 +75,7 @@ impl Drawn<'_> {
     fn draw_view(
         &self,
         canvas: &mut Canvas,
-        scale: &Shown,
+        scale: &DisplaySize,
         y: f64,
         left: &impl Fn(usize) -> f64,
         image: &Image,
@@ -91,7 +91,7 @@ impl Drawn<'_> {
         Ok(())
     }
 
-    fn draw_box(&self, canvas: &mut Canvas, scale: &Shown, (x, y): (f64, f64)) {
+    fn draw_box(&self, canvas: &mut Canvas, scale: &DisplaySize, (x, y): (f64, f64)) {
         let Window { x: column, y: row, width, height } = self.comparison.window;
         let units = scale.width / self.comparison.truth().width as f64;
         let place = (x + column as f64 * units, y + row as f64 * units);
@@ -119,7 +119,7 @@ impl Drawn<'_> {
     }
 
     /// The colours' scales below the columns that they belong to.
-    fn draw_bars(&self, canvas: &mut Canvas, scale: &Shown, y: f64, left: &impl Fn(usize) -> f64) -> Result<()> {
+    fn draw_bars(&self, canvas: &mut Canvas, scale: &DisplaySize, y: f64, left: &impl Fn(usize) -> f64) -> Result<()> {
         let (near, far) = self.comparison.depths;
         let unit = format!("depth ({})", self.comparison.first().depth_unit());
         colour_bar(
@@ -134,7 +134,7 @@ impl Drawn<'_> {
         colour_bar(canvas, (left(3), y), scale.width, (near, far), true, &unit)
     }
 
-    fn caption(&self, scale: &Shown) -> String {
+    fn caption(&self, scale: &DisplaySize) -> String {
         let Window { x, y, width, height } = self.comparison.window;
         let by = match self.comparison.chosen_by() {
             "hand" => "chosen by hand".to_string(),

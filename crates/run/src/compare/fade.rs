@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use super::comparison::{Comparison, Side, metrics_text};
-use super::shown::Shown;
+use super::display_size::DisplaySize;
 use crate::base::{Error, Image, Result};
 use crate::draw::canvas::{Anchor, BLACK, Canvas, LINE_HEIGHT, TEXT, wrapped};
 use crate::draw::{SVG_ALONE, write_timed_gif};
@@ -17,7 +17,7 @@ const STEPS: usize = 9;
 /// Both runs in turn, each under its name, with a fade from one to the other and back.
 pub fn write_fade(comparison: &Comparison, path: &Path) -> Result<()> {
     check_fade(comparison.sides.len())?;
-    let scale = Shown::of(comparison.truth());
+    let scale = DisplaySize::of(comparison.truth());
     let texts: Vec<Vec<String>> = comparison.sides.iter().map(|side| text(side, scale.width)).collect();
     let lines = texts.iter().map(Vec::len).max().unwrap_or(0);
     let names = texts.iter().map(|text| name_strip(text, lines, scale.width)).collect::<Result<Vec<Image>>>()?;

@@ -5,13 +5,13 @@ mod comparison;
 mod comparison_figure;
 mod comparison_files;
 mod differences;
+mod display_size;
 mod fade;
 mod parts;
 mod profile;
 mod profile_figure;
 mod profile_files;
 mod run_view;
-mod shown;
 mod window;
 
 pub use comparison::Comparison;

@@ -190,7 +190,7 @@ impl Viewer<'_> {
     }
 
     /// Renders and measures the training views of [`seen_views`] as they were trained on, corruption included.
-    pub fn evaluate_seen(
+    pub fn evaluate_training_views(
         &self,
         lpips: &[Lpips],
         events: &dyn Listener,

@@ -11,7 +11,7 @@ use crate::data::{self, Scene};
 use crate::metrics::{Backbone, Lpips};
 use crate::settings::{Config, DataKind, Located, NO_REFERENCE, Resolved, Spacing, Split, scene_name};
 
-use super::scene_file::{SeenScene, is_early};
+use super::scene_file::{RecordedScene, is_early};
 use super::{BUILTIN, RunDir};
 
 /// Finds the kind of scene and where it lies, and fills what depends on that.
@@ -86,7 +86,7 @@ pub fn load_scene(config: Config, events: &dyn Listener) -> Result<(Resolved, Sc
 /// # Errors
 /// Those of [`load_scene`]; a scene that has changed since ([`Error::Data`]).
 pub fn load_scene_of(run: &RunDir, config: Config, events: &dyn Listener) -> Result<(Resolved, Scene)> {
-    let (begun, seen) = (run.read_config()?.data, SeenScene::of(run)?);
+    let (begun, seen) = (run.read_config()?.data, RecordedScene::of(run)?);
     let config = find(config)?;
     let kind = config.data.kind;
     let located = config.locate(kind)?;
@@ -102,7 +102,7 @@ pub fn load_scene_of(run: &RunDir, config: Config, events: &dyn Listener) -> Res
 /// Settings or a `scene.json` that cannot be read.
 pub fn settings_to_go_on(run: &RunDir) -> Result<Config> {
     let mut config = run.read_config()?;
-    let bounds = SeenScene::of(run)?.bounds(&config.data);
+    let bounds = RecordedScene::of(run)?.bounds(&config.data);
     if let Some((near, far)) = bounds.filter(|bounds| config.data.kind == DataKind::Transforms && is_early(*bounds)) {
         config.data.near.get_or_insert(near);
         config.data.far.get_or_insert(far);

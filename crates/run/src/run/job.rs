@@ -19,7 +19,7 @@ use crate::runtime::{Host, MemoryWatch, Runtime, Timing, host};
 use crate::settings::Resolved;
 use crate::train::{Origin, Trainer, checkpoint};
 
-use super::scene_file::SeenScene;
+use super::scene_file::RecordedScene;
 use super::{
     Between, EVALUATION_COLUMNS, Existing, Measurement, Outcome, Pictures, Report, RunDir, SEEN_COLUMNS, Session,
     Viewer, interrupted, scene_file, surface_reference,
@@ -154,7 +154,7 @@ impl<'a> Job<'a> {
     pub fn resume(run: RunDir, setup: Setup<'a>) -> Result<Job<'a>> {
         let memory = watch_memory(&setup.runtime);
         surface_reference(&setup.config, setup.scene)?;
-        SeenScene::of(&run)?.check(setup.scene, &setup.config.data, true)?;
+        RecordedScene::of(&run)?.check(setup.scene, &setup.config.data, true)?;
         let earlier = run.read_timing()?;
         let (newest, notes) = checkpoint::newest_whole(&run.checkpoints())?;
         let trainer = match newest {

@@ -18,7 +18,7 @@ pub struct MeshPicture {
     /// The PNG.
     pub file: PathBuf,
     /// From where it is looked at, from left to right.
-    pub eyes: Vec<Eye>,
+    pub viewpoints: Vec<Viewpoint>,
     /// What it is painted with.
     pub paint: Paint,
     /// Columns of each view; none: those of the scene's views, at least 400.
@@ -27,7 +27,7 @@ pub struct MeshPicture {
 
 /// A place to look at a scene from.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Eye {
+pub enum Viewpoint {
     /// The camera of a held-out view, by its number.
     View(usize),
     /// A place on the scene's camera path: 0 is its begin, 1 its end.
@@ -40,15 +40,15 @@ impl MeshPicture {
     /// # Errors
     /// A view that the scene has not; a path, where it has none.
     pub fn cameras(&self, scene: &Scene) -> Result<Vec<Camera>> {
-        let camera = |eye: &Eye| match *eye {
-            Eye::View(number) => scene.test.get(number).map(|view| view.camera).ok_or_else(|| {
+        let camera = |viewpoint: &Viewpoint| match *viewpoint {
+            Viewpoint::View(number) => scene.test.get(number).map(|view| view.camera).ok_or_else(|| {
                 Error::Config(format!(
                     "--view {number}: {} has {} held-out views, counted from 0",
                     scene.name,
                     scene.test.len()
                 ))
             }),
-            Eye::Path(share) => {
+            Viewpoint::Path(share) => {
                 let index = (share * scene.path.len() as f64) as usize;
                 let last = scene.path.len().checked_sub(1);
                 last.map(|last| scene.path[index.min(last)]).ok_or_else(|| {
@@ -56,7 +56,7 @@ impl MeshPicture {
                 })
             }
         };
-        self.eyes.iter().map(|eye| Ok(enlarged(&camera(eye)?, self.columns))).collect()
+        self.viewpoints.iter().map(|viewpoint| Ok(enlarged(&camera(viewpoint)?, self.columns))).collect()
     }
 }
 

@@ -44,7 +44,7 @@ pub use inputs::{load_lpips, load_scene, load_scene_of, locate_scene, settings_t
 pub use job::watch_memory;
 pub use job::{Finished, Job, Setup};
 pub use mesh::{MeshFormat, MeshOptions, MeshReport, MeshUnits, named_mesh};
-pub use mesh_picture::{Eye, MeshPicture, mesh_picture};
+pub use mesh_picture::{MeshPicture, Viewpoint, mesh_picture};
 pub use metrics::Report;
 pub use pictures::{PathPictures, Pictures};
 pub use protocol::Protocol;
@@ -60,4 +60,4 @@ pub use surface::{
 };
 pub use tensorboard::EventWriter;
 use trained::Measurement;
-pub use trained::{Choice, Split, Trained};
+pub use trained::{OpenOptions, Split, Trained};

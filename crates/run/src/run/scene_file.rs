@@ -94,26 +94,26 @@ pub(super) fn is_early((near, far): (f64, f64)) -> bool {
 }
 
 /// The scene as a run saw it when it began.
-pub(super) struct SeenScene {
+pub(super) struct RecordedScene {
     file: PathBuf,
-    said: Option<SceneFile>,
+    recorded: Option<SceneFile>,
     /// The run was trained by a version that left no such file. One that a kill left without it has no checkpoint either.
     early: bool,
 }
 
-impl SeenScene {
+impl RecordedScene {
     /// That of a run.
-    pub(super) fn of(run: &RunDir) -> Result<SeenScene> {
+    pub(super) fn of(run: &RunDir) -> Result<RecordedScene> {
         let file = run.scene_file();
-        let said = read_json(&file, "bring back a copy, or delete it to take the scene as it is now")?;
-        let early = said.is_none() && !checkpoint::list(&run.checkpoints())?.is_empty();
-        Ok(SeenScene { file, said, early })
+        let recorded = read_json(&file, "bring back a copy, or delete it to take the scene as it is now")?;
+        let early = recorded.is_none() && !checkpoint::list(&run.checkpoints())?.is_empty();
+        Ok(RecordedScene { file, recorded, early })
     }
 
     /// The ends of its rays; none where the scene's files say them now as then.
     pub(super) fn bounds(&self, data: &DataConfig) -> Option<(f64, f64)> {
-        match &self.said {
-            Some(said) => Some((said.near, said.far)),
+        match &self.recorded {
+            Some(recorded) => Some((recorded.near, recorded.far)),
             None => (self.early && data.kind == DataKind::Transforms).then_some(BOUNDS.into()),
         }
     }
@@ -147,14 +147,14 @@ impl SeenScene {
                 return refuse(format!("rays went from {near} to {far}, and go from {now_near} to {now_far}"));
             }
         }
-        let Some(said) = &self.said else { return Ok(()) };
-        let (then, now) = (said.world_to_scene, WorldMatrix::of(&scene.space.world));
+        let Some(recorded) = &self.recorded else { return Ok(()) };
+        let (then, now) = (recorded.world_to_scene, WorldMatrix::of(&scene.space.world));
         let (a, b) = (then.matrix.as_flattened(), now.matrix.as_flattened());
-        if said.ndc != scene.ndc.is_some() || !a.iter().zip(b).all(|(a, b)| is_close(*a, *b)) {
+        if recorded.ndc != scene.ndc.is_some() || !a.iter().zip(b).all(|(a, b)| is_close(*a, *b)) {
             let what = "its poses lead to other coordinates than those of the weights (world_to_scene, ndc)";
             return refuse(what.into());
         }
-        let Some(views) = &said.views else { return Ok(()) };
+        let Some(views) = &recorded.views else { return Ok(()) };
         let lists = [("trained on", &views.trained, &scene.train), ("evaluated", &views.evaluated, &scene.test)];
         for (what, then, now) in lists.into_iter().take(if evaluated { 2 } else { 1 }) {
             if let Some(difference) = difference(then, &names(now)) {

@@ -30,7 +30,7 @@ pub enum Split {
 /// Which checkpoint of a run is opened, and which views take the place of those that it holds out; by default the newest, and
 /// none.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Choice {
+pub struct OpenOptions {
     /// The step that it was saved at.
     pub step: Option<u64>,
     /// The views.
@@ -89,7 +89,7 @@ impl Trained {
     /// [`Error::Data`](crate::base::Error::Data): a scene that cannot be read, or has changed since the
     /// run began.
     pub fn open(run: &Path, data: Option<&Path>, runtime: &Runtime, events: &dyn Listener) -> Result<Trained> {
-        Trained::open_at(run, Choice::default(), data, runtime, events)
+        Trained::open_at(run, OpenOptions::default(), data, runtime, events)
     }
 
     /// The same of another checkpoint, or with other views to measure.
@@ -98,7 +98,7 @@ impl Trained {
     /// Those of [`Trained::open`]; no checkpoint of that step; a scene without views for choices.
     pub fn open_at(
         run: &Path,
-        choice: Choice,
+        options: OpenOptions,
         data: Option<&Path>,
         runtime: &Runtime,
         events: &dyn Listener,
@@ -108,7 +108,7 @@ impl Trained {
         if let Some(dir) = data {
             config.data.dir = dir.to_string_lossy().into_owned();
         }
-        let chosen = match choice.step {
+        let chosen = match options.step {
             Some(step) => checkpoint::of_step(&run.checkpoints(), step)?,
             None => checkpoint::latest(&run.checkpoints())?,
         };
@@ -116,7 +116,7 @@ impl Trained {
         let model = checkpoint::load_model(&chosen, &config, DType::F32, runtime.device())?;
         checkpoint::check_config(&chosen, &state, &config)?;
         state.touch(runtime);
-        match choice.split {
+        match options.split {
             None => {}
             Some(Split::Test) => config.data.eval_split = EvalSplit::Test,
             Some(Split::Val) => config.data.eval_split = EvalSplit::Val,
@@ -124,10 +124,10 @@ impl Trained {
             Some(Split::Train) => config.eval.train_views = Some(0),
         }
         let (config, mut scene) = runtime.install(|| load_scene_of(&run, config, events))?;
-        if choice.split == Some(Split::Train) {
+        if options.split == Some(Split::Train) {
             scene.test = scene.train.clone();
         }
-        Ok(Trained { run, config, scene, state, model, runtime: runtime.clone(), split: choice.split })
+        Ok(Trained { run, config, scene, state, model, runtime: runtime.clone(), split: options.split })
     }
 
     /// Renders views of it.
@@ -197,7 +197,7 @@ impl Measurement<'_> {
             errors.views.extend(self.viewer.depth_errors(view, rendered));
             each(index, view, rendered)
         })?;
-        let training_views = self.viewer.evaluate_seen(self.lpips, self.events, &stop_check)?;
+        let training_views = self.viewer.evaluate_training_views(self.lpips, self.events, &stop_check)?;
         let surface = self.viewer.surface(self.events, &stop_check)?;
         let protocol = Protocol::new(self.viewer.config, self.viewer.scene, self.state).with_lpips(self.lpips);
         let protocol = named(self.split, protocol);

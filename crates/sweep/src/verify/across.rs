@@ -6,16 +6,16 @@ use super::archive::Archive;
 use super::files::difference;
 use super::findings::Findings;
 use super::numbers::Cells;
-use crate::across::{ACROSS, Asked};
+use crate::across::{ACROSS, AcrossRequest};
 use crate::base::files::write_atomic;
 use crate::base::{Error, Result};
-use crate::material::optional;
+use crate::outputs::optional;
 use crate::view::Source;
 
 /// Compares a folder's files with what the sweeps beside it make, or, with `update`, writes what differs. Returns what pages may
 /// quote.
 pub fn check(path: &Path, data_root: Option<&Path>, update: bool, findings: &mut Findings) -> Result<Cells> {
-    let kept = Asked::read(path)?;
+    let kept = AcrossRequest::read(path)?;
     let absolute = std::path::absolute(path).map_err(|e| Error::unreadable(path, &e))?;
     let results = absolute.parent().unwrap_or(&absolute);
     let read = |name: &str| {
@@ -34,9 +34,9 @@ pub fn check(path: &Path, data_root: Option<&Path>, update: bool, findings: &mut
     };
     let archives = kept.sweep.iter().map(|sweep| read(&sweep.name)).collect::<Result<Vec<_>>>()?;
     let sources: Vec<Source> = archives.iter().map(source_of).collect();
-    let (asked, across) = Asked::new(&kept.row, &kept.baseline, &kept.metric, &sources)?;
+    let (request, across) = AcrossRequest::new(&kept.row, &kept.baseline, &kept.metric, &sources)?;
     let mut wrong = Vec::new();
-    for (name, bytes) in asked.files(&across)? {
+    for (name, bytes) in request.files(&across)? {
         let found = optional(&path.join(&name))?;
         if found.as_deref() == Some(&bytes[..]) {
             continue;
@@ -58,6 +58,6 @@ fn source_of(archive: &Archive) -> Source<'_> {
         folder: None,
         definition: &archive.definition,
         points: &archive.points,
-        material: archive.material.clone(),
+        outputs: archive.outputs.clone(),
     }
 }

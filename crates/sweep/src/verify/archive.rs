@@ -3,10 +3,10 @@
 use std::path::{Path, PathBuf};
 
 use crate::base::{Error, Result};
-use crate::collect::{Collector, Sheet, Taking};
+use crate::collect::{Collector, TableInputs, Taking};
 use crate::definition::Definition;
 use crate::folder::SweepFolder;
-use crate::material::{Material, optional, read_scalars};
+use crate::outputs::{SweepOutputs, optional, read_scalars};
 use crate::points::Point;
 use crate::provenance::Provenance;
 use crate::report::exporters::File;
@@ -23,7 +23,7 @@ pub struct Archive {
     /// The points with their configurations, their scenes looked for on this machine.
     pub points: Vec<Point>,
     /// What they left.
-    pub material: Material,
+    pub outputs: SweepOutputs,
     /// Which code made it, and what is not kept.
     pub provenance: Provenance,
     /// Clocks were joined to the tables.
@@ -62,21 +62,21 @@ impl Archive {
         let records = records.map_err(|e| in_file("points.csv", e))?;
         let head = of_points.lines().next().unwrap_or_default();
         let with_timing = head.split(',').any(|column| clocks.iter().any(|clock| clock == column));
-        let material = Material {
+        let outputs = SweepOutputs {
             records,
             timing,
             scalars: read_scalars(path)?,
             step_seconds: optional(&folder.step_seconds())?,
             scored: read_scored(path, &definition)?,
-            ..Material::default()
+            ..SweepOutputs::default()
         };
-        Ok(Archive { path: path.to_path_buf(), definition, points, material, provenance, with_timing })
+        Ok(Archive { path: path.to_path_buf(), definition, points, outputs, provenance, with_timing })
     }
 
     /// Hands over every table and figure. Rows that may not stand side by side are marked, as `--force` does.
     pub fn files(&self, take: Taking) -> Result<Table> {
         let collector = Collector {
-            material: &self.material,
+            outputs: &self.outputs,
             definition: &self.definition,
             points: &self.points,
             name: &self.provenance.name,
@@ -100,20 +100,20 @@ impl Archive {
             }
         }
         let spec = self.definition.table(&self.provenance.name, &self.points);
-        let sheet = Sheet {
+        let inputs = TableInputs {
             spec: &spec,
-            material: &self.material,
+            outputs: &self.outputs,
             points: &self.points,
             force: true,
             with_timing: self.with_timing,
         };
-        let page = sheet.page(&table, &files, &self.path)?;
+        let page = inputs.page(&table, &files, &self.path)?;
         Ok((table, page))
     }
 
     /// Points that were measured.
     pub fn done(&self) -> impl Iterator<Item = &Point> {
-        let done = |id: &str| self.material.records.iter().any(|r| r.id == id && r.status == Status::Done);
+        let done = |id: &str| self.outputs.records.iter().any(|r| r.id == id && r.status == Status::Done);
         self.points.iter().filter(move |point| done(&point.id))
     }
 }

@@ -19,7 +19,7 @@ pub fn check(archive: &Archive, findings: &mut Findings) -> Result<()> {
     let (mut wrong, mut open, mut count) = (Vec::new(), Vec::new(), 0);
     // Points of several revisions may lack what the earlier ones did not write.
     let one_revision = !archive.provenance.code_revision.contains(", ");
-    for record in archive.material.records.iter().filter(|record| record.status == Status::Done) {
+    for record in archive.outputs.records.iter().filter(|record| record.status == Status::Done) {
         let Some(point) = archive.points.iter().find(|point| point.id == record.id) else { continue };
         let Decided { columns, unknown } = decided(point, record)?;
         for name in unknown {
@@ -101,7 +101,7 @@ fn kind(config: &Config, dataset: &str) -> DataKind {
 
 /// `provenance.toml` names the revisions of the points.
 fn revision(archive: &Archive, findings: &mut Findings) {
-    let found = Provenance::of(&archive.provenance.name, &archive.material.records).code_revision;
+    let found = Provenance::of(&archive.provenance.name, &archive.outputs.records).code_revision;
     let named = &archive.provenance.code_revision;
     if found != *named {
         findings.wrong(format!("points.csv: code_revision is '{found}', provenance.toml has '{named}'"));
@@ -111,9 +111,9 @@ fn revision(archive: &Archive, findings: &mut Findings) {
 /// Sites are called inactive by a point's log, where it is kept, and are among those that are on.
 fn inactive(archive: &Archive, findings: &mut Findings) {
     let (mut wrong, mut count) = (Vec::new(), 0);
-    for record in archive.material.records.iter().filter(|record| record.status == Status::Done) {
+    for record in archive.outputs.records.iter().filter(|record| record.status == Status::Done) {
         let found = &record.inactive_levels;
-        let Some(scalars) = archive.material.scalars.get(&record.id) else { continue };
+        let Some(scalars) = archive.outputs.scalars.get(&record.id) else { continue };
         let summaries = SiteSummary::of_columns(|name| scalars.numbers(name));
         let logged: Vec<&str> = summaries.iter().filter(|site| site.inactive).map(|site| site.site).collect();
         count += 1;
@@ -125,7 +125,7 @@ fn inactive(archive: &Archive, findings: &mut Findings) {
     if count > 0 {
         findings.of(format!("inactive_levels of {count} points are those of their logs"), wrong);
     }
-    let any = archive.material.scalars.len() < archive.done().count();
+    let any = archive.outputs.scalars.len() < archive.done().count();
     if any && archive.points.iter().any(|point| point.config.method.is_augmented()) {
         findings.not_checked("inactive_levels: not every point's log is kept");
     }

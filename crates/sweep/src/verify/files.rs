@@ -8,7 +8,7 @@ use crate::base::files::write_atomic;
 use crate::base::{Error, Result};
 use crate::collect::PAGE;
 use crate::folder::{DEFINITION, PLAN, STEP_SECONDS};
-use crate::material::{SCALARS, optional};
+use crate::outputs::{SCALARS, optional};
 use crate::provenance::{PROVENANCE, sha256};
 use crate::report::exporters::{EXPORTERS, OF_LOGS};
 use crate::scored::SCORED;

@@ -8,7 +8,7 @@ use crate::report::{Record, Status};
 /// Demands that every place is done and that what pictures alone are needed for is measured, unless `provenance.toml` says
 /// that it is missing.
 pub fn check(archive: &Archive, findings: &mut Findings) {
-    let records = &archive.material.records;
+    let records = &archive.outputs.records;
     let lacks = |record: &Record| archive.provenance.missing.iter().any(|missing| missing.what.contains(&record.id));
     let mut wrong: Vec<String> = Vec::new();
     for record in records.iter().filter(|record| !lacks(record)) {

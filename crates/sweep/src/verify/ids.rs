@@ -8,7 +8,7 @@ use crate::base::Result;
 use crate::budget::{PlacingCountedAsTrained, StepCosts};
 use crate::definition::BudgetKind;
 use crate::folder::SweepFolder;
-use crate::layout::{Laid, lay_out};
+use crate::layout::{PlannedRun, lay_out};
 use crate::points::{Point, WITHOUT_BUDGET, point};
 use crate::report::label;
 use crate::settings::Config;
@@ -27,7 +27,7 @@ pub fn check(archive: &Archive, data_root: Option<&Path>, findings: &mut Finding
             ));
         }
     }
-    let (records, mut placed) = (&archive.material.records, 0);
+    let (records, mut placed) = (&archive.outputs.records, 0);
     for point in &archive.points {
         for place in &point.places {
             placed += 1;
@@ -64,31 +64,39 @@ fn of_definition(archive: &Archive, data_root: Option<&Path>, findings: &mut Fin
             definition.set.insert(path.clone(), value.clone());
         }
     }
-    let laid = lay_out(&definition, data_root)?;
+    let planned = lay_out(&definition, data_root)?;
     let folder = SweepFolder::new(&archive.path);
     let kept = kept_step_seconds(&folder)?;
     let (mut wrong, mut unchecked, mut counted_before, mut without_scene) = (Vec::new(), Vec::new(), Vec::new(), 0);
-    for laid in &laid {
-        let what = format!("{} · {} · seed {}", label(&laid.place.row, &laid.place.axes), laid.scene, laid.config.seed);
+    for planned in &planned {
+        let what = format!(
+            "{} · {} · seed {}",
+            label(&planned.place.row, &planned.place.axes),
+            planned.scene,
+            planned.config.seed
+        );
         let same = |known: &&Point| {
-            known.scene == laid.scene && known.config.seed == laid.config.seed && known.places.contains(&laid.place)
+            known.scene == planned.scene
+                && known.config.seed == planned.config.seed
+                && known.places.contains(&planned.place)
         };
         let Some(known) = archive.points.iter().find(same) else {
             wrong.push(format!("sweep.toml asks for {what}, points.json has no such point"));
             continue;
         };
-        if laid.budget.is_some() && laid.decay_steps.is_none() && !known.without_budget {
+        if planned.budget.is_some() && planned.decay_steps.is_none() && !known.without_budget {
             without_scene += 1;
             continue;
         }
-        let expected = match point(laid, &kept) {
+        let expected = match point(planned, &kept) {
             Ok(expected) => expected,
             Err(_) => {
-                let steps = format!("{} of {}", known.config.train.steps, label(&laid.place.row, &laid.place.axes));
+                let steps =
+                    format!("{} of {}", known.config.train.steps, label(&planned.place.row, &planned.place.axes));
                 if !unchecked.contains(&steps) {
                     unchecked.push(steps);
                 }
-                point(laid, &as_known(laid, known))?
+                point(planned, &as_known(planned, known))?
             }
         };
         let steps_now = expected.config.train.steps;
@@ -96,8 +104,8 @@ fn of_definition(archive: &Archive, data_root: Option<&Path>, findings: &mut Fin
         if expected == known.id {
             continue;
         }
-        if as_counted_before(laid)?.is_some_and(|before| id(archive, &before) == known.id) {
-            let (row, steps) = (label(&laid.place.row, &laid.place.axes), known.config.train.steps);
+        if as_counted_before(planned)?.is_some_and(|before| id(archive, &before) == known.id) {
+            let (row, steps) = (label(&planned.place.row, &planned.place.axes), known.config.train.steps);
             let steps = format!("{steps} of {row}, now {steps_now}");
             if !counted_before.contains(&steps) {
                 counted_before.push(steps);
@@ -107,10 +115,10 @@ fn of_definition(archive: &Archive, data_root: Option<&Path>, findings: &mut Fin
         }
     }
     let places: usize = archive.points.iter().map(|point| point.places.len()).sum();
-    if places > laid.len() {
-        wrong.push(format!("points.json has {places} places, sweep.toml asks for {}", laid.len()));
+    if places > planned.len() {
+        wrong.push(format!("points.json has {places} places, sweep.toml asks for {}", planned.len()));
     }
-    findings.of(format!("sweep.toml asks for these {} places", laid.len()), wrong);
+    findings.of(format!("sweep.toml asks for these {} places", planned.len()), wrong);
     if without_scene > 0 {
         findings.not_checked(format!(
             "{without_scene} places whose budget hangs on a scene that is not below --data-root (AUGNERF_DATA)"
@@ -132,10 +140,10 @@ fn of_definition(archive: &Archive, data_root: Option<&Path>, findings: &mut Fin
 }
 
 /// The point with a budget of evaluations as earlier revisions counted them; none without such a budget.
-fn as_counted_before(laid: &Laid) -> Result<Option<Point>> {
-    let Some((BudgetKind::Evaluations, like)) = &laid.budget else { return Ok(None) };
+fn as_counted_before(planned: &PlannedRun) -> Result<Option<Point>> {
+    let Some((BudgetKind::Evaluations, like)) = &planned.budget else { return Ok(None) };
     let budget = Some((BudgetKind::Seconds, like.clone()));
-    point(&Laid { budget, ..laid.clone() }, &PlacingCountedAsTrained).map(Some)
+    point(&PlannedRun { budget, ..planned.clone() }, &PlacingCountedAsTrained).map(Some)
 }
 
 /// Step times at which a point has the steps that it is known by.
@@ -144,9 +152,9 @@ struct AsKnown {
     other_over_own: f64,
 }
 
-fn as_known(laid: &Laid, known: &Point) -> AsKnown {
-    let like = laid.budget.as_ref().map_or(1, |(_, like)| like.train.steps);
-    AsKnown { own: laid.config.step_shape(), other_over_own: known.config.train.steps as f64 / like as f64 }
+fn as_known(planned: &PlannedRun, known: &Point) -> AsKnown {
+    let like = planned.budget.as_ref().map_or(1, |(_, like)| like.train.steps);
+    AsKnown { own: planned.config.step_shape(), other_over_own: known.config.train.steps as f64 / like as f64 }
 }
 
 impl StepCosts for AsKnown {

@@ -87,9 +87,9 @@ fn weights(archive: &Archive, lpips: &[Lpips], findings: &mut Findings) {
 }
 
 fn has_lpips(archive: &Archive, backbone: &str) -> bool {
-    archive.material.records.iter().any(|record| record.metric(&format!("lpips_{backbone}")).is_some())
+    archive.outputs.records.iter().any(|record| record.metric(&format!("lpips_{backbone}")).is_some())
 }
 
 fn column<'a>(archive: &'a Archive, point: &Point, name: &str) -> &'a str {
-    archive.material.records.iter().find(|record| record.id == point.id).map_or("", |record| record.protocol(name))
+    archive.outputs.records.iter().find(|record| record.id == point.id).map_or("", |record| record.protocol(name))
 }

@@ -11,7 +11,7 @@ use super::files::Made;
 use crate::across::ACROSS_CSV;
 use crate::base::csv::{column_names, plain_cell};
 use crate::base::{Error, Result};
-use crate::material::optional;
+use crate::outputs::optional;
 
 /// The tables of a results' folder.
 pub struct Cells {

@@ -9,7 +9,7 @@ use super::findings::Findings;
 use crate::base::csv::{column_names, plain_cell};
 use crate::base::files::read_json;
 use crate::base::{Error, Result};
-use crate::material::optional;
+use crate::outputs::optional;
 use crate::run::{DepthErrors, RunDir};
 
 /// Run folders below a folder, by name.

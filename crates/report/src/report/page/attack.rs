@@ -3,7 +3,7 @@
 use crate::report::tables::{AttackLine, AttackSite};
 
 /// One site of one line as the page has it: for each number what it is sorted by, and its text.
-pub struct Shown<'a> {
+pub struct SiteRow<'a> {
     pub label: &'a str,
     pub scene: &'a str,
     pub site: &'static str,
@@ -11,7 +11,7 @@ pub struct Shown<'a> {
     pub inactive: bool,
 }
 
-pub fn shown<'a>(lines: &'a [AttackLine]) -> Vec<Shown<'a>> {
+pub fn site_rows<'a>(lines: &'a [AttackLine]) -> Vec<SiteRow<'a>> {
     let text = |index: usize, value: f64| match index {
         2 => format!("{:.0} %", 100.0 * value),
         3 => format!("{value:.2}"),
@@ -21,7 +21,7 @@ pub fn shown<'a>(lines: &'a [AttackLine]) -> Vec<Shown<'a>> {
         Some(value) => (value.to_string(), text(index, *value)),
         None => Default::default(),
     };
-    let of_site = |attack: &'a AttackLine, site: &AttackSite| Shown {
+    let of_site = |attack: &'a AttackLine, site: &AttackSite| SiteRow {
         label: &attack.line.label,
         scene: &attack.line.scene,
         site: site.site,

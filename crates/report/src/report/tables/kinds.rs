@@ -43,12 +43,12 @@ pub(super) fn kind_notes(lines: &[&Line]) -> Vec<String> {
         if texts.len() > 1 {
             let of = labels(&|line| line.protocol(name) == *one);
             match shared.iter_mut().find(|(known, _)| *known == of) {
-                Some((_, caption)) => caption.push(format!("{name} {one}")),
+                Some((_, fields)) => fields.push(format!("{name} {one}")),
                 None => shared.push((of, vec![format!("{name} {one}")])),
             }
         }
     }
-    notes.extend(shared.into_iter().map(|(labels, caption)| format!("{labels}: {}", caption.join(", "))));
+    notes.extend(shared.into_iter().map(|(labels, fields)| format!("{labels}: {}", fields.join(", "))));
     notes
 }
 

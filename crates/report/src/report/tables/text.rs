@@ -52,9 +52,9 @@ pub fn marked_label(line: &Line) -> String {
     if marks.is_empty() { line.label.clone() } else { format!("{} {marks}", line.label) }
 }
 
-/// Columns of the protocol that are told there.
-fn columns(told: &[CaptionRule]) -> impl Iterator<Item = &'static str> {
-    COLUMNS.iter().filter(|column| told.contains(&column.caption)).map(|column| column.name)
+/// Returns the protocol columns that follow one of these rules.
+fn columns(rules: &[CaptionRule]) -> impl Iterator<Item = &'static str> {
+    COLUMNS.iter().filter(|column| rules.contains(&column.caption)).map(|column| column.name)
 }
 
 /// The protocol fields that a scene's measured lines share: `dataset llff, width 504, ...`.

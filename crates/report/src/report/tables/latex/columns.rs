@@ -53,15 +53,15 @@ pub struct Group<'a> {
 }
 
 /// A group as it stands in a part: the broken lines of its heads.
-struct Laid<'g, 'a> {
+struct GroupLayout<'g, 'a> {
     group: &'g Group<'a>,
     name: Vec<String>,
     heads: Vec<Vec<String>>,
     width: f64,
 }
 
-impl<'g, 'a> Laid<'g, 'a> {
-    fn new(group: &'g Group<'a>, lines: &[&Line]) -> Laid<'g, 'a> {
+impl<'g, 'a> GroupLayout<'g, 'a> {
+    fn new(group: &'g Group<'a>, lines: &[&Line]) -> GroupLayout<'g, 'a> {
         let broken = |column: &Column| {
             let own = column.cells_width(lines);
             let head = broken(&column.head, own.max(HEAD));
@@ -72,13 +72,13 @@ impl<'g, 'a> Laid<'g, 'a> {
         let own: f64 = widths.into_iter().sum();
         let name = group.name.as_ref().map(|name| self::broken(name, own.max(HEAD))).unwrap_or_default();
         let width = name.iter().map(|line| width(line) + 2.0 * SEPARATION).fold(own, f64::max);
-        Laid { group, name, heads, width }
+        GroupLayout { group, name, heads, width }
     }
 }
 
 /// Groups that fit side by side beside the labels.
 pub struct Part<'g, 'a> {
-    groups: Vec<Laid<'g, 'a>>,
+    groups: Vec<GroupLayout<'g, 'a>>,
     /// Points of the first column where labels are broken.
     label: Option<f64>,
 }
@@ -91,13 +91,13 @@ pub fn parts<'g, 'a>(labels: &[String], groups: &'g [Group<'a>], lines: &[&Line]
     let mut parts: Vec<Part> = Vec::new();
     let mut taken = f64::INFINITY;
     for group in groups {
-        let laid = Laid::new(group, lines);
-        if taken + laid.width > room {
+        let layout = GroupLayout::new(group, lines);
+        if taken + layout.width > room {
             parts.push(Part { groups: Vec::new(), label });
             taken = 0.0;
         }
-        taken += laid.width;
-        parts.last_mut().expect("just begun").groups.push(laid);
+        taken += layout.width;
+        parts.last_mut().expect("just begun").groups.push(layout);
     }
     parts
 }
@@ -105,11 +105,11 @@ pub fn parts<'g, 'a>(labels: &[String], groups: &'g [Group<'a>], lines: &[&Line]
 impl Part<'_, '_> {
     /// Columns with that of the labels.
     pub fn count(&self) -> usize {
-        1 + self.groups.iter().map(|laid| laid.heads.len()).sum::<usize>()
+        1 + self.groups.iter().map(|layout| layout.heads.len()).sum::<usize>()
     }
 
     fn has_names(&self) -> bool {
-        self.groups.iter().any(|laid| !laid.name.is_empty())
+        self.groups.iter().any(|layout| !layout.name.is_empty())
     }
 
     /// From `\begin{tabular}` to the heads.
@@ -118,15 +118,16 @@ impl Part<'_, '_> {
         let mut text = format!("\\begin{{tabular}}{{{label}{}}}\n\\toprule\n", "r".repeat(self.count() - 1));
         if self.has_names() {
             let (mut names, mut rules, mut at) = (vec!["{}".to_string()], String::new(), 2);
-            for laid in &self.groups {
-                let last = at + laid.heads.len() - 1;
-                names.push(format!("\\multicolumn{{{}}}{{c}}{{{}}}", laid.heads.len(), stacked(&laid.name, 'c')));
+            for layout in &self.groups {
+                let last = at + layout.heads.len() - 1;
+                names.push(format!("\\multicolumn{{{}}}{{c}}{{{}}}", layout.heads.len(), stacked(&layout.name, 'c')));
                 rules += &format!("\\cmidrule(lr){{{at}-{last}}}");
                 at = last + 1;
             }
             text += &format!("{} \\\\\n{rules}\n", names.join(" & "));
         }
-        let heads = self.groups.iter().flat_map(|laid| &laid.heads).map(|head| format!("{{{}}}", stacked(head, 'r')));
+        let heads =
+            self.groups.iter().flat_map(|layout| &layout.heads).map(|head| format!("{{{}}}", stacked(head, 'r')));
         let cells: Vec<String> = std::iter::once("{}".to_string()).chain(heads).collect();
         text + &format!("{} \\\\\n", cells.join(" & "))
     }
@@ -134,8 +135,8 @@ impl Part<'_, '_> {
     /// Rows that the heads take.
     pub fn head_rows(&self) -> f64 {
         let most = |lines: &mut dyn Iterator<Item = usize>| lines.max().unwrap_or(0) as f64;
-        let names = most(&mut self.groups.iter().map(|laid| laid.name.len()));
-        2.0 + names + most(&mut self.groups.iter().flat_map(|laid| laid.heads.iter().map(Vec::len)))
+        let names = most(&mut self.groups.iter().map(|layout| layout.name.len()));
+        2.0 + names + most(&mut self.groups.iter().flat_map(|layout| layout.heads.iter().map(Vec::len)))
     }
 
     /// Rows that a label takes.
@@ -149,7 +150,7 @@ impl Part<'_, '_> {
             Some(_) => format!("\\raggedright {}\\par", escape(label)),
             None => escape(label),
         };
-        let columns = self.groups.iter().flat_map(|laid| &laid.group.columns);
+        let columns = self.groups.iter().flat_map(|layout| &layout.group.columns);
         std::iter::once(label).chain(columns.map(|column| column.text(line))).collect()
     }
 }

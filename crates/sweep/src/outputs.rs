@@ -31,7 +31,7 @@ const MOST_TAKEN: usize = 1 << 29;
 
 /// What a sweep's points left.
 #[derive(Clone, Debug, Default)]
-pub struct Material {
+pub struct SweepOutputs {
     /// The points, one record a place in the table.
     pub records: Vec<Record>,
     /// Clock times of the points that are done.
@@ -57,27 +57,27 @@ pub struct Scalars {
     pub rows: Vec<Vec<String>>,
 }
 
-impl Material {
+impl SweepOutputs {
     /// What is in the points' folders.
-    pub fn of_folder(folder: &SweepFolder, definition: &Definition, points: &[Point]) -> Result<Material> {
-        let mut material = Material {
+    pub fn of_folder(folder: &SweepFolder, definition: &Definition, points: &[Point]) -> Result<SweepOutputs> {
+        let mut outputs = SweepOutputs {
             records: folder.records(definition, points)?,
             step_seconds: optional(&folder.step_seconds())?,
             scored: folder.scored(definition)?,
-            ..Material::default()
+            ..SweepOutputs::default()
         };
         for point in points {
             let run = folder.point(&point.id).run();
             if folder.point(&point.id).state(point)?.status != Status::Done {
                 continue;
             }
-            material.read_run(&point.id, &run)?;
+            outputs.read_run(&point.id, &run)?;
         }
         if wants_depth(&definition.metrics) {
             let errors = |id: &str| DepthErrors::read(&RunDir::depth_errors_in(&folder.point(id).run()));
-            add_common_depth(&mut material.records, errors)?;
+            add_common_depth(&mut outputs.records, errors)?;
         }
-        Ok(material)
+        Ok(outputs)
     }
 
     /// Adds the files of a run that was measured.

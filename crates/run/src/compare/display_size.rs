@@ -5,11 +5,11 @@ use crate::data::resample;
 use crate::draw::canvas::{Canvas, FINENESS};
 
 /// Pixels of the PNG between which the picture of a view is wide where whole factors allow it.
-const SHOWN: (usize, usize) = (400, 1024);
+const DISPLAY_COLUMNS: (usize, usize) = (400, 1024);
 
 /// How a view is brought to a size that can be read: enlarged or made smaller by a whole factor, so
 /// that its pixels stay what they are.
-pub struct Shown {
+pub struct DisplaySize {
     /// Pixels of the view, along each side, that become one.
     pub shrink: usize,
     /// In the canvas's units.
@@ -17,12 +17,12 @@ pub struct Shown {
     pub height: f64,
 }
 
-impl Shown {
-    pub fn of(image: &Image) -> Shown {
-        let times = SHOWN.0.div_ceil(image.width) as f64;
-        let shrink = image.width.div_ceil(SHOWN.1);
+impl DisplaySize {
+    pub fn of(image: &Image) -> DisplaySize {
+        let times = DISPLAY_COLUMNS.0.div_ceil(image.width) as f64;
+        let shrink = image.width.div_ceil(DISPLAY_COLUMNS.1);
         let units = |length: usize| (length / shrink).max(1) as f64 * times / FINENESS;
-        Shown { shrink, width: units(image.width), height: units(image.height) }
+        DisplaySize { shrink, width: units(image.width), height: units(image.height) }
     }
 
     /// The image's pixels at this size.
