@@ -6,7 +6,7 @@ use serde::Serialize;
 use toml::{Table, Value};
 
 use super::layers::{Preset, leaves};
-use super::registry::{Effect, REGISTRY, Setting, meant};
+use super::registry::{Effect, REGISTRY, Setting, nearly};
 use super::{Config, value_at};
 use crate::base::{Error, Result};
 
@@ -120,9 +120,28 @@ fn found(filter: Option<&str>) -> Result<Vec<&'static Setting>> {
     let holds = |setting: &&Setting| setting.path.contains(&filter) || setting.doc.to_lowercase().contains(&filter);
     let found: Vec<&Setting> = REGISTRY.settings.iter().filter(holds).collect();
     if found.is_empty() {
-        return Err(Error::Config(format!("no setting speaks of '{filter}'; did you mean {}?", meant(&filter))));
+        return Err(Error::Config(format!("no setting mentions '{filter}'; {}", advice(&filter))));
     }
     Ok(found)
+}
+
+/// Words of other programs for what settings here call otherwise.
+const OTHER_WORDS: [(&str, &str); 5] = [
+    ("aabb", "box"),
+    ("batch_size", "train.rays"),
+    ("iterations", "train.steps"),
+    ("lr", "learning_rate"),
+    ("sigma", "density"),
+];
+
+/// Says what to look for where no setting mentions `filter`.
+fn advice(filter: &str) -> String {
+    let other = OTHER_WORDS.iter().find(|(word, _)| *word == filter);
+    match (other, nearly(filter)) {
+        (Some((_, ours)), _) => format!("try `augnerf settings {ours}`"),
+        (None, Some(near)) => format!("did you mean {near}?"),
+        (None, None) => "`augnerf settings` lists all".into(),
+    }
 }
 
 /// A setting with its words, ended by a line.
@@ -156,5 +175,25 @@ impl Setting {
     fn values(&self) -> String {
         let words = if self.rule.allowed.is_empty() { &self.kind } else { self.rule.allowed };
         format!("{words}{}", if self.optional { ", or empty" } else { "" })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_word_that_no_setting_mentions_is_answered_with_what_to_try() {
+        for (word, answer) in [
+            ("train.stepz", "did you mean 'train.steps'?"),
+            ("sigma", "try `augnerf settings density`"),
+            ("zzzz", "`augnerf settings` lists all"),
+        ] {
+            let message = settings_text(Some(word)).unwrap_err().to_string();
+            assert_eq!(message, format!("no setting mentions '{word}'; {answer}"));
+        }
+        for (_, ours) in OTHER_WORDS {
+            settings_text(Some(ours)).unwrap();
+        }
     }
 }

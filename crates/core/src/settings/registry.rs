@@ -208,12 +208,38 @@ pub fn settings_called(name: &str) -> Vec<&'static str> {
     shallowest(REGISTRY.settings.iter().map(|setting| setting.path.as_str()).filter(|path| last_part(path) == last))
 }
 
-/// What a mistaken name may have meant, in words: settings of that last part, otherwise those nearest by Levenshtein's distance.
+/// Returns what a mistaken name may have meant, in words: settings of that last part, otherwise the nearest by Levenshtein's
+/// distance. A setting of the section that is named comes first.
 pub(super) fn meant(name: &str) -> String {
+    in_words(&candidates(name))
+}
+
+/// Returns the same for a word that need not be a name: `None` if no setting is near.
+pub(super) fn nearly(word: &str) -> Option<String> {
+    let near = |path: &&'static str| distance(path, word).min(distance(last_part(path), word)) <= word.len() / 3;
+    let near: Vec<&str> = candidates(word).into_iter().filter(near).collect();
+    (!near.is_empty()).then(|| in_words(&near))
+}
+
+fn in_words(paths: &[&str]) -> String {
+    paths.iter().map(|path| format!("'{path}'")).collect::<Vec<_>>().join(" or ")
+}
+
+/// Typing errors within which a key of the section that is named is meant.
+const TYPOS: usize = 2;
+
+fn candidates(name: &str) -> Vec<&'static str> {
     let known = || REGISTRY.settings.iter().map(|setting| setting.path.as_str());
     let nearest = |among: &[&'static str]| among.iter().copied().min_by_key(|path| distance(path, name));
     let called: Vec<&str> = known().filter(|path| last_part(path) == last_part(name)).collect();
-    let found = match (name.contains('.'), called.is_empty()) {
+    let section = |path: &str| path.rsplit_once('.').map(|(section, _)| section.to_string());
+    let beside = known().filter(|path| name.contains('.') && section(path) == section(name));
+    let beside: Vec<&str> =
+        beside.filter(|path| distance(last_part(path), last_part(name)) <= TYPOS).collect();
+    if let Some(nearest) = nearest(&beside) {
+        return vec![nearest];
+    }
+    match (name.contains('.'), called.is_empty()) {
         // A section is named: the one that comes nearest.
         (true, false) => nearest(&called).into_iter().collect(),
         (true, true) => nearest(&known().collect::<Vec<_>>()).into_iter().collect(),
@@ -223,8 +249,7 @@ pub(super) fn meant(name: &str) -> String {
             let least = known().map(|path| away(&path)).min();
             shallowest(known().filter(|path| Some(away(path)) == least))
         }
-    };
-    found.iter().map(|path| format!("'{path}'")).collect::<Vec<_>>().join(" or ")
+    }
 }
 
 fn last_part(path: &str) -> &str {
@@ -306,9 +331,12 @@ mod tests {
             ("perturb.q.epsilon", "'perturb.t.epsilon'"),
             ("perturb.rgb.epsilom", "'perturb.rgb.epsilon'"),
             ("trian.steps", "'train.steps'"),
+            ("train.step", "'train.steps'"),
         ] {
             assert_eq!(meant(mistake), right, "{mistake}");
         }
+        assert_eq!(nearly("train.stepz").as_deref(), Some("'train.steps'"));
+        assert_eq!(nearly("sigma"), None);
         assert_eq!(settings_called("train.steps"), ["train.steps", "srn.steps"]);
         assert!(settings_called("rows").is_empty());
     }
