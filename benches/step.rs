@@ -1,8 +1,7 @@
-//! Seconds of one training step at the paper's network size, plain and with the search, of a
-//! regularizer's term beside the trunk's own forward and backward pass, and of a step's parts.
+//! Times one training step at the paper's network size with and without the attack, a regularizer's term next to the trunk's
+//! own forward and backward pass, and the parts of a step.
 //!
-//! The same work as a PyTorch implementation's `--rays 256`: 256 rays, 64 + 64 samples, two fields
-//! of 8 x 256, Adam.
+//! A step has 256 rays, 64 + 64 samples, two fields of 8 x 256 and Adam, as a PyTorch implementation's with `--rays 256`.
 
 use std::hint::black_box;
 use std::time::Duration;
@@ -43,8 +42,8 @@ fn step(criterion: &mut Criterion) {
     group.finish();
 }
 
-/// 8,192 points: the trunk's value and weight gradients by candle's backward pass, and a
-/// regularizer's, in the same chunks on the same threads.
+/// Times the trunk's value and weight gradients by candle's backward pass, and a regularizer's, at 8,192 points in the same
+/// chunks on the same threads.
 fn space(criterion: &mut Criterion) {
     let field = Field::init(&FieldConfig::default(), 0, 0, DType::F32, &Device::Cpu).expect("a field");
     let config = RegularizerConfig { points_per_step: 8192, ..RegularizerConfig::default() };
@@ -67,8 +66,8 @@ fn space(criterion: &mut Criterion) {
     group.finish();
 }
 
-/// The parts of a step of 32 rays with 64 samples through one 8 x 256 field, each beside the plain way where there are
-/// two. One thread, but for Adam's.
+/// Times the parts of a step with 32 rays of 64 samples and one 8 x 256 field, fused and plain if there are both. One thread,
+/// except Adam.
 fn parts(criterion: &mut Criterion) {
     const RAYS: usize = 32;
     const SAMPLES: usize = 64;

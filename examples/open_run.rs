@@ -2,7 +2,7 @@
 //!
 //!     cargo run --release --example open_run [RUN_FOLDER]
 //!
-//! Without a folder, it trains a small run first. The picture is `view.png` in the working directory.
+//! Without a folder it trains a small run first. The image is `view.png` in the working directory.
 
 use std::path::{Path, PathBuf};
 use std::sync::atomic::AtomicUsize;
@@ -21,7 +21,7 @@ fn main() -> Result<()> {
         None => train(scratch.path(), &runtime)?,
     };
 
-    // The newest checkpoint with its scene, its settings and where it comes from.
+    // The newest checkpoint, with its scene, settings and protocol.
     let trained = Trained::open(&folder, None, &runtime, &())?;
     let protocol = trained.protocol();
     println!(
@@ -32,18 +32,18 @@ fn main() -> Result<()> {
         trained.state.step
     );
 
-    // Half-way along the scene's camera path.
+    // The middle of the scene's camera path.
     let Some(camera) = trained.scene.path.get(trained.scene.path.len() / 2) else {
         println!("{} has no camera path", trained.scene.name);
         return Ok(());
     };
     let view = trained.viewer().render(camera)?;
     let hit = view.acc.iter().filter(|&&acc| acc > 0.5).count();
-    println!("{} x {} pixels, {hit} of them on something", view.image.width, view.image.height);
+    println!("{} x {} pixels, {hit} of them on a surface", view.image.width, view.image.height);
     write_png8(Path::new("view.png"), &view.image)
 }
 
-/// A small run of the embedded scene below `dir`.
+/// Trains a small run of the built-in scene in `dir`.
 fn train(dir: &Path, runtime: &Runtime) -> Result<PathBuf> {
     let settings = ["data.width=32", "field.width=32", "train.steps=100", "train.rays=128", "train.decay_steps=100"];
     let settings = settings.iter().map(|text| parse_assignment(text)).collect::<Result<Vec<_>>>()?;

@@ -1,9 +1,10 @@
-//! A data format of one's own: a loader that builds a scene by hand, and a training on it.
+//! Your own data format: a loader that builds a scene, and a training on it.
 //!
 //!     cargo run --release --example own_format
 //!
-//! The format is made up. A folder has `cameras.txt`, a line a view: its picture (binary PPM), the focal length in pixels, and the
-//! twelve numbers of the pose's three rows: the camera's right, up and backward axes and its place, in columns.
+//! The format is an invention. A folder has `cameras.txt`, with a line for each view: its image (binary PPM), the focal length in
+//! pixels, and twelve numbers, the rows of the pose. The columns of a pose are the camera's right, up and backward axes and its
+//! position.
 
 use std::fs;
 use std::path::Path;
@@ -17,13 +18,13 @@ use augnerf::runtime::Runtime;
 use augnerf::settings::{DataKind, Preset, build, parse_assignment};
 use augnerf::train::Trainer;
 
-/// Every eighth view is held out; rays run from `near` to `far`, in the units of the poses.
+/// Loads a scene. Every eighth view is held out, and rays run from `near` to `far` in the units of the poses.
 fn load(dir: &Path, near: f64, far: f64) -> Result<Scene> {
     let list = dir.join("cameras.txt");
     let text = fs::read_to_string(&list).map_err(|error| Error::unreadable(&list, &error))?;
     let (mut names, mut cameras, mut images) = (Vec::new(), Vec::new(), Vec::new());
     for line in text.lines() {
-        let broken = || Error::Data(format!("{}: not a picture and 13 numbers: {line}", list.display()));
+        let broken = || Error::Data(format!("{}: not an image and 13 numbers: {line}", list.display()));
         let (file, numbers) = line.split_once(' ').ok_or_else(broken)?;
         let numbers: Option<Vec<f64>> = numbers.split(' ').map(|number| number.parse().ok()).collect();
         let numbers: [f64; 13] = numbers.and_then(|numbers| numbers.try_into().ok()).ok_or_else(broken)?;
@@ -39,17 +40,17 @@ fn load(dir: &Path, near: f64, far: f64) -> Result<Scene> {
         images.push(image);
     }
     let views = Capture::views(names, cameras, images);
-    // The files' units are the scene's, and nothing is known of where objects lie.
+    // Scene units are those of the files, and the region of the objects is unknown.
     let space = SceneSpace::default();
     let capture = Capture { views, path: Vec::new(), near, far, ndc: None, background: Some([1.0; 3]), space };
     let split = build(None, None, &[parse_assignment("data.holdout=8")?])?;
     Ok(capture.hold_out("mine".into(), "ppm-list", &split.data))
 }
 
-/// A binary PPM without comments: `P6 WIDTH HEIGHT 255`, then three bytes a pixel.
+/// Reads a binary PPM without comments: `P6 WIDTH HEIGHT 255`, then three bytes per pixel.
 fn read_ppm(path: &Path) -> Result<Image> {
     let bytes = fs::read(path).map_err(|error| Error::unreadable(path, &error))?;
-    let broken = || Error::Data(format!("{} is no binary PPM of 8 bits", path.display()));
+    let broken = || Error::Data(format!("{}: not a binary PPM with 8 bits", path.display()));
     let mut rest = bytes.as_slice();
     let mut word = || {
         let end = rest.iter().position(u8::is_ascii_whitespace)?;
@@ -71,12 +72,12 @@ fn main() -> Result<()> {
     let folder = tempfile::tempdir().expect("a temporary folder");
     write_something(folder.path())?;
     let scene = load(folder.path(), 2.0, 6.0)?;
-    println!("{} views to train on, {} held out", scene.train.len(), scene.test.len());
+    println!("{} training views, {} held out", scene.train.len(), scene.test.len());
 
     let runtime = Runtime::new("cpu", None)?;
     let settings = ["field.width=32", "train.rays=128", "train.decay_steps=150"];
     let settings = settings.iter().map(|text| parse_assignment(text)).collect::<Result<Vec<_>>>()?;
-    // The kind settles defaults alone: that of scenes seen from all around, without normalised device coordinates.
+    // The kind only chooses defaults: here those of 360-degree scenes, without normalized device coordinates.
     let config = build(Some(Preset::Smoke), None, &settings)?.resolve(DataKind::Transforms, scene.extent())?;
     let mut trainer = Trainer::new(&config, &scene, DType::F32, &runtime)?;
     for _ in 0..150 {
@@ -88,11 +89,11 @@ fn main() -> Result<()> {
     let rendered = viewer.render(&held_out.camera)?;
     let psnr = measure(&held_out.name, &rendered.image, &held_out.image, &[])?.get("psnr").unwrap_or(f64::NAN);
     println!("{}: PSNR {psnr:.2} dB", held_out.name);
-    assert!(psnr > 10.0, "it has not learned");
+    assert!(psnr > 10.0, "the training failed");
     Ok(())
 }
 
-/// The embedded scene's training views in the made-up format, so that there is something to read.
+/// Writes the built-in scene's training views in the invented format.
 fn write_something(dir: &Path) -> Result<()> {
     let config = build(Some(Preset::Smoke), None, &[parse_assignment("data.width=32")?])?;
     let (_, scene) = load_scene(config, &())?;

@@ -1,9 +1,9 @@
-//! A regularizer of one's own, without touching the crate.
+//! Your own regularizer, without changes to the crate.
 //!
 //!     cargo run --release --example own_regularizer
 //!
-//! A ray should end on something or pass through everything: `acc * (1 - acc)` of a ray is 0 where its accumulated weight is 0 or
-//! 1, and largest, 1/4, where half of the light is stopped. The term is its mean over the rays of a step.
+//! A ray should hit a surface or pass through the scene. `acc * (1 - acc)` is 0 if a ray's accumulated weight is 0 or 1, and
+//! largest, 1/4, if half of the light is stopped. The term is the mean over the rays of a step.
 
 use augnerf::base::Result;
 use augnerf::candle_core::{DType, Tensor};
@@ -42,7 +42,7 @@ fn main() -> Result<()> {
             let stats = trainer.step(false)?;
             last.extend(stats.term("regularizer.decided"));
         }
-        // Mean over the last steps' batches.
+        // The mean over the batches of the last steps.
         Ok(last.iter().rev().take(20).sum::<f64>() / 20.0)
     };
     let [without, with] = [undecided(0.0)?, undecided(0.1)?];

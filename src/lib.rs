@@ -1,23 +1,23 @@
-//! augnerf trains neural radiance fields, plain (NeRF) and with worst-case augmentation
-//! (Aug-NeRF), SRN, Neural Volumes and LLFF beside them, and measures all under one protocol.
+//! Trains neural radiance fields with and without worst-case augmentation (Aug-NeRF and NeRF), and compares them with SRN,
+//! Neural Volumes and LLFF under one protocol.
 //!
 //! # Where to start
 //!
-//! | to | start at |
+//! | to | use |
 //! |---|---|
-//! | say where numbers are computed | [`runtime::Runtime`] |
-//! | lay settings over one another | [`settings::build`] |
-//! | load a scene | [`run::load_scene`]; one of your own: [`data::Scene`] |
-//! | take training steps, add a term of your own to the loss | [`train::Trainer`], [`losses::LossTerm`] |
+//! | choose device and threads | [`runtime::Runtime`] |
+//! | combine preset, file and settings | [`settings::build`] |
+//! | load a scene | [`run::load_scene`]; your own: [`data::Scene`] |
+//! | take training steps, add your own loss term | [`train::Trainer`], [`losses::LossTerm`] |
 //! | train in a run folder, with logs, checkpoints and metrics | [`run::Job`] |
-//! | open a run, measure it again, draw its surface | [`run::Trained`] |
+//! | open a run, measure it again, extract a mesh | [`run::Trained`] |
 //! | render a view | [`run::Viewer`] |
-//! | compare pictures, meshes | [`metrics::measure`], [`space::chamfer`], [`space::read_mesh`] |
+//! | compare images or meshes | [`metrics::measure`], [`space::chamfer`], [`space::read_mesh`] |
 //! | run many trainings as one table | [`sweep::expand`], [`report::tables::Table`] |
-//! | hear what goes on | [`base::Listener`] |
+//! | receive notes and progress | [`base::Listener`] |
 //!
-//! The folder `examples` has a training, a view of an opened run, a regularizer and a data format of one's own; `docs` has a page
-//! for each thing that the program does.
+//! The folder `examples` shows a training, a view of an opened run, your own regularizer and your own data format. The folder
+//! `docs` has a page for each task.
 //!
 //! # The pipeline
 //!
@@ -38,66 +38,59 @@
 //!  losses: on rays (distortion) ────────────────────────────────────────────────────▲
 //!          in a box: density, its gradient, its Laplacian (l1, tv, laplacian) ──────┘
 //!
-//!  checkpoint ─► run::Trained ─► methods: a Renderer ─► views ─► metrics ─► metrics.json, CSV, pictures
-//!                            └─► space: density on a lattice ─► level set ─► mesh ─► Chamfer distance to a reference
+//!  checkpoint ─► run::Trained ─► methods: a Renderer ─► views ─► metrics ─► metrics.json, CSV, images
+//!                            └─► space: density on a grid ─► level set ─► mesh ─► Chamfer distance to a reference
 //!
 //!  sweep: definition ─► points ─► one run each ─► report: records ─► tables, figures
 //!  compare: runs ─► one view or ray side by side
 //! ```
 //!
-//! A learner and a renderer are all that training and evaluation know of a method; a [`field::Density`] is there or not.
+//! Training and evaluation use a method only through its learner and its renderer. Some methods also have a [`field::Density`].
 //!
 //! # Symbols
 //!
-//! | name | shape | unit | what |
+//! | name | shape | unit | meaning |
 //! |---|---|---|---|
 //! | `origins`, `directions` | `[rays, 3]` | scene units (NDC where used) | a point is origin + t * direction |
 //! | `viewdirs` | `[rays, 3]` | 1 | unit direction of the world ray |
 //! | `near`, `far` | scalars | as `t_vals` | ends of a ray's interval |
 //! | `t_vals` | `[rays, samples]` | lengths of `directions` | sorted sample positions; MipNeRF: edges of intervals, `[rays, samples + 1]` |
-//! | `points` | `[rays, samples, 3]` | scene units | what the field is queried at; MipNeRF: Gaussians, `[rays, samples, 6]` |
+//! | `points` | `[rays, samples, 3]` | scene units | queries of the field; MipNeRF: Gaussians, `[rays, samples, 6]` |
 //! | `rgb` | `[rays, samples, 3]` or `[rays, 3]` | 0..1 | colour of samples, of rays |
 //! | `density` | `[rays, samples]` | 1 / scene unit | extinction, not negative |
 //! | `alpha` | `[rays, samples]` | 0..1 | 1 - exp(-density * interval) |
 //! | `weights` | `[rays, samples]` | 0..1 | transmittance * alpha |
 //! | `acc` | `[rays]` | 0..1 | sum of weights |
 //! | `depth` | `[rays]` | as `t_vals` | sum of weights * t |
-//! | `delta` | see [`augment::Site`] | the site's own | what is added at a site of the perturbed pass |
-//! | `epsilon` | scalar | see [`augment::SiteSpec`] | size of a delta's set |
-//! | `step_size` | scalar | the delta's unit, or radii | length of one ascent step |
+//! | `delta` | see [`augment::Site`] | the site's own | perturbation added at a site of the perturbed pass |
+//! | `epsilon` | scalar | see [`augment::SiteSpec`] | size of a delta's constraint set |
+//! | `step_size` | scalar | the delta's unit, or radii | length of one PGD step |
 //! | `lambda` | scalar | 1 | weight of the perturbed loss |
 //! | `laplacian` | `[n]` | 1 / scene unit^3 | divergence of density's gradient |
 //! | `threshold` | scalar | as `density` | its level set is the surface |
-//! | `gradient` | `[n, 3]` | 1 / scene unit^2 | slope of density |
-//! | `pose` | `[3, 4]` | scene units | columns: the camera's right, up and backward axes, its place |
-//! | `lattice`, `side` | scalar | cells | a box is cut into `side`^3 of them |
+//! | `gradient` | `[n, 3]` | 1 / scene unit^2 | gradient of density |
+//! | `pose` | `[3, 4]` | scene units | columns: the camera's right, up and backward axes, its position |
+//! | `lattice`, `side` | scalar | cells | a sampling grid divides a box into `side`^3 cells |
 //!
-//! # Layers
+//! # Crates
 //!
-//! Each module uses those of lower rows only; `tests/it/layering.rs` holds this table.
+//! Each crate uses the crates of lower rows only, which the compiler checks. This crate re-exports their modules.
 //!
-//! | tier | modules |
+//! | crate | modules |
 //! |---|---|
-//! | 12 | `cli` |
-//! | 11 | `sweep` |
-//! | 10 | `compare`, `bench` |
-//! | 9 | `run` |
-//! | 8 | `train` |
-//! | 7 | `methods` |
-//! | 6 | `losses` |
-//! | 5 | `render`, `space`, `report` |
-//! | 4 | `field`, `metrics` |
-//! | 3 | `data`, `draw`, `grids` |
-//! | 2 | `settings` |
-//! | 1 | `augment`, `runtime` |
-//! | 0 | `base` |
+//! | `augnerf` | [`cli`], and everything below |
+//! | `augnerf-sweep` | [`sweep`] |
+//! | `augnerf-run` | [`train`], [`run`], [`compare`], [`bench`] |
+//! | `augnerf-baselines` | [`grids`] and the [`methods`] SRN, Neural Volumes and LLFF |
+//! | `augnerf-report` | [`draw`], [`report`] |
+//! | `augnerf-core` | [`base`], [`runtime`], [`settings`], [`augment`], [`data`], [`field`], [`metrics`], [`render`], [`space`], [`losses`] |
 //!
-//! Randomness comes from [`base::rng`] alone, a function of seed, stream and step. The numeric core is
-//! generic over f32 and f64; training runs in f32, the tests' oracles in f64.
+//! All random numbers come from [`base::rng`], as a function of seed, stream and step. The core is generic over f32 and f64:
+//! training uses f32, and tests compare with f64.
 
 #![warn(missing_docs)]
 
-/// The tensor library, in the version that this crate's types are made of.
+/// The tensor library, in the version of this crate's types.
 pub use candle_core;
 
 #[cfg(feature = "baselines")]
@@ -109,13 +102,13 @@ pub use augnerf_sweep as sweep;
 
 pub mod cli;
 
-/// Errors, events, files, random numbers and other ground that everything stands on.
+/// Errors, events, files and random numbers, which all other modules use.
 pub mod base {
     pub use augnerf_core::base::*;
     pub use augnerf_run::revision::{features, revision, version};
 }
 
-/// What is trained: the model of each method, how it learns and how it shows its scene.
+/// The model of each method, with its training and its rendering.
 pub mod methods {
     #[cfg(feature = "baselines")]
     pub use augnerf_baselines::{
@@ -126,7 +119,7 @@ pub mod methods {
     pub use augnerf_run::model::*;
 }
 
-/// Runs the code of the page on the library.
+/// Runs the code of the page about the library.
 #[cfg(doctest)]
 #[doc = include_str!("../docs/library.md")]
 mod library_page {}

@@ -1,4 +1,4 @@
-//! The `augnerf` program: hands its arguments to [`augnerf::cli`].
+//! The `augnerf` program, which passes its arguments to [`augnerf::cli`].
 
 use std::process::ExitCode;
 
