@@ -11,32 +11,33 @@ use crate::run::Report;
 
 use super::progress::print;
 
-/// In which form a command answers.
+/// The flag for the form of a command's answer.
 #[derive(Args, Clone, Copy)]
+#[command(next_help_heading = "Output")]
 pub struct Answer {
-    /// Print the answer as one JSON object on standard output, and nothing else there
+    /// Print the result as one JSON object
     #[arg(long)]
     pub json: bool,
 }
 
 impl Answer {
-    /// Prints `value` where JSON is asked for, and otherwise what `words` prints.
+    /// Prints `value` with `--json`, and otherwise what `words` prints.
     pub fn give(self, value: &impl Serialize, words: impl FnOnce() -> Result<()>) -> Result<()> {
         if self.json { print(&serde_json::to_string(value).expect("plain data")) } else { words() }
     }
 
-    /// The same of a command that leaves a folder or a file, whose name alone is printed, quiet or not: what scripts go on with.
+    /// Prints `value` with `--json`, and otherwise the folder or file that the command wrote, for scripts.
     pub fn give_place(self, value: &impl Serialize, place: &Path) -> Result<()> {
         self.give(value, || print(&place.display().to_string()))
     }
 
-    /// The same of a command that has nothing for people but what it said on its way.
+    /// Prints `value` with `--json`, and otherwise nothing.
     pub fn give_silently(self, value: &impl Serialize) -> Result<()> {
         self.give(value, || Ok(()))
     }
 }
 
-/// What was measured of a run.
+/// The measurements of a run.
 #[derive(Serialize)]
 pub struct Measured<'a> {
     run: String,
@@ -53,7 +54,7 @@ pub struct Measured<'a> {
 }
 
 impl<'a> Measured<'a> {
-    /// Of the run in folder `run`, which is to take `steps` steps and whose files are in `metrics`; `seconds` were spent on steps.
+    /// Describes the run in folder `run` at step `step` of `steps`, whose metrics file is `metrics`; its steps took `seconds`.
     pub fn new(
         (run, metrics): (&Path, &Path),
         report: &'a Report,

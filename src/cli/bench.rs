@@ -12,36 +12,38 @@ use super::answer::Answer;
 use super::progress::print;
 
 pub const EXAMPLES: &str = "Examples:
-  augnerf bench  # steps of NeRF's networks, 1,024 rays of 64 + 64 samples
-  augnerf bench --method aug-nerf --rays 512 --width 64 --set field.encoding=hash";
+  augnerf bench                            # NeRF, 1,024 rays of 64 + 64 samples
+  augnerf bench --method aug-nerf --steps 20
+  augnerf bench --rays 512 --width 64 --set field.encoding=hash";
 
 #[derive(Args)]
+#[command(next_help_heading = "Experiment")]
 pub struct BenchArguments {
-    /// A method as train names it, or nerf with one regularizer
+    /// Method, as in train, or nerf with one regularizer
     #[arg(long, default_value = "nerf", value_parser = methods())]
     method: String,
-    /// Rays of a step [default: 1024]
+    /// Rays per step [default: 1024]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=4096))]
     rays: Option<u16>,
-    /// Samples of the coarse pass [default: 64]
+    /// Samples per ray of the coarse pass [default: 64]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(3..=4096))]
     coarse: Option<u16>,
-    /// Further samples of the fine pass (mip: all its intervals) [default: 64]
+    /// Further samples per ray of the fine pass (MipNeRF: all its intervals) [default: 64]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(..=4096))]
     fine: Option<u16>,
-    /// Width of both networks, which have 8 layers, or of SRN's layers [default: 256]
+    /// Width of both networks (8 layers), or of SRN's layers [default: 256]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(4..=4096))]
     width: Option<u16>,
-    /// Steps that are timed, after two that are not
+    /// Timed steps, after two untimed ones
     #[arg(long, value_name = "N", default_value_t = 5, value_parser = clap::value_parser!(u16).range(1..))]
     steps: u16,
-    /// Any setting over the defaults: --set field.core=plain
+    /// Any setting, over the defaults: --set field.core=plain
     #[arg(long, value_name = "FIELD=VALUE")]
     set: Vec<String>,
     #[command(flatten)]
-    compute: Compute,
-    #[command(flatten)]
     answer: Answer,
+    #[command(flatten)]
+    compute: Compute,
 }
 
 impl BenchArguments {
@@ -57,12 +59,12 @@ impl BenchArguments {
             set: self.set.iter().map(|text| parse_assignment(text)).collect::<Result<_>>()?,
         };
         let timed = workload.run(&runtime)?;
-        // JSON it always was.
+        // Scripts rely on JSON, with or without the flag.
         self.answer.give(&timed, || print(&serde_json::to_string(&timed).expect("plain data")))
     }
 }
 
-/// The names, with those that they had before as hidden ones.
+/// Returns the names of methods; earlier names are hidden aliases.
 fn methods() -> PossibleValuesParser {
     let names = bench::methods().into_iter();
     names.map(|(name, before)| PossibleValue::new(name).aliases(before)).collect::<Vec<_>>().into()

@@ -19,46 +19,47 @@ use super::answer::Answer;
 use super::progress::Console;
 use super::{Compute, numbers};
 
-/// Runs and the held-out view that they show.
+/// Flags for runs and the held-out view that they show.
 #[derive(Args)]
+#[command(next_help_heading = "Experiment")]
 pub struct Runs {
-    /// Run folders of one scene, or the folder of one sweep, whose rows they then are; each run's newest checkpoint is shown
+    /// Run folders of one scene (newest checkpoints), or the folder of one sweep
     #[arg(required = true, value_name = "RUN")]
     runs: Vec<PathBuf>,
-    /// Of a sweep: rows, in this order [default: all whose point is done]
+    /// Rows of the sweep, in this order [default: all finished ones]
     #[arg(long, value_name = "ROW,...")]
     rows: Vec<String>,
-    /// Of a sweep: the seed that all rows have in common [default: the sweep's first]
+    /// Seed of the sweep's points [default: the first]
     #[arg(long, value_name = "N")]
     seed: Option<u64>,
-    /// Of a sweep with several scenes: which
+    /// Scene of the sweep [default: its only one]
     #[arg(long, value_name = "NAME")]
     scene: Option<String>,
-    /// What pictures and files call a run: once for each run, in their order [default: its folder's name]
+    /// Name of a run, once for each in their order [default: its folder's]
     #[arg(long = "label", value_name = "NAME")]
     labels: Vec<String>,
-    /// Held-out view, by name or by number from 0; none is picked by what it shows
+    /// Held-out view, by name or by number from 0
     #[arg(long, value_name = "VIEW", default_value = "0")]
     view: String,
-    /// Scene folder, if it has moved since training
+    /// Scene folder, if it has moved [default: the run's]
     #[arg(long, value_name = "DIR")]
     data: Option<PathBuf>,
 }
 
-/// What is made of each run, with the runs' folders, which stay locked.
+/// The result for each run, and the runs' folders, which stay locked.
 pub type Gathered<T> = (Vec<(RunView, T)>, Vec<RunDir>);
 
-/// Runs with what pictures and files call them.
+/// Run folders with the runs' names.
 pub type Named = Vec<(PathBuf, String)>;
 
 impl Runs {
-    /// The runs that are meant: those that are named, or rows of a sweep under their names.
+    /// Returns the named runs, or rows of a sweep with their names.
     pub fn named(&self) -> Result<Named> {
         let (paths, mut given) = match self.runs.iter().find(|path| SweepFolder::new(path).is_begun()) {
             Some(sweep) if self.runs.len() == 1 => self.rows_of(&SweepFolder::new(sweep))?.into_iter().unzip(),
             Some(sweep) => {
                 return Err(Error::Config(format!(
-                    "{} is a sweep: name it alone, with --rows and --seed, or name runs alone",
+                    "{}: a sweep; name it alone with --rows and --seed, or name runs only",
                     sweep.display()
                 )));
             }
@@ -66,8 +67,7 @@ impl Runs {
         };
         if given.is_empty() && (!self.rows.is_empty() || self.seed.is_some() || self.scene.is_some()) {
             return Err(Error::Config(format!(
-                "--rows, --seed and --scene pick runs of a sweep, and {} is none: name the sweep's folder, such as \
-                 runs/NAME",
+                "{}: not a sweep, so --rows, --seed and --scene do not apply; name a sweep's folder, such as runs/NAME",
                 self.runs[0].display()
             )));
         }
@@ -78,14 +78,14 @@ impl Runs {
         Ok(paths.into_iter().zip(labels).collect())
     }
 
-    /// Rows of a sweep at one seed.
+    /// Returns the runs of a sweep's rows at one seed.
     fn rows_of(&self, sweep: &SweepFolder) -> Result<Named> {
         let points = sweep.points(None)?.unwrap_or_default();
         let definition = sweep.definition()?;
         let seed = self.seed.unwrap_or(definition.seeds[0]);
         if !definition.seeds.contains(&seed) {
             let seeds: Vec<String> = definition.seeds.iter().map(u64::to_string).collect();
-            return Err(Error::Config(format!("--seed {seed}: the sweep's seeds are {}", seeds.join(", "))));
+            return Err(Error::Config(format!("--seed {seed}: not in the sweep; choose one of {}", seeds.join(", "))));
         }
         let scene = self.scene_of(&points)?;
         let mut known = Vec::new();
@@ -97,15 +97,15 @@ impl Runs {
         let mut named: Named = Vec::new();
         for (label, point) in &known {
             let (run, done) = (sweep.point(&point.id).run(), sweep.point(&point.id).result()?.is_some());
-            // Rows that share a point show the same.
+            // Rows that share a point are drawn once.
             let twice = named.iter().any(|(known, _)| *known == run);
             if chosen.is_empty() && done && !twice {
                 named.push((run, label.clone()));
             } else if chosen.contains(label) && !done {
                 let status = sweep.point(&point.id).state(point)?.status.name();
                 return Err(Error::Config(format!(
-                    "'{label}' with seed {seed} is {status}: `augnerf sweep run` trains it, and `augnerf sweep status {}` \
-                     shows how far it is",
+                    "row '{label}' with seed {seed}: {status}; train it with `augnerf sweep run`, or see `augnerf sweep \
+                     status {}`",
                     sweep.path().display()
                 )));
             }
@@ -116,7 +116,8 @@ impl Runs {
         }
         if named.is_empty() {
             return Err(Error::Config(format!(
-                "{} has no point of seed {seed} that is done: `augnerf sweep status` shows how far they are",
+                "{}: no finished point with seed {seed}; see `augnerf sweep status {}`",
+                sweep.path().display(),
                 sweep.path().display()
             )));
         }
@@ -134,14 +135,14 @@ impl Runs {
             (None, [only]) => Ok(only.to_string()),
             (Some(scene), known) if known.contains(&scene.as_str()) => Ok(scene.clone()),
             (named, known) => {
-                let found = named.as_ref().map_or("give one", |_| "it is none of the sweep's");
+                let found = named.as_ref().map_or("is required", |_| "is not in the sweep");
                 let named = named.as_deref().unwrap_or("NAME");
-                Err(Error::Config(format!("--scene {named}: {found}; the sweep's scenes are {}", known.join(", "))))
+                Err(Error::Config(format!("--scene {named}: {found}; choose one of {}", known.join(", "))))
             }
         }
     }
 
-    /// Hands each run to `make`, one at a time, after a check that it shows what the first one does.
+    /// Passes each run to `make`, one at a time, after checking that it shows the same view as the first.
     pub fn gather<T>(
         &self,
         runs: &[(PathBuf, String)],
@@ -150,7 +151,7 @@ impl Runs {
         make: impl Fn(&Viewer, &RunView) -> Result<T>,
     ) -> Result<Gathered<T>> {
         let (mut gathered, mut folders) = (Vec::<(RunView, T)>::new(), Vec::new());
-        // A folder without a trained run is refused before the first rendering.
+        // Folders without a trained run are errors before the first rendering.
         for (run, _) in runs {
             let run = RunDir::open(run)?;
             run.read_config()?;
@@ -174,22 +175,22 @@ impl Runs {
 pub struct CompareArguments {
     #[command(flatten)]
     runs: Runs,
-    /// The box to look into [default: where the runs' squared errors differ most]
-    #[arg(long, value_name = "X,Y,WIDTH,HEIGHT", conflicts_with = "box_width")]
+    /// Box to zoom into, in pixels [default: where the runs' squared errors differ most]
+    #[arg(long, value_name = "X,Y,WIDTH,HEIGHT", conflicts_with = "box_width", help_heading = "Output")]
     zoom: Option<String>,
-    /// Columns of the box that is searched for; its aspect is the view's [default: a fifth of the view's]
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
+    /// Width of the searched box in pixels [default: a fifth of the view's]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..), help_heading = "Output")]
     box_width: Option<u32>,
-    /// Also a GIF that fades between two runs
-    #[arg(long)]
+    /// Write a GIF, too, that fades between two runs
+    #[arg(long, help_heading = "Output")]
     gif: bool,
     /// Output folder, new or empty [default: RUN/renders/compare of the first run, replaced]
-    #[arg(long, value_name = "DIR")]
+    #[arg(long, value_name = "DIR", help_heading = "Output")]
     out: Option<PathBuf>,
     #[command(flatten)]
-    compute: Compute,
-    #[command(flatten)]
     answer: Answer,
+    #[command(flatten)]
+    compute: Compute,
 }
 
 impl CompareArguments {
@@ -224,13 +225,13 @@ impl CompareArguments {
 
 fn parse_zoom(text: &str) -> Result<Window> {
     let [x, y, width, height] = numbers(text).ok_or_else(|| {
-        Error::Config(format!("--zoom {text}: give column, row, width and height in pixels, such as 120,80,64,48"))
+        Error::Config(format!("--zoom {text}: not four numbers; give column, row, width and height, such as 120,80,64,48"))
     })?;
     Ok(Window { x, y, width, height })
 }
 
-/// A folder that pictures appear in all together: an earlier rendering's are not left among the new ones. What is
-/// not ours is not replaced.
+/// Returns the output folder and a writer whose images appear in it all at once. Images of an earlier rendering are
+/// removed; a folder with other files is an error.
 pub fn pictures_folder(out: Option<&Path>, default: PathBuf) -> Result<(PathBuf, AtomicDir)> {
     if let Some(out) = out {
         return Ok((out.to_path_buf(), AtomicDir::vacant(out)?));

@@ -22,28 +22,28 @@ use super::progress::{Console, print, print_shown};
 
 #[derive(Subcommand)]
 pub enum DataCommand {
-    /// Say what a scene folder holds and how it would be used
+    /// Show what a scene folder holds and how it is used
     #[command(after_help = CHECK_EXAMPLES)]
     Check(CheckArguments),
-    /// Write the training views as section data.corruption of the settings makes them, to look at
+    /// Write the training views with the corruption of section data.corruption
     #[command(after_help = CORRUPT_EXAMPLES)]
     Corrupt(CorruptArguments),
-    /// Write the embedded scene in Blender format, with exact depth and mesh
+    /// Write the built-in scene in Blender format, with depth and mesh
     #[command(after_help = EXPORT_EXAMPLES)]
     ExportBuiltin(ExportArguments),
 }
 
 #[derive(Args)]
 pub struct CheckArguments {
-    /// Scene folder [default: the embedded scene]
+    /// Scene folder, here or in AUGNERF_DATA [default: the built-in scene]
     dir: Option<PathBuf>,
-    /// Settings of section data, as in training: --set data.downscale=4
+    /// A setting of section data, as in training: --set data.downscale=4
     #[arg(long, value_name = "FIELD=VALUE")]
     set: Vec<String>,
-    /// Draw cameras, points, the ends of rays and the box from two sides, too: a PNG or SVG
+    /// Draw cameras, points, ray ends and the box into a PNG or SVG
     #[arg(long, value_name = "FILE.png")]
     picture: Option<PathBuf>,
-    /// No progress bar
+    /// Print errors and results only
     #[arg(long, short)]
     quiet: bool,
     #[command(flatten)]
@@ -51,21 +51,22 @@ pub struct CheckArguments {
 }
 
 const CHECK_EXAMPLES: &str = "Examples:
-  augnerf data check                                     # the embedded scene
-  augnerf data check ~/data/fern --set data.downscale=4  # as training reads it so";
+  augnerf data check                                     # the built-in scene
+  augnerf data check fern --picture fern.png             # with a drawing of the cameras
+  augnerf data check ~/data/fern --set data.downscale=4  # as training with this setting reads it";
 
-const EXPORT_EXAMPLES: &str = "Example:
-  augnerf data export-builtin scene --width 200  # then: augnerf train --data scene";
+const EXPORT_EXAMPLES: &str = "Examples:
+  augnerf data export-builtin scene              # then: augnerf train --data scene
+  augnerf data export-builtin scene --width 200  # wider views";
 
 const CORRUPT_EXAMPLES: &str = "Examples:
   augnerf data corrupt noisy --data fern --set data.corruption.kind=gaussian-noise
   augnerf data corrupt moved --data fern --set data.corruption.kind=poses --seed 1
-  augnerf data corrupt seen --config RUN/config.toml  # what a run was trained on
+  augnerf data corrupt seen --config RUN/config.toml  # the training views of a run
 
-DIR gets views/NAME.png, beside.png (the first view, clean and corrupted), views.csv (each view's PSNR in dB to the \
-clean one, degrees that its camera was turned by, scene units that it was moved by) and corruption.json. Pixels are \
-those that training with the same settings and seed sees; of poses, views.csv is all there is to see. Held-out views \
-are never touched.";
+Writes views/NAME.png, beside.png (the first view, clean and corrupted), views.csv (for each view the PSNR to the clean \
+one in dB, and its camera's rotation in degrees and shift in scene units) and corruption.json. Training with the same \
+settings and seed uses the same pixels. Held-out views stay clean.";
 
 #[derive(Args)]
 pub struct CorruptArguments {
@@ -75,8 +76,8 @@ pub struct CorruptArguments {
     experiment: Experiment,
     #[command(flatten)]
     _unused: UnusedWeights,
-    /// No progress bar
-    #[arg(long, short)]
+    /// Print errors and results only
+    #[arg(long, short, help_heading = "Output")]
     quiet: bool,
     #[command(flatten)]
     answer: Answer,
@@ -109,7 +110,7 @@ impl ExportArguments {
         let export::Exported { pictures, depths, triangles, .. } = export::export(&self.dir, self.width)?;
         let answer = json!({ "folder": folder, "pictures": pictures, "depths": depths, "triangles": triangles });
         self.answer.give(&answer, || {
-            print(&format!("{folder}: {pictures} pictures, {depths} depth maps, a mesh of {triangles} triangles"))
+            print(&format!("{folder}: {pictures} images, {depths} depth maps, a mesh of {triangles} triangles"))
         })
     }
 }
@@ -120,8 +121,8 @@ impl CorruptArguments {
         let console = Console::new(self.quiet);
         let mut config = self.experiment.config(&console)?;
         if !config.data.corruption.is_on() {
-            let message =
-                "nothing would be corrupted: --set data.corruption.kind to gaussian-noise, shot-noise, pepper or poses";
+            let message = "data.corruption.kind = \"none\": nothing to corrupt; choose gaussian-noise, shot-noise, pepper or \
+                           poses with --set";
             return Err(Error::Config(message.into()));
         }
         let corruption = std::mem::take(&mut config.data.corruption);
@@ -136,14 +137,14 @@ impl CorruptArguments {
     }
 }
 
-/// Draws the scene into a file whose ending names the kind.
+/// Draws the scene into a PNG or SVG file.
 fn draw(scene: &Scene, file: &Path) -> Result<()> {
     let figure = scene_picture(scene)?;
     match (ending(file)?, figure.png) {
         (Ending::Svg, _) => write_atomic(file, figure.svg.as_bytes()),
         (Ending::Png, Some(png)) => write_atomic(file, &png),
         (Ending::Png, None) => Err(Error::Config(format!(
-            "--picture {}: this augnerf was built without PNG figures (feature png-figures); let the name end in .svg",
+            "--picture {}: this augnerf has no PNG figures (feature png-figures); choose a name that ends in .svg",
             file.display()
         ))),
     }
@@ -158,18 +159,21 @@ fn ending(file: &Path) -> Result<Ending> {
     match file.extension().map(|ending| ending.to_ascii_lowercase()) {
         Some(ending) if ending == "png" => Ok(Ending::Png),
         Some(ending) if ending == "svg" => Ok(Ending::Svg),
-        _ => Err(Error::Config(format!("--picture {}: let the file's name end in .png or .svg", file.display()))),
+        _ => Err(Error::Config(format!(
+            "--picture {}: neither PNG nor SVG; choose a name that ends in .png or .svg",
+            file.display()
+        ))),
     }
 }
 
 impl CheckArguments {
     fn run(self) -> Result<()> {
-        // Refused before pictures are read.
+        // An error before images are read.
         self.picture.as_ref().map_or(Ok(()), |file| ending(file).map(|_| ()))?;
         let console = Console::new(self.quiet);
         let mut assignments = self.set.iter().map(|text| parse_assignment(text)).collect::<Result<Vec<_>>>()?;
         if let Some(dir) = &self.dir {
-            let dir = toml::Value::String(scene_folder(dir, &console)?.to_string_lossy().into_owned());
+            let dir = toml::Value::String(scene_folder("", dir, &console)?.to_string_lossy().into_owned());
             assignments.push((vec!["data".into(), "dir".into()], dir));
         }
         let config = build(None, None, &assignments)?;
@@ -184,7 +188,7 @@ impl CheckArguments {
     }
 }
 
-/// A scene for other programs.
+/// A scene as JSON for other programs.
 #[derive(Serialize)]
 struct CheckedScene<'a> {
     scene: &'a str,
@@ -199,7 +203,7 @@ struct CheckedScene<'a> {
     ndc: bool,
     split: String,
     data_hash: String,
-    /// The lines for people, label and value.
+    /// The printed lines, label and value.
     said: serde_json::Map<String, serde_json::Value>,
 }
 

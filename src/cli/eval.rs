@@ -13,41 +13,38 @@ use super::progress::{Console, print};
 use super::{Compute, Sources};
 
 pub const EXAMPLES: &str = "Examples:
-  augnerf eval runs/fern-nerf-*                    # the held-out views, with this program
-  augnerf eval RUN --step 2000 --split train       # another checkpoint, on the trained views
-  augnerf eval RUN --lpips-weights ~/lpips --json  # with LPIPS, for a script
-
-Evaluations of another checkpoint or split go to RUN/eval and leave the run's own metrics as they are.";
+  augnerf eval runs/fern-nerf-*                    # the held-out views
+  augnerf eval RUN --step 2000 --split train       # another checkpoint, on the training views
+  augnerf eval RUN --lpips-weights ~/lpips --json  # with LPIPS, for a script";
 
 #[derive(Args)]
 pub struct EvalArguments {
-    /// Run folder; its newest checkpoint is measured
+    /// Run folder
     run: PathBuf,
-    /// Measure the checkpoint of this step
-    #[arg(long, value_name = "N")]
+    /// Checkpoint of this step [default: the newest]
+    #[arg(long, value_name = "N", help_heading = "Experiment")]
     step: Option<u64>,
-    /// Measure these views [default: those that the run holds out]
-    #[arg(long, value_enum)]
+    /// Views to measure [default: the run's held-out views]
+    #[arg(long, value_enum, help_heading = "Experiment")]
     split: Option<SplitName>,
-    /// Folder for metrics.json and metrics.csv, which otherwise replace the run's, or with --step or --split go to
-    /// RUN/eval/step_N_SPLIT
-    #[arg(long, value_name = "DIR")]
-    out: Option<PathBuf>,
     #[command(flatten)]
     sources: Sources,
-    #[command(flatten)]
-    compute: Compute,
+    /// Folder for metrics.json and metrics.csv [default: RUN, replaced; with --step or --split RUN/eval/step_N_SPLIT]
+    #[arg(long, value_name = "DIR", help_heading = "Output")]
+    out: Option<PathBuf>,
     #[command(flatten)]
     answer: Answer,
+    #[command(flatten)]
+    compute: Compute,
 }
 
 #[derive(Clone, Copy, ValueEnum)]
 enum SplitName {
-    /// Held out
+    /// Held-out views
     Test,
-    /// Kept for choices: a Blender scene's validation views, or what data.validation keeps
+    /// Validation views: a Blender scene's, or those of data.validation
     Val,
-    /// Trained on
+    /// Training views
     Train,
 }
 
@@ -78,7 +75,10 @@ impl EvalArguments {
         Ok(())
     }
 
-    /// Where the files go, which can be written to.
+    /// Returns the folder for the files.
+    ///
+    /// # Errors
+    /// [`Error::Output`]: it cannot be created or written.
     fn folder(&self, run: &RunDir, step: u64) -> Result<PathBuf> {
         let made = |folder: &Path| {
             std::fs::create_dir_all(folder).map_err(|e| Error::unwritable(folder, &e)).map(|()| folder.to_path_buf())
@@ -88,7 +88,7 @@ impl EvalArguments {
         }
         if !run.is_writable() {
             return Err(Error::Output(format!(
-                "{} cannot be written: name a folder for metrics.json and metrics.csv with --out",
+                "{}: read-only; name a folder for metrics.json and metrics.csv with --out",
                 run.path().display()
             )));
         }

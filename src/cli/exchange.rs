@@ -18,27 +18,27 @@ use super::train::default_folder;
 use super::{Compute, LpipsWeights};
 
 pub const EXPORT_EXAMPLES: &str = "Examples:
-  augnerf export RUN lego.tar          # a checkpoint that nerf-pytorch takes with --ft_path
   augnerf export RUN lego.safetensors  # all weights, with networks, encodings and settings
+  augnerf export RUN lego.tar          # a checkpoint for nerf-pytorch's --ft_path
+  augnerf export RUN lego.safetensors --data ~/data/lego
 
-A nerf-pytorch checkpoint holds both networks, the step and Adam's state. Fields that it does not have (hash grids, MipNeRF, \
-other skips than field.skips=[5]) are refused.";
+A nerf-pytorch checkpoint holds both networks, the step and Adam's state. It cannot hold hash grids, MipNeRF or skips \
+other than field.skips=[5].";
 
 pub const IMPORT_EXAMPLES: &str = "Examples:
-  augnerf import 200000.tar --data nerf_synthetic/lego --preset paper-blender --out runs/lego
   augnerf import lego.safetensors --data nerf_synthetic/lego --out runs/lego
+  augnerf import 200000.tar --data nerf_synthetic/lego --preset paper-blender --out runs/lego
+  augnerf import lego.safetensors --data nerf_synthetic/lego --overwrite
 
-Then the run is like any other: augnerf eval runs/lego, augnerf render runs/lego, augnerf train --from runs/lego. The networks' \
-shape follows from the weights; how the scene is read and sampled is not in a nerf-pytorch checkpoint, and follows from \
---preset and --set.";
+A nerf-pytorch checkpoint says nothing about reading and sampling the scene; --preset and --set do.";
 
 #[derive(Args)]
 pub struct ExportArguments {
-    /// Run folder; its newest checkpoint is exported
+    /// Run folder (newest checkpoint)
     run: PathBuf,
-    /// The file: .tar, .pth or .pt for nerf-pytorch, .safetensors with metadata
+    /// Output file: .tar, .pth or .pt for nerf-pytorch, or .safetensors
     file: PathBuf,
-    /// Scene folder, if it has moved since training (.safetensors alone, which tell how its units follow from the capture's)
+    /// Scene folder for .safetensors, if it has moved [default: the run's]
     #[arg(long, value_name = "DIR")]
     data: Option<PathBuf>,
     #[command(flatten)]
@@ -49,18 +49,18 @@ pub struct ExportArguments {
 
 #[derive(Args)]
 pub struct ImportArguments {
-    /// The file: a checkpoint of nerf-pytorch (.tar, .pth, .pt) or an exported .safetensors
+    /// Checkpoint of nerf-pytorch (.tar, .pth, .pt), or .safetensors from `export`
     file: PathBuf,
     #[command(flatten)]
     experiment: Experiment,
-    /// Run folder [default: runs/SCENE-METHOD-HASH]
-    #[arg(long, value_name = "DIR")]
-    out: Option<PathBuf>,
-    /// Replace the run that the folder holds
-    #[arg(long)]
-    overwrite: bool,
     #[command(flatten)]
     weights: LpipsWeights,
+    /// Run folder [default: runs/SCENE-METHOD-HASH]
+    #[arg(long, value_name = "DIR", help_heading = "Output")]
+    out: Option<PathBuf>,
+    /// Replace the run in that folder
+    #[arg(long, help_heading = "Output")]
+    overwrite: bool,
     #[command(flatten)]
     answer: Answer,
     #[command(flatten)]
@@ -99,7 +99,7 @@ impl ImportArguments {
             file: own.as_ref().map(|file| file.path()),
             first,
             last: vec![(path("train.parent"), foreign.parent().into())],
-            // Its networks are those of the paper, which a hash grid's preset is not for.
+            // The weights are of the paper's networks, not of a hash grid.
             preset: |preset| if preset == Preset::Fast { Preset::Cpu } else { preset },
         };
         let (config, scene) = load_scene(self.experiment.config_over(base, &self.weights, &console)?, &console)?;
@@ -115,7 +115,7 @@ impl ImportArguments {
             "{networks} networks of {depth} layers with {width} neurons, step {}, scene {name}",
             foreign.step()
         ));
-        console.say(&format!("measure them with `augnerf eval {}`", folder.display()));
+        console.say(&format!("next: augnerf eval {}", folder.display()));
         let answer = json!({
             "run": folder.display().to_string(),
             "step": foreign.step(),
@@ -132,13 +132,13 @@ fn path(dotted: &str) -> Vec<String> {
     dotted.split('.').map(String::from).collect()
 }
 
-/// Refuses a run that would end before the step that its weights are of.
+/// Checks that the run does not end before the step of its weights.
 fn check_steps(file: &Path, step: u64, steps: u64) -> Result<()> {
     if step <= steps {
         return Ok(());
     }
     Err(Error::Config(format!(
-        "{} is of step {step}, and train.steps = {steps}: leave it out to end there, or ask for more with --set train.steps=N",
+        "{}: weights of step {step}, but train.steps = {steps}; omit train.steps, or raise it with --set train.steps=N",
         file.display()
     )))
 }

@@ -1,4 +1,4 @@
-//! The arguments that describe an experiment.
+//! The flags that describe an experiment.
 
 use std::path::{Path, PathBuf};
 
@@ -8,65 +8,72 @@ use toml::Value;
 
 use crate::base::{Error, Result};
 use crate::data::{self, Format};
-use crate::settings::{Config, Encoding, Method, Preset, build, data_section, parse_assignment};
+use crate::settings::{Config, Encoding, Method, Preset, REGULARIZERS, build, data_section, parse_assignment};
 
 use super::LpipsWeights;
 use super::progress::Console;
 
 /// Scene and settings of one experiment.
 #[derive(Args)]
+#[command(next_help_heading = "Experiment")]
 pub struct Experiment {
-    /// Scene folder: LLFF, NeRF-Synthetic (Blender), transforms.json or COLMAP; where there is none of that name, the one below
-    /// the folder that AUGNERF_DATA names [default: the embedded scene]
+    /// Scene folder (LLFF, Blender, transforms.json, COLMAP), here or in AUGNERF_DATA [default: the built-in scene]
     #[arg(long, value_name = "DIR")]
     data: Option<PathBuf>,
-    /// fast (a minute: a hash grid), smoke (seconds: small networks), cpu (minutes: small networks), paper-llff, paper-blender,
-    /// released-llff or released-blender [default: fast for the embedded scene (methods of MipNeRF: smoke), the paper's settings
-    /// for a real one]
+    /// fast, smoke, cpu, paper-llff, paper-blender, released-llff or released-blender [default: fast for the built-in
+    /// scene (MipNeRF: smoke), the paper's for others]
     #[arg(long, value_name = "NAME")]
     preset: Option<String>,
-    /// TOML file with settings over the preset's; a run's config.toml repeats that run (it has every number filled
-    /// in, so it is no base for another scene or attack)
+    /// TOML file with settings, over the preset's; a run's config.toml repeats that run
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
     /// nerf, aug-nerf, mip-nerf, aug-mip-nerf, srn, nv or llff [default: nerf]
     #[arg(long, value_name = "METHOD")]
     method: Option<String>,
-    /// Seed of every random stream [default: 0]
+    /// Seed of all random numbers [default: 0]
     #[arg(long, value_name = "N")]
     seed: Option<u64>,
-    /// Any setting, over everything else: --set train.steps=2000 --set perturb.rgb.passes=off
+    /// Any setting, over everything else: --set train.steps=2000
     #[arg(long, value_name = "FIELD=VALUE")]
     set: Vec<String>,
 }
 
-/// The folder that scenes are looked for in where they are not at hand.
+/// The environment variable that names a folder of scenes.
 const DATA_ROOT: &str = "AUGNERF_DATA";
 
-/// The scene folder that a name means: that of the name, otherwise the one below `AUGNERF_DATA` or one folder deeper, which is
-/// said.
+/// Returns the scene folder that a name means: a folder here, otherwise one in `AUGNERF_DATA` or one level deeper, which is
+/// printed. `flag` begins the errors: `--data `, or nothing for an argument without a flag.
 ///
 /// # Errors
-/// Neither is there; several are below `AUGNERF_DATA`.
-pub fn scene_folder(named: &Path, console: &Console) -> Result<PathBuf> {
+/// [`Error::Data`]: no such folder, or several in `AUGNERF_DATA`.
+pub fn scene_folder(flag: &str, named: &Path, console: &Console) -> Result<PathBuf> {
     let here = std::path::absolute(named).map_err(|e| Error::unreadable(named, &e))?;
+    if here.symlink_metadata().is_ok() {
+        return Ok(here);
+    }
     let root = std::env::var_os(DATA_ROOT).filter(|root| !root.is_empty() && named.is_relative());
-    let Some(root) = root.filter(|_| here.symlink_metadata().is_err()).map(PathBuf::from) else { return Ok(here) };
+    let root = root.map(PathBuf::from).unwrap_or_default();
     let entries = std::fs::read_dir(&root).into_iter().flatten().flatten();
     let mut deeper: Vec<PathBuf> = entries.map(|entry| entry.path().join(named)).filter(|path| path.is_dir()).collect();
     deeper.sort();
     let below = root.join(named);
     let found = if below.is_dir() { vec![below] } else { deeper };
-    let place = || format!("there is no {} here, and below {DATA_ROOT} ({})", named.display(), root.display());
+    let place = if root.as_os_str().is_empty() { DATA_ROOT.into() } else { format!("{DATA_ROOT} ({})", root.display()) };
+    let named = named.display();
     match &found[..] {
-        [] => Err(Error::Data(format!("{} there is none either: name the scene's folder", place()))),
+        [] => {
+            let without = if flag.is_empty() { "none" } else { "omit --data" };
+            Err(Error::Data(format!(
+                "{flag}{named}: no such folder, here or in {place}; name a scene folder, or {without} for the built-in scene"
+            )))
+        }
         [scene] => {
             console.say(&format!("scene: {} ({DATA_ROOT})", scene.display()));
             std::path::absolute(scene).map_err(|e| Error::unreadable(scene, &e))
         }
         several => {
             let several: Vec<String> = several.iter().map(|path| path.display().to_string()).collect();
-            Err(Error::Data(format!("{} there are several: name one of {}", place(), several.join(", "))))
+            Err(Error::Data(format!("{flag}{named}: not here, and several in {place}; name one of {}", several.join(", "))))
         }
     }
 }
@@ -74,29 +81,29 @@ pub fn scene_folder(named: &Path, console: &Console) -> Result<PathBuf> {
 /// Settings as `(path, value)`.
 type Assignments = Vec<(Vec<String>, Value)>;
 
-/// What an experiment's arguments are laid over, and what over them.
+/// Settings below and above those of the command line.
 pub struct Base<'a> {
-    /// Read where no file is named.
+    /// The settings file if `--config` names none.
     pub file: Option<&'a Path>,
-    /// Under all that is named.
+    /// Settings that the command line overrides.
     pub first: Assignments,
-    /// Over all that is named.
+    /// Settings that override the command line.
     pub last: Assignments,
-    /// What becomes of the preset that the scene asks for where none is named.
+    /// Maps the preset that suits the scene, if `--preset` names none.
     pub preset: fn(Preset) -> Preset,
 }
 
 impl Default for Base<'_> {
-    /// Nothing.
+    /// Returns a base that adds nothing.
     fn default() -> Self {
         Base { file: None, first: Vec::new(), last: Vec::new(), preset: |preset| preset }
     }
 }
 
-/// Settings as a file for [`Base::file`].
+/// Writes settings to a temporary file for [`Base::file`].
 ///
 /// # Errors
-/// It cannot be written.
+/// [`Error::Output`]: the file cannot be written.
 pub fn settings_file(toml: &str) -> Result<NamedTempFile> {
     let unwritable = |e: std::io::Error| Error::unwritable(&std::env::temp_dir(), &e);
     let file = tempfile::Builder::new().suffix(".toml").tempfile().map_err(unwritable)?;
@@ -105,18 +112,17 @@ pub fn settings_file(toml: &str) -> Result<NamedTempFile> {
 }
 
 impl Experiment {
-    /// Whether the scene's folder is named.
+    /// Returns whether `--data` names a scene.
     pub fn names_scene(&self) -> bool {
         self.data.is_some()
     }
 
-    /// Preset, file and assignments, in that order.
+    /// Builds the settings of preset, file and flags, in that order.
     pub fn config(&self, console: &Console) -> Result<Config> {
         self.config_over(Base::default(), &LpipsWeights { lpips_weights: None }, console)
     }
 
-    /// The same over a base, of an experiment that is measured, with LPIPS where there are weights. A preset or a file that is
-    /// named takes the place of the base's file.
+    /// Builds the settings over a base, with the folder of LPIPS weights. `--preset` and `--config` replace the base's file.
     pub fn config_over(&self, base: Base, weights: &LpipsWeights, console: &Console) -> Result<Config> {
         let file = self.config.as_deref().or(base.file.filter(|_| self.preset.is_none()));
         let mut assignments = base.first;
@@ -124,12 +130,12 @@ impl Experiment {
             assignments.push((path.iter().map(|part| part.to_string()).collect::<Vec<_>>(), value));
         };
         if let Some(data) = &self.data {
-            // A file may be of another scene.
+            // The file may belong to another scene.
             if self.config.is_none() && file.is_some() {
                 assign(&["data", "kind"], Value::String("auto".into()));
                 assign(&["data", "name"], Value::String(String::new()));
             }
-            let data = scene_folder(data, console)?;
+            let data = scene_folder("--data ", data, console)?;
             assign(&["data", "dir"], Value::String(data.to_string_lossy().into_owned()));
         }
         if let Some(weights) = &weights.lpips_weights {
@@ -137,11 +143,12 @@ impl Experiment {
             assign(&["eval", "lpips_weights"], Value::String(weights.to_string_lossy().into_owned()));
         }
         if let Some(method) = &self.method {
+            check_method(method)?;
             assign(&["method"], Value::String(method.clone()));
         }
         if let Some(seed) = self.seed {
             let seed = i64::try_from(seed)
-                .map_err(|_| Error::Config(format!("--seed {seed} is out of range: it must be at most 2^63 - 1")))?;
+                .map_err(|_| Error::Config(format!("--seed {seed}: out of range; choose at most 2^63 - 1")))?;
             assign(&["seed"], Value::Integer(seed));
         }
         for text in &self.set {
@@ -150,7 +157,7 @@ impl Experiment {
         assignments.extend(base.last);
         let mut preset = self.preset.as_deref().map(Preset::parse).transpose()?;
         if preset.is_none() && file.is_none() {
-            // What the scene asks for.
+            // The preset that suits the scene.
             preset = Format::of(data::detect(&data_section(&assignments)?)?).map(|format| (base.preset)(format.preset));
             if preset == Some(Preset::Fast) && !may_be_on_a_grid(&assignments) {
                 preset = Some(Preset::Smoke);
@@ -160,7 +167,22 @@ impl Experiment {
     }
 }
 
-/// The method that assignments name, if any, has fields on hash grids.
+/// Checks the name of a method.
+///
+/// # Errors
+/// [`Error::Config`]: no such method; a regularizer is answered with its setting.
+fn check_method(name: &str) -> Result<()> {
+    let methods = Method::ALL.map(Method::name);
+    if methods.contains(&name) {
+        return Ok(());
+    }
+    Err(Error::Config(match REGULARIZERS.iter().any(|term| term.name() == name) {
+        true => format!("--method {name}: {name} is a regularizer; use --set regularizer.kind={name}"),
+        false => format!("--method {name}: no such method; choose one of {}", methods.join(", ")),
+    }))
+}
+
+/// Returns whether the named method, if any, has fields on hash grids.
 fn may_be_on_a_grid(assignments: &[(Vec<String>, Value)]) -> bool {
     let named = assignments.iter().rev().find(|(path, _)| path[..] == ["method"]);
     let method = named.and_then(|(_, method)| method.clone().try_into::<Method>().ok());

@@ -1,4 +1,4 @@
-//! `augnerf completions` and `augnerf man`: what shells and manuals know of the command line, from its one definition.
+//! `augnerf completions` and `augnerf man`, both made from the definition of the command line.
 
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -17,19 +17,20 @@ pub const COMPLETIONS_EXAMPLES: &str = "Examples:
   augnerf completions zsh > ~/.zfunc/_augnerf  # with ~/.zfunc in fpath before compinit
   augnerf completions fish > ~/.config/fish/completions/augnerf.fish";
 
-pub const MAN_EXAMPLES: &str = "Example:
-  augnerf man ~/.local/share/man/man1  # then: man augnerf-train";
+pub const MAN_EXAMPLES: &str = "Examples:
+  augnerf man ~/.local/share/man/man1  # then: man augnerf-train
+  augnerf man man                      # pages for a package";
 
 #[derive(Args)]
 pub struct CompletionsArguments {
-    /// The shell
+    /// Shell
     #[arg(value_enum)]
     shell: Shell,
 }
 
 #[derive(Args)]
 pub struct ManArguments {
-    /// Folder for the pages, augnerf.1 and one a command; created where it is missing
+    /// Folder for augnerf.1 and a page for each command; created if missing
     dir: PathBuf,
 }
 
@@ -52,7 +53,7 @@ impl ManArguments {
     }
 }
 
-/// The page of a command and of all below it; how many they are.
+/// Writes the pages of a command and its subcommands, and returns their number.
 fn write_pages(command: &clap::Command, dir: &Path) -> Result<usize> {
     let man = Man::new(command.clone());
     write_atomic(&dir.join(man.get_filename()), &page(&man, command).expect("memory takes everything"))?;
@@ -60,7 +61,7 @@ fn write_pages(command: &clap::Command, dir: &Path) -> Result<usize> {
     inner.map(|inner| write_pages(inner, dir)).try_fold(1, |pages, further| Ok(pages + further?))
 }
 
-/// A page whose examples keep their lines, which the crate's own would fill into a paragraph.
+/// Returns a page whose examples keep their line breaks, unlike those of [`Man::render`].
 fn page(man: &Man, command: &clap::Command) -> std::io::Result<Vec<u8>> {
     let mut page = Vec::new();
     man.render_title(&mut page)?;
@@ -78,7 +79,7 @@ fn page(man: &Man, command: &clap::Command) -> std::io::Result<Vec<u8>> {
             None => ("NOTES", text.as_str()),
         };
         writeln!(page, ".SH {title}")?;
-        text_as_it_stands(rest, &mut page)?;
+        write_text(rest, &mut page)?;
     }
     if command.get_version().is_some() {
         man.render_version_section(&mut page)?;
@@ -86,8 +87,8 @@ fn page(man: &Man, command: &clap::Command) -> std::io::Result<Vec<u8>> {
     Ok(page)
 }
 
-/// Indented lines as they stand, prose filled.
-fn text_as_it_stands(text: &str, page: &mut Vec<u8>) -> std::io::Result<()> {
+/// Writes indented lines unchanged and prose as paragraphs.
+fn write_text(text: &str, page: &mut Vec<u8>) -> std::io::Result<()> {
     let mut filled = true;
     for line in text.lines() {
         let prose = !line.starts_with(' ');

@@ -21,7 +21,7 @@ use super::experiment::Experiment;
 use super::progress::{Console, print};
 use super::{Compute, UnusedWeights, numbers};
 
-/// A network of a run and how smooth it is.
+/// The smoothness of one network of a run.
 #[derive(Serialize)]
 struct Measured<'a> {
     run: String,
@@ -30,24 +30,25 @@ struct Measured<'a> {
 }
 
 #[derive(Args)]
+#[command(next_help_heading = "Experiment")]
 pub struct MeasureArguments {
-    /// Run folders; each run's newest checkpoint is measured
+    /// Run folders (newest checkpoints)
     #[arg(required = true)]
     runs: Vec<PathBuf>,
-    /// Cells along each side of the box; numbers of different lattices are not comparable
+    /// Cells along each side of the box; compare equal values only
     #[arg(long, value_name = "N", default_value_t = SMOOTHNESS_SIDE)]
     lattice: usize,
-    /// Corners of the box in the units that the field is queried in (NDC where the run uses it) [default: -1..1, the
-    /// paper's; of transforms.json, COLMAP and spherified scenes what most cameras look at]
+    /// Corners of the box in the field's units [default: -1..1; for transforms.json, COLMAP and spherified scenes the
+    /// region that most cameras view]
     #[arg(long, alias = "domain", value_name = "X,Y,Z,X,Y,Z", allow_hyphen_values = true)]
     bbox: Option<String>,
-    /// Scene folder, if it has moved since training
+    /// Scene folder, if it has moved [default: the run's]
     #[arg(long, value_name = "DIR")]
     data: Option<PathBuf>,
     #[command(flatten)]
-    compute: Compute,
-    #[command(flatten)]
     answer: Answer,
+    #[command(flatten)]
+    compute: Compute,
 }
 
 impl MeasureArguments {
@@ -56,7 +57,7 @@ impl MeasureArguments {
         let domain = self.bbox.as_deref().map(|text| parse_box("bbox", text)).transpose()?;
         domain.map_or(Ok(()), |domain| check_flag("--bbox", "regularizer.domain", &domain))?;
         check_flag("--lattice", "regularizer.lattice", &self.lattice)?;
-        // A run that has no such numbers is refused before the first is measured.
+        // A run without such numbers is an error before the first is measured.
         for run in &self.runs {
             check_measurable(run, &RunDir::open(run)?.read_config()?)?;
         }
@@ -87,23 +88,23 @@ impl MeasureArguments {
             let file = trained.run.smoothness();
             console.say(&match trained.run.is_writable() {
                 true => format!("with the run's protocol: {}", file.display()),
-                false => format!("{} cannot be written: {} stays as it is", run.display(), file.display()),
+                false => format!("{}: read-only, so {} is unchanged", run.display(), file.display()),
             });
         }
         self.answer.give_silently(&json!({ "fields": measured }))
     }
 }
 
-/// Cells as a line of CSV.
+/// Formats cells as a line of CSV.
 pub fn csv_line(cells: &[String]) -> String {
     csv_text([cells.to_vec()]).trim_end().to_string()
 }
 
-/// The two corners of a box as the flag `flag` takes them.
+/// Parses the two corners of a box, the value of the flag `flag`.
 pub fn parse_box(flag: &str, text: &str) -> Result<[[f64; 3]; 2]> {
     let [a, b, c, d, e, f] = numbers(text).ok_or_else(|| {
         Error::Config(format!(
-            "--{flag} {text}: give the two corners of the box as six numbers, such as -1,-1,-1,1,1,1"
+            "--{flag} {text}: not six numbers; give the two corners of the box, such as -1,-1,-1,1,1,1"
         ))
     })?;
     Ok([[a, b, c], [d, e, f]])
@@ -114,14 +115,14 @@ pub struct BalanceArguments {
     #[command(flatten)]
     experiment: Experiment,
     /// Steps of plain training before the measurement
-    #[arg(long, value_name = "N", default_value_t = 100)]
+    #[arg(long, value_name = "N", default_value_t = 100, help_heading = "Experiment")]
     steps: u64,
     #[command(flatten)]
     _unused: UnusedWeights,
     #[command(flatten)]
-    compute: Compute,
-    #[command(flatten)]
     answer: Answer,
+    #[command(flatten)]
+    compute: Compute,
 }
 
 impl BalanceArguments {
@@ -136,14 +137,14 @@ impl BalanceArguments {
         let answer = json!({ "scene": config.data.name, "steps": self.steps, "weights": lines });
         self.answer.give(&answer, || print(&balance_csv(&config.data.name, self.steps, &lines)))?;
         console.say(
-            "share: the term's pull on the weights at that weight, over the photometric loss's; use a weight with \
+            "share: the term's gradient norm at that weight, divided by the photometric loss's; use a weight with \
              --set regularizer.kind=TERM --set regularizer.weight=WEIGHT",
         );
         Ok(())
     }
 }
 
-/// The grid as CSV without a newline at its end.
+/// Formats the weights as CSV without a final newline.
 fn balance_csv(scene: &str, steps: u64, lines: &[BalancedWeight]) -> String {
     let head = ["scene", "steps", "term", "photometric_norm", "term_norm", "share", "weight"].map(String::from);
     let rows = lines.iter().map(|line| {

@@ -25,62 +25,61 @@ use super::progress::{Console, print, report};
 
 #[derive(Args)]
 pub struct MeshArguments {
-    /// Run folder; its newest checkpoint's evaluated field is drawn. With --picture also a .ply or .obj file, or `builtin`
+    /// Run folder (newest checkpoint); with --picture also a .ply or .obj file, or `builtin`
     run: PathBuf,
+    /// Scene folder, if it has moved [default: the run's]
+    #[arg(long, value_name = "DIR", help_heading = "Experiment")]
+    data: Option<PathBuf>,
     /// Cells along each side of the box, 8 to 1024 [default: 256]
-    #[arg(long, value_name = "N")]
+    #[arg(long, value_name = "N", help_heading = "Experiment")]
     resolution: Option<usize>,
-    /// Density of the surface, 1 / length in the units that the field is queried in [default: that which stops half of
-    /// the light within the run's mean sample interval, ln 2 * samples / (far - near)]
-    #[arg(long, value_name = "DENSITY")]
+    /// Density of the surface, per unit of the field [default: ln 2 * samples / (far - near)]
+    #[arg(long, value_name = "DENSITY", help_heading = "Experiment")]
     threshold: Option<f64>,
-    /// Corners of the box in the units that the field is queried in [default: NDC -1..1; embedded scene -1.2..1.2;
-    /// NeRF-Synthetic -1.5..1.5; otherwise what most cameras look at, or what the training rays run through]
-    #[arg(long, value_name = "X,Y,Z,X,Y,Z", allow_hyphen_values = true)]
+    /// Corners of the box in the field's units [default: NDC -1..1; built-in scene -1.2..1.2; Blender -1.5..1.5;
+    /// otherwise the region that most cameras view, or that of the training rays]
+    #[arg(long, value_name = "X,Y,Z,X,Y,Z", allow_hyphen_values = true, help_heading = "Experiment")]
     bbox: Option<String>,
-    /// Settings that the other flags change
-    #[arg(long, value_enum)]
+    /// Values for the flags that are not given
+    #[arg(long, value_enum, help_heading = "Experiment")]
     preset: Option<MeshPreset>,
-    /// Close the surface where it would leave the box: its outermost cells count as empty
-    #[arg(long)]
+    /// Close the surface at the sides of the box
+    #[arg(long, help_heading = "Experiment")]
     cap: bool,
-    /// Keep the connected part of largest area alone
-    #[arg(long)]
+    /// Keep only the connected part with the largest area
+    #[arg(long, help_heading = "Experiment")]
     largest: bool,
-    /// Files to write, one or both
-    #[arg(long, value_enum, value_delimiter = ',', default_value = "ply")]
-    format: Vec<Format>,
-    /// Units of the mesh files: the scene's, or those of the capture's own poses (scene.json has the way between them)
-    #[arg(long, value_enum, default_value = "scene")]
-    units: UnitsName,
-    /// Where normals come from
-    #[arg(long, value_enum, default_value = "triangles")]
-    normals: NormalsName,
-    /// Write the densities, too: density.npy, float32 [x, y, z] at the cells' midpoints
-    #[arg(long)]
-    density: bool,
-    /// Memory that lattice and mesh may take, MiB [default: a half of what is free]
-    #[arg(long, value_name = "MIB")]
-    memory: Option<f64>,
     /// Output folder, new or empty [default: RUN/mesh, replaced]
-    #[arg(long, value_name = "DIR")]
+    #[arg(long, value_name = "DIR", help_heading = "Output")]
     out: Option<PathBuf>,
+    /// Files to write, one or both
+    #[arg(long, value_enum, value_delimiter = ',', default_value = "ply", help_heading = "Output")]
+    format: Vec<Format>,
+    /// Units of the files
+    #[arg(long, value_enum, default_value = "scene", help_heading = "Output")]
+    units: UnitsName,
+    /// Source of the normals
+    #[arg(long, value_enum, default_value = "triangles", help_heading = "Output")]
+    normals: NormalsName,
+    /// Write density.npy, too: float32 [x, y, z] at the cells' midpoints
+    #[arg(long, help_heading = "Output")]
+    density: bool,
     #[command(flatten)]
     picture: PictureArguments,
-    /// Scene folder, if it has moved since training
-    #[arg(long, value_name = "DIR")]
-    data: Option<PathBuf>,
-    #[command(flatten)]
-    compute: Compute,
     #[command(flatten)]
     answer: Answer,
+    #[command(flatten)]
+    compute: Compute,
+    /// Most memory of grid and mesh in MiB [default: half of the free memory]
+    #[arg(long, value_name = "MIB", help_heading = "Hardware")]
+    memory: Option<f64>,
 }
 
 #[derive(Clone, Copy, ValueEnum)]
 enum UnitsName {
     /// The scene's, after recentring and scaling
     Scene,
-    /// The capture's
+    /// Those of the capture's own poses (scene.json has the transform)
     Capture,
 }
 
@@ -88,58 +87,59 @@ enum UnitsName {
 enum NormalsName {
     /// The mean of the triangles around a vertex
     Triangles,
-    /// Density's gradient at the vertex, rough where density is
+    /// The gradient of density at the vertex
     Density,
 }
 
-/// A picture of the mesh.
+/// Flags for an image of the mesh.
 #[derive(Args)]
+#[command(next_help_heading = "Output")]
 struct PictureArguments {
-    /// Draw a shaded picture of the mesh, too: a PNG, the views side by side
+    /// Write a shaded image of the mesh, too: a PNG with the views side by side
     #[arg(long, value_name = "FILE.png")]
     picture: Option<PathBuf>,
-    /// From the cameras of these held-out views, counted from 0 [default: 0]
+    /// Held-out views whose cameras the image uses, from 0 [default: 0]
     #[arg(long, value_name = "N,...", value_delimiter = ',', requires = "picture", conflicts_with = "at")]
     view: Vec<usize>,
-    /// From these places on the scene's camera path, 0 to 1; of a mesh file, on a circle around it [default: 0.1]
+    /// Positions on the scene's camera path, or on a circle around a mesh file, 0 to 1 [default: 0.1]
     #[arg(long, value_name = "SHARE,...", value_delimiter = ',', requires = "picture")]
     at: Vec<f64>,
-    /// What it is painted with
+    /// Colours of the image
     #[arg(long, value_enum, default_value = "clay", requires = "picture")]
     paint: PaintName,
-    /// Columns of each view [default: the scene's, at least 400]
+    /// Width of each view in pixels [default: the scene's, at least 400]
     #[arg(long, value_name = "N", requires = "picture", value_parser = clap::value_parser!(u16).range(8..=4096))]
     columns: Option<u16>,
 }
 
 #[derive(Clone, Copy, ValueEnum)]
 enum PaintName {
-    /// One grey: shape alone
+    /// One grey
     Clay,
     /// The mesh's own colours
     Colours,
 }
 
 impl PictureArguments {
-    /// What is asked for; none without --picture.
+    /// Returns the requested image, or `None` without `--picture`.
     fn picture(&self) -> Result<Option<MeshPicture>> {
         let Some(file) = self.picture.clone() else { return Ok(None) };
         if file.extension().is_none_or(|ending| !ending.eq_ignore_ascii_case("png")) {
             return Err(Error::Config(format!(
-                "--picture {}: it becomes a PNG; let its name end in .png",
+                "--picture {}: not a PNG; choose a name that ends in .png",
                 file.display()
             )));
         }
         let folder = file.parent().filter(|folder| !folder.as_os_str().is_empty());
         if let Some(folder) = folder.filter(|folder| !folder.is_dir()) {
             return Err(Error::Output(format!(
-                "--picture {}: there is no folder {}",
+                "--picture {}: no folder {}; create it or choose another",
                 file.display(),
                 folder.display()
             )));
         }
         if let Some(share) = self.at.iter().find(|share| !(0.0..=1.0).contains(*share)) {
-            return Err(Error::Config(format!("--at {share} is out of range: it must be 0 to 1")));
+            return Err(Error::Config(format!("--at {share}: out of range; choose 0 to 1")));
         }
         let on_path = self.at.iter().map(|share| Viewpoint::Path(*share));
         let mut viewpoints: Vec<Viewpoint> =
@@ -155,13 +155,13 @@ impl PictureArguments {
     }
 }
 
-/// Columns of a picture of a mesh file, and from where it is looked at.
+/// Width of an image of a mesh file in pixels, and its position on the circle.
 const FILE_COLUMNS: u16 = 400;
 const FILE_EYE: f64 = 0.1;
 
 #[derive(Clone, Copy, ValueEnum)]
 enum MeshPreset {
-    /// 512 cells a side of [-1,1]^3, density 25: the paper's for the chair (1 for drums)
+    /// The paper's for the chair: 512 cells a side of [-1,1]^3, density 25
     Paper,
 }
 
@@ -169,7 +169,7 @@ enum MeshPreset {
 enum Format {
     /// Binary, with normals and colours
     Ply,
-    /// Text, with normals, and colours behind the positions
+    /// Text, with normals, and colours after the positions
     Obj,
 }
 
@@ -183,12 +183,12 @@ impl MeshArguments {
         runtime.install(|| self.draw(&options, &runtime))
     }
 
-    /// A picture of a mesh that is there already.
+    /// Draws an image of an existing mesh.
     fn picture_of_file(&self, picture: Option<MeshPicture>) -> Result<()> {
         let name = self.run.to_string_lossy();
         let picture = picture.ok_or_else(|| {
             Error::Config(format!(
-                "{name} is a mesh already: --picture FILE.png draws it; name a run folder to draw a mesh of"
+                "{name}: already a mesh; draw it with --picture FILE.png, or name a run folder"
             ))
         })?;
         if !self.picture.view.is_empty() {
@@ -196,7 +196,7 @@ impl MeshArguments {
         }
         let mesh = reference_mesh(&name)?.whole();
         if picture.paint == Paint::Colours && mesh.colours.is_empty() {
-            return Err(Error::Config(format!("--paint colours: colours of {name} are not read; leave --paint out")));
+            return Err(Error::Config(format!("--paint colours: {name} has no colours that are read; omit --paint")));
         }
         let columns = usize::from(self.picture.columns.unwrap_or(FILE_COLUMNS));
         let shares = if self.picture.at.is_empty() { vec![FILE_EYE] } else { self.picture.at.clone() };
@@ -214,14 +214,14 @@ impl MeshArguments {
         }
         let (folder, files) = pictures_folder(self.out.as_deref(), trained.run.mesh())?;
         let report = trained.draw_mesh_into(files, options, &console)?;
-        console.say(&words(&report));
+        console.say(&describe(&report));
         let picture = options.picture.as_ref().map(|picture| picture.file.display().to_string());
         picture.iter().for_each(|picture| console.say(&format!("picture: {picture}")));
         let (run, named) = (self.run.display().to_string(), folder.display().to_string());
         self.answer.give_place(&json!({ "of": run, "folder": named, "picture": picture, "mesh": report }), &folder)
     }
 
-    /// Preset and flags, checked.
+    /// Returns the options of preset and flags, checked.
     fn options(&self) -> Result<MeshOptions> {
         let preset = match self.preset {
             Some(MeshPreset::Paper) => MeshOptions::paper(),
@@ -256,7 +256,7 @@ impl MeshArguments {
     }
 }
 
-/// Checks the flags; those that stand for settings have their ranges.
+/// Checks the ranges of the flags.
 fn check_options(options: &MeshOptions) -> Result<()> {
     let MeshOptions { resolution, threshold, domain, most_mib, .. } = *options;
     let (least, most) = (*MESH_SIDES.start() as u64, *MESH_SIDES.end() as u64);
@@ -269,13 +269,14 @@ fn check_options(options: &MeshOptions) -> Result<()> {
     Ok(())
 }
 
-fn words(report: &MeshReport) -> String {
+/// Describes a mesh in one line.
+fn describe(report: &MeshReport) -> String {
     let shape = match report.volume {
         Some(volume) => format!("closed, area {:.4}, volume {volume:.4}", report.area),
-        None => format!("open at {} edges where it leaves the box, area {:.4}", report.open_edges, report.area),
+        None => format!("open at {} edges at the sides of the box, area {:.4}", report.open_edges, report.area),
     };
     format!(
-        "level set {:.4} of {}^3: {} vertices, {} faces in {} parts ({} left out), {shape}; density up to {}",
+        "level set {:.4} of {}^3: {} vertices, {} faces in {} parts ({} skipped), {shape}; density up to {}",
         report.threshold,
         report.resolution,
         report.vertices,
@@ -288,11 +289,11 @@ fn words(report: &MeshReport) -> String {
 
 #[derive(Args)]
 pub struct ChamferArguments {
-    /// A .ply or .obj file, or a run folder with a mesh
+    /// .ply or .obj file, or a run folder with a mesh
     mesh: String,
-    /// The same, or `builtin`: the embedded scene as seen from all around
+    /// The same, or `builtin` for the built-in scene
     reference: String,
-    /// Points drawn on each surface, evenly over its area
+    /// Points sampled on each surface, uniformly over its area
     #[arg(long, value_name = "N", default_value_t = 200_000)]
     points: usize,
     /// Seed of the points
@@ -301,7 +302,7 @@ pub struct ChamferArguments {
     /// Distances of the F-scores, in the meshes' units
     #[arg(long, value_name = "D,D,...", value_delimiter = ',', default_value = "0.01,0.02,0.05")]
     at: Vec<f64>,
-    /// No words beside the table; errors are still printed
+    /// Print errors and results only
     #[arg(long, short)]
     quiet: bool,
     #[command(flatten)]
@@ -345,8 +346,8 @@ impl ChamferArguments {
         print(&csv_line(&values))?;
         if !self.quiet {
             report(&format!(
-                "Chamfer {:.5}: {:.5} from the mesh to the reference, {:.5} back; two drawings of one surface would be {:.5} \
-                 apart with as many points",
+                "Chamfer {:.5}: {:.5} from the mesh to the reference, {:.5} back; two samples of one surface with as many \
+                 points have {:.5}",
                 compared.chamfer, compared.mesh_to_reference, compared.reference_to_mesh, compared.floor
             ));
         }

@@ -21,19 +21,25 @@ use super::{Compute, numbers};
 pub struct ProfileArguments {
     #[command(flatten)]
     runs: Runs,
-    /// Column and row of the pixel [default: the view's middle]
-    #[arg(long, value_name = "X,Y")]
+    /// Column and row of the pixel, from 0 [default: the view's middle]
+    #[arg(long, value_name = "X,Y", help_heading = "Experiment")]
     pixel: Option<String>,
-    /// Side of the square of pixels around it, whose rays are looked along, too
-    #[arg(long, value_name = "N", default_value_t = 8, value_parser = clap::value_parser!(u8).range(1..=16))]
+    /// Side of the square of pixels around it whose rays are also plotted
+    #[arg(
+        long,
+        value_name = "N",
+        default_value_t = 8,
+        value_parser = clap::value_parser!(u8).range(1..=16),
+        help_heading = "Experiment"
+    )]
     patch: u8,
     /// Output folder, new or empty [default: RUN/renders/profile of the first run, replaced]
-    #[arg(long, value_name = "DIR")]
+    #[arg(long, value_name = "DIR", help_heading = "Output")]
     out: Option<PathBuf>,
     #[command(flatten)]
-    compute: Compute,
-    #[command(flatten)]
     answer: Answer,
+    #[command(flatten)]
+    compute: Compute,
 }
 
 impl ProfileArguments {
@@ -77,6 +83,6 @@ impl ProfileArguments {
 
 fn parse_pixel(text: &str) -> Result<(usize, usize)> {
     let [x, y] = numbers(text)
-        .ok_or_else(|| Error::Config(format!("--pixel {text}: give column and row from 0, such as 120,80")))?;
+        .ok_or_else(|| Error::Config(format!("--pixel {text}: not two numbers; give column and row, such as 120,80")))?;
     Ok((x, y))
 }

@@ -9,30 +9,29 @@ use indicatif::{ProgressBar, ProgressStyle};
 use crate::base::{Error, Event, Listener, Result, shown};
 use crate::run::EVALUATING;
 
-/// Where there is no terminal, a line at most so often.
+/// Shortest time between two progress lines without a terminal.
 const LINE_EVERY: Duration = Duration::from_secs(10);
 
-/// Prints a line on standard error. A reader that has gone away (`2>&1 | head`) is no reason to
-/// stop training.
+/// Prints a line on standard error. If the reader has gone away (`2>&1 | head`), training continues.
 pub fn report(line: &str) {
     let _ = writeln!(std::io::stderr(), "{}", shown(line));
 }
 
-/// Prints a result on standard output. A reader that has seen enough may close it (`| head`).
+/// Prints a result on standard output. A reader may close it early (`| head`).
 ///
 /// # Errors
-/// Any other reason why it cannot be written, such as a full disk: the result is lost.
+/// [`Error::Output`]: it cannot be written for another reason, such as a full disk.
 pub fn print(text: &str) -> Result<()> {
     let mut out = std::io::stdout();
     printed(writeln!(out, "{text}").and_then(|()| out.flush()))
 }
 
-/// [`print`] of what is for people alone and may quote names of files and of what they hold.
+/// Prints text for people, which may quote names from files, with control characters escaped.
 pub fn print_shown(text: &str) -> Result<()> {
     print(&shown(text))
 }
 
-/// Seconds for a person.
+/// Formats seconds for people.
 pub fn duration(seconds: f64) -> String {
     match seconds {
         s if s < 120.0 => format!("{s:.0} s"),
@@ -42,42 +41,42 @@ pub fn duration(seconds: f64) -> String {
     }
 }
 
-/// What becomes of an attempt to write to standard output.
+/// Turns the result of writing to standard output into that of a command: a closed pipe is no error.
 pub fn printed(written: std::io::Result<()>) -> Result<()> {
     match written {
         Err(error) if error.kind() != std::io::ErrorKind::BrokenPipe => {
-            Err(Error::Output(format!("cannot write to standard output: {error}; what was to be printed is lost")))
+            Err(Error::Output(format!("standard output: {error}; the result was not printed")))
         }
         _ => Ok(()),
     }
 }
 
-/// Shows a person what happens, on standard error.
+/// Prints notes and progress on standard error.
 pub struct Console {
     quiet: bool,
-    /// Bars would get into each other's way where several trainings run at once.
+    /// Progress is drawn: not if several trainings run at once.
     bars: bool,
     bar: Mutex<Option<Bar>>,
 }
 
-/// What is drawn at the moment.
+/// The current progress bar.
 enum Bar {
     Stretch(Stretch),
     Training(TrainingBar),
 }
 
 impl Console {
-    /// A console that shows nothing if `quiet`.
+    /// Returns a console that prints nothing if `quiet`.
     pub fn new(quiet: bool) -> Console {
         Console { quiet, bars: true, bar: Mutex::new(None) }
     }
 
-    /// The same for several trainings at once: sentences alone.
+    /// Returns a console without bars, for several trainings at once.
     pub fn without_bars(quiet: bool) -> Console {
         Console { bars: false, ..Console::new(quiet) }
     }
 
-    /// Prints a sentence unless quiet.
+    /// Prints a line unless quiet.
     pub fn say(&self, line: &str) {
         match &*self.bar() {
             Some(Bar::Training(bar)) => bar.say(line),
@@ -117,7 +116,7 @@ impl Listener for Console {
         match event {
             Event::Note(line) => self.say(line),
             Event::PointStarted { label, ended, points, steps, seconds_left } => {
-                let left = seconds_left.map_or(String::new(), |left| format!("; about {} left in all", duration(left)));
+                let left = seconds_left.map_or(String::new(), |left| format!("; about {} left in total", duration(left)));
                 self.say(&format!("[{}/{points}] {label} ({steps} steps){left}", ended + 1));
             }
             Event::PointFinished { label, psnr } => {
@@ -131,7 +130,7 @@ impl Listener for Console {
     }
 }
 
-/// Draws a stretch of equal parts: how many are done, and ETA.
+/// Progress over equal parts: the number done, and ETA.
 struct Stretch {
     quiet: bool,
     what: String,
@@ -143,7 +142,7 @@ struct Stretch {
 }
 
 impl Stretch {
-    /// Where there is no terminal, views to evaluate are announced: they follow the last step, and may take as long as all steps.
+    /// Starts a bar. Without a terminal an evaluation prints its number of views, since it may take as long as training.
     fn new(quiet: bool, what: &str, parts: u64) -> Stretch {
         let bar = if quiet || !std::io::stderr().is_terminal() {
             if what.starts_with(EVALUATING) && !quiet {
@@ -173,7 +172,7 @@ impl Stretch {
     }
 }
 
-/// Draws training: step, loss, PSNR, rays/s and ETA.
+/// Progress of training: step, loss, PSNR, rays/s and ETA.
 struct TrainingBar {
     quiet: bool,
     bar: Option<ProgressBar>,
@@ -185,7 +184,7 @@ struct TrainingBar {
 }
 
 impl TrainingBar {
-    /// A bar from step `first` to `total`, of `rays` rays each.
+    /// Returns a bar from step `first` to `total`, with `rays` rays per step.
     fn new(quiet: bool, first: u64, total: u64, rays: usize) -> TrainingBar {
         let bar = (!quiet && std::io::stderr().is_terminal()).then(|| {
             let style = ProgressStyle::with_template("{msg} {wide_bar} {pos}/{len} ETA {eta}");
@@ -227,7 +226,7 @@ impl TrainingBar {
         }
     }
 
-    /// Takes the bar away.
+    /// Removes the bar.
     fn finish(&self) {
         if let Some(bar) = &self.bar {
             bar.finish_and_clear();

@@ -19,67 +19,61 @@ use super::{Compute, Moved};
 
 pub const EXAMPLES: &str = "Examples:
   augnerf render RUN                                   # the scene's camera path: PNG, GIF, MP4
-  augnerf render RUN --frames 30 --resolution 320x240  # fewer frames, smaller ones
-  augnerf render RUN --write-cameras path.json         # the path as a file, to be edited
-  augnerf render RUN --cameras path.json               # a path of one's own
-  augnerf render RUN --cameras camera_path.json --dataparser dataparser_transforms.json
+  augnerf render RUN --frames 30 --resolution 320x240  # fewer and smaller frames
+  augnerf render RUN --cameras path.json               # your own path; --write-cameras writes one
 
-A file of cameras is a camera_path.json (nerfstudio; with --dataparser what its viewer saved), a transforms.json or a .npy of poses, camera to world with axes right, \
-up, back, in the units of the files that the scene was read from.";
+Poses are camera to world, with the axes right, up, back, in the units of the scene's files.";
 
-/// Frames a second where neither the command line nor a file of cameras says it.
+/// Frames per second if neither the command line nor a camera file says it.
 const FPS: f64 = 15.0;
-/// From how many seconds on fewer frames are offered, and about how many seconds those take.
+/// Seconds from which on fewer frames are offered, and about the seconds that those take.
 const LONG: f64 = 180.0;
 
 #[derive(Args)]
 pub struct RenderArguments {
-    /// Run folder; its newest checkpoint is rendered
+    /// Run folder (newest checkpoint)
     run: PathBuf,
-    /// What to render
-    #[arg(long, value_enum, default_value_t = What::Path)]
+    /// Views to render
+    #[arg(long, value_enum, default_value_t = What::Path, help_heading = "Experiment")]
     what: What,
-    /// Render the cameras of a file instead: camera_path.json (nerfstudio), transforms.json or poses as .npy
-    #[arg(long, value_name = "FILE")]
+    /// Render the cameras of a file: camera_path.json (nerfstudio), transforms.json or poses as .npy
+    #[arg(long, value_name = "FILE", help_heading = "Experiment")]
     cameras: Option<PathBuf>,
-    /// For a camera_path.json that nerfstudio's viewer saved: the dataparser_transforms.json of its run, which leads from its
-    /// units to the capture's
-    #[arg(long, value_name = "FILE", requires = "cameras")]
+    /// dataparser_transforms.json of the nerfstudio run whose viewer saved the camera_path.json
+    #[arg(long, value_name = "FILE", requires = "cameras", help_heading = "Experiment")]
     dataparser: Option<PathBuf>,
-    /// Write the cameras to a file (.json: as camera_path.json; .npy: poses, [N,3,4]) and render nothing
-    #[arg(long, value_name = "FILE")]
-    write_cameras: Option<PathBuf>,
-    /// Frames of the path, evenly chosen [default: all]
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
-    frames: Option<u16>,
-    /// Pixels of a picture; it shows as much from top to bottom as before [default: the run's, or what a camera_path.json
-    /// asks for]
-    #[arg(long, value_name = "WxH")]
-    resolution: Option<String>,
-    /// Frames a second of GIF and MP4 [default: those of a camera_path.json, or 15]
-    #[arg(long, value_name = "N")]
-    fps: Option<f64>,
-    /// Output folder [default: RUN/renders/path or RUN/renders/views]
-    #[arg(long, value_name = "DIR")]
-    out: Option<PathBuf>,
     #[command(flatten)]
     sources: Moved,
-    #[command(flatten)]
-    compute: Compute,
+    /// Frames of the path, evenly spaced [default: all]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..), help_heading = "Output")]
+    frames: Option<u16>,
+    /// Columns and rows of an image; the vertical field of view stays [default: those of the run or camera file]
+    #[arg(long, value_name = "WxH", help_heading = "Output")]
+    resolution: Option<String>,
+    /// Frames per second of GIF and MP4 [default: those of the camera file, or 15]
+    #[arg(long, value_name = "N", help_heading = "Output")]
+    fps: Option<f64>,
+    /// Output folder [default: RUN/renders/path or RUN/renders/views]
+    #[arg(long, value_name = "DIR", help_heading = "Output")]
+    out: Option<PathBuf>,
+    /// Write the cameras to a file (camera_path.json, or [N,3,4] poses as .npy) and render nothing
+    #[arg(long, value_name = "FILE", help_heading = "Output")]
+    write_cameras: Option<PathBuf>,
     #[command(flatten)]
     answer: Answer,
+    #[command(flatten)]
+    compute: Compute,
 }
 
 #[derive(Clone, Copy, PartialEq, ValueEnum)]
 enum What {
-    /// The scene's camera path: a spiral in front of forward-facing scenes; around others a circle, or a swing as far as the
-    /// cameras went
+    /// The scene's camera path: a spiral, a circle or a swing
     Path,
-    /// All held-out views beside the truth
+    /// All held-out views next to their ground truth
     Views,
 }
 
-/// What is rendered, in which order.
+/// The cameras to render, in order.
 struct Shots {
     cameras: Vec<Camera>,
     fps: f64,
@@ -88,7 +82,7 @@ struct Shots {
 impl RenderArguments {
     pub fn run(self) -> Result<()> {
         if let Some(fps) = self.fps.filter(|fps| !(fps.is_finite() && (0.1..=50.0).contains(fps))) {
-            return Err(Error::Config(format!("--fps {fps} is out of range: it must be 0.1 to 50")));
+            return Err(Error::Config(format!("--fps {fps}: out of range; choose 0.1 to 50")));
         }
         let size = self.resolution.as_deref().map(parse_size).transpose()?;
         let of_path = [size.is_some(), self.frames.is_some(), self.fps.is_some()];
@@ -96,7 +90,7 @@ impl RenderArguments {
             && (self.cameras.is_some() || self.write_cameras.is_none() && of_path.contains(&true))
         {
             return Err(Error::Config(
-                "--what views shows all held-out views as they are; leave it out to use --cameras, --resolution, --frames or --fps"
+                "--what views: renders all held-out views at their size; omit it to use --cameras, --resolution, --frames or --fps"
                     .into(),
             ));
         }
@@ -114,7 +108,7 @@ impl RenderArguments {
             return self.tell(&trained, None, file, shots.cameras.len());
         }
         let no_mp4 = match self.what {
-            What::Path => without_mp4(film_size(&shots)?),
+            What::Path => without_mp4(video_size(&shots)?),
             What::Views => None,
         };
         let renders = trained.run.renders();
@@ -137,7 +131,7 @@ impl RenderArguments {
         self.tell(&trained, Some(&folder), &folder, shots.cameras.len())
     }
 
-    /// The answer: what was made, pictures in a folder or a file of cameras.
+    /// Prints the result: a folder of images, or a file of cameras.
     fn tell(&self, trained: &Trained, folder: Option<&Path>, made: &Path, frames: usize) -> Result<()> {
         let name = |path: &Path| path.display().to_string();
         let (run, cameras) = (name(&self.run), self.write_cameras.as_deref().map(name));
@@ -146,7 +140,7 @@ impl RenderArguments {
         self.answer.give_place(&answer, made)
     }
 
-    /// The cameras that are asked for.
+    /// Returns the requested cameras.
     fn shots(&self, trained: &Trained, size: Option<(usize, usize)>, console: &Console) -> Result<Shots> {
         let scene = &trained.scene;
         let like = scene.test.first().or(scene.train.first()).map(|view: &View| view.camera);
@@ -162,28 +156,28 @@ impl RenderArguments {
             _ => (scene.path.clone(), None),
         };
         if all.is_empty() {
-            return Err(Error::Data(format!("scene {} has no camera path; use --what views or --cameras", scene.name)));
+            return Err(Error::Data(format!("scene {}: no camera path; use --what views or --cameras", scene.name)));
         }
         let count = self.frames.map_or(all.len(), usize::from);
         if count > all.len() {
-            console.say(&format!("there are {} cameras: each is rendered once", all.len()));
+            console.say(&format!("--frames {count}: the path has {} cameras; each is rendered once", all.len()));
         }
         let cameras: Vec<Camera> = chosen(&all, count.min(all.len()))
             .map(|camera| size.map_or(*camera, |(width, height)| camera.with_size(width, height)))
             .collect();
         if let (Some(index), Some(_)) = (cameras.iter().position(|camera| !camera.faces_forward()), scene.ndc) {
             return Err(Error::Data(format!(
-                "camera {index} (counted from 0) looks away from the scene's -z axis, where a scene in normalised device \
-                 coordinates is: its rays have no such coordinates; turn it, or train with data.ndc=false"
+                "camera {index} (from 0): looks away from the -z axis, so its rays have no normalized device coordinates; turn \
+                 it, or train with data.ndc=false"
             )));
         }
-        // A GIF shows no more than 50.
+        // A GIF shows at most 50 frames per second.
         let fps = self.fps.or(fps.map(|fps| fps.clamp(0.1, 240.0))).unwrap_or(FPS);
         Ok(Shots { cameras, fps })
     }
 }
 
-/// Renders the held-out views beside the truth.
+/// Renders the held-out views next to their ground truth.
 fn views(viewer: Viewer, folder: &Path, console: &Console) -> Result<()> {
     let views = &viewer.scene.test;
     let pictures = Pictures::new(folder, viewer.scene, views.len());
@@ -197,22 +191,25 @@ fn views(viewer: Viewer, folder: &Path, console: &Console) -> Result<()> {
     pictures.finish()
 }
 
-/// The one size that all frames of a film have, of which the memory has room for as many.
-fn film_size(shots: &Shots) -> Result<(usize, usize)> {
+/// Returns the size of all frames of a video.
+///
+/// # Errors
+/// The cameras have several sizes, or the frames' depth does not fit into free memory.
+fn video_size(shots: &Shots) -> Result<(usize, usize)> {
     let size = |camera: &Camera| (camera.width, camera.height);
     let (first, cameras) = (size(&shots.cameras[0]), &shots.cameras);
     if let Some(other) = cameras.iter().position(|camera| size(camera) != first) {
         let (a, b) = (first, size(&cameras[other]));
         return Err(Error::Data(format!(
-            "camera {other} (counted from 0) has {}x{} pixels and the first {}x{}: name one size with --resolution {}x{}",
+            "camera {other} (from 0): {}x{} pixels, but the first has {}x{}; choose one size with --resolution {}x{}",
             b.0, b.1, a.0, a.1, a.0, a.1
         )));
     }
     let needed = (cameras.len() * PathPictures::PIXEL_BYTES) as f64 * (first.0 * first.1) as f64 / f64::from(1 << 20);
     if let Some(free) = free_memory_mib().filter(|free| needed > *free) {
         return Err(Error::Config(format!(
-            "the depth of {} frames of {} x {} pixels takes {:.1} GiB of memory until all are rendered, and {:.1} GiB are free: ask for \
-             fewer with --frames or smaller ones with --resolution",
+            "{} frames of {} x {} pixels: their depth takes {:.1} GiB of memory, and {:.1} GiB are free; choose fewer with \
+             --frames or smaller ones with --resolution",
             cameras.len(),
             first.0,
             first.1,
@@ -223,10 +220,10 @@ fn film_size(shots: &Shots) -> Result<(usize, usize)> {
     Ok(first)
 }
 
-/// Renders frames of a film.
+/// Renders the frames of a video.
 fn path(viewer: Viewer, shots: &Shots, folder: &Path, console: &Console) -> Result<()> {
     let Shots { cameras, fps } = shots;
-    let mut pictures = PathPictures::begin(folder, viewer.scene, film_size(shots)?, cameras.len(), *fps)?;
+    let mut pictures = PathPictures::begin(folder, viewer.scene, video_size(shots)?, cameras.len(), *fps)?;
     console.on(Event::Started { what: "rendering", parts: cameras.len() as u64 });
     let renderer = viewer.renderer()?;
     for camera in cameras {
@@ -236,22 +233,22 @@ fn path(viewer: Viewer, shots: &Shots, folder: &Path, console: &Console) -> Resu
     pictures.finish()
 }
 
-/// Columns and rows of a picture, as `320x240`.
+/// Parses columns and rows of an image, such as `320x240`.
 fn parse_size(text: &str) -> Result<(usize, usize)> {
     let sides =
         text.split_once(['x', 'X']).and_then(|(width, height)| Some((width.parse().ok()?, height.parse().ok()?)));
     let valid = |side: usize| (1..=MOST_PIXELS).contains(&side);
     sides.filter(|&(width, height)| valid(width) && valid(height)).ok_or_else(|| {
-        Error::Config(format!("--resolution {text}: give columns and rows, 1 to {MOST_PIXELS} each, such as 320x240"))
+        Error::Config(format!("--resolution {text}: not a size; give columns and rows, 1 to {MOST_PIXELS} each, such as 320x240"))
     })
 }
 
-/// `count` of the cameras, evenly spaced.
+/// Returns `count` of the cameras, evenly spaced.
 fn chosen(cameras: &[Camera], count: usize) -> impl Iterator<Item = &Camera> {
     (0..count).map(move |i| &cameras[i * cameras.len() / count])
 }
 
-/// What rendering will take, in words; fewer frames are offered where that is long.
+/// Describes how long rendering takes, and offers fewer frames if that is long.
 fn expected(cameras: &[Camera], seconds: f64, what: What) -> String {
     let Camera { width, height, .. } = cameras[0];
     let each = seconds / cameras.len() as f64;
@@ -269,5 +266,5 @@ fn expected(cameras: &[Camera], seconds: f64, what: What) -> String {
         }
         _ => String::new(),
     };
-    format!("{views} of {width} x {height} pixels: about {apiece}{} in all{offer}", duration(seconds))
+    format!("{views} of {width} x {height} pixels: about {apiece}{} in total{offer}", duration(seconds))
 }

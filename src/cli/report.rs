@@ -18,23 +18,23 @@ use super::sweep::{table_json, terminal_width};
 pub const EXAMPLES: &str = "Examples:
   augnerf report runs/fern-nerf-* runs/fern-aug-nerf-*  # runs side by side, in report.html
   augnerf report A B C --label NeRF --label NeRF --label Aug-NeRF --out figures/fern.html
-  augnerf report results/paper/tab4_fern                      # a sweep's results, in their folder
+  augnerf report results/paper/tab4_fern                # a sweep's results, in their folder
 
-Runs that differ in nothing but the seed, or have one name, are one row; the first row is what the others are compared \
-with. The page holds everything that it shows and fetches nothing. `augnerf sweep collect` writes a sweep's own.";
+Runs that differ in the seed only, or have the same name, are one row. The first row is the baseline. The page needs no \
+other file.";
 
 #[derive(Args)]
 pub struct ReportArguments {
-    /// Run folders; or one folder of a sweep's results
+    /// Run folders, or one folder of a sweep's results
     #[arg(required = true, value_name = "RUN")]
     runs: Vec<PathBuf>,
-    /// The name of a run's row: once for each run, in their order [default: its method and the settings that differ]
+    /// Name of a run's row, once for each in their order [default: method and differing settings]
     #[arg(long = "label", value_name = "NAME")]
     labels: Vec<String>,
-    /// The page [default: report.html, in the folder of results where one is named]
+    /// File to write [default: report.html, in the results folder if one is named]
     #[arg(long, value_name = "FILE")]
     out: Option<PathBuf>,
-    /// Add seconds and memory, with which the page no longer repeats
+    /// Add training time and memory to the page
     #[arg(long)]
     with_timing: bool,
     #[command(flatten)]
@@ -47,8 +47,8 @@ impl ReportArguments {
             [results] if results.join("points.csv").is_file() => {
                 if !self.labels.is_empty() || self.with_timing {
                     return Err(Error::Config(format!(
-                        "--label and --with-timing are of runs: {} holds a sweep's results, whose rows have names; `augnerf \
-                         sweep collect --with-timing` adds seconds",
+                        "{}: a sweep's results, to which --label and --with-timing do not apply; omit them, or use `augnerf \
+                         sweep collect --with-timing`",
                         results.display()
                     )));
                 }
@@ -75,7 +75,7 @@ impl ReportArguments {
     }
 }
 
-/// The folder that a file lies in.
+/// Returns the folder of a file.
 fn folder_of(file: &Path) -> &Path {
     file.parent().filter(|parent| *parent != Path::new("")).unwrap_or(Path::new("."))
 }

@@ -25,22 +25,21 @@ use super::{Compute, LpipsWeights};
 pub const EXAMPLES: &str = "Examples:
   augnerf score renders/ truth/                                         # two folders, equal names
   augnerf score renders/ --data fern --set data.downscale=8             # held-out views of a scene
-  augnerf score renders/ runs/fern-nerf-0                               # those of a run
-  augnerf score renders/ --into runs/smoke --row nerf-pytorch --seed 0  # a row of a table
+  augnerf score renders/ --into runs/smoke --row nerf-pytorch --seed 0  # a row of a sweep's table
 
-Pictures are PNG, JPEG or WebP. Values are rounded to 8 bits, as ours are before they are measured; PSNR is the mean of the views'. One line of JSON on \
-standard output has the means and the SHA-256 of what was scored.";
+Prints one line of JSON with the means over views and the SHA-256 of the images. Values are first rounded to 8 bits, as in \
+every measurement here.";
 
-/// How pictures find their views.
+/// How images are matched with views.
 #[derive(Clone, Copy, ValueEnum)]
 enum By {
-    /// Equal names but for the ending; of pictures of this program NAME_rgb is NAME
+    /// Equal names without ending; NAME_rgb counts as NAME
     Name,
-    /// Sorted by name, numbers by their size: the first with the first
+    /// Sorted by name, numbers by value: the first with the first
     Order,
 }
 
-/// What see-through pixels are put on.
+/// The background of transparent pixels.
 #[derive(Clone, Copy, ValueEnum)]
 enum Behind {
     White,
@@ -48,51 +47,50 @@ enum Behind {
 }
 
 #[derive(Args)]
+#[command(next_help_heading = "Experiment")]
 pub struct ScoreArguments {
-    /// Folder with the pictures that a program rendered: PNG, JPEG or WebP
+    /// Folder of rendered images: PNG, JPEG or WebP
     predictions: PathBuf,
-    /// What they should show: a folder of pictures, or a run folder, whose held-out views it is then [default: --data, or the
-    /// scene of --into]
+    /// Folder of ground-truth images, or a run folder [default: --data, or the scene of --into]
     #[arg(conflicts_with_all = ["data", "into"])]
     truth: Option<PathBuf>,
-    /// Scene folder whose held-out views they should show, or builtin
+    /// Scene folder with the held-out views, or builtin
     #[arg(long, value_name = "DIR", conflicts_with = "into")]
     data: Option<PathBuf>,
-    /// A setting of how that scene is read: --set data.downscale=8
+    /// A setting of that scene: --set data.downscale=8
     #[arg(long, value_name = "FIELD=VALUE", requires = "data")]
     set: Vec<String>,
-    /// How pictures find their views
+    /// How images are matched with views
     #[arg(long = "match", value_name = "HOW", value_enum, default_value_t = By::Name)]
     by: By,
-    /// What see-through pictures are put on [default: the scene's background]
+    /// Background of transparent images [default: the scene's]
     #[arg(long, value_name = "COLOUR", value_enum)]
     background: Option<Behind>,
-    /// CSV file for the numbers and hashes of each view
-    #[arg(long, value_name = "FILE")]
-    out: Option<PathBuf>,
-    /// Folder of a sweep in whose table the pictures are to stand, marked as scored; what they should show are then the
-    /// held-out views of its scene
-    #[arg(long, value_name = "SWEEP", requires = "row")]
-    into: Option<PathBuf>,
-    /// What the table calls them
-    #[arg(long, value_name = "NAME", requires = "into")]
-    row: Option<String>,
-    /// The seed that they stand for: with one for each of the baseline's, the row is compared with it
-    #[arg(long, value_name = "N", requires = "into")]
-    seed: Option<u64>,
-    /// Of a sweep with several scenes: which
-    #[arg(long, value_name = "NAME", requires = "into")]
-    scene: Option<String>,
     #[command(flatten)]
     weights: LpipsWeights,
-    #[command(flatten)]
-    compute: Compute,
+    /// Write the numbers and hashes of each view to this CSV file
+    #[arg(long, value_name = "FILE", help_heading = "Output")]
+    out: Option<PathBuf>,
+    /// Add the images as a row to the table of this sweep folder, and compare them with its scene
+    #[arg(long, value_name = "SWEEP", requires = "row", help_heading = "Output")]
+    into: Option<PathBuf>,
+    /// Name of that row
+    #[arg(long, value_name = "NAME", requires = "into", help_heading = "Output")]
+    row: Option<String>,
+    /// Seed of the images; with all the baseline's seeds the row is compared with it [default: none]
+    #[arg(long, value_name = "N", requires = "into", help_heading = "Output")]
+    seed: Option<u64>,
+    /// Scene of the sweep [default: its only one]
+    #[arg(long, value_name = "NAME", requires = "into", help_heading = "Output")]
+    scene: Option<String>,
     #[command(flatten)]
     answer: Answer,
+    #[command(flatten)]
+    compute: Compute,
 }
 
-/// A sweep that pictures are to stand in.
-struct Into {
+/// The sweep to whose table images are added.
+struct TargetSweep {
     folder: SweepFolder,
     points: Vec<Point>,
     scene: String,
@@ -102,7 +100,7 @@ impl ScoreArguments {
     pub fn run(self) -> Result<()> {
         let runtime = self.compute.runtime()?;
         let console = Console::new(self.compute.quiet);
-        let into = self.into.as_deref().map(|path| self.sweep(path)).transpose()?;
+        let into = self.into.as_deref().map(|path| self.target(path)).transpose()?;
         let scene = self.held_out(into.as_ref(), &console)?;
         let (predictions, truth) = match (&scene, &self.truth) {
             (Some((config, scene)), _) => (pictures(&self.predictions, "_rgb")?, Truth::Scene(config, scene)),
@@ -112,8 +110,7 @@ impl ScoreArguments {
             }
             (None, None) => {
                 return Err(Error::Config(
-                    "name what the pictures should show: a folder of pictures, a run, a scene with --data, or a sweep with \
-                     --into"
+                    "no ground truth; name a folder of images, a run, a scene with --data, or a sweep with --into"
                         .into(),
                 ));
             }
@@ -133,21 +130,21 @@ impl ScoreArguments {
         if let Some(into) = &into {
             let file = self.add(&scored, into)?;
             console.say(&format!(
-                "{}: `augnerf sweep collect {}` shows the row",
+                "{}: show the row with `augnerf sweep collect {}`",
                 file.display(),
                 into.folder.path().display()
             ));
         }
-        // JSON it always is.
+        // Scripts rely on JSON, with or without the flag.
         let line = self.line(&scored, scene.as_ref().map(|(_, scene)| scene));
         self.answer.give(&line, || print(&line.to_string()))
     }
 
-    fn sweep(&self, path: &Path) -> Result<Into> {
+    fn target(&self, path: &Path) -> Result<TargetSweep> {
         let folder = SweepFolder::new(path);
         let points = folder
             .points(None)?
-            .ok_or_else(|| Error::Checkpoint(format!("{} is no folder of a sweep: name runs/NAME", path.display())))?;
+            .ok_or_else(|| Error::Checkpoint(format!("{}: no folder of a sweep; name runs/NAME", path.display())))?;
         let mut scenes: Vec<&str> = points.iter().map(|point| point.scene.as_str()).collect();
         scenes.sort_unstable();
         scenes.dedup();
@@ -155,14 +152,14 @@ impl ScoreArguments {
             (Some(scene), known) if known.contains(&scene.as_str()) => scene.clone(),
             (None, [only]) => only.to_string(),
             (_, known) => {
-                return Err(Error::Config(format!("--scene NAME: name one of the sweep's, {}", known.join(", "))));
+                return Err(Error::Config(format!("--scene NAME: choose one of the sweep's: {}", known.join(", "))));
             }
         };
-        Ok(Into { folder, points, scene })
+        Ok(TargetSweep { folder, points, scene })
     }
 
-    /// The scene whose held-out views are the truth; none where that is a folder of pictures.
-    fn held_out(&self, into: Option<&Into>, console: &Console) -> Result<Option<(Resolved, Scene)>> {
+    /// Returns the scene whose held-out views are the ground truth, or `None` if that is a folder of images.
+    fn held_out(&self, into: Option<&TargetSweep>, console: &Console) -> Result<Option<(Resolved, Scene)>> {
         let config = match (&self.truth, &self.data, into) {
             (Some(truth), ..) if RunDir::holds_run(truth) => {
                 let run = RunDir::open(truth)?;
@@ -172,7 +169,7 @@ impl ScoreArguments {
             (None, Some(data), _) => self.config(data)?,
             (None, None, Some(into)) => {
                 let of_scene = || into.points.iter().filter(|point| point.scene == into.scene);
-                // Held-out views may go with the seed.
+                // Held-out views may depend on the seed.
                 let of_seed = of_scene().find(|point| Some(point.config.seed) == self.seed);
                 of_seed.or_else(|| of_scene().next()).expect("a point's scene").config.clone()
             }
@@ -194,7 +191,7 @@ impl ScoreArguments {
         build(None, None, &assignments)
     }
 
-    /// The background of see-through pictures, which is that of the views that they are held against.
+    /// Returns the background of transparent images, which must be that of the scene's views.
     fn background(&self, scene: Option<&Scene>) -> Result<Option<[f32; 3]>> {
         let named = self.background.map(|behind| match behind {
             Behind::White => [1.0; 3],
@@ -202,13 +199,13 @@ impl ScoreArguments {
         });
         match (named, scene.and_then(|scene| scene.background)) {
             (Some(named), Some(own)) if named != own => Err(Error::Config(
-                "--background: the scene's views stand on another one; --set data.background changes it".into(),
+                "--background: not that of the scene's views; omit it, or change theirs with --set data.background".into(),
             )),
             (named, own) => Ok(named.or(own)),
         }
     }
 
-    fn add(&self, scored: &Score, into: &Into) -> Result<PathBuf> {
+    fn add(&self, scored: &Score, into: &TargetSweep) -> Result<PathBuf> {
         let definition = into.folder.definition()?;
         let outputs = SweepOutputs::of_folder(&into.folder, &definition, &into.points)?;
         let of_views = |scope| matches!(scope, Scope::View | Scope::Mean);
@@ -230,17 +227,17 @@ impl ScoreArguments {
         let ending = |picture: &Picture| picture.path.extension().map(|ending| ending.to_ascii_lowercase());
         let is_jpeg = |picture: &&Picture| ending(picture).is_some_and(|ending| ending == "jpg" || ending == "jpeg");
         if predictions.iter().any(|picture| is_jpeg(&picture)) {
-            console.say("some pictures are JPEG: what their compression cost is in the numbers");
+            console.say("some images are JPEG: the numbers include the loss by compression");
         }
         if let Some(view) = scored.views.iter().find(|view| view.metrics.get("psnr").is_none()) {
             console.say(&format!(
-                "view {} equals what it is held against: its PSNR is infinite, and the mean is left empty",
+                "view {}: equal to its ground truth, so its PSNR is infinite and the mean is empty",
                 view.metrics.name
             ));
         }
     }
 
-    /// The means, the hashes and what is known of the protocol.
+    /// Returns the means, the hashes and the known columns of the protocol as JSON.
     fn line(&self, scored: &Score, scene: Option<&Scene>) -> Value {
         let mut line = Map::new();
         line.insert("views".into(), scored.views.len().into());
@@ -263,7 +260,7 @@ impl ScoreArguments {
     }
 }
 
-/// A line a view: its name, its numbers, files and their hashes.
+/// Formats a line for each view: its name, numbers, files and hashes.
 fn csv(scored: &Score) -> String {
     let measured: Vec<&str> = METRICS
         .iter()

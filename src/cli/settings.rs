@@ -9,15 +9,15 @@ use crate::base::Result;
 use crate::settings::{settings_page, settings_rows, settings_text};
 
 pub const EXAMPLES: &str = "Examples:
-  augnerf settings                # all of them
-  augnerf settings learning_rate  # those whose name or words hold this
-  augnerf settings near --json    # the same for a script";
+  augnerf settings                # all
+  augnerf settings learning_rate  # those that mention it
+  augnerf settings near --json    # for a script";
 
 #[derive(Args)]
 pub struct SettingsArguments {
-    /// Settings whose name or words hold this [default: all]
+    /// Word in the name or description [default: all settings]
     filter: Option<String>,
-    /// The page docs/settings.md instead
+    /// Print the page docs/settings.md
     #[arg(long, conflicts_with_all = ["filter", "json"])]
     markdown: bool,
     #[command(flatten)]

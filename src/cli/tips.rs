@@ -1,4 +1,4 @@
-//! What is said to a command line that is not understood.
+//! Tips for command lines with unknown flags, words or commands.
 
 use std::ffi::OsString;
 
@@ -6,13 +6,31 @@ use clap::error::{ContextKind, ContextValue, ErrorKind};
 
 use crate::settings::registry::settings_called;
 
-/// The error with tips that help: of a flag that is the name of a setting how it is set, of a stray word what flag it may
-/// belong to. `words` are the command line's, the program left out.
+/// Commands of other programs, and those that do the same here.
+const OTHER_COMMANDS: [(&str, &[&str]); 6] = [
+    ("evaluate", &["eval"]),
+    ("test", &["eval"]),
+    ("show", &["render", "report"]),
+    ("video", &["render"]),
+    ("view", &["render", "report"]),
+    ("viewer", &["render", "report"]),
+];
+
+/// Adds tips to an error: a setting that an unknown flag names, a flag for a stray word, a command for one of other programs.
+/// `words` is the command line without the program.
 pub fn with_tips(mut error: clap::Error, words: &[OsString]) -> clap::Error {
+    if let Some(ContextValue::String(command)) = error.get(ContextKind::InvalidSubcommand)
+        && let Some((_, ours)) = OTHER_COMMANDS.iter().find(|(other, _)| other == command)
+    {
+        error.remove(ContextKind::SuggestedSubcommand);
+        let tips = ours.iter().map(|ours| format!("use '{ours}'").into()).collect();
+        error.insert(ContextKind::Suggested, ContextValue::StyledStrs(tips));
+        return error;
+    }
     if error.kind() != ErrorKind::UnknownArgument {
         return error;
     }
-    // "To pass '--rows' as a value, use '-- --rows'": nobody who mistypes a flag means that.
+    // Drops "to pass '--rows' as a value, use '-- --rows'", which a mistyped flag does not mean.
     error.remove(ContextKind::Suggested);
     let Some(ContextValue::String(unknown)) = error.get(ContextKind::InvalidArg).cloned() else { return error };
     let command = meant_command(words);
@@ -23,7 +41,7 @@ pub fn with_tips(mut error: clap::Error, words: &[OsString]) -> clap::Error {
         _ => Vec::new(),
     };
     if !tips.is_empty() {
-        // What clap found alike, such as '--set' for '--steps', is further from what was meant.
+        // A similar flag that clap found, such as '--set' for '--steps', is a worse guess.
         error.remove(ContextKind::SuggestedArg);
         let tips = tips.into_iter().map(Into::into).collect();
         error.insert(ContextKind::Suggested, ContextValue::StyledStrs(tips));
@@ -31,13 +49,13 @@ pub fn with_tips(mut error: clap::Error, words: &[OsString]) -> clap::Error {
     error
 }
 
-/// How the settings of that name are set: `--learning-rate` is `train.learning_rate`.
+/// Returns how settings of a flag's name are set: `--learning-rate` is `train.learning_rate`.
 fn setting_tips(flag: &str, value: &str) -> Vec<String> {
     let called = settings_called(&flag.replace('-', "_"));
     called.into_iter().map(|setting| format!("it is a setting: '--set {setting}={value}'")).collect()
 }
 
-/// The value that follows an unknown flag; `VALUE` where none does.
+/// Returns the value that follows an unknown flag, or `VALUE`.
 fn value_of(flag: &str, words: &[OsString]) -> String {
     let words: Vec<_> = words.iter().map(|word| word.to_string_lossy()).collect();
     let joined = words.iter().find_map(|word| word.strip_prefix(flag)?.strip_prefix('='));
@@ -45,7 +63,7 @@ fn value_of(flag: &str, words: &[OsString]) -> String {
     joined.or(next.map(|next| &**next)).unwrap_or("VALUE").to_string()
 }
 
-/// The command that the first words name.
+/// Returns the command that the first words name.
 fn meant_command(words: &[OsString]) -> clap::Command {
     let mut command = super::command();
     for word in words {
@@ -79,6 +97,16 @@ mod tests {
             let said = said(line);
             assert!(said.contains(tip), "{line}: {said}");
             assert!(!said.contains("-- --") && !said.contains("similar"), "{line}: {said}");
+        }
+    }
+
+    #[test]
+    fn commands_of_other_programs_are_answered_with_those_here() {
+        let view = said("view runs/a");
+        assert!(view.contains("use 'render'") && view.contains("use 'report'") && !view.contains("similar"), "{view}");
+        assert!(said("trian").contains("'train'"));
+        for (_, ours) in OTHER_COMMANDS {
+            assert!(ours.iter().all(|name| crate::cli::command().find_subcommand(name).is_some()), "{ours:?}");
         }
     }
 

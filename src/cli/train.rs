@@ -1,5 +1,6 @@
 //! `augnerf train` and `augnerf resume`.
 
+use std::io::IsTerminal;
 use std::path::{Path, PathBuf};
 
 use clap::Args;
@@ -20,34 +21,34 @@ use super::{Compute, LpipsWeights, Sources};
 
 pub const RESUME_EXAMPLES: &str = "Examples:
   augnerf resume runs/fern-nerf-*
-  augnerf resume RUN --data ~/data/fern  # where the scene has moved";
+  augnerf resume RUN --data ~/data/fern  # the scene has moved
+  augnerf resume RUN --device cuda       # on another device";
 
 #[derive(Args)]
 pub struct TrainArguments {
     #[command(flatten)]
     experiment: Experiment,
-    /// Run folder [default: runs/SCENE-METHOD-HASH]
-    #[arg(long, value_name = "DIR")]
-    out: Option<PathBuf>,
-    /// Replace the run that the folder holds
-    #[arg(long)]
-    overwrite: bool,
-    /// Begin with the weights of another run: it goes on from that run's newest checkpoint, with its optimizer and (where
-    /// neither --preset nor --config names others) its settings; ask for more steps with --set train.steps=N
-    #[arg(long, value_name = "RUN")]
+    /// Continue from this run's newest checkpoint, with its optimizer and, without --preset and --config, its settings
+    #[arg(long, value_name = "RUN", help_heading = "Experiment")]
     from: Option<PathBuf>,
-    /// With --from: weights alone, from step 0 with a fresh optimizer, as for another scene or learning rate
-    #[arg(long, requires = "from")]
+    /// With --from: take the weights alone and start at step 0
+    #[arg(long, requires = "from", help_heading = "Experiment")]
     restart: bool,
-    /// Print the resolved configuration and stop
-    #[arg(long)]
-    print_config: bool,
     #[command(flatten)]
     weights: LpipsWeights,
-    #[command(flatten)]
-    compute: Compute,
+    /// Run folder [default: runs/SCENE-METHOD-HASH]
+    #[arg(long, value_name = "DIR", help_heading = "Output")]
+    out: Option<PathBuf>,
+    /// Replace the run in that folder
+    #[arg(long, help_heading = "Output")]
+    overwrite: bool,
+    /// Print the resolved settings and stop
+    #[arg(long, help_heading = "Output")]
+    print_config: bool,
     #[command(flatten)]
     answer: Answer,
+    #[command(flatten)]
+    compute: Compute,
 }
 
 #[derive(Args)]
@@ -57,9 +58,9 @@ pub struct ResumeArguments {
     #[command(flatten)]
     sources: Sources,
     #[command(flatten)]
-    compute: Compute,
-    #[command(flatten)]
     answer: Answer,
+    #[command(flatten)]
+    compute: Compute,
 }
 
 impl TrainArguments {
@@ -70,7 +71,7 @@ impl TrainArguments {
 
     fn train(&self, runtime: &Runtime) -> Result<()> {
         let console = Console::new(self.compute.quiet);
-        // Weights that start anew on another scene take nothing of their own scene's with them.
+        // Restarted weights on another scene bring none of their own scene's settings.
         let elsewhere = self.restart && self.experiment.names_scene();
         let parent = self.from.as_deref().map(|run| Parent::open(run, elsewhere)).transpose()?;
         let base = parent.as_ref().map_or_else(Base::default, |parent| parent.base(self.restart));
@@ -94,7 +95,7 @@ impl TrainArguments {
                 let job = Job::create_from(&folder, existing, setup, origin)?;
                 let (from, step) = (parent.run.path().display(), job.step_count());
                 console
-                    .say(&format!("weights of {from} at step {}: this run begins at step {step}", parent.state.step));
+                    .say(&format!("weights of {from} at step {}: this run starts at step {step}", parent.state.step));
                 job
             }
         };
@@ -104,17 +105,17 @@ impl TrainArguments {
     }
 }
 
-/// The run that another begins with.
+/// The run whose weights another run starts with.
 struct Parent {
     run: RunDir,
-    /// Its settings as a file.
+    /// The run's settings as a file.
     config: NamedTempFile,
     checkpoint: PathBuf,
     state: State,
 }
 
 impl Parent {
-    /// `elsewhere`: its weights go to another scene.
+    /// Opens a run; `elsewhere` says that its weights go to another scene.
     fn open(run: &Path, elsewhere: bool) -> Result<Parent> {
         let run = RunDir::take_to_read(run)?;
         let checkpoint = checkpoint::latest(&run.checkpoints())?;
@@ -125,7 +126,7 @@ impl Parent {
         Ok(Parent { run, config, checkpoint, state })
     }
 
-    /// Its settings, with its name over all that is named.
+    /// Returns the run's settings as a base; the parent's name overrides everything.
     fn base(&self, restart: bool) -> Base<'_> {
         let restarted = if restart { " restarted" } else { "" };
         let name = format!("{}@{}{restarted}", self.state.config_hash, self.state.step);
@@ -138,7 +139,7 @@ impl Parent {
             return Ok(());
         }
         Err(Error::Config(format!(
-            "{} is at step {}, and train.steps = {steps}: ask for more with --set train.steps={}, or begin at step 0 with --restart",
+            "{}: at step {}, but train.steps = {steps}; raise it with --set train.steps={}, or start at step 0 with --restart",
             self.run.path().display(),
             self.state.step,
             2 * self.state.step.max(1)
@@ -164,12 +165,12 @@ impl ResumeArguments {
         let lpips = load_lpips(&config.eval.lpips_weights, runtime.device())?;
         let (config, scene) = load_scene_of(&run, config, &console)?;
         let job = Job::resume(run, Setup { config, scene: &scene, lpips: &lpips, runtime: runtime.clone() })?;
-        console.say(&format!("{} goes on at step {}", self.run.display(), job.step_count()));
+        console.say(&format!("{} resumes at step {}", self.run.display(), job.step_count()));
         train(job, &self.run, &console, self.answer)
     }
 }
 
-/// What begins, in a line.
+/// Describes the training in one line.
 fn what_is_trained(Setup { config, scene, .. }: &Setup) -> String {
     let size = scene.train.first().map(|view| (view.camera.width, view.camera.height)).unwrap_or_default();
     format!(
@@ -185,27 +186,28 @@ fn what_is_trained(Setup { config, scene, .. }: &Setup) -> String {
     )
 }
 
-/// Trains in `folder`, whose name is printed first: a script has it also where the training is stopped.
+/// Trains in `folder`. Its name is printed first, so that a script has it even if the training is stopped.
 fn train(job: Job, folder: &Path, console: &Console, answer: Answer) -> Result<()> {
     if !answer.json {
-        print(&folder.display().to_string())?;
+        let label = if std::io::stdout().is_terminal() { "run folder: " } else { "" };
+        print(&format!("{label}{}", folder.display()))?;
     }
     let finished = job.train(console, &*catch_signals()?)?;
-    summarise(&finished, folder, console);
+    summarize(&finished, folder, console);
     let Finished { report, seconds, .. } = &finished;
     let [metrics, _] = RunDir::metrics_in(folder);
     answer.give_silently(&Measured::new((folder, &metrics), report, finished.steps, Some(*seconds)))
 }
 
-fn summarise(Finished { report, seconds, .. }: &Finished, folder: &Path, console: &Console) {
+fn summarize(Finished { report, model, seconds, .. }: &Finished, folder: &Path, console: &Console) {
     let mean = &report.mean;
     let number = |value: Option<f64>, digits: usize| value.map_or("-".into(), |value| format!("{value:.digits$}"));
+    let lpips = mean.get("lpips_squeeze").map_or(String::new(), |lpips| format!("  LPIPS(squeeze) {lpips:.3}"));
     console.say(&format!(
-        "{} held-out views: PSNR {} dB  SSIM {}  LPIPS(squeeze) {}  ({} steps, {seconds:.0} s)",
+        "{} held-out views: PSNR {} dB  SSIM {}{lpips}  ({} steps, {seconds:.0} s)",
         report.views.len(),
         number(mean.get("psnr"), 2),
         number(mean.get("ssim"), 3),
-        number(mean.get("lpips_squeeze"), 3),
         report.protocol.text("steps"),
     ));
     if !report.training_views.is_empty() {
@@ -221,8 +223,22 @@ fn summarise(Finished { report, seconds, .. }: &Finished, folder: &Path, console
         console.say(&format!("{}: {}", site.inactive_by().meaning(), inactive.join(", ")));
     }
     console.say(&format!("results: {}", folder.display()));
+    let first = report.views.first().map(|view| RunDir::renders_in(folder).join(format!("{}_beside.png", view.name)));
+    for picture in first.iter().filter(|picture| picture.is_file()) {
+        console.say(&format!("picture: {}", picture.display()));
+    }
+    console.say(&next_commands(folder, model.density().is_ok()));
 }
 
+/// Names the commands that show a finished run: a mesh only of a method with `density`.
+fn next_commands(folder: &Path, density: bool) -> String {
+    let folder = folder.display();
+    let mesh = density.then(|| format!("augnerf mesh {folder} --picture mesh.png"));
+    let commands = [Some(format!("augnerf render {folder}")), mesh, Some(format!("augnerf report {folder}"))];
+    format!("next: {}", commands.into_iter().flatten().collect::<Vec<_>>().join("\n      "))
+}
+
+/// Returns the run folder for settings where none is named: `runs/SCENE-METHOD-HASH`.
 pub fn default_folder(config: &Config) -> PathBuf {
     let terms = config.regularizer.kind.iter().map(|term| format!("-{}", term.name()));
     let method = std::iter::once(config.method.name().to_string()).chain(terms).collect::<String>();

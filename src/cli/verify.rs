@@ -18,39 +18,38 @@ use super::signals::catch_signals;
 use super::{Compute, LpipsWeights};
 
 pub const EXAMPLES: &str = "Examples:
-  augnerf verify                                       # all of results/
-  augnerf verify results/paper/tab4_fern --data-root ~/data  # with the hash of the scene
-  augnerf verify results/checks/smoke --retrain 2             # trains two points again
-  augnerf verify results/checks/smoke --update                # tables and figures anew
+  augnerf verify                                  # all of results/
+  augnerf verify results/checks/smoke --retrain 2  # and trains two points again
+  augnerf verify results/checks/smoke --update     # writes tables and figures again
 
-What could not be checked is said, with the reason. Exit codes: 0 everything that was checked holds, 10 something does not.";
+Exit codes: 0 every check holds, 10 a check fails. Checks that cannot be made are listed with the reason.";
 
 #[derive(Args)]
 pub struct VerifyArguments {
-    /// Folders of results, or folders of such
+    /// Results folders, or folders of them
     #[arg(default_value = "results")]
     results: Vec<PathBuf>,
-    /// Write tables and figures that differ anew, from points.csv, which changes in its form at most
+    /// Write tables and figures that differ again from points.csv
     #[arg(long)]
     update: bool,
-    /// Train so many points again, spread over the sweep, and compare every digit
+    /// Train N points again, spread over the sweep, and compare every digit [default: 0]
     #[arg(long, value_name = "N", default_value_t = 0, hide_default_value = true)]
     retrain: usize,
-    /// Train by this program, although it is not the revision that the points were made by
+    /// With --retrain: accept another revision than that of the points
     #[arg(long, requires = "retrain")]
     any_revision: bool,
-    /// Folder that the scenes lie in
-    #[arg(long, env = "AUGNERF_DATA", value_name = "DIR")]
+    /// Folder of the scenes
+    #[arg(long, env = "AUGNERF_DATA", value_name = "DIR", help_heading = "Experiment")]
     data_root: Option<PathBuf>,
     #[command(flatten)]
     weights: LpipsWeights,
     #[command(flatten)]
-    compute: Compute,
-    #[command(flatten)]
     answer: Answer,
+    #[command(flatten)]
+    compute: Compute,
 }
 
-/// A folder and what was found in it.
+/// A folder and its findings.
 #[derive(Serialize)]
 struct Verified {
     folder: String,
@@ -112,6 +111,6 @@ impl VerifyArguments {
         if wrong.is_empty() {
             return Ok(());
         }
-        Err(Error::Mismatch(format!("what is marked WRONG above does not hold in {}", wrong.join(", "))))
+        Err(Error::Mismatch(format!("{}: does not verify; see the lines marked WRONG above", wrong.join(", "))))
     }
 }

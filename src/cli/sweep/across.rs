@@ -13,29 +13,30 @@ use crate::sweep::AcrossRequest;
 use super::opened::Opened;
 
 pub const EXAMPLES: &str = "Examples:
-  augnerf sweep across results/fern results/chair --row Aug-NeRF --baseline NeRF --out results/both
+  augnerf sweep across results/fern results/chair --row Aug-NeRF --out results/both
+  augnerf sweep across results/fern results/chair --row TV --baseline Aug-NeRF --out results/tv
+  augnerf sweep across results/fern results/chair --row TV --metric ssim --out results/ssim
 
-One question to several sweeps: p values are corrected over the sweeps (Holm), and intervals are given that hold for all of them \
-at once. `augnerf verify` makes the files again from the sweeps' folders beside them.";
+P values are corrected over the sweeps (Holm), and simultaneous intervals are given.";
 
 #[derive(Args)]
 pub struct AcrossArguments {
-    /// Folders of sweeps or of their results, a block each
+    /// Folders of sweeps or of their results, one experiment each
     #[arg(required = true)]
     folders: Vec<PathBuf>,
-    /// The row that is compared in each
+    /// Row to compare
     #[arg(long)]
     row: String,
-    /// What it is compared with, seed by seed
+    /// Baseline, seed by seed
     #[arg(long, value_name = "ROW", default_value = "NeRF")]
     baseline: String,
-    /// In which metric
+    /// Metric
     #[arg(long, default_value = "psnr")]
     metric: String,
     /// Folder for across.toml, across.csv, across.md and the figure across.svg
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
-    /// Folder that the definitions' scenes lie in
+    /// Folder of the scenes
     #[arg(long, env = "AUGNERF_DATA", value_name = "DIR")]
     data_root: Option<PathBuf>,
     #[command(flatten)]

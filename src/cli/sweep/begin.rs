@@ -12,8 +12,9 @@ use crate::sweep::Trainings;
 use super::{Changes, Location, begin_folder};
 
 pub const EXAMPLES: &str = "Examples:
-  augnerf sweep begin sweeps/checks/smoke.toml         # lays out runs/smoke
-  augnerf sweep run-point runs/smoke --index 3  # runs one of its points, on any machine";
+  augnerf sweep begin sweeps/checks/smoke.toml   # creates runs/smoke
+  augnerf sweep run-point runs/smoke --index 3   # then runs one point, on any machine
+  augnerf sweep begin sweeps/checks/smoke.toml --seeds 0,1,2 --out runs/three";
 
 #[derive(Args)]
 pub struct BeginArguments {
@@ -21,13 +22,13 @@ pub struct BeginArguments {
     location: Location,
     #[command(flatten)]
     changes: Changes,
-    /// Take a definition that has changed since the folder was begun; points that it no longer has stay on disk
-    #[arg(long)]
+    /// Accept a changed sweep file; keep the old points on disk
+    #[arg(long, help_heading = "Experiment")]
     extend: bool,
     #[command(flatten)]
-    compute: Compute,
-    #[command(flatten)]
     answer: Answer,
+    #[command(flatten)]
+    compute: Compute,
 }
 
 impl BeginArguments {

@@ -14,20 +14,21 @@ use crate::sweep::{Best, best};
 use super::opened::Opened;
 
 pub const EXAMPLES: &str = "Examples:
-  augnerf sweep best runs/tab4_fern  # by PSNR
-  augnerf sweep best runs/tab4_fern --metric ssim --json";
+  augnerf sweep best runs/tab4_fern                # by PSNR
+  augnerf sweep best runs/tab4_fern --metric ssim
+  augnerf sweep best results/paper/tab4_fern --json";
 
 #[derive(Args)]
 pub struct BestArguments {
-    /// Folder of a sweep or of its results: runs/NAME, results/NAME
+    /// Folder of a sweep or of its results: runs/NAME or results/NAME
     folder: PathBuf,
-    /// What to judge by, in its mean over the seeds
+    /// Metric, as the mean over seeds
     #[arg(long, value_name = "METRIC", default_value = "psnr")]
     metric: String,
-    /// Compare rows that differ in an uncontrolled setting, such as the code's revision
+    /// Compare rows that differ in an uncontrolled setting, such as the revision
     #[arg(long)]
     force: bool,
-    /// Folder that the definition's scenes lie in
+    /// Folder of the scenes
     #[arg(long, env = "AUGNERF_DATA", value_name = "DIR")]
     data_root: Option<PathBuf>,
     #[command(flatten)]
@@ -65,16 +66,16 @@ fn text(best: &Best) -> String {
     };
     lines.extend(best.seeds.iter().map(seed));
     if !best.unfinished.is_empty() {
-        lines.push(format!("  not looked at, for want of points: {}", best.unfinished.join(", ")));
+        lines.push(format!("  skipped, with unfinished points: {}", best.unfinished.join(", ")));
     }
     lines.push(match best.on_validation {
         true => format!(
-            "  chosen among {} rows by views that were kept for choices (split {})",
+            "  chosen among {} rows on validation views (split {})",
             best.candidates, best.split
         ),
         false => format!(
-            "  chosen among {} rows by the views that results are told of (split {}), so that its number flatters it: \
-             data.validation or data.eval_split = \"val\" keeps views for choices",
+            "  chosen among {} rows on the reported views (split {}), so its number is biased upwards; choose on validation \
+             views with data.validation or data.eval_split = \"val\"",
             best.candidates, best.split
         ),
     });

@@ -14,12 +14,15 @@ use crate::sweep::slurm::{Queue, Slurm, Task};
 
 use super::begun;
 
-pub const EXAMPLES: &str = "Example:
-  augnerf sweep cancel runs/tab1_llff  # what ran goes on with `augnerf sweep submit`";
+pub const EXAMPLES: &str = "Examples:
+  augnerf sweep cancel runs/tab1_llff
+  augnerf sweep cancel runs/tab1_llff --json
+
+Running points write a checkpoint and stop. `augnerf sweep submit` resumes them.";
 
 #[derive(Args)]
 pub struct CancelArguments {
-    /// Folder of a sweep: runs/NAME, or what --out named
+    /// Folder of a sweep: runs/NAME, or that of --out
     folder: PathBuf,
     #[command(flatten)]
     answer: Answer,
@@ -38,7 +41,7 @@ impl CancelArguments {
 
     fn tell(&self, queue: &Queue) -> Result<()> {
         if queue.tasks.is_empty() {
-            return print(&format!("nothing of {} is in the queue", self.folder.display()));
+            return print(&format!("{}: nothing in the queue", self.folder.display()));
         }
         let mut counts: BTreeMap<String, usize> = BTreeMap::new();
         for task in &queue.tasks {
@@ -46,6 +49,6 @@ impl CancelArguments {
             *counts.entry(format!("{what} of job {} {}", task.job, task.state)).or_default() += 1;
         }
         counts.iter().try_for_each(|(what, count)| print(&format!("cancelled: {count} {what}")))?;
-        print("what ran stops with a checkpoint; `augnerf sweep submit` and `augnerf sweep run` go on from there")
+        print("running points write a checkpoint and stop; resume with `augnerf sweep submit` or `augnerf sweep run`")
     }
 }

@@ -15,46 +15,43 @@ use super::opened::Opened;
 use super::{How, RESULTS, RUNS, collect, name_of, table_json, terminal_width};
 
 pub const EXAMPLES: &str = "Examples:
-  augnerf sweep collect runs/tab4_fern         # tables and figures once more, in results/
+  augnerf sweep collect runs/tab4_fern  # tables and figures, in results/
   augnerf sweep collect runs/tab4_fern --rows NeRF,Aug-NeRF --metrics psnr,ssim --out figures/two
-  augnerf sweep collect runs/tab4_fern --baseline 'NeRF + second clean pass' --out figures/second
   augnerf sweep collect runs/a --merge runs/b --out figures/both
-  augnerf sweep collect runs/tab4_fern --json  # the table's rows for a script, too
 
-Chosen rows, metrics, another baseline or several sweeps need a folder of their own; intervals, p values and Holm's \
-correction are those of the rows that are shown.";
+--rows, --metrics, --baseline and --merge need --out. Intervals and corrected p values are over the chosen rows.";
 
 #[derive(Args)]
 pub struct CollectArguments {
-    /// Folder of a sweep: runs/NAME, or what --out named; of its results, where rows or the like are chosen
+    /// Folder of a sweep: runs/NAME, or that of --out; with --rows or the like also results/NAME
     folder: PathBuf,
-    /// Folder for tables and figures [default: results/NAME of runs/NAME, otherwise FOLDER/results]
-    #[arg(long, visible_alias = "out", value_name = "DIR")]
-    results: Option<PathBuf>,
-    /// The sweep's name in tables [default: the folder's]
-    #[arg(long)]
-    name: Option<String>,
-    /// The row that all others are compared with; none compares nothing
-    #[arg(long, value_name = "ROW")]
-    baseline: Option<String>,
-    /// Rows, in the order of the table
-    #[arg(long, value_name = "ROW,...")]
+    /// Rows, in the order of the table [default: all]
+    #[arg(long, value_name = "ROW,...", help_heading = "Experiment")]
     rows: Vec<String>,
-    /// Metrics, in the order of the columns
-    #[arg(long, value_delimiter = ',', value_name = "METRIC,...")]
+    /// Metrics, in the order of the columns [default: the sweep's]
+    #[arg(long, value_delimiter = ',', value_name = "METRIC,...", help_heading = "Experiment")]
     metrics: Vec<String>,
-    /// Another sweep's folder, whose rows come after; once for each
-    #[arg(long, value_name = "FOLDER")]
+    /// Row that all others are compared with, or none [default: the sweep's]
+    #[arg(long, value_name = "ROW", help_heading = "Experiment")]
+    baseline: Option<String>,
+    /// Folder of another sweep, whose rows are appended; repeatable
+    #[arg(long, value_name = "FOLDER", help_heading = "Experiment")]
     merge: Vec<PathBuf>,
-    /// Put rows side by side that differ in an uncontrolled setting, such as the code's revision, and mark them
-    #[arg(long)]
+    /// Mark rows that differ in an uncontrolled setting, such as the revision, instead of stopping
+    #[arg(long, help_heading = "Experiment")]
     force: bool,
-    /// Join seconds and memory to the tables
-    #[arg(long)]
-    with_timing: bool,
-    /// Folder that the definition's scenes lie in
-    #[arg(long, env = "AUGNERF_DATA", value_name = "DIR")]
+    /// Folder of the scenes
+    #[arg(long, env = "AUGNERF_DATA", value_name = "DIR", help_heading = "Experiment")]
     data_root: Option<PathBuf>,
+    /// Folder for tables and figures [default: results/NAME of runs/NAME, otherwise FOLDER/results]
+    #[arg(long, visible_alias = "out", value_name = "DIR", help_heading = "Output")]
+    results: Option<PathBuf>,
+    /// Name of the sweep in tables [default: the folder's]
+    #[arg(long, help_heading = "Output")]
+    name: Option<String>,
+    /// Add training time and memory to the tables
+    #[arg(long, help_heading = "Output")]
+    with_timing: bool,
     #[command(flatten)]
     answer: Answer,
 }
@@ -88,7 +85,7 @@ impl CollectArguments {
         Opened::read(path, self.data_root.as_deref())
     }
 
-    /// Where the whole sweep's tables are.
+    /// Returns the folder of the complete sweep's tables.
     fn results(&self, name: &str) -> Result<PathBuf> {
         let path = std::path::absolute(&self.folder).map_err(|e| Error::unreadable(&self.folder, &e))?;
         let runs = path.parent().filter(|parent| parent.file_name().is_some_and(|name| name == RUNS));
@@ -101,8 +98,7 @@ impl CollectArguments {
     fn view(&self, first: Opened, selection: Selection) -> Result<(Table, PathBuf)> {
         let Some(results) = self.results.clone() else {
             return Err(Error::Config(
-                "--baseline, --rows, --metrics and --merge make tables of their own beside the sweep's: name a folder for \
-                 them with --out"
+                "--baseline, --rows, --metrics and --merge need a folder of their own; name it with --out"
                     .into(),
             ));
         };

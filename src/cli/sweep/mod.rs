@@ -1,4 +1,4 @@
-//! `augnerf sweep`: which sweep is meant, and a file a command.
+//! `augnerf sweep`: flags and steps that its commands share; each command has a file.
 
 use std::io::IsTerminal;
 use std::path::{Path, PathBuf};
@@ -35,47 +35,47 @@ mod run_point;
 mod status;
 mod submit;
 
-/// Points of the sweep NAME are in `runs/NAME`.
+/// The folder of points: those of the sweep NAME are in `runs/NAME`.
 const RUNS: &str = "runs";
-/// Its tables are in `results/NAME`, or in `DIR/results` below `--out DIR`.
+/// The folder of tables: `results/NAME`, or `DIR/results` with `--out DIR`.
 const RESULTS: &str = "results";
 
 #[derive(Subcommand)]
 pub enum SweepCommand {
-    /// Run all points of a sweep, or go on with it, and write its tables
+    /// Run or resume all points of a sweep and write its tables
     #[command(after_help = run::EXAMPLES)]
     Run(run::RunArguments),
-    /// List the points and measure what they will cost, without running them
+    /// List a sweep's points and measure their cost, without running them
     #[command(after_help = plan::EXAMPLES)]
     Plan(plan::PlanArguments),
-    /// Show what is done, running, failed
+    /// Show which points are done, running or failed
     #[command(after_help = status::EXAMPLES)]
     Status(status::StatusArguments),
-    /// Write tables and figures from what is done, from files alone: all of a sweep, chosen rows, or several sweeps
+    /// Write tables and figures from the finished points
     #[command(after_help = collect::EXAMPLES)]
     Collect(collect::CollectArguments),
-    /// Lay out a sweep's folder without running anything: its points may then run anywhere
+    /// Create a sweep's folder without running anything
     #[command(after_help = begin::EXAMPLES)]
     Begin(begin::BeginArguments),
-    /// Run one point of a folder that was begun: a task of a cluster's job array, or of a loop
+    /// Run one point of a created sweep, as a task of a job array
     #[command(after_help = run_point::EXAMPLES)]
     RunPoint(run_point::RunPointArguments),
-    /// Have a cluster run the points: a Slurm job array, and a job that collects
+    /// Submit the points to Slurm, with a job that writes the tables
     #[command(after_help = submit::EXAMPLES)]
     Submit(submit::SubmitArguments),
-    /// Take what was submitted out of the queue; what runs stops with a checkpoint
+    /// Remove submitted points from the queue and stop running ones
     #[command(after_help = cancel::EXAMPLES)]
     Cancel(cancel::CancelArguments),
-    /// Say which row is best, with its settings and folders
+    /// Show the best row with its settings and folders
     #[command(after_help = best::EXAMPLES)]
     Best(best::BestArguments),
-    /// Compare two rows in each of several sweeps, corrected over the sweeps
+    /// Compare two rows in each of several sweeps
     #[command(after_help = across::EXAMPLES)]
     Across(across::AcrossArguments),
-    /// Say how many seeds a difference takes, without showing any
+    /// Estimate how many seeds a difference takes, without showing means
     #[command(after_help = power::EXAMPLES)]
     Power(power::PowerArguments),
-    /// Write a sweep file with comments, to be changed and run
+    /// Write a sweep file with comments, to change and run
     #[command(after_help = new::EXAMPLES)]
     New(new::NewArguments),
 }
@@ -99,35 +99,36 @@ impl SweepCommand {
     }
 }
 
-/// Which sweep, and where it lies.
+/// Flags that name a sweep and its folders.
 #[derive(Args)]
 struct Location {
     /// Sweep file
     file: PathBuf,
-    /// The sweep's name: points in runs/NAME, tables in results/NAME [default: the file's]
-    #[arg(long)]
+    /// Name of the sweep: points in runs/NAME, tables in results/NAME [default: the file's]
+    #[arg(long, help_heading = "Output")]
     name: Option<String>,
-    /// Folder for points and tables instead of runs/NAME and results/NAME
-    #[arg(long, value_name = "DIR")]
+    /// Folder for points and tables [default: runs/NAME and results/NAME]
+    #[arg(long, value_name = "DIR", help_heading = "Output")]
     out: Option<PathBuf>,
-    /// Folder that the definition's scenes lie in
-    #[arg(long, env = "AUGNERF_DATA", value_name = "DIR")]
+    /// Folder of the scenes
+    #[arg(long, env = "AUGNERF_DATA", value_name = "DIR", help_heading = "Experiment")]
     data_root: Option<PathBuf>,
 }
 
-/// What the command line changes in a definition.
+/// Flags that change a definition.
 #[derive(Args)]
+#[command(next_help_heading = "Experiment")]
 struct Changes {
-    /// Another preset than the file's
+    /// Preset [default: the file's]
     #[arg(long, value_name = "NAME")]
     preset: Option<String>,
-    /// Other scenes: folders below the data root, builtin, builtin-forward
+    /// Scenes: folders in the data root, builtin or builtin-forward [default: the file's]
     #[arg(long, value_delimiter = ',', value_name = "SCENE,...")]
     scenes: Option<Vec<String>>,
-    /// Other seeds
+    /// Seeds [default: the file's]
     #[arg(long, value_delimiter = ',', value_name = "N,...")]
     seeds: Option<Vec<u64>>,
-    /// A setting for all points, under what rows and axes set: --set train.steps=1000
+    /// A setting for all points, which rows and axes override: --set train.steps=1000
     #[arg(long, value_name = "FIELD=VALUE")]
     set: Vec<String>,
 }
@@ -137,7 +138,7 @@ impl Location {
         let stem = || self.file.file_stem().map(|stem| stem.to_string_lossy().into_owned());
         let name = self.name.clone().or_else(stem).unwrap_or_default();
         if name.is_empty() || name.contains(['/', '\\']) || name == "." || name == ".." {
-            return Err(Error::Config(format!("--name '{name}': give a name without path separators")));
+            return Err(Error::Config(format!("--name '{name}': not a name; choose one without path separators")));
         }
         check_name("the sweep's name", &name).map_err(Error::Config)?;
         Ok(name)
@@ -172,8 +173,7 @@ impl Changes {
     }
 }
 
-/// A table for other programs: where it lies, and the rows of `table.csv`, whose counts and metrics are numbers and whose empty
-/// cells are null.
+/// Returns a table as JSON: its folder, and the rows of `table.csv`. Counts and metrics are numbers, empty cells are null.
 pub(super) fn table_json(table: &Table, results: &Path) -> serde_json::Value {
     let text = table_csv(table, &[]);
     let mut reader = csv::Reader::from_reader(text.as_bytes());
@@ -195,20 +195,20 @@ pub(super) fn table_json(table: &Table, results: &Path) -> serde_json::Value {
     json!({ "name": table.name, "title": table.title, "results": results.display().to_string(), "rows": rows })
 }
 
-/// Columns of the terminal; a file or a pipe gets lines that most screens show.
+/// Returns the columns of the terminal, or 160 for a file or a pipe.
 pub(super) fn terminal_width() -> u16 {
     let (_, columns) = console::Term::stdout().size();
     if std::io::stdout().is_terminal() { columns.max(60) } else { 160 }
 }
 
-/// The points of a folder that a sweep was begun in.
+/// Returns the points of a created sweep.
 fn begun(folder: &SweepFolder, data_root: Option<&Path>) -> Result<Vec<Point>> {
     folder.points(data_root)?.ok_or_else(|| {
-        Error::Checkpoint(format!("{} has no points.json: `augnerf sweep run` writes it", folder.path().display()))
+        Error::Checkpoint(format!("{}: no points.json; create it with `augnerf sweep run`", folder.path().display()))
     })
 }
 
-/// Lays out the folder of a sweep, or goes on with it; says where seconds of steps came from, which `measure` gives.
+/// Creates or opens the folder of a sweep. `measure` gives the seconds of steps; their source is printed.
 fn begin_folder(
     location: &Location,
     definition: &Definition,
@@ -224,7 +224,7 @@ fn begin_folder(
     Ok((folder, points))
 }
 
-/// The points that a sweep has or, before its folder is begun with this definition, would have.
+/// Returns the points of a sweep, or those that its folder would get.
 fn planned_points(
     location: &Location,
     definition: &Definition,
@@ -243,8 +243,8 @@ fn planned_points(
     }
 }
 
-/// What trains and measures the points of a definition, and which of its metrics that can be with the LPIPS weights at hand; what
-/// cannot is said.
+/// Returns the trainings of a definition, and its metrics that can be measured with the available LPIPS weights. Other metrics
+/// are printed.
 fn trainings<'a>(
     definition: &Definition,
     weights: &LpipsWeights,
@@ -265,14 +265,14 @@ fn trainings<'a>(
 fn say_what_is_missing(metrics: &[String], console: &Console) {
     if !metrics.is_empty() {
         console.say(&format!(
-            "not measured, for want of LPIPS weights (--lpips-weights, AUGNERF_LPIPS_WEIGHTS): {}; with --remeasure a \
-             later run measures them from the points' checkpoints",
+            "not measured without LPIPS weights (--lpips-weights, AUGNERF_LPIPS_WEIGHTS): {}; `augnerf sweep run \
+             --remeasure` can measure them later",
             metrics.join(", ")
         ));
     }
 }
 
-/// Whether a metric can be had with these LPIPS backbones.
+/// Returns whether a metric can be measured with these LPIPS backbones.
 fn measurable(metric: &str, lpips: &[Lpips]) -> bool {
     match Metric::find(metric).map(|metric| metric.needs) {
         Some(Needs::Lpips(backbone)) => lpips.iter().any(|lpips| lpips.backbone() == backbone),
@@ -280,7 +280,7 @@ fn measurable(metric: &str, lpips: &[Lpips]) -> bool {
     }
 }
 
-/// The name of a sweep by its folder: the folder's own.
+/// Returns the name of a sweep: that of its folder.
 fn name_of(folder: &Path) -> Result<String> {
     let path = std::path::absolute(folder).map_err(|e| Error::unreadable(folder, &e))?;
     let name = path.file_name().map_or("sweep".into(), |name| name.to_string_lossy().into_owned());
@@ -288,21 +288,21 @@ fn name_of(folder: &Path) -> Result<String> {
     Ok(name)
 }
 
-/// Writes the links that call points by their rows' names, or says why there are none.
+/// Writes links to points by their rows' names, or prints why there are none.
 fn link_by_name(folder: &SweepFolder, points: &[Point]) {
     let said = folder.link_by_name(points).unwrap_or_else(|error| Some(error.to_string()));
     said.iter().for_each(|why| report(why));
 }
 
-/// How tables are made.
+/// Options of tables.
 struct How {
-    /// Rows that differ in an uncontrolled setting stand side by side, marked.
+    /// Rows that differ in an uncontrolled setting are marked, not an error.
     force: bool,
-    /// With clocks.
+    /// Training time and memory are added.
     with_timing: bool,
 }
 
-/// Writes tables and figures of what the points of a sweep's folder left into `results`, and returns the table.
+/// Writes tables and figures of a sweep's points into `results`, and returns the table.
 fn collect(
     (folder, definition, points): (&SweepFolder, &Definition, &[Point]),
     name: &str,

@@ -11,15 +11,16 @@ use crate::cli::progress::{print, print_shown};
 use crate::sweep::write_new;
 
 pub const EXAMPLES: &str = "Examples:
-  augnerf sweep new                             # sweep.toml, every key explained; it runs as it is
-  augnerf sweep new fern.toml --from tab4_fern  # one of the shipped sweeps, to be changed";
+  augnerf sweep new                             # sweep.toml, with every key explained
+  augnerf sweep new fern.toml --from tab4_fern  # a copy of a shipped sweep
+  augnerf sweep new study.toml --json";
 
 #[derive(Args)]
 pub struct NewArguments {
-    /// The file to write
+    /// File to write
     #[arg(default_value = "sweep.toml")]
     file: PathBuf,
-    /// A shipped sweep instead of the commented one: smoke, tab4_fern, epsilon, ...
+    /// Copy this shipped sweep: smoke, tab4_fern, epsilon, ... [default: a commented example]
     #[arg(long, value_name = "NAME")]
     from: Option<String>,
     #[command(flatten)]

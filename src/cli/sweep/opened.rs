@@ -1,4 +1,4 @@
-//! A sweep to be looked at: its folder, or the folder of its results, which has everything that tables are made of.
+//! A sweep opened for reading: its folder, or the folder of its results.
 
 use std::path::Path;
 
@@ -8,22 +8,22 @@ use crate::sweep::{Definition, Point, Source, SweepFolder, SweepOutputs};
 
 use super::{begun, name_of};
 
-/// A sweep as a folder has it.
+/// A sweep in a folder.
 pub struct Opened {
-    /// Its name.
+    /// The sweep's name.
     pub name: String,
     /// The folder.
     pub folder: SweepFolder,
-    /// What was run.
+    /// The sweep's definition.
     pub definition: Definition,
-    /// Its points.
+    /// The sweep's points.
     pub points: Vec<Point>,
-    /// What is kept beside its tables; none of a folder with the points themselves.
+    /// The data kept with tables; `None` in a folder with the points themselves.
     kept: Option<SweepOutputs>,
 }
 
 impl Opened {
-    /// Of `runs/NAME`, or of `results/NAME`.
+    /// Opens `runs/NAME` or `results/NAME`.
     pub fn read(path: &Path, data_root: Option<&Path>) -> Result<Opened> {
         let folder = SweepFolder::new(path);
         if path.join("provenance.toml").is_file() {
@@ -35,19 +35,22 @@ impl Opened {
         Ok(Opened { name: name_of(path)?, folder, definition, points, kept: None })
     }
 
-    /// Refuses results, which `verify` looks after.
+    /// Checks that the folder holds points, not results.
+    ///
+    /// # Errors
+    /// [`Error::Config`]: the folder holds results.
     pub fn check_runs(&self) -> Result<()> {
         if self.kept.is_none() {
             return Ok(());
         }
         Err(Error::Config(format!(
-            "{} holds results and no points: choose what to show with --rows, --metrics, --baseline or --merge, and a folder with \
-             --out; `augnerf verify --update` writes its tables anew",
+            "{}: results, not points; choose --rows, --metrics, --baseline or --merge with --out, or write its tables again \
+             with `augnerf verify --update`",
             self.folder.path().display()
         )))
     }
 
-    /// What the points left.
+    /// Returns the points' outputs.
     pub fn outputs(&self) -> Result<SweepOutputs> {
         match &self.kept {
             Some(outputs) => Ok(outputs.clone()),
@@ -55,7 +58,7 @@ impl Opened {
         }
     }
 
-    /// As a view takes it.
+    /// Returns the sweep as the source of a view.
     pub fn source(&self) -> Result<Source<'_>> {
         Ok(Source {
             name: self.name.clone(),

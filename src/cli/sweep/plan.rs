@@ -13,8 +13,9 @@ use crate::sweep::{Point, Trainings, plan_costs};
 use super::{Changes, Location, duration, planned_points};
 
 pub const EXAMPLES: &str = "Examples:
-  augnerf sweep plan sweeps/checks/smoke.toml  # points, seconds a step, memory
-  augnerf sweep plan sweeps/paper/tab1_llff.toml --data-root ~/data --json";
+  augnerf sweep plan sweeps/checks/smoke.toml  # points, seconds per step, memory
+  augnerf sweep plan sweeps/paper/tab1_llff.toml --data-root ~/data
+  augnerf sweep plan sweeps/checks/smoke.toml --set train.steps=1000 --json";
 
 #[derive(Args)]
 pub struct PlanArguments {
@@ -23,12 +24,12 @@ pub struct PlanArguments {
     #[command(flatten)]
     changes: Changes,
     #[command(flatten)]
-    compute: Compute,
-    #[command(flatten)]
     answer: Answer,
+    #[command(flatten)]
+    compute: Compute,
 }
 
-/// What a sweep will cost.
+/// The cost of a sweep.
 #[derive(Default, Serialize)]
 struct Planned {
     points: usize,
@@ -40,7 +41,7 @@ struct Planned {
     peak_memory_mib: Option<f64>,
 }
 
-/// Points that cost the same.
+/// Points with the same cost.
 #[derive(Serialize)]
 struct Group {
     points: usize,
@@ -53,7 +54,7 @@ struct Group {
 impl Group {
     fn words(&self) -> String {
         format!(
-            "{:4} x {:44} {:8.3} s/step  {:9} a point  {}",
+            "{:4} x {:44} {:8.3} s/step  {:9} per point  {}",
             self.points,
             self.label,
             self.seconds_per_step,
@@ -101,8 +102,7 @@ impl PlanArguments {
         if left.is_empty() && no_data > 0 {
             planned.say_what_is_left_out(self.answer)?;
             return Err(Error::PointsWithoutData(format!(
-                "nothing could be measured: the {no_data} points that are left have no data here; put the scenes below \
-                 --data-root (AUGNERF_DATA)"
+                "nothing measured: no data for the {no_data} remaining points; put the scenes into --data-root (AUGNERF_DATA)"
             )));
         }
         self.answer.give(&planned, || planned.say_the_end())
@@ -110,7 +110,7 @@ impl PlanArguments {
 }
 
 impl Planned {
-    /// Points that were not measured.
+    /// Prints the points that were not measured.
     fn say_what_is_left_out(&self, answer: Answer) -> Result<()> {
         if answer.json {
             return answer.give_silently(self);
@@ -119,19 +119,19 @@ impl Planned {
             print_shown(&format!("{:4} x no data: {reason}", self.no_data))?;
         }
         if self.ended > 0 {
-            print(&format!("{:4} x done or failed before", self.ended))?;
+            print(&format!("{:4} x already done or failed", self.ended))?;
         }
         Ok(())
     }
 
-    /// What follows the groups.
+    /// Prints the lines after the groups.
     fn say_the_end(&self) -> Result<()> {
         self.say_what_is_left_out(Answer { json: false })?;
         let measured = self.points - self.no_data - self.ended;
         let counted = if self.no_data == 0 { String::new() } else { format!(" for the {measured} points with data") };
         print(&format!(
-            "{} in all{counted}, one point after the other, and {} of memory; --jobs N needs N times as much. Rendering is counted; \
-             LPIPS and smoothness are not",
+            "{} in total{counted}, one point after the other, and {} of memory; --jobs N needs N times as much. Includes \
+             rendering, not LPIPS and smoothness",
             duration(self.seconds),
             mebibytes(self.peak_memory_mib)
         ))

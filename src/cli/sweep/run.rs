@@ -16,14 +16,13 @@ use crate::sweep::{Options, Point, Runner, SweepFolder};
 use super::{Changes, How, Location, begin_folder, collect, table_json, terminal_width, trainings};
 
 pub const EXAMPLES: &str = "Examples:
-  augnerf sweep run sweeps/checks/smoke.toml                     # three minutes on the embedded scene
-  augnerf sweep run sweeps/paper/tab4_ablation.toml --scenes builtin --preset smoke --name tab4_builtin
+  augnerf sweep run sweeps/checks/smoke.toml                    # the built-in scene, three minutes
   AUGNERF_DATA=~/data augnerf sweep run sweeps/paper/tab1_llff.toml --jobs 2
-  augnerf sweep run sweeps/paper/tab1_llff.toml --retry-failed  # once more, with what failed
+  augnerf sweep run sweeps/paper/tab1_llff.toml --retry-failed  # again, with the failed points
 
-The same command goes on where it was stopped or killed; several on one folder share the points.
-Exit codes: 0 done, 7 some points failed, 8 scenes of some points are missing, 9 rows may not stand in one table (see --force), \
-130 or 143 stopped (run it again), 2 the definition is wrong (do not run it again).";
+The same command resumes a stopped sweep. Several commands on one folder share its points.
+Exit codes: 0 done, 7 points failed, 8 scenes are missing, 9 rows are not comparable (see --force), 130 or 143 stopped (run it \
+again), 2 the sweep file is wrong.";
 
 #[derive(Args)]
 pub struct RunArguments {
@@ -31,36 +30,42 @@ pub struct RunArguments {
     location: Location,
     #[command(flatten)]
     changes: Changes,
-    /// Points at once; the threads are shared among them
-    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u16).range(1..=1024))]
+    /// Points that run at once and share the threads
+    #[arg(
+        long,
+        value_name = "N",
+        default_value_t = 1,
+        value_parser = clap::value_parser!(u16).range(1..=1024),
+        help_heading = "Hardware"
+    )]
     jobs: u16,
-    /// Go on after a point failed (the default)
+    /// Continue after a point failed [default]
     #[arg(long, conflicts_with = "fail_fast")]
     keep_going: bool,
     /// Stop at the first point that fails
     #[arg(long)]
     fail_fast: bool,
-    /// Try points that failed again
+    /// Run failed points again
     #[arg(long)]
     retry_failed: bool,
-    /// Take a definition that has changed since the folder was begun; points that it no longer has stay on disk
-    #[arg(long)]
+    /// Accept a changed sweep file; keep the old points on disk
+    #[arg(long, help_heading = "Experiment")]
     extend: bool,
-    /// A point with which so many runners were killed in a row, none at a later checkpoint, counts as failed
+    /// Fail a point that was killed N times without progress
     #[arg(long, value_name = "N", default_value_t = 25, value_parser = clap::value_parser!(u32).range(1..))]
     max_deaths: u32,
-    /// Measure finished points again that lack a metric which can be measured now, such as LPIPS
+    /// Measure missing metrics of finished points, such as LPIPS
     #[arg(long)]
     remeasure: bool,
-    /// Put rows side by side that differ in an uncontrolled setting, such as the code's revision, and mark them
+    /// Mark rows that differ in an uncontrolled setting, such as the revision, instead of stopping
     #[arg(long)]
     force: bool,
     #[command(flatten)]
     weights: LpipsWeights,
     #[command(flatten)]
-    compute: Compute,
-    #[command(flatten)]
     answer: Answer,
+    #[command(flatten)]
+    compute: Compute,
 }
 
 impl RunArguments {
@@ -95,7 +100,7 @@ impl RunArguments {
             stop: &stop,
         };
         let ran = runner.run();
-        // A stopped sweep leaves the table of what is done, too.
+        // A stopped sweep writes the table of its finished points, too.
         let how = How { force: self.force, with_timing: false };
         let table = collect((&folder, &definition, &points), &name, &results, how);
         ran?;
@@ -107,13 +112,16 @@ impl RunArguments {
         }
         console.say(&format!("tables: {}", results.display()));
         SVG_ALONE.into_iter().for_each(|note| console.say(note));
-        // What became of the points comes before what became of the table.
+        // An error of points comes before an error of the table.
         summarise(&folder, &points)?;
         table.map(|_| ())
     }
 }
 
-/// Says what became of the points; an error where not all are done.
+/// Checks that all points are done.
+///
+/// # Errors
+/// [`Error::PointsFailed`] or [`Error::PointsWithoutData`], with the reasons.
 fn summarise(folder: &SweepFolder, points: &[Point]) -> Result<()> {
     let states = points.iter().map(|point| folder.point(&point.id).state(point)).collect::<Result<Vec<_>>>()?;
     let count = |status| states.iter().filter(|state| state.status == status).count();
@@ -123,7 +131,7 @@ fn summarise(folder: &SweepFolder, points: &[Point]) -> Result<()> {
     let (done, failed, no_data) = (count(Status::Done), count(Status::Failed), count(Status::NoData));
     if failed > 0 {
         return Err(Error::PointsFailed(format!(
-            "{failed} of {} points failed ({done} are done); --retry-failed tries them again:{}",
+            "{failed} of {} points failed ({done} are done); run them again with --retry-failed:{}",
             points.len(),
             reasons.concat()
         )));
@@ -131,8 +139,8 @@ fn summarise(folder: &SweepFolder, points: &[Point]) -> Result<()> {
     if no_data > 0 {
         let first = states.iter().find(|state| state.status == Status::NoData).expect("counted");
         return Err(Error::PointsWithoutData(format!(
-            "{no_data} of {} points have no data here ({done} are done): {}; put the scenes below --data-root \
-             (AUGNERF_DATA) and run the sweep again",
+            "{no_data} of {} points have no data here ({done} are done): {}; put the scenes into --data-root (AUGNERF_DATA) \
+             and run the sweep again",
             points.len(),
             first.reason
         )));

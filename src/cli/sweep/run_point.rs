@@ -18,31 +18,37 @@ use crate::sweep::{Claim, Options, Point, Runner, SweepFolder};
 use super::{begun, trainings};
 
 pub const EXAMPLES: &str = "Examples:
-  augnerf sweep begin sweeps/checks/smoke.toml             # once: lays out runs/smoke
-  augnerf sweep run-point runs/smoke --index 3      # then on any machine that sees it
-  augnerf sweep run-point runs/smoke --id 97ce1e35  # by the name in runs/smoke/points
+  augnerf sweep run-point runs/smoke --index 3      # after `augnerf sweep begin`
+  augnerf sweep run-point runs/smoke --id 97ce1e35  # by its name in runs/smoke/points
+  augnerf sweep run-point runs/smoke --index 3 --retry-failed
 
-Exit codes: 0 the point is done, or another runner works on it; 143 stopped with a checkpoint by SIGTERM or SIGUSR1 (130 \
-Ctrl-C, 129 a hangup), run it again; 7 it failed; 8 its scene is not here; 2 to 5 wrong usage, data, disk or folder.";
+Exit codes: 0 done, or another worker has the point; 129, 130 or 143 stopped with a checkpoint (run it again); 7 failed; 8 no \
+scene; 2 to 5 wrong usage, data, disk or folder.";
 
 #[derive(Args)]
 pub struct RunPointArguments {
-    /// Folder of a sweep that was begun: runs/NAME, or what --out named
+    /// Folder of a created sweep: runs/NAME, or that of --out
     folder: PathBuf,
-    /// The point by its number in points.json, from 0
-    #[arg(long, value_name = "N", required_unless_present = "id", conflicts_with = "id")]
+    /// Point by its number in points.json, from 0
+    #[arg(
+        long,
+        value_name = "N",
+        required_unless_present = "id",
+        conflicts_with = "id",
+        help_heading = "Experiment"
+    )]
     index: Option<usize>,
-    /// The point by its name, or the beginning of its name
-    #[arg(long, value_name = "ID")]
+    /// Point by its name, or the beginning of its name
+    #[arg(long, value_name = "ID", help_heading = "Experiment")]
     id: Option<String>,
-    /// Try the point again if it failed
+    /// Run the point again if it failed
     #[arg(long)]
     retry_failed: bool,
-    /// A point with which so many runners were killed in a row, none at a later checkpoint, counts as failed
+    /// Fail a point that was killed N times without progress
     #[arg(long, value_name = "N", default_value_t = 25, value_parser = clap::value_parser!(u32).range(1..))]
     max_deaths: u32,
-    /// Folder that the definition's scenes lie in
-    #[arg(long, env = "AUGNERF_DATA", value_name = "DIR")]
+    /// Folder of the scenes
+    #[arg(long, env = "AUGNERF_DATA", value_name = "DIR", help_heading = "Experiment")]
     data_root: Option<PathBuf>,
     #[command(flatten)]
     weights: LpipsWeights,
@@ -60,7 +66,7 @@ impl RunPointArguments {
         let point = self.chosen(&points)?;
         let console = Console::new(self.compute.quiet);
         let own = folder.point(&point.id);
-        // What has ended needs neither scene nor device.
+        // A finished point needs neither scene nor device.
         let to_do = own.result()?.is_none() && (self.retry_failed || own.failure()?.is_none());
         if to_do && point.no_data.is_none() {
             let runtime = self.compute.runtime()?;
@@ -69,13 +75,16 @@ impl RunPointArguments {
         self.tell((&folder, point), !to_do, &console)
     }
 
-    /// The point that is meant.
+    /// Returns the named point.
     fn chosen<'a>(&self, points: &'a [Point]) -> Result<&'a Point> {
         let folder = self.folder.display();
         if let Some(index) = self.index {
             return points.get(index).ok_or_else(|| {
                 let last = points.len().saturating_sub(1);
-                Error::Config(format!("--index {index}: {folder} has {} points, 0 to {last}", points.len()))
+                Error::Config(format!(
+                    "--index {index}: out of range; {folder} has {} points, choose 0 to {last}",
+                    points.len()
+                ))
             });
         }
         let id = self.id.as_deref().unwrap_or_default();
@@ -86,10 +95,10 @@ impl RunPointArguments {
         match found.as_slice() {
             [point] => Ok(point),
             [] => Err(Error::Config(format!(
-                "--id '{id}': no point of {folder} has a name that begins so; `augnerf sweep status {folder}` lists them"
+                "--id '{id}': no such point in {folder}; `augnerf sweep status {folder}` lists all"
             ))),
             _ => {
-                Err(Error::Config(format!("--id '{id}': {} points of {folder} begin so; give more of it", found.len())))
+                Err(Error::Config(format!("--id '{id}': {} points of {folder} begin so; give more letters", found.len())))
             }
         }
     }
@@ -114,29 +123,32 @@ impl RunPointArguments {
         Runner { folder, points, runtime, work: &trainings, options, events: console, stop }.run()
     }
 
-    /// Says what became of the point, perhaps `before` this; an error where it is over and not done.
+    /// Prints the state of the point; `before` says that it had ended before this command.
+    ///
+    /// # Errors
+    /// The point failed, or has no data.
     fn tell(&self, (folder, point): (&SweepFolder, &Point), before: bool, console: &Console) -> Result<()> {
         let own = folder.point(&point.id);
         let (state, label) = (own.state(point)?, point.label());
         match state.status {
-            Status::Done if before => console.say(&format!("{label} was done before")),
-            // The runner said so.
+            Status::Done if before => console.say(&format!("{label} was already done")),
+            // The runner has printed it.
             Status::Done => {}
             Status::Failed => {
                 return Err(Error::PointsFailed(format!(
-                    "{label} failed; --retry-failed tries it again: {}",
+                    "{label} failed; run it again with --retry-failed: {}",
                     state.reason
                 )));
             }
             Status::NoData => {
                 return Err(Error::PointsWithoutData(format!(
-                    "{label} has no data here: {}; put the scene below --data-root (AUGNERF_DATA)",
+                    "{label} has no data here: {}; put the scene into --data-root (AUGNERF_DATA)",
                     state.reason
                 )));
             }
             Status::Running | Status::Waiting => {
-                let who = Claim::look(own.path()).map_or("another runner".into(), |claim| claim.who());
-                console.say(&format!("{label} is left to {who}, which works on it"));
+                let who = Claim::look(own.path()).map_or("another worker".into(), |claim| claim.who());
+                console.say(&format!("{label} is skipped: {who} works on it"));
             }
         }
         self.answer.give_silently(&json!({

@@ -18,24 +18,24 @@ use super::{begun, duration};
 
 pub const EXAMPLES: &str = "Examples:
   augnerf sweep status runs/smoke
-  augnerf sweep status runs/smoke --watch 10  # until all points have ended
+  augnerf sweep status runs/smoke --watch 10  # every 10 s until all points have ended
   augnerf sweep status runs/smoke --json      # for a script";
 
 #[derive(Args)]
 pub struct StatusArguments {
-    /// Folder of a sweep: runs/NAME, or what --out named
+    /// Folder of a sweep: runs/NAME, or that of --out
     folder: PathBuf,
-    /// Folder that the definition's scenes lie in
+    /// Folder of the scenes
     #[arg(long, env = "AUGNERF_DATA", value_name = "DIR")]
     data_root: Option<PathBuf>,
-    /// Show it again every so many seconds, until all points have ended
+    /// Show the points again every N seconds until all have ended
     #[arg(long, value_name = "SECONDS", value_parser = clap::value_parser!(u16).range(1..), conflicts_with = "json")]
     watch: Option<u16>,
     #[command(flatten)]
     answer: Answer,
 }
 
-/// How a point stands.
+/// The state of a point.
 #[derive(Serialize)]
 struct PointStatus<'a> {
     id: &'a str,
@@ -48,7 +48,7 @@ struct PointStatus<'a> {
     host: Option<String>,
     process: Option<u32>,
     psnr: Option<f64>,
-    /// Its task in the queue of Slurm, where that is at hand.
+    /// The point's task in the Slurm queue, if there is one.
     task: Option<String>,
 }
 
@@ -63,7 +63,7 @@ impl StatusArguments {
         let mut shown = 0;
         loop {
             let (lines, left) = states(&folder, &points)?;
-            // On a screen the table stays in its place.
+            // On a terminal the new table replaces the old one.
             terminal
                 .clear_last_lines(shown)
                 .map_err(|e| Error::Output(format!("cannot write to the terminal: {e}")))?;
@@ -77,13 +77,13 @@ impl StatusArguments {
     }
 }
 
-/// Lines that a screen of `(rows, columns)` shows for these, as far as it can still reach them.
+/// Returns how many lines a terminal of `(rows, columns)` uses for these, at most those that it can clear.
 fn screen_lines(lines: &[String], (rows, columns): (u16, u16)) -> usize {
     let of_line = |line: &String| line.chars().count().div_ceil(usize::from(columns).max(1)).max(1);
     lines.iter().map(of_line).sum::<usize>().min(usize::from(rows).saturating_sub(1))
 }
 
-/// The points' states for other programs.
+/// Returns the points' states as JSON.
 fn statuses(folder: &SweepFolder, points: &[Point]) -> Result<serde_json::Value> {
     let mut statuses = Vec::new();
     let queue = Slurm::of(folder).queue();
@@ -117,7 +117,7 @@ fn statuses(folder: &SweepFolder, points: &[Point]) -> Result<serde_json::Value>
     }))
 }
 
-/// The points' states, and how many have not ended.
+/// Returns the points' states as lines, and how many have not ended.
 fn states(folder: &SweepFolder, points: &[Point]) -> Result<(Vec<String>, usize)> {
     let (mut lines, mut running, mut trained) = (Vec::new(), 0, HashMap::new());
     let mut counts: BTreeMap<&str, usize> = BTreeMap::new();
@@ -133,7 +133,7 @@ fn states(folder: &SweepFolder, points: &[Point]) -> Result<(Vec<String>, usize)
                 trained.insert(&point.id, claim.step as f64 / claim.steps.max(1) as f64);
                 let left = claim.seconds_left.map_or(String::new(), |left| format!(", {} left", duration(left)));
                 let step = match claim.steps {
-                    0 => "it begins".to_string(),
+                    0 => "starting".to_string(),
                     steps => format!("step {} of {steps}", claim.step),
                 };
                 format!("{step}{left} ({}, process {})", claim.host, claim.pid)
@@ -153,7 +153,7 @@ fn states(folder: &SweepFolder, points: &[Point]) -> Result<(Vec<String>, usize)
     let open = |point: &&Point| point.no_data.is_none() && !folder.point(&point.id).ended();
     let left: Vec<&Point> = points.iter().filter(open).collect();
     let pace = Pace::of(folder, &points.iter().collect::<Vec<&Point>>());
-    // Points that are being trained count with the share that is left of them.
+    // Running points count with their remaining fraction.
     let of_point = |point: &&Point| {
         let trained = trained.get(&point.id).copied().unwrap_or(0.0);
         Some(pace.seconds_of(std::iter::once(*point))? * (1.0 - trained))
@@ -166,16 +166,16 @@ fn states(folder: &SweepFolder, points: &[Point]) -> Result<(Vec<String>, usize)
     Ok((lines, left.len()))
 }
 
-/// What else the queue says, of which `adrift` waiting points are not. Where it cannot be asked, files still say how far points
-/// are.
+/// Returns further lines about the queue, which lacks `adrift` waiting points. If the queue cannot be read, only that is
+/// reported.
 fn of_queue(slurm: &Slurm, queue: &Result<Queue>, adrift: usize) -> Result<Vec<String>> {
     let queue = match queue {
         Ok(queue) => queue,
-        Err(error) => return Ok(vec![format!("the queue is not shown: {error}")]),
+        Err(error) => return Ok(vec![format!("queue not shown: {error}")]),
     };
     let mut lines: Vec<String> = queue.tables().map(|task| format!("tables: {task}")).collect();
     if adrift > 0 && !slurm.jobs()?.is_empty() {
-        lines.push(format!("{adrift} waiting points are not in the queue: `augnerf sweep submit` goes on with them"));
+        lines.push(format!("{adrift} waiting points are not in the queue; resume them with `augnerf sweep submit`"));
     }
     Ok(lines)
 }

@@ -17,16 +17,14 @@ use crate::sweep::{Point, StepCosts, SweepFolder, check_unchanged};
 use super::{Changes, Location, begin_folder, planned_points, trainings};
 
 pub const EXAMPLES: &str = "Examples:
+  augnerf sweep submit sweeps/checks/smoke.toml --dry-run  # prints the scripts
   augnerf sweep submit sweeps/paper/tab1_llff.toml --time 12:00:00 --mem 8G --cpus 8 --array-limit 16
   augnerf sweep submit FILE --partition gpu --gres gpu:1 --device cuda --sbatch=--account=lab
-  augnerf sweep submit sweeps/checks/smoke.toml --dry-run       # prints what would be submitted
-  augnerf sweep submit sweeps/checks/smoke.toml --retry-failed  # once more, with what failed
 
-It lays out the sweep's folder, submits what has not ended as a job array, then a job that collects the tables, prints the \
-array's number and ends. The folder must be seen by all machines. `augnerf sweep status` shows the queue beside the points, \
+Prints the number of the job array. All machines must see the sweep's folder. `augnerf sweep status` shows the queue, and \
 `augnerf sweep cancel` empties it.";
 
-/// What runs the points.
+/// The schedulers.
 #[derive(Clone, Copy, Debug, ValueEnum)]
 enum Scheduler {
     Slurm,
@@ -38,50 +36,54 @@ pub struct SubmitArguments {
     location: Location,
     #[command(flatten)]
     changes: Changes,
-    /// What runs the points
-    #[arg(long, value_enum, default_value = "slurm")]
+    /// Scheduler
+    #[arg(long, value_enum, default_value = "slurm", help_heading = "Hardware")]
     scheduler: Scheduler,
-    /// Partition
-    #[arg(long, value_name = "NAME")]
+    /// Partition [default: Slurm's]
+    #[arg(long, value_name = "NAME", help_heading = "Hardware")]
     partition: Option<String>,
-    /// Time limit of a point's turn, as Slurm writes it: 90 (minutes), 12:00:00, 2-00:00:00; what is not done by then goes on
-    /// from its last checkpoint in another turn
-    #[arg(long)]
+    /// Time limit of a task: 90 (minutes), 12:00:00 or 2-00:00:00 [default: Slurm's]
+    #[arg(long, help_heading = "Hardware")]
     time: Option<String>,
-    /// Memory of a point: 8G
-    #[arg(long)]
+    /// Memory of a task: 8G [default: Slurm's]
+    #[arg(long, help_heading = "Hardware")]
     mem: Option<String>,
-    /// Processor cores of a point, which are its threads [default: what Slurm gives, mostly 1]
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
+    /// CPU cores and threads of a task [default: Slurm's, often 1]
+    #[arg(
+        long,
+        value_name = "N",
+        value_parser = clap::value_parser!(u16).range(1..=1024),
+        help_heading = "Hardware"
+    )]
     cpus: Option<u16>,
-    /// Generic resources of a point: gpu:1
-    #[arg(long, value_name = "LIST")]
+    /// Generic resources of a task: gpu:1
+    #[arg(long, value_name = "LIST", help_heading = "Hardware")]
     gres: Option<String>,
-    /// Points at once at most
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
+    /// Most tasks that run at once [default: no limit]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..), help_heading = "Hardware")]
     array_limit: Option<u32>,
-    /// A further option of sbatch, for points and tables: --sbatch=--account=lab
-    #[arg(long, value_name = "OPTION", allow_hyphen_values = true)]
+    /// Further option of sbatch: --sbatch=--account=lab
+    #[arg(long, value_name = "OPTION", allow_hyphen_values = true, help_heading = "Hardware")]
     sbatch: Vec<String>,
-    /// Print the scripts and what would be submitted; nothing is written
-    #[arg(long)]
+    /// Print the scripts and submit nothing
+    #[arg(long, help_heading = "Output")]
     dry_run: bool,
-    /// Submit points that failed, too
+    /// Submit failed points, too
     #[arg(long)]
     retry_failed: bool,
-    /// Take a definition that has changed since the folder was begun; points that it no longer has stay on disk
-    #[arg(long)]
+    /// Accept a changed sweep file; keep the old points on disk
+    #[arg(long, help_heading = "Experiment")]
     extend: bool,
-    /// A point that was killed so often in a row, never at a later checkpoint, counts as failed (memory, mostly)
+    /// Fail a point that was killed N times without progress
     #[arg(long, value_name = "N", default_value_t = 5, value_parser = clap::value_parser!(u32).range(1..))]
     max_deaths: u32,
     #[command(flatten)]
     weights: LpipsWeights,
-    /// Device of the points: cpu, cuda, cuda-tf32 or metal [default: cpu]
-    #[arg(long, value_name = "DEVICE")]
+    /// Device of a task: cpu, cuda, cuda-tf32 or metal [default: cpu]
+    #[arg(long, value_name = "DEVICE", help_heading = "Hardware")]
     device: Option<String>,
-    /// No remarks; errors and the job's number are still printed
-    #[arg(long, short)]
+    /// Print errors and the job's number only
+    #[arg(long, short, help_heading = "Output")]
     quiet: bool,
     #[command(flatten)]
     answer: Answer,
@@ -97,7 +99,7 @@ impl SubmitArguments {
         let script = Script { name: &name, folder: &path, request: self.request() };
         script.check()?;
         self.device.as_deref().map_or(Ok(()), Runtime::check_name)?;
-        // Weights that cannot be read are known here, and not by every task.
+        // Unreadable weights are an error here, not in every task.
         trainings(&definition, &self.weights, &Runtime::new("cpu", Some(1))?, &console)?;
         if self.dry_run {
             if !self.extend {
@@ -127,7 +129,7 @@ impl SubmitArguments {
     }
 
     fn submit(&self, script: &Script, folder: &SweepFolder, points: &[Point], console: &Console) -> Result<()> {
-        // Of two that submit one sweep the second sees what the first did.
+        // With the lock, a second submission sees the first.
         let _lock = folder.lock()?;
         let slurm = Slurm::of(folder);
         let chosen = Chosen::among(points, folder, &slurm.queue()?, self.retry_failed)?;
@@ -138,26 +140,26 @@ impl SubmitArguments {
         let (array, tables) = self.scripts(script, &chosen)?;
         let submitted = slurm.submit(&array, &tables)?;
         console.say(&format!("submitted: {}", counted(&chosen, points)));
-        console.say(&format!("job {}; its messages are in {}", submitted.points, slurm.path().join("log").display()));
+        console.say(&format!("job {}; its logs are in {}", submitted.points, slurm.path().join("log").display()));
         if let Some(tables) = &submitted.tables {
             let results = self.location.results()?;
-            console.say(&format!("job {tables} writes the tables into {} when they have ended", results.display()));
+            console.say(&format!("job {tables} writes the tables into {} after them", results.display()));
         }
-        console.say(&format!("`augnerf sweep status {shown}` shows how far they are"));
+        console.say(&format!("next: augnerf sweep status {shown}"));
         self.answer.give(&answer(folder, &chosen, Some(&submitted), None), || print(submitted.points.number()))
     }
 
     fn nothing_left(&self, folder: &SweepFolder, chosen: &Chosen, points: &[Point], console: &Console) -> Result<()> {
         let (shown, left_out) = (folder.path().display(), chosen.left_out());
-        let hint = if chosen.failed > 0 { "; --retry-failed submits what failed" } else { "" };
+        let hint = if chosen.failed > 0 { "; --retry-failed submits the failed ones" } else { "" };
         console.say(&format!(
-            "nothing to submit: {} points in {shown}, {left_out}{hint}; `augnerf sweep collect {shown}` writes their tables",
+            "nothing to submit: {} points in {shown}, {left_out}{hint}; write their tables with `augnerf sweep collect {shown}`",
             points.len()
         ));
         self.answer.give_silently(&answer(folder, chosen, None, None))
     }
 
-    /// The same without doing it.
+    /// Prints the scripts without submitting them.
     fn show(&self, script: &Script, folder: &SweepFolder, points: &[Point], console: &Console) -> Result<()> {
         let slurm = Slurm::of(folder);
         let chosen = Chosen::among(points, folder, &slurm.queue()?, self.retry_failed)?;
@@ -174,10 +176,10 @@ impl SubmitArguments {
         })
     }
 
-    /// The script of the points and that of the tables.
+    /// Returns the scripts of the points and of the tables.
     fn scripts(&self, script: &Script, chosen: &Chosen) -> Result<(String, String)> {
         let program = std::env::current_exe()
-            .map_err(|e| Error::Output(format!("cannot tell where this program is, for the jobs to run it: {e}")))?;
+            .map_err(|e| Error::Output(format!("path of this program, which the jobs run: {e}")))?;
         let folder = script.folder.display().to_string();
         let [program, deaths] = [program.display().to_string(), self.max_deaths.to_string()];
         let mut point = ["sweep", "run-point", &folder, "--max-deaths", &deaths].map(String::from).to_vec();
@@ -205,8 +207,7 @@ impl SubmitArguments {
     }
 }
 
-/// Refuses to number points anew while tasks of other points have those numbers: a task knows its point by its number, which it
-/// reads when it begins.
+/// Checks that no queued task gets another point: a task knows its point by number only.
 fn check_numbers(folder: &SweepFolder, planned: &[Point]) -> Result<()> {
     let queue = Slurm::of(folder).queue()?;
     let before = folder.points(None)?.unwrap_or_default();
@@ -218,12 +219,13 @@ fn check_numbers(folder: &SweepFolder, planned: &[Point]) -> Result<()> {
     }
     let shown = folder.path().display();
     Err(Error::Config(format!(
-        "--extend would give the numbers of other points to those of tasks {}, which are in the queue: let them end, or          `augnerf sweep cancel {shown}`, which loses nothing, then submit",
+        "--extend: renumbers the points of tasks {}, which are in the queue; wait for them or stop them with `augnerf sweep \
+         cancel {shown}`, then submit again",
         moved.join(", ")
     )))
 }
 
-/// What was submitted, or with scripts what would be, for other programs.
+/// Returns the submission, or with scripts the planned one, as JSON.
 fn answer(
     folder: &SweepFolder,
     chosen: &Chosen,
@@ -242,7 +244,7 @@ fn answer(
     })
 }
 
-/// How many points are submitted: `8 of 14 points (6 done): 0-7`.
+/// Describes the submitted points: `8 of 14 points (6 done): 0-7`.
 fn counted(chosen: &Chosen, points: &[Point]) -> String {
     let others = chosen.left_out();
     let others = if others.is_empty() { others } else { format!(" ({others})") };
@@ -253,14 +255,14 @@ fn absolute(path: &Path) -> Result<PathBuf> {
     std::path::absolute(path).map_err(|e| Error::unreadable(path, &e))
 }
 
-/// Seconds of steps are those of the machines that train, and this is not one of them.
+/// Step times on machines that train: they are unknown on this one.
 struct Elsewhere;
 
 impl StepCosts for Elsewhere {
     fn seconds_per_step(&self, _: &Config) -> Result<f64> {
         Err(Error::Config(
-            "this sweep has budgets in seconds, which are those of a machine that trains: begin it on such a one with `augnerf \
-             sweep begin FILE` (by `srun`, with its --device and --threads), then submit it"
+            "budgets in seconds must be measured on a machine that trains; run `augnerf sweep begin FILE` there (with `srun`, and \
+             the tasks' --device and --threads), then submit"
                 .into(),
         ))
     }
