@@ -1,5 +1,5 @@
-//! Times one training step at the paper's network size with and without the attack, a regularizer's term next to the trunk's
-//! own forward and backward pass, and the parts of a step.
+//! Times one training step at the paper's network size with and without the attack, and the parts of a step. A regularizer's
+//! term is timed next to the trunk's own forward and backward pass.
 //!
 //! A step has 256 rays, 64 + 64 samples, two fields of 8 x 256 and Adam, as a PyTorch implementation's with `--rays 256`.
 

@@ -32,7 +32,7 @@
 //!  └──────┬──────────▲────────────────────────▲──────────────▲──────────────────────┬─────────┘
 //!         │ t_vals   │ t, xyz, view           │ feature      │ rgb, density         │ loss
 //!         │       ┌──┴────────────────────────┴──────────────┴──┐                   │
-//!         └──────►│ augment: deltas, sets ─► ascent of the loss │◄── gradients ─────┤
+//!         └──────►│ augment: deltas, sets ─► PGD on the loss    │◄── gradients ─────┤
 //!                 └─────────────────────────────────────────────┘                   ▼
 //!                          perturbed pass, lambda ──────────────────► train: Adam, checkpoint
 //!  losses: on rays (distortion) ────────────────────────────────────────────────────▲

@@ -225,7 +225,9 @@ impl CompareArguments {
 
 fn parse_zoom(text: &str) -> Result<Window> {
     let [x, y, width, height] = numbers(text).ok_or_else(|| {
-        Error::Config(format!("--zoom {text}: not four numbers; give column, row, width and height, such as 120,80,64,48"))
+        Error::Config(format!(
+            "--zoom {text}: not four numbers; give column, row, width and height, such as 120,80,64,48"
+        ))
     })?;
     Ok(Window { x, y, width, height })
 }

@@ -58,7 +58,8 @@ pub fn scene_folder(flag: &str, named: &Path, console: &Console) -> Result<PathB
     deeper.sort();
     let below = root.join(named);
     let found = if below.is_dir() { vec![below] } else { deeper };
-    let place = if root.as_os_str().is_empty() { DATA_ROOT.into() } else { format!("{DATA_ROOT} ({})", root.display()) };
+    let place =
+        if root.as_os_str().is_empty() { DATA_ROOT.into() } else { format!("{DATA_ROOT} ({})", root.display()) };
     let named = named.display();
     match &found[..] {
         [] => {
@@ -73,7 +74,10 @@ pub fn scene_folder(flag: &str, named: &Path, console: &Console) -> Result<PathB
         }
         several => {
             let several: Vec<String> = several.iter().map(|path| path.display().to_string()).collect();
-            Err(Error::Data(format!("{flag}{named}: not here, and several in {place}; name one of {}", several.join(", "))))
+            Err(Error::Data(format!(
+                "{flag}{named}: not here, and several in {place}; name one of {}",
+                several.join(", ")
+            )))
         }
     }
 }

@@ -161,7 +161,7 @@ const FILE_EYE: f64 = 0.1;
 
 #[derive(Clone, Copy, ValueEnum)]
 enum MeshPreset {
-    /// The paper's for the chair: 512 cells a side of [-1,1]^3, density 25
+    /// The paper's for the chair: 512 cells per side of [-1,1]^3, density 25
     Paper,
 }
 
@@ -187,9 +187,7 @@ impl MeshArguments {
     fn picture_of_file(&self, picture: Option<MeshPicture>) -> Result<()> {
         let name = self.run.to_string_lossy();
         let picture = picture.ok_or_else(|| {
-            Error::Config(format!(
-                "{name}: already a mesh; draw it with --picture FILE.png, or name a run folder"
-            ))
+            Error::Config(format!("{name}: already a mesh; draw it with --picture FILE.png, or name a run folder"))
         })?;
         if !self.picture.view.is_empty() {
             return Err(Error::Config(format!("--view: the mesh {name} has no held-out views; use --at 0.1,0.6")));
@@ -261,7 +259,7 @@ fn check_options(options: &MeshOptions) -> Result<()> {
     let MeshOptions { resolution, threshold, domain, most_mib, .. } = *options;
     let (least, most) = (*MESH_SIDES.start() as u64, *MESH_SIDES.end() as u64);
     let (sides, memory) =
-        (numbers().whole(least, most, "8 to 1024 cells a side"), numbers().real(|mib| mib > 0.0, "positive (MiB)"));
+        (numbers().whole(least, most, "8 to 1024 cells per side"), numbers().real(|mib| mib > 0.0, "positive (MiB)"));
     sides.check(|| "--resolution".into(), &resolution)?;
     memory.check(|| "--memory".into(), &most_mib)?;
     check_flag("--threshold", "eval.mesh.threshold", &threshold)?;

@@ -77,7 +77,7 @@ const TRAIN_EXAMPLES: &str = "Examples:
 `augnerf settings` lists what --set can change.";
 
 const MEASURE_EXAMPLES: &str = "Examples:
-  augnerf measure runs/fern-nerf-*                # coarse and fine field, 64 cells a side
+  augnerf measure runs/fern-nerf-*                # coarse and fine field, 64 cells per side
   augnerf measure runs/fern-nerf-* --lattice 128  # a finer grid
   augnerf measure RUN --bbox -1,-1,-1,1,1,1 --json
 
@@ -106,7 +106,7 @@ Writes profile.png and profile.svg, ray.csv (coarse, fine and even samples of th
 all rays of the patch) and profile.json (the smoothness of each run).";
 
 const MESH_EXAMPLES: &str = "Examples:
-  augnerf mesh runs/builtin-nerf-*                # 256 cells a side of the scene's box
+  augnerf mesh runs/builtin-nerf-*                # 256 cells per side of the scene's box
   augnerf mesh RUN --picture mesh.png --view 0,4  # and an image, from two held-out views
   augnerf mesh RUN --resolution 400 --threshold 5 --bbox -1,-1,-0.5,1,1,1 --format ply,obj
 
@@ -202,7 +202,8 @@ struct Compute {
     quiet: bool,
 }
 
-const DEVICES: &str = "cpu, cuda, cuda:N, cuda-tf32 (products rounded to 10 bits) or metal [default: cpu; resume: the run's]";
+const DEVICES: &str =
+    "cpu, cuda, cuda:N, cuda-tf32 (products rounded to 10 bits) or metal [default: cpu; resume: the run's]";
 
 /// Flags for a run's scene and LPIPS weights, if they have moved.
 #[derive(Args)]

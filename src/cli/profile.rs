@@ -82,7 +82,8 @@ impl ProfileArguments {
 }
 
 fn parse_pixel(text: &str) -> Result<(usize, usize)> {
-    let [x, y] = numbers(text)
-        .ok_or_else(|| Error::Config(format!("--pixel {text}: not two numbers; give column and row, such as 120,80")))?;
+    let [x, y] = numbers(text).ok_or_else(|| {
+        Error::Config(format!("--pixel {text}: not two numbers; give column and row, such as 120,80"))
+    })?;
     Ok((x, y))
 }

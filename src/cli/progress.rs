@@ -116,7 +116,8 @@ impl Listener for Console {
         match event {
             Event::Note(line) => self.say(line),
             Event::PointStarted { label, ended, points, steps, seconds_left } => {
-                let left = seconds_left.map_or(String::new(), |left| format!("; about {} left in total", duration(left)));
+                let left =
+                    seconds_left.map_or(String::new(), |left| format!("; about {} left in total", duration(left)));
                 self.say(&format!("[{}/{points}] {label} ({steps} steps){left}", ended + 1));
             }
             Event::PointFinished { label, psnr } => {

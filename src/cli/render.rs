@@ -239,7 +239,9 @@ fn parse_size(text: &str) -> Result<(usize, usize)> {
         text.split_once(['x', 'X']).and_then(|(width, height)| Some((width.parse().ok()?, height.parse().ok()?)));
     let valid = |side: usize| (1..=MOST_PIXELS).contains(&side);
     sides.filter(|&(width, height)| valid(width) && valid(height)).ok_or_else(|| {
-        Error::Config(format!("--resolution {text}: not a size; give columns and rows, 1 to {MOST_PIXELS} each, such as 320x240"))
+        Error::Config(format!(
+            "--resolution {text}: not a size; give columns and rows, 1 to {MOST_PIXELS} each, such as 320x240"
+        ))
     })
 }
 

@@ -199,7 +199,8 @@ impl ScoreArguments {
         });
         match (named, scene.and_then(|scene| scene.background)) {
             (Some(named), Some(own)) if named != own => Err(Error::Config(
-                "--background: not that of the scene's views; omit it, or change theirs with --set data.background".into(),
+                "--background: not that of the scene's views; omit it, or change theirs with --set data.background"
+                    .into(),
             )),
             (named, own) => Ok(named.or(own)),
         }

@@ -244,3 +244,15 @@ pub fn default_folder(config: &Config) -> PathBuf {
     let method = std::iter::once(config.method.name().to_string()).chain(terms).collect::<String>();
     Path::new("runs").join(format!("{}-{method}-{}", config.data.name, config.hash()))
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_run_without_density_is_not_sent_to_mesh() {
+        let next = |density| next_commands(Path::new("runs/a"), density);
+        assert_eq!(next(false), "next: augnerf render runs/a\n      augnerf report runs/a");
+        assert!(next(true).contains("\n      augnerf mesh runs/a --picture mesh.png\n"));
+    }
+}

@@ -1,12 +1,12 @@
 //! Answers for scripts: one JSON object on standard output and nothing else there, with the keys of docs/scripting.md. And what
-//! shells and manuals are told of the command line.
+//! shells and manual pages get from the command line.
 
 use std::collections::BTreeMap;
 use std::path::Path;
 use std::process::Command;
 
 use crate::common::files::{json, text};
-use crate::common::program::{augnerf, demand, printed, succeed};
+use crate::common::program::{augnerf, demand, printed, refuse, succeed};
 use serde_json::Value;
 use tempfile::TempDir;
 
@@ -245,7 +245,14 @@ fn a_scene_that_is_not_here_is_looked_for_below_the_data_folder() {
     assert!(check("synthetic/small", 0).contains("data/synthetic/small (AUGNERF_DATA)"));
     assert!(check("small", 0).contains("data/synthetic/small (AUGNERF_DATA)"));
     let missing = check("nowhere", 3);
-    assert!(missing.contains("nowhere") && missing.contains("AUGNERF_DATA"), "{missing}");
+    assert!(missing.contains("nowhere: no such folder, here or in AUGNERF_DATA"), "{missing}");
+    refuse(
+        &["train", "--data", "nowhere"],
+        3,
+        &["--data nowhere: no such folder", "omit --data for the built-in scene"],
+    );
+    refuse(&["train", "--method", "tv"], 2, &["tv is a regularizer", "--set regularizer.kind=tv"]);
+    refuse(&["train", "--method", "nerv"], 2, &["--method nerv", "aug-nerf"]);
     std::fs::create_dir_all(root.join("other/small")).unwrap();
     let several = check("small", 3);
     assert!(several.contains("other/small") && several.contains("synthetic/small"), "{several}");

@@ -365,6 +365,13 @@ fn no_arguments_train_the_embedded_scene_in_the_default_place() {
         &said,
         &["step 2/2", "loss", "PSNR", "rays/s", "ETA", "8 held-out views", "results: runs/builtin-nerf-"],
     );
+    // What comes next is named, and nothing that was not measured.
+    assert_says(
+        &said,
+        &["picture: runs/builtin-nerf-", "/renders/r_0_beside.png", "next: augnerf render runs/builtin-nerf-"],
+    );
+    assert_says(&said, &["augnerf mesh runs/builtin-nerf-", "augnerf report runs/builtin-nerf-"]);
+    assert!(!said.contains("LPIPS"), "{said}");
     let runs: Vec<_> = std::fs::read_dir(dir.path().join("runs")).unwrap().collect();
     assert_eq!(runs.len(), 1);
     // The preset that the kind of scene asks for.
@@ -441,7 +448,7 @@ fn render_tells_what_it_will_take() {
     };
     let views = said(&["--what", "views"]);
     assert!(
-        views.starts_with("8 views of ") && views.contains(" pixels: about ") && views.contains(" in all"),
+        views.starts_with("8 views of ") && views.contains(" pixels: about ") && views.contains(" in total"),
         "{views}"
     );
     assert!(said(&["--frames", "1"]).starts_with("1 view of "));

@@ -163,9 +163,42 @@ fn examples_of_the_help_can_be_copied() {
     let mut wrong = Vec::new();
     visit(&augnerf::cli::command(), &mut wrong);
     assert!(wrong.is_empty(), "{}", wrong.join("\n"));
-    assert_eq!(unfit("  augnerf train      the embedded scene"), Some("a remark without #"));
+    assert_eq!(unfit("  augnerf train      the built-in scene"), Some("a remark without #"));
     assert_eq!(unfit("Values are rounded to"), Some("prose is broken by hand"));
     assert!(unfit(&format!("  augnerf train --out {}", "a".repeat(90))).is_some() && unfit("  ls").is_some());
+}
+
+/// Flags that the help of a command shows.
+fn flags(command: &clap::Command) -> impl Iterator<Item = &clap::Arg> {
+    command.get_arguments().filter(|flag| !flag.is_positional() && !flag.is_hide_set())
+}
+
+#[test]
+fn helps_are_short_and_group_many_flags() {
+    fn visit(command: &clap::Command, wrong: &mut Vec<String>) {
+        let name = command.get_name();
+        let words = |text: Option<&clap::builder::StyledStr>| {
+            text.map_or(0, |text| text.to_string().split_whitespace().count())
+        };
+        if !(1..=12).contains(&words(command.get_about())) {
+            wrong.push(format!("{name}: {:?}", command.get_about()));
+        }
+        let long = command.get_arguments().filter(|flag| !(1..=30).contains(&words(flag.get_help())));
+        wrong.extend(long.map(|flag| format!("{name} {}: {:?}", flag.get_id(), flag.get_help())));
+        let grouped = flags(command).filter(|flag| flag.get_help_heading().is_some()).count();
+        if (grouped > 0) != (flags(command).count() > 6) {
+            wrong.push(format!("{name}: {grouped} of {} flags are in groups", flags(command).count()));
+        }
+        let examples = command.get_after_help().map(ToString::to_string).unwrap_or_default();
+        let examples = examples.lines().filter(|line| line.starts_with("  ")).count();
+        if !command.has_subcommands() && !(2..=3).contains(&examples) {
+            wrong.push(format!("{name}: {examples} examples"));
+        }
+        command.get_subcommands().for_each(|inner| visit(inner, wrong));
+    }
+    let mut wrong = Vec::new();
+    visit(&augnerf::cli::command(), &mut wrong);
+    assert!(wrong.is_empty(), "{}", wrong.join("\n"));
 }
 
 #[test]

@@ -438,5 +438,5 @@ fn a_mesh_is_drawn_as_a_picture_from_several_sides() {
     ] {
         program::refuse(arguments, 2, words);
     }
-    program::refuse(&["mesh", "builtin", "--picture", "nowhere/mesh.png"], 4, &["there is no folder nowhere"]);
+    program::refuse(&["mesh", "builtin", "--picture", "nowhere/mesh.png"], 4, &["no folder nowhere"]);
 }

@@ -131,7 +131,7 @@ fn what_cannot_be_scored_is_refused() {
     let renders = renders.to_str().unwrap();
     let small = ["score", renders, "--data", "builtin", "--set", "data.width=12"];
     assert_says(&demand(dir, &small, 3), &["is 16x16 pixels", "is 12x12", "data.width"]);
-    assert_says(&demand(dir, &["score", renders], 2), &["name what the pictures should show", "--data"]);
+    assert_says(&demand(dir, &["score", renders], 2), &["no ground truth", "--data"]);
     std::fs::create_dir(dir.join("empty")).unwrap();
     assert_says(&demand(dir, &["score", "empty", of], 3), &["empty holds no PNG, JPEG or WebP files"]);
     assert_says(&demand(dir, &["score", "nowhere", of], 3), &["nowhere"]);
@@ -222,7 +222,7 @@ fn rows_of_a_sweep_are_compared_by_their_names() {
     assert_says(&demand(dir, &["compare", "runs/tiny", "--scene", "fern"], 2), &["--scene fern", "builtin"]);
     let run = run(dir, "NeRF", 0);
     let run = run.to_str().unwrap();
-    assert_says(&demand(dir, &["compare", run, "--seed", "0"], 2), &["pick runs of a sweep"]);
+    assert_says(&demand(dir, &["compare", run, "--seed", "0"], 2), &["not a sweep"]);
     assert_says(&demand(dir, &["compare", "runs/tiny", run], 2), &["name it alone"]);
 }
 

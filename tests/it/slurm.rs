@@ -123,7 +123,7 @@ fn points_that_are_run_one_by_one_make_the_tables_of_a_sweep() {
         points(dir).iter().map(|point| file(point).unwrap().metadata().unwrap().modified().unwrap()).collect::<Vec<_>>()
     };
     let ended = ends();
-    assert_says(&demand(&point("0"), dir, 0), &["was done before"]);
+    assert_says(&demand(&point("0"), dir, 0), &["was already done"]);
     demand(&point("1"), dir, 7);
     assert_eq!(ends(), ended);
     demand(&[&point("1")[..], &["--retry-failed"]].concat(), dir, 7);
@@ -423,7 +423,7 @@ fn submitted_points_are_seen_in_the_queue_and_not_submitted_twice() {
     // Without an answer, files still say how far the points are.
     cluster.stand_in("squeue", "echo 'slurm_load_jobs error: Unable to contact slurm controller' >&2; exit 1");
     let status = cluster.demand(&["sweep", "status", "runs/tiny"], dir, 0);
-    assert_says(&status, &["the queue is not shown", "Unable to contact", "1 done, 2 waiting"]);
+    assert_says(&status, &["queue not shown", "Unable to contact", "1 done, 2 waiting"]);
     let status = answer(&cluster.demand(&["sweep", "status", "runs/tiny", "--json"], dir, 0));
     assert!(status["queue_error"].as_str().unwrap().contains("Unable to contact"), "{status}");
     cluster.stand_in("squeue", "echo 'slurm_load_jobs error: Invalid job id specified' >&2; exit 1");

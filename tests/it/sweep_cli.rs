@@ -214,7 +214,7 @@ fn a_scene_that_is_missing_and_a_definition_that_changed_are_said() {
     assert_says(&message, &["another definition", "lacks 2", "--extend", "--name"]);
     demand(&args(&["--extend"]), dir.path(), 0);
     let plan = demand(&["sweep", "plan", "tiny.toml", "--seeds", "0"], dir.path(), 0);
-    assert!(plan.contains("2 points") && plan.contains("s/step") && plan.contains("in all"), "{plan}");
+    assert!(plan.contains("2 points") && plan.contains("s/step") && plan.contains("in total"), "{plan}");
     demand(&["sweep", "run", "nothing.toml"], dir.path(), 2);
     demand(&["sweep", "status", "nothing"], dir.path(), 5);
 }

@@ -139,7 +139,7 @@ fn chosen_rows_have_the_statistics_of_what_is_shown() {
     demand(dir.path(), &of_results, 0);
     let table = |folder: &str| text(&dir.path().join(folder).join("table.csv"));
     assert_eq!(table("kept"), table("again"));
-    assert_says(&demand(dir.path(), &of_results[..3], 2), &["holds results and no points", "verify --update"]);
+    assert_says(&demand(dir.path(), &of_results[..3], 2), &["results, not points", "verify --update"]);
     assert_says(&demand(dir.path(), &["sweep", "best", "results/one"], 0), &["A, long"]);
     // The sweep's own tables are what they were, and a view beside them does not disturb their check.
     assert_eq!(rows(&text(&dir.path().join("results/one/table.csv"))), whole);
@@ -248,7 +248,7 @@ fn seeds_that_a_difference_takes_are_told_without_means() {
     assert_says(&power(&[], 2), &["no margin for psnr", "--difference"]);
     assert_says(&power(&["--difference", "-1"], 2), &["--difference -1", "above 0"]);
     assert_says(&power(&["--difference", "1", "--baseline", "D"], 2), &["--baseline D", "NeRF"]);
-    assert_says(&power(&["--difference", "1", "--baseline", "none"], 2), &["no row is compared", "--baseline"]);
+    assert_says(&power(&["--difference", "1", "--baseline", "none"], 2), &["no row has a baseline", "--baseline"]);
     assert_says(&power(&["--difference", "0.004"], 0), &["of 0.004 dB", "standard deviation 0.0"]);
 }
 
@@ -333,8 +333,8 @@ fn plans_without_data_say_so_and_points_that_begin_have_no_step() {
     let absent = BASE.replace("\"builtin\"", "\"orchids\"");
     std::fs::write(dir.path().join("absent.toml"), &absent).unwrap();
     let said = demand(dir.path(), &["sweep", "plan", "absent.toml"], 8);
-    assert_says(&said, &["12 x no data", "orchids", "nothing could be measured", "--data-root"]);
-    assert!(!said.contains("0 s in all"), "{said}");
+    assert_says(&said, &["12 x no data", "orchids", "nothing measured", "--data-root"]);
+    assert!(!said.contains("0 s in total"), "{said}");
 
     let (folder, points) = finished(dir.path(), "one", BASE, &[]);
     let point = SweepFolder::new(&folder).point(&points[0].id);

@@ -98,8 +98,7 @@ impl CollectArguments {
     fn view(&self, first: Opened, selection: Selection) -> Result<(Table, PathBuf)> {
         let Some(results) = self.results.clone() else {
             return Err(Error::Config(
-                "--baseline, --rows, --metrics and --merge need a folder of their own; name it with --out"
-                    .into(),
+                "--baseline, --rows, --metrics and --merge need a folder of their own; name it with --out".into(),
             ));
         };
         let others = self.merge.iter().map(|path| self.open(path)).collect::<Result<Vec<_>>>()?;

@@ -75,10 +75,7 @@ impl PowerArguments {
 
     fn difference(&self, stated: Option<f64>) -> Result<f64> {
         let difference = self.difference.or(stated).ok_or_else(|| {
-            Error::Config(format!(
-                "the sweep states no margin for {}; choose one with --difference",
-                self.metric
-            ))
+            Error::Config(format!("the sweep states no margin for {}; choose one with --difference", self.metric))
         })?;
         match difference.is_finite() && difference > 0.0 {
             true => Ok(difference),

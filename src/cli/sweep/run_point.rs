@@ -30,13 +30,7 @@ pub struct RunPointArguments {
     /// Folder of a created sweep: runs/NAME, or that of --out
     folder: PathBuf,
     /// Point by its number in points.json, from 0
-    #[arg(
-        long,
-        value_name = "N",
-        required_unless_present = "id",
-        conflicts_with = "id",
-        help_heading = "Experiment"
-    )]
+    #[arg(long, value_name = "N", required_unless_present = "id", conflicts_with = "id", help_heading = "Experiment")]
     index: Option<usize>,
     /// Point by its name, or the beginning of its name
     #[arg(long, value_name = "ID", help_heading = "Experiment")]
@@ -97,9 +91,10 @@ impl RunPointArguments {
             [] => Err(Error::Config(format!(
                 "--id '{id}': no such point in {folder}; `augnerf sweep status {folder}` lists all"
             ))),
-            _ => {
-                Err(Error::Config(format!("--id '{id}': {} points of {folder} begin so; give more letters", found.len())))
-            }
+            _ => Err(Error::Config(format!(
+                "--id '{id}': {} points of {folder} begin so; give more letters",
+                found.len()
+            ))),
         }
     }
 

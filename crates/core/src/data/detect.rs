@@ -90,7 +90,9 @@ mod tests {
     use super::*;
 
     fn refusal(dir: &Path) -> String {
-        detect(&DataConfig { dir: dir.to_string_lossy().into_owned(), ..DataConfig::default() }).unwrap_err().to_string()
+        detect(&DataConfig { dir: dir.to_string_lossy().into_owned(), ..DataConfig::default() })
+            .unwrap_err()
+            .to_string()
     }
 
     #[test]

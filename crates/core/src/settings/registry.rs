@@ -234,8 +234,7 @@ fn candidates(name: &str) -> Vec<&'static str> {
     let called: Vec<&str> = known().filter(|path| last_part(path) == last_part(name)).collect();
     let section = |path: &str| path.rsplit_once('.').map(|(section, _)| section.to_string());
     let beside = known().filter(|path| name.contains('.') && section(path) == section(name));
-    let beside: Vec<&str> =
-        beside.filter(|path| distance(last_part(path), last_part(name)) <= TYPOS).collect();
+    let beside: Vec<&str> = beside.filter(|path| distance(last_part(path), last_part(name)) <= TYPOS).collect();
     if let Some(nearest) = nearest(&beside) {
         return vec![nearest];
     }
