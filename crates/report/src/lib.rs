@@ -1,4 +1,4 @@
-//! What people look at: tables, statistics, figures, pages, pictures and videos.
+//! Output for readers: tables, statistics, figures, pages, images and videos.
 
 #![warn(missing_docs)]
 

@@ -1,4 +1,4 @@
-//! The time of training steps on made-up rays: what `augnerf bench` prints and `benches/` times.
+//! Times training steps on synthetic rays, for `augnerf bench` and `benches/`.
 
 use std::time::Instant;
 
@@ -13,19 +13,19 @@ use crate::runtime::{Runtime, peak_memory_mib};
 use crate::settings::{DataKind, Extent, Method, Preset, REGULARIZERS, Regularizer, Resolved, parse_assignment};
 use crate::train::Trainer;
 
-/// Steps before the clock starts.
+/// Steps before the timing starts.
 const WARM_UP: usize = 2;
 
-/// Names that methods had here before.
+/// Former names of methods.
 const BEFORE: [(&str, &str); 2] = [("aug", "aug-nerf"), ("mip", "mip-nerf")];
 
-/// What can be timed, each with the name that it had before: methods, and NeRF with one regularizer.
+/// Returns the names that can be timed, each with its former name: methods, and NeRF with one regularizer.
 pub fn methods() -> Vec<(&'static str, Option<&'static str>)> {
     let names = Method::ALL.map(Method::name).into_iter().chain(REGULARIZERS.map(Regularizer::name));
     names.map(|name| (name, BEFORE.iter().find(|(_, now)| *now == name).map(|(before, _)| *before))).collect()
 }
 
-/// The setting that a name stands for.
+/// Returns the setting that a name stands for.
 fn setting_of(name: &str) -> Result<String> {
     let name = BEFORE.iter().find(|(before, _)| *before == name).map_or(name, |(_, now)| now);
     let one_of = |names: &[&str]| names.contains(&name);
@@ -34,27 +34,27 @@ fn setting_of(name: &str) -> Result<String> {
         () if one_of(&REGULARIZERS.map(Regularizer::name)) => Ok(format!("regularizer.kind={name}")),
         () => {
             let names: Vec<&str> = methods().into_iter().map(|(name, _)| name).collect();
-            Err(Error::Config(format!("--method {name}: choose one of {}", names.join(", "))))
+            Err(Error::Config(format!("--method {name} cannot be timed; choose one of {}", names.join(", "))))
         }
     }
 }
 
-/// What a step is made of. What its method does not read is none.
+/// Sizes of a training step. A size that the method does not have is `None`.
 #[derive(Clone, Debug, Serialize)]
 pub struct Workload {
     /// One of [`methods`].
     pub method: String,
-    /// Rays of a step; 1,024 where none are given.
+    /// Rays of a step; 1,024 by default.
     pub rays: Option<usize>,
-    /// Samples (MipNeRF: intervals) of the coarse pass; 64 where none are given.
+    /// Samples (MipNeRF: intervals) of the coarse pass; 64 by default.
     pub coarse: Option<usize>,
-    /// Further samples (MipNeRF: all intervals) of the fine pass; 64 where none are given.
+    /// Further samples (MipNeRF: all intervals) of the fine pass; 64 by default.
     pub fine: Option<usize>,
-    /// Width of both networks, which have 8 layers unless set otherwise, or of SRN's layers; 256 where none is given.
+    /// Width of both networks, which have 8 layers by default, or of SRN's layers; 256 by default.
     pub width: Option<usize>,
-    /// Steps that are timed.
+    /// Number of timed steps.
     pub steps: usize,
-    /// Further settings, over the defaults; not those that a field here has.
+    /// Further settings that override the defaults; none that a field of this struct sets.
     #[serde(skip)]
     pub set: Vec<(Vec<String>, toml::Value)>,
 }
@@ -64,40 +64,41 @@ pub struct Workload {
 pub struct Timed {
     /// Program and revision.
     pub peer: String,
-    /// The work that was timed.
+    /// The workload that was timed.
     #[serde(flatten)]
     pub workload: Workload,
-    /// Threads that shared a step.
+    /// Number of threads.
     pub threads: usize,
-    /// As `--device` named it.
+    /// The device, as `--device` names it.
     pub device: String,
-    /// Median over the steps.
+    /// Median time of a step in seconds.
     pub seconds_per_step: f64,
-    /// Rays of a step (LLFF: pixels that its loss is measured on) over `seconds_per_step`.
+    /// Rays of a step (LLFF: pixels of its loss) divided by `seconds_per_step`.
     pub rays_per_second: f64,
-    /// Points (MipNeRF: intervals) that both clean passes ask for; none without fields.
+    /// Points (MipNeRF: intervals) of both clean passes, or `None` without fields.
     pub points_per_clean_pass: Option<usize>,
-    /// Multiply-adds of matrix products that the fused core did in a step; none where it does not apply.
+    /// Multiply-adds of the fused core's matrix products in a step, or `None` if it does not apply.
     pub multiply_adds_per_step: Option<f64>,
-    /// Bytes that a step read and wrote of a hash grid's tables and their gradient: 8 corners of a cell in every level for each
-    /// point encoded, differentiated or scattered, and Adam's passes over the tables. None of other fields.
+    /// Bytes of a hash grid's tables and their gradient that a step read and wrote, or `None` for other fields. Counts
+    /// 8 corners of a cell in every level for each point encoded, differentiated or scattered, and Adam's passes over
+    /// the tables.
     pub table_bytes_per_step: Option<f64>,
-    /// Share of points whose gradient was not 0, and which a backward pass therefore saw.
+    /// Fraction of points with a nonzero gradient, which a backward pass has to process.
     pub active_share: Option<f64>,
-    /// Twice the multiply-adds over the time.
+    /// Twice the multiply-adds divided by the time.
     pub gflops: Option<f64>,
-    /// The same of large matrix products alone, on all threads.
+    /// The same for large matrix products alone, on all threads.
     pub gemm_peak_gflops: Option<f64>,
-    /// `gflops` over that.
+    /// `gflops` divided by that.
     pub share_of_peak: Option<f64>,
     /// Highest resident memory of the process.
     pub peak_memory_mib: Option<f64>,
 }
 
-/// That of [`scene`].
+/// Extent of [`scene`].
 pub const EXTENT: Extent = Extent { near: 2.0, far: 6.0, domain: None, pixels: 64 };
 
-/// One 64 x 64 view of noise, seen from (0, 0, 4) along -z between 2 and 6.
+/// Returns a scene with one 64 x 64 view of noise, from (0, 0, 4) along -z between 2 and 6.
 pub fn scene() -> Scene {
     let camera = Camera {
         width: 64,
@@ -124,7 +125,7 @@ pub fn scene() -> Scene {
     }
 }
 
-/// The same; for LLFF, which learns from views of one another, eight of 128 x 128, seen from places side by side.
+/// Returns the same. LLFF learns from views of one another, so it gets eight views of 128 x 128, side by side.
 fn scene_of(method: Method) -> Scene {
     let mut scene = scene();
     if method == Method::Llff {
@@ -141,12 +142,16 @@ fn scene_of(method: Method) -> Scene {
 }
 
 impl Workload {
-    /// The configuration: PyTorch's initial weights, Adam, no noise; otherwise the defaults, of methods without fields those
-    /// of preset `cpu`, on an accelerator with all rays in one chunk; then the further settings.
+    /// Returns the configuration: PyTorch's initial weights, Adam, no noise, otherwise the defaults. Methods without
+    /// fields have the defaults of preset `cpu`; on an accelerator all their rays are one chunk. Further settings come
+    /// last.
     pub fn config(&self, device: &Device) -> Result<Resolved> {
         let own = ["method", "train.rays", "sampling.coarse", "sampling.fine", "field.width", "srn.width"];
         if let Some((path, _)) = self.set.iter().find(|(path, _)| own.contains(&path.join(".").as_str())) {
-            return Err(Error::Config(format!("--set {}: bench has a flag of its own for it", path.join("."))));
+            return Err(Error::Config(format!(
+                "--set {}: bench has its own flag for this setting; use the flag",
+                path.join(".")
+            )));
         }
         let mut settings =
             vec!["field.init=torch".to_string(), "train.collapse_steps=0".into(), setting_of(&self.method)?];
@@ -163,24 +168,24 @@ impl Workload {
         config.resolve(DataKind::Blender, crate::bench::EXTENT)
     }
 
-    /// The method; NeRF for the name of a regularizer.
+    /// Returns the method; NeRF for the name of a regularizer.
     fn method(&self) -> Result<Method> {
         let setting = setting_of(&self.method)?;
         let found = Method::ALL.into_iter().find(|method| setting == format!("method={}", method.name()));
         Ok(found.unwrap_or_default())
     }
 
-    /// With the numbers that are not given.
+    /// Fills in the defaults.
     ///
     /// # Errors
-    /// A number that the method does not read.
+    /// A number is given that the method does not have.
     fn filled(&self) -> Result<Workload> {
         let method = self.method()?;
         let fill = |name: &str, given: Option<usize>, usual: usize, read: bool| match (given, read) {
             (given, true) => Ok(Some(given.unwrap_or(usual))),
             (None, false) => Ok(None),
             (Some(given), false) => Err(Error::Config(format!(
-                "--{name} {given}: a step of method {} has none; leave it out, and say with --set what the method has \
+                "--{name} {given}: method {} does not have this size; omit the flag, and set the method's own sizes with --set \
                  (`augnerf settings {}`)",
                 method.name(),
                 method.name()
@@ -196,7 +201,7 @@ impl Workload {
         })
     }
 
-    /// What is there as settings.
+    /// Returns the given sizes as settings.
     fn settings(&self) -> Vec<String> {
         let width = if self.method == Method::Srn.name() { "srn.width" } else { "field.width" };
         let named = [
@@ -211,7 +216,7 @@ impl Workload {
     /// Takes the steps on a runtime and times them.
     ///
     /// # Errors
-    /// Settings that are not allowed; training that goes non-finite.
+    /// Settings are invalid; training diverges.
     pub fn run(&self, runtime: &Runtime) -> Result<Timed> {
         runtime.install(|| self.run_here(runtime))
     }

@@ -1,4 +1,4 @@
-//! Trainings in their folders: training, checkpoints, evaluation, rendering, meshes and comparisons.
+//! Runs in their folders: training, checkpoints, evaluation, rendering, meshes and comparisons.
 
 #![warn(missing_docs)]
 

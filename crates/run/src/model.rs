@@ -1,4 +1,4 @@
-//! The parameters of one experiment: the one place that tells radiance fields from baselines.
+//! The parameters of one experiment. This is the one module that tells radiance fields from baselines.
 
 use std::sync::Arc;
 
@@ -20,17 +20,18 @@ pub enum Model {
     Baseline(Representation, Arc<dyn Network>),
 }
 
-/// What a run begins with.
+/// The start of a run.
 pub struct Start {
-    /// The freshly drawn parameters.
+    /// The initial parameters.
     pub model: Model,
-    /// What learns them.
+    /// Learner of these parameters.
     pub learner: Box<dyn Learner>,
-    /// How often each of [`Model::parts`] was drawn again before it was fit to learn.
+    /// How often each of [`Model::parts`] was initialized again because it started dead.
     pub redraws: Vec<u64>,
 }
 
-/// How the parameters of a representation are made; `None` for radiance fields and where baselines are not built in.
+/// Returns how a representation's parameters are made, or `None` for radiance fields and if baselines are not built
+/// in.
 fn family(representation: Representation) -> Option<&'static dyn Family> {
     #[cfg(feature = "baselines")]
     return augnerf_baselines::family(representation);
@@ -41,11 +42,11 @@ fn family(representation: Representation) -> Option<&'static dyn Family> {
     };
 }
 
-/// The same for a representation that is no radiance field.
+/// Returns the same for a representation that is not a radiance field.
 fn baseline(config: &Config) -> Result<&'static dyn Family> {
     family(config.representation()).ok_or_else(|| {
         Error::Config(format!(
-            "method {}: this program was built without the baselines; build it with `--features baselines`",
+            "method {}: this program was built without baselines; build it with `--features baselines`",
             config.method.name()
         ))
     })
@@ -56,10 +57,10 @@ fn is_field(config: &Config) -> bool {
 }
 
 impl Model {
-    /// Starts a run at step 0. Dead starts are drawn again.
+    /// Starts a run at step 0. A network that starts dead is initialized again.
     ///
     /// # Errors
-    /// Settings that do not suit the scene; no draw that is fit to learn; a method that is not built in.
+    /// Settings do not suit the scene; every initialization is dead; the method is not built in.
     pub fn start(config: &Resolved, scene: &Scene, dtype: DType, device: &Device) -> Result<Start> {
         if is_field(config) {
             let (learner, redraws) = FieldLearner::start(config, scene, dtype, device)?;
@@ -72,7 +73,7 @@ impl Model {
         Ok(Start { model: Model::Baseline(representation, network), learner, redraws: vec![0] })
     }
 
-    /// Names of the networks that a configuration has, in the fixed order of parameters.
+    /// Returns the names of a configuration's networks, in the fixed order of parameters.
     pub fn parts(config: &Config) -> Vec<&'static str> {
         match is_field(config) {
             true => Fields::roles(config),
@@ -80,7 +81,7 @@ impl Model {
         }
     }
 
-    /// Names and shapes of all parameters, in their fixed order; none of a method that is not built in.
+    /// Returns names and shapes of all parameters, in their fixed order; empty for a method that is not built in.
     pub fn parameter_names(config: &Config) -> Vec<(String, Vec<usize>)> {
         match is_field(config) {
             true => Fields::parameter_names(config),
@@ -91,7 +92,7 @@ impl Model {
     /// Returns a model over given values, in the order of [`Model::parameter_names`].
     ///
     /// # Errors
-    /// Values of another number or shape; a method that is not built in.
+    /// Values have another number or shape; the method is not built in.
     pub fn from_parameters(config: &Config, values: Vec<Tensor>) -> Result<Model> {
         if is_field(config) {
             return Ok(Model::Fields(Fields::from_parameters(config, values)?));
@@ -100,7 +101,8 @@ impl Model {
         Ok(Model::Baseline(representation, baseline(config)?.from_parameters(config, values)?))
     }
 
-    /// All parameters with their names, in the fixed order. They are shared: a learner's updates show.
+    /// Returns all parameters with their names, in the fixed order. They are shared, so a learner's updates are
+    /// visible.
     pub fn variables(&self) -> Vec<(String, Var)> {
         match self {
             Model::Fields(fields) => fields.variables(),
@@ -111,7 +113,7 @@ impl Model {
     /// Returns a learner of these parameters from the training views of `scene`.
     ///
     /// # Errors
-    /// Settings that do not suit the scene.
+    /// Settings do not suit the scene.
     pub fn learner(&self, config: &Resolved, scene: &Scene, dtype: DType, device: &Device) -> Result<Box<dyn Learner>> {
         match self {
             Model::Fields(fields) => Ok(Box::new(FieldLearner::new(config, scene, fields.clone(), dtype, device)?)),
@@ -122,7 +124,7 @@ impl Model {
     /// Returns a renderer of `scene` with the current parameters.
     ///
     /// # Errors
-    /// Weights that are not numbers; those of candle.
+    /// A weight is not a number; errors of candle.
     pub fn renderer(&self, config: &Config, scene: &Scene) -> Result<Box<dyn Renderer>> {
         match self {
             Model::Fields(fields) => Ok(Box::new(FieldRenderer::new(fields, config, scene)?)),
@@ -133,13 +135,13 @@ impl Model {
     /// Returns the density in space with the current parameters.
     ///
     /// # Errors
-    /// A method that has none.
+    /// The method has no density.
     pub fn density(&self) -> Result<Box<dyn Density>> {
         match self {
             Model::Fields(fields) => Ok(Box::new(FieldDensity::new(fields.evaluated())?)),
             Model::Baseline(representation, network) => {
                 let density = network.density()?;
-                density.ok_or_else(|| unsupported(*representation, Capability::Density, "there is no density"))
+                density.ok_or_else(|| unsupported(*representation, Capability::Density, "no density"))
             }
         }
     }
@@ -147,12 +149,12 @@ impl Model {
     /// Returns the radiance fields.
     ///
     /// # Errors
-    /// A method that has none.
+    /// The method has no radiance fields.
     pub fn fields(&self) -> Result<&Fields> {
         match self {
             Model::Fields(fields) => Ok(fields),
             Model::Baseline(representation, _) => {
-                Err(unsupported(*representation, Capability::Samples, "there are no radiance fields"))
+                Err(unsupported(*representation, Capability::Samples, "no radiance fields"))
             }
         }
     }

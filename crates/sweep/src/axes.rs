@@ -1,4 +1,4 @@
-//! What a sweep varies: settings that move together, and the values that they take.
+//! Axes of a sweep: settings that vary together, and their values.
 
 use serde::{Deserialize, Serialize};
 use toml::{Table, Value};
@@ -6,99 +6,99 @@ use toml::{Table, Value};
 use crate::base::rng::{Random, Stream};
 use crate::report::AxisValue;
 
-/// More values than anyone means; refused before room for them is taken.
+/// Limit on the values of an axis; more is an error, found before memory is allocated.
 const MOST_VALUES: usize = 10_000;
 
-/// A setting, or several that move together, with the values that it takes: one of `values`, `zip`, `log` and `random`.
+/// One setting, or several that vary together. Its values are given by one of `values`, `zip`, `log` and `random`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Axis {
-    /// What is varied, as the plot's x axis names it.
+    /// Name of the varied quantity, used as the x axis of the plot.
     pub name: String,
-    /// What it is varied of: one panel of the plot each.
+    /// The part that is varied, such as a site. Each panel of the plot shows one.
     #[serde(default, skip_serializing_if = "String::is_empty")]
     pub panel: String,
     /// Dotted names of the settings.
     pub keys: Vec<String>,
-    /// Settings of all its points, by their dotted names, besides what it varies.
+    /// Settings of all points of this axis, by their dotted names, besides the varied ones.
     #[serde(default, skip_serializing_if = "Table::is_empty")]
     pub set: Table,
-    /// The values; all keys take the same.
+    /// The values; all keys take the same one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub values: Option<Vec<Value>>,
-    /// The values of all keys, in their order, of each point.
+    /// One list a point: the values of all keys, in their order.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub zip: Option<Vec<Vec<Value>>>,
-    /// Values evenly spaced in their logarithm, both ends among them.
+    /// Values evenly spaced in their logarithm, both ends included.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub log: Option<Span>,
-    /// Values drawn at random, in ascending order.
+    /// Random values, in ascending order.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub random: Option<RandomSpan>,
 }
 
-/// So many values between two numbers. Between integers they are integers.
+/// `count` values between two numbers. Between integers the values are integers.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Span {
-    /// The least.
+    /// The smallest value.
     pub from: Value,
-    /// The largest.
+    /// The largest value.
     pub to: Value,
-    /// How many.
+    /// Number of values.
     pub count: usize,
 }
 
-/// So many values drawn between two numbers.
+/// `count` random values between two numbers.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct RandomSpan {
-    /// None is less.
+    /// Lower bound.
     pub from: Value,
-    /// None is larger.
+    /// Upper bound.
     pub to: Value,
-    /// How many.
+    /// Number of values.
     pub count: usize,
-    /// What they are uniform in.
+    /// The scale on which the values are uniform.
     #[serde(default)]
     pub scale: Scale,
-    /// Seed of the draws.
+    /// Seed of the random values.
     #[serde(default)]
     pub seed: u64,
 }
 
-/// What random values are uniform in.
+/// The scale on which random values are uniform.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Scale {
-    /// The number.
+    /// The number itself.
     #[default]
     Linear,
-    /// Its logarithm.
+    /// The number's logarithm.
     Log,
 }
 
-/// A place on an axis.
+/// One point of an axis.
 #[derive(Clone, Debug, PartialEq)]
 pub struct AxisPoint {
-    /// The value as tables and plots name it.
+    /// The value, as tables and plots print it.
     pub label: String,
-    /// Dotted names with what they are set to.
+    /// Dotted names of settings, with their values.
     pub sets: Vec<(String, Value)>,
 }
 
 impl Axis {
-    /// How many values it names; of several lists the longest.
+    /// Returns the number of values; of several lists, the longest.
     pub(super) fn count(&self) -> usize {
         let spans = [self.log.as_ref().map(|span| span.count), self.random.as_ref().map(|span| span.count)];
         let lists = [self.values.as_ref().map(Vec::len), self.zip.as_ref().map(Vec::len)];
         spans.into_iter().chain(lists).flatten().max().unwrap_or(0)
     }
 
-    /// The places on the axis, in order.
+    /// Returns the points of the axis, in order.
     ///
     /// # Errors
-    /// A sentence on what is wrong with the definition.
+    /// Says in a sentence what is wrong with the definition.
     pub fn points(&self) -> Result<Vec<AxisPoint>, String> {
         let same = |values: Vec<Value>| -> Vec<AxisPoint> { values.into_iter().map(|value| self.all(value)).collect() };
         let points = match (&self.values, &self.zip, &self.log, &self.random) {
@@ -111,17 +111,17 @@ impl Axis {
         Ok(points)
     }
 
-    /// All keys at one value.
+    /// Sets all keys to one value.
     fn all(&self, value: Value) -> AxisPoint {
         let label = text(&value);
         AxisPoint { label, sets: self.keys.iter().map(|key| (key.clone(), value.clone())).collect() }
     }
 
-    /// Each key at its own value.
+    /// Sets each key to its own value.
     fn zipped(&self, row: &[Value]) -> Result<AxisPoint, String> {
         if row.len() != self.keys.len() {
             return Err(format!(
-                "zip has {} values in [{}], but there are {} keys: give each key its value",
+                "zip has {} values in [{}], but there are {} keys; give each key one value",
                 row.len(),
                 row.iter().map(text).collect::<Vec<_>>().join(", "),
                 self.keys.len()
@@ -131,7 +131,7 @@ impl Axis {
         Ok(AxisPoint { label, sets: self.keys.iter().cloned().zip(row.iter().cloned()).collect() })
     }
 
-    /// A place as records name it.
+    /// Returns a point of the axis as records name it.
     pub(super) fn named(&self, point: &AxisPoint) -> AxisValue {
         AxisValue { axis: self.name.clone(), panel: self.panel.clone(), value: point.label.clone() }
     }
@@ -147,7 +147,7 @@ impl Span {
             let allowed = format!("it must be 2, both ends, to {MOST_VALUES}");
             return Err(format!("log.count = {} is out of range: {allowed}", self.count));
         }
-        // Each from its own exponent: no error adds up from one value to the next.
+        // Each value comes from its own exponent, so that errors do not accumulate.
         let at = |i: usize| match i {
             0 => from,
             i if i + 1 == self.count => to,
@@ -178,7 +178,7 @@ impl RandomSpan {
     }
 }
 
-/// Two ends as numbers, in order.
+/// Returns the two ends as numbers, in order.
 fn ends(kind: &str, from: &Value, to: &Value) -> Result<(f64, f64), String> {
     let number = |name: &str, value: &Value| {
         let number = value.as_float().or(value.as_integer().map(|integer| integer as f64));
@@ -193,27 +193,28 @@ fn ends(kind: &str, from: &Value, to: &Value) -> Result<(f64, f64), String> {
     Err(format!("{kind}.to = {} is out of range: it must be above {kind}.from = {}", text(to), text(from)))
 }
 
-/// Numbers of four figures, or integers between integers: labels stay short, and what they say is what is set.
+/// Rounds numbers to four digits, or to integers between integers. Labels stay short, and show the exact value that is
+/// set.
 fn numbers(values: impl Iterator<Item = f64>, from: &Value, to: &Value, [low, high]: [f64; 2]) -> Vec<Value> {
     let integers = from.is_integer() && to.is_integer();
     let value = |value: f64| match integers {
         true => Value::Integer(value.round() as i64),
         false => Value::Float(format!("{value:.3e}").parse().expect("a number's own text")),
     };
-    // The ends stay what they were given as.
+    // The ends keep their original form.
     let ends = [(from.clone(), low), (to.clone(), high)];
     let exact = |number: f64| ends.iter().find(|(_, end)| number == *end).map(|(given, _)| given.clone());
     values.map(|number| exact(number).unwrap_or_else(|| value(number))).collect()
 }
 
-/// Ascending values; two that are rounded to the same number would be one point.
+/// Returns the ascending values. Two values that round to the same number would be one point, and are an error.
 fn distinct(kind: &str, values: Vec<Value>) -> Result<Vec<Value>, String> {
     let Some([twice, _]) = values.windows(2).find(|pair| pair[0] == pair[1]) else { return Ok(values) };
-    let fractions = if twice.is_integer() { ", for fractions (1.0 in place of 1)" } else { "" };
-    Err(format!("{kind} comes to {} more than once: ask for fewer values, for a wider span{fractions}", text(twice)))
+    let fractions = if twice.is_integer() { " or fractions (1.0 in place of 1)" } else { "" };
+    Err(format!("{kind} gives {} more than once; use fewer values, a wider span{fractions}", text(twice)))
 }
 
-/// A value as tables and plots name it.
+/// Returns a value as tables and plots print it.
 fn text(value: &Value) -> String {
     match value {
         Value::String(text) => text.clone(),
@@ -254,7 +255,7 @@ mod tests {
         assert_ne!(drawn, labels(&text(2)));
         let numbers: Vec<f64> = drawn.iter().map(|label| label.parse().unwrap()).collect();
         assert!(numbers.is_sorted() && numbers.iter().all(|n| (1e-3..=10.0).contains(n)));
-        // Half of them lie below the geometric mean, 0.1.
+        // Half of the values are below the geometric mean, 0.1.
         assert!((10..30).contains(&numbers.iter().filter(|n| **n < 0.1).count()), "{numbers:?}");
     }
 
@@ -277,7 +278,7 @@ mod tests {
             ("keys = [\"a\"]\nlog = { from = 1, to = 2, count = 1 }", "2, both ends"),
             ("keys = [\"a\"]\nlog = { from = \"x\", to = 2, count = 3 }", "log.from = x"),
             ("keys = [\"a\"]\nrandom = { from = 1, to = 2, count = 0 }", "1 to 10000"),
-            ("keys = [\"a\"]\nlog = { from = 1, to = 4, count = 9 }", "log comes to 1 more than once: ask for fewer"),
+            ("keys = [\"a\"]\nlog = { from = 1, to = 4, count = 9 }", "log gives 1 more than once; use fewer"),
             ("keys = [\"a\"]\nlog = { from = 1, to = 2, count = 9000000000000000000 }", "2, both ends, to 10000"),
             ("keys = [\"a\"]\nrandom = { from = 1, to = 9e9, count = 50000 }", "1 to 10000"),
         ] {

@@ -1,4 +1,4 @@
-//! Which settings of a finished sweep came out best, by the mean over their seeds.
+//! The best settings of a finished sweep, by the mean over seeds.
 
 use std::path::PathBuf;
 
@@ -20,25 +20,25 @@ use super::points::Point;
 pub struct Best {
     /// The scene's name.
     pub scene: String,
-    /// Row and values of axes.
+    /// Row and axis values.
     pub label: String,
     /// The metric's key.
     pub metric: String,
     /// Its mean over the seeds.
     pub mean: f64,
-    /// One of each seed.
+    /// The points, one a seed.
     pub seeds: Vec<BestSeed>,
-    /// Its method, and of the settings in which the scene's points differ those that are not at their defaults.
+    /// The method, and each setting that differs among the scene's points and is not at its default.
     pub settings: Vec<(String, String)>,
-    /// The line after it, with its mean.
+    /// The second-best line, with its mean.
     pub next: Option<(String, f64)>,
-    /// Lines that it was chosen from, itself included.
+    /// Number of candidate lines, this one included.
     pub candidates: usize,
-    /// Lines that lack a seed's number: they were not looked at.
+    /// Lines without a number for every seed; they were not considered.
     pub unfinished: Vec<String>,
     /// The views that were measured, as in the protocol: `test`, `every-8-val`.
     pub split: String,
-    /// These are views kept for choices, and not those that results are told of.
+    /// These are validation views, not the views of reported results.
     pub on_validation: bool,
 }
 
@@ -47,19 +47,20 @@ pub struct Best {
 pub struct BestSeed {
     /// Its seed.
     pub seed: u64,
-    /// The metric's value.
+    /// Value of the metric.
     pub value: f64,
     /// The point's name.
     pub id: String,
-    /// Its run folder; none where results alone are at hand.
+    /// Its run folder, or `None` if only results are available.
     pub run: Option<PathBuf>,
 }
 
-/// The best line of each scene. A line that lacks a point is not looked at: a mean over fewer seeds is another number.
+/// Finds the best line of each scene. A line with missing points is not considered, since means over other seeds do
+/// not compare.
 ///
 /// # Errors
-/// A metric that there is not, or of which neither more nor less is better; nothing measured; rows that may not stand side by
-/// side, unless `force`.
+/// The metric does not exist or has no better direction; nothing was measured; rows are not comparable and `force` is
+/// unset.
 pub fn best(
     folder: &SweepFolder,
     spec: &TableSpec,
@@ -73,7 +74,7 @@ pub fn best(
         let keys: Vec<&str> =
             Metric::in_tables().filter(|m| m.direction != Direction::Neither).map(|m| m.key).collect();
         return Err(Error::Config(format!(
-            "--metric {metric}: no metric of this name has a best value; choose from {}",
+            "--metric {metric}: unknown metric, or one without a best value; choose from {}",
             keys.join(", ")
         )));
     };
@@ -107,14 +108,14 @@ pub fn best(
     let found: Vec<Best> = table.scenes().into_iter().filter_map(of_scene).collect();
     if found.is_empty() {
         return Err(Error::Config(format!(
-            "{} has no row whose points are all done and have {metric}: `augnerf sweep status` shows how far they are",
+            "{}: no row has {metric} for all of its points; `augnerf sweep status` shows how far they are",
             folder.path().display()
         )));
     }
     Ok(found)
 }
 
-/// The mean of a line all of whose points have the metric.
+/// Returns the mean of a line if all of its points have the metric.
 fn complete(line: &Line) -> Option<f64> {
     let cell = &line.cells[0];
     cell.mean.filter(|_| line.points > 0 && cell.n == line.points && !line.scored)
@@ -129,8 +130,8 @@ fn seeds(folder: &SweepFolder, outputs: &SweepOutputs, line: &Line, metric: &str
     own.filter_map(seed).collect()
 }
 
-/// The line's method, and its value of each setting in which points of its scene differ and which is not at its default; settings
-/// that its method does not read are.
+/// Returns the line's method and its value of each setting that differs within the scene and is not at its default.
+/// Includes settings that its method does not read.
 fn settings(points: &[Point], line: &Line) -> Vec<(String, String)> {
     let of_scene: Vec<&Point> = points.iter().filter(|point| point.scene == line.scene).collect();
     let tables: Vec<toml::Table> = of_scene.iter().map(|point| point.config.portable().to_table()).collect();

@@ -1,4 +1,4 @@
-//! What a step costs, and how many steps of one row cost as much as another row's.
+//! Costs of training steps, and the steps that give two rows the same cost.
 
 use serde::{Deserialize, Serialize};
 
@@ -9,45 +9,45 @@ use crate::settings::{
 
 use super::definition::BudgetKind;
 
-/// Seconds of a step, wherever they come from.
+/// Source of the time that one training step takes.
 pub trait StepCosts {
-    /// Seconds of one training step of a configuration.
+    /// Returns the seconds of one training step of a configuration.
     fn seconds_per_step(&self, config: &Config) -> Result<f64>;
 
-    /// Told once, before: all configurations, of distinct shapes, whose seconds will be asked for. They are compared with one
-    /// another, and so should come from one source.
+    /// Receives, once and in advance, one configuration of each shape whose seconds will be needed. The seconds are
+    /// compared with one another, so they should come from one source.
     fn prepare(&self, _configs: &[&Config]) -> Result<()> {
         Ok(())
     }
 
-    /// What they are measured on; none where nothing is known of it.
+    /// Returns what the seconds were measured on, or `None` if it is unknown.
     fn clock(&self) -> Option<Clock> {
         None
     }
 }
 
-/// What seconds were measured on.
+/// The machine and program that seconds were measured on.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Clock {
-    /// The processor's model, or `unknown`.
+    /// The CPU's model, or `unknown`.
     pub processor: String,
     /// The device, as `cpu`.
     pub device: String,
-    /// Threads that worked.
+    /// Number of threads.
     pub threads: usize,
-    /// The code's revision.
+    /// Revision of the code.
     pub code_revision: String,
 }
 
 impl std::fmt::Display for Clock {
-    /// `12th Gen Intel(R) Core(TM) i5 (cpu, 2 threads, revision 21b6470)`.
+    /// Writes `12th Gen Intel(R) Core(TM) i5 (cpu, 2 threads, revision 21b6470)`.
     fn fmt(&self, f: &mut std::fmt::Formatter) -> std::fmt::Result {
         let Clock { processor, device, threads, code_revision } = self;
         write!(f, "{processor} ({device}, {threads} threads, revision {code_revision})")
     }
 }
 
-/// Steps of `config` that cost as much as all steps of `like`; at least 1.
+/// Returns the steps of `config` that cost as much as all steps of `like`; at least 1.
 pub fn steps_within(kind: BudgetKind, config: &Config, like: &Config, costs: &dyn StepCosts) -> Result<u64> {
     let (own, other) = match kind {
         BudgetKind::Evaluations => (evaluations_per_step(config), evaluations_per_step(like)),
@@ -56,9 +56,9 @@ pub fn steps_within(kind: BudgetKind, config: &Config, like: &Config, costs: &dy
     Ok(((like.train.steps as f64 * other / own).round() as u64).max(1))
 }
 
-/// Network evaluations of one step: passes through a network at one point, where a forward pass
-/// counts one, and a backward pass one for the gradient of the layers' inputs and one for that of
-/// the weights. A coarse pass that only places samples has no backward pass, and is neither searched nor perturbed.
+/// Returns the network evaluations of one step. One evaluation is one pass through a network at one point. A forward
+/// pass counts one. A backward pass counts two: one for the gradient of the layers' inputs, one for that of the
+/// weights. A coarse pass that only places samples has no backward pass, and no PGD perturbs it.
 pub fn evaluations_per_step(config: &Config) -> f64 {
     let (coarse, fine) = config.samples();
     match config.representation().has_coarse_loss() {
@@ -67,7 +67,8 @@ pub fn evaluations_per_step(config: &Config) -> f64 {
     }
 }
 
-/// [`evaluations_per_step`] as revisions up to 8c7f6dc counted it: a pass that only places samples as one that is trained.
+/// Counts [`evaluations_per_step`] as revisions up to 8c7f6dc did: a pass that only places samples counts as a trained
+/// one.
 pub(super) struct PlacingCountedAsTrained;
 
 impl StepCosts for PlacingCountedAsTrained {
@@ -77,7 +78,7 @@ impl StepCosts for PlacingCountedAsTrained {
     }
 }
 
-/// Of a step with so many samples a ray that are only placed by, and so many that are trained.
+/// Returns the evaluations of a step with `placing` samples a ray that only place others, and `trained` samples.
 fn evaluations(config: &Config, placing: usize, trained: usize) -> f64 {
     let points = |samples: usize| (config.train.rays * samples) as f64;
     let clean = points(placing) + 3.0 * points(trained);
@@ -92,14 +93,15 @@ fn evaluations(config: &Config, placing: usize, trained: usize) -> f64 {
     clean + second + regularizer_evaluations(config)
 }
 
-/// Ascent steps of the search: a site with fewer waits for the one with most.
+/// Returns the PGD steps of the search: the largest number of any site.
 fn search_steps(perturb: &PerturbConfig) -> u32 {
-    // Steps do not depend on the scene.
+    // The number of steps does not depend on the scene.
     let resolved = perturb.clone().resolve(1.0, 1, 1);
     resolved.numbers.iter().filter(|(_, site)| site.on()).map(|(_, site)| site.steps).max().unwrap_or(0) as u32
 }
 
-/// Forward pass, adjoint and the two products of its backward pass; the colour head counts as if it were there.
+/// Counts a forward pass, its adjoint, and the two products of the backward pass. The colour head is included in the
+/// count.
 fn regularizer_evaluations(config: &Config) -> f64 {
     let RegularizerConfig { kind, points, points_per_step, lattice, fields, .. } = &config.regularizer;
     if !kind.iter().any(|kind| kind.in_space()) {

@@ -1,4 +1,4 @@
-//! `by-name/`: the points of a sweep's folder under the names of their rows, as symbolic links.
+//! `by-name/`: symbolic links to the points of a sweep's folder, under the names of their rows.
 //!
 //! ```text
 //! by-name/Aug-NeRF/seed-0 -> ../../points/ID         of several scenes: by-name/SCENE/ROW/seed-0
@@ -13,10 +13,10 @@ use crate::report::label;
 use super::folder::SweepFolder;
 use super::points::Point;
 
-/// Longest name of a folder in bytes; most file systems take 255.
+/// Longest name of a folder in bytes; most file systems allow 255.
 const LONGEST: usize = 120;
 
-/// The points' places below `by-name/` and where each link leads.
+/// Returns the paths of the links below `by-name/`, with the targets.
 pub fn links(points: &[Point]) -> Vec<(PathBuf, PathBuf)> {
     let scenes: BTreeSet<&str> = points.iter().map(|point| point.scene.as_str()).collect();
     let mut taken = BTreeSet::new();
@@ -41,15 +41,16 @@ pub fn links(points: &[Point]) -> Vec<(PathBuf, PathBuf)> {
     links
 }
 
-/// A name that no other cell of the scene, or no other scene where `scene` is empty, has: some file systems do not tell upper case from lower.
+/// Returns a name that no other cell of the scene has, or no other scene if `scene` is empty. Case is ignored, as some
+/// file systems do.
 fn unused(name: &str, scene: &str, taken: &mut BTreeSet<(String, String)>) -> String {
     let numbered = (1..).map(|number| if number == 1 { name.to_string() } else { format!("{name}-{number}") });
     let mut numbered = numbered.into_iter();
     numbered.find(|name| taken.insert((scene.to_string(), name.to_lowercase()))).expect("numbers do not end")
 }
 
-/// The name as every file system takes it: without separators, signs with a meaning of their own, control characters, and dots
-/// and spaces at its ends.
+/// Returns a name that every file system accepts: no separators, special or control characters, and no dots or spaces
+/// at its ends.
 fn safe(name: &str) -> String {
     let plain = |letter: char| match letter {
         '/' | '\\' | '<' | '>' | ':' | '"' | '|' | '?' | '*' => '-',
@@ -65,10 +66,10 @@ fn safe(name: &str) -> String {
 }
 
 impl SweepFolder {
-    /// Writes the links anew. Returns why there are none, where the file system or the system has none.
+    /// Writes the links again. Returns the reason if the file system or the operating system supports none.
     ///
     /// # Errors
-    /// A folder that cannot be written.
+    /// The folder cannot be written.
     #[cfg(unix)]
     pub fn link_by_name(&self, points: &[Point]) -> Result<Option<String>> {
         use crate::base::Error;
@@ -81,14 +82,14 @@ impl SweepFolder {
             let parent = link.parent().expect("a row's folder");
             std::fs::create_dir_all(parent).map_err(|e| Error::unwritable(parent, &e))?;
             if let Err(error) = std::os::unix::fs::symlink(target, &link) {
-                return Ok(Some(format!("no links below {}: {error}", self.path().join("by-name").display())));
+                return Ok(Some(format!("cannot make links below {}: {error}", self.path().join("by-name").display())));
             }
         }
         folder.commit()?;
         Ok(None)
     }
 
-    /// Elsewhere a link takes rights that few have.
+    /// On other systems links need special rights.
     #[cfg(not(unix))]
     pub fn link_by_name(&self, _points: &[Point]) -> Result<Option<String>> {
         Ok(None)

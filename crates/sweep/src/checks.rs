@@ -1,4 +1,4 @@
-//! What a definition is refused for before its configurations are built.
+//! Checks of a definition, before its configurations are built.
 
 use std::collections::HashSet;
 use std::hash::Hash;
@@ -12,9 +12,9 @@ use crate::metrics::Metric;
 use crate::settings::Method;
 
 impl Definition {
-    /// Checks a definition as far as that is possible without configurations.
+    /// Checks what can be checked without configurations.
     pub(super) fn check(&self) -> std::result::Result<(), String> {
-        // First, so that nothing below looks at more than anyone means.
+        // Sizes first, so that no later check has to handle huge lists.
         self.check_sizes()?;
         self.check_lists()?;
         self.check_references()?;
@@ -22,7 +22,7 @@ impl Definition {
         self.all_axes().try_for_each(check_axis)?;
         self.check_words()?;
         if let Some(row) = self.row.iter().find(|row| !row.axes && !row.axis.is_empty()) {
-            return Err(format!("row '{}' has axes of its own and axes = false; remove one of them", row.name));
+            return Err(format!("row '{}' has its own axes and axes = false; remove one", row.name));
         }
         self.check_published()?;
         self.rows()
@@ -31,14 +31,14 @@ impl Definition {
             .try_for_each(|(row, key)| key.check().map_err(|message| format!("row '{}' {message}", row.name)))
     }
 
-    /// A row that trains LLFF on its scene is not the published method.
+    /// Returns an error for a row that trains LLFF on its scene and is called the published method.
     fn check_published(&self) -> std::result::Result<(), String> {
         let method = |set: &Table| set.get("method").and_then(Value::as_str).map(str::to_string);
         let common = method(&self.set);
         let is_llff = |row: &Row| method(&row.set).or_else(|| common.clone()).as_deref() == Some(Method::Llff.name());
         match self.row.iter().find(|row| self.published.is_some() && !row.ours && is_llff(row)) {
             Some(row) => Err(format!(
-                "row '{}' trains LLFF on the scene, and the published LLFF was trained on others: set ours = true, and name it otherwise \
+                "row '{}' trains LLFF on this scene, but the published LLFF was trained on others; set ours = true and give it another name \
                  (quoted = [\"LLFF\"] is the paper's)",
                 row.name
             )),
@@ -46,7 +46,7 @@ impl Definition {
         }
     }
 
-    /// No list is longer than anyone means, nor is what they come to.
+    /// Checks that no list, and no product of lists, is too long.
     fn check_sizes(&self) -> std::result::Result<(), String> {
         let (rows, seeds, scenes) = (self.row.len(), self.seeds.len(), self.scenes.len());
         let axes = self.all_axes().count();
@@ -59,12 +59,12 @@ impl Definition {
             ("quoted", self.quoted.len()),
         ];
         if let Some((what, count)) = lists.into_iter().find(|(_, count)| *count > MOST_POINTS) {
-            return Err(format!("{what}: {count} are more than {MOST_POINTS}: split the sweep"));
+            return Err(format!("{what}: {count} is more than {MOST_POINTS}; split the sweep"));
         }
         let count = self.count();
         if count > MOST_POINTS {
             return Err(format!(
-                "{count} points ({} scenes x {} seeds x rows and axes) are more than {MOST_POINTS}: split the sweep, or \
+                "{count} points ({} scenes x {} seeds x rows and axes) are more than {MOST_POINTS}; split the sweep, or \
                  set combine = \"one-at-a-time\"",
                 self.scenes.len(),
                 self.seeds.len()
@@ -73,7 +73,7 @@ impl Definition {
         Ok(())
     }
 
-    /// Scenes, seeds, metrics and rows are there, each once.
+    /// Checks that scenes, seeds, metrics and rows exist, each once.
     fn check_lists(&self) -> std::result::Result<(), String> {
         let scenes: Vec<&str> = self.scenes.iter().map(|scene| scene_name(scene)).collect();
         not_empty_and_distinct("scenes", &scenes)?;
@@ -82,29 +82,29 @@ impl Definition {
             return Err(format!("seeds: {seed} is out of range: a seed is at most 2^63 - 1"));
         }
         if let Some((key, _)) = self.by_seed.iter().find(|(_, values)| values.is_empty()) {
-            return Err(format!("by_seed.\"{key}\": there are no values; list at least one"));
+            return Err(format!("by_seed.\"{key}\": the list is empty; give at least one value"));
         }
         not_empty_and_distinct("metrics", &self.metrics)?;
         let names: Vec<&str> = self.row.iter().map(|row| row.name.as_str()).collect();
         not_empty_and_distinct("rows", &names)?;
         if let Some(row) = names.iter().find(|name| name.trim().is_empty()) {
-            return Err(format!("a row's name is '{row}'; give it the name that the table prints"));
+            return Err(format!("a row's name is blank ('{row}'); give it the name for the table"));
         }
         let exists = |key: &String| Metric::in_tables().any(|metric| metric.key == key);
         if let Some(key) = self.metrics.iter().find(|key| !exists(key)) {
             let known: Vec<&str> = Metric::in_tables().map(|metric| metric.key).collect();
-            return Err(format!("metric '{key}' does not exist; choose from {}", known.join(", ")));
+            return Err(format!("unknown metric '{key}'; choose from {}", known.join(", ")));
         }
         Ok(())
     }
 
-    /// What is named as a row is one.
+    /// Checks that references to rows name existing rows.
     fn check_references(&self) -> std::result::Result<(), String> {
         let names: Vec<&str> = self.row.iter().map(|row| row.name.as_str()).collect();
         let set: HashSet<&str> = names.iter().copied().collect();
         let known = |what: &str, name: &str| match set.contains(name) {
             true => Ok(()),
-            false => Err(format!("{what} = '{name}' is no row; the rows are {}", names.join(", "))),
+            false => Err(format!("{what} = '{name}' is not a row; the rows are {}", names.join(", "))),
         };
         if let Some(baseline) = &self.baseline {
             known("baseline", baseline)?;
@@ -113,10 +113,10 @@ impl Definition {
             known("budget.like", &budget.like)?;
         }
         if !self.quoted.is_empty() && self.published.is_none() {
-            return Err("quoted names methods of a published table; say which with published = \"tab1\"".into());
+            return Err("quoted names methods of a published table, but published is not set; set it, such as published = \"tab1\"".into());
         }
         if let Some(quoted) = self.quoted.iter().find(|quoted| set.contains(quoted.as_str())) {
-            return Err(format!("quoted = '{quoted}' is a row that is run; remove one of them"));
+            return Err(format!("quoted = '{quoted}' is also a row that is run; remove one"));
         }
         for row in &self.row {
             if let Some(baseline) = &row.baseline {
@@ -129,7 +129,7 @@ impl Definition {
         Ok(())
     }
 
-    /// Points before equal ones are merged.
+    /// Returns the number of points before equal ones are merged.
     fn count(&self) -> usize {
         let of_axes = |axes: &[Axis]| {
             let values = axes.iter().map(Axis::count);
@@ -157,7 +157,7 @@ fn not_empty_and_distinct<T: Eq + Hash + std::fmt::Display>(
     values: &[T],
 ) -> std::result::Result<(), String> {
     if values.is_empty() {
-        return Err(format!("{what}: there are none; name at least one"));
+        return Err(format!("{what}: the list is empty; give at least one"));
     }
     let mut known = HashSet::new();
     let twice = values.iter().find(|value| !known.insert(*value));

@@ -1,4 +1,4 @@
-//! Tables and figures of a sweep, from its files alone.
+//! Makes the tables and figures of a sweep from its files.
 
 use std::fs::File;
 use std::path::{Path, PathBuf};
@@ -18,35 +18,35 @@ use crate::report::statistics::mean;
 use crate::report::tables::{AttackLine, Table};
 use crate::report::{RowSpec, Status, TableSpec};
 
-/// The page's file in a results' folder. No part of what `augnerf verify` compares: it shows what the other files say, and
-/// pictures that lie with the runs.
+/// The page's file in a results folder. `augnerf verify` does not compare it: it shows the content of the other files,
+/// and images of the runs.
 pub const PAGE: &str = "report.html";
 
-/// What is collected, and how.
+/// The inputs of tables and figures, and options.
 pub struct Collector<'a> {
-    /// What the points left.
+    /// Outputs of the points.
     pub outputs: &'a SweepOutputs,
-    /// What they are points of.
+    /// The definition of the points.
     pub definition: &'a Definition,
     /// All points of the definition, done or not.
     pub points: &'a [Point],
     /// The sweep's name.
     pub name: &'a str,
-    /// Put rows side by side that differ in an uncontrolled setting, and mark them.
+    /// Put rows in one table that differ in an uncontrolled setting, and mark them.
     pub force: bool,
-    /// Join clocks to the tables, which then no longer repeat.
+    /// Add clock times to the tables, which are then no longer reproducible.
     pub with_timing: bool,
 }
 
-/// A results' folder, taken until the value is dropped: of several processes that collect into one folder each writes what it saw
-/// when it had it. Where folders cannot be locked, files are whole all the same.
+/// A locked results folder, until the value is dropped. Of several processes that collect into one folder, each writes
+/// the state that it saw under the lock. If the file system has no locks, each file is still complete.
 pub struct Results {
     path: PathBuf,
     _held: Option<File>,
 }
 
 impl Results {
-    /// Makes the folder, waits for whoever has it, and deletes what killed processes left there.
+    /// Creates the folder, waits for its lock, and deletes the remains of killed processes.
     pub fn take(path: &Path) -> Result<Results> {
         std::fs::create_dir_all(path).map_err(|e| Error::unwritable(path, &e))?;
         let held = wait_and_hold(path);
@@ -61,7 +61,7 @@ impl Results {
         &self.path
     }
 
-    /// Writes files into the folder, and deletes tables and figures of an earlier time that are not among them.
+    /// Writes files into the folder, and deletes old tables and figures that are not among them.
     pub(super) fn put(&self, files: &[Export]) -> Result<()> {
         files.iter().try_for_each(|(name, bytes)| write_atomic(&self.path.join(name), bytes))?;
         self.delete_others(files)
@@ -80,12 +80,12 @@ impl Results {
     }
 }
 
-/// Takes a file by its name below the results' folder.
+/// Receives a file by its name below the results folder.
 pub type Taking<'a> = &'a mut dyn FnMut(&str, &[u8]) -> Result<()>;
 
 impl Collector<'_> {
-    /// Writes the files of all exporters, the page of them, and what `augnerf verify` makes them of again. Those that show no
-    /// rows side by side are written even where rows may not be put so. Returns the table.
+    /// Writes the files of all exporters, the page, and the inputs that `augnerf verify` needs to make them again.
+    /// Files that show no rows side by side are written even if rows are not comparable. Returns the table.
     pub fn write(&self, results: &Results) -> Result<Table> {
         self.outputs.archive(self.definition, self.points, &results.path)?;
         let (mut files, mut provenance) = (Vec::new(), Provenance::of(self.name, &self.outputs.records));
@@ -101,8 +101,8 @@ impl Collector<'_> {
         table
     }
 
-    /// Hands over the files of all exporters, those first that show no rows side by side: the others are not made where
-    /// rows may not be put so. Returns the table.
+    /// Passes the files of all exporters to `take`. Files that show no rows side by side come first; the others are
+    /// made only if rows are comparable. Returns the table.
     pub fn files(&self, take: Taking) -> Result<Table> {
         self.inputs(&self.spec()).files(take)
     }
@@ -117,11 +117,11 @@ impl Collector<'_> {
     }
 }
 
-/// Rows side by side: all of a sweep's, or chosen ones of several.
+/// Inputs of a table: all rows of a sweep, or chosen rows of several.
 pub(super) struct TableInputs<'a> {
-    /// The rows and what is shown of them.
+    /// The rows, metrics and title.
     pub spec: &'a TableSpec,
-    /// What the points left.
+    /// Outputs of the points.
     pub outputs: &'a SweepOutputs,
     /// The points.
     pub points: &'a [Point],
@@ -132,7 +132,7 @@ pub(super) struct TableInputs<'a> {
 }
 
 impl TableInputs<'_> {
-    /// All files, with the page of them where there is a table. Returns the table.
+    /// Returns the table and adds all files, with the page if there is a table.
     pub fn write(&self, results: &Results, files: &mut Vec<Export>) -> Result<Table> {
         let table = self.files(&mut |name, bytes| {
             files.push((name.to_string(), bytes.to_vec()));
@@ -170,7 +170,7 @@ impl TableInputs<'_> {
         Ok(table)
     }
 
-    /// PSNR of the points without axis values, row by row: of the rays that were trained on and of held-out views.
+    /// Returns PSNR curves of the points without axis values, row by row: of training rays and of held-out views.
     fn curves(&self, scene: &str) -> Vec<Curve> {
         let mut curves = Vec::new();
         for row in &self.spec.rows {
@@ -188,7 +188,7 @@ impl TableInputs<'_> {
         curves
     }
 
-    /// How far the attack moved colours, row by row and site by site, of the points without axis values.
+    /// Returns how far the attack moved colours, row by row and site by site, for the points without axis values.
     fn shifts(&self, scene: &str) -> Vec<Shifts> {
         let of_row = |row: &RowSpec| {
             let points = self.done(scene, row);
@@ -199,14 +199,14 @@ impl TableInputs<'_> {
         self.spec.rows.iter().filter_map(of_row).collect()
     }
 
-    /// What the attack did, line by line of a table.
+    /// Returns the effect of the attack, line by line of a table.
     pub(super) fn attacks<'t>(&self, table: &'t Table) -> Vec<AttackLine<'t>> {
         let scalars = &self.outputs.scalars;
         let numbers = |id: &str, column: &str| scalars.get(id).map_or(Vec::new(), |scalars| scalars.numbers(column));
         table.lines.iter().filter_map(|line| AttackLine::of(line, numbers)).collect()
     }
 
-    /// A row's points without axis values.
+    /// Returns a row's points without axis values.
     fn plain<'s>(&'s self, scene: &str, row: &RowSpec) -> impl Iterator<Item = &'s Point> {
         let own = move |point: &&Point| {
             point.scene == scene && point.places.iter().any(|place| place.row == row.name && place.axes.is_empty())
@@ -214,7 +214,7 @@ impl TableInputs<'_> {
         self.points.iter().filter(own)
     }
 
-    /// Those that are done.
+    /// Returns those that are done.
     fn done(&self, scene: &str, row: &RowSpec) -> Vec<&Point> {
         let done = |point: &&Point| {
             self.outputs.records.iter().any(|record| record.id == point.id && record.status == Status::Done)
@@ -222,13 +222,13 @@ impl TableInputs<'_> {
         self.plain(scene, row).filter(done).collect()
     }
 
-    /// A column of points' logs against steps, of each point that has it.
+    /// Returns a column of the points' logs against steps, for points that have it.
     fn logged(&self, points: &[&Point], column: &str) -> Seeds {
         let scalars = points.iter().filter_map(|point| self.outputs.scalars.get(&point.id));
         scalars.map(|scalars| scalars.pairs("step", column)).filter(|curve| !curve.is_empty()).collect()
     }
 
-    /// The surface of each row's first point that has one.
+    /// Returns the surface of each row's first point that has one.
     fn surfaces(&self, scene: &str) -> Vec<Surface> {
         let of_row = |row: &RowSpec| {
             let picture = self.plain(scene, row).find_map(|point| self.outputs.surfaces.get(&point.id))?;
@@ -237,14 +237,14 @@ impl TableInputs<'_> {
         self.spec.rows.iter().filter_map(of_row).collect()
     }
 
-    /// Seconds of a point's training steps, where clocks are asked for.
+    /// Returns the seconds of a point's training steps, if clock times are shown.
     fn seconds_of(&self, point: &Point) -> Option<f64> {
         let (_, clocks) = self.outputs.timing.iter().filter(|_| self.with_timing).find(|(id, _)| *id == point.id)?;
         clocks.iter().find(|(name, _)| name == "seconds_training").and_then(|(_, seconds)| *seconds)
     }
 }
 
-/// The files of the exporters that need a table, or of those that need none.
+/// Passes on the files of the exporters that need a table, or of those that need none.
 fn export(collected: &Collected, take: Taking) -> Result<()> {
     for exporter in EXPORTERS.into_iter().filter(|exporter| exporter.needs_table() == collected.table.is_some()) {
         for (name, bytes) in exporter.export(collected)? {

@@ -1,12 +1,12 @@
-//! Depth errors over the pixels that all rows show. A row's own numbers are over the pixels where it is solid itself: who
-//! leaves more out would look better.
+//! Depth errors over the pixels that are solid in all rows. A row's own errors cover only the pixels where it is
+//! solid, so a row that skips hard pixels would look better.
 
 use crate::base::{Error, Result};
 use crate::metrics::{Metric, Needs, Scope};
 use crate::report::{Record, Status, distinct};
 use crate::run::DepthErrors;
 
-/// The table is about depth: it asks for a metric over a view's own pixels or over the common ones.
+/// Returns whether the table is about depth: it has a metric over a view's own pixels or over the common ones.
 pub fn wants_depth(metrics: &[String]) -> bool {
     let about_depth = |metric: &Metric| metric.scope == Scope::Common || matches!(metric.needs, Needs::Depth);
     metrics
@@ -15,12 +15,12 @@ pub fn wants_depth(metrics: &[String]) -> bool {
         .any(|metric| about_depth(metric) && metric.scope != Scope::Surface)
 }
 
-/// Adds to measured points what [`Scope::Common`] metrics come to: over the pixels of each held-out view at which every
-/// measured point of the scene and seed is solid. `errors_of` gives a point's errors. Where one point has none, or others'
-/// views, none of its seed has the metrics.
+/// Adds the [`Scope::Common`] metrics to measured points. They cover the pixels of each held-out view at which every
+/// measured point of the scene and seed is solid. `errors_of` returns a point's errors. If one point has no errors or
+/// other views, no point of its seed gets the metrics.
 ///
 /// # Errors
-/// Errors of another number of views than the point was measured on.
+/// The errors cover another number of views than the point was measured on.
 pub fn add_common_depth(records: &mut [Record], errors_of: impl Fn(&str) -> Result<Option<DepthErrors>>) -> Result<()> {
     let groups = distinct(records.iter().filter(|r| r.status == Status::Done).map(|r| (r.scene.clone(), r.seed)));
     for (scene, seed) in groups {
@@ -44,8 +44,8 @@ pub fn add_common_depth(records: &mut [Record], errors_of: impl Fn(&str) -> Resu
     Ok(())
 }
 
-/// A point's errors are of as many views as it was measured on; of fewer where some of these have no depth of their own, so
-/// that the point has no mean depth.
+/// Checks that a point's errors cover the views that it was measured on. Views without a depth of their own have no
+/// errors; in that case the point has no mean depth.
 fn check_views(record: &Record, errors: &DepthErrors) -> Result<()> {
     let Ok(measured) = record.protocol("views_evaluated").parse::<usize>() else { return Ok(()) };
     let found = errors.views.len();
@@ -60,8 +60,8 @@ fn check_views(record: &Record, errors: &DepthErrors) -> Result<()> {
     Ok(())
 }
 
-/// Where all points are solid, view by view; none where one has no errors, or errors of other views. One point is in memory
-/// at a time.
+/// Returns where all points are solid, view by view, or `None` if a point has no errors or other views. One point is
+/// in memory at a time.
 fn common_mask(
     ids: &[String],
     errors_of: &impl Fn(&str) -> Result<Option<DepthErrors>>,
@@ -83,8 +83,8 @@ fn common_mask(
     Ok(mask)
 }
 
-/// Means over views of a point's errors at the common pixels, and of the share that these leave out. A view without a common
-/// pixel has no error, and neither has the mean.
+/// Returns means over views of a point's errors at the common pixels, and of the fraction that these skip. If a view
+/// has no common pixel, its error and the mean are missing.
 fn measured(errors: &DepthErrors, mask: &[Vec<bool>]) -> [(&'static str, Option<f64>); 3] {
     let at_common = |(view, mask): (&Vec<f32>, &Vec<bool>)| -> Vec<f64> {
         view.iter().zip(mask).filter(|(_, common)| **common).map(|(error, _)| f64::from(*error)).collect()
@@ -133,7 +133,8 @@ mod tests {
         ["depth_mae_common", "depth_rmse_common", "depth_left_out_common"].map(|key| record.metric(key)).to_vec()
     }
 
-    /// The row that leaves its worst pixel out has the smaller error over its own pixels, and the larger over common ones.
+    /// The row that skips its worst pixel has the smaller error over its own pixels, and the larger one over common
+    /// pixels.
     #[test]
     fn who_leaves_its_errors_out_gains_nothing() {
         let errors = |id: &str| {
@@ -147,13 +148,13 @@ mod tests {
         };
         let mut records = vec![record("honest", 0), record("hiding", 0), record("other seed", 1)];
         add_common_depth(&mut records, errors).unwrap();
-        // Over its own pixels the first would have a mean error of (5 / 4 + 0.5) / 2 = 0.875, the second one of 1.
+        // Over its own pixels the first has a mean error of (5 / 4 + 0.5) / 2 = 0.875, the second one of 1.
         let honest = [Some((1.0 / 3.0 + 0.5) / 2.0), Some(((0.5f64 / 3.0).sqrt() + 0.5) / 2.0), Some(0.125)];
         assert_eq!(values(&records[0]), honest);
         assert_eq!(values(&records[1]), [Some(1.0), Some(1.0), Some(0.125)]);
         assert_eq!(values(&records[2]), [Some(0.25), Some(0.25), Some((0.75 + 0.5) / 2.0)]);
 
-        // A measured point without errors leaves nothing that is common; one that is not measured does not count.
+        // A measured point without errors leaves no common pixel; a point that is not measured does not count.
         let mut records = vec![record("honest", 0), record("unknown", 0)];
         add_common_depth(&mut records, errors).unwrap();
         assert_eq!(values(&records[0]), [None; 3]);

@@ -1,4 +1,4 @@
-//! What rows of a sweep must share to stand in one table.
+//! What the rows of a sweep must share to be in one table.
 
 use std::collections::{BTreeSet, HashMap};
 use std::hash::Hash;
@@ -14,7 +14,7 @@ use crate::settings::registry::REGISTRY;
 use crate::settings::value_at;
 
 impl Definition {
-    /// What tables and plots of these points need to know.
+    /// Returns what tables and plots of these points need to know.
     pub fn table(&self, name: &str, points: &[Point]) -> TableSpec {
         let must_match = must_match(&self.metrics, points);
         TableSpec {
@@ -31,8 +31,8 @@ impl Definition {
     }
 }
 
-/// Columns of the protocol that must be equal in all rows of a scene: all of the evaluation, but for those that the points of one
-/// seed differ in by definition.
+/// Returns the protocol columns that must be equal in all rows of a scene: all columns of the evaluation, except those
+/// that the definition varies within a seed.
 pub(super) fn must_match(metrics: &[String], points: &[Point]) -> Vec<String> {
     let varied = varied(points, |point| (point.scene.as_str(), point.config.seed));
     let must_agree = COLUMNS.iter().filter(|column| match column.agreement {
@@ -44,13 +44,13 @@ pub(super) fn must_match(metrics: &[String], points: &[Point]) -> Vec<String> {
     must_agree.map(|column| column.name.to_string()).collect()
 }
 
-/// Those of the columns that must be equal in which points of a scene differ by definition, seed by seed.
+/// Returns those of the columns in which points of a scene differ by definition, seed by seed.
 pub(super) fn by_seed(must_match: &[String], points: &[Point]) -> Vec<String> {
     let varied = varied(points, |point| point.scene.as_str());
     must_match.iter().filter(|column| varied.contains(column.as_str())).cloned().collect()
 }
 
-/// Columns that follow a setting in which points of one group differ.
+/// Returns the columns of settings that differ between points of one group.
 fn varied<'p, K: Hash + Eq>(points: &'p [Point], group: impl Fn(&'p Point) -> K) -> BTreeSet<&'static str> {
     let tables: Vec<Table> = points.iter().map(|point| point.config.to_table()).collect();
     let mut firsts: HashMap<K, &Table> = HashMap::new();

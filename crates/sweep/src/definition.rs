@@ -1,4 +1,4 @@
-//! A sweep as its file describes it: what all points share, named rows, axes, seeds, scenes.
+//! A sweep as its file describes it: shared settings, named rows, axes, seeds and scenes.
 
 use std::collections::{BTreeMap, HashMap};
 use std::path::Path;
@@ -17,51 +17,51 @@ use crate::report::{AxisValue, PublishedKey, RowSpec};
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Definition {
-    /// What the table answers, one line.
+    /// The question that the table answers, in one line.
     pub title: String,
-    /// Settings that every point starts from.
+    /// Preset that every point starts from.
     pub preset: String,
     /// Scene folders below the data root, or `builtin`, `builtin-forward`.
     pub scenes: Vec<String>,
-    /// Every row is trained once with each.
+    /// Every row is trained once with each seed.
     pub seeds: Vec<u64>,
-    /// What the table shows, best first.
+    /// The table's metrics, the most important first.
     #[serde(default = "default_metrics")]
     pub metrics: Vec<String>,
-    /// The row that others are compared with, seed by seed; a row may name another.
+    /// The row that others are compared with, seed by seed. A row may name another.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub baseline: Option<String>,
-    /// The table of the paper that this one answers: `tab4`.
+    /// The table of the paper to compare with: `tab4`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub published: Option<String>,
     /// Condition of the published rows: `clean`, `gaussian_noise`, ...
     #[serde(default = "clean")]
     pub condition: String,
-    /// Methods that the published table has and this program has not: their rows carry the paper's numbers alone.
+    /// Published methods that this program does not have. Their rows hold the paper's numbers only.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub quoted: Vec<String>,
     /// How axes combine.
     #[serde(default)]
     pub combine: Combine,
-    /// Metrics with the largest difference to a baseline that counts as none, in the metric's unit.
+    /// Per metric, the largest difference to a baseline that counts as equivalent, in the metric's unit.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub equivalence: BTreeMap<String, f64>,
-    /// What rows have in common instead of steps.
+    /// The cost that rows share, in place of the number of steps.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub budget: Option<Budget>,
-    /// Settings of every point over the preset's, by their dotted names.
+    /// Settings of every point, by their dotted names. They override the preset.
     #[serde(default)]
     pub set: Table,
-    /// Settings that go with the seed, each a list: a seed takes its entry number `seed mod length`.
+    /// Settings that depend on the seed, each a list: a seed takes entry number `seed mod length`.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub by_seed: BTreeMap<String, Vec<Value>>,
-    /// What of these the command line said, `preset` and settings: the title may speak of what the file says.
+    /// What the command line changed, `preset` and settings. The title may describe the file's values.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub changed: BTreeMap<String, Value>,
-    /// The table's rows, in its order.
+    /// The rows, in the table's order.
     #[serde(default)]
     pub row: Vec<Row>,
-    /// What is varied besides.
+    /// The axes that rows are varied along.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub axis: Vec<Axis>,
 }
@@ -78,67 +78,68 @@ fn clean() -> String {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Combine {
-    /// Every value of every axis with every other.
+    /// Every value of every axis, with every value of the others.
     #[default]
     Product,
-    /// One axis at a time, the others as the row has them.
+    /// One axis at a time; the others keep the row's values.
     OneAtATime,
 }
 
-/// Rows of equal cost: each gets as many steps as `like` costs with its own, and its learning rate
-/// falls over them as it would have over the row's own steps.
+/// Rows of equal cost. Each row gets as many steps as cost what all steps of `like` cost. Its learning rate falls over
+/// these steps as it would over the row's own.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Budget {
-    /// What is equal.
+    /// The quantity that is equal.
     #[serde(default)]
     pub kind: BudgetKind,
     /// The row whose `train.steps` sets the budget.
     pub like: String,
 }
 
-/// What rows of equal budget have in common.
+/// The quantity that rows of equal budget share.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum BudgetKind {
-    /// Network evaluations: passes forward or back through a network at one point. The same on every machine and day.
+    /// Network evaluations: forward or backward passes through a network at one point. They do not depend on the
+    /// machine.
     #[default]
     Evaluations,
-    /// Wall time of the steps, as measured on the machine that starts the sweep.
+    /// Wall time of the steps, measured on the machine that starts the sweep.
     Seconds,
 }
 
-/// One row of the table: a diff from what all points share.
+/// One row of the table: its differences from the shared settings.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Row {
-    /// As the table prints it.
+    /// The name in the table.
     pub name: String,
-    /// Settings that the row starts from instead of the sweep's.
+    /// Preset of this row, in place of the sweep's.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub preset: Option<String>,
     /// Settings by their dotted names.
     #[serde(default)]
     pub set: Table,
-    /// Not in the paper.
+    /// The paper does not have this row.
     #[serde(default, skip_serializing_if = "is_false")]
     pub ours: bool,
-    /// The paper's name of the row, where it is another.
+    /// The paper's name of the row, if it differs.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub published: Option<String>,
-    /// Condition of the published row, where it is another than the sweep's.
+    /// Condition of the published row, if it differs from the sweep's.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub condition: Option<String>,
-    /// Compared with this row instead of the sweep's baseline.
+    /// The row that this one is compared with, in place of the sweep's baseline.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub baseline: Option<String>,
-    /// `false`: the row has one point whatever the axes say, as a line to compare with.
+    /// If `false`, the row has one point only and no axis applies, as a reference line.
     #[serde(default = "yes", skip_serializing_if = "is_true")]
     pub axes: bool,
-    /// What is varied of this row, instead of the sweep's axes.
+    /// Axes of this row, in place of the sweep's.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub axis: Vec<Axis>,
-    /// A budget of its own instead of the sweep's.
+    /// Budget of this row, in place of the sweep's.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub budget: Option<Budget>,
 }
@@ -155,43 +156,43 @@ fn is_false(value: &bool) -> bool {
     !*value
 }
 
-/// What the command line changes in a definition.
+/// Changes to a definition from the command line.
 #[derive(Clone, Debug, Default)]
 pub struct Overrides {
-    /// Another preset.
+    /// Preset in place of the file's.
     pub preset: Option<String>,
-    /// Other scenes.
+    /// Scenes in place of the file's.
     pub scenes: Option<Vec<String>>,
-    /// Other seeds.
+    /// Seeds in place of the file's.
     pub seeds: Option<Vec<u64>>,
-    /// Further settings for all points, under what rows and axes set.
+    /// Settings for all points. Rows and axes override them.
     pub set: Vec<(Vec<String>, Value)>,
 }
 
 impl Definition {
-    /// The first of the metrics that is measured there.
+    /// Returns the first of the metrics in this scope.
     pub fn metric_in(&self, scope: Scope) -> Option<&'static Metric> {
         self.metrics.iter().filter_map(|key| Metric::find(key)).find(|metric| metric.scope == scope)
     }
 
-    /// Reads a sweep file, over the one that it extends if it does, and checks it as far as that is
-    /// possible without configurations.
+    /// Reads a sweep file, merged with the file that it extends, and checks what can be checked without
+    /// configurations.
     pub fn read(path: &Path) -> Result<Definition> {
         let table = extends::read(path)?;
         checked(Value::Table(table).try_into(), &path.display().to_string())
     }
 
-    /// A definition from text that extends nothing; `origin` names it in messages.
+    /// Parses a definition that extends no other; `origin` names it in messages.
     pub fn parse(text: &str, origin: &str) -> Result<Definition> {
         checked(toml::from_str(text), origin)
     }
 
-    /// The definition as TOML.
+    /// Returns the definition as TOML.
     pub fn to_toml(&self) -> String {
         toml::to_string(self).expect("a definition is plain data")
     }
 
-    /// Lays what the command line asks for over the file.
+    /// Applies the changes of the command line.
     pub fn apply(&mut self, overrides: Overrides) -> Result<()> {
         if let Some(preset) = overrides.preset.filter(|preset| *preset != self.preset) {
             self.changed.insert("preset".into(), preset.as_str().into());
@@ -214,7 +215,7 @@ impl Definition {
         self.check().map_err(Error::Config)
     }
 
-    /// The title with what the command line changed: `Ablation, 3,000 steps (with train.steps = 20)`.
+    /// Returns the title with the command line's changes: `Ablation, 3,000 steps (with train.steps = 20)`.
     pub(super) fn full_title(&self) -> String {
         if self.changed.is_empty() {
             return self.title.clone();
@@ -223,13 +224,13 @@ impl Definition {
         format!("{} (with {})", self.title, changed.join(", "))
     }
 
-    /// The row that a row is compared with; none for a baseline.
+    /// Returns the row that a row is compared with, or `None` for a baseline.
     fn baseline_of(&self, row: &Row) -> Option<String> {
         let named = row.baseline.as_ref().or(self.baseline.as_ref())?;
         (*named != row.name).then(|| named.clone())
     }
 
-    /// What is varied of a row.
+    /// Returns the axes of a row.
     pub fn axes_of<'a>(&'a self, row: &'a Row) -> &'a [Axis] {
         match (row.axes, row.axis.is_empty()) {
             (false, _) => &[],
@@ -238,12 +239,13 @@ impl Definition {
         }
     }
 
-    /// The sweep's axes, then those of rows.
+    /// Returns the sweep's axes, then those of rows.
     pub(super) fn all_axes(&self) -> impl Iterator<Item = &Axis> {
         self.axis.iter().chain(self.row.iter().flat_map(|row| &row.axis))
     }
 
-    /// Which axis each value is of, the first one that has it, and where on it: the definition's order.
+    /// Returns, for each value, its axis (the first with this value) and its position there, in the definition's
+    /// order.
     pub(super) fn axis_positions(&self) -> HashMap<AxisValue, (usize, usize)> {
         let mut positions = HashMap::new();
         for (index, axis) in self.all_axes().enumerate() {
@@ -254,7 +256,7 @@ impl Definition {
         positions
     }
 
-    /// The rows as tables know them, those that are quoted first.
+    /// Returns the rows as tables need them, the quoted ones first.
     pub fn rows(&self) -> Vec<RowSpec> {
         let key = |condition: Option<&String>, method: &str| {
             self.published.clone().map(|table| PublishedKey {
@@ -288,7 +290,7 @@ fn checked(parsed: std::result::Result<Definition, toml::de::Error>, origin: &st
     Ok(definition)
 }
 
-/// The name of a scene in tables: its folder's last component.
+/// Returns the name of a scene in tables: the last component of its folder.
 pub(super) fn scene_name(scene: &str) -> &str {
     scene.trim_end_matches('/').rsplit('/').next().unwrap_or(scene)
 }

@@ -7,22 +7,22 @@ use toml::{Table, Value};
 use crate::base::input::{TEXT_BYTES, read_named};
 use crate::base::{Error, Result};
 
-/// More points than anyone means, and so more rows.
+/// Most points, and so rows, of a sweep.
 pub(super) const MOST_POINTS: usize = 10_000;
 const EXTENDS: &str = "extends";
-/// Deeper than anyone means: most likely files that extend each other.
+/// Most files in a chain of `extends`; a longer chain is probably a cycle.
 const DEEPEST: usize = 8;
 
-/// The file's table laid over those of the files that it extends, each named relative to the one
-/// that extends it. Tables and rows of equal name are merged, key by key; a row with `remove = true`
-/// takes the row of its name out; anything else is replaced.
+/// Reads a file's table, merged over the files that it extends. A file names the next one relative to itself. Tables
+/// and rows of equal name are merged key by key. A row with `remove = true` removes the row of its name. Other values
+/// are replaced.
 pub fn read(path: &Path) -> Result<Table> {
     read_at(path, 0)
 }
 
 fn read_at(path: &Path, depth: usize) -> Result<Table> {
     let unreadable = |e: std::io::Error| {
-        // A scene's name, most likely.
+        // Probably the name of a scene.
         let tip = match (depth, path.extension()) {
             (0, None) => format!(
                 "; a sweep is a TOML file, which `augnerf sweep new` writes; `augnerf train --data {}` trains on a scene",
@@ -35,10 +35,10 @@ fn read_at(path: &Path, depth: usize) -> Result<Table> {
     let text = read_named(path, TEXT_BYTES).map_err(unreadable)?;
     let in_file = |message: String| Error::Config(format!("{}: {message}", path.display()));
     let mut table: Table = toml::from_str(&text).map_err(|e| in_file(e.to_string()))?;
-    // Before each is looked for among those of the file that this one extends.
+    // Check this before each row is looked up in the extended file.
     let rows = table.get("row").and_then(Value::as_array).map_or(0, Vec::len);
     if rows > MOST_POINTS {
-        return Err(in_file(format!("rows: {rows} are more than {MOST_POINTS}: split the sweep")));
+        return Err(in_file(format!("rows: {rows} is more than {MOST_POINTS}; split the sweep")));
     }
     let Some(base) = table.remove(EXTENDS) else {
         return Ok(table);
@@ -48,7 +48,7 @@ fn read_at(path: &Path, depth: usize) -> Result<Table> {
     };
     if depth == DEEPEST {
         return Err(in_file(format!(
-            "extends = \"{base}\" goes more than {DEEPEST} files deep; do they extend each other?"
+            "extends = \"{base}\" is more than {DEEPEST} files deep; check whether files extend each other"
         )));
     }
     let folder = path.parent().map_or_else(PathBuf::new, Path::to_path_buf);
@@ -69,7 +69,7 @@ fn lay_over(base: &mut Table, table: Table) {
     }
 }
 
-/// Rows of a known name are laid over it, others come after.
+/// Merges rows into those of equal name; new rows come after.
 fn merge_rows(base: &mut Vec<Value>, rows: Vec<Value>) {
     for row in rows {
         let name = row.get("name").cloned();

@@ -1,16 +1,16 @@
-//! The folder of a sweep: its definition, one folder a point, and what became of each point.
+//! The folder of a sweep: its definition, and one folder a point.
 //!
 //! ```text
-//! sweep.toml              the definition that the points below belong to
-//! points.json             the points that it asks for, with their configurations: fixed from then on
-//! begin.lock              held while these two are made
+//! sweep.toml              the definition of the points below
+//! points.json             the points, with their configurations; fixed from then on
+//! begin.lock              held while these two files are written
 //! step_seconds.json       measured seconds of a step, where budgets are in seconds
 //! points/ID/config.toml   the point's configuration, before its scene fills it
-//! points/ID/run/          the run folder, as `augnerf train` leaves it
+//! points/ID/run/          the run folder, as `augnerf train` writes it
 //! points/ID/result.json   metrics and protocol: the point is done
-//! points/ID/failed.json   why it is not
+//! points/ID/failed.json   why the point failed
 //! points/ID/claim.json    who works on it, and how far it is
-//! slurm/                  what was submitted to a cluster
+//! slurm/                  scripts, jobs and logs of a cluster
 //! ```
 
 use std::collections::{HashMap, HashSet};
@@ -33,15 +33,15 @@ use crate::report::{AxisValue, Record, Status};
 
 pub(super) const DEFINITION: &str = "sweep.toml";
 pub(super) const PLAN: &str = "points.json";
-/// Measured seconds of a step, in a sweep's folder and beside its tables.
+/// Measured seconds of a step, in a sweep's folder and next to its tables.
 pub(super) const STEP_SECONDS: &str = "step_seconds.json";
-/// Most bytes of it: those of as many points as a sweep may have.
+/// Size limit of `points.json` in bytes, enough for the most points that a sweep may have.
 const PLAN_BYTES: u64 = 64 << 20;
 const BEGIN_LOCK: &str = "begin.lock";
 const POINTS: &str = "points";
-/// What to do with a damaged list of points.
-const DELETE_PLAN: &str = "delete it, and `augnerf sweep run` writes it anew";
-/// Longer than any name of a point.
+/// Advice for a damaged list of points.
+const DELETE_PLAN: &str = "delete it, and `augnerf sweep run` writes it again";
+/// Length limit of a point's name.
 const LONGEST_ID: usize = 64;
 
 /// The folder of one sweep.
@@ -53,13 +53,13 @@ pub struct SweepFolder {
 /// `points.json`.
 #[derive(Serialize, Deserialize)]
 struct Plan {
-    /// Where scenes lay.
+    /// The data root when the folder was created.
     data_root: Option<PathBuf>,
     #[serde(deserialize_with = "few_points")]
     points: Vec<Point>,
 }
 
-/// Points, up to as many as a sweep has: the others are not read.
+/// Reads points up to the limit of a sweep; stops at the first one more.
 fn few_points<'de, D: Deserializer<'de>>(input: D) -> std::result::Result<Vec<Point>, D::Error> {
     struct Few;
     impl<'de> Visitor<'de> for Few {
@@ -83,19 +83,19 @@ fn few_points<'de, D: Deserializer<'de>>(input: D) -> std::result::Result<Vec<Po
     input.deserialize_seq(Few)
 }
 
-/// How a definition relates to the one that a folder was begun with.
+/// Relation of a definition to the one that a folder was created with.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Change {
     /// The folder is new.
     New,
-    /// They are equal.
+    /// The definitions are equal.
     None,
-    /// They differ.
+    /// The definitions differ.
     Changed,
 }
 
 impl SweepFolder {
-    /// The folder at `path`, whether it exists or not.
+    /// Refers to the folder at `path`, which need not exist.
     pub fn new(path: &Path) -> SweepFolder {
         SweepFolder { path: path.to_path_buf() }
     }
@@ -105,22 +105,22 @@ impl SweepFolder {
         &self.path
     }
 
-    /// A sweep was begun here.
+    /// Returns whether a sweep was created here.
     pub fn is_begun(&self) -> bool {
         self.path.join(PLAN).is_file() && self.path.join(DEFINITION).is_file()
     }
 
-    /// `step_seconds.json`.
+    /// Returns the path of `step_seconds.json`.
     pub fn step_seconds(&self) -> PathBuf {
         self.path.join(STEP_SECONDS)
     }
 
-    /// The definition that the folder was begun with.
+    /// Reads the definition that the folder was created with.
     pub fn definition(&self) -> Result<Definition> {
         let path = self.path.join(DEFINITION);
         let text = read_text(&path, TEXT_BYTES).map_err(|e| {
             Error::Checkpoint(format!(
-                "{} is not the folder of a sweep: cannot read {}: {e}; `augnerf sweep run FILE` makes one",
+                "{} is not a sweep folder: cannot read {}: {e}; `augnerf sweep run FILE` creates one",
                 self.path.display(),
                 path.display()
             ))
@@ -128,7 +128,7 @@ impl SweepFolder {
         Definition::parse(&text, &path.display().to_string())
     }
 
-    /// Compares a definition with the one that the folder was begun with.
+    /// Compares a definition with the one that the folder was created with.
     pub fn compare(&self, definition: &Definition) -> Result<Change> {
         if !self.path.join(DEFINITION).exists() {
             return Ok(Change::New);
@@ -136,7 +136,7 @@ impl SweepFolder {
         Ok(if self.definition()? == *definition { Change::None } else { Change::Changed })
     }
 
-    /// Makes the folder and keeps others from beginning it until the value is dropped.
+    /// Creates the folder and locks it until the returned file is dropped.
     pub fn lock(&self) -> Result<fs::File> {
         let points = self.path.join(POINTS);
         fs::create_dir_all(&points).map_err(|e| Error::unwritable(&points, &e))?;
@@ -155,13 +155,13 @@ impl SweepFolder {
         Ok(file)
     }
 
-    /// Writes what the folder is for: its points, then the definition that they belong to.
+    /// Writes the folder's points, then its definition.
     pub fn begin(&self, definition: &Definition, points: &[Point], data_root: Option<&Path>) -> Result<()> {
         let data_root = data_root.map(|root| std::path::absolute(root).unwrap_or_else(|_| root.to_path_buf()));
         self.write_plan(definition, Plan { data_root, points: points.to_vec() })
     }
 
-    /// The same beside a sweep's tables: for any machine, so without where scenes and weights lay on this one.
+    /// Writes the same next to a sweep's tables, without this machine's paths of scenes and weights.
     pub fn archive(&self, definition: &Definition, points: &[Point]) -> Result<()> {
         let mut points = points.to_vec();
         points.iter_mut().for_each(|point| point.locate(None));
@@ -173,8 +173,8 @@ impl SweepFolder {
         write_atomic(&self.path.join(DEFINITION), definition.to_toml().as_bytes())
     }
 
-    /// The points that the folder was begun with, their scenes looked for below `data_root` or
-    /// where they were then; none before it was begun.
+    /// Returns the folder's points, or `None` before they are written. Scenes are looked for below `data_root`, or
+    /// where they were when the folder was created.
     pub fn points(&self, data_root: Option<&Path>) -> Result<Option<Vec<Point>>> {
         let path = self.path.join(PLAN);
         let Some(Plan { data_root: then, mut points }) = read_large_json(&path, PLAN_BYTES, DELETE_PLAN)? else {
@@ -186,13 +186,13 @@ impl SweepFolder {
         Ok(Some(points))
     }
 
-    /// The folder of a point.
+    /// Returns the folder of a point.
     pub fn point(&self, id: &str) -> PointFolder {
         PointFolder::new(self.path.join(POINTS).join(id))
     }
 
-    /// All points as records, one for each place in the table, in the definition's order of scenes,
-    /// rows, axes and seeds.
+    /// Returns all points as records, one for each position in the table, in the definition's order of scenes, rows,
+    /// axes and seeds.
     pub fn records(&self, definition: &Definition, points: &[Point]) -> Result<Vec<Record>> {
         let mut records = Vec::new();
         for point in points {
@@ -205,7 +205,7 @@ impl SweepFolder {
                     axes: place.axes.clone(),
                     seed: Some(point.config.seed),
                     status: state.status,
-                    // What else a state has to say depends on the clock.
+                    // The rest of a state depends on the clock.
                     reason: match state.status {
                         Status::Failed | Status::NoData => state.reason.clone(),
                         _ => String::new(),
@@ -227,12 +227,12 @@ impl SweepFolder {
     }
 }
 
-/// Where each name stands in a list without repetitions.
+/// Returns the position of each name in a list without repetitions.
 fn positions<'a>(names: impl Iterator<Item = &'a str>) -> HashMap<&'a str, usize> {
     names.enumerate().map(|(index, name)| (name, index)).collect()
 }
 
-/// Brings the seeds of equal cells together, cells in order of first appearance.
+/// Groups the seeds of equal cells, cells in order of first appearance.
 fn group_seeds(records: Vec<Record>) -> Vec<Record> {
     let mut cells: Vec<Vec<Record>> = Vec::new();
     let mut known: HashMap<(String, String, Vec<AxisValue>), usize> = HashMap::new();
@@ -247,7 +247,8 @@ fn group_seeds(records: Vec<Record>) -> Vec<Record> {
     cells.into_iter().flatten().collect()
 }
 
-/// Refuses what `begin` would not have written: names of points become names of folders, those of scenes names of files.
+/// Returns an error for points that `begin` would not have written. Their names become names of folders, those of
+/// scenes names of files.
 fn check_points(points: &[Point]) -> std::result::Result<(), String> {
     let mut ids = HashSet::new();
     let is_id = |id: &str| {
@@ -257,13 +258,13 @@ fn check_points(points: &[Point]) -> std::result::Result<(), String> {
     for point in points {
         let id = &point.id;
         if !is_id(id) {
-            return Err(format!("a point's id is {id:?}, but an id has letters, digits and - alone"));
+            return Err(format!("a point's id is {id:?}, but an id has only letters, digits and -"));
         }
         if !ids.insert(id) {
             return Err(format!("two points have the id {id}"));
         }
         if point.places.is_empty() {
-            return Err(format!("point {id} has no place in the table (places is empty)"));
+            return Err(format!("point {id} has no position in the table (places is empty)"));
         }
         if point.scene != scene_name(&point.source) {
             return Err(format!("the scene of point {id} is {:?}, its source {:?}", point.scene, point.source));

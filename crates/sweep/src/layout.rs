@@ -1,4 +1,5 @@
-//! From a definition to configurations: each built, checked and its scene looked for, before anything is measured.
+//! From a definition to configurations. Each is built and checked, and its scene is located, before anything is
+//! measured.
 
 use std::path::{Path, PathBuf};
 
@@ -14,39 +15,39 @@ use crate::settings::{Config, Preset, build};
 use super::axes::{Axis, AxisPoint};
 use super::definition::{BudgetKind, Combine, Definition, Row, scene_name};
 
-/// A cell of the table.
+/// A row of the table with its values on axes.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct TablePosition {
     /// The row's name.
     pub row: String,
-    /// The values of axes.
+    /// The values on axes.
     pub axes: Vec<AxisValue>,
 }
 
-/// A place in the table with its configuration, its budget still to be applied.
+/// A configuration with its position in the table, before its budget is applied.
 #[derive(Clone)]
 pub struct PlannedRun {
     /// The scene's name.
     pub scene: String,
     /// The scene as the definition names it.
     pub source: String,
-    /// The configuration, with steps of its own.
+    /// The configuration, with its own number of steps.
     pub config: Config,
-    /// Steps in which its learning rate falls; none where the scene is not at hand.
+    /// Steps over which its learning rate falls, or `None` if the scene is missing.
     pub decay_steps: Option<u64>,
-    /// What it has in common with which other configuration instead of steps.
+    /// The budget's kind, and the configuration that it equals in cost; `None` if the row has its own steps.
     pub budget: Option<(BudgetKind, Config)>,
-    /// Why its scene cannot be read; none where it can.
+    /// Why its scene cannot be read, or `None` if it can.
     pub no_data: Option<String>,
-    /// Where it stands.
+    /// Its position in the table.
     pub place: TablePosition,
 }
 
-/// All places of a definition's table in the order in which points are run: seed by seed, so that a part of a sweep is a
-/// table already. `data_root` is where relative scenes lie.
+/// Builds the configurations of a definition's table, in the order in which points run. Points run seed by seed, so
+/// that part of a sweep already makes a table. Relative scenes are below `data_root`.
 ///
 /// # Errors
-/// A row whose settings are wrong, by its name.
+/// A row has wrong settings; the error names the row.
 pub fn lay_out(definition: &Definition, data_root: Option<&Path>) -> Result<Vec<PlannedRun>> {
     let preset = Preset::parse(&definition.preset)?;
     let mut planned = Vec::new();
@@ -67,10 +68,10 @@ fn named(axes: &Combination) -> Vec<AxisValue> {
     axes.iter().map(|(axis, point)| axis.named(point)).collect()
 }
 
-/// A place on each of some axes.
+/// One point of each of some axes.
 type Combination<'a> = Vec<(&'a Axis, AxisPoint)>;
 
-/// The places on axes that a row is trained at; one empty combination for a plain row.
+/// Returns the combinations of axis points for a row; one empty combination for a plain row.
 fn combinations<'a>(definition: &'a Definition, row: &'a Row) -> Result<Vec<Combination<'a>>> {
     let on_axis = |axis: &'a Axis| -> Result<Combination<'a>> {
         let points = axis.points().map_err(|message| Error::Config(format!("axis '{}': {message}", axis.name)))?;
@@ -91,7 +92,7 @@ fn combinations<'a>(definition: &'a Definition, row: &'a Row) -> Result<Vec<Comb
     })
 }
 
-/// Where a scene is; empty for the embedded ones.
+/// Returns the folder of a scene; empty for the built-in ones.
 pub(super) fn scene_folder(scene: &str, data_root: Option<&Path>) -> PathBuf {
     match scene {
         "builtin" | "builtin-forward" => PathBuf::new(),
@@ -99,8 +100,8 @@ pub(super) fn scene_folder(scene: &str, data_root: Option<&Path>) -> PathBuf {
     }
 }
 
-/// Why there is no scene where a configuration looks for it. One that is there and broken fails
-/// its points instead.
+/// Returns why a configuration's scene is missing, or `None`. A scene that exists but is damaged makes its points fail
+/// instead.
 pub(super) fn missing(config: &Config) -> Option<String> {
     reason_of(config, &locate_scene(config.clone()))
 }
@@ -112,13 +113,13 @@ fn reason_of<T>(config: &Config, located: &Result<T>) -> Option<String> {
     }
 }
 
-/// Refuses a budget that does not count what the method does.
+/// Returns an error if the budget does not count what the method does.
 fn check_budget(kind: BudgetKind, config: &Config) -> Result<()> {
     if kind == BudgetKind::Seconds || config.method.has_fields() {
         return Ok(());
     }
     Err(Error::Config(format!(
-        "budget.kind = \"evaluations\" counts passes through a field's network at points, and method {} has no such field; \
+        "budget.kind = \"evaluations\" counts passes through a field's network at points, and method {} has none; \
          set budget.kind = \"seconds\"",
         config.method.name()
     )))
@@ -137,8 +138,8 @@ impl Builder<'_> {
         let config = self.plain_config(row, axes)?;
         if let Some(metric) = self.definition.metric_in(Scope::Surface).filter(|_| !config.eval.mesh.is_compared()) {
             let message = format!(
-                "metric '{}' needs a surface and a mesh to compare it with, which eval.mesh.resolution = 0 and \
-                 eval.mesh.reference = \"none\" leave out: set the first to the cells along each side of the box, such as \
+                "metric '{}' needs a surface and a reference mesh, but eval.mesh.resolution is 0 and \
+                 eval.mesh.reference is \"none\"; set the resolution to the number of cells along each side of the box, such as \
                  128",
                 metric.key
             );
@@ -175,7 +176,7 @@ impl Builder<'_> {
             assignments.push((key.split('.').map(String::from).collect(), value));
         };
         self.definition.set.iter().for_each(|(table, value)| flatten(table, value, &mut assign));
-        // Not by the seed's place in the list: one and the same whichever seeds a command line runs.
+        // By the seed itself, not by its position in the list: the same for any seeds of a command line.
         for (key, values) in &self.definition.by_seed {
             assign(key, values[(self.seed % values.len() as u64) as usize].clone());
         }
@@ -194,12 +195,12 @@ impl Builder<'_> {
     }
 }
 
-/// The same error with the row that it is about.
+/// Adds the row's name to an error.
 fn in_row(row: &Row, axes: &Combination, error: Error) -> Error {
     error.within(&format!("row '{}'", label(&row.name, &named(axes))))
 }
 
-/// `a.b = v` and nested tables alike, as dotted names.
+/// Sets dotted names, from `a.b = v` and from nested tables alike.
 fn flatten(key: &str, value: &Value, assign: &mut impl FnMut(&str, Value)) {
     match value {
         Value::Table(table) => {

@@ -1,5 +1,4 @@
-//! Sweeps: a definition expanded to points, points run wherever there is room, tables and plots
-//! from what they left.
+//! Sweeps: a definition is expanded to points, workers run the points, and tables and plots are made of the results.
 //!
 //! ```text
 //! sweeps/NAME.toml ─► definition ─► points (one configuration and seed each, named by content)

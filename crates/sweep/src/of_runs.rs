@@ -1,4 +1,4 @@
-//! Single runs as the points of a table that no definition asked for.
+//! Single runs as the points of a table without a sweep definition.
 
 use std::path::{Path, PathBuf};
 
@@ -20,11 +20,11 @@ use crate::report::{Record, RowSpec, Status, TableSpec, distinct};
 use crate::run::RunDir;
 use crate::settings::Config;
 
-const ADVICE: &str = "`augnerf eval` writes it anew";
-/// So many differing settings stand in a row's name.
+const ADVICE: &str = "`augnerf eval` writes it again";
+/// Most differing settings in a row's name.
 const MOST_SETTINGS: usize = 3;
 
-/// Runs side by side: those that differ in nothing but the seed, or were given one name, are one row.
+/// A table of single runs. Runs that differ only in the seed, or have the same given name, are one row.
 pub struct RunsTable {
     spec: TableSpec,
     outputs: SweepOutputs,
@@ -47,14 +47,15 @@ struct SiteState {
 }
 
 impl RunsTable {
-    /// Of run folders, each under its name of `names` where there are any. The first row is what others are compared with.
+    /// Reads run folders, each under its name in `names` if names are given. The other rows are compared with the
+    /// first.
     ///
     /// # Errors
-    /// A folder that is no run, or was not evaluated; fewer or more names than runs.
+    /// A folder is not a run, or was not evaluated; the numbers of names and runs differ.
     pub fn read(runs: &[PathBuf], names: &[String]) -> Result<RunsTable> {
         if !names.is_empty() && names.len() != runs.len() {
             return Err(Error::Config(format!(
-                "--label: there are {} for {} runs; give one for each run, the same one for seeds of one row",
+                "--label: {} labels for {} runs; give one label a run, the same one for all seeds of a row",
                 names.len(),
                 runs.len()
             )));
@@ -71,7 +72,7 @@ impl RunsTable {
             let [path, _] = RunDir::metrics_in(run);
             let evaluated: Evaluated = read_json(&path, ADVICE)?.ok_or_else(|| {
                 Error::Checkpoint(format!(
-                    "{} was not evaluated: let its training end, or run `augnerf eval {0}`",
+                    "{} was not evaluated; complete its training, or run `augnerf eval {0}`",
                     run.display()
                 ))
             })?;
@@ -108,7 +109,7 @@ impl RunsTable {
         self.points.push(Point { id, scene, source, config, places, without_budget: false, no_data: None });
     }
 
-    /// Rows, metrics and title of what was read.
+    /// Sets rows, metrics and title after reading.
     fn finish(&mut self) {
         let records = &self.outputs.records;
         let shown = Metric::in_tables().filter(|metric| {
@@ -130,11 +131,11 @@ impl RunsTable {
             _ => format!("{} on {scenes}", names.join(", ")),
         };
         self.spec.must_match = must_match(&self.spec.metrics, &self.points);
-        // Runs of two seeds may differ in anything: nothing defines what they share.
+        // No definition says what runs of two seeds share, so they may differ in anything.
         self.spec.by_seed = by_seed(&self.spec.must_match, &self.points);
     }
 
-    /// The table, and the page as it lies in `folder`. Rows that differ in what is not varied are marked.
+    /// Returns the table, and the page for `folder`. Rows that differ in settings that are not varied are marked.
     pub fn page(&self, folder: &Path, with_timing: bool) -> Result<(Table, String)> {
         let inputs =
             TableInputs { spec: &self.spec, outputs: &self.outputs, points: &self.points, force: true, with_timing };
@@ -148,8 +149,9 @@ impl RunsTable {
     }
 }
 
-/// The row of each run where none is named: runs that differ in nothing but the seed are one. A row is called by its method and the
-/// settings that differ among the rows, or where another of its scene would be called so by its first run's `id`.
+/// Returns the row of each run if no names are given. Runs that differ only in the seed are one row. A row's name is
+/// its method with the settings that differ among the rows, or its first run's `id` if that name is ambiguous in a
+/// scene.
 fn row_names(configs: &[Config], ids: &[String]) -> Vec<String> {
     let key = |config: &Config| (config.data.name.clone(), Config { seed: 0, ..config.clone() }.hash());
     let mut rows: Vec<Vec<usize>> = Vec::new();
@@ -174,7 +176,7 @@ fn row_names(configs: &[Config], ids: &[String]) -> Vec<String> {
     names
 }
 
-/// Method and differing settings of each configuration: `aug-nerf (train.steps 4000)`.
+/// Returns method and differing settings of each configuration: `aug-nerf (train.steps 4000)`.
 fn called(configs: &[&Config]) -> Vec<String> {
     let differences = differing_settings(configs);
     let told = differences.iter().filter(|difference| !["method", "data.name"].contains(&difference.name.as_str()));

@@ -1,4 +1,5 @@
-//! What a sweep's points left behind, as tables and figures are made of it: read from their folders, kept beside the tables.
+//! Outputs of a sweep's points, the input of tables and figures: read from the points' folders, kept next to the
+//! tables.
 
 use std::collections::BTreeMap;
 use std::io::{Read, Write};
@@ -21,44 +22,44 @@ use super::folder::{STEP_SECONDS, SweepFolder};
 use super::points::Point;
 use super::scored::{SCORED, Scored};
 
-/// The logs of all points, beside the tables.
+/// The logs of all points, next to the tables.
 pub const SCALARS: &str = "scalars.csv.gz";
-/// No log of a sweep is as long: what unpacks to more is no such file.
+/// Limit on the unpacked log in bytes. No real log is as long.
 const MOST_UNPACKED: u64 = 1 << 28;
-/// Most bytes that a log takes in memory: twice what those of the largest shipped sweep take. Cells take ten times what they
-/// take in a file, and a file that is packed a thousand times less.
+/// Limit on a log in memory in bytes: twice the need of the largest shipped sweep. Cells take ten times their size in
+/// the file, and the file may be packed a thousandfold.
 const MOST_TAKEN: usize = 1 << 29;
 
-/// What a sweep's points left.
+/// The outputs of a sweep's points.
 #[derive(Clone, Debug, Default)]
 pub struct SweepOutputs {
-    /// The points, one record a place in the table.
+    /// The points, one record for each position in the table.
     pub records: Vec<Record>,
     /// Clock times of the points that are done.
     pub timing: Vec<PointTiming>,
-    /// Logs of the points that have one, by the points' names.
+    /// Logs by the points' names, for points that have one.
     pub scalars: BTreeMap<String, Scalars>,
-    /// Pictures of the points' surfaces, by the points' names: not kept beside the tables.
+    /// Images of the points' surfaces, by the points' names; not kept next to the tables.
     pub surfaces: BTreeMap<String, Image>,
-    /// Run folders of the points that are done, by the points' names: not kept beside the tables.
+    /// Run folders of the points that are done, by the points' names; not kept next to the tables.
     pub runs: BTreeMap<String, PathBuf>,
-    /// `step_seconds.json`, where budgets in seconds needed it.
+    /// `step_seconds.json`, if budgets in seconds needed it.
     pub step_seconds: Option<Vec<u8>>,
-    /// Pictures of other programs that stand in the table, too.
+    /// Scored images of other programs that are in the table.
     pub scored: Vec<Scored>,
 }
 
 /// A run's `scalars.csv`.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Scalars {
-    /// Names of the columns.
+    /// Column names.
     pub head: Vec<String>,
-    /// One row a logged step.
+    /// Cells, one row a logged step.
     pub rows: Vec<Vec<String>>,
 }
 
 impl SweepOutputs {
-    /// What is in the points' folders.
+    /// Reads the points' folders.
     pub fn of_folder(folder: &SweepFolder, definition: &Definition, points: &[Point]) -> Result<SweepOutputs> {
         let mut outputs = SweepOutputs {
             records: folder.records(definition, points)?,
@@ -80,10 +81,10 @@ impl SweepOutputs {
         Ok(outputs)
     }
 
-    /// Adds the files of a run that was measured.
+    /// Adds the files of a measured run.
     pub(super) fn read_run(&mut self, id: &str, run: &Path) -> Result<()> {
         self.runs.insert(id.into(), run.to_path_buf());
-        if let Some(timing) = read_json::<Timing>(&run.join("timing.json"), "delete it to go on")? {
+        if let Some(timing) = read_json::<Timing>(&run.join("timing.json"), "delete it to continue")? {
             self.timing.push((id.into(), clocks(&timing)));
         }
         if let Some(bytes) = optional(&run.join("scalars.csv"))? {
@@ -97,13 +98,13 @@ impl SweepOutputs {
         Ok(())
     }
 
-    /// The points and, behind them, the pictures of other programs.
+    /// Returns the points, then the scored images of other programs.
     pub fn all_records(&self) -> Vec<Record> {
         self.records.iter().cloned().chain(self.scored.iter().map(Scored::record)).collect()
     }
 
-    /// Writes what tables and figures can be made of again into their folder: the definition, the points with their
-    /// configurations, the measured step times and the logs.
+    /// Writes all inputs of tables and figures into their folder: the definition, the points with their
+    /// configurations, the step times and the logs.
     pub fn archive(&self, definition: &Definition, points: &[Point], results: &Path) -> Result<()> {
         SweepFolder::new(results).archive(definition, points)?;
         let scored = (!self.scored.is_empty()).then(|| json_bytes(&self.scored)).transpose();
@@ -113,7 +114,7 @@ impl SweepOutputs {
             let path = results.join(name);
             match bytes {
                 Some(bytes) => write_atomic(&path, &bytes)?,
-                // That of an earlier time belongs to other points.
+                // A file from an earlier time belongs to other points.
                 None if path.exists() => std::fs::remove_file(&path).map_err(|e| Error::unwritable(&path, &e))?,
                 None => {}
             }
@@ -121,7 +122,7 @@ impl SweepOutputs {
         Ok(())
     }
 
-    /// All logs as one table, each row under its point's name; none without any.
+    /// Returns all logs as one table, each row under its point's name, or `None` if there are none.
     fn packed_scalars(&self) -> Option<Vec<u8>> {
         let mut head: Vec<&str> = vec!["id"];
         for name in self.scalars.values().flat_map(|scalars| &scalars.head) {
@@ -161,24 +162,25 @@ impl Scalars {
         self.head.iter().position(|known| known == column)
     }
 
-    /// The numbers of a column.
+    /// Returns the numbers of a column.
     pub fn numbers(&self, column: &str) -> Vec<f64> {
         let Some(place) = self.place(column) else { return Vec::new() };
         self.rows.iter().filter_map(|row| row[place].parse().ok()).collect()
     }
 
-    /// A log's steps rise from row to row; a curve that ran back and forth would be long to draw, and show nothing.
+    /// Checks that steps rise from row to row. A curve that went back and forth would be slow to draw and show
+    /// nothing.
     fn check_rising(&self) -> std::result::Result<(), String> {
         let steps = self.numbers("step");
         match steps.windows(2).find(|pair| pair[0] >= pair[1]) {
             Some(pair) => {
-                Err(format!("step {} stands behind step {}, and steps rise from row to row", pair[1], pair[0]))
+                Err(format!("step {} follows step {}, but steps must rise from row to row", pair[1], pair[0]))
             }
             None => Ok(()),
         }
     }
 
-    /// The numbers of two columns, where a row has both.
+    /// Returns the numbers of two columns, for rows that have both.
     pub fn pairs(&self, x: &str, y: &str) -> Vec<(f64, f64)> {
         let Some((x, y)) = self.place(x).zip(self.place(y)) else { return Vec::new() };
         let number = |row: &Vec<String>, place: usize| row[place].parse::<f64>().ok();
@@ -186,7 +188,7 @@ impl Scalars {
     }
 }
 
-/// The logs that a results' folder keeps, by the points' names; nothing where it has none.
+/// Reads the logs that a results folder keeps, by the points' names; empty if it has none.
 pub fn read_scalars(results: &Path) -> Result<BTreeMap<String, Scalars>> {
     let path = results.join(SCALARS);
     let Some(bytes) = optional(&path)? else { return Ok(BTreeMap::new()) };
@@ -209,14 +211,14 @@ pub fn read_scalars(results: &Path) -> Result<BTreeMap<String, Scalars>> {
     Ok(by_point)
 }
 
-/// The same bytes for the same content: without a name or a time.
+/// Packs bytes without a name or a time, so that equal content gives equal bytes.
 fn packed(bytes: &[u8]) -> Vec<u8> {
     let mut writer = GzBuilder::new().write(Vec::new(), Compression::best());
     let written = writer.write_all(bytes).and_then(|()| writer.finish());
     written.expect("memory takes everything")
 }
 
-/// Name and value of each clock of a run.
+/// Returns name and value of each clock of a run.
 fn clocks(timing: &Timing) -> Vec<(String, Option<f64>)> {
     let clocks = [
         ("seconds_training", Some(timing.seconds_training)),
@@ -229,7 +231,7 @@ fn clocks(timing: &Timing) -> Vec<(String, Option<f64>)> {
     clocks.map(|(name, value)| (name.to_string(), value)).to_vec()
 }
 
-/// The bytes of a file; none where it does not exist.
+/// Reads a file, or returns `None` if it does not exist.
 pub fn optional(path: &Path) -> Result<Option<Vec<u8>>> {
     match read_bytes(path, TABLE_BYTES) {
         Ok(bytes) => Ok(Some(bytes)),

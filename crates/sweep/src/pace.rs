@@ -1,4 +1,4 @@
-//! How long the rest of a sweep takes, by what its points took so far.
+//! Estimates the remaining time of a sweep from the points that are done.
 
 use crate::base::files::read_json;
 use crate::runtime::Timing;
@@ -8,7 +8,7 @@ use super::folder::SweepFolder;
 use super::point_folder::PointFolder;
 use super::points::Point;
 
-/// Seconds that points took, by their network evaluations: points of one sweep differ many times in cost.
+/// Seconds that points took, by their network evaluations, since the costs of a sweep's points differ many times.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Pace {
     seconds: f64,
@@ -16,7 +16,7 @@ pub struct Pace {
 }
 
 impl Pace {
-    /// That of the points that are done, whoever trained them.
+    /// Reads the points that are done, of any worker.
     pub fn of(folder: &SweepFolder, points: &[&Point]) -> Pace {
         let mut pace = Pace::default();
         for point in points {
@@ -30,20 +30,20 @@ impl Pace {
         pace
     }
 
-    /// A point is done that took so many seconds.
+    /// Adds a point that took `seconds`.
     pub fn add(&mut self, point: &Point, seconds: f64) {
         self.seconds += seconds;
         self.evaluations += evaluations(point);
     }
 
-    /// Seconds of points, one after the other; none before one is done.
+    /// Returns the seconds of points, one after the other, or `None` before any point is done.
     pub fn seconds_of<'a>(&self, points: impl Iterator<Item = &'a Point>) -> Option<f64> {
         let rate = Some(self.seconds / self.evaluations).filter(|rate| rate.is_finite() && *rate > 0.0)?;
         Some(points.map(evaluations).sum::<f64>() * rate)
     }
 }
 
-/// Seconds of training and evaluation, as the run says; none where it does not.
+/// Returns the seconds of training and evaluation from the run's files, or `None` if they are missing.
 pub fn spent(folder: &PointFolder) -> Option<f64> {
     let timing: Timing = read_json(&folder.run().join("timing.json"), "").ok()??;
     Some(timing.seconds_training + timing.seconds_evaluation)

@@ -1,4 +1,4 @@
-//! `report.html` of a sweep, of a view of sweeps, of a results' folder or of single runs.
+//! `report.html` of a sweep, a view of sweeps, a results folder, or single runs.
 
 use std::path::{Component, Path, PathBuf};
 
@@ -11,13 +11,13 @@ use crate::report::tables::{Line, Table};
 use crate::report::{Status, distinct};
 use crate::run::FirstView;
 
-/// Rows of a scene whose pictures are shown at most.
+/// Most rows of a scene whose images are shown.
 const MOST_ROWS: usize = 24;
-/// Folders that a link goes up at most: beyond, page and runs lie in no common place.
+/// Most folders that a link goes up. Beyond that, page and runs have no common location.
 const MOST_UP: usize = 4;
 
 impl TableInputs<'_> {
-    /// The page of a table and its files, as it lies in `folder`.
+    /// Returns the page of a table and its files, for a page in `folder`.
     pub fn page(&self, table: &Table, files: &[File], folder: &Path) -> Result<String> {
         let outputs = self.outputs;
         let page = Page {
@@ -33,7 +33,7 @@ impl TableInputs<'_> {
     }
 }
 
-/// The first held-out view of each scene, as the first seed of each row shows it.
+/// Returns the first held-out view of each scene, as the first seed of each row renders it.
 fn views(table: &Table, outputs: &SweepOutputs) -> Result<Vec<ShownScene>> {
     let scenes = table.scenes();
     let mut shown = Vec::new();
@@ -46,7 +46,7 @@ fn views(table: &Table, outputs: &SweepOutputs) -> Result<Vec<ShownScene>> {
     Ok(shown)
 }
 
-/// None where no row has a picture.
+/// Returns `None` if no row has an image.
 fn view(scene: &str, lines: &[&Line], outputs: &SweepOutputs) -> Result<Option<ViewOfScene>> {
     let mut found: Option<ViewOfScene> = None;
     let (mut without, mut other) = (Vec::new(), Vec::new());
@@ -69,7 +69,7 @@ fn view(scene: &str, lines: &[&Line], outputs: &SweepOutputs) -> Result<Option<V
             rows: Vec::new(),
             left_out: Vec::new(),
         });
-        // Photographs differ where training views are corrupted in other ways, or in size.
+        // Photos differ if training views are corrupted in other ways, or have other sizes.
         if (name, truth) != (view.view.clone(), view.truth.clone()) {
             other.push(line.label.as_str());
             continue;
@@ -88,10 +88,10 @@ fn view(scene: &str, lines: &[&Line], outputs: &SweepOutputs) -> Result<Option<V
     Ok(found)
 }
 
-/// Where a folder lies as seen from another, as a relative address; none where they have nothing in common nearby.
+/// Returns a folder's relative address from another, or `None` if they have no common folder nearby.
 fn link(from: &Path, to: &Path) -> Option<String> {
     let parts = |path: &Path| -> Option<Vec<String>> {
-        // `..` in it would count as a folder to climb out of.
+        // A `..` in the path would count as a folder to leave.
         let path = path.canonicalize().or_else(|_| std::path::absolute(path)).ok()?;
         let part = |component: Component| Some(component.as_os_str().to_str()?.to_string());
         path.components().filter(|component| !matches!(component, Component::CurDir)).map(part).collect()
@@ -99,7 +99,7 @@ fn link(from: &Path, to: &Path) -> Option<String> {
     let (from, to) = (parts(from)?, parts(to)?);
     let common = from.iter().zip(&to).take_while(|(a, b)| a == b).count();
     let up = from.len() - common;
-    // Only the root, or a drive, is no common place.
+    // A root, or a drive, is not a common location.
     if up > MOST_UP || common < 2 {
         return None;
     }
@@ -107,7 +107,7 @@ fn link(from: &Path, to: &Path) -> Option<String> {
     Some(std::iter::repeat_n("..".to_string(), up).chain(down).map(|part| part + "/").fold("./".into(), |a, b| a + &b))
 }
 
-/// A part of a path as an address has it.
+/// Encodes a part of a path for an address.
 fn encoded(part: &str) -> String {
     let byte = |byte: u8| match byte {
         b'a'..=b'z' | b'A'..=b'Z' | b'0'..=b'9' | b'-' | b'_' | b'.' | b'~' => char::from(byte).to_string(),
@@ -116,14 +116,14 @@ fn encoded(part: &str) -> String {
     part.bytes().map(byte).collect()
 }
 
-/// Refuses a file that is no page of this program.
+/// Returns the page's path, or an error for a file that is not a page of this program.
 ///
 /// # Errors
-/// Something else lies there.
+/// Another file or a folder is there.
 pub fn check_page_place(path: &Path) -> Result<PathBuf> {
     let shown = path.display();
     if path.is_dir() {
-        return Err(Error::Output(format!("cannot write {shown}: a folder is in the way; give another --out")));
+        return Err(Error::Output(format!("cannot write {shown}: it is a folder; give another --out")));
     }
     let found = optional(path)?;
     let is_own = |bytes: &Vec<u8>| {
@@ -132,7 +132,7 @@ pub fn check_page_place(path: &Path) -> Result<PathBuf> {
     };
     match found.is_none_or(|bytes| is_own(&bytes)) {
         true => Ok(path.to_path_buf()),
-        false => Err(Error::Output(format!("{shown} is no page of this program: give another --out"))),
+        false => Err(Error::Output(format!("{shown} is not a page of this program; give another --out"))),
     }
 }
 
@@ -157,7 +157,7 @@ mod tests {
         let path = dir.path().join("a.html");
         assert!(check_page_place(&path).is_ok());
         std::fs::write(&path, "mine").unwrap();
-        assert!(check_page_place(&path).unwrap_err().to_string().contains("no page of this program"));
+        assert!(check_page_place(&path).unwrap_err().to_string().contains("not a page of this program"));
         assert!(check_page_place(dir.path()).is_err());
     }
 }

@@ -1,4 +1,4 @@
-//! The points of a sweep: decided once, when its folder is begun, and read from there afterwards.
+//! The points of a sweep, decided once when its folder is created and read from there afterwards.
 
 use std::collections::{BTreeMap, HashSet};
 use std::path::Path;
@@ -14,9 +14,8 @@ use super::points::{Point, apply_budgets};
 use super::step_seconds::{KeptCosts, Unknown};
 use super::training::{Cost, Trainings};
 
-/// The points that `folder` was begun with; a new folder is begun with those of `definition`. A
-/// folder of another definition is refused, or with `extend` goes on with this one. `measure` gives
-/// seconds of steps, where budgets ask for them.
+/// Returns the points of `folder`. A new folder is created with those of `definition`. A folder of another definition
+/// is an error, unless `extend` is set. `measure` gives the seconds of steps for budgets in seconds.
 pub fn begin(
     folder: &SweepFolder,
     definition: &Definition,
@@ -24,7 +23,7 @@ pub fn begin(
     extend: bool,
     measure: &dyn StepCosts,
 ) -> Result<Vec<Point>> {
-    // A wrong definition leaves no folder.
+    // A wrong definition must leave no folder.
     let planned = lay_out(definition, data_root)?;
     apply_budgets(&planned, &Unmeasured)?;
     let _lock = folder.lock()?;
@@ -50,7 +49,7 @@ pub fn begin(
     Ok(points)
 }
 
-/// Refuses a folder that was begun with another definition, as [`begin`] does without `extend`.
+/// Returns an error if the folder was created with another definition, as [`begin`] does without `extend`.
 pub fn check_unchanged(folder: &SweepFolder, definition: &Definition, data_root: Option<&Path>) -> Result<()> {
     if folder.compare(definition)? != Change::Changed {
         return Ok(());
@@ -63,17 +62,17 @@ pub fn check_unchanged(folder: &SweepFolder, definition: &Definition, data_root:
     Err(refusal(folder, &planned, &before))
 }
 
-/// Points that cost the same: of equal steps and shape.
+/// Points of equal cost: the same number of steps and the same shape.
 pub struct CostGroup<'a> {
-    /// Points of one shape and number of steps, which cost the same.
+    /// The points.
     pub points: &'a [&'a Point],
-    /// What their shape costs here.
+    /// Cost of their shape on this machine.
     pub cost: Cost,
-    /// Seconds of one of them.
+    /// Seconds of one point.
     pub seconds: f64,
 }
 
-/// Measures what points cost on this machine, each shape once, and hands each group over as soon as it is known.
+/// Measures the cost of points on this machine, each shape once. `each` receives a group as soon as its cost is known.
 pub fn plan_costs(
     points: &[&Point],
     trainings: &Trainings,
@@ -84,7 +83,7 @@ pub fn plan_costs(
         groups.entry((point.config.step_shape(), point.config.train.steps)).or_default().push(point);
     }
     let mut known: Option<(&str, Cost)> = None;
-    // Groups of one shape follow one another.
+    // Groups of one shape are adjacent.
     for ((shape, steps), points) in &groups {
         let cost = match known {
             Some((same, cost)) if same == shape => cost,
@@ -96,13 +95,13 @@ pub fn plan_costs(
     Ok(())
 }
 
-/// A scene has come since, so that budgets which hang on it are known.
+/// Returns whether a missing scene has arrived, so that budgets that depend on it are known.
 fn budgets_can_be_applied(points: &[Point]) -> bool {
     points.iter().any(|point| point.without_budget && point.no_data.is_none())
 }
 
-/// The points of a definition that says in other words what `before` said, such as `perturb.levels` in place of sites' passes,
-/// or changes what makes no other experiment, such as `train.eval_every`: they are the same points, and nothing else differs.
+/// Returns the points if a changed definition has the same points and nothing else differs, otherwise `None`. Examples
+/// are `perturb.levels` in place of the passes of sites, and a new `train.eval_every`, which no hash includes.
 fn reworded(
     before: &Definition,
     definition: &Definition,
@@ -134,22 +133,22 @@ fn refusal(folder: &SweepFolder, planned: &[PlannedRun], before: &[Point]) -> Er
                 from.iter().filter(|point| !known.contains(point.id.as_str())).count()
             };
             format!(
-                ": this one has {} points that it had not, and lacks {} that it had",
+                ": this one adds {} points and lacks {} of the old ones",
                 missing(&now, before),
                 missing(before, &now)
             )
         }
-        // Budgets in seconds would have to be measured first.
+        // Budgets in seconds must be measured first.
         Err(_) => String::new(),
     };
     Error::Config(format!(
-        "{} was begun with another definition{counted}; --extend goes on with this definition (nothing is deleted), \
+        "{} was created with another definition{counted}; --extend accepts this definition (nothing is deleted), \
          another --name or --out starts a new sweep",
         folder.path().display()
     ))
 }
 
-/// Any numbers, other ones for other shapes: enough to see whether a definition is right.
+/// Arbitrary seconds that differ between shapes; enough to check a definition.
 struct Unmeasured;
 
 impl StepCosts for Unmeasured {

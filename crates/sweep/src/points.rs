@@ -1,4 +1,4 @@
-//! The points of a sweep: places of its table, each with a configuration of its own or one that others share.
+//! Points of a sweep: positions in its table, each with a configuration that several rows may share.
 
 use std::collections::{HashMap, HashSet};
 use std::path::Path;
@@ -13,51 +13,51 @@ use super::budget::{StepCosts, steps_within};
 use super::definition::{BudgetKind, Definition};
 use super::layout::{PlannedRun, TablePosition, lay_out, missing, scene_folder};
 
-/// Ends the name of a point whose budget could not be told.
+/// Suffix of the name of a point whose budget is unknown.
 pub(super) const WITHOUT_BUDGET: &str = "-without-budget";
 
-/// One training: a configuration with its seed. Rows that come to the same share it.
+/// One training: a configuration with its seed. Rows with equal configurations share it.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Point {
-    /// Content hash of the configuration: the name of the point's folder.
+    /// Content hash of the configuration; names the point's folder.
     pub id: String,
     /// The scene's name.
     pub scene: String,
     /// The scene as the definition names it.
     pub source: String,
-    /// The configuration before its scene fills what depends on it.
+    /// The configuration before the scene's values fill it.
     pub config: Config,
-    /// Where it stands in the table; at least one place.
+    /// Its positions in the table; at least one.
     pub places: Vec<TablePosition>,
-    /// Its steps are those of a budget that could not be told without the scene.
+    /// The budget needs the scene, which is missing; the steps are the row's own.
     pub without_budget: bool,
-    /// Why its scene cannot be read; none where it can.
+    /// Why its scene cannot be read, or `None` if it can.
     #[serde(skip)]
     pub no_data: Option<String>,
 }
 
 impl Point {
-    /// For a person: scene, row, seed.
+    /// Returns a label for people: row, scene, seed.
     pub fn label(&self) -> String {
         let place = &self.places[0];
         format!("{} · {} · seed {}", label(&place.row, &place.axes), self.scene, self.config.seed)
     }
 
-    /// Looks for the scene below `data_root`.
+    /// Locates the scene below `data_root`.
     pub(super) fn locate(&mut self, data_root: Option<&Path>) {
         self.config.data.dir = scene_folder(&self.source, data_root).to_string_lossy().into_owned();
         self.no_data = missing(&self.config);
     }
 }
 
-/// A definition's points: laid out, then given the steps of their budgets.
+/// Expands a definition to its points, with the steps of their budgets.
 ///
 /// ```
 /// use augnerf::base::Result;
 /// use augnerf::settings::Config;
 /// use augnerf::sweep::{Definition, StepCosts, expand};
 ///
-/// /// Where budgets are counted in seconds, a step's are measured.
+/// /// With budgets in seconds, the seconds of a step are measured.
 /// struct OneSecond;
 /// impl StepCosts for OneSecond {
 ///     fn seconds_per_step(&self, _: &Config) -> Result<f64> {
@@ -86,10 +86,10 @@ pub fn expand(definition: &Definition, data_root: Option<&Path>, costs: &dyn Ste
     apply_budgets(&lay_out(definition, data_root)?, costs)
 }
 
-/// Points of what is laid out. Places of one configuration share a point.
+/// Turns planned runs into points. Runs with equal configurations share a point.
 ///
 /// # Errors
-/// Two rows that are the same experiment.
+/// Two rows are the same configuration.
 pub(super) fn apply_budgets(planned: &[PlannedRun], costs: &dyn StepCosts) -> Result<Vec<Point>> {
     costs.prepare(&timed(planned))?;
     let mut points: Vec<Point> = Vec::new();
@@ -103,7 +103,7 @@ pub(super) fn apply_budgets(planned: &[PlannedRun], costs: &dyn StepCosts) -> Re
         };
         if let Some(same) = others.iter().find(|other| is_same_row(other, planned)) {
             return Err(Error::Config(format!(
-                "rows '{}' and '{}' are the same experiment; change or remove one",
+                "rows '{}' and '{}' have the same configuration; change or remove one",
                 same.place.row, planned.place.row
             )));
         }
@@ -113,7 +113,7 @@ pub(super) fn apply_budgets(planned: &[PlannedRun], costs: &dyn StepCosts) -> Re
     Ok(points)
 }
 
-/// One configuration of each shape whose seconds budgets hang on.
+/// Returns one configuration of each shape whose seconds a budget needs.
 fn timed(planned: &[PlannedRun]) -> Vec<&Config> {
     let mut known = HashSet::new();
     let in_seconds =
@@ -124,19 +124,20 @@ fn timed(planned: &[PlannedRun]) -> Vec<&Config> {
     in_seconds.flatten().filter(|config| known.insert(config.step_shape())).collect()
 }
 
-/// Two rows that come to one configuration are one by mistake. Budgets of two kinds may come to the same steps.
+/// Returns whether two rows with the same configuration are a mistake. Budgets of two kinds may give the same steps.
 fn is_same_row(a: &PlannedRun, b: &PlannedRun) -> bool {
     let kind = |planned: &PlannedRun| planned.budget.as_ref().map(|(kind, _)| *kind);
     let budgets_differ = kind(a).is_some() && kind(b).is_some() && kind(a) != kind(b);
     a.place.row != b.place.row && a.place.axes == b.place.axes && !budgets_differ
 }
 
-/// The point of one place.
+/// Returns the point of one planned run.
 pub(super) fn point(planned: &PlannedRun, costs: &dyn StepCosts) -> Result<Point> {
     let mut config = planned.config.clone();
     if let (Some((kind, like)), Some(decay_steps)) = (&planned.budget, planned.decay_steps) {
         let steps = steps_within(*kind, &config, like, costs)?;
-        // The decay of the learning rate is stretched too: at the old one a long run would stand still at its end.
+        // The decay of the learning rate is stretched with the steps. Without it a longer run would not learn at its
+        // end.
         let stretch = steps as f64 / config.train.steps as f64;
         config.train.decay_steps = Some(((decay_steps as f64 * stretch).round() as u64).max(1));
         config.train.steps = steps;
@@ -145,7 +146,7 @@ pub(super) fn point(planned: &PlannedRun, costs: &dyn StepCosts) -> Result<Point
     }
     let without_budget = planned.budget.is_some() && planned.decay_steps.is_none();
     Ok(Point {
-        // Not the point that the row would be without its budget.
+        // The name differs from that of the row without a budget.
         id: config.hash() + if without_budget { WITHOUT_BUDGET } else { "" },
         scene: planned.scene.clone(),
         source: planned.source.clone(),

@@ -1,4 +1,4 @@
-//! `provenance.toml`: which code made a results' folder, and what of it cannot be made again.
+//! `provenance.toml`: the code that made a results folder, and which of its files cannot be made again.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -17,40 +17,40 @@ use super::words::check_name;
 /// The file's name.
 pub const PROVENANCE: &str = "provenance.toml";
 
-/// Where a results' folder comes from.
+/// The origin of a results folder.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Provenance {
-    /// The sweep's name, as its tables print it.
+    /// The sweep's name, as in its tables.
     pub name: String,
-    /// Revision of the code that its points were made by.
+    /// Revision of the code that made its points.
     pub code_revision: String,
-    /// Settings that its revision did not have: no part of its points' names.
+    /// Settings that this revision did not have; they are not part of the points' names.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub settings_since: Vec<String>,
-    /// Settings whose default has changed since, with what it was.
+    /// Settings whose default has changed since, with the old default.
     #[serde(default, skip_serializing_if = "Table::is_empty")]
     pub defaults_then: Table,
-    /// Files that cannot be made again from what is kept, with the SHA-256 of what they hold.
+    /// Files that cannot be made again from what is kept, with the SHA-256 of their content.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub pinned: BTreeMap<String, String>,
-    /// What is not kept, or not checked, with the reason.
+    /// What is not kept or not checked, with the reason.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub missing: Vec<Missing>,
 }
 
-/// Something that a results' folder lacks.
+/// A part that a results folder lacks.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Missing {
-    /// A file, or what could be checked with it.
+    /// A file, or a check that needs it.
     pub what: String,
-    /// Why it is not there.
+    /// The reason.
     pub why: String,
 }
 
 impl Provenance {
-    /// That of points which were all collected just now.
+    /// Returns the provenance of points that were all collected now.
     pub fn of(name: &str, records: &[Record]) -> Provenance {
         let mut revisions: Vec<&str> = Vec::new();
         for record in records.iter().filter(|record| record.status == Status::Done) {
@@ -68,7 +68,7 @@ impl Provenance {
         Provenance { name: name.into(), code_revision: revisions.join(", "), missing, ..Provenance::default() }
     }
 
-    /// That of a results' folder; none where it has none.
+    /// Reads the provenance of a results folder, or returns `None` if it has none.
     pub fn read(results: &Path) -> Result<Option<Provenance>> {
         let path = results.join(PROVENANCE);
         let text = match read_text(&path, TEXT_BYTES) {
@@ -82,7 +82,7 @@ impl Provenance {
         Ok(Some(read))
     }
 
-    /// Pinned files lie in the folder itself, and the sweep's name can be printed.
+    /// Checks that pinned files are in the folder itself and that the sweep's name can be printed.
     fn check_names(&self) -> std::result::Result<(), String> {
         check_name("the sweep's name", &self.name)?;
         let is_plain = |name: &str| Path::new(name).file_name().is_some_and(|plain| plain == name);
@@ -92,14 +92,14 @@ impl Provenance {
         }
     }
 
-    /// Writes it into a results' folder.
+    /// Writes it into a results folder.
     pub fn write(&self, results: &Path) -> Result<()> {
         let text = toml::to_string(self).expect("plain data");
         write_atomic(&results.join(PROVENANCE), text.as_bytes())
     }
 }
 
-/// A file's SHA-256 in hexadecimal digits.
+/// Returns a file's SHA-256 in hexadecimal digits.
 pub fn sha256(bytes: &[u8]) -> String {
     Sha256::digest(bytes).iter().map(|byte| format!("{byte:02x}")).collect()
 }

@@ -1,8 +1,8 @@
-//! Rows of a sweep's table that were not trained here: pictures of another program, scored under our protocol.
+//! Rows of a sweep's table that were not trained here: images of another program, scored under our protocol.
 //!
 //! ```text
-//! runs/NAME/scored/HASH.json      one set of pictures: `augnerf score --into` writes it
-//! results/NAME/scored.json        all of them, beside the tables that show them
+//! runs/NAME/scored/HASH.json      one set of images, written by `augnerf score --into`
+//! results/NAME/scored.json        all sets, next to the tables that show them
 //! ```
 
 use std::collections::HashSet;
@@ -21,15 +21,15 @@ use super::definition::{Definition, scene_name};
 use super::folder::SweepFolder;
 use super::words::check_name;
 
-/// All sets of a sweep, beside its tables.
+/// All sets of a sweep, next to its tables.
 pub const SCORED: &str = "scored.json";
-/// Where they lie in the sweep's folder.
+/// Their folder in the sweep's folder.
 const FOLDER: &str = "scored";
-/// More than anyone renders.
+/// Most sets of images.
 const MOST: usize = 10_000;
-const DELETE: &str = "delete it, and score the pictures again";
+const DELETE: &str = "delete it, and score the images again";
 
-/// A set of pictures with what was measured of it.
+/// A set of images with its measurements.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Scored {
@@ -37,25 +37,25 @@ pub struct Scored {
     pub row: String,
     /// The scene's name.
     pub scene: String,
-    /// The seed that it stands for; none of a single set, which is compared with nothing.
+    /// The seed, or `None` for a single set, which is compared with no row.
     pub seed: Option<u64>,
-    /// SHA-256 over the names and the bytes of the pictures.
+    /// SHA-256 over the names and bytes of the images.
     pub predictions_sha256: String,
-    /// The same of what they were held against, by the names and the 8-bit values of its views.
+    /// The same for the ground truth, over the names and 8-bit values of its views.
     pub truth: String,
     /// Means over the views.
     pub metrics: Vec<(String, Option<f64>)>,
-    /// The fields of the protocol that are known.
+    /// The known fields of the protocol.
     pub protocol: Vec<(String, String)>,
 }
 
 impl Scored {
-    /// What the table calls the set: by its content.
+    /// Returns the set's id in tables: a hash of its content.
     pub fn id(&self) -> String {
         format!("scored-{}", self.predictions_sha256.chars().take(12).collect::<String>())
     }
 
-    /// As tables take it.
+    /// Returns the set as a record for tables.
     pub(super) fn record(&self) -> Record {
         Record {
             id: self.id(),
@@ -75,7 +75,7 @@ impl Scored {
         (&self.row, &self.scene, self.seed)
     }
 
-    /// One set a place: a second one takes the first one's file.
+    /// Returns the set's file name. There is one set for each position; a new set replaces the old file.
     fn file(&self) -> String {
         let place = serde_json::to_vec(&self.place()).expect("plain data");
         format!("{}.json", short_hash(Sha256::new().chain_update(place)))
@@ -84,15 +84,19 @@ impl Scored {
     fn check(&self, definition: &Definition) -> std::result::Result<(), String> {
         check_name("the scored row's name", &self.row)?;
         if self.row.trim().is_empty() {
-            return Err("the scored row's name is blank: give it the name that the table prints".into());
+            return Err("the scored row's name is blank; give it a name for the table".into());
         }
         let rows = definition.rows();
         if rows.iter().any(|row| row.name == self.row) {
-            return Err(format!("the row '{}' is one of the sweep's own: give the scored one another name", self.row));
+            return Err(format!("the row '{}' is one of the sweep's own; give the scored row another name", self.row));
         }
         if !definition.scenes.iter().any(|scene| scene_name(scene) == self.scene) {
             let scenes: Vec<&str> = definition.scenes.iter().map(|scene| scene_name(scene)).collect();
-            return Err(format!("the scene '{}' is none of the sweep's, which are {}", self.scene, scenes.join(", ")));
+            return Err(format!(
+                "the scene '{}' is not in the sweep; its scenes are {}",
+                self.scene,
+                scenes.join(", ")
+            ));
         }
         if let Some((name, _)) = self.metrics.iter().find(|(_, value)| value.is_some_and(|value| !value.is_finite())) {
             return Err(format!("its {name} is not a finite number"));
@@ -102,7 +106,7 @@ impl Scored {
 }
 
 impl SweepFolder {
-    /// The sets of pictures that were scored into the sweep, by row, scene and seed.
+    /// Returns the sets that were scored into the sweep, by row, scene and seed.
     pub fn scored(&self, definition: &Definition) -> Result<Vec<Scored>> {
         let folder = self.path().join(FOLDER);
         let entries = match std::fs::read_dir(&folder) {
@@ -125,11 +129,11 @@ impl SweepFolder {
         Ok(all)
     }
 
-    /// Adds a set, in place of an earlier one of the same row, scene and seed.
+    /// Adds a set; it replaces an earlier one of the same row, scene and seed.
     ///
     /// # Errors
-    /// A row of the sweep's own; a scene that it has not; [`Error::NotComparable`] where what is known of the pictures is not
-    /// what the sweep's points were measured by.
+    /// The row is one of the sweep's own; the sweep does not have the scene; [`Error::NotComparable`] if the known
+    /// protocol of the images differs from that of the sweep's points.
     pub fn add_scored(&self, scored: &Scored, spec: &TableSpec, points: &[Record]) -> Result<PathBuf> {
         let definition = self.definition()?;
         scored.check(&definition).map_err(Error::Config)?;
@@ -137,7 +141,7 @@ impl SweepFolder {
         let known = self.scored(&definition)?;
         if known.iter().filter(same_row).any(|other| other.seed.is_some() != scored.seed.is_some()) {
             return Err(Error::Config(format!(
-                "row '{}' has sets with a seed and would have one without: give each one, or another row",
+                "row '{}' would have sets with and without a seed; give each set a seed, or name another row",
                 scored.row
             )));
         }
@@ -145,7 +149,7 @@ impl SweepFolder {
             |other: &&Scored| other.predictions_sha256 == scored.predictions_sha256 && other.seed != scored.seed;
         if let Some(other) = known.iter().filter(same_row).find(same_pictures) {
             return Err(Error::Config(format!(
-                "row '{}' has these very pictures as seed {}: render those of seed {}, or delete {}",
+                "row '{}' has the same images as seed {}; render the images of seed {}, or delete {}",
                 scored.row,
                 other.seed.unwrap_or_default(),
                 scored.seed.unwrap_or_default(),
@@ -158,7 +162,7 @@ impl SweepFolder {
             let differing = disagreements(&spec, &own, first);
             let words = differing.iter().map(|field| {
                 format!(
-                    "{field} is `{}` of the pictures and `{}` of the sweep",
+                    "{field} is `{}` for the images and `{}` for the sweep",
                     own.protocol(field),
                     first.protocol(field)
                 )
@@ -166,7 +170,7 @@ impl SweepFolder {
             let words: Vec<String> = words.collect();
             if !words.is_empty() {
                 return Err(Error::NotComparable(format!(
-                    "the pictures cannot stand in the table of scene {}: {}; render and score what the sweep's points show",
+                    "the images do not compare with the points of scene {}: {}; render and score the views of the sweep's points",
                     scored.scene,
                     words.join(", ")
                 )));
@@ -180,7 +184,7 @@ impl SweepFolder {
     }
 }
 
-/// The sets that a results' folder keeps.
+/// Reads the sets that a results folder keeps.
 pub fn read_scored(results: &Path, definition: &Definition) -> Result<Vec<Scored>> {
     let file = results.join(SCORED);
     let all: Vec<Scored> = read_json(&file, "delete it, and collect the sweep again")?.unwrap_or_default();
@@ -189,12 +193,13 @@ pub fn read_scored(results: &Path, definition: &Definition) -> Result<Vec<Scored
     Ok(all)
 }
 
-/// Refuses what `score --into` would not have written.
+/// Returns an error for sets that `score --into` would not have written.
 fn check(all: &[Scored], definition: &Definition, file: &Path) -> Result<()> {
     refuse(file, all.iter().find_map(|scored| scored.check(definition).err()))
 }
 
-/// One set a row, scene and seed, and one seed a set: the same pictures under two seeds would have no spread.
+/// Checks that a row, scene and seed have one set, and that two seeds have different images. Equal images would have
+/// no spread.
 fn check_places(all: &[Scored], file: &Path) -> Result<()> {
     let (mut places, mut sets) = (HashSet::new(), HashSet::new());
     let found = all.iter().find_map(|scored| {
@@ -203,17 +208,17 @@ fn check_places(all: &[Scored], file: &Path) -> Result<()> {
         let set = sets.insert((row, scene, predictions_sha256));
         (!place)
             .then(|| format!("row '{row}' has two sets of one seed on scene {scene}"))
-            .or_else(|| (!set).then(|| format!("row '{row}' has the same pictures under two seeds on scene {scene}")))
+            .or_else(|| (!set).then(|| format!("row '{row}' has the same images under two seeds on scene {scene}")))
     });
-    refuse(file, (all.len() > MOST).then(|| format!("more than {MOST} sets of pictures")).or(found))
+    refuse(file, (all.len() > MOST).then(|| format!("more than {MOST} sets of images")).or(found))
 }
 
 fn refuse(file: &Path, found: Option<String>) -> Result<()> {
     found.map_or(Ok(()), |found| Err(Error::Checkpoint(format!("cannot use {}: {found}; {DELETE}", file.display()))))
 }
 
-/// The rows of a table with those that were scored behind them. One whose sets all have a seed is compared with the
-/// baseline, seed by seed.
+/// Adds the scored rows after the others. A row whose sets all have a seed is compared with the baseline, seed by
+/// seed.
 pub(super) fn with_scored(mut spec: TableSpec, definition: &Definition, scored: &[Scored]) -> TableSpec {
     for name in distinct(scored.iter().map(|scored| scored.row.as_str())) {
         let seeded = scored.iter().filter(|scored| scored.row == name).all(|scored| scored.seed.is_some());

@@ -1,11 +1,11 @@
-//! The sweep files that the program carries: a commented one to begin with, and those of `sweeps/`.
+//! The sweep files that come with the program: a commented template, and those of `sweeps/`.
 
 use std::path::{Path, PathBuf};
 
 use crate::base::files::write_atomic;
 use crate::base::{Error, Result};
 
-/// Every key of the schema, with what it does.
+/// A template with every key of the schema, explained.
 pub const TEMPLATE: &str = include_str!("new.toml");
 
 macro_rules! shipped {
@@ -69,11 +69,11 @@ shipped![
     "checks" "smoke",
 ];
 
-/// Writes a sweep file at `file`: the commented one, or the shipped one of that name with those that it extends beside it, under
-/// their own names. Returns what was written, `file` first.
+/// Writes a sweep file to `file`: the template, or the shipped file `from` together with the files that it extends.
+/// Returns the written paths, `file` first.
 ///
 /// # Errors
-/// A name that there is not; a file that is there already.
+/// No such sweep is shipped; a file exists already.
 pub fn write_new(file: &Path, from: Option<&str>) -> Result<Vec<PathBuf>> {
     let mut files = vec![(file.to_path_buf(), TEMPLATE)];
     if let Some(name) = from {
@@ -86,11 +86,11 @@ pub fn write_new(file: &Path, from: Option<&str>) -> Result<Vec<PathBuf>> {
         }
     }
     for (index, (path, text)) in files.iter().enumerate() {
-        // A base that is there as it is shipped serves.
+        // An extended file that exists as shipped is used as it is.
         let same = index > 0 && std::fs::read(path).is_ok_and(|found| found == text.as_bytes());
         let taken = path.symlink_metadata().is_ok() || files[..index].iter().any(|(other, _)| other == path);
         if taken && !same {
-            return Err(Error::Output(format!("{} is there already: name another file", path.display())));
+            return Err(Error::Output(format!("{} exists already; name another file", path.display())));
         }
     }
     files.iter().try_for_each(|(path, text)| write_atomic(path, text.as_bytes()))?;
@@ -101,11 +101,11 @@ fn shipped(name: &str) -> Result<&'static str> {
     let plain = name.trim_end_matches(".toml").trim_start_matches("sweeps/");
     SHIPPED.iter().find(|(known, _)| *known == plain).map(|(_, text)| *text).ok_or_else(|| {
         let names: Vec<&str> = SHIPPED.iter().map(|(name, _)| *name).collect();
-        Error::Config(format!("--from {name}: no sweep of this name is shipped; choose from {}", names.join(", ")))
+        Error::Config(format!("--from {name}: no shipped sweep has this name; choose from {}", names.join(", ")))
     })
 }
 
-/// The shipped file that a text extends, by its name.
+/// Returns the name of the shipped file that a text extends.
 fn base_of(text: &str) -> Option<String> {
     let table: toml::Table = toml::from_str(text).ok()?;
     let base = table.get("extends")?.as_str()?;

@@ -1,5 +1,5 @@
-//! `step_seconds.json`: seconds of a step, where budgets are in seconds. Those of one sweep are of one clock: seconds of two
-//! machines or days say nothing of each other.
+//! `step_seconds.json`: seconds of a step, for budgets in seconds. All seconds of a sweep come from one clock, since
+//! times of two machines or days do not compare.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -15,17 +15,17 @@ use crate::settings::Config;
 use super::budget::{Clock, StepCosts};
 use super::folder::{STEP_SECONDS, SweepFolder};
 
-/// What the file holds.
+/// Content of the file.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 struct StepSeconds {
-    /// What they were measured on; none in files of earlier versions, which hold the seconds alone.
+    /// What they were measured on, or `None` in files of earlier versions, which hold only the seconds.
     #[serde(flatten)]
     clock: Option<Clock>,
-    /// By the shapes of steps.
+    /// Seconds by the shapes of steps.
     seconds: BTreeMap<String, f64>,
 }
 
-/// The file as any version wrote it.
+/// The file in any version.
 #[derive(Deserialize)]
 #[serde(untagged)]
 enum AnyVersion {
@@ -34,7 +34,7 @@ enum AnyVersion {
 }
 
 impl StepSeconds {
-    /// Nothing where there is no such file.
+    /// Reads the file; empty if it does not exist.
     fn read(path: &Path) -> Result<StepSeconds> {
         let file = match read_json(path, "delete it")? {
             Some(AnyVersion::Now(file)) => file,
@@ -44,7 +44,7 @@ impl StepSeconds {
         if let Some((shape, seconds)) =
             file.seconds.iter().find(|(_, seconds)| !(seconds.is_finite() && **seconds > 0.0))
         {
-            let found = format!("a step of {shape} takes {seconds} s, which no step does");
+            let found = format!("a step of {shape} takes {seconds} s, which is impossible");
             return Err(Error::Checkpoint(format!("cannot use {}: {found}; delete it", path.display())));
         }
         Ok(file)
@@ -55,8 +55,8 @@ impl StepSeconds {
     }
 }
 
-/// Seconds of a step as the sweep's tables were made with, which lie beside them, if all that are needed are there; otherwise
-/// all are measured. A sweep that is begun anew, on another day or machine, comes to the same steps and so to the same points.
+/// Uses the seconds of a step next to the sweep's tables if all needed ones are there; otherwise measures all of them.
+/// A sweep that is created again, on another day or machine, then gets the same steps and points.
 pub struct PublishedCosts<'a> {
     path: PathBuf,
     known: StepSeconds,
@@ -65,20 +65,20 @@ pub struct PublishedCosts<'a> {
 }
 
 impl<'a> PublishedCosts<'a> {
-    /// Those of the tables in `results`.
+    /// Reads those of the tables in `results`.
     ///
     /// # Errors
-    /// A file that holds no seconds.
+    /// The file holds no seconds.
     pub fn beside(results: &Path, measure: &'a dyn StepCosts) -> Result<PublishedCosts<'a>> {
         let path = results.join(STEP_SECONDS);
         Ok(PublishedCosts { known: StepSeconds::read(&path)?, path, measure, used: AtomicBool::new(false) })
     }
 
-    /// For a person: that the file was used, and what it was measured on; none where it was not.
+    /// Returns a note that the file was used and what it was measured on, or `None` if it was not used.
     pub fn note(&self) -> Option<String> {
         let clock = self.known.clock.as_ref().map_or(String::new(), |clock| format!(", measured on {clock}"));
         let used = self.used.load(Ordering::SeqCst);
-        used.then(|| format!("budgets in seconds: as {} has them{clock}", self.path.display()))
+        used.then(|| format!("budgets in seconds: step times of {}{clock}", self.path.display()))
     }
 }
 
@@ -101,8 +101,8 @@ impl StepCosts for PublishedCosts<'_> {
     }
 }
 
-/// Seconds of a step as measured when the sweep was begun, kept with it: an extended sweep keeps its points. Used under the
-/// folder's lock.
+/// Uses the seconds of a step that were measured when the sweep was created, so that an extended sweep keeps its
+/// points. The caller holds the folder's lock.
 pub struct KeptCosts<'a> {
     path: PathBuf,
     known: Mutex<StepSeconds>,
@@ -117,13 +117,13 @@ impl<'a> KeptCosts<'a> {
     }
 }
 
-/// The step times that are kept in a folder; any other is an error.
+/// Returns the step times that a folder keeps; any other is an error.
 pub fn kept_step_seconds(folder: &SweepFolder) -> Result<impl StepCosts> {
     KeptCosts::new(folder, &Unknown)
 }
 
 impl StepCosts for KeptCosts<'_> {
-    /// Shapes that an extension brings are measured beside the kept ones, and told in seconds of the kept clock.
+    /// Measures new shapes together with the kept ones, and converts them to seconds of the kept clock.
     fn prepare(&self, configs: &[&Config]) -> Result<()> {
         let mut known = self.known.lock().expect("no panic while measuring");
         if configs.iter().all(|config| known.of(config).is_some()) {
@@ -152,7 +152,7 @@ impl StepCosts for KeptCosts<'_> {
     }
 }
 
-/// No number.
+/// Costs that are unknown.
 pub struct Unknown;
 
 impl StepCosts for Unknown {

@@ -1,4 +1,4 @@
-//! Trains and measures points for real.
+//! Trains and measures points.
 
 use std::collections::BTreeMap;
 use std::sync::atomic::AtomicUsize;
@@ -27,40 +27,41 @@ use super::point_folder::{PointFolder, PointResult};
 use super::points::Point;
 use super::runner::Work;
 
-/// The column of a point's protocol that says in what box `l1`, `tv` and their like are integrals.
+/// Protocol column that names the box over which `l1`, `tv` and related metrics are integrals.
 const SMOOTHNESS_DOMAIN: &str = "smoothness_domain";
-/// Scenes in memory at once: points come scene by scene.
+/// Most scenes in memory; points come scene by scene.
 const SCENES: usize = 2;
-/// Seconds that each training is timed for where a budget hangs on its steps, from the initial weights on, or all of it where it is
-/// shorter. Fields' steps become shorter as space empties, since points of no density pass no gradient: eight seconds of NeRF on the
-/// chair told 64 ms a step where its 3,000 steps took 44 each; those of the methods beside it stayed as long as they began.
+/// Seconds that each training is timed for if a budget depends on its steps. The timing starts at the initial weights
+/// and ends with the training if that is shorter. Steps of fields become shorter as space empties, since points of no
+/// density pass no gradient. On the chair, eight seconds of NeRF gave 64 ms a step, but its 3,000 steps took 44 ms
+/// each. Steps of SRN, Neural Volumes and LLFF stayed as long as at the start.
 const CALIBRATION: f64 = 100.0;
-/// The same for what is only told to a person.
+/// The same for an estimate that is only printed.
 const ESTIMATE: f64 = 0.0;
-/// In so many turns.
+/// Number of turns.
 const TURNS: usize = 25;
-/// Each takes as many steps at least.
+/// Least steps a training.
 const LEAST_STEPS: usize = 4;
 
-/// Everything that the trainings of a sweep share.
+/// The state that the trainings of a sweep share.
 pub struct Trainings<'a> {
-    /// Where costs are measured: with all threads.
+    /// The runtime that costs are measured with; it has all threads.
     pub runtime: Runtime,
-    /// Backbones to measure LPIPS with.
+    /// Backbones of LPIPS.
     pub lpips: Vec<Lpips>,
-    /// Where those came from; goes into each run's settings.
+    /// Source of the LPIPS weights; recorded in each run's settings.
     pub lpips_weights: String,
-    /// Smoothness is among the sweep's metrics.
+    /// The sweep's metrics include smoothness.
     pub smoothness: bool,
-    /// Hears how loading, training and measuring go.
+    /// Receives progress of loading, training and measuring.
     pub events: &'a dyn Listener,
     scenes: Mutex<Vec<(String, Arc<Scene>)>>,
-    /// Seconds of a step by its shape, as far as budgets asked for them.
+    /// Seconds of a step by its shape, for shapes that budgets needed.
     seconds: Mutex<BTreeMap<String, f64>>,
 }
 
 impl<'a> Trainings<'a> {
-    /// With no scene loaded yet.
+    /// Creates the state with no scene loaded.
     pub fn new(
         runtime: Runtime,
         (lpips, lpips_weights): (Vec<Lpips>, String),
@@ -78,7 +79,7 @@ impl<'a> Trainings<'a> {
         }
     }
 
-    /// The scene of a configuration, which it resolves.
+    /// Returns the scene of a configuration, and the configuration resolved by it.
     pub fn scene(&self, config: Config) -> Result<(Resolved, Arc<Scene>)> {
         let config = locate_scene(config)?;
         let corruption = config.data.corruption;
@@ -107,40 +108,40 @@ impl<'a> Trainings<'a> {
         Ok((config, Arc::new(corrupted)))
     }
 
-    /// A trainer of a configuration at step 0, for measurements.
+    /// Returns a trainer at step 0, for measurements.
     pub fn trainer(&self, config: &Config) -> Result<(Trainer, Arc<Scene>, Resolved)> {
         let (config, scene) = self.scene(config.clone())?;
         Ok((Trainer::new(&config, &scene, DType::F32, &self.runtime)?, scene, config))
     }
 }
 
-/// What a point costs on this machine.
+/// Cost of a point on this machine.
 #[derive(Clone, Copy, Debug)]
 pub struct Cost {
     /// Seconds of a training step.
     pub seconds_per_step: f64,
     /// Seconds of the evaluation at the end.
     pub seconds_evaluation: f64,
-    /// Highest resident memory while measuring; none where the system does not say.
+    /// Highest resident memory while measuring, or `None` if the system does not report it.
     pub peak_memory_mib: Option<f64>,
 }
 
 impl Cost {
-    /// Seconds of a point with so many steps.
+    /// Returns the seconds of a point with `steps` steps.
     pub fn seconds(&self, steps: u64) -> f64 {
         self.seconds_per_step * steps as f64 + self.seconds_evaluation
     }
 }
 
 impl Trainings<'_> {
-    /// Measures a few real steps and a piece of a held-out view, for as many as an evaluation renders.
+    /// Measures a few real steps and part of a held-out view, and scales to the views of an evaluation.
     pub fn cost(&self, config: &Config) -> Result<Cost> {
         let memory = watch_memory(&self.runtime);
         let seconds_per_step = median(&self.time_steps(&[config], ESTIMATE)?[0]);
         let (trainer, scene, config) = self.trainer(config)?;
         let mut seconds_evaluation = 0.0;
         if let Some(view) = scene.test.first() {
-            // Some rows of the picture for every thread, as the whole picture has them.
+            // Each thread gets some rows of the image, as in the complete image.
             let mut camera = view.camera;
             let rows = (2 * self.runtime.threads() * config.eval.chunk).div_ceil(camera.width);
             camera.height = rows.min(view.camera.height);
@@ -151,7 +152,7 @@ impl Trainings<'_> {
                 viewer.render_with(&*renderer, &camera)?;
                 Ok(started.elapsed().as_secs_f64())
             };
-            // What a renderer prepares for a view is there the second time.
+            // On the second call, the renderer's preparation for a view is already done.
             let (first, rows_alone) = (timed()?, timed()?);
             let rays = (view.camera.height as f64 / camera.height as f64) * rows_alone;
             let preparing = (first - rows_alone).max(0.0);
@@ -166,7 +167,7 @@ impl Trainings<'_> {
 }
 
 impl Trainings<'_> {
-    /// Seconds of the first steps of each training, as many as take `least` seconds.
+    /// Returns the seconds of the first steps of each training, as many steps as take `least` seconds.
     fn time_steps(&self, configs: &[&Config], least: f64) -> Result<Vec<Vec<f64>>> {
         let trainers: Result<Vec<Trainer>> = configs.iter().map(|config| Ok(self.trainer(config)?.0)).collect();
         let mut trainers = trainers?;
@@ -192,8 +193,7 @@ impl StepCosts for Trainings<'_> {
             return Ok(());
         }
         let minutes = (CALIBRATION * configs.len() as f64 / 60.0).ceil();
-        let what =
-            format!("timing steps of {} trainings, for budgets in seconds; {minutes} min at most", configs.len());
+        let what = format!("timing steps of {} trainings for budgets in seconds; at most {minutes} min", configs.len());
         self.events.on(Event::Note(&what));
         let timed = self.time_steps(configs, CALIBRATION)?;
         let measured = timed.iter().map(|steps| mean_without_hiccups(steps));
@@ -212,9 +212,9 @@ impl StepCosts for Trainings<'_> {
     }
 }
 
-/// Takes steps of trainings in turn, so that a busy minute falls on all of them: until each has taken `least` seconds in all, or
-/// the steps that it has. A turn is a share of these seconds, or one step where that takes longer. Returns the seconds of each one's
-/// steps.
+/// Times steps of trainings in turn, so that a busy minute affects all of them. Ends when each training has taken
+/// `least` seconds or all of its steps. A turn is a fraction of these seconds, or one step if that takes longer.
+/// Returns the seconds of each training's steps.
 fn time_in_turns(steps: &[usize], mut step: impl FnMut(usize) -> Result<()>, least: f64) -> Result<Vec<Vec<f64>>> {
     let mut seconds = vec![Vec::new(); steps.len()];
     let mut left = vec![least; steps.len()];
@@ -239,14 +239,14 @@ fn time_in_turns(steps: &[usize], mut step: impl FnMut(usize) -> Result<()>, lea
     }
 }
 
-/// Mean over the medians of successive steps, as many a median as a turn has: it follows what changes in the course of a training, and
-/// one step that the machine broke off for something else does not move it.
+/// Returns the mean over medians of successive steps, one median a turn. It follows changes in the course of a
+/// training, but ignores single steps that the machine interrupted.
 fn mean_without_hiccups(seconds: &[f64]) -> f64 {
     let medians = seconds.chunks(seconds.len().div_ceil(TURNS)).map(|steps| median(steps) * steps.len() as f64);
     medians.sum::<f64>() / seconds.len() as f64
 }
 
-/// The middle one; of an even number the lower of the two.
+/// Returns the median; of an even number of values, the lower of the two.
 fn median(seconds: &[f64]) -> f64 {
     let mut seconds = seconds.to_vec();
     seconds.sort_by(f64::total_cmp);
@@ -268,15 +268,15 @@ impl Work for Trainings<'_> {
         let setup = Setup { config: config.clone(), scene: &scene, lpips: &self.lpips, runtime: runtime.clone() };
         let path = folder.run();
         let job = if RunDir::is_vacant(&path)? {
-            // Nothing there yet, or a run that was killed before its first file.
+            // No run yet, or one that was killed before its first file.
             Job::create(&path, Existing::Replace, setup)?
         } else {
-            // Whatever is wrong with it is an error: it may be hours of training.
+            // Any other problem is an error: the run may hold hours of training.
             let run = RunDir::take(&path)?;
             let found = run.read_config()?;
             if found.hash() != config.hash() {
                 return Err(Error::Checkpoint(format!(
-                    "{} holds a run of other settings ({} instead of {}): delete it to train the point again",
+                    "{} holds a run of other settings ({} instead of {}); delete it to train the point again",
                     path.display(),
                     found.hash(),
                     config.hash()
@@ -304,7 +304,7 @@ impl Trainings<'_> {
         let mut metrics: Vec<(String, Option<f64>)> =
             report.mean.iter().map(|(metric, value)| (metric.key.to_string(), value)).collect();
         if self.smoothness && config.representation().has_derivatives_at_points() {
-            // One lattice for all rows, whatever they were trained with.
+            // All rows use one sampling grid, independent of their training settings.
             let lattice = Lattice { domain: smoothness_box(scene), side: SMOOTHNESS_SIDE };
             let smoothness = SmoothnessReport::measure(model, scene, &lattice, protocol.clone(), runtime, self.events)?;
             smoothness.write(&RunDir::open(path)?.smoothness())?;
@@ -318,7 +318,7 @@ impl Trainings<'_> {
     }
 }
 
-/// The fields of a flat struct of numbers.
+/// Returns the fields of a flat struct of numbers.
 fn numbers(row: &impl serde::Serialize) -> Vec<(String, Option<f64>)> {
     let serde_json::Value::Object(fields) = serde_json::to_value(row).expect("plain data") else {
         unreachable!("rows are structs")
@@ -361,18 +361,18 @@ mod tests {
         let mean = seconds.iter().sum::<f64>() / seconds.len() as f64;
         let without = mean_without_hiccups(&seconds);
         assert!(without < mean && (0.002..0.01).contains(&without), "{without} {mean}");
-        // Fast steps are as many in a turn as the time of one has room for: nobody waits for slow ones beside each of them.
+        // A turn has as many fast steps as fit into the time of a slow one.
         let sleep = |index| {
             std::thread::sleep(Duration::from_millis([1, 40][index]));
             Ok(())
         };
         let both = time_in_turns(&[1000, 1000], sleep, 0.32).unwrap();
         assert!(both[0].len() > 3 * both[1].len(), "{} {}", both[0].len(), both[1].len());
-        // A training that ends before is timed as a whole.
+        // A training that ends before is timed completely.
         let short = time_in_turns(&[20, 1000], sleep, 0.32).unwrap();
         assert_eq!(short[0].len(), 20);
         assert!(short[1].len() >= 8, "{}", short[1].len());
-        // A step of seconds is taken several times all the same.
+        // A step that takes seconds is still timed several times.
         let mut order = Vec::new();
         let each = time_in_turns(
             &[1000, 1],
@@ -395,6 +395,6 @@ mod tests {
         let mut hiccup = falling.clone();
         hiccup[50] = 1000.0;
         assert_eq!(mean_without_hiccups(&hiccup), 1.72);
-        assert_eq!(mean_without_hiccups(&[1.0, 2.0]), 1.5, "few steps are taken as they are");
+        assert_eq!(mean_without_hiccups(&[1.0, 2.0]), 1.5, "few steps are used as they are");
     }
 }

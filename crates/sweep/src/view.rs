@@ -1,5 +1,5 @@
-//! Tables of finished sweeps other than their own: chosen rows and metrics, another baseline, several sweeps in one. Nothing is
-//! run, and the statistics are those of what is shown.
+//! Tables of finished sweeps with chosen rows, metrics or baseline, or of several sweeps together. Nothing is run, and
+//! the statistics are of the rows shown.
 
 use std::collections::{BTreeMap, HashMap, HashSet};
 use std::path::Path;
@@ -23,30 +23,30 @@ use super::points::Point;
 use super::provenance::sha256;
 use super::scored::with_scored;
 
-/// What a view's folder has instead of a sweep's definition.
+/// File that a view's folder has in place of a sweep's definition.
 pub const VIEW: &str = "view.toml";
-/// Compared with nothing.
+/// Value of `--baseline` for no comparison.
 const NO_BASELINE: &str = "none";
 
-/// A sweep that was run, or is being run.
+/// A sweep that was run, or is running.
 #[derive(Clone)]
 pub struct Source<'a> {
     /// Its name.
     pub name: String,
-    /// The folder of its points; none where its results alone are at hand.
+    /// The folder of its points, or `None` if only its results are available.
     pub folder: Option<&'a SweepFolder>,
-    /// What was run.
+    /// The definition that was run.
     pub definition: &'a Definition,
     /// Its points.
     pub points: &'a [Point],
-    /// What they left.
+    /// Outputs of the points.
     pub outputs: SweepOutputs,
 }
 
-/// What is shown of sweeps.
+/// The part of sweeps that a view shows.
 #[derive(Clone, Debug, Default, Serialize)]
 pub struct Selection {
-    /// The row that all others are compared with, instead of the definitions'; `none` compares nothing.
+    /// The row that all others are compared with, in place of the definitions'; `none` compares nothing.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub baseline: Option<String>,
     /// Rows in the order of the table; empty for all.
@@ -58,15 +58,15 @@ pub struct Selection {
 }
 
 impl Selection {
-    /// Everything, as the definitions have it.
+    /// Returns whether everything is shown, as the definitions say.
     pub fn is_all(&self) -> bool {
         self.baseline.is_none() && self.rows.is_empty() && self.metrics.is_empty()
     }
 }
 
-/// Rows of sweeps, chosen and side by side.
+/// Chosen rows of one or several sweeps in one table.
 pub struct View {
-    /// The first sweep's.
+    /// Definition of the first sweep.
     first: Definition,
     spec: TableSpec,
     outputs: SweepOutputs,
@@ -93,11 +93,11 @@ impl Origin {
 }
 
 impl View {
-    /// Of one sweep, or several: rows of one name are one row unless their settings differ, in which case the later sweep's gets
-    /// that sweep's name in brackets.
+    /// Builds a view of one sweep or several. Rows of one name are one row unless their settings differ. In that case
+    /// the later sweep's row gets that sweep's name in brackets.
     ///
     /// # Errors
-    /// A row or metric that there is not; a baseline that is not among the rows.
+    /// A row or metric does not exist; a baseline is not among the rows.
     pub fn new(name: &str, sources: &[Source], selection: Selection) -> Result<View> {
         let (first, others) = sources.split_first().expect("at least one sweep");
         let mut view = View {
@@ -167,14 +167,14 @@ impl View {
         }));
     }
 
-    /// What a row of another sweep is called beside those that are there.
+    /// Returns the name of another sweep's row in this view.
     fn name_of(&self, row: &RowSpec, source: &Source) -> String {
         let is_taken = |name: &str| self.spec.rows.iter().any(|known| known.name == name);
         let known = self.spec.rows.iter().find(|known| known.name == row.name);
         let same = known.is_none_or(|known| match (known.quoted || row.quoted, known.scored || row.scored) {
             (true, _) => known.quoted == row.quoted && known.published == row.published,
             (_, true) => false,
-            // Points of two seeds differ in these by definition.
+            // By definition, points of two seeds differ in these.
             _ if !(self.first.by_seed.is_empty() && source.definition.by_seed.is_empty()) => {
                 is_defined_alike(&self.first, source.definition, &row.name)
             }
@@ -190,7 +190,7 @@ impl View {
         numbered.into_iter().find(|name| !is_taken(name)).expect("numbers do not end")
     }
 
-    /// One point a seed and place: a measured one before one that is not.
+    /// Adds a record, one for each seed and position; a measured one replaces one that is not.
     fn add_record(&mut self, record: Record) {
         let place = |record: &Record| (record.scene.clone(), record.row.clone(), record.axes.clone(), record.seed);
         let records = &mut self.outputs.records;
@@ -201,7 +201,7 @@ impl View {
         }
     }
 
-    /// Rows must agree in what each sweep's own rows must: what one of them varies may differ.
+    /// Requires rows to agree in what the rows of each sweep must agree in, except for what one sweep varies.
     fn match_all(&mut self, sources: &[Source]) {
         let all: Vec<Vec<String>> = sources.iter().map(|s| must_match(&self.spec.metrics, s.points)).collect();
         self.spec.must_match.retain(|column| all.iter().all(|own| own.contains(column)));
@@ -241,7 +241,7 @@ impl View {
                 let known = self.spec.rows.iter().find(|row| row.name == name);
                 if known.is_none_or(|row| row.quoted) {
                     return Err(Error::Config(format!(
-                        "--baseline {name}: no row that is shown has this name and numbers of its own; the rows are {}, and \
+                        "--baseline {name}: no shown row with measured numbers has this name; the rows are {}, and \
                          {NO_BASELINE} compares nothing",
                         listed()
                     )));
@@ -259,7 +259,7 @@ impl View {
                 });
                 if let Some((row, baseline)) = lost {
                     return Err(Error::Config(format!(
-                        "--rows leaves out '{baseline}', which '{row}' is compared with: name it, too, or another row with \
+                        "--rows lacks '{baseline}', the baseline of '{row}'; add it, or choose another row with \
                          --baseline, or --baseline {NO_BASELINE}"
                     )));
                 }
@@ -268,8 +268,8 @@ impl View {
         Ok(())
     }
 
-    /// Metrics over the pixels that all rows show are over those of the rows shown. Where the points are not at hand, a single
-    /// sweep's stay over those of all its rows.
+    /// Recomputes metrics over common pixels for the rows shown. If only the results of a single sweep are available,
+    /// its numbers stay those over all its rows.
     fn measure_common(&mut self, sources: &[Source]) -> Result<()> {
         let is_common = |name: &str| Metric::find(name).is_some_and(|metric| metric.scope == Scope::Common);
         let folders: Vec<&SweepFolder> = sources.iter().filter_map(|source| source.folder).collect();
@@ -289,7 +289,7 @@ impl View {
         add_common_depth(records, errors)
     }
 
-    /// What was chosen: whoever reads the table alone would take it for the whole.
+    /// Returns notes that name the selection; without them a reader of the table would take it for the complete sweep.
     fn notes(&self) -> Vec<String> {
         let names: Vec<&str> = self.sweeps.iter().map(|sweep| sweep.name.as_str()).collect();
         let Selection { baseline, rows, metrics } = &self.selection;
@@ -310,35 +310,35 @@ impl View {
         vec![format!("a view of {}{chosen}", names.join(" and "))]
     }
 
-    /// The table alone.
+    /// Returns the table.
     ///
     /// # Errors
-    /// [`Error::NotComparable`] where rows may not stand side by side.
+    /// [`Error::NotComparable`] if rows may not be in one table.
     pub fn table(&self) -> Result<Table> {
         Table::new(&self.spec, &self.outputs.all_records(), false)
     }
 
-    /// Writes tables and figures into a folder of the view's own. Returns the table.
+    /// Writes tables and figures into the view's own folder. Returns the table.
     ///
     /// # Errors
-    /// A folder with a sweep's own tables, or with files of someone else; [`Error::NotComparable`] where rows may not stand side by
-    /// side.
+    /// The folder holds a sweep's own tables, or files that are no view; [`Error::NotComparable`] if rows may not be
+    /// in one table.
     pub fn write(&self, results: &Path, force: bool, with_timing: bool) -> Result<Table> {
         let refuse = |holds: &str| {
             Err(Error::Output(format!(
-                "{} holds {holds}: name another folder for chosen rows with --out",
+                "{} holds {holds}; name another folder for chosen rows with --out",
                 results.display()
             )))
         };
         if results.join(DEFINITION).exists() {
-            return refuse("the whole tables of a sweep");
+            return refuse("the complete tables of a sweep");
         }
-        // Tables and figures of an earlier time are deleted, and other files may have their names.
+        // Old tables and figures are deleted, and files of others may have their names.
         if !results.join(VIEW).exists() && std::fs::read_dir(results).is_ok_and(|mut files| files.next().is_some()) {
-            return refuse("files that are no view of a sweep");
+            return refuse("files that are not a view of a sweep");
         }
         let results = Results::take(results)?;
-        // First, so that a view that is killed here is known for one.
+        // Written first, so that a view that is killed here is recognized as one.
         write_atomic(&results.path().join(VIEW), self.to_toml().as_bytes())?;
         let mut files = Vec::new();
         let inputs = TableInputs { spec: &self.spec, outputs: &self.outputs, points: &self.points, force, with_timing };
@@ -362,7 +362,7 @@ fn table_of(source: &Source) -> TableSpec {
     with_scored(source.definition.table(&source.name, source.points), source.definition, &source.outputs.scored)
 }
 
-/// The places of a row with the hash of its settings but for the seed.
+/// Positions of a row, each with the hash of its settings apart from the seed.
 type Settings = BTreeMap<(String, Vec<(String, String, String)>), String>;
 
 fn settings_of(points: &[Point], row: &str) -> Settings {
@@ -378,7 +378,7 @@ fn settings_of(points: &[Point], row: &str) -> Settings {
     settings
 }
 
-/// A row is the same in both definitions, word by word.
+/// Returns whether a row is the same in both definitions, word by word.
 fn is_defined_alike(a: &Definition, b: &Definition, row: &str) -> bool {
     let row_of = |definition: &Definition| {
         let rows = definition.row.iter().map(|own| Row { baseline: None, ours: false, ..own.clone() });
@@ -387,16 +387,15 @@ fn is_defined_alike(a: &Definition, b: &Definition, row: &str) -> bool {
     (&a.preset, &a.set, &a.by_seed, &a.axis, row_of(a)) == (&b.preset, &b.set, &b.by_seed, &b.axis, row_of(b))
 }
 
-/// Equal settings wherever both have points.
+/// Returns whether settings are equal wherever both have points.
 fn is_alike(a: &Settings, b: &Settings) -> bool {
     a.iter().all(|(place, hash)| b.get(place).is_none_or(|other| other == hash))
 }
 
-/// Names with commas between them, of which each is one of `known`: names may have commas of their own, so that the longest one
-/// counts.
+/// Splits names at commas; each must be one of `known`. A name may contain commas, so the longest match is taken.
 ///
 /// # Errors
-/// A name that there is not, or twice.
+/// A name is unknown, or occurs twice.
 pub fn split_names(flag: &str, texts: &[String], known: &[&str]) -> Result<Vec<String>> {
     let mut names: Vec<String> = Vec::new();
     for text in texts {
@@ -406,7 +405,7 @@ pub fn split_names(flag: &str, texts: &[String], known: &[&str]) -> Result<Vec<S
             let joined = |to: usize| parts[from..to].join(",").trim().to_string();
             let Some(to) = (from + 1..=parts.len()).rev().find(|&to| known.contains(&joined(to).as_str())) else {
                 return Err(Error::Config(format!(
-                    "{flag}: '{}' is no row; the rows are {}",
+                    "{flag}: '{}' is not a row; the rows are {}",
                     parts[from].trim(),
                     known.join(", ")
                 )));
@@ -426,7 +425,7 @@ fn metrics(names: &[String]) -> Result<Vec<String>> {
     for name in names {
         if !Metric::in_tables().any(|metric| metric.key == name) {
             let known: Vec<&str> = Metric::in_tables().map(|metric| metric.key).collect();
-            return Err(Error::Config(format!("--metrics: '{name}' does not exist; choose from {}", known.join(", "))));
+            return Err(Error::Config(format!("--metrics: unknown metric '{name}'; choose from {}", known.join(", "))));
         }
         if chosen.contains(name) {
             return Err(Error::Config(format!("--metrics: '{name}' is named twice")));
@@ -446,7 +445,7 @@ mod tests {
         let split = |text: &str| split_names("--rows", &[text.to_string()], &known);
         assert_eq!(split("Aug-NeRF,NeRF").unwrap(), ["Aug-NeRF", "NeRF"]);
         assert_eq!(split("NeRF, equal steps, NeRF").unwrap(), ["NeRF, equal steps", "NeRF"]);
-        assert!(split("NeRF,Nerf").unwrap_err().to_string().contains("'Nerf' is no row; the rows are NeRF, "));
+        assert!(split("NeRF,Nerf").unwrap_err().to_string().contains("'Nerf' is not a row; the rows are NeRF, "));
         assert!(split("NeRF,NeRF").unwrap_err().to_string().contains("twice"));
     }
 }

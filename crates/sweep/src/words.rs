@@ -1,16 +1,16 @@
-//! What a definition's words and margins may be: they stand in file names, tables and figures, which cannot take all that
-//! TOML can.
+//! Limits on a definition's names and margins. They appear in file names, tables and figures, which cannot hold every
+//! text of TOML.
 
 use super::definition::{Definition, scene_name};
 
 type Checked = std::result::Result<(), String>;
 
-/// Refuses control characters, which terminals obey and SVG cannot hold.
+/// Returns an error for control characters, which terminals obey and SVG cannot hold.
 pub fn check_name(what: &str, name: &str) -> Checked {
     match name.chars().find(|letter| letter.is_control()) {
         None => Ok(()),
         Some(letter) => Err(format!(
-            "{what} \"{}\" holds the control character U+{:04X}: write it without",
+            "{what} \"{}\" contains the control character U+{:04X}; remove it",
             name.escape_debug(),
             u32::from(letter)
         )),
@@ -18,7 +18,7 @@ pub fn check_name(what: &str, name: &str) -> Checked {
 }
 
 impl Definition {
-    /// All that tables and figures print of the definition can be printed.
+    /// Checks that tables and figures can print all names of the definition.
     pub(super) fn check_words(&self) -> Checked {
         let is_break = |letter: char| letter == '\n' || letter == '\t';
         check_name("title", &self.full_title().replace(is_break, " "))?;
@@ -35,12 +35,14 @@ impl Definition {
         Ok(())
     }
 
-    /// Margins of equivalence are of metrics that the table shows, and of a size.
+    /// Checks that margins of equivalence are positive and belong to metrics of the table.
     pub(super) fn check_margins(&self) -> Checked {
         for (metric, margin) in &self.equivalence {
             if !self.metrics.contains(metric) {
                 let metrics = self.metrics.join(", ");
-                return Err(format!("equivalence.{metric} is of no metric of the sweep; its metrics are {metrics}"));
+                return Err(format!(
+                    "equivalence.{metric}: {metric} is not a metric of the sweep; its metrics are {metrics}"
+                ));
             }
             if !(margin.is_finite() && *margin > 0.0) {
                 return Err(format!(
@@ -58,7 +60,7 @@ mod tests {
     use super::*;
     use crate::base::Error;
 
-    /// What is said of a definition with these texts in it.
+    /// Returns the error of a definition with these texts.
     fn said(title: &str, scene: &str, row: &str, rest: &str) -> String {
         let text = format!(
             "title = {title}\npreset = \"smoke\"\nscenes = [{scene}]\nseeds = [0]\n{rest}\n[[row]]\nname = {row}\n"
@@ -96,7 +98,7 @@ mod tests {
         let stated =
             |margins: &str| said(r#""t""#, r#""builtin""#, r#""NeRF""#, &format!("equivalence = {{ {margins} }}"));
         assert_eq!(stated("psnr = 0.3, ssim = 0.01"), "");
-        assert!(stated("psn = 0.3").contains("equivalence.psn is of no metric"), "{}", stated("psn = 0.3"));
+        assert!(stated("psn = 0.3").contains("equivalence.psn: psn is not a metric"), "{}", stated("psn = 0.3"));
         for wrong in ["psnr = 0.0", "psnr = -0.3", "psnr = inf", "psnr = nan"] {
             assert!(stated(wrong).contains("finite number above 0"), "{wrong}");
         }

@@ -1,31 +1,31 @@
-//! Films as MP4 (H.264), which the feature `mp4` brings.
+//! Videos as MP4 (H.264), with the feature `mp4`.
 
 #[cfg(feature = "mp4")]
 pub(super) use filmed::Mp4;
 
-/// Sides that the encoder takes, longer and shorter.
+/// Largest sides that the encoder accepts, the longer first.
 const LARGEST: [usize; 2] = [3840, 2160];
 const SMALLEST: usize = 16;
 
-/// Why there is no MP4 beside the GIF of pictures of a size (width, height); none where there is one.
+/// Returns why there is no MP4 next to the GIF for frames of a size (width, height), or `None` if there is one.
 pub fn without_mp4((width, height): (usize, usize)) -> Option<String> {
     if cfg!(not(feature = "mp4")) {
-        return Some("there is no MP4, GIFs alone: this augnerf was built without its feature mp4".into());
+        return Some("no MP4, only GIFs: this augnerf was built without the feature mp4".into());
     }
     let sides = [even(width), even(height)];
     let fits = sides[0].max(sides[1]) <= LARGEST[0] && sides[0].min(sides[1]) <= LARGEST[1];
     (!fits).then(|| {
         let [long, short] = LARGEST;
-        format!("there is no MP4, pictures and GIFs alone: its frames have at most {long} x {short} pixels, and these {width} x {height}")
+        format!("no MP4, only images and GIFs: its frames have at most {long} x {short} pixels, but these have {width} x {height}")
     })
 }
 
-/// A side as frames have it: colours come two by two.
+/// Returns the side of a frame, which is even: two pixels share their colours.
 fn even(side: usize) -> usize {
     side.next_multiple_of(2).max(SMALLEST)
 }
 
-/// None is made without the feature.
+/// Without the feature no value exists.
 #[cfg(not(feature = "mp4"))]
 pub(super) enum Mp4 {}
 
@@ -64,29 +64,29 @@ mod filmed {
 
     type Filmed<T> = Result<T, String>;
 
-    /// Ticks a second that frames' times are counted in.
+    /// Ticks a second for the times of frames.
     const TICKS: NonZeroU32 = NonZeroU32::new(90_000).expect("not 0");
-    /// Quantisers of the finest and the coarsest blocks: hardly any loss that is seen.
+    /// Quantizers of the finest and coarsest blocks, with hardly any visible loss.
     const QUANTISERS: (u8, u8) = (14, 22);
-    /// So many frames are at most between two that can be jumped to.
+    /// Most frames between two key frames.
     const BETWEEN_KEYS: u32 = 30;
-    /// Kinds of units in a stream: parameters of the sequence and of pictures.
+    /// Kinds of units in a stream: parameters of the sequence and of images.
     const SEQUENCE: u8 = 7;
     const PICTURE: u8 = 8;
 
-    /// An MP4 that any browser plays: H.264 at constant quality, 4:2:0, BT.601 colours. Of odd sides the last column or row is there
-    /// twice.
+    /// An MP4 that any browser plays: H.264 at constant quality, 4:2:0, BT.601 colours. If a side is odd, its last
+    /// column or row occurs twice.
     pub struct Mp4 {
         encoder: Encoder,
         film: Film,
-        /// Of the frames as they come.
+        /// Size of the frames as they come.
         first: (usize, usize),
         fps: f64,
         count: usize,
     }
 
     impl Mp4 {
-        /// One of `frames` frames of a size (width, height), at most [`LARGEST`](super::LARGEST).
+        /// Starts a video of `frames` frames of a size (width, height), at most [`LARGEST`](super::LARGEST).
         pub fn begin(first: (usize, usize), frames: usize, fps: f64) -> Filmed<Mp4> {
             let size = [even(first.0), even(first.1)];
             let encoder = encoder(size, fps).map_err(|e| e.to_string())?;
@@ -97,7 +97,7 @@ mod filmed {
             let (first, size) = (self.first, self.film.size);
             if (frame.width, frame.height) != first {
                 return Err(format!(
-                    "a frame has {}x{} pixels and the first has {}x{}",
+                    "a frame has {}x{} pixels, but the first has {}x{}",
                     frame.width, frame.height, first.0, first.1
                 ));
             }
@@ -110,13 +110,13 @@ mod filmed {
             self.film.add(&stream, ticks)
         }
 
-        /// The bytes of the file.
+        /// Returns the bytes of the file.
         pub fn finish(self) -> Filmed<Vec<u8>> {
             self.film.finish()
         }
     }
 
-    /// One thread, no frame left out: the same bytes each time.
+    /// One thread and no skipped frame, so that the bytes are the same each time.
     fn encoder([width, height]: [usize; 2], fps: f64) -> Result<Encoder, openh264::Error> {
         let rate = (width * height) as f64 * fps.max(1.0) * 4.0;
         let config = EncoderConfig::new()
@@ -135,7 +135,7 @@ mod filmed {
         Encoder::with_api_config(OpenH264API::from_source(), config)
     }
 
-    /// 8-bit RGB in which the last column and row stand for those that are missing.
+    /// Returns 8-bit RGB; the last column and row are repeated to fill the size.
     fn padded(frame: &Image, [width, height]: [usize; 2]) -> Vec<u8> {
         let rgb = quantise(&on_paper(frame));
         let mut bytes = Vec::with_capacity(width * height * 3);
@@ -148,7 +148,7 @@ mod filmed {
         bytes
     }
 
-    /// A file that grows by a frame at a time.
+    /// A file that grows frame by frame.
     struct Film {
         bytes: Vec<u8>,
         muxer: Mp4FileMuxer,
@@ -158,7 +158,7 @@ mod filmed {
 
     impl Film {
         fn new(size: [usize; 2], frames: usize) -> Filmed<Film> {
-            // What describes the frames comes before them, so that a film plays while it loads.
+            // The description of the frames comes first, so that a video plays while it loads.
             let reserved_moov_box_size = estimate_maximum_moov_box_size(&[frames]);
             let options = Mp4FileMuxerOptions { reserved_moov_box_size, ..Mp4FileMuxerOptions::default() };
             let muxer = Mp4FileMuxer::with_options(options).map_err(|e| e.to_string())?;
@@ -195,12 +195,12 @@ mod filmed {
             self.muxer.append_sample(&sample).map_err(|e| e.to_string())
         }
 
-        /// How its frames are to be decoded.
+        /// Returns how the frames are decoded.
         fn entry(&self, [sps_list, pps_list]: [Vec<Vec<u8>>; 2]) -> Filmed<SampleEntry> {
             let Some(&[_, profile, compatibility, level, ..]) = sps_list.first().map(Vec::as_slice) else {
-                return Err("the encoder began without the parameters of its stream".into());
+                return Err("the encoder started without the parameters of its stream".into());
             };
-            // What baseline and main profile leave out: 4:2:0, 8 bits.
+            // Values that baseline and main profile do not write: 4:2:0, 8 bits.
             let is_high = !matches!(profile, 66 | 77 | 88);
             let visual = VisualSampleEntryFields {
                 data_reference_index: VisualSampleEntryFields::DEFAULT_DATA_REFERENCE_INDEX,
@@ -238,7 +238,7 @@ mod filmed {
         }
     }
 
-    /// A unit without the 00 00 01 before it.
+    /// Returns a unit without its prefix 00 00 01.
     fn without_start(unit: &[u8]) -> &[u8] {
         let zeros = unit.iter().take_while(|byte| **byte == 0).count();
         if unit.get(zeros) == Some(&1) { &unit[zeros + 1..] } else { unit }
@@ -269,7 +269,7 @@ mod filmed {
             Image { width, height, channels: 3, pixels: pixels.collect() }
         }
 
-        /// Frames of a file: size, ticks and decoded RGB of each.
+        /// Returns the frames of a file: size, ticks and decoded RGB of each.
         fn play(bytes: &[u8]) -> Vec<(usize, usize, u32, Vec<u8>)> {
             let mut demuxer = Mp4FileDemuxer::new();
             while demuxer.required_input().is_some() {
@@ -301,7 +301,7 @@ mod filmed {
             frames
         }
 
-        /// Its frames come back in their number, size, order and times, and look the same; odd and small sizes grow.
+        /// Decoded frames have their number, size, order and times, and look the same; odd and small sizes grow.
         #[test]
         fn films_play_as_they_were_made() {
             let films = [

@@ -1,4 +1,4 @@
-//! Pictures: figures in SVG and PNG, images, depth maps, animations.
+//! Drawing: figures in SVG and PNG, images, depth maps, animations.
 
 pub mod canvas;
 mod film;

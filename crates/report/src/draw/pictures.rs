@@ -1,4 +1,4 @@
-//! Pictures: 8-bit PNGs, depth as colours and as 16-bit PNGs, comparisons side by side.
+//! Images: 8-bit PNGs, depth as colours and as 16-bit PNGs, and images side by side.
 
 use std::path::Path;
 use std::sync::OnceLock;
@@ -10,24 +10,24 @@ use ::image::{ExtendedColorType, ImageEncoder};
 use crate::base::files::write_atomic;
 use crate::base::{Error, Image, Result};
 
-/// Colours of the depth map.
+/// Number of colours of the depth map.
 const COLOURS: usize = 256;
-/// What [`beside`] fills gaps with, and what transparent pixels are shown on there and in GIFs.
+/// Colour of the gaps of [`beside`], and background of transparent pixels there and in GIFs.
 const PAPER: f32 = 1.0;
-/// What a depth map shows where nothing was hit: a grey that no colour of the map is near.
+/// Colour of a depth map where nothing was hit: a grey unlike any colour of the map.
 const NOTHING: [f32; 3] = [0.5, 0.5, 0.5];
-/// Share of depths that [`depth_range`] leaves out at either end.
+/// Fraction of depths that [`depth_range`] ignores at each end.
 const OUTLIERS: f64 = 0.02;
-/// Accumulation from which on a pixel's depth counts in [`depth_range`].
+/// Least accumulation of a pixel whose depth counts in [`depth_range`].
 pub const SOLID: f32 = 0.5;
 
-/// The nearest 8-bit value of each number, clamped to 0..=1 first: the rounding of
-/// the metrics, so that what is measured is what is seen.
+/// Returns the nearest 8-bit value of each number, clamped to 0..=1 first. Metrics round the same way, so they measure
+/// what is visible.
 pub fn quantise(pixels: &[f32]) -> Vec<u8> {
     pixels.iter().map(|&value| (value.clamp(0.0, 1.0) * 255.0).round() as u8).collect()
 }
 
-/// Root of the mean squared difference over channels of the 8-bit values, for each pixel, as a share of white.
+/// Returns, for each pixel, the root mean square difference over channels of the 8-bit values, as a fraction of white.
 pub fn pixel_errors(rendered: &Image, truth: &Image) -> Vec<f32> {
     let (a, b) = (quantise(&rendered.pixels), quantise(&truth.pixels));
     let error = |(a, b): (&[u8], &[u8])| {
@@ -37,22 +37,22 @@ pub fn pixel_errors(rendered: &Image, truth: &Image) -> Vec<f32> {
     a.chunks_exact(3).zip(b.chunks_exact(3)).map(error).collect()
 }
 
-/// Writes an RGB or RGBA image as PNG, 8 bits a channel, whole or not at all.
+/// Writes an RGB or RGBA image as PNG, 8 bits a channel, atomically.
 pub fn write_png8(path: &Path, picture: &Image) -> Result<()> {
     let png = encode_png8(picture).map_err(|reason| unwritable(path, &reason))?;
     write_atomic(path, &png)
 }
 
-/// Encodes a picture as an 8-bit PNG.
+/// Encodes an image as an 8-bit PNG.
 pub fn encode_png8(picture: &Image) -> std::result::Result<Vec<u8>, String> {
     check(picture)?;
     let colours = if picture.channels == 4 { ExtendedColorType::Rgba8 } else { ExtendedColorType::Rgb8 };
     encode_png(&quantise(&picture.pixels), picture.width, picture.height, colours)
 }
 
-/// A picture as JPEG of a quality from 1 to 100; on white where it is transparent.
+/// Encodes an image as JPEG of a quality from 1 to 100; transparent pixels are on white.
 pub fn encode_jpeg(picture: &Image, quality: u8) -> Result<Vec<u8>> {
-    let failed = |reason: String| Error::Output(format!("cannot encode a picture: {reason}"));
+    let failed = |reason: String| Error::Output(format!("cannot encode an image: {reason}"));
     check(picture).map_err(failed)?;
     let size = |length: usize| u32::try_from(length).map_err(|_| failed(format!("{length} pixels are too many")));
     let (width, height) = (size(picture.width)?, size(picture.height)?);
@@ -67,15 +67,15 @@ pub fn encode_jpeg(picture: &Image, quality: u8) -> Result<Vec<u8>> {
     Ok(jpeg)
 }
 
-/// Writes depth as a 16-bit greyscale PNG: `depth = value / 65535 * max`. The value 0 means that
-/// there is no depth (not finite, or not positive); depths beyond `max` are stored as `max`, which
-/// the reader needs and which therefore belongs into the JSON beside the picture.
+/// Writes depth as a 16-bit greyscale PNG: `depth = value / 65535 * max`. The value 0 means that there is no depth
+/// (not finite, or not positive). Depths beyond `max` are stored as `max`. Readers need `max`, so it belongs in the
+/// JSON next to the image.
 pub fn write_depth16(path: &Path, depth: &[f32], width: usize, height: usize, max: f32) -> Result<()> {
     if !(max.is_finite() && max > 0.0) {
-        return Err(unwritable(path, &format!("the greatest depth is {max} and must be positive")));
+        return Err(unwritable(path, &format!("the greatest depth is {max}; it must be positive")));
     }
     check_size(depth.len(), width, height, 1).map_err(|reason| unwritable(path, &reason))?;
-    // The image crate takes 16-bit values in the processor's byte order.
+    // The image crate takes 16-bit values in the CPU's byte order.
     let bytes: Vec<u8> = depth.iter().flat_map(|&value| depth_to_u16(value, max).to_ne_bytes()).collect();
     let png = encode_png(&bytes, width, height, ExtendedColorType::L16).map_err(|reason| unwritable(path, &reason))?;
     write_atomic(path, &png)
@@ -88,13 +88,13 @@ fn depth_to_u16(depth: f32, max: f32) -> u16 {
     (depth as f64 / max as f64 * 65535.0).round().clamp(1.0, 65535.0) as u16
 }
 
-/// The range that shows `depth` well: its 2nd and 98th percentile over the pixels with finite
-/// depth and, where given, an accumulation of at least one half. `None` if no pixel is left.
+/// Returns the range that shows `depth` well: its 2nd and 98th percentile over the pixels with finite depth and, if
+/// given, an accumulation of at least one half. `None` if no pixel is left.
 pub fn depth_range(depth: &[f32], acc: Option<&[f32]>) -> Option<(f32, f32)> {
     depth_range_of(&[(depth, acc)])
 }
 
-/// The same over all pixels of some views, each its depth and accumulation.
+/// Returns the same over all pixels of several views, each with depth and accumulation.
 pub fn depth_range_of(views: &[(&[f32], Option<&[f32]>)]) -> Option<(f32, f32)> {
     let mut kept: Vec<f32> = Vec::new();
     for (depth, acc) in views {
@@ -108,10 +108,9 @@ pub fn depth_range_of(views: &[(&[f32], Option<&[f32]>)]) -> Option<(f32, f32)> 
     Some((at(OUTLIERS), at(1.0 - OUTLIERS)))
 }
 
-/// Depth as colours: `near` and closer bright yellow, `far` and farther dark violet, linearly in
-/// between. Pixels without finite depth are grey, and `acc` (accumulation, 0..=1) fades towards
-/// that grey. Take `near` and `far` from the scene or from [`depth_range`]; one pair for all the
-/// frames of a video.
+/// Draws depth as colours: `near` and closer bright yellow, `far` and farther dark violet, linearly in between. Pixels
+/// without finite depth are grey, and `acc` (accumulation, 0..=1) fades towards that grey. Take `near` and `far` from
+/// the scene or from [`depth_range`]; use one pair for all frames of a video.
 pub fn depth_colour(
     depth: &[f32],
     width: usize,
@@ -134,16 +133,16 @@ pub fn depth_colour(
     Ok(Image { width, height, channels: 3, pixels })
 }
 
-/// The depth map's colours for a number that is no depth: dark violet for 0 and less, bright yellow for 1 and more.
+/// Returns the depth map's colour of a number: dark violet for 0 and less, bright yellow for 1 and more.
 pub fn scale_colour(share: f32) -> [f32; 3] {
     colour_map()[(share.clamp(0.0, 1.0) * (COLOURS - 1) as f32).round() as usize]
 }
 
-/// Images side by side from left to right, aligned at the top, `gap` white pixels between them.
-/// Transparent pixels are shown on white.
+/// Puts images side by side from left to right, aligned at the top, with `gap` white pixels between them. Transparent
+/// pixels are on white.
 pub fn beside(pictures: &[&Image], gap: usize) -> Result<Image> {
     for picture in pictures {
-        check(picture).map_err(|reason| Error::Output(format!("cannot put pictures side by side: {reason}")))?;
+        check(picture).map_err(|reason| Error::Output(format!("cannot put images side by side: {reason}")))?;
     }
     let gaps = gap * pictures.len().saturating_sub(1);
     let width = pictures.iter().map(|picture| picture.width).sum::<usize>() + gaps;
@@ -161,7 +160,7 @@ pub fn beside(pictures: &[&Image], gap: usize) -> Result<Image> {
     Ok(Image { width, height, channels: 3, pixels })
 }
 
-/// RGB values of an image, on white where it is transparent.
+/// Returns the RGB values of an image, with transparent pixels on white.
 pub(super) fn on_paper(picture: &Image) -> Vec<f32> {
     if picture.channels == 3 {
         return picture.pixels.clone();
@@ -185,7 +184,7 @@ fn encode_png(
 
 pub(super) fn check(picture: &Image) -> std::result::Result<(), String> {
     if picture.channels != 3 && picture.channels != 4 {
-        return Err(format!("a picture has {} channels and must have 3 or 4", picture.channels));
+        return Err(format!("an image has {} channels; it must have 3 or 4", picture.channels));
     }
     check_size(picture.pixels.len(), picture.width, picture.height, picture.channels)
 }
@@ -193,7 +192,7 @@ pub(super) fn check(picture: &Image) -> std::result::Result<(), String> {
 fn check_size(found: usize, width: usize, height: usize, channels: usize) -> std::result::Result<(), String> {
     let expected = width.checked_mul(height).and_then(|pixels| pixels.checked_mul(channels));
     if found == 0 || expected != Some(found) {
-        return Err(format!("{width}x{height} pixels with {channels} values each do not make {found} values"));
+        return Err(format!("{width}x{height} pixels with {channels} values each do not have {found} values"));
     }
     Ok(())
 }
@@ -202,10 +201,10 @@ pub(super) fn unwritable(path: &Path, reason: &str) -> Error {
     Error::Output(format!("cannot write {}: {reason}", path.display()))
 }
 
-/// The depth map's colours, sRGB, dark to bright. Made for this program: in the OKLab space
-/// (Ottosson 2020, "A perceptual color space for image processing") lightness rises by equal steps,
-/// so that equal differences of depth look equal and survive a greyscale print, while the hue goes
-/// from violet over red to yellow; chroma is as great as the screen's colours allow, up to a bound.
+/// Returns the depth map's colours, sRGB, dark to bright. They were made for this program in the OKLab space (Ottosson
+/// 2020, "A perceptual color space for image processing"). Lightness rises by equal steps, so that equal differences
+/// of depth look equal and survive a greyscale print. The hue goes from violet over red to yellow. Chroma is as large
+/// as the screen's colours allow, up to a bound.
 fn colour_map() -> &'static [[f32; 3]; COLOURS] {
     static MAP: OnceLock<[[f32; 3]; COLOURS]> = OnceLock::new();
     MAP.get_or_init(|| std::array::from_fn(|index| map_colour(index as f64 / (COLOURS - 1) as f64)))
@@ -215,7 +214,7 @@ fn map_colour(t: f64) -> [f32; 3] {
     let lightness = 0.22 + 0.72 * t;
     let hue = (285.0 + 185.0 * t).to_radians();
     let (mut inside, mut outside) = (0.0, 0.19);
-    // The greatest chroma below the bound that is a colour of the screen, by bisection.
+    // The largest chroma below the bound that a screen can show, by bisection.
     for _ in 0..30 {
         let middle = 0.5 * (inside + outside);
         let rgb = linear_from_oklab(lightness, middle * hue.cos(), middle * hue.sin());
@@ -225,7 +224,7 @@ fn map_colour(t: f64) -> [f32; 3] {
     linear_from_oklab(lightness, inside * hue.cos(), inside * hue.sin()).map(|value| srgb_from_linear(value) as f32)
 }
 
-/// Linear RGB of an OKLab colour, with Ottosson's matrices.
+/// Converts an OKLab colour to linear RGB, with Ottosson's matrices.
 fn linear_from_oklab(lightness: f64, a: f64, b: f64) -> [f64; 3] {
     let long = (lightness + 0.396_337_777_4 * a + 0.215_803_757_3 * b).powi(3);
     let medium = (lightness - 0.105_561_345_8 * a - 0.063_854_172_8 * b).powi(3);

@@ -1,4 +1,4 @@
-//! Moving pictures that grow by a frame at a time: GIF, and MP4 where there can be one. No frame stays in memory.
+//! Videos that grow frame by frame: GIF, and MP4 if possible. No frame stays in memory.
 
 use std::fs::File;
 use std::io::{BufWriter, Write};
@@ -11,19 +11,19 @@ use super::pictures::{check, on_paper, quantise, unwritable};
 use crate::base::files::write_atomic;
 use crate::base::{Image, Result};
 
-/// Sampling factor of the colour quantisation: 1 is best and slowest, 30 worst.
+/// Sampling factor of the colour quantization: 1 is best and slowest, 30 worst.
 const GIF_SPEED: i32 = 1;
-/// Shortest frame of a GIF in hundredths of a second; viewers slow down what is shorter.
+/// Shortest frame of a GIF in hundredths of a second; viewers slow down shorter ones.
 const GIF_SHORTEST: u64 = 2;
 
-/// What went wrong, without the file's name.
+/// The result of encoding; the error lacks the file's name.
 type Encoded<T> = std::result::Result<T, String>;
 
-/// A GIF that repeats for ever, each frame with 256 colours of its own.
+/// A GIF that repeats forever; each frame has its own 256 colours.
 struct Gif<W: Write> {
     encoder: gif::Encoder<W>,
     size: (u16, u16),
-    /// Frames and their times: colours are sought for as many at once as there are threads.
+    /// Frames and their times. As many as there are threads are quantized at once.
     waiting: Vec<(Vec<u8>, u16)>,
 }
 
@@ -37,13 +37,13 @@ impl<W: Write> Gif<W> {
         Ok(Gif { encoder, size, waiting: Vec::new() })
     }
 
-    /// A frame that stays so many hundredths of a second.
+    /// Adds a frame that is shown for `delay` hundredths of a second.
     fn add(&mut self, frame: &Image, delay: u16) -> Encoded<()> {
         check(frame)?;
         let (width, height) = self.size;
         if (frame.width, frame.height) != (width.into(), height.into()) {
             let (w, h) = (frame.width, frame.height);
-            return Err(format!("a frame has {w}x{h} pixels and the first has {width}x{height}"));
+            return Err(format!("a frame has {w}x{h} pixels, but the first has {width}x{height}"));
         }
         self.waiting.push((quantise(&on_paper(frame)), delay));
         if self.waiting.len() < rayon::current_num_threads() { Ok(()) } else { self.write_waiting() }
@@ -65,32 +65,32 @@ impl<W: Write> Gif<W> {
     }
 }
 
-/// Writes frames of one size as a GIF, each with a time of its own in hundredths of a second.
+/// Writes frames of one size as a GIF, each with its own time in hundredths of a second.
 ///
 /// # Errors
-/// No frame, frames of several sizes or too large for a GIF; a file that cannot be written.
+/// There is no frame; frames have several sizes, or are too large for a GIF; the file cannot be written.
 pub fn write_timed_gif(path: &Path, frames: &[Image], delays: &[u16]) -> Result<()> {
     let bytes = timed_gif(frames, delays).map_err(|reason| unwritable(path, &reason))?;
     write_atomic(path, &bytes)
 }
 
 fn timed_gif(frames: &[Image], delays: &[u16]) -> Encoded<Vec<u8>> {
-    let first = frames.first().ok_or("there is no frame")?;
+    let first = frames.first().ok_or("no frames")?;
     let mut gif = Gif::begin(Vec::new(), (first.width, first.height))?;
     frames.iter().zip(delays).try_for_each(|(frame, &delay)| gif.add(frame, delay))?;
     gif.finish()
 }
 
-/// Hundredths of a second that frame `index` stays, from the rounded times of its start and end: frames differ by one where `fps`
-/// does not divide them, so that the whole has the right length.
+/// Returns how many hundredths of a second frame `index` is shown, from the rounded times of its start and end. If
+/// `fps` does not divide 100, frames differ by one, so that the total length is right.
 fn delay(index: usize, fps: f64) -> u16 {
     let start = |index: usize| (index as f64 * 100.0 / fps).round() as u64;
     let length = start(index + 1).saturating_sub(start(index));
     length.clamp(GIF_SHORTEST, u16::MAX as u64) as u16
 }
 
-/// A film as `NAME.gif` and, unless [`without_mp4`](super::without_mp4) says why not, `NAME.mp4`, of which a kill leaves a part:
-/// write them into a folder that appears as a whole.
+/// A video as `NAME.gif` and, unless [`without_mp4`](super::without_mp4) gives a reason, `NAME.mp4`. A kill leaves a
+/// partial file, so write into a folder that appears as a whole.
 pub struct Reel {
     path: PathBuf,
     gif: Gif<BufWriter<File>>,
@@ -100,13 +100,14 @@ pub struct Reel {
 }
 
 impl Reel {
-    /// A film of `frames` frames of `size` (width, height), so many a second; a GIF shows at most 50. `path` lacks the ending.
+    /// Starts a video of `frames` frames of `size` (width, height), at `fps` frames a second; a GIF shows at most 50.
+    /// `path` has no extension.
     ///
     /// # Errors
-    /// A rate that is not positive; frames too large for a GIF; a file that cannot be written.
+    /// The rate is not positive; frames are too large for a GIF; the file cannot be written.
     pub fn begin(path: &Path, size: (usize, usize), frames: usize, fps: f64) -> Result<Reel> {
         if !(fps.is_finite() && fps > 0.0) {
-            return Err(unwritable(path, &format!("the frame rate is {fps} and must be positive")));
+            return Err(unwritable(path, &format!("the frame rate is {fps}; it must be positive")));
         }
         let file = path.with_extension("gif");
         let writer = File::create(&file).map_err(|error| unwritable(&file, &error.to_string()))?;
@@ -116,10 +117,10 @@ impl Reel {
         Ok(Reel { path: path.to_path_buf(), gif, mp4, fps, count: 0 })
     }
 
-    /// The next frame.
+    /// Adds the next frame.
     ///
     /// # Errors
-    /// A frame of another size; a file that cannot be written.
+    /// The frame has another size; the file cannot be written.
     pub fn add(&mut self, frame: &Image) -> Result<()> {
         let Reel { path, gif, mp4, fps, count } = self;
         gif.add(frame, delay(*count, *fps)).map_err(|reason| unwritable(&path.with_extension("gif"), &reason))?;
@@ -130,10 +131,10 @@ impl Reel {
         Ok(())
     }
 
-    /// Writes what is left.
+    /// Writes the rest and closes the files.
     ///
     /// # Errors
-    /// A file that cannot be written.
+    /// A file cannot be written.
     pub fn finish(self) -> Result<()> {
         let [gif, mp4] = ["gif", "mp4"].map(|ending| self.path.with_extension(ending));
         let mut writer = self.gif.finish().map_err(|reason| unwritable(&gif, &reason))?;

@@ -1,4 +1,5 @@
-//! One comparison of each of several tables, corrected over the tables: what a study asks of all its blocks at once.
+//! One comparison in each of several tables, corrected over the tables: the question of a study to all its experiments
+//! at once.
 
 use super::statistics::{holm, simultaneous};
 use super::tables::text::{signed_interval, signed_text};
@@ -7,33 +8,33 @@ use crate::base::csv::{csv_number, csv_text};
 use crate::metrics::{Direction, Metric};
 use crate::report::statistics::p_text;
 
-/// The comparisons, one a table, scene and place on axes.
+/// The comparisons, one for each table, scene and axis values.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Across {
-    /// The row that is compared.
+    /// The compared row.
     pub row: String,
-    /// What it is compared with.
+    /// The row that it is compared with.
     pub baseline: String,
     /// Key of the metric.
     pub metric: String,
-    /// In the order of the tables.
+    /// The comparisons, in the order of the tables.
     pub blocks: Vec<Block>,
 }
 
-/// One of them.
+/// One comparison.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Block {
-    /// The table's name: the sweep's.
+    /// The table's name, which is the sweep's.
     pub sweep: String,
     /// The scene.
     pub scene: String,
-    /// The place on axes; mostly none.
+    /// Axis values; usually empty.
     pub axes: String,
-    /// The difference, its p values corrected over the blocks; none without a seed that both rows have.
+    /// The difference, its p values corrected over the blocks, or `None` if no seed has both rows.
     pub comparison: Option<Comparison>,
-    /// How many points of the row have come how far: `done 5`.
+    /// Counts of the row's points by status: `done 5`.
     pub status: String,
-    /// The row lacks a point that its sweep asks for.
+    /// The row lacks a point of its sweep.
     pub unfinished: bool,
     /// Ends of the interval that holds with 95 % for all blocks at once (Bonferroni).
     pub simultaneous: Option<(f64, f64)>,
@@ -44,7 +45,7 @@ const HOW_TO_READ: &str = "the difference is paired by seed, with its 95 % Stude
      once (Bonferroni), which is stricter than Holm's p: \"higher\" and \"lower\" go by p";
 
 impl Across {
-    /// Of tables whose first metric is the one that is compared and in which `row` has `baseline` for its baseline.
+    /// Compares in tables whose first metric is the compared one and in which `row` has the baseline `baseline`.
     pub fn new(row: &str, baseline: &str, tables: &[Table]) -> Across {
         let block = |table: &Table, line: &Line| Block {
             sweep: table.name.clone(),
@@ -84,7 +85,7 @@ impl Across {
         }
     }
 
-    /// A line a block, all digits.
+    /// Returns one line a block, with all digits.
     pub fn csv(&self) -> String {
         const HEAD: [&str; 21] = [
             "sweep",
@@ -140,7 +141,7 @@ impl Across {
         csv_text(std::iter::once(HEAD.map(String::from).to_vec()).chain(rows))
     }
 
-    /// The same for readers.
+    /// Returns the same for readers.
     pub fn markdown(&self) -> String {
         let mut text = format!(
             "**{} against {}, {}: one comparison a block**\n\n",
@@ -179,7 +180,7 @@ impl Across {
         )
     }
 
-    /// What is said of a block.
+    /// Returns the verdict on a block in words.
     pub(super) fn words(&self, block: &Block, comparison: &Comparison) -> String {
         let mut words: Vec<String> =
             comparison.verdict().map(|verdict| verdict.name().to_string()).into_iter().collect();
@@ -197,19 +198,19 @@ impl Across {
 }
 
 impl Block {
-    /// Sweep, scene and place on axes.
+    /// Returns sweep, scene and axis values.
     pub(super) fn place(&self) -> String {
         let parts = [&self.sweep, &self.scene, &self.axes].into_iter().filter(|text| !text.is_empty());
         parts.map(String::as_str).collect::<Vec<&str>>().join(", ")
     }
 
-    /// The difference that the sweep states to count for none.
+    /// Returns the margin of equivalence that the sweep states.
     pub(super) fn margin(&self) -> Option<f64> {
         Some(self.comparison?.equivalence?.margin)
     }
 
-    /// Whether all of the simultaneous interval is worse than a gain of the margin; none without a margin or an interval, and
-    /// of a metric that has no better.
+    /// Returns whether all of the simultaneous interval is worse than a gain of the margin. `None` without a margin or
+    /// an interval, or if the metric has no better direction.
     pub fn ruled_out(&self, metric: &str) -> Option<bool> {
         let ((low, high), margin) = (self.simultaneous?, self.margin()?);
         match Metric::find(metric)?.direction {
@@ -225,7 +226,7 @@ mod tests {
     use super::*;
     use crate::report::{Record, RowSpec, Status, TableSpec};
 
-    /// A table with the differences, seed by seed.
+    /// Returns a table with these differences, seed by seed.
     fn table(name: &str, differences: &[f64]) -> Table {
         let row = |name: &str, baseline: Option<&str>| RowSpec {
             name: name.into(),
@@ -274,7 +275,7 @@ mod tests {
         let ratio = (a.simultaneous.unwrap().1 - of_a.difference) / (of_a.interval.unwrap().1 - of_a.difference);
         assert!((ratio - 4.176534846187437 / 3.182446305283718).abs() < 1e-6, "{ratio}");
         assert_eq!((a.ruled_out("psnr"), b.ruled_out("psnr")), (Some(false), Some(true)));
-        // Less is better: what is far above 0 is no gain, and what is near 0 is none of the margin.
+        // Less is better: a value far above 0 is no gain, and one near 0 is no gain of the margin.
         assert_eq!((a.ruled_out("lpips_squeeze"), b.ruled_out("lpips_squeeze")), (Some(true), Some(true)));
         let text = across.markdown();
         assert!(text.contains("| a, fern | 4 | +0.50 ["), "{text}");

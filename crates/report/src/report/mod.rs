@@ -1,4 +1,4 @@
-//! Tables, figures and a page over points: records, statistics, published numbers.
+//! Tables, figures and a page of points: records, statistics, published numbers.
 
 mod across;
 pub mod exporters;

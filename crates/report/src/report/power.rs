@@ -1,5 +1,5 @@
-//! How many seeds it takes to show a difference, from what paired differences spread over and without their means: what a study
-//! is planned by, and may look at before its last seed.
+//! Numbers of seeds that are needed to show a difference. They come from the spread of paired differences without
+//! their means, so a study may use them for planning before its last seed.
 
 use serde::Serialize;
 use statrs::distribution::{ContinuousCDF, Normal, StudentsT};
@@ -8,11 +8,11 @@ use statrs::function::gamma::ln_gamma;
 use super::statistics::SIGNIFICANCE;
 use super::tables::{Line, Table, comparisons_to_come};
 
-/// In so many of 100 studies a difference of the asked size is to be shown.
+/// Probability of showing a difference of the given size.
 pub const POWER: f64 = 0.8;
-/// A spread of two differences says next to nothing, and no fewer are named.
+/// Least seeds; two differences say almost nothing about their spread.
 pub const LEAST_SEEDS: usize = 3;
-/// More are not looked for.
+/// Limit of the search.
 pub const MOST_SEEDS: usize = 1000;
 
 /// A line of a table that is compared with another.
@@ -20,22 +20,24 @@ pub const MOST_SEEDS: usize = 1000;
 pub struct Spread {
     /// The scene.
     pub scene: String,
-    /// The row with its place on axes.
+    /// The row with its axis values.
     pub label: String,
-    /// What it is compared with.
+    /// The row that it is compared with.
     pub baseline: String,
     /// Seeds that both have.
     pub seeds: usize,
-    /// Standard deviation of the differences; none of fewer than two seeds.
+    /// Standard deviation of the differences; `None` for fewer than two seeds.
     pub deviation: Option<f64>,
-    /// How many comparisons p is corrected over.
+    /// Number of comparisons that p is corrected over.
     pub tests: usize,
-    /// Seeds that show the asked difference with [`POWER`]; none of fewer than three seeds, and where [`MOST_SEEDS`] do not.
+    /// Seeds that show the difference with [`POWER`]; `None` for fewer than three seeds, or if [`MOST_SEEDS`] are not
+    /// enough.
     pub seeds_needed: Option<usize>,
 }
 
-/// What a table's first metric spreads over and how many seeds would show `difference`, its p values corrected over so many
-/// `tests` (Holm's first step), or over those of the line's scene. Empty where no line is compared with another.
+/// Returns the spreads of a table's first metric and the seeds that would show `difference`. P values are corrected
+/// over `tests` comparisons (Holm's first step), or over those of the line's scene. Empty if no line is compared with
+/// another.
 pub fn spreads(table: &Table, difference: f64, tests: Option<usize>) -> Vec<Spread> {
     let of_scene = |scene: &str| {
         let lines: Vec<&Line> = table.lines.iter().filter(|line| line.scene == scene).collect();
@@ -62,14 +64,14 @@ pub fn spreads(table: &Table, difference: f64, tests: Option<usize>) -> Vec<Spre
     table.lines.iter().filter_map(spread).collect()
 }
 
-/// The fewest seeds with which a two-sided paired t test at `level` shows a difference of `effect` standard deviations with
-/// [`POWER`]; none where [`MOST_SEEDS`] do not.
+/// Returns the fewest seeds with which a two-sided paired t test at `level` shows a difference of `effect` standard
+/// deviations with [`POWER`], or `None` if [`MOST_SEEDS`] are not enough.
 fn seeds_needed(effect: f64, level: f64) -> Option<usize> {
     (LEAST_SEEDS..=MOST_SEEDS).find(|&seeds| power(seeds, effect, level) >= POWER)
 }
 
-/// The power of a two-sided paired t test of so many seeds: P(|T| > t) of the noncentral t distribution, as the mean of a
-/// normal's tails over the sample standard deviation s, where n - 1 times its square has a chi-squared distribution.
+/// Returns the power of a two-sided paired t test: P(|T| > t) of the noncentral t distribution. Computed as the mean
+/// of a normal's tails over the sample standard deviation s; n - 1 times its square has a chi-squared distribution.
 fn power(seeds: usize, effect: f64, level: f64) -> f64 {
     const PARTS: usize = 1000;
     let freedom = (seeds - 1) as f64;
@@ -79,11 +81,11 @@ fn power(seeds: usize, effect: f64, level: f64) -> f64 {
     // Beyond 1e6 it is shown in any case.
     let shift = (effect * (seeds as f64).sqrt()).min(1e6);
     let tails = |s: f64| normal.sf(critical * s - shift) + normal.cdf(-critical * s - shift);
-    // Of s, the chi distribution's in logarithms: its factors leave f64 beyond some hundred seeds.
+    // The chi distribution of s, in logarithms: its factors overflow f64 beyond some hundred seeds.
     let half = freedom / 2.0;
     let scale = std::f64::consts::LN_2 + half * half.ln() - ln_gamma(half);
     let density = |s: f64| (scale + (freedom - 1.0) * s.ln() - half * s * s).exp();
-    // Nine standard deviations of s about 1; less than 1e-12 lies outside.
+    // Nine standard deviations of s about 1; less than 1e-12 is outside.
     let reach = 9.0 / (2.0 * freedom).sqrt();
     let low = (1.0 - reach).max(0.0);
     let step = (1.0 + reach - low) / PARTS as f64;

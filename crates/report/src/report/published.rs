@@ -1,10 +1,10 @@
-//! The paper's own numbers and what is known of how they were measured.
+//! The paper's numbers, and what is known about their measurement.
 
 use serde::Deserialize;
 
 use crate::report::{PublishedKey, Record};
 
-/// What the paper says, and does not say, of the protocol behind its tables.
+/// What the paper states, and does not state, about the protocol of its tables.
 pub const PUBLISHED_NOTE: &str = "\
 The paper's SRN, LLFF, NV and NeRF rows of tables 1 and 2 and the NeRF row of table 4 are quoted from the NeRF paper, \
 which scored SRN at 504x376 (LLFF) and 512x512 (Blender), the others at 1008x752 and 800x800; the paper's own runs are \
@@ -23,7 +23,7 @@ pub struct PublishedRow {
     pub dataset: String,
     /// The scene's name.
     pub scene: String,
-    /// `clean`, or what the training views or the network were changed by.
+    /// `clean`, or the change of the training views or the network.
     pub condition: String,
     /// The method as the paper names it.
     pub method: String,
@@ -40,68 +40,69 @@ pub struct PublishedRow {
 /// How a published number was measured, as far as known.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct PublishedProtocol {
-    /// Who measured it.
+    /// The source of the number.
     pub source: &'static str,
     /// Width of the evaluated views in pixels.
     pub width: usize,
     /// Height of the evaluated views in pixels.
     pub height: usize,
-    /// Weight updates.
+    /// Number of weight updates.
     pub steps: Option<u64>,
     /// Width of the trunk.
     pub field_width: Option<usize>,
-    /// Layers of the trunk.
+    /// Number of layers of the trunk.
     pub field_depth: Option<usize>,
-    /// Coarse samples of a ray, and fine ones.
+    /// Coarse and fine samples of a ray.
     pub samples: Option<(usize, usize)>,
     /// Rays of a step.
     pub rays: Option<usize>,
-    /// Samples and rays are what the paper's released code has: the paper gives none.
+    /// Samples and rays come from the paper's released code, since the paper gives none.
     pub by_released_code: bool,
-    /// Views that were trained on, and others that were evaluated.
+    /// Numbers of training views and of evaluated views.
     pub views: Option<(usize, usize)>,
-    /// What is known to be wrong with it; empty otherwise.
+    /// A known error of the number; empty otherwise.
     pub remark: &'static str,
 }
 
-/// SRN on orchids carries fern's SSIM.
+/// SRN on orchids has fern's SSIM.
 const WRONG_SSIM: &str = "its SSIM is that of fern, the NeRF paper has 0.449";
 
-/// What stands beside all numbers of LLFF.
+/// Remark on all numbers of LLFF.
 const ELSEWHERE: &str = "one network trained on other scenes, whose inputs are this scene's training views";
 
-/// Every row of the paper's tables, in their order.
+/// Returns every row of the paper's tables, in order.
 pub fn published_rows() -> Vec<PublishedRow> {
     let mut reader = csv::Reader::from_reader(include_str!("published.csv").as_bytes());
     reader.deserialize().map(|row| row.expect("the copy in this program is whole")).collect()
 }
 
 impl PublishedKey {
-    /// Whether a row of the paper's tables is of this table, condition and method.
+    /// Returns whether a row of the paper's tables has this table, condition and method.
     pub fn names(&self, row: &PublishedRow) -> bool {
         (&self.table, &self.condition, &self.method) == (&row.table, &row.condition, &row.method)
     }
 
-    /// Refuses a key that no row of the paper's tables has.
+    /// Returns an error if the paper's tables have no such row.
     pub fn check(&self) -> std::result::Result<(), String> {
         if published_rows().iter().any(|row| self.names(row)) {
             return Ok(());
         }
         Err(format!(
-            "names method `{}` under condition `{}` of the paper's {}, which published.csv lacks",
-            self.method, self.condition, self.table
+            "the paper's {} has no method `{}` under condition `{}`; set ours = true if the paper lacks the row, or give \
+             its name in the paper with published",
+            self.table, self.method, self.condition
         ))
     }
 
-    /// The paper's row for a scene; none where the paper does not have the scene.
+    /// Returns the paper's row for a scene, or `None` if the paper does not have the scene.
     pub fn find(&self, scene: &str) -> Option<PublishedRow> {
         published_rows().into_iter().find(|row| self.names(row) && row.scene == scene)
     }
 }
 
 impl PublishedRow {
-    /// The number that belongs beside one of our metrics. None of LPIPS and what is made of it: the paper does not name its
-    /// backbone, and those of different ones do not compare.
+    /// Returns the number for one of our metrics. LPIPS and the average have none: the paper does not name its
+    /// backbone, and numbers of different backbones do not compare.
     pub fn metric(&self, name: &str) -> Option<f64> {
         match name {
             "psnr" => Some(self.psnr),
@@ -110,13 +111,13 @@ impl PublishedRow {
         }
     }
 
-    /// How it was measured.
+    /// Returns how it was measured.
     pub fn protocol(&self) -> PublishedProtocol {
         let is_llff = self.dataset == "llff";
         let quoted = matches!(self.table.as_str(), "tab1" | "tab2" | "tab4");
         let (theirs, half) = if is_llff { ((1008, 752), (504, 376)) } else { ((800, 800), (512, 512)) };
         let (source, (width, height)) = match self.method.as_str() {
-            // For want of memory.
+            // Because of the memory limit.
             "SRN" => ("quoted from the NeRF paper", half),
             "LLFF" | "NV" => ("quoted from the NeRF paper", theirs),
             "NeRF" if quoted => ("quoted from the NeRF paper", theirs),
@@ -127,7 +128,7 @@ impl PublishedRow {
         };
         let own = source == "the paper's own run";
         let nerf = self.method == "NeRF";
-        // Of MipNeRF there is no released code.
+        // There is no released code of MipNeRF.
         let by_released_code = own && self.method != "MipNeRF";
         PublishedProtocol {
             source,
@@ -135,7 +136,7 @@ impl PublishedRow {
             height,
             steps: own.then_some(500_000),
             field_width: (own || nerf).then(|| self.stated_width()),
-            // "The same MLP architecture" as the original NeRF's.
+            // The "same MLP architecture" as the original NeRF's.
             field_depth: (own || nerf).then_some(8),
             samples: match by_released_code {
                 true => Some((64, if is_llff { 64 } else { 128 })),
@@ -146,7 +147,7 @@ impl PublishedRow {
                 false => (nerf && !own).then_some(4096),
             },
             by_released_code,
-            // LLFF was trained on none of them.
+            // LLFF was not trained on any of them.
             views: self.views().filter(|_| self.method != "LLFF"),
             remark: match (&*self.method, &*self.scene) {
                 ("SRN", "orchids") => WRONG_SSIM,
@@ -156,7 +157,8 @@ impl PublishedRow {
         }
     }
 
-    /// Views of both papers, which trained and tested all models on the same ones: every eighth of an LLFF scene is held out.
+    /// Returns the numbers of views. Both papers trained and tested all models on the same ones: every eighth view of
+    /// an LLFF scene is held out.
     fn views(&self) -> Option<(usize, usize)> {
         match (self.dataset.as_str(), self.scene.as_str()) {
             ("blender", _) => Some((100, 200)),
@@ -167,7 +169,7 @@ impl PublishedRow {
         }
     }
 
-    /// Width of the trunk as the condition says it, otherwise the paper's.
+    /// Returns the trunk's width in the condition, otherwise the paper's.
     fn stated_width(&self) -> usize {
         let stated = self.condition.strip_prefix("width_").and_then(|rest| rest.split('_').next());
         stated.and_then(|width| width.parse().ok()).unwrap_or(256)
@@ -175,7 +177,7 @@ impl PublishedRow {
 }
 
 impl PublishedProtocol {
-    /// All that is known, for a reader.
+    /// Returns everything that is known, for readers.
     pub fn text(&self) -> String {
         let code = if self.by_released_code { " in the released code" } else { "" };
         let known = [
@@ -191,8 +193,8 @@ impl PublishedProtocol {
         format!("{}, {}x{}{known}{remark}", self.source, self.width, self.height)
     }
 
-    /// In what a measured point is known to differ: `101x76 instead of 504x378, steps 2000
-    /// instead of 500000`; empty where nothing is. What either does not tell is left out.
+    /// Returns the known differences of a measured point: `101x76 instead of 504x378, steps 2000 instead of 500000`;
+    /// empty if there are none. Values that either lacks are skipped.
     pub fn difference(&self, record: &Record) -> String {
         let both = |names: [&str; 2], between: &str| match names.map(|name| record.protocol(name)) {
             ["", _] | [_, ""] => String::new(),
@@ -239,7 +241,7 @@ mod tests {
         let row = find("tab4", "clean", "+ Feature & (Pre-) Output Aug.", "fern").unwrap();
         assert_eq!((row.psnr, row.ssim, row.lpips, row.average), (26.32, 0.810, 0.199, 0.059));
         assert_eq!((row.metric("psnr"), row.metric("ssim"), row.metric("psnr_float")), (Some(26.32), Some(0.81), None));
-        // Of which backbone, the paper does not say.
+        // The paper does not name the backbone.
         assert_eq!((row.metric("lpips_vgg"), row.metric("average_squeeze")), (None, None));
         assert_eq!(find("tab4", "clean", "NeRF", "chair"), None);
     }
@@ -270,7 +272,7 @@ mod tests {
         assert_eq!(text("tab1", "clean", "MipNeRF", "fern"), format!("{mip}{fern}"));
     }
 
-    /// The paper prints fern's SSIM for SRN on orchids: the number stays as it is printed, and says so.
+    /// The paper prints fern's SSIM for SRN on orchids; the number is kept and has a remark.
     #[test]
     fn a_number_that_is_another_scene_s_says_so() {
         let srn = |scene| find("tab1", "clean", "SRN", scene).unwrap();
@@ -307,7 +309,7 @@ mod tests {
         assert_eq!(own.difference(&record), "101x76 instead of 504x378, field_width 64 instead of 256");
         let quoted = find("tab1", "clean", "SRN", "fern").unwrap().protocol();
         assert_eq!(quoted.difference(&record), "101x76 instead of 504x376");
-        // Everything that a point tells and the papers or the code do.
+        // Everything that a point states and that the papers or the code state too.
         let small = [("field_depth", "4"), ("samples_coarse", "32"), ("samples_fine", "16"), ("rays", "512")];
         let record = set(&[&small[..], &[("views_trained", "8"), ("views_evaluated", "2")]].concat());
         let (depth, views) =

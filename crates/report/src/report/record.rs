@@ -1,77 +1,77 @@
-//! What tables and plots are made of: the points of a sweep as read back from files.
+//! Inputs of tables and plots: the points of a sweep as read from files.
 
 use serde::{Deserialize, Serialize};
 
-/// One point of a sweep: a configuration with its seed, and what came of it.
+/// One point of a sweep: a configuration with its seed, and its results.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Record {
     /// Content hash: the name of the point's folder.
     pub id: String,
     /// The scene's name.
     pub scene: String,
-    /// The row as the table prints it, without axis values.
+    /// The row's name in the table, without axis values.
     pub row: String,
-    /// Values of the axes that the point lies on, in the definition's order; empty for a plain row.
+    /// Axis values of the point, in the definition's order; empty for a plain row.
     pub axes: Vec<AxisValue>,
-    /// Seed of every random stream; none of pictures that were scored without one.
+    /// Seed of every random stream; `None` for images that were scored without one.
     pub seed: Option<u64>,
-    /// How far the point has come.
+    /// The point's progress.
     pub status: Status,
     /// First line of why it failed or has no data; empty otherwise.
     pub reason: String,
-    /// Name and value of each metric; a missing one is absent or none.
+    /// Name and value of each metric; a missing one is absent or `None`.
     pub metrics: Vec<(String, Option<f64>)>,
     /// Name and text of each field of the protocol; empty until the point is done.
     pub protocol: Vec<(String, String)>,
-    /// Sites that were inactive, by what the protocol's `inactive_by` says.
+    /// Sites that were inactive by the measure in the protocol's `inactive_by`.
     pub inactive_levels: Vec<String>,
 }
 
-/// A point's place on one axis.
+/// A point's position on one axis.
 #[derive(Clone, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct AxisValue {
-    /// What is varied, as the plot's x axis names it: `steps`, `step size`, `injection layer`.
+    /// Name of the varied quantity, used as the x axis of the plot: `steps`, `step size`, `injection layer`.
     pub axis: String,
-    /// What it is varied of: `input coordinates`, `features`, `output`; empty where there is one panel.
+    /// The part that is varied: `input coordinates`, `features`, `output`; empty if there is one panel.
     pub panel: String,
-    /// The value as the definition wrote it.
+    /// The value as in the definition.
     pub value: String,
 }
 
 impl std::fmt::Display for AxisValue {
-    /// `features steps = 3`.
+    /// Writes `features steps = 3`.
     fn fmt(&self, f: &mut std::fmt::Formatter) -> std::fmt::Result {
         let space = if self.panel.is_empty() { "" } else { " " };
         write!(f, "{}{space}{} = {}", self.panel, self.axis, self.value)
     }
 }
 
-/// A row with the values of its axes: `Aug-NeRF, features steps = 3`.
+/// Returns a row's name with its axis values: `Aug-NeRF, features steps = 3`.
 pub fn label(row: &str, axes: &[AxisValue]) -> String {
     std::iter::once(row.to_string()).chain(axes.iter().map(|value| format!(", {value}"))).collect()
 }
 
-/// How far a point has come.
+/// Progress of a point.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Status {
     /// Measured; has metrics.
     Done,
-    /// Being trained right now.
+    /// Training is in progress.
     Running,
-    /// Not begun, or stopped with a checkpoint.
+    /// Not started, or stopped with a checkpoint.
     Waiting,
     /// Ended with an error.
     Failed,
-    /// Its scene is not on this machine.
+    /// Its scene is missing on this machine.
     NoData,
 }
 
 impl Status {
-    /// All of them.
+    /// All states.
     pub const ALL: [Status; 5] = [Status::Done, Status::Running, Status::Waiting, Status::Failed, Status::NoData];
 
-    /// The word in files and tables.
+    /// Returns the word in files and tables.
     pub fn name(self) -> &'static str {
         match self {
             Status::Done => "done",
@@ -84,68 +84,68 @@ impl Status {
 }
 
 impl Record {
-    /// The row with its axis values: `Aug-NeRF, features steps = 3`.
+    /// Returns the row with its axis values: `Aug-NeRF, features steps = 3`.
     pub fn label(&self) -> String {
         label(&self.row, &self.axes)
     }
 
-    /// For a person: row, scene, seed.
+    /// Returns a label for people: row, scene, seed.
     pub fn point_label(&self) -> String {
         format!("{} · {} · {}", self.label(), self.scene, self.seed_text())
     }
 
-    /// `seed 3`, or `no seed`.
+    /// Returns `seed 3`, or `no seed`.
     pub fn seed_text(&self) -> String {
         self.seed.map_or("no seed".into(), |seed| format!("seed {seed}"))
     }
 
-    /// A metric's value, where there is one.
+    /// Returns a metric's value, if there is one.
     pub fn metric(&self, name: &str) -> Option<f64> {
         self.metrics.iter().find(|(known, _)| known == name).and_then(|(_, value)| *value)
     }
 
-    /// A protocol field's text; empty where there is none.
+    /// Returns a protocol field's text; empty if there is none.
     pub fn protocol(&self, name: &str) -> &str {
         self.protocol.iter().find(|(known, _)| known == name).map_or("", |(_, text)| text)
     }
 }
 
-/// What a definition says about its table.
+/// A definition's description of its table.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct TableSpec {
     /// The sweep's name.
     pub name: String,
-    /// What the table answers, one line.
+    /// The question that the table answers, in one line.
     pub title: String,
-    /// Metrics to print, best first: `psnr`, `ssim`, `lpips_squeeze`, ...
+    /// Metrics to print, the most important first: `psnr`, `ssim`, `lpips_squeeze`, ...
     pub metrics: Vec<String>,
     /// The rows in printing order.
     pub rows: Vec<RowSpec>,
     /// Protocol fields that must be equal in all rows of a scene.
     pub must_match: Vec<String>,
-    /// Those of them that go with the seed: they must be equal in all rows of a scene with one seed.
+    /// The fields among them that depend on the seed: they must be equal in all rows of a scene with one seed.
     pub by_seed: Vec<String>,
-    /// Metrics with the margin within which a row counts as equivalent to its baseline, in the metric's unit. Without one
-    /// no equivalence is claimed.
+    /// Metrics with the margin within which a row counts as equivalent to its baseline, in the metric's unit. Without
+    /// a margin, equivalence is not tested.
     pub equivalence: Vec<(String, f64)>,
-    /// All rows are varied along axes, but for single ones to compare with: figures are drawn against the axes.
+    /// All rows are varied along axes, except reference lines: figures are drawn against the axes.
     pub varied: bool,
-    /// What stands below the table besides: what was chosen of a sweep, and of which sweeps.
+    /// Further notes below the table: the sweeps and the selection that it shows.
     pub notes: Vec<String>,
 }
 
 impl TableSpec {
-    /// The margin of equivalence of a metric; none where the definition states none.
+    /// Returns the margin of equivalence of a metric, or `None` if the definition has none.
     pub fn margin(&self, metric: &str) -> Option<f64> {
         self.equivalence.iter().find(|(known, _)| known == metric).map(|(_, margin)| *margin)
     }
 
-    /// A row that was not trained here: pictures of another program.
+    /// Returns whether a row was scored: images of another program.
     pub fn is_scored(&self, row: &str) -> bool {
         self.rows.iter().any(|known| known.scored && known.name == row)
     }
 
-    /// The table has a metric whose key begins so.
+    /// Returns whether a metric's key has this prefix.
     pub(super) fn has_any(&self, prefix: &str) -> bool {
         self.metrics.iter().any(|metric| metric.starts_with(prefix))
     }
@@ -154,32 +154,32 @@ impl TableSpec {
 /// One row of the definition.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct RowSpec {
-    /// As the table prints it.
+    /// The name in the table.
     pub name: String,
-    /// The row that it is compared with, seed by seed; none for a baseline.
+    /// The row that it is compared with, seed by seed, or `None` for a baseline.
     pub baseline: Option<String>,
-    /// A row of ours that the paper does not have.
+    /// The paper does not have this row.
     pub ours: bool,
-    /// Not run here: the paper's numbers alone.
+    /// Not run here: only the paper's numbers.
     pub quoted: bool,
-    /// Not trained here: pictures that another program rendered, measured under our protocol.
+    /// Not trained here: images of another program, measured under our protocol.
     pub scored: bool,
-    /// Where the paper's numbers are: table, condition and method of `published.csv`; the scene is the record's.
+    /// Key of the paper's numbers: table, condition and method of `published.csv`; the scene is the record's.
     pub published: Option<PublishedKey>,
 }
 
-/// Finds rows of `published.csv`.
+/// Key of rows in `published.csv`.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct PublishedKey {
     /// `tab1`, ...
     pub table: String,
     /// `clean`, `gaussian_noise`, ...
     pub condition: String,
-    /// The method as the paper names it.
+    /// The paper's name of the method.
     pub method: String,
 }
 
-/// Each item once, in the order of first appearance.
+/// Returns each item once, in the order of first appearance.
 pub fn distinct<T: PartialEq>(items: impl Iterator<Item = T>) -> Vec<T> {
     let mut seen = Vec::new();
     for item in items {

@@ -1,44 +1,43 @@
-//! Statistics over the seeds of a row. A replicate is a run, never a view: the views of one run
-//! share its weights.
+//! Statistics over the seeds of a row. Replicates are runs, never views, since the views of one run share its weights.
 
 use statrs::distribution::{ContinuousCDF, StudentsT};
 
-/// A claim is made where its p value, corrected over its family, is smaller.
+/// Level of significance, for p values corrected over their family.
 pub const SIGNIFICANCE: f64 = 0.05;
-/// Share of a Student t distribution below the upper end of a two-sided 95 % interval.
+/// Part of a Student t distribution below the upper end of a two-sided 95 % interval.
 const UPPER: f64 = 1.0 - SIGNIFICANCE / 2.0;
 
-/// The mean; none of no values.
+/// Returns the mean, or `None` without values.
 pub fn mean(values: &[f64]) -> Option<f64> {
-    // Summed as distances from the first, so that equal values have exactly that mean.
+    // Sums distances from the first value, so that the mean of equal values is exact.
     let first = values.first()?;
     Some(first + values.iter().map(|value| value - first).sum::<f64>() / values.len() as f64)
 }
 
-/// The sample standard deviation, over n - 1; none of fewer than two values.
+/// Returns the sample standard deviation, over n - 1, or `None` for fewer than two values.
 pub fn standard_deviation(values: &[f64]) -> Option<f64> {
     let centre = mean(values)?;
     let squares: f64 = values.iter().map(|value| (value - centre).powi(2)).sum();
     (values.len() > 1).then(|| (squares / (values.len() - 1) as f64).sqrt())
 }
 
-/// Value minus the baseline's of the same seed, in the order of `values`; a seed that one of them
-/// lacks is left out.
+/// Returns value minus the baseline's of the same seed, in the order of `values`; seeds that one of them lacks are
+/// skipped.
 pub fn paired_differences(values: &[(u64, f64)], baseline: &[(u64, f64)]) -> Vec<f64> {
     let partner = |seed| baseline.iter().find(|(other, _)| *other == seed).map(|(_, value)| value);
     values.iter().filter_map(|&(seed, value)| Some(value - partner(seed)?)).collect()
 }
 
-/// Ends of the two-sided 95 % Student t interval of the mean, n - 1 degrees of freedom; none of
-/// fewer than two differences. Where all are equal, both ends are that difference.
+/// Returns the ends of the two-sided 95 % Student t interval of the mean, with n - 1 degrees of freedom. `None` for
+/// fewer than two differences. If all are equal, both ends are that difference.
 pub fn interval(differences: &[f64]) -> Option<(f64, f64)> {
     let (centre, error) = centre_and_error(differences)?;
     let half = error * student(differences.len()).inverse_cdf(UPPER);
     Some((centre - half, centre + half))
 }
 
-/// A two-sided 95 % interval of the mean of `n` differences, widened so that so many such intervals hold at once with 95 %
-/// (Bonferroni).
+/// Widens a two-sided 95 % interval of the mean of `n` differences, so that `tests` such intervals hold at once with
+/// 95 % (Bonferroni).
 pub fn simultaneous((low, high): (f64, f64), n: usize, tests: usize) -> (f64, f64) {
     let quantile = |share: f64| student(n).inverse_cdf(1.0 - share / 2.0);
     let (centre, half) = ((low + high) / 2.0, (high - low) / 2.0);
@@ -46,8 +45,8 @@ pub fn simultaneous((low, high): (f64, f64), n: usize, tests: usize) -> (f64, f6
     (centre - half, centre + half)
 }
 
-/// The p value of the two-sided paired t test that the mean difference is 0; none of fewer than
-/// two differences. Where all are equal, it is 1 for a difference of 0 and 0 for any other.
+/// Returns the p value of the two-sided paired t test that the mean difference is 0, or `None` for fewer than two
+/// differences. If all are equal, it is 1 for a difference of 0 and 0 otherwise.
 pub fn p_value(differences: &[f64]) -> Option<f64> {
     let (centre, error) = centre_and_error(differences)?;
     Some(match (centre == 0.0, error == 0.0) {
@@ -57,9 +56,9 @@ pub fn p_value(differences: &[f64]) -> Option<f64> {
     })
 }
 
-/// The p value of two one-sided paired t tests (Schuirmann 1987) that the mean difference lies within `margin` of 0, on
-/// either side: the larger of the two; none of fewer than two differences. Where all are equal, it is 0 for a difference
-/// within the margin and 1 for any other.
+/// Returns the p value of two one-sided paired t tests (Schuirmann 1987) that the mean difference is within `margin`
+/// of 0: the larger of the two. `None` for fewer than two differences. If all are equal, it is 0 for a difference
+/// within the margin and 1 otherwise.
 pub fn equivalence_p_value(differences: &[f64], margin: f64) -> Option<f64> {
     let (centre, error) = centre_and_error(differences)?;
     let room = margin - centre.abs();
@@ -69,8 +68,9 @@ pub fn equivalence_p_value(differences: &[f64], margin: f64) -> Option<f64> {
     })
 }
 
-/// The least mean difference that would pass Holm's first step among so many tests, at the pooled spread of these groups of
-/// differences; none where no group has two differences, or none spreads, or there is no test.
+/// Returns the least mean difference that would be significant in Holm's first step among `tests` tests, at the pooled
+/// spread of these groups of differences. `None` if no group has two differences, none has a spread, or there is no
+/// test.
 pub fn least_provable(groups: &[&[f64]], tests: usize) -> Option<f64> {
     let spread: Vec<&&[f64]> = groups.iter().filter(|group| group.len() > 1 && tests > 0).collect();
     let pairs = spread.iter().map(|group| group.len()).min()?;
@@ -80,8 +80,8 @@ pub fn least_provable(groups: &[&[f64]], tests: usize) -> Option<f64> {
     (error > 0.0).then_some(quantile * error)
 }
 
-/// Holm's step-down correction: the k-th smallest of m is multiplied by m - k + 1, made not to
-/// fall from one to the next and cut at 1. Missing p values stay missing and do not count.
+/// Applies Holm's step-down correction: the k-th smallest of m is multiplied by m - k + 1, made monotone and cut at 1.
+/// Missing p values stay missing and do not count.
 pub fn holm(p_values: &[Option<f64>]) -> Vec<Option<f64>> {
     let mut known: Vec<(f64, usize)> =
         p_values.iter().enumerate().filter_map(|(index, p)| Some(((*p)?, index))).collect();
@@ -95,7 +95,7 @@ pub fn holm(p_values: &[Option<f64>]) -> Vec<Option<f64>> {
     corrected
 }
 
-/// A p value, with as many digits as tell it from the level of significance.
+/// Returns a p value as text, with enough digits to tell it from the level of significance.
 pub fn p_text(p: f64) -> String {
     match format!("{p:.3}").as_str() {
         "0.000" => "< 0.001".into(),
@@ -104,12 +104,12 @@ pub fn p_text(p: f64) -> String {
     }
 }
 
-/// Mean and its standard error; none where numbers are too large for them.
+/// Returns the mean and its standard error, or `None` if numbers are too large.
 fn centre_and_error(differences: &[f64]) -> Option<(f64, f64)> {
     Some((mean(differences)?, standard_error(differences)?)).filter(|(a, b)| a.is_finite() && b.is_finite())
 }
 
-/// P(T > t) of `n` differences. Beyond 1e100 it is 0 or 1 to the last digit, and the square would be too large.
+/// Returns P(T > t) of `n` differences. Beyond 1e100 it is 0 or 1 to the last digit, and the square would overflow.
 fn upper_tail(n: usize, t: f64) -> f64 {
     student(n).sf(t.clamp(-1e100, 1e100))
 }
@@ -118,7 +118,7 @@ fn standard_error(values: &[f64]) -> Option<f64> {
     Some(standard_deviation(values)? / (values.len() as f64).sqrt())
 }
 
-/// The distribution that belongs to `n` differences.
+/// Returns the t distribution for `n` differences.
 fn student(n: usize) -> StudentsT {
     StudentsT::new(0.0, 1.0, (n - 1) as f64).expect("two differences or more")
 }
@@ -127,8 +127,8 @@ fn student(n: usize) -> StudentsT {
 mod tests {
     use super::*;
 
-    /// Relative; the numbers below are printed to the last digit, what differs is two
-    /// implementations of the incomplete beta function and their rounding.
+    /// Relative. The numbers below are printed to the last digit; two implementations of the incomplete beta function
+    /// round differently.
     const TOLERANCE: f64 = 1e-9;
 
     fn close(value: Option<f64>, expected: f64) {
@@ -201,7 +201,7 @@ mod tests {
             (&[-0.9, -0.7, -1.1], 0.3),
         ] {
             let (centre, error) = (mean(values).unwrap(), standard_error(values).unwrap());
-            // The two tests one by one: of a mean above -margin, and of one below margin.
+            // The two tests separately: a mean above -margin, and a mean below margin.
             let [low, high] = [(centre + margin) / error, (margin - centre) / error].map(|t| above(values.len(), t));
             close(equivalence_p_value(values, margin), low.max(high));
         }

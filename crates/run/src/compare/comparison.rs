@@ -1,4 +1,4 @@
-//! A held-out view as several runs render it, measured.
+//! A held-out view as several runs render it, with metrics.
 
 use super::differences::{Difference, differences};
 use super::run_view::RunView;
@@ -8,16 +8,16 @@ use crate::draw::{depth_range, pixel_errors};
 use crate::metrics::{ViewMetrics, measure_unmasked, unmasked_or};
 use crate::run::RenderedView;
 
-/// Share of the view's sides that the box has where nobody says how large it is to be.
+/// Default side of the box, as a divisor of the view's side.
 const BOX_SHARE: usize = 5;
-/// Runs before one view, rendered and measured.
+/// Runs that render one view, with metrics.
 pub struct Comparison {
     pub(super) sides: Vec<Side>,
     pub(super) differences: Vec<Difference>,
     pub(super) window: Window,
-    /// The box was named, not searched for.
+    /// The user gave the box.
     pub(super) named_box: bool,
-    /// End of the errors' scale, which starts at 0.
+    /// Upper end of the errors' scale, which starts at 0.
     pub(super) error_top: f32,
     /// Ends of the depths' scale.
     pub(super) depths: (f32, f32),
@@ -26,31 +26,31 @@ pub struct Comparison {
 pub(super) struct Side {
     pub(super) run: RunView,
     pub(super) rendered: RenderedView,
-    /// Root of the mean squared difference over channels of each pixel's 8-bit values.
+    /// Per pixel, the root mean square difference over channels of 8-bit values.
     pub(super) errors: Vec<f32>,
     pub(super) metrics: ViewMetrics,
     pub(super) metrics_in_box: ViewMetrics,
 }
 
 impl Comparison {
-    /// Of runs that have passed [`RunView::check_alike`], each with its rendering. The box is `window`, or the one
-    /// of `box_width` columns (a fifth of the view's where not given) and the view's aspect over which the runs'
-    /// squared errors differ most.
+    /// Compares runs that have passed [`RunView::check_alike`], each with its rendering. The box is `window`, or the
+    /// place where the runs' squared errors differ most. That box has `box_width` columns (by default a fifth of the
+    /// view's) and the view's aspect.
     pub fn new(
         mut runs: Vec<(RunView, RenderedView)>,
         window: Option<Window>,
         box_width: Option<usize>,
     ) -> Result<Comparison> {
         let Some((first, _)) = runs.first() else {
-            return Err(Error::Config("there is no run to compare; name at least one".into()));
+            return Err(Error::Config("no run to compare; name at least one".into()));
         };
         let (truth, mask, bounds) = (first.view.image.clone(), first.view.mask.clone(), first.bounds);
         check_box(window, box_width, &truth)?;
-        // Methods without NDC stand beside those with it in scene units.
+        // Runs without NDC appear next to runs with NDC in scene units.
         if runs.iter().any(|(run, _)| run.ndc.is_none()) {
             runs.iter_mut().for_each(|(run, rendered)| run.leave_ndc(&mut rendered.depth));
         }
-        // What is masked is no error.
+        // Masked pixels have no error.
         let counted: Vec<Image> =
             runs.iter().map(|(_, rendered)| unmasked_or(rendered.image.clone(), &truth, mask.as_deref())).collect();
         let images: Vec<&Image> = counted.iter().collect();
@@ -61,7 +61,7 @@ impl Comparison {
         let over = |values: fn(&RenderedView) -> &Vec<f32>| -> Vec<f32> {
             runs.iter().flat_map(|(_, rendered)| values(rendered).iter().copied()).collect()
         };
-        // One scale for all runs.
+        // All runs share one scale.
         let depths = depth_range(&over(|r| &r.depth), Some(&over(|r| &r.acc)));
         let named: Vec<&RunView> = runs.iter().map(|(run, _)| run).collect();
         let differences = differences(&named);
@@ -76,7 +76,7 @@ impl Comparison {
         });
         let sides = sides.collect::<Result<Vec<Side>>>()?;
         let errors: Vec<f32> = sides.iter().flat_map(|side| side.errors.iter().copied()).collect();
-        // A scale without length where all is equal to the truth would colour nothing.
+        // If all pixels equal the ground truth, the scale still needs a length.
         let error_top = depth_range(&errors, None).map_or(1.0, |(_, top)| top).max(1.0 / 255.0);
         Ok(Comparison {
             sides,
@@ -88,13 +88,13 @@ impl Comparison {
         })
     }
 
-    /// The view's own depth in the units of the runs' depth, where there is any.
+    /// Returns the view's own depth in the units of the runs' depth, if it has one.
     pub(super) fn truth_depth(&self) -> Option<&Vec<f32>> {
         let first = self.first();
         first.view.depth.as_ref().filter(|_| first.ndc.is_none())
     }
 
-    /// For each pixel the largest error of all runs less the smallest.
+    /// Returns, for each pixel, the largest error of all runs minus the smallest.
     pub(super) fn spread(&self) -> Vec<f32> {
         let over = |pixel: usize, pick: fn(f32, f32) -> f32| {
             self.sides.iter().map(|side| side.errors[pixel]).reduce(pick).unwrap_or(0.0)
@@ -102,7 +102,7 @@ impl Comparison {
         (0..self.sides[0].errors.len()).map(|pixel| over(pixel, f32::max) - over(pixel, f32::min)).collect()
     }
 
-    /// The box that the pictures look into.
+    /// Returns the box that the images zoom into.
     pub fn window(&self) -> Window {
         self.window
     }
@@ -124,28 +124,28 @@ impl Comparison {
     }
 }
 
-/// Refuses a box, or columns of one, that the view has no room for.
+/// Returns an error if a box, or a box of some columns, does not fit into the view.
 pub fn check_box(window: Option<Window>, box_width: Option<usize>, view: &Image) -> Result<()> {
     if let Some(window) = window {
         window.check(view.width, view.height)?;
     }
     match box_width {
         Some(columns) if columns > view.width => Err(Error::Config(format!(
-            "--box-width {columns} is more than the {0} columns of the view; give at most {0}",
+            "--box-width {columns} exceeds the {0} columns of the view; give at most {0}",
             view.width
         ))),
         _ => Ok(()),
     }
 }
 
-/// Columns and rows of a box of the view's aspect.
+/// Returns columns and rows of a box of the view's aspect.
 fn box_size(columns: Option<usize>, width: usize, height: usize) -> (usize, usize) {
     let columns = columns.unwrap_or((width + BOX_SHARE / 2) / BOX_SHARE).max(1);
     let rows = (columns as f64 * height as f64 / width as f64).round() as usize;
     (columns, rows.clamp(1, height))
 }
 
-/// PSNR and SSIM as far as they are known.
+/// Returns PSNR and SSIM as text, as far as they are known.
 pub(super) fn metrics_text(metrics: &ViewMetrics) -> String {
     let psnr = metrics.get("psnr").map_or("equal to the truth".into(), |psnr| format!("PSNR {psnr:.2} dB"));
     metrics.get("ssim").map_or(psnr.clone(), |ssim| format!("{psnr}, SSIM {ssim:.3}"))

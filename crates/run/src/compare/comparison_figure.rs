@@ -1,4 +1,4 @@
-//! The picture of a comparison.
+//! The image of a comparison.
 
 use super::comparison::{Comparison, metrics_text};
 use super::differences::difference_text;
@@ -9,10 +9,10 @@ use crate::base::{Image, Result};
 use crate::draw::canvas::{Anchor, BLACK, Canvas, Figure, LINE_HEIGHT, PAPER, RED, SIDE, TEXT, TITLE, text_width};
 use crate::draw::{depth_colour, scale_colour};
 
-/// Between two pictures.
+/// Gap between two images.
 const GAP: f64 = 10.0;
 
-/// One row for the truth and one a run: view, box, error, depth.
+/// Draws one row for the ground truth and one a run: view, box, error, depth.
 pub fn draw(comparison: &Comparison) -> Result<Figure> {
     ComparisonFigure { comparison }.draw()
 }
@@ -71,7 +71,7 @@ impl ComparisonFigure<'_> {
         Ok(())
     }
 
-    /// The view with the box's outline, and what is in the box.
+    /// Draws the view with the box's outline, and the box enlarged.
     fn draw_view(
         &self,
         canvas: &mut Canvas,
@@ -96,19 +96,19 @@ impl ComparisonFigure<'_> {
         let units = scale.width / self.comparison.truth().width as f64;
         let place = (x + column as f64 * units, y + row as f64 * units);
         let size = (width as f64 * units, height as f64 * units);
-        // White below, so that it is seen on every colour.
+        // White below, so that the outline is visible on every colour.
         canvas.outline(place, size, PAPER, 3.0);
         canvas.outline(place, size, RED, 1.5);
     }
 
-    /// A run's name, its metrics and what it differs in; returns where its pictures start.
+    /// Draws a run's name, metrics and differences; returns where its images start.
     fn draw_label(&self, canvas: &mut Canvas, index: usize, mut y: f64) -> f64 {
         let side = &self.comparison.sides[index];
         let (view, in_box) = (metrics_text(&side.metrics), metrics_text(&side.metrics_in_box));
         let numbers = format!("view: {view}; box: {in_box}");
         let right = canvas.width - SIDE;
         let below = lines(canvas, (SIDE, y), right - SIDE, &side.run.label, (TITLE, BLACK));
-        // Beside the name, or below one that leaves no room.
+        // Next to the name, or below a name that leaves no space.
         if SIDE + text_width(&side.run.label, TITLE) + 20.0 + text_width(&numbers, TEXT) > right {
             y = below;
         }
@@ -118,7 +118,7 @@ impl ComparisonFigure<'_> {
             - LINE_HEIGHT / 2.0
     }
 
-    /// The colours' scales below the columns that they belong to.
+    /// Draws the colour bars below their columns.
     fn draw_bars(&self, canvas: &mut Canvas, scale: &DisplaySize, y: f64, left: &impl Fn(usize) -> f64) -> Result<()> {
         let (near, far) = self.comparison.depths;
         let unit = format!("depth ({})", self.comparison.first().depth_unit());

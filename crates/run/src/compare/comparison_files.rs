@@ -23,9 +23,9 @@ struct ComparisonFile<'a> {
     #[serde(rename = "box")]
     window: Window,
     box_chosen_by: &'static str,
-    /// What the error's darkest and brightest colours stand for, in colour values of 0..=1.
+    /// Ends of the errors' colour scale, in colour values of 0..=1.
     error_colours: (f32, f32),
-    /// Nearest and farthest colour.
+    /// Nearest and farthest depth of the colour scale.
     depth_colours: (f32, f32),
     depth_unit: &'static str,
     differences: &'a [Difference],
@@ -42,8 +42,8 @@ struct RunLine<'a> {
 }
 
 impl Comparison {
-    /// Writes `compare.png` (`compare.svg` without the feature `png-figures`), `compare.json` and, if `fade`,
-    /// `fade.gif` into a folder.
+    /// Writes `compare.png` (`compare.svg` without the feature `png-figures`) and `compare.json` into a folder; with
+    /// `fade`, also `fade.gif`.
     pub fn write(&self, folder: &Path, fade: bool) -> Result<()> {
         let figure = comparison_figure::draw(self)?;
         match &figure.png {
@@ -57,7 +57,7 @@ impl Comparison {
         Ok(())
     }
 
-    /// What `compare.json` holds.
+    /// Returns the content of `compare.json`.
     pub fn json(&self) -> serde_json::Value {
         serde_json::to_value(self.file()).expect("plain data")
     }

@@ -1,4 +1,4 @@
-//! What differs between runs that are shown together.
+//! Differences between runs that are shown together.
 
 use serde::Serialize;
 
@@ -8,39 +8,39 @@ use crate::settings::Config;
 use crate::settings::columns::{Column, find};
 use crate::settings::registry::REGISTRY;
 
-/// One thing in which runs differ.
+/// A field or setting in which runs differ.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Difference {
-    /// A field of the protocol, or a setting of `config.toml` that it does not speak of.
+    /// A field of the protocol, or a setting of `config.toml` without such a field.
     pub name: String,
-    /// Each run's value; empty where it has none.
+    /// Each run's value; empty if it has none.
     pub values: Vec<String>,
 }
 
-/// A column of the protocol speaks of the setting.
+/// Returns whether a protocol column shows the setting.
 fn has_column(setting: &str) -> bool {
     REGISTRY.get(setting).is_some_and(|setting| setting.rule.all_columns().next().is_some())
 }
 
-/// The column says nothing that other columns and settings do not decide.
+/// Returns whether other columns and settings decide the column.
 fn is_derived(column: &str) -> bool {
     find(column).is_some_and(Column::is_derived)
 }
 
-/// In what the runs differ: fields of their protocols first, then settings that these do not speak of.
+/// Returns in what the runs differ: protocol fields first, then settings without such a field.
 pub fn differences(runs: &[&RunView]) -> Vec<Difference> {
     let mut found = differing(runs.iter().map(|run| columns(&run.protocol)).collect(), is_derived);
     found.extend(differing(runs.iter().map(|run| run.settings.clone()).collect(), has_column));
     found
 }
 
-/// In what settings that can change a number configurations differ, their seeds apart.
+/// Returns the settings that can change a number in which configurations differ, except for the seed.
 pub fn differing_settings(configs: &[&Config]) -> Vec<Difference> {
     differing(configs.iter().map(|config| settings(config)).collect(), |name| name == "seed")
 }
 
-/// The names that have not one value in all rows, but for those to `skip`. A setting of the perturbed pass differs between rows
-/// that have one.
+/// Returns the names whose values differ between rows, without those to `skip`. A setting of the perturbed pass counts
+/// only for rows that have one.
 fn differing(rows: Vec<Vec<(String, String)>>, skip: fn(&str) -> bool) -> Vec<Difference> {
     let mut found = Vec::new();
     let names = rows.iter().flatten().map(|(name, _)| name).collect::<Vec<_>>();
@@ -60,19 +60,19 @@ fn differing(rows: Vec<Vec<(String, String)>>, skip: fn(&str) -> bool) -> Vec<Di
     found
 }
 
-/// One run's side of the differences as a line of text.
+/// Returns one run's side of the differences as a line of text.
 pub(super) fn difference_text(differences: &[Difference], run: usize) -> String {
     let own = differences.iter().filter(|difference| !difference.values[run].is_empty());
     let named = own.map(|difference| {
         let Difference { name, values } = difference;
-        // A setting keeps the name that --set knows it by; a field of the protocol becomes words.
+        // A setting keeps its name for --set; a protocol field becomes words.
         let name = if name.contains('.') { name.clone() } else { name.replace('_', " ") };
         format!("{name} {}", short(&values[run]))
     });
     named.collect::<Vec<String>>().join("; ")
 }
 
-/// A text with its long fractions rounded to four digits: 0.8333333333333334 as 0.8333. Files have all of them.
+/// Rounds long fractions in a text to four digits: 0.8333333333333334 as 0.8333. Files have all digits.
 fn short(text: &str) -> String {
     let rounded = |part: &str| {
         let end = part.trim_end_matches([' ', ',', '/', ';']);

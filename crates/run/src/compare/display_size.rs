@@ -1,18 +1,17 @@
-//! The size that a view is shown at.
+//! The size of a view in a figure.
 
 use crate::base::{Image, Result};
 use crate::data::resample;
 use crate::draw::canvas::{Canvas, FINENESS};
 
-/// Pixels of the PNG between which the picture of a view is wide where whole factors allow it.
+/// Least and most columns of a view in the PNG, as far as whole factors allow.
 const DISPLAY_COLUMNS: (usize, usize) = (400, 1024);
 
-/// How a view is brought to a size that can be read: enlarged or made smaller by a whole factor, so
-/// that its pixels stay what they are.
+/// The display size of a view. It is enlarged or reduced by a whole factor, so that its pixels keep their values.
 pub struct DisplaySize {
-    /// Pixels of the view, along each side, that become one.
+    /// Pixels of the view along each side that become one.
     pub shrink: usize,
-    /// In the canvas's units.
+    /// Size in the canvas's units.
     pub width: f64,
     pub height: f64,
 }
@@ -25,7 +24,7 @@ impl DisplaySize {
         DisplaySize { shrink, width: units(image.width), height: units(image.height) }
     }
 
-    /// The image's pixels at this size.
+    /// Returns the image at this size.
     pub fn raster(&self, image: &Image) -> Result<Image> {
         let mut canvas = Canvas::new(self.width, self.height);
         self.draw(&mut canvas, (0.0, 0.0), image)?;
@@ -40,7 +39,8 @@ impl DisplaySize {
         canvas.picture(at, (self.width, self.height), &resample::shrink(image, width, height))
     }
 
-    /// A coloured map: every so manieth pixel as it is, for a mean of colours stands for no number.
+    /// Draws a coloured map. Takes single pixels at regular distances, since a mean of colours would not stand for a
+    /// number.
     pub fn draw_map(&self, canvas: &mut Canvas, at: (f64, f64), map: &Image) -> Result<()> {
         let (width, height) = self.shrunk(map);
         let middle = |place: usize| self.shrink * place + self.shrink / 2;

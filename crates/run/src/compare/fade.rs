@@ -8,13 +8,13 @@ use crate::base::{Error, Image, Result};
 use crate::draw::canvas::{Anchor, BLACK, Canvas, LINE_HEIGHT, TEXT, wrapped};
 use crate::draw::{SVG_ALONE, write_timed_gif};
 
-/// Hundredths of a second that each run stays in the fade, and each step between them.
+/// Hundredths of a second that each run is shown, and each step between.
 const STAY: u16 = 120;
 const STEP: u16 = 8;
 /// Steps of the fade from one run to the other.
 const STEPS: usize = 9;
 
-/// Both runs in turn, each under its name, with a fade from one to the other and back.
+/// Writes both runs in turn, each under its name, with a fade from one to the other and back.
 pub fn write_fade(comparison: &Comparison, path: &Path) -> Result<()> {
     check_fade(comparison.sides.len())?;
     let scale = DisplaySize::of(comparison.truth());
@@ -25,7 +25,7 @@ pub fn write_fade(comparison: &Comparison, path: &Path) -> Result<()> {
         comparison.sides.iter().map(|side| scale.raster(&side.rendered.image)).collect::<Result<Vec<Image>>>()?;
     let frame = |step: usize| {
         let share = step as f32 / (STEPS + 1) as f32;
-        // Names change at once: two over one another could not be read.
+        // Names change at once, since two names over each other are unreadable.
         let name = &names[if share < 0.5 { 0 } else { 1 }];
         let mixed = views[0].pixels.iter().zip(&views[1].pixels).map(|(a, b)| a + share * (b - a));
         let pixels: Vec<f32> = name.pixels.iter().copied().chain(mixed).collect();
@@ -36,13 +36,13 @@ pub fn write_fade(comparison: &Comparison, path: &Path) -> Result<()> {
     write_timed_gif(path, &frames, &delays)
 }
 
-/// Name and metrics in lines of at most `width`.
+/// Returns name and metrics in lines of at most `width`.
 fn text(side: &Side, width: f64) -> Vec<String> {
     let both = [side.run.label.clone(), metrics_text(&side.metrics)];
     both.iter().flat_map(|text| wrapped(text, width - 8.0, TEXT)).collect()
 }
 
-/// Text on paper of `lines` lines.
+/// Draws text on a white strip of `lines` lines.
 fn name_strip(text: &[String], lines: usize, width: f64) -> Result<Image> {
     let mut canvas = Canvas::new(width, lines as f64 * LINE_HEIGHT + 6.0);
     for (index, line) in text.iter().enumerate() {
@@ -52,12 +52,12 @@ fn name_strip(text: &[String], lines: usize, width: f64) -> Result<Image> {
     canvas.raster()
 }
 
-/// Refuses a fade between any other number of runs than two, and any where figures are SVG alone.
+/// Returns an error unless there are exactly two runs and figures are drawn as pixels.
 pub fn check_fade(runs: usize) -> Result<()> {
     let refused = match (runs, SVG_ALONE) {
         (2, None) => return Ok(()),
-        (2, Some(why)) => format!("--gif fades between drawn pixels, and {why}; leave --gif out"),
-        _ => format!("--gif fades between two runs and here is {runs}; name two, or leave --gif out"),
+        (2, Some(why)) => format!("--gif needs drawn pixels, but {why}; omit --gif"),
+        _ => format!("--gif fades between two runs, but there are {runs}; name two, or omit --gif"),
     };
     Err(Error::Config(refused))
 }

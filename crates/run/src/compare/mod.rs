@@ -1,5 +1,5 @@
-//! Several trained runs before the same held-out view: what must agree for that, what differs
-//! between them, and the pictures and numbers that come of it.
+//! Compares several trained runs on one held-out view: what they must share, how they differ, and the resulting images
+//! and numbers.
 
 mod comparison;
 mod comparison_figure;

@@ -1,4 +1,4 @@
-//! What the pictures of several runs have in common: lines of text, scales of colours, a note on corrupted views.
+//! Parts that figures of several runs share: lines of text, colour bars, a note on corrupted views.
 
 use super::run_view::RunView;
 use crate::base::{Image, Result};
@@ -8,8 +8,8 @@ use crate::draw::scale_colour;
 /// Height of [`colour_bar`] with its numbers and name.
 pub const BAR: f64 = 46.0;
 
-/// What the colours of a map stand for: the map's own from left to right (`falling`: the other way round), numbers
-/// and a name below them.
+/// Draws a colour bar with numbers and a name below. The map's colours run from left to right, or from right to left
+/// if `falling`.
 pub fn colour_bar(
     canvas: &mut Canvas,
     (x, y): (f64, f64),
@@ -25,7 +25,7 @@ pub fn colour_bar(
     let picture = Image { width: COLOURS, height: 1, channels: 3, pixels: colours.collect() };
     canvas.picture((x, y), (width, HEIGHT), &picture)?;
     let (low, high) = (f64::from(low), f64::from(high));
-    // A scale without length, of a depth that is the same everywhere, has one number.
+    // A scale without length, for a constant depth, has one number.
     let (values, step) = if high > low { ticks((low, high), 4) } else { (vec![low], 1e-3) };
     for value in values {
         let at = x + width * (value - low) / (high - low).max(f64::MIN_POSITIVE);
@@ -36,12 +36,12 @@ pub fn colour_bar(
     Ok(())
 }
 
-/// Grey lines of text of at most `width` from `(x, y)` down; returns where the next would stand.
+/// Draws grey lines of text of at most `width`, from `(x, y)` down; returns the position after them.
 pub fn note(canvas: &mut Canvas, at: (f64, f64), width: f64, text: &str) -> f64 {
     if text.is_empty() { at.1 } else { lines(canvas, at, width, text, (TEXT, GREY)) }
 }
 
-/// The same in letters of a size and colour.
+/// Draws the same with a given size and colour.
 pub fn lines(
     canvas: &mut Canvas,
     (x, mut y): (f64, f64),
@@ -56,7 +56,7 @@ pub fn lines(
     y
 }
 
-/// Says of pictures of runs that were all trained on corrupted views that they were; what differs is told elsewhere.
+/// Returns a note if all runs were trained on views with the same corruption; differences are shown elsewhere.
 pub fn trained_on<'a>(runs: impl Iterator<Item = &'a RunView>) -> String {
     let mut what: Vec<String> = runs.map(|run| run.protocol.text("corruption")).collect();
     what.dedup();

@@ -1,4 +1,4 @@
-//! What runs hold along the ray of one pixel and of those around it.
+//! Density and colour of runs along the ray of one pixel and the rays around it.
 
 use candle_core::{DType, Tensor};
 use serde::Serialize;
@@ -21,55 +21,55 @@ pub const EVEN: usize = 1024;
 pub struct Samples {
     /// Positions along the ray.
     pub t: Vec<f32>,
-    /// Places of the samples, scene units (NDC where rays are there).
+    /// Positions of the samples in scene units (NDC if rays are in NDC).
     pub points: Vec<[f32; 3]>,
-    /// Density there, 1 / unit of space.
+    /// Density, 1 / unit of space.
     pub density: Vec<f32>,
-    /// Share of the pixel's colour that comes from there.
+    /// Contribution to the pixel's colour, 0..=1.
     pub weights: Vec<f32>,
-    /// Share of the light that reaches the camera from there: exp of minus the optical depth before it.
+    /// Fraction of the light that reaches the camera from the sample: exp of minus the optical depth in front of it.
     pub transmittance: Vec<f32>,
-    /// Colour there, seen from the camera.
+    /// Colour as seen from the camera.
     pub rgb: Vec<[f32; 3]>,
 }
 
-/// How a run's density and colour change over a patch, on the even lattice; the smaller the smoother.
+/// Changes of a run's density and colour over a patch of even samples. Smaller is smoother.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct RaySmoothness {
-    /// Mean density of the patch's rays, 1 / unit of space (of NDC, where rays are there): what the others are to be seen against.
+    /// Mean density of the patch's rays, 1 / unit of space (of NDC if rays are in NDC), for reference.
     pub density_mean: f64,
-    /// Total variation of density along a ray, the sum of |change| from sample to sample; mean over rays.
+    /// Total variation of density along a ray, the sum of |change| between samples; mean over rays.
     pub density_tv_along: f64,
     /// Mean |difference| of density between neighbouring pixels' rays at equal t; empty for a single pixel.
     pub density_tv_across: Option<f64>,
-    /// As `density_tv_along`, of colour, mean over channels. Colour counts in empty space, too.
+    /// As `density_tv_along`, for colour, mean over channels. Includes colour in empty space.
     pub rgb_tv_along: f64,
-    /// As `density_tv_across`, of colour, mean over channels.
+    /// As `density_tv_across`, for colour, mean over channels.
     pub rgb_tv_across: Option<f64>,
 }
 
 /// One run along the rays of a patch.
 #[derive(Clone, Debug)]
 pub struct Profile {
-    /// The pixel's ray as the coarse pass of an evaluation samples it.
+    /// Samples of the pixel's ray in the coarse pass of an evaluation.
     pub coarse: Samples,
-    /// The same of the fine pass, where there is one.
+    /// The same for the fine pass, if there is one.
     pub fine: Option<Samples>,
-    /// The evaluated field on an even lattice from near to far, for each pixel of the patch, row by row.
+    /// Even samples of the evaluated field from near to far, for each pixel of the patch, row by row.
     pub even: Vec<Samples>,
-    /// The pixel's colour as it is rendered.
+    /// The rendered colour of the pixel.
     pub rgb: [f32; 3],
-    /// Mean of t over the pixel's weights; none where nothing was accumulated.
+    /// Mean of t over the pixel's weights, or `None` if nothing was accumulated.
     pub depth: Option<f32>,
-    /// How smooth the patch is.
+    /// Smoothness over the patch.
     pub smoothness: RaySmoothness,
 }
 
-/// A square of `side` pixels around a pixel, moved where it would reach beyond the view.
+/// Returns a square of `side` pixels around a pixel, moved to lie inside the view.
 pub fn patch_around((x, y): (usize, usize), side: usize, (width, height): (usize, usize)) -> Result<Window> {
     if x >= width || y >= height {
         return Err(Error::Config(format!(
-            "--pixel {x},{y} is outside of the view of {width} x {height} pixels; give 0,0 to {},{}",
+            "--pixel {x},{y} is outside the view of {width} x {height} pixels; give 0,0 to {},{}",
             width - 1,
             height - 1
         )));
@@ -84,17 +84,18 @@ pub fn patch_around((x, y): (usize, usize), side: usize, (width, height): (usize
     Ok(Window { x: start(x, width), y: start(y, height), width: side, height: side })
 }
 
-/// Refuses a run that has nothing along its rays.
+/// Returns an error for a run without samples along rays.
 ///
 /// # Errors
-/// [`Error::Config`]: a method without fields.
+/// [`Error::Config`]: the method has no fields.
 pub fn check_profiled(label: &str, config: &Config) -> Result<()> {
-    let instead = "profile runs of nerf, aug-nerf, mip-nerf and aug-mip-nerf, and show this one with `augnerf compare`";
+    let instead = "profile runs of nerf, aug-nerf, mip-nerf and aug-mip-nerf; `augnerf compare` shows this run";
     config.require_capability(Capability::Samples, &format!("{label}: a profile along a ray"), instead)
 }
 
 impl Profile {
-    /// Along the ray of `pixel`, as an evaluation samples it, and evenly along those of `patch`, which holds it.
+    /// Measures a run along the ray of `pixel`, as an evaluation samples it, and evenly along the rays of `patch`,
+    /// which contains it.
     pub fn measure(viewer: &Viewer, run: &RunView, pixel: (usize, usize), patch: Window) -> Result<Profile> {
         let Viewer { model, config, scene, runtime } = *viewer;
         check_profiled(&run.label, config)?;
@@ -140,12 +141,12 @@ impl Profile {
     }
 }
 
-/// A window's pixels, row by row.
+/// Returns a window's pixels, row by row.
 pub(super) fn pixels_of(Window { x, y, width, height }: Window) -> Vec<(usize, usize)> {
     (y..y + height).flat_map(|y| (x..x + width).map(move |x| (x, y))).collect()
 }
 
-/// A pass's samples, ray by ray.
+/// Returns the samples of a pass, ray by ray.
 fn samples(rays: &Rays, out: &PassOutput) -> Result<Vec<Samples>> {
     let rows = |tensor: &Tensor| tensor.to_vec2::<f32>();
     let triples = |tensor: &Tensor| -> Result<Vec<Vec<[f32; 3]>>> {
@@ -159,8 +160,8 @@ fn samples(rays: &Rays, out: &PassOutput) -> Result<Vec<Samples>> {
     let mut colours = rgb.iter().flatten().flatten();
     if !colours.all(|value| value.is_finite()) || !density.iter().flatten().all(|value| value.is_finite()) {
         return Err(Error::Diverged(
-            "density or colour along the ray is not a number: the weights are broken; delete the newest checkpoint to \
-             fall back on the one before it"
+            "density or colour along the ray is not a number, so the weights are broken; delete the newest checkpoint to \
+             use the one before it"
                 .into(),
         ));
     }
@@ -174,7 +175,7 @@ fn samples(rays: &Rays, out: &PassOutput) -> Result<Vec<Samples>> {
     Ok(samples.collect())
 }
 
-/// Of the rays of a patch of `width` columns.
+/// Computes the smoothness of the rays of a patch of `width` columns.
 fn smoothness(rays: &[Samples], width: usize) -> RaySmoothness {
     let density = |ray: usize, k: usize| vec![f64::from(rays[ray].density[k])];
     let rgb = |ray: usize, k: usize| rays[ray].rgb[k].iter().map(|&c| f64::from(c)).collect();
@@ -188,7 +189,7 @@ fn smoothness(rays: &[Samples], width: usize) -> RaySmoothness {
     }
 }
 
-/// Mean |difference| over channels.
+/// Returns the mean |difference| over channels.
 fn apart(a: Vec<f64>, b: Vec<f64>) -> f64 {
     a.iter().zip(&b).map(|(a, b)| (a - b).abs()).sum::<f64>() / a.len() as f64
 }
@@ -198,7 +199,7 @@ fn along(rays: usize, value: &impl Fn(usize, usize) -> Vec<f64>) -> f64 {
     (0..rays).map(of_ray).sum::<f64>() / rays as f64
 }
 
-/// Over pairs of neighbours to the right and below.
+/// Averages over pairs of neighbours to the right and below.
 fn across(rays: usize, width: usize, value: &impl Fn(usize, usize) -> Vec<f64>) -> Option<f64> {
     let right = (0..rays).filter(|ray| (ray + 1) % width != 0).map(|ray| (ray, ray + 1));
     let below = (0..rays).filter(|ray| ray + width < rays).map(|ray| (ray, ray + width));
@@ -212,14 +213,14 @@ fn across(rays: usize, width: usize, value: &impl Fn(usize, usize) -> Vec<f64>) 
 pub struct Profiles {
     /// Runs that have passed [`RunView::check_alike`].
     pub runs: Vec<(RunView, Profile)>,
-    /// The pixel whose ray it is.
+    /// The pixel of the ray.
     pub pixel: (usize, usize),
-    /// The pixels whose rays are measured with it.
+    /// The pixels measured with it.
     pub patch: Window,
 }
 
 impl Profiles {
-    /// The pixel's own even samples.
+    /// Returns the pixel's own even samples.
     pub fn own<'a>(&self, profile: &'a Profile) -> &'a Samples {
         let (x, y) = self.pixel;
         &profile.even[(y - self.patch.y) * self.patch.width + x - self.patch.x]

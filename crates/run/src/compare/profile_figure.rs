@@ -1,4 +1,4 @@
-//! The picture of several runs along the same rays.
+//! The figure of several runs along the same rays.
 
 use super::differences::{difference_text, differences};
 use super::parts::{BAR, colour_bar, lines, note, trained_on};
@@ -13,17 +13,17 @@ use crate::draw::canvas::{
 use crate::draw::scale_colour;
 
 const LEFT: f64 = 92.0;
-/// A pixel of the PNG for each even sample.
+/// One pixel of the PNG for each even sample.
 const WIDTH: f64 = EVEN as f64 / FINENESS;
 const RIGHT: f64 = 92.0;
 /// Height of the view in the corner.
 const INSET: f64 = 72.0;
 /// Height of a patch's map.
 const MAP: f64 = 64.0;
-/// Share of the positive densities that the map's colours leave out at the top.
+/// Fraction of the positive densities above the map's brightest colour.
 const OUTLIERS: f64 = 0.02;
 
-/// Curves of the pixel's ray above, maps of the patch's row below, all over the same t.
+/// Draws curves of the pixel's ray, and maps of the patch's row below, all over the same t.
 pub fn draw(profiles: &Profiles) -> Result<Figure> {
     let first = &profiles.runs[0].0;
     let mut canvas = Canvas::new(LEFT + WIDTH + RIGHT, 0.0);
@@ -41,16 +41,16 @@ pub fn draw(profiles: &Profiles) -> Result<Figure> {
     canvas.finish()
 }
 
-/// The view in the upper right corner, with the patch in it; returns its left end.
+/// Draws the view with the patch in the upper right corner; returns its left end.
 fn draw_inset(canvas: &mut Canvas, profiles: &Profiles) -> Result<f64> {
     let image = &profiles.runs[0].0.view.image;
-    // The photograph itself where it is small, otherwise brought to the PNG's pixels.
+    // A small photo is drawn as it is, a larger one at the PNG's resolution.
     let share = (INSET * FINENESS / image.height as f64).min(1.0);
     let [columns, rows] = [image.width, image.height].map(|side| ((side as f64 * share).round() as usize).max(1));
     let unit = INSET / image.height as f64;
     let (left, top) = (canvas.width - SIDE - image.width as f64 * unit, 14.0);
     canvas.picture((left, top), (image.width as f64 * unit, INSET), &resample::shrink(image, columns, rows))?;
-    // At least so large that it is seen.
+    // Large enough to be visible.
     let side = (profiles.patch.width as f64 * unit).max(6.0);
     let middle = |start: usize| (start as f64 + 0.5 * profiles.patch.width as f64) * unit - 0.5 * side;
     let at = (left + middle(profiles.patch.x), top + middle(profiles.patch.y));
@@ -75,7 +75,7 @@ impl Axis {
         }
     }
 
-    /// Numbers and name below a panel; returns where the next thing may start.
+    /// Draws numbers and name below a panel; returns the position after them.
     fn label(&self, canvas: &mut Canvas, y: f64, unit: &str) -> f64 {
         let (values, step) = ticks(self.bounds, 6);
         for t in values {
@@ -87,7 +87,7 @@ impl Axis {
     }
 }
 
-/// Each run's colour, name, smoothness and what it differs in.
+/// Draws each run's colour, name, smoothness and differences.
 fn legend(canvas: &mut Canvas, profiles: &Profiles, mut y: f64) -> f64 {
     const TEXT_LEFT: f64 = SIDE + 34.0;
     let width = canvas.width - TEXT_LEFT - SIDE;
@@ -111,13 +111,13 @@ fn smoothness(profile: &Profile) -> String {
     )
 }
 
-/// Refuses more runs than there are colours to tell curves apart.
+/// Returns an error if there are more runs than distinguishable colours.
 pub fn check_overlay(runs: usize) -> Result<()> {
     if runs <= PALETTE.len() {
         return Ok(());
     }
     let most = PALETTE.len();
-    Err(Error::Config(format!("a profile overlays at most {most} runs and here are {runs}; name fewer")))
+    Err(Error::Config(format!("a profile overlays at most {most} runs, but there are {runs}; name fewer")))
 }
 
 fn colour(run: usize) -> Colour {
@@ -128,14 +128,14 @@ fn colour(run: usize) -> Colour {
 struct Curves {
     name: &'static str,
     height: f64,
-    /// The scale's upper end; the greatest value where it is not given.
+    /// Upper end of the scale, or `None` for the greatest value.
     top: Option<f64>,
-    /// Of an evaluation's samples, which are marked, instead of the even ones.
+    /// Draws the samples of an evaluation, marked, in place of the even ones.
     evaluated: bool,
     value: fn(&Samples, usize) -> f32,
 }
 
-/// Density, weight, red, green and blue over t; returns the last panel's foot.
+/// Draws density, weight, red, green and blue over t; returns the foot of the last panel.
 fn curves(canvas: &mut Canvas, profiles: &Profiles, axis: &Axis, mut y: f64) -> f64 {
     const GAP: f64 = 14.0;
     let rgb = |name, value| Curves { name, height: 56.0, top: Some(1.0), evaluated: false, value };
@@ -184,7 +184,7 @@ impl Curves {
     }
 }
 
-/// For each run density and colour of the patch's row through the pixel, and what the density's colours mean; returns
+/// Draws, for each run, density and colour of the patch's row through the pixel, and the density's colour bar; returns
 /// the foot of all.
 fn maps(canvas: &mut Canvas, profiles: &Profiles, axis: &Axis, unit: &str, mut y: f64) -> Result<f64> {
     let top = density_top(profiles);
@@ -206,7 +206,7 @@ fn maps(canvas: &mut Canvas, profiles: &Profiles, axis: &Axis, unit: &str, mut y
     Ok(y + BAR)
 }
 
-/// The first and last column of the patch beside a map, and a mark at the pixel's own.
+/// Draws the first and last column of the patch next to a map, and a mark at the pixel's own.
 fn draw_column_names(canvas: &mut Canvas, profiles: &Profiles, y: f64) {
     let Window { x, width, .. } = profiles.patch;
     let middle = |column: usize| y + MAP * ((column - x) as f64 + 0.5) / width as f64;
@@ -218,7 +218,7 @@ fn draw_column_names(canvas: &mut Canvas, profiles: &Profiles, y: f64) {
     }
 }
 
-/// The rays of the patch's row through the pixel, one below the other.
+/// Returns the rays of the patch's row through the pixel, one below the other.
 fn row<'a>(profiles: &Profiles, profile: &'a Profile) -> &'a [Samples] {
     let Window { y, width, .. } = profiles.patch;
     &profile.even[(profiles.pixel.1 - y) * width..][..width]
@@ -230,7 +230,7 @@ fn map(profiles: &Profiles, profile: &Profile, colour: impl Fn(&Samples, usize) 
     Image { width: EVEN, height: rays.len(), channels: 3, pixels }
 }
 
-/// The density of the brightest colour: of the positive ones on all maps, all but the highest 2 % are below.
+/// Returns the density of the brightest colour: of the positive densities on all maps, 98 % are below it.
 fn density_top(profiles: &Profiles) -> f32 {
     let rays = profiles.runs.iter().flat_map(|(_, profile)| row(profiles, profile));
     let mut positive: Vec<f32> = rays.flat_map(|ray| &ray.density).copied().filter(|&density| density > 0.0).collect();

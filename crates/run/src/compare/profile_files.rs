@@ -42,7 +42,7 @@ struct ProfileFile<'a> {
     patch: Window,
     even_samples: usize,
     t_unit: &'static str,
-    /// The photograph's colour of the pixel.
+    /// The photo's colour at the pixel.
     truth_rgb: &'a [f32],
     differences: Vec<Difference>,
     runs: Vec<RunLine<'a>>,
@@ -77,7 +77,7 @@ impl Profiles {
         write_json(&folder.join("profile.json"), &self.report())
     }
 
-    /// What `profile.json` holds.
+    /// Returns the content of `profile.json`.
     pub fn json(&self) -> serde_json::Value {
         serde_json::to_value(self.report()).expect("plain data")
     }

@@ -1,4 +1,4 @@
-//! A run before one held-out view, and what must agree between runs that are shown together.
+//! A run with one held-out view, and what runs that are shown together must share.
 
 use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
@@ -9,31 +9,31 @@ use crate::run::{Protocol, Viewer};
 use crate::settings::Config;
 use crate::train::checkpoint::State;
 
-/// A run with the held-out view that it is to show.
+/// A run with one held-out view.
 #[derive(Clone, Debug)]
 pub struct RunView {
-    /// What pictures and files call it.
+    /// Label in images and files.
     pub label: String,
-    /// Where its numbers come from.
+    /// Provenance of its numbers.
     pub protocol: Protocol,
     /// The held-out view.
     pub view: View,
-    /// Its place among the run's held-out views, from 0.
+    /// Its index among the run's held-out views, from 0.
     pub index: usize,
-    /// How its rays are mapped to normalised device coordinates, if they are.
+    /// Mapping of its rays to normalized device coordinates, if any.
     pub ndc: Option<Ndc>,
     /// Ends of a ray's interval in the units of `t_vals`.
     pub bounds: (f64, f64),
-    /// Where in a pixel its ray goes through, from the pixel's corner.
+    /// Position of a pixel's ray from the pixel's corner.
     pub(super) shift: f64,
-    /// Its field is queried at Gaussians of intervals, not at points.
+    /// The field is queried at Gaussians of intervals, not at points.
     pub queries_gaussians: bool,
     /// Every setting that can change a number, by its name in `config.toml`.
     pub(super) settings: Vec<(String, String)>,
 }
 
 impl RunView {
-    /// A run at a checkpoint's state. `view` is a held-out view's name or its number from 0.
+    /// Reads a run at a checkpoint's state. `view` is a held-out view's name, or its number from 0.
     pub fn new(label: String, viewer: &Viewer, state: &State, view: &str) -> Result<RunView> {
         let Viewer { config, scene, .. } = *viewer;
         let index = find_view(&label, scene, view)?;
@@ -50,16 +50,16 @@ impl RunView {
         })
     }
 
-    /// Refuses a run that does not show what `first` shows: another scene, view, resolution, camera or photograph.
+    /// Returns an error if the run shows another scene, view, resolution, camera or photo than `first`.
     pub fn check_alike(&self, first: &RunView) -> Result<()> {
         let differ = |what: &str, own: String, other: String| {
             Err(Error::Config(format!(
-                "{} and {} do not show the same: {what} is {own} in the first and {other} in the second; give runs that \
+                "{} and {} do not match: {what} is {own} in the first and {other} in the second; give runs that \
                  agree in it",
                 self.label, first.label
             )))
         };
-        // Numbers with all their digits, so that equal texts are equal numbers.
+        // Numbers have all their digits, so that equal texts are equal numbers.
         let facts = |run: &RunView| {
             let Camera { width, height, focal, centre, pose } = run.view.camera;
             [
@@ -70,7 +70,7 @@ impl RunView {
                 ("the background", run.protocol.text("background")),
                 ("the focal length", format!("{focal:?}")),
                 ("the principal point", format!("{centre:?}")),
-                ("the camera's place", format!("{:?}", pose.map(|row| row[3]))),
+                ("the camera's location", format!("{:?}", pose.map(|row| row[3]))),
                 ("the camera's orientation", format!("{:?}", pose.map(|row| [row[0], row[1], row[2]]))),
             ]
         };
@@ -82,23 +82,24 @@ impl RunView {
         let others = self.view.image.pixels.iter().zip(&first.view.image.pixels).filter(|(a, b)| a != b).count();
         if others > 0 {
             let values = self.view.image.pixels.len();
-            return differ("the photograph", "one".into(), format!("another ({others} of {values} values)"));
+            return differ("the photo", "one".into(), format!("another ({others} of {values} values)"));
         }
         if self.view.mask != first.view.mask {
-            return differ("the photograph's mask", "one".into(), "another, or none".into());
+            return differ("the photo's mask", "one".into(), "another, or none".into());
         }
         Ok(())
     }
 
-    /// Refuses a run whose rays have other ends than those of `first`: what is measured from near to far is not comparable.
+    /// Returns an error if the run's rays have other ends than those of `first`. Measurements from near to far would
+    /// not compare.
     pub fn check_same_interval(&self, first: &RunView) -> Result<()> {
         if self.bounds == first.bounds {
             return Ok(());
         }
         let words = |run: &RunView| format!("{} to {}", run.bounds.0, run.bounds.1);
         Err(Error::Config(format!(
-            "rays of {} run from {}, and of {} from {}: densities along them are compared over one interval; give runs that agree in \
-             data.near and data.far (`augnerf compare` shows runs that do not)",
+            "rays of {} run from {}, but those of {} from {}: a profile needs one interval; give runs that agree in \
+             data.near and data.far (`augnerf compare` shows runs that differ)",
             self.label,
             words(self),
             first.label,
@@ -106,7 +107,7 @@ impl RunView {
         )))
     }
 
-    /// Takes a rendering's depths out of NDC: along the view's axis in scene units, as other runs have them.
+    /// Converts a rendering's depths from NDC to scene units along the view's axis, as other runs have them.
     pub(super) fn leave_ndc(&mut self, depth: &mut [f32]) {
         if self.ndc.take().is_none() {
             return;
@@ -119,7 +120,7 @@ impl RunView {
         }
     }
 
-    /// Scene and view in words.
+    /// Returns scene and view in words.
     pub(super) fn title(&self) -> String {
         let [scene, views_evaluated] = ["scene", "views_evaluated"].map(|column| self.protocol.text(column));
         let Camera { width, height, .. } = self.view.camera;
@@ -127,29 +128,29 @@ impl RunView {
         format!("{scene}, held-out view {} ({place}), {width} x {height} pixels", self.view.name)
     }
 
-    /// What `t` counts. Outside of NDC a ray has length 1 along the view's axis.
+    /// Returns the unit of `t`. Without NDC a ray has length 1 along the view's axis.
     pub(super) fn depth_unit(&self) -> &'static str {
         if self.ndc.is_some() { "NDC" } else { "scene units" }
     }
 }
 
-/// Index of the view of that name, otherwise of that number.
+/// Returns the index of the view with that name, or else with that number.
 fn find_view(label: &str, scene: &Scene, view: &str) -> Result<usize> {
     let named = scene.test.iter().position(|known| known.name == view);
     let numbered = || view.parse().ok().filter(|&index: &usize| index < scene.test.len());
     named.or_else(numbered).ok_or_else(|| {
         let names: Vec<&str> = scene.test.iter().map(|known| known.name.as_str()).collect();
         Error::Config(format!(
-            "--view {view}: {label} has no such held-out view; give 0 to {} or one of {}",
+            "--view {view}: {label} has no such held-out view; give 0 to {}, or one of {}",
             names.len() - 1,
             names.join(", ")
         ))
     })
 }
 
-/// Names for runs: `given`, if there are any; otherwise their folders' names or, where two folders are called the
-/// same, the parts of their paths behind what is common to all.
-/// Refuses a run or a name that is there twice, and fewer or more names than runs.
+/// Returns labels of runs: `given` if there are any, otherwise the names of their folders. If two folders have the
+/// same name, the labels are the parts of their paths after the common part. A repeated run or label, or a wrong
+/// number of labels, is an error.
 pub fn labels(runs: &[PathBuf], given: &[String]) -> Result<Vec<String>> {
     let place = |run: &Path| std::fs::canonicalize(run).unwrap_or_else(|_| run.to_path_buf());
     let places: Vec<PathBuf> = runs.iter().map(|run| place(run)).collect();
@@ -172,22 +173,22 @@ pub fn labels(runs: &[PathBuf], given: &[String]) -> Result<Vec<String>> {
 }
 
 fn check_labels(runs: &[PathBuf], given: &[String]) -> Result<Vec<String>> {
-    let refuse = |what: String| Err(Error::Config(format!("--label: {what}; give a name of its own for each run")));
+    let refuse = |what: String| Err(Error::Config(format!("--label: {what}; give each run its own label")));
     if given.len() != runs.len() {
-        return refuse(format!("there are {} for {} runs", given.len(), runs.len()));
+        return refuse(format!("{} labels for {} runs", given.len(), runs.len()));
     }
     for (index, label) in given.iter().enumerate() {
         if label.trim().is_empty() {
-            return refuse("one is blank".into());
+            return refuse("a label is blank".into());
         }
         if given[..index].contains(label) {
-            return refuse(format!("`{label}` is there twice"));
+            return refuse(format!("`{label}` occurs twice"));
         }
     }
     Ok(given.to_vec())
 }
 
-/// Every setting that can change a number, without section `perturb` where there is no perturbed pass.
+/// Returns every setting that can change a number; section `perturb` only if there is a perturbed pass.
 pub(super) fn settings(config: &Config) -> Vec<(String, String)> {
     let mut table = toml::Table::try_from(config.portable()).expect("a configuration is plain data");
     if !config.method.is_augmented() {

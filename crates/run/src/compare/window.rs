@@ -1,4 +1,4 @@
-//! Boxes of pixels that are looked into, and the one in which runs differ most.
+//! Boxes of pixels to zoom into, and the box in which runs differ most.
 
 use rayon::prelude::*;
 use serde::Serialize;
@@ -13,14 +13,14 @@ pub struct Window {
     pub x: usize,
     /// First row.
     pub y: usize,
-    /// Columns.
+    /// Number of columns.
     pub width: usize,
-    /// Rows.
+    /// Number of rows.
     pub height: usize,
 }
 
 impl Window {
-    /// Refuses a window that is empty or reaches beyond an image of `width` x `height`.
+    /// Returns an error if the window is empty or reaches beyond an image of `width` x `height`.
     pub fn check(self, width: usize, height: usize) -> Result<Window> {
         let fits = |start: usize, length: usize, all: usize| {
             length > 0 && start.checked_add(length).is_some_and(|end| end <= all)
@@ -30,13 +30,13 @@ impl Window {
         }
         let Window { x, y, width: w, height: h } = self;
         Err(Error::Config(format!(
-            "--zoom: a box of {w} x {h} pixels at ({x}, {y}) does not lie within the view of {width} x {height}; \
+            "--zoom: a box of {w} x {h} pixels at ({x}, {y}) does not fit into the view of {width} x {height}; \
              give x,y,width,height with x + width at most {width} and y + height at most {height}"
         )))
     }
 }
 
-/// A rectangle of an image.
+/// Returns a rectangle of an image.
 pub fn crop(image: &Image, window: Window) -> Image {
     let Window { x, y, width, height } = window;
     let row = |line: usize| &image.pixels[(line * image.width + x) * image.channels..][..width * image.channels];
@@ -44,14 +44,14 @@ pub fn crop(image: &Image, window: Window) -> Image {
     Image { width, height, channels: image.channels, pixels }
 }
 
-/// The same of a mask of an image of `columns`.
+/// Returns the same of a mask of an image with `columns` columns.
 pub fn crop_mask(mask: &[bool], columns: usize, window: Window) -> Vec<bool> {
     let Window { x, y, width, height } = window;
     (y..y + height).flat_map(|line| mask[line * columns + x..][..width].to_vec()).collect()
 }
 
-/// Sums of squared differences over all rectangles that start in the upper left corner,
-/// `[height + 1, width + 1]`, in squares of 1/255: those of 8-bit values are integers, so that sums are exact.
+/// Sums of squared differences over all rectangles from the upper left corner, `[height + 1, width + 1]`, in units of
+/// (1/255)^2. Those of 8-bit values are integers, so the sums are exact.
 struct Sums {
     stride: usize,
     sums: Vec<u64>,
@@ -79,9 +79,9 @@ impl Sums {
     }
 }
 
-/// The window of `width` x `height` over which the squared errors of the best and the worst of the renderings are
-/// farthest apart; of a single one, where it is farthest from the truth. The first from above, then from the left,
-/// where several are. The images are RGB of one size, at least as large as the window.
+/// Returns the window of `width` x `height` over which the squared errors of the best and worst rendering differ most.
+/// For a single rendering, it is where the error is largest. Ties go to the first from above, then from the left. The
+/// images are RGB of one size, at least as large as the window.
 pub fn most_different(rendered: &[&Image], truth: &Image, (width, height): (usize, usize)) -> Window {
     let sums: Vec<Sums> = rendered.par_iter().map(|image| Sums::new(image, truth)).collect();
     let apart = |window: Window| {

@@ -1,4 +1,4 @@
-//! Which weights balance a regularizer with the photometric loss: the grid for a search.
+//! Weights that balance a regularizer with the photometric loss: the grid for a search.
 
 use candle_core::DType;
 use serde::Serialize;
@@ -13,9 +13,9 @@ use crate::train::Trainer;
 
 use super::load_scene;
 
-/// The share of the photometric pull that the middle of a grid of weights has.
+/// Gradient norm of the middle weight, as a fraction of the photometric gradient norm.
 const MIDDLE_SHARE: f64 = 0.1;
-/// The grid: two decades to each side of the middle.
+/// The grid: two decades on each side of the middle.
 const GRID: [f64; 5] = [1e-2, 1e-1, 1.0, 1e1, 1e2];
 
 /// One weight of one term.
@@ -23,23 +23,22 @@ const GRID: [f64; 5] = [1e-2, 1e-1, 1.0, 1e1, 1e2];
 pub struct BalancedWeight {
     /// The term's name.
     pub term: String,
-    /// Length of the photometric loss's gradient with respect to all weights.
+    /// Norm of the photometric loss's gradient with respect to all weights.
     pub photometric_norm: f64,
-    /// Length of the unweighted term's.
+    /// Norm of the unweighted term's gradient.
     pub term_norm: f64,
-    /// The weighted term's length over the photometric loss's.
+    /// Norm of the weighted term's gradient divided by that of the photometric loss.
     pub share: f64,
-    /// The weight that gives this share; none where the term has no pull.
+    /// The weight that gives this ratio, or `None` if the term has no gradient.
     pub weight: Option<f64>,
 }
 
-/// Trains `config`'s scene for `steps` steps of plain NeRF and gives, for each term, the weights at which its gradient is 0.1 %, 1 %,
-/// 10 %, 100 % and 1000 % as long as the photometric loss's. Where terms are evaluated is in the section `regularizer`; the
-/// training itself is without any. Also gives the settings that it trained with.
+/// Trains plain NeRF on `config`'s scene for `steps` steps. For each term, returns the weights at which its gradient
+/// norm is 0.1 %, 1 %, 10 %, 100 % and 1000 % of the photometric loss's. Section `regularizer` says where terms are
+/// evaluated; the training itself has no regularizer. Also returns the settings of the training.
 ///
 /// # Errors
-/// Another method than NeRF; a box that the scene's rays do not meet; a measurement that would take too long; training that goes
-/// non-finite.
+/// The method is not NeRF; the box misses the scene's rays; the measurement would take too long; training diverges.
 pub fn balance(
     config: Config,
     steps: u64,
@@ -56,11 +55,11 @@ fn balance_here(
     events: &dyn Listener,
 ) -> Result<(Resolved, Vec<BalancedWeight>)> {
     if !config.method.has_fields() {
-        config.require_capability(Capability::Derivatives, "balance", "leave the method out")?;
+        config.require_capability(Capability::Derivatives, "balance", "omit the method")?;
     }
     if config.method != Method::Nerf {
         return Err(Error::Config(format!(
-            "balance measures regularizers beside the loss of plain NeRF: leave method {} out",
+            "balance compares regularizers with the loss of plain NeRF; omit method {}",
             config.method.name()
         )));
     }
@@ -73,7 +72,7 @@ fn balance_here(
     let mut learner = FieldLearner::new(&config, &scene, fields, DType::F32, runtime.device())?;
     let in_space: Vec<WeightedTerm> =
         REGULARIZERS.map(|term| WeightedTerm { term: LossTerm::of(term), weight: 1.0 }).into();
-    // Each term in space takes a pass of its own.
+    // Each term in space needs its own pass.
     let passes = REGULARIZERS.iter().filter(|term| term.in_space()).count();
     learner.check_duration(&in_space, &regularizer, passes as u64)?;
     events.on(Event::TrainingStarted { first: 0, steps, rays: config.train.rays });
@@ -85,7 +84,7 @@ fn balance_here(
     let lines = learner.balance(&regularizer, steps)?.into_iter().flat_map(|balance| {
         GRID.map(|factor| {
             let share = MIDDLE_SHARE * factor;
-            // Nothing to divide by where the term has no pull: no weight, rather than a wrong one.
+            // A term without a gradient has no weight: there is nothing to divide by.
             let weight = Some(share * balance.photometric_norm / balance.term_norm).filter(|weight| weight.is_finite());
             let (photometric_norm, term_norm) = (balance.photometric_norm, balance.term_norm);
             BalancedWeight { term: balance.term.clone(), photometric_norm, term_norm, share, weight }

@@ -1,9 +1,9 @@
-//! Flat records as cells of text.
+//! Flat records as text cells.
 
 use serde::Serialize;
 use serde_json::Value;
 
-/// The fields of a flat struct as text, in their order; null is an empty cell.
+/// Returns the fields of a flat struct as text, in order; null gives an empty cell.
 pub fn columns(row: &impl Serialize) -> Vec<(String, String)> {
     let Value::Object(fields) = serde_json::to_value(row).expect("plain data") else {
         unreachable!("rows are structs")
@@ -11,7 +11,7 @@ pub fn columns(row: &impl Serialize) -> Vec<(String, String)> {
     fields.iter().map(|(name, value)| (name.clone(), cell(value))).collect()
 }
 
-/// A value as a cell's text.
+/// Returns a value as the text of a cell.
 pub(super) fn cell(value: &Value) -> String {
     match value {
         Value::Null => String::new(),

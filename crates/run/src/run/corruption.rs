@@ -1,4 +1,4 @@
-//! Corrupted training views as files, to look at.
+//! Writes corrupted training views to files.
 
 use std::path::Path;
 
@@ -14,11 +14,11 @@ use crate::metrics::psnr_float;
 /// White pixels between a clean and a corrupted view.
 const GAP: usize = 4;
 
-/// What became of one view.
+/// How one view was corrupted.
 #[derive(Debug, Serialize)]
 struct Line<'a> {
     view: &'a str,
-    /// Of the corrupted view against the clean one, dB; empty where they are equal.
+    /// PSNR of the corrupted view against the clean one in dB; empty if they are equal.
     psnr: Option<f64>,
     /// Angle of the rotation from one camera to the other, degrees.
     turned: f64,
@@ -35,12 +35,12 @@ struct Note<'a> {
     corruption_hash: String,
 }
 
-/// Writes the new folder `dir`: a PNG a training view in `views`, `beside.png` (the first clean and corrupted), `views.csv` (what
-/// became of each) and `corruption.json`. Both scenes have the same views, `corrupted` after
-/// [`corrupt`](crate::data::corruption::corrupt) with `seed`.
+/// Writes the new folder `dir`: a PNG of each training view in `views`, `beside.png` (the first view, clean and
+/// corrupted), `views.csv` (how each was corrupted) and `corruption.json`. Both scenes have the same views,
+/// `corrupted` after [`corrupt`](crate::data::corruption::corrupt) with `seed`.
 ///
 /// # Errors
-/// A folder that holds files; one that cannot be written.
+/// The folder holds files, or cannot be written.
 pub fn write_corrupted(dir: &Path, clean: &Scene, corrupted: &Scene, seed: u64) -> Result<()> {
     let what = corrupted.corrupted.as_ref().expect("the scene is corrupted");
     let folder = AtomicDir::vacant(dir)?;
@@ -67,8 +67,8 @@ pub fn write_corrupted(dir: &Path, clean: &Scene, corrupted: &Scene, seed: u64) 
 
 fn line<'a>(before: &View, after: &'a View) -> Result<Line<'a>> {
     let [a, b] = [before, after].map(|view| &view.camera.pose);
-    // The difference of two rotations has the norm 2 sqrt(2) sin(angle / 2): exactly 0 for equal ones, as they may be
-    // rounded.
+    // The difference of two rotations has the norm 2 sqrt(2) sin(angle / 2). It is exactly 0 for equal rotations, even
+    // if rounded.
     let norm = (0..3).map(|axis| length(sub(column(a, axis), column(b, axis))).powi(2)).sum::<f64>().sqrt();
     let half = norm / 8f64.sqrt();
     Ok(Line {

@@ -1,5 +1,5 @@
-//! `depth_errors.gz`: a run's depth error at every pixel whose depth is known, so that rows of a table can be compared over
-//! the pixels that all of them show.
+//! `depth_errors.gz`: a run's depth error at every pixel with known depth, so that rows of a table can be compared
+//! over the pixels that all of them render.
 //!
 //! ```text
 //! gzip of, for each held-out view:
@@ -7,8 +7,9 @@
 //!   f32    rendered minus reference depth of each, row-major; NaN where the rendering is not solid
 //! ```
 //!
-//! All numbers are little-endian. That is 4 bytes a pixel of the scene's surface, of which packing saves a tenth: 0.2 MB for
-//! the embedded scene, 1 MB for 25 views of 200 x 200, 30 MB for NeRF-Synthetic's 200 views of 400 x 400.
+//! All numbers are little-endian. The file takes 4 bytes for each pixel of the scene's surface, less a tenth by
+//! packing: 0.2 MB for the built-in scene, 1 MB for 25 views of 200 x 200, 30 MB for NeRF-Synthetic's 200 views of 400
+//! x 400.
 
 use std::io::{self, BufRead, BufReader, Read, Write};
 use std::path::Path;
@@ -19,20 +20,20 @@ use crate::base::files::write_atomic;
 use crate::base::input::open_regular;
 use crate::base::{Error, Result};
 
-/// What a file unpacks to, at most: 200 views of 800 x 800, each pixel's depth known.
+/// Limit on the unpacked size in bytes: 200 views of 800 x 800 with known depth everywhere.
 const MOST_UNPACKED: usize = 1 << 29;
-/// Numbers that are unpacked at a time.
+/// Numbers that are unpacked at once.
 const BLOCK: usize = 4096;
 
-/// Errors of each held-out view.
+/// Depth errors of each held-out view.
 #[derive(Clone, Debug, Default)]
 pub struct DepthErrors {
-    /// By view, then by pixel of known depth; NaN where the rendering is not solid.
+    /// By view, then by pixel of known depth; NaN if the rendering is not solid there.
     pub views: Vec<Vec<f32>>,
 }
 
 impl DepthErrors {
-    /// Writes the file; without a view none.
+    /// Writes the file, unless there are no views.
     pub fn write(&self, path: &Path) -> Result<()> {
         if self.views.is_empty() {
             return Ok(());
@@ -46,7 +47,7 @@ impl DepthErrors {
         write_atomic(path, &writer.finish().expect("memory takes everything"))
     }
 
-    /// Reads the file; none where it does not exist.
+    /// Reads the file, or returns `None` if it does not exist.
     pub fn read(path: &Path) -> Result<Option<DepthErrors>> {
         let file = match open_regular(path) {
             Ok(file) => file,
@@ -79,7 +80,7 @@ impl DepthErrors {
     }
 }
 
-/// `count` numbers. Memory is taken for those that are there.
+/// Reads `count` numbers. Allocates memory only for numbers that exist.
 fn read_view(unpacked: &mut impl Read, count: usize) -> io::Result<Vec<f32>> {
     let (mut view, mut block) = (Vec::new(), [0; 4 * BLOCK]);
     while view.len() < count {

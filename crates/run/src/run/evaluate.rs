@@ -1,4 +1,4 @@
-//! Rendering of whole views and their metrics.
+//! Renders complete views and measures their metrics.
 
 use std::time::Instant;
 
@@ -13,33 +13,33 @@ use crate::model::Model;
 use crate::runtime::Runtime;
 use crate::settings::Resolved;
 
-/// Chunks of each thread that an estimate of time is made from.
+/// Chunks for each thread in an estimate of time.
 const CHUNKS_TIMED: usize = 4;
 
-/// What evaluations are called in [`Event::Started`], with what is evaluated behind it.
+/// Name of an evaluation in [`Event::Started`]; what is evaluated follows.
 pub const EVALUATING: &str = "evaluating";
 
 /// One rendered view, row-major.
 pub struct RenderedView {
     /// RGB, background included.
     pub image: Image,
-    /// Mean distance along the ray in units of `t_vals` (the view's z axis; NDC where the scene
-    /// uses it): the weights' mean of t. NaN where nothing was accumulated.
+    /// Mean distance along the ray in units of `t_vals` (the view's z axis; NDC if the scene uses it): the weights'
+    /// mean of t. NaN if nothing was accumulated.
     pub depth: Vec<f32>,
     /// Accumulated weight, 0..=1.
     pub acc: Vec<f32>,
 }
 
-/// A trained model in its scene, ready to be looked at.
+/// A trained model in its scene, ready to render.
 #[derive(Clone, Copy)]
 pub struct Viewer<'a> {
-    /// What was trained.
+    /// The trained model.
     pub model: &'a Model,
-    /// The configuration that they were trained under.
+    /// The configuration of its training.
     pub config: &'a Resolved,
-    /// Bounds, coordinates and background of its rays, and the held-out views.
+    /// The scene, with bounds, coordinates and background of its rays, and the held-out views.
     pub scene: &'a Scene,
-    /// Where views are rendered.
+    /// Runtime that renders.
     pub runtime: &'a Runtime,
 }
 
@@ -67,20 +67,21 @@ impl Viewer<'_> {
     /// ```
     ///
     /// # Errors
-    /// [`Error::Diverged`]: a colour that is not a number.
+    /// [`Error::Diverged`]: a colour is not a number.
     pub fn render(&self, camera: &Camera) -> Result<RenderedView> {
         self.render_with(&*self.renderer()?, camera)
     }
 
-    /// What renders the scene's rays with the model as it is now. To make it may take longer than a view: make one for many.
+    /// Returns a renderer of the scene with the current model. Making one may take longer than a view, so use it for
+    /// several.
     ///
     /// # Errors
-    /// Those of candle.
+    /// Errors of candle.
     pub fn renderer(&self) -> Result<Box<dyn Renderer>> {
         self.runtime.install(|| self.model.renderer(self.config, self.scene))
     }
 
-    /// [`Viewer::render`] with a renderer at hand.
+    /// Renders a view as [`Viewer::render`] does, with an existing renderer.
     ///
     /// # Errors
     /// The same.
@@ -88,7 +89,7 @@ impl Viewer<'_> {
         self.render_every(renderer, 1, camera)
     }
 
-    /// Every `stride`-th pixel of the view across and down, from the first one on, as a picture of these.
+    /// Renders every `stride`-th pixel across and down, from the first one on, as an image of these.
     fn render_every(&self, renderer: &dyn Renderer, stride: usize, camera: &Camera) -> Result<RenderedView> {
         self.runtime.install(|| self.render_here(renderer, stride, camera))
     }
@@ -102,8 +103,8 @@ impl Viewer<'_> {
         let [rgb, depth, acc] = self.render_pixels(renderer, &pixels)?;
         if let Some(bad) = rgb.iter().position(|value| !value.is_finite()) {
             return Err(Error::Diverged(format!(
-                "the rendered colour of pixel ({}, {}) is not a number: the weights are broken; delete the \
-                 newest checkpoint to fall back on the one before it",
+                "the rendered colour of pixel ({}, {}) is not a number, so the weights are broken; delete the \
+                 newest checkpoint to use the one before it",
                 bad / 3 % width * stride,
                 bad / 3 / width * stride
             )));
@@ -112,7 +113,7 @@ impl Viewer<'_> {
         Ok(RenderedView { image, depth, acc })
     }
 
-    /// What pictures of `camera` need.
+    /// Prepares what images of `camera` need.
     fn prepare(&self, renderer: &dyn Renderer, camera: &Camera) -> Result<()> {
         renderer.prepare(&self.rays(renderer, &[(camera, 0, 0)])?)
     }
@@ -123,7 +124,7 @@ impl Viewer<'_> {
             .to_tensors(DType::F32, self.runtime.device())
     }
 
-    /// Some pixels: colours, mean distances, accumulated weights.
+    /// Renders some pixels: colours, mean distances, accumulated weights.
     fn render_pixels(&self, renderer: &dyn Renderer, pixels: &[(&Camera, u32, u32)]) -> Result<[Vec<f32>; 3]> {
         let Viewer { config, runtime, .. } = *self;
         let render = |part: &[(&Camera, u32, u32)]| -> Result<[Vec<f32>; 3]> {
@@ -143,12 +144,12 @@ impl Viewer<'_> {
         Ok(rendered)
     }
 
-    /// Seconds that views of `cameras` will take, from some rows in the middle of the first: enough to give each thread a
-    /// few chunks. None where these would be a tenth of all rows or more, which are soon rendered, and where preparing the
-    /// first view took longer than they did: what the others need beside it is not known.
+    /// Estimates the seconds for views of `cameras` by rendering some middle rows of the first, a few chunks for each
+    /// thread. Returns `None` if these are a tenth of all rows or more, since the views then take little time. Also
+    /// returns `None` if preparing the first view took longer than the rows, since the others' preparation is unknown.
     ///
     /// # Errors
-    /// Those of candle.
+    /// Errors of candle.
     pub fn estimate_seconds(&self, cameras: &[&Camera]) -> Result<Option<f64>> {
         let Some(first) = cameras.first() else { return Ok(None) };
         let pixels: usize = cameras.iter().map(|camera| camera.width * camera.height).sum();
@@ -172,13 +173,15 @@ impl Viewer<'_> {
         })
     }
 
-    /// The errors of a rendered view's depth, as `depth_errors.gz` keeps them; none of a view without a depth of its own.
+    /// Returns the errors of a rendered view's depth for `depth_errors.gz`, or `None` if the view has no depth of its
+    /// own.
     pub(super) fn depth_errors(&self, view: &View, rendered: &RenderedView) -> Option<Vec<f32>> {
         let reference = view.depth.as_ref()?;
         Some(depth_errors(&self.scene_depth(&view.camera, rendered), &rendered.acc, reference))
     }
 
-    /// Renders and measures every held-out view. `stop_check` may refuse to begin another, `each` is handed each that is done.
+    /// Renders and measures every held-out view. `stop_check` may stop before a view; `each` receives each
+    /// rendered view.
     pub fn evaluate(
         &self,
         lpips: &[Lpips],
@@ -189,7 +192,7 @@ impl Viewer<'_> {
         self.measure(EVALUATING, self.scene.test.iter().collect(), lpips, events, stop_check, each)
     }
 
-    /// Renders and measures the training views of [`seen_views`] as they were trained on, corruption included.
+    /// Renders and measures the training views of [`seen_views`] as the training saw them, corruption included.
     pub fn evaluate_training_views(
         &self,
         lpips: &[Lpips],
@@ -200,7 +203,8 @@ impl Viewer<'_> {
         self.measure("evaluating training views", views, lpips, events, stop_check, |_, _, _| Ok(()))
     }
 
-    /// Measures every `stride`-th pixel, across and down, of every held-out view and of the training views of [`seen_views`].
+    /// Measures every `stride`-th pixel, across and down, of every held-out view and of the training views of
+    /// [`seen_views`].
     pub(super) fn evaluate_sparsely(
         &self,
         stride: usize,

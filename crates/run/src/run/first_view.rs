@@ -1,4 +1,4 @@
-//! The pictures that a run has of its first held-out view, read back.
+//! Reads a run's images of its first held-out view.
 
 use std::path::{Path, PathBuf};
 
@@ -9,19 +9,19 @@ use crate::base::files::read_json;
 use crate::base::{Error, Image, Result};
 use crate::data::images;
 
-/// Most pixels of a picture of a run: three times those of a view of 4K.
+/// Limit on an image of a run: three times the pixels of a 4K view.
 const MOST_PIXELS: usize = 24_000_000;
-/// What to do with a damaged file of a run.
-const ADVICE: &str = "`augnerf eval` writes metrics, `augnerf render RUN --what views` pictures anew";
+/// Advice for a damaged file of a run.
+const ADVICE: &str = "`augnerf eval` writes metrics again, `augnerf render RUN --what views` images";
 
-/// What `renders` holds of the first view that was evaluated: none is picked by what it shows.
+/// Images in `renders` of the first evaluated view; the view is not chosen by its content.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FirstView {
     /// The view.
     pub name: String,
-    /// As the run renders it.
+    /// The rendering.
     pub image: Image,
-    /// The photograph.
+    /// The photo.
     pub truth: Image,
     /// Depth in the run's units; NaN where nothing is solid.
     pub depth: Vec<f32>,
@@ -43,16 +43,16 @@ struct Scale {
 }
 
 impl FirstView {
-    /// Of a run folder; none of a run that was not evaluated, or drew no pictures (`eval.pictures = 0`).
+    /// Reads a run folder. Returns `None` if the run was not evaluated or wrote no images (`eval.pictures = 0`).
     ///
     /// # Errors
-    /// A picture is damaged, or not of the size of the others.
+    /// An image is damaged, or differs in size from the others.
     pub fn read(run: &Path) -> Result<Option<FirstView>> {
         let [metrics, _] = RunDir::metrics_in(run);
         let Some(Evaluated { views }) = read_json(&metrics, ADVICE)? else { return Ok(None) };
         let Some(Named { name }) = views.into_iter().next() else { return Ok(None) };
         if !is_plain(&name) {
-            return Err(Error::Data(format!("{}: the view {name:?} is no file's name; {ADVICE}", metrics.display())));
+            return Err(Error::Data(format!("{}: the view {name:?} is not a file name; {ADVICE}", metrics.display())));
         }
         let folder = RunDir::renders_in(run);
         let file = |what: &str| folder.join(format!("{name}_{what}.png"));
@@ -64,7 +64,7 @@ impl FirstView {
         let depth = read_depth(&file("depth16"), scale.max)?;
         let pixels = image.width * image.height;
         if (truth.width, truth.height) != (image.width, image.height) || depth.len() != pixels {
-            let found = format!("it has not the size of {}", file("rgb").display());
+            let found = format!("its size differs from that of {}", file("rgb").display());
             let other = if depth.len() == pixels { file("truth") } else { file("depth16") };
             return Err(Error::Data(format!("cannot read {}: {found}; {ADVICE}", other.display())));
         }
@@ -72,19 +72,19 @@ impl FirstView {
     }
 }
 
-/// Whether a name stands for a file of the folder that it is joined to.
+/// Returns whether a name is a file in the folder that it is joined to.
 fn is_plain(name: &str) -> bool {
     PathBuf::from(name).file_name().is_some_and(|plain| plain == name)
 }
 
-/// A picture of a run as it is, of which a pixel takes up to 32 bytes on the way.
+/// Reads an image of a run unchanged. A pixel needs up to 32 bytes in between.
 pub fn read_picture(path: &Path) -> Result<Image> {
     check_size(path)?;
     let decoded = images::decode(path)?;
     Ok(images::averaged(&decoded, (decoded.width() as usize, decoded.height() as usize)))
 }
 
-/// Depth of a 16-bit picture, as `write_depth16` writes it.
+/// Reads depth from a 16-bit image, as `write_depth16` writes it.
 fn read_depth(path: &Path, max: f32) -> Result<Vec<f32>> {
     check_size(path)?;
     let values = images::decode(path)?.into_luma16().into_raw();
@@ -95,7 +95,7 @@ fn read_depth(path: &Path, max: f32) -> Result<Vec<f32>> {
 fn check_size(path: &Path) -> Result<()> {
     let (width, height) = images::size(path)?;
     if width * height > MOST_PIXELS {
-        let found = format!("{width}x{height} pixels are more than a view of an evaluation has; delete it");
+        let found = format!("{width}x{height} pixels are too many for a view of an evaluation; delete it");
         return Err(Error::Data(format!("cannot read {}: {found}", path.display())));
     }
     Ok(())
@@ -141,6 +141,6 @@ mod tests {
         assert!(FirstView::read(dir.path()).unwrap_err().to_string().contains("r_0_depth16.png"));
         let (dir, _) = run();
         std::fs::write(dir.path().join("metrics.json"), r#"{"views": [{"name": "../../secret"}]}"#).unwrap();
-        assert!(FirstView::read(dir.path()).unwrap_err().to_string().contains("no file's name"));
+        assert!(FirstView::read(dir.path()).unwrap_err().to_string().contains("not a file name"));
     }
 }

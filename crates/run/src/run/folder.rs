@@ -1,5 +1,5 @@
-//! The folder of one run: its fixed names, who may write into it, and the checks that are made
-//! before hours of training instead of after them.
+//! The folder of one run: its fixed names, its lock, and checks that are made before hours of training rather than
+//! after.
 
 use std::ffi::OsStr;
 use std::fs::{self, File};
@@ -31,19 +31,19 @@ const EVAL: &str = "eval";
 
 /// The files of a run, apart from the lock.
 const FILES: [&str; 8] = [CONFIG, SCENE, METRICS_JSON, METRICS_CSV, DEPTH_ERRORS, SMOOTHNESS, SCALARS, TIMING];
-/// The folders of a run.
+/// The subfolders of a run.
 const FOLDERS: [&str; 3] = [TENSORBOARD, CHECKPOINTS, RENDERS];
 
-/// Enough that a file system without free blocks notices.
+/// Size of the test file: enough for a full file system to report an error.
 const PROBE_BYTES: usize = 8 * 1024;
 const MIB: f64 = 1024.0 * 1024.0;
 
-/// What becomes of a run that lies where a new one is to go.
+/// What to do with an existing run at the path of a new one.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Existing {
-    /// It stays, and the new one is refused.
+    /// Keep it, and return an error.
     Refuse,
-    /// It is deleted.
+    /// Delete it.
     Replace,
 }
 
@@ -55,17 +55,17 @@ pub struct RunDir {
 }
 
 impl RunDir {
-    /// A locked, empty run folder at `path`; parents are created. A folder that holds a run is
-    /// refused, or with [`Existing::Replace`] loses the run's own entries and nothing else. A folder
-    /// that holds anything but a run is always refused, and so is a disk without room for
-    /// `bytes_needed`, before anything is deleted.
+    /// Creates a locked, empty run folder at `path`, with parents. An existing run is an error. With
+    /// [`Existing::Replace`], the run's own entries are deleted and nothing else. A folder that holds anything but a
+    /// run is always an error. So is a disk without `bytes_needed` of free space. Both are checked before anything is
+    /// deleted.
     pub fn create(path: &Path, existing: Existing, bytes_needed: u64) -> Result<RunDir> {
         if path.exists() {
             check_vacant(path, existing)?;
         }
         fs::create_dir_all(path).map_err(|error| Error::unwritable(path, &error))?;
         let lock = RunLock::acquire(path)?;
-        // Again under the lock: another process may have started a run here in between.
+        // Again under the lock, since another process may have started a run here in between.
         check_vacant(path, existing)?;
         check_space(path, bytes_needed)?;
         clear(path).map_err(|error| Error::unwritable(path, &error))?;
@@ -76,15 +76,15 @@ impl RunDir {
         Ok(RunDir { path: path.to_path_buf(), lock: Some(lock) })
     }
 
-    /// Whether there is a run at `path`, begun at least.
+    /// Returns whether a run was started at `path`.
     pub fn holds_run(path: &Path) -> bool {
         path.join(CONFIG).is_file()
     }
 
-    /// Whether no run was begun at `path`: nothing is there, or a folder without settings and checkpoints.
+    /// Returns whether no run was started at `path`: it does not exist, or has no settings and checkpoints.
     ///
     /// # Errors
-    /// What is there cannot be looked into.
+    /// The path cannot be read.
     pub fn is_vacant(path: &Path) -> Result<bool> {
         let exists = |path: &Path| path.try_exists().map_err(|error| Error::unreadable(path, &error));
         if !exists(path)? {
@@ -93,7 +93,7 @@ impl RunDir {
         Ok(path.is_dir() && !exists(&path.join(CONFIG))? && checkpoint::list(&path.join(CHECKPOINTS))?.is_empty())
     }
 
-    /// An existing run, to read from. Whoever goes on to train in it calls [`RunDir::lock`].
+    /// Opens an existing run for reading. To continue its training, call [`RunDir::lock`] as well.
     pub fn open(path: &Path) -> Result<RunDir> {
         if !path.is_dir() {
             let found = if path.exists() { "not a folder" } else { "missing" };
@@ -101,17 +101,17 @@ impl RunDir {
         }
         if !RunDir::holds_run(path) {
             return Err(Error::Checkpoint(format!(
-                "{} is not a run folder: it has no {CONFIG}; give the folder that `augnerf train --out` named",
+                "{} is not a run folder: it has no {CONFIG}; give the folder of `augnerf train --out`",
                 path.display()
             )));
         }
         Ok(RunDir { path: path.to_path_buf(), lock: None })
     }
 
-    /// An existing run for this process alone, with what a killed session left half-written put right.
+    /// Opens and locks an existing run, and repairs what a killed session left half-written.
     ///
     /// # Errors
-    /// Those of [`RunDir::open`]; a run that another process holds.
+    /// Those of [`RunDir::open`]; another process holds the run.
     pub fn take(path: &Path) -> Result<RunDir> {
         let mut run = RunDir::open(path)?;
         run.lock()?;
@@ -119,8 +119,8 @@ impl RunDir {
         Ok(run)
     }
 
-    /// The same of a run that is read, which may lie where this process cannot write. Such a run is left as it is, and shared
-    /// with other readers.
+    /// Opens and locks a run for reading. If this process cannot write there, the run stays unchanged and other
+    /// readers share it.
     ///
     /// # Errors
     /// Those of [`RunDir::take`].
@@ -133,7 +133,7 @@ impl RunDir {
         Ok(run)
     }
 
-    /// Whether this process can write into the run: not on a disk that is read-only, nor without the right to.
+    /// Returns whether this process may write into the run; not on a read-only disk, for instance.
     pub fn is_writable(&self) -> bool {
         let denied = |error: &io::Error| {
             matches!(error.kind(), io::ErrorKind::PermissionDenied | io::ErrorKind::ReadOnlyFilesystem)
@@ -141,25 +141,25 @@ impl RunDir {
         !matches!(File::options().write(true).create(true).truncate(false).open(self.path.join(LOCK)), Err(e) if denied(&e))
     }
 
-    /// The settings that the run was begun with, resolved.
+    /// Reads the settings of the run's start, resolved.
     pub fn read_config(&self) -> Result<Config> {
         let path = self.config();
         let text = read_text(&path, TEXT_BYTES)
             .map_err(|e| Error::Checkpoint(format!("cannot read {}: {e}", path.display())))?;
         let mut config = Config::from_toml(&text, &path.display().to_string())?;
         if config.data.kind == DataKind::Transforms {
-            // What the files' own split is was settled when the run began; earlier versions knew none.
+            // The files' own split was settled when the run started; earlier versions had none.
             config.data.split.get_or_insert(Split::Every);
         }
         Ok(config)
     }
 
-    /// What earlier sessions of the run took; none before its first checkpoint.
+    /// Reads the time of earlier sessions, or returns `None` before the first checkpoint.
     pub fn read_timing(&self) -> Result<Option<Timing>> {
-        read_json(&self.timing(), "delete it to go on")
+        read_json(&self.timing(), "delete it to continue")
     }
 
-    /// Puts right what a killed session left half-written. Call it while holding the lock.
+    /// Repairs what a killed session left half-written. The caller holds the lock.
     pub fn clean(&self) -> Result<()> {
         let below = FOLDERS.iter().chain(&[MESH, EVAL]).map(|name| self.path.join(name));
         std::iter::once(self.path.clone())
@@ -168,7 +168,7 @@ impl RunDir {
             .try_for_each(|folder| clean_temporaries(&folder).map(|_| ()))
     }
 
-    /// Takes the run for this process until the value is dropped.
+    /// Locks the run for this process until the value is dropped.
     pub fn lock(&mut self) -> Result<()> {
         if self.lock.is_none() {
             self.lock = Some(RunLock::acquire(&self.path)?);
@@ -176,14 +176,14 @@ impl RunDir {
         Ok(())
     }
 
-    /// Finds out before training what would otherwise fail after it: a folder that cannot be
-    /// written, a file or folder in the way of one of ours, a disk without room. `bytes_needed` is
-    /// the caller's estimate of what the run will write. Missing folders of the run are created.
+    /// Checks before training what would otherwise fail after it: a folder that is not writable, a file or folder with
+    /// one of our names, a full disk. `bytes_needed` is the caller's estimate of the run's size. Creates missing
+    /// folders of the run.
     pub fn check_writable(&self, bytes_needed: u64) -> Result<()> {
         for file in FILES {
             let file = self.path.join(file);
             if file.is_dir() {
-                let text = format!("cannot write {}: a folder is in the way; remove it", file.display());
+                let text = format!("cannot write {}: it is a folder; remove it", file.display());
                 return Err(Error::Output(text));
             }
         }
@@ -196,101 +196,98 @@ impl RunDir {
         check_space(&self.path, bytes_needed)
     }
 
-    /// The run folder itself.
+    /// Returns the run folder itself.
     pub fn path(&self) -> &Path {
         &self.path
     }
 
-    /// `config.toml`: the resolved configuration.
+    /// Returns the path of `config.toml`: the resolved configuration.
     pub fn config(&self) -> PathBuf {
         self.path.join(CONFIG)
     }
 
-    /// `scene.json`: units, bounds and box of the scene.
+    /// Returns the path of `scene.json`: units, bounds and box of the scene.
     pub fn scene_file(&self) -> PathBuf {
         self.path.join(SCENE)
     }
 
-    /// `metrics.json` and `metrics.csv` in a folder that need not be a run's.
+    /// Returns the paths of `metrics.json` and `metrics.csv` in any folder.
     pub fn metrics_in(folder: &Path) -> [PathBuf; 2] {
         [METRICS_JSON, METRICS_CSV].map(|name| folder.join(name))
     }
 
-    /// `depth_errors.gz` in a folder that need not be a run's.
+    /// Returns the path of `depth_errors.gz` in any folder.
     pub fn depth_errors_in(folder: &Path) -> PathBuf {
         folder.join(DEPTH_ERRORS)
     }
 
-    /// `metrics.json`: metrics of the held-out views and their mean, with provenance.
+    /// Returns the path of `metrics.json`: metrics of the held-out views and their mean, with provenance.
     pub fn metrics_json(&self) -> PathBuf {
         self.path.join(METRICS_JSON)
     }
 
-    /// `metrics.csv`: one row per held-out view.
+    /// Returns the path of `metrics.csv`: one row for each held-out view.
     pub fn metrics_csv(&self) -> PathBuf {
         self.path.join(METRICS_CSV)
     }
 
-    /// `smoothness.csv`: l1, TV and Laplacian of density, one row per network.
+    /// Returns the path of `smoothness.csv`: l1, TV and Laplacian of density, one row for each network.
     pub fn smoothness(&self) -> PathBuf {
         self.path.join(SMOOTHNESS)
     }
 
-    /// `scalars.csv`: losses and the like over training.
+    /// Returns the path of `scalars.csv`: losses and other numbers over training.
     pub fn scalars(&self) -> PathBuf {
         self.path.join(SCALARS)
     }
 
-    /// `timing.json`: what depends on clock and machine.
+    /// Returns the path of `timing.json`, which depends on clock and machine.
     pub fn timing(&self) -> PathBuf {
         self.path.join(TIMING)
     }
 
-    /// `tensorboard/`: event files.
+    /// Returns the path of `tensorboard/`: event files.
     pub fn tensorboard(&self) -> PathBuf {
         self.path.join(TENSORBOARD)
     }
 
-    /// `checkpoints/`.
+    /// Returns the path of `checkpoints/`.
     pub fn checkpoints(&self) -> PathBuf {
         self.path.join(CHECKPOINTS)
     }
 
-    /// `mesh/`: a surface of the trained density, once one was asked for.
+    /// Returns the path of `mesh/`: a surface of the trained density, if one was drawn.
     pub fn mesh(&self) -> PathBuf {
         self.path.join(MESH)
     }
 
-    /// `renders/surface.png` in a folder that need not be a run's: the surface of the evaluation, shaded, as the first
-    /// held-out view sees it.
+    /// Returns the path of `renders/surface.png` in any folder: the shaded surface of the evaluation in the first
+    /// held-out view.
     pub fn surface_picture_in(path: &Path) -> PathBuf {
         path.join(RENDERS).join("surface.png")
     }
 
-    /// `eval/`: evaluations of other checkpoints and views, a folder each.
+    /// Returns the path of `eval/`: evaluations of other checkpoints and views, a folder each.
     pub fn evaluations(&self) -> PathBuf {
         self.path.join(EVAL)
     }
 
-    /// `renders/` in a folder that need not be a run's.
+    /// Returns the path of `renders/` in any folder.
     pub fn renders_in(path: &Path) -> PathBuf {
         path.join(RENDERS)
     }
 
-    /// `renders/`: pictures and videos.
+    /// Returns the path of `renders/`: images and videos.
     pub fn renders(&self) -> PathBuf {
         self.path.join(RENDERS)
     }
 }
 
-/// An error unless `path` is free for a new run: a folder that is empty, or holds a run of ours
-/// that may be overwritten.
+/// Returns an error unless `path` is free for a new run: a folder that is empty, or holds a run that may be
+/// overwritten.
 fn check_vacant(path: &Path, existing: Existing) -> Result<()> {
     if !path.is_dir() {
-        return Err(Error::Output(format!(
-            "cannot write {}: a file is in the way; give another --out",
-            path.display()
-        )));
+        return Err(Error::Output(format!("cannot write {}: it is a file; give another --out", path.display())));
     }
     let content = Content::read(path).map_err(|error| Error::unwritable(path, &error))?;
     match content.entry {
@@ -307,12 +304,12 @@ fn check_vacant(path: &Path, existing: Existing) -> Result<()> {
     }
 }
 
-/// What stands in a folder that a run is to go into.
+/// Content of a folder that a run is to be created in.
 struct Content {
-    /// One of its entries. The lock, temporary entries, and folders of ours with nothing but temporary entries do not count.
+    /// One of its entries. The lock, temporary entries, and run folders with only temporary entries do not count.
     entry: Option<String>,
-    /// Whether a run made it: it has our lock file, or, copied without it, `config.toml` beside
-    /// `checkpoints/`. The name `config.toml` alone is too common to go by.
+    /// A run made it: it has our lock file or, copied without it, `config.toml` next to `checkpoints/`. The name
+    /// `config.toml` alone is too common.
     run: bool,
 }
 
@@ -334,12 +331,12 @@ fn is_own_folder(name: &OsStr) -> bool {
     FOLDERS.iter().any(|own| name == *own)
 }
 
-/// Whether a folder holds nothing, or nothing but what a kill left of a file under way: of [`probe`]'s, say.
+/// Returns whether a folder is empty, apart from unfinished files of a killed process, such as those of [`probe`].
 fn is_idle_folder(path: &Path) -> bool {
     fs::read_dir(path).is_ok_and(|mut entries| entries.all(|entry| entry.is_ok_and(|e| is_temporary(&e.file_name()))))
 }
 
-/// Deletes a run's entries and what kills left; the lock stays.
+/// Deletes a run's entries and unfinished files; the lock stays.
 fn clear(path: &Path) -> io::Result<()> {
     for entry in fs::read_dir(path)? {
         let entry = entry?;
@@ -350,10 +347,10 @@ fn clear(path: &Path) -> io::Result<()> {
     FILES.iter().chain(&FOLDERS).chain(&[MESH, EVAL]).try_for_each(|name| discard(&path.join(name)))
 }
 
-/// Writes some blocks into `folder` as far as the disk and takes them away again.
+/// Writes some blocks into `folder` through to the disk, and deletes them again.
 fn probe(folder: &Path) -> Result<()> {
     let name = folder.join(format!("{}{}-probe", crate::base::files::TEMPORARY, std::process::id()));
-    // Not constant, so that a compressing or sparse file system needs real blocks.
+    // Varying content, so that a compressing or sparse file system needs real blocks.
     let bytes: Vec<u8> = (0..PROBE_BYTES).map(|i| (i.wrapping_mul(2_654_435_761) >> 16) as u8).collect();
     let written = remove(&name).and_then(|()| write_synced(&mut fs::File::create_new(&name)?, &bytes));
     let removed = remove(&name);
@@ -363,7 +360,7 @@ fn probe(folder: &Path) -> Result<()> {
 fn check_space(path: &Path, needed: u64) -> Result<()> {
     match free_bytes(path) {
         Some(free) if free < needed => Err(Error::Output(format!(
-            "{} has too little room: the run writes about {:.0} MiB and {:.0} MiB are free; free some or give another --out",
+            "{} has too little space: the run writes about {:.0} MiB, but {:.0} MiB are free; free some or give another --out",
             path.display(),
             (needed as f64 / MIB).ceil(),
             (free as f64 / MIB).floor()
@@ -372,13 +369,13 @@ fn check_space(path: &Path, needed: u64) -> Result<()> {
     }
 }
 
-/// Bytes that an unprivileged process may still write where `path` is; `None` where unknown.
+/// Returns the bytes that an unprivileged process may still write at `path`, or `None` if unknown.
 #[cfg(all(target_os = "linux", target_env = "gnu"))]
 pub fn free_bytes(path: &Path) -> Option<u64> {
     use std::os::unix::ffi::OsStrExt;
     let name = std::ffi::CString::new(path.as_os_str().as_bytes()).ok()?;
     let mut found = std::mem::MaybeUninit::<libc::statvfs>::uninit();
-    // SAFETY: `name` ends in NUL and lives through the call, which fills `found` if it returns 0.
+    // SAFETY: `name` ends in NUL and outlives the call, which fills `found` if it returns 0.
     let found = unsafe {
         if libc::statvfs(name.as_ptr(), found.as_mut_ptr()) != 0 {
             return None;
@@ -390,7 +387,7 @@ pub fn free_bytes(path: &Path) -> Option<u64> {
     Some((found.f_bavail as u64).saturating_mul(found.f_frsize as u64))
 }
 
-/// Bytes that may still be written where `path` is; unknown on this system.
+/// Returns the bytes that may still be written at `path`; unknown on this system.
 #[cfg(not(all(target_os = "linux", target_env = "gnu")))]
 pub fn free_bytes(_path: &Path) -> Option<u64> {
     None

@@ -1,4 +1,4 @@
-//! What an experiment needs besides its settings: the scene, and LPIPS networks.
+//! Inputs of an experiment besides its settings: the scene, and LPIPS networks.
 
 use std::path::Path;
 
@@ -14,15 +14,15 @@ use crate::settings::{Config, DataKind, Located, NO_REFERENCE, Resolved, Spacing
 use super::scene_file::{RecordedScene, is_early};
 use super::{BUILTIN, RunDir};
 
-/// Finds the kind of scene and where it lies, and fills what depends on that.
+/// Finds kind and location of the scene, and fills the settings that depend on them.
 ///
 /// # Errors
-/// A folder or reference mesh that is not there; a folder that no format knows; settings that contradict the scene.
+/// A folder or reference mesh is missing; no format matches the folder; settings contradict the scene.
 pub fn locate_scene(config: Config) -> Result<Located> {
     locate(config).map(|(located, _)| located)
 }
 
-/// The same, with what is to be said of a capture that goes around something.
+/// Does the same, and returns a note for a capture that surrounds something.
 fn locate(config: Config) -> Result<(Located, Option<String>)> {
     let mut config = find(config)?;
     let orbit = settle_orbit(&mut config.data);
@@ -34,11 +34,11 @@ fn locate(config: Config) -> Result<(Located, Option<String>)> {
     Ok((config.locate(kind)?, orbit))
 }
 
-/// Finds the kind of scene, and where it and all else lies.
+/// Finds the kind of scene, and the paths of scene and mesh.
 fn find(mut config: Config) -> Result<Config> {
     let kind = data::detect(&config.data)?;
     if !config.data.dir.is_empty() {
-        // Found again from any working directory; `.` gets its real name.
+        // Absolute, so that it is found from any working directory; `.` gets its real name.
         let dir = Path::new(&config.data.dir);
         let dir = std::fs::canonicalize(dir).map_err(|e| Error::unreadable(dir, &e))?;
         config.data.dir = dir.to_string_lossy().into_owned();
@@ -59,13 +59,13 @@ fn find(mut config: Config) -> Result<Config> {
 /// Locates and loads the scene of a configuration, which it resolves.
 ///
 /// # Errors
-/// Those of [`locate_scene`]; pictures or poses that cannot be read.
+/// Those of [`locate_scene`]; images or poses cannot be read.
 ///
 /// ```
 /// use augnerf::run::load_scene;
 /// use augnerf::settings::{Preset, build, parse_assignment};
 ///
-/// // Without a folder in data.dir, the scene is the embedded one.
+/// // Without a folder in data.dir, the scene is the built-in one.
 /// let draft = build(Some(Preset::Smoke), None, &[parse_assignment("data.width=24")?])?;
 /// let (config, scene) = load_scene(draft, &())?;
 /// assert_eq!((scene.name.as_str(), scene.train[0].camera.width), ("builtin", 24));
@@ -80,11 +80,11 @@ pub fn load_scene(config: Config, events: &dyn Listener) -> Result<(Resolved, Sc
     Ok((located.resolve(scene.extent()), scene))
 }
 
-/// Loads the scene of a run's own settings as it was when the run began: what is settled in a draft was settled then, by an earlier
-/// version perhaps, and is not again. `config` may name another folder for it, or other views to evaluate.
+/// Loads the scene of a run's own settings as it was at the run's start. What was settled then, maybe by an earlier
+/// version, is not settled again. `config` may name another folder or other views to evaluate.
 ///
 /// # Errors
-/// Those of [`load_scene`]; a scene that has changed since ([`Error::Data`]).
+/// Those of [`load_scene`]; the scene has changed since ([`Error::Data`]).
 pub fn load_scene_of(run: &RunDir, config: Config, events: &dyn Listener) -> Result<(Resolved, Scene)> {
     let (begun, seen) = (run.read_config()?.data, RecordedScene::of(run)?);
     let config = find(config)?;
@@ -96,10 +96,11 @@ pub fn load_scene_of(run: &RunDir, config: Config, events: &dyn Listener) -> Res
     Ok((located.resolve(scene.extent()), scene))
 }
 
-/// A run's settings for another run that goes on in its coordinates: what an earlier version settled in another way is set.
+/// Returns a run's settings for another run that continues in its coordinates. Values that an earlier version settled
+/// differently are set.
 ///
 /// # Errors
-/// Settings or a `scene.json` that cannot be read.
+/// Settings or `scene.json` cannot be read.
 pub fn settings_to_go_on(run: &RunDir) -> Result<Config> {
     let mut config = run.read_config()?;
     let bounds = RecordedScene::of(run)?.bounds(&config.data);
@@ -113,7 +114,7 @@ pub fn settings_to_go_on(run: &RunDir) -> Result<Config> {
     Ok(config)
 }
 
-/// Loads a scene that was located.
+/// Loads a located scene.
 fn load(located: &Located, events: &dyn Listener) -> Result<Scene> {
     let mut scene = data::load(&located.data, located.seed, events)?;
     scene.name.clone_from(&located.data.name);
@@ -121,21 +122,21 @@ fn load(located: &Located, events: &dyn Listener) -> Result<Scene> {
     Ok(scene)
 }
 
-/// Refuses samples that are even in disparity on rays that start at 0.
+/// Returns an error for samples that are even in disparity on rays that start at 0.
 fn check_spacing(config: &Config, scene: &Scene) -> Result<()> {
     if config.sampling.spacing == Spacing::Depth || scene.near > 0.0 {
         return Ok(());
     }
     Err(Error::Config(format!(
-        "sampling.spacing = \"disparity\" needs rays that start beyond 0, and those of {} start at {}: set data.near",
+        "sampling.spacing = \"disparity\" needs rays that start beyond 0, but those of {} start at {}; set data.near",
         scene.name, scene.near
     )))
 }
 
-/// Every LPIPS backbone whose weights the folder holds; none for an empty name.
+/// Loads every LPIPS backbone whose weights are in the folder; none for an empty name.
 ///
 /// # Errors
-/// A folder in which no backbone is complete; weights that cannot be read.
+/// The folder has no complete backbone; weights cannot be read.
 pub fn load_lpips(dir: &str, device: &Device) -> Result<Vec<Lpips>> {
     if dir.is_empty() {
         return Ok(Vec::new());
@@ -145,7 +146,7 @@ pub fn load_lpips(dir: &str, device: &Device) -> Result<Vec<Lpips>> {
     if found.is_empty() {
         let names: Vec<&str> = Backbone::ALL.iter().map(|backbone| backbone.name()).collect();
         return Err(Error::Data(format!(
-            "--lpips-weights {}: no backbone ({}) is complete there; each needs its linear layers (NAME_lin_v0.1.pth) \
+            "--lpips-weights {}: no complete backbone ({}) is there; each needs its linear layers (NAME_lin_v0.1.pth) \
              and its features",
             dir.display(),
             names.join(", ")

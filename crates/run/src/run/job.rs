@@ -1,7 +1,6 @@
 //! One training from its settings to its results, in a run folder of its own.
 //!
-//! The command line runs one, a sweep runs many; neither the other's screen nor its folders are
-//! known here.
+//! The command line runs one job, a sweep runs many. This module knows neither the screen nor the folders of sweeps.
 
 use std::path::Path;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -25,19 +24,19 @@ use super::{
     Viewer, interrupted, scene_file, surface_reference,
 };
 
-/// What a training is made of.
+/// The inputs of a training.
 pub struct Setup<'a> {
     /// The settings, resolved with the scene ([`load_scene`](super::load_scene)).
     pub config: Resolved,
     /// The views to train on and to measure at the end.
     pub scene: &'a Scene,
-    /// Networks that LPIPS is measured with; none leave its columns empty.
+    /// LPIPS networks; without any, the LPIPS columns stay empty.
     pub lpips: &'a [Lpips],
-    /// Where it is computed.
+    /// Runtime of the computation.
     pub runtime: Runtime,
 }
 
-/// A training that is ready to start or to go on.
+/// A training that is ready to start or resume.
 ///
 /// ```
 /// use std::sync::atomic::AtomicUsize;
@@ -54,7 +53,7 @@ pub struct Setup<'a> {
 ///
 /// let (config, scene) = load_scene(build(Some(Preset::Smoke), None, &set)?, &())?;
 /// let setup = Setup { config, scene: &scene, lpips: &[], runtime: Runtime::new("cpu", None)? };
-/// // A signal's number in the flag stops it with a checkpoint.
+/// // A signal's number in the flag makes it write a checkpoint and stop.
 /// let finished = Job::create(&folder, Existing::Refuse, setup)?.train(&(), &AtomicUsize::new(0))?;
 /// assert!(finished.report.mean.get("psnr").is_some());
 /// assert!(folder.join("metrics.json").is_file());
@@ -65,33 +64,33 @@ pub struct Job<'a> {
     trainer: Trainer,
 }
 
-/// A training in its folder: everything of a job but the trainer, which the session takes.
+/// A training in its folder: the parts of a job except the trainer, which the session takes.
 struct Experiment<'a> {
     run: RunDir,
     setup: Setup<'a>,
     /// Timing of the sessions before this one.
     earlier: Option<Timing>,
-    /// What was found wrong with the run when it was taken up again.
+    /// Problems found when the run was resumed.
     notes: Vec<String>,
-    /// The run was begun by an earlier session.
+    /// An earlier session started the run.
     resumed: bool,
     started_unix: u64,
     memory: MemoryWatch,
 }
 
-/// What a finished training gives besides its files.
+/// Results of a finished training, besides its files.
 pub struct Finished {
     /// The metrics as written.
     pub report: Report,
-    /// The model as it was evaluated.
+    /// The evaluated model.
     pub model: Model,
-    /// Steps that were taken, of so many.
+    /// Completed steps, and all steps.
     pub steps: (u64, u64),
     /// Seconds spent on steps in this session.
     pub seconds: f64,
 }
 
-/// Watches the memory of a run from its beginning, without the buffers that an earlier one left on the threads.
+/// Watches a run's memory from its start, without the buffers that an earlier run left on the threads.
 pub fn watch_memory(runtime: &Runtime) -> MemoryWatch {
     runtime.on_every_thread(forget_buffers);
     MemoryWatch::begin()
@@ -102,12 +101,12 @@ impl Setup<'_> {
         Trainer::new(&self.config, self.scene, DType::F32, &self.runtime)
     }
 
-    /// A generous estimate of what a run writes: checkpoints, logs, pictures.
+    /// Estimates generously what a run writes: checkpoints, logs, images.
     fn bytes_needed(&self) -> u64 {
         let Setup { config, scene, .. } = self;
         let parameters: usize =
             Model::parameter_names(config).iter().map(|(_, shape)| shape.iter().product::<usize>()).sum();
-        // Those that are kept, one more before an evaluation, and the one that is being written.
+        // The kept checkpoints, one before an evaluation, and the one being written.
         let checkpoints = parameters * 3 * 4 * (config.train.keep_checkpoints + 2);
         let pixels = scene.test.first().map_or(0, |view| view.camera.width * view.camera.height);
         let pictures = config.eval.pictures.min(scene.test.len()) * pixels * 16;
@@ -117,11 +116,11 @@ impl Setup<'_> {
 }
 
 impl<'a> Job<'a> {
-    /// A new run in `folder`. What can be refused is refused before anything is deleted.
+    /// Creates a run in `folder`. All checks come before anything is deleted.
     ///
     /// # Errors
-    /// A folder that holds a run (unless it is to be replaced) or anything else, or that cannot be written; a disk without room; settings
-    /// that the scene contradicts; fields that start dead again and again.
+    /// The folder holds a run that may not be replaced, or anything else, or cannot be written; the disk has too
+    /// little space; settings contradict the scene; every initialization of a field is dead.
     pub fn create(folder: &Path, existing: Existing, setup: Setup<'a>) -> Result<Job<'a>> {
         let memory = watch_memory(&setup.runtime);
         surface_reference(&setup.config, setup.scene)?;
@@ -130,10 +129,10 @@ impl<'a> Job<'a> {
         Job::begin(run, setup, trainer, None, Vec::new(), memory)
     }
 
-    /// A new run in `folder` that begins with weights of elsewhere. They are its first checkpoint.
+    /// Creates a run in `folder` that starts from existing weights. They become its first checkpoint.
     ///
     /// # Errors
-    /// Those of [`Job::create`]; weights that the settings' networks do not have.
+    /// Those of [`Job::create`]; the weights are not of the settings' networks.
     pub fn create_from(folder: &Path, existing: Existing, setup: Setup<'a>, origin: Origin) -> Result<Job<'a>> {
         let memory = watch_memory(&setup.runtime);
         surface_reference(&setup.config, setup.scene)?;
@@ -145,12 +144,13 @@ impl<'a> Job<'a> {
         Ok(job)
     }
 
-    /// The newest checkpoint of a locked run ([`RunDir::take`]) that is whole, or its start. The settings are the run's own,
-    /// resolved with the scene where it lies now ([`load_scene_of`](super::load_scene_of)). Of checkpoints that are damaged the training's events begin with a note.
+    /// Resumes a locked run ([`RunDir::take`]) at its newest intact checkpoint, or at its start. The settings are the
+    /// run's own, resolved with the scene at its current path ([`load_scene_of`](super::load_scene_of)). Damaged
+    /// checkpoints are reported in notes at the start of training.
     ///
     /// # Errors
-    /// A scene that has changed since the run began; a checkpoint of other settings, or none that is whole; a folder that cannot be
-    /// written; a disk without room.
+    /// The scene has changed since the run started; a checkpoint has other settings, or none is intact; the folder
+    /// cannot be written; the disk has too little space.
     pub fn resume(run: RunDir, setup: Setup<'a>) -> Result<Job<'a>> {
         let memory = watch_memory(&setup.runtime);
         surface_reference(&setup.config, setup.scene)?;
@@ -160,7 +160,7 @@ impl<'a> Job<'a> {
         let trainer = match newest {
             Some(newest) => {
                 let trainer = Trainer::resume(&newest, &setup.config, setup.scene, DType::F32, &setup.runtime)?;
-                // A kill may have come between the newest checkpoint and the end of the one that it replaces.
+                // A kill may have come between the newest checkpoint and the deletion of the one that it replaces.
                 trainer.save(&run.checkpoints())?;
                 trainer
             }
@@ -170,7 +170,7 @@ impl<'a> Job<'a> {
         Job::begin(run, setup, trainer, Some(earlier), notes, memory)
     }
 
-    /// `before` is there if the run is resumed: what its sessions took, as far as they said.
+    /// Starts a session. `before` is the timing of earlier sessions of a resumed run.
     fn begin(
         run: RunDir,
         setup: Setup<'a>,
@@ -180,7 +180,7 @@ impl<'a> Job<'a> {
         memory: MemoryWatch,
     ) -> Result<Job<'a>> {
         run.check_writable(setup.bytes_needed())?;
-        // In a resumed run: where scene and weights are now, for the next time.
+        // A resumed run records the current paths of scene and weights for the next time.
         write_atomic(&run.config(), setup.config.to_toml().as_bytes())?;
         scene_file::write(&run.scene_file(), setup.scene)?;
         let resumed = before.is_some();
@@ -189,7 +189,7 @@ impl<'a> Job<'a> {
         Ok(Job { experiment, trainer })
     }
 
-    /// Steps finished so far.
+    /// Returns the number of completed steps.
     pub fn step_count(&self) -> u64 {
         self.trainer.step_count()
     }
@@ -197,8 +197,8 @@ impl<'a> Job<'a> {
     /// Trains to the last step and evaluates.
     ///
     /// # Errors
-    /// [`Error::Interrupted`](crate::base::Error::Interrupted), with a checkpoint, once `signal` holds a signal's number;
-    /// [`Error::Diverged`](crate::base::Error::Diverged) where training goes non-finite or collapses; files that cannot be
+    /// [`Error::Interrupted`](crate::base::Error::Interrupted), with a checkpoint, once `signal` holds a signal's
+    /// number; [`Error::Diverged`](crate::base::Error::Diverged) if training diverges or collapses; files cannot be
     /// written.
     pub fn train(self, events: &dyn Listener, signal: &AtomicUsize) -> Result<Finished> {
         let Job { experiment, trainer } = self;
@@ -240,7 +240,7 @@ impl Experiment<'_> {
                 let percent = (1e5 * config.train.dead_start_share).round() / 1e3;
                 let often = if *redraws == 1 { "once".into() } else { format!("{redraws} times") };
                 events.on(Event::Note(&format!(
-                    "{role} network re-initialised {often} (dead start: under {percent} % of its densities were positive)"
+                    "{role} network initialized again {often} (dead start: below {percent} % of its densities were positive)"
                 )));
             }
         }
@@ -251,7 +251,7 @@ impl Experiment<'_> {
         Viewer { model: trainer.model(), config, scene, runtime }
     }
 
-    /// Nothing, or the error of a run whose newest checkpoint is of `step`, once there is a signal.
+    /// Returns an error once there is a signal; the run's newest checkpoint is of `step`.
     fn check_signal(&self, signal: &AtomicUsize, step: u64) -> Result<()> {
         match signal.load(Ordering::SeqCst) {
             0 => Ok(()),
@@ -259,7 +259,8 @@ impl Experiment<'_> {
         }
     }
 
-    /// Measures every held-out view and some training views; returns the first one's picture, too, where pictures are made.
+    /// Measures every held-out view and some training views; also returns the first view's image, if images are
+    /// written.
     fn evaluate(
         &self,
         trainer: &Trainer,

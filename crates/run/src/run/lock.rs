@@ -1,4 +1,4 @@
-//! Who works in a run folder.
+//! The lock of a run folder.
 
 use std::fs::{File, TryLockError};
 use std::io::{self, Read, Write};
@@ -9,15 +9,15 @@ use crate::base::{Error, Result};
 /// The file that is locked.
 pub const LOCK: &str = "run.lock";
 
-/// A run folder taken by this process. The operating system gives it up when the process ends in
-/// whatever way, so that no stale lock can stay. On a file system without locks it does nothing.
+/// A run folder locked by this process. The operating system releases the lock however the process ends, so no stale
+/// lock can remain. On a file system without locks it does nothing.
 #[derive(Debug)]
 pub struct RunLock {
     _file: File,
 }
 
 impl RunLock {
-    /// Locks the run folder `path`, or says who holds it.
+    /// Locks the run folder `path`, or returns an error that names the holder.
     pub fn acquire(path: &Path) -> Result<RunLock> {
         let name = path.join(LOCK);
         let mut file = File::options()
@@ -39,7 +39,7 @@ impl RunLock {
         Ok(RunLock { _file: file })
     }
 
-    /// Keeps others from training in a run that this process can only read; none where there is nothing to lock.
+    /// Keeps others from training in a run that this process can only read; `None` if there is nothing to lock.
     pub fn share(path: &Path) -> Result<Option<RunLock>> {
         let Ok(mut file) = File::open(path.join(LOCK)) else { return Ok(None) };
         match file.try_lock_shared() {
@@ -55,7 +55,7 @@ fn locked(path: &Path, file: &mut File) -> Error {
     let known = file.take(64).read_to_string(&mut holder).is_ok() && !holder.is_empty();
     let who = if known { format!("process {holder}") } else { "another process".to_string() };
     Error::Output(format!(
-        "{} is in use by {who}, which trains in it or reads it; wait for it (a new run may also go to another --out)",
+        "{} is locked by {who}, which trains in it or reads it; wait for it (or give a new run another --out)",
         path.display()
     ))
 }

@@ -27,46 +27,46 @@ use super::{
 const DENSITY: &str = "density.npy";
 const MIB: f64 = 1024.0 * 1024.0;
 
-/// How a run's surface is drawn.
+/// Options for the surface of a run.
 #[derive(Clone, Debug, PartialEq)]
 pub struct MeshOptions {
     /// Cells along each side of the box, 8 to 1024.
     pub resolution: usize,
-    /// Density of the surface, 1 / length in the units that the field is queried in; none: [`surface_threshold`].
+    /// Density of the surface, 1 / length in the field's units; by default [`surface_threshold`].
     pub threshold: Option<f64>,
-    /// Lower and upper corner of the box in the units that the field is queried in; none: [`surface_box`].
+    /// Lower and upper corner of the box in the field's units; by default [`surface_box`].
     pub domain: Option<[[f64; 3]; 2]>,
-    /// Closes the surface where it would leave the box: the outermost cells count as empty.
+    /// Close the surface at the box: the outermost cells count as empty.
     pub cap: bool,
-    /// Keeps the connected part of largest area alone.
+    /// Keep only the connected part of largest area.
     pub largest: bool,
     /// Files to write.
     pub formats: Vec<MeshFormat>,
-    /// Writes the densities, too: `density.npy`, float32 `[x, y, z]` at the cells' midpoints.
+    /// Also write the densities: `density.npy`, float32 `[x, y, z]` at the cells' midpoints.
     pub density: bool,
-    /// Memory that lattice and mesh may take, MiB; none: [`most_memory_mib`].
+    /// Memory limit of sampling grid and mesh in MiB; by default [`most_memory_mib`].
     pub most_mib: Option<f64>,
-    /// A picture of the mesh to draw, too.
+    /// An image of the mesh to draw as well.
     pub picture: Option<MeshPicture>,
-    /// Where its normals come from.
+    /// Source of the normals.
     pub normals: Normals,
     /// The units of the files.
     pub units: MeshUnits,
 }
 
-/// The units of a mesh's files.
+/// Units of a mesh's files.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum MeshUnits {
-    /// The scene's, after recentring and scaling.
+    /// The scene's units, after recentring and scaling.
     #[default]
     Scene,
-    /// Those of the capture's own files.
+    /// The units of the capture's own files.
     Capture,
 }
 
 impl Default for MeshOptions {
-    /// 256 cells a side, PLY, everything else the run's own.
+    /// Returns 256 cells a side, PLY, and otherwise the run's own values.
     fn default() -> MeshOptions {
         MeshOptions {
             resolution: 256,
@@ -85,7 +85,7 @@ impl Default for MeshOptions {
 }
 
 impl MeshOptions {
-    /// The paper's for the chair: 512 cells a side of [-1,1]^3, density 25 (1 for drums).
+    /// Returns the paper's options for the chair: 512 cells a side of [-1,1]^3, density 25 (1 for drums).
     pub fn paper() -> MeshOptions {
         MeshOptions {
             resolution: 512,
@@ -106,20 +106,20 @@ impl MeshOptions {
     }
 }
 
-/// A kind of mesh file.
+/// A mesh file format.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum MeshFormat {
     /// Binary, with normals and colours.
     Ply,
-    /// Text, with normals, and colours behind the positions.
+    /// Text, with normals, and colours after the positions.
     Obj,
 }
 
 impl MeshFormat {
-    /// Both.
+    /// All formats.
     pub const ALL: [MeshFormat; 2] = [MeshFormat::Ply, MeshFormat::Obj];
 
-    /// The file's name in a run's `mesh` folder.
+    /// Returns the file's name in a run's `mesh` folder.
     pub fn file(self) -> &'static str {
         match self {
             MeshFormat::Ply => "mesh.ply",
@@ -141,7 +141,7 @@ impl MeshFormat {
     }
 }
 
-/// `mesh.json`: what the mesh is and where it comes from.
+/// `mesh.json`: properties and provenance of the mesh.
 #[derive(Clone, Debug, Serialize)]
 pub struct MeshReport {
     /// Training step of the checkpoint.
@@ -150,58 +150,58 @@ pub struct MeshReport {
     pub resolution: usize,
     /// Density of the surface.
     pub threshold: f64,
-    /// Corners of the box, in the units that the field is queried in.
+    /// Corners of the box, in the field's units.
     #[serde(rename = "box")]
     pub domain: [[f64; 3]; 2],
-    /// `NDC` or `scene units`: those of box, threshold and densities.
+    /// `NDC` or `scene units`: the units of box, threshold and densities.
     pub box_units: &'static str,
-    /// Those of the mesh, its area and its volume.
+    /// Units of the mesh, its area and its volume.
     pub units: MeshUnits,
     /// From the capture's units to the scene's: x_scene = scale R x_capture + t, and `matrix` is `[scale R | t]`.
     pub world_to_scene: WorldMatrix,
-    /// What a MipNeRF field is queried at: Gaussians of a cell's variance along each axis, in these units squared. Empty for
-    /// a field that is queried at points.
+    /// The variance along each axis of the Gaussians of a MipNeRF field, in these units squared. Empty for a field
+    /// that is queried at points.
     pub variance: Option<[f64; 3]>,
-    /// Whether the outermost cells were emptied.
+    /// The outermost cells were emptied.
     pub cap: bool,
-    /// How densities are distributed over the cells' midpoints.
+    /// Distribution of densities over the cells' midpoints.
     pub density: DensityRange,
     /// Number of vertices.
     pub vertices: usize,
     /// Number of triangles.
     pub faces: usize,
-    /// Each edge belongs to two triangles that walk it in opposite directions.
+    /// Each edge belongs to two triangles with opposite directions.
     pub closed: bool,
-    /// Directed edges that do not.
+    /// Number of directed edges without a partner.
     pub open_edges: usize,
     /// Area, units squared.
     pub area: f64,
-    /// Volume, units cubed; empty for an open mesh, which encloses none.
+    /// Volume, units cubed; empty for an open mesh.
     pub volume: Option<f64>,
-    /// Connected parts of the level set.
+    /// Number of connected parts of the level set.
     pub components: usize,
-    /// Those that were left out.
+    /// Number of parts that were dropped.
     pub components_dropped: usize,
-    /// Where normals come from.
+    /// Source of the normals.
     pub normals: Normals,
-    /// Vertices whose normal is that of the triangles around them.
+    /// Number of vertices whose normal comes from the triangles around them.
     pub normals_of_triangles: usize,
-    /// Where the numbers come from.
+    /// Provenance of the numbers.
     pub protocol: Protocol,
 }
 
 impl Trained {
     /// Draws the surface of the evaluated field into the run's `mesh` folder: `mesh.ply`, `mesh.obj`, `mesh.json`,
-    /// `density.npy`, all of them or none. What was there is replaced.
+    /// `density.npy`. The old files are replaced all at once.
     ///
     /// # Errors
-    /// A box that the scene's rays do not meet; a level set that is empty or outgrows the memory; a disk without room; weights that
-    /// are not numbers.
+    /// The box misses the scene's rays; the level set is empty or exceeds the memory; the disk has too little space;
+    /// weights are not numbers.
     pub fn draw_mesh(&self, options: &MeshOptions, events: &dyn Listener) -> Result<MeshReport> {
         self.draw_mesh_into(AtomicDir::new(&self.run.mesh())?, options, events)
     }
 
-    /// The same into another folder, as for a run on a disk that is read-only.
+    /// Draws into another folder, such as for a run on a read-only disk.
     ///
     /// # Errors
     /// Those of [`Trained::draw_mesh`].
@@ -216,7 +216,7 @@ impl Trained {
             "`augnerf compare` shows its depth",
         )?;
         let drawing = options.drawing(self);
-        drawing.lattice.check_meets(&self.scene, "the mesh's lattice")?;
+        drawing.lattice.check_meets(&self.scene, "the mesh's sampling grid")?;
         options.picture.iter().try_for_each(|picture| picture.cameras(&self.scene).map(|_| ()))?;
         let LevelSet { mut mesh, range } = self.level_set(&drawing, options.density.then_some(&files), events)?;
         let components = mesh.components();
@@ -242,7 +242,7 @@ impl Trained {
         Ok(report)
     }
 
-    /// The level set, with `density.npy` in `density_in`.
+    /// Extracts the level set; writes `density.npy` into `density_in`.
     fn level_set(&self, drawing: &Drawing, density_in: Option<&AtomicDir>, events: &dyn Listener) -> Result<LevelSet> {
         let path = density_in.map(|files| files.path().join(DENSITY));
         let volume = path.as_ref().map(|path| density_file(path, &drawing.lattice));
@@ -299,20 +299,20 @@ impl MeshReport {
     }
 }
 
-/// A mesh of the scene in the units of its capture.
+/// Converts a mesh of the scene to the units of its capture.
 fn in_capture(mesh: &mut Mesh, world: &WorldToScene) {
     let single = |point: [f64; 3]| point.map(|v| v as f32);
     mesh.vertices.iter_mut().for_each(|vertex| *vertex = single(world.to_capture(vertex.map(f64::from))));
     mesh.normals.iter_mut().for_each(|normal| *normal = single(world.direction_to_capture(normal.map(f64::from))));
 }
 
-/// The begun file of densities, on a disk with room for it.
+/// Creates the file of densities, after a check for disk space.
 fn density_file(path: &Path, lattice: &Lattice) -> Result<BufWriter<File>> {
     let folder = path.parent().unwrap_or(path);
     let needed = (lattice.cells() * size_of::<f32>()) as f64;
     if let Some(free) = free_bytes(folder).filter(|free| (*free as f64) < needed) {
         return Err(Error::Output(format!(
-            "{} has too little room for --density: it takes {:.0} MiB and {:.0} MiB are free",
+            "{} has too little space for --density: it takes {:.0} MiB, but {:.0} MiB are free",
             folder.display(),
             needed / MIB,
             free as f64 / MIB
@@ -324,11 +324,11 @@ fn density_file(path: &Path, lattice: &Lattice) -> Result<BufWriter<File>> {
     Ok(file)
 }
 
-/// A mesh by name: `builtin` (the embedded scene's own), a PLY or OBJ file, or a run folder whose mesh was drawn. `other` is the
-/// name of what it will be compared with.
+/// Reads a mesh by name: `builtin` (the built-in scene's own), a PLY or OBJ file, or a run folder with a drawn mesh.
+/// `other` names what it will be compared with.
 ///
 /// # Errors
-/// A file that is no mesh; a run without one; a run of another scene beside `builtin`, whose units are not the same.
+/// The file is not a mesh; the run has no mesh; a run of another scene is compared with `builtin`, whose units differ.
 pub fn named_mesh(name: &str, other: &str) -> Result<Reference> {
     let path = Path::new(name);
     if name == BUILTIN || !path.is_dir() {
@@ -344,7 +344,7 @@ pub fn named_mesh(name: &str, other: &str) -> Result<Reference> {
     let scene = config.data;
     if other == BUILTIN && !Format::of(scene.kind).is_some_and(|format| format.has_mesh) {
         return Err(Error::Config(format!(
-            "{name} is of {} ({}), in units of its own: `{BUILTIN}` is the surface of {} alone",
+            "{name} is of {} ({}), in other units; `{BUILTIN}` is only the surface of {}",
             scene.name,
             scene.kind.name(),
             DataKind::BuiltinBlender.name()
@@ -352,13 +352,13 @@ pub fn named_mesh(name: &str, other: &str) -> Result<Reference> {
     }
     let files: [PathBuf; 2] = MeshFormat::ALL.map(|format| run.mesh().join(format.file()));
     let file = files.into_iter().find(|file| file.is_file()).ok_or_else(|| {
-        Error::Data(format!("{name} has no mesh yet: draw it with `augnerf mesh {name}`, then compare again"))
+        Error::Data(format!("{name} has no mesh yet; draw it with `augnerf mesh {name}`, then compare again"))
     })?;
     check_units(&run, name)?;
     reference_mesh(&file.to_string_lossy())
 }
 
-/// Refuses a run's mesh that is in its capture's units: what it is compared with is in the scene's.
+/// Returns an error for a run's mesh in its capture's units, since comparisons use the scene's.
 fn check_units(run: &RunDir, name: &str) -> Result<()> {
     #[derive(Deserialize)]
     struct Units {
@@ -376,7 +376,7 @@ fn check_units(run: &RunDir, name: &str) -> Result<()> {
         return Ok(());
     }
     Err(Error::Config(format!(
-        "{name} has a mesh in its capture's units, and distances are measured in the scene's: draw it again without --units \
-         capture, or name the mesh files themselves where both are in one unit"
+        "{name} has a mesh in its capture's units, but distances are measured in the scene's; draw it again without --units \
+         capture, or name the mesh files themselves if both have the same units"
     )))
 }

@@ -1,4 +1,4 @@
-//! What an evaluation leaves: `metrics.json` and `metrics.csv`.
+//! Output of an evaluation: `metrics.json` and `metrics.csv`.
 
 use std::path::Path;
 
@@ -20,16 +20,16 @@ pub struct Report {
     pub mean: MeanMetrics,
     /// Every view.
     pub views: Vec<ViewMetrics>,
-    /// Where the numbers come from.
+    /// Provenance of the numbers.
     pub protocol: Protocol,
-    /// What the deltas did over the logged steps, one entry a site; empty without a perturbed pass.
+    /// Effect of the deltas over the logged steps, one entry a site; empty without a perturbed pass.
     pub attack: Vec<SiteSummary>,
-    /// Every training view that was measured, as it was trained on; no part of `views` and their means.
+    /// Every measured training view, as the training saw it; not part of `views` and their means.
     pub training_views: Vec<ViewMetrics>,
 }
 
 impl Report {
-    /// Of measured views, held out and trained on, and of a surface where one was measured.
+    /// Makes a report of held-out views, training views and, if measured, a surface.
     pub fn new(
         views: Vec<ViewMetrics>,
         training_views: Vec<ViewMetrics>,
@@ -51,13 +51,13 @@ impl Report {
         write_atomic(csv, self.csv().as_bytes())
     }
 
-    /// Sites that were [inactive](SiteSummary::inactive).
+    /// Returns the sites that were [inactive](SiteSummary::inactive).
     pub fn inactive_levels(&self) -> Vec<&'static str> {
         self.attack.iter().filter(|site| site.inactive).map(|site| site.site).collect()
     }
 
-    /// One row a held-out view, each with the whole protocol and what is told of training views; a missing metric is an
-    /// empty cell.
+    /// Returns one row for each held-out view, each with the complete protocol and the numbers of training views. A
+    /// missing metric is an empty cell.
     fn csv(&self) -> String {
         let inactive = self.inactive_levels();
         let seen = self.mean.iter().filter(|(metric, _)| matches!(metric.scope, Scope::Seen | Scope::Gap));

@@ -1,10 +1,9 @@
-//! One experiment from its settings to its results: scene, run folder, training, evaluation, and everything that it leaves behind.
+//! One experiment from its settings to its results: scene, run folder, training, evaluation and output files.
 //!
-//! Two rules hold throughout. A file that is replaced is replaced by a rename, so that a reader
-//! (or a kill at any moment) sees the old content or the new one and never half of either. And
-//! everything written is a function of configuration and seed, with three exceptions that say so:
-//! `timing.json`, the event files under `tensorboard/` and `run.lock` hold clock times, host names
-//! or process numbers.
+//! Two rules hold throughout. A file is replaced by a rename, so that a reader, or a kill at any moment, sees the old
+//! content or the new one and never a mixture. Everything written is a function of configuration and seed, with three
+//! exceptions: `timing.json`, the event files in `tensorboard/` and `run.lock` contain clock times, host names or
+//! process numbers.
 
 mod balance;
 mod columns;

@@ -1,4 +1,4 @@
-//! The pictures that training and rendering leave.
+//! Images that training and rendering write.
 
 use std::cell::RefCell;
 use std::path::Path;
@@ -12,17 +12,17 @@ use crate::draw::{Reel, SOLID, beside, depth_colour, depth_range, depth_range_of
 
 use super::RenderedView;
 
-/// Pixels between pictures that stand side by side.
+/// Pixels between images side by side.
 const GAP: usize = 4;
 
-/// What the 16-bit depth pictures of a folder mean: `depth.json`.
+/// `depth.json`: the meaning of the 16-bit depth images of a folder.
 #[derive(Serialize)]
 struct DepthScale {
     /// depth = value / 65535 * max; the value 0 is no depth.
     max: f32,
     /// `NDC` or `scene units along the view axis`.
     unit: &'static str,
-    /// The colours' range: nearest and farthest.
+    /// Nearest and farthest depth of the colour scale.
     colours: Option<(f32, f32)>,
 }
 
@@ -33,7 +33,7 @@ impl DepthScale {
     }
 }
 
-/// Depth where something was accumulated, NaN elsewhere.
+/// Returns the depth where something was accumulated, NaN elsewhere.
 fn solid_depth(view: &RenderedView) -> Vec<f32> {
     view.depth.iter().zip(&view.acc).map(|(&depth, &acc)| if acc >= SOLID { depth } else { f32::NAN }).collect()
 }
@@ -43,13 +43,13 @@ fn depth_picture(view: &RenderedView, (near, far): (f32, f32)) -> Result<Image> 
     depth_colour(&view.depth, width, height, near, far, Some(&view.acc))
 }
 
-/// White where a pixel counts, black elsewhere.
+/// Returns an image that is white where a pixel counts, black elsewhere.
 fn mask_picture(mask: &[bool], width: usize, height: usize) -> Image {
     let pixels = mask.iter().flat_map(|&counts| [f32::from(u8::from(counts)); 3]).collect();
     Image { width, height, channels: 3, pixels }
 }
 
-/// Puts diagonal stripes, half grey and half the picture darkened, over what is masked.
+/// Draws diagonal stripes over masked pixels, alternately grey and the darkened image.
 fn stripe(picture: &mut Image, mask: &[bool]) {
     /// Pixels across two stripes.
     const PERIOD: usize = 8;
@@ -61,8 +61,8 @@ fn stripe(picture: &mut Image, mask: &[bool]) {
 }
 
 /// Frames of a path, written as they come: `rgb_000.png`, `depth_000.png` (colours), `depth16_000.png`, `rgb.gif`,
-/// `depth.gif`, `depth.json`, and where there can be one `rgb.mp4`, `depth.mp4`. What stays in memory is depth, whose colours
-/// hang on the range of all frames.
+/// `depth.gif`, `depth.json`, and `rgb.mp4` and `depth.mp4` if supported. Only depth stays in memory, since its
+/// colours depend on the range of all frames.
 pub struct PathPictures<'a> {
     folder: &'a Path,
     scene: &'a Scene,
@@ -72,17 +72,17 @@ pub struct PathPictures<'a> {
     depths: Vec<Depth>,
 }
 
-/// Depth of a frame, and how solid what is seen there is.
+/// Depth and accumulation of a frame.
 struct Depth {
     depth: Vec<f32>,
     acc: Vec<f32>,
 }
 
 impl<'a> PathPictures<'a> {
-    /// Bytes that a pixel takes until the last frame is there: depth and accumulation, and depth again where their range is sought.
+    /// Bytes for each pixel until the last frame: depth and accumulation, and depth again while the range is computed.
     pub const PIXEL_BYTES: usize = 3 * size_of::<f32>();
 
-    /// Of `frames` frames of a size (width, height), so many a second.
+    /// Starts `frames` frames of a size (width, height), at `fps` frames a second.
     pub fn begin(folder: &'a Path, scene: &'a Scene, size: (usize, usize), frames: usize, fps: f64) -> Result<Self> {
         let rgb = Reel::begin(&folder.join("rgb"), size, frames, fps)?;
         Ok(PathPictures { folder, scene, size, fps, rgb, depths: Vec::with_capacity(frames) })
@@ -99,7 +99,7 @@ impl<'a> PathPictures<'a> {
         Ok(())
     }
 
-    /// Writes the colours of depth: one range for all frames, so that a colour means the same depth throughout.
+    /// Writes the colours of depth. All frames share one range, so that a colour means the same depth throughout.
     pub fn finish(self) -> Result<()> {
         let PathPictures { folder, scene, size, fps, rgb, depths } = self;
         rgb.finish()?;
@@ -118,9 +118,9 @@ impl<'a> PathPictures<'a> {
     }
 }
 
-/// Pictures of held-out views: `NAME_rgb.png`, `NAME_truth.png`, `NAME_depth.png`,
-/// `NAME_depth16.png`, `NAME_beside.png` (render, truth, depth) and `depth.json`; of a masked one `NAME_mask.png` (white
-/// counts), too, and beside the others the truth is striped where it is masked.
+/// Images of held-out views: `NAME_rgb.png`, `NAME_truth.png`, `NAME_depth.png`, `NAME_depth16.png`, `NAME_beside.png`
+/// (rendering, ground truth, depth) and `depth.json`. A masked view also has `NAME_mask.png` (white counts), and
+/// stripes over the masked ground truth in `NAME_beside.png`.
 pub struct Pictures<'a> {
     folder: &'a Path,
     scene: &'a Scene,
@@ -129,19 +129,19 @@ pub struct Pictures<'a> {
 }
 
 impl<'a> Pictures<'a> {
-    /// Of the first `count` views.
+    /// Writes images of the first `count` views.
     pub fn new(folder: &'a Path, scene: &'a Scene, count: usize) -> Pictures<'a> {
         Pictures { folder, scene, count, range: RefCell::new(None) }
     }
 
-    /// Writes the pictures of a view, if it is among the first; returns the one of all side by side.
+    /// Writes the images of a view if it is among the first; returns the image with all side by side.
     pub fn write(&self, index: usize, view: &View, rendered: &RenderedView) -> Result<Option<Image>> {
         if index >= self.count {
             return Ok(None);
         }
         let Image { width, height, .. } = rendered.image;
         let file = |what: &str| self.folder.join(format!("{}_{what}.png", view.name));
-        // The first view's range colours all.
+        // The first view's range colours all views.
         let range = *self.range.borrow_mut().get_or_insert_with(|| {
             let range = depth_range(&rendered.depth, Some(&rendered.acc));
             range.unwrap_or((self.scene.near as f32, self.scene.far as f32))

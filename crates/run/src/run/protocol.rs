@@ -1,4 +1,4 @@
-//! The protocol of a run: what stands beside each of its numbers.
+//! The protocol of a run: provenance that accompanies each of its numbers.
 
 use serde::ser::{Serialize, SerializeMap, Serializer};
 use serde_json::Value;
@@ -23,8 +23,8 @@ use super::surface;
 /// Version of the evaluation protocol; numbers of different versions are not comparable.
 pub const PROTOCOL: u32 = 1;
 
-/// Where a number comes from: everything that two numbers must share to be compared. A value for each of
-/// [`COLUMNS`], in their order.
+/// Provenance of a number: everything that two numbers must share to be compared. Has a value for each of [`COLUMNS`],
+/// in their order.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Protocol(Vec<(&'static str, Value)>);
 
@@ -37,7 +37,7 @@ impl Serialize for Protocol {
 }
 
 impl Protocol {
-    /// The protocol of a run at a checkpoint's state.
+    /// Returns the protocol of a run at a checkpoint's state.
     pub fn new(config: &Resolved, scene: &Scene, state: &State) -> Protocol {
         let table = config.to_table();
         let found = [of_settings(config), of_scene(config, scene), of_state(config, state)].concat();
@@ -54,8 +54,8 @@ impl Protocol {
         Protocol(COLUMNS.iter().map(|column| (column.name, value(column.name))).collect())
     }
 
-    /// The columns that say which views of which scene numbers are of, as text: all that is known of pictures that were not
-    /// rendered here.
+    /// Returns as text the columns about scene and views. Nothing else is known of images that were rendered
+    /// elsewhere.
     pub fn of_views(config: &Resolved, scene: &Scene) -> Vec<(&'static str, String)> {
         const OF_VIEWS: [&str; 9] =
             ["protocol", "dataset", "scene", "width", "height", "background", "split", "views_evaluated", "data_hash"];
@@ -64,7 +64,7 @@ impl Protocol {
         OF_VIEWS.into_iter().filter_map(|name| Some((name, known(name)?))).collect()
     }
 
-    /// The columns that a configuration decides alone, as a run that trained to its end has them, as text.
+    /// Returns as text the columns that a configuration decides alone, for a run that trained to its end.
     pub fn of_configuration(config: &Resolved) -> Vec<(&'static str, String)> {
         let table = config.to_table();
         let mut own = of_settings(config);
@@ -75,13 +75,13 @@ impl Protocol {
             let known = own.iter().find(|(name, _)| *name == column.name).map(|(_, value)| value.clone());
             let is_here = known.is_some() || column.setting().is_some();
             let value = set.or(known).filter(|_| (column.applies)(config)).unwrap_or_default();
-            // Which program it was is no setting.
+            // The program is not a setting.
             (is_here && column.name != "program").then(|| (column.name, cell(&value)))
         });
         decided.collect()
     }
 
-    /// The protocol of an evaluation that measured LPIPS with these backbones.
+    /// Adds the LPIPS backbones of an evaluation.
     pub fn with_lpips(mut self, lpips: &[Lpips]) -> Protocol {
         let named = lpips.iter().map(|lpips| format!("{} {}", lpips.backbone().name(), lpips.weights_hash()));
         let named = (!lpips.is_empty()).then(|| named.collect::<Vec<String>>().join(", "));
@@ -89,16 +89,16 @@ impl Protocol {
         self
     }
 
-    /// A column's value.
+    /// Returns a column's value.
     ///
     /// # Panics
-    /// Where there is no such column.
+    /// If there is no such column.
     pub fn get(&self, column: &str) -> &Value {
         let known = self.0.iter().find(|(name, _)| *name == column);
-        &known.unwrap_or_else(|| panic!("{column} is no column of the protocol")).1
+        &known.unwrap_or_else(|| panic!("{column} is not a column of the protocol")).1
     }
 
-    /// A column's value as text; empty for none.
+    /// Returns a column's value as text; empty for none.
     pub fn text(&self, column: &str) -> String {
         cell(self.get(column))
     }
@@ -106,17 +106,17 @@ impl Protocol {
     /// Sets a column.
     ///
     /// # Panics
-    /// Where there is no such column.
+    /// If there is no such column.
     pub fn set(&mut self, column: &str, value: Value) {
         let known = self.0.iter_mut().find(|(name, _)| *name == column);
-        known.unwrap_or_else(|| panic!("{column} is no column of the protocol")).1 = value;
+        known.unwrap_or_else(|| panic!("{column} is not a column of the protocol")).1 = value;
     }
 }
 
 /// Columns and their values.
 type Found = Vec<(&'static str, Value)>;
 
-/// What several settings say together.
+/// Returns the columns that combine several settings.
 fn of_settings(config: &Resolved) -> Found {
     let perturb = Some(&config.perturb).filter(|_| perturbed(config));
     let regularizer = Some(&config.regularizer).filter(|_| regularized(config));
@@ -144,7 +144,7 @@ fn of_settings(config: &Resolved) -> Found {
     ]
 }
 
-/// What was loaded.
+/// Returns the columns of the loaded scene.
 fn of_scene(config: &Resolved, scene: &Scene) -> Found {
     let background = match scene.background {
         None => "none",
@@ -170,20 +170,21 @@ fn of_scene(config: &Resolved, scene: &Scene) -> Found {
     ]
 }
 
-/// A side of the evaluated views in pixels; where they differ in it, the sides in the order of the views: `1080/1920`.
+/// Returns one side of the evaluated views in pixels. If views differ, returns the sides in the order of the views:
+/// `1080/1920`.
 fn side(scene: &Scene, of: fn(&Camera) -> usize) -> Value {
     let views = if scene.test.is_empty() { &scene.train } else { &scene.test };
     let text = sides(views.iter().map(|view| of(&view.camera)));
     text.parse::<usize>().map_or(text.into(), Value::from)
 }
 
-/// Different sides in their order: `800`, `1080/1920`; 0 of none.
+/// Joins the distinct sides in their order: `800`, `1080/1920`; `0` if there are none.
 pub(super) fn sides(all: impl Iterator<Item = usize>) -> String {
     let different = distinct(all);
     if different.is_empty() { "0".into() } else { different.iter().map(usize::to_string).collect::<Vec<_>>().join("/") }
 }
 
-/// How much of the views is masked, in words; none where nothing is.
+/// Returns in words how much of the views is masked, or `None` if nothing is.
 fn masks(scene: &Scene) -> Option<String> {
     let of = |views: &[View]| {
         let views = views.iter().map(|view| 1.0 - share(view.mask.as_deref()));
@@ -194,7 +195,7 @@ fn masks(scene: &Scene) -> Option<String> {
     any.then(|| format!("{} of trained, {} of evaluated pixels left out", of(&scene.train), of(&scene.test)))
 }
 
-/// What happened, and on what.
+/// Returns the columns of the run's progress and devices.
 fn of_state(config: &Resolved, state: &State) -> Found {
     let redraws = Model::parts(config).into_iter().zip(&state.redraws).map(|(role, draws)| format!("{role} {draws}"));
     let by_device = |of: fn(&str) -> &'static str| {
@@ -202,7 +203,7 @@ fn of_state(config: &Resolved, state: &State) -> Found {
         all.dedup();
         all.join(" + ")
     };
-    // The fused core is the processor's; see `Field::prepared`.
+    // The fused core runs on CPUs; see `Field::prepared`.
     let core = match config.field.core {
         Core::Plain => "plain".into(),
         Core::Fused => by_device(|device| if device == "cpu" { "fused" } else { "plain" }),
@@ -222,7 +223,7 @@ fn of_state(config: &Resolved, state: &State) -> Found {
     ]
 }
 
-/// A learning rate and how it falls, in words.
+/// Returns a learning rate and its schedule in words.
 fn learning_rate(config: &Resolved) -> String {
     let train = &config.train;
     let start = train.learning_rate;
@@ -233,7 +234,7 @@ fn learning_rate(config: &Resolved) -> String {
     }
 }
 
-/// Levels, features, table, resolutions, interpolation and place of a hash grid.
+/// Returns levels, features, table, resolutions, interpolation and box of a hash grid.
 fn hash_grid(hash: &HashConfig) -> String {
     let HashConfig { levels, features, log2_table, coarsest, finest, interpolation, bounds, contraction } = hash;
     let interpolation = word(interpolation);
@@ -244,7 +245,7 @@ fn hash_grid(hash: &HashConfig) -> String {
     format!("{levels} x {features}, 2^{log2_table}, {coarsest}{finest}, {interpolation}{place}{contraction}")
 }
 
-/// Which of the training views were kept; none for all.
+/// Returns which training views were used, or `None` for all.
 fn training_views(config: &Config) -> Option<String> {
     config.data.train_views.as_ref().map(|views| match views {
         TrainViews::Number(number) => format!("{number} drawn"),
@@ -252,7 +253,7 @@ fn training_views(config: &Config) -> Option<String> {
     })
 }
 
-/// The sites that are on, each with its pass where it takes part in one of them alone.
+/// Returns the active sites, each with its pass if it takes part in only one.
 fn levels(perturb: &ResolvedPerturb, representation: Representation) -> String {
     let named = perturb.sites_on().map(|(site, config)| match config.passes {
         Passes::Coarse => format!("{}:coarse", site.name()),
@@ -271,14 +272,14 @@ fn attack_numbers(perturb: &ResolvedPerturb) -> String {
     numbers.collect::<Vec<String>>().join(", ")
 }
 
-/// Step over radius of each site, with three figures.
+/// Returns step size over radius of each site, with three digits.
 fn ratios(config: &Resolved, scene: &Scene) -> String {
     let ratios = step_over_radius(config, scene).expect("tensors of a single ray");
     let three = |ratio: f64| format!("{ratio:.2e}").parse::<f64>().expect("just printed");
     ratios.iter().map(|(site, ratio)| format!("{} {}", site.name(), three(*ratio))).collect::<Vec<String>>().join(", ")
 }
 
-/// Norms of the sets; sites of one number a sample have none to choose.
+/// Returns the norms of the constraint sets. A site of one number a sample has no norm to choose.
 fn norms(perturb: &ResolvedPerturb) -> String {
     let on = perturb.numbers.iter().filter(|(site, numbers): &(Site, _)| numbers.on() && !site.about().scalar);
     let named = on.map(|(site, numbers)| format!("{} {}", site.name(), numbers.norm.name()));
@@ -300,8 +301,8 @@ fn regularizer_points(regularizer: &RegularizerConfig) -> String {
     }
 }
 
-/// Which views are evaluated: `test`, `val`, or `every-8` for every 8th view held out, `every-8-from-3` where the first of
-/// these is view 3, counted from 0; with `-val` behind, those that are kept for choices instead.
+/// Returns which views are evaluated. `test` is a fixed split; `every-8` holds out every 8th view, and
+/// `every-8-from-3` starts at view 3, counted from 0. The suffix `-val` means validation views.
 pub fn split_name(config: &Config) -> String {
     let data = &config.data;
     let split = match (data.has_splits(), data.eval_split) {
@@ -325,7 +326,7 @@ mod tests {
     use crate::run::load_scene;
     use crate::settings::{Preset, build, parse_assignment};
 
-    /// A column holds a setting's value or what is found here, never both.
+    /// A column has the value of a setting or a computed one, never both.
     #[test]
     fn every_column_has_one_source() {
         let small = [parse_assignment("data.width=8").unwrap()];

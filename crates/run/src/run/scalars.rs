@@ -9,34 +9,33 @@ use crate::base::{Error, Result};
 
 const STEP: &str = "step";
 
-/// A growing table of scalars. Its columns are fixed when it is made; every row reaches the file
-/// in one write, before [`Scalars::append`] returns.
+/// A growing table of scalars with fixed columns. Every row reaches the file in one write, before [`Scalars::append`]
+/// returns.
 ///
-/// A row must be appended before the checkpoint of its step is saved (with [`Scalars::sync`] in
-/// between where a crash of the machine matters), since [`Scalars::resume`] keeps the rows up to
-/// the checkpoint's step and training then repeats those after it.
+/// Append a row before saving the checkpoint of its step. If a crash of the machine matters, call [`Scalars::sync`] in
+/// between. [`Scalars::resume`] keeps the rows up to the checkpoint's step, and training then repeats the rows after
+/// it.
 #[derive(Debug)]
 pub struct Scalars {
     path: PathBuf,
     columns: Vec<String>,
-    /// Columns that came after the program which began the table: their values are not kept.
+    /// Columns newer than the program that started the table; their values are not kept.
     later: Vec<String>,
     writer: csv::Writer<File>,
 }
 
 impl Scalars {
-    /// A new table with the column `step` and then `columns`; a file of this name is replaced.
-    /// Names hold ASCII letters, digits and `_ . / -` only, so that a row is always one line.
+    /// Creates a table with the column `step`, then `columns`, and replaces an existing file. Names contain only ASCII
+    /// letters, digits and `_ . / -`, so that a row is always one line.
     pub fn create(path: &Path, columns: &[&str]) -> Result<Scalars> {
         check_columns(path, columns)?;
         write_atomic(path, header(columns).as_bytes())?;
         Scalars::open(path, columns)
     }
 
-    /// Goes on with a table at `step`, the step of the checkpoint that training goes on from: rows
-    /// of later steps are cut off, and so is a last line that a kill left half-written. A missing
-    /// file is made anew. A table that an older program began keeps its columns, where those are some of `columns` in the
-    /// same order; any other column is an error.
+    /// Continues a table at `step`, the step of the checkpoint. Later rows and an unfinished last line are cut off. A
+    /// missing file is created. A table of an older program keeps its columns if they are some of `columns` in the
+    /// same order; otherwise it is an error.
     pub fn resume(path: &Path, columns: &[&str], step: u64) -> Result<Scalars> {
         if !path.exists() {
             return Scalars::create(path, columns);
@@ -59,9 +58,8 @@ impl Scalars {
         Ok(Scalars { path: path.to_path_buf(), columns, later: Vec::new(), writer })
     }
 
-    /// Appends the row of `step`. Columns that `values` does not name stay empty. A number that is
-    /// not finite is an [`Error::Diverged`], a name without a column an [`Error::Output`]; neither
-    /// writes anything.
+    /// Appends the row of `step`. Columns that `values` does not name stay empty. A number that is not finite is an
+    /// [`Error::Diverged`], a name without a column an [`Error::Output`]; neither writes anything.
     pub fn append(&mut self, step: u64, values: &[(&str, f64)]) -> Result<()> {
         let mut cells = vec![String::new(); self.columns.len() + 1];
         cells[0] = step.to_string();
@@ -83,13 +81,13 @@ impl Scalars {
             .map_err(|error| Error::unwritable(&self.path, &error))
     }
 
-    /// Waits until every row has reached the disk.
+    /// Waits until every row is on the disk.
     pub fn sync(&mut self) -> Result<()> {
         self.writer.get_ref().sync_data().map_err(|error| Error::unwritable(&self.path, &error))
     }
 }
 
-/// An [`Error::Diverged`] if `value` is not finite.
+/// Returns an [`Error::Diverged`] if `value` is not finite.
 pub fn check_finite(step: u64, name: &str, value: f64) -> Result<()> {
     if value.is_finite() {
         return Ok(());
@@ -103,7 +101,7 @@ fn check_columns(path: &Path, columns: &[&str]) -> Result<()> {
         let unusable = column.is_empty() || !column.bytes().all(plain) || *column == STEP;
         if unusable || columns[..index].contains(column) {
             return Err(Error::Output(format!(
-                "cannot write {}: '{column}' is no column name, or is there twice",
+                "cannot write {}: '{column}' is not a column name, or occurs twice",
                 path.display()
             )));
         }
@@ -116,8 +114,8 @@ fn header(columns: &[&str]) -> String {
     names.join(",") + "\n"
 }
 
-/// The columns that a table has, where they are some of `columns` in the same order; none where it has others, or ends
-/// within its first line.
+/// Returns the columns of a table if they are some of `columns` in the same order. Returns `None` for other columns or
+/// an incomplete first line.
 fn columns_of<'a>(bytes: &[u8], columns: &[&'a str]) -> Option<Vec<&'a str>> {
     let line = &bytes[..bytes.iter().position(|&byte| byte == b'\n')?];
     let found: Vec<&str> = std::str::from_utf8(line).ok()?.split(',').skip(1).collect();
@@ -125,7 +123,7 @@ fn columns_of<'a>(bytes: &[u8], columns: &[&'a str]) -> Option<Vec<&'a str>> {
     (kept == found && !kept.is_empty()).then_some(kept)
 }
 
-/// The bytes of a table without its rows of steps after `last` and without an unfinished line.
+/// Returns the bytes of a table without rows after step `last` and without an unfinished line.
 fn rows_up_to(bytes: &[u8], header: &str, columns: usize, last: u64) -> std::result::Result<Vec<u8>, String> {
     let whole = bytes.iter().rposition(|&byte| byte == b'\n').map_or(0, |end| end + 1);
     let mut kept = header.as_bytes().to_vec();
@@ -133,7 +131,11 @@ fn rows_up_to(bytes: &[u8], header: &str, columns: usize, last: u64) -> std::res
         if index == 0 {
             if line != header.as_bytes() {
                 let found = String::from_utf8_lossy(line);
-                return Err(format!("its columns are '{}', this run's are '{}'", found.trim_end(), header.trim_end()));
+                return Err(format!(
+                    "its columns are '{}', but this run's are '{}'",
+                    found.trim_end(),
+                    header.trim_end()
+                ));
             }
             continue;
         }

@@ -1,5 +1,5 @@
-//! `scene.json`: the scene as a run saw it, for whoever puts its results beside the capture, and for the run itself: its weights
-//! are of these coordinates and these views.
+//! `scene.json`: the scene as the run loaded it. Users need it to match results with the capture. The run needs it
+//! because its weights depend on these coordinates and views.
 
 use std::path::{Path, PathBuf};
 
@@ -14,28 +14,28 @@ use crate::train::checkpoint;
 
 use super::RunDir;
 
-/// By how much numbers may differ, relative to the larger of 1 and their size, that two machines compute of the same files.
+/// Tolerance for numbers that two machines compute from the same files, relative to the larger of 1 and their size.
 const ROUNDING: f64 = 1e-6;
-/// So many names of views stand in an error.
+/// Most names of views in an error.
 const NAMES: usize = 8;
 
-/// From the capture's units to the scene's, as files tell it.
+/// The map from the capture's units to the scene's, as files write it.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct WorldMatrix {
-    /// Scene units to one unit of the capture.
+    /// Scene units in one unit of the capture.
     pub scale: f64,
-    /// `[scale R | t]`, rows: a point of the capture, with 1 as its fourth number, becomes one of the scene.
+    /// `[scale R | t]`, rows: maps a point of the capture, with 1 as its fourth number, to the scene.
     pub matrix: [[f64; 4]; 3],
 }
 
 impl WorldMatrix {
-    /// Of a scene's way from its capture.
+    /// Returns the matrix of a scene's map from its capture.
     pub fn of(world: &WorldToScene) -> WorldMatrix {
         WorldMatrix { scale: world.scale, matrix: world.matrix() }
     }
 }
 
-/// What `scene.json` holds.
+/// Content of `scene.json`.
 #[derive(Serialize, Deserialize)]
 struct SceneFile {
     scene: String,
@@ -45,12 +45,12 @@ struct SceneFile {
     near: f64,
     far: f64,
     ndc: bool,
-    /// What most cameras look at, scene units; `null` where nothing tells it.
+    /// The box that most cameras look at, scene units; `null` if unknown.
     #[serde(rename = "box")]
     domain: Option<[[f64; 3]; 2]>,
-    /// What the reader chose, and why.
+    /// Choices of the reader, with reasons.
     notes: serde_json::Map<String, serde_json::Value>,
-    /// Names of the views that are trained on and evaluated; files of runs that were begun before have none.
+    /// Names of the training and evaluated views; missing in files of earlier versions.
     #[serde(default)]
     views: Option<Views>,
 }
@@ -65,7 +65,7 @@ struct Views {
 /// Writes `scene.json`.
 pub(super) fn write(path: &Path, scene: &Scene) -> Result<()> {
     let Scene { name, kind, near, far, ndc, space, .. } = scene;
-    // Where the folders lie is no part of what a run leaves.
+    // Paths of folders do not belong in a run's files.
     let told = space.notes.iter().filter(|(label, _)| !["images", "passed over"].contains(label));
     let notes = told.map(|(label, words)| (label.to_string(), words.clone().into())).collect();
     write_json(
@@ -88,29 +88,31 @@ fn names(views: &[View]) -> Vec<String> {
     views.iter().map(|view| view.name.clone()).collect()
 }
 
-/// Whether rays have the ends that they all had in captures with a `transforms.json` before those came from what cameras look at.
+/// Returns whether rays have the fixed ends of earlier versions, which captures with a `transforms.json` had before
+/// the cameras decided them.
 pub(super) fn is_early((near, far): (f64, f64)) -> bool {
     [near, far] == BOUNDS
 }
 
-/// The scene as a run saw it when it began.
+/// The scene as a run loaded it when it started.
 pub(super) struct RecordedScene {
     file: PathBuf,
     recorded: Option<SceneFile>,
-    /// The run was trained by a version that left no such file. One that a kill left without it has no checkpoint either.
+    /// An earlier version trained the run and wrote no such file. A run that was killed before writing it has no
+    /// checkpoint either.
     early: bool,
 }
 
 impl RecordedScene {
-    /// That of a run.
+    /// Reads the scene of a run.
     pub(super) fn of(run: &RunDir) -> Result<RecordedScene> {
         let file = run.scene_file();
-        let recorded = read_json(&file, "bring back a copy, or delete it to take the scene as it is now")?;
+        let recorded = read_json(&file, "restore a copy, or delete it to accept the scene as it is now")?;
         let early = recorded.is_none() && !checkpoint::list(&run.checkpoints())?.is_empty();
         Ok(RecordedScene { file, recorded, early })
     }
 
-    /// The ends of its rays; none where the scene's files say them now as then.
+    /// Returns the ends of its rays, or `None` if the scene's files still give the same.
     pub(super) fn bounds(&self, data: &DataConfig) -> Option<(f64, f64)> {
         match &self.recorded {
             Some(recorded) => Some((recorded.near, recorded.far)),
@@ -118,10 +120,10 @@ impl RecordedScene {
         }
     }
 
-    /// Gives the scene's rays the ends that they had, where the settings name none and others were found now.
+    /// Restores the old ends of the scene's rays if no setting gives them and they have changed.
     pub(super) fn restore_bounds(&self, scene: &mut Scene, data: &DataConfig) {
         let Some((near, far)) = self.bounds(data) else { return };
-        // Of numbers that only a file's digits differ in, those that were found are what the run computes with.
+        // If only rounding differs, the run computes with the new numbers.
         if data.near.is_none() && !is_close(near, scene.near) {
             scene.near = near;
         }
@@ -130,13 +132,14 @@ impl RecordedScene {
         }
     }
 
-    /// Refuses a scene of other coordinates or other views; those that are `evaluated` may be others on demand.
+    /// Returns an error for a scene with other coordinates or views. With `evaluated` false, other views may be
+    /// evaluated.
     pub(super) fn check(&self, scene: &Scene, data: &DataConfig, evaluated: bool) -> Result<()> {
         let from = if data.dir.is_empty() { &scene.name } else { &data.dir };
         let refuse = |what: String| {
             Err(Error::Data(format!(
-                "{from}: the scene is not the one that the run was begun with ({}): {what}; bring back its files as they were, name \
-                 their folder with --data, or train anew",
+                "{from}: the scene differs from the one that the run started with ({}): {what}; restore its files, name \
+                 their folder with --data, or train again",
                 self.file.display()
             )))
         };
@@ -144,14 +147,14 @@ impl RecordedScene {
             let (near, far) = (data.near.unwrap_or(near), data.far.unwrap_or(far));
             if !(is_close(near, scene.near) && is_close(far, scene.far)) {
                 let (now_near, now_far) = scene.bounds();
-                return refuse(format!("rays went from {near} to {far}, and go from {now_near} to {now_far}"));
+                return refuse(format!("rays went from {near} to {far}, but now go from {now_near} to {now_far}"));
             }
         }
         let Some(recorded) = &self.recorded else { return Ok(()) };
         let (then, now) = (recorded.world_to_scene, WorldMatrix::of(&scene.space.world));
         let (a, b) = (then.matrix.as_flattened(), now.matrix.as_flattened());
         if recorded.ndc != scene.ndc.is_some() || !a.iter().zip(b).all(|(a, b)| is_close(*a, *b)) {
-            let what = "its poses lead to other coordinates than those of the weights (world_to_scene, ndc)";
+            let what = "its poses give other coordinates than the weights have (world_to_scene, ndc)";
             return refuse(what.into());
         }
         let Some(views) = &recorded.views else { return Ok(()) };
@@ -169,7 +172,7 @@ fn is_close(a: f64, b: f64) -> bool {
     (a - b).abs() <= ROUNDING * a.abs().max(b.abs()).max(1.0)
 }
 
-/// How two lists of names differ, in words.
+/// Returns in words how two lists of names differ.
 fn difference(then: &[String], now: &[String]) -> Option<String> {
     let without = |all: &[String], others: &[String], what: &str| {
         let lack: Vec<&str> = all.iter().filter(|name| !others.contains(name)).map(String::as_str).collect();
@@ -181,7 +184,7 @@ fn difference(then: &[String], now: &[String]) -> Option<String> {
     let words = parts.into_iter().flatten().collect::<Vec<String>>().join(" and ");
     match (words.is_empty(), then == now) {
         (false, _) => Some(words),
-        (true, false) => Some("the order is another".into()),
+        (true, false) => Some("the order differs".into()),
         (true, true) => None,
     }
 }

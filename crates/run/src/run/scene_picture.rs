@@ -1,4 +1,4 @@
-//! A scene as `data check --picture` draws it: cameras, points, the ends of rays and the box, from above and from the side.
+//! The drawing of `data check --picture`: cameras, points, ends of rays and the box, from above and from the side.
 
 use crate::base::Result;
 use crate::data::pose::{self, Vec3};
@@ -8,30 +8,31 @@ use crate::draw::canvas::{Anchor, BLACK, BLUE, Canvas, Colour, Figure, GREY, PAL
 /// Side of a panel, pixels.
 const PANEL: f64 = 460.0;
 const GAP: f64 = 24.0;
-/// Most points that are drawn; of more, every so many.
+/// Limit on drawn points; more points are thinned evenly.
 const MOST_POINTS: usize = 6000;
-/// Length of a drawn frustum over the side of what is shown.
+/// Length of a drawn frustum, as a fraction of the panel.
 const FRUSTUM: f64 = 0.05;
-/// Rays that reach so many times as far as everything else are cut off.
+/// Rays longer than this multiple of the extent of everything else are cut off.
 const FAR_SHARE: f64 = 1.5;
-/// Points count in what is shown between these shares of them.
+/// Quantiles of the points that decide the extent.
 const SHOWN: [f64; 2] = [0.02, 0.98];
 const GREEN: Colour = PALETTE[2];
 
-/// One of two parallel views: the directions that run right and up in it.
+/// One of two parallel views: its directions to the right and up.
 struct Panel {
     name: &'static str,
     left: f64,
     axes: [Vec3; 2],
-    /// What stands at its middle, and half of its side in scene units.
+    /// Its centre, and half of its side in scene units.
     middle: Vec3,
     half: f64,
 }
 
-/// The scene's cameras (training blue, held out red), points (grey), box (green) and rays from near to far, from two sides.
+/// Draws the scene's cameras (training blue, held out red), points (grey), box (green) and rays from near to far, from
+/// two sides.
 ///
 /// # Errors
-/// A figure that cannot be drawn.
+/// The figure cannot be drawn.
 pub fn scene_picture(scene: &Scene) -> Result<Figure> {
     let width = 2.0 * SIDE + 2.0 * PANEL + GAP;
     let title = format!("{}: {} views to train on, {} held out", scene.name, scene.train.len(), scene.test.len());
@@ -50,7 +51,7 @@ pub fn scene_picture(scene: &Scene) -> Result<Figure> {
     canvas.finish()
 }
 
-/// Right, forward and up of the capture: what its cameras have in common.
+/// Returns right, forward and up of the capture, from all its cameras.
 fn axes(scene: &Scene) -> [Vec3; 3] {
     let cameras = || views(scene).map(|view| view.camera.pose);
     let up = pose::normalized(pose::mean(cameras().map(|pose| pose::column(&pose, 1)))).unwrap_or([0.0, 0.0, 1.0]);
@@ -65,7 +66,7 @@ fn views(scene: &Scene) -> impl Iterator<Item = &View> {
     scene.train.iter().chain(&scene.test)
 }
 
-/// Ends of a ray in scene units: NDC's near plane lies 1 before the origin, its far one nowhere.
+/// Returns the ends of a ray in scene units. NDC's near plane is 1 in front of the origin, its far plane at infinity.
 fn ends(scene: &Scene, camera: &Camera) -> (f64, f64) {
     match scene.ndc {
         None => (scene.near, scene.far),
@@ -73,12 +74,12 @@ fn ends(scene: &Scene, camera: &Camera) -> (f64, f64) {
     }
 }
 
-/// A camera's place and viewing direction.
+/// Returns a camera's location and viewing direction.
 fn axis(camera: &Camera) -> (Vec3, Vec3) {
     (pose::column(&camera.pose, 3), pose::column(&camera.pose, 2).map(|v| -v))
 }
 
-/// The middle of what is shown, half of its side, and whether rays end beyond.
+/// Returns the centre of the drawing, half of its side, and whether rays end outside.
 fn shown(scene: &Scene) -> (Vec3, f64, bool) {
     let mut places: Vec<Vec3> = views(scene).map(|view| axis(&view.camera).0).collect();
     places.extend(scene.space.domain.iter().flatten());
@@ -105,7 +106,7 @@ fn shown(scene: &Scene) -> (Vec3, f64, bool) {
     let kept = if is_cut { &places } else { &all };
     let (low, high) = corners(kept);
     let middle = std::array::from_fn(|axis| 0.5 * (low[axis] + high[axis]));
-    // As seen along any axis, with some room.
+    // The extent along any axis, with a margin.
     let reach = kept.iter().map(|place| pose::length(pose::sub(*place, middle))).fold(1e-9, f64::max);
     (middle, 1.05 * reach, is_cut)
 }
@@ -117,7 +118,7 @@ fn corners(places: &[Vec3]) -> (Vec3, Vec3) {
     (fold(f64::min, f64::INFINITY), fold(f64::max, f64::NEG_INFINITY))
 }
 
-/// The box of most points; none without points.
+/// Returns the box of most points, or `None` without points.
 fn point_corners(scene: &Scene) -> Option<(Vec3, Vec3)> {
     let points = &scene.space.points;
     let last = points.len().checked_sub(1)?;
@@ -204,7 +205,7 @@ impl Panel {
         }
     }
 
-    /// Where a point stands in the drawing.
+    /// Returns the position of a point in the drawing.
     fn at(&self, point: Vec3) -> (f64, f64) {
         let offset = pose::sub(point, self.middle);
         let [x, y] = self.axes.map(|axis| pose::dot(offset, axis) / self.half);
@@ -215,10 +216,10 @@ impl Panel {
         (self.left..=self.left + PANEL).contains(&x) && (Self::TOP..=Self::TOP + PANEL).contains(&y)
     }
 
-    /// The part of a line that lies within the panel.
+    /// Draws the part of a line that is inside the panel.
     fn line(&self, canvas: &mut Canvas, from: Vec3, to: Vec3, colour: Colour, width: f64) {
         let ((x0, y0), (x1, y1)) = (self.at(from), self.at(to));
-        // Shares of the way at which the line enters and leaves the panel: Liang and Barsky's clipping.
+        // Fractions of the line at which it enters and leaves the panel, by Liang-Barsky clipping.
         let (mut enters, mut leaves) = (0.0f64, 1.0f64);
         for (start, step, low) in [(x0, x1 - x0, self.left), (y0, y1 - y0, Self::TOP)] {
             if step == 0.0 {

@@ -1,4 +1,4 @@
-//! Pictures that any program rendered, measured as ours are: 8-bit values against the same 8-bit truth.
+//! Measures images of any program as our own are: 8-bit values against the same 8-bit ground truth.
 
 use std::cmp::Ordering;
 use std::path::{Path, PathBuf};
@@ -13,70 +13,70 @@ use crate::settings::Resolved;
 
 use super::protocol::{PROTOCOL, Protocol, sides};
 
-/// Most bytes of a picture's file.
+/// Size limit of an image file in bytes.
 const MOST_BYTES: u64 = 1 << 30;
 
-/// A picture file under the name that it is matched by.
+/// An image file with the name for matching.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Picture {
-    /// The file's name without its ending and without `_rgb` or `_truth`, which this program puts there.
+    /// The file's name without its extension and without `_rgb` or `_truth`, which this program adds.
     pub name: String,
     /// The file.
     pub path: PathBuf,
 }
 
-/// How pictures find what they are held against.
+/// How images are matched with the ground truth.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Matching {
-    /// Equal names.
+    /// By equal names.
     Name,
-    /// The first with the first: by name, numbers in it by their size.
+    /// By order of names; numbers in names count by value.
     Order,
 }
 
-/// What pictures are held against.
+/// The ground truth of images.
 pub enum Truth<'a> {
-    /// Pictures.
+    /// Image files.
     Pictures(Vec<Picture>),
-    /// Held-out views of a scene of ours.
+    /// Held-out views of one of our scenes.
     Scene(&'a Resolved, &'a Scene),
 }
 
-/// One picture with its numbers.
+/// One image with its metrics.
 #[derive(Clone, Debug)]
 pub struct ScoredView {
-    /// Its metrics, under the truth's name.
+    /// Its metrics, under the name of the ground truth.
     pub metrics: ViewMetrics,
-    /// The picture's file.
+    /// The image file.
     pub prediction: PathBuf,
-    /// The file of the truth; none of a scene's view.
+    /// The file of the ground truth, or `None` for a scene's view.
     pub truth: Option<PathBuf>,
-    /// SHA-256 of the picture's file.
+    /// SHA-256 of the image file.
     pub prediction_sha256: String,
-    /// SHA-256 of the truth's file; of a scene's view of its 8-bit values.
+    /// SHA-256 of the ground truth's file, or of a scene's view's 8-bit values.
     pub truth_sha256: String,
 }
 
-/// What a set of pictures came to.
+/// Metrics of a set of images.
 #[derive(Clone, Debug)]
 pub struct Score {
-    /// Each picture, in the order of the truth.
+    /// Each image, in the order of the ground truth.
     pub views: Vec<ScoredView>,
-    /// Means over them.
+    /// Means over the views.
     pub mean: MeanMetrics,
-    /// The fields of the protocol that are known.
+    /// The known fields of the protocol.
     pub protocol: Vec<(String, String)>,
-    /// SHA-256 over the names of the views and the hashes of the pictures.
+    /// SHA-256 over the names of the views and the hashes of the images.
     pub predictions_sha256: String,
-    /// The same of the truth.
+    /// The same for the ground truth.
     pub truth_sha256: String,
 }
 
-/// The pictures of a folder, in their order. Of one that this program rendered into, which has depth and truth beside them, those
-/// alone that end with `suffix`, such as `_rgb`.
+/// Lists the images of a folder in order. If this program rendered into the folder, depth and ground truth are there
+/// too, and only files that end with `suffix`, such as `_rgb`, are listed.
 ///
 /// # Errors
-/// A folder that cannot be read or has no pictures; two pictures of one name.
+/// The folder cannot be read or has no images; two images have the same name.
 pub fn pictures(folder: &Path, suffix: &str) -> Result<Vec<Picture>> {
     let picture = |path: PathBuf| {
         let name = path.file_stem().map(|stem| stem.to_string_lossy().into_owned()).unwrap_or_default();
@@ -85,7 +85,7 @@ pub fn pictures(folder: &Path, suffix: &str) -> Result<Vec<Picture>> {
     let mut all: Vec<Picture> = images::list(folder)?.into_iter().map(picture).collect();
     if all.is_empty() {
         return Err(Error::Data(format!(
-            "{} holds no PNG, JPEG or WebP files: name the folder of the pictures",
+            "{} holds no PNG, JPEG or WebP files; name the folder of the images",
             folder.display()
         )));
     }
@@ -103,7 +103,7 @@ pub fn pictures(folder: &Path, suffix: &str) -> Result<Vec<Picture>> {
     all.sort_by(|a, b| natural(&a.name, &b.name).then_with(|| a.path.cmp(&b.path)));
     match all.windows(2).find(|pair| pair[0].name == pair[1].name) {
         Some(pair) => Err(Error::Data(format!(
-            "{} and {} have one name: leave one file a view",
+            "{} and {} have the same name; keep one file a view",
             pair[0].path.display(),
             pair[1].path.display()
         ))),
@@ -111,8 +111,8 @@ pub fn pictures(folder: &Path, suffix: &str) -> Result<Vec<Picture>> {
     }
 }
 
-/// The pictures of two folders that are held against each other. What this program puts behind names tells its files apart, unless
-/// whole names alone have a partner each.
+/// Lists the images of two folders that are compared with each other. This program's suffixes tell its files apart,
+/// unless every complete name has its own partner.
 ///
 /// # Errors
 /// Those of [`pictures`].
@@ -129,7 +129,7 @@ pub fn both_pictures(predictions: &Path, truth: &Path) -> Result<(Vec<Picture>, 
     }
 }
 
-/// Names in the order that a person gives them: `r_2` before `r_10`.
+/// Compares names by the value of numbers in them: `r_2` before `r_10`.
 fn natural(a: &str, b: &str) -> Ordering {
     let (mut a, mut b) = (a.as_bytes(), b.as_bytes());
     while let (Some(x), Some(y)) = (a.first(), b.first()) {
@@ -152,7 +152,7 @@ fn natural(a: &str, b: &str) -> Ordering {
     a.len().cmp(&b.len())
 }
 
-/// What one picture is held against.
+/// The ground truth of one image.
 enum Target<'a> {
     File(&'a Picture),
     View(&'a View),
@@ -166,7 +166,7 @@ impl Target<'_> {
         }
     }
 
-    /// Which pixels count, where a scene's view says so.
+    /// Returns which pixels count, if a scene's view has a mask.
     fn mask(&self) -> Option<&[bool]> {
         match self {
             Target::File(_) => None,
@@ -184,10 +184,10 @@ impl Truth<'_> {
     }
 }
 
-/// Measures pictures against the truth. `background` is what see-through ones are put on.
+/// Measures images against the ground truth. `background` is the colour behind transparent ones.
 ///
 /// # Errors
-/// Other numbers of pictures, other names, other sizes; see-through pictures without a background; files that cannot be read.
+/// Numbers, names or sizes of images do not match; transparent images have no background; files cannot be read.
 pub fn score(
     predictions: &[Picture],
     truth: &Truth,
@@ -207,7 +207,7 @@ pub fn score(
     events.on(Event::Finished);
     let measured: Vec<ViewMetrics> = views.iter().map(|view| view.metrics.clone()).collect();
     let mut mean = MeanMetrics::from_views(&measured);
-    // Of pictures that were rounded before they came here.
+    // The images were rounded before they came here.
     mean.set("psnr_float", None);
     let hash = |of: fn(&ScoredView) -> &str| {
         let mut hash = Sha256::new();
@@ -220,7 +220,7 @@ pub fn score(
     Ok(Score { predictions_sha256, truth_sha256, mean, protocol, views })
 }
 
-/// Each target with its picture.
+/// Pairs each target with its image.
 fn matched<'a>(
     predictions: &'a [Picture],
     targets: Vec<Target<'a>>,
@@ -234,7 +234,7 @@ fn matched<'a>(
     if matching == Matching::Order {
         if own != other {
             return Err(Error::Data(format!(
-                "there are {own} pictures for {other} views: give one picture a view, in the same order"
+                "{own} images for {other} views; give one image a view, in the same order"
             )));
         }
         return Ok(predictions.iter().zip(targets).collect());
@@ -243,18 +243,19 @@ fn matched<'a>(
         targets.iter().map(Target::name).filter(|name| !predictions.iter().any(|own| own.name == *name)).collect();
     let unknown = predictions.iter().map(|own| own.name.as_str());
     let unknown: Vec<&str> = unknown.filter(|name| !targets.iter().any(|target| target.name() == *name)).collect();
-    let advice = "name pictures as the views are named, or match them in their order (--match order)";
+    let advice = "name images like the views, or match them by order (--match order)";
     if !without.is_empty() {
-        let unknown = if unknown.is_empty() { String::new() } else { format!(" (of no view: {})", names(unknown)) };
+        let unknown =
+            if unknown.is_empty() { String::new() } else { format!(" (images of no view: {})", names(unknown)) };
         return Err(Error::Data(format!(
-            "{} of {other} views have no picture of their name: {}{unknown}; {advice}",
+            "{} of {other} views have no image of the same name: {}{unknown}; {advice}",
             without.len(),
             names(without)
         )));
     }
     if !unknown.is_empty() {
         return Err(Error::Data(format!(
-            "there are {own} pictures for {other} views; of no view are {}; {advice}",
+            "{own} images for {other} views; these match no view: {}; {advice}",
             names(unknown)
         )));
     }
@@ -273,7 +274,7 @@ fn view(picture: &Picture, target: &Target, background: Option<[f32; 3]>, lpips:
     };
     if (image.width, image.height) != (truth.width, truth.height) {
         return Err(Error::Data(format!(
-            "{} is {}x{} pixels, but view {} is {}x{}: score pictures of the views' own size (data.downscale, data.width)",
+            "{} is {}x{} pixels, but view {} is {}x{}; score images of the views' size (data.downscale, data.width)",
             picture.path.display(),
             image.width,
             image.height,
@@ -283,20 +284,20 @@ fn view(picture: &Picture, target: &Target, background: Option<[f32; 3]>, lpips:
         )));
     }
     let mut metrics = measure_unmasked(target.name(), &image, &truth, target.mask(), lpips)?;
-    // What the values were before they were rounded is not known.
+    // The values before rounding are unknown.
     metrics.values.set("psnr_float", None);
     metrics.values.set("mse", None);
     Ok(ScoredView { metrics, prediction: picture.path.clone(), truth: path, prediction_sha256, truth_sha256 })
 }
 
-/// A picture's 8-bit values on the background, and the hash of its file.
+/// Reads an image's 8-bit values on the background, and the hash of its file.
 fn read(path: &Path, background: Option<[f32; 3]>) -> Result<(Image, String)> {
     let bytes = read_bytes(path, MOST_BYTES).map_err(|e| Error::unreadable(path, &e))?;
     let size = images::size(path)?;
     let (image, clear) = resample::composite(images::read(path, size)?, background.unwrap_or([0.0; 3]));
     if clear && background.is_none() {
         return Err(Error::Data(format!(
-            "{} has see-through pixels: say what they are put on, --background white or black",
+            "{} has transparent pixels; name the colour behind them, --background white or black",
             path.display()
         )));
     }
@@ -313,7 +314,7 @@ fn hex(hash: Sha256) -> String {
     hash.finalize().iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
-/// What is known of where the numbers come from.
+/// Returns the known provenance of the numbers.
 fn protocol(
     truth: &Truth,
     background: Option<[f32; 3]>,
@@ -367,9 +368,9 @@ mod tests {
         assert_eq!(names(matched(&own, targets(other), Matching::Name).unwrap()), ["11", "00"]);
         assert_eq!(names(matched(&own, targets(other), Matching::Order).unwrap()), ["01", "10"]);
         let refused = |own: &[Picture], matching| matched(own, targets(other), matching).err().unwrap().to_string();
-        assert!(refused(&own[..1], Matching::Order).contains("1 pictures for 2 views"));
-        assert!(refused(&own[..1], Matching::Name).contains("1 of 2 views have no picture of their name: 1; "));
+        assert!(refused(&own[..1], Matching::Order).contains("1 images for 2 views"));
+        assert!(refused(&own[..1], Matching::Name).contains("1 of 2 views have no image of the same name: 1; "));
         let more = ["0", "1", "2"].map(picture);
-        assert!(refused(&more, Matching::Name).contains("of no view are 2"));
+        assert!(refused(&more, Matching::Name).contains("these match no view: 2"));
     }
 }

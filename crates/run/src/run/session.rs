@@ -1,4 +1,4 @@
-//! The loop around the steps: logs, checkpoints, stops.
+//! The training loop: steps, logs, checkpoints, stops.
 
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::{Duration, Instant};
@@ -12,12 +12,12 @@ use crate::settings::registry::{Effect, REGISTRY};
 use crate::settings::{Config, value_at};
 use crate::train::{StepStats, Trainer};
 
-/// What is done between steps.
+/// Work between steps.
 pub trait Between {
-    /// Evaluates during training; returns scalars to be logged. From the step before the
-    /// trainer's a run can be resumed: a signal may end the evaluation with [`interrupted`].
+    /// Evaluates during training; returns scalars to log. A run can resume from the step before the trainer's, so a
+    /// signal may end the evaluation with [`interrupted`].
     fn evaluate(&mut self, trainer: &Trainer) -> Result<Vec<(&'static str, f64)>>;
-    /// Follows a checkpoint; `seconds` were spent on steps in this session so far.
+    /// Runs after a checkpoint; this session has spent `seconds` on steps.
     fn saved(&mut self, step: u64, seconds: f64) -> Result<()>;
 }
 
@@ -26,17 +26,17 @@ pub trait Between {
 pub enum Outcome {
     /// All steps are done.
     Finished,
-    /// A signal asked for the stop; a checkpoint was written.
+    /// A signal stopped the session; a checkpoint was written.
     Stopped {
         /// The signal's number.
         signal: i32,
     },
 }
 
-/// Columns that an evaluation during training fills.
+/// Columns of an evaluation during training.
 pub const EVALUATION_COLUMNS: [&str; 2] = ["test_psnr", "test_psnr_float"];
 
-/// Those that it fills where it measures training views, too.
+/// Columns that it fills if it also measures training views.
 pub const SEEN_COLUMNS: [&str; 2] = ["train_psnr", "gap"];
 
 /// A training session of one process in one run folder.
@@ -45,11 +45,11 @@ pub struct Session<'a> {
     trainer: Trainer,
     scalars: Scalars,
     events: EventWriter,
-    /// Time spent on steps, logs and evaluations left out.
+    /// Time spent on steps, without logs and evaluations.
     stepping: Duration,
 }
 
-/// Columns of `scalars.csv` after `step`.
+/// Returns the columns of `scalars.csv` after `step`.
 fn columns(trainer: &Trainer) -> Vec<String> {
     let LogColumns { photometric, further } = trainer.columns();
     let config = trainer.config();
@@ -61,22 +61,22 @@ fn columns(trainer: &Trainer) -> Vec<String> {
     [named(&["learning_rate", "loss"]), photometric, named(&["psnr"]), named(evaluation), named(seen), further].concat()
 }
 
-/// What TensorBoard calls a column: by whether it was measured on the rays that are trained on or on views, so that no two
-/// numbers share a name. `scalars.csv` keeps the columns' own.
+/// Returns the TensorBoard tag of a column. The tag says whether the number is of training rays or of views, so that
+/// no two numbers share a name. `scalars.csv` keeps the column names.
 fn tag(column: &str, eval_stride: usize) -> String {
-    // Of every N-th pixel it is another number than that of whole views at the end.
+    // Over every N-th pixel, the number differs from that of complete views at the end.
     let evaluated = if eval_stride == 1 { "eval" } else { "eval_sparse" };
     match column {
         "test_psnr" => format!("{evaluated}/psnr"),
         "test_psnr_float" => format!("{evaluated}/psnr_float"),
-        // Of training views, but evaluated.
+        // An evaluation of training views.
         seen if SEEN_COLUMNS.contains(&seen) => format!("{evaluated}/{seen}"),
         trained => format!("train/{}", trained.replace('.', "/")),
     }
 }
 
-/// What a run is told apart by: its method, scene and seed, and all settings that can change a number and are not at their
-/// defaults.
+/// Returns what identifies a run: its method, scene and seed, and all settings that can change a number and are not at
+/// their defaults.
 fn settings(config: &Config) -> Vec<(String, toml::Value)> {
     let (own, default) = (config.portable().to_table(), Config::default().portable().to_table());
     let always = ["method", "data.name", "seed", "train.steps"];
@@ -89,14 +89,14 @@ fn settings(config: &Config) -> Vec<(String, toml::Value)> {
     named.filter_map(|path| Some((path.to_string(), value_at(&own, path)?.clone()))).collect()
 }
 
-/// Writes the head of `scalars.csv`, for a run that may be measured before its first step.
+/// Writes the header of `scalars.csv`, for a run that may be measured before its first step.
 pub(super) fn write_head(run: &RunDir, trainer: &Trainer) -> Result<()> {
     let columns = columns(trainer);
     let columns: Vec<&str> = columns.iter().map(String::as_str).collect();
     Scalars::create(&run.scalars(), &columns).map(drop)
 }
 
-/// One row of the logs.
+/// Returns one row of the logs.
 fn values(stats: &StepStats) -> Vec<(String, f64)> {
     let mut values = vec![("learning_rate".to_string(), stats.learning_rate), ("loss".into(), stats.loss)];
     let mut terms = stats.terms.iter().map(|term| (term.name.clone(), term.value));
@@ -110,8 +110,8 @@ fn values(stats: &StepStats) -> Vec<(String, f64)> {
 }
 
 impl<'a> Session<'a> {
-    /// A session that goes on from the trainer's step: 0, or that of the checkpoint it was resumed
-    /// from. `resumed` says that an earlier session may have left later steps in the logs.
+    /// Creates a session that continues from the trainer's step: 0, or that of its checkpoint. With `resumed`, an
+    /// earlier session may have logged later steps.
     pub fn new(run: &'a RunDir, trainer: Trainer, resumed: bool) -> Result<Session<'a>> {
         let columns = columns(&trainer);
         let columns: Vec<&str> = columns.iter().map(String::as_str).collect();
@@ -124,22 +124,22 @@ impl<'a> Session<'a> {
         Ok(Session { run, trainer, scalars, events, stepping: Duration::ZERO })
     }
 
-    /// What is trained, at the step reached.
+    /// Returns the trainer at the current step.
     pub fn trainer(&self) -> &Trainer {
         &self.trainer
     }
 
-    /// Seconds spent on steps in this session.
+    /// Returns the seconds spent on steps in this session.
     pub fn seconds(&self) -> f64 {
         self.stepping.as_secs_f64()
     }
 
-    /// Adds a picture to the TensorBoard events, at the step reached.
+    /// Adds an image to the TensorBoard events at the current step.
     pub fn picture(&mut self, tag: &str, picture: &Image) -> Result<()> {
         self.events.image(self.trainer.step_count(), tag, picture)
     }
 
-    /// Adds what the evaluation of the finished training came to to the TensorBoard events.
+    /// Adds the metrics of the final evaluation to the TensorBoard events.
     pub fn evaluated(&mut self, mean: &MeanMetrics) -> Result<()> {
         let known: Vec<(String, f64)> =
             mean.iter().filter_map(|(metric, value)| Some((format!("eval/{}", metric.key), value?))).collect();
@@ -148,28 +148,28 @@ impl<'a> Session<'a> {
         self.events.finished()
     }
 
-    /// Trains to the last step, or until `signal` holds a signal's number, which ends a long step before its end. Checkpoints are written
-    /// every N steps, every T minutes, before a step that is evaluated, at a stop and at the end.
+    /// Trains to the last step, or until `signal` holds a signal's number, which also interrupts a long step. Writes
+    /// checkpoints every N steps, every T minutes, before an evaluated step, at a stop and at the end.
     pub fn run(&mut self, signal: &AtomicUsize, events: &dyn Listener, between: &mut dyn Between) -> Result<Outcome> {
         let train = self.trainer.config().train.clone();
         let mut saved_at = Instant::now();
-        // Where the session starts from: a checkpoint, or step 0, which is a function of the configuration.
+        // The session starts from a checkpoint, or from step 0, which is a function of the configuration.
         let mut saved_step = self.trainer.step_count();
         while self.trainer.step_count() < train.steps {
             let next = self.trainer.step_count() + 1;
             let last = next == train.steps;
             let log = next.is_multiple_of(train.log_every) || last;
-            // Nothing but 0 is a multiple of 0, which is "never" here. The last step's evaluation is the run's.
+            // Only 0 is a multiple of 0, which means "never" here. The last step's evaluation is the run's.
             let evaluate = next.is_multiple_of(train.eval_every) && !last;
             if evaluate && saved_step != next - 1 {
-                // The row of a step is written once, evaluation included: stopped there, the step is taken again.
+                // A step's row is written once, with its evaluation. After a stop there, the step is repeated.
                 self.save(between)?;
                 (saved_at, saved_step) = (Instant::now(), next - 1);
             }
             let started = Instant::now();
             let stats = match self.trainer.step_unless(log, &|| stop_check(signal)) {
                 Err(Error::Interrupted { signal, .. }) => {
-                    // Within the step, which is taken again.
+                    // A stop within the step, which is repeated.
                     self.save(between)?;
                     return Ok(Outcome::Stopped { signal });
                 }
@@ -215,7 +215,7 @@ impl<'a> Session<'a> {
     }
 }
 
-/// An error once there is a signal.
+/// Returns an error once there is a signal.
 fn stop_check(signal: &AtomicUsize) -> Result<()> {
     match signal.load(Ordering::SeqCst) {
         0 => Ok(()),
@@ -223,12 +223,12 @@ fn stop_check(signal: &AtomicUsize) -> Result<()> {
     }
 }
 
-/// The error that a stopped session ends the program with.
+/// Returns the error with which a stopped session ends the program.
 pub fn interrupted(signal: i32, step: u64, run: &std::path::Path) -> Error {
     Error::Interrupted {
         signal,
         message: format!(
-            "stopped by signal {signal} at step {step}; nothing is lost: augnerf resume {} goes on from there",
+            "stopped by signal {signal} at step {step}; nothing is lost: `augnerf resume {}` continues from there",
             run.display()
         ),
     }
@@ -245,7 +245,7 @@ mod tests {
         assert_eq!(of("test_psnr"), "eval/psnr");
         assert_eq!((of("train_psnr"), of("gap")), ("eval/train_psnr".into(), "eval/gap".into()));
         assert_eq!((of("gain.t"), of("loss_coarse")), ("train/gain/t".into(), "train/loss_coarse".into()));
-        // Of every fourth pixel it is another number than that of whole views, which has `eval/psnr`.
+        // Over every fourth pixel the number differs from that of complete views, which has `eval/psnr`.
         assert_eq!((tag("test_psnr", 4), tag("psnr", 4)), ("eval_sparse/psnr".into(), "train/psnr".into()));
     }
 

@@ -1,5 +1,5 @@
-//! How smooth a trained run's fields are: the terms of the explicit regularizers, measured on the
-//! full lattice whatever the run was trained with.
+//! Smoothness of a trained run's fields: the terms of the explicit regularizers, measured on the full sampling grid
+//! whatever the training used.
 
 use std::path::Path;
 
@@ -18,20 +18,20 @@ use crate::space::{Lattice, chunk_count};
 
 use super::{Protocol, Trained, columns};
 
-/// A measurement that would take longer is refused.
+/// Time limit of a measurement in hours.
 const MOST_HOURS: f64 = 12.0;
 /// The paper's box for its regularizers.
 const PAPER_BOX: [[f64; 3]; 2] = [[-1.0; 3], [1.0; 3]];
-/// Cells along each side of the lattice where no others are asked for.
+/// Default number of cells along each side of the sampling grid.
 pub const SMOOTHNESS_SIDE: usize = 64;
 
-/// The box that a scene's fields are measured in where no other is asked for, in `measure` as in sweeps: what most cameras look
-/// at, and where nothing tells that the paper's.
+/// Returns the default box of a scene's measurements, in `measure` and in sweeps: the box that most cameras look at,
+/// or the paper's if that is unknown.
 pub fn smoothness_box(scene: &Scene) -> [[f64; 3]; 2] {
     scene.space.domain.unwrap_or(PAPER_BOX)
 }
 
-/// One network's smoothness.
+/// Smoothness of one network.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct FieldSmoothness {
     /// `coarse` or `fine`; the evaluated one comes last.
@@ -40,7 +40,7 @@ pub struct FieldSmoothness {
     pub lattice: usize,
     /// Corners of the box, in the units of `points`.
     pub domain: String,
-    /// What was measured.
+    /// The measurements.
     #[serde(flatten)]
     pub smoothness: Smoothness,
 }
@@ -48,9 +48,9 @@ pub struct FieldSmoothness {
 /// `smoothness.csv`: one row a network, each with the whole protocol.
 #[derive(Clone, Debug)]
 pub struct SmoothnessReport {
-    /// Coarse field, then fine field where there is one.
+    /// Coarse field, then fine field if there is one.
     pub fields: Vec<FieldSmoothness>,
-    /// Where the numbers come from.
+    /// Provenance of the numbers.
     pub protocol: Protocol,
 }
 
@@ -58,8 +58,8 @@ impl SmoothnessReport {
     /// Measures the coarse and the fine field of a model on a runtime.
     ///
     /// # Errors
-    /// [`Error::Config`]: a box that the scene's rays do not meet, a lattice that would not finish; [`Error::Diverged`]: densities
-    /// that are not numbers.
+    /// [`Error::Config`]: the box misses the scene's rays, or the sampling grid would take too long.
+    /// [`Error::Diverged`]: densities are not numbers.
     pub fn measure(
         model: &Model,
         scene: &Scene,
@@ -90,13 +90,13 @@ fn measure_fields(
     device: &Device,
     events: &dyn Listener,
 ) -> Result<Vec<FieldSmoothness>> {
-    lattice.check_meets(scene, "the lattice of smoothness")?;
+    lattice.check_meets(scene, "the sampling grid of smoothness")?;
     let fields: Vec<_> = model.fields()?.by_role().into_iter().filter(|(role, _)| *role != "adversarial").collect();
     let seconds = estimate_seconds(fields[0].1, lattice, lattice.cells(), &[])?;
     let hours = seconds * fields.len() as f64 / 3600.0;
     if hours > MOST_HOURS {
         return Err(Error::Config(format!(
-            "a lattice of {} a side has {} points: measuring it would take about {hours:.0} hours here (at most \
+            "a sampling grid of {} a side has {} points, which would take about {hours:.0} hours here (at most \
              {MOST_HOURS} are allowed); choose fewer cells a side",
             lattice.side,
             lattice.cells()
@@ -108,7 +108,7 @@ fn measure_fields(
         let smoothness = measure(field, lattice, || events.on(Event::Advanced))?;
         if !smoothness.l1.is_finite() || !smoothness.laplacian.is_none_or(f64::is_finite) {
             return Err(Error::Diverged(format!(
-                "the density of the {role} field is not a number: its weights are broken"
+                "the density of the {role} field is not a number, so its weights are broken"
             )));
         }
         Ok(FieldSmoothness { field: role, lattice: lattice.side, domain: format!("{:?}", lattice.domain), smoothness })
@@ -118,10 +118,10 @@ fn measure_fields(
     Ok(fields)
 }
 
-/// Refuses a run that has no such numbers.
+/// Returns an error for a run without such numbers.
 ///
 /// # Errors
-/// [`Error::Config`]: a method whose field is queried at Gaussians, or which has no field.
+/// [`Error::Config`]: the method's field is queried at Gaussians, or it has no field.
 pub fn check_measurable(run: &Path, config: &Config) -> Result<()> {
     let Some(why) = config.representation().lacks(Capability::Derivatives) else { return Ok(()) };
     if !config.method.has_fields() {
@@ -132,7 +132,7 @@ pub fn check_measurable(run: &Path, config: &Config) -> Result<()> {
         )));
     }
     Err(Error::Config(format!(
-        "{}: a field of method {} is queried at Gaussians, not at points, and has no l1, TV or Laplacian; measure \
+        "{}: a field of method {} is queried at Gaussians, not points, and has no l1, TV or Laplacian; measure \
          nerf and aug-nerf runs",
         run.display(),
         config.method.name()
@@ -140,11 +140,11 @@ pub fn check_measurable(run: &Path, config: &Config) -> Result<()> {
 }
 
 impl Trained {
-    /// Measures how smooth the run's fields are on a full lattice, and writes `smoothness.csv` into its folder, if that can be
-    /// written.
+    /// Measures the smoothness of the run's fields on a full sampling grid. Writes `smoothness.csv` into the run's
+    /// folder if it is writable.
     ///
     /// # Errors
-    /// Those of [`SmoothnessReport::measure`] and [`check_measurable`]; a file that cannot be written.
+    /// Those of [`SmoothnessReport::measure`] and [`check_measurable`]; the file cannot be written.
     pub fn measure_smoothness(&self, lattice: &Lattice, events: &dyn Listener) -> Result<SmoothnessReport> {
         check_measurable(self.run.path(), &self.config)?;
         let (model, runtime) = (&self.model, &self.runtime);

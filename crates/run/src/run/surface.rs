@@ -1,4 +1,4 @@
-//! The surface of a trained run beside a reference mesh: the columns `chamfer` and `f_score`.
+//! Compares the surface of a trained run with a reference mesh: the columns `chamfer` and `f_score`.
 
 use std::path::Path;
 
@@ -11,22 +11,23 @@ use crate::space::{Chamfer, Drawing, Lattice, Reference, chamfer, in_scene, leve
 use super::mesh_picture::surface_picture;
 use super::{RenderedView, Viewer};
 
-/// Name of the embedded scene's own mesh where a reference is asked for.
+/// Name of the built-in scene's own mesh as a reference.
 pub const BUILTIN: &str = "builtin";
-/// Share of the free memory that a surface may take.
+/// Fraction of the free memory that a surface may take.
 const MEMORY_SHARE: f64 = 0.5;
-/// The same where the system does not say what is free, MiB.
+/// Memory limit in MiB if the system does not report the free memory.
 const MEMORY_UNKNOWN: f64 = 2048.0;
-/// The numbers of an evaluation must not depend on the seed that was trained with.
+/// Fixed, since the numbers of an evaluation must not depend on the training's seed.
 const SEED: u64 = 0;
 
-/// Memory that a surface may take where nobody says how much, MiB.
+/// Returns the default memory limit of a surface in MiB.
 pub fn most_memory_mib() -> f64 {
     free_memory_mib().map_or(MEMORY_UNKNOWN, |free| MEMORY_SHARE * free)
 }
 
-/// The box that a scene's surface is looked for in where none is named, in the units that the field is queried in: all
-/// of NDC, the objects of NeRF-Synthetic and of the embedded scene with some room, of other captures what most cameras look
+/// Returns the default box of a scene's surface, in the field's units. Under NDC it is all of NDC. For NeRF-Synthetic
+/// and the built-in scene it contains the objects with a margin. For other captures it is the box that most cameras
+/// look at, or else the box of the training rays.
 /// at, and where they look at nothing in common the box that the training rays run through.
 pub fn surface_box(scene: &Scene) -> [[f64; 3]; 2] {
     let cube = |half: f64| [[-half; 3], [half; 3]];
@@ -37,12 +38,12 @@ pub fn surface_box(scene: &Scene) -> [[f64; 3]; 2] {
     }
 }
 
-/// The density of a scene's surface where none is named: that which stops half of the light within the mean interval
-/// between a ray's samples, ln 2 * samples / (far - near). A thinner veil is no surface to the run's own rendering,
-/// and a denser one cannot be had of it. For the paper's 64 + 128 samples from 2 to 6 it is 33 (the paper: 25).
-/// Under NDC, where rays run through 2 units from z = -1 to 1, `far - near` is 2.
+/// Returns the default density of a scene's surface: it stops half of the light within the mean interval between a
+/// ray's samples, ln 2 * samples / (far - near). The run's own rendering shows thinner density as a veil, and cannot
+/// resolve a denser surface. For the paper's 64 + 128 samples from 2 to 6 it is 33 (the paper: 25). Under NDC, where
+/// rays run from z = -1 to 1, `far - near` is 2.
 ///
-/// Neural Volumes add up opacity * length: half the light of one step is stopped where that is 1/2.
+/// Neural Volumes add up opacity * length: there the surface stops half of the light of one step.
 pub fn surface_threshold(config: &Config, scene: &Scene) -> f64 {
     if let (Representation::Volume, Some((_, half))) = (config.representation(), config.nv.cube()) {
         return 0.5 / (config.nv.step_length() * half);
@@ -53,13 +54,13 @@ pub fn surface_threshold(config: &Config, scene: &Scene) -> f64 {
     std::f64::consts::LN_2 * samples as f64 / length
 }
 
-/// A mesh to compare with: `builtin`, or a file.
+/// Reads a reference mesh: `builtin`, or a file.
 pub fn reference_mesh(name: &str) -> Result<Reference> {
     if name == BUILTIN { Ok(Reference::builtin()) } else { read_mesh(Path::new(name)).map(Reference::Mesh) }
 }
 
-/// The reference mesh that a configuration's surface is compared with; none where no surface is asked for, or none to
-/// compare with. Refuses a scene that has none, and a box that no surface can be in.
+/// Returns the reference mesh of a configuration's surface, or `None` if no surface or no comparison is configured. A
+/// scene without a mesh, or a box that cannot contain a surface, is an error.
 pub fn surface_reference(config: &Config, scene: &Scene) -> Result<Option<Reference>> {
     let MeshConfig { resolution, reference, domain, .. } = &config.eval.mesh;
     if *resolution == 0 {
@@ -68,8 +69,8 @@ pub fn surface_reference(config: &Config, scene: &Scene) -> Result<Option<Refere
     let own = reference.is_empty() || reference == BUILTIN;
     if own && !scene.format().is_some_and(|format| format.has_mesh) {
         return Err(Error::Config(format!(
-            "eval.mesh.resolution = {resolution} asks for a Chamfer distance, but {} ({}) comes without a mesh; set \
-             eval.mesh.reference to a PLY or OBJ file in the scene's units, or to \"none\" for a picture of the surface alone, \
+            "eval.mesh.resolution = {resolution} needs a reference mesh for the Chamfer distance, but {} ({}) has none; set \
+             eval.mesh.reference to a PLY or OBJ file in the scene's units, or to \"none\" for an image of the surface only, \
              or eval.mesh.resolution to 0",
             scene.name, scene.kind
         )));
@@ -78,8 +79,8 @@ pub fn surface_reference(config: &Config, scene: &Scene) -> Result<Option<Refere
     Lattice { domain, side: *resolution }.check_meets(scene, "eval.mesh.box")?;
     if scene.ndc.is_some() && domain[1][2] > 1.0 {
         return Err(Error::Config(format!(
-            "eval.mesh.box reaches up to z = {}, and {} is queried in normalised device coordinates, where z = 1 is \
-             infinitely far away: let it end at 1 or below",
+            "eval.mesh.box reaches z = {}, but {} is queried in normalized device coordinates, where z = 1 is \
+             infinitely far away; end the box at 1 or below",
             domain[1][2], scene.name
         )));
     }
@@ -89,7 +90,7 @@ pub fn surface_reference(config: &Config, scene: &Scene) -> Result<Option<Refere
     reference_mesh(if own { BUILTIN } else { reference }).map(Some)
 }
 
-/// The surface's part of a protocol; none where no surface is asked for.
+/// Returns the surface's part of a protocol, or `None` if no surface is configured.
 pub(super) fn describe(config: &Config, scene: &Scene) -> Option<String> {
     let MeshConfig { resolution, threshold, domain, reference, points, at } = &config.eval.mesh;
     let name = Path::new(reference).file_name().map_or(BUILTIN.into(), |name| name.to_string_lossy());
@@ -104,16 +105,16 @@ pub(super) fn describe(config: &Config, scene: &Scene) -> Option<String> {
 
 /// The surface of an evaluation.
 pub struct Surface {
-    /// How far it is from its reference mesh; none where there is nothing to compare with.
+    /// Distance to the reference mesh, or `None` without a reference.
     pub chamfer: Option<Chamfer>,
-    /// As the first held-out view sees it; none where no pictures are asked for.
+    /// Image in the first held-out view, or `None` if no images are written.
     pub picture: Option<Image>,
 }
 
 impl Viewer<'_> {
-    /// Draws the surface that the configuration asks for and compares it with its reference mesh. None where it asks
-    /// for none. Where it cannot be drawn, `events` hears why, and there is none either: that must not cost the views'
-    /// metrics. `stop_check` is called again and again; its error ends the drawing and is returned.
+    /// Draws the configured surface and compares it with its reference mesh. Returns `None` if no surface is
+    /// configured. If it cannot be drawn, it also returns `None` and reports the reason to `events`, so that the
+    /// views' metrics are not lost. `stop_check` is called repeatedly; its error ends the drawing and is returned.
     pub fn surface(&self, events: &dyn Listener, stop_check: impl Fn() -> Result<()>) -> Result<Option<Surface>> {
         if self.config.eval.mesh.resolution == 0 {
             return Ok(None);
@@ -123,7 +124,7 @@ impl Viewer<'_> {
             Err(error @ Error::Interrupted { .. }) => Err(error),
             Err(error) => {
                 events.on(Event::Finished);
-                events.on(Event::Note(&format!("no surface, so that chamfer and f_score stay empty: {error}")));
+                events.on(Event::Note(&format!("no surface, so chamfer and f_score stay empty: {error}")));
                 Ok(None)
             }
         }
@@ -154,8 +155,8 @@ impl Viewer<'_> {
         Ok(Surface { chamfer: reference.map(compare).transpose()?, picture })
     }
 
-    /// A rendered view's depth along its viewing axis in scene units, NaN where there is none. Under NDC it is that of
-    /// the mean NDC depth.
+    /// Returns a rendered view's depth along its viewing axis in scene units, NaN where there is none. Under NDC it
+    /// comes from the mean NDC depth.
     pub(super) fn scene_depth(&self, camera: &Camera, rendered: &RenderedView) -> Vec<f32> {
         let Some(ndc) = self.scene.ndc else { return rendered.depth.clone() };
         let shift = self.config.data.origin_of_pixels().shift();

@@ -1,4 +1,4 @@
-//! A trained run, read back.
+//! A trained run, opened from its folder.
 
 use std::path::Path;
 
@@ -19,28 +19,28 @@ use super::{DepthErrors, Protocol, RenderedView, Report, RunDir, Viewer, load_sc
 /// Views that a run is measured on.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Split {
-    /// Those that are held out.
+    /// The held-out views.
     Test,
-    /// Those that are kept for choices: `data.eval_split = "val"`.
+    /// The validation views: `data.eval_split = "val"`.
     Val,
-    /// All that were trained on, as they were trained on.
+    /// All training views, as the training saw them.
     Train,
 }
 
-/// Which checkpoint of a run is opened, and which views take the place of those that it holds out; by default the newest, and
-/// none.
+/// The checkpoint of a run to open, and the views to measure in place of the held-out ones. By default the newest
+/// checkpoint and the run's own views.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct OpenOptions {
-    /// The step that it was saved at.
+    /// Step of the checkpoint.
     pub step: Option<u64>,
     /// The views.
     pub split: Option<Split>,
 }
 
-/// The newest checkpoint of a run, with its scene: everything that can be looked at or measured.
+/// The newest checkpoint of a run, with its scene, ready to render and measure.
 ///
-/// Its folder is locked as long as this value lives: no training may prune the checkpoint that is being read. One that this
-/// process cannot write is read all the same.
+/// The run's folder is locked while this value lives, so that no training deletes the checkpoint. A folder that this
+/// process cannot write is opened as well.
 ///
 /// ```
 /// use augnerf::run::Trained;
@@ -66,36 +66,35 @@ pub struct OpenOptions {
 pub struct Trained {
     /// The run's folder.
     pub run: RunDir,
-    /// The settings that it was trained with.
+    /// The settings of the training.
     pub config: Resolved,
     /// Its scene, loaded: training and held-out views.
     pub scene: Scene,
-    /// Counters and provenance at the checkpoint, with this program and device as the last of those that worked on it.
+    /// Counters and provenance at the checkpoint, with this program and device added.
     pub state: State,
     /// The evaluated model and its parts.
     pub model: Model,
-    /// Where it is computed.
+    /// Runtime of the computation.
     pub runtime: Runtime,
-    /// The views that were chosen in place of the run's own.
+    /// The views in place of the run's own.
     split: Option<Split>,
 }
 
 impl Trained {
-    /// Opens the run folder `run`; its scene lies where it did, or in `data` if it has moved.
+    /// Opens the run folder `run`. Its scene is at its old path, or in `data` if it has moved.
     ///
     /// # Errors
-    /// [`Error::Checkpoint`](crate::base::Error::Checkpoint): no run, no checkpoint, a damaged one, or one of other settings;
-    /// [`Error::Output`](crate::base::Error::Output): a run that another process holds;
-    /// [`Error::Data`](crate::base::Error::Data): a scene that cannot be read, or has changed since the
-    /// run began.
+    /// [`Error::Checkpoint`](crate::base::Error::Checkpoint): no run or checkpoint, a damaged checkpoint, or one of
+    /// other settings. [`Error::Output`](crate::base::Error::Output): another process holds the run.
+    /// [`Error::Data`](crate::base::Error::Data): the scene cannot be read, or has changed since the run started.
     pub fn open(run: &Path, data: Option<&Path>, runtime: &Runtime, events: &dyn Listener) -> Result<Trained> {
         Trained::open_at(run, OpenOptions::default(), data, runtime, events)
     }
 
-    /// The same of another checkpoint, or with other views to measure.
+    /// Opens another checkpoint, or measures other views.
     ///
     /// # Errors
-    /// Those of [`Trained::open`]; no checkpoint of that step; a scene without views for choices.
+    /// Those of [`Trained::open`]; the step has no checkpoint; the scene has no validation views.
     pub fn open_at(
         run: &Path,
         options: OpenOptions,
@@ -120,7 +119,7 @@ impl Trained {
             None => {}
             Some(Split::Test) => config.data.eval_split = EvalSplit::Test,
             Some(Split::Val) => config.data.eval_split = EvalSplit::Val,
-            // They are measured once.
+            // The training views are measured once.
             Some(Split::Train) => config.eval.train_views = Some(0),
         }
         let (config, mut scene) = runtime.install(|| load_scene_of(&run, config, events))?;
@@ -130,27 +129,27 @@ impl Trained {
         Ok(Trained { run, config, scene, state, model, runtime: runtime.clone(), split: options.split })
     }
 
-    /// Renders views of it.
+    /// Returns a viewer that renders views.
     pub fn viewer(&self) -> Viewer<'_> {
         let Trained { config, scene, model, runtime, .. } = self;
         Viewer { model, config, scene, runtime }
     }
 
-    /// Where its numbers come from.
+    /// Returns the provenance of its numbers.
     pub fn protocol(&self) -> Protocol {
         named(self.split, Protocol::new(&self.config, &self.scene, &self.state))
     }
 
-    /// Measures every held-out view, some training views, and the surface where the settings ask for one, and writes `metrics.json` and
+    /// Measures every held-out view, some training views, and the surface if configured. Writes `metrics.json` and
     /// `metrics.csv` into the run's folder.
     ///
     /// # Errors
-    /// A surface that the scene cannot have; weights that are not numbers; files that cannot be written.
+    /// The scene cannot have the surface; weights are not numbers; files cannot be written.
     pub fn evaluate(&self, lpips: &[Lpips], events: &dyn Listener) -> Result<Report> {
         self.evaluate_into(self.run.path(), lpips, events)
     }
 
-    /// The same with the files in another folder, as for a run on a disk that is read-only.
+    /// Does the same with the files in another folder, such as for a run on a read-only disk.
     ///
     /// # Errors
     /// Those of [`Trained::evaluate`].
@@ -165,17 +164,17 @@ impl Trained {
 /// One evaluation of a run.
 pub(super) struct Measurement<'a> {
     pub run: &'a RunDir,
-    /// Where its files go.
+    /// Folder of the output files.
     pub folder: &'a Path,
     pub viewer: Viewer<'a>,
     pub state: &'a State,
     pub lpips: &'a [Lpips],
     pub events: &'a dyn Listener,
-    /// Which views stand in for those that are held out.
+    /// The views in place of the held-out ones.
     pub split: Option<Split>,
 }
 
-/// The protocol of an evaluation of these views: training views are no split of settings.
+/// Returns the protocol of an evaluation of these views. Training views are not a split that settings name.
 fn named(split: Option<Split>, mut protocol: Protocol) -> Protocol {
     if split == Some(Split::Train) {
         protocol.set("split", "train".into());
@@ -184,8 +183,8 @@ fn named(split: Option<Split>, mut protocol: Protocol) -> Protocol {
 }
 
 impl Measurement<'_> {
-    /// Measures and writes. `stop_check` may end it with an error before a view or a piece of the surface; `each` is handed each
-    /// view that is measured.
+    /// Measures and writes. `stop_check` may end it with an error before a view or a part of the surface; `each`
+    /// receives each measured view.
     pub fn write(
         &self,
         stop_check: impl Fn() -> Result<()>,

@@ -2,8 +2,8 @@
 //!
 //! A checkpoint is a folder `checkpoints/step_000001000` with `state.safetensors` (parameters
 //! `coarse.trunk.0.weight`, moments `adam.first.coarse...`, `adam.second.coarse...`), `state.json`,
-//! `config.toml`, and the checksums of these in `SHA256SUMS`. The folder appears whole or not at all, and goes in the same way.
-//! Random numbers are functions of the step, so no generator state is kept.
+//! `config.toml`, and the checksums of these in `SHA256SUMS`. The folder appears and disappears as a whole. Random
+//! numbers are functions of the step, so no generator state is kept.
 
 use std::path::{Path, PathBuf};
 
@@ -30,36 +30,36 @@ const CONFIG: &str = "config.toml";
 pub struct State {
     /// Layout version of the checkpoint folder.
     pub format: u32,
-    /// Steps finished.
+    /// Completed steps.
     pub step: u64,
-    /// The step at which Adam's moments were 0: that of imported weights.
+    /// The step at which Adam's moments were 0, which for imported weights is their step.
     #[serde(default, skip_serializing_if = "is_zero")]
     pub adam_since: u64,
-    /// Steps in a row on which every ray was empty.
+    /// Successive steps on which every ray was empty.
     pub empty_steps: u64,
-    /// Redraws of each field before it was alive.
+    /// How often each field was initialized again before it was alive.
     pub redraws: Vec<u64>,
     /// Hash of the configuration.
     pub config_hash: String,
-    /// Revisions of the code that took the steps, in their order.
+    /// Revisions of the code that took the steps, in order.
     #[serde(default)]
     pub revisions: Vec<String>,
-    /// Kinds of devices that they were taken on.
+    /// Kinds of devices that took the steps.
     #[serde(default)]
     pub devices: Vec<String>,
-    /// Instruction sets that processors took them with.
+    /// Instruction sets of the CPUs that took the steps.
     #[serde(default)]
     pub instructions: Vec<String>,
 }
 
-/// Serde hands over a reference.
+/// Serde passes a reference.
 #[allow(clippy::trivially_copy_pass_by_ref)]
 fn is_zero(step: &u64) -> bool {
     *step == 0
 }
 
 impl State {
-    /// Notes that this program goes on with the run, or measures it, on `runtime`'s kind of device.
+    /// Records that this program continues or measures the run, on `runtime`'s kind of device.
     pub fn touch(&mut self, runtime: &Runtime) {
         let now = [
             (&mut self.revisions, Some(revision())),
@@ -74,12 +74,12 @@ impl State {
     }
 }
 
-/// The folder of a step below a run's `checkpoints`.
+/// Returns the folder of a step below a run's `checkpoints`.
 fn folder(checkpoints: &Path, step: u64) -> PathBuf {
     checkpoints.join(format!("step_{step:09}"))
 }
 
-/// All checkpoints below `checkpoints`, `(step, folder)`, oldest first.
+/// Lists all checkpoints below `checkpoints` as `(step, folder)`, oldest first.
 pub fn list(checkpoints: &Path) -> Result<Vec<(u64, PathBuf)>> {
     let entries = match std::fs::read_dir(checkpoints) {
         Ok(entries) => entries,
@@ -98,16 +98,17 @@ pub fn list(checkpoints: &Path) -> Result<Vec<(u64, PathBuf)>> {
     Ok(found)
 }
 
-/// The step that a checkpoint's folder is named for.
+/// Returns the step in the name of a checkpoint's folder.
 fn step_of(name: &str) -> Option<u64> {
     let digits = name.strip_prefix("step_")?;
     digits.bytes().all(|byte| byte.is_ascii_digit()).then(|| digits.parse().ok())?
 }
 
-/// What is wrong with a checkpoint's files, if anything is: one is missing, or is not what was written.
+/// Returns what is wrong with a checkpoint's files: one is missing or differs from what was written. `None` if they
+/// are intact.
 ///
 /// # Errors
-/// A file that the system does not read.
+/// A file cannot be read.
 fn flaw(checkpoint: &Path) -> Result<Option<String>> {
     let read = |name: &str| {
         let path = checkpoint.join(name);
@@ -121,7 +122,7 @@ fn flaw(checkpoint: &Path) -> Result<Option<String>> {
             let tensors = safetensors::SafeTensors::deserialize(&tensors).err().map(|e| format!("{TENSORS}: {e}"));
             tensors.or_else(|| match serde_json::from_slice::<State>(&state) {
                 Err(error) => Some(format!("{STATE}: {error}")),
-                Ok(State { step, .. }) if named != Some(step) => Some(format!("{STATE}: it is of step {step}")),
+                Ok(State { step, .. }) if named != Some(step) => Some(format!("{STATE}: it belongs to step {step}")),
                 Ok(_) => None,
             })
         }
@@ -129,11 +130,11 @@ fn flaw(checkpoint: &Path) -> Result<Option<String>> {
     Ok(flaw)
 }
 
-/// The newest checkpoint that is whole, none where there is no checkpoint, and a sentence for each newer one, which is damaged.
-/// Those are deleted: training writes them again.
+/// Returns the newest intact checkpoint, or `None` if there are no checkpoints, and a sentence for each newer, damaged
+/// one. Damaged ones are deleted: training writes them again.
 ///
 /// # Errors
-/// A file that the system does not read; checkpoints of which none is whole.
+/// A file cannot be read; no checkpoint is intact.
 pub fn newest_whole(checkpoints: &Path) -> Result<(Option<PathBuf>, Vec<String>)> {
     let mut damaged: Vec<(PathBuf, String)> = Vec::new();
     for (_, folder) in list(checkpoints)?.into_iter().rev() {
@@ -143,7 +144,7 @@ pub fn newest_whole(checkpoints: &Path) -> Result<(Option<PathBuf>, Vec<String>)
             }
             let note = |(damaged, reason): (PathBuf, String)| {
                 format!(
-                    "{} is damaged ({reason}): deleted, training goes on from {}",
+                    "{} is damaged ({reason}); it was deleted, and training resumes from {}",
                     damaged.display(),
                     folder.display()
                 )
@@ -156,7 +157,7 @@ pub fn newest_whole(checkpoints: &Path) -> Result<(Option<PathBuf>, Vec<String>)
     match damaged.first() {
         None => Ok((None, Vec::new())),
         Some((folder, reason)) => Err(Error::Checkpoint(format!(
-            "no checkpoint in {} is whole; of the newest, {} is damaged ({reason}): bring back a copy, or delete them to train \
+            "no checkpoint in {} is intact; {}, in the newest, is damaged ({reason}); restore a copy, or delete them to train \
              from the first step",
             checkpoints.display(),
             folder.display()
@@ -164,42 +165,42 @@ pub fn newest_whole(checkpoints: &Path) -> Result<(Option<PathBuf>, Vec<String>)
     }
 }
 
-/// The newest checkpoint.
+/// Returns the newest checkpoint.
 pub fn latest(checkpoints: &Path) -> Result<PathBuf> {
     let newest = list(checkpoints)?.pop();
     newest.map(|(_, folder)| folder).ok_or_else(|| {
         Error::Checkpoint(format!(
-            "{} holds no checkpoint: the run was stopped before its first one; `augnerf resume` starts it again",
+            "{} holds no checkpoint, as the run stopped before its first one; `augnerf resume` starts it again",
             checkpoints.display()
         ))
     })
 }
 
-/// The checkpoint of a step.
+/// Returns the checkpoint of a step.
 ///
 /// # Errors
-/// There is none; those that are there are named.
+/// There is none; the error names those that exist.
 pub fn of_step(checkpoints: &Path, step: u64) -> Result<PathBuf> {
     let all = list(checkpoints)?;
     let steps: Vec<String> = all.iter().map(|(step, _)| step.to_string()).collect();
     let found = all.into_iter().find(|(of, _)| *of == step);
     found.map(|(_, folder)| folder).ok_or_else(|| {
-        let kept = if steps.is_empty() { "none".to_string() } else { format!("those of steps {}", steps.join(", ")) };
+        let kept = if steps.is_empty() { "none".to_string() } else { steps.join(", ") };
         Error::Checkpoint(format!(
-            "{} holds no checkpoint of step {step}: there are {kept}; train.checkpoint_every and train.keep_checkpoints say \
+            "{} holds no checkpoint of step {step}; kept steps: {kept}; train.checkpoint_every and train.keep_checkpoints set \
              which are kept",
             checkpoints.display()
         ))
     })
 }
 
-/// Values of all parameters as stored, in the order of [`Model::parameter_names`].
+/// Reads the values of all parameters, in the order of [`Model::parameter_names`].
 pub fn load_model(checkpoint: &Path, config: &Config, dtype: DType, device: &Device) -> Result<Model> {
     let tensors = Tensors::open(checkpoint, dtype, device)?;
     Model::from_parameters(config, tensors.all("", &Model::parameter_names(config))?)
 }
 
-/// All parameters of a checkpoint on the processor, named, in their fixed order, each with its moments.
+/// Reads all parameters of a checkpoint onto the CPU, named, in their fixed order, each with its moments.
 pub fn load_parameters(checkpoint: &Path, config: &Config) -> Result<Vec<(String, Tensor, Moments)>> {
     let (tensors, names) = (Tensors::open(checkpoint, DType::F32, &Device::Cpu)?, Model::parameter_names(config));
     let (values, moments) = (tensors.all("", &names)?, tensors.moments(&names)?);
@@ -207,14 +208,14 @@ pub fn load_parameters(checkpoint: &Path, config: &Config) -> Result<Vec<(String
     Ok(named.map(|(((name, _), value), moments)| (name, value, moments)).collect())
 }
 
-/// Refuses a checkpoint that was written under another configuration.
+/// Returns an error if a checkpoint was written under another configuration.
 pub fn check_config(checkpoint: &Path, state: &State, config: &Config) -> Result<()> {
     if state.config_hash == config.hash() {
         return Ok(());
     }
     Err(Error::Checkpoint(format!(
-        "{} was written under configuration {}, the run's config.toml is {}: it was changed since, or this is another \
-         version of augnerf with other settings; restore it, take that version, or \
+        "{} was written under configuration {}, but the run's config.toml is {}: it was changed since, or this is another \
+         version of augnerf with other settings; restore the file, use that version, or \
          start a new run",
         checkpoint.display(),
         state.config_hash,
@@ -222,17 +223,17 @@ pub fn check_config(checkpoint: &Path, state: &State, config: &Config) -> Result
     )))
 }
 
-/// The counters of a checkpoint.
+/// Reads the counters of a checkpoint.
 pub fn load_state(checkpoint: &Path) -> Result<State> {
     let path = checkpoint.join(STATE);
     let bytes = read(checkpoint, STATE)?;
     let state: State = serde_json::from_slice(&bytes).map_err(|e| broken(&path, &e.to_string()))?;
     if state.format != FORMAT {
-        let found = format!("its format is {}, this program reads {FORMAT}", state.format);
+        let found = format!("its format is {}, but this program reads {FORMAT}", state.format);
         return Err(damaged(&path, &found));
     }
     if state.adam_since > state.step {
-        let found = format!("Adam began at step {}, beyond its own, {}", state.adam_since, state.step);
+        let found = format!("Adam started at step {}, after the checkpoint's step, {}", state.adam_since, state.step);
         return Err(damaged(&path, &found));
     }
     Ok(state)
@@ -242,13 +243,13 @@ fn damaged(path: &Path, found: &str) -> Error {
     Error::Checkpoint(format!("cannot use the checkpoint file {}: {found}", path.display()))
 }
 
-/// A file that is not whole: the checkpoint before it may be.
+/// Returns the error for a damaged file; the checkpoint before it may be intact.
 fn broken(path: &Path, found: &str) -> Error {
     let folder = path.parent().unwrap_or(path).display();
     damaged(
         path,
         &format!(
-            "{found}; `augnerf resume` goes on from the checkpoint before it, and without {folder} that one is measured"
+            "{found}; `augnerf resume` continues from the checkpoint before it; to measure that one, delete {folder}"
         ),
     )
 }
@@ -257,7 +258,7 @@ fn unreadable(path: &Path, error: &std::io::Error) -> Error {
     damaged(path, &error.to_string())
 }
 
-/// A file of a checkpoint as it was written.
+/// Reads a file of a checkpoint, as it was written.
 fn read(checkpoint: &Path, name: &str) -> Result<Vec<u8>> {
     let path = checkpoint.join(name);
     let found = sums::read(checkpoint, name).map_err(|error| unreadable(&path, &error))?;
@@ -276,7 +277,7 @@ impl Tensors {
         let path = checkpoint.join(TENSORS);
         let bytes = read(checkpoint, TENSORS)?;
         let tensors = candle_core::safetensors::load_buffer(&bytes, device)
-            .map_err(|e| broken(&path, &format!("it is not a whole safetensors file ({})", tensor_sentence(&e))))?;
+            .map_err(|e| broken(&path, &format!("it is not a complete safetensors file ({})", tensor_sentence(&e))))?;
         Ok(Tensors { path, tensors, dtype })
     }
 
@@ -299,10 +300,10 @@ impl Tensors {
 }
 
 impl Trainer {
-    /// Writes a checkpoint below `checkpoints` and returns its folder. Kept are the newest
-    /// `train.keep_checkpoints` of the scheduled ones (every `train.checkpoint_every` steps, and the
-    /// last) and the newest of all: what the clock, an evaluation or a stop added is gone when the next one comes,
-    /// so that a stopped run ends with the same folders as one that never stopped.
+    /// Writes a checkpoint below `checkpoints` and returns its folder. Keeps the newest `train.keep_checkpoints` of
+    /// the scheduled ones (every `train.checkpoint_every` steps, and the last), and the newest of all. A checkpoint
+    /// that the clock, an evaluation or a stop added is deleted when the next one comes. A stopped run therefore ends
+    /// with the same folders as one that never stopped.
     pub fn save(&self, checkpoints: &Path) -> Result<PathBuf> {
         std::fs::create_dir_all(checkpoints).map_err(|e| Error::unwritable(checkpoints, &e))?;
         clean_temporaries(checkpoints)?;
@@ -324,7 +325,7 @@ impl Trainer {
 
     fn prune(&self, checkpoints: &Path) -> Result<()> {
         let train = &self.config.train;
-        // At step 0 only a stop leaves a checkpoint.
+        // Only a stop writes a checkpoint at step 0.
         let scheduled = |step: u64| step > 0 && step.is_multiple_of(train.checkpoint_every) || step == train.steps;
         let mut kept = 0;
         for (step, old) in list(checkpoints)?.into_iter().rev() {
@@ -337,7 +338,7 @@ impl Trainer {
         Ok(())
     }
 
-    /// Counters and provenance at this step.
+    /// Returns counters and provenance at this step.
     pub fn state(&self) -> State {
         let mut state = State {
             format: FORMAT,
@@ -369,7 +370,7 @@ impl Trainer {
     /// Continues from a checkpoint folder.
     ///
     /// # Errors
-    /// [`Error::Checkpoint`]: one that is damaged, or was written under other settings.
+    /// [`Error::Checkpoint`]: the checkpoint is damaged, or was written under other settings.
     pub fn resume(
         checkpoint: &Path,
         config: &Resolved,

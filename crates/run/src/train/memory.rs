@@ -1,5 +1,5 @@
-//! What a training takes of memory at the least, refused before it is taken: a system that has given more than it has ends
-//! the program without a word.
+//! Least memory of a training, checked before it is allocated. A system that runs out of memory kills the program
+//! without a message.
 
 use crate::base::{Error, Result};
 use crate::data::{Scene, View};
@@ -11,23 +11,23 @@ use crate::settings::{Core, PlanesConfig, Representation, Resolved, SrnConfig, V
 
 /// Weights, their gradient and Adam's two moments.
 const COPIES: f64 = 4.0;
-/// Numbers of a cell of LLFF's finest lattice.
+/// Numbers for each cell of LLFF's finest sampling grid.
 const PER_CELL: f64 = 106.0;
 /// Bytes of a number.
 const NUMBER: f64 = 4.0;
 
-/// A piece of work with the settings that decide how much it takes.
+/// An allocation, with the settings that decide its size.
 struct Need {
     what: &'static str,
     settings: String,
     mib: f64,
 }
 
-/// Refuses a training, with its evaluations, that takes more than this machine has free. The least is counted, so that
-/// nothing is refused that could run.
+/// Returns an error if a training with its evaluations needs more memory than this machine has free. Counts a lower
+/// bound, so that nothing is rejected that could run.
 ///
 /// # Errors
-/// [`Error::Config`] with the settings, what they take and what is free.
+/// [`Error::Config`] names the settings, their need and the free memory.
 pub fn check_memory(config: &Resolved, scene: &Scene, threads: usize) -> Result<()> {
     match free_memory_mib() {
         Some(free) => needs(config, scene, threads).iter().try_for_each(|need| check(need, free)),
@@ -41,7 +41,7 @@ fn check(need: &Need, free: f64) -> Result<()> {
     }
     let gib = |mib: f64| format!("{:.1} GiB", mib / 1024.0);
     Err(Error::Config(format!(
-        "{}: {} take {} at the least, and {} are free here; choose smaller numbers",
+        "{}: {} take at least {}, but {} are free here; choose smaller numbers",
         need.settings,
         need.what,
         gib(need.mib),
@@ -49,17 +49,18 @@ fn check(need: &Need, free: f64) -> Result<()> {
     )))
 }
 
-/// MiB that candle's graphs hold at the end of a forward pass of a training step: of each chunk that is at work, what every
-/// operation on its samples gave. The larger clean pass counts; a perturbed one takes more. For methods of fields.
+/// Returns the MiB that candle's graphs hold after the forward pass of a training step, for methods with fields.
+/// Counts the output of every operation on the samples of each active chunk. The larger clean pass counts; a perturbed
+/// one takes more.
 pub fn graphs_mib(config: &Resolved, threads: usize) -> f64 {
     let (field, train) = (&config.field, &config.train);
     let chunk = train.chunk.min(train.rays).max(1);
     let at_work = parts(train.rays.div_ceil(chunk)).min(threads);
     let (width, depth) = (field.width as f64, field.depth as f64);
     let (position, view) = (position_channels(field) as f64, encoded_channels(field.view_octaves) as f64);
-    // A layer's product, sum with the bias and ReLU; the encoding, its sines and what joins them.
+    // A layer's product, its sum with the bias and its ReLU; the encoding, its sines and their concatenation.
     let trunk = 3.0 * (width * depth + position) + field.skips.len() as f64 * (width + position);
-    // The feature, joined with the encoded direction, and the layers behind it.
+    // The feature concatenated with the encoded direction, and the layers after it.
     let colour = 2.0 * width + width + view + 3.0 * (field.view_neurons() * field.view_depth) as f64;
     let samples = match (config.representation().has_coarse_loss(), config.samples()) {
         (true, _) => config.sampling.coarse + config.sampling.fine,
@@ -81,12 +82,12 @@ fn needs(config: &Resolved, scene: &Scene, threads: usize) -> Vec<Need> {
         settings: sizes(config, tables > layers),
         mib: mib(COPIES * (tables + layers)),
     }];
-    // The fused core works in tiles; candle's operations keep each layer's output of all points.
+    // The fused core works in tiles; candle's operations keep each layer's output for all points.
     if config.method.has_fields() && field.core == Core::Plain {
         let samples = (config.sampling.coarse + config.sampling.fine) as f64;
         let width = field.width as f64;
         needs.push(Need {
-            what: "the layers' outputs of the chunks at work, which the backward pass needs,",
+            what: "the layers' outputs of the active chunks, which the backward pass needs,",
             settings: format!(
                 "train.chunk = {} of {} rays on {threads} threads, field.core = \"plain\"",
                 train.chunk, train.rays
@@ -109,8 +110,8 @@ fn needs(config: &Resolved, scene: &Scene, threads: usize) -> Vec<Need> {
     needs
 }
 
-/// What the network of LLFF computed of each reference's window, without what the allocator holds beside it: 424 bytes a cell of
-/// the finest lattice were measured from windows of 96 to 160 pixels.
+/// Returns the memory of LLFF's network for each reference's window, without the allocator's overhead. Windows of 96
+/// to 160 pixels took 424 bytes for each cell of the finest sampling grid.
 fn windows(config: &Resolved, scene: &Scene) -> Need {
     let PlanesConfig { planes, window, references, .. } = config.llff;
     let cells = |view: &View| view.camera.width.min(window) * view.camera.height.min(window) * planes;
@@ -123,14 +124,14 @@ fn windows(config: &Resolved, scene: &Scene) -> Need {
     }
 }
 
-/// What each layer normalised, at every step along the rays of the chunks at work.
+/// Returns the memory of each layer's normalized output, at every step along the rays of the active chunks.
 fn marches(config: &Resolved, threads: usize) -> Need {
     let (train, srn) = (&config.train, &config.srn);
     let chunk = train.chunk.min(train.rays).max(1);
     let at_work = parts(train.rays.div_ceil(chunk)).min(threads);
     let layers = srn.phi_layers * (srn.steps + 1) + srn.pixel_layers;
     Need {
-        what: "the layers' outputs of the chunks at work, which the backward pass needs,",
+        what: "the layers' outputs of the active chunks, which the backward pass needs,",
         settings: format!(
             "train.chunk = {} of {} rays on {threads} threads, srn.width = {} with srn.steps = {}",
             train.chunk, train.rays, srn.width, srn.steps
@@ -139,7 +140,7 @@ fn marches(config: &Resolved, threads: usize) -> Need {
     }
 }
 
-/// The settings that most of the weights hang on.
+/// Returns the settings that most of the weights depend on.
 fn sizes(config: &Resolved, of_tables: bool) -> String {
     let (field, hash) = (&config.field, &config.field.hash);
     match config.representation() {
@@ -183,7 +184,8 @@ mod tests {
 
     #[test]
     fn networks_that_no_memory_holds_are_refused_in_a_sentence() {
-        // 63 inner layers of 4096 x 4096, the feature's, and the view layer of half as many, in each of two networks.
+        // 63 inner layers of 4096 x 4096, the feature's, and the view layer of half that width, in each of two
+        // networks.
         let [need] = &needs_of(&["field.width=4096", "field.depth=64"])[..] else { panic!("one need") };
         let inner = 4.0 * 4.0 * 2.0 * 64.5 * 4096.0 * 4096.0 / f64::from(1 << 20);
         assert!((1.0..1.01).contains(&(need.mib / inner)), "{}", need.mib);
@@ -232,7 +234,7 @@ mod tests {
         let mib = |[x, y]: [usize; 2], planes: usize| (2 * x * y * planes) as f64 * 424.0 / f64::from(1 << 20);
         assert_eq!(of(&["llff.window=16", "llff.crop=8"]), mib([16, 16], 32));
         assert_eq!(of(&["llff.window=1024", "llff.planes=64"]), mib([camera.width, camera.height], 64));
-        // Of three views two others are seen, however many are asked for.
+        // Each of three views has two others, whatever number is set.
         assert_eq!(of(&["llff.window=16", "llff.crop=8", "llff.references=5"]), mib([16, 16], 32));
     }
 
@@ -245,7 +247,7 @@ mod tests {
         assert!((1.1..1.3).contains(&(training.mib / trunk)), "{} of {trunk}", training.mib);
         let refusal = check(training, 100.0).unwrap_err().to_string();
         assert!(refusal.contains("train.chunk = 1048576 of 1024 rays on 2 threads"), "{refusal}");
-        // Two chunks are at work where there are more, on two threads.
+        // Two threads have at most two active chunks.
         let of = |chunk: &str| needs_of(&["field.core=plain", chunk])[1].mib / training.mib;
         assert_eq!(of("train.chunk=512"), 1.0);
         assert_eq!(of("train.chunk=256"), 0.5);

@@ -1,4 +1,4 @@
-//! Training: steps of a learner, updates by Adam, checks that a run is alive, checkpoints.
+//! Training: steps of a learner, updates by Adam, checks whether a run is alive, and checkpoints.
 
 use candle_core::DType;
 
@@ -22,7 +22,7 @@ pub use memory::graphs_mib;
 pub use origin::Origin;
 pub use stats::StepStats;
 
-/// Refuses a run that needs more memory than a processor has free.
+/// Returns an error if a run on a CPU needs more memory than is free.
 fn check_memory(config: &Resolved, scene: &Scene, runtime: &Runtime) -> Result<()> {
     match runtime.device().is_cpu() {
         true => memory::check_memory(config, scene, runtime.threads()),
@@ -58,27 +58,28 @@ pub struct Trainer {
     step: u64,
     /// The step at which its moments were 0.
     adam_since: u64,
-    /// Steps in a row on which every ray was empty.
+    /// Successive steps on which every ray was empty.
     empty_steps: u64,
-    /// Redraws of each part of the model before it was fit to learn.
+    /// How often each part of the model was initialized again before it was alive.
     redraws: Vec<u64>,
-    /// Revisions of the code and kinds of devices that took earlier steps.
+    /// Revisions of the code and kinds of devices of earlier steps.
     revisions: Vec<String>,
-    /// Instruction sets that its processors had.
+    /// Instruction sets of its CPUs.
     instructions: Vec<String>,
     devices: Vec<String>,
 }
 
 impl Trainer {
-    /// A run at step 0, whose steps are taken on the runtime's device and threads. Dead starts are drawn again.
+    /// Creates a run at step 0 that takes its steps on the runtime's device and threads. A network that starts dead is
+    /// initialized again.
     ///
     /// # Errors
-    /// [`Error::Config`]: more memory than the processor has free; a regularizer's box that the scene's
-    /// rays do not meet, or one that would take too long; [`Error::Diverged`]: a field that starts dead again and again.
+    /// [`Error::Config`]: the run needs more memory than is free, or a regularizer's box misses the scene's rays or
+    /// takes too long. [`Error::Diverged`]: every initialization of a field is dead.
     pub fn new(config: &Resolved, scene: &Scene, dtype: DType, runtime: &Runtime) -> Result<Trainer> {
         if let Some(parent) = &config.train.parent {
             return Err(Error::Config(format!(
-                "train.parent = {parent:?} says that a run began with weights of elsewhere, which are not here: begin it with \
+                "train.parent = {parent:?} says that the run starts from other weights, which are missing; start it with \
                  `augnerf train --from RUN` or `augnerf import FILE` (with --overwrite, if it was stopped there)"
             )));
         }
@@ -106,52 +107,51 @@ impl Trainer {
         })
     }
 
-    /// What it was begun with.
+    /// Returns the configuration at the start.
     pub fn config(&self) -> &Resolved {
         &self.config
     }
 
-    /// What is trained.
+    /// Returns the trained model.
     pub fn model(&self) -> &Model {
         &self.model
     }
 
-    /// Steps finished.
+    /// Returns the number of completed steps.
     pub fn step_count(&self) -> u64 {
         self.step
     }
 
-    /// How often each part of the model (see [`Model::parts`]) was drawn again because it started dead.
+    /// Returns how often each part of the model (see [`Model::parts`]) was initialized again because it started dead.
     pub fn redraws(&self) -> &[u64] {
         &self.redraws
     }
 
-    /// The columns of the learner's terms and diagnostics in the logs.
+    /// Returns the log columns of the learner's terms and diagnostics.
     pub fn columns(&self) -> LogColumns {
         self.learner.columns()
     }
 
-    /// Adds a term of one's own to the loss; see [`Learner::add_term`].
+    /// Adds a custom term to the loss; see [`Learner::add_term`].
     ///
     /// # Errors
-    /// A term of that name is there already, or the method cannot compute it.
+    /// A term of that name exists, or the method cannot compute it.
     pub fn add_term(&mut self, term: LossTerm, weight: f64) -> Result<()> {
         self.learner.add_term(term, weight)
     }
 
-    /// Takes one step. `log` asks for the learner's diagnostics.
+    /// Takes one step. With `log`, the learner computes its diagnostics.
     ///
     /// # Errors
-    /// [`Error::Diverged`]: a loss, gradient or parameter that is not a number, or nothing but empty
-    /// rays for too long.
+    /// [`Error::Diverged`]: a loss, gradient or parameter is not a number, or all rays stay empty too long.
     pub fn step(&mut self, log: bool) -> Result<StepStats> {
         self.step_unless(log, &|| Ok(()))
     }
 
-    /// The same with a question that is asked again and again: its error ends the step, which counts as not taken.
+    /// Takes one step and calls the check repeatedly. An error of the check ends the step, which then does not count.
     ///
     /// # Errors
-    /// Those of [`Trainer::step`], and the question's.
+    /// Those of [`Trainer::step`] and of the check.
     pub fn step_unless(&mut self, log: bool, stop_check: &StopCheck) -> Result<StepStats> {
         self.runtime.clone().install(|| self.step_here(log, stop_check))
     }

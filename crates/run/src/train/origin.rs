@@ -1,4 +1,4 @@
-//! Runs that begin with weights of elsewhere.
+//! Runs that start from existing weights.
 
 use std::path::Path;
 
@@ -12,30 +12,30 @@ use crate::model::{Model, Start};
 use crate::runtime::Runtime;
 use crate::settings::Resolved;
 
-/// Where a run's first weights come from.
+/// Source of a run's initial weights.
 pub enum Origin<'a> {
-    /// From a checkpoint of another run of the same networks.
+    /// A checkpoint of another run with the same networks.
     Checkpoint {
         /// Its folder.
         folder: &'a Path,
-        /// Its step and its optimizer's moments go on; otherwise step 0, moments of 0.
+        /// If `true`, step and optimizer moments continue; otherwise both start at 0.
         goes_on: bool,
     },
-    /// From anywhere: in the order of [`Model::parameter_names`].
+    /// Values from any source, in the order of [`Model::parameter_names`].
     Weights {
         /// The values.
         values: Vec<Tensor>,
-        /// The step that they are of; moments are 0.
+        /// The step of the weights; moments are 0.
         step: u64,
     },
 }
 
 impl Trainer {
-    /// A run that begins with weights of elsewhere. They are never drawn again, dead or not.
+    /// Creates a run that starts from existing weights. They are never initialized again, even if dead.
     ///
     /// # Errors
-    /// [`Error::Checkpoint`](crate::base::Error::Checkpoint): a checkpoint that is damaged, or of other networks; weights of another
-    /// shape; more memory than is free.
+    /// [`Error::Checkpoint`](crate::base::Error::Checkpoint): the checkpoint is damaged or has other networks; weights
+    /// have another shape; more memory is needed than is free.
     pub fn begin_from(
         origin: Origin,
         config: &Resolved,
@@ -85,7 +85,7 @@ impl Trainer {
 }
 
 impl Tensors {
-    /// The optimizer's moments of parameters.
+    /// Returns the optimizer's moments of parameters.
     pub(super) fn moments(&self, names: &[(String, Vec<usize>)]) -> Result<Vec<Moments>> {
         let (first, second) = (self.all("adam.first.", names)?, self.all("adam.second.", names)?);
         Ok(first.into_iter().zip(second).map(|(first, second)| Moments { first, second }).collect())

@@ -1,5 +1,5 @@
-//! `SHA256SUMS`: what the files of a checkpoint were when they were written, as `sha256sum -c` reads it. Checkpoints of earlier
-//! versions have none, and are believed.
+//! `SHA256SUMS`: checksums of a checkpoint's files, readable by `sha256sum -c`. Checkpoints of earlier versions have
+//! none and are read without the check.
 
 use std::io;
 use std::path::Path;
@@ -12,7 +12,7 @@ use crate::base::input::{TENSORS_BYTES, TEXT_BYTES, read_bytes};
 
 const SUMS: &str = "SHA256SUMS";
 
-/// Writes files into a folder, and their checksums beside them.
+/// Writes files into a folder, with their checksums.
 pub(super) fn write(folder: &Path, files: &[(&str, &[u8])]) -> Result<()> {
     let mut lines = String::new();
     for (name, bytes) in files {
@@ -22,10 +22,10 @@ pub(super) fn write(folder: &Path, files: &[(&str, &[u8])]) -> Result<()> {
     write_atomic(&folder.join(SUMS), lines.as_bytes())
 }
 
-/// The bytes of a file as they were written; otherwise what is wrong with it.
+/// Returns the bytes of a file as they were written, or what is wrong with it.
 ///
 /// # Errors
-/// A file that is there and cannot be read.
+/// An existing file cannot be read.
 pub(super) fn read(folder: &Path, name: &str) -> io::Result<std::result::Result<Vec<u8>, String>> {
     let Some(bytes) = absent_is_none(read_bytes(&folder.join(name), TENSORS_BYTES))? else {
         return Ok(Err("it is missing".into()));
@@ -33,7 +33,7 @@ pub(super) fn read(folder: &Path, name: &str) -> io::Result<std::result::Result<
     let Some(sums) = absent_is_none(read_bytes(&folder.join(SUMS), TEXT_BYTES))? else { return Ok(Ok(bytes)) };
     let expected = format!("{}  {name}", sum(&bytes));
     let known = sums.split(|byte| *byte == b'\n').any(|line| line == expected.as_bytes());
-    Ok(if known { Ok(bytes) } else { Err(format!("its bytes are not those that {SUMS} beside it was written for")) })
+    Ok(if known { Ok(bytes) } else { Err(format!("its bytes do not match {SUMS}")) })
 }
 
 fn absent_is_none(read: io::Result<Vec<u8>>) -> io::Result<Option<Vec<u8>>> {

@@ -1,4 +1,5 @@
-//! Slurm's own commands: `sbatch`, `squeue`, `scancel`. Never `sacct`, which has nothing to say where no accounting is kept.
+//! Calls Slurm's commands `sbatch`, `squeue` and `scancel`. Never `sacct`, which needs accounting that many clusters
+//! lack.
 
 use std::path::Path;
 use std::process::{Command, Output};
@@ -7,18 +8,18 @@ use crate::base::{Error, Result};
 
 use super::jobs::JobId;
 
-/// Runs a command of Slurm.
+/// Runs a Slurm command.
 fn run(program: &str, arguments: &[String]) -> Result<Output> {
     Command::new(program).args(arguments).output().map_err(|error| match error.kind() {
         std::io::ErrorKind::NotFound => Error::Config(format!(
-            "cannot find `{program}`: Slurm's commands are not on this machine's PATH; run this where they are, such as the \
-             cluster's login node, or run the points by another way with `augnerf sweep run-point`"
+            "cannot find `{program}`: Slurm's commands are not on the PATH; run this where they are, such as the \
+             cluster's login node, or run points in another way with `augnerf sweep run-point`"
         )),
         _ => Error::Config(format!("cannot run `{program}`: {error}")),
     })
 }
 
-/// What it said against its task, in one line.
+/// Returns the command's error message, on one line.
 fn complaint(program: &str, output: &Output) -> String {
     let said = String::from_utf8_lossy(&output.stderr);
     let before = format!("{program}: ");
@@ -31,7 +32,7 @@ fn on_cluster(job: &JobId) -> Vec<String> {
     job.cluster().map(|cluster| format!("--clusters={cluster}")).into_iter().collect()
 }
 
-/// Submits a script, to begin when `after` has ended if there is one.
+/// Submits a script; the job starts after `after` has ended, if given.
 pub fn sbatch(script: &Path, after: Option<&JobId>) -> Result<JobId> {
     let mut arguments = vec!["--parsable".to_string()];
     if let Some(after) = after {
@@ -44,15 +45,15 @@ pub fn sbatch(script: &Path, after: Option<&JobId>) -> Result<JobId> {
         let said = complaint("sbatch", &output);
         let hint =
             if said.contains("array") { " (arrays go up to MaxArraySize - 1 of `scontrol show config`)" } else { "" };
-        return Err(Error::Config(format!("sbatch refuses {}: {said}{hint}", script.display())));
+        return Err(Error::Config(format!("sbatch rejected {}: {said}{hint}", script.display())));
     }
-    // A site may have it say more.
+    // A cluster may make it print more.
     let said = String::from_utf8_lossy(&output.stdout);
     let job = said.lines().rev().find_map(|line| JobId::try_from(line.trim().to_string()).ok());
-    job.ok_or_else(|| Error::Config(format!("sbatch took {} and named no job: {said:?}", script.display())))
+    job.ok_or_else(|| Error::Config(format!("sbatch accepted {} but named no job: {said:?}", script.display())))
 }
 
-/// What the queue has of these jobs, a line a task: job, task, state, reason.
+/// Returns the queue's lines for these jobs, one a task: job, task, state, reason.
 pub fn squeue(jobs: &[&JobId]) -> Result<String> {
     let mut clusters: Vec<Option<&str>> = jobs.iter().map(|job| job.cluster()).collect();
     clusters.sort_unstable();
@@ -69,20 +70,20 @@ pub fn squeue(jobs: &[&JobId]) -> Result<String> {
         if output.status.success() {
             lines.push_str(&String::from_utf8_lossy(&output.stdout));
         } else if !said.contains("Invalid job id") {
-            // That one has left the queue long ago.
-            return Err(Error::Config(format!("squeue does not say what is in the queue: {said}")));
+            // This job left the queue long ago.
+            return Err(Error::Config(format!("squeue cannot read the queue: {said}")));
         }
     }
     Ok(lines)
 }
 
-/// Takes a job out of the queue; what runs gets a SIGTERM first.
+/// Removes a job from the queue; running tasks get a SIGTERM first.
 pub fn scancel(job: &JobId) -> Result<()> {
     let mut arguments = on_cluster(job);
     arguments.push(job.number().to_string());
     let output = run("scancel", &arguments)?;
     match output.status.success() {
         true => Ok(()),
-        false => Err(Error::Config(format!("scancel refuses job {job}: {}", complaint("scancel", &output)))),
+        false => Err(Error::Config(format!("scancel rejected job {job}: {}", complaint("scancel", &output)))),
     }
 }

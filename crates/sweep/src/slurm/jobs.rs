@@ -1,4 +1,4 @@
-//! What was submitted.
+//! The jobs that were submitted.
 
 use std::fmt;
 use std::path::Path;
@@ -10,18 +10,18 @@ use crate::base::files::{read_json, write_json};
 
 const JOBS: &str = "jobs.json";
 
-/// A job's number, with its cluster where a site has several: `12`, `12;gpu`, as `sbatch --parsable` prints it.
+/// A job's number, with its cluster if a site has several: `12`, `12;gpu`, as `sbatch --parsable` prints it.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(try_from = "String", into = "String")]
 pub struct JobId(String);
 
 impl JobId {
-    /// The number alone.
+    /// Returns the number without the cluster.
     pub fn number(&self) -> &str {
         self.0.split(';').next().expect("split gives one")
     }
 
-    /// The cluster, if it was named.
+    /// Returns the cluster, if it was named.
     pub fn cluster(&self) -> Option<&str> {
         self.0.split_once(';').map(|(_, cluster)| cluster)
     }
@@ -51,13 +51,13 @@ impl fmt::Display for JobId {
     }
 }
 
-/// One `sweep submit`.
+/// The jobs of one `sweep submit`.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Submitted {
-    /// The array of points.
+    /// The job array of the points.
     pub points: JobId,
-    /// The job that collects them.
+    /// The job that collects the tables.
     pub tables: Option<JobId>,
 }
 
@@ -70,7 +70,7 @@ pub(super) struct Jobs {
 
 impl Jobs {
     pub fn read(folder: &Path) -> Result<Jobs> {
-        let advice = "delete it: what is in the queue goes on, and `squeue` still shows it";
+        let advice = "delete it; jobs in the queue continue, and `squeue` still shows them";
         Ok(read_json(&folder.join(JOBS), advice)?.unwrap_or_default())
     }
 

@@ -1,11 +1,11 @@
-//! A sweep on many machines: its points as a job array of Slurm, which does scheduling, limits and restarts. What became of a
-//! point is read from its files alone; the queue says only what waits and where.
+//! Sweeps on a cluster: the points are a Slurm job array, and Slurm does scheduling, limits and restarts. The state of
+//! a point is read from its files only; the queue tells what waits and where.
 //!
 //! ```text
 //! slurm/points.sbatch     the job array: task N runs point N of points.json
-//! slurm/tables.sbatch     the job that collects when the array has ended
-//! slurm/jobs.json         what was submitted
-//! slurm/log/              what the tasks said
+//! slurm/tables.sbatch     the job that collects after the array has ended
+//! slurm/jobs.json         the submitted jobs
+//! slurm/log/              output of the tasks
 //! ```
 
 mod commands;
@@ -30,23 +30,24 @@ use jobs::Jobs;
 
 const FOLDER: &str = "slurm";
 
-/// Which points are submitted, by their numbers in `points.json`, and how many are not.
+/// The points to submit, by their numbers in `points.json`, and counts of the others.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Chosen {
-    /// To be run.
+    /// Points to run.
     pub indices: Vec<usize>,
     /// Done.
     pub done: usize,
-    /// Failed, and not to be tried again.
+    /// Failed, not to be retried.
     pub failed: usize,
-    /// In the queue since an earlier time.
+    /// In the queue already.
     pub queued: usize,
-    /// Without their scene on this machine.
+    /// The scene is missing on this machine.
     pub no_data: usize,
 }
 
 impl Chosen {
-    /// Of the points in a folder those that have not ended and are not in the queue; with `retry_failed` those that failed, too.
+    /// Chooses the points of a folder that have not ended and are not in the queue; with `retry_failed` also those
+    /// that failed.
     pub fn among(points: &[Point], folder: &SweepFolder, queue: &Queue, retry_failed: bool) -> Result<Chosen> {
         let mut chosen = Chosen::default();
         for (index, point) in points.iter().enumerate() {
@@ -66,7 +67,7 @@ impl Chosen {
         Ok(chosen)
     }
 
-    /// For a person: `3 done, 1 failed, 2 in the queue`; empty where there is nothing of it.
+    /// Returns the counts for people: `3 done, 1 failed, 2 in the queue`. Zero counts are skipped.
     pub fn left_out(&self) -> String {
         let Chosen { done, failed, queued, no_data, .. } = self;
         let counts =
@@ -77,7 +78,7 @@ impl Chosen {
     }
 }
 
-/// What a sweep's folder has to do with Slurm.
+/// The Slurm files in a sweep's folder.
 #[derive(Debug)]
 pub struct Slurm {
     folder: PathBuf,
@@ -85,33 +86,33 @@ pub struct Slurm {
 }
 
 impl Slurm {
-    /// Of a sweep's folder, whether anything of it was ever submitted or not.
+    /// Refers to a sweep's folder, which need not have submitted jobs.
     pub fn of(folder: &SweepFolder) -> Slurm {
         Slurm { folder: folder.path().join(FOLDER), sweep: folder.path().to_path_buf() }
     }
 
-    /// Where scripts, jobs and logs are.
+    /// Returns the folder of scripts, jobs and logs.
     pub fn path(&self) -> &std::path::Path {
         &self.folder
     }
 
-    /// What was submitted and may still be in the queue.
+    /// Returns the submitted jobs that may still be in the queue.
     pub fn jobs(&self) -> Result<Vec<Submitted>> {
         Ok(Jobs::read(&self.folder)?.jobs)
     }
 
-    /// What of it is in the queue now; nothing is asked where nothing was submitted.
+    /// Returns the sweep's tasks in the queue. Without submitted jobs, the queue is not read.
     ///
     /// # Errors
-    /// `squeue` is missing or refuses to answer.
+    /// `squeue` is missing or fails.
     pub fn queue(&self) -> Result<Queue> {
         Queue::of(&self.jobs()?)
     }
 
-    /// Writes both scripts, submits the points, then what collects them. Call it while holding the folder's lock.
+    /// Writes both scripts, then submits the points and the job that collects. The caller holds the folder's lock.
     ///
     /// # Errors
-    /// `sbatch` is missing, or why it refuses.
+    /// `sbatch` is missing or rejects a script.
     pub fn submit(&self, points: &str, tables: &str) -> Result<Submitted> {
         let log = self.folder.join("log");
         fs::create_dir_all(&log).map_err(|e| Error::unwritable(&log, &e))?;
@@ -123,7 +124,7 @@ impl Slurm {
         let mut submitted = Submitted { points: sbatch(&points, None)?, tables: None };
         let remember = |submitted: &Submitted| {
             let mut jobs = Jobs::read(&self.folder)?;
-            // Those that are out of the queue have nothing more to say.
+            // Jobs that left the queue are no longer needed.
             if let Ok(queue) = Queue::of(&jobs.jobs) {
                 jobs.jobs.retain(|job| queue.holds(job));
             }
@@ -134,8 +135,8 @@ impl Slurm {
         remember(&submitted)?;
         let collecting = sbatch(&tables, Some(&submitted.points)).map_err(|error| {
             Error::Config(format!(
-                "the points are submitted as job {}, but not the job that collects them: {error}; `augnerf sweep collect \
-                 {}` does it by hand",
+                "the points were submitted as job {}, but the job that collects was not: {error}; run `augnerf sweep collect \
+                 {}`",
                 submitted.points,
                 self.sweep.display()
             ))
@@ -145,12 +146,13 @@ impl Slurm {
         Ok(submitted)
     }
 
-    /// Takes out of the queue what is in it, and returns it.
+    /// Cancels the sweep's jobs in the queue, and returns them.
     pub fn cancel(&self) -> Result<Queue> {
         let jobs = self.jobs()?;
         let queue = Queue::of(&jobs)?;
         let is_held = |id: &&JobId| queue.tasks.iter().any(|task| task.job == id.number());
-        // What collects first: it would begin when the points are gone. What is refused keeps no other job in the queue.
+        // The collecting job goes first, since it would start when the points are gone. An error for one job does not
+        // stop the others.
         let tables = jobs.iter().filter_map(|job| job.tables.as_ref());
         let held = tables.chain(jobs.iter().map(|job| &job.points)).filter(is_held);
         let refused: Vec<String> = held.filter_map(|job| scancel(job).err()).map(|error| error.to_string()).collect();

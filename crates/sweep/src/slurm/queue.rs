@@ -1,4 +1,4 @@
-//! What of a sweep is in Slurm's queue.
+//! A sweep's tasks in Slurm's queue.
 
 use std::fmt;
 
@@ -12,16 +12,16 @@ use super::jobs::{JobId, Submitted};
 pub struct Task {
     /// Its job's number.
     pub job: String,
-    /// Its number in the array, which is the point's; none of a job that is no array.
+    /// Its number in the array, which is the point's, or `None` if the job is not an array.
     pub index: Option<usize>,
     /// `RUNNING`, `PENDING`, `COMPLETING`, ...
     pub state: String,
-    /// Why it waits; empty where Slurm gives no reason.
+    /// Why it waits; empty if Slurm gives no reason.
     pub reason: String,
 }
 
 impl fmt::Display for Task {
-    /// `job 12_3 PENDING (Priority)`.
+    /// Writes `job 12_3 PENDING (Priority)`.
     fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
         write!(f, "job {}", self.job)?;
         if let Some(index) = self.index {
@@ -32,10 +32,10 @@ impl fmt::Display for Task {
     }
 }
 
-/// What the queue holds of a sweep.
+/// A sweep's part of the queue.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Queue {
-    /// Its tasks, and jobs that are no array.
+    /// Tasks of arrays, and other jobs.
     pub tasks: Vec<Task>,
 }
 
@@ -48,7 +48,7 @@ impl Queue {
         Ok(Queue::parse(&squeue(&all)?))
     }
 
-    /// Lines of `JOB|TASK|STATE|REASON`, as `squeue` writes them; others are left out.
+    /// Parses lines of `JOB|TASK|STATE|REASON`, as `squeue` writes them; skips others.
     pub fn parse(lines: &str) -> Queue {
         let task = |line: &str| {
             let [job, index, state, reason] = line.trim().split('|').collect::<Vec<_>>().try_into().ok()?;
@@ -59,13 +59,13 @@ impl Queue {
         Queue { tasks: lines.lines().filter_map(task).collect() }
     }
 
-    /// The task that runs or will run a point, the running one if there are several.
+    /// Returns the task of a point; of several, the running one.
     pub fn task(&self, index: usize) -> Option<&Task> {
         let own = self.tasks.iter().filter(|task| task.index == Some(index));
         own.min_by_key(|task| task.state != "RUNNING")
     }
 
-    /// The jobs that collect.
+    /// Returns the jobs that collect.
     pub fn tables(&self) -> impl Iterator<Item = &Task> {
         self.tasks.iter().filter(|task| task.index.is_none())
     }
@@ -86,7 +86,7 @@ mod tests {
         let queue = Queue::parse(lines);
         assert_eq!(queue.tasks.len(), 4);
         assert_eq!(queue.task(0).unwrap().to_string(), "job 7_0 RUNNING");
-        // Of two tasks of one point the running one tells more.
+        // Of two tasks of one point, the running one counts.
         assert_eq!(queue.task(2).unwrap().job, "9");
         assert_eq!(queue.task(1), None);
         let tables: Vec<String> = queue.tables().map(ToString::to_string).collect();

@@ -1,15 +1,15 @@
-//! The scripts that are submitted, for people to read, change and submit by hand.
+//! The scripts that are submitted. People may read and change them, and submit them by hand.
 
 use std::path::Path;
 
 use crate::base::{Error, Result};
 
-/// Before the end of the time limit, what runs is told to write a checkpoint.
+/// Seconds before the time limit at which running points are told to write a checkpoint and stop.
 const STOP_BEFORE: u32 = 120;
-/// The least time limit, in minutes: more than a checkpoint takes, so that each turn gets further.
+/// Least time limit in minutes. It exceeds the time of a checkpoint, so that each turn makes progress.
 const LEAST_MINUTES: u64 = 10;
 
-/// What a job asks the cluster for.
+/// Resources that a job requests.
 #[derive(Clone, Debug, Default)]
 pub struct Request {
     /// Partition.
@@ -18,59 +18,61 @@ pub struct Request {
     pub time: Option<String>,
     /// Memory of a task: `8G`.
     pub mem: Option<String>,
-    /// Processor cores of a task.
+    /// CPU cores of a task.
     pub cpus: Option<u16>,
     /// Generic resources of a task: `gpu:1`.
     pub gres: Option<String>,
-    /// Tasks at once at most.
+    /// Most tasks at once.
     pub at_once: Option<u32>,
-    /// Further options of `sbatch`, as `--account=lab`.
+    /// Further options of `sbatch`, such as `--account=lab`.
     pub further: Vec<String>,
 }
 
-/// What both scripts are made of.
+/// The inputs of both scripts.
 #[derive(Clone, Debug)]
 pub struct Script<'a> {
     /// The sweep's name.
     pub name: &'a str,
     /// The sweep's folder, absolute.
     pub folder: &'a Path,
-    /// What is asked for.
+    /// The requested resources.
     pub request: Request,
 }
 
 impl Request {
-    /// Refuses what would make no line of a script, and time limits that are none or too short.
+    /// Returns an error for values that fit no line of a script, and for time limits that are invalid or too short.
     pub fn check(&self) -> Result<()> {
         let named =
             [("--partition", &self.partition), ("--time", &self.time), ("--mem", &self.mem), ("--gres", &self.gres)];
         let further = self.further.iter().map(|option| ("--sbatch", option));
         for (flag, value) in named.iter().filter_map(|(flag, value)| Some((*flag, value.as_ref()?))).chain(further) {
             if value.is_empty() || value.chars().any(|c| c.is_control() || c.is_whitespace()) {
-                return Err(Error::Config(format!("{flag} {value:?}: give a value without spaces and line breaks")));
+                return Err(Error::Config(format!(
+                    "{flag} {value:?} has spaces or line breaks; give a value without them"
+                )));
             }
         }
         if let Some(option) = self.further.iter().find(|option| !option.starts_with('-')) {
             return Err(Error::Config(format!(
-                "--sbatch {option}: give an option of sbatch, as --sbatch=--account=lab"
+                "--sbatch {option} is not an option; give an option of sbatch, such as --sbatch=--account=lab"
             )));
         }
         let Some(time) = &self.time else { return Ok(()) };
         match minutes(time) {
             Some(minutes) if minutes >= LEAST_MINUTES => Ok(()),
             Some(_) => Err(Error::Config(format!(
-                "--time {time} is too short: points are stopped with a checkpoint {STOP_BEFORE} seconds before its end, so \
-                 that it must be at least {LEAST_MINUTES} minutes"
+                "--time {time} is too short: points write a checkpoint and stop {STOP_BEFORE} seconds before its end; give \
+                 at least {LEAST_MINUTES} minutes"
             ))),
             None => Err(Error::Config(format!(
-                "--time {time} is no time limit: it must be MINUTES, HOURS:MINUTES:SECONDS, DAYS-HOURS or \
+                "--time {time} is not a time limit; give MINUTES, HOURS:MINUTES:SECONDS, DAYS-HOURS or \
                  DAYS-HOURS:MINUTES:SECONDS"
             ))),
         }
     }
 }
 
-/// Whole minutes of a time limit: `M`, `M:S`, `H:M:S`, `D-H`, `D-H:M`, `D-H:M:S`.
+/// Returns the minutes of a time limit, without its seconds: `M`, `M:S`, `H:M:S`, `D-H`, `D-H:M`, `D-H:M:S`.
 fn minutes(time: &str) -> Option<u64> {
     let number = |text: &str| text.parse::<u32>().ok().map(u64::from);
     let (days, rest) = match time.split_once('-') {
@@ -87,7 +89,7 @@ fn minutes(time: &str) -> Option<u64> {
     Some(days.unwrap_or(0) * 24 * 60 + within)
 }
 
-/// Sorted numbers as Slurm's `--array` has them: `0-3,7,9-12`.
+/// Formats sorted numbers as Slurm's `--array` expects: `0-3,7,9-12`.
 pub fn array(indices: &[usize]) -> String {
     let mut spans: Vec<(usize, usize)> = Vec::new();
     for &index in indices {
@@ -102,32 +104,33 @@ pub fn array(indices: &[usize]) -> String {
     spans.iter().map(text).collect::<Vec<_>>().join(",")
 }
 
-/// A word as a shell reads it, and Slurm in its `#SBATCH` lines.
+/// Quotes a word for a shell, and for Slurm's `#SBATCH` lines.
 pub fn quoted(word: &str) -> String {
     let plain = |c: char| c.is_ascii_alphanumeric() || "_-./:=,@%+".contains(c);
     if !word.is_empty() && word.chars().all(plain) { word.into() } else { format!("'{}'", word.replace('\'', r"'\''")) }
 }
 
-/// A command line of so many words.
+/// Joins words to a command line.
 fn line(words: &[String]) -> String {
     words.iter().map(|word| quoted(word)).collect::<Vec<_>>().join(" ")
 }
 
 impl Script<'_> {
-    /// Refuses a folder that no line of a script can name.
+    /// Returns an error for a folder that no line of a script can hold.
     pub fn check(&self) -> Result<()> {
         let folder = self.folder.display().to_string();
-        // Slurm reads a backslash in the name of a log as something else.
+        // Slurm gives a backslash in the name of a log another meaning.
         if folder.chars().any(|c| c.is_control() || "\\'\"".contains(c)) {
             return Err(Error::Config(format!(
-                "{folder:?} cannot stand in a job's script: choose a folder (--out) whose path has no quotes, backslashes and \
+                "{folder:?} does not fit into a job's script; choose a folder (--out) whose path has no quotes, backslashes or \
                  line breaks"
             )));
         }
         self.request.check()
     }
 
-    /// The job array: its tasks run `command`, which is `augnerf sweep run-point FOLDER` with what it needs, with their number.
+    /// Returns the script of the job array. Its tasks run `command`, `augnerf sweep run-point FOLDER` with its
+    /// options, with their number.
     pub fn points(&self, indices: &[usize], command: &[String]) -> String {
         let Request { partition, time, mem, cpus, gres, at_once, further } = &self.request;
         let limit = at_once.map_or(String::new(), |limit| format!("%{limit}"));
@@ -154,7 +157,7 @@ impl Script<'_> {
         format!("#!/bin/bash\n{head}\n{}\n{}", sbatch_lines(&directives), POINTS.replace("COMMAND", &line(command)))
     }
 
-    /// The job that collects the tables by `command` when all points have ended.
+    /// Returns the script of the job that collects the tables with `command` after all points.
     pub fn tables(&self, command: &[String]) -> String {
         let Request { partition, mem, further, .. } = &self.request;
         let mut directives = vec![
@@ -171,19 +174,19 @@ impl Script<'_> {
         format!("#!/bin/bash\n{head}\n{}\n{}\n", sbatch_lines(&directives), line(command))
     }
 
-    /// Where a job's messages go; `pattern` is Slurm's name of the job.
+    /// Returns the path of a job's log; `pattern` is Slurm's name of the job.
     fn log(&self, pattern: &str) -> String {
         let folder = self.folder.display().to_string().replace('%', "%%");
         format!("--output={folder}/slurm/log/{pattern}.out")
     }
 }
 
-/// The options as lines of a script.
+/// Formats options as lines of a script.
 fn sbatch_lines(options: &[String]) -> String {
     options.iter().map(|option| format!("#SBATCH {}\n", quoted(option))).collect()
 }
 
-/// What a task does.
+/// The commands of a task.
 const POINTS: &str = r#"# A preemption, the end of the time limit and scancel reach this script as TERM or USR1. The point writes a checkpoint
 # at USR1, however often it comes, and ends with 143.
 trap 'kill -USR1 "$point" 2> /dev/null' TERM USR1

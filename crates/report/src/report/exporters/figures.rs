@@ -7,17 +7,17 @@ use crate::report::plots::{
 
 use super::{Collected, Exporter, File};
 
-/// The figures of one kind, whose files are named `KIND_...`.
+/// The figures of one kind, with files named `KIND_...`.
 pub struct Figures {
     kind: &'static str,
     repeats: bool,
     figures: fn(&Collected) -> Result<Vec<Named>>,
 }
 
-/// A figure's file name without its ending, and the figure where there is one.
+/// A figure's file name without its extension, and the figure if there is one.
 type Named = (String, Option<Figure>);
 
-/// `rows_SCENE_METRIC`: the rows of a sweep without axes of its own; a row that has some is a line for each of its values.
+/// `rows_SCENE_METRIC`: the rows of a sweep without axes. A row with its own axes has a line for each value.
 pub static ROWS: Figures = Figures {
     kind: "rows_",
     repeats: true,
@@ -30,7 +30,7 @@ pub static ROWS: Figures = Figures {
     },
 };
 
-/// `axes_SCENE_METRIC`: a metric against what is varied.
+/// `axes_SCENE_METRIC`: a metric against the varied setting.
 pub static AXES: Figures = Figures {
     kind: "axes_",
     repeats: true,
@@ -39,7 +39,7 @@ pub static AXES: Figures = Figures {
     },
 };
 
-/// `heatmap_SCENE_METRIC`: a metric over two axes that are varied together; numbered where there are several.
+/// `heatmap_SCENE_METRIC`: a metric over two axes that are varied together; several are numbered.
 pub static HEATMAPS: Figures = Figures {
     kind: "heatmap_",
     repeats: true,
@@ -52,7 +52,7 @@ pub static HEATMAPS: Figures = Figures {
     },
 };
 
-/// `curves_SCENE_psnr`: training, against steps and, where clocks are asked for, against seconds.
+/// `curves_SCENE_psnr`: training against steps and, if clock times are shown, against seconds.
 pub static CURVES: Figures = Figures {
     kind: "curves_",
     repeats: true,
@@ -62,14 +62,14 @@ pub static CURVES: Figures = Figures {
             let title = format!("{}: training on {scene}", collected.spec.title);
             let unit = "PSNR of the step's rays (dB)";
             figures.push((format!("{scene}_psnr"), curves_figure(&title, unit, curves)?));
-            // There where clocks are asked for, because it does not repeat.
+            // Drawn only with clock times, since it is not reproducible.
             figures.push((format!("{scene}_psnr_seconds"), seconds_figure(&title, unit, curves)?));
         }
         Ok(figures)
     },
 };
 
-/// `attack_SCENE`: how far the attack's deltas move colours over training, a panel a site.
+/// `attack_SCENE`: how far the attack's deltas move colours during training, one panel a site.
 pub static ATTACK: Figures = Figures {
     kind: "attack_",
     repeats: true,
@@ -83,7 +83,7 @@ pub static ATTACK: Figures = Figures {
     },
 };
 
-/// `surfaces_SCENE`: the rows' surfaces, where the points drew any.
+/// `surfaces_SCENE`: the rows' surfaces, if the points drew any.
 pub static SURFACES: Figures = Figures {
     kind: "surfaces_",
     repeats: false,
@@ -121,7 +121,7 @@ impl Exporter for Figures {
     }
 }
 
-/// The figures of each scene and metric, numbered from the second on.
+/// Makes the figures of each scene and metric, numbered from the second on.
 fn each_metric(
     collected: &Collected,
     figures: impl Fn(&str, &str) -> Result<Vec<Option<Figure>>>,

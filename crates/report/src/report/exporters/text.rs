@@ -1,4 +1,4 @@
-//! Single files of text: points, clock times and what the attack did as CSV, the table as CSV, Markdown and LaTeX.
+//! Text files: points, clock times and effect of the attack as CSV, the table as CSV, Markdown and LaTeX.
 
 use crate::base::Result;
 use crate::report::tables::{attack_csv, points_csv, table_csv, table_latex, table_markdown, timing_csv};
@@ -9,7 +9,7 @@ use super::{Collected, Exporter, File};
 pub struct TextFile {
     name: &'static str,
     needs_table: bool,
-    /// None where there is nothing to write.
+    /// Returns `None` if there is nothing to write.
     text: fn(&Collected) -> Result<Option<String>>,
 }
 
@@ -20,7 +20,7 @@ pub static POINTS_CSV: TextFile = TextFile {
     text: |collected| Ok(Some(points_csv(&collected.records_of(false), collected.joined_timing()))),
 };
 
-/// One line a set of pictures that another program rendered.
+/// One line for each set of images of another program.
 pub static SCORED_CSV: TextFile = TextFile {
     name: "scored.csv",
     needs_table: false,
@@ -30,25 +30,25 @@ pub static SCORED_CSV: TextFile = TextFile {
     },
 };
 
-/// Clock times, apart from what repeats.
+/// Clock times, apart from what is reproducible.
 pub static TIMING_CSV: TextFile = TextFile {
     name: "timing.csv",
     needs_table: false,
     text: |collected| Ok(Some(timing_csv(collected.records, collected.timing))),
 };
 
-/// One line a row, all digits.
+/// One line a row, with all digits.
 pub static TABLE_CSV: TextFile = TextFile {
     name: "table.csv",
     needs_table: true,
     text: |collected| Ok(Some(table_csv(collected.table()?, collected.joined_timing()))),
 };
 
-/// One line a row that was attacked: what the attack did at each site.
+/// One line for each attacked row: effect of the attack at each site.
 pub static ATTACK_CSV: TextFile =
     TextFile { name: "attack.csv", needs_table: true, text: |collected| Ok(attack_csv(collected.attacks)) };
 
-/// The table as GitHub prints it.
+/// The table in GitHub's Markdown.
 pub static MARKDOWN: TextFile =
     TextFile { name: "table.md", needs_table: true, text: |collected| Ok(Some(table_markdown(collected.table()?))) };
 

@@ -1,8 +1,8 @@
-//! What the attack did, row by row and site by site.
+//! Effect of the attack, row by row and site by site.
 
 use crate::report::tables::{AttackLine, AttackSite};
 
-/// One site of one line as the page has it: for each number what it is sorted by, and its text.
+/// One site of one line on the page. Each number has its sort key and its text.
 pub struct SiteRow<'a> {
     pub label: &'a str,
     pub scene: &'a str,

@@ -1,10 +1,10 @@
-//! The head of the page: what there is, and what a reader has to know before any number.
+//! The head of the page: what it shows, and what a reader must know before any number.
 
 use crate::report::tables::Table;
 use crate::report::tables::text::warnings as warnings_of;
 use crate::report::{Record, Status, distinct};
 
-/// Name and text of each fact.
+/// Returns name and text of each fact.
 pub fn facts(table: &Table, records: &[Record]) -> Vec<(&'static str, String)> {
     let ids = |status: Status| {
         let of_status = records.iter().filter(|record| record.status == status);
@@ -31,7 +31,7 @@ pub fn facts(table: &Table, records: &[Record]) -> Vec<(&'static str, String)> {
     facts.into_iter().filter(|(_, text)| !text.is_empty()).collect()
 }
 
-/// What stands before everything else.
+/// Returns the warnings that come first.
 pub fn warnings(table: &Table, records: &[Record]) -> Vec<String> {
     let several = table.scenes().len() > 1;
     let of_scene = |(scene, lines): (&str, Vec<_>)| {

@@ -1,9 +1,9 @@
-//! The figures, inline.
+//! The figures, inline in the page.
 
 use crate::base::{Error, Result};
 use crate::report::exporters::File;
 
-/// A figure, and the same against seconds where there is such a one.
+/// A figure, with its version against seconds if there is one.
 pub struct Figure {
     pub name: String,
     pub svg: String,
@@ -12,7 +12,7 @@ pub struct Figure {
 
 const SECONDS: &str = "_seconds";
 
-/// Those among the files, in their order.
+/// Returns the figures among the files, in order.
 pub fn figures(files: &[File]) -> Result<Vec<Figure>> {
     let svgs = files.iter().filter_map(|(name, bytes)| Some((name.strip_suffix(".svg")?, bytes)));
     let mut figures: Vec<Figure> = Vec::new();
@@ -27,12 +27,13 @@ pub fn figures(files: &[File]) -> Result<Vec<Figure>> {
     Ok(figures)
 }
 
-/// The element of a figure of this program. What else a file may hold is not put into a page.
+/// Returns the SVG element of a figure of this program. Other content is not put into a page.
 fn inline(name: &str, bytes: &[u8]) -> Result<String> {
     let text = std::str::from_utf8(bytes).ok().map(str::trim).filter(|text| text.starts_with("<svg"));
     let is_plain =
         |text: &&str| !["<script", "<foreignObject", "<style", "<a "].iter().any(|other| text.contains(other));
-    let text = text.filter(is_plain).ok_or_else(|| Error::Data(format!("{name}.svg is no figure of this program")))?;
-    // Within a page the language is known, and no address stands in it.
+    let text =
+        text.filter(is_plain).ok_or_else(|| Error::Data(format!("{name}.svg is not a figure of this program")))?;
+    // Within a page the language is known, and addresses are not allowed.
     Ok(text.replacen(" xmlns=\"http://www.w3.org/2000/svg\"", "", 1))
 }

@@ -1,7 +1,7 @@
-//! `report.html`: what a sweep or some runs came to, as one page that needs nothing else: no file, no network.
+//! `report.html`: the results of a sweep or of runs, on one page that needs no other file and no network.
 //!
-//! The page is `templates/report.html`, with its style and its script beside it. What is in the names of rows, scenes and
-//! reasons is escaped there; the page's own policy lets no script run but its own, by its hash, and nothing be fetched.
+//! The page is `templates/report.html`, with its style and script. Names of rows and scenes, and reasons, are escaped
+//! there. The page's policy allows only its own script, by hash, and forbids every fetch.
 
 mod attack;
 mod facts;
@@ -26,21 +26,21 @@ pub use views::{ShownScene, ViewOfRow, ViewOfScene};
 const STYLE: &str = include_str!("../../../templates/report.css");
 const SCRIPT: &str = include_str!("../../../templates/report.js");
 
-/// What the page is made of.
+/// Inputs of the page.
 pub struct Page<'a> {
-    /// The table that it shows.
+    /// The table to show.
     pub table: &'a Table,
     /// The points.
     pub records: &'a [Record],
-    /// Files of the exporters, of which it takes the figures.
+    /// Files of the exporters; the page uses the figures.
     pub files: &'a [File],
     /// First held-out views, scene by scene.
     pub views: Vec<ShownScene>,
-    /// What the attack did.
+    /// Effect of the attack.
     pub attacks: Vec<AttackLine<'a>>,
-    /// Clock times, where the page is to have them: it does not repeat then.
+    /// Clock times, if the page shows them; it is then not reproducible.
     pub timing: &'a [PointTiming],
-    /// Where a point's run lies, as seen from the page; none where that is not known.
+    /// Returns a run's path relative to the page, or `None` if unknown.
     pub link: &'a dyn Fn(&str) -> Option<String>,
 }
 
@@ -70,7 +70,7 @@ struct Html<'a> {
 }
 
 impl Page<'_> {
-    /// The page's text.
+    /// Returns the page's text.
     pub fn html(&self) -> Result<String> {
         let table = self.table;
         let groups = (0..).zip(table.metrics.iter().map(|key| Heading::of(key).name.to_string())).collect();

@@ -1,4 +1,4 @@
-//! The points, a line each.
+//! The points, one line each.
 
 use crate::metrics::Metric;
 use crate::report::tables::Table;
@@ -10,11 +10,11 @@ pub struct Point<'a> {
     pub link: String,
     pub scene: &'a str,
     pub label: String,
-    /// Empty of pictures that were scored without one.
+    /// Empty for images that were scored without a seed.
     pub seed: String,
     pub status: &'static str,
     pub reason: &'a str,
-    /// Group of columns, what it is sorted by, and text of each metric.
+    /// Column group, sort key and text of each metric.
     pub metrics: Vec<(usize, String, String)>,
 }
 

@@ -1,18 +1,18 @@
-//! What all rows share, what each row differs in, and what they cost.
+//! Settings that all rows share, differences of each row, and costs.
 
 use crate::report::distinct;
 use crate::report::statistics::mean;
 use crate::report::tables::{Line, PointTiming, Table};
 use crate::settings::columns::is_per_seed;
 
-/// Name and text of fields.
+/// Names and texts of fields.
 type Fields<'a> = Vec<(&'a str, &'a str)>;
 
 /// The protocol of a scene's rows.
 pub struct Scene<'a> {
     pub scene: &'a str,
     pub shared: Fields<'a>,
-    /// A row's label with the fields that rows differ in.
+    /// A row's label, with the fields in which rows differ.
     pub different: Vec<(&'a str, Fields<'a>)>,
 }
 
@@ -36,24 +36,24 @@ pub fn scenes(table: &Table) -> Vec<Scene<'_>> {
     scenes.collect()
 }
 
-/// Those fields of a line that are not empty.
+/// Returns the named fields of a line that are not empty.
 fn fields<'a>(line: &'a Line, names: &[&'a str]) -> Fields<'a> {
     names.iter().map(|name| (*name, line.protocol(name))).filter(|(_, text)| !text.is_empty()).collect()
 }
 
-/// A row's label, its scene, and for each clock what it is sorted by, and its text.
+/// A row's label, its scene, and sort key and text of each clock.
 pub type Cost<'a> = (&'a str, &'a str, Vec<(String, String)>);
 
 fn names(timing: &[PointTiming]) -> Vec<&str> {
     distinct(timing.iter().flat_map(|(_, clocks)| clocks.iter().map(|(name, _)| name.as_str())))
 }
 
-/// The clocks' names in words.
+/// Returns the clocks' names in words.
 pub fn clocks(timing: &[PointTiming]) -> Vec<String> {
     names(timing).into_iter().map(|name| name.replace('_', " ")).collect()
 }
 
-/// Means over the seeds of each line; nothing without clocks.
+/// Returns means over the seeds of each line; empty without clocks.
 pub fn costs<'a>(table: &'a Table, timing: &[PointTiming]) -> Vec<Cost<'a>> {
     let names = names(timing);
     if names.is_empty() {

@@ -1,4 +1,4 @@
-//! The table: a column a metric, with the difference to the baseline below each mean.
+//! The table: one column a metric, with the difference to the baseline below each mean.
 
 use crate::metrics::{Direction, Metric};
 use crate::report::statistics::p_text;
@@ -21,11 +21,11 @@ pub struct Column {
     pub name: String,
     pub unit: String,
     pub arrow: &'static str,
-    /// A first click on its head sorts from the largest down.
+    /// The first click on its head sorts from the largest down.
     pub down: bool,
 }
 
-/// The rows of a scene, and what is said below them.
+/// The rows of a scene, with the notes below them.
 pub struct Scene<'a> {
     pub name: &'a str,
     pub rows: Vec<Row>,
@@ -43,7 +43,7 @@ pub struct Row {
 #[derive(Default)]
 pub struct Number {
     pub group: usize,
-    /// What it is sorted by; empty without a number.
+    /// Sort key; empty without a number.
     pub value: String,
     pub mean: String,
     pub spread: String,
@@ -53,12 +53,12 @@ pub struct Number {
     pub worse: bool,
 }
 
-/// Whether the paper has numbers of a metric.
+/// Returns whether the paper has numbers of a metric.
 fn is_published(table: &Table, metric: usize) -> bool {
     table.lines.iter().any(|line| line.cells[metric].published.is_some())
 }
 
-/// Those of the paper's numbers that belong to no metric of ours, and which of them the table has.
+/// Returns the paper's numbers that the table has but that match none of our metrics.
 fn unknown_backbone(table: &Table) -> impl Iterator<Item = (&'static str, fn(&Line) -> String)> {
     UNKNOWN_BACKBONE.into_iter().filter(|(_, text)| table.lines.iter().any(|line| !text(line).is_empty()))
 }

@@ -1,4 +1,4 @@
-//! One held-out view of each scene, as JPEG within the page.
+//! One held-out view of each scene, as JPEG in the page.
 
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
@@ -7,45 +7,45 @@ use crate::base::{Image, Result};
 use crate::data::resample::shrink;
 use crate::draw::{depth_colour, depth_range, encode_jpeg, pixel_errors, scale_colour};
 
-/// Bytes of all pictures in a page, as base64.
+/// Limit on the bytes of all images in a page, as base64.
 const MOST_BYTES: usize = 3 << 20;
-/// Longest side and JPEG quality of pictures, tried in turn until all fit.
+/// Longest side and JPEG quality of images, tried in turn until all fit.
 const SIZES: [(usize, u8); 4] = [(640, 88), (480, 82), (320, 78), (200, 74)];
 
-/// What the section says about its pictures.
+/// The note of the section on its images.
 pub const NOTE: &str = "Error: root of the mean squared difference of a pixel's three 8-bit colours to the truth. Error and depth \
      have one scale for all rows of a scene, whose ends are the outermost 2 % of values; near is bright. Grey: nothing there. \
      The pictures are JPEG, made smaller where all of them would take more than 3 MiB.";
 
-/// A row before the view.
+/// One row's rendering of the view.
 #[derive(Clone, Debug)]
 pub struct ViewOfRow {
     /// The row.
     pub label: String,
-    /// Of its first point.
+    /// Seed of its first point.
     pub seed: u64,
-    /// As it renders the view.
+    /// The rendering.
     pub image: Image,
     /// Depth; NaN where nothing is solid.
     pub depth: Vec<f32>,
 }
 
-/// A view, and how rows show it: pictures of one size.
+/// A view and its renderings by rows, images of one size.
 #[derive(Clone, Debug)]
 pub struct ViewOfScene {
     /// The scene.
     pub scene: String,
     /// The view's name.
     pub view: String,
-    /// The photograph.
+    /// The photo.
     pub truth: Image,
     /// The rows.
     pub rows: Vec<ViewOfRow>,
-    /// Rows that are not shown, and why: `2 rows have no picture of it`.
+    /// Rows that are not shown, with reasons: `2 rows have no picture of it`.
     pub left_out: Vec<String>,
 }
 
-/// Its pictures as `data:` addresses.
+/// The images of a view as `data:` addresses.
 #[derive(Clone, Debug)]
 pub struct ShownScene {
     pub(super) scene: String,
@@ -73,7 +73,7 @@ impl ShownRow {
 }
 
 impl ShownScene {
-    /// Encodes a scene's pictures in its share of the page: that of one of `scenes` scenes.
+    /// Encodes a scene's images within its share of the page, one of `scenes`.
     pub fn new(view: &ViewOfScene, scenes: usize) -> Result<ShownScene> {
         let room = MOST_BYTES / scenes.max(1);
         for (side, quality) in SIZES {
@@ -108,7 +108,7 @@ impl ShownScene {
         };
         let errors: Vec<Vec<f32>> = view.rows.iter().map(|row| pixel_errors(&row.image, &view.truth)).collect();
         let every_error: Vec<f32> = errors.iter().flatten().copied().collect();
-        // A scale without length, where all is equal to the truth, would colour nothing.
+        // If all pixels equal the ground truth, the scale still needs a length.
         let top = depth_range(&every_error, None).map_or(1.0, |(_, top)| top).max(1.0 / 255.0);
         let depths: Vec<f32> = view.rows.iter().flat_map(|row| row.depth.iter().copied()).collect();
         let (near, far) = depth_range(&depths, None).unwrap_or((0.0, 1.0));

@@ -1,4 +1,4 @@
-//! One comparison of several sweeps: differences with their intervals, a line a block.
+//! One comparison of several sweeps: differences with their intervals, one line a block.
 
 use super::differences::{PANEL, ROW, Scale, TOP, colour, widest};
 use super::{Figure, metric_label};
@@ -6,10 +6,10 @@ use crate::base::Result;
 use crate::draw::canvas::{Anchor, BLACK, Canvas, GREY, TEXT, range};
 use crate::report::{Across, Block, distinct};
 
-/// Ends of an interval that holds for all blocks at once.
+/// Height of the ends of an interval that holds for all blocks at once.
 const WHISKER: f64 = 5.0;
 
-/// The differences of all blocks; none without a block.
+/// Draws the differences of all blocks, or returns `None` without blocks.
 pub fn across_figure(across: &Across) -> Result<Option<Figure>> {
     if across.blocks.is_empty() {
         return Ok(None);
@@ -59,7 +59,7 @@ fn words(across: &Across, block: &Block) -> String {
     block.comparison.as_ref().map_or(String::new(), |comparison| across.words(block, comparison))
 }
 
-/// All ends of intervals, and 0.
+/// Returns all ends of intervals, and 0.
 fn shown(across: &Across) -> impl Iterator<Item = f64> {
     let ends = across.blocks.iter().flat_map(|block| {
         let own = block.comparison.as_ref().and_then(|comparison| comparison.interval);
@@ -68,7 +68,7 @@ fn shown(across: &Across) -> impl Iterator<Item = f64> {
     ends.chain([0.0])
 }
 
-/// The margin that all blocks state; none where one states none, or another.
+/// Returns the margin that all blocks state; empty if blocks differ or state none.
 fn margins(across: &Across) -> Vec<f64> {
     let stated = distinct(across.blocks.iter().map(Block::margin));
     if stated.len() == 1 { stated.into_iter().flatten().collect() } else { Vec::new() }

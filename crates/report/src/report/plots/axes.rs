@@ -1,5 +1,5 @@
-//! The paper's figure: a metric against what is varied, one panel a level. Where several axes are varied together, the
-//! first is drawn along and each value of the others is a line of its own.
+//! The paper's figure: a metric against the varied setting, one panel a level. If several axes are varied together,
+//! the first is the x axis, and each value of the others has its own line.
 
 use super::pairs::Tests;
 use super::series::{Series, tick};
@@ -13,12 +13,12 @@ use crate::report::{AxisValue, Record, Status, TableSpec, distinct, label};
 
 const PANEL: (f64, f64) = (250.0, 190.0);
 const GAP: (f64, f64) = (30.0, 92.0);
-/// Lines of words that the gap below a panel has room for, below one line of values.
+/// Lines of words that fit into the gap below a panel with one line of values.
 const LINES_IN_GAP: usize = 2;
 const MARGIN: (f64, f64) = (76.0, 66.0);
 
-/// Panels by axis (down) and level (across) of a scene's points with axes; none where there are
-/// no such points.
+/// Draws the panels of a scene's points with axes, by axis (down) and level (across). Returns `None` if there are no
+/// such points.
 pub fn axes_figure(spec: &TableSpec, records: &[Record], scene: &str, metric: &str) -> Result<Option<Figure>> {
     let records: Vec<&Record> = records.iter().filter(|record| record.scene == scene).collect();
     let series = series(&records, metric);
@@ -61,7 +61,7 @@ pub fn axes_figure(spec: &TableSpec, records: &[Record], scene: &str, metric: &s
     drawing.finish().map(Some)
 }
 
-/// All numbers that panels show: those of seeds, and the ends of bands, which no seed need reach.
+/// Returns all numbers that panels show: those of seeds, and the ends of bands, which may exceed them.
 fn drawn<'a>(series: &'a [Series<'a>], baseline: Option<&'a (&str, Vec<f64>)>) -> impl Iterator<Item = f64> {
     let places = series.iter().flat_map(|series| &series.points);
     let places = places.map(|(_, seeds)| seeds.iter().map(|(_, number)| *number).collect::<Vec<f64>>());
@@ -71,7 +71,7 @@ fn drawn<'a>(series: &'a [Series<'a>], baseline: Option<&'a (&str, Vec<f64>)>) -
     })
 }
 
-/// The points of a scene with axis values, by first axis, row and the values of further axes.
+/// Groups the points of a scene with axis values by first axis, row and values of further axes.
 fn series<'a>(records: &[&'a Record], metric: &str) -> Vec<Series<'a>> {
     let mut all: Vec<Series> = Vec::new();
     for record in records {
@@ -98,7 +98,7 @@ fn series<'a>(records: &[&'a Record], metric: &str) -> Vec<Series<'a>> {
     all
 }
 
-/// What is said below a panel, a line each; of several lines by their names.
+/// Returns the words below a panel, one line for each series; several series have their names.
 fn words(lines: &[&Series], tests: &Tests, metric: &str) -> Vec<String> {
     let verdict = |series: &&Series| match (lines.len(), tests.verdict(series, metric)) {
         (1, verdict) => verdict,
@@ -107,7 +107,7 @@ fn words(lines: &[&Series], tests: &Tests, metric: &str) -> Vec<String> {
     lines.iter().map(verdict).collect()
 }
 
-/// What the words below the widest panel ask for.
+/// Returns the width of the words below the widest panel.
 fn width_of_words(series: &[Series], tests: &Tests, metric: &str) -> f64 {
     let panels = distinct(series.iter().map(|s| (s.axis, s.panel)));
     let lines = panels.into_iter().map(|(axis, panel)| on(series, axis, panel).collect::<Vec<_>>());
@@ -115,26 +115,26 @@ fn width_of_words(series: &[Series], tests: &Tests, metric: &str) -> f64 {
     words.map(|words| text_width(&words, TEXT)).fold(0.0, f64::max)
 }
 
-/// The panels of an axis.
+/// Returns the panels of an axis.
 fn panels<'a>(series: &[Series<'a>], axis: &str) -> Vec<&'a str> {
     distinct(series.iter().filter(|s| s.axis == axis).map(|s| s.panel))
 }
 
-/// The panels that have a column, from left to right: those that stand beside another one in some row. A panel that is alone in each
-/// of its rows is drawn in the first column.
+/// Returns the panels with their own column, from left to right: those that are next to another in some row. A panel
+/// that is always alone is drawn in the first column.
 fn columns<'a>(series: &[Series<'a>]) -> Vec<&'a str> {
     let mut names = distinct(series.iter().map(|s| s.panel));
     names.retain(|name| series.iter().any(|s| s.panel == *name && panels(series, s.axis).len() > 1));
     names
 }
 
-/// The most lines that a value takes below its axis.
+/// Returns the most lines that a value takes below its axis.
 fn lines_of_values<'s, 'a: 's>(series: impl IntoIterator<Item = &'s Series<'a>>) -> usize {
     let values = series.into_iter().flat_map(|s| &s.points);
     values.map(|(value, _)| tick(value).len()).max().unwrap_or(1)
 }
 
-/// A row of panels, with what stands below them.
+/// Returns the height of a row of panels, with the words below.
 fn height(series: &[Series], axis: &str) -> f64 {
     let words = panels(series, axis).into_iter().map(|panel| {
         let lines = on(series, axis, panel).count();
@@ -143,12 +143,12 @@ fn height(series: &[Series], axis: &str) -> f64 {
     PANEL.1 + GAP.1 + words.max().unwrap_or(0).saturating_sub(LINES_IN_GAP) as f64 * LINE_HEIGHT
 }
 
-/// The lines of one panel.
+/// Returns the lines of one panel.
 fn on<'s, 'a>(series: &'s [Series<'a>], axis: &'s str, panel: &'s str) -> impl Iterator<Item = &'s Series<'a>> {
     series.iter().filter(move |s| s.axis == axis && s.panel == panel)
 }
 
-/// The first baseline row's name and seeds.
+/// Returns the first baseline row's name and seeds.
 fn baseline<'a>(spec: &'a TableSpec, records: &[&Record], metric: &str) -> Option<(&'a str, Vec<f64>)> {
     let row = spec.rows.iter().find(|row| row.baseline.is_none() && !row.quoted)?;
     let done = records.iter().filter(|r| r.row == row.name && r.axes.is_empty() && r.status == Status::Done);
@@ -182,7 +182,7 @@ fn draw_values(drawing: &mut Canvas, panel: &Panel, lines: &[&Series], tests: &T
         }
     }
     let below = lines_of_values(lines.iter().copied()) - 1;
-    // Beyond the palette's end colours come again.
+    // After the last colour of the palette, colours repeat.
     for (series, colour) in lines.iter().zip(PALETTE.into_iter().cycle()) {
         draw_series(drawing, panel, series, colour, &x);
     }
@@ -199,14 +199,14 @@ fn draw_values(drawing: &mut Canvas, panel: &Panel, lines: &[&Series], tests: &T
     let Some((index, best)) = lines.first().and_then(|series| best(series, metric)) else { return };
     let (value, _) = lines[0].points[index];
     let (x, y) = (x(value), panel.y(best.mean));
-    // Red is for what is told apart.
+    // Red marks significant differences.
     let colour = if tests.tells_apart(lines[0], value) { RED } else { GREY };
     drawing.dot((x, y), 5.0, colour, 1.0);
     let label = number(best.mean, (panel.range.1 - panel.range.0) / 50.0);
     let half = text_width(&label, TEXT) / 2.0;
     let x = x.clamp(panel.left + half + 2.0, panel.right() - half - 2.0);
     let y = (y - 14.0).max(panel.top + 8.0);
-    // On a plate, so that no line runs through it.
+    // On a white plate, so that no line crosses it.
     let (left, right, top, bottom) = (x - half - 2.0, x + half + 2.0, y - 7.0, y + 7.0);
     drawing.area(vec![(left, top), (right, top), (right, bottom), (left, bottom)], PAPER, 0.75);
     drawing.text((x, y), &label, TEXT, Anchor::Middle, colour);
@@ -214,7 +214,7 @@ fn draw_values(drawing: &mut Canvas, panel: &Panel, lines: &[&Series], tests: &T
 
 fn draw_series(drawing: &mut Canvas, panel: &Panel, series: &Series, colour: Colour, x: &impl Fn(&str) -> f64) {
     let means = series.means();
-    // A value without points is a gap: neighbours across it are not joined.
+    // A value without points is a gap; its neighbours are not joined.
     for run in means.chunk_by(|(a, _), (b, _)| b - a == 1) {
         let at = |index: usize| x(series.points[index].0);
         let banded: Vec<(f64, (f64, f64))> = run.iter().filter_map(|(i, s)| Some((at(*i), s.band?))).collect();
@@ -232,7 +232,7 @@ fn draw_series(drawing: &mut Canvas, panel: &Panel, series: &Series, colour: Col
     }
 }
 
-/// The best mean with its place on the axis; none of a metric that knows no better.
+/// Returns the best mean with its index on the axis, or `None` if the metric has no better direction.
 fn best(series: &Series, metric: &str) -> Option<(usize, Spread)> {
     let sign = match Metric::find(metric)?.direction {
         Direction::Up => 1.0,
@@ -326,12 +326,12 @@ mod tests {
             label: "r".into(),
             points: points.into_iter().map(|(value, seeds)| (value, (0..).zip(seeds).collect())).collect(),
         };
-        // The seeds lie further apart than the values do, and agree on the difference.
+        // The seeds are further apart than the values, and agree on the difference.
         let paired = series(vec![("1", vec![20.0, 22.0, 24.0]), ("3", vec![20.5, 22.51, 24.49])]);
         assert_eq!(verdict(&paired, "psnr"), "3 seeds: 1 and 3 differ, p < 0.001");
         let best_index = |metric: &str| best(&paired, metric).map(|(index, _)| index);
         assert_eq!((best_index("psnr"), best_index("lpips_alex")), (Some(1), Some(0)));
-        // More of a reference's own roughness, or of filled space, is neither better nor worse.
+        // For roughness of a reference, or occupied space, more is neither better nor worse.
         assert_eq!((best_index("normal_roughness_truth"), best_index("occupied")), (None, None));
         let same = series(vec![("1", vec![20.0, 20.5, 21.0]), ("3", vec![20.3, 20.4, 21.1])]);
         // Pooled over one pair: t(0.975, 2) times the standard error of -0.3, 0.1, -0.1.

@@ -6,7 +6,7 @@ use crate::draw::canvas::{
     Anchor, BLACK, Canvas, Colour, LINE_HEIGHT, PALETTE, Panel, TEXT, number, range, text_width, ticks,
 };
 
-/// Log points that a curve's moving average spans.
+/// Log points in a curve's moving average.
 const WINDOW: usize = 5;
 
 /// Log points of each seed: step and value.
@@ -19,16 +19,16 @@ pub struct Curve {
     pub label: String,
     /// Log points of each seed.
     pub seeds: Seeds,
-    /// The same of held-out views, at evaluations; empty where there was none during training.
+    /// The same for held-out views, at evaluations; empty if there were none during training.
     pub held_out: Seeds,
-    /// The same of training views.
+    /// The same for training views.
     pub seen: Seeds,
-    /// Mean seconds of a step over the seeds; none where clocks do not count.
+    /// Mean seconds of a step over the seeds, or `None` if clock times are not shown.
     pub seconds_per_step: Option<f64>,
 }
 
 impl Curve {
-    /// The same against seconds of training; none where they are not known.
+    /// Returns the same against seconds of training, or `None` if they are unknown.
     fn in_seconds(&self) -> Option<Curve> {
         let seconds = self.seconds_per_step?;
         let scaled = |seeds: &[Vec<(f64, f64)>]| -> Seeds {
@@ -39,7 +39,7 @@ impl Curve {
     }
 }
 
-/// Steps with what the values of all seeds spread over there.
+/// Steps, with the spread of the values of all seeds.
 pub(super) type Line = Vec<(f64, Spread)>;
 
 fn spreads(seeds: &[Vec<(f64, f64)>]) -> Line {
@@ -51,7 +51,7 @@ fn spreads(seeds: &[Vec<(f64, f64)>]) -> Line {
     (0..first.len()).filter_map(at).collect()
 }
 
-/// Centred moving average; shorter at the ends.
+/// Returns the centred moving average, over fewer points at the ends.
 fn smoothed(points: &[(f64, f64)]) -> Vec<(f64, f64)> {
     let points = finite(points);
     let around = |index: usize| {
@@ -62,7 +62,7 @@ fn smoothed(points: &[(f64, f64)]) -> Vec<(f64, f64)> {
     (0..points.len()).map(around).collect()
 }
 
-/// A line of means at the log points themselves.
+/// Draws a line of means at the log points themselves.
 pub(super) fn unsmoothed(seeds: &[Vec<(f64, f64)>]) -> Line {
     spreads(&seeds.iter().map(|seed| finite(seed)).collect::<Vec<_>>())
 }
@@ -71,7 +71,7 @@ fn finite(points: &[(f64, f64)]) -> Vec<(f64, f64)> {
     points.iter().copied().filter(|(_, value)| value.is_finite()).collect()
 }
 
-/// Lowest and highest number that lines and their bands reach.
+/// Returns the lowest and highest number of lines and their bands.
 fn range_of<'a>(lines: impl Iterator<Item = &'a Line>) -> Option<(f64, f64)> {
     range(lines.flatten().flat_map(|(_, s)| s.band.map_or([s.mean, s.mean], |(low, high)| [low, high])))
 }
@@ -98,12 +98,12 @@ pub(super) struct Plot {
     pub(super) panel: Panel,
     /// The last step.
     pub(super) last: f64,
-    /// What is drawn along.
+    /// Quantity of the x axis.
     pub(super) along: &'static str,
 }
 
 impl Plot {
-    /// Where the x axis ends.
+    /// End of the x axis.
     fn end(&self) -> f64 {
         if self.last > 0.0 { self.last } else { 1.0 }
     }
@@ -117,7 +117,7 @@ impl Plot {
         self.axis(drawing, unit);
     }
 
-    /// Numbers of the x axis, what is drawn along, and what the panel shows.
+    /// Draws the numbers of the x axis and the names of both axes.
     pub(super) fn axis(&self, drawing: &mut Canvas, title: &str) {
         let panel = &self.panel;
         let (marks, step) = ticks((0.0, self.end()), (panel.width / 85.0) as usize);
@@ -138,12 +138,12 @@ impl Plot {
         stroke.draw(drawing, &self.places(line));
     }
 
-    /// Where a line's means are.
+    /// Draws a line's means.
     fn places(&self, line: &Line) -> Vec<(f64, f64)> {
         line.iter().map(|(step, s)| (self.x(*step), self.panel.y(s.mean))).collect()
     }
 
-    /// An entry of the legend beside the panel.
+    /// Draws an entry of the legend next to the panel.
     pub(super) fn entry(&self, drawing: &mut Canvas, index: usize, label: &str, stroke: Stroke) {
         let y = self.panel.top + 8.0 + index as f64 * LINE_HEIGHT;
         let sample = [(self.panel.right() + 14.0, y), (self.panel.right() + 42.0, y)];
@@ -152,18 +152,18 @@ impl Plot {
     }
 }
 
-/// A row's colour. Beyond the palette's end colours come again, dashed.
+/// Returns a row's colour. After the last colour of the palette, colours repeat, dashed.
 pub(super) fn stroke(index: usize) -> Stroke {
     Stroke { colour: PALETTE[index % PALETTE.len()], dashed: index >= PALETTE.len(), width: 1.8 }
 }
 
-/// Means over seeds against steps, with a legend; below it, where views were evaluated during training, held-out views and
-/// training views. None without points.
+/// Draws means over seeds against steps, with a legend. If views were evaluated during training, a panel below shows
+/// held-out and training views. Returns `None` without points.
 pub fn curves_figure(title: &str, unit: &str, curves: &[Curve]) -> Result<Option<Figure>> {
     figure(title, unit, "step", curves)
 }
 
-/// The same against seconds of training, of the curves whose seconds are known.
+/// Draws the same against seconds of training, for the curves whose seconds are known.
 pub fn seconds_figure(title: &str, unit: &str, curves: &[Curve]) -> Result<Option<Figure>> {
     let curves: Vec<Curve> = curves.iter().filter_map(Curve::in_seconds).collect();
     figure(title, unit, "seconds of training", &curves)
@@ -208,7 +208,7 @@ struct Evaluated {
 }
 
 impl Evaluated {
-    /// Below `top`; none where nothing was evaluated.
+    /// Returns the panel below `top`, or `None` if nothing was evaluated.
     fn new(curves: &[Curve], top: f64, last: f64, along: &'static str) -> Option<Evaluated> {
         let both = |curve: &Curve| [&curve.held_out, &curve.seen].map(|seeds| unsmoothed(seeds));
         let lines: Vec<[Line; 2]> = curves.iter().map(both).collect();

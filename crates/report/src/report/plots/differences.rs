@@ -1,4 +1,4 @@
-//! Differences with their intervals on a horizontal scale, a line each.
+//! Differences with their intervals on a horizontal scale, one line each.
 
 use crate::draw::canvas::{Anchor, BLACK, BLUE, Canvas, Colour, GREY, GRID, RED, TEXT, number, text_width, ticks};
 use crate::report::tables::{Comparison, Verdict};
@@ -7,7 +7,7 @@ use crate::report::tables::{Comparison, Verdict};
 pub(super) const ROW: f64 = 26.0;
 /// Width of a scale.
 pub(super) const PANEL: f64 = 330.0;
-/// Where the lines begin, below the title.
+/// Position of the first line, below the title.
 pub(super) const TOP: f64 = 64.0;
 
 /// A horizontal scale.
@@ -21,7 +21,7 @@ impl Scale {
         self.left + PANEL * (value - self.range.0) / (self.range.1 - self.range.0)
     }
 
-    /// Grid, numbers and title of lines that end at `bottom`.
+    /// Draws grid, numbers and title of lines that end at `bottom`.
     pub(super) fn frame(&self, drawing: &mut Canvas, title: &str, bottom: f64) {
         let (values, step) = ticks(self.range, 5);
         for value in values {
@@ -32,12 +32,12 @@ impl Scale {
         drawing.text((self.left + PANEL / 2.0, TOP - 14.0), title, TEXT, Anchor::Middle, BLACK);
     }
 
-    /// Where there is no difference.
+    /// Draws the line of no difference.
     pub(super) fn zero(&self, drawing: &mut Canvas, bottom: f64) {
         drawing.line(&[(self.x(0.0), TOP), (self.x(0.0), bottom)], GREY, 1.5);
     }
 
-    /// A difference with its interval and what is said of it, in the colour of that.
+    /// Draws a difference with its interval and verdict, in the verdict's colour.
     pub(super) fn difference(&self, drawing: &mut Canvas, y: f64, comparison: &Comparison, words: &str) {
         let Some((low, high)) = comparison.interval else {
             drawing.text((self.left + PANEL + 10.0, y), "one seed: no interval", TEXT, Anchor::Left, GREY);
@@ -50,7 +50,7 @@ impl Scale {
     }
 }
 
-/// By the one rule that tables follow.
+/// Returns the colour by the rule that tables follow.
 pub(super) fn colour(comparison: &Comparison) -> Colour {
     match comparison.verdict() {
         Some(verdict) if verdict.is_difference() => RED,
@@ -65,7 +65,7 @@ pub(super) fn words(comparison: &Comparison) -> String {
     verdict.into_iter().chain(equivalent).collect::<Vec<&str>>().join(", ")
 }
 
-/// Room for the longest of texts, at least so much.
+/// Returns the width of the longest text, at least `least`.
 pub(super) fn widest<'a>(texts: impl Iterator<Item = &'a str>, least: f64) -> f64 {
     texts.map(|text| text_width(text, TEXT)).fold(least, f64::max)
 }

@@ -11,9 +11,9 @@ use crate::settings::columns::InactiveBy;
 
 const CELL: (f64, f64) = (74.0, 44.0);
 const TOP: f64 = 70.0;
-/// Width of the bar that tells the colours.
+/// Width of the colour bar.
 const BAR: f64 = 16.0;
-/// Boxes that the bar is made of.
+/// Boxes of the colour bar.
 const BAR_STEPS: usize = 64;
 
 /// The points of one row on two axes, at one value of all further axes.
@@ -27,7 +27,7 @@ struct Map<'a> {
     cells: Vec<((usize, usize), &'a Line)>,
 }
 
-/// A figure for each row and pair of axes of a scene that are varied together; none where there is no such pair.
+/// Draws a figure for each row and pair of axes of a scene that are varied together; empty if there is no such pair.
 pub fn heatmap_figures(table: &Table, records: &[Record], scene: &str, metric: &str) -> Result<Vec<Figure>> {
     let Some(index) = table.metrics.iter().position(|known| known == metric) else { return Ok(Vec::new()) };
     let maps = maps(table, records, scene).into_iter().filter(|map| map.columns.len() > 1 && map.rows.len() > 1);
@@ -57,7 +57,7 @@ fn maps<'a>(table: &'a Table, records: &'a [Record], scene: &str) -> Vec<Map<'a>
     maps
 }
 
-/// Where a value stands in a list, at whose end it is put if it is new.
+/// Returns the index of a value in a list; a new value is added at the end.
 fn place<'a>(values: &mut Vec<&'a str>, value: &'a str) -> usize {
     values.iter().position(|known| *known == value).unwrap_or_else(|| {
         values.push(value);
@@ -96,7 +96,7 @@ impl Map<'_> {
     }
 }
 
-/// `features: steps`.
+/// Returns `features: steps`.
 fn axis_name(value: &AxisValue) -> String {
     if value.panel.is_empty() { value.axis.clone() } else { format!("{}: {}", value.panel, value.axis) }
 }
@@ -132,12 +132,12 @@ fn box_of(drawing: &mut Canvas, (x, y): (f64, f64), (width, height): (f64, f64),
     drawing.area(corners, Colour::of(scale_colour(share)), 1.0);
 }
 
-/// What the colours stand for, from the largest value down.
+/// Draws the colour bar, from the largest value down.
 fn draw_bar(drawing: &mut Canvas, (x, y): (f64, f64), height: f64, range: (f64, f64)) {
     let step = height / BAR_STEPS as f64;
     for index in 0..BAR_STEPS {
         let share = 1.0 - (index as f32 + 0.5) / BAR_STEPS as f32;
-        // A little more, so that no paper shows between two.
+        // A little larger, so that no gap is visible between two.
         box_of(drawing, (x, y + step * index as f64), (BAR, step + 0.5), share);
     }
     let (values, step) = ticks(range, (height / 40.0) as usize + 1);

@@ -23,13 +23,13 @@ pub use rows::rows_figure;
 pub use shifts::{Shifts, shifts_figure};
 pub use surfaces::{Surface, surfaces_figure};
 
-/// A metric as figures name it.
+/// Returns the name of a metric in figures.
 fn metric_label(key: &str) -> &str {
     Metric::find(key).map_or(key, |metric| metric.label)
 }
 
-/// Mean over seeds with what they spread over: mean and standard deviation of three and more, the
-/// ends of two, nothing of one.
+/// Mean over seeds with their spread: mean ± standard deviation for three or more seeds, the two values for two,
+/// nothing for one.
 struct Spread {
     mean: f64,
     band: Option<(f64, f64)>,

@@ -1,4 +1,4 @@
-//! Which values of an axis are told apart, over all panels of a figure.
+//! Which values of an axis differ significantly, over all panels of a figure.
 
 use super::series::{Series, tick};
 use crate::metrics::Metric;
@@ -6,16 +6,18 @@ use crate::report::statistics::{SIGNIFICANCE, holm, least_provable, p_text, p_va
 
 /// Two values of a series, with their differences seed by seed.
 pub(super) struct Pair<'a> {
-    /// Which line of which panel.
+    /// Panel and line.
     series: (&'a str, &'a str, &'a str),
     pub(super) values: (&'a str, &'a str),
     differences: Vec<f64>,
-    /// Of the paired t test, after Holm's correction over all pairs of the figure; none of fewer than two seeds.
+    /// P value of the paired t test, after Holm's correction over all pairs of the figure, or `None` for fewer than
+    /// two seeds.
     p: Option<f64>,
 }
 
-/// The pairs of values of all panels: one family of tests. Values that come to the same numbers are the same training (as step
-/// sizes that land on the set's corners), and pairs of the same differences are one test, as where panels share a point.
+/// The pairs of values of all panels: one family of tests. Values with equal numbers are the same training (such as
+/// step sizes that all reach the set's corners). Pairs with equal differences are one test, as if panels share a
+/// point.
 pub(super) struct Tests<'a>(Vec<Pair<'a>>);
 
 impl<'a> Tests<'a> {
@@ -33,14 +35,14 @@ impl<'a> Tests<'a> {
         self.0.iter().filter(|pair| pair.series == series.place())
     }
 
-    /// A value differs from another one of its line.
+    /// Returns whether a value differs significantly from another one of its line.
     pub(super) fn tells_apart(&self, series: &Series, value: &str) -> bool {
         let shown = |pair: &Pair| pair.p.is_some_and(|p| p < SIGNIFICANCE);
         self.of(series).any(|pair| shown(pair) && (pair.values.0 == value || pair.values.1 == value))
     }
 
-    /// Whether any two values of the axis are told apart by seeds that they share, in words; where none are, the least
-    /// difference that would have been.
+    /// Returns in words whether any two values of the axis differ significantly, over the seeds that they share. If
+    /// none do, adds the least difference that would have been significant.
     pub(super) fn verdict(&self, series: &Series, metric: &str) -> String {
         let seeds = series.points.iter().map(|(_, seeds)| seeds.len()).max().unwrap_or(0);
         let tested = self.of(series).filter_map(|pair| Some((pair.values, pair.p?)));
@@ -59,8 +61,8 @@ impl<'a> Tests<'a> {
         }
     }
 
-    /// The least difference between two values of a line that would pass Holm's first step over the whole figure, at the
-    /// line's pooled spread.
+    /// Returns the least difference between two values of a line that would be significant in Holm's first step over
+    /// the whole figure, at the line's pooled spread.
     fn least_provable(&self, series: &Series) -> Option<f64> {
         let family =
             self.0.iter().enumerate().filter(|(i, pair)| {
@@ -71,7 +73,7 @@ impl<'a> Tests<'a> {
     }
 }
 
-/// All pairs of a line's values that differ in any number.
+/// Returns all pairs of a line's values that differ in any number.
 pub(super) fn pairs<'a>(series: &'a Series<'a>) -> Vec<Pair<'a>> {
     let points = &series.points;
     let is_new = |i: &usize| points[..*i].iter().all(|(_, seeds)| *seeds != points[*i].1);
@@ -86,7 +88,7 @@ pub(super) fn pairs<'a>(series: &'a Series<'a>) -> Vec<Pair<'a>> {
     both.map(pair).collect()
 }
 
-/// Trainings that differ in anything do not differ by the same numbers, seed by seed, from others.
+/// Different trainings do not have equal differences, seed by seed.
 fn is_same_test(a: &Pair, b: &Pair) -> bool {
     !a.differences.is_empty() && a.differences == b.differences
 }
@@ -95,7 +97,7 @@ fn is_same_test(a: &Pair, b: &Pair) -> bool {
 mod tests {
     use super::*;
 
-    /// A figure has many panels, and what passes in one of them alone is what chance brings.
+    /// A figure has many panels, and a single significant test may be chance.
     #[test]
     fn all_panels_of_a_figure_are_one_family() {
         let panel = |panel: &'static str, differences: [f64; 3]| Series {
@@ -124,7 +126,7 @@ mod tests {
         let all = many(15);
         let tests = Tests::new(&all);
         assert!(!tests.tells_apart(&all[0], "3") && tests.verdict(&all[0], "psnr").contains("no pair passes ("));
-        // The same numbers in another panel are the same trainings, and no further test.
+        // Equal numbers in another panel are the same trainings, and no further test.
         let twice = [panel("a", [0.5, 0.56, 0.62]), panel("b", [0.5, 0.56, 0.62])];
         let tests = Tests::new(&twice);
         assert_eq!(tests.0[0].p, tests.0[1].p);

@@ -8,7 +8,8 @@ use crate::report::tables::{Cell, Line, Table};
 use crate::report::{Record, Status};
 use crate::settings::columns::InactiveBy;
 
-/// One horizontal line for each of the scene's lines; none where nothing is measured, or no line is beside another.
+/// Draws one horizontal line for each line of the scene. Returns `None` if nothing is measured, or there is only one
+/// line.
 pub fn rows_figure(table: &Table, records: &[Record], scene: &str, metric: &str) -> Result<Option<Figure>> {
     let Some(column) = table.metrics.iter().position(|known| known == metric) else { return Ok(None) };
     let lines: Vec<&Line> = table.lines.iter().filter(|line| line.scene == scene && !line.quoted).collect();

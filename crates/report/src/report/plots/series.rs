@@ -1,14 +1,14 @@
-//! What a line of a figure of axes is drawn from.
+//! The data of one line in a figure of axes.
 
 use super::Spread;
 use crate::draw::canvas::short;
 
-/// A value as its axis has it: one part for each setting that is varied together.
+/// Returns a value as its axis shows it: one part for each setting that is varied together.
 pub(super) fn tick(value: &str) -> Vec<String> {
     value.split(" / ").map(short).collect()
 }
 
-/// One line of one panel: values of an axis with what was measured there.
+/// One line of one panel: the values of an axis, with measurements.
 pub(super) struct Series<'a> {
     pub(super) axis: &'a str,
     pub(super) panel: &'a str,
@@ -19,7 +19,7 @@ pub(super) struct Series<'a> {
 }
 
 impl Series<'_> {
-    /// Which line of which panel it is.
+    /// Returns panel and line.
     pub(super) fn place(&self) -> (&str, &str, &str) {
         (self.axis, self.panel, &self.label)
     }

@@ -1,4 +1,4 @@
-//! How far the attack moved colours over training, site by site.
+//! How far the attack moves colours during training, site by site.
 
 use super::curves::{Line, Plot, Seeds, Stroke, stroke, unsmoothed};
 use super::differences::widest;
@@ -11,11 +11,11 @@ use crate::settings::columns::LEAST_SHIFT;
 const PANEL: (f64, f64) = (260.0, 190.0);
 const GAP: (f64, f64) = (40.0, 72.0);
 const MARGIN: (f64, f64) = (76.0, 84.0);
-/// Panels side by side.
+/// Number of panels side by side.
 const COLUMNS: usize = 3;
 const INACTIVE: &str = "1/2: inactive below";
 
-/// How far one row's deltas moved the rendered colours, in 8-bit steps.
+/// How far one row's deltas move the rendered colours, in 8-bit steps.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Shifts {
     /// The row.
@@ -30,8 +30,8 @@ impl Shifts {
     }
 }
 
-/// A panel a site that any row has, all of one logarithmic scale: means over seeds against steps. None where no colour was
-/// moved.
+/// Draws a panel for each site of any row, on one logarithmic scale: means over seeds against steps. Returns `None` if
+/// no colour moved.
 pub fn shifts_figure(title: &str, rows: &[Shifts]) -> Result<Option<Figure>> {
     let lines = |site: Site| (site, rows.iter().map(|row| row.line(site)).collect::<Vec<Line>>());
     let sites: Vec<(Site, Vec<Line>)> =
@@ -78,7 +78,7 @@ fn draw_site(drawing: &mut Canvas, plot: &Plot, site: Site, lines: &[Line], numb
     }
 }
 
-/// Whole powers of ten around what is drawn and the bound; none where nothing is above 0.
+/// Returns whole powers of ten around the data and the bound, or `None` if nothing is above 0.
 fn decades<'a>(points: impl Iterator<Item = &'a (f64, Spread)>) -> Option<(f64, f64)> {
     let drawn = points.filter(|(_, shift)| shift.mean > 0.0);
     let ends = drawn.flat_map(|(_, shift)| [shift.mean, shift.band.map_or(shift.mean, |(_, high)| high)]);
@@ -89,7 +89,7 @@ fn decades<'a>(points: impl Iterator<Item = &'a (f64, Spread)>) -> Option<(f64, 
     Some((low.floor(), high.ceil()))
 }
 
-/// A line on the logarithmic scale, from which 0 is left out; bands that reach down to it end at `least`.
+/// Returns a line on the logarithmic scale, without 0; bands that reach 0 end at `least`.
 fn logarithms(line: &Line, least: f64) -> Line {
     let drawn = line.iter().filter(|(_, shift)| shift.mean > 0.0);
     let logarithm = |shift: &Spread| Spread {

@@ -4,17 +4,17 @@ use super::Figure;
 use crate::base::{Image, Result};
 use crate::draw::canvas::{Anchor, BLACK, Canvas, LINE_HEIGHT, TEXT};
 
-/// Columns and pixels of a picture in the figure.
+/// Images in a row, and pixels of an image in the figure.
 const ACROSS: usize = 4;
 const WIDTH: f64 = 240.0;
 const GAP: f64 = 14.0;
 const MARGIN: f64 = 20.0;
 const TOP: f64 = 48.0;
 
-/// A row's surface: its label and its picture.
+/// A row's surface: its label and its image.
 pub type Surface = (String, Image);
 
-/// The pictures under their rows' names; none without any.
+/// Draws the images under their rows' names, or returns `None` without any.
 pub fn surfaces_figure(title: &str, surfaces: &[Surface]) -> Result<Option<Figure>> {
     if surfaces.is_empty() {
         return Ok(None);

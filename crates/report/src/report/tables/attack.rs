@@ -1,4 +1,4 @@
-//! What the attack did, line by line and site by site: means of the points' logs.
+//! Effect of the attack, line by line and site by site: means of the points' logs.
 
 use super::Line;
 use super::delimited::{PLACE_COLUMNS, place_cells};
@@ -6,21 +6,21 @@ use crate::augment::Site;
 use crate::base::csv::{csv_number, csv_text};
 use crate::report::statistics::mean;
 
-/// What logs tell of a site, as `COLUMN.SITE`.
+/// Columns of a site in logs, as `COLUMN.SITE`.
 const COLUMNS: [&str; 4] = ["gain", "gain_over_random", "share_at_bound", "shift"];
 
-/// Gain, gain over random, share at the bound, shift of colours in 8-bit steps: a mean over logged steps, then over the seeds
-/// that logged it; none where none did.
+/// Gain, gain over random, fraction at the bound, and shift of colours in 8-bit steps. Means over logged steps, then
+/// over the seeds that logged the site; `None` if none did.
 pub type SiteMeans = [Option<f64>; COLUMNS.len()];
 
-/// What the attack of one line did.
+/// Effect of the attack on one line.
 #[derive(Clone, Debug, PartialEq)]
 pub struct AttackLine<'a> {
     /// The line.
     pub line: &'a Line,
-    /// Its points that have logged any site.
+    /// Number of its points that logged any site.
     pub seeds: usize,
-    /// The sites that any of its points has logged.
+    /// The sites that any of its points logged.
     pub sites: Vec<AttackSite>,
 }
 
@@ -29,18 +29,19 @@ pub struct AttackLine<'a> {
 pub struct AttackSite {
     /// The site's name.
     pub site: &'static str,
-    /// Over all logged steps.
+    /// Means over all logged steps.
     pub whole: SiteMeans,
-    /// Over the first quarter of them, at least one.
+    /// Means over the first quarter of them, at least one.
     pub first: SiteMeans,
-    /// Over the last quarter of them, at least one.
+    /// Means over the last quarter of them, at least one.
     pub last: SiteMeans,
     /// It was inactive with at least one seed.
     pub inactive: bool,
 }
 
 impl<'a> AttackLine<'a> {
-    /// Of a line that any point has such logs of; `numbers` gives a column of a point's log, in the order of steps.
+    /// Returns the effect on a line, or `None` if no point has such logs. `numbers` returns a column of a point's log,
+    /// in the order of steps.
     pub fn of(line: &'a Line, numbers: impl Fn(&str, &str) -> Vec<f64>) -> Option<AttackLine<'a>> {
         let sites: Vec<AttackSite> =
             Site::ALL.into_iter().filter_map(|site| AttackSite::of(line, site.name(), &numbers)).collect();
@@ -71,12 +72,12 @@ impl AttackSite {
         })
     }
 
-    /// Its means with what stands before the names of their columns.
+    /// Returns its means, with the prefixes of their columns.
     fn spans(&self) -> [(&'static str, &SiteMeans); 3] {
         [("", &self.whole), ("first.", &self.first), ("last.", &self.last)]
     }
 
-    /// Names of its columns in `attack.csv` with their numbers.
+    /// Returns names and numbers of its columns in `attack.csv`.
     fn cells(&self) -> impl Iterator<Item = (String, Option<f64>)> {
         self.spans().into_iter().flat_map(|(span, means)| {
             columns(self.site).zip(means).map(move |(name, mean)| (format!("{span}{name}"), *mean))
@@ -84,13 +85,13 @@ impl AttackSite {
     }
 }
 
-/// The columns of a site in a log.
+/// Returns the columns of a site in a log.
 fn columns(site: &str) -> impl Iterator<Item = String> {
     COLUMNS.into_iter().map(move |column| format!("{column}.{site}"))
 }
 
-/// One line a line of the table that was attacked: its place there, its seeds, and the means of each site that any line has
-/// logged. None where no line was.
+/// Returns one line for each attacked line of the table: its position there, its seeds, and the means of each site
+/// that any line logged. `None` if no line was attacked.
 pub fn attack_csv(lines: &[AttackLine]) -> Option<String> {
     let any = |site: &Site| lines.iter().flat_map(|line| &line.sites).find(|of_line| of_line.site == site.name());
     let columns: Vec<String> =
@@ -133,7 +134,7 @@ mod tests {
         Table::new(&spec, &records, false).unwrap()
     }
 
-    /// Nine logs of one seed, one of the other, which logged no share.
+    /// Nine logs for one seed, one for the other, which logged no fraction at the bound.
     fn log(id: &str, column: &str) -> Vec<f64> {
         match (id, column) {
             ("Aug-NeRF-0", "shift.xyz") => (1..=9).map(f64::from).collect(),
@@ -151,7 +152,7 @@ mod tests {
         let attack = AttackLine::of(&table.lines[1], log).unwrap();
         assert_eq!((attack.seeds, attack.sites.len()), (2, 2));
         let xyz = &attack.sites[0];
-        // Of nine logs a quarter is three: 1, 2, 3 and 7, 8, 9; of one it is that one.
+        // A quarter of nine logs is three: 1, 2, 3 and 7, 8, 9; of one log it is that one.
         assert_eq!(xyz.whole, [None, None, Some(0.625), Some((5.0 + 11.0) / 2.0)]);
         assert_eq!(xyz.first, [None, None, Some(0.5), Some((2.0 + 11.0) / 2.0)]);
         assert_eq!(xyz.last, [None, None, Some(0.75), Some((8.0 + 11.0) / 2.0)]);

@@ -1,17 +1,17 @@
-//! What a table is refused for.
+//! Checks that reject a table.
 
 use super::Group;
 use crate::base::{Error, Result};
 use crate::report::{Record, RowSpec, TableSpec};
 use crate::settings::columns::disagree;
 
-/// Refuses rows that name what does not exist, and points that the table could not place.
+/// Returns an error for rows that refer to nothing, and points without a position in the table.
 pub(super) fn check_definition(spec: &TableSpec, records: &[Record]) -> Result<()> {
     spec.rows.iter().try_for_each(|row| check_row(spec, row))?;
     for (index, record) in records.iter().enumerate() {
         if !spec.rows.iter().any(|row| row.name == record.row) {
             return Err(Error::Config(format!(
-                "point {} is of row `{}`, which the definition of {} lacks: {}",
+                "point {} is of row `{}`, which {} does not have; {}",
                 record.id,
                 record.row,
                 spec.name,
@@ -22,7 +22,7 @@ pub(super) fn check_definition(spec: &TableSpec, records: &[Record]) -> Result<(
             |other: &&Record| (place(other), other.seed, &other.axes) == (place(record), record.seed, &record.axes);
         if let Some(other) = records[..index].iter().find(same) {
             return Err(Error::Config(format!(
-                "points {} and {} are both {} with {} on scene {}: a seed counts once in a row",
+                "points {} and {} are both {} with {} on scene {}; a row may have each seed once",
                 other.id,
                 record.id,
                 record.label(),
@@ -41,14 +41,14 @@ fn place(record: &Record) -> (&str, &str) {
 fn check_row(spec: &TableSpec, row: &RowSpec) -> Result<()> {
     if let Some(baseline) = row.baseline.as_ref().filter(|name| !spec.rows.iter().any(|other| other.name == **name)) {
         return Err(Error::Config(format!(
-            "row `{}` has the baseline `{baseline}`, which is no row of {}: {}",
+            "row `{}`: the baseline `{baseline}` is not a row of {}; {}",
             row.name,
             spec.name,
             row_names(spec)
         )));
     }
     let published = row.published.as_ref().map_or(Ok(()), |key| key.check());
-    published.map_err(|message| Error::Config(format!("row `{}` {message}", row.name)))
+    published.map_err(|message| Error::Config(format!("row `{}`: {message}", row.name)))
 }
 
 fn row_names(spec: &TableSpec) -> String {
@@ -56,7 +56,7 @@ fn row_names(spec: &TableSpec) -> String {
     format!("its rows are {}", names.join(", "))
 }
 
-/// Refuses measured points of one scene that differ in a field of `must_match`.
+/// Returns an error if measured points of one scene differ in a field of `must_match`.
 pub(super) fn check_controlled(spec: &TableSpec, groups: &[Group]) -> Result<()> {
     let pairs =
         groups.iter().flat_map(Group::done).flat_map(|point| firsts(groups, point).map(move |first| (point, first)));
@@ -71,7 +71,7 @@ pub(super) fn check_controlled(spec: &TableSpec, groups: &[Group]) -> Result<()>
                 false => format!("; they differ in {} as well", others.join(", ")),
             };
             return Err(Error::NotComparable(format!(
-                "the rows of scene {} are not comparable, {field} is {} and {}{others}: run them under one setting, or \
+                "the rows of scene {} are not comparable: {field} is {} and {}{others}; run them under one setting, or \
                  build the table anyway with --force, which marks the rows that differ",
                 point.scene,
                 value_in(first),
@@ -82,8 +82,8 @@ pub(super) fn check_controlled(spec: &TableSpec, groups: &[Group]) -> Result<()>
     Ok(())
 }
 
-/// The fields of `must_match` in which a point differs from another one of its scene. What goes with the seed may differ from
-/// another seed's, and what is not known of pictures that another program rendered is no difference.
+/// Returns the fields of `must_match` in which a point differs from another of its scene. Fields that depend on the
+/// seed may differ between seeds. Unknown fields of another program's images are no difference.
 pub fn disagreements(spec: &TableSpec, point: &Record, first: &Record) -> Vec<String> {
     let scored = spec.is_scored(&point.row);
     let differs = |field: &&String| {
@@ -95,14 +95,15 @@ pub fn disagreements(spec: &TableSpec, point: &Record, first: &Record) -> Vec<St
     spec.must_match.iter().filter(differs).cloned().collect()
 }
 
-/// The fields of `must_match` in which a point of the group differs from the scene's first.
+/// Returns the fields of `must_match` in which a point of the group differs from the scene's first.
 pub(super) fn mixed_fields(spec: &TableSpec, group: &Group, groups: &[Group]) -> Vec<String> {
     let of_point = |point| firsts(groups, point).flat_map(|first| disagreements(spec, point, first));
     let differing: Vec<String> = group.done().flat_map(of_point).collect();
     spec.must_match.iter().filter(|field| differing.contains(field)).cloned().collect()
 }
 
-/// The first points, in the table's order, that were trained here: of the point's scene, and of its scene with its seed.
+/// Returns the first points, in the table's order, that were trained here: of the point's scene, and of its scene with
+/// its seed.
 fn firsts<'a>(groups: &[Group<'a>], point: &Record) -> impl Iterator<Item = &'a Record> {
     let of_scene =
         || groups.iter().filter(|group| group.scene == point.scene && !group.row.scored).flat_map(Group::done);

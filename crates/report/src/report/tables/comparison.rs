@@ -1,5 +1,5 @@
-//! A line against its baseline, and the one rule for what may be said of it: what Holm's correction within a scene and
-//! metric leaves below [`SIGNIFICANCE`]. Tables, CSV and figures all ask here.
+//! A line against its baseline, and the one rule for its verdict: Holm's correction within a scene and metric, at
+//! [`SIGNIFICANCE`]. Tables, CSV and figures all use it.
 
 use std::borrow::Borrow;
 
@@ -9,37 +9,37 @@ use crate::report::statistics::{SIGNIFICANCE, equivalence_p_value, holm, interva
 /// A metric of a line against that of its baseline, paired by seed.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Comparison {
-    /// Seeds that both have.
+    /// Number of seeds that both have.
     pub pairs: usize,
-    /// Mean of ours minus the baseline's.
+    /// Mean of the line's values minus the baseline's.
     pub difference: f64,
-    /// Standard deviation of the differences; none of one pair.
+    /// Standard deviation of the differences; `None` for one pair.
     pub deviation: Option<f64>,
-    /// Ends of the 95 % interval; none of one pair.
+    /// Ends of the 95 % interval; `None` for one pair.
     pub interval: Option<(f64, f64)>,
-    /// P value of the paired t test; none of one pair.
+    /// P value of the paired t test; `None` for one pair.
     pub p: Option<f64>,
     /// The same after Holm's correction over the scene's lines with a baseline.
     pub p_holm: Option<f64>,
-    /// The test of being as good as equal; none where the definition states no margin for the metric.
+    /// Test of equivalence, or `None` if the definition states no margin for the metric.
     pub equivalence: Option<Equivalence>,
 }
 
-/// Two one-sided paired t tests that a difference lies within a margin of 0.
+/// Two one-sided paired t tests that a difference is within a margin of 0.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Equivalence {
-    /// A smaller difference, up or down, counts as none; in the metric's unit.
+    /// Smaller differences, up or down, count as equivalent; in the metric's unit.
     pub margin: f64,
-    /// The larger of the two p values; none of one pair.
+    /// The larger of the two p values; `None` for one pair.
     pub p: Option<f64>,
     /// The same after Holm's correction over the scene's lines with a baseline.
     pub p_holm: Option<f64>,
 }
 
-/// What may be said of a difference.
+/// Verdict on a difference.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Verdict {
-    /// The interval holds 0. That is no proof of equality, which is [`Equivalence`]'s to give.
+    /// The interval contains 0. This does not prove equality; see [`Equivalence`].
     NotDistinguishable,
     /// Above 0, by Holm's p.
     Higher,
@@ -48,7 +48,7 @@ pub enum Verdict {
 }
 
 impl Verdict {
-    /// The words in files and tables.
+    /// Returns the words in files and tables.
     pub fn name(self) -> &'static str {
         match self {
             Verdict::NotDistinguishable => "not distinguishable",
@@ -57,14 +57,15 @@ impl Verdict {
         }
     }
 
-    /// The row differs from its baseline.
+    /// Returns whether the row differs from its baseline.
     pub fn is_difference(self) -> bool {
         self != Verdict::NotDistinguishable
     }
 }
 
 impl Equivalence {
-    /// Both tests pass Holm's correction: the row is equivalent to its baseline within the margin.
+    /// Returns whether both tests are significant after Holm's correction: the row is equivalent to its baseline
+    /// within the margin.
     pub fn holds(&self) -> bool {
         self.p_holm.is_some_and(|p| p < SIGNIFICANCE)
     }
@@ -84,8 +85,8 @@ impl Comparison {
         })
     }
 
-    /// What may be said of the difference. Nothing of one pair, and nothing where the interval leaves out 0 while Holm's p
-    /// is [`SIGNIFICANCE`] or more: there the interval speaks for itself.
+    /// Returns the verdict on the difference. `None` for one pair, and if the interval excludes 0 but Holm's p is
+    /// [`SIGNIFICANCE`] or more.
     pub fn verdict(&self) -> Option<Verdict> {
         let (low, high) = self.interval?;
         let sure = self.p_holm? < SIGNIFICANCE;
@@ -98,14 +99,14 @@ impl Comparison {
         }
     }
 
-    /// The row is shown to be equivalent to its baseline, within the margin that the definition states.
+    /// Returns whether the row is shown to be equivalent to its baseline, within the definition's margin.
     pub fn is_equivalent(&self) -> bool {
         self.equivalence.is_some_and(|equivalence| equivalence.holds())
     }
 }
 
-/// Fills the p values after Holm's correction: one family is a metric's comparisons within a scene, and one its tests of
-/// equivalence.
+/// Fills in the p values after Holm's correction. One family is a metric's comparisons within a scene, another its
+/// tests of equivalence.
 pub(super) fn correct_p_values(lines: &mut [Line]) {
     for scene in lines.chunk_by_mut(|a, b| a.scene == b.scene) {
         let firsts = firsts(scene);
@@ -119,7 +120,7 @@ pub(super) fn correct_p_values(lines: &mut [Line]) {
     }
 }
 
-/// How many comparisons of the metric the scene's p values are corrected over, once points that are still to come are there.
+/// Returns over how many comparisons the scene's p values of a metric are corrected once all points are done.
 pub fn comparisons_to_come(scene: &[&Line], metric: usize) -> usize {
     let tested = |line: &Line| {
         let measured = line.cells[metric].comparison.is_some_and(|comparison| comparison.pairs > 1);
@@ -129,7 +130,7 @@ pub fn comparisons_to_come(scene: &[&Line], metric: usize) -> usize {
     firsts(scene).iter().enumerate().filter(|&place| alone(place)).count()
 }
 
-/// Of each line the first one that is the same experiment.
+/// Returns, for each line, the first line with the same configuration.
 fn firsts<L: Borrow<Line>>(scene: &[L]) -> Vec<usize> {
     let first = |i: usize| scene[..i].iter().position(|line| is_same_experiment(line.borrow(), scene[i].borrow()));
     (0..scene.len()).map(|i| first(i).unwrap_or(i)).collect()
@@ -153,9 +154,9 @@ fn correct(
     }
 }
 
-/// Whether two lines are one comparison, which counts once: a point that stands in several lines, as the best one of a
-/// figure does, and settings that come to the same training, as step sizes do that all land on the set's corners. Trainings
-/// that differ in anything do not agree in every digit of every metric.
+/// Returns whether two lines are one comparison, which counts once. Examples are a point in several lines, and
+/// settings that give the same training, such as step sizes that all reach the set's corners. Different trainings
+/// never agree in every digit of every metric.
 fn is_same_experiment(a: &Line, b: &Line) -> bool {
     let numbers = |cell: &Cell| (cell.n, cell.mean, cell.deviation, cell.comparison);
     let equal = || a.cells.iter().map(numbers).eq(b.cells.iter().map(numbers));
@@ -176,7 +177,7 @@ mod tests {
         let above = [0.5, 0.52, 0.48];
         assert_eq!(of(&above, 0.04, None).verdict(), Some(Verdict::Higher));
         assert_eq!(of(&above.map(|x| -x), 0.04, None).verdict(), Some(Verdict::Lower));
-        // The interval leaves out 0, the correction does not pass: no word.
+        // The interval excludes 0, but the corrected p is not significant: no verdict.
         assert!(Comparison::new(&above, None).unwrap().interval.unwrap().0 > 0.0);
         assert_eq!(of(&above, SIGNIFICANCE, None).verdict(), None);
         assert_eq!(of(&[0.5, -0.4, 0.1], 1.0, None).verdict(), Some(Verdict::NotDistinguishable));
@@ -194,7 +195,7 @@ mod tests {
         assert!(!stated.is_equivalent());
         stated.equivalence.as_mut().unwrap().p_holm = Some(0.02);
         assert!(stated.is_equivalent());
-        // A difference may be sure, and too small to matter.
+        // A difference may be significant, and too small to matter.
         assert_eq!(of(&[0.1, 0.11, 0.1], 0.01, Some(0.3)).verdict(), Some(Verdict::Higher));
     }
 }

@@ -11,27 +11,27 @@ pub type PointTiming = (String, Vec<(String, Option<f64>)>);
 
 pub(super) const POINT_COLUMNS: [&str; 8] =
     ["id", "scene", "row", "axes", "seed", "status", "reason", "inactive_levels"];
-/// Which line of the table it is.
+/// Columns that identify a line of the table.
 pub(super) const PLACE_COLUMNS: [&str; 4] = ["scene", "source", "row", "axes"];
 const LINE_COLUMNS: [&str; 9] =
     ["baseline", "ours", "points", "done", "status", "reason", "inactive_levels", "differs", "mixed"];
 const CELL_COLUMNS: [&str; 11] =
     ["n", "mean", "std", "pairs", "difference", "low", "high", "p", "p_holm", "verdict", "published"];
-/// Of metrics that the definition states a margin for.
+/// Columns of metrics with a margin.
 const EQUIVALENCE_COLUMNS: [&str; 4] = ["margin", "p_equivalence", "p_equivalence_holm", "equivalent"];
-/// The numbers are of a backbone that the paper does not name.
+/// Numbers of a backbone that the paper does not name.
 const PUBLISHED_COLUMNS: [&str; 4] =
     ["published_lpips", "published_average", "published_protocol", "protocol_difference"];
 
-/// One line a point: what it is, its metrics, its protocol and, where given, its clock times.
+/// Returns one line a point: identity, metrics, protocol and, if given, clock times.
 pub fn points_csv(records: &[Record], timing: &[PointTiming]) -> String {
     let metrics = distinct(records.iter().flat_map(|record| record.metrics.iter().map(|(name, _)| name.as_str())));
-    // The seed has its column already.
+    // The seed already has its column.
     let protocol = distinct(records.iter().flat_map(protocol_names).filter(|name| *name != "seed"));
     let clocks = clock_names(timing);
     let rows = records.iter().map(|record| {
         let mut row = point_cells(record);
-        // The numbers of an earlier attempt are not the point's.
+        // Numbers of an earlier attempt are not the point's.
         let measured = |metric| Some(record).filter(|r| r.status == Status::Done).and_then(|r| r.metric(metric));
         row.extend(metrics.iter().map(|metric| csv_number(measured(metric))));
         row.extend(protocol.iter().map(|name| record.protocol(name).to_string()));
@@ -55,8 +55,8 @@ fn point_cells(record: &Record) -> Vec<String> {
     ]
 }
 
-/// One line a measured point: its folder's name, what it is and its clock times. A point that stands in several rows has
-/// one.
+/// Returns one line for each measured point: its folder's name, identity and clock times. A point in several rows has
+/// one line.
 pub fn timing_csv(records: &[Record], timing: &[PointTiming]) -> String {
     let head = ["id", "point"].into_iter().chain(clock_names(timing)).map(String::from).collect();
     let rows = timing.iter().map(|(id, clocks)| {
@@ -68,8 +68,8 @@ pub fn timing_csv(records: &[Record], timing: &[PointTiming]) -> String {
     csv_text(std::iter::once(head).chain(rows))
 }
 
-/// One line a row: counts, each metric with its comparison, the published numbers, the protocol
-/// that its seeds share and, where given, its mean clock times.
+/// Returns one line a row: counts, each metric with its comparison, the published numbers, the protocol that its seeds
+/// share and, if given, its mean clock times.
 pub fn table_csv(table: &Table, timing: &[PointTiming]) -> String {
     let names = table.lines.iter().flat_map(|line| line.protocol.iter().map(|(name, _)| name.as_str()));
     let differing = table.lines.iter().flat_map(|line| line.differs.iter().map(String::as_str));
@@ -119,7 +119,7 @@ fn line_cells(line: &Line) -> [String; LINE_COLUMNS.len()] {
     ]
 }
 
-/// Whether equivalence is tested in a metric.
+/// Returns whether equivalence is tested for a metric.
 fn is_tested(table: &Table, metric: usize) -> bool {
     let mut comparisons = table.lines.iter().filter_map(|line| line.cells[metric].comparison);
     comparisons.any(|comparison| comparison.equivalence.is_some())

@@ -1,21 +1,21 @@
-//! A metric at the head of a column for readers, and the one rule for bold numbers.
+//! Column headings of metrics for readers, and the one rule for bold numbers.
 
 use super::{Cell, Verdict};
 use crate::metrics::{Direction, Metric};
 
-/// A metric's name, unit and better way.
+/// A metric's name, unit and better direction.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Heading<'a> {
-    /// As figures name it, without its unit.
+    /// Name as in figures, without its unit.
     pub name: &'a str,
     /// Its unit; empty for a ratio.
     pub unit: &'a str,
-    /// `↑` where more is better, `↓` where less is, nothing where it describes.
+    /// `↑` if more is better, `↓` if less is, empty for a descriptive metric.
     pub arrow: &'static str,
 }
 
 impl Heading<'_> {
-    /// Of a metric by its key.
+    /// Returns the heading of a metric by its key.
     pub fn of(key: &str) -> Heading<'_> {
         let Some(metric) = Metric::find(key) else { return Heading { name: key, unit: "", arrow: "" } };
         let name = metric.label.strip_suffix(')').and_then(|name| name.strip_suffix(metric.unit));
@@ -28,35 +28,36 @@ impl Heading<'_> {
         Heading { name: name.unwrap_or(metric.label), unit: metric.unit, arrow }
     }
 
-    /// The unit with raised exponents.
+    /// Returns the unit with raised exponents.
     pub fn unit_text(&self) -> String {
         self.unit.replace("^2", "²").replace("^3", "³")
     }
 
-    /// Name, unit and arrow as one text: `PSNR (dB) ↑`.
+    /// Returns name, unit and arrow as one text: `PSNR (dB) ↑`.
     pub fn lines_text(&self) -> String {
         let unit = if self.unit.is_empty() { String::new() } else { format!(" ({})", self.unit_text()) };
         let space = if self.arrow.is_empty() { "" } else { " " };
         format!("{}{unit}{space}{}", self.name, self.arrow)
     }
 
-    /// Whether a word is one of the arrows.
+    /// Returns whether a word is one of the arrows.
     pub fn is_arrow(word: &str) -> bool {
         ["↑", "↓"].contains(&word)
     }
 }
 
-/// Better than the baseline by Holm's p: what is printed bold. Nothing is of a metric that describes.
+/// Returns whether a cell is better than the baseline by Holm's p, and so printed bold. Never for a descriptive
+/// metric.
 pub fn is_better(cell: &Cell) -> bool {
     is_on(cell, [Verdict::Higher, Verdict::Lower])
 }
 
-/// Worse than the baseline by Holm's p.
+/// Returns whether a cell is worse than the baseline by Holm's p.
 pub fn is_worse(cell: &Cell) -> bool {
     is_on(cell, [Verdict::Lower, Verdict::Higher])
 }
 
-/// The verdict is the first where more is better, the second where less is.
+/// Returns whether the verdict is the first if more is better, the second if less is.
 fn is_on(cell: &Cell, [up, down]: [Verdict; 2]) -> bool {
     let wanted = match Metric::find(&cell.metric).map(|metric| metric.direction) {
         Some(Direction::Up) => up,

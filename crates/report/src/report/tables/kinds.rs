@@ -1,10 +1,10 @@
-//! Notes of tables whose rows are trained in different ways: with radiance fields, or without.
+//! Notes of tables whose rows train in different ways: with radiance fields, or without.
 
 use super::{Line, Table};
 use crate::report::distinct;
 use crate::settings::columns::{COLUMNS, CaptionRule};
 
-/// Columns of methods without fields, each with all of its settings.
+/// Columns of methods without fields; each contains all of the method's settings.
 const OWN: [&str; 3] = ["srn", "nv", "llff"];
 
 /// What a row of LLFF is here.
@@ -13,13 +13,12 @@ const LLFF_NOTE: &str = "LLFF is trained on the scene here: the published LLFF u
      alone, each from its neighbours, so that its numbers are not those of the published method; a training view is \
      shown from its own planes, which saw its picture, so that train_psnr and gap say less than those of other rows";
 
-/// A row of a method without fields.
+/// Returns whether a row's method has no fields.
 pub(super) fn is_without_fields(line: &Line) -> bool {
     OWN.iter().any(|column| !line.protocol(column).is_empty())
 }
 
-/// What stands below the lines of a scene, where some are trained without fields: what each of these is, and what the others
-/// have in common.
+/// Returns the notes below a scene with rows without fields: what each of these is, and what the others share.
 pub(super) fn kind_notes(lines: &[&Line]) -> Vec<String> {
     if !lines.iter().any(|line| is_without_fields(line)) {
         return Vec::new();
@@ -34,7 +33,7 @@ pub(super) fn kind_notes(lines: &[&Line]) -> Vec<String> {
             notes.push(format!("{}: {text}", labels(&|line| line.protocol(column) == text)));
         }
     }
-    // A caption tells what all lines share, and a note what they differ in: this is neither.
+    // A caption states what all lines share, a note where they differ; this is neither.
     let mut shared: Vec<(String, Vec<String>)> = Vec::new();
     for name in COLUMNS.iter().filter(|column| column.caption == CaptionRule::Always).map(|column| column.name) {
         let measured = lines.iter().filter(|line| !line.ids.is_empty());
@@ -52,7 +51,7 @@ pub(super) fn kind_notes(lines: &[&Line]) -> Vec<String> {
     notes
 }
 
-/// The footnote of LLFF, where a row is trained here.
+/// Returns the footnote of LLFF, if such a row is trained here.
 pub(super) fn llff_note(table: &Table) -> Option<String> {
     table.lines.iter().any(|line| !line.protocol("llff").is_empty()).then(|| LLFF_NOTE.to_string())
 }

@@ -1,9 +1,9 @@
-//! The table as GitHub prints it.
+//! The table in GitHub's Markdown.
 
 use super::Table;
 use super::text::{Grid, general_notes, protocol_text, scene_notes};
 
-/// Title, then for each scene the shared protocol, the rows and their notes, then how to read them.
+/// Returns title, then for each scene the shared protocol, the rows and their notes, then how to read them.
 pub fn table_markdown(table: &Table) -> String {
     let grid = Grid::new(table);
     let mut rows = grid.rows.iter();
@@ -21,7 +21,7 @@ pub fn table_markdown(table: &Table) -> String {
 }
 
 fn list_text(notes: &[String]) -> String {
-    // A note that begins with what begins a heading, a list or a quotation is none.
+    // A note may start with the characters of a heading, list or quotation, but is none.
     let block = |note: &str| if note.starts_with(['#', '+', '-', '>', '=']) { "\\" } else { "" };
     notes.iter().map(|note| format!("- {}{}\n", block(note), escape(note))).collect()
 }
@@ -31,7 +31,8 @@ fn row_text(cells: &[String]) -> String {
     format!("| {} |\n", cells.join(" | "))
 }
 
-/// Text that Markdown prints as it is; a line break would end a row. No link, no image, no HTML, no formula comes of it.
+/// Escapes text so that Markdown prints it unchanged; a line break would end a row. It makes no link, image, HTML or
+/// formula.
 pub fn escape(text: &str) -> String {
     let letters: Vec<char> = text.chars().collect();
     let is_word = |letter: Option<&char>| letter.is_some_and(|letter| letter.is_alphanumeric());
@@ -39,7 +40,7 @@ pub fn escape(text: &str) -> String {
         let (before, after) = (i.checked_sub(1).map(|i| &letters[i]), letters.get(i + 1));
         match c {
             '\\' | '|' | '*' | '<' | '`' | '~' | '$' => format!("\\{c}"),
-            // What makes a link of brackets; the brackets themselves are also those of intervals.
+            // Prevents links; brackets themselves are needed for intervals.
             '(' | '[' | ':' if before == Some(&']') => format!("\\{c}"),
             '_' if !(is_word(before) && is_word(after)) => "\\_".into(),
             '&' if is_word(after) || after == Some(&'#') => "\\&".into(),

@@ -1,8 +1,8 @@
-//! Tables of a sweep: one line a row of the definition and place on its axes, over the seeds.
+//! Tables of a sweep: one line for each row of the definition and its axis values, over the seeds.
 //!
-//! Replicates are seeds, never views. A line is compared with its baseline seed by seed; a number
-//! that is missing is left out and `n` says so. Published numbers stand beside ours, with what is
-//! known to differ in protocol, and are never subtracted.
+//! Replicates are seeds, never views. A line is compared with its baseline seed by seed. Missing numbers are skipped,
+//! and `n` counts the others. Published numbers are next to ours, with the known differences in protocol, and are
+//! never subtracted.
 
 mod attack;
 mod checks;
@@ -73,17 +73,17 @@ use crate::settings::columns::{INACTIVE_BY, InactiveBy, is_per_seed};
 pub struct Table {
     /// The sweep's name.
     pub name: String,
-    /// What the table answers.
+    /// The question that the table answers.
     pub title: String,
     /// Keys of the printed metrics, in the order of the columns.
     pub metrics: Vec<String>,
     /// By scene, then row, then axes.
     pub lines: Vec<Line>,
-    /// What stands below the table besides.
+    /// Further notes below the table.
     pub notes: Vec<String>,
 }
 
-/// The points that differ in their seed only.
+/// Points that differ only in their seed.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Line {
     /// The scene's name.
@@ -94,37 +94,37 @@ pub struct Line {
     pub axes: String,
     /// Row and axis values.
     pub label: String,
-    /// Label of the line that this one is compared with; none for a baseline.
+    /// Label of the line that this one is compared with, or `None` for a baseline.
     pub baseline: Option<String>,
-    /// A row that the paper does not have.
+    /// The paper does not have this row.
     pub ours: bool,
-    /// The paper's numbers alone; not run here.
+    /// Only the paper's numbers; not run here.
     pub quoted: bool,
-    /// Pictures of another program, measured here.
+    /// Images of another program, measured here.
     pub scored: bool,
     /// Folder names of the measured points.
     pub ids: Vec<String>,
-    /// Points that the definition asks for.
+    /// Number of points in the definition.
     pub points: usize,
-    /// How many points have come how far: `done 2, failed 1`.
+    /// Counts of points by status: `done 2, failed 1`.
     pub status: String,
     /// Why the first point without numbers has none; empty otherwise.
     pub reason: String,
     /// Sites that were inactive with at least one seed.
     pub inactive_levels: Vec<String>,
-    /// One for each of the table's metrics.
+    /// One cell for each of the table's metrics.
     pub cells: Vec<Cell>,
-    /// The paper's LPIPS, of a backbone that it does not name; none where the table has no LPIPS.
+    /// The paper's LPIPS, of an unnamed backbone, or `None` if the table has no LPIPS.
     pub published_lpips: Option<f64>,
-    /// The same of its average.
+    /// The same for its average.
     pub published_average: Option<f64>,
     /// How the paper's numbers were measured; empty without any.
     pub published_protocol: String,
-    /// In what the measured points are known to differ from that.
+    /// Known differences of the measured points from that.
     pub protocol_difference: String,
     /// Protocol fields that are equal over the seeds.
     pub protocol: Vec<(String, String)>,
-    /// Protocol fields that are not, besides those that every seed has its own of.
+    /// Protocol fields that differ over the seeds, except those that every seed has of its own.
     pub differs: Vec<String>,
     /// Fields of `must_match` that differ from the scene's first line; only in forced tables.
     pub mixed: Vec<String>,
@@ -135,21 +135,21 @@ pub struct Line {
 pub struct Cell {
     /// The metric's name.
     pub metric: String,
-    /// Seeds that have the metric.
+    /// Number of seeds with the metric.
     pub n: usize,
     /// Mean over them.
     pub mean: Option<f64>,
     /// Sample standard deviation over them.
     pub deviation: Option<f64>,
-    /// Against the baseline; none without a seed that both have.
+    /// Comparison with the baseline, or `None` if no seed has both.
     pub comparison: Option<Comparison>,
     /// The paper's number.
     pub published: Option<f64>,
 }
 
 impl Table {
-    /// The table of a definition's points. Lines of a scene that differ in a field of `must_match`
-    /// are an error that names it; `force` marks them instead.
+    /// Makes the table of a definition's points. If lines of a scene differ in a field of `must_match`, returns an
+    /// error that names it; with `force`, marks them instead.
     pub fn new(spec: &TableSpec, records: &[Record], force: bool) -> Result<Table> {
         checks::check_definition(spec, records)?;
         let groups = groups(spec, records);
@@ -166,7 +166,7 @@ impl Table {
         Ok(Table { name, title, metrics, lines, notes })
     }
 
-    /// Each scene with its lines.
+    /// Returns each scene with its lines.
     pub fn scenes(&self) -> Vec<(&str, Vec<&Line>)> {
         let names = distinct(self.lines.iter().map(|line| line.scene.as_str()));
         names.into_iter().map(|name| (name, self.lines.iter().filter(|line| line.scene == name).collect())).collect()
@@ -174,18 +174,18 @@ impl Table {
 }
 
 impl Line {
-    /// Whether it lacks a point that the definition asks for.
+    /// Returns whether it lacks a point of the definition.
     pub fn unfinished(&self) -> bool {
         self.ids.len() < self.points
     }
 
-    /// Its inactive sites, `rgb, density`, where they were judged by that; none where there are none.
+    /// Returns its inactive sites, `rgb, density`, if judged by that measure, or `None` if there are none.
     pub fn inactive_sites(&self, by: InactiveBy) -> Option<String> {
         let judged = !self.inactive_levels.is_empty() && InactiveBy::of_name(self.protocol(INACTIVE_BY)) == by;
         judged.then(|| self.inactive_levels.join(", "))
     }
 
-    /// Text of a protocol field; empty where it is missing or differs between the seeds.
+    /// Returns the text of a protocol field; empty if it is missing or differs between the seeds.
     pub fn protocol(&self, name: &str) -> &str {
         self.protocol.iter().find(|(known, _)| known == name).map_or("", |(_, text)| text)
     }
@@ -204,13 +204,13 @@ impl<'a> Group<'a> {
         self.points.iter().copied().filter(|point| point.status == Status::Done)
     }
 
-    /// Seed and value of each measured point that has the metric.
+    /// Returns seed and value of each measured point with the metric.
     fn values(&self, metric: &str) -> Vec<(u64, f64)> {
-        // What has no seed is alone in its row, and compared with nothing.
+        // Without a seed, it is alone in its row and not compared.
         self.done().filter_map(|point| Some((point.seed.unwrap_or_default(), point.metric(metric)?))).collect()
     }
 
-    /// The row's baseline at the same axis values, or without any where it has none there.
+    /// Returns the row's baseline at the same axis values, or the one without axis values.
     fn baseline<'g>(&self, groups: &'g [Group<'a>]) -> Option<&'g Group<'a>> {
         let name = self.row.baseline.as_ref()?;
         let at = |axes: &[AxisValue]| {
@@ -220,7 +220,7 @@ impl<'a> Group<'a> {
     }
 }
 
-/// Points by scene as they come, then row of the definition, then axis values as they come.
+/// Groups points by scene, then row of the definition, then axis values, in order of appearance.
 fn groups<'a>(spec: &'a TableSpec, records: &'a [Record]) -> Vec<Group<'a>> {
     let mut groups = Vec::new();
     for scene in distinct(records.iter().map(|record| record.scene.as_str())) {
@@ -267,7 +267,7 @@ fn line(spec: &TableSpec, group: &Group, groups: &[Group]) -> Line {
     }
 }
 
-/// A method that is not run here; none where the paper has no number for the scene.
+/// Returns a line for a method that is not run here, or `None` if the paper has no number for the scene.
 fn quoted_line(spec: &TableSpec, row: &RowSpec, scene: &str) -> Option<Line> {
     let published = row.published.as_ref()?.find(scene)?;
     let cell = |metric: &String| Cell {
@@ -323,7 +323,7 @@ fn cell(
     }
 }
 
-/// Protocol fields that are equal over the measured points, and the names of the others.
+/// Returns the protocol fields that are equal over the measured points, and the names of the others.
 fn shared_protocol(group: &Group) -> (Vec<(String, String)>, Vec<String>) {
     let (mut shared, mut differs) = (Vec::new(), Vec::new());
     for name in distinct(group.done().flat_map(protocol_names)).into_iter().filter(|name| !is_per_seed(name)) {
@@ -335,12 +335,12 @@ fn shared_protocol(group: &Group) -> (Vec<(String, String)>, Vec<String>) {
     (shared, differs)
 }
 
-/// Names of a point's protocol fields; the scene is told elsewhere.
+/// Returns the names of a point's protocol fields, without the scene.
 fn protocol_names(point: &Record) -> impl Iterator<Item = &str> {
     point.protocol.iter().map(|(name, _)| name.as_str()).filter(|name| *name != "scene")
 }
 
-/// A record's label without its row.
+/// Returns a record's label without its row.
 fn axes_text(record: &Record) -> String {
     record.label()[record.row.len()..].trim_start_matches(", ").into()
 }

@@ -1,13 +1,13 @@
-//! `points.csv` read back.
+//! Reads `points.csv`.
 
 use super::delimited::POINT_COLUMNS;
 use crate::base::csv::{column_names, plain_cell};
 use crate::report::{AxisValue, Record, Status};
 
-/// The first column of the protocol: metrics stand before it.
+/// The first column of the protocol; metrics come before it.
 const FIRST_OF_PROTOCOL: &str = "protocol";
 
-/// What a line of `points.csv` says of its point's place, each as text.
+/// The position of a point in the table, as text in `points.csv`.
 #[derive(Clone, Copy, Debug)]
 pub struct PlaceText<'a> {
     /// The point's name.
@@ -16,12 +16,12 @@ pub struct PlaceText<'a> {
     pub scene: &'a str,
     /// The row's name.
     pub row: &'a str,
-    /// Values on the axes.
+    /// Axis values.
     pub axes: &'a str,
 }
 
-/// The records that a `points.csv` was written from. `axes` tells the values of a point's axes by its place, none for a
-/// place that does not exist; `clocks` are columns that are neither metrics nor protocol.
+/// Returns the records of a `points.csv`. `axes` returns the axis values for a position, or `None` if it does not
+/// exist. `clocks` are columns that are neither metrics nor protocol.
 pub fn read_points(
     text: &str,
     clocks: &[String],
@@ -43,12 +43,12 @@ pub fn read_points(
             "" => Ok(None),
             cell => match finite(cell) {
                 Some(number) => Ok(Some(number)),
-                None => Err(format!("line {line}, column {}: '{cell}' is no finite number", head[column])),
+                None => Err(format!("line {line}, column {}: '{cell}' is not a finite number", head[column])),
             },
         };
         let metric = |column: usize| Ok((head[column].clone(), number(column)?));
         let metrics = (POINT_COLUMNS.len()..protocol).map(metric).collect::<Result<_, String>>()?;
-        let status = known.ok_or_else(|| format!("line {line}: status '{status}' does not exist"))?;
+        let status = known.ok_or_else(|| format!("line {line}: unknown status '{status}'"))?;
         let mut columns: Vec<(String, String)> = Vec::new();
         if status == Status::Done {
             columns.push(("scene".into(), scene.into()));
@@ -60,9 +60,9 @@ pub fn read_points(
             scene: scene.into(),
             row: name.into(),
             axes: axes(PlaceText { id, scene, row: name, axes: axes_text }).ok_or_else(|| {
-                format!("line {line}: point {id} has no place in row '{name}' of scene '{scene}' at '{axes_text}'")
+                format!("line {line}: point {id} has no position in row '{name}' of scene '{scene}' at '{axes_text}'")
             })?,
-            seed: Some(seed.parse().map_err(|_| format!("line {line}: seed '{seed}' is no whole number"))?),
+            seed: Some(seed.parse().map_err(|_| format!("line {line}: seed '{seed}' is not an integer from 0 up"))?),
             status,
             reason: reason.into(),
             metrics,
@@ -73,7 +73,7 @@ pub fn read_points(
     Ok(records)
 }
 
-/// Clock times from a `timing.csv`, by point.
+/// Returns the clock times in a `timing.csv`, by point.
 pub fn read_timing(text: &str) -> Result<Vec<super::PointTiming>, String> {
     let mut reader = csv::Reader::from_reader(text.as_bytes());
     let head = column_names(&mut reader)?;
@@ -82,7 +82,10 @@ pub fn read_timing(text: &str) -> Result<Vec<super::PointTiming>, String> {
         let clock = |column: usize| {
             let value = finite(&row[column]);
             if value.is_none() && !row[column].is_empty() {
-                return Err(format!("{} of point {}: '{}' is no finite number", head[column], &row[0], &row[column]));
+                return Err(format!(
+                    "{} of point {}: '{}' is not a finite number",
+                    head[column], &row[0], &row[column]
+                ));
             }
             Ok((head[column].clone(), value))
         };
@@ -91,7 +94,7 @@ pub fn read_timing(text: &str) -> Result<Vec<super::PointTiming>, String> {
     rows.collect()
 }
 
-/// A cell's number: those of this program are finite.
+/// Returns a cell's number, which must be finite.
 fn finite(cell: &str) -> Option<f64> {
     cell.parse().ok().filter(|number: &f64| number.is_finite())
 }

@@ -1,4 +1,4 @@
-//! The table for a terminal: a column a metric, so that few columns do.
+//! The table for a terminal: one column a metric, so that it stays narrow.
 
 use comfy_table::presets::UTF8_HORIZONTAL_ONLY;
 use comfy_table::{ContentArrangement, Table as Drawing};
@@ -9,8 +9,8 @@ use super::text::{
 };
 use super::{Cell, Line, Table};
 
-/// Title, then a drawing for each scene with its notes. `width` is the terminal's, in characters;
-/// notes are left to its own line breaks.
+/// Returns title, then a drawing for each scene with its notes. `width` is the terminal's, in characters; the terminal
+/// wraps the notes.
 pub fn table_terminal(table: &Table, width: u16) -> String {
     let mut text = format!("{} ({})\n", table.title, table.name);
     for (scene, lines) in table.scenes() {
@@ -35,13 +35,13 @@ fn drawing(table: &Table, lines: &[&Line], width: u16) -> Drawing {
     drawing
 }
 
-/// The paper's numbers that belong beside no metric of ours.
+/// Returns the paper's numbers that match none of our metrics.
 fn unknown_text(line: &Line) -> String {
     let numbers = UNKNOWN_BACKBONE.iter().map(|(name, text)| (name, text(line))).filter(|(_, text)| !text.is_empty());
     numbers.map(|(name, text)| format!("{name} {text}")).collect::<Vec<String>>().join("\n")
 }
 
-/// Mean, difference and the paper's number below one another.
+/// Returns mean, difference and the paper's number below one another.
 fn cell_text(cell: &Cell) -> String {
     let published = Some(published_text(cell)).filter(|text| !text.is_empty());
     let parts =

@@ -1,4 +1,4 @@
-//! What the tables for readers say: numbers, marks and notes, before any escaping.
+//! Texts of the tables for readers before escaping: numbers, marks and notes.
 
 use super::kinds::{is_without_fields, kind_notes, llff_note};
 use super::{Cell, Comparison, Line, Table};
@@ -17,11 +17,10 @@ const EQUIVALENCE: &str = "\"equivalent within\" a margin that the definition st
 const SCORED: &str = "not trained here: pictures that another program rendered, measured under our protocol; nothing is \
      known of their training, and another code's seed shares no random numbers with ours";
 
-/// Metrics that each row is measured in over its own pixels.
+/// Metrics that each row measures over its own pixels.
 const OWN_PIXELS: [&str; 4] = ["depth_mae", "depth_rmse", "depth_roughness", "normal_roughness"];
 
-/// What a mark beside a row's name means: its symbol, its meaning and, where a line bears it,
-/// what there is to say of that line.
+/// A mark after a row's name: symbol, meaning, and the details for a line that has it.
 type Mark = (char, &'static str, fn(&Line) -> Option<String>);
 
 const MARKS: [Mark; 8] = [
@@ -46,7 +45,7 @@ fn status_and_reason(line: &Line) -> String {
     }
 }
 
-/// The line's label with its marks.
+/// Returns the line's label with its marks.
 pub fn marked_label(line: &Line) -> String {
     let marks: String = MARKS.iter().filter(|(_, _, of)| of(line).is_some()).map(|(symbol, _, _)| symbol).collect();
     if marks.is_empty() { line.label.clone() } else { format!("{} {marks}", line.label) }
@@ -57,9 +56,9 @@ fn columns(rules: &[CaptionRule]) -> impl Iterator<Item = &'static str> {
     COLUMNS.iter().filter(|column| rules.contains(&column.caption)).map(|column| column.name)
 }
 
-/// The protocol fields that a scene's measured lines share: `dataset llff, width 504, ...`.
+/// Returns the protocol fields that a scene's measured lines share: `dataset llff, width 504, ...`.
 pub(super) fn protocol_text(lines: &[&Line]) -> String {
-    // Of what another program rendered most is unknown.
+    // Most fields of another program's images are unknown.
     let measured: Vec<&&Line> = lines.iter().filter(|line| !line.ids.is_empty() && !line.scored).collect();
     if measured.is_empty() {
         return "nothing is measured yet".into();
@@ -75,7 +74,7 @@ pub(super) fn protocol_text(lines: &[&Line]) -> String {
 
 type CellText = fn(&Cell) -> String;
 
-/// Head and cells of the table for readers; one row of cells a line.
+/// Head and cells of the table for readers, one row of cells a line.
 pub(super) struct Grid {
     pub head: Vec<String>,
     /// In the order of the table's lines.
@@ -83,8 +82,7 @@ pub(super) struct Grid {
 }
 
 impl Grid {
-    /// A column of means a metric, with one of differences and one of published numbers where
-    /// the table has any.
+    /// Makes one column of means a metric, and columns of differences and published numbers if the table has any.
     pub fn new(table: &Table) -> Grid {
         let mut head = vec!["row".to_string()];
         let mut rows: Vec<Vec<String>> = table.lines.iter().map(|line| vec![marked_label(line)]).collect();
@@ -113,20 +111,20 @@ impl Grid {
 /// A column's name, and its text in a line.
 pub type Column = (&'static str, fn(&Line) -> String);
 
-/// Numbers of the paper that belong beside no metric of ours: it does not name the backbone of its LPIPS.
+/// The paper's numbers that match none of our metrics: it does not name the backbone of its LPIPS.
 pub const UNKNOWN_BACKBONE: [Column; 2] = [
     ("LPIPS", |line| line.published_lpips.map_or(String::new(), |value| format!("{value:.3}"))),
     ("average", |line| line.published_average.map_or(String::new(), |value| format!("{value:.3}"))),
 ];
 
-/// `25.31 ± 0.12 (3)`; without the deviation for one seed, empty for none.
+/// Returns `25.31 ± 0.12 (3)`; without the deviation for one seed, empty for none.
 pub fn mean_text(cell: &Cell) -> String {
     let Some(mean) = cell.mean else { return String::new() };
     let deviation = cell.deviation.map_or(String::new(), |value| format!(" ± {}", number(&cell.metric, value)));
     format!("{}{deviation} ({})", number(&cell.metric, mean), cell.n)
 }
 
-/// `+0.31 [+0.10, +0.52], p 0.021, higher`: the words are the verdict's, and none where there is none.
+/// Returns `+0.31 [+0.10, +0.52], p 0.021, higher`; the last word is the verdict, if there is one.
 pub(super) fn difference_text(cell: &Cell) -> String {
     let Some(comparison) = &cell.comparison else { return String::new() };
     let difference = interval_of(cell);
@@ -136,21 +134,21 @@ pub(super) fn difference_text(cell: &Cell) -> String {
     }
 }
 
-/// `+0.31 [+0.10, +0.52]`, with the number of pairs where a seed has none; empty without a comparison.
+/// Returns `+0.31 [+0.10, +0.52]`, with the number of pairs if a seed has none; empty without a comparison.
 pub fn interval_of(cell: &Cell) -> String {
     let Some(comparison) = &cell.comparison else { return String::new() };
     let pairs = if comparison.pairs < cell.n { format!(" ({} pairs)", comparison.pairs) } else { String::new() };
     signed_interval(&cell.metric, comparison.difference, comparison.interval) + &pairs
 }
 
-/// `+0.31 [+0.10, +0.52]`, without the brackets where there is no interval.
+/// Returns `+0.31 [+0.10, +0.52]`, without brackets if there is no interval.
 pub fn signed_interval(metric: &str, difference: f64, interval: Option<(f64, f64)>) -> String {
     let signed = |value: f64| signed_text(metric, value);
     let ends = interval.map_or(String::new(), |(low, high)| format!(" [{}, {}]", signed(low), signed(high)));
     signed(difference) + &ends
 }
 
-/// A difference with its sign and the digits of its metric.
+/// Returns a difference with its sign and the digits of its metric.
 pub fn signed_text(metric: &str, value: f64) -> String {
     let text = number(metric, value);
     if text.starts_with('-') { text } else { format!("+{text}") }
@@ -166,17 +164,17 @@ fn conclusion(cell: &Cell, comparison: &Comparison) -> String {
     format!("{p}{words}{equivalent}")
 }
 
-/// The paper's number with the paper's digits; empty without one.
+/// Returns the paper's number with the paper's digits; empty without one.
 pub fn published_text(cell: &Cell) -> String {
     cell.published.map_or(String::new(), |value| number(&cell.metric, value))
 }
 
-/// A value with the digits of its metric.
+/// Returns a value with the digits of its metric.
 fn number(metric: &str, value: f64) -> String {
     Metric::find(metric).map_or_else(|| value.to_string(), |metric| metric.text(value))
 }
 
-/// What stands below the lines of a scene.
+/// Returns the notes below the lines of a scene.
 pub fn scene_notes(lines: &[&Line]) -> Vec<String> {
     let mut notes = baseline_notes(lines);
     notes.extend(corruption_notes(lines));
@@ -188,14 +186,14 @@ pub fn scene_notes(lines: &[&Line]) -> Vec<String> {
     notes
 }
 
-/// What a reader has to know before the numbers: lines that are not comparable, unfinished, attacked without effect or
-/// different between their seeds, and metrics without numbers.
+/// Returns what a reader must know before the numbers: lines that are not comparable, unfinished, without effect of
+/// the attack or different between seeds, and metrics without numbers.
 pub fn warnings(lines: &[&Line]) -> Vec<String> {
     let marks = MARKS.iter().filter(|(symbol, ..)| !['#', '‖', '*'].contains(symbol));
     marks.filter_map(|mark| mark_note(mark, lines)).chain(unmeasured_notes(lines)).collect()
 }
 
-/// What stands below the table: how to read its cells.
+/// Returns the notes below the table on how to read its cells.
 pub(super) fn general_notes(table: &Table) -> Vec<String> {
     let mut notes = table.notes.clone();
     notes.push("mean ± standard deviation (number of seeds)".into());
@@ -206,7 +204,7 @@ pub(super) fn general_notes(table: &Table) -> Vec<String> {
     notes
 }
 
-/// Notes that stand below a table in every form; `equivalence` says how that is told where it is tested.
+/// Returns the notes below a table in every form; `equivalence` explains the test, if it was made.
 pub fn further_notes(table: &Table, equivalence: &str) -> Vec<String> {
     let mut notes = Vec::new();
     let is_own = |metric: &&String| OWN_PIXELS.contains(&metric.as_str());
@@ -241,8 +239,8 @@ fn baseline_notes(lines: &[&Line]) -> Vec<String> {
     }
 }
 
-/// What a corruption of the training views costs: a line beside one of the same method that saw clean views. Where that is
-/// little, no line of the table tests robustness against it.
+/// Returns the cost of corrupted training views: a line against one of the same method on clean views. If the cost is
+/// small, no line of the table tests robustness to the corruption.
 fn corruption_notes(lines: &[&Line]) -> Vec<String> {
     let note = |line: &&Line| {
         let baseline = lines.iter().find(|other| Some(&other.label) == line.baseline.as_ref())?;
@@ -251,7 +249,7 @@ fn corruption_notes(lines: &[&Line]) -> Vec<String> {
         if own.is_empty() == other.is_empty() || !["method", "perturb_kind", "regularizers"].into_iter().all(same) {
             return None;
         }
-        // Clean minus corrupted, whichever of both is the baseline.
+        // Clean minus corrupted, whichever is the baseline.
         let (sign, what, whom) = if own.is_empty() { (1.0, other, &baseline.label) } else { (-1.0, own, &line.label) };
         let cost = |cell: &Cell| {
             let comparison = cell.comparison?;
@@ -270,7 +268,7 @@ fn corruption_notes(lines: &[&Line]) -> Vec<String> {
     lines.iter().filter_map(note).collect()
 }
 
-/// What the definition makes different between the lines, where a reader would take it as equal.
+/// Returns the settings that the definition varies between lines and that a reader might think equal.
 fn varied_notes(lines: &[&Line]) -> Vec<String> {
     let value = |line: &Line, name: &str| Some(line.protocol(name).to_string()).filter(|text| !text.is_empty());
     let varied = columns(&[CaptionRule::Always, CaptionRule::Differing]).filter_map(|name| {
@@ -290,7 +288,7 @@ fn mark_note((symbol, meaning, of): &Mark, lines: &[&Line]) -> Option<String> {
     (!marked.is_empty()).then(|| format!("{symbol} {meaning}: {}", marked.join("; ")))
 }
 
-/// Why a column is empty, of metrics that no line of the scene has.
+/// Returns why a column is empty, for metrics that no line of the scene has.
 fn unmeasured_notes(lines: &[&Line]) -> Vec<String> {
     let measured: Vec<&Line> = lines.iter().copied().filter(|line| !line.ids.is_empty()).collect();
     let Some(first) = measured.first() else { return Vec::new() };
@@ -302,7 +300,7 @@ fn unmeasured_notes(lines: &[&Line]) -> Vec<String> {
         if filled.is_empty() {
             return Some(format!("{}: empty, {}", metric.key, why_empty(metric.needs, with_weights)));
         }
-        // Where some rows have it, others may have no field to measure it on.
+        // Some rows have it; others have no field to measure it on.
         let cannot = |line: &&Line| metric.needs == Needs::DerivativesAtPoints && is_without_fields(line);
         let labels: Vec<&str> = empty.into_iter().filter(cannot).map(|line| line.label.as_str()).collect();
         let why = "which are no fields that are queried at points";
@@ -339,7 +337,7 @@ fn published_notes(lines: &[&Line]) -> Vec<String> {
     notes.into_iter().map(|(protocol, labels)| format!("in the paper, {labels}: {protocol}")).collect()
 }
 
-/// Each distinct text with the labels of the lines that it is said of.
+/// Returns each distinct text with the labels of its lines.
 fn labels_by(lines: &[&Line], text: impl Fn(&Line) -> Option<String>) -> Vec<(String, String)> {
     let texts = distinct(lines.iter().filter_map(|line| text(line)));
     let labels = |said: &str| {
@@ -373,7 +371,7 @@ mod tests {
         assert_eq!(difference_text(&cell("psnr", 3, Some(sure))), "+0.50 [+0.25, +0.75], p < 0.001, higher");
         let below = Comparison { difference: -0.5, interval: Some((-0.75, -0.25)), p_holm: Some(0.0496), ..sure };
         assert_eq!(difference_text(&cell("psnr", 3, Some(below))), "-0.50 [-0.75, -0.25], p 0.04960, lower");
-        // The interval leaves out 0 and the correction does not pass.
+        // The interval excludes 0, but the corrected p is not significant.
         let between = Comparison { p_holm: Some(0.07), ..sure };
         assert_eq!(difference_text(&cell("psnr", 3, Some(between))), "+0.50 [+0.25, +0.75], p 0.070");
         let unsure = Comparison { pairs: 2, interval: Some((-0.25, 1.25)), p_holm: Some(0.5), ..sure };

@@ -1,4 +1,4 @@
-//! A run's weights as a file for others.
+//! Exports a run's weights to a file for other programs.
 
 use std::path::Path;
 
@@ -20,18 +20,18 @@ use crate::train::checkpoint::{self, State};
 /// A parameter with its moments.
 type Parameter = (String, Tensor, Moments);
 
-/// Writes the weights of a run's newest checkpoint: for nerf-pytorch (`.tar`, `.pth`, `.pt`: step, both networks, Adam's state)
-/// or as safetensors that say what they are. Returns the step that they are of.
+/// Writes the weights of a run's newest checkpoint and returns their step. For nerf-pytorch (`.tar`, `.pth`, `.pt`)
+/// the file contains step, both networks and Adam's state. A safetensors file describes itself in its metadata.
 ///
 /// # Errors
-/// No run, or one without a whole checkpoint; a method without fields; a field that nerf-pytorch has not; for safetensors a scene that cannot be read (its
-/// `world_to_scene` is written); a file that cannot be written.
+/// There is no run or no intact checkpoint; the method has no fields; nerf-pytorch does not have the field. For
+/// safetensors, the scene cannot be read (its `world_to_scene` is written). The file cannot be written.
 pub fn export(run: &Path, file: &Path, data: Option<&Path>, runtime: &Runtime, events: &dyn Listener) -> Result<u64> {
     let format = Format::of(file)?;
     check_fields(&RunDir::open(run)?.read_config()?)?;
     if let (Some(data), Format::Torch) = (data, format) {
         return Err(Error::Config(format!(
-            "--data {}: a file for nerf-pytorch says nothing of the scene, so that its folder is not read: leave --data out, or export \
+            "--data {}: a file for nerf-pytorch does not contain the scene; omit --data, or export \
              to .safetensors",
             data.display()
         )));
@@ -52,13 +52,13 @@ pub fn export(run: &Path, file: &Path, data: Option<&Path>, runtime: &Runtime, e
     Ok(state.step)
 }
 
-/// Refuses a run without radiance fields.
+/// Returns an error for a run without radiance fields.
 fn check_fields(config: &Config) -> Result<()> {
     if config.method.has_fields() {
         return Ok(());
     }
     Err(Error::Config(format!(
-        "export with method {}: files for other programs hold radiance fields, and this run has none; its weights are \
+        "export with method {}: files for other programs contain radiance fields, but this run has none; its weights are \
          the .safetensors of its checkpoints",
         config.method.name()
     )))
@@ -68,7 +68,7 @@ fn tensor(values: &Tensor) -> Result<Value> {
     Ok(Value::Tensor { shape: values.dims().to_vec(), values: values.flatten_all()?.to_vec1()? })
 }
 
-/// What nerf-pytorch's `torch.save` is given.
+/// Returns the object for nerf-pytorch's `torch.save`.
 fn torch_checkpoint(config: &Config, parameters: &[Parameter], state: &State) -> Result<Value> {
     let mut entries = vec![(Key::Name(STEP.into()), Value::Int(state.step as i64))];
     let mut all: Vec<&Parameter> = Vec::new();
@@ -87,7 +87,7 @@ fn torch_checkpoint(config: &Config, parameters: &[Parameter], state: &State) ->
     Ok(Value::Dict(entries))
 }
 
-/// The state of PyTorch's Adam after so many updates.
+/// Returns the state of PyTorch's Adam after `updates` updates.
 fn adam(config: &Config, parameters: &[&Parameter], updates: u64) -> Result<Value> {
     let state = parameters.iter().enumerate().map(|(index, (_, _, moments))| {
         let (first, second) = (tensor(&moments.first)?, tensor(&moments.second)?);
@@ -107,7 +107,7 @@ fn adam(config: &Config, parameters: &[&Parameter], updates: u64) -> Result<Valu
     Ok(dict([("state", state), ("param_groups", Value::List(vec![group]))]))
 }
 
-/// All parameters as the checkpoint names them, with what one needs to use them.
+/// Writes all parameters under their checkpoint names, with the metadata to use them.
 fn safetensors(trained: &Trained, file: &Path) -> Result<u64> {
     let Trained { config, scene, state, model, .. } = trained;
     let said = serde_json::to_string(&metadata(config, &scene.space.world.matrix(), state)).expect("plain data");

@@ -1,4 +1,4 @@
-//! A file of weights as the beginning of a run.
+//! Imports a file of weights as the start of a run.
 
 use std::io::Read;
 use std::path::{Path, PathBuf};
@@ -16,7 +16,7 @@ use crate::metrics::Weights;
 use crate::model::Model;
 use crate::settings::{Config, short_hash};
 
-/// Most octaves of an encoding, and most layers, that are looked for.
+/// Limit on octaves of an encoding, and on layers.
 const MOST: usize = 64;
 
 /// A file of weights.
@@ -28,15 +28,15 @@ pub struct Foreign {
     hash: String,
 }
 
-/// Whose names its tensors have.
+/// The program whose tensor names the file has.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Networks {
-    /// Ours, with the configuration that they were trained under.
+    /// Our own, with the configuration of the training.
     Own {
         /// The text of its `config.toml`.
         config: String,
     },
-    /// nerf-pytorch's: what stands before the names of each role.
+    /// nerf-pytorch, with the prefix of the names of each role.
     NerfPytorch {
         /// Role and prefix, `coarse` first.
         prefixes: Vec<(&'static str, String)>,
@@ -44,10 +44,10 @@ pub enum Networks {
 }
 
 impl Foreign {
-    /// Opens a file that [`export`](super::export) or nerf-pytorch wrote.
+    /// Opens a file of [`export`](super::export) or nerf-pytorch.
     ///
     /// # Errors
-    /// A file that cannot be read, or holds the networks of neither.
+    /// The file cannot be read, or has the networks of neither.
     pub fn open(path: &Path) -> Result<Foreign> {
         let format = Format::of(path)?;
         let weights = Weights::open(path)?;
@@ -56,9 +56,7 @@ impl Foreign {
             Format::Safetensors => {
                 let said = weights.metadata(METADATA).and_then(|said| serde_json::from_str::<Json>(said).ok());
                 let said = said.ok_or_else(|| {
-                    wrong(format!(
-                        "its metadata has no \"{METADATA}\" that says which networks these are: no export of augnerf"
-                    ))
+                    wrong(format!("its metadata has no \"{METADATA}\", so it is not an export of augnerf"))
                 })?;
                 let config = said.get("config").and_then(Json::as_str).map(String::from);
                 let config = config.ok_or_else(|| wrong("its metadata lacks the configuration (\"config\")".into()))?;
@@ -70,8 +68,8 @@ impl Foreign {
                     names.sort_unstable();
                     let some = names.iter().take(3).copied().collect::<Vec<&str>>().join(", ");
                     wrong(format!(
-                        "it has no network of nerf-pytorch (network_fn_state_dict with pts_linears.0.weight); of its {} tensors \
-                         the first are: {some}",
+                        "it has no network of nerf-pytorch (network_fn_state_dict with pts_linears.0.weight); the first of its {} tensors \
+                         are: {some}",
                         names.len()
                     ))
                 })?;
@@ -79,30 +77,30 @@ impl Foreign {
                 (networks, step.unwrap_or(Some(0)))
             }
         };
-        let step = step.ok_or_else(|| wrong("its step is no whole number from 0 on".into()))?;
+        let step = step.ok_or_else(|| wrong("its step is not an integer from 0 up".into()))?;
         Ok(Foreign { hash: hash(path)?, path: path.to_path_buf(), weights, networks, step })
     }
 
-    /// Whose networks they are.
+    /// Returns the program of the networks.
     pub fn networks(&self) -> &Networks {
         &self.networks
     }
 
-    /// The step that they are of.
+    /// Returns the step of the weights.
     pub fn step(&self) -> u64 {
         self.step
     }
 
-    /// What the run's setting `train.parent` says.
+    /// Returns the run's setting `train.parent`.
     pub fn parent(&self) -> String {
         format!("weights {}", self.hash)
     }
 
-    /// The settings that the shapes of nerf-pytorch's tensors ask for, as `(path, value)`; none for our own file, whose
-    /// configuration says them.
+    /// Returns the settings that follow from the shapes of nerf-pytorch's tensors, as `(path, value)`. Our own files
+    /// contain the configuration, so there are none.
     ///
     /// # Errors
-    /// Networks that this program does not have.
+    /// This program does not have the networks.
     pub fn settings(&self) -> Result<Vec<(Vec<String>, Value)>> {
         let Networks::NerfPytorch { prefixes } = &self.networks else { return Ok(Vec::new()) };
         let mut settings = self.shapes(&prefixes[0].1)?;
@@ -120,14 +118,14 @@ impl Foreign {
         Ok(settings.into_iter().map(|(at, value)| (path(at), value)).collect())
     }
 
-    /// What the shapes of a network say.
+    /// Returns the settings that follow from a network's shapes.
     fn shapes(&self, prefix: &str) -> Result<Vec<(&'static str, Value)>> {
         let wrong = |what: String| Error::Data(format!("{}: {what}", self.path.display()));
         let matrix = |name: String| match self.weights.shape(&format!("{prefix}{name}")) {
             Some(&[outputs, inputs]) => Ok([outputs, inputs]),
-            Some(shape) => Err(wrong(format!("{prefix}{name} has the shape {shape:?}, but a layer's has two sides"))),
+            Some(shape) => Err(wrong(format!("{prefix}{name} has shape {shape:?}, but a layer has two dimensions"))),
             None => Err(wrong(format!(
-                "{prefix}{name} is missing: only networks that were trained with view directions (--use_viewdirs) are read"
+                "{prefix}{name} is missing; only networks trained with view directions (--use_viewdirs) can be read"
             ))),
         };
         let trunk = |i: usize| format!("pts_linears.{i}.weight");
@@ -138,8 +136,9 @@ impl Foreign {
             Some(rest) if rest % 6 == 0 && rest / 6 <= MOST => Ok(Value::Integer((rest / 6) as i64)),
             _ => Err(wrong(format!("{of} has {channels} channels, but an encoding of n octaves has 3 + 6 n"))),
         };
-        let view_channels =
-            view.checked_sub(width).ok_or_else(|| wrong("views_linears.0 reads less than the trunk gives".into()))?;
+        let view_channels = view
+            .checked_sub(width)
+            .ok_or_else(|| wrong("views_linears.0 has fewer inputs than the trunk has outputs".into()))?;
         let mut skips = Vec::new();
         for i in 1..depth {
             if matrix(trunk(i))?[1] == width + position {
@@ -156,15 +155,15 @@ impl Foreign {
         ])
     }
 
-    /// The parameters of a configuration, in their order.
+    /// Returns the parameters of a configuration, in their order.
     ///
     /// # Errors
-    /// One that is missing, of another shape, or not finite.
+    /// A parameter is missing, of another shape, or not finite.
     pub fn values(&self, config: &Config, device: &Device) -> Result<Vec<Tensor>> {
         let value = |(ours, shape): (String, Vec<usize>)| {
             let theirs = self.name(&ours).ok_or_else(|| {
                 Error::Config(format!(
-                    "{}: the settings ask for {ours}, which networks of nerf-pytorch do not have",
+                    "{}: the settings need {ours}, which networks of nerf-pytorch do not have",
                     self.path.display()
                 ))
             })?;
@@ -172,7 +171,7 @@ impl Foreign {
             let finite = tensor.flatten_all()?.to_vec1::<f32>()?.iter().all(|value| value.is_finite());
             finite.then_some(tensor).ok_or_else(|| {
                 Error::Data(format!(
-                    "{}: {ours} has values that are not finite: the training diverged",
+                    "{}: {ours} has values that are not finite, so the training diverged",
                     self.path.display()
                 ))
             })
@@ -180,7 +179,7 @@ impl Foreign {
         Model::parameter_names(config).into_iter().map(value).collect()
     }
 
-    /// A parameter's name in the file.
+    /// Returns a parameter's name in the file.
     fn name(&self, ours: &str) -> Option<String> {
         let Networks::NerfPytorch { prefixes } = &self.networks else { return Some(ours.to_string()) };
         let (role, layer) = ours.split_once('.')?;
@@ -189,7 +188,7 @@ impl Foreign {
     }
 }
 
-/// The hash of a file's bytes.
+/// Returns the hash of a file's bytes.
 fn hash(path: &Path) -> Result<String> {
     let unreadable = |e: std::io::Error| Error::unreadable(path, &e);
     let (mut file, mut digest) = (open_regular(path).map_err(unreadable)?, Sha256::new());
@@ -202,9 +201,9 @@ fn hash(path: &Path) -> Result<String> {
     }
 }
 
-/// The networks of a checkpoint, or of a bare state dictionary, which is one network's.
+/// Returns the networks of a checkpoint, or of a bare state dictionary with one network.
 fn nerf_pytorch(weights: &Weights) -> Option<Networks> {
-    // Networks that were trained on several devices are called modules of something.
+    // Networks that were trained on several devices have the prefix `module.`.
     let prefix = |outer: &str| {
         let prefixes = ["", "module."].map(|inner| format!("{outer}{inner}"));
         prefixes.into_iter().find(|prefix| weights.shape(&format!("{prefix}pts_linears.0.weight")).is_some())

@@ -1,5 +1,5 @@
-//! Weights of other programs, and ours for them: nerf-pytorch's checkpoints (`.tar`, `.pth`, `.pt` of `torch.save`), and
-//! safetensors that say of themselves what they are.
+//! Exchange of weights with other programs: nerf-pytorch's checkpoints (`.tar`, `.pth`, `.pt` of `torch.save`), and
+//! self-describing safetensors.
 
 mod export;
 mod import;
@@ -13,16 +13,16 @@ use std::path::Path;
 
 use crate::base::{Error, Result};
 
-/// What a file's ending says that it is.
+/// File format by extension.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Format {
-    /// A checkpoint as nerf-pytorch writes it.
+    /// A checkpoint in nerf-pytorch's format.
     Torch,
     /// Our parameters, with [`METADATA`].
     Safetensors,
 }
 
-/// The key of what a safetensors file says of itself: one text, for a map of several has no fixed order.
+/// Key of the metadata of a safetensors file. It is one text, since a map of several has no fixed order.
 const METADATA: &str = "augnerf";
 
 impl Format {
@@ -32,7 +32,7 @@ impl Format {
             "tar" | "pth" | "pt" => Ok(Format::Torch),
             "safetensors" => Ok(Format::Safetensors),
             _ => Err(Error::Config(format!(
-                "{}: a file of weights ends in .tar, .pth or .pt (nerf-pytorch) or in .safetensors",
+                "{}: unknown file type; weights are in .tar, .pth or .pt (nerf-pytorch) or .safetensors",
                 file.display()
             ))),
         }

@@ -1,14 +1,15 @@
-//! What nerf-pytorch calls a field's layers, and which fields it has.
+//! nerf-pytorch's names of a field's layers, and the fields that it supports.
 
 use crate::base::{Error, Result};
 use crate::settings::{Config, DensityActivation, Encoding};
 
-/// The keys of its checkpoints: networks by role, Adam, step.
+/// Keys of its checkpoints: networks by role, Adam, step.
 pub const NETWORKS: [(&str, &str); 2] = [("coarse", "network_fn_state_dict"), ("fine", "network_fine_state_dict")];
 pub const OPTIMIZER: &str = "optimizer_state_dict";
 pub const STEP: &str = "global_step";
 
-/// A parameter's name there, from the one within a field here (`trunk.0.weight`); none for a layer that it has not.
+/// Returns a parameter's name there, from its name in a field here (`trunk.0.weight`), or `None` for a layer that it
+/// does not have.
 pub fn name(ours: &str) -> Option<String> {
     let (layer, kind) = ours.rsplit_once('.')?;
     let theirs = match layer {
@@ -21,7 +22,7 @@ pub fn name(ours: &str) -> Option<String> {
     Some(format!("{theirs}.{kind}"))
 }
 
-/// Where a parameter stands among a network's in Adam's state: in the order in which the modules were made.
+/// Returns the position of a network's parameter in Adam's state: the order in which modules were created.
 pub fn order(theirs: &str) -> usize {
     const MODULES: [&str; 5] = ["pts_linears", "views_linears", "feature_linear", "alpha_linear", "rgb_linear"];
     let module = MODULES.iter().position(|module| theirs.starts_with(module)).unwrap_or(MODULES.len());
@@ -29,12 +30,12 @@ pub fn order(theirs: &str) -> usize {
     2 * (1000 * module + layer) + usize::from(theirs.ends_with("bias"))
 }
 
-/// Refuses fields that nerf-pytorch would render otherwise.
+/// Returns an error for fields that nerf-pytorch would render differently.
 pub fn check(config: &Config) -> Result<()> {
     let field = &config.field;
     let refused = |what: String| {
         Err(Error::Config(format!(
-            "nerf-pytorch has no {what}, so that its picture would be another: export to .safetensors instead"
+            "nerf-pytorch has no {what}, so its image would differ; export to .safetensors instead"
         )))
     };
     if field.encoding != Encoding::Positional {
@@ -50,7 +51,8 @@ pub fn check(config: &Config) -> Result<()> {
         let (depth, neurons) = (field.view_depth, field.view_neurons());
         return refused(format!("{depth} layers of {neurons} neurons before colour, but 1 of {}", field.width / 2));
     }
-    // Its layer after the fifth reads the position again (skips=[4] in its own count), and in fields of fewer it is no layer.
+    // Its layer after the fifth reads the position again (skips=[4] in its own count). Fields with fewer layers have
+    // no such layer.
     let skips: &[usize] = if field.depth > 5 { &[5] } else { &[] };
     if field.depth == 5 || field.skips != skips {
         return refused(format!(

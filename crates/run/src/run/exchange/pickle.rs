@@ -1,11 +1,11 @@
-//! Files of `torch.save`: a zip archive with one pickle and a file for each tensor's numbers.
+//! Writes files of `torch.save`: a zip archive with one pickle and a file for each tensor's numbers.
 
 use std::io::{Cursor, Write};
 
 use zip::write::SimpleFileOptions;
 use zip::{CompressionMethod, ZipWriter};
 
-/// What a pickle holds.
+/// A value in a pickle.
 pub enum Value {
     None,
     Bool(bool),
@@ -17,20 +17,20 @@ pub enum Value {
     Tensor { shape: Vec<usize>, values: Vec<f32> },
 }
 
-/// What a dictionary is looked up by.
+/// A key of a dictionary.
 pub enum Key {
     Name(String),
     Index(i64),
 }
 
-/// A dictionary of named values.
+/// Returns a dictionary of named values.
 pub fn dict<const N: usize>(entries: [(&str, Value); N]) -> Value {
     Value::Dict(entries.into_iter().map(|(name, value)| (Key::Name(name.into()), value)).collect())
 }
 
-/// The bytes of a file that `torch.load` reads, also with `weights_only=True`.
+/// Returns the bytes of a file for `torch.load`, also with `weights_only=True`.
 pub fn torch_file(value: &Value) -> zip::result::ZipResult<Vec<u8>> {
-    // Where the numbers of a tensor begin, so that they can be mapped into memory.
+    // Alignment of a tensor's numbers, so that they can be mapped into memory.
     const ALIGNMENT: u16 = 64;
     let mut pickle = Pickle { bytes: vec![0x80, 2], storages: Vec::new() };
     pickle.write(value);
@@ -54,7 +54,7 @@ pub fn torch_file(value: &Value) -> zip::result::ZipResult<Vec<u8>> {
     Ok(archive.finish()?.into_inner())
 }
 
-/// A pickle of protocol 2 that grows, and the numbers that it speaks of.
+/// A growing pickle of protocol 2, and the numbers that it refers to.
 struct Pickle<'a> {
     bytes: Vec<u8>,
     storages: Vec<&'a [f32]>,
@@ -94,7 +94,7 @@ impl<'a> Pickle<'a> {
         }
     }
 
-    /// Of eight bytes: no step is out of its range.
+    /// Eight bytes, so that every step fits.
     fn int(&mut self, value: i64) {
         self.bytes.extend([0x8a, 8]);
         self.bytes.extend(value.to_le_bytes());
@@ -112,7 +112,7 @@ impl<'a> Pickle<'a> {
         self.bytes.push(b't');
     }
 
-    /// A call that makes the tensor of its storage, place, shape, strides, no gradient, no hooks.
+    /// Writes a call that makes a tensor of its storage, offset, shape and strides, without gradient and hooks.
     fn tensor(&mut self, shape: &[usize], values: &'a [f32]) {
         self.bytes.extend(b"ctorch._utils\n_rebuild_tensor_v2\n((");
         self.text("storage");

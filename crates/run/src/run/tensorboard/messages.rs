@@ -1,4 +1,4 @@
-//! The messages of event files: numbers of their fields, and how a field becomes bytes.
+//! Messages of event files: field numbers, and the encoding of fields.
 
 /// Field numbers of `Event`.
 pub(super) mod event {
@@ -9,7 +9,7 @@ pub(super) mod event {
     pub const SESSION_LOG: u64 = 7;
 }
 
-/// Field numbers of `SessionLog` and the status that marks a restart.
+/// Field numbers of `SessionLog`, and the status that marks a restart.
 pub(super) mod session_log {
     pub const STATUS: u64 = 1;
     pub const START: u64 = 1;
@@ -40,7 +40,7 @@ pub(super) mod plugin {
     pub const CONTENT: u64 = 2;
 }
 
-/// Field numbers of `TensorProto` with its shape, and the number of the type.
+/// Field numbers of `TensorProto` and its shape, and the number of the type.
 pub(super) mod tensor {
     pub const DTYPE: u64 = 1;
     pub const SHAPE: u64 = 2;
@@ -63,7 +63,7 @@ pub(super) mod session_start {
     pub const TIME: u64 = 5;
 }
 
-/// Field numbers of `SessionEndInfo`, and the status of a run that is done.
+/// Field numbers of `SessionEndInfo`, and the status of a finished run.
 pub(super) mod session_end {
     pub const STATUS: u64 = 1;
     pub const TIME: u64 = 2;
@@ -101,7 +101,7 @@ pub(super) mod image {
     pub const ENCODED: u64 = 4;
 }
 
-/// Base-128 number, lowest group first, with the top bit set on all but the last byte.
+/// Encodes a number in base 128, lowest group first, with the top bit set on all but the last byte.
 fn varint(mut number: u64) -> Vec<u8> {
     let mut bytes = Vec::new();
     while number >= 0x80 {

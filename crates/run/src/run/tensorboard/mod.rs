@@ -1,11 +1,11 @@
-//! Event files that TensorBoard reads: records with checksums around small protocol-buffer
-//! messages, both written by hand.
+//! Writes event files for TensorBoard: records with checksums around small protocol-buffer messages, both encoded
+//! here.
 //!
 //! A record is the payload's length (u64), a checksum of those eight bytes (u32), the payload and
 //! its checksum, all little-endian; the checksum is CRC-32C, rotated and offset. The payload is an
 //! `Event` message, of which [`messages`] names the fields in use.
 //!
-//! Event files hold wall times: they are the part of a run that differs between two equal runs.
+//! Event files contain wall times, so they differ between two equal runs.
 
 mod messages;
 
@@ -24,8 +24,8 @@ use crate::draw::pictures::encode_png8;
 use crate::runtime::host::{host_name, unix_seconds};
 
 const PREFIX: &str = "events.out.tfevents.";
-/// Added to a rotated checksum, as the record format asks for, so that a checksum of data that
-/// holds checksums stays useful.
+/// Offset of a rotated checksum, as the record format requires. It keeps checksums useful for data that contains
+/// checksums.
 const MASK: u32 = 0xa282_ead8;
 
 /// Appends events to one file in a run's `tensorboard/` folder. Every event reaches the file in
@@ -37,10 +37,9 @@ pub struct EventWriter {
 }
 
 impl EventWriter {
-    /// A new event file in `dir`. Each start or resumption of a run has its own; names sort in
-    /// the order in which they were made, as TensorBoard expects. With `resumed_step`, the step of
-    /// the checkpoint that training goes on from, TensorBoard is told to forget the later steps
-    /// that earlier files hold, because they are written again.
+    /// Creates an event file in `dir`. Each start or resumption of a run has its own; names sort in the order of
+    /// creation, as TensorBoard expects. With `resumed_step`, the checkpoint's step, TensorBoard is told to drop the
+    /// later steps of earlier files, because they are written again.
     pub fn create(dir: &Path, resumed_step: Option<u64>) -> Result<EventWriter> {
         let path = dir.join(next_name(dir).map_err(|error| Error::unwritable(dir, &error))?);
         let file = File::create_new(&path).map_err(|error| Error::unwritable(&path, &error))?;
@@ -53,7 +52,7 @@ impl EventWriter {
         Ok(writer)
     }
 
-    /// Appends scalars of one step, each under its tag; `a/b` is shown in group `a`. Stored as
+    /// Appends scalars of one step, each under its tag; TensorBoard shows `a/b` in group `a`. Values are stored as
     /// f32. A number that is not finite is an [`Error::Diverged`], and nothing is written.
     pub fn scalars(&mut self, step: u64, values: &[(&str, f64)]) -> Result<()> {
         let mut summary = Vec::new();
@@ -66,7 +65,7 @@ impl EventWriter {
         self.write(step, &bytes_field(event::SUMMARY, &summary))
     }
 
-    /// Appends a picture of one step.
+    /// Appends an image of one step.
     pub fn image(&mut self, step: u64, tag: &str, picture: &Image) -> Result<()> {
         let png = encode_png8(picture).map_err(|reason| self.unwritable(&reason))?;
         let mut image = varint_field(image::HEIGHT, picture.height as u64);
@@ -78,7 +77,7 @@ impl EventWriter {
         self.write(step, &bytes_field(event::SUMMARY, &bytes_field(summary::VALUE, &message)))
     }
 
-    /// Says what was set, for the table of the HParams tab: numbers, booleans and, of anything else, its text. Runs of one
+    /// Writes settings for the table of the HParams tab: numbers, booleans, and other values as text. Runs of one
     /// `group` are its seeds.
     pub fn settings(&mut self, group: &str, settings: &[(String, toml::Value)]) -> Result<()> {
         let mut start = Vec::new();
@@ -91,14 +90,14 @@ impl EventWriter {
         self.hparams("_hparams_/session_start_info", &bytes_field(hparams::SESSION_START, &start))
     }
 
-    /// Says for the same table that the run is done.
+    /// Writes for the same table that the run is finished.
     pub fn finished(&mut self) -> Result<()> {
         let end =
             [varint_field(session_end::STATUS, session_end::SUCCESS), fixed64_field(session_end::TIME, unix_seconds())];
         self.hparams("_hparams_/session_end_info", &bytes_field(hparams::SESSION_END, &end.concat()))
     }
 
-    /// Data of the plugin `hparams`, beside a tensor of one 0, which the reader asks for.
+    /// Writes data of the plugin `hparams`, together with a tensor of one 0 that the reader expects.
     fn hparams(&mut self, tag: &str, data: &[u8]) -> Result<()> {
         let plugin = [bytes_field(plugin::NAME, b"hparams"), bytes_field(plugin::CONTENT, data)].concat();
         let shape = bytes_field(tensor::DIM, &varint_field(tensor::SIZE, 1));
@@ -115,12 +114,12 @@ impl EventWriter {
         self.write(0, &bytes_field(event::SUMMARY, &bytes_field(summary::VALUE, &message.concat())))
     }
 
-    /// The event file.
+    /// Returns the path of the event file.
     pub fn path(&self) -> &Path {
         &self.path
     }
 
-    /// Appends one event whose field besides time and step is `content`, already encoded.
+    /// Appends one event; `content` is its encoded field besides time and step.
     fn write(&mut self, step: u64, content: &[u8]) -> Result<()> {
         let mut message = fixed64_field(event::WALL_TIME, unix_seconds());
         message.extend(varint_field(event::STEP, step));
@@ -133,7 +132,7 @@ impl EventWriter {
     }
 }
 
-/// `events.out.tfevents.{seconds}.{host}.{process}`, with seconds later than any file's in `dir`.
+/// Returns `events.out.tfevents.{seconds}.{host}.{process}`, with seconds later than any file's in `dir`.
 fn next_name(dir: &Path) -> std::io::Result<String> {
     let mut seconds = unix_seconds() as u64;
     for entry in fs::read_dir(dir)? {
@@ -205,7 +204,7 @@ mod tests {
         number
     }
 
-    /// The fields of a message: number and raw content (a varint as its eight bytes).
+    /// Returns the fields of a message: number and raw content (a varint as its eight bytes).
     fn read_fields(mut bytes: &[u8]) -> Vec<(u64, Vec<u8>)> {
         let mut fields = Vec::new();
         while !bytes.is_empty() {

@@ -1,24 +1,24 @@
-//! Columns of a LaTeX table, and which of them stand side by side: widths are estimated from the letters of Computer
-//! Modern, a little too wide rather than too narrow.
+//! Columns of a LaTeX table, and which are side by side. Widths are estimated from the letters of Computer Modern,
+//! rather too wide than too narrow.
 
 use super::escape::escape;
 use super::{Heading, Line};
 
-/// Points that a table may be wide: a text of 17 cm has 483.
+/// Width limit of a table in points: a text of 17 cm has 483.
 const WIDTH: f64 = 470.0;
-/// Points that the first column takes at most; longer labels go on in a second line.
+/// Width limit of the first column in points; longer labels wrap.
 const LABEL: f64 = 165.0;
-/// Half the room between two columns, as `floats` sets it.
+/// Half the space between two columns, as `floats` sets it.
 pub const SEPARATION: f64 = 4.0;
-/// Points of `\footnotesize`.
+/// Size of `\footnotesize` in points.
 const SIZE: f64 = 8.0;
-/// Least width that a head is broken to.
+/// Least width of a wrapped head.
 const HEAD: f64 = 48.0;
 
 /// Text of a line's cell, and whether it is bold.
 type Cell<'a> = Box<dyn Fn(&Line) -> (String, bool) + 'a>;
 
-/// A column: its head, and what its cells are.
+/// A column: its head and its cells.
 pub struct Column<'a> {
     head: String,
     cell: Cell<'a>,
@@ -29,7 +29,7 @@ impl<'a> Column<'a> {
         Column { head, cell: Box::new(cell) }
     }
 
-    /// Of its cells alone.
+    /// Returns the width of its cells alone.
     fn cells_width(&self, lines: &[&Line]) -> f64 {
         let width = |line: &&Line| {
             let (text, bold) = (self.cell)(line);
@@ -46,13 +46,13 @@ impl<'a> Column<'a> {
     }
 }
 
-/// Columns that stay together, under one name where they have one.
+/// Columns that stay together, with a name if they have one.
 pub struct Group<'a> {
     pub name: Option<String>,
     pub columns: Vec<Column<'a>>,
 }
 
-/// A group as it stands in a part: the broken lines of its heads.
+/// A group in a part, with the wrapped lines of its heads.
 struct GroupLayout<'g, 'a> {
     group: &'g Group<'a>,
     name: Vec<String>,
@@ -76,14 +76,14 @@ impl<'g, 'a> GroupLayout<'g, 'a> {
     }
 }
 
-/// Groups that fit side by side beside the labels.
+/// Groups that fit side by side after the labels.
 pub struct Part<'g, 'a> {
     groups: Vec<GroupLayout<'g, 'a>>,
-    /// Points of the first column where labels are broken.
+    /// Width of the first column in points, if labels wrap.
     label: Option<f64>,
 }
 
-/// The groups in as many parts as the width asks for.
+/// Splits the groups into as many parts as the width needs.
 pub fn parts<'g, 'a>(labels: &[String], groups: &'g [Group<'a>], lines: &[&Line]) -> Vec<Part<'g, 'a>> {
     let longest = labels.iter().map(|label| width(label)).fold(30.0, f64::max);
     let label = (longest > LABEL).then_some(LABEL);
@@ -103,7 +103,7 @@ pub fn parts<'g, 'a>(labels: &[String], groups: &'g [Group<'a>], lines: &[&Line]
 }
 
 impl Part<'_, '_> {
-    /// Columns with that of the labels.
+    /// Returns the number of columns, with that of the labels.
     pub fn count(&self) -> usize {
         1 + self.groups.iter().map(|layout| layout.heads.len()).sum::<usize>()
     }
@@ -112,7 +112,7 @@ impl Part<'_, '_> {
         self.groups.iter().any(|layout| !layout.name.is_empty())
     }
 
-    /// From `\begin{tabular}` to the heads.
+    /// Returns the text from `\begin{tabular}` to the heads.
     pub fn begin(&self) -> String {
         let label = self.label.map_or("l".into(), |label| format!("p{{{label:.0}pt}}"));
         let mut text = format!("\\begin{{tabular}}{{{label}{}}}\n\\toprule\n", "r".repeat(self.count() - 1));
@@ -132,19 +132,19 @@ impl Part<'_, '_> {
         text + &format!("{} \\\\\n", cells.join(" & "))
     }
 
-    /// Rows that the heads take.
+    /// Returns the number of rows of the heads.
     pub fn head_rows(&self) -> f64 {
         let most = |lines: &mut dyn Iterator<Item = usize>| lines.max().unwrap_or(0) as f64;
         let names = most(&mut self.groups.iter().map(|layout| layout.name.len()));
         2.0 + names + most(&mut self.groups.iter().flat_map(|layout| layout.heads.iter().map(Vec::len)))
     }
 
-    /// Rows that a label takes.
+    /// Returns the number of rows of a label.
     pub fn label_rows(&self, label: &str) -> f64 {
         self.label.map_or(1.0, |room| (1.15 * width(label) / room).ceil().max(1.0))
     }
 
-    /// The cells of a line, ready to be joined.
+    /// Returns the cells of a line.
     pub fn cells(&self, label: &str, line: &Line) -> Vec<String> {
         let label = match self.label {
             Some(_) => format!("\\raggedright {}\\par", escape(label)),
@@ -155,13 +155,13 @@ impl Part<'_, '_> {
     }
 }
 
-/// Cells in braces: a row must not begin with `[` or `*`, which the line end before it would take.
+/// Joins cells in braces: a row must not start with `[` or `*`, which the line end before it would take.
 pub fn row_text(cells: &[String]) -> String {
     let cells: Vec<String> = cells.iter().map(|cell| format!("{{{cell}}}")).collect();
     format!("{} \\\\\n", cells.join(" & "))
 }
 
-/// Lines below one another, their last on the row's line.
+/// Stacks lines, with the last on the row's line.
 fn stacked(lines: &[String], side: char) -> String {
     let lines: Vec<String> = lines.iter().map(|line| format!("{{{}}}", escape(line))).collect();
     match lines.as_slice() {
@@ -170,7 +170,7 @@ fn stacked(lines: &[String], side: char) -> String {
     }
 }
 
-/// A head in lines of at most so many points, broken at spaces; its arrow stays with the word before.
+/// Wraps a head at spaces to a width in points; its arrow stays with the word before.
 fn broken(head: &str, room: f64) -> Vec<String> {
     let mut lines: Vec<String> = Vec::new();
     for word in head.split(' ') {
@@ -184,12 +184,12 @@ fn broken(head: &str, room: f64) -> Vec<String> {
     lines
 }
 
-/// Points of a text in `\footnotesize`.
+/// Returns the width of a text in `\footnotesize`, in points.
 pub fn width(text: &str) -> f64 {
     text.chars().map(em).sum::<f64>() * SIZE
 }
 
-/// A letter's width in ems of cmr8, rounded up.
+/// Returns a letter's width in ems of cmr8, rounded up.
 fn em(letter: char) -> f64 {
     match letter {
         'i' | 'j' | 'l' | '.' | ',' | ':' | ';' | '\'' | '!' | '[' | ']' | '|' => 0.31,
@@ -197,7 +197,7 @@ fn em(letter: char) -> f64 {
         'm' | 'M' | 'W' | 'w' | '+' | '-' | '±' | '<' | '>' | '=' | '≈' | '%' | '−' => 0.92,
         '↑' | '↓' | '†' | '‡' | '§' | '¶' | '‖' | '·' | '²' | '³' | '0'..='9' => 0.54,
         letter if letter.is_uppercase() => 0.82,
-        // Latin with accents, too.
+        // Includes Latin letters with accents.
         letter if u32::from(letter) < 0x180 => 0.57,
         '\u{370}'..='\u{3ff}' => 0.75,
         // Some are printed as their number: `[U+4E2D]`.

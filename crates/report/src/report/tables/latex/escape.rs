@@ -1,12 +1,12 @@
-//! Text that LaTeX prints as it is.
+//! Text that LaTeX prints unchanged.
 
-/// What LaTeX prints as it is, in any of its engines and encodings: `\augnerfletter` stands for the rest.
+/// Escapes text for any LaTeX engine and encoding; `\augnerfletter` prints the remaining letters.
 pub(super) fn escape(text: &str) -> String {
     text.split_inclusive(' ').map(escape_word).collect()
 }
 
-/// A word with its space behind. One that is longer than most lines of a table's first column may be broken: between letters of
-/// it there is nothing to break at.
+/// Escapes a word with its trailing space. A word that is longer than most lines of the first column gets places to
+/// break between letters.
 fn escape_word(text: &str) -> String {
     let breaks = text.chars().count() > LONG_WORD;
     let mut escaped = String::with_capacity(text.len());
@@ -23,10 +23,10 @@ fn escape_word(text: &str) -> String {
             '<' => escaped += "\\textless{}",
             '>' => escaped += "\\textgreater{}",
             '|' => escaped += "\\textbar{}",
-            // A sign, not a hyphen; two, as of a flag, are no dash.
+            // A minus sign, not a hyphen; two, as in a flag, are not a dash.
             '-' if matches!(before, ' ' | '[') => escaped += "$-$",
             '-' if before == '-' => escaped += "{}-",
-            // A blank line would end the paragraph, in a caption with an error.
+            // A blank line would end the paragraph, an error in a caption.
             c if c.is_whitespace() || c.is_control() => escaped.push(' '),
             c if c.is_ascii() || ACCENTED.contains(c) => escaped.push(c),
             other => escaped += &special(other),
@@ -36,15 +36,15 @@ fn escape_word(text: &str) -> String {
     escaped
 }
 
-/// Letters of a word that is broken where a line ends in it, and between two places to break at.
+/// Least letters of a word that may be broken, and letters between two such places.
 const LONG_WORD: usize = 30;
 const BREAK_EVERY: usize = 10;
 
-/// Letters with accents that every encoding of LaTeX puts together.
+/// Letters with accents that every encoding of LaTeX can compose.
 const ACCENTED: &str =
     "ÀÁÂÃÄÅÆÇÈÉÊËÌÍÎÏÑÒÓÔÕÖØÙÚÛÜÝàáâãäåæçèéêëìíîïñòóôõöøùúûüýÿßĆćČčĎďĚěŁłŃńŇňŐőŒœŘřŚśŠšŤťŮůŰűŸŹźŻżŽž";
 
-/// Signs and Greek letters as mathematics has them.
+/// Signs and Greek letters in mathematics.
 const SPECIAL: [(char, &str); 61] = [
     ('±', "$\\pm$"),
     ('†', "$\\dagger$"),
@@ -114,7 +114,7 @@ fn special(letter: char) -> String {
     known.unwrap_or_else(|| format!("\\augnerfletter{{{:04X}}}", u32::from(letter)))
 }
 
-/// The letter itself where the engine knows Unicode, its number elsewhere, where it would be an error.
+/// Prints the letter itself if the engine knows Unicode, otherwise its number, since the letter would be an error.
 pub(super) const LETTER: &str =
     "\\providecommand{\\augnerfletter}[1]{\\ifdefined\\Umathchar\\char\"#1\\relax\\else[U+#1]\\fi}\n";
 

@@ -1,30 +1,30 @@
-//! `table` environments of parts that fit a page below one another.
+//! `table` environments of parts that fit on a page below one another.
 
 use super::columns::{SEPARATION, width};
 use super::escape::escape;
 
-/// Points that an environment may be high, its caption not counted: a page with margins of 2 cm has 731.
+/// Height limit of an environment in points, without its caption: a page with margins of 2 cm has 731.
 const HEIGHT: f64 = 610.0;
-/// Points from row to row, and from line to line of the notes.
+/// Height of a row of a table, and of a line of the notes, in points.
 const ROW: f64 = 9.6;
-/// Points that a line of the notes is long.
+/// Width of a line of the notes in points.
 const LINE: f64 = 470.0;
-/// Rows of a part on one page, besides its heads.
+/// Rows of a part on one page, without its heads.
 const ROWS: f64 = 50.0;
 
-/// Something that is not divided between pages.
+/// A part that stays on one page.
 pub struct Block {
     text: String,
     height: f64,
 }
 
 impl Block {
-    /// A tabular with so many rows.
+    /// Returns a tabular with `rows` rows.
     pub fn of_rows(text: String, rows: f64) -> Block {
         Block { text, height: (rows + 1.0) * ROW }
     }
 
-    /// Notes, a paragraph each, in blocks of half a page at most where no note is longer.
+    /// Returns notes, one paragraph each, in blocks of at most half a page unless a note is longer.
     pub fn of_notes(notes: &[String]) -> Vec<Block> {
         let mut blocks: Vec<Block> = Vec::new();
         for note in notes {
@@ -45,7 +45,7 @@ impl Block {
     }
 }
 
-/// How many of the lines that take so many rows each go on each page.
+/// Returns how many lines, each with its number of rows, go on each page.
 pub fn pages(rows: &[f64]) -> Vec<usize> {
     let mut pages: Vec<(usize, f64)> = Vec::new();
     for taken in rows {
@@ -57,7 +57,7 @@ pub fn pages(rows: &[f64]) -> Vec<usize> {
     pages.into_iter().map(|(count, _)| count).collect()
 }
 
-/// The blocks in as many environments as their heights ask for, each under the caption.
+/// Puts the blocks into as many environments as their heights need, each with the caption.
 pub fn floats(caption: &str, blocks: Vec<Block>) -> String {
     let mut pages: Vec<Vec<Block>> = Vec::new();
     let mut taken = f64::INFINITY;

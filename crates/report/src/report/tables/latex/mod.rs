@@ -1,5 +1,5 @@
 //! The tables for a paper, as LaTeX with `booktabs`: means with their spread, then differences to baselines with their
-//! intervals. Both fit a text that is 17 cm wide: what is too wide stands in parts below one another.
+//! intervals. Both fit a text width of 17 cm; wider tables are split into parts below one another.
 
 mod columns;
 mod escape;
@@ -24,7 +24,7 @@ const HOW_TO_READ: &str = "Differences are paired by seed and stand with their 9
 const EQUIVALENT: &str = "≈ behind p: equivalent within the margin that the definition states (two one-sided paired t tests, Holm's p \
      below 0.05)";
 
-/// The table of means, the one of differences where rows are compared, and the notes to both.
+/// Returns the table of means, the table of differences if rows are compared, and the notes to both.
 pub fn table_latex(table: &Table) -> String {
     let means = Means::new(table);
     let (mut text, mut caption, mut blocks) = (String::new(), means.caption(table), means.blocks(table));
@@ -43,7 +43,7 @@ pub fn table_latex(table: &Table) -> String {
 /// The table of means.
 struct Means<'a> {
     groups: Vec<Group<'a>>,
-    /// Seeds of every cell that has any, where that is one number.
+    /// Seeds of every cell with numbers, if they are the same.
     seeds: Option<usize>,
 }
 
@@ -84,7 +84,7 @@ impl<'a> Means<'a> {
     }
 }
 
-/// `25.31 ± 0.12`, with the seeds behind where they are not the caption's.
+/// Returns `25.31 ± 0.12`, followed by the seeds if they differ from the caption's.
 fn mean_cell(cell: &Cell, seeds: Option<usize>) -> (String, bool) {
     let text = mean_text(cell);
     let text = match seeds {
@@ -94,7 +94,7 @@ fn mean_cell(cell: &Cell, seeds: Option<usize>) -> (String, bool) {
     (text, is_better(cell))
 }
 
-/// Two columns a metric: the difference with its interval, and p.
+/// Returns two columns a metric: the difference with its interval, and p.
 fn differences(table: &Table) -> Vec<Group<'_>> {
     let of_metric = |(index, metric): (usize, &String)| {
         let compared = move |line: &Line| line.cells[index].comparison;
@@ -113,7 +113,7 @@ fn p_cell(comparison: Comparison) -> String {
     if comparison.is_equivalent() { format!("{p} ≈") } else { p }
 }
 
-/// The parts of a table, each with all its lines that `shown` lets through, scene by scene.
+/// Returns the parts of a table, each with all lines that `shown` accepts, scene by scene.
 fn blocks(table: &Table, groups: &[Group], shown: impl Fn(&Line) -> bool) -> Vec<Block> {
     let lines: Vec<&Line> = table.lines.iter().filter(|line| shown(line)).collect();
     let labels: Vec<String> = lines.iter().map(|line| marked_label(line)).collect();
@@ -146,7 +146,7 @@ fn block(part: &Part, lines: &[&Line], labels: &[String]) -> Block {
     Block::of_rows(text + "\\bottomrule\n\\end{tabular}\n", rows)
 }
 
-/// What stands below the tables.
+/// Returns the notes below the tables.
 fn notes(table: &Table) -> Vec<String> {
     let of_scene = |(scene, lines): (&str, Vec<_>)| {
         let protocol = format!("{scene}, all rows: {}", protocol_text(&lines));
