@@ -209,7 +209,7 @@ fn smoothness_is_measured_on_one_lattice_for_all_runs() {
     let trained = Trained::open(&nerf, None, &Runtime::new("cpu", None).unwrap(), &()).unwrap();
     let far = Lattice { domain: [[90.0; 3], [91.0; 3]], side: 12 };
     let message = trained.measure_smoothness(&far, &()).unwrap_err().to_string();
-    assert!(message.contains("the lattice of smoothness") && !message.contains("--"), "{message}");
+    assert!(message.contains("the sampling grid of smoothness") && !message.contains("--"), "{message}");
     refuse(&["measure", dir.path().to_str().unwrap()], 5, &["not a run folder"]);
 }
 
@@ -698,7 +698,7 @@ fn bench_says_what_it_did() {
     let (corners, bytes) = ((8 * 4 * 2 * 4 * 64) as f64, grid["table_bytes_per_step"].as_f64().unwrap());
     assert!((2.0 * corners..4.0 * corners + (7 * 4 * 2 * 4 * 256) as f64 + 1.0).contains(&bytes), "{bytes}");
     assert!(nerf["table_bytes_per_step"].is_null());
-    refuse(&bench(&["--set", "field.width=32"]), 2, &["field.width", "a flag of its own"]);
+    refuse(&bench(&["--set", "field.width=32"]), 2, &["field.width", "its own flag"]);
     for (flag, value) in
         [("--rays", "0"), ("--coarse", "1"), ("--width", "1"), ("--width", "9999999"), ("--steps", "0")]
     {

@@ -99,7 +99,7 @@ fn numbers_that_no_point_has_are_refused() {
         let line = before.lines().nth(1).unwrap();
         let cell = line.split(',').find(|cell| cell.contains('.') && cell.parse::<f64>().is_ok()).unwrap();
         fs::write(folder.join(name), before.replacen(cell, number, 1)).unwrap();
-        assert_says(&verify(dir.path(), &[], 10), &[name, "no finite number", number]);
+        assert_says(&verify(dir.path(), &[], 10), &[name, "not a finite number", number]);
     }
 }
 

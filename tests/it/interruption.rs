@@ -62,7 +62,7 @@ fn a_flipped_bit_in_a_checkpoint_is_refused_and_resume_goes_back() {
         let message = demand(&mut augnerf(&["eval", out.to_str().unwrap()]), 5);
         assert_says(&message, &["step_000000030", "SHA256SUMS", "augnerf resume"]);
         let message = demand(&mut augnerf(&["resume", out.to_str().unwrap()]), 0);
-        assert_says(&message, &["step_000000030 is damaged", "goes on from", "step_000000020"]);
+        assert_says(&message, &["step_000000030 is damaged", "resumes from", "step_000000020"]);
         assert_same_files(&kept, &out, &FLEETING);
     }
     // What a kill of an earlier version left: a folder half-deleted.

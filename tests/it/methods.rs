@@ -109,10 +109,10 @@ fn every_lack_has_its_reason_and_every_reason_is_told() {
 fn commands_that_need_fields_are_refused_before_anything_is_computed() {
     for (method, _) in BASELINES {
         refuse(&["balance", "--method", method, "--preset", "smoke"], 2, &["balance with method", method]);
-        refuse(&["bench", "--method", method, "--coarse", "8"], 2, &["--coarse 8", method, "leave it out"]);
+        refuse(&["bench", "--method", method, "--coarse", "8"], 2, &["--coarse 8", method, "omit the flag"]);
     }
     refuse(&["bench", "--method", "llff", "--rays", "8"], 2, &["--rays 8", "llff"]);
-    refuse(&["bench", "--method", "srn", "--set", "srn.width=8"], 2, &["srn.width", "flag of its own"]);
+    refuse(&["bench", "--method", "srn", "--set", "srn.width=8"], 2, &["srn.width", "its own flag"]);
 }
 
 /// A step of every row takes a second.

@@ -126,7 +126,7 @@ fn committed_results_become_a_page_without_their_runs() {
     demand(&mut augnerf(&["report", &results, "--out", named]), 0);
     assert_eq!(page, text(&out));
     std::fs::write(&out, "my notes").unwrap();
-    assert_says(&demand(&mut augnerf(&["report", &results, "--out", named]), 4), &["no page of this program"]);
+    assert_says(&demand(&mut augnerf(&["report", &results, "--out", named]), 4), &["not a page of this program"]);
     let said = demand(augnerf(&["report", "/nowhere"]).current_dir(dir.path()), 5);
     assert_says(&said, &["cannot open run /nowhere"]);
     assert!(!dir.path().join("report.html").exists());

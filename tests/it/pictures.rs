@@ -275,7 +275,7 @@ fn runs_that_do_not_show_the_same_are_refused_in_words() {
     refused("the background is black", &|run| run.protocol.set("background", "black".into()));
     refused("the camera", &|run| run.view.camera.pose[0][3] += 1e-3);
     refused("another (1 of 768 values)", &|run| Arc::make_mut(&mut run.view.image).pixels[7] += 0.5);
-    refused("the photograph's mask", &|run| run.view.mask = Some([true; 256].into()));
+    refused("the photo's mask", &|run| run.view.mask = Some([true; 256].into()));
     // Pictures of runs with other ends of rays stand beside each other; densities along rays do not.
     let mut other = run.run_view("other");
     other.bounds.0 = 1.0;

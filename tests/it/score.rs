@@ -124,10 +124,10 @@ fn what_cannot_be_scored_is_refused() {
     renamed(&renders, &dir.join("other"), |index| format!("x_{index}.png"));
     assert_says(
         &demand(dir, &["score", "other", of], 3),
-        &["views have no picture of their name", "x_0", "--match order"],
+        &["views have no image of the same name", "x_0", "--match order"],
     );
     std::fs::remove_file(dir.join("other/x_0.png")).unwrap();
-    assert_says(&demand(dir, &["score", "other", of, "--match", "order"], 3), &["pictures for", "one picture a view"]);
+    assert_says(&demand(dir, &["score", "other", of, "--match", "order"], 3), &["images for", "one image a view"]);
     let renders = renders.to_str().unwrap();
     let small = ["score", renders, "--data", "builtin", "--set", "data.width=12"];
     assert_says(&demand(dir, &small, 3), &["is 16x16 pixels", "is 12x12", "data.width"]);
@@ -137,7 +137,7 @@ fn what_cannot_be_scored_is_refused() {
     assert_says(&demand(dir, &["score", "nowhere", of], 3), &["nowhere"]);
     std::fs::create_dir(dir.join("clear")).unwrap();
     image::RgbaImage::from_pixel(16, 16, image::Rgba([10, 20, 30, 40])).save(dir.join("clear/0.png")).unwrap();
-    assert_says(&demand(dir, &["score", "clear", "clear"], 3), &["see-through", "--background"]);
+    assert_says(&demand(dir, &["score", "clear", "clear"], 3), &["transparent", "--background"]);
     demand(dir, &["score", "clear", "clear", "--background", "black"], 0);
     std::fs::write(dir.join("clear/0.png"), "no picture").unwrap();
     assert_says(&demand(dir, &["score", "clear", "clear"], 3), &["0.png"]);
@@ -148,7 +148,7 @@ fn what_cannot_be_scored_is_refused() {
     std::fs::create_dir(dir.join("half")).unwrap();
     std::fs::copy(dir.join("other/x_1.png"), dir.join("half/x_1.png")).unwrap();
     let of_half = ["score", "half", "--into", "runs/tiny", "--row", "half", "--seed", "0"];
-    assert_says(&demand(dir, &of_half, 3), &["views have no picture of their name"]);
+    assert_says(&demand(dir, &of_half, 3), &["views have no image of the same name"]);
     // Whatever else they are like: in a table stand pictures of the sweep's own views.
     for easy in [&["half"][..], &["--data", "builtin"]] {
         assert_says(&demand(dir, &[&of_half[..], easy].concat(), 2), &["--into", "cannot be used with"]);
@@ -174,7 +174,10 @@ fn scored_rows_stand_marked_in_the_table() {
     let renders = run(dir, "Aug-NeRF", 0).join("renders");
     scored(dir, &[renders.to_str().unwrap(), "--into", "runs/tiny", "--row", "single"]);
     let mixed = [renders.to_str().unwrap(), "--into", "runs/tiny", "--row", "single", "--seed", "0"];
-    assert_says(&demand(dir, &[&["score"], &mixed[..]].concat(), 2), &["'single' has sets", "give each one"]);
+    assert_says(
+        &demand(dir, &[&["score"], &mixed[..]].concat(), 2),
+        &["'single' would have sets", "give each set a seed"],
+    );
     let before = rows(&text(&dir.join("results/tiny/table.csv")));
     demand(dir, &["sweep", "collect", "runs/tiny"], 0);
     let table = rows(&text(&dir.join("results/tiny/table.csv")));
@@ -217,7 +220,7 @@ fn rows_of_a_sweep_are_compared_by_their_names() {
     let seeds: Vec<&Value> = compared["runs"].as_array().unwrap().iter().map(|run| &run["protocol"]["seed"]).collect();
     assert_eq!(seeds, [&Value::from(1), &Value::from(1)]);
     demand(dir, &["profile", "runs/tiny", "--out", "ray", "--quiet"], 0);
-    assert_says(&demand(dir, &["compare", "runs/tiny", "--rows", "Nerf"], 2), &["'Nerf' is no row", "Aug-NeRF"]);
+    assert_says(&demand(dir, &["compare", "runs/tiny", "--rows", "Nerf"], 2), &["'Nerf' is not a row", "Aug-NeRF"]);
     assert_says(&demand(dir, &["compare", "runs/tiny", "--seed", "7"], 2), &["--seed 7", "0, 1"]);
     assert_says(&demand(dir, &["compare", "runs/tiny", "--scene", "fern"], 2), &["--scene fern", "builtin"]);
     let run = run(dir, "NeRF", 0);

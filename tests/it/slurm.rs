@@ -325,7 +325,7 @@ fn what_slurm_cannot_take_is_refused_in_a_sentence() {
     };
     assert_says(&submit(&["--time", "soon"], 2), &["--time soon", "HOURS:MINUTES:SECONDS"]);
     assert_says(&submit(&["--time", "00:05:00"], 2), &["--time 00:05:00", "at least 10 minutes"]);
-    assert_says(&submit(&["--partition", "a b"], 2), &["--partition", "without spaces"]);
+    assert_says(&submit(&["--partition", "a b"], 2), &["--partition", "spaces or line breaks"]);
     assert_says(&submit(&["--mem", "8G\n#SBATCH --begin=now"], 2), &["--mem", "line breaks"]);
     assert_says(&submit(&["--sbatch", "account=lab"], 2), &["--sbatch account=lab", "--sbatch=--account=lab"]);
     assert_says(&submit(&["--out", "it's"], 2), &["quotes", "--out"]);
@@ -347,13 +347,13 @@ fn without_sbatch_or_with_its_refusal_the_user_is_told_what_to_do() {
     let cluster = Cluster::new();
     cluster.stand_in("sbatch", "echo 'sbatch: error: invalid partition specified: nowhere' >&2; exit 1");
     let said = cluster.demand(&submit, dir.path(), 2);
-    assert_says(&said, &["sbatch refuses", "points.sbatch: invalid partition specified: nowhere"]);
+    assert_says(&said, &["sbatch rejected", "points.sbatch: invalid partition specified: nowhere"]);
     cluster.stand_in("sbatch", "echo Submitted");
     assert_says(&cluster.demand(&submit, dir.path(), 2), &["named no job", "Submitted"]);
     // The points are in the queue, what collects them is not.
     cluster.stand_in("sbatch", "case $* in *afterany*) echo 'sbatch: error: too many jobs' >&2; exit 1;; esac; echo 5");
     let said = cluster.demand(&submit, dir.path(), 2);
-    assert_says(&said, &["job 5", "not the job that collects", "too many jobs", "sweep collect"]);
+    assert_says(&said, &["job 5", "the job that collects was not", "too many jobs", "sweep collect"]);
     assert_eq!(json(&dir.path().join("runs/tiny/slurm/jobs.json"))["jobs"][0]["points"], "5");
     // Another sweep's folder.
     std::fs::write(dir.path().join("tiny.toml"), TINY.replace("1e30", "2e30")).unwrap();

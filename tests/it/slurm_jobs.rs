@@ -160,7 +160,7 @@ fn a_cancelled_sweep_stays_cancelled_and_goes_on_at_home() {
     let dir = cluster.path();
     let submit = ["sweep", "submit", "tiny.toml", "--quiet", "--set", "train.steps=8000", "--seeds", "0"];
     let said = demand(&[&submit[..], &["--partition", "nowhere"]].concat(), dir, 2);
-    assert_says(&said, &["sbatch refuses", "invalid partition"]);
+    assert_says(&said, &["sbatch rejected", "invalid partition"]);
     demand(&[&submit[..], &["--array-limit", "1"]].concat(), dir, 0);
     let own = points(dir)[0].clone();
     wait_for("a step", dir, || in_training(&own));

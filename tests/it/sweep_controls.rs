@@ -185,7 +185,7 @@ fn budgets_of_two_kinds_may_come_to_the_same_steps() {
     let points = points_of(&format!("{absent}{both}")).unwrap();
     assert!(points.iter().any(|point| point.without_budget && point.places.len() == 2));
     let twice = equal("evaluations", "evaluations") + &equal("again", "evaluations");
-    assert!(points_of(&format!("{BASE}{twice}")).unwrap_err().to_string().contains("the same experiment"));
+    assert!(points_of(&format!("{BASE}{twice}")).unwrap_err().to_string().contains("the same configuration"));
 }
 
 /// The points of a table in `results` do not hang on the clock of the day on which it is made again.

@@ -216,7 +216,7 @@ fn wrong_definitions_are_refused_with_words() {
         (replace("name = \"Aug-NeRF\"", "name = \" \""), vec!["name"]),
         (
             replace("set = { method = \"aug-nerf\", \"perturb.t.steps\" = 3 }", ""),
-            vec!["NeRF", "Aug-NeRF", "same experiment"],
+            vec!["NeRF", "Aug-NeRF", "same configuration"],
         ),
         (replace("seeds = [0, 1]", "seeds = []"), vec!["seeds", "none"]),
         (replace("seeds = [0, 1]", "seeds = [1, 1]"), vec!["seeds", "1", "twice"]),
@@ -234,7 +234,10 @@ fn wrong_definitions_are_refused_with_words() {
             format!("published = \"tab1\"\n{BASE}\n[[row]]\nname = \"LLFF\"\nset = {{ method = \"llff\" }}\n"),
             vec!["'LLFF'", "was trained on others", "ours = true"],
         ),
-        (axis("\"train.rays\"", "8, 16") + "[[row]]\nname = \"Twin\"\n", vec!["'NeRF'", "'Twin'", "same experiment"]),
+        (
+            axis("\"train.rays\"", "8, 16") + "[[row]]\nname = \"Twin\"\n",
+            vec!["'NeRF'", "'Twin'", "same configuration"],
+        ),
         (axis("", "8"), vec!["axis 'a'", "keys"]),
         (axis("\"train.raise\"", "8"), vec!["unknown key", "train.rays"]),
         (axis("\"train.rays\"", &values(5999)), vec!["23996 points", "10000"]),

@@ -235,7 +235,7 @@ fn settings_by_seed_are_controlled_seed_by_seed() {
 fn what_cannot_be_placed_is_refused() {
     let refusal = |spec: &TableSpec, records: &[Record]| Table::new(spec, records, true).unwrap_err().to_string();
     let twice = [point("fern", "NeRF", 0, 1.0), point("fern", "NeRF", 0, 2.0)];
-    assert!(refusal(&spec(), &twice).contains("a seed counts once"));
+    assert!(refusal(&spec(), &twice).contains("each seed once"));
     assert!(refusal(&spec(), &[point("fern", "NeRv", 0, 1.0)]).contains("`NeRv`"));
     let mut unknown = spec();
     unknown.rows[1].baseline = Some("MipNeRF".into());

@@ -122,10 +122,10 @@ fn chosen_rows_have_the_statistics_of_what_is_shown() {
         &collect(&["--rows", "B", "--out", "x"], 2),
         &["leaves out 'NeRF'", "'B' is compared with", "--baseline"],
     );
-    assert_says(&collect(&["--rows", "Nerf", "--out", "x"], 2), &["'Nerf' is no row", "A, long"]);
+    assert_says(&collect(&["--rows", "Nerf", "--out", "x"], 2), &["'Nerf' is not a row", "A, long"]);
     assert_says(&collect(&["--baseline", "D", "--out", "x"], 2), &["--baseline D", "NeRF"]);
     assert_says(&collect(&["--metrics", "psnrr", "--out", "x"], 2), &["'psnrr' does not exist", "psnr"]);
-    assert_says(&collect(&["--rows", "NeRF", "--out", "results/one"], 4), &["whole tables", "--out"]);
+    assert_says(&collect(&["--rows", "NeRF", "--out", "results/one"], 4), &["complete tables", "--out"]);
     // Somebody's own figures, some of which have names of ours.
     std::fs::create_dir(dir.path().join("paper")).unwrap();
     std::fs::write(dir.path().join("paper/rows_overview.png"), "mine").unwrap();
@@ -360,7 +360,7 @@ fn damaged_sets_of_pictures_are_refused() {
         ),
         (
             r#"{"row":"x","scene":"../x","seed":0,"predictions_sha256":"a","truth":"b","metrics":[],"protocol":[]}"#,
-            "none of the sweep's",
+            "not in the sweep",
         ),
         (
             r#"{"row":"x\u0007","scene":"builtin","seed":0,"predictions_sha256":"a","truth":"b","metrics":[],"protocol":[]}"#,

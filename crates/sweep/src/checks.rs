@@ -28,7 +28,7 @@ impl Definition {
         self.rows()
             .iter()
             .filter_map(|row| Some((row, row.published.as_ref()?)))
-            .try_for_each(|(row, key)| key.check().map_err(|message| format!("row '{}' {message}", row.name)))
+            .try_for_each(|(row, key)| key.check().map_err(|message| format!("row '{}': {message}", row.name)))
     }
 
     /// Returns an error for a row that trains LLFF on its scene and is called the published method.

@@ -55,7 +55,7 @@ fn locked(path: &Path, file: &mut File) -> Error {
     let known = file.take(64).read_to_string(&mut holder).is_ok() && !holder.is_empty();
     let who = if known { format!("process {holder}") } else { "another process".to_string() };
     Error::Output(format!(
-        "{} is locked by {who}, which trains in it or reads it; wait for it (or give a new run another --out)",
+        "{} is in use by {who}, which trains in it or reads it; wait for it, or give a new run another --out",
         path.display()
     ))
 }
