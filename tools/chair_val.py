@@ -1,11 +1,11 @@
 #!/usr/bin/env python3
-"""Gives a NeRF-Synthetic scene that was published without validation views a list of them, made of its test views.
+"""Makes a list of validation views from the test views of a NeRF-Synthetic scene that was published without any.
 
     tools/chair_val.py DATA/nerf_synthetic/chair STUDY/nerf_synthetic/chair
 
-The new folder links to the scene's pictures and files, and adds transforms_val.json: the test views from the sixth on. With
-data.test_skip = 10 a run with data.eval_split = "test" sees views 0, 10, ..., 190 and one with "val" sees 5, 15, ..., 195: no view
-that settings are chosen by is one that results are reported on. A scene with a validation split of its own needs none of this.
+The new folder links to the scene's images and files, and adds transforms_val.json: the test views from the sixth on. With
+data.test_skip = 10, a run with data.eval_split = "test" uses views 0, 10, ..., 190, and one with "val" uses 5, 15, ..., 195.
+So no view serves both for choosing settings and for results. A scene with its own validation split does not need this.
 """
 import argparse
 import json
@@ -21,9 +21,9 @@ def main():
     arguments = parser.parse_args()
     scene = arguments.scene.resolve()
     if arguments.folder.resolve() == scene:
-        parser.error("name a folder of its own: the scene's stays as it was published")
+        parser.error("name another folder: the scene's own folder stays as published")
     if (scene / "transforms_val.json").exists():
-        parser.error(f"{scene} has a validation split of its own")
+        parser.error(f"{scene} has its own validation split")
     transforms = json.loads((scene / "transforms_test.json").read_text())
     transforms["frames"] = transforms["frames"][FIRST:]
     arguments.folder.mkdir(parents=True, exist_ok=True)

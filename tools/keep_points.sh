@@ -1,8 +1,8 @@
 #!/bin/bash
-# Stages what is done of sweeps below runs/, for `augnerf sweep run` to go on from on another machine: the definitions, and of each
-# point that has ended its result, metrics and logs. Checkpoints, pictures and the maps of depth errors stay behind: such points cannot
-# be rendered again, and have no metrics over the pixels that all rows show. The points carry the revision of the program that made
-# them: go on with a program that is built at that revision (git worktree). Taken out again once the tables are committed.
+# Stages the finished points of sweeps below runs/, so that `augnerf sweep run` can continue on another machine. Adds the
+# definitions and, for each point that has ended, its result, metrics and logs. Checkpoints, images and depth errors are not
+# added. Such points cannot be rendered again, and have no metrics over the pixels that all rows show. Points name the revision
+# of their program: continue with a program of that revision (git worktree). Remove the points once the tables are committed.
 #
 #   tools/keep_points.sh baselines_chair && git commit -m "Keep points of baselines_chair"
 set -euo pipefail
@@ -10,7 +10,7 @@ shopt -s nullglob
 cd "$(dirname "$0")/.."
 for name in "$@"; do
   folder=runs/$name
-  [ -f "$folder/points.json" ] || { echo "$folder has no points.json: it is no sweep that was begun" >&2; exit 2; }
+  [ -f "$folder/points.json" ] || { echo "$folder has no points.json, so it is not a started sweep; name sweeps below runs/" >&2; exit 2; }
   git add -f "$folder/sweep.toml" "$folder/points.json"
   [ ! -f "$folder/step_seconds.json" ] || git add -f "$folder/step_seconds.json"
   for result in "$folder"/points/*/result.json; do

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Kills trainings and sweeps at random moments and compares what they leave with what undisturbed ones leave, byte for byte.
+"""Kills trainings and sweeps at random moments and compares their files with those of undisturbed ones, byte for byte.
 
     cargo build --release
     tools/kill_storm.py                       200 kills of trainings, 200 of sweeps, signals, a full disk, 100 collects
@@ -7,14 +7,13 @@
     tools/kill_storm.py --only sweep,runners  some parts
     tools/kill_storm.py --short               under a minute, as the gate runs it
 
-A training or sweep is started, killed, started again as a user would, until it ends by itself; then its folder must hold the
-same names and the same bytes as an undisturbed one, hidden names included. Not compared: clocks (timing.json, timing.csv),
-event files, the number of a process in run.lock. What differs is kept and named. The exit code is 0 if nothing differs, 1 if
-something does.
+A training or sweep is started, killed, and started again as a user would, until it ends by itself. Then its folder must have
+the same names and bytes as an undisturbed one, hidden names included. Not compared: clocks (timing.json, timing.csv), event
+files, the process number in run.lock. Differing files are kept and named. The exit code is 0 if nothing differs, else 1.
 
-Half of the kills come at a random time, half at a random one of the calls that change the file system (write, rename, fsync,
-unlink, ...), where strace is there to do that. The disk that fills is a tmpfs, which takes root to mount. What is left out for
-want of either is said. Needs Python 3.9 and no package of it.
+Half of the kills come at a random time. If strace is available, the other half come at a random call that changes the file
+system (write, rename, fsync, unlink, ...). The disk that fills up is a tmpfs; mounting it needs root. Skipped parts are
+printed. Needs Python 3.9 without packages.
 """
 
 import argparse
@@ -31,11 +30,11 @@ from collections import Counter
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
-# Folders and files that need not repeat.
+# Folders and files that are not reproducible.
 FLEETING = {"timing.json", "timing.csv", "tensorboard", "run.lock"}
 CALLS = "write,rename,renameat2,unlink,unlinkat,rmdir,mkdir,link,linkat,fsync,ftruncate"
 SIGNALS = {signal.SIGTERM: 143, signal.SIGINT: 130, signal.SIGHUP: 129}
-# A command that takes longer hangs.
+# Seconds; a command that takes longer hangs.
 PATIENCE = 300
 
 SET = """
@@ -68,7 +67,7 @@ def quoted(setting):
 
 
 def content(folder):
-    """Relative path -> hash of every file below, where a link leads, and every empty folder."""
+    """Returns relative path -> file hash or link target, and every empty folder."""
     found = {}
     for path in sorted(folder.rglob("*")):
         place = path.relative_to(folder)
@@ -111,10 +110,10 @@ class Storm:
         command = [program or "", "-f", "-o", "/dev/null", "-e", "inject=mkdir:signal=SIGKILL:when=1", "mkdir", "x"]
         if program and subprocess.run(command, cwd=self.folder, capture_output=True).returncode == -signal.SIGKILL:
             return program
-        print("kill_storm: LEFT OUT: kills at calls of the file system (there is no strace that can trace here)")
+        print("kill_storm: SKIPPED: kills at calls of the file system (no working strace)")
         return None
 
-    # What is run.
+    # Commands.
 
     def start(self, command, moment=None):
         """Starts the program; with a moment, strace kills it at that call of a thread."""
@@ -122,7 +121,7 @@ class Storm:
         if moment is not None:
             inject = f"inject={CALLS}:signal=SIGKILL:when={moment}"
             words = [self.strace, "-f", "-o", "/dev/null", "-e", f"trace={CALLS}", "-e", inject, *words]
-        # A group of its own: what is killed is killed with whoever traces it.
+        # Its own process group, so that strace is killed with it.
         return subprocess.Popen(words, env=self.environment, cwd=self.folder, start_new_session=True,
                                 stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
 
@@ -135,11 +134,11 @@ class Storm:
             self.fail(f"{process.args} hangs")
             return None
         if process.returncode not in allowed:
-            self.fail(f"{' '.join(process.args)} ended with {process.returncode}, allowed is {sorted(allowed)}: {said}")
+            self.fail(f"{' '.join(process.args)} ended with {process.returncode}, but only {sorted(allowed)} are allowed: {said}")
         return process.returncode
 
     def training(self, run):
-        """What a user would do: begin a run, or go on with the one that is there."""
+        """Does what a user would do: starts a run, or resumes an existing one."""
         if (run / "config.toml").exists():
             return ["resume", "--quiet", "--threads", "2", run]
         method = ["--method", "aug-nerf"] if run.parent.name == "aug" else []
@@ -148,14 +147,14 @@ class Storm:
     def sweep(self, out):
         return ["sweep", "run", self.definition, "--out", out, "--quiet", "--threads", "2", "--max-deaths", "1000000"]
 
-    # What is looked at.
+    # Checks.
 
     def fail(self, what):
         self.wrong += 1
         print(f"kill_storm: WRONG: {what}", flush=True)
 
     def same(self, kind, straight, folder):
-        """Compares a folder that went through a storm with an undisturbed one, and deletes it if it is alike."""
+        """Compares the folder of killed commands with an undisturbed one, and deletes it if they are equal."""
         self.lives += 1
         left, right = content(straight), content(folder)
         if left == right:
@@ -165,7 +164,7 @@ class Storm:
         self.fail(f"{kind}: {folder} differs from {straight}: {', '.join(differ[:8])}")
 
     def undisturbed(self, name, command):
-        """The folder that an undisturbed command leaves, the seconds that it took, and the calls of its busiest thread."""
+        """Returns the folder of an undisturbed command, its seconds, and the calls of its busiest thread."""
         folder = self.folder / name
         folder.parent.mkdir(parents=True, exist_ok=True)
         started = time.monotonic()
@@ -190,10 +189,10 @@ class Storm:
         self.rows.append((name, what.format(done), lives, wrong, time.monotonic() - started))
         print(f"kill_storm: {name}: {what.format(done)}, {lives} folders compared, {wrong} wrong", flush=True)
 
-    # The parts.
+    # Parts.
 
     def kills(self, kind, command, undisturbed, wanted):
-        """Kills a command again and again, from its start and from where the last one was killed."""
+        """Kills a command repeatedly, from its start and after each kill."""
         straight, seconds, calls = undisturbed
         done = life = 0
         while done < wanted:
@@ -218,7 +217,7 @@ class Storm:
         return done
 
     def signals(self, kind, command, undisturbed, each):
-        """Signals that ask for a stop, and such as take the processor away for a moment."""
+        """Sends signals that ask for a stop, and signals that pause the process."""
         straight, seconds, _ = undisturbed
         sent = 0
         for which, code in [*SIGNALS.items(), (signal.SIGSTOP, 0)]:
@@ -232,7 +231,7 @@ class Storm:
                     if which == signal.SIGSTOP:
                         time.sleep(0.2)
                         process.send_signal(signal.SIGCONT)
-                    # Before it listens, a signal ends it as it ends any program.
+                    # Before the program handles signals, a signal ends it as any program.
                     ended = self.end(process, {0, code, -which})
                     if ended is None:
                         break
@@ -240,7 +239,7 @@ class Storm:
         return sent
 
     def full_disk(self, kind, command, undisturbed, times):
-        """A disk that fills up in between: exit code 4, and after some room was made it goes on."""
+        """Fills the disk while a command runs: exit code 4, and with free space it continues."""
         straight, seconds, _ = undisturbed
         place = straight.parent / "disk"
         place.mkdir()
@@ -248,12 +247,12 @@ class Storm:
         for life in range(times):
             mounted = subprocess.run(["mount", "-t", "tmpfs", "-o", "size=24m", "kill_storm", place], capture_output=True)
             if mounted.returncode != 0:
-                print(f"kill_storm: LEFT OUT: a full disk ({mounted.stderr.decode().strip()})")
+                print(f"kill_storm: SKIPPED: a full disk ({mounted.stderr.decode().strip()})")
                 return 0
             try:
                 folder, ballast = place / "folder", place / "ballast"
                 process = self.start(command(folder))
-                # A disk in memory is a fast one.
+                # A disk in memory is fast.
                 time.sleep(self.random.random() * min(seconds, 0.5))
                 fill(ballast)
                 refused += self.end(process, {0, 4}) == 4
@@ -267,7 +266,7 @@ class Storm:
         return refused
 
     def runners(self, undisturbed, wanted):
-        """Three runners of one sweep, of which one after the other is killed and started again."""
+        """Runs three workers of one sweep; one after the other is killed and started again."""
         straight, seconds, _ = undisturbed
         done = life = 0
         while done < wanted:
@@ -288,8 +287,8 @@ class Storm:
         return done
 
     def collects(self, straight, count):
-        """Many collect one finished sweep at once."""
-        # Its tables get the folder's name.
+        """Collects one finished sweep many times at once."""
+        # The tables get the folder's name.
         self.end(self.start(["sweep", "collect", straight]), {0})
         before = content(straight)
         running = [self.start(["sweep", "collect", straight]) for _ in range(count)]
@@ -321,7 +320,7 @@ class Storm:
         for name, what, lives, wrong, took in self.rows:
             print(f"{name:10} {what:42} {lives:8} {wrong:6} {took:8.0f}")
         if self.wrong:
-            print(f"kill_storm: {self.wrong} wrong; what was left is in {self.folder}")
+            print(f"kill_storm: {self.wrong} wrong; the files are in {self.folder}")
             return 1
         shutil.rmtree(self.folder)
         return 0
@@ -330,9 +329,9 @@ class Storm:
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--program", type=Path, default=ROOT / "target/release/augnerf")
-    parser.add_argument("--folder", type=Path, help="where to work [default: the system's temporary folder; --short: in memory, where it can]")
+    parser.add_argument("--folder", type=Path, help="folder of the work [default: the system's temporary folder; --short: in memory if possible]")
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--only", type=lambda text: text.split(","), help="parts, with commas between them")
+    parser.add_argument("--only", type=lambda text: text.split(","), help="parts, separated by commas")
     parser.add_argument("--short", action="store_true")
     numbers = {"train": (200, 10), "sweep": (200, 5), "runners": (60, 3), "signals": (5, 0), "disks": (10, 1), "collects": (100, 20)}
     for name, (default, _) in numbers.items():
@@ -345,7 +344,7 @@ def main():
         arguments.folder = Path("/dev/shm")
     arguments.program = arguments.program.resolve()
     if not arguments.program.exists():
-        sys.exit(f"kill_storm: {arguments.program} is missing: cargo build --release")
+        sys.exit(f"kill_storm: {arguments.program} is missing; run cargo build --release")
     sys.exit(Storm(arguments).run())
 
 

@@ -1,12 +1,11 @@
-"""Makes tests/fixtures/nerf_pytorch.tar and nerf_pytorch.json: a checkpoint as nerf-pytorch writes it, and the picture that
-its renderer makes of it.
+"""Makes tests/fixtures/nerf_pytorch.tar and nerf_pytorch.json: a checkpoint in nerf-pytorch's format, and its rendering.
 
     python tools/nerf_pytorch_fixture.py tests/fixtures        (PyTorch; no other package)
 
-Network and renderer are written anew after the paper's equations in nerf-pytorch's conventions: names of modules, encoding
-with the identity first, input before the trunk's output at the skip, rays through integer pixels, even samples and even u
-(no jitter, no noise), the last interval 1e10 long, white background. A second call checks a checkpoint that `augnerf export`
-wrote: `python tools/nerf_pytorch_fixture.py --check FILE.tar` loads it with weights_only and takes a step of Adam.
+Network and renderer are written from the paper's equations, in nerf-pytorch's conventions: names of modules, encoding with the
+identity first, input before the trunk's output at the skip, rays through integer pixels, even samples and even u (no jitter,
+no noise), the last interval 1e10 long, white background. `python tools/nerf_pytorch_fixture.py --check FILE.tar` checks a
+checkpoint of `augnerf export`: it loads the file with weights_only and takes a step of Adam.
 """
 
 import json
@@ -67,7 +66,7 @@ def render(network, origins, directions, t):
 
 
 def place(t, weights, count):
-    """Samples of the piecewise constant distribution over the middles of intervals, at even u."""
+    """Samples the piecewise constant distribution over the midpoints of intervals, at even u."""
     middles = 0.5 * (t[:, 1:] + t[:, :-1])
     weights = weights[:, 1:-1] + 1e-5
     cdf = torch.cumsum(weights / weights.sum(-1, keepdim=True), -1)
@@ -94,7 +93,7 @@ def picture(coarse, fine, pose):
 
 
 def made(depth, width, seed):
-    """Weights that show something: larger ones than PyTorch draws, and density in some places."""
+    """Makes weights that render something: larger than PyTorch's, with density in some places."""
     torch.manual_seed(seed)
     network = Network(depth, width, 3 + 6 * OCTAVES[0], 3 + 6 * OCTAVES[1], SKIP)
     with torch.no_grad():
@@ -106,7 +105,7 @@ def made(depth, width, seed):
 
 
 def checkpoint(coarse, fine, step):
-    """What nerf-pytorch saves, Adam's state after a step included."""
+    """Returns the object that nerf-pytorch saves, with Adam's state after a step."""
     parameters = list(coarse.parameters()) + list(fine.parameters())
     adam = torch.optim.Adam(parameters, lr=5e-4, betas=(0.9, 0.999))
     return {
@@ -151,7 +150,7 @@ def main(folder):
 
 
 def check(path):
-    """Loads an export as nerf-pytorch does, and prints the picture's mean."""
+    """Loads an export as nerf-pytorch does, and prints the image's mean."""
     saved = torch.load(path, weights_only=True)
     networks = []
     for key in ("network_fn_state_dict", "network_fine_state_dict"):

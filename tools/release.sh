@@ -1,12 +1,12 @@
 #!/usr/bin/env bash
-# release.sh [FEATURES]: builds the program for this Linux and packs it for others, into target/release-package:
+# release.sh [FEATURES]: builds the program for this Linux and packs it into target/release-package:
 # augnerf-VERSION-TARGET.tar.gz with the program, README, licences, completions and manual pages, and its SHA-256.
-# FEATURES are cargo's: --no-default-features, --features cuda. Says at its end which glibc the program needs, and packs nothing
-# where it needs any other library (CUDA's apart).
+# FEATURES are cargo's: --no-default-features, --features cuda. Prints the glibc that the program needs. If the program needs
+# any other library, except CUDA's, nothing is packed.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 
-# glibc and not musl: exp and log of another libm would give other bytes than builds from source do.
+# glibc, not musl: exp and log of another libm would give other bytes than builds from source.
 target=$(rustc -vV | sed -n 's/^host: //p')
 version=$(sed -n 's/^version = "\(.*\)"/\1/p' Cargo.toml | head -1)
 name=augnerf-$version-$target
@@ -14,7 +14,7 @@ out=target/release-package
 rm -rf "$out"
 mkdir -p "$out/$name/completions" "$out/$name/man/man1"
 
-# The compiler's library and the film encoder's C++ library are linked in: where the linker looks first it finds archives alone.
+# Links the compiler's library and the video encoder's C++ library statically: the linker's first folder has only archives.
 archives=$PWD/target/release-archives
 mkdir -p "$archives"
 for of in gcc_s:gcc_eh stdc++:stdc++; do
@@ -31,8 +31,8 @@ needed=$(objdump -p "$program" | awk '/NEEDED/ { print $2 }')
 own='^(lib(c|m|dl|rt|pthread|util)\.so\.[0-9]+|ld-linux.*)$'
 [[ " $* " == *cuda* ]] && own="$own|^lib(cu|nv)"
 if foreign=$(grep -Ev "$own" <<< "$needed"); then
-  echo "$program needs" $foreign "beside glibc, which other machines may lack: install g++ with libstdc++.a and libgcc_eh.a, or leave films out with" \
-    "--no-default-features --features png-figures" >&2
+  echo "$program needs" $foreign "besides glibc, which other machines may lack; install g++ with libstdc++.a and libgcc_eh.a," \
+    "or build without videos: --no-default-features --features png-figures" >&2
   rm -rf "$out"
   exit 1
 fi
@@ -45,10 +45,10 @@ cp README.md CHANGELOG.md CITATION.cff LICENSE-MIT LICENSE-APACHE "$out/$name/"
 mkdir "$out/$name/fonts"
 cp assets/fonts/README.md assets/fonts/UFL.txt "$out/$name/fonts/"
 
-# Equal files give an equal archive: no owners, one order, the time of the commit.
+# Equal files give an equal archive: no owners, sorted names, the time of the commit.
 when=$(git log -1 --format=%ct 2> /dev/null || echo 0)
 tar --sort=name --owner=0 --group=0 --numeric-owner --mtime="@$when" -C "$out" -cf - "$name" | gzip -n9 > "$out/$name.tar.gz"
 (cd "$out" && sha256sum "$name.tar.gz" | tee "$name.tar.gz.sha256")
 
 "$program" --version
-echo "needs glibc $(objdump -T "$program" | grep -o 'GLIBC_[0-9.]*' | sort -Vu | tail -1 | cut -d_ -f2) or newer, and of libraries:" $needed
+echo "needs glibc $(objdump -T "$program" | grep -o 'GLIBC_[0-9.]*' | sort -Vu | tail -1 | cut -d_ -f2) or newer, and these libraries:" $needed

@@ -1,9 +1,9 @@
 #!/usr/bin/env bash
-# slurm_here.sh DIR: a real Slurm of two nodes on this machine, for trying `augnerf sweep submit`. Debian's packages are
-# downloaded and unpacked below DIR, nothing is installed, and everything listens on 127.0.0.1 alone.
+# slurm_here.sh DIR: starts a real Slurm with two nodes on this machine, to try `augnerf sweep submit`. Debian's packages are
+# downloaded and unpacked below DIR. Nothing is installed, and everything listens on 127.0.0.1 only.
 #
 #   tools/slurm_here.sh DIR && . DIR/env && sinfo      # sbatch, squeue, scancel, scontrol are on the PATH now
-#   DIR/stop                                           # ends its daemons
+#   DIR/stop                                           # stops its daemons
 set -euo pipefail
 dir=$(realpath -m "${1:?usage: slurm_here.sh DIR}")
 mkdir -p "$dir"/{packages,root,run,state,log,cgroup,spool/left,spool/right}
@@ -27,7 +27,7 @@ EOF
 chmod +x "$dir/stop"
 . "$dir/env"
 
-# Slurm of a user of its own, with credentials that last so shortly that a task which is put back starts again in seconds.
+# Slurm runs as this user. Its credentials expire fast, so that a requeued task starts again within seconds.
 me=$(id -un)
 cat > "$dir/slurm.conf" << EOF
 ClusterName=here
@@ -61,16 +61,16 @@ ReturnToService=2
 NodeName=left NodeHostname=$(hostname -s) NodeAddr=127.0.0.1 Port=27818 CPUs=2 RealMemory=2000
 NodeName=right NodeHostname=$(hostname -s) NodeAddr=127.0.0.1 Port=27819 CPUs=2 RealMemory=2000
 PartitionName=all Nodes=left,right Default=YES MaxTime=INFINITE State=UP
-# Its jobs take the place of others at once.
+# Its jobs preempt others at once.
 PartitionName=urgent Nodes=left,right PriorityTier=2 MaxTime=INFINITE State=UP
 EOF
-# A mount point of its own keeps slurmd away from the control groups of this machine.
+# A separate mount point keeps slurmd away from the control groups of this machine.
 printf 'CgroupPlugin=cgroup/v1\nCgroupMountpoint=%s\n' "$dir/cgroup" > "$dir/cgroup.conf"
 
 [[ -s $dir/munge.key ]] || (umask 077 && head -c 1024 /dev/urandom > "$dir/munge.key")
 "$sbin/munged" --force --key-file="$dir/munge.key" --socket="$dir/run/munge.socket" --pid-file="$dir/run/munged.pid" \
   --log-file="$dir/log/munged" --seed-file="$dir/run/munge.seed"
-# daemon NAME COMMAND...: runs it in a session of its own, with its output in DIR/log.
+# daemon NAME COMMAND...: runs a command in its own session, with its output in DIR/log.
 daemon() { setsid "${@:2}" > "$dir/log/$1" 2>&1 < /dev/null & }
 daemon slurmctld "$sbin/slurmctld-wlm" -D -c -f "$SLURM_CONF"
 for node in left right; do
@@ -80,5 +80,5 @@ for ((i = 0; i < 60; i++)); do
   [[ $(sinfo -h -t idle -o %D 2> /dev/null) == 2 ]] && exit 0
   sleep 0.5
 done
-echo "Slurm did not start within 30 seconds: see $dir/log" >&2
+echo "Slurm did not start within 30 seconds; see $dir/log" >&2
 exit 1

@@ -1,7 +1,7 @@
 #!/bin/bash
-# The study's comparisons over its blocks (results/study/PLAN.md), once all five are complete, into results/study_*: the primary one, what is
-# secondary, and, of the blocks where calibrated minus NeRF passes above 0, what it is compared with there. Those blocks are read from
-# results/study/study_primary/across.csv. AUGNERF picks the program.
+# Makes the study's comparisons over its blocks (results/study/PLAN.md) in results/study_*, once all five blocks are complete:
+# the primary one, the secondary ones, and those for the blocks where calibrated minus NeRF is significantly above 0. These
+# blocks come from results/study/study_primary/across.csv. AUGNERF names the program.
 #
 #   tools/study_across.sh
 set -euo pipefail
@@ -18,20 +18,20 @@ compare() {
   "$augnerf" sweep across "${@/#/results/}" --row "$row" --baseline "$baseline" --metric "$metric" --out "results/$out"
 }
 
-# primary COLUMN: sweep and a column of the primary comparison, a line a block. None of its rows' names has a comma.
+# primary COLUMN: prints sweep and a column of the primary comparison, one line a block. No row's name has a comma.
 primary() {
   awk -F, -v name="$1" 'NR == 1 { for (i = 1; i <= NF; i++) at[$i] = i; next } { print $at["sweep"], $at[name] }' \
     results/study/study_primary/across.csv
 }
 
-# The plan corrects over five complete blocks: a block or a seed less would make another test.
+# The plan corrects over five complete blocks; with fewer blocks or seeds it would be another test.
 for block in "${blocks[@]}"; do
-  [[ -f results/$block/points.csv ]] || { echo "results/$block is not there: the study is compared once all its blocks are complete" >&2; exit 2; }
+  [[ -f results/$block/points.csv ]] || { echo "results/$block is missing; the study is compared once all of its blocks are complete" >&2; exit 2; }
 done
 calibrated="Aug-NeRF calibrated"
 compare study_primary "$calibrated" NeRF psnr "${blocks[@]}"
 if ! primary pairs | awk -v blocks=${#blocks[@]} -v seeds=$seeds '$2 != seeds { wrong = 1 } END { exit wrong || NR != blocks }'; then
-  echo "results/study/study_primary has not $seeds seeds in each of ${#blocks[@]} blocks: $(primary pairs | paste -sd ';')" >&2
+  echo "results/study/study_primary needs $seeds seeds in each of ${#blocks[@]} blocks, but has: $(primary pairs | paste -sd ';')" >&2
   exit 1
 fi
 compare study_paper "Aug-NeRF, paper's geometry" NeRF psnr "${blocks[@]}"
@@ -41,7 +41,7 @@ compare study_second_look "$calibrated" "NeRF + second clean pass" psnr "${block
 compare study_ssim "$calibrated" NeRF ssim "${blocks[@]}"
 compare study_lpips "$calibrated" NeRF lpips_squeeze "${blocks[@]}"
 compare study_depth "$calibrated" NeRF depth_mae_common "${chair[@]}"
-# Beside the rule: the levels' own sweeps, against the paper's "Random".
+# Outside the rule: the levels' own sweeps, against the paper's "Random".
 compare study_levels_noise "$calibrated" "+ Tri-level Random Noise" psnr study_levels_fern study_levels
 
 mapfile -t gains < <(primary verdict | awk '$2 == "higher" { print $1 }')
@@ -49,5 +49,5 @@ if ((${#gains[@]})); then
   compare study_worst_case "$calibrated" "Uniform draws, calibrated" psnr "${gains[@]}"
   compare study_cost "$calibrated" "NeRF, equal evaluations" psnr "${gains[@]}"
 else
-  echo "calibrated minus NeRF passes above 0 in no block: nothing is compared with uniform draws or equal evaluations"
+  echo "calibrated minus NeRF is significantly above 0 in no block; nothing is compared with uniform draws or equal evaluations"
 fi

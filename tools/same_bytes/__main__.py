@@ -1,4 +1,4 @@
-"""Builds two revisions, runs both and compares; how to use it stands in same_bytes.sh."""
+"""Builds two revisions, runs both and compares them. See same_bytes.sh for its use."""
 
 import argparse
 import hashlib
@@ -17,21 +17,21 @@ from cases import PRELUDE, all_cases
 from compare import Normaliser, compare, read_allowances
 
 REPOSITORY = Path(__file__).resolve().parents[2]
-# Where scenes and weights are below their folders.
+# Paths of scenes and weights below their folders.
 NEEDS = {
     "fern": ("DATA", "nerf_llff_data/fern"),
     "chair": ("DATA", "nerf_synthetic/chair"),
     "fox": ("DATA", "fox"),
     "lpips": ("WEIGHTS", ""),
 }
-# Seconds that no case takes.
+# Time limit of a case in seconds.
 LIMIT = 1200
-# Differing files of a case that are shown.
+# Most differing files that are printed for a case.
 SHOWN = 8
 
 
 def git(*arguments):
-    """A git command's standard output."""
+    """Returns a git command's standard output."""
     return subprocess.run(["git", *arguments], cwd=REPOSITORY, check=True, capture_output=True, text=True).stdout.strip()
 
 
@@ -45,7 +45,7 @@ def cargo_build(folder, target):
 
 
 def flatten(sweeps, folder):
-    """Copies sweep files from wherever they are below `sweeps` into one folder: their names tell them apart."""
+    """Copies all sweep files below `sweeps` into one folder; their names are unique."""
     folder.mkdir(parents=True, exist_ok=True)
     for file in sweeps.rglob("*.toml"):
         shutil.copy2(file, folder)
@@ -53,14 +53,14 @@ def flatten(sweeps, folder):
 
 
 class Program:
-    """A built revision: its program, its sweeps, the environment that its cases run in."""
+    """A built revision: its program, its sweeps, and the environment of its cases."""
 
     def __init__(self, binary, sweeps, places):
         self.binary, self.sweeps, self.places = binary, sweeps, places
 
     def run(self, case, old, out):
-        """Runs a case and moves what it left to `out`; its error text if it does not end well."""
-        # Names of equal length, so that no line breaks elsewhere.
+        """Runs a case and moves its files to `out`; returns its error text if it fails."""
+        # Names of equal length, so that lines wrap alike.
         with tempfile.TemporaryDirectory(prefix="same_bytes_") as workplace:
             environment = {name: value for name, value in os.environ.items() if not name.startswith("AUGNERF_")}
             environment |= {name: str(place) for name, place in self.places.items()}
@@ -77,7 +77,7 @@ class Program:
 
 
 def places():
-    """Folders with scenes and LPIPS weights, as far as there are any."""
+    """Returns the existing folders with scenes and LPIPS weights."""
     def place(variable, beside):
         named = os.environ.get(variable)
         found = Path(named) if named else REPOSITORY.parent / "shared" / beside
@@ -87,7 +87,7 @@ def places():
 
 
 def lacking(case, found):
-    """What a case needs that is not here."""
+    """Returns the missing needs of a case."""
     def missing(need):
         place, below = NEEDS[need]
         return place not in found or not (found[place] / below).exists()
@@ -95,11 +95,11 @@ def lacking(case, found):
 
 
 class Unfit(Exception):
-    """The old program ends a case otherwise than the case says: the case is wrong, or it does not fit this machine."""
+    """The old program does not end a case as expected: the case is wrong, or does not suit this machine."""
 
 
 class Old:
-    """The old revision: built once, each case run once, all of it kept."""
+    """The old revision: built once, each case run once, all results kept."""
 
     def __init__(self, revision, cache, found):
         self.folder = cache / revision
@@ -123,8 +123,8 @@ class Old:
         return self
 
     def target(self):
-        """A build folder of its own, since cargo does not tell two checkouts of one package apart, begun with the dependencies
-        that this tree has built."""
+        """Makes a separate build folder with the dependencies that this tree has built. Cargo cannot tell two checkouts of
+        one package apart."""
         target, ours = self.cache / "build", REPOSITORY / "target/release"
         shutil.rmtree(target, ignore_errors=True)
         if ours.exists():
@@ -134,14 +134,14 @@ class Old:
         return target
 
     def key(self, case):
-        """What the old program's output of a case depends on."""
+        """Returns a hash of everything that the old program's output of a case depends on."""
         before = self.key(self.cases[case.old]) if case.old not in ("", case.name) else ""
         scenes = [str(self.found[NEEDS[need][0]]) for need in case.needs]
         text = "\n".join([PRELUDE, case.script, *scenes, processor(), before])
         return hashlib.sha256(text.encode()).hexdigest()
 
     def output(self, case):
-        """The folder with the case's output, made where there is none of these commands."""
+        """Returns the folder with the case's output; makes it if the commands have changed."""
         out, key = self.folder / "outputs" / case.name.replace("/", "~"), self.key(case)
         if (out / "key").exists() and (out / "key").read_text() == key:
             return out
@@ -152,7 +152,7 @@ class Old:
         return out
 
     def input(self, case, own=True):
-        """The files that a case starts from. One that is named by itself starts from nothing at first."""
+        """Returns the files that a case starts from. A case that names itself starts empty at first."""
         if not case.old or (case.old == case.name and not own):
             return None
         return self.output(self.cases[case.old]) / "files"
@@ -160,7 +160,7 @@ class Old:
 
 @contextmanager
 def worktree(revision, folder):
-    """A checkout of `revision` in `folder` for a while."""
+    """Checks out `revision` in `folder` temporarily."""
     git("worktree", "prune")
     shutil.rmtree(folder, ignore_errors=True)
     git("worktree", "add", "--force", "--detach", str(folder), revision)
@@ -171,7 +171,7 @@ def worktree(revision, folder):
 
 
 def processor():
-    """The processor's name: other ones may round otherwise."""
+    """Returns the CPU's name, since other CPUs may round differently."""
     try:
         lines = Path("/proc/cpuinfo").read_text().splitlines()
     except OSError:
@@ -183,7 +183,7 @@ def arguments():
     parser = argparse.ArgumentParser(prog="tools/same_bytes.sh", description="Compares this tree's outputs with an earlier revision's.")
     parser.add_argument("revision", metavar="REV")
     parser.add_argument("--only", nargs="+", metavar="PATTERN", default=["*"], help="cases of these names (globs)")
-    parser.add_argument("--keep", type=Path, metavar="DIR", help="leave both sides' files here")
+    parser.add_argument("--keep", type=Path, metavar="DIR", help="keep both sides' files here")
     parser.add_argument("--list", action="store_true", help="print the cases and stop")
     return parser.parse_args()
 
@@ -193,7 +193,7 @@ def main():
     try:
         revision = git("rev-parse", "--short=12", given.revision + "^{commit}")[:12]
     except subprocess.CalledProcessError:
-        print(f"{given.revision} is no revision of this repository")
+        print(f"{given.revision} is not a revision of this repository")
         return 2
     cache = Path(os.environ.get("AUGNERF_SAME_BYTES_CACHE") or REPOSITORY / "target/same_bytes").resolve()
     old = Old(revision, cache, found)
@@ -205,13 +205,13 @@ def main():
         print("\n".join(case.name + (f"  (needs {', '.join(case.needs)})" if case.needs else "") for case in chosen))
         return 0
     if not chosen:
-        print(f"no case is called {' '.join(given.only)}; --list names them")
+        print(f"no case matches {' '.join(given.only)}; --list prints all names")
         return 2
     old.build()
     print("building this tree ...", flush=True)
     built = cargo_build(REPOSITORY, REPOSITORY / "target")
     with tempfile.TemporaryDirectory(prefix="same_bytes_") as folder:
-        # A build that others start meanwhile must not exchange the program.
+        # Another build must not replace the program meanwhile.
         sweeps = flatten(REPOSITORY / "sweeps", Path(folder, "sweeps"))
         new = Program(shutil.copy2(built, Path(folder, "augnerf")), sweeps, found)
         results = Results(read_allowances(REPOSITORY / "tools/same_bytes.allow"))
@@ -243,7 +243,7 @@ def check(case, old, new, out, keep_and_revisions, results):
 
 
 class Results:
-    """Prints how cases end and counts them."""
+    """Prints the results of cases and counts them."""
 
     def __init__(self, allowances):
         self.allowances = allowances
@@ -256,7 +256,7 @@ class Results:
 
     def unfit(self, case, revision, error):
         self.broken.append(case.name)
-        print(f"UNFIT     {case.name}: {revision} ends it otherwise:\n{indented(error)}", flush=True)
+        print(f"UNFIT     {case.name}: {revision} does not end it as expected:\n{indented(error)}", flush=True)
 
     def add(self, case, differences, error, seconds):
         unintended = []
@@ -275,19 +275,19 @@ class Results:
             return
         self.different.append(case.name)
         if error is not None:
-            print(f"  a command of this tree ended otherwise:\n{indented(error)}")
+            print(f"  a command of this tree did not end as expected:\n{indented(error)}")
         for difference in unintended[:SHOWN]:
             print(f"    {difference.file}: {difference.words}")
         if len(unintended) > SHOWN:
-            print(f"    ... and {len(unintended) - SHOWN} files more")
+            print(f"    ... and {len(unintended) - SHOWN} more files")
         sys.stdout.flush()
 
     def summary(self, revision, seconds, complete):
-        """Says how it went; returns the exit code."""
+        """Prints a summary and returns the exit code."""
         for entry in self.allowances:
             if complete and not self.skipped and not entry.used:
                 print(f"  no longer needed in same_bytes.allow: {entry.case} | {entry.file} | {entry.reason}")
-        print(f"\n{self.same} cases give the bytes of {revision}, {len(self.different)} do not, {len(self.skipped)} SKIPPED for want of "
+        print(f"\n{self.same} cases give the bytes of {revision}, {len(self.different)} do not, {len(self.skipped)} SKIPPED without "
               f"data; {self.intended} files differ as intended; {seconds:.0f} s")
         if self.different:
             print("different: " + " ".join(self.different))

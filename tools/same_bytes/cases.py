@@ -1,4 +1,4 @@
-"""What both programs are asked to do. A case is a bash script; `augnerf` in it is the program under test."""
+"""The commands for both programs. A case is a bash script in which `augnerf` is the program under test."""
 
 from dataclasses import dataclass
 
@@ -9,13 +9,13 @@ class Case:
 
     name: str
     script: str
-    # Scenes and weights without which it is skipped.
+    # Scenes and weights that the case needs; it is skipped without them.
     needs: tuple = ()
-    # A case whose files, as the old program left them, both programs find in $OLD; its own ones are there for the new one alone.
+    # A case whose files of the old program both programs find in $OLD. If a case names itself, only the new one finds files.
     old: str = ""
 
 
-# Before every script. $AUGNERF is the program, $DATA and $WEIGHTS are folders, $SWEEPS the definitions of the program's revision.
+# Precedes every script. $AUGNERF is the program, $DATA and $WEIGHTS are folders, $SWEEPS has the revision's sweep files.
 PRELUDE = r"""
 set -euo pipefail
 mkdir said
@@ -48,21 +48,21 @@ points() {
 }
 """
 
-# Settings of a run that takes a second.
+# Settings of a run of about a second.
 TINY = (
     "--set data.width=20 --set field.width=32 --set field.depth=4 --set field.skips=[2] --set sampling.coarse=8 --set sampling.fine=8"
     " --set train.rays=64 --set train.chunk=16 --set train.steps=20 --set train.learning_rate=5e-3 --set train.precrop_steps=3"
     " --set train.log_every=4 --set train.checkpoint_every=10 --set eval.pictures=1 --set perturb.injection_layer=2"
 )
 
-# Scenes: arguments, and what they need.
+# Scenes: arguments and needs.
 SCENES = {
     "builtin": ("--preset smoke --set data.test_skip=4", ()),
     "builtin-forward": ("--preset smoke --set data.kind=builtin-forward --set data.test_skip=2", ()),
     "fern": ("--data $DATA/nerf_llff_data/fern --preset smoke --set data.test_skip=3", ("fern",)),
     "chair": ("--data $DATA/nerf_synthetic/chair --preset smoke --set data.test_skip=100", ("chair",)),
 }
-# The released code's settings for forward-facing scenes and for the others.
+# The released code's settings for forward-facing scenes and for others.
 RELEASED = {"builtin": "blender", "builtin-forward": "llff", "fern": "llff", "chair": "blender"}
 
 METHODS = {
@@ -75,7 +75,7 @@ METHODS = {
 
 TERM = "--set regularizer.points_per_step=256 --set regularizer.kind="
 AUG = "--method aug-nerf --set perturb.attack=calibrated"
-# One setting or two of a run on the embedded scene.
+# One or two settings of a run on the built-in scene.
 VARIANTS = {
     "tv": TERM + "tv --set regularizer.weight=1e-4",
     "laplacian": TERM + "laplacian --set regularizer.weight=1e-6",
@@ -118,7 +118,7 @@ VARIANTS = {
     "poses": "--set data.corruption.kind=poses",
 }
 
-# Settings of scenes of one's own, and what they need.
+# Settings of the user's own scenes, and needs.
 SCENE_VARIANTS = {
     "fern-world": ("--data $DATA/nerf_llff_data/fern --preset smoke --set data.ndc=false --set data.test_skip=3", "fern"),
     "fern-spherify": ("--data $DATA/nerf_llff_data/fern --preset smoke --set data.spherify=true --set data.ndc=false"
@@ -128,7 +128,7 @@ SCENE_VARIANTS = {
     "fox": ("--data fox --preset smoke --set data.test_skip=3", "fox"),
 }
 
-# The capture as published names more frames than it has pictures of.
+# The published capture lists more frames than it has images.
 FOX = r"""
 expect 3 data check $DATA/fox
 mkdir fox
@@ -295,7 +295,7 @@ expect 2 train --print-config --config b.toml
 
 
 def train_cases():
-    """Twenty steps of every method on every scene, then one setting at a time on the embedded one."""
+    """Trains twenty steps of every method on every scene, then varies one setting at a time on the built-in one."""
     for scene, (arguments, needs) in SCENES.items():
         for method, settings in METHODS.items():
             yield Case(f"train/{scene}/{method}", f"augnerf train --quiet --out run {arguments} {TINY} {settings}", needs)
@@ -318,12 +318,12 @@ def train_cases():
 
 
 def config_cases():
-    """Resolved settings, and what a scene is found to be."""
+    """Prints resolved settings and descriptions of scenes."""
     presets = ("smoke", "cpu", "paper-llff", "paper-blender", "released-llff", "released-blender")
     for scene, (arguments, needs) in SCENES.items():
         lines = [f"augnerf train --print-config {arguments}"]
         arguments = arguments.replace("--preset smoke", "")
-        # The chair's views take their time to load.
+        # The chair's views load slowly.
         methods = ("nerf", "aug-nerf", "mip-nerf", "aug-mip-nerf") if scene != "chair" else ("aug-nerf",)
         for preset in presets:
             for method in methods:
@@ -339,7 +339,7 @@ def config_cases():
 
 
 def use_cases():
-    """What is done with runs."""
+    """Renders, evaluates, measures, compares, meshes and resumes runs."""
     uses = "TINY=\"" + TINY + "\"" + USES
     yield Case("render", uses + "augnerf render nerf --frames 2\naugnerf render mip --what views --out views\n")
     yield Case("eval", uses + "augnerf eval nerf\naugnerf eval aug --quiet\naugnerf eval mip\n")
@@ -361,7 +361,7 @@ def use_cases():
     yield Case("fern/uses", runs + "augnerf mesh nerf --resolution 16 --threshold 1\naugnerf mesh mip --resolution 16 --threshold 1\n"
                "augnerf profile nerf mip --patch 2\naugnerf compare nerf mip\naugnerf render nerf --frames 2\naugnerf measure nerf --lattice 8\n",
                ("fern",))
-    # Runs that the old program left are used by the new one.
+    # The new program uses runs of the old one.
     yield Case("old-runs/resume", "cp -r $OLD/run run; rm -r run/checkpoints/step_000000020 run/metrics.*; augnerf resume run",
                old="train/builtin/aug-nerf-calibrated")
     yield Case("old-runs/use", "cp -r $OLD/run run; augnerf eval run; augnerf measure run --lattice 8;"
@@ -372,7 +372,7 @@ def use_cases():
 
 
 def sweep_cases(sweeps):
-    """`sweeps`: names of the definitions in sweeps/. Their points without any scene, then with those at hand."""
+    """Makes the points of the definitions named `sweeps`, first without scenes, then with the available ones."""
     yield Case("sweep/run", SWEEP_RUN)
     yield Case("sweep/gaps", SWEEP_GAPS)
     for sweep in sweeps:
@@ -383,5 +383,5 @@ def sweep_cases(sweeps):
 
 
 def all_cases(sweeps):
-    """Every case, in the order in which they are run."""
+    """Returns every case, in the order of running."""
     return [*config_cases(), *train_cases(), *use_cases(), *sweep_cases(sweeps)]

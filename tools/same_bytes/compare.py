@@ -1,4 +1,4 @@
-"""Compares what two programs left, byte for byte but for clocks, processes and the code's revision."""
+"""Compares the files of two programs byte for byte, except for clocks, processes and the code's revision."""
 
 import csv
 import difflib
@@ -11,7 +11,7 @@ from fnmatch import fnmatchcase
 from itertools import zip_longest
 from pathlib import Path
 
-# What an earlier revision lacks may come; what stands beside it may not change. Columns of the protocol, of metrics and of
+# Additions since earlier revisions; everything next to them must be unchanged. Columns of the protocol, of metrics and of
 # logs, fields of JSON files:
 LATER = ["lpips_weights"]
 LATER += ["attack_geometry", "step_over_radius", "last_shift"]
@@ -24,24 +24,24 @@ LATER += [f"{kind}_{metric}" for kind in ("train", "gap") for metric in ("ssim",
 LATER += ["train_psnr", "gap", "depth_mae_common", "depth_rmse_common", "depth_left_out_common"]
 LATER += ["published_lpips", "published_average"]
 LATER += ["view_depth", "view_width", "adam", "hash_grid", "inactive_by", "table_bytes_per_step"]
-# Columns that took another meaning when a later one came: left out where one side alone has that.
+# Columns whose meaning changed with a later column: skipped if only one side has the later one.
 REDEFINED = {"inactive_levels": "step_over_radius"}
-# Settings, with the defaults that they stand at in TOML files.
+# Settings, with their defaults in TOML files.
 LATER_SETTINGS = {"holdout_offset": "0", "validation": "0", "views_seed": "0", "geometry": '"sampling"'}
 LATER_SETTINGS |= {"view_depth": "1", "precision": '"f32"', "adam_beta2": "0.999", "adam_epsilon": "0.00000001", "eval_stride": "1"}
 LATER_SETTINGS |= {"levels": "16", "features": "2", "log2_table": "17", "coarsest": "16", "interpolation": '"linear"'}
-# Sections of those, with the empty line before them.
+# Their sections, with the empty line before them.
 LATER_SECTIONS = [rb"\n\[field\.hash\]"]
 
-# Files that hold clocks and processes: their numbers do not count, their words do.
+# Files with clocks and processes: their words are compared, their numbers are not.
 CLOCKS = {"timing.json", "timing.csv", "run.lock"}
 NUMBER = re.compile(rb"-?\d+(\.\d+)?(e[+-]?\d+)?|null")
 EVENTS = re.compile(r"events\.out\.tfevents\.\d+\.(.*)\.\d+$")
-# Clocks in messages (folder `said`) and what stands for them.
+# Clocks in messages (folder `said`), with their replacements.
 SAID = [
     (re.compile(rb"(?m)^step \d+/\d+  .* rays/s  ETA .*\n"), b""),
     (re.compile(rb"(\d+ steps, )\d+ s\)"), rb"\1SECONDS)"),
-    # What is said of training views, which earlier revisions did not measure.
+    # Messages on training views, which earlier revisions did not measure.
     (re.compile(rb"(?m)^\d+ training views: .*\n"), b""),
     (re.compile(rb"(held-out PSNR [\d.]+ dB), of training views [\d.]+ dB"), rb"\1"),
     # `sweep run`, `sweep status`
@@ -56,7 +56,7 @@ SAID = [
 
 @dataclass
 class Difference:
-    """A file that differs: its differing lines from both sides, and words for a person."""
+    """A differing file: its differing lines from both sides, and a description."""
 
     file: str
     lines: list
@@ -64,7 +64,7 @@ class Difference:
 
 
 class Normaliser:
-    """Takes out of a file what two runs of one program may differ in."""
+    """Removes from a file what may differ between two runs of one program."""
 
     def __init__(self, revisions, workplaces):
         names = b"|".join(re.escape(revision.encode()) for revision in revisions)
@@ -72,12 +72,12 @@ class Normaliser:
         self.workplace = re.compile(b"|".join(re.escape(str(place).encode()) for place in workplaces))
 
     def content(self, file):
-        """A file's bytes without its clocks, revisions and working folder."""
+        """Returns a file's bytes without its clocks, revisions and working folder."""
         content = file.read_bytes()
         if EVENTS.search(file.name):
             return events(content)
         content = self.workplace.sub(b"WORKPLACE", self.revision.sub(b"REVISION", content))
-        # A run that both programs worked on names both.
+        # A run of both programs names both.
         content = re.sub(rb'REVISION(?: \+ |",\s*")REVISION', b"REVISION", content)
         if file.name in CLOCKS:
             content = NUMBER.sub(b"0", content)
@@ -88,7 +88,7 @@ class Normaliser:
 
 
 def events(content):
-    """Records of a TensorBoard file without wall times and the checksums over them."""
+    """Returns the records of a TensorBoard file without wall times and their checksums."""
     records, at = [], 0
     while at < len(content):
         (length,) = struct.unpack_from("<Q", content, at)
@@ -100,7 +100,7 @@ def events(content):
 
 
 def files(folder):
-    """Every file and empty folder below `folder` by its name there, with event files' clocks and processes taken out of their names."""
+    """Returns every file and empty folder below `folder` by relative name, without clocks and processes in names of event files."""
     found, counts = {}, {}
     for path in sorted(path for path in folder.rglob("*") if not path.is_symlink() and (path.is_file() or is_empty(path))):
         name = EVENTS.sub(r"events.\1", str(path.relative_to(folder)))
@@ -110,12 +110,12 @@ def files(folder):
 
 
 def is_empty(path):
-    """Whether it is a folder without anything in it."""
+    """Returns whether it is an empty folder."""
     return path.is_dir() and not any(path.iterdir())
 
 
 def compare(old, new, normaliser):
-    """All differences between two folders."""
+    """Returns all differences between two folders."""
     ours, theirs = files(old), files(new)
     differences = []
     for name in sorted({*ours, *theirs}):
@@ -135,7 +135,7 @@ def compare(old, new, normaliser):
 
 
 def without_later(a, b, ending):
-    """Both contents without what one side alone has, of what came later (LATER, LATER_SETTINGS)."""
+    """Returns both contents without the additions (LATER, LATER_SETTINGS) that only one side has."""
     if ending == ".json":
         return without_fields(a, b)
     if ending == ".csv":
@@ -145,7 +145,7 @@ def without_later(a, b, ending):
         for column in [name for name in LATER if name in apart] + redefined:
             a, b = without_column(a, column), without_column(b, column)
     if ending in (".toml", ".txt"):
-        # In what programs say stand settings, too, and metrics, a line each.
+        # Messages contain settings and metrics too, one a line.
         lines = [rb"%s = %s" % (name.encode(), default.encode()) for name, default in LATER_SETTINGS.items()] + LATER_SECTIONS
         lines += [rb' *"%s": .*' % column.encode() for column in LATER if ending == ".txt"]
         for line in (re.compile(rb"(?m)^%s\n" % line) for line in lines):
@@ -155,7 +155,7 @@ def without_later(a, b, ending):
 
 
 def without_fields(a, b):
-    """Two JSON files without later fields of objects, and pairs of lists, that one of them alone has."""
+    """Returns two JSON files without later fields of objects, and pairs of lists, that only one has."""
     names = {*LATER, *LATER_SETTINGS}
     names = {name for name in names if (f'"{name}"'.encode() in a) != (f'"{name}"'.encode() in b)}
     if not names:
@@ -169,13 +169,13 @@ def without_fields(a, b):
             return [without(inner) for inner in value if not is_pair(inner)]
         return value
 
-    # Numbers as they are written: not a digit may differ.
+    # Numbers as written: no digit may differ.
     read = lambda content: json.loads(content, parse_float=lambda text: f"number {text}", parse_int=lambda text: f"number {text}")
     return tuple(json.dumps(without(read(content)), indent=2).encode() for content in (a, b))
 
 
 def without_column(content, column):
-    """A CSV file without a column; one that lacks it is only written anew."""
+    """Returns a CSV file without a column; a file that lacks it is only formatted again."""
     rows = list(csv.reader(io.StringIO(content.decode())))
     place = rows[0].index(column) if rows and column in rows[0] else None
     kept = [[cell for i, cell in enumerate(row) if i != place] for row in rows]
@@ -185,7 +185,7 @@ def without_column(content, column):
 
 
 def describe(name, a, b):
-    """What differs between two contents: the first line where both are text, otherwise the first byte."""
+    """Describes how two contents differ: the first line if both are text, otherwise the first byte."""
     try:
         texts = [side.decode() for side in (a, b)]
         binary = any("\0" in text for text in texts)
@@ -196,7 +196,7 @@ def describe(name, a, b):
         words = f"byte {at} of {len(a)} (old), {len(b)} (new){tensor(a, at) if name.endswith('.safetensors') else ''}"
         return Difference(name, [words], words)
     a, b = (text.split("\n") for text in texts)
-    # Behind the two lines that name the sides.
+    # After the two lines that name the sides.
     changed = [line[1:] for line in list(difflib.unified_diff(a, b, n=0, lineterm=""))[2:] if line[0] in "-+"]
     at, (x, y) = next((i, pair) for i, pair in enumerate(zip_longest(a, b)) if pair[0] != pair[1])
     column = next((i for i, (c, d) in enumerate(zip(x or "", y or "")) if c != d), min(len(x or ""), len(y or "")))
@@ -207,7 +207,7 @@ def describe(name, a, b):
 
 
 def tensor(content, at):
-    """The name of the tensor that byte `at` of a safetensors file belongs to."""
+    """Returns the name of the tensor with byte `at` of a safetensors file."""
     (length,) = struct.unpack_from("<Q", content)
     if at < 8 + length:
         return ", in the header"
@@ -228,13 +228,13 @@ class Allowance:
     used: bool = False
 
     def covers(self, case, difference):
-        """Whether the difference is the intended one."""
+        """Returns whether the difference is the intended one."""
         named = fnmatchcase(case, self.case) and fnmatchcase(difference.file, self.file)
         return named and (self.lines == "*" or all(re.search(self.lines, line) for line in difference.lines))
 
 
 def read_allowances(path):
-    """Entries of the list of intended differences."""
+    """Returns the entries of the list of intended differences."""
     if not path.exists():
         return []
     entries = []

@@ -20,8 +20,8 @@ use crate::train::{Origin, Trainer, checkpoint};
 
 use super::scene_file::RecordedScene;
 use super::{
-    Between, EVALUATION_COLUMNS, Existing, Measurement, Outcome, Pictures, Report, RunDir, SEEN_COLUMNS, Session,
-    Viewer, interrupted, scene_file, surface_reference,
+    Between, EVALUATION_COLUMNS, Existing, Measurement, Outcome, Pictures, Report, RunDir, Session,
+    TRAINING_VIEW_COLUMNS, Viewer, interrupted, scene_file, surface_reference,
 };
 
 /// The inputs of a training.
@@ -333,8 +333,8 @@ impl Between for Watcher<'_> {
             let seen = mean.get("train_psnr").map_or(String::new(), |seen| format!(", of training views {seen:.2} dB"));
             self.events.on(Event::Note(&format!("step {step}: held-out PSNR {psnr:.2} dB{seen}")));
         }
-        let keys = ["psnr", "psnr_float"].into_iter().chain(SEEN_COLUMNS);
-        let values = EVALUATION_COLUMNS.into_iter().chain(SEEN_COLUMNS).zip(keys.map(|key| mean.get(key)));
+        let keys = ["psnr", "psnr_float"].into_iter().chain(TRAINING_VIEW_COLUMNS);
+        let values = EVALUATION_COLUMNS.into_iter().chain(TRAINING_VIEW_COLUMNS).zip(keys.map(|key| mean.get(key)));
         Ok(values.filter_map(|(name, value)| value.map(|value| (name, value))).collect())
     }
 

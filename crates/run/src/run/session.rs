@@ -37,7 +37,7 @@ pub enum Outcome {
 pub const EVALUATION_COLUMNS: [&str; 2] = ["test_psnr", "test_psnr_float"];
 
 /// Columns that it fills if it also measures training views.
-pub const SEEN_COLUMNS: [&str; 2] = ["train_psnr", "gap"];
+pub const TRAINING_VIEW_COLUMNS: [&str; 2] = ["train_psnr", "gap"];
 
 /// A training session of one process in one run folder.
 pub struct Session<'a> {
@@ -56,7 +56,7 @@ fn columns(trainer: &Trainer) -> Vec<String> {
     let when = |holds: bool, names: &'static [&str]| if holds { names } else { &[] };
     let evaluates = config.train.eval_every > 0;
     let evaluation = when(evaluates, &EVALUATION_COLUMNS);
-    let seen = when(evaluates && config.eval.train_views != Some(0), &SEEN_COLUMNS);
+    let seen = when(evaluates && config.eval.train_views != Some(0), &TRAINING_VIEW_COLUMNS);
     let named = |names: &[&str]| names.iter().map(|name| name.to_string()).collect::<Vec<_>>();
     [named(&["learning_rate", "loss"]), photometric, named(&["psnr"]), named(evaluation), named(seen), further].concat()
 }
@@ -70,7 +70,7 @@ fn tag(column: &str, eval_stride: usize) -> String {
         "test_psnr" => format!("{evaluated}/psnr"),
         "test_psnr_float" => format!("{evaluated}/psnr_float"),
         // An evaluation of training views.
-        seen if SEEN_COLUMNS.contains(&seen) => format!("{evaluated}/{seen}"),
+        seen if TRAINING_VIEW_COLUMNS.contains(&seen) => format!("{evaluated}/{seen}"),
         trained => format!("train/{}", trained.replace('.', "/")),
     }
 }

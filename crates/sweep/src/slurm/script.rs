@@ -148,9 +148,9 @@ impl Script<'_> {
         directives.extend(cpus.map(|cpus| format!("--cpus-per-task={cpus}")));
         directives.extend(further.iter().cloned());
         let head = format!(
-            "# Points of the sweep {}. Task N of this array runs point N of\n# {}/points.json\n# A point that is done, or \
-             that another runner works on, ends its task at once; one that was stopped or killed\n# goes on from its last \
-             checkpoint. Written by `augnerf sweep submit`; it may be changed and submitted by hand.",
+            "# Points of the sweep {}. Task N of this array runs point N of\n# {}/points.json\n# If the point is done, or \
+             another worker has it, the task ends at once. A stopped or killed point\n# resumes from its last \
+             checkpoint. Written by `augnerf sweep submit`; you may change it and submit it by hand.",
             self.name,
             self.folder.display()
         );
@@ -170,7 +170,7 @@ impl Script<'_> {
         let options = [("partition", partition), ("mem", mem)];
         directives.extend(options.iter().filter_map(|(name, value)| Some(format!("--{name}={}", value.as_ref()?))));
         directives.extend(further.iter().cloned());
-        let head = format!("# Tables and figures of the sweep {}, when its points have ended.", self.name);
+        let head = format!("# Makes tables and figures of the sweep {} after its points have ended.", self.name);
         format!("#!/bin/bash\n{head}\n{}\n{}\n", sbatch_lines(&directives), line(command))
     }
 
@@ -187,8 +187,8 @@ fn sbatch_lines(options: &[String]) -> String {
 }
 
 /// The commands of a task.
-const POINTS: &str = r#"# A preemption, the end of the time limit and scancel reach this script as TERM or USR1. The point writes a checkpoint
-# at USR1, however often it comes, and ends with 143.
+const POINTS: &str = r#"# Preemption, the end of the time limit and scancel reach this script as TERM or USR1. At USR1, once or repeated, the point
+# writes a checkpoint and ends with 143.
 trap 'kill -USR1 "$point" 2> /dev/null' TERM USR1
 
 COMMAND \
@@ -200,16 +200,16 @@ wait "$point"
 code=$?
 
 case $code in
-  129 | 130 | 137 | 138 | 143) ;; # stopped with a checkpoint, or killed: it goes on below
-  *) exit "$code" ;;              # 0: done. All else would fail again; the reason is in the point's failed.json
+  129 | 130 | 137 | 138 | 143) ;; # stopped with a checkpoint, or killed: requeued below
+  *) exit "$code" ;;              # 0: done. Others would fail again; the reason is in the point's failed.json
 esac
-# Where Slurm still takes the task for running, nobody has cancelled it or put it back into the queue: this does the latter.
+# If Slurm still lists the task as running, nobody has cancelled or requeued it: requeue it here.
 task=${SLURM_ARRAY_JOB_ID}_$SLURM_ARRAY_TASK_ID
 state=$(squeue --noheader --jobs="$task" --format=%T)
 if [ "$state" = RUNNING ]; then
-  scontrol requeue "$task" || echo "not put back; 'augnerf sweep submit' submits what is left" >&2
+  scontrol requeue "$task" || echo "not requeued; 'augnerf sweep submit' submits the remaining points" >&2
 else
-  echo "Slurm says ${state:-nothing} of this task: it is left as it is" >&2
+  echo "Slurm reports the state '${state:-unknown}' for this task; it is not requeued" >&2
 fi
 exit "$code"
 "#;
