@@ -2,7 +2,6 @@
 
 use crate::runtime::count_table_bytes;
 
-use super::by_features;
 use super::simd::{Kernel, LANES, Processor, Simd};
 
 /// The numbers of an update (Kingma and Ba 2015, algorithm 1).
@@ -45,9 +44,17 @@ impl SparseAdam {
         assert!(gradient.len().is_multiple_of(features), "whole entries");
         // The gradient is read; values and moments are read and written, where the whole table is reached.
         count_table_bytes(7 * size_of_val(gradient));
-        by_features!(features, F => {
-            processor.run(Update::<F> { adam: *self, values, first, second, gradient });
-        });
+        macro_rules! update {
+            ($($number:literal)*) => {
+                match features {
+                    $($number => {
+                        processor.run(Update::<$number> { adam: *self, values, first, second, gradient });
+                    })*
+                    _ => unreachable!("{features} features were refused"),
+                }
+            };
+        }
+        update!(1 2 3 4 5 6 7 8);
     }
 }
 

@@ -89,18 +89,48 @@ impl<S: Simd> Cells<S> {
         let entry = |x, edge: usize| simd.and(simd.xor(x, edges[edge]), mask);
         [entry(x, 0), entry(x1, 0), entry(x, 1), entry(x1, 1), entry(x, 2), entry(x1, 2), entry(x, 3), entry(x1, 3)]
     }
+}
 
-    /// The features of the cells' eight vertices.
-    #[inline(always)]
-    pub fn features<const F: usize>(&self, simd: S, level: &Level, table: &[[f32; F]]) -> [[S::Floats; F]; 8] {
-        assert!(table.len() >= level.entries);
-        let corners = self.corners(simd, level);
-        let mut features = [[simd.splat(0.0); F]; 8];
-        for k in 0..8 {
-            // SAFETY: the corners lie within the level's entries, and the table has those.
-            features[k] = unsafe { simd.gather(table, corners[k]) };
+/// Where a part of the eight entries is: of pairs an entry has one part. Takes the part's number and how many there are.
+#[inline(always)]
+pub fn of_part<const W: usize, S: Simd>(
+    simd: S,
+    mut entries: [S::Ints; 8],
+    (part, parts): (usize, usize),
+) -> [S::Ints; 8] {
+    if W != 2 {
+        for entry in &mut entries {
+            let first = simd.mul_ints(*entry, simd.splat_ints(parts as u32));
+            *entry = simd.add_ints(first, simd.splat_ints(part as u32));
         }
-        features
+    }
+    entries
+}
+
+/// A part's features at the cells' eight vertices.
+#[inline(always)]
+pub fn gather_corners<const W: usize, S: Simd>(
+    simd: S,
+    level: &Level,
+    table: &[[f32; W]],
+    entries: [S::Ints; 8],
+    (part, parts): (usize, usize),
+) -> [[S::Floats; W]; 8] {
+    assert!(table.len() >= level.entries * parts && part < parts);
+    let corners = of_part::<W, S>(simd, entries, (part, parts));
+    let mut features = [[simd.splat(0.0); W]; 8];
+    for k in 0..8 {
+        // SAFETY: the corners are within the level's entries, and the table has all parts of those.
+        features[k] = unsafe { simd.gather(table, corners[k]) };
+    }
+    features
+}
+
+impl Level {
+    /// Its part of all tables, whose entries have so many parts.
+    #[inline(always)]
+    pub fn table<'a, const W: usize>(&self, tables: &'a [[f32; W]], parts: usize) -> &'a [[f32; W]] {
+        &tables[self.offset * parts..][..self.entries * parts]
     }
 }
 

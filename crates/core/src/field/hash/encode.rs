@@ -1,6 +1,6 @@
 //! The encoding's values.
 
-use super::cell::{BLOCK, Block, Cells, mix};
+use super::cell::{BLOCK, Block, Cells, gather_corners, mix};
 use super::simd::{Kernel, Processor, Simd};
 use super::{HashGrid, by_features, count_corners};
 
@@ -22,41 +22,44 @@ impl HashGrid {
     pub(super) fn encode_on(&self, processor: Processor, tables: &[f32], points: &[f32], out: &mut [f32]) {
         self.check(tables.len(), points.len(), out.len());
         count_corners(out.len());
-        by_features!(self.features, F => {
-            let (tables, out) = (tables.as_chunks().0, out.as_chunks_mut().0);
-            processor.run(Encode::<F> { grid: self, tables, points, out });
+        by_features!(processor, self.features, W => {
+            Encode::<W> { grid: self, tables: tables.as_chunks().0, points, out: out.as_chunks_mut().0 }
         });
     }
 }
 
 /// Sizes were checked.
-struct Encode<'a, const F: usize> {
+struct Encode<'a, const W: usize> {
     grid: &'a HashGrid,
-    tables: &'a [[f32; F]],
+    tables: &'a [[f32; W]],
     points: &'a [f32],
-    out: &'a mut [[f32; F]],
+    out: &'a mut [[f32; W]],
 }
 
-impl<const F: usize> Kernel for Encode<'_, F> {
+impl<const W: usize> Kernel for Encode<'_, W> {
     #[inline(always)]
     fn run(self, simd: impl Simd) {
-        let levels = self.grid.levels.len();
+        let parts = self.grid.parts::<W>();
+        let length = self.grid.levels.len() * parts;
         let mut block = Block::empty();
-        for (points, out) in self.points.chunks(3 * BLOCK).zip(self.out.chunks_mut(levels * BLOCK)) {
+        for (points, out) in self.points.chunks(3 * BLOCK).zip(self.out.chunks_mut(length * BLOCK)) {
             block.fill(points);
             for (l, level) in self.grid.levels.iter().enumerate() {
-                let table = &self.tables[level.offset..][..level.entries];
+                let table = level.table(self.tables, parts);
                 for (start, count, points) in block.groups() {
                     let cells = Cells::of(simd, level, points);
-                    let corners = cells.features(simd, level, table);
+                    let entries = cells.corners(simd, level);
                     let shares = self.grid.interpolation.shares(simd, cells.position);
-                    let mut features = [simd.splat(0.0); F];
-                    for (feature, values) in features.iter_mut().enumerate() {
-                        *values = interpolate(simd, shares, |k| corners[k][feature]);
-                    }
-                    let rows = out[start * levels..][..count * levels].chunks_exact_mut(levels);
-                    for (row, features) in rows.zip(simd.rows(features)) {
-                        row[l] = features;
+                    for part in 0..parts {
+                        let corners = gather_corners(simd, level, table, entries, (part, parts));
+                        let mut features = [simd.splat(0.0); W];
+                        for (feature, values) in features.iter_mut().enumerate() {
+                            *values = interpolate(simd, shares, |k| corners[k][feature]);
+                        }
+                        let rows = out[start * length..][..count * length].chunks_exact_mut(length);
+                        for (row, features) in rows.zip(simd.rows(features)) {
+                            row[l * parts + part] = features;
+                        }
                     }
                 }
             }

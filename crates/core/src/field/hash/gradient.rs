@@ -1,6 +1,6 @@
 //! Gradients in the points.
 
-use super::cell::{BLOCK, Block, Cells, mix};
+use super::cell::{BLOCK, Block, Cells, gather_corners, mix};
 use super::simd::{Kernel, LANES, Lanes, Processor, Simd};
 use super::{HashGrid, by_features, count_corners};
 
@@ -24,50 +24,54 @@ impl HashGrid {
         self.check(tables.len(), points.len(), d_out.len());
         count_corners(d_out.len());
         assert_eq!(points.len(), d_points.len(), "one gradient a point");
-        by_features!(self.features, F => {
+        by_features!(processor, self.features, W => {
             let (tables, d_out) = (tables.as_chunks().0, d_out.as_chunks().0);
-            processor.run(PointGradient::<F> { grid: self, tables, points, d_out, d_points });
+            PointGradient::<W> { grid: self, tables, points, d_out, d_points }
         });
     }
 }
 
 /// Sizes were checked.
-struct PointGradient<'a, const F: usize> {
+struct PointGradient<'a, const W: usize> {
     grid: &'a HashGrid,
-    tables: &'a [[f32; F]],
+    tables: &'a [[f32; W]],
     points: &'a [f32],
-    d_out: &'a [[f32; F]],
+    d_out: &'a [[f32; W]],
     d_points: &'a mut [f32],
 }
 
-impl<const F: usize> Kernel for PointGradient<'_, F> {
+impl<const W: usize> Kernel for PointGradient<'_, W> {
     #[inline(always)]
     fn run(self, simd: impl Simd) {
-        let levels = self.grid.levels.len();
+        let parts = self.grid.parts::<W>();
+        let length = self.grid.levels.len() * parts;
         let mut block = Block::empty();
-        let blocks = self.points.chunks(3 * BLOCK).zip(self.d_out.chunks(levels * BLOCK));
+        let blocks = self.points.chunks(3 * BLOCK).zip(self.d_out.chunks(length * BLOCK));
         for ((points, d_out), d_points) in blocks.zip(self.d_points.chunks_mut(3 * BLOCK)) {
             block.fill(points);
             let mut sums = [[[0.0; LANES]; 3]; BLOCK / LANES];
             for (l, level) in self.grid.levels.iter().enumerate() {
-                let table = &self.tables[level.offset..][..level.entries];
+                let table = level.table(self.tables, parts);
                 let resolution = simd.splat(level.resolution as f32);
                 for ((start, count, points), sums) in block.groups().zip(&mut sums) {
-                    let mut d_features = [[0.0; F]; LANES];
-                    let rows = d_out[start * levels..][..count * levels].chunks_exact(levels);
-                    for (d_features, row) in d_features.iter_mut().zip(rows) {
-                        *d_features = row[l];
-                    }
-                    let d_features = simd.columns(&d_features);
                     let cells = Cells::of(simd, level, points);
-                    let corners = cells.features(simd, level, table);
+                    let entries = cells.corners(simd, level);
                     let shares = self.grid.interpolation.shares(simd, cells.position);
                     let slopes = self.grid.interpolation.slopes(simd, cells.position);
                     let mut along = [simd.splat(0.0); 3];
-                    for feature in 0..F {
-                        let slope = differences(simd, shares, |k| corners[k][feature]);
-                        for axis in 0..3 {
-                            along[axis] = simd.mul_add(d_features[feature], slope[axis], along[axis]);
+                    for part in 0..parts {
+                        let mut d_features = [[0.0; W]; LANES];
+                        let rows = d_out[start * length..][..count * length].chunks_exact(length);
+                        for (d_features, row) in d_features.iter_mut().zip(rows) {
+                            *d_features = row[l * parts + part];
+                        }
+                        let d_features = simd.columns(&d_features);
+                        let corners = gather_corners(simd, level, table, entries, (part, parts));
+                        for feature in 0..W {
+                            let slope = differences(simd, shares, |k| corners[k][feature]);
+                            for axis in 0..3 {
+                                along[axis] = simd.mul_add(d_features[feature], slope[axis], along[axis]);
+                            }
                         }
                     }
                     for axis in 0..3 {

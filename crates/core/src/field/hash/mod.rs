@@ -36,18 +36,19 @@ pub use scatter::Cotangents;
 
 use crate::settings::Interpolation;
 
-/// An expression for the grid's number of features as a constant.
+/// Runs a kernel on arrays of `[f32; W]`. Two features, the default, are one pair, for which there are instructions of their
+/// own. Other numbers of features are so many parts of one.
 macro_rules! by_features {
-    ($features:expr, $constant:ident => $work:block) => {
-        by_features!($features, $constant => $work, 1 2 3 4 5 6 7 8)
-    };
-    ($features:expr, $constant:ident => $work:block, $($number:literal)*) => {
+    ($processor:expr, $features:expr, $width:ident => $kernel:expr) => {
         match $features {
-            $($number => {
-                const $constant: usize = $number;
-                $work
-            })*
-            features => unreachable!("{features} features were refused"),
+            2 => {
+                const $width: usize = 2;
+                $processor.run($kernel)
+            }
+            _ => {
+                const $width: usize = 1;
+                $processor.run_plain($kernel)
+            }
         }
     };
 }
@@ -149,6 +150,12 @@ impl HashGrid {
     /// Numbers of an entry.
     pub fn features(&self) -> usize {
         self.features
+    }
+
+    /// Parts of `W` features that an entry has. Of pairs it is one, which the compiler then knows.
+    #[inline(always)]
+    fn parts<const W: usize>(&self) -> usize {
+        if W == 2 { 1 } else { self.features }
     }
 
     /// How features are interpolated.

@@ -4,7 +4,7 @@
 //! encoding is the same sum with that function's derivative. So one linear differential operator a point says all: the
 //! slope along an axis of the scene, the Laplacian there, or the sum of what a loss has for each of them.
 
-use super::cell::{BLOCK, Block, Cells};
+use super::cell::{BLOCK, Block, Cells, gather_corners, of_part};
 use super::simd::{Kernel, LANES, Lanes, Processor, Simd};
 use super::{Cotangents, HashGrid, Level, by_features, count_corners};
 
@@ -35,46 +35,50 @@ impl HashGrid {
     ) {
         assert_eq!(self.check(tables.len(), points.len(), out.len()), operators.len(), "one operator a point");
         count_corners(out.len());
-        by_features!(self.features, F => {
+        by_features!(processor, self.features, W => {
             let (tables, out) = (tables.as_chunks().0, out.as_chunks_mut().0);
-            processor.run(Differentiate::<F> { grid: self, tables, points, operators, out });
+            Differentiate::<W> { grid: self, tables, points, operators, out }
         });
     }
 }
 
 /// Sizes were checked.
-struct Differentiate<'a, const F: usize> {
+struct Differentiate<'a, const W: usize> {
     grid: &'a HashGrid,
-    tables: &'a [[f32; F]],
+    tables: &'a [[f32; W]],
     points: &'a [f32],
     operators: &'a [Operator<f32>],
-    out: &'a mut [[f32; F]],
+    out: &'a mut [[f32; W]],
 }
 
-impl<const F: usize> Kernel for Differentiate<'_, F> {
+impl<const W: usize> Kernel for Differentiate<'_, W> {
     #[inline(always)]
     fn run(self, simd: impl Simd) {
-        let levels = self.grid.levels.len();
+        let parts = self.grid.parts::<W>();
+        let length = self.grid.levels.len() * parts;
         let (mut block, mut operators) = (Block::empty(), Operators::empty());
         let blocks = self.points.chunks(3 * BLOCK).zip(self.operators.chunks(BLOCK));
-        for ((points, of_points), out) in blocks.zip(self.out.chunks_mut(levels * BLOCK)) {
+        for ((points, of_points), out) in blocks.zip(self.out.chunks_mut(length * BLOCK)) {
             block.fill(points);
             operators.fill(of_points);
             for (l, level) in self.grid.levels.iter().enumerate() {
-                let table = &self.tables[level.offset..][..level.entries];
+                let table = level.table(self.tables, parts);
                 for ((start, count, points), operator) in block.groups().zip(&operators.groups) {
                     let cells = Cells::of(simd, level, points);
-                    let corners = cells.features(simd, level, table);
+                    let entries = cells.corners(simd, level);
                     let weights = weights(simd, self.grid, level, &cells, operator);
-                    let mut features = [simd.splat(0.0); F];
-                    for (corner, weight) in corners.iter().zip(weights) {
-                        for (sum, feature) in features.iter_mut().zip(corner) {
-                            *sum = simd.mul_add(weight, *feature, *sum);
+                    for part in 0..parts {
+                        let corners = gather_corners(simd, level, table, entries, (part, parts));
+                        let mut features = [simd.splat(0.0); W];
+                        for (corner, weight) in corners.iter().zip(weights) {
+                            for (sum, feature) in features.iter_mut().zip(corner) {
+                                *sum = simd.mul_add(weight, *feature, *sum);
+                            }
                         }
-                    }
-                    let rows = out[start * levels..][..count * levels].chunks_exact_mut(levels);
-                    for (row, features) in rows.zip(simd.rows(features)) {
-                        row[l] = features;
+                        let rows = out[start * length..][..count * length].chunks_exact_mut(length);
+                        for (row, features) in rows.zip(simd.rows(features)) {
+                            row[l * parts + part] = features;
+                        }
                     }
                 }
             }
@@ -83,37 +87,41 @@ impl<const F: usize> Kernel for Differentiate<'_, F> {
 }
 
 /// As [`HashGrid::scatter`] of a record with operators. Sizes were checked.
-pub struct Scatter<'a, const F: usize> {
+pub struct Scatter<'a, const W: usize> {
     pub grid: &'a HashGrid,
     pub level: usize,
     pub points: &'a [f32],
     pub operators: &'a [Operator<f32>],
-    pub d_out: &'a [[f32; F]],
-    pub sum: &'a mut [[f32; F]],
+    pub d_out: &'a [[f32; W]],
+    pub sum: &'a mut [[f32; W]],
 }
 
-impl<const F: usize> Kernel for Scatter<'_, F> {
+impl<const W: usize> Kernel for Scatter<'_, W> {
     #[inline(always)]
     fn run(self, simd: impl Simd) {
-        let levels = self.grid.levels.len();
+        let parts = self.grid.parts::<W>();
+        let length = self.grid.levels.len() * parts;
         let level = &self.grid.levels[self.level];
         let (mut block, mut operators) = (Block::empty(), Operators::empty());
-        let mut d_block = [[0.0; F]; BLOCK];
+        let mut d_block = [[0.0; W]; BLOCK];
         let blocks = self.points.chunks(3 * BLOCK).zip(self.operators.chunks(BLOCK));
-        for ((points, of_points), d_out) in blocks.zip(self.d_out.chunks(levels * BLOCK)) {
+        for ((points, of_points), d_out) in blocks.zip(self.d_out.chunks(length * BLOCK)) {
             block.fill(points);
             operators.fill(of_points);
-            for (d_features, row) in d_block.iter_mut().zip(d_out.chunks_exact(levels)) {
-                *d_features = row[self.level];
-            }
-            for ((start, count, points), operator) in block.groups().zip(&operators.groups) {
-                let cells = Cells::of(simd, level, points);
-                let corners = simd.store_corners(cells.corners(simd, level));
-                let mut counts = [[0.0; LANES]; 8];
-                for (counts, weights) in counts.iter_mut().zip(weights(simd, self.grid, level, &cells, operator)) {
-                    *counts = simd.store(weights);
+            for part in 0..parts {
+                for (d_features, row) in d_block.iter_mut().zip(d_out.chunks_exact(length)) {
+                    *d_features = row[self.level * parts + part];
                 }
-                simd.add_weighted(self.sum, &corners, &counts, &d_block[start..][..count]);
+                for ((start, count, points), operator) in block.groups().zip(&operators.groups) {
+                    let cells = Cells::of(simd, level, points);
+                    let corners = of_part::<W, _>(simd, cells.corners(simd, level), (part, parts));
+                    let corners = simd.store_corners(corners);
+                    let mut counts = [[0.0; LANES]; 8];
+                    for (counts, weights) in counts.iter_mut().zip(weights(simd, self.grid, level, &cells, operator)) {
+                        *counts = simd.store(weights);
+                    }
+                    simd.add_weighted(self.sum, &corners, &counts, &d_block[start..][..count]);
+                }
             }
         }
     }

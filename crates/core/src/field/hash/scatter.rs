@@ -4,7 +4,7 @@ use rayon::prelude::*;
 
 use crate::settings::Interpolation;
 
-use super::cell::{BLOCK, Block, Cells};
+use super::cell::{BLOCK, Block, Cells, of_part};
 use super::simd::{Kernel, LANES, Lanes, Processor, Simd};
 use super::{HashGrid, Operator, by_features, count_corners, operator};
 
@@ -65,45 +65,50 @@ impl HashGrid {
         assert_eq!(sum.len(), self.levels[level].entries * self.features, "the gradient is of another level's table");
         // Read and written, in one level of them.
         count_corners(2 * d_out.len() / self.levels.len());
-        by_features!(self.features, F => {
-            let (d_out, sum) = (d_out.as_chunks().0, sum.as_chunks_mut().0);
-            match operators {
-                None => processor.run(Scatter::<F> { grid: self, level, points, d_out, sum }),
-                Some(operators) => {
-                    processor.run(operator::Scatter::<F> { grid: self, level, points, operators, d_out, sum });
-                }
-            }
-        });
+        match operators {
+            None => by_features!(processor, self.features, W => {
+                let (d_out, sum) = (d_out.as_chunks().0, sum.as_chunks_mut().0);
+                Scatter::<W> { grid: self, level, points, d_out, sum }
+            }),
+            Some(operators) => by_features!(processor, self.features, W => {
+                let (d_out, sum) = (d_out.as_chunks().0, sum.as_chunks_mut().0);
+                operator::Scatter::<W> { grid: self, level, points, operators, d_out, sum }
+            }),
+        }
     }
 }
 
 /// Sizes were checked.
-struct Scatter<'a, const F: usize> {
+struct Scatter<'a, const W: usize> {
     grid: &'a HashGrid,
     level: usize,
     points: &'a [f32],
-    d_out: &'a [[f32; F]],
-    sum: &'a mut [[f32; F]],
+    d_out: &'a [[f32; W]],
+    sum: &'a mut [[f32; W]],
 }
 
-impl<const F: usize> Kernel for Scatter<'_, F> {
+impl<const W: usize> Kernel for Scatter<'_, W> {
     #[inline(always)]
     fn run(self, simd: impl Simd) {
-        let levels = self.grid.levels.len();
+        let parts = self.grid.parts::<W>();
+        let length = self.grid.levels.len() * parts;
         let level = &self.grid.levels[self.level];
         let mut block = Block::empty();
-        let mut d_block = [[0.0; F]; BLOCK];
-        for (points, d_out) in self.points.chunks(3 * BLOCK).zip(self.d_out.chunks(levels * BLOCK)) {
+        let mut d_block = [[0.0; W]; BLOCK];
+        for (points, d_out) in self.points.chunks(3 * BLOCK).zip(self.d_out.chunks(length * BLOCK)) {
             block.fill(points);
-            // All at once, as each waits for memory, and many can wait together.
-            for (d_features, row) in d_block.iter_mut().zip(d_out.chunks_exact(levels)) {
-                *d_features = row[self.level];
-            }
-            for (start, count, points) in block.groups() {
-                let cells = Cells::of(simd, level, points);
-                let corners = simd.store_corners(cells.corners(simd, level));
-                let weights = weights(simd, self.grid.interpolation, &cells);
-                simd.add_weighted(self.sum, &corners, &weights, &d_block[start..][..count]);
+            for part in 0..parts {
+                // All at once, as each waits for memory, and many can wait together.
+                for (d_features, row) in d_block.iter_mut().zip(d_out.chunks_exact(length)) {
+                    *d_features = row[self.level * parts + part];
+                }
+                for (start, count, points) in block.groups() {
+                    let cells = Cells::of(simd, level, points);
+                    let corners = of_part::<W, _>(simd, cells.corners(simd, level), (part, parts));
+                    let corners = simd.store_corners(corners);
+                    let weights = weights(simd, self.grid.interpolation, &cells);
+                    simd.add_weighted(self.sum, &corners, &weights, &d_block[start..][..count]);
+                }
             }
         }
     }

@@ -148,7 +148,18 @@ impl Processor {
         all
     }
 
-    /// Runs a kernel with the instructions of this processor.
+    /// Runs a kernel of single features: by plain loops, of which the compiler makes vectors.
+    pub fn run_plain(self, kernel: impl Kernel) {
+        match self {
+            #[cfg(target_arch = "x86_64")]
+            Processor::Wide(wide) => wide.narrow().run(kernel),
+            #[cfg(target_arch = "x86_64")]
+            Processor::Narrow(narrow) => narrow.run(kernel),
+            Processor::Any => kernel.run(Plain),
+        }
+    }
+
+    /// Runs a kernel with the instructions of this processor: one of pairs, or one that calls nothing of [`Simd`].
     pub fn run(self, kernel: impl Kernel) {
         match self {
             #[cfg(target_arch = "x86_64")]
@@ -236,7 +247,7 @@ fn gather_plain<const F: usize>(table: &[[f32; F]], indices: &[u32; LANES]) -> [
 mod wide {
     use std::arch::x86_64::*;
 
-    use super::{Kernel, LANES, Lanes, Plain, Simd, gather_plain};
+    use super::{Kernel, LANES, Lanes, Plain, Simd};
 
     /// AVX-512. There is one only on a processor that has it.
     #[derive(Clone, Copy, Debug)]
@@ -250,6 +261,10 @@ mod wide {
         pub fn here() -> Option<Wide> {
             let has = is_x86_feature_detected!("avx512f") && is_x86_feature_detected!("avx512dq");
             (has && Narrow::here().is_some()).then_some(Wide(()))
+        }
+
+        pub fn narrow(self) -> Narrow {
+            Narrow(())
         }
 
         pub fn run(self, kernel: impl Kernel) {
@@ -319,13 +334,8 @@ mod wide {
         /// Both features of a pair by one load of 64 bits.
         #[inline(always)]
         unsafe fn gather<const F: usize>(self, table: &[[f32; F]], indices: __m512i) -> [__m512; F] {
+            const { assert!(F == 2) };
             let mut features = [self.splat(0.0); F];
-            if F != 2 {
-                for (feature, values) in features.iter_mut().zip(&gather_plain(table, &self.store_ints(indices))) {
-                    *feature = self.load(values);
-                }
-                return features;
-            }
             // SAFETY: the processor has AVX-512, as there is a `Wide`; every index lies within the table of pairs.
             let pairs = unsafe {
                 let (low, high) = (_mm512_castsi512_si256(indices), _mm512_extracti64x4_epi64::<1>(indices));
@@ -344,15 +354,8 @@ mod wide {
 
         #[inline(always)]
         fn rows<const F: usize>(self, features: [__m512; F]) -> [[f32; F]; LANES] {
+            const { assert!(F == 2) };
             let mut rows = [[0.0; F]; LANES];
-            if F != 2 {
-                for (feature, values) in features.into_iter().enumerate() {
-                    for (row, value) in rows.iter_mut().zip(self.store(values)) {
-                        row[feature] = value;
-                    }
-                }
-                return rows;
-            }
             // SAFETY: the processor has AVX-512, as there is a `Wide`.
             let (low, high) = unsafe {
                 let low = _mm512_setr_epi32(0, 16, 1, 17, 2, 18, 3, 19, 4, 20, 5, 21, 6, 22, 7, 23);
@@ -369,9 +372,7 @@ mod wide {
         /// A pair by one load, one operation and one store of 64 bits.
         #[inline(always)]
         fn add_to_entry<const F: usize>(self, entry: &mut [f32; F], weight: f32, features: &[f32; F]) {
-            if F != 2 {
-                return Plain.add_to_entry(entry, weight, features);
-            }
+            const { assert!(F == 2) };
             // SAFETY: the processor has FMA, as there is a `Wide`; entry and features are two numbers each.
             unsafe {
                 let entry = entry.as_mut_ptr().cast();
