@@ -1,7 +1,7 @@
 //! Drawings, as SVG and PNG from the same marks.
 //!
-//! A drawing is laid out as plain data, written as SVG, and the PNG is that SVG drawn with an embedded
-//! font, so that a machine without any draws the same.
+//! A canvas holds a list of marks. The SVG is these marks as text. The PNG is the same marks, drawn with an embedded font,
+//! so that it does not depend on the fonts of the machine.
 
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
@@ -38,15 +38,6 @@ pub const TEXT: f64 = 13.0;
 pub const TITLE: f64 = 15.0;
 /// From one line of text to the next.
 pub const LINE_HEIGHT: f64 = 18.0;
-/// Whether texts say how wide they are.
-#[derive(Clone, Copy)]
-enum Letters {
-    /// They do: where the face is not at hand, that of a browser is narrowed or widened, and nothing runs off the edge.
-    Fitted,
-    /// They do not: the face is at hand.
-    Free,
-}
-
 /// What a drawing leaves free at its sides.
 pub const SIDE: f64 = 20.0;
 
@@ -58,7 +49,7 @@ const LEAST_SPAN: f64 = 1e-200;
 
 /// Red, green, blue.
 #[derive(Clone, Copy)]
-pub struct Colour(u8, u8, u8);
+pub struct Colour(pub(super) u8, pub(super) u8, pub(super) u8);
 
 impl Colour {
     /// The nearest to one of three shares.
@@ -107,7 +98,11 @@ pub enum Anchor {
     Right,
 }
 
-enum Mark {
+/// Length of a dash and of the gap after it, in pixels.
+pub(super) const DASHES: [f32; 2] = [6.0, 4.0];
+
+/// One element of a drawing.
+pub(super) enum Mark {
     Line {
         points: Vec<(f64, f64)>,
         colour: Colour,
@@ -125,7 +120,7 @@ enum Mark {
         colour: Colour,
         opacity: f64,
     },
-    /// `at` is the anchor's end of the text's middle line.
+    /// `at` is on the baseline, at the end that the anchor names.
     Text {
         at: (f64, f64),
         text: String,
@@ -147,7 +142,7 @@ pub struct Canvas {
     pub width: f64,
     /// Height in pixels.
     pub height: f64,
-    marks: Vec<Mark>,
+    pub(super) marks: Vec<Mark>,
 }
 
 impl Canvas {
@@ -183,11 +178,13 @@ impl Canvas {
         self.marks.extend(drawable(&[at]).pop().map(|at| Mark::Dot { at, radius, colour, opacity }));
     }
 
-    /// Writes a line of text; `at` is on its baseline.
+    /// Writes a line of text, centred vertically on `at`.
     pub fn text(&mut self, at: (f64, f64), text: &str, size: f64, anchor: Anchor, colour: Colour) {
         // XML knows no way to write these.
         let text = text.replace(|letter: char| letter.is_control() || matches!(letter, '\u{fffe}' | '\u{ffff}'), " ");
-        self.marks.extend(drawable(&[at]).pop().map(|at| Mark::Text { at, text, size, anchor, colour }));
+        // From the middle of the letters to their baseline.
+        let foot = (at.0, at.1 + 0.34 * size);
+        self.marks.extend(drawable(&[foot]).pop().map(|at| Mark::Text { at, text, size, anchor, colour }));
     }
 
     /// The outline of a rectangle from its upper left corner.
@@ -215,27 +212,31 @@ impl Canvas {
 
     /// The figure's files.
     pub fn finish(self) -> Result<Figure> {
-        let png = raster::png(&self.svg(Letters::Free))?;
-        Ok(Figure { svg: self.svg(Letters::Fitted), png })
+        Ok(Figure { svg: self.svg(), png: raster::png(&self)? })
     }
 
     /// The PNG's pixels, which only the feature `png-figures` draws.
     pub fn raster(self) -> Result<Image> {
-        raster::image(&self.svg(Letters::Free))
+        raster::image(&self)
     }
 
-    fn svg(&self, letters: Letters) -> String {
-        let (width, height) = (self.width.ceil(), self.height.ceil());
+    /// Returns width and height, rounded up to whole pixels.
+    pub(super) fn size(&self) -> (f64, f64) {
+        (self.width.ceil(), self.height.ceil())
+    }
+
+    fn svg(&self) -> String {
+        let (width, height) = self.size();
         let mut document =
             Document::new().set("viewBox", (0, 0, width, height)).set("width", width).set("height", height);
         document.append(Rectangle::new().set("width", width).set("height", height).set("fill", "white"));
-        self.marks.iter().for_each(|mark| mark.write(&mut document, letters));
+        self.marks.iter().for_each(|mark| mark.write(&mut document));
         document.to_string()
     }
 }
 
 impl Mark {
-    fn write(&self, document: &mut Document, letters: Letters) {
+    fn write(&self, document: &mut Document) {
         let points = |points: &[(f64, f64)]| {
             points.iter().map(|(x, y)| format!("{x:.1},{y:.1}")).collect::<Vec<String>>().join(" ")
         };
@@ -243,7 +244,8 @@ impl Mark {
             Mark::Line { points: along, colour, width, dashed } => {
                 let line = Polyline::new().set("points", points(along)).set("fill", "none");
                 let line = line.set("stroke", colour.text()).set("stroke-width", *width);
-                document.append(if *dashed { line.set("stroke-dasharray", "6 4") } else { line });
+                let [dash, gap] = DASHES;
+                document.append(if *dashed { line.set("stroke-dasharray", format!("{dash} {gap}")) } else { line });
             }
             Mark::Area { points: around, colour, opacity } => {
                 let area = Polygon::new().set("points", points(around)).set("fill", colour.text());
@@ -259,17 +261,14 @@ impl Mark {
                     Anchor::Middle => "middle",
                     Anchor::Right => "end",
                 };
-                // From the middle of the letters to their foot.
-                let foot = y + 0.34 * size;
-                let element = Text::new(text.as_str()).set("x", format!("{x:.1}")).set("y", format!("{foot:.1}"));
+                let element = Text::new(text.as_str()).set("x", format!("{x:.1}")).set("y", format!("{y:.1}"));
                 let element = element.set("font-family", FONT_FAMILY).set("font-size", *size);
                 let element = element.set("text-anchor", anchor).set("fill", colour.text());
                 let width = text_width(text, *size);
-                document.append(match letters {
-                    Letters::Fitted if width > 0.0 => {
-                        element.set("textLength", format!("{width:.1}")).set("lengthAdjust", "spacingAndGlyphs")
-                    }
-                    Letters::Fitted | Letters::Free => element,
+                // A browser without this font scales its own to this width, so that no text leaves the figure.
+                document.append(match width > 0.0 {
+                    true => element.set("textLength", format!("{width:.1}")).set("lengthAdjust", "spacingAndGlyphs"),
+                    false => element,
                 });
             }
             Mark::Picture { at: (x, y), size: (width, height), png } => {
@@ -283,10 +282,15 @@ impl Mark {
     }
 }
 
-/// The places that exist, none so far outside that numbers of it would be of no use.
+/// Returns the finite points, clamped to [`FAR`] and rounded to a tenth of a pixel.
 fn drawable(points: &[(f64, f64)]) -> Vec<(f64, f64)> {
     let finite = points.iter().filter(|(x, y)| x.is_finite() && y.is_finite());
-    finite.map(|(x, y)| (x.clamp(-FAR, FAR), y.clamp(-FAR, FAR))).collect()
+    finite.map(|(x, y)| (tenths(x.clamp(-FAR, FAR)), tenths(y.clamp(-FAR, FAR)))).collect()
+}
+
+/// Rounds a length as the SVG writes it, so that SVG and PNG draw the same.
+fn tenths(length: f64) -> f64 {
+    format!("{length:.1}").parse().expect("a number's own digits")
 }
 
 /// Width of a text in pixels.

@@ -1,7 +1,11 @@
 //! Drawing: figures in SVG and PNG, images, depth maps, animations.
 
 pub mod canvas;
+#[cfg(feature = "png-figures")]
+mod disc;
 mod film;
+#[cfg(feature = "png-figures")]
+mod letters;
 pub mod pictures;
 mod raster;
 mod reel;

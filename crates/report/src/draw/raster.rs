@@ -1,4 +1,4 @@
-//! Figures as pixels, which the feature `png-figures` brings: their SVG, drawn in the embedded face.
+//! Figures as pixels, which the feature `png-figures` brings: a canvas's marks, with text in the embedded face.
 
 #[cfg(feature = "png-figures")]
 pub use drawn::{image, png};
@@ -16,42 +16,105 @@ pub const SVG_ALONE: Option<&str> = if cfg!(feature = "png-figures") { None } el
 
 #[cfg(feature = "png-figures")]
 mod drawn {
-    use std::sync::Arc;
-
-    use resvg::tiny_skia::{Pixmap, Transform};
-    use resvg::usvg::{Options, Tree, fontdb};
+    use tiny_skia::{
+        Color, FillRule, FilterQuality, Paint, Path, PathBuilder, Pattern, Pixmap, Rect, SpreadMode, Stroke,
+        StrokeDash, Transform,
+    };
+    use ttf_parser::Face;
 
     use super::{FACE, FINENESS};
     use crate::base::{Error, Image, Result};
-
-    /// The face's own name, which by its licence is not that of the whole.
-    const FACE_FAMILY: &str = "Ubuntu derivative augnerf";
+    use crate::draw::canvas::{Canvas, Colour, DASHES, Mark};
+    use crate::draw::{disc, letters};
 
     /// A figure's PNG file.
-    pub fn png(svg: &str) -> Result<Option<Vec<u8>>> {
-        pixels(svg)?.encode_png().map(Some).map_err(|e| failed(&e.to_string()))
+    pub fn png(canvas: &Canvas) -> Result<Option<Vec<u8>>> {
+        pixels(canvas)?.encode_png().map(Some).map_err(|e| failed(&e.to_string()))
     }
 
     /// A figure's pixels.
-    pub fn image(svg: &str) -> Result<Image> {
-        let pixels = pixels(svg)?;
+    pub fn image(canvas: &Canvas) -> Result<Image> {
+        let pixels = pixels(canvas)?;
         // The paper is opaque, so that colours are not scaled by any alpha.
         let rgb = pixels.data().chunks_exact(4).flat_map(|pixel| [0, 1, 2].map(|c| f32::from(pixel[c]) / 255.0));
         let (width, height) = (pixels.width() as usize, pixels.height() as usize);
         Ok(Image { width, height, channels: 3, pixels: rgb.collect() })
     }
 
-    fn pixels(svg: &str) -> Result<Pixmap> {
-        let mut fonts = fontdb::Database::new();
-        fonts.load_font_data(FACE.to_vec());
-        // Figures ask for Ubuntu and else for any face without serifs.
-        fonts.set_sans_serif_family(FACE_FAMILY);
-        let options = Options { fontdb: Arc::new(fonts), ..Options::default() };
-        let tree = Tree::from_str(svg, &options).map_err(|e| failed(&e.to_string()))?;
-        let size = tree.size().to_int_size().scale_by(FINENESS as f32).ok_or_else(|| failed("it has no size"))?;
-        let mut pixels = Pixmap::new(size.width(), size.height()).ok_or_else(|| failed("it has no size"))?;
-        resvg::render(&tree, Transform::from_scale(FINENESS as f32, FINENESS as f32), &mut pixels.as_mut());
+    fn pixels(canvas: &Canvas) -> Result<Pixmap> {
+        let face = Face::parse(FACE, 0).map_err(|e| failed(&e.to_string()))?;
+        let (width, height) = canvas.size();
+        let side = |length: f64| (length * FINENESS) as u32;
+        let mut pixels = Pixmap::new(side(width), side(height)).ok_or_else(|| failed("it has no size"))?;
+        pixels.fill(Color::WHITE);
+        for mark in &canvas.marks {
+            // A mark without extent draws nothing.
+            let _ = draw(mark, &face, &mut pixels);
+        }
         Ok(pixels)
+    }
+
+    /// Draws a mark, or returns none if it has no extent.
+    fn draw(mark: &Mark, face: &Face, pixels: &mut Pixmap) -> Option<()> {
+        match mark {
+            Mark::Line { points, colour, width, dashed } => {
+                let dash = if *dashed { StrokeDash::new(DASHES.to_vec(), 0.0) } else { None };
+                let stroke = Stroke { width: *width as f32, dash, ..Stroke::default() };
+                let line = along(points)?.finish()?;
+                pixels.stroke_path(&line, &paint(*colour, 1.0), &stroke, fine(), None);
+                Some(())
+            }
+            Mark::Area { points, colour, opacity } => {
+                let mut around = along(points)?;
+                around.close();
+                fill(&around.finish()?, *colour, *opacity, pixels)
+            }
+            Mark::Dot { at, radius, colour, opacity } => fill(&disc::path(*at, *radius)?, *colour, *opacity, pixels),
+            Mark::Text { at, text, size, anchor, colour } => {
+                fill(&letters::outlines(face, text, *at, *size, *anchor)?, *colour, 1.0, pixels)
+            }
+            Mark::Picture { at, size, png } => picture(*at, *size, png, pixels),
+        }
+    }
+
+    fn fine() -> Transform {
+        Transform::from_scale(FINENESS as f32, FINENESS as f32)
+    }
+
+    fn paint(Colour(r, g, b): Colour, opacity: f64) -> Paint<'static> {
+        let mut paint = Paint::default();
+        paint.set_color_rgba8(r, g, b, (opacity as f32 * 255.0).round() as u8);
+        paint
+    }
+
+    fn fill(path: &Path, colour: Colour, opacity: f64, pixels: &mut Pixmap) -> Option<()> {
+        let bounds = path.bounds();
+        if bounds.width() > 0.0 && bounds.height() > 0.0 {
+            pixels.fill_path(path, &paint(colour, opacity), FillRule::Winding, fine(), None);
+        }
+        Some(())
+    }
+
+    /// Returns an open path, or none through fewer than two points.
+    fn along(points: &[(f64, f64)]) -> Option<PathBuilder> {
+        let [first, _, ..] = points else { return None };
+        let mut path = PathBuilder::new();
+        path.move_to(first.0 as f32, first.1 as f32);
+        points[1..].iter().for_each(|(x, y)| path.line_to(*x as f32, *y as f32));
+        Some(path)
+    }
+
+    /// Draws an image with sharp pixels.
+    fn picture((x, y): (f64, f64), size: (f64, f64), png: &[u8], pixels: &mut Pixmap) -> Option<()> {
+        let picture = Pixmap::decode_png(png).ok()?;
+        let (width, height) = (picture.width() as f32, picture.height() as f32);
+        let (across, down) = (size.0 as f32 / width, size.1 as f32 / height);
+        let place = fine().pre_concat(Transform::from_row(across, 0.0, 0.0, down, x as f32, y as f32));
+        let shader =
+            Pattern::new(picture.as_ref(), SpreadMode::Pad, FilterQuality::Nearest, 1.0, Transform::identity());
+        let paint = Paint { shader, ..Paint::default() };
+        pixels.fill_rect(Rect::from_xywh(0.0, 0.0, width, height)?, &paint, place, None);
+        Some(())
     }
 
     fn failed(why: &str) -> Error {
@@ -63,14 +126,15 @@ mod drawn {
 mod undrawn {
     use super::WITHOUT;
     use crate::base::{Error, Image, Result};
+    use crate::draw::canvas::Canvas;
 
     /// None.
-    pub fn png(_svg: &str) -> Result<Option<Vec<u8>>> {
+    pub fn png(_canvas: &Canvas) -> Result<Option<Vec<u8>>> {
         Ok(None)
     }
 
     /// Refused.
-    pub fn image(_svg: &str) -> Result<Image> {
+    pub fn image(_canvas: &Canvas) -> Result<Image> {
         Err(Error::Config(WITHOUT.into()))
     }
 }
@@ -78,11 +142,12 @@ mod undrawn {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::draw::canvas::{Anchor, BLACK, Canvas};
 
     fn drawn(text: &str) -> Vec<f32> {
-        let start = r#"<svg xmlns="http://www.w3.org/2000/svg" width="60" height="20"><rect width="60" height="20" fill="white"/>"#;
-        let letters = r#"<text x="5" y="15" font-family="Ubuntu, sans-serif" font-size="13">"#;
-        image(&format!("{start}{letters}{text}</text></svg>")).unwrap().pixels
+        let mut canvas = Canvas::new(60.0, 20.0);
+        canvas.text((5.0, 10.0), text, 13.0, Anchor::Left, BLACK);
+        image(&canvas).unwrap().pixels
     }
 
     #[test]
