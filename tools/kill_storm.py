@@ -145,7 +145,7 @@ class Storm:
         return ["train", "--quiet", "--preset", "smoke", "--threads", "2", "--out", run, *method, *(w for s in SET for w in ("--set", s))]
 
     def sweep(self, out):
-        return ["sweep", "run", self.definition, "--out", out, "--quiet", "--threads", "2", "--max-deaths", "1000000"]
+        return ["sweep", "run", self.definition, "--out", out, "--quiet", "--threads", "2"]
 
     # Checks.
 
@@ -281,7 +281,7 @@ class Storm:
                 if self.end(victim, {0, -signal.SIGKILL}) == -signal.SIGKILL:
                     done += 1
                     alive.append(self.start(self.sweep(out)))
-            # A claim that one was killed with is left if nobody came after it.
+            # A note of one that was killed is left if nobody came after it.
             self.end(self.start(self.sweep(out)), {0})
             self.same("runners", straight, out)
         return done

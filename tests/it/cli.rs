@@ -2,11 +2,11 @@
 
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use crate::common::assert_says;
 use crate::common::files::{assert_same_files, files, json, text};
-use crate::common::program::{augnerf, demand, printed, refuse, succeed};
+use crate::common::program::{augnerf, demand, printed, refuse, succeed, wait_for};
 use augnerf::run::Trained;
 use augnerf::runtime::Runtime;
 use augnerf::space::Lattice;
@@ -59,12 +59,10 @@ fn assert_same(a: &Path, b: &Path) {
 /// Waits until the run has written the checkpoint of `step`.
 fn wait_for_checkpoint(run: &Path, step: u64, child: &mut Child) {
     let folder = run.join(format!("checkpoints/step_{step:09}"));
-    let started = Instant::now();
-    while !folder.exists() {
+    wait_for(&format!("a checkpoint of step {step}"), || {
         assert!(child.try_wait().unwrap().is_none(), "the run ended before step {step}");
-        assert!(started.elapsed() < Duration::from_secs(120), "no checkpoint of step {step}");
-        std::thread::sleep(Duration::from_millis(2));
-    }
+        folder.exists()
+    });
 }
 
 fn start(arguments: &[&str]) -> Child {
@@ -284,14 +282,10 @@ fn stop_and_resume(signal: &str, code: i32) {
     let child = start(&tiny(&stopped, &further));
     // The event file is made right before the first step.
     let events = stopped.join("tensorboard");
-    let started = Instant::now();
     let is_event_file = |entry: std::io::Result<std::fs::DirEntry>| {
         entry.is_ok_and(|entry| entry.file_name().to_string_lossy().starts_with("events."))
     };
-    while !std::fs::read_dir(&events).is_ok_and(|mut entries| entries.any(is_event_file)) {
-        assert!(started.elapsed() < Duration::from_secs(60));
-        std::thread::sleep(Duration::from_millis(2));
-    }
+    wait_for("a step", || std::fs::read_dir(&events).is_ok_and(|mut entries| entries.any(is_event_file)));
     Command::new("kill").args([signal, &child.id().to_string()]).status().unwrap();
     let output = child.wait_with_output().unwrap();
     let message = String::from_utf8_lossy(&output.stderr);

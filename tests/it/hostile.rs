@@ -6,8 +6,8 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
-use crate::common::assert_says;
 use crate::common::program::{augnerf, demand, refuse, succeed};
+use crate::common::{assert_says, assert_takes_at_most};
 use augnerf::base::Error;
 use augnerf::metrics::{Backbone, Lpips};
 use augnerf::settings::{build, parse_assignment};
@@ -15,8 +15,8 @@ use augnerf::space::{chamfer, read_mesh, sample};
 use candle_core::Device;
 use tempfile::TempDir;
 
-/// Longer than any of these files takes to be refused.
-pub const SOON: Duration = Duration::from_secs(2);
+/// Ten times as long as any of these files takes to be refused on a slow machine: only a hang takes longer.
+pub const HANG: Duration = Duration::from_secs(20);
 /// Longest message for a person.
 const MESSAGE: usize = 20_000;
 
@@ -24,13 +24,13 @@ fn fixture(name: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/fixtures/hostile").join(name)
 }
 
-/// Demands an error, soon and short, and gives its sentence.
+/// Demands an error, short and without a hang, and gives its sentence.
 #[track_caller]
 fn refused<T>(read: impl FnOnce() -> augnerf::base::Result<T>) -> String {
     let started = Instant::now();
     let error: Error = read().err().expect("must be refused");
     let message = error.to_string();
-    assert!(started.elapsed() < SOON, "took {:?}: {message}", started.elapsed());
+    assert!(started.elapsed() < HANG, "took {:?}: {message}", started.elapsed());
     assert!(message.len() < MESSAGE && !matches!(error, Error::Tensor(_)), "{message}");
     message
 }
@@ -117,16 +117,8 @@ fn meshes_far_apart_take_hardly_longer_than_meshes_that_touch() {
         sample(&mesh, 80_000, 0).unwrap()
     };
     let (here, touching, away) = (sphere(0.0), sphere(0.05), sphere(30.0));
-    let seconds = |other| {
-        let once = |_| {
-            let started = Instant::now();
-            chamfer(&here, other, &[]).unwrap();
-            started.elapsed().as_secs_f64()
-        };
-        (0..3).map(once).fold(f64::INFINITY, f64::min)
-    };
-    let (near, far) = (seconds(&touching), seconds(&away));
-    assert!(far < 6.0 * near, "{far:.2} s far apart, {near:.2} s where they touch");
+    let measure = |other| drop(chamfer(&here, other, &[]).unwrap());
+    assert_takes_at_most(6.0, || measure(&touching), || measure(&away));
 }
 
 #[test]
@@ -288,9 +280,8 @@ fn lists_of_a_million_views_are_refused_before_they_are_read() {
     let frame = r#"{"file_path": "0", "transform_matrix": [[1,0,0,0],[0,1,0,0],[0,0,1,4],[0,0,0,1]]},"#;
     let text = format!(r#"{{"camera_angle_x": 0.7, "frames": [{}{{}}]}}"#, frame.repeat(1_000_000));
     fs::write(dir.path().join("transforms.json"), text).unwrap();
-    let started = Instant::now();
+    // No timing: the message says that reading ended at 32 MiB.
     refuse(&["data", "check", dir.path().to_str().unwrap()], 3, &["transforms.json", "more than 32 MiB"]);
-    assert!(started.elapsed() < SOON, "took {:?}", started.elapsed());
 }
 
 /// Only the header of a picture is real, which is all that may be looked at before its memory is taken.

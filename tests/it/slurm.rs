@@ -4,15 +4,10 @@
 use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
-use std::sync::atomic::{AtomicBool, Ordering};
-use std::time::Duration;
 
-use super::sweep_run::{BASE, Fake, OPTIONS, run, sweep};
 use crate::common::assert_says;
 use crate::common::files::{assert_same_files, entries, json, text};
-use crate::common::program::{self, augnerf};
-use augnerf::report::Status;
-use augnerf::sweep::{Claim, Options};
+use crate::common::program::{self, augnerf, wait_for};
 use tempfile::TempDir;
 
 /// Three points of a second; the second one fails.
@@ -78,18 +73,6 @@ fn signal(child: &Child, signal: &str) {
     assert!(Command::new("kill").args([signal, &child.id().to_string()]).status().unwrap().success());
 }
 
-/// Waits until something holds.
-#[track_caller]
-fn wait_for(what: &str, holds: impl Fn() -> bool) {
-    for _ in 0..1200 {
-        if holds() {
-            return;
-        }
-        std::thread::sleep(Duration::from_millis(50));
-    }
-    panic!("a minute went by without {what}");
-}
-
 /// The points' folders, in the order of their numbers.
 fn points(dir: &Path) -> Vec<PathBuf> {
     let folder = dir.join("runs/tiny");
@@ -123,7 +106,9 @@ fn points_that_are_run_one_by_one_make_the_tables_of_a_sweep() {
         points(dir).iter().map(|point| file(point).unwrap().metadata().unwrap().modified().unwrap()).collect::<Vec<_>>()
     };
     let ended = ends();
-    assert_says(&demand(&point("0"), dir, 0), &["was already done"]);
+    let said = demand(&[&point("0")[..], &["--max-deaths", "3"]].concat(), dir, 0);
+    assert_says(&said, &["was already done", "--max-deaths does nothing"]);
+    assert!(!demand(&["sweep", "run-point", "--help"], dir, 0).contains("max-deaths"));
     demand(&point("1"), dir, 7);
     assert_eq!(ends(), ended);
     demand(&[&point("1")[..], &["--retry-failed"]].concat(), dir, 7);
@@ -186,39 +171,6 @@ fn a_point_that_another_runner_works_on_is_left_to_it() {
     assert!(child.try_wait().unwrap().is_none(), "the other one goes on");
     child.kill().unwrap();
     child.wait().unwrap();
-}
-
-/// A runner on another machine is known by its heartbeat alone.
-#[test]
-fn a_runner_elsewhere_is_seen_to_live_by_its_heartbeat() {
-    let dir = TempDir::new().unwrap();
-    let (folder, _, points) = sweep(dir.path(), BASE);
-    let own = folder.point(&points[0].id);
-    own.begin(&points[0]).unwrap();
-    let (file, over) = (own.path().join("claim.json"), AtomicBool::new(false));
-    let beat = |step: usize| {
-        let claim = r#"{"host": "elsewhere", "pid": 7, "nonce": 3, "step": STEP, "steps": 90, "seconds": 1.5, "first": 0, "deaths": 0}"#;
-        std::fs::write(&file, claim.replace("STEP", &step.to_string())).unwrap();
-    };
-    beat(0);
-    let fake = Fake::default();
-    std::thread::scope(|scope| {
-        scope.spawn(|| {
-            for step in 1.. {
-                std::thread::sleep(Duration::from_millis(100));
-                if over.load(Ordering::SeqCst) {
-                    return;
-                }
-                beat(step);
-            }
-        });
-        let ended = run(&folder, &points, &fake, Options { leave_to_others: true, ..OPTIONS });
-        over.store(true, Ordering::SeqCst);
-        ended.unwrap();
-    });
-    assert_eq!(fake.count(), points.len() - 1, "all but the one that is worked on elsewhere");
-    assert_eq!(own.state(&points[0]).unwrap().status, Status::Running);
-    assert_eq!(Claim::look(own.path()).unwrap().host, "elsewhere");
 }
 
 /// What Slurm's commands say, in a folder of its own; each call is written down.
@@ -305,7 +257,7 @@ fn a_dry_run_prints_the_script_and_writes_nothing() {
     assert!(!tables.iter().any(|line| line.contains("gres") || line.contains("array")), "{tables:?}");
     // Slurm reads no option behind the first command.
     assert!(starts("#SBATCH --signal").unwrap() < starts("trap ").unwrap());
-    let run = format!("augnerf sweep run-point {} --max-deaths 5 --device cuda \\", folder.display());
+    let run = format!("augnerf sweep run-point {} --device cuda \\", folder.display());
     assert!(lines.iter().any(|line| line.ends_with(&run)), "{said}");
     let collect = format!(
         "augnerf sweep collect {} --results {}",

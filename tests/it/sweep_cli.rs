@@ -1,12 +1,12 @@
 //! `augnerf sweep` as a user meets it: killed, shared, failing, resumed, collected.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
 use crate::common::assert_says;
 use crate::common::files::{assert_same_files, entries, files, json, newest, rows, text};
-use crate::common::program::{self, augnerf};
+use crate::common::program::{self, augnerf, wait_for};
 use augnerf::base::rng::{Random, Stream};
 use augnerf::run::DepthErrors;
 use tempfile::TempDir;
@@ -124,7 +124,7 @@ fn killed_at_random_moments_equals_undisturbed() {
     let mut sessions = 0;
     for point in entries(&disturbed.path().join("runs/tiny/points")) {
         let left: Vec<_> = std::fs::read_dir(&point).unwrap().map(|entry| entry.unwrap().file_name()).collect();
-        // A kill between a result and the release of its claim leaves the claim, which nobody reads again.
+        // A kill between a result and the release of its claim leaves the note, which nobody reads again.
         let known = ["claim.json", "claim.lock", "config.toml", "result.json", "run"];
         assert!(left.iter().all(|name| known.iter().any(|known| name == known)), "{left:?}");
         assert!(point.join("result.json").is_file(), "{}", point.display());
@@ -219,18 +219,6 @@ fn a_scene_that_is_missing_and_a_definition_that_changed_are_said() {
     demand(&["sweep", "status", "nothing"], dir.path(), 5);
 }
 
-/// Waits until a point is in training.
-fn wait_for_claim(dir: &Path) {
-    for _ in 0..600 {
-        std::thread::sleep(Duration::from_millis(50));
-        let points = std::fs::read_dir(dir.join("runs/tiny/points")).into_iter().flatten().flatten();
-        if points.into_iter().any(|point| point.path().join("run/config.toml").exists()) {
-            return;
-        }
-    }
-    panic!("nothing was begun within half a minute");
-}
-
 /// Rows that were trained by different programs are not put side by side; the points are all there.
 #[test]
 fn rows_of_two_revisions_are_refused_and_what_became_of_points_is_still_said() {
@@ -254,7 +242,9 @@ fn rows_of_two_revisions_are_refused_and_what_became_of_points_is_still_said() {
 fn sigterm_stops_with_the_signal_s_code_and_the_next_run_ends_it() {
     let dir = workplace(&TINY.replace("\"train.steps\" = 60", "\"train.steps\" = 200"));
     let mut child = start(dir.path());
-    wait_for_claim(dir.path());
+    let points = dir.path().join("runs/tiny/points");
+    let begun = |point: &PathBuf| point.join("run/config.toml").exists();
+    wait_for("a point in training", || points.is_dir() && entries(&points).iter().any(begun));
     Command::new("kill").args(["-TERM", &child.id().to_string()]).status().unwrap();
     assert_eq!(child.wait().unwrap().code(), Some(143));
     demand(&["sweep", "run", "tiny.toml", "--quiet"], dir.path(), 0);

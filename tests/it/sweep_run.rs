@@ -13,8 +13,8 @@ use augnerf::report::Status;
 use augnerf::runtime::Runtime;
 use augnerf::settings::{Config, DeltaSource, SecondPass};
 use augnerf::sweep::{
-    Beat, Change, Claim, Definition, Options, Overrides, Point, PointFolder, PointResult, Runner, StepCosts,
-    SweepFolder, Watch, Work, begin, evaluations_per_step, expand,
+    Change, Claim, Definition, Options, Overrides, Point, PointFolder, PointResult, Progress, Runner, Sharing,
+    StepCosts, SweepFolder, Work, begin, evaluations_per_step, expand,
 };
 use tempfile::TempDir;
 
@@ -74,10 +74,17 @@ impl Fake {
 }
 
 impl Work for Fake {
-    fn run(&self, point: &Point, _: &PointFolder, _: &Runtime, beat: &Beat, stop: &AtomicUsize) -> Result<PointResult> {
+    fn run(
+        &self,
+        point: &Point,
+        _: &PointFolder,
+        _: &Runtime,
+        progress: &Progress,
+        stop: &AtomicUsize,
+    ) -> Result<PointResult> {
         let label = point.label();
         *self.trained.lock().unwrap().entry(label.clone()).or_default() += 1;
-        beat.begin(self.first.into(), 10);
+        progress.begin(self.first.into(), 10);
         std::thread::sleep(std::time::Duration::from_millis(self.milliseconds));
         if self.stop_at == Some(self.count()) {
             stop.store(15, Ordering::SeqCst);
@@ -92,14 +99,8 @@ impl Work for Fake {
     }
 }
 
-pub const OPTIONS: Options = Options {
-    jobs: 1,
-    fail_fast: false,
-    retry_failed: false,
-    most_deaths: 10,
-    remeasure: Vec::new(),
-    leave_to_others: false,
-};
+pub const OPTIONS: Options =
+    Options { jobs: 1, fail_fast: false, retry_failed: false, remeasure: Vec::new(), sharing: Sharing::Locks };
 
 pub fn sweep(dir: &Path, text: &str) -> (SweepFolder, Definition, Vec<Point>) {
     let folder = SweepFolder::new(dir);
@@ -318,20 +319,19 @@ fn turns_that_are_too_short_for_an_evaluation_fail_the_point_at_last() {
     let dir = TempDir::new().unwrap();
     let (folder, _, points) = sweep(dir.path(), BASE);
     let one = &points[..1];
-    let turn = |first: u32, leave_to_others: bool| {
+    let turn = |first: u32, sharing: Sharing| {
         let fake = Fake { stop_at: Some(1), first, ..Fake::default() };
-        let options = Options { most_deaths: 2, leave_to_others, ..OPTIONS };
-        run_heard(&folder, one, &fake, options, (&(), &AtomicUsize::new(0)))
+        run_heard(&folder, one, &fake, Options { sharing, ..OPTIONS }, (&(), &AtomicUsize::new(0)))
     };
-    // One that trained got further, and a person may stop as often as he likes.
-    let waits = Status::Waiting;
-    let turns = [(9, true, waits), (9, true, waits), (10, false, waits), (10, true, waits), (10, true, Status::Failed)];
-    for (first, by_scheduler, status) in turns {
-        assert!(matches!(turn(first, by_scheduler), Err(Error::Interrupted { .. })), "{first} {by_scheduler}");
-        assert_eq!(statuses(&folder, one), [status], "{first} {by_scheduler}");
+    // One that trained got further, and a person may stop as often as they like.
+    let waits = [(9, Sharing::Scheduler), (10, Sharing::Locks), (10, Sharing::Scheduler)];
+    let waits = waits.into_iter().flat_map(|(first, sharing)| [(first, sharing, Status::Waiting); 4]);
+    for (first, sharing, status) in waits.chain([(10, Sharing::Scheduler, Status::Failed)]) {
+        assert!(matches!(turn(first, sharing), Err(Error::Interrupted { .. })), "{first} {sharing:?}");
+        assert_eq!(statuses(&folder, one), [status], "{first} {sharing:?}");
     }
     let failure = folder.point(&one[0].id).failure().unwrap().unwrap();
-    assert!(failure.reason.contains("2 turns were stopped before its evaluation was"), "{}", failure.reason);
+    assert!(failure.reason.contains("5 turns were stopped before its evaluation was"), "{}", failure.reason);
     // Tried again it has as many turns as before.
     let options = Options { retry_failed: true, ..OPTIONS };
     run(&folder, one, &Fake::default(), options).unwrap();
@@ -343,7 +343,7 @@ fn turns_that_are_too_short_for_an_evaluation_fail_the_point_at_last() {
 fn a_full_disk_stops_the_sweep_and_fails_no_point() {
     struct Full;
     impl Work for Full {
-        fn run(&self, _: &Point, _: &PointFolder, _: &Runtime, _: &Beat, _: &AtomicUsize) -> Result<PointResult> {
+        fn run(&self, _: &Point, _: &PointFolder, _: &Runtime, _: &Progress, _: &AtomicUsize) -> Result<PointResult> {
             Err(Error::Output("no space left".into()))
         }
     }
@@ -408,55 +408,33 @@ fn runners_and_jobs_share_the_points() {
 }
 
 #[test]
-fn a_claim_is_seen_and_the_claim_of_the_dead_is_taken_over() {
+fn a_claim_is_seen_and_the_point_of_a_killed_worker_is_free_at_once() {
     let dir = TempDir::new().unwrap();
     let (folder, _, points) = sweep(dir.path(), BASE);
     let point = folder.point(&points[0].id);
     point.begin(&points[0]).unwrap();
-    let claim = Claim::take(point.path(), &Watch::default()).unwrap().unwrap();
-    assert!(Claim::take(point.path(), &Watch::default()).unwrap().is_none());
+    let take = || Claim::take(point.path(), Sharing::Locks).unwrap();
+    let claim = take().unwrap();
+    claim.progress.begin(7, 10);
+    assert!(take().is_none());
     assert_eq!(statuses(&folder, &points)[0], Status::Running);
     let seen = Claim::look(point.path()).unwrap();
-    assert!(seen.alive && seen.pid == std::process::id() && seen.deaths == 0);
-    // Death: the lock goes, the sign stays.
-    let sign = std::fs::read(point.path().join("claim.json")).unwrap();
+    assert!(seen.alive && seen.pid == std::process::id() && (seen.step, seen.steps) == (7, 10));
+    let note = std::fs::read(point.path().join("claim.json")).unwrap();
     drop(claim);
     assert!(Claim::look(point.path()).is_none());
-    std::fs::write(point.path().join("claim.json"), sign).unwrap();
-    let state = point.state(&points[0]).unwrap();
-    assert_eq!(state.status, Status::Waiting);
-    assert!(state.reason.contains("died"), "{}", state.reason);
-    let claim = Claim::take(point.path(), &Watch::default()).unwrap().unwrap();
-    assert_eq!(claim.deaths, 1);
-    // A second one after it: counted on.
-    let sign = std::fs::read(point.path().join("claim.json")).unwrap();
-    drop(claim);
-    std::fs::write(point.path().join("claim.json"), sign).unwrap();
+    // A kill: the lock goes, the note stays. It may happen as often as it likes.
+    for _ in 0..30 {
+        std::fs::write(point.path().join("claim.json"), &note).unwrap();
+        let state = point.state(&points[0]).unwrap();
+        assert_eq!(state.status, Status::Waiting);
+        assert_says(&state.reason, &[&format!("process {}", std::process::id()), "was killed at step 7"]);
+        drop(take().unwrap());
+    }
+    std::fs::write(point.path().join("claim.json"), &note).unwrap();
     let fake = Fake::default();
-    run(&folder, &points[..1], &fake, Options { most_deaths: 2, ..OPTIONS }).unwrap();
-    assert_eq!(fake.count(), 0);
-    assert!(point.failure().unwrap().unwrap().reason.contains("2 runners died"));
-}
-
-/// Preempted again and again, each time further: that is no reason to give a point up.
-#[test]
-fn deaths_count_only_without_progress() {
-    let dir = TempDir::new().unwrap();
-    let (folder, _, points) = sweep(dir.path(), BASE);
-    let point = folder.point(&points[0].id);
-    point.begin(&points[0]).unwrap();
-    let die_at = |first: u64| {
-        let claim = Claim::take(point.path(), &Watch::default()).unwrap().unwrap();
-        claim.beat.begin(first, 100);
-        // The heart beats every few seconds: its next sign as it would be.
-        let sign = claim.signed();
-        let deaths = claim.deaths;
-        drop(claim);
-        std::fs::write(point.path().join("claim.json"), sign).unwrap();
-        deaths
-    };
-    assert_eq!([die_at(0), die_at(0), die_at(0)], [0, 1, 2]);
-    assert_eq!([die_at(40), die_at(40), die_at(40)], [3, 1, 2], "the first of these got further");
+    run(&folder, &points[..1], &fake, OPTIONS).unwrap();
+    assert_eq!((fake.count(), statuses(&folder, &points)[0]), (1, Status::Done));
 }
 
 #[test]

@@ -6,7 +6,7 @@ use crate::common::assert_says;
 use crate::common::files::{rows, text};
 use crate::common::program::{self, augnerf};
 use crate::sweep_run::Costs;
-use augnerf::sweep::{Claim, Definition, Point, PointResult, SHIPPED, SweepFolder, TEMPLATE, Watch, expand};
+use augnerf::sweep::{Claim, Definition, Point, PointResult, SHIPPED, Sharing, SweepFolder, TEMPLATE, expand};
 use tempfile::TempDir;
 
 const BASE: &str = r#"
@@ -339,10 +339,11 @@ fn plans_without_data_say_so_and_points_that_begin_have_no_step() {
     let (folder, points) = finished(dir.path(), "one", BASE, &[]);
     let point = SweepFolder::new(&folder).point(&points[0].id);
     std::fs::remove_file(point.path().join("result.json")).unwrap();
-    let claim = Claim::take(point.path(), &Watch::default()).unwrap().unwrap();
+    let claim = Claim::take(point.path(), Sharing::Locks).unwrap().unwrap();
     let said = demand(dir.path(), &["sweep", "status", "runs/one"], 0);
     assert!(said.contains("it begins") && !said.contains("of 0"), "{said}");
-    claim.beat.begin(0, 250);
+    claim.progress.begin(0, 250);
+    assert_says(&demand(dir.path(), &["sweep", "status", "runs/one"], 0), &["step 0 of 250"]);
     drop(claim);
 }
 

@@ -51,7 +51,7 @@ pub use across::{ACROSS, ACROSS_CSV, ACROSS_PAGE, AcrossRequest};
 pub use axes::{Axis, AxisPoint, RandomSpan, Scale, Span};
 pub use best::{Best, BestSeed, best};
 pub use budget::{Clock, StepCosts, evaluations_per_step, steps_within};
-pub use claim::{Beat, Claim, Claimed, Watch};
+pub use claim::{Claim, Claimed, Progress, Sharing};
 pub use collect::{Collector, PAGE, Results};
 pub use definition::{Budget, BudgetKind, Combine, Definition, Overrides, Row};
 pub use folder::{Change, SweepFolder};

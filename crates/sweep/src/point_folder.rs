@@ -13,7 +13,7 @@ use crate::report::Status;
 use crate::run::RunDir;
 use crate::settings::Config;
 
-use super::claim::{CLAIM, Claim, Claimed, Watch};
+use super::claim::{CLAIM, Claim, Claimed, Sharing};
 use super::points::Point;
 
 /// What to do with a damaged file of a point.
@@ -202,19 +202,19 @@ impl PointFolder {
         fs::remove_file(&path).map_err(|e| Error::unwritable(&path, &e))
     }
 
-    /// Deletes what a killed runner left half-written. Call it while holding the point's claim.
+    /// Deletes what a killed worker left half-written. Call it while holding the point's claim.
     pub fn clean(&self) -> Result<()> {
         clean_temporaries(&self.path).map(|_| ())
     }
 
-    /// Deletes what a runner that was killed right after the point's end left: its claim, and files half-written.
-    pub fn clean_up(&self, watch: &Watch) -> Result<()> {
+    /// Deletes what a worker that was killed right after the point's end left: its claim, and files half-written.
+    pub fn clean_up(&self, sharing: Sharing) -> Result<()> {
         let entries = fs::read_dir(&self.path).map_err(|e| Error::unreadable(&self.path, &e))?;
         let left = entries.flatten().any(|entry| is_temporary(&entry.file_name()) || entry.file_name() == CLAIM);
         if !left || !self.ended() {
             return Ok(());
         }
-        match Claim::take(&self.path, watch)? {
+        match Claim::take(&self.path, sharing)? {
             // Dropped, the claim is gone.
             Some(_claim) => self.clean(),
             None => Ok(()),
@@ -235,13 +235,8 @@ impl PointFolder {
             Some(claim) if claim.alive => {
                 Ok(PointState { claim: Some(claim), ..state(Status::Running, String::new()) })
             }
-            Some(claim) if claim.ahead => {
-                let reason = format!("claimed by {}", claim.who());
-                Ok(PointState { claim: Some(claim), ..state(Status::Waiting, reason) })
-            }
             Some(claim) => {
-                let reason = format!("its runner ({}, process {}) died at step {}", claim.host, claim.pid, claim.step);
-                Ok(PointState { claim: Some(claim), ..state(Status::Waiting, reason) })
+                Ok(PointState { reason: claim.fate(), claim: Some(claim), ..state(Status::Waiting, String::new()) })
             }
             None => Ok(match &point.no_data {
                 Some(reason) => state(Status::NoData, reason.clone()),

@@ -1,4 +1,4 @@
-//! Runs the points of a sweep: alone or beside other runners on the same folder, from wherever an
+//! Runs the points of a sweep: alone or next to other workers on the same folder, from wherever an
 //! earlier one was stopped or killed.
 
 use std::collections::HashMap;
@@ -9,14 +9,16 @@ use std::time::{Duration, Instant, SystemTime};
 use crate::base::{Class, Error, Event, Listener, Result};
 use crate::runtime::Runtime;
 
-use super::claim::{Beat, Claim, Watch};
+use super::claim::{Claim, Progress, Sharing};
 use super::folder::SweepFolder;
 use super::pace::{Pace, spent};
 use super::point_folder::{Failure, PointFolder, PointResult};
 use super::points::Point;
 
-/// Between two looks at points that other runners work on.
+/// Between two looks at points that other workers hold.
 const LOOK_EVERY: Duration = Duration::from_millis(500);
+/// After so many turns of a scheduler that were too short for its evaluation, a point fails.
+const MOST_SHORT_TURNS: u32 = 5;
 
 /// What trains a point.
 pub trait Work: Sync {
@@ -27,7 +29,7 @@ pub trait Work: Sync {
         point: &Point,
         folder: &PointFolder,
         runtime: &Runtime,
-        beat: &Beat,
+        progress: &Progress,
         stop: &AtomicUsize,
     ) -> Result<PointResult>;
 }
@@ -41,13 +43,10 @@ pub struct Options {
     pub fail_fast: bool,
     /// Try failed points again.
     pub retry_failed: bool,
-    /// A point with which so many runners died, none further than the one before, is failed.
-    pub most_deaths: u32,
     /// Measure finished points again that lack one of these metrics.
     pub remeasure: Vec<String>,
-    /// Leave points to the runners that work on them, instead of waiting for their end. Whether one of another machine lives
-    /// takes a look or two.
-    pub leave_to_others: bool,
+    /// How points are divided among workers.
+    pub sharing: Sharing,
 }
 
 /// Runs the points of a sweep, beside other runners on the same folder.
@@ -81,11 +80,10 @@ impl Runner<'_> {
     /// one of the whole sweep (a full disk, a signal); failed points are in the folder.
     pub fn run(&self) -> Result<()> {
         let runnable: Vec<&Point> = self.points.iter().filter(|point| point.no_data.is_none()).collect();
-        let watch = Watch::default();
         for point in &runnable {
             let folder = self.folder.point(&point.id);
             folder.begin(point)?;
-            folder.clean_up(&watch)?;
+            folder.clean_up(self.options.sharing)?;
         }
         let again = self.to_do_again(&runnable)?;
         let failed = AtomicBool::new(false);
@@ -97,7 +95,7 @@ impl Runner<'_> {
                 if failed.load(Ordering::SeqCst) && self.options.fail_fast {
                     return Ok(());
                 }
-                match self.next(&runnable, &again, &watch)? {
+                match self.next(&runnable, &again)? {
                     Next::Nothing => return Ok(()),
                     Next::Wait(others) => {
                         self.say_who_works(others, &said);
@@ -147,7 +145,7 @@ impl Runner<'_> {
         }
     }
 
-    fn next<'a>(&self, points: &[&'a Point], again: &HashMap<String, SystemTime>, watch: &Watch) -> Result<Next<'a>> {
+    fn next<'a>(&self, points: &[&'a Point], again: &HashMap<String, SystemTime>) -> Result<Next<'a>> {
         let mut others = Vec::new();
         for point in points {
             self.check_stop()?;
@@ -159,14 +157,15 @@ impl Runner<'_> {
             if folder.ended() && !again() {
                 continue;
             }
-            let Some(claim) = Claim::take(folder.path(), watch)? else {
-                if self.options.leave_to_others && watch.sees_life(folder.path()) {
-                    continue;
+            let Some(claim) = Claim::take(folder.path(), self.options.sharing)? else {
+                if self.options.sharing == Sharing::Locks {
+                    others.push(
+                        Claim::look(folder.path()).map_or("a worker that just began".into(), |claim| claim.who()),
+                    );
                 }
-                others.push(Claim::look(folder.path()).map_or("a runner that just began".into(), |claim| claim.who()));
                 continue;
             };
-            // Another runner may have finished it between the look and the claim.
+            // Another worker may have finished it between the look and the claim.
             if !folder.ended() || again() {
                 folder.clean()?;
                 folder.clear_failure()?;
@@ -203,34 +202,22 @@ impl Runner<'_> {
         let begun = Instant::now();
         let label = point.label();
         self.say_what_begins(point, &label, pace);
-        let outcome = if claim.deaths >= self.options.most_deaths {
-            Err(Failure {
-                reason: format!(
-                    "{} runners died with this point without getting any further (killed, perhaps for memory); \
-                     --retry-failed tries again",
-                    claim.deaths
-                ),
-                exit_code: Class::Internal.exit_code(),
-            })
-        } else {
-            match self.work(point, folder, runtime, &claim) {
-                Ok(result) => Ok(result),
-                Err(error @ Error::Interrupted { .. }) => match self.evaluation_too_long(folder, &claim)? {
-                    Some(failure) => Err(failure),
-                    None => {
-                        self.check_stop()?;
-                        return Err(error);
-                    }
-                },
-                // A full disk is no point's fault, and every other one's as well.
-                Err(error @ Error::Output(_)) => return Err(error),
-                Err(error) => Err(Failure { reason: error.to_string(), exit_code: error.exit_code() }),
-            }
-        };
-        if !claim.holds() {
-            // Taken over while this machine slept: the other runner's result counts.
-            return Ok(Ok(()));
+        if !claim.is_locked {
+            self.events.on(Event::Note(&format!("{label}: no locks here; start no other worker on this point")));
         }
+        let outcome = match self.work(point, folder, runtime, &claim) {
+            Ok(result) => Ok(result),
+            Err(error @ Error::Interrupted { .. }) => match self.evaluation_too_long(folder, &claim)? {
+                Some(failure) => Err(failure),
+                None => {
+                    self.check_stop()?;
+                    return Err(error);
+                }
+            },
+            // A full disk is no point's fault, and every other one's as well.
+            Err(error @ Error::Output(_)) => return Err(error),
+            Err(error) => Err(Failure { reason: error.to_string(), exit_code: error.exit_code() }),
+        };
         match &outcome {
             Ok(result) => {
                 folder.finish(result)?;
@@ -249,11 +236,11 @@ impl Runner<'_> {
     /// A scheduler whose turns are shorter than the evaluation would run it from its first view again and again. None where
     /// this turn had more to do, or a person stopped it.
     fn evaluation_too_long(&self, folder: &PointFolder, claim: &Claim) -> Result<Option<Failure>> {
-        if !self.options.leave_to_others || !claim.beat.only_evaluates() {
+        if self.options.sharing == Sharing::Locks || !claim.progress.only_evaluates() {
             return Ok(None);
         }
         let stops = folder.count_stop()?;
-        Ok((stops >= self.options.most_deaths).then(|| Failure {
+        Ok((stops >= MOST_SHORT_TURNS).then(|| Failure {
             reason: format!(
                 "the training is done, and {stops} turns were stopped before its evaluation was: give a turn more time \
                  (sweep submit --time) and try again with --retry-failed"
@@ -274,7 +261,7 @@ impl Runner<'_> {
 
     /// A panic is a defect of this program; it fails its point and no other.
     fn work(&self, point: &Point, folder: &PointFolder, runtime: &Runtime, claim: &Claim) -> Result<PointResult> {
-        let run = std::panic::AssertUnwindSafe(|| self.work.run(point, folder, runtime, &claim.beat, self.stop));
+        let run = std::panic::AssertUnwindSafe(|| self.work.run(point, folder, runtime, &claim.progress, self.stop));
         std::panic::catch_unwind(run).unwrap_or_else(|panic| {
             let text = panic.downcast_ref::<String>().map(String::as_str).or(panic.downcast_ref::<&str>().copied());
             Err(Error::Tensor(candle_core::Error::Msg(format!("panic: {}", text.unwrap_or("without words")))))

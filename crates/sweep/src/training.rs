@@ -22,7 +22,7 @@ use crate::space::Lattice;
 use crate::train::Trainer;
 
 use super::budget::{Clock, StepCosts};
-use super::claim::Beat;
+use super::claim::Progress;
 use super::point_folder::{PointFolder, PointResult};
 use super::points::Point;
 use super::runner::Work;
@@ -172,7 +172,12 @@ impl Trainings<'_> {
         let trainers: Result<Vec<Trainer>> = configs.iter().map(|config| Ok(self.trainer(config)?.0)).collect();
         let mut trainers = trainers?;
         let steps: Vec<usize> = configs.iter().map(|config| config.train.steps as usize).collect();
-        time_in_turns(&steps, |index| trainers[index].step(false).map(|_| ()), least)
+        let timed = |index: usize| {
+            let started = Instant::now();
+            trainers[index].step(false)?;
+            Ok(started.elapsed().as_secs_f64())
+        };
+        time_in_turns(&steps, timed, least)
     }
 }
 
@@ -214,21 +219,21 @@ impl StepCosts for Trainings<'_> {
 
 /// Times steps of trainings in turn, so that a busy minute affects all of them. Ends when each training has taken
 /// `least` seconds or all of its steps. A turn is a fraction of these seconds, or one step if that takes longer.
-/// Returns the seconds of each training's steps.
-fn time_in_turns(steps: &[usize], mut step: impl FnMut(usize) -> Result<()>, least: f64) -> Result<Vec<Vec<f64>>> {
+/// `step` returns the seconds of a step. Returns those of each training's steps.
+fn time_in_turns(steps: &[usize], mut step: impl FnMut(usize) -> Result<f64>, least: f64) -> Result<Vec<Vec<f64>>> {
     let mut seconds = vec![Vec::new(); steps.len()];
     let mut left = vec![least; steps.len()];
     loop {
         let mut any = false;
         for (index, own) in seconds.iter_mut().enumerate() {
-            let turn = Instant::now();
+            let mut turn = 0.0;
             while own.len() < LEAST_STEPS || (own.len() < steps[index] && left[index] > 0.0) {
                 any = true;
-                let started = Instant::now();
-                step(index)?;
-                own.push(started.elapsed().as_secs_f64());
-                left[index] -= own[own.len() - 1];
-                if turn.elapsed().as_secs_f64() >= least / TURNS as f64 {
+                let taken = step(index)?;
+                own.push(taken);
+                left[index] -= taken;
+                turn += taken;
+                if turn >= least / TURNS as f64 {
                     break;
                 }
             }
@@ -259,7 +264,7 @@ impl Work for Trainings<'_> {
         point: &Point,
         folder: &PointFolder,
         runtime: &Runtime,
-        beat: &Beat,
+        progress: &Progress,
         stop: &AtomicUsize,
     ) -> Result<PointResult> {
         let mut config = point.config.clone();
@@ -284,7 +289,7 @@ impl Work for Trainings<'_> {
             }
             Job::resume(run, setup)?
         };
-        let finished = job.train(&Beating { events: self.events, beat }, stop)?;
+        let finished = job.train(&Noting { events: self.events, progress }, stop)?;
         self.result(&config, &scene, &path, runtime, &finished)
     }
 }
@@ -326,17 +331,17 @@ fn numbers(row: &impl serde::Serialize) -> Vec<(String, Option<f64>)> {
     fields.into_iter().map(|(name, value)| (name, value.as_f64())).collect()
 }
 
-/// Passes everything on and keeps the heartbeat's step current.
-struct Beating<'a> {
+/// Passes everything on and keeps the point's progress.
+struct Noting<'a> {
     events: &'a dyn Listener,
-    beat: &'a Beat,
+    progress: &'a Progress,
 }
 
-impl Listener for Beating<'_> {
+impl Listener for Noting<'_> {
     fn on(&self, event: Event<'_>) {
         match event {
-            Event::TrainingStarted { first, steps, .. } => self.beat.begin(first, steps),
-            Event::Stepped { step, .. } => self.beat.stepped(step),
+            Event::TrainingStarted { first, steps, .. } => self.progress.begin(first, steps),
+            Event::Stepped { step, .. } => self.progress.stepped(step),
             _ => {}
         }
         self.events.on(event);
@@ -346,30 +351,23 @@ impl Listener for Beating<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use std::time::Duration;
 
     #[test]
     fn steps_are_timed_for_seconds_and_one_hiccup_does_not_count() {
         let mut taken = 0;
         let slow_once = |_| {
             taken += 1;
-            std::thread::sleep(Duration::from_millis(if taken == 7 { 120 } else { 2 }));
-            Ok(())
+            Ok(if taken == 7 { 0.120 } else { 0.002 })
         };
-        let seconds = time_in_turns(&[1000], slow_once, 0.3).unwrap().remove(0);
-        assert!((11..1000).contains(&seconds.len()) && seconds.iter().sum::<f64>() >= 0.3, "{}", seconds.len());
-        let mean = seconds.iter().sum::<f64>() / seconds.len() as f64;
-        let without = mean_without_hiccups(&seconds);
-        assert!(without < mean && (0.002..0.01).contains(&without), "{without} {mean}");
+        let seconds = time_in_turns(&[1000], slow_once, 0.301).unwrap().remove(0);
+        assert_eq!(seconds.len(), 92);
+        assert!((mean_without_hiccups(&seconds) - 0.002).abs() < 1e-12);
         // A turn has as many fast steps as fit into the time of a slow one.
-        let sleep = |index| {
-            std::thread::sleep(Duration::from_millis([1, 40][index]));
-            Ok(())
-        };
-        let both = time_in_turns(&[1000, 1000], sleep, 0.32).unwrap();
-        assert!(both[0].len() > 3 * both[1].len(), "{} {}", both[0].len(), both[1].len());
+        let step = |index: usize| Ok([0.001, 0.040][index]);
+        let both = time_in_turns(&[1000, 1000], step, 0.32).unwrap();
+        assert!(both[0].len() > 30 * both[1].len(), "{} {}", both[0].len(), both[1].len());
         // A training that ends before is timed completely.
-        let short = time_in_turns(&[20, 1000], sleep, 0.32).unwrap();
+        let short = time_in_turns(&[20, 1000], step, 0.32).unwrap();
         assert_eq!(short[0].len(), 20);
         assert!(short[1].len() >= 8, "{}", short[1].len());
         // A step that takes seconds is still timed several times.
@@ -378,7 +376,7 @@ mod tests {
             &[1000, 1],
             |index| {
                 order.push(index);
-                Ok(())
+                Ok(1.0)
             },
             0.0,
         )

@@ -173,6 +173,22 @@ impl Changes {
     }
 }
 
+/// A flag of older versions.
+#[derive(Args)]
+struct MaxDeaths {
+    #[arg(long, value_name = "N", hide = true, value_parser = clap::value_parser!(u32).range(1..))]
+    max_deaths: Option<u32>,
+}
+
+impl MaxDeaths {
+    fn warn(&self, console: &Console) {
+        if self.max_deaths.is_some() {
+            console
+                .say("warning: --max-deaths does nothing: the point of a killed worker is free at once, however often");
+        }
+    }
+}
+
 /// Returns a table as JSON: its folder, and the rows of `table.csv`. Counts and metrics are numbers, empty cells are null.
 pub(super) fn table_json(table: &Table, results: &Path) -> serde_json::Value {
     let text = table_csv(table, &[]);

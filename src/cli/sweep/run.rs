@@ -11,9 +11,9 @@ use crate::draw::SVG_ALONE;
 use crate::report::Status;
 use crate::report::tables::table_terminal;
 use crate::runtime::Runtime;
-use crate::sweep::{Options, Point, Runner, SweepFolder};
+use crate::sweep::{Options, Point, Runner, Sharing, SweepFolder};
 
-use super::{Changes, How, Location, begin_folder, collect, table_json, terminal_width, trainings};
+use super::{Changes, How, Location, MaxDeaths, begin_folder, collect, table_json, terminal_width, trainings};
 
 pub const EXAMPLES: &str = "Examples:
   augnerf sweep run sweeps/checks/smoke.toml                    # the built-in scene, three minutes
@@ -51,9 +51,8 @@ pub struct RunArguments {
     /// Accept a changed sweep file; keep the old points on disk
     #[arg(long, help_heading = "Experiment")]
     extend: bool,
-    /// Fail a point that was killed N times without progress
-    #[arg(long, value_name = "N", default_value_t = 25, value_parser = clap::value_parser!(u32).range(1..))]
-    max_deaths: u32,
+    #[command(flatten)]
+    max_deaths: MaxDeaths,
     /// Measure missing metrics of finished points, such as LPIPS
     #[arg(long)]
     remeasure: bool,
@@ -77,6 +76,7 @@ impl RunArguments {
     fn run_points(&self, runtime: &Runtime) -> Result<()> {
         let quiet = self.compute.quiet;
         let console = if self.jobs == 1 { Console::new(quiet) } else { Console::without_bars(quiet) };
+        self.max_deaths.warn(&console);
         let definition = self.changes.definition(&self.location)?;
         let (trainings, measured) = trainings(&definition, &self.weights, runtime, &console)?;
         let (name, results) = (self.location.name()?, self.location.results()?);
@@ -85,9 +85,8 @@ impl RunArguments {
             jobs: usize::from(self.jobs),
             fail_fast: self.fail_fast,
             retry_failed: self.retry_failed,
-            most_deaths: self.max_deaths,
             remeasure: if self.remeasure { measured } else { Vec::new() },
-            leave_to_others: false,
+            sharing: Sharing::Locks,
         };
         let stop = catch_signals()?;
         let runner = Runner {

@@ -13,9 +13,9 @@ use crate::cli::signals::catch_scheduler_signals;
 use crate::cli::{Compute, LpipsWeights};
 use crate::report::Status;
 use crate::runtime::Runtime;
-use crate::sweep::{Claim, Options, Point, Runner, SweepFolder};
+use crate::sweep::{Claim, Options, Point, Runner, Sharing, SweepFolder};
 
-use super::{begun, trainings};
+use super::{MaxDeaths, begun, trainings};
 
 pub const EXAMPLES: &str = "Examples:
   augnerf sweep run-point runs/smoke --index 3      # after `augnerf sweep begin`
@@ -38,9 +38,8 @@ pub struct RunPointArguments {
     /// Run the point again if it failed
     #[arg(long)]
     retry_failed: bool,
-    /// Fail a point that was killed N times without progress
-    #[arg(long, value_name = "N", default_value_t = 25, value_parser = clap::value_parser!(u32).range(1..))]
-    max_deaths: u32,
+    #[command(flatten)]
+    max_deaths: MaxDeaths,
     /// Folder of the scenes
     #[arg(long, env = "AUGNERF_DATA", value_name = "DIR", help_heading = "Experiment")]
     data_root: Option<PathBuf>,
@@ -59,6 +58,7 @@ impl RunPointArguments {
         let points = begun(&folder, self.data_root.as_deref())?;
         let point = self.chosen(&points)?;
         let console = Console::new(self.compute.quiet);
+        self.max_deaths.warn(&console);
         let own = folder.point(&point.id);
         // A finished point needs neither scene nor device.
         let to_do = own.result()?.is_none() && (self.retry_failed || own.failure()?.is_none());
@@ -110,9 +110,8 @@ impl RunPointArguments {
             jobs: 1,
             fail_fast: false,
             retry_failed: self.retry_failed,
-            most_deaths: self.max_deaths,
             remeasure: Vec::new(),
-            leave_to_others: true,
+            sharing: Sharing::Scheduler,
         };
         let points = std::slice::from_ref(point);
         Runner { folder, points, runtime, work: &trainings, options, events: console, stop }.run()

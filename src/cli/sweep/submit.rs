@@ -14,7 +14,7 @@ use crate::settings::Config;
 use crate::sweep::slurm::{Chosen, Request, Script, Slurm, Submitted, array};
 use crate::sweep::{Point, StepCosts, SweepFolder, check_unchanged};
 
-use super::{Changes, Location, begin_folder, planned_points, trainings};
+use super::{Changes, Location, MaxDeaths, begin_folder, planned_points, trainings};
 
 pub const EXAMPLES: &str = "Examples:
   augnerf sweep submit sweeps/checks/smoke.toml --dry-run  # prints the scripts
@@ -74,9 +74,8 @@ pub struct SubmitArguments {
     /// Accept a changed sweep file; keep the old points on disk
     #[arg(long, help_heading = "Experiment")]
     extend: bool,
-    /// Fail a point that was killed N times without progress
-    #[arg(long, value_name = "N", default_value_t = 5, value_parser = clap::value_parser!(u32).range(1..))]
-    max_deaths: u32,
+    #[command(flatten)]
+    max_deaths: MaxDeaths,
     #[command(flatten)]
     weights: LpipsWeights,
     /// Device of a task: cpu, cuda, cuda-tf32 or metal [default: cpu]
@@ -93,6 +92,7 @@ impl SubmitArguments {
     pub fn run(self) -> Result<()> {
         let Scheduler::Slurm = self.scheduler;
         let console = Console::new(self.quiet);
+        self.max_deaths.warn(&console);
         let definition = self.changes.definition(&self.location)?;
         let folder = self.location.folder()?;
         let (name, path) = (self.location.name()?, absolute(folder.path())?);
@@ -181,8 +181,8 @@ impl SubmitArguments {
         let program = std::env::current_exe()
             .map_err(|e| Error::Output(format!("path of this program, which the jobs run: {e}")))?;
         let folder = script.folder.display().to_string();
-        let [program, deaths] = [program.display().to_string(), self.max_deaths.to_string()];
-        let mut point = ["sweep", "run-point", &folder, "--max-deaths", &deaths].map(String::from).to_vec();
+        let program = program.display().to_string();
+        let mut point = ["sweep", "run-point", &folder].map(String::from).to_vec();
         let mut tables = ["sweep", "collect", &folder, "--results"].map(String::from).to_vec();
         tables.push(absolute(&self.location.results()?)?.display().to_string());
         if script.folder.file_name().is_some_and(|own| own != script.name) {

@@ -7,6 +7,7 @@ pub mod program;
 pub mod reference;
 
 use std::sync::OnceLock;
+use std::time::Instant;
 
 use augnerf::base::Image;
 use augnerf::data::{Camera, Scene, View};
@@ -104,6 +105,24 @@ pub fn assert_says(text: &str, words: &[&str]) {
     for word in words {
         assert!(text.contains(word), "'{word}' is not in: {text}");
     }
+}
+
+/// Demands that the second work takes at most so many times as long as the first. Both are repeated where the machine is busy.
+#[track_caller]
+pub fn assert_takes_at_most(times: f64, first: impl Fn(), second: impl Fn()) {
+    let seconds = |work: &dyn Fn()| {
+        let started = Instant::now();
+        work();
+        started.elapsed().as_secs_f64()
+    };
+    let (mut least, mut other) = (f64::INFINITY, f64::INFINITY);
+    for _ in 0..5 {
+        (least, other) = (least.min(seconds(&first)), other.min(seconds(&second)));
+        if other <= times * least {
+            return;
+        }
+    }
+    panic!("{other:.3} s, more than {times} times {least:.3} s");
 }
 
 /// The numbers of any tensor, row by row.

@@ -1,6 +1,7 @@
 //! The program as a user runs it, in a folder that is not the repository.
 
 use std::process::{Command, Output};
+use std::time::Duration;
 
 use super::assert_says;
 
@@ -47,4 +48,16 @@ pub fn demand(command: &mut Command, code: i32) -> String {
 #[track_caller]
 pub fn refuse(arguments: &[&str], code: i32, words: &[&str]) {
     assert_says(&demand(&mut augnerf(arguments), code), words);
+}
+
+/// Waits until something holds. What does not for ten minutes never does, on a busy machine, too.
+#[track_caller]
+pub fn wait_for(what: &str, mut holds: impl FnMut() -> bool) {
+    for _ in 0..120_000 {
+        if holds() {
+            return;
+        }
+        std::thread::sleep(Duration::from_millis(5));
+    }
+    panic!("ten minutes went by without {what}");
 }

@@ -33,9 +33,9 @@ use mutate::{Dice, mutated};
 use readers::Reader;
 
 /// An input that takes longer hangs.
-const HANG: Duration = Duration::from_secs(2);
+const HANG: Duration = Duration::from_secs(20);
 /// After so long the program is ended: the input does not come back.
-const LOST: Duration = Duration::from_secs(60);
+const LOST: Duration = Duration::from_secs(600);
 /// Most bytes that an input may take.
 const MOST_BYTES: usize = 1 << 30;
 /// Longest message for a person.

@@ -64,32 +64,13 @@ fn try_write(path: &Path, bytes: &[u8]) -> io::Result<()> {
         Ok(_) => fs::canonicalize(path)?,
         Err(_) => path.to_path_buf(),
     };
-    finish_file(&target, bytes, |temporary| fs::rename(temporary, &target))?;
-    sync_folder(folder_of(&target))
-}
-
-/// Writes `bytes` to `path` unless something has that name: false then. Of several processes one succeeds.
-///
-/// # Errors
-/// A folder that cannot be written; a file system without hard links.
-pub fn create_whole(path: &Path, bytes: &[u8]) -> io::Result<bool> {
-    let link = |temporary: &Path| fs::hard_link(temporary, path).and_then(|()| fs::remove_file(temporary));
-    match finish_file(path, bytes, link) {
-        Ok(()) => Ok(true),
-        Err(error) if error.kind() == io::ErrorKind::AlreadyExists => Ok(false),
-        Err(error) => Err(error),
-    }
-}
-
-/// Writes a temporary file beside `target` and gives it its name with `finish`.
-fn finish_file(target: &Path, bytes: &[u8], finish: impl FnOnce(&Path) -> io::Result<()>) -> io::Result<()> {
-    let (temporary, mut file) = held_beside(target, |path| File::create_new(path), |file| Some(file))?;
+    let (temporary, mut file) = held_beside(&target, |path| File::create_new(path), |file| Some(file))?;
     // Held until it has its name: nobody takes it for a leftover.
-    let written = write_synced(&mut file, bytes).and_then(|()| finish(&temporary));
+    let written = write_synced(&mut file, bytes).and_then(|()| fs::rename(&temporary, &target));
     if written.is_err() {
         let _ = fs::remove_file(&temporary);
     }
-    written
+    written.and_then(|()| sync_folder(folder_of(&target)))
 }
 
 /// Writes `bytes` and waits until they have reached the disk.
@@ -288,24 +269,5 @@ mod tests {
             assert!(at(free).is_dir());
         }
         assert_eq!(names(dir.path()), ["empty", "file", "full", "new"]);
-    }
-
-    #[test]
-    fn only_one_creates_a_file() {
-        let dir = tempfile::tempdir().unwrap();
-        let path = dir.path().join("claim");
-        let created: usize = std::thread::scope(|scope| {
-            let tries: Vec<_> = (0..16)
-                .map(|i| {
-                    scope.spawn({
-                        let path = &path;
-                        move || create_whole(path, &[i]).unwrap()
-                    })
-                })
-                .collect();
-            tries.into_iter().map(|one| usize::from(one.join().unwrap())).sum()
-        });
-        assert_eq!(created, 1);
-        assert_eq!(names(dir.path()), ["claim"]);
     }
 }

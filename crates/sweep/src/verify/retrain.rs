@@ -6,6 +6,7 @@ use super::archive::Archive;
 use super::findings::Findings;
 use crate::base::csv::csv_number;
 use crate::base::{Error, Result};
+use crate::claim::Sharing;
 use crate::folder::SweepFolder;
 use crate::metrics::{METRICS, Needs, Scope};
 use crate::point_folder::PointResult;
@@ -51,14 +52,8 @@ pub fn check(
     let points: Vec<Point> = (0..count).map(|index| at_hand[index * at_hand.len() / count].clone()).collect();
     let scratch = tempfile::tempdir().map_err(|e| Error::unwritable(&std::env::temp_dir(), &e))?;
     let (folder, mut open) = (SweepFolder::new(scratch.path()), Vec::new());
-    let options = Options {
-        jobs: 1,
-        fail_fast: false,
-        retry_failed: false,
-        most_deaths: 1,
-        remeasure: Vec::new(),
-        leave_to_others: false,
-    };
+    let options =
+        Options { jobs: 1, fail_fast: false, retry_failed: false, remeasure: Vec::new(), sharing: Sharing::Locks };
     let (events, work) = (trainings.events, trainings);
     Runner { folder: &folder, points: &points, runtime, work, options, events, stop }.run()?;
     for point in &points {
