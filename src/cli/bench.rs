@@ -48,7 +48,6 @@ pub struct BenchArguments {
 
 impl BenchArguments {
     pub fn run(self) -> Result<()> {
-        let runtime = self.compute.runtime()?;
         let workload = Workload {
             method: self.method,
             rays: self.rays.map(usize::from),
@@ -58,7 +57,7 @@ impl BenchArguments {
             steps: self.steps.into(),
             set: self.set.iter().map(|text| parse_assignment(text)).collect::<Result<_>>()?,
         };
-        let timed = workload.run(&runtime)?;
+        let timed = self.compute.run(|runtime, _| workload.run(runtime))?;
         // Scripts rely on JSON, with or without the flag.
         self.answer.give(&timed, || print(&serde_json::to_string(&timed).expect("plain data")))
     }

@@ -201,18 +201,22 @@ impl CompareArguments {
         }
         let zoom = self.zoom.as_deref().map(parse_zoom).transpose()?;
         self.out.as_deref().map_or(Ok(()), AtomicDir::check_vacant)?;
-        let runtime = self.compute.runtime()?;
-        runtime.install(|| self.compare(&runs, zoom, &runtime))
+        self.compute.run(|runtime, console| self.compare(&runs, zoom, runtime, console))
     }
 
-    fn compare(&self, runs: &[(PathBuf, String)], zoom: Option<Window>, runtime: &Runtime) -> Result<()> {
-        let console = Console::new(self.compute.quiet);
+    fn compare(
+        &self,
+        runs: &[(PathBuf, String)],
+        zoom: Option<Window>,
+        runtime: &Runtime,
+        console: &Console,
+    ) -> Result<()> {
         let box_width = self.box_width.map(|width| width as usize);
         let render = |viewer: &Viewer, run: &RunView| {
             check_box(zoom, box_width, &run.view.image)?;
             viewer.render(&run.view.camera)
         };
-        let (rendered, folders) = self.runs.gather(runs, runtime, &console, render)?;
+        let (rendered, folders) = self.runs.gather(runs, runtime, console, render)?;
         let comparison = Comparison::new(rendered, zoom, box_width)?;
         let (folder, pictures) = pictures_folder(self.out.as_deref(), folders[0].renders().join("compare"))?;
         comparison.write(pictures.path(), self.gif)?;

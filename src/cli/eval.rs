@@ -50,23 +50,21 @@ enum SplitName {
 
 impl EvalArguments {
     pub fn run(self) -> Result<()> {
-        let runtime = self.compute.runtime()?;
-        runtime.install(|| self.evaluate(&runtime))
+        self.compute.run(|runtime, console| self.evaluate(runtime, console))
     }
 
-    fn evaluate(&self, runtime: &Runtime) -> Result<()> {
-        let console = Console::new(self.compute.quiet);
+    fn evaluate(&self, runtime: &Runtime, console: &Console) -> Result<()> {
         let split = self.split.map(|name| match name {
             SplitName::Test => Split::Test,
             SplitName::Val => Split::Val,
             SplitName::Train => Split::Train,
         });
         let options = OpenOptions { step: self.step, split };
-        let trained = Trained::open_at(&self.run, options, self.sources.data.as_deref(), runtime, &console)?;
+        let trained = Trained::open_at(&self.run, options, self.sources.data.as_deref(), runtime, console)?;
         let (step, steps) = (trained.state.step, trained.config.train.steps);
         let folder = self.folder(&trained.run, step)?;
         let lpips = load_lpips(&self.sources.weights.or(&trained.config), runtime.device())?;
-        let report = trained.evaluate_into(&folder, &lpips, &console)?;
+        let report = trained.evaluate_into(&folder, &lpips, console)?;
         let [json, _] = RunDir::metrics_in(&folder);
         self.answer.give(&Measured::new((&self.run, &json), &report, (step, steps), None), || {
             print(&serde_json::to_string_pretty(&report.mean).expect("plain data"))

@@ -69,10 +69,11 @@ pub struct ImportArguments {
 
 impl ExportArguments {
     pub fn run(self) -> Result<()> {
-        let runtime = self.compute.runtime()?;
-        let console = Console::new(self.compute.quiet);
-        let step = runtime.install(|| export(&self.run, &self.file, self.data.as_deref(), &runtime, &console))?;
-        console.say(&format!("weights of step {step}"));
+        let step = self.compute.run(|runtime, console| {
+            let step = export(&self.run, &self.file, self.data.as_deref(), runtime, console)?;
+            console.say(&format!("weights of step {step}"));
+            Ok(step)
+        })?;
         self.answer.give_place(
             &json!({ "run": self.run.display().to_string(), "step": step, "file": self.file.display().to_string() }),
             &self.file,
@@ -82,12 +83,10 @@ impl ExportArguments {
 
 impl ImportArguments {
     pub fn run(self) -> Result<()> {
-        let runtime = self.compute.runtime()?;
-        runtime.install(|| self.import(&runtime))
+        self.compute.run(|runtime, console| self.import(runtime, console))
     }
 
-    fn import(&self, runtime: &Runtime) -> Result<()> {
-        let console = Console::new(self.compute.quiet);
+    fn import(&self, runtime: &Runtime, console: &Console) -> Result<()> {
         let foreign = Foreign::open(&self.file)?;
         let own = match foreign.networks() {
             Networks::Own { config } => Some(settings_file(config)?),
@@ -102,7 +101,7 @@ impl ImportArguments {
             // The weights are of the paper's networks, not of a hash grid.
             preset: |preset| if preset == Preset::Fast { Preset::Cpu } else { preset },
         };
-        let (config, scene) = load_scene(self.experiment.config_over(base, &self.weights, &console)?, &console)?;
+        let (config, scene) = load_scene(self.experiment.config_over(base, &self.weights, console)?, console)?;
         check_steps(&self.file, foreign.step(), config.train.steps)?;
         let values = foreign.values(&config, runtime.device())?;
         let folder = self.out.clone().unwrap_or_else(|| default_folder(&config));

@@ -53,7 +53,6 @@ pub struct MeasureArguments {
 
 impl MeasureArguments {
     pub fn run(self) -> Result<()> {
-        let runtime = self.compute.runtime()?;
         let domain = self.bbox.as_deref().map(|text| parse_box("bbox", text)).transpose()?;
         domain.map_or(Ok(()), |domain| check_flag("--bbox", "regularizer.domain", &domain))?;
         check_flag("--lattice", "regularizer.lattice", &self.lattice)?;
@@ -61,18 +60,17 @@ impl MeasureArguments {
         for run in &self.runs {
             check_measurable(run, &RunDir::open(run)?.read_config()?)?;
         }
-        runtime.install(|| self.measure(domain, &runtime))
+        self.compute.run(|runtime, console| self.measure(domain, runtime, console))
     }
 
-    fn measure(&self, domain: Option<[[f64; 3]; 2]>, runtime: &Runtime) -> Result<()> {
-        let console = Console::new(self.compute.quiet);
+    fn measure(&self, domain: Option<[[f64; 3]; 2]>, runtime: &Runtime, console: &Console) -> Result<()> {
         let (mut header, mut measured) = (true, Vec::new());
         for run in &self.runs {
-            let trained = Trained::open(run, self.data.as_deref(), runtime, &console)?;
+            let trained = Trained::open(run, self.data.as_deref(), runtime, console)?;
             let domain = domain.unwrap_or_else(|| smoothness_box(&trained.scene));
             let lattice = Lattice { domain, side: self.lattice };
             lattice.check_meets(&trained.scene, "--bbox")?;
-            let report = trained.measure_smoothness(&lattice, &console)?;
+            let report = trained.measure_smoothness(&lattice, console)?;
             for field in &report.fields {
                 let row = Measured { run: run.display().to_string(), field };
                 if self.answer.json {
@@ -127,13 +125,11 @@ pub struct BalanceArguments {
 
 impl BalanceArguments {
     pub fn run(self) -> Result<()> {
-        let runtime = self.compute.runtime()?;
-        runtime.install(|| self.balance(&runtime))
+        self.compute.run(|runtime, console| self.balance(runtime, console))
     }
 
-    fn balance(&self, runtime: &Runtime) -> Result<()> {
-        let console = Console::new(self.compute.quiet);
-        let (config, lines) = balance(self.experiment.config(&console)?, self.steps, runtime, &console)?;
+    fn balance(&self, runtime: &Runtime, console: &Console) -> Result<()> {
+        let (config, lines) = balance(self.experiment.config(console)?, self.steps, runtime, console)?;
         let answer = json!({ "scene": config.data.name, "steps": self.steps, "weights": lines });
         self.answer.give(&answer, || print(&balance_csv(&config.data.name, self.steps, &lines)))?;
         console.say(

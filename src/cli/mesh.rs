@@ -176,11 +176,10 @@ enum Format {
 impl MeshArguments {
     pub fn run(self) -> Result<()> {
         let options = self.options()?;
-        let runtime = self.compute.runtime()?;
         if self.run.is_file() || self.run.as_os_str() == BUILTIN {
-            return self.picture_of_file(options.picture);
+            return self.compute.run(|_, _| self.picture_of_file(options.picture));
         }
-        runtime.install(|| self.draw(&options, &runtime))
+        self.compute.run(|runtime, console| self.draw(&options, runtime, console))
     }
 
     /// Draws an image of an existing mesh.
@@ -204,14 +203,13 @@ impl MeshArguments {
         self.answer.give_place(&json!({ "of": name, "folder": null, "picture": file, "mesh": null }), &picture.file)
     }
 
-    fn draw(&self, options: &MeshOptions, runtime: &Runtime) -> Result<()> {
-        let console = Console::new(self.compute.quiet);
-        let trained = Trained::open(&self.run, self.data.as_deref(), runtime, &console)?;
+    fn draw(&self, options: &MeshOptions, runtime: &Runtime, console: &Console) -> Result<()> {
+        let trained = Trained::open(&self.run, self.data.as_deref(), runtime, console)?;
         if let Some(domain) = options.domain {
             Lattice { domain, side: options.resolution }.check_meets(&trained.scene, "--bbox")?;
         }
         let (folder, files) = pictures_folder(self.out.as_deref(), trained.run.mesh())?;
-        let report = trained.draw_mesh_into(files, options, &console)?;
+        let report = trained.draw_mesh_into(files, options, console)?;
         console.say(&describe(&report));
         let picture = options.picture.as_ref().map(|picture| picture.file.display().to_string());
         picture.iter().for_each(|picture| console.say(&format!("picture: {picture}")));

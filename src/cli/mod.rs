@@ -12,6 +12,8 @@ use crate::base::{Class, Error, Result, features, revision, version};
 use crate::runtime::{Runtime, instructions};
 use crate::settings::Config;
 
+use progress::Console;
+
 mod answer;
 mod bench;
 mod compare;
@@ -252,12 +254,18 @@ impl LpipsWeights {
 }
 
 impl Compute {
-    /// Returns the runtime of the named device and threads.
-    fn runtime(&self) -> Result<Runtime> {
-        self.runtime_or("cpu")
+    /// Does a command's work on the named device and threads, with a console.
+    fn run<T: Send>(&self, work: impl FnOnce(&Runtime, &Console) -> Result<T> + Send) -> Result<T> {
+        self.run_or("cpu", work)
     }
 
-    /// Returns the same with another default device.
+    /// Does the same with another default device.
+    fn run_or<T: Send>(&self, default: &str, work: impl FnOnce(&Runtime, &Console) -> Result<T> + Send) -> Result<T> {
+        let runtime = self.runtime_or(default)?;
+        runtime.install(|| work(&runtime, &Console::new(self.quiet)))
+    }
+
+    /// Returns the runtime of the named device and threads, with another default device.
     fn runtime_or(&self, default: &str) -> Result<Runtime> {
         let device = self.device.as_deref().unwrap_or(default);
         // The messages begin with the name of the flag.

@@ -48,12 +48,16 @@ impl ProfileArguments {
         check_overlay(runs.len())?;
         self.out.as_deref().map_or(Ok(()), AtomicDir::check_vacant)?;
         let pixel = self.pixel.as_deref().map(parse_pixel).transpose()?;
-        let runtime = self.compute.runtime()?;
-        runtime.install(|| self.profile(&runs, pixel, &runtime))
+        self.compute.run(|runtime, console| self.profile(&runs, pixel, runtime, console))
     }
 
-    fn profile(&self, runs: &[(PathBuf, String)], named: Option<(usize, usize)>, runtime: &Runtime) -> Result<()> {
-        let console = Console::new(self.compute.quiet);
+    fn profile(
+        &self,
+        runs: &[(PathBuf, String)],
+        named: Option<(usize, usize)>,
+        runtime: &Runtime,
+        console: &Console,
+    ) -> Result<()> {
         let place = |run: &RunView| -> Result<((usize, usize), Window)> {
             let size = (run.view.camera.width, run.view.camera.height);
             let pixel = named.unwrap_or((size.0 / 2, size.1 / 2));
@@ -67,7 +71,7 @@ impl ProfileArguments {
         for (run, label) in runs {
             check_profiled(label, &RunDir::open(run)?.read_config()?)?;
         }
-        let (runs, folders) = self.runs.gather(runs, runtime, &console, measure)?;
+        let (runs, folders) = self.runs.gather(runs, runtime, console, measure)?;
         runs.iter().try_for_each(|(run, _)| run.check_same_interval(&runs[0].0))?;
         let (pixel, patch) = place(&runs[0].0)?;
         let (folder, pictures) = pictures_folder(self.out.as_deref(), folders[0].renders().join("profile"))?;

@@ -94,14 +94,12 @@ impl RenderArguments {
                     .into(),
             ));
         }
-        let runtime = self.compute.runtime()?;
-        runtime.install(|| self.render(size, &runtime))
+        self.compute.run(|runtime, console| self.render(size, runtime, console))
     }
 
-    fn render(&self, size: Option<(usize, usize)>, runtime: &Runtime) -> Result<()> {
-        let console = Console::new(self.compute.quiet);
-        let trained = Trained::open(&self.run, self.sources.data.as_deref(), runtime, &console)?;
-        let shots = self.shots(&trained, size, &console)?;
+    fn render(&self, size: Option<(usize, usize)>, runtime: &Runtime, console: &Console) -> Result<()> {
+        let trained = Trained::open(&self.run, self.sources.data.as_deref(), runtime, console)?;
+        let shots = self.shots(&trained, size, console)?;
         if let Some(file) = &self.write_cameras {
             cameras::write(file, &shots.cameras, &trained.scene.space.world, shots.fps)?;
             console.say(&format!("{} cameras", shots.cameras.len()));
@@ -122,8 +120,8 @@ impl RenderArguments {
             console.say(&expected(&shots.cameras, seconds, self.what));
         }
         match self.what {
-            What::Views => views(viewer, pictures.path(), &console)?,
-            What::Path => path(viewer, &shots, pictures.path(), &console)?,
+            What::Views => views(viewer, pictures.path(), console)?,
+            What::Path => path(viewer, &shots, pictures.path(), console)?,
         }
         pictures.commit()?;
         console.on(Event::Finished);

@@ -15,6 +15,7 @@ use crate::metrics::Scope;
 use crate::run::{
     Matching, Picture, RunDir, Score, Truth, both_pictures, load_lpips, load_scene, load_scene_of, pictures, score,
 };
+use crate::runtime::Runtime;
 use crate::settings::{Config, Resolved, build, parse_assignment};
 use crate::sweep::{Point, Scored, SweepFolder, SweepOutputs};
 
@@ -98,10 +99,12 @@ struct TargetSweep {
 
 impl ScoreArguments {
     pub fn run(self) -> Result<()> {
-        let runtime = self.compute.runtime()?;
-        let console = Console::new(self.compute.quiet);
+        self.compute.run(|runtime, console| self.score(runtime, console))
+    }
+
+    fn score(&self, runtime: &Runtime, console: &Console) -> Result<()> {
         let into = self.into.as_deref().map(|path| self.target(path)).transpose()?;
-        let scene = self.held_out(into.as_ref(), &console)?;
+        let scene = self.held_out(into.as_ref(), console)?;
         let (predictions, truth) = match (&scene, &self.truth) {
             (Some((config, scene)), _) => (pictures(&self.predictions, "_rgb")?, Truth::Scene(config, scene)),
             (None, Some(folder)) => {
@@ -122,11 +125,11 @@ impl ScoreArguments {
             By::Order => Matching::Order,
         };
         let background = self.background(scene.as_ref().map(|(_, scene)| scene))?;
-        let scored = runtime.install(|| score(&predictions, &truth, matching, background, &lpips, &console))?;
+        let scored = score(&predictions, &truth, matching, background, &lpips, console)?;
         if let Some(out) = &self.out {
             write_atomic(out, csv(&scored).as_bytes())?;
         }
-        self.say_unusual(&scored, &predictions, &console);
+        self.say_unusual(&scored, &predictions, console);
         if let Some(into) = &into {
             let file = self.add(&scored, into)?;
             console.say(&format!(

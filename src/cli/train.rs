@@ -65,22 +65,20 @@ pub struct ResumeArguments {
 
 impl TrainArguments {
     pub fn run(self) -> Result<()> {
-        let runtime = self.compute.runtime()?;
-        runtime.install(|| self.train(&runtime))
+        self.compute.run(|runtime, console| self.train(runtime, console))
     }
 
-    fn train(&self, runtime: &Runtime) -> Result<()> {
-        let console = Console::new(self.compute.quiet);
+    fn train(&self, runtime: &Runtime, console: &Console) -> Result<()> {
         // Restarted weights on another scene bring none of their own scene's settings.
         let elsewhere = self.restart && self.experiment.names_scene();
         let parent = self.from.as_deref().map(|run| Parent::open(run, elsewhere)).transpose()?;
         let base = parent.as_ref().map_or_else(Base::default, |parent| parent.base(self.restart));
-        let config = self.experiment.config_over(base, &self.weights, &console)?;
+        let config = self.experiment.config_over(base, &self.weights, console)?;
         if let Some(parent) = parent.as_ref().filter(|_| !self.restart && !self.print_config) {
             parent.check_steps(config.train.steps)?;
         }
         let lpips = load_lpips(&config.eval.lpips_weights, runtime.device())?;
-        let (config, scene) = load_scene(config, &console)?;
+        let (config, scene) = load_scene(config, console)?;
         if self.print_config {
             return self.answer.give(&config.to_table(), || print(config.to_toml().trim_end()));
         }
@@ -101,7 +99,7 @@ impl TrainArguments {
         };
         drop(parent);
         console.say(&words);
-        train(job, &folder, &console, self.answer)
+        train(job, &folder, console, self.answer)
     }
 }
 
@@ -152,21 +150,19 @@ impl ResumeArguments {
         let run = RunDir::take(&self.run)?;
         let config = run.read_config()?;
         let device = run.read_timing()?.map_or("cpu".into(), |timing| timing.device);
-        let runtime = self.compute.runtime_or(&device)?;
-        runtime.install(|| self.resume(run, config, &runtime))
+        self.compute.run_or(&device, |runtime, console| self.resume(run, config, runtime, console))
     }
 
-    fn resume(&self, run: RunDir, mut config: Config, runtime: &Runtime) -> Result<()> {
-        let console = Console::new(self.compute.quiet);
+    fn resume(&self, run: RunDir, mut config: Config, runtime: &Runtime, console: &Console) -> Result<()> {
         if let Some(dir) = &self.sources.data {
             config.data.dir = dir.to_string_lossy().into_owned();
         }
         config.eval.lpips_weights = self.sources.weights.or(&config);
         let lpips = load_lpips(&config.eval.lpips_weights, runtime.device())?;
-        let (config, scene) = load_scene_of(&run, config, &console)?;
+        let (config, scene) = load_scene_of(&run, config, console)?;
         let job = Job::resume(run, Setup { config, scene: &scene, lpips: &lpips, runtime: runtime.clone() })?;
         console.say(&format!("{} resumes at step {}", self.run.display(), job.step_count()));
-        train(job, &self.run, &console, self.answer)
+        train(job, &self.run, console, self.answer)
     }
 }
 

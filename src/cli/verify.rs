@@ -64,16 +64,14 @@ struct Checked {
 
 impl VerifyArguments {
     pub fn run(self) -> Result<()> {
-        let runtime = self.compute.runtime()?;
-        runtime.install(|| self.verify(&runtime))
+        self.compute.run(|runtime, console| self.verify(runtime, console))
     }
 
-    fn verify(&self, runtime: &Runtime) -> Result<()> {
-        let console = Console::new(self.compute.quiet);
+    fn verify(&self, runtime: &Runtime, console: &Console) -> Result<()> {
         let weights =
             self.weights.lpips_weights.as_ref().map_or(String::new(), |dir| dir.to_string_lossy().into_owned());
         let lpips = load_lpips(&weights, runtime.device())?;
-        let trainings = Trainings::new(runtime.clone(), (lpips, weights), true, &console);
+        let trainings = Trainings::new(runtime.clone(), (lpips, weights), true, console);
         let stop = catch_signals()?;
         let verifier = Verifier {
             data_root: self.data_root.as_deref(),

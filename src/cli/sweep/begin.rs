@@ -6,7 +6,7 @@ use serde_json::json;
 use crate::base::Result;
 use crate::cli::Compute;
 use crate::cli::answer::Answer;
-use crate::cli::progress::{Console, print};
+use crate::cli::progress::print;
 use crate::sweep::Trainings;
 
 use super::{Changes, Location, begin_folder};
@@ -33,12 +33,11 @@ pub struct BeginArguments {
 
 impl BeginArguments {
     pub fn run(self) -> Result<()> {
-        let runtime = self.compute.runtime()?;
-        let console = Console::new(self.compute.quiet);
         let definition = self.changes.definition(&self.location)?;
-        let trainings = Trainings::new(runtime.clone(), (Vec::new(), String::new()), false, &console);
-        let begun = runtime.install(|| begin_folder(&self.location, &definition, self.extend, &trainings, &console))?;
-        let (folder, points) = begun;
+        let (folder, points) = self.compute.run(|runtime, console| {
+            let trainings = Trainings::new(runtime.clone(), (Vec::new(), String::new()), false, console);
+            begin_folder(&self.location, &definition, self.extend, &trainings, console)
+        })?;
         let last = points.len().saturating_sub(1);
         let folder = folder.path().display().to_string();
         self.answer.give(&json!({ "folder": folder, "points": points.len() }), || {

@@ -66,16 +66,14 @@ impl Group {
 
 impl PlanArguments {
     pub fn run(self) -> Result<()> {
-        let runtime = self.compute.runtime()?;
-        runtime.install(|| self.plan(&runtime))
+        self.compute.run(|runtime, console| self.plan(runtime, console))
     }
 
-    fn plan(&self, runtime: &Runtime) -> Result<()> {
-        let console = Console::new(self.compute.quiet);
+    fn plan(&self, runtime: &Runtime, console: &Console) -> Result<()> {
         let definition = self.changes.definition(&self.location)?;
         let folder = self.location.folder()?;
-        let trainings = Trainings::new(runtime.clone(), (Vec::new(), String::new()), false, &console);
-        let points = planned_points(&self.location, &definition, &trainings, &console)?;
+        let trainings = Trainings::new(runtime.clone(), (Vec::new(), String::new()), false, console);
+        let points = planned_points(&self.location, &definition, &trainings, console)?;
         let say = |words: &str| if self.answer.json { Ok(()) } else { print(words) };
         say(&format!("{} points", points.len()))?;
         let left: Vec<&Point> =

@@ -69,8 +69,7 @@ pub struct RunArguments {
 
 impl RunArguments {
     pub fn run(self) -> Result<()> {
-        let runtime = self.compute.runtime()?;
-        runtime.install(|| self.run_points(&runtime))
+        self.compute.run(|runtime, _| self.run_points(runtime))
     }
 
     fn run_points(&self, runtime: &Runtime) -> Result<()> {

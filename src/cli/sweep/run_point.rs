@@ -63,8 +63,7 @@ impl RunPointArguments {
         // A finished point needs neither scene nor device.
         let to_do = own.result()?.is_none() && (self.retry_failed || own.failure()?.is_none());
         if to_do && point.no_data.is_none() {
-            let runtime = self.compute.runtime()?;
-            runtime.install(|| self.run_one((&folder, point), &runtime, &console, &stop))?;
+            self.compute.run(|runtime, console| self.run_one((&folder, point), runtime, console, &stop))?;
         }
         self.tell((&folder, point), !to_do, &console)
     }

@@ -1,7 +1,6 @@
 //! How an SRN learns: random rays of the training views, whole marches, and the two terms of the original's loss.
 
 use candle_core::{DType, Device};
-use rayon::prelude::*;
 
 use crate::base::rng::{Random, Stream};
 use crate::base::{Error, Result};
@@ -9,6 +8,7 @@ use crate::data::{RayParts, Scene};
 use crate::losses::LossTerm;
 use crate::methods::Batches;
 use crate::methods::{Learner, LogColumns, StepResult, StopCheck, Term};
+use crate::runtime::over_parts;
 use crate::settings::Resolved;
 
 use super::fast::Network;
@@ -73,12 +73,7 @@ impl SrnLearner {
         };
         let starts: Vec<usize> = (0..rays).step_by(size).collect();
         // Parts are the same whatever the number of threads, and are added up in their order: it changes no bit.
-        let parts: Vec<&[usize]> = starts.chunks(starts.len().div_ceil(PARTS)).collect();
-        let parts: Result<Vec<Sums>> = match self.device.is_cpu() {
-            true => parts.into_par_iter().map(of_part).collect(),
-            false => parts.into_iter().map(of_part).collect(),
-        };
-        Sums::sum(parts?)
+        Sums::sum(over_parts(&self.device, &starts, starts.len().div_ceil(PARTS), of_part)?)
     }
 }
 

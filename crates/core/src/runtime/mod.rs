@@ -3,6 +3,7 @@
 use std::sync::Arc;
 
 use candle_core::Device;
+use rayon::prelude::*;
 use rayon::{ThreadPool, ThreadPoolBuilder};
 
 use crate::base::{Error, Result};
@@ -143,6 +144,23 @@ impl Runtime {
     /// What the fused core did on these threads so far.
     pub fn work(&self) -> Work {
         self.counters.read()
+    }
+}
+
+/// Does `work` on parts of so many `items`, the last one perhaps smaller: on a CPU as many at once as there are threads, on
+/// another device in turn. The results are in the order of the parts, so that sums over them depend on neither.
+///
+/// # Errors
+/// Those of `work`.
+pub fn over_parts<T: Sync, R: Send>(
+    device: &Device,
+    items: &[T],
+    size: usize,
+    work: impl Fn(&[T]) -> Result<R> + Sync + Send,
+) -> Result<Vec<R>> {
+    match device.is_cpu() {
+        true => items.par_chunks(size).map(work).collect(),
+        false => items.chunks(size).map(work).collect(),
     }
 }
 

@@ -1,11 +1,11 @@
 //! Work over the cells of a lattice, chunk by chunk.
 
 use candle_core::{DType, Device, Tensor};
-use rayon::prelude::*;
 
 use super::{Lattice, Quadrature};
 use crate::base::Result;
 use crate::field::Density;
+use crate::runtime::over_parts;
 
 /// Points that one thread works on at once: what it keeps of a trunk of 8 x 256 stays near its core.
 pub const CHUNK: usize = 1024;
@@ -50,11 +50,12 @@ pub fn over_chunks<T: Send>(
 ) -> Result<()> {
     let (size, count) = (chunk_size(device), points.count());
     let starts: Vec<usize> = (0..count).step_by(size).collect();
-    let one = |&start: &usize| work(&points.tensor(start, size.min(count - start), dtype, device)?);
+    let one = |start: &[usize]| {
+        let start = start[0];
+        work(&points.tensor(start, size.min(count - start), dtype, device)?)
+    };
     for group in starts.chunks(CHUNKS_AT_ONCE) {
-        let done: Result<Vec<T>> =
-            if device.is_cpu() { group.par_iter().map(one).collect() } else { group.iter().map(one).collect() };
-        done?.into_iter().try_for_each(&mut take)?;
+        over_parts(device, group, 1, &one)?.into_iter().try_for_each(&mut take)?;
     }
     Ok(())
 }

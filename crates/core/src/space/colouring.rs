@@ -1,13 +1,13 @@
 //! What a bare level set lacks: scene units, normals and colours.
 
 use candle_core::Tensor;
-use rayon::prelude::*;
 use serde::Serialize;
 
 use crate::base::{Error, Result};
 use crate::data::Ndc;
 use crate::data::vector::{Vec3, length, scale};
 use crate::field::Density;
+use crate::runtime::over_parts;
 use crate::space::{CHUNK, Lattice};
 
 use super::Mesh;
@@ -70,13 +70,8 @@ pub fn finish_mesh(
         let byte = |rgb: Vec<f32>| std::array::from_fn(|c| (rgb[c].clamp(0.0, 1.0) * 255.0).round() as u8);
         Ok((normals, rgb.into_iter().map(byte).collect(), flat.into_iter().filter(|&flat| flat).count()))
     };
-    let parts: Result<Vec<Part>> = if device.is_cpu() {
-        indices.par_chunks(CHUNK).map(one).collect()
-    } else {
-        indices.chunks(CHUNK).map(one).collect()
-    };
     let mut flat = 0;
-    for (normals, colours, part_flat) in parts? {
+    for (normals, colours, part_flat) in over_parts(device, &indices, CHUNK, one)? {
         mesh.normals.extend(normals);
         mesh.colours.extend(colours);
         flat += part_flat;

@@ -3,14 +3,13 @@
 use std::time::Instant;
 
 use candle_core::DType;
-use rayon::prelude::*;
 
 use crate::base::{Error, Event, Image, Listener, Result};
 use crate::data::{Camera, RayBuffer, Rays, Scene, View, seen_views};
 use crate::methods::Renderer;
 use crate::metrics::{Lpips, ViewMetrics, depth_errors, measure_depth, measure_unmasked};
 use crate::model::Model;
-use crate::runtime::Runtime;
+use crate::runtime::{Runtime, over_parts};
 use crate::settings::Resolved;
 
 /// Chunks for each thread in an estimate of time.
@@ -132,13 +131,8 @@ impl Viewer<'_> {
             let host = |tensor: &candle_core::Tensor| tensor.to_dtype(DType::F32)?.flatten_all()?.to_vec1::<f32>();
             Ok([host(&out.rgb)?, host(&(out.depth / &out.acc)?)?, host(&out.acc)?])
         };
-        let parts: Result<Vec<[Vec<f32>; 3]>> = if runtime.device().is_cpu() {
-            pixels.par_chunks(config.eval.chunk).map(render).collect()
-        } else {
-            pixels.chunks(config.eval.chunk).map(render).collect()
-        };
         let mut rendered: [Vec<f32>; 3] = Default::default();
-        for part in parts? {
+        for part in over_parts(runtime.device(), pixels, config.eval.chunk, render)? {
             rendered.iter_mut().zip(part).for_each(|(whole, part)| whole.extend(part));
         }
         Ok(rendered)

@@ -1,7 +1,6 @@
 //! The passes of a step through its rays, chunk by chunk.
 
 use candle_core::{DType, Tensor};
-use rayon::prelude::*;
 
 use crate::base::Result;
 use crate::field::Field;
@@ -9,6 +8,7 @@ use crate::methods::diagnostics::Sums;
 use crate::methods::gradients::Gradients;
 use crate::methods::learner::StopCheck;
 use crate::render::{Pass, noiseless_acc, place, resample};
+use crate::runtime::over_parts;
 
 use super::chunk::Chunk;
 use super::learner::FieldLearner;
@@ -55,13 +55,8 @@ impl FieldLearner {
         };
         // One thread a part: a chunk's tensors stay in its core's cache. Parts are the same whatever
         // the number of threads, and the sums below are in their order: it changes no bit.
-        let parts: Vec<&[(usize, usize)]> = starts.chunks(starts.len().div_ceil(PARTS)).collect();
-        let parts: Result<Vec<ChunkResult>> = if self.device.is_cpu() {
-            parts.into_par_iter().map(work).collect()
-        } else {
-            parts.into_iter().map(work).collect()
-        };
-        let mut sum = ChunkResult::sum(parts?)?;
+        let parts = over_parts(&self.device, &starts, starts.len().div_ceil(PARTS), work)?;
+        let mut sum = ChunkResult::sum(parts)?;
         let tables = std::mem::take(&mut sum.tables);
         sum.gradients.merge(Gradients(self.fields.table_gradients(&tables)?))?;
         Ok(sum)
