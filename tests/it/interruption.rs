@@ -280,7 +280,7 @@ fn a_step_that_would_take_hours_is_refused() {
     let full = [&["regularizer.kind=tv", "regularizer.points=full", "regularizer.lattice=1024"], &network[..]].concat();
     let dir = TempDir::new().unwrap();
     let message = demand(&mut augnerf(&arguments(&dir.path().join("run"), &full)), 2);
-    assert_says(&message, &["regularizer.lattice = 1024", "s a step here", "10 minutes", "sampled"]);
+    assert_says(&message, &["regularizer.lattice = 1024", "s per step here", "10 minutes", "sampled"]);
 }
 
 /// The program as somebody who may read the folder but not write into it.

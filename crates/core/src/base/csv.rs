@@ -1,14 +1,14 @@
-//! Tables of text as CSV.
+//! CSV text.
 
 use std::borrow::Cow;
 
-/// What a spreadsheet takes for the beginning of a formula.
+/// First characters that make a spreadsheet read a cell as a formula.
 const FORMULA: [char; 6] = ['=', '+', '-', '@', '\t', '\r'];
-/// Stands before such a text and makes it one that spreadsheets leave alone.
+/// Prefix that makes spreadsheets leave such a text alone.
 const TEXT: char = '\'';
 
-/// A cell that no spreadsheet takes for a formula: text that begins like one has an apostrophe before it, as `'+ TV Reg.`;
-/// a number stays a number. [`plain_cell`] takes it away again.
+/// Returns a cell that no spreadsheet reads as a formula. Text that begins like one gets an apostrophe, as in `'+ TV
+/// Reg.`; numbers stay as they are. [`plain_cell`] removes the apostrophe.
 pub fn safe_cell(cell: &str) -> Cow<'_, str> {
     match cell.trim_start_matches(TEXT).starts_with(FORMULA) && cell.parse::<f64>().is_err() {
         true => format!("{TEXT}{cell}").into(),
@@ -16,19 +16,19 @@ pub fn safe_cell(cell: &str) -> Cow<'_, str> {
     }
 }
 
-/// The text that [`safe_cell`] was given.
+/// Returns the text that was given to [`safe_cell`].
 pub fn plain_cell(cell: &str) -> &str {
     let begins_like_formula = cell.trim_start_matches(TEXT).starts_with(FORMULA);
     cell.strip_prefix(TEXT).filter(|_| begins_like_formula).unwrap_or(cell)
 }
 
-/// Longest name of a column that is read: ten times that of any table of this program.
+/// Longest column name that is read: ten times the longest of this program.
 const MOST_NAME: usize = 400;
 
-/// Names of the columns of a table that is read.
+/// Returns the column names of a table.
 ///
 /// # Errors
-/// A head that cannot be read, and a name that nobody gave: readers keep it beside every cell of its column.
+/// If the head is not readable, or a name is too long. Readers keep the name with every cell of its column.
 pub fn column_names<R: std::io::Read>(reader: &mut csv::Reader<R>) -> Result<Vec<String>, String> {
     let names: Vec<String> = reader.headers().map_err(|e| e.to_string())?.iter().map(String::from).collect();
     match names.iter().find(|name| name.len() > MOST_NAME) {
@@ -37,7 +37,7 @@ pub fn column_names<R: std::io::Read>(reader: &mut csv::Reader<R>) -> Result<Vec
     }
 }
 
-/// Rows of equally many cells, the head among them, quoted where a cell asks for it.
+/// Returns rows of equal length as CSV, including the head, quoted where necessary.
 pub fn csv_text(rows: impl IntoIterator<Item = Vec<String>>) -> String {
     let mut writer = csv::Writer::from_writer(Vec::new());
     for row in rows {
@@ -49,7 +49,7 @@ pub fn csv_text(rows: impl IntoIterator<Item = Vec<String>>) -> String {
     String::from_utf8(bytes).expect("made of strings")
 }
 
-/// Rows of named cells under the first row's names; nothing of no rows.
+/// Returns rows of named cells as CSV, with the names of the first row as head. Without rows the text is empty.
 pub fn csv_of_named(rows: impl IntoIterator<Item = Vec<(String, String)>>) -> String {
     let mut head = true;
     let lines = rows.into_iter().flat_map(|row| {
@@ -60,7 +60,7 @@ pub fn csv_of_named(rows: impl IntoIterator<Item = Vec<(String, String)>>) -> St
     csv_text(lines)
 }
 
-/// A number with all its digits, so that reading gives the same; empty where it is missing.
+/// Returns a number with all its digits, so that reading restores it. A missing number is empty.
 pub fn csv_number(value: Option<f64>) -> String {
     value.map_or(String::new(), |value| value.to_string())
 }

@@ -1,49 +1,49 @@
-//! The one error type: a sentence for the user and a class that becomes the exit code.
+//! The error type: a sentence for the user, and a class that becomes the exit code.
 
 use std::path::Path;
 
 use super::text::shown;
 
-/// Everything that can stop the program. Each message is one sentence that says which file or
-/// field, what was found, what is allowed and what to do.
+/// Everything that can stop the program. A message names the file or setting, what was found, what is allowed, and what
+/// to do.
 #[derive(Debug, thiserror::Error)]
 pub enum Error {
-    /// A setting that is unknown, of the wrong type, out of range or contradicts another one.
+    /// A setting that is unknown, of the wrong type, out of range, or in contradiction to another one.
     #[error("{}", shown(.0))]
     Config(String),
     /// A setting out of its range: field, value and range as data.
     #[error(transparent)]
     Setting(#[from] SettingError),
-    /// An input file or folder that is missing, broken or not what it should be.
+    /// An input file or folder that is missing, damaged, or not of the expected kind.
     #[error("{}", shown(.0))]
     Data(String),
-    /// An output folder that cannot be written, or that already holds something.
+    /// An output folder that cannot be written, or that is not empty.
     #[error("{}", shown(.0))]
     Output(String),
-    /// A checkpoint or run folder that is missing, damaged or of another architecture.
+    /// A checkpoint or run folder that is missing, damaged, or of another architecture.
     #[error("{}", shown(.0))]
     Checkpoint(String),
-    /// Training that went non-finite or collapsed.
+    /// Training that became non-finite or collapsed.
     #[error("{}", shown(.0))]
     Diverged(String),
-    /// A stop that a signal asked for; a checkpoint was written first.
+    /// A stop by a signal. A checkpoint was written first.
     #[error("{}", shown(.message))]
     Interrupted {
         /// The signal's number (2 for Ctrl-C, 15 for SIGTERM).
         signal: i32,
-        /// What was saved and how to go on.
+        /// What was saved, and how to resume.
         message: String,
     },
-    /// A sweep that ran to its end while some of its points failed.
+    /// A sweep that finished although some of its points failed.
     #[error("{}", shown(.0))]
     PointsFailed(String),
-    /// A sweep that ran to its end while scenes of some of its points are not on this machine.
+    /// A sweep that finished although the scenes of some of its points are not on this machine.
     #[error("{}", shown(.0))]
     PointsWithoutData(String),
-    /// A table whose rows differ in what its definition does not vary.
+    /// A table whose rows differ in a setting that its definition does not vary.
     #[error("{}", shown(.0))]
     NotComparable(String),
-    /// Results that do not come out of what they are said to be made of.
+    /// Results that do not follow from their stated sources.
     #[error("{}", shown(.0))]
     Mismatch(String),
     /// A failure inside the tensor library: a defect of this program or of the device.
@@ -51,7 +51,7 @@ pub enum Error {
     Tensor(#[from] candle_core::Error),
 }
 
-/// What a tensor operation says of its failure, without the stack that it adds where `RUST_BACKTRACE` is set.
+/// Returns the message of a failed tensor operation, without the stack that `RUST_BACKTRACE` adds.
 pub fn tensor_sentence(error: &candle_core::Error) -> String {
     match error {
         candle_core::Error::WithBacktrace { inner, .. } => tensor_sentence(inner),
@@ -74,7 +74,7 @@ pub struct SettingError {
 }
 
 impl SettingError {
-    /// The same of a flag that stands for the setting.
+    /// Returns the same error for a flag that stands for the setting.
     pub fn renamed(self, flag: &str) -> SettingError {
         SettingError { path: flag.into(), ..self }
     }
@@ -83,7 +83,7 @@ impl SettingError {
 /// The result of everything in this crate that can fail.
 pub type Result<T> = std::result::Result<T, Error>;
 
-/// What kind of trouble an error is: the kinds that a script tells apart by the exit code.
+/// The kinds of errors that a script can tell apart by the exit code.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Class {
     /// See [`Error::Tensor`].
@@ -109,7 +109,7 @@ pub enum Class {
 }
 
 impl Class {
-    /// All of them, in the order of their codes.
+    /// All classes, in the order of their codes.
     pub const ALL: [Class; 10] = [
         Class::Internal,
         Class::Config,
@@ -123,7 +123,7 @@ impl Class {
         Class::Mismatch,
     ];
 
-    /// The program's exit code, and what it means in a list of codes. There is no other such list.
+    /// Returns the exit code and its meaning for the list of codes. There is no other such list.
     const fn code(self) -> (u8, &'static str) {
         match self {
             Class::Internal => (1, "internal error"),
@@ -139,24 +139,25 @@ impl Class {
         }
     }
 
-    /// The program's exit code.
+    /// Returns the program's exit code.
     pub const fn exit_code(self) -> u8 {
         self.code().0
     }
 
-    /// The code's meaning in a few words.
+    /// Returns the code's meaning in a few words.
     pub const fn words(self) -> &'static str {
         self.code().1
     }
 
-    /// The class that ends the program with this code.
+    /// Returns the class whose exit code this is.
     pub fn of_exit_code(code: u8) -> Option<Class> {
         Class::ALL.into_iter().find(|class| class.exit_code() == code)
     }
 }
 
 impl Error {
-    /// The program's exit code (docs/exit-codes.md): that of the error's class, or 128 and the signal's number, as shells have it.
+    /// Returns the program's exit code (docs/exit-codes.md): the code of the error's class, or 128 plus the signal's
+    /// number, as in shells.
     pub fn exit_code(&self) -> u8 {
         let class = match self {
             Error::Interrupted { signal, .. } => return 128 + *signal as u8,
@@ -174,22 +175,22 @@ impl Error {
         class.exit_code()
     }
 
-    /// It is about settings.
+    /// Returns whether the error is about settings.
     pub fn is_of_settings(&self) -> bool {
         matches!(self, Error::Config(_) | Error::Setting(_))
     }
 
-    /// The same with where the settings stand, if it is about settings: `row 'NeRF': ...`.
+    /// Returns the error with the location of the settings in front, if it is about settings: `row 'NeRF': ...`.
     pub fn within(self, place: &str) -> Error {
         if self.is_of_settings() { Error::Config(format!("{place}: {self}")) } else { self }
     }
 
-    /// An input file that the operating system would not read.
+    /// Returns the error for an input file that the operating system does not read.
     pub fn unreadable(path: &Path, error: &std::io::Error) -> Error {
         Error::Data(format!("cannot read {}: {error}", path.display()))
     }
 
-    /// An output file that the operating system would not write.
+    /// Returns the error for an output file that the operating system does not write.
     pub fn unwritable(path: &Path, error: &std::io::Error) -> Error {
         Error::Output(format!("cannot write {}: {error}", path.display()))
     }

@@ -1,79 +1,79 @@
-//! The one channel by which long work tells how it goes.
+//! The channel through which long work reports its progress.
 //!
-//! The library prints nothing. Whoever wants to show something hands a [`Listener`] in; `&()` listens to nothing.
+//! The library prints nothing. To show progress, pass a [`Listener`]; `&()` ignores all events.
 
 /// Something that happened during long work.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Event<'a> {
-    /// A sentence worth reading.
+    /// A sentence to read.
     Note(&'a str),
-    /// A stretch of `parts` equal parts begins: pictures to read, views to render, planes to query.
+    /// A stage of `parts` equal parts begins: images to read, views to render, planes to query.
     Started {
-        /// What is done, as in "reading images".
+        /// What is being done, as in "reading images".
         what: &'a str,
-        /// How many parts it has.
+        /// Number of parts.
         parts: u64,
     },
-    /// One part of the stretch is done. Several threads send it, in any order.
+    /// One part of the stage is done. Several threads send it, in any order.
     Advanced,
-    /// The stretch is over, or was given up.
+    /// The stage is over, or was abandoned.
     Finished,
-    /// Training begins, or goes on.
+    /// Training begins or resumes.
     TrainingStarted {
-        /// Steps finished before: 0, or those of the checkpoint.
+        /// Steps that were finished before: 0, or those of the checkpoint.
         first: u64,
-        /// Steps of the whole training.
+        /// Steps of the complete training.
         steps: u64,
-        /// Rays of a step.
+        /// Rays per step.
         rays: usize,
     },
-    /// A training step is done; sent for every step.
+    /// A training step is done. It is sent for every step.
     Stepped {
-        /// Steps finished, this one included.
+        /// Finished steps, including this one.
         step: u64,
-        /// What was minimised.
+        /// The training loss.
         loss: f64,
-        /// PSNR of the step's rays in dB; none where their error is 0.
+        /// PSNR of the step's rays in dB. `None` if their error is 0.
         psnr: Option<f64>,
     },
-    /// No more steps follow in this session: the last was taken, a signal came, or an error.
+    /// No more steps follow in this session: the last step is done, a signal arrived, or an error occurred.
     TrainingFinished,
-    /// A point of a sweep is begun.
+    /// A point of a sweep begins.
     PointStarted {
         /// Its row, scene, axes and seed in words.
         label: &'a str,
-        /// Points that are done or failed by now.
+        /// Number of points that are done or failed so far.
         ended: usize,
-        /// Points of the sweep.
+        /// Number of points in the sweep.
         points: usize,
-        /// Steps that it trains.
+        /// Number of its training steps.
         steps: u64,
-        /// Seconds until the whole sweep is done, by what its points took so far; none before the first one is done.
+        /// Estimated seconds until the sweep is done, from its points so far. `None` before the first one is done.
         seconds_left: Option<f64>,
     },
     /// A point of a sweep is measured.
     PointFinished {
-        /// As when it was begun.
+        /// The label at its start.
         label: &'a str,
         /// Mean PSNR of the held-out views in dB.
         psnr: Option<f64>,
     },
     /// A point of a sweep ended without a result.
     PointFailed {
-        /// As when it was begun.
+        /// The label at its start.
         label: &'a str,
-        /// The error's words.
+        /// The error's message.
         reason: &'a str,
     },
 }
 
-/// Who is told what happens. Events come from whichever thread works.
+/// A receiver of events. They come from any working thread.
 pub trait Listener: Sync {
-    /// Hears of one event.
+    /// Receives one event.
     fn on(&self, event: Event<'_>);
 }
 
-/// Listens to nothing.
+/// Ignores all events.
 impl Listener for () {
     fn on(&self, _event: Event<'_>) {}
 }

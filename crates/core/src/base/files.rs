@@ -1,10 +1,9 @@
-//! Files and folders that appear whole or not at all.
+//! Files and folders that appear completely or not at all.
 //!
-//! New content is written under a temporary name in the same folder (the same file system, so
-//! that the rename cannot become a copy), flushed to the disk, and renamed. A killed process
-//! leaves at most an entry whose name starts with [`TEMPORARY`] or [`REPLACED`];
-//! [`clean_temporaries`] puts those right, and so does the next [`AtomicDir`] of the same name. Such an entry is locked as long
-//! as its process works on it, and entries that are locked are left alone.
+//! New content is written under a temporary name in the same folder, flushed to the disk, and renamed. The same folder
+//! is the same file system, so that the rename cannot become a copy. A killed process leaves at most an entry whose
+//! name starts with [`TEMPORARY`] or [`REPLACED`]. [`clean_temporaries`] cleans these up, and so does the next
+//! [`AtomicDir`] of the same name. A process locks its entries while it works on them; locked entries are left alone.
 
 use std::fs::{self, File};
 use std::io::{self, Write};
@@ -19,34 +18,33 @@ pub use super::temporaries::{REPLACED, TEMPORARY, clean_temporaries, is_temporar
 use super::temporaries::{clean_where, folder_of, held_beside, name_of, prefixed};
 pub use super::temporaries::{discard, hold, remove, wait_and_hold};
 
-/// Writes `bytes` to `path` so that the file has its old content or the new one at every moment,
-/// a crash of the machine included. A symbolic link is followed; a device or pipe, which cannot
-/// be replaced, is written to directly.
+/// Writes `bytes` to `path` atomically. At every moment, and after a crash of the machine, the file has its old content
+/// or the new one. A symbolic link is followed. A device or pipe, which cannot be replaced, is written to directly.
 pub fn write_atomic(path: &Path, bytes: &[u8]) -> Result<()> {
     try_write(path, bytes).map_err(|error| Error::unwritable(path, &error))
 }
 
-/// [`write_atomic`] of `value` as indented JSON with a newline at the end.
+/// Writes `value` with [`write_atomic`], as indented JSON with a newline at the end.
 pub fn write_json<T: Serialize>(path: &Path, value: &T) -> Result<()> {
     write_atomic(path, &json_bytes(value).map_err(|error| Error::unwritable(path, &error))?)
 }
 
-/// `value` as indented JSON with a newline at the end.
+/// Returns `value` as indented JSON with a newline at the end.
 pub fn json_bytes<T: Serialize>(value: &T) -> io::Result<Vec<u8>> {
     let mut text = serde_json::to_vec_pretty(value)?;
     text.push(b'\n');
     Ok(text)
 }
 
-/// What `path` holds as JSON; none where there is no such file. `advice` says what to do with a damaged one.
+/// Reads `path` as JSON. Returns `None` if there is no such file. `advice` says what to do with a damaged file.
 ///
 /// # Errors
-/// [`Error::Data`] for a file that the system does not read, [`Error::Checkpoint`] for one that is not what it should be.
+/// [`Error::Data`] for a file that the system does not read, [`Error::Checkpoint`] for a damaged one.
 pub fn read_json<T: for<'de> Deserialize<'de>>(path: &Path, advice: &str) -> Result<Option<T>> {
     read_large_json(path, JSON_BYTES, advice)
 }
 
-/// [`read_json`] of a file that may have so many bytes.
+/// Calls [`read_json`] for a file of at most `most` bytes.
 pub fn read_large_json<T: for<'de> Deserialize<'de>>(path: &Path, most: u64, advice: &str) -> Result<Option<T>> {
     let bytes = match read_bytes(path, most) {
         Ok(bytes) => bytes,
@@ -65,7 +63,7 @@ fn try_write(path: &Path, bytes: &[u8]) -> io::Result<()> {
         Err(_) => path.to_path_buf(),
     };
     let (temporary, mut file) = held_beside(&target, |path| File::create_new(path), |file| Some(file))?;
-    // Held until it has its name: nobody takes it for a leftover.
+    // Locked until it has its name, so that no process treats it as a leftover.
     let written = write_synced(&mut file, bytes).and_then(|()| fs::rename(&temporary, &target));
     if written.is_err() {
         let _ = fs::remove_file(&temporary);
@@ -73,27 +71,27 @@ fn try_write(path: &Path, bytes: &[u8]) -> io::Result<()> {
     written.and_then(|()| sync_folder(folder_of(&target)))
 }
 
-/// Writes `bytes` and waits until they have reached the disk.
+/// Writes `bytes`, and waits until they have reached the disk.
 pub fn write_synced(file: &mut File, bytes: &[u8]) -> io::Result<()> {
     file.write_all(bytes)?;
     file.sync_all()
 }
 
-/// A folder that is filled under a hidden name and gets its own with [`AtomicDir::commit`].
-/// Dropped without a commit, it is deleted.
+/// A folder that is filled under a hidden name and gets its own with [`AtomicDir::commit`]. If it is dropped without a
+/// commit, it is deleted.
 #[derive(Debug)]
 pub struct AtomicDir {
     temporary: PathBuf,
     target: PathBuf,
-    /// Keeps other processes from taking the hidden folder for a leftover.
+    /// Keeps other processes from treating the hidden folder as a leftover.
     _held: Option<File>,
 }
 
 impl AtomicDir {
-    /// Creates the hidden folder next to `target`, whose parent must exist. What killed processes left of folders of this name
-    /// is put right.
+    /// Creates the hidden folder next to `target`, whose parent must exist. It first cleans up what killed processes
+    /// left of folders of this name.
     pub fn new(target: &Path) -> Result<AtomicDir> {
-        // A leftover that cannot be deleted is in nobody's way.
+        // A leftover that cannot be deleted does no harm.
         let _ = name_of(target).and_then(|name| clean_where(folder_of(target), |entry| entry == name));
         let make = |path: &Path| fs::create_dir(path).map(|()| File::open(path).ok());
         let (temporary, _held) =
@@ -101,8 +99,8 @@ impl AtomicDir {
         Ok(AtomicDir { temporary, target: target.to_path_buf(), _held })
     }
 
-    /// The same for a place that must be free: an empty folder or none. A file, or a folder that holds something, is not
-    /// ours to replace. Missing folders on the way are created.
+    /// Creates the hidden folder for a target that must be free: an empty folder or none. A file, or a folder that is
+    /// not empty, is not replaced. Missing parent folders are created.
     pub fn vacant(target: &Path) -> Result<AtomicDir> {
         AtomicDir::check_vacant(target)?;
         let parent = folder_of(target);
@@ -110,7 +108,7 @@ impl AtomicDir {
         AtomicDir::new(target)
     }
 
-    /// Refuses a place that is not free, before the work whose result it is to hold.
+    /// Returns an error if the target is not free, before the work that it is for.
     pub fn check_vacant(target: &Path) -> Result<()> {
         match fs::read_dir(target).map(|mut entries| entries.next().is_none()) {
             Ok(true) => Ok(()),
@@ -122,14 +120,13 @@ impl AtomicDir {
         }
     }
 
-    /// The hidden folder; its content is what `target` will hold.
+    /// Returns the hidden folder. Its content will be that of `target`.
     pub fn path(&self) -> &Path {
         &self.temporary
     }
 
-    /// Flushes everything inside to the disk and gives the folder its final name. A folder that
-    /// has this name already is replaced: it is moved aside first and deleted last, and a kill
-    /// between the two renames is undone by [`clean_temporaries`].
+    /// Flushes everything inside to the disk, and gives the folder its final name. A folder that has this name already
+    /// is moved aside first and deleted last. [`clean_temporaries`] undoes a kill between the two renames.
     pub fn commit(self) -> Result<()> {
         self.try_commit().map_err(|error| Error::unwritable(&self.target, &error))
     }
@@ -159,8 +156,8 @@ impl Drop for AtomicDir {
     }
 }
 
-/// Makes renames and creations in `folder` survive a crash of the machine. Only Unix can open a
-/// folder for this; file systems that do not know the operation are left alone.
+/// Makes renames and creations in `folder` survive a crash of the machine. Only Unix can open a folder for this. File
+/// systems without the operation are left alone.
 fn sync_folder(folder: &Path) -> io::Result<()> {
     if !cfg!(unix) {
         return Ok(());

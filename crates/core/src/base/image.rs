@@ -14,7 +14,7 @@ pub struct Image {
 }
 
 impl Image {
-    /// Every `stride`-th pixel across and down, from the first one on.
+    /// Returns every `stride`-th pixel in both directions, starting with the first one.
     ///
     /// ```
     /// use augnerf::base::Image;

@@ -1,25 +1,25 @@
-//! Files that come from elsewhere, read with bounds.
+//! Files from elsewhere, read with bounds.
 //!
-//! A name may stand for a device that never ends, a pipe that nobody writes to, or a file far larger than what it should
-//! be. Only regular files are read, up to a size; what a person names may be a pipe, too (`--config <(...)`).
+//! A name may refer to a device that never ends, a pipe that nobody writes to, or a file far larger than expected. Only
+//! regular files are read, up to a size. A file that the user names may also be a pipe (`--config <(...)`).
 
 use std::fs::File;
 use std::io::{self, Read};
 use std::path::Path;
 
-/// Most bytes of settings and of definitions of sweeps: a hundred times those of anybody's.
+/// Largest size of settings and of sweep files in bytes: a hundred times a usual one.
 pub const TEXT_BYTES: u64 = 4 << 20;
-/// Most bytes of a table of this program: a log of 200,000 steps, every step logged.
+/// Largest size of a table of this program in bytes: a log of 200,000 steps with every step logged.
 pub const TABLE_BYTES: u64 = 256 << 20;
-/// Most bytes of a JSON file of this program: ten times those of a report on a thousand views.
+/// Largest size of a JSON file of this program in bytes: ten times a report on a thousand views.
 pub const JSON_BYTES: u64 = 8 << 20;
-/// Most bytes of a checkpoint's tensors.
+/// Largest size of a checkpoint's tensors in bytes.
 pub const TENSORS_BYTES: u64 = 16 << 30;
 
 /// Opens a regular file.
 ///
 /// # Errors
-/// Those of the system; anything else than a file, without waiting for it.
+/// Those of the system. If the path is not a regular file; it does not wait for pipes or devices.
 pub fn open_regular(path: &Path) -> io::Result<File> {
     let found = std::fs::metadata(path)?;
     if found.is_dir() {
@@ -31,10 +31,10 @@ pub fn open_regular(path: &Path) -> io::Result<File> {
     File::open(path)
 }
 
-/// What a regular file of at most `most` bytes holds.
+/// Reads a regular file of at most `most` bytes.
 ///
 /// # Errors
-/// Those of [`open_regular`]; a file that is larger.
+/// Those of [`open_regular`], and if the file is larger.
 pub fn read_bytes(path: &Path, most: u64) -> io::Result<Vec<u8>> {
     let file = open_regular(path)?;
     let length = file.metadata()?.len();
@@ -42,17 +42,18 @@ pub fn read_bytes(path: &Path, most: u64) -> io::Result<Vec<u8>> {
         return Err(too_large(most));
     }
     let mut bytes = Vec::new();
-    // An error where the memory is not there, instead of an end of the program.
+    // An error if memory is missing, instead of an abort.
     bytes.try_reserve_exact(length as usize).map_err(io::Error::other)?;
     read_into(file, most, bytes)
 }
 
-/// [`read_bytes`] of a text.
+/// Reads text with [`read_bytes`].
 pub fn read_text(path: &Path, most: u64) -> io::Result<String> {
     text(read_bytes(path, most)?)
 }
 
-/// [`read_text`] of what a person named: a pipe's text, too. Of a device no more than `most` bytes are read, either.
+/// Reads text like [`read_text`], from a path that the user named, which may be a pipe. At most `most` bytes are read,
+/// also from a device.
 pub fn read_named(path: &Path, most: u64) -> io::Result<String> {
     if std::fs::metadata(path)?.is_file() {
         read_text(path, most)

@@ -1,4 +1,4 @@
-//! What everything else stands on: errors, events, images, random numbers, files, the code's revision.
+//! Foundations of all other modules: errors, events, images, random numbers, files.
 
 pub mod csv;
 mod error;

@@ -1,9 +1,8 @@
 //! All randomness: a counter-based generator split into named streams.
 //!
-//! A draw is a function of (seed, stream, index), where index is the training step or another
-//! counter. Nothing is carried from step to step: a resumed run needs no generator state, and
-//! switching one stream's user off moves no other stream. Numbers are made on the host, so that
-//! every device sees the same.
+//! A random number is a function of (seed, stream, index), where index is the training step or another counter. No
+//! state passes from step to step. A resumed run needs no generator state, and switching off one stream's user changes
+//! no other stream. Numbers are made on the host, so that every device gets the same ones.
 
 use std::collections::HashMap;
 
@@ -13,28 +12,28 @@ use rand_chacha::rand_core::{Rng, SeedableRng};
 
 use crate::base::Result;
 
-/// What a stream of random numbers is for.
+/// The purpose of a stream of random numbers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Stream {
     /// Initial weights.
     Init,
-    /// Which rays a step trains on.
+    /// The rays of a training step.
     Batches,
     /// Sample jitter, inverse-CDF positions and density noise of the clean pass.
     Jitter,
-    /// Starts of the search, random deltas, and the second clean pass.
+    /// Random starts of PGD, random deltas, and the second clean pass.
     Search,
-    /// The same for log-step diagnostics, which must not move the search's draws.
+    /// The same for diagnostics at log steps, which must not change the search's numbers.
     Diagnostics,
     /// Corruption of training images and poses.
     Corruption,
-    /// Lattice cells of explicit regularizers, and points in them.
+    /// Cells of explicit regularizers, and points in them.
     Regularizer,
     /// Points on meshes that are compared.
     Surface,
-    /// Where marched rays start, and their steps.
+    /// Starts of marched rays, and their steps.
     March,
-    /// Codes that decoders read.
+    /// Codes for decoders.
     Code,
     /// Values of a sweep's random axes.
     Axis,
@@ -43,7 +42,7 @@ pub enum Stream {
 }
 
 impl Stream {
-    /// Written out, so that reordering the enum cannot change anyone's numbers.
+    /// Written out, so that reordering the enum cannot change any numbers.
     fn key(self) -> u64 {
         match self {
             Stream::Init => 1,
@@ -68,12 +67,12 @@ pub struct Random {
 }
 
 impl Random {
-    /// The numbers of `stream` at `index` under `seed`.
+    /// Creates the generator of `stream` at `index` under `seed`.
     pub fn new(seed: u64, stream: Stream, index: u64) -> Random {
         Random::part(seed, stream, index, 0)
     }
 
-    /// The numbers of one part (a chunk of rays, say) of `stream` at `index`.
+    /// Creates the generator of one part of `stream` at `index`, such as a chunk of rays.
     pub fn part(seed: u64, stream: Stream, index: u64, part: u64) -> Random {
         let mut key = [0u8; 32];
         key[..8].copy_from_slice(&seed.to_le_bytes());
@@ -83,26 +82,26 @@ impl Random {
         Random { chacha: ChaCha8Rng::from_seed(key) }
     }
 
-    /// Uniform in 0..1 (24 bits, exact in f32).
+    /// Returns a uniform number in 0..1 (24 bits, exact in f32).
     pub fn uniform(&mut self) -> f64 {
         f64::from(self.chacha.next_u32() >> 8) * (1.0 / f64::from(1u32 << 24))
     }
 
-    /// Standard normal pair (Box-Muller).
+    /// Returns a pair of standard normal numbers (Box-Muller).
     pub fn normal_pair(&mut self) -> (f64, f64) {
-        // 1 - u lies in (0, 1], where the logarithm is finite.
+        // 1 - u is in (0, 1], where the logarithm is finite.
         let radius = (-2.0 * (1.0 - self.uniform()).ln()).sqrt();
         let (sin, cos) = (std::f64::consts::TAU * self.uniform()).sin_cos();
         (radius * cos, radius * sin)
     }
 
-    /// Poisson with a moderate mean (under 700), by inversion.
+    /// Returns a Poisson number of moderate mean (below 700), by inversion.
     pub fn poisson(&mut self, mean: f64) -> u32 {
-        // 48 bits: with fewer, counts far below the mean would come too often.
+        // 48 bits. With fewer, counts far below the mean would come too often.
         let u = self.uniform() + self.uniform() / f64::from(1u32 << 24);
         let (mut count, mut probability) = (0, (-mean).exp());
         let mut below = probability;
-        // Where the terms have run out, rounding alone keeps the sum under u.
+        // Once the terms have run out, only rounding keeps the sum below u.
         while u >= below && probability > f64::MIN_POSITIVE {
             count += 1;
             probability *= mean / f64::from(count);
@@ -111,7 +110,7 @@ impl Random {
         count
     }
 
-    /// Uniform integer in 0..bound, unbiased (multiply and reject).
+    /// Returns a uniform integer in 0..bound, without bias (multiply and reject).
     pub fn below(&mut self, bound: u32) -> u32 {
         debug_assert!(bound > 0);
         let threshold = bound.wrapping_neg() % bound;
@@ -123,9 +122,9 @@ impl Random {
         }
     }
 
-    /// `count` distinct integers of 0..bound in random order (partial Fisher-Yates).
+    /// Returns `count` distinct integers of 0..bound in random order (partial Fisher-Yates).
     pub fn distinct(&mut self, count: usize, bound: u32) -> Vec<u32> {
-        // A few of many: only what differs from 0..bound is kept.
+        // For a few of many, only the differences from 0..bound are stored.
         if count < bound as usize / 8 { self.distinct_few(count, bound) } else { self.distinct_many(count, bound) }
     }
 
@@ -152,12 +151,12 @@ impl Random {
         drawn
     }
 
-    /// `count` uniform numbers in 0..1, as [`Random::uniform`] draws them.
+    /// Returns `count` uniform numbers in 0..1, as [`Random::uniform`] draws them.
     pub fn uniform_values(&mut self, count: usize) -> Vec<f32> {
         self.uniform_map(count, |unit| unit)
     }
 
-    /// What `map` makes of `count` uniform numbers in 0..1.
+    /// Returns `map` of `count` uniform numbers in 0..1.
     pub fn uniform_map(&mut self, count: usize, map: impl Fn(f32) -> f32) -> Vec<f32> {
         let mut bytes = [0u8; 1024];
         let mut values = Vec::with_capacity(count);
@@ -170,7 +169,7 @@ impl Random {
         values
     }
 
-    /// `count` standard normal numbers, in pairs.
+    /// Returns `count` standard normal numbers, drawn in pairs.
     pub fn normal_values(&mut self, count: usize) -> Vec<f32> {
         let mut values = Vec::with_capacity(count + 1);
         while values.len() < count {
@@ -181,13 +180,13 @@ impl Random {
         values
     }
 
-    /// A tensor of uniform numbers in 0..1.
+    /// Returns a tensor of uniform numbers in 0..1.
     pub fn uniform_tensor(&mut self, shape: &[usize], dtype: DType, device: &Device) -> Result<Tensor> {
         let values = self.uniform_values(shape.iter().product());
         Ok(Tensor::from_vec(values, shape, device)?.to_dtype(dtype)?)
     }
 
-    /// A tensor of standard normal numbers.
+    /// Returns a tensor of standard normal numbers.
     pub fn normal_tensor(&mut self, shape: &[usize], dtype: DType, device: &Device) -> Result<Tensor> {
         let values = self.normal_values(shape.iter().product());
         Ok(Tensor::from_vec(values, shape, device)?.to_dtype(dtype)?)

@@ -1,4 +1,4 @@
-//! What files and folders are called until they are whole, and what becomes of those whose process was killed.
+//! The names of files and folders until they are complete, and the cleaning up after killed processes.
 
 use std::ffi::{OsStr, OsString};
 use std::fs::{self, File, TryLockError};
@@ -8,20 +8,19 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 use crate::base::{Error, Result};
 
-/// Start of the names of entries that are not finished yet.
+/// Prefix of the names of unfinished entries.
 pub const TEMPORARY: &str = ".augnerf-tmp-";
-/// Start of the names of folders that were moved aside while their replacement took their place.
+/// Prefix of the names of folders that were moved aside while their replacement took their name.
 pub const REPLACED: &str = ".augnerf-old-";
 
-/// Puts right what killed processes left in `dir` (not below it) and returns how many entries
-/// that were: unfinished files and folders are deleted, and a folder that had been moved aside is
-/// moved back if its replacement did not arrive. Where the file system has no locks, call it only while holding the run's lock,
-/// with no write of one's own under way.
+/// Cleans up what killed processes left in `dir` (not below it), and returns the number of entries. Unfinished files
+/// and folders are deleted. A folder that was moved aside is moved back if its replacement did not arrive. If the file
+/// system has no locks, call it only while holding the run's lock and without writes of your own.
 pub fn clean_temporaries(dir: &Path) -> Result<usize> {
     clean_where(dir, |_| true).map_err(|error| Error::unwritable(dir, &error))
 }
 
-/// The same of entries that were to have a `chosen` name.
+/// Cleans up entries that were to have a `chosen` name.
 pub(super) fn clean_where(dir: &Path, chosen: impl Fn(&OsStr) -> bool) -> io::Result<usize> {
     let mut cleaned = 0;
     for entry in fs::read_dir(dir)? {
@@ -32,7 +31,7 @@ pub(super) fn clean_where(dir: &Path, chosen: impl Fn(&OsStr) -> bool) -> io::Re
         if !chosen(&intended) {
             continue;
         }
-        // Held until it is gone, so that whoever made it just now finds out.
+        // Locked until it is deleted, so that a process that just made it notices.
         let Ok(_held) = hold_leftover(&path) else { continue };
         let original = dir.join(intended);
         match replaced {
@@ -45,14 +44,14 @@ pub(super) fn clean_where(dir: &Path, chosen: impl Fn(&OsStr) -> bool) -> io::Re
     Ok(cleaned)
 }
 
-/// Whether an entry of this name is something that a killed process left behind.
+/// Returns whether an entry of this name is a leftover of a killed process.
 pub fn is_temporary(name: &OsStr) -> bool {
     let bytes = name.as_encoded_bytes();
     bytes.starts_with(TEMPORARY.as_bytes()) || bytes.starts_with(REPLACED.as_bytes())
 }
 
-/// Deletes a file or folder (a symbolic link itself, not what it points to); absent is fine, and so is one that another
-/// process deletes meanwhile.
+/// Deletes a file or folder, or a symbolic link itself. It is no error if it does not exist, or if another process
+/// deletes it meanwhile.
 pub fn remove(path: &Path) -> io::Result<()> {
     let removed = path.symlink_metadata().and_then(|found| match found.is_dir() {
         true => fs::remove_dir_all(path),
@@ -61,7 +60,7 @@ pub fn remove(path: &Path) -> io::Result<()> {
     removed.or_else(|error| if error.kind() == io::ErrorKind::NotFound { Ok(()) } else { Err(error) })
 }
 
-/// Deletes what has a name such that a kill at any moment leaves all of it there or nothing: it loses its name first.
+/// Deletes an entry completely: a kill leaves all of it or nothing. The entry loses its name first.
 pub fn discard(path: &Path) -> io::Result<()> {
     match path.symlink_metadata() {
         Ok(_) => {
@@ -74,22 +73,22 @@ pub fn discard(path: &Path) -> io::Result<()> {
     }
 }
 
-/// Locks a file or folder for as long as the value lives; none where that cannot be.
+/// Locks a file or folder while the value lives. Returns `None` if that is not possible.
 pub fn hold(path: &Path) -> Option<File> {
     File::open(path).ok().filter(|file| file.try_lock().is_ok())
 }
 
-/// The same, once whoever holds it has given it up.
+/// Waits for the lock of a file or folder and takes it.
 pub fn wait_and_hold(path: &Path) -> Option<File> {
     File::open(path).ok().filter(|file| file.lock().is_ok())
 }
 
-/// A process works on the entry.
+/// Another process works on the entry.
 struct Held;
 
-/// Locks what a killed process left; none where the file system has no locks.
+/// Locks what a killed process left. Returns `None` if the file system has no locks.
 fn hold_leftover(path: &Path) -> std::result::Result<Option<File>, Held> {
-    // A pipe would be waited for.
+    // Opening a pipe would wait.
     let can_be_opened = path.symlink_metadata().is_ok_and(|found| found.is_file() || found.is_dir());
     let Some(file) = can_be_opened.then(|| File::open(path).ok()).flatten() else { return Ok(None) };
     match file.try_lock() {
@@ -98,8 +97,8 @@ fn hold_leftover(path: &Path) -> std::result::Result<Option<File>, Held> {
     }
 }
 
-/// Makes an entry beside `target` and locks it by its `file`, where the file system has locks. Between the two another process
-/// may take it for a leftover and delete it: then it is made again.
+/// Makes an entry next to `target`, and locks it through its `file` if the file system has locks. Between the two,
+/// another process may treat it as a leftover and delete it. Then it is made again.
 pub(super) fn held_beside<T>(
     target: &Path,
     make: impl Fn(&Path) -> io::Result<T>,
@@ -108,7 +107,7 @@ pub(super) fn held_beside<T>(
     loop {
         let path = temporary_beside(target)?;
         let made = make(&path)?;
-        // Waits for one that is deleting it.
+        // Waits for a process that is deleting it.
         let _ = file(&made).map(File::lock);
         if path.symlink_metadata().is_ok() {
             return Ok((path, made));
@@ -121,7 +120,7 @@ fn temporary_beside(target: &Path) -> io::Result<PathBuf> {
     let count = COUNT.fetch_add(1, Ordering::Relaxed);
     let prefix = format!("{TEMPORARY}{}-{count}-", std::process::id());
     let temporary = folder_of(target).join(prefixed(&prefix, name_of(target)?));
-    // A killed process may have had this very number, as the first one in a container always has.
+    // A killed process may have had this number, as the first one in a container always does.
     remove(&temporary)?;
     Ok(temporary)
 }
@@ -143,8 +142,8 @@ pub(super) fn prefixed(prefix: &str, name: &OsStr) -> OsString {
     joined
 }
 
-/// The name that a temporary entry was to have: what follows the numbers of process and entry. One of another make, such as a
-/// probe's, stands for itself.
+/// Returns the name that a temporary entry was to have: the part after the numbers of process and entry. Other names,
+/// such as a probe's, are returned unchanged.
 fn intended_name(temporary: &OsStr) -> Option<OsString> {
     let rest = after_prefix(TEMPORARY, temporary)?;
     let is_number = |part: &[u8]| !part.is_empty() && part.iter().all(u8::is_ascii_digit);
@@ -164,7 +163,7 @@ fn after_prefix(prefix: &str, name: &OsStr) -> Option<OsString> {
     Some(unsafe { OsStr::from_encoded_bytes_unchecked(rest) }.to_os_string())
 }
 
-/// Names of a folder's entries, in order.
+/// Returns the names of a folder's entries, in order.
 #[cfg(test)]
 pub(super) fn names(dir: &Path) -> Vec<String> {
     let mut names: Vec<String> =

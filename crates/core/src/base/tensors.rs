@@ -1,10 +1,10 @@
-//! Sums of tensors that may be missing, a look at their values, a ReLU that hides nothing.
+//! Operations on tensors that may be missing, access to their values, and a ReLU that keeps NaN.
 
 use candle_core::{CpuStorage, Storage, Tensor};
 
 use super::Result;
 
-/// `a + b`; the one that is there where the other is missing.
+/// Returns `a + b`, or the one that is present.
 pub fn sum(a: Option<Tensor>, b: Option<Tensor>) -> Result<Option<Tensor>> {
     Ok(match (a, b) {
         (Some(a), Some(b)) => Some((a + b)?),
@@ -12,12 +12,12 @@ pub fn sum(a: Option<Tensor>, b: Option<Tensor>) -> Result<Option<Tensor>> {
     })
 }
 
-/// `x` where it is not under 0, `slope x` elsewhere; what is no number stays none, where candle's own ReLU gives 0.
+/// Returns `x` if it is not below 0, and `slope x` otherwise. NaN stays NaN, where candle's own ReLU gives 0.
 pub fn leaky_relu(x: &Tensor, slope: f64) -> candle_core::Result<Tensor> {
     x.lt(0.0)?.where_cond(&(x * slope)?, x)
 }
 
-/// Lets `read` see the values of a contiguous f32 tensor on a processor; none of another.
+/// Calls `read` with the values of a contiguous f32 tensor on the CPU. Returns `None` for other tensors.
 pub fn with_values<R>(tensor: &Tensor, read: impl FnOnce(&[f32]) -> R) -> Option<R> {
     let (storage, layout) = tensor.storage_and_layout();
     match (&*storage, layout.contiguous_offsets()) {

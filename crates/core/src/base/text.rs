@@ -1,14 +1,14 @@
-//! Text of unknown origin, made fit for a terminal and for people.
+//! Text of unknown origin, made safe for a terminal and readable.
 
 use std::borrow::Cow;
 
-/// Longest line that is shown whole; more has nothing to say to a person.
+/// Longest line that is shown completely.
 const MOST_LINE: usize = 1000;
-/// Most characters of lines after the first.
+/// Most characters of the lines after the first.
 const MOST_MORE: usize = 6000;
 
-/// The text without what a terminal would take for a command or would write backwards, such characters as their codes
-/// (`\u{1b}`), and with the middle of very long lines and the end of very long texts left out.
+/// Returns the text without what a terminal would execute or write backwards. Such characters become their codes
+/// (`\u{1b}`). The middle of very long lines and the end of very long texts are cut.
 pub fn shown(text: &str) -> Cow<'_, str> {
     let plain = |line: &str| line.len() <= MOST_LINE && !line.chars().any(is_command);
     if text.len() <= MOST_MORE && text.split('\n').all(plain) {
@@ -28,7 +28,7 @@ pub fn shown(text: &str) -> Cow<'_, str> {
     Cow::Owned(shown)
 }
 
-/// The same as one line.
+/// Returns the same as one line.
 pub fn line(text: &str) -> String {
     let plain = |character: char| match character {
         character if is_command(character) || character == '\n' => character.escape_default().collect(),
@@ -44,7 +44,7 @@ pub fn line(text: &str) -> String {
     format!("{} ... ({} characters) ... {}", part(0, head), tail - head, part(tail, length))
 }
 
-/// Control characters but for the tab, and those that turn the direction of text.
+/// Returns whether a character is a control character other than tab, or one that changes the direction of text.
 fn is_command(character: char) -> bool {
     let turns = ['\u{200e}', '\u{200f}', '\u{2028}', '\u{2029}'].contains(&character)
         || ('\u{202a}'..='\u{202e}').contains(&character)

@@ -1,4 +1,4 @@
-//! Which rays a step trains on.
+//! The rays of a training step.
 
 use std::sync::Arc;
 
@@ -7,8 +7,7 @@ use crate::base::{Error, Image, Result};
 use crate::data::{Camera, Ndc, RayBuffer, RayParts, Scene, View};
 use crate::settings::{Batching, Located, PixelOrigin};
 
-/// The training views' pixels and the order in which they are drawn. A batch is a function of the
-/// seed and the step.
+/// The training views' pixels, and the order in which they are drawn. A batch is a function of the seed and the step.
 pub struct Batches {
     seed: u64,
     rays: usize,
@@ -18,15 +17,15 @@ pub struct Batches {
     cameras: Vec<Camera>,
     /// Shared with the scene.
     images: Vec<Arc<Image>>,
-    /// The pixels of each view that its mask leaves, row by row; none where there is no mask.
+    /// The pixels of each view outside its mask, row by row. `None` without a mask.
     unmasked: Vec<Option<Vec<u32>>>,
-    /// How many pixels the views before each have, masked ones left out, and after the last all of them.
+    /// Number of pixels in the views before each view, without masked ones, followed by the total.
     offsets: Vec<usize>,
     ndc: Option<Ndc>,
     pixel_origin: PixelOrigin,
-    /// What is needed of rays.
+    /// The parts of rays that the method needs.
     parts: RayParts,
-    /// The shuffled pixels of one epoch of all images.
+    /// The shuffled pixels of one epoch over all images.
     epoch: Option<(u64, Vec<u32>)>,
 }
 
@@ -39,8 +38,8 @@ pub struct Batch {
 }
 
 impl Batches {
-    /// Batches over the training views of `scene`. A batch larger than what it is drawn from is
-    /// refused: it would be smaller than the configuration says.
+    /// Creates batches over the training views of `scene`. It is an error if a batch is larger than the pixels it is
+    /// drawn from.
     pub fn new(config: &Located, scene: &Scene, parts: RayParts) -> Result<Batches> {
         let unmasked: Vec<Option<Vec<u32>>> = scene.train.iter().map(unmasked).collect();
         let pixels = |(view, unmasked): (&View, &Option<Vec<u32>>)| {
@@ -88,7 +87,7 @@ impl Batches {
         Ok(())
     }
 
-    /// First pixel and number of pixels that a step draws from along a side of `size`.
+    /// Returns the first pixel, and the number of pixels, that a step uses along a side of `size`.
     fn part(&self, size: usize, step: u64) -> (u32, u32) {
         if step >= self.precrop_steps {
             return (0, size as u32);
@@ -97,7 +96,7 @@ impl Batches {
         (((size - kept) / 2) as u32, kept as u32)
     }
 
-    /// The batch of a step.
+    /// Returns the batch of a step.
     pub fn batch(&mut self, step: u64) -> Batch {
         let pixels = match self.batching {
             Batching::AllImages => self.shuffled(step),
@@ -112,7 +111,7 @@ impl Batches {
         Batch { target: target.collect(), rays }
     }
 
-    /// The next stretch of a permutation of all pixels; every epoch has its own.
+    /// Returns the next part of a permutation of all pixels. Every epoch has its own permutation.
     fn shuffled(&mut self, step: u64) -> Vec<(usize, u32, u32)> {
         let (total, rays) = (self.pixels(), self.rays);
         let per_epoch = (total / rays) as u64;
@@ -126,12 +125,12 @@ impl Batches {
         order[start..start + rays].iter().map(|&flat| self.locate(flat as usize)).collect()
     }
 
-    /// Pixels of all views.
+    /// Returns the number of pixels in all views.
     fn pixels(&self) -> usize {
         self.offsets[self.cameras.len()]
     }
 
-    /// View, column and row of a pixel among those of all views.
+    /// Returns view, column and row of a pixel, given its number among those of all views.
     fn locate(&self, flat: usize) -> (usize, u32, u32) {
         let view = self.offsets.partition_point(|&offset| offset <= flat) - 1;
         let (rest, width) = (flat - self.offsets[view], self.cameras[view].width);
@@ -139,19 +138,19 @@ impl Batches {
         (view, (rest % width) as u32, (rest / width) as u32)
     }
 
-    /// How many pixels of a view a step draws from.
+    /// Returns the number of pixels of a view that a step can use.
     fn kept(&self, view: usize, step: u64) -> usize {
         let ((_, width), (_, height)) = self.central(view, step);
         self.unmasked[view].as_ref().map_or((width * height) as usize, |_| self.unmasked_in_centre(view, step).len())
     }
 
-    /// First pixel and number of pixels across and down that a step draws from.
+    /// Returns the first pixel, and the number of pixels, that a step uses in both directions.
     fn central(&self, view: usize, step: u64) -> ((u32, u32), (u32, u32)) {
         let camera = &self.cameras[view];
         (self.part(camera.width, step), self.part(camera.height, step))
     }
 
-    /// The pixels of a masked view that a step draws from.
+    /// Returns the pixels of a masked view that a step can use.
     fn unmasked_in_centre(&self, view: usize, step: u64) -> Vec<(u32, u32)> {
         let ((x0, width), (y0, height)) = self.central(view, step);
         let (columns, all) = (self.cameras[view].width as u32, self.unmasked[view].as_deref().unwrap_or_default());
@@ -159,7 +158,7 @@ impl Batches {
         places.filter(|(x, y)| (x0..x0 + width).contains(x) && (y0..y0 + height).contains(y)).collect()
     }
 
-    /// Distinct pixels of one image, of its central part during pre-crop.
+    /// Returns distinct pixels of one image, of its central part during pre-crop.
     fn of_one_image(&self, step: u64) -> Vec<(usize, u32, u32)> {
         let mut random = Random::new(self.seed, Stream::Batches, step);
         let view = random.below(self.cameras.len() as u32) as usize;
@@ -174,13 +173,13 @@ impl Batches {
     }
 }
 
-/// The pixels that a view's mask leaves, row by row.
+/// Returns the pixels outside a view's mask, row by row.
 fn unmasked(view: &View) -> Option<Vec<u32>> {
     let mask = view.mask.as_ref()?;
     Some(mask.iter().enumerate().filter(|(_, counts)| **counts).map(|(flat, _)| flat as u32).collect())
 }
 
-/// 0, the first, the first two, ..., all.
+/// Returns 0, the first, the sum of the first two, ..., the total.
 fn running_sums(numbers: impl Iterator<Item = usize>) -> Vec<usize> {
     let mut sum = 0;
     std::iter::once(0)

@@ -1,4 +1,4 @@
-//! Do the deltas do anything? Measured per site at log steps, forward passes only.
+//! Diagnostics of the deltas' effect: measured per site at log steps, with forward passes only.
 
 use std::path::Path;
 
@@ -9,31 +9,31 @@ use crate::base::input::{TABLE_BYTES, read_text};
 use crate::base::{Error, Result};
 use crate::settings::columns::{InactiveBy, LEAST_SHIFT};
 
-/// A site whose gain is under this share of the clean loss is inactive in a step.
+/// A site whose gain is below this fraction of the clean loss is inactive in a step.
 const INACTIVE_SHARE: f64 = 1e-4;
-/// Logged steps, the last ones, whose mean shift tells whether a site is inactive in a run.
+/// Number of last log steps whose mean shift decides whether a site is inactive in a run.
 const LAST_LOGS: usize = 10;
 
-/// What one site's deltas did in one step, coarse + fine.
+/// The effect of one site's deltas in one step, coarse + fine.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SiteDiagnostics {
     /// The site.
     pub site: Site,
-    /// Loss with this site's deltas alone, minus the loss without any.
+    /// Loss with this site's deltas only, minus the loss without deltas.
     pub gain: f64,
-    /// The same minus the loss with uniform random deltas of the same set.
+    /// The same minus the loss with uniform random deltas of the same constraint set.
     pub gain_over_random: f64,
-    /// Share of entries at the set's bound, mean of the passes; none where nothing may move.
+    /// Fraction of entries at the set's bound, as a mean over the passes. `None` if nothing may move.
     pub share_at_bound: Option<f64>,
-    /// The gain is under 1e-4 of the clean loss.
+    /// The gain is below 1e-4 of the clean loss.
     pub inactive: bool,
-    /// Mean absolute change of the rays' colours through this site's deltas alone, in 8-bit steps; mean of the passes that
-    /// it takes part in.
+    /// Mean absolute change of the rays' colours through this site's deltas only, in 8-bit steps. It is a mean over the
+    /// passes with this site.
     pub shift: f64,
 }
 
 impl SiteDiagnostics {
-    /// The numbers by their columns, missing ones left out.
+    /// Returns the numbers by their columns, without missing ones.
     pub fn columns(&self) -> Vec<(String, f64)> {
         let inactive = f64::from(u8::from(self.inactive));
         let numbers =
@@ -43,49 +43,49 @@ impl SiteDiagnostics {
     }
 }
 
-/// What a site's deltas did over all logged steps of a run, read back from `scalars.csv`.
+/// The effect of a site's deltas over all logged steps of a run, read from `scalars.csv`.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct SiteSummary {
     /// The site's name.
     #[serde(rename = "level")]
     pub site: &'static str,
-    /// Logged steps.
+    /// Number of logged steps.
     pub steps: usize,
     /// Mean gain over the loss without deltas.
     pub mean_gain: f64,
-    /// Mean gain over random deltas of the same set.
+    /// Mean gain over random deltas of the same constraint set.
     pub mean_gain_over_random: f64,
-    /// Mean share of entries at the set's bound; none where nothing may move.
+    /// Mean fraction of entries at the set's bound. `None` if nothing may move.
     pub mean_share_at_bound: Option<f64>,
-    /// Share of logged steps at which the gain was under 1e-4 of the clean loss.
+    /// Fraction of logged steps with a gain below 1e-4 of the clean loss.
     pub inactive_share: f64,
-    /// The deltas move the rendered colours by less than half an 8-bit step on average over the last logs. Of a run that
-    /// logged no shift: inactive at more than half of the logged steps.
+    /// The deltas move the rendered colours by less than half an 8-bit step on average over the last log steps. For a
+    /// run that logged no shift: the site was inactive at more than half of the logged steps.
     pub inactive: bool,
-    /// Mean shift of the rendered colour over the last logs, in 8-bit steps; none where it was not logged.
+    /// Mean shift of the rendered colour over the last log steps, in 8-bit steps. `None` if it was not logged.
     pub last_shift: Option<f64>,
 }
 
-/// The columns of `scalars.csv` that hold one site's diagnostics.
+/// Returns the columns of `scalars.csv` with one site's diagnostics.
 pub fn columns(site: Site) -> [String; 5] {
     ["gain", "gain_over_random", "share_at_bound", "inactive", "shift"].map(|what| format!("{what}.{}", site.name()))
 }
 
 impl SiteSummary {
-    /// What its `inactive` was judged by.
+    /// Returns the criterion of `inactive`.
     pub fn inactive_by(&self) -> InactiveBy {
         if self.last_shift.is_some() { InactiveBy::Colour } else { InactiveBy::Loss }
     }
 
-    /// Summarises every site that has diagnostics in a run's `scalars.csv`, up to the step of the
-    /// checkpoint in question: a killed run may have logged further, and half a line at the end.
+    /// Summarizes every site that has diagnostics in a run's `scalars.csv`, up to the step of the checkpoint. A killed
+    /// run may have logged further, with half a line at the end.
     pub fn read(scalars: &Path, last_step: u64) -> Result<Vec<SiteSummary>> {
         let broken = |error: csv::Error| Error::Checkpoint(format!("cannot read {}: {error}", scalars.display()));
         let text = read_text(scalars, TABLE_BYTES).map_err(|error| broken(error.into()))?;
         let whole = text.rfind('\n').map_or("", |end| &text[..end]);
         let mut reader = csv::Reader::from_reader(whole.as_bytes());
         let header = reader.headers().map_err(broken)?.clone();
-        // What is summarised, and nothing else: a log may be long.
+        // Only these columns, since a log may be long.
         let names = Site::ALL.into_iter().flat_map(columns);
         let places = names.filter_map(|name| Some((header.iter().position(|found| found == name)?, name)));
         let mut kept: Vec<(usize, String, Vec<f64>)> = places.map(|(place, name)| (place, name, Vec::new())).collect();
@@ -103,7 +103,7 @@ impl SiteSummary {
         Ok(SiteSummary::of_columns(column))
     }
 
-    /// Of the numbers that a run logged in each column, in the order of steps.
+    /// Summarizes the numbers that a run logged in each column, in the order of steps.
     pub fn of_columns(column: impl Fn(&str) -> Vec<f64>) -> Vec<SiteSummary> {
         let summarise = |site: Site| {
             let values = columns(site).map(|name| column(&name));
@@ -130,10 +130,10 @@ impl SiteSummary {
     }
 }
 
-/// What one site's deltas did in one pass of one chunk.
+/// The effect of one site's deltas in one pass of one chunk.
 #[derive(Clone, Copy, Default)]
 pub(super) struct SiteEffect {
-    /// Share of the step's rays.
+    /// The chunk's fraction of the step's rays.
     pub(super) share: f64,
     pub(super) gain: f64,
     pub(super) gain_over_random: f64,
@@ -151,10 +151,10 @@ struct SiteSums {
     gain: f64,
     gain_over_random: f64,
     shift: f64,
-    /// Shares of chunks that `shift` counts: 1 a pass.
+    /// Sum of the fractions behind `shift`: 1 per pass.
     passes: f64,
     at_bound: f64,
-    /// Shares of chunks that `at_bound` counts.
+    /// Sum of the fractions behind `at_bound`.
     bounded: f64,
 }
 

@@ -7,17 +7,17 @@ use rayon::prelude::*;
 use crate::base::Result;
 use crate::base::tensors::{sum, with_values};
 
-/// Gradients (or other tensors of the parameters' shapes) in the order of the model's variables; none where a parameter
-/// has none.
+/// Gradients (or other tensors of the parameters' shapes) in the order of the model's variables. An entry is `None` if
+/// a parameter has no gradient.
 pub struct Gradients(pub Vec<Option<Tensor>>);
 
 impl Gradients {
-    /// No gradients of so many parameters.
+    /// Returns empty gradients of this many parameters.
     pub fn none(parameters: usize) -> Gradients {
         Gradients(vec![None; parameters])
     }
 
-    /// Adds those that a backward pass left for `variables`.
+    /// Adds the gradients of `variables` from a backward pass.
     pub fn add(&mut self, variables: &[(String, Var)], store: &GradStore) -> Result<()> {
         for ((_, var), total) in variables.iter().zip(&mut self.0) {
             if let Some(gradient) = store.get(var) {
@@ -27,8 +27,8 @@ impl Gradients {
         Ok(())
     }
 
-    /// The sum of parts of one model, in their order: the same bits whatever the number of threads, which share the
-    /// parameters.
+    /// Sums the gradients of parts of a step, in their order. The bits do not depend on the number of threads, which
+    /// share the parameters.
     pub fn sum(parts: Vec<Gradients>) -> Result<Gradients> {
         let parameters = parts.first().map_or(0, |part| part.0.len());
         let of_parameter = |index: usize| {
@@ -38,7 +38,7 @@ impl Gradients {
         Ok(Gradients((0..parameters).into_par_iter().map(of_parameter).collect::<Result<_>>()?))
     }
 
-    /// Adds others of the same model.
+    /// Adds other gradients of the same model.
     pub fn merge(&mut self, other: Gradients) -> Result<()> {
         for (total, gradient) in self.0.iter_mut().zip(other.0) {
             *total = sum(total.take(), gradient)?;
@@ -46,7 +46,7 @@ impl Gradients {
         Ok(())
     }
 
-    /// Euclidean norm over all parameters.
+    /// Returns the Euclidean norm over all parameters.
     pub fn norm(&self) -> Result<f64> {
         let square = |gradient: &Tensor| -> Result<f64> {
             Ok(gradient.to_dtype(DType::F64)?.sqr()?.sum_all()?.to_scalar::<f64>()?)
@@ -55,7 +55,7 @@ impl Gradients {
     }
 }
 
-/// The sum of tensors of one shape in their order; none of none.
+/// Sums tensors of one shape in their order. Returns `None` without tensors.
 fn sum_of(tensors: &[&Tensor]) -> Result<Option<Tensor>> {
     let Some((&first, rest)) = tensors.split_first() else { return Ok(None) };
     let Some(mut total) = with_values(first, <[f32]>::to_vec) else {

@@ -1,7 +1,7 @@
-//! What is trained: the model of each method, how it learns and how it shows its scene.
+//! The methods: models, learners and renderers.
 //!
-//! A method has parameters, a [`Learner`] that draws a step's work and turns it into gradients, and a [`Renderer`] that turns
-//! rays into colours. Some methods have a density. To add a method, implement [`Family`] and [`Network`] in a crate of its
+//! A method has parameters, a [`Learner`] that turns a step's rays into gradients, and a [`Renderer`] that turns rays
+//! into colours. Some methods have a density. To add a method, implement [`Family`] and [`Network`] in a crate of its
 //! own, as `augnerf-baselines` does, and add it to the [`crate::settings::Method`]s.
 
 mod batches;

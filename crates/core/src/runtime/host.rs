@@ -1,4 +1,4 @@
-//! `timing.json`: what depends on clock and machine, kept apart from what must repeat.
+//! `timing.json`: values that depend on clock and machine, apart from those that must repeat.
 
 use std::path::Path;
 use std::time::{SystemTime, UNIX_EPOCH};
@@ -8,56 +8,56 @@ use serde::{Deserialize, Serialize};
 use crate::base::Result;
 use crate::base::files::write_json;
 
-/// How long a run took and on what.
+/// The time of a run, and its machine.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Timing {
-    /// Seconds in training steps, over all the sessions of a resumed run.
+    /// Seconds in training steps, over all sessions of a resumed run.
     pub seconds_training: f64,
     /// Seconds in evaluation on held-out views.
     pub seconds_evaluation: f64,
-    /// Rays trained on per second of training; `None` before the first step.
+    /// Trained rays per second of training. `None` before the first step.
     pub rays_per_second: Option<f64>,
-    /// Highest resident memory of this process in MiB while the last session ran; `None` where the system does not say, and
-    /// where the process trained other runs at the same time.
+    /// Highest resident memory of this process in MiB during the last session. `None` if the system does not tell, or
+    /// if the process trained other runs at the same time.
     pub peak_memory_mib: Option<f64>,
-    /// As asked for: `cpu`, `cuda`, `cuda:1`, `cuda-tf32`, `metal`.
+    /// The device as requested: `cpu`, `cuda`, `cuda:1`, `cuda-tf32`, `metal`.
     pub device: String,
-    /// Threads that tensor operations used.
+    /// Threads of tensor operations.
     pub threads: usize,
-    /// The machine that the last session ran on.
+    /// The machine of the last session.
     pub host: Host,
     /// Start of this session, seconds since 1970 (UTC).
     pub started_unix: u64,
     /// End of this session, seconds since 1970 (UTC).
     pub finished_unix: u64,
-    /// How often the run was started: 1 plus the number of resumptions.
+    /// Number of sessions: 1 plus the number of resumptions.
     pub sessions: usize,
 }
 
 impl Timing {
-    /// Writes the file whole or not at all.
+    /// Writes the file atomically.
     pub fn write(&self, path: &Path) -> Result<()> {
         write_json(path, self)
     }
 }
 
-/// The machine.
+/// A machine.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Host {
-    /// Its name in the network; `unknown` where the system does not say.
+    /// Its network name, or `unknown`.
     pub name: String,
     /// `linux`, `macos`, `windows`.
     pub os: String,
     /// `x86_64`, `aarch64`.
     pub arch: String,
-    /// The processor's model; `None` where the system does not say.
+    /// The model of the CPU. `None` if the system does not tell.
     pub cpu: Option<String>,
-    /// Processors that this process may use.
+    /// CPUs that this process may use.
     pub cpus: usize,
 }
 
 impl Host {
-    /// The machine this process runs on.
+    /// Returns the machine of this process.
     pub fn current() -> Host {
         Host {
             name: host_name(),
@@ -69,21 +69,21 @@ impl Host {
     }
 }
 
-/// Highest resident memory of this process so far, in MiB; `None` where the system does not say.
+/// Returns the highest resident memory of this process so far, in MiB. `None` if the system does not tell.
 pub fn peak_memory_mib() -> Option<f64> {
     let value = field_of("/proc/self/status", "VmHWM")?;
     let kib: f64 = value.strip_suffix("kB")?.trim().parse().ok()?;
     Some(kib / 1024.0)
 }
 
-/// Memory that new work may take without swapping, in MiB; `None` where the system does not say.
+/// Returns the memory that new work may take without swapping, in MiB. `None` if the system does not tell.
 pub fn free_memory_mib() -> Option<f64> {
     let value = field_of("/proc/meminfo", "MemAvailable")?;
     let kib: f64 = value.strip_suffix("kB")?.trim().parse().ok()?;
     Some(group_memory_mib().map_or(kib / 1024.0, |group| group.min(kib / 1024.0)))
 }
 
-/// What the control groups of this process, as containers have them, leave of their limits; `None` without a limit.
+/// Returns what is left of the limits of this process's control groups (containers have them). `None` without a limit.
 fn group_memory_mib() -> Option<f64> {
     const GROUPS: &str = "/sys/fs/cgroup";
     let own = std::fs::read_to_string("/proc/self/cgroup").ok()?;
@@ -93,7 +93,7 @@ fn group_memory_mib() -> Option<f64> {
     groups.filter_map(room_mib).reduce(f64::min)
 }
 
-/// Limit minus use of one control group; pages of files that it can give back are not in use.
+/// Returns limit minus use of one control group. File pages that it can give back do not count as use.
 fn room_mib(group: &Path) -> Option<f64> {
     let number = |text: &str| text.trim().parse::<f64>().ok();
     let read = |name: &str| std::fs::read_to_string(group.join(name)).ok();
@@ -103,8 +103,8 @@ fn room_mib(group: &Path) -> Option<f64> {
     Some((most - used + files).max(0.0) / f64::from(1 << 20))
 }
 
-/// The widest instruction set that this processor has and kernels are written for: `x86-64-v4` (AVX-512), `x86-64-v3` (AVX2
-/// and FMA), `neon`, or the architecture's name for its least.
+/// Returns the widest instruction set of this CPU that has kernels: `x86-64-v4` (AVX-512), `x86-64-v3` (AVX2 and FMA),
+/// `neon`, or the architecture's name for its smallest set.
 pub fn instructions() -> &'static str {
     match pulp::Arch::new() {
         #[cfg(target_arch = "x86_64")]
@@ -117,12 +117,12 @@ pub fn instructions() -> &'static str {
     }
 }
 
-/// Seconds since 1970 (UTC).
+/// Returns the seconds since 1970 (UTC).
 pub fn unix_seconds() -> f64 {
     SystemTime::now().duration_since(UNIX_EPOCH).map_or(0.0, |since| since.as_secs_f64())
 }
 
-/// The machine's name; `unknown` where the system does not say.
+/// Returns the machine's name, or `unknown`.
 pub fn host_name() -> String {
     let from_kernel = std::fs::read_to_string("/proc/sys/kernel/hostname").ok();
     let from_environment = || ["HOSTNAME", "COMPUTERNAME"].iter().find_map(|name| std::env::var(name).ok());
@@ -133,7 +133,7 @@ pub fn host_name() -> String {
         .unwrap_or_else(|| "unknown".to_string())
 }
 
-/// The value of the first `name : value` line of a file.
+/// Returns the value of the first `name : value` line of a file.
 fn field_of(path: &str, name: &str) -> Option<String> {
     let text = std::fs::read_to_string(path).ok()?;
     let mut pairs = text.lines().filter_map(|line| line.split_once(':'));

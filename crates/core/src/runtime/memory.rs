@@ -1,24 +1,24 @@
-//! The highest memory of one piece of work in a process that does several.
+//! The peak memory of one piece of work in a process that does several.
 
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 use super::host::peak_memory_mib;
 
-/// Watches that are held right now.
+/// Number of watches that are held now.
 static HELD: AtomicUsize = AtomicUsize::new(0);
-/// Watches that were ever begun.
+/// Number of watches that ever began.
 static BEGUN: AtomicUsize = AtomicUsize::new(0);
 
-/// Watches the memory of this process from its making on.
+/// Watches the memory of this process.
 ///
-/// The system keeps one number for the whole process, the highest so far. It is started anew (Linux) before each piece of work,
-/// the first one too, so that a small run does not show what came before it: a larger one, the measurement of step times.
-/// Where it cannot be started anew, the first has what the process took until then, and later ones have no number; nor has what
-/// works at the same time.
+/// The system keeps one peak for the complete process. Linux can reset it, so that a small run does not show what came
+/// before it, such as a larger run or the measurement of step times. It is reset before each piece of work. If it
+/// cannot be reset, the first watch includes what came before, and later ones have no number. Neither have pieces of
+/// work that run at the same time.
 pub struct MemoryWatch {
-    /// Nothing else was watched when this one began, and the system's number is of its time alone.
+    /// No other watch was held at the start, and the system's number covers this time only.
     own: bool,
-    /// Of all watches, this is the so-many-th.
+    /// The number of this watch.
     number: usize,
 }
 
@@ -31,8 +31,8 @@ impl MemoryWatch {
         MemoryWatch { own, number: before + 1 }
     }
 
-    /// Highest resident memory since then, in MiB; none where the system does not say, could not start anew, or where other
-    /// work was watched at the same time.
+    /// Returns the peak resident memory since the start, in MiB. `None` if the system does not tell or could not reset
+    /// it, or if other work was watched at the same time.
     pub fn peak_mib(&self) -> Option<f64> {
         let alone = self.own && BEGUN.load(Ordering::SeqCst) == self.number;
         alone.then(peak_memory_mib).flatten()
@@ -45,13 +45,13 @@ impl Drop for MemoryWatch {
     }
 }
 
-/// Starts the system's record of the highest memory anew, from what is in use now; false where it cannot (all but Linux).
+/// Resets the system's peak to the current use. Returns false if it cannot (all systems but Linux).
 fn start_anew() -> bool {
     return_freed_memory();
     std::fs::write("/proc/self/clear_refs", "5").is_ok()
 }
 
-/// Gives back what freed blocks still hold: training keeps it, and it would count as the next piece of work's.
+/// Returns freed blocks to the system. Training keeps them, and they would count as memory of the next piece of work.
 fn return_freed_memory() {
     #[cfg(all(target_os = "linux", target_env = "gnu"))]
     // SAFETY: malloc_trim returns free pages to the system, under the allocator's locks.

@@ -1,4 +1,4 @@
-//! The machine that a run is computed on: device, threads, memory, host, clocks.
+//! The machine of a run: device, threads, memory, host, clocks.
 
 use std::sync::Arc;
 
@@ -19,24 +19,25 @@ pub use memory::MemoryWatch;
 pub use work::Work;
 pub use work::{count_multiply_adds, count_points, count_table_bytes};
 
-/// What a thread's stack holds: the main thread's usual size, for work that was made for it.
+/// Size of a thread's stack: the usual size of a main thread.
 const STACK_BYTES: usize = 8 << 20;
 
-/// Where numbers are computed: a device, and threads of its own that share the work.
+/// A device, and threads of its own that share the work.
 ///
-/// Several runtimes may work in one process at the same time; none changes another's numbers, and how many threads one has
-/// changes no number either. A clone is the same runtime.
+/// Several runtimes may work in one process at the same time. Neither another runtime nor the number of threads changes
+/// any numbers. A clone is the same runtime.
 ///
 /// # What is set for the whole process
 ///
-/// The first runtime of a process also sets what exists once a process. Later ones find it set.
+/// The first runtime of a process also sets what exists once per process. Later ones find it set.
 ///
-/// - Memory that was freed stays with the process (glibc's `mallopt`); a training step would take twice as long without.
-/// - candle works on the calling thread alone: `RAYON_NUM_THREADS` and `CANDLE_NUM_THREADS` become 1, the only way that candle
-///   0.11 offers. Rayon's global pool is started before, with the threads that it would have had.
-/// - With `cuda-tf32`, matrix products of all CUDA devices are rounded; a process cannot have both `cuda` and `cuda-tf32`.
+/// - Freed memory stays with the process (glibc's `mallopt`). A training step would take twice as long without it.
+/// - candle works on the calling thread only: `RAYON_NUM_THREADS` and `CANDLE_NUM_THREADS` become 1. candle 0.11 offers
+///   no other way. Rayon's global pool is started first, with the threads that it would have had.
+/// - With `cuda-tf32`, matrix products of all CUDA devices are rounded. A process cannot have both `cuda` and
+///   `cuda-tf32`.
 ///
-/// The environment is written, so make the first runtime before C code on other threads reads it: at the start of `main`.
+/// The environment is written. Make the first runtime at the start of `main`, before C code on other threads reads it.
 #[derive(Clone, Debug)]
 pub struct Runtime {
     device: Device,
@@ -48,12 +49,12 @@ pub struct Runtime {
 }
 
 impl Runtime {
-    /// Opens `device` (`cpu`, `cuda`, `cuda:N`, `cuda-tf32` or `metal`) with so many threads (`None`: as many as the process
-    /// has processors).
+    /// Opens `device` (`cpu`, `cuda`, `cuda:N`, `cuda-tf32` or `metal`) with this many threads. `None` is one thread
+    /// per CPU of the process.
     ///
     /// # Errors
-    /// [`Error::Config`]: a device that is unknown, not there, or not built in; threads that the system does not give; a process
-    /// that rounds matrix products otherwise.
+    /// [`Error::Config`] if the device is unknown, absent or not built in, if the system denies the threads, or if the
+    /// process rounds matrix products differently.
     ///
     /// ```
     /// use augnerf::runtime::Runtime;
@@ -72,7 +73,7 @@ impl Runtime {
         Runtime::with_threads(open(device)?, device.to_string(), threads)
     }
 
-    /// Refuses a name that is no device's, without opening one: whoever uses it may be another machine.
+    /// Returns an error for a name that is no device's, without opening one. Another machine may use the name.
     ///
     /// # Errors
     /// [`Error::Config`].
@@ -92,56 +93,57 @@ impl Runtime {
         Ok(Runtime { device, name, pool: Arc::new(pool), counters, alone: true })
     }
 
-    /// A runtime on the same device for one of `jobs` that share this one's threads (each has at least one).
+    /// Returns a runtime on the same device for one of `jobs` that share this one's threads. Each has at least one
+    /// thread.
     ///
     /// # Errors
-    /// [`Error::Config`]: the system gives no threads.
+    /// [`Error::Config`] if the system denies the threads.
     pub fn share(&self, jobs: usize) -> Result<Runtime> {
         let own = Runtime::with_threads(self.device.clone(), self.name.clone(), (self.threads() / jobs).max(1))?;
         Ok(Runtime { alone: jobs == 1, ..own })
     }
 
-    /// No other job shares what this one was made of, so that the process's memory is its own.
+    /// Returns whether no other job shares these threads, so that the process's memory is this job's.
     pub fn is_alone(&self) -> bool {
         self.alone
     }
 
-    /// Does `work` on the runtime's threads and waits for it. On one of them already, it goes on there.
+    /// Does `work` on the runtime's threads, and waits for it. If called on one of them, it works there.
     pub fn install<T: Send>(&self, work: impl FnOnce() -> T + Send) -> T {
         self.pool.install(work)
     }
 
-    /// Does `work` once on each of the runtime's threads and waits for all.
+    /// Does `work` once on each of the runtime's threads, and waits for all.
     pub fn on_every_thread(&self, work: impl Fn() + Sync) {
         self.pool.broadcast(|_| work());
     }
 
-    /// The device.
+    /// Returns the device.
     pub fn device(&self) -> &Device {
         &self.device
     }
 
-    /// What the device was called when it was opened.
+    /// Returns the name under which the device was opened.
     pub fn name(&self) -> &str {
         &self.name
     }
 
-    /// The device's kind: `cpu`, `cuda`, `cuda-tf32` or `metal`.
+    /// Returns the device's kind: `cpu`, `cuda`, `cuda-tf32` or `metal`.
     pub fn kind(&self) -> &str {
         self.name.split_once(':').map_or(self.name(), |(kind, _)| kind)
     }
 
-    /// The processor's instruction set, as far as kernels are chosen by it; none where another device computes.
+    /// Returns the CPU's instruction set for which kernels are chosen. `None` if another device computes.
     pub fn instructions(&self) -> Option<&'static str> {
         self.device.is_cpu().then(host::instructions)
     }
 
-    /// How many threads share the work.
+    /// Returns the number of threads that share the work.
     pub fn threads(&self) -> usize {
         self.pool.current_num_threads()
     }
 
-    /// What the fused core did on these threads so far.
+    /// Returns the work of the fused core on these threads so far.
     pub fn work(&self) -> Work {
         self.counters.read()
     }
@@ -182,7 +184,7 @@ fn open(name: &str) -> Result<Device> {
     }
 }
 
-/// What a name says, whether this program was built with it or not.
+/// Returns kind and number of a device's name, whether this program was built with it or not.
 fn kind_and_index(name: &str) -> Result<(&str, usize)> {
     let (kind, index) = name.split_once(':').unwrap_or((name, "0"));
     if !["cpu", "cuda", "cuda-tf32", "metal"].contains(&kind) || (kind == "cpu" && name != kind) {

@@ -1,23 +1,24 @@
-//! What can only be set for a whole process, set once.
+//! Settings of the complete process, set once.
 
 use std::sync::{Once, OnceLock};
 
 use crate::base::{Error, Result};
 
-/// Prepares the process for fast training, the first time that it is called: see [`super::Runtime`].
+/// Prepares the process for fast training, at the first call: see [`super::Runtime`].
 pub(super) fn prepare() {
     static DONE: Once = Once::new();
     DONE.call_once(|| {
         keep_freed_memory();
-        // Rayon's global pool is not ours. Started now, it has the threads that it would have had without the variables.
+        // Rayon's global pool is not ours. Started now, it has the threads that it would have had without the
+        // variables.
         rayon::current_num_threads();
         keep_tensors_to_their_thread();
     });
 }
 
-/// Keeps freed memory with the process. By default glibc maps every block above 32 MiB afresh and
-/// returns it on free; each tensor then pays for its pages again, which costs half of a training
-/// step's time. Does nothing on other systems.
+/// Keeps freed memory with the process. By default glibc maps every block above 32 MiB anew, and unmaps it on free.
+/// Each tensor would then pay for its pages again, which takes half of a training step's time. It does nothing on other
+/// systems.
 fn keep_freed_memory() {
     #[cfg(all(target_os = "linux", target_env = "gnu"))]
     // SAFETY: mallopt sets parameters of the allocator, under the allocator's lock.
@@ -28,9 +29,9 @@ fn keep_freed_memory() {
     }
 }
 
-/// Switches candle's own threads off: chunks of rays share the threads of a runtime, and threads inside tensor operations would
-/// wait for one another more than they compute. candle has no function for it. It reads one variable at its first large
-/// operation and the other at every matrix product (and would read the list of processors instead, if that were not set).
+/// Switches off candle's own threads. Chunks of rays share the threads of a runtime, and threads inside tensor
+/// operations would mostly wait for one another. candle has no function for it. It reads one variable at its first
+/// large operation, and the other at every matrix product. Without the other it would read the list of CPUs.
 fn keep_tensors_to_their_thread() {
     // SAFETY: Rust's readers and writers of the environment wait for one another. C code that reads it on another thread at this
     // moment would not: hence the first runtime is to be made before such code runs, as the documentation of Runtime::new asks.
@@ -38,15 +39,15 @@ fn keep_tensors_to_their_thread() {
         std::env::set_var("RAYON_NUM_THREADS", "1");
         std::env::set_var("CANDLE_NUM_THREADS", "1");
     }
-    // The variable is read now and not later, when somebody may have changed it.
+    // The variable is read now, before other code can change it.
     candle_core::utils::barrier_pool();
 }
 
-/// Rounds the factors of matrix products on CUDA to 10 bits, or does not. candle has one switch for the process: whoever
-/// comes first decides.
+/// Sets whether the factors of matrix products on CUDA are rounded to 10 bits. candle has one switch for the process:
+/// the first caller decides.
 ///
 /// # Errors
-/// The process computes the other way already.
+/// If the process already computes the other way.
 pub(super) fn round_products(rounded: bool, device: &str) -> Result<()> {
     static ROUNDED: OnceLock<bool> = OnceLock::new();
     let decided = *ROUNDED.get_or_init(|| {

@@ -1,4 +1,4 @@
-//! Counts of what the fused core does, one set of counters for each runtime.
+//! Counts of the fused core's work, with one set of counters per runtime.
 
 use std::cell::OnceCell;
 use std::sync::Arc;
@@ -13,24 +13,24 @@ pub(super) struct Counters {
     active_points: AtomicU64,
 }
 
-/// What a runtime's threads did.
+/// The work of a runtime's threads.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Work {
     /// Multiply-adds of matrix products.
     pub multiply_adds: u64,
-    /// Bytes of a hash grid's tables and their gradient that were read and written at the corners of points' cells, and by Adam
-    /// passing over the tables.
+    /// Bytes of a hash grid's tables and their gradient: those read and written at the corners of points' cells, and
+    /// those that Adam processes.
     pub table_bytes: u64,
-    /// Points that backward passes were asked for.
+    /// Points of backward passes.
     pub points: u64,
-    /// Those of them whose gradient was not 0.
+    /// Points of backward passes whose gradient was not 0.
     pub active_points: u64,
 }
 
 impl std::ops::Sub for Work {
     type Output = Work;
 
-    /// What was done between two readings.
+    /// Returns the work between two readings.
     fn sub(self, earlier: Work) -> Work {
         Work {
             multiply_adds: self.multiply_adds - earlier.multiply_adds,
@@ -42,7 +42,7 @@ impl std::ops::Sub for Work {
 }
 
 thread_local! {
-    /// Those of the runtime that this thread works for.
+    /// The counters of the runtime of this thread.
     static OWN: OnceCell<Arc<Counters>> = const { OnceCell::new() };
 }
 
@@ -66,7 +66,7 @@ impl Counters {
     }
 }
 
-/// Counts multiply-adds for the runtime whose thread this is; elsewhere nothing is counted.
+/// Counts multiply-adds for the runtime of this thread. Other threads count nothing.
 pub fn count_multiply_adds(count: usize) {
     count_with(|own| {
         own.multiply_adds.fetch_add(count as u64, Ordering::Relaxed);

@@ -1,6 +1,7 @@
-//! The columns of a run's protocol, as readers meet them: what captions tell, what rows must share to be compared. Which
-//! settings a column speaks of stands with the settings: one that a setting names as its `column` holds that setting's
-//! value, the others are made in `run::Protocol`.
+//! The columns of a run's protocol for readers: what captions state, and what rows must share to be compared.
+//!
+//! Settings name the columns that depend on them. A setting's own `column` holds its value; `run::Protocol` makes the
+//! others.
 
 use super::registry::{Effect, REGISTRY, Setting};
 use super::{Batching, Config, Encoding, Method, Schedule};
@@ -11,20 +12,20 @@ use crate::augment::Site;
 pub enum Agreement {
     /// They may differ.
     Free,
-    /// Unless their definition gives them different settings that decide it.
+    /// They must agree, unless their definition gives them different settings that decide the column.
     UnlessVaried,
-    /// Always.
+    /// They must always agree.
     Always,
-    /// Where a table has a metric that needs LPIPS, and both rows have weights.
+    /// They must agree if a table has a metric that needs LPIPS and both rows have weights.
     ForLpips,
 }
 
 /// Where tables name a column of the protocol.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum CaptionRule {
-    /// In the caption where all lines of a scene share it, otherwise in a note.
+    /// In the caption if all lines of a scene share it, otherwise in a note.
     Always,
-    /// In a note where the lines of a scene differ in it.
+    /// In a note if the lines of a scene differ in it.
     Differing,
     /// Nowhere: rows are made to differ in it, and their names say so.
     Nowhere,
@@ -39,9 +40,9 @@ pub struct Column {
     pub caption: CaptionRule,
     /// When rows of one scene must agree in it.
     pub agreement: Agreement,
-    /// Each seed has its own: no difference between rows.
+    /// Each seed has its own value, which is no difference between rows.
     pub per_seed: bool,
-    /// It is empty under other configurations.
+    /// Returns whether the column applies to a configuration. It is empty otherwise.
     pub applies: fn(&Config) -> bool,
 }
 
@@ -78,17 +79,17 @@ impl Column {
         Column { applies, ..self }
     }
 
-    /// It says nothing that other columns and settings do not decide.
+    /// Returns whether other columns and settings decide the column completely.
     pub fn is_derived(&self) -> bool {
         self.per_seed && !REGISTRY.settings.iter().any(|setting| self.follows(setting))
     }
 
-    /// The setting decides what stands in it.
+    /// Returns whether the setting decides the column's value.
     pub fn follows(&self, setting: &Setting) -> bool {
         setting.rule.all_columns().any(|name| name == self.name) || self.name == DATA_HASH && is_read(setting)
     }
 
-    /// The setting whose value it holds; none where it says what a run found.
+    /// Returns the setting whose value it holds, or `None` if it holds what a run found.
     pub fn setting(&self) -> Option<&'static Setting> {
         REGISTRY.settings.iter().find(|setting| setting.rule.column == Some(self.name))
     }
@@ -96,19 +97,19 @@ impl Column {
 
 const DATA_HASH: &str = "data_hash";
 
-/// Decides what is read of a scene, before any corruption.
+/// Returns whether the setting decides what is read of a scene, before any corruption.
 fn is_read(setting: &Setting) -> bool {
     setting.path.starts_with("data.")
         && !setting.path.starts_with("data.corruption.")
         && setting.rule.effect == Effect::Numbers
 }
 
-/// There is a second pass.
+/// Returns whether there is a second pass.
 fn augmented(config: &Config) -> bool {
     config.method.is_augmented()
 }
 
-/// There are deltas.
+/// Returns whether there are deltas.
 pub fn perturbed(config: &Config) -> bool {
     augmented(config) && config.perturb.source().is_some()
 }
@@ -117,12 +118,12 @@ fn perturbed_at(config: &Config, site: Site) -> bool {
     perturbed(config) && config.perturb.sites[site].on()
 }
 
-/// A term of the loss stands beside the colours' error.
+/// Returns whether the loss has a term next to the colour loss.
 pub fn regularized(config: &Config) -> bool {
     !config.regularizer.kind.is_empty()
 }
 
-/// Radiance fields are trained.
+/// Returns whether radiance fields are trained.
 fn of_fields(config: &Config) -> bool {
     config.method.has_fields()
 }
@@ -139,7 +140,7 @@ fn at_intervals(config: &Config) -> bool {
     of_fields(config) && config.field.encoding.at_intervals()
 }
 
-/// Steps are made of rays.
+/// Returns whether steps use rays.
 fn of_rays(config: &Config) -> bool {
     config.method.learns_from_rays()
 }
@@ -206,7 +207,7 @@ pub const COLUMNS: &[Column] = &[
     column("device").always(),
     column("mesh").in_caption().always(),
     column("lpips_weights").for_lpips(),
-    // Later than the first results, whose points lack them.
+    // Newer than the first results, whose points lack these columns.
     column("attack_geometry").where_differing().of(perturbed),
     column("step_over_radius").of(perturbed),
     column("training_views").in_caption().unless_varied(),
@@ -248,12 +249,12 @@ pub const COLUMNS: &[Column] = &[
     column("llff").of(|config| config.method == Method::Llff),
 ];
 
-/// What the sites of a run were judged inactive by.
+/// The column that says by which criterion sites of a run are inactive.
 pub const INACTIVE_BY: &str = "inactive_by";
 
-/// A site whose deltas move the rendered colours by less than this, in 8-bit steps, on average over rays and channels, is
-/// inactive in a run; single colours may move further. Unlike a share of the loss it does not depend on how far training has
-/// come.
+/// Least shift of an active site. A site is inactive in a run if its deltas move the rendered colours by less than
+/// this, in 8-bit steps, on average over rays and channels. Single colours may move further. Unlike a fraction of the
+/// loss, the shift does not depend on training progress.
 pub const LEAST_SHIFT: f64 = 0.5;
 
 /// The values of [`INACTIVE_BY`].
@@ -261,15 +262,15 @@ pub const LEAST_SHIFT: f64 = 0.5;
 pub enum InactiveBy {
     /// How far a site's deltas move the rendered colours.
     Colour,
-    /// What they add to the loss: in points of older programs, which lack the column.
+    /// What the deltas add to the loss. Points of older programs, which lack the column, use it.
     Loss,
 }
 
 impl InactiveBy {
-    /// Both.
+    /// Both values.
     pub const ALL: [InactiveBy; 2] = [InactiveBy::Loss, InactiveBy::Colour];
 
-    /// As files name it.
+    /// Returns the name in files.
     pub const fn name(self) -> &'static str {
         match self {
             InactiveBy::Colour => "colour",
@@ -277,12 +278,12 @@ impl InactiveBy {
         }
     }
 
-    /// That of a name; of any other that of points without the column.
+    /// Returns the value of a name, or `Loss` for any other name, as in points without the column.
     pub fn of_name(name: &str) -> InactiveBy {
         if name == InactiveBy::Colour.name() { InactiveBy::Colour } else { InactiveBy::Loss }
     }
 
-    /// What is said of sites that are inactive by it.
+    /// Returns the description of sites that are inactive by this criterion.
     pub const fn meaning(self) -> &'static str {
         match self {
             InactiveBy::Colour => "sites that move the rendered colours by less than half an 8-bit step on average",
@@ -291,20 +292,20 @@ impl InactiveBy {
     }
 }
 
-/// The column of that name.
+/// Returns the column of that name.
 pub fn find(name: &str) -> Option<&'static Column> {
     COLUMNS.iter().find(|column| column.name == name)
 }
 
-/// Whether two rows disagree in a column that they must agree in.
+/// Returns whether two rows disagree in a column in which they must agree.
 pub fn disagree(name: &str, a: &str, b: &str) -> bool {
     let is_missing = a.is_empty() || b.is_empty();
-    // What was not measured is no other measurement.
+    // A missing measurement does not contradict another one.
     let may_be_missing = find(name).is_some_and(|column| column.agreement == Agreement::ForLpips);
     a != b && !(is_missing && may_be_missing)
 }
 
-/// Each seed has its own: no difference between rows.
+/// Returns whether each seed has its own value, which is no difference between rows.
 pub fn is_per_seed(name: &str) -> bool {
     find(name).is_some_and(|column| column.per_seed)
 }

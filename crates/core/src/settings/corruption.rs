@@ -8,21 +8,21 @@ use super::registry::{choice, numbers, section};
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum CorruptionKind {
-    /// Views as they are.
+    /// Views stay as they are.
     #[default]
     None,
     /// Normal noise on every channel (ImageNet-C).
     GaussianNoise,
-    /// Poisson noise of few photons on every channel (ImageNet-C).
+    /// Poisson noise on every channel, as of few photons (ImageNet-C).
     ShotNoise,
-    /// Pixels turned black or white (the released code).
+    /// Pixels set to black or white (the released code).
     Pepper,
-    /// Cameras turned and moved (the released code, which never uses it).
+    /// Cameras rotated and moved (the released code has it but never uses it).
     Poses,
 }
 
 impl CorruptionKind {
-    /// The name in files and tables.
+    /// Returns the name in files and tables.
     pub fn name(self) -> &'static str {
         match self {
             CorruptionKind::None => "none",
@@ -36,7 +36,7 @@ impl CorruptionKind {
 
 /// Standard deviations of severities 1 to 5, for values in 0..=1 (Hendrycks and Dietterich 2019).
 const GAUSSIAN_STD: [f64; 5] = [0.08, 0.12, 0.18, 0.26, 0.38];
-/// Photons of a value of 1 at severities 1 to 5 (the same).
+/// Photons for a value of 1 at severities 1 to 5 (the same source).
 const SHOT_PHOTONS: [f64; 5] = [60.0, 25.0, 12.0, 5.0, 3.0];
 
 choice!(CorruptionKind);
@@ -47,17 +47,20 @@ section! {
     /// Corruption of the training views, drawn from the run's seed.
     #[derive(Copy)]
     pub struct CorruptionConfig {
-        /// `none`, `gaussian-noise`, `shot-noise`, `pepper` or `poses`.
+        /// Kind of corruption: `none`, `gaussian-noise`, `shot-noise`, `pepper` or `poses`.
         pub kind: CorruptionKind = CorruptionKind::None, numbers().columns(CORRUPTION).same_time();
-        /// Noise: 1 to 5 as in ImageNet-C, the standard deviation or the photons. The paper does not say which it used.
+        /// Noise: severity 1 to 5 as in ImageNet-C, which gives the standard deviation or the photons. The paper does
+        /// not say which it used.
         pub severity: usize = 3, numbers().whole(1, 5, "1 to 5, as in ImageNet-C").columns(CORRUPTION).same_time();
-        /// Pepper: draws of a pixel over the number of pixels. Pixels are drawn with replacement, so that 0.3 reaches 26 %.
+        /// Pepper: number of random pixels over the number of pixels of the image. Pixels are drawn with replacement,
+        /// so that 0.3 changes 26 % of them.
         pub share: f64 = 0.3,
             numbers().real(|share| (0.0..=10.0).contains(&share), "0 to 10 draws a pixel").columns(CORRUPTION).same_time();
-        /// Poses: each of three angles about the world's axes is uniform within this, degrees.
+        /// Poses: largest rotation about each of the three world axes, in degrees; the angles are uniform.
         pub degrees: f64 = 5.0,
             numbers().real(|angle| (0.0..=180.0).contains(&angle), "0 to 180").columns(CORRUPTION).same_time();
-        /// Poses: each coordinate of the origin moves uniformly within this, scene units after recentring and scaling.
+        /// Poses: largest shift of each coordinate of the origin, in scene units after recentring and scaling; the
+        /// shifts are uniform.
         pub offset: f64 = 0.1,
             numbers().real(|offset| offset >= 0.0, "0 or more scene units").columns(CORRUPTION).same_time();
     }
@@ -65,12 +68,12 @@ section! {
 }
 
 impl CorruptionConfig {
-    /// Something is done to the training views.
+    /// Returns whether the training views are corrupted.
     pub fn is_on(&self) -> bool {
         self.kind != CorruptionKind::None
     }
 
-    /// Numbers that the kind does not use, back at their defaults: equal corruptions compare equal.
+    /// Resets numbers that the kind does not use to their defaults, so that equal corruptions compare equal.
     pub fn resolve(&mut self) {
         let kind = self.kind;
         let noise = matches!(kind, CorruptionKind::GaussianNoise | CorruptionKind::ShotNoise);
@@ -84,12 +87,12 @@ impl CorruptionConfig {
         };
     }
 
-    /// Standard deviation of Gaussian noise.
+    /// Returns the standard deviation of Gaussian noise.
     pub fn gaussian_std(&self) -> f64 {
         GAUSSIAN_STD[self.severity - 1]
     }
 
-    /// Photons that make a value of 1 in shot noise.
+    /// Returns the number of photons for a value of 1 in shot noise.
     pub fn shot_photons(&self) -> f64 {
         SHOT_PHOTONS[self.severity - 1]
     }

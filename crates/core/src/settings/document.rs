@@ -13,17 +13,17 @@ use crate::base::{Error, Result};
 const HEAD: &str = "\
 # Settings
 
-Every setting of an experiment, as TOML files (`--config`), `--set section.field=value` and sweep files name it. This page
-is generated from the program's table of settings; `augnerf settings WORD` prints the same in a terminal, and
-`augnerf train --print-config` what a run would use.
+This page lists every setting of an experiment. TOML files (`--config`), `--set section.field=value` and sweep files use
+the same names. The page is generated from the program. `augnerf settings WORD` prints its rows in a terminal, and
+`augnerf train --print-config` prints the settings that a run would use.
 
-*Default* is what stands where no preset, method or scene says otherwise; *empty* is filled from the scene or the attack.
-*Changes* says what a setting can change: **numbers** (a weight or a metric; it counts in the run's hash), **work** (how
-often is logged, saved and evaluated), **place** (where things lie) or **output** (what is drawn and measured besides).
-*Protocol* names the columns of `metrics.csv` and of tables that speak of it.
+- *Default* applies unless a preset, a method or the scene overrides it. *Empty* is filled from the scene or the attack.
+- *Changes* says what a setting can change: **numbers** (a weight or a metric; it counts in the run's hash), **work**
+  (how often the run logs, saves and evaluates), **place** (a path) or **output** (additional images and measurements).
+- *Protocol* names the columns of `metrics.csv` and of tables that depend on the setting.
 ";
 
-/// The page `docs/settings.md`.
+/// Returns the page `docs/settings.md`.
 pub fn settings_page() -> String {
     let mut page = HEAD.to_string();
     let defaults = Config::default().to_table();
@@ -54,7 +54,7 @@ pub fn settings_page() -> String {
     page + &presets()
 }
 
-/// What each preset sets.
+/// Returns the section on what each preset sets.
 fn presets() -> String {
     let tables: Vec<(&str, Table)> = Preset::ALL.iter().map(|(name, preset)| (*name, preset.table())).collect();
     let mut text =
@@ -71,19 +71,19 @@ fn presets() -> String {
     text
 }
 
-/// What `augnerf settings` prints: every setting whose path or words hold `filter`.
+/// Returns what `augnerf settings` prints: every setting whose path or text contains `filter`.
 ///
 /// # Errors
-/// A filter that is in none.
+/// If no setting contains `filter`.
 pub fn settings_text(filter: Option<&str>) -> Result<String> {
     let defaults = Config::default().to_table();
     Ok(found(filter)?.into_iter().map(|setting| entry(setting, value_at(&defaults, &setting.path))).collect())
 }
 
-/// The same settings as rows for other programs.
+/// Returns the same settings as rows for other programs.
 ///
 /// # Errors
-/// A filter that is in none.
+/// If no setting contains `filter`.
 pub fn settings_rows(filter: Option<&str>) -> Result<Vec<SettingRow>> {
     let defaults = Config::default().to_table();
     let row = |setting: &'static Setting| SettingRow {
@@ -102,19 +102,19 @@ pub fn settings_rows(filter: Option<&str>) -> Result<Vec<SettingRow>> {
 pub struct SettingRow {
     /// Its dotted name.
     pub setting: &'static str,
-    /// What stands where nothing says otherwise; none where it is left open.
+    /// The default. `None` if it is left open.
     pub default: Option<Value>,
-    /// What it may be, in words.
+    /// The allowed values, in words.
     pub values: String,
-    /// What it is.
+    /// What the setting is.
     pub what: &'static str,
     /// What it can change: `numbers`, `work`, `place` or `output`.
     pub changes: &'static str,
-    /// Columns of the protocol that speak of it.
+    /// The columns of the protocol that depend on it.
     pub columns: Vec<&'static str>,
 }
 
-/// Settings whose path or words hold `filter`.
+/// Returns the settings whose path or text contains `filter`.
 fn found(filter: Option<&str>) -> Result<Vec<&'static Setting>> {
     let filter = filter.unwrap_or_default().to_lowercase();
     let holds = |setting: &&Setting| setting.path.contains(&filter) || setting.doc.to_lowercase().contains(&filter);
@@ -125,7 +125,7 @@ fn found(filter: Option<&str>) -> Result<Vec<&'static Setting>> {
     Ok(found)
 }
 
-/// Words of other programs for what settings here call otherwise.
+/// Words of other programs, and the words of settings here.
 const OTHER_WORDS: [(&str, &str); 5] = [
     ("aabb", "box"),
     ("batch_size", "train.rays"),
@@ -134,7 +134,7 @@ const OTHER_WORDS: [(&str, &str); 5] = [
     ("sigma", "density"),
 ];
 
-/// Says what to look for where no setting mentions `filter`.
+/// Returns what to search for if no setting mentions `filter`.
 fn advice(filter: &str) -> String {
     let other = OTHER_WORDS.iter().find(|(word, _)| *word == filter);
     match (other, nearly(filter)) {
@@ -144,13 +144,13 @@ fn advice(filter: &str) -> String {
     }
 }
 
-/// A setting with its words, ended by a line.
+/// Returns a setting with its text, ended by a line break.
 fn entry(setting: &Setting, default: Option<&Value>) -> String {
     let default = default.map_or("empty".into(), Value::to_string);
     let effect = match setting.rule.effect {
         Effect::Numbers => "changes numbers",
         Effect::Work => "changes work, no numbers",
-        Effect::Path => "says where things lie",
+        Effect::Path => "is a path and changes no numbers",
         Effect::Output => "changes output, no numbers",
     };
     format!("{} = {default}\n    {}\n    {}; {effect}\n", setting.path, setting.doc, setting.values())
@@ -161,17 +161,17 @@ fn code(value: Option<&Value>) -> String {
 }
 
 impl Setting {
-    /// The section that it is in; empty for none.
+    /// Returns its section; empty for none.
     fn section(&self) -> &str {
         self.path.rsplit_once('.').map_or("", |(section, _)| section)
     }
 
-    /// Its name in the section.
+    /// Returns its name in the section.
     fn key(&self) -> &str {
         self.path.rsplit_once('.').map_or(&self.path, |(_, key)| key)
     }
 
-    /// What it may be, in words.
+    /// Returns the allowed values, in words.
     fn values(&self) -> String {
         let words = if self.rule.allowed.is_empty() { &self.kind } else { self.rule.allowed };
         format!("{words}{}", if self.optional { ", or empty" } else { "" })

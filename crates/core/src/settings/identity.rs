@@ -1,4 +1,4 @@
-//! What makes two configurations the same experiment.
+//! The identity of a configuration: its hashes.
 
 use sha2::{Digest, Sha256};
 use toml::{Table, Value};
@@ -8,20 +8,19 @@ use super::{Config, Encoding, EvalConfig, Method, NO_REFERENCE, PerturbConfig, S
 use crate::augment::Passes;
 
 impl Config {
-    /// A 12-digit content hash of [`Config::portable`].
+    /// Returns a 12-digit content hash of [`Config::portable`].
     pub fn hash(&self) -> String {
         self.portable().text_hash()
     }
 
-    /// The hash that a revision gave the configuration which did not have these settings yet.
+    /// Returns the hash from a revision whose configurations did not have `settings` yet.
     pub fn hash_without(&self, settings: &[String]) -> String {
         self.portable().text_hash_without(settings)
     }
 
-    /// Everything that can change a weight or a metric, the rest at its defaults. The scene counts
-    /// by its name, not by where its folder lies; how often a run logs, evaluates or saves does
-    /// not count, and neither do section `perturb` without a perturbed pass, regularizers of weight 0 and what the field does
-    /// not read.
+    /// Returns everything that can change a weight or a metric, with the rest at its defaults. The scene counts by its
+    /// name, not by its folder. How often a run logs, evaluates or saves does not count. Neither do section `perturb`
+    /// without a perturbed pass, regularizers of weight 0, and settings that the field does not read.
     pub fn portable(&self) -> Config {
         let mut portable = self.named();
         portable.reset(&Config::default(), |rule| rule.effect != Effect::Numbers);
@@ -34,18 +33,19 @@ impl Config {
         portable
     }
 
-    /// The same experiment without where things lie; its scene is named.
+    /// Returns the same experiment without paths. Its scene keeps its name.
     pub fn without_paths(&self) -> Config {
         let mut anywhere = self.named();
         anywhere.reset(&Config::default(), |rule| rule.effect == Effect::Path);
-        // A mesh of this machine is no reference elsewhere; one that has a name is.
+        // A mesh file of this machine is no reference elsewhere; a mesh with a name is.
         let reference = &self.eval.mesh.reference;
         let is_file = std::path::Path::new(reference).is_absolute();
         anywhere.eval.mesh.reference = if is_file { NO_REFERENCE.into() } else { reference.clone() };
         anywhere
     }
 
-    /// A name for all configurations whose steps take equally long: what does not change the time of a step is left out.
+    /// Returns a name for all configurations whose steps take equally long. It omits what does not change the time of a
+    /// step.
     pub fn step_shape(&self) -> String {
         let mut shape = self.named();
         if self.method.is_augmented() {
@@ -57,22 +57,22 @@ impl Config {
         shape.forget_unread();
         shape.eval = EvalConfig::default();
         shape.regularizer.weight = vec![1.0; shape.regularizer.kind.len()];
-        // Folders of sweeps know times by names that were made with these.
+        // Sweep folders store times under names that were made with these values.
         (shape.train.steps, shape.train.learning_rate) = (1, 1.0);
         shape.text_hash()
     }
 
-    /// A 12-digit hash of all settings, but for those that are younger than runs and at their defaults.
+    /// Returns a 12-digit hash of all settings. It omits settings that are newer than old runs and at their defaults.
     pub fn text_hash(&self) -> String {
         self.text_hash_without(&[])
     }
 
     fn text_hash_without(&self, settings: &[String]) -> String {
         let mut read = self.clone();
-        // Every N-th was the only split of captures before there was a choice.
+        // Every N-th was the only split of captures before the setting existed.
         read.data.split = read.data.split.filter(|split| *split != Split::Every);
         let (mut table, defaults) = (read.to_table(), Config::default().to_table());
-        // It had this value where nobody set it, before it could be left open.
+        // This was the value of an unset setting before it could be left open.
         if let Some(data) = table.get_mut("data").and_then(Value::as_table_mut) {
             data.entry("pixel_origin").or_insert_with(|| "corner".into());
         }
@@ -85,7 +85,7 @@ impl Config {
         short_hash(Sha256::new_with_prefix(table.to_string()))
     }
 
-    /// Resets the sections that the method does not read: those of other methods, and of fields where it has none.
+    /// Resets the sections that the method does not read: those of other methods, and those of fields if it has none.
     pub(super) fn forget_other_methods(&mut self) {
         let default = Config::default();
         if self.method != Method::Srn {
@@ -103,7 +103,7 @@ impl Config {
         }
     }
 
-    /// The same with single settings that the method does not read, or a field on a hash grid, or one without.
+    /// Also resets single settings that the method does not read, or its field, with or without a hash grid.
     fn forget_unread(&mut self) {
         self.forget_other_methods();
         let default = Config::default();
@@ -125,12 +125,12 @@ impl Config {
         if self.field.hash.levels == 1 {
             self.field.hash.finest = default.field.hash.finest;
         }
-        // Its coarse pass is never perturbed, so that both are the fine one.
+        // The coarse pass is never perturbed, so that `fine` and `both` are the same.
         let fine = self.perturb.sites.iter_mut().filter(|(_, site)| site.passes == Passes::Fine);
         fine.for_each(|(_, site)| site.passes = Passes::Both);
     }
 
-    /// Where a scene is named by its folder, with that name.
+    /// Returns the configuration with its scene named after the folder, unless it has a name.
     fn named(&self) -> Config {
         let mut named = self.clone();
         if named.data.name.is_empty() {
@@ -140,7 +140,7 @@ impl Config {
     }
 }
 
-/// What stands at a dotted path.
+/// Returns the value at a dotted path.
 pub fn value_at<'a>(table: &'a Table, path: &str) -> Option<&'a Value> {
     match path.split_once('.') {
         Some((section, rest)) => value_at(table.get(section)?.as_table()?, rest),
@@ -159,12 +159,12 @@ fn remove(table: &mut Table, path: &str) {
     }
 }
 
-/// The first 12 hexadecimal digits of a hash: enough to tell experiments apart, short enough to read.
+/// Returns the first 12 hexadecimal digits of a hash: enough to tell experiments apart, and short enough to read.
 pub fn short_hash(hash: Sha256) -> String {
     hash.finalize().iter().take(6).map(|byte| format!("{byte:02x}")).collect()
 }
 
-/// The last component of a scene's folder, or `builtin` where there is none.
+/// Returns the last component of a scene's folder, or `builtin` if there is none.
 pub fn scene_name(dir: &str) -> String {
     let name = std::path::Path::new(dir).file_name().map(|n| n.to_string_lossy().into_owned());
     name.unwrap_or_else(|| "builtin".into())

@@ -1,4 +1,4 @@
-//! Presets and the layering of settings into one [`Config`].
+//! Presets, and the layers of settings that make one [`Config`].
 
 use std::path::Path;
 
@@ -14,9 +14,9 @@ use crate::base::{Error, Result};
 /// A named set of settings.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Preset {
-    /// A minute on two cores, any scene: a field on a hash grid.
+    /// About a minute on two cores, for any scene: a field on a hash grid.
     Fast,
-    /// Seconds on two cores; the embedded scene.
+    /// Seconds on two cores, for the built-in scene.
     Smoke,
     /// Minutes on two cores: width 64, 32 + 32 samples, 512 rays, 3,000 steps.
     Cpu,
@@ -31,7 +31,7 @@ pub enum Preset {
 }
 
 impl Preset {
-    /// All presets with the names that the command line takes.
+    /// All presets with their names on the command line.
     pub const ALL: [(&str, Preset); 7] = [
         ("fast", Preset::Fast),
         ("smoke", Preset::Smoke),
@@ -42,7 +42,7 @@ impl Preset {
         ("released-blender", Preset::ReleasedBlender),
     ];
 
-    /// Finds a preset by its name.
+    /// Returns the preset of a name.
     pub fn parse(name: &str) -> Result<Preset> {
         let found = Preset::ALL.iter().find(|(known, _)| *known == name);
         found.map(|(_, preset)| *preset).ok_or_else(|| {
@@ -51,7 +51,8 @@ impl Preset {
         })
     }
 
-    /// Which sizes of methods without fields suit it, the general one first: tables of `presets/srn.toml` and its like.
+    /// Returns the sizes of methods without fields that suit the preset, the general one first. They name tables of
+    /// `presets/srn.toml` and the like.
     pub(super) fn sizes(self) -> &'static [&'static str] {
         match self {
             Preset::Fast => &["small"],
@@ -61,7 +62,7 @@ impl Preset {
         }
     }
 
-    /// What it sets.
+    /// Returns the settings of the preset.
     pub(super) fn table(self) -> Table {
         toml::from_str(self.text()).expect("presets are valid TOML")
     }
@@ -79,7 +80,8 @@ impl Preset {
     }
 }
 
-/// What lies between preset and file for the method and the encoding that settings name, the later ones first.
+/// Returns the layer between preset and file, for the method and the encoding that the settings name. Later layers are
+/// searched first.
 fn representation_layer(layers: [&Table; 2], preset: Option<Preset>) -> Option<Table> {
     let named = |path: &str| layers.iter().find_map(|layer| value_at(layer, path)).cloned();
     let method = named("method").map_or(Some(Method::default()), |method| method.try_into::<Method>().ok())?;
@@ -87,7 +89,7 @@ fn representation_layer(layers: [&Table; 2], preset: Option<Preset>) -> Option<T
     Some(sized(method.representation(encoding)?.layer()?, preset))
 }
 
-/// A method's layer with the tables of the sizes that suit a preset.
+/// Returns a method's layer with the tables of the sizes that suit a preset.
 fn sized(layer: &str, preset: Option<Preset>) -> Table {
     let mut layer: Table = toml::from_str(layer).expect("presets are valid TOML");
     let own = SIZES.map(|size| (size, layer.remove(size)));
@@ -100,28 +102,28 @@ fn sized(layer: &str, preset: Option<Preset>) -> Table {
     layer
 }
 
-/// Names of tables in a method's layer, in the order in which they lie over one another.
+/// Names of tables in a method's layer; later ones override earlier ones.
 const SIZES: [&str; 4] = ["paper", "small", "cpu", "smoke"];
 
-/// More parts than any field's name has.
+/// More parts than the name of any setting has.
 const DEEPEST: usize = 8;
 
-/// Splits `a.b=v` into its path and its value. A value that is not TOML (a bare word) is a string.
+/// Splits `a.b=v` into its path and its value. A value that is not TOML (a bare word) becomes a string.
 pub fn parse_assignment(text: &str) -> Result<(Vec<String>, Value)> {
     let Some((key, value)) = text.split_once('=') else {
         return Err(Error::Config(format!("--set {text}: write it as section.field=value, such as train.steps=2000")));
     };
     let path: Vec<String> = key.trim().split('.').map(|part| part.trim().to_string()).collect();
     if path.iter().any(String::is_empty) {
-        return Err(Error::Config(format!("--set {text}: '{key}' is not a field; write it as section.field=value")));
+        return Err(Error::Config(format!("--set {text}: '{key}' is not a setting; write it as section.field=value")));
     }
     let value = value.trim();
     let parsed = toml::from_str::<Table>(&format!("v = {value}")).ok().and_then(|mut table| table.remove("v"));
     Ok((path, parsed.unwrap_or_else(|| Value::String(value.to_string()))))
 }
 
-/// Lays preset, settings of the method that is named, file and assignments (`(path, value)` in order) over the defaults and
-/// checks the whole.
+/// Layers preset, the named method's settings, file and assignments over the defaults, and checks the result.
+/// Assignments are `(path, value)` in order.
 ///
 /// ```
 /// use augnerf::settings::{Preset, build, parse_assignment};
@@ -146,7 +148,7 @@ pub fn build(preset: Option<Preset>, file: Option<&Path>, assignments: &[(Vec<St
             .map_err(|e| Error::Config(format!("cannot read the configuration file {}: {e}", path.display())))?;
         let layer: Table = toml::from_str(&text).map_err(|e| Error::Config(format!("{}: {e}", path.display())))?;
         check_keys(&layer, &path.display().to_string())?;
-        // Types and choices, too, while the file and its lines can be named.
+        // Also checks types and choices, while the file and its lines can still be named.
         toml::from_str::<Config>(&text).map_err(|e| Error::Config(format!("{}: {e}", path.display())))?;
         lay_over(&mut table, layer);
     }
@@ -161,8 +163,8 @@ pub fn build(preset: Option<Preset>, file: Option<&Path>, assignments: &[(Vec<St
     Config::from_toml(&text, "settings")
 }
 
-/// Section `data` of the defaults with assignments over them: what decides the preset where none
-/// is named. Nothing else is checked yet.
+/// Returns section `data` of the defaults with assignments over them. It decides the preset if none is named. Nothing
+/// else is checked yet.
 pub fn data_section(assignments: &[(Vec<String>, Value)]) -> Result<DataConfig> {
     let mut table = Table::new();
     for (path, value) in assignments.iter().filter(|(path, _)| path[0] == "data") {
@@ -173,13 +175,13 @@ pub fn data_section(assignments: &[(Vec<String>, Value)]) -> Result<DataConfig> 
     Ok(config.data)
 }
 
-/// Lays a later layer over the earlier ones.
+/// Layers `over` on the earlier layers.
 fn lay_over(base: &mut Table, over: Table) {
     forget_passes(base, &over);
     merge(base, over);
 }
 
-/// Lays `over` on `base`, table by table.
+/// Merges `over` into `base`, table by table.
 fn merge(base: &mut Table, over: Table) {
     for (key, value) in over {
         match (base.get_mut(&key), value) {
@@ -194,7 +196,7 @@ fn merge(base: &mut Table, over: Table) {
 fn assign(table: &mut Table, path: &[String], value: Value) -> Result<()> {
     let origin = format!("--set {}", path.join("."));
     if path.len() > DEEPEST {
-        return Err(Error::Config(format!("{origin}: no field has a name of {} parts", path.len())));
+        return Err(Error::Config(format!("{origin}: no setting has a name of {} parts", path.len())));
     }
     let mut layer = Table::new();
     let (last, parents) = path.split_last().expect("an assignment has a key");
@@ -211,17 +213,17 @@ fn assign(table: &mut Table, path: &[String], value: Value) -> Result<()> {
     Ok(())
 }
 
-/// Unknown keys, with the nearest known one: serde's own message lists fields but not the path.
+/// Returns an error for unknown keys, with the nearest known one. serde's own message lists fields but not the path.
 fn check_keys(layer: &Table, origin: &str) -> Result<()> {
     let unknown = leaves(layer, "").into_iter().find(|key| !REGISTRY.knows(key));
     unknown.map_or(Ok(()), |key| {
-        // Of a name that no setting's comes near to in length, its beginning is enough.
+        // A very long name is cut: its beginning is enough.
         let key: String = key.chars().take(200).collect();
         Err(Error::Config(format!("{origin}: unknown key '{key}'; did you mean {}?", meant(&key))))
     })
 }
 
-/// The dotted keys of a table's values.
+/// Returns the dotted keys of a table's values.
 pub(super) fn leaves(table: &Table, prefix: &str) -> Vec<String> {
     let of_key = |(key, value): (&String, &Value)| match value {
         Value::Table(inner) if !inner.is_empty() => leaves(inner, &format!("{prefix}{key}.")),

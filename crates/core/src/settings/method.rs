@@ -1,5 +1,5 @@
-//! The methods. Each is a representation of the scene, trained with a perturbed pass or without, and other code asks what a
-//! representation can do, not which it is.
+//! The methods. Each is a representation of the scene, trained with or without a perturbed pass. Other code asks for a
+//! representation's capabilities, not for its name.
 
 use serde::{Deserialize, Serialize};
 
@@ -10,14 +10,14 @@ use super::registry::choice;
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Method {
-    /// The clean pass alone.
+    /// The clean pass only.
     #[default]
     Nerf,
-    /// Clean pass and perturbed pass, as section `perturb` says.
+    /// The clean pass and the second pass of section `perturb`.
     AugNerf,
-    /// One field queried at Gaussians that stand for conical frustums (Barron et al. 2021).
+    /// One network, queried at Gaussians that stand for conical frustums (Barron et al. 2021).
     MipNerf,
-    /// The same with the perturbed pass.
+    /// The same with a second pass.
     AugMipNerf,
     /// Scene Representation Networks (Sitzmann et al. 2019).
     Srn,
@@ -29,32 +29,32 @@ pub enum Method {
 
 choice!(Method);
 
-/// What holds the scene.
+/// The representation of the scene.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Representation {
-    /// A coarse and a fine field that are queried at points (Mildenhall et al. 2020).
+    /// A coarse and a fine network, queried at points (Mildenhall et al. 2020).
     Nerf,
-    /// One field that is queried at Gaussians, which stand for conical frustums (Barron et al. 2021).
+    /// One network, queried at Gaussians that stand for conical frustums (Barron et al. 2021).
     MipNerf,
-    /// One field on a hash grid (Mueller et al. 2022), queried at the middles of intervals, that places its samples by its own
-    /// density.
+    /// One network on a hash grid (Mueller et al. 2022), queried at the middles of intervals. It places its samples by
+    /// its own density.
     HashNerf,
-    /// Features in space, and where each ray ends (Sitzmann et al. 2019).
+    /// Features in space, and the end of each ray (Sitzmann et al. 2019).
     Srn,
-    /// A volume of voxels that a network makes, behind a warp (Lombardi et al. 2019).
+    /// A volume of voxels from a network, behind a warp (Lombardi et al. 2019).
     Volume,
-    /// A stack of planes for each training view, which a network makes of it and its neighbours (Mildenhall et al. 2019).
+    /// A stack of planes per training view, predicted from it and its neighbours (Mildenhall et al. 2019).
     Planes,
 }
 
-/// What a representation can be asked for, and not every one has.
+/// An operation that only some representations support.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Capability {
     /// Density in space: surfaces.
     Density,
-    /// Density with its derivatives at points: smoothness, and regularizers made of it.
+    /// Density with its derivatives at points: smoothness, and regularizers on it.
     Derivatives,
-    /// Weights of samples along a ray, of fields that are queried there.
+    /// Weights of samples along a ray.
     Samples,
 }
 
@@ -63,7 +63,7 @@ impl Method {
     pub const ALL: [Method; 7] =
         [Method::Nerf, Method::AugNerf, Method::MipNerf, Method::AugMipNerf, Method::Srn, Method::Nv, Method::Llff];
 
-    /// The name in files and tables.
+    /// Returns the name in files and tables.
     pub fn name(self) -> &'static str {
         match self {
             Method::Nerf => "nerf",
@@ -76,8 +76,8 @@ impl Method {
         }
     }
 
-    /// What holds the scene with positions in this encoding; none where the method has no such field. A method without fields
-    /// pays the encoding no heed.
+    /// Returns the representation with positions in this encoding, or `None` if the method has no such field. A method
+    /// without fields ignores the encoding.
     pub fn representation(self, encoding: Encoding) -> Option<Representation> {
         match (self, encoding) {
             (Method::Nerf | Method::AugNerf, Encoding::Positional) => Some(Representation::Nerf),
@@ -90,7 +90,7 @@ impl Method {
         }
     }
 
-    /// It trains radiance fields, as sections `field` and `sampling` say.
+    /// Returns whether the method trains radiance fields, as sections `field` and `sampling` say.
     pub fn has_fields(self) -> bool {
         match self {
             Method::Nerf | Method::AugNerf | Method::MipNerf | Method::AugMipNerf => true,
@@ -98,12 +98,12 @@ impl Method {
         }
     }
 
-    /// Its steps are made of rays, as settings of section `train` say; otherwise of windows of views.
+    /// Returns whether a step uses rays, as section `train` says. Otherwise it uses windows of views.
     pub fn learns_from_rays(self) -> bool {
         self != Method::Llff
     }
 
-    /// The encoding where none is named.
+    /// Returns the default encoding.
     pub fn encoding(self) -> Encoding {
         match self {
             Method::MipNerf | Method::AugMipNerf => Encoding::Integrated,
@@ -111,29 +111,30 @@ impl Method {
         }
     }
 
-    /// There is a perturbed pass.
+    /// Returns whether there is a second pass.
     pub fn is_augmented(self) -> bool {
         matches!(self, Method::AugNerf | Method::AugMipNerf)
     }
 }
 
 impl Representation {
-    /// The fine pass has a field of its own; otherwise one field serves both.
+    /// Returns whether the fine pass has a network of its own. Otherwise one network serves both passes.
     pub fn has_fine_field(self) -> bool {
         self == Representation::Nerf
     }
 
-    /// The coarse pass learns from its colours; otherwise it only places samples, by density.
+    /// Returns whether the coarse pass has a loss on its colours. Otherwise it only places samples, by density.
     pub fn has_coarse_loss(self) -> bool {
         self != Representation::HashNerf
     }
 
-    /// Density has a gradient and a Laplacian at points, of which terms in space and measures of smoothness are made.
+    /// Returns whether density has a gradient and a Laplacian at points. Terms in space and measures of smoothness need
+    /// them.
     pub fn has_derivatives_at_points(self) -> bool {
         self.lacks(Capability::Derivatives).is_none()
     }
 
-    /// Why it cannot be asked for something, in words that end a sentence; none where it can.
+    /// Returns why the capability is missing, in words that end a sentence, or `None` if it is supported.
     pub fn lacks(self, capability: Capability) -> Option<&'static str> {
         use Representation::{HashNerf, MipNerf, Nerf, Planes, Srn, Volume};
         match (self, capability) {
@@ -160,7 +161,8 @@ impl Representation {
         }
     }
 
-    /// Settings that lie between preset and file, as TOML; in tables named by sizes, what those have that suit a preset.
+    /// Returns the settings between preset and file, as TOML. Tables named by sizes hold the settings that suit a
+    /// preset.
     pub(super) fn layer(self) -> Option<&'static str> {
         match self {
             Representation::Nerf => None,
@@ -174,23 +176,23 @@ impl Representation {
 }
 
 impl Encoding {
-    /// Passes sample the intervals between neighbouring `t_vals`, not `t_vals` themselves: the one place that tells edges
-    /// from samples.
+    /// Returns whether passes sample the intervals between neighbouring `t_vals`, not `t_vals` themselves. Only this
+    /// function tells edges from samples.
     pub fn at_intervals(self) -> bool {
         self != Encoding::Positional
     }
 
-    /// The field is queried at Gaussians that stand for conical frustums, not at points.
+    /// Returns whether the network is queried at Gaussians that stand for conical frustums, not at points.
     pub fn queries_gaussians(self) -> bool {
         self == Encoding::Integrated
     }
 
-    /// `t_vals` of a pass with so many samples.
+    /// Returns the number of `t_vals` of a pass with this many samples.
     pub fn t_vals(self, samples: usize) -> usize {
         samples + usize::from(self.at_intervals())
     }
 
-    /// Samples of a pass with so many `t_vals`.
+    /// Returns the number of samples of a pass with this many `t_vals`.
     pub fn samples(self, t_vals: usize) -> usize {
         t_vals - usize::from(self.at_intervals())
     }

@@ -1,8 +1,8 @@
-//! The whole experiment as data: nested sections whose defaults are the paper's, presets,
-//! `--set a.b=v`, and checks across fields.
+//! The experiment as data: nested sections whose defaults are the paper's, presets, `--set a.b=v`, and checks across
+//! settings.
 //!
-//! Layers, later over earlier: defaults, preset, the method's own (MipNeRF, SRN), configuration file, `--data`/`--method`/`--seed`,
-//! `--set`. The result is what stands in every run's `config.toml`.
+//! Later layers override earlier ones: defaults, preset, the method's own (MipNeRF, SRN), configuration file,
+//! `--data`/`--method`/`--seed`, `--set`. Every run's `config.toml` holds the result.
 
 pub mod columns;
 mod corruption;
@@ -55,66 +55,67 @@ use crate::base::{Error, Result};
 use registry::{numbers, section};
 
 section! {
-    /// One experiment. Everything that can change a number is in here; what cannot (device, threads,
-    /// output folder) is not.
+    /// One experiment: everything that can change a number. What cannot (device, threads, output folder) is not part of
+    /// it.
     pub struct Config {
         /// Seed of every random stream.
         pub seed: u64 = 0, numbers().whole(0, i64::MAX as u64, "at most 2^63 - 1").column("seed").same_time();
-        /// What is trained: `nerf` or `mip-nerf` (clean pass only), `aug-nerf` or `aug-mip-nerf` (clean + perturbed pass,
-        /// section `perturb`), `srn`, `nv` or `llff` (sections of these names).
+        /// Method to train: `nerf` or `mip-nerf` (clean pass only), `aug-nerf` or `aug-mip-nerf` (clean + perturbed
+        /// pass, section `perturb`), `srn`, `nv` or `llff` (sections of these names).
         pub method: Method = Method::Nerf, numbers().column("method");
     }
     sections {
         /// The scene.
         pub data: DataConfig, false;
-        /// The network of a method of fields (NeRF, MipNeRF).
+        /// The network of a method with fields (NeRF, MipNeRF).
         pub field: FieldConfig, false;
-        /// Samples along a ray of a method of fields.
+        /// Samples along a ray of a method with fields.
         pub sampling: SamplingConfig, false;
-        /// Optimisation.
+        /// Optimization.
         pub train: TrainConfig, false;
-        /// The perturbed pass; read only where the method has one.
+        /// The perturbed pass. Methods without one ignore it.
         pub perturb: PerturbConfig, false;
-        /// Terms of the loss beside the colours' error: smoothness of density, compactness along rays; with every method of a field.
+        /// Terms of the loss next to the colour loss: smoothness of density, compactness along rays. Every method with
+        /// a field supports them.
         pub regularizer: RegularizerConfig, false;
-        /// Evaluation and its pictures.
+        /// Evaluation and its images.
         pub eval: EvalConfig, false;
-        /// Scene Representation Networks; read by `method = "srn"` alone.
+        /// Scene Representation Networks. Only `method = "srn"` reads it.
         pub srn: SrnConfig, true;
-        /// Neural Volumes; read by `method = "nv"` alone.
+        /// Neural Volumes. Only `method = "nv"` reads it.
         pub nv: VolumeConfig, true;
-        /// Local Light Field Fusion; read by `method = "llff"` alone.
+        /// Local Light Field Fusion. Only `method = "llff"` reads it.
         pub llff: PlanesConfig, true;
     }
 }
 
 impl Config {
-    /// Parses TOML text over the defaults. `origin` names the file in messages.
+    /// Parses TOML text over the defaults. Errors name `origin` as the file.
     pub fn from_toml(text: &str, origin: &str) -> Result<Config> {
         let config: Config = toml::from_str(text).map_err(|e| Error::Config(format!("{origin}: {e}")))?;
         config.validate()?;
         Ok(config)
     }
 
-    /// The configuration as a table of values; what is left open has none.
+    /// Returns the configuration as a table of values, without the open settings.
     pub fn to_table(&self) -> toml::Table {
         toml::Table::try_from(self).expect("a configuration is plain data")
     }
 
-    /// The configuration as TOML, every field written out.
+    /// Returns the configuration as TOML with every setting written out, except the open ones.
     pub fn to_toml(&self) -> String {
         toml::to_string(self).expect("a configuration is plain data")
     }
 
-    /// What holds the scene.
+    /// Returns the representation of the scene.
     ///
     /// # Panics
-    /// Where the method has no field of that encoding, which [`Config::validate`] refuses.
+    /// If the method has no field of that encoding, which [`Config::validate`] rejects.
     pub fn representation(&self) -> Representation {
         self.method.representation(self.field.encoding).expect("the encoding was checked")
     }
 
-    /// Rays whose colours a step compares: of LLFF those of a whole crop.
+    /// Returns the number of rays whose colours a step compares. For LLFF these are the rays of a complete crop.
     pub fn rays_per_step(&self) -> usize {
         match self.representation() {
             Representation::Planes => self.llff.crop * self.llff.crop,
@@ -122,7 +123,7 @@ impl Config {
         }
     }
 
-    /// Samples of the coarse and of the fine pass; the latter 0 where there is none.
+    /// Returns the number of samples of the coarse and of the fine pass. The second is 0 if there is no fine pass.
     pub fn samples(&self) -> (usize, usize) {
         let SamplingConfig { coarse, fine, .. } = self.sampling;
         (coarse, if fine == 0 || self.field.encoding.at_intervals() { fine } else { coarse + fine })

@@ -1,7 +1,7 @@
-//! Section `perturb`: the second pass of a step, the sites of the three levels and how the worst case is searched.
+//! Section `perturb`: the second pass of a step, the sites of the three levels, and the search for the worst case.
 //!
-//! The section has a table a site, as `augment` lists them. `perturb.levels` is a short way to switch sites off, read and
-//! forgotten: a configuration is written, and hashed, by its sites' `passes` alone.
+//! The section has one table per site, as `augment` lists them. `perturb.levels` is a short way to switch sites off. It
+//! is read but never written: files and hashes hold only the sites' `passes`.
 
 use std::ops::Deref;
 
@@ -16,7 +16,7 @@ use crate::augment::{
     Epsilon, Geometry, Level, Norm, PaperPass, Passes, PerSite, Radius, SetChoices, Site, SiteNumbers, StepUnit,
 };
 
-/// How clean and perturbed loss are mixed with `lambda`.
+/// How `lambda` combines clean and perturbed loss.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Objective {
@@ -27,14 +27,14 @@ pub enum Objective {
     Released,
 }
 
-/// Which network the perturbed pass runs through.
+/// The network of the perturbed pass.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum PerturbField {
-    /// The evaluated coarse and fine fields.
+    /// The coarse and the fine network that are evaluated.
     #[default]
     Shared,
-    /// One further field for both passes that evaluation never uses (released code).
+    /// One additional network for both passes, which evaluation never uses (released code).
     Separate,
 }
 
@@ -49,14 +49,14 @@ pub enum OutputPlace {
     Before,
 }
 
-/// Where the perturbed fine pass takes its samples from.
+/// The samples of the perturbed fine pass.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Resample {
     /// The clean pass's samples.
     #[default]
     Clean,
-    /// Drawn again from the perturbed coarse weights (released code).
+    /// New samples from the perturbed coarse weights (released code).
     Perturbed,
 }
 
@@ -66,55 +66,61 @@ section! {
     /// The second pass of a step.
     #[serde(remote = "Self")]
     pub struct PerturbConfig {
-        /// What it is.
+        /// Second pass of a step: `worst-case`, `gaussian` or `uniform` (the clean pass with deltas from that source),
+        /// or `fresh-jitter` (a second clean pass, the control of equal loss weight).
         #[serde(rename = "kind")]
         pub second: SecondPass = SecondPass::Perturbed(DeltaSource::WorstCase),
             numbers().key("kind").column("perturb_kind");
-        /// Which numbers fill the empty fields of sites.
+        /// Source of the sites' empty numbers: `paper` or `calibrated`.
         #[serde(rename = "attack")]
         pub sizes: Sizes = Sizes::Paper, numbers().key("attack").column("attack");
-        /// The second pass's weight in the loss. The default is the paper's; on hash grids `attack = "calibrated"` asks for less.
+        /// Weight of the second pass in the loss. The default is the paper's. On hash grids `attack = "calibrated"`
+        /// needs less.
         pub lambda: f64 = 0.1,
             numbers()
                 .real(|weight| weight >= 0.0, "0 or positive, and at most 1 with perturb.objective = \"released\"")
                 .column("lambda")
                 .same_time();
-        /// How the losses of both passes are mixed.
+        /// Combination of the losses: `paper` (clean + lambda * perturbed) or `released` ((1 - lambda) * clean + lambda
+        /// * perturbed).
         pub objective: Objective = Objective::Paper, numbers().column("objective");
-        /// Which network the perturbed pass runs through.
+        /// Network of the perturbed pass: `shared` (the evaluated ones) or `separate` (one additional network, as in
+        /// the released code).
         pub field: PerturbField = PerturbField::Shared, numbers().column("perturb_field");
-        /// Where the output deltas are added.
+        /// Where the output deltas are added: `after` (to colour and density) or `before` (to the values before sigmoid
+        /// and ReLU).
         pub output: OutputPlace = OutputPlace::After, numbers().column("output");
-        /// Where the perturbed fine pass takes its samples from.
+        /// Samples of the perturbed fine pass: `clean` (those of the clean pass) or `perturbed` (drawn from the
+        /// perturbed coarse weights, as in the released code).
         pub resample: Resample = Resample::Clean, numbers().column("resample");
-        /// Perturb the density of a ray's last sample, too (the paper's literal sum).
+        /// Also perturb the density of a ray's last sample (the paper's literal sum).
         pub perturb_last: bool = false, numbers().column("perturb_last");
-        /// The unit of all step sizes. Empty = that of `attack`.
+        /// Unit of all step sizes: `absolute` or `relative` (radii of the set). Empty = the unit of `attack`.
         pub step_unit: Option<StepUnit> = None, numbers().column("step_unit");
-        /// What one epsilon of `xyz` is worth.
+        /// Length of one epsilon of `xyz`: `pixel` or `released`.
         pub xyz_radius: Radius = Radius::Pixel, numbers().column("xyz_radius");
-        /// Trunk layer (1-based) whose output `feature` is added to.
+        /// Trunk layer (1-based) to whose output `feature` is added.
         pub injection_layer: usize = 4, numbers().column("injection_layer");
-        /// Whose samples, pixels and width epsilons are measured in: `sampling`, the run's own, or `paper`, those of the paper's
-        /// runs, so that any run searches sets of the paper's absolute size.
+        /// Samples, pixels and width that define the length of an epsilon: `sampling` (the run's own) or `paper` (those
+        /// of the paper's runs, so that any run searches sets of the paper's absolute size).
         pub geometry: Geometry = Geometry::Sampling,
             numbers().column("attack_geometry").columns(&["step_over_radius"]).later().same_time();
     }
     sections {}
     flat {
-        /// A table a site.
+        /// One table per site.
         #[serde(flatten, skip_deserializing, serialize_with = "write_sites")]
         pub sites: PerSite<SiteConfig> = PerSite::from_fn(SiteConfig::default_of);
     }
 }
 
 impl PerturbConfig {
-    /// The sites that are on, in order.
+    /// Iterates over the sites that are on, in order.
     pub fn sites_on(&self) -> impl Iterator<Item = (Site, &SiteConfig)> {
         self.sites.iter().filter(|(_, site)| site.on())
     }
 
-    /// Where the deltas come from; none where the second pass is a clean one.
+    /// Returns the source of the deltas, or `None` if the second pass is a clean one.
     pub fn source(&self) -> Option<DeltaSource> {
         match self.second {
             SecondPass::Perturbed(source) => Some(source),
@@ -122,8 +128,8 @@ impl PerturbConfig {
         }
     }
 
-    /// Fills every empty number from `attack`. `span` is far - near in the units of `t_vals`, `coarse` the samples of the
-    /// coarse pass, `width` the field's.
+    /// Fills every empty number from `attack`. `span` is far - near in the units of `t_vals`, `coarse` the samples of
+    /// the coarse pass, and `width` the network's width.
     pub fn resolve(mut self, span: f64, coarse: usize, width: usize) -> ResolvedPerturb {
         let (sizes, geometry) = (self.sizes, self.geometry);
         let coarse = if geometry == Geometry::Paper { PaperPass::COARSE } else { coarse };
@@ -140,13 +146,13 @@ impl PerturbConfig {
         ResolvedPerturb { config: self, step_unit, numbers }
     }
 
-    /// What single sites' sets depend on.
+    /// Returns the choices on which the sets of single sites depend.
     pub fn set_choices(&self) -> SetChoices {
         SetChoices { xyz_radius: self.xyz_radius, perturb_last: self.perturb_last }
     }
 }
 
-/// The same ascent in a box so many times as wide.
+/// Returns the same PGD in a box scaled by `scale`.
 fn scaled(numbers: SiteNumbers, unit: StepUnit, scale: f64) -> SiteNumbers {
     let epsilon = match numbers.epsilon {
         Epsilon::Units(epsilon) => Epsilon::Units(epsilon * scale),
@@ -154,24 +160,25 @@ fn scaled(numbers: SiteNumbers, unit: StepUnit, scale: f64) -> SiteNumbers {
     };
     let step_size = match unit {
         StepUnit::Absolute => numbers.step_size * scale,
-        // In radii, which are scaled.
+        // In radii, which scale with the box.
         StepUnit::Relative => numbers.step_size,
     };
     SiteNumbers { epsilon, step_size, ..numbers }
 }
 
-/// Section `perturb` with every number filled in. It reads as the section, but for what was open there.
+/// Section `perturb` with every number filled in. It derefs to the section, except for the numbers that were open
+/// there.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ResolvedPerturb {
     config: PerturbConfig,
     /// The unit of all step sizes.
     pub step_unit: StepUnit,
-    /// The sites' numbers, in the run's own units whatever the geometry that they are given in.
+    /// The sites' numbers, in the run's own units for every geometry.
     pub numbers: PerSite<SiteNumbers>,
 }
 
 impl ResolvedPerturb {
-    /// The section with every number written out; it resolves to itself.
+    /// Returns the section with every number written out. It resolves to itself.
     pub fn into_draft(self) -> PerturbConfig {
         self.config
     }
@@ -197,7 +204,7 @@ impl<'de> Deserialize<'de> for PerturbConfig {
     }
 }
 
-/// Reads the section: the sites' tables and `levels` by the list of sites, the rest by its fields.
+/// Reads the section: the sites' tables and `levels` through the list of sites, and the rest through its fields.
 struct Table;
 
 impl<'de> Visitor<'de> for Table {
@@ -215,8 +222,8 @@ impl<'de> Visitor<'de> for Table {
         for site in switched_off(levels.as_deref()) {
             if said[site].is_some_and(|passes| passes != Passes::Off) {
                 return Err(A::Error::custom(format!(
-                    "perturb.{}.passes stands beside perturb.levels, which switches that site off; name its level there \
-                     (\"{}\"), or leave one of the two out",
+                    "perturb.{}.passes contradicts perturb.levels, which switches that site off; add its level there \
+                     (\"{}\"), or remove one of the two",
                     site.name(),
                     format!("{:?}", site.about().level).to_lowercase()
                 )));
@@ -227,11 +234,11 @@ impl<'de> Visitor<'de> for Table {
     }
 }
 
-/// The fields of the section but for those that it keeps itself.
+/// The fields of the section, without those that it keeps itself.
 struct Fields<'a, A> {
     map: A,
     sites: &'a mut PerSite<SiteConfig>,
-    /// The passes that stand there, not those of the default.
+    /// The passes that were given, without defaults.
     said: &'a mut PerSite<Option<Passes>>,
     levels: &'a mut Option<Vec<Level>>,
 }

@@ -1,7 +1,7 @@
-//! What there is to know of each setting, once: its path, what it says, what it may hold, what it can change, which
-//! columns of the protocol speak of it. Hashes, checks, known keys, comparability and `docs/settings.md` follow from it.
+//! The registry of settings: each setting's path, text, allowed values, effects and protocol columns, stated once.
+//! Hashes, checks, known keys, comparability and `docs/settings.md` follow from it.
 //!
-//! A section is declared with `section!`: documentation, type, default and [`Rule`] of a field stand in one place.
+//! A section is declared with `section!`: documentation, type, default and [`Rule`] of a field are in one place.
 
 use std::sync::LazyLock;
 
@@ -10,18 +10,18 @@ pub(super) use super::types::choice;
 pub use super::types::{Range, Settable};
 use crate::base::SettingError;
 
-/// A setting as it stands in the table of all settings.
+/// A setting in the registry.
 #[derive(Clone, Debug)]
 pub struct Setting {
-    /// Its dotted name, as files and `--set` have it.
+    /// Its dotted name, as in files and `--set`.
     pub path: String,
-    /// What it says.
+    /// Its text.
     pub doc: String,
     /// Its type in words.
     pub kind: String,
-    /// It may be left open.
+    /// Whether it may be left open.
     pub optional: bool,
-    /// What else is known of it.
+    /// Everything else about it.
     pub rule: Rule,
 }
 
@@ -30,9 +30,9 @@ pub struct Setting {
 pub struct SectionRow {
     /// Its dotted name.
     pub path: String,
-    /// What it is about.
+    /// Its text.
     pub doc: String,
-    /// Younger than runs whose hash is to stay: it counts in a hash where any of it is not at its default.
+    /// Newer than runs whose hash must stay. It counts in a hash only if any of it is not at its default.
     pub later: bool,
 }
 
@@ -54,42 +54,42 @@ impl Registry {
         self.sections.push(SectionRow { path, doc: one_line(doc), later });
     }
 
-    /// The setting of that name.
+    /// Returns the setting of that name.
     pub fn get(&self, path: &str) -> Option<&Setting> {
         self.settings.iter().find(|setting| setting.path == path)
     }
 
-    /// What is younger than runs whose hash is to stay: settings, and sections as a whole.
+    /// Iterates over what is newer than runs whose hash must stay: settings, and sections as a whole.
     pub fn later(&self) -> impl Iterator<Item = &str> {
         let settings = self.settings.iter().filter(|setting| setting.rule.later).map(|setting| setting.path.as_str());
         settings.chain(self.sections.iter().filter(|row| row.later).map(|row| row.path.as_str()))
     }
 
-    /// Whether a file may hold the key: a setting or a section.
+    /// Returns whether a file may hold the key: a setting or a section.
     pub fn knows(&self, key: &str) -> bool {
         self.settings.iter().any(|setting| setting.path == key) || self.sections.iter().any(|row| row.path == key)
     }
 }
 
-/// Documentation as one line of text.
+/// Joins documentation into one line of text.
 fn one_line(doc: &[&str]) -> String {
     doc.iter().map(|line| line.trim()).collect::<Vec<&str>>().join(" ")
 }
 
 /// A part of a configuration that can list and check its settings.
 pub trait Section {
-    /// Adds the settings, their paths under `prefix` (empty, or with a dot at its end).
+    /// Adds the settings to `registry`, with their paths under `prefix` (empty, or ending with a dot).
     fn list(prefix: &str, registry: &mut Registry);
 
     /// Checks each setting by itself.
     fn check(&self, prefix: &str) -> Result<(), SettingError>;
 
-    /// Puts the settings that `chosen` picks back at those of `default`.
+    /// Resets the settings that `chosen` picks to those of `default`.
     fn reset(&mut self, default: &Self, chosen: fn(&Rule) -> bool);
 }
 
-/// Lists the settings of a struct: `describe! { Struct { /// Doc. field: Type, rule; ... } sections { ... } }`. A part that is
-/// `flat` lists its own settings among those of the struct.
+/// Lists the settings of a struct: `describe! { Struct { /// Doc. field: Type, rule; ... } sections { ... } }`. A
+/// `flat` part lists its own settings among those of the struct.
 macro_rules! describe {
     (
         $Section:ident { $($(#[doc = $doc:literal])+ $field:ident: $Type:ty, $rule:expr;)* }
@@ -138,8 +138,8 @@ macro_rules! describe {
     };
 }
 
-/// Declares a section: a struct whose fields have documentation, type, default and [`Rule`], then its inner sections and
-/// whether they are younger than runs whose hash is to stay.
+/// Declares a section: a struct whose fields have documentation, type, default and [`Rule`], then its inner sections.
+/// Each inner section says whether it is newer than runs whose hash must stay.
 macro_rules! section {
     (
         $(#[$outer:meta])*
@@ -189,20 +189,20 @@ pub static REGISTRY: LazyLock<Registry> = LazyLock::new(|| {
     registry
 });
 
-/// Refuses a value of `flag` that the setting `path`, for which it stands, may not have.
+/// Returns an error if the setting `path`, for which `flag` stands, may not have the value.
 ///
 /// # Panics
-/// Where there is no such setting.
+/// If there is no such setting.
 pub fn check_flag(flag: &str, path: &str, value: &impl Settable) -> Result<(), SettingError> {
     let setting = REGISTRY.get(path).expect("the path of a setting");
     setting.rule.check(|| path.to_string(), value).map_err(|error| error.renamed(flag))
 }
 
-/// Most settings that one mistaken name is answered with.
+/// Largest number of settings that are suggested for a mistaken name.
 const MOST_MEANT: usize = 3;
 
-/// The settings that end in `name`'s last part and lie in the fewest sections: `steps` gives `train.steps`, `width` both
-/// `data.width` and `field.width`.
+/// Returns the settings whose last part is that of `name`, in the fewest sections. `steps` gives `train.steps`, and
+/// `width` both `data.width` and `field.width`.
 pub fn settings_called(name: &str) -> Vec<&'static str> {
     let last = last_part(name);
     shallowest(REGISTRY.settings.iter().map(|setting| setting.path.as_str()).filter(|path| last_part(path) == last))
@@ -225,7 +225,7 @@ fn in_words(paths: &[&str]) -> String {
     paths.iter().map(|path| format!("'{path}'")).collect::<Vec<_>>().join(" or ")
 }
 
-/// Typing errors within which a key of the section that is named is meant.
+/// Largest Levenshtein distance of a misspelt key in the named section.
 const TYPOS: usize = 2;
 
 fn candidates(name: &str) -> Vec<&'static str> {
@@ -323,6 +323,8 @@ mod tests {
         for (mistake, right) in [
             ("steps", "'train.steps' or 'srn.steps'"),
             ("stepz", "'train.steps' or 'srn.steps' or 'nv.step'"),
+            ("train.step", "'train.steps'"),
+            ("data.rays", "'train.rays'"),
             ("learning_rate", "'train.learning_rate'"),
             ("optimizer.learning_rate", "'train.learning_rate'"),
             ("width", "'data.width' or 'field.width' or 'srn.width'"),

@@ -1,26 +1,27 @@
-//! From a draft, [`Config`], to numbers: the scene's kind and then its bounds fill what a draft may leave empty.
+//! From a draft, [`Config`], to numbers: the scene's kind and then its bounds fill the settings that a draft may leave
+//! empty.
 
 use std::ops::Deref;
 
 use super::{Batching, Config, DataKind, Representation, ResolvedPerturb};
 use crate::base::Result;
 
-/// A configuration whose scene is found. It reads as the draft that it fills in; what depends on the scene's kind stands
-/// beside it as plain values.
+/// A configuration whose scene is known. It derefs to the draft that it fills in. Settings that depend on the scene's
+/// kind are here as plain values.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Located {
     config: Config,
     /// Standard deviation of the noise on raw density in training.
     pub density_noise: f64,
-    /// Where a step's rays come from.
+    /// Source of a step's rays.
     pub batching: Batching,
-    /// Steps in which an exponential learning rate falls by `train.decay_rate`.
+    /// Number of steps in which an exponential learning rate falls by `train.decay_rate`.
     pub decay_steps: u64,
-    /// Steps whose one-image batches come from the central part only.
+    /// Number of steps whose one-image batches use the central part only.
     pub precrop_steps: u64,
 }
 
-/// A configuration without open numbers: what is trained, and what stands in a run's `config.toml`.
+/// A configuration without open numbers: what is trained, and what a run's `config.toml` holds.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Resolved {
     located: Located,
@@ -28,16 +29,16 @@ pub struct Resolved {
     pub perturb: ResolvedPerturb,
 }
 
-/// What open numbers follow from, of a scene that is loaded.
+/// The extent of a loaded scene, which fills open numbers.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Extent {
     /// Start of a ray's interval, in the units of `t_vals`.
     pub near: f64,
-    /// Its end.
+    /// End of a ray's interval.
     pub far: f64,
-    /// The box that most cameras look at, scene units, where only the scene's own geometry tells it.
+    /// The box that most cameras look at, in scene units, if the scene's own geometry tells it.
     pub domain: Option<[[f64; 3]; 2]>,
-    /// Pixels along the longer side of a picture.
+    /// Pixels along the longer side of an image.
     pub pixels: usize,
 }
 
@@ -58,10 +59,11 @@ impl Deref for Resolved {
 }
 
 impl Config {
-    /// Fills the fields whose default depends on the kind of scene, drops what has no effect, and checks the whole.
+    /// Fills the settings whose default depends on the kind of scene, removes those without effect, and checks the
+    /// whole.
     ///
     /// # Errors
-    /// A setting out of range, or one that contradicts another or the kind of scene.
+    /// If a setting is out of range, or contradicts another setting or the kind of scene.
     pub fn locate(mut self, kind: DataKind) -> Result<Located> {
         let forward = kind.forward_facing();
         self.data.kind = kind;
@@ -80,7 +82,7 @@ impl Config {
         Ok(Located { config: self, density_noise, batching, decay_steps, precrop_steps })
     }
 
-    /// [`Config::locate`] and [`Located::resolve`] for a scene whose kind and extent are known.
+    /// Calls [`Config::locate`] and [`Located::resolve`] for a scene whose kind and extent are known.
     ///
     /// # Errors
     /// Those of [`Config::locate`].
@@ -90,7 +92,7 @@ impl Config {
 }
 
 impl Located {
-    /// Fills the fields whose default depends on the scene's extent.
+    /// Fills the settings whose default depends on the scene's extent.
     pub fn resolve(mut self, extent: Extent) -> Resolved {
         let Extent { near, far, domain, pixels } = extent;
         let perturb = self.config.perturb.clone();
@@ -109,14 +111,14 @@ impl Located {
         Resolved { located: self, perturb }
     }
 
-    /// The draft, filled in as far as it is.
+    /// Returns the draft, filled in as far as is known.
     pub fn into_draft(self) -> Config {
         self.config
     }
 }
 
 impl Resolved {
-    /// The draft with every number filled in; it resolves to itself.
+    /// Returns the draft with every number filled in. It resolves to itself.
     pub fn into_draft(self) -> Config {
         self.located.config
     }

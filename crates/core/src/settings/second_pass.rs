@@ -1,26 +1,26 @@
-//! `perturb.kind`: what a step's second pass is, and where its deltas come from.
+//! `perturb.kind`: the second pass of a step, and the source of its deltas.
 
 use serde::{Deserialize, Serialize};
 
-/// What a step's second pass is.
+/// The second pass of a step.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(from = "Kind", into = "Kind")]
 pub enum SecondPass {
     /// The clean pass with deltas at the sites.
     Perturbed(DeltaSource),
-    /// Another clean pass with fresh jitter, noise and samples: the control of equal loss weight. Nothing is searched, so that
-    /// it costs two of NeRF's steps where the worst case costs four with the paper's three steps of ascent.
+    /// Another clean pass with new jitter, noise and samples: the control of equal loss weight. Nothing is searched. It
+    /// costs two of NeRF's steps, where the worst case with the paper's three PGD steps costs four.
     Clean,
 }
 
-/// Where the deltas of a perturbed pass come from.
+/// The source of the deltas of a perturbed pass.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum DeltaSource {
-    /// Projected gradient ascent on the perturbed loss.
+    /// PGD on the perturbed loss.
     WorstCase,
-    /// Normal draws of std epsilon/sqrt(3), projected to the same sets.
+    /// Normal samples of standard deviation epsilon/sqrt(3), projected onto the same constraint sets.
     Gaussian,
-    /// Uniform draws in the same sets.
+    /// Uniform samples in the same constraint sets.
     Uniform,
 }
 

@@ -1,4 +1,4 @@
-//! A site's table in section `perturb`, and `perturb.levels`, the short way to switch sites off.
+//! The table of a site in section `perturb`, and `perturb.levels`, the short way to switch sites off.
 
 use serde::{Deserialize, Serialize, Serializer};
 use toml::{Table, Value};
@@ -7,44 +7,45 @@ use super::registry::{Registry, Rule, Section, choice, describe, numbers};
 use crate::augment::{Epsilon, Level, Norm, Passes, PerSite, Site, SiteNumbers};
 use crate::base::SettingError;
 
-/// Which steps, step sizes and epsilons fill the sites' empty fields.
+/// The steps, step sizes and epsilons that fill the sites' empty fields.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Sizes {
     /// The paper's best steps and step sizes.
     #[default]
     Paper,
-    /// Ours: every delta large enough to matter, step size 2.5 epsilon / steps.
+    /// Ours: every delta is large enough to matter, with step size 2.5 epsilon / steps.
     Calibrated,
 }
 
-/// One site. Empty numbers are filled from `attack`.
+/// One site. `perturb.attack` fills its empty numbers.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct SiteConfig {
-    /// The passes it takes part in.
+    /// The passes with this delta.
     pub passes: Passes,
-    /// Ascent steps; 0 leaves the random start.
+    /// PGD steps. 0 keeps the random start.
     pub steps: Option<usize>,
-    /// Length of one step, in `step_unit`.
+    /// Length of one PGD step, in `step_unit`.
     pub step_size: Option<f64>,
-    /// Size of the set, in the site's unit (see [`crate::augment::SiteSpec::unit`]), or as far as its steps reach.
+    /// Size of the constraint set, in the site's unit (see [`crate::augment::SiteSpec::unit`]), or as far as its steps
+    /// reach.
     pub epsilon: Option<Epsilon>,
-    /// The set's norm.
+    /// The norm of the constraint set.
     pub norm: Option<Norm>,
 }
 
 impl SiteConfig {
-    /// Takes part in any pass.
+    /// Returns whether any pass has this delta.
     pub fn on(&self) -> bool {
         self.passes != Passes::Off
     }
 
-    /// What stands where nobody says anything of a site.
+    /// Returns the default of a site.
     pub(super) fn default_of(site: Site) -> SiteConfig {
         SiteSection::default().of(site)
     }
 
-    /// Fills what is empty; `interval` is (far - near) / coarse samples in the units of `t_vals`.
+    /// Fills what is empty. `interval` is (far - near) / coarse samples in the units of `t_vals`.
     pub(super) fn resolve(&mut self, site: Site, sizes: Sizes, interval: f64) -> SiteNumbers {
         let default = site.about().sizes;
         let steps = *self.steps.get_or_insert(default.steps);
@@ -54,9 +55,9 @@ impl SiteConfig {
         });
         let step_size = *self.step_size.get_or_insert(match sizes {
             Sizes::Paper => default.paper_step_size,
-            // 2.5 epsilon / steps; a step of zero length where no step is taken.
+            // 2.5 epsilon / steps, or 0 if there are no steps.
             Sizes::Calibrated if steps == 0 => 0.0,
-            // In radii, which is the only unit that validation lets it have.
+            // In radii, the only unit that validation allows here.
             Sizes::Calibrated => 2.5 / steps as f64,
         });
         let norm = *self.norm.get_or_insert(default.norm);
@@ -64,7 +65,7 @@ impl SiteConfig {
     }
 }
 
-/// A site's table in a file.
+/// The table of a site in a file.
 #[derive(Default, Deserialize)]
 #[serde(default, deny_unknown_fields, expecting = "a site's table, such as { passes = \"fine\", epsilon = 0.01 }")]
 pub(super) struct SiteSection {
@@ -88,16 +89,16 @@ const NUMBERS: &[&str] = &["attack_numbers", "step_over_radius"];
 
 describe! {
     SiteConfig {
-        /// The passes it takes part in.
+        /// Passes with this delta: `both`, `coarse`, `fine` or `off`.
         passes: Passes, numbers().columns(&["levels"]);
-        /// Ascent steps; 0 leaves the random start. Empty = those of `perturb.attack`.
+        /// PGD steps; 0 keeps the random start. Empty = the number of `perturb.attack`.
         steps: Option<usize>, numbers().whole(0, 1000, "0 to 1000").columns(NUMBERS);
-        /// Length of one step, in `perturb.step_unit`. Empty = that of `perturb.attack`.
+        /// Length of one PGD step, in `perturb.step_unit`. Empty = the length of `perturb.attack`.
         step_size: Option<f64>, numbers().real(|size| size >= 0.0, "0 or positive").columns(NUMBERS).same_time();
-        /// Size of the set; 0 is no perturbation, `reach` is `steps` x `step_size` in the delta's own unit (`perturb.step_unit =
-        /// "absolute"`). Empty = that of `perturb.attack`.
+        /// Size of the constraint set. 0 = no perturbation. `reach` = `steps` x `step_size` in the delta's own unit
+        /// (`perturb.step_unit = "absolute"`). Empty = the size of `perturb.attack`.
         epsilon: Option<Epsilon>, numbers().real(|size| size >= 0.0, "0 or positive").columns(NUMBERS).same_time();
-        /// The set's norm. Empty = the site's own.
+        /// Norm of the constraint set. Empty = the site's own.
         norm: Option<Norm>, numbers().columns(&["norms"]);
     }
     sections {}
@@ -105,7 +106,8 @@ describe! {
 
 impl Section for PerSite<SiteConfig> {
     fn list(prefix: &str, registry: &mut Registry) {
-        let doc = "A short way to switch sites off: those of levels that are not named. It is read, and never written.";
+        let doc =
+            "A short way to switch sites off: those of the levels that are not named. It is read but never written.";
         registry.add::<Option<Vec<Level>>>(format!("{prefix}levels"), &[doc], numbers().columns(&["levels"]));
         for site in Site::ALL {
             let (about, path) = (site.about(), format!("{prefix}{}", site.name()));
@@ -123,20 +125,19 @@ impl Section for PerSite<SiteConfig> {
     }
 }
 
-/// A site that is younger than the first six counts only where it is on: files and hashes of experiments without it
-/// stay as they were.
+/// Writes a site that is newer than the first six only if it is on. Files and hashes of experiments without it stay as
+/// they were.
 pub(super) fn write_sites<S: Serializer>(sites: &PerSite<SiteConfig>, serializer: S) -> Result<S::Ok, S::Error> {
     let written = sites.iter().filter(|(site, config)| config.on() || site.about().passes != Passes::Off);
     serializer.collect_map(written.map(|(site, config)| (site.name(), config)))
 }
 
-/// The sites whose levels are not among those named; none where none are named.
+/// Iterates over the sites whose levels are not named. Without `levels` there are none.
 pub(super) fn switched_off(levels: Option<&[Level]>) -> impl Iterator<Item = Site> {
     Site::ALL.into_iter().filter(move |site| levels.is_some_and(|levels| !levels.contains(&site.about().level)))
 }
 
-/// Where `over` names levels, `base` forgets what it said of the passes of the sites that they switch off: the later
-/// layer wins.
+/// Removes from `base` the passes of the sites that levels in `over` switch off: the later layer wins.
 pub(super) fn forget_passes(base: &mut Table, over: &Table) {
     let levels = over.get("perturb").and_then(|perturb| perturb.get("levels")).cloned();
     let levels: Option<Vec<Level>> = levels.and_then(|levels| levels.try_into().ok());

@@ -1,8 +1,8 @@
-//! Section `srn`: Scene Representation Networks (Sitzmann et al. 2019), one network a scene.
+//! Section `srn`: Scene Representation Networks (Sitzmann et al. 2019), one network per scene.
 
 use super::registry::{numbers, section};
 
-/// The protocol's column for all of it.
+/// The protocol's column for all settings of the section.
 const COLUMN: &[&str] = &["srn"];
 
 fn is_positive(value: f64) -> bool {
@@ -14,10 +14,10 @@ fn is_weight(value: f64) -> bool {
 }
 
 section! {
-    /// Scene Representation Networks: a network of features in space, an LSTM that steps along each ray to where it ends, and a
-    /// network that turns the feature there into a colour. Defaults are those of the original code.
+    /// Scene Representation Networks: a network of features in space, an LSTM that steps along each ray to its end, and
+    /// a network that turns the feature there into a colour. Defaults are those of the original code.
     pub struct SrnConfig {
-        /// Neurons of a layer, and numbers of a feature.
+        /// Width of the layers, and size of a feature.
         pub width: usize = 256, numbers().whole(4, 4096, "4 to 4096 neurons").columns(COLUMN);
         /// Layers from a point in space to its feature.
         pub phi_layers: usize = 4, numbers().whole(1, 64, "1 to 64 layers").columns(COLUMN);
@@ -25,14 +25,14 @@ section! {
         pub pixel_layers: usize = 5, numbers().whole(1, 64, "1 to 64 layers").columns(COLUMN);
         /// Steps along a ray.
         pub steps: usize = 10, numbers().whole(1, 1000, "1 to 1000 steps").columns(COLUMN);
-        /// Depth that rays start at, along the camera's axis, scene units times `scale`.
+        /// Initial depth of rays along the camera's axis, in scene units times `scale`.
         pub start_depth: f64 = 0.05,
             numbers().real(|depth| depth >= 0.0, "0 or positive").columns(COLUMN).same_time();
-        /// Standard deviation of that depth from ray to ray in training; a view is shown without.
+        /// Standard deviation of the initial depth between rays in training; views are rendered without it.
         pub start_noise: f64 = 5e-4, numbers().real(is_weight, "0 (none) or positive").columns(COLUMN).same_time();
-        /// What positions are multiplied by before the network sees them.
+        /// Factor on positions before the network reads them.
         pub scale: f64 = 1.0, numbers().real(is_positive, "positive").columns(COLUMN).same_time();
-        /// Weight of the colours' mean squared error, colours from -1 to 1.
+        /// Weight of the mean squared error of colours, which are from -1 to 1.
         pub image_weight: f64 = 200.0, numbers().real(is_positive, "positive").columns(COLUMN).same_time();
         /// Weight of the mean of min(depth, 0)^2, which keeps rays from ending behind their camera.
         pub depth_weight: f64 = 10.0, numbers().real(is_weight, "0 (off) or positive").columns(COLUMN).same_time();
@@ -41,7 +41,7 @@ section! {
 }
 
 impl SrnConfig {
-    /// All of it in a line, for tables.
+    /// Returns all settings in one line, for tables.
     pub fn text(&self) -> String {
         let SrnConfig { width, phi_layers, pixel_layers, steps, start_depth, start_noise, scale, .. } = self;
         format!(

@@ -1,4 +1,4 @@
-//! The types that settings have, and what is in or out of a range of them.
+//! The types of settings, and their ranges.
 
 use crate::augment::{Epsilon, REACH};
 use serde::de::{DeserializeOwned, Deserializer, Visitor, value::Error as Unread};
@@ -6,28 +6,28 @@ use serde::de::{DeserializeOwned, Deserializer, Visitor, value::Error as Unread}
 /// The largest whole number that TOML can hold.
 const MOST: u64 = i64::MAX as u64;
 
-/// Values that a setting may have, as far as it alone decides.
+/// The values that a setting may have by itself.
 #[derive(Clone, Copy, Debug)]
 pub enum Range {
-    /// All of its type.
+    /// All values of the type.
     Any,
-    /// Whole numbers, both ends included.
+    /// Whole numbers, including both ends.
     Whole(u64, u64),
-    /// Finite numbers that pass.
+    /// Finite numbers for which the function is true.
     Real(fn(f64) -> bool),
-    /// Text that passes.
+    /// Text for which the function is true.
     Text(fn(&str) -> bool),
-    /// Two corners, each number of the first under that of the second.
+    /// Two corners, with each number of the first below that of the second.
     Box,
 }
 
-/// A type that a setting can have.
+/// A type of a setting.
 pub trait Settable {
-    /// It may be left open.
+    /// Whether the setting may be left open.
     const OPTIONAL: bool = false;
-    /// The type in words, with its choices.
+    /// Returns the type in words, with its choices.
     fn kind() -> String;
-    /// The value's text where it is not in the range.
+    /// Returns the value's text if it is not in the range.
     fn outside(&self, range: &Range) -> Option<String>;
 }
 
@@ -126,15 +126,15 @@ impl<T: Settable> Settable for Vec<T> {
     }
 }
 
-/// The names that serde knows the variants of an enum by.
+/// Returns the names of an enum's variants, or of a struct's fields, that serde knows.
 pub(super) fn choices<T: DeserializeOwned>() -> &'static [&'static str] {
     let mut names: &'static [&'static str] = &[];
-    // It always ends with an error: there is nothing to read.
+    // It always ends with an error, because there is nothing to read.
     let _ = T::deserialize(Names(&mut names));
     names
 }
 
-/// Reads nothing, but notes what was expected: the variants of an enum, the fields of a struct.
+/// Reads nothing but records what was expected: the variants of an enum, or the fields of a struct.
 struct Names<'a>(&'a mut &'static [&'static str]);
 
 impl<'de> Deserializer<'de> for Names<'_> {
@@ -187,7 +187,7 @@ macro_rules! choice {
 
 pub(super) use choice;
 
-/// A choice as files have it.
+/// Returns a choice as files have it.
 pub fn word(choice: impl serde::Serialize) -> String {
     let value = toml::Value::try_from(choice).expect("a choice is plain data");
     value.as_str().expect("a choice is a word").to_string()

@@ -1,4 +1,4 @@
-//! Checks of settings against one another. What one may hold by itself stands in its section.
+//! Checks of settings against one another. Each section checks its own settings.
 
 use super::registry::Section;
 use super::{
@@ -8,10 +8,10 @@ use super::{
 use crate::augment::{Epsilon, Geometry, Norm, Passes, REACH, Site, StepUnit};
 use crate::base::{Error, Result, SettingError};
 
-/// Points of a step are drawn at once: so many take a few hundred megabytes.
+/// Largest number of points of a step. They are drawn at once, and this many take a few hundred megabytes.
 const MOST_POINTS_PER_STEP: usize = 1 << 22;
 
-/// Refuses `path = value` unless `ok`.
+/// Returns an error for `path = value` unless `ok`.
 pub(super) fn require(ok: bool, path: &str, value: impl std::fmt::Display, allowed: &str) -> Result<()> {
     if ok {
         return Ok(());
@@ -19,7 +19,7 @@ pub(super) fn require(ok: bool, path: &str, value: impl std::fmt::Display, allow
     Err(SettingError { path: path.into(), value: value.to_string(), allowed: allowed.into() }.into())
 }
 
-/// Refuses with a sentence where `wrong`.
+/// Returns an error with a sentence if `wrong`.
 pub(super) fn refuse(wrong: bool, message: impl FnOnce() -> String) -> Result<()> {
     if wrong { Err(Error::Config(message())) } else { Ok(()) }
 }
@@ -28,7 +28,8 @@ impl Config {
     /// Checks every setting, and the settings against one another.
     ///
     /// # Errors
-    /// [`Error::Setting`] with the first one out of its range, [`Error::Config`] for some that contradict each other.
+    /// [`Error::Setting`] for the first setting out of its range, [`Error::Config`] for settings that contradict each
+    /// other.
     pub fn validate(&self) -> Result<()> {
         self.check("")?;
         self.validate_data()?;
@@ -198,7 +199,7 @@ impl Config {
         })
     }
 
-    /// What asks for a perturbed coarse pass, where there is none.
+    /// Rejects settings of a perturbed coarse pass if there is none.
     fn validate_fine_alone(&self, perturbs: bool) -> Result<()> {
         refuse(self.perturb.resample == Resample::Perturbed, || {
             "perturb.resample = \"perturbed\" with field.encoding = \"hash\": there is no perturbed coarse pass to resample \
@@ -224,7 +225,7 @@ impl Config {
             if let Some(Epsilon::Units(epsilon)) = config.epsilon {
                 require(epsilon <= largest, &format!("perturb.{name}.epsilon"), epsilon, allowed)?;
             }
-            // A scalar per sample: both norms are the same set, one name for it.
+            // For one number per sample both norms give the same set, which has one name.
             refuse(about.scalar && config.norm == Some(Norm::L2), || {
                 format!(
                     "perturb.{name}.norm = \"l2\": this delta is one number a sample, for which l2 and linf are the same; \

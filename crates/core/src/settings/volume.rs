@@ -1,25 +1,25 @@
-//! Section `nv`: Neural Volumes (Lombardi et al. 2019), one still scene.
+//! Section `nv`: Neural Volumes (Lombardi et al. 2019), for one still scene.
 
 use serde::{Deserialize, Serialize};
 
 use super::DataKind;
 use super::registry::{choice, numbers, section};
 
-/// What the decoder reads.
+/// The input of the decoder.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum VolumeCode {
     /// The same learned numbers in every step.
     #[default]
     Fixed,
-    /// A learned normal distribution that each step draws from, held to the standard one by its divergence; views are shown with
-    /// its mean.
+    /// A learned normal distribution that each step samples. Its divergence keeps it near the standard one. Views are
+    /// rendered with its mean.
     Variational,
 }
 
 choice!(VolumeCode);
 
-/// The protocol's column for all of it.
+/// The protocol's column for all settings of the section.
 const COLUMN: &[&str] = &["nv"];
 
 /// Channels of the decoder's narrowest layer before division.
@@ -34,26 +34,27 @@ fn is_positive(value: f64) -> bool {
 }
 
 section! {
-    /// Neural Volumes: a decoder of 3D convolutions from a code to a volume of colour and opacity, looked up through a learned
-    /// warp. Defaults are those of the original code.
+    /// Neural Volumes: a decoder of 3D convolutions from a code to a volume of colour and opacity, which is looked up
+    /// through a learned warp. Defaults are those of the original code.
     pub struct VolumeConfig {
-        /// What the decoder reads: `fixed` (256 learned numbers) or `variational` (a learned normal distribution of them).
+        /// Input of the decoder: `fixed` (256 learned numbers) or `variational` (a learned normal distribution of
+        /// them).
         pub code: VolumeCode = VolumeCode::Fixed, numbers().columns(COLUMN);
         /// Voxels along a side of the volume: a power of two.
         pub resolution: usize = 128, numbers().whole(4, 256, "4 to 256 voxels, a power of two").columns(COLUMN);
-        /// What the decoder's channels are divided by: a power of two.
+        /// Divisor of the decoder's channels: a power of two.
         pub divide: usize = 1, numbers().whole(1, 64, "1 to 64, a power of two").columns(COLUMN);
-        /// Positions go through a warp, a mixture of 16 affine maps.
+        /// Map positions through a warp, a mixture of 16 affine maps.
         pub warp: bool = true, numbers().columns(COLUMN);
-        /// Points along a side of the warp's lattice.
+        /// Points along a side of the warp's grid.
         pub warp_resolution: usize = 32, numbers().whole(2, 128, "2 to 128 points").columns(COLUMN);
-        /// Two corners in scene units; the volume is the cube around their middle that holds them. Empty = the box that the scene's
-        /// surface is looked for in; a capture whose cameras look at nothing in common needs it.
+        /// Two corners in scene units. The volume is the smallest cube around their middle that holds them. Empty = the
+        /// box in which the scene's surface is expected. Set it if the cameras look at no common point.
         pub bounds: Option<[[f64; 3]; 2]> = None, numbers().corners().columns(COLUMN);
-        /// Length of a step along a ray, in the volume's units: its side is 2. Empty = 2 / resolution.
+        /// Length of a step along a ray, in units in which the volume's side is 2. Empty = 2 / resolution.
         pub step: Option<f64> = None,
             numbers().real(|step| step > 1e-4 && step <= 1.0, "above 0.0001, at most 1").columns(COLUMN);
-        /// Standard deviation of the logarithm of each step's length in training; a view is shown without.
+        /// Standard deviation of the logarithm of each step's length in training; views are rendered without it.
         pub step_jitter: f64 = 0.01,
             numbers().real(|jitter| (0.0..=1.0).contains(&jitter), "0 (none) to 1").columns(COLUMN).same_time();
         /// Weight of the prior that a ray's accumulation is 0 or 1: log(0.1 + A) + log(1.1 - A) + 2.20727.
@@ -67,14 +68,14 @@ section! {
 }
 
 impl VolumeConfig {
-    /// Fills what depends on the scene; the box of a capture whose cameras look at nothing in common stays open.
+    /// Fills the settings that depend on the scene. The box stays open if the cameras look at no common point.
     pub(super) fn resolve(&mut self, kind: DataKind, domain: Option<[[f64; 3]; 2]>) {
         self.step.get_or_insert(2.0 / self.resolution as f64);
         let objects = kind.object_half().map(|half| [[-half; 3], [half; 3]]);
         self.bounds = self.bounds.or(objects).or(domain);
     }
 
-    /// Resets what it does not read.
+    /// Resets the settings that are not read.
     pub(super) fn forget_unread(&mut self) {
         let default = VolumeConfig::default();
         if !self.warp {
@@ -85,19 +86,19 @@ impl VolumeConfig {
         }
     }
 
-    /// The cube that the volume fills: its middle, and half its side, scene units. None while it is open.
+    /// Returns the cube of the volume: its middle, and half its side, in scene units. `None` while the box is open.
     pub fn cube(&self) -> Option<([f64; 3], f64)> {
         let [low, high] = self.bounds?;
         let side = (0..3).map(|axis| high[axis] - low[axis]).fold(0.0, f64::max);
         Some((std::array::from_fn(|axis| 0.5 * (low[axis] + high[axis])), 0.5 * side))
     }
 
-    /// Length of a step along a ray, in the volume's units: its side is 2.
+    /// Returns the length of a step along a ray, in units in which the volume's side is 2.
     pub fn step_length(&self) -> f64 {
         self.step.unwrap_or(2.0 / self.resolution as f64)
     }
 
-    /// The first setting that cannot be computed with: its name in the section, its value, and what is allowed.
+    /// Returns the first setting that is not allowed: its name in the section, its value, and what is allowed.
     pub(super) fn wrong(&self) -> Option<(&'static str, String, String)> {
         let narrow = |value: usize, name, allowed: &str| {
             (!value.is_power_of_two()).then(|| (name, value.to_string(), allowed.to_string()))
@@ -106,7 +107,7 @@ impl VolumeConfig {
             .or_else(|| narrow(self.divide, "divide", "a power of two from 1 to 64"))
     }
 
-    /// All of it in a line, for tables.
+    /// Returns all settings in one line, for tables.
     pub fn text(&self) -> String {
         let VolumeConfig { resolution, divide, warp, warp_resolution, step_jitter, alpha_prior, tv, kl, .. } = self;
         let warp = if *warp { format!("warp {warp_resolution}^3") } else { "no warp".into() };

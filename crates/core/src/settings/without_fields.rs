@@ -1,18 +1,18 @@
-//! Checks of what is trained without radiance fields: sections `srn`, `nv` and `llff`, and what these methods cannot be asked
-//! for.
+//! Checks of methods without radiance fields: sections `srn`, `nv` and `llff`, and operations that these methods do not
+//! support.
 
 use super::validate::{refuse, require};
 use super::{Capability, Config, DataKind, Representation};
 use crate::base::{Error, Result};
 
 impl Config {
-    /// Checks the section of a method without fields, and refuses what does not apply to it.
+    /// Checks the section of a method without fields, and rejects settings that do not apply to it.
     pub(super) fn validate_representation(&self) -> Result<()> {
         let wrong = self.nv.wrong().map(|wrong| ("nv", wrong)).or(self.llff.wrong().map(|wrong| ("llff", wrong)));
         if let Some((section, (name, value, allowed))) = wrong {
             require(false, &format!("{section}.{name}"), value, &allowed)?;
         }
-        // Fields have an encoding that may not be theirs, which is checked elsewhere.
+        // The encoding of a field may not suit the method, which is checked elsewhere.
         let Some(representation) = self.method.representation(self.field.encoding) else { return Ok(()) };
         let side = self.eval.mesh.resolution;
         if side > 0 {
@@ -29,13 +29,13 @@ impl Config {
         self.check_space(representation)
     }
 
-    /// Refuses a space that the method does not work in.
+    /// Rejects a space in which the method does not work.
     fn check_space(&self, representation: Representation) -> Result<()> {
         let (data, method) = (&self.data, self.method.name());
         let forward = data.kind.forward_facing() && !data.spherify;
         refuse(representation == Representation::Volume && forward, || {
             let around = match data.kind {
-                DataKind::Llff => ", or data.spherify=true where the cameras go around something",
+                DataKind::Llff => ", or data.spherify=true if the cameras go around an object",
                 _ => "",
             };
             format!(
@@ -52,10 +52,11 @@ impl Config {
         })
     }
 
-    /// Refuses a question that the method's representation has no answer to: `what` begins the sentence, `instead` ends it.
+    /// Returns the error for an operation that the method does not support. `what` begins the sentence, and `instead`
+    /// ends it.
     ///
     /// # Errors
-    /// [`Error::Config`], where it lacks the capability.
+    /// [`Error::Config`] if the method's representation lacks the capability.
     pub fn require_capability(&self, capability: Capability, what: &str, instead: &str) -> Result<()> {
         match self.representation().lacks(capability) {
             None => Ok(()),

@@ -1,4 +1,4 @@
-//! The rays of a step with the random numbers of its clean pass, whole and in chunks.
+//! The rays of a step with the random numbers of its clean pass, complete and in chunks.
 
 use candle_core::Tensor;
 
@@ -18,7 +18,7 @@ pub(super) struct Chunk {
     pub(super) noise_fine: Option<Tensor>,
     /// Positions in the inverse CDF, `[rays, fine]`.
     pub(super) u: Option<Tensor>,
-    /// Share of the step's rays.
+    /// Fraction of the step's rays.
     pub(super) share: f64,
     /// Steps finished before this one.
     pub(super) step: u64,
@@ -28,7 +28,7 @@ pub(super) struct Chunk {
 
 impl Chunk {
     pub(super) fn narrow(&self, index: usize, start: usize, count: usize) -> Result<Chunk> {
-        // Shared, not copied, where the whole is contiguous.
+        // Shared, not copied, if the complete tensor is contiguous.
         let part = |tensor: &Tensor| tensor.narrow(0, start, count)?.contiguous();
         let maybe = |tensor: &Option<Tensor>| tensor.as_ref().map(part).transpose();
         Ok(Chunk {
@@ -46,7 +46,7 @@ impl Chunk {
 }
 
 impl FieldLearner {
-    /// The whole batch of a step with the clean pass's random numbers.
+    /// Returns the complete batch of a step with the clean pass's random numbers.
     pub(super) fn draw(&mut self, step: u64) -> Result<Chunk> {
         let batch = self.batches.batch(step);
         let rays = batch.rays.to_tensors(self.dtype, &self.device)?;

@@ -1,4 +1,4 @@
-//! What an experiment's sets are measured in on its scene.
+//! The geometry of an experiment's constraint sets on its scene.
 
 use candle_core::{Device, Tensor};
 
@@ -7,10 +7,11 @@ use crate::base::Result;
 use crate::data::Scene;
 use crate::settings::{Resolved, Spacing};
 
-/// Shortest direction of a ray, seen from the front: in NDC a ray goes from -1 to 1 along the view axis, in the world 1.
+/// Shortest direction of a ray, indexed by NDC: in NDC a ray goes from -1 to 1 along the view axis, in the world it has
+/// length 1.
 const SHORTEST: [f64; 2] = [1.0, 2.0];
 
-/// All that the sets of a pass depend on but for its samples.
+/// Everything that the sets of a pass depend on, except its samples.
 pub(super) struct AttackGeometry {
     /// Near and far, in the units of `t_vals`.
     bounds: (f64, f64),
@@ -18,9 +19,9 @@ pub(super) struct AttackGeometry {
     pixel: PixelScale,
     /// Columns of the coarse pass's `t_vals`.
     coarse_columns: usize,
-    /// The field's width.
+    /// The width of the network.
     width: usize,
-    /// The paper's pass, where sets are measured in its samples and pixels.
+    /// The paper's pass, if sets are measured in its samples and pixels.
     paper: Option<PaperPass>,
 }
 
@@ -36,7 +37,7 @@ impl AttackGeometry {
         }
     }
 
-    /// That of a pass with `samples` at `t_vals`.
+    /// Returns the geometry of a pass with `samples` at `t_vals`.
     pub(super) fn pass<'a>(
         &self,
         t_vals: &'a Tensor,
@@ -62,9 +63,9 @@ impl AttackGeometry {
     }
 }
 
-/// Step size over the radius of its set, of each site that is on and has a set: in the first perturbed pass that it takes part
-/// in, with samples evenly spaced on the shortest ray of a picture. A step of 2 radii goes from one end of a set to the other.
-/// A coarse pass that only places samples is not perturbed.
+/// Returns step size over radius of the constraint set, for each site that is on and has a set. A step of 2 radii
+/// crosses the complete set. The numbers are those of the site's first perturbed pass, with samples evenly spaced on
+/// the shortest ray of an image. A coarse pass that only places samples is not perturbed.
 ///
 /// # Errors
 /// Those of candle.
@@ -99,7 +100,7 @@ pub fn step_over_radius(config: &Resolved, scene: &Scene) -> Result<Vec<(Site, f
     Ok(ratios)
 }
 
-/// A pixel's size in a scene; the first training camera stands for all.
+/// Returns the size of a pixel in a scene, of its first training camera.
 fn pixel_scale(scene: &Scene) -> PixelScale {
     let camera = &scene.train[0].camera;
     PixelScale {

@@ -1,4 +1,4 @@
-//! The learner of all field methods: its state. Its start, its step and the step's parts are files of their own.
+//! The learner of all field methods: its state. Start, step and the parts of the step are in files of their own.
 
 use candle_core::{DType, Device, Var};
 
@@ -18,21 +18,21 @@ pub struct FieldLearner {
     pub(super) config: Resolved,
     /// Start and end of a ray's interval, in units of `t_vals`.
     pub(super) bounds: (f64, f64),
-    /// Fills missing accumulation.
+    /// The colour behind missing accumulation.
     pub(super) background: Option<[f32; 3]>,
-    /// What sets are measured in.
+    /// The geometry of the constraint sets.
     pub(super) geometry: AttackGeometry,
     pub(super) device: Device,
     pub(super) dtype: DType,
     pub(super) fields: Fields,
     pub(super) variables: Vec<(String, Var)>,
     pub(super) batches: Batches,
-    /// What the loss has beside the photometric ones.
+    /// Terms of the loss next to the photometric ones.
     pub(super) terms: Vec<WeightedTerm>,
 }
 
 impl FieldLearner {
-    /// Goes on with `fields` on the training views of `scene`.
+    /// Creates a learner of `fields` on the training views of `scene`.
     pub fn new(
         config: &Resolved,
         scene: &Scene,
@@ -55,7 +55,7 @@ impl FieldLearner {
         })
     }
 
-    /// The fields that learn.
+    /// Returns the fields that are trained.
     pub fn fields(&self) -> &Fields {
         &self.fields
     }

@@ -1,8 +1,7 @@
-//! Radiance fields: NeRF, MipNeRF and both with worst-case augmentation.
+//! Radiance fields: NeRF, MipNeRF, and both with worst-case augmentation.
 //!
-//! A step is a clean pass, where asked for a search and a perturbed pass, and regularizers in space. Rays are worked
-//! through in chunks whose gradients add up: memory is bounded by the chunk, and small chunks stay in a processor's
-//! cache.
+//! A step is a clean pass, an optional search and perturbed pass, and regularizers in space. Rays are processed in
+//! chunks whose gradients are added. The chunk bounds memory, and small chunks stay in a CPU's cache.
 
 mod chunk;
 mod geometry;

@@ -6,24 +6,24 @@ use crate::base::Result;
 use crate::field::{Field, TableRecord};
 use crate::settings::{Config, PerturbField};
 
-/// Coarse and fine field, and the further field of the released code's perturbed pass.
+/// The coarse and the fine field, and the additional field of the released code's perturbed pass.
 #[derive(Clone)]
 pub struct Fields {
-    /// Places samples, and is the whole model where there is no fine field.
+    /// Places samples. It is the complete model if there is no fine field.
     pub coarse: Field,
-    /// Rendered and evaluated, where there are two.
+    /// The field that is rendered and evaluated, if there are two.
     fine: Option<Field>,
-    /// The coarse field renders the fine pass, too.
+    /// The coarse field also renders the fine pass.
     one: bool,
-    /// The perturbed pass's own field (`perturb.field = "separate"`); never evaluated.
+    /// The perturbed pass's own field (`perturb.field = "separate"`). It is never evaluated.
     pub adversarial: Option<Field>,
 }
 
 impl Fields {
-    /// Freshly drawn fields. `draws` says how often each field of [`Fields::roles`] was drawn
-    /// before: 0 for the first draw, one more for each dead start.
+    /// Returns randomly initialized fields. `draws` is the number of earlier draws of each field of [`Fields::roles`]:
+    /// 0 at first, and one more for each dead start.
     pub fn init(config: &Config, draws: &[u64], dtype: DType, device: &Device) -> Result<Fields> {
-        // Far apart, so that redraws of one field never meet another's numbers.
+        // Far apart, so that redraws of one field never use another's numbers.
         const ROLE_STRIDE: u64 = 1 << 32;
         let fields = draws.iter().enumerate().map(|(role, draw)| {
             Field::init(&config.field, config.seed, role as u64 * ROLE_STRIDE + draw, dtype, device)
@@ -31,8 +31,8 @@ impl Fields {
         Ok(Fields::from_fields(config, fields.collect::<Result<Vec<Field>>>()?))
     }
 
-    /// Names of the fields that a configuration has, in the fixed order of parameters: `coarse`,
-    /// `fine`, `adversarial`.
+    /// Returns the names of a configuration's fields, in the fixed order of parameters: `coarse`, `fine`,
+    /// `adversarial`.
     pub fn roles(config: &Config) -> Vec<&'static str> {
         let mut roles = vec!["coarse"];
         if config.sampling.fine > 0 && config.representation().has_fine_field() {
@@ -44,14 +44,14 @@ impl Fields {
         roles
     }
 
-    /// Names and shapes of all parameters (`coarse.trunk.0.weight`, ...), in their fixed order.
+    /// Returns names and shapes of all parameters (`coarse.trunk.0.weight`, ...), in their fixed order.
     pub fn parameter_names(config: &Config) -> Vec<(String, Vec<usize>)> {
         let of_field = Field::parameter_names(&config.field);
         let named = |role| of_field.iter().map(move |(name, shape)| (format!("{role}.{name}"), shape.clone()));
         Fields::roles(config).into_iter().flat_map(named).collect()
     }
 
-    /// Fields over given values, in the order of [`Fields::parameter_names`].
+    /// Returns fields with given values, in the order of [`Fields::parameter_names`].
     pub fn from_parameters(config: &Config, values: Vec<Tensor>) -> Result<Fields> {
         let per_field = Field::parameter_names(&config.field).len();
         let fields = values.chunks(per_field).map(|part| Field::from_parameters(&config.field, part.to_vec()));
@@ -68,35 +68,35 @@ impl Fields {
         }
     }
 
-    /// The field of the fine pass; none where there is no such pass.
+    /// Returns the field of the fine pass, or `None` if there is no such pass.
     pub fn fine(&self) -> Option<&Field> {
         self.fine.as_ref().or(self.one.then_some(&self.coarse))
     }
 
-    /// The field that is rendered and measured.
+    /// Returns the field that is rendered and measured.
     pub fn evaluated(&self) -> &Field {
         self.fine().unwrap_or(&self.coarse)
     }
 
-    /// The fields with their names, in the fixed order.
+    /// Returns the fields with their names, in the fixed order.
     pub fn by_role(&self) -> Vec<(&'static str, &Field)> {
         let optional = [("fine", &self.fine), ("adversarial", &self.adversarial)];
         let further = optional.into_iter().filter_map(|(role, field)| field.as_ref().map(|field| (role, field)));
         std::iter::once(("coarse", &self.coarse)).chain(further).collect()
     }
 
-    /// The same weights, each field with a record of their gradients of its own.
+    /// Returns fields with the same weights, each with its own record of their gradients.
     pub fn recording(&self) -> Result<Fields> {
         self.map(Field::recording)
     }
 
-    /// The fields that are looked at, with the same weights and without gradients.
+    /// Returns the evaluated fields with the same weights, without gradients.
     pub fn frozen(&self) -> Result<Fields> {
         let fine = self.fine.as_ref().map(Field::frozen).transpose()?;
         Ok(Fields { coarse: self.coarse.frozen()?, fine, one: self.one, adversarial: None })
     }
 
-    /// The same weights, laid out for the fused core where it applies (see [`Field::prepared`]).
+    /// Returns the same weights in the layout of the fused core if it applies (see [`Field::prepared`]).
     pub fn prepared(&self) -> Result<Fields> {
         self.map(Field::prepared)
     }
@@ -111,7 +111,8 @@ impl Fields {
         })
     }
 
-    /// What the fields recorded, in the order of all parameters; none where a field does not record.
+    /// Returns what the fields recorded, in the order of all parameters. An entry is `None` if its field does not
+    /// record.
     pub fn recorded(&self) -> Result<Vec<Option<Tensor>>> {
         let mut gradients = Vec::new();
         for (_, field) in self.by_role() {
@@ -120,12 +121,13 @@ impl Fields {
         Ok(gradients)
     }
 
-    /// What the gradients of hash grids are made of, field by field in the fixed order.
+    /// Returns what the gradients of hash grids are made of, field by field in the fixed order.
     pub fn table_records(&self) -> Vec<Vec<TableRecord>> {
         self.by_role().into_iter().map(|(_, field)| field.table_records()).collect()
     }
 
-    /// Gradients made of records, field by field, in the order of all parameters; none but those of hash grids.
+    /// Returns the gradients of hash grids from records, field by field, in the order of all parameters. Other entries
+    /// are `None`.
     pub fn table_gradients(&self, records: &[Vec<TableRecord>]) -> Result<Vec<Option<Tensor>>> {
         let mut gradients = Vec::new();
         for ((_, field), records) in self.by_role().into_iter().zip(records) {
@@ -138,7 +140,7 @@ impl Fields {
         Ok(gradients)
     }
 
-    /// All parameters with their names, in the fixed order.
+    /// Returns all parameters with their names, in the fixed order.
     pub fn variables(&self) -> Vec<(String, Var)> {
         let named = |(role, field): (&str, &Field)| -> Vec<(String, Var)> {
             field.variables().iter().map(|(name, var)| (format!("{role}.{name}"), var.clone())).collect()

@@ -1,4 +1,4 @@
-//! The passes of a step through its rays, chunk by chunk.
+//! The passes of a step over its rays, chunk by chunk.
 
 use candle_core::{DType, Tensor};
 
@@ -16,16 +16,16 @@ use super::networks::Fields;
 use super::results::ChunkResult;
 use super::terms::{Counts, StepLoss};
 
-/// Parts of a step that threads share; each sums its gradients in place.
+/// Number of parts of a step, which threads share. Each sums its gradients in place.
 const PARTS: usize = 16;
 
-/// How many parts a step of so many chunks has.
+/// Returns the number of parts of a step with this many chunks.
 pub fn parts(chunks: usize) -> usize {
     chunks.div_ceil(chunks.div_ceil(PARTS).max(1))
 }
 
 impl FieldLearner {
-    /// All passes through the rays of a step, chunk by chunk.
+    /// Runs all passes over the rays of a step, chunk by chunk.
     pub(super) fn passes(
         &self,
         whole: &Chunk,
@@ -53,8 +53,8 @@ impl FieldLearner {
             sum.tables = fields.table_records();
             Ok(sum)
         };
-        // One thread a part: a chunk's tensors stay in its core's cache. Parts are the same whatever
-        // the number of threads, and the sums below are in their order: it changes no bit.
+        // One thread per part, so that a chunk's tensors stay in its core's cache. Parts do not depend on the number of
+        // threads, and the sums below are in their order. The bits are always the same.
         let parts = over_parts(&self.device, &starts, starts.len().div_ceil(PARTS), work)?;
         let mut sum = ChunkResult::sum(parts)?;
         let tables = std::mem::take(&mut sum.tables);
@@ -62,13 +62,13 @@ impl FieldLearner {
         Ok(sum)
     }
 
-    /// What a chunk adds to; `log` asks for the diagnostics of the perturbed sites.
+    /// Returns an empty result for a chunk. `log` requests the diagnostics of the perturbed sites.
     fn empty(&self, log: bool) -> ChunkResult {
         ChunkResult { diagnostics: log.then(Sums::default), ..ChunkResult::new(self.variables.len()) }
     }
 
-    /// Everything that a step does with a chunk, in an empty result. Losses and gradients are
-    /// weighted with the chunk's share, so that chunks add up.
+    /// Computes everything of a step for a chunk, in an empty result. Losses and gradients are weighted with the
+    /// chunk's fraction of the rays, so that chunks add up.
     fn work(
         &self,
         fields: &Fields,
@@ -84,7 +84,7 @@ impl FieldLearner {
         Ok(result)
     }
 
-    /// Clean passes of a chunk; returns the fine pass's samples.
+    /// Runs the clean passes of a chunk, and returns the fine pass's samples.
     pub(super) fn clean(
         &self,
         fields: &Fields,
@@ -115,7 +115,7 @@ impl FieldLearner {
         self.clean_fine(field, chunk, t_vals, step_loss, result).map(Some)
     }
 
-    /// The clean fine pass of a chunk with its samples at `t_vals`, which are returned.
+    /// Runs the clean fine pass of a chunk with its samples at `t_vals`, which are returned.
     fn clean_fine(
         &self,
         field: &Field,
@@ -133,12 +133,12 @@ impl FieldLearner {
         Ok(t_vals)
     }
 
-    /// The coarse pass learns; otherwise it only places samples.
+    /// Returns whether the coarse pass has a loss. Otherwise it only places samples.
     pub(super) fn has_coarse_loss(&self) -> bool {
         self.config.representation().has_coarse_loss()
     }
 
-    /// Weight of the coarse pass's loss; 1 where it is the only pass.
+    /// Returns the weight of the coarse pass's loss, which is 1 if it is the only pass.
     pub(super) fn coarse_weight(&self, fields: &Fields) -> f64 {
         if fields.fine().is_some() { self.config.train.coarse_weight } else { 1.0 }
     }
@@ -156,7 +156,7 @@ impl FieldLearner {
         Pass { t_vals, density_noise: chunk.noise_fine.as_ref(), ..self.coarse_pass(chunk) }
     }
 
-    /// Adds the gradients of `weight` times a loss; returns the loss in f64.
+    /// Adds the gradients of `weight` times a loss, and returns the loss in f64.
     pub(super) fn descend(&self, loss: &Tensor, weight: f64, gradients: &mut Gradients) -> Result<Tensor> {
         gradients.add(&self.variables, &(loss * weight)?.backward()?)?;
         Ok(loss.detach().to_dtype(DType::F64)?)

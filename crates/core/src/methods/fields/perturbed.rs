@@ -1,4 +1,4 @@
-//! The second pass of a step: perturbed passes with their sets, search and descent, or another clean pass.
+//! The second pass of a step: perturbed passes with their sets, search and gradients, or another clean pass.
 
 use candle_core::{DType, Tensor};
 
@@ -20,28 +20,28 @@ use super::results::ChunkResult;
 use super::terms::StepLoss;
 use crate::methods::diagnostics::{SiteEffect, Sums};
 
-/// Steps of an 8-bit colour between 0 and 1.
+/// Number of steps of an 8-bit colour between 0 and 1.
 const EIGHT_BIT: f64 = 255.0;
 
-/// One perturbed pass of a chunk: which field, which samples, which sets.
+/// One perturbed pass of a chunk: its field, samples and sets.
 struct PerturbedPass<'a> {
     field: &'a Field,
     pass: Pass<'a>,
     target: &'a Tensor,
     sets: Sets,
-    /// Share of the step's rays.
+    /// Fraction of the step's rays.
     share: f64,
-    /// Weight of the pass's loss beside the other pass's.
+    /// Weight of the pass's loss relative to the other pass's.
     loss_weight: f64,
     /// Steps finished before this one.
     step: u64,
-    /// Number of the pass within the step: its random numbers are its own.
+    /// Number of the pass within the step. Each pass has its own random numbers.
     number: u64,
 }
 
 impl FieldLearner {
-    /// Descends the second pass of a chunk, whose clean fine pass had its samples at `t_fine`. Returns its loss, coarse +
-    /// fine, weighted with the chunk's share.
+    /// Runs the second pass of a chunk whose clean fine pass had its samples at `t_fine`, and adds its gradients.
+    /// Returns its loss, coarse + fine, weighted with the chunk's fraction.
     pub(super) fn second_pass(
         &self,
         fields: &Fields,
@@ -56,20 +56,20 @@ impl FieldLearner {
         }
     }
 
-    /// The control: another clean pass with its own jitter, noise and samples.
+    /// Runs the control: another clean pass with its own jitter, noise and samples.
     fn second_clean(&self, fields: &Fields, chunk: &Chunk, weight: f64, gradients: &mut Gradients) -> Result<Tensor> {
         let mut random = Random::part(self.config.seed, Stream::Search, chunk.step, chunk.index);
         let drawn = self.draw_clean(chunk.rays.clone(), chunk.target.clone(), chunk.step, &mut random)?;
         let fresh = Chunk { share: chunk.share, ..drawn };
         let mut second = ChunkResult::new(gradients.0.len());
-        // Terms on rays count in the first clean pass alone.
+        // Terms on rays count in the first clean pass only.
         let alone = StepLoss { clean: weight, terms: &[], ..self.step_loss() };
         self.clean(fields, &fresh, alone, &mut second)?;
         gradients.merge(second.gradients)?;
         Ok(second.losses.clean(self.coarse_weight(fields))?.expect("every chunk has a clean pass"))
     }
 
-    /// The perturbed passes of a chunk on the clean pass's samples.
+    /// Runs the perturbed passes of a chunk on the clean pass's samples.
     fn perturbed(
         &self,
         source: DeltaSource,
@@ -128,7 +128,7 @@ impl FieldLearner {
         })
     }
 
-    /// Finds the deltas of a pass and descends its loss, which is returned weighted with its share.
+    /// Finds the deltas of a pass, and adds the gradients of its loss. Returns the loss weighted with its fraction.
     fn descend_perturbed(
         &self,
         source: DeltaSource,
@@ -156,13 +156,13 @@ impl FieldLearner {
         Perturbation { deltas, sets: &pass.sets, injection_layer: perturb.injection_layer, output: perturb.output }
     }
 
-    /// A random point of every set of a pass, with each site's own numbers of `stream`.
+    /// Returns a random point of every set of a pass. Each site has its own numbers of `stream`.
     fn draw_deltas(&self, pass: &PerturbedPass, draw: Draw, stream: Stream) -> Result<Deltas> {
         let random = |site: Site| Random::part(self.config.seed, stream, pass.step, site.part(pass.number));
         pass.sets.draw(draw, random)
     }
 
-    /// Random or worst-case deltas, detached.
+    /// Returns random or worst-case deltas, detached.
     fn find_deltas(&self, source: DeltaSource, pass: &PerturbedPass) -> Result<Deltas> {
         match source {
             DeltaSource::Gaussian => self.draw_deltas(pass, Draw::Gaussian, Stream::Search),
@@ -171,7 +171,7 @@ impl FieldLearner {
         }
     }
 
-    /// The worst case from `start` on.
+    /// Runs PGD from `start`.
     fn search(&self, pass: &PerturbedPass, start: Deltas) -> Result<Deltas> {
         let perturb = &self.config.perturb;
         let field = pass.field.frozen()?;
@@ -189,12 +189,12 @@ impl FieldLearner {
         })
     }
 
-    /// Measures each site of a perturbed pass by itself: with the deltas that it used, and with random ones.
+    /// Measures each site of a perturbed pass separately: with the deltas that it used, and with random ones.
     fn diagnose(&self, pass: &PerturbedPass, used: &UsedDeltas, sums: &mut Sums) -> Result<()> {
         let drawn = self.draw_deltas(pass, Draw::Uniform, Stream::Diagnostics)?;
         let share = pass.share;
         let frozen = pass.field.frozen()?;
-        // The loss, as its pass counts, and the rays' colours.
+        // The loss, with its weight in the pass, and the rays' colours.
         let render = |deltas: &Deltas| -> Result<(f64, Tensor)> {
             let rgb = perturbed_pass(&frozen, pass.pass, self.perturbation(pass, deltas))?.pass.composite.rgb;
             Ok((pass.loss_weight * scalar(&photometric_loss(&rgb, pass.target)?)?, rgb))

@@ -1,4 +1,4 @@
-//! The terms in space of a step, and how hard terms pull on the weights.
+//! The terms in space of a step, and the size of their gradients.
 
 use candle_core::{DType, Tensor};
 
@@ -13,34 +13,34 @@ use crate::space::{Lattice, Quadrature};
 use super::learner::FieldLearner;
 use super::terms::{StepLoss, in_space};
 
-/// A run whose regularizers alone would take longer is refused.
+/// Longest time of regularizers in days. A run with more is rejected.
 const MOST_DAYS: f64 = 30.0;
-/// The same of a single step: there is no checkpoint within one.
+/// Longest time of a single step in minutes. There is no checkpoint within a step.
 const MOST_MINUTES_A_STEP: f64 = 10.0;
 const SECONDS_PER_MINUTE: f64 = 60.0;
 const SECONDS_PER_DAY: f64 = 86_400.0;
-/// So few points a step need no estimate.
+/// With this few points per step no estimate is needed.
 const SURELY_FINISHED: usize = 1 << 16;
 
-/// How hard a term at weight 1 pulls on the weights, beside the photometric loss.
+/// The gradient norm of a term at weight 1, next to that of the photometric loss.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Balance {
     /// The term's name.
     pub term: String,
-    /// Norm of the photometric loss's gradient in all weights of coarse and fine field.
+    /// Norm of the photometric loss's gradient in all weights of the coarse and the fine field.
     pub photometric_norm: f64,
     /// Norm of the term's gradient in the same weights.
     pub term_norm: f64,
 }
 
-/// The lattice that a configuration trains on.
+/// Returns the sampling grid of a configuration.
 pub(super) fn lattice(config: &RegularizerConfig) -> Lattice {
     Lattice { domain: config.domain, side: config.lattice }
 }
 
 impl FieldLearner {
-    /// Unweighted values (f64 `[terms]`) and gradients of the weighted terms in space after `step` finished steps; none
-    /// without any.
+    /// Returns unweighted values (f64 `[terms]`) and gradients of the weighted terms in space after `step` finished
+    /// steps. `None` if there are no such terms.
     pub(super) fn regularize(
         &self,
         terms: &[(&dyn SpaceTerm, f64)],
@@ -74,7 +74,7 @@ impl FieldLearner {
         }
     }
 
-    /// Refuses terms in space whose points this machine would not get through in `steps` steps.
+    /// Returns an error for terms in space whose points would take this machine too long in `steps` steps.
     pub fn check_duration(&self, terms: &[WeightedTerm], config: &RegularizerConfig, steps: u64) -> Result<()> {
         let terms = in_space(terms);
         let lattice = lattice(config);
@@ -93,7 +93,7 @@ impl FieldLearner {
             return Ok(());
         }
         Err(Error::Config(format!(
-            "regularizer.lattice = {}, points = \"{}\" asks for {} points in every step: about {step:.0} s a step here, \
+            "regularizer.lattice = {}, points = \"{}\" queries {} points per step: about {step:.0} s per step here, \
              {days:.0} days for {steps} steps (at most {MOST_MINUTES_A_STEP} minutes and {MOST_DAYS} days are allowed); set \
              regularizer.points = \"sampled\" with \
              fewer points_per_step, or a smaller lattice",
@@ -103,8 +103,8 @@ impl FieldLearner {
         )))
     }
 
-    /// Measures the pull of every term at weight 1 and that of the photometric loss, on the batch
-    /// of the step after `step` finished ones. `config` says where terms are evaluated. Moves nothing.
+    /// Measures the gradient norm of every term at weight 1, and that of the photometric loss, on the batch of the step
+    /// after `step` finished ones. `config` says where terms are evaluated. It changes no weights.
     pub fn balance(&mut self, config: &RegularizerConfig, step: u64) -> Result<Vec<Balance>> {
         let whole = self.draw(step)?;
         let photometric = StepLoss { clean: 1.0, perturbed: 0.0, terms: &[], fields: config.fields };

@@ -1,4 +1,4 @@
-//! What fields look like.
+//! Rendering of radiance fields.
 
 use crate::base::Result;
 use crate::data::{RayParts, Rays, Scene};
@@ -17,7 +17,7 @@ pub struct FieldRenderer {
 }
 
 impl FieldRenderer {
-    /// Of fields with their weights as they are now, in their scene.
+    /// Creates a renderer of fields with their current weights, in their scene.
     pub fn new(fields: &Fields, config: &Config, scene: &Scene) -> Result<FieldRenderer> {
         Ok(FieldRenderer {
             fields: fields.frozen()?,

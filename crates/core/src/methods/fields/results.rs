@@ -1,4 +1,4 @@
-//! What chunks add to a step.
+//! The contributions of chunks to a step.
 
 use candle_core::Tensor;
 
@@ -9,18 +9,18 @@ use crate::methods::gradients::Gradients;
 
 use crate::methods::diagnostics::Sums;
 
-/// What one chunk adds to a step.
+/// The contribution of one chunk to a step.
 pub(super) struct ChunkResult {
     pub(super) gradients: Gradients,
     pub(super) losses: Losses,
-    /// Of each field, what its hash grid's gradient is made of.
+    /// For each field, what its hash grid's gradient is made of.
     pub(super) tables: Vec<Vec<TableRecord>>,
-    /// Where they are asked for.
+    /// Diagnostics, if requested.
     pub(super) diagnostics: Option<Sums>,
 }
 
-/// Losses weighted with the chunk's share, and the largest accumulation of a ray: f64 scalars that stay on the device
-/// until the step is over.
+/// Losses weighted with the chunk's fraction, and the largest accumulation of a ray. They are f64 scalars that stay on
+/// the device until the step is over.
 #[derive(Default)]
 pub(super) struct Losses {
     pub(super) coarse: Option<Tensor>,
@@ -37,7 +37,7 @@ impl ChunkResult {
         ChunkResult { gradients, losses: Losses::default(), tables: Vec::new(), diagnostics: None }
     }
 
-    /// The sum of the parts of a step, which has at least one, in their order.
+    /// Sums the parts of a step in their order. There is at least one.
     pub(super) fn sum(parts: Vec<ChunkResult>) -> Result<ChunkResult> {
         let (mut gradients, mut rest) = (Vec::with_capacity(parts.len()), None::<ChunkResult>);
         for part in parts {
@@ -80,13 +80,13 @@ impl Losses {
         Ok(())
     }
 
-    /// Loss of the clean passes, the coarse one weighted.
+    /// Returns the loss of the clean passes, with the coarse one weighted.
     pub(super) fn clean(&self, coarse_weight: f64) -> Result<Option<Tensor>> {
         let coarse = self.coarse.as_ref().map(|loss| loss * coarse_weight).transpose()?;
         sum(coarse, self.fine.clone())
     }
 
-    /// Coarse, fine and perturbed loss and the largest accumulation, in one transfer.
+    /// Reads coarse, fine and perturbed loss and the largest accumulation in one transfer.
     pub(super) fn read(&self) -> Result<[Option<f64>; 4]> {
         let all = [&self.coarse, &self.fine, &self.perturbed, &self.largest_acc];
         let there: Vec<&Tensor> = all.into_iter().flatten().collect();

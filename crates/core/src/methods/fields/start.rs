@@ -1,4 +1,4 @@
-//! The start of a run: fields that are alive.
+//! The start of a run: fields that are not dead.
 
 use candle_core::{DType, Device, Tensor};
 
@@ -12,12 +12,12 @@ use super::learner::FieldLearner;
 use super::networks::Fields;
 use super::regularized;
 
-/// Times that a dead start is drawn again before the configuration is blamed.
+/// Number of redraws of a dead start before the run fails.
 const MOST_REDRAWS: u64 = 100;
 
 impl FieldLearner {
-    /// Draws the fields of a run, dead starts again. Returns how often each field of [`Fields::roles`] was drawn again,
-    /// too.
+    /// Initializes the fields of a run, and draws dead ones again. Also returns the number of redraws of each field of
+    /// [`Fields::roles`].
     pub fn start(config: &Resolved, scene: &Scene, dtype: DType, device: &Device) -> Result<(FieldLearner, Vec<u64>)> {
         if config.regularizer.has_space_terms() {
             regularized::lattice(&config.regularizer).check_meets(scene, "regularizer.domain")?;
@@ -51,8 +51,9 @@ impl FieldLearner {
         Ok((learner, redraws))
     }
 
-    /// Fields whose share of positive densities at `positions`, of those that lie where density can be, is under the
-    /// configured one. Softplus and the exponential have none: they are positive, and have a slope, everywhere.
+    /// Returns the fields whose fraction of positive densities at `positions` is below the configured one. Positions
+    /// where density cannot be do not count. Softplus and the exponential are never dead: they are positive, and have a
+    /// slope, everywhere.
     fn dead_fields(&self, positions: &Tensor) -> Result<Vec<usize>> {
         match self.config.field.density_activation {
             DensityActivation::Relu => {}
@@ -66,7 +67,7 @@ impl FieldLearner {
                 Some(inside) => sum(&inside)?,
                 None => positions.dim(0)? as f64,
             };
-            // Where none lies there, nothing is known: 0 times infinity is under no share.
+            // Without positions nothing is known. 0 times infinity is NaN, which is not below any fraction.
             if positive * looked_at.recip() < self.config.train.dead_start_share {
                 dead.push(index);
             }
@@ -75,7 +76,7 @@ impl FieldLearner {
     }
 }
 
-/// Refuses a hash grid's box that no ray meets: outside of it nothing is.
+/// Returns an error for a hash grid's box that no ray meets. Everything outside of it is empty.
 fn check_grid(config: &Resolved, scene: &Scene) -> Result<()> {
     let FieldConfig { encoding, hash, .. } = &config.field;
     match (encoding, hash.contraction, hash.bounds) {

@@ -1,4 +1,4 @@
-//! One step of learning: its passes and its terms in space.
+//! One training step: its passes and its terms in space.
 
 use crate::base::{Error, Result};
 use crate::losses::{LossTerm, WeightedTerm};
@@ -33,11 +33,11 @@ impl Learner for FieldLearner {
     fn add_term(&mut self, term: LossTerm, weight: f64) -> Result<()> {
         if self.terms.iter().any(|known| known.term.name() == term.name()) {
             let name = term.name();
-            return Err(Error::Config(format!("the loss has a term '{name}' already; give the new one another name")));
+            return Err(Error::Config(format!("the loss already has a term '{name}'; rename the new one")));
         }
         if matches!(term, LossTerm::InSpace(_)) && !self.config.representation().has_derivatives_at_points() {
             return Err(Error::Config(format!(
-                "the term '{}' is made of density's derivatives at points, which method {} has not; use nerf or aug-nerf",
+                "the term '{}' needs density's derivatives at points, which method {} lacks; use nerf or aug-nerf",
                 term.name(),
                 self.config.method.name()
             )));
@@ -74,7 +74,7 @@ impl Learner for FieldLearner {
 }
 
 impl FieldLearner {
-    /// The weighted terms of a step and their sum, from the losses of its passes and of its regularizers.
+    /// Returns the weighted terms of a step and their sum, from the losses of its passes and its regularizers.
     fn terms(&self, [coarse, fine, perturbed]: [Option<f64>; 3], regularizers: Vec<f64>) -> (Vec<Term>, f64) {
         let (clean_weight, perturbed_weight) = mixing(&self.config);
         let coarse_weight = self.coarse_weight(&self.fields);

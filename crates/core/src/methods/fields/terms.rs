@@ -1,4 +1,4 @@
-//! What a step minimises beside the photometric losses: terms on the rays of its clean passes, terms in space.
+//! What a step minimizes next to the photometric losses: terms on the rays of its clean passes, and terms in space.
 
 use candle_core::{DType, Tensor};
 
@@ -12,21 +12,21 @@ use crate::settings::{Config, Objective, RegularizedFields};
 use super::learner::FieldLearner;
 use super::results::ChunkResult;
 
-/// What the passes of a step minimise.
+/// What the passes of a step minimize.
 #[derive(Clone, Copy)]
 pub(super) struct StepLoss<'a> {
     /// Weight of the clean passes' photometric loss.
     pub clean: f64,
-    /// Weight of the perturbed passes'.
+    /// Weight of the perturbed passes' loss.
     pub perturbed: f64,
-    /// Further terms; those on rays count in clean passes.
+    /// Additional terms. Those on rays count in clean passes.
     pub terms: &'a [WeightedTerm],
-    /// Which fields' passes they count in.
+    /// The fields whose passes they count in.
     pub fields: RegularizedFields,
 }
 
 impl StepLoss<'_> {
-    /// The terms that a clean pass counts: of the evaluated field, or of the coarse one before it.
+    /// Returns the terms of a clean pass, of the evaluated field or of the coarse one before it.
     fn terms_on(&self, is_evaluated: bool) -> impl Iterator<Item = (&dyn RayTerm, f64)> {
         let count = is_evaluated || self.fields == RegularizedFields::Both;
         let terms = if count { self.terms } else { &[] };
@@ -37,14 +37,14 @@ impl StepLoss<'_> {
     }
 }
 
-/// How a clean pass counts in a step.
+/// The weights of a clean pass in a step.
 #[derive(Clone, Copy)]
 pub(super) struct Counts {
-    /// Weight of its photometric loss, its rays' share of the step included.
+    /// Weight of its photometric loss, including its fraction of the step's rays.
     pub weight: f64,
-    /// That share.
+    /// Its fraction of the step's rays.
     pub share: f64,
-    /// The pass is the one that is evaluated.
+    /// The pass is the evaluated one.
     pub is_evaluated: bool,
 }
 
