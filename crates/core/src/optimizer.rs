@@ -1,4 +1,4 @@
-//! Adam with moments that can be saved, and the learning-rate curve.
+//! Adam with moments that can be saved, and the learning-rate schedule.
 
 use std::cell::RefCell;
 
@@ -12,25 +12,27 @@ use crate::settings::{Located, Schedule, TrainConfig};
 
 const BETA1: f64 = 0.9;
 
-/// What a run may choose of Adam.
+/// The settings of Adam in a run.
 #[derive(Clone, Copy, Debug)]
 pub struct AdamSettings {
-    /// Memory of squared gradients.
+    /// Decay of squared gradients.
     pub beta2: f64,
     /// Added to the divisor.
     pub epsilon: f64,
 }
 
 impl AdamSettings {
-    /// Those of a run.
+    /// Returns the settings of a run.
     pub fn of(train: &TrainConfig) -> AdamSettings {
         AdamSettings { beta2: train.adam_beta2, epsilon: train.adam_epsilon }
     }
 }
 
-/// The learning rate of the update that follows `step` finished ones. Exponential:
-/// learning_rate * decay_rate^(step / decay_steps). Log-linear (Barron et al. 2021): learning_rate^(1 - s) *
-/// final_learning_rate^s at the share s of the steps, times warmup_from + (1 - warmup_from) sin(pi/2 min(s / warmup_share, 1)).
+/// Returns the learning rate of the update after `step` finished ones.
+///
+/// - Exponential: learning_rate * decay_rate^(step / decay_steps).
+/// - Log-linear (Barron et al. 2021): learning_rate^(1 - s) * final_learning_rate^s at the fraction s of the steps,
+///   times warmup_from + (1 - warmup_from) sin(pi/2 min(s / warmup_share, 1)).
 pub fn learning_rate(config: &Located, step: u64) -> f64 {
     let train = &config.train;
     match train.schedule {
@@ -66,7 +68,7 @@ pub struct Adam {
 }
 
 impl Adam {
-    /// Moments at zero.
+    /// Creates an optimizer with moments of zero.
     pub fn new(settings: AdamSettings, variables: Vec<(String, Var)>) -> Result<Adam> {
         let zero = |(_, var): &(String, Var)| -> Result<Moments> {
             Ok(Moments { first: var.zeros_like()?, second: var.zeros_like()? })
@@ -75,24 +77,24 @@ impl Adam {
         Ok(Adam { settings, variables, moments })
     }
 
-    /// Saved moments, in the order of the variables.
+    /// Creates an optimizer with saved moments, in the order of the variables.
     pub fn restore(settings: AdamSettings, variables: Vec<(String, Var)>, moments: Vec<Moments>) -> Adam {
         assert_eq!(variables.len(), moments.len(), "one pair of moments a parameter");
         Adam { settings, variables, moments }
     }
 
-    /// The parameters that are updated.
+    /// Returns the parameters that are updated.
     pub fn variables(&self) -> &[(String, Var)] {
         &self.variables
     }
 
-    /// The moments, in the order of the variables.
+    /// Returns the moments, in the order of the variables.
     pub fn moments(&self) -> &[Moments] {
         &self.moments
     }
 
-    /// One update with `gradients` in the order of the variables; `updates` counts this one, too
-    /// (1 for the first). A parameter without gradient has gradient 0.
+    /// Updates the parameters with `gradients`, in the order of the variables. `updates` counts this update as well (1
+    /// for the first). A missing gradient counts as 0.
     pub fn update(&mut self, gradients: &[Option<Tensor>], learning_rate: f64, updates: u64) -> Result<()> {
         let correction1 = 1.0 - BETA1.powf(updates as f64);
         let AdamSettings { beta2, epsilon } = self.settings;
@@ -123,7 +125,7 @@ impl Adam {
     }
 }
 
-/// The update on a processor: one pass over parameter, moments and gradient, in place.
+/// The update on the CPU: one pass over parameter, moments and gradient, in place.
 struct Update {
     settings: AdamSettings,
     /// The learning rate over the first moment's correction.
@@ -180,7 +182,7 @@ impl Update {
         Ok(lend(var, |p| lend(&moments.first, |m| lend(&moments.second, |v| update(p, m, v))))?)
     }
 
-    /// Blocks of a table side by side: it is far larger than all other parameters together.
+    /// Updates blocks of a table in parallel, because it is far larger than all other parameters together.
     fn pass_table(&self, Moving { values, first, second }: Moving, gradient: &[f32], features: usize) {
         const ENTRIES: usize = 1 << 14;
         let AdamSettings { beta2, epsilon } = self.settings;
@@ -194,7 +196,7 @@ impl Update {
         });
     }
 
-    /// The same entry by entry, in any precision.
+    /// Updates entry by entry, in any precision.
     fn pass_entries<T: WithDType>(
         &self,
         parameters: &mut [T],
@@ -237,12 +239,13 @@ impl Update {
     }
 }
 
-/// Of a hash grid: an update leaves its entries without gradient as they are, moments included (Mueller et al. 2022).
+/// Returns whether the parameter is a hash grid's table. An update leaves its entries without gradient as they are,
+/// including moments (Mueller et al. 2022).
 fn is_table(name: &str) -> bool {
     name.ends_with(".table")
 }
 
-/// Lends a tensor's values to a closure, to be changed. The tensor is the only one of its storage.
+/// Lends a tensor's values to a closure that may change them. The tensor must be the only one of its storage.
 fn lend(tensor: &Tensor, change: impl FnOnce(&mut CpuStorage) -> candle_core::Result<()>) -> candle_core::Result<()> {
     tensor.inplace_op1(&Lend(RefCell::new(Some(change))))
 }

@@ -1,16 +1,16 @@
-//! How large a delta's set is: a number, or as far as its ascent reaches.
+//! The size of a delta's constraint set: a number, or the reach of its PGD steps.
 
 use std::fmt;
 
 use serde::de::{Error, Visitor};
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
-/// Size of a delta's set.
+/// Size of a delta's constraint set.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Epsilon {
-    /// So many of the site's units ([`crate::augment::SiteSpec::unit`]); 0 is no perturbation.
+    /// A number in the site's unit ([`crate::augment::SiteSpec::unit`]); 0 is no perturbation.
     Units(f64),
-    /// As far as the ascent reaches, steps x step size, in the delta's own unit. `t` keeps the order of samples, too.
+    /// The reach of PGD, steps x step size, in the delta's own unit. `t` also keeps the order of samples.
     Reach,
 }
 

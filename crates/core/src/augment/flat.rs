@@ -1,5 +1,5 @@
-//! Sets of deltas in f32 on a processor, in one pass over a delta instead of one an operation. The numbers are those of
-//! [`DeltaSet`]'s operations on tensors to the bit, which serve f64 and other devices and are the reference.
+//! Constraint sets in f32 on the CPU: one pass over a delta instead of one per operation. The results equal those of
+//! [`DeltaSet`]'s tensor operations bit for bit. The latter serve f64 and other devices, and are the reference.
 
 use candle_core::{DType, Tensor};
 
@@ -9,10 +9,10 @@ use crate::base::Result;
 use crate::base::rng::Random;
 use crate::base::tensors::with_values;
 
-/// Entries of a ball, at most: those of larger ones are added up in an order of candle's own.
+/// Largest number of entries of a ball. candle adds those of larger balls in an order of its own.
 const LARGEST_BALL: usize = 3;
 
-/// [`DeltaSet::draw`].
+/// Implements [`DeltaSet::draw`].
 pub(super) fn draw(set: &DeltaSet, draw: Draw, random: &mut Random) -> Result<Tensor> {
     match Flat::of(set)?.filter(|_| draw == Draw::Uniform) {
         Some(flat) => flat.draw(random),
@@ -20,7 +20,7 @@ pub(super) fn draw(set: &DeltaSet, draw: Draw, random: &mut Random) -> Result<Te
     }
 }
 
-/// Where a step of `step_size` from `delta` up the gradient ends in the set.
+/// Returns `delta` after a step of `step_size` up the gradient, projected onto the set.
 pub(super) fn ascend(
     set: &DeltaSet,
     delta: &Tensor,
@@ -36,7 +36,7 @@ pub(super) fn ascend(
     ascend_reference(set, delta, gradient, step_size, unit)
 }
 
-/// The same in operations on tensors.
+/// The same in tensor operations.
 fn ascend_reference(
     set: &DeltaSet,
     delta: &Tensor,
@@ -52,11 +52,11 @@ fn ascend_reference(
     Ok(set.project(&(delta + step)?)?)
 }
 
-/// One number for every entry (for a ball: every sample), or one for each.
+/// One number for all entries (for a ball: for all samples), or one for each.
 struct Each(Vec<f32>);
 
 impl Each {
-    /// `tensor` spread over `shape`.
+    /// Broadcasts `tensor` over `shape`.
     fn of(tensor: &Tensor, shape: &[usize]) -> Result<Each> {
         let tensor = if tensor.elem_count() == 1 { tensor.clone() } else { tensor.broadcast_as(shape)? };
         Ok(Each(tensor.flatten_all()?.to_vec1()?))
@@ -67,7 +67,7 @@ impl Each {
     }
 }
 
-/// A set, laid out for loops.
+/// A set in a layout for loops.
 struct Flat<'a> {
     set: &'a DeltaSet,
     /// Of an entry, or of a ball.
@@ -79,7 +79,7 @@ struct Flat<'a> {
 }
 
 impl<'a> Flat<'a> {
-    /// None where tensors are in f64 or on another device, and of large balls.
+    /// Returns `None` for tensors in f64 or on another device, and for large balls.
     fn of(set: &'a DeltaSet) -> Result<Option<Flat<'a>>> {
         let (radius, shape) = (&set.radius, &set.shape);
         let columns = *shape.last().expect("a delta has axes");
@@ -108,7 +108,7 @@ impl<'a> Flat<'a> {
         Ok(Tensor::from_vec(values, self.set.shape.as_slice(), self.set.radius.device())?)
     }
 
-    /// The one radius of a box that nothing else cuts.
+    /// Returns the single radius of a box without bounds.
     fn plain_box(&self) -> Option<f32> {
         match (self.set.norm, &self.radius.0[..], &self.bounds, &self.mask) {
             (Norm::Linf, &[radius], None, None) => Some(radius),
@@ -116,7 +116,7 @@ impl<'a> Flat<'a> {
         }
     }
 
-    /// See [`DeltaSet::project`].
+    /// Implements [`DeltaSet::project`].
     fn project(&self, values: &mut [f32]) {
         match self.set.norm {
             Norm::Linf => values.iter_mut().enumerate().for_each(|(i, value)| *value = clip(*value, self.radius.at(i))),
@@ -138,11 +138,11 @@ impl<'a> Flat<'a> {
         }
     }
 
-    /// See [`DeltaSet::draw`]: a uniform point.
+    /// Implements [`DeltaSet::draw`] for a uniform point.
     fn draw(&self, random: &mut Random) -> Result<Tensor> {
         let count = self.set.shape.iter().product();
         if let Some(radius) = self.plain_box() {
-            // No draw leaves the box: nothing is to be projected.
+            // No random point is outside the box, so that nothing needs projection.
             return self.tensor(random.uniform_map(count, |unit| (unit * 2.0 - 1.0) * radius));
         }
         let mut values;
@@ -176,7 +176,7 @@ impl<'a> Flat<'a> {
         self.tensor(values)
     }
 
-    /// See [`ascend`]. None where delta or gradient are not laid out one entry behind another.
+    /// Implements [`ascend`]. Returns `None` if delta or gradient are not contiguous.
     fn ascend(&self, delta: &Tensor, gradient: &Tensor, step_size: f64, unit: StepUnit) -> Result<Option<Tensor>> {
         let size = step_size as f32;
         let step = |i: usize| match unit {
@@ -212,17 +212,17 @@ impl<'a> Flat<'a> {
     }
 }
 
-/// candle's `minimum` of two numbers: NaN stays where it is on the left.
+/// candle's `minimum` of two numbers: NaN on the left stays.
 pub fn smaller(a: f32, b: f32) -> f32 {
     if a > b { b } else { a }
 }
 
-/// candle's `maximum` of two numbers: NaN stays where it is on the left.
+/// candle's `maximum` of two numbers: NaN on the left stays.
 pub fn larger(a: f32, b: f32) -> f32 {
     if a < b { b } else { a }
 }
 
-/// Into a box.
+/// Clips to a box.
 fn clip(value: f32, radius: f32) -> f32 {
     larger(smaller(value, radius), -radius)
 }
@@ -235,7 +235,7 @@ fn length(values: &[f32]) -> f32 {
     values.iter().fold(0.0, |sum: f32, value| sum + value * value).sqrt()
 }
 
-/// See [`DeltaSet::direction`] of a ball.
+/// Implements [`DeltaSet::direction`] for a ball.
 fn normalise(values: &mut [f32]) {
     let positive = |size: f32| if size > 0.0 { size } else { 1.0 };
     let largest = values.iter().fold(0.0, |largest: f32, value| larger(largest, value.abs()));

@@ -1,8 +1,8 @@
-//! Worst-case augmentation: the sites of the three levels, the sets that their deltas live in, and the search for the
+//! Worst-case augmentation: the sites of the three levels, the constraint sets of their deltas, and the search for the
 //! worst case.
 //!
-//! Nothing here knows a field, a renderer or a settings file: a site describes its set from a pass's geometry, and the
-//! search ascends a loss that it is handed as a closure, so it can be tested on a quadratic with a known maximum.
+//! Nothing here knows a field, a renderer or a settings file. A site describes its set from a pass's geometry. The
+//! search ascends a loss that is passed as a closure, so that tests can use a quadratic with a known maximum.
 
 mod epsilon;
 mod flat;

@@ -1,4 +1,4 @@
-//! The search for the worst case: projected gradient ascent (paper, equation "PGD"; Madry et al. 2017).
+//! The search for the worst case: projected gradient descent, PGD (paper, equation "PGD"; Madry et al. 2017).
 
 use candle_core::{Tensor, Var};
 
@@ -10,14 +10,14 @@ use crate::base::Result;
 
 /// One evaluation of the loss in a search.
 pub struct Iterate<'a> {
-    /// The deltas; those of sites that move are tracked.
+    /// The deltas. Those of sites that still move are tracked.
     pub deltas: &'a Deltas,
     moving: &'a [Site],
 }
 
 impl Iterate<'_> {
-    /// None of `sites` moves in this step, and so in no later one: what depends on them alone need not be computed
-    /// again.
+    /// Returns whether none of `sites` moves in this step, and so in no later one. What depends only on them need not
+    /// be computed again.
     pub fn fixes(&self, sites: &[Site]) -> bool {
         !self.moving.iter().any(|site| sites.contains(site))
     }
@@ -25,9 +25,9 @@ impl Iterate<'_> {
 
 /// Ascends `loss` from `start` and returns the last iterate, without a final evaluation.
 ///
-/// All sites move together; a site stops after its own number of steps, for good. `loss` returns the loss
-/// and the deltas as they were really used: the output level is projected again onto what the
-/// forward pass leaves it, and the ascent continues from there. Weights must be frozen in `loss`.
+/// All sites move together. A site stops after its own number of steps. `loss` returns the loss, and the deltas as they
+/// were really used: the output level is projected again onto what the forward pass allows. PGD continues from there.
+/// Weights must be frozen in `loss`.
 ///
 /// # Errors
 /// Those of `loss` and of candle.
@@ -52,7 +52,7 @@ pub fn worst_case(
         let (loss, used) = loss(Iterate { deltas: &tracked, moving: &moving })?;
         let gradients = loss.backward()?;
         for (site, variable) in variables {
-            // No gradient: the loss does not depend on this delta (sign(0) = 0).
+            // Without a gradient the loss does not depend on this delta (sign(0) = 0).
             let Some(gradient) = gradients.get(&variable) else { continue };
             let set = sets.get(site).expect("is on");
             let delta = used.get(site).expect("is on").detach();

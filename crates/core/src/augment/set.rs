@@ -1,4 +1,4 @@
-//! The set of one delta: radius, norm and bounds; random points, directions, projection.
+//! The constraint set of one delta: radius, norm and bounds; random points, directions, projection.
 
 use candle_core::{D, DType, Result as TensorResult, Tensor};
 use serde::{Deserialize, Serialize};
@@ -6,18 +6,18 @@ use serde::{Deserialize, Serialize};
 use crate::base::Result;
 use crate::base::rng::Random;
 
-/// The norm of a delta's set.
+/// The norm of a constraint set.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Norm {
-    /// Box; steps by the gradient's sign.
+    /// A box. PGD steps follow the gradient's sign.
     Linf,
-    /// Ball per sample; steps along the normalised gradient.
+    /// A ball per sample. PGD steps follow the normalized gradient.
     L2,
 }
 
 impl Norm {
-    /// The name in files and tables.
+    /// Returns the name in files and tables.
     pub fn name(self) -> &'static str {
         match self {
             Norm::Linf => "linf",
@@ -26,23 +26,23 @@ impl Norm {
     }
 }
 
-/// How random points of a set are drawn.
+/// The distribution of random points of a set.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Draw {
     /// Uniform in the set.
     Uniform,
-    /// Normal with standard deviation radius / sqrt(3) (that of the uniform), then projected.
+    /// Normal with the uniform's standard deviation, radius / sqrt(3), then projected.
     Gaussian,
 }
 
-/// One delta's set.
+/// The constraint set of one delta.
 #[derive(Clone)]
 pub struct DeltaSet {
-    /// Box or ball; a ball is over the delta's last axis.
+    /// Box or ball. A ball is over the delta's last axis.
     pub norm: Norm,
-    /// Not negative; broadcasts to the delta's shape. For a ball its last axis has length 1.
+    /// At least 0. It broadcasts to the delta's shape; for a ball its last axis has length 1.
     pub radius: Tensor,
-    /// Smallest and largest allowed values, where the set is cut by more than its radius.
+    /// Smallest and largest allowed values, if the set has bounds in addition to its radius.
     pub bounds: Option<(Tensor, Tensor)>,
     /// Multiplied in last: 0 where the delta must be 0.
     pub mask: Option<Tensor>,
@@ -51,18 +51,19 @@ pub struct DeltaSet {
 }
 
 impl DeltaSet {
-    /// A set with a radius alone.
+    /// Creates a set without bounds or mask.
     pub fn new(norm: Norm, radius: Tensor, shape: &[usize]) -> DeltaSet {
         DeltaSet { norm, radius, bounds: None, mask: None, shape: shape.to_vec() }
     }
 
-    /// The nearest point of the set (for a ball cut by bounds: of the ball, then of the box).
+    /// Returns the nearest point of the set. For a ball with bounds it is the nearest point of the ball, then of the
+    /// bounds.
     pub fn project(&self, delta: &Tensor) -> TensorResult<Tensor> {
         let mut delta = match self.norm {
             Norm::Linf => delta.broadcast_minimum(&self.radius)?.broadcast_maximum(&self.radius.neg()?)?,
             Norm::L2 => {
                 let norm = l2_norm(delta)?;
-                // Where the norm is 0 the quotient is infinite and the scale 1.
+                // If the norm is 0, the quotient is infinite and the scale 1.
                 let scale = self.radius.broadcast_div(&norm)?.minimum(&norm.ones_like()?)?;
                 let inside = norm.broadcast_le(&self.radius)?;
                 inside.where_cond(&norm.ones_like()?, &scale)?.broadcast_mul(delta)?
@@ -77,12 +78,12 @@ impl DeltaSet {
         }
     }
 
-    /// The same set cut by further bounds.
+    /// Returns the set with additional bounds.
     pub fn within(&self, lower: Tensor, upper: Tensor) -> DeltaSet {
         DeltaSet { bounds: Some((lower, upper)), ..self.clone() }
     }
 
-    /// The ascent direction of `gradient`: its sign, or its unit vector per sample; 0 at 0.
+    /// Returns the ascent direction of `gradient`: its sign, or its unit vector per sample. It is 0 at 0.
     pub fn direction(&self, gradient: &Tensor) -> TensorResult<Tensor> {
         match self.norm {
             Norm::Linf => gradient.sign(),
@@ -98,7 +99,7 @@ impl DeltaSet {
         }
     }
 
-    /// A random point of the set.
+    /// Returns a random point of the set.
     pub fn draw(&self, draw: Draw, random: &mut Random) -> Result<Tensor> {
         let (dtype, device) = (self.radius.dtype(), self.radius.device());
         if draw == Draw::Gaussian {
@@ -110,7 +111,7 @@ impl DeltaSet {
             Norm::Linf => {
                 let unit = random.uniform_tensor(&self.shape, dtype, device)?;
                 match &self.bounds {
-                    // Uniform between the cut ends, not piled up at them.
+                    // Uniform between the bounds, without mass at them.
                     Some((lower, upper)) => {
                         let low = lower.broadcast_maximum(&self.radius.neg()?)?;
                         let high = upper.broadcast_minimum(&self.radius)?;
@@ -131,8 +132,8 @@ impl DeltaSet {
         Ok(self.project(&delta)?)
     }
 
-    /// Share of entries (of samples, for a ball) within 0.1 % of the radius or on a bound, among
-    /// those that may move at all; none if none may.
+    /// Returns the fraction of entries (of samples, for a ball) within 0.1 % of the radius or on a bound, among those
+    /// that may move. `None` if none may.
     pub fn share_at_bound(&self, delta: &Tensor) -> Result<Option<f64>> {
         let size = match self.norm {
             Norm::Linf => delta.abs()?,
@@ -156,7 +157,7 @@ impl DeltaSet {
     }
 }
 
-/// Euclidean norm over the last axis, kept as length 1. Values only; not differentiable at 0.
+/// Returns the Euclidean norm over the last axis, kept with length 1. Values only; it is not differentiable at 0.
 fn l2_norm(delta: &Tensor) -> TensorResult<Tensor> {
     delta.sqr()?.sum_keepdim(D::Minus1)?.sqrt()
 }

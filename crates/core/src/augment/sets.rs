@@ -1,4 +1,4 @@
-//! The deltas of a pass, and the sets that they live in.
+//! The deltas of a pass, and their constraint sets.
 
 use candle_core::Tensor;
 
@@ -15,17 +15,17 @@ use crate::base::rng::Random;
 pub struct Deltas(PerSite<Option<Tensor>>);
 
 impl Deltas {
-    /// The delta of a site, where it is on.
+    /// Returns the delta of a site that is on.
     pub fn get(&self, site: Site) -> Option<&Tensor> {
         self.0[site].as_ref()
     }
 
-    /// Puts a site's delta in place.
+    /// Sets a site's delta.
     pub fn set(&mut self, site: Site, delta: Tensor) {
         self.0[site] = Some(delta);
     }
 
-    /// This delta of `site` alone, all other sites off.
+    /// Returns the delta of `site` only, with all other sites off.
     pub fn only(&self, site: Site) -> Deltas {
         let mut alone = Deltas::default();
         alone.0[site].clone_from(&self.0[site]);
@@ -33,12 +33,12 @@ impl Deltas {
     }
 }
 
-/// The sets of one pass; a site that is off, or whose set is a point, has none.
+/// The constraint sets of one pass. A site that is off, or whose set is a point, has none.
 #[derive(Clone, Default)]
 pub struct Sets(PerSite<Option<DeltaSet>>);
 
 impl Sets {
-    /// The sets that an experiment's numbers describe for a pass.
+    /// Creates the sets of a pass from an experiment's numbers.
     ///
     /// # Errors
     /// Those of candle.
@@ -52,23 +52,23 @@ impl Sets {
         Ok(sets)
     }
 
-    /// The set of a site, where it is on.
+    /// Returns the set of a site that is on.
     pub fn get(&self, site: Site) -> Option<&DeltaSet> {
         self.0[site].as_ref()
     }
 
-    /// Puts a site's set in place.
+    /// Sets a site's set.
     pub fn set(&mut self, site: Site, set: DeltaSet) {
         self.0[site] = Some(set);
     }
 
-    /// The sites that are on with their sets, in order.
+    /// Iterates over the sites that are on, with their sets, in order.
     pub fn iter(&self) -> impl Iterator<Item = (Site, &DeltaSet)> {
         self.0.iter().filter_map(|(site, set)| set.as_ref().map(|set| (site, set)))
     }
 
-    /// A random point of every set. Each site has numbers of its own, so that switching one on or
-    /// off leaves the others' as they were.
+    /// Returns a random point of every set. Each site has its own random numbers. Switching one on or off leaves the
+    /// others' as they were.
     ///
     /// # Errors
     /// Those of candle.

@@ -1,7 +1,7 @@
 //! Pinhole cameras and pixel rays.
 
-/// A pinhole camera with square-free intrinsics and a camera-to-world pose, OpenGL axes
-/// (x right, y up, z towards the viewer).
+/// A pinhole camera with intrinsics without skew, and a camera-to-world pose in OpenGL axes (x right, y up, z towards
+/// the viewer).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Camera {
     /// Columns of the image.
@@ -16,8 +16,7 @@ pub struct Camera {
     pub pose: [[f64; 4]; 3],
 }
 
-/// The projection to normalised device coordinates of forward-facing scenes
-/// (NeRF paper, appendix C; near plane 1).
+/// The projection to normalized device coordinates of forward-facing scenes (NeRF paper, appendix C; near plane 1).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Ndc {
     /// Image width in pixels.
@@ -28,32 +27,32 @@ pub struct Ndc {
     pub focal: f64,
 }
 
-/// Distance of the plane that NDC begin at.
+/// Distance of the plane where NDC begin.
 const NEAR: f64 = 1.0;
 
 impl Camera {
-    /// The camera of a picture of another size that shows as much from top to bottom; to the sides it shows more or less,
-    /// as the size says.
+    /// Returns the camera for an image of another size with the same vertical field of view. The horizontal field of
+    /// view follows from the size.
     pub fn with_size(&self, width: usize, height: usize) -> Camera {
         let scale = height as f64 / self.height as f64;
         let centre = [0.5 * width as f64 + (self.centre[0] - 0.5 * self.width as f64) * scale, self.centre[1] * scale];
         Camera { width, height, focal: self.focal.map(|focal| focal * scale), centre, ..*self }
     }
 
-    /// The same of another height and the same aspect.
+    /// Returns the camera for another height and the same aspect ratio.
     pub fn with_height(&self, height: usize) -> Camera {
         let width = (self.width as f64 * height as f64 / self.height as f64).round().max(1.0);
         self.with_size(width as usize, height)
     }
 
-    /// Every ray of the view goes towards -z, as NDC needs.
+    /// Returns whether every ray of the view goes towards -z, as NDC need.
     pub fn faces_forward(&self) -> bool {
         let corners = [(0.0, 0.0), (1.0, 0.0), (0.0, 1.0), (1.0, 1.0)];
         corners.into_iter().all(|(x, y)| self.ray(x * self.width as f64, y * self.height as f64).1[2] < -1e-3)
     }
 
-    /// The world ray through pixel coordinates (`x`, `y`): origin and direction with unit
-    /// z-component in the camera frame, so that `t` is depth along the view axis.
+    /// Returns the world ray through pixel coordinates (`x`, `y`): origin, and direction with unit z-component in the
+    /// camera frame. `t` is then depth along the view axis.
     pub fn ray(&self, x: f64, y: f64) -> ([f64; 3], [f64; 3]) {
         let local = [(x - self.centre[0]) / self.focal[0], -(y - self.centre[1]) / self.focal[1], -1.0];
         let row = |r: &[f64; 4]| r[0] * local[0] + r[1] * local[1] + r[2] * local[2];
@@ -62,7 +61,8 @@ impl Camera {
 }
 
 impl Ndc {
-    /// The depth of a world ray at `t` of the ray that it is mapped to, in lengths of its direction: infinite from 1 on.
+    /// Returns the depth of a world ray at `t` of the ray in NDC, in lengths of its direction. It is infinite from 1
+    /// on.
     pub fn world_t(origin: [f64; 3], direction: [f64; 3], t: f64) -> f64 {
         let z = -NEAR / (1.0 - t).max(0.0);
         (z - origin[2]) / direction[2]
@@ -81,15 +81,15 @@ impl Ndc {
         )
     }
 
-    /// The world point of a point in NDC; none from the plane z = 1 on, which is infinitely far.
+    /// Returns the world point of a point in NDC, or `None` from the plane z = 1 on, which is infinitely far.
     pub fn unmap(&self, point: [f64; 3]) -> Option<[f64; 3]> {
         let z = 2.0 / (point[2] - 1.0);
         let across = |at: f64, size: f64| -0.5 * at * z * size / self.focal;
         (z < 0.0).then(|| [across(point[0], self.width), across(point[1], self.height), z])
     }
 
-    /// The gradient at a world point of what has the gradient `slope` in NDC there: the transposed
-    /// Jacobian of the map, times it.
+    /// Returns the gradient at a world point from the gradient `slope` in NDC: the transposed Jacobian of the map,
+    /// times `slope`.
     pub fn backward(&self, world: [f64; 3], slope: [f64; 3]) -> [f64; 3] {
         let [x, y, z] = world;
         let (sx, sy) = (-2.0 * self.focal / self.width / z, -2.0 * self.focal / self.height / z);

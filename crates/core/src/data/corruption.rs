@@ -1,7 +1,7 @@
 //! Corrupted training data (paper, tables 3 and A2). Held-out views stay as they are.
 //!
-//! Pixels are corrupted at the working resolution, clipped to 0..=1 and rounded to 8 bits, as a
-//! stored picture would be. Each view has numbers of its own from the run's seed.
+//! Pixels are corrupted at the working resolution, clipped to 0..=1 and rounded to 8 bits, as a stored image would be.
+//! Each view has its own random numbers from the run's seed.
 
 use std::sync::Arc;
 
@@ -13,19 +13,19 @@ use crate::base::rng::{Random, Stream};
 use crate::base::{Error, Image, Result};
 use crate::settings::{CorruptionConfig, CorruptionKind};
 
-/// What was done to a scene's training views.
+/// The corruption of a scene's training views.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Corrupted {
     /// Kind and numbers, as in tables: `gaussian-noise 3 (std 0.18)`.
     pub what: String,
-    /// [`Scene::hash`] of the views as they were read.
+    /// [`Scene::hash`] of the views before corruption.
     pub clean_hash: String,
 }
 
 /// Corrupts the training views of a scene. The same configuration and seed give the same bytes.
 ///
 /// # Errors
-/// A pose that NDC cannot express.
+/// If NDC cannot express a pose.
 pub fn corrupt(scene: &mut Scene, config: &CorruptionConfig, seed: u64) -> Result<()> {
     if !config.is_on() {
         return Ok(());
@@ -66,7 +66,7 @@ fn describe(config: &CorruptionConfig) -> String {
     format!("{} {numbers}", kind.name())
 }
 
-/// The nearest value that 8 bits can hold.
+/// Returns the nearest value in 8 bits.
 fn stored(value: f64) -> f32 {
     (value.clamp(0.0, 1.0) * 255.0).round() as f32 / 255.0
 }
@@ -86,7 +86,8 @@ fn count_photons(image: &mut Image, photons: f64, random: &mut Random) {
     }
 }
 
-/// Half of the drawn pixels black, then half white; one that is drawn twice keeps the last.
+/// Sets the first half of the drawn pixels to black, then the other half to white. A pixel that is drawn twice keeps
+/// the last value.
 fn pepper(image: &mut Image, share: f64, random: &mut Random) {
     let pixels = image.width * image.height;
     let draws = (share * pixels as f64).round() as usize;
@@ -98,7 +99,8 @@ fn pepper(image: &mut Image, share: f64, random: &mut Random) {
     image.pixels.iter_mut().for_each(|value| *value = stored(f64::from(*value)));
 }
 
-/// The pose turned about its own origin by angles about the world's x, y and z axes (in that order), then moved.
+/// Returns the pose rotated about its own origin by angles about the world's x, y and z axes (in that order), then
+/// moved.
 fn misplaced(pose: &Pose, degrees: f64, offset: f64, random: &mut Random) -> Pose {
     let mut within = |most: f64| (2.0 * random.uniform() - 1.0) * most;
     let angles: [f64; 3] = std::array::from_fn(|_| within(degrees).to_radians());
@@ -108,7 +110,7 @@ fn misplaced(pose: &Pose, degrees: f64, offset: f64, random: &mut Random) -> Pos
     from_columns([column(&turned, 0), column(&turned, 1), column(&turned, 2), origin])
 }
 
-/// R_z R_y R_x.
+/// Returns R_z R_y R_x.
 fn rotation([x, y, z]: [f64; 3]) -> Pose {
     let about = |angle: f64, axis: usize| -> Pose {
         let (sin, cos) = angle.sin_cos();
@@ -121,7 +123,7 @@ fn rotation([x, y, z]: [f64; 3]) -> Pose {
     compose(&about(z, 2), &compose(&about(y, 1), &about(x, 0)))
 }
 
-/// A turned camera must still face the scene: NDC has no rays that do not go towards -z.
+/// Checks that rotated cameras still face the scene. NDC have no rays that do not go towards -z.
 fn check_facing(views: &[View], config: &CorruptionConfig) -> Result<()> {
     match views.iter().find(|view| !view.camera.faces_forward()) {
         None => Ok(()),

@@ -1,19 +1,19 @@
-//! The depth maps that come with NeRF-Synthetic's test views: `r_7_depth_0000.png` beside `r_7.png`.
+//! The depth maps of NeRF-Synthetic's test views: `r_7_depth_0000.png` next to `r_7.png`.
 //!
-//! Nothing that comes with the data says how they are made. They are RGBA of 8 bits, all four channels equal, 0 where
-//! nothing is hit. What the values mean was found on the chair: points of 11 test views, put into space with t = far -
-//! slope * value / 255, must lie on the surface that the other views' maps show, never in front of it, and on each
-//! view's silhouette. Over `slope` and `far`, and with t along the ray or along the viewing axis, agreement has one
-//! peak, at t along the *ray* (of unit length) with slope 8.00 and far 8.014 +- 0.006: there 0.5 % of the points lie
-//! in front of what another view sees and 0.03 % outside of its silhouette, against 13 % and 4 % along the axis (the
-//! test, of other views and tolerances, finds 0.1 % and 0.06 %). That is
+//! The data do not document them. They are RGBA of 8 bits, with all four channels equal, and 0 where nothing is hit.
+//! The meaning of the values was found on the chair. Points of 11 test views were put into space with t = far - slope *
+//! value / 255. They must be on the surface that the other views' maps show, never in front of it, and on each view's
+//! silhouette. `slope` and `far` were varied, with t along the ray or along the viewing axis. Agreement has one peak,
+//! at t along the *ray* (of unit length) with slope 8.00 and far 8.014 +- 0.006. There 0.5 % of the points are in front
+//! of what another view sees, and 0.03 % outside of its silhouette. Along the axis these are 13 % and 4 %. (The test,
+//! with other views and tolerances, finds 0.1 % and 0.06 %.) That is
 //!
 //! ```text
 //! value = 255 - floor(255 t / 8),   so   t = 8 (255.5 - value) / 255 +- 0.016
 //! ```
 //!
 //! a distance over 8 scene units, cut to 8 bits and inverted. `tests/it/geometry.rs` holds the agreement between views.
-//! Other scenes of the set are taken to be alike; a map that is not (other channels, distances outside of the scene's
+//! Other scenes of the set are assumed to be alike. A map that is not (other channels, distances outside of the scene's
 //! bounds) is not read as depth.
 
 use std::path::{Path, PathBuf};
@@ -23,12 +23,13 @@ use image::DynamicImage;
 use super::{Camera, images};
 use crate::base::Result;
 
-/// Distance that the 255 steps of a map span, scene units.
+/// Distance of the 255 steps of a map, in scene units.
 const SPAN: f64 = 8.0;
-/// Pixels whose parts differ by more than so many steps show two surfaces.
+/// Pixels whose parts differ by more than this show two surfaces.
 const SPREAD: f64 = 4.0 * SPAN / 255.0;
 
-/// The depth map of an image file, if it has one: `NAME_depth_0000.png` beside `NAME.png`, with any one number.
+/// Returns the depth map of an image file, if it has one: `NAME_depth_0000.png` next to `NAME.png`, with any one
+/// number.
 pub fn file_of(image: &Path) -> Option<PathBuf> {
     let stem = image.file_stem()?.to_string_lossy();
     let start = format!("{stem}_depth_");
@@ -45,10 +46,10 @@ pub fn file_of(image: &Path) -> Option<PathBuf> {
     found.filter(|path| path.file_name().is_some_and(|name| is_map(&name.to_string_lossy()))).min()
 }
 
-/// Depth along the viewing axis at the camera's resolution, row-major, scene units: infinite where nothing is hit, NaN
-/// where it is not known: a pixel is the mean over the part of the map that it covers, if all of that shows one
-/// surface, within 4 of the map's steps. None for a map of another kind: with channels that differ, or distances
-/// outside of `bounds`, or of a size that the camera's does not divide.
+/// Reads depth along the viewing axis at the camera's resolution, row-major, in scene units. It is infinite where
+/// nothing is hit, and NaN where it is not known. A pixel is the mean over its part of the map, if all of that shows
+/// one surface, within 4 of the map's steps. Returns `None` for other maps: with channels that differ, distances
+/// outside of `bounds`, or a size that the camera's does not divide.
 pub fn read(path: &Path, camera: &Camera, bounds: [f64; 2]) -> Result<Option<Vec<f32>>> {
     let DynamicImage::ImageRgba8(map) = images::decode(path)? else { return Ok(None) };
     let (width, height) = (map.width() as usize, map.height() as usize);
@@ -81,8 +82,8 @@ pub fn read(path: &Path, camera: &Camera, bounds: [f64; 2]) -> Result<Option<Vec
     Ok(Some(reduce(&depth, (width, height), (camera.width, camera.height))))
 }
 
-/// Depth of fewer pixels, whose sizes divide: the mean over each block that shows one surface alone, infinite for a
-/// block that shows none, and NaN for what shows both or surfaces more than 4 steps apart.
+/// Reduces depth to fewer pixels, whose sizes divide. A pixel is the mean over a block that shows only one surface. It
+/// is infinite for a block that shows none, and NaN for other blocks, also for surfaces more than 4 steps apart.
 fn reduce(depth: &[f64], from: (usize, usize), to: (usize, usize)) -> Vec<f32> {
     let (columns, rows) = (from.0 / to.0, from.1 / to.1);
     let block = |x: usize, y: usize| {

@@ -2,13 +2,13 @@
 
 use super::{Camera, Rig, Scene, View, pose};
 
-/// Bounds that are farther apart, as a factor, are wide for samples that are even in depth.
+/// Factor between the bounds above which samples that are even in depth are too sparse near the camera.
 const WIDE: f64 = 20.0;
-/// Names of so many views are written out.
+/// Largest number of view names that are printed.
 const NAMES: usize = 6;
 
 impl Scene {
-    /// Label and value of everything that a user should check before training.
+    /// Returns label and value of everything that a user should check before training.
     pub fn describe(&self) -> Vec<(String, String)> {
         let mut rows: Vec<(String, String)> = Vec::new();
         let mut row = |label: &str, value: String| rows.push((label.into(), value));
@@ -36,7 +36,8 @@ impl Scene {
         rows
     }
 
-    /// Where cameras stand, what they look at, how far that is, and how the scene's units follow from the capture's.
+    /// Describes where the cameras are, what they look at, how far that is, and how the scene's units follow from the
+    /// capture's.
     fn describe_place(&self, row: &mut impl FnMut(&str, String)) {
         let cameras: Vec<Camera> = self.train.iter().chain(&self.test).map(|view| view.camera).collect();
         if cameras.is_empty() {
@@ -90,7 +91,7 @@ impl Scene {
 }
 
 impl Scene {
-    /// What is known of the held-out views' depth.
+    /// Returns what is known of the held-out views' depth.
     fn depth_words(&self) -> &'static str {
         match (self.test.iter().any(|view| view.depth.is_some()), self.has_exact_depth()) {
             (true, true) => "yes",

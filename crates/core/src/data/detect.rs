@@ -1,4 +1,4 @@
-//! Which reader a scene folder is for.
+//! The reader of a scene folder.
 
 use std::path::Path;
 
@@ -7,9 +7,9 @@ use super::images::ENDINGS;
 use crate::base::{Error, Result};
 use crate::settings::{DataConfig, DataKind};
 
-/// The kind of scene that `config` names: `config.kind` where it is set, by the files in the folder
-/// otherwise (`poses_bounds.npy`, `transforms_train.json`, `transforms.json`, COLMAP's `sparse/0`: the order of
-/// [`FORMATS`]). No folder means the embedded scene.
+/// Returns the kind of scene that `config` names: `config.kind` if it is set, and the kind of the folder's files
+/// otherwise. It looks for `poses_bounds.npy`, `transforms_train.json`, `transforms.json` and COLMAP's `sparse/0`, in
+/// the order of [`FORMATS`]. Without a folder it is the built-in scene.
 pub fn detect(config: &DataConfig) -> Result<DataKind> {
     let embedded = Format::of(config.kind).is_some_and(|format| format.marker.is_none());
     if config.dir.is_empty() {
@@ -17,7 +17,7 @@ pub fn detect(config: &DataConfig) -> Result<DataKind> {
             DataKind::Auto => Ok(DataKind::BuiltinBlender),
             kind if embedded => Ok(kind),
             kind => Err(Error::Config(format!(
-                "data.kind = \"{}\" reads a scene folder, but data.dir is empty: set it, or leave data.kind to \"auto\" \
+                "data.kind = \"{}\" reads a scene folder, but data.dir is empty: set it, or set data.kind=auto \
                  for the embedded scene",
                 kind.name()
             ))),
@@ -25,7 +25,7 @@ pub fn detect(config: &DataConfig) -> Result<DataKind> {
     }
     if embedded {
         return Err(Error::Config(format!(
-            "data.kind = \"{}\" is the embedded scene, but data.dir = \"{}\": leave one of them empty",
+            "data.kind = \"{}\" is the built-in scene, but data.dir = \"{}\": leave one of them empty",
             config.kind.name(),
             config.dir
         )));

@@ -1,7 +1,7 @@
-//! Image files: finding out their sizes, decoding them in parallel, bringing them to the working
-//! resolution.
+//! Image files: their sizes, parallel decoding, and resampling to the working resolution.
 //!
-//! Pixels are taken as stored: an EXIF orientation is not applied, as COLMAP does not apply it either. Only where a capture's file
+//! Pixels are read as stored. An EXIF orientation is not applied, and COLMAP does not apply it either. It is applied
+//! only if a capture's file says that its poses are those of turned photos ([`crate::data::formats::transforms`]).
 //! says that its poses are those of turned photographs is it ([`crate::data::formats::transforms`]).
 
 use std::fs::File;
@@ -18,25 +18,25 @@ use crate::base::{Error, Event, Image, Listener, Result};
 use crate::runtime::free_memory_mib;
 use crate::settings::DataConfig;
 
-/// Most bytes of a picture's file.
+/// Largest size of an image file in bytes.
 const MOST_BYTES: u64 = 1 << 30;
-/// Most bytes of a decoded WebP picture: its decoder takes more than twice as many on the way, whatever the file holds.
+/// Largest size of a decoded WebP image in bytes. Its decoder needs more than twice as much temporarily.
 const MOST_WEBP: u64 = 384 << 20;
 
-/// Endings of files that count as images, lower case.
+/// File extensions of images, in lower case.
 pub const ENDINGS: [&str; 4] = ["png", "jpg", "jpeg", "webp"];
 
-/// The working resolution, as the configuration asks for it.
+/// The working resolution in the configuration.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Size {
-    /// Smaller by an integer factor; what does not divide is rounded down.
+    /// Smaller by an integer factor, rounded down.
     Factor(usize),
-    /// Exactly so many columns; rows follow the aspect.
+    /// Exactly this many columns. The rows follow the aspect ratio.
     Width(usize),
 }
 
 impl Size {
-    /// `data.width` where it is set, `data.downscale` otherwise.
+    /// Returns `data.width` if it is set, and `data.downscale` otherwise.
     pub fn of(config: &DataConfig) -> Size {
         match config.width {
             0 => Size::Factor(config.downscale.unwrap_or(1).max(1) as usize),
@@ -44,7 +44,7 @@ impl Size {
         }
     }
 
-    /// Width and height that images of `from` are brought to. Refuses to enlarge them.
+    /// Returns width and height of images of `from` at the working resolution. Enlarging them is an error.
     pub fn apply(self, from: (usize, usize), file: &Path) -> Result<(usize, usize)> {
         match self {
             Size::Factor(factor) => Ok(((from.0 / factor).max(1), (from.1 / factor).max(1))),
@@ -63,8 +63,8 @@ impl Size {
     }
 }
 
-/// The sizes that images of `from` are brought to: by the factor, or all by what makes the widest of them as wide as asked for, so
-/// that what is far from the camera is as large in each. `file` is one of them.
+/// Returns the working sizes of images of `from`. A factor applies to all. A width scales all by one factor so that the
+/// widest has this width, and distant objects have the same size in each. `file` is one of the files, for messages.
 pub fn working_sizes(size: Size, from: &[(usize, usize)], file: &Path) -> Result<Vec<(usize, usize)>> {
     let widest = from.iter().map(|size| size.0).max().unwrap_or(1);
     let Size::Width(width) = size else { return from.iter().map(|&from| size.apply(from, file)).collect() };
@@ -73,19 +73,19 @@ pub fn working_sizes(size: Size, from: &[(usize, usize)], file: &Path) -> Result
     Ok(from.iter().map(|&(width, height)| (scaled(width), scaled(height))).collect())
 }
 
-/// Whether a file's ending is one of [`ENDINGS`].
+/// Returns whether the file has one of the [`ENDINGS`].
 pub fn is_image(path: &Path) -> bool {
     let ending = path.extension().map(|e| e.to_string_lossy().to_ascii_lowercase());
     ending.is_some_and(|ending| ENDINGS.contains(&ending.as_str()))
 }
 
-/// The image files of a folder, sorted by name.
+/// Returns the image files of a folder, sorted by name.
 pub fn list(dir: &Path) -> Result<Vec<PathBuf>> {
     let entries = std::fs::read_dir(dir).map_err(|e| Error::unreadable(dir, &e))?;
     let mut paths = Vec::new();
     for entry in entries {
         let path = entry.map_err(|e| Error::unreadable(dir, &e))?.path();
-        // Files whose names start with a dot are a system's notes about images, not images.
+        // Files whose names start with a dot are notes of the system, not images.
         let hidden = path.file_name().is_some_and(|name| name.to_string_lossy().starts_with('.'));
         if !hidden && is_image(&path) {
             paths.push(path);
@@ -95,18 +95,18 @@ pub fn list(dir: &Path) -> Result<Vec<PathBuf>> {
     Ok(paths)
 }
 
-/// Width and height that a file's header states.
+/// Returns width and height from a file's header.
 pub fn size(path: &Path) -> Result<(usize, usize)> {
     let (width, height) = open(path)?.into_dimensions().map_err(|e| undecodable(path, &e))?;
     sound(path, (width, height))
 }
 
-/// Whether a file is of a format that may lose values on the way.
+/// Returns whether the file's format may be lossy.
 pub(super) fn may_be_lossy(path: &Path) -> Result<bool> {
     Ok(matches!(open(path)?.format(), Some(ImageFormat::Jpeg | ImageFormat::WebP)))
 }
 
-/// By how much the images of a folder of this name are smaller than the originals: `images`, `images_{factor}`.
+/// Returns the factor in the name of an image folder: `images`, `images_{factor}`.
 pub(super) fn factor_of(name: &str) -> Option<usize> {
     match name.strip_prefix("images")? {
         "" => Some(1),
@@ -114,15 +114,15 @@ pub(super) fn factor_of(name: &str) -> Option<usize> {
     }
 }
 
-/// Width, height and the turn that EXIF asks viewers for.
+/// Returns width, height and EXIF orientation.
 pub(super) fn header(path: &Path) -> Result<((usize, usize), Orientation)> {
     let mut decoder = open(path)?.into_decoder().map_err(|e| undecodable(path, &e))?;
     let size = sound(path, decoder.dimensions())?;
-    // Damaged notes are no damage of the picture.
+    // Damaged EXIF data does not make an image damaged.
     Ok((size, decoder.orientation().unwrap_or(Orientation::NoTransforms)))
 }
 
-/// Says which photographs viewers show turned: pixels are taken as they are stored.
+/// Notes which photos viewers show turned, since pixels are read as stored.
 pub(super) fn note_turned(scene: &Path, paths: &[PathBuf], events: &dyn Listener) -> Result<()> {
     let mut turned: Vec<String> = Vec::new();
     for path in paths {
@@ -154,7 +154,7 @@ fn sound(path: &Path, (width, height): (u32, u32)) -> Result<(usize, usize)> {
     Ok((width as usize, height as usize))
 }
 
-/// The one size that all files have.
+/// Returns the common size of all files.
 pub fn common_size(paths: &[PathBuf]) -> Result<(usize, usize)> {
     let Some(first) = paths.first() else {
         return Err(Error::Data("no image files to read".into()));
@@ -193,15 +193,15 @@ pub fn decode(path: &Path) -> Result<DynamicImage> {
     reader.decode().map_err(|e| undecodable(path, &e))
 }
 
-/// Whether the last scan of a JPEG is closed by an end-of-image marker. The decoder fills what is
-/// missing with grey, which would be trained on.
+/// Returns whether an end-of-image marker closes the last scan of a JPEG. The decoder fills what is missing with grey,
+/// which would be trained on.
 fn jpeg_is_complete(bytes: &[u8]) -> bool {
     let scan = bytes.windows(2).rposition(|pair| pair == [0xff, 0xda]);
     scan.is_some_and(|at| bytes[at..].windows(2).any(|pair| pair == [0xff, 0xd9]))
 }
 
 fn undecodable(path: &Path, error: &dyn std::fmt::Display) -> Error {
-    // Some of the decoders' messages end in a full stop or a line break.
+    // Some decoders' messages end in a full stop or a line break.
     let error = error.to_string();
     let error = error.trim_end_matches(['.', '\n', ' ']);
     Error::Data(format!(
@@ -210,12 +210,12 @@ fn undecodable(path: &Path, error: &dyn std::fmt::Display) -> Error {
     ))
 }
 
-/// A decoded file as RGB or RGBA of `to` (width x height), averaged over the area of each pixel.
+/// Returns a decoded file as RGB or RGBA of `to` (width x height), averaged over the area of each pixel.
 pub fn averaged(decoded: &DynamicImage, to: (usize, usize)) -> Image {
     let from = (decoded.width() as usize, decoded.height() as usize);
     let colour = decoded.color();
     let deep = colour.bytes_per_pixel() > colour.channel_count();
-    // What is stored as it is needed is not copied: one picture may take half a gigabyte.
+    // An image in the right format is not copied: it may take half a gigabyte.
     match (decoded, deep, colour.has_alpha()) {
         (DynamicImage::ImageRgb8(rgb), ..) => resample::average(rgb.as_raw(), from, 3, 255.0, to),
         (DynamicImage::ImageRgba8(rgba), ..) => resample::average(rgba.as_raw(), from, 4, 255.0, to),
@@ -231,12 +231,12 @@ pub fn read(path: &Path, to: (usize, usize)) -> Result<Image> {
     Ok(averaged(&decode(path)?, to))
 }
 
-/// Refuses more pictures of a size than the machine has memory free for.
+/// Returns an error for more images of a size than the free memory can hold.
 pub(super) fn check_memory(count: usize, size: (usize, usize)) -> Result<()> {
     check_memory_of(&vec![size; count])
 }
 
-/// The same of pictures that have sizes of their own.
+/// The same for images of different sizes.
 pub(super) fn check_memory_of(sizes: &[(usize, usize)]) -> Result<()> {
     let Some(free) = free_memory_mib() else { return Ok(()) };
     let bytes = |&(width, height): &(usize, usize)| width as f64 * height as f64 * (3 * size_of::<f32>()) as f64;
@@ -254,7 +254,7 @@ pub(super) fn check_memory_of(sizes: &[(usize, usize)]) -> Result<()> {
     )))
 }
 
-/// How many pictures may be decoded at once: so many that what they take on the way stays bounded.
+/// Returns how many images may be decoded at once, so that temporary memory stays bounded.
 fn at_once(paths: &[PathBuf]) -> Result<usize> {
     /// Samples of up to 16 bits with alpha.
     const PIXEL_BYTES: usize = 8;
@@ -267,8 +267,8 @@ fn at_once(paths: &[PathBuf]) -> Result<usize> {
     Ok((BYTES / PIXEL_BYTES / largest).max(1))
 }
 
-/// Runs `read` over all files in parallel. Of several failures the first file's is reported,
-/// whichever came first in time.
+/// Runs `read` over all files in parallel. Of several failures it reports that of the first file, whichever came first
+/// in time.
 pub(super) fn each<T: Send>(
     paths: &[PathBuf],
     label: &str,
@@ -290,7 +290,7 @@ pub(super) fn each<T: Send>(
     results.into_iter().collect()
 }
 
-/// Reads all files at `to` onto `background`. The flag says whether anything was see-through.
+/// Reads all files at `to` onto `background`. The flag says whether anything was transparent.
 pub(super) fn read_all(
     paths: &[PathBuf],
     to: (usize, usize),
@@ -304,14 +304,14 @@ pub(super) fn read_all(
     Ok((images, clear.contains(&true)))
 }
 
-/// The folder of the files, their size and the one that they are averaged down to, for people.
+/// Describes the folder of the files, their size, and their working size.
 pub(super) fn folder_words(paths: &[PathBuf], from: (usize, usize), to: (usize, usize)) -> String {
     let folder = paths.first().and_then(|path| path.parent()).unwrap_or(Path::new(""));
     let averaged = if from == to { "as stored".into() } else { format!("averaged down to {} x {}", to.0, to.1) };
     format!("{}: {} x {} pixels, {averaged}", folder.display(), from.0, from.1)
 }
 
-/// The folder that all files lie in or below.
+/// Returns the folder that contains all files.
 fn common_folder(paths: &[PathBuf]) -> PathBuf {
     let folders = paths.iter().map(|path| path.parent().unwrap_or(Path::new("")).to_path_buf());
     let shared = |common: PathBuf, folder: PathBuf| {
@@ -321,8 +321,8 @@ fn common_folder(paths: &[PathBuf]) -> PathBuf {
     folders.reduce(shared).unwrap_or_default()
 }
 
-/// A name for each view: its file's stem; where stems repeat, its path below the folder that all have in common. Where that folder
-/// lies is in no name, for hashes of scenes hang on them.
+/// Returns a name for each view: its file's stem. If stems repeat, it is the path below the common folder. The location
+/// of that folder is in no name, because hashes of scenes depend on names.
 pub(super) fn names(paths: &[PathBuf]) -> Vec<String> {
     let stem = |path: &PathBuf| path.file_stem().map(|s| s.to_string_lossy().into_owned()).unwrap_or_default();
     let mut names: Vec<String> = paths.iter().map(stem).collect();

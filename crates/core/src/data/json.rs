@@ -16,24 +16,24 @@ use super::{LARGEST, SMALLEST, brief};
 use crate::base::input::read_bytes;
 use crate::base::{Error, Result};
 
-/// Most bytes of a scene's poses: those of some ten thousand views.
+/// Largest size of a scene's poses in bytes: those of some ten thousand views.
 const MOST_BYTES: u64 = 32 << 20;
 
-/// One object of a JSON file and where it stands.
+/// An object of a JSON file and its location.
 #[derive(Clone, Copy)]
 pub(super) struct Object<'a> {
     file: &'a Path,
-    /// `""` for the document, `"frame 3: "` for a frame.
+    /// `None` for the document, the number of a frame otherwise.
     place: Option<usize>,
     value: &'a Value,
 }
 
-/// Most values of a scene's poses, a hundred for each of some ten thousand views: a short text can hold millions, each of
-/// which takes memory.
+/// Largest number of values in a scene's poses: a hundred for each of some ten thousand views. A short text can hold
+/// millions, each of which takes memory.
 const MOST_VALUES: usize = 1 << 20;
 
-/// Reads a JSON file. A byte order mark is no part of it, and numbers that are none (`NaN`, as Python writes them) are taken as
-/// texts: they harm only where a number is needed.
+/// Reads a JSON file. A byte order mark is ignored. `NaN` and the like, as Python writes them, become strings: they
+/// matter only where a number is needed.
 pub(super) fn read(file: &Path) -> Result<Value> {
     let text = read_bytes(file, MOST_BYTES).map_err(|e| Error::unreadable(file, &e))?;
     let text = quote_no_numbers(text.strip_prefix(BYTE_ORDER_MARK).unwrap_or(&text));
@@ -45,10 +45,10 @@ pub(super) fn read(file: &Path) -> Result<Value> {
 }
 
 const BYTE_ORDER_MARK: &[u8] = b"\xef\xbb\xbf";
-/// What Python's and JavaScript's writers leave of numbers that are none.
+/// What Python's and JavaScript's writers write for numbers that are not finite.
 const NO_NUMBERS: [&[u8]; 3] = [b"-Infinity", b"Infinity", b"NaN"];
 
-/// The text with quotes around `NaN`, `Infinity` and `-Infinity` where they stand outside of texts.
+/// Returns the text with quotes around `NaN`, `Infinity` and `-Infinity` outside of strings.
 fn quote_no_numbers(text: &[u8]) -> Cow<'_, [u8]> {
     let mut quoted = Vec::new();
     let (mut copied, mut at, mut in_text) = (0, 0, false);
@@ -75,7 +75,7 @@ fn quote_no_numbers(text: &[u8]) -> Cow<'_, [u8]> {
     quoted.into()
 }
 
-/// Reads a value as it stands, while those that it counts are not too many.
+/// Reads a value, and counts values up to a limit.
 #[derive(Clone, Copy)]
 struct Counted<'a>(&'a Cell<usize>);
 
@@ -149,18 +149,18 @@ impl<'a> Object<'a> {
         Ok(object)
     }
 
-    /// An error about this object.
+    /// Returns an error about this object.
     pub(super) fn error(&self, what: &str) -> Error {
         let place = self.place.map(|i| format!("frame {i} (counted from 0): ")).unwrap_or_default();
         Error::Data(format!("{}: {place}{what}", self.file.display()))
     }
 
-    /// The elements of `frames`, at least one.
+    /// Returns the elements of `frames`, at least one.
     pub(super) fn frames(&self) -> Result<Vec<Object<'a>>> {
         self.objects("frames")
     }
 
-    /// The elements of a list of views, at least one.
+    /// Returns the elements of a list of views, at least one.
     pub(super) fn objects(&self, key: &str) -> Result<Vec<Object<'a>>> {
         let frames = self.required(key)?;
         let list = frames.as_array().ok_or_else(|| self.wrong(key, frames, "an array"))?;
@@ -175,12 +175,12 @@ impl<'a> Object<'a> {
         list.iter().enumerate().map(frame).collect()
     }
 
-    /// A key that may be missing or null.
+    /// Returns the value of a key, or `None` if it is missing or null.
     pub(super) fn get(&self, key: &str) -> Option<&'a Value> {
         self.value.get(key).filter(|value| !value.is_null())
     }
 
-    /// A number of the size that scenes have; it may be missing.
+    /// Returns a number within the limits of scenes, if it is there.
     pub(super) fn number(&self, key: &str) -> Result<Option<f64>> {
         let Some(value) = self.get(key) else { return Ok(None) };
         let number = value.as_f64().filter(|v| v.abs() <= LARGEST);
@@ -189,30 +189,30 @@ impl<'a> Object<'a> {
             .ok_or_else(|| self.wrong(key, value, &format!("a finite number from -{LARGEST:e} to {LARGEST:e}")))
     }
 
-    /// A text that may be missing.
+    /// Returns a string, if it is there.
     pub(super) fn text(&self, key: &str) -> Result<Option<&'a str>> {
         let Some(value) = self.get(key) else { return Ok(None) };
         value.as_str().map(Some).ok_or_else(|| self.wrong(key, value, "a text"))
     }
 
-    /// `camera_angle_x` or `camera_angle_y`: a field of view in radians, if it is there.
+    /// Returns `camera_angle_x` or `camera_angle_y`, a field of view in radians, if it is there.
     pub(super) fn angle(&self, key: &str) -> Result<Option<f64>> {
         let angle = self.number(key)?;
         match angle {
             Some(v) if !(SMALLEST..=PI - SMALLEST).contains(&v) => Err(self.error(&format!(
-                "\"{key}\" is {}, but a field of view lies between 0 and pi radians, {SMALLEST:e} away from both",
+                "\"{key}\" is {}, but a field of view must be between 0 and pi radians, {SMALLEST:e} away from both",
                 brief(v)
             ))),
             angle => Ok(angle),
         }
     }
 
-    /// `transform_matrix`: camera to world, 4x4 or 3x4.
+    /// Returns `transform_matrix`: camera to world, 4x4 or 3x4.
     pub(super) fn pose(&self) -> Result<Pose> {
         self.pose_at("transform_matrix")
     }
 
-    /// A rigid pose under any key, 4x4 or 3x4.
+    /// Returns a rigid pose under any key, 4x4 or 3x4.
     pub(super) fn pose_at(&self, key: &str) -> Result<Pose> {
         let value = self.required(key)?;
         let needed = format!("a 4x4 matrix of finite numbers from -{LARGEST:e} to {LARGEST:e}");
@@ -231,7 +231,7 @@ impl<'a> Object<'a> {
         Ok(pose)
     }
 
-    /// The image file that `key` names; see [`Picture`].
+    /// Returns the image file that `key` names; see [`Picture`].
     pub(super) fn picture(&self, key: &str) -> Result<Picture> {
         let value = self.required(key)?;
         let text = value.as_str().ok_or_else(|| self.wrong(key, value, "a text"))?;
@@ -253,31 +253,31 @@ impl<'a> Object<'a> {
                 named.display()
             )));
         }
-        // Where the capture lay on the machine that wrote the file, it lies here below the file's own folder.
+        // A path from the machine that wrote the file: the capture may be below the file's own folder here.
         let path =
             if is_absolute(&written) { parts(&written).find_map(|part| image_at(&folder.join(part))) } else { None };
         Ok(Picture { place: path.clone().unwrap_or(named), path, written })
     }
 
-    /// Keys of the object in their order.
+    /// Iterates over the keys of the object in their order.
     pub(super) fn keys(&self) -> impl Iterator<Item = &'a str> {
         self.value.as_object().into_iter().flat_map(|map| map.keys().map(String::as_str))
     }
 
-    /// A list of texts that may be missing.
+    /// Returns a list of strings, if it is there.
     pub(super) fn texts(&self, key: &str) -> Result<Option<Vec<&'a str>>> {
         let Some(value) = self.get(key) else { return Ok(None) };
         let texts = value.as_array().and_then(|list| list.iter().map(Value::as_str).collect());
         texts.map(Some).ok_or_else(|| self.wrong(key, value, "a list of texts"))
     }
 
-    /// A truth value that may be missing.
+    /// Returns a boolean, if it is there.
     pub(super) fn truth(&self, key: &str) -> Result<Option<bool>> {
         let Some(value) = self.get(key) else { return Ok(None) };
         value.as_bool().map(Some).ok_or_else(|| self.wrong(key, value, "true or false"))
     }
 
-    /// A key that must be there.
+    /// Returns the value of a key that must be there.
     pub(super) fn required(&self, key: &str) -> Result<&'a Value> {
         self.get(key).ok_or_else(|| self.error(&format!("the key \"{key}\" is missing")))
     }
@@ -292,19 +292,19 @@ impl<'a> Object<'a> {
     }
 }
 
-/// An image that a file names, relative to itself, with or without an ending; by an absolute path that is not there, by as much
-/// of its end as there is below the file's folder.
+/// An image that a file names, relative to itself, with or without an extension. For an absolute path that does not
+/// exist here, the longest end of it below the file's folder counts.
 #[derive(Clone)]
 pub(super) struct Picture {
-    /// Where it is; none where it is not.
+    /// Its path, if it exists.
     pub(super) path: Option<PathBuf>,
-    /// Where it is, or would be.
+    /// The path where it is, or would be.
     pub(super) place: PathBuf,
-    /// As it is written, with slashes and without `./` in front.
+    /// The name as written, with slashes and without `./` in front.
     pub(super) written: String,
 }
 
-/// The image at a path, or at the path with an image's ending.
+/// Returns the image at a path, or at the path with an image's extension.
 fn image_at(path: &Path) -> Option<PathBuf> {
     let is_there = |path: &Path| path.exists() && !path.is_dir();
     if is_there(path) && is_image(path) {
@@ -314,7 +314,7 @@ fn image_at(path: &Path) -> Option<PathBuf> {
     endings.map(|ending| PathBuf::from(format!("{}.{ending}", path.display()))).find(|path| is_there(path))
 }
 
-/// Whether a path names its place from a root: `/home/me/a.png`, `C:/a.png`.
+/// Returns whether a path starts at a root: `/home/me/a.png`, `C:/a.png`.
 fn is_absolute(written: &str) -> bool {
     let drive = written
         .as_bytes()
@@ -323,7 +323,7 @@ fn is_absolute(written: &str) -> bool {
     written.starts_with('/') || drive
 }
 
-/// The ends of a path, from all behind the root to the file's name.
+/// Iterates over the ends of a path, from everything after the root to the file's name.
 fn parts(written: &str) -> impl Iterator<Item = &str> {
     written
         .match_indices('/')

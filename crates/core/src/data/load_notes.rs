@@ -1,10 +1,10 @@
-//! What readers say on their way, kept beside the scene: a sentence on a screen is gone where nobody looks.
+//! The notes of readers, kept with the scene, since a sentence on a screen is easily missed.
 
 use std::sync::{Mutex, PoisonError};
 
 use crate::base::{Event, Listener};
 
-/// Hands every event on, and keeps the sentences.
+/// Passes every event on, and keeps the notes.
 pub(super) struct LoadNotes<'a> {
     events: &'a dyn Listener,
     said: Mutex<Vec<String>>,
@@ -15,7 +15,7 @@ impl<'a> LoadNotes<'a> {
         LoadNotes { events, said: Mutex::default() }
     }
 
-    /// All that was said, without the scene's folder: where that lies is no part of the scene. None where nothing was.
+    /// Returns all notes, without the scene's folder, whose location is no part of the scene. `None` if there are none.
     pub(super) fn words(self, folder: &str) -> Option<String> {
         let said = self.said.into_inner().unwrap_or_else(PoisonError::into_inner);
         let folder = folder.trim_end_matches('/');

@@ -41,20 +41,19 @@ use load_notes::LoadNotes;
 
 use crate::settings::{Background, DataConfig, DataKind, Extent, scene_name, short_hash};
 
-/// One posed photograph.
+/// One photo with its pose.
 #[derive(Clone, Debug)]
 pub struct View {
-    /// The file's stem, or the embedded scene's view name; unique within its split.
+    /// The file's stem, or the built-in scene's view name. It is unique within its split.
     pub name: String,
     /// Intrinsics and pose.
     pub camera: Camera,
-    /// RGB on the scene's background, `camera.width x camera.height`.
+    /// RGB over the scene's background, `camera.width x camera.height`.
     pub image: Arc<Image>,
-    /// Ground-truth depth along the view's z axis in scene units, row-major, where the scene has it: exactly
-    /// (the embedded scene) or in steps of 8 bits. `f32::INFINITY` where the ray hits nothing, NaN where it
-    /// is not known.
+    /// Ground-truth depth along the view's z axis in scene units, row-major, if the scene has it. It is exact (the
+    /// built-in scene) or in steps of 8 bits. `f32::INFINITY` where the ray hits nothing, NaN where it is not known.
     pub depth: Option<Vec<f32>>,
-    /// Which pixels count, row-major: the others are neither trained on nor measured. All of them where there is no mask.
+    /// Which pixels count, row-major. Others are neither trained on nor measured. `None` if all count.
     pub mask: Option<Arc<[bool]>>,
 }
 
@@ -65,49 +64,49 @@ pub struct Scene {
     pub name: String,
     /// `llff`, `blender`, `transforms`, `colmap`, `builtin-blender`, `builtin-forward`.
     pub kind: &'static str,
-    /// Views that are trained on.
+    /// Training views.
     pub train: Vec<View>,
-    /// Views that are not trained on and that metrics are computed on.
+    /// Views for metrics, which are not trained on.
     pub test: Vec<View>,
     /// Start of a ray's interval, in the units of `t_vals` (0 under NDC).
     pub near: f64,
     /// End of a ray's interval (1 under NDC).
     pub far: f64,
-    /// Set when rays are mapped to normalised device coordinates.
+    /// Set if rays are mapped to normalized device coordinates.
     pub ndc: Option<Ndc>,
-    /// Background colour that pixels without accumulation show; `None` for opaque photographs.
+    /// Colour of pixels without accumulation; `None` for opaque photos.
     pub background: Option<[f32; 3]>,
     /// Cameras of the scene's usual video path (spiral or orbit), at the working resolution.
     pub path: Vec<Camera>,
-    /// What was done to the training views after they were read.
+    /// The corruption of the training views.
     pub corrupted: Option<Corrupted>,
-    /// Where it lies: units, box, points.
+    /// The scene's space: units, box, points.
     pub space: SceneSpace,
 }
 
 impl Scene {
-    /// Start and end of a ray's interval, in the units of `t_vals`.
+    /// Returns start and end of a ray's interval, in the units of `t_vals`.
     pub fn bounds(&self) -> (f64, f64) {
         (self.near, self.far)
     }
 
-    /// What settings that hang on the scene follow from.
+    /// Returns what settings that depend on the scene follow from.
     pub fn extent(&self) -> Extent {
         let sides = self.train.iter().chain(&self.test).map(|view| view.camera.width.max(view.camera.height));
         Extent { near: self.near, far: self.far, domain: self.space.domain, pixels: sides.max().unwrap_or(0) }
     }
 
-    /// The format that the scene was read in; none for a scene of one's own making.
+    /// Returns the format in which the scene was read, or `None` for a scene of your own.
     pub fn format(&self) -> Option<&'static Format> {
         FORMATS.iter().find(|format| format.kind.name() == self.kind)
     }
 
-    /// Whether the views' depth is exact.
+    /// Returns whether the views' depth is exact.
     pub fn has_exact_depth(&self) -> bool {
         self.format().is_some_and(|format| format.depth == ReferenceDepth::Exact)
     }
 
-    /// A 12-digit hash of all views: what a number was trained and measured on.
+    /// Returns a 12-digit hash of all views: the data of training and metrics.
     pub fn hash(&self) -> String {
         let mut digest = Sha256::new();
         digest.update(self.near.to_le_bytes());
@@ -119,7 +118,7 @@ impl Scene {
                 let Camera { focal, centre, pose, .. } = camera;
                 let geometry = focal.iter().chain(centre).chain(pose.iter().flatten());
                 geometry.for_each(|value| digest.update(value.to_le_bytes()));
-                // In pieces: one call a number would take longer than the hash.
+                // In pieces: one call per number would take longer than the hash.
                 for pixels in image.pixels.chunks(1024) {
                     digest.update(pixels.iter().flat_map(|value| value.to_le_bytes()).collect::<Vec<u8>>());
                 }
@@ -133,19 +132,19 @@ impl Scene {
     }
 }
 
-/// The largest number, either way, that a scene may have: training computes in f32, where products of three such numbers
-/// are still numbers.
+/// The largest number in a scene, in magnitude. Training computes in f32, where products of three such numbers are
+/// still finite.
 const LARGEST: f64 = 1e12;
-/// The smallest length or angle that a scene may have.
+/// The smallest length or angle in a scene.
 const SMALLEST: f64 = 1e-6;
 
-/// A number as people write it: `0.5`, `5e-324`.
+/// Returns a number as people write it: `0.5`, `5e-324`.
 fn brief(number: f64) -> String {
     let plain = number == 0.0 || (1e-5..1e15).contains(&number.abs());
     if plain { number.to_string() } else { format!("{number:e}") }
 }
 
-/// Start and end of a ray's interval as [`load`] will find them; none where the scene's files say it.
+/// Returns start and end of a ray's interval as [`load`] will find them, or `None` if the scene's files state them.
 pub fn known_bounds(config: &DataConfig) -> Option<(f64, f64)> {
     let usual = match config.kind {
         DataKind::Blender | DataKind::BuiltinBlender => Some((2.0, 6.0)),
@@ -156,7 +155,7 @@ pub fn known_bounds(config: &DataConfig) -> Option<(f64, f64)> {
     config.near.or(near).zip(config.far.or(far))
 }
 
-/// Whether [`load`] may find a box that most cameras look at, which a hash grid then fills.
+/// Returns whether [`load`] may find a box that most cameras look at, which a hash grid then fills.
 pub fn may_have_box(config: &DataConfig) -> bool {
     match config.kind {
         DataKind::Transforms | DataKind::Colmap => true,
@@ -165,8 +164,8 @@ pub fn may_have_box(config: &DataConfig) -> bool {
     }
 }
 
-/// Loads the scene that `config` names. Its kind must be settled ([`detect`]) and `downscale` filled. `seed` is that of
-/// the corruption of training views, where there is one.
+/// Loads the scene that `config` names. Its kind must be settled ([`detect`]) and `downscale` filled. `seed` is for the
+/// corruption of training views.
 pub fn load(config: &DataConfig, seed: u64, events: &dyn Listener) -> Result<Scene> {
     let Some(format) = Format::of(config.kind) else {
         return Err(Error::Config("data.kind = \"auto\" has to be settled before the scene is loaded".into()));
@@ -204,7 +203,7 @@ fn check(scene: &Scene, config: &DataConfig) -> Result<()> {
     )))
 }
 
-/// What comes of a file's numbers, once poses are scaled and centred, must be numbers that can be computed with, too.
+/// Checks that numbers are still safe to compute with after poses are scaled and centred.
 fn check_numbers(scene: &Scene, config: &DataConfig) -> Result<()> {
     let sound = |value: f64| value.abs() <= LARGEST;
     let camera_is_sound = |camera: &Camera| {
@@ -232,7 +231,7 @@ fn check_numbers(scene: &Scene, config: &DataConfig) -> Result<()> {
     Ok(())
 }
 
-/// The colour that see-through pixels are put on.
+/// Returns the background colour behind transparent pixels.
 fn background(config: &DataConfig) -> [f32; 3] {
     match config.background {
         Background::White => [1.0; 3],

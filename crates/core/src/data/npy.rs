@@ -1,11 +1,11 @@
-//! NumPy's `.npy` files: tables of floating-point numbers to read, arrays of any shape to write.
+//! NumPy's `.npy` files: reads tables of floating-point numbers, and writes arrays of any shape.
 
 use std::path::Path;
 
 use crate::base::input::read_bytes;
 use crate::base::{Error, Result};
 
-/// Most bytes of an array: LLFF's has 136 a view.
+/// Largest size of an array in bytes. LLFF's has 136 per view.
 const MOST_BYTES: u64 = 16 << 20;
 
 /// An array of any dimensions, row-major.
@@ -40,12 +40,13 @@ pub fn read_array(path: &Path) -> Result<Array> {
     parse_array(&bytes).map_err(|what| Error::Data(format!("{}: {what}", path.display())))
 }
 
-/// What stands before the values of a C-ordered array of `kind`, such as little-endian float32 (`<f4`): format version 1.0.
+/// Returns what precedes the values of a C-ordered array of `kind`, such as little-endian float32 (`<f4`): format
+/// version 1.0.
 pub fn header(kind: &str, shape: &[usize]) -> Vec<u8> {
     const PREFIX: usize = 10;
     let shape: Vec<String> = shape.iter().map(usize::to_string).collect();
     let mut header = format!("{{'descr': '{kind}', 'fortran_order': False, 'shape': ({}), }}", shape.join(", "));
-    // Data starts at a multiple of 64 bytes; the header ends with a newline.
+    // Data starts at a multiple of 64 bytes. The header ends with a newline.
     let padded = (PREFIX + header.len() + 1).next_multiple_of(64) - PREFIX;
     header.extend(std::iter::repeat_n(' ', padded - 1 - header.len()));
     header.push('\n');
@@ -95,7 +96,7 @@ fn parse_array(bytes: &[u8]) -> std::result::Result<Array, String> {
     Ok(Array { shape, values })
 }
 
-/// The header's text and the bytes after it.
+/// Returns the header's text and the bytes after it.
 fn split_header(bytes: &[u8]) -> std::result::Result<(&str, &[u8]), String> {
     if !bytes.starts_with(b"\x93NUMPY") {
         return Err("this is no .npy file: it does not start with \\x93NUMPY".into());
@@ -121,7 +122,7 @@ fn split_header(bytes: &[u8]) -> std::result::Result<(&str, &[u8]), String> {
     Ok((header, &rest[length..]))
 }
 
-/// The text of one entry of the header's Python dictionary.
+/// Returns the text of one entry of the header's Python dictionary.
 fn field<'a>(header: &'a str, key: &str) -> std::result::Result<&'a str, String> {
     let value = header.split_once(&format!("'{key}':")).map(|(_, rest)| rest.trim_start());
     let value = value.ok_or_else(|| format!("its header has no '{key}': {}", header.trim()))?;

@@ -1,54 +1,54 @@
-//! The video path of a capture with arbitrary poses: around what its cameras look at, no further than they went.
+//! The video path of a capture with arbitrary poses: around what its cameras look at, within the range of the cameras.
 
 use std::f64::consts::{PI, TAU};
 
 use super::pose::{self, Pose, Vec3};
 use super::rig;
 
-/// Poses of a path, as nerf-pytorch's.
+/// Number of poses on a path, as in nerf-pytorch.
 pub const POSES: usize = 120;
-/// Cameras go all around where they leave no gap of more than this, radians.
+/// Cameras go all around if no gap is larger than this, in radians.
 const WIDEST_GAP: f64 = 0.25 * TAU;
-/// The share of the cameras that must have the common point before them.
+/// The fraction of the cameras that must have the common point in front of them.
 const FACING: f64 = 0.9;
-/// Mean of the unit viewing directions above which cameras without a common point look the same way.
+/// Length of the mean viewing direction above which cameras without a common point look the same way.
 const AGREEMENT: f64 = 0.5;
-/// A swing covers the cameras' places but for this share on either end.
+/// A swing covers the cameras' positions except for this fraction at either end.
 const MARGIN: f64 = 0.1;
-/// Elevation from which a camera that looks at the centre has no up, radians.
+/// Elevation above which a camera that looks at the centre has no up, in radians.
 const STEEPEST: f64 = 80.0 / 180.0 * PI;
-/// How strongly up follows the cameras' mean up where their horizons leave it open.
+/// How strongly up follows the cameras' mean up if their horizons leave it open.
 const TOWARDS_MEAN: f64 = 0.01;
 
-/// A path for these cameras:
+/// Returns a path for these cameras:
 ///
-/// - a circle around the point that they look at, at their mean height and distance, where they go all around it;
-/// - a swing before it, an ellipse in azimuth and elevation within the range of the cameras, where they do not;
-/// - a swing across their mean viewing direction, where they look the same way and at nothing in common;
-/// - the cameras themselves, one after the other, where they do neither (a walk, a panorama).
+/// - a circle around the point that they look at, at their mean height and distance, if they go all around it;
+/// - a swing in front of it, an ellipse in azimuth and elevation within the range of the cameras, if they do not;
+/// - a swing across their mean viewing direction, if they look the same way but at no common point;
+/// - the cameras themselves, one after the other, otherwise (a walk, a panorama).
 ///
-/// In the first two the point is in the middle of every picture.
+/// In the first two the point is in the middle of every image.
 pub fn around(poses: &[Pose]) -> Vec<Pose> {
     let around = up(poses).and_then(|up| Around::of(poses, up));
     let path = around.and_then(|seen| if seen.widest_gap().0 <= WIDEST_GAP { seen.circle() } else { seen.swing() });
     path.or_else(|| across(poses)).unwrap_or_else(|| poses.to_vec())
 }
 
-/// The cameras look at a common point, and go around it without a wide gap.
+/// Returns whether the cameras look at a common point, and go around it without a wide gap.
 pub fn goes_around(poses: &[Pose]) -> bool {
     up(poses).and_then(|up| Around::of(poses, up)).is_some_and(|seen| seen.widest_gap().0 <= WIDEST_GAP)
 }
 
-/// The point that cameras look at: next to all their viewing axes, and before nearly all of them.
+/// Returns the point that cameras look at: close to all their viewing axes, and in front of nearly all of them.
 pub fn centre(poses: &[Pose]) -> Option<Vec3> {
     let focus = pose::focus_point(poses)?;
     let faces = |p: &&Pose| pose::dot(pose::sub(focus, pose::column(p, 3)), pose::column(p, 2)) < 0.0;
     (poses.iter().filter(faces).count() as f64 >= FACING * poses.len() as f64).then_some(focus)
 }
 
-/// The direction across the cameras' right axes (people hold cameras level), and along their mean up as far as those leave
-/// it open: the least squares of `right . up` with a ridge towards the mean. The mean alone leans away from cameras that
-/// look down from one side.
+/// Returns the up direction: perpendicular to the cameras' right axes (people hold cameras level), and otherwise along
+/// their mean up. It is the least squares solution of `right . up` with a ridge towards the mean. The mean alone leans
+/// away from cameras that look down from one side.
 fn up(poses: &[Pose]) -> Option<Vec3> {
     let mean = pose::mean(poses.iter().map(|p| pose::column(p, 1)));
     let mut matrix = [[0.0; 3]; 3];
@@ -61,10 +61,10 @@ fn up(poses: &[Pose]) -> Option<Vec3> {
     pose::normalized(pose::solve(matrix, mean)?).or_else(|| pose::normalized(mean))
 }
 
-/// Where cameras stand around the point that they look at.
+/// The cameras' positions around the point that they look at.
 struct Around {
     centre: Vec3,
-    /// Axes: the first camera's side, the one a quarter turn on, up.
+    /// Axes: the first camera's side, the one a quarter turn on, and up.
     axes: [Vec3; 3],
     /// Azimuth (radians), elevation (radians) and distance of each camera.
     places: Vec<[f64; 3]>,
@@ -74,7 +74,7 @@ struct Around {
 }
 
 impl Around {
-    /// None where they look at no common point, or all stand above it.
+    /// Returns `None` if they look at no common point, or are all above it.
     fn of(poses: &[Pose], up: Vec3) -> Option<Around> {
         let centre = centre(poses)?;
         let offsets: Vec<Vec3> = poses.iter().map(|p| pose::sub(pose::column(p, 3), centre)).collect();
@@ -90,7 +90,7 @@ impl Around {
         Some(Around { centre, axes, places: offsets.iter().map(place).collect(), height, radius })
     }
 
-    /// The widest gap between neighbours in azimuth, and the azimuth where it ends.
+    /// Returns the widest gap between neighbours in azimuth, and the azimuth where it ends.
     fn widest_gap(&self) -> (f64, f64) {
         let mut azimuths: Vec<f64> = self.places.iter().map(|place| place[0]).collect();
         azimuths.sort_by(f64::total_cmp);
@@ -99,7 +99,7 @@ impl Around {
         gaps.max_by(|a, b| a.0.total_cmp(&b.0)).expect("there is a camera")
     }
 
-    /// The pose at an azimuth, height over the centre and distance from the axis that looks at the centre.
+    /// Returns the pose at an azimuth, height over the centre and distance from the axis that looks at the centre.
     fn pose(&self, azimuth: f64, height: f64, radius: f64) -> Option<Pose> {
         let [first, second, up] = self.axes;
         let (sin, cos) = azimuth.sin_cos();
@@ -126,7 +126,8 @@ impl Around {
     }
 }
 
-/// A swing in the plane of the mean camera, which keeps its direction; none where the cameras' directions differ much.
+/// Returns a swing in the plane of the mean camera, which keeps its direction. `None` if the cameras' directions differ
+/// too much.
 fn across(poses: &[Pose]) -> Option<Vec<Pose>> {
     let agreement = pose::length(pose::mean(poses.iter().map(|p| pose::column(p, 2))));
     let average = &pose::average(poses).filter(|_| agreement >= AGREEMENT)?;
@@ -141,14 +142,14 @@ fn across(poses: &[Pose]) -> Option<Vec<Pose>> {
     Some((0..POSES).map(at).collect())
 }
 
-/// Middle and half width of what numbers cover, [`MARGIN`] on either end left out.
+/// Returns middle and half width of the range of numbers, without [`MARGIN`] at either end.
 fn range(values: impl Iterator<Item = f64>) -> [f64; 2] {
     let values: Vec<f64> = values.collect();
     let (low, high) = (percentile(values.clone(), MARGIN), percentile(values, 1.0 - MARGIN));
     [0.5 * (low + high), 0.5 * (high - low)]
 }
 
-/// A percentile of at least one number, as NumPy's default.
+/// Returns a percentile of at least one number, as NumPy's default.
 pub fn percentile(mut values: Vec<f64>, share: f64) -> f64 {
     values.sort_by(f64::total_cmp);
     rig::percentile(&values, share)

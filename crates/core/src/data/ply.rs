@@ -2,21 +2,21 @@
 
 use std::io::{Result, Write};
 
-/// Vertices with what is known of each, and triangles over them.
+/// Vertices with normals and colours, if known, and triangles.
 #[derive(Clone, Copy)]
 pub struct Surface<'a> {
     /// Positions.
     pub vertices: &'a [[f32; 3]],
-    /// A unit normal a vertex; empty for none.
+    /// A unit normal per vertex; may be empty.
     pub normals: &'a [[f32; 3]],
-    /// RGB a vertex; empty for none.
+    /// RGB per vertex; may be empty.
     pub colours: &'a [[u8; 3]],
     /// Vertex indices.
     pub triangles: &'a [[u32; 3]],
 }
 
 impl Surface<'_> {
-    /// Writes x, y, z (and nx, ny, nz) as floats, red, green, blue as bytes.
+    /// Writes x, y, z (and nx, ny, nz) as floats, and red, green, blue as bytes.
     pub fn write_ply(&self, comment: &str, out: &mut impl Write) -> Result<()> {
         writeln!(out, "ply\nformat binary_little_endian 1.0\ncomment {comment}")?;
         writeln!(out, "element vertex {}", self.vertices.len())?;

@@ -5,38 +5,38 @@ pub use super::vector::{Vec3, cross, dot, length, sub};
 /// A camera-to-world matrix; see [`crate::data::Camera::pose`].
 pub type Pose = [[f64; 4]; 3];
 
-/// How far a rotation's columns may be from orthonormal: files print few digits.
+/// How far a rotation's columns may be from orthonormal, since files print few digits.
 const ROTATION_TOLERANCE: f64 = 1e-2;
 
-/// `a + s * b`.
+/// Returns `a + s * b`.
 pub fn add_scaled(a: Vec3, s: f64, b: Vec3) -> Vec3 {
     std::array::from_fn(|i| a[i] + s * b[i])
 }
 
-/// `a` at unit length; `None` where it has no direction.
+/// Returns `a` at unit length, or `None` if it has no direction.
 pub fn normalized(a: Vec3) -> Option<Vec3> {
     let length = length(a);
     (length.is_finite() && length > 1e-12).then(|| a.map(|v| v / length))
 }
 
-/// Mean of a non-empty list.
+/// Returns the mean of a non-empty list.
 pub fn mean(vectors: impl Iterator<Item = Vec3>) -> Vec3 {
     let (sum, count) = vectors.fold(([0.0; 3], 0usize), |(sum, n), v| (add_scaled(sum, 1.0, v), n + 1));
     sum.map(|v| v / count as f64)
 }
 
-/// Column `i`: 0 right, 1 up, 2 back (against the viewing direction), 3 the origin.
+/// Returns column `i`: 0 right, 1 up, 2 back (against the viewing direction), 3 the origin.
 pub fn column(pose: &Pose, i: usize) -> Vec3 {
     [pose[0][i], pose[1][i], pose[2][i]]
 }
 
-/// The pose with these columns.
+/// Returns the pose with these columns.
 pub fn from_columns(columns: [Vec3; 4]) -> Pose {
     std::array::from_fn(|row| std::array::from_fn(|col| columns[col][row]))
 }
 
-/// The pose at `origin` that looks along `-back` with `up` as near to its second column as can be.
-/// `None` where `back` and `up` are parallel or zero.
+/// Returns the pose at `origin` that looks along `-back`, with its second column as near to `up` as possible. `None` if
+/// `back` and `up` are parallel or zero.
 pub fn look_along(back: Vec3, up: Vec3, origin: Vec3) -> Option<Pose> {
     let back = normalized(back)?;
     let right = normalized(cross(up, back))?;
@@ -44,18 +44,18 @@ pub fn look_along(back: Vec3, up: Vec3, origin: Vec3) -> Option<Pose> {
     Some(from_columns([right, up, back, origin]))
 }
 
-/// `pose` applied to a point.
+/// Applies `pose` to a point.
 pub fn transform(pose: &Pose, point: Vec3) -> Vec3 {
     pose.map(|r| r[0] * point[0] + r[1] * point[1] + r[2] * point[2] + r[3])
 }
 
-/// `a * b`, both with the implied last row (0, 0, 0, 1).
+/// Returns `a * b`, both with the implied last row (0, 0, 0, 1).
 pub fn compose(a: &Pose, b: &Pose) -> Pose {
     let rotate = |v: Vec3| a.map(|r| r[0] * v[0] + r[1] * v[1] + r[2] * v[2]);
     from_columns([rotate(column(b, 0)), rotate(column(b, 1)), rotate(column(b, 2)), transform(a, column(b, 3))])
 }
 
-/// The inverse of a rigid pose (its rotation is transposed).
+/// Returns the inverse of a rigid pose (its rotation is transposed).
 pub fn inverse_rigid(pose: &Pose) -> Pose {
     let origin = column(pose, 3);
     std::array::from_fn(|row| {
@@ -64,14 +64,14 @@ pub fn inverse_rigid(pose: &Pose) -> Pose {
     })
 }
 
-/// The mean pose of a capture: mean origin, mean viewing direction, up as near to the mean up as
-/// can be. `None` where the directions cancel out.
+/// Returns the mean pose of a capture: mean origin, mean viewing direction, and up as near to the mean up as possible.
+/// `None` if the directions cancel out.
 pub fn average(poses: &[Pose]) -> Option<Pose> {
     let along = |i: usize| mean(poses.iter().map(|p| column(p, i)));
     look_along(along(2), along(1), along(3))
 }
 
-/// The point with the least mean squared distance to all viewing axes; `None` where they are parallel.
+/// Returns the point with the least mean squared distance to all viewing axes, or `None` if they are parallel.
 pub fn focus_point(poses: &[Pose]) -> Option<Vec3> {
     let mut matrix = [[0.0; 3]; 3];
     let mut vector = [0.0; 3];
@@ -88,7 +88,7 @@ pub fn focus_point(poses: &[Pose]) -> Option<Vec3> {
     solve(matrix, vector)
 }
 
-/// Solves a symmetric 3x3 system by Cramer's rule; `None` where it is singular.
+/// Solves a symmetric 3x3 system by Cramer's rule. `None` if it is singular.
 pub fn solve(m: [Vec3; 3], v: Vec3) -> Option<Vec3> {
     let determinant = dot(m[0], cross(m[1], m[2]));
     if !determinant.is_finite() || determinant.abs() < 1e-9 {
@@ -102,7 +102,7 @@ pub fn solve(m: [Vec3; 3], v: Vec3) -> Option<Vec3> {
     Some([with(0), with(1), with(2)])
 }
 
-/// `Err` with what is wrong unless the left 3x3 part is a rotation.
+/// Returns what is wrong unless the left 3x3 part is a rotation.
 pub fn check_rotation(pose: &Pose) -> Result<(), String> {
     let [x, y, z, _] = [0, 1, 2, 3].map(|i| column(pose, i));
     let lengths = [x, y, z].map(length);

@@ -1,4 +1,4 @@
-//! Pixel rays: host buffers that cameras fill, and the tensors that the renderer takes.
+//! Pixel rays: host buffers from cameras, and the tensors for the renderer.
 
 use candle_core::{DType, Device, Tensor};
 use rayon::prelude::*;
@@ -11,41 +11,41 @@ use crate::settings::PixelOrigin;
 /// A batch of rays as tensors.
 #[derive(Clone)]
 pub struct Rays {
-    /// `[rays, 3]`, scene units (NDC where the scene uses it).
+    /// `[rays, 3]`, scene units (in NDC if the scene uses it).
     pub origins: Tensor,
-    /// `[rays, 3]`, not normalised: points are origin + t * direction.
+    /// `[rays, 3]`, not normalized. Points are origin + t * direction.
     pub directions: Tensor,
-    /// `[rays, 3]`, unit direction of the world ray, under NDC, too.
+    /// `[rays, 3]`, unit direction of the world ray, also in NDC.
     pub viewdirs: Tensor,
     /// `[rays, 1]`, length of `directions`.
     pub direction_norm: Tensor,
-    /// Two unit vectors, each `[rays, 3]`, that span the plane across `viewdirs`; see [`RayParts::tangents`].
+    /// Two unit vectors, each `[rays, 3]`, that span the plane perpendicular to `viewdirs`; see [`RayParts::tangents`].
     pub tangents: Option<[Tensor; 2]>,
-    /// What a pixel covers; see [`RayParts::footprint`].
+    /// The solid of a pixel; see [`RayParts::footprint`].
     pub footprint: Option<Footprint>,
 }
 
-/// What rays have besides lines. It costs time, so only what is needed is computed.
+/// Additional parts of rays. They cost time, so that only needed ones are computed.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct RayParts {
-    /// For fields that are queried at intervals.
+    /// Needed by fields that are queried at intervals.
     pub footprint: bool,
-    /// For deltas of the view direction.
+    /// Needed by deltas of the view direction.
     pub tangents: bool,
 }
 
 impl RayParts {
-    /// Everything.
+    /// All parts.
     pub const ALL: RayParts = RayParts { footprint: true, tangents: true };
 }
 
 /// The solid that a pixel's ray stands for (MipNeRF).
 #[derive(Clone)]
 pub struct Footprint {
-    /// `[rays, 1]`. A cone's at t = 1, or a cylinder's: that of the disc with the variance of the pixel, its width times
-    /// 2 / sqrt(12).
+    /// `[rays, 1]`. The radius of a cone at t = 1, or of a cylinder: that of the disc with the variance of the pixel,
+    /// its width times 2 / sqrt(12).
     pub radii: Tensor,
-    /// In NDC rays do not spread.
+    /// Whether they are cylinders: in NDC rays do not spread.
     pub cylinders: bool,
 }
 
@@ -58,16 +58,16 @@ pub struct RayBuffer {
     pub directions: Vec<f32>,
     /// See [`Rays::viewdirs`].
     pub viewdirs: Vec<f32>,
-    /// See [`Footprint::radii`], `[rays]`; empty where no footprint is needed.
+    /// See [`Footprint::radii`], `[rays]`. Empty if no footprint is needed.
     pub radii: Vec<f32>,
     /// See [`Footprint::cylinders`].
     pub cylinders: bool,
-    /// What else [`RayBuffer::to_tensors`] makes.
+    /// The additional parts that [`RayBuffer::to_tensors`] makes.
     parts: RayParts,
 }
 
-/// Two unit vectors that with the unit vector `n` form an orthonormal basis, without a branch that
-/// fails for any n (Duff et al., Building an Orthonormal Basis, Revisited, JCGT 2017).
+/// Returns two unit vectors that form an orthonormal basis with the unit vector `n`. No `n` fails (Duff et al.,
+/// Building an Orthonormal Basis, Revisited, JCGT 2017).
 pub fn tangents(n: [f64; 3]) -> ([f64; 3], [f64; 3]) {
     let sign = 1f64.copysign(n[2]);
     let a = -1.0 / (sign + n[2]);
@@ -76,7 +76,7 @@ pub fn tangents(n: [f64; 3]) -> ([f64; 3], [f64; 3]) {
 }
 
 impl RayBuffer {
-    /// The rays through the pixels `(camera, x, y)`.
+    /// Creates the rays through the pixels `(camera, x, y)`.
     pub fn new(pixels: &[(&Camera, u32, u32)], ndc: Option<&Ndc>, origin: PixelOrigin, parts: RayParts) -> RayBuffer {
         let shift = origin.shift();
         let at = |x: u32, y: u32| (f64::from(x) + shift, f64::from(y) + shift);
@@ -98,17 +98,17 @@ impl RayBuffer {
         RayBuffer { origins: gather(0), directions: gather(1), viewdirs: gather(2), radii, cylinders, parts }
     }
 
-    /// Number of rays.
+    /// Returns the number of rays.
     pub fn len(&self) -> usize {
         self.origins.len() / 3
     }
 
-    /// No rays at all.
+    /// Returns whether there are no rays.
     pub fn is_empty(&self) -> bool {
         self.origins.is_empty()
     }
 
-    /// The rays as tensors.
+    /// Returns the rays as tensors.
     pub fn to_tensors(&self, dtype: DType, device: &Device) -> Result<Rays> {
         let tensor = |values: &[f32]| Tensor::from_slice(values, (values.len() / 3, 3), device)?.to_dtype(dtype);
         let mut rays = Rays::new(tensor(&self.origins)?, tensor(&self.directions)?, tensor(&self.viewdirs)?)?;
@@ -126,8 +126,8 @@ impl RayBuffer {
     }
 }
 
-/// Width of a pixel at t = 1: the distance to the next row's direction; in NDC the mean distance of its origin to those
-/// of the next column and row.
+/// Returns the width of a pixel at t = 1: the distance to the next row's direction. In NDC it is the mean distance of
+/// its origin to those of the next column and row.
 fn pixel_width(camera: &Camera, (x, y): (f64, f64), ndc: Option<&Ndc>) -> f64 {
     let of = |x: f64, y: f64| {
         let (origin, direction) = camera.ray(x, y);
@@ -139,25 +139,25 @@ fn pixel_width(camera: &Camera, (x, y): (f64, f64), ndc: Option<&Ndc>) -> f64 {
 }
 
 impl Rays {
-    /// Lines from tensors, each `[rays, 3]`.
+    /// Creates rays from tensors, each `[rays, 3]`.
     pub fn new(origins: Tensor, directions: Tensor, viewdirs: Tensor) -> Result<Rays> {
         let direction_norm = directions.sqr()?.sum_keepdim(1)?.sqrt()?;
         Ok(Rays { origins, directions, viewdirs, direction_norm, tangents: None, footprint: None })
     }
 
-    /// Number of rays.
+    /// Returns the number of rays.
     pub fn len(&self) -> usize {
         self.origins.dims()[0]
     }
 
-    /// No rays at all.
+    /// Returns whether there are no rays.
     pub fn is_empty(&self) -> bool {
         self.len() == 0
     }
 
-    /// Rays `start..start + count`.
+    /// Returns rays `start..start + count`.
     pub fn narrow(&self, start: usize, count: usize) -> Result<Rays> {
-        // Whole rows of contiguous tensors are contiguous: they are shared, not copied.
+        // Complete rows of contiguous tensors are contiguous: they are shared, not copied.
         let part = |tensor: &Tensor| tensor.narrow(0, start, count)?.contiguous();
         let tangents = match &self.tangents {
             Some([u, w]) => Some([part(u)?, part(w)?]),

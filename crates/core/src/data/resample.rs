@@ -1,19 +1,19 @@
-//! Changing an image's size and what lies behind it.
+//! Resizing of images, and their background.
 
 use crate::base::Image;
 
-/// How much of each source sample one output sample covers, along one axis.
+/// The coverage of each source sample by one output sample, along one axis.
 struct Span {
     first: usize,
     weights: Vec<f64>,
 }
 
-/// The spans of a box filter that maps `from` samples onto `to`; weights of a span sum to 1.
+/// Returns the spans of a box filter from `from` samples to `to`. The weights of a span sum to 1.
 fn spans(from: usize, to: usize) -> Vec<Span> {
     let scale = from as f64 / to as f64;
     (0..to)
         .map(|i| {
-            // Integer products: exact edges where `to` divides `from`.
+            // Integer products: exact edges if `to` divides `from`.
             let (start, end) = ((i * from) as f64 / to as f64, ((i + 1) * from) as f64 / to as f64);
             let first = start.floor() as usize;
             let last = (end.ceil() as usize).clamp(first + 1, from);
@@ -23,8 +23,8 @@ fn spans(from: usize, to: usize) -> Vec<Span> {
         .collect()
 }
 
-/// Averages `samples` (row-major, `channels` interleaved, full scale `white`) over the area of each
-/// of `to` (width x height) pixels; fractional coverage counts by its share.
+/// Averages `samples` (row-major, `channels` interleaved, full scale `white`) over the area of each of `to` (width x
+/// height) pixels. Partly covered samples count by their covered fraction.
 pub(super) fn average<T: Copy + Into<f32>>(
     samples: &[T],
     from: (usize, usize),
@@ -57,14 +57,14 @@ pub(super) fn average<T: Copy + Into<f32>>(
     Image { width: to.0, height: to.1, channels, pixels }
 }
 
-/// Area averaging to `width` x `height`, both at least 1 and at most the image's own. RGBA is
-/// averaged as it is stored (straight alpha), as the original NeRF does.
+/// Reduces by area averaging to `width` x `height`, both at least 1 and at most the image's own. RGBA is averaged as
+/// stored (straight alpha), as in the original NeRF.
 pub fn shrink(image: &Image, width: usize, height: usize) -> Image {
     average(&image.pixels, (image.width, image.height), image.channels, 1.0, (width, height))
 }
 
-/// Puts an RGBA image on a background, `rgb * a + background * (1 - a)`; RGB passes through. The flag
-/// says whether anything was see-through.
+/// Composites an RGBA image over a background, `rgb * a + background * (1 - a)`. RGB is returned unchanged. The flag
+/// says whether anything was transparent.
 pub fn composite(image: Image, background: [f32; 3]) -> (Image, bool) {
     if image.channels != 4 {
         return (image, false);
@@ -79,8 +79,8 @@ pub fn composite(image: Image, background: [f32; 3]) -> (Image, bool) {
     (Image { channels: 3, pixels, ..image }, clear)
 }
 
-/// Bilinear value of every channel at continuous coordinates (pixel (0, 0) is centred on
-/// (0.5, 0.5)); coordinates outside take the nearest edge.
+/// Returns the bilinear value of every channel at continuous coordinates (the centre of pixel (0, 0) is (0.5, 0.5)).
+/// Coordinates outside take the nearest edge.
 pub fn bilinear(image: &Image, x: f64, y: f64, out: &mut Vec<f32>) {
     let cell = |at: f64, size: usize| {
         let at = (at - 0.5).clamp(0.0, (size - 1) as f64);

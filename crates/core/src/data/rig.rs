@@ -1,24 +1,24 @@
-//! What the cameras of a capture tell of the scene before any picture is looked at: how far apart they stand, how far they
-//! turn, what they look at, and how far away that is.
+//! What the cameras of a capture tell of the scene without images: their extent, the spread of their directions, what
+//! they look at, and its distance.
 
 use super::Camera;
 use super::pose::{self, Pose, Vec3};
 
-/// Rays start at no less than this share of the way from the nearest camera to what it looks at: 0 would be the lens.
+/// Least start of a ray, as a fraction of the way from the nearest camera to what it looks at. 0 would be the lens.
 const LEAST_NEAR: f64 = 0.2;
-/// How many radii behind what is looked at rays end, so that a background is there, too.
+/// Number of radii behind what is looked at where rays end, so that a background is included.
 const BEHIND: f64 = 3.0;
-/// Share of the cameras that must have the common point before them and within their picture.
+/// Fraction of the cameras that must have the common point in front of them and within their image.
 const MOST: f64 = 0.5;
 
 /// The cameras of a capture, taken together.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Rig {
-    /// Lower and upper corner of the box that the cameras stand in.
+    /// Lower and upper corner of the box around the cameras.
     pub extent: [Vec3; 2],
-    /// The largest angle between a viewing direction and their mean, degrees; none where they cancel out.
+    /// The largest angle between a viewing direction and their mean, in degrees. `None` if they cancel out.
     pub spread: Option<f64>,
-    /// What most of them look at; none where their axes meet nowhere, or not before them.
+    /// What most of them look at. `None` if their axes meet nowhere, or not in front of them.
     pub subject: Option<Subject>,
 }
 
@@ -27,14 +27,15 @@ pub struct Rig {
 pub struct Subject {
     /// The point with the least mean squared distance to all viewing axes.
     pub focus: Vec3,
-    /// Radius around it that the longer side of a picture shows, median over the cameras: within it lies what all of them see.
+    /// Radius around it that the longer side of an image covers, as a median over the cameras. All cameras see what is
+    /// within.
     pub radius: f64,
-    /// The least, the median and the largest depth of that point over the cameras that have it before them.
+    /// The least, the median and the largest depth of that point over the cameras that have it in front of them.
     pub depths: [f64; 3],
 }
 
 impl Rig {
-    /// What some cameras tell; at least one.
+    /// Creates the rig of at least one camera.
     pub fn of(cameras: &[Camera]) -> Rig {
         let origins = || cameras.iter().map(|camera| pose::column(&camera.pose, 3));
         let corner = |pick: fn(f64, f64) -> f64, start: f64| {
@@ -72,19 +73,20 @@ impl Subject {
         enough.then(subject).filter(|subject| subject.radius.is_finite() && subject.radius > 0.0)
     }
 
-    /// The cube around what is looked at.
+    /// Returns the cube around what is looked at.
     pub fn domain(&self) -> [Vec3; 2] {
         [self.focus.map(|x| x - self.radius), self.focus.map(|x| x + self.radius)]
     }
 
-    /// Ends of a ray: half way from the nearest camera to what is looked at, and some way behind that for the farthest.
+    /// Returns the ends of a ray: half way from the nearest camera to what is looked at, and some way behind that for
+    /// the farthest.
     pub fn bounds(&self) -> (f64, f64) {
         let [least, _, largest] = self.depths;
         let near = (0.5 * (least - self.radius)).max(LEAST_NEAR * least);
         (near, largest + BEHIND * self.radius)
     }
 
-    /// How these ends come about.
+    /// Describes how these ends were found.
     pub fn bounds_words(&self) -> String {
         let [least, _, largest] = self.depths;
         format!(
@@ -95,7 +97,7 @@ impl Subject {
     }
 }
 
-/// The depth of a point that a camera has within its picture; none where it has not.
+/// Returns the depth of a point that a camera has within its image, or `None`.
 fn seen_depth(camera: &Camera, point: Vec3) -> Option<f64> {
     let [x, y, back] = pose::transform(&pose::inverse_rigid(&camera.pose), point);
     let depth = -back;
@@ -105,7 +107,7 @@ fn seen_depth(camera: &Camera, point: Vec3) -> Option<f64> {
     (depth > 0.0 && depth.is_finite() && inside).then_some(depth)
 }
 
-/// Linear interpolation between order statistics of at least one number, as NumPy's default.
+/// Interpolates linearly between order statistics of at least one number, as NumPy's default.
 pub(super) fn percentile(sorted: &[f64], share: f64) -> f64 {
     let at = share * (sorted.len() - 1) as f64;
     let (low, high) = (sorted[at.floor() as usize], sorted[at.ceil() as usize]);

@@ -1,4 +1,4 @@
-//! Where a scene lies, besides its views.
+//! The space of a scene: units, box and points.
 
 use super::rig::Rig;
 use super::{Camera, WorldToScene};
@@ -8,17 +8,18 @@ use super::{Camera, WorldToScene};
 pub struct SceneSpace {
     /// From the units of the capture's files to the scene's.
     pub world: WorldToScene,
-    /// Lower and upper corner of the box that most cameras look at, scene units: where a surface is looked for, and what a hash
-    /// grid fills. None where the format says it, or nothing does.
+    /// Lower and upper corner of the box that most cameras look at, in scene units. Surfaces are searched in it, and a
+    /// hash grid fills it. `None` if the format states it, or nothing does.
     pub domain: Option<[[f64; 3]; 2]>,
-    /// Points of the scene, where the capture has some (COLMAP), scene units.
+    /// Points of the scene, if the capture has some (COLMAP), in scene units.
     pub points: Vec<[f32; 3]>,
-    /// What the reader chose, and why, for people: label and words.
+    /// The reader's choices and their reasons, for people: label and words.
     pub notes: Vec<(&'static str, String)>,
 }
 
 impl SceneSpace {
-    /// A place whose ray ends and box are those that the cameras' geometry tells; `unknown` where it tells none.
+    /// Returns the space, with ray ends and box from the cameras' geometry. `unknown` are the ray ends if the geometry
+    /// does not tell them.
     pub(super) fn of_cameras(cameras: &[Camera], world: WorldToScene, unknown: [f64; 2]) -> (SceneSpace, (f64, f64)) {
         let mut space = SceneSpace { world, ..SceneSpace::default() };
         let Some(subject) = Rig::of(cameras).subject else {

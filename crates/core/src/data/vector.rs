@@ -43,17 +43,17 @@ pub fn unit(a: Vec3) -> Vec3 {
     scale(a, 1.0 / length(a))
 }
 
-/// The point at `t` on a ray.
+/// Returns the point at `t` on a ray.
 pub fn along(origin: Vec3, direction: Vec3, t: f64) -> Vec3 {
     add(origin, scale(direction, t))
 }
 
-/// `(1 - s) a + s b`
+/// Returns `(1 - s) a + s b`.
 pub fn mix(a: Vec3, b: Vec3, s: f64) -> Vec3 {
     add(scale(a, 1.0 - s), scale(b, s))
 }
 
-/// Right-handed orthonormal axes whose third one is along `z`, which is not zero.
+/// Returns right-handed orthonormal axes whose third one is along `z`, which is not zero.
 pub fn axes_along(z: Vec3) -> [Vec3; 3] {
     let z = unit(z);
     let helper = if z[2].abs() < 0.9 { [0.0, 0.0, 1.0] } else { [1.0, 0.0, 0.0] };

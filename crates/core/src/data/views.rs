@@ -1,4 +1,5 @@
-//! Choices among a scene's views: which are held out, kept for choices, trained on, and measured though they were trained on.
+//! Choices among a scene's views: held-out views, validation views, training views, and training views that are also
+//! measured.
 
 use super::{Scene, View};
 use crate::base::rng::{Random, Stream};
@@ -9,13 +10,13 @@ use crate::settings::{Config, DataConfig, EvalSplit, TrainViews};
 const TRAINED: u64 = 0;
 const SEEN: u64 = 1;
 
-/// Splits views in their order into those to train on and those to evaluate: see `data.holdout`, `data.holdout_offset`,
-/// `data.validation`, `data.eval_split` and `data.test_skip`. Views that are held out, or kept for choices, are in neither
-/// unless they are evaluated.
+/// Splits views, in their order, into training and evaluation views: see `data.holdout`, `data.holdout_offset`,
+/// `data.validation`, `data.eval_split` and `data.test_skip`. Held-out and validation views are in neither unless they
+/// are evaluated.
 pub(super) fn split<T>(views: Vec<T>, config: &DataConfig) -> (Vec<T>, Vec<T>) {
     let DataConfig { holdout, holdout_offset, validation, eval_split, test_skip, .. } = *config;
     let (held_out, rest) = part(views, |place| place % holdout.max(1) == holdout_offset);
-    // The middle one of every N: neighbours of those that are held out tell less.
+    // The middle one of every N, because neighbours of held-out views tell less.
     let (kept, train) = part(rest, |place| validation > 0 && place % validation == validation / 2);
     let evaluated = match eval_split {
         EvalSplit::Test => held_out,
@@ -24,14 +25,14 @@ pub(super) fn split<T>(views: Vec<T>, config: &DataConfig) -> (Vec<T>, Vec<T>) {
     (train, evaluated.into_iter().step_by(test_skip.max(1)).collect())
 }
 
-/// Views at places that `holds` picks, and the others.
+/// Separates the views whose index `holds` accepts from the others.
 fn part<T>(views: Vec<T>, holds: impl Fn(usize) -> bool) -> (Vec<T>, Vec<T>) {
     let (picked, others): (Vec<_>, Vec<_>) = views.into_iter().enumerate().partition(|(place, _)| holds(*place));
     let views = |placed: Vec<(usize, T)>| placed.into_iter().map(|(_, view)| view).collect();
     (views(picked), views(others))
 }
 
-/// Keeps the training views that `data.train_views` asks for, in their order.
+/// Keeps the training views that `data.train_views` names, in their order.
 pub(super) fn keep_training_views(scene: &mut Scene, config: &DataConfig) -> Result<()> {
     let all = scene.train.len();
     let kept = match &config.train_views {
@@ -51,7 +52,7 @@ pub(super) fn keep_training_views(scene: &mut Scene, config: &DataConfig) -> Res
     Ok(())
 }
 
-/// Places of the views of these names.
+/// Returns the indices of the views of these names.
 fn named(views: &[View], names: &[String]) -> Result<Vec<usize>> {
     let place = |name: &String| {
         views.iter().position(|view| view.name == *name).ok_or_else(|| {
@@ -65,14 +66,14 @@ fn named(views: &[View], names: &[String]) -> Result<Vec<usize>> {
     names.iter().map(place).collect()
 }
 
-/// The training views, by their places, that evaluations measure beside those that are held out: `eval.train_views` of
-/// them, drawn with `data.views_seed` alone. A choice of fewer is part of a choice of more.
+/// Returns the indices of the training views that evaluations also measure: `eval.train_views` of them, drawn with
+/// `data.views_seed` only. A smaller number gives a subset of a larger one.
 pub fn seen_views(scene: &Scene, config: &Config) -> Vec<usize> {
     let wanted = config.eval.train_views.unwrap_or(scene.test.len());
     draw(wanted, scene.train.len(), config.data.views_seed, SEEN)
 }
 
-/// So many of `all` places, or all of them, in their order.
+/// Returns `number` of `all` indices, or all of them, in their order.
 fn draw(number: usize, all: usize, seed: u64, index: u64) -> Vec<usize> {
     let drawn = Random::new(seed, Stream::Views, index).distinct(number.min(all), all as u32);
     let mut places: Vec<usize> = drawn.into_iter().map(|place| place as usize).collect();

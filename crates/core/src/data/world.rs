@@ -1,16 +1,16 @@
-//! How a scene's units follow from those of its capture's files.
+//! The relation of a scene's units to those of its capture's files.
 
 use serde::{Deserialize, Serialize};
 
 use super::pose::{self, Pose, Vec3};
 
-/// A similarity from the capture's units to the scene's, `x_scene = scale * R x_capture + t`: what recentring, scaling and
-/// spherifying did to the poses in the files. Cameras' orientations are turned by R alone.
+/// A similarity from the capture's units to the scene's, `x_scene = scale * R x_capture + t`. It combines recentring,
+/// scaling and spherifying of the poses in the files. Cameras' orientations are rotated by R only.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct WorldToScene {
-    /// Scene units to one unit of the capture.
+    /// Scene units per unit of the capture.
     pub scale: f64,
-    /// `[R | t]`: a rotation, and where the capture's origin lies in the scene.
+    /// `[R | t]`: a rotation, and the capture's origin in the scene.
     pub rotation_and_origin: Pose,
 }
 
@@ -23,8 +23,8 @@ impl Default for WorldToScene {
 }
 
 impl WorldToScene {
-    /// Moves some cameras so that their places have their mean at the origin, and scales them so that no coordinate of one leaves
-    /// [-1, 1].
+    /// Moves cameras so that their mean position is the origin, and scales them so that all coordinates are within [-1,
+    /// 1].
     pub fn centre(cameras: &mut [&mut Pose]) -> WorldToScene {
         let mean = pose::mean(cameras.iter().map(|camera| pose::column(camera, 3)));
         let mut largest: f64 = 0.0;
@@ -34,7 +34,7 @@ impl WorldToScene {
         }
         let mut world = WorldToScene::default();
         world.rotation_and_origin.iter_mut().zip(mean).for_each(|(row, mean)| row[3] = -mean);
-        // Cameras in one place (a panorama) have no extent to scale by.
+        // Cameras at one point (a panorama) have no extent to scale by.
         if largest <= 1e-9 {
             return world;
         }
@@ -42,41 +42,41 @@ impl WorldToScene {
         world.scaled(1.0 / largest)
     }
 
-    /// Followed by a rigid motion of the scene.
+    /// Returns the map followed by a rigid motion of the scene.
     pub fn moved(self, motion: &Pose) -> WorldToScene {
         WorldToScene { rotation_and_origin: pose::compose(motion, &self.rotation_and_origin), ..self }
     }
 
-    /// Followed by a change of scale about the scene's origin.
+    /// Returns the map followed by a change of scale about the scene's origin.
     pub fn scaled(self, factor: f64) -> WorldToScene {
         let mut placed = WorldToScene { scale: self.scale * factor, ..self };
         placed.rotation_and_origin.iter_mut().for_each(|row| row[3] *= factor);
         placed
     }
 
-    /// A point of the capture in the scene.
+    /// Maps a point of the capture to the scene.
     pub fn point(&self, capture: Vec3) -> Vec3 {
         pose::transform(&self.rotation_and_origin, capture.map(|v| v * self.scale))
     }
 
-    /// A camera of the capture in the scene.
+    /// Maps a camera of the capture to the scene.
     pub fn camera(&self, capture: &Pose) -> Pose {
         let scaled = capture.map(|[a, b, c, origin]| [a, b, c, origin * self.scale]);
         pose::compose(&self.rotation_and_origin, &scaled)
     }
 
-    /// A point of the scene in the capture's units.
+    /// Maps a point of the scene to the capture's units.
     pub fn to_capture(&self, scene: Vec3) -> Vec3 {
         pose::transform(&pose::inverse_rigid(&self.rotation_and_origin), scene).map(|v| v / self.scale)
     }
 
-    /// A direction of the scene in the capture.
+    /// Maps a direction of the scene to the capture.
     pub fn direction_to_capture(&self, scene: Vec3) -> Vec3 {
         let rotation = &self.rotation_and_origin;
         std::array::from_fn(|axis| pose::dot(pose::column(rotation, axis), scene))
     }
 
-    /// The matrix `[scale R | t]`, rows.
+    /// Returns the matrix `[scale R | t]`, rows.
     pub fn matrix(&self) -> Pose {
         self.rotation_and_origin.map(|[a, b, c, t]| [a * self.scale, b * self.scale, c * self.scale, t])
     }

@@ -1,10 +1,10 @@
-//! What turns raw density into density, and how derivatives pass through it.
+//! The function from raw density to density, and its derivatives.
 
 use candle_core::{Result, Tensor};
 
 use crate::settings::DensityActivation;
 
-/// Derivatives of a loss in density, its gradient and its Laplacian; what is absent is 0.
+/// Derivatives of a loss in density, its gradient and its Laplacian. An absent one is 0.
 #[derive(Default)]
 pub struct Cotangents {
     /// `[n]`.
@@ -15,18 +15,18 @@ pub struct Cotangents {
     pub laplacian: Option<Tensor>,
 }
 
-/// Density from raw density, elementwise.
+/// Returns density from raw density, elementwise.
 pub(super) fn activate_density(activation: DensityActivation, raw: &Tensor) -> Result<Tensor> {
     match activation {
-        // max(NaN, 0) is 0: adding 0 * raw, which is 0 or NaN, keeps what went wrong in sight.
+        // max(NaN, 0) is 0. Adding 0 * raw, which is 0 or NaN, keeps NaN.
         DensityActivation::Relu => raw.relu()? + (raw * 0.0)?.detach(),
         DensityActivation::Softplus => softplus(&shifted(raw)?),
-        // min(NaN, 11) is 11, as above.
+        // min(NaN, 11) is 11; NaN is kept as above.
         DensityActivation::Exp => bounded(&shifted(raw)?)?.exp()? + (raw * 0.0)?.detach(),
     }
 }
 
-/// [`activate_density`] of one number.
+/// Calls [`activate_density`] for one number.
 pub fn density_of(activation: DensityActivation, raw: f32) -> f32 {
     match activation {
         DensityActivation::Relu => raw.max(0.0) + raw * 0.0,
@@ -38,7 +38,7 @@ pub fn density_of(activation: DensityActivation, raw: f32) -> f32 {
     }
 }
 
-/// What a gradient of density is in raw density, as candle finds it for [`activate_density`].
+/// Returns the gradient in raw density from that in density, as candle computes it for [`activate_density`].
 pub fn raw_density_gradient(activation: DensityActivation, raw: f32, gradient: f32) -> f32 {
     match activation {
         DensityActivation::Relu => gradient * f32::from(u8::from(raw >= 0.0)),
@@ -52,7 +52,7 @@ pub fn raw_density_gradient(activation: DensityActivation, raw: f32, gradient: f
     }
 }
 
-/// The exponent of [`DensityActivation::Exp`]; none at the largest and beyond.
+/// Returns the exponent of [`DensityActivation::Exp`], or `None` from the largest on.
 fn exponent(raw: f32) -> Option<f32> {
     Some(raw - 1.0).filter(|x| *x < LARGEST_EXPONENT as f32)
 }
@@ -65,22 +65,22 @@ fn shifted(raw: &Tensor) -> Result<Tensor> {
 /// Largest exponent of [`DensityActivation::Exp`].
 const LARGEST_EXPONENT: f64 = 11.0;
 
-/// x, or the largest exponent, where there is no gradient.
+/// Returns x, or the largest exponent, which has no gradient.
 fn bounded(x: &Tensor) -> Result<Tensor> {
     let below = x.detach().lt(LARGEST_EXPONENT)?;
     below.where_cond(x, &(x.zeros_like()? + LARGEST_EXPONENT)?)
 }
 
-/// ln(1 + exp(x)) without overflow.
+/// Returns ln(1 + exp(x)) without overflow.
 fn softplus(x: &Tensor) -> Result<Tensor> {
     x.relu()? + (x.abs()?.neg()?.exp()? + 1.0)?.log()?
 }
 
-/// An activation at `n` points with its first three derivatives in raw density, each `[n]`.
+/// An activation at `n` points, with its first three derivatives in raw density, each `[n]`.
 pub(super) struct Activated {
     pub(super) value: Tensor,
     first: Tensor,
-    /// Second and third; none where they are 0.
+    /// Second and third derivative. `None` if they are 0.
     curved: Option<(Tensor, Tensor)>,
 }
 
@@ -98,7 +98,7 @@ impl Activated {
                 let third = (&second * first.affine(-2.0, 1.0)?)?;
                 Ok(Activated { value, first, curved: Some((second, third)) })
             }
-            // All derivatives of exp are itself, and 0 beyond the bound.
+            // All derivatives of exp are exp itself, and 0 beyond the bound.
             DensityActivation::Exp => {
                 let below = shifted(raw)?.detach().lt(LARGEST_EXPONENT)?.to_dtype(raw.dtype())?;
                 let first = (&value * below)?;
@@ -107,8 +107,8 @@ impl Activated {
         }
     }
 
-    /// Gradient `[n, 3]` and Laplacian `[n]` of density a(raw) from those of raw density:
-    /// a' grad, a' Laplacian + a'' |grad|^2.
+    /// Returns gradient `[n, 3]` and Laplacian `[n]` of density a(raw) from those of raw density: a' grad, and a'
+    /// Laplacian + a'' |grad|^2.
     pub(super) fn chain(&self, gradient: &Tensor, laplacian: &Tensor) -> Result<(Tensor, Tensor)> {
         let chained = gradient.broadcast_mul(&self.first.unsqueeze(1)?)?;
         let mut curved = (laplacian * &self.first)?;
@@ -118,8 +118,8 @@ impl Activated {
         Ok((chained, curved))
     }
 
-    /// The derivatives of a loss in raw density, its gradient and its Laplacian from those in
-    /// density, its gradient and its Laplacian.
+    /// Returns the derivatives of a loss in raw density, its gradient and its Laplacian, from those in density, its
+    /// gradient and its Laplacian.
     pub(super) fn backward(&self, loss: &Cotangents, gradient: &Tensor, laplacian: &Tensor) -> Result<Cotangents> {
         let scaled = |tensor: &Option<Tensor>| tensor.as_ref().map(|tensor| tensor * &self.first).transpose();
         let columns = self.first.unsqueeze(1)?;

@@ -1,18 +1,17 @@
 //! One fully connected layer as one differentiable operation.
 //!
-//! candle's own matmul computes both products of its backward pass whether or not an operand
-//! needs a gradient, reduces bias gradients element by element and takes five passes for a ReLU.
-//! This operation runs the same backend kernels on every device and computes exactly the
-//! gradients that are asked for: none for weights during a search, none for constant inputs.
-//! [`dense_reference`] is the same layer in plain candle operations.
+//! candle's own matmul computes both products of its backward pass whether or not an operand needs a gradient. It
+//! reduces bias gradients element by element, and takes five passes for a ReLU. This operation runs the same backend
+//! kernels on every device, and computes only the requested gradients: none for weights during a search, none for
+//! constant inputs. [`dense_reference`] is the same layer in plain candle operations.
 
 use candle_core::backend::BackendStorage;
 use candle_core::op::{Add, Relu};
 use candle_core::{CpuStorage, CudaStorage, CustomOp2, CustomOp3, Layout, MetalStorage, Result, Shape, Tensor};
 
-/// `activation(x @ weight^T + bias)`: x `[n, inputs]`, weight `[outputs, inputs]`, bias
-/// `[outputs]` -> `[n, outputs]`. The activation is ReLU or none; ReLU's derivative at 0 is 0.
-/// `trainable = false` skips the gradients of weight and bias.
+/// Returns `activation(x @ weight^T + bias)`: x `[n, inputs]`, weight `[outputs, inputs]`, bias `[outputs]` -> `[n,
+/// outputs]`. The activation is ReLU or none; ReLU's derivative at 0 is 0. `trainable = false` skips the gradients of
+/// weight and bias.
 pub fn dense(x: &Tensor, weight: &Tensor, bias: &Tensor, relu: bool, trainable: bool) -> Result<Tensor> {
     let (_, inputs) = x.dims2()?;
     let (outputs, weight_inputs) = weight.dims2()?;
@@ -23,7 +22,7 @@ pub fn dense(x: &Tensor, weight: &Tensor, bias: &Tensor, relu: bool, trainable: 
     x.contiguous()?.apply_op3(weight, bias, layer)
 }
 
-/// The same layer in plain candle operations.
+/// Computes the same layer in plain candle operations.
 pub fn dense_reference(x: &Tensor, weight: &Tensor, bias: &Tensor, relu: bool) -> Result<Tensor> {
     let y = x.matmul(&weight.t()?)?.broadcast_add(bias)?;
     if relu { y.relu() } else { Ok(y) }
@@ -49,14 +48,14 @@ impl Dense {
         Ok((finish(y, &shape)?, shape))
     }
 
-    /// Bias and activation on any backend.
+    /// Adds the bias and applies the activation, on any backend.
     fn finish<S: BackendStorage>(&self, y: S, shape: &Shape, bias: &S, bias_layout: &Layout) -> Result<S> {
         let layout = Layout::contiguous(shape);
         let y = y.binary_impl::<Add>(bias, &layout, &bias_layout.broadcast_as(shape)?)?;
         if self.relu { y.unary_impl::<Relu>(&layout) } else { Ok(y) }
     }
 
-    /// The same in place, which a CPU's memory bandwidth rewards.
+    /// The same in place, which saves memory bandwidth on a CPU.
     fn finish_cpu(&self, mut y: CpuStorage, shape: &Shape, bias: &CpuStorage, layout: &Layout) -> Result<CpuStorage> {
         let Some((start, end)) = layout.contiguous_offsets() else {
             return self.finish(y, shape, bias, layout);
@@ -70,12 +69,12 @@ impl Dense {
     }
 }
 
-/// One thread: chunks of rays, not operations, are shared among cores.
+/// One thread, because chunks of rays are shared among cores, not operations.
 fn add_bias<T: Copy + PartialOrd + Default + std::ops::Add<Output = T>>(y: &mut [T], bias: &[T], relu: bool) {
     for row in y.chunks_exact_mut(bias.len().max(1)) {
         for (value, &b) in row.iter_mut().zip(bias) {
             let sum = *value + b;
-            // Not `max`: a NaN must stay one, to be found and reported.
+            // Not `max`: NaN must stay, to be found and reported.
             *value = if relu && sum < T::default() { T::default() } else { sum };
         }
     }
@@ -143,7 +142,7 @@ impl CustomOp3 for Dense {
     }
 }
 
-/// ReLU's backward pass: the gradient where `y > 0`, otherwise 0.
+/// Returns ReLU's backward pass: the gradient where `y > 0`, otherwise 0.
 pub(super) fn mask_where_zero(gradient: &Tensor, y: &Tensor) -> Result<Tensor> {
     if y.device().is_cpu() {
         return gradient.contiguous()?.apply_op2_no_bwd(&y.contiguous()?, &ReluMask);

@@ -1,4 +1,4 @@
-//! Density in space, whatever holds it.
+//! Density in space, for all representations.
 
 use candle_core::{DType, Device, Tensor};
 
@@ -6,30 +6,30 @@ use crate::base::Result;
 
 use super::Field;
 
-/// What is where in space. A place is a point `[n, 3]` with the `variance` (length^2, along each axis) of the
-/// surroundings that it stands for, which matters to methods that are queried at more than points.
+/// Density and colour in space. A position is a point `[n, 3]` with the `variance` (length^2, along each axis) of the
+/// region that it stands for. Methods that are not queried at points need the variance.
 pub trait Density: Send + Sync {
-    /// Density `[n]`, 1 / length, not negative.
+    /// Returns density `[n]`, 1 / length, at least 0.
     fn density(&self, points: &Tensor, variance: [f64; 3]) -> Result<Tensor>;
 
-    /// Its exact gradient in space, `[n, 3]`.
+    /// Returns its exact gradient in space, `[n, 3]`.
     fn gradient(&self, points: &Tensor, variance: [f64; 3]) -> Result<Tensor>;
 
-    /// Colour `[n, 3]` seen along unit directions `viewdirs [n, 3]`.
+    /// Returns the colour `[n, 3]` along unit directions `viewdirs [n, 3]`.
     fn rgb(&self, points: &Tensor, variance: [f64; 3], viewdirs: &Tensor) -> Result<Tensor>;
 
-    /// Precision that points are expected in.
+    /// Returns the precision of points.
     fn dtype(&self) -> DType;
 
-    /// Where points are expected.
+    /// Returns the device of points.
     fn device(&self) -> &Device;
 }
 
-/// The density of a field with its weights as they are now.
+/// The density of a field with its current weights.
 pub struct FieldDensity(Field);
 
 impl FieldDensity {
-    /// Of a field, without gradients of its weights.
+    /// Creates the density of a field, without gradients of its weights.
     pub fn new(field: &Field) -> Result<FieldDensity> {
         Ok(FieldDensity(field.frozen()?))
     }

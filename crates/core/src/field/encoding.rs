@@ -1,4 +1,5 @@
-//! Positional encoding (NeRF paper, section 5.1, with the identity kept), and its expectation over Gaussians (MipNeRF).
+//! Positional encoding (NeRF paper, section 5.1, including the point itself), and its expectation over Gaussians
+//! (MipNeRF).
 
 use candle_core::{CpuStorage, CustomOp1, CustomOp2, Layout, Result, Shape, Tensor, WithDType};
 
@@ -6,13 +7,13 @@ use crate::settings::{Encoding, FieldConfig};
 
 use super::contiguous;
 
-/// Channels of the encoding of a 3-vector.
+/// Returns the number of channels of the encoding of a 3-vector.
 pub fn encoded_channels(octaves: usize) -> usize {
     3 + 6 * octaves
 }
 
-/// `[n, 3]` -> `[n, 3 + 6 octaves]`: x, then for each frequency 2^0..2^(octaves-1) the sines and
-/// the cosines of its three components.
+/// Encodes `[n, 3]` -> `[n, 3 + 6 octaves]`: x, then for each frequency 2^0..2^(octaves-1) the sines and the cosines of
+/// its three components.
 pub fn encode(x: &Tensor, octaves: usize) -> Result<Tensor> {
     if !x.device().is_cpu() {
         return encode_reference(x, octaves);
@@ -67,14 +68,14 @@ pub(super) fn gradient_into<T: WithDType>(encoded: &[T], gradient: &[T], octaves
     }
 }
 
-/// Channels of the integrated encoding of a Gaussian in space.
+/// Returns the number of channels of the integrated encoding of a Gaussian in space.
 pub fn integrated_channels(octaves: usize) -> usize {
     6 * octaves
 }
 
-/// `[n, 6]`, mean and diagonal variance of Gaussians, -> `[n, 6 octaves]`: for each frequency f = 2^0..2^(octaves-1) the
-/// expectations of the sines and of the cosines of f x, exp(-f^2 variance / 2) times those of the mean (Barron et al.
-/// 2021, equation 14).
+/// Encodes `[n, 6]`, mean and diagonal variance of Gaussians, -> `[n, 6 octaves]`. For each frequency f =
+/// 2^0..2^(octaves-1) it returns the expectations of the sines and of the cosines of f x. These are exp(-f^2 variance /
+/// 2) times those of the mean (Barron et al. 2021, equation 14).
 pub fn encode_integrated(gaussians: &Tensor, octaves: usize) -> Result<Tensor> {
     if !gaussians.device().is_cpu() {
         return encode_integrated_reference(gaussians, octaves);
@@ -96,9 +97,9 @@ pub fn encode_integrated_reference(gaussians: &Tensor, octaves: usize) -> Result
     waves.reshape((n, integrated_channels(octaves)))
 }
 
-/// Octaves that keep less than this are taken as 0. It is far below what a sum of numbers near 1 can hold, even in f64.
-/// Some of them would be subnormal in f32 (below 1e-38), and so could products of the others with weights and gradients
-/// be: processors multiply such numbers many times slower.
+/// Octaves with a smaller factor are set to 0. It is far below the precision of a sum of numbers near 1, even in f64.
+/// Some of them would be subnormal in f32 (below 1e-38), and so could products of the others with weights and
+/// gradients. CPUs multiply subnormal numbers many times slower.
 const LEAST_KEPT: f64 = 1e-20;
 
 /// Encodes Gaussians row by row.
@@ -139,19 +140,19 @@ pub(super) fn integrated_gradient_into<T: WithDType>(encoded: &[T], gradient: &[
     }
 }
 
-/// What turns a position into a network's input.
+/// The encoding from a position to a network's input.
 #[derive(Clone, Copy)]
 pub(super) enum Code {
-    /// Of a point, with so many octaves.
+    /// Of a point, with this many octaves.
     Positional(usize),
-    /// Of a Gaussian, with so many octaves.
+    /// Of a Gaussian, with this many octaves.
     Integrated(usize),
-    /// Nothing: so many features of a hash grid are the input as they are.
+    /// None: this many features of a hash grid are the input.
     Features(usize),
 }
 
 impl Code {
-    /// That of a field's positions.
+    /// Returns the encoding of a field's positions.
     pub(super) fn of_positions(config: &FieldConfig) -> Code {
         match config.encoding {
             Encoding::Positional => Code::Positional(config.position_octaves),
@@ -160,7 +161,7 @@ impl Code {
         }
     }
 
-    /// Numbers of one position: a point's, a Gaussian's mean and variance, or features.
+    /// Returns the numbers per position: a point's, a Gaussian's mean and variance, or features.
     pub(super) fn inputs(self) -> usize {
         match self {
             Code::Positional(_) => 3,
@@ -177,7 +178,7 @@ impl Code {
         }
     }
 
-    /// In candle's graph.
+    /// Encodes in candle's graph.
     pub(super) fn apply(self, positions: &Tensor) -> Result<Tensor> {
         match self {
             Code::Positional(octaves) => encode(positions, octaves),
@@ -196,7 +197,7 @@ impl Code {
         out
     }
 
-    /// Gradient in the positions, from the encoding itself and its gradient.
+    /// Computes the gradient in the positions from the encoding and its gradient.
     pub(super) fn gradient_into<T: WithDType>(self, encoded: &[T], gradient: &[T], out: &mut [T]) {
         match self {
             Code::Positional(octaves) => gradient_into(encoded, gradient, octaves, out),
@@ -212,9 +213,9 @@ impl Code {
     }
 }
 
-/// The encodings on a processor: one sine and cosine a component (and one exponential), further octaves by the
-/// double-angle formulas in f64 (their error doubles with each octave and stays far below f32's; a Gaussian's damping
-/// is the fourth power of the octave's below), and a backward pass that finds all it needs in the result.
+/// The encodings on the CPU. Each component needs one sine and cosine (and one exponential). Further octaves follow by
+/// the double-angle formulas in f64. Their error doubles with each octave and stays far below f32's. A Gaussian's
+/// damping is the fourth power of the octave's below. The backward pass needs only the result.
 struct Encode(Code);
 
 impl CustomOp1 for Encode {

@@ -1,8 +1,8 @@
 //! A field's hash grid in candle's terms: the table as a parameter, the encoding as a differentiable operation, and the
-//! records that the table's gradient is made of.
+//! records behind the table's gradient.
 //!
-//! The gradient of a table is as large as the table, and a chunk of rays touches little of it. So a recording field keeps
-//! what each chunk would add, and the whole is added up once a step, levels side by side.
+//! The gradient of a table is as large as the table, and a chunk of rays changes little of it. A recording field
+//! therefore keeps what each chunk would add. The gradient is summed once per step, with the levels in parallel.
 
 use std::sync::{Arc, Mutex, PoisonError};
 
@@ -15,11 +15,11 @@ use super::inside::Inside;
 use crate::base::tensors::with_values;
 use crate::settings::{Contraction, Encoding, FieldConfig};
 
-/// Entries of a table start uniformly between minus this and this (Mueller et al. 2022, section 4).
+/// Initial entries of a table are uniform within +- this (Mueller et al. 2022, section 4).
 pub(super) const INITIAL: f64 = 1e-4;
 
-/// Where points lie in the grid's cube, and the gradient of their encoding or of what operators make of it: what they
-/// add to the table's gradient.
+/// A contribution to the table's gradient: points in the grid's cube, and the gradient of their encoding, or of what
+/// operators make of it.
 pub struct TableRecord {
     pub(super) points: Vec<f32>,
     pub(super) gradient: Vec<f32>,
@@ -27,7 +27,7 @@ pub struct TableRecord {
 }
 
 impl TableRecord {
-    /// Points of the record.
+    /// Returns the number of points in the record.
     pub fn count(&self) -> usize {
         self.points.len() / 3
     }
@@ -47,7 +47,7 @@ pub(super) struct Grid {
 }
 
 impl Grid {
-    /// Name and shape of the table; none without a grid.
+    /// Returns name and shape of the table, or `None` without a grid.
     pub(super) fn parameter(config: &FieldConfig) -> Option<(String, Vec<usize>)> {
         if config.encoding != Encoding::Hash {
             return None;
@@ -56,7 +56,7 @@ impl Grid {
         Some(("table".into(), vec![shape.entries(), shape.features()]))
     }
 
-    /// Over a table `[entries, features]`.
+    /// Creates a grid with a table `[entries, features]`.
     pub(super) fn new(config: &FieldConfig, table: Tensor) -> Grid {
         let hash = &config.hash;
         let bounds = hash.bounds.unwrap_or([[-1.5; 3], [1.5; 3]]);
@@ -64,7 +64,7 @@ impl Grid {
         Grid { shape: Arc::new(shape_of(config)), domain, table, records: None }
     }
 
-    /// Brings the table into the caches, before threads read it in no order.
+    /// Brings the table into the caches, before threads read it in random order.
     pub(super) fn fetch(&self) -> Result<()> {
         fetch_tables(Values::of(&self.table.contiguous()?).slice()?);
         Ok(())
@@ -74,7 +74,7 @@ impl Grid {
         &self.table
     }
 
-    /// The same table with records of its own.
+    /// Returns the same table with records of its own.
     pub(super) fn recording(&self) -> Grid {
         Grid { table: self.table.detach(), records: Some(Arc::default()), ..self.clone() }
     }
@@ -86,7 +86,7 @@ impl Grid {
         })
     }
 
-    /// The table's gradient, `[entries, features]`, from records in their order.
+    /// Returns the table's gradient, `[entries, features]`, from records in their order.
     pub(super) fn table_gradient(&self, records: &[TableRecord]) -> Result<Tensor> {
         let mut sum = vec![0f32; self.shape.entries() * self.shape.features()];
         let records: Vec<Cotangents> = records.iter().map(TableRecord::cotangents).collect();
@@ -94,7 +94,7 @@ impl Grid {
         Tensor::from_vec(sum, (self.shape.entries(), self.shape.features()), &Device::Cpu)
     }
 
-    /// Features `[n, channels]` at points `[n, 3]`.
+    /// Returns features `[n, channels]` at points `[n, 3]`.
     pub(super) fn encode(&self, points: &Tensor) -> Result<Tensor> {
         if !points.device().is_cpu() {
             candle_core::bail!("hash grids are for processors");
@@ -103,7 +103,7 @@ impl Grid {
         if points.dtype() != DType::F32 || self.table.track_op() {
             return points.apply_op2(&self.table.contiguous()?, Reference { grid: self.clone() });
         }
-        // Where points are not tracked, the graph would never come back for the table.
+        // If points are not tracked, candle's backward pass would not reach the table.
         let tracked = match &self.records {
             Some(_) if !points.track_op() => Var::from_tensor(&points)?.as_tensor().clone(),
             _ => points.clone(),
@@ -112,7 +112,8 @@ impl Grid {
         tracked.apply_op1(operation)
     }
 
-    /// Which of points `[n, 3]` lie in the box; none where the grid has all of space, or all of them do.
+    /// Returns which of points `[n, 3]` are in the box. `None` if the grid covers all of space, or all points are
+    /// inside.
     pub(super) fn are_inside(&self, points: &Tensor) -> Result<Option<Vec<bool>>> {
         if self.domain.contraction() != Contraction::None {
             return Ok(None);
@@ -125,7 +126,7 @@ impl Grid {
         Ok(inside.iter().any(|inside| !inside).then_some(inside))
     }
 
-    /// The same, for what is made at these points.
+    /// Returns the same for later results at these points.
     pub(super) fn inside(&self, points: &Tensor) -> Result<Option<Inside>> {
         Ok(self.are_inside(points)?.map(Inside::new))
     }
@@ -133,7 +134,7 @@ impl Grid {
 
 fn shape_of(config: &FieldConfig) -> HashGrid {
     let hash = &config.hash;
-    // A grid of its own, outside a run, is as fine as that of pictures of 1,024 pixels.
+    // A grid outside of a run is as fine as for images of 1,024 pixels.
     let resolutions = (hash.coarsest as u32, hash.finest.unwrap_or(2048) as u32);
     HashGrid::new(hash.levels, hash.features, hash.log2_table as u32, resolutions, hash.interpolation)
 }
@@ -142,7 +143,7 @@ fn shape_of(config: &FieldConfig) -> HashGrid {
 struct Encode {
     grid: Grid,
     wants_points: bool,
-    /// The points in the grid's cube, from the forward to the backward pass.
+    /// The points in the grid's cube, kept from the forward to the backward pass.
     unit: Mutex<Vec<f32>>,
 }
 
@@ -190,7 +191,7 @@ impl CustomOp1 for Encode {
     }
 }
 
-/// The encoding as the paper writes it, with the table in the graph; in f32 and f64.
+/// The encoding as the paper writes it, with the table in the graph, in f32 and f64.
 struct Reference {
     grid: Grid,
 }
@@ -209,7 +210,7 @@ impl Reference {
         unit
     }
 
-    /// Gradients of points and table.
+    /// Returns gradients of points and table.
     fn gradients<T: Real + Default>(&self, points: &[T], table: &[T], gradient: &[T]) -> (Vec<T>, Vec<T>) {
         let Grid { shape, domain, .. } = &self.grid;
         let unit = self.unit(points);

@@ -1,4 +1,4 @@
-//! Raw density of points that may lie outside a hash grid's box, as a differentiable operation on processors.
+//! Raw density of points that may be outside a hash grid's box, as a differentiable operation on the CPU.
 
 use std::sync::Arc;
 
@@ -6,10 +6,10 @@ use candle_core::{CpuStorage, CustomOp1, Layout, Result, Shape, Tensor, WithDTyp
 
 use super::contiguous;
 
-/// Raw density where there is none, of which every activation makes 0.
+/// Raw density of empty space, for which every activation gives 0.
 pub(super) const NOTHING: f64 = -1e4;
 
-/// Which of `n` points lie where there can be density.
+/// Which of `n` points are where density can be.
 #[derive(Clone)]
 pub(super) struct Inside(Arc<[bool]>);
 
@@ -18,20 +18,20 @@ impl Inside {
         Inside(inside.into())
     }
 
-    /// 1 inside, 0 outside, `[n]`, in the type of `like`.
+    /// Returns 1 inside and 0 outside, `[n]`, in the type of `like`.
     pub(super) fn mask(&self, like: &Tensor) -> Result<Tensor> {
         let mask: Vec<u8> = self.0.iter().map(|inside| u8::from(*inside)).collect();
         Tensor::new(mask, like.device())?.to_dtype(like.dtype())
     }
 
-    /// Raw density `[n]`, or what ends with it as raw output `[4 n]` does, with [`NOTHING`] at points outside, where it
-    /// has no gradient.
+    /// Returns raw density `[n]` with [`NOTHING`] at points outside, where it has no gradient. It also takes numbers
+    /// that end with raw density, such as raw output `[4 n]`.
     pub(super) fn only(&self, raw: &Tensor) -> Result<Tensor> {
         raw.contiguous()?.apply_op1(Replace { inside: self.clone(), by: NOTHING })
     }
 }
 
-/// Of its argument's last `n` numbers, replaces those of points outside.
+/// Replaces those of its argument's last `n` numbers whose points are outside.
 struct Replace {
     inside: Inside,
     by: f64,
@@ -46,7 +46,7 @@ impl Replace {
         let by = T::from_f64(self.by);
         let mut values = values.to_vec();
         for (value, _) in values[first..].iter_mut().zip(&**inside).filter(|(_, inside)| !**inside) {
-            // 0 is added, or NaN where there was one.
+            // Adds 0, or NaN if the value was NaN.
             *value = *value * T::zero() + by;
         }
         Ok(values)

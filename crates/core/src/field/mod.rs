@@ -1,13 +1,12 @@
-//! The radiance field: an encoding, a trunk with skips, a density head and a view-dependent
-//! colour head.
+//! The radiance field: an encoding, a trunk with skips, a density head and a view-dependent colour head.
 //!
-//! A field knows nothing of rays or attacks. It maps points and directions to raw colour and raw
-//! density and accepts a delta that is added to one trunk layer's output. A field of integrated encoding is queried at
-//! Gaussians, mean and diagonal variance `[n, 6]`, wherever another is queried at points `[n, 3]`.
+//! A field knows nothing of rays or attacks. It maps points and directions to raw colour and raw density, and accepts a
+//! delta that is added to one trunk layer's output. A field with integrated encoding is queried at Gaussians, mean and
+//! diagonal variance `[n, 6]`, instead of points `[n, 3]`.
 //!
-//! A field is queried in one of two ways behind one signature. The plain one, of candle's operations,
-//! works in f32 and f64 on any device and is the reference. The fused one (`fused`) serves
-//! [`Field::frozen`] and [`Field::recording`] fields in f32 on a processor.
+//! A field has two implementations with one signature. The plain one uses candle's operations, works in f32 and f64 on
+//! any device, and is the reference. The fused one (`fused`) serves [`Field::frozen`] and [`Field::recording`] fields
+//! in f32 on the CPU.
 
 use candle_core::{DType, Device, Layout, Tensor, Var};
 
@@ -44,7 +43,7 @@ use inside::{Inside, NOTHING};
 pub use peak::peak_gflops;
 pub use spatial::{DensityAt, Order, Spatial, spatial_reference};
 
-/// The values of a contiguous tensor on a processor, for operations of our own.
+/// Returns the values of a contiguous tensor on the CPU, for custom operations.
 pub fn contiguous<'a, T>(values: &'a [T], layout: &Layout) -> candle_core::Result<&'a [T]> {
     match layout.contiguous_offsets() {
         Some((start, end)) => Ok(&values[start..end]),
@@ -52,7 +51,7 @@ pub fn contiguous<'a, T>(values: &'a [T], layout: &Layout) -> candle_core::Resul
     }
 }
 
-/// One layer's parameters, `[outputs, inputs]` and `[outputs]`.
+/// The parameters of one layer, `[outputs, inputs]` and `[outputs]`.
 #[derive(Clone)]
 struct Layer {
     name: String,
@@ -67,21 +66,21 @@ pub struct Field {
     trunk: Vec<Layer>,
     density: Layer,
     feature: Layer,
-    /// Layers that read the view direction, the first of them with the trunk's feature.
+    /// Layers that read the view direction. The first of them also reads the trunk's feature.
     view: Vec<Layer>,
     rgb: Layer,
-    /// The hash grid, where positions are encoded by one.
+    /// The hash grid, if it encodes positions.
     grid: Option<Grid>,
-    /// The parameters as variables, in the order of [`Field::parameter_names`]; empty when frozen.
+    /// The parameters as variables, in the order of [`Field::parameter_names`]. Empty if frozen.
     variables: Vec<(String, Var)>,
-    /// The weights laid out for the fused core, where it applies: a copy (see [`Field::prepared`]).
+    /// A copy of the weights in the layout of the fused core, if it applies (see [`Field::prepared`]).
     network: Option<Arc<fused::Network>>,
-    /// Takes the gradients of the weights past candle's graph.
+    /// Receives the gradients of the weights outside of candle's graph.
     recorder: Option<Arc<fused::Recorder>>,
 }
 
-/// Points at which a field without gradients of its weights is queried again and again, by a search that leaves them
-/// where they are: the fused core computes the trunk below the feature delta, or all of it, once.
+/// Points at which a search queries a field many times, without gradients of weights or points. The fused core computes
+/// the trunk below the feature delta, or all of it, once.
 pub struct FixedPoints<'a> {
     field: &'a Field,
     inputs: Inputs,
@@ -89,49 +88,49 @@ pub struct FixedPoints<'a> {
 }
 
 impl FixedPoints<'_> {
-    /// As [`Field::forward`] at these points.
+    /// Runs [`Field::forward`] at these points.
     ///
     /// # Errors
-    /// Those of candle: shapes that do not fit.
+    /// Those of candle, if shapes do not fit.
     pub fn forward(&self, viewdirs: &Tensor, delta: Option<FeatureDelta>) -> Result<RawOutput> {
         self.field.raw_at(&self.inputs, viewdirs, delta, Some(&self.below))
     }
 }
 
-/// What the networks of a field read.
+/// The input of a field's networks.
 struct Inputs {
     /// Points `[n, 3]`, Gaussians `[n, 6]`, or features `[n, channels]`.
     values: Tensor,
-    /// Where there can be density; none where that is everywhere.
+    /// Where density can be. `None` if it can be everywhere.
     inside: Option<Inside>,
 }
 
 impl Inputs {
-    /// Raw density `[n]`, or raw output that ends with it, without density where there is none.
+    /// Removes raw density where there can be none. It takes raw density `[n]`, or raw output that ends with it.
     fn only_inside(&self, raw: Tensor) -> Result<Tensor> {
         Ok(self.inside.as_ref().map_or(Ok(raw.clone()), |inside| inside.only(&raw))?)
     }
 }
 
-/// What a field says before its activations.
+/// The output of a field before its activations.
 pub struct RawOutput {
     /// Colour before the sigmoid, `[n, 3]`.
     pub rgb: Tensor,
     /// Density before its activation, `[n]`, 1 / length.
     pub density: Tensor,
-    /// Both behind each other, `[4 n]`, where one operation gives them: colours of all points, then densities.
+    /// Both together, `[4 n]`, if one operation returns them: colours of all points, then densities.
     pub joined: Option<Tensor>,
 }
 
-/// A delta added to the output of one trunk layer.
+/// A delta that is added to the output of one trunk layer.
 pub struct FeatureDelta<'a> {
-    /// 1-based trunk layer; the delta is added after its ReLU, before a skip's concatenation.
+    /// 1-based trunk layer. The delta is added after its ReLU, before a skip's concatenation.
     pub layer: usize,
     /// `[n, width]`.
     pub delta: &'a Tensor,
 }
 
-/// `(name, outputs, inputs)` of every layer, in the fixed order of parameters.
+/// Returns `(name, outputs, inputs)` of every layer, in the fixed order of parameters.
 fn layer_shapes(config: &FieldConfig) -> Vec<(String, usize, usize)> {
     let position = position_channels(config);
     let direction = encoded_channels(config.view_octaves);
@@ -155,14 +154,14 @@ fn layer_shapes(config: &FieldConfig) -> Vec<(String, usize, usize)> {
     shapes
 }
 
-/// What the networks of a field read of a position: channels of its encoding.
+/// Returns the number of channels of a position's encoding.
 pub fn position_channels(config: &FieldConfig) -> usize {
     Code::of_positions(config).channels()
 }
 
 impl Field {
-    /// Names and shapes of all parameters in their fixed order: `trunk.0.weight`, `trunk.0.bias`,
-    /// ..., `rgb.bias`; before them `table`, where there is a hash grid.
+    /// Returns names and shapes of all parameters in their fixed order: `trunk.0.weight`, `trunk.0.bias`, ...,
+    /// `rgb.bias`. A hash grid's `table` comes before them.
     pub fn parameter_names(config: &FieldConfig) -> Vec<(String, Vec<usize>)> {
         let of_layers = layer_shapes(config).into_iter().flat_map(|(name, outputs, inputs)| {
             [(format!("{name}.weight"), vec![outputs, inputs]), (format!("{name}.bias"), vec![outputs])]
@@ -170,7 +169,7 @@ impl Field {
         Grid::parameter(config).into_iter().chain(of_layers).collect()
     }
 
-    /// A field with weights drawn from `seed`'s stream `Init` at `index`.
+    /// Creates a field with weights drawn from `seed`'s stream `Init` at `index`.
     pub fn init(config: &FieldConfig, seed: u64, index: u64, dtype: DType, device: &Device) -> Result<Field> {
         let mut random = Random::new(seed, Stream::Init, index);
         let mut draw = |shape: &[usize], bound: f64| -> Result<Tensor> {
@@ -198,11 +197,10 @@ impl Field {
         Field::from_parameters(config, parameters)
     }
 
-    /// A field over given parameter values, in the order of [`Field::parameter_names`]. The
-    /// values are copied.
+    /// Creates a field with given parameter values, in the order of [`Field::parameter_names`]. The values are copied.
     ///
     /// # Errors
-    /// Values that are not those of the shape, or a precision that their type or device does not have.
+    /// If shapes are wrong, or the type or device of the values does not support the precision.
     pub fn from_parameters(config: &FieldConfig, values: Vec<Tensor>) -> Result<Field> {
         let expected = Field::parameter_names(config);
         if values.len() != expected.len() {
@@ -254,8 +252,8 @@ impl Field {
         }
     }
 
-    /// The same field with its weights, as they are now, laid out for the fused core, where it applies. What is made of
-    /// the returned field need not do that again; after an update of the weights it is out of date.
+    /// Returns the same field with a copy of its current weights in the layout of the fused core, if it applies. Fields
+    /// derived from it share the copy. After an update of the weights it is out of date.
     pub fn prepared(&self) -> Result<Field> {
         let weight = &self.density.weight;
         if self.network.is_some()
@@ -273,8 +271,8 @@ impl Field {
         Ok(Field { network: Some(Arc::new(fused::prepare(&self.config, &parameters)?)), ..self.clone() })
     }
 
-    /// The same weights with a record of their gradients of its own: backward passes through the returned field add
-    /// up in it (see [`Field::recorded`]). Where the fused core does not apply, candle's gradient store has them.
+    /// Returns a field with the same weights and a record of their gradients. Backward passes through it add to the
+    /// record (see [`Field::recorded`]). If the fused core does not apply, candle's gradient store has them.
     pub fn recording(&self) -> Result<Field> {
         let field = self.prepared()?;
         let recorder = field.network.clone().map(|network| Arc::new(fused::Recorder::new(network)));
@@ -282,9 +280,9 @@ impl Field {
         Ok(Field { recorder, grid, ..field })
     }
 
-    /// The gradients of the weights that backward passes through this field have added up, in the order of
-    /// parameters; none for a field that does not record, and none of a hash grid's table, which [`Field::table_records`]
-    /// has.
+    /// Returns the gradients of the weights that backward passes through this field have added up, in the order of
+    /// parameters. Entries are `None` if the field does not record, and for a hash grid's table: see
+    /// [`Field::table_records`].
     pub fn recorded(&self) -> Result<Vec<Option<Tensor>>> {
         let Some(recorder) = &self.recorder else { return Ok(vec![None; self.variables.len()]) };
         let table = self.grid.iter().map(|_| None);
@@ -295,36 +293,36 @@ impl Field {
         Ok(table.chain(recorder.gradients(shapes)?.into_iter().map(Some)).collect())
     }
 
-    /// What backward passes through this field have left for the table of its hash grid, in their order.
+    /// Returns the records for the table of the hash grid that backward passes have left, in their order.
     pub fn table_records(&self) -> Vec<TableRecord> {
         self.grid.as_ref().map_or_else(Vec::new, Grid::take_records)
     }
 
-    /// The gradient of the hash grid's table, `[entries, features]`, from records in their order; none without a grid or
-    /// records.
+    /// Returns the gradient of the hash grid's table, `[entries, features]`, from records in their order. `None`
+    /// without a grid or records.
     pub fn table_gradient(&self, records: &[TableRecord]) -> Result<Option<Tensor>> {
         let Some(grid) = self.grid.as_ref().filter(|_| !records.is_empty()) else { return Ok(None) };
         Ok(Some(grid.table_gradient(records)?))
     }
 
-    /// The fused core, where it applies and nobody expects gradients of the weights in candle's graph.
+    /// Returns the fused core, if it applies and candle's graph needs no gradients of the weights.
     fn query<'a>(&self, below: Option<&'a fused::PrefixCache>) -> Option<fused::Query<'a>> {
         let network = self.network.clone()?;
         let applies = self.recorder.is_some() || self.variables.is_empty();
         applies.then(|| fused::Query { network, recorder: self.recorder.clone(), below })
     }
 
-    /// All layers in the order of parameters.
+    /// Iterates over all layers in the order of parameters.
     fn layers(&self) -> impl Iterator<Item = &Layer> {
         self.trunk.iter().chain([&self.density, &self.feature]).chain(&self.view).chain([&self.rgb])
     }
 
-    /// The same weights (shared, not copied) for which no gradient is ever computed.
+    /// Returns a field with the same weights (shared, not copied) that never computes their gradients.
     pub fn frozen(&self) -> Result<Field> {
         self.detached().prepared()
     }
 
-    /// Points `[n, 3]` that do not move any more; their gradient is not wanted.
+    /// Fixes points `[n, 3]` that do not move any more. They get no gradient.
     pub fn fix(&self, points: &Tensor) -> Result<FixedPoints<'_>> {
         let inputs = self.inputs(&points.detach())?;
         Ok(FixedPoints { field: self, inputs, below: fused::PrefixCache::default() })
@@ -337,22 +335,22 @@ impl Field {
         Field { network: self.network.clone(), ..Field::assemble(&self.config, tensors) }
     }
 
-    /// The parameters in their fixed order; empty for a frozen field.
+    /// Returns the parameters in their fixed order. Empty for a frozen field.
     pub fn variables(&self) -> &[(String, Var)] {
         &self.variables
     }
 
-    /// The shape that the field was built with.
+    /// Returns the configuration of the field.
     pub fn config(&self) -> &FieldConfig {
         &self.config
     }
 
-    /// Of the weights, and so of points and outputs.
+    /// Returns the type of weights, points and outputs.
     pub fn dtype(&self) -> DType {
         self.density.weight.dtype()
     }
 
-    /// Where the weights are.
+    /// Returns the device of the weights.
     pub fn device(&self) -> &Device {
         self.density.weight.device()
     }
@@ -362,13 +360,13 @@ impl Field {
             .map_err(|e| e.context(format!("layer {}", layer.name)))
     }
 
-    /// Raw colour and density of points `[n, 3]` seen along unit directions `viewdirs [rays, 3]`; each ray has the
-    /// same number of points, one ray's behind another's.
+    /// Returns raw colour and density of points `[n, 3]` along unit directions `viewdirs [rays, 3]`. All rays have the
+    /// same number of points, and the points of a ray are consecutive.
     pub fn forward(&self, points: &Tensor, viewdirs: &Tensor, delta: Option<FeatureDelta>) -> Result<RawOutput> {
         self.raw_at(&self.inputs(points)?, viewdirs, delta, None)
     }
 
-    /// What the networks read at `positions`: themselves, or their features in the hash grid.
+    /// Returns the networks' input at `positions`: the positions, or their features in the hash grid.
     fn inputs(&self, positions: &Tensor) -> Result<Inputs> {
         let Some(grid) = &self.grid else { return Ok(Inputs { values: positions.clone(), inside: None }) };
         Ok(Inputs { values: grid.encode(positions)?, inside: grid.inside(positions)? })
@@ -399,13 +397,13 @@ impl Field {
         Ok(RawOutput { rgb: self.layer(&self.rgb, &view, false)?, density, joined: None })
     }
 
-    /// 1 where there can be density, 0 elsewhere, of points `[n, 3]`, as `[n]`; none where it is 1 everywhere.
+    /// Returns 1 where density can be and 0 elsewhere, for points `[n, 3]`, as `[n]`. `None` if it is 1 everywhere.
     pub fn inside(&self, points: &Tensor) -> Result<Option<Tensor>> {
         let inside = self.grid.as_ref().map(|grid| grid.inside(points)).transpose()?.flatten();
         Ok(inside.map(|inside| inside.mask(points)).transpose()?)
     }
 
-    /// Raw density alone, `[n]`.
+    /// Returns raw density, `[n]`, without colour.
     pub fn raw_density(&self, points: &Tensor) -> Result<Tensor> {
         if let Some(query) = self.query(None).filter(|query| query.recorder.is_none() && !points.track_op()) {
             return self.queried_density(query, points);
@@ -415,7 +413,7 @@ impl Field {
         inputs.only_inside(self.layer(&self.density, &hidden, false)?.squeeze(1)?)
     }
 
-    /// The same by the fused core, which is not asked about points outside a grid's box.
+    /// The same by the fused core, without points outside a grid's box.
     fn queried_density(&self, query: fused::Query, points: &Tensor) -> Result<Tensor> {
         let Some(grid) = &self.grid else { return Ok(query.density(points)?) };
         let Some(inside) = grid.are_inside(points)? else { return Ok(query.density(&grid.encode(points)?)?) };
@@ -431,20 +429,20 @@ impl Field {
         Ok(Tensor::new(raw, points.device())?)
     }
 
-    /// Colour from raw colour, of any shape: a sigmoid, spread by `field.rgb_padding` to both sides.
+    /// Returns colour from raw colour, of any shape: a sigmoid, padded by `field.rgb_padding` on both sides.
     pub fn activate_rgb(&self, raw: &Tensor) -> Result<Tensor> {
         let rgb = candle_nn::ops::sigmoid(raw)?;
         let padding = self.config.rgb_padding;
         Ok(if padding > 0.0 { rgb.affine(1.0 + 2.0 * padding, -padding)? } else { rgb })
     }
 
-    /// Density from raw density, of any shape.
+    /// Returns density from raw density, of any shape.
     pub fn activate_density(&self, raw: &Tensor) -> Result<Tensor> {
         Ok(activation::activate_density(self.config.density_activation, raw)?)
     }
 
-    /// What this field is queried at for `points [n, 3]`: the same or, for a field of integrated encoding, Gaussians `[n, 6]`
-    /// around them of a `variance` along each axis, length^2.
+    /// Returns the positions at which this field is queried for `points [n, 3]`. With integrated encoding these are
+    /// Gaussians `[n, 6]` around them, with a `variance` along each axis, length^2. Otherwise they are the points.
     pub fn positions(&self, points: &Tensor, variance: [f64; 3]) -> Result<Tensor> {
         if self.config.encoding != Encoding::Integrated {
             return Ok(points.clone());
@@ -453,7 +451,7 @@ impl Field {
         Ok(Tensor::cat(&[points, &variance.broadcast_as(points.shape())?], 1)?)
     }
 
-    /// The trunk's last output, `[n, width]`, for points, Gaussians or a grid's features.
+    /// Returns the trunk's last output, `[n, width]`, for points, Gaussians or a grid's features.
     fn trunk(&self, points: &Tensor, delta: Option<FeatureDelta>) -> Result<Tensor> {
         let encoded = Code::of_positions(&self.config).apply(points)?;
         let mut hidden = None;
@@ -467,7 +465,7 @@ impl Field {
         Ok(hidden.expect("a trunk has layers"))
     }
 
-    /// What trunk layer `i` (from 0) reads: the encoding, the layer below, or both.
+    /// Returns the input of trunk layer `i` (from 0): the encoding, the layer below, or both.
     fn trunk_input(&self, i: usize, encoded: &Tensor, hidden: Option<&Tensor>) -> Result<Tensor> {
         Ok(match hidden {
             None => encoded.clone(),
@@ -476,8 +474,8 @@ impl Field {
         })
     }
 
-    /// Encodes unit directions `[rays, 3]` once a ray and repeats them for its samples:
-    /// `[rays * samples, 3 + 6 view_octaves]`.
+    /// Encodes unit directions `[rays, 3]` once per ray, and repeats them for its samples: `[rays * samples, 3 + 6
+    /// view_octaves]`.
     fn encode_views(&self, viewdirs: &Tensor, samples: usize) -> Result<Tensor> {
         let (rays, _) = viewdirs.dims2()?;
         let encoded = encode(viewdirs, self.config.view_octaves)?; // [rays, channels]

@@ -1,4 +1,4 @@
-//! What this machine's matrix kernels can do.
+//! The peak speed of this machine's matrix kernels.
 
 use std::time::Instant;
 
@@ -6,8 +6,8 @@ use rayon::prelude::*;
 
 use super::fused::kernels::{Matrix, multiply};
 
-/// GFLOP/s of products of 256 x 256 matrices, each of rayon's threads on its own: what this machine's
-/// matrix kernels can do.
+/// Returns the GFLOP/s of products of 256 x 256 matrices, with each of rayon's threads on its own. It is the peak of
+/// this machine's matrix kernels.
 pub fn peak_gflops() -> f64 {
     const SIDE: usize = 256;
     const TIMES: usize = 200;

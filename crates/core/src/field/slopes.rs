@@ -1,4 +1,4 @@
-//! What density's derivatives in space ask of an encoding e(x), given what raw density is in its channels.
+//! The derivatives of an encoding e(x) in space, for given derivatives of raw density in its channels.
 
 use candle_core::{CpuStorage, CustomOp1, DType, Device, Layout, Shape, Tensor};
 
@@ -14,12 +14,12 @@ use super::{Field, contiguous, encoded_channels};
 pub(super) enum Slopes {
     /// Of the positional encoding.
     Waves(Waves),
-    /// Of a hash grid, found when they are asked for.
+    /// Of a hash grid, computed when they are needed.
     Grid(GridSlopes),
 }
 
-/// First and second derivatives of each channel in its own coordinate, `[n, channels]`, and which channel belongs to
-/// which coordinate.
+/// First and second derivatives of each channel in its own coordinate, `[n, channels]`, and the coordinate of each
+/// channel.
 pub(super) struct Waves {
     first: Tensor,
     second: Tensor,
@@ -28,7 +28,7 @@ pub(super) struct Waves {
 }
 
 impl Slopes {
-    /// Of a field's encoding of `points [n, 3]`, which is `encoded`.
+    /// Creates the derivatives of a field's encoding of `points [n, 3]`, which is `encoded`.
     pub(super) fn of(field: &Field, points: &Tensor, encoded: &Tensor) -> Result<Slopes> {
         Ok(match &field.grid {
             Some(grid) => Slopes::Grid(GridSlopes::new(grid.clone(), points)?),
@@ -36,7 +36,7 @@ impl Slopes {
         })
     }
 
-    /// The gradient `[n, 3]` of what is `e_bar [n, channels]` in the encoding.
+    /// Returns the gradient `[n, 3]` of a quantity whose derivative in the encoding is `e_bar [n, channels]`.
     pub(super) fn gradient(&self, e_bar: &Tensor) -> Result<Tensor> {
         match self {
             Slopes::Waves(waves) => Ok((e_bar * &waves.first)?.matmul(&waves.axes)?),
@@ -44,7 +44,7 @@ impl Slopes {
         }
     }
 
-    /// Its Laplacian `[n]`, which not every encoding has ([`crate::settings::FieldConfig::has_laplacian`]).
+    /// Returns its Laplacian `[n]`, which not every encoding has ([`crate::settings::FieldConfig::has_laplacian`]).
     pub(super) fn laplacian(&self, e_bar: &Tensor) -> Result<Tensor> {
         match self {
             Slopes::Waves(waves) => Ok((e_bar * &waves.second)?.sum(1)?),
@@ -52,7 +52,7 @@ impl Slopes {
         }
     }
 
-    /// dL/d e_bar `[n, channels]` of a loss with these derivatives in the gradient and the Laplacian.
+    /// Returns dL/d e_bar `[n, channels]` of a loss with these derivatives in the gradient and the Laplacian.
     pub(super) fn backward(&self, gradient: &Option<Tensor>, laplacian: &Option<Tensor>) -> Result<Option<Tensor>> {
         match self {
             Slopes::Waves(waves) => waves.backward(gradient, laplacian),
@@ -64,8 +64,8 @@ impl Slopes {
         }
     }
 
-    /// Each channel's derivative along each axis and its Laplacian, `[n, channels]`, with a hash grid's table in the
-    /// graph.
+    /// Returns each channel's derivative along each axis and its Laplacian, `[n, channels]`, with a hash grid's table
+    /// in the graph.
     pub(super) fn tangents(&self) -> Result<[Tensor; 4]> {
         let [x, y, z] = [0, 1, 2].map(|axis| match self {
             Slopes::Waves(waves) => Ok(waves.first.broadcast_mul(&waves.axes.narrow(1, axis, 1)?.t()?)?),
@@ -80,7 +80,7 @@ impl Slopes {
 }
 
 impl Waves {
-    /// From the encoding itself: sine's slope is the frequency times the cosine beside it.
+    /// From the encoding itself: the derivative of a sine is the frequency times the cosine of the same octave.
     fn new(encoded: &Tensor, octaves: usize) -> Result<Waves> {
         let channels = encoded_channels(octaves);
         // first = encoded @ turn + identity: each wave reads its partner.
@@ -127,7 +127,7 @@ impl Waves {
 /// A hash grid at `n` points.
 pub(super) struct GridSlopes {
     grid: Grid,
-    /// Where the points lie in the scene and in the grid's cube, `[n, 3]`.
+    /// The points in the scene and in the grid's cube, `[n, 3]`.
     points: Vec<f64>,
     unit: Vec<f64>,
 }
@@ -169,14 +169,15 @@ impl GridSlopes {
         Ok(Tensor::from_vec(d_points, (self.points.len() / 3, 3), &Device::Cpu)?.to_dtype(table.dtype())?)
     }
 
-    /// The sum of encoding, its derivatives along the axes and its Laplacian, times what `factors` says at each point,
-    /// `[n, channels]`; differentiable in the table.
+    /// Returns the sum of encoding, its derivatives along the axes and its Laplacian, times `factors` at each point,
+    /// `[n, channels]`. It is differentiable in the table.
     fn operate(&self, factors: &Cotangents) -> Result<Tensor> {
         Ok(self.grid.table.contiguous()?.apply_op1(self.operation(factors)?)?)
     }
 
-    /// What a loss leaves for the table, which pulls on raw density, its gradient and its Laplacian with `raw`, where
-    /// raw density is `e_bar [n, channels]` in the encoding: a record of f32, the gradient itself otherwise.
+    /// Returns the table's gradient of a loss with derivatives `raw` in raw density, its gradient and its Laplacian,
+    /// where raw density is `e_bar [n, channels]` in the encoding. In f32 it is a record, otherwise the gradient
+    /// itself.
     pub(super) fn table_gradient(
         &self,
         raw: &Cotangents,
@@ -204,7 +205,7 @@ impl GridSlopes {
     }
 }
 
-/// Operators at places in the grid's cube.
+/// Operators at points of the grid's cube.
 struct Operate {
     grid: Grid,
     unit: Vec<f64>,
@@ -212,7 +213,7 @@ struct Operate {
 }
 
 impl Operate {
-    /// With the gradient `d_out [n, channels]`, f32.
+    /// Returns the record with the gradient `d_out [n, channels]`, f32.
     fn record(&self, d_out: &Tensor) -> candle_core::Result<TableRecord> {
         Ok(TableRecord {
             points: narrowed(&self.unit),

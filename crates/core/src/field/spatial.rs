@@ -1,27 +1,26 @@
-//! Density with its exact gradient and Laplacian in space, and the weights' gradients of anything
-//! made of the three.
+//! Density with its exact gradient and Laplacian in space, and the weight gradients of any function of the three.
 //!
-//! A trunk of ReLU layers is linear between its kinks: with the masks m of its active units held,
-//! raw density is a linear function of the encoding e(x), whose slope e_bar the adjoint recursion
-//! gives, from the density head down to the first layer:
+//! A trunk of ReLU layers is linear between its kinks. With the masks m of its active units held, raw density is a
+//! linear function of the encoding e(x). The adjoint recursion, from the density head down to the first layer, gives
+//! its slope e_bar:
 //!
 //! ```text
 //! s_D = w m_D,   s_(l-1) = (s_l W_l) m_(l-1),   e_bar = s_1 W_1  (+ a skip layer's share)
 //! d raw / dx_i = sum over the channels c of axis i of e'_c e_bar_c,   Laplacian(raw) = sum_c e''_c e_bar_c
 //! ```
 //!
-//! Masks are constant almost everywhere, so nothing is lost by holding them; the jumps of the
-//! gradient on the kinks themselves are not seen. A loss L of (raw, gradient, Laplacian) pulls on
-//! the weights through one forward recursion, started at r = dL/d e_bar + dL/d raw e:
+//! Masks are constant almost everywhere, so that holding them loses nothing. The jumps of the gradient on the kinks
+//! themselves are ignored. The weight gradients of a loss L of (raw, gradient, Laplacian) follow from one forward
+//! recursion, started at r = dL/d e_bar + dL/d raw e:
 //!
 //! ```text
 //! u_0 = r,   u_l = (W_l u_(l-1) + b_l dL/d raw) m_l,   dL/dW_l = s_l^T u_(l-1),   dL/db_l = s_l^T dL/d raw
 //! ```
 //!
-//! Both are first-order, so candle's second derivatives are never asked for. Where a hash grid is the encoding, e is linear
-//! in its table: with e_bar held, the loss pulls on the table as it would through the encoding D e that an operator D =
-//! dL/d raw + dL/d gradient . nabla + dL/d Laplacian nabla^2 makes at each point, whose cotangent is e_bar.
-//! [`spatial_reference`] finds the same with forward tangents in plain candle operations.
+//! Both are first-order, so that candle's second derivatives are never needed. If a hash grid is the encoding, e is
+//! linear in its table. With e_bar held, the table's gradient is that through the encoding D e with the cotangent
+//! e_bar. The operator is D = dL/d raw + dL/d gradient . nabla + dL/d Laplacian nabla^2 at each point.
+//! [`spatial_reference`] computes the same with forward tangents in plain candle operations.
 
 use candle_core::{Device, Tensor, Var};
 
@@ -35,35 +34,35 @@ use super::fused::Slope;
 use super::slopes::Slopes;
 use super::{Field, Layer, TableRecord, encode_reference, tensor_error};
 
-/// Up to which derivative density is asked for.
+/// The highest requested derivative of density.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Order {
-    /// Density alone.
+    /// Density only.
     Density,
-    /// And its gradient.
+    /// Density and its gradient.
     Gradient,
-    /// And its Laplacian.
+    /// Density, its gradient and its Laplacian.
     Laplacian,
 }
 
-/// Density and its derivatives in space at `n` points. Those that were not asked for are NaN.
+/// Density and its derivatives in space at `n` points. Those that were not requested are NaN.
 pub struct DensityAt {
     /// After the activation, `[n]`, 1 / length.
     pub density: Tensor,
     /// `[n, 3]`, 1 / length^2.
     pub gradient: Tensor,
-    /// `[n]`, 1 / length^3. NaN for a hash grid that is interpolated linearly, which has none.
+    /// `[n]`, 1 / length^3. NaN for a linearly interpolated hash grid, which has none.
     pub laplacian: Tensor,
 }
 
-/// [`DensityAt`], detached, with what carries the derivatives of anything made of it to the weights.
+/// [`DensityAt`], detached, with what is needed for the weight gradients of any function of it.
 pub struct Spatial<'a> {
     /// Density, gradient and Laplacian at the points.
     pub at: DensityAt,
     tape: Tape<'a>,
 }
 
-/// What a loss's derivatives need to reach the weights.
+/// What the weight gradients of a loss need.
 struct Tape<'a> {
     field: &'a Field,
     slopes: Slopes,
@@ -89,8 +88,8 @@ enum Trunk {
 }
 
 impl Field {
-    /// Gradient of density in space, `[n, 3]`, where the field is queried at `positions`: points `[n, 3]`, or Gaussians
-    /// `[n, 6]`, whose means move.
+    /// Returns the gradient of density in space, `[n, 3]`, of a field queried at `positions`: points `[n, 3]`, or
+    /// Gaussians `[n, 6]` whose means move.
     pub fn density_gradient(&self, positions: &Tensor) -> Result<Tensor> {
         let moved = Var::from_tensor(positions)?;
         let density = self.activate_density(&self.detached().raw_density(&moved)?)?;
@@ -99,13 +98,13 @@ impl Field {
         Ok(gradient.narrow(1, 0, 3)?)
     }
 
-    /// Density, gradient and Laplacian at `points [n, 3]`; by the fused core where the field is prepared for it
-    /// ([`Field::prepared`]).
+    /// Returns density, gradient and Laplacian at `points [n, 3]`. It uses the fused core if the field is prepared for
+    /// it ([`Field::prepared`]).
     pub fn spatial(&self, points: &Tensor) -> Result<Spatial<'_>> {
         self.spatial_up_to(Order::Laplacian, points)
     }
 
-    /// The same up to a derivative: no work is done for those above it.
+    /// Returns the same up to a derivative, without work for higher ones.
     pub fn spatial_up_to(&self, order: Order, points: &Tensor) -> Result<Spatial<'_>> {
         if self.config.encoding == Encoding::Integrated {
             return Err(tensor_error("density's derivatives are those of a field that is queried at points".into()));
@@ -116,7 +115,7 @@ impl Field {
         let slopes = Slopes::of(&frozen, &points, &encoded)?;
         let (raw, e_bar, trunk) = match &self.network {
             Some(network) => {
-                // Behind a ReLU nothing else has a derivative.
+                // After a ReLU only positive raw density has derivatives.
                 let positive_alone = self.config.density_activation == DensityActivation::Relu;
                 let fused = Slope::new(network.clone(), &inputs.values, positive_alone)?;
                 (fused.raw.clone(), fused.slope.clone(), Trunk::Fused(fused))
@@ -136,7 +135,7 @@ impl Field {
         Ok(Spatial { at: DensityAt { density, gradient, laplacian }, tape })
     }
 
-    /// Raw density `[n]` and its slope in the encoding, `[n, channels]`.
+    /// Returns raw density `[n]` and its slope in the encoding, `[n, channels]`.
     fn plain_slope(&self, encoded: Tensor) -> Result<(Tensor, Tensor, Trunk)> {
         let frozen = self.detached();
         let hidden = frozen.trunk_outputs(&encoded)?;
@@ -164,7 +163,7 @@ impl Field {
         Ok((raw, e_bar.expect("the first layer reads the encoding"), Trunk::Plain { encoded, hidden, adjoints }))
     }
 
-    /// The outputs of all trunk layers, each `[n, width]`.
+    /// Returns the outputs of all trunk layers, each `[n, width]`.
     fn trunk_outputs(&self, encoded: &Tensor) -> Result<Vec<Tensor>> {
         let mut outputs: Vec<Tensor> = Vec::with_capacity(self.trunk.len());
         for (i, layer) in self.trunk.iter().enumerate() {
@@ -174,7 +173,7 @@ impl Field {
         Ok(outputs)
     }
 
-    /// The columns of trunk layer `i`'s weight that read the encoding and the layer below.
+    /// Returns the columns of trunk layer `i`'s weight for the encoding and for the layer below.
     fn split_inputs(&self, i: usize) -> Result<(Option<Tensor>, Option<Tensor>)> {
         let weight = &self.trunk[i].weight;
         let channels = Code::of_positions(&self.config).channels();
@@ -190,8 +189,8 @@ impl Field {
 }
 
 impl Spatial<'_> {
-    /// Gradients of a loss with these derivatives, in the order of [`Field::parameter_names`];
-    /// none for layers that density does not depend on.
+    /// Returns the gradients of a loss with these derivatives, in the order of [`Field::parameter_names`]. Entries are
+    /// `None` for layers on which density does not depend.
     pub fn weight_gradients(&self, loss: &Cotangents) -> Result<Vec<Option<Tensor>>> {
         let (mut gradients, record) = self.recorded_gradients(loss)?;
         if let Some(record) = record {
@@ -200,8 +199,8 @@ impl Spatial<'_> {
         Ok(gradients)
     }
 
-    /// The same, where the gradient of a hash grid's table, which is as large as the table, may be left to
-    /// [`Field::table_gradient`], to be made of many records at once.
+    /// The same, except that the gradient of a hash grid's table may be a record for [`Field::table_gradient`]. That
+    /// gradient is as large as the table, and is best made of many records at once.
     pub fn recorded_gradients(&self, loss: &Cotangents) -> Result<(Vec<Option<Tensor>>, Option<TableRecord>)> {
         let tape = &self.tape;
         let raw = tape.activated.backward(loss, &tape.raw_gradient, &tape.raw_laplacian)?;
@@ -232,13 +231,13 @@ impl Spatial<'_> {
     }
 }
 
-/// NaN of `shape` for each number of `raw [n]`.
+/// Returns NaN of `shape` for each number of `raw [n]`.
 fn unasked(raw: &Tensor, shape: &[usize]) -> Result<Tensor> {
     let shape = [&[raw.dim(0)?], shape].concat();
     Ok(Tensor::full(f64::NAN, shape, raw.device())?.to_dtype(raw.dtype())?)
 }
 
-/// The forward recursion on the weights' gradients. One of the gradients is there.
+/// Runs the forward recursion on the weights' gradients. At least one of the gradients is present.
 fn plain_gradients(
     field: &Field,
     (encoded, hidden, adjoints): (&Tensor, &[Tensor], &[Tensor]),
@@ -267,7 +266,7 @@ fn plain_gradients(
                 };
                 mask_where_zero(&moved, &hidden[i])?
             }
-            // Of raw density alone: the recursion is the forward pass, scaled point by point.
+            // For raw density alone, the recursion is the forward pass, scaled point by point.
             (None, Some(d)) => hidden[i].broadcast_mul(d)?,
             (None, None) => unreachable!("one of them has a gradient"),
         });
@@ -280,9 +279,9 @@ fn plain_gradients(
     Ok(())
 }
 
-/// Density, gradient and Laplacian (`[n]`, `[n, 3]`, `[n]`) by forward tangents in plain candle
-/// operations, differentiable in the weights: the slow and obvious way. The Laplacian of a hash grid that is interpolated
-/// linearly is that within its cells.
+/// Returns density, gradient and Laplacian (`[n]`, `[n, 3]`, `[n]`) by forward tangents in plain candle operations,
+/// differentiable in the weights. It is slow and obvious. The Laplacian of a linearly interpolated hash grid is that
+/// within its cells.
 pub fn spatial_reference(field: &Field, points: &Tensor) -> Result<(Tensor, Tensor, Tensor)> {
     let config = field.config();
     let inputs = field.inputs(points)?;
@@ -290,7 +289,7 @@ pub fn spatial_reference(field: &Field, points: &Tensor) -> Result<(Tensor, Tens
         Some(_) => inputs.values.clone(),
         None => encode_reference(points, config.position_octaves)?,
     };
-    // Three tangents and the sum of second derivatives: linear maps and masks carry all four.
+    // Three tangents and the sum of second derivatives: linear maps and masks apply to all four.
     let start = Slopes::of(field, points, &encoded)?.tangents()?;
     let (mut hidden, mut tangents) = (encoded.clone(), start.clone());
     let linear = |x: &Tensor, layer: &Layer| x.matmul(&layer.weight.t()?);

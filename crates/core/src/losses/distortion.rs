@@ -6,14 +6,14 @@ use crate::base::Result;
 
 use super::{RayPass, RayTerm};
 
-/// Spread of a ray's weights w over its intervals between s_0 < ... < s_n, normalised to 0..1 between near and far:
+/// The spread of a ray's weights w over its intervals between s_0 < ... < s_n, normalized to 0..1 between near and far:
 ///
 /// ```text
-/// sum over i, j of w_i w_j abs(m_i - m_j) + 1/3 sum over i of w_i^2 (s_(i+1) - s_i),   m_i = (s_i + s_(i+1)) / 2
+///     sum over i, j of w_i w_j abs(m_i - m_j) + 1/3 sum over i of w_i^2 (s_(i+1) - s_i),   m_i = (s_i + s_(i+1)) / 2
 /// ```
 ///
-/// Least where the weights stand close together, which pulls floaters and fog onto one surface. Of points a
-/// sample's interval reaches to the next one, the last one's to far.
+/// It is least if the weights are close together, which moves floaters and fog onto one surface. If samples are points,
+/// an interval reaches to the next sample, and the last one's to far.
 pub struct Distortion;
 
 impl RayTerm for Distortion {
@@ -28,7 +28,7 @@ impl RayTerm for Distortion {
     }
 }
 
-/// Ends of the samples' intervals, `[rays, samples + 1]`, in 0..1 between near and far.
+/// Returns the ends of the samples' intervals, `[rays, samples + 1]`, in 0..1 between near and far.
 fn edges(t_vals: &Tensor, samples: usize, (near, far): (f64, f64)) -> Result<Tensor> {
     let edges = if t_vals.dim(1)? > samples {
         t_vals.clone()
@@ -39,10 +39,10 @@ fn edges(t_vals: &Tensor, samples: usize, (near, far): (f64, f64)) -> Result<Ten
     Ok(edges.affine(1.0 / (far - near), -near / (far - near))?)
 }
 
-/// The loss of each ray, `[rays]`, of `weights [rays, samples]` between `edges [rays, samples + 1]`, which ascend.
+/// Returns the loss of each ray, `[rays]`, of `weights [rays, samples]` between ascending `edges [rays, samples + 1]`.
 ///
-/// Of sorted middles the double sum is 2 sum over i of w_i (m_i W_i - M_i), W_i and M_i the sums of w_j and w_j m_j
-/// over j < i. The sums are in f64: their difference is small where a surface is sharp.
+/// With sorted middles the double sum is 2 sum over i of w_i (m_i W_i - M_i). W_i and M_i are the sums of w_j and w_j
+/// m_j over j < i. The sums are in f64, because their difference is small at a sharp surface.
 fn distortion(weights: &Tensor, edges: &Tensor) -> Result<Tensor> {
     let samples = weights.dim(1)?;
     let (weights, edges) = (weights.to_dtype(DType::F64)?, edges.to_dtype(DType::F64)?);
@@ -56,7 +56,7 @@ fn distortion(weights: &Tensor, edges: &Tensor) -> Result<Tensor> {
     Ok(((between * 2.0)? + (within / 3.0)?)?)
 }
 
-/// `[samples, samples]`, 1 where row < column: right-multiplying sums over earlier samples.
+/// Returns `[samples, samples]`, with 1 where row < column. Multiplied from the right, it sums over earlier samples.
 fn exclusive_sum(samples: usize, like: &Tensor) -> Result<Tensor> {
     let one = |row: usize, column: usize| if row < column { 1.0 } else { 0.0 };
     let values: Vec<f64> = (0..samples).flat_map(|row| (0..samples).map(move |column| one(row, column))).collect();

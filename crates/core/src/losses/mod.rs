@@ -7,10 +7,9 @@
 //! | `laplacian` | space | abs(Laplacian of density) | the same |
 //! | `distortion` | rays | spread of the weights along the ray | mip-NeRF 360, equation 15 |
 //!
-//! A term on rays is the mean over the rays of a step. A term in space is an integral over a box,
-//! volume / n * sum over n points; at every cell's midpoint volume / n is the paper's delta^3.
-//! A term of one's own implements [`RayTerm`] or [`SpaceTerm`] and is handed to the trainer
-//! ([`crate::train::Trainer::add_term`]).
+//! A term on rays is the mean over the rays of a step. A term in space is an integral over a box: volume / n * sum over
+//! n points. If the points are the midpoints of all cells, volume / n is the paper's delta^3. A term of your own
+//! implements [`RayTerm`] or [`SpaceTerm`], and is passed to the trainer ([`crate::train::Trainer::add_term`]).
 
 use std::sync::Arc;
 
@@ -35,7 +34,7 @@ pub use smoothness::{Smoothness, measure};
 pub use spatial::{Regularized, WeightedSpaceTerm, estimate_seconds, regularize, regularize_at, regularize_unless};
 pub use tv::Tv;
 
-/// A rendered pass as a term on rays sees it.
+/// A rendered pass, as a term on rays reads it.
 pub struct RayPass<'a> {
     /// Colour, depth, accumulation and weights of the rays, with their graph.
     pub output: &'a PassOutput,
@@ -43,25 +42,25 @@ pub struct RayPass<'a> {
     pub bounds: (f64, f64),
 }
 
-/// A term that each ray has.
+/// A term with a value per ray.
 pub trait RayTerm: Send + Sync {
-    /// Its name in logs (`regularizer.NAME`) and tables.
+    /// Returns its name in logs (`regularizer.NAME`) and tables.
     fn name(&self) -> &str;
-    /// The term of each ray of a clean pass, `[rays]`, differentiable.
+    /// Returns the term of each ray of a clean pass, `[rays]`, differentiable.
     fn per_ray(&self, pass: &RayPass) -> Result<Tensor>;
 }
 
 /// A term that is integrated over a box.
 pub trait SpaceTerm: Send + Sync {
-    /// Its name in logs (`regularizer.NAME`) and tables.
+    /// Returns its name in logs (`regularizer.NAME`) and tables.
     fn name(&self) -> &str;
-    /// Up to which derivative it reads density; those above are NaN.
+    /// Returns the highest derivative of density that it reads. Higher ones are NaN.
     fn order(&self) -> Order {
         Order::Laplacian
     }
-    /// What is integrated, `[n]`.
+    /// Returns the integrand, `[n]`.
     fn at_points(&self, at: &DensityAt) -> Result<Tensor>;
-    /// Derivatives of the sum over points; where they are not written out, those that candle finds.
+    /// Returns the derivatives of the sum over points. By default candle differentiates [`SpaceTerm::at_points`].
     fn cotangents(&self, at: &DensityAt) -> Result<Cotangents> {
         let [density, gradient, laplacian] =
             [&at.density, &at.gradient, &at.laplacian].map(|tensor| Var::from_tensor(&tensor.detach()));
@@ -91,22 +90,22 @@ pub enum LossTerm {
 pub struct WeightedTerm {
     /// What is added to the loss.
     pub term: LossTerm,
-    /// What its value is multiplied by.
+    /// Its factor.
     pub weight: f64,
 }
 
 impl LossTerm {
-    /// A term on rays.
+    /// Creates a term on rays.
     pub fn on_rays(term: impl RayTerm + 'static) -> LossTerm {
         LossTerm::OnRays(Arc::new(term))
     }
 
-    /// A term in space.
+    /// Creates a term in space.
     pub fn in_space(term: impl SpaceTerm + 'static) -> LossTerm {
         LossTerm::InSpace(Arc::new(term))
     }
 
-    /// The term that a configuration names.
+    /// Returns the term of a configuration.
     pub fn of(regularizer: Regularizer) -> LossTerm {
         match regularizer {
             Regularizer::L1 => LossTerm::in_space(L1),
@@ -116,7 +115,7 @@ impl LossTerm {
         }
     }
 
-    /// The name in logs and tables.
+    /// Returns the name in logs and tables.
     pub fn name(&self) -> &str {
         match self {
             LossTerm::OnRays(term) => term.name(),
@@ -126,7 +125,7 @@ impl LossTerm {
 }
 
 impl WeightedTerm {
-    /// The terms of a configuration with their weights, in its order.
+    /// Returns the terms of a configuration with their weights, in its order.
     pub fn all(config: &RegularizerConfig) -> Vec<WeightedTerm> {
         config.terms().map(|(term, weight)| WeightedTerm { term: LossTerm::of(term), weight }).collect()
     }

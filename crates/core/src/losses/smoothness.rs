@@ -1,4 +1,4 @@
-//! How smooth a trained field is: the integrals that the regularizers lower, on the full lattice.
+//! The smoothness of a trained field: the integrals that the regularizers lower, on the full sampling grid.
 
 use candle_core::DType;
 use serde::Serialize;
@@ -10,22 +10,23 @@ use crate::space::{Lattice, Quadrature, over_chunks};
 use super::spatial::term_sum;
 use super::{L1, Laplacian, SpaceTerm, Tv};
 
-/// How smooth a field is on the full lattice.
+/// The smoothness of a field on the full sampling grid.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct Smoothness {
     /// Integral of abs(density), length^2.
     pub l1: f64,
     /// Integral of the gradient's length, length.
     pub tv: f64,
-    /// Integral of abs(Laplacian), 1; none where density has no Laplacian ([`crate::settings::FieldConfig::has_laplacian`]).
+    /// Integral of abs(Laplacian), 1. `None` if density has no Laplacian
+    /// ([`crate::settings::FieldConfig::has_laplacian`]).
     pub laplacian: Option<f64>,
     /// Largest density, 1 / length.
     pub largest_density: f64,
-    /// Share of points with positive density: all of them where density is a softplus.
+    /// Fraction of points with positive density. It is 1 if density is a softplus.
     pub occupied: f64,
 }
 
-/// Measures a field on every cell's midpoint. `advance` is called after each chunk of cells.
+/// Measures a field at every cell's midpoint. `advance` is called after each chunk of cells.
 pub fn measure(field: &Field, lattice: &Lattice, mut advance: impl FnMut()) -> Result<Smoothness> {
     let points = Quadrature::full(*lattice);
     let volume = points.volume_each();

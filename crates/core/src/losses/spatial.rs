@@ -11,20 +11,20 @@ use super::SpaceTerm;
 /// A term in space with its weight.
 pub type WeightedSpaceTerm<'a> = (&'a dyn SpaceTerm, f64);
 
-/// Terms and the gradients of their weighted sum.
+/// Terms, and the gradients of their weighted sum.
 pub struct Regularized {
-    /// Value of each term, unweighted: f64 `[terms]`, on the field's device until someone reads it.
+    /// Value of each term, unweighted: f64 `[terms]`. It stays on the field's device until it is read.
     pub values: Tensor,
     /// In the order of [`Field::parameter_names`].
     pub gradients: Vec<Option<Tensor>>,
 }
 
-/// Values and weight gradients of weighted terms of one field, integrated with `points`.
+/// Returns values and weight gradients of weighted terms of one field, integrated with `points`.
 pub fn regularize(field: &Field, points: &Quadrature, terms: &[WeightedSpaceTerm]) -> Result<Regularized> {
     regularize_unless(field, points, terms, || Ok(()))
 }
 
-/// The same with a question that is asked again and again: its error ends the work.
+/// The same with a check that is called regularly. Its error ends the work.
 pub fn regularize_unless(
     field: &Field,
     points: &Quadrature,
@@ -56,14 +56,14 @@ pub fn regularize_at(field: &Field, points: &Tensor, terms: &[WeightedSpaceTerm]
     chunk_at(field, points, terms, volume)?.finish(field)
 }
 
-/// What points give.
+/// The result of some points.
 struct Chunk {
     regularized: Regularized,
-    /// What a hash grid's table is still to gain.
+    /// Records that are still to be added to a hash grid's table gradient.
     records: Vec<TableRecord>,
 }
 
-/// Points of records that wait for one another: adding up a table's gradient takes as long as a few thousand of them.
+/// Largest number of points with waiting records. Adding up a table's gradient takes as long as a few thousand of them.
 const MOST_RECORDED: usize = 1 << 16;
 
 fn chunk_at(field: &Field, points: &Tensor, terms: &[WeightedSpaceTerm], volume: f64) -> Result<Chunk> {
@@ -89,7 +89,7 @@ impl Chunk {
         Ok(())
     }
 
-    /// Adds the records to the table's gradient, which comes first.
+    /// Adds the records to the table's gradient, which is the first.
     fn settle(&mut self, field: &Field) -> Result<()> {
         if let Some(gradient) = field.table_gradient(&std::mem::take(&mut self.records))? {
             let sum = &mut self.regularized.gradients[0];
@@ -104,7 +104,7 @@ impl Chunk {
     }
 }
 
-/// Sum of what may be absent.
+/// Returns the sum of tensors that may be absent.
 fn plus(a: Option<Tensor>, b: Option<Tensor>) -> Result<Option<Tensor>> {
     Ok(match (a, b) {
         (Some(a), Some(b)) => Some((a + b)?),
@@ -112,12 +112,12 @@ fn plus(a: Option<Tensor>, b: Option<Tensor>) -> Result<Option<Tensor>> {
     })
 }
 
-/// Sum over points of what a term measures there. In f64: Laplacians reach 4^9 and more.
+/// Returns the sum of a term over points. It is in f64, because Laplacians reach 4^9 and more.
 pub(super) fn term_sum(term: &dyn SpaceTerm, at: &DensityAt) -> Result<Tensor> {
     Ok(term.at_points(at)?.to_dtype(DType::F64)?.sum_all()?)
 }
 
-/// Derivatives of the sum of `volume * weight * term` over points.
+/// Returns the derivatives of the sum of `volume * weight * term` over points.
 fn cotangents(at: &DensityAt, terms: &[WeightedSpaceTerm], volume: f64) -> Result<Cotangents> {
     let mut sum = Cotangents::default();
     for &(term, weight) in terms {
@@ -131,8 +131,8 @@ fn cotangents(at: &DensityAt, terms: &[WeightedSpaceTerm], volume: f64) -> Resul
     Ok(sum)
 }
 
-/// Seconds that the weight gradients of `terms` over `count` points of a lattice take here, judged by a chunk; without
-/// terms, those of density's derivatives alone.
+/// Estimates the seconds that the weight gradients of `terms` take for `count` points of a sampling grid here, from one
+/// chunk. Without terms it estimates those of density's derivatives only.
 pub fn estimate_seconds(field: &Field, lattice: &Lattice, count: usize, terms: &[WeightedSpaceTerm]) -> Result<f64> {
     let field = &field.prepared()?;
     let device = field.device();
@@ -148,7 +148,7 @@ pub fn estimate_seconds(field: &Field, lattice: &Lattice, count: usize, terms: &
         device.synchronize()?;
         Ok(started.elapsed().as_secs_f64())
     };
-    // The first pays for fresh memory, and others may be at work on the machine.
+    // The first run pays for new memory, and other programs may be at work.
     work()?;
     let least = work()?.min(work()?).min(work()?);
     Ok(least * count as f64 / chunk as f64 / chunks_at_once(device) as f64)

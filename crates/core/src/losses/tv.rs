@@ -23,7 +23,7 @@ impl SpaceTerm for Tv {
         Ok(at.gradient.sqr()?.sum(1)?.sqrt()?)
     }
 
-    /// The gradient over its length; where that is 0 the subgradient of least length, 0.
+    /// The gradient over its length. Where that is 0, the subgradient of least length, 0.
     fn cotangents(&self, at: &DensityAt) -> Result<Cotangents> {
         let length = at.gradient.sqr()?.sum_keepdim(1)?.sqrt()?;
         let divisor = (&length + length.eq(0f64)?.to_dtype(length.dtype())?)?;

@@ -1,4 +1,5 @@
-//! Where a pass queries its field: points of rays, or Gaussians that stand for stretches of cones and cylinders.
+//! The positions at which a pass queries its field: points of rays, or Gaussians that stand for parts of cones and
+//! cylinders.
 
 use candle_core::{D, Tensor};
 
@@ -10,9 +11,11 @@ use crate::settings::Encoding;
 
 use super::volume::middles;
 
-/// Where `field` is queried on `rays` with `t_vals`: points `[rays, samples, 3]` at `t_vals [rays, samples]`, or, with an
-/// integrated encoding, Gaussians `[rays, samples, 6]` of the intervals between `t_vals [rays, samples + 1]`; on a hash grid the
-/// middles of those intervals.
+/// Returns the positions of `field` on `rays` with `t_vals`.
+///
+/// - Points `[rays, samples, 3]` at `t_vals [rays, samples]`.
+/// - With an integrated encoding, Gaussians `[rays, samples, 6]` of the intervals between `t_vals [rays, samples + 1]`.
+/// - On a hash grid, the middles of those intervals.
 pub fn positions_at(field: &Field, rays: &Rays, t_vals: &Tensor) -> Result<Tensor> {
     match field.config().encoding {
         Encoding::Positional => points_at(rays, t_vals),
@@ -21,17 +24,17 @@ pub fn positions_at(field: &Field, rays: &Rays, t_vals: &Tensor) -> Result<Tenso
     }
 }
 
-/// What passes of `field` need of rays.
+/// Returns the parts of rays that passes of `field` need.
 pub fn ray_parts(field: &Field) -> RayParts {
     RayParts { footprint: field.config().encoding == Encoding::Integrated, tangents: false }
 }
 
-/// Samples that a pass of `field` has with so many columns of `t_vals`.
+/// Returns the number of samples of a pass of `field` with this many columns of `t_vals`.
 pub fn samples_of(field: &Field, t_vals: &Tensor) -> Result<usize> {
     Ok(field.config().encoding.samples(t_vals.dim(1)?))
 }
 
-/// origin + t * direction, `[rays, samples, 3]`.
+/// Returns origin + t * direction, `[rays, samples, 3]`.
 pub fn points_at(rays: &Rays, t_vals: &Tensor) -> Result<Tensor> {
     if !t_vals.track_op()
         && let Some(points) = with_values(t_vals, |t_vals| {
@@ -58,8 +61,8 @@ fn points_of(origins: &[f32], directions: &[f32], t_vals: &[f32]) -> Vec<f32> {
     points
 }
 
-/// Mean and diagonal variance `[rays, samples, 6]` of the uniform distribution in each stretch of a ray's solid between
-/// `edges [rays, samples + 1]` (Barron et al. 2021, equations 7, 8 and 16).
+/// Returns mean and diagonal variance `[rays, samples, 6]` of the uniform distribution in each part of a ray's solid
+/// between `edges [rays, samples + 1]` (Barron et al. 2021, equations 7, 8 and 16).
 pub fn gaussians_at(rays: &Rays, edges: &Tensor) -> Result<Tensor> {
     let samples = edges.dim(1)? - 1;
     let (from, to) = (edges.narrow(1, 0, samples)?, edges.narrow(1, 1, samples)?);
@@ -75,7 +78,7 @@ pub fn gaussians_at(rays: &Rays, edges: &Tensor) -> Result<Tensor> {
         (t, along, across.broadcast_mul(&radius_squared)?)
     };
     let mean = points_at(rays, &t)?;
-    // The share of each axis along the ray, d^2, and across it, 1 - d^2 / |d|^2.
+    // The fraction of each axis along the ray, d^2, and across it, 1 - d^2 / |d|^2.
     let squared = rays.directions.sqr()?;
     let flat = squared.broadcast_div(&squared.sum_keepdim(D::Minus1)?)?.affine(-1.0, 1.0)?;
     let spread = |variance: &Tensor, share: &Tensor| variance.unsqueeze(2)?.broadcast_mul(&share.unsqueeze(1)?);
@@ -83,8 +86,8 @@ pub fn gaussians_at(rays: &Rays, edges: &Tensor) -> Result<Tensor> {
     Ok(Tensor::cat(&[mean, variance], 2)?)
 }
 
-/// Mean and variance of t, and variance across the axis for radius 1 at t = 1, in frustums around `middle` of half length
-/// `half`. In the form that does not subtract nearly equal numbers.
+/// Returns mean and variance of t, and variance across the axis for radius 1 at t = 1, in frustums around `middle` of
+/// half length `half`. The formulas do not subtract nearly equal numbers.
 fn cone(middle: &Tensor, half: &Tensor) -> Result<[Tensor; 3]> {
     let (m, h) = (middle.sqr()?, half.sqr()?);
     let sum = ((&m * 3.0)? + &h)?;

@@ -1,8 +1,8 @@
-//! From a field's raw output to the photometric loss of its rays as one differentiable operation, in f32 on processors:
-//! activations, density noise, output deltas behind them, compositing, loss.
+//! From a field's raw output to the photometric loss of its rays, as one differentiable operation in f32 on the CPU. It
+//! includes activations, density noise, output deltas after them, compositing and the loss.
 //!
-//! `activate`, `add_after`, [`super::volume::composite`] and [`photometric_loss`] are the same in operations on tensors:
-//! they serve everything else, and are the reference, which this equals to the bit.
+//! `activate`, `add_after`, [`super::volume::composite`] and [`photometric_loss`] are the same in tensor operations.
+//! They serve all other cases. They are also the reference, which this operation equals bit for bit.
 
 use candle_core::{CpuStorage, CustomOp3, DType, Device, Layout, Result as TensorResult, Shape, Tensor};
 
@@ -17,26 +17,26 @@ use super::photometric_loss;
 use super::scan::{Gradients, Passed, Scan};
 use super::volume::{Composite, LAST_INTERVAL};
 
-/// Samples behind their field.
+/// Samples with the output of their field.
 #[derive(Clone, Copy)]
 pub(super) struct Samples<'a> {
     pub(super) field: &'a Field,
     pub(super) pass: Pass<'a>,
-    /// Where they lie: the pass's `t_vals` with their delta.
+    /// Their positions: the pass's `t_vals` with their delta.
     pub(super) t_vals: &'a Tensor,
     /// `[rays, samples, 3]` and `[rays, samples]`.
     pub(super) raw: &'a RawOutput,
-    /// Output deltas that are added behind the activations, and their sets.
+    /// Output deltas that are added after the activations, and their constraint sets.
     pub(super) added: Option<(&'a Deltas, &'a Sets)>,
 }
 
-/// What they show.
+/// The loss of the composited samples.
 pub(super) struct ShadedLoss {
     /// A scalar, with its graph.
     pub(super) loss: Tensor,
     /// Without a graph.
     pub(super) composite: Composite,
-    /// The output deltas as they were used: projected onto what the samples leave them.
+    /// The output deltas as they were used: projected onto what the samples allow.
     pub(super) used: Vec<(Site, Tensor)>,
 }
 
@@ -48,7 +48,7 @@ struct BoxSet {
 }
 
 impl BoxSet {
-    /// None of another kind of set.
+    /// Returns `None` for any other kind of set.
     fn of(set: &DeltaSet) -> Result<Option<BoxSet>> {
         if set.norm != Norm::Linf || set.bounds.is_some() || set.radius.elem_count() != 1 {
             return Ok(None);
@@ -58,16 +58,17 @@ impl BoxSet {
     }
 }
 
-/// The output deltas of a pass, added behind the activations.
+/// The output deltas of a pass, added after the activations.
 struct Added {
-    /// Of colours `[3 n]`, then of densities `[n]`; 0 where a site is off.
+    /// Of colours `[3 n]`, then of densities `[n]`. 0 where a site is off.
     delta: Tensor,
     rgb: Option<BoxSet>,
     density: Option<BoxSet>,
 }
 
 impl Added {
-    /// Those of samples. The inner option is empty where there are none, the outer one where plain operations must do it.
+    /// Returns the output deltas of samples. The inner option is empty if there are none, the outer one if this
+    /// operation does not support them.
     fn of(samples: &Samples) -> Result<Option<Option<Added>>> {
         let Samples { raw, added: Some((deltas, sets)), .. } = samples else { return Ok(Some(None)) };
         let at = |site: Site| deltas.get(site).zip(sets.get(site));
@@ -89,7 +90,8 @@ impl Added {
     }
 }
 
-/// The operation: raw output `[4 n]`, positions and output deltas `[4 n]` to the loss, which is known when it is made.
+/// The operation from raw output `[4 n]`, positions and output deltas `[4 n]` to the loss. The loss is known when the
+/// operation is created.
 struct FusedLoss {
     activation: DensityActivation,
     /// `field.rgb_padding`.
@@ -98,14 +100,14 @@ struct FusedLoss {
     /// Added to raw density, `[n]`.
     noise: Option<Vec<f32>>,
     loss: f32,
-    /// Colours of the rays less their targets, `[3 rays]`.
+    /// Rendered colours minus their targets, `[3 rays]`.
     errors: Vec<f32>,
     activations: Activations,
-    /// Output deltas want a gradient.
+    /// Whether output deltas need a gradient.
     wants_delta: bool,
 }
 
-/// What the samples show.
+/// The values of the samples after their activations.
 #[derive(Default)]
 struct Activations {
     /// Sigmoids of raw colours, `[3 n]`.
@@ -115,13 +117,13 @@ struct Activations {
     density: Vec<f32>,
     /// Output deltas as they were used, `[3 n]` and `[n]`.
     used: [Vec<f32>; 2],
-    /// Weights and what is left behind each sample, `[n]`.
+    /// Weights, and transmittance behind each sample, `[n]`.
     weights: Vec<f32>,
     behind: Vec<f32>,
 }
 
 impl Samples<'_> {
-    /// Their light, and its loss against `target` `[rays, 3]`. None where plain operations must do it.
+    /// Returns the loss against `target` `[rays, 3]`, or `None` if the fused path does not support these samples.
     pub(super) fn fused_loss(&self, target: &Tensor) -> Result<Option<ShadedLoss>> {
         let Samples { field, pass, t_vals, raw, .. } = *self;
         let on_processor = |joined: &&Tensor| joined.device().is_cpu() && joined.dtype() == DType::F32;
@@ -161,7 +163,7 @@ impl Samples<'_> {
 }
 
 impl FusedLoss {
-    /// From raw output `[4 n]` to what is composited.
+    /// Computes what is composited from raw output `[4 n]`.
     fn activate(&self, raw: &[f32], added: Option<&Added>, samples: usize) -> Result<Activations> {
         let (colours, densities) = raw.split_at(raw.len() / 4 * 3);
         let sigmoids: Vec<f32> = colours.iter().map(|raw| 1.0 / ((-raw).exp() + 1.0)).collect();
@@ -184,7 +186,7 @@ impl FusedLoss {
         Ok(activations)
     }
 
-    /// What spreads colours by the padding: factor and summand.
+    /// Returns the factor and the summand that pad colours.
     fn spread(&self) -> (f32, f32) {
         ((1.0 + 2.0 * self.padding) as f32, -self.padding as f32)
     }
@@ -193,7 +195,7 @@ impl FusedLoss {
         self.noise.as_ref().map_or(densities[i], |noise| densities[i] + noise[i])
     }
 
-    /// The output deltas as they were used.
+    /// Returns the output deltas as they were used.
     fn take_used(
         &mut self,
         added: Option<&Added>,
@@ -211,9 +213,9 @@ impl FusedLoss {
         Ok(used)
     }
 
-    /// Gradients of raw output, positions and output deltas from the loss's.
+    /// Returns gradients of raw output, positions and output deltas from that of the loss.
     fn gradients(&self, raw: &[f32], t_vals: &[f32], gradient: f32) -> [Vec<f32>; 3] {
-        // As candle goes back through the mean of the squares.
+        // As candle differentiates the mean of the squares.
         let of_mean = gradient * (1.0 / self.errors.len() as f64) as f32;
         let colours: Vec<f32> = self.errors.iter().map(|error| error * of_mean * 2.0).collect();
         let Activations { sigmoids, rgb, density, weights, behind, .. } = &self.activations;
@@ -221,7 +223,7 @@ impl FusedLoss {
         let [d_rgb, d_density, d_t] = self.scan.backward(Passed { rgb, density, t_vals, weights, behind }, gradients);
         let (scale, _) = self.spread();
         let raw_density = &raw[rgb.len()..];
-        // The last summand makes a negative 0 a positive one, as candle's sums do.
+        // Adding 0 turns a negative 0 into a positive one, as in candle's sums.
         let of_rgb = d_rgb.iter().zip(sigmoids).map(|(&d, s)| {
             let d = if self.padding > 0.0 { d * scale } else { d };
             d * ((1.0 - s) * s) + 0.0
@@ -237,12 +239,13 @@ impl FusedLoss {
 }
 
 impl BoxSet {
-    /// Adds `delta` to `values`, projected so that they stay within `limits`. Returns it projected. As `add_after`.
+    /// Adds `delta` to `values`, projected so that they stay within `limits`. Returns the projected delta. It agrees
+    /// with `add_after`.
     fn add(&self, values: &mut [f32], delta: &[f32], (low, high): (f32, f32), of_ray: usize) -> Vec<f32> {
         let entries = values.iter_mut().zip(delta).enumerate();
         let projected = entries.map(|(i, (value, &delta))| {
             let now = *value;
-            // Density has no upper limit; what is above it by rounding stays.
+            // Density has no upper limit. A value above it by rounding stays.
             let (lower, upper) = if high == f32::MAX { (-now, high) } else { (-now + low, -now + high) };
             let mut used = larger(smaller(delta, self.radius), -self.radius);
             used = larger(smaller(used, upper), lower);
@@ -251,7 +254,7 @@ impl BoxSet {
             }
             let moved = now + used;
             let legal = if high == f32::MAX { moved.max(0.0) } else { smaller(larger(moved, low), high) };
-            // 0, or NaN where there was one.
+            // 0, or NaN if one of them is not finite.
             let broken = (now * 0.0).abs() + (delta * 0.0).abs();
             *value = legal + broken;
             used

@@ -1,4 +1,4 @@
-//! What an evaluation sees of rays: a coarse pass that places samples, and a fine one that is shown.
+//! Rendering for evaluation: a coarse pass places samples, and a fine pass renders them.
 
 use candle_core::Tensor;
 
@@ -12,14 +12,13 @@ use super::pass::{Pass, clean_pass};
 use super::sampling;
 use super::volume::{self, Composite};
 
-/// Numbers of `t_vals` that a field's passes have, from those of a configuration: for the coarse pass, and for `u` of the
-/// fine one.
+/// Returns the number of `t_vals` of a field's coarse pass, and of `u` of its fine pass, in a configuration.
 pub fn columns(field: &Field, sampling: &SamplingConfig) -> (usize, usize) {
     let encoding = field.config().encoding;
     (encoding.t_vals(sampling.coarse), encoding.t_vals(sampling.fine))
 }
 
-/// The fine pass's `t_vals` from the coarse pass's, its weights and `u`.
+/// Returns the fine pass's `t_vals` from the coarse pass's, its weights and `u`.
 pub fn resample(
     field: &Field,
     sampling: &SamplingConfig,
@@ -35,8 +34,8 @@ pub fn resample(
     }
 }
 
-/// The deterministic image of rays for evaluation: no jitter, no noise, evenly spaced u. Without a
-/// fine field the coarse pass is the result.
+/// Renders rays for evaluation, deterministically: no jitter, no noise, evenly spaced u. Without a fine field the
+/// coarse pass is the result.
 pub fn render_rays(
     coarse: &Field,
     fine: Option<&Field>,
@@ -53,13 +52,14 @@ pub fn render_rays(
     Ok(clean_pass(fine, Pass { t_vals: &t_vals, ..pass })?.composite)
 }
 
-/// The `t_vals` of an evaluation's fine pass, after the coarse field at `t_vals`.
+/// Returns the `t_vals` of an evaluation's fine pass, from the coarse field at `t_vals`.
 pub fn fine_t_vals(coarse: &Field, rays: &Rays, t_vals: &Tensor, sampling: &SamplingConfig) -> Result<Tensor> {
     let u = sampling::even_u(rays.len(), columns(coarse, sampling).1, t_vals)?;
     place(coarse, rays, t_vals, sampling, &u)
 }
 
-/// The fine pass's `t_vals` at `u`, by the density of the coarse field at `t_vals` alone: no colours, no gradients, no noise.
+/// Returns the fine pass's `t_vals` at `u` from the density of the coarse field at `t_vals` only. It needs no colours,
+/// gradients or noise.
 pub fn place(coarse: &Field, rays: &Rays, t_vals: &Tensor, sampling: &SamplingConfig, u: &Tensor) -> Result<Tensor> {
     let positions = positions_at(coarse, rays, t_vals)?.flatten(0, 1)?;
     let raw = coarse.raw_density(&positions)?.reshape((rays.len(), sampling.coarse))?;

@@ -1,4 +1,4 @@
-//! Passes with their photometric loss: behind the field one operation, where there is one that can do it.
+//! Passes with their photometric loss. After the field they use the fused operation if it supports the pass.
 
 use candle_core::{D, DType, Tensor};
 
@@ -15,27 +15,27 @@ use super::photometric_loss;
 use super::scan::Scan;
 use super::volume::{self, Composite, LAST_INTERVAL};
 
-/// A pass with its photometric loss, which alone need have a graph.
+/// A pass with its photometric loss. Only the loss must have a graph.
 pub struct PassLoss {
     /// [`photometric_loss`] of the pass's colours, a scalar with its graph.
     pub loss: Tensor,
     /// Colour, depth, accumulation, weights.
     pub composite: Composite,
-    /// As in [`PassOutput`].
+    /// Positions, as in [`PassOutput`].
     pub t_vals: Tensor,
-    /// As in [`PassOutput`].
+    /// Raw density, as in [`PassOutput`].
     pub raw_density: Tensor,
 }
 
 impl PassLoss {
-    /// Of a pass of which everything has a graph, whose colours should be `target` `[rays, 3]`.
+    /// Returns the loss of a pass with a full graph, whose colours should be `target` `[rays, 3]`.
     pub fn of(out: PassOutput, target: &Tensor) -> Result<PassLoss> {
         let loss = photometric_loss(&out.composite.rgb, target)?;
         Ok(PassLoss { loss, composite: out.composite, t_vals: out.t_vals, raw_density: out.raw_density })
     }
 }
 
-/// [`super::clean_pass`] with its loss against `target` `[rays, 3]`.
+/// Runs [`super::clean_pass`] and returns its loss against `target` `[rays, 3]`.
 pub fn clean_pass_loss(field: &Field, pass: Pass, target: &Tensor) -> Result<PassLoss> {
     let raw = clean_raw(field, pass)?;
     let samples = Samples { field, pass, t_vals: pass.t_vals, raw: &raw, added: None };
@@ -45,10 +45,10 @@ pub fn clean_pass_loss(field: &Field, pass: Pass, target: &Tensor) -> Result<Pas
     PassLoss::of(finish(pass, pass.t_vals, &raw, activate(field, &raw, pass.density_noise)?)?, target)
 }
 
-/// [`super::perturbed_pass`] with its loss against `target` `[rays, 3]`, and the deltas as they were used.
+/// Runs [`super::perturbed_pass`] and returns its loss against `target` `[rays, 3]`, and the deltas as they were used.
 ///
 /// # Errors
-/// Those of candle: shapes that do not fit.
+/// Those of candle, if shapes do not fit.
 pub fn perturbed_pass_loss(
     field: &Field,
     pass: Pass,
@@ -59,10 +59,10 @@ pub fn perturbed_pass_loss(
 }
 
 impl FixedSamples<'_> {
-    /// As [`perturbed_pass_loss`].
+    /// Runs [`perturbed_pass_loss`] on these samples.
     ///
     /// # Errors
-    /// Those of candle: shapes that do not fit.
+    /// Those of candle, if shapes do not fit.
     pub fn perturbed_pass_loss(&self, perturbation: Perturbation, target: &Tensor) -> Result<(PassLoss, Deltas)> {
         loss_of(self.query(perturbation)?, target)
     }
@@ -88,7 +88,7 @@ fn pass_of(ShadedLoss { loss, composite, used }: ShadedLoss, samples: Samples) -
     (PassLoss { loss, composite, t_vals, raw_density }, used)
 }
 
-/// Accumulation of rays without density noise, `[rays]`: what an evaluation would see.
+/// Returns the accumulation of rays without density noise, `[rays]`, as in an evaluation.
 pub fn noiseless_acc(field: &Field, out: &PassLoss, pass: Pass) -> Result<Tensor> {
     if pass.density_noise.is_none() {
         return Ok(out.composite.acc.detach());
@@ -106,7 +106,7 @@ pub fn noiseless_acc(field: &Field, out: &PassLoss, pass: Pass) -> Result<Tensor
     }
 }
 
-/// The same in operations on tensors.
+/// The same in tensor operations.
 fn noiseless_acc_reference(field: &Field, out: &PassLoss, pass: Pass) -> Result<Tensor> {
     let intervals = volume::intervals(pass.t_vals, &pass.rays.direction_norm, out.raw_density.dim(1)?)?;
     Ok(volume::weights_from_density(&field.activate_density(&out.raw_density)?, &intervals)?.sum(D::Minus1)?)

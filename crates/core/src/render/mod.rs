@@ -21,7 +21,7 @@ pub use pass::{Pass, PassOutput, clean_pass};
 pub use perturbed::{FixedSamples, Perturbation, PerturbedOutput, UsedDeltas, perturbed_pass};
 pub use volume::Composite;
 
-/// Mean squared error over rays and channels between colours `[rays, 3]`.
+/// Returns the mean squared error over rays and channels between colours `[rays, 3]`.
 pub fn photometric_loss(rgb: &Tensor, target: &Tensor) -> Result<Tensor> {
     Ok((rgb - target)?.sqr()?.mean_all()?)
 }

@@ -9,21 +9,20 @@ use crate::field::{Field, RawOutput};
 use super::cast::{positions_at, samples_of};
 use super::volume::{self, Composite};
 
-/// What one pass needs besides the field.
+/// The inputs of a pass, except the field.
 #[derive(Clone, Copy)]
 pub struct Pass<'a> {
-    /// Origins and directions, `[rays, 3]`, with what the method needs besides.
+    /// Origins and directions, `[rays, 3]`, with the other parts that the method needs.
     pub rays: &'a Rays,
-    /// Sample positions, `[rays, samples]`; of a field with integrated encoding the edges of intervals,
-    /// `[rays, samples + 1]`.
+    /// Sample positions, `[rays, samples]`. With an integrated encoding, edges of intervals, `[rays, samples + 1]`.
     pub t_vals: &'a Tensor,
     /// Added to raw density, `[rays, samples]`.
     pub density_noise: Option<&'a Tensor>,
-    /// Fills missing accumulation.
+    /// The colour behind missing accumulation.
     pub background: Option<[f32; 3]>,
 }
 
-/// What one pass gives.
+/// The result of a pass.
 pub struct PassOutput {
     /// Colour, depth, accumulation, weights.
     pub composite: Composite,
@@ -43,14 +42,14 @@ pub fn clean_pass(field: &Field, pass: Pass) -> Result<PassOutput> {
     finish(pass, pass.t_vals, &raw, activate(field, &raw, pass.density_noise)?)
 }
 
-/// Raw colour and density of a pass without perturbation.
+/// Returns raw colour and density of a pass without perturbation.
 pub(super) fn clean_raw(field: &Field, pass: Pass) -> Result<RawOutput> {
     let positions = positions_at(field, pass.rays, pass.t_vals)?.flatten(0, 1)?;
     let raw = field.forward(&positions, &pass.rays.viewdirs, None)?;
     by_ray(raw, pass.rays.len(), samples_of(field, pass.t_vals)?)
 }
 
-/// Composites the samples of a pass whose samples lie at `t_vals`.
+/// Composites the samples of a pass at `t_vals`.
 pub(super) fn finish(pass: Pass, t_vals: &Tensor, raw: &RawOutput, samples: SampleValues) -> Result<PassOutput> {
     let SampleValues { rgb, density } = samples;
     let composite = volume::composite(&rgb, &density, t_vals, &pass.rays.direction_norm, pass.background)?;
@@ -58,13 +57,13 @@ pub(super) fn finish(pass: Pass, t_vals: &Tensor, raw: &RawOutput, samples: Samp
     Ok(PassOutput { composite, rgb, density, t_vals, raw_density })
 }
 
-/// A field's raw output as rgb `[rays, samples, 3]` and density `[rays, samples]`.
+/// Returns a field's raw output as rgb `[rays, samples, 3]` and density `[rays, samples]`.
 pub(super) fn by_ray(raw: RawOutput, rays: usize, samples: usize) -> Result<RawOutput> {
     let (rgb, density) = (raw.rgb.reshape((rays, samples, 3))?, raw.density.reshape((rays, samples))?);
     Ok(RawOutput { rgb, density, ..raw })
 }
 
-/// What is composited: colour and density of each sample.
+/// Colour and density of each sample, as they are composited.
 pub(super) struct SampleValues {
     /// `[rays, samples, 3]`.
     pub(super) rgb: Tensor,
@@ -72,7 +71,7 @@ pub(super) struct SampleValues {
     pub(super) density: Tensor,
 }
 
-/// The field's activations on colour and density, and noise on density.
+/// Applies the field's activations to colour and density, and noise to density.
 pub(super) fn activate(field: &Field, raw: &RawOutput, density_noise: Option<&Tensor>) -> Result<SampleValues> {
     let rgb = field.activate_rgb(&raw.rgb)?;
     let density = match density_noise {

@@ -1,4 +1,4 @@
-//! The perturbed pass (paper, algorithm 1, lines 9 to 13): where each site's delta enters, and what a search need not
+//! The perturbed pass (paper, algorithm 1, lines 9 to 13): where each site's delta is added, and what a search need not
 //! compute again.
 
 use candle_core::Tensor;
@@ -12,22 +12,22 @@ use crate::settings::OutputPlace;
 use super::cast::{positions_at, samples_of};
 use super::pass::{Pass, PassOutput, SampleValues, activate, by_ray, finish};
 
-/// Deltas of a perturbed pass and how they enter it.
+/// Deltas of a perturbed pass, and how they are added.
 #[derive(Clone, Copy)]
 pub struct Perturbation<'a> {
     /// The deltas.
     pub deltas: &'a Deltas,
-    /// Their sets, for the projection of the output level onto what this forward leaves it.
+    /// Their constraint sets, for the projection of the output level onto what this forward pass allows.
     pub sets: &'a Sets,
-    /// Trunk layer (1-based) that the feature delta is added to.
+    /// Trunk layer (1-based) to which the feature delta is added.
     pub injection_layer: usize,
     /// Where the output deltas are added.
     pub output: OutputPlace,
 }
 
-/// What a perturbed pass gives.
+/// The result of a perturbed pass.
 pub struct PerturbedOutput {
-    /// Colours, densities and what the rays show.
+    /// Colours, densities and rendered rays.
     pub pass: PassOutput,
     /// The deltas that it used.
     pub used: UsedDeltas,
@@ -35,9 +35,9 @@ pub struct PerturbedOutput {
 
 /// Deltas as a pass used them.
 pub struct UsedDeltas {
-    /// `rgb` and `density` projected for this forward, the others as given.
+    /// `rgb` and `density` projected for this forward pass, the others as given.
     pub deltas: Deltas,
-    /// The sets that they were projected onto: `rgb` and `density` cut by what this forward left.
+    /// The sets onto which they were projected: `rgb` and `density` cut by what this forward pass allows.
     pub sets: Sets,
 }
 
@@ -55,20 +55,19 @@ impl UsedDeltas {
 /// Renders one pass with deltas.
 ///
 /// # Errors
-/// Those of candle: shapes that do not fit.
+/// Those of candle, if shapes do not fit.
 pub fn perturbed_pass(field: &Field, pass: Pass, perturbation: Perturbation) -> Result<PerturbedOutput> {
     query(field, pass, perturbation)?.finish()
 }
 
-/// The pass through its field.
+/// Runs the pass through its field.
 pub(super) fn query<'a>(field: &'a Field, pass: Pass<'a>, perturbation: Perturbation<'a>) -> Result<Queried<'a>> {
     let samples = MovedSamples::new(field, pass, perturbation.deltas)?;
     let query = |viewdirs: &Tensor, delta: Option<FeatureDelta>| field.forward(&samples.positions, viewdirs, delta);
     Queried::new(field, pass, &samples.t_vals, perturbation, query)
 }
 
-/// The samples of a pass that no delta moves any more. What depends on them alone is computed once for all passes
-/// through them.
+/// The samples of a pass that no delta moves any more. What depends only on them is computed once for all passes.
 pub struct FixedSamples<'a> {
     field: &'a Field,
     pass: Pass<'a>,
@@ -77,37 +76,37 @@ pub struct FixedSamples<'a> {
 }
 
 impl<'a> FixedSamples<'a> {
-    /// The sites that move samples: a search can fix them when none of these moves.
+    /// The sites that move samples. A search can fix the samples when none of these moves.
     pub const MOVED_BY: [Site; 2] = [Site::T, Site::Xyz];
 
-    /// Fixes the samples of `pass` where `deltas` have moved them. `field` is frozen.
+    /// Fixes the samples of `pass` where `deltas` have moved them. `field` must be frozen.
     ///
     /// # Errors
-    /// Those of candle: shapes that do not fit.
+    /// Those of candle, if shapes do not fit.
     pub fn new(field: &'a Field, pass: Pass<'a>, deltas: &Deltas) -> Result<FixedSamples<'a>> {
         let MovedSamples { t_vals, positions } = MovedSamples::new(field, pass, deltas)?;
         Ok(FixedSamples { field, pass, t_vals, points: field.fix(&positions)? })
     }
 
-    /// As [`perturbed_pass`]; the deltas of [`FixedSamples::MOVED_BY`] are those that it was made with.
+    /// Runs [`perturbed_pass`] on these samples. The deltas of [`FixedSamples::MOVED_BY`] must be those at creation.
     ///
     /// # Errors
-    /// Those of candle: shapes that do not fit.
+    /// Those of candle, if shapes do not fit.
     pub fn perturbed_pass(&self, perturbation: Perturbation) -> Result<PerturbedOutput> {
         self.query(perturbation)?.finish()
     }
 
-    /// The pass through its field.
+    /// Runs the pass through its field.
     pub(super) fn query<'b>(&'b self, perturbation: Perturbation<'b>) -> Result<Queried<'b>> {
         let query = |viewdirs: &Tensor, delta: Option<FeatureDelta>| self.points.forward(viewdirs, delta);
         Queried::new(self.field, self.pass, &self.t_vals, perturbation, query)
     }
 }
 
-/// Where a perturbed pass queries its field.
+/// The positions at which a perturbed pass queries its field.
 struct MovedSamples {
     t_vals: Tensor,
-    /// Points `[rays * samples, 3]`, or Gaussians `[rays * samples, 6]`, of which `xyz` moves the mean.
+    /// Points `[rays * samples, 3]`, or Gaussians `[rays * samples, 6]` whose mean `xyz` moves.
     positions: Tensor,
 }
 
@@ -127,7 +126,7 @@ impl MovedSamples {
     }
 }
 
-/// A perturbed pass that has been through its field, and no further.
+/// A perturbed pass after its field, before compositing.
 pub(super) struct Queried<'a> {
     pub(super) field: &'a Field,
     pub(super) pass: Pass<'a>,
@@ -138,7 +137,7 @@ pub(super) struct Queried<'a> {
 }
 
 impl<'a> Queried<'a> {
-    /// With samples at `t_vals`, which `query` takes to raw colour and density.
+    /// Creates the pass with samples at `t_vals`. `query` returns their raw colour and density.
     fn new(
         field: &'a Field,
         pass: Pass<'a>,
@@ -157,7 +156,7 @@ impl<'a> Queried<'a> {
         Ok(Queried { field, pass, t_vals: t_vals.clone(), perturbation, raw })
     }
 
-    /// The pass behind its field.
+    /// Finishes the pass after its field.
     pub(super) fn finish(self) -> Result<PerturbedOutput> {
         let Queried { field, pass, t_vals, perturbation, raw } = self;
         let mut used = UsedDeltas::of(perturbation);
@@ -172,7 +171,7 @@ impl<'a> Queried<'a> {
     }
 }
 
-/// Moves unit view directions by two small angles `[rays, 2]` in their tangent planes.
+/// Tilts unit view directions by two small angles `[rays, 2]` in their tangent planes.
 fn tilt(rays: &Rays, angles: &Tensor) -> Result<Tensor> {
     let missing = || candle_core::Error::Msg("these rays have no tangents to tilt them along".into());
     let [u, w] = rays.tangents.as_ref().ok_or_else(missing)?;
@@ -182,9 +181,9 @@ fn tilt(rays: &Rays, angles: &Tensor) -> Result<Tensor> {
     Ok(moved.broadcast_div(&norm)?)
 }
 
-/// Adds the output deltas to colour and density, projected so that colour stays in 0..=1 (and the field's padding) and
-/// density does not turn negative. The projected value counts; gradients pass to delta and field
-/// as if nothing had been projected.
+/// Adds the output deltas to colour and density. They are projected so that colour stays in 0..=1 (and the field's
+/// padding) and density at least 0. The projected value counts. Gradients pass to delta and field as if nothing had
+/// been projected.
 fn add_after(values: SampleValues, p: Perturbation, padding: f64, used: &mut UsedDeltas) -> Result<SampleValues> {
     let mut add = |site: Site, value: Tensor| -> Result<Tensor> {
         let (Some(delta), Some(set)) = (p.deltas.get(site), p.sets.get(site)) else { return Ok(value) };
@@ -196,7 +195,7 @@ fn add_after(values: SampleValues, p: Perturbation, padding: f64, used: &mut Use
         let cut = set.within(lower, upper);
         let projected = cut.project(&delta.detach())?;
         let moved = (&now + &projected)?;
-        // The projected sum can leave the range by a rounding.
+        // The projected sum can leave the range by rounding.
         let legal = match site {
             Site::Rgb => moved.clamp(-padding, 1.0 + padding)?,
             _ => moved.relu()?,
@@ -207,13 +206,13 @@ fn add_after(values: SampleValues, p: Perturbation, padding: f64, used: &mut Use
     Ok(SampleValues { rgb: add(Site::Rgb, values.rgb)?, density: add(Site::Density, values.density)? })
 }
 
-/// The tensor `exact`, with the gradient of `value + delta`. The two differences are exactly 0.
+/// Returns `exact` with the gradient of `value + delta`. The two differences are exactly 0.
 fn straight_through(exact: Tensor, value: &Tensor, delta: &Tensor) -> Result<Tensor> {
     let gradient = ((value - value.detach())? + (delta - delta.detach())?)?;
     Ok((exact + gradient)?)
 }
 
-/// Adds the output deltas before the activations: the box alone limits them.
+/// Adds the output deltas before the activations. Only the box limits them.
 fn add_before(raw: &RawOutput, p: Perturbation, used: &mut UsedDeltas) -> Result<RawOutput> {
     let mut add = |site: Site, value: &Tensor| -> Result<Tensor> {
         let (Some(delta), Some(set)) = (p.deltas.get(site), p.sets.get(site)) else { return Ok(value.clone()) };

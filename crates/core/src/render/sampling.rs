@@ -1,16 +1,16 @@
 //! Sample positions along rays: stratified and inverse-CDF.
 //!
-//! `t_vals` are points, `[rays, samples]`, or edges of intervals (MipNeRF), sorted, in units of the ray direction's length. No
-//! gradient flows through any of this.
+//! `t_vals` are points, `[rays, samples]`, or edges of intervals (MipNeRF), sorted, in units of the ray direction's
+//! length. Nothing here has gradients.
 
 use candle_core::{DType, Tensor};
 
 use crate::base::Result;
 use crate::settings::Spacing;
 
-/// Stratified samples: `samples` points evenly spaced from near to far (in t or in 1 / t), each moved uniformly within the bin
-/// that its mid-points to the neighbours bound. `jitter` is uniform in 0..1, `[rays, samples]`;
-/// without it the points themselves are repeated for `rays` rays.
+/// Returns stratified samples: `samples` points evenly spaced from near to far (in t or in 1 / t). Each is moved
+/// uniformly within its bin, which ends midway to the neighbours. `jitter` is uniform in 0..1, `[rays, samples]`.
+/// Without it the points are repeated for `rays` rays.
 pub fn stratified(
     bounds: (f64, f64),
     spacing: Spacing,
@@ -31,9 +31,9 @@ pub fn stratified(
     Ok(jitter.broadcast_mul(&width)?.broadcast_add(&row(lower)?)?)
 }
 
-/// The fine pass's positions: `t_vals` united with samples of the piecewise-constant density that
-/// the coarse pass's interior weights put on the mid-points between coarse samples, sorted,
-/// `[rays, coarse + fine]`. `weights` `[rays, coarse]`; `u` `[rays, fine]` in 0..1.
+/// Returns the fine pass's positions, sorted, `[rays, coarse + fine]`: `t_vals` and new samples. The new samples follow
+/// the piecewise-constant density that the coarse pass's interior weights put on the midpoints between coarse samples.
+/// `weights` `[rays, coarse]`; `u` `[rays, fine]` in 0..1.
 pub fn importance(t_vals: &Tensor, weights: &Tensor, u: &Tensor) -> Result<Tensor> {
     if t_vals.device().is_cpu() {
         importance_on_host(t_vals, weights, u)
@@ -42,9 +42,10 @@ pub fn importance(t_vals: &Tensor, weights: &Tensor, u: &Tensor) -> Result<Tenso
     }
 }
 
-/// MipNeRF's fine pass: `fine + 1` new edges of intervals `[rays, fine + 1]`, drawn from the blurred weights of the coarse
-/// intervals. `edges` `[rays, coarse + 1]`, `weights` `[rays, coarse]`, `u` `[rays, fine + 1]` in 0..=1, sorted. A
-/// weight becomes the mean of the larger of itself and either neighbour, plus `padding` (Barron et al. 2021, equation 18).
+/// Returns the edges of MipNeRF's fine pass: `fine + 1` new edges of intervals, `[rays, fine + 1]`, drawn from the
+/// blurred weights of the coarse intervals. `edges` `[rays, coarse + 1]`, `weights` `[rays, coarse]`, `u` `[rays, fine
+/// + 1]` in 0..=1, sorted. A blurred weight is the mean of the larger of itself and either neighbour, plus `padding`
+/// (Barron et al. 2021, equation 18).
 pub fn resample_intervals(edges: &Tensor, weights: &Tensor, u: &Tensor, padding: f64) -> Result<Tensor> {
     if !edges.device().is_cpu() {
         return resample_intervals_on_device(edges, weights, u, padding);
@@ -57,7 +58,7 @@ pub fn resample_intervals(edges: &Tensor, weights: &Tensor, u: &Tensor, padding:
         let blurred = blur(&w[ray * coarse..][..coarse], padding);
         let cdf = cumulative(&blurred);
         invert(&t[ray * (coarse + 1)..][..coarse + 1], &cdf, &u[ray * new..][..new], f64::MIN_POSITIVE, out);
-        // Two edges in one place may have changed places by a rounding.
+        // Rounding may have exchanged two equal edges.
         out.sort_unstable_by(f64::total_cmp);
     }
     Ok(Tensor::from_vec(drawn, (rays, new), edges.device())?.to_dtype(edges.dtype())?)
@@ -73,7 +74,7 @@ fn resample_intervals_on_device(edges: &Tensor, weights: &Tensor, u: &Tensor, pa
     Ok(drawn.sort_last_dim(true)?.0.to_dtype(edges.dtype())?)
 }
 
-/// Detached, in f64: sums of a CDF go through a matrix product, which some devices would round to ten bits.
+/// Detached, in f64: a CDF is summed by a matrix product, which some devices round to ten bits.
 fn wide(tensor: &Tensor) -> Result<Tensor> {
     Ok(tensor.detach().to_dtype(DType::F64)?)
 }
@@ -85,7 +86,7 @@ fn blur(weights: &[f64], padding: f64) -> Vec<f64> {
     (0..weights.len()).map(of).collect()
 }
 
-/// One sorted u in each of `count` equal parts of 0..1, from `u [rays, count]` uniform in 0..1.
+/// Returns one sorted u in each of `count` equal parts of 0..1, from `u [rays, count]` uniform in 0..1.
 pub fn stratified_u(u: &Tensor) -> Result<Tensor> {
     let (_, count) = u.dims2()?;
     let lower: Vec<f64> = (0..count).map(|i| i as f64 / count as f64).collect();
@@ -104,13 +105,13 @@ fn importance_on_host(t_vals: &Tensor, weights: &Tensor, u: &Tensor) -> Result<T
         let interior = &w[ray * coarse + 1..][..coarse - 2];
         out[..coarse].copy_from_slice(t);
         inverse_cdf(&bins, interior, &u[ray * fine..][..fine], &mut out[coarse..]);
-        // total_cmp orders NaN, too: a broken weight is to be reported, not to panic here.
+        // total_cmp also orders NaN: a broken weight must be reported, not panic here.
         out.sort_unstable_by(f64::total_cmp);
     }
     Ok(Tensor::from_vec(merged, (rays, coarse + fine), t_vals.device())?.to_dtype(t_vals.dtype())?)
 }
 
-/// The same without leaving an accelerator.
+/// The same without leaving the device.
 fn importance_on_device(t_vals: &Tensor, weights: &Tensor, u: &Tensor) -> Result<Tensor> {
     let t = wide(t_vals)?;
     let coarse = t.dim(1)?;
@@ -121,7 +122,8 @@ fn importance_on_device(t_vals: &Tensor, weights: &Tensor, u: &Tensor) -> Result
     Ok(merged.to_dtype(t_vals.dtype())?)
 }
 
-/// [`invert`] of the CDF that positive `weights [rays, n]` define on the edges `bins [rays, n + 1]`, at `u`; all in f64.
+/// Maps `u` through the inverse of the CDF of positive `weights [rays, n]` on the edges `bins [rays, n + 1]` with
+/// [`invert`], all in f64.
 fn invert_on_device(bins: &Tensor, weights: &Tensor, u: &Tensor, narrowest: f64) -> Result<Tensor> {
     let (rays, n) = weights.dims2()?;
     let shares = weights.broadcast_div(&weights.sum_keepdim(1)?)?;
@@ -138,7 +140,7 @@ fn invert_on_device(bins: &Tensor, weights: &Tensor, u: &Tensor, narrowest: f64)
     Ok((&from + ((u - below)? / width)? * (at(bins, &upper)? - &from)?)?)
 }
 
-/// `fine` equally spaced u in 0..=1 for each ray: sampling at test time.
+/// Returns `fine` equally spaced u in 0..=1 for each ray, for sampling at test time.
 pub fn even_u(rays: usize, fine: usize, like: &Tensor) -> Result<Tensor> {
     let last = (fine.max(2) - 1) as f64;
     let row: Vec<f64> = (0..fine).map(|i| i as f64 / last).collect();
@@ -149,15 +151,15 @@ pub fn even_u(rays: usize, fine: usize, like: &Tensor) -> Result<Tensor> {
 /// Added to each weight before it counts as a probability.
 const FLOOR: f64 = 1e-5;
 
-/// Maps `u` through the inverse of the CDF that `weights + 1e-5` (one a bin, `bins.len() - 1`)
-/// define on the edges `bins`. A bin with a share under 1e-5 counts as of width 1, as in the
-/// original implementation: its u all but never occur and map next to the lower edge.
+/// Maps `u` through the inverse of the CDF that `weights + 1e-5` (one per bin, `bins.len() - 1`) define on the edges
+/// `bins`. A bin with a probability below 1e-5 counts as of width 1, as in the original implementation. Such u are very
+/// rare, and map next to the lower edge.
 pub fn inverse_cdf(bins: &[f64], weights: &[f64], u: &[f64], out: &mut [f64]) {
     let floored: Vec<f64> = weights.iter().map(|w| w + FLOOR).collect();
     invert(bins, &cumulative(&floored), u, FLOOR, out);
 }
 
-/// The CDF of weights, from 0 to 1 on the edges of their bins.
+/// Returns the CDF of weights, from 0 to 1 on the edges of their bins.
 fn cumulative(weights: &[f64]) -> Vec<f64> {
     let total: f64 = weights.iter().sum();
     let mut cdf = Vec::with_capacity(weights.len() + 1);
@@ -170,8 +172,8 @@ fn cumulative(weights: &[f64]) -> Vec<f64> {
     cdf
 }
 
-/// Maps `u` through the inverse of a CDF given on the edges `bins`; a bin with a share under `narrowest` counts as of
-/// width 1.
+/// Maps `u` through the inverse of a CDF given on the edges `bins`. A bin with a probability below `narrowest` counts
+/// as of width 1.
 fn invert(bins: &[f64], cdf: &[f64], u: &[f64], narrowest: f64, out: &mut [f64]) {
     let last = cdf.len() - 1;
     for (out, &u) in out.iter_mut().zip(u) {

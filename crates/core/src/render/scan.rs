@@ -1,10 +1,10 @@
-//! Compositing as one differentiable operation on processors: a scan along each ray, and one back.
+//! Compositing as one differentiable operation on the CPU: a scan along each ray, and one back.
 
 use candle_core::{CpuStorage, CustomOp3, Layout, Result, Shape, Tensor, WithDType};
 
 use crate::field::contiguous;
 
-/// Scalars that the scans are written for. Sums along a ray are in f64.
+/// Number types of the scans. Sums along a ray are in f64.
 pub(super) trait Real: WithDType {
     fn exp_neg(self) -> Self;
 }
@@ -21,9 +21,9 @@ impl Real for f64 {
     }
 }
 
-/// Colours `[rays, samples, 3]`, densities `[rays, samples]` and positions (points `[rays, samples]` or edges of intervals
-/// `[rays, samples + 1]`) to one flat tensor: colour `[3 rays]`,
-/// depth `[rays]`, acc `[rays]`, weights `[rays * samples]`.
+/// From colours `[rays, samples, 3]`, densities `[rays, samples]` and positions to one flat tensor. Positions are
+/// points `[rays, samples]`, or edges of intervals `[rays, samples + 1]`. The tensor holds colour `[3 rays]`, depth
+/// `[rays]`, acc `[rays]` and weights `[rays * samples]`.
 pub(super) struct Scan {
     /// Lengths of the rays' directions.
     pub direction_norm: Vec<f64>,
@@ -31,7 +31,7 @@ pub(super) struct Scan {
     pub background: Option<[f32; 3]>,
 }
 
-/// What a forward pass went through, and left.
+/// Inputs and results of a forward pass.
 pub(super) struct Passed<'a, T> {
     pub(super) rgb: &'a [T],
     pub(super) density: &'a [T],
@@ -41,13 +41,13 @@ pub(super) struct Passed<'a, T> {
     pub(super) behind: &'a [T],
 }
 
-/// Gradients of what rays show; 0 where there are none.
+/// Gradients of rendered rays. A missing one counts as 0.
 pub(super) struct Gradients<'a, T> {
     pub(super) colours: &'a [T],
     pub(super) depths: Option<&'a [T]>,
     pub(super) accs: Option<&'a [T]>,
     pub(super) weights: Option<&'a [T]>,
-    /// Positions want a gradient; left 0 otherwise.
+    /// Whether positions need a gradient. It stays 0 otherwise.
     pub(super) wants_t_vals: bool,
 }
 
@@ -60,7 +60,7 @@ struct Ray<'a, T> {
     last_interval: f64,
 }
 
-/// What one sample leaves of a ray's light.
+/// The contribution of one sample to a ray.
 struct Contribution {
     /// T_k, transmittance before it.
     before: f64,
@@ -71,7 +71,7 @@ struct Contribution {
 }
 
 impl<T: Real> Ray<'_, T> {
-    /// Interval `k` in scene units.
+    /// Returns interval `k` in scene units.
     fn interval(&self, k: usize) -> T {
         let length = match self.t_vals.get(k + 1) {
             Some(next) => (*next - self.t_vals[k]).to_f64(),
@@ -80,17 +80,17 @@ impl<T: Real> Ray<'_, T> {
         T::from_f64(length * self.norm)
     }
 
-    /// Where sample `k` lies: its point, or the middle of its interval.
+    /// Returns the position of sample `k`: its point, or the middle of its interval.
     fn position(&self, k: usize) -> f64 {
         if self.has_edges() { 0.5 * (self.t_vals[k] + self.t_vals[k + 1]).to_f64() } else { self.t_vals[k].to_f64() }
     }
 
-    /// Samples are intervals between `t_vals`, not points at them.
+    /// Returns whether samples are intervals between `t_vals`, not points at them.
     fn has_edges(&self) -> bool {
         self.t_vals.len() > self.density.len()
     }
 
-    /// Visits the samples from the near end on.
+    /// Visits the samples from the near end.
     fn scan(&self, mut visit: impl FnMut(usize, Contribution)) {
         let mut before = 0.0;
         for (k, density) in self.density.iter().enumerate() {
@@ -129,7 +129,7 @@ impl Scan {
         self.background.unwrap_or_default().map(f64::from)
     }
 
-    /// The flat output, and the transmittance behind each sample.
+    /// Returns the flat output, and the transmittance behind each sample.
     pub(super) fn forward<T: Real>(&self, rgb: &[T], density: &[T], t_vals: &[T]) -> (Vec<T>, Vec<T>) {
         let rays = self.direction_norm.len();
         let samples = density.len().checked_div(rays).unwrap_or(0);
@@ -160,7 +160,7 @@ impl Scan {
         (out, all_behind)
     }
 
-    /// Accumulation of each ray, the sum of its weights.
+    /// Returns the accumulation of each ray, the sum of its weights.
     pub(super) fn accumulations<T: Real>(&self, density: &[T], t_vals: &[T]) -> Vec<T> {
         let rays = self.direction_norm.len();
         let [samples, columns] = [density, t_vals].map(|values| values.len().checked_div(rays).unwrap_or(0));
@@ -174,8 +174,9 @@ impl Scan {
         self.direction_norm.iter().enumerate().map(acc).collect()
     }
 
-    /// With G_k the gradient of weight k: that of the optical depth o_k = density_k * interval_k is
-    /// G_k T_k exp(-o_k) - sum over l > k of G_l w_l, where the last interval's o takes part in no other weight.
+    /// Returns the gradients of colours, densities and positions. With G_k the gradient of weight k, that of the
+    /// optical depth o_k = density_k * interval_k is G_k T_k exp(-o_k) - sum over l > k of G_l w_l. The last interval's
+    /// o is in no other weight.
     pub(super) fn backward<T: Real>(&self, passed: Passed<T>, gradients: Gradients<T>) -> [Vec<T>; 3] {
         let Passed { rgb, density, t_vals, weights, behind } = passed;
         let rays = self.direction_norm.len();
@@ -190,7 +191,7 @@ impl Scan {
             let (g_depth, fill) = (entry(gradients.depths, i), self.fill());
             let g_acc = entry(gradients.accs, i) - (0..3).map(|c| g_colour[c] * fill[c]).sum::<f64>();
             let row = i * samples;
-            // What the samples behind contribute: nothing behind the last.
+            // Contribution of the samples behind; 0 behind the last.
             let mut later = 0.0;
             for k in (0..samples).rev() {
                 let colour = &ray.rgb[3 * k..3 * k + 3];
@@ -228,7 +229,7 @@ impl Scan {
     }
 }
 
-/// Transmittance before each sample of one ray, see [`super::volume::transmittance`].
+/// Returns the transmittance before each sample of one ray, see [`super::volume::transmittance`].
 pub(super) fn transmittance(t_vals: &[f64], density: &[f64], norm: f64, last_interval: f64) -> Vec<f64> {
     let ray = Ray { rgb: &[], density, t_vals, norm, last_interval };
     let mut before = Vec::with_capacity(density.len());

@@ -6,15 +6,15 @@ use crate::base::Result;
 
 use super::scan::{self, Scan};
 
-/// Length of a ray's last interval, as in the original implementation: whatever density the last
-/// sample has makes the ray opaque.
+/// Length of a ray's last interval, as in the original implementation. Any density at the last sample makes the ray
+/// opaque.
 pub const LAST_INTERVAL: f64 = 1e10;
 
-/// What a ray shows.
+/// Rendered rays.
 pub struct Composite {
-    /// `[rays, 3]`, background included.
+    /// `[rays, 3]`, including the background.
     pub rgb: Tensor,
-    /// Sum of weight times t, `[rays]`, in the units of `t_vals`; not divided by `acc`.
+    /// Sum of weight times t, `[rays]`, in the units of `t_vals`. It is not divided by `acc`.
     pub depth: Tensor,
     /// Sum of weights, `[rays]`, 0..=1.
     pub acc: Tensor,
@@ -23,7 +23,7 @@ pub struct Composite {
 }
 
 impl Composite {
-    /// What a [`Scan`] leaves.
+    /// Splits the output of a [`Scan`].
     pub(super) fn of_flat(out: &Tensor, rays: usize, samples: usize) -> Result<Composite> {
         Ok(Composite {
             rgb: out.narrow(0, 0, 3 * rays)?.reshape((rays, 3))?,
@@ -34,9 +34,9 @@ impl Composite {
     }
 }
 
-/// Lengths of `samples` intervals in scene units, `[rays, samples]`: differences of `t_vals` times the length of the
-/// direction `direction_norm` `[rays, 1]`. Of points `[rays, samples]` the last one is [`LAST_INTERVAL`] long; edges
-/// `[rays, samples + 1]` (MipNeRF) bound every interval.
+/// Returns the lengths of `samples` intervals in scene units, `[rays, samples]`. They are the differences of `t_vals`
+/// times the length of the direction, `direction_norm` `[rays, 1]`. With points `[rays, samples]` the last interval is
+/// [`LAST_INTERVAL`] long. Edges `[rays, samples + 1]` (MipNeRF) bound every interval.
 pub fn intervals(t_vals: &Tensor, direction_norm: &Tensor, samples: usize) -> Result<Tensor> {
     let (rays, columns) = t_vals.dims2()?;
     let gaps = (t_vals.narrow(1, 1, columns - 1)? - t_vals.narrow(1, 0, columns - 1)?)?;
@@ -47,35 +47,36 @@ pub fn intervals(t_vals: &Tensor, direction_norm: &Tensor, samples: usize) -> Re
     Ok(Tensor::cat(&[gaps, last], 1)?.broadcast_mul(direction_norm)?)
 }
 
-/// Weights of the samples: transmittance times alpha, with
-/// T_k = exp(-sum over l < k of density_l * interval_l) and alpha_k = 1 - exp(-density_k * interval_k).
+/// Returns the weights of the samples: transmittance times alpha, with T_k = exp(-sum over l < k of density_l *
+/// interval_l) and alpha_k = 1 - exp(-density_k * interval_k).
 ///
-/// The exponent of a sum, not a product of factors: its gradient stays right where a factor is 0.
+/// It is the exponential of a sum, not a product of factors, so that the gradient is right if a factor is 0.
 pub fn weights_from_density(density: &Tensor, intervals: &Tensor) -> Result<Tensor> {
     let (_, samples) = density.dims2()?;
     let optical = (density * intervals)?;
     let alpha = (1.0 - optical.neg()?.exp()?)?;
-    // The last interval's huge depth takes no part: no sample lies behind it.
-    // In f64: devices may be told to round the arguments of single-precision products.
+    // The last interval's huge depth is not included, because no sample is behind it. In f64, because devices may be
+    // told to round single-precision products.
     let earlier = optical.narrow(1, 0, samples - 1)?.to_dtype(DType::F64)?.contiguous()?;
     let before = earlier.matmul(&exclusive_sum(samples, density)?)?.to_dtype(density.dtype())?;
     Ok((alpha * before.neg()?.exp()?)?)
 }
 
-/// `[samples - 1, samples]`, 1 where row < column: right-multiplying sums over earlier samples.
+/// Returns `[samples - 1, samples]`, with 1 where row < column. Multiplied from the right, it sums over earlier
+/// samples.
 fn exclusive_sum(samples: usize, like: &Tensor) -> Result<Tensor> {
     let values: Vec<f64> =
         (0..samples - 1).flat_map(|row| (0..samples).map(move |column| if row < column { 1.0 } else { 0.0 })).collect();
     Ok(Tensor::from_vec(values, (samples - 1, samples), like.device())?)
 }
 
-/// Transmittance T_k before each sample of one ray whose direction has length `norm`: `density` `[samples]` at, or between,
-/// `t_vals` (see [`intervals`]).
+/// Returns the transmittance T_k before each sample of one ray whose direction has length `norm`. `density` `[samples]`
+/// is at, or between, `t_vals` (see [`intervals`]).
 pub fn transmittance(t_vals: &[f64], density: &[f64], norm: f64) -> Vec<f64> {
     scan::transmittance(t_vals, density, norm, LAST_INTERVAL)
 }
 
-/// Positions of `samples` samples, `[rays, samples]`: points as they are, of intervals the middles.
+/// Returns the positions of `samples` samples, `[rays, samples]`: points, or the middles of intervals.
 pub fn middles(t_vals: &Tensor, samples: usize) -> Result<Tensor> {
     if t_vals.dim(1)? == samples {
         return Ok(t_vals.clone());
@@ -83,8 +84,8 @@ pub fn middles(t_vals: &Tensor, samples: usize) -> Result<Tensor> {
     Ok(((t_vals.narrow(1, 0, samples)? + t_vals.narrow(1, 1, samples)?)? * 0.5)?)
 }
 
-/// Composites `rgb` `[rays, samples, 3]` with `density` `[rays, samples]` (not negative) at
-/// `t_vals` `[rays, samples]`, or between edges `[rays, samples + 1]`. `background` fills what the ray's weights leave.
+/// Composites `rgb` `[rays, samples, 3]` with `density` `[rays, samples]` (at least 0) at `t_vals` `[rays, samples]`,
+/// or between edges `[rays, samples + 1]`. `background` shows where the ray's weights sum to less than 1.
 pub fn composite(
     rgb: &Tensor,
     density: &Tensor,

@@ -1,4 +1,4 @@
-//! Work over the cells of a lattice, chunk by chunk.
+//! Work over the cells of a sampling grid, chunk by chunk.
 
 use candle_core::{DType, Device, Tensor};
 
@@ -7,15 +7,15 @@ use crate::base::Result;
 use crate::field::Density;
 use crate::runtime::over_parts;
 
-/// Points that one thread works on at once: what it keeps of a trunk of 8 x 256 stays near its core.
+/// Points per thread. The activations of a trunk of 8 x 256 then stay in its core's cache.
 pub const CHUNK: usize = 1024;
-/// The same on an accelerator, which wants many.
+/// Points per chunk on an accelerator, which needs many.
 const DEVICE_CHUNK: usize = 65_536;
-/// Chunks whose gradients are in memory at once.
+/// Number of chunks whose gradients are in memory at once.
 const CHUNKS_AT_ONCE: usize = 16;
 
-/// Densities at the midpoints of a lattice, each standing for its cell, in the order of the cells: `take` is handed so
-/// many at a time that memory does not grow with the lattice.
+/// Computes densities at the midpoints of a sampling grid, in the order of the cells. `take` gets them in parts, so
+/// that memory does not grow with the grid.
 pub fn densities(density: &dyn Density, lattice: &Lattice, take: impl FnMut(Vec<f32>) -> Result<()>) -> Result<()> {
     let query = |points: &Tensor| {
         let density = density.density(points, lattice.cell_variance())?;
@@ -24,23 +24,23 @@ pub fn densities(density: &dyn Density, lattice: &Lattice, take: impl FnMut(Vec<
     over_chunks(&Quadrature::full(*lattice), density.dtype(), density.device(), query, take)
 }
 
-/// Chunks that a pass over `count` points takes.
+/// Returns the number of chunks of a pass over `count` points.
 pub fn chunk_count(count: usize, device: &Device) -> usize {
     count.div_ceil(chunk_size(device))
 }
 
-/// Points of a chunk.
+/// Returns the number of points in a chunk.
 pub fn chunk_size(device: &Device) -> usize {
     if device.is_cpu() { CHUNK } else { DEVICE_CHUNK }
 }
 
-/// Chunks that are worked on at once.
+/// Returns the number of chunks that are processed at once.
 pub fn chunks_at_once(device: &Device) -> usize {
     if device.is_cpu() { rayon::current_num_threads().min(CHUNKS_AT_ONCE) } else { 1 }
 }
 
-/// Works through points of a precision on a device in chunks, some at once, and hands the results
-/// over in order: memory does not grow with their number, and the number of threads changes no bit.
+/// Processes points of a precision on a device in chunks, some at once, and returns the results in order. Memory does
+/// not grow with their number, and the number of threads changes no bit.
 pub fn over_chunks<T: Send>(
     points: &Quadrature,
     dtype: DType,

@@ -1,4 +1,4 @@
-//! What a bare level set lacks: scene units, normals and colours.
+//! Finishing a level set: scene units, normals and colours.
 
 use candle_core::Tensor;
 use serde::Serialize;
@@ -12,14 +12,14 @@ use crate::space::{CHUNK, Lattice};
 
 use super::Mesh;
 
-/// Where the normals of a mesh come from.
+/// The source of a mesh's normals.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Normals {
-    /// The area-weighted mean of the triangles around a vertex: the shape that is drawn.
+    /// The area-weighted mean of the triangles around a vertex: the normals of the mesh's own shape.
     #[default]
     Triangles,
-    /// Against density's exact gradient at the vertex, which is rough where density is.
+    /// The exact density gradient at the vertex, reversed. It is rough where density is.
     Density,
 }
 
@@ -27,13 +27,13 @@ pub enum Normals {
 pub struct FinishedMesh {
     /// In scene units, with normals and colours.
     pub mesh: Mesh,
-    /// Vertices that have the mean normal of the triangles around them: all, or of [`Normals::Density`] those where density is
-    /// flat (an interpolated vertex may lie where the field is empty).
+    /// Vertices with the mean normal of the triangles around them: all, or with [`Normals::Density`] those where
+    /// density is flat. An interpolated vertex may be where the field is empty.
     pub flat: usize,
 }
 
-/// Finishes a level set that `density` has on `lattice`: brings it from NDC to scene units where `ndc` is given, and gives
-/// each vertex its outward normal and the colour that is seen there by an eye that looks against the normal.
+/// Finishes the level set of `density` on `lattice`. It converts from NDC to scene units if `ndc` is given. Each vertex
+/// gets its outward normal, and the colour that a ray against the normal sees there.
 pub fn finish_mesh(
     density: &dyn Density,
     level_set: Mesh,
@@ -59,7 +59,7 @@ pub fn finish_mesh(
             let slope = ndc.map_or(slope, |ndc| ndc.backward(mesh.vertex(i as u32), slope));
             let flat = length(slope) == 0.0;
             let normal = if flat { faces[i] } else { scale(slope, -1.0) };
-            // A vertex of slivers alone has no direction; any will do.
+            // A vertex with only degenerate triangles has no direction, so that any is right.
             let normal = if length(normal) > 0.0 { scale(normal, 1.0 / length(normal)) } else { [0.0, 0.0, 1.0] };
             (normal.map(|v| v as f32), flat)
         };
@@ -79,10 +79,11 @@ pub fn finish_mesh(
     Ok(FinishedMesh { mesh, flat })
 }
 
-/// Normals and colours of some vertices, and how many of them are flat.
+/// Normals and colours of some vertices, and the number of flat ones.
 type Part = (Vec<[f32; 3]>, Vec<[u8; 3]>, usize);
 
-/// A level set in scene units: the same, or brought from NDC. Refuses a vertex that is infinitely far away.
+/// Returns a level set in scene units, converted from NDC if `ndc` is given. It is an error if a vertex is infinitely
+/// far away.
 pub fn in_scene(level_set: Mesh, ndc: Option<&Ndc>) -> Result<Mesh> {
     let mut mesh = level_set;
     let Some(ndc) = ndc else { return Ok(mesh) };

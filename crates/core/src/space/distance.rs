@@ -1,9 +1,9 @@
-//! Distances between surfaces, by points that are drawn on both.
+//! Distances between surfaces, from random points on both.
 //!
 //! The paper's Chamfer distance is the mean distance from a point of the first surface to the nearest point of the
-//! second, plus the same the other way round (appendix, "Geometry extraction"; Euclidean, not squared). Both surfaces
-//! stand for themselves by finitely many points, so that even a surface and itself, drawn twice, are some way apart:
-//! that distance is given beside the result.
+//! second, plus the reverse (appendix, "Geometry extraction"; Euclidean, not squared). Finitely many points stand for
+//! each surface, so that even two samples of one surface are at a distance. That distance is reported next to the
+//! result.
 
 use rayon::prelude::*;
 use serde::Serialize;
@@ -16,8 +16,8 @@ use crate::data::vector::{Vec3, add, length, scale};
 use super::Mesh;
 use super::nearest::PointTree;
 
-/// How far before a facet of the embedded scene there must be room for it to be a surface of the whole, half of it for
-/// certain: facets lie up to 1.3e-3 within round solids.
+/// Required free space before a facet of the built-in scene. Half of it is certain, because facets are up to 1.3e-3
+/// inside round solids.
 const BEFORE: f64 = 4e-3;
 
 /// Points on a surface.
@@ -25,25 +25,25 @@ const BEFORE: f64 = 4e-3;
 pub struct PointCloud {
     /// In scene units.
     pub points: Vec<Vec3>,
-    /// Area that they stand for.
+    /// Area of the surface.
     pub area: f64,
 }
 
 impl PointCloud {
-    /// The expected distance from a point of the surface to the nearest of the drawn points, which lie
-    /// scattered over a surface that is flat at that scale: 1/2 sqrt(area / count).
+    /// Returns the expected distance from a point of the surface to the nearest random point, if the surface is flat at
+    /// that scale: 1/2 sqrt(area / count).
     fn spacing(&self) -> f64 {
         0.5 * (self.area / self.points.len() as f64).sqrt()
     }
 }
 
-/// `count` points on a mesh, each in its own equal share of the area, the shares in the order of triangles. Equal
-/// meshes give equal points. A mesh without area is refused.
+/// Returns `count` random points on a mesh, each in its own equal part of the area, in the order of triangles. Equal
+/// meshes give equal points. A mesh without area is an error.
 pub fn sample(mesh: &Mesh, count: usize, seed: u64) -> Result<PointCloud> {
     sample_where(mesh, count, seed, |_, _| true)
 }
 
-/// The same without the points that `keep` (number of the triangle, point) drops.
+/// The same without the points for which `keep` (number of the triangle, point) is false.
 fn sample_where(mesh: &Mesh, count: usize, seed: u64, keep: impl Fn(usize, Vec3) -> bool) -> Result<PointCloud> {
     let mut ends: Vec<f64> = Vec::with_capacity(mesh.triangles.len());
     let mut area = 0.0;
@@ -76,21 +76,21 @@ fn sample_where(mesh: &Mesh, count: usize, seed: u64, keep: impl Fn(usize, Vec3)
     Ok(PointCloud { points, area: area * share })
 }
 
-/// What a mesh is compared with.
+/// The surface with which a mesh is compared.
 pub enum Reference {
-    /// A mesh as it is, hidden surfaces included.
+    /// A mesh as it is, including hidden surfaces.
     Mesh(Mesh),
-    /// The embedded scene, seen from all around: triangles whose corners lie on it.
+    /// The built-in scene with cameras all around: triangles whose corners are on it.
     Builtin(Stage),
 }
 
 impl Reference {
-    /// The embedded scene as its Blender-style cameras see it.
+    /// Returns the built-in scene as its Blender-style cameras see it.
     pub fn builtin() -> Reference {
         Reference::Builtin(builtin::blender_stage())
     }
 
-    /// The whole mesh: of the embedded scene the surfaces of all solids, with their colours.
+    /// Returns the complete mesh. For the built-in scene these are the surfaces of all solids, with their colours.
     pub fn whole(self) -> Mesh {
         match self {
             Reference::Mesh(mesh) => mesh,
@@ -101,8 +101,8 @@ impl Reference {
         }
     }
 
-    /// At most `count` points. Of the embedded scene, those with another solid right before them are left out: its
-    /// objects stand on and in one another, and where they touch or overlap is no surface of the whole. The underside of
+    /// Returns at most `count` points. For the built-in scene it removes points with another solid directly in front.
+    /// Its objects stand on and in one another, and where they touch or overlap there is no surface. The underside of
     /// its board, which no camera sees, stays.
     pub fn sample(&self, count: usize, seed: u64) -> Result<PointCloud> {
         let stage = match self {
@@ -119,7 +119,7 @@ impl Reference {
     }
 }
 
-/// How far two surfaces are apart.
+/// The distance between two surfaces.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Chamfer {
     /// Sum of both means below: the paper's distance.
@@ -128,10 +128,10 @@ pub struct Chamfer {
     pub mesh_to_reference: f64,
     /// Mean distance from a point of the reference to the nearest of the mesh.
     pub reference_to_mesh: f64,
-    /// What the first would be for two drawings of one surface with as many points: differences well below it
-    /// say nothing.
+    /// The expected value of the first for two samples of one surface with as many points. Differences well below it
+    /// have no meaning.
     pub floor: f64,
-    /// One entry for each distance that was asked for.
+    /// One entry per requested distance.
     #[serde(skip)]
     pub scores: Vec<Score>,
 }
@@ -139,17 +139,18 @@ pub struct Chamfer {
 /// Agreement at a distance (Knapitsch et al. 2017, Tanks and Temples).
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Score {
-    /// Points that are at most so far from the other surface count as right.
+    /// Points that are at most this far from the other surface count as correct.
     pub at: f64,
-    /// Share of the mesh's points that are.
+    /// Fraction of the mesh's points that are correct.
     pub precision: f64,
-    /// Share of the reference's points that are.
+    /// Fraction of the reference's points that are correct.
     pub recall: f64,
     /// Harmonic mean of both.
     pub f_score: f64,
 }
 
-/// Compares two surfaces by points that were drawn on them, with scores at each distance of `at`. Both need a point.
+/// Compares two surfaces through random points on them, with scores at each distance of `at`. Both need at least one
+/// point.
 pub fn chamfer(mesh: &PointCloud, reference: &PointCloud, at: &[f64]) -> Result<Chamfer> {
     let (to_reference, to_mesh) = (distances(mesh, reference)?, distances(reference, mesh)?);
     let mean = |distances: &[f64]| distances.iter().sum::<f64>() / distances.len() as f64;
@@ -171,7 +172,7 @@ pub fn chamfer(mesh: &PointCloud, reference: &PointCloud, at: &[f64]) -> Result<
     })
 }
 
-/// The distance from each point of one cloud to the nearest of another.
+/// Returns the distance from each point of one cloud to the nearest of another.
 fn distances(from: &PointCloud, to: &PointCloud) -> Result<Vec<f64>> {
     if from.points.is_empty() || to.points.is_empty() {
         return Err(Error::Data("a surface without points has no distance to any other".into()));

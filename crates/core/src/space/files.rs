@@ -28,17 +28,17 @@ struct PlyFace {
     vertex_indices: Vec<i64>,
 }
 
-/// A row of an element that says nothing about the surface.
+/// A row of an element that does not describe the surface.
 #[derive(Deserialize)]
 struct PlyOther {}
 
-/// Writes binary little-endian PLY with the normals and colours that there are.
+/// Writes binary little-endian PLY, with normals and colours if the mesh has them.
 pub fn write_ply(mesh: &Mesh, comment: &str, out: &mut impl Write) -> std::io::Result<()> {
     let Mesh { vertices, normals, colours, triangles } = mesh;
     ply::Surface { vertices, normals, colours, triangles }.write_ply(comment, out)
 }
 
-/// Writes OBJ: colours stand behind the positions, as most programs read them.
+/// Writes OBJ. Colours follow the positions, as most programs read them.
 pub fn write_obj(mesh: &Mesh, comment: &str, out: &mut impl Write) -> std::io::Result<()> {
     writeln!(out, "# {comment}")?;
     for (index, [x, y, z]) in mesh.vertices.iter().enumerate() {
@@ -57,8 +57,8 @@ pub fn write_obj(mesh: &Mesh, comment: &str, out: &mut impl Write) -> std::io::R
     Ok(())
 }
 
-/// Reads positions and faces of a `.ply` (ascii or binary) or `.obj` file. Polygons are cut into triangles from
-/// their first corner. A mesh without faces or area, or with a coordinate that is no number, is refused.
+/// Reads positions and faces of a `.ply` (ascii or binary) or `.obj` file. Polygons are cut into triangles from their
+/// first corner. A mesh without faces or area, or with a coordinate that is NaN, is an error.
 ///
 /// ```
 /// use augnerf::space::read_mesh;
@@ -77,7 +77,7 @@ pub fn read_mesh(path: &Path) -> Result<Mesh> {
     let read = match ending.as_str() {
         "ply" => read_ply,
         "obj" => read_obj,
-        _ => return Err(fail("the name's ending says no format that is read: meshes are .ply or .obj files".into())),
+        _ => return Err(fail("its name does not end in .ply or .obj; name a mesh in one of these formats".into())),
     };
     let mesh = read(&mut BufReader::new(file)).map_err(fail)?;
     if let Some(at) = mesh.vertices.iter().position(|v| v.iter().any(|v| !v.is_finite())) {
@@ -85,12 +85,15 @@ pub fn read_mesh(path: &Path) -> Result<Mesh> {
     }
     if mesh.triangles.is_empty() {
         return Err(fail(format!(
-            "the mesh has {} vertices and no faces: a surface is needed, not a cloud of points",
+            "the mesh has {} vertices and no faces: name a mesh with faces, not a point cloud",
             mesh.vertices.len()
         )));
     }
     if mesh.area() <= 0.0 {
-        return Err(fail(format!("its faces have no area (triangles: {}): a surface is needed", mesh.triangles.len())));
+        return Err(fail(format!(
+            "its faces have no area (triangles: {}); name a mesh with a surface",
+            mesh.triangles.len()
+        )));
     }
     Ok(mesh)
 }
@@ -117,7 +120,7 @@ fn ply_elements(
 ) -> std::result::Result<(Vec<PlyVertex>, Vec<PlyFace>), DeserializeError> {
     let bytes = file.get_ref().metadata()?.len();
     let (mut vertices, mut faces) = (Vec::new(), Vec::new());
-    // The reader wants an end of line behind the last number of a text file.
+    // The reader needs an end of line after the last number of a text file.
     let mut reader = PlyReader::from_reader(file.chain(&b"\n"[..]))?;
     while let Some(element) = reader.current_element() {
         check_rows(element, bytes)?;
@@ -130,7 +133,7 @@ fn ply_elements(
     Ok((vertices, faces))
 }
 
-/// Every row has a byte a property at least. Rows without properties take none, and would be counted without an end.
+/// Every row has at least one byte per property. Rows without properties take none, and would be counted without end.
 fn check_rows(element: &ElementDef, bytes: u64) -> std::io::Result<()> {
     let least = (element.count as u64).checked_mul(element.properties.len() as u64);
     if element.count == 0 || least.is_some_and(|least| (1..=bytes).contains(&least)) {
@@ -140,8 +143,8 @@ fn check_rows(element: &ElementDef, bytes: u64) -> std::io::Result<()> {
     Err(std::io::Error::other(format!("{count} rows of {properties} properties ('{name}') in a file of {bytes} bytes")))
 }
 
-/// Reads `v` and `f`, which are all of the shape. Readers of the whole format refuse files for what says nothing about it
-/// (half-given colours, texture coordinates), and take polylines for faces.
+/// Reads `v` and `f`, which describe the complete shape. Readers of the full format reject files for other content,
+/// such as half-given colours or texture coordinates, and read polylines as faces.
 fn read_obj(file: &mut BufReader<std::fs::File>) -> std::result::Result<Mesh, String> {
     let mut mesh = Mesh::default();
     let mut bytes = Vec::new();
@@ -168,7 +171,7 @@ fn read_obj(file: &mut BufReader<std::fs::File>) -> std::result::Result<Mesh, St
                 let corners: Option<Vec<u32>> = words.map(|word| obj_index(word, count)).collect();
                 let corners = corners.filter(|corners| corners.len() >= 3).ok_or_else(|| {
                     fail(format!(
-                        "a face names three or more of the {count} vertices before it, from 1 or back from -1"
+                        "a face must name three or more of the {count} vertices before it, from 1 or back from -1"
                     ))
                 })?;
                 mesh.triangles.extend(fan(&corners));
@@ -179,14 +182,14 @@ fn read_obj(file: &mut BufReader<std::fs::File>) -> std::result::Result<Mesh, St
     Ok(mesh)
 }
 
-/// The vertex, from 0, that the first number of `1/2/3` names among so many.
+/// Returns the vertex, from 0, that the first number of `1/2/3` names among `count`.
 fn obj_index(word: &str, count: usize) -> Option<u32> {
     let named: i64 = word.split('/').next()?.parse().ok()?;
     let index = if named < 0 { count as i64 + named } else { named - 1 };
     (0..count as i64).contains(&index).then_some(index as u32)
 }
 
-/// A polygon's triangles, all from its first corner.
+/// Returns a polygon's triangles, all from its first corner.
 fn fan(corners: &[u32]) -> impl Iterator<Item = [u32; 3]> {
     corners.windows(2).skip(1).map(|pair| [corners[0], pair[0], pair[1]])
 }

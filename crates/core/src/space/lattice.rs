@@ -1,4 +1,4 @@
-//! The box that regularizers integrate over, cut into cells.
+//! The box over which regularizers integrate, divided into cells.
 
 use candle_core::{DType, Device, Tensor};
 
@@ -7,7 +7,7 @@ use crate::base::{Error, Result};
 use crate::data::{Camera, RayBuffer, RayParts, Scene};
 use crate::settings::{LatticePoints, PixelOrigin, RegularizerConfig};
 
-/// A box cut into `side`^3 equal cells, numbered with z fastest.
+/// A box divided into `side`^3 equal cells, numbered with z fastest.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Lattice {
     /// Lower and upper corner, in the units of `points`.
@@ -17,24 +17,24 @@ pub struct Lattice {
 }
 
 impl Lattice {
-    /// Number of cells.
+    /// Returns the number of cells.
     pub fn cells(&self) -> usize {
         self.side.pow(3)
     }
 
-    /// Volume of the box, length^3.
+    /// Returns the volume of the box, length^3.
     pub fn volume(&self) -> f64 {
         let [lower, upper] = self.domain;
         lower.iter().zip(upper).map(|(a, b)| b - a).product()
     }
 
-    /// Variance of a point that lies anywhere in a cell, along each axis, length^2.
+    /// Returns the variance of a uniform point in a cell, along each axis, length^2.
     pub fn cell_variance(&self) -> [f64; 3] {
         let [lower, upper] = self.domain;
         std::array::from_fn(|axis| ((upper[axis] - lower[axis]) / self.side as f64).powi(2) / 12.0)
     }
 
-    /// The point of cell `cell` at `offset`, 0..1 along each axis; 0.5 is the midpoint.
+    /// Returns the point of cell `cell` at `offset`, 0..1 along each axis; 0.5 is the midpoint.
     pub fn point(&self, cell: usize, offset: [f64; 3]) -> [f64; 3] {
         let index = [cell / (self.side * self.side), cell / self.side % self.side, cell % self.side];
         let [lower, upper] = self.domain;
@@ -44,8 +44,8 @@ impl Lattice {
         })
     }
 
-    /// The box that the rays of a scene's training views run through between its bounds, corner
-    /// rays standing for all: `[lower, upper]`.
+    /// Returns the box, `[lower, upper]`, around the rays of a scene's training views between its bounds. The corner
+    /// rays stand for all.
     pub fn seen(scene: &Scene) -> [[f64; 3]; 2] {
         let corners = |camera: &'_ Camera| {
             let (right, bottom) = (camera.width as u32 - 1, camera.height as u32 - 1);
@@ -67,7 +67,7 @@ impl Lattice {
         seen
     }
 
-    /// An error unless the box, which `field` names, and what the scene's rays pass through have a common part.
+    /// Returns an error unless the box, which `field` names, meets the scene's rays.
     pub fn check_meets(&self, scene: &Scene, field: &str) -> Result<()> {
         let seen = Lattice::seen(scene);
         let meets = (0..3).all(|axis| self.domain[0][axis] < seen[1][axis] && seen[0][axis] < self.domain[1][axis]);
@@ -76,7 +76,7 @@ impl Lattice {
         }
         let text = |[x, y, z]: [f64; 3]| format!("[{x:.3}, {y:.3}, {z:.3}]");
         Err(Error::Config(format!(
-            "{field}: the box from {} to {} lies outside of {}: its training rays run from {} to {}; choose a box within",
+            "{field}: the box from {} to {} is outside of {}, whose training rays run from {} to {}; choose a box within",
             text(self.domain[0]),
             text(self.domain[1]),
             scene.name,
@@ -86,21 +86,21 @@ impl Lattice {
     }
 }
 
-/// Points of equal weight that stand for a box: the integral of f over it is [`Quadrature::volume_each`] times the sum
+/// Points of equal weight for the integral over a box. The integral of f is [`Quadrature::volume_each`] times the sum
 /// of f over the points.
 pub struct Quadrature {
     lattice: Lattice,
-    /// Cells with the offset of the point in each; none for the midpoint of every cell.
+    /// Cells with the offset of the point in each. `None` for the midpoint of every cell.
     sampled: Option<Vec<(u32, [f64; 3])>>,
 }
 
 impl Quadrature {
-    /// The midpoint of every cell: the paper's sum.
+    /// Returns the midpoint of every cell: the paper's sum.
     pub fn full(lattice: Lattice) -> Quadrature {
         Quadrature { lattice, sampled: None }
     }
 
-    /// The points of one training step, a function of `seed` and `step`.
+    /// Returns the points of one training step, a function of `seed` and `step`.
     pub fn draw(config: &RegularizerConfig, seed: u64, step: u64) -> Quadrature {
         let lattice = Lattice { domain: config.domain, side: config.lattice };
         if config.points == LatticePoints::Full {
@@ -113,17 +113,17 @@ impl Quadrature {
         Quadrature { lattice, sampled: Some(sampled) }
     }
 
-    /// Number of points.
+    /// Returns the number of points.
     pub fn count(&self) -> usize {
         self.sampled.as_ref().map_or_else(|| self.lattice.cells(), Vec::len)
     }
 
-    /// Volume that each point stands for, length^3.
+    /// Returns the volume that each point stands for, length^3.
     pub fn volume_each(&self) -> f64 {
         self.lattice.volume() / self.count() as f64
     }
 
-    /// Points `start..start + count` as `[count, 3]`.
+    /// Returns points `start..start + count` as `[count, 3]`.
     pub fn tensor(&self, start: usize, count: usize, dtype: DType, device: &Device) -> Result<Tensor> {
         let at = |i: usize| match &self.sampled {
             None => self.lattice.point(i, [0.5; 3]),

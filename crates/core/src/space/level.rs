@@ -1,4 +1,4 @@
-//! The level set of a trained density on a lattice, slab by slab.
+//! The level set of a trained density on a sampling grid, plane by plane.
 
 use std::io::Write;
 
@@ -11,34 +11,34 @@ use crate::space::{Lattice, densities};
 
 use super::{Marcher, Mesh};
 
-/// Bytes that a finished mesh takes with colours, normals and the search for its open edges, over those
-/// of its bare vertices and triangles.
+/// Memory of a finished mesh with colours, normals and the search for its open edges, over that of its bare vertices
+/// and triangles.
 const WORKING_SHARE: f64 = 6.0;
 const MIB: f64 = 1024.0 * 1024.0;
-/// What a mesh takes over what the lattice's planes do: both grow with the square of the resolution. Surfaces of the embedded
-/// scene take 15 to 30 times as much; some room is added.
+/// Memory of a mesh over that of the grid's planes; both grow with the square of the resolution. Surfaces of the
+/// built-in scene take 15 to 30 times as much, and this adds a margin.
 const MESH_OVER_PLANES: f64 = 40.0;
-/// The least resolution that can be asked for.
+/// The smallest allowed resolution.
 const LEAST_SIDE: usize = *MESH_SIDES.start();
 
-/// How densities are distributed over a lattice's midpoints, 1 / length.
+/// The distribution of densities at a grid's midpoints, 1 / length.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct DensityRange {
-    /// Least one.
+    /// Smallest density.
     pub least: f32,
-    /// Half of all are at most this; this and the next are exact to 1 %.
+    /// Median. It and the percentiles are exact to 1 %.
     pub median: f32,
-    /// 90 % of all are.
+    /// 90th percentile.
     pub percentile_90: f32,
-    /// 99 % of all are.
+    /// 99th percentile.
     pub percentile_99: f32,
-    /// Largest one.
+    /// Largest density.
     pub largest: f32,
-    /// Share of midpoints at or above the threshold.
+    /// Fraction of midpoints at or above the threshold.
     pub inside: f64,
 }
 
-/// Counts densities by the upper half of their bits: 128 steps an octave, in ascending order.
+/// Counts densities by the upper half of their bits: 128 steps per octave, in ascending order.
 struct Histogram {
     counts: Vec<u64>,
     total: u64,
@@ -52,7 +52,7 @@ impl Histogram {
         Histogram { counts: vec![0; 1 << 15], total: 0, inside: 0, range }
     }
 
-    /// Densities are not negative.
+    /// Densities are at least 0.
     fn add(&mut self, densities: &[f32], threshold: f32) {
         for &density in densities {
             self.counts[(density.abs().to_bits() >> 16) as usize] += 1;
@@ -62,7 +62,7 @@ impl Histogram {
         self.total += densities.len() as u64;
     }
 
-    /// The middle of the step that a share of all densities reaches up to.
+    /// Returns the middle of the step that a fraction of all densities reaches.
     fn percentile(&self, share: f64) -> f32 {
         let wanted = (share * self.total as f64).ceil() as u64;
         let mut seen = 0;
@@ -87,33 +87,33 @@ impl Histogram {
     }
 }
 
-/// A level set and what it was drawn through.
+/// A level set, and the densities around it.
 pub struct LevelSet {
-    /// In the units that density is queried in, without normals and colours; has triangles.
+    /// In the units in which density is queried, without normals and colours. It has at least one triangle.
     pub mesh: Mesh,
-    /// The densities on the lattice.
+    /// The densities on the sampling grid.
     pub range: DensityRange,
 }
 
-/// How a level set is drawn.
+/// How a level set is computed.
 #[derive(Clone, Copy, Debug)]
 pub struct Drawing {
-    /// Where density is queried: at its cells' midpoints.
+    /// The grid at whose cells' midpoints density is queried.
     pub lattice: Lattice,
     /// Density of the surface, 1 / length.
     pub threshold: f64,
-    /// The outermost midpoints count as empty, which closes the surface where it would leave the box.
+    /// Whether the outermost midpoints count as empty. That closes the surface where it would leave the box.
     pub cap: bool,
-    /// Memory that lattice and mesh may take.
+    /// Memory that grid and mesh may take.
     pub most_mib: f64,
 }
 
-/// Draws a level set of density. Memory is bounded by some planes of the lattice and the mesh. `volume` gets all
-/// densities as little-endian f32, z fastest; `advance` is called after each plane, and its error ends the drawing.
+/// Computes a level set of density. Memory is bounded by some planes of the grid and the mesh. `volume` gets all
+/// densities as little-endian f32, z fastest. `advance` is called after each plane, and its error ends the work.
 ///
 /// # Errors
-/// A density that is not finite; a level set that is empty, with a threshold that gives one, or that outgrows the
-/// memory, with a resolution that may fit.
+/// If a density is not finite, if the level set is empty, or if it needs too much memory. The messages name a threshold
+/// or a resolution that may work.
 pub fn level_set(
     density: &dyn Density,
     drawing: &Drawing,
@@ -175,7 +175,7 @@ pub fn level_set(
     Ok(LevelSet { mesh: Mesh { vertices, triangles, ..Mesh::default() }, range: histogram.range() })
 }
 
-/// Empties the points of plane `x` that lie on the border of the lattice.
+/// Empties the points of plane `x` that are on the border of the grid.
 fn clear_border(plane: &mut [f32], side: usize, x: usize) {
     let on_border = |i: usize| i == 0 || i + 1 == side;
     for (at, value) in plane.iter_mut().enumerate() {
@@ -185,12 +185,12 @@ fn clear_border(plane: &mut [f32], side: usize, x: usize) {
     }
 }
 
-/// What the planes of a lattice take.
+/// Returns the memory of a grid's planes in MiB.
 fn planes_mib(side: usize) -> f64 {
     Marcher::plane_bytes([side, side]) as f64 / MIB
 }
 
-/// What a lattice and its mesh usually take.
+/// Returns the usual memory of a grid and its mesh in MiB.
 fn usual_mib(side: usize) -> f64 {
     (1.0 + MESH_OVER_PLANES) * planes_mib(side)
 }
@@ -211,22 +211,23 @@ impl Drawing {
             None => format!("with its mesh, even {LEAST_SIDE} would take about {}", mib(usual_mib(LEAST_SIDE))),
         };
         Err(Error::Config(format!(
-            "a resolution of {side} takes {} for the lattice's planes alone, and {} (a half of what is free, or `augnerf mesh \
+            "a resolution of {side} takes {} for the sampling grid's planes alone, and {} (a half of what is free, or `augnerf mesh \
              --memory`) may be taken: {advice}",
             mib(planes_mib(side)),
             mib(self.most_mib)
         )))
     }
 
-    /// Refuses a mesh that outgrows the memory while it grows, with a resolution that may fit.
+    /// Returns an error if the growing mesh will need too much memory, with a resolution that may fit.
     fn check_mesh(&self, marcher: &Marcher, planes: usize) -> Result<()> {
         let side = self.lattice.side;
         let mesh = WORKING_SHARE * marcher.mesh_bytes() as f64 / MIB;
         if mesh + planes_mib(side) <= self.most_mib && marcher.vertices.len() < u32::MAX as usize {
             return Ok(());
         }
-        // A surface grows with the square of the resolution. Its first planes tell little of the whole: they are in the box's
-        // outer part, before the object or at its rim. So twice what they say, and no less than usual.
+        // A surface grows with the square of the resolution. Its first planes tell little of the rest: they are in the
+        // box's outer part, before the object or at its rim. The estimate is twice what they say, and at least the
+        // usual.
         let whole = 2.0 * mesh * side as f64 / planes as f64;
         let estimate = |fewer: usize| planes_mib(fewer) + whole * (fewer as f64 / side as f64).powi(2);
         let needed = |fewer: usize| estimate(fewer).max(usual_mib(fewer));
@@ -243,12 +244,13 @@ impl Drawing {
         )))
     }
 
-    /// The largest resolution below this one that takes no more than the memory.
+    /// Returns the largest resolution below this one that fits into the memory.
     fn largest_side(&self, needed_mib: impl Fn(usize) -> f64) -> Option<usize> {
         (LEAST_SIDE..self.lattice.side).rev().find(|&side| needed_mib(side) <= self.most_mib)
     }
 
-    /// Why there is no surface among densities that count from `least` to `largest`, and what threshold would give one.
+    /// Returns the error for an empty surface. `least` and `largest` are the smallest and the largest density that
+    /// count.
     fn no_surface(&self, [least, largest]: [f32; 2]) -> Error {
         let Drawing { threshold, lattice: Lattice { domain, .. }, cap, .. } = self;
         let within = if *cap { "within the capped box" } else { "in the box" };

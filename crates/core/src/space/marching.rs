@@ -1,21 +1,21 @@
-//! Marching cubes over a lattice that comes plane by plane (Lorensen and Cline 1987).
+//! Marching cubes over a sampling grid that arrives plane by plane (Lorensen and Cline 1987).
 //!
-//! The classic table of 15 cases leaves holes where two cells disagree about a face whose inside
-//! corners lie across from each other. The table here is made from one rule a face instead, which
-//! both of its cells read alike: a face cuts off each run of inside corners by a segment of its
-//! own. The segments of a cell's six faces join to closed loops, and triangles fill the loops without
-//! a chord within a face, so that each edge of the mesh belongs to two triangles and is walked once
+//! The classic table of 15 cases leaves holes if two cells disagree about a face whose inside corners are diagonal.
+//! This table follows one rule per face, which both of its cells read alike: a face separates each run of inside
+//! corners by a segment of its own. The segments of a cell's six faces join to closed loops. Triangles fill the loops
+//! without a chord within a face. Each edge of the mesh then belongs to two triangles, and is walked once in each
+//! direction. Where the level set leaves the grid, it stays open.
 //! in each direction. Where the level set leaves the lattice it stays open.
 
 use std::sync::OnceLock;
 
-/// No vertex on this edge of the lattice.
+/// No vertex on this edge of the grid.
 const NONE: u32 = u32::MAX;
-/// Vertices keep this share of an edge's length from its ends, so that no triangle shrinks to a point
-/// where a value equals the threshold.
+/// Least distance of vertices from an edge's ends, as a fraction of its length. No triangle then shrinks to a point if
+/// a value equals the threshold.
 const MARGIN: f64 = 1e-4;
 
-/// A cell's edge: from the corner whose number has bit `axis` clear along `axis`.
+/// A cell's edge, along `axis` from the corner whose bit `axis` is clear.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Edge {
     /// Bit 0 is x, bit 1 y, bit 2 z of a corner.
@@ -24,19 +24,19 @@ struct Edge {
 }
 
 impl Edge {
-    /// Between two corners that differ in one bit.
+    /// Returns the edge between two corners that differ in one bit.
     fn between(a: usize, b: usize) -> Edge {
         Edge { corner: a & b, axis: (a ^ b).trailing_zeros() as usize }
     }
 
-    /// Whether both lie on one face of the cell.
+    /// Returns whether both are on one face of the cell.
     fn shares_face(self, other: Edge) -> bool {
         let fixed = |edge: Edge, axis: usize| (edge.axis != axis).then_some(edge.corner >> axis & 1);
         (0..3).any(|axis| fixed(self, axis).is_some() && fixed(self, axis) == fixed(other, axis))
     }
 }
 
-/// Triangles of each of the 256 ways in which a cell's corners lie inside.
+/// Returns the triangles for each of the 256 combinations of inside corners.
 fn table() -> &'static [Vec<[Edge; 3]>] {
     static TABLE: OnceLock<Vec<Vec<[Edge; 3]>>> = OnceLock::new();
     TABLE.get_or_init(|| (0..256).map(triangles_of).collect())
@@ -57,13 +57,13 @@ fn triangles_of(inside: usize) -> Vec<[Edge; 3]> {
     triangles
 }
 
-/// The segments that cut a face's runs of inside corners off, with the inside on their right as seen from
-/// outside of the cell.
+/// Returns the segments that separate a face's runs of inside corners. Seen from outside of the cell, the inside is on
+/// their right.
 fn face_segments(inside: usize, face: usize) -> Vec<(Edge, Edge)> {
     let (axis, side) = (face / 2, face % 2);
     let (u, v) = (1 << ((axis + 1) % 3), 1 << ((axis + 2) % 3));
     let mut ring = [0, u, u | v, v].map(|corner| corner | side << axis);
-    // Anticlockwise seen from outside of the cell.
+    // Anticlockwise, seen from outside of the cell.
     if side == 0 {
         ring.reverse();
     }
@@ -78,8 +78,8 @@ fn face_segments(inside: usize, face: usize) -> Vec<(Edge, Edge)> {
     segments
 }
 
-/// Triangles that fill a polygon, with no chord between edges of one face: that face's other cell
-/// could draw the same chord. None where there is no such filling.
+/// Returns triangles that fill a polygon, without a chord between edges of one face: that face's other cell could have
+/// the same chord. `None` if there is no such filling.
 fn fill(polygon: &[Edge]) -> Option<Vec<[Edge; 3]>> {
     let last = polygon.len() - 1;
     if last < 2 {
@@ -94,7 +94,7 @@ fn fill(polygon: &[Edge]) -> Option<Vec<[Edge; 3]>> {
     })
 }
 
-/// One plane of the lattice, x fixed.
+/// One plane of the grid, at fixed x.
 struct Plane {
     /// `[ny * nz]`, z fastest.
     values: Vec<f32>,
@@ -104,35 +104,34 @@ struct Plane {
     along_z: Vec<u32>,
 }
 
-/// Takes the planes of a lattice in order and grows the level set's triangles. It keeps two planes and
-/// the mesh. Vertices are shared by all cells around them.
+/// Takes the planes of a grid in order, and grows the level set's triangles. It keeps two planes and the mesh. All
+/// cells around a vertex share it.
 pub struct Marcher {
     /// Points along y and z.
     size: [usize; 2],
     threshold: f32,
     previous: Option<Plane>,
-    /// Planes taken.
+    /// Number of planes so far.
     planes: usize,
-    /// In units of the lattice: (0, 0, 0) is the first point, (1, 0, 0) that of the next plane.
+    /// In units of the grid: (0, 0, 0) is the first point, (1, 0, 0) that of the next plane.
     pub vertices: Vec<[f32; 3]>,
     /// Vertex indices, anticlockwise seen from the side of lower values.
     pub triangles: Vec<[u32; 3]>,
 }
 
 impl Marcher {
-    /// For planes of `size` points along y and z; values from `threshold` on are inside.
+    /// Creates a marcher for planes of `size` points along y and z. Values of at least `threshold` are inside.
     pub fn new(size: [usize; 2], threshold: f32) -> Marcher {
         Marcher { size, threshold, previous: None, planes: 0, vertices: Vec::new(), triangles: Vec::new() }
     }
 
-    /// Bytes that the planes of a marcher take at `size` points along y and z, a plane that is being
-    /// filled included.
+    /// Returns the bytes of a marcher's planes at `size` points along y and z, including a plane that is being filled.
     pub fn plane_bytes([ny, nz]: [usize; 2]) -> usize {
-        // Three planes of values, two of them with two edge tables, one table between them.
+        // Three planes of values, two of them with two edge tables, and one table between them.
         ny * nz * (3 * size_of::<f32>() + 5 * size_of::<u32>())
     }
 
-    /// Bytes of the vertices and triangles so far.
+    /// Returns the bytes of the vertices and triangles so far.
     pub fn mesh_bytes(&self) -> usize {
         size_of_val(self.vertices.as_slice()) + size_of_val(self.triangles.as_slice())
     }
@@ -161,7 +160,8 @@ impl Marcher {
         self.previous = Some(plane);
     }
 
-    /// The vertex between the values at `from` and at the next point along `axis`, if the level set passes there.
+    /// Returns the vertex between the values at `from` and at the next point along `axis`, if the level set passes
+    /// there.
     fn vertex(&mut self, from: [f32; 3], axis: usize, a: f32, b: f32) -> u32 {
         if (a >= self.threshold) == (b >= self.threshold) {
             return NONE;
@@ -173,7 +173,7 @@ impl Marcher {
         (self.vertices.len() - 1) as u32
     }
 
-    /// The triangles of the cells between two planes.
+    /// Adds the triangles of the cells between two planes.
     fn cells(&mut self, low: &Plane, high: &Plane) {
         let [ny, nz] = self.size;
         let x = (self.planes - 2) as f32;

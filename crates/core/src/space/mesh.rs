@@ -9,9 +9,9 @@ use crate::data::vector::{Vec3, add, cross, dot, length, scale, sub};
 pub struct Mesh {
     /// Positions in scene units.
     pub vertices: Vec<[f32; 3]>,
-    /// Outward unit normal at each vertex; none for a mesh without.
+    /// Outward unit normal at each vertex. Empty for a mesh without normals.
     pub normals: Vec<[f32; 3]>,
-    /// RGB at each vertex, 8-bit display values; none for a mesh without.
+    /// RGB at each vertex, 8-bit display values. Empty for a mesh without colours.
     pub colours: Vec<[u8; 3]>,
     /// Vertex indices, anticlockwise seen from outside.
     pub triangles: Vec<[u32; 3]>,
@@ -22,42 +22,43 @@ pub struct Mesh {
 pub struct Component {
     /// Number of its first vertex.
     pub root: u32,
-    /// Triangles.
+    /// Number of triangles.
     pub triangles: usize,
     /// Area.
     pub area: f64,
 }
 
 impl Mesh {
-    /// A vertex in double precision.
+    /// Returns a vertex in double precision.
     pub fn vertex(&self, index: u32) -> Vec3 {
         self.vertices[index as usize].map(f64::from)
     }
 
-    /// The corners of a triangle.
+    /// Returns the corners of a triangle.
     pub fn corners(&self, triangle: [u32; 3]) -> [Vec3; 3] {
         triangle.map(|index| self.vertex(index))
     }
 
-    /// Twice the area of a triangle along its normal.
+    /// Returns twice the area of a triangle along its normal.
     pub(super) fn area_vector(&self, triangle: [u32; 3]) -> Vec3 {
         let [a, b, c] = self.corners(triangle);
         cross(sub(b, a), sub(c, a))
     }
 
-    /// Area of each triangle.
+    /// Iterates over the area of each triangle.
     pub fn areas(&self) -> impl Iterator<Item = f64> {
         self.triangles.iter().map(|&triangle| 0.5 * length(self.area_vector(triangle)))
     }
 
-    /// Area of all triangles.
+    /// Returns the area of all triangles.
     pub fn area(&self) -> f64 {
         self.areas().sum()
     }
 
-    /// Volume that a closed mesh encloses: positive where triangles face outwards. Of an open mesh it means nothing.
+    /// Returns the volume that a closed mesh encloses. It is positive if triangles face outwards. It has no meaning for
+    /// an open mesh.
     pub fn volume(&self) -> f64 {
-        // From a vertex of the mesh, so that distance from the origin costs no digits.
+        // From a vertex of the mesh, so that its distance from the origin costs no precision.
         let Some(origin) = self.triangles.first().map(|t| self.vertex(t[0])) else { return 0.0 };
         let cone = |triangle: &[u32; 3]| {
             let [a, b, c] = self.corners(*triangle).map(|p| sub(p, origin));
@@ -66,10 +67,11 @@ impl Mesh {
         self.triangles.iter().map(cone).sum()
     }
 
-    /// Directed edges that are not walked once in each direction: 0 for a mesh that is closed and oriented.
+    /// Returns the number of directed edges that are not walked once in each direction. It is 0 for a closed and
+    /// oriented mesh.
     pub fn open_edges(&self) -> usize {
         let directed = |t: &[u32; 3]| [(t[0], t[1]), (t[1], t[2]), (t[2], t[0])];
-        // Both directions side by side: (lower vertex, higher vertex, direction).
+        // Both directions next to each other: (lower vertex, higher vertex, direction).
         let mut edges: Vec<(u32, u32, bool)> =
             self.triangles.iter().flat_map(directed).map(|(a, b)| (a.min(b), a.max(b), a < b)).collect();
         edges.sort_unstable();
@@ -78,7 +80,7 @@ impl Mesh {
         edges.chunk_by(same).filter(|group| !paired(group)).map(<[_]>::len).sum()
     }
 
-    /// For each vertex the least number of a vertex that it is connected with.
+    /// Returns, for each vertex, the least number of a vertex that it is connected with.
     fn roots(&self) -> Vec<u32> {
         let mut parents: Vec<u32> = (0..self.vertices.len() as u32).collect();
         fn root(parents: &mut [u32], mut at: u32) -> u32 {
@@ -97,7 +99,7 @@ impl Mesh {
         (0..parents.len() as u32).map(|vertex| root(&mut parents, vertex)).collect()
     }
 
-    /// Connected parts, the one of largest area first.
+    /// Returns the connected parts, the one of largest area first.
     pub fn components(&self) -> Vec<Component> {
         let roots = self.roots();
         let mut places = HashMap::new();
@@ -115,7 +117,7 @@ impl Mesh {
         components
     }
 
-    /// The mesh of one component alone.
+    /// Returns the mesh of one component.
     pub fn keep(&self, component: &Component) -> Mesh {
         let roots = self.roots();
         let kept: Vec<usize> = (0..self.vertices.len()).filter(|&i| roots[i] == component.root).collect();
@@ -133,7 +135,7 @@ impl Mesh {
         }
     }
 
-    /// The area-weighted mean normal of the triangles around each vertex, not normalised.
+    /// Returns the area-weighted mean normal of the triangles around each vertex, not normalized.
     pub fn face_normals(&self) -> Vec<Vec3> {
         let mut normals = vec![[0.0; 3]; self.vertices.len()];
         for &triangle in &self.triangles {
@@ -143,7 +145,7 @@ impl Mesh {
         normals
     }
 
-    /// Turns every triangle over.
+    /// Reverses every triangle.
     pub fn flip(&mut self) {
         self.triangles.iter_mut().for_each(|triangle| triangle.swap(1, 2));
     }

@@ -1,7 +1,7 @@
 //! Surfaces: level sets of trained densities, meshes and their files, distances between surfaces.
 //!
-//! A density field has no surface of its own. What stands for one is a level set, density =
-//! threshold, which marching cubes draws through the midpoints of a lattice of cells.
+//! A density field has no surface of its own. A level set, density = threshold, stands for one. Marching cubes computes
+//! it from the midpoints of a grid of cells.
 
 mod cells;
 mod colouring;

@@ -2,14 +2,14 @@
 
 use crate::data::vector::{Vec3, dot, sub};
 
-/// Cells of so few points are searched one by one.
+/// Cells with this few points are searched one by one.
 const LEAF: usize = 16;
 
-/// Points in the order of a balanced tree: the two halves of a cell are parted along the axis on which it is spread
-/// widest, so that flat clouds and equal coordinates part as well as any.
+/// Points in the order of a balanced tree. The two halves of a cell are separated along its widest axis, so that flat
+/// clouds and equal coordinates work as well.
 pub struct PointTree {
     points: Vec<Vec3>,
-    /// Of all cells: each before its lower half, and that before its upper half.
+    /// Boxes of all cells: each before its lower half, and that before its upper half.
     boxes: Vec<Extent>,
 }
 
@@ -30,8 +30,8 @@ impl Extent {
         })
     }
 
-    /// No point of the box has a smaller squared distance, as rounded: each difference is rounded in order, and they are
-    /// summed as a distance's are.
+    /// Returns a bound on the squared distance, as rounded, to all points of the box. Each difference is rounded in the
+    /// same order, and they are summed as a distance's are.
     fn squared_distance(&self, to: Vec3) -> f64 {
         let away = [0, 1, 2].map(|axis| (self.lowest[axis] - to[axis]).max(to[axis] - self.highest[axis]).max(0.0));
         dot(away, away)
@@ -46,10 +46,10 @@ impl PointTree {
         PointTree { points, boxes }
     }
 
-    /// The square of the distance to the nearest point; infinite without points.
+    /// Returns the square of the distance to the nearest point. It is infinite without points.
     ///
-    /// It is the smallest of all distances to the last bit, however the tree is built: what [`search`] passes over was
-    /// bounded by a number that no point in it falls below.
+    /// It is the smallest of all distances to the last bit, for any shape of the tree. [`search`] skips only cells
+    /// whose bound no point falls below.
     pub fn squared_distance(&self, to: Vec3) -> f64 {
         let mut nearest = f64::INFINITY;
         search(&self.points, &self.boxes, to, &mut nearest);
@@ -57,7 +57,7 @@ impl PointTree {
     }
 }
 
-/// Cells of a tree of so many points, all leaves of which are as deep.
+/// Returns the number of cells of a tree with this many points. All its leaves are at the same depth.
 fn cells(points: usize) -> usize {
     let leaves = points.div_ceil(LEAF).max(1).next_power_of_two();
     2 * leaves - 1

@@ -1,4 +1,4 @@
-//! Pictures of meshes: triangles drawn into a depth buffer, lit by smooth normals.
+//! Images of meshes: triangles in a depth buffer, lit with smooth normals.
 
 use crate::base::Image;
 use crate::data::Camera;
@@ -8,25 +8,25 @@ use super::Mesh;
 
 /// Samples along each side of a pixel, which are averaged.
 const SAMPLES: usize = 2;
-/// What is nearer to the camera than this share of the mesh's distance is cut away.
+/// Everything nearer to the camera than this fraction of the mesh's distance is clipped.
 const NEAR: f64 = 1e-4;
-/// What a picture shows where there is no mesh.
+/// The value of an image without a mesh.
 const PAPER: f32 = 1.0;
-/// A mesh without colours, or whose colours are left out.
+/// The colour of a mesh without colours, or whose colours are ignored.
 const CLAY: Vec3 = [0.80, 0.80, 0.78];
-/// Light from everywhere, from above the camera's left shoulder, and from the camera.
+/// Ambient light, light from above the camera's left shoulder, and light from the camera.
 const LIGHTS: [f64; 3] = [0.22, 0.62, 0.20];
-/// Where the second light stands, seen from the surface, in the camera's axes (right, up, backward).
+/// Direction of the second light, seen from the surface, in the camera's axes (right, up, backward).
 const KEY: Vec3 = [-0.45, 0.65, 0.61];
-/// Cosine from which on a triangle is lit by the smooth normals of its corners: 50 degrees.
+/// Cosine above which a triangle is lit with the smooth normals of its corners: 50 degrees.
 const CREASE: f64 = 0.643;
-/// How much of its light the inner side of a surface shows.
+/// Fraction of light on the inner side of a surface.
 const INSIDE: f64 = 0.45;
 
-/// What a mesh is painted with.
+/// The colours of a rendered mesh.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Paint {
-    /// One grey: shape alone.
+    /// One grey, to show the shape.
     #[default]
     Clay,
     /// The colours of its vertices, under the same light.
@@ -48,9 +48,9 @@ impl Seen {
     }
 }
 
-/// A mesh as a camera sees it, lit; white where it is not. Normals are the area-weighted means of the triangles around
-/// each vertex: those of a density's gradient, which a mesh may carry, are noise where density is rough. The inner side of
-/// an open surface is darker.
+/// Renders a mesh from a camera, lit, on white. Normals are the area-weighted means of the triangles around each
+/// vertex. A mesh may also carry normals of a density's gradient, but these are noise where density is rough. The inner
+/// side of an open surface is darker.
 pub fn shade(mesh: &Mesh, camera: &Camera, paint: Paint) -> Image {
     let fine = resized(camera, camera.width * SAMPLES, camera.height * SAMPLES);
     let seen = seen(mesh, &fine, paint);
@@ -66,14 +66,15 @@ pub fn shade(mesh: &Mesh, camera: &Camera, paint: Paint) -> Image {
     target.averaged()
 }
 
-/// The same camera with another number of pixels.
+/// Returns the camera with another number of pixels.
 pub fn resized(camera: &Camera, width: usize, height: usize) -> Camera {
     let (x, y) = (width as f64 / camera.width as f64, height as f64 / camera.height as f64);
     let both = |pair: [f64; 2]| [pair[0] * x, pair[1] * y];
     Camera { width, height, focal: both(camera.focal), centre: both(camera.centre), pose: camera.pose }
 }
 
-/// A camera on a circle around a mesh, looking down on it by 25 degrees; `share` of the way round from the x axis. z is up.
+/// Returns a camera on a circle around a mesh, 25 degrees above it, at a fraction `share` of the circle from the x
+/// axis. z is up.
 pub fn around(mesh: &Mesh, share: f64, width: usize) -> Camera {
     let corner = |start: f64, pick: fn(f64, f64) -> f64| -> Vec3 {
         std::array::from_fn(|axis| mesh.vertices.iter().map(|v| f64::from(v[axis])).fold(start, pick))
@@ -113,7 +114,7 @@ fn seen(mesh: &Mesh, camera: &Camera, paint: Paint) -> Vec<Seen> {
     (0..mesh.vertices.len()).map(vertex).collect()
 }
 
-/// A triangle's corners, smooth but where its own normal leans away from theirs: at an edge of a solid.
+/// Gives a triangle's corners its own normal where theirs differ too much: at an edge of a solid.
 fn creased(mut corners: [Seen; 3]) -> [Seen; 3] {
     let [a, b, c] = corners.map(|vertex| vertex.place);
     let own = cross(sub(b, a), sub(c, a));
@@ -125,7 +126,7 @@ fn creased(mut corners: [Seen; 3]) -> [Seen; 3] {
     corners
 }
 
-/// The part of a triangle that lies before a plane near the camera: nothing, or three or four corners.
+/// Returns the part of a triangle in front of a plane near the camera: nothing, or three or four corners.
 fn in_front(corners: &[Seen; 3], near: f64) -> Vec<Seen> {
     let depth = |vertex: &Seen| -vertex.place[2] - near;
     let mut kept = Vec::with_capacity(4);
@@ -142,10 +143,10 @@ fn in_front(corners: &[Seen; 3], near: f64) -> Vec<Seen> {
     kept
 }
 
-/// What has been drawn.
+/// The image in progress.
 struct Target {
     camera: Camera,
-    /// 1 / depth of what is nearest; 0 where nothing is.
+    /// 1 / depth of the nearest surface; 0 without one.
     nearness: Vec<f64>,
     colours: Vec<[f32; 3]>,
 }
@@ -156,8 +157,8 @@ impl Target {
         Target { camera: *camera, nearness: vec![0.0; pixels], colours: vec![[PAPER; 3]; pixels] }
     }
 
-    /// Draws a triangle that lies in front of the camera. Attributes are linear in space, so that they are weighted by
-    /// 1 / depth on the picture.
+    /// Draws a triangle in front of the camera. Attributes are linear in space, so that they are weighted by 1 / depth
+    /// in the image.
     fn draw(&mut self, corners: [&Seen; 3]) {
         let Camera { width, height, focal, centre, .. } = self.camera;
         let nearness = corners.map(|vertex| -1.0 / vertex.place[2]);
@@ -174,7 +175,7 @@ impl Target {
         let span = |axis: usize, size: usize| {
             let low = at.iter().map(|p| p[axis]).fold(f64::INFINITY, f64::min);
             let high = at.iter().map(|p| p[axis]).fold(f64::NEG_INFINITY, f64::max);
-            // Samples lie in the middle of their squares.
+            // Samples are at the centre of their squares.
             ((low - 0.5).ceil().max(0.0) as usize, (high + 0.5).floor().clamp(0.0, size as f64) as usize)
         };
         let ((left, right), (top, bottom)) = (span(0, width), span(1, height));
@@ -196,7 +197,7 @@ impl Target {
         }
     }
 
-    /// The picture, each pixel the mean of its samples.
+    /// Returns the image, each pixel the mean of its samples.
     fn averaged(&self) -> Image {
         let (width, height) = (self.camera.width / SAMPLES, self.camera.height / SAMPLES);
         let mut pixels = vec![0.0; width * height * 3];
@@ -210,7 +211,7 @@ impl Target {
     }
 }
 
-/// The colour of a point of a triangle.
+/// Returns the colour of a point of a triangle.
 fn lit(corners: [&Seen; 3], weights: [f64; 3]) -> [f32; 3] {
     let blend = |pick: fn(&Seen) -> Vec3| (0..3).fold([0.0; 3], |sum, i| add(sum, scale(pick(corners[i]), weights[i])));
     let (normal, place, colour) = (blend(|v| v.normal), blend(|v| v.place), blend(|v| v.colour));
@@ -219,7 +220,7 @@ fn lit(corners: [&Seen; 3], weights: [f64; 3]) -> [f32; 3] {
     }
     let to_eye = unit(scale(place, -1.0));
     let [a, b, c] = corners.map(|vertex| vertex.place);
-    // The triangle itself says which side is seen: a smooth normal may lean over the edge.
+    // The triangle itself tells which side is visible: a smooth normal may lean over the edge.
     let outside = dot(cross(sub(b, a), sub(c, a)), to_eye) >= 0.0;
     let normal = scale(unit(normal), if outside { 1.0 } else { -1.0 });
     let [everywhere, key, camera] = LIGHTS;

@@ -1,4 +1,4 @@
-//! Added to the density of a sample, `[rays, samples]`.
+//! The delta of a sample's density, `[rays, samples]`.
 
 use candle_core::Tensor;
 
@@ -19,7 +19,7 @@ pub const SITE: SiteSpec = SiteSpec {
         norm: Norm::Linf,
         paper_epsilon: 1e-5,
         paper_step_size: 1e-5,
-        // It changes a coarse interval's opacity by about 4/255.
+        // It changes the opacity of a coarse interval by about 4/255.
         calibrated_epsilon: |interval| 4.0 / 255.0 / interval,
     },
     largest_epsilon: ANY_EPSILON,
@@ -28,19 +28,19 @@ pub const SITE: SiteSpec = SiteSpec {
     set,
 };
 
-/// Before it is cut by what the pass's densities leave. A ray's last sample reaches to infinity: any density there makes an
-/// empty ray opaque.
+/// Returns the set before the pass's densities cut it. A ray's last sample reaches to infinity: any density there makes
+/// an empty ray opaque.
 fn set(numbers: &SiteNumbers, choices: &SetChoices, pass: &PassGeometry) -> Result<DeltaSet> {
     let radius = pass.scalar(numbers.radius(|epsilon| epsilon))?.reshape((1, 1))?;
     let mut set = DeltaSet::new(numbers.norm, radius, &[pass.rays()?, pass.samples]);
-    // Edges end the last interval, too: nothing is opaque by definition.
+    // Edges also end the last interval: no sample is opaque by definition.
     if !choices.perturb_last && !pass.has_edges()? {
         set.mask = Some(all_but_last(pass)?);
     }
     Ok(set)
 }
 
-/// `[1, samples]`, 1 but for the last, which is 0.
+/// Returns `[1, samples]`: 1, and 0 for the last sample.
 fn all_but_last(pass: &PassGeometry) -> Result<Tensor> {
     let mut mask = vec![1f32; pass.samples];
     mask[pass.samples - 1] = 0.0;

@@ -1,4 +1,4 @@
-//! Added to a trunk layer's output, `[rays, samples, width]`.
+//! The delta of a trunk layer's output, `[rays, samples, width]`.
 
 use crate::augment::geometry::PassGeometry;
 use crate::augment::set::{DeltaSet, Norm};

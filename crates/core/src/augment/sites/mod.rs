@@ -1,8 +1,8 @@
-//! The list of sites: places in the perturbed pass where a delta enters.
+//! The list of sites: the points of the perturbed pass at which a delta is added.
 //!
-//! A new site is a file here, two lines below, and the place in `render` where it enters the pass. It is off where
-//! nobody switches it on, its section `perturb.NAME` is read and written by this list, and its random numbers are its
-//! own: `the_first_six_keep_their_numbers` says which keys are taken.
+//! A new site is a file here, two lines below, and the code in `render` that adds it to the pass. It is off by default.
+//! This list reads and writes its section `perturb.NAME`. Its random numbers are its own:
+//! `the_first_six_keep_their_numbers` says which keys are taken.
 
 use std::ops::{Index, IndexMut};
 
@@ -17,17 +17,17 @@ mod xyz;
 
 macro_rules! sites {
     ($($(#[$doc:meta])* $site:ident in $file:ident,)*) => {
-        /// A place in the pass where a delta enters.
+        /// A point of the pass at which a delta is added.
         #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
         pub enum Site {
             $($(#[$doc])* $site,)*
         }
 
         impl Site {
-            /// All sites, in the order of columns and of everything else that is listed.
+            /// All sites, in the order of columns and of all other lists.
             pub const ALL: [Site; [$(Site::$site),*].len()] = [$(Site::$site),*];
 
-            /// What there is to know of it.
+            /// Returns its specification.
             pub fn about(self) -> &'static SiteSpec {
                 match self {
                     $(Site::$site => &$file::SITE,)*
@@ -52,49 +52,49 @@ sites! {
     Density in density,
 }
 
-/// Keys of a pass's random numbers below which parts of a step are numbered; further keys count in the bits above.
+/// Number of keys below which parts of a step are numbered directly. Other keys use the bits above.
 const KEYS: u64 = 8;
 /// Parts of a step are far fewer than 2 to this.
 const PART_BITS: u32 = 48;
 
 impl Site {
-    /// The name in settings, logs and tables.
+    /// Returns the name in settings, logs and tables.
     pub fn name(self) -> &'static str {
         self.about().name
     }
 
-    /// The site of a name.
+    /// Returns the site of a name.
     pub fn of_name(name: &str) -> Option<Site> {
         Site::ALL.into_iter().find(|site| site.name() == name)
     }
 
-    /// Which part of a step's random numbers is this site's own in the step's pass number `pass`.
+    /// Returns the part of a step's random numbers that is this site's own in the step's pass number `pass`.
     pub fn part(self, pass: u64) -> u64 {
         part(self.about().key, pass)
     }
 }
 
-/// Injective in both as long as `pass` is under 2^45.
+/// Injective in both if `pass` is below 2^45.
 fn part(key: u64, pass: u64) -> u64 {
     ((key / KEYS) << PART_BITS) + KEYS * pass + key % KEYS
 }
 
-/// One value a site.
+/// One value per site.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct PerSite<T>([T; Site::ALL.len()]);
 
 impl<T> PerSite<T> {
-    /// What `value` says of each site.
+    /// Creates the values with `value` of each site.
     pub fn from_fn(value: impl FnMut(Site) -> T) -> PerSite<T> {
         PerSite(Site::ALL.map(value))
     }
 
-    /// Each site with its value, in order.
+    /// Iterates over the sites with their values, in order.
     pub fn iter(&self) -> impl Iterator<Item = (Site, &T)> {
         Site::ALL.into_iter().zip(&self.0)
     }
 
-    /// Each site with its value, to be changed.
+    /// Iterates over the sites with their values, mutably.
     pub fn iter_mut(&mut self) -> impl Iterator<Item = (Site, &mut T)> {
         Site::ALL.into_iter().zip(&mut self.0)
     }

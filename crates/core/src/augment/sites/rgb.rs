@@ -1,4 +1,4 @@
-//! Added to the colour of a sample, `[rays, samples, 3]`.
+//! The delta of a sample's colour, `[rays, samples, 3]`.
 
 use crate::augment::geometry::PassGeometry;
 use crate::augment::set::{DeltaSet, Norm};
@@ -25,7 +25,7 @@ pub const SITE: SiteSpec = SiteSpec {
     set,
 };
 
-/// Before it is cut by what the pass's colours leave.
+/// Returns the set before the pass's colours cut it.
 fn set(numbers: &SiteNumbers, _: &SetChoices, pass: &PassGeometry) -> Result<DeltaSet> {
     let radius = pass.scalar(numbers.radius(|epsilon| epsilon))?.reshape((1, 1, 1))?;
     Ok(DeltaSet::new(numbers.norm, radius, &[pass.rays()?, pass.samples, 3]))

@@ -1,4 +1,4 @@
-//! Shift along the ray, `[rays, samples]`.
+//! A shift along the ray, `[rays, samples]`.
 
 use candle_core::{DType, Tensor};
 
@@ -31,12 +31,12 @@ pub const SITE: SiteSpec = SiteSpec {
     set,
 };
 
-/// At most epsilon of the gap to the nearer neighbour (the ends: to their one neighbour), within near..far; in the paper's
-/// geometry of the gap that its pass would have there, and at most half of this one. How many of the samples around are coarse
-/// ones is told by the mean of the two gaps, which random draws move less than the nearer one.
+/// Returns the set: at most epsilon of the gap to the nearer neighbour, within near..far. The ends have one neighbour.
+/// In the paper's geometry it is the gap that its pass would have there, and at most half of this pass's gap. The mean
+/// of the two gaps tells the fraction of coarse samples around. Random sampling moves it less than the nearer gap.
 ///
-/// The radius is two roundings short of its name: with epsilon 1/2 two neighbours may meet, and a
-/// gap that was rounded up would let them pass each other.
+/// The radius is two roundings below its nominal value. With epsilon 1/2 two neighbours may meet, and a gap that was
+/// rounded up would let them pass each other.
 fn set(numbers: &SiteNumbers, _: &SetChoices, pass: &PassGeometry) -> Result<DeltaSet> {
     let (t_vals, (near, far)) = (pass.t_vals, pass.bounds);
     let (rays, samples) = t_vals.dims2()?;
@@ -49,7 +49,7 @@ fn set(numbers: &SiteNumbers, _: &SetChoices, pass: &PassGeometry) -> Result<Del
     };
     let nearer = before.minimum(&after)?;
     let radius = match numbers.epsilon {
-        // The paper's gaps may be wider than these: beyond half of these order would be lost.
+        // The paper's gaps may be wider than these. More than half of these would lose the order.
         Epsilon::Units(epsilon) => match pass.density.uniform() {
             Some(density) => (nearer * ((epsilon / density).min(LARGEST) * short))?,
             None => {
@@ -63,7 +63,7 @@ fn set(numbers: &SiteNumbers, _: &SetChoices, pass: &PassGeometry) -> Result<Del
         Epsilon::Reach => (nearer * (LARGEST * short))?.broadcast_minimum(&pass.scalar(numbers.radius(|e| e))?)?,
     };
     let zero = t_vals.zeros_like()?;
-    // A sample outside near..far (rounding) must not be pushed by its own bound.
+    // Rounding can put a sample outside near..far. Its own bound must not push it.
     let lower = t_vals.affine(-1.0, near)?.minimum(&zero)?;
     let upper = t_vals.affine(-1.0, far)?.maximum(&zero)?;
     let mut set = DeltaSet::new(Norm::Linf, radius, &[rays, samples]);

@@ -1,4 +1,4 @@
-//! Tilt of a ray's viewing direction by two angles in its tangent plane, `[rays, 2]`.
+//! A tilt of a ray's viewing direction by two angles in its tangent plane, `[rays, 2]`.
 
 use crate::augment::geometry::PassGeometry;
 use crate::augment::set::{DeltaSet, Norm};
@@ -25,7 +25,7 @@ pub const SITE: SiteSpec = SiteSpec {
     set,
 };
 
-/// Each angle within epsilon / (2 f), radians.
+/// Returns the set: each angle within epsilon / (2 f), radians.
 fn set(numbers: &SiteNumbers, _: &SetChoices, pass: &PassGeometry) -> Result<DeltaSet> {
     let radius = pass.scalar(numbers.radius(|epsilon| epsilon / (2.0 * pass.pixel.focal)))?.reshape((1, 1))?;
     Ok(DeltaSet::new(numbers.norm, radius, &[pass.rays()?, 2]))

@@ -1,4 +1,4 @@
-//! Shift of a sample's point, `[rays, samples, 3]`; of a Gaussian its mean.
+//! A shift of a sample's point, or of a Gaussian's mean, `[rays, samples, 3]`.
 
 use crate::augment::epsilon::Epsilon;
 use crate::augment::geometry::{PassGeometry, PixelScale};
@@ -26,14 +26,15 @@ pub const SITE: SiteSpec = SiteSpec {
     set,
 };
 
-/// A ball or box per sample of epsilon pixels, where a pixel is at most (far - near) |d| / (2 (N - 1)).
+/// Returns the set: per sample a ball or box of epsilon pixels, where a pixel is at most (far - near) |d| / (2 (N -
+/// 1)).
 fn set(numbers: &SiteNumbers, choices: &SetChoices, pass: &PassGeometry) -> Result<DeltaSet> {
     let (near, far) = pass.bounds;
     let cap = (pass.direction_norm * ((far - near) / (2.0 * (pass.cap_samples as f64 - 1.0))))?;
     let pixel = pass.scalar(pixel(&pass.pixel, choices.xyz_radius))?;
     let radius = match choices.xyz_radius {
         Radius::Pixel => cap.broadcast_minimum(&pixel)?,
-        // The released code's cap knows no length of the direction.
+        // The released code's cap does not depend on the length of the direction.
         Radius::Released => cap.broadcast_div(pass.direction_norm)?.broadcast_minimum(&pixel)?,
     };
     let radius = match numbers.epsilon {
@@ -44,7 +45,8 @@ fn set(numbers: &SiteNumbers, choices: &SetChoices, pass: &PassGeometry) -> Resu
     Ok(DeltaSet::new(numbers.norm, radius, &[pass.rays()?, pass.samples, 3]))
 }
 
-/// One epsilon before the cap, scene units: 2/W in NDC, 1/f otherwise; the released code's 2 / max(H, W).
+/// Returns the length of one epsilon before the cap, in scene units: 2/W in NDC, 1/f otherwise. In the released code it
+/// is 2 / max(H, W).
 fn pixel(scale: &PixelScale, choice: Radius) -> f64 {
     match choice {
         Radius::Released => 2.0 / scale.width.max(scale.height),

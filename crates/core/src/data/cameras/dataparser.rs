@@ -7,7 +7,7 @@ use super::super::pose::{self, Pose};
 use super::super::{SMALLEST, WorldToScene, brief};
 use crate::base::Result;
 
-/// What nerfstudio did to a capture's poses, from the `dataparser_transforms.json` beside its checkpoints:
+/// nerfstudio's transform of a capture's poses, from the `dataparser_transforms.json` next to its checkpoints:
 /// `x_nerfstudio = scale * transform * x`, where `x` is in the units before the capture's `applied_transform`.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Dataparser {
@@ -16,16 +16,16 @@ pub struct Dataparser {
     applied: Pose,
 }
 
-/// What nerfstudio takes as `applied_transform` of a folder with COLMAP's model that states none (its
+/// The `applied_transform` that nerfstudio assumes for a folder with a COLMAP model that states none (its
 /// nerfstudio_dataparser.py).
 const OF_COLMAP: Pose = [[0.0, 1.0, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0], [0.0, 0.0, -1.0, 0.0]];
 const IDENTITY: Pose = [[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0]];
 
 impl Dataparser {
-    /// Reads the file; `transforms` is the capture's `transforms.json`, which may state an `applied_transform`.
+    /// Reads the file. `transforms` is the capture's `transforms.json`, which may state an `applied_transform`.
     ///
     /// # Errors
-    /// A file that is not such a one; a capture with an `applied_scale`.
+    /// If the file is of another kind, or the capture has an `applied_scale`.
     pub fn read(file: &Path, transforms: &Path) -> Result<Dataparser> {
         let value = json::read(file)?;
         let document = Object::document(file, &value)?;
@@ -45,9 +45,8 @@ impl Dataparser {
             let value = json::read(transforms)?;
             let capture = Object::document(transforms, &value)?;
             if capture.number("applied_scale")?.is_some_and(|scale| scale != 1.0) {
-                return Err(
-                    capture.error("\"applied_scale\" is not 1, and nerfstudio's units cannot be led back through one")
-                );
+                return Err(capture
+                    .error("\"applied_scale\" is not 1, which is not supported for cameras in nerfstudio's units"));
             }
             if capture.get("applied_transform").is_some() {
                 applied = capture.pose_at("applied_transform")?;
@@ -59,7 +58,7 @@ impl Dataparser {
         Ok(Dataparser { to_nerfstudio: WorldToScene { scale, rotation_and_origin }, applied })
     }
 
-    /// A camera of nerfstudio in the capture's units.
+    /// Maps a camera of nerfstudio to the capture's units.
     pub fn to_capture(&self, camera: &Pose) -> Pose {
         let before = super::write::to_capture(&self.to_nerfstudio, camera);
         pose::compose(&self.applied, &before)

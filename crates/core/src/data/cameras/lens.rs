@@ -1,19 +1,19 @@
-//! What a file of cameras says of their lenses and pictures.
+//! Lenses and image sizes in a file of cameras.
 
 use super::super::formats::transforms::check_model;
 use super::super::json::Object;
 use super::super::{Camera, SMALLEST, brief};
 use crate::base::Result;
 
-/// Most pixels along a side of a picture that is rendered.
+/// Largest side of a rendered image in pixels.
 pub const MOST_PIXELS: usize = 16_384;
 
-/// The value of the first object that has the key.
+/// Returns the value of the first object that has the key.
 fn first(objects: [Object; 2], key: &str) -> Result<Option<f64>> {
     Ok(objects[0].number(key)?.or(objects[1].number(key)?))
 }
 
-/// The first's that is positive.
+/// Returns the first value, which must be positive.
 fn positive(objects: [Object; 2], key: &str) -> Result<Option<f64>> {
     match first(objects, key)? {
         Some(value) if value < SMALLEST => {
@@ -24,7 +24,7 @@ fn positive(objects: [Object; 2], key: &str) -> Result<Option<f64>> {
     }
 }
 
-/// Pixels along a side, as these keys have them.
+/// Returns the pixels along a side from these keys.
 fn side(objects: [Object; 2], key: &str) -> Result<Option<usize>> {
     match first(objects, key)? {
         Some(value) if value.fract() != 0.0 || !(1.0..=MOST_PIXELS as f64).contains(&value) => {
@@ -35,7 +35,7 @@ fn side(objects: [Object; 2], key: &str) -> Result<Option<usize>> {
     }
 }
 
-/// The lens of a frame of a `transforms.json`, at the size that the file states.
+/// Returns the lens of a frame of a `transforms.json`, at the size that the file states.
 pub fn of_transforms(frame: Object, document: Object, like: &Camera) -> Result<Camera> {
     check_model(frame, document)?;
     let keys = [frame, document];
@@ -63,8 +63,8 @@ pub fn of_transforms(frame: Object, document: Object, like: &Camera) -> Result<C
     Ok(Camera { width, height, focal, centre, pose: like.pose })
 }
 
-/// The lens of a camera of a `camera_path.json`: its vertical field of view in degrees at the size that is asked for. What
-/// this program wrote beside that counts first.
+/// Returns the lens of a camera of a `camera_path.json`: its vertical field of view in degrees at the requested size.
+/// Additional keys by this program override it.
 pub fn of_camera_path(object: Object, document: Object, like: &Camera) -> Result<Camera> {
     let of_document = |key| side([document, document], key);
     let own = |key| side([object, object], key);

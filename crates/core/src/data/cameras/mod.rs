@@ -1,12 +1,11 @@
-//! Files of cameras that are rendered: a nerfstudio `camera_path.json`, a `transforms.json`, or poses as `.npy`.
+//! Files of cameras to render: a nerfstudio `camera_path.json`, a `transforms.json`, or poses as `.npy`.
 //!
-//! A file's poses are camera-to-world matrices in the capture's own units and axes, those of the files that the scene was
-//! read from, with columns right, up, back (OpenGL). One transform leads from there to the scene that was trained, the
-//! scene's [`WorldToScene`]: `x_scene = scale * R x_file + t` for places, `R` alone for directions. The same, inverted, is
-//! written. Paths that nerfstudio's viewer saved are in its own units; its `dataparser_transforms.json` leads from there to
-//! the capture's ([`Dataparser`]).
+//! A file's poses are camera-to-world matrices in the units and axes of the capture's files, with columns right, up,
+//! back (OpenGL). The scene's [`WorldToScene`] maps them to the scene: `x_scene = scale * R x_file + t` for points, `R`
+//! only for directions. The inverse is used for writing. Paths from nerfstudio's viewer are in its own units; its
+//! `dataparser_transforms.json` maps them to the capture's ([`Dataparser`]).
 //!
-//! What a file says of the lens counts: a field of view, or focal lengths and principal point. Lens distortion does not.
+//! A field of view, or focal lengths and principal point, are read from the file. Lens distortion is not.
 
 mod dataparser;
 mod lens;
@@ -25,9 +24,9 @@ pub use dataparser::Dataparser;
 pub use lens::MOST_PIXELS;
 pub use write::write;
 
-/// Most cameras of a file: an hour at 25 a second.
+/// Largest number of cameras in a file: an hour at 25 per second.
 const MOST_CAMERAS: usize = 90_000;
-/// The ending of NumPy's files, and that of the others.
+/// The extensions of NumPy's files, and of the others.
 const ENDINGS: [&str; 2] = ["npy", "json"];
 
 /// The cameras of a file, in scene units.
@@ -35,15 +34,15 @@ const ENDINGS: [&str; 2] = ["npy", "json"];
 pub struct CameraFile {
     /// Its cameras, in their order.
     pub cameras: Vec<Camera>,
-    /// Frames a second, where it says so.
+    /// Frames per second, if the file states them.
     pub fps: Option<f64>,
 }
 
-/// Reads a file of cameras for a scene. `like` is one of the scene's own: what the file leaves open is that camera's, and
-/// pictures of a `transforms.json` or `.npy`, which do not ask for a size, have its height.
+/// Reads a file of cameras for a scene. `like` is one of the scene's own cameras, and fills what the file leaves open.
+/// Images of a `transforms.json` or `.npy`, which state no size, have its height.
 ///
 /// # Errors
-/// A file that is none of the three, or whose poses or lenses are no cameras.
+/// If the file is none of the three, or its poses or lenses are invalid.
 pub fn read(file: &Path, like: &Camera, world: &WorldToScene, dataparser: Option<&Dataparser>) -> Result<CameraFile> {
     let mut read = match ending(file)? {
         "npy" => CameraFile { cameras: read_npy(file, like)?, fps: None },
@@ -66,7 +65,7 @@ pub fn read(file: &Path, like: &Camera, world: &WorldToScene, dataparser: Option
     }
 }
 
-/// Refuses more cameras than are rendered, in files that are read and in those that are written.
+/// Returns an error for more cameras than the limit, for reading and for writing.
 fn check_count(file: &Path, cameras: usize) -> Result<()> {
     if cameras <= MOST_CAMERAS {
         return Ok(());
@@ -74,7 +73,7 @@ fn check_count(file: &Path, cameras: usize) -> Result<()> {
     Err(Error::Data(format!("{}: it has {cameras} cameras, but at most {MOST_CAMERAS} are rendered", file.display())))
 }
 
-/// One of [`ENDINGS`].
+/// Returns one of [`ENDINGS`].
 fn ending(file: &Path) -> Result<&'static str> {
     let found = file.extension().map(|ending| ending.to_string_lossy().to_lowercase()).unwrap_or_default();
     ENDINGS.into_iter().find(|known| *known == found).ok_or_else(|| {
@@ -86,7 +85,7 @@ fn ending(file: &Path) -> Result<&'static str> {
     })
 }
 
-/// Poses alone, `[N, 3, 4]` or `[N, 4, 4]`, or one of them.
+/// Reads poses, `[N, 3, 4]` or `[N, 4, 4]`, or one of them.
 fn read_npy(file: &Path, like: &Camera) -> Result<Vec<Camera>> {
     let array = npy::read_array(file)?;
     let rows = match array.shape[..] {
@@ -159,7 +158,7 @@ fn read_camera_path(document: Object, like: &Camera) -> Result<CameraFile> {
     Ok(CameraFile { cameras, fps })
 }
 
-/// `camera_to_world`: 16 numbers, row by row, also as four rows.
+/// Reads `camera_to_world`: 16 numbers, row by row, also as four rows.
 fn camera_to_world(object: Object) -> Result<Pose> {
     const KEY: &str = "camera_to_world";
     let value = object.required(KEY)?;

@@ -1,4 +1,4 @@
-//! Cameras as files.
+//! Writing of cameras.
 
 use std::path::Path;
 
@@ -9,14 +9,14 @@ use super::super::{Camera, WorldToScene, npy};
 use crate::base::Result;
 use crate::base::files::{write_atomic, write_json};
 
-/// How far from what a field of view says a lens may be before it is written out, pixels.
+/// Distance in pixels from the lens of a field of view above which a lens is written out.
 const ROUNDING: f64 = 1e-9;
 
 /// Writes cameras of a scene in the units of its capture: as nerfstudio's `camera_path.json`, or as `.npy`, float64
-/// `[N, 3, 4]`, which keeps poses alone. [`read`](super::read) gives the same cameras back.
+/// `[N, 3, 4]`, which keeps only poses. [`read`](super::read) restores the same cameras.
 ///
 /// # Errors
-/// A name of another ending, more cameras than are read, or a file that cannot be written.
+/// If the name has another extension, there are too many cameras, or the file cannot be written.
 pub fn write(file: &Path, cameras: &[Camera], world: &WorldToScene, fps: f64) -> Result<()> {
     super::check_count(file, cameras.len())?;
     let poses: Vec<Pose> = cameras.iter().map(|camera| to_capture(world, &camera.pose)).collect();
@@ -46,7 +46,7 @@ pub fn write(file: &Path, cameras: &[Camera], world: &WorldToScene, fps: f64) ->
     write_json(file, &path)
 }
 
-/// What the field of view and the size of all do not say of a camera.
+/// Returns what field of view and common size do not state about a camera.
 fn unsaid(camera: &Camera, size: (usize, usize)) -> Vec<(&'static str, Value)> {
     let mut said = Vec::new();
     if (camera.width, camera.height) != size {
@@ -62,7 +62,7 @@ fn unsaid(camera: &Camera, size: (usize, usize)) -> Vec<(&'static str, Value)> {
     said
 }
 
-/// A camera of the scene in the capture's units.
+/// Maps a camera of the scene to the capture's units.
 pub(super) fn to_capture(world: &WorldToScene, camera: &Pose) -> Pose {
     let [right, up, back] = [0, 1, 2].map(|axis| world.direction_to_capture(pose::column(camera, axis)));
     pose::from_columns([right, up, back, world.to_capture(pose::column(camera, 3))])

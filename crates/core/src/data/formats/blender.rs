@@ -1,5 +1,5 @@
-//! Blender scenes (NeRF's synthetic ones): `transforms_{train,val,test}.json` with RGBA images, and the depth maps of
-//! evaluation views where there are any.
+//! Blender scenes (NeRF's synthetic ones): `transforms_{train,val,test}.json` with RGBA images, and depth maps of
+//! evaluation views if there are any.
 
 use std::f64::consts::PI;
 use std::path::Path;
@@ -16,13 +16,13 @@ use crate::settings::{DataConfig, DataKind, EvalSplit};
 
 /// Start and end of a ray, as for all of NeRF's synthetic scenes.
 const BOUNDS: [f64; 2] = [2.0, 6.0];
-/// Poses of the video path.
+/// Number of poses on the video path.
 const ORBIT_POSES: usize = 40;
-/// Its elevation in degrees and its radius, as nerf-pytorch's.
+/// Elevation in degrees and radius of the video path, as in nerf-pytorch.
 const ORBIT: (f64, f64) = (-30.0, 4.0);
-/// Objects that are photographed fill about this share of what the cameras look at.
+/// Photographed objects fill about this fraction of what the cameras look at.
 const OF_SUBJECT: f64 = 0.5;
-/// Cameras and what they look at lie on its sphere and in its centre but for this share of the radius.
+/// Cameras are on the path's sphere, and look at its centre, within this fraction of the radius.
 const OFF_SPHERE: f64 = 0.15;
 
 /// Reads a Blender scene. The evaluation views are those of `config.eval_split`.
@@ -67,8 +67,8 @@ pub fn load(config: &DataConfig, events: &dyn Listener) -> Result<Scene> {
     })
 }
 
-/// Says where rays end before what the cameras look at, or begin behind it: photographs of a capture with a file for each split
-/// are taken for such a scene.
+/// Notes if rays end before what the cameras look at, or begin behind it. A capture of photos with a file per split may
+/// be read as such a scene.
 fn check_bounds(config: &DataConfig, cameras: &[Camera], events: &dyn Listener) {
     let Some(subject) = Rig::of(cameras).subject else { return };
     let (near, far) = (config.near.unwrap_or(BOUNDS[0]), config.far.unwrap_or(BOUNDS[1]));
@@ -85,19 +85,20 @@ fn check_bounds(config: &DataConfig, cameras: &[Camera], events: &dyn Listener) 
     )));
 }
 
-/// Rounded so as nerf-pytorch does.
+/// Rounded as in nerf-pytorch.
 fn in_turn(value: f64, to: f64, from: f64) -> f64 {
     value * to / from
 }
 
-/// nerf-pytorch's video path: a full turn of 40 poses, 30 degrees up at distance 4, z is up.
+/// Returns nerf-pytorch's video path: a full turn of 40 poses, 30 degrees up at distance 4, z is up.
 pub fn orbit() -> Vec<Pose> {
     let (elevation, radius) = ORBIT;
     let at = |i: usize| sphere_pose(-180.0 + 360.0 * i as f64 / ORBIT_POSES as f64, elevation, radius);
     (0..ORBIT_POSES).map(at).collect()
 }
 
-/// nerf-pytorch's path where the cameras stand on its sphere, as those of NeRF's synthetic scenes do; elsewhere one for them.
+/// Returns nerf-pytorch's path if the cameras are on its sphere, as in NeRF's synthetic scenes, and a path of their own
+/// otherwise.
 fn path_for(poses: &[Pose]) -> Vec<Pose> {
     let radius = ORBIT.1;
     let on_sphere = |p: &Pose| (pose::length(pose::column(p, 3)) / radius - 1.0).abs() < OFF_SPHERE;
@@ -105,11 +106,12 @@ fn path_for(poses: &[Pose]) -> Vec<Pose> {
     if at_origin && poses.iter().all(on_sphere) { orbit() } else { path::around(poses) }
 }
 
-/// The pose at `azimuth` and `elevation` (degrees; negative is above) that looks at the origin from `radius`.
+/// Returns the pose at `azimuth` and `elevation` (degrees; negative is above) that looks at the origin from `radius`.
 pub fn sphere_pose(azimuth: f64, elevation: f64, radius: f64) -> Pose {
     let (sin_a, cos_a) = (azimuth / 180.0 * PI).sin_cos();
     let (sin_e, cos_e) = (elevation / 180.0 * PI).sin_cos();
-    // A camera at (0, 0, radius), turned about x by the elevation and about y by the azimuth, then
+    // A camera at (0, 0, radius), rotated about x by the elevation and about y by the azimuth. It is then converted
+    // from y-up to z-up with x mirrored: (x, y, z) -> (-x, z, y).
     // brought from y-up to z-up with x mirrored: (x, y, z) -> (-x, z, y).
     let back = [-sin_a * cos_e, -sin_e, cos_a * cos_e];
     let up = [-sin_a * sin_e, cos_e, cos_a * sin_e];
@@ -119,7 +121,7 @@ pub fn sphere_pose(azimuth: f64, elevation: f64, radius: f64) -> Pose {
     [turned(0).map(|v| -v), turned(2), turned(1)]
 }
 
-/// The frames of one `transforms_*.json`, at least one.
+/// Reads the frames of one `transforms_*.json`, at least one.
 fn read_split(config: &DataConfig, name: &str, events: &dyn Listener) -> Result<Vec<Listed>> {
     let dir = Path::new(&config.dir);
     let file = dir.join(transforms_file(name));
@@ -130,7 +132,7 @@ fn read_split(config: &DataConfig, name: &str, events: &dyn Listener) -> Result<
     frames::read(Object::document(&file, &value)?, events)
 }
 
-/// Fills in the depth of the views whose images have a depth map beside them; it is none where a mask is.
+/// Fills in the depth of views with a depth map next to their image. A masked view has none.
 fn read_depths(views: &mut [View], frames: &[Frame]) -> Result<()> {
     views.par_iter_mut().zip(frames).filter(|(_, frame)| frame.is_flat()).try_for_each(|(view, frame)| {
         if let Some(map) = depth::file_of(&frame.path) {
@@ -147,7 +149,12 @@ fn missing(dir: &Path, file: &Path, split: &str) -> Error {
     let other = match split {
         "test" => "val",
         "val" => "test",
-        _ => return Error::Data(format!("{} is missing: a Blender scene's training poses are in it", file.display())),
+        _ => {
+            return Error::Data(format!(
+                "{} is missing: it must hold the training poses of a Blender scene",
+                file.display()
+            ));
+        }
     };
     let advice = if dir.join(transforms_file(other)).exists() {
         format!("{} is there: set data.eval_split={other}", transforms_file(other))

@@ -5,7 +5,7 @@ use crate::data::views::split;
 use crate::data::{Camera, Ndc, Scene, SceneSpace, View};
 use crate::settings::DataConfig;
 
-/// Posed photographs in their order, before any is held out.
+/// Posed photos in their order, before any is held out.
 pub struct Capture {
     /// The views at the working resolution, poses final.
     pub views: Vec<View>,
@@ -13,18 +13,18 @@ pub struct Capture {
     pub path: Vec<Camera>,
     /// Start of a ray's interval, in the units of `t_vals` (0 under NDC).
     pub near: f64,
-    /// Its end (1 under NDC).
+    /// End of a ray's interval (1 under NDC).
     pub far: f64,
-    /// Set when rays are mapped to normalised device coordinates.
+    /// Set if rays are mapped to normalized device coordinates.
     pub ndc: Option<Ndc>,
-    /// What see-through pixels were put on; none for opaque photographs.
+    /// The colour behind transparent pixels; `None` for opaque photos.
     pub background: Option<[f32; 3]>,
-    /// Where it lies: units, box, points.
+    /// The scene's space: units, box, points.
     pub space: SceneSpace,
 }
 
 impl Capture {
-    /// Views without reference depth from names, cameras and images of one order.
+    /// Creates views without reference depth from names, cameras and images in one order.
     pub fn views(names: Vec<String>, cameras: Vec<Camera>, images: Vec<Image>) -> Vec<View> {
         let view = |((name, camera), image): ((String, Camera), Image)| View {
             name,
@@ -36,16 +36,16 @@ impl Capture {
         names.into_iter().zip(cameras).zip(images).map(view).collect()
     }
 
-    /// The scene: every `config.holdout`-th view is held out, starting with that of `config.holdout_offset`, the middle one
-    /// of every `config.validation` others is kept for choices, and of those that are evaluated every `config.test_skip`-th
-    /// stays. `kind` is the format's name in files and tables.
+    /// Returns the scene. Every `config.holdout`-th view is held out, starting with that of `config.holdout_offset`.
+    /// The middle one of every `config.validation` others becomes a validation view. Of the evaluated views every
+    /// `config.test_skip`-th is kept. `kind` is the format's name in files and tables.
     pub fn hold_out(self, name: String, kind: &'static str, config: &DataConfig) -> Scene {
         let there = vec![true; self.views.len()];
         self.hold_out_listed(name, kind, config, &there)
     }
 
-    /// The same of a list of photographs, `there` of which have a view: what each is for hangs on the whole list, so that one that
-    /// is gone makes no other change sides.
+    /// The same for a list of photos, `there` of which have a view. The roles depend on the complete list, so that a
+    /// missing photo does not change the role of others.
     pub(super) fn hold_out_listed(
         mut self,
         name: String,
@@ -57,8 +57,8 @@ impl Capture {
         self.into_scene(name, kind, train.into_iter().flatten().collect(), test.into_iter().flatten().collect())
     }
 
-    /// The scene whose split is given: views at the places of `train`, and every `config.test_skip`-th of those at the places of
-    /// `test`, in a list as above.
+    /// Returns the scene with a given split: views at the indices of `train`, and every `config.test_skip`-th of those
+    /// at the indices of `test`, in a list as above.
     pub(super) fn split_as(
         mut self,
         name: String,
@@ -76,7 +76,7 @@ impl Capture {
         self.into_scene(name, kind, train, test)
     }
 
-    /// The views in their places of a list.
+    /// Returns the views at their indices of a list.
     fn places(&mut self, there: &[bool]) -> Vec<Option<View>> {
         let mut views = std::mem::take(&mut self.views).into_iter();
         there.iter().map(|there| there.then(|| views.next().expect("a view for each that is there"))).collect()

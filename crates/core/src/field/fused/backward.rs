@@ -1,4 +1,4 @@
-//! Backward on tiles of points, with exactly the gradients that are asked for.
+//! The backward pass on tiles of points, with only the requested gradients.
 
 use crate::field::encoding::gradient_into;
 use crate::runtime::count_points;
@@ -10,29 +10,29 @@ use super::kernels::{add_rows, bias_gradient, head_gradient, weight_gradient};
 use super::layout::{Layer, Network, TILE};
 use super::pool::Buffer;
 
-/// Gradients of a backward pass; what was not wanted is empty.
+/// Gradients of a backward pass. Those that were not requested are empty.
 pub struct InputGradients {
     pub points: Vec<f32>,
     pub viewdirs: Vec<f32>,
     pub delta: Vec<f32>,
 }
 
-/// One way back through a network.
+/// One backward pass through a network.
 struct Backward<'a> {
     network: &'a Network,
     kept: &'a Kept,
     wanted: Outputs,
     rays: usize,
-    /// Points of a ray.
+    /// Points per ray.
     samples: usize,
     /// Trunk layer (1-based) of the delta; 0 without one.
     delta_layer: usize,
-    /// The lowest trunk layer (from 0) whose input, or weights, want a gradient.
+    /// The lowest trunk layer (from 0) whose input or weights need a gradient.
     lowest: usize,
 }
 
-/// Room for a layer's gradients at a tile's rows: as products read them and, where that differs, as gradients of weights
-/// do.
+/// Space for a layer's gradients at a tile's rows: in the layout of products and, if it differs, in that of weight
+/// gradients.
 struct LayerGradients {
     lhs: Slab,
     rhs: Slab,
@@ -48,38 +48,38 @@ impl LayerGradients {
         if self.rhs.is_empty() { self.lhs.rows(0) } else { self.rhs.rows(0) }
     }
 
-    /// Puts rows here.
+    /// Stores rows here.
     fn take(&mut self, from: Rows, rows: usize, columns: usize, finish: Finish) {
         let (across, panels) = targets(&mut self.lhs, &mut self.rhs, 0);
         from.finish(rows, columns, Finish { across, panels, ..finish });
     }
 }
 
-/// Room for the gradients of a tile's rows.
+/// Space for the gradients of a tile's rows.
 struct Rooms {
     scratch: Scratch,
     /// Of a layer's output, and of its input.
     trunk: [LayerGradients; 2],
     views: [LayerGradients; 2],
     encoded: Buffer<f32>,
-    /// The encoding as gradients of weights read it.
+    /// The encoding in the layout of weight gradients.
     encoding: Slab,
     delta: Buffer<f32>,
 }
 
-/// What the rows' gradients are added to.
+/// The sums of the rows' gradients.
 struct Sums<'a> {
     out: InputGradients,
-    /// Of what a ray's direction adds to its points, `[rays, view neurons]`; empty where nothing wants it.
+    /// Of what a ray's direction adds to its points, `[rays, view neurons]`. Empty if it is not needed.
     of_rays: Vec<f32>,
     /// Of the weights, flat in the order of parameters.
     weights: &'a mut [f32],
 }
 
 impl Network {
-    /// Propagates `gradient`, laid out as the raw output, back to what was wanted. Gradients of weights are added to
-    /// `weights`, flat in the order of parameters. Points whose gradient is 0, as all of empty space has it behind a
-    /// ReLU density, take no part: they would add 0.
+    /// Propagates `gradient`, in the layout of the raw output, back to what was requested. Weight gradients are added
+    /// to `weights`, flat in the order of parameters. Points whose gradient is 0 are skipped, because they would add 0.
+    /// Behind a ReLU density these include all empty space.
     pub fn backward(
         &self,
         inputs: Inputs,
@@ -140,19 +140,19 @@ impl Backward<'_> {
         sums.out
     }
 
-    /// Something wants the gradient of what each ray's direction adds.
+    /// Returns whether the gradient of what each ray's direction adds is needed.
     fn by_rays(&self) -> bool {
         self.rays > 0 && (self.wanted.weights || self.wanted.viewdirs)
     }
 
-    /// Something wants a gradient below the heads.
+    /// Returns whether a gradient below the heads is needed.
     fn reaches_trunk(&self) -> bool {
         let depth = self.network.depth();
         self.lowest < depth || self.delta_layer == depth && self.wanted.delta
     }
 
-    /// Through colour, the layers above the trunk and density to the trunk's output, whose gradient is left in the first
-    /// room.
+    /// Runs through colour, the layers above the trunk, and density to the trunk's output. Its gradient is left in the
+    /// first space.
     fn heads(&self, rows: &[usize], (g_colour, g_density): (&[f32], &[f32]), rooms: &mut Rooms, sums: &mut Sums) {
         let (network, kept) = (self.network, self.kept);
         let Rooms { scratch, trunk: [output, _], views, delta, .. } = rooms;
@@ -176,7 +176,7 @@ impl Backward<'_> {
         }
     }
 
-    /// Through colour and the layers above the trunk, down to the first of them.
+    /// Runs through colour and the layers above the trunk, down to the first of them.
     fn views<'a>(
         &self,
         rows: &[usize],
@@ -211,7 +211,7 @@ impl Backward<'_> {
                 };
                 let sum = &mut sums.weights[layer.linear.weight_offset..];
                 weight_gradient(here.for_weights(), inputs, rows.len(), sum, layer.linear.inputs);
-                // The first layer's comes by rays.
+                // The first layer's bias comes by rays.
                 if i > 0 {
                     bias_gradient(here.for_weights(), rows.len(), layer.linear.bias_of(sums.weights));
                 }
@@ -221,7 +221,7 @@ impl Backward<'_> {
         above
     }
 
-    /// Gradients of trunk layer `l`'s output: those that a delta there wants, and, masked, those that go further down.
+    /// Handles the gradients of trunk layer `l`'s output: for a delta there, and, masked, for the layers below.
     fn arrive(
         &self,
         l: usize,
@@ -245,7 +245,7 @@ impl Backward<'_> {
         }
     }
 
-    /// Down the trunk; the gradient of the encoding is left in its room.
+    /// Runs down the trunk. The gradient of the encoding is left in its space.
     fn trunk(&self, rows: &[usize], rooms: &mut Rooms, sums: &mut Sums) {
         let (network, kept, wanted) = (self.network, self.kept, self.wanted);
         let (position, count) = (network.position_channels(), rows.len());
@@ -283,7 +283,7 @@ impl Backward<'_> {
         }
     }
 
-    /// From the encoding to the points.
+    /// Runs from the encoding to the points.
     fn points(&self, rows: &[usize], rooms: &mut Rooms, out: &mut InputGradients) {
         let (code, position) = (self.network.code(), self.network.position_channels());
         let encoded = rooms.scratch.encoded.rows(&self.kept.encoded, position, rows);
@@ -292,7 +292,7 @@ impl Backward<'_> {
         scatter(&d_points, code.inputs(), rows, &mut out.points);
     }
 
-    /// From what each ray's direction adds to the view layer's weights and to the directions.
+    /// Runs from what each ray's direction adds to the view layer's weights and to the directions.
     fn directions(&self, sums: &mut Sums) {
         let (network, kept, wanted) = (self.network, self.kept, self.wanted);
         let (width, direction) = (network.width(), network.view_channels());
@@ -310,12 +310,12 @@ impl Backward<'_> {
     }
 }
 
-/// A layer's gradients as the left side of a product with its weights, for the layer below.
+/// Returns a layer's gradients as the left side of a product with its weights, for the layer below.
 fn back<'a>(gradients: &'a LayerGradients, layer: &'a Layer) -> Option<Source<'a>> {
     layer.to_below.as_ref().map(|weights| Source { lhs: Lhs::Panels(gradients.lhs.rows(0)), weights })
 }
 
-/// Room for rows that are brought together.
+/// Space for gathered rows.
 #[derive(Default)]
 struct Scratch {
     colour: Room,
@@ -330,7 +330,7 @@ struct Scratch {
 struct Room(Vec<f32>);
 
 impl Room {
-    /// The rows of `values`, brought together unless they are neighbours.
+    /// Returns the given rows of `values`, gathered unless they are consecutive.
     fn rows<'a>(&'a mut self, values: &'a [f32], columns: usize, rows: &[usize]) -> &'a [f32] {
         let (first, last) = (rows[0], rows[rows.len() - 1]);
         if last - first + 1 == rows.len() {
@@ -342,7 +342,7 @@ impl Room {
     }
 }
 
-/// Writes rows to where they came from.
+/// Writes gathered rows back to their rows of `out`.
 pub(super) fn scatter(values: &[f32], columns: usize, rows: &[usize], out: &mut [f32]) {
     for (value, &row) in values.chunks_exact(columns).zip(rows) {
         out[row * columns..][..columns].copy_from_slice(value);

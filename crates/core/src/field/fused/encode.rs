@@ -5,16 +5,16 @@ use std::f64::consts::FRAC_2_PI;
 use crate::base::simd::vectorized;
 use crate::field::encoding::{Code, encode_into, encoded_channels, integrated_into};
 
-/// Points worked on at once.
+/// Points per iteration.
 const POINTS: usize = 8;
-/// Their numbers: three vectors of AVX-512, none of which waits for another.
+/// Their numbers: three independent vectors of AVX-512.
 const LANES: usize = 3 * POINTS;
-/// Room for this many.
+/// Largest number of octaves.
 const MOST_OCTAVES: usize = 20;
-/// Beyond it the reduction below loses digits.
+/// Beyond it the range reduction below loses digits.
 const LARGEST: f32 = 1e5;
 
-/// A tile's positions in a field's encoding.
+/// Encodes a tile's positions with a field's encoding.
 pub fn encode_positions(code: Code, x: &[f32], out: &mut [f32]) {
     match code {
         Code::Positional(octaves) => encode_tile(x, octaves, out),
@@ -23,7 +23,7 @@ pub fn encode_positions(code: Code, x: &[f32], out: &mut [f32]) {
     }
 }
 
-/// `[n, 3]` -> `[n, 3 + 6 octaves]`, as [`crate::field::encode`].
+/// Encodes `[n, 3]` -> `[n, 3 + 6 octaves]`, as [`crate::field::encode`].
 pub fn encode_tile(x: &[f32], octaves: usize, out: &mut [f32]) {
     if octaves == 0 || octaves > MOST_OCTAVES || x.iter().any(|value| value.abs() > LARGEST) {
         return encode_into(x, octaves, out);
@@ -65,11 +65,11 @@ pub fn encode_tile(x: &[f32], octaves: usize, out: &mut [f32]) {
     );
 }
 
-/// Sine and cosine without branches, for magnitudes up to [`LARGEST`]: reduction to a quarter turn in two
-/// parts of pi / 2, and the polynomials of fdlibm (`k_sin.c`, `k_cos.c`).
+/// Returns sine and cosine without branches, for magnitudes up to [`LARGEST`]. It reduces to a quarter turn in two
+/// parts of pi / 2, and uses the polynomials of fdlibm (`k_sin.c`, `k_cos.c`).
 #[inline(always)]
 fn sin_cos(x: f64) -> (f64, f64) {
-    // Adding 1.5 * 2^52 rounds to the next integer, which the sum's low bits then hold.
+    // Adding 1.5 * 2^52 rounds to the next integer, which is then in the sum's low bits.
     const ROUND: f64 = 6_755_399_441_055_744.0;
     const HALF_PI: [f64; 2] = [1.570_796_326_734_125_6, 6.077_100_506_506_192e-11];
     const SIN: [f64; 6] = [

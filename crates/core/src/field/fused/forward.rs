@@ -1,4 +1,4 @@
-//! Forward on tiles of points, with what the backward pass needs kept.
+//! The forward pass on tiles of points, which keeps what the backward pass needs.
 
 use super::encode::{encode_positions, encode_tile};
 use super::kernels::head_forward;
@@ -7,27 +7,27 @@ use super::kernels::product::{Bias, Finish, Lhs, Rows, Source};
 use super::layout::{Network, TILE, Tile, tiles};
 use super::pool::Buffer;
 
-/// What a forward pass is queried with.
+/// The inputs of a forward pass.
 #[derive(Clone, Copy)]
 pub struct Inputs<'a> {
     /// `[n, 3]`, or Gaussians `[n, 6]`.
     pub points: &'a [f32],
-    /// `[rays, 3]`, unit; every ray has the same number of points. Empty: density alone is queried.
+    /// `[rays, 3]`, unit. Every ray has the same number of points. Empty: only density is computed.
     pub viewdirs: &'a [f32],
-    /// Trunk layer (1-based) and what is added to its output, `[n, width]`.
+    /// Trunk layer (1-based), and the delta of its output, `[n, width]`.
     pub delta: Option<(usize, &'a [f32])>,
     /// The trunk up to the delta's layer, from an earlier pass with the same points.
     pub prefix: Option<&'a Prefix>,
 }
 
-/// The trunk's lower part at some points: the same for every delta above it.
+/// The trunk's lower part at some points, the same for every delta above it.
 pub struct Prefix {
     encoded: Buffer<f32>,
-    /// Output of the layer that the delta is added to, or of the last one; without the delta.
+    /// Output of the delta's layer, or of the last one, without the delta.
     hidden: Slab,
 }
 
-/// What a backward pass will be asked for.
+/// The gradients that a backward pass will be asked for.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Outputs {
     pub weights: bool,
@@ -42,30 +42,30 @@ impl Outputs {
     }
 }
 
-/// What is kept of a forward pass; what the wanted gradients do not need is empty.
+/// What a forward pass keeps for the backward pass. What the requested gradients do not need is empty.
 #[derive(Default)]
 pub struct Kept {
     pub(super) encoded: Buffer<f32>,
     pub(super) encoded_views: Buffer<f32>,
-    /// Each trunk layer's output, delta included.
+    /// Each trunk layer's output, including the delta.
     pub(super) hidden: Vec<Slab>,
     /// Where each trunk layer's output was positive.
     pub(super) masks: Vec<Masks>,
-    /// The same of the layers above the trunk.
+    /// The same for the layers above the trunk.
     pub(super) views: Vec<Slab>,
     pub(super) view_masks: Vec<Masks>,
 }
 
-/// Room for a tile's layers, as products read them; they take turns.
+/// Space for a tile's layers in the layout of products. The layers alternate.
 struct Rooms {
     encoded: Buffer<f32>,
     trunk: [Slab; 2],
     views: [Slab; 2],
-    /// The delta, where it is bf16: its product is one of its own, since it would drown in what it is added to.
+    /// The delta, if it is bf16. It has a product of its own, since rounding would lose it in the sum.
     delta: Slab,
 }
 
-/// What a layer reads of the one below: its output and, where it is bf16, the delta.
+/// The input of a layer from the one below: its output and, if it is bf16, the delta.
 struct LayerInput<'a>([Panels<'a>; 2], usize);
 
 impl<'a> LayerInput<'a> {
@@ -74,7 +74,7 @@ impl<'a> LayerInput<'a> {
     }
 }
 
-/// Where a layer's output goes: as the left side of bf16, and as f32 or what gradients of weights read.
+/// Returns the targets of a layer's output: as the left side of bf16, and as f32 or in the layout of weight gradients.
 pub(super) fn targets<'a>(
     room: &'a mut Slab,
     kept: &'a mut Slab,
@@ -88,7 +88,7 @@ pub(super) fn targets<'a>(
     }
 }
 
-/// The layer's output as products read it.
+/// Returns the layer's output in the layout of products.
 fn lhs_of<'a>(room: &'a Slab, kept: &'a Slab, start: usize) -> Panels<'a> {
     if room.form() == Form::Across || kept.is_empty() { room.rows(0) } else { kept.rows(start) }
 }
@@ -105,7 +105,7 @@ impl Network {
         }
     }
 
-    /// The trunk up to layer `layer` (1-based) at points `[n, 3]`.
+    /// Computes the trunk up to layer `layer` (1-based) at points `[n, 3]`.
     pub fn prefix(&self, points: &[f32], layer: usize) -> Prefix {
         let n = points.len() / self.code().inputs();
         let (width, position) = (self.width(), self.position_channels());
@@ -126,7 +126,7 @@ impl Network {
         prefix
     }
 
-    /// Trunk layer `l` (from 0) of a tile, with its ReLU, from the encoding and the parts of the layer below.
+    /// Computes trunk layer `l` (from 0) of a tile, with its ReLU, from the encoding and the parts of the layer below.
     fn trunk_layer(&self, l: usize, encoded: &[f32], below: &[Panels], rows: usize, finish: Finish) {
         let layer = &self.trunk[l];
         let encoded = layer.encoded.iter().map(|weights| Source { lhs: Lhs::Rows(encoded), weights });
@@ -137,8 +137,8 @@ impl Network {
         Rows::Products(&sources).finish(rows, self.width(), Finish { bias, relu: true, ..finish });
     }
 
-    /// Raw colours `[n, 3]` followed by raw densities `[n]`, or raw densities alone; and what a backward pass for
-    /// `wanted` needs.
+    /// Returns raw colours `[n, 3]` followed by raw densities `[n]`, or only raw densities. Also returns what a
+    /// backward pass for `wanted` needs.
     pub fn forward(&self, inputs: Inputs, wanted: Outputs) -> (Vec<f32>, Kept) {
         let n = inputs.points.len() / self.code().inputs();
         let rays = inputs.viewdirs.len() / 3;
@@ -166,7 +166,7 @@ impl Network {
         (raw, kept)
     }
 
-    /// Raw colours of a tile, through the layers above the trunk; `bias` is what the first of them adds.
+    /// Computes raw colours of a tile through the layers above the trunk. `bias` is added by the first of them.
     fn colour(
         &self,
         last: &[Panels],
@@ -198,7 +198,7 @@ impl Network {
         head_forward(&self.rgb.head, &[view], raw);
     }
 
-    /// Room for what a backward pass for `wanted` needs of `n` points on `rays` rays.
+    /// Allocates what a backward pass for `wanted` needs of `n` points on `rays` rays.
     fn kept(&self, n: usize, rays: usize, wanted: Outputs) -> Kept {
         let (width, depth) = (self.width(), self.depth());
         let rows = |wanted: bool| if wanted { n } else { 0 };
@@ -213,7 +213,7 @@ impl Network {
         }
     }
 
-    /// The encoding of a tile, where it is kept or in its room, unless an earlier pass has left it.
+    /// Computes the encoding of a tile, in the kept tensor or in its space, unless there is an earlier pass.
     fn encode(&self, inputs: Inputs, tile: Tile, kept: &mut Kept, rooms: &mut Rooms) {
         if inputs.prefix.is_some() {
             return;
@@ -226,7 +226,7 @@ impl Network {
         encode_positions(self.code(), tile.of(inputs.points, self.code().inputs()), encoded);
     }
 
-    /// What layer `l` reads of the layer below, whose output is in its room or kept.
+    /// Returns the input of layer `l` from the layer below, whose output is in its space or kept.
     fn below<'a>(
         &self,
         l: usize,
@@ -245,7 +245,7 @@ impl Network {
         }
     }
 
-    /// The trunk layer (from 0) whose output is the first that a pass needs.
+    /// Returns the first trunk layer (from 0) whose output a pass needs.
     fn first_layer(&self, inputs: Inputs) -> usize {
         match inputs.prefix {
             Some(_) => inputs.delta.map_or(self.depth(), |(layer, _)| layer) - 1,
@@ -253,7 +253,7 @@ impl Network {
         }
     }
 
-    /// The trunk of a tile. Its last layer is left where it is kept, or in its room.
+    /// Computes the trunk of a tile. Its last layer is left in the kept tensor, or in its space.
     fn trunk(&self, inputs: Inputs, wanted: Outputs, tile: Tile, kept: &mut Kept, rooms: &mut Rooms) {
         let (width, position, first) = (self.width(), self.position_channels(), self.first_layer(inputs));
         let encoded = match inputs.prefix {
@@ -268,7 +268,7 @@ impl Network {
             let (kept_below, from_here) = kept.hidden.split_at_mut(l);
             let (across, panels) = targets(output, &mut from_here[0], tile.start);
             match inputs.prefix.filter(|_| l == first) {
-                // As bf16 it is read where it is.
+                // In bf16 it is read in place.
                 Some(_) if self.pairs() => {}
                 Some(prefix) => {
                     let finish = Finish { delta, panels, ..Finish::default() };

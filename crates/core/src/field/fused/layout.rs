@@ -1,9 +1,8 @@
-//! A network's weights laid out for tiles of points, and its layers.
+//! A network's weights in the layout for tiles of points, and its layers.
 //!
-//! Nothing lies between the feature layer and the view layer, so that both are one: with V the
-//! columns of the view layer's weights that read the feature W h + b, V (W h + b) = (V W) h + V b. A
-//! ninth of all multiply-adds is spared. Gradients of V W are sorted out once a step
-//! ([`Network::parameter_gradients`]).
+//! There is no activation between the feature layer and the view layer, so that both are merged. With V the columns of
+//! the view layer's weights that read the feature W h + b, V (W h + b) = (V W) h + V b. This saves a ninth of all
+//! multiply-adds. Gradients of V W are separated once per step ([`Network::parameter_gradients`]).
 
 use std::sync::OnceLock;
 
@@ -16,10 +15,10 @@ use super::kernels::product::{Bias, Finish, Lhs, Out, Rows, Source};
 use super::kernels::{Head, Matrix, add_bias, few_forward, multiply};
 use super::pool::Buffer;
 
-/// Points worked through at once: their layers stay in a core's second-level cache.
+/// Points per tile. Their layers stay in a core's second-level cache.
 pub(super) const TILE: usize = 512;
 
-/// One layer's weights `[outputs, inputs]` and biases, and where they start in the flat gradient.
+/// One layer's weights `[outputs, inputs]` and biases, and their start in the flat gradient.
 pub(super) struct Linear {
     weight: Vec<f32>,
     transposed: OnceLock<Vec<f32>>,
@@ -32,11 +31,11 @@ pub(super) struct Linear {
 /// A layer of many outputs, packed for products with rows and with their gradients.
 pub(super) struct Layer {
     pub(super) linear: Linear,
-    /// The bias, filled up to a panel.
+    /// The bias, padded to a panel.
     pub(super) bias: Vec<f32>,
-    /// Weights that read the encoding; always f32.
+    /// Weights for the encoding; always f32.
     pub(super) encoded: Option<Packed>,
-    /// Weights that read the layer below.
+    /// Weights for the layer below.
     pub(super) below: Option<Packed>,
     /// The transposes of both, in the field's precision.
     pub(super) to_encoded: Option<Packed>,
@@ -49,20 +48,20 @@ pub(super) struct Output {
     pub(super) head: Head,
 }
 
-/// A field's weights, laid out for tiles: a copy, made once a step.
+/// A copy of a field's weights in the layout for tiles, made once per step.
 pub struct Network {
     pub(super) config: FieldConfig,
     pub(super) trunk: Vec<Layer>,
     pub(super) density: Output,
-    /// Layers above the trunk; the first reads it, with the feature layer in its weights, and the encoded direction:
-    /// The first `[neurons, width + view channels]`, the others `[neurons, neurons]`.
+    /// Layers above the trunk. The first reads the trunk, with the feature layer merged in, and the encoded direction.
+    /// It is `[neurons, width + view channels]`, the others are `[neurons, neurons]`.
     pub(super) views: Vec<Layer>,
-    /// Weights of the first view layer that read the direction.
+    /// Weights of the first view layer for the direction.
     of_direction: Packed,
     pub(super) rgb: Output,
-    /// What the first view layer was made of.
+    /// The parts of the first view layer.
     parts: Parts,
-    /// Numbers of the flat gradient.
+    /// Length of the flat gradient.
     pub gradient_size: usize,
 }
 
@@ -114,12 +113,12 @@ impl Linear {
         self.bias.len()
     }
 
-    /// The weights that read inputs `from..from + columns`.
+    /// Returns the weights for inputs `from..from + columns`.
     fn columns(&self, from: usize, columns: usize) -> Matrix<'_> {
         Matrix::new(&self.weight[from..], self.outputs(), columns, self.inputs)
     }
 
-    /// `y = x W^T` of the inputs that `x [rows, columns]` holds, from column `from` on, or `y +=` that.
+    /// Computes `y = x W^T`, or `y +=` it, for the inputs in `x [rows, columns]`, from column `from`.
     pub(super) fn forward(&self, x: &[f32], from: usize, columns: usize, y: &mut [f32], accumulate: bool) {
         let outputs = self.outputs();
         let x = Matrix::new(x, y.len() / outputs, columns, columns);
@@ -127,7 +126,7 @@ impl Linear {
         multiply(y, outputs, x, weight, accumulate);
     }
 
-    /// `x += dz W`, or `x = dz W`, for the same inputs; rows of `dz` are `stride` apart.
+    /// Computes `x += dz W`, or `x = dz W`, for the same inputs. Rows of `dz` are `stride` apart.
     pub(super) fn input_gradient(
         &self,
         (dz, stride): (&[f32], usize),
@@ -140,7 +139,7 @@ impl Linear {
         multiply(x, columns, dz, self.columns(from, columns), accumulate);
     }
 
-    /// Adds `dz^T x` to the gradient of the weights that read `x`; rows of `dz` are `stride` apart.
+    /// Adds `dz^T x` to the gradient of the weights for `x`. Rows of `dz` are `stride` apart.
     pub(super) fn weight_gradient(
         &self,
         (dz, stride): (&[f32], usize),
@@ -155,25 +154,25 @@ impl Linear {
         multiply(sum, self.inputs, dz.transposed(), Matrix::new(x, rows, columns, columns), true);
     }
 
-    /// Gradients of weights and biases in a flat sum.
+    /// Returns the gradients of weights and biases in a flat sum.
     fn gradients_in(&self, sum: &[f32]) -> [Vec<f32>; 2] {
         let bias_end = self.bias_offset + self.outputs();
         [sum[self.weight_offset..self.bias_offset].to_vec(), sum[self.bias_offset..bias_end].to_vec()]
     }
 
-    /// The part of a flat gradient that belongs to the biases.
+    /// Returns the biases' part of a flat gradient.
     pub(super) fn bias_of<'a>(&self, sum: &'a mut [f32]) -> &'a mut [f32] {
         &mut sum[self.bias_offset..][..self.outputs()]
     }
 
-    /// The part of a flat gradient that belongs to the weights.
+    /// Returns the weights' part of a flat gradient.
     pub(super) fn weights_of<'a>(&self, sum: &'a mut [f32]) -> &'a mut [f32] {
         &mut sum[self.weight_offset..self.bias_offset]
     }
 }
 
 impl Layer {
-    /// With numbers of inputs from the encoding and then from the layer below.
+    /// Creates a layer with these numbers of inputs from the encoding and from the layer below.
     fn new(linear: Linear, pairs: bool, [encoded, below]: [usize; 2]) -> Layer {
         let pack = |pairs: bool, from: usize, inputs: usize| {
             let (outputs, inputs) = ((linear.outputs(), linear.inputs), (inputs, 1));
@@ -199,7 +198,7 @@ impl Output {
         Output { head: Head::new(&linear.weight, &linear.bias), linear }
     }
 
-    /// `y [rows, outputs]` of `x [rows, inputs]`, row after row.
+    /// Computes `y [rows, outputs]` from `x [rows, inputs]`, row by row.
     pub(super) fn forward(&self, x: &[f32], y: &mut [f32]) {
         few_forward(x, &self.linear.weight, self.linear.outputs(), y);
         add_bias(y, &self.linear.bias);
@@ -212,7 +211,7 @@ impl Output {
 }
 
 impl Network {
-    /// Lays out `values`, weight and bias of every layer in the order of parameters.
+    /// Lays out `values`: weight and bias of every layer in the order of parameters.
     pub fn new(config: &FieldConfig, values: Vec<Vec<f32>>) -> Network {
         let mut values = values.into_iter();
         let mut offset = 0;
@@ -252,7 +251,8 @@ impl Network {
         Network { config: config.clone(), trunk, density, views, of_direction, rgb, parts, gradient_size: offset }
     }
 
-    /// Gradients of every layer's weight and bias, in the order of parameters, from the flat sum of backward passes.
+    /// Returns the gradients of every layer's weight and bias, in the order of parameters, from the flat sum of
+    /// backward passes.
     pub fn parameter_gradients(&self, sum: &[f32]) -> Vec<Vec<f32>> {
         let mut gradients = self.trunk_gradients(sum);
         let joint = &self.views[0].linear;
@@ -274,23 +274,23 @@ impl Network {
         gradients
     }
 
-    /// The same of the trunk and the density head, which come first.
+    /// The same for the trunk and the density head, which come first.
     pub(super) fn trunk_gradients(&self, sum: &[f32]) -> Vec<Vec<f32>> {
         let layers = self.trunk.iter().map(|layer| &layer.linear).chain([&self.density.linear]);
         layers.flat_map(|linear| linear.gradients_in(sum)).collect()
     }
 
-    /// Trunk layers.
+    /// Returns the number of trunk layers.
     pub fn depth(&self) -> usize {
         self.config.depth
     }
 
-    /// Neurons of a trunk layer.
+    /// Returns the width of a trunk layer.
     pub fn width(&self) -> usize {
         self.config.width
     }
 
-    /// How positions are encoded.
+    /// Returns the encoding of positions.
     pub(super) fn code(&self) -> Code {
         Code::of_positions(&self.config)
     }
@@ -307,33 +307,33 @@ impl Network {
         layer > 0 && self.config.skips.contains(&layer)
     }
 
-    /// Whether trunk layer `layer` (from 0) reads the encoding.
+    /// Returns whether trunk layer `layer` (from 0) reads the encoding.
     pub(super) fn encodes(&self, layer: usize) -> bool {
         layer == 0 || self.skips(layer)
     }
 
-    /// Inputs of trunk layer `layer` (from 0) before those that read the layer below.
+    /// Returns the number of inputs of trunk layer `layer` (from 0) before those from the layer below.
     pub(super) fn encoded_inputs(&self, layer: usize) -> usize {
         if self.skips(layer) { self.position_channels() } else { 0 }
     }
 
-    /// Whether numbers between layers are bf16.
+    /// Returns whether numbers between layers are bf16.
     pub(super) fn pairs(&self) -> bool {
         self.config.precision == Precision::Bf16
     }
 
-    /// Room for a layer's rows that the next product reads.
+    /// Allocates a layer's rows in the layout of the next product.
     pub(super) fn lhs(&self, rows: usize, columns: usize) -> Slab {
         Slab::new(if self.pairs() { Form::Across } else { Form::Single }, rows, columns)
     }
 
-    /// Room for a layer's rows that gradients of weights read.
+    /// Allocates a layer's rows in the layout of weight gradients.
     pub(super) fn rhs(&self, rows: usize, columns: usize) -> Slab {
         Slab::new(if self.pairs() { Form::Down } else { Form::Single }, rows, columns)
     }
 
-    /// What a ray's direction and the bias add to the first view layer at each of its points, `[rays, columns]` with
-    /// columns filled up to a panel.
+    /// Returns what a ray's direction and the bias add to the first view layer at each of its points, `[rays,
+    /// columns]`. Columns are padded to a panel.
     pub(super) fn view_of_rays(&self, encoded_views: &[f32], rays: usize) -> Buffer<f32> {
         let view = &self.views[0];
         let stride = view.bias.len();

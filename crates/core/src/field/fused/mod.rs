@@ -1,10 +1,10 @@
-//! The field on a processor as one differentiable operation: encoding and all layers over tiles of
-//! points, computing exactly the gradients that are asked for.
+//! The field on the CPU as one differentiable operation: encoding and all layers over tiles of points, with only the
+//! requested gradients.
 //!
-//! candle's graph carries gradients of points, view directions and feature delta. Those of the
-//! weights go past it, into a [`Recorder`]: an operation has at most three arguments, and the
-//! gradients of many chunks add up in place. The plain path ([`Field::forward`] on a field that
-//! neither records nor is frozen) is the reference that this one is tested against.
+//! candle's graph carries gradients of points, view directions and feature delta. Those of the weights bypass it and go
+//! into a [`Recorder`], for two reasons: an operation has at most three arguments, and the gradients of many chunks add
+//! up in place. The plain path ([`Field::forward`] on a field that neither records nor is frozen) is the reference for
+//! tests.
 
 mod backward;
 mod encode;
@@ -31,8 +31,8 @@ use slope::Tape;
 pub use layout::Network;
 pub use pool::forget;
 
-/// Lays a field's weights out: `parameters` are weight and bias of every layer in the order of
-/// parameters, f32 on the processor.
+/// Lays out a field's weights. `parameters` are weight and bias of every layer in the order of parameters, f32 on the
+/// CPU.
 pub fn prepare(config: &FieldConfig, parameters: &[Tensor]) -> Result<Network> {
     let values = parameters.iter().map(|tensor| Ok(Values::of(&tensor.contiguous()?).slice()?.to_vec()));
     Ok(Network::new(config, values.collect::<Result<_>>()?))
@@ -45,12 +45,12 @@ pub struct Recorder {
 }
 
 impl Recorder {
-    /// With a sum of zero.
+    /// Creates a recorder with a sum of zero.
     pub fn new(network: Arc<Network>) -> Recorder {
         Recorder { sum: Mutex::new(vec![0.0; network.gradient_size]), network }
     }
 
-    /// The sums, in the order of parameters, each in the shape of its entry in `shapes`.
+    /// Returns the sums, in the order of parameters, each in the shape of its entry in `shapes`.
     pub fn gradients(&self, shapes: Vec<Vec<usize>>) -> Result<Vec<Tensor>> {
         let sum = self.sum.lock().unwrap_or_else(PoisonError::into_inner);
         let gradients = self.network.parameter_gradients(&sum).into_iter().zip(shapes);
@@ -58,12 +58,12 @@ impl Recorder {
     }
 }
 
-/// The trunk's lower part at points that stay (see [`crate::field::FixedPoints`]), and the layer that it goes up to.
+/// A cache of the trunk's lower part at fixed points (see [`crate::field::FixedPoints`]), up to one layer.
 #[derive(Default)]
 pub struct PrefixCache(RefCell<Option<(usize, Arc<Prefix>)>>);
 
 impl PrefixCache {
-    /// That of `points` up to layer `layer`, computed once.
+    /// Returns the prefix of `points` up to layer `layer`, computed once.
     fn prefix(&self, network: &Network, points: &Tensor, layer: usize) -> Result<Arc<Prefix>> {
         let known = self.0.borrow().as_ref().filter(|(to, _)| *to == layer).map(|(_, prefix)| prefix.clone());
         if let Some(prefix) = known {
@@ -77,16 +77,16 @@ impl PrefixCache {
 
 /// One query of a field.
 pub struct Query<'a> {
-    /// The weights, as [`Network`] lays them out.
+    /// The weights in the layout of [`Network`].
     pub network: Arc<Network>,
-    /// Takes the gradients of the weights; without one they are constants.
+    /// Receives the gradients of the weights. Without it they are constants.
     pub recorder: Option<Arc<Recorder>>,
-    /// Keeps the trunk below a delta, where many queries share their points.
+    /// Keeps the trunk below a delta, if many queries share their points.
     pub below: Option<&'a PrefixCache>,
 }
 
 impl Query<'_> {
-    /// Raw colour `[3 n]` and raw density `[n]` behind each other. `points` `[n, 3]`, `viewdirs` `[rays, 3]`, `delta`
+    /// Returns raw colour `[3 n]` followed by raw density `[n]`. `points` `[n, 3]`, `viewdirs` `[rays, 3]`, `delta`
     /// `[n, width]` of a 1-based trunk layer.
     pub fn run(self, points: &Tensor, viewdirs: &Tensor, delta: Option<(usize, &Tensor)>) -> Result<Tensor> {
         let wanted = Outputs {
@@ -95,7 +95,7 @@ impl Query<'_> {
             viewdirs: viewdirs.track_op(),
             delta: delta.is_some_and(|(_, delta)| delta.track_op()),
         };
-        // Where nothing else is tracked, the graph would never come back for the weights.
+        // If nothing else is tracked, candle's backward pass would not reach the weights.
         let tracked;
         let viewdirs = if wanted == (Outputs { weights: true, ..Outputs::default() }) {
             tracked = Var::from_tensor(viewdirs)?;
@@ -119,7 +119,7 @@ impl Query<'_> {
         points.contiguous()?.apply_op3(&viewdirs.contiguous()?, &delta, operation)
     }
 
-    /// Raw density `[n]` alone, without gradients.
+    /// Returns raw density `[n]`, without gradients.
     pub fn density(self, points: &Tensor) -> Result<Tensor> {
         let points = points.detach().contiguous()?;
         let values = Values::of(&points);
@@ -130,7 +130,7 @@ impl Query<'_> {
     }
 }
 
-/// Raw density and its slope in the encoding, with the way back to the weights.
+/// Raw density and its slope in the encoding, with what the weight gradients need.
 pub struct Slope {
     /// `[n]`.
     pub raw: Tensor,
@@ -141,10 +141,11 @@ pub struct Slope {
 }
 
 impl Slope {
-    /// At points `[n, 3]`, or features `[n, channels]` of a hash grid. Where raw density is not positive the slope is left 0 if `positive_alone` is set.
+    /// Computes both at points `[n, 3]`, or at features `[n, channels]` of a hash grid. With `positive_alone` the slope
+    /// stays 0 where raw density is not positive.
     pub fn new(network: Arc<Network>, points: &Tensor, positive_alone: bool) -> Result<Slope> {
         let points = points.detach().contiguous()?;
-        // NaN matters: it is to be found and reported.
+        // NaN counts: it must be found and reported.
         let found = network.slope(Values::of(&points).slice()?, |raw| !positive_alone || raw > 0.0 || raw.is_nan());
         let n = found.raw.len();
         let channels = network.position_channels();
@@ -153,8 +154,8 @@ impl Slope {
         Ok(Slope { raw, slope, network, tape: found.tape })
     }
 
-    /// Gradients of weight and bias of the trunk and the density head, in the order of parameters, of a loss whose gradient
-    /// on the slope with `cotangent [n, channels]` and on raw density with `d_raw [n]`.
+    /// Returns gradients of weight and bias of the trunk and the density head, in the order of parameters. The loss has
+    /// the derivative `cotangent [n, channels]` in the slope, and `d_raw [n]` in raw density.
     pub fn gradients(&self, cotangent: Option<&Tensor>, d_raw: Option<&Tensor>) -> Result<Vec<Vec<f32>>> {
         let whole = |tensor: Option<&Tensor>| tensor.map(|tensor| tensor.contiguous()).transpose();
         let (cotangent, d_raw) = (whole(cotangent)?, whole(d_raw)?);
@@ -179,7 +180,7 @@ impl<'a> Values<'a> {
     pub(crate) fn slice(&self) -> Result<&[f32]> {
         match &**self.storage {
             Storage::Cpu(storage) => slice(storage, self.layout),
-            _ => candle_core::bail!("the fused field is for processors"),
+            _ => candle_core::bail!("the fused field needs a tensor on the CPU"),
         }
     }
 }
@@ -197,7 +198,7 @@ struct Fused {
     delta_layer: Option<usize>,
     wanted: Outputs,
     prefix: Option<Arc<Prefix>>,
-    /// From the forward to the backward pass.
+    /// Kept from the forward to the backward pass.
     kept: Mutex<Option<Kept>>,
 }
 

@@ -1,13 +1,13 @@
-//! Buffers that a thread uses again: fresh memory would be cleared, and paid for page by page.
+//! Buffers that a thread reuses. New memory would be cleared, and cost page faults.
 
 use std::cell::RefCell;
 use std::marker::PhantomData;
 use std::ops::{Deref, DerefMut};
 
-/// Buffers that wait on one thread, at most.
+/// Largest number of waiting buffers per thread.
 const MOST: usize = 64;
 
-/// A cache line, so that no vector straddles two.
+/// A cache line, so that no vector crosses two.
 #[derive(Clone, Copy)]
 #[repr(align(64))]
 struct Line {
@@ -22,10 +22,10 @@ thread_local! {
     static WAITING: RefCell<Vec<Vec<Line>>> = const { RefCell::new(Vec::new()) };
 }
 
-/// Numbers that buffers are made of.
+/// Numbers for buffers.
 ///
 /// # Safety
-/// Any bits are one, and 64 bytes hold a whole number of them.
+/// Every bit pattern must be valid, and 64 bytes must hold a whole number of them.
 pub unsafe trait Pooled: Copy {}
 
 // SAFETY: as the trait says.
@@ -33,12 +33,12 @@ unsafe impl Pooled for f32 {}
 // SAFETY: as the trait says.
 unsafe impl Pooled for u16 {}
 
-/// Gives back what waits on this thread: the next run may need less.
+/// Frees the waiting buffers of this thread, because the next run may need less.
 pub fn forget() {
     WAITING.take();
 }
 
-/// A buffer whose first content is anything.
+/// A buffer with arbitrary initial content.
 pub struct Buffer<T: Pooled> {
     lines: Vec<Line>,
     len: usize,

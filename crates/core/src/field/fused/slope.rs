@@ -1,5 +1,5 @@
-//! The slope of raw density in the encoding, by the adjoint recursion of [`crate::field`]'s spatial derivatives, over
-//! tiles; and the weights' gradients of what is made of both.
+//! The slope of raw density in the encoding, and the weight gradients of functions of both. It is the adjoint recursion
+//! of [`crate::field`]'s spatial derivatives, over tiles.
 
 use super::backward::scatter;
 use super::encode::encode_positions;
@@ -7,9 +7,9 @@ use super::kernels::{add_bias_relu, add_rows, few_input_gradient, few_weight_gra
 use super::layout::{Network, TILE, tiles};
 use super::pool::Buffer;
 
-/// What the way back needs, of the points that matter.
+/// What the weight gradients need of the points that matter.
 pub struct Tape {
-    /// Their numbers, ascending.
+    /// Their indices, ascending.
     points: Vec<usize>,
     encoded: Buffer<f32>,
     /// Each trunk layer's output.
@@ -28,7 +28,7 @@ pub struct Slope {
 }
 
 impl Network {
-    /// Trunk layer `l`'s weights times its input. The lowest layer does not read `below`.
+    /// Computes trunk layer `l`'s weights times its input. The lowest layer does not read `below`.
     fn trunk_product(&self, l: usize, encoded: &[f32], below: &[f32], output: &mut [f32]) {
         let (layer, width, position) = (&self.trunk[l].linear, self.width(), self.position_channels());
         if self.encodes(l) {
@@ -39,7 +39,8 @@ impl Network {
         }
     }
 
-    /// At points `[n, 3]`, or features `[n, channels]` of a hash grid. Points whose raw density does not `matter` have slope 0 and take no part in what follows.
+    /// Computes both at points `[n, 3]`, or at features `[n, channels]` of a hash grid. Points whose raw density does
+    /// not `matter` have slope 0, and are skipped later.
     pub fn slope(&self, points: &[f32], matters: impl Fn(f32) -> bool) -> Slope {
         let n = points.len() / self.code().inputs();
         let (width, depth, position) = (self.width(), self.depth(), self.position_channels());
@@ -73,7 +74,7 @@ impl Network {
         Slope { raw, slope, tape }
     }
 
-    /// Fills adjoints and slope of the tape's points from number `first` on.
+    /// Fills adjoints and slope of the tape's points from index `first`.
     fn pull_down(&self, tape: &mut Tape, first: usize, slope: &mut [f32]) {
         let count = tape.points.len() - first;
         let (width, depth, position) = (self.width(), self.depth(), self.position_channels());
@@ -98,8 +99,8 @@ impl Network {
         scatter(&d_encoded, position, &tape.points[first..], slope);
     }
 
-    /// Gradients of weight and bias of the trunk's layers and the density head, in the order of parameters, of a loss
-    /// that pulls on the slope with `cotangent [n, channels]` and on raw density with `d_raw [n]`.
+    /// Returns gradients of weight and bias of the trunk's layers and the density head, in the order of parameters. The
+    /// loss has the derivative `cotangent [n, channels]` in the slope, and `d_raw [n]` in raw density.
     pub fn slope_gradients(&self, tape: &Tape, cotangent: Option<&[f32]>, d_raw: Option<&[f32]>) -> Vec<Vec<f32>> {
         let (width, position) = (self.width(), self.position_channels());
         let mut sum = vec![0f32; self.gradient_size];
@@ -132,7 +133,7 @@ impl Network {
                     few_input_gradient(d, &layer.bias, 1, u, true);
                     mask_where_zero(u, hidden);
                 } else {
-                    // Of raw density alone: the recursion is the forward pass, scaled point by point.
+                    // For raw density alone, the recursion is the forward pass, scaled point by point.
                     scale_rows(hidden, d, u);
                 }
                 std::mem::swap(&mut u, &mut below);

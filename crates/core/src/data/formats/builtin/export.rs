@@ -1,4 +1,4 @@
-//! The embedded scene as files: a Blender-style folder with exact depth and a mesh.
+//! The built-in scene as files: a Blender-style folder with exact depth and a mesh.
 
 use std::fs::{self, File};
 use std::io::{BufWriter, Write};
@@ -17,31 +17,30 @@ use crate::base::{Error, Result};
 use crate::data::{Camera, npy};
 use crate::settings::PixelOrigin;
 
-/// Width of exported pictures where none is asked for, in pixels.
+/// Default width of exported images in pixels.
 pub const DEFAULT_WIDTH: usize = 200;
-/// Grey levels of the 16-bit depth pictures per scene unit: depth = level / 8192, 0 = nothing hit.
+/// Grey levels of the 16-bit depth images per scene unit: depth = level / 8192, 0 = nothing hit.
 pub const DEPTH_LEVELS: f64 = 8192.0;
 
 /// What [`export`] wrote.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Exported {
-    /// RGBA pictures over all splits.
+    /// Number of RGBA images in all splits.
     pub pictures: usize,
-    /// Depth maps, each as PNG and as NPY.
+    /// Number of depth maps, each as PNG and as NPY.
     pub depths: usize,
-    /// Vertices of `mesh.ply`.
+    /// Number of vertices of `mesh.ply`.
     pub vertices: usize,
-    /// Triangles of `mesh.ply`.
+    /// Number of triangles of `mesh.ply`.
     pub triangles: usize,
 }
 
-/// Writes the embedded scene into the new or empty folder `dir`, with pictures `width` pixels a
-/// side.
+/// Writes the built-in scene into the new or empty folder `dir`, with images of `width` pixels per side.
 ///
-/// `transforms_{train,val,test}.json` and RGBA PNGs are as NeRF-synthetic's; a pixel's ray goes
-/// through its integer coordinates (`data.pixel_origin = corner`). `depth/` has the z-depth of
-/// each test view: `r_0.npy` (32-bit floats `[rows, columns]`, scene units, infinite for nothing)
-/// and `r_0.png` (16 bit, [`DEPTH_LEVELS`] per unit, 0 for nothing). `mesh.ply` has the surfaces.
+/// `transforms_{train,val,test}.json` and RGBA PNGs are as in NeRF-synthetic. A pixel's ray passes through its integer
+/// coordinates (`data.pixel_origin = corner`). `depth/` has the z-depth of each test view: `r_0.npy` (32-bit floats
+/// `[rows, columns]`, scene units, infinite for nothing) and `r_0.png` (16 bit, [`DEPTH_LEVELS`] per unit, 0 for
+/// nothing). `mesh.ply` has the surfaces.
 pub fn export(dir: &Path, width: usize) -> Result<Exported> {
     if !(4..=MAX_WIDTH).contains(&width) {
         return Err(Error::Config(format!(
@@ -63,7 +62,7 @@ pub fn export(dir: &Path, width: usize) -> Result<Exported> {
     Ok(Exported { pictures, depths, vertices: mesh.vertices.len(), triangles: mesh.triangles.len() })
 }
 
-/// Makes the folder and those in it, unless it already holds something.
+/// Makes the folder and its subfolders, unless it is not empty.
 fn claim(dir: &Path) -> Result<()> {
     fs::create_dir_all(dir).map_err(|e| Error::unwritable(dir, &e))?;
     let mut entries = fs::read_dir(dir).map_err(|e| Error::unwritable(dir, &e))?;
@@ -80,7 +79,7 @@ fn claim(dir: &Path) -> Result<()> {
     Ok(())
 }
 
-/// Pictures, depths and the JSON file of one split; returns the number of pictures.
+/// Writes images, depths and the JSON file of one split, and returns the number of images.
 fn export_split(dir: &Path, stage: &Stage, split: Split, width: usize) -> Result<usize> {
     let cameras = around(split, width);
     cameras.par_iter().try_for_each(|(name, camera)| {
@@ -93,7 +92,7 @@ fn export_split(dir: &Path, stage: &Stage, split: Split, width: usize) -> Result
     Ok(cameras.len())
 }
 
-/// The JSON of a split, as NeRF-synthetic's.
+/// Returns the JSON of a split, as in NeRF-synthetic.
 fn transforms(split: Split, cameras: &[(String, Camera)]) -> String {
     let frame = |(name, camera): &(String, Camera)| {
         let [x, y, z] = camera.pose;
@@ -132,7 +131,7 @@ fn write_depth(dir: &Path, name: &str, picture: &Picture) -> Result<()> {
     write(&dir.join(format!("{name}.npy")), &npy_file(&picture.depth, size))
 }
 
-/// A 32-bit float array `[height, width]` in NumPy's format.
+/// Returns a 32-bit float array `[height, width]` in NumPy's format.
 fn npy_file(values: &[f32], [width, height]: [usize; 2]) -> Vec<u8> {
     let mut bytes = npy::header("<f4", &[height, width]);
     bytes.extend(values.iter().flat_map(|v| v.to_le_bytes()));

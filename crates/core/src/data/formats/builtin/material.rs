@@ -1,4 +1,4 @@
-//! What solids are made of. Colours are linear, but for the display values that materials are made from.
+//! Materials of solids. Colours are linear, except the display values from which materials are made.
 
 use std::f64::consts::TAU;
 
@@ -11,9 +11,9 @@ pub enum Pattern {
     Plain,
     /// Cubes of the given edge.
     Checker(f64),
-    /// Bands across local z: their period, and the second colour's share of it.
+    /// Bands across local z: their period, and the second colour's fraction of it.
     Bands(f64, f64),
-    /// So many stripes around local z.
+    /// This many stripes around local z.
     Flutes(f64),
     /// Year rings of the given width around an axis next to the solid.
     Wood(f64),
@@ -23,7 +23,7 @@ pub enum Pattern {
     Bricks(f64),
 }
 
-/// What a solid is made of.
+/// The material of a solid.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Material {
     /// Distribution of the two colours.
@@ -34,33 +34,33 @@ pub struct Material {
     pub gloss: f64,
     /// Exponent of the highlight.
     pub shininess: f64,
-    /// Share of light that is mirrored, tinted by the first colour.
+    /// Fraction of light that is mirrored, tinted by the first colour.
     pub mirror: f64,
 }
 
 impl Material {
-    /// Matte, one colour, given as display values 0..=1.
+    /// Returns a matte material of one colour, given as display values 0..=1.
     pub fn matte(colour: Vec3) -> Material {
         Material::patterned(Pattern::Plain, colour, colour)
     }
 
-    /// Matte, two colours, given as display values 0..=1.
+    /// Returns a matte material of two colours, given as display values 0..=1.
     pub fn patterned(pattern: Pattern, first: Vec3, second: Vec3) -> Material {
         let colours = [first, second].map(|c| c.map(|v| v.powf(2.2)));
         Material { pattern, colours, gloss: 0.0, shininess: 1.0, mirror: 0.0 }
     }
 
-    /// The same with highlights.
+    /// Adds highlights.
     pub fn glossy(self, gloss: f64, shininess: f64) -> Material {
         Material { gloss, shininess, ..self }
     }
 
-    /// The same as metal.
+    /// Makes it a metal.
     pub fn metal(self, mirror: f64) -> Material {
         Material { mirror, ..self }.glossy(1.0, 300.0)
     }
 
-    /// Linear albedo at a point in the solid's local coordinates.
+    /// Returns the linear albedo at a point in the solid's local coordinates.
     pub fn albedo(&self, p: Vec3) -> Vec3 {
         let [first, second] = self.colours;
         mix(first, second, self.pattern.share(p))
@@ -68,7 +68,7 @@ impl Material {
 }
 
 impl Pattern {
-    /// Share of the second colour, 0..=1.
+    /// Returns the fraction of the second colour, 0..=1.
     fn share(self, p: Vec3) -> f64 {
         let half = |v: f64| f64::from(u8::from(v.rem_euclid(1.0) < 0.5));
         match self {

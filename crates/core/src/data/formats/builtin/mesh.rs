@@ -1,4 +1,4 @@
-//! Triangles of the embedded scene, with every vertex exactly on a surface.
+//! Triangles of the built-in scene, with every vertex exactly on a surface.
 
 use std::f64::consts::{PI, TAU};
 use std::io::Write;
@@ -14,7 +14,7 @@ const AROUND: usize = 64;
 /// Facets from pole to pole of a ball, and around a ring's tube.
 const ACROSS: usize = 32;
 
-/// Closed triangle surfaces, one per solid; where solids touch or overlap, both surfaces are kept.
+/// Closed triangle surfaces, one per solid. Where solids touch or overlap, both surfaces are kept.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Mesh {
     /// Positions in the still life's units, which are the Blender-style scene's.
@@ -28,7 +28,7 @@ pub struct Mesh {
 }
 
 impl Mesh {
-    /// The surfaces of every solid of a stage.
+    /// Creates the surfaces of every solid of a stage.
     pub fn of(stage: &Stage) -> Mesh {
         let mut mesh = Mesh::default();
         for solid in stage.solids() {
@@ -75,7 +75,7 @@ fn triangulate(shape: &Shape) -> Surface {
     }
 }
 
-/// Surface of revolution around z: a pole, rings as (radius, z) upwards, a pole.
+/// Returns a surface of revolution around z: a pole, rings as (radius, z) upwards, a pole.
 fn revolve(low: f64, rings: &[(f64, f64)], high: f64) -> Surface {
     let mut vertices = vec![[0.0, 0.0, low]];
     let mut triangles = Vec::new();
@@ -116,7 +116,7 @@ fn torus(major: f64, minor: f64) -> Surface {
 
 fn cuboid(half: Vec3) -> Surface {
     let corner = |i: usize| std::array::from_fn(|axis| if i >> axis & 1 == 1 { half[axis] } else { -half[axis] });
-    // Bit `axis` of a corner's number is its side; each face is anticlockwise seen from outside.
+    // Bit `axis` of a corner's number is its side. Each face is anticlockwise seen from outside.
     const FACES: [[u32; 4]; 6] = [[0, 4, 6, 2], [1, 3, 7, 5], [0, 1, 5, 4], [2, 6, 7, 3], [0, 2, 3, 1], [4, 5, 7, 6]];
     ((0..8).map(corner).collect(), FACES.into_iter().flat_map(quad).collect())
 }

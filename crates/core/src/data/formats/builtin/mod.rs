@@ -1,5 +1,5 @@
-//! The embedded scene: a still life in closed form, so that tests, benches and first runs need no
-//! download, and depth and shape are known exactly.
+//! The built-in scene: a still life in closed form. Tests, benches and first runs then need no download, and depth and
+//! shape are known exactly.
 
 pub mod export;
 pub mod material;
@@ -25,23 +25,23 @@ use crate::data::{Camera, Ndc, Scene, SceneSpace, View, background};
 use crate::settings::{DataConfig, DataKind, EvalSplit};
 use views::Split;
 
-/// Columns of the embedded scene's pictures where the configuration names none.
+/// Default width of the built-in scene's images.
 const WIDTH: usize = 100;
-/// Pictures this wide would need more memory than a scene of that detail is worth.
+/// Largest width; wider images would need more memory than the scene's detail is worth.
 const MAX_WIDTH: usize = 4096;
 
-/// The still life on its board, in the cameras' frame: all of it within 1.2 of the origin, z up.
+/// Returns the still life on its board, in the cameras' frame: all of it within 1.2 of the origin, z up.
 pub fn blender_stage() -> Stage {
     Stage::new(still_life::on_board(), Frame::SAME)
 }
 
-/// The still life on a table before a wall, in the normalised frame of forward-facing scenes: the
-/// cameras near the origin look towards -z, and everything lies at z < -1.
+/// Returns the still life on a table before a wall, in the normalized frame of forward-facing scenes. The cameras near
+/// the origin look towards -z, and everything is at z < -1.
 pub fn forward_stage() -> Stage {
     Stage::new(still_life::on_table(), views::forward_frame())
 }
 
-/// Renders the embedded scene seen from all around as `config` asks: width or downscale, splits, background, pixel
+/// Renders the built-in scene with cameras all around. `config` sets width or downscale, splits, background and pixel
 /// origin.
 pub fn load_blender(config: &DataConfig) -> Result<Scene> {
     let width = columns(config)?;
@@ -70,7 +70,7 @@ pub fn load_blender(config: &DataConfig) -> Result<Scene> {
     })
 }
 
-/// Renders the embedded scene seen from the front as `config` asks: width or downscale, hold-out, NDC, pixel origin.
+/// Renders the forward-facing built-in scene. `config` sets width or downscale, hold-out, NDC and pixel origin.
 pub fn load_forward(config: &DataConfig) -> Result<Scene> {
     let width = columns(config)?;
     let stage = forward_stage();
@@ -93,7 +93,7 @@ pub fn load_forward(config: &DataConfig) -> Result<Scene> {
     Ok(capture.hold_out("builtin".into(), DataKind::BuiltinForward.name(), config))
 }
 
-/// The working width in pixels.
+/// Returns the working width in pixels.
 fn columns(config: &DataConfig) -> Result<usize> {
     let width = match config.width as usize {
         0 => WIDTH / config.downscale.unwrap_or(1).max(1) as usize,
@@ -103,13 +103,13 @@ fn columns(config: &DataConfig) -> Result<usize> {
         return Ok(width);
     }
     Err(Error::Config(format!(
-        "the embedded scene cannot be rendered {width} pixels wide: data.width must be 4 to {MAX_WIDTH}, \
+        "the built-in scene cannot be rendered {width} pixels wide: data.width must be 4 to {MAX_WIDTH}, \
          data.downscale 1 to {}",
         WIDTH / 4
     )))
 }
 
-/// Bounds of the depths in all views, with a tenth of room in front, as LLFF scenes without NDC.
+/// Returns bounds of the depths in all views, with a margin of a tenth in front, as in LLFF scenes without NDC.
 fn depth_range(views: &[View]) -> (f64, f64) {
     let depths = || views.iter().filter_map(|view| view.depth.as_ref()).flatten().copied();
     let finite = || depths().filter(|depth| depth.is_finite()).map(f64::from);

@@ -1,4 +1,4 @@
-//! Pictures of the solids with the light on them.
+//! Rendering of the solids with lights.
 
 use rayon::prelude::*;
 
@@ -9,28 +9,28 @@ use crate::data::Camera;
 use crate::data::vector::{Vec3, add, scale};
 use crate::settings::PixelOrigin;
 
-/// Mirror reflections that are followed.
+/// Number of mirror reflections that are followed.
 const BOUNCES: u32 = 2;
 
 /// A rendered view.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Picture {
-    /// RGBA, straight alpha; alpha is the share of the pixel that is covered.
+    /// RGBA, straight alpha. Alpha is the covered fraction of the pixel.
     pub image: Image,
     /// Depth along the view's z axis in scene units, row-major, `f32::INFINITY` for nothing.
     pub depth: Vec<f32>,
 }
 
 impl Stage {
-    /// Display colour (0..=1) that a ray in the cameras' frame sees, lit by one of a pixel's
-    /// `SAMPLES` samples of the lights; `None` where it hits nothing.
+    /// Returns the display colour (0..=1) along a ray in the cameras' frame, lit by one of a pixel's `SAMPLES` samples
+    /// of the lights. `None` if it hits nothing.
     pub fn colour(&self, origin: Vec3, direction: Vec3, sample: usize) -> Option<Vec3> {
         let (o, d) = (self.frame().point(origin), self.frame().direction(direction));
         let hit = self.nearest(o, d)?;
         Some(display(shade(self, &hit, o, d, sample % SAMPLES, BOUNCES)))
     }
 
-    /// Renders a view; the bytes do not depend on the number of threads.
+    /// Renders a view. The bytes do not depend on the number of threads.
     pub fn render(&self, camera: &Camera, origin: PixelOrigin) -> Picture {
         let shift = origin.shift();
         let rows = (0..camera.height).into_par_iter().map(|y| {
@@ -47,7 +47,7 @@ impl Stage {
         Picture { image, depth: rows.iter().flatten().map(|&(_, depth)| depth).collect() }
     }
 
-    /// RGBA of the square of side 1 around pixel coordinates (`x`, `y`), and the depth there.
+    /// Returns RGBA of the unit square around pixel coordinates (`x`, `y`), and the depth there.
     fn pixel(&self, camera: &Camera, x: f64, y: f64) -> ([f32; 4], f32) {
         let (mut sum, mut covered) = ([0.0; 3], 0);
         for sample in 0..SAMPLES {

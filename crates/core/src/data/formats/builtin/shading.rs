@@ -1,5 +1,5 @@
-//! The sky and the light, in closed form. Colours are linear in here and become
-//! display values (0..=1, gamma 2.2) in [`display`].
+//! The sky and the lights, in closed form. Colours are linear here and become display values (0..=1, gamma 2.2) in
+//! [`display`].
 
 use std::sync::LazyLock;
 
@@ -7,14 +7,14 @@ use super::material::Material;
 use super::stage::{Hit, Stage};
 use crate::data::vector::{Vec3, add, along, axes_along, dot, mix, mul, scale, sub, unit};
 
-/// Rays of one pixel along each side; also the square root of the number of light samples.
+/// Rays of one pixel along each side, and the square root of the number of light samples.
 pub const SIDE: usize = 4;
 /// Samples of one pixel.
 pub const SAMPLES: usize = SIDE * SIDE;
 
 const GOLDEN_ANGLE: f64 = 2.399_963_229_728_653;
 const TO_KEY: Vec3 = [-0.42, -0.52, 0.74];
-/// Half the key light's angular size as a tangent: what makes its shadows soft.
+/// Half the key light's angular size as a tangent, which makes its shadows soft.
 const KEY_SPREAD: f64 = 0.10;
 const KEY: Vec3 = [1.10, 1.03, 0.92];
 const AMBIENT: Vec3 = [0.66, 0.68, 0.72];
@@ -22,21 +22,21 @@ const AMBIENT: Vec3 = [0.66, 0.68, 0.72];
 const BOUNCE: f64 = 0.22;
 /// Surfaces further away than this do not darken, in still-life units.
 const BOUNCE_REACH: f64 = 0.9;
-/// Shadow rays start so far off the surface.
+/// Distance of shadow rays' starts from the surface.
 const LIFT: f64 = 1e-6;
 
-/// Where a pixel's samples of the lights lie; the same for every pixel.
+/// The light samples of a pixel; the same for every pixel.
 struct Lights {
     /// Unit directions to points of the key light's disc.
     key: [Vec3; SAMPLES],
-    /// Points on the unit sphere; added to a normal they are cosine-distributed around it.
+    /// Points on the unit sphere. Added to a normal they are cosine-distributed around it.
     sphere: [Vec3; SAMPLES],
 }
 
 static LIGHTS: LazyLock<Lights> =
     LazyLock::new(|| Lights { key: std::array::from_fn(to_key), sphere: std::array::from_fn(on_sphere) });
 
-/// A direction to the key light's disc, filled by the golden angle.
+/// Returns a direction to the key light's disc, filled by the golden angle.
 fn to_key(sample: usize) -> Vec3 {
     let [x, y, z] = axes_along(TO_KEY);
     // 7 is odd: a permutation that keeps light and pixel positions unrelated.
@@ -46,7 +46,7 @@ fn to_key(sample: usize) -> Vec3 {
     unit(add(z, add(scale(x, radius * c), scale(y, radius * s))))
 }
 
-/// A point on the unit sphere, filled by the golden angle; 11 permutes as 7 does above.
+/// Returns a point on the unit sphere, filled by the golden angle. 11 permutes as 7 does above.
 fn on_sphere(sample: usize) -> Vec3 {
     let i = (sample * 11 % SAMPLES) as f64;
     let z = 1.0 - 2.0 * (i + 0.5) / SAMPLES as f64;
@@ -55,7 +55,7 @@ fn on_sphere(sample: usize) -> Vec3 {
     [r * c, r * s, z]
 }
 
-/// Radiance from a unit direction in which there is nothing: a bright zenith, a dim ground.
+/// Returns the radiance from a unit direction in which there is nothing: a bright zenith, a dim ground.
 fn sky(direction: Vec3) -> Vec3 {
     let up = direction[2];
     let horizon = [0.80, 0.82, 0.86];
@@ -66,11 +66,10 @@ fn sky(direction: Vec3) -> Vec3 {
     }
 }
 
-/// Linear colour of a hit seen along `direction` (still-life frame, any length).
+/// Returns the linear colour of a hit seen along `direction` (still-life frame, any length).
 ///
-/// `sample` (`0..SAMPLES`) picks the points of the key light and the sky that light this one of a
-/// pixel's samples; their mean over a pixel is what its colour is. `bounces` mirror reflections
-/// are followed.
+/// `sample` (`0..SAMPLES`) picks the points of the key light and the sky for this one of a pixel's samples. Their mean
+/// over a pixel is its colour. `bounces` mirror reflections are followed.
 pub fn shade(stage: &Stage, hit: &Hit, origin: Vec3, direction: Vec3, sample: usize, bounces: u32) -> Vec3 {
     let solid = &stage.solids()[hit.solid];
     let material = &solid.material;
@@ -93,7 +92,7 @@ pub fn shade(stage: &Stage, hit: &Hit, origin: Vec3, direction: Vec3, sample: us
     add(mix(diffuse, sky(mirrored), film), glint)
 }
 
-/// Diffuse irradiance of the key light and the strength of its highlight.
+/// Returns the diffuse irradiance of the key light and the strength of its highlight.
 fn key_light(stage: &Stage, material: &Material, normal: Vec3, start: Vec3, ahead: Vec3, sample: usize) -> (Vec3, f64) {
     let light = LIGHTS.key[sample];
     let cosine = dot(normal, light);
@@ -105,7 +104,7 @@ fn key_light(stage: &Stage, material: &Material, normal: Vec3, start: Vec3, ahea
     (scale(KEY, cosine), highlight)
 }
 
-/// Sky light, less where other surfaces are near.
+/// Returns the sky light, reduced where other surfaces are near.
 fn ambient(stage: &Stage, normal: Vec3, start: Vec3, sample: usize) -> Vec3 {
     let direction = add(normal, LIGHTS.sphere[sample]);
     let direction = unit(if dot(direction, direction) < 1e-9 { normal } else { direction });
@@ -121,7 +120,7 @@ fn reflection(stage: &Stage, start: Vec3, direction: Vec3, sample: usize, bounce
     }
 }
 
-/// Linear light to display values: a soft shoulder above 0.8, then gamma 2.2.
+/// Converts linear light to display values: a soft shoulder above 0.8, then gamma 2.2.
 pub fn display(linear: Vec3) -> Vec3 {
     linear.map(|v| {
         let soft = if v > 0.8 { 0.8 + 0.2 * (1.0 - (-(v - 0.8) / 0.2).exp()) } else { v.max(0.0) };

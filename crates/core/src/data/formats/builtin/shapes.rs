@@ -3,7 +3,7 @@
 use super::material::Material;
 use crate::data::vector::{Vec3, add, along, axes_along, dot, length, scale, sub, unit};
 
-/// A solid around its own origin; lengths in scene units.
+/// A solid around its own origin, with lengths in scene units.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Shape {
     /// A ball.
@@ -35,7 +35,7 @@ pub enum Shape {
 }
 
 impl Shape {
-    /// Radius of the ball around the local origin that holds the solid.
+    /// Returns the radius of the ball around the local origin that holds the solid.
     pub fn bound(&self) -> f64 {
         match *self {
             Shape::Sphere { radius } => radius,
@@ -45,7 +45,7 @@ impl Shape {
         }
     }
 
-    /// Euclidean distance of a local point to the surface, negative inside.
+    /// Returns the Euclidean distance of a local point to the surface, negative inside.
     pub fn distance(&self, p: Vec3) -> f64 {
         match *self {
             Shape::Sphere { radius } => length(p) - radius,
@@ -58,7 +58,7 @@ impl Shape {
         }
     }
 
-    /// The least `t > after` at which a local ray crosses the surface; `direction` of any length.
+    /// Returns the least `t > after` at which a local ray crosses the surface. `direction` may have any length.
     pub fn first_crossing(&self, origin: Vec3, direction: Vec3, after: f64) -> Option<f64> {
         match *self {
             Shape::Sphere { radius } => sphere_crossing(origin, direction, radius, after),
@@ -70,7 +70,7 @@ impl Shape {
         }
     }
 
-    /// The outward unit normal at a local point of the surface.
+    /// Returns the outward unit normal at a local point of the surface.
     pub fn normal(&self, p: Vec3) -> Vec3 {
         match *self {
             Shape::Sphere { .. } => unit(p),
@@ -84,7 +84,7 @@ impl Shape {
     }
 }
 
-/// Signed distance in the (radius, z) half plane, where the solid is a trapezium.
+/// Returns the signed distance in the (radius, z) half plane, where the solid is a trapezium.
 fn frustum_distance(p: Vec3, bottom: f64, top: f64, half: f64) -> f64 {
     let (r, z) = (p[0].hypot(p[1]), p[2]);
     let cap_radius = if z < 0.0 { bottom } else { top };
@@ -112,7 +112,7 @@ fn frustum_normal(p: Vec3, bottom: f64, top: f64, half: f64) -> Vec3 {
     if (p[2].abs() - half).abs() < side_gap { [0.0, 0.0, p[2].signum()] } else { side }
 }
 
-/// The lesser of the two roots of `a t^2 + 2 b t + c` beyond `after`, over those that `keep` takes.
+/// Returns the smaller root of `a t^2 + 2 b t + c` beyond `after` for which `keep` is true.
 fn first_root(a: f64, b: f64, c: f64, after: f64, keep: impl Fn(f64) -> bool) -> Option<f64> {
     let disc = b * b - a * c;
     if disc < 0.0 {
@@ -164,13 +164,13 @@ fn frustum_crossing(o: Vec3, d: Vec3, size: [f64; 3], after: f64) -> Option<f64>
     [side, cap(-half, bottom), cap(half, top)].into_iter().flatten().reduce(f64::min)
 }
 
-/// Roots of a torus' quartic, bracketed by those of its derivatives: as exact as the arithmetic,
-/// where Ferrari's closed form loses half the digits. `size` is `[major, minor]`.
+/// Returns the first root of a torus' quartic beyond `after`, bracketed by the roots of its derivatives. It is as exact
+/// as the arithmetic, where Ferrari's closed form loses half the digits. `size` is `[major, minor]`.
 fn torus_crossing(o: Vec3, d: Vec3, size: [f64; 2], after: f64) -> Option<f64> {
     let [major, minor] = size;
     let speed = length(d);
     let (d, middle) = (scale(d, 1.0 / speed), -dot(o, d) / speed);
-    // From the ray's closest point to the centre on, the quartic has no cubic term.
+    // From the ray's closest point to the centre, the quartic has no cubic term.
     let o = along(o, d, middle);
     let reach2 = (major + minor).powi(2) - dot(o, o);
     if reach2 <= 0.0 || (o[2].abs() > minor && d[2] == 0.0) {
@@ -184,7 +184,7 @@ fn torus_crossing(o: Vec3, d: Vec3, size: [f64; 2], after: f64) -> Option<f64> {
     depressed_quartic(p, q, r, reach2.sqrt()).map(|t| (middle + t) / speed).find(|&t| t > after)
 }
 
-/// The roots of `t^4 + p t^2 + q t + r` within `-reach..=reach`, ascending.
+/// Returns the roots of `t^4 + p t^2 + q t + r` within `-reach..=reach`, ascending.
 fn depressed_quartic(p: f64, q: f64, r: f64, reach: f64) -> impl Iterator<Item = f64> {
     let turn = (-p / 6.0).max(0.0).sqrt().min(reach);
     let cubic = |t: f64| (4.0 * t * t + 2.0 * p) * t + q;
@@ -195,7 +195,7 @@ fn depressed_quartic(p: f64, q: f64, r: f64, reach: f64) -> impl Iterator<Item =
     monotone_roots(quartic, cubic, knots).into_iter().flatten()
 }
 
-/// One root between each two neighbouring knots, between which `f` is monotone.
+/// Returns one root between each two neighbouring knots, between which `f` is monotone.
 fn monotone_roots<const N: usize>(
     f: impl Fn(f64) -> f64,
     slope: impl Fn(f64) -> f64,
@@ -204,7 +204,7 @@ fn monotone_roots<const N: usize>(
     std::array::from_fn(|i| if i + 1 < N { bracketed_root(&f, &slope, knots[i], knots[i + 1]) } else { None })
 }
 
-/// Newton's method, with bisection where it would leave the bracket.
+/// Applies Newton's method, with bisection where it would leave the bracket.
 fn bracketed_root(f: &impl Fn(f64) -> f64, slope: &impl Fn(f64) -> f64, low: f64, high: f64) -> Option<f64> {
     let (at_low, at_high) = (f(low), f(high));
     if low >= high || (at_low > 0.0) == (at_high > 0.0) {
@@ -235,60 +235,60 @@ fn bracketed_root(f: &impl Fn(f64) -> f64, slope: &impl Fn(f64) -> f64, low: f64
 pub struct Solid {
     /// The shape around its own origin.
     pub shape: Shape,
-    /// Where its origin lies.
+    /// Its origin.
     pub centre: Vec3,
     /// Its local x, y and z axes, orthonormal.
     pub axes: [Vec3; 3],
-    /// What it is made of.
+    /// Its material.
     pub material: Material,
 }
 
 impl Solid {
-    /// A shape with its axes along the scene's.
+    /// Places a shape with its axes along the scene's.
     pub fn at(shape: Shape, centre: Vec3, material: Material) -> Solid {
         Solid { shape, centre, axes: [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]], material }
     }
 
-    /// The same solid with its local z axis along `z`.
+    /// Turns its local z axis along `z`.
     pub fn facing(self, z: Vec3) -> Solid {
         Solid { axes: axes_along(z), ..self }
     }
 
-    /// The same solid turned by `angle` radians about the vertical.
+    /// Turns it by `angle` radians about the vertical.
     pub fn turned(self, angle: f64) -> Solid {
         let (s, c) = angle.sin_cos();
         Solid { axes: [[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]], ..self }
     }
 
-    /// A capped cylinder or cone from `from` to `to`.
+    /// Returns a capped cylinder or cone from `from` to `to`.
     pub fn rod(from: Vec3, to: Vec3, radii: [f64; 2], material: Material) -> Solid {
         let axis = sub(to, from);
         let shape = Shape::Frustum { bottom: radii[0], top: radii[1], half_height: 0.5 * length(axis) };
         Solid::at(shape, scale(add(from, to), 0.5), material).facing(axis)
     }
 
-    /// A scene point in local coordinates.
+    /// Returns a scene point in local coordinates.
     pub fn local(&self, p: Vec3) -> Vec3 {
         self.local_direction(sub(p, self.centre))
     }
 
-    /// A local point in scene coordinates.
+    /// Returns a local point in scene coordinates.
     pub fn global(&self, p: Vec3) -> Vec3 {
         add(self.centre, self.global_direction(p))
     }
 
-    /// Signed Euclidean distance of a scene point to the surface, negative inside.
+    /// Returns the signed Euclidean distance of a scene point to the surface, negative inside.
     pub fn distance(&self, p: Vec3) -> f64 {
         self.shape.distance(self.local(p))
     }
 
-    /// The least `t > after` at which a scene ray crosses the surface.
+    /// Returns the least `t > after` at which a scene ray crosses the surface.
     pub fn first_crossing(&self, origin: Vec3, direction: Vec3, after: f64) -> Option<f64> {
         let (o, d) = (self.local(origin), self.local_direction(direction));
         self.shape.first_crossing(o, d, after)
     }
 
-    /// The outward unit normal at a scene point of the surface.
+    /// Returns the outward unit normal at a scene point of the surface.
     pub fn normal(&self, p: Vec3) -> Vec3 {
         self.global_direction(self.shape.normal(self.local(p)))
     }

@@ -1,9 +1,9 @@
-//! The solids where they stand: what a ray hits.
+//! The arranged solids, and ray intersections with them.
 
 use super::shapes::Solid;
 use crate::data::vector::{Vec3, add, along, dot, length, scale, sub};
 
-/// Where a ray first meets a surface.
+/// The first intersection of a ray with a surface.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Hit {
     /// The point is `origin + t * direction`.
@@ -26,28 +26,28 @@ pub struct Frame {
 }
 
 impl Frame {
-    /// Scene and still life coincide.
+    /// The map if scene and still life coincide.
     pub const SAME: Frame =
         Frame { scale: 1.0, axes: [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]], shift: [0.0; 3] };
 
-    /// A scene direction in the still life, of `scale` times its length.
+    /// Maps a scene direction to the still life, where it has `scale` times its length.
     pub fn direction(&self, d: Vec3) -> Vec3 {
         scale(self.axes.map(|row| dot(row, d)), self.scale)
     }
 
-    /// A scene point in the still life.
+    /// Maps a scene point to the still life.
     pub fn point(&self, p: Vec3) -> Vec3 {
         add(self.direction(p), self.shift)
     }
 
-    /// A still-life unit direction in the scene.
+    /// Maps a still-life unit direction to the scene.
     fn turned_back(&self, d: Vec3) -> Vec3 {
         let [x, y, z] = self.axes;
         add(add(scale(x, d[0]), scale(y, d[1])), scale(z, d[2]))
     }
 }
 
-/// Neighbouring solids within a ball, which rays that miss it skip.
+/// Neighbouring solids within a ball. Rays that miss it skip them.
 #[derive(Clone, Debug)]
 struct Group {
     centre: Vec3,
@@ -65,7 +65,7 @@ pub struct Stage {
 }
 
 impl Stage {
-    /// Puts objects, each of several solids, on a stage.
+    /// Creates a stage with objects, each of several solids.
     pub fn new(objects: Vec<Vec<Solid>>, frame: Frame) -> Stage {
         let mut first = 0;
         let groups = objects.iter().map(|solids| {
@@ -76,30 +76,31 @@ impl Stage {
         Stage { solids: objects.into_iter().flatten().collect(), groups, frame }
     }
 
-    /// Every solid, in still-life coordinates.
+    /// Returns every solid, in still-life coordinates.
     pub fn solids(&self) -> &[Solid] {
         &self.solids
     }
 
-    /// The map from the cameras' frame to the solids'.
+    /// Returns the map from the cameras' frame to the solids'.
     pub fn frame(&self) -> &Frame {
         &self.frame
     }
 
-    /// Where a ray in the cameras' frame first meets a surface; `direction` of any length but 0.
+    /// Returns the first intersection of a ray in the cameras' frame with a surface. `direction` may have any length
+    /// but 0.
     pub fn first_hit(&self, origin: Vec3, direction: Vec3) -> Option<Hit> {
         let hit = self.nearest(self.frame.point(origin), self.frame.direction(direction))?;
         Some(Hit { normal: self.frame.turned_back(hit.normal), ..hit })
     }
 
-    /// Signed distance of a point in the cameras' frame to the nearest solid, in that frame's
-    /// units; exact outside, a bound inside where solids overlap.
+    /// Returns the signed distance of a point in the cameras' frame to the nearest solid, in that frame's units. It is
+    /// exact outside, and a bound inside where solids overlap.
     pub fn distance(&self, point: Vec3) -> f64 {
         let p = self.frame.point(point);
         self.solids.iter().map(|solid| solid.distance(p)).fold(f64::INFINITY, f64::min) / self.frame.scale
     }
 
-    /// First hit of a ray in still-life coordinates.
+    /// Returns the first hit of a ray in still-life coordinates.
     pub(super) fn nearest(&self, origin: Vec3, direction: Vec3) -> Option<Hit> {
         let mut best = (f64::INFINITY, usize::MAX);
         for index in self.candidates(origin, direction) {
@@ -113,13 +114,13 @@ impl Stage {
         Some(Hit { t, normal, solid })
     }
 
-    /// Whether anything lies on a still-life ray before `reach`.
+    /// Returns whether anything is on a still-life ray before `reach`.
     pub(super) fn blocked(&self, origin: Vec3, direction: Vec3, reach: f64) -> bool {
         self.candidates(origin, direction)
             .any(|index| self.solids[index].first_crossing(origin, direction, 0.0).is_some_and(|t| t < reach))
     }
 
-    /// Solids whose bounding balls a ray meets.
+    /// Iterates over solids whose bounding balls a ray meets.
     fn candidates(&self, origin: Vec3, direction: Vec3) -> impl Iterator<Item = usize> {
         let speed2 = dot(direction, direction);
         let meets = move |centre: Vec3, radius: f64| {
@@ -135,7 +136,7 @@ impl Stage {
 }
 
 impl Group {
-    /// The group of `solids`, whose indices start at `first`.
+    /// Creates the group of `solids`, whose indices start at `first`.
     fn around(solids: &[Solid], first: usize) -> Group {
         let sum = solids.iter().fold([0.0; 3], |sum, solid| add(sum, solid.centre));
         let centre = scale(sum, 1.0 / solids.len().max(1) as f64);

@@ -1,4 +1,4 @@
-//! The objects of the embedded scene: x to the right, y away from the front, z up.
+//! The objects of the built-in scene: x to the right, y away from the front, z up.
 
 use std::f64::consts::TAU;
 
@@ -14,7 +14,7 @@ const COBALT: Vec3 = [0.10, 0.20, 0.55];
 const LEAF: Vec3 = [0.20, 0.52, 0.20];
 const GOLD: Vec3 = [0.98, 0.78, 0.36];
 
-/// The objects without what they stand on.
+/// Returns the objects without their support.
 fn objects() -> Vec<Vec<Solid>> {
     let blooms = [
         ([-0.24, 0.28, 0.74], [0.92, 0.30, 0.38]),
@@ -26,7 +26,7 @@ fn objects() -> Vec<Vec<Solid>> {
     all
 }
 
-/// The objects on a round wooden board: what is seen from all around.
+/// Returns the objects on a round wooden board, for cameras all around.
 pub fn on_board() -> Vec<Vec<Solid>> {
     let wood = Material::patterned(Pattern::Wood(0.13), [0.80, 0.58, 0.36], [0.56, 0.35, 0.19]).glossy(0.12, 30.0);
     let shape = Shape::Frustum { bottom: 0.98, top: 1.04, half_height: 0.045 };
@@ -38,7 +38,7 @@ pub fn on_board() -> Vec<Vec<Solid>> {
     all
 }
 
-/// The objects on a table before a wall: what is seen from the front.
+/// Returns the objects on a table before a wall, for forward-facing cameras.
 pub fn on_table() -> Vec<Vec<Solid>> {
     let cloth = Material::patterned(Pattern::Gingham(0.36), [0.93, 0.92, 0.88], [0.30, 0.48, 0.62]);
     let bricks = Material::patterned(Pattern::Bricks(0.22), [0.70, 0.42, 0.32], [0.90, 0.86, 0.80]);

@@ -1,4 +1,4 @@
-//! Where the embedded scene's cameras stand.
+//! The cameras of the built-in scene.
 
 use std::f64::consts::{PI, TAU};
 
@@ -6,11 +6,11 @@ use super::stage::Frame;
 use crate::data::Camera;
 use crate::data::vector::{Vec3, add, cross, scale, sub, unit};
 
-/// Horizontal field of view of the Blender-style cameras in radians, as NeRF-synthetic's.
+/// Horizontal field of view of the Blender-style cameras in radians, as in NeRF-synthetic.
 pub const ANGLE_X: f64 = 0.691_111_207_008_361_8;
 /// Distance of the Blender-style cameras to the origin.
 const DISTANCE: f64 = 4.0;
-/// Height over width of the forward-facing pictures.
+/// Height over width of the forward-facing images.
 pub const FORWARD_ASPECT: f64 = 0.76;
 /// Focal length over width of the forward-facing cameras.
 const FORWARD_FOCAL: f64 = 1.05;
@@ -18,22 +18,22 @@ const FORWARD_FOCAL: f64 = 1.05;
 const FORWARD_SCALE: f64 = 1.6;
 /// Depth of the point that the forward-facing cameras turn towards, in their frame.
 const FOCUS: f64 = 2.6;
-/// How far the forward-facing cameras go to the sides, up and along the view.
+/// Range of the forward-facing cameras to the sides, up and along the view.
 const SPREAD: Vec3 = [0.30, 0.20, 0.08];
 
-/// The views of a scene seen from all around.
+/// The splits of the scene with cameras all around.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Split {
-    /// Trained on.
+    /// Training views.
     Train,
-    /// For choices.
+    /// Validation views.
     Val,
-    /// For results.
+    /// Test views.
     Test,
 }
 
 impl Split {
-    /// The name in files.
+    /// Returns the name in files.
     pub fn name(self) -> &'static str {
         match self {
             Split::Train => "train",
@@ -43,7 +43,7 @@ impl Split {
     }
 }
 
-/// Named cameras of a split on the upper hemisphere, square pictures of `width` pixels a side.
+/// Returns named cameras of a split on the upper hemisphere, with square images of `width` pixels per side.
 pub fn around(split: Split, width: usize) -> Vec<(String, Camera)> {
     let directions: Vec<Vec3> = match split {
         Split::Train => (0..40).map(|i| fibonacci(i, 40)).collect(),
@@ -54,12 +54,12 @@ pub fn around(split: Split, width: usize) -> Vec<(String, Camera)> {
     directions.into_iter().enumerate().map(named).collect()
 }
 
-/// The video path around the scene, 30 degrees above the ground.
+/// Returns the video path around the scene, 30 degrees above the ground.
 pub fn orbit(width: usize) -> Vec<Camera> {
     (0..40).map(|i| square(scale(on_ring(f64::from(i) / 40.0, PI / 6.0), DISTANCE), width)).collect()
 }
 
-/// Evenly spread over the upper hemisphere: equal steps in height, the golden angle between.
+/// Returns a point of an even spread over the upper hemisphere: equal steps in height, the golden angle between.
 fn fibonacci(i: usize, count: usize) -> Vec3 {
     let height = 0.04 + 0.92 * (i as f64 + 0.5) / count as f64;
     let (s, c) = (i as f64 * PI * (3.0 - 5f64.sqrt())).sin_cos();
@@ -67,7 +67,7 @@ fn fibonacci(i: usize, count: usize) -> Vec3 {
     [radius * c, radius * s, height]
 }
 
-/// A unit vector at a share of a full turn (0 at the front, -y) and an elevation in radians.
+/// Returns a unit vector at a fraction of a full turn (0 at the front, -y) and an elevation in radians.
 fn on_ring(turn: f64, elevation: f64) -> Vec3 {
     let (s, c) = (turn * TAU - 0.5 * PI).sin_cos();
     [elevation.cos() * c, elevation.cos() * s, elevation.sin()]
@@ -83,7 +83,7 @@ fn camera(pose: [[f64; 4]; 3], size: [usize; 2], focal: f64) -> Camera {
     Camera { width, height, focal: [focal; 2], centre: [0.5 * width as f64, 0.5 * height as f64], pose }
 }
 
-/// Camera-to-world matrix of a camera at `from` that looks at `to`, OpenGL axes.
+/// Returns the camera-to-world matrix of a camera at `from` that looks at `to`, in OpenGL axes.
 fn look_at(from: Vec3, to: Vec3, up: Vec3) -> [[f64; 4]; 3] {
     let z = unit(sub(from, to));
     let x = unit(cross(up, z));
@@ -91,7 +91,7 @@ fn look_at(from: Vec3, to: Vec3, up: Vec3) -> [[f64; 4]; 3] {
     std::array::from_fn(|i| [x[i], y[i], z[i], from[i]])
 }
 
-/// The normalised frame of the forward-facing scene: its origin before the still life, looking a
+/// Returns the normalized frame of the forward-facing scene: its origin is in front of the still life, and it looks a
 /// little down.
 pub fn forward_frame() -> Frame {
     let pose = look_at([0.0, -3.35, 0.46], [0.0, 0.1, -0.02], [0.0, 0.0, 1.0]);
@@ -104,8 +104,8 @@ fn forward_camera(origin: Vec3, width: usize) -> Camera {
     camera(pose, [width, height], FORWARD_FOCAL * width as f64)
 }
 
-/// Named cameras before the scene: five columns and four rows, off the grid by low-discrepancy
-/// steps as a hand would be.
+/// Returns named cameras in front of the scene: five columns and four rows, moved off the grid by low-discrepancy steps
+/// like hand-held ones.
 pub fn before(width: usize) -> Vec<(String, Camera)> {
     let place = |i: usize| {
         let grid = [(i % 5) as f64 / 2.0 - 1.0, (i / 5) as f64 / 1.5 - 1.0, 0.0];
@@ -117,7 +117,7 @@ pub fn before(width: usize) -> Vec<(String, Camera)> {
     (0..20).map(|i| (format!("view_{i:03}"), forward_camera(place(i), width))).collect()
 }
 
-/// The video path of forward-facing scenes: two turns of a spiral towards the same focus.
+/// Returns the video path of forward-facing scenes: two turns of a spiral towards the same focus.
 pub fn spiral(width: usize) -> Vec<Camera> {
     let place = |i: usize| {
         let angle = 2.0 * TAU * i as f64 / 60.0;

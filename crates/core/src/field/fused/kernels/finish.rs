@@ -1,4 +1,4 @@
-//! What is done with rows of sums before they leave the registers, and where they go.
+//! The operations on rows of sums before they leave the registers, and their targets.
 
 use super::panels::{Bits, BitsMut, Form, PanelsMut, padded};
 use super::simd::{LANES, Simd};
@@ -6,55 +6,55 @@ use super::simd::{LANES, Simd};
 /// The sums of a block of rows.
 pub(super) type Block<S, const MR: usize, const NV: usize> = [[<S as Simd>::V; NV]; MR];
 
-/// What is added to every row.
+/// Added to every row.
 #[derive(Clone, Copy)]
 pub struct Bias<'a> {
-    /// Filled up to a panel; `[rays, columns]` where each ray has its own.
+    /// Padded to a panel. `[rays, columns]` if each ray has its own.
     pub values: &'a [f32],
-    /// Number of the first row, and rows of a ray; 0 of them where all rows share one.
+    /// Number of the first row, and rows per ray. It is 0 rows per ray if all rows share one bias.
     pub of_rays: (usize, usize),
 }
 
-/// Where f32 go row after row.
+/// A target for f32, row by row.
 pub struct Out<'a> {
     pub values: &'a mut [f32],
-    /// From one row to the next.
+    /// Distance from one row to the next.
     pub stride: usize,
-    /// They are added; then nothing else is done with the rows.
+    /// Whether they are added. Then nothing else is done with the rows.
     pub accumulate: bool,
 }
 
-/// Sums by ray, `[rays, columns]` with columns filled up to a panel, and each row's ray.
+/// Sums by ray, `[rays, columns]` with columns padded to a panel, and each row's ray.
 pub struct ByRay<'a> {
     pub sums: &'a mut [f32],
     pub rays: &'a [usize],
 }
 
-/// What is done with each row, in this order.
+/// The operations on each row, in this order.
 #[derive(Default)]
 pub struct Finish<'a> {
     pub bias: Option<Bias<'a>>,
-    /// A number for each row, times a row of weights filled up to a panel, is added.
+    /// Added: a number for each row, times a row of weights padded to a panel.
     pub density: Option<(&'a [f32], &'a [f32])>,
-    /// Negative numbers become 0.
+    /// Sets negative numbers to 0.
     pub relu: bool,
-    /// Receives where the numbers are positive.
+    /// Receives a bit for each positive number.
     pub positive: Option<BitsMut<'a>>,
-    /// Receives the numbers so far.
+    /// Receives the numbers at this stage.
     pub out: Option<Out<'a>>,
-    /// Numbers without their bit become 0.
+    /// Sets numbers without their bit to 0.
     pub mask: Option<Bits<'a>>,
     pub by_ray: Option<ByRay<'a>>,
-    /// Receives the numbers so far as the left side of bf16.
+    /// Receives the numbers at this stage as the left side of bf16.
     pub across: Option<PanelsMut<'a>>,
-    /// Is added, `[rows, columns]`.
+    /// Added, `[rows, columns]`.
     pub delta: Option<&'a [f32]>,
-    /// Receives the numbers in f32, or as bf16 for gradients of weights.
+    /// Receives the final numbers in f32, or as bf16 for weight gradients.
     pub panels: Option<PanelsMut<'a>>,
 }
 
 impl Finish<'_> {
-    /// Whether pairs of bf16 are written.
+    /// Checks the slices, and returns whether pairs of bf16 are written.
     pub(super) fn check(&self, rows: usize, columns: usize) -> bool {
         let whole = padded(columns);
         let bias = self.bias.is_none_or(|bias| match bias.of_rays {
@@ -81,14 +81,14 @@ impl Finish<'_> {
 }
 
 impl Finish<'_> {
-    /// Rows go to `out` as they are, and nowhere else: sums of few rows begin with what is there.
+    /// Returns whether rows only go to `out`, unchanged. Sums of few rows then start with its content.
     fn is_out_alone(&self) -> bool {
         let Finish { bias, density, relu, positive, out: _, mask, by_ray, across, delta, panels } = self;
         let elsewhere = positive.is_some() || by_ray.is_some() || across.is_some() || panels.is_some();
         !(elsewhere || *relu || bias.is_some() || density.is_some() || mask.is_some() || delta.is_some())
     }
 
-    /// Finishes a block of sums that begins at a row and a column. `holds_out`: they hold what was in `out`, too.
+    /// Finishes a block of sums from a row and a column on. `holds_out`: they include the content of `out`.
     #[inline(always)]
     pub(super) unsafe fn block<S: Simd, const MR: usize, const NV: usize>(
         &mut self,
@@ -135,7 +135,7 @@ impl Finish<'_> {
         }
     }
 
-    /// Bias and density.
+    /// Adds bias and density.
     #[inline(always)]
     unsafe fn add<S: Simd, const MR: usize, const NV: usize>(
         &self,
@@ -169,7 +169,7 @@ impl Finish<'_> {
         }
     }
 
-    /// The second half of it: where the numbers go.
+    /// The second half of it: writes the numbers to their targets.
     #[inline(always)]
     unsafe fn leave<S: Simd, const MR: usize, const NV: usize>(
         &mut self,
@@ -228,7 +228,7 @@ impl Finish<'_> {
     }
 }
 
-/// Writes a row's numbers from `column` on, or adds them to what is there.
+/// Writes a row's numbers from `column` on, or adds them to the target.
 #[inline(always)]
 pub(super) unsafe fn put<S: Simd, const NV: usize>(
     row: *mut f32,
@@ -251,7 +251,7 @@ pub(super) unsafe fn put<S: Simd, const NV: usize>(
     }
 }
 
-/// Numbers of a row from `column` on; beyond its end 0.
+/// Returns numbers of a row from `column` on, and 0 beyond its end.
 #[inline(always)]
 pub(super) unsafe fn given<S: Simd, const NV: usize>(row: *const f32, column: usize, columns: usize) -> [S::V; NV] {
     // SAFETY: the row has `columns` numbers.

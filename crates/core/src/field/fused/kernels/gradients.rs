@@ -8,7 +8,7 @@ use super::product::multiply_add;
 use super::simd::{LANES, Simd};
 use super::{Kernel, launch};
 
-/// Adds `dz^T x` of `rows` rows, summed up by itself, to a gradient `[outputs, columns]` whose rows are `stride` apart.
+/// Adds `dz^T x` of `rows` rows, summed separately, to a gradient `[outputs, columns]` whose rows are `stride` apart.
 pub fn weight_gradient(dz: Panels, x: Panels, rows: usize, sum: &mut [f32], stride: usize) {
     let (outputs, columns) = (dz.shape.columns, x.shape.columns);
     let fits = dz.fits(rows, outputs)
@@ -54,7 +54,7 @@ impl Kernel for Weights<'_> {
 }
 
 impl Weights<'_> {
-    /// The outputs of a panel of `dz`.
+    /// Adds the outputs of a panel of `dz`.
     #[inline(always)]
     unsafe fn panel<S: Simd, const MR: usize, const NV: usize>(&mut self, output: usize, column: usize) {
         let end = self.dz.shape.columns.min(output + PANEL);
@@ -101,7 +101,7 @@ impl Weights<'_> {
     }
 }
 
-/// Adds one or two rows' products to the sums where they are, one after the other.
+/// Adds one or two rows' products to the sums in memory, one after the other.
 #[inline(always)]
 unsafe fn add_rows<S: Simd, const MR: usize, const NV: usize>(
     (to, stride): (*mut f32, usize),
@@ -123,7 +123,8 @@ unsafe fn add_rows<S: Simd, const MR: usize, const NV: usize>(
     }
 }
 
-/// Adds every row to `sum [columns]`, one after the other; of bf16 pair after pair, in each the second row first.
+/// Adds every row to `sum [columns]`, one after the other. In bf16 it adds pair after pair, in each the second row
+/// first.
 pub fn bias_gradient(dz: Panels, rows: usize, sum: &mut [f32]) {
     let fits = dz.fits(rows, sum.len()) && dz.shape.form != Form::Across;
     assert!(fits, "the gradient does not fit");

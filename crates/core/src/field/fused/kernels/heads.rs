@@ -1,4 +1,4 @@
-//! Layers of few outputs, where a matrix product would fill whole vectors with them. Their weights and sums are f32.
+//! Layers of few outputs, which would waste most of a vector in a matrix product. Their weights and sums are f32.
 
 use crate::runtime::count_multiply_adds;
 
@@ -11,9 +11,9 @@ use super::{Kernel, launch};
 pub struct Head {
     pub outputs: usize,
     pub inputs: usize,
-    /// Each row filled up to a panel.
+    /// Each row padded to a panel.
     pub weights: Vec<f32>,
-    /// The same, of each 32 inputs the even ones first.
+    /// The same, with the even ones of each 32 inputs first.
     halves: Vec<f32>,
     bias: Vec<f32>,
 }
@@ -29,7 +29,8 @@ impl Head {
     }
 }
 
-/// `y [rows, outputs] = x W^T + b`, where `x` is the sum of rows: a dot product each, in [`LANES`] sums side by side.
+/// Computes `y [rows, outputs] = x W^T + b`, where `x` is the sum of rows. Each number is a dot product in [`LANES`]
+/// parallel sums.
 pub fn head_forward(head: &Head, x: &[Panels], y: &mut [f32]) {
     let rows = y.len() / head.outputs;
     let form = x[0].shape.form;
@@ -71,8 +72,8 @@ impl Kernel for Forward<'_> {
 }
 
 impl Head {
-    /// Adds the products of rows with an output's weights, lane by lane: of `count` rows from `first` on, and of the last
-    /// again where there are no more.
+    /// Adds the products of rows with an output's weights, lane by lane, for `count` rows from `first` on. Beyond the
+    /// end it repeats the last row.
     #[inline(always)]
     unsafe fn dots<S: Simd>(
         &self,
@@ -88,7 +89,7 @@ impl Head {
             let weights = weights[output * whole + panel..][..x.shape.width(panel)].as_ptr();
             let (rows, step) = (x.at(first, panel), x.shape.step(panel));
             let mut block = *sums;
-            // Words of a row are as many as steps to the next.
+            // A row has as many words as steps to the next.
             for column in (0..step).step_by(LANES) {
                 // SAFETY: rows and weights have these columns.
                 unsafe {
@@ -111,7 +112,7 @@ impl Head {
     }
 }
 
-/// Adds `dz^T x` to `sum [outputs, columns]`, row after row, for `dz [rows, outputs]`.
+/// Adds `dz^T x` to `sum [outputs, columns]`, row by row, for `dz [rows, outputs]`.
 pub fn head_gradient(dz: &[f32], outputs: usize, x: Panels, sum: &mut [f32]) {
     let (rows, columns) = (dz.len() / outputs, x.shape.columns);
     let fits = x.fits(rows, columns) && x.shape.form != Form::Across && sum.len() == outputs * columns;
@@ -144,7 +145,7 @@ impl Kernel for Gradient<'_> {
 }
 
 impl Gradient<'_> {
-    /// An output's gradients of the weights that read a panel.
+    /// Adds an output's gradients of the weights for a panel.
     #[inline(always)]
     unsafe fn panel<S: Simd, const NV: usize>(&mut self, output: usize, panel: usize) {
         let (columns, down) = (self.x.shape.columns, S::PAIRS && self.x.shape.form == Form::Down);

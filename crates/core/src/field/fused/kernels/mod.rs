@@ -1,10 +1,6 @@
-//! What tiles are made of: products with what follows them, gradients of weights, heads, and passes over rows. One thread
-//! each; the processor's widest instructions are chosen at run time, and change no bit.
+//! Kernels on tiles: products with their finishing operations, weight gradients, heads, and passes over rows. Each uses
+//! one thread. The CPU's widest instructions are chosen at run time, and change no bit.
 
-#![allow(
-    missing_docs,
-    reason = "fields and accessors of tiles are named after what they hold; the functions give shapes"
-)]
 #![allow(
     clippy::needless_range_loop,
     reason = "rows and vectors of a block are counted: several blocks, and addresses, go by them"
@@ -34,11 +30,11 @@ use simd::{Portable, Simd};
 /// A loop over vectors.
 trait Kernel {
     /// # Safety
-    /// The processor has the instructions of `S`. All else was checked when the kernel was made.
+    /// The CPU must have the instructions of `S`. Everything else was checked when the kernel was created.
     unsafe fn run<S: Simd>(self);
 }
 
-/// Which implementation of [`Simd`] runs.
+/// The implementation of [`Simd`] that runs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Backend {
     #[cfg(target_arch = "x86_64")]
@@ -51,7 +47,7 @@ enum Backend {
 }
 
 impl Backend {
-    /// All that this processor has, fastest first. `pairs`: bf16 is used.
+    /// Returns all that this CPU has, fastest first. `pairs`: bf16 is used.
     fn all(pairs: bool) -> impl Iterator<Item = Backend> {
         #[cfg(target_arch = "x86_64")]
         let fast = {
@@ -71,7 +67,7 @@ impl Backend {
         fast.into_iter().filter_map(|(backend, has)| has.then_some(backend)).chain([Backend::Portable])
     }
 
-    /// Runs a kernel. The processor has this backend.
+    /// Runs a kernel. The CPU must have this backend.
     fn run(self, kernel: impl Kernel) {
         // SAFETY: backends are made by `all`, which asks the processor.
         unsafe {
@@ -88,7 +84,7 @@ impl Backend {
     }
 }
 
-/// Runs a kernel in the widest instructions; `pairs`: it uses bf16.
+/// Runs a kernel in the widest instructions. `pairs`: it uses bf16.
 fn launch(pairs: bool, kernel: impl Kernel) {
     #[cfg(test)]
     let best = tests::CHOSEN.get().or(Backend::all(pairs).next());

@@ -1,6 +1,6 @@
-//! How a layer's rows lie in memory: in panels of 64 columns (the last one of 32, where that is enough), each row after
-//! row. So a product reads its left side and writes its result without packing, and the gradient of weights finds
-//! 64 neighbours of every row in one stream.
+//! The memory layout of a layer's rows: panels of 64 columns, each row by row. The last panel has 32 columns if that is
+//! enough. A product then reads its left side and writes its result without packing. The weight gradient finds 64
+//! neighbours of every row in one stream.
 
 use super::simd::{round, word};
 use crate::base::simd::vectorized;
@@ -8,22 +8,22 @@ use crate::field::fused::pool::Buffer;
 
 /// Columns of a panel.
 pub const PANEL: usize = 64;
-/// Columns are filled up to a multiple of this.
+/// Columns are padded to a multiple of this.
 const STEP: usize = 32;
 
-/// Columns with those that fill the last panel up.
+/// Returns the number of columns, padded to full panels.
 pub fn padded(columns: usize) -> usize {
     columns.next_multiple_of(STEP)
 }
 
-/// What a word holds.
+/// The content of a word.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Form {
     /// An f32.
     Single,
-    /// bf16 of two neighbours in a row: the left side of a product.
+    /// bf16 of two neighbours in a row: for the left side of a product.
     Across,
-    /// bf16 of two neighbours in a column: either side of a gradient of weights.
+    /// bf16 of two neighbours in a column: for both sides of a weight gradient.
     Down,
 }
 
@@ -45,19 +45,19 @@ impl Shape {
         }
     }
 
-    /// Columns of the panel that `column` is in.
+    /// Returns the number of columns of the panel with `column`.
     #[inline(always)]
     pub fn width(self, column: usize) -> usize {
         (padded(self.columns) - column / PANEL * PANEL).min(PANEL)
     }
 
-    /// Words from a row, or pair of rows, to the next within the panel of `column`.
+    /// Returns the words from a row, or pair of rows, to the next within the panel of `column`.
     #[inline(always)]
     pub fn step(self, column: usize) -> usize {
         if self.form == Form::Across { self.width(column) / 2 } else { self.width(column) }
     }
 
-    /// Where a row's words from `column` on are; both even where two share a word.
+    /// Returns the offset of a row's words from `column` on. Both must be even if two numbers share a word.
     #[inline(always)]
     pub fn offset(self, row: usize, column: usize) -> usize {
         let (panel, inner) = (column / PANEL * PANEL, column % PANEL);
@@ -86,12 +86,12 @@ impl Slab {
         self.shape.unwrap_or(EMPTY).form
     }
 
-    /// Without rows.
+    /// Returns whether it has no rows.
     pub fn is_empty(&self) -> bool {
         self.words.is_empty()
     }
 
-    /// The rows from `start` on.
+    /// Returns the rows from `start` on.
     pub fn rows(&self, start: usize) -> Panels<'_> {
         Panels { words: &self.words, shape: self.shape.unwrap_or(EMPTY), start }
     }
@@ -111,7 +111,7 @@ pub struct Panels<'a> {
     pub start: usize,
 }
 
-/// The same to write to.
+/// Mutable rows in panels, from row `start` on.
 pub struct PanelsMut<'a> {
     pub words: &'a mut [f32],
     pub shape: Shape,
@@ -119,7 +119,7 @@ pub struct PanelsMut<'a> {
 }
 
 impl Panels<'_> {
-    /// Whether `rows` rows are there, and begin with a whole word.
+    /// Returns whether there are `rows` rows that begin with a complete word.
     pub fn fits(&self, rows: usize, columns: usize) -> bool {
         fits(self.words.len(), self.shape, (self.start, rows), columns)
     }
@@ -176,7 +176,7 @@ pub struct Bits<'a> {
     pub start: usize,
 }
 
-/// The same to write to.
+/// Mutable masks from row `start` on.
 pub struct BitsMut<'a> {
     pub bits: &'a mut [u16],
     pub shape: Shape,
@@ -205,13 +205,13 @@ impl BitsMut<'_> {
     }
 }
 
-/// Whether rows are neighbours that can be read where they are.
+/// Returns whether rows are consecutive and can be read in place.
 fn neighbours(rows: &[usize], form: Form) -> bool {
     let (first, last) = (rows[0], rows[rows.len() - 1]);
     last - first + 1 == rows.len() && (form != Form::Down || first.is_multiple_of(2))
 }
 
-/// Room for rows that are brought together.
+/// Space for gathered rows.
 #[derive(Default)]
 pub struct Gathered {
     slab: Slab,
@@ -219,7 +219,7 @@ pub struct Gathered {
 }
 
 impl Gathered {
-    /// The rows `rows` (ascending, at least one) of `all`, where they are or brought together.
+    /// Returns the rows `rows` (ascending, at least one) of `all`, in place or gathered.
     pub fn rows<'a>(&'a mut self, all: &'a Slab, rows: &[usize]) -> Panels<'a> {
         let Some(shape) = all.shape else { return all.rows(0) };
         if neighbours(rows, shape.form) {
@@ -250,7 +250,7 @@ impl Gathered {
         self.slab.rows(0)
     }
 
-    /// The same of masks.
+    /// Returns the same rows of masks.
     pub fn masks<'a>(&'a mut self, all: &'a Masks, rows: &[usize]) -> Bits<'a> {
         let Some(shape) = all.shape else { return all.rows(0) };
         if neighbours(rows, Form::Single) {
@@ -271,7 +271,7 @@ impl Gathered {
     }
 }
 
-/// One half of each word of `a` (the second where told) with one of `b`.
+/// Pairs one half of each word of `a` with one of `b`. The flags choose the second half.
 fn pair_up((a, a_second): (&[f32], bool), b: Option<(&[f32], bool)>, out: &mut [f32]) {
     let half = |word: f32, second: bool| word.to_bits() >> (16 * u32::from(second)) & 0xffff;
     vectorized(
@@ -287,18 +287,18 @@ fn pair_up((a, a_second): (&[f32], bool), b: Option<(&[f32], bool)>, out: &mut [
     );
 }
 
-/// Weights in the order in which a product reads them: for each panel of outputs, input after input.
+/// Weights in the order of a product: for each panel of outputs, input after input.
 #[derive(Default)]
 pub struct Packed {
     pub words: Buffer<f32>,
-    /// Two inputs share a word, as bf16.
+    /// Whether two inputs share a word, as bf16.
     pub pairs: bool,
     pub outputs: usize,
     pub inputs: usize,
 }
 
 impl Packed {
-    /// Of weights whose number for output `o` and input `i` is `weights[o * output_stride + i * input_stride]`.
+    /// Packs weights whose number for output `o` and input `i` is `weights[o * output_stride + i * input_stride]`.
     pub fn new(
         pairs: bool,
         (outputs, output_stride): (usize, usize),
@@ -327,7 +327,7 @@ impl Packed {
         Packed { words, pairs, outputs, inputs }
     }
 
-    /// Words from one panel's input to the next, and where panel and input begin.
+    /// Returns the start of panel and input, and the words from one input of the panel to the next.
     #[inline(always)]
     pub fn at(&self, panel: usize, input: usize) -> (*const f32, usize) {
         let (steps, step) = if self.pairs { (self.inputs.div_ceil(2), input / 2) } else { (self.inputs, input) };
@@ -337,7 +337,7 @@ impl Packed {
     }
 }
 
-/// `values` and zeros up to a whole panel.
+/// Returns `values`, padded with zeros to full panels.
 pub fn filled_up(values: &[f32]) -> Vec<f32> {
     let mut out = values.to_vec();
     out.resize(padded(values.len()), 0.0);

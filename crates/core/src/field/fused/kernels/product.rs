@@ -1,4 +1,4 @@
-//! Products of rows with packed weights, and other rows that are finished as they are.
+//! Products of rows with packed weights, and finishing of other rows.
 
 use std::mem::MaybeUninit;
 
@@ -14,28 +14,28 @@ pub use super::finish::{Bias, ByRay, Finish, Out};
 /// The left side of a product.
 #[derive(Clone, Copy)]
 pub enum Lhs<'a> {
-    /// f32, row after row.
+    /// f32, row by row.
     Rows(&'a [f32]),
     Panels(Panels<'a>),
 }
 
-/// A left side with the weights that read it.
+/// A left side with its weights.
 #[derive(Clone, Copy)]
 pub struct Source<'a> {
     pub lhs: Lhs<'a>,
     pub weights: &'a Packed,
 }
 
-/// Where rows come from that are finished: `rows` of them.
+/// The source of `rows` rows that are finished.
 #[derive(Clone, Copy)]
 pub enum Rows<'a> {
-    /// The sum of products `x W^T`, each summed up by itself in the order of its inputs.
+    /// The sum of products `x W^T`, each summed separately in the order of its inputs.
     Products(&'a [Source<'a>]),
-    /// Of few outputs: sums of `weights` rows (each filled up to a panel) times numbers of `dz [rows, outputs]`.
+    /// Of few outputs: sums of `weights` rows (each padded to a panel) times numbers of `dz [rows, outputs]`.
     Few { dz: &'a [f32], weights: &'a [f32], outputs: usize },
-    /// f32, row after row.
+    /// f32, row by row.
     Given(&'a [f32]),
-    /// The same, brought together.
+    /// Gathered rows of f32.
     Chosen(&'a [f32], &'a [usize]),
     /// f32 in panels.
     Panels(Panels<'a>),
@@ -49,7 +49,7 @@ impl Rows<'_> {
         launch(pairs, Finished { from: self, rows, columns, to: &mut to });
     }
 
-    /// Products that make up a number.
+    /// Returns the number of products in a sum.
     fn terms(&self) -> usize {
         match self {
             Rows::Products(sources) => sources.iter().map(|source| source.weights.inputs).sum(),
@@ -58,7 +58,7 @@ impl Rows<'_> {
         }
     }
 
-    /// Whether pairs of bf16 are read.
+    /// Checks the slices, and returns whether pairs of bf16 are read.
     fn check(&self, rows: usize, columns: usize) -> bool {
         let fits = match self {
             Rows::Products(sources) => sources.iter().all(|source| source.fits(rows, columns)),
@@ -90,7 +90,7 @@ impl Source<'_> {
     }
 }
 
-/// Checked.
+/// Rows with their finishing, checked.
 struct Finished<'a, 'b> {
     from: Rows<'a>,
     rows: usize,
@@ -149,7 +149,7 @@ impl Finished<'_, '_> {
         unsafe {
             let sums = self.sums::<S, MR, NV>(row, column);
             let goes_on = self.rows == 1 && matches!(self.from, Rows::Products(_));
-            // Two rows at a time, so that a row's numbers stay in registers all the way.
+            // Two rows at a time, so that a row's numbers stay in registers.
             for r in (0..MR / 2 * 2).step_by(2) {
                 let mut pair = [sums[r], sums[r + 1]];
                 self.to.block::<S, 2, NV>(&mut pair, (row + r, column), self.columns, goes_on);
@@ -166,7 +166,7 @@ impl Finished<'_, '_> {
         unsafe {
             let mut sums = [[S::splat(0.0); NV]; MR];
             match self.from {
-                // A single row has a single sum, which goes on from what is there.
+                // A single row has a single sum, which starts from the content of `out`.
                 Rows::Products(sources) if self.rows == 1 => {
                     if let Some(out) = self.to.out.as_ref().filter(|out| out.accumulate) {
                         sums[0] = given::<S, NV>(out.values.as_ptr(), column, self.columns);
@@ -178,7 +178,7 @@ impl Finished<'_, '_> {
                 }
                 Rows::Products(sources) => {
                     let Some((last, others)) = sources.split_last() else { return sums };
-                    // Sums of the others wait in memory: registers hold one source's.
+                    // Sums of the other sources wait in memory: registers hold those of one source.
                     let mut room = MaybeUninit::<Block<S, MR, NV>>::uninit();
                     let waiting = std::hint::black_box(room.as_mut_ptr());
                     for (i, source) in others.iter().enumerate() {
@@ -202,7 +202,7 @@ impl Finished<'_, '_> {
 }
 
 impl Rows<'_> {
-    /// Rows that are no products.
+    /// Finishes rows that are no products.
     #[inline(always)]
     unsafe fn rows<S: Simd, const MR: usize, const NV: usize>(
         self,
@@ -290,8 +290,8 @@ impl Source<'_> {
     }
 }
 
-/// Adds to `sums [MR, NV vectors]` the products of `steps` words of each row of `a` with vectors of `b`, step after step.
-/// `a`: where it begins, and words to the next row and step; `b`: where it begins, and words to the next step.
+/// Adds to `sums [MR, NV vectors]` the products of `steps` words of each row of `a` with vectors of `b`, step after
+/// step. `a`: its start, and the words to the next row and step. `b`: its start, and the words to the next step.
 #[inline(always)]
 pub(super) unsafe fn multiply_add<S: Simd, const PAIRS: bool, const MR: usize, const NV: usize>(
     sums: &mut Block<S, MR, NV>,

@@ -1,5 +1,5 @@
-//! What tiles are made of: products of small row-major matrices and passes over their elements.
-//! One thread each; the processor's widest instructions are chosen at run time.
+//! Products of small row-major matrices, and passes over their elements. Each uses one thread. The CPU's widest
+//! instructions are chosen at run time.
 
 use gemm::Parallelism;
 
@@ -17,12 +17,12 @@ pub struct Matrix<'a> {
 }
 
 impl<'a> Matrix<'a> {
-    /// `rows x columns`, row after row, `stride` apart.
+    /// Creates a matrix of `rows x columns`, row by row, `stride` apart.
     pub fn new(values: &'a [f32], rows: usize, columns: usize, stride: usize) -> Matrix<'a> {
         Matrix { values, rows, columns, row_stride: stride, column_stride: 1 }
     }
 
-    /// The same values with rows for columns.
+    /// Returns the transposed matrix over the same values.
     pub fn transposed(self) -> Matrix<'a> {
         Matrix {
             rows: self.columns,
@@ -33,7 +33,7 @@ impl<'a> Matrix<'a> {
         }
     }
 
-    /// Whether the last element lies within the slice.
+    /// Returns whether the last element is within the slice.
     fn fits(&self) -> bool {
         self.rows == 0
             || self.columns == 0
@@ -41,7 +41,7 @@ impl<'a> Matrix<'a> {
     }
 }
 
-/// `out = a b`, or `out += a b`, where `out` is row-major with rows `stride` apart.
+/// Computes `out = a b`, or `out += a b`, where `out` is row-major with rows `stride` apart.
 pub fn multiply(out: &mut [f32], stride: usize, a: Matrix, b: Matrix, accumulate: bool) {
     let (m, n, k) = (a.rows, b.columns, a.columns);
     assert!(a.columns == b.rows && a.fits() && b.fits(), "matrices do not fit");
@@ -74,10 +74,11 @@ pub fn multiply(out: &mut [f32], stride: usize, a: Matrix, b: Matrix, accumulate
     }
 }
 
-/// Sums of a dot product that run side by side.
+/// Number of parallel sums of a dot product.
 const LANES: usize = 16;
 
-/// `y [rows, outputs] = x W^T` for few outputs, where a matrix product would fill whole vectors with them, `weight [outputs, columns]`: a dot product each.
+/// Computes `y [rows, outputs] = x W^T` for few outputs, with `weight [outputs, columns]`: a dot product for each
+/// number.
 pub fn few_forward(x: &[f32], weight: &[f32], outputs: usize, y: &mut [f32]) {
     let columns = weight.len() / outputs;
     count_multiply_adds(y.len() * columns);
@@ -107,7 +108,7 @@ fn dot(a: &[f32], b: &[f32]) -> f32 {
     sums.iter().sum::<f32>() + rest
 }
 
-/// `dx [rows, columns] = dz W`, or `dx += dz W`, for few outputs, `dz [rows, outputs]`.
+/// Computes `dx [rows, columns] = dz W`, or `dx += dz W`, for few outputs, `dz [rows, outputs]`.
 pub fn few_input_gradient(dz: &[f32], weight: &[f32], outputs: usize, dx: &mut [f32], accumulate: bool) {
     let columns = weight.len() / outputs;
     count_multiply_adds(dz.len() * columns);
@@ -163,7 +164,7 @@ pub fn add_bias(rows: &mut [f32], bias: &[f32]) {
     );
 }
 
-/// Adds `bias` to every row, then ReLU. NaN stays NaN, to be found and reported.
+/// Adds `bias` to every row, then applies ReLU. NaN stays NaN, to be found and reported.
 pub fn add_bias_relu(rows: &mut [f32], bias: &[f32]) {
     vectorized(
         #[inline(always)]
@@ -178,7 +179,7 @@ pub fn add_bias_relu(rows: &mut [f32], bias: &[f32]) {
     );
 }
 
-/// Puts 0 where the other value is 0.
+/// Sets values to 0 where the other value is 0.
 pub fn mask_where_zero(values: &mut [f32], others: &[f32]) {
     vectorized(
         #[inline(always)]
@@ -190,7 +191,7 @@ pub fn mask_where_zero(values: &mut [f32], others: &[f32]) {
     );
 }
 
-/// `out = rows`, each row times its number in `scales`.
+/// Computes `out = rows`, with each row times its number in `scales`.
 pub fn scale_rows(rows: &[f32], scales: &[f32], out: &mut [f32]) {
     let columns = rows.len() / scales.len();
     vectorized(

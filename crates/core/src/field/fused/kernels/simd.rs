@@ -1,53 +1,55 @@
-//! Sixteen numbers at a time: what the kernels are written in, and its portable form, whose bits all others have.
+//! Vectors of sixteen numbers, and their portable form, whose bits all implementations have.
 
-/// Numbers of a vector.
+/// Numbers in a vector.
 pub const LANES: usize = 16;
 
 /// Vectors of [`LANES`] f32, or as many pairs of bf16: words whose low half is the first of two neighbours.
 ///
-/// Every implementation gives the same bits: multiplications and additions are rounded once each, or once together where
-/// they are fused, and sums are taken in the kernels' order.
+/// Every implementation gives the same bits. Multiplications and additions are rounded once each, or once together if
+/// they are fused. Sums are in the kernels' order.
 ///
 /// # Safety
-/// The processor has the implementation's instructions, and what pointers reach is readable or writable.
+/// The CPU must have the implementation's instructions, and pointers must be readable or writable.
 pub unsafe trait Simd {
     type V: Copy;
-    /// It has pairs of bf16.
+    /// Whether it has pairs of bf16.
     const PAIRS: bool;
-    /// There are registers for 24 sums and more.
+    /// Whether it has registers for 24 sums or more.
     const WIDE: bool;
 
     unsafe fn splat(value: f32) -> Self::V;
     unsafe fn load(from: *const f32) -> Self::V;
     unsafe fn store(to: *mut f32, v: Self::V);
-    /// The first `count` numbers; the others are 0.
+    /// Loads the first `count` numbers; the others are 0.
     unsafe fn load_first(from: *const f32, count: usize) -> Self::V;
     unsafe fn store_first(to: *mut f32, v: Self::V, count: usize);
     unsafe fn add(a: Self::V, b: Self::V) -> Self::V;
     unsafe fn mul(a: Self::V, b: Self::V) -> Self::V;
-    /// a b + c, rounded once.
+    /// Returns a b + c, rounded once.
     unsafe fn mul_add(a: Self::V, b: Self::V, c: Self::V) -> Self::V;
-    /// 0 where negative; NaN stays NaN.
+    /// Returns 0 for negative numbers; NaN stays NaN.
     unsafe fn relu(v: Self::V) -> Self::V;
-    /// A bit for each number that is positive.
+    /// Returns a bit for each positive number.
     unsafe fn positive(v: Self::V) -> u16;
-    /// 0 where the bit is not set.
+    /// Sets numbers without their bit to 0.
     unsafe fn keep(v: Self::V, bits: u16) -> Self::V;
-    /// c plus the products of pairs of bf16: two fused multiply-adds, the second of each pair first. Subnormal results are 0.
+    /// Returns c plus the products of pairs of bf16: two fused multiply-adds, the second of each pair first. Subnormal
+    /// results are 0.
     unsafe fn dot_pairs(a: Self::V, b: Self::V, c: Self::V) -> Self::V;
-    /// Neighbours as pairs of bf16, rounded to the nearest, ties to even; subnormals are 0. Writes `LANES / 2` words.
+    /// Stores neighbours as pairs of bf16, rounded to the nearest, ties to even. Subnormals become 0. It writes `LANES
+    /// / 2` words.
     unsafe fn store_rounded(to: *mut f32, v: Self::V);
-    /// Each number of `a` with that of `b` as a pair of bf16, rounded in the same way.
+    /// Returns each number of `a` with that of `b` as a pair of bf16, rounded in the same way.
     unsafe fn pair(a: Self::V, b: Self::V) -> Self::V;
-    /// The first of each pair.
+    /// Returns the first of each pair.
     unsafe fn first(v: Self::V) -> Self::V;
-    /// The second of each pair.
+    /// Returns the second of each pair.
     unsafe fn second(v: Self::V) -> Self::V;
-    /// Of each vector the sum of its numbers, first to last.
+    /// Returns the sum of each vector's numbers, first to last.
     unsafe fn sums(vectors: &[Self::V; LANES]) -> Self::V;
 }
 
-/// The nearest bf16, ties to even, as the low half of a word. Subnormals are 0.
+/// Returns the nearest bf16, ties to even, as the low half of a word. Subnormals become 0.
 #[inline(always)]
 pub fn round(value: f32) -> u32 {
     let bits = value.to_bits();
@@ -58,26 +60,26 @@ pub fn round(value: f32) -> u32 {
     if magnitude > 0x7f80_0000 { quiet } else { normal }
 }
 
-/// Two numbers as a word of bf16.
+/// Returns two numbers as a word of bf16.
 #[inline(always)]
 pub fn word(first: f32, second: f32) -> f32 {
     f32::from_bits(round(first) | round(second) << 16)
 }
 
-/// The two numbers of a word of bf16.
+/// Returns the two numbers of a word of bf16.
 #[inline(always)]
 pub fn numbers(word: f32) -> [f32; 2] {
     let bits = word.to_bits();
     [f32::from_bits(bits << 16), f32::from_bits(bits & 0xffff_0000)]
 }
 
-/// 0, with the sign, where subnormal.
+/// Returns 0, with the sign, for subnormal numbers.
 #[inline(always)]
 fn flushed(value: f32) -> f32 {
     if value.abs() < f32::MIN_POSITIVE { 0f32.copysign(value) } else { value }
 }
 
-/// For any processor.
+/// An implementation for any CPU.
 pub struct Portable;
 
 #[inline(always)]

@@ -4,7 +4,7 @@ use std::arch::x86_64::*;
 
 use super::simd::{LANES, Simd};
 
-/// AVX-512 (F, BW, DQ, VL); with `PAIRS` its instructions for bf16, too.
+/// AVX-512 (F, BW, DQ, VL). With `PAIRS`, also its instructions for bf16.
 pub struct Avx512<const PAIRS: bool>;
 
 // SAFETY: kernels run on it only where the processor has AVX-512, with or without BF16 (see `super::Backend`).
@@ -56,7 +56,7 @@ unsafe impl<const PAIRS: bool> Simd for Avx512<PAIRS> {
 
     #[inline(always)]
     unsafe fn relu(v: __m512) -> __m512 {
-        // The second operand is what comes out where either is NaN or both are 0.
+        // The second operand is the result if either is NaN or both are 0.
         unsafe { _mm512_max_ps(_mm512_setzero_ps(), v) }
     }
 
@@ -132,7 +132,7 @@ unsafe impl<const PAIRS: bool> Simd for Avx512<PAIRS> {
     }
 }
 
-/// Rows for columns: in blocks of four by four, then the blocks.
+/// Transposes in blocks of four by four, then the blocks.
 #[inline(always)]
 unsafe fn transposed(rows: &[__m512; LANES]) -> [__m512; LANES] {
     let mut out = *rows;
@@ -172,7 +172,7 @@ pub struct Avx2;
 
 type Halves = [__m256; 2];
 
-/// The same of both halves. (A closure would not have the instructions.)
+/// Applies an operation to both halves. (A closure would not have the instructions.)
 macro_rules! both {
     ($i:ident => $of_half:expr) => {{
         let [$i, other] = [0, 1];
@@ -188,7 +188,7 @@ unsafe fn bits(v: __m256) -> __m256i {
     unsafe { _mm256_castps_si256(v) }
 }
 
-/// All bits set where subnormal or 0.
+/// Sets all bits where the number is subnormal or 0.
 #[inline(always)]
 unsafe fn tiny(v: __m256) -> __m256 {
     unsafe {
@@ -197,13 +197,13 @@ unsafe fn tiny(v: __m256) -> __m256 {
     }
 }
 
-/// 0, with the sign, where subnormal.
+/// Returns 0, with the sign, for subnormal numbers.
 #[inline(always)]
 unsafe fn flushed(v: __m256) -> __m256 {
     unsafe { _mm256_blendv_ps(v, _mm256_and_ps(v, _mm256_set1_ps(-0.0)), tiny(v)) }
 }
 
-/// The nearest bf16 in the low half of each word (see [`super::simd::round`]).
+/// Returns the nearest bf16 in the low half of each word (see [`super::simd::round`]).
 #[inline(always)]
 unsafe fn rounded(v: __m256) -> __m256i {
     unsafe {
@@ -278,7 +278,7 @@ unsafe impl Simd for Avx2 {
 
     #[inline(always)]
     unsafe fn relu(v: Halves) -> Halves {
-        // The second operand is what comes out where either is NaN or both are 0.
+        // The second operand is the result if either is NaN or both are 0.
         unsafe { both!(i => _mm256_max_ps(_mm256_setzero_ps(), v[i])) }
     }
 
