@@ -1,4 +1,4 @@
-//! What trainings see of the baselines.
+//! The baselines as the trainer sees them.
 
 use std::sync::Arc;
 
@@ -13,7 +13,7 @@ use crate::settings::{Config, Representation, Resolved};
 use crate::srn::{Srn, SrnLearner, SrnRenderer};
 use crate::volume::{NeuralVolume, VolumeDensity, VolumeLearner, VolumeRenderer};
 
-/// Returns how the parameters of a representation are made, or `None` if it is no baseline's.
+/// Returns the family that makes the parameters of a representation, or `None` if it is no baseline.
 pub fn family(representation: Representation) -> Option<&'static dyn Family> {
     match representation {
         Representation::Srn => Some(&SrnFamily),

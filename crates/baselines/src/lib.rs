@@ -1,6 +1,6 @@
-//! Methods that NeRF is compared with: Scene Representation Networks, Neural Volumes and the network of LLFF.
+//! The baselines: Scene Representation Networks, Neural Volumes and the network of LLFF.
 //!
-//! Each has its parameters, a learner and a renderer, as [`augnerf_core::methods`] asks for.
+//! Each has parameters, a learner and a renderer, as [`augnerf_core::methods`] requires.
 
 #![warn(missing_docs)]
 

@@ -1,23 +1,23 @@
-//! The over operator: what is seen of planes that lie behind one another, each with its own alpha.
+//! The over operator: alpha compositing of planes behind one another.
 //!
-//! Plane 0 is the farthest. Plane k counts `w_k = a_k prod (1 - a_j + 1e-10)`, over the nearer planes j; the number is LLFF's
-//! (Mildenhall et al. 2019, the authors' code) and keeps opaque planes from ending all slopes.
+//! Plane 0 is the farthest. Plane k has the weight `w_k = a_k prod (1 - a_j + 1e-10)`, over the nearer planes j. The
+//! constant is LLFF's (Mildenhall et al. 2019, the authors' code), and keeps opaque planes from stopping all gradients.
 
 use candle_core::{CpuStorage, CustomOp1, DType, Layout, Result, Shape, Tensor, WithDType};
 use rayon::prelude::*;
 
 use super::values::{Values, slice};
 
-/// What an opaque plane lets through.
+/// Transmittance of an opaque plane.
 const LEAK: f64 = 1e-10;
 
-/// Rays that one thread works through at once.
+/// Rays per thread and iteration.
 const PART: usize = 256;
 
 /// Numbers of a plane: red, green, blue, alpha.
 const CHANNELS: usize = 4;
 
-/// What is left of the light of planes that are met from the nearest on.
+/// The transmittance along planes from the nearest on.
 #[derive(Clone, Copy, Debug)]
 pub struct Passing {
     transmittance: f64,
@@ -30,7 +30,7 @@ impl Default for Passing {
 }
 
 impl Passing {
-    /// The weight of the next plane.
+    /// Returns the weight of the next plane.
     #[inline(always)]
     pub fn weight(&mut self, alpha: f64) -> f64 {
         let weight = alpha * self.transmittance;
@@ -39,11 +39,11 @@ impl Passing {
     }
 }
 
-/// Planes `[rays, planes, 4]` (RGBA, straight alpha) over one another: colour times what it counts, and the sum of weights,
-/// `[rays, 4]`; on a processor sums in f64.
+/// Composites planes `[rays, planes, 4]` (RGBA, straight alpha). Returns the weighted sum of colours and the sum of
+/// weights, `[rays, 4]`. On the CPU sums are in f64.
 ///
 /// # Errors
-/// Another shape; those of candle.
+/// If the shape is wrong; those of candle.
 pub fn alpha_over(planes: &Tensor) -> Result<Tensor> {
     let (_, _, channels) = planes.dims3()?;
     if channels != CHANNELS {
@@ -90,8 +90,9 @@ impl AlphaOver {
         out
     }
 
-    /// With G_k the gradient of weight k, T_k the transmittance before it and S_k what the farther planes add per unit of light
-    /// behind it, that of alpha k is `T_k (G_k - S_k)`; `S = G_k a_k + (1 - a_k + 1e-10) S_k` for the next nearer one.
+    /// Returns the gradient of the planes. With G_k the gradient of weight k, T_k the transmittance before it and S_k
+    /// what the farther planes add per unit of transmittance behind it, that of alpha k is `T_k (G_k - S_k)`. For the
+    /// next nearer one `S = G_k a_k + (1 - a_k + 1e-10) S_k`.
     fn backward<T: WithDType>(planes: &[T], gradient: &[T], count: usize) -> Vec<T> {
         let mut out = vec![T::from_f64(0.0); planes.len()];
         let size = CHANNELS * count;

@@ -1,4 +1,4 @@
-//! The head of LLFF's network (Mildenhall et al. 2019): alpha, and a colour mixed of what input views see.
+//! The head of LLFF's network (Mildenhall et al. 2019): alpha, and a colour blended from the input views.
 
 use candle_core::{CpuStorage, CustomOp1, D, DType, Layout, Result, Shape, Tensor, WithDType};
 use candle_nn::ops::{sigmoid, softmax};
@@ -6,17 +6,17 @@ use rayon::prelude::*;
 
 use super::values::{Values, slice};
 
-/// Cells that one thread works through at once.
+/// Cells per thread and iteration.
 const PART: usize = 4096;
 
-/// Most input views.
+/// Largest number of input views.
 pub const MOST_INPUTS: usize = 16;
 
-/// `raw [.., inputs]` and `sweep [.., 3 inputs]` to RGBA `[.., 4]`: alpha is the sigmoid of channel 0; the softmax of the others and
-/// of a last 0 weighs the views' colours. With a gradient of `raw`.
+/// Maps `raw [.., inputs]` and `sweep [.., 3 inputs]` to RGBA `[.., 4]`, with a gradient of `raw`. Alpha is the sigmoid
+/// of channel 0. The softmax of the other channels and of a last 0 weights the views' colours.
 ///
 /// # Errors
-/// Shapes that do not fit; those of candle.
+/// If shapes do not fit; those of candle.
 pub fn blend_views(raw: &Tensor, sweep: &Tensor) -> Result<Tensor> {
     let (rank, inputs) = (raw.rank(), *raw.dims().last().unwrap_or(&0));
     let fits = raw.dims()[..rank - 1] == sweep.dims()[..rank - 1] && sweep.dims().last() == Some(&(3 * inputs));
@@ -46,7 +46,7 @@ struct BlendViews {
     inputs: usize,
 }
 
-/// Alpha and the views' weights.
+/// Returns alpha and the views' weights.
 #[inline(always)]
 fn shares<T: WithDType>(raw: &[T]) -> (f64, [f64; MOST_INPUTS]) {
     let alpha = 1.0 / (1.0 + (-raw[0].to_f64()).exp());
@@ -80,7 +80,8 @@ impl BlendViews {
         out
     }
 
-    /// With q_v the slope along view v's weight w_v: that of its raw number is `w_v (q_v - sum w q)`.
+    /// Returns the gradient of `raw`. With q_v the derivative in view v's weight w_v, that of its raw number is `w_v
+    /// (q_v - sum w q)`.
     fn backward<T: WithDType>(&self, raw: &[T], sweep: &[T], gradient: &[T]) -> Vec<T> {
         let n = self.inputs;
         let mut out = vec![T::from_f64(0.0); raw.len()];

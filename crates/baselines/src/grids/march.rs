@@ -1,9 +1,9 @@
-//! Rays through a volume of colour and opacity, added up until they are full (Lombardi et al. 2019, section 5).
+//! Ray marching through a volume of colour and opacity, with accumulation up to 1 (Lombardi et al. 2019, section 5).
 //!
-//! The volume fills [-1, 1]^3. A ray's sample k, a step of length `s_k`, adds `o_k s_k` to its accumulation, where `o_k` is
-//! opacity per length, until that is 1: `A_k = min(1, A_{k-1} + o_k s_k)`. Its colour is the sum of `c_k (A_k - A_{k-1})`. With
-//! `s` the first sample at which the sum exceeds 1, the gradient of the colour in `o_j s_j` is `c_j - c_s` before `s` and 0
-//! from there on; of a ray that is never full it is `c_j`.
+//! The volume fills [-1, 1]^3. A ray's sample k, a step of length `s_k`, adds `o_k s_k` to its accumulation until that
+//! is 1, where `o_k` is opacity per length: `A_k = min(1, A_{k-1} + o_k s_k)`. Its colour is the sum of `c_k (A_k -
+//! A_{k-1})`. Let `s` be the first sample at which the sum exceeds 1. The gradient of the colour in `o_j s_j` is `c_j -
+//! c_s` before `s`, and 0 from there on. For a ray whose sum stays below 1 it is `c_j`.
 
 use std::ops::Range;
 use std::sync::Arc;
@@ -19,47 +19,47 @@ use super::values::{Values, each_kind, slice, summed};
 
 /// Channels of a volume: red, green, blue, opacity per length.
 const CHANNELS: usize = 4;
-/// Numbers of a ray: red, green, blue, accumulation, distance.
+/// Numbers per ray: red, green, blue, accumulation, distance.
 const OUT: usize = 5;
-/// Rays that a thread works through at a time.
+/// Rays per thread and iteration.
 const RAYS: usize = 64;
-/// Samples that the plain path has a graph of at once: they bound its memory.
+/// Largest number of samples in a graph of the plain path, which bounds its memory.
 const PLAIN_SAMPLES: usize = 1 << 20;
 
 /// A ray in the volume's coordinates.
 #[derive(Clone, Copy, Debug)]
 pub struct Line {
-    /// Where it starts.
+    /// Its start.
     pub origin: [f64; 3],
     /// Its unit direction.
     pub direction: [f64; 3],
 }
 
-/// Where samples lie.
+/// The spacing of samples.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Pace {
-    /// The first sample lies half a step before the volume, the others a step apart.
+    /// The first sample is half a step before the volume, and the others are a step apart.
     Even,
-    /// The first lies up to a step before it, and steps are `exp(jitter * normal)` times as long; by the random numbers of a
-    /// training step.
+    /// The first is up to a step before the volume, and steps are `exp(jitter * normal)` times as long, with the random
+    /// numbers of a training step.
     Drawn {
-        /// Deviation of a step's logarithm.
+        /// Standard deviation of the logarithm of a step.
         jitter: f64,
         /// Seed of the run.
         seed: u64,
-        /// Steps finished.
+        /// Number of finished steps.
         step: u64,
     },
 }
 
-/// Rays that are marched along.
+/// Rays to march along.
 #[derive(Clone)]
 pub struct March {
     /// The rays.
     pub lines: Arc<[Line]>,
     /// Length of a step.
     pub step: f64,
-    /// Where samples lie.
+    /// The spacing of samples.
     pub pace: Pace,
 }
 
@@ -82,7 +82,7 @@ impl Strides {
             start = start.max(a.min(b));
             end = end.min(a.max(b));
         }
-        // Beside the box: no sample.
+        // A ray that misses the box has no samples.
         let end = if start < end { end } else { f64::NEG_INFINITY };
         let (random, jitter, before) = match march.pace {
             Pace::Even => (None, 0.0, 0.5),
@@ -126,15 +126,15 @@ impl Line {
     }
 }
 
-/// Within the box, its faces left out.
+/// Returns whether a point is within the box, without its faces.
 fn is_inside(point: [f64; 3]) -> bool {
     point.iter().all(|at| -1.0 < *at && *at < 1.0)
 }
 
 impl March {
-    /// Colour, accumulation and mean distance times accumulation of each ray, `[rays, 5]`, without a background: through
-    /// `template [z, y, x, 4]`, red, green, blue and opacity per length, at positions that `warp [z, y, x, 3]` has at the ray's
-    /// points; none for the points themselves.
+    /// Returns colour, accumulation and mean distance times accumulation of each ray, `[rays, 5]`, without a
+    /// background. `template [z, y, x, 4]` has red, green, blue and opacity per length. It is looked up at the
+    /// positions that `warp [z, y, x, 3]` has at the ray's points, or at the points themselves without a warp.
     pub fn forward(&self, template: &Tensor, warp: Option<&Tensor>) -> Result<Tensor> {
         if template.dims4()?.3 != CHANNELS || warp.is_some_and(|warp| warp.dims().len() != 4 || warp.dims()[3] != 3) {
             let warp = warp.map(Tensor::shape);
@@ -155,7 +155,7 @@ impl March {
         template.contiguous()?.apply_op2(&warp.unwrap_or(&nothing).contiguous()?, operation)
     }
 
-    /// Some of the rays in candle's own operations: all their samples at once.
+    /// Marches some of the rays in candle's own operations, with all their samples at once.
     fn plain(&self, template: &Tensor, warp: Option<&Tensor>, of: Range<usize>) -> Result<Tensor> {
         let lines = &self.lines[of.clone()];
         let strides: Vec<Vec<(f64, f64)>> =
@@ -181,7 +181,7 @@ impl March {
         let values = super::trilinear::plain(template, &points, Outside::Zeros)?.reshape((rays, samples, CHANNELS))?;
         let opacity = values.narrow(2, 3, 1)?.squeeze(2)?;
         let full = (opacity * tensor(steps, &[rays, samples])?)?.cumsum(1)?;
-        // Where the sum exceeds 1 nothing moves; `minimum` would share the gradient of a tie.
+        // Where the sum exceeds 1 there is no gradient; `minimum` would divide it at a tie.
         let accumulated = full.gt(1.0)?.where_cond(&full.ones_like()?, &full)?;
         let before =
             Tensor::cat(&[&Tensor::zeros((rays, 1), dtype, device)?, &accumulated.narrow(1, 0, samples - 1)?], 1)?;
@@ -192,19 +192,19 @@ impl March {
     }
 }
 
-/// A sample within the box, with what the backward pass needs of it.
+/// A sample within the box, with what the backward pass needs.
 struct Sample<T> {
     t: T,
     step: T,
-    /// Among the warp's cells.
+    /// Its location among the warp's cells.
     warped: Option<Location<T>>,
-    /// Among the template's.
+    /// Its location among the template's cells.
     place: Location<T>,
     value: [T; CHANNELS],
     /// Accumulation before and after.
     before: T,
     after: T,
-    /// The sum exceeds 1 here.
+    /// Whether the sum exceeds 1 here.
     fills: bool,
 }
 
@@ -259,7 +259,7 @@ impl Marched {
         out
     }
 
-    /// Gradients of template and warp, in one block after the other.
+    /// Returns the gradients of template and warp, one after the other.
     fn gradients<T: WithDType>(&self, template: &[T], warp: &[T], gradient: &[T]) -> Vec<T> {
         let rays = self.march.lines.len();
         let of_part = |part: usize| {
@@ -277,7 +277,7 @@ impl Marched {
     }
 }
 
-/// The mean of the corners' channels.
+/// Returns the weighted mean of the corners' channels.
 #[inline(always)]
 fn mixed<T: WithDType, const C: usize>(place: &Location<T>, grid: &[T]) -> [T; C] {
     let mut sum = [T::zero(); C];
@@ -288,15 +288,15 @@ fn mixed<T: WithDType, const C: usize>(place: &Location<T>, grid: &[T]) -> [T; C
     sum
 }
 
-/// The gradients in colour and opacity of each sample of a ray with this gradient: the closed form.
+/// Returns the gradients in colour and opacity of each sample of a ray with this gradient, in closed form.
 fn cotangents<T: WithDType>(samples: &[Sample<T>], gradient: &[T]) -> impl Iterator<Item = [T; CHANNELS]> {
     let [red, green, blue, acc, depth] = [0, 1, 2, 3, 4].map(|channel| gradient[channel]);
-    // What a sample is worth to the loss where the ray takes all of it.
+    // The derivative of the loss if the ray takes all of its colour from a sample.
     let worth = move |sample: &Sample<T>| {
         let [r, g, b, _] = sample.value;
         red * r + green * g + blue * b + depth * sample.t
     };
-    // In its place come a full ray's last sample, or more accumulation.
+    // It replaces a full ray's last sample, or adds accumulation.
     let instead = match samples.last() {
         Some(last) if last.fills => worth(last),
         _ => T::zero() - acc,
@@ -308,7 +308,7 @@ fn cotangents<T: WithDType>(samples: &[Sample<T>], gradient: &[T]) -> impl Itera
     })
 }
 
-/// Adds what a ray with this gradient adds to those of template and warp.
+/// Adds the contributions of a ray with this gradient to the gradients of template and warp.
 fn back<T: WithDType>(samples: &[Sample<T>], gradient: &[T], template: &[T], d_template: &mut [T], d_warp: &mut [T]) {
     for (sample, cotangent) in samples.iter().zip(cotangents(samples, gradient)) {
         if cotangent.iter().all(|cotangent| *cotangent == T::zero()) {

@@ -1,8 +1,8 @@
-//! Operations on lattices: products over neighbouring cells, values between cells, images of volumes.
+//! Operations on grids: convolutions, interpolation between cells, ray marching, alpha compositing.
 //!
-//! Lattices are tensors with channels last, `[z, y, x, channels]`. Each operation has a fast path on processors, with a
-//! backward pass of its own whose sums have a fixed order, and a plain one in candle's terms for other devices, which tests
-//! hold it to.
+//! Grids are tensors with channels last, `[z, y, x, channels]`. Each operation has a fast path on the CPU, with its own
+//! backward pass whose sums have a fixed order. A plain path in candle's operations serves other devices, and is the
+//! reference for tests.
 
 pub mod alpha_over;
 pub mod blend_views;

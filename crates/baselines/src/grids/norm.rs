@@ -1,8 +1,8 @@
-//! Layer normalisation, with the ReLU behind it where there is one, as one differentiable operation.
+//! Layer normalization, with an optional ReLU after it, as one differentiable operation.
 //!
-//! `y = g n + b` with `n = (x - m) / sqrt(v + epsilon)`, where m and v are the mean and the population variance of what is
-//! normalised together, and g and b belong to channels (Ba, Kiros and Hinton 2016, equation 4). With `e = dy g`, 0 where a ReLU
-//! gave 0: `dx = (e - mean(e) - n mean(e n)) / sqrt(v + epsilon)`. candle's own layer norm leaves no gradient behind.
+//! `y = g n + b` with `n = (x - m) / sqrt(v + epsilon)`. m and v are the mean and the population variance of a group,
+//! and g and b belong to channels (Ba, Kiros and Hinton 2016, equation 4). With `e = dy g`, or 0 where a ReLU gave 0:
+//! `dx = (e - mean(e) - n mean(e n)) / sqrt(v + epsilon)`. candle's own layer norm has no gradient.
 
 use std::sync::{Mutex, PoisonError};
 
@@ -13,32 +13,32 @@ use crate::base::simd::vectorized;
 
 use super::values::{Values, slice};
 
-/// What has a mean and a variance in common.
+/// The numbers with a common mean and variance.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum NormGroup {
-    /// The channels at one place (PyTorch's `LayerNorm` over the last axis).
+    /// The channels at one location (PyTorch's `LayerNorm` over the last axis).
     Channels,
-    /// All places and channels of one sample, an entry of the first axis (TensorFlow slim's `layer_norm`).
+    /// All locations and channels of one sample, an entry of the first axis (TensorFlow slim's `layer_norm`).
     Sample,
 }
 
-/// A normalisation of tensors whose last axis holds channels.
+/// A normalization of tensors whose last axis holds channels.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LayerNorm {
-    /// What has a mean and a variance in common.
+    /// The numbers with a common mean and variance.
     pub group: NormGroup,
-    /// Is added to variances.
+    /// Added to variances.
     pub epsilon: f64,
-    /// Negative results become 0.
+    /// Whether a ReLU follows.
     pub relu: bool,
 }
 
 impl LayerNorm {
-    /// `x [.., channels]` normalised, times `scale [channels]`, plus `shift [channels]`; f32 or f64, on any device. The same
-    /// bits whatever the number of threads.
+    /// Returns `x [.., channels]` normalized, times `scale [channels]`, plus `shift [channels]`, in f32 or f64, on any
+    /// device. The bits do not depend on the number of threads.
     ///
     /// # Errors
-    /// Shapes that do not fit; those of candle.
+    /// If shapes do not fit; those of candle.
     pub fn apply(&self, x: &Tensor, scale: &Tensor, shift: &Tensor) -> Result<Tensor> {
         let channels = x.dim(D::Minus1)?;
         if scale.dims() != [channels] || shift.dims() != [channels] {
@@ -56,7 +56,7 @@ impl LayerNorm {
         x.contiguous()?.apply_op3(&scale.contiguous()?, &shift.contiguous()?, operation)
     }
 
-    /// The same of candle's operations.
+    /// Returns the same in candle's operations.
     ///
     /// # Errors
     /// Those of candle.
@@ -73,10 +73,10 @@ impl LayerNorm {
     }
 }
 
-/// Numbers that one thread works through at once; sums are taken block by block, in their order.
+/// Numbers per thread and iteration. Sums are taken block by block, in order.
 const BLOCK: usize = 1 << 15;
 
-/// Sums that run side by side.
+/// Number of parallel sums.
 const LANES: usize = 16;
 
 /// f32 or f64. Sums are in f64.
@@ -101,20 +101,20 @@ impl Number for f64 {
     }
 }
 
-/// Mean and 1 / sqrt(v + epsilon) of numbers that are normalised together.
+/// Mean and 1 / sqrt(v + epsilon) of a group.
 #[derive(Clone, Copy)]
 struct Moments {
     mean: f64,
     inverse: f64,
 }
 
-/// How a tensor is cut: counts of numbers, each a multiple of the one before.
+/// The division of a tensor: counts of numbers, each a multiple of the one before.
 #[derive(Clone, Copy)]
 struct Cut {
     channels: usize,
-    /// Numbers that are normalised together.
+    /// Numbers in a group.
     group: usize,
-    /// Groups that a thread takes at least.
+    /// Least number of numbers per thread, in complete groups.
     part: usize,
 }
 
@@ -132,7 +132,7 @@ impl Cut {
         Ok(Cut { channels, group, part: (BLOCK / group).max(1) * group })
     }
 
-    /// Numbers of a block within a group.
+    /// Returns the numbers of a block within a group.
     fn block(self) -> usize {
         (BLOCK / self.channels).max(1) * self.channels
     }
@@ -140,7 +140,7 @@ impl Cut {
 
 struct Normalise {
     norm: LayerNorm,
-    /// Of every group, from the forward to the backward pass.
+    /// Of every group, kept from the forward to the backward pass.
     moments: Mutex<Vec<Moments>>,
 }
 
@@ -169,7 +169,7 @@ impl Normalise {
         Moments { mean, inverse: 1.0 / (variance + self.norm.epsilon).sqrt() }
     }
 
-    /// Gradients of x, scale and shift from that of `y`, what the forward pass gave.
+    /// Returns gradients of x, scale and shift from that of `y`, the result of the forward pass.
     fn backward<T: Number>(&self, cut: Cut, [x, y, dy]: [&[T]; 3], scale: &[T]) -> [Vec<T>; 3] {
         let moments = self.moments.lock().unwrap_or_else(PoisonError::into_inner);
         let mut dx = vec![T::ZERO; x.len()];
@@ -191,7 +191,7 @@ impl Normalise {
 }
 
 impl Normalise {
-    /// Gradients of x, scale and shift.
+    /// Returns gradients of x, scale and shift.
     fn gradients<T: Number>(&self, x: &Tensor, scale: &Tensor, y: &Tensor, dy: &Tensor) -> Result<[Tensor; 3]> {
         let cut = Cut::new(self.norm.group, x.shape())?;
         let (y, dy) = (y.contiguous()?, dy.contiguous()?);
@@ -226,7 +226,7 @@ impl Gradients {
     }
 }
 
-/// One group's way back.
+/// The backward pass of one group.
 struct Back<'a, T> {
     x: &'a [T],
     y: &'a [T],
@@ -237,7 +237,7 @@ struct Back<'a, T> {
 }
 
 impl<T: Number> Back<'_, T> {
-    /// Writes the gradient of x and returns the others.
+    /// Writes the gradient of x, and returns the others.
     fn group(&self, scale: &[T], dx: &mut [T]) -> Gradients {
         let (channels, block, count) = (self.cut.channels, self.cut.block(), self.x.len() as f64);
         let blocks = self.x.par_chunks(block).zip(self.y.par_chunks(block)).zip(self.dy.par_chunks(block));
@@ -250,7 +250,7 @@ impl<T: Number> Back<'_, T> {
         gradients
     }
 
-    /// A block's part of the gradients of scale and shift.
+    /// Returns a block's part of the gradients of scale and shift.
     fn gradients(&self, x: &[T], y: &[T], dy: &[T]) -> Gradients {
         let (mut sums, channels) = (Gradients::none(self.cut.channels), self.cut.channels);
         let Moments { mean, inverse } = self.moments;
@@ -271,7 +271,7 @@ impl<T: Number> Back<'_, T> {
         sums
     }
 
-    /// A block of the gradient of x; `means`: of e, and of e n.
+    /// Writes a block of the gradient of x. `means`: of e, and of e n.
     fn input(&self, x: &[T], y: &[T], dy: &[T], (scale, means): (&[T], [f64; 2]), dx: &mut [T]) {
         let [mean, inverse, of_e, of_e_n] = [self.moments.mean, self.moments.inverse, means[0], means[1]].map(T::of);
         let channels = self.cut.channels;
@@ -291,13 +291,13 @@ impl<T: Number> Back<'_, T> {
     }
 }
 
-/// A gradient behind the ReLU, where there is one.
+/// Returns a gradient behind the optional ReLU.
 #[inline(always)]
 fn masked<T: Number>(dy: T, y: T, relu: bool) -> T {
     if !relu || y > T::ZERO { dy } else { T::ZERO }
 }
 
-/// A block of whole rows.
+/// Normalizes a block of complete rows.
 fn normalise<T: Number>(x: &[T], moments: Moments, (scale, shift): (&[T], &[T]), relu: bool, y: &mut [T]) {
     let (mean, inverse) = (T::of(moments.mean), T::of(moments.inverse));
     vectorized(
@@ -306,7 +306,7 @@ fn normalise<T: Number>(x: &[T], moments: Moments, (scale, shift): (&[T], &[T]),
             for (x, y) in x.chunks_exact(scale.len()).zip(y.chunks_exact_mut(scale.len())) {
                 for ((x, y), (scale, shift)) in x.iter().zip(y).zip(scale.iter().zip(shift)) {
                     let value = (*x - mean) * inverse * *scale + *shift;
-                    // Not `max`: a NaN must stay one, to be found and reported.
+                    // Not `max`: NaN must stay, to be found and reported.
                     *y = if relu && value < T::ZERO { T::ZERO } else { value };
                 }
             }
@@ -314,7 +314,7 @@ fn normalise<T: Number>(x: &[T], moments: Moments, (scale, shift): (&[T], &[T]),
     );
 }
 
-/// The sum of what `term` makes of numbers: of blocks, in their order.
+/// Sums `term` of numbers, block by block in order.
 fn sum_of<T: Number>(numbers: &[T], term: impl Fn(f64) -> f64 + Sync) -> f64 {
     let of_block = |block: &[T]| {
         let mut lanes = [0f64; LANES];

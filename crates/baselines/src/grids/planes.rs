@@ -1,7 +1,7 @@
-//! Images of planes: what rays meet on each of many parallel planes, between four pixels.
+//! Images on planes: the values of many parallel planes along rays, interpolated between four pixels.
 //!
-//! A plane is an image. Between pixels values are bilinear; outside of the image everything is 0, so that values fade over one
-//! pixel beyond its edge, as TensorFlow's resampler has it (the code of LLFF, Mildenhall et al. 2019).
+//! A plane is an image. Values are bilinear between pixels, and 0 outside of the image. They fade over one pixel beyond
+//! its edge, as with TensorFlow's resampler (the code of LLFF, Mildenhall et al. 2019).
 
 use std::sync::Arc;
 
@@ -10,31 +10,31 @@ use rayon::prelude::*;
 
 use super::values::{Values, slice};
 
-/// Rays that one thread works through at once.
+/// Rays per thread and iteration.
 const PART: usize = 256;
 
-/// Where rays meet planes: a column and a row in pixels for each ray and plane, `[rays, planes]`; (0, 0) is the middle of the
-/// first pixel. Not a number where a ray meets nothing.
+/// The intersections of rays with planes: column and row in pixels for each ray and plane, `[rays, planes]`. (0, 0) is
+/// the centre of the first pixel. NaN if a ray does not meet the plane.
 #[derive(Clone, Debug, Default)]
 pub struct Locations {
-    /// Planes of each ray.
+    /// Number of planes.
     pub planes: usize,
-    /// Row after row of planes.
+    /// Rows of planes, one per ray.
     pub of_rays: Vec<[f64; 2]>,
 }
 
 impl Locations {
-    /// Rays.
+    /// Returns the number of rays.
     pub fn rays(&self) -> usize {
         self.of_rays.len().checked_div(self.planes).unwrap_or(0)
     }
 }
 
-/// A pixel of an image by its number, and its share of the value between four.
+/// A pixel of an image by its number, and its weight among four.
 pub type Corner = (usize, f64);
 
-/// The four pixels around a place of an image of `width` times `height`, with their shares; the share of one that is outside, and
-/// of all where the place is not a number, is 0.
+/// Returns the four pixels around a location in an image of `width` x `height`, with their weights. The weight of a
+/// pixel outside is 0, and all are 0 if the location is NaN.
 #[inline(always)]
 pub fn corners([column, row]: [f64; 2], width: usize, height: usize) -> [Corner; 4] {
     let inside = column > -1.0 && row > -1.0 && column < width as f64 && row < height as f64;
@@ -55,11 +55,11 @@ pub fn corners([column, row]: [f64; 2], width: usize, height: usize) -> [Corner;
     ]
 }
 
-/// What rays meet on `planes [planes, height, width, channels]`: `[rays, planes, channels]`, with a gradient of `planes`. The same
-/// bits whatever the number of threads.
+/// Returns the values of `planes [planes, height, width, channels]` along rays: `[rays, planes, channels]`, with a
+/// gradient of `planes`. The bits do not depend on the number of threads.
 ///
 /// # Errors
-/// Locations of another number of planes; those of candle.
+/// If the number of planes differs; those of candle.
 pub fn plane_sample(planes: &Tensor, places: Arc<Locations>) -> Result<Tensor> {
     let (count, _, _, _) = planes.dims4()?;
     if count != places.planes || !places.of_rays.len().is_multiple_of(count.max(1)) {
@@ -114,7 +114,7 @@ impl PlaneSample {
         out
     }
 
-    /// Each plane is a thread's own, and takes its rays in their order.
+    /// Each plane belongs to one thread, which takes its rays in order.
     fn backward<T: WithDType>(
         &self,
         cotangent: &[T],

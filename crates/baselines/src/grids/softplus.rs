@@ -1,4 +1,4 @@
-//! Softplus of scaled channels: how a decoder's numbers become colour and opacity, which are not negative.
+//! Softplus of scaled channels, which makes a decoder's numbers non-negative colours and opacity.
 
 use candle_core::backend::BackendStorage;
 use candle_core::{CpuStorage, CustomOp1, DType, Device, Layout, Result, Shape, Tensor, WithDType};
@@ -6,12 +6,12 @@ use rayon::prelude::*;
 
 use super::values::{Values, each_kind, slice};
 
-/// Above it the softplus is the identity, as in torch: 2e-9 less.
+/// Above it the softplus is the identity, as in torch (the difference is 2e-9).
 const LINEAR: f64 = 20.0;
-/// Cells that a thread works through at a time.
+/// Cells per thread and iteration.
 const CELLS: usize = 1 << 12;
 
-/// `ln(1 + exp(scale x + shift))` with a scale and a shift for each of the last axis's channels.
+/// Returns `ln(1 + exp(scale x + shift))`, with a scale and a shift for each of the last axis's channels.
 pub fn softplus<const C: usize>(x: &Tensor, scale: [f64; C], shift: [f64; C]) -> Result<Tensor> {
     if x.dims().last() != Some(&C) {
         candle_core::bail!("softplus of {C} channels: {:?} does not fit", x.shape());
@@ -26,7 +26,7 @@ pub fn softplus<const C: usize>(x: &Tensor, scale: [f64; C], shift: [f64; C]) ->
 pub fn plain<const C: usize>(x: &Tensor, scale: [f64; C], shift: [f64; C]) -> Result<Tensor> {
     let row = |values: [f64; C]| Tensor::new(&values[..], x.device())?.to_dtype(x.dtype());
     let z = x.broadcast_mul(&row(scale)?)?.broadcast_add(&row(shift)?)?;
-    // Above the bound, what is taken the exponential of does not matter, but must not be infinite.
+    // Above the bound the argument of the exponential does not matter, but must not be infinite.
     let held = z.minimum(LINEAR)?;
     z.gt(LINEAR)?.where_cond(&z, &(held.exp()? + 1.0)?.log()?)
 }
@@ -37,7 +37,7 @@ struct Softplus<const C: usize> {
 }
 
 impl<const C: usize> Softplus<C> {
-    /// What `of` makes of each scaled number and what stands at its place in `beside`.
+    /// Maps `of` over the scaled numbers and those of `beside`.
     fn map<T: WithDType>(&self, x: &[T], beside: &[T], of: impl Fn(T, T, T) -> T + Sync) -> Vec<T> {
         let [scale, shift] = [self.scale, self.shift].map(|row| row.map(T::from_f64));
         let mut out = vec![T::zero(); x.len()];

@@ -1,6 +1,6 @@
-//! Values between the cells of a lattice.
+//! Interpolation between the cells of a grid.
 //!
-//! A lattice fills [-1, 1] along each axis, its outermost cells at the ends. A value at a point is the mean of those at the
+//! A grid fills [-1, 1] along each axis, with its outermost cells at the ends. The value at a point is the mean of the
 //! eight corners around it, each weighted with the volume of the box between the point and the opposite corner.
 
 use candle_core::backend::BackendStorage;
@@ -9,41 +9,41 @@ use rayon::prelude::*;
 
 use super::values::{Values, each_kind, slice, summed};
 
-/// Points that a thread works through at a time.
+/// Points per thread and iteration.
 const POINTS: usize = 1024;
-/// Parts of a lattice's gradient, each with a lattice of its own, which are added up in their order.
+/// Parts of a grid's gradient, each with a grid of its own, which are summed in order.
 pub(super) const PARTS: usize = 4;
 
-/// What lies around a lattice.
+/// The values around a grid.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Outside {
-    /// Cells of zeros: values fade over the width of one cell.
+    /// Zeros: values fade over the width of one cell.
     Zeros,
-    /// The nearest point of the lattice.
+    /// The value at the nearest point of the grid.
     Border,
 }
 
-/// Corners of the cell around a point.
+/// A corner of the cell around a point.
 pub(super) struct Corner<T> {
     pub(super) cell: usize,
-    /// 0 where there is no such cell.
+    /// 0 if there is no such cell.
     pub(super) weight: T,
 }
 
-/// A lattice's size, along z, y, x, and what lies around it.
+/// The size of a grid, along z, y, x, and the values around it.
 #[derive(Clone, Copy)]
 pub(super) struct Lattice {
     pub(super) sides: [usize; 3],
     pub(super) outside: Outside,
 }
 
-/// A point among the cells.
+/// The location of a point among the cells.
 pub(super) struct Location<T> {
-    /// Of the corner before the point, along z, y, x.
+    /// Index of the corner before the point, along z, y, x.
     low: [isize; 3],
-    /// How far the point is beyond it, 0..1.
+    /// Distance of the point from it, 0..1.
     part: [T; 3],
-    /// Cells that the point moves by where its coordinate moves by 1.
+    /// Change of the location, in cells, per unit of the coordinate.
     scale: [T; 3],
     sides: [usize; 3],
 }
@@ -53,7 +53,7 @@ impl Lattice {
         self.sides.iter().product()
     }
 
-    /// Where the point x, y, z is.
+    /// Returns the location of the point x, y, z.
     #[inline(always)]
     pub(super) fn place<T: WithDType>(&self, point: [T; 3]) -> Location<T> {
         let along: [(isize, T, T); 3] = std::array::from_fn(|axis| {
@@ -78,7 +78,7 @@ impl Lattice {
 }
 
 impl<T: WithDType> Location<T> {
-    /// Weight of the nearer (0) or farther (1) cells along an axis.
+    /// Returns the weight of the nearer (0) or farther (1) cells along an axis.
     #[inline(always)]
     fn along(&self, axis: usize, side: usize) -> T {
         if side == 1 { self.part[axis] } else { T::one() - self.part[axis] }
@@ -91,7 +91,7 @@ impl<T: WithDType> Location<T> {
         inside.then(|| (at(0) as usize * self.sides[1] + at(1) as usize) * self.sides[2] + at(2) as usize)
     }
 
-    /// The eight corners.
+    /// Returns the eight corners.
     #[inline(always)]
     pub(super) fn corners(&self) -> [Corner<T>; 8] {
         std::array::from_fn(|corner| match self.cell(corner) {
@@ -103,7 +103,7 @@ impl<T: WithDType> Location<T> {
         })
     }
 
-    /// The gradient in x, y, z of what the corners' values add up to.
+    /// Returns the gradient in x, y, z of the interpolated value.
     #[inline(always)]
     pub(super) fn slope(&self, value: impl Fn(usize) -> T) -> [T; 3] {
         let mut slope = [T::zero(); 3];
@@ -121,7 +121,7 @@ impl<T: WithDType> Location<T> {
     }
 }
 
-/// Values `[n, channels]` of a lattice `[z, y, x, channels]` at points `[n, 3]`, each x, y, z.
+/// Returns values `[n, channels]` of a grid `[z, y, x, channels]` at points `[n, 3]`, each x, y, z.
 pub fn trilinear(grid: &Tensor, points: &Tensor, outside: Outside) -> Result<Tensor> {
     let (z, y, x, _) = grid.dims4()?;
     let lattice = Lattice { sides: [z, y, x], outside };

@@ -1,4 +1,4 @@
-//! The values of tensors on a processor, for operations of our own.
+//! The values of tensors on the CPU, for custom operations.
 
 use std::ops::Deref;
 
@@ -17,16 +17,16 @@ impl<'a> Values<'a> {
         Values { storage: Box::new(storage), layout }
     }
 
-    /// Row after row.
+    /// Returns the values row by row.
     pub(super) fn slice<T: WithDType>(&self) -> Result<&[T]> {
         match &**self.storage {
             Storage::Cpu(storage) => slice(storage, self.layout),
-            _ => candle_core::bail!("this operation is for processors"),
+            _ => candle_core::bail!("this operation needs tensors on the CPU"),
         }
     }
 }
 
-/// The values of a contiguous argument.
+/// Returns the values of a contiguous argument.
 pub(super) fn slice<'a, T: WithDType>(storage: &'a CpuStorage, layout: &Layout) -> Result<&'a [T]> {
     match layout.contiguous_offsets() {
         Some((start, end)) => Ok(&T::cpu_storage_as_slice(storage)?[start..end]),
@@ -34,7 +34,7 @@ pub(super) fn slice<'a, T: WithDType>(storage: &'a CpuStorage, layout: &Layout) 
     }
 }
 
-/// Runs a block with `T` as the kind of number, f32 or f64.
+/// Runs a block with `T` as the number type, f32 or f64.
 macro_rules! each_kind {
     ($dtype:expr, $kind:ident => $work:block) => {
         match $dtype {
@@ -53,7 +53,7 @@ macro_rules! each_kind {
 
 pub(super) use each_kind;
 
-/// The sum of parts in their order, of `count` numbers each.
+/// Sums parts of `count` numbers each, in order.
 pub(super) fn summed<T: WithDType>(parts: Vec<Vec<T>>, count: usize) -> Vec<T> {
     const BLOCK: usize = 1 << 14;
     let mut parts = parts.into_iter();

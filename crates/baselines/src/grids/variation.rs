@@ -1,4 +1,4 @@
-//! How a volume's opacity varies: the prior that Neural Volumes are smooth (Lombardi et al. 2019, section 6.1).
+//! The variation of a volume's opacity: the smoothness prior of Neural Volumes (Lombardi et al. 2019, section 6.1).
 
 use candle_core::backend::BackendStorage;
 use candle_core::{CpuStorage, CustomOp1, DType, Device, Layout, Result, Shape, Tensor, WithDType};
@@ -6,11 +6,12 @@ use rayon::prelude::*;
 
 use super::values::{Values, each_kind, slice};
 
-/// Keeps the logarithm of opacity, and the slope of the root, finite.
+/// Keeps the logarithm of opacity, and the derivative of the root, finite.
 const EPSILON: f64 = 1e-5;
 
-/// The mean over cells that have a next one along each axis of `sqrt(1e-5 + |d|^2)`, where `d` are the forward differences of
-/// `ln(1e-5 + opacity)`; opacity is the last channel of `template [z, y, x, channels]`, all sides at least 2.
+/// Returns the mean over cells of `sqrt(1e-5 + |d|^2)`, where `d` are the forward differences of `ln(1e-5 + opacity)`.
+/// Only cells with a next one along each axis count. Opacity is the last channel of `template [z, y, x, channels]`,
+/// with all sides at least 2.
 pub fn log_variation(template: &Tensor) -> Result<Tensor> {
     let (z, y, x, channels) = template.dims4()?;
     if z < 2 || y < 2 || x < 2 || channels == 0 {
@@ -47,12 +48,12 @@ impl Variation {
         opacity.map(|opacity| (EPSILON + opacity).ln()).collect()
     }
 
-    /// Cells to the next one along z, y, x.
+    /// Returns the distance in cells to the next one along z, y, x.
     fn strides(&self) -> [usize; 3] {
         [self.sides[1] * self.sides[2], self.sides[2], 1]
     }
 
-    /// Whether the cell has a next one along each axis.
+    /// Returns whether the cell has a next one along each axis.
     fn counts(&self, cell: usize) -> bool {
         let [depth, height, width] = self.sides;
         cell / (height * width) + 1 < depth && cell / width % height + 1 < height && cell % width + 1 < width
@@ -62,7 +63,7 @@ impl Variation {
         self.sides.iter().map(|side| (side - 1) as f64).product()
     }
 
-    /// The root at a cell; 0 where none counts.
+    /// Returns the root at a cell, or 0 if the cell does not count.
     fn root(&self, logarithms: &[f64], cell: usize) -> f64 {
         if !self.counts(cell) {
             return 0.0;
@@ -71,7 +72,7 @@ impl Variation {
         (EPSILON + squares.iter().sum::<f64>()).sqrt()
     }
 
-    /// All of them. Sums of planes are added up in order.
+    /// Returns all roots and their sum. Sums of planes are added in order.
     fn roots(&self, logarithms: &[f64]) -> (Vec<f64>, f64) {
         let plane = self.strides()[0];
         let mut roots = vec![0f64; logarithms.len()];
@@ -92,7 +93,7 @@ impl Variation {
                 if roots[cell] > 0.0 {
                     sum -= (logarithms[cell + next] - logarithms[cell]) / roots[cell];
                 }
-                // A cell that counts has its next one along this very axis.
+                // A cell that counts has its next one along this axis.
                 if let Some(before) = cell.checked_sub(next).filter(|before| roots[*before] > 0.0) {
                     sum += (logarithms[cell] - logarithms[before]) / roots[before];
                 }

@@ -1,4 +1,4 @@
-//! Multiplane images of whole views, kept in 8 bits.
+//! Multiplane images of complete views, kept in 8 bits.
 
 use std::sync::{Arc, OnceLock};
 
@@ -11,42 +11,42 @@ use crate::grids::planes::corners;
 
 use super::geometry::Viewpoint;
 
-/// What LLFF adds to stored alphas.
+/// Constant that LLFF adds to stored alphas.
 const ALPHA_FLOOR: f64 = 1e-8;
 
-/// A view that planes are made of.
+/// A view from which planes are predicted.
 #[derive(Clone)]
 pub struct SourceView {
     /// Its camera.
     pub eye: Viewpoint,
-    /// Its picture.
+    /// Its image.
     pub image: Arc<Image>,
 }
 
 impl SourceView {
-    /// The same picture from the same place.
+    /// Returns whether it is the same image with the same camera.
     pub fn is(&self, other: &SourceView) -> bool {
         self.eye == other.eye && Arc::ptr_eq(&self.image, &other.image)
     }
 }
 
-/// Their cameras.
+/// Returns the cameras of views.
 pub fn eyes(views: &[SourceView]) -> Vec<Viewpoint> {
     views.iter().map(|view| view.eye).collect()
 }
 
 /// One view's planes.
 pub struct Mpi {
-    /// Whose pixels they have.
+    /// The camera whose pixels they have.
     pub eye: Viewpoint,
-    /// RGBA, `[planes, height, width, 4]`, the farthest plane first, each number cut off to 8 bits.
+    /// RGBA, `[planes, height, width, 4]`, the farthest plane first, each number truncated to 8 bits.
     pub planes: Vec<u8>,
 }
 
-/// What a ray meets of a multiplane image.
+/// The composited sample of a multiplane image along a ray.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct MpiSample {
-    /// Colour times what it counts.
+    /// Weighted sum of colours.
     pub rgb: [f64; 3],
     /// Sum of weights.
     pub acc: f64,
@@ -54,13 +54,14 @@ pub struct MpiSample {
     pub depth: f64,
 }
 
-/// A number of 0..=1 in 8 bits, as LLFF writes it: cut off, not rounded.
+/// Returns a number of 0..=1 in 8 bits, as LLFF writes it: truncated, not rounded.
 pub fn stored(value: f64) -> u8 {
     (255.0 * value.clamp(0.0, 1.0)) as u8
 }
 
 impl Mpi {
-    /// From RGBA of a window around a whole view, `[planes, height, width, 4]`: what is beyond the view is cut off.
+    /// Creates a multiplane image from RGBA of a window around a complete view, `[planes, height, width, 4]`. What is
+    /// beyond the view is cut off.
     ///
     /// # Errors
     /// Those of candle.
@@ -74,7 +75,7 @@ impl Mpi {
         Ok(Mpi { eye, planes })
     }
 
-    /// What a ray meets, from the nearest plane on.
+    /// Composites the planes along a ray, from the nearest on.
     pub fn sample(&self, origin: Vec3, direction: Vec3, depths: &[f64], places: &mut [([f64; 2], f64)]) -> MpiSample {
         self.eye.hits(origin, direction, depths, |k, pixel, t| places[k] = (pixel, t));
         let (width, height) = (self.eye.camera.width, self.eye.camera.height);
@@ -97,13 +98,13 @@ impl Mpi {
     }
 }
 
-/// Predicts the multiplane image of one of some views, by its number, at some depths.
+/// Predicts the multiplane image of one of some views, given its index and the depths.
 pub type Predict = Box<dyn Fn(&[SourceView], usize, &[f64]) -> Result<Mpi> + Send + Sync>;
 
-/// The multiplane images of a scene's training views by weights that stay, each predicted when it is first needed: a picture needs
-/// those next to its camera alone.
+/// The multiplane images of a scene's training views with fixed weights. Each is predicted when it is first needed: an
+/// image needs only those near its camera.
 pub struct Mpis {
-    /// What they are made of.
+    /// The views from which they are predicted.
     pub views: Vec<SourceView>,
     /// Depths of the planes, the farthest first.
     pub depths: Vec<f64>,
@@ -112,13 +113,13 @@ pub struct Mpis {
 }
 
 impl Mpis {
-    /// None of them predicted.
+    /// Creates the images, none of them predicted.
     pub fn new(views: &[SourceView], depths: &[f64], predict: Predict) -> Mpis {
         let predicted = views.iter().map(|_| OnceLock::new()).collect();
         Mpis { views: views.to_vec(), depths: depths.to_vec(), predict, predicted }
     }
 
-    /// Predicts that of a view, unless it is there.
+    /// Predicts the image of a view, unless it is there.
     ///
     /// # Errors
     /// Those of the prediction.
@@ -129,22 +130,22 @@ impl Mpis {
         Ok(())
     }
 
-    /// Holds that of a view, unless it is there: another thread that was faster has left the same numbers.
+    /// Stores the image of a view, unless it is there. Another thread may have stored the same numbers first.
     pub fn keep(&self, view: usize, mpi: Mpi) {
         let _ = self.predicted[view].set(mpi);
     }
 
-    /// That of a view.
+    /// Returns the image of a view.
     ///
     /// # Errors
-    /// It was not made: rays are rendered from where nothing was prepared.
+    /// If it was not made: rays are rendered from an origin that was not prepared.
     pub fn of(&self, view: usize) -> Result<&Mpi> {
         let missing = || candle_core::Error::Msg(format!("the planes of training view {view} are not prepared"));
         Ok(self.predicted[view].get().ok_or_else(missing)?)
     }
 }
 
-/// Multiplane images with what they hang on.
+/// Multiplane images with what they depend on.
 pub struct CachedMpis {
     /// Hash of the network's weights.
     pub weights: [u8; 32],

@@ -1,8 +1,8 @@
-//! The network of LLFF (Mildenhall et al. 2019): a 3D U-Net that turns a plane-sweep volume into a multiplane image.
+//! The network of LLFF (Mildenhall et al. 2019): a 3D U-Net from a plane-sweep volume to a multiplane image.
 //!
-//! Convolutions of 3 x 3 x 3 without bias, layer normalisation over a whole sample and ReLU, in TensorFlow slim's order; the
-//! last has a bias and nothing behind it. Three levels of half the side each, along the planes, too. The layers are those that
-//! third parties wrote down of the authors' network; the authors published none.
+//! Convolutions of 3 x 3 x 3 without bias, layer normalization over a complete sample and ReLU, in TensorFlow slim's
+//! order. The last one has a bias and nothing after it. There are three levels of half the side each, also along the
+//! planes. The layers are those that third parties reported of the authors' network; the authors published none.
 
 use std::sync::{Arc, Mutex};
 
@@ -20,22 +20,22 @@ use super::mpi::CachedMpis;
 /// Taps of a convolution.
 const TAPS: usize = 27;
 
-/// slim's own normalisation.
+/// slim's own normalization.
 const NORM: LayerNorm = LayerNorm { group: NormGroup::Sample, epsilon: 1e-12, relu: true };
 
-/// Sides of a layer's lattice beside those of the one that it reads.
+/// Sides of a layer's grid relative to those of its input.
 enum Sides {
     Same,
-    /// The same, of taps two cells apart.
+    /// The same, with taps two cells apart.
     Dilated,
     Halved,
-    /// It reads the nearest cells.
+    /// Twice: it reads the nearest cells.
     Doubled,
 }
 
 use Sides::{Dilated, Doubled, Halved, Same};
 
-/// A convolution: its name, channels in and out.
+/// A convolution: its name, and channels in and out.
 struct Layer {
     name: &'static str,
     inputs: usize,
@@ -47,7 +47,7 @@ const fn layer(name: &'static str, inputs: usize, outputs: usize, sides: Sides) 
     Layer { name, inputs, outputs, sides }
 }
 
-/// All convolutions with a normalisation, in their order; channels that depend on the number of input views are 0 here.
+/// All convolutions with a normalization, in their order. Channels that depend on the number of input views are 0 here.
 const LAYERS: [Layer; 17] = [
     layer("conv1_1", 0, 8, Same),
     layer("conv1_2", 8, 16, Halved),
@@ -91,7 +91,7 @@ impl Kind {
     }
 }
 
-/// Parameters of one layer with its channels.
+/// Returns the parameters of one layer with its channels.
 fn kinds(layer: &Layer, inputs: usize) -> (Vec<Kind>, usize, usize) {
     match layer.name == LAST.name {
         true => (vec![Kind::Weight, Kind::Bias], layer.inputs, inputs),
@@ -100,18 +100,18 @@ fn kinds(layer: &Layer, inputs: usize) -> (Vec<Kind>, usize, usize) {
     }
 }
 
-/// The network's parameters in their fixed order, with what the last renderer makes of them.
+/// The network's parameters in their fixed order, with the images that the last renderer made.
 #[derive(Clone)]
 pub struct MpiNetwork {
     variables: Vec<(String, Var)>,
-    /// Input views.
+    /// Number of input views.
     inputs: usize,
-    /// Multiplane images that these weights gave.
+    /// Multiplane images of these weights.
     pub(super) kept: Arc<Mutex<Option<CachedMpis>>>,
 }
 
 impl MpiNetwork {
-    /// Freshly drawn weights: uniform by Xavier's rule, as slim has it; scales 1, shifts and the bias 0.
+    /// Initializes the weights: uniform by Xavier's rule, as in slim; scales 1, shifts and the bias 0.
     ///
     /// # Errors
     /// Those of candle.
@@ -136,7 +136,8 @@ impl MpiNetwork {
         MpiNetwork::from_parameters(config, values)
     }
 
-    /// Names and shapes of all parameters, in their fixed order. Kernels are `[taps, in, out]`, taps along z, y, x.
+    /// Returns names and shapes of all parameters, in their fixed order. Kernels are `[taps, in, out]`, taps along z,
+    /// y, x.
     pub fn parameter_names(config: &Config) -> Vec<(String, Vec<usize>)> {
         let of_layer = |layer: &Layer| {
             let (kinds, from, to) = kinds(layer, config.llff.inputs);
@@ -149,7 +150,7 @@ impl MpiNetwork {
         LAYERS.iter().chain([&LAST]).flat_map(of_layer).collect()
     }
 
-    /// A network over given values, in the order of [`MpiNetwork::parameter_names`].
+    /// Creates a network with given values, in the order of [`MpiNetwork::parameter_names`].
     ///
     /// # Errors
     /// Those of candle.
@@ -160,7 +161,7 @@ impl MpiNetwork {
         Ok(MpiNetwork { variables: variables?, inputs: config.llff.inputs, kept: Arc::default() })
     }
 
-    /// The same weights, which stay when these learn on.
+    /// Returns a copy of the weights, which stays the same when these are trained.
     ///
     /// # Errors
     /// Those of candle.
@@ -171,27 +172,27 @@ impl MpiNetwork {
         Ok(MpiNetwork { variables: variables?, inputs: self.inputs, kept: Arc::default() })
     }
 
-    /// All parameters with their names, in the fixed order.
+    /// Returns all parameters with their names, in the fixed order.
     pub fn variables(&self) -> Vec<(String, Var)> {
         self.variables.clone()
     }
 
-    /// How many views it sees.
+    /// Returns the number of input views.
     pub fn inputs(&self) -> usize {
         self.inputs
     }
 
-    /// The device that the parameters are on.
+    /// Returns the device of the parameters.
     pub fn device(&self) -> &Device {
         self.variables[0].1.device()
     }
 
-    /// Their kind of numbers.
+    /// Returns the type of the parameters.
     pub fn dtype(&self) -> DType {
         self.variables[0].1.dtype()
     }
 
-    /// The parameters as they are now, with gradients or without.
+    /// Returns the current parameters, with gradients or without.
     pub fn weights(&self, trainable: bool) -> Weights {
         let tensor =
             |(_, var): &(String, Var)| if trainable { var.as_tensor().clone() } else { var.as_detached_tensor() };
@@ -205,11 +206,12 @@ pub struct Weights {
 }
 
 impl Weights {
-    /// A plane-sweep volume `[planes, height, width, 3 views]` to numbers of every cell, `[planes, height, width, views]`: channel 0
-    /// is alpha's, the others the views' (see [`crate::grids::blend_views::blend_views`]). Sides are multiples of 8.
+    /// Maps a plane-sweep volume `[planes, height, width, 3 views]` to numbers of every cell, `[planes, height, width,
+    /// views]`. Channel 0 is alpha's, the others are the views' (see [`crate::grids::blend_views::blend_views`]). Sides
+    /// are multiples of 8.
     ///
     /// # Errors
-    /// Other sides; those of candle.
+    /// If the sides are wrong; those of candle.
     pub fn forward(&self, sweep: &Tensor) -> Result<Tensor> {
         let one_2 = self.all(&["conv1_1", "conv1_2"], sweep)?;
         let two_2 = self.all(&["conv2_1", "conv2_2"], &one_2)?;
@@ -222,7 +224,7 @@ impl Weights {
         convolution(&LAST, &seven_2, weight, bias)
     }
 
-    /// Some convolutions after one another.
+    /// Applies some convolutions one after another.
     fn all(&self, names: &[&str], x: &Tensor) -> Result<Tensor> {
         names.iter().try_fold(x.clone(), |x, name| self.one(name, &x))
     }
@@ -247,7 +249,7 @@ fn convolution(layer: &Layer, x: &Tensor, weight: &Tensor, bias: &Tensor) -> Res
     })
 }
 
-/// Two lattices' channels side by side.
+/// Concatenates the channels of two grids.
 fn joined(a: &Tensor, b: &Tensor) -> Result<Tensor> {
     Ok(Tensor::cat(&[a, b], 3)?)
 }

@@ -1,4 +1,4 @@
-//! The network's multiplane images of whole views, predicted once for weights and views.
+//! Prediction of multiplane images of complete views, once per weights and views.
 
 use std::sync::{Arc, PoisonError};
 
@@ -14,8 +14,8 @@ use super::network::MpiNetwork;
 use super::sweep::{Window, sweep};
 
 impl MpiNetwork {
-    /// The multiplane images of `views` by these weights as they are now, each predicted when it is needed. Those of before are handed
-    /// out again where weights, views and depths are the same: a picture after another costs no second prediction.
+    /// Returns the multiplane images of `views` with the current weights, each predicted when it is needed. Earlier
+    /// ones are returned again if weights, views and depths are the same, so that a second image costs no prediction.
     ///
     /// # Errors
     /// Those of candle.
@@ -38,10 +38,10 @@ impl MpiNetwork {
         Ok(mpis)
     }
 
-    /// The multiplane image of one view: threads share the work of each operation.
+    /// Predicts the multiplane image of one view. Threads share the work of each operation.
     ///
     /// # Errors
-    /// Weights that are not numbers; those of candle.
+    /// If weights are NaN; those of candle.
     pub fn predict(&self, views: &[SourceView], view: usize, depths: &[f64]) -> Result<Mpi> {
         let eyes = eyes(views);
         let eye = eyes[view];
@@ -62,7 +62,7 @@ impl MpiNetwork {
         Mpi::new(eye, &blend_views(&raw, &volume)?)
     }
 
-    /// A hash of all weights.
+    /// Returns a hash of all weights.
     fn digest(&self) -> Result<[u8; 32]> {
         let mut digest = Sha256::new();
         for (_, var) in self.variables() {

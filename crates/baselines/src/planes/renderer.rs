@@ -1,4 +1,4 @@
-//! What multiplane images look like from elsewhere.
+//! Rendering of multiplane images from other cameras.
 
 use std::sync::Arc;
 
@@ -17,14 +17,14 @@ use super::mpi::{Mpi, MpiSample, Mpis};
 pub struct PlanesRenderer {
     pub(super) mpis: Arc<Mpis>,
     pub(super) eyes: Vec<Viewpoint>,
-    /// How many are blended.
+    /// Number of blended images.
     pub(super) blend: usize,
-    /// The scene's, where it has one.
+    /// The scene's background, if it has one.
     pub(super) background: Option<[f32; 3]>,
 }
 
 impl PlanesRenderer {
-    /// The views that are blended for rays from `origin`, with their weights.
+    /// Returns the views that are blended for rays from `origin`, with their weights.
     fn blended(&self, origin: Vec3) -> Vec<(usize, f64)> {
         let near = nearest(&self.eyes, origin);
         let first = near[0].1;
@@ -39,7 +39,7 @@ impl PlanesRenderer {
         self.blended(origin).into_iter().map(|(view, weight)| Ok((self.mpis.of(view)?, weight))).collect()
     }
 
-    /// One ray: colour, sum of weights times t, accumulation.
+    /// Renders one ray: colour, sum of weights times t, accumulation.
     fn ray(&self, blended: &[(&Mpi, f64)], (origin, direction): (Vec3, Vec3)) -> ([f64; 3], f64, f64) {
         let mut places = vec![([0.0; 2], 0.0); self.mpis.depths.len()];
         let (mut sum, mut weights) = (MpiSample::default(), 0.0);
@@ -74,7 +74,7 @@ impl Renderer for PlanesRenderer {
         let (origins, directions) = (vectors(&rays.origins)?, vectors(&rays.directions)?);
         let count = origins.len();
         let [mut rgb, mut depth, mut acc] = [3 * count, count, count].map(Vec::<f64>::with_capacity);
-        // Rays of one camera have one origin: it is asked once.
+        // Rays of one camera have one origin, which is looked up once.
         let mut known: Option<(Vec3, Vec<(&Mpi, f64)>)> = None;
         for ray in origins.into_iter().zip(directions) {
             if known.as_ref().is_none_or(|(origin, _)| *origin != ray.0) {

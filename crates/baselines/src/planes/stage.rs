@@ -1,4 +1,4 @@
-//! The training views as the method sees them, and what it refuses.
+//! The training views as the method needs them, and scenes that it does not support.
 
 use crate::base::{Error, Result};
 use crate::data::{Camera, Scene};
@@ -9,35 +9,35 @@ use super::geometry::{Viewpoint, depths};
 use super::mpi::SourceView;
 use super::sweep::padded;
 
-/// Views that learning takes at the least: one that is left out, one whose planes are predicted, one beside it.
+/// Fewest views for training: one that is left out, one whose planes are predicted, and one neighbour.
 const FEWEST_VIEWS: usize = 3;
 
-/// Bytes of a plane's pixel that stays: RGBA.
+/// Bytes of a stored plane's pixel: RGBA.
 const KEPT_BYTES: f64 = 4.0;
 
-/// Bytes of a cell of the finest lattice while a view is predicted, at the last layers: a layer's input, its product and the
-/// normalised result, 8 channels each, and what coarser lattices keep.
+/// Bytes per cell of the finest grid while a view is predicted, at the last layers: a layer's input, its product and
+/// the normalized result, 8 channels each, and what coarser grids keep.
 const PREDICTED_BYTES: f64 = 4.0 * 3.0 * 8.0 + 37.0;
 
-/// And of each input view's colour in the plane sweep, which the mixture needs at the end.
+/// Bytes of each input view's colour in the plane sweep, which the blending needs at the end.
 const SWEPT_BYTES: f64 = 4.0 * 3.0;
 
-/// What learning and painting have in common. Views that are held out are no part of it.
+/// The common inputs of training and rendering. Held-out views are no part of it.
 #[derive(Clone)]
 pub struct Stage {
     /// The training views.
     pub views: Vec<SourceView>,
     /// Depths of every view's planes, the farthest first.
     pub depths: Vec<f64>,
-    /// What is behind everything.
+    /// The background colour.
     pub background: Option<[f32; 3]>,
 }
 
 impl Stage {
-    /// Of the training views of `scene`.
+    /// Creates the stage from the training views of `scene`.
     ///
     /// # Errors
-    /// A scene that the method has no use for.
+    /// If the method does not support the scene.
     pub fn new(config: &Config, scene: &Scene) -> Result<Stage> {
         check(scene)?;
         let shift = config.data.origin_of_pixels().shift();
@@ -50,11 +50,11 @@ impl Stage {
 }
 
 impl Stage {
-    /// Refuses views whose planes take more memory than this machine has free, predicted of `inputs` views each. Those of all
-    /// views are counted, which a path around the scene needs.
+    /// Returns an error for views whose planes need more memory than this machine has free, predicted from `inputs`
+    /// views each. All views count, since a path around the scene needs them.
     ///
     /// # Errors
-    /// [`Error::Config`] with what is needed and what is free.
+    /// [`Error::Config`] with the needed and the free memory.
     pub fn check_memory(&self, inputs: usize) -> Result<()> {
         let side = |size: usize| padded(size) as f64;
         let cells =
@@ -77,7 +77,7 @@ impl Stage {
     }
 }
 
-/// Depths of the nearest and the farthest plane.
+/// Returns the depths of the nearest and the farthest plane.
 fn bounds(config: &Config, scene: &Scene) -> Result<(f64, f64)> {
     let near = config.llff.near.unwrap_or(scene.near);
     let far = config.llff.far.unwrap_or(scene.far);
@@ -93,7 +93,7 @@ fn bounds(config: &Config, scene: &Scene) -> Result<(f64, f64)> {
 fn check(scene: &Scene) -> Result<()> {
     if scene.ndc.is_some() {
         return Err(Error::Config(
-            "data.ndc = true does not suit method llff, whose planes stand in the scene itself; set data.ndc=false"
+            "data.ndc = true does not suit method llff, whose planes are in the scene's own units; set data.ndc=false"
                 .into(),
         ));
     }

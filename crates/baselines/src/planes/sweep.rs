@@ -1,4 +1,4 @@
-//! Plane-sweep volumes: what the views around a camera see on each of its planes.
+//! Plane-sweep volumes: the views around a camera, projected onto each of its planes.
 
 use candle_core::{DType, Device, Tensor, WithDType};
 use rayon::prelude::*;
@@ -8,8 +8,8 @@ use crate::grids::planes::corners;
 
 use super::geometry::{Homography, Viewpoint};
 
-/// A part of a view's pixels, which the network sees at once; its sides are multiples of 8, and may reach beyond the view: there
-/// the view's edge goes on.
+/// A part of a view's pixels that the network processes at once. Its sides are multiples of 8, and may reach beyond the
+/// view, where the view's edge is repeated.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Window {
     /// First column.
@@ -23,30 +23,31 @@ pub struct Window {
 }
 
 impl Window {
-    /// All of a view.
+    /// Returns the window of a complete view.
     pub fn whole(width: usize, height: usize) -> Window {
         Window { left: 0, top: 0, width: padded(width), height: padded(height) }
     }
 
-    /// The pixel lies in it.
+    /// Returns whether the pixel is in it.
     pub fn holds(&self, [column, row]: [f64; 2]) -> bool {
         let within = |at: f64, first: usize, size: usize| at >= first as f64 && at <= (first + size - 1) as f64;
         within(column, self.left, self.width) && within(row, self.top, self.height)
     }
 }
 
-/// Cells of the network's coarsest lattice are this long.
+/// Length of the cells of the network's coarsest grid.
 pub const COARSEST: usize = 8;
 
-/// The next multiple of [`COARSEST`].
+/// Returns the next multiple of [`COARSEST`].
 pub fn padded(size: usize) -> usize {
     size.next_multiple_of(COARSEST)
 }
 
-/// What each of `seen` (camera and picture) sees on the planes of `own` at `depths`, in `window`:
-/// `[planes, height, width, 3 views]`, channel 3 v + c.
+/// Projects each of `seen` (camera and image) onto the planes of `own` at `depths`, in `window`: `[planes, height,
+/// width, 3 views]`, channel 3 v + c.
 ///
 /// # Errors
+/// Those of candle.
 /// Those of candle.
 pub fn sweep(
     own: &Viewpoint,
@@ -66,7 +67,7 @@ pub fn sweep(
 fn values<T: WithDType>(own: &Viewpoint, seen: &[(&Viewpoint, &Image)], depths: &[f64], window: Window) -> Vec<T> {
     let channels = 3 * seen.len();
     let mut out = vec![T::from_f64(0.0); depths.len() * window.height * window.width * channels];
-    // Beyond the view its edge goes on.
+    // Beyond the view its edge is repeated.
     let columns: Vec<f64> =
         (window.left..window.left + window.width).map(|x| x.min(own.camera.width - 1) as f64).collect();
     out.par_chunks_mut(window.width * channels).enumerate().for_each(|(i, out)| {

@@ -1,4 +1,4 @@
-//! What a step works on: a crop of a view that is left out, and windows of views around it.
+//! The inputs of a step: a crop of a view that is left out, and windows of views around it.
 
 use std::sync::Arc;
 
@@ -11,52 +11,52 @@ use crate::settings::PlanesConfig;
 use super::geometry::{Viewpoint, nearest};
 use super::sweep::{Window, padded};
 
-/// Times that a step looks for a crop.
+/// Number of tries to find a crop.
 const TRIES: usize = 16;
 
-/// A pixel counts where so many of its planes are in each window, or not in the window's view at all.
+/// A pixel counts if this fraction of its planes is in each window, or not in the window's view at all.
 const HELD: f64 = 0.75;
 
-/// A crop is taken where so many of its pixels count; of those that have fewer the best. Where disparities are large for the
-/// window no pixel of any crop may: then those count that have a plane in every window.
+/// A crop is used if this fraction of its pixels counts; otherwise the best crop is. If disparities are too large for
+/// the window, no pixel of any crop may count. Then those count that have a plane in every window.
 const ENOUGH: f64 = 0.5;
 
 /// A view whose planes a step predicts.
 pub struct Reference {
-    /// Its number.
+    /// Its index.
     pub view: usize,
     /// The part that is predicted.
     pub window: Window,
-    /// Where the crop's rays meet its planes: pixels of the window.
+    /// Intersections of the crop's rays with its planes, as pixels of the window.
     pub places: Arc<Locations>,
-    /// The distance of its camera from that of the view that is left out.
+    /// The distance of its camera from that of the left-out view.
     pub distance: f64,
 }
 
-/// A step's work.
+/// The inputs of a step.
 pub struct Work {
-    /// The view that is left out: no input of any network.
+    /// The view that is left out, which is no input of any network.
     pub target: usize,
-    /// The pixels that are asked for, as column and row.
+    /// The pixels of the crop, as column and row.
     pub pixels: Vec<[usize; 2]>,
     /// Which of them count.
     pub counts: Vec<bool>,
-    /// Which have a plane in every window.
+    /// Which of them have a plane in every window.
     shown: Vec<bool>,
-    /// Whose planes are blended.
+    /// The views whose planes are blended.
     pub references: Vec<Reference>,
 }
 
 impl Work {
-    /// How many pixels count.
+    /// Returns the number of pixels that count.
     pub fn counted(&self) -> usize {
         number(&self.counts)
     }
 
-    /// The work of the step that follows `step` finished ones.
+    /// Draws the inputs of the step after `step` finished ones.
     ///
     /// # Errors
-    /// Views around no crop of which there are planes.
+    /// If no crop is covered by the planes of the views around it.
     pub fn draw(config: &PlanesConfig, seed: u64, step: u64, eyes: &[Viewpoint], depths: &[f64]) -> Result<Work> {
         let mut random = Random::new(seed, Stream::Batches, step);
         let mut best: Option<Work> = None;
@@ -88,7 +88,7 @@ impl Work {
         let target = random.below(eyes.len() as u32) as usize;
         let others: Vec<(usize, f64)> =
             nearest(eyes, eyes[target].place()).into_iter().filter(|(view, _)| *view != target).collect();
-        // Any of those that a picture of the view would be blended of.
+        // Any of those from which an image of the view would be blended.
         let near = others.len().min(config.blend.max(config.references));
         let chosen = random.distinct(config.references.min(near), near as u32);
         let camera = &eyes[target].camera;
@@ -123,13 +123,13 @@ fn number(of: &[bool]) -> usize {
     of.iter().filter(|holds| **holds).count()
 }
 
-/// The window of a view around where the crop's middle ray meets a plane.
+/// Returns the window of a view around the intersection of the crop's middle ray with a plane.
 fn window(eye: &Viewpoint, side: usize, middle: (Vec3, Vec3), depths: &[f64], plane: usize) -> Window {
     let at = eye.places(&[middle], &depths[plane..plane + 1]).of_rays[0];
     let along = |at: f64, size: usize| {
         let side = side.min(padded(size));
         let last = size.saturating_sub(side);
-        // A ray that meets nothing leaves the middle of the view.
+        // A ray that meets nothing gives the middle of the view.
         let at = if at.is_finite() { at - 0.5 * (side - 1) as f64 } else { 0.5 * last as f64 };
         (at.round().clamp(0.0, last as f64) as usize, side)
     };
@@ -137,7 +137,7 @@ fn window(eye: &Viewpoint, side: usize, middle: (Vec3, Vec3), depths: &[f64], pl
     Window { left, top, width, height }
 }
 
-/// Takes out the pixels that the window holds too few planes of, and those that meet nothing of the view.
+/// Removes the pixels for which the window holds too few planes, and those that meet nothing of the view.
 fn count(eye: &Viewpoint, window: Window, places: &Locations, counts: &mut [bool]) {
     let (width, height) = (eye.camera.width as f64, eye.camera.height as f64);
     for (counts, places) in counts.iter_mut().zip(places.of_rays.chunks_exact(places.planes)) {
@@ -148,7 +148,7 @@ fn count(eye: &Viewpoint, window: Window, places: &Locations, counts: &mut [bool
     }
 }
 
-/// Takes out the pixels that the window has no plane of.
+/// Removes the pixels for which the window has no plane.
 fn show(window: Window, places: &Locations, shown: &mut [bool]) {
     for (shown, places) in shown.iter_mut().zip(places.of_rays.chunks_exact(places.planes)) {
         *shown &= places.iter().any(|place| window.holds(*place));

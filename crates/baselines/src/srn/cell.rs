@@ -1,12 +1,12 @@
-//! The march's recurrent cell in candle's operations.
+//! The recurrent cell of the march in candle's operations.
 
 use candle_core::backend::BackendStorage;
 use candle_core::{CpuStorage, CudaStorage, CustomOp1, Layout, MetalStorage, Result, Shape, Tensor};
 
 use crate::field::dense;
 
-/// Weights of a recurrent layer: of its input `[4 hidden, inputs]` and its state `[4 hidden, hidden]`, and a bias `[4 hidden]`
-/// of each. Gates are in the order input, forget, candidate, output.
+/// Weights of a recurrent layer: of its input `[4 hidden, inputs]` and its state `[4 hidden, hidden]`, each with a bias
+/// `[4 hidden]`. Gates are in the order input, forget, candidate, output.
 pub(super) struct Lstm<'a> {
     pub weight_ih: &'a Tensor,
     pub weight_hh: &'a Tensor,
@@ -15,8 +15,8 @@ pub(super) struct Lstm<'a> {
 }
 
 impl Lstm<'_> {
-    /// The state `(h, c)` behind `(h, c)` and x `[n, inputs]`, `[n, hidden]` each (Hochreiter and Schmidhuber 1997, with forget
-    /// gates).
+    /// Returns the state `(h, c)` after `(h, c)` and x `[n, inputs]`, `[n, hidden]` each (Hochreiter and Schmidhuber
+    /// 1997, with forget gates).
     pub(super) fn apply(&self, x: &Tensor, (h, c): (&Tensor, &Tensor), trainable: bool) -> Result<(Tensor, Tensor)> {
         let gates = dense(x, self.weight_ih, self.bias_ih, false, trainable)?;
         let gates = (gates + dense(h, self.weight_hh, self.bias_hh, false, trainable)?)?.chunk(4, 1)?;
@@ -27,7 +27,7 @@ impl Lstm<'_> {
     }
 }
 
-/// The same tensor, whose gradient is cut to -`limit`..=`limit` on its way back.
+/// Returns the same tensor, whose gradient is clipped to -`limit`..=`limit` in the backward pass.
 pub(super) fn clamp_gradient(x: &Tensor, limit: f64) -> Result<Tensor> {
     x.contiguous()?.apply_op1(ClampGradient { limit })
 }
@@ -58,7 +58,7 @@ impl CustomOp1 for ClampGradient {
     }
 }
 
-/// Of contiguous values, whose part of their storage this is.
+/// Copies contiguous values from their part of the storage.
 fn copy<S: BackendStorage>(x: &S, layout: &Layout) -> Result<(S, Shape)> {
     Ok((x.affine(layout, 1.0, 0.0)?, layout.shape().clone()))
 }

@@ -1,4 +1,4 @@
-//! How an SRN learns: random rays of the training views, whole marches, and the two terms of the original's loss.
+//! Training of an SRN: random rays of the training views, complete marches, and the two terms of the original's loss.
 
 use candle_core::{DType, Device};
 
@@ -15,7 +15,7 @@ use super::fast::Network;
 use super::network::Srn;
 use super::step::{Chunk, StepWork, Sums, Weights};
 
-/// Parts of a step that threads share; each sums its gradients in place.
+/// Number of parts of a step, which threads share. Each sums its gradients in place.
 const PARTS: usize = 16;
 
 /// Trains the SRN of one scene.
@@ -28,10 +28,10 @@ pub struct SrnLearner {
 }
 
 impl SrnLearner {
-    /// Goes on with `srn` on the training views of `scene`.
+    /// Creates a learner of `srn` on the training views of `scene`.
     ///
     /// # Errors
-    /// Batches that the training views do not have.
+    /// If batches are larger than the training views allow.
     pub fn new(config: &Resolved, scene: &Scene, srn: Srn, dtype: DType, device: &Device) -> Result<SrnLearner> {
         Ok(SrnLearner {
             batches: Batches::new(config, scene, RayParts::default())?,
@@ -42,7 +42,7 @@ impl SrnLearner {
         })
     }
 
-    /// The rays of a step, their targets, and the depths that they start at.
+    /// Returns the rays of a step, their targets, and their initial depths.
     fn draw(&mut self, step: u64) -> StepWork {
         let batch = self.batches.batch(step);
         let (mean, noise) = (self.config.srn.start_depth, self.config.srn.start_noise);
@@ -53,7 +53,7 @@ impl SrnLearner {
         StepWork { rays: batch.rays, target, z_0 }
     }
 
-    /// Works through the chunks of a step, parts of them at the same time.
+    /// Processes the chunks of a step, in parallel parts.
     fn march(&self, work: &StepWork, stop_check: &StopCheck) -> Result<Sums> {
         let (rays, size) = (work.z_0.len(), self.config.train.chunk);
         let srn = &self.config.srn;
@@ -85,7 +85,7 @@ impl Learner for SrnLearner {
 
     fn add_term(&mut self, term: LossTerm, _weight: f64) -> Result<()> {
         Err(Error::Config(format!(
-            "the term '{}' is made of a radiance field's samples or density, which method srn has not; use nerf",
+            "the term '{}' needs a radiance field's samples or density, which method srn lacks; use nerf",
             term.name()
         )))
     }
@@ -107,7 +107,7 @@ impl Learner for SrnLearner {
             terms: vec![
                 term("loss_image", "loss of the colours", image, srn.image_weight),
                 term("loss_depth", "loss of depths behind the camera", depth, srn.depth_weight),
-                // All rays that end at one depth show a blank picture: worth a look, and no part of the loss.
+                // If all rays end at one depth, the image is blank. This is a diagnostic, not part of the loss.
                 term("depth_deviation", "deviation of the rays' depths", deviation, 0.0),
             ],
             loss: srn.image_weight * image + srn.depth_weight * depth,

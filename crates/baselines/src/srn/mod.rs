@@ -1,7 +1,7 @@
-//! Scene Representation Networks (Sitzmann, Zollhoefer and Wetzstein 2019), one network a scene.
+//! Scene Representation Networks (Sitzmann, Zollhoefer and Wetzstein 2019), one network per scene.
 //!
-//! A network Phi gives every point x of space a feature. A ray starts a little before its camera; an LSTM that reads the
-//! features on its way says how far each step goes:
+//! A network Phi gives every point x of space a feature. A ray starts a little in front of its camera. An LSTM reads
+//! the features along the ray and computes the length of each step:
 //!
 //! ```text
 //! x_0 = o + z_0 d        v_s = Phi(x_s)        (h, c)_s+1 = LSTM(v_s, (h, c)_s)
@@ -9,8 +9,8 @@
 //! colour = G(Phi(x_T))
 //! ```
 //!
-//! `o`, `d` and `u` are a ray's origin, direction and unit direction, z a depth along `d`. A scene is opaque: what is behind it
-//! is learned, too.
+//! `o`, `d` and `u` are a ray's origin, direction and unit direction, z a depth along `d`. A scene is opaque, and its
+//! background is learned as well.
 
 mod cell;
 mod fast;

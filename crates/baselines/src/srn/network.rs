@@ -1,4 +1,5 @@
-//! An SRN's parameters, and its march in candle's operations: the reference, and the path of other devices and of f64.
+//! An SRN's parameters, and its march in candle's operations. The march is the reference, and serves other devices and
+//! f64.
 
 use candle_core::{DType, Device, Tensor, Var};
 
@@ -11,13 +12,13 @@ use crate::settings::SrnConfig;
 
 use super::cell::{Lstm, clamp_gradient};
 
-/// Numbers of the recurrent cell's state.
+/// Size of the recurrent cell's state.
 pub(super) const HIDDEN: usize = 16;
 /// Bound of the gradient at each of its outputs.
 pub(super) const GRADIENT_LIMIT: f64 = 10.0;
-/// Is added to a layer's variance.
+/// Added to a layer's variance.
 pub(super) const EPSILON: f64 = 1e-5;
-/// Parameters of a layer: weight, bias, and the normalisation's scale and shift.
+/// Parameters of a layer: weight, bias, and the normalization's scale and shift.
 pub(super) const OF_BLOCK: usize = 4;
 
 /// How a parameter is initialized.
@@ -56,7 +57,7 @@ fn block(name: &str, outputs: usize, inputs: usize) -> Vec<Parameter> {
     parameters
 }
 
-/// All parameters in their fixed order: of Phi, the LSTM, the step's head, and G.
+/// Returns all parameters in their fixed order: of Phi, the LSTM, the step's head, and G.
 fn parameters(config: &SrnConfig) -> Vec<Parameter> {
     let width = config.width;
     let mut all: Vec<Parameter> = Vec::new();
@@ -73,7 +74,7 @@ fn parameters(config: &SrnConfig) -> Vec<Parameter> {
     all.extend(of_cell.map(|(part, shape, init)| Parameter {
         name: format!("lstm.{part}"),
         shape,
-        // PyTorch bounds all of a cell's weights by its state.
+        // PyTorch bounds all of a cell's weights by the size of its state.
         inputs: HIDDEN,
         init,
     }));
@@ -109,20 +110,20 @@ impl Parameter {
 #[derive(Clone)]
 pub struct Srn {
     config: SrnConfig,
-    /// In the fixed order; without gradients where there are no variables.
+    /// In the fixed order. They have no gradients if there are no variables.
     tensors: Vec<Tensor>,
     variables: Vec<(String, Var)>,
 }
 
-/// What a march went through. Lists are by step; positions and depths are in scene units times `srn.scale`.
+/// The states of a march. Lists are by step. Positions and depths are in scene units times `srn.scale`.
 pub struct SrnMarch {
-    /// Where each ray was before each step, and at the end, `[rays, 3]`.
+    /// Position of each ray before each step, and at the end, `[rays, 3]`.
     pub x: Vec<Tensor>,
     /// Phi there, `[rays, width]`.
     pub v: Vec<Tensor>,
-    /// The cell's output behind each step, `[rays, 16]`.
+    /// The cell's output after each step, `[rays, 16]`.
     pub h: Vec<Tensor>,
-    /// The cell's memory behind each step, `[rays, 16]`.
+    /// The cell's memory after each step, `[rays, 16]`.
     pub c: Vec<Tensor>,
     /// Length of each step, `[rays, 1]`; it may be negative.
     pub delta: Vec<Tensor>,
@@ -133,7 +134,7 @@ pub struct SrnMarch {
 }
 
 impl Srn {
-    /// Names and shapes of all parameters, in their fixed order.
+    /// Returns names and shapes of all parameters, in their fixed order.
     pub fn parameter_names(config: &SrnConfig) -> Vec<(String, Vec<usize>)> {
         parameters(config).into_iter().map(|parameter| (parameter.name, parameter.shape)).collect()
     }
@@ -148,10 +149,10 @@ impl Srn {
         Srn::from_parameters(config, tensors.collect::<Result<_>>()?)
     }
 
-    /// Over given values, in the order of [`Srn::parameter_names`]. They are copied.
+    /// Creates an SRN with a copy of given values, in the order of [`Srn::parameter_names`].
     ///
     /// # Errors
-    /// Values of other shapes.
+    /// If shapes are wrong.
     pub fn from_parameters(config: &SrnConfig, values: Vec<Tensor>) -> Result<Srn> {
         let expected = Srn::parameter_names(config);
         if values.len() != expected.len() {

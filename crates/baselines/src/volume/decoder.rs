@@ -1,4 +1,4 @@
-//! From a code to a volume and its warp.
+//! The decoder from a code to a volume and its warp.
 
 use candle_core::{D, DType, Device, Tensor};
 
@@ -13,16 +13,16 @@ use super::parameters::{NeuralVolume, Pair, SLOPE, WarpSizes, next};
 
 /// Keeps the weights' sum away from 0.
 const LEAST_WEIGHT: f64 = 1e-3;
-/// What the scaled translations are multiplied with.
+/// Factor on the scaled translations.
 const TRANSLATION: f64 = 0.1;
 /// Keeps a quaternion's length away from 0.
 const QUATERNION: f64 = 1e-5;
 
-/// What a code decodes to.
+/// A decoded volume.
 pub(super) struct Decoded {
     /// `[z, y, x, 4]`: red, green and blue from 0 to about 255, opacity per half a side.
     pub(super) template: Tensor,
-    /// `[z, y, x, 3]`: where the template is looked up.
+    /// `[z, y, x, 3]`: the position at which the template is looked up.
     pub(super) warp: Option<Tensor>,
 }
 
@@ -58,7 +58,7 @@ fn linear(x: &Tensor, [weight, bias]: &Pair) -> Result<Tensor> {
     Ok(dense(x, weight, bias, false, true)?)
 }
 
-/// A mixture of affine maps `A(x) = s R(q) (x - t)`, weighted by what their lattices have where they lead.
+/// Returns a mixture of affine maps `A(x) = s R(q) (x - t)`, weighted by their grids at the mapped points.
 fn warp(sizes: &WarpSizes, [scale, quaternion, translation, weights]: [Tensor; 4]) -> Result<Tensor> {
     let WarpSizes { maps, side, .. } = *sizes;
     let points = side.pow(3);
@@ -78,14 +78,14 @@ fn warp(sizes: &WarpSizes, [scale, quaternion, translation, weights]: [Tensor; 4
     Ok(mixed.reshape((side, side, side, 3))?)
 }
 
-/// Points of a lattice over [-1, 1]^3, x fastest, `[1, side^3, 3]`, each x, y, z.
+/// Returns points of a grid over [-1, 1]^3, x fastest, `[1, side^3, 3]`, each x, y, z.
 fn lattice(side: usize, dtype: DType, device: &Device) -> Result<Tensor> {
     let at = |i: usize| -1.0 + 2.0 * i as f64 / (side - 1) as f64;
     let points = (0..side.pow(3)).flat_map(|i| [at(i % side), at(i / side % side), at(i / (side * side))]);
     Ok(Tensor::from_vec(points.collect::<Vec<f64>>(), (1, side.pow(3), 3), device)?.to_dtype(dtype)?)
 }
 
-/// Rotations `[n, 3, 3]` of quaternions `[n, 4]`, x, y, z, w, of any length.
+/// Returns rotations `[n, 3, 3]` of quaternions `[n, 4]`, x, y, z, w, of any length.
 pub(super) fn rotations(quaternions: &Tensor) -> Result<Tensor> {
     let length = (quaternions.sqr()?.sum_keepdim(D::Minus1)? + QUATERNION)?.sqrt()?;
     let unit = quaternions.broadcast_div(&length)?;

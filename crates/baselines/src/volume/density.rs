@@ -11,14 +11,14 @@ use super::decoder::Decoded;
 use super::learner::WHITE;
 use super::parameters::NeuralVolume;
 
-/// The density of a volume with its parameters as they are now.
+/// The density of a volume with its current parameters.
 pub struct VolumeDensity {
     decoded: Decoded,
     cube: Cube,
 }
 
 impl VolumeDensity {
-    /// Of the code's mean.
+    /// Creates the density of the code's mean.
     ///
     /// # Errors
     /// Those of candle.
@@ -26,7 +26,7 @@ impl VolumeDensity {
         Ok(VolumeDensity { decoded: volume.decode(&volume.code().0.detach(), true)?, cube: volume.cube })
     }
 
-    /// Red, green, blue from 0 to 255 and opacity per scene unit, `[n, 4]`; 0 outside the box.
+    /// Returns red, green, blue from 0 to 255 and opacity per scene unit, `[n, 4]`; 0 outside the box.
     fn values(&self, points: &Tensor) -> Result<Tensor> {
         let Cube { middle, half } = self.cube;
         let middle = Tensor::new(&middle, points.device())?.to_dtype(points.dtype())?;

@@ -1,4 +1,4 @@
-//! How a neural volume learns: random rays of the training views through one decoded volume a step.
+//! Training of a neural volume: random rays of the training views through one decoded volume per step.
 
 use candle_core::{DType, Device, Tensor, Var};
 
@@ -18,7 +18,7 @@ use super::parameters::NeuralVolume;
 
 /// White, in the volume's colours.
 pub(super) const WHITE: f64 = 255.0;
-/// What the original divides colours by before it compares them.
+/// Divisor of colours before the original compares them.
 pub(super) const DEVIATION: f64 = 25.0;
 
 /// Trains the volume of one scene.
@@ -36,21 +36,21 @@ pub struct VolumeLearner {
 pub(super) struct Losses {
     /// Mean squared error of colours over 25.
     pub(super) image: Tensor,
-    /// `log(0.1 + A) + log(1.1 - A) + 2.20727`, the mean over rays.
+    /// `log(0.1 + A) + log(1.1 - A) + 2.20727`, as a mean over rays.
     pub(super) alpha_prior: Tensor,
-    /// Of the opacity's logarithm.
+    /// Variation of the opacity's logarithm.
     pub(super) variation: Tensor,
-    /// From the code's distribution to the standard normal one, the mean over its numbers.
+    /// Divergence of the code's distribution from the standard normal one, as a mean over its numbers.
     pub(super) divergence: Option<Tensor>,
     /// Accumulations of the rays, `[rays, 1]`.
     pub(super) acc: Tensor,
 }
 
 impl VolumeLearner {
-    /// Goes on with `volume` on the training views of `scene`.
+    /// Creates a learner of `volume` on the training views of `scene`.
     ///
     /// # Errors
-    /// Batches that the training views do not have.
+    /// If batches are larger than the training views allow.
     pub fn new(
         config: &Resolved,
         scene: &Scene,
@@ -69,7 +69,7 @@ impl VolumeLearner {
         })
     }
 
-    /// The code that a step decodes, and its divergence where it has a distribution.
+    /// Returns the code that a step decodes, and its divergence if it has a distribution.
     fn draw_code(&self, step: u64) -> Result<(Tensor, Option<Tensor>)> {
         let (mean, log_deviation) = self.volume.code();
         let Some(log_deviation) = log_deviation else { return Ok((mean, None)) };
@@ -84,18 +84,18 @@ impl VolumeLearner {
     }
 }
 
-/// A code of the distribution.
+/// Returns a code of the distribution.
 pub(super) fn drawn(mean: &Tensor, log_deviation: &Tensor, noise: &Tensor) -> Result<Tensor> {
     Ok((mean + (log_deviation.exp()? * noise)?)?)
 }
 
-/// The mean over the code's numbers of the Kullback-Leibler divergence from the standard normal distribution.
+/// Returns the mean over the code's numbers of the Kullback-Leibler divergence from the standard normal distribution.
 pub(super) fn divergence(mean: &Tensor, log_deviation: &Tensor) -> Result<Tensor> {
     let squares = ((mean.sqr()? + (log_deviation * 2.0)?.exp()?)? * 0.5)?;
     Ok(((squares - log_deviation)? - 0.5)?.mean_all()?)
 }
 
-/// The terms of rays with `target` colours before a `background`, one of each ray or one for all, both 0..255.
+/// Returns the terms of rays with `target` colours over a `background`, one per ray or one for all, both 0..255.
 pub(super) fn losses(decoded: &Decoded, march: &March, background: &Tensor, target: &Tensor) -> Result<Losses> {
     let out = march.forward(&decoded.template, decoded.warp.as_ref())?;
     let acc = out.narrow(1, 3, 1)?;
@@ -127,7 +127,7 @@ impl Learner for VolumeLearner {
 
     fn add_term(&mut self, term: LossTerm, _weight: f64) -> Result<()> {
         Err(Error::Config(format!(
-            "the term '{}' is made of a radiance field's samples or derivatives, which method nv has not; use nerf",
+            "the term '{}' needs a radiance field's samples or derivatives, which method nv lacks; use nerf",
             term.name()
         )))
     }
@@ -172,7 +172,7 @@ impl Learner for VolumeLearner {
         let mut terms: Vec<Term> = parts.into_iter().map(|(term, _)| term).collect();
         let loss = terms.iter().map(|term| term.value * term.weight).sum();
         let mse = terms[0].value * (DEVIATION / WHITE).powi(2);
-        // Volumes start by emptying themselves before a plain background, and may stay empty: worth a look, and no part of the
+        // With a plain background, volumes first become empty, and may stay so. This is a diagnostic, not part of the
         // loss.
         terms.push(term("mean_acc", "mean accumulation", &losses.acc.mean_all()?, 0.0)?);
         let largest_acc = number(&losses.acc.max_all()?)?;

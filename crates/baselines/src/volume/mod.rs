@@ -1,6 +1,7 @@
-//! Neural Volumes (Lombardi, Simon, Saragih, Schwartz, Lehrmann and Sheikh 2019), one still scene.
+//! Neural Volumes (Lombardi, Simon, Saragih, Schwartz, Lehrmann and Sheikh 2019), for one still scene.
 //!
-//! A decoder makes a volume of colour and opacity, and a warp, from a code; rays add the volume up until they are full:
+//! A decoder makes a volume of colour and opacity, and a warp, from a code. Rays accumulate the volume until they are
+//! full:
 //!
 //! ```text
 //! z ─► template [R, R, R, 4]: softplus(100 + 25 raw) of red, green, blue, softplus(raw) of opacity
@@ -9,8 +10,8 @@
 //! loss = mean ((C - C*) / 25)^2 + 0.01 accumulation prior + 0.01 variation of ln opacity (+ 0.001 KL), colours 0..255
 //! ```
 //!
-//! The original's encoder looks at pictures of the moment. A still scene gives it the same ones for ever: the code, or its normal
-//! distribution, is learned itself.
+//! The original's encoder reads images of the current moment. In a still scene these are always the same, so that the
+//! code, or its normal distribution, is learned.
 
 mod cube;
 mod decoder;

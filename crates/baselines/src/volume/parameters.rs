@@ -1,4 +1,4 @@
-//! The parameters of a neural volume: names, sizes, first values.
+//! The parameters of a neural volume: names, sizes, initial values.
 
 use std::slice::Iter;
 
@@ -28,22 +28,22 @@ pub(super) struct Sizes {
 /// Sizes of the warp's layers.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct WarpSizes {
-    /// Affine maps.
+    /// Number of affine maps.
     pub(super) maps: usize,
-    /// Channels between the two layers of what makes the maps, and of what makes their weights.
+    /// Hidden channels of the heads for the maps, and of the head for their weights.
     pub(super) hidden: [usize; 2],
     /// Points along a side.
     pub(super) side: usize,
 }
 
 impl Sizes {
-    /// The original's, divided.
+    /// Returns the original's sizes, divided.
     pub(super) fn of(config: &VolumeConfig) -> Sizes {
         let warp = config.warp.then_some(WarpSizes { maps: 16, hidden: [128, 64], side: config.warp_resolution });
         Sizes { code: 256, channels: channels(config.resolution, config.divide), warp }
     }
 
-    /// The warp's heads: name, hidden channels, outputs.
+    /// Returns the warp's heads: name, hidden channels, outputs.
     pub(super) fn heads(&self) -> Vec<(&'static str, usize, usize)> {
         let heads = |WarpSizes { maps, hidden: [small, few], side }: &WarpSizes| {
             let outputs = [("scale", *small, 3), ("quaternion", *small, 4), ("translation", *small, 3)];
@@ -53,7 +53,7 @@ impl Sizes {
         self.warp.as_ref().map(heads).unwrap_or_default()
     }
 
-    /// All layers in the order of parameters.
+    /// Returns all layers in the order of parameters.
     fn layers(&self) -> Vec<Layer> {
         let leaky = (2.0 / (1.0 + SLOPE * SLOPE)).sqrt();
         let linear = |name: String, inputs, outputs, gain| Layer { name, inputs, outputs, taps: None, gain };
@@ -72,7 +72,8 @@ impl Sizes {
     }
 }
 
-/// Channels of the transposed convolutions that make `resolution` voxels a side of one: halved at every other one.
+/// Returns the channels of the transposed convolutions from one voxel to `resolution` voxels per side, halved at every
+/// other one.
 pub(super) fn channels(resolution: usize, divide: usize) -> Vec<usize> {
     let (mut inputs, mut outputs) = (1024, 512);
     let mut channels = vec![inputs / divide];
@@ -93,7 +94,7 @@ struct Layer {
     name: String,
     inputs: usize,
     outputs: usize,
-    /// Of a transposed convolution.
+    /// Taps of a transposed convolution.
     taps: Option<usize>,
     gain: f64,
 }
@@ -106,8 +107,8 @@ impl Layer {
         }
     }
 
-    /// Uniform numbers of Xavier's deviation (Glorot and Bengio 2010), of which the 4 x 4 x 4 ones are equal in blocks of 2: a
-    /// volume begins without a pattern of its own.
+    /// Returns uniform numbers of Xavier's deviation (Glorot and Bengio 2010). The 4 x 4 x 4 kernels are equal in
+    /// blocks of 2, so that a volume starts without a pattern of its own.
     fn weight(&self, random: &mut Random) -> Vec<f32> {
         // Eight taps meet in each output of a transposed convolution.
         let meeting = if self.taps.is_some() { 8.0 } else { 1.0 };
@@ -125,11 +126,11 @@ impl Layer {
     }
 }
 
-/// A volume's decoder with the code that it decodes.
+/// A volume's decoder, with its code.
 #[derive(Clone)]
 pub struct NeuralVolume {
     pub(super) sizes: Sizes,
-    /// What it fills of the scene.
+    /// The part of the scene that it fills.
     pub(super) cube: Cube,
     code: VolumeCode,
     variables: Vec<(String, Var)>,
@@ -139,15 +140,17 @@ pub struct NeuralVolume {
 pub(super) type Pair = [Tensor; 2];
 
 impl NeuralVolume {
-    /// Names and shapes of all parameters (`volume.code`, `volume.template.3.weight`, ...), in their fixed order.
+    /// Returns names and shapes of all parameters (`volume.code`, `volume.template.3.weight`, ...), in their fixed
+    /// order.
     pub fn parameter_names(config: &Config) -> Vec<(String, Vec<usize>)> {
         names(&Sizes::of(&config.nv), config.nv.code)
     }
 
-    /// Freshly drawn: a standard normal code, or a distribution of them with a tenth of its deviation as its mean.
+    /// Initializes a volume with a standard normal code, or with a distribution of codes whose mean has a tenth of its
+    /// deviation.
     ///
     /// # Errors
-    /// [`crate::base::Error::Config`]: nothing says what box the volume is to fill.
+    /// [`crate::base::Error::Config`] if the box of the volume is not known.
     pub fn init(config: &Config, dtype: DType, device: &Device) -> Result<NeuralVolume> {
         let sizes = Sizes::of(&config.nv);
         let mut index = 0..;
@@ -171,7 +174,7 @@ impl NeuralVolume {
         NeuralVolume::over(sizes, config.nv.code, Cube::of(config)?, values)
     }
 
-    /// A volume over given values, in the order of [`NeuralVolume::parameter_names`].
+    /// Creates a volume with given values, in the order of [`NeuralVolume::parameter_names`].
     ///
     /// # Errors
     /// Those of [`NeuralVolume::init`].
@@ -186,18 +189,18 @@ impl NeuralVolume {
         Ok(NeuralVolume { sizes, cube, code, variables })
     }
 
-    /// All parameters with their names, in the fixed order. They are shared: a learner's updates show.
+    /// Returns all parameters with their names, in the fixed order. They are shared: a learner's updates show in them.
     pub fn variables(&self) -> Vec<(String, Var)> {
         self.variables.clone()
     }
 
-    /// Mean of the code, and the logarithm of its deviation where it has one.
+    /// Returns the mean of the code, and the logarithm of its deviation if it has one.
     pub(super) fn code(&self) -> (Tensor, Option<Tensor>) {
         let tensor = |index: usize| self.variables[index].1.as_tensor().clone();
         (tensor(0), (self.code == VolumeCode::Variational).then(|| tensor(1)))
     }
 
-    /// Weight and bias of all layers in their order; without a way back to the parameters where they are `frozen`.
+    /// Returns weight and bias of all layers in their order, without gradients if they are `frozen`.
     pub(super) fn layers(&self, frozen: bool) -> Vec<Pair> {
         let first = if self.code == VolumeCode::Variational { 2 } else { 1 };
         let tensor = |variable: &(String, Var)| match frozen {
@@ -208,7 +211,7 @@ impl NeuralVolume {
     }
 }
 
-/// The next layer.
+/// Returns the next layer.
 pub(super) fn next<'a>(layers: &mut Iter<'a, Pair>) -> &'a Pair {
     layers.next().expect("as many layers as sizes say")
 }

@@ -1,4 +1,4 @@
-//! What a neural volume looks like.
+//! Rendering of a neural volume.
 
 use crate::base::Result;
 use crate::data::{Rays, Scene};
@@ -13,7 +13,7 @@ use super::decoder::Decoded;
 use super::learner::WHITE;
 use super::parameters::NeuralVolume;
 
-/// Marches rays through a volume that was decoded once, by even steps.
+/// Marches rays through a volume that was decoded once, with even steps.
 pub struct VolumeRenderer {
     cube: Cube,
     decoded: Decoded,
@@ -22,7 +22,7 @@ pub struct VolumeRenderer {
 }
 
 impl VolumeRenderer {
-    /// With the parameters as they are now: the code's mean.
+    /// Creates a renderer with the current parameters and the code's mean.
     ///
     /// # Errors
     /// Those of candle.

@@ -1,8 +1,8 @@
-//! Convolutions in three dimensions, plain and transposed: products over taps.
+//! Convolutions in three dimensions, plain and transposed, as products over taps.
 //!
-//! Row `r` of the result is `bias + sum over taps of x[place(r, tap)] W[tap]`, where a place outside the lattice holds zeros.
-//! A transposed convolution that doubles the sides is eight such products of 2 x 2 x 2 taps, one for each parity of the
-//! result's cells, so that no tap meets an inserted zero.
+//! Row `r` of the result is `bias + sum over taps of x[cell(r, tap)] W[tap]`, where a cell outside the grid holds
+//! zeros. A transposed convolution that doubles the sides is eight such products of 2 x 2 x 2 taps, one for each parity
+//! of the result's cells. No tap then reads an inserted zero.
 
 mod plain;
 mod plan;
@@ -17,27 +17,27 @@ use product::Rhs;
 
 use super::values::{Values, slice};
 
-/// A product over taps on lattices of one size, with weights `[taps, inputs, outputs]`.
+/// A convolution on grids of one size, with weights `[taps, inputs, outputs]`.
 #[derive(Clone)]
 pub struct Conv3d {
     plan: Arc<Plan>,
     /// The plan of the input's gradient.
     reversed: Arc<Plan>,
-    /// Where each matrix of the weights stands in the convolution's kernel, along z, y, x.
+    /// Position of each matrix of the weights in the convolution's kernel, along z, y, x.
     kernel: Vec<[usize; 3]>,
     slope: f64,
 }
 
 impl Conv3d {
-    /// A convolution of 3 x 3 x 3 taps, `dilation` cells apart, at every `stride`-th cell of a lattice. What is missing at the
-    /// border is zero, half of it on either side and an odd one at the far side, as TensorFlow's `SAME` has it: a lattice
-    /// of even sides and stride 2 lacks only what follows its last cell.
+    /// Creates a convolution of 3 x 3 x 3 taps, `dilation` cells apart, at every `stride`-th cell of a grid. Padding is
+    /// zero, as with TensorFlow's `SAME`: half on either side, and an odd one at the far side. A grid of even sides and
+    /// stride 2 is only padded after its last cell.
     pub fn convolution(sides: [usize; 3], stride: usize, dilation: usize) -> Conv3d {
         let kernel = plan::cube(3).collect();
         Conv3d::new(Plan::convolution(sides, stride, dilation), kernel)
     }
 
-    /// A transposed convolution of 4 x 4 x 4 taps with stride 2 and padding 1: sides are doubled.
+    /// Creates a transposed convolution of 4 x 4 x 4 taps with stride 2 and padding 1, which doubles the sides.
     pub fn transposed(sides: [usize; 3]) -> Conv3d {
         let (plan, kernel) = Plan::transposed(sides);
         Conv3d::new(plan, kernel)
@@ -47,24 +47,24 @@ impl Conv3d {
         Conv3d { reversed: Arc::new(plan.reversed()), plan: Arc::new(plan), kernel, slope: 1.0 }
     }
 
-    /// The same with negative results times `slope`, a positive number (a leaky ReLU).
+    /// Adds a leaky ReLU: negative results are multiplied by `slope`, a positive number.
     pub fn leaky(self, slope: f64) -> Conv3d {
         Conv3d { slope, ..self }
     }
 
-    /// Where each of the weights' matrices stands in the kernel that others write as `[.., z, y, x]`: what position of it
-    /// to read for the first, the second and so on.
+    /// Returns the position of each matrix of the weights in a kernel `[.., z, y, x]`: which entry to read for the
+    /// first, the second and so on.
     pub fn kernel(&self) -> &[[usize; 3]] {
         &self.kernel
     }
 
-    /// Sides of the result, along z, y, x.
+    /// Returns the sides of the result, along z, y, x.
     pub fn sides(&self) -> [usize; 3] {
         self.plan.sides
     }
 
-    /// The product: `x [z, y, x, inputs]`, `weight [taps, inputs, outputs]` in the order of [`Conv3d::kernel`],
-    /// `bias [outputs]` -> `[z', y', x', outputs]`.
+    /// Applies the convolution: `x [z, y, x, inputs]`, `weight [taps, inputs, outputs]` in the order of
+    /// [`Conv3d::kernel`], `bias [outputs]` -> `[z', y', x', outputs]`.
     pub fn forward(&self, x: &Tensor, weight: &Tensor, bias: &Tensor) -> Result<Tensor> {
         let (x_dims, weight_dims) = (x.dims4()?, weight.dims3()?);
         let (z, y, x_side, channels) = x_dims;
@@ -95,7 +95,7 @@ impl Conv3d {
     }
 }
 
-/// The product in f32 with the gradients that are wanted.
+/// The convolution in f32 with the requested gradients.
 struct Fast {
     product: Conv3d,
     wants_x: bool,

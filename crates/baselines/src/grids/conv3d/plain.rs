@@ -1,4 +1,4 @@
-//! The product in candle's operations, on any device.
+//! The convolution in candle's operations, on any device.
 
 use candle_core::{Device, Result, Tensor};
 
@@ -6,7 +6,7 @@ use crate::base::tensors::leaky_relu;
 
 use super::plan::{Group, Plan, count, cube};
 
-/// Rows are brought together by their index, multiplied and put in order.
+/// Gathers rows by their index, multiplies and orders them.
 pub(super) fn product(plan: &Plan, slope: f64, x: &Tensor, weight: &Tensor, bias: &Tensor) -> Result<Tensor> {
     let (depth, height, width, channels) = x.dims4()?;
     let outputs = bias.dim(0)?;
@@ -25,7 +25,7 @@ pub(super) fn product(plan: &Plan, slope: f64, x: &Tensor, weight: &Tensor, bias
     rows.reshape((z, y, x, outputs))
 }
 
-/// The cells that a group's rows read, tap by tap; the one behind the last where there is none.
+/// Returns the cells that a group's rows read, tap by tap. A missing cell is the one after the last.
 fn read_by(plan: &Plan, group: &Group, device: &Device) -> Result<Tensor> {
     let sides = plan.sources[0];
     let mut cells = Vec::with_capacity(count(group.cells) * group.taps.len());
@@ -41,7 +41,7 @@ fn read_by(plan: &Plan, group: &Group, device: &Device) -> Result<Tensor> {
     Tensor::from_vec(cells, number, device)
 }
 
-/// For each of the result's cells its row among those of all groups.
+/// Returns, for each of the result's cells, its row among those of all groups.
 fn order(plan: &Plan, device: &Device) -> Result<Tensor> {
     let ([_, height, width], spread) = (plan.sides, plan.spread);
     let mut rows = vec![0u32; count(plan.sides)];

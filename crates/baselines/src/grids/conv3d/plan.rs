@@ -1,26 +1,26 @@
-//! Which cells each row of a product reads.
+//! The cells that each row of a convolution reads.
 
 use std::ops::Range;
 
 use rayon::prelude::*;
 
-/// One of the places that a row reads, and the matrix that it is multiplied with.
+/// A cell that a row reads, and its matrix.
 pub(super) struct Tap {
     pub(super) weight: usize,
-    /// Lattice that it lies on.
+    /// The grid of the cell.
     pub(super) source: usize,
     /// Row `r` reads cell `stride * r + offset`.
     pub(super) offset: [isize; 3],
 }
 
-/// Rows that read alike: a lattice of their own, `spread` cells of the result apart.
+/// Rows that read alike: a grid of their own, `spread` cells of the result apart.
 pub(super) struct Group {
     pub(super) cells: [usize; 3],
     /// In the order of source and offset.
     pub(super) taps: Vec<Tap>,
 }
 
-/// A product over taps. Sources, and the rows of groups, lie one after the other in memory.
+/// A convolution as products over taps. Sources, and the rows of groups, are consecutive in memory.
 pub(super) struct Plan {
     pub(super) sources: Vec<[usize; 3]>,
     pub(super) stride: usize,
@@ -31,7 +31,7 @@ pub(super) struct Plan {
     pub(super) spread: usize,
 }
 
-/// The cells of a cube, x fastest.
+/// Iterates over the cells of a cube, x fastest.
 pub(super) fn cube(side: usize) -> impl Iterator<Item = [usize; 3]> {
     (0..side * side * side).map(move |flat| [flat / (side * side), flat / side % side, flat % side])
 }
@@ -42,7 +42,7 @@ pub(super) fn count(sides: [usize; 3]) -> usize {
 
 const AXES: [usize; 3] = [0, 1, 2];
 
-/// Start and end of consecutive blocks.
+/// Returns start and end of consecutive blocks.
 pub(super) fn blocks(lengths: impl Iterator<Item = usize>) -> Vec<Range<usize>> {
     let mut end = 0;
     lengths
@@ -65,7 +65,7 @@ impl Plan {
         Plan { sources: vec![sides], stride, groups: vec![Group { cells: out, taps }], sides: out, spread: 1 }
     }
 
-    /// With the place of each tap in the kernel.
+    /// Also returns the position of each tap in the kernel.
     pub(super) fn transposed(sides: [usize; 3]) -> (Plan, Vec<[usize; 3]>) {
         // Output 2m + parity reads input m + offset through position k of the kernel where 2m + parity + 1 = 2 (m + offset) + k.
         const READS: [[(usize, isize); 2]; 2] = [[(3, -1), (1, 0)], [(2, 0), (0, 1)]];
@@ -82,7 +82,7 @@ impl Plan {
         (Plan { sources: vec![sides], stride: 1, groups, sides: sides.map(|side| 2 * side), spread: 2 }, kernel)
     }
 
-    /// What reads from this product's rows where this one reads from its source: the plan of the source's gradient.
+    /// Returns the plan of the source's gradient, which reads this plan's rows where this one reads its source.
     pub(super) fn reversed(&self) -> Plan {
         let step = self.stride as isize;
         let groups = cube(self.stride).map(|first| {
@@ -108,17 +108,17 @@ impl Plan {
         }
     }
 
-    /// Where each group's rows lie.
+    /// Returns the range of each group's rows.
     pub(super) fn rows(&self) -> Vec<Range<usize>> {
         blocks(self.groups.iter().map(|group| count(group.cells)))
     }
 
-    /// Where each source's cells lie.
+    /// Returns the range of each source's cells.
     pub(super) fn cells(&self) -> Vec<Range<usize>> {
         blocks(self.sources.iter().map(|sides| count(*sides)))
     }
 
-    /// The group and the row in it of each line's first cell of the result, and how the line goes on: group by group.
+    /// Returns, for each group of a line of the result, the row of its first cell.
     fn line(&self, rows: &[Range<usize>], z: usize, y: usize) -> Vec<usize> {
         let spread = self.spread;
         let starts = (0..spread).map(|x| {
@@ -129,7 +129,7 @@ impl Plan {
         starts.collect()
     }
 
-    /// The result's cells in order, of rows that lie group by group.
+    /// Returns the result's cells in order, from rows that are sorted by group.
     pub(super) fn interleaved(&self, rows: Vec<f32>, channels: usize) -> Vec<f32> {
         if self.spread == 1 || channels == 0 {
             return rows;
@@ -147,8 +147,7 @@ impl Plan {
         out
     }
 
-    /// The way back: the gradient of the rows, group by group, before `slope` was multiplied to those that came out
-    /// negative.
+    /// Returns the gradient of the rows, sorted by group, before negative ones were multiplied by `slope`.
     pub(super) fn deinterleaved(&self, gradient: &[f32], out: &[f32], channels: usize, slope: f32) -> Vec<f32> {
         let mut rows = vec![0f32; gradient.len()];
         let of = |into: &mut [f32], cell: usize| {
@@ -177,13 +176,13 @@ impl Plan {
 }
 
 impl Group {
-    /// z, y and x of a row.
+    /// Returns z, y and x of a row.
     pub(super) fn place(&self, row: usize) -> [usize; 3] {
         let [_, height, width] = self.cells;
         [row / (height * width), row / width % height, row % width]
     }
 
-    /// Runs of taps that meet their source for any of the rows.
+    /// Returns runs of taps that read a cell of their source for any of the rows.
     pub(super) fn live(&self, plan: &Plan, rows: &Range<usize>) -> Vec<Range<usize>> {
         let (first, last) = (self.place(rows.start), self.place(rows.end - 1));
         let mut whole = false;

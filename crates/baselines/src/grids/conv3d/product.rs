@@ -1,4 +1,4 @@
-//! The product in f32: tiles of rows, what their taps read brought together, times the weights.
+//! The convolution in f32: tiles of rows, with the cells of their taps gathered, times the weights.
 
 use std::ops::Range;
 
@@ -9,27 +9,27 @@ use crate::runtime::count_multiply_adds;
 
 use super::plan::{Group, Plan, blocks, count};
 
-/// Numbers that a tile brings together, at most: what a core's cache holds.
+/// Most numbers that a tile gathers: the size of a core's cache.
 const TILE: usize = 1 << 18;
-/// Rows of a tile, at least and at most.
+/// Fewest and most rows of a tile.
 const ROWS: (usize, usize) = (64, 256);
-/// Parts of a gradient over many rows, which are added up in their order.
+/// Parts of a gradient over many rows, which are summed in order.
 const PARTS: usize = 8;
-/// Fewer numbers than this in a row are multiplied with several matrices at once.
+/// Rows with fewer numbers than this are multiplied with several matrices at once.
 const FEW: usize = 32;
 
 /// The right side: for each tap a matrix `[channels, outputs]`.
 pub(super) enum Rhs<'a> {
-    /// As they are, in the order of taps.
+    /// Unchanged, in the order of taps.
     Straight(&'a [f32]),
-    /// The transposed ones of a product that is reversed, by the taps' `weight`.
+    /// The transposed ones of a reversed plan, from the taps' `weight`.
     Turned(&'a [f32]),
-    /// The same brought into the order of each group's taps.
+    /// The same, packed in the order of each group's taps.
     Packed(Vec<Vec<f32>>),
 }
 
 impl Rhs<'_> {
-    /// The transposed matrices of `weight [taps, inputs, outputs]` for the plan of the input's gradient.
+    /// Returns the transposed matrices of `weight [taps, inputs, outputs]` for the plan of the input's gradient.
     pub(super) fn turned<'a>(weight: &'a [f32], reversed: &Plan, inputs: usize, outputs: usize) -> Rhs<'a> {
         if outputs >= FEW {
             return Rhs::Turned(weight);
@@ -51,7 +51,7 @@ impl Rhs<'_> {
 struct Matrix<'a> {
     values: &'a [f32],
     size: (usize, usize),
-    /// From row to row, from column to column.
+    /// From row to row, and from column to column.
     strides: (usize, usize),
 }
 
@@ -71,7 +71,7 @@ impl<'a> Matrix<'a> {
     }
 }
 
-/// `out += a b`, row after row.
+/// Computes `out += a b`, row by row.
 fn multiply(out: &mut [f32], a: Matrix, b: Matrix) {
     let ((m, k), n) = (a.size, b.size.1);
     assert!(k == b.size.0 && out.len() == m * n && a.fits() && b.fits(), "matrices do not fit");
@@ -91,18 +91,19 @@ fn multiply(out: &mut [f32], a: Matrix, b: Matrix) {
     }
 }
 
-/// Rows of a tile of so many numbers each.
+/// Returns the number of rows in a tile, for this many numbers per row.
 fn tile(numbers: usize) -> usize {
     (TILE / numbers.max(1)).clamp(ROWS.0, ROWS.1)
 }
 
-/// Tiles of a group's rows.
+/// Iterates over the tiles of a group's rows.
 fn tiles(group: &Group, channels: usize) -> impl Iterator<Item = Range<usize>> + use<> {
     let (rows, tile) = (count(group.cells), tile(group.taps.len() * channels));
     (0..rows).step_by(tile).map(move |start| start..(start + tile).min(rows))
 }
 
-/// The rows of all groups, each finished by `finish` while it is at hand: `source` holds `channels` numbers a cell.
+/// Returns the rows of all groups. `finish` is applied to each while it is in the cache. `source` has `channels`
+/// numbers per cell.
 pub(super) fn product(
     plan: &Plan,
     source: &[f32],
@@ -150,18 +151,18 @@ pub(super) fn product(
     out
 }
 
-/// Adds `bias` to rows and multiplies negative sums with `slope`.
+/// Adds `bias` to rows, and multiplies negative sums by `slope`.
 pub(super) fn add_bias(rows: &mut [f32], bias: &[f32], slope: f32) {
     for row in rows.chunks_exact_mut(bias.len().max(1)) {
         for (value, bias) in row.iter_mut().zip(bias) {
             let sum = *value + bias;
-            // Not `max`: a NaN must stay one, to be found and reported.
+            // Not `max`: NaN must stay, to be found and reported.
             *value = if sum < 0.0 { slope * sum } else { sum };
         }
     }
 }
 
-/// What `taps` read for `rows`: a row of `taps.len() * channels` numbers for each.
+/// Gathers what `taps` read for `rows`: `taps.len() * channels` numbers for each.
 fn gather(
     plan: &Plan,
     group: &Group,
@@ -188,7 +189,7 @@ fn gather(
                 into.fill(0.0);
                 continue;
             }
-            // The part of the run that lies on the line; all of it, nearly always.
+            // The part of the run within the line; nearly always all of it.
             let first = (-x).clamp(0, run.len() as isize) as usize;
             let last = (length as isize - x).clamp(first as isize, run.len() as isize) as usize;
             let line = starts[tap.source].start + (z as usize * height + y as usize) * length;
@@ -210,7 +211,7 @@ fn gather(
     }
 }
 
-/// Taps that read neighbours along x, which lie side by side in memory.
+/// Returns runs of taps that read neighbours along x, which are consecutive in memory.
 fn runs(group: &Group, taps: &Range<usize>) -> Vec<Range<usize>> {
     let mut runs: Vec<Range<usize>> = Vec::new();
     for index in taps.clone() {
@@ -232,7 +233,7 @@ fn runs(group: &Group, taps: &Range<usize>) -> Vec<Range<usize>> {
     runs
 }
 
-/// The weights' gradient `[taps, channels, outputs]` of the rows' one, `d_rows`, which lies group by group.
+/// Returns the weights' gradient `[taps, channels, outputs]` from that of the rows, `d_rows`, sorted by group.
 pub(super) fn weight_gradient(
     plan: &Plan,
     source: &[f32],
@@ -271,7 +272,7 @@ pub(super) fn weight_gradient(
     sums
 }
 
-/// The bias's gradient: sums over rows, of tiles in f32 and of those in f64.
+/// Returns the bias's gradient: sums over rows, within tiles in f32 and over tiles in f64.
 pub(super) fn bias_gradient(d_rows: &[f32], outputs: usize) -> Vec<f32> {
     let of_part = |part: &[f32]| {
         let mut total = vec![0f64; outputs];

@@ -6,7 +6,7 @@ use candle_core::{CpuStorage, CudaStorage, CustomOp2, Layout, MetalStorage, Resu
 
 use super::March;
 
-/// What rays met, as a function of template and warp.
+/// The result of a march as a function of template and warp.
 pub(super) struct InParts {
     march: March,
     parts: Vec<Range<usize>>,
@@ -16,7 +16,7 @@ pub(super) struct InParts {
 }
 
 impl March {
-    /// The same as [`March::plain`], `rays` of them at once.
+    /// The same as [`March::plain`], with `rays` rays at once.
     pub(super) fn in_parts(&self, template: &Tensor, warp: Option<&Tensor>, rays: usize) -> Result<Tensor> {
         let starts = (0..self.lines.len()).step_by(rays);
         let parts: Vec<_> = starts.map(|start| start..self.lines.len().min(start + rays)).collect();
@@ -29,7 +29,7 @@ impl March {
     }
 }
 
-/// The sum of what was and what comes.
+/// Adds to a sum that may be empty.
 fn add(sum: &mut Option<Tensor>, more: Option<&Tensor>) -> Result<()> {
     if let Some(more) = more {
         *sum = Some(match sum.take() {

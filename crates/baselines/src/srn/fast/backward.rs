@@ -1,4 +1,4 @@
-//! A chunk of rays on its way back.
+//! The backward pass of a chunk of rays.
 
 use crate::field::fused::kernels::panels::{Panels, Slab};
 use crate::field::fused::kernels::product::{Finish, Lhs, Out, Rows, Source};
@@ -9,20 +9,20 @@ use super::forward::{Lines, Normals, Query, Tape, slab};
 use super::norm;
 use super::weights::{Block, GATES, Network};
 
-/// Room for a layer's gradients and for outputs that are made again.
+/// Space for a layer's gradients, and for outputs that are recomputed.
 struct Rooms {
     rays: usize,
     gradient: Slab,
     next: Slab,
-    /// The output of a layer in between.
+    /// The output of an intermediate layer.
     output: Slab,
-    /// The last layer's.
+    /// The output of the last layer.
     feature: Slab,
     /// Gradients of the gates' sums: a panel.
     gates: Slab,
 }
 
-/// What is gradients from one step to the one before.
+/// Gradients that one step passes to the one before it.
 struct StepGradients {
     /// Of positions, `[rays, 3]`.
     x: Vec<f32>,
@@ -37,8 +37,8 @@ impl Rooms {
         Rooms { rays, gradient, next, output, feature, gates: slab(rays, GATES) }
     }
 
-    /// Takes the gradient of the last layer's output in `gradient` down through the layers, and adds those of their parameters to
-    /// `sum`. What is left there is the gradient of the first layer's product.
+    /// Propagates the gradient of the last layer's output in `gradient` down through the layers, and adds those of
+    /// their parameters to `sum`. It leaves the gradient of the first layer's product there.
     fn down(&mut self, blocks: &[Block], normals: &Normals, input: Panels, sum: &mut [f32]) {
         for (l, block) in blocks.iter().enumerate().rev() {
             let [weight, bias, scale, shift] = block.gradients(sum);
@@ -56,7 +56,7 @@ impl Rooms {
         }
     }
 
-    /// From the gradient of a layer's product to that of what it reads.
+    /// Propagates the gradient of a layer's product to its input.
     fn below(&mut self, block: &Block) {
         let weights = block.back.as_ref().expect("layers that read no points have a way back");
         let sources = [Source { lhs: Lhs::Panels(self.gradient.rows(0)), weights }];
@@ -67,8 +67,8 @@ impl Rooms {
 }
 
 impl Network {
-    /// Propagates gradients of colours `[rays, 3]` and of depths `[rays]` back through a chunk's march, and adds those of the
-    /// parameters to `sum`, flat in their order.
+    /// Propagates gradients of colours `[rays, 3]` and of depths `[rays]` back through a chunk's march. It adds those
+    /// of the parameters to `sum`, flat in their order.
     pub(crate) fn backward(&self, lines: Lines, tape: &Tape, (d_colour, d_z): (&[f32], &[f32]), sum: &mut [f32]) {
         let rays = d_z.len();
         let mut rooms = Rooms::new(rays, self.config.width);
@@ -94,7 +94,7 @@ impl Network {
         }
     }
 
-    /// Through G to the feature at the end, whose gradient is left in the first room.
+    /// Propagates through G to the feature at the end, whose gradient is left in the first space.
     fn colour(&self, tape: &Tape, end: &Query, d_colour: &[f32], rooms: &mut Rooms, sum: &mut [f32]) {
         let (rays, width) = (rooms.rays, self.config.width);
         let [weight, bias] = self.of_rgb.clone();
@@ -111,13 +111,14 @@ impl Network {
         rooms.feature = feature;
     }
 
-    /// Makes the feature of a query again.
+    /// Recomputes the feature of a query.
     fn feature(&self, query: &Query, rooms: &mut Rooms) {
         let last = self.phi.len() - 1;
         norm::again(&self.phi[last], rooms.rays, &query.normals.layers[last], &mut rooms.feature);
     }
 
-    /// Through Phi, from the feature's gradient in the first room; adds that of the points, where it is wanted.
+    /// Propagates through Phi, from the feature's gradient in the first space. It adds that of the points if it is
+    /// needed.
     fn phi(&self, query: &Query, of_points: bool, rooms: &mut Rooms, gradients: &mut StepGradients, sum: &mut [f32]) {
         rooms.down(&self.phi, &query.normals, query.points.rows(0), sum);
         if of_points {
@@ -127,7 +128,8 @@ impl Network {
         }
     }
 
-    /// Through a step's head and cell, from gradients of the steps' lengths; that of the feature is left in the first room.
+    /// Propagates through a step's head and cell, from gradients of the steps' lengths. That of the feature is left in
+    /// the first space.
     fn cell(
         &self,
         tape: &Tape,

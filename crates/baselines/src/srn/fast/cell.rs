@@ -1,11 +1,11 @@
-//! The recurrent cell number by number: what becomes of the gates' sums, and the way back.
+//! The recurrent cell number by number, forward and backward.
 
 use crate::srn::network::HIDDEN;
 
 use super::weights::GATES;
 
-/// What a step of the cell keeps: of each ray the gates (input, forget, candidate, output) behind their activations, the memory
-/// and its hyperbolic tangent.
+/// What a step of the cell keeps for each ray: the gates (input, forget, candidate, output) after their activations,
+/// the memory, and its hyperbolic tangent.
 #[derive(Default)]
 pub(super) struct State {
     /// `[rays, GATES]`.
@@ -20,7 +20,7 @@ fn sigmoid(x: f32) -> f32 {
     1.0 / (1.0 + (-x).exp())
 }
 
-/// The state behind `sums [rays, GATES]` of the gates and the memory before.
+/// Returns the state after `sums [rays, GATES]` of the gates and the memory before.
 pub(super) fn forward(sums: Vec<f32>, before: &[f32]) -> State {
     let rays = sums.len() / GATES;
     let mut state = State { gates: sums, memory: vec![0.0; rays * HIDDEN], tanh: vec![0.0; rays * HIDDEN] };
@@ -40,14 +40,14 @@ pub(super) fn forward(sums: Vec<f32>, before: &[f32]) -> State {
 }
 
 impl State {
-    /// The cell's output of a ray, `[HIDDEN]`.
+    /// Iterates over the cell's output of a ray, `[HIDDEN]`.
     pub(super) fn output(&self, ray: usize) -> impl Iterator<Item = f32> {
         let gates = &self.gates[ray * GATES + 3 * HIDDEN..][..HIDDEN];
         gates.iter().zip(&self.tanh[ray * HIDDEN..]).map(|(gate, tanh)| gate * tanh)
     }
 
-    /// From the gradients of the output and of the memory to those of the gates' sums, `d_sums [rays, GATES]`, and of the memory
-    /// before, which takes the place of `d_memory`.
+    /// Propagates the gradients of the output and of the memory to those of the gates' sums, `d_sums [rays, GATES]`,
+    /// and of the memory before, which replaces `d_memory`.
     pub(super) fn backward(&self, before: &[f32], d_output: &[f32], d_memory: &mut [f32], d_sums: &mut [f32]) {
         for (ray, d_sums) in d_sums.chunks_exact_mut(GATES).enumerate() {
             let gates = &self.gates[ray * GATES..][..GATES];

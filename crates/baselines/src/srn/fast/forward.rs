@@ -1,4 +1,4 @@
-//! A chunk of rays on its way.
+//! The forward pass of a chunk of rays.
 
 use crate::field::fused::kernels::head_forward;
 use crate::field::fused::kernels::panels::{Form, Panels, Slab};
@@ -9,7 +9,7 @@ use super::cell::{self, State};
 use super::norm;
 use super::weights::{Block, GATES, Network};
 
-/// Rays and the depths that they start at; vectors are `[rays, 3]`.
+/// Rays and their initial depths; vectors are `[rays, 3]`.
 #[derive(Clone, Copy)]
 pub(crate) struct Lines<'a> {
     pub(crate) origins: &'a [f32],
@@ -24,24 +24,24 @@ impl Lines<'_> {
         self.z_0.len()
     }
 
-    /// Length of each ray's direction.
+    /// Returns the length of each ray's direction.
     pub(super) fn norms(&self) -> Vec<f32> {
         self.directions.chunks_exact(3).map(|d| d.iter().map(|d| d * d).sum::<f32>().sqrt()).collect()
     }
 }
 
-/// What a chunk's march ended with and, where a way back is wanted, what it went through.
+/// The end of a chunk's march and, for a backward pass, what it went through.
 pub(crate) struct Tape {
     /// Colour from -1 to 1, unless it overshoots, `[rays, 3]`.
     pub(crate) colour: Vec<f32>,
     /// Depth at the end, scene units times `srn.scale`, `[rays]`.
     pub(crate) z: Vec<f32>,
-    /// Of every query of Phi: before each step, and at the end.
+    /// Every query of Phi: before each step, and at the end.
     pub(super) queries: Vec<Query>,
     pub(super) pixel: Normals,
-    /// Behind each step.
+    /// After each step.
     pub(super) states: Vec<State>,
-    /// The cell's outputs behind each step, as products read them.
+    /// The cell's outputs after each step, in the layout of products.
     pub(super) outputs: Vec<Slab>,
 }
 
@@ -51,7 +51,7 @@ pub(super) struct Query {
     pub(super) normals: Normals,
 }
 
-/// Of each layer what was normalised, and 1 over each row's deviation.
+/// The normalized numbers of each layer, and 1 over each row's deviation.
 pub(super) struct Normals {
     pub(super) layers: Vec<Slab>,
     pub(super) inverse: Vec<Vec<f32>>,
@@ -66,12 +66,12 @@ impl Normals {
     }
 }
 
-/// Room for rows in f32.
+/// Allocates rows in f32.
 pub(super) fn slab(rows: usize, columns: usize) -> Slab {
     Slab::new(Form::Single, rows, columns)
 }
 
-/// Rows as products and gradients of weights read them.
+/// Returns rows in the layout of products and weight gradients.
 pub(super) fn laid_out(values: &[f32], rows: usize, columns: usize) -> Slab {
     let mut slab = slab(rows, columns);
     let panels = Some(slab.rows_mut(0));
@@ -79,7 +79,7 @@ pub(super) fn laid_out(values: &[f32], rows: usize, columns: usize) -> Slab {
     slab
 }
 
-/// Rooms for the outputs of layers, which take turns.
+/// Space for the outputs of layers, which alternate.
 struct Rooms([Slab; 2]);
 
 impl Rooms {
@@ -87,7 +87,7 @@ impl Rooms {
         Rooms([0; 2].map(|_| slab(rays, width)))
     }
 
-    /// Takes `rays` rows through layers and returns the last one's output.
+    /// Runs `rays` rows through layers, and returns the last one's output.
     fn run(&mut self, blocks: &[Block], input: Panels, rays: usize, normals: &mut Normals) -> Panels<'_> {
         for (l, block) in blocks.iter().enumerate() {
             let [a, b] = &mut self.0;
@@ -104,7 +104,7 @@ impl Rooms {
 }
 
 impl Network {
-    /// The march of a chunk; `keep` what [`Network::backward`] needs.
+    /// Marches a chunk. `keep` stores what [`Network::backward`] needs.
     pub(crate) fn march(&self, lines: Lines, keep: bool) -> Tape {
         let (rays, width, steps) = (lines.len(), self.config.width, self.config.steps);
         let norms = lines.norms();
@@ -148,14 +148,14 @@ impl Network {
         tape
     }
 
-    /// Where rays start, `[rays, 3]`.
+    /// Returns the starts of rays, `[rays, 3]`.
     fn start(&self, lines: Lines) -> Vec<f32> {
         let scale = self.config.scale as f32;
         let rays = lines.origins.chunks_exact(3).zip(lines.directions.chunks_exact(3)).zip(lines.z_0);
         rays.flat_map(|((o, d), z)| [0, 1, 2].map(|axis| scale * o[axis] + z * d[axis])).collect()
     }
 
-    /// The cell's state behind a feature, and its output; without a state before at the first step.
+    /// Returns the cell's state after a feature, and its output. The first step has no state before it.
     fn remember(&self, feature: Panels, before: Option<(&State, &Slab)>, rays: usize) -> (State, Slab) {
         let mut sums = vec![0f32; rays * GATES];
         let mut sources = vec![Source { lhs: Lhs::Panels(feature), weights: &self.cell.input }];

@@ -1,7 +1,6 @@
-//! The march in f32 on a processor: whole marches of a chunk of rays, and their way back, on packed weights.
+//! The march in f32 on the CPU: forward and backward passes of a chunk of rays, on packed weights.
 //!
-//! Of each layer only the normalised numbers are kept; its output is made of them again where gradients of weights ask for
-//! it.
+//! Only the normalized numbers of each layer are kept. Its output is recomputed from them for weight gradients.
 
 mod backward;
 mod cell;

@@ -1,4 +1,4 @@
-//! Layer normalisation with ReLU of rows in panels, over the channels of each.
+//! Layer normalization with ReLU of rows in panels, over the channels of each.
 
 use crate::base::simd::vectorized;
 use crate::field::fused::kernels::panels::{PANEL, Shape, Slab};
@@ -6,17 +6,17 @@ use crate::srn::network::EPSILON;
 
 use super::weights::Block;
 
-/// Sums that run side by side.
+/// Number of parallel sums.
 const LANES: usize = 16;
 
-/// Where a row's numbers from `column` to the end of its panel are.
+/// Returns the range of a row's numbers from `column` to the end of its panel.
 #[inline(always)]
 fn piece(shape: Shape, row: usize, column: usize) -> std::ops::Range<usize> {
     let start = shape.offset(row, column);
     start..start + PANEL.min(shape.columns - column)
 }
 
-/// Adds what `term` makes of two rows' numbers.
+/// Adds `term` of two rows' numbers.
 #[inline(always)]
 fn accumulate(lanes: &mut [f32; LANES], a: &[f32], b: &[f32], term: impl Fn(f32, f32) -> f32) {
     let ((a, a_rest), (b, b_rest)) = (a.as_chunks::<LANES>(), b.as_chunks::<LANES>());
@@ -51,7 +51,7 @@ fn row_sum(words: &[f32], shape: Shape, row: usize, term: impl Fn(f32) -> f32) -
     total(lanes)
 }
 
-/// Normalises `rows` rows of `x` where they are, and leaves the layer's output in `y`. `inverse` receives 1 over each row's
+/// Normalizes `rows` rows of `x` in place, and leaves the layer's output in `y`. `inverse` receives 1 over each row's
 /// deviation.
 pub(super) fn forward(block: &Block, rows: usize, x: &mut Slab, inverse: &mut [f32], y: &mut Slab) {
     let (x, y) = (x.rows_mut(0), y.rows_mut(0));
@@ -76,7 +76,7 @@ pub(super) fn forward(block: &Block, rows: usize, x: &mut Slab, inverse: &mut [f
     );
 }
 
-/// A layer's output from what was normalised, of columns from `column` on. NaN stays NaN, to be found and reported.
+/// Computes a layer's output from the normalized numbers, from `column` on. NaN stays NaN, to be found and reported.
 #[inline(always)]
 fn activate(block: &Block, column: usize, normal: &[f32], y: &mut [f32]) {
     for ((y, normal), (scale, shift)) in
@@ -87,7 +87,7 @@ fn activate(block: &Block, column: usize, normal: &[f32], y: &mut [f32]) {
     }
 }
 
-/// The output of a layer again.
+/// Recomputes the output of a layer.
 pub(super) fn again(block: &Block, rows: usize, normal: &Slab, y: &mut Slab) {
     let (normal, y) = (normal.rows(0), y.rows_mut(0));
     let (shape, y_shape, y) = (normal.shape, y.shape, y.words);
@@ -108,7 +108,7 @@ pub(super) fn again(block: &Block, rows: usize, normal: &Slab, y: &mut Slab) {
     );
 }
 
-/// Makes the gradient of a layer's output in `gradient` that of its product; adds those of scale and shift to theirs.
+/// Replaces the gradient of a layer's output in `gradient` by that of its product, and adds those of scale and shift.
 pub(super) fn backward(
     block: &Block,
     rows: usize,

@@ -1,4 +1,4 @@
-//! Weights in the order in which products read them, and where their gradients are in a flat sum.
+//! Weights in the order of products, and the positions of their gradients in a flat sum.
 
 use std::ops::Range;
 
@@ -7,26 +7,26 @@ use crate::field::fused::kernels::panels::{Packed, filled_up};
 use crate::settings::SrnConfig;
 use crate::srn::network::{HIDDEN, OF_BLOCK, Srn};
 
-/// Numbers of the cell's gates.
+/// Number of gate values of the cell.
 pub(super) const GATES: usize = 4 * HIDDEN;
 
-/// A linear layer with its normalisation.
+/// A linear layer with its normalization.
 pub(super) struct Block {
     pub(super) inputs: usize,
     pub(super) weight: Packed,
-    /// The transpose, back to the layer below; none of the layer that reads points.
+    /// The transpose, for the gradient of the layer below. `None` for the layer that reads points.
     pub(super) back: Option<Packed>,
-    /// Filled up to a panel.
+    /// Padded to a panel.
     pub(super) bias: Vec<f32>,
     pub(super) scale: Vec<f32>,
     pub(super) shift: Vec<f32>,
-    /// Where its gradients begin: of weight, bias, scale and shift, one behind the other.
+    /// Start of its gradients: weight, bias, scale and shift, one after the other.
     at: usize,
 }
 
-/// The recurrent cell and the head that reads a step's length from it.
+/// The recurrent cell, and the head that computes a step's length from it.
 pub(super) struct Cell {
-    /// Of the feature, and of the state.
+    /// For the feature, and for the state.
     pub(super) input: Packed,
     pub(super) recurrent: Packed,
     pub(super) input_back: Packed,
@@ -36,11 +36,11 @@ pub(super) struct Cell {
     /// `[HIDDEN]`.
     pub(super) head: Vec<f32>,
     pub(super) head_bias: f32,
-    /// Where each one's gradient is: of both weights, both biases, the head's weight and bias.
+    /// The range of each gradient: both weights, both biases, the head's weight and bias.
     pub(super) at: [Range<usize>; 6],
 }
 
-/// An SRN's weights: a copy, made once a step.
+/// A copy of an SRN's weights, made once per step.
 pub(crate) struct Network {
     pub(super) config: SrnConfig,
     pub(super) phi: Vec<Block>,
@@ -50,11 +50,11 @@ pub(crate) struct Network {
     pub(super) pixel: Vec<Block>,
     pub(super) rgb: Head,
     pub(super) of_rgb: [Range<usize>; 2],
-    /// Numbers of the flat gradient: all parameters in their order.
+    /// Length of the flat gradient: all parameters in their order.
     pub(crate) gradient_size: usize,
 }
 
-/// The parameters as they come, and where their gradients are.
+/// The given parameters, and the positions of their gradients.
 struct Given<'a> {
     values: std::slice::Iter<'a, Vec<f32>>,
     at: usize,
@@ -100,18 +100,18 @@ impl<'a> Given<'a> {
     }
 }
 
-/// Weights `[outputs, inputs]` for `x W^T`.
+/// Packs weights `[outputs, inputs]` for `x W^T`.
 fn packed(weight: &[f32], outputs: usize, inputs: usize) -> Packed {
     Packed::new(false, (outputs, inputs), (inputs, 1), weight)
 }
 
-/// The same for `dz W`.
+/// Packs weights for `dz W`.
 fn packed_back(weight: &[f32], outputs: usize, inputs: usize) -> Packed {
     Packed::new(false, (inputs, 1), (outputs, inputs), weight)
 }
 
 impl Block {
-    /// Its part of a flat gradient: of weight, bias, scale and shift.
+    /// Returns its part of a flat gradient: weight, bias, scale and shift.
     pub(super) fn gradients<'a>(&self, sum: &'a mut [f32]) -> [&'a mut [f32]; OF_BLOCK] {
         let outputs = self.scale.len();
         let (weight, rest) = sum[self.at..].split_at_mut(outputs * self.inputs);
@@ -143,7 +143,7 @@ impl Network {
         }
     }
 
-    /// The weights of an SRN on a processor, in f32.
+    /// Lays out the weights of an SRN on the CPU, in f32.
     pub(crate) fn of(srn: &Srn) -> candle_core::Result<Network> {
         let values = srn.tensors().iter().map(|tensor| tensor.flatten_all()?.to_vec1::<f32>());
         Ok(Network::new(srn.config(), &values.collect::<candle_core::Result<Vec<_>>>()?))

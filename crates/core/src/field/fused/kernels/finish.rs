@@ -17,6 +17,7 @@ pub struct Bias<'a> {
 
 /// A target for f32, row by row.
 pub struct Out<'a> {
+    /// The target numbers.
     pub values: &'a mut [f32],
     /// Distance from one row to the next.
     pub stride: usize,
@@ -26,13 +27,16 @@ pub struct Out<'a> {
 
 /// Sums by ray, `[rays, columns]` with columns padded to a panel, and each row's ray.
 pub struct ByRay<'a> {
+    /// The sums.
     pub sums: &'a mut [f32],
+    /// The ray of each row.
     pub rays: &'a [usize],
 }
 
 /// The operations on each row, in this order.
 #[derive(Default)]
 pub struct Finish<'a> {
+    /// Added to every row.
     pub bias: Option<Bias<'a>>,
     /// Added: a number for each row, times a row of weights padded to a panel.
     pub density: Option<(&'a [f32], &'a [f32])>,
@@ -44,6 +48,7 @@ pub struct Finish<'a> {
     pub out: Option<Out<'a>>,
     /// Sets numbers without their bit to 0.
     pub mask: Option<Bits<'a>>,
+    /// Adds the numbers to the sum of their row's ray.
     pub by_ray: Option<ByRay<'a>>,
     /// Receives the numbers at this stage as the left side of bf16.
     pub across: Option<PanelsMut<'a>>,

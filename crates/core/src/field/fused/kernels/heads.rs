@@ -9,7 +9,9 @@ use super::{Kernel, launch};
 
 /// Weights `[outputs, inputs]` for each form of rows.
 pub struct Head {
+    /// Number of outputs.
     pub outputs: usize,
+    /// Number of inputs.
     pub inputs: usize,
     /// Each row padded to a panel.
     pub weights: Vec<f32>,
@@ -19,6 +21,7 @@ pub struct Head {
 }
 
 impl Head {
+    /// Packs `weights [outputs, inputs]` and `bias [outputs]`.
     pub fn new(weights: &[f32], bias: &[f32]) -> Head {
         let (outputs, inputs) = (bias.len(), weights.len() / bias.len());
         let filled: Vec<f32> = weights.chunks_exact(inputs).flat_map(super::panels::filled_up).collect();

@@ -30,12 +30,16 @@ pub enum Form {
 /// Form and size of rows in panels.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Shape {
+    /// The content of a word.
     pub form: Form,
+    /// Number of rows.
     pub rows: usize,
+    /// Number of columns, without padding.
     pub columns: usize,
 }
 
 impl Shape {
+    /// Returns the number of words, including padding.
     pub fn words(self) -> usize {
         let columns = padded(self.columns);
         match self.form {
@@ -77,11 +81,13 @@ pub struct Slab {
 }
 
 impl Slab {
+    /// Allocates rows with arbitrary content.
     pub fn new(form: Form, rows: usize, columns: usize) -> Slab {
         let shape = Shape { form, rows, columns };
         Slab { words: Buffer::new(shape.words()), shape: Some(shape) }
     }
 
+    /// Returns the content of its words.
     pub fn form(&self) -> Form {
         self.shape.unwrap_or(EMPTY).form
     }
@@ -96,6 +102,7 @@ impl Slab {
         Panels { words: &self.words, shape: self.shape.unwrap_or(EMPTY), start }
     }
 
+    /// Returns the rows from `start` on, mutably.
     pub fn rows_mut(&mut self, start: usize) -> PanelsMut<'_> {
         PanelsMut { words: &mut self.words, shape: self.shape.unwrap_or(EMPTY), start }
     }
@@ -106,15 +113,21 @@ const EMPTY: Shape = Shape { form: Form::Single, rows: 0, columns: 0 };
 /// Rows in panels, from row `start` on.
 #[derive(Clone, Copy)]
 pub struct Panels<'a> {
+    /// The words of all rows.
     pub words: &'a [f32],
+    /// The shape of all rows.
     pub shape: Shape,
+    /// The first row.
     pub start: usize,
 }
 
 /// Mutable rows in panels, from row `start` on.
 pub struct PanelsMut<'a> {
+    /// The words of all rows.
     pub words: &'a mut [f32],
+    /// The shape of all rows.
     pub shape: Shape,
+    /// The first row.
     pub start: usize,
 }
 
@@ -124,6 +137,7 @@ impl Panels<'_> {
         fits(self.words.len(), self.shape, (self.start, rows), columns)
     }
 
+    /// Returns the address of the word with a row's number at `column`.
     #[inline(always)]
     pub fn at(&self, row: usize, column: usize) -> *const f32 {
         self.words.as_ptr().wrapping_add(self.shape.offset(self.start + row, column))
@@ -131,10 +145,12 @@ impl Panels<'_> {
 }
 
 impl PanelsMut<'_> {
+    /// Returns whether there are `rows` rows that begin with a complete word.
     pub fn fits(&self, rows: usize, columns: usize) -> bool {
         fits(self.words.len(), self.shape, (self.start, rows), columns)
     }
 
+    /// Returns the address of the word with a row's number at `column`.
     #[inline(always)]
     pub fn at(&mut self, row: usize, column: usize) -> *mut f32 {
         self.words.as_mut_ptr().wrapping_add(self.shape.offset(self.start + row, column))
@@ -154,15 +170,18 @@ pub struct Masks {
 }
 
 impl Masks {
+    /// Allocates masks with arbitrary content.
     pub fn new(rows: usize, columns: usize) -> Masks {
         let shape = Shape { form: Form::Single, rows, columns };
         Masks { bits: Buffer::new(shape.words() / 16), shape: Some(shape) }
     }
 
+    /// Returns the masks from row `start` on.
     pub fn rows(&self, start: usize) -> Bits<'_> {
         Bits { bits: &self.bits, shape: self.shape.unwrap_or(EMPTY), start }
     }
 
+    /// Returns the masks from row `start` on, mutably.
     pub fn rows_mut(&mut self, start: usize) -> BitsMut<'_> {
         BitsMut { bits: &mut self.bits, shape: self.shape.unwrap_or(EMPTY), start }
     }
@@ -171,23 +190,31 @@ impl Masks {
 /// Masks from row `start` on.
 #[derive(Clone, Copy)]
 pub struct Bits<'a> {
+    /// The bits of all rows.
     pub bits: &'a [u16],
+    /// The shape of all rows.
     pub shape: Shape,
+    /// The first row.
     pub start: usize,
 }
 
 /// Mutable masks from row `start` on.
 pub struct BitsMut<'a> {
+    /// The bits of all rows.
     pub bits: &'a mut [u16],
+    /// The shape of all rows.
     pub shape: Shape,
+    /// The first row.
     pub start: usize,
 }
 
 impl Bits<'_> {
+    /// Returns whether there are bits for `rows` rows.
     pub fn fits(&self, rows: usize, columns: usize) -> bool {
         fits(16 * self.bits.len(), self.shape, (self.start, rows), columns)
     }
 
+    /// Returns the address of a row's bits from `column` on.
     #[inline(always)]
     pub fn at(&self, row: usize, column: usize) -> *const u16 {
         self.bits.as_ptr().wrapping_add(self.shape.offset(self.start + row, column) / 16)
@@ -195,10 +222,12 @@ impl Bits<'_> {
 }
 
 impl BitsMut<'_> {
+    /// Returns whether there are bits for `rows` rows.
     pub fn fits(&self, rows: usize, columns: usize) -> bool {
         fits(16 * self.bits.len(), self.shape, (self.start, rows), columns)
     }
 
+    /// Returns the address of a row's bits from `column` on.
     #[inline(always)]
     pub fn at(&mut self, row: usize, column: usize) -> *mut u16 {
         self.bits.as_mut_ptr().wrapping_add(self.shape.offset(self.start + row, column) / 16)
@@ -290,10 +319,13 @@ fn pair_up((a, a_second): (&[f32], bool), b: Option<(&[f32], bool)>, out: &mut [
 /// Weights in the order of a product: for each panel of outputs, input after input.
 #[derive(Default)]
 pub struct Packed {
+    /// The words, padded to full panels.
     pub words: Buffer<f32>,
     /// Whether two inputs share a word, as bf16.
     pub pairs: bool,
+    /// Number of outputs.
     pub outputs: usize,
+    /// Number of inputs.
     pub inputs: usize,
 }
 

@@ -16,13 +16,16 @@ pub use super::finish::{Bias, ByRay, Finish, Out};
 pub enum Lhs<'a> {
     /// f32, row by row.
     Rows(&'a [f32]),
+    /// Rows in panels.
     Panels(Panels<'a>),
 }
 
 /// A left side with its weights.
 #[derive(Clone, Copy)]
 pub struct Source<'a> {
+    /// The left side.
     pub lhs: Lhs<'a>,
+    /// Its weights.
     pub weights: &'a Packed,
 }
 
@@ -32,7 +35,14 @@ pub enum Rows<'a> {
     /// The sum of products `x W^T`, each summed separately in the order of its inputs.
     Products(&'a [Source<'a>]),
     /// Of few outputs: sums of `weights` rows (each padded to a panel) times numbers of `dz [rows, outputs]`.
-    Few { dz: &'a [f32], weights: &'a [f32], outputs: usize },
+    Few {
+        /// `[rows, outputs]`.
+        dz: &'a [f32],
+        /// `[outputs, columns]`, with padded columns.
+        weights: &'a [f32],
+        /// Number of outputs.
+        outputs: usize,
+    },
     /// f32, row by row.
     Given(&'a [f32]),
     /// Gathered rows of f32.
