@@ -80,8 +80,8 @@ impl BlendViews {
         out
     }
 
-    /// Returns the gradient of `raw`. With q_v the derivative in view v's weight w_v, that of its raw number is `w_v
-    /// (q_v - sum w q)`.
+    /// Returns the gradient of `raw`. With q_v the derivative in view v's weight w_v, that of its raw number is
+    /// `w_v (q_v - sum w q)`.
     fn backward<T: WithDType>(&self, raw: &[T], sweep: &[T], gradient: &[T]) -> Vec<T> {
         let n = self.inputs;
         let mut out = vec![T::from_f64(0.0); raw.len()];

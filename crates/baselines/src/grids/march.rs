@@ -1,9 +1,9 @@
 //! Ray marching through a volume of colour and opacity, with accumulation up to 1 (Lombardi et al. 2019, section 5).
 //!
 //! The volume fills [-1, 1]^3. A ray's sample k, a step of length `s_k`, adds `o_k s_k` to its accumulation until that
-//! is 1, where `o_k` is opacity per length: `A_k = min(1, A_{k-1} + o_k s_k)`. Its colour is the sum of `c_k (A_k -
-//! A_{k-1})`. Let `s` be the first sample at which the sum exceeds 1. The gradient of the colour in `o_j s_j` is `c_j -
-//! c_s` before `s`, and 0 from there on. For a ray whose sum stays below 1 it is `c_j`.
+//! is 1, where `o_k` is opacity per length: `A_k = min(1, A_{k-1} + o_k s_k)`. Its colour is the sum of
+//! `c_k (A_k - A_{k-1})`. Let `s` be the first sample at which the sum exceeds 1. The gradient of the colour in
+//! `o_j s_j` is `c_j - c_s` before `s`, and 0 from there on. For a ray whose sum stays below 1 it is `c_j`.
 
 use std::ops::Range;
 use std::sync::Arc;

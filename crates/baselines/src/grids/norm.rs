@@ -52,7 +52,7 @@ impl LayerNorm {
         if !x.device().is_cpu() {
             return self.reference(x, scale, shift);
         }
-        let operation = Normalise { norm: *self, moments: Mutex::default() };
+        let operation = Normalize { norm: *self, moments: Mutex::default() };
         x.contiguous()?.apply_op3(&scale.contiguous()?, &shift.contiguous()?, operation)
     }
 
@@ -127,7 +127,7 @@ impl Cut {
             NormGroup::Sample => dims.iter().skip(1).product(),
         };
         if group == 0 || dims.len() < 2 {
-            candle_core::bail!("layer norm: there is nothing to normalise in {shape:?}");
+            candle_core::bail!("layer norm: there is nothing to normalize in {shape:?}");
         }
         Ok(Cut { channels, group, part: (BLOCK / group).max(1) * group })
     }
@@ -138,19 +138,19 @@ impl Cut {
     }
 }
 
-struct Normalise {
+struct Normalize {
     norm: LayerNorm,
     /// Of every group, kept from the forward to the backward pass.
     moments: Mutex<Vec<Moments>>,
 }
 
-impl Normalise {
+impl Normalize {
     fn forward<T: Number>(&self, cut: Cut, x: &[T], scale: &[T], shift: &[T]) -> Vec<T> {
         let mut y = vec![T::ZERO; x.len()];
         let of_group = |(x, y): (&[T], &mut [T])| -> Moments {
             let moments = self.moments_of(x);
             let blocks = x.par_chunks(cut.block()).zip(y.par_chunks_mut(cut.block()));
-            blocks.for_each(|(x, y)| normalise(x, moments, (scale, shift), self.norm.relu, y));
+            blocks.for_each(|(x, y)| normalize(x, moments, (scale, shift), self.norm.relu, y));
             moments
         };
         let parts = x.par_chunks(cut.part).zip(y.par_chunks_mut(cut.part));
@@ -190,7 +190,7 @@ impl Normalise {
     }
 }
 
-impl Normalise {
+impl Normalize {
     /// Returns gradients of x, scale and shift.
     fn gradients<T: Number>(&self, x: &Tensor, scale: &Tensor, y: &Tensor, dy: &Tensor) -> Result<[Tensor; 3]> {
         let cut = Cut::new(self.norm.group, x.shape())?;
@@ -298,7 +298,7 @@ fn masked<T: Number>(dy: T, y: T, relu: bool) -> T {
 }
 
 /// Normalizes a block of complete rows.
-fn normalise<T: Number>(x: &[T], moments: Moments, (scale, shift): (&[T], &[T]), relu: bool, y: &mut [T]) {
+fn normalize<T: Number>(x: &[T], moments: Moments, (scale, shift): (&[T], &[T]), relu: bool, y: &mut [T]) {
     let (mean, inverse) = (T::of(moments.mean), T::of(moments.inverse));
     vectorized(
         #[inline(always)]
@@ -337,7 +337,7 @@ fn sum_of<T: Number>(numbers: &[T], term: impl Fn(f64) -> f64 + Sync) -> f64 {
     }
 }
 
-impl CustomOp3 for Normalise {
+impl CustomOp3 for Normalize {
     fn name(&self) -> &'static str {
         "layer-norm"
     }

@@ -1,4 +1,4 @@
-//! Several multiplane images' renderings of the same rays as one picture.
+//! Blending of several multiplane images' renderings of the same rays.
 
 use candle_core::Tensor;
 
@@ -7,20 +7,21 @@ use crate::base::tensors::sum;
 
 use super::geometry::Viewpoint;
 
-/// What is added to the sum of weights that colours are divided by (the authors' code).
+/// Added to the sum of weights, the divisor of colours (the authors' code).
 pub const LEAST: f64 = 1e-10;
 
-/// Accumulation under which a ray shows the background.
+/// Accumulation below which a ray shows the background.
 pub const EMPTY: f64 = 1e-3;
 
-/// What a view at distance l counts beside the nearest: `exp(-(l - nearest) f / (planes near))`, f in pixels. LLFF's own weight
-/// has no nearest: it is the same up to a factor that the blend divides out, without the underflow far away.
+/// Returns the weight of a view at distance l relative to the nearest: `exp(-(l - nearest) f / (planes near))`, f in
+/// pixels. LLFF's own weight has no nearest. It is the same up to a factor that cancels in the blend, and it underflows
+/// far away.
 pub fn blend_weight(eye: &Viewpoint, distance: f64, nearest: f64, depths: &[f64]) -> f64 {
     let near = depths[depths.len() - 1];
     (-(distance - nearest) * eye.camera.focal[0] / (depths.len() as f64 * near)).exp()
 }
 
-/// What some rays show.
+/// Blended rays.
 pub struct Blended {
     /// `[rays, 3]`.
     pub rgb: Tensor,
@@ -28,11 +29,11 @@ pub struct Blended {
     pub acc: Tensor,
 }
 
-/// Renderings `[rays, 4]` (colour times weight, sum of weights) with what they count: the weighted sum of colours over that of
-/// weights, and the background where next to nothing is.
+/// Blends weighted renderings `[rays, 4]` (colour times weight, sum of weights). Colours are the weighted sum of
+/// colours over that of weights, and the background where accumulation is next to 0.
 ///
 /// # Errors
-/// No rendering; those of candle.
+/// If there is no rendering; those of candle.
 pub fn blend(renderings: Vec<(Tensor, f64)>, background: Option<[f32; 3]>) -> Result<Blended> {
     let total: f64 = renderings.iter().map(|(_, weight)| weight).sum();
     let weighted = |(rendering, weight): (Tensor, f64)| -> Result<Tensor> { Ok((rendering * weight)?) };

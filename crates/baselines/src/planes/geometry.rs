@@ -1,37 +1,37 @@
-//! Where planes lie and where rays meet them.
+//! The planes of a camera, and their intersections with rays.
 
 use crate::data::Camera;
 use crate::data::pose::{Pose, column};
 use crate::data::vector::{Vec3, dot, sub};
 use crate::grids::planes::Locations;
 
-/// Depths of planes from `far` to `near`, at equal distances in disparity: LLFF's number 0 is the farthest.
+/// Returns depths of planes from `far` to `near`, evenly spaced in disparity. As in LLFF, number 0 is the farthest.
 pub fn depths(near: f64, far: f64, planes: usize) -> Vec<f64> {
     let last = (planes.max(2) - 1) as f64;
     (0..planes).map(|k| 1.0 / (1.0 / far + k as f64 / last * (1.0 / near - 1.0 / far))).collect()
 }
 
-/// A vector in the camera's axes.
+/// Returns a vector in the camera's axes.
 fn turned(pose: &Pose, v: Vec3) -> Vec3 {
     [0, 1, 2].map(|axis| dot(column(pose, axis), v))
 }
 
-/// A camera whose pixels are counted from the middle of the first: `shift` says where that is.
+/// A camera whose pixels are counted from the centre of the first, which is at `shift`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Viewpoint {
-    /// What the scene says of it.
+    /// The camera in the scene.
     pub camera: Camera,
-    /// Pixel coordinates of the middle of the first pixel.
+    /// Pixel coordinates of the centre of the first pixel.
     pub shift: f64,
 }
 
 impl Viewpoint {
-    /// Where it is.
-    pub fn place(&self) -> Vec3 {
+    /// Returns its position.
+    pub fn position(&self) -> Vec3 {
         column(&self.camera.pose, 3)
     }
 
-    /// The pixel that shows a point of the camera's axes; not a number behind it.
+    /// Returns the pixel of a point in the camera's axes, or NaN behind the camera.
     #[inline(always)]
     fn pixel(&self, [x, y, z]: Vec3) -> [f64; 2] {
         let Camera { focal, centre, .. } = &self.camera;
@@ -39,13 +39,13 @@ impl Viewpoint {
         [centre[0] + focal[0] * x * inverse - self.shift, centre[1] - focal[1] * y * inverse - self.shift]
     }
 
-    /// Origin and direction of the ray through a pixel; t is depth along the camera's axis.
+    /// Returns origin and direction of the ray through a pixel. t is depth along the camera's axis.
     pub fn ray(&self, [column, row]: [f64; 2]) -> (Vec3, Vec3) {
         self.camera.ray(column + self.shift, row + self.shift)
     }
 
-    /// Where a ray meets this camera's planes at `depths`: a pixel and the ray's t for each; not numbers where it meets a plane
-    /// before its origin, or from behind.
+    /// Intersects a ray with this camera's planes at `depths`: a pixel and the ray's t for each. They are NaN if the
+    /// ray meets the plane before its origin, or from behind.
     pub fn hits(&self, origin: Vec3, direction: Vec3, depths: &[f64], mut each: impl FnMut(usize, [f64; 2], f64)) {
         let pose = &self.camera.pose;
         let origin = turned(pose, sub(origin, column(pose, 3)));
@@ -59,7 +59,7 @@ impl Viewpoint {
         }
     }
 
-    /// The same of many rays, without t.
+    /// Returns the same for many rays, without t.
     pub fn places(&self, rays: &[(Vec3, Vec3)], depths: &[f64]) -> Locations {
         let mut of_rays = vec![[f64::NAN; 2]; rays.len() * depths.len()];
         for ((origin, direction), places) in rays.iter().zip(of_rays.chunks_exact_mut(depths.len())) {
@@ -69,7 +69,8 @@ impl Viewpoint {
     }
 }
 
-/// How another camera sees a plane of this one: where it sees the plane's point of a pixel, which is linear before the division.
+/// The projection of a plane of this camera into another camera: the other pixel is linear in this one's before the
+/// division.
 #[derive(Clone, Copy, Debug)]
 pub struct Homography {
     base: Vec3,
@@ -79,7 +80,7 @@ pub struct Homography {
 }
 
 impl Homography {
-    /// Of `seen_by` for the plane at `depth` of `own`.
+    /// Creates the homography to `seen_by` for the plane at `depth` of `own`.
     pub fn new(own: &Viewpoint, seen_by: &Viewpoint, depth: f64) -> Homography {
         let direction = |pixel: [f64; 2]| own.ray(pixel).1;
         let (origin, first) = own.ray([0.0, 0.0]);
@@ -94,7 +95,7 @@ impl Homography {
         }
     }
 
-    /// The pixel of the other camera; not a number where it is behind it.
+    /// Returns the pixel of the other camera, or NaN behind it.
     #[inline(always)]
     pub fn pixel(&self, column: f64, row: f64) -> [f64; 2] {
         let at = |i: usize| self.base[i] + column * self.per_column[i] + row * self.per_row[i];
@@ -102,18 +103,18 @@ impl Homography {
     }
 }
 
-/// Views by their distance from `place`, nearest first; of equally far ones the first.
+/// Returns views by their distance from `place`, the nearest first. For equal distances the first view comes first.
 pub fn nearest(eyes: &[Viewpoint], place: Vec3) -> Vec<(usize, f64)> {
-    let distance = |eye: &Viewpoint| dot(sub(eye.place(), place), sub(eye.place(), place)).sqrt();
+    let distance = |eye: &Viewpoint| dot(sub(eye.position(), place), sub(eye.position(), place)).sqrt();
     let mut all: Vec<(usize, f64)> = eyes.iter().map(distance).enumerate().collect();
     all.sort_by(|a, b| a.1.total_cmp(&b.1));
     all
 }
 
-/// The views that the network sees for the planes of view `own`: itself and the nearest others of `eyes`, without `left_out`;
-/// where there are too few, itself again.
+/// Returns the input views of the network for the planes of view `own`: itself and the nearest others of `eyes`,
+/// without `left_out`. If there are too few, it is repeated.
 pub fn inputs_of(eyes: &[Viewpoint], own: usize, count: usize, left_out: Option<usize>) -> Vec<usize> {
-    let others = nearest(eyes, eyes[own].place()).into_iter().map(|(view, _)| view);
+    let others = nearest(eyes, eyes[own].position()).into_iter().map(|(view, _)| view);
     let others = others.filter(|view| *view != own && Some(*view) != left_out);
     std::iter::once(own).chain(others).chain(std::iter::repeat(own)).take(count).collect()
 }

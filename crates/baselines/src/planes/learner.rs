@@ -1,4 +1,4 @@
-//! How the network learns: a training view is left out, and those around it have to show it.
+//! Training of the network: a training view is left out, and rendered from those around it.
 
 use candle_core::{D, DType, Tensor, Var};
 
@@ -23,7 +23,7 @@ use super::windows::{Reference, Work};
 /// The column of the loss.
 const LOSS: &str = "loss_view";
 
-/// Trains the network on one scene's training views, leaving out one after another.
+/// Trains the network on one scene's training views, leaving one out after another.
 pub struct PlanesLearner {
     config: Resolved,
     network: MpiNetwork,
@@ -32,19 +32,20 @@ pub struct PlanesLearner {
 }
 
 impl PlanesLearner {
-    /// Goes on with `network` on the training views of `scene`.
+    /// Creates a learner of `network` on the training views of `scene`.
     ///
     /// # Errors
-    /// A scene that the method cannot be trained on.
+    /// If the method does not support the scene.
     pub fn new(config: &Resolved, scene: &Scene, network: MpiNetwork) -> Result<PlanesLearner> {
         let stage = Stage::new(config, scene)?;
         Ok(PlanesLearner { config: config.clone(), variables: network.variables(), network, stage })
     }
 
-    /// The same at the start of a run: work is there for its steps.
+    /// Creates the learner of a new run, and checks that its steps have inputs.
     ///
     /// # Errors
-    /// Those of [`PlanesLearner::new`]; pictures that no memory holds the planes of; windows that hold too few of the planes.
+    /// Those of [`PlanesLearner::new`]; if memory is too small for the planes of images, or windows hold too few of the
+    /// planes.
     pub fn start(config: &Resolved, scene: &Scene, network: MpiNetwork) -> Result<PlanesLearner> {
         let learner = PlanesLearner::new(config, scene, network)?;
         learner.stage.check_memory(config.llff.inputs)?;
@@ -52,17 +53,17 @@ impl PlanesLearner {
         Ok(learner)
     }
 
-    /// The work of the step that follows `step` finished ones.
+    /// Returns the inputs of the step after `step` finished ones.
     fn draw(&self, step: u64) -> Result<Work> {
         Work::draw(&self.config.llff, self.config.seed, step, &eyes(&self.stage.views), &self.stage.depths)
     }
 
-    /// The network that learns.
+    /// Returns the network that is trained.
     pub fn network(&self) -> &MpiNetwork {
         &self.network
     }
 
-    /// What is blended of the references' planes on the crop.
+    /// Blends the references' planes on the crop.
     fn blended(&self, weights: &Weights, work: &Work, stop_check: &StopCheck) -> Result<Blended> {
         let nearest = work.references.iter().map(|reference| reference.distance).fold(f64::INFINITY, f64::min);
         let rendering = |reference: &Reference| -> Result<(Tensor, f64)> {
@@ -74,7 +75,8 @@ impl PlanesLearner {
         blend(work.references.iter().map(rendering).collect::<Result<_>>()?, self.stage.background)
     }
 
-    /// Colour times weight and sum of weights, `[rays, 4]`, of one reference's planes, whose inputs lack the target.
+    /// Returns colour times weight and sum of weights, `[rays, 4]`, of one reference's planes, whose inputs do not
+    /// include the target.
     fn seen(&self, weights: &Weights, reference: &Reference, target: usize) -> Result<Tensor> {
         let Stage { views, depths, .. } = &self.stage;
         let inputs = inputs_of(&eyes(views), reference.view, self.config.llff.inputs, Some(target));
@@ -86,7 +88,7 @@ impl PlanesLearner {
         Ok(alpha_over(&plane_sample(&planes, reference.places.clone())?)?)
     }
 
-    /// The mean over counted pixels of what `per_number` gives, `[rays, 3]`.
+    /// Returns the mean of `per_number`, `[rays, 3]`, over counted pixels.
     fn mean(&self, per_number: &Tensor, work: &Work) -> Result<Tensor> {
         let share = 1.0 / (3 * work.counted()) as f64;
         let shares: Vec<f64> = work.counts.iter().map(|counts| if *counts { share } else { 0.0 }).collect();
@@ -94,7 +96,7 @@ impl PlanesLearner {
         Ok(per_number.broadcast_mul(&shares.to_dtype(per_number.dtype())?)?.sum_all()?)
     }
 
-    /// The true colours of the crop, `[rays, 3]`.
+    /// Returns the true colours of the crop, `[rays, 3]`.
     fn target(&self, work: &Work) -> Result<Tensor> {
         let SourceView { image, .. } = &self.stage.views[work.target];
         let pixel = |[column, row]: &[usize; 2]| image.pixels[3 * (row * image.width + column)..][..3].to_vec();
@@ -110,7 +112,7 @@ impl Learner for PlanesLearner {
 
     fn add_term(&mut self, term: LossTerm, _weight: f64) -> Result<()> {
         Err(Error::Config(format!(
-            "the term '{}' is made of a field's density or of weights along a ray, which method llff has not; use nerf or aug-nerf",
+            "the term '{}' needs a field's density or weights along a ray, which method llff lacks; use nerf or aug-nerf",
             term.name()
         )))
     }

@@ -206,9 +206,9 @@ pub struct Weights {
 }
 
 impl Weights {
-    /// Maps a plane-sweep volume `[planes, height, width, 3 views]` to numbers of every cell, `[planes, height, width,
-    /// views]`. Channel 0 is alpha's, the others are the views' (see [`crate::grids::blend_views::blend_views`]). Sides
-    /// are multiples of 8.
+    /// Maps a plane-sweep volume `[planes, height, width, 3 views]` to numbers of every cell,
+    /// `[planes, height, width, views]`. Channel 0 is alpha's, the others are the views' (see
+    /// [`crate::grids::blend_views::blend_views`]). Sides are multiples of 8.
     ///
     /// # Errors
     /// If the sides are wrong; those of candle.

@@ -43,8 +43,8 @@ pub fn padded(size: usize) -> usize {
     size.next_multiple_of(COARSEST)
 }
 
-/// Projects each of `seen` (camera and image) onto the planes of `own` at `depths`, in `window`: `[planes, height,
-/// width, 3 views]`, channel 3 v + c.
+/// Projects each of `seen` (camera and image) onto the planes of `own` at `depths`, in `window`:
+/// `[planes, height, width, 3 views]`, channel 3 v + c.
 ///
 /// # Errors
 /// Those of candle.

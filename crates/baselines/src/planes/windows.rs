@@ -87,7 +87,7 @@ impl Work {
     fn try_one(config: &PlanesConfig, random: &mut Random, eyes: &[Viewpoint], depths: &[f64]) -> Work {
         let target = random.below(eyes.len() as u32) as usize;
         let others: Vec<(usize, f64)> =
-            nearest(eyes, eyes[target].place()).into_iter().filter(|(view, _)| *view != target).collect();
+            nearest(eyes, eyes[target].position()).into_iter().filter(|(view, _)| *view != target).collect();
         // Any of those from which an image of the view would be blended.
         let near = others.len().min(config.blend.max(config.references));
         let chosen = random.distinct(config.references.min(near), near as u32);

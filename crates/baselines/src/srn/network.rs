@@ -169,33 +169,33 @@ impl Srn {
         Ok(Srn { config: config.clone(), tensors, variables })
     }
 
-    /// The parameters in their fixed order; empty where it is frozen.
+    /// Returns the parameters in their fixed order. Empty if it is frozen.
     pub fn variables(&self) -> &[(String, Var)] {
         &self.variables
     }
 
-    /// The same parameters (shared, not copied) for which no gradient is ever computed.
+    /// Returns the same parameters (shared, not copied), without gradients.
     pub fn frozen(&self) -> Srn {
         let tensors = self.tensors.iter().map(Tensor::detach).collect();
         Srn { config: self.config.clone(), tensors, variables: Vec::new() }
     }
 
-    /// The section that it was built with.
+    /// Returns the configuration of the section.
     pub fn config(&self) -> &SrnConfig {
         &self.config
     }
 
-    /// They are where the march in f32 on packed weights works.
+    /// Returns whether the march in f32 on packed weights supports the parameters.
     pub(super) fn is_fast(&self) -> bool {
         self.tensors.iter().all(|tensor| tensor.device().is_cpu() && tensor.dtype() == DType::F32)
     }
 
-    /// The parameters in their fixed order.
+    /// Returns the parameters in their fixed order.
     pub(super) fn tensors(&self) -> &[Tensor] {
         &self.tensors
     }
 
-    /// The march of rays from depths `z_0 [rays, 1]`, in scene units times `srn.scale`.
+    /// Marches rays from depths `z_0 [rays, 1]`, in scene units times `srn.scale`.
     ///
     /// # Errors
     /// Those of candle.
@@ -230,12 +230,12 @@ impl Srn {
         !self.variables.is_empty()
     }
 
-    /// Where the cell's parameters begin.
+    /// Returns the index of the cell's first parameter.
     fn of_lstm(&self) -> usize {
         OF_BLOCK * self.config.phi_layers
     }
 
-    /// Where those of G begin, behind the step's head.
+    /// Returns the index of G's first parameter, after the step's head.
     fn of_pixel(&self) -> usize {
         self.of_lstm() + 4 + 2
     }
@@ -245,17 +245,17 @@ impl Srn {
         Lstm { weight_ih, weight_hh, bias_ih, bias_hh }
     }
 
-    /// Features of points `[n, 3]`, `[n, width]`.
+    /// Returns features of points `[n, 3]`, `[n, width]`.
     fn phi(&self, points: &Tensor) -> Result<Tensor> {
         (0..self.config.phi_layers).try_fold(points.clone(), |x, k| self.block(OF_BLOCK * k, &x))
     }
 
-    /// Length of a step, `[n, 1]`.
+    /// Returns the length of a step, `[n, 1]`.
     fn step(&self, hidden: &Tensor) -> Result<Tensor> {
         self.linear(self.of_lstm() + 4, hidden)
     }
 
-    /// Colours of features.
+    /// Returns colours of features.
     fn pixel(&self, features: &Tensor) -> Result<Tensor> {
         let (first, layers) = (self.of_pixel(), self.config.pixel_layers);
         let hidden = (0..layers).try_fold(features.clone(), |x, k| self.block(first + OF_BLOCK * k, &x))?;
@@ -266,7 +266,7 @@ impl Srn {
         Ok(dense(x, &self.tensors[at], &self.tensors[at + 1], false, self.is_trainable())?)
     }
 
-    /// A linear layer, layer normalisation, ReLU.
+    /// Applies a linear layer, layer normalization and ReLU.
     fn block(&self, at: usize, x: &Tensor) -> Result<Tensor> {
         let norm = LayerNorm { group: NormGroup::Channels, epsilon: EPSILON, relu: true };
         Ok(norm.apply(&self.linear(at, x)?, &self.tensors[at + 2], &self.tensors[at + 3])?)

@@ -1,4 +1,4 @@
-//! What an SRN looks like.
+//! Rendering of an SRN.
 
 use candle_core::{DType, Tensor};
 
@@ -12,12 +12,12 @@ use super::network::Srn;
 /// Marches rays from one depth, without noise.
 pub struct SrnRenderer {
     srn: Srn,
-    /// The weights laid out for the march in f32 on a processor, where that is where they are.
+    /// The weights in the layout of the march in f32 on the CPU, if it applies.
     network: Option<Network>,
 }
 
 impl SrnRenderer {
-    /// With the parameters as they are now.
+    /// Creates a renderer with the current parameters.
     ///
     /// # Errors
     /// Those of candle.
@@ -26,7 +26,7 @@ impl SrnRenderer {
         Ok(SrnRenderer { network: srn.is_fast().then(|| Network::of(&srn)).transpose()?, srn })
     }
 
-    /// Colours from -1 to 1 `[rays, 3]` and depths `[rays]` in scene units times `srn.scale`.
+    /// Returns colours from -1 to 1 `[rays, 3]`, and depths `[rays]` in scene units times `srn.scale`.
     fn march(&self, rays: &Rays) -> Result<(Tensor, Tensor)> {
         let (start, n) = (self.srn.config().start_depth, rays.len());
         let Some(network) = &self.network else {

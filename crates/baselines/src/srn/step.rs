@@ -1,4 +1,4 @@
-//! What a chunk of a step adds to it: gradients, and sums over its rays.
+//! The contribution of a chunk to a step: gradients, and sums over its rays.
 
 use std::ops::Range;
 
@@ -12,16 +12,16 @@ use crate::methods::Gradients;
 use super::fast::{Lines, Network};
 use super::network::{Srn, SrnMarch};
 
-/// The work of a step.
+/// The inputs of a step.
 pub(super) struct StepWork {
     pub(super) rays: RayBuffer,
     /// Colours from -1 to 1, `[rays, 3]`.
     pub(super) target: Vec<f32>,
-    /// Depths that rays start at, scene units times `srn.scale`, `[rays]`.
+    /// Initial depths of rays, in scene units times `srn.scale`, `[rays]`.
     pub(super) z_0: Vec<f32>,
 }
 
-/// What a ray's squared errors count in the loss, its share of the step included.
+/// Weights of a ray's squared errors in the loss, including its fraction of the step.
 #[derive(Clone, Copy)]
 pub(super) struct Weights {
     /// Of each channel.
@@ -37,7 +37,7 @@ pub(super) struct Chunk<'a> {
     pub(super) weights: Weights,
 }
 
-/// Where gradients add up.
+/// The sum of gradients.
 enum GradientSum {
     /// Flat, in the order of parameters.
     Flat(Vec<f32>),
@@ -49,7 +49,7 @@ pub(super) struct Sums {
     gradients: GradientSum,
     /// Squared errors of colours from -1 to 1.
     pub(super) image: f64,
-    /// Of colours as they are shown, from 0 to 1.
+    /// Squared errors of colours as they are shown, from 0 to 1.
     pub(super) error: f64,
     /// Squares of depths behind the camera.
     pub(super) behind: f64,
@@ -58,7 +58,7 @@ pub(super) struct Sums {
     pub(super) z_squared: f64,
 }
 
-/// Gradients of the loss where rays ended: in colours `[rays, 3]` and depths `[rays]`.
+/// Gradients of the loss at the ends of rays: in colours `[rays, 3]` and depths `[rays]`.
 struct RayGradients {
     colour: Vec<f64>,
     z: Vec<f64>,
@@ -79,12 +79,12 @@ impl Chunk<'_> {
         &self.work.target[3 * self.rays.start..3 * self.rays.end]
     }
 
-    /// On packed weights.
+    /// Runs the chunk on packed weights.
     pub(super) fn step_fast(&self, network: &Network, sums: &mut Sums) {
         sums.add_packed(network, self.lines(), self.target(), self.weights);
     }
 
-    /// In candle's operations.
+    /// Runs the chunk in candle's operations.
     pub(super) fn step_plain(&self, srn: &Srn, (dtype, device): (DType, &Device), sums: &mut Sums) -> Result<()> {
         let Lines { origins, directions, viewdirs, z_0 } = self.lines();
         let tensor = |values: &[f32]| Tensor::from_slice(values, (self.rays.len(), ()), device)?.to_dtype(dtype);
@@ -94,7 +94,7 @@ impl Chunk<'_> {
 }
 
 impl Sums {
-    /// Nothing yet; on packed weights gradients are flat.
+    /// Creates empty sums. On packed weights gradients are flat.
     pub(super) fn new(network: Option<&Network>, srn: &Srn) -> Sums {
         let gradients = match network {
             Some(network) => GradientSum::Flat(vec![0.0; network.gradient_size]),
@@ -123,7 +123,7 @@ impl Sums {
             let z = z.into();
             self.z += z;
             self.z_squared += z * z;
-            // Not `min`: a NaN must stay one, to be found and reported.
+            // Not `min`: NaN must stay, to be found and reported.
             let behind = if z > 0.0 { 0.0 } else { z };
             self.behind += behind * behind;
             2.0 * weights.depth * behind
@@ -158,7 +158,7 @@ impl Sums {
         }
     }
 
-    /// Those of the parts of a step, in their order: the same bits whatever the number of threads.
+    /// Sums the parts of a step in order. The bits do not depend on the number of threads.
     pub(super) fn sum(parts: Vec<Sums>) -> Result<Sums> {
         let of = |value: fn(&Sums) -> f64| parts.iter().map(value).sum::<f64>();
         let [image, error, behind] = [of(|part| part.image), of(|part| part.error), of(|part| part.behind)];
@@ -178,7 +178,7 @@ impl Sums {
         Ok(Sums { gradients, image, error, behind, z, z_squared })
     }
 
-    /// The gradients, in the order of the variables.
+    /// Returns the gradients, in the order of the variables.
     pub(super) fn gradients(self, srn: &Srn) -> Result<Gradients> {
         let flat = match self.gradients {
             GradientSum::Flat(flat) => flat,
@@ -194,7 +194,7 @@ impl Sums {
     }
 }
 
-/// The sum of vectors in their order; threads share their numbers.
+/// Sums vectors in order. Threads share their numbers.
 fn total(parts: Vec<Vec<f32>>) -> Vec<f32> {
     const BLOCK: usize = 1 << 14;
     let mut parts = parts.into_iter();

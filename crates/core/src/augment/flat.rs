@@ -166,7 +166,7 @@ impl<'a> Flat<'a> {
                 let distances = random.uniform_values(count / self.columns);
                 let root = (1.0 / self.columns as f64) as f32;
                 for (ball, (values, distance)) in values.chunks_exact_mut(self.columns).zip(distances).enumerate() {
-                    normalise(values);
+                    normalize(values);
                     let (distance, radius) = (distance.powf(root), self.radius.at(ball));
                     values.iter_mut().for_each(|value| *value = *value * distance * radius);
                 }
@@ -199,7 +199,7 @@ impl<'a> Flat<'a> {
                 let mut moved = gradient.to_vec();
                 let rows = moved.chunks_exact_mut(self.columns).zip(delta.chunks_exact(self.columns));
                 for (ball, (moved, delta)) in rows.enumerate() {
-                    normalise(moved);
+                    normalize(moved);
                     let step = step(ball);
                     moved.iter_mut().zip(delta).for_each(|(moved, delta)| *moved = delta + *moved * step);
                 }
@@ -236,7 +236,7 @@ fn length(values: &[f32]) -> f32 {
 }
 
 /// Implements [`DeltaSet::direction`] for a ball.
-fn normalise(values: &mut [f32]) {
+fn normalize(values: &mut [f32]) {
     let positive = |size: f32| if size > 0.0 { size } else { 1.0 };
     let largest = values.iter().fold(0.0, |largest: f32, value| larger(largest, value.abs()));
     values.iter_mut().for_each(|value| *value /= positive(largest));

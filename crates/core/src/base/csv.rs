@@ -7,8 +7,8 @@ const FORMULA: [char; 6] = ['=', '+', '-', '@', '\t', '\r'];
 /// Prefix that makes spreadsheets leave such a text alone.
 const TEXT: char = '\'';
 
-/// Returns a cell that no spreadsheet reads as a formula. Text that begins like one gets an apostrophe, as in `'+ TV
-/// Reg.`; numbers stay as they are. [`plain_cell`] removes the apostrophe.
+/// Returns a cell that no spreadsheet reads as a formula. Text that begins like one gets an apostrophe, as in
+/// `'+ TV Reg.`; numbers stay as they are. [`plain_cell`] removes the apostrophe.
 pub fn safe_cell(cell: &str) -> Cow<'_, str> {
     match cell.trim_start_matches(TEXT).starts_with(FORMULA) && cell.parse::<f64>().is_err() {
         true => format!("{TEXT}{cell}").into(),

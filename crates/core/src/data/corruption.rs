@@ -129,7 +129,7 @@ fn check_facing(views: &[View], config: &CorruptionConfig) -> Result<()> {
         None => Ok(()),
         Some(view) => Err(Error::Config(format!(
             "data.corruption.degrees = {}: turned so far, training view {} looks away from the scene's -z axis and has no \
-             normalised device coordinates; take fewer degrees or set data.ndc=false",
+             normalized device coordinates; take fewer degrees or set data.ndc=false",
             config.degrees, view.name
         ))),
     }

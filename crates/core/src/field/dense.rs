@@ -9,9 +9,9 @@ use candle_core::backend::BackendStorage;
 use candle_core::op::{Add, Relu};
 use candle_core::{CpuStorage, CudaStorage, CustomOp2, CustomOp3, Layout, MetalStorage, Result, Shape, Tensor};
 
-/// Returns `activation(x @ weight^T + bias)`: x `[n, inputs]`, weight `[outputs, inputs]`, bias `[outputs]` -> `[n,
-/// outputs]`. The activation is ReLU or none; ReLU's derivative at 0 is 0. `trainable = false` skips the gradients of
-/// weight and bias.
+/// Returns `activation(x @ weight^T + bias)`: x `[n, inputs]`, weight `[outputs, inputs]`, bias `[outputs]` ->
+/// `[n, outputs]`. The activation is ReLU or none; ReLU's derivative at 0 is 0. `trainable = false` skips the gradients
+/// of weight and bias.
 pub fn dense(x: &Tensor, weight: &Tensor, bias: &Tensor, relu: bool, trainable: bool) -> Result<Tensor> {
     let (_, inputs) = x.dims2()?;
     let (outputs, weight_inputs) = weight.dims2()?;

@@ -74,8 +74,8 @@ pub fn integrated_channels(octaves: usize) -> usize {
 }
 
 /// Encodes `[n, 6]`, mean and diagonal variance of Gaussians, -> `[n, 6 octaves]`. For each frequency f =
-/// 2^0..2^(octaves-1) it returns the expectations of the sines and of the cosines of f x. These are exp(-f^2 variance /
-/// 2) times those of the mean (Barron et al. 2021, equation 14).
+/// 2^0..2^(octaves-1) it returns the expectations of the sines and of the cosines of f x. These are
+/// exp(-f^2 variance / 2) times those of the mean (Barron et al. 2021, equation 14).
 pub fn encode_integrated(gaussians: &Tensor, octaves: usize) -> Result<Tensor> {
     if !gaussians.device().is_cpu() {
         return encode_integrated_reference(gaussians, octaves);

@@ -474,8 +474,8 @@ impl Field {
         })
     }
 
-    /// Encodes unit directions `[rays, 3]` once per ray, and repeats them for its samples: `[rays * samples, 3 + 6
-    /// view_octaves]`.
+    /// Encodes unit directions `[rays, 3]` once per ray, and repeats them for its samples:
+    /// `[rays * samples, 3 + 6 view_octaves]`.
     fn encode_views(&self, viewdirs: &Tensor, samples: usize) -> Result<Tensor> {
         let (rays, _) = viewdirs.dims2()?;
         let encoded = encode(viewdirs, self.config.view_octaves)?; // [rays, channels]

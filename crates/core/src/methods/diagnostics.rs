@@ -105,7 +105,7 @@ impl SiteSummary {
 
     /// Summarizes the numbers that a run logged in each column, in the order of steps.
     pub fn of_columns(column: impl Fn(&str) -> Vec<f64>) -> Vec<SiteSummary> {
-        let summarise = |site: Site| {
+        let summarize = |site: Site| {
             let values = columns(site).map(|name| column(&name));
             let steps = values[0].len();
             if steps == 0 {
@@ -126,7 +126,7 @@ impl SiteSummary {
                 last_shift,
             })
         };
-        Site::ALL.into_iter().filter_map(summarise).collect()
+        Site::ALL.into_iter().filter_map(summarize).collect()
     }
 }
 

@@ -43,8 +43,8 @@ pub fn importance(t_vals: &Tensor, weights: &Tensor, u: &Tensor) -> Result<Tenso
 }
 
 /// Returns the edges of MipNeRF's fine pass: `fine + 1` new edges of intervals, `[rays, fine + 1]`, drawn from the
-/// blurred weights of the coarse intervals. `edges` `[rays, coarse + 1]`, `weights` `[rays, coarse]`, `u` `[rays, fine
-/// + 1]` in 0..=1, sorted. A blurred weight is the mean of the larger of itself and either neighbour, plus `padding`
+/// blurred weights of the coarse intervals. `edges` `[rays, coarse + 1]`, `weights` `[rays, coarse]`,
+/// `u` `[rays, fine + 1]` in 0..=1, sorted. A blurred weight is the mean of the larger of itself and either neighbour, plus `padding`
 /// (Barron et al. 2021, equation 18).
 pub fn resample_intervals(edges: &Tensor, weights: &Tensor, u: &Tensor, padding: f64) -> Result<Tensor> {
     if !edges.device().is_cpu() {

@@ -81,8 +81,8 @@ section! {
                 .real(|weight| weight >= 0.0, "0 or positive, and at most 1 with perturb.objective = \"released\"")
                 .column("lambda")
                 .same_time();
-        /// Combination of the losses: `paper` (clean + lambda * perturbed) or `released` ((1 - lambda) * clean + lambda
-        /// * perturbed).
+        /// Combination of the losses: `paper` (clean + lambda * perturbed) or `released`
+        /// ((1 - lambda) * clean + lambda * perturbed).
         pub objective: Objective = Objective::Paper, numbers().column("objective");
         /// Network of the perturbed pass: `shared` (the evaluated ones) or `separate` (one additional network, as in
         /// the released code).

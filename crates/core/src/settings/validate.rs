@@ -143,7 +143,7 @@ impl Config {
     fn validate_spacing(&self) -> Result<()> {
         let (data, in_disparity) = (&self.data, self.sampling.spacing == Spacing::Disparity);
         refuse(in_disparity && data.in_ndc(), || {
-            "sampling.spacing = \"disparity\" with data.ndc: normalised device coordinates are even in disparity already; \
+            "sampling.spacing = \"disparity\" with data.ndc: normalized device coordinates are even in disparity already; \
              set data.ndc=false, or leave sampling.spacing at \"depth\""
                 .into()
         })?;

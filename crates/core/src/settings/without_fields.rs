@@ -46,7 +46,7 @@ impl Config {
         })?;
         refuse(data.in_ndc(), || {
             format!(
-                "data.ndc = true with method {method}: it works with distances in the world, which normalised device coordinates \
+                "data.ndc = true with method {method}: it works with distances in the world, which normalized device coordinates \
                  bend; set data.ndc=false"
             )
         })

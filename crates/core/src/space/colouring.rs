@@ -91,7 +91,7 @@ pub fn in_scene(level_set: Mesh, ndc: Option<&Ndc>) -> Result<Mesh> {
         let point = vertex.map(f64::from);
         *vertex = ndc.unmap(point).map(|point| point.map(|v| v as f32)).ok_or_else(|| {
             Error::Config(format!(
-                "the box reaches beyond z = 1 in normalised device coordinates, which is infinitely far away: the surface has \
+                "the box reaches beyond z = 1 in normalized device coordinates, which is infinitely far away: the surface has \
                  a vertex at {point:?}; choose a box that ends below 1"
             ))
         })?;

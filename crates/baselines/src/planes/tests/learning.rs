@@ -174,7 +174,7 @@ fn multiplane_images_are_those_of_the_weights_as_they_are() {
     darker.train[2].image = image.into();
     assert!(planes(&darker) != before);
     assert!(planes(&scene) == before);
-    // The bias of alpha: behind every other convolution a normalisation takes its size away.
+    // The bias of alpha: behind every other convolution a normalization takes its size away.
     let (_, bias): (String, Var) = network.variables().pop().unwrap();
     let dark = planes(&darker);
     let early = network.renderer(&config, &scene).unwrap();

@@ -131,7 +131,7 @@ fn at_its_own_camera_a_view_is_its_picture() {
 fn the_nearest_views_are_blended() {
     let renderer = PlanesRenderer { blend: 2, ..renderer(None) };
     let between = eye([0.15, 0.0], 16, 8, 20.0);
-    let order: Vec<usize> = nearest(&renderer.eyes, between.place()).into_iter().map(|(view, _)| view).collect();
+    let order: Vec<usize> = nearest(&renderer.eyes, between.position()).into_iter().map(|(view, _)| view).collect();
     assert_eq!(order, [1, 0, 2]);
     let rendered = render(&renderer, &between);
     // Both show the same wall, seen between their pixels.

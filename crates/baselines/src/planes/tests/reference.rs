@@ -145,7 +145,7 @@ fn places_and_renderings_are_the_authors() {
 
 /// Views from the nearest on with their weights.
 fn weights(count: usize) -> Vec<(usize, f64)> {
-    let near = nearest(&eyes(), goal().place());
+    let near = nearest(&eyes(), goal().position());
     let weight = |&(view, distance): &(usize, f64)| (view, blend_weight(&eyes()[view], distance, near[0].1, &planes()));
     near.iter().take(count).map(weight).collect()
 }
@@ -155,7 +155,7 @@ fn blends_of_any_number_are_the_authors() {
     let (distances, expected) = (values(&fixture("llff.distance")), values(&fixture("llff.blend_weights")));
     let all = weights(6);
     let first = all[0].0;
-    for ((view, weight), (_, distance)) in all.into_iter().zip(nearest(&eyes(), goal().place())) {
+    for ((view, weight), (_, distance)) in all.into_iter().zip(nearest(&eyes(), goal().position())) {
         assert!((distance - distances[view]).abs() < 1e-14);
         assert!((weight - expected[view] / expected[first]).abs() < 1e-14, "{view}");
     }

@@ -332,8 +332,8 @@ impl Network {
         Slab::new(if self.pairs() { Form::Down } else { Form::Single }, rows, columns)
     }
 
-    /// Returns what a ray's direction and the bias add to the first view layer at each of its points, `[rays,
-    /// columns]`. Columns are padded to a panel.
+    /// Returns what a ray's direction and the bias add to the first view layer at each of its points,
+    /// `[rays, columns]`. Columns are padded to a panel.
     pub(super) fn view_of_rays(&self, encoded_views: &[f32], rays: usize) -> Buffer<f32> {
         let view = &self.views[0];
         let stride = view.bias.len();

@@ -81,7 +81,7 @@ pub(super) fn mixing(config: &Config) -> (f64, f64) {
 }
 
 impl FieldLearner {
-    /// What a step of this run minimises.
+    /// What a step of this run minimizes.
     pub(super) fn step_loss(&self) -> StepLoss<'_> {
         let (clean, perturbed) = mixing(&self.config);
         StepLoss { clean, perturbed, terms: &self.terms, fields: self.config.regularizer.fields }

@@ -40,7 +40,7 @@ pub fn load(config: &DataConfig, events: &dyn Listener) -> Result<Scene> {
     check_count(&source, poses.poses.len(), &file)?;
     check_size(&source, &poses, config, &file)?;
     let name_file = |e: Error| Error::Data(format!("{}: {e}", file.display()));
-    let path = normalise(&mut poses, config).map_err(name_file)?;
+    let path = normalize(&mut poses, config).map_err(name_file)?;
     let camera = camera_at(source.target, focal(&poses, config, source.target));
     let cameras: Vec<Camera> = poses.poses.iter().map(|&pose| Camera { pose, ..camera }).collect();
     let names = images::names(&source.paths);
@@ -78,7 +78,7 @@ fn space(poses: &Poses, cameras: &[Camera], source: &Source, config: &DataConfig
 }
 
 /// Scales, recentres and, where asked, spherifies; returns the video path.
-fn normalise(poses: &mut Poses, config: &DataConfig) -> Result<Vec<Pose>> {
+fn normalize(poses: &mut Poses, config: &DataConfig) -> Result<Vec<Pose>> {
     poses.scale_bounds(config.bound_factor);
     if config.recentre {
         poses.recentre()?;
@@ -152,7 +152,7 @@ fn check_facing(cameras: &[Camera], names: &[String], file: &Path) -> Result<()>
     for (camera, name) in cameras.iter().zip(names) {
         if !camera.faces_forward() {
             return Err(Error::Data(format!(
-                "{}: view {name} looks away from the scene's -z axis, so its rays have no normalised device \
+                "{}: view {name} looks away from the scene's -z axis, so its rays have no normalized device \
                  coordinates; set data.ndc=false, and data.spherify=true for a capture from all around",
                 file.display()
             )));

@@ -1,4 +1,4 @@
-//! Captures in LLFF's format that go around something, which normalised device coordinates cannot show.
+//! Captures in LLFF's format that go around something, which normalized device coordinates cannot show.
 
 use std::path::Path;
 

@@ -36,8 +36,8 @@ pub unsafe trait Simd {
     /// Returns c plus the products of pairs of bf16: two fused multiply-adds, the second of each pair first. Subnormal
     /// results are 0.
     unsafe fn dot_pairs(a: Self::V, b: Self::V, c: Self::V) -> Self::V;
-    /// Stores neighbours as pairs of bf16, rounded to the nearest, ties to even. Subnormals become 0. It writes `LANES
-    /// / 2` words.
+    /// Stores neighbours as pairs of bf16, rounded to the nearest, ties to even. Subnormals become 0. It writes
+    /// `LANES / 2` words.
     unsafe fn store_rounded(to: *mut f32, v: Self::V);
     /// Returns each number of `a` with that of `b` as a pair of bf16, rounded in the same way.
     unsafe fn pair(a: Self::V, b: Self::V) -> Self::V;
