@@ -178,7 +178,7 @@ impl CustomOp1 for Encode {
             shape.point_gradient(Values::of(&table.contiguous()?).slice()?, &unit, &gradient, &mut d_unit);
             let points = points.contiguous()?;
             let mut d_points = vec![0f32; unit.len()];
-            domain.pull_back(Values::of(&points).slice()?, &d_unit, &mut d_points);
+            domain.backward(Values::of(&points).slice()?, &d_unit, &mut d_points);
             Some(Tensor::from_vec(d_points, points.shape(), &Device::Cpu)?)
         } else {
             None
@@ -216,7 +216,7 @@ impl Reference {
         let unit = self.unit(points);
         let (mut d_unit, mut d_points) = (vec![T::default(); points.len()], vec![T::default(); points.len()]);
         shape.point_gradient_reference(table, &unit, gradient, &mut d_unit);
-        domain.pull_back(points, &d_unit, &mut d_points);
+        domain.backward(points, &d_unit, &mut d_points);
         let mut d_table = vec![T::default(); table.len()];
         shape.table_gradient_reference(&unit, gradient, &mut d_table);
         (d_points, d_table)

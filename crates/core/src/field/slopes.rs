@@ -165,7 +165,7 @@ impl GridSlopes {
             shape.point_gradient_reference(&values(&table)?, &self.unit, &values(&e_bar)?, &mut d_unit);
         }
         let mut d_points = vec![0.0; d_unit.len()];
-        domain.pull_back(&self.points, &d_unit, &mut d_points);
+        domain.backward(&self.points, &d_unit, &mut d_points);
         Ok(Tensor::from_vec(d_points, (self.points.len() / 3, 3), &Device::Cpu)?.to_dtype(table.dtype())?)
     }
 

@@ -1,4 +1,4 @@
-//! Adam for tables, of which a step reaches some entries only.
+//! Adam for tables of which a step changes only some entries.
 
 use crate::runtime::count_table_bytes;
 
@@ -28,11 +28,11 @@ pub struct Moving<'a> {
 }
 
 impl SparseAdam {
-    /// One update. An entry whose gradient is 0 in all its `features` stays as it is, moments included: it was not read
-    /// in this step (Instant-NGP, section 4).
+    /// Updates the parameters. An entry whose gradient is 0 in all its `features` stays as it is, including moments: it
+    /// was not read in this step (Instant-NGP, section 4).
     ///
     /// # Panics
-    /// If the sizes do not go together.
+    /// If the sizes do not fit.
     pub fn update(&self, moving: Moving, gradient: &[f32], features: usize) {
         self.update_on(Processor::here(), moving, gradient, features);
     }
@@ -42,7 +42,7 @@ impl SparseAdam {
         let sizes = [values.len(), first.len(), second.len()];
         assert!(sizes.iter().all(|size| *size == gradient.len()), "one moment and one gradient a parameter");
         assert!(gradient.len().is_multiple_of(features), "whole entries");
-        // The gradient is read; values and moments are read and written, where the whole table is reached.
+        // The gradient is read; values and moments are read and written, if the complete table is processed.
         count_table_bytes(7 * size_of_val(gradient));
         macro_rules! update {
             ($($number:literal)*) => {

@@ -1,14 +1,15 @@
-//! Points among a level's cells.
+//! The cells of points in a level.
 
 use crate::settings::Interpolation;
 
 use super::simd::{LANES, Lanes, Simd};
 use super::{Level, PRIMES};
 
-/// Points taken through all levels before the next: they, their encodings and a level's table stay in near caches.
+/// Points that pass through all levels before the next ones. They, their encodings and a level's table stay in near
+/// caches.
 pub const BLOCK: usize = 512;
 
-/// A block's points by axes, groups of [`LANES`]. What is missing in the last group is 0.
+/// A block's points by axes, in groups of [`LANES`]. Missing ones in the last group are 0.
 pub struct Block {
     groups: [[Lanes; 3]; BLOCK / LANES],
     points: usize,
@@ -19,7 +20,7 @@ impl Block {
         Block { groups: [[[0.0; LANES]; 3]; BLOCK / LANES], points: 0 }
     }
 
-    /// Takes `points [n, 3]`, n <= [`BLOCK`], for those that were here.
+    /// Replaces the points by `points [n, 3]`, n <= [`BLOCK`].
     #[inline(always)]
     pub fn fill(&mut self, points: &[f32]) {
         self.points = points.len() / 3;
@@ -35,7 +36,7 @@ impl Block {
         }
     }
 
-    /// Each group's first point, number of points, and coordinates.
+    /// Iterates over each group's first point, number of points, and coordinates.
     #[inline(always)]
     pub fn groups(&self) -> impl Iterator<Item = (usize, usize, &[Lanes; 3])> {
         let points = self.points;
@@ -44,7 +45,7 @@ impl Block {
     }
 }
 
-/// The cells that points stand in, and where.
+/// The cells of points, and the positions in them.
 pub struct Cells<S: Simd> {
     /// Each cell's lowest vertex.
     vertex: [S::Ints; 3],
@@ -53,7 +54,8 @@ pub struct Cells<S: Simd> {
 }
 
 impl<S: Simd> Cells<S> {
-    /// The cells of points. A point on a face belongs to the cell above it, on the cube's last face to the one below.
+    /// Returns the cells of points. A point on a face belongs to the cell above it, and on the cube's last face to the
+    /// one below.
     #[inline(always)]
     pub fn of(simd: S, level: &Level, points: &[Lanes; 3]) -> Cells<S> {
         let resolution = simd.splat(level.resolution as f32);
@@ -67,7 +69,7 @@ impl<S: Simd> Cells<S> {
         Cells { vertex: [x.0, y.0, z.0], position: [x.1, y.1, z.1] }
     }
 
-    /// The entries of the cells' eight vertices, all within the level's table: x changes first, then y, then z.
+    /// Returns the entries of the cells' eight vertices, all within the level's table: x changes first, then y, then z.
     #[inline(always)]
     pub fn corners(&self, simd: S, level: &Level) -> [S::Ints; 8] {
         let [x, y, z] = self.vertex;
@@ -91,7 +93,8 @@ impl<S: Simd> Cells<S> {
     }
 }
 
-/// Where a part of the eight entries is: of pairs an entry has one part. Takes the part's number and how many there are.
+/// Returns the position of a part of the eight entries, given its number and the number of parts. For pairs an entry
+/// has one part.
 #[inline(always)]
 pub fn of_part<const W: usize, S: Simd>(
     simd: S,
@@ -107,7 +110,7 @@ pub fn of_part<const W: usize, S: Simd>(
     entries
 }
 
-/// A part's features at the cells' eight vertices.
+/// Returns a part's features at the cells' eight vertices.
 #[inline(always)]
 pub fn gather_corners<const W: usize, S: Simd>(
     simd: S,
@@ -127,7 +130,7 @@ pub fn gather_corners<const W: usize, S: Simd>(
 }
 
 impl Level {
-    /// Its part of all tables, whose entries have so many parts.
+    /// Returns its part of all tables, whose entries have this many parts.
     #[inline(always)]
     pub fn table<'a, const W: usize>(&self, tables: &'a [[f32; W]], parts: usize) -> &'a [[f32; W]] {
         &tables[self.offset * parts..][..self.entries * parts]
@@ -135,7 +138,7 @@ impl Level {
 }
 
 impl Interpolation {
-    /// The upper vertex's share at a position in a cell.
+    /// Returns the upper vertex's weight at a position in a cell.
     #[inline(always)]
     pub fn shares<S: Simd>(self, simd: S, position: [S::Floats; 3]) -> [S::Floats; 3] {
         let share = |f| match self {
@@ -147,7 +150,7 @@ impl Interpolation {
         [share(position[0]), share(position[1]), share(position[2])]
     }
 
-    /// The share's derivative.
+    /// Returns the derivative of the weight.
     #[inline(always)]
     pub fn slopes<S: Simd>(self, simd: S, position: [S::Floats; 3]) -> [S::Floats; 3] {
         let slope = |f| match self {
@@ -157,7 +160,7 @@ impl Interpolation {
         [slope(position[0]), slope(position[1]), slope(position[2])]
     }
 
-    /// The share's second derivative.
+    /// Returns the second derivative of the weight.
     #[inline(always)]
     pub fn bends<S: Simd>(self, simd: S, position: [S::Floats; 3]) -> [S::Floats; 3] {
         let bend = |f| match self {
@@ -168,7 +171,7 @@ impl Interpolation {
     }
 }
 
-/// `(1 - share) a + share b`: a where the share is 0 and b where it is 1, to the bit.
+/// Returns `(1 - share) a + share b`: a where the weight is 0 and b where it is 1, bit for bit.
 #[inline(always)]
 pub fn mix<S: Simd>(simd: S, share: S::Floats, a: S::Floats, b: S::Floats) -> S::Floats {
     simd.mul_add(share, b, simd.neg_mul_add(share, a, a))

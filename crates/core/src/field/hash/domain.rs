@@ -4,11 +4,11 @@ use crate::settings::Contraction;
 
 use super::{Operator, Real};
 
-/// A box of the scene's space, and how it and the space around it lie in the unit cube.
+/// A box of the scene's space, and the map of it and the space around it into the unit cube.
 ///
-/// Without a contraction the box fills the cube. Contracted by axes, it fills the middle half of the cube along each, and
-/// infinity lies on the cube's faces. Contracted to a ball, the ball within the box, an ellipsoid where its sides differ,
-/// fills the ball of half the cube's size, and infinity lies on the ball within the cube.
+/// Without a contraction the box fills the cube. Contracted by axes, it fills the middle half of the cube along each
+/// axis, and infinity maps to the cube's faces. Contracted to a ball, the ball within the box fills the ball of half
+/// the cube's size. It is an ellipsoid if the box's sides differ. Infinity then maps to the ball within the cube.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Domain {
     low: [f64; 3],
@@ -17,10 +17,10 @@ pub struct Domain {
 }
 
 impl Domain {
-    /// The box from `low` to `high`, in scene units.
+    /// Creates the box from `low` to `high`, in scene units.
     ///
     /// # Panics
-    /// If a side is not finite and longer than 0: settings are checked before.
+    /// If a side is not finite and longer than 0. Settings are checked before.
     pub fn new(low: [f64; 3], high: [f64; 3], contraction: Contraction) -> Domain {
         let side = |axis: usize| high[axis] - low[axis];
         assert!(
@@ -30,17 +30,17 @@ impl Domain {
         Domain { low, high, contraction }
     }
 
-    /// How the space around the box is treated.
+    /// Returns the treatment of the space around the box.
     pub fn contraction(&self) -> Contraction {
         self.contraction
     }
 
-    /// Scene points in the cube, `points [n, 3]` to `unit [n, 3]`, and whether each is inside, `inside [n]`. Points
+    /// Maps scene points `points [n, 3]` to the cube, `unit [n, 3]`, with whether each is inside, `inside [n]`. Points
     /// outside are moved to the cube's faces. A point that is not finite becomes NaN and counts as inside, to be found
     /// and reported.
     ///
     /// # Panics
-    /// If the sizes do not go together.
+    /// If the sizes do not fit.
     pub fn map<T: Real>(&self, points: &[T], unit: &mut [T], inside: &mut [bool]) {
         assert!(points.len() == 3 * inside.len() && unit.len() == points.len(), "one place a point");
         let rows = points.as_chunks::<3>().0.iter().zip(unit.as_chunks_mut::<3>().0);
@@ -51,16 +51,18 @@ impl Domain {
         }
     }
 
-    /// Whether each of `points [n, 3]` lies in the box, or space has no outside. A point that is not finite does.
+    /// Returns whether each of `points [n, 3]` is in the box, or space has no outside. A point that is not finite
+    /// counts as inside.
     pub fn inside<T: Real>(&self, points: &[T]) -> Vec<bool> {
         points.as_chunks::<3>().0.iter().map(|point| !self.is_outside(point.map(Into::into))).collect()
     }
 
-    /// What has the gradient `d_unit [n, 3]` in the cube has `d_points [n, 3]` in the scene: 0 at points outside.
+    /// Computes the gradient in the scene, `d_points [n, 3]`, from that in the cube, `d_unit [n, 3]`. It is 0 at points
+    /// outside.
     ///
     /// # Panics
-    /// If the sizes do not go together.
-    pub fn pull_back<T: Real>(&self, points: &[T], d_unit: &[T], d_points: &mut [T]) {
+    /// If the sizes do not fit.
+    pub fn backward<T: Real>(&self, points: &[T], d_unit: &[T], d_points: &mut [T]) {
         assert!(points.len() == d_unit.len() && d_points.len() == points.len(), "one gradient a point");
         let rows = points.as_chunks::<3>().0.iter().zip(d_unit.as_chunks::<3>().0);
         for ((point, d_unit), d_point) in rows.zip(d_points.as_chunks_mut::<3>().0) {
@@ -72,7 +74,7 @@ impl Domain {
         }
     }
 
-    /// `d unit[row] / d point[column]` at a scene point: 0 outside a box without contraction.
+    /// Returns `d unit[row] / d point[column]` at a scene point. It is 0 outside a box without contraction.
     pub fn jacobian(&self, point: [f64; 3]) -> [[f64; 3]; 3] {
         if self.is_outside(point) {
             return [[0.0; 3]; 3];
@@ -96,12 +98,13 @@ impl Domain {
         std::array::from_fn(|row| std::array::from_fn(|column| entry(row, column)))
     }
 
-    /// At a scene point, `value` times a function's value, plus `gradient` times its gradient in the scene, plus
-    /// `laplacian` times its Laplacian there, as an operator in the cube: derivatives are 0 outside a box without
+    /// Returns an operator in the cube for a scene point: `value` times a function's value, plus `gradient` times its
+    /// gradient in the scene, plus `laplacian` times its Laplacian there. Derivatives are 0 outside a box without
     /// contraction.
     ///
-    /// With the Jacobian J and the Laplacians l of the cube's coordinates in the scene's, the gradient is J^T g and the
-    /// Laplacian the sum of (J J^T)_jk H_jk and of l_j g_j, of the gradient g and the second derivatives H in the cube.
+    /// Let J be the Jacobian and l the Laplacians of the cube's coordinates in the scene's. With the gradient g and the
+    /// second derivatives H in the cube, the scene's gradient is J^T g. Its Laplacian is the sum of (J J^T)_jk H_jk and
+    /// of l_j g_j.
     pub fn operator(&self, point: [f64; 3], value: f64, gradient: [f64; 3], laplacian: f64) -> Operator<f64> {
         let jacobian = self.jacobian(point);
         let bends = self.laplacians(point);
@@ -114,16 +117,16 @@ impl Domain {
         [value, x, y, z, xx, yy, zz, mixed(0, 1), mixed(0, 2), mixed(1, 2)]
     }
 
-    /// The Laplacian in the scene of each of the cube's coordinates: 0 within the box.
+    /// Returns the Laplacian in the scene of each of the cube's coordinates. It is 0 within the box.
     fn laplacians(&self, point: [f64; 3]) -> [f64; 3] {
         let y = self.normalized(point);
         let r = length(y);
-        // Of the contracted coordinate in y, a quarter of it being the cube's; d y / d point = 2 / side.
+        // Of the contracted coordinate in y, a quarter of which is the cube's; d y / d point = 2 / side.
         let scale = |axis: usize| (2.0 / (self.high[axis] - self.low[axis])).powi(2);
         std::array::from_fn(|row| match self.contraction {
             Contraction::None => 0.0,
             Contraction::Axes if y[row].abs() <= 1.0 => 0.0,
-            // Of 2 - 1/y, or -2 - 1/y where y is negative.
+            // Of 2 - 1/y, or -2 - 1/y if y is negative.
             Contraction::Axes => -0.5 * scale(row) / y[row].powi(3),
             Contraction::Ball if r <= 1.0 => 0.0,
             // Of h(r) y with h = 2/r - 1/r^2.
@@ -139,13 +142,13 @@ impl Domain {
         })
     }
 
-    /// Whether nothing of the scene is at a point.
+    /// Returns whether a point is outside of the covered space.
     fn is_outside(&self, point: [f64; 3]) -> bool {
         let beyond = |axis: usize| point[axis] < self.low[axis] || point[axis] > self.high[axis];
         self.contraction == Contraction::None && is_finite(point) && (0..3).any(beyond)
     }
 
-    /// The point where the box is -1..1 along each axis.
+    /// Returns the point in coordinates where the box is -1..1 along each axis.
     fn normalized(&self, point: [f64; 3]) -> [f64; 3] {
         let [low, high] = [self.low, self.high];
         std::array::from_fn(|axis| (2.0 * point[axis] - low[axis] - high[axis]) / (high[axis] - low[axis]))
@@ -176,7 +179,7 @@ fn length(y: [f64; 3]) -> f64 {
     y.iter().map(|y| y * y).sum::<f64>().sqrt()
 }
 
-/// `2 - 1 / norm` beyond 1.
+/// Returns `2 - 1 / norm` beyond 1.
 fn contracted(norm: f64) -> f64 {
     if norm <= 1.0 { norm } else { 2.0 - 1.0 / norm }
 }

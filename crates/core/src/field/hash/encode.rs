@@ -1,20 +1,20 @@
-//! The encoding's values.
+//! The values of the encoding.
 
 use super::cell::{BLOCK, Block, Cells, gather_corners, mix};
 use super::simd::{Kernel, Processor, Simd};
 use super::{HashGrid, by_features, count_corners};
 
-/// Reads one number of each cache line: once a step, this costs a tenth of what encoding loses to tables that other
-/// work has pushed out of the caches, as it reads them in order.
+/// Reads one number of each cache line, in order. Once per step, this costs a tenth of the time that encoding loses
+/// otherwise, if other work has displaced the tables from the caches.
 pub fn fetch_tables(tables: &[f32]) {
     std::hint::black_box(tables.iter().step_by(16).sum::<f32>());
 }
 
 impl HashGrid {
-    /// The encodings of points in the unit cube: `points [n, 3]`, `out [n, channels]`.
+    /// Encodes points in the unit cube: `points [n, 3]` to `out [n, channels]`.
     ///
     /// # Panics
-    /// If the sizes do not go together.
+    /// If the sizes do not fit.
     pub fn encode(&self, tables: &[f32], points: &[f32], out: &mut [f32]) {
         self.encode_on(Processor::here(), tables, points, out);
     }
@@ -67,7 +67,7 @@ impl<const W: usize> Kernel for Encode<'_, W> {
     }
 }
 
-/// Between eight corners: along x, then y, then z.
+/// Interpolates between eight corners: along x, then y, then z.
 #[inline(always)]
 fn interpolate<S: Simd>(simd: S, [x, y, z]: [S::Floats; 3], corner: impl Fn(usize) -> S::Floats) -> S::Floats {
     let edge = |k| mix(simd, x, corner(k), corner(k + 1));

@@ -5,11 +5,11 @@ use super::simd::{Kernel, LANES, Lanes, Processor, Simd};
 use super::{HashGrid, by_features, count_corners};
 
 impl HashGrid {
-    /// What has the gradient `d_out [n, channels]` in the encodings has `d_points [n, 3]` in the points: the cell's
-    /// own, which jumps at its faces where the interpolation is linear.
+    /// Computes the gradient in the points, `d_points [n, 3]`, from that in the encodings, `d_out [n, channels]`. It is
+    /// the cell's own, which jumps at its faces if the interpolation is linear.
     ///
     /// # Panics
-    /// If the sizes do not go together.
+    /// If the sizes do not fit.
     pub fn point_gradient(&self, tables: &[f32], points: &[f32], d_out: &[f32], d_points: &mut [f32]) {
         self.point_gradient_on(Processor::here(), tables, (points, d_out), d_points);
     }
@@ -86,7 +86,7 @@ impl<const W: usize> Kernel for PointGradient<'_, W> {
     }
 }
 
-/// Numbers of groups, axis by axis, point by point.
+/// Writes numbers of groups, axis by axis, as points.
 #[inline(always)]
 fn write(groups: &[[Lanes; 3]], points: &mut [f32]) {
     for (group, points) in groups.iter().zip(points.chunks_mut(3 * LANES)) {
@@ -96,7 +96,7 @@ fn write(groups: &[[Lanes; 3]], points: &mut [f32]) {
     }
 }
 
-/// The derivative of the interpolation between eight corners in the share of each axis.
+/// Returns the derivative of the interpolation between eight corners in the weight of each axis.
 #[inline(always)]
 fn differences<S: Simd>(simd: S, [x, y, z]: [S::Floats; 3], corner: impl Fn(usize) -> S::Floats) -> [S::Floats; 3] {
     let edge = |k| mix(simd, x, corner(k), corner(k + 1));

@@ -1,17 +1,17 @@
 //! The multiresolution hash encoding of Instant-NGP (Müller et al. 2022, section 3): features at the vertices of grids
-//! of growing resolution, interpolated at a point and written side by side.
+//! of growing resolution, interpolated at a point and concatenated.
 //!
-//! Level l cuts the unit cube into N_l^3 cells, N_l = floor(N_min b^l). Where its (N_l + 1)^3 vertices fit into a table
-//! of T entries each has its own; elsewhere a spatial hash (equation 4) names the entry, and vertices share entries.
-//! All tables lie one behind the other in one array, `[entries, features]`: the encoding's only parameters.
+//! Level l divides the unit cube into N_l^3 cells, N_l = floor(N_min b^l). If its (N_l + 1)^3 vertices fit into a table
+//! of T entries, each has its own. Otherwise a spatial hash (equation 4) selects the entry, and vertices share entries.
+//! All tables are consecutive in one array, `[entries, features]`: the encoding's only parameters.
 //!
-//! Points are `[n, 3]` in the unit cube ([`Domain`] maps scene points there), encodings and their cotangents
-//! `[n, levels * features]`, level after level. The kernels work in f32 on slices, one thread each, with one order of
-//! operations and of additions: the bits are the same on every processor. The functions named `_reference` have the
-//! same in f64, written as in the paper.
+//! Points are `[n, 3]` in the unit cube ([`Domain`] maps scene points there). Encodings and their cotangents are
+//! `[n, levels * features]`, level after level. The kernels work in f32 on slices, each on one thread, with one order
+//! of operations and of additions. The bits are the same on every CPU. The functions named `_reference` compute the
+//! same in f64, as written in the paper.
 //!
 //! A point that is NaN has an encoding that is NaN. A point outside the cube is in the cell next to it, whose
-//! interpolation is continued beyond it.
+//! interpolation is extrapolated.
 
 use crate::runtime::count_table_bytes;
 
@@ -36,8 +36,8 @@ pub use scatter::Cotangents;
 
 use crate::settings::Interpolation;
 
-/// Runs a kernel on arrays of `[f32; W]`. Two features, the default, are one pair, for which there are instructions of their
-/// own. Other numbers of features are so many parts of one.
+/// Runs a kernel on arrays of `[f32; W]`. Two features, the default, are one pair, which has special instructions.
+/// Other numbers of features are as many parts of one.
 macro_rules! by_features {
     ($processor:expr, $features:expr, $width:ident => $kernel:expr) => {
         match $features {
@@ -54,13 +54,14 @@ macro_rules! by_features {
 }
 use by_features;
 
-/// Counts the entries at the 8 corners of points' cells in every level, read once: of `encoded` numbers in their encodings.
+/// Counts the entries at the 8 corners of points' cells in every level, read once, for `encoded` numbers in their
+/// encodings.
 fn count_corners(encoded: usize) {
     count_table_bytes(8 * size_of::<f32>() * encoded);
 }
 
 impl Interpolation {
-    /// The upper vertex's share at the position `f` in a cell, its first and its second derivative.
+    /// Returns the upper vertex's weight at the position `f` in a cell, with its first and its second derivative.
     fn share(self, f: f64) -> [f64; 3] {
         match self {
             Interpolation::Linear => [f, 1.0, 0.0],
@@ -86,7 +87,7 @@ pub struct Level {
 const PRIMES: [u32; 2] = [2_654_435_761, 805_459_861];
 
 impl Level {
-    /// The entry of a vertex, each coordinate in 0..=resolution.
+    /// Returns the entry of a vertex, each coordinate in 0..=resolution.
     fn entry(&self, [x, y, z]: [u32; 3]) -> usize {
         let vertices = self.resolution as usize + 1;
         if self.dense {
@@ -97,7 +98,7 @@ impl Level {
     }
 }
 
-/// The grids of an encoding: sizes, no values.
+/// The grids of an encoding: sizes, without values.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct HashGrid {
     levels: Vec<Level>,
@@ -106,19 +107,19 @@ pub struct HashGrid {
 }
 
 impl HashGrid {
-    /// The most features of an entry.
+    /// The largest number of features of an entry.
     pub const MOST_FEATURES: usize = 8;
     /// The largest log2 of a table's entries.
     pub const LARGEST_TABLE: u32 = 24;
-    /// The finest resolution that f32 positions tell cells of.
+    /// The finest resolution whose cells f32 positions can tell apart.
     pub const FINEST: u32 = 1 << 20;
 
-    /// Grids whose resolution grows from `coarsest` to `finest` by equal factors, with at most 2^`log2_table` entries
-    /// of `features` numbers a level.
+    /// Creates grids whose resolution grows from `coarsest` to `finest` by equal factors. Each level has at most
+    /// 2^`log2_table` entries of `features` numbers.
     ///
     /// # Panics
-    /// If there is no level or no cell, `finest` is less than `coarsest` or more than [`HashGrid::FINEST`], or features
-    /// or tables are none or more than the largest: settings are checked before.
+    /// If there is no level or no cell, or if `finest` is less than `coarsest` or more than [`HashGrid::FINEST`]. Also
+    /// if features or tables are none or more than the largest. Settings are checked before.
     pub fn new(
         levels: usize,
         features: usize,
@@ -142,38 +143,38 @@ impl HashGrid {
         HashGrid { levels: (0..levels).map(level).collect(), features, interpolation }
     }
 
-    /// The grids, coarsest first.
+    /// Returns the grids, coarsest first.
     pub fn levels(&self) -> &[Level] {
         &self.levels
     }
 
-    /// Numbers of an entry.
+    /// Returns the number of features of an entry.
     pub fn features(&self) -> usize {
         self.features
     }
 
-    /// Parts of `W` features that an entry has. Of pairs it is one, which the compiler then knows.
+    /// Returns the number of parts of `W` features of an entry. For pairs it is one, which the compiler then knows.
     #[inline(always)]
     fn parts<const W: usize>(&self) -> usize {
         if W == 2 { 1 } else { self.features }
     }
 
-    /// How features are interpolated.
+    /// Returns the interpolation of features.
     pub fn interpolation(&self) -> Interpolation {
         self.interpolation
     }
 
-    /// Entries of all tables, the first dimension of the parameters.
+    /// Returns the entries of all tables, the first dimension of the parameters.
     pub fn entries(&self) -> usize {
         self.levels.last().map_or(0, |level| level.offset + level.entries)
     }
 
-    /// Numbers of a point's encoding.
+    /// Returns the length of a point's encoding.
     pub fn channels(&self) -> usize {
         self.levels.len() * self.features
     }
 
-    /// Points of `[n, 3]`, where tables and `[n, channels]` have the sizes that go with them.
+    /// Checks the sizes, and returns the number of points of `[n, 3]`.
     fn check(&self, tables: usize, points: usize, encoded: usize) -> usize {
         assert_eq!(tables, self.entries() * self.features, "the tables are not this grid's");
         assert!(points.is_multiple_of(3) && encoded == points / 3 * self.channels(), "one encoding a point");

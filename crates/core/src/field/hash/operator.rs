@@ -1,27 +1,29 @@
-//! Derivatives of the encoding in space, and the tables' gradients of what is made of them.
+//! Derivatives of the encoding in space, and the tables' gradients of functions of them.
 //!
-//! An encoding is linear in the tables: what each vertex counts is a function of the point, and a derivative of the
-//! encoding is the same sum with that function's derivative. So one linear differential operator a point says all: the
-//! slope along an axis of the scene, the Laplacian there, or the sum of what a loss has for each of them.
+//! An encoding is linear in the tables. The weight of each vertex is a function of the point, and a derivative of the
+//! encoding is the same sum with that function's derivative. One linear differential operator per point is therefore
+//! enough. It can be the derivative along an axis of the scene, the Laplacian there, or the sum of a loss's derivatives
+//! in each of them.
 
 use super::cell::{BLOCK, Block, Cells, gather_corners, of_part};
 use super::simd::{Kernel, LANES, Lanes, Processor, Simd};
 use super::{Cotangents, HashGrid, Level, by_features, count_corners};
 
-/// A linear differential operator at a point of the unit cube, of second order at most: what it takes of the value, of
-/// the derivatives along x, y, z, of those along xx, yy, zz, and of those along xy, xz, yz.
+/// A linear differential operator at a point of the unit cube, of at most second order. It has the coefficients of the
+/// value, of the derivatives along x, y, z, of those along xx, yy, zz, and of those along xy, xz, yz.
 pub type Operator<T> = [T; 10];
 
-/// How often each of an operator's derivatives is taken along each axis.
+/// The order of each of an operator's derivatives along each axis.
 pub const ORDERS: Operator<[usize; 3]> =
     [[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1], [2, 0, 0], [0, 2, 0], [0, 0, 2], [1, 1, 0], [1, 0, 1], [0, 1, 1]];
 
 impl HashGrid {
-    /// What `operators [n]` make of the encodings of `points [n, 3]`: `out [n, channels]`. They are the cell's own: where
-    /// the interpolation is linear slopes jump at its faces, and second derivatives along an axis are 0 within it.
+    /// Applies `operators [n]` to the encodings of `points [n, 3]`: `out [n, channels]`. The derivatives are the cell's
+    /// own. With linear interpolation, first derivatives jump at its faces, and second derivatives along an axis are 0
+    /// within it.
     ///
     /// # Panics
-    /// If the sizes do not go together.
+    /// If the sizes do not fit.
     pub fn differentiate(&self, tables: &[f32], points: &[f32], operators: &[Operator<f32>], out: &mut [f32]) {
         self.differentiate_on(Processor::here(), tables, (points, operators), out);
     }
@@ -86,7 +88,7 @@ impl<const W: usize> Kernel for Differentiate<'_, W> {
     }
 }
 
-/// As [`HashGrid::scatter`] of a record with operators. Sizes were checked.
+/// Implements [`HashGrid::scatter`] for a record with operators, with checked sizes.
 pub struct Scatter<'a, const W: usize> {
     pub grid: &'a HashGrid,
     pub level: usize,
@@ -128,14 +130,14 @@ impl<const W: usize> Kernel for Scatter<'_, W> {
 }
 
 impl<'a> Cotangents<'a> {
-    /// Of `points [n, 3]` in the unit cube: gradients `d_out [n, channels]` in what `operators [n]` make of their
-    /// encodings.
+    /// Creates cotangents from `points [n, 3]` in the unit cube, and gradients `d_out [n, channels]` in the results of
+    /// `operators [n]` on their encodings.
     pub fn of_operators(points: &'a [f32], operators: &'a [Operator<f32>], d_out: &'a [f32]) -> Cotangents<'a> {
         Cotangents { points, d_out, operators: Some(operators) }
     }
 }
 
-/// A block's operators, number by number. What is missing in the last group is 0.
+/// A block's operators, coefficient by coefficient. Missing ones in the last group are 0.
 struct Operators {
     groups: [Operator<Lanes>; BLOCK / LANES],
 }
@@ -145,7 +147,7 @@ impl Operators {
         Operators { groups: [[[0.0; LANES]; 10]; BLOCK / LANES] }
     }
 
-    /// Takes those of at most [`BLOCK`] points for those that were here.
+    /// Replaces the operators by those of at most [`BLOCK`] points.
     #[inline(always)]
     fn fill(&mut self, operators: &[Operator<f32>]) {
         for (group, operators) in self.groups.iter_mut().zip(operators.chunks(LANES)) {
@@ -159,7 +161,7 @@ impl Operators {
     }
 }
 
-/// What each corner's feature counts in an operator's value.
+/// Returns the weight of each corner's feature in an operator's value.
 #[inline(always)]
 fn weights<S: Simd>(
     simd: S,
@@ -177,7 +179,7 @@ fn weights<S: Simd>(
     for k in 0..4 {
         let ([x, x1, x2], [y, y1, y2]) = (along[0][k & 1], along[1][k >> 1]);
         let (xy, x1y, xy1) = (simd.mul(x, y), simd.mul(x1, y), simd.mul(x, y1));
-        // What goes with z itself, with its slope, and with its second derivative.
+        // The terms for z itself, for its first derivative, and for its second derivative.
         let mut flat = simd.mul(c[0], xy);
         flat = simd.mul_add(c[1], x1y, flat);
         flat = simd.mul_add(c[2], xy1, flat);
@@ -193,7 +195,8 @@ fn weights<S: Simd>(
     weights
 }
 
-/// What the lower and the upper vertex count along each axis, with first and second derivative in the unit cube.
+/// Returns the weights of the lower and the upper vertex along each axis, with first and second derivative in the unit
+/// cube.
 #[inline(always)]
 fn along<S: Simd>(simd: S, grid: &HashGrid, level: &Level, cells: &Cells<S>) -> [[[S::Floats; 3]; 2]; 3] {
     let zero = simd.splat(0.0);

@@ -1,12 +1,12 @@
-//! The encoding as the paper writes it, in f64, vertex by vertex: what the kernels are tested against, and what serves
-//! fields of f64.
+//! The encoding as the paper writes it, in f64, vertex by vertex. It is the reference for tests, and serves fields of
+//! f64.
 
 use super::operator::ORDERS;
 use super::{HashGrid, Level, Operator};
 
-/// Numbers that the reference takes and gives.
+/// Number types of the reference.
 pub trait Real: Copy + Into<f64> {
-    /// The nearest.
+    /// Returns the nearest number of the type.
     fn nearest(value: f64) -> Self;
 }
 
@@ -22,28 +22,28 @@ impl Real for f64 {
     }
 }
 
-/// A vertex of the cell that a point stands in.
+/// A vertex of a point's cell.
 struct Vertex {
     /// Its entry, counted over all tables.
     entry: usize,
-    /// What it counts along each axis, and the first and second derivative of that in the point's coordinate.
+    /// Its weight along each axis, with the first and second derivative in the point's coordinate.
     along: [[f64; 3]; 3],
 }
 
 impl Vertex {
-    /// The derivative of its weight, `order` times along each axis.
+    /// Returns the derivative of its weight, of `order` along each axis.
     fn weight(&self, order: [usize; 3]) -> f64 {
         (0..3).map(|axis| self.along[axis][order[axis]]).product()
     }
 
-    /// What an operator makes of its weight.
+    /// Returns the result of an operator on its weight.
     fn operated(&self, operator: &Operator<f64>) -> f64 {
         operator.iter().zip(ORDERS).map(|(factor, order)| factor * self.weight(order)).sum()
     }
 }
 
 impl HashGrid {
-    /// The eight vertices around a point.
+    /// Returns the eight vertices around a point.
     fn vertices(&self, level: &Level, point: [f64; 3]) -> [Vertex; 8] {
         let resolution = f64::from(level.resolution);
         std::array::from_fn(|k| {
@@ -64,7 +64,7 @@ impl HashGrid {
         })
     }
 
-    /// Calls with each point's number, channel, entry in the tables' array, and vertex.
+    /// Calls `visit` with each point's number, channel, entry in the tables' array, and vertex.
     fn each_vertex<T: Real>(&self, points: &[T], mut visit: impl FnMut(usize, usize, usize, &Vertex)) {
         for (i, point) in points.as_chunks::<3>().0.iter().enumerate() {
             for (l, level) in self.levels.iter().enumerate() {
@@ -78,10 +78,10 @@ impl HashGrid {
         }
     }
 
-    /// As [`HashGrid::encode`], as the sum over vertices.
+    /// Computes [`HashGrid::encode`] as the sum over vertices.
     ///
     /// # Panics
-    /// If the sizes do not go together.
+    /// If the sizes do not fit.
     pub fn encode_reference<T: Real>(&self, tables: &[T], points: &[T], out: &mut [T]) {
         self.check(tables.len(), points.len(), out.len());
         let mut sums = vec![0.0; out.len()];
@@ -91,10 +91,10 @@ impl HashGrid {
         write(&sums, out);
     }
 
-    /// As [`HashGrid::point_gradient`].
+    /// Computes [`HashGrid::point_gradient`].
     ///
     /// # Panics
-    /// If the sizes do not go together.
+    /// If the sizes do not fit.
     pub fn point_gradient_reference<T: Real>(&self, tables: &[T], points: &[T], d_out: &[T], d_points: &mut [T]) {
         self.check(tables.len(), points.len(), d_out.len());
         let mut sums = vec![0.0; points.len()];
@@ -107,10 +107,10 @@ impl HashGrid {
         write(&sums, d_points);
     }
 
-    /// The gradient in the tables, `sum [entries, features]`, of one record.
+    /// Computes the gradient in the tables, `sum [entries, features]`, of one record.
     ///
     /// # Panics
-    /// If the sizes do not go together.
+    /// If the sizes do not fit.
     pub fn table_gradient_reference<T: Real>(&self, points: &[T], d_out: &[T], sum: &mut [T]) {
         self.check(sum.len(), points.len(), d_out.len());
         let mut sums = vec![0.0; sum.len()];
@@ -120,10 +120,10 @@ impl HashGrid {
         write(&sums, sum);
     }
 
-    /// As [`HashGrid::differentiate`].
+    /// Computes [`HashGrid::differentiate`].
     ///
     /// # Panics
-    /// If the sizes do not go together.
+    /// If the sizes do not fit.
     pub fn differentiate_reference<T: Real>(
         &self,
         tables: &[T],
@@ -139,10 +139,10 @@ impl HashGrid {
         write(&sums, out);
     }
 
-    /// The gradient in the tables, `sum [entries, features]`, of one record with operators.
+    /// Computes the gradient in the tables, `sum [entries, features]`, of one record with operators.
     ///
     /// # Panics
-    /// If the sizes do not go together.
+    /// If the sizes do not fit.
     pub fn operator_gradient_reference<T: Real>(
         &self,
         points: &[T],

@@ -8,30 +8,30 @@ use super::cell::{BLOCK, Block, Cells, of_part};
 use super::simd::{Kernel, LANES, Lanes, Processor, Simd};
 use super::{HashGrid, Operator, by_features, count_corners, operator};
 
-/// Points and the gradients in their encodings, or in what operators make of those.
+/// Points, and the gradients in their encodings or in the results of operators on those.
 #[derive(Clone, Copy)]
 pub struct Cotangents<'a> {
     /// `[n, 3]`, in the unit cube.
     pub points: &'a [f32],
     /// `[n, channels]`.
     pub d_out: &'a [f32],
-    /// `[n]`; none where the gradients are in the encodings themselves.
+    /// `[n]`. `None` if the gradients are in the encodings themselves.
     pub operators: Option<&'a [Operator<f32>]>,
 }
 
 impl<'a> Cotangents<'a> {
-    /// Gradients `d_out [n, channels]` in the encodings of `points [n, 3]` in the unit cube.
+    /// Creates cotangents from gradients `d_out [n, channels]` in the encodings of `points [n, 3]` in the unit cube.
     pub fn new(points: &'a [f32], d_out: &'a [f32]) -> Cotangents<'a> {
         Cotangents { points, d_out, operators: None }
     }
 }
 
 impl HashGrid {
-    /// The tables' gradient of all records, written over what is in `sum [entries, features]`. Each level is worked on
-    /// by one thread, in the order of records and points, so that the bytes do not depend on the number of threads.
+    /// Computes the tables' gradient of all records, and overwrites `sum [entries, features]`. One thread processes
+    /// each level, in the order of records and points. The bytes do not depend on the number of threads.
     ///
     /// # Panics
-    /// If the sizes do not go together.
+    /// If the sizes do not fit.
     pub fn table_gradient(&self, records: &[Cotangents], sum: &mut [f32]) {
         assert_eq!(sum.len(), self.entries() * self.features, "the gradient is of another grid's tables");
         let mut rest = sum;
@@ -42,7 +42,7 @@ impl HashGrid {
             rest = behind;
         }
         parts.into_par_iter().enumerate().for_each(|(level, sum)| {
-            // Cleared here, the table is in a near cache when it is added to.
+            // Cleared here, the table is in a near cache for the additions.
             sum.fill(0.0);
             for record in records {
                 self.scatter(level, *record, sum);
@@ -53,7 +53,7 @@ impl HashGrid {
     /// Adds one level's part of a record to that level's `sum [level's entries, features]`, in the order of the points.
     ///
     /// # Panics
-    /// If the sizes do not go together.
+    /// If the sizes do not fit.
     pub fn scatter(&self, level: usize, record: Cotangents, sum: &mut [f32]) {
         self.scatter_on(Processor::here(), level, record, sum);
     }
@@ -63,7 +63,7 @@ impl HashGrid {
         let count = self.check(self.entries() * self.features, points.len(), d_out.len());
         assert!(operators.is_none_or(|operators| operators.len() == count), "one operator a point");
         assert_eq!(sum.len(), self.levels[level].entries * self.features, "the gradient is of another level's table");
-        // Read and written, in one level of them.
+        // Read and written, in one level.
         count_corners(2 * d_out.len() / self.levels.len());
         match operators {
             None => by_features!(processor, self.features, W => {
@@ -98,7 +98,7 @@ impl<const W: usize> Kernel for Scatter<'_, W> {
         for (points, d_out) in self.points.chunks(3 * BLOCK).zip(self.d_out.chunks(length * BLOCK)) {
             block.fill(points);
             for part in 0..parts {
-                // All at once, as each waits for memory, and many can wait together.
+                // All at once, because each waits for memory, and many can wait together.
                 for (d_features, row) in d_block.iter_mut().zip(d_out.chunks_exact(length)) {
                     *d_features = row[self.level * parts + part];
                 }
@@ -114,7 +114,7 @@ impl<const W: usize> Kernel for Scatter<'_, W> {
     }
 }
 
-/// What each corner's feature counts in the interpolation.
+/// Returns the weight of each corner's feature in the interpolation.
 #[inline(always)]
 fn weights<S: Simd>(simd: S, interpolation: Interpolation, cells: &Cells<S>) -> [Lanes; 8] {
     let [x1, y1, z1] = interpolation.shares(simd, cells.position);

@@ -1,15 +1,15 @@
-//! Sixteen numbers at a time, by AVX-512 where the processor has it, and by plain loops with the same bits elsewhere.
+//! Vectors of sixteen numbers: AVX-512 if the CPU has it, and plain loops with the same bits otherwise.
 
 #[cfg(target_arch = "x86_64")]
 pub use wide::Wide;
 
-/// Numbers worked on at once.
+/// Numbers in a vector.
 pub const LANES: usize = 16;
 
-/// One number a lane, in memory.
+/// One number per lane, in memory.
 pub type Lanes = [f32; LANES];
 
-/// A way to compute with [`LANES`] numbers. Each operation is rounded once, lane by lane, so that all ways give the
+/// Operations on [`LANES`] numbers. Each operation is rounded once, lane by lane, so that all implementations give the
 /// same bits.
 pub trait Simd: Copy {
     /// Numbers of f32.
@@ -23,12 +23,12 @@ pub trait Simd: Copy {
     fn add(self, a: Self::Floats, b: Self::Floats) -> Self::Floats;
     fn sub(self, a: Self::Floats, b: Self::Floats) -> Self::Floats;
     fn mul(self, a: Self::Floats, b: Self::Floats) -> Self::Floats;
-    /// `a b + c`.
+    /// Returns `a b + c`.
     fn mul_add(self, a: Self::Floats, b: Self::Floats, c: Self::Floats) -> Self::Floats;
-    /// `c - a b`.
+    /// Returns `c - a b`.
     fn neg_mul_add(self, a: Self::Floats, b: Self::Floats, c: Self::Floats) -> Self::Floats;
-    /// `values` rounded down, at least 0 and at most `last`, which is less than 2^31; 0 for NaN. And the same as
-    /// floats.
+    /// Returns `values` rounded down, at least 0 and at most `last`, which is below 2^31, and 0 for NaN. Also returns
+    /// the same as floats.
     fn floor_within(self, values: Self::Floats, last: Self::Floats) -> (Self::Ints, Self::Floats);
 
     fn splat_ints(self, value: u32) -> Self::Ints;
@@ -38,13 +38,13 @@ pub trait Simd: Copy {
     fn xor(self, a: Self::Ints, b: Self::Ints) -> Self::Ints;
     fn and(self, a: Self::Ints, b: Self::Ints) -> Self::Ints;
 
-    /// The entries of a table at `indices`, feature by feature.
+    /// Returns the entries of a table at `indices`, feature by feature.
     ///
     /// # Safety
-    /// Every index lies within the table.
+    /// Every index must be within the table.
     unsafe fn gather<const F: usize>(self, table: &[[f32; F]], indices: Self::Ints) -> [Self::Floats; F];
 
-    /// Indices of corners in memory.
+    /// Stores indices of corners in memory.
     #[inline(always)]
     fn store_corners(self, corners: [Self::Ints; 8]) -> [[u32; LANES]; 8] {
         let mut stored = [[0; LANES]; 8];
@@ -79,7 +79,7 @@ pub trait Simd: Copy {
         }
     }
 
-    /// Features apart that each lane has side by side.
+    /// Separates the features of all lanes.
     #[inline(always)]
     fn columns<const F: usize>(self, rows: &[[f32; F]; LANES]) -> [Self::Floats; F] {
         let mut features = [self.splat(0.0); F];
@@ -89,7 +89,7 @@ pub trait Simd: Copy {
         features
     }
 
-    /// The features of each lane side by side.
+    /// Interleaves the features of each lane.
     #[inline(always)]
     fn rows<const F: usize>(self, features: [Self::Floats; F]) -> [[f32; F]; LANES] {
         let mut rows = [[0.0; F]; LANES];
@@ -102,27 +102,27 @@ pub trait Simd: Copy {
     }
 }
 
-/// Work on slices. The bits of its results do not depend on the processor.
+/// Work on slices. The bits of its results do not depend on the CPU.
 pub trait Kernel {
     /// Does the work. Implementations are `#[inline(always)]`, to be compiled with their caller's instructions.
     fn run(self, simd: impl Simd);
 }
 
-/// What a processor can do.
+/// The capabilities of a CPU.
 #[derive(Clone, Copy, Debug)]
 pub enum Processor {
     /// AVX-512 with F and DQ.
     #[cfg(target_arch = "x86_64")]
     Wide(Wide),
-    /// Fused multiply-adds, and vectors that the compiler finds.
+    /// Fused multiply-adds, with vectors from the compiler.
     #[cfg(target_arch = "x86_64")]
     Narrow(wide::Narrow),
-    /// Whatever the program was compiled for.
+    /// Everything for which the program was compiled.
     Any,
 }
 
 impl Processor {
-    /// The best that this machine is.
+    /// Returns the best kind of this machine.
     pub fn here() -> Processor {
         #[cfg(target_arch = "x86_64")]
         {
@@ -136,7 +136,7 @@ impl Processor {
         Processor::Any
     }
 
-    /// All that this machine is.
+    /// Returns all kinds of this machine.
     #[cfg(test)]
     pub fn all() -> Vec<Processor> {
         let mut all = vec![Processor::Any];

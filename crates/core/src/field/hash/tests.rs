@@ -354,7 +354,7 @@ fn a_domain_s_jacobian_is_its_finite_difference() {
         let points = [0.3, 0.6, 1.2, -3.1, 0.2, 2.0, 5.0, -4.0, 9.0, -1.9, 0.95, 3.9, 0.1, 0.4, 40.0];
         let d_unit = signed(points.len(), 13);
         let mut d_points = vec![0.0; points.len()];
-        domain.pull_back(&points, &d_unit, &mut d_points);
+        domain.backward(&points, &d_unit, &mut d_points);
         let loss = |points: &[f64]| {
             let (mut unit, mut inside) = (vec![0.0; points.len()], vec![false; points.len() / 3]);
             domain.map(points, &mut unit, &mut inside);
