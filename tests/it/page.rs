@@ -117,7 +117,7 @@ fn the_page_fetches_nothing_and_runs_nothing_but_its_own_script() {
 fn committed_results_become_a_page_without_their_runs() {
     let dir = tempfile::tempdir().unwrap();
     let out = dir.path().join("a.html");
-    let (results, named) = (format!("{ROOT}/results/few_views_chair"), out.to_str().unwrap());
+    let (results, named) = (format!("{ROOT}/results/checks/few_views_chair"), out.to_str().unwrap());
     let said = demand(&mut augnerf(&["report", &results, "--out", named]), 0);
     assert_says(&said, &["page: "]);
     let page = text(&out);

@@ -284,7 +284,7 @@ fn the_smoke_sweep_leaves_every_table_and_figure() {
         dir.path(),
         0,
     );
-    let results = dir.path().join("results/checks/smoke");
+    let results = dir.path().join("results/smoke");
     for name in [
         "points.csv",
         "table.csv",

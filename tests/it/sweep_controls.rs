@@ -9,7 +9,7 @@ use augnerf::settings::{Config, DeltaSource, Representation, SecondPass, Sizes};
 use augnerf::sweep::{Definition, Point, PublishedCosts, StepCosts, SweepFolder, begin, expand};
 use tempfile::TempDir;
 
-use crate::common::files::entries;
+use crate::common::files::ending;
 use crate::sweep_run::{BASE, Costs, Slower, parse, points_of};
 
 /// Every shipped sweep by its file's name, with one seed.
@@ -21,7 +21,7 @@ fn shipped() -> Vec<(String, Definition)> {
         definition.seeds.truncate(1);
         (name, definition)
     };
-    entries(&folder).into_iter().map(read).collect()
+    ending(&folder, ".toml").into_iter().map(read).collect()
 }
 
 /// What could explain an augmented row's result without an attack is trained beside it, in every shipped sweep.

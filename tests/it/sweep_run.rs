@@ -620,8 +620,7 @@ fn shipped_sweeps_are_valid_with_their_scenes() {
 fn expand_shipped_sweeps(data: Option<&Path>) {
     let dir = Path::new(env!("CARGO_MANIFEST_DIR")).join("sweeps");
     let mut found = 0;
-    for entry in std::fs::read_dir(dir).unwrap() {
-        let path = entry.unwrap().path();
+    for path in crate::common::files::ending(&dir, ".toml") {
         let definition = Definition::read(&path).unwrap_or_else(|e| panic!("{e}"));
         let name = path.file_stem().unwrap().to_string_lossy().into_owned();
         let points = expand(&definition, data, &Costs);

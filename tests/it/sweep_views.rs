@@ -309,14 +309,14 @@ fn a_new_sweep_file_runs_as_it_is_and_explains_every_key() {
 #[test]
 fn shipped_sweeps_are_written_with_what_they_extend() {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("sweeps");
-    let files = crate::common::files::entries(&folder);
+    let files = crate::common::files::ending(&folder, ".toml");
     let names: Vec<_> = files.iter().map(|path| path.file_stem().unwrap().to_str().unwrap()).collect();
     let carried: Vec<&str> = SHIPPED.iter().map(|(name, _)| *name).collect();
     assert!(names.iter().all(|name| carried.contains(name)) && names.len() == carried.len(), "{names:?} {carried:?}");
     let dir = TempDir::new().unwrap();
     demand(dir.path(), &["sweep", "new", "mine.toml", "--from", "tab4_fern"], 0);
     let mine = Definition::read(&dir.path().join("mine.toml")).unwrap();
-    assert_eq!(mine, Definition::read(&folder.join("tab4_fern.toml")).unwrap());
+    assert_eq!(mine, Definition::read(&folder.join("paper/tab4_fern.toml")).unwrap());
     // The base is there already, as it is shipped.
     demand(dir.path(), &["sweep", "new", "second.toml", "--from", "tab4_embedded"], 0);
     std::fs::write(dir.path().join("tab4_ablation.toml"), "changed").unwrap();
@@ -325,6 +325,27 @@ fn shipped_sweeps_are_written_with_what_they_extend() {
         &["tab4_ablation.toml is there"],
     );
     assert_says(&demand(dir.path(), &["sweep", "new", "x.toml", "--from", "nothing"], 2), &["--from nothing", "smoke"]);
+}
+
+/// A bare name is the shipped sweep of that name, wherever one is; a path of an earlier time is told the present one.
+#[test]
+fn shipped_sweeps_are_read_by_name() {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("sweeps");
+    for file in crate::common::files::ending(&folder, ".toml") {
+        let name = file.file_stem().unwrap();
+        assert_eq!(Definition::read(Path::new(name)).unwrap(), Definition::read(&file).unwrap(), "{name:?}");
+    }
+    let dir = TempDir::new().unwrap();
+    std::fs::create_dir(dir.path().join("smoke")).unwrap();
+    assert_says(&demand(dir.path(), &["sweep", "begin", "smoke"], 0), &["runs/smoke"]);
+    for old in ["sweeps/tab4_fern.toml", "tab4_fern.toml"] {
+        let said = demand(dir.path(), &["sweep", "plan", old], 2);
+        assert_says(&said, &[old, "the shipped sweep of this name is sweeps/paper/tab4_fern.toml"]);
+    }
+    assert_says(&demand(dir.path(), &["sweep", "plan", "tab9"], 2), &["tab9", "the name of a shipped one"]);
+    // A file of one's own comes first.
+    std::fs::write(dir.path().join("tab4_fern"), "title = 3").unwrap();
+    assert_says(&demand(dir.path(), &["sweep", "plan", "tab4_fern"], 2), &["tab4_fern: ", "title"]);
 }
 
 #[test]

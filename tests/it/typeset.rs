@@ -1,10 +1,10 @@
 //! The LaTeX tables, set by a TeX engine.
 
 use std::io::ErrorKind;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::process::Command;
 
-use crate::common::files::{entries, text};
+use crate::common::files::{ending, text};
 
 /// Sets tables on A4 with margins of 2 cm and returns the engine's log.
 fn set(tables: &str) -> String {
@@ -41,8 +41,7 @@ fn too_wide(log: &str) -> f64 {
 #[ignore = "needs a TeX engine"]
 fn every_committed_table_fits_the_page() {
     let results = Path::new(env!("CARGO_MANIFEST_DIR")).join("results");
-    let tables: Vec<PathBuf> =
-        entries(&results).into_iter().map(|folder| folder.join("table.tex")).filter(|path| path.exists()).collect();
+    let tables = ending(&results, "/table.tex");
     assert!(tables.len() > 5);
     for path in tables {
         let log = set(&text(&path));

@@ -1,11 +1,13 @@
 //! A sweep file that starts from another: `extends = "tab4_ablation.toml"`.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use toml::{Table, Value};
 
 use crate::base::input::{TEXT_BYTES, read_named};
 use crate::base::{Error, Result};
+
+use super::shipped::{place, shipped};
 
 /// Most points, and so rows, of a sweep.
 pub(super) const MOST_POINTS: usize = 10_000;
@@ -15,17 +17,31 @@ const DEEPEST: usize = 8;
 
 /// Reads a file's table, merged over the files that it extends. A file names the next one relative to itself. Tables
 /// and rows of equal name are merged key by key. A row with `remove = true` removes the row of its name. Other values
-/// are replaced.
+/// are replaced. A bare
+/// name that is no file is that of a shipped sweep.
 pub fn read(path: &Path) -> Result<Table> {
-    read_at(path, 0)
+    match path.to_str().filter(|_| !path.exists() || path.is_dir()).and_then(shipped) {
+        Some(found) => read_shipped(found, 0),
+        None => read_file(path, 0),
+    }
 }
 
-fn read_at(path: &Path, depth: usize) -> Result<Table> {
+fn read_shipped((name, text): (&str, &str), depth: usize) -> Result<Table> {
+    over_base(text, Path::new(name), depth, |base| {
+        let found = base.strip_suffix(".toml").and_then(shipped);
+        read_shipped(found.ok_or_else(|| Error::Config(format!("{name}: no shipped sweep is {base}")))?, depth + 1)
+    })
+}
+
+fn read_file(path: &Path, depth: usize) -> Result<Table> {
     let unreadable = |e: std::io::Error| {
-        // Probably the name of a scene.
-        let tip = match (depth, path.extension()) {
-            (0, None) => format!(
-                "; a sweep is a TOML file, which `augnerf sweep new` writes; `augnerf train --data {}` trains on a scene",
+        let stem = path.file_stem().and_then(|stem| stem.to_str());
+        let tip = match (depth, stem.and_then(place)) {
+            (0, Some(place)) => format!("; the shipped sweep of this name is {place}"),
+            // Probably the name of a scene.
+            (0, None) if path.extension().is_none() => format!(
+                "; a sweep is a TOML file, which `augnerf sweep new` writes, or the name of a shipped one; `augnerf train \
+                 --data {}` trains on a scene",
                 path.display()
             ),
             _ => String::new(),
@@ -33,8 +49,14 @@ fn read_at(path: &Path, depth: usize) -> Result<Table> {
         Error::Config(format!("cannot read the sweep file {}: {e}{tip}", path.display()))
     };
     let text = read_named(path, TEXT_BYTES).map_err(unreadable)?;
+    let folder = path.parent().unwrap_or(Path::new(""));
+    over_base(&text, path, depth, |base| read_file(&folder.join(base), depth + 1))
+}
+
+/// A text's table over that of the file that it extends, which `read_base` reads.
+fn over_base(text: &str, path: &Path, depth: usize, read_base: impl FnOnce(&str) -> Result<Table>) -> Result<Table> {
     let in_file = |message: String| Error::Config(format!("{}: {message}", path.display()));
-    let mut table: Table = toml::from_str(&text).map_err(|e| in_file(e.to_string()))?;
+    let mut table: Table = toml::from_str(text).map_err(|e| in_file(e.to_string()))?;
     // Check this before each row is looked up in the extended file.
     let rows = table.get("row").and_then(Value::as_array).map_or(0, Vec::len);
     if rows > MOST_POINTS {
@@ -51,8 +73,7 @@ fn read_at(path: &Path, depth: usize) -> Result<Table> {
             "extends = \"{base}\" is more than {DEEPEST} files deep; check whether files extend each other"
         )));
     }
-    let folder = path.parent().map_or_else(PathBuf::new, Path::to_path_buf);
-    let mut merged = read_at(&folder.join(&base), depth + 1)?;
+    let mut merged = read_base(&base)?;
     lay_over(&mut merged, table);
     Ok(merged)
 }

@@ -13,6 +13,8 @@ macro_rules! shipped {
         /// The files of `sweeps/`, by name.
         pub const SHIPPED: &[(&str, &str)] =
             &[$(($name, include_str!(concat!("../../../sweeps/", $folder, "/", $name, ".toml")))),*];
+        /// Where they lie in the repository, in the same order.
+        const PLACES: &[&str] = &[$(concat!("sweeps/", $folder, "/", $name, ".toml")),*];
     };
 }
 
@@ -77,10 +79,10 @@ shipped![
 pub fn write_new(file: &Path, from: Option<&str>) -> Result<Vec<PathBuf>> {
     let mut files = vec![(file.to_path_buf(), TEMPLATE)];
     if let Some(name) = from {
-        files = vec![(file.to_path_buf(), shipped(name)?)];
+        files = vec![(file.to_path_buf(), asked(name)?)];
         let mut base = base_of(files[0].1);
         while let Some(name) = base {
-            let text = shipped(&name)?;
+            let text = asked(&name)?;
             files.push((file.with_file_name(format!("{name}.toml")), text));
             base = base_of(text);
         }
@@ -97,11 +99,22 @@ pub fn write_new(file: &Path, from: Option<&str>) -> Result<Vec<PathBuf>> {
     Ok(files.into_iter().map(|(path, _)| path).collect())
 }
 
-fn shipped(name: &str) -> Result<&'static str> {
-    let plain = name.trim_end_matches(".toml").trim_start_matches("sweeps/");
-    SHIPPED.iter().find(|(known, _)| *known == plain).map(|(_, text)| *text).ok_or_else(|| {
+/// Name and text of the shipped sweep of this name.
+pub(super) fn shipped(name: &str) -> Option<(&'static str, &'static str)> {
+    SHIPPED.iter().find(|(known, _)| *known == name).copied()
+}
+
+/// Where the shipped sweep of this name lies in the repository.
+pub(super) fn place(name: &str) -> Option<&'static str> {
+    SHIPPED.iter().zip(PLACES).find(|((known, _), _)| *known == name).map(|(_, place)| *place)
+}
+
+/// The text of the shipped sweep that `--from` names, by its name or its file.
+fn asked(from: &str) -> Result<&'static str> {
+    let name = Path::new(from).file_stem().and_then(|stem| stem.to_str()).unwrap_or_default();
+    shipped(name).map(|(_, text)| text).ok_or_else(|| {
         let names: Vec<&str> = SHIPPED.iter().map(|(name, _)| *name).collect();
-        Error::Config(format!("--from {name}: no shipped sweep has this name; choose from {}", names.join(", ")))
+        Error::Config(format!("--from {from}: no shipped sweep has this name; choose from {}", names.join(", ")))
     })
 }
 

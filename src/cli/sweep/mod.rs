@@ -102,7 +102,7 @@ impl SweepCommand {
 /// Flags that name a sweep and its folders.
 #[derive(Args)]
 struct Location {
-    /// Sweep file
+    /// Sweep file, or the name of a shipped sweep: tab4_fern
     file: PathBuf,
     /// Name of the sweep: points in runs/NAME, tables in results/NAME [default: the file's]
     #[arg(long, help_heading = "Output")]

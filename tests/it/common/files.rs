@@ -35,6 +35,12 @@ pub fn entries(folder: &Path) -> Vec<PathBuf> {
     paths
 }
 
+/// Every file below a folder whose name ends so, by its path.
+pub fn ending(folder: &Path, end: &str) -> Vec<PathBuf> {
+    let found = files(folder, &[]).into_iter().map(|(place, _)| folder.join(place));
+    found.filter(|path| path.to_str().unwrap().ends_with(end)).collect()
+}
+
 /// Every file below a folder with its place there, but what lies at one of the places `without`.
 #[track_caller]
 pub fn files(folder: &Path, without: &[&str]) -> Vec<(PathBuf, Vec<u8>)> {

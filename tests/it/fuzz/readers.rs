@@ -281,6 +281,7 @@ fn sweeps(file: PathBuf) -> Reader {
     let shipped = crate::common::files::files(&Path::new(env!("CARGO_MANIFEST_DIR")).join("sweeps"), &[]);
     let shipped = shipped
         .into_iter()
+        .filter(|(place, _)| place.extension().is_some_and(|end| end == "toml"))
         .map(|(_, bytes)| bytes)
         .filter(|bytes| !String::from_utf8_lossy(bytes).contains("\nextends"));
     let seeds = [seeds::SWEEP, seeds::SMALL_SWEEP].map(Vec::from).into_iter().chain(shipped).collect();
