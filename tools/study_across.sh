@@ -1,5 +1,5 @@
 #!/bin/bash
-# Makes the study's comparisons over its blocks (results/study/PLAN.md) in results/study_*, once all five blocks are complete:
+# Makes the study's comparisons over its blocks (results/study/PLAN.md) in results/study/study_*, once all five blocks are complete:
 # the primary one, the secondary ones, and those for the blocks where calibrated minus NeRF is significantly above 0. These
 # blocks come from results/study/study_primary/across.csv. AUGNERF names the program.
 #
@@ -10,12 +10,22 @@ augnerf=${AUGNERF:-target/release/augnerf}
 chair=(study_chair_few study_chair_25 study_own_few)
 blocks=(study_fern_few study_fern_noise study_chair_few study_chair_25 study_own_few)
 seeds=8
+# What figures and pages call the sweeps.
+declare -A label=(
+  [study_fern_few]="fern, 8 views" [study_fern_noise]="fern, noise" [study_chair_few]="chair, 8 views"
+  [study_chair_25]="chair, 25 views" [study_own_few]="chair, 4 views, NeRF's network"
+  [study_levels_fern]="fern, 8 views" [study_levels]="chair, 8 views"
+)
 
-# compare OUT ROW BASELINE METRIC BLOCK...
+# compare OUT ROW BASELINE METRIC BLOCK...: keeps a figure only if the repository has it.
 compare() {
-  local out=$1 row=$2 baseline=$3 metric=$4
+  local out=results/study/$1 row=$2 baseline=$3 metric=$4 labels=() block figure
   shift 4
-  "$augnerf" sweep across "${@/#/results/}" --row "$row" --baseline "$baseline" --metric "$metric" --out "results/$out"
+  for block; do labels+=(--label "$block=${label[$block]}"); done
+  "$augnerf" sweep across "${@/#/results/study/}" --row "$row" --baseline "$baseline" --metric "$metric" "${labels[@]}" --out "$out"
+  for figure in "$out"/across.{svg,png}; do
+    git ls-files --error-unmatch "$figure" >/dev/null 2>&1 || rm -f "$figure"
+  done
 }
 
 # primary COLUMN: prints sweep and a column of the primary comparison, one line a block. No row's name has a comma.
@@ -26,7 +36,7 @@ primary() {
 
 # The plan corrects over five complete blocks; with fewer blocks or seeds it would be another test.
 for block in "${blocks[@]}"; do
-  [[ -f results/$block/points.csv ]] || { echo "results/$block is missing; the study is compared once all of its blocks are complete" >&2; exit 2; }
+  [[ -f results/study/$block/points.csv ]] || { echo "results/study/$block is missing; the study is compared once all of its blocks are complete" >&2; exit 2; }
 done
 calibrated="Aug-NeRF calibrated"
 compare study_primary "$calibrated" NeRF psnr "${blocks[@]}"

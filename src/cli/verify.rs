@@ -10,28 +10,39 @@ use crate::base::{Error, Result};
 use crate::run::load_lpips;
 use crate::runtime::Runtime;
 use crate::sweep::Trainings;
-use crate::sweep::verify::{Finding, Findings, Outcome, Verifier, results_in, untraced};
+use crate::sweep::verify::{CHECKS, Finding, Findings, Outcome, Verifier};
 
 use super::answer::Answer;
 use super::progress::{Console, print};
 use super::signals::catch_signals;
 use super::{Compute, LpipsWeights};
 
-pub const EXAMPLES: &str = "Examples:
+const EXAMPLES: &str = "Examples:
   augnerf verify                                  # all of results/
   augnerf verify results/checks/smoke --retrain 2  # and trains two points again
-  augnerf verify results/checks/smoke --update     # writes tables and figures again
+  augnerf verify results/paper --update            # writes a group's tables and kept figures again
 
-Exit codes: 0 every check holds, 10 a check fails. Checks that cannot be made are listed with the reason.";
+Exit codes: 0 every check holds, 10 a check fails. Checks that cannot be made are listed with the reason.
+
+";
+
+/// Examples, and each check.
+pub fn after_help() -> String {
+    let checks = CHECKS.iter().map(|check| format!("{}: {}. Left out: {}.", check.name, check.what, check.left_out));
+    EXAMPLES.to_string() + &checks.collect::<Vec<_>>().join("\n")
+}
 
 #[derive(Args)]
 pub struct VerifyArguments {
     /// Results folders, or folders of them
     #[arg(default_value = "results")]
     results: Vec<PathBuf>,
-    /// Write tables and figures that differ again from points.csv
+    /// Write tables, and figures that are kept, again from points.csv where they differ
     #[arg(long)]
     update: bool,
+    /// With --update: write figures and other files that are not kept, too
+    #[arg(long, requires = "update")]
+    all: bool,
     /// Train N points again, spread over the sweep, and compare every digit [default: 0]
     #[arg(long, value_name = "N", default_value_t = 0, hide_default_value = true)]
     retrain: usize,
@@ -58,6 +69,7 @@ struct Verified {
 
 #[derive(Serialize)]
 struct Checked {
+    check: &'static str,
     outcome: &'static str,
     what: String,
 }
@@ -78,6 +90,7 @@ impl VerifyArguments {
             trainings: &trainings,
             runtime,
             update: self.update,
+            all: self.all,
             retrain: self.retrain,
             any_revision: self.any_revision,
             stop: &stop,
@@ -89,21 +102,20 @@ impl VerifyArguments {
                 wrong.push(folder.clone());
             }
             if self.answer.json {
-                let checked = |line: &Finding| Checked { outcome: line.outcome.key(), what: line.text.clone() };
+                let checked = |line: &Finding| Checked {
+                    check: line.check,
+                    outcome: line.outcome.key(),
+                    what: line.text.clone(),
+                };
                 verified.push(Verified { folder, findings: findings.lines.iter().map(checked).collect() });
                 return Ok(());
             }
             print(&folder)?;
-            findings.lines.iter().try_for_each(|line| print(&format!("  {:11}  {}", line.outcome.name(), line.text)))
+            let shown = |line: &Finding| format!("  {:11}  {:7}  {}", line.outcome.name(), line.check, line.text);
+            findings.lines.iter().try_for_each(|line| print(&shown(line)))
         };
         for path in &self.results {
-            let folders = results_in(path)?;
-            for folder in &folders {
-                show(folder, &verifier.folder(folder)?)?;
-            }
-            if folders != [path.clone()] {
-                show(path, &untraced(path)?)?;
-            }
+            verifier.verify(path, &mut show)?;
         }
         self.answer.give_silently(&json!({ "holds": wrong.is_empty(), "folders": verified }))?;
         if wrong.is_empty() {

@@ -8,7 +8,7 @@ use crate::common::files::text;
 use crate::common::{assert_says, assert_takes_at_most};
 use crate::fuzz::formats::packed;
 use crate::fuzz::results::done_sweep;
-use crate::verify::{results, verify};
+use crate::verify::{quote, results, verify};
 use augnerf::run::{DepthErrors, RunDir};
 use augnerf::sweep::SweepOutputs;
 use tempfile::TempDir;
@@ -107,8 +107,7 @@ fn numbers_that_no_point_has_are_refused() {
 fn a_page_may_quote_more_decimals_than_numbers_have() {
     let (dir, _) = results("geometry");
     let number = format!("23.{}", "5".repeat(100_000));
-    let page = format!("NeRF reaches {number} dB.\n<!-- numbers geometry: {number} = psnr_mean of NeRF -->\n");
-    fs::write(dir.path().join("results/page.md"), page).unwrap();
+    quote(dir.path(), "results/page.md", &number, "geometry", "psnr_mean of NeRF");
     assert_says(&verify(dir.path(), &[], 10), &["100000 decimals"]);
 }
 

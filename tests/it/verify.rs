@@ -26,12 +26,27 @@ fn copy(from: &Path, to: &Path) {
     }
 }
 
+/// Where committed results of this name lie, from the repository's root.
+fn place(name: &str) -> PathBuf {
+    let groups = ["paper", "study", "baselines", "checks"].map(|group| Path::new("results").join(group).join(name));
+    groups.into_iter().find(|place| Path::new(ROOT).join(place).exists()).unwrap_or_else(|| panic!("no {name}"))
+}
+
 /// A copy of committed results, to be changed.
 pub fn results(name: &str) -> (TempDir, PathBuf) {
     let dir = TempDir::new().unwrap();
-    let folder = dir.path().join("results").join(name);
-    copy(&Path::new(ROOT).join("results").join(name), &folder);
+    let folder = dir.path().join(place(name));
+    copy(&Path::new(ROOT).join(place(name)), &folder);
     (dir, folder)
+}
+
+/// Writes a page of one sentence below `dir` and what traces its number; returns the page.
+pub fn quote(dir: &Path, page: &str, number: &str, folder: &str, cell: &str) -> PathBuf {
+    let traced =
+        format!("page = {page:?}\ntext = \"reaches {number}\"\nfolder = {folder:?}\ncells = [\"{number} = {cell}\"]\n");
+    std::fs::write(dir.join("results/quotes.toml"), format!("[[quote]]\n{traced}")).unwrap();
+    std::fs::write(dir.join(page), format!("NeRF reaches {number} dB.\n")).unwrap();
+    dir.join(page)
 }
 
 /// Changes a file of results that hold, and demands that the change is found.
@@ -49,6 +64,8 @@ fn what_is_changed_is_found() {
     let (dir, folder) = results("geometry");
     verify(dir.path(), &[], 0);
     let at = |name: &str| folder.join(name);
+    assert!(!at("rows_builtin_psnr.svg").exists());
+    verify(dir.path(), &["--update", "--all"], 0);
     let first = |name: &str, column: usize| {
         let mut reader = csv::Reader::from_path(at(name)).unwrap();
         reader.records().next().unwrap().unwrap()[column].to_string()
@@ -71,8 +88,11 @@ fn what_is_changed_is_found() {
         &if other == id { id.replace('0', "1") } else { other },
         &["points"],
     );
-    // A file that nothing makes again.
-    assert_found(dir.path(), &at("curves_builtin_psnr.svg"), "NeRF", "NerF", &["SHA-256", "curves_builtin_psnr.svg"]);
+    // Files that nothing makes again: one that is kept, one that a commit has and somebody put there.
+    assert_found(dir.path(), &at("mesh_density.csv"), "0", "1", &["SHA-256", "mesh_density.csv"]);
+    std::fs::write(at("curves_builtin_psnr.svg"), "<svg/>").unwrap();
+    assert_says(&verify(dir.path(), &[], 10), &["curves_builtin_psnr.svg: its SHA-256", "under [archived]"]);
+    std::fs::remove_file(at("curves_builtin_psnr.svg")).unwrap();
     std::fs::write(at("rows_builtin_ssim.svg"), "old").unwrap();
     assert_says(&verify(dir.path(), &[], 10), &["rows_builtin_ssim.svg: the points do not make it"]);
 }
@@ -126,6 +146,7 @@ fn forged_tables_are_not_held_to_their_own_hash() {
             Sha256::digest(std::fs::read(folder.join(name)).unwrap()).iter().map(|b| format!("{b:02x}")).collect();
         format!("\"{name}\" = \"{hash}\"\n")
     };
+    let page = "results/checks/surfaces.md";
     let names = ["table.csv", "table.md", "table.tex"];
     for name in names {
         let file = folder.join(name);
@@ -133,16 +154,20 @@ fn forged_tables_are_not_held_to_their_own_hash() {
     }
     let pins: String = names.into_iter().map(pin).collect();
     std::fs::write(&provenance, before.replace("[pinned]\n", &format!("[pinned]\n{pins}"))).unwrap();
-    let page = dir.path().join("results/checks/surfaces.md");
-    std::fs::write(page, "NeRF reaches 33.57 dB.\n<!-- numbers geometry: 33.57 = psnr_mean of NeRF -->\n").unwrap();
+    quote(dir.path(), page, "33.57", "geometry", "psnr_mean of NeRF");
     let said = verify(dir.path(), &[], 10);
     assert_says(&said, &["table.csv, line", "'33.57' is quoted as psnr_mean of NeRF, which is 23.5"]);
     assert_says(&said, &["table.tex: provenance.toml has its hash under [pinned], but the points make it"]);
     // Curves are held to theirs where it is said why their logs are gone.
-    let without = before.replace("scalars.csv.gz, and so the training curves", "the logs");
+    let (start, rest) = before.split_once("[archived]").unwrap();
+    let missing =
+        rest.split_once("[[missing]]").unwrap().1.replace("scalars.csv.gz, and so the training curves", "the logs");
+    std::fs::write(folder.join("curves_builtin_psnr.svg"), "<svg/>").unwrap();
+    let without =
+        format!("{}{}\n[[missing]]{missing}", start.trim_end().to_string() + "\n", pin("curves_builtin_psnr.svg"));
     std::fs::write(&provenance, without).unwrap();
     assert_says(&verify(dir.path(), &["--update"], 10), &["curves_builtin_psnr.svg", "no [[missing]] says why"]);
-    let rows = pin("rows_builtin_psnr.svg").replace("rows_builtin_psnr", "rows_builtin_other");
+    let rows = pin("table.tex").replace("table.tex", "rows_builtin_other.svg");
     std::fs::write(&provenance, before.replace("[pinned]\n", &format!("[pinned]\n{rows}"))).unwrap();
     assert_says(&verify(dir.path(), &[], 10), &["rows_builtin_other.svg", "the points do not make it"]);
 }
@@ -193,50 +218,142 @@ fn folders_that_nothing_checks_are_wrong() {
     let foo = dir.path().join("results/foo");
     std::fs::create_dir(&foo).unwrap();
     std::fs::write(foo.join("table.csv"), "scene,row,axes,psnr_mean\nfern,NeRF,,34.10\n").unwrap();
-    let page = dir.path().join("results/checks/surfaces.md");
-    std::fs::write(&page, "NeRF reaches 34.10 dB.\n<!-- numbers foo: 34.10 = psnr_mean of NeRF -->\n").unwrap();
-    assert_says(&verify(dir.path(), &[], 10), &["WRONG        foo: neither", "there is no results folder 'foo'"]);
+    let neither = "foo: neither a sweep's";
+    let quote = |page: &str, folder: &str| quote(dir.path(), page, "34.10", folder, "psnr_mean of NeRF");
+    let page = quote("results/checks/surfaces.md", "foo");
+    assert_says(&verify(dir.path(), &[], 10), &["WRONG", neither, "there is no results folder 'foo'"]);
     // A page beside what the program makes is no folder of pages; by itself it is, and what it quotes has to be somewhere.
-    std::fs::write(foo.join("README.md"), "NeRF reaches 34.10 dB.\n<!-- numbers foo: 34.10 = psnr_mean of NeRF -->\n")
-        .unwrap();
-    assert_says(&verify(dir.path(), &[], 10), &["WRONG        foo: neither"]);
+    quote("results/foo/README.md", "foo");
+    assert_says(&verify(dir.path(), &[], 10), &["WRONG", neither]);
     std::fs::remove_file(foo.join("table.csv")).unwrap();
     std::fs::remove_file(&page).unwrap();
-    assert_says(&verify(dir.path(), &[], 10), &["foo/README.md, line 2: there is no results folder 'foo'"]);
+    let said = verify(dir.path(), &[], 10);
+    assert!(!said.contains(neither), "{said}");
+    assert_says(&said, &["quotes.toml: there is no results folder 'foo'"]);
     std::fs::remove_dir_all(&foo).unwrap();
-    std::fs::write(&page, "NeRF reaches 34.10 dB.\n<!-- numbers geometry/: 34.10 = psnr_mean of NeRF -->\n").unwrap();
+    quote("results/checks/surfaces.md", "geometry/");
     assert_says(&verify(dir.path(), &[], 10), &["there is no results folder 'geometry/'"]);
+    // A name is that of one folder.
+    quote("results/checks/surfaces.md", "geometry");
+    copy(&dir.path().join(place("geometry")), &dir.path().join("results/a/b/geometry"));
+    assert_says(&verify(dir.path(), &[], 10), &["several results folders are called 'geometry'"]);
 }
 
 #[test]
 fn update_writes_tables_from_points_alone() {
     let (dir, folder) = results("geometry");
     std::fs::write(folder.join("table.md"), "old").unwrap();
-    std::fs::remove_file(folder.join("rows_builtin_psnr.svg")).unwrap();
+    std::fs::remove_file(folder.join("table.csv")).unwrap();
     std::fs::write(folder.join("rows_builtin_ssim.svg"), "old").unwrap();
-    assert_says(&verify(dir.path(), &["--update"], 0), &["table.md: written anew", "rows_builtin_ssim.svg: deleted"]);
+    assert_says(&verify(dir.path(), &[], 10), &["table.csv: the points make it, and it is not there"]);
+    let said = verify(dir.path(), &["--update"], 0);
+    assert_says(&said, &["table.csv: written anew", "table.md: written anew", "rows_builtin_ssim.svg: deleted"]);
     assert_same_files(&folder, &Path::new(ROOT).join("results/checks/geometry"), &[]);
+    // Figures are written anew where they are kept.
+    let figure = folder.join("rows_builtin_psnr.svg");
+    std::fs::write(&figure, "old").unwrap();
+    assert_says(&verify(dir.path(), &["--update"], 0), &["rows_builtin_psnr.svg: written anew"]);
+    assert!(text(&figure).contains("NeRF") && !folder.join("rows_builtin_depth_mae.svg").exists());
+    verify(dir.path(), &["--update", "--all"], 0);
+    assert!(folder.join("rows_builtin_depth_mae.svg").exists());
+    assert_says(&verify(dir.path(), &["--all"], 2), &["--update"]);
+}
+
+/// What a folder does not keep is said in a line; what lies in its commit may be put back, and is held to its hash.
+#[test]
+fn what_is_not_kept_is_said() {
+    let (dir, folder) = results("study_choice_chair_25");
+    let lines = |said: &str| said.lines().filter(|line| line.contains("not kept: ")).count();
+    let said = verify(dir.path(), &[], 0);
+    assert_eq!(lines(&said), 1, "{said}");
+    assert_says(&said, &["figures, which `--update --all` makes; scalars.csv.gz, table.tex, which commit f1b999b has"]);
+    assert_says(&said, &["attack.csv: it is as it was committed"]);
+    let attack = text(&folder.join("attack.csv"));
+    verify(dir.path(), &["--update"], 0);
+    assert_eq!(text(&folder.join("attack.csv")), attack, "its logs are not here");
+    std::fs::write(folder.join("attack.csv"), attack.replacen(',', ";", 1)).unwrap();
+    assert_says(&verify(dir.path(), &[], 10), &["attack.csv: its SHA-256 is", "under [pinned]"]);
+    std::fs::write(folder.join("attack.csv"), attack).unwrap();
+    std::fs::copy(Path::new(ROOT).join(place("smoke")).join("scalars.csv.gz"), folder.join("scalars.csv.gz")).unwrap();
+    assert_says(&verify(dir.path(), &[], 10), &["scalars.csv.gz: its SHA-256", "under [archived]"]);
+    std::fs::remove_file(folder.join("scalars.csv.gz")).unwrap();
+    std::fs::write(folder.join("table.tex"), "old").unwrap();
+    assert_says(&verify(dir.path(), &[], 10), &["table.tex, line 1"]);
 }
 
 #[test]
 fn quoted_numbers_are_read_again() {
     let (dir, _) = results("geometry");
-    let page = dir.path().join("results/checks/surfaces.md");
-    let quote = |number: &str, folder: &str| {
-        let text = format!("NeRF reaches {number} dB.\n<!-- numbers {folder}: {number} = psnr_mean of NeRF -->\n");
-        std::fs::write(&page, text).unwrap();
-    };
-    quote("23.57", "geometry");
+    let page = "results/checks/surfaces.md";
+    let traced = |number: &str, folder: &str| quote(dir.path(), page, number, folder, "psnr_mean of NeRF");
+    traced("23.57", "geometry");
     assert_says(&verify(dir.path(), &[], 0), &["results/checks/surfaces.md: 1 quoted numbers"]);
-    quote("23.58", "geometry");
+    assert_says(&verify(dir.path(), &["results/checks/geometry"], 0), &["surfaces.md: 1 quoted numbers"]);
+    assert_says(&verify(dir.path(), &["results/checks"], 0), &["surfaces.md: 1 quoted numbers"]);
+    let file = traced("23.58", "geometry");
+    for path in ["results", "results/checks", "results/checks/geometry"] {
+        let said = verify(dir.path(), &[path], 10);
+        assert_says(&said, &["results/checks/surfaces.md, line 1", "'23.58' is quoted as psnr_mean"]);
+    }
+    traced("23.57", "geometrie");
+    assert_says(&verify(dir.path(), &[], 10), &["no results folder 'geometrie'"]);
+    // A text stands on its page once.
+    traced("23.57", "geometry");
+    for (text, words) in [
+        ("NeRF has 23.57 dB.\n", ["'reaches 23.57' does not stand there", "no quote is about 1 of its numbers"]),
+        ("It reaches 23.57, it reaches 23.57.\n", ["stands there 2 times", "no quote is about 2 of its numbers"]),
+        ("", ["does not stand there", "does not stand there"]),
+    ] {
+        std::fs::write(&file, text).unwrap();
+        assert_says(&verify(dir.path(), &[], 10), &words);
+    }
+    std::fs::remove_file(&file).unwrap();
+    assert_says(&verify(dir.path(), &[], 10), &["surfaces.md: No such file"]);
+}
+
+/// Numbers that nothing traces are counted, and their count is held to.
+#[test]
+fn a_number_does_not_lose_its_trace_in_silence() {
+    let (dir, _) = results("geometry");
+    let (page, quotes) = (dir.path().join("results/checks/surfaces.md"), dir.path().join("results/quotes.toml"));
+    std::fs::write(&page, "NeRF reaches 23.57 dB.\n").unwrap();
+    assert_says(&verify(dir.path(), &[], 0), &["not checked", "1 numbers with decimals that no quote is about"]);
+    std::fs::write(&quotes, "").unwrap();
+    let said = verify(dir.path(), &[], 10);
+    assert_says(
+        &said,
+        &["no quote is about 1 of its numbers with decimals, [untraced] of quotes.toml says 0", "Add a [[quote]]"],
+    );
+    std::fs::write(&quotes, "[untraced]\n\"results/checks/surfaces.md\" = 1\n").unwrap();
+    assert_says(&verify(dir.path(), &[], 0), &["surfaces.md: 1 numbers with decimals"]);
+    // The README above is a page, too; comments of an earlier time trace nothing.
+    std::fs::write(dir.path().join("README.md"), "NeRF reaches 23.57 dB.\n").unwrap();
+    assert_says(&verify(dir.path(), &[], 10), &["README.md: no quote is about 1"]);
+    std::fs::write(dir.path().join("README.md"), "No number.\n<!-- numbers geometry: 23.57 = a of b -->\n").unwrap();
     assert_says(
         &verify(dir.path(), &[], 10),
-        &["results/checks/surfaces.md, line 2", "'23.58' is quoted as psnr_mean"],
+        &["README.md, line 2: quotes.toml traces numbers; comments no longer do"],
     );
-    quote("23.57", "geometrie");
-    assert_says(&verify(dir.path(), &[], 10), &["no results folder 'geometrie'"]);
-    std::fs::write(&page, "NeRF reaches 23.57 dB.\n").unwrap();
-    assert_says(&verify(dir.path(), &[], 0), &["not checked", "1 numbers with decimals that no comment traces"]);
+    std::fs::write(dir.path().join("README.md"), "").unwrap();
+    for (wrong, words) in [
+        ("[untraced]\n\"results/checks/nothing.md\" = 1\n", "nothing.md"),
+        ("[untraced]\n\"../../etc/passwd\" = 1\n", "is no page of these results"),
+    ] {
+        std::fs::write(&quotes, wrong).unwrap();
+        assert_says(&verify(dir.path(), &[], 10), &[words]);
+    }
+    std::fs::write(&quotes, "[[quotes]]").unwrap();
+    assert_says(&verify(dir.path(), &[], 3), &["quotes.toml", "unknown field"]);
+}
+
+/// The list of checks is that of the page on them.
+#[test]
+fn docs_describe_every_check() {
+    let page = text(&Path::new(ROOT).join("docs/verify.md"));
+    for check in &augnerf::sweep::verify::CHECKS {
+        let row = format!("| `{}` | {} | {} |", check.name, check.what, check.left_out);
+        assert!(page.contains(&row), "docs/verify.md lacks\n{row}");
+    }
 }
 
 /// One question to two committed sweeps: p values over the two, files that are made again, a page in the folder that quotes them.
@@ -244,7 +361,7 @@ fn quoted_numbers_are_read_again() {
 fn a_comparison_across_sweeps_is_made_again() {
     let (dir, _) = results("few_views_chair");
     for name in ["geometry_chair", "mip_chair"] {
-        copy(&Path::new(ROOT).join("results").join(name), &dir.path().join("results").join(name));
+        copy(&Path::new(ROOT).join(place(name)), &dir.path().join(place(name)));
     }
     let across = |out: &str, row: &str, code: i32| {
         let folders =
@@ -268,7 +385,7 @@ fn a_comparison_across_sweeps_is_made_again() {
     );
     let blocks = rows(&text(&folder.join("across.csv")));
     let own = |name: &str, column: &str| {
-        let table = rows(&text(&dir.path().join("results").join(name).join("table.csv")));
+        let table = rows(&text(&dir.path().join(place(name)).join("table.csv")));
         table.iter().find(|row| row["row"] == "Aug-NeRF").unwrap()[column].clone()
     };
     for block in &blocks {
@@ -279,11 +396,7 @@ fn a_comparison_across_sweeps_is_made_again() {
     let p = |row: usize, column: &str| blocks[row][column].parse::<f64>().unwrap();
     assert!(blocks[2]["p_holm"].is_empty() && blocks[2]["simultaneous_low"].is_empty());
     assert_eq!(p(0, "p_holm").min(p(1, "p_holm")), 2.0 * p(0, "p").min(p(1, "p")));
-    let page = folder.join("README.md");
-    let quote = |number: &str| {
-        let text = format!("A difference of {number} dB.\n<!-- numbers both: {number} = difference of mip_chair -->\n");
-        std::fs::write(&page, text).unwrap();
-    };
+    let quote = |number: &str| quote(dir.path(), "results/both/README.md", number, "both", "difference of mip_chair");
     let right = format!("{:+.2}", p(1, "difference"));
     quote(&right);
     assert_says(
@@ -291,7 +404,7 @@ fn a_comparison_across_sweeps_is_made_again() {
         &["comparisons of 3 sweeps", "both/README.md: 1 quoted numbers"],
     );
     quote("+9.99");
-    assert_says(&verify(dir.path(), &["results/both"], 10), &["both/README.md, line 2", "'+9.99' is quoted"]);
+    assert_says(&verify(dir.path(), &["results/both"], 10), &["both/README.md, line 1", "'+9.99' is quoted"]);
     quote(&right);
     let csv = folder.join("across.csv");
     let (before, difference) = (text(&csv), &blocks[1]["difference"]);
@@ -302,6 +415,23 @@ fn a_comparison_across_sweeps_is_made_again() {
     std::fs::write(folder.join("across.svg"), "<svg/>").unwrap();
     assert_says(&verify(dir.path(), &["results/both"], 10), &["WRONG", "across.svg"]);
     assert_says(&verify(dir.path(), &["results/both", "--update"], 0), &["across.svg: written anew"]);
+    std::fs::remove_file(folder.join("across.svg")).unwrap();
+    assert_says(&verify(dir.path(), &["results/both"], 0), &["not kept: 1 figures"]);
+    // What sweeps are called is kept.
+    let mut labelled = ["sweep", "across", "results/checks/geometry_chair", "results/baselines/mip_chair"].to_vec();
+    labelled.extend(["--row", "Aug-NeRF", "--out", "results/both", "--label", "mip_chair=The chair = 200 pixels"]);
+    program::demand(augnerf(&labelled).current_dir(dir.path()), 0);
+    for (file, words) in
+        [("svg", "The chair = 200 pixels<"), ("md", "| The chair = 200 pixels |"), ("csv", "mip_chair,chair")]
+    {
+        assert_says(&text(&folder.join("across").with_extension(file)), &[words]);
+    }
+    assert_says(&verify(dir.path(), &["results/both"], 0), &["comparisons of 2 sweeps"]);
+    *labelled.last_mut().unwrap() = "fern=x";
+    assert_says(
+        &program::demand(augnerf(&labelled).current_dir(dir.path()), 2),
+        &["--label fern", "geometry_chair, mip_chair"],
+    );
     // What names results elsewhere, or what is not there, does not hold.
     let asked = folder.join("across.toml");
     let named = text(&asked);
@@ -319,7 +449,7 @@ fn a_comparison_across_sweeps_is_made_again() {
 fn what_is_not_at_hand_is_said() {
     let (dir, _) = results("mip_fern");
     let said = verify(dir.path(), &[], 0);
-    assert_says(&said, &["not checked  scene fern: it is not below --data-root", "not checked  scalars.csv.gz"]);
+    assert_says(&said, &["scene fern: it is not below --data-root", "not checked  files    scalars.csv.gz"]);
     assert_says(&verify(dir.path(), &["nowhere"], 3), &["nowhere"]);
     std::fs::create_dir(dir.path().join("empty")).unwrap();
     assert_says(&verify(dir.path(), &["empty"], 3), &["holds no results"]);
@@ -354,16 +484,13 @@ fn assert_attack(dir: &Path, folder: &Path) {
     let other = shift[..shift.len() - 1].to_string() + if shift.ends_with('1') { "2" } else { "1" };
     assert_found(dir, &folder.join("attack.csv"), shift, &other, &["WRONG", "attack.csv, line 2"]);
     assert_found(dir, &folder.join("attack_builtin.svg"), "density", "densitY", &["attack_builtin.svg, line"]);
-    let page = dir.join("results/page.md");
-    let quote = |number: &str| {
-        let claim = format!("{number} = last.shift.xyz of Aug-NeRF");
-        std::fs::write(&page, format!("Colours move by {number}.\n<!-- numbers tiny: {claim} -->\n")).unwrap();
-    };
-    quote(shift);
+    let quote = |number: &str| quote(dir, "results/page.md", number, "tiny", "last.shift.xyz of Aug-NeRF");
+    let page = quote(shift);
     assert_says(&verify(dir, &[], 0), &["page.md: 1 quoted numbers"]);
     quote(&other);
     assert_says(&verify(dir, &[], 10), &["is quoted as last.shift.xyz of Aug-NeRF"]);
     std::fs::remove_file(page).unwrap();
+    std::fs::remove_file(dir.join("results/quotes.toml")).unwrap();
 }
 
 /// A sweep of a second, collected, verified, trained again.

@@ -12,6 +12,7 @@ use crate::report::plots::across_figure;
 
 use super::folder::DEFINITION;
 use super::view::{Origin, Selection, Source, VIEW, View};
+use super::words::check_name;
 
 /// What a folder of such comparisons has instead of a sweep's definition.
 pub const ACROSS: &str = "across.toml";
@@ -37,11 +38,17 @@ pub struct AcrossRequest {
 }
 
 impl AcrossRequest {
-    /// Asks sweeps whether `row` differs from `baseline` in a metric.
+    /// Asks sweeps whether `row` differs from `baseline` in a metric. `labels` are what some are called instead of their names.
     ///
     /// # Errors
-    /// A sweep that is named twice, or has not both rows.
-    pub fn new(row: &str, baseline: &str, metric: &str, sources: &[Source]) -> Result<(AcrossRequest, Across)> {
+    /// A sweep that is named twice, or has not both rows; a label of another sweep.
+    pub fn new(
+        row: &str,
+        baseline: &str,
+        metric: &str,
+        sources: &[Source],
+        labels: &[(String, String)],
+    ) -> Result<(AcrossRequest, Across)> {
         if row == baseline {
             return Err(Error::Config(format!("--row and --baseline are both '{row}'; name two rows")));
         }
@@ -65,13 +72,24 @@ impl AcrossRequest {
             let table = view.and_then(|view| view.table());
             tables.push(table.map_err(|error| error.within(&format!("sweep '{}'", source.name)))?);
         }
-        let request = AcrossRequest {
-            row: row.into(),
-            baseline: baseline.into(),
-            metric: metric.into(),
-            sweep: sources.iter().map(Origin::of).collect(),
-        };
-        Ok((request, Across::new(row, baseline, &tables)))
+        let mut across = Across::new(row, baseline, &tables);
+        let mut sweep: Vec<Origin> = sources.iter().map(Origin::of).collect();
+        for (name, label) in labels {
+            check_name("a label", label).map_err(Error::Config)?;
+            let Some(origin) = sweep.iter_mut().find(|origin| origin.name == *name) else {
+                let names: Vec<&str> = sources.iter().map(|source| source.name.as_str()).collect();
+                return Err(Error::Config(format!("--label {name}: the sweeps are {}", names.join(", "))));
+            };
+            origin.label = Some(label.clone());
+            across.call(name, label);
+        }
+        let request = AcrossRequest { row: row.into(), baseline: baseline.into(), metric: metric.into(), sweep };
+        Ok((request, across))
+    }
+
+    /// What sweeps are called instead of their names.
+    pub fn labels(&self) -> Vec<(String, String)> {
+        self.sweep.iter().filter_map(|sweep| Some((sweep.name.clone(), sweep.label.clone()?))).collect()
     }
 
     /// Reads a folder's.

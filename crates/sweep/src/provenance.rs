@@ -34,9 +34,22 @@ pub struct Provenance {
     /// Files that cannot be made again from what is kept, with the SHA-256 of their content.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub pinned: BTreeMap<String, String>,
+    /// Files that are not kept here, though a commit has them.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub archived: Option<Archived>,
     /// What is not kept or not checked, with the reason.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub missing: Vec<Missing>,
+}
+
+/// Files of an earlier commit.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Archived {
+    /// The commit that has them.
+    pub commit: String,
+    /// The SHA-256 of what they hold there.
+    pub files: BTreeMap<String, String>,
 }
 
 /// A part that a results folder lacks.
@@ -82,12 +95,13 @@ impl Provenance {
         Ok(Some(read))
     }
 
-    /// Checks that pinned files are in the folder itself and that the sweep's name can be printed.
+    /// Checks that listed files are in the folder itself and that the sweep's name can be printed.
     fn check_names(&self) -> std::result::Result<(), String> {
         check_name("the sweep's name", &self.name)?;
         let is_plain = |name: &str| Path::new(name).file_name().is_some_and(|plain| plain == name);
-        match self.pinned.keys().find(|name| !is_plain(name)) {
-            Some(name) => Err(format!("pinned: {name:?} is not the name of a file in this folder")),
+        let archived = self.archived.iter().flat_map(|archived| archived.files.keys());
+        match self.pinned.keys().chain(archived).find(|name| !is_plain(name)) {
+            Some(name) => Err(format!("{name:?} is not the name of a file in this folder")),
             None => Ok(()),
         }
     }

@@ -83,12 +83,15 @@ pub struct Origin {
     pub name: String,
     /// SHA-256 of its `points.csv`.
     pub points_sha256: String,
+    /// What a comparison across sweeps calls it instead.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub label: Option<String>,
 }
 
 impl Origin {
     pub(super) fn of(source: &Source) -> Origin {
         let points = points_csv(&source.outputs.records, &[]);
-        Origin { name: source.name.clone(), points_sha256: sha256(points.as_bytes()) }
+        Origin { name: source.name.clone(), points_sha256: sha256(points.as_bytes()), label: None }
     }
 }
 

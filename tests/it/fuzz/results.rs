@@ -45,6 +45,7 @@ fn verify(results: &Path) -> Result<()> {
         trainings: &trainings,
         runtime: runtime(),
         update: false,
+        all: false,
         retrain: 0,
         any_revision: false,
         stop: &AtomicUsize::new(0),
@@ -60,15 +61,16 @@ fn verify(results: &Path) -> Result<()> {
 
 /// The files of a folder of single runs, with a page that quotes them.
 fn single_runs(folder: &Path) -> Vec<Reader> {
-    const FILES: [(&str, &str, &str); 5] = [
+    const FILES: [(&str, &str, &str); 6] = [
         ("runs, metrics.json", "runs/a/metrics.json", seeds::METRICS),
         ("runs, metrics.csv", "runs/a/metrics.csv", seeds::METRICS_CSV),
         ("runs, smoothness.csv", "runs/a/smoothness.csv", "step,l1,tv\n40,0.5,0.25\n"),
         ("runs, summary.csv", "runs/summary.csv", "run,psnr,scene,tv\na,21.5,builtin,0.25\n"),
         ("page of results", "page.md", seeds::PAGE),
+        ("quotes of pages", "quotes.toml", seeds::QUOTES),
     ];
     let of_file = |(name, file, seed): (&'static str, &'static str, &'static str)| {
-        let dir = own(folder, &name.replace(' ', "_"));
+        let dir = own(folder, &name.replace(' ', "_")).join("results");
         fs::create_dir_all(dir.join("runs/a")).unwrap();
         FILES.iter().for_each(|(_, file, content)| write(&dir.join(file), content.as_bytes()));
         reader(name, Format::Text, vec![seed.into()], move |bytes| {

@@ -282,9 +282,13 @@ pub const METRICS: &str = r#"{
 pub const METRICS_CSV: &str = "name,psnr,mse,lpips_vgg,scene\nr_0,21.0,0.015,,builtin\nr_8,22.0,0.005,,builtin\n";
 
 /// A page that quotes `runs`.
-pub const PAGE: &str = "# Runs\n\nNeRF reaches 21.50 dB here,\nand -21.5 elsewhere.\n<!-- numbers runs: 21.50 = psnr of a; -21.5 = -psnr of a \
-    -->\n\n<!-- table runs: row | psnr | psnr / psnr of a -->\n\n| row | PSNR | share |\n|---|---:|---:|\n| a \u{2020} | 21.50 | 1.00 \
+pub const PAGE: &str = "# Runs\n\nNeRF reaches 21.50 dB here,\nand -21.5 elsewhere.\n\n| row | PSNR | share |\n|---|---:|---:|\n| a \u{2020} | 21.50 | 1.00 \
     |\n";
+
+/// What traces it.
+pub const QUOTES: &str = "[untraced]\n\"results/page.md\" = 0\n\n[[quote]]\npage = \"results/page.md\"\ntext = \"reaches 21.50 dB here, and -21.5\"\n\
+    folder = \"runs\"\ncells = [\"21.50 = psnr of a\", \"-21.5 = -psnr of a\"]\n\n[[quote]]\npage = \"results/page.md\"\n\
+    text = \"| row | PSNR |\"\nfolder = \"runs\"\ncolumns = \"row | psnr | psnr / psnr of a\"\n";
 
 /// Files of cameras.
 pub const CAMERAS: [&str; 2] = [

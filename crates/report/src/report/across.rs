@@ -6,6 +6,7 @@ use super::tables::text::{signed_interval, signed_text};
 use super::tables::{Comparison, Line, Table, escape};
 use crate::base::csv::{csv_number, csv_text};
 use crate::metrics::{Direction, Metric};
+use crate::report::distinct;
 use crate::report::statistics::p_text;
 
 /// The comparisons, one for each table, scene and axis values.
@@ -30,6 +31,8 @@ pub struct Block {
     pub scene: String,
     /// Axis values; usually empty.
     pub axes: String,
+    /// Name for readers instead of sweep and scene.
+    pub label: Option<String>,
     /// The difference, its p values corrected over the blocks, or `None` if no seed has both rows.
     pub comparison: Option<Comparison>,
     /// Counts of the row's points by status: `done 5`.
@@ -51,6 +54,7 @@ impl Across {
             sweep: table.name.clone(),
             scene: line.scene.clone(),
             axes: line.axes.clone(),
+            label: None,
             comparison: line.cells[0].comparison,
             status: line.status.clone(),
             unfinished: line.unfinished(),
@@ -68,6 +72,15 @@ impl Across {
         };
         across.correct();
         across
+    }
+
+    /// Calls the blocks of a sweep otherwise for readers; those of several scenes keep theirs.
+    pub fn call(&mut self, sweep: &str, label: &str) {
+        let scenes = distinct(self.blocks.iter().filter(|block| block.sweep == sweep).map(|block| block.scene.clone()));
+        for block in self.blocks.iter_mut().filter(|block| block.sweep == sweep) {
+            let several = scenes.len() > 1;
+            block.label = Some(if several { format!("{label}, {}", block.scene) } else { label.into() });
+        }
     }
 
     fn correct(&mut self) {
@@ -198,9 +211,13 @@ impl Across {
 }
 
 impl Block {
-    /// Returns sweep, scene and axis values.
+    /// Returns the label, or sweep and scene, and axis values.
     pub(super) fn place(&self) -> String {
-        let parts = [&self.sweep, &self.scene, &self.axes].into_iter().filter(|text| !text.is_empty());
+        let parts = match &self.label {
+            Some(label) => vec![label, &self.axes],
+            None => vec![&self.sweep, &self.scene, &self.axes],
+        };
+        let parts = parts.into_iter().filter(|text| !text.is_empty());
         parts.map(String::as_str).collect::<Vec<&str>>().join(", ")
     }
 

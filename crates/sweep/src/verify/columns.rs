@@ -1,6 +1,8 @@
 //! Whether the protocol columns of `points.csv` say what the points' configurations and `provenance.toml` say.
 
+use super::Verifier;
 use super::archive::Archive;
+use super::files::Collected;
 use super::findings::Findings;
 use crate::base::Result;
 use crate::data::{known_bounds, may_have_box};
@@ -15,7 +17,8 @@ use crate::settings::{Config, DataKind, Extent, Located, Split};
 type Text = (&'static str, String);
 
 /// Compares every column that settings decide, the code's revision, and what logs say of inactive sites.
-pub fn check(archive: &Archive, findings: &mut Findings) -> Result<()> {
+pub fn check(_: &Verifier, sweep: &Collected, findings: &mut Findings) -> Result<()> {
+    let archive = &sweep.archive;
     let (mut wrong, mut open, mut count) = (Vec::new(), Vec::new(), 0);
     // Points of several revisions may lack what the earlier ones did not write.
     let one_revision = !archive.provenance.code_revision.contains(", ");

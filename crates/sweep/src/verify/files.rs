@@ -1,16 +1,20 @@
 //! Tables and figures, made again and compared byte for byte.
 
 use std::collections::BTreeMap;
+use std::path::Path;
 
+use super::Verifier;
 use super::archive::Archive;
 use super::findings::Findings;
+use super::tree::names_in;
 use crate::base::files::write_atomic;
 use crate::base::{Error, Result};
 use crate::collect::PAGE;
 use crate::folder::{DEFINITION, PLAN, STEP_SECONDS};
 use crate::outputs::{SCALARS, optional};
-use crate::provenance::{PROVENANCE, sha256};
+use crate::provenance::{Archived, PROVENANCE, sha256};
 use crate::report::exporters::{EXPORTERS, OF_LOGS};
+use crate::report::tables::Table;
 use crate::scored::SCORED;
 
 /// What tables and figures are made of: read, never made.
@@ -24,14 +28,40 @@ pub fn is_kept(name: &str) -> bool {
 /// Files by their names.
 pub type Made = BTreeMap<String, Vec<u8>>;
 
-/// Compares all files of a results' folder with what its points make, or, with `update`, writes what differs. Returns what
-/// the points make.
-pub fn check(archive: &Archive, update: bool, findings: &mut Findings) -> Result<Made> {
-    let mut made = Made::new();
-    let table = archive.files(&mut |name, bytes| {
-        made.insert(name.into(), bytes.to_vec());
-        Ok(())
-    })?;
+/// A sweep's results, and what its points make.
+pub struct Collected {
+    /// The folder.
+    pub archive: Archive,
+    table: Table,
+    made: Made,
+}
+
+impl Collected {
+    /// Reads a results' folder and makes its tables and figures.
+    pub fn read(path: &Path, data_root: Option<&Path>) -> Result<Collected> {
+        let (archive, mut made) = (Archive::read(path, data_root)?, Made::new());
+        let table = archive.files(&mut |name, bytes| {
+            made.insert(name.into(), bytes.to_vec());
+            Ok(())
+        })?;
+        Ok(Collected { archive, table, made })
+    }
+
+    /// A table as the points make it, whatever stands in the folder; as it is there, where it is held to its hash.
+    pub fn text(&self, name: &str) -> Result<Vec<u8>> {
+        match self.made.get(name) {
+            Some(bytes) => Ok(bytes.clone()),
+            None if self.archive.provenance.pinned.contains_key(name) => {
+                Ok(optional(&self.archive.path.join(name))?.unwrap_or_default())
+            }
+            None => Ok(Vec::new()),
+        }
+    }
+}
+
+/// Compares all files of a results' folder with what its points make, or, with `update`, writes what differs.
+pub fn check(verifier: &Verifier, sweep: &Collected, findings: &mut Findings) -> Result<()> {
+    let Collected { archive, table, made } = sweep;
     if let Some(line) = table.lines.iter().find(|line| !line.mixed.is_empty()) {
         findings.not_checked(format!(
             "whether rows may stand side by side: '{}' differs in {}, as the table says",
@@ -39,77 +69,150 @@ pub fn check(archive: &Archive, update: bool, findings: &mut Findings) -> Result
             line.mixed.join(", ")
         ));
     }
-    let mut wrong = Vec::new();
-    for (name, bytes) in &made {
-        let path = archive.path.join(name);
-        let found = optional(&path)?;
-        // A sweep without any clock has had none since it was collected.
-        if found.as_ref() == Some(bytes) || (found.is_none() && name == "timing.csv") {
-            continue;
-        }
-        if update {
-            write_atomic(&path, bytes)?;
-            findings.holds(format!("{name}: written anew"));
-            continue;
-        }
-        wrong.push(difference(name, found.as_deref(), bytes));
-    }
-    findings.of(format!("{} tables and figures from {} points", made.len(), archive.done().count()), wrong);
-    pins(archive, &made, findings)?;
-    others(archive, &made, update, findings)?;
+    let archived = archive.provenance.archived.as_ref();
+    // A sweep without any clock has had none since it was collected.
+    let may_lack =
+        |name: &str| is_figure(name) || name == "timing.csv" || archived.is_some_and(|a| a.files.contains_key(name));
+    let compared = Compared::new(verifier, &archive.path, made.iter(), may_lack, findings)?;
+    compared.report(&format!("from {} points", archive.done().count()), findings);
+    not_kept(&compared.absent, archived, &archive.path, findings);
+    pins(sweep, findings)?;
+    others(sweep, verifier.update, findings)?;
     for missing in &archive.provenance.missing {
         findings.not_checked(format!("{}: {}", missing.what, missing.why));
     }
-    Ok(made)
+    Ok(())
+}
+
+/// Files that were compared with what makes them.
+pub struct Compared {
+    count: usize,
+    wrong: Vec<String>,
+    /// Names of those that are not there and may be so.
+    pub absent: Vec<String>,
+}
+
+impl Compared {
+    /// Compares the files in a folder, or, as the verifier updates, writes what differs.
+    pub fn new<'m>(
+        verifier: &Verifier,
+        folder: &Path,
+        made: impl Iterator<Item = (&'m String, &'m Vec<u8>)>,
+        may_lack: impl Fn(&str) -> bool,
+        findings: &mut Findings,
+    ) -> Result<Compared> {
+        let mut compared = Compared { count: 0, wrong: Vec::new(), absent: Vec::new() };
+        for (name, bytes) in made {
+            let path = folder.join(name);
+            let found = optional(&path)?;
+            if found.is_none() && may_lack(name) && !verifier.all {
+                compared.absent.push(name.clone());
+                continue;
+            }
+            compared.count += 1;
+            if found.as_ref() == Some(bytes) {
+                continue;
+            }
+            if verifier.update {
+                write_atomic(&path, bytes)?;
+                findings.holds(format!("{name}: written anew"));
+            } else {
+                compared.wrong.push(difference(name, found.as_deref(), bytes));
+            }
+        }
+        Ok(compared)
+    }
+
+    /// Says how many hold, or each that does not.
+    pub fn report(&self, from: &str, findings: &mut Findings) {
+        findings.of(format!("{} tables and figures {from}", self.count), self.wrong.clone());
+    }
+}
+
+/// Whether a file is a picture.
+pub fn is_figure(name: &str) -> bool {
+    name.ends_with(".svg") || name.ends_with(".png")
+}
+
+/// Says in one line what is not there, and where it is to be had.
+pub fn not_kept(absent: &[String], archived: Option<&Archived>, folder: &Path, findings: &mut Findings) {
+    let of_commit: Vec<&str> = archived.iter().flat_map(|archived| archived.files.keys()).map(String::as_str).collect();
+    let lost: Vec<&str> = of_commit.iter().copied().filter(|name| !folder.join(name).exists()).collect();
+    let made = absent.iter().filter(|name| is_figure(name)).count();
+    let mut parts = Vec::new();
+    if made > 0 {
+        parts.push(format!("{made} figures, which `--update --all` makes"));
+    }
+    if let Some(archived) = archived.filter(|_| !lost.is_empty()) {
+        parts.push(format!("{}, which commit {} has", lost.join(", "), archived.commit));
+    }
+    if !parts.is_empty() {
+        findings.not_checked(format!("not kept: {}", parts.join("; ")));
+    }
 }
 
 /// Files that are held to their hash, because nothing makes them again. What is made again needs none, and a hash would be
 /// no proof of it.
-fn pins(archive: &Archive, made: &Made, findings: &mut Findings) -> Result<()> {
-    for (name, hash) in &archive.provenance.pinned {
-        if let Some(reason) = no_pin(archive, made, name) {
+fn pins(sweep: &Collected, findings: &mut Findings) -> Result<()> {
+    let provenance = &sweep.archive.provenance;
+    let archived = provenance.archived.iter().flat_map(|archived| &archived.files);
+    for (name, hash) in archived.filter(|(name, _)| !sweep.made.contains_key(*name)) {
+        if let Some(bytes) = optional(&sweep.archive.path.join(name))? {
+            pin(name, "[archived]", hash, &bytes, findings);
+        }
+    }
+    for (name, hash) in &provenance.pinned {
+        if let Some(reason) = no_pin(sweep, name) {
             findings.wrong(format!("{name}: {PROVENANCE} has its hash under [pinned], but {reason}"));
             continue;
         }
-        match optional(&archive.path.join(name))? {
+        match optional(&sweep.archive.path.join(name))? {
             None => findings.wrong(format!("{name}: it is not there, {PROVENANCE} has its hash")),
-            Some(bytes) if sha256(&bytes) != *hash => {
-                findings.wrong(format!("{name}: its SHA-256 is {}, {PROVENANCE} has {hash}", sha256(&bytes)));
-            }
-            Some(_) => findings.not_checked(format!("{name}: it is as it was committed; nothing here makes it again")),
+            // Compared above.
+            Some(_) if sweep.made.contains_key(name) => {}
+            Some(bytes) => pin(name, "[pinned]", hash, &bytes, findings),
         }
     }
     Ok(())
 }
 
+fn pin(name: &str, list: &str, hash: &str, bytes: &[u8], findings: &mut Findings) {
+    match sha256(bytes) {
+        found if found == hash => {
+            findings.not_checked(format!("{name}: it is as it was committed; nothing here makes it again"));
+        }
+        found => findings.wrong(format!("{name}: its SHA-256 is {found}, {PROVENANCE} has {hash} under {list}")),
+    }
+}
+
 /// Why a file must not be pinned; none where it may be. What is made of logs, and surfaces, are made of what a results' folder may
 /// lack.
-fn no_pin(archive: &Archive, made: &Made, name: &str) -> Option<String> {
+fn no_pin(sweep: &Collected, name: &str) -> Option<String> {
     let Some(owner) = EXPORTERS.iter().find(|exporter| exporter.owns(name)) else {
         return KEPT.contains(&name).then(|| "tables are made of it".into());
     };
-    let lacks = |what: &str| archive.provenance.missing.iter().any(|missing| missing.what.contains(what));
+    let provenance = &sweep.archive.provenance;
+    let is_archived = provenance.archived.iter().any(|archived| archived.files.contains_key(SCALARS));
+    let is_missing = provenance.missing.iter().any(|missing| missing.what.contains(SCALARS));
+    let of_logs = OF_LOGS.iter().any(|exporter| exporter.owns(name));
     match () {
-        () if made.contains_key(name) => Some("the points make it".into()),
+        // With or without the logs, which one may get.
+        () if of_logs && is_archived => None,
+        () if sweep.made.contains_key(name) => Some("the points make it".into()),
         () if !owner.repeats() => None,
-        () if !OF_LOGS.iter().any(|exporter| exporter.owns(name)) => Some("the points do not make it".into()),
-        () if lacks(SCALARS) => None,
+        () if !of_logs => Some("the points do not make it".into()),
+        () if is_missing => None,
         () => Some(format!("no [[missing]] says why there is no {SCALARS} to make it of")),
     }
 }
 
 /// Files that the points do not make: figures of an earlier time do not belong.
-fn others(archive: &Archive, made: &Made, update: bool, findings: &mut Findings) -> Result<()> {
-    let pinned = &archive.provenance.pinned;
-    let listed = std::fs::read_dir(&archive.path).map_err(|e| Error::unreadable(&archive.path, &e))?;
-    let mut names = Vec::new();
-    for entry in listed {
-        let entry = entry.map_err(|e| Error::unreadable(&archive.path, &e))?;
-        names.push(entry.file_name().to_string_lossy().into_owned());
-    }
-    names.sort();
-    for name in names {
-        let accounted = made.contains_key(&name) || pinned.contains_key(&name) || KEPT.contains(&name.as_str());
+fn others(sweep: &Collected, update: bool, findings: &mut Findings) -> Result<()> {
+    let Collected { archive, made, .. } = sweep;
+    let archived = archive.provenance.archived.iter().flat_map(|archived| archived.files.keys());
+    let listed: Vec<&String> = archive.provenance.pinned.keys().chain(archived).collect();
+    for name in names_in(&archive.path)? {
+        let accounted = made.contains_key(&name) || listed.contains(&&name) || KEPT.contains(&name.as_str());
         if accounted {
             continue;
         }

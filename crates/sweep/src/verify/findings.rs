@@ -38,6 +38,8 @@ impl Outcome {
 /// One line.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Finding {
+    /// Name of the check; empty where none was made.
+    pub check: &'static str,
     /// What became of it.
     pub outcome: Outcome,
     /// What was checked, what was found, fit for a terminal.
@@ -49,9 +51,15 @@ pub struct Finding {
 pub struct Findings {
     /// In the order of the checks.
     pub lines: Vec<Finding>,
+    check: &'static str,
 }
 
 impl Findings {
+    /// What is added from now on is found by the check of this name.
+    pub(super) fn begin(&mut self, check: &'static str) {
+        self.check = check;
+    }
+
     /// Something that holds.
     pub fn holds(&mut self, text: impl Display) {
         self.add(Outcome::Holds, text);
@@ -81,6 +89,6 @@ impl Findings {
     }
 
     fn add(&mut self, outcome: Outcome, text: impl Display) {
-        self.lines.push(Finding { outcome, text: shown(&text.to_string()).into_owned() });
+        self.lines.push(Finding { check: self.check, outcome, text: shown(&text.to_string()).into_owned() });
     }
 }

@@ -1,13 +1,16 @@
 //! Whether `points.csv` lacks something that a finished sweep has: points that are not done, measurements that are empty.
 
-use super::archive::Archive;
+use super::Verifier;
+use super::files::Collected;
 use super::findings::Findings;
+use crate::base::Result;
 use crate::metrics::{METRICS, Metric, Needs, Scope};
 use crate::report::{Record, Status};
 
 /// Demands that every place is done and that what pictures alone are needed for is measured, unless `provenance.toml` says
 /// that it is missing.
-pub fn check(archive: &Archive, findings: &mut Findings) {
+pub fn check(_: &Verifier, sweep: &Collected, findings: &mut Findings) -> Result<()> {
+    let archive = &sweep.archive;
     let records = &archive.outputs.records;
     let lacks = |record: &Record| archive.provenance.missing.iter().any(|missing| missing.what.contains(&record.id));
     let mut wrong: Vec<String> = Vec::new();
@@ -30,6 +33,7 @@ pub fn check(archive: &Archive, findings: &mut Findings) {
         }
     }
     findings.of(format!("{} places are done and measured", records.len()), wrong);
+    Ok(())
 }
 
 /// Every point has it that was measured at all: surfaces and depth may be missing where a field shows none.

@@ -2,7 +2,9 @@
 
 use std::path::Path;
 
+use super::Verifier;
 use super::archive::Archive;
+use super::files::Collected;
 use super::findings::Findings;
 use crate::base::Result;
 use crate::budget::{PlacingCountedAsTrained, StepCosts};
@@ -15,7 +17,8 @@ use crate::settings::Config;
 use crate::step_seconds::kept_step_seconds;
 
 /// Compares `points.csv`, `points.json` and `sweep.toml`.
-pub fn check(archive: &Archive, data_root: Option<&Path>, findings: &mut Findings) -> Result<()> {
+pub fn check(verifier: &Verifier, sweep: &Collected, findings: &mut Findings) -> Result<()> {
+    let archive = &sweep.archive;
     let mut wrong = Vec::new();
     for point in &archive.points {
         let id = id(archive, point);
@@ -47,7 +50,7 @@ pub fn check(archive: &Archive, data_root: Option<&Path>, findings: &mut Finding
         wrong.push(format!("points.csv has {} lines, points.json {placed} places", records.len()));
     }
     findings.of(format!("{} points are named by the hashes of their configurations", archive.points.len()), wrong);
-    of_definition(archive, data_root, findings)
+    of_definition(archive, verifier.data_root, findings)
 }
 
 /// The name that the points' revision gave a point of this configuration.

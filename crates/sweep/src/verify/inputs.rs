@@ -1,6 +1,8 @@
 //! Whether the scenes and LPIPS weights of this machine are those that points were trained on and measured with.
 
+use super::Verifier;
 use super::archive::Archive;
+use super::files::Collected;
 use super::findings::Findings;
 use crate::base::{Listener, Result};
 use crate::data;
@@ -10,7 +12,8 @@ use crate::run::locate_scene;
 use crate::settings::{CorruptionConfig, DataConfig};
 
 /// Compares hashes of the scenes and of the weights.
-pub fn check(archive: &Archive, lpips: &[Lpips], events: &dyn Listener, findings: &mut Findings) -> Result<()> {
+pub fn check(verifier: &Verifier, sweep: &Collected, findings: &mut Findings) -> Result<()> {
+    let (archive, trainings) = (&sweep.archive, verifier.trainings);
     let mut seen: Vec<(String, String)> = Vec::new();
     for point in archive.done() {
         let hash = column(archive, point, "data_hash");
@@ -20,10 +23,10 @@ pub fn check(archive: &Archive, lpips: &[Lpips], events: &dyn Listener, findings
         if seen.contains(&key) {
             continue;
         }
-        scene(point, hash, events, findings)?;
+        scene(point, hash, trainings.events, findings)?;
         seen.push(key);
     }
-    weights(archive, lpips, findings);
+    weights(archive, &trainings.lpips, findings);
     Ok(())
 }
 

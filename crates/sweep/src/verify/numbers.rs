@@ -7,7 +7,7 @@
 
 use std::path::Path;
 
-use super::files::Made;
+use super::files::Collected;
 use crate::across::ACROSS_CSV;
 use crate::base::csv::{column_names, plain_cell};
 use crate::base::{Error, Result};
@@ -39,8 +39,13 @@ impl Row {
 
 impl Cells {
     /// Of a sweep: its tables as its points make them, whatever stands in the folder.
-    pub fn of_sweep(folder: &Path, made: &Made) -> Result<Cells> {
-        let rows = |name: &str| csv_rows(&folder.join(name), made.get(name).map_or(&[], Vec::as_slice));
+    pub fn of_sweep(sweep: &Collected) -> Result<Cells> {
+        Cells::of_tables(&sweep.archive.path, |name| sweep.text(name))
+    }
+
+    /// Of tables by their names.
+    pub(super) fn of_tables(folder: &Path, text: impl Fn(&str) -> Result<Vec<u8>>) -> Result<Cells> {
+        let rows = |name: &str| csv_rows(&folder.join(name), &text(name)?);
         let table = joined(rows("table.csv")?, &rows("attack.csv")?);
         Ok(Cells { name: name(folder), rows: table, points: rows("points.csv")? })
     }

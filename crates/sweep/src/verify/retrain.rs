@@ -1,8 +1,8 @@
 //! Points trained again, and their numbers compared to the last digit.
 
-use std::sync::atomic::AtomicUsize;
-
+use super::Verifier;
 use super::archive::Archive;
+use super::files::Collected;
 use super::findings::Findings;
 use crate::base::csv::csv_number;
 use crate::base::{Error, Result};
@@ -14,24 +14,19 @@ use crate::points::Point;
 use crate::report::{Record, distinct};
 use crate::revision::revision;
 use crate::runner::{Options, Runner};
-use crate::runtime::Runtime;
-use crate::training::Trainings;
 
 /// Columns that say which program or machine it was: they may differ.
 const OF_THE_PROGRAM: [&str; 3] = ["program", "code_revision", "device"];
 
-/// Trains `count` points again, spread over the sweep, and compares metrics and protocol as `points.csv` has them.
+/// Trains as many points again as are asked for, spread over the sweep, and compares metrics and protocol as `points.csv` has them.
 ///
 /// # Errors
 /// This program is another revision than the points', unless `any_revision`.
-pub fn check(
-    archive: &Archive,
-    (count, any_revision): (usize, bool),
-    runtime: &Runtime,
-    trainings: &Trainings,
-    stop: &AtomicUsize,
-    findings: &mut Findings,
-) -> Result<()> {
+pub fn check(verifier: &Verifier, sweep: &Collected, findings: &mut Findings) -> Result<()> {
+    let (archive, Verifier { runtime, stop, any_revision, .. }) = (&sweep.archive, verifier);
+    if verifier.retrain == 0 {
+        return Ok(());
+    }
     let pinned = &archive.provenance.code_revision;
     if revision() != pinned && !any_revision {
         return Err(Error::Config(format!(
@@ -44,7 +39,7 @@ pub fn check(
         )));
     }
     let at_hand: Vec<&Point> = archive.done().filter(|point| point.no_data.is_none()).collect();
-    let count = count.min(at_hand.len());
+    let count = verifier.retrain.min(at_hand.len());
     if count == 0 {
         findings.not_checked("training again: no scene of the points is at hand");
         return Ok(());
@@ -54,7 +49,7 @@ pub fn check(
     let (folder, mut open) = (SweepFolder::new(scratch.path()), Vec::new());
     let options =
         Options { jobs: 1, fail_fast: false, retry_failed: false, remeasure: Vec::new(), sharing: Sharing::Locks };
-    let (events, work) = (trainings.events, trainings);
+    let (events, work) = (verifier.trainings.events, verifier.trainings);
     Runner { folder: &folder, points: &points, runtime, work, options, events, stop }.run()?;
     for point in &points {
         let records = archive.outputs.records.iter().find(|record| record.id == point.id);

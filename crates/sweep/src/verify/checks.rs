@@ -1,0 +1,102 @@
+//! What `augnerf verify` checks: one list, which runs the checks, names them in reports and describes them in help and docs.
+
+use std::path::Path;
+
+use super::across::{self, Comparison};
+use super::files::Collected;
+use super::findings::Findings;
+use super::{Verifier, columns, files, gaps, ids, inputs, retrain, runs};
+use crate::base::Result;
+
+/// One check.
+pub struct Check {
+    /// The word for it in reports.
+    pub name: &'static str,
+    /// What must hold.
+    pub what: &'static str,
+    /// What it leaves out, and reports as not checked if it meets it.
+    pub left_out: &'static str,
+    pub(super) run: Run,
+}
+
+type OfSweep = fn(&Verifier, &Collected, &mut Findings) -> Result<()>;
+
+/// What a check is made of.
+pub(super) enum Run {
+    Sweep(OfSweep),
+    Across(fn(&Verifier, &Comparison, &mut Findings) -> Result<()>),
+    Runs(fn(&Path, &mut Findings) -> Result<()>),
+    /// Of every folder.
+    Quotes,
+    /// Of a group of folders, after these.
+    Pages,
+}
+
+/// The check of what belongs to no one folder.
+pub(super) const PAGES: &str = "pages";
+
+/// All checks, in the order in which they run.
+pub const CHECKS: [Check; 10] = [
+    Check {
+        name: "files",
+        what: "tables and figures are byte for byte what points.csv, timing.csv and scalars.csv.gz make; files that \
+               provenance.toml lists under [pinned] or [archived] have their SHA-256",
+        left_out: "figures that are not there, and files under [archived] that are not there",
+        run: Run::Sweep(files::check),
+    },
+    Check {
+        name: "points",
+        what: "points are named by the hashes of their configurations, and are those that sweep.toml asks for",
+        left_out: "steps from a budget in seconds whose step times are not kept",
+        run: Run::Sweep(ids::check),
+    },
+    Check {
+        name: "columns",
+        what: "columns of points.csv are what configurations, provenance.toml and logs say",
+        left_out: "columns that need a scene's files, and inactive_levels of points without logs",
+        run: Run::Sweep(columns::check),
+    },
+    Check {
+        name: "gaps",
+        what: "every place is done, and has the metrics of images and density that similar places have",
+        left_out: "points that [[missing]] of provenance.toml names",
+        run: Run::Sweep(gaps::check),
+    },
+    Check {
+        name: "inputs",
+        what: "scenes and LPIPS weights have the hashes in points.csv",
+        left_out: "those that are not on this machine (--data-root, --lpips-weights)",
+        run: Run::Sweep(inputs::check),
+    },
+    Check {
+        name: "retrain",
+        what: "with --retrain N, N points that are trained again have every metric and column to the last digit",
+        left_out: "metrics whose LPIPS weights are not on this machine",
+        run: Run::Sweep(retrain::check),
+    },
+    Check {
+        name: "across",
+        what: "comparisons across sweeps are what the points of these sweeps make",
+        left_out: "figures that are not there",
+        run: Run::Across(across::check),
+    },
+    Check {
+        name: "runs",
+        what: "single runs: means are those of the views, metrics.csv and summary.csv agree with metrics.json",
+        left_out: "their weights and configurations",
+        run: Run::Runs(runs::check),
+    },
+    Check {
+        name: "quotes",
+        what: "numbers that quotes.toml traces stand on their page once, and are those of their cells",
+        left_out: "numbers that it does not trace",
+        run: Run::Quotes,
+    },
+    Check {
+        name: PAGES,
+        what: "every folder below can be checked, quotes name one folder each, and each page has as many untraced numbers \
+               with decimals as [untraced] of quotes.toml says",
+        left_out: "what the untraced numbers say",
+        run: Run::Pages,
+    },
+];
