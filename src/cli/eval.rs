@@ -18,14 +18,15 @@ pub const EXAMPLES: &str = "Examples:
   augnerf eval RUN --lpips-weights ~/lpips --json  # with LPIPS, for a script";
 
 #[derive(Args)]
+#[command(next_help_heading = "Experiment")]
 pub struct EvalArguments {
     /// Run folder
     run: PathBuf,
     /// Checkpoint of this step [default: the newest]
-    #[arg(long, value_name = "N", help_heading = "Experiment")]
+    #[arg(long, value_name = "N")]
     step: Option<u64>,
     /// Views to measure [default: the run's held-out views]
-    #[arg(long, value_enum, help_heading = "Experiment")]
+    #[arg(long, value_enum)]
     split: Option<SplitName>,
     #[command(flatten)]
     sources: Sources,

@@ -24,30 +24,31 @@ use super::measure::{csv_line, parse_box};
 use super::progress::{Console, print, report};
 
 #[derive(Args)]
+#[command(next_help_heading = "Experiment")]
 pub struct MeshArguments {
     /// Run folder (newest checkpoint); with --picture also a .ply or .obj file, or `builtin`
     run: PathBuf,
     /// Scene folder, if it has moved [default: the run's]
-    #[arg(long, value_name = "DIR", help_heading = "Experiment")]
+    #[arg(long, value_name = "DIR")]
     data: Option<PathBuf>,
     /// Cells along each side of the box, 8 to 1024 [default: 256]
-    #[arg(long, value_name = "N", help_heading = "Experiment")]
+    #[arg(long, value_name = "N")]
     resolution: Option<usize>,
     /// Density of the surface, per unit of the field [default: ln 2 * samples / (far - near)]
-    #[arg(long, value_name = "DENSITY", help_heading = "Experiment")]
+    #[arg(long, value_name = "DENSITY")]
     threshold: Option<f64>,
     /// Corners of the box in the field's units [default: NDC -1..1; built-in scene -1.2..1.2; Blender -1.5..1.5;
     /// otherwise the region that most cameras view, or that of the training rays]
-    #[arg(long, value_name = "X,Y,Z,X,Y,Z", allow_hyphen_values = true, help_heading = "Experiment")]
+    #[arg(long, value_name = "X,Y,Z,X,Y,Z", allow_hyphen_values = true)]
     bbox: Option<String>,
     /// Values for the flags that are not given
-    #[arg(long, value_enum, help_heading = "Experiment")]
+    #[arg(long, value_enum)]
     preset: Option<MeshPreset>,
     /// Close the surface at the sides of the box
-    #[arg(long, help_heading = "Experiment")]
+    #[arg(long)]
     cap: bool,
     /// Keep only the connected part with the largest area
-    #[arg(long, help_heading = "Experiment")]
+    #[arg(long)]
     largest: bool,
     /// Output folder, new or empty [default: RUN/mesh, replaced]
     #[arg(long, value_name = "DIR", help_heading = "Output")]

@@ -30,17 +30,18 @@ const FPS: f64 = 15.0;
 const LONG: f64 = 180.0;
 
 #[derive(Args)]
+#[command(next_help_heading = "Experiment")]
 pub struct RenderArguments {
     /// Run folder (newest checkpoint)
     run: PathBuf,
     /// Views to render
-    #[arg(long, value_enum, default_value_t = What::Path, help_heading = "Experiment")]
+    #[arg(long, value_enum, default_value_t = What::Path)]
     what: What,
     /// Render the cameras of a file: camera_path.json (nerfstudio), transforms.json or poses as .npy
-    #[arg(long, value_name = "FILE", help_heading = "Experiment")]
+    #[arg(long, value_name = "FILE")]
     cameras: Option<PathBuf>,
     /// dataparser_transforms.json of the nerfstudio run whose viewer saved the camera_path.json
-    #[arg(long, value_name = "FILE", requires = "cameras", help_heading = "Experiment")]
+    #[arg(long, value_name = "FILE", requires = "cameras")]
     dataparser: Option<PathBuf>,
     #[command(flatten)]
     sources: Moved,

@@ -23,7 +23,7 @@ pub struct BeginArguments {
     #[command(flatten)]
     changes: Changes,
     /// Accept a changed sweep file; keep the old points on disk
-    #[arg(long, help_heading = "Experiment")]
+    #[arg(long)]
     extend: bool,
     #[command(flatten)]
     answer: Answer,

@@ -22,26 +22,27 @@ pub const EXAMPLES: &str = "Examples:
 --rows, --metrics, --baseline and --merge need --out. Intervals and corrected p values are over the chosen rows.";
 
 #[derive(Args)]
+#[command(next_help_heading = "Experiment")]
 pub struct CollectArguments {
     /// Folder of a sweep: runs/NAME, or that of --out; with --rows or the like also results/NAME
     folder: PathBuf,
     /// Rows, in the order of the table [default: all]
-    #[arg(long, value_name = "ROW,...", help_heading = "Experiment")]
+    #[arg(long, value_name = "ROW,...")]
     rows: Vec<String>,
     /// Metrics, in the order of the columns [default: the sweep's]
-    #[arg(long, value_delimiter = ',', value_name = "METRIC,...", help_heading = "Experiment")]
+    #[arg(long, value_delimiter = ',', value_name = "METRIC,...")]
     metrics: Vec<String>,
     /// Row that all others are compared with, or none [default: the sweep's]
-    #[arg(long, value_name = "ROW", help_heading = "Experiment")]
+    #[arg(long, value_name = "ROW")]
     baseline: Option<String>,
     /// Folder of another sweep, whose rows are appended; repeatable
-    #[arg(long, value_name = "FOLDER", help_heading = "Experiment")]
+    #[arg(long, value_name = "FOLDER")]
     merge: Vec<PathBuf>,
     /// Mark rows that differ in an uncontrolled setting, such as the revision, instead of stopping
-    #[arg(long, help_heading = "Experiment")]
+    #[arg(long)]
     force: bool,
     /// Folder of the scenes
-    #[arg(long, env = "AUGNERF_DATA", value_name = "DIR", help_heading = "Experiment")]
+    #[arg(long, env = "AUGNERF_DATA", value_name = "DIR")]
     data_root: Option<PathBuf>,
     /// Folder for tables and figures [default: results/NAME of runs/NAME, otherwise FOLDER/results]
     #[arg(long, visible_alias = "out", value_name = "DIR", help_heading = "Output")]

@@ -57,7 +57,7 @@ pub enum SweepCommand {
     /// Create a sweep's folder without running anything
     #[command(after_help = begin::EXAMPLES)]
     Begin(begin::BeginArguments),
-    /// Run one point of a created sweep, as a task of a job array
+    /// Run one point of a sweep, as a task of a job array
     #[command(after_help = run_point::EXAMPLES)]
     RunPoint(run_point::RunPointArguments),
     /// Submit the points to Slurm, with a job that writes the tables
@@ -104,15 +104,15 @@ impl SweepCommand {
 struct Location {
     /// Sweep file, or the name of a shipped sweep: tab4_fern
     file: PathBuf,
+    /// Folder of the scenes
+    #[arg(long, env = "AUGNERF_DATA", value_name = "DIR", help_heading = "Experiment")]
+    data_root: Option<PathBuf>,
     /// Name of the sweep: points in runs/NAME, tables in results/NAME [default: the file's]
     #[arg(long, help_heading = "Output")]
     name: Option<String>,
     /// Folder for points and tables [default: runs/NAME and results/NAME]
     #[arg(long, value_name = "DIR", help_heading = "Output")]
     out: Option<PathBuf>,
-    /// Folder of the scenes
-    #[arg(long, env = "AUGNERF_DATA", value_name = "DIR", help_heading = "Experiment")]
-    data_root: Option<PathBuf>,
 }
 
 /// Flags that change a definition.

@@ -49,7 +49,7 @@ pub struct RunArguments {
     #[arg(long)]
     retry_failed: bool,
     /// Accept a changed sweep file; keep the old points on disk
-    #[arg(long, help_heading = "Experiment")]
+    #[arg(long)]
     extend: bool,
     #[command(flatten)]
     max_deaths: MaxDeaths,

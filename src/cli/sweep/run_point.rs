@@ -26,14 +26,15 @@ Exit codes: 0 done, or another worker has the point; 129, 130 or 143 stopped wit
 scene; 2 to 5 wrong usage, data, disk or folder.";
 
 #[derive(Args)]
+#[command(next_help_heading = "Experiment")]
 pub struct RunPointArguments {
     /// Folder of a created sweep: runs/NAME, or that of --out
     folder: PathBuf,
     /// Point by its number in points.json, from 0
-    #[arg(long, value_name = "N", required_unless_present = "id", conflicts_with = "id", help_heading = "Experiment")]
+    #[arg(long, value_name = "N", required_unless_present = "id", conflicts_with = "id")]
     index: Option<usize>,
     /// Point by its name, or the beginning of its name
-    #[arg(long, value_name = "ID", help_heading = "Experiment")]
+    #[arg(long, value_name = "ID")]
     id: Option<String>,
     /// Run the point again if it failed
     #[arg(long)]
@@ -41,7 +42,7 @@ pub struct RunPointArguments {
     #[command(flatten)]
     max_deaths: MaxDeaths,
     /// Folder of the scenes
-    #[arg(long, env = "AUGNERF_DATA", value_name = "DIR", help_heading = "Experiment")]
+    #[arg(long, env = "AUGNERF_DATA", value_name = "DIR")]
     data_root: Option<PathBuf>,
     #[command(flatten)]
     weights: LpipsWeights,

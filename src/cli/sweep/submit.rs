@@ -18,7 +18,7 @@ use super::{Changes, Location, MaxDeaths, begin_folder, planned_points, training
 
 pub const EXAMPLES: &str = "Examples:
   augnerf sweep submit sweeps/checks/smoke.toml --dry-run  # prints the scripts
-  augnerf sweep submit sweeps/paper/tab1_llff.toml --time 12:00:00 --mem 8G --cpus 8 --array-limit 16
+  augnerf sweep submit sweeps/paper/tab1_llff.toml --time 12:00:00 --mem 8G --cpus 8
   augnerf sweep submit FILE --partition gpu --gres gpu:1 --device cuda --sbatch=--account=lab
 
 Prints the number of the job array. All machines must see the sweep's folder. `augnerf sweep status` shows the queue, and \
@@ -72,7 +72,7 @@ pub struct SubmitArguments {
     #[arg(long)]
     retry_failed: bool,
     /// Accept a changed sweep file; keep the old points on disk
-    #[arg(long, help_heading = "Experiment")]
+    #[arg(long)]
     extend: bool,
     #[command(flatten)]
     max_deaths: MaxDeaths,
