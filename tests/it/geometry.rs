@@ -433,7 +433,7 @@ fn a_mesh_is_drawn_as_a_picture_from_several_sides() {
     for (arguments, words) in [
         (&["mesh", "builtin"][..], &["--picture FILE.png"][..]),
         (&["mesh", "builtin", "--picture", name, "--view", "1"], &["no held-out views", "--at"]),
-        (&["mesh", "builtin", "--picture", name, "--at", "1.5"], &["--at 1.5 is out of range"]),
+        (&["mesh", "builtin", "--picture", name, "--at", "1.5"], &["--at 1.5: out of range"]),
         (&["mesh", "builtin", "--picture", "mesh.jpg"], &["mesh.jpg", ".png"]),
     ] {
         program::refuse(arguments, 2, words);

@@ -121,7 +121,7 @@ fn a_point_that_is_not_there_is_refused() {
     let dir = workplace(TINY);
     assert_says(&demand(&point("0"), dir.path(), 5), &["runs/tiny", "points.json"]);
     demand(&["sweep", "begin", "tiny.toml"], dir.path(), 0);
-    assert_says(&demand(&point("3"), dir.path(), 2), &["--index 3", "3 points, 0 to 2"]);
+    assert_says(&demand(&point("3"), dir.path(), 2), &["--index 3", "3 points, choose 0 to 2"]);
     let by = |id| ["sweep", "run-point", "runs/tiny", "--id", id];
     assert_says(&demand(&by("zz"), dir.path(), 2), &["--id 'zz'", "sweep status"]);
     assert_says(&demand(&by(""), dir.path(), 2), &["--id ''"]);
@@ -167,7 +167,7 @@ fn a_point_that_another_runner_works_on_is_left_to_it() {
     let mut child = command(&point("0"), dir.path()).stderr(Stdio::null()).spawn().unwrap();
     wait_for("a step", || in_training(&own));
     let said = demand(&point("0"), dir.path(), 0);
-    assert_says(&said, &["is left to", &format!("process {}", child.id())]);
+    assert_says(&said, &["is skipped", &format!("process {}", child.id())]);
     assert!(child.try_wait().unwrap().is_none(), "the other one goes on");
     child.kill().unwrap();
     child.wait().unwrap();
@@ -371,7 +371,7 @@ fn submitted_points_are_seen_in_the_queue_and_not_submitted_twice() {
     assert_says(&said, &["1 points of job 12 RUNNING", "1 points of job 12 PENDING", "1 tables of job 13"]);
     assert_eq!(cluster.calls()[4..], ["scancel 13", "scancel 12"]);
     cluster.queue("");
-    assert_says(&cluster.demand(&["sweep", "cancel", "runs/tiny"], dir, 0), &["nothing of runs/tiny is in the queue"]);
+    assert_says(&cluster.demand(&["sweep", "cancel", "runs/tiny"], dir, 0), &["runs/tiny: nothing in the queue"]);
     // Without an answer, files still say how far the points are.
     cluster.stand_in("squeue", "echo 'slurm_load_jobs error: Unable to contact slurm controller' >&2; exit 1");
     let status = cluster.demand(&["sweep", "status", "runs/tiny"], dir, 0);

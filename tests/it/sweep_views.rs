@@ -188,7 +188,7 @@ fn the_best_row_is_told_with_its_settings_and_folders() {
     // A row without one of its points is not looked at, however good the others are.
     std::fs::remove_file(SweepFolder::new(&folder).point(&own.id).path().join("result.json")).unwrap();
     let told = demand(dir.path(), &["sweep", "best", "runs/one"], 0);
-    assert_says(&told, &["builtin: B, psnr", "not looked at, for want of points: A, long"]);
+    assert_says(&told, &["builtin: B, psnr", "skipped, with unfinished points: A, long"]);
     let printed = program::printed(&["sweep", "best", folder.to_str().unwrap(), "--json"]);
     let best: serde_json::Value = serde_json::from_str(&printed).unwrap();
     let best = &best["best"];
