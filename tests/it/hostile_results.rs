@@ -40,7 +40,7 @@ fn packed_files_take_no_more_memory_than_large_ones() {
 fn a_log_whose_steps_fall_is_damaged() {
     let (dir, folder) = results("geometry");
     fs::write(folder.join("scalars.csv.gz"), packed(b"id,step,psnr\na,10,5\na,20,6\nb,10,5\na,15,7\n")).unwrap();
-    assert_says(&verify(dir.path(), &[], 5), &["scalars.csv.gz", "point a: step 15 stands behind step 20"]);
+    assert_says(&verify(dir.path(), &[], 5), &["scalars.csv.gz", "point a: step 15 follows step 20"]);
 }
 
 /// Thirty million black pixels are 30 kB, and half a gigabyte as colours to compute with.

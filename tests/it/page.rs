@@ -182,5 +182,5 @@ fn runs_become_a_page() {
     assert_says(&page, &["data-name=\"a0\"", "data-name=\"d0\"", "data-name=\"aug-nerf\""]);
     assert!(!said.contains("(train."), "{said}");
     let said = demand(augnerf(&["report", "a0", "a1", "--label", "x"]).current_dir(dir.path()), 2);
-    assert_says(&said, &["--label: there are 1 for 2 runs"]);
+    assert_says(&said, &["--label: 1 labels for 2 runs"]);
 }

@@ -301,7 +301,8 @@ fn given_labels_are_one_for_each_run() {
     let runs = ["a", "b"].map(Into::into);
     let given = |names: &[&str]| labels(&runs, &names.iter().map(|name| name.to_string()).collect::<Vec<_>>());
     assert_eq!(given(&["NeRF", "Aug-NeRF"]).unwrap(), ["NeRF", "Aug-NeRF"]);
-    for (names, what) in [(&["NeRF"][..], "1 for 2 runs"), (&["N", "N"], "`N` is there twice"), (&["N", " "], "blank")]
+    for (names, what) in
+        [(&["NeRF"][..], "1 labels for 2 runs"), (&["N", "N"], "`N` occurs twice"), (&["N", " "], "blank")]
     {
         let message = given(names).unwrap_err().to_string();
         assert!(message.contains("--label") && message.contains(what), "{message}");
@@ -455,19 +456,19 @@ fn the_commands_leave_what_they_promise_and_refuse_what_they_cannot_show() {
     assert_same_files(Path::new(&path("ray")), Path::new(&again), &[]);
 
     for command in ["compare", "profile"] {
-        refuse(&[command, &a, &wide], 2, &["wide", "a do not show", "20 x 20", "16 x 16"]);
+        refuse(&[command, &a, &wide], 2, &["wide", "a do not match", "20 x 20", "16 x 16"]);
         refuse(&[command, &a, &forward], 2, &["forward", "builtin-forward"]);
         refuse(&[command, &a, &b, "--view", "r_99"], 2, &["--view r_99", "0 to 7", "r_7"]);
         refuse(&[command, &a, &b, "--view", "8"], 2, &["--view 8", "0 to 7"]);
         refuse(&[command, &a, &a], 2, &["twice"]);
-        refuse(&[command, &a, &b, "--label", "NeRF"], 2, &["--label", "1 for 2 runs"]);
+        refuse(&[command, &a, &b, "--label", "NeRF"], 2, &["--label", "1 labels for 2 runs"]);
         refuse(&[command, &path("nothing")], 5, &["nothing", "missing"]);
         refuse(&[command, &a, &b, "--out", &path("ray")], 4, &["ray", "already holds files"]);
     }
     if !DRAWN {
         refuse(&["compare", &a, &b, "--gif"], 2, &["--gif", "without its feature png-figures"]);
     }
-    refuse(&["compare", &a, "--gif"], 2, &["--gif", "two runs", "here is 1"]);
+    refuse(&["compare", &a, "--gif"], 2, &["--gif", "two runs", "there are 1"]);
     refuse(&["compare", &a, &b, "--zoom", "10,0,8,8"], 2, &["--zoom", "8 x 8", "(10, 0)", "16 x 16"]);
     refuse(&["compare", &a, &b, "--zoom", "10,0,8"], 2, &["--zoom 10,0,8", "width and height"]);
     refuse(&["compare", &a, &b, "--box-width", "17"], 2, &["--box-width 17", "at most 16"]);

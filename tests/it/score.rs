@@ -170,7 +170,7 @@ fn scored_rows_stand_marked_in_the_table() {
     }
     let first = run(dir, "NeRF", 0).join("renders");
     let again = ["score", first.to_str().unwrap(), "--into", "runs/tiny", "--row", "other code", "--seed", "2"];
-    assert_says(&demand(dir, &again, 2), &["'other code' has these very pictures as seed 0"]);
+    assert_says(&demand(dir, &again, 2), &["'other code' has the same images as seed 0"]);
     let renders = run(dir, "Aug-NeRF", 0).join("renders");
     scored(dir, &[renders.to_str().unwrap(), "--into", "runs/tiny", "--row", "single"]);
     let mixed = [renders.to_str().unwrap(), "--into", "runs/tiny", "--row", "single", "--seed", "0"];

@@ -364,7 +364,7 @@ fn submitted_points_are_seen_in_the_queue_and_not_submitted_twice() {
 
     cluster.stand_in("scancel", "[ $1 != 13 ] || { echo 'Access denied' >&2; exit 1; }");
     let said = cluster.demand(&["sweep", "cancel", "runs/tiny"], dir, 2);
-    assert_says(&said, &["scancel refuses job 13: Access denied"]);
+    assert_says(&said, &["scancel rejected job 13: Access denied"]);
     assert_eq!(cluster.calls()[2..], ["scancel 13", "scancel 12"], "one refusal keeps no other job in the queue");
     cluster.stand_in("scancel", "true");
     let said = cluster.demand(&["sweep", "cancel", "runs/tiny"], dir, 0);

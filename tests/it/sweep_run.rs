@@ -219,15 +219,15 @@ fn wrong_definitions_are_refused_with_words() {
             replace("set = { method = \"aug-nerf\", \"perturb.t.steps\" = 3 }", ""),
             vec!["NeRF", "Aug-NeRF", "same configuration"],
         ),
-        (replace("seeds = [0, 1]", "seeds = []"), vec!["seeds", "none"]),
+        (replace("seeds = [0, 1]", "seeds = []"), vec!["seeds", "empty"]),
         (replace("seeds = [0, 1]", "seeds = [1, 1]"), vec!["seeds", "1", "twice"]),
-        (replace("scenes = [\"builtin\"]", "scenes = []"), vec!["scenes", "none"]),
+        (replace("scenes = [\"builtin\"]", "scenes = []"), vec!["scenes", "empty"]),
         (replace("scenes = [\"builtin\"]", "scenes = [\"a/fern\", \"b/fern\"]"), vec!["scenes", "fern", "twice"]),
         (replace("preset = \"smoke\"", "preset = \"smok\""), vec!["smok", "choose one of"]),
         (replace("baseline = \"NeRF\"", "baseline = \"NERF\""), vec!["baseline", "NERF", "Aug-NeRF"]),
         (replace("title", "titel"), vec!["titel"]),
         (format!("metrics = [\"pnsr\"]\n{BASE}"), vec!["metric", "pnsr", "psnr"]),
-        (axis("\"train.rays\"", ""), vec!["axis 'a'", "none"]),
+        (axis("\"train.rays\"", ""), vec!["axis 'a'", "empty"]),
         (axis("\"train.rays\"", "8, 8"), vec!["axis 'a'", "8", "twice"]),
         (replace("seeds = [0, 1]", "seeds = [9223372036854775807, 9223372036854775808]"), vec!["seed"]),
         (format!("published = \"tab9\"\n{BASE}"), vec!["NeRF", "clean", "tab9", "lacks"]),
@@ -446,7 +446,7 @@ fn a_changed_definition_is_noticed() {
     more.apply(Overrides { seeds: Some(vec![0, 1, 2]), ..Overrides::default() }).unwrap();
     assert_eq!(folder.compare(&more).unwrap(), Change::Changed);
     let message = begin(&folder, &more, None, false, &Costs).unwrap_err().to_string();
-    assert!(message.contains("2 points that it had not") && message.contains("lacks 0"), "{message}");
+    assert!(message.contains("adds 2 points") && message.contains("lacks 0"), "{message}");
     assert_eq!(begin(&folder, &more, None, true, &Costs).unwrap().len(), 6);
     assert_eq!(folder.points(None).unwrap().unwrap().len(), 6);
     let fresh = TempDir::new().unwrap();

@@ -118,18 +118,18 @@ fn chosen_rows_have_the_statistics_of_what_is_shown() {
     assert!(rows(&text(&dir.path().join("none/table.csv"))).iter().all(|row| row["psnr_difference"].is_empty()));
 
     assert_says(&collect(&["--rows", "B"], 2), &["--out"]);
-    assert_says(
-        &collect(&["--rows", "B", "--out", "x"], 2),
-        &["leaves out 'NeRF'", "'B' is compared with", "--baseline"],
-    );
+    assert_says(&collect(&["--rows", "B", "--out", "x"], 2), &["lacks 'NeRF'", "the baseline of 'B'", "--baseline"]);
     assert_says(&collect(&["--rows", "Nerf", "--out", "x"], 2), &["'Nerf' is not a row", "A, long"]);
     assert_says(&collect(&["--baseline", "D", "--out", "x"], 2), &["--baseline D", "NeRF"]);
-    assert_says(&collect(&["--metrics", "psnrr", "--out", "x"], 2), &["'psnrr' does not exist", "psnr"]);
+    assert_says(&collect(&["--metrics", "psnrr", "--out", "x"], 2), &["unknown metric 'psnrr'", "psnr"]);
     assert_says(&collect(&["--rows", "NeRF", "--out", "results/one"], 4), &["complete tables", "--out"]);
     // Somebody's own figures, some of which have names of ours.
     std::fs::create_dir(dir.path().join("paper")).unwrap();
     std::fs::write(dir.path().join("paper/rows_overview.png"), "mine").unwrap();
-    assert_says(&collect(&["--rows", "NeRF", "--out", "paper"], 4), &["paper holds files that are no view", "--out"]);
+    assert_says(
+        &collect(&["--rows", "NeRF", "--out", "paper"], 4),
+        &["paper holds files that are not a view", "--out"],
+    );
     assert_eq!(text(&dir.path().join("paper/rows_overview.png")), "mine");
     collect(&["--rows", "NeRF", "--out", "pair"], 0);
     collect(&["--rows", "NeRF,A, long", "--out", "pair"], 0);
@@ -284,7 +284,7 @@ fn a_new_sweep_file_runs_as_it_is_and_explains_every_key() {
     let file = dir.path().join("sweep.toml");
     let definition = Definition::read(&file).unwrap();
     assert_eq!(expand(&definition, None, &Costs).unwrap().len(), 8);
-    assert_says(&demand(dir.path(), &["sweep", "new"], 4), &["sweep.toml is there already"]);
+    assert_says(&demand(dir.path(), &["sweep", "new"], 4), &["sweep.toml exists already"]);
     // Every key of the page's tables has its line.
     let page = text(&Path::new(env!("CARGO_MANIFEST_DIR")).join("docs/sweep-file.md"));
     let (schema, _) = page.split_once("## Published numbers").unwrap();
@@ -322,7 +322,7 @@ fn shipped_sweeps_are_written_with_what_they_extend() {
     std::fs::write(dir.path().join("tab4_ablation.toml"), "changed").unwrap();
     assert_says(
         &demand(dir.path(), &["sweep", "new", "third.toml", "--from", "tab4_fern"], 4),
-        &["tab4_ablation.toml is there"],
+        &["tab4_ablation.toml exists"],
     );
     assert_says(&demand(dir.path(), &["sweep", "new", "x.toml", "--from", "nothing"], 2), &["--from nothing", "smoke"]);
 }

@@ -113,7 +113,7 @@ impl Definition {
             known("budget.like", &budget.like)?;
         }
         if !self.quoted.is_empty() && self.published.is_none() {
-            return Err("quoted names methods of a published table, but published is not set; set it, such as published = \"tab1\"".into());
+            return Err("quoted needs the table that it quotes; set published, such as published = \"tab1\"".into());
         }
         if let Some(quoted) = self.quoted.iter().find(|quoted| set.contains(quoted.as_str())) {
             return Err(format!("quoted = '{quoted}' is also a row that is run; remove one"));

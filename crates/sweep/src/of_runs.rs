@@ -150,8 +150,8 @@ impl RunsTable {
 }
 
 /// Returns the row of each run if no names are given. Runs that differ only in the seed are one row. A row's name is
-/// its method with the settings that differ among the rows, or its first run's `id` if that name is ambiguous in a
-/// scene.
+/// its method with the settings that differ among the rows. If that name is ambiguous in a scene, it is the first
+/// run's `id`.
 fn row_names(configs: &[Config], ids: &[String]) -> Vec<String> {
     let key = |config: &Config| (config.data.name.clone(), Config { seed: 0, ..config.clone() }.hash());
     let mut rows: Vec<Vec<usize>> = Vec::new();

@@ -64,8 +64,8 @@ pub fn spreads(table: &Table, difference: f64, tests: Option<usize>) -> Vec<Spre
     table.lines.iter().filter_map(spread).collect()
 }
 
-/// Returns the fewest seeds with which a two-sided paired t test at `level` shows a difference of `effect` standard
-/// deviations with [`POWER`], or `None` if [`MOST_SEEDS`] are not enough.
+/// Returns the fewest seeds that show a difference of `effect` standard deviations with [`POWER`], by a two-sided
+/// paired t test at `level`. `None` if [`MOST_SEEDS`] are not enough.
 fn seeds_needed(effect: f64, level: f64) -> Option<usize> {
     (LEAST_SEEDS..=MOST_SEEDS).find(|&seeds| power(seeds, effect, level) >= POWER)
 }

@@ -33,8 +33,8 @@ pub struct BalancedWeight {
     pub weight: Option<f64>,
 }
 
-/// Trains plain NeRF on `config`'s scene for `steps` steps. For each term, returns the weights at which its gradient
-/// norm is 0.1 %, 1 %, 10 %, 100 % and 1000 % of the photometric loss's. Section `regularizer` says where terms are
+/// Trains plain NeRF on `config`'s scene for `steps` steps. For each term, returns the weights that give it 0.1 %, 1
+/// %, 10 %, 100 % and 1000 % of the photometric loss's gradient norm. Section `regularizer` says where terms are
 /// evaluated; the training itself has no regularizer. Also returns the settings of the training.
 ///
 /// # Errors

@@ -1,5 +1,5 @@
-//! `depth_errors.gz`: a run's depth error at every pixel with known depth, so that rows of a table can be compared
-//! over the pixels that all of them render.
+//! `depth_errors.gz`: a run's depth error at every pixel with known depth. Tables use it to compare rows over the
+//! pixels that all of them render.
 //!
 //! ```text
 //! gzip of, for each held-out view:

@@ -1,7 +1,7 @@
 //! One experiment from its settings to its results: scene, run folder, training, evaluation and output files.
 //!
-//! Two rules hold throughout. A file is replaced by a rename, so that a reader, or a kill at any moment, sees the old
-//! content or the new one and never a mixture. Everything written is a function of configuration and seed, with three
+//! Two rules hold throughout. A file is replaced by a rename, so that a reader sees the old content or the new one and
+//! never a mixture, even after a kill. Everything written is a function of configuration and seed, with three
 //! exceptions: `timing.json`, the event files in `tensorboard/` and `run.lock` contain clock times, host names or
 //! process numbers.
 

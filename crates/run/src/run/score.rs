@@ -72,8 +72,8 @@ pub struct Score {
     pub truth_sha256: String,
 }
 
-/// Lists the images of a folder in order. If this program rendered into the folder, depth and ground truth are there
-/// too, and only files that end with `suffix`, such as `_rgb`, are listed.
+/// Lists the images of a folder in order. If this program rendered into the folder, it also has depth and ground
+/// truth. Then only files that end with `suffix`, such as `_rgb`, are listed.
 ///
 /// # Errors
 /// The folder cannot be read or has no images; two images have the same name.

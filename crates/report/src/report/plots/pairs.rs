@@ -61,8 +61,8 @@ impl<'a> Tests<'a> {
         }
     }
 
-    /// Returns the least difference between two values of a line that would be significant in Holm's first step over
-    /// the whole figure, at the line's pooled spread.
+    /// Returns the least significant difference between two values of a line. It uses Holm's first step over the
+    /// complete figure and the line's pooled spread.
     fn least_provable(&self, series: &Series) -> Option<f64> {
         let family =
             self.0.iter().enumerate().filter(|(i, pair)| {
