@@ -65,8 +65,8 @@ impl Stage {
         let mib = (all * KEPT_BYTES + largest * predicted) / f64::from(1 << 20);
         match free_memory_mib() {
             Some(free) if mib > free => Err(Error::Config(format!(
-                "llff.planes = {}: the planes of {} training views take {:.1} GiB once pictures from all sides are rendered, and {:.1} \
-                 GiB are free here; choose fewer planes, or shrink the pictures by data.downscale",
+                "llff.planes = {}: the planes of {} training views take {:.1} GiB once images from all sides are rendered, and {:.1} \
+                 GiB are free here; choose fewer planes, or reduce the images with data.downscale",
                 self.depths.len(),
                 self.views.len(),
                 mib / 1024.0,
@@ -107,7 +107,7 @@ fn check(scene: &Scene) -> Result<()> {
     }
     if let Some(view) = scene.train.iter().find(|view| view.mask.is_some()) {
         return Err(Error::Config(format!(
-            "training view {} has a mask, and method llff would show what is under it: its colours are those of whole views; use nerf, \
+            "training view {} has a mask, which method llff does not support: it would show what is under the mask; use nerf, \
              or remove the masks",
             view.name
         )));

@@ -247,7 +247,7 @@ pub(super) fn check_memory_of(sizes: &[(usize, usize)]) -> Result<()> {
     let count = sizes.len();
     let (width, height) = sizes.iter().copied().max_by_key(|size| size.0.saturating_mul(size.1)).unwrap_or_default();
     Err(Error::Data(format!(
-        "{count} pictures of {width}x{height} pixels take {:.1} GiB of memory, and {:.1} GiB are free: make them smaller \
+        "{count} images of {width}x{height} pixels take {:.1} GiB of memory, and {:.1} GiB are free; reduce them \
           with data.downscale or data.width",
         needed / 1024.0,
         free / 1024.0

@@ -1,7 +1,7 @@
-//! The formats of scenes that are read: a module each, and one table of what they are.
+//! The formats of scenes: one module each, and one table of them.
 //!
-//! To read another one, write its module, add its line to [`FORMATS`] and its name to [`DataKind`]. A format of one's own
-//! needs none of that: a [`Capture`] becomes a [`Scene`] anywhere ([`Capture::hold_out`]).
+//! To read another format, write its module, add its line to [`FORMATS`] and its name to [`DataKind`]. A format of your
+//! own needs none of that: a [`Capture`] becomes a [`Scene`] anywhere ([`Capture::hold_out`]).
 
 pub mod blender;
 pub mod builtin;
@@ -18,14 +18,14 @@ use crate::settings::{DataConfig, DataKind, Preset};
 
 pub use capture::Capture;
 
-/// Reference depth that a format's views may have.
+/// The reference depth that a format's views may have.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ReferenceDepth {
     /// None.
     None,
     /// Maps in steps of 8 bits.
     EightBit,
-    /// To the last digit.
+    /// Exact.
     Exact,
 }
 
@@ -33,21 +33,21 @@ pub enum ReferenceDepth {
 pub struct Format {
     /// Its name in settings.
     pub kind: DataKind,
-    /// The file that makes a folder such a scene, and whose format it is; none for what needs no folder.
+    /// The file that identifies a scene folder, and its origin. `None` if no folder is needed.
     pub marker: Option<&'static str>,
-    /// Whether a folder is such a scene.
+    /// Returns whether a folder is such a scene.
     pub detect: fn(&Path) -> bool,
     /// Reads the scene. `downscale` is filled.
     pub read: fn(&DataConfig, &dyn Listener) -> Result<Scene>,
-    /// What is trained with where nobody names a preset.
+    /// The default preset.
     pub preset: Preset,
-    /// Reference depth that views may have.
+    /// The reference depth that views may have.
     pub depth: ReferenceDepth,
-    /// The scene's own surface is known.
+    /// Whether the scene's own surface is known.
     pub has_mesh: bool,
 }
 
-/// All formats; a folder is of the first that detects it.
+/// All formats. A folder has the first format that detects it.
 pub static FORMATS: [Format; 6] = [
     Format {
         kind: DataKind::Llff,
@@ -106,12 +106,12 @@ pub static FORMATS: [Format; 6] = [
 ];
 
 impl Format {
-    /// The format of a settled kind; none for `auto`.
+    /// Returns the format of a settled kind, or `None` for `auto`.
     pub fn of(kind: DataKind) -> Option<&'static Format> {
         FORMATS.iter().find(|format| format.kind == kind)
     }
 
-    /// The format that a folder is of.
+    /// Returns the format of a folder.
     pub fn of_folder(dir: &Path) -> Option<&'static Format> {
         FORMATS.iter().find(|format| (format.detect)(dir))
     }

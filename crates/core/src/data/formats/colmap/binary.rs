@@ -1,4 +1,4 @@
-//! `cameras.bin`, `images.bin`, `points3D.bin`: little-endian, a count and as many entries.
+//! `cameras.bin`, `images.bin`, `points3D.bin`: little-endian, a count followed by as many entries.
 
 use std::path::Path;
 
@@ -7,14 +7,14 @@ use crate::base::input::read_bytes;
 use crate::base::{Error, Result};
 use crate::data::LARGEST;
 
-/// Most bytes of a file: those of some hundred million observations.
+/// Largest size of a file in bytes: some hundred million observations.
 const MOST_BYTES: u64 = 4 << 30;
 
-/// What is left of a file.
+/// The rest of a file.
 struct Bytes<'a> {
     file: &'a Path,
     rest: &'a [u8],
-    /// What is being read, and its number from 0.
+    /// The name of the current entry, and its number from 0.
     entry: (&'static str, u64),
 }
 
@@ -53,13 +53,13 @@ impl<'a> Bytes<'a> {
         Ok(numbers)
     }
 
-    /// The bytes of a list of `count` entries of `size` bytes.
+    /// Returns the bytes of a list of `count` entries of `size` bytes.
     fn list(&mut self, count: u64, size: usize) -> Result<&'a [u8]> {
-        // A count that no file can hold is more than is left of any.
+        // A count that no file can hold is larger than the rest of any file.
         self.take(usize::try_from(count).ok().and_then(|count| count.checked_mul(size)).unwrap_or(usize::MAX))
     }
 
-    /// A text that ends in a zero byte.
+    /// Returns a text that ends in a zero byte.
     fn name(&mut self) -> Result<String> {
         let end = self.rest.iter().take(MOST_NAME).position(|&byte| byte == 0);
         let end = end.ok_or_else(|| self.error("its name does not end"))?;
@@ -69,7 +69,7 @@ impl<'a> Bytes<'a> {
     }
 }
 
-/// All entries of a file.
+/// Reads all entries of a file.
 fn entries<T>(file: &Path, name: &'static str, read: impl Fn(&mut Bytes) -> Result<T>) -> Result<Vec<T>> {
     let bytes = read_bytes(file, MOST_BYTES).map_err(|e| Error::unreadable(file, &e))?;
     let mut bytes = Bytes { file, rest: &bytes, entry: (name, 0) };
@@ -105,7 +105,7 @@ pub(super) fn photographs(file: &Path) -> Result<Vec<Photograph>> {
         let (quaternion, shift) = (bytes.numbers()?, bytes.numbers()?);
         let pose = pose(quaternion, shift).map_err(|what| bytes.error(&what))?;
         let (camera, name) = (bytes.u32()?, bytes.name()?);
-        // Where points are seen in it: x, y, the point's number.
+        // The points that are seen in it: x, y, the point's number.
         let seen = bytes.u64()?;
         bytes.list(seen, 24)?;
         Ok(Photograph { id, camera, name, pose })
@@ -121,7 +121,7 @@ pub(super) fn points(file: &Path) -> Result<Vec<Point>> {
                 bytes.error(&format!("it lies at {place:?}: every number must be finite, of at most {LARGEST:e}"))
             );
         }
-        // Colour and error of reprojection.
+        // Colour and reprojection error.
         bytes.take(3 + 8)?;
         let length = bytes.u64()?;
         let track = bytes.list(length, 8)?.chunks_exact(8);

@@ -4,21 +4,22 @@ use super::model::Model;
 use crate::data::rig::percentile;
 use crate::data::{Camera, Rig, SceneSpace, WorldToScene};
 
-/// Depths of a view's points between these shares count: a few are always wrong.
+/// Range of a view's depths that counts, as quantiles: a few points are always wrong.
 const SHARES: [f64; 2] = [0.01, 0.99];
-/// Of the views' depths, those between these shares count.
+/// Range of the views' depths that counts, as quantiles.
 const VIEWS: [f64; 2] = [0.02, 0.98];
-/// Room before the nearest and behind the farthest depth, as a factor.
+/// Margin before the nearest and behind the farthest depth, as a factor.
 const ROOM: [f64; 2] = [0.8, 1.25];
-/// A view with fewer points tells nothing.
+/// A view with fewer points is ignored.
 const LEAST_POINTS: usize = 8;
-/// The box holds this share of the points along each axis, and a tenth of its sides more.
+/// Range of the points in the box along each axis, as quantiles; a tenth of its sides is added.
 const BOX: [f64; 2] = [0.01, 0.99];
 const BOX_ROOM: f64 = 0.1;
-/// It reaches no farther from what the cameras look at than so many times what fills their pictures.
+/// Largest distance of the box from what the cameras look at, in radii of what fills their images.
 const BOX_REACH: f64 = 2.0;
 
-/// The scene's place and the ends of its rays: from the points, otherwise from the cameras, otherwise `unknown`.
+/// Returns the scene's space and the ends of its rays: from the points, otherwise from the cameras, otherwise
+/// `unknown`.
 pub(super) fn of(
     model: &Model,
     cameras: &[Camera],
@@ -56,7 +57,7 @@ pub(super) fn of(
     (space, (near, far))
 }
 
-/// The box of the points, without those that lie far from the others and from what the cameras look at.
+/// Returns the box of the points, without outliers far from the others and from what the cameras look at.
 fn domain(points: &[[f64; 3]], cameras: &[Camera]) -> [[f64; 3]; 2] {
     let subject = Rig::of(cameras).subject;
     let mut domain = [[0.0; 3]; 2];
@@ -69,12 +70,13 @@ fn domain(points: &[[f64; 3]], cameras: &[Camera]) -> [[f64; 3]; 2] {
         if let Some(subject) = subject {
             let reach = BOX_REACH * subject.radius;
             let (least, most) = (subject.focus[axis] - reach, subject.focus[axis] + reach);
-            // Points that all lie beyond are not what the cameras look at, or the cameras' axes miss them: the points are right.
+            // If all points are beyond that, the cameras do not look at them, or their axes miss them: the points are
+            // right.
             if low < most && high > least {
                 (low, high) = (low.max(least), high.min(most));
             }
         }
-        // A flat scene has a box, too.
+        // A flat scene also needs a box.
         let least_side = 1e-3 * (1.0 + low.abs().max(high.abs()));
         (domain[0][axis], domain[1][axis]) =
             if high - low < least_side { (low - least_side, high + least_side) } else { (low, high) };

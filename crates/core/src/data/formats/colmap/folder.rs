@@ -1,4 +1,4 @@
-//! Which of a COLMAP scene's image folders is read: `images`, or the smaller `images_{factor}` beside it.
+//! The choice among a COLMAP scene's image folders: `images`, or a smaller `images_{factor}` next to it.
 
 use std::path::{Path, PathBuf};
 
@@ -6,7 +6,7 @@ use super::model::Photograph;
 use crate::base::{Error, Result};
 use crate::data::images::{self, Size};
 
-/// Folders of images, each with the factor by which its name says that it is smaller.
+/// Returns the folders of images, each with the reduction factor in its name.
 fn folders(dir: &Path) -> Result<Vec<(usize, PathBuf)>> {
     let entries = std::fs::read_dir(dir).map_err(|e| Error::unreadable(dir, &e))?;
     let named = entries.flatten().filter(|entry| entry.path().is_dir());
@@ -17,13 +17,13 @@ fn folders(dir: &Path) -> Result<Vec<(usize, PathBuf)>> {
     Ok(found)
 }
 
-/// The files of a scene's photographs in the folder that serves the working resolution best.
+/// The files of a scene's photos in the folder that suits the working resolution best.
 pub(super) struct Source {
-    /// A file for each photograph; none for those that are not there.
+    /// A file for each photo. `None` for missing ones.
     pub(super) files: Vec<Option<PathBuf>>,
-    /// By how much the folder's name says that they are smaller than the originals.
+    /// The reduction factor in the folder's name.
     pub(super) factor: usize,
-    /// Folders that were passed over, for people.
+    /// Folders that were not used, for people.
     pub(super) passed: Vec<String>,
 }
 
@@ -33,8 +33,9 @@ impl Source {
     }
 }
 
-/// Of a factor, the folder of that factor, then `images`, then one whose factor divides it. Of a width, the smallest that is as
-/// wide. A folder that lacks photographs is passed over where another has them all.
+/// Chooses a folder. For a factor: the folder of that factor, then `images`, then one whose factor divides it. For a
+/// width: the smallest that is at least as wide. A folder without some of the photos is not used if another has them
+/// all.
 pub(super) fn find(dir: &Path, photographs: &[Photograph], size: Size) -> Result<Source> {
     let mut folders = folders(dir)?;
     match size {
@@ -74,7 +75,7 @@ pub(super) fn find(dir: &Path, photographs: &[Photograph], size: Size) -> Result
     Ok(source)
 }
 
-/// Columns of the widest of these files, by which a width is measured.
+/// Returns the columns of the widest of these files, by which a width is measured.
 fn widest(files: &[Option<PathBuf>]) -> Result<Option<usize>> {
     let columns: Result<Vec<usize>> = files.iter().flatten().map(|file| Ok(images::size(file)?.0)).collect();
     Ok(columns?.into_iter().max())
@@ -97,7 +98,7 @@ fn none(dir: &Path, folders: &[(usize, PathBuf)], photographs: &[Photograph], si
     ))
 }
 
-/// A photograph's file: of its name, or of another ending, as smaller copies may have.
+/// Returns a photo's file: with its name, or with another extension, as smaller copies may have.
 fn file(folder: &Path, name: &str) -> Option<PathBuf> {
     let file = folder.join(name);
     if file.is_file() && images::is_image(&file) {

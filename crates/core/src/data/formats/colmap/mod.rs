@@ -1,8 +1,8 @@
-//! COLMAP scenes: a model in `sparse/0` (`cameras`, `images`, `points3D`, `.bin` or `.txt`) beside `images` or, as 3D Gaussian
-//! splatting writes them, smaller `images_2`, `images_4`, `images_8`.
+//! COLMAP scenes: a model in `sparse/0` (`cameras`, `images`, `points3D`, `.bin` or `.txt`) next to `images` or smaller
+//! `images_2`, `images_4`, `images_8`, as 3D Gaussian splatting writes them.
 //!
-//! The formats are those of COLMAP's documentation ("Output Format"). Its principal points count from the corner of the first
-//! pixel, whose centre is at 0.5: `data.pixel_origin` is `centre` where it is not set.
+//! The formats are those of COLMAP's documentation ("Output Format"). Its principal points count from the corner of the
+//! first pixel, whose centre is at 0.5. The default of `data.pixel_origin` is therefore `centre`.
 
 mod binary;
 mod bounds;
@@ -24,27 +24,27 @@ use crate::settings::{DataConfig, DataKind};
 use folder::Source;
 use model::{Lens, Model, Photograph};
 
-/// Whether a folder holds a model.
+/// Returns whether a folder holds a model.
 pub fn is_scene(dir: &Path) -> bool {
     read::find(dir).is_some()
 }
 
-/// By how much, beyond a pixel, the sides of an image may differ from those that its camera was found for.
+/// Largest difference, beyond a pixel, between an image's sides and those of its camera, as a fraction.
 const SIZE_TOLERANCE: f64 = 0.01;
 
-/// So many names of missing images are written out.
+/// Largest number of missing images that are named.
 const NAMES: usize = 20;
 
-/// A name as a list has it.
+/// Returns a name as a list shows it.
 fn shown(name: &str) -> String {
     name.chars().take(100).collect()
 }
 
-/// A photograph that is there, before it is read.
+/// A photo that exists, before it is read.
 struct Frame {
     path: PathBuf,
     pose: Pose,
-    /// Intrinsics for the stored image.
+    /// Intrinsics of the stored image.
     lens: Intrinsics,
     distortion: Distortion,
     /// The camera without distortion, at the stored size.
@@ -52,8 +52,8 @@ struct Frame {
     stored: (usize, usize),
 }
 
-/// Reads such a scene. Views are sorted by name; every `config.holdout`-th is held out. Where the scene lies and what a view is for
-/// hangs on all images of the model, also on those that are not there.
+/// Reads a COLMAP scene. Views are sorted by name, and every `config.holdout`-th is held out. The scene's space and the
+/// views' roles depend on all images of the model, including missing ones.
 pub fn load(config: &DataConfig, events: &dyn Listener) -> Result<Scene> {
     let dir = Path::new(&config.dir);
     let model = read::model(dir)?;
@@ -86,7 +86,7 @@ pub fn load(config: &DataConfig, events: &dyn Listener) -> Result<Scene> {
     Ok(capture.hold_out_listed(name_of(config), DataKind::Colmap.name(), config, &there))
 }
 
-/// Says which photographs are not there; refuses where half of them are not.
+/// Notes missing photos. It is an error if more than half are missing.
 fn check_missing(dir: &Path, model: &Model, source: &Source, events: &dyn Listener) -> Result<Vec<String>> {
     let is_missing =
         |(photograph, file): (&Photograph, &Option<PathBuf>)| file.is_none().then(|| photograph.name.clone());
@@ -110,8 +110,8 @@ fn check_missing(dir: &Path, model: &Model, source: &Source, events: &dyn Listen
     Ok(missing)
 }
 
-/// All photographs that are there, with the cameras that they become and the names that they have among all. `poses` are those of
-/// all in the scene.
+/// Returns all existing photos, with their cameras and their names among all. `poses` are those of all photos in the
+/// scene.
 fn frames(dir: &Path, model: &Model, source: &Source, poses: &[Pose]) -> Result<(Vec<Frame>, Vec<String>)> {
     let Model { photographs, lenses, .. } = model;
     let names = images::names(&photographs.iter().map(|photograph| photograph.name.clone().into()).collect::<Vec<_>>());
@@ -157,7 +157,7 @@ fn frame(lens: &Lens, photograph: &Photograph, path: PathBuf, dir: &Path) -> Res
 }
 
 impl Frame {
-    /// The pinhole camera at the working resolution.
+    /// Returns the pinhole camera at the working resolution.
     fn camera(&self, target: (usize, usize)) -> Camera {
         let scale = [target.0 as f64 / self.stored.0 as f64, target.1 as f64 / self.stored.1 as f64];
         let scaled = |values: [f64; 2]| [values[0] * scale[0], values[1] * scale[1]];
@@ -166,8 +166,8 @@ impl Frame {
     }
 }
 
-/// The working resolutions: what is left of a factor after the folder's, to the nearest pixel as the smaller folders are made; of a
-/// width one scale for all.
+/// Returns the working resolutions. For a factor, the rest after the folder's factor is applied, to the nearest pixel,
+/// as the smaller folders are made. For a width, one scale applies to all.
 fn targets(config: &DataConfig, source: &Source, frames: &[Frame]) -> Result<Vec<(usize, usize)>> {
     let stored: Vec<(usize, usize)> = frames.iter().map(|frame| frame.stored).collect();
     match Size::of(config) {
@@ -180,14 +180,14 @@ fn targets(config: &DataConfig, source: &Source, frames: &[Frame]) -> Result<Vec
     }
 }
 
-/// The folder and the size of the first of its images.
+/// Describes the folder and the size of its first image.
 fn folder_words(frames: &[Frame], target: (usize, usize)) -> String {
     let (paths, first) = ([frames[0].path.clone()], frames[0].stored);
     let differ = frames.iter().any(|frame| frame.stored != first);
     images::folder_words(&paths, first, target) + if differ { " (the first; sizes differ)" } else { "" }
 }
 
-/// Decodes all photographs, undoes their distortion at the stored size, then averages them down.
+/// Decodes all photos, removes their distortion at the stored size, then averages them down.
 fn read_images(
     scene: &Path,
     frames: &[Frame],
@@ -213,7 +213,7 @@ fn read_images(
     Ok((images, clear.contains(&true)))
 }
 
-/// What was found and chosen, for people.
+/// Notes what was found and chosen, for people.
 fn notes(space: &mut SceneSpace, model: &Model, frames: &[Frame], missing: &[String], source: &Source) {
     let mut models: Vec<&str> = model.lenses.values().map(|lens| lens.model).collect();
     models.sort_unstable();

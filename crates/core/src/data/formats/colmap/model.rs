@@ -1,4 +1,4 @@
-//! What a COLMAP model holds, whichever way it is written.
+//! The content of a COLMAP model, for both ways of writing.
 
 use std::collections::HashMap;
 
@@ -8,10 +8,11 @@ use crate::data::{LARGEST, SMALLEST, brief};
 
 /// Longest name of an image.
 pub(super) const MOST_NAME: usize = 1024;
-/// How far from 1 a quaternion's length may be: files print few digits.
+/// How far a quaternion's length may be from 1, since files print few digits.
 const LENGTH_TOLERANCE: f64 = 1e-2;
 
-/// COLMAP's camera models: number, name, parameters. Those from the fifth on bend rays as no pinhole camera does.
+/// COLMAP's camera models: number, name, parameters. The first [`READ`] are supported; later ones bend rays as no
+/// pinhole camera does.
 const MODELS: [(i32, &str, usize); 12] = [
     (0, "SIMPLE_PINHOLE", 3),
     (1, "PINHOLE", 4),
@@ -26,20 +27,20 @@ const MODELS: [(i32, &str, usize); 12] = [
     (10, "THIN_PRISM_FISHEYE", 12),
     (11, "RAD_TAN_THIN_PRISM_FISHEYE", 16),
 ];
-/// So many of them are pinholes with OpenCV's distortion, or without.
+/// Number of models that are pinholes with or without OpenCV's distortion.
 const READ: usize = 6;
 
-/// A camera: what photographs were taken with.
+/// A camera of photos.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Lens {
     pub(super) model: &'static str,
-    /// Columns and rows of its photographs.
+    /// Columns and rows of its photos.
     pub(super) size: [f64; 2],
     pub(super) intrinsics: Intrinsics,
     pub(super) distortion: Distortion,
 }
 
-/// A photograph whose pose was found.
+/// A photo whose pose was found.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Photograph {
     pub(super) id: u32,
@@ -50,15 +51,15 @@ pub(super) struct Photograph {
     pub(super) pose: Pose,
 }
 
-/// A point that was triangulated.
+/// A triangulated point.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Point {
     pub(super) place: Vec3,
-    /// Photographs that it is seen in.
+    /// Photos in which it is seen.
     pub(super) seen_in: Vec<u32>,
 }
 
-/// Cameras, photographs (sorted by name) and points.
+/// Cameras, photos (sorted by name) and points.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(super) struct Model {
     /// The folder below the scene's.
@@ -69,7 +70,7 @@ pub(super) struct Model {
 }
 
 impl Model {
-    /// The depths of the points that each photograph sees, sorted, by photograph.
+    /// Returns the depths of the points that each photo sees, sorted, by photo.
     pub(super) fn depths(&self) -> Vec<Vec<f64>> {
         let places: HashMap<u32, usize> =
             self.photographs.iter().enumerate().map(|(place, photograph)| (photograph.id, place)).collect();
@@ -85,13 +86,13 @@ impl Model {
     }
 }
 
-/// Number and parameters of a model by its name.
+/// Returns name and number of parameters of a model, by its name.
 pub(super) fn model_of_name(name: &str) -> std::result::Result<(&'static str, usize), String> {
     let known = MODELS.iter().find(|(_, known, _)| *known == name);
     known.map(|&(_, name, parameters)| (name, parameters)).ok_or_else(|| unknown(name))
 }
 
-/// Name and parameters of a model by its number.
+/// Returns name and number of parameters of a model, by its number.
 pub(super) fn model_of_number(number: i32) -> std::result::Result<(&'static str, usize), String> {
     let known = MODELS.iter().find(|(known, ..)| *known == number);
     known.map(|&(_, name, parameters)| (name, parameters)).ok_or_else(|| unknown(&format!("number {number}")))
@@ -105,7 +106,7 @@ fn unknown(model: &str) -> String {
     )
 }
 
-/// The lens of a camera's model, size and parameters, as many as the model has; what is wrong with them otherwise.
+/// Returns the lens from a camera's model, size and parameters, as many as the model has, or what is wrong with them.
 pub(super) fn lens(model: &'static str, size: [f64; 2], values: &[f64]) -> std::result::Result<Lens, String> {
     if MODELS[READ..].iter().any(|(_, name, _)| *name == model) {
         return Err(unknown(model));
@@ -138,8 +139,8 @@ pub(super) fn lens(model: &'static str, size: [f64; 2], values: &[f64]) -> std::
     Ok(Lens { model, size, intrinsics: Intrinsics { focal, centre: [at(first), at(first + 1)] }, distortion })
 }
 
-/// The camera-to-world pose, OpenGL axes, of a rotation as a quaternion (w, x, y, z) and a shift that lead from the world to
-/// COLMAP's camera (x right, y down, z forward); what is wrong with them otherwise.
+/// Returns the camera-to-world pose in OpenGL axes, or what is wrong with it. The rotation (a quaternion w, x, y, z)
+/// and the shift lead from the world to COLMAP's camera (x right, y down, z forward).
 pub(super) fn pose(quaternion: [f64; 4], shift: Vec3) -> std::result::Result<Pose, String> {
     let length = quaternion.iter().map(|v| v * v).sum::<f64>().sqrt();
     if shift.iter().any(|v| v.is_nan() || v.abs() > LARGEST) || (length - 1.0).abs().is_nan() {

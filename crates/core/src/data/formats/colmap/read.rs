@@ -1,4 +1,4 @@
-//! A COLMAP model from its folder, binary or text.
+//! Reading of a COLMAP model from its folder, binary or text.
 
 use std::collections::HashSet;
 use std::path::Path;
@@ -7,10 +7,10 @@ use super::model::{MOST_NAME, Model, Photograph};
 use super::{binary, text};
 use crate::base::{Error, Result};
 
-/// Where a model lies in a scene's folder, the first that is there.
+/// Folders of a model within a scene's folder; the first that exists is read.
 const FOLDERS: [&str; 3] = ["sparse/0", "sparse", "colmap/sparse/0"];
 
-/// The folder of a scene's model, if there is one, and whether it is binary.
+/// Returns the folder of a scene's model, if there is one, and whether it is binary.
 pub(super) fn find(dir: &Path) -> Option<(&'static str, bool)> {
     let is_there = |folder: &str, ending: &str| {
         let file = |name: &str| dir.join(folder).join(format!("{name}.{ending}"));
@@ -37,7 +37,7 @@ pub(super) fn model(dir: &Path) -> Result<Model> {
         true => (binary::lenses(&cameras)?, binary::photographs(&images)?),
         false => (text::lenses(&cameras)?, text::photographs(&images)?),
     };
-    // A capture may come without its points, and with files of points that are empty.
+    // A capture may come without points, or with empty files of points.
     if points.is_file() {
         model.points = if is_binary { binary::points(&points)? } else { text::points(&points)? };
     }

@@ -1,4 +1,4 @@
-//! `cameras.txt`, `images.txt`, `points3D.txt`: a line an entry (of an image two), `#` begins a comment.
+//! `cameras.txt`, `images.txt`, `points3D.txt`: one line per entry, two per image. `#` begins a comment.
 
 use std::path::Path;
 use std::str::FromStr;
@@ -8,10 +8,10 @@ use crate::base::input::read_text;
 use crate::base::{Error, Result};
 use crate::data::LARGEST;
 
-/// Most bytes of a file: those of some ten million observations.
+/// Largest size of a file in bytes: some ten million observations.
 const MOST_BYTES: u64 = 2 << 30;
 
-/// A line's words.
+/// The words of a line.
 struct Words<'a> {
     file: &'a Path,
     /// From 1.
@@ -47,17 +47,17 @@ impl<'a> Words<'a> {
     }
 }
 
-/// A word as people can read it.
+/// Returns a word in a readable form.
 fn shown(word: &str) -> String {
     word.chars().take(40).filter(|letter| !letter.is_control()).collect()
 }
 
-/// The file's text.
+/// Returns the file's text.
 fn read(file: &Path) -> Result<String> {
     read_text(file, MOST_BYTES).map_err(|e| Error::unreadable(file, &e))
 }
 
-/// Its lines, without comments.
+/// Iterates over its lines, without comments.
 fn lines<'a>(file: &'a Path, text: &'a str) -> impl Iterator<Item = Words<'a>> {
     let numbered = text.lines().enumerate().map(|(line, rest)| Words { file, line: line + 1, rest: rest.trim() });
     numbered.filter(|words| !words.rest.starts_with('#'))
@@ -80,7 +80,7 @@ pub(super) fn lenses(file: &Path) -> Result<Vec<(u32, Lens)>> {
 
 pub(super) fn photographs(file: &Path) -> Result<Vec<Photograph>> {
     let text = read(file)?;
-    // The second line of an image, where points are seen in it, may be empty.
+    // The second line of an image, with the points seen in it, may be empty.
     let mut lines = lines(file, &text);
     let mut photographs = Vec::new();
     while let Some(mut words) = lines.by_ref().find(|words| !words.rest.is_empty()) {
@@ -88,7 +88,7 @@ pub(super) fn photographs(file: &Path) -> Result<Vec<Photograph>> {
         let (quaternion, shift) = (words.numbers("its rotation")?, words.numbers("its shift")?);
         let camera = words.number("its camera's number")?;
         let pose = pose(quaternion, shift).map_err(|what| words.error(&what))?;
-        // A name may have spaces.
+        // A name may contain spaces.
         let name = words.rest.to_string();
         photographs.push(Photograph { id, camera, name, pose });
         lines.next().map_or(Ok(()), |seen| check_seen(&seen, id))?;
@@ -96,8 +96,8 @@ pub(super) fn photographs(file: &Path) -> Result<Vec<Photograph>> {
     Ok(photographs)
 }
 
-/// The second line of an image has three numbers for each point that is seen in it. Another image's first line has not, and would be
-/// skipped where second lines were left out.
+/// Checks that the second line of an image has three numbers for each point seen in it. Another image's first line has
+/// not. It would be skipped if second lines were missing.
 fn check_seen(seen: &Words, id: u32) -> Result<()> {
     let are_numbers = seen.rest.split_whitespace().all(|word| word.parse::<f64>().is_ok());
     if are_numbers && seen.rest.split_whitespace().count().is_multiple_of(3) {
@@ -119,7 +119,7 @@ pub(super) fn points(file: &Path) -> Result<Vec<Point>> {
                 words.error(&format!("it lies at {place:?}: every number must be finite, of at most {LARGEST:e}"))
             );
         }
-        // Colour and error of reprojection.
+        // Colour and reprojection error.
         let _: [f64; 4] = words.numbers("its colour or error")?;
         let mut seen_in = Vec::new();
         while !words.rest.is_empty() {

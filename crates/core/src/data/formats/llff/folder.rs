@@ -1,32 +1,32 @@
-//! Which of an LLFF folder's image folders is read.
+//! The choice among an LLFF folder's image folders.
 
 use std::path::{Path, PathBuf};
 
 use crate::base::{Error, Result};
 use crate::data::images::{self, Size};
 
-/// The files to read and the size to bring them to.
+/// The files to read, and their working size.
 pub(super) struct Source {
     /// Image files in the order of the poses.
     pub(super) paths: Vec<PathBuf>,
-    /// Width and height that they have now.
+    /// Width and height as stored.
     pub(super) stored: (usize, usize),
     /// Width and height to average them down to.
     pub(super) target: (usize, usize),
-    /// Folders that were passed over, for people.
+    /// Folders that were not used, for people.
     pub(super) passed: Vec<String>,
 }
 
 impl Source {
-    /// Which files are read, and what is made of them.
+    /// Describes which files are read and how they are resized.
     pub(super) fn words(&self) -> String {
         images::folder_words(&self.paths, self.stored, self.target)
     }
 }
 
-/// Finds the images of so many poses: for a factor, `images_{factor}` as it is, or `images` averaged down, or a folder whose
-/// factor divides it; for a width, the smallest folder that is at least as wide. A folder that has not an image a pose is passed over
-/// where another has.
+/// Finds the images of `poses` poses. For a factor: `images_{factor}` as it is, `images` averaged down, or a folder
+/// whose factor divides it. For a width: the smallest folder that is at least as wide. A folder without an image per
+/// pose is not used if another has them.
 pub(super) fn find(dir: &Path, size: Size, poses: usize) -> Result<Source> {
     match size {
         Size::Factor(factor) => by_factor(dir, factor, poses),
@@ -40,7 +40,7 @@ fn by_factor(dir: &Path, factor: usize, poses: usize) -> Result<Source> {
         let Some(of) = images::factor_of(&name).filter(|of| factor.is_multiple_of(*of)) else { continue };
         found.push((of, images::list(&dir.join(name))?));
     }
-    // Ready-made ones first, then the originals, then the smallest that can be averaged.
+    // Folders of the factor first, then the originals, then the smallest that can be averaged.
     found.sort_by_key(|(of, _)| (*of != factor, *of != 1, std::cmp::Reverse(*of)));
     found.retain(|(_, paths)| !paths.is_empty());
     let whole = found.iter().position(|(_, paths)| paths.len() == poses);
@@ -56,7 +56,7 @@ fn by_factor(dir: &Path, factor: usize, poses: usize) -> Result<Source> {
     }
     let (of, paths) = found.swap_remove(whole.unwrap_or(0));
     let stored = images::common_size(&paths)?;
-    // To the nearest, as ImageMagick made the published folders.
+    // To the nearest pixel, as ImageMagick made the published folders.
     let divide = |n: usize| ((n as f64 * of as f64 / factor as f64).round() as usize).max(1);
     Ok(Source { paths, stored, target: (divide(stored.0), divide(stored.1)), passed })
 }
@@ -91,7 +91,7 @@ fn passed_over(paths: &[PathBuf], poses: usize) -> String {
     format!("{} has {} images for {poses} poses", folder.display(), paths.len())
 }
 
-/// Names of the folders `images` and `images_*`, sorted.
+/// Returns the names of the folders `images` and `images_*`, sorted.
 fn folders(dir: &Path) -> Result<Vec<String>> {
     let entries = std::fs::read_dir(dir).map_err(|e| Error::unreadable(dir, &e))?;
     let mut names: Vec<String> = entries

@@ -1,5 +1,5 @@
-//! LLFF scenes: `poses_bounds.npy` beside `images_{factor}` or `images`, with nerf-pytorch's
-//! conventions for axes, scale and video path.
+//! LLFF scenes: `poses_bounds.npy` next to `images_{factor}` or `images`, with nerf-pytorch's conventions for axes,
+//! scale and video path.
 
 mod folder;
 mod orbit;
@@ -22,7 +22,7 @@ use folder::Source;
 /// The file that makes a folder an LLFF scene.
 pub const POSES_FILE: &str = "poses_bounds.npy";
 
-/// By how much, beyond a pixel, images may differ from the size that the poses were made for.
+/// Largest difference, beyond a pixel, between images and the size for which the poses were made, as a fraction.
 const SIZE_TOLERANCE: f64 = 0.01;
 
 /// Reads an LLFF scene. Every `config.holdout`-th view is held out, starting with the first.
@@ -62,7 +62,7 @@ pub fn load(config: &DataConfig, events: &dyn Listener) -> Result<Scene> {
     Ok(capture.hold_out(name_of(config), DataKind::Llff.name(), config))
 }
 
-/// Units, box and what was chosen. Of cameras that face forward only NDC tells where objects lie.
+/// Returns units, box and notes. For forward-facing cameras only NDC tell where objects are.
 fn space(poses: &Poses, cameras: &[Camera], source: &Source, config: &DataConfig) -> SceneSpace {
     let mut space = SceneSpace { world: poses.world, ..SceneSpace::default() };
     if config.spherify {
@@ -77,7 +77,7 @@ fn space(poses: &Poses, cameras: &[Camera], source: &Source, config: &DataConfig
     space
 }
 
-/// Scales, recentres and, where asked, spherifies; returns the video path.
+/// Scales, recentres and optionally spherifies the poses, and returns the video path.
 fn normalize(poses: &mut Poses, config: &DataConfig) -> Result<Vec<Pose>> {
     poses.scale_bounds(config.bound_factor);
     if config.recentre {
@@ -85,15 +85,15 @@ fn normalize(poses: &mut Poses, config: &DataConfig) -> Result<Vec<Pose>> {
     }
     if config.spherify {
         poses.spherify()?;
-        // nerf-pytorch's circle turns the camera about its axis where a capture is of one side.
+        // nerf-pytorch's circle would turn the camera about its axis if the capture is of one side.
         return if path::goes_around(&poses.poses) { poses.circle() } else { Ok(path::around(&poses.poses)) };
     }
-    // A spiral is for cameras that face forward.
+    // A spiral is for forward-facing cameras.
     let goes_around = !config.ndc && orbit::is_around(&poses.poses);
     if goes_around { Ok(path::around(&poses.poses)) } else { poses.spiral() }
 }
 
-/// The focal length at the working resolution: the file's over the factor, as nerf-pytorch.
+/// Returns the focal length at the working resolution: the file's over the factor, as in nerf-pytorch.
 fn focal(poses: &Poses, config: &DataConfig, target: (usize, usize)) -> f64 {
     match Size::of(config) {
         Size::Factor(factor) => poses.focal / factor as f64,
@@ -119,7 +119,7 @@ fn check_count(source: &Source, poses: usize, file: &Path) -> Result<()> {
     Ok(())
 }
 
-/// The images must be the poses' images at the factor, or the focal length would be of others.
+/// Checks that the images are those of the poses at the factor; otherwise the focal length would not fit.
 fn check_size(source: &Source, poses: &Poses, config: &DataConfig, file: &Path) -> Result<()> {
     let scale = match Size::of(config) {
         Size::Factor(factor) => 1.0 / factor as f64,
@@ -147,7 +147,7 @@ fn check_size(source: &Source, poses: &Poses, config: &DataConfig, file: &Path) 
     )))
 }
 
-/// NDC is defined only for rays towards -z that start in front of the near plane's far side.
+/// Checks that NDC are defined: for rays towards -z that start in front of the near plane's far side.
 fn check_facing(cameras: &[Camera], names: &[String], file: &Path) -> Result<()> {
     for (camera, name) in cameras.iter().zip(names) {
         if !camera.faces_forward() {

@@ -1,4 +1,4 @@
-//! Captures in LLFF's format that go around something, which normalized device coordinates cannot show.
+//! Captures in LLFF's format that go around an object, which normalized device coordinates cannot show.
 
 use std::path::Path;
 
@@ -6,13 +6,13 @@ use super::{POSES_FILE, Poses};
 use crate::data::pose::{self, Pose};
 use crate::settings::{DataConfig, DataKind};
 
-/// Cameras of a capture that faces forward turn from the mean by less, degrees: published ones by less than 30.
+/// Largest turn from the mean of a forward-facing capture's cameras, in degrees. Published ones turn by less than 30.
 const MOST_TURN: f64 = 40.0;
 /// NDC's near plane.
 const NEAR_PLANE: f64 = -1.0;
 
-/// Where a capture goes around something, switches `data.ndc` off and `data.spherify` on, and says why. None where nothing is
-/// changed: another format, coordinates that are set otherwise, poses that cannot be read or face forward.
+/// Switches `data.ndc` off and `data.spherify` on if a capture goes around an object, and returns the reason. `None` if
+/// nothing changed: another format, coordinates that are set otherwise, or poses that face forward or are not readable.
 pub fn settle_orbit(config: &mut DataConfig) -> Option<String> {
     let asked = config.kind == DataKind::Llff && config.ndc && !config.spherify && config.recognise_orbits;
     let why = asked.then(|| why_around(config)).flatten()?;
@@ -25,7 +25,7 @@ pub fn settle_orbit(config: &mut DataConfig) -> Option<String> {
 }
 
 fn why_around(config: &DataConfig) -> Option<String> {
-    // What is wrong with the poses is said where they are loaded.
+    // Errors in the poses are reported when they are loaded.
     let mut poses = Poses::read(&Path::new(&config.dir).join(POSES_FILE)).ok()?;
     poses.scale_bounds(config.bound_factor);
     if config.recentre {
@@ -34,12 +34,12 @@ fn why_around(config: &DataConfig) -> Option<String> {
     around(&poses.poses)
 }
 
-/// Whether recentred and scaled poses go around something, or are of no capture that faces forward.
+/// Returns whether recentred and scaled poses go around an object, or do not face forward.
 pub(super) fn is_around(poses: &[Pose]) -> bool {
     around(poses).is_some()
 }
 
-/// Why recentred and scaled poses do not face forward; none where they do.
+/// Returns why recentred and scaled poses do not face forward, or `None` if they do.
 fn around(poses: &[Pose]) -> Option<String> {
     let turn = |p: &Pose| pose::column(p, 2)[2].clamp(-1.0, 1.0).acos().to_degrees();
     let turn = poses.iter().map(turn).fold(0.0, f64::max);

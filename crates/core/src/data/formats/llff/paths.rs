@@ -10,11 +10,11 @@ use crate::data::pose::{self, Pose, Vec3};
 const TURNS: f64 = 2.0;
 /// Oscillations along the view axis per turn of the spiral.
 const DEPTH_RATE: f64 = 0.5;
-/// The spiral's radius on each axis covers this share of the cameras.
+/// Fraction of the cameras that the spiral's radius covers on each axis.
 const RADIUS_PERCENTILE: f64 = 0.9;
 
-/// A spiral around the average pose that looks at the distance where most of the scene is
-/// (a mean in disparity between `near` and `far`, the latter pushed out as nerf-pytorch does).
+/// Returns a spiral around the average pose that looks at the distance of most of the scene. That is a mean in
+/// disparity between `near` and `far`, with `far` pushed out as in nerf-pytorch.
 pub(super) fn spiral(poses: &[Pose], near: f64, far: f64) -> Result<Vec<Pose>> {
     const FAR_SHARE: f64 = 0.75;
     let (close, distant) = (0.9 * near, 5.0 * far);
@@ -33,8 +33,8 @@ pub(super) fn spiral(poses: &[Pose], near: f64, far: f64) -> Result<Vec<Pose>> {
     (0..POSES).map(at).collect()
 }
 
-/// A circle around the z axis at the cameras' mean height and mean distance from the origin, which
-/// it looks at. First and last pose coincide, and up is -z: both as nerf-pytorch.
+/// Returns a circle around the z axis at the cameras' mean height and mean distance from the origin, which it looks at.
+/// First and last pose coincide, and up is -z, both as in nerf-pytorch.
 pub(super) fn circle(poses: &[Pose]) -> Result<Vec<Pose>> {
     let origins = || poses.iter().map(|p| pose::column(p, 3));
     let height = pose::mean(origins())[2];

@@ -1,4 +1,4 @@
-//! `poses_bounds.npy` and what is made of it: poses and depth bounds in the units that training uses.
+//! `poses_bounds.npy`, and its conversion to poses and depth bounds in training units.
 
 use std::path::Path;
 
@@ -7,7 +7,7 @@ use crate::base::{Error, Result};
 use crate::data::pose::{self, Pose, Vec3};
 use crate::data::{LARGEST, SMALLEST, WorldToScene, brief, npy};
 
-/// Numbers of one row: a 3x5 matrix `[down | right | back | origin | (height, width, focal)]` and two bounds.
+/// Numbers per row: a 3x5 matrix `[down | right | back | origin | (height, width, focal)]` and two bounds.
 const COLUMNS: usize = 17;
 
 /// The cameras of an LLFF capture.
@@ -17,13 +17,13 @@ pub struct Poses {
     pub poses: Vec<Pose>,
     /// Nearest and farthest depth of each view.
     pub bounds: Vec<[f64; 2]>,
-    /// Columns of the images that the file was made for.
+    /// Columns of the images for which the file was made.
     pub width: f64,
-    /// Their rows.
+    /// Rows of these images.
     pub height: f64,
-    /// Their focal length in pixels.
+    /// Focal length of these images in pixels.
     pub focal: f64,
-    /// From the file's units to those that the poses are in now.
+    /// From the file's units to the poses' current units.
     pub world: WorldToScene,
 }
 
@@ -55,7 +55,7 @@ impl Poses {
         })
     }
 
-    /// Scales origins and bounds so that the nearest bound becomes 1 / `bound_factor` (0: as they are).
+    /// Scales origins and bounds so that the nearest bound becomes 1 / `bound_factor` (0: no scaling).
     pub fn scale_bounds(&mut self, bound_factor: f64) {
         if bound_factor > 0.0 {
             self.scale(1.0 / (self.nearest() * bound_factor));
@@ -75,8 +75,8 @@ impl Poses {
         Ok(())
     }
 
-    /// Moves the point that all cameras look at to the origin, their mean direction from it to +z,
-    /// and scales so that the cameras' root mean square distance is 1.
+    /// Moves the point that all cameras look at to the origin, and their mean direction from it to +z. Scales so that
+    /// the cameras' root mean square distance is 1.
     pub fn spherify(&mut self) -> Result<()> {
         let frame = self.sphere_frame().ok_or_else(|| {
             Error::Data(
@@ -89,22 +89,22 @@ impl Poses {
         Ok(())
     }
 
-    /// nerf-pytorch's video path: a spiral around the average pose.
+    /// Returns nerf-pytorch's video path: a spiral around the average pose.
     pub fn spiral(&self) -> Result<Vec<Pose>> {
         spiral(&self.poses, self.nearest(), self.farthest())
     }
 
-    /// nerf-pytorch's video path of spherified poses: a circle at the cameras' mean height.
+    /// Returns nerf-pytorch's video path of spherified poses: a circle at the cameras' mean height.
     pub fn circle(&self) -> Result<Vec<Pose>> {
         circle(&self.poses)
     }
 
-    /// The smallest bound of all views.
+    /// Returns the smallest bound of all views.
     pub fn nearest(&self) -> f64 {
         self.bounds.iter().map(|b| b[0]).fold(f64::INFINITY, f64::min)
     }
 
-    /// The largest bound of all views.
+    /// Returns the largest bound of all views.
     pub fn farthest(&self) -> f64 {
         self.bounds.iter().map(|b| b[1]).fold(0.0, f64::max)
     }
@@ -124,7 +124,7 @@ impl Poses {
         let centre = pose::focus_point(&self.poses)?;
         let up = pose::mean(self.poses.iter().map(|p| pose::sub(pose::column(p, 3), centre)));
         let up = pose::normalized(up)?;
-        // Any vector that is hardly ever parallel to `up`; this one is nerf-pytorch's.
+        // A vector that is hardly ever parallel to `up`; this one is nerf-pytorch's.
         const HELPER: Vec3 = [0.1, 0.2, 0.3];
         let first = pose::normalized(pose::cross(HELPER, up))?;
         let second = pose::normalized(pose::cross(up, first))?;
@@ -132,12 +132,12 @@ impl Poses {
     }
 }
 
-/// Height, width and focal length of a row.
+/// Returns height, width and focal length of a row.
 fn intrinsics(row: &[f64]) -> [f64; 3] {
     [row[4], row[9], row[14]]
 }
 
-/// The file's columns down, right, back become right, up, back.
+/// Converts the file's columns down, right, back to right, up, back.
 fn pose_of(row: &[f64]) -> Pose {
     std::array::from_fn(|i| {
         let line = &row[5 * i..];

@@ -1,15 +1,15 @@
-//! Lens distortion after OpenCV, and its removal from images.
+//! OpenCV's lens distortion, and its removal from images.
 
 use rayon::prelude::*;
 
 use crate::base::Image;
 use crate::data::resample;
 
-/// Newton steps of the inverse; it converges in a handful where the model is invertible.
+/// Newton steps of the inverse. It converges in a handful if the model is invertible.
 const STEPS: usize = 50;
-/// The inverse has to come back to within so much of a focal length.
+/// Tolerance of the inverse, in focal lengths.
 const TOLERANCE: f64 = 1e-9;
-/// The largest zoom that is tried to keep undefined pixels out of the picture.
+/// The largest zoom that is tried to keep undefined pixels out of the image.
 const LARGEST_ZOOM: f64 = 4.0;
 
 /// Radial (k1 to k6) and tangential (p1, p2) coefficients, on coordinates of focal length 1.
@@ -19,7 +19,7 @@ pub struct Distortion {
     pub radial: [f64; 3],
     /// Tangential coefficients p1 and p2.
     pub tangential: [f64; 2],
-    /// Radial coefficients k4 to k6, which the others are divided by: of 1, r^2, r^4 and r^6 the first is 1.
+    /// Radial coefficients k4 to k6 of the divisor: 1, then those of r^2, r^4 and r^6.
     pub rational: [f64; 3],
 }
 
@@ -33,12 +33,12 @@ pub struct Intrinsics {
 }
 
 impl Distortion {
-    /// Whether there is nothing to undo.
+    /// Returns whether there is no distortion.
     pub fn is_none(&self) -> bool {
         *self == Distortion::default()
     }
 
-    /// Where the lens puts the pinhole camera's point (`x`, `y`).
+    /// Returns the image point of the pinhole camera's point (`x`, `y`).
     pub fn distort(&self, [x, y]: [f64; 2]) -> [f64; 2] {
         let [p1, p2] = self.tangential;
         let r2 = x * x + y * y;
@@ -49,15 +49,15 @@ impl Distortion {
         ]
     }
 
-    /// The radial factor at a squared radius, and its derivative by that.
+    /// Returns the radial factor at a squared radius, and its derivative.
     fn radial(&self, r2: f64) -> (f64, f64) {
         let of = |[a, b, c]: [f64; 3]| (1.0 + r2 * (a + r2 * (b + r2 * c)), a + r2 * (2.0 * b + r2 * 3.0 * c));
         let ((above, above_slope), (below, below_slope)) = (of(self.radial), of(self.rational));
         (above / below, (above_slope * below - above * below_slope) / (below * below))
     }
 
-    /// The pinhole camera's point that the lens puts at `seen`; `None` where there is none, or more
-    /// than one between it and the axis (the model folds over).
+    /// Returns the pinhole camera's point whose image is `seen`. `None` if there is none, or more than one between it
+    /// and the axis (the model folds over).
     pub fn undistort(&self, seen: [f64; 2]) -> Option<[f64; 2]> {
         let mut point = seen;
         for _ in 0..STEPS {
@@ -76,7 +76,7 @@ impl Distortion {
         (error < TOLERANCE && self.is_one_to_one(point)).then_some(point)
     }
 
-    /// Whether the model does not fold over on the way from the axis to `point`.
+    /// Returns whether the model does not fold over between the axis and `point`.
     fn is_one_to_one(&self, point: [f64; 2]) -> bool {
         const PROBES: usize = 32;
         (0..=PROBES).all(|i| {
@@ -98,9 +98,9 @@ impl Distortion {
     }
 }
 
-/// The pinhole camera that a distorted image of `size` is resampled to: the same principal point,
-/// and focal lengths as little enlarged as keeps every pixel inside the photograph. `None` where
-/// the model cannot be inverted over the image.
+/// Returns the pinhole camera to which a distorted image of `size` is resampled. It has the same principal point, and
+/// the least increase of focal lengths that keeps every pixel inside the photo. `None` if the model is not invertible
+/// over the image.
 pub fn pinhole(lens: Intrinsics, distortion: &Distortion, size: (usize, usize)) -> Option<Intrinsics> {
     let border = border(size);
     let normal = |p: &[f64; 2]| [(p[0] - lens.centre[0]) / lens.focal[0], (p[1] - lens.centre[1]) / lens.focal[1]];
@@ -129,7 +129,7 @@ pub fn pinhole(lens: Intrinsics, distortion: &Distortion, size: (usize, usize)) 
     Some(zoomed(high))
 }
 
-/// Resamples a photograph onto the `pinhole` camera, bilinearly.
+/// Resamples a photo onto the `pinhole` camera, bilinearly.
 pub fn rectify(image: &Image, lens: Intrinsics, distortion: &Distortion, pinhole: Intrinsics) -> Image {
     let mut pixels = Vec::with_capacity(image.pixels.len());
     let row = |y: usize| {
@@ -145,14 +145,14 @@ pub fn rectify(image: &Image, lens: Intrinsics, distortion: &Distortion, pinhole
     Image { pixels, ..*image }
 }
 
-/// Where the photograph has what the pinhole camera sees at `pixel`.
+/// Returns the position in the photo of the pinhole camera's `pixel`.
 fn source_of(pinhole: Intrinsics, lens: Intrinsics, distortion: &Distortion, pixel: [f64; 2]) -> [f64; 2] {
     let point = std::array::from_fn(|i| (pixel[i] - pinhole.centre[i]) / pinhole.focal[i]);
     let seen = distortion.distort(point);
     std::array::from_fn(|i| seen[i] * lens.focal[i] + lens.centre[i])
 }
 
-/// Points along the four edges of an image.
+/// Returns points along the four edges of an image.
 fn border((width, height): (usize, usize)) -> Vec<[f64; 2]> {
     const POINTS: usize = 32;
     let (w, h) = (width as f64, height as f64);

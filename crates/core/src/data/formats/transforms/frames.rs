@@ -1,4 +1,4 @@
-//! The photographs that a `transforms*.json` lists, each with its pose, its lens and its mask.
+//! The photos that a `transforms*.json` lists, each with its pose, lens and mask.
 
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
@@ -15,20 +15,20 @@ use crate::data::pose::Pose;
 use crate::data::{Camera, View, resample};
 use crate::settings::DataConfig;
 
-/// So many names of photographs stand in an error; a note names all.
+/// Largest number of photos that an error names. Notes name all.
 const NAMES: usize = 20;
 
-/// A photograph before it is read.
+/// A photo before it is read.
 pub struct Frame {
     /// Its file.
     pub path: PathBuf,
-    /// As the file names it.
+    /// Its name in the file.
     pub(super) written: String,
     /// Camera to world.
     pub pose: Pose,
-    /// Width and height of the photograph that the lens is of.
+    /// Width and height of the photo for which the lens is given.
     pub size: (usize, usize),
-    /// The turn that brings the stored pixels there.
+    /// The turn from the stored pixels to that photo.
     turn: Orientation,
     lens: Lens,
     /// The camera without distortion, at that size.
@@ -36,21 +36,21 @@ pub struct Frame {
     mask: Option<PathBuf>,
 }
 
-/// A frame of a file, whether its photograph is there or not: where the scene lies, what its views are called and what each is
-/// for hangs on the whole list.
+/// A frame of a file, with or without its photo. The scene's space, and the names and roles of its views, depend on the
+/// complete list.
 pub struct Listed {
-    /// Where the photograph is, or would be.
+    /// The path where the photo is, or would be.
     pub(super) place: PathBuf,
-    /// As the file names it.
+    /// Its name in the file.
     pub(super) written: String,
     /// Camera to world.
     pub(super) pose: Pose,
-    /// The photograph, if it is there.
+    /// The photo, if it exists.
     pub frame: Option<Frame>,
 }
 
 impl Listed {
-    /// What frames are sorted by: their files' names, which they have whether those are there or not.
+    /// Returns the sort key of frames: their file names, which do not depend on whether the files exist.
     pub(super) fn order(&self) -> PathBuf {
         let name = PathBuf::from(&self.written);
         if images::is_image(&name) { name } else { PathBuf::from(format!("{}.png", self.written)) }
@@ -64,10 +64,10 @@ struct Entry<'a> {
     pose: Pose,
 }
 
-/// The frames of a document in its order. Missing photographs, and what is listed twice and left out, are told in a note.
+/// Reads the frames of a document in its order. A note names missing photos, and frames that are listed twice.
 ///
 /// # Errors
-/// Less than half of the photographs are there; one stands there with two poses; fields that cannot be used.
+/// If more than half of the photos are missing, if one has two poses, or if a field is invalid.
 pub fn read(document: Object, events: &dyn Listener) -> Result<Vec<Listed>> {
     let note = |what: &str| events.on(Event::Note(&document.error(what).to_string()));
     let mut turned: Vec<String> = Vec::new();
@@ -89,7 +89,7 @@ pub fn read(document: Object, events: &dyn Listener) -> Result<Vec<Listed>> {
     Ok(listed)
 }
 
-/// The frames, of which half have to have their photographs.
+/// Reads the frames; at least half must have their photos.
 fn entries<'a>(document: Object<'a>, note: &dyn Fn(&str)) -> Result<Vec<Entry<'a>>> {
     let (mut entries, mut missing, mut first) = (Vec::new(), Vec::new(), None);
     for object in document.frames()? {
@@ -119,7 +119,7 @@ fn entries<'a>(document: Object<'a>, note: &dyn Fn(&str)) -> Result<Vec<Entry<'a
     }
 }
 
-/// Each photograph once: a second frame of it would be trained on and held out.
+/// Keeps each photo once. A second frame of it could be both trained on and held out.
 fn distinct<'a>(entries: Vec<Entry<'a>>, document: Object, note: &dyn Fn(&str)) -> Result<Vec<Entry<'a>>> {
     let mut places: HashMap<PathBuf, usize> = HashMap::new();
     let (mut kept, mut again): (Vec<Entry>, Vec<String>) = (Vec::new(), Vec::new());
@@ -128,7 +128,7 @@ fn distinct<'a>(entries: Vec<Entry<'a>>, document: Object, note: &dyn Fn(&str)) 
             Some(&place) if kept[place].pose == entry.pose => again.push(entry.picture.written),
             Some(_) => {
                 return Err(document.error(&format!(
-                    "\"frames\" has the photograph {} twice, with two poses: remove the wrong one",
+                    "\"frames\" has the photo {} twice, with two poses: remove the wrong one",
                     entry.picture.place.display()
                 )));
             }
@@ -145,7 +145,7 @@ fn distinct<'a>(entries: Vec<Entry<'a>>, document: Object, note: &dyn Fn(&str)) 
 }
 
 impl Frame {
-    /// The photograph of an entry, if it is there. The flag says that it has an EXIF orientation which is not applied.
+    /// Returns the photo of an entry, if it exists. The flag says that it has an EXIF orientation that is not applied.
     fn find(Entry { object, picture, pose }: Entry, document: Object) -> Result<Option<(Frame, bool)>> {
         let Picture { path: Some(path), written, .. } = picture else { return Ok(None) };
         let (stored, orientation) = images::header(&path)?;
@@ -165,27 +165,27 @@ impl Frame {
         Ok(Some((Frame { path, written, pose, size, turn, lens, pinhole, mask }, turns && !applied)))
     }
 
-    /// Whether distortion is undone.
+    /// Returns whether distortion is removed.
     pub(super) fn is_bent(&self) -> bool {
         !self.lens.distortion.is_none()
     }
 
-    /// By how much that zooms in.
+    /// Returns the zoom of removing it.
     pub(super) fn zoom(&self) -> f64 {
         self.pinhole.focal[0] / self.lens.intrinsics.focal[0]
     }
 
-    /// Whether it has a mask.
+    /// Returns whether it has a mask.
     pub(super) fn is_masked(&self) -> bool {
         self.mask.is_some()
     }
 
-    /// Whether the photograph is the pinhole camera's as it is stored.
+    /// Returns whether the stored photo is the pinhole camera's.
     pub fn is_flat(&self) -> bool {
         self.lens.distortion.is_none() && self.turn == Orientation::NoTransforms
     }
 
-    /// The pinhole camera at the working resolution; `scaled(value, to, from)` brings a number of pixels there.
+    /// Returns the pinhole camera at the working resolution. `scaled(value, to, from)` converts a number of pixels.
     pub fn camera(&self, (width, height): (usize, usize), scaled: fn(f64, f64, f64) -> f64) -> Camera {
         let to = [width as f64, height as f64];
         let from = [self.size.0 as f64, self.size.1 as f64];
@@ -194,7 +194,7 @@ impl Frame {
         Camera { width, height, focal: both(focal), centre: both(centre), pose: self.pose }
     }
 
-    /// The photograph at the working resolution, RGB or RGBA. Distortion is undone before it is averaged down.
+    /// Returns the photo at the working resolution, RGB or RGBA. Distortion is removed before averaging down.
     fn image(&self, (width, height): (usize, usize)) -> Result<Image> {
         let mut decoded = images::decode(&self.path)?;
         decoded.apply_orientation(self.turn);
@@ -205,7 +205,7 @@ impl Frame {
         Ok(resample::shrink(&whole, width, height))
     }
 
-    /// What the pinhole camera sees of an image of the photograph's size.
+    /// Returns the pinhole camera's image from one of the photo's size.
     pub(super) fn rectified(&self, image: Image) -> Image {
         if self.lens.distortion.is_none() {
             return image;
@@ -223,27 +223,28 @@ impl Frame {
     }
 }
 
-/// Whether the turn makes a portrait of a landscape.
+/// Returns whether the turn makes a portrait of a landscape.
 fn swaps(orientation: Orientation) -> bool {
     use Orientation::{Rotate90, Rotate90FlipH, Rotate270, Rotate270FlipH};
     matches!(orientation, Rotate90 | Rotate90FlipH | Rotate270 | Rotate270FlipH)
 }
 
-/// Those of a list whose photographs are there, each with the pose and the name that it has among all.
+/// Returns the frames of a list whose photos exist, each with its pose and its name among all.
 pub fn found(listed: Vec<Listed>) -> (Vec<Frame>, Vec<String>) {
     let names = images::names(&listed.iter().map(|listed| listed.place.clone()).collect::<Vec<_>>());
     let named = listed.into_iter().zip(names);
     named.filter_map(|(Listed { pose, frame, .. }, name)| Some((Frame { pose, ..frame? }, name))).unzip()
 }
 
-/// The sizes that the frames' photographs are brought to.
+/// Returns the working sizes of the frames' photos.
 pub fn working_sizes(frames: &[&Frame], config: &DataConfig) -> Result<Vec<(usize, usize)>> {
     let sizes: Vec<(usize, usize)> = frames.iter().map(|frame| frame.size).collect();
     let first = frames.first().map_or(Path::new(""), |frame| &frame.path);
     images::working_sizes(Size::of(config), &sizes, first)
 }
 
-/// The views of frames, so called, through their cameras, on `background`. The flag says whether anything was see-through.
+/// Returns the views of frames with these names, through their cameras, over `background`. The flag says whether
+/// anything was transparent.
 pub fn views(
     frames: &[Frame],
     names: &[String],
@@ -260,7 +261,7 @@ pub fn views(
     Ok((views, clear.contains(&true)))
 }
 
-/// Says which photographs are trained on and evaluated.
+/// Notes photos that are both trained on and evaluated.
 pub fn note_shared(train: &[&Frame], test: &[&Frame], events: &dyn Listener) {
     let shared: Vec<&str> = test
         .iter()

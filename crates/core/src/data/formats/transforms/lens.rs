@@ -1,4 +1,4 @@
-//! The intrinsics that a `transforms.json` states, for all frames or frame by frame.
+//! The intrinsics in a `transforms.json`, for all frames or per frame.
 
 use super::distortion::{Distortion, Intrinsics};
 use crate::base::Result;
@@ -7,10 +7,10 @@ use crate::data::{SMALLEST, brief};
 
 /// Names of pinhole models, with or without OpenCV's radial and tangential distortion.
 const MODELS: [&str; 6] = ["OPENCV", "FULL_OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL"];
-/// Coefficients that none of the supported models has.
+/// Coefficients that no supported model has.
 const UNSUPPORTED: [&str; 3] = ["k4", "k5", "k6"];
 
-/// What is read of a document or a frame here.
+/// The keys that are read from a document or a frame here.
 pub(super) const KEYS: [&str; 18] = [
     "fl_x",
     "fl_y",
@@ -32,14 +32,14 @@ pub(super) const KEYS: [&str; 18] = [
     "p2",
 ];
 
-/// What took a photograph.
+/// The lens of a photo.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Lens {
     pub(super) intrinsics: Intrinsics,
     pub(super) distortion: Distortion,
 }
 
-/// Keys of a frame, and of the document where the frame lacks them.
+/// Keys of a frame, and of the document if the frame lacks them.
 struct Keys<'a> {
     frame: Object<'a>,
     document: Object<'a>,
@@ -50,7 +50,7 @@ impl Keys<'_> {
         Ok(self.frame.number(key)?.or(self.document.number(key)?))
     }
 
-    /// `w` and `h`, of which those of `size` are missing.
+    /// Returns `w` and `h`; missing ones come from `size`.
     fn stated(&self, size: [f64; 2]) -> Result<[f64; 2]> {
         Ok([self.positive("w")?.unwrap_or(size[0]), self.positive("h")?.unwrap_or(size[1])])
     }
@@ -69,14 +69,14 @@ impl Keys<'_> {
     }
 }
 
-/// Whether an image of `size` is one of the `stated` size, smaller or larger: a pixel either way is rounding, more is a crop or a
-/// turn.
+/// Returns whether an image of `size` is a scaled one of the `stated` size. A pixel in either direction is rounding;
+/// more is a crop or a turn.
 fn is_scaled(stated: [f64; 2], size: [f64; 2]) -> bool {
     (stated[1] * size[0] / stated[0] - size[1]).abs() <= 1.0 + 0.01 * size[1]
 }
 
 impl Lens {
-    /// Whether `w` and `h` are there, of images of this shape and no other that its turn has.
+    /// Returns whether `w` and `h` are given, for images of this shape only and not for its turned one.
     pub(super) fn is_of(frame: Object, document: Object, (width, height): (usize, usize)) -> Result<bool> {
         let keys = Keys { frame, document };
         let (Some(w), Some(h)) = (keys.positive("w")?, keys.positive("h")?) else { return Ok(false) };
@@ -84,8 +84,8 @@ impl Lens {
         Ok(is_scaled([w, h], [width, height]) && !is_scaled([w, h], [height, width]))
     }
 
-    /// The lens of a frame whose image is `stored` (width, height). Intrinsics written for images of
-    /// another size (`w`, `h`) are scaled to it.
+    /// Reads the lens of a frame whose image is `stored` (width, height). Intrinsics for images of another size (`w`,
+    /// `h`) are scaled.
     pub(super) fn read(frame: Object, document: Object, stored: (usize, usize)) -> Result<Lens> {
         let keys = Keys { frame, document };
         check_model(frame, document)?;
@@ -108,7 +108,8 @@ impl Lens {
     }
 }
 
-/// `fl_x`, `fl_y`, or from the fields of view; vertical as horizontal where only that is known.
+/// Returns the focal lengths: `fl_x`, `fl_y`, or from the fields of view. The vertical one equals the horizontal one if
+/// only that is known.
 fn focal(keys: &Keys, stated: [f64; 2]) -> Result<[f64; 2]> {
     let from_angle = |angle: Option<f64>, size: f64| angle.map(|a| 0.5 * size / (0.5 * a).tan());
     let x = keys.positive("fl_x")?.or(from_angle(keys.angle("camera_angle_x")?, stated[0]));
@@ -119,7 +120,7 @@ fn focal(keys: &Keys, stated: [f64; 2]) -> Result<[f64; 2]> {
              the focal length is unknown",
         ));
     };
-    // A field of view in y counts only where no focal length is written.
+    // A field of view in y counts only if no focal length is given.
     let wide = keys.number("fl_x")?.is_none();
     let y = y.or(if wide { from_angle(keys.angle("camera_angle_y")?, stated[1]) } else { None });
     Ok([x, y.unwrap_or(x)])
@@ -136,7 +137,7 @@ fn distortion(keys: &Keys) -> Result<Distortion> {
 
 const ADVICE: &str = "undistort the images first, for example with COLMAP's image_undistorter";
 
-/// Refuses lenses that are no pinholes, whatever their distortion.
+/// Returns an error for lenses that are not pinholes with the supported distortion.
 pub(in crate::data) fn check_model(frame: Object, document: Object) -> Result<()> {
     const FISHEYE: &str = "is_fisheye";
     let model = frame.text("camera_model")?.or(document.text("camera_model")?).unwrap_or("OPENCV");

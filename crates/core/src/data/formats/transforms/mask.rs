@@ -1,4 +1,4 @@
-//! Masks: which pixels of a photograph count (nerfstudio's `mask_path`).
+//! Masks: which pixels of a photo count (nerfstudio's `mask_path`).
 
 use std::path::{Path, PathBuf};
 
@@ -6,12 +6,12 @@ use crate::base::{Error, Image, Result};
 use crate::data::json::Object;
 use crate::data::{images, resample};
 
-/// Its name in files.
+/// Its key in files.
 pub(super) const KEY: &str = "mask_path";
-/// Share of a pixel's area that has to count for the pixel to count: all of it, but for rounding.
+/// Fraction of a pixel's area that must count for the pixel to count: all of it, except for rounding.
 const WHOLE: f32 = 1.0 - 1e-4;
 
-/// The mask that a frame names, or the document for all frames.
+/// Returns the mask that a frame names, or the document for all frames.
 pub(super) fn file_of(frame: Object, document: Object) -> Result<Option<PathBuf>> {
     let Some(owner) = [frame, document].into_iter().find(|object| object.get(KEY).is_some()) else { return Ok(None) };
     let picture = owner.picture(KEY)?;
@@ -25,7 +25,7 @@ pub(super) fn file_of(frame: Object, document: Object) -> Result<Option<PathBuf>
     picture.path.clone().map(Some).ok_or_else(missing)
 }
 
-/// A photograph that is masked.
+/// A masked photo.
 pub(super) struct Masked<'a> {
     /// Its file.
     pub(super) path: &'a Path,
@@ -33,8 +33,8 @@ pub(super) struct Masked<'a> {
     pub(super) size: (usize, usize),
 }
 
-/// Which pixels of the photograph's view of `width` x `height` count, row by row: those of whose area the mask is black nowhere.
-/// `rectified` undoes the photograph's distortion.
+/// Reads which pixels of the photo's view of `width` x `height` count, row by row: those without any black of the mask.
+/// `rectified` removes the photo's distortion.
 pub(super) fn read(
     file: &Path,
     photograph: &Masked,
@@ -46,7 +46,7 @@ pub(super) fn read(
     let shape = (mask.width as f64 * rows as f64 / columns as f64 - mask.height as f64).abs();
     if mask.width < columns || mask.height < rows || shape > 1.0 {
         return Err(Error::Data(format!(
-            "{} is {}x{} pixels, but the photograph that it masks, {}, is {columns}x{rows}: a mask has its size, or is larger and of \
+            "{} is {}x{} pixels, but its photo {} is {columns}x{rows}; a mask must have the photo's size, or be larger and of \
              the same shape",
             file.display(),
             mask.width,
@@ -58,7 +58,7 @@ pub(super) fn read(
     let kept: Vec<bool> = resample::shrink(&mask, width, height).pixels.iter().map(|&share| share >= WHOLE).collect();
     if !kept.contains(&true) {
         return Err(Error::Data(format!(
-            "{} leaves no pixel of {} at {width}x{height} (black is masked): remove the frame, or mend the mask",
+            "{} leaves no pixel of {} at {width}x{height} (black is masked): remove the frame, or correct the mask",
             file.display(),
             photograph.path.display()
         )));
@@ -66,8 +66,8 @@ pub(super) fn read(
     Ok(kept)
 }
 
-/// 1 where a mask counts, 0 where it is black or clear. Where values may have been lost on the way, as by JPEG, black has dark
-/// specks around it that are none of its author's: there what is brighter than half counts.
+/// Returns 1 where a mask counts, and 0 where it is black or transparent. In a lossy format such as JPEG, black has
+/// dark artefacts around it; there everything brighter than half counts.
 fn counting(file: &Path) -> Result<Image> {
     let darkest = if images::may_be_lossy(file)? { u16::MAX / 2 } else { 0 };
     let mask = images::decode(file)?.into_luma_alpha16();

@@ -1,12 +1,13 @@
-//! Captures with a `transforms.json`, as instant-ngp and nerfstudio write it, or with one for each split.
+//! Captures with a `transforms.json`, as instant-ngp and nerfstudio write it, or with one per split.
 //!
-//! Read, for all frames or in a frame: `fl_x`, `fl_y`, `cx`, `cy`, `w`, `h`, `camera_angle_x`, `camera_angle_y`, `camera_model`,
-//! `k1`, `k2`, `k3`, `p1`, `p2`, `mask_path`; each frame's `file_path` and `transform_matrix`; `train_filenames`,
-//! `val_filenames` and `test_filenames`. What else stands there is ignored, and `data check` names it: `aabb_scale`, `scale` and `offset` say
-//! how instant-ngp places the scene in its unit cube, `applied_transform` and `ply_file_path` tie the poses to a point cloud.
+//! These keys are read, for all frames or per frame: `fl_x`, `fl_y`, `cx`, `cy`, `w`, `h`, `camera_angle_x`,
+//! `camera_angle_y`, `camera_model`, `k1`, `k2`, `k3`, `p1`, `p2`, `mask_path`. Each frame has `file_path` and
+//! `transform_matrix`. The document may have `train_filenames`, `val_filenames` and `test_filenames`. Other keys are
+//! ignored, and `data check` names them. `aabb_scale`, `scale` and `offset` place the scene in instant-ngp's unit cube;
+//! `applied_transform` and `ply_file_path` relate the poses to a point cloud.
 //!
-//! A photograph's pixels are taken as they are stored. Where `w` and `h` are those of a photograph turned as its EXIF orientation
-//! says, they are turned.
+//! A photo's pixels are read as stored. They are turned only if `w` and `h` are those of a photo turned by its EXIF
+//! orientation.
 
 pub mod distortion;
 pub(super) mod frames;
@@ -29,21 +30,21 @@ use crate::settings::{DataConfig, DataKind, EvalSplit, Split};
 use frames::{Frame, Listed};
 use split::{Listing, Roles};
 
-/// The file that makes a folder such a scene.
+/// The file that identifies such a scene folder.
 pub const TRANSFORMS_FILE: &str = "transforms.json";
 
-/// The file that a split's poses are in.
+/// Returns the file with a split's poses.
 pub fn transforms_file(split: &str) -> String {
     format!("transforms_{split}.json")
 }
 
-/// Start and end of a ray where the configuration names none and the cameras look at no common point. After recentring,
-/// cameras lie within [-1, 1]: the scene between and around them ends well before 6, and 0.05 clears the lens.
+/// Default start and end of a ray if the cameras look at no common point. After recentring, cameras are within [-1, 1].
+/// The scene between and around them ends well before 6, and 0.05 clears the lens.
 pub const BOUNDS: [f64; 2] = [0.05, 6.0];
 
-/// Reads such a scene. Frames are sorted by file; the author's split is kept where there is one and `data.split` is not `every`,
-/// otherwise every `config.holdout`-th is held out. Where the scene lies and what a view is for hangs on all that are listed, also
-/// on those whose photographs are not there.
+/// Reads such a scene, with frames sorted by file. The author's split is kept if there is one and `data.split` is not
+/// `every`. Otherwise every `config.holdout`-th view is held out. The scene's space and the views' roles depend on all
+/// listed photos, including missing ones.
 pub fn load(config: &DataConfig, events: &dyn Listener) -> Result<Scene> {
     let Listing { frames: all, named, ignored } = split::read(Path::new(&config.dir), events)?;
     let by_author = by_author(config, named)?;
@@ -91,7 +92,7 @@ pub fn load(config: &DataConfig, events: &dyn Listener) -> Result<Scene> {
     Ok(capture.split_as(name, kind, config, &there, [&train, &evaluated]))
 }
 
-/// Whether the author's split is kept; `named` says that there is one.
+/// Returns whether the author's split is kept. `named` says whether there is one.
 fn by_author(config: &DataConfig, named: bool) -> Result<bool> {
     let by_author = match config.split {
         Some(Split::Every) => false,
@@ -115,7 +116,7 @@ fn by_author(config: &DataConfig, named: bool) -> Result<bool> {
     Ok(by_author)
 }
 
-/// Frames by their files. Files of splits may share photographs, of which a split of another kind has each once.
+/// Returns frames sorted by file. Files of splits may share photos; another kind of split has each photo once.
 fn ordered(mut all: Roles, by_author: bool, config: &DataConfig) -> Result<Roles> {
     all.sort_by_cached_key(|(listed, _)| (listed.order(), listed.place.clone()));
     if by_author {
@@ -129,7 +130,7 @@ fn ordered(mut all: Roles, by_author: bool, config: &DataConfig) -> Result<Roles
             Some(other) if other == listed.pose => {}
             Some(_) => {
                 return Err(Error::Data(format!(
-                    "{}: the transforms_*.json of its splits list the photograph {} twice, with two poses: remove the wrong one",
+                    "{}: the transforms_*.json of its splits list the photo {} twice, with two poses: remove the wrong one",
                     config.dir,
                     listed.place.display()
                 )));
@@ -139,12 +140,12 @@ fn ordered(mut all: Roles, by_author: bool, config: &DataConfig) -> Result<Roles
     Ok(kept)
 }
 
-/// Rounded so since the first runs, whose hashes of data hang on it.
+/// Rounded as since the first runs, because hashes of data depend on it.
 fn by_ratio(value: f64, to: f64, from: f64) -> f64 {
     value * (to / from)
 }
 
-/// What was found and chosen, for people.
+/// Notes what was found and chosen, for people.
 pub(super) fn notes(space: &mut SceneSpace, frames: &[&Frame], cameras: &[Camera], ignored: &[String]) {
     let paths: Vec<PathBuf> = frames.iter().map(|frame| frame.path.clone()).collect();
     let sizes = |camera: &Camera| (camera.width, camera.height);

@@ -1,5 +1,5 @@
-//! The split that a capture's author names: `train_filenames`, `val_filenames` and `test_filenames` of nerfstudio, or a
-//! `transforms_{train,val,test}.json` for each.
+//! The split of a capture's author: nerfstudio's `train_filenames`, `val_filenames` and `test_filenames`, or a
+//! `transforms_{train,val,test}.json` per split.
 
 use std::collections::{BTreeSet, HashMap, HashSet};
 use std::path::Path;
@@ -9,22 +9,22 @@ use super::{TRANSFORMS_FILE, frames, lens, mask, transforms_file};
 use crate::base::{Error, Listener, Result};
 use crate::data::json::{self, Object};
 
-/// What a view is for.
+/// The role of a view.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Role {
-    /// Trained on.
+    /// A training view.
     Train,
-    /// For choices.
+    /// A validation view.
     Val,
-    /// For results.
+    /// A test view.
     Test,
 }
 
 impl Role {
-    /// All of them.
+    /// All roles.
     pub const ALL: [Role; 3] = [Role::Train, Role::Val, Role::Test];
 
-    /// As files name it.
+    /// Returns the name in files.
     pub fn name(self) -> &'static str {
         match self {
             Role::Train => "train",
@@ -38,10 +38,10 @@ impl Role {
     }
 }
 
-/// Whether the folder's files name a split of their own.
+/// Returns whether the folder's files name a split of their own.
 ///
 /// # Errors
-/// A `transforms.json` that cannot be read.
+/// If a `transforms.json` is not readable.
 pub fn is_named(dir: &Path) -> Result<bool> {
     let file = dir.join(TRANSFORMS_FILE);
     if !file.is_file() {
@@ -52,20 +52,20 @@ pub fn is_named(dir: &Path) -> Result<bool> {
     Ok(Role::ALL.iter().any(|role| document.get(&role.key()).is_some()))
 }
 
-/// A capture's frames, each with what its author wants of it; none where he wants nothing of it, or names no split.
+/// A capture's frames, each with its author's role. `None` if the author names no role for it, or no split.
 pub(super) type Roles = Vec<(Listed, Option<Role>)>;
 
-/// What a folder's files list.
+/// The content of a folder's files.
 pub(super) struct Listing {
     /// All frames.
     pub(super) frames: Roles,
-    /// The files name a split.
+    /// Whether the files name a split.
     pub(super) named: bool,
-    /// Keys that nothing is made of, each once.
+    /// Ignored keys, each once.
     pub(super) ignored: Vec<String>,
 }
 
-/// Keys of a document and of its frames that nothing is made of.
+/// Returns the ignored keys of a document and of its frames.
 fn ignored(document: Object) -> Result<BTreeSet<String>> {
     const OF_DOCUMENT: [&str; 4] = ["frames", "train_filenames", "val_filenames", "test_filenames"];
     const OF_FRAME: [&str; 2] = ["file_path", "transform_matrix"];
@@ -78,7 +78,7 @@ fn ignored(document: Object) -> Result<BTreeSet<String>> {
     Ok(keys)
 }
 
-/// All frames of a folder.
+/// Reads all frames of a folder.
 pub(super) fn read(dir: &Path, events: &dyn Listener) -> Result<Listing> {
     let file = dir.join(TRANSFORMS_FILE);
     let splits: Vec<Role> =
@@ -118,7 +118,8 @@ fn of_one_file(file: &Path, events: &dyn Listener) -> Result<Listing> {
             }
         }
     }
-    // What no list names is of the list that is not there; of several that are not, of the first that a capture cannot do without.
+    // A frame that no list names belongs to the missing list. If several are missing, it belongs to the first that a
+    // capture needs.
     let rest = match &listed[..] {
         [None, ..] => Some(Role::Train),
         [_, _, None] => Some(Role::Test),
@@ -133,7 +134,7 @@ fn of_one_file(file: &Path, events: &dyn Listener) -> Result<Listing> {
     Ok(Listing { frames: frames.into_iter().map(with_role).collect(), named: true, ignored })
 }
 
-/// The names in the lists of [`Role::ALL`], each of which a frame has.
+/// Returns the names in the lists of [`Role::ALL`], each of which a frame must have.
 fn listed(document: Object) -> Result<Vec<Option<Vec<String>>>> {
     let mut known = HashSet::new();
     for frame in document.frames()? {
@@ -154,7 +155,7 @@ fn listed(document: Object) -> Result<Vec<Option<Vec<String>>>> {
     Role::ALL.into_iter().map(of_role).collect()
 }
 
-/// Says that there is nothing to evaluate, and what would help.
+/// Returns the error that there is nothing to evaluate, with advice.
 pub(super) fn without(wanted: Role, dir: &str, roles: &[Option<Role>]) -> Error {
     let other = if wanted == Role::Test { Role::Val } else { Role::Test };
     let count = roles.iter().filter(|role| **role == Some(other)).count();
