@@ -2,7 +2,6 @@
 //!
 //! Pixels are read as stored. An EXIF orientation is not applied, and COLMAP does not apply it either. It is applied
 //! only if a capture's file says that its poses are those of turned photos ([`crate::data::formats::transforms`]).
-//! says that its poses are those of turned photographs is it ([`crate::data::formats::transforms`]).
 
 use std::fs::File;
 use std::io::{BufReader, Cursor};

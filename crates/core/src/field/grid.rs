@@ -97,7 +97,7 @@ impl Grid {
     /// Returns features `[n, channels]` at points `[n, 3]`.
     pub(super) fn encode(&self, points: &Tensor) -> Result<Tensor> {
         if !points.device().is_cpu() {
-            candle_core::bail!("hash grids are for processors");
+            candle_core::bail!("hash grids need tensors on the CPU");
         }
         let points = points.contiguous()?;
         if points.dtype() != DType::F32 || self.table.track_op() {

@@ -209,7 +209,7 @@ impl Field {
         let is_fused = |value: &Tensor| value.device().is_cpu() && value.dtype() == DType::F32;
         if config.precision == Precision::Bf16 && !(config.core == Core::Fused && values.iter().all(is_fused)) {
             return Err(crate::base::Error::Config(
-                "field.precision = \"bf16\" is for the fused core, and that is for f32 weights on a processor: run with \
+                "field.precision = \"bf16\" needs the fused core, which needs f32 weights on the CPU: run with \
                  device cpu, or choose field.precision = \"f32\""
                     .into(),
             ));

@@ -1,4 +1,4 @@
-//! Terms of the loss beside the photometric one: on the rays of a step, or in space.
+//! Terms of the loss next to the photometric one: on the rays of a step, or in space.
 //!
 //! | term | where | at a ray or point | source |
 //! |---|---|---|---|

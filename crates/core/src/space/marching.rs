@@ -5,7 +5,6 @@
 //! corners by a segment of its own. The segments of a cell's six faces join to closed loops. Triangles fill the loops
 //! without a chord within a face. Each edge of the mesh then belongs to two triangles, and is walked once in each
 //! direction. Where the level set leaves the grid, it stays open.
-//! in each direction. Where the level set leaves the lattice it stays open.
 
 use std::sync::OnceLock;
 

@@ -112,7 +112,6 @@ pub fn sphere_pose(azimuth: f64, elevation: f64, radius: f64) -> Pose {
     let (sin_e, cos_e) = (elevation / 180.0 * PI).sin_cos();
     // A camera at (0, 0, radius), rotated about x by the elevation and about y by the azimuth. It is then converted
     // from y-up to z-up with x mirrored: (x, y, z) -> (-x, z, y).
-    // brought from y-up to z-up with x mirrored: (x, y, z) -> (-x, z, y).
     let back = [-sin_a * cos_e, -sin_e, cos_a * cos_e];
     let up = [-sin_a * sin_e, cos_e, cos_a * sin_e];
     let right = [cos_a, 0.0, sin_a];

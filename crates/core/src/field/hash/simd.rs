@@ -159,7 +159,7 @@ impl Processor {
         }
     }
 
-    /// Runs a kernel with the instructions of this processor: one of pairs, or one that calls nothing of [`Simd`].
+    /// Runs a kernel with the instructions of this CPU: one of pairs, or one that calls nothing of [`Simd`].
     pub fn run(self, kernel: impl Kernel) {
         match self {
             #[cfg(target_arch = "x86_64")]
@@ -249,11 +249,11 @@ mod wide {
 
     use super::{Kernel, LANES, Lanes, Plain, Simd};
 
-    /// AVX-512. There is one only on a processor that has it.
+    /// AVX-512. It exists only on a CPU that has it.
     #[derive(Clone, Copy, Debug)]
     pub struct Wide(());
 
-    /// AVX2 and FMA. There is one only on a processor that has them.
+    /// AVX2 and FMA. It exists only on a CPU that has them.
     #[derive(Clone, Copy, Debug)]
     pub struct Narrow(());
 
@@ -272,7 +272,7 @@ mod wide {
             fn run(wide: Wide, kernel: impl Kernel) {
                 kernel.run(wide);
             }
-            // SAFETY: the processor has the features, as there is a `Wide`.
+            // SAFETY: the CPU has the features, as there is a `Wide`.
             unsafe { run(self, kernel) }
         }
     }
@@ -288,7 +288,7 @@ mod wide {
             fn run(kernel: impl Kernel) {
                 kernel.run(Plain);
             }
-            // SAFETY: the processor has the features, as there is a `Narrow`.
+            // SAFETY: the CPU has the features, as there is a `Narrow`.
             unsafe { run(kernel) }
         }
     }
@@ -298,7 +298,7 @@ mod wide {
         ($($name:ident($($argument:ident: $kind:ty),*) -> $result:ty = $work:expr;)*) => {$(
             #[inline(always)]
             fn $name(self, $($argument: $kind),*) -> $result {
-                // SAFETY: the processor has AVX-512, as there is a `Wide`; what is read and written is sixteen numbers.
+                // SAFETY: the CPU has AVX-512, as there is a `Wide`; what is read and written is sixteen numbers.
                 unsafe { $work }
             }
         )*};
@@ -336,7 +336,7 @@ mod wide {
         unsafe fn gather<const F: usize>(self, table: &[[f32; F]], indices: __m512i) -> [__m512; F] {
             const { assert!(F == 2) };
             let mut features = [self.splat(0.0); F];
-            // SAFETY: the processor has AVX-512, as there is a `Wide`; every index lies within the table of pairs.
+            // SAFETY: the CPU has AVX-512, as there is a `Wide`; every index lies within the table of pairs.
             let pairs = unsafe {
                 let (low, high) = (_mm512_castsi512_si256(indices), _mm512_extracti64x4_epi64::<1>(indices));
                 let table = table.as_ptr().cast();
@@ -356,7 +356,7 @@ mod wide {
         fn rows<const F: usize>(self, features: [__m512; F]) -> [[f32; F]; LANES] {
             const { assert!(F == 2) };
             let mut rows = [[0.0; F]; LANES];
-            // SAFETY: the processor has AVX-512, as there is a `Wide`.
+            // SAFETY: the CPU has AVX-512, as there is a `Wide`.
             let (low, high) = unsafe {
                 let low = _mm512_setr_epi32(0, 16, 1, 17, 2, 18, 3, 19, 4, 20, 5, 21, 6, 22, 7, 23);
                 let high = _mm512_add_epi32(low, _mm512_set1_epi32(8));
@@ -373,7 +373,7 @@ mod wide {
         #[inline(always)]
         fn add_to_entry<const F: usize>(self, entry: &mut [f32; F], weight: f32, features: &[f32; F]) {
             const { assert!(F == 2) };
-            // SAFETY: the processor has FMA, as there is a `Wide`; entry and features are two numbers each.
+            // SAFETY: the CPU has FMA, as there is a `Wide`; entry and features are two numbers each.
             unsafe {
                 let entry = entry.as_mut_ptr().cast();
                 let features = _mm_castsi128_ps(_mm_loadl_epi64(features.as_ptr().cast()));

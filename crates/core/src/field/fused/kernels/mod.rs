@@ -69,7 +69,7 @@ impl Backend {
 
     /// Runs a kernel. The CPU must have this backend.
     fn run(self, kernel: impl Kernel) {
-        // SAFETY: backends are made by `all`, which asks the processor.
+        // SAFETY: backends are made by `all`, which asks the CPU.
         unsafe {
             match self {
                 #[cfg(target_arch = "x86_64")]

@@ -261,7 +261,7 @@ pub(super) unsafe fn add_block<S: Simd, const MR: usize, const NV: usize>(
 ) {
     for r in 0..MR {
         for v in 0..NV {
-            // SAFETY: the processor has the instructions.
+            // SAFETY: the CPU has the instructions.
             sums[r][v] = unsafe { S::add(sums[r][v], others[r][v]) };
         }
     }

@@ -7,7 +7,7 @@ use super::simd::{LANES, Simd};
 /// AVX-512 (F, BW, DQ, VL). With `PAIRS`, also its instructions for bf16.
 pub struct Avx512<const PAIRS: bool>;
 
-// SAFETY: kernels run on it only where the processor has AVX-512, with or without BF16 (see `super::Backend`).
+// SAFETY: kernels run on it only where the CPU has AVX-512, with or without BF16 (see `super::Backend`).
 unsafe impl<const PAIRS: bool> Simd for Avx512<PAIRS> {
     type V = __m512;
     const PAIRS: bool = PAIRS;
@@ -218,7 +218,7 @@ unsafe fn rounded(v: __m256) -> __m256i {
     }
 }
 
-// SAFETY: kernels run on it only where the processor has AVX2 and FMA (see `super::Backend`).
+// SAFETY: kernels run on it only where the CPU has AVX2 and FMA (see `super::Backend`).
 unsafe impl Simd for Avx2 {
     type V = Halves;
     const PAIRS: bool = true;
