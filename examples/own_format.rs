@@ -12,7 +12,7 @@ use std::path::Path;
 use augnerf::base::{Error, Image, Result};
 use augnerf::candle_core::DType;
 use augnerf::data::{Camera, Capture, Scene, SceneSpace};
-use augnerf::metrics::measure;
+use augnerf::metrics::{PSNR, measure};
 use augnerf::run::{Viewer, load_scene};
 use augnerf::runtime::Runtime;
 use augnerf::settings::{DataKind, Preset, build, parse_assignment};
@@ -87,7 +87,7 @@ fn main() -> Result<()> {
     let viewer = Viewer { model: trainer.model(), config: &config, scene: &scene, runtime: &runtime };
     let held_out = &scene.test[0];
     let rendered = viewer.render(&held_out.camera)?;
-    let psnr = measure(&held_out.name, &rendered.image, &held_out.image, &[])?.get("psnr").unwrap_or(f64::NAN);
+    let psnr = measure(&held_out.name, &rendered.image, &held_out.image, &[])?.get(&PSNR).unwrap_or(f64::NAN);
     println!("{}: PSNR {psnr:.2} dB", held_out.name);
     assert!(psnr > 10.0, "the training failed");
     Ok(())

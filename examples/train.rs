@@ -5,6 +5,7 @@
 use std::sync::atomic::AtomicUsize;
 
 use augnerf::base::{Event, Listener, Result};
+use augnerf::metrics::{PSNR, SSIM};
 use augnerf::run::{Existing, Job, Setup, load_scene};
 use augnerf::runtime::Runtime;
 use augnerf::settings::{Preset, build, parse_assignment};
@@ -40,7 +41,7 @@ fn main() -> Result<()> {
     let finished = Job::create(&folder, Existing::Refuse, setup)?.train(&Printer, &AtomicUsize::new(0))?;
 
     let mean = &finished.report.mean;
-    let [psnr, ssim] = ["psnr", "ssim"].map(|metric| mean.get(metric).unwrap_or(f64::NAN));
+    let [psnr, ssim] = [&PSNR, &SSIM].map(|metric| mean.get(metric).unwrap_or(f64::NAN));
     println!("held-out views: PSNR {psnr:.2} dB, SSIM {ssim:.3}, after {:.1} s of steps", finished.seconds);
     assert!(psnr > 12.0, "the training failed");
     Ok(())

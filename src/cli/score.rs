@@ -10,8 +10,7 @@ use crate::base::csv::csv_text;
 use crate::base::files::write_atomic;
 use crate::base::{Error, Result, version};
 use crate::data::Scene;
-use crate::metrics::METRICS;
-use crate::metrics::Scope;
+use crate::metrics::{METRICS, Metric, PSNR, Scope};
 use crate::run::{
     Matching, Picture, RunDir, Score, Truth, both_pictures, load_lpips, load_scene, load_scene_of, pictures, score,
 };
@@ -233,7 +232,7 @@ impl ScoreArguments {
         if predictions.iter().any(|picture| is_jpeg(&picture)) {
             console.say("some images are JPEG: the numbers include the loss by compression");
         }
-        if let Some(view) = scored.views.iter().find(|view| view.metrics.get("psnr").is_none()) {
+        if let Some(view) = scored.views.iter().find(|view| view.metrics.get(&PSNR).is_none()) {
             console.say(&format!(
                 "view {}: equal to its ground truth, so its PSNR is infinite and the mean is empty",
                 view.metrics.name
@@ -249,7 +248,7 @@ impl ScoreArguments {
         for (metric, value) in scored.mean.iter().filter(|(metric, value)| of_views(metric.scope) && value.is_some()) {
             line.insert(metric.key.into(), json!(value));
         }
-        line.entry("psnr").or_insert(Value::Null);
+        line.entry(PSNR.key).or_insert(Value::Null);
         let known: BTreeMap<&str, &str> =
             scored.protocol.iter().map(|(name, text)| (name.as_str(), text.as_str())).collect();
         line.insert("predictions".into(), self.predictions.to_string_lossy().into());
@@ -266,16 +265,14 @@ impl ScoreArguments {
 
 /// Formats a line for each view: its name, numbers, files and hashes.
 fn csv(scored: &Score) -> String {
-    let measured: Vec<&str> = METRICS
-        .iter()
-        .filter(|metric| metric.scope == Scope::View)
-        .map(|metric| metric.key)
-        .filter(|key| scored.views.iter().any(|view| view.metrics.get(key).is_some()))
-        .collect();
+    let is_measured = |metric: &Metric| scored.views.iter().any(|view| view.metrics.get(metric).is_some());
+    let measured: Vec<&Metric> =
+        METRICS.iter().copied().filter(|metric| metric.scope == Scope::View && is_measured(metric)).collect();
+    let keys: Vec<&str> = measured.iter().map(|metric| metric.key).collect();
     let files = ["prediction", "prediction_sha256", "truth", "truth_sha256"];
-    let head = ["name"].iter().chain(&measured).chain(&files).map(ToString::to_string).collect();
+    let head = ["name"].iter().chain(&keys).chain(&files).map(ToString::to_string).collect();
     let rows = scored.views.iter().map(|view| {
-        let number = |key: &&str| view.metrics.get(key).map_or(String::new(), |value| value.to_string());
+        let number = |metric: &&Metric| view.metrics.get(metric).map_or(String::new(), |value| value.to_string());
         let path = |path: &Path| path.display().to_string();
         let mut row = vec![view.metrics.name.clone()];
         row.extend(measured.iter().map(number));

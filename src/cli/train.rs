@@ -7,6 +7,7 @@ use clap::Args;
 use tempfile::NamedTempFile;
 
 use crate::base::{Error, Result};
+use crate::metrics::{Backbone, LPIPS, PSNR, SSIM};
 use crate::run::{Existing, Finished, Job, RunDir, Setup, load_lpips, load_scene, load_scene_of, settings_to_go_on};
 use crate::runtime::Runtime;
 use crate::settings::Config;
@@ -198,20 +199,21 @@ fn train(job: Job, folder: &Path, console: &Console, answer: Answer) -> Result<(
 fn summarize(Finished { report, model, seconds, .. }: &Finished, folder: &Path, console: &Console) {
     let mean = &report.mean;
     let number = |value: Option<f64>, digits: usize| value.map_or("-".into(), |value| format!("{value:.digits$}"));
-    let lpips = mean.get("lpips_squeeze").map_or(String::new(), |lpips| format!("  LPIPS(squeeze) {lpips:.3}"));
+    let lpips =
+        mean.get(LPIPS.get(Backbone::Squeeze)).map_or(String::new(), |lpips| format!("  LPIPS(squeeze) {lpips:.3}"));
     console.say(&format!(
         "{} held-out views: PSNR {} dB  SSIM {}{lpips}  ({} steps, {seconds:.0} s)",
         report.views.len(),
-        number(mean.get("psnr"), 2),
-        number(mean.get("ssim"), 3),
+        number(mean.get(&PSNR), 2),
+        number(mean.get(&SSIM), 3),
         report.protocol.text("steps"),
     ));
     if !report.training_views.is_empty() {
         console.say(&format!(
             "{} training views: PSNR {} dB (gap {} dB)",
             report.training_views.len(),
-            number(mean.get("train_psnr"), 2),
-            number(mean.get("gap"), 2),
+            number(mean.get(PSNR.train()), 2),
+            number(mean.get(PSNR.gap()), 2),
         ));
     }
     let inactive = report.inactive_levels();

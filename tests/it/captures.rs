@@ -8,7 +8,7 @@ use std::sync::Mutex;
 use crate::common::{assert_says, parameters, runtime, tiny_config, tiny_scene};
 use augnerf::base::{Event, Listener, Result};
 use augnerf::data::{self, Scene, View};
-use augnerf::metrics::measure_unmasked;
+use augnerf::metrics::{PSNR, measure_unmasked};
 use augnerf::run::{RunDir, Viewer, load_scene};
 use augnerf::settings::{Config, DataConfig, DataKind, EvalSplit, Method, Split};
 use augnerf::train::Trainer;
@@ -431,12 +431,12 @@ fn masked_pixels_take_no_part_in_training_or_metrics() {
         let rendered = viewer.render(camera).unwrap();
         let metrics = measure_unmasked(name, &rendered.image, image, mask.as_deref(), &[]).unwrap();
         let evaluated = viewer.evaluate(&[], &(), || Ok(()), |_, _, _| Ok(())).unwrap();
-        assert_eq!(evaluated[0].get("psnr"), metrics.get("psnr"));
+        assert_eq!(evaluated[0].get(&PSNR), metrics.get(&PSNR));
         (parameters(&trainer, &["coarse", "fine"]), metrics)
     };
     let (dark, bright, unmasked) = (of(Some(0.0)), of(Some(0.9)), of(None));
     assert!(dark.0 == bright.0 && dark.1 == bright.1);
-    assert!(dark.0 != unmasked.0 && dark.1.get("psnr") != unmasked.1.get("psnr"));
+    assert!(dark.0 != unmasked.0 && dark.1.get(&PSNR) != unmasked.1.get(&PSNR));
 }
 
 #[test]

@@ -430,7 +430,7 @@ fn the_pages_have_every_setting_that_hash_grids_and_mip_nerf_bring() {
 #[test]
 fn every_metric_and_exit_code_is_described() {
     let metrics = page("metrics.md").prose;
-    for metric in &METRICS {
+    for metric in METRICS.iter() {
         let direction = match metric.direction {
             Direction::Up => "up",
             Direction::Down => "down",

@@ -11,6 +11,7 @@ use crate::common::needs;
 use crate::common::program::succeed;
 use augnerf::base::Image;
 use augnerf::metrics::{self, Backbone, Lpips, MeanMetrics, ViewMetrics};
+use augnerf::metrics::{AVERAGE, LPIPS, MSE, PSNR, PSNR_FLOAT, PSNR_OF_MEAN, SSIM};
 use augnerf::run::columns;
 use candle_core::{Device, Tensor};
 
@@ -70,8 +71,8 @@ fn quantise_clamps_and_rounds_to_multiples_of_one_255th() {
 fn equal_images_have_no_psnr_and_an_ssim_of_one() {
     let image = noise(23, 19, 3, 1);
     let view = metrics::measure("view", &image, &image, &[]).unwrap();
-    assert_eq!((view.get("psnr"), view.get("psnr_float"), view.get("mse")), (None, None, Some(0.0)));
-    assert_close("ssim", view.get("ssim").unwrap(), 1.0, 1e-12);
+    assert_eq!((view.get(&PSNR), view.get(&PSNR_FLOAT), view.get(&MSE)), (None, None, Some(0.0)));
+    assert_close("ssim", view.get(&SSIM).unwrap(), 1.0, 1e-12);
     assert_close(
         "ssim of black",
         metrics::ssim(&constant(11, 11, 0.0), &constant(11, 11, 0.0)).unwrap().unwrap(),
@@ -120,8 +121,8 @@ fn images_below_the_window_have_no_ssim() {
     for (width, height) in [(10, 11), (11, 10), (1, 1)] {
         let view =
             metrics::measure("small", &constant(width, height, 0.2), &constant(width, height, 0.3), &[]).unwrap();
-        assert_eq!(view.get("ssim"), None);
-        assert!(view.get("psnr").is_some());
+        assert_eq!(view.get(&SSIM), None);
+        assert!(view.get(&PSNR).is_some());
     }
 }
 
@@ -142,10 +143,11 @@ fn images_that_cannot_be_compared_are_errors() {
 
 fn view(psnr: Option<f64>, mse: f64, lpips_squeeze: Option<f64>) -> ViewMetrics {
     let mut view = ViewMetrics::new("v");
-    let values = [psnr, psnr, Some(mse), Some(0.5), lpips_squeeze];
-    for (key, value) in ["psnr", "psnr_float", "mse", "ssim", "lpips_squeeze"].into_iter().zip(values) {
-        view.values.set(key, value);
-    }
+    view.values.set(&PSNR, psnr);
+    view.values.set(&PSNR_FLOAT, psnr);
+    view.values.set(&MSE, Some(mse));
+    view.values.set(&SSIM, Some(0.5));
+    view.values.set(LPIPS.get(Backbone::Squeeze), lpips_squeeze);
     view
 }
 
@@ -154,15 +156,28 @@ fn means_are_over_all_views_or_missing() {
     let views = [view(Some(20.0), 0.01, Some(0.2)), view(Some(10.0), 0.1, Some(0.4))];
     let means = MeanMetrics::from_views(&views);
     assert_eq!(
-        (means.get("psnr"), means.get("ssim"), means.get("lpips_alex"), means.get("average_alex")),
+        (
+            means.get(&PSNR),
+            means.get(&SSIM),
+            means.get(LPIPS.get(Backbone::Alex)),
+            means.get(AVERAGE.get(Backbone::Alex))
+        ),
         (Some(15.0), Some(0.5), None, None)
     );
-    assert_close("psnr_of_mean", means.get("psnr_of_mean").unwrap(), -10.0 * 0.055f64.log10(), 1e-12);
-    assert_close("average", means.get("average_squeeze").unwrap(), metrics::average(15.0, 0.5, 0.3), 1e-12);
+    assert_close("psnr_of_mean", means.get(&PSNR_OF_MEAN).unwrap(), -10.0 * 0.055f64.log10(), 1e-12);
+    assert_close(
+        "average",
+        means.get(AVERAGE.get(Backbone::Squeeze)).unwrap(),
+        metrics::average(15.0, 0.5, 0.3),
+        1e-12,
+    );
 
     let partly = MeanMetrics::from_views(&[views[0].clone(), view(None, 0.0, None)]);
-    assert_eq!((partly.get("psnr"), partly.get("lpips_squeeze"), partly.get("average_squeeze")), (None, None, None));
-    assert_close("psnr_of_mean", partly.get("psnr_of_mean").unwrap(), -10.0 * 0.005f64.log10(), 1e-12);
+    assert_eq!(
+        (partly.get(&PSNR), partly.get(LPIPS.get(Backbone::Squeeze)), partly.get(AVERAGE.get(Backbone::Squeeze))),
+        (None, None, None)
+    );
+    assert_close("psnr_of_mean", partly.get(&PSNR_OF_MEAN).unwrap(), -10.0 * 0.005f64.log10(), 1e-12);
     assert_eq!(MeanMetrics::from_views(&[]), MeanMetrics::default());
 }
 
@@ -247,9 +262,9 @@ fn references() -> Vec<(Reference, Image, Image)> {
 fn photographs_give_the_numbers_of_other_implementations() {
     for (reference, a, b) in references() {
         let view = metrics::measure(&reference.a, &a, &b, &[]).unwrap();
-        let (psnr, ssim) = (view.get("psnr").unwrap(), view.get("ssim").unwrap());
+        let (psnr, ssim) = (view.get(&PSNR).unwrap(), view.get(&SSIM).unwrap());
         assert_close("psnr", psnr, reference.psnr, PSNR_SSIM_TOLERANCE);
-        assert_close("psnr_float", view.get("psnr_float").unwrap(), reference.psnr, PSNR_SSIM_TOLERANCE);
+        assert_close("psnr_float", view.get(&PSNR_FLOAT).unwrap(), reference.psnr, PSNR_SSIM_TOLERANCE);
         assert_close("ssim", ssim, reference.ssim_gaussian_11_sigma_1_5_valid_crop, PSNR_SSIM_TOLERANCE);
         let average = metrics::average(psnr, ssim, reference.lpips_squeeze_v0_1);
         assert_close("average", average, reference.average, PSNR_SSIM_TOLERANCE);
@@ -265,7 +280,7 @@ fn photographs_are_as_far_apart_as_the_lpips_package_says() {
         let view = metrics::measure(&reference.a, &a, &b, &lpips).unwrap();
         assert_close(
             "lpips_squeeze",
-            view.get("lpips_squeeze").unwrap(),
+            view.get(LPIPS.get(Backbone::Squeeze)).unwrap(),
             reference.lpips_squeeze_v0_1,
             LPIPS_TOLERANCE,
         );
@@ -545,7 +560,7 @@ fn check_network(backbone: Backbone, sizes: &[(usize, usize)]) {
     let small = noise(side - 1, side, 3, 8);
     let error = lpips.distance(&small, &small).unwrap_err();
     assert!(error.exit_code() == 3 && error.to_string().contains(&format!("{side}x{side}")), "{error}");
-    assert_eq!(metrics::measure("v", &small, &small, &[lpips]).unwrap().get("lpips_squeeze"), None);
+    assert_eq!(metrics::measure("v", &small, &small, &[lpips]).unwrap().get(LPIPS.get(Backbone::Squeeze)), None);
 }
 
 #[test]

@@ -5,7 +5,7 @@ use std::sync::atomic::AtomicUsize;
 
 use augnerf::base::{Event, Listener};
 use augnerf::data::{self, Scene, seen_views};
-use augnerf::metrics::{MeanMetrics, measure};
+use augnerf::metrics::{Backbone, LPIPS, MeanMetrics, PSNR, Scope, measure};
 use augnerf::run::{Existing, Job, Setup, Viewer, load_scene};
 use augnerf::settings::{DataConfig, DataKind, EvalSplit, Preset, TrainViews, build, parse_assignment};
 use tempfile::TempDir;
@@ -60,20 +60,20 @@ fn the_gap_is_between_training_views_as_rendered_and_held_out_ones() {
     let seen = viewer.evaluate_training_views(&[], &(), go_on).unwrap();
     let mut mean = MeanMetrics::from_views(&held_out);
     let before = mean.clone();
-    mean.set_seen(&seen);
+    mean.set_train(&seen);
     let places = seen_views(&scene, &config);
     assert_eq!(places.len(), 2);
     let psnrs = places.iter().map(|&place| {
         let view = &scene.train[place];
         let rendered = viewer.render(&view.camera).unwrap();
-        measure(&view.name, &rendered.image, &view.image, &[]).unwrap().get("psnr").unwrap()
+        measure(&view.name, &rendered.image, &view.image, &[]).unwrap().get(&PSNR).unwrap()
     });
     let psnr = psnrs.sum::<f64>() / 2.0;
-    assert_eq!(mean.get("train_psnr"), Some(psnr));
-    assert_eq!(mean.get("gap"), Some(psnr - before.get("psnr").unwrap()));
-    assert_eq!(mean.get("train_lpips_vgg"), None, "missing is empty, not 0");
-    for (metric, value) in before.iter().filter(|(metric, _)| metric.of.is_empty()) {
-        assert_eq!(mean.get(metric.key), value, "{}", metric.key);
+    assert_eq!(mean.get(PSNR.train()), Some(psnr));
+    assert_eq!(mean.get(PSNR.gap()), Some(psnr - before.get(&PSNR).unwrap()));
+    assert_eq!(mean.get(LPIPS.get(Backbone::Vgg).train()), None, "missing is empty, not 0");
+    for (metric, value) in before.iter().filter(|(metric, _)| !matches!(metric.scope, Scope::TrainViews | Scope::Gap)) {
+        assert_eq!(mean.get(metric), value, "{}", metric.key);
     }
 }
 

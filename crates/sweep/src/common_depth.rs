@@ -2,7 +2,9 @@
 //! solid, so a row that skips hard pixels would look better.
 
 use crate::base::{Error, Result};
-use crate::metrics::{Metric, Needs, Scope};
+use crate::metrics::{
+    DEPTH_LEFT_OUT, DEPTH_LEFT_OUT_COMMON, DEPTH_MAE_COMMON, DEPTH_RMSE_COMMON, Metric, Needs, Scope,
+};
 use crate::report::{Record, Status, distinct};
 use crate::run::DepthErrors;
 
@@ -49,7 +51,7 @@ pub fn add_common_depth(records: &mut [Record], errors_of: impl Fn(&str) -> Resu
 fn check_views(record: &Record, errors: &DepthErrors) -> Result<()> {
     let Ok(measured) = record.protocol("views_evaluated").parse::<usize>() else { return Ok(()) };
     let found = errors.views.len();
-    let all_have_depth = record.metric("depth_left_out").is_some();
+    let all_have_depth = record.metric(DEPTH_LEFT_OUT.key).is_some();
     if found > measured || all_have_depth && found < measured {
         return Err(Error::Checkpoint(format!(
             "depth_errors.gz of point {} is damaged: it has {found} views, its measurement {measured}; delete it, or \
@@ -97,9 +99,9 @@ fn measured(errors: &DepthErrors, mask: &[Vec<bool>]) -> [(&'static str, Option<
     let left_out = errors.views.iter().zip(&views).filter(|(all, _)| !all.is_empty());
     let left_out = left_out.map(|(all, common)| 1.0 - common.len() as f64 / all.len() as f64);
     [
-        ("depth_mae_common", mean_of(&|view| mean(view.iter().map(|error| error.abs())))),
-        ("depth_rmse_common", mean_of(&|view| mean(view.iter().map(|error| error * error)).map(f64::sqrt))),
-        ("depth_left_out_common", mean(left_out)),
+        (DEPTH_MAE_COMMON.key, mean_of(&|view| mean(view.iter().map(|error| error.abs())))),
+        (DEPTH_RMSE_COMMON.key, mean_of(&|view| mean(view.iter().map(|error| error * error)).map(f64::sqrt))),
+        (DEPTH_LEFT_OUT_COMMON.key, mean(left_out)),
     ]
 }
 

@@ -10,7 +10,7 @@ use crate::base::{Error, Result};
 
 use super::axes::Axis;
 use super::extends;
-use crate::metrics::{Metric, Scope};
+use crate::metrics::{Backbone, LPIPS, Metric, PSNR, SSIM, Scope};
 use crate::report::{AxisValue, PublishedKey, RowSpec};
 
 /// A sweep file.
@@ -67,7 +67,7 @@ pub struct Definition {
 }
 
 fn default_metrics() -> Vec<String> {
-    ["psnr", "ssim", "lpips_squeeze"].map(String::from).to_vec()
+    [&PSNR, &SSIM, LPIPS.get(Backbone::Squeeze)].map(|metric| metric.key.to_string()).to_vec()
 }
 
 fn clean() -> String {

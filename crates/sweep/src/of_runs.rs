@@ -13,7 +13,7 @@ use super::points::Point;
 use crate::base::files::read_json;
 use crate::base::{Error, Result};
 use crate::compare::{differing_settings, labels};
-use crate::metrics::{Metric, Scope};
+use crate::metrics::{Metric, PSNR, PSNR_FLOAT, PSNR_OF_MEAN, Scope};
 use crate::report::exporters::File;
 use crate::report::tables::Table;
 use crate::report::{Record, RowSpec, Status, TableSpec, distinct};
@@ -113,8 +113,9 @@ impl RunsTable {
     fn finish(&mut self) {
         let records = &self.outputs.records;
         let shown = Metric::in_tables().filter(|metric| {
-            let is_wanted = matches!(metric.scope, Scope::View | Scope::Mean | Scope::Surface) || metric.key == "gap";
-            let is_variant = ["psnr_float", "psnr_of_mean"].contains(&metric.key);
+            let is_wanted =
+                matches!(metric.scope, Scope::View | Scope::Mean | Scope::Surface) || metric.key == PSNR.gap().key;
+            let is_variant = [PSNR_FLOAT.key, PSNR_OF_MEAN.key].contains(&metric.key);
             is_wanted && !is_variant && records.iter().any(|record| record.metric(metric.key).is_some())
         });
         self.spec.metrics = shown.map(|metric| metric.key.to_string()).collect();

@@ -7,6 +7,7 @@ use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, Instant, SystemTime};
 
 use crate::base::{Class, Error, Event, Listener, Result};
+use crate::metrics::PSNR;
 use crate::runtime::Runtime;
 
 use super::claim::{Claim, Progress, Sharing};
@@ -223,7 +224,7 @@ impl Runner<'_> {
                 folder.finish(result)?;
                 let seconds = spent(folder).unwrap_or_else(|| begun.elapsed().as_secs_f64());
                 pace.lock().unwrap_or_else(PoisonError::into_inner).add(point, seconds);
-                self.events.on(Event::PointFinished { label: &label, psnr: result.metric("psnr") });
+                self.events.on(Event::PointFinished { label: &label, psnr: result.metric(PSNR.key) });
             }
             Err(failure) => {
                 folder.fail(failure)?;

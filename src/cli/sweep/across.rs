@@ -8,6 +8,7 @@ use serde_json::json;
 use crate::base::Result;
 use crate::cli::answer::Answer;
 use crate::cli::progress::{print, print_shown};
+use crate::metrics::PSNR;
 use crate::sweep::AcrossRequest;
 
 use super::opened::Opened;
@@ -31,7 +32,7 @@ pub struct AcrossArguments {
     #[arg(long, value_name = "ROW", default_value = "NeRF")]
     baseline: String,
     /// Metric
-    #[arg(long, default_value = "psnr")]
+    #[arg(long, default_value = PSNR.key)]
     metric: String,
     /// Name of a sweep in the figure and the page
     #[arg(long = "label", value_name = "NAME=TEXT", value_parser = label)]

@@ -8,7 +8,7 @@ use serde_json::json;
 use crate::base::Result;
 use crate::cli::answer::Answer;
 use crate::cli::progress::print_shown;
-use crate::metrics::Metric;
+use crate::metrics::{Metric, PSNR};
 use crate::sweep::{Best, best};
 
 use super::opened::Opened;
@@ -23,7 +23,7 @@ pub struct BestArguments {
     /// Folder of a sweep or of its results: runs/NAME or results/NAME
     folder: PathBuf,
     /// Metric, as the mean over seeds
-    #[arg(long, value_name = "METRIC", default_value = "psnr")]
+    #[arg(long, value_name = "METRIC", default_value = PSNR.key)]
     metric: String,
     /// Compare rows that differ in an uncontrolled setting, such as the revision
     #[arg(long)]

@@ -8,7 +8,7 @@ use serde_json::json;
 use crate::base::{Error, Result};
 use crate::cli::answer::Answer;
 use crate::cli::progress::print_shown;
-use crate::metrics::Metric;
+use crate::metrics::{Metric, PSNR};
 use crate::report::power::{LEAST_SEEDS, MOST_SEEDS, POWER, Spread, spreads};
 use crate::sweep::{Selection, Source, View};
 
@@ -27,7 +27,7 @@ pub struct PowerArguments {
     #[arg(long, allow_negative_numbers = true)]
     difference: Option<f64>,
     /// Metric
-    #[arg(long, default_value = "psnr")]
+    #[arg(long, default_value = PSNR.key)]
     metric: String,
     /// Row that all others are compared with [default: their baselines]
     #[arg(long, value_name = "ROW")]

@@ -11,6 +11,7 @@ use crate::cli::answer::Answer;
 use crate::cli::progress::Console;
 use crate::cli::signals::catch_scheduler_signals;
 use crate::cli::{Compute, LpipsWeights};
+use crate::metrics::PSNR;
 use crate::report::Status;
 use crate::runtime::Runtime;
 use crate::sweep::{Claim, Options, Point, Runner, Sharing, SweepFolder};
@@ -150,7 +151,7 @@ impl RunPointArguments {
             "id": point.id,
             "label": label,
             "status": state.status.name(),
-            "psnr": state.result.metric("psnr"),
+            "psnr": state.result.metric(PSNR.key),
         }))
     }
 }

@@ -10,6 +10,7 @@ use serde_json::json;
 use crate::base::{Error, Result};
 use crate::cli::answer::Answer;
 use crate::cli::progress::print_shown;
+use crate::metrics::PSNR;
 use crate::report::Status;
 use crate::sweep::slurm::{Queue, Slurm};
 use crate::sweep::{Pace, Point, SweepFolder};
@@ -99,7 +100,7 @@ fn statuses(folder: &SweepFolder, points: &[Point]) -> Result<serde_json::Value>
             seconds_left: claim.and_then(|claim| claim.seconds_left),
             host: claim.map(|claim| claim.host.clone()),
             process: claim.map(|claim| claim.pid),
-            psnr: state.result.metric("psnr"),
+            psnr: state.result.metric(PSNR.key),
             reason: state.reason,
             task: queue.iter().find_map(|queue| queue.task(index)).map(ToString::to_string),
         });
@@ -138,7 +139,9 @@ fn states(folder: &SweepFolder, points: &[Point]) -> Result<(Vec<String>, usize)
                 };
                 format!("{step}{left} ({}, process {})", claim.host, claim.pid)
             }
-            (Status::Done, _) => state.result.metric("psnr").map_or(String::new(), |psnr| format!("PSNR {psnr:.2} dB")),
+            (Status::Done, _) => {
+                state.result.metric(PSNR.key).map_or(String::new(), |psnr| format!("PSNR {psnr:.2} dB"))
+            }
             _ => state.reason.clone(),
         };
         let task = queue.iter().find_map(|queue| queue.task(index)).filter(|_| state.status != Status::Done);

@@ -5,7 +5,10 @@
 //! count is reported as a share. Roughness is measured on what lies in one surface of the reference: not across
 //! neighbours whose reference depths differ by more than 2.5 % of the nearer one.
 
-use super::ViewMetrics;
+use super::{
+    DEPTH_LEFT_OUT, DEPTH_MAE, DEPTH_RMSE, DEPTH_ROUGHNESS, DEPTH_ROUGHNESS_TRUTH, NORMAL_ROUGHNESS,
+    NORMAL_ROUGHNESS_TRUTH, ViewMetrics,
+};
 use crate::data::Camera;
 use crate::data::vector::{Vec3, add, cross, dot, length, scale, sub};
 
@@ -51,13 +54,13 @@ pub fn measure_depth(
     let errors = || (0..reference.len()).filter(|&i| counts(i)).map(|i| compared.rendered[i] - compared.reference[i]);
     let truth = |roughness: Option<f64>| roughness.filter(|_| exact);
     let values = &mut view.values;
-    values.set("depth_mae", mean(errors().map(f64::abs)));
-    values.set("depth_rmse", mean(errors().map(|error| error * error)).map(f64::sqrt));
-    values.set("depth_left_out", (known > 0).then(|| 1.0 - errors().count() as f64 / known as f64));
-    values.set("depth_roughness", compared.depth_roughness(&compared.rendered));
-    values.set("depth_roughness_truth", truth(compared.depth_roughness(&compared.reference)));
-    values.set("normal_roughness", compared.normal_roughness(&compared.rendered));
-    values.set("normal_roughness_truth", truth(compared.normal_roughness(&compared.reference)));
+    values.set(&DEPTH_MAE, mean(errors().map(f64::abs)));
+    values.set(&DEPTH_RMSE, mean(errors().map(|error| error * error)).map(f64::sqrt));
+    values.set(&DEPTH_LEFT_OUT, (known > 0).then(|| 1.0 - errors().count() as f64 / known as f64));
+    values.set(&DEPTH_ROUGHNESS, compared.depth_roughness(&compared.rendered));
+    values.set(&DEPTH_ROUGHNESS_TRUTH, truth(compared.depth_roughness(&compared.reference)));
+    values.set(&NORMAL_ROUGHNESS, compared.normal_roughness(&compared.rendered));
+    values.set(&NORMAL_ROUGHNESS_TRUTH, truth(compared.normal_roughness(&compared.reference)));
 }
 
 /// A view's depth errors, rendered minus reference, at the pixels whose reference depth is known, row-major; NaN where the
@@ -165,13 +168,13 @@ mod tests {
         let truth = view(|_, _| 4.0);
         let metrics = measured(&view(|_, _| 4.25), &[1.0; 120], &truth, true);
         assert_eq!(
-            (metrics.get("depth_mae"), metrics.get("depth_rmse"), metrics.get("depth_left_out")),
+            (metrics.get(&DEPTH_MAE), metrics.get(&DEPTH_RMSE), metrics.get(&DEPTH_LEFT_OUT)),
             (Some(0.25), Some(0.25), Some(0.0))
         );
-        assert_eq!((metrics.get("depth_roughness"), metrics.get("depth_roughness_truth")), (Some(0.0), Some(0.0)));
-        assert!(metrics.get("normal_roughness").unwrap() < 1e-4);
+        assert_eq!((metrics.get(&DEPTH_ROUGHNESS), metrics.get(&DEPTH_ROUGHNESS_TRUTH)), (Some(0.0), Some(0.0)));
+        assert!(metrics.get(&NORMAL_ROUGHNESS).unwrap() < 1e-4);
         let inexact = measured(&truth, &[1.0; 120], &truth, false);
-        assert_eq!((inexact.get("depth_roughness_truth"), inexact.get("normal_roughness_truth")), (None, None));
+        assert_eq!((inexact.get(&DEPTH_ROUGHNESS_TRUTH), inexact.get(&NORMAL_ROUGHNESS_TRUTH)), (None, None));
     }
 
     #[test]
@@ -179,7 +182,7 @@ mod tests {
         let truth = view(|x, _| [f32::INFINITY, f32::NAN, 3.0, 3.0][x % 4]);
         let acc: Vec<f32> = (0..120).map(|i| if i % 4 == 3 { 0.4 } else { 1.0 }).collect();
         let metrics = measured(&view(|x, _| if x % 4 == 2 { 3.5 } else { f32::NAN }), &acc, &truth, true);
-        assert_eq!((metrics.get("depth_mae"), metrics.get("depth_left_out")), (Some(0.5), Some(0.5)));
+        assert_eq!((metrics.get(&DEPTH_MAE), metrics.get(&DEPTH_LEFT_OUT)), (Some(0.5), Some(0.5)));
         // The errors that are kept are those of the same pixels: 30 known ones of each kind, one kind solid.
         let errors = depth_errors(&view(|x, _| if x % 4 == 2 { 3.5 } else { f32::NAN }), &acc, &truth);
         assert_eq!((errors.len(), errors.iter().filter(|error| **error == 0.5).count()), (60, 30));
@@ -193,11 +196,11 @@ mod tests {
         // A step of the reference that the rendering follows is no roughness; ripples are.
         let truth = view(|x, _| if x < 6 { 3.0 } else { 4.0 });
         let same = measured(&truth, &[1.0; 120], &truth, true);
-        assert_eq!((same.get("depth_roughness"), same.get("depth_mae")), (Some(0.0), Some(0.0)));
+        assert_eq!((same.get(&DEPTH_ROUGHNESS), same.get(&DEPTH_MAE)), (Some(0.0), Some(0.0)));
         let rippled = view(|x, y| if x < 6 { 3.0 } else { 4.0 } + 0.01 * ((x + y) % 2) as f32);
         let metrics = measured(&rippled, &[1.0; 120], &truth, true);
-        assert!((metrics.get("depth_roughness").unwrap() - 0.02).abs() < 1e-6);
-        assert!(metrics.get("normal_roughness").unwrap() > 5.0, "{metrics:?}");
+        assert!((metrics.get(&DEPTH_ROUGHNESS).unwrap() - 0.02).abs() < 1e-6);
+        assert!(metrics.get(&NORMAL_ROUGHNESS).unwrap() > 5.0, "{metrics:?}");
     }
 
     #[test]
@@ -206,23 +209,23 @@ mod tests {
         let plane = view(|x, _| 4.0 / (1.0 - (x as f32 - 6.0) / 20.0));
         let metrics = measured(&plane, &[1.0; 120], &plane, true);
         assert!(
-            metrics.get("normal_roughness").is_none() || metrics.get("normal_roughness").unwrap() < 1e-3,
+            metrics.get(&NORMAL_ROUGHNESS).is_none() || metrics.get(&NORMAL_ROUGHNESS).unwrap() < 1e-3,
             "{metrics:?}"
         );
         let gentle = view(|x, _| 4.0 / (1.0 - 0.3 * (x as f32 - 6.0) / 20.0));
         let metrics = measured(&gentle, &[1.0; 120], &gentle, true);
-        assert!(metrics.get("normal_roughness").unwrap() < 1e-2, "{metrics:?}");
+        assert!(metrics.get(&NORMAL_ROUGHNESS).unwrap() < 1e-2, "{metrics:?}");
     }
 
     #[test]
     fn a_mean_over_views_of_which_one_lacks_the_metric_is_missing() {
         let view = |mae: f64, rmse: Option<f64>| {
             let mut view = ViewMetrics::new("v");
-            view.values.set("depth_mae", Some(mae));
-            view.values.set("depth_rmse", rmse);
+            view.values.set(&DEPTH_MAE, Some(mae));
+            view.values.set(&DEPTH_RMSE, rmse);
             view
         };
         let means = MeanMetrics::from_views(&[view(1.0, None), view(2.0, Some(1.0))]);
-        assert_eq!((means.get("depth_mae"), means.get("depth_rmse")), (Some(1.5), None));
+        assert_eq!((means.get(&DEPTH_MAE), means.get(&DEPTH_RMSE)), (Some(1.5), None));
     }
 }

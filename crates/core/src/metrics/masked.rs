@@ -64,7 +64,7 @@ pub fn share(mask: Option<&[bool]>) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::metrics::{measure, measure_unmasked};
+    use crate::metrics::{MSE, Metric, PSNR, PSNR_FLOAT, SSIM, measure, measure_unmasked};
 
     fn noise(seed: usize) -> Image {
         let value = |i: usize| ((i * 7919 + seed * 104_729) % 1009) as f32 / 1009.0;
@@ -84,9 +84,9 @@ mod tests {
         let mask: Vec<bool> = (0..24 * 20).map(|pixel| pixel % 24 < 14).collect();
         let masked = measure_unmasked("view", &a, &b, Some(&mask), &[]).unwrap();
         let cut = measure("view", &left(&a, 14), &left(&b, 14), &[]).unwrap();
-        for metric in ["psnr", "psnr_float", "mse", "ssim"] {
+        for metric in [&PSNR as &Metric, &PSNR_FLOAT, &MSE, &SSIM] {
             let (masked, cut) = (masked.get(metric).unwrap(), cut.get(metric).unwrap());
-            assert!((masked - cut).abs() < 1e-9 * cut.abs(), "{metric}: {masked} {cut}");
+            assert!((masked - cut).abs() < 1e-9 * cut.abs(), "{}: {masked} {cut}", metric.key);
         }
         let mut other = a.clone();
         other
@@ -104,11 +104,11 @@ mod tests {
         let (a, b) = (noise(1), noise(2));
         let all = measure_unmasked("view", &a, &b, Some(&[true; 480]), &[]).unwrap();
         let plain = measure("view", &a, &b, &[]).unwrap();
-        for metric in ["psnr", "ssim"] {
+        for metric in [&PSNR, &SSIM] {
             assert!((all.get(metric).unwrap() - plain.get(metric).unwrap()).abs() < 1e-12);
         }
         let nothing = measure_unmasked("view", &a, &b, Some(&[false; 480]), &[]).unwrap();
-        assert_eq!((nothing.get("psnr"), nothing.get("mse"), nothing.get("ssim")), (None, None, None));
+        assert_eq!((nothing.get(&PSNR), nothing.get(&MSE), nothing.get(&SSIM)), (None, None, None));
         assert!(measure_unmasked("view", &a, &b, Some(&[true; 7]), &[]).is_err());
         assert_eq!(share(Some(&[true, false, false, true])), 0.5);
     }

@@ -15,7 +15,7 @@ mod weights;
 pub use depth::{depth_errors, measure_depth};
 pub use lpips::{Backbone, Lpips};
 pub use masked::{share, unmasked_or};
-pub use registry::{Digits, Direction, METRICS, Metric, Needs, Scope};
+pub use registry::*;
 pub use ssim::ssim;
 pub use values::{MeanMetrics, Values, ViewMetrics};
 pub use weights::Weights;
@@ -30,14 +30,14 @@ use crate::base::{Error, Image, Result};
 ///
 /// ```
 /// use augnerf::base::Image;
-/// use augnerf::metrics::measure;
+/// use augnerf::metrics::{Backbone, LPIPS, PSNR, measure};
 ///
 /// let grey = |value| Image { width: 16, height: 16, channels: 3, pixels: vec![value; 16 * 16 * 3] };
 /// let metrics = measure("view", &grey(102.0 / 255.0), &grey(127.5 / 255.0), &[])?;
 /// // -10 log10 of the mean squared error of the 8-bit colours 102 and 128.
 /// let psnr = -20.0 * (26.0f64 / 255.0).log10();
-/// assert!((metrics.get("psnr").unwrap() - psnr).abs() < 1e-4);
-/// assert_eq!(metrics.get("lpips_squeeze"), None);
+/// assert!((metrics.get(&PSNR).unwrap() - psnr).abs() < 1e-4);
+/// assert_eq!(metrics.get(LPIPS.get(Backbone::Squeeze)), None);
 /// # Ok::<(), augnerf::base::Error>(())
 /// ```
 pub fn measure(name: &str, rendered: &Image, truth: &Image, lpips: &[Lpips]) -> Result<ViewMetrics> {
@@ -59,15 +59,15 @@ pub fn measure_unmasked(
     let error = masked::mse(rendered, truth, mask)?;
     let (rendered, truth) = (quantise(rendered), quantise(truth));
     let mut view = ViewMetrics::new(name);
-    view.values.set("psnr", masked::mse(&rendered, &truth, mask)?.and_then(psnr_from_mse));
-    view.values.set("psnr_float", error.and_then(psnr_from_mse));
-    view.values.set("mse", error);
-    view.values.set("ssim", masked::ssim(&rendered, &truth, mask)?);
+    view.values.set(&PSNR, masked::mse(&rendered, &truth, mask)?.and_then(psnr_from_mse));
+    view.values.set(&PSNR_FLOAT, error.and_then(psnr_from_mse));
+    view.values.set(&MSE, error);
+    view.values.set(&SSIM, masked::ssim(&rendered, &truth, mask)?);
     let rendered = unmasked_or(rendered, &truth, mask);
     let share = share(mask);
     for model in lpips.iter().filter(|model| share > 0.0 && model.backbone().fits(truth.width, truth.height)) {
         let distance = model.distance(&rendered, &truth)?;
-        view.values.set(&format!("lpips_{}", model.backbone().name()), Some(distance / share));
+        view.values.set(LPIPS.get(model.backbone()), Some(distance / share));
     }
     Ok(view)
 }

@@ -1,5 +1,9 @@
 //! Every metric once: what it is called, how it is printed, which way is better, where it is measured and what it needs.
-//! Tables, figures, sweeps and files read it here.
+//! Tables, figures, sweeps and files read it here. Code names a metric by its handle, such as [`PSNR`]; [`Metric::find`] is
+//! for keys that users and files give.
+
+use std::ops::Deref;
+use std::sync::LazyLock;
 
 use super::Backbone;
 
@@ -32,9 +36,9 @@ pub enum Scope {
     ViewAlone,
     /// On a run: made of the means over its views.
     Mean,
-    /// On a run: the mean of another metric over training views ([`Metric::of`]).
-    Seen,
-    /// On a run: that mean minus the mean over held-out views.
+    /// On a run: the mean of another metric over training views ([`SplitMetric::train`]).
+    TrainViews,
+    /// On a run: that mean minus the mean over held-out views ([`SplitMetric::gap`]).
     Gap,
     /// On the evaluated field's density over a lattice.
     Lattice,
@@ -63,6 +67,7 @@ pub enum Needs {
 
 /// One metric.
 #[derive(Clone, Copy, Debug, PartialEq)]
+#[non_exhaustive]
 pub struct Metric {
     /// The name in files and sweep definitions.
     pub key: &'static str,
@@ -78,19 +83,17 @@ pub struct Metric {
     pub scope: Scope,
     /// What it needs.
     pub needs: Needs,
-    /// The metric of views that one of [`Scope::Seen`] or [`Scope::Gap`] is made of; empty for others.
-    pub of: &'static str,
 }
 
 impl Metric {
     /// A metric by its key.
     pub fn find(key: &str) -> Option<&'static Metric> {
-        METRICS.iter().find(|metric| metric.key == key)
+        METRICS.iter().copied().find(|metric| metric.key == key)
     }
 
     /// Those that a table may be asked for: all but the parts that others are made of.
     pub fn in_tables() -> impl Iterator<Item = &'static Metric> {
-        METRICS.iter().filter(|metric| metric.scope != Scope::ViewAlone)
+        METRICS.iter().copied().filter(|metric| metric.scope != Scope::ViewAlone)
     }
 
     /// The value as a sentence has it: `0.50 dB`.
@@ -112,6 +115,160 @@ impl Metric {
     }
 }
 
+/// A metric of held-out views, which a run has of its training views, too. It is used as the metric of held-out views.
+#[derive(Debug)]
+pub struct SplitMetric {
+    held_out: Metric,
+    train: Metric,
+    gap: Metric,
+}
+
+impl SplitMetric {
+    /// Its mean over training views.
+    pub const fn train(&self) -> &Metric {
+        &self.train
+    }
+
+    /// Its mean over training views minus that over held-out views.
+    pub const fn gap(&self) -> &Metric {
+        &self.gap
+    }
+}
+
+impl Deref for SplitMetric {
+    type Target = Metric;
+
+    fn deref(&self) -> &Metric {
+        &self.held_out
+    }
+}
+
+/// A metric that needs an LPIPS backbone: one for each.
+#[derive(Debug)]
+pub struct PerBackbone<T>([T; Backbone::ALL.len()]);
+
+impl<T> PerBackbone<T> {
+    /// That of a backbone.
+    pub const fn get(&self, backbone: Backbone) -> &T {
+        &self.0[backbone as usize]
+    }
+}
+
+/// What a handle stands for.
+trait Handle: Sync {
+    /// Metrics in the order of files, without those of training views.
+    fn metrics(&'static self) -> Vec<&'static Metric>;
+
+    /// Those that runs have of training views, too.
+    fn splits(&'static self) -> Vec<&'static SplitMetric> {
+        Vec::new()
+    }
+}
+
+impl Handle for Metric {
+    fn metrics(&'static self) -> Vec<&'static Metric> {
+        vec![self]
+    }
+}
+
+impl Handle for SplitMetric {
+    fn metrics(&'static self) -> Vec<&'static Metric> {
+        vec![self]
+    }
+
+    fn splits(&'static self) -> Vec<&'static SplitMetric> {
+        vec![self]
+    }
+}
+
+impl<T: Handle> Handle for PerBackbone<T> {
+    fn metrics(&'static self) -> Vec<&'static Metric> {
+        self.0.iter().flat_map(T::metrics).collect()
+    }
+
+    fn splits(&'static self) -> Vec<&'static SplitMetric> {
+        self.0.iter().flat_map(T::splits).collect()
+    }
+}
+
+/// All metrics, in the order of files: of images, the same of training views, and all others.
+pub static METRICS: LazyLock<Vec<&'static Metric>> = LazyLock::new(|| {
+    let of_images = IMAGES.iter().flat_map(|handle| handle.metrics());
+    let of_training = split_metrics().flat_map(|metric| [metric.train(), metric.gap()]);
+    of_images.chain(of_training).chain(OTHERS.iter().flat_map(|handle| handle.metrics())).collect()
+});
+
+/// Those that runs have of training views, too.
+pub(super) fn split_metrics() -> impl Iterator<Item = &'static SplitMetric> {
+    IMAGES.iter().flat_map(|handle| handle.splits())
+}
+
+/// Declares metrics: each has a handle and is in the list.
+macro_rules! metrics {
+    ($list:ident: $($(#[$doc:meta])* $name:ident: $kind:ty = $metric:expr;)*) => {
+        $($(#[$doc])* pub static $name: $kind = $metric;)*
+        static $list: &[&dyn Handle] = &[$(&$name),*];
+    };
+}
+
+/// A metric with those of training views. Its label is a name and what follows: for many the unit.
+macro_rules! split {
+    ($key:expr, $name:expr, $unit:literal, gap $gap:expr, $metric:expr) => {
+        SplitMetric {
+            held_out: Metric { key: $key, label: concat!($name, $unit), ..$metric },
+            train: Metric {
+                key: concat!("train_", $key),
+                label: concat!($name, " of training views", $unit),
+                ..of_training(Scope::TrainViews, $metric)
+            },
+            gap: Metric {
+                key: $gap,
+                label: concat!($name, ", training minus held-out", $unit),
+                ..of_training(Scope::Gap, $metric)
+            },
+        }
+    };
+    ($key:expr, $name:expr, $unit:literal, $metric:expr) => {
+        split!($key, $name, $unit, gap concat!("gap_", $key), $metric)
+    };
+}
+
+/// A metric for each backbone, by a macro that takes its variant and its name.
+macro_rules! per_backbone {
+    ($metric:ident) => {
+        PerBackbone([$metric!(Alex, "alex"), $metric!(Vgg, "vgg"), $metric!(Squeeze, "squeeze")])
+    };
+}
+
+macro_rules! lpips {
+    ($backbone:ident, $name:literal) => {
+        split!(
+            concat!("lpips_", $name),
+            concat!("LPIPS (", $name, ")"),
+            "",
+            Metric { needs: Needs::Lpips(Backbone::$backbone), ..RATIO }
+        )
+    };
+}
+
+macro_rules! average {
+    ($backbone:ident, $name:literal) => {
+        Metric {
+            key: concat!("average_", $name),
+            label: concat!("average (", $name, ")"),
+            scope: Scope::Mean,
+            needs: Needs::Lpips(Backbone::$backbone),
+            ..RATIO
+        }
+    };
+}
+
+/// Of training views the better number is the better fit, not the better picture of held-out views. So it describes, and
+/// so does the gap.
+const fn of_training(scope: Scope, metric: Metric) -> Metric {
+    Metric { direction: Direction::Neither, scope, ..metric }
+}
+
 const DECIBEL: Metric = Metric {
     key: "",
     label: "",
@@ -120,9 +277,8 @@ const DECIBEL: Metric = Metric {
     digits: Digits::Decimals(2),
     scope: Scope::View,
     needs: Needs::Nothing,
-    of: "",
 };
-const LPIPS: Metric = Metric { unit: "", direction: Direction::Down, digits: Digits::Decimals(3), ..DECIBEL };
+const RATIO: Metric = Metric { unit: "", direction: Direction::Down, digits: Digits::Decimals(3), ..DECIBEL };
 const LATTICE: Metric = Metric {
     direction: Direction::Down,
     digits: Digits::Figures,
@@ -132,26 +288,16 @@ const LATTICE: Metric = Metric {
 };
 const DEPTH: Metric =
     Metric { unit: "scene units", direction: Direction::Down, digits: Digits::Figures, needs: Needs::Depth, ..DECIBEL };
-/// Of training views: better is the fit, not the picture of what was not seen. So it describes, and so does the gap.
-const SEEN: Metric = Metric { direction: Direction::Neither, scope: Scope::Seen, ..DECIBEL };
-const SEEN_LPIPS: Metric = Metric { direction: Direction::Neither, scope: Scope::Seen, ..LPIPS };
-/// The reference's own, beside which a number of ours is read.
+/// The reference's own value, with which ours is compared.
 const TRUTH: Metric = Metric { direction: Direction::Neither, needs: Needs::ExactDepth, ..DEPTH };
 
-const fn seen_lpips(backbone: Backbone, scope: Scope, key: &'static str, label: &'static str) -> Metric {
-    let of = match backbone {
-        Backbone::Alex => "lpips_alex",
-        Backbone::Vgg => "lpips_vgg",
-        Backbone::Squeeze => "lpips_squeeze",
-    };
-    Metric { key, label, scope, of, needs: Needs::Lpips(backbone), ..SEEN_LPIPS }
-}
-
-/// All metrics, in the order of files.
-pub static METRICS: [Metric; 38] = [
-    Metric { key: "psnr", label: "PSNR (dB)", ..DECIBEL },
-    Metric { key: "psnr_float", label: "PSNR float (dB)", ..DECIBEL },
-    Metric {
+metrics! { IMAGES:
+    /// PSNR of the image rounded to 8 bits.
+    PSNR: SplitMetric = split!("psnr", "PSNR", " (dB)", gap "gap", DECIBEL);
+    /// PSNR of the image as it is.
+    PSNR_FLOAT: Metric = Metric { key: "psnr_float", label: "PSNR float (dB)", ..DECIBEL };
+    /// Mean squared error of the image as it is.
+    MSE: Metric = Metric {
         key: "mse",
         label: "mean squared error",
         unit: "",
@@ -159,72 +305,76 @@ pub static METRICS: [Metric; 38] = [
         digits: Digits::Figures,
         scope: Scope::ViewAlone,
         ..DECIBEL
-    },
-    Metric { key: "psnr_of_mean", label: "PSNR of mean (dB)", scope: Scope::Mean, ..DECIBEL },
-    Metric { key: "ssim", label: "SSIM", direction: Direction::Up, ..LPIPS },
-    Metric { key: "lpips_alex", label: "LPIPS (alex)", needs: Needs::Lpips(Backbone::Alex), ..LPIPS },
-    Metric { key: "lpips_vgg", label: "LPIPS (vgg)", needs: Needs::Lpips(Backbone::Vgg), ..LPIPS },
-    Metric { key: "lpips_squeeze", label: "LPIPS (squeeze)", needs: Needs::Lpips(Backbone::Squeeze), ..LPIPS },
-    Metric {
-        key: "average_alex",
-        label: "average (alex)",
-        scope: Scope::Mean,
-        needs: Needs::Lpips(Backbone::Alex),
-        ..LPIPS
-    },
-    Metric {
-        key: "average_vgg",
-        label: "average (vgg)",
-        scope: Scope::Mean,
-        needs: Needs::Lpips(Backbone::Vgg),
-        ..LPIPS
-    },
-    Metric {
-        key: "average_squeeze",
-        label: "average (squeeze)",
-        scope: Scope::Mean,
-        needs: Needs::Lpips(Backbone::Squeeze),
-        ..LPIPS
-    },
-    Metric { key: "train_psnr", label: "PSNR of training views (dB)", of: "psnr", ..SEEN },
-    Metric { key: "gap", label: "PSNR, training minus held-out (dB)", of: "psnr", scope: Scope::Gap, ..SEEN },
-    Metric { key: "train_ssim", label: "SSIM of training views", of: "ssim", ..SEEN_LPIPS },
-    Metric { key: "gap_ssim", label: "SSIM, training minus held-out", of: "ssim", scope: Scope::Gap, ..SEEN_LPIPS },
-    seen_lpips(Backbone::Alex, Scope::Seen, "train_lpips_alex", "LPIPS (alex) of training views"),
-    seen_lpips(Backbone::Alex, Scope::Gap, "gap_lpips_alex", "LPIPS (alex), training minus held-out"),
-    seen_lpips(Backbone::Vgg, Scope::Seen, "train_lpips_vgg", "LPIPS (vgg) of training views"),
-    seen_lpips(Backbone::Vgg, Scope::Gap, "gap_lpips_vgg", "LPIPS (vgg), training minus held-out"),
-    seen_lpips(Backbone::Squeeze, Scope::Seen, "train_lpips_squeeze", "LPIPS (squeeze) of training views"),
-    seen_lpips(Backbone::Squeeze, Scope::Gap, "gap_lpips_squeeze", "LPIPS (squeeze), training minus held-out"),
-    Metric { key: "l1", label: "l1 of density", unit: "scene units^2", ..LATTICE },
-    Metric { key: "tv", label: "TV of density", unit: "scene units", ..LATTICE },
-    Metric { key: "laplacian", label: "Laplacian of density", unit: "", ..LATTICE },
-    Metric {
+    };
+    /// PSNR of the mean of [`MSE`] over views.
+    PSNR_OF_MEAN: Metric =
+        Metric { key: "psnr_of_mean", label: "PSNR of mean (dB)", scope: Scope::Mean, ..DECIBEL };
+    /// SSIM of the image rounded to 8 bits.
+    SSIM: SplitMetric = split!("ssim", "SSIM", "", Metric { direction: Direction::Up, ..RATIO });
+    /// LPIPS of the image rounded to 8 bits.
+    LPIPS: PerBackbone<SplitMetric> = per_backbone!(lpips);
+    /// The geometric mean of three errors ([`super::average`]).
+    AVERAGE: PerBackbone<Metric> = per_backbone!(average);
+}
+
+metrics! { OTHERS:
+    /// Mean absolute density.
+    L1: Metric = Metric { key: "l1", label: "l1 of density", unit: "scene units^2", ..LATTICE };
+    /// Total variation of density.
+    TV: Metric = Metric { key: "tv", label: "TV of density", unit: "scene units", ..LATTICE };
+    /// Mean absolute Laplacian of density.
+    LAPLACIAN: Metric = Metric { key: "laplacian", label: "Laplacian of density", unit: "", ..LATTICE };
+    /// The largest density on the lattice.
+    LARGEST_DENSITY: Metric = Metric {
         key: "largest_density",
         label: "largest density",
         unit: "1 / scene unit",
         direction: Direction::Neither,
         ..LATTICE
-    },
-    Metric { key: "occupied", label: "occupied", unit: "", direction: Direction::Neither, ..LATTICE },
-    Metric { key: "depth_mae", label: "mean depth error", ..DEPTH },
-    Metric { key: "depth_rmse", label: "depth rmse", ..DEPTH },
-    Metric { key: "depth_left_out", label: "depth left out", unit: "", ..DEPTH },
-    Metric { key: "depth_mae_common", label: "mean depth error, common pixels", scope: Scope::Common, ..DEPTH },
-    Metric { key: "depth_rmse_common", label: "depth rmse, common pixels", scope: Scope::Common, ..DEPTH },
-    Metric {
+    };
+    /// The fraction of the lattice with density.
+    OCCUPIED: Metric =
+        Metric { key: "occupied", label: "occupied", unit: "", direction: Direction::Neither, ..LATTICE };
+    /// Mean absolute error of depth.
+    DEPTH_MAE: Metric = Metric { key: "depth_mae", label: "mean depth error", ..DEPTH };
+    /// Root of the mean squared error of depth.
+    DEPTH_RMSE: Metric = Metric { key: "depth_rmse", label: "depth rmse", ..DEPTH };
+    /// The fraction of pixels with reference depth that has no rendered depth.
+    DEPTH_LEFT_OUT: Metric = Metric { key: "depth_left_out", label: "depth left out", unit: "", ..DEPTH };
+    /// [`DEPTH_MAE`] over the pixels that all rows of a sweep show.
+    DEPTH_MAE_COMMON: Metric = Metric {
+        key: "depth_mae_common",
+        label: "mean depth error, common pixels",
+        scope: Scope::Common,
+        ..DEPTH
+    };
+    /// [`DEPTH_RMSE`] over the pixels that all rows of a sweep show.
+    DEPTH_RMSE_COMMON: Metric =
+        Metric { key: "depth_rmse_common", label: "depth rmse, common pixels", scope: Scope::Common, ..DEPTH };
+    /// The fraction of pixels with reference depth that some row of a sweep does not show.
+    DEPTH_LEFT_OUT_COMMON: Metric = Metric {
         key: "depth_left_out_common",
         label: "depth left out by any row",
         unit: "",
         scope: Scope::Common,
         ..TRUTH
-    },
-    Metric { key: "depth_roughness", label: "depth roughness", ..DEPTH },
-    Metric { key: "depth_roughness_truth", label: "depth roughness truth", ..TRUTH },
-    Metric { key: "normal_roughness", label: "normal roughness", unit: "degrees", ..DEPTH },
-    Metric { key: "normal_roughness_truth", label: "normal roughness truth", unit: "degrees", ..TRUTH },
-    Metric { key: "chamfer", label: "Chamfer distance", scope: Scope::Surface, needs: Needs::Mesh, ..DEPTH },
-    Metric {
+    };
+    /// Roughness of the rendered depth.
+    DEPTH_ROUGHNESS: Metric = Metric { key: "depth_roughness", label: "depth roughness", ..DEPTH };
+    /// Roughness of the reference depth.
+    DEPTH_ROUGHNESS_TRUTH: Metric =
+        Metric { key: "depth_roughness_truth", label: "depth roughness truth", ..TRUTH };
+    /// Roughness of the normals of the rendered depth.
+    NORMAL_ROUGHNESS: Metric =
+        Metric { key: "normal_roughness", label: "normal roughness", unit: "degrees", ..DEPTH };
+    /// Roughness of the normals of the reference depth.
+    NORMAL_ROUGHNESS_TRUTH: Metric =
+        Metric { key: "normal_roughness_truth", label: "normal roughness truth", unit: "degrees", ..TRUTH };
+    /// Distance between the field's surface and the reference mesh.
+    CHAMFER: Metric =
+        Metric { key: "chamfer", label: "Chamfer distance", scope: Scope::Surface, needs: Needs::Mesh, ..DEPTH };
+    /// The F-score of the field's surface at the first distance of `eval.mesh.at`.
+    F_SCORE: Metric = Metric {
         key: "f_score",
         label: "F-score",
         unit: "",
@@ -232,38 +382,99 @@ pub static METRICS: [Metric; 38] = [
         scope: Scope::Surface,
         needs: Needs::Mesh,
         ..DEPTH
-    },
-];
+    };
+}
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
+    /// All that a reader of files sees, in the order of columns: key, label, unit, digits, direction, scope and needs.
+    const ALL: &str = "\
+psnr | PSNR (dB) | dB | Decimals(2) Up View Nothing
+psnr_float | PSNR float (dB) | dB | Decimals(2) Up View Nothing
+mse | mean squared error |  | Figures Down ViewAlone Nothing
+psnr_of_mean | PSNR of mean (dB) | dB | Decimals(2) Up Mean Nothing
+ssim | SSIM |  | Decimals(3) Up View Nothing
+lpips_alex | LPIPS (alex) |  | Decimals(3) Down View Lpips(Alex)
+lpips_vgg | LPIPS (vgg) |  | Decimals(3) Down View Lpips(Vgg)
+lpips_squeeze | LPIPS (squeeze) |  | Decimals(3) Down View Lpips(Squeeze)
+average_alex | average (alex) |  | Decimals(3) Down Mean Lpips(Alex)
+average_vgg | average (vgg) |  | Decimals(3) Down Mean Lpips(Vgg)
+average_squeeze | average (squeeze) |  | Decimals(3) Down Mean Lpips(Squeeze)
+train_psnr | PSNR of training views (dB) | dB | Decimals(2) Neither TrainViews Nothing
+gap | PSNR, training minus held-out (dB) | dB | Decimals(2) Neither Gap Nothing
+train_ssim | SSIM of training views |  | Decimals(3) Neither TrainViews Nothing
+gap_ssim | SSIM, training minus held-out |  | Decimals(3) Neither Gap Nothing
+train_lpips_alex | LPIPS (alex) of training views |  | Decimals(3) Neither TrainViews Lpips(Alex)
+gap_lpips_alex | LPIPS (alex), training minus held-out |  | Decimals(3) Neither Gap Lpips(Alex)
+train_lpips_vgg | LPIPS (vgg) of training views |  | Decimals(3) Neither TrainViews Lpips(Vgg)
+gap_lpips_vgg | LPIPS (vgg), training minus held-out |  | Decimals(3) Neither Gap Lpips(Vgg)
+train_lpips_squeeze | LPIPS (squeeze) of training views |  | Decimals(3) Neither TrainViews Lpips(Squeeze)
+gap_lpips_squeeze | LPIPS (squeeze), training minus held-out |  | Decimals(3) Neither Gap Lpips(Squeeze)
+l1 | l1 of density | scene units^2 | Figures Down Lattice DerivativesAtPoints
+tv | TV of density | scene units | Figures Down Lattice DerivativesAtPoints
+laplacian | Laplacian of density |  | Figures Down Lattice DerivativesAtPoints
+largest_density | largest density | 1 / scene unit | Figures Neither Lattice DerivativesAtPoints
+occupied | occupied |  | Figures Neither Lattice DerivativesAtPoints
+depth_mae | mean depth error | scene units | Figures Down View Depth
+depth_rmse | depth rmse | scene units | Figures Down View Depth
+depth_left_out | depth left out |  | Figures Down View Depth
+depth_mae_common | mean depth error, common pixels | scene units | Figures Down Common Depth
+depth_rmse_common | depth rmse, common pixels | scene units | Figures Down Common Depth
+depth_left_out_common | depth left out by any row |  | Figures Neither Common ExactDepth
+depth_roughness | depth roughness | scene units | Figures Down View Depth
+depth_roughness_truth | depth roughness truth | scene units | Figures Neither View ExactDepth
+normal_roughness | normal roughness | degrees | Figures Down View Depth
+normal_roughness_truth | normal roughness truth | degrees | Figures Neither View ExactDepth
+chamfer | Chamfer distance | scene units | Figures Down Surface Mesh
+f_score | F-score |  | Figures Up Surface Mesh
+";
+
+    #[test]
+    fn keys_labels_and_order_are_those_of_files() {
+        let line = |metric: &&Metric| {
+            let Metric { key, label, unit, digits, direction, scope, needs } = metric;
+            format!("{key} | {label} | {unit} | {digits:?} {direction:?} {scope:?} {needs:?}\n")
+        };
+        assert_eq!(METRICS.iter().map(line).collect::<String>(), ALL);
+    }
+
+    #[test]
+    fn handles_are_the_metrics_of_their_names() {
+        for backbone in Backbone::ALL {
+            let lpips = LPIPS.get(backbone);
+            let keys = [lpips, AVERAGE.get(backbone), lpips.train(), lpips.gap()].map(|metric: &Metric| metric.key);
+            let expected =
+                ["lpips", "average", "train_lpips", "gap_lpips"].map(|key| format!("{key}_{}", backbone.name()));
+            assert_eq!(keys.to_vec(), expected);
+            assert_eq!(lpips.needs, Needs::Lpips(backbone));
+        }
+        assert_eq!((PSNR.key, PSNR.train().key, PSNR.gap().key), ("psnr", "train_psnr", "gap"));
+        for metric in METRICS.iter() {
+            assert!(Metric::find(metric.key).is_some_and(|found| std::ptr::eq(found, *metric)), "{}", metric.key);
+        }
+        assert_eq!(Metric::find("pnsr"), None);
+    }
+
     #[test]
     fn numbers_have_the_digits_of_their_metric() {
-        let texts = [("psnr_float", 25.318), ("lpips_vgg", 0.21049), ("tv", 123456.0), ("chamfer", 0.061)]
-            .map(|(key, value)| Metric::find(key).unwrap().text(value));
+        let texts =
+            [PSNR_FLOAT.text(25.318), LPIPS.get(Backbone::Vgg).text(0.21049), TV.text(123456.0), CHAMFER.text(0.061)];
         assert_eq!(texts, ["25.32", "0.210", "1.235e5", "0.06100"]);
     }
 
     #[test]
-    fn what_describes_has_no_better_way() {
-        let roughness = ["normal_roughness_truth", "depth_roughness_truth", "depth_left_out_common"];
-        for key in [&["occupied", "largest_density", "train_psnr", "gap", "gap_lpips_vgg"], &roughness[..]].concat() {
-            assert_eq!(Metric::find(key).unwrap().direction, Direction::Neither, "{key}");
-        }
-        let up: Vec<&str> = METRICS.iter().filter(|m| m.direction == Direction::Up).map(|m| m.key).collect();
-        assert_eq!(up, ["psnr", "psnr_float", "psnr_of_mean", "ssim", "f_score"]);
-    }
-
-    #[test]
     fn what_is_measured_on_training_views_is_measured_on_every_view() {
-        for metric in &METRICS {
-            let of_training = matches!(metric.scope, Scope::Seen | Scope::Gap);
-            assert_eq!(of_training, !metric.of.is_empty(), "{}", metric.key);
-            let of = Metric::find(metric.of).filter(|of| of.scope == Scope::View && of.needs == metric.needs);
-            assert!(of.is_some() == of_training, "{}", metric.key);
+        for metric in split_metrics() {
+            assert_eq!(metric.scope, Scope::View, "{}", metric.key);
+            for of_training in [metric.train(), metric.gap()] {
+                let like = (metric.unit, metric.digits, metric.needs);
+                assert_eq!((of_training.unit, of_training.digits, of_training.needs), like, "{}", of_training.key);
+            }
         }
+        let of_training = METRICS.iter().filter(|metric| matches!(metric.scope, Scope::TrainViews | Scope::Gap));
+        assert_eq!(of_training.count(), 2 * split_metrics().count());
     }
 
     #[test]

@@ -4,7 +4,7 @@ use serde::de::{Deserializer, MapAccess, Visitor};
 use serde::ser::{SerializeMap, Serializer};
 use serde::{Deserialize, Serialize};
 
-use super::registry::{METRICS, Metric, Scope};
+use super::registry::{AVERAGE, LPIPS, METRICS, MSE, Metric, PSNR, PSNR_OF_MEAN, SSIM, Scope, split_metrics};
 use super::{Backbone, average, psnr_from_mse};
 
 /// Values by metric, in the registry's order; none where a metric is undefined or was not measured.
@@ -14,19 +14,21 @@ pub struct Values(Vec<(&'static Metric, Option<f64>)>);
 impl Values {
     /// No value yet of the metrics that `measured` picks.
     fn of(measured: impl Fn(Scope) -> bool) -> Values {
-        Values(METRICS.iter().filter(|metric| measured(metric.scope)).map(|metric| (metric, None)).collect())
+        Values(METRICS.iter().filter(|metric| measured(metric.scope)).map(|metric| (*metric, None)).collect())
     }
 
     /// The value of a metric, where there is one.
-    pub fn get(&self, key: &str) -> Option<f64> {
-        debug_assert!(Metric::find(key).is_some(), "{key} is no metric");
-        self.0.iter().find(|(metric, _)| metric.key == key).and_then(|(_, value)| *value)
+    pub fn get(&self, metric: &Metric) -> Option<f64> {
+        self.0.iter().find(|(known, _)| known.key == metric.key).and_then(|(_, value)| *value)
     }
 
-    /// Sets a metric that is measured here.
-    pub fn set(&mut self, key: &str, value: Option<f64>) {
-        let known = self.0.iter_mut().find(|(metric, _)| metric.key == key);
-        known.unwrap_or_else(|| panic!("{key} is not measured here")).1 = value;
+    /// Sets a metric.
+    ///
+    /// # Panics
+    /// If it is not measured here, such as one of runs in a view.
+    pub fn set(&mut self, metric: &Metric, value: Option<f64>) {
+        let known = self.0.iter_mut().find(|(known, _)| known.key == metric.key);
+        known.unwrap_or_else(|| panic!("{} is not measured here", metric.key)).1 = value;
     }
 
     /// Metrics and values in order.
@@ -61,8 +63,8 @@ impl ViewMetrics {
     }
 
     /// A metric's value, where there is one.
-    pub fn get(&self, key: &str) -> Option<f64> {
-        self.values.get(key)
+    pub fn get(&self, metric: &Metric) -> Option<f64> {
+        self.values.get(metric)
     }
 }
 
@@ -115,40 +117,40 @@ impl MeanMetrics {
         let mut means = MeanMetrics::default();
         for (metric, value) in &mut means.0.0 {
             if metric.scope == Scope::View {
-                *value = mean(views, metric.key);
+                *value = mean(views, metric);
             }
         }
-        means.set("psnr_of_mean", mean(views, "mse").and_then(psnr_from_mse));
+        means.set(&PSNR_OF_MEAN, mean(views, &MSE).and_then(psnr_from_mse));
         for backbone in Backbone::ALL {
-            let lpips = means.get(&format!("lpips_{}", backbone.name()));
-            let all = (means.get("psnr"), means.get("ssim"), lpips);
+            let all = (means.get(&PSNR), means.get(&SSIM), means.get(LPIPS.get(backbone)));
             let value =
                 if let (Some(psnr), Some(ssim), Some(lpips)) = all { Some(average(psnr, ssim, lpips)) } else { None };
-            means.set(&format!("average_{}", backbone.name()), value);
+            means.set(AVERAGE.get(backbone), value);
         }
         means
     }
 
-    /// Fills what is told of training views: their means, and by how much these exceed those of the held-out views.
-    pub fn set_seen(&mut self, seen: &[ViewMetrics]) {
-        for metric in METRICS.iter().filter(|metric| matches!(metric.scope, Scope::Seen | Scope::Gap)) {
-            let of_seen = mean(seen, metric.of);
-            let value = match metric.scope {
-                Scope::Gap => of_seen.zip(self.get(metric.of)).map(|(seen, held_out)| seen - held_out),
-                _ => of_seen,
-            };
-            self.set(metric.key, value);
+    /// Sets the metrics of training views: their means, and these minus the means over held-out views.
+    pub fn set_train(&mut self, views: &[ViewMetrics]) {
+        for metric in split_metrics() {
+            let train = mean(views, metric);
+            let gap = train.zip(self.get(metric)).map(|(train, held_out)| train - held_out);
+            self.set(metric.train(), train);
+            self.set(metric.gap(), gap);
         }
     }
 
     /// A metric's value, where there is one.
-    pub fn get(&self, key: &str) -> Option<f64> {
-        self.0.get(key)
+    pub fn get(&self, metric: &Metric) -> Option<f64> {
+        self.0.get(metric)
     }
 
     /// Sets a metric of a run.
-    pub fn set(&mut self, key: &str, value: Option<f64>) {
-        self.0.set(key, value);
+    ///
+    /// # Panics
+    /// If runs do not have it, such as one of single views.
+    pub fn set(&mut self, metric: &Metric, value: Option<f64>) {
+        self.0.set(metric, value);
     }
 
     /// Metrics and values in order.
@@ -157,7 +159,7 @@ impl MeanMetrics {
     }
 }
 
-fn mean(views: &[ViewMetrics], key: &str) -> Option<f64> {
-    let values = views.iter().map(|view| view.get(key)).collect::<Option<Vec<f64>>>()?;
+fn mean(views: &[ViewMetrics], metric: &Metric) -> Option<f64> {
+    let values = views.iter().map(|view| view.get(metric)).collect::<Option<Vec<f64>>>()?;
     (!values.is_empty()).then(|| values.iter().sum::<f64>() / values.len() as f64)
 }

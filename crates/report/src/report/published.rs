@@ -2,6 +2,7 @@
 
 use serde::Deserialize;
 
+use crate::metrics::{PSNR, SSIM};
 use crate::report::{PublishedKey, Record};
 
 /// What the paper states, and does not state, about the protocol of its tables.
@@ -104,11 +105,8 @@ impl PublishedRow {
     /// Returns the number for one of our metrics. LPIPS and the average have none: the paper does not name its
     /// backbone, and numbers of different backbones do not compare.
     pub fn metric(&self, name: &str) -> Option<f64> {
-        match name {
-            "psnr" => Some(self.psnr),
-            "ssim" => Some(self.ssim),
-            _ => None,
-        }
+        let numbers = [(PSNR.key, self.psnr), (SSIM.key, self.ssim)];
+        numbers.into_iter().find(|(key, _)| *key == name).map(|(_, number)| number)
     }
 
     /// Returns how it was measured.

@@ -5,7 +5,7 @@ use super::run_view::RunView;
 use super::window::{Window, crop, crop_mask, most_different};
 use crate::base::{Error, Image, Result};
 use crate::draw::{depth_range, pixel_errors};
-use crate::metrics::{ViewMetrics, measure_unmasked, unmasked_or};
+use crate::metrics::{PSNR, SSIM, ViewMetrics, measure_unmasked, unmasked_or};
 use crate::run::RenderedView;
 
 /// Default side of the box, as a divisor of the view's side.
@@ -147,6 +147,6 @@ fn box_size(columns: Option<usize>, width: usize, height: usize) -> (usize, usiz
 
 /// Returns PSNR and SSIM as text, as far as they are known.
 pub(super) fn metrics_text(metrics: &ViewMetrics) -> String {
-    let psnr = metrics.get("psnr").map_or("equal to the truth".into(), |psnr| format!("PSNR {psnr:.2} dB"));
-    metrics.get("ssim").map_or(psnr.clone(), |ssim| format!("{psnr}, SSIM {ssim:.3}"))
+    let psnr = metrics.get(&PSNR).map_or("equal to the truth".into(), |psnr| format!("PSNR {psnr:.2} dB"));
+    metrics.get(&SSIM).map_or(psnr.clone(), |ssim| format!("{psnr}, SSIM {ssim:.3}"))
 }

@@ -12,7 +12,7 @@ use crate::base::files::write_atomic;
 use crate::base::{Event, Image, Listener, Result};
 use crate::data::Scene;
 use crate::field::forget_buffers;
-use crate::metrics::{Lpips, MeanMetrics};
+use crate::metrics::{Lpips, MeanMetrics, Metric, PSNR, PSNR_FLOAT};
 use crate::model::Model;
 use crate::runtime::{Host, MemoryWatch, Runtime, Timing, host};
 use crate::settings::Resolved;
@@ -41,6 +41,7 @@ pub struct Setup<'a> {
 /// ```
 /// use std::sync::atomic::AtomicUsize;
 ///
+/// use augnerf::metrics::PSNR;
 /// use augnerf::run::{Existing, Job, Setup, load_scene};
 /// use augnerf::runtime::Runtime;
 /// use augnerf::settings::{Preset, build};
@@ -55,7 +56,7 @@ pub struct Setup<'a> {
 /// let setup = Setup { config, scene: &scene, lpips: &[], runtime: Runtime::new("cpu", None)? };
 /// // A signal's number in the flag makes it write a checkpoint and stop.
 /// let finished = Job::create(&folder, Existing::Refuse, setup)?.train(&(), &AtomicUsize::new(0))?;
-/// assert!(finished.report.mean.get("psnr").is_some());
+/// assert!(finished.report.mean.get(&PSNR).is_some());
 /// assert!(folder.join("metrics.json").is_file());
 /// # Ok::<(), augnerf::base::Error>(())
 /// ```
@@ -327,14 +328,15 @@ impl Between for Watcher<'_> {
         let [views, seen] = viewer.evaluate_sparsely(stride, stop_check)?;
         self.seconds_evaluation += started.elapsed().as_secs_f64();
         let mut mean = MeanMetrics::from_views(&views);
-        mean.set_seen(&seen);
+        mean.set_train(&seen);
         let step = trainer.step_count();
-        if let Some(psnr) = mean.get("psnr") {
-            let seen = mean.get("train_psnr").map_or(String::new(), |seen| format!(", of training views {seen:.2} dB"));
+        if let Some(psnr) = mean.get(&PSNR) {
+            let seen = mean.get(PSNR.train()).map_or(String::new(), |seen| format!(", of training views {seen:.2} dB"));
             self.events.on(Event::Note(&format!("step {step}: held-out PSNR {psnr:.2} dB{seen}")));
         }
-        let keys = ["psnr", "psnr_float"].into_iter().chain(TRAINING_VIEW_COLUMNS);
-        let values = EVALUATION_COLUMNS.into_iter().chain(TRAINING_VIEW_COLUMNS).zip(keys.map(|key| mean.get(key)));
+        let metrics: [&Metric; 4] = [&PSNR, &PSNR_FLOAT, PSNR.train(), PSNR.gap()];
+        let values =
+            EVALUATION_COLUMNS.into_iter().chain(TRAINING_VIEW_COLUMNS).zip(metrics.map(|metric| mean.get(metric)));
         Ok(values.filter_map(|(name, value)| value.map(|value| (name, value))).collect())
     }
 

@@ -10,7 +10,7 @@ use crate::base::Result;
 use crate::base::csv::csv_of_named;
 use crate::base::files::{write_atomic, write_json};
 use crate::methods::SiteSummary;
-use crate::metrics::{MeanMetrics, Scope, ViewMetrics};
+use crate::metrics::{CHAMFER, F_SCORE, MeanMetrics, Scope, ViewMetrics};
 use crate::space::Chamfer;
 
 /// `metrics.json`.
@@ -39,9 +39,9 @@ impl Report {
     ) -> Report {
         protocol.set("inactive_by", attack.first().map(|site| site.inactive_by().name()).into());
         let mut mean = MeanMetrics::from_views(&views);
-        mean.set_seen(&training_views);
-        mean.set("chamfer", surface.as_ref().map(|surface| surface.chamfer));
-        mean.set("f_score", surface.and_then(|surface| surface.scores.first().map(|score| score.f_score)));
+        mean.set_train(&training_views);
+        mean.set(&CHAMFER, surface.as_ref().map(|surface| surface.chamfer));
+        mean.set(&F_SCORE, surface.and_then(|surface| surface.scores.first().map(|score| score.f_score)));
         Report { mean, views, protocol, attack, training_views }
     }
 
@@ -60,7 +60,7 @@ impl Report {
     /// missing metric is an empty cell.
     fn csv(&self) -> String {
         let inactive = self.inactive_levels();
-        let seen = self.mean.iter().filter(|(metric, _)| matches!(metric.scope, Scope::Seen | Scope::Gap));
+        let seen = self.mean.iter().filter(|(metric, _)| matches!(metric.scope, Scope::TrainViews | Scope::Gap));
         let seen: Vec<(String, String)> =
             seen.map(|(metric, value)| (metric.key.into(), cell(&value.into()))).collect();
         let rows = self.views.iter().map(|view| {

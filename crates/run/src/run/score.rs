@@ -8,7 +8,7 @@ use sha2::{Digest, Sha256};
 use crate::base::input::read_bytes;
 use crate::base::{Error, Event, Image, Listener, Result};
 use crate::data::{Scene, View, images, resample};
-use crate::metrics::{Lpips, MeanMetrics, ViewMetrics, measure_unmasked};
+use crate::metrics::{Lpips, MSE, MeanMetrics, PSNR_FLOAT, ViewMetrics, measure_unmasked};
 use crate::settings::Resolved;
 
 use super::protocol::{PROTOCOL, Protocol, sides};
@@ -208,7 +208,7 @@ pub fn score(
     let measured: Vec<ViewMetrics> = views.iter().map(|view| view.metrics.clone()).collect();
     let mut mean = MeanMetrics::from_views(&measured);
     // The images were rounded before they came here.
-    mean.set("psnr_float", None);
+    mean.set(&PSNR_FLOAT, None);
     let hash = |of: fn(&ScoredView) -> &str| {
         let mut hash = Sha256::new();
         views.iter().for_each(|view| hash.update(format!("{}  {}\n", of(view), view.metrics.name)));
@@ -285,8 +285,8 @@ fn view(picture: &Picture, target: &Target, background: Option<[f32; 3]>, lpips:
     }
     let mut metrics = measure_unmasked(target.name(), &image, &truth, target.mask(), lpips)?;
     // The values before rounding are unknown.
-    metrics.values.set("psnr_float", None);
-    metrics.values.set("mse", None);
+    metrics.values.set(&PSNR_FLOAT, None);
+    metrics.values.set(&MSE, None);
     Ok(ScoredView { metrics, prediction: picture.path.clone(), truth: path, prediction_sha256, truth_sha256 })
 }
 

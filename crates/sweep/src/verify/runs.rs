@@ -9,6 +9,7 @@ use super::findings::Findings;
 use crate::base::csv::{column_names, plain_cell};
 use crate::base::files::read_json;
 use crate::base::{Error, Result};
+use crate::metrics::{DEPTH_LEFT_OUT, MSE, PSNR_OF_MEAN};
 use crate::outputs::optional;
 use crate::run::{DepthErrors, RunDir};
 
@@ -86,10 +87,8 @@ impl Report {
             (!values.is_empty()).then(|| values.iter().sum::<f64>() / values.len() as f64)
         };
         for (key, found) in &self.mean {
-            let made = match key.as_str() {
-                "psnr_of_mean" => mean("mse").map(|mse| -10.0 * mse.log10()),
-                key => mean(key),
-            };
+            let is_of_mean = key == PSNR_OF_MEAN.key;
+            let made = if is_of_mean { mean(MSE.key).map(|mse| -10.0 * mse.log10()) } else { mean(key) };
             let Some((made, found)) = made.zip(found.as_f64()) else { continue };
             // What is not finite is no mean: it compares as unequal.
             if !made.is_finite() || (made - found).abs() > 1e-12 * made.abs() {
@@ -125,7 +124,8 @@ fn check_depths(run: &Path, report: &Report, wrong: &mut Vec<String>) -> Result<
     let path = RunDir::depth_errors_in(run);
     let Some(errors) = DepthErrors::read(&path)? else { return Ok(()) };
     let found = errors.views.iter().filter(|view| !view.is_empty()).count();
-    let measured = report.views.iter().filter(|view| view.get("depth_left_out").is_some_and(Value::is_number)).count();
+    let measured =
+        report.views.iter().filter(|view| view.get(DEPTH_LEFT_OUT.key).is_some_and(Value::is_number)).count();
     if found != measured {
         wrong.push(format!("{}: depths of {found} views, metrics.json has {measured}", path.display()));
     }

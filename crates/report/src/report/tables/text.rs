@@ -2,7 +2,7 @@
 
 use super::kinds::{is_without_fields, kind_notes, llff_note};
 use super::{Cell, Comparison, Line, Table};
-use crate::metrics::{Metric, Needs};
+use crate::metrics::{DEPTH_MAE, DEPTH_RMSE, DEPTH_ROUGHNESS, Metric, NORMAL_ROUGHNESS, Needs};
 use crate::report::PUBLISHED_NOTE;
 use crate::report::distinct;
 use crate::report::statistics::p_text;
@@ -18,7 +18,7 @@ const SCORED: &str = "not trained here: pictures that another program rendered, 
      known of their training, and another code's seed shares no random numbers with ours";
 
 /// Metrics that each row measures over its own pixels.
-const OWN_PIXELS: [&str; 4] = ["depth_mae", "depth_rmse", "depth_roughness", "normal_roughness"];
+static OWN_PIXELS: [&Metric; 4] = [&DEPTH_MAE, &DEPTH_RMSE, &DEPTH_ROUGHNESS, &NORMAL_ROUGHNESS];
 
 /// A mark after a row's name: symbol, meaning, and the details for a line that has it.
 type Mark = (char, &'static str, fn(&Line) -> Option<String>);
@@ -207,7 +207,7 @@ pub(super) fn general_notes(table: &Table) -> Vec<String> {
 /// Returns the notes below a table in every form; `equivalence` explains the test, if it was made.
 pub fn further_notes(table: &Table, equivalence: &str) -> Vec<String> {
     let mut notes = Vec::new();
-    let is_own = |metric: &&String| OWN_PIXELS.contains(&metric.as_str());
+    let is_own = |metric: &&String| OWN_PIXELS.iter().any(|own| own.key == *metric);
     let has_verdict = |metric: &str| {
         let cells = table.lines.iter().flat_map(|line| &line.cells).filter(|cell| cell.metric == metric);
         cells.filter_map(|cell| cell.comparison).any(|comparison| comparison.verdict().is_some())
