@@ -26,7 +26,7 @@ pub(super) fn activate_density(activation: DensityActivation, raw: &Tensor) -> R
     }
 }
 
-/// Calls [`activate_density`] for one number.
+/// Calls [`crate::field::Field::activate_density`] for one number.
 pub fn density_of(activation: DensityActivation, raw: f32) -> f32 {
     match activation {
         DensityActivation::Relu => raw.max(0.0) + raw * 0.0,
@@ -38,7 +38,8 @@ pub fn density_of(activation: DensityActivation, raw: f32) -> f32 {
     }
 }
 
-/// Returns the gradient in raw density from that in density, as candle computes it for [`activate_density`].
+/// Returns the gradient in raw density from that in density, as candle computes it for
+/// [`crate::field::Field::activate_density`].
 pub fn raw_density_gradient(activation: DensityActivation, raw: f32, gradient: f32) -> f32 {
     match activation {
         DensityActivation::Relu => gradient * f32::from(u8::from(raw >= 0.0)),

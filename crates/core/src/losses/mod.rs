@@ -9,7 +9,7 @@
 //!
 //! A term on rays is the mean over the rays of a step. A term in space is an integral over a box: volume / n * sum over
 //! n points. If the points are the midpoints of all cells, volume / n is the paper's delta^3. A term of your own
-//! implements [`RayTerm`] or [`SpaceTerm`], and is passed to the trainer ([`crate::train::Trainer::add_term`]).
+//! implements [`RayTerm`] or [`SpaceTerm`], and is passed to the trainer ([`crate::methods::Learner::add_term`]).
 
 use std::sync::Arc;
 

@@ -63,5 +63,6 @@ pub trait Family: Sync {
     ///
     /// # Errors
     /// If their number or shapes are wrong.
+    #[allow(clippy::wrong_self_convention, reason = "the family is a table of functions, and has no data")]
     fn from_parameters(&self, config: &Config, values: Vec<Tensor>) -> Result<Arc<dyn Network>>;
 }

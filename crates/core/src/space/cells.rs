@@ -55,7 +55,7 @@ pub fn over_chunks<T: Send>(
         work(&points.tensor(start, size.min(count - start), dtype, device)?)
     };
     for group in starts.chunks(CHUNKS_AT_ONCE) {
-        over_parts(device, group, 1, &one)?.into_iter().try_for_each(&mut take)?;
+        over_parts(device, group, 1, one)?.into_iter().try_for_each(&mut take)?;
     }
     Ok(())
 }

@@ -3,7 +3,7 @@
 //!
 //! candle's graph carries gradients of points, view directions and feature delta. Those of the weights bypass it and go
 //! into a [`Recorder`], for two reasons: an operation has at most three arguments, and the gradients of many chunks add
-//! up in place. The plain path ([`Field::forward`] on a field that neither records nor is frozen) is the reference for
+//! up in place. The plain path ([`crate::field::Field::forward`] on a field that neither records nor is frozen) is the reference for
 //! tests.
 
 mod backward;

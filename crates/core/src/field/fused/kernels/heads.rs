@@ -32,7 +32,7 @@ impl Head {
     }
 }
 
-/// Computes `y [rows, outputs] = x W^T + b`, where `x` is the sum of rows. Each number is a dot product in [`LANES`]
+/// Computes `y [rows, outputs] = x W^T + b`, where `x` is the sum of rows. Each number is a dot product in `LANES`
 /// parallel sums.
 pub fn head_forward(head: &Head, x: &[Panels], y: &mut [f32]) {
     let rows = y.len() / head.outputs;
