@@ -143,14 +143,9 @@ impl SweepFolder {
         let path = self.path.join(BEGIN_LOCK);
         let file = fs::File::options().create(true).truncate(false).write(true).open(&path);
         let file = file.map_err(|e| Error::unwritable(&path, &e))?;
-        match file.lock() {
-            Err(error) if error.kind() != std::io::ErrorKind::Unsupported => {
-                return Err(Error::unwritable(&path, &error));
-            }
-            Err(_) => {}
-            Ok(()) => {
-                clean_temporaries(&self.path)?;
-            }
+        // Without locks nobody can be kept out, so that another process may be writing what looks left over.
+        if file.lock().is_ok() {
+            clean_temporaries(&self.path)?;
         }
         Ok(file)
     }
