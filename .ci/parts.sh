@@ -3,7 +3,7 @@ set -euo pipefail
 cd "$(dirname "${BASH_SOURCE[0]}")/.."
 root=$PWD
 
-# Real scenes and LPIPS weights, if they are next to the checkout.
+# Real scenes and LPIPS weights, if a folder `shared` next to the checkout has them (CONTRIBUTING.md).
 shared="$root/../shared"
 [[ -d $shared/data ]] && export AUGNERF_DATA="$shared/data"
 [[ -d $shared/weights/lpips ]] && export AUGNERF_LPIPS_WEIGHTS="$shared/weights/lpips"
@@ -13,7 +13,7 @@ if ! command -v cargo > /dev/null; then
   exit 1
 fi
 
-name=$(basename "$0")
+gate=.ci/$(basename "$0")
 scratch=$(mktemp -d)
 table=$scratch/table
 touch "$table"
@@ -21,11 +21,12 @@ begun=$SECONDS
 
 finish() {
   local status=$?
+  ((status == 0)) && status=$failed
   printf '\n%-28s %8s\n' part seconds
   cat "$table"
   printf '%-28s %8d\n' "in all" $((SECONDS - begun))
   rm -rf "$scratch"
-  ((status == 0)) && echo "$name: passed" || echo "$name: NOT PASSED"
+  ((status == 0)) && echo "$gate: passed" || echo "$gate: NOT PASSED"
   exit $status
 }
 trap finish EXIT
@@ -33,14 +34,15 @@ trap finish EXIT
 trap 'exit 130' INT
 trap 'exit 143' TERM
 
-# part NAME COMMAND...: runs a command and notes how long it took.
+# part NAME COMMAND...: runs a command and notes how long it took. A part that fails does not keep the next from running.
+failed=0
 part() {
   local name=$1 started=$SECONDS status=0
   shift
   printf '\n== %s: %s\n' "$name" "$*"
   "$@" || status=$?
   printf '%-28s %8d%s\n' "$name" $((SECONDS - started)) "$( ((status == 0)) || echo "  FAILED")" >> "$table"
-  return $status
+  ((status == 0)) || failed=1
 }
 
 # left_out NAME REASON

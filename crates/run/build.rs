@@ -3,16 +3,21 @@
 use std::path::Path;
 use std::process::Command;
 
-/// What the program is built from. Only a change of these makes it `-dirty`, and they are what is
-/// watched: the git index is not, since every `git status` may rewrite it.
-const SOURCES: [&str; 4] = ["src", "build.rs", "Cargo.toml", "Cargo.lock"];
+/// The workspace, from this package.
+const ROOT: &str = "../..";
+
+/// What numbers are computed by. Only a change of these makes the revision `-dirty`, and they are what is watched: the git
+/// index is not, since every `git status` may rewrite it. The commands have a build script of their own.
+const SOURCES: [&str; 3] = ["crates", "Cargo.toml", "Cargo.lock"];
 
 /// Files below the git folder that change when another commit is checked out or made.
 const GIT_FILES: [&str; 3] = ["HEAD", "logs/HEAD", "packed-refs"];
 
 fn main() {
-    for source in SOURCES.into_iter().filter(|source| Path::new(source).exists()) {
-        println!("cargo:rerun-if-changed={source}");
+    println!("cargo:rerun-if-changed=src");
+    println!("cargo:rerun-if-changed=build.rs");
+    for source in SOURCES.map(|source| Path::new(ROOT).join(source)).iter().filter(|source| source.exists()) {
+        println!("cargo:rerun-if-changed={}", source.display());
     }
     let revision = git_revision().or_else(packaged_revision).unwrap_or_else(|| "unknown".to_string());
     println!("cargo:rustc-env=AUGNERF_REVISION={revision}");
@@ -37,7 +42,8 @@ fn git(arguments: &[&str]) -> Option<String> {
 
 fn git_revision() -> Option<String> {
     // A package unpacked inside some other project's repository must not report that one's commit.
-    if !git(&["rev-parse", "--show-prefix"])?.is_empty() {
+    let manifest = std::fs::read_to_string(Path::new(ROOT).join("Cargo.toml")).ok()?;
+    if git(&["rev-parse", "--show-prefix"])? != "crates/run/" || !manifest.contains("name = \"augnerf\"") {
         return None;
     }
     let reference = git(&["symbolic-ref", "-q", "HEAD"]);
@@ -48,7 +54,9 @@ fn git_revision() -> Option<String> {
         }
     }
     let commit = git(&["rev-parse", "--short=12", "HEAD"])?;
-    let status = [&["status", "--porcelain", "--untracked-files=no", "--"], &SOURCES[..]].concat();
+    let sources = SOURCES.map(|source| format!(":/{source}"));
+    let mut status = vec!["status", "--porcelain", "--untracked-files=no", "--"];
+    status.extend(sources.iter().map(String::as_str));
     let dirty = !git(&status)?.is_empty();
     Some(commit.chars().take(12).collect::<String>() + if dirty { "-dirty" } else { "" })
 }

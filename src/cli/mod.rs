@@ -296,6 +296,9 @@ fn grouped(command: clap::Command) -> clap::Command {
 
 /// Runs the program; the exit code is that of the error's class.
 pub fn main() -> ExitCode {
+    if env!("AUGNERF_COMMANDS_DIFFER") == "true" {
+        augnerf_run::revision::commands_differ();
+    }
     let parsed = command().try_get_matches().and_then(|matches| Arguments::from_arg_matches(&matches));
     let arguments = match parsed {
         Ok(arguments) => arguments,

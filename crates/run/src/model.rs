@@ -52,17 +52,13 @@ fn baseline(config: &Config) -> Result<&'static dyn Family> {
     })
 }
 
-fn is_field(config: &Config) -> bool {
-    matches!(config.representation(), Representation::Nerf | Representation::MipNerf | Representation::HashNerf)
-}
-
 impl Model {
     /// Starts a run at step 0. A network that starts dead is initialized again.
     ///
     /// # Errors
     /// Settings do not suit the scene; every initialization is dead; the method is not built in.
     pub fn start(config: &Resolved, scene: &Scene, dtype: DType, device: &Device) -> Result<Start> {
-        if is_field(config) {
+        if config.representation().is_field() {
             let (learner, redraws) = FieldLearner::start(config, scene, dtype, device)?;
             let model = Model::Fields(learner.fields().clone());
             return Ok(Start { model, learner: Box::new(learner), redraws });
@@ -75,7 +71,7 @@ impl Model {
 
     /// Returns the names of a configuration's networks, in the fixed order of parameters.
     pub fn parts(config: &Config) -> Vec<&'static str> {
-        match is_field(config) {
+        match config.representation().is_field() {
             true => Fields::roles(config),
             false => family(config.representation()).map(|family| family.part()).into_iter().collect(),
         }
@@ -83,7 +79,7 @@ impl Model {
 
     /// Returns names and shapes of all parameters, in their fixed order; empty for a method that is not built in.
     pub fn parameter_names(config: &Config) -> Vec<(String, Vec<usize>)> {
-        match is_field(config) {
+        match config.representation().is_field() {
             true => Fields::parameter_names(config),
             false => family(config.representation()).map(|family| family.parameter_names(config)).unwrap_or_default(),
         }
@@ -94,7 +90,7 @@ impl Model {
     /// # Errors
     /// Values have another number or shape; the method is not built in.
     pub fn from_parameters(config: &Config, values: Vec<Tensor>) -> Result<Model> {
-        if is_field(config) {
+        if config.representation().is_field() {
             return Ok(Model::Fields(Fields::from_parameters(config, values)?));
         }
         let representation = config.representation();

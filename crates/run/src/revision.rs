@@ -1,9 +1,24 @@
 //! Which code made a result.
 
-/// The commit this program was built from: twelve hex digits, with `-dirty` if the sources
-/// differed from it; `unknown` where neither git nor the package said.
+use std::sync::LazyLock;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+static COMMANDS_DIFFER: AtomicBool = AtomicBool::new(false);
+
+/// Notes that the program's commands differ from the commit. It counts before the first call of [`revision`].
+pub fn commands_differ() {
+    COMMANDS_DIFFER.store(true, Ordering::Relaxed);
+}
+
+/// Returns the commit that this program was built from: twelve hex digits, with `-dirty` if the sources differed from it;
+/// `unknown` if neither git nor the package said.
 pub fn revision() -> &'static str {
-    env!("AUGNERF_REVISION")
+    static REVISION: LazyLock<String> = LazyLock::new(|| {
+        let commit = env!("AUGNERF_REVISION");
+        let differs = COMMANDS_DIFFER.load(Ordering::Relaxed) && commit != "unknown" && !commit.ends_with("-dirty");
+        format!("{commit}{}", if differs { "-dirty" } else { "" })
+    });
+    &REVISION
 }
 
 /// The crate's version.
@@ -24,7 +39,9 @@ mod tests {
     fn the_revision_has_its_form() {
         let commit = revision().strip_suffix("-dirty").unwrap_or(revision());
         let hexadecimal = commit.len() == 12 && commit.bytes().all(|byte| byte.is_ascii_hexdigit());
-        assert!(hexadecimal || revision() == "unknown", "{}", revision());
+        // In a checkout it is known.
+        let is_checkout = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../../.git").exists();
+        assert!(hexadecimal || (revision() == "unknown" && !is_checkout), "{}", revision());
         assert!(version().split('.').count() == 3);
         assert_eq!(features().any(|feature| feature == "png-figures"), cfg!(feature = "png-figures"));
         assert!(!features().any(|feature| feature == "default"));

@@ -175,9 +175,12 @@ impl Drop for Claim {
     }
 }
 
-/// Locks a file; false where another worker holds it. Who only looks shares the lock for a moment, and is waited for.
+/// Attempts to lock a file that others only look at: `sweep status` shares the lock for a moment.
+const LOOKS: usize = 1000;
+
+/// Locks a file, or returns false if another worker holds it. A process that shares the lock for long counts as a worker.
 fn try_hold(file: &File) -> io::Result<bool> {
-    loop {
+    for _ in 0..LOOKS {
         match file.try_lock() {
             Ok(()) => return Ok(true),
             Err(TryLockError::Error(error)) => return Err(error),
@@ -188,8 +191,9 @@ fn try_hold(file: &File) -> io::Result<bool> {
             Err(TryLockError::WouldBlock) => return Ok(false),
             Err(TryLockError::Error(error)) => return Err(error),
         }
-        std::thread::yield_now();
+        std::thread::sleep(Duration::from_millis(1));
     }
+    Ok(false)
 }
 
 /// Whether a point may be worked on after an attempt to lock it, and if so, whether it is locked.
@@ -205,9 +209,12 @@ fn accept(held: io::Result<bool>, sharing: Sharing, folder: &Path) -> Result<Opt
     }
 }
 
-/// Whether a worker holds the lock; none where the file system has no locks.
+/// Returns whether a worker holds the lock, or none if that cannot be known: no permission, or a file system without locks.
 fn is_held(path: &Path) -> Option<bool> {
-    let Ok(file) = File::open(path) else { return Some(false) };
+    let file = match File::open(path) {
+        Ok(file) => file,
+        Err(error) => return (error.kind() == io::ErrorKind::NotFound).then_some(false),
+    };
     match file.try_lock_shared() {
         Ok(()) => Some(false),
         Err(TryLockError::WouldBlock) => Some(true),

@@ -48,6 +48,9 @@ mod drawn {
         let mut pixels = Pixmap::new(side(width), side(height)).ok_or_else(|| failed("it has no size"))?;
         pixels.fill(Color::WHITE);
         for mark in &canvas.marks {
+            if let Mark::Picture { at, size, png } = mark {
+                picture(*at, *size, png, &mut pixels)?;
+            }
             // A mark without extent draws nothing.
             let _ = draw(mark, &face, &mut pixels);
         }
@@ -73,7 +76,7 @@ mod drawn {
             Mark::Text { at, text, size, anchor, colour } => {
                 fill(&letters::outlines(face, text, *at, *size, *anchor)?, *colour, 1.0, pixels)
             }
-            Mark::Picture { at, size, png } => picture(*at, *size, png, pixels),
+            Mark::Picture { .. } => None,
         }
     }
 
@@ -105,16 +108,18 @@ mod drawn {
     }
 
     /// Draws an image with sharp pixels.
-    fn picture((x, y): (f64, f64), size: (f64, f64), png: &[u8], pixels: &mut Pixmap) -> Option<()> {
-        let picture = Pixmap::decode_png(png).ok()?;
+    fn picture((x, y): (f64, f64), size: (f64, f64), png: &[u8], pixels: &mut Pixmap) -> Result<()> {
+        let picture = Pixmap::decode_png(png).map_err(|e| failed(&e.to_string()))?;
         let (width, height) = (picture.width() as f32, picture.height() as f32);
         let (across, down) = (size.0 as f32 / width, size.1 as f32 / height);
         let place = fine().pre_concat(Transform::from_row(across, 0.0, 0.0, down, x as f32, y as f32));
         let shader =
             Pattern::new(picture.as_ref(), SpreadMode::Pad, FilterQuality::Nearest, 1.0, Transform::identity());
         let paint = Paint { shader, ..Paint::default() };
-        pixels.fill_rect(Rect::from_xywh(0.0, 0.0, width, height)?, &paint, place, None);
-        Some(())
+        if let Some(extent) = Rect::from_xywh(0.0, 0.0, width, height) {
+            pixels.fill_rect(extent, &paint, place, None);
+        }
+        Ok(())
     }
 
     fn failed(why: &str) -> Error {

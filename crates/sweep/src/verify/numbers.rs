@@ -164,8 +164,7 @@ pub fn is_quoted_as(value: f64, quoted: &str) -> std::result::Result<bool, Strin
     }
     let rounded = if is_scientific { format!("{value:.decimals$e}") } else { format!("{value:.decimals$}") };
     let rounded: f64 = rounded.parse().expect("printed");
-    // A plus is a claim, too.
-    Ok(rounded == parsed && !(text.starts_with('+') && value < 0.0 && parsed != 0.0))
+    Ok(rounded == parsed)
 }
 
 #[cfg(test)]
