@@ -270,7 +270,7 @@ fn without_a_reference_mesh_no_training_begins() {
         let small = ["eval.mesh.resolution=32", "data.width=24", "train.rays=64"].map(|setting| ["--set", setting]);
         [&start[..], &small.concat(), further].concat()
     };
-    refuse(&train(&["--set", "data.kind=builtin-forward"]), 2, &["eval.mesh.reference", "without a mesh"]);
+    refuse(&train(&["--set", "data.kind=builtin-forward"]), 2, &["eval.mesh.reference", "needs a reference mesh"]);
     refuse(&train(&["--set", "eval.mesh.reference=/nowhere/a.ply"]), 3, &["/nowhere/a.ply"]);
     let line = dir.path().join("line.obj");
     std::fs::write(&line, "v 0 0 0\nv 1 0 0\nv 2 0 0\nf 1 2 3\n").unwrap();

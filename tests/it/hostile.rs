@@ -300,7 +300,7 @@ fn pictures_that_memory_does_not_hold_are_refused_before_they_are_decoded() {
         fs::write(dir.path().join(format!("{i}.png")), header(1_000_000)).unwrap();
     }
     let arguments = ["data", "check", dir.path().to_str().unwrap(), "--set", "data.downscale=1"];
-    refuse(&arguments, 3, &["2 pictures of 1000000x1000000 pixels", "GiB", "data.downscale"]);
+    refuse(&arguments, 3, &["2 images of 1000000x1000000 pixels", "GiB", "data.downscale"]);
 }
 
 /// Names of rows that spreadsheets, browsers and LaTeX would obey.

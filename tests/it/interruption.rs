@@ -111,7 +111,7 @@ fn a_checkpoint_without_checksums_is_read() {
     succeed(&["resume", "--quiet", out.to_str().unwrap()]);
     std::fs::rename(checkpoint(&out, 10), checkpoint(&out, 90)).unwrap();
     let message = demand(&mut augnerf(&["resume", out.to_str().unwrap()]), 0);
-    assert_says(&message, &["step_000000090 is damaged (state.json: it is of step 10)", "step_000000030"]);
+    assert_says(&message, &["step_000000090 is damaged (state.json: it belongs to step 10)", "step_000000030"]);
 }
 
 /// As `sha256sum -c` reads them.
@@ -317,7 +317,7 @@ fn runs_that_cannot_be_written_are_measured_and_shown() {
     let place = |name: &str| elsewhere.join(name).to_str().unwrap().to_string();
     let before = crate::common::files::files(&out, &[]);
     let message = demand(&mut as_reader(&["measure", run, "--lattice", "4"]), 0);
-    assert_says(&message, &["laplacian", "cannot be written", "smoothness.csv"]);
+    assert_says(&message, &["laplacian", "read-only", "smoothness.csv"]);
     let message = demand(&mut as_reader(&["eval", run]), 4);
     assert_says(&message, &["cannot be written", "--out"]);
     demand(&mut as_reader(&["eval", run, "--out", &place("metrics")]), 0);

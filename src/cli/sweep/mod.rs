@@ -57,7 +57,7 @@ pub enum SweepCommand {
     /// Create a sweep's folder without running anything
     #[command(after_help = begin::EXAMPLES)]
     Begin(begin::BeginArguments),
-    /// Run one point of a sweep, as a task of a job array
+    /// Run one point of a sweep, for a job array
     #[command(after_help = run_point::EXAMPLES)]
     RunPoint(run_point::RunPointArguments),
     /// Submit the points to Slurm, with a job that writes the tables
