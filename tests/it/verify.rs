@@ -422,7 +422,7 @@ fn a_comparison_across_sweeps_is_made_again() {
     labelled.extend(["--row", "Aug-NeRF", "--out", "results/both", "--label", "mip_chair=The chair = 200 pixels"]);
     program::demand(augnerf(&labelled).current_dir(dir.path()), 0);
     for (file, words) in
-        [("svg", "The chair = 200 pixels<"), ("md", "| The chair = 200 pixels |"), ("csv", "mip_chair,chair")]
+        [("svg", "The chair = 200 pixels"), ("md", "| The chair = 200 pixels |"), ("csv", "mip_chair,chair")]
     {
         assert_says(&text(&folder.join("across").with_extension(file)), &[words]);
     }
