@@ -164,7 +164,7 @@ impl Quote {
         wrong.extend(self.cells.iter().filter_map(|claim| check_claim(claim, &self.text, cells).err()));
         if !self.columns.is_empty() {
             let lines: Vec<Vec<String>> =
-                page.lines[page.table(at.start)].iter().skip(2).map(|l| cells_of(l)).collect();
+                page.lines[page.table(at.end - 1)].iter().skip(2).map(|l| cells_of(l)).collect();
             let (numbers, reasons) = check_table(&cells_of(&self.columns), &lines, cells);
             count += numbers;
             wrong.extend(reasons);
@@ -246,7 +246,7 @@ impl Page {
         self.starts.partition_point(|start| *start <= at).saturating_sub(1)
     }
 
-    /// The lines of the table at a place, or of the next one.
+    /// The lines of the table at a place, where a text ends, or of the next one.
     fn table(&self, at: usize) -> Range<usize> {
         let is_table = |line: &usize| self.lines[*line].starts_with('|');
         let first = (self.line_of(at)..self.lines.len()).find(is_table).unwrap_or(self.lines.len());
@@ -259,7 +259,7 @@ impl Page {
         for quote in quotes {
             let Ok(span) = self.find(&quote.text) else { continue };
             if !quote.columns.is_empty() {
-                let table = self.table(span.start);
+                let table = self.table(span.end - 1);
                 let end = |line: usize| self.starts.get(line).copied().unwrap_or(self.flat.len());
                 blank(&mut prose, end(table.start)..end(table.end));
             }
