@@ -204,7 +204,7 @@ fn the_best_row_is_told_with_its_settings_and_folders() {
 
     let (_, points) = finished(dir.path(), "kept", BASE, &[("split", "every-8-val")]);
     let told = demand(dir.path(), &["sweep", "best", "runs/kept"], 0);
-    assert!(told.contains("kept for choices") && points.len() == 12, "{told}");
+    assert!(told.contains("on validation views") && points.len() == 12, "{told}");
 }
 
 #[test]
