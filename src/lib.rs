@@ -80,7 +80,7 @@
 //! |---|---|
 //! | `augnerf` | [`cli`], and everything below |
 //! | `augnerf-sweep` | [`sweep`] |
-//! | `augnerf-run` | [`train`], [`run`], [`compare`], [`bench`] |
+//! | `augnerf-run` | [`train`], [`run`], [`compare`], [`mod@bench`] |
 //! | `augnerf-baselines` | [`grids`] and the [`methods`] SRN, Neural Volumes and LLFF |
 //! | `augnerf-report` | [`draw`], [`report`] |
 //! | `augnerf-core` | [`base`], [`runtime`], [`settings`], [`augment`], [`data`], [`field`], [`metrics`], [`render`], [`space`], [`losses`] |
