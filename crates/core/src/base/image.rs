@@ -17,6 +17,7 @@ impl Image {
     /// Returns every `stride`-th pixel in both directions, starting with the first one.
     ///
     /// ```
+    /// # use augnerf_core as augnerf;
     /// use augnerf::base::Image;
     ///
     /// let image = Image { width: 3, height: 2, channels: 1, pixels: vec![0.0, 0.1, 0.2, 0.3, 0.4, 0.5] };

@@ -29,6 +29,7 @@ use crate::base::{Error, Image, Result};
 /// `lpips` and for images below the backbone's smallest side.
 ///
 /// ```
+/// # use augnerf_core as augnerf;
 /// use augnerf::base::Image;
 /// use augnerf::metrics::{Backbone, LPIPS, PSNR, measure};
 ///

@@ -57,6 +57,7 @@ impl Runtime {
     /// process rounds matrix products differently.
     ///
     /// ```
+    /// # use augnerf_core as augnerf;
     /// use augnerf::runtime::Runtime;
     ///
     /// let runtime = Runtime::new("cpu", Some(2))?;

@@ -126,6 +126,7 @@ pub fn parse_assignment(text: &str) -> Result<(Vec<String>, Value)> {
 /// Assignments are `(path, value)` in order.
 ///
 /// ```
+/// # use augnerf_core as augnerf;
 /// use augnerf::settings::{Preset, build, parse_assignment};
 ///
 /// let steps = parse_assignment("train.steps=20")?;

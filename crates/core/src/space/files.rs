@@ -61,6 +61,7 @@ pub fn write_obj(mesh: &Mesh, comment: &str, out: &mut impl Write) -> std::io::R
 /// first corner. A mesh without faces or area, or with a coordinate that is NaN, is an error.
 ///
 /// ```
+/// # use augnerf_core as augnerf;
 /// use augnerf::space::read_mesh;
 ///
 /// let folder = tempfile::tempdir().unwrap();

@@ -46,6 +46,7 @@ impl Viewer<'_> {
     /// Renders the view of a camera without any randomness, `config.eval.chunk` rays at a time.
     ///
     /// ```
+    /// # mod augnerf { pub use augnerf_core::*; pub use augnerf_run::*; pub use candle_core; }
     /// use augnerf::candle_core::DType;
     /// use augnerf::run::{Viewer, load_scene};
     /// use augnerf::runtime::Runtime;

@@ -39,6 +39,7 @@ pub struct Setup<'a> {
 /// A training that is ready to start or resume.
 ///
 /// ```
+/// # mod augnerf { pub use augnerf_core::*; pub use augnerf_run::*; pub use candle_core; }
 /// use std::sync::atomic::AtomicUsize;
 ///
 /// use augnerf::metrics::PSNR;

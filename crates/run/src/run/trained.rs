@@ -43,6 +43,7 @@ pub struct OpenOptions {
 /// process cannot write is opened as well.
 ///
 /// ```
+/// # mod augnerf { pub use augnerf_core::*; pub use augnerf_run::*; pub use candle_core; }
 /// use augnerf::run::Trained;
 /// use augnerf::runtime::Runtime;
 /// # use std::sync::atomic::AtomicUsize;
