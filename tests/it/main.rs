@@ -42,6 +42,7 @@ mod settings;
 mod slurm;
 #[cfg(unix)]
 mod slurm_jobs;
+#[cfg(feature = "baselines")]
 mod srn;
 mod sweep_cli;
 mod sweep_controls;
@@ -54,6 +55,7 @@ mod training;
 mod typeset;
 mod verify;
 mod views;
+#[cfg(feature = "baselines")]
 mod volumes;
 
 /// Counts what is taken, for the tests that bound it.
