@@ -57,3 +57,8 @@ has() {
   [[ -n ${2:-} ]] && apt-get install -y --no-install-recommends "$2" > "$scratch/$1.log" 2>&1 || true
   command -v "$1" > /dev/null
 }
+
+# slow_tests: the names of tests that are ignored because they are slow. The nightly run has them.
+slow_tests() {
+  sed -n '/#\[ignore = "slow"\]/{n;s/^fn \([a-z0-9_]*\).*/\1/p}' tests/it/*.rs
+}

@@ -86,6 +86,7 @@ fn plans_of_more_points_than_a_sweep_has_are_refused_as_they_are_read() {
 /// What a training of the plain core is said to take is near what it takes: neither is more than one and a half times the
 /// other, so that what fits is not refused.
 #[test]
+#[ignore = "slow"]
 fn memory_is_estimated_before_it_is_taken() {
     let every = [
         "field.core=plain",

@@ -23,6 +23,7 @@ fn change(file: &Path, from: &str, to: &str) {
 
 /// A hundredth of its size is there: 120 kB that came to six gigabytes.
 #[test]
+#[ignore = "slow"]
 fn packed_files_take_no_more_memory_than_large_ones() {
     let (dir, folder) = results("geometry");
     fs::write(folder.join("scalars.csv.gz"), packed(&[&b"id,loss\n"[..], &b",\n".repeat(60_000_000)].concat()))

@@ -142,6 +142,7 @@ fn settings_that_toml_cannot_hold_are_refused_in_a_run_s_folder() {
 /// A result that nobody gets is an error, of every command that prints one.
 #[cfg(target_os = "linux")]
 #[test]
+#[ignore = "slow"]
 fn a_full_standard_output_is_an_error() {
     let dir = TempDir::new().unwrap();
     let out = trained(&dir);

@@ -579,6 +579,7 @@ fn squeeze_equals_plain_loops_also_where_pooling_rounds_up() {
 }
 
 #[test]
+#[ignore = "slow"]
 fn convolutions_in_strips_of_rows_give_the_same_distance() {
     let dir = tempfile::tempdir().unwrap();
     let (features, mut linear) = synthetic(Backbone::Vgg, "features.");

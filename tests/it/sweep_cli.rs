@@ -105,6 +105,7 @@ fn smoothness_of_a_point_is_that_of_measure() {
 
 /// `AUGNERF_SWEEP_KILLS` kills instead of 20.
 #[test]
+#[ignore = "slow"]
 fn killed_at_random_moments_equals_undisturbed() {
     let kills = std::env::var("AUGNERF_SWEEP_KILLS").map_or(20, |n| n.parse().expect("a number of kills"));
     let (undisturbed, disturbed) = (workplace(TINY), workplace(TINY));
@@ -157,6 +158,7 @@ fn corrupted_points_see_what_a_training_would() {
 
 /// A budget in seconds, too: whoever begins the folder measures it, for both.
 #[test]
+#[ignore = "slow"]
 fn two_runners_share_a_folder() {
     let (alone, shared) = (workplace(TINY), workplace(TINY));
     demand(&["sweep", "run", "tiny.toml", "--quiet"], alone.path(), 0);
@@ -339,6 +341,7 @@ fn a_point_without_its_settings_fails_and_keeps_its_checkpoints() {
 /// Memory is the point's own: not that of a larger one before it, and none of two at once.
 #[cfg(all(target_os = "linux", target_env = "gnu"))]
 #[test]
+#[ignore = "slow"]
 fn each_point_has_its_own_memory() {
     let large = r#"{ "data.width" = 64, "train.rays" = 1024, "train.chunk" = 1024, "field.width" = 128, "sampling.coarse" = 32 }"#;
     let rows = format!("[[row]]\nname = \"NeRF\"\nset = {large}\n[[row]]\nname = \"small\"\n");

@@ -313,6 +313,7 @@ fn quoted_numbers_are_read_again() {
 
 /// Numbers that nothing traces are counted, and their count is held to.
 #[test]
+#[ignore = "slow"]
 fn a_number_does_not_lose_its_trace_in_silence() {
     let (dir, _) = results("geometry");
     let (page, quotes) = (dir.path().join("results/checks/surfaces.md"), dir.path().join("results/quotes.toml"));

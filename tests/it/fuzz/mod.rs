@@ -217,7 +217,7 @@ fn sound_files_are_read() {
 }
 
 #[test]
-#[ignore = "a minute; the gate runs it by itself"]
+#[ignore = "a minute; the nightly run has it"]
 fn damaged_files_are_refused_in_a_sentence() {
     let folder = work_folder();
     let only = std::env::var("AUGNERF_FUZZ_READER").unwrap_or_default();

@@ -3,15 +3,15 @@
 pub mod canvas;
 #[cfg(feature = "png-figures")]
 mod disc;
-mod film;
 #[cfg(feature = "png-figures")]
 mod letters;
+mod mp4;
 pub mod pictures;
 mod raster;
 mod reel;
 
 pub use canvas::Figure;
-pub use film::without_mp4;
+pub use mp4::without_mp4;
 pub use pictures::{
     SOLID, beside, depth_colour, depth_range, depth_range_of, encode_jpeg, pixel_errors, quantise, scale_colour,
     write_depth16, write_png8,

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 
 use rayon::prelude::*;
 
-use super::film;
+use super::mp4;
 use super::pictures::{check, on_paper, quantise, unwritable};
 use crate::base::files::write_atomic;
 use crate::base::{Image, Result};
@@ -94,7 +94,7 @@ fn delay(index: usize, fps: f64) -> u16 {
 pub struct Reel {
     path: PathBuf,
     gif: Gif<BufWriter<File>>,
-    mp4: Option<film::Mp4>,
+    mp4: Option<mp4::Mp4>,
     fps: f64,
     count: usize,
 }
@@ -112,7 +112,7 @@ impl Reel {
         let file = path.with_extension("gif");
         let writer = File::create(&file).map_err(|error| unwritable(&file, &error.to_string()))?;
         let gif = Gif::begin(BufWriter::new(writer), size).map_err(|reason| unwritable(&file, &reason))?;
-        let mp4 = film::without_mp4(size).is_none().then(|| film::Mp4::begin(size, frames, fps)).transpose();
+        let mp4 = mp4::without_mp4(size).is_none().then(|| mp4::Mp4::begin(size, frames, fps)).transpose();
         let mp4 = mp4.map_err(|reason| unwritable(&path.with_extension("mp4"), &reason))?;
         Ok(Reel { path: path.to_path_buf(), gif, mp4, fps, count: 0 })
     }
@@ -140,7 +140,7 @@ impl Reel {
         let mut writer = self.gif.finish().map_err(|reason| unwritable(&gif, &reason))?;
         writer.flush().map_err(|error| unwritable(&gif, &error.to_string()))?;
         match self.mp4 {
-            Some(film) => write_atomic(&mp4, &film.finish().map_err(|reason| unwritable(&mp4, &reason))?),
+            Some(video) => write_atomic(&mp4, &video.finish().map_err(|reason| unwritable(&mp4, &reason))?),
             None => Ok(()),
         }
     }

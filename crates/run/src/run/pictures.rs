@@ -107,13 +107,13 @@ impl<'a> PathPictures<'a> {
             depths.iter().map(|Depth { depth, acc }| (depth.as_slice(), Some(acc.as_slice()))).collect();
         let range = depth_range_of(&views);
         let (near, far) = range.unwrap_or((scene.near as f32, scene.far as f32));
-        let mut film = Reel::begin(&folder.join("depth"), size, depths.len(), fps)?;
+        let mut video = Reel::begin(&folder.join("depth"), size, depths.len(), fps)?;
         for (index, Depth { depth, acc }) in depths.iter().enumerate() {
             let picture = depth_colour(depth, size.0, size.1, near, far, Some(acc))?;
             write_png8(&folder.join(format!("depth_{index:03}.png")), &picture)?;
-            film.add(&picture)?;
+            video.add(&picture)?;
         }
-        film.finish()?;
+        video.finish()?;
         write_json(&folder.join("depth.json"), &DepthScale::new(scene, range))
     }
 }

@@ -62,7 +62,7 @@ mod filmed {
     use super::even;
     use crate::base::Image;
 
-    type Filmed<T> = Result<T, String>;
+    type Encoded<T> = Result<T, String>;
 
     /// Ticks a second for the times of frames.
     const TICKS: NonZeroU32 = NonZeroU32::new(90_000).expect("not 0");
@@ -78,7 +78,7 @@ mod filmed {
     /// column or row occurs twice.
     pub struct Mp4 {
         encoder: Encoder,
-        film: Film,
+        video: Container,
         /// Size of the frames as they come.
         first: (usize, usize),
         fps: f64,
@@ -87,14 +87,14 @@ mod filmed {
 
     impl Mp4 {
         /// Starts a video of `frames` frames of a size (width, height), at most [`LARGEST`](super::LARGEST).
-        pub fn begin(first: (usize, usize), frames: usize, fps: f64) -> Filmed<Mp4> {
+        pub fn begin(first: (usize, usize), frames: usize, fps: f64) -> Encoded<Mp4> {
             let size = [even(first.0), even(first.1)];
             let encoder = encoder(size, fps).map_err(|e| e.to_string())?;
-            Ok(Mp4 { encoder, film: Film::new(size, frames)?, first, fps, count: 0 })
+            Ok(Mp4 { encoder, video: Container::new(size, frames)?, first, fps, count: 0 })
         }
 
-        pub fn add(&mut self, frame: &Image) -> Filmed<()> {
-            let (first, size) = (self.first, self.film.size);
+        pub fn add(&mut self, frame: &Image) -> Encoded<()> {
+            let (first, size) = (self.first, self.video.size);
             if (frame.width, frame.height) != first {
                 return Err(format!(
                     "a frame has {}x{} pixels, but the first has {}x{}",
@@ -107,12 +107,12 @@ mod filmed {
             let start = |index: usize| (index as f64 * f64::from(TICKS.get()) / self.fps).round() as u64;
             let ticks = u32::try_from(start(self.count + 1) - start(self.count)).map_err(|e| e.to_string())?;
             self.count += 1;
-            self.film.add(&stream, ticks)
+            self.video.add(&stream, ticks)
         }
 
         /// Returns the bytes of the file.
-        pub fn finish(self) -> Filmed<Vec<u8>> {
-            self.film.finish()
+        pub fn finish(self) -> Encoded<Vec<u8>> {
+            self.video.finish()
         }
     }
 
@@ -149,23 +149,23 @@ mod filmed {
     }
 
     /// A file that grows frame by frame.
-    struct Film {
+    struct Container {
         bytes: Vec<u8>,
         muxer: Mp4FileMuxer,
         size: [usize; 2],
         begun: bool,
     }
 
-    impl Film {
-        fn new(size: [usize; 2], frames: usize) -> Filmed<Film> {
+    impl Container {
+        fn new(size: [usize; 2], frames: usize) -> Encoded<Container> {
             // The description of the frames comes first, so that a video plays while it loads.
             let reserved_moov_box_size = estimate_maximum_moov_box_size(&[frames]);
             let options = Mp4FileMuxerOptions { reserved_moov_box_size, ..Mp4FileMuxerOptions::default() };
             let muxer = Mp4FileMuxer::with_options(options).map_err(|e| e.to_string())?;
-            Ok(Film { bytes: muxer.initial_boxes_bytes().to_vec(), muxer, size, begun: false })
+            Ok(Container { bytes: muxer.initial_boxes_bytes().to_vec(), muxer, size, begun: false })
         }
 
-        fn add(&mut self, stream: &EncodedBitStream, duration: u32) -> Filmed<()> {
+        fn add(&mut self, stream: &EncodedBitStream, duration: u32) -> Encoded<()> {
             let (mut parameters, data_offset) = ([Vec::new(), Vec::new()], self.bytes.len());
             let layers = (0..stream.num_layers()).filter_map(|i| stream.layer(i));
             for layer in layers {
@@ -196,7 +196,7 @@ mod filmed {
         }
 
         /// Returns how the frames are decoded.
-        fn entry(&self, [sps_list, pps_list]: [Vec<Vec<u8>>; 2]) -> Filmed<SampleEntry> {
+        fn entry(&self, [sps_list, pps_list]: [Vec<Vec<u8>>; 2]) -> Encoded<SampleEntry> {
             let Some(&[_, profile, compatibility, level, ..]) = sps_list.first().map(Vec::as_slice) else {
                 return Err("the encoder started without the parameters of its stream".into());
             };
@@ -227,7 +227,7 @@ mod filmed {
             Ok(SampleEntry::Avc1(Avc1Box { visual, avcc_box, unknown_boxes: Vec::new() }))
         }
 
-        fn finish(mut self) -> Filmed<Vec<u8>> {
+        fn finish(mut self) -> Encoded<Vec<u8>> {
             let finished = self.muxer.finalize().map_err(|e| e.to_string())?;
             for (offset, bytes) in finished.offset_and_bytes_pairs() {
                 let (start, end) = (offset as usize, offset as usize + bytes.len());
@@ -253,10 +253,10 @@ mod filmed {
         use super::super::without_mp4;
         use super::*;
 
-        fn film(frames: &[Image], fps: f64) -> Filmed<Vec<u8>> {
-            let mut film = Mp4::begin((frames[0].width, frames[0].height), frames.len(), fps)?;
-            frames.iter().try_for_each(|frame| film.add(frame))?;
-            film.finish()
+        fn video(frames: &[Image], fps: f64) -> Encoded<Vec<u8>> {
+            let mut video = Mp4::begin((frames[0].width, frames[0].height), frames.len(), fps)?;
+            frames.iter().try_for_each(|frame| video.add(frame))?;
+            video.finish()
         }
 
         /// A disc that moves over a gradient.
@@ -304,15 +304,15 @@ mod filmed {
         /// Decoded frames have their number, size, order and times, and look the same; odd and small sizes grow.
         #[test]
         fn films_play_as_they_were_made() {
-            let films = [
+            let videos = [
                 (256, 192, (256, 192), 0.01),
                 (64, 48, (64, 48), 0.02),
                 (33, 21, (34, 22), 0.04),
                 (9, 7, (16, 16), 0.08),
             ];
-            for (width, height, expected, most) in films {
+            for (width, height, expected, most) in videos {
                 let frames: Vec<Image> = (0..5).map(|i| frame(width, height, f64::from(i) / 4.0)).collect();
-                let bytes = film(&frames, 12.5).unwrap();
+                let bytes = video(&frames, 12.5).unwrap();
                 let played = play(&bytes);
                 assert_eq!(played.len(), 5);
                 for (index, (frame, (w, h, ticks, rgb))) in frames.iter().zip(&played).enumerate() {
@@ -331,12 +331,12 @@ mod filmed {
         #[test]
         fn films_are_the_same_bytes_twice() {
             let frames: Vec<Image> = (0..3).map(|i| frame(40, 30, f64::from(i) / 2.0)).collect();
-            assert_eq!(film(&frames, 15.0).unwrap(), film(&frames, 15.0).unwrap());
+            assert_eq!(video(&frames, 15.0).unwrap(), video(&frames, 15.0).unwrap());
         }
 
         #[test]
         fn what_is_no_film_is_refused() {
-            assert!(film(&[frame(8, 8, 0.0), frame(8, 9, 0.0)], 15.0).unwrap_err().contains("8x9"));
+            assert!(video(&[frame(8, 8, 0.0), frame(8, 9, 0.0)], 15.0).unwrap_err().contains("8x9"));
             assert!(without_mp4((3842, 4)).unwrap().contains("3840 x 2160") && without_mp4((4, 3842)).is_some());
             assert!(without_mp4((2400, 2200)).is_some() && without_mp4((2160, 3840)).is_none());
         }
