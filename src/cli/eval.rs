@@ -71,7 +71,8 @@ impl EvalArguments {
             print(&serde_json::to_string_pretty(&report.mean).expect("plain data"))
         })?;
         console.say(&format!("step {step} of {steps}: {}", json.display()));
-        Ok(())
+        report.no_better_than_one_colour().iter().for_each(|remark| console.say(remark));
+        report.check_learned(&self.run)
     }
 
     /// Returns the folder for the files.

@@ -121,6 +121,12 @@ impl Experiment {
         self.data.is_some()
     }
 
+    /// Returns whether the command line says how long to train: by a preset, a file or a number of steps.
+    pub fn names_length(&self) -> bool {
+        let steps = |text: &String| text.split_once('=').is_some_and(|(path, _)| path.trim() == "train.steps");
+        self.preset.is_some() || self.config.is_some() || self.set.iter().any(steps)
+    }
+
     /// Builds the settings of preset, file and flags, in that order.
     pub fn config(&self, console: &Console) -> Result<Config> {
         self.config_over(Base::default(), &LpipsWeights { lpips_weights: None }, console)

@@ -3,22 +3,29 @@
 use std::io::IsTerminal;
 use std::path::{Path, PathBuf};
 
+use candle_core::DType;
 use clap::Args;
 use tempfile::NamedTempFile;
 
 use crate::base::{Error, Result};
-use crate::metrics::{Backbone, LPIPS, PSNR, SSIM};
+use crate::metrics::{Backbone, FLOOR_PSNR, LPIPS, PSNR, SSIM};
 use crate::run::{Existing, Finished, Job, RunDir, Setup, load_lpips, load_scene, load_scene_of, settings_to_go_on};
 use crate::runtime::Runtime;
 use crate::settings::Config;
-use crate::train::Origin;
 use crate::train::checkpoint::{self, State};
+use crate::train::{Origin, Trainer};
 
 use super::answer::{Answer, Measured};
 use super::experiment::{Base, Experiment, settings_file};
-use super::progress::{Console, print};
+use super::progress::{Console, duration, print, report};
 use super::signals::catch_signals;
 use super::{Compute, LpipsWeights, Sources};
+
+/// Steps from which on settings are the paper's.
+const PAPER_STEPS: u64 = 100_000;
+
+/// Seconds from which on a question is asked.
+const LONG: f64 = 3600.0;
 
 pub const RESUME_EXAMPLES: &str = "Examples:
   augnerf resume runs/fern-nerf-*
@@ -46,6 +53,9 @@ pub struct TrainArguments {
     /// Print the resolved settings and stop
     #[arg(long, help_heading = "Output")]
     print_config: bool,
+    /// Start without a question, however long it takes
+    #[arg(long, short = 'y', help_heading = "Experiment")]
+    yes: bool,
     #[command(flatten)]
     answer: Answer,
     #[command(flatten)]
@@ -87,6 +97,12 @@ impl TrainArguments {
         let setup = Setup { config, scene: &scene, lpips: &lpips, runtime: runtime.clone() };
         let existing = if self.overwrite { Existing::Replace } else { Existing::Refuse };
         let words = what_is_trained(&setup);
+        // Only the paper's own settings take so long that nobody should start them without having asked for them.
+        let asks = self.from.is_none() && !self.experiment.names_length() && setup.config.train.steps >= PAPER_STEPS;
+        if asks {
+            console.say(&words);
+            self.ask_for_patience(&setup, console)?;
+        }
         let job = match &parent {
             None => Job::create(&folder, existing, setup)?,
             Some(parent) => {
@@ -99,8 +115,41 @@ impl TrainArguments {
             }
         };
         drop(parent);
-        console.say(&words);
+        if !asks {
+            console.say(&words);
+        }
         train(job, &folder, console, self.answer)
+    }
+}
+
+impl TrainArguments {
+    /// Says how long the paper's own settings take here, and asks on a terminal.
+    ///
+    /// # Errors
+    /// [`Error::Config`]: the answer is no.
+    fn ask_for_patience(&self, setup: &Setup, console: &Console) -> Result<()> {
+        let Setup { config, scene, runtime, .. } = setup;
+        let seconds =
+            config.train.steps as f64 * Trainer::new(config, scene, DType::F32, runtime)?.time_step(&|| Ok(()))?;
+        let text = format!(
+            "no --preset is named, so these are the paper's own settings: about {} here; --preset fast takes minutes",
+            duration(seconds)
+        );
+        if seconds < LONG || self.yes {
+            console.say(&text);
+            return Ok(());
+        }
+        if !std::io::stdin().is_terminal() {
+            console.say(&format!("warning: {text}"));
+            return Ok(());
+        }
+        report(&format!("{text}. Start? [y/N]"));
+        let mut answer = String::new();
+        std::io::stdin().read_line(&mut answer).map_err(|e| Error::Config(format!("cannot read the answer: {e}")))?;
+        match answer.trim().to_ascii_lowercase().as_str() {
+            "y" | "yes" => Ok(()),
+            _ => Err(Error::Config("not started; name a --preset, or start with --yes".into())),
+        }
     }
 }
 
@@ -184,12 +233,16 @@ fn what_is_trained(Setup { config, scene, .. }: &Setup) -> String {
 }
 
 /// Trains in `folder`. Its name is printed first, so that a script has it even if the training is stopped.
-fn train(job: Job, folder: &Path, console: &Console, answer: Answer) -> Result<()> {
+fn train(mut job: Job, folder: &Path, console: &Console, answer: Answer) -> Result<()> {
     if !answer.json {
         let label = if std::io::stdout().is_terminal() { "run folder: " } else { "" };
         print(&format!("{label}{}", folder.display()))?;
     }
-    let finished = job.train(console, &*catch_signals()?)?;
+    let signal = catch_signals()?;
+    if let Some(seconds) = job.estimate_seconds(&signal)? {
+        console.say(&format!("about {} here", duration(seconds)));
+    }
+    let finished = job.train(console, &signal)?;
     summarize(&finished, folder, console);
     let Finished { report, seconds, .. } = &finished;
     let [metrics, _] = RunDir::metrics_in(folder);
@@ -202,9 +255,10 @@ fn summarize(Finished { report, model, seconds, .. }: &Finished, folder: &Path, 
     let lpips =
         mean.get(LPIPS.get(Backbone::Squeeze)).map_or(String::new(), |lpips| format!("  LPIPS(squeeze) {lpips:.3}"));
     console.say(&format!(
-        "{} held-out views: PSNR {} dB  SSIM {}{lpips}  ({} steps, {seconds:.0} s)",
+        "{} held-out views: PSNR {} dB (one colour: {})  SSIM {}{lpips}  ({} steps, {seconds:.0} s)",
         report.views.len(),
         number(mean.get(&PSNR), 2),
+        number(mean.get(&FLOOR_PSNR), 2),
         number(mean.get(&SSIM), 3),
         report.protocol.text("steps"),
     ));
@@ -216,6 +270,7 @@ fn summarize(Finished { report, model, seconds, .. }: &Finished, folder: &Path, 
             number(mean.get(PSNR.gap()), 2),
         ));
     }
+    report.no_better_than_one_colour().iter().for_each(|remark| console.say(remark));
     let inactive = report.inactive_levels();
     if let (Some(site), false) = (report.attack.first(), inactive.is_empty()) {
         console.say(&format!("{}: {}", site.inactive_by().meaning(), inactive.join(", ")));

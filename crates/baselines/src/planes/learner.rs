@@ -1,6 +1,6 @@
 //! Training of the network: a training view is left out, and rendered from those around it.
 
-use candle_core::{D, DType, Tensor, Var};
+use candle_core::{DType, Tensor, Var};
 
 use crate::base::{Error, Image, Result};
 use crate::data::Scene;
@@ -9,7 +9,7 @@ use crate::grids::blend_views::blend_views;
 use crate::grids::planes::plane_sample;
 use crate::losses::LossTerm;
 use crate::methods::Gradients;
-use crate::methods::{Learner, LogColumns, StepResult, StopCheck, Term};
+use crate::methods::{Extremes, Learner, LogColumns, StepResult, StopCheck, Term};
 use crate::settings::{PlanesLoss, Resolved};
 
 use super::blend::{Blended, blend, blend_weight};
@@ -120,7 +120,8 @@ impl Learner for PlanesLearner {
     fn step(&mut self, step: u64, _log: bool, stop_check: &StopCheck) -> Result<StepResult> {
         let work = self.draw(step)?;
         let blended = self.blended(&self.network.weights(true), &work, stop_check)?;
-        let difference = (&blended.rgb - self.target(&work)?)?;
+        let target = self.target(&work)?;
+        let difference = (&blended.rgb - &target)?;
         let square = self.mean(&difference.sqr()?, &work)?;
         let loss = match self.config.llff.loss {
             PlanesLoss::Mse => square.clone(),
@@ -137,7 +138,7 @@ impl Learner for PlanesLearner {
             terms: vec![Term { name: LOSS.into(), described, value, weight: 1.0 }],
             loss: value,
             mse: number(&square)?,
-            largest_acc: number(&blended.acc.max(D::Minus1)?)?,
+            extremes: Extremes::read(&Extremes::tensor(&blended.acc, &blended.rgb, &target)?.to_vec1::<f64>()?),
             sites: Vec::new(),
         })
     }

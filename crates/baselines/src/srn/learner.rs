@@ -112,7 +112,7 @@ impl Learner for SrnLearner {
             ],
             loss: srn.image_weight * image + srn.depth_weight * depth,
             mse: sums.error / (3.0 * rays),
-            largest_acc: 1.0,
+            extremes: sums.extremes,
             gradients: sums.gradients(&self.srn)?,
             sites: Vec::new(),
         })

@@ -7,7 +7,7 @@ use rayon::prelude::*;
 
 use crate::base::Result;
 use crate::data::{RayBuffer, Rays};
-use crate::methods::Gradients;
+use crate::methods::{Extremes, Gradients};
 
 use super::fast::{Lines, Network};
 use super::network::{Srn, SrnMarch};
@@ -56,6 +56,8 @@ pub(super) struct Sums {
     /// Depths, and their squares.
     pub(super) z: f64,
     pub(super) z_squared: f64,
+    /// Extremes of the colours as they are shown. Marches accumulate no weight, so that no ray counts as empty.
+    pub(super) extremes: Extremes,
 }
 
 /// Gradients of the loss at the ends of rays: in colours `[rays, 3]` and depths `[rays]`.
@@ -100,7 +102,7 @@ impl Sums {
             Some(network) => GradientSum::Flat(vec![0.0; network.gradient_size]),
             None => GradientSum::Tensors(Gradients::none(srn.variables().len())),
         };
-        Sums { gradients, image: 0.0, error: 0.0, behind: 0.0, z: 0.0, z_squared: 0.0 }
+        Sums { gradients, image: 0.0, error: 0.0, behind: 0.0, z: 0.0, z_squared: 0.0, extremes: Extremes::none(1.0) }
     }
 
     /// Adds marches that ended with these colours and depths, and returns the loss's gradients in them.
@@ -111,14 +113,16 @@ impl Sums {
         target: &[f32],
         weights: Weights,
     ) -> RayGradients {
-        let of_channel = |(colour, target): (T, &f32)| {
+        let of_channel = |(place, (colour, target)): (usize, (T, &f32))| {
             let (colour, target) = (colour.into(), f64::from(*target));
+            let shown = |value: f64| (value.clamp(-1.0, 1.0) + 1.0) / 2.0;
+            self.extremes.add(place % 3, shown(colour), shown(target));
             let difference = colour - target;
             self.image += difference * difference;
             self.error += ((colour.clamp(-1.0, 1.0) - target) / 2.0).powi(2);
             2.0 * weights.image * difference
         };
-        let colour = colour.zip(target).map(of_channel).collect();
+        let colour = colour.zip(target).enumerate().map(of_channel).collect();
         let of_ray = |z: T| {
             let z = z.into();
             self.z += z;
@@ -163,6 +167,7 @@ impl Sums {
         let of = |value: fn(&Sums) -> f64| parts.iter().map(value).sum::<f64>();
         let [image, error, behind] = [of(|part| part.image), of(|part| part.error), of(|part| part.behind)];
         let [z, z_squared] = [of(|part| part.z), of(|part| part.z_squared)];
+        let extremes = parts.iter().fold(Extremes::none(1.0), |all, part| all.join(part.extremes));
         let (mut flat, mut tensors) = (Vec::new(), Vec::new());
         for part in parts {
             match part.gradients {
@@ -175,7 +180,7 @@ impl Sums {
         } else {
             GradientSum::Flat(total(flat))
         };
-        Ok(Sums { gradients, image, error, behind, z, z_squared })
+        Ok(Sums { gradients, image, error, behind, z, z_squared, extremes })
     }
 
     /// Returns the gradients, in the order of the variables.

@@ -10,7 +10,7 @@ use crate::grids::variation::log_variation;
 use crate::losses::LossTerm;
 use crate::methods::Batches;
 use crate::methods::Gradients;
-use crate::methods::{Learner, LogColumns, StepResult, StopCheck, Term};
+use crate::methods::{Extremes, Learner, LogColumns, StepResult, StopCheck, Term};
 use crate::settings::Resolved;
 
 use super::decoder::Decoded;
@@ -44,6 +44,8 @@ pub(super) struct Losses {
     pub(super) divergence: Option<Tensor>,
     /// Accumulations of the rays, `[rays, 1]`.
     pub(super) acc: Tensor,
+    /// Their colours, 0..255, `[rays, 3]`.
+    pub(super) rgb: Tensor,
 }
 
 impl VolumeLearner {
@@ -103,11 +105,12 @@ pub(super) fn losses(decoded: &Decoded, march: &March, background: &Tensor, targ
     let rgb = (out.narrow(1, 0, 3)? + behind)?;
     let prior = ((&acc + 0.1)?.log()? + (1.1 - &acc)?.log()?)?;
     Ok(Losses {
-        image: ((rgb - target)? / DEVIATION)?.sqr()?.mean_all()?,
+        image: ((&rgb - target)? / DEVIATION)?.sqr()?.mean_all()?,
         alpha_prior: (prior.mean_all()? + 2.20727)?,
         variation: log_variation(&decoded.template)?,
         divergence: None,
         acc,
+        rgb,
     })
 }
 
@@ -175,7 +178,7 @@ impl Learner for VolumeLearner {
         // With a plain background, volumes first become empty, and may stay so. This is a diagnostic, not part of the
         // loss.
         terms.push(term("mean_acc", "mean accumulation", &losses.acc.mean_all()?, 0.0)?);
-        let largest_acc = number(&losses.acc.max_all()?)?;
-        Ok(StepResult { gradients, terms, loss, mse, largest_acc, sites: Vec::new() })
+        let extremes = Extremes::tensor(&losses.acc, &(losses.rgb / WHITE)?, &target)?.to_vec1::<f64>()?;
+        Ok(StepResult { gradients, terms, loss, mse, extremes: Extremes::read(&extremes), sites: Vec::new() })
     }
 }

@@ -429,9 +429,15 @@ impl Field {
         Ok(Tensor::new(raw, points.device())?)
     }
 
-    /// Returns colour from raw colour, of any shape: a sigmoid, padded by `field.rgb_padding` on both sides.
+    /// Returns colour from raw colour, of any shape: a sigmoid, padded by `field.rgb_padding` on both sides. Within it raw
+    /// colour is limited by `field.rgb_limit`, and its gradient is that at the limit.
     pub fn activate_rgb(&self, raw: &Tensor) -> Result<Tensor> {
-        let rgb = candle_nn::ops::sigmoid(raw)?;
+        let limit = self.config.rgb_limit;
+        let rgb = match limit > 0.0 {
+            // The value of one, the gradient of the other.
+            true => candle_nn::ops::sigmoid(&(raw + (raw.clamp(-limit, limit)? - raw)?.detach())?)?,
+            false => candle_nn::ops::sigmoid(raw)?,
+        };
         let padding = self.config.rgb_padding;
         Ok(if padding > 0.0 { rgb.affine(1.0 + 2.0 * padding, -padding)? } else { rgb })
     }

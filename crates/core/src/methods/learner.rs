@@ -4,6 +4,7 @@ use crate::base::Result;
 use crate::losses::LossTerm;
 
 use super::diagnostics::SiteDiagnostics;
+use super::extremes::Extremes;
 use super::gradients::Gradients;
 
 /// A term of a step's loss.
@@ -30,8 +31,8 @@ pub struct StepResult {
     /// Mean squared error of the colours that an evaluation would show, over rays and channels. A batch's PSNR is made
     /// of it.
     pub mse: f64,
-    /// Largest accumulation of a ray, as an evaluation would show it.
-    pub largest_acc: f64,
+    /// Extremes of accumulation and colours over the rays, as an evaluation would show them.
+    pub extremes: Extremes,
     /// Diagnostics of each site, at log steps.
     pub sites: Vec<SiteDiagnostics>,
 }

@@ -6,6 +6,7 @@
 
 mod batches;
 mod diagnostics;
+mod extremes;
 mod fields;
 mod gradients;
 mod learner;
@@ -14,6 +15,7 @@ mod renderer;
 
 pub use batches::{Batch, Batches};
 pub use diagnostics::{SiteDiagnostics, SiteSummary};
+pub use extremes::Extremes;
 pub use fields::{Balance, FieldLearner, FieldRenderer, Fields, parts, step_over_radius};
 pub use gradients::Gradients;
 pub use learner::{Learner, LogColumns, StepResult, StopCheck, Term};

@@ -5,6 +5,7 @@
 //! there), SSIM where a side is below its window, LPIPS where its weights are not at hand.
 
 mod depth;
+mod floor;
 mod lpips;
 mod masked;
 mod registry;
@@ -13,6 +14,7 @@ mod values;
 mod weights;
 
 pub use depth::{depth_errors, measure_depth};
+pub use floor::{Floor, OneColour};
 pub use lpips::{Backbone, Lpips};
 pub use masked::{share, unmasked_or};
 pub use registry::*;

@@ -199,7 +199,7 @@ pub static METRICS: LazyLock<Vec<&'static Metric>> = LazyLock::new(|| {
 });
 
 /// Those that runs have of training views, too.
-pub(super) fn split_metrics() -> impl Iterator<Item = &'static SplitMetric> {
+pub fn split_metrics() -> impl Iterator<Item = &'static SplitMetric> {
     IMAGES.iter().flat_map(|handle| handle.splits())
 }
 
@@ -309,6 +309,9 @@ metrics! { IMAGES:
     /// PSNR of the mean of [`MSE`] over views.
     PSNR_OF_MEAN: Metric =
         Metric { key: "psnr_of_mean", label: "PSNR of mean (dB)", scope: Scope::Mean, ..DECIBEL };
+    /// PSNR of the best single colour of the training views ([`super::Floor`]): below it nothing was learned.
+    FLOOR_PSNR: Metric =
+        Metric { key: "floor_psnr", label: "PSNR of one colour (dB)", direction: Direction::Neither, ..DECIBEL };
     /// SSIM of the image rounded to 8 bits.
     SSIM: SplitMetric = split!("ssim", "SSIM", "", Metric { direction: Direction::Up, ..RATIO });
     /// LPIPS of the image rounded to 8 bits.
@@ -395,6 +398,7 @@ psnr | PSNR (dB) | dB | Decimals(2) Up View Nothing
 psnr_float | PSNR float (dB) | dB | Decimals(2) Up View Nothing
 mse | mean squared error |  | Figures Down ViewAlone Nothing
 psnr_of_mean | PSNR of mean (dB) | dB | Decimals(2) Up Mean Nothing
+floor_psnr | PSNR of one colour (dB) | dB | Decimals(2) Neither View Nothing
 ssim | SSIM |  | Decimals(3) Up View Nothing
 lpips_alex | LPIPS (alex) |  | Decimals(3) Down View Lpips(Alex)
 lpips_vgg | LPIPS (vgg) |  | Decimals(3) Down View Lpips(Vgg)

@@ -96,6 +96,8 @@ struct FusedLoss {
     activation: DensityActivation,
     /// `field.rgb_padding`.
     padding: f64,
+    /// `field.rgb_limit`, or infinity.
+    limit: f32,
     scan: Scan,
     /// Added to raw density, `[n]`.
     noise: Option<Vec<f32>>,
@@ -134,6 +136,10 @@ impl Samples<'_> {
         let mut operation = FusedLoss {
             activation: field.config().density_activation,
             padding: field.config().rgb_padding,
+            limit: match field.config().rgb_limit {
+                0.0 => f32::INFINITY,
+                limit => limit as f32,
+            },
             scan: Scan { direction_norm, last_interval: LAST_INTERVAL, background: pass.background },
             noise: pass.density_noise.map(|noise| noise.flatten_all()?.to_vec1()).transpose()?,
             loss: 0.0,
@@ -163,10 +169,15 @@ impl Samples<'_> {
 }
 
 impl FusedLoss {
+    /// Colour without padding. Its slope is c (1 - c) beyond the limit, too.
+    fn sigmoid(&self, raw: f32) -> f32 {
+        1.0 / ((-raw.clamp(-self.limit, self.limit)).exp() + 1.0)
+    }
+
     /// Computes what is composited from raw output `[4 n]`.
     fn activate(&self, raw: &[f32], added: Option<&Added>, samples: usize) -> Result<Activations> {
         let (colours, densities) = raw.split_at(raw.len() / 4 * 3);
-        let sigmoids: Vec<f32> = colours.iter().map(|raw| 1.0 / ((-raw).exp() + 1.0)).collect();
+        let sigmoids: Vec<f32> = colours.iter().map(|raw| self.sigmoid(*raw)).collect();
         let (scale, shift) = self.spread();
         let rgb =
             if self.padding > 0.0 { sigmoids.iter().map(|s| s * scale + shift).collect() } else { sigmoids.clone() };

@@ -219,6 +219,7 @@ pub const COLUMNS: &[Column] = &[
     column("view_octaves").where_differing().of(of_fields),
     column("skips").where_differing().of(of_fields),
     column("rgb_padding").where_differing().of(of_fields),
+    column("rgb_limit").where_differing().of(of_fields),
     column("resample_padding").where_differing().of(at_intervals),
     column("jitter").where_differing().of(of_fields),
     column("density_noise").where_differing().of(of_fields),

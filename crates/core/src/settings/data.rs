@@ -125,6 +125,17 @@ pub enum Background {
     Black,
 }
 
+/// The axes of a camera's matrix.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Axes {
+    /// x right, y up, z back.
+    #[default]
+    Opengl,
+    /// x right, y down, z ahead, as OpenCV and COLMAP have them.
+    Opencv,
+}
+
 /// The views on which a Blender scene is evaluated.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
@@ -167,7 +178,7 @@ impl PixelOrigin {
     }
 }
 
-choice!(DataKind, Background, EvalSplit, Split, PixelOrigin);
+choice!(Axes, DataKind, Background, EvalSplit, Split, PixelOrigin);
 
 /// Which training views are kept.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -257,6 +268,15 @@ section! {
             numbers().whole(0, i64::MAX as u64, "at most 2^63 - 1").column("views_seed").later().same_time();
         /// Background behind transparent pixels of RGBA images.
         pub background: Background = Background::White, numbers().columns(&["background"]);
+        /// transforms.json and Blender: the axes of the cameras' matrices, `opengl` (y up, z back) or `opencv` (y down, z
+        /// ahead).
+        pub axes: Axes = Axes::Opengl, numbers().later();
+        /// COLMAP: the model below the scene's folder that is read: `sparse/1`. Empty = the one with the most photos.
+        pub colmap_model: String = String::new(), numbers().later();
+        /// Masks of photos: a folder below the scene's (`masks`) with an image of the photo's name, where black does not
+        /// count; `beside` for instant-ngp's `dynamic_mask_NAME.png`, where white does not count; `none`. Empty = those that
+        /// the capture's file names.
+        pub masks: String = String::new(), numbers().later();
         /// LLFF: use rays in normalized device coordinates (NDC). For captures that go around an object see
         /// `recognise_orbits`.
         pub ndc: bool = true, numbers().columns(&["ndc"]);

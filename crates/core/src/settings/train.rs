@@ -109,7 +109,8 @@ section! {
         /// The origin of the initial weights, if they are not random: another run's hash and step, or the hash of a
         /// file. `train --from` and `import` set it; it cannot be set otherwise.
         pub parent: Option<String> = None, numbers().column("parent").later().same_time();
-        /// Number of steps after which a run counts as collapsed if every ray accumulates less than 1e-3 (0 = never).
+        /// Number of steps after which a run counts as collapsed if every ray accumulates less than 1e-3, or all rays have
+        /// one colour and their photos have not (0 = never).
         pub collapse_steps: u64 = 200, numbers();
     }
     sections {}

@@ -7,7 +7,7 @@ use candle_core::DType;
 use crate::base::{Error, Event, Image, Listener, Result};
 use crate::data::{Camera, RayBuffer, Rays, Scene, View, seen_views};
 use crate::methods::Renderer;
-use crate::metrics::{Lpips, ViewMetrics, depth_errors, measure_depth, measure_unmasked};
+use crate::metrics::{Floor, Lpips, ViewMetrics, depth_errors, measure_depth, measure_unmasked};
 use crate::model::Model;
 use crate::runtime::{Runtime, over_parts};
 use crate::settings::Resolved;
@@ -205,22 +205,31 @@ impl Viewer<'_> {
         stride: usize,
         stop_check: impl Fn() -> Result<()>,
     ) -> Result<[Vec<ViewMetrics>; 2]> {
-        let renderer = self.renderer()?;
-        let of_view = |view: &View| {
+        let (renderer, floor) = (self.renderer()?, self.floor());
+        let of_view = |view: &View| -> Result<ViewMetrics> {
             stop_check()?;
             let rendered = self.render_every(&*renderer, stride, &view.camera)?;
             let (columns, rows) = (view.image.width, view.image.height);
-            let mask = view.mask.as_ref().map(|mask| -> Vec<bool> {
+            let mask: Option<Vec<bool>> = view.mask.as_ref().map(|mask| {
                 let kept = |y: usize| (0..columns).step_by(stride).map(move |x| mask[y * columns + x]);
                 (0..rows).step_by(stride).flat_map(kept).collect()
             });
-            measure_unmasked(&view.name, &rendered.image, &view.image.every(stride), mask.as_deref(), &[])
+            let (truth, mask) = (view.image.every(stride), mask.as_deref());
+            let mut measured = measure_unmasked(&view.name, &rendered.image, &truth, mask, &[])?;
+            floor.map_or(Ok(()), |floor| floor.measure(&mut measured, &truth, mask))?;
+            Ok(measured)
         };
         let seen = seen_views(self.scene, self.config);
         Ok([
             self.scene.test.iter().map(&of_view).collect::<Result<_>>()?,
             seen.into_iter().map(|place| of_view(&self.scene.train[place])).collect::<Result<_>>()?,
         ])
+    }
+
+    /// Returns the best single colour of the training views.
+    fn floor(&self) -> Option<Floor> {
+        let views = self.scene.train.iter().map(|view| (&*view.image, view.mask.as_deref()));
+        self.runtime.install(|| Floor::of(views))
     }
 
     fn measure(
@@ -236,12 +245,14 @@ impl Viewer<'_> {
             return Ok(Vec::new());
         }
         events.on(Event::Started { what, parts: views.len() as u64 });
-        let renderer = self.renderer()?;
+        let (renderer, floor) = (self.renderer()?, self.floor());
         let mut metrics = Vec::with_capacity(views.len());
         for (index, view) in views.into_iter().enumerate() {
             stop_check()?;
             let rendered = self.render_with(&*renderer, &view.camera)?;
-            let mut measured = measure_unmasked(&view.name, &rendered.image, &view.image, view.mask.as_deref(), lpips)?;
+            let mask = view.mask.as_deref();
+            let mut measured = measure_unmasked(&view.name, &rendered.image, &view.image, mask, lpips)?;
+            floor.map_or(Ok(()), |floor| floor.measure(&mut measured, &view.image, mask))?;
             if let Some(reference) = &view.depth {
                 let depth = self.scene_depth(&view.camera, &rendered);
                 let exact = self.scene.has_exact_depth();

@@ -9,7 +9,7 @@ use std::time::Instant;
 use candle_core::DType;
 
 use crate::base::files::write_atomic;
-use crate::base::{Event, Image, Listener, Result};
+use crate::base::{Error, Event, Image, Listener, Result};
 use crate::data::Scene;
 use crate::field::forget_buffers;
 use crate::metrics::{Lpips, MeanMetrics, Metric, PSNR, PSNR_FLOAT};
@@ -19,6 +19,7 @@ use crate::settings::Resolved;
 use crate::train::{Origin, Trainer, checkpoint};
 
 use super::scene_file::RecordedScene;
+use super::session::stop_check;
 use super::{
     Between, EVALUATION_COLUMNS, Existing, Measurement, Outcome, Pictures, Report, RunDir, Session,
     TRAINING_VIEW_COLUMNS, Viewer, interrupted, scene_file, surface_reference,
@@ -196,6 +197,26 @@ impl<'a> Job<'a> {
         self.trainer.step_count()
     }
 
+    /// Estimates the seconds of the rest of the run here: its steps by one that is timed and not taken, and its evaluation.
+    /// `None` once `signal` holds a signal's number.
+    ///
+    /// # Errors
+    /// Those of a step, and of rendering.
+    pub fn estimate_seconds(&mut self, signal: &AtomicUsize) -> Result<Option<f64>> {
+        let left = self.experiment.setup.config.train.steps.saturating_sub(self.trainer.step_count());
+        let per_step = match left {
+            0 => Ok(0.0),
+            _ => self.trainer.time_step(&|| stop_check(signal)),
+        };
+        let steps = match per_step {
+            Err(Error::Interrupted { .. }) => return Ok(None),
+            per_step => left as f64 * per_step?,
+        };
+        let cameras: Vec<_> = self.experiment.setup.scene.test.iter().map(|view| &view.camera).collect();
+        let evaluation = self.experiment.viewer(&self.trainer).estimate_seconds(&cameras)?;
+        Ok(Some(steps + evaluation.unwrap_or(0.0)))
+    }
+
     /// Trains to the last step and evaluates.
     ///
     /// # Errors
@@ -231,6 +252,7 @@ impl Experiment<'_> {
         session.evaluated(&report.mean)?;
         let seconds = evaluating.elapsed().as_secs_f64() + watcher.seconds_evaluation;
         self.timing(session.trainer().step_count(), session.seconds(), seconds).write(&self.run.timing())?;
+        report.check_learned(self.run.path())?;
         let steps = (session.trainer().step_count(), self.setup.config.train.steps);
         Ok(Finished { report, model: session.trainer().model().clone(), steps, seconds: session.seconds() })
     }

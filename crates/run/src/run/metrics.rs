@@ -6,11 +6,11 @@ use serde::Serialize;
 
 use super::Protocol;
 use super::columns::{cell, columns};
-use crate::base::Result;
 use crate::base::csv::csv_of_named;
 use crate::base::files::{write_atomic, write_json};
+use crate::base::{Error, Result};
 use crate::methods::SiteSummary;
-use crate::metrics::{CHAMFER, F_SCORE, MeanMetrics, Scope, ViewMetrics};
+use crate::metrics::{CHAMFER, F_SCORE, FLOOR_PSNR, MeanMetrics, Metric, PSNR, Scope, ViewMetrics};
 use crate::space::Chamfer;
 
 /// `metrics.json`.
@@ -26,6 +26,9 @@ pub struct Report {
     pub attack: Vec<SiteSummary>,
     /// Every measured training view, as the training saw it; not part of `views` and their means.
     pub training_views: Vec<ViewMetrics>,
+    /// Whether every rendered view is of a single colour, and the photos are not.
+    #[serde(skip)]
+    pub is_one_colour: bool,
 }
 
 impl Report {
@@ -42,7 +45,33 @@ impl Report {
         mean.set_train(&training_views);
         mean.set(&CHAMFER, surface.as_ref().map(|surface| surface.chamfer));
         mean.set(&F_SCORE, surface.and_then(|surface| surface.scores.first().map(|score| score.f_score)));
-        Report { mean, views, protocol, attack, training_views }
+        Report { mean, views, protocol, attack, training_views, is_one_colour: false }
+    }
+
+    /// Says it if the views are no better than the best single colour of the training views.
+    pub fn no_better_than_one_colour(&self) -> Option<String> {
+        let [psnr, floor] = [&PSNR, &FLOOR_PSNR].map(|metric: &Metric| self.mean.get(metric));
+        let (psnr, floor) = psnr.zip(floor).filter(|(psnr, floor)| psnr <= floor)?;
+        Some(format!(
+            "no better than one colour: PSNR is {psnr:.2} dB, and the best single colour of the training views has \
+             {floor:.2} dB"
+        ))
+    }
+
+    /// Returns an error if every rendered view is of a single colour, and the photos are not.
+    ///
+    /// # Errors
+    /// [`Error::Diverged`].
+    pub fn check_learned(&self, folder: &Path) -> Result<()> {
+        if !self.is_one_colour {
+            return Ok(());
+        }
+        let numbers = self.no_better_than_one_colour().map_or(String::new(), |text| format!(" ({text})"));
+        Err(Error::Diverged(format!(
+            "{}: nothing was learned: every rendered view is of a single colour, and the photos are not{numbers}; \
+             train with another seed, a lower train.learning_rate or field.rgb_limit = 8",
+            folder.display()
+        )))
     }
 
     /// Writes `metrics.json` and `metrics.csv`.

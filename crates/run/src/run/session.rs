@@ -216,7 +216,7 @@ impl<'a> Session<'a> {
 }
 
 /// Returns an error once there is a signal.
-fn stop_check(signal: &AtomicUsize) -> Result<()> {
+pub(super) fn stop_check(signal: &AtomicUsize) -> Result<()> {
     match signal.load(Ordering::SeqCst) {
         0 => Ok(()),
         signal => Err(Error::Interrupted { signal: signal as i32, message: format!("signal {signal} within a step") }),

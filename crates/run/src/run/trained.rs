@@ -8,7 +8,7 @@ use crate::base::{Error, Listener, Result};
 use crate::data::{Scene, View};
 use crate::draw::write_png8;
 use crate::methods::SiteSummary;
-use crate::metrics::Lpips;
+use crate::metrics::{Lpips, OneColour};
 use crate::model::Model;
 use crate::runtime::Runtime;
 use crate::settings::{EvalSplit, Resolved};
@@ -192,9 +192,10 @@ impl Measurement<'_> {
         mut each: impl FnMut(usize, &View, &RenderedView) -> Result<()>,
     ) -> Result<Report> {
         let attack = SiteSummary::read(&self.run.scalars(), self.state.step)?;
-        let mut errors = DepthErrors::default();
+        let (mut errors, mut one_colour) = (DepthErrors::default(), OneColour::default());
         let views = self.viewer.evaluate(self.lpips, self.events, &stop_check, |index, view, rendered| {
             errors.views.extend(self.viewer.depth_errors(view, rendered));
+            one_colour.add(&rendered.image, &view.image, view.mask.as_deref());
             each(index, view, rendered)
         })?;
         let training_views = self.viewer.evaluate_training_views(self.lpips, self.events, &stop_check)?;
@@ -209,6 +210,7 @@ impl Measurement<'_> {
             write_png8(&path, &picture)?;
         }
         let report = Report::new(views, training_views, chamfer, protocol, attack);
+        let report = Report { is_one_colour: one_colour.holds(), ..report };
         let [json, csv] = RunDir::metrics_in(self.folder);
         errors.write(&RunDir::depth_errors_in(self.folder))?;
         report.write(&json, &csv)?;

@@ -1,5 +1,7 @@
 //! Training: steps of a learner, updates by Adam, checks whether a run is alive, and checkpoints.
 
+use std::time::Instant;
+
 use candle_core::DType;
 
 use crate::base::{Error, Result};
@@ -21,6 +23,9 @@ pub use crate::optimizer::{Adam, AdamSettings, Moments, learning_rate};
 pub use memory::graphs_mib;
 pub use origin::Origin;
 pub use stats::StepStats;
+
+/// Seconds from which on a step is timed once.
+const LONG_STEP: f64 = 2.0;
 
 /// Returns an error if a run on a CPU needs more memory than is free.
 fn check_memory(config: &Resolved, scene: &Scene, runtime: &Runtime) -> Result<()> {
@@ -59,7 +64,7 @@ pub struct Trainer {
     step: u64,
     /// The step at which its moments were 0.
     adam_since: u64,
-    /// Successive steps on which every ray was empty.
+    /// Successive steps on which every ray was empty or all had one colour.
     empty_steps: u64,
     /// How often each part of the model was initialized again before it was alive.
     redraws: Vec<u64>,
@@ -89,6 +94,30 @@ impl Trainer {
             let start = Model::start(config, scene, dtype, runtime.device())?;
             Trainer::with(config, start, runtime)
         })
+    }
+
+    /// Checks that a run can start, as [`Trainer::new`] does, but for the memory that is free and a dead start.
+    ///
+    /// # Errors
+    /// Those of [`Trainer::new`].
+    pub fn check(config: &Resolved, scene: &Scene, dtype: DType, runtime: &Runtime) -> Result<()> {
+        runtime.install(|| Model::start(config, scene, dtype, runtime.device()).map(drop))
+    }
+
+    /// Measures the seconds of the next step, without taking it: of a second try, after a first that fills caches, unless
+    /// that took long. No number of the run changes. An error of the check ends it.
+    ///
+    /// # Errors
+    /// Those of the learner and of the check.
+    pub fn time_step(&mut self, stop_check: &StopCheck) -> Result<f64> {
+        let runtime = self.runtime.clone();
+        let mut timed = || -> Result<f64> {
+            let started = Instant::now();
+            runtime.install(|| self.learner.step(self.step, false, stop_check))?;
+            Ok(started.elapsed().as_secs_f64())
+        };
+        let first = timed()?;
+        if first > LONG_STEP { Ok(first) } else { timed() }
     }
 
     fn with(config: &Resolved, Start { model, learner, redraws }: Start, runtime: &Runtime) -> Result<Trainer> {
@@ -166,12 +195,12 @@ impl Trainer {
             terms: result.terms,
             loss: result.loss,
             mse: result.mse,
-            largest_acc: result.largest_acc,
+            extremes: result.extremes,
             sites: result.sites,
         };
         let train = &self.config.train;
         health::check_step(&stats, &gradients, &self.adam, train.learning_rate)?;
-        self.empty_steps = health::count_empty(self.empty_steps, &stats, train.collapse_steps)?;
+        self.empty_steps = health::count_dead(self.empty_steps, &stats, train.collapse_steps)?;
         self.adam.update(&gradients.0, stats.learning_rate, stats.step - self.adam_since)?;
         health::check_parameters(stats.step, &self.adam, train.learning_rate)?;
         self.step += 1;

@@ -1,6 +1,6 @@
 //! Measurements of a training step.
 
-use crate::methods::{SiteDiagnostics, Term};
+use crate::methods::{Extremes, SiteDiagnostics, Term};
 
 /// Measurements of one step.
 #[derive(Clone, Debug)]
@@ -15,8 +15,8 @@ pub struct StepStats {
     pub loss: f64,
     /// Mean squared error of the batch's colours in the evaluated pass.
     pub mse: f64,
-    /// Largest accumulation of a ray in the evaluated pass, without density noise.
-    pub largest_acc: f64,
+    /// Extremes of the rays in the evaluated pass; accumulations are without density noise.
+    pub extremes: Extremes,
     /// Diagnostics of each active site, at log steps.
     pub sites: Vec<SiteDiagnostics>,
 }

@@ -91,7 +91,7 @@ fn threads_change_no_bit_of_a_step() {
     let config = config(&scene, |_| {});
     on_any_threads(|| {
         let learned = learned(&config, &scene, DType::F32, 3);
-        let loss = Tensor::new(&[learned.loss, learned.mse, learned.largest_acc], &Device::Cpu).unwrap();
+        let loss = Tensor::new(&[learned.loss, learned.mse, learned.extremes.largest_acc], &Device::Cpu).unwrap();
         learned.gradients.0.into_iter().flatten().chain([loss]).collect()
     });
 }

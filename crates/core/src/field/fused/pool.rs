@@ -50,7 +50,8 @@ impl<T: Pooled> Buffer<T> {
         if len == 0 {
             return Buffer::default();
         }
-        let count = (len * size_of::<T>()).div_ceil(size_of::<Line>());
+        let bytes = len.checked_mul(size_of::<T>()).expect("a buffer fits into memory");
+        let count = bytes.div_ceil(size_of::<Line>());
         let mut lines = WAITING.with_borrow_mut(|waiting| {
             let fits = waiting.iter().position(|lines| lines.len() >= count);
             fits.map(|index| waiting.swap_remove(index)).unwrap_or_default()

@@ -4,6 +4,7 @@ use candle_core::{DType, Tensor};
 
 use crate::base::Result;
 use crate::field::Field;
+use crate::methods::Extremes;
 use crate::methods::diagnostics::Sums;
 use crate::methods::gradients::Gradients;
 use crate::methods::learner::StopCheck;
@@ -105,8 +106,8 @@ impl FieldLearner {
             self.descend_clean(&fields.coarse, self.coarse_pass(chunk), target, step_loss, counts, result)?;
         result.losses.coarse = Some(loss);
         let (Some(field), Some(u)) = (fields.fine(), &chunk.u) else {
-            result.losses.largest_acc =
-                Some(largest(&noiseless_acc(&fields.coarse, &coarse, self.coarse_pass(chunk))?)?);
+            let acc = noiseless_acc(&fields.coarse, &coarse, self.coarse_pass(chunk))?;
+            result.losses.extremes = Some(Extremes::tensor(&acc, &coarse.composite.rgb, target)?);
             return Ok(None);
         };
         let weights = &coarse.composite.weights;
@@ -129,7 +130,8 @@ impl FieldLearner {
         let (loss, fine) =
             self.descend_clean(field, self.fine_pass(chunk, &t_vals), target, step_loss, counts, result)?;
         result.losses.fine = Some(loss);
-        result.losses.largest_acc = Some(largest(&noiseless_acc(field, &fine, self.fine_pass(chunk, &t_vals))?)?);
+        let acc = noiseless_acc(field, &fine, self.fine_pass(chunk, &t_vals))?;
+        result.losses.extremes = Some(Extremes::tensor(&acc, &fine.composite.rgb, target)?);
         Ok(t_vals)
     }
 
@@ -161,8 +163,4 @@ impl FieldLearner {
         gradients.add(&self.variables, &(loss * weight)?.backward()?)?;
         Ok(loss.detach().to_dtype(DType::F64)?)
     }
-}
-
-fn largest(tensor: &Tensor) -> Result<Tensor> {
-    Ok(tensor.flatten_all()?.max(0)?.to_dtype(DType::F64)?)
 }

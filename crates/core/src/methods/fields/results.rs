@@ -7,6 +7,7 @@ use crate::base::tensors::sum;
 use crate::field::TableRecord;
 use crate::methods::gradients::Gradients;
 
+use crate::methods::Extremes;
 use crate::methods::diagnostics::Sums;
 
 /// The contribution of one chunk to a step.
@@ -19,8 +20,8 @@ pub(super) struct ChunkResult {
     pub(super) diagnostics: Option<Sums>,
 }
 
-/// Losses weighted with the chunk's fraction, and the largest accumulation of a ray. They are f64 scalars that stay on
-/// the device until the step is over.
+/// Losses weighted with the chunk's fraction, and extremes of the rays. They are f64 tensors that stay on the device
+/// until the step is over.
 #[derive(Default)]
 pub(super) struct Losses {
     pub(super) coarse: Option<Tensor>,
@@ -28,7 +29,8 @@ pub(super) struct Losses {
     pub(super) perturbed: Option<Tensor>,
     /// Terms on rays, unweighted, `[terms]`.
     pub(super) on_rays: Option<Tensor>,
-    pub(super) largest_acc: Option<Tensor>,
+    /// [`Extremes::tensor`].
+    pub(super) extremes: Option<Tensor>,
 }
 
 impl ChunkResult {
@@ -73,7 +75,7 @@ impl Losses {
         self.fine = sum(self.fine.take(), other.fine)?;
         self.perturbed = sum(self.perturbed.take(), other.perturbed)?;
         self.on_rays = sum(self.on_rays.take(), other.on_rays)?;
-        self.largest_acc = match (self.largest_acc.take(), other.largest_acc) {
+        self.extremes = match (self.extremes.take(), other.extremes) {
             (Some(a), Some(b)) => Some(a.maximum(&b)?),
             (a, b) => a.or(b),
         };
@@ -86,11 +88,14 @@ impl Losses {
         sum(coarse, self.fine.clone())
     }
 
-    /// Reads coarse, fine and perturbed loss and the largest accumulation in one transfer.
-    pub(super) fn read(&self) -> Result<[Option<f64>; 4]> {
-        let all = [&self.coarse, &self.fine, &self.perturbed, &self.largest_acc];
-        let there: Vec<&Tensor> = all.into_iter().flatten().collect();
-        let mut values = Tensor::stack(&there, 0)?.to_vec1::<f64>()?.into_iter();
-        Ok(all.map(|tensor| tensor.as_ref().and_then(|_| values.next())))
+    /// Reads coarse, fine and perturbed loss and the extremes in one transfer.
+    pub(super) fn read(&self) -> Result<([Option<f64>; 3], Extremes)> {
+        let losses = [&self.coarse, &self.fine, &self.perturbed];
+        let mut there =
+            losses.into_iter().flatten().map(|loss| loss.reshape(1)).collect::<candle_core::Result<Vec<_>>>()?;
+        there.push(self.extremes.clone().expect("every chunk has a pass that is evaluated"));
+        let values = Tensor::cat(&there, 0)?.to_vec1::<f64>()?;
+        let (mut scalars, extremes) = (values[..there.len() - 1].iter(), &values[there.len() - 1..]);
+        Ok((losses.map(|loss| loss.as_ref().and_then(|_| scalars.next().copied())), Extremes::read(extremes)))
     }
 }

@@ -59,7 +59,7 @@ impl Learner for FieldLearner {
         }
         let on_rays = losses.on_rays.as_ref().map_or(Ok(Vec::new()), |values| values.to_vec1::<f64>())?;
         let regularizers = terms::in_order(&self.terms, &on_rays, &in_space);
-        let [coarse, fine, perturbed, largest_acc] = losses.read()?;
+        let ([coarse, fine, perturbed], extremes) = losses.read()?;
         let clean = self.coarse_weight(&self.fields) * coarse.unwrap_or(0.0) + fine.unwrap_or(0.0);
         let (terms, loss) = self.terms([coarse, fine, perturbed], regularizers);
         Ok(StepResult {
@@ -67,7 +67,7 @@ impl Learner for FieldLearner {
             terms,
             loss,
             mse: fine.or(coarse).expect("every chunk has a pass that is evaluated"),
-            largest_acc: largest_acc.expect("every chunk has one"),
+            extremes,
             sites: diagnostics.map_or_else(Vec::new, |sums| sums.finish(clean)),
         })
     }

@@ -65,6 +65,15 @@ impl Weights {
         self.contents.tensors.get(name)?.as_ref().ok().map(|stored| stored.shape.as_slice())
     }
 
+    /// Tensors that cannot be read, with the reasons, in the order of their names.
+    pub fn unreadable(&self) -> Vec<(&str, &str)> {
+        let mut all: Vec<(&str, &str)> = (self.contents.tensors.iter())
+            .filter_map(|(name, found)| Some((name.as_str(), found.as_ref().err()?.as_str())))
+            .collect();
+        all.sort_unstable();
+        all
+    }
+
     /// An integer that stands beside the tensors.
     pub fn integer(&self, name: &str) -> Option<i64> {
         self.contents.integers.get(name).copied()
