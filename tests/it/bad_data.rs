@@ -180,7 +180,7 @@ fn images_that_do_not_fit() {
     for i in 0..4 {
         write_image(&dir.path().join(format!("images/{i}.png")), 12, 16);
     }
-    refuses(config(dir.path()), &["0.png is 12x16", "made for 16x12", "poses_bounds.npy"]);
+    refuses(config(dir.path()), &["0.png is 12x16", "height and width stand in each other", "poses_bounds.npy"]);
 }
 
 #[test]

@@ -22,6 +22,11 @@ const MOST_BYTES: u64 = 1 << 30;
 /// Largest size of a decoded WebP image in bytes. Its decoder needs more than twice as much temporarily.
 const MOST_WEBP: u64 = 384 << 20;
 
+/// Most bytes of a decoded pixel: four channels of 16 bits.
+const MOST_PIXEL_BYTES: u64 = 8;
+/// Most bytes for a PNG's colour profile and texts, which are unpacked with it. Profiles take a few kB.
+const MOST_NOTES: u64 = 16 << 20;
+
 /// File extensions of images, in lower case.
 pub const ENDINGS: [&str; 4] = ["png", "jpg", "jpeg", "webp"];
 
@@ -94,9 +99,90 @@ pub fn list(dir: &Path) -> Result<Vec<PathBuf>> {
     Ok(paths)
 }
 
+/// Parts of the names of images that are no photos: masks, and the maps of depth and normals of Blender scenes.
+const NO_PHOTOS: [&str; 4] = ["mask", "depth", "normal", "alpha"];
+/// Largest number of unused photos that are named.
+const UNUSED_NAMED: usize = 5;
+
+/// Folders below a scene's that are searched.
+const DEEPEST: usize = 3;
+/// Most files that are searched.
+const MOST_FILES: usize = 100_000;
+
+/// Returns the images below a folder as paths within it, in order.
+pub(super) fn below(folder: &Path) -> Vec<PathBuf> {
+    let (mut found, mut folders) = (Vec::new(), vec![(PathBuf::new(), 0)]);
+    while let Some((within, depth)) = folders.pop() {
+        for entry in std::fs::read_dir(folder.join(&within)).into_iter().flatten().flatten() {
+            let (path, name) = (entry.path(), entry.file_name());
+            let inner = within.join(&name);
+            if name.to_string_lossy().starts_with('.') || found.len() >= MOST_FILES {
+                continue;
+            }
+            if path.is_dir() && depth < DEEPEST {
+                folders.push((inner, depth + 1));
+            } else if path.is_file() && is_image(&path) {
+                found.push(inner);
+            }
+        }
+    }
+    found.sort();
+    found
+}
+
+/// Notes photos in the folders of the used ones that are not used themselves. `why` ends "3 photos".
+pub(super) fn note_unused<'a>(scene: &Path, used: impl Iterator<Item = &'a PathBuf>, why: &str, events: &dyn Listener) {
+    let used: std::collections::BTreeSet<&Path> = used.map(PathBuf::as_path).collect();
+    let folders: std::collections::BTreeSet<&Path> = used.iter().filter_map(|path| path.parent()).collect();
+    for folder in folders {
+        let Ok(there) = list(folder) else { continue };
+        let is_other = |path: &&PathBuf| {
+            let name = path.file_name().unwrap_or_default().to_string_lossy();
+            !used.contains(path.as_path()) && !NO_PHOTOS.iter().any(|part| name.contains(part))
+        };
+        let others: Vec<String> = there
+            .iter()
+            .filter(is_other)
+            .map(|path| path.file_name().unwrap_or_default().to_string_lossy().into_owned())
+            .collect();
+        if others.is_empty() {
+            continue;
+        }
+        let within = folder.strip_prefix(scene).unwrap_or(folder).display().to_string();
+        let place = if within.is_empty() { String::new() } else { format!(" in {within}") };
+        let shown = others.iter().take(UNUSED_NAMED).cloned().collect::<Vec<_>>().join(", ");
+        let more = if others.len() > UNUSED_NAMED { ", ..." } else { "" };
+        events.on(Event::Note(&format!(
+            "{}: {} of the {} photos{place} {why} and are not used: {shown}{more}",
+            scene.display(),
+            others.len(),
+            there.len()
+        )));
+    }
+}
+
+/// Returns the only one of the images `below` a folder that a name means: its path ends in the name, or it lies in the
+/// folder itself under the end of the name. Letter case and an image's ending do not count.
+pub(super) fn place_of<'a>(name: &str, below: &'a [PathBuf]) -> Option<&'a Path> {
+    let plain = |path: &Path| path.to_string_lossy().replace('\\', "/").to_lowercase();
+    let without_ending = |text: String| match Path::new(&text) {
+        path if is_image(path) => path.with_extension("").to_string_lossy().into_owned(),
+        _ => text,
+    };
+    let wanted = without_ending(name.trim_start_matches('/').to_lowercase());
+    let last = wanted.rsplit('/').next().unwrap_or_default();
+    let only = |fits: &dyn Fn(&str) -> bool| {
+        let mut fitting = below.iter().filter(|path| fits(&without_ending(plain(path))));
+        fitting.next().filter(|_| fitting.next().is_none()).map(PathBuf::as_path)
+    };
+    only(&|path| path == wanted)
+        .or_else(|| only(&|path| path.strip_suffix(&wanted).is_some_and(|front| front.ends_with('/'))))
+        .or_else(|| only(&|path| path == last))
+}
+
 /// Returns width and height from a file's header.
 pub fn size(path: &Path) -> Result<(usize, usize)> {
-    let (width, height) = open(path)?.into_dimensions().map_err(|e| undecodable(path, &e))?;
+    let (width, height) = limited(open(path)?, 0).into_dimensions().map_err(|e| undecodable(path, &e))?;
     sound(path, (width, height))
 }
 
@@ -115,7 +201,7 @@ pub(super) fn factor_of(name: &str) -> Option<usize> {
 
 /// Returns width, height and EXIF orientation.
 pub(super) fn header(path: &Path) -> Result<((usize, usize), Orientation)> {
-    let mut decoder = open(path)?.into_decoder().map_err(|e| undecodable(path, &e))?;
+    let mut decoder = limited(open(path)?, 0).into_decoder().map_err(|e| undecodable(path, &e))?;
     let size = sound(path, decoder.dimensions())?;
     // Damaged EXIF data does not make an image damaged.
     Ok((size, decoder.orientation().unwrap_or(Orientation::NoTransforms)))
@@ -144,6 +230,28 @@ pub(super) fn note_turned(scene: &Path, paths: &[PathBuf], events: &dyn Listener
 fn open(path: &Path) -> Result<ImageReader<BufReader<File>>> {
     let reader = open_regular(path).map(|file| ImageReader::new(BufReader::new(file)));
     reader.and_then(ImageReader::with_guessed_format).map_err(|e| Error::unreadable(path, &e))
+}
+
+/// Limits the memory that a decoder may take: that of pixels, and a little more for what stands beside them in a file.
+fn limited<R: std::io::BufRead + std::io::Seek>(mut reader: ImageReader<R>, pixel_bytes: u64) -> ImageReader<R> {
+    let most = match reader.format() {
+        Some(ImageFormat::WebP) => Some(MOST_WEBP),
+        Some(ImageFormat::Png) => Some(pixel_bytes.saturating_add(MOST_NOTES)),
+        _ => None,
+    };
+    if let Some(most) = most {
+        let mut limits = Limits::default();
+        limits.max_alloc = Some(most);
+        reader.limits(limits);
+    }
+    reader
+}
+
+/// Returns the number of pixels in a PNG's header; 0 for other files.
+fn png_pixels(bytes: &[u8]) -> u64 {
+    let number =
+        |at: usize| bytes.get(at..at + 4).map_or(0, |four| u64::from(u32::from_be_bytes(four.try_into().unwrap())));
+    if bytes.starts_with(b"\x89PNG") { number(16) * number(20) } else { 0 }
 }
 
 fn sound(path: &Path, (width, height): (u32, u32)) -> Result<(usize, usize)> {
@@ -183,13 +291,8 @@ pub fn decode(path: &Path) -> Result<DynamicImage> {
     if format == ImageFormat::Jpeg && !jpeg_is_complete(&bytes) {
         return Err(undecodable(path, &"its end-of-image marker is missing"));
     }
-    let mut reader = ImageReader::with_format(Cursor::new(&bytes), format);
-    if format == ImageFormat::WebP {
-        let mut limits = Limits::default();
-        limits.max_alloc = Some(MOST_WEBP);
-        reader.limits(limits);
-    }
-    reader.decode().map_err(|e| undecodable(path, &e))
+    let reader = ImageReader::with_format(Cursor::new(&bytes), format);
+    limited(reader, png_pixels(&bytes).saturating_mul(MOST_PIXEL_BYTES)).decode().map_err(|e| undecodable(path, &e))
 }
 
 /// Returns whether an end-of-image marker closes the last scan of a JPEG. The decoder fills what is missing with grey,
@@ -323,13 +426,14 @@ fn common_folder(paths: &[PathBuf]) -> PathBuf {
 /// Returns a name for each view: its file's stem. If stems repeat, it is the path below the common folder. The location
 /// of that folder is in no name, because hashes of scenes depend on names.
 pub(super) fn names(paths: &[PathBuf]) -> Vec<String> {
-    let stem = |path: &PathBuf| path.file_stem().map(|s| s.to_string_lossy().into_owned()).unwrap_or_default();
+    let plain = |name: &str| name.replace(|letter: char| letter.is_control(), "_");
+    let stem = |path: &PathBuf| path.file_stem().map(|s| plain(&s.to_string_lossy())).unwrap_or_default();
     let mut names: Vec<String> = paths.iter().map(stem).collect();
     let distinct = |names: &[String]| names.iter().collect::<std::collections::HashSet<_>>().len() == names.len();
     if !distinct(&names) {
         let common = common_folder(paths);
         let below = |path: &PathBuf| path.strip_prefix(&common).unwrap_or(path).with_extension("");
-        names = paths.iter().map(|path| below(path).to_string_lossy().replace(['/', '\\'], "_")).collect();
+        names = paths.iter().map(|path| plain(&below(path).to_string_lossy()).replace(['/', '\\'], "_")).collect();
     }
     if !distinct(&names) {
         names.iter_mut().enumerate().for_each(|(i, name)| name.push_str(&format!("_{i}")));

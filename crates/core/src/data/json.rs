@@ -175,6 +175,16 @@ impl<'a> Object<'a> {
         list.iter().enumerate().map(frame).collect()
     }
 
+    /// Returns whether a key is there and null.
+    pub(super) fn is_null(&self, key: &str) -> bool {
+        self.value.get(key).is_some_and(Value::is_null)
+    }
+
+    /// Returns the folder of the object's file.
+    pub(super) fn folder(&self) -> &'a Path {
+        self.file.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."))
+    }
+
     /// Returns the value of a key, or `None` if it is missing or null.
     pub(super) fn get(&self, key: &str) -> Option<&'a Value> {
         self.value.get(key).filter(|value| !value.is_null())

@@ -10,11 +10,13 @@ pub mod formats;
 pub mod images;
 mod json;
 mod load_notes;
+mod mask;
 pub mod npy;
 pub mod path;
 pub mod ply;
 pub mod pose;
 pub mod rays;
+mod remarks;
 pub mod resample;
 mod rig;
 mod scene_space;
@@ -36,7 +38,7 @@ use std::sync::Arc;
 
 use sha2::{Digest, Sha256};
 
-use crate::base::{Error, Image, Listener, Result};
+use crate::base::{Error, Event, Image, Listener, Result};
 use load_notes::LoadNotes;
 
 use crate::settings::{Background, DataConfig, DataKind, Extent, scene_name, short_hash};
@@ -176,6 +178,11 @@ pub fn load(config: &DataConfig, seed: u64, events: &dyn Listener) -> Result<Sce
     scene.near = config.near.unwrap_or(scene.near);
     scene.far = config.far.unwrap_or(scene.far);
     check(&scene, config)?;
+    let folder = if config.dir.is_empty() { &scene.name } else { &config.dir };
+    for remark in remarks::of(&scene) {
+        events.on(Event::Note(&format!("{folder}: {remark}")));
+        scene.space.note("remark", remark);
+    }
     views::keep_training_views(&mut scene, config)?;
     corruption::corrupt(&mut scene, &config.corruption, seed)?;
     Ok(scene)
@@ -219,6 +226,19 @@ fn check_numbers(scene: &Scene, config: &DataConfig) -> Result<()> {
             view.name,
             view.camera.focal,
             pose::column(&view.camera.pose, 3)
+        )));
+    }
+    let outside = |camera: &Camera| {
+        let sides = [camera.width as f64, camera.height as f64];
+        camera.centre.iter().zip(sides).any(|(&centre, side)| !(-0.5 * side..=1.5 * side).contains(&centre))
+    };
+    if let Some(view) = scene.train.iter().chain(&scene.test).find(|view| outside(&view.camera)) {
+        let Camera { width, height, centre, .. } = view.camera;
+        return Err(Error::Data(format!(
+            "{from}: the principal point of view {} is at {:.1}, {:.1} of a picture of {width}x{height}, more than half a picture \
+             outside: its intrinsics are probably those of another size; give their width and height (\"w\" and \"h\" in \
+             transforms.json), or correct them",
+            view.name, centre[0], centre[1]
         )));
     }
     if !(sound(scene.near) && sound(scene.far) && scene.path.iter().all(camera_is_sound)) {

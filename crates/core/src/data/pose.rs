@@ -119,6 +119,11 @@ pub fn check_rotation(pose: &Pose) -> Result<(), String> {
     Ok(())
 }
 
+/// Returns a camera's pose with y and z turned round: from OpenCV's axes (y down, z ahead) to OpenGL's, or back.
+pub fn flipped(pose: &Pose) -> Pose {
+    pose.map(|[x, y, z, t]| [x, -y, -z, t])
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

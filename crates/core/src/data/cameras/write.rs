@@ -7,7 +7,7 @@ use serde_json::{Map, Value, json};
 use super::super::pose::{self, Pose};
 use super::super::{Camera, WorldToScene, npy};
 use crate::base::Result;
-use crate::base::files::{write_atomic, write_json};
+use crate::base::files::{write_named, write_named_json};
 
 /// Distance in pixels from the lens of a field of view above which a lens is written out.
 const ROUNDING: f64 = 1e-9;
@@ -23,7 +23,7 @@ pub fn write(file: &Path, cameras: &[Camera], world: &WorldToScene, fps: f64) ->
     if super::ending(file)? == "npy" {
         let mut bytes = npy::header("<f8", &[poses.len(), 3, 4]);
         bytes.extend(poses.iter().flatten().flatten().flat_map(|value| value.to_le_bytes()));
-        return write_atomic(file, &bytes);
+        return write_named(file, &bytes);
     }
     let (width, height) = cameras.first().map_or((0, 0), |camera| (camera.width, camera.height));
     let camera = |(camera, pose): (&Camera, &Pose)| {
@@ -43,7 +43,7 @@ pub fn write(file: &Path, cameras: &[Camera], world: &WorldToScene, fps: f64) ->
         "seconds": cameras.len() as f64 / fps,
         "camera_path": cameras.iter().zip(&poses).map(camera).collect::<Vec<Value>>(),
     });
-    write_json(file, &path)
+    write_named_json(file, &path)
 }
 
 /// Returns what field of view and common size do not state about a camera.

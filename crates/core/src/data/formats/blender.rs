@@ -31,9 +31,15 @@ pub fn load(config: &DataConfig, events: &dyn Listener) -> Result<Scene> {
         EvalSplit::Test => "test",
         EvalSplit::Val => "val",
     };
-    let (train, train_names) = frames::found(read_split(config, "train", events)?);
-    let listed = read_split(config, eval, events)?.into_iter().step_by(config.test_skip.max(1)).collect();
-    let (test, test_names) = frames::found(listed);
+    let train = read_split(config, "train", events)?;
+    let (train, listed) = match has_no_photos(config, eval)? {
+        false => (train, read_split(config, eval, events)?),
+        true => hold_out(train, config, eval, events),
+    };
+    let (mut train, train_names) = frames::found(train);
+    let (mut test, test_names) = frames::found(listed.into_iter().step_by(config.test_skip.max(1)).collect());
+    frames::find_masks(&mut train, config, events)?;
+    frames::find_masks(&mut test, config, events)?;
     let both: Vec<&Frame> = train.iter().chain(&test).collect();
     let sizes = frames::working_sizes(&both, config)?;
     let cameras: Vec<Camera> = both.iter().zip(sizes).map(|(frame, size)| frame.camera(size, in_turn)).collect();
@@ -128,7 +134,32 @@ fn read_split(config: &DataConfig, name: &str, events: &dyn Listener) -> Result<
         return Err(missing(dir, &file, name));
     }
     let value = json::read(&file)?;
-    frames::read(Object::document(&file, &value)?, events)
+    frames::read(Object::document(&file, &value)?, config.axes, events)
+}
+
+/// Returns whether a split's file is there and none of its photos, as exporters leave it that render no test views.
+fn has_no_photos(config: &DataConfig, split: &str) -> Result<bool> {
+    let file = Path::new(&config.dir).join(transforms_file(split));
+    if !file.exists() {
+        return Ok(false);
+    }
+    frames::has_no_photos(Object::document(&file, &json::read(&file)?)?)
+}
+
+/// Splits the training views: every `data.holdout`-th is held out, from the first on.
+fn hold_out(train: Vec<Listed>, config: &DataConfig, split: &str, events: &dyn Listener) -> (Vec<Listed>, Vec<Listed>) {
+    let every = config.holdout.max(1);
+    events.on(Event::Note(&format!(
+        "{}: no photo of {} is there; every {every}th of the {} training views is held out instead (data.holdout)",
+        config.dir,
+        transforms_file(split),
+        train.len()
+    )));
+    let (mut kept, mut held_out) = (Vec::new(), Vec::new());
+    for (place, listed) in train.into_iter().enumerate() {
+        if place.is_multiple_of(every) { held_out.push(listed) } else { kept.push(listed) }
+    }
+    (kept, held_out)
 }
 
 /// Fills in the depth of views with a depth map next to their image. A masked view has none.

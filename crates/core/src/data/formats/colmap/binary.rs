@@ -129,3 +129,11 @@ pub(super) fn points(file: &Path) -> Result<Vec<Point>> {
         Ok(Point { place, seen_in: track.map(image).collect() })
     })
 }
+/// Returns how many photos a file of images announces.
+pub(super) fn photograph_count(file: &Path) -> Result<usize> {
+    let mut count = [0; 8];
+    let read =
+        crate::base::input::open_regular(file).and_then(|mut open| std::io::Read::read_exact(&mut open, &mut count));
+    read.map_err(|e| Error::unreadable(file, &e))?;
+    Ok(usize::try_from(u64::from_le_bytes(count)).unwrap_or(0))
+}

@@ -1,5 +1,6 @@
-//! COLMAP scenes: a model in `sparse/0` (`cameras`, `images`, `points3D`, `.bin` or `.txt`) next to `images` or smaller
-//! `images_2`, `images_4`, `images_8`, as 3D Gaussian splatting writes them.
+//! COLMAP scenes: a model in `sparse/0` or the like (`cameras`, `images`, `points3D`, `.bin` or `.txt`) next to `images` or
+//! smaller `images_2`, `images_4`, `images_8`, as 3D Gaussian splatting writes them. Of several models the one with the most
+//! photos is read.
 //!
 //! The formats are those of COLMAP's documentation ("Output Format"). Its principal points count from the corner of the
 //! first pixel, whose centre is at 0.5. The default of `data.pixel_origin` is therefore `centre`.
@@ -11,6 +12,7 @@ mod model;
 mod read;
 mod text;
 
+use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 use crate::base::{Error, Event, Image, Listener, Result};
@@ -18,6 +20,7 @@ use crate::data::formats::Capture;
 use crate::data::formats::transforms::BOUNDS;
 use crate::data::formats::transforms::distortion::{self, Distortion, Intrinsics};
 use crate::data::images::{self, Size};
+use crate::data::mask::{MaskFile, Masked, Masks};
 use crate::data::pose::Pose;
 use crate::data::{Camera, Scene, SceneSpace, WorldToScene, background, name_of, path, resample};
 use crate::settings::{DataConfig, DataKind};
@@ -26,7 +29,13 @@ use model::{Lens, Model, Photograph};
 
 /// Returns whether a folder holds a model.
 pub fn is_scene(dir: &Path) -> bool {
-    read::find(dir).is_some()
+    !read::candidates(dir).is_empty()
+}
+
+/// Returns the names of the photos of a folder's model, if there is one that can be read.
+pub(super) fn names(dir: &Path) -> Option<BTreeSet<String>> {
+    let model = read::model(dir, "", &()).ok()?;
+    Some(model.photographs.into_iter().map(|photograph| photograph.name).collect())
 }
 
 /// Largest difference, beyond a pixel, between an image's sides and those of its camera, as a fraction.
@@ -50,15 +59,17 @@ struct Frame {
     /// The camera without distortion, at the stored size.
     pinhole: Intrinsics,
     stored: (usize, usize),
+    mask: Option<MaskFile>,
 }
 
 /// Reads a COLMAP scene. Views are sorted by name, and every `config.holdout`-th is held out. The scene's space and the
 /// views' roles depend on all images of the model, including missing ones.
 pub fn load(config: &DataConfig, events: &dyn Listener) -> Result<Scene> {
     let dir = Path::new(&config.dir);
-    let model = read::model(dir)?;
+    let model = read::model(dir, &config.colmap_model, events)?;
     let source = folder::find(dir, &model.photographs, Size::of(config))?;
     let missing = check_missing(dir, &model, &source, events)?;
+    images::note_unused(dir, source.files.iter().flatten(), "are not in the COLMAP model", events);
     let mut poses: Vec<Pose> = model.photographs.iter().map(|photograph| photograph.pose).collect();
     let world = match config.recentre {
         true => WorldToScene::centre(&mut poses.iter_mut().collect::<Vec<&mut Pose>>()),
@@ -66,7 +77,9 @@ pub fn load(config: &DataConfig, events: &dyn Listener) -> Result<Scene> {
     };
     let path = path::around(&poses);
     let there: Vec<bool> = source.files.iter().map(Option::is_some).collect();
-    let (frames, names) = frames(dir, &model, &source, &poses)?;
+    let (mut frames, names) = frames(dir, &model, &source, &poses)?;
+    let masks = Masks::of(config, frames.iter().map(|frame| &*frame.path), events)?;
+    frames.iter_mut().zip(masks.files).for_each(|(frame, mask)| frame.mask = mask);
     let targets = targets(config, &source, &frames)?;
     let cameras: Vec<Camera> = frames.iter().zip(&targets).map(|(frame, &target)| frame.camera(target)).collect();
     let (mut space, (near, far)) = bounds::of(&model, &cameras, world, BOUNDS);
@@ -74,8 +87,12 @@ pub fn load(config: &DataConfig, events: &dyn Listener) -> Result<Scene> {
     notes(&mut space, &model, &frames, &missing, &source);
     let first = cameras[0];
     let (images, clear) = read_images(dir, &frames, &targets, background(config), events)?;
+    let mut views = Capture::views(names, cameras, images);
+    for (view, frame) in views.iter_mut().zip(&frames) {
+        view.mask = frame.read_mask((view.camera.width, view.camera.height))?.map(Into::into);
+    }
     let capture = Capture {
-        views: Capture::views(names, cameras, images),
+        views,
         near,
         far,
         ndc: None,
@@ -153,10 +170,20 @@ fn frame(lens: &Lens, photograph: &Photograph, path: PathBuf, dir: &Path) -> Res
         )));
     };
     let Photograph { pose, .. } = *photograph;
-    Ok(Frame { path, pose, lens: intrinsics, distortion: lens.distortion, pinhole, stored })
+    Ok(Frame { path, pose, lens: intrinsics, distortion: lens.distortion, pinhole, stored, mask: None })
 }
 
 impl Frame {
+    /// Returns which pixels count at the working resolution, if the photo has a mask.
+    fn read_mask(&self, size: (usize, usize)) -> Result<Option<Vec<bool>>> {
+        let Some(mask) = &self.mask else { return Ok(None) };
+        let rectified = |mask: Image| match self.distortion.is_none() {
+            true => mask,
+            false => distortion::rectify(&mask, self.lens, &self.distortion, self.pinhole),
+        };
+        mask.read(&Masked { path: &self.path, size: self.stored }, rectified, size).map(Some)
+    }
+
     /// Returns the pinhole camera at the working resolution.
     fn camera(&self, target: (usize, usize)) -> Camera {
         let scale = [target.0 as f64 / self.stored.0 as f64, target.1 as f64 / self.stored.1 as f64];

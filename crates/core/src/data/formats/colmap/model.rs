@@ -63,7 +63,7 @@ pub(super) struct Point {
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(super) struct Model {
     /// The folder below the scene's.
-    pub(super) folder: &'static str,
+    pub(super) folder: String,
     pub(super) lenses: HashMap<u32, Lens>,
     pub(super) photographs: Vec<Photograph>,
     pub(super) points: Vec<Point>,

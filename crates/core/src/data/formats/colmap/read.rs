@@ -5,32 +5,101 @@ use std::path::Path;
 
 use super::model::{MOST_NAME, Model, Photograph};
 use super::{binary, text};
-use crate::base::{Error, Result};
+use crate::base::{Error, Event, Listener, Result};
 
-/// Folders of a model within a scene's folder; the first that exists is read.
-const FOLDERS: [&str; 3] = ["sparse/0", "sparse", "colmap/sparse/0"];
+/// Folders of models within a scene's folder, each itself or with numbered folders in it.
+const FOLDERS: [&str; 2] = ["sparse", "colmap/sparse"];
+/// The folder of models of the photos before their distortion was removed. It counts if there is no other.
+const DISTORTED: &str = "distorted/sparse";
+/// Most numbered folders that are looked at.
+const MOST_MODELS: usize = 1000;
 
-/// Returns the folder of a scene's model, if there is one, and whether it is binary.
-pub(super) fn find(dir: &Path) -> Option<(&'static str, bool)> {
-    let is_there = |folder: &str, ending: &str| {
-        let file = |name: &str| dir.join(folder).join(format!("{name}.{ending}"));
-        file("cameras").is_file() && file("images").is_file()
-    };
-    let found = |folder: &&str| is_there(folder, "bin") || is_there(folder, "txt");
-    FOLDERS.into_iter().find(found).map(|folder| (folder, is_there(folder, "bin")))
+/// A model in a scene's folder.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct Candidate {
+    /// Its folder below the scene's: `sparse/0`.
+    pub(super) folder: String,
+    is_binary: bool,
+    /// How many photos it has; 0 if that cannot be read.
+    pub(super) photos: usize,
 }
 
-/// Reads the model of a scene's folder.
-pub(super) fn model(dir: &Path) -> Result<Model> {
-    let Some((folder, is_binary)) = find(dir) else {
-        return Err(Error::Data(format!(
-            "{} holds no COLMAP model: cameras and images, .bin or .txt, are looked for in {}",
-            dir.display(),
+impl Candidate {
+    fn at(dir: &Path, folder: String) -> Option<Candidate> {
+        let file = |name: &str, ending: &str| dir.join(&folder).join(format!("{name}.{ending}"));
+        let is_there = |ending: &str| file("cameras", ending).is_file() && file("images", ending).is_file();
+        let is_binary = is_there("bin");
+        if !is_binary && !is_there("txt") {
+            return None;
+        }
+        let photos = match is_binary {
+            true => binary::photograph_count(&file("images", "bin")),
+            false => text::photographs(&file("images", "txt")).map(|photographs| photographs.len()),
+        };
+        Some(Candidate { photos: photos.unwrap_or(0), folder, is_binary })
+    }
+
+    fn words(&self) -> String {
+        format!("{} ({} photos)", self.folder, self.photos)
+    }
+}
+
+/// Returns the models of a scene's folder, in the order in which equal ones count: `sparse/0`, `sparse/1` and so on,
+/// `sparse`, then the same of `colmap/sparse`.
+pub(super) fn candidates(dir: &Path) -> Vec<Candidate> {
+    let below = |folder: &str| -> Vec<Candidate> {
+        let names = std::fs::read_dir(dir.join(folder)).into_iter().flatten().flatten().map(|entry| entry.file_name());
+        let mut numbers: Vec<u32> = names.filter_map(|name| name.to_str()?.parse().ok()).collect();
+        numbers.sort_unstable();
+        numbers.truncate(MOST_MODELS);
+        let numbered = numbers.into_iter().map(|number| format!("{folder}/{number}"));
+        numbered.chain([folder.to_string()]).filter_map(|folder| Candidate::at(dir, folder)).collect()
+    };
+    let found: Vec<Candidate> = FOLDERS.iter().flat_map(|folder| below(folder)).collect();
+    if found.is_empty() { below(DISTORTED) } else { found }
+}
+
+/// Chooses the model with the most photos, or the `wanted` one. The second part names the others, if there are any.
+fn choose(dir: &Path, wanted: &str) -> Result<(Candidate, Option<String>)> {
+    let all = candidates(dir);
+    let wrong = |what: String| Error::Data(format!("{}: {what}", dir.display()));
+    let listed = || all.iter().map(Candidate::words).collect::<Vec<_>>().join(", ");
+    let most = all.iter().map(|model| model.photos).max().ok_or_else(|| {
+        wrong(format!(
+            "no COLMAP model: cameras and images, .bin or .txt, are looked for in {} and {DISTORTED}, and in numbered folders there",
             FOLDERS.join(", ")
+        ))
+    })?;
+    let chosen = match wanted {
+        "" => all.iter().find(|model| model.photos == most),
+        wanted => all.iter().find(|model| model.folder == wanted.trim_matches('/')),
+    };
+    let Some(chosen) = chosen else {
+        return Err(wrong(format!(
+            "data.colmap_model = \"{wanted}\" is no COLMAP model there; there are {}",
+            listed()
         )));
     };
+    let others = (all.len() > 1).then(|| {
+        format!(
+            "{} COLMAP models: {}; {} is read (data.colmap_model chooses another)",
+            all.len(),
+            listed(),
+            chosen.folder
+        )
+    });
+    Ok((chosen.clone(), others))
+}
+
+/// Reads the model of a scene's folder: `wanted`, or if that is empty the one with the most photos. Models that are not
+/// read are noted.
+pub(super) fn model(dir: &Path, wanted: &str, events: &dyn Listener) -> Result<Model> {
+    let (Candidate { folder, is_binary, .. }, others) = choose(dir, wanted)?;
+    if let Some(others) = others {
+        events.on(Event::Note(&format!("{}: {others}", dir.display())));
+    }
     let ending = if is_binary { "bin" } else { "txt" };
-    let file = |name: &str| dir.join(folder).join(format!("{name}.{ending}"));
+    let file = |name: &str| dir.join(&folder).join(format!("{name}.{ending}"));
     let [cameras, images, points] = ["cameras", "images", "points3D"].map(file);
     let mut model = Model { folder, ..Model::default() };
     let (lenses, photographs) = match is_binary {

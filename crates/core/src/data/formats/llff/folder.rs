@@ -1,5 +1,6 @@
 //! The choice among an LLFF folder's image folders.
 
+use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 use crate::base::{Error, Result};
@@ -27,18 +28,20 @@ impl Source {
 /// Finds the images of `poses` poses. For a factor: `images_{factor}` as it is, `images` averaged down, or a folder
 /// whose factor divides it. For a width: the smallest folder that is at least as wide. A folder without an image per
 /// pose is not used if another has them.
-pub(super) fn find(dir: &Path, size: Size, poses: usize) -> Result<Source> {
+///
+/// `listed` are the names of the photos that have poses, if they are known; endings do not count.
+pub(super) fn find(dir: &Path, size: Size, poses: usize, listed: Option<&BTreeSet<String>>) -> Result<Source> {
     match size {
-        Size::Factor(factor) => by_factor(dir, factor, poses),
-        Size::Width(width) => by_width(dir, width, poses),
+        Size::Factor(factor) => by_factor(dir, factor, poses, listed),
+        Size::Width(width) => by_width(dir, width, poses, listed),
     }
 }
 
-fn by_factor(dir: &Path, factor: usize, poses: usize) -> Result<Source> {
+fn by_factor(dir: &Path, factor: usize, poses: usize, listed: Option<&BTreeSet<String>>) -> Result<Source> {
     let mut found: Vec<(usize, Vec<PathBuf>)> = Vec::new();
     for name in folders(dir)? {
         let Some(of) = images::factor_of(&name).filter(|of| factor.is_multiple_of(*of)) else { continue };
-        found.push((of, images::list(&dir.join(name))?));
+        found.push((of, with_poses(images::list(&dir.join(name))?, poses, listed)));
     }
     // Folders of the factor first, then the originals, then the smallest that can be averaged.
     found.sort_by_key(|(of, _)| (*of != factor, *of != 1, std::cmp::Reverse(*of)));
@@ -61,10 +64,10 @@ fn by_factor(dir: &Path, factor: usize, poses: usize) -> Result<Source> {
     Ok(Source { paths, stored, target: (divide(stored.0), divide(stored.1)), passed })
 }
 
-fn by_width(dir: &Path, width: usize, poses: usize) -> Result<Source> {
+fn by_width(dir: &Path, width: usize, poses: usize, listed: Option<&BTreeSet<String>>) -> Result<Source> {
     let mut found = Vec::new();
     for name in folders(dir)? {
-        let paths = images::list(&dir.join(name))?;
+        let paths = with_poses(images::list(&dir.join(name))?, poses, listed);
         let Some(first) = paths.first() else { continue };
         let stored = images::size(first)?;
         if stored.0 >= width {
@@ -86,6 +89,16 @@ fn by_width(dir: &Path, width: usize, poses: usize) -> Result<Source> {
     Ok(Source { paths, stored, target, passed })
 }
 
+/// Returns the photos that have poses, if a folder has more than these and all of them.
+fn with_poses(paths: Vec<PathBuf>, poses: usize, listed: Option<&BTreeSet<String>>) -> Vec<PathBuf> {
+    let Some(listed) = listed.filter(|_| paths.len() > poses) else { return paths };
+    let stem = |name: &Path| name.file_stem().map(|stem| stem.to_string_lossy().into_owned());
+    let stems: BTreeSet<String> = listed.iter().filter_map(|name| stem(Path::new(name))).collect();
+    let chosen: Vec<PathBuf> =
+        paths.iter().filter(|path| stem(path).is_some_and(|stem| stems.contains(&stem))).cloned().collect();
+    if chosen.len() == poses { chosen } else { paths }
+}
+
 fn passed_over(paths: &[PathBuf], poses: usize) -> String {
     let folder = paths.first().and_then(|path| path.parent()).unwrap_or(Path::new(""));
     format!("{} has {} images for {poses} poses", folder.display(), paths.len())
@@ -98,7 +111,7 @@ fn folders(dir: &Path) -> Result<Vec<String>> {
         .flatten()
         .filter(|entry| entry.path().is_dir())
         .map(|entry| entry.file_name().to_string_lossy().into_owned())
-        .filter(|name| name == "images" || name.starts_with("images_"))
+        .filter(|name| images::factor_of(name).is_some())
         .collect();
     names.sort();
     Ok(names)

@@ -6,14 +6,17 @@ mod orbit;
 mod paths;
 mod poses;
 
+use std::collections::BTreeSet;
 use std::path::Path;
 
 pub use orbit::settle_orbit;
 pub use poses::Poses;
 
-use crate::base::{Error, Listener, Result};
-use crate::data::formats::Capture;
+use crate::base::input::{TEXT_BYTES, read_text};
+use crate::base::{Error, Event, Listener, Result};
+use crate::data::formats::{Capture, colmap};
 use crate::data::images::{self, Size};
+use crate::data::mask::{MaskFile, Masked, Masks};
 use crate::data::pose::Pose;
 use crate::data::{Camera, Ndc, Rig, Scene, SceneSpace, background, name_of, path};
 use crate::settings::{DataConfig, DataKind};
@@ -21,6 +24,9 @@ use folder::Source;
 
 /// The file that makes a folder an LLFF scene.
 pub const POSES_FILE: &str = "poses_bounds.npy";
+
+/// LLFF's list of the photos that have poses.
+const VIEWS_FILE: &str = "view_imgs.txt";
 
 /// Largest difference, beyond a pixel, between images and the size for which the poses were made, as a fraction.
 const SIZE_TOLERANCE: f64 = 0.01;
@@ -36,9 +42,10 @@ pub fn load(config: &DataConfig, events: &dyn Listener) -> Result<Scene> {
     let dir = Path::new(&config.dir);
     let file = dir.join(POSES_FILE);
     let mut poses = Poses::read(&file)?;
-    let source = folder::find(dir, Size::of(config), poses.poses.len())?;
+    let listed = registered(dir, poses.poses.len(), events)?;
+    let source = folder::find(dir, Size::of(config), poses.poses.len(), listed.as_ref())?;
     check_count(&source, poses.poses.len(), &file)?;
-    check_size(&source, &poses, config, &file)?;
+    check_size(&source, &mut poses, config, &file, events)?;
     let name_file = |e: Error| Error::Data(format!("{}: {e}", file.display()));
     let path = normalize(&mut poses, config).map_err(name_file)?;
     let camera = camera_at(source.target, focal(&poses, config, source.target));
@@ -48,10 +55,17 @@ pub fn load(config: &DataConfig, events: &dyn Listener) -> Result<Scene> {
         check_facing(&cameras, &names, &file)?;
     }
     images::note_turned(dir, &source.paths, events)?;
+    let masks = Masks::of(config, source.paths.iter().map(|path| &**path), events)?;
     let (images, clear) = images::read_all(&source.paths, source.target, background(config), "reading images", events)?;
+    let mut views = Capture::views(names, cameras.clone(), images);
+    for ((view, mask), path) in views.iter_mut().zip(&masks.files).zip(&source.paths) {
+        let photo = Masked { path, size: source.stored };
+        let read = |mask: &MaskFile| mask.read(&photo, |mask| mask, source.target);
+        view.mask = mask.as_ref().map(read).transpose()?.map(Into::into);
+    }
     let ndc = Ndc { width: source.target.0 as f64, height: source.target.1 as f64, focal: camera.focal[0] };
     let capture = Capture {
-        views: Capture::views(names, cameras.clone(), images),
+        views,
         near: if config.ndc { 0.0 } else { 0.9 * poses.nearest() },
         far: if config.ndc { 1.0 } else { poses.farthest() },
         ndc: config.ndc.then_some(ndc),
@@ -119,8 +133,33 @@ fn check_count(source: &Source, poses: usize, file: &Path) -> Result<()> {
     Ok(())
 }
 
-/// Checks that the images are those of the poses at the factor; otherwise the focal length would not fit.
-fn check_size(source: &Source, poses: &Poses, config: &DataConfig, file: &Path) -> Result<()> {
+/// Returns the names of the photos that have poses, if there are more photos: of `view_imgs.txt`, which LLFF writes, or of
+/// the COLMAP model in `sparse/0`. `None` if neither is there or has as many names as there are poses.
+fn registered(dir: &Path, poses: usize, events: &dyn Listener) -> Result<Option<BTreeSet<String>>> {
+    let listed = read_text(&dir.join(VIEWS_FILE), TEXT_BYTES).ok().map(|text| {
+        text.lines().map(str::trim).filter(|line| !line.is_empty()).map(String::from).collect::<BTreeSet<String>>()
+    });
+    let names = match listed.filter(|names| names.len() == poses) {
+        Some(names) => Some((VIEWS_FILE, names)),
+        None => colmap::names(dir).filter(|names| names.len() == poses).map(|names| ("the COLMAP model", names)),
+    };
+    let Some((from, names)) = names else { return Ok(None) };
+    let all = images::list(&dir.join("images")).map_or(0, |paths| paths.len());
+    if all > poses {
+        events.on(Event::Note(&format!("{}: {poses} of {all} photos have poses, by {from}", dir.display())));
+    }
+    Ok(Some(names))
+}
+
+/// Checks that the images are those of the poses at the factor, or smaller ones of the same shape, whose focal length is
+/// scaled; otherwise the focal length would not fit.
+fn check_size(
+    source: &Source,
+    poses: &mut Poses,
+    config: &DataConfig,
+    file: &Path,
+    events: &dyn Listener,
+) -> Result<()> {
     let scale = match Size::of(config) {
         Size::Factor(factor) => 1.0 / factor as f64,
         Size::Width(width) => width as f64 / poses.width,
@@ -130,6 +169,35 @@ fn check_size(source: &Source, poses: &Poses, config: &DataConfig, file: &Path) 
     let close = |(found, expected): (f64, f64)| (found - expected).abs() <= 1.0 + SIZE_TOLERANCE * expected;
     if found.into_iter().zip(expected).all(close) {
         return Ok(());
+    }
+    let stored = [source.stored.0 as f64, source.stored.1 as f64];
+    let same_shape = |[width, height]: [f64; 2]| (stored[0] * height / width - stored[1]).abs() <= 1.0;
+    if same_shape([poses.width, poses.height]) {
+        events.on(Event::Note(&format!(
+            "{}: made for {}x{} images, and {} is {}x{}: the focal length is scaled with it",
+            file.display(),
+            poses.width,
+            poses.height,
+            source.paths[0].display(),
+            source.stored.0,
+            source.stored.1
+        )));
+        // What the file would say of these images.
+        let scale = found[0] / expected[0];
+        (poses.width, poses.height, poses.focal) = (poses.width * scale, poses.height * scale, poses.focal * scale);
+        return Ok(());
+    }
+    if same_shape([poses.height, poses.width]) {
+        return Err(Error::Data(format!(
+            "{}: height and width stand in each other's place: it says {}x{} (width x height), and {} is {}x{}; exchange the first \
+             two numbers of each pose's last column",
+            file.display(),
+            poses.width,
+            poses.height,
+            source.paths[0].display(),
+            source.stored.0,
+            source.stored.1
+        )));
     }
     Err(Error::Data(format!(
         "{} is {}x{} pixels and would be trained on at {}x{}, but {} was made for {}x{} images, which makes {:.0}x{:.0} \

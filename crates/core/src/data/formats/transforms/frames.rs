@@ -7,14 +7,16 @@ use image::metadata::Orientation;
 
 use super::distortion::{self, Intrinsics};
 use super::lens::Lens;
-use super::mask::{self, Masked};
 use crate::base::{Event, Image, Listener, Result};
 use crate::data::images::{self, Size};
 use crate::data::json::{Object, Picture};
-use crate::data::pose::Pose;
+use crate::data::mask::{self, MaskFile, Masked, Masks};
+use crate::data::pose::{self, Pose};
 use crate::data::{Camera, View, resample};
-use crate::settings::DataConfig;
+use crate::settings::{Axes, DataConfig};
 
+/// The key of a frame's pose.
+const POSE: &str = "transform_matrix";
 /// Largest number of photos that an error names. Notes name all.
 const NAMES: usize = 20;
 
@@ -33,7 +35,7 @@ pub struct Frame {
     lens: Lens,
     /// The camera without distortion, at that size.
     pinhole: Intrinsics,
-    mask: Option<PathBuf>,
+    mask: Option<MaskFile>,
 }
 
 /// A frame of a file, with or without its photo. The scene's space, and the names and roles of its views, depend on the
@@ -64,15 +66,16 @@ struct Entry<'a> {
     pose: Pose,
 }
 
-/// Reads the frames of a document in its order. A note names missing photos, and frames that are listed twice.
+/// Reads the frames of a document in its order. A note names missing photos, frames without a pose, and frames that are
+/// listed twice.
 ///
 /// # Errors
 /// If more than half of the photos are missing, if one has two poses, or if a field is invalid.
-pub fn read(document: Object, events: &dyn Listener) -> Result<Vec<Listed>> {
+pub fn read(document: Object, axes: Axes, events: &dyn Listener) -> Result<Vec<Listed>> {
     let note = |what: &str| events.on(Event::Note(&document.error(what).to_string()));
     let mut turned: Vec<String> = Vec::new();
     let mut listed: Vec<Listed> = Vec::new();
-    for entry in distinct(entries(document, &note)?, document, &note)? {
+    for entry in distinct(entries(document, axes, &note)?, document, &note)? {
         let Picture { place, written, .. } = entry.picture.clone();
         let (pose, found) = (entry.pose, Frame::find(entry, document)?);
         turned.extend(found.iter().filter(|found| found.1).map(|_| written.clone()));
@@ -89,18 +92,48 @@ pub fn read(document: Object, events: &dyn Listener) -> Result<Vec<Listed>> {
     Ok(listed)
 }
 
-/// Reads the frames; at least half must have their photos.
-fn entries<'a>(document: Object<'a>, note: &dyn Fn(&str)) -> Result<Vec<Entry<'a>>> {
-    let (mut entries, mut missing, mut first) = (Vec::new(), Vec::new(), None);
+/// Returns whether none of a document's photos is there.
+pub fn has_no_photos(document: Object) -> Result<bool> {
+    let there = images::below(document.folder());
     for object in document.frames()? {
-        let entry = Entry { object, picture: object.picture("file_path")?, pose: object.pose()? };
-        if entry.picture.path.is_none() {
-            first.get_or_insert(object);
-            missing.push(entry.picture.written.clone());
+        let picture = object.picture("file_path")?;
+        if picture.path.is_some() || images::place_of(&picture.written, &there).is_some() {
+            return Ok(false);
         }
-        entries.push(entry);
     }
+    Ok(true)
+}
+
+/// Reads the frames that have a pose; at least half must have their photos.
+fn entries<'a>(document: Object<'a>, axes: Axes, note: &dyn Fn(&str)) -> Result<Vec<Entry<'a>>> {
+    let (mut entries, mut without_pose) = (Vec::new(), Vec::new());
+    for object in document.frames()? {
+        let picture = object.picture("file_path")?;
+        if object.is_null(POSE) {
+            without_pose.push(picture.written);
+            continue;
+        }
+        let pose = match axes {
+            Axes::Opengl => object.pose()?,
+            Axes::Opencv => pose::flipped(&object.pose()?),
+        };
+        entries.push(Entry { object, picture, pose });
+    }
+    if !without_pose.is_empty() {
+        note(&format!(
+            "{} frames have no pose (\"{POSE}\" is null) and are left out: {}",
+            without_pose.len(),
+            without_pose.join(", ")
+        ));
+    }
+    find_elsewhere(document, &mut entries, note);
+    let lacks = |entry: &&Entry| entry.picture.path.is_none();
+    let first = entries.iter().find(lacks).map(|entry| entry.object);
+    let mut missing: Vec<String> = entries.iter().filter(lacks).map(|entry| entry.picture.written.clone()).collect();
     let (count, all) = (missing.len(), entries.len());
+    if all == 0 {
+        return Err(document.error("no frame has a pose"));
+    }
     match first {
         Some(object) if 2 * count > all => {
             let more = if count > NAMES { format!(" and {} more", count - NAMES) } else { String::new() };
@@ -116,6 +149,26 @@ fn entries<'a>(document: Object<'a>, note: &dyn Fn(&str)) -> Result<Vec<Entry<'a
             Ok(entries)
         }
         None => Ok(entries),
+    }
+}
+
+/// Looks for photos that are not where they are named: in another place below the document's folder that ends in the
+/// name, or without the name's folders, letter case apart. A place counts if it is the only one.
+fn find_elsewhere(document: Object, entries: &mut [Entry], note: &dyn Fn(&str)) {
+    if entries.iter().all(|entry| entry.picture.path.is_some()) {
+        return;
+    }
+    let folder = document.folder();
+    let there = images::below(folder);
+    let mut moved = Vec::new();
+    for Entry { picture, .. } in entries.iter_mut().filter(|entry| entry.picture.path.is_none()) {
+        let Some(found) = images::place_of(&picture.written, &there) else { continue };
+        let path = folder.join(found);
+        moved.push(format!("{} is {}", picture.written, found.display()));
+        (picture.place, picture.path) = (path.clone(), Some(path));
+    }
+    if let Some(first) = moved.first() {
+        note(&format!("{} photos are not where \"file_path\" says, and were found elsewhere: {first}", moved.len()));
     }
 }
 
@@ -161,7 +214,7 @@ impl Frame {
                 lens.distortion.radial, lens.distortion.tangential
             )));
         };
-        let mask = mask::file_of(object, document)?;
+        let mask = mask::file_of(object, document)?.map(MaskFile::of_black);
         Ok(Some((Frame { path, written, pose, size, turn, lens, pinhole, mask }, turns && !applied)))
     }
 
@@ -217,8 +270,8 @@ impl Frame {
         let size = (camera.width, camera.height);
         let (image, clear) = resample::composite(self.image(size)?, background);
         let photograph = Masked { path: &self.path, size: self.size };
-        let read = |file| mask::read(file, &photograph, |mask| self.rectified(mask), size);
-        let mask = self.mask.as_deref().map(read).transpose()?;
+        let read = |mask: &MaskFile| mask.read(&photograph, |mask| self.rectified(mask), size);
+        let mask = self.mask.as_ref().map(read).transpose()?;
         Ok((View { name, camera, image: image.into(), depth: None, mask: mask.map(Into::into) }, clear))
     }
 }
@@ -234,6 +287,18 @@ pub fn found(listed: Vec<Listed>) -> (Vec<Frame>, Vec<String>) {
     let names = images::names(&listed.iter().map(|listed| listed.place.clone()).collect::<Vec<_>>());
     let named = listed.into_iter().zip(names);
     named.filter_map(|(Listed { pose, frame, .. }, name)| Some((Frame { pose, ..frame? }, name))).unzip()
+}
+
+/// Gives photos whose file names no mask those of `data.masks`.
+pub fn find_masks(frames: &mut [Frame], config: &DataConfig, events: &dyn Listener) -> Result<()> {
+    if frames.iter().any(|frame| frame.mask.is_some()) && config.masks.is_empty() {
+        return Ok(());
+    }
+    let masks = Masks::of(config, frames.iter().map(|frame| &*frame.path), events)?;
+    for (frame, mask) in frames.iter_mut().zip(masks.files) {
+        frame.mask = frame.mask.take().or(mask);
+    }
+    Ok(())
 }
 
 /// Returns the working sizes of the frames' photos.

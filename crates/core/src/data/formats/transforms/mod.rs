@@ -12,7 +12,6 @@
 pub mod distortion;
 pub(super) mod frames;
 mod lens;
-mod mask;
 mod split;
 
 use std::collections::HashMap;
@@ -46,7 +45,7 @@ pub const BOUNDS: [f64; 2] = [0.05, 6.0];
 /// `every`. Otherwise every `config.holdout`-th view is held out. The scene's space and the views' roles depend on all
 /// listed photos, including missing ones.
 pub fn load(config: &DataConfig, events: &dyn Listener) -> Result<Scene> {
-    let Listing { frames: all, named, ignored } = split::read(Path::new(&config.dir), events)?;
+    let Listing { frames: all, named, ignored } = split::read(Path::new(&config.dir), config.axes, events)?;
     let by_author = by_author(config, named)?;
     let (mut listed, roles): (Vec<Listed>, Vec<Option<Role>>) = ordered(all, by_author, config)?.into_iter().unzip();
     let world = match config.recentre {
@@ -55,7 +54,10 @@ pub fn load(config: &DataConfig, events: &dyn Listener) -> Result<Scene> {
     };
     let path = path::around(&listed.iter().map(|listed| listed.pose).collect::<Vec<Pose>>());
     let there: Vec<bool> = listed.iter().map(|listed| listed.frame.is_some()).collect();
-    let (frames, names) = frames::found(listed);
+    let (mut frames, names) = frames::found(listed);
+    frames::find_masks(&mut frames, config, events)?;
+    let used = frames.iter().map(|frame| &frame.path);
+    images::note_unused(Path::new(&config.dir), used, "are not in transforms.json", events);
     let targets = frames::working_sizes(&frames.iter().collect::<Vec<_>>(), config)?;
     let cameras: Vec<Camera> = frames.iter().zip(targets).map(|(frame, size)| frame.camera(size, by_ratio)).collect();
     let (views, clear) = frames::views(&frames, &names, &cameras, background(config), "reading images", events)?;

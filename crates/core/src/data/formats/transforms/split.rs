@@ -5,9 +5,11 @@ use std::collections::{BTreeSet, HashMap, HashSet};
 use std::path::Path;
 
 use super::frames::Listed;
-use super::{TRANSFORMS_FILE, frames, lens, mask, transforms_file};
+use super::{TRANSFORMS_FILE, frames, lens, transforms_file};
 use crate::base::{Error, Listener, Result};
 use crate::data::json::{self, Object};
+use crate::data::mask;
+use crate::settings::Axes;
 
 /// The role of a view.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -79,30 +81,30 @@ fn ignored(document: Object) -> Result<BTreeSet<String>> {
 }
 
 /// Reads all frames of a folder.
-pub(super) fn read(dir: &Path, events: &dyn Listener) -> Result<Listing> {
+pub(super) fn read(dir: &Path, axes: Axes, events: &dyn Listener) -> Result<Listing> {
     let file = dir.join(TRANSFORMS_FILE);
     let splits: Vec<Role> =
         Role::ALL.into_iter().filter(|role| dir.join(transforms_file(role.name())).is_file()).collect();
     if file.exists() || splits.is_empty() {
-        return of_one_file(&file, events);
+        return of_one_file(&file, axes, events);
     }
     let (mut all, mut keys) = (Vec::new(), BTreeSet::new());
     for role in splits {
         let file = dir.join(transforms_file(role.name()));
         let value = json::read(&file)?;
         let document = Object::document(&file, &value)?;
-        let frames = frames::read(document, events)?;
+        let frames = frames::read(document, axes, events)?;
         keys.append(&mut ignored(document)?);
         all.extend(frames.into_iter().map(|frame| (frame, Some(role))));
     }
     Ok(Listing { frames: all, named: true, ignored: keys.into_iter().collect() })
 }
 
-fn of_one_file(file: &Path, events: &dyn Listener) -> Result<Listing> {
+fn of_one_file(file: &Path, axes: Axes, events: &dyn Listener) -> Result<Listing> {
     let value = json::read(file)?;
     let document = Object::document(file, &value)?;
     let listed = listed(document)?;
-    let frames = frames::read(document, events)?;
+    let frames = frames::read(document, axes, events)?;
     let ignored = ignored(document)?.into_iter().collect();
     if listed.iter().all(Option::is_none) {
         let frames = frames.into_iter().map(|frame| (frame, None)).collect();

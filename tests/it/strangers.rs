@@ -1,0 +1,112 @@
+//! Captures of strangers: small copies of each kind of fault that was found in published scenes (tests/fixtures/captures3).
+
+use std::path::Path;
+
+use crate::common::files::json;
+use crate::common::program::{demand, refuse};
+use crate::common::{assert_says, program};
+
+/// The folder of a capture.
+fn capture(name: &str) -> String {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/fixtures/captures3").join(name);
+    folder.to_str().unwrap().to_string()
+}
+
+/// What `data check` says of it, with further settings.
+fn check(name: &str, settings: &[&str]) -> String {
+    let folder = capture(name);
+    let mut arguments = vec!["data", "check", &folder, "--set", "data.downscale=1"];
+    settings.iter().for_each(|setting| arguments.extend(["--set", setting]));
+    let out = program::succeed(&arguments);
+    format!("{}{}", String::from_utf8_lossy(&out.stdout), String::from_utf8_lossy(&out.stderr))
+}
+
+/// It is refused with these words.
+fn is_refused(name: &str, words: &[&str]) {
+    refuse(&["data", "check", &capture(name), "--set", "data.downscale=1"], 3, words);
+}
+
+#[test]
+fn the_colmap_model_with_most_photos_is_read_and_the_others_are_named() {
+    let said = check("colmap_split", &[]);
+    assert_says(&said, &["2 COLMAP models: sparse/0 (2 photos), sparse/1 (8 photos); sparse/1 is read", "sparse/1: "]);
+    let said = check("colmap_split", &["data.colmap_model=sparse/0"]);
+    assert_says(&said, &["6 of the 8 photos in images are not in the COLMAP model", "only 1 view trains"]);
+    assert_says(&check("colmap_only1", &[]), &["sparse/1: "]);
+    let folder = capture("colmap_split");
+    let unknown = ["data", "check", &folder, "--set", "data.colmap_model=sparse/7"];
+    refuse(&unknown, 3, &["data.colmap_model = \"sparse/7\" is no COLMAP model", "sparse/1 (8 photos)"]);
+}
+
+#[test]
+fn cameras_that_cannot_be_right_are_named() {
+    assert_says(&check("axes_opencv", &[]), &["look away from their common point", "data.axes=opencv"]);
+    let said = check("axes_opencv", &["data.axes=opencv"]);
+    assert!(!said.contains("look away"), "{said}");
+    assert_says(&check("one_place", &[]), &["all 8 cameras stand in one place"]);
+    is_refused("centre_outside", &["principal point", "more than half a picture outside", "\"w\" and \"h\""]);
+    is_refused("orthographic", &["\"orthographic\" is true"]);
+}
+
+#[test]
+fn masks_that_lie_there_are_named_and_read() {
+    for (name, value) in [("masks_llff", "masks"), ("masks_colmap", "masks"), ("masks_dynamic", "beside")] {
+        let said = check(name, &[]);
+        assert_says(&said, &["8 of 8 photos have masks in", "which are not used", &format!("data.masks={value} uses")]);
+        assert_says(&check(name, &[&format!("data.masks={value}")]), &["8 of 8 photos have masks, by data.masks"]);
+        let said = check(name, &["data.masks=none"]);
+        assert!(!said.contains("photos have masks"), "{name}: {said}");
+    }
+    let folder = capture("masks_llff");
+    let other = ["data", "check", &folder, "--set", "data.downscale=1", "--set", "data.masks=nowhere"];
+    refuse(&other, 3, &["data.masks = \"nowhere\"", "has no mask of its 8 photos"]);
+}
+
+#[test]
+fn photos_that_lie_elsewhere_are_found() {
+    for (name, count) in [("elsewhere_root", 8), ("elsewhere_below", 6), ("letter_case", 8)] {
+        let words = format!("{count} photos are not where \"file_path\" says, and were found elsewhere");
+        let said = check(name, &[]);
+        // On file systems that ignore letter case they are where they are named.
+        assert!(said.contains(&words) || name == "letter_case", "{name}: {said}");
+    }
+}
+
+#[test]
+fn training_views_are_held_out_where_no_test_view_was_rendered() {
+    let said = check("blender_no_test_pictures", &[]);
+    assert_says(&said, &["no photo of transforms_test.json is there", "is held out instead"]);
+}
+
+#[test]
+fn llff_folders_of_other_sizes_and_counts_are_read() {
+    assert_says(&check("llff_scaled", &[]), &["the focal length is scaled with it"]);
+    is_refused("llff_sides_swapped", &["height and width stand in each other's place"]);
+    assert_says(&check("llff_unregistered", &[]), &["6 of 8 photos have poses, by view_imgs.txt"]);
+}
+
+#[test]
+fn frames_without_a_pose_are_left_out() {
+    assert_says(&check("pose_null", &[]), &["1 frames have no pose", "are left out"]);
+}
+
+/// An object on black: the preset learns it. Without its limit of raw colours the run ends as collapsed.
+#[test]
+fn an_object_on_black_is_learned_or_said_to_be_lost() {
+    let dir = tempfile::tempdir().unwrap();
+    let (folder, out) = (capture("black_background"), dir.path().join("run"));
+    let train = |settings: &[&str]| {
+        let mut arguments = vec!["train", "--data", &folder, "--preset", "fast", "--quiet", "--overwrite"];
+        arguments.extend(["--out", out.to_str().unwrap(), "--set", "data.downscale=1", "--set", "eval.train_views=0"]);
+        settings.iter().for_each(|setting| arguments.extend(["--set", setting]));
+        program::augnerf(&arguments)
+    };
+    let said = demand(&mut train(&["train.steps=260", "field.rgb_limit=0"]), 6);
+    assert_says(&said, &["training collapsed", "all rays had one colour, and the photos had not"]);
+    let said = demand(&mut train(&["train.steps=120", "field.rgb_limit=0", "train.collapse_steps=0"]), 6);
+    assert_says(&said, &["nothing was learned", "no better than one colour", "field.rgb_limit = 8"]);
+    demand(&mut train(&["train.steps=250"]), 0);
+    let mean = &json(&out.join("metrics.json"))["mean"];
+    let [psnr, floor] = ["psnr", "floor_psnr"].map(|key| mean[key].as_f64().unwrap());
+    assert!(psnr > floor + 4.0, "{psnr} dB, one colour has {floor}");
+}
