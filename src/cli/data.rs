@@ -6,7 +6,7 @@ use clap::{Args, Subcommand};
 use serde::Serialize;
 use serde_json::json;
 
-use crate::base::files::{AtomicDir, write_atomic};
+use crate::base::files::{AtomicDir, write_named};
 use crate::base::{Error, Result};
 use crate::data::Scene;
 use crate::data::View;
@@ -141,8 +141,8 @@ impl CorruptArguments {
 fn draw(scene: &Scene, file: &Path) -> Result<()> {
     let figure = scene_picture(scene)?;
     match (ending(file)?, figure.png) {
-        (Ending::Svg, _) => write_atomic(file, figure.svg.as_bytes()),
-        (Ending::Png, Some(png)) => write_atomic(file, &png),
+        (Ending::Svg, _) => write_named(file, figure.svg.as_bytes()),
+        (Ending::Png, Some(png)) => write_named(file, &png),
         (Ending::Png, None) => Err(Error::Config(format!(
             "--picture {}: this augnerf has no PNG figures (feature png-figures); choose a name that ends in .svg",
             file.display()

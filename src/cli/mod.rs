@@ -299,6 +299,7 @@ pub fn main() -> ExitCode {
     if env!("AUGNERF_COMMANDS_DIFFER") == "true" {
         augnerf_run::revision::commands_differ();
     }
+    signals::survive_large_files();
     let parsed = command().try_get_matches().and_then(|matches| Arguments::from_arg_matches(&matches));
     let arguments = match parsed {
         Ok(arguments) => arguments,

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use clap::Args;
 use serde_json::json;
 
-use crate::base::files::write_atomic;
+use crate::base::files::write_named;
 use crate::base::{Error, Result};
 use crate::report::tables::table_terminal;
 use crate::sweep::verify::Archive;
@@ -64,7 +64,7 @@ impl ReportArguments {
         };
         let folder = folder_of(&out);
         std::fs::create_dir_all(folder).map_err(|e| Error::unwritable(folder, &e))?;
-        write_atomic(&out, page.as_bytes())?;
+        write_named(&out, page.as_bytes())?;
         self.answer.give(
             &json!({ "page": out.display().to_string(), "rows": table_json(&table, folder)["rows"] }),
             || {

@@ -7,9 +7,10 @@ use clap::{Args, ValueEnum};
 use serde_json::{Map, Value, json};
 
 use crate::base::csv::csv_text;
-use crate::base::files::write_atomic;
+use crate::base::files::write_named;
 use crate::base::{Error, Result, version};
 use crate::data::Scene;
+use crate::data::images::is_image;
 use crate::metrics::{METRICS, Metric, PSNR, Scope};
 use crate::run::{
     Matching, Picture, RunDir, Score, Truth, both_pictures, load_lpips, load_scene, load_scene_of, pictures, score,
@@ -102,6 +103,12 @@ impl ScoreArguments {
     }
 
     fn score(&self, runtime: &Runtime, console: &Console) -> Result<()> {
+        if let Some(out) = self.out.as_deref().filter(|out| is_image(out)) {
+            return Err(Error::Config(format!(
+                "--out {}: the name of an image, and a table in CSV is written there; name a file such as scores.csv",
+                out.display()
+            )));
+        }
         let into = self.into.as_deref().map(|path| self.target(path)).transpose()?;
         let scene = self.held_out(into.as_ref(), console)?;
         let (predictions, truth) = match (&scene, &self.truth) {
@@ -126,7 +133,7 @@ impl ScoreArguments {
         let background = self.background(scene.as_ref().map(|(_, scene)| scene))?;
         let scored = score(&predictions, &truth, matching, background, &lpips, console)?;
         if let Some(out) = &self.out {
-            write_atomic(out, csv(&scored).as_bytes())?;
+            write_named(out, csv(&scored).as_bytes())?;
         }
         self.say_unusual(&scored, &predictions, console);
         if let Some(into) = &into {

@@ -75,3 +75,13 @@ fn announce(signals: &[i32], urgent: &[i32]) -> io::Result<()> {
 fn announce(_: &[i32], _: &[i32]) -> io::Result<()> {
     Ok(())
 }
+
+/// Lets a write beyond the limit of file sizes (`ulimit -f`) fail, with a sentence, where it would end the process.
+pub fn survive_large_files() {
+    #[cfg(unix)]
+    {
+        const SIGXFSZ: i32 = 25;
+        // Where it cannot be caught, the signal ends the process as before.
+        let _ = signal_hook::flag::register(SIGXFSZ, Arc::new(AtomicBool::new(false)));
+    }
+}

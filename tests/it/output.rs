@@ -5,7 +5,7 @@ use std::fs;
 use std::path::Path;
 
 use augnerf::base::Image;
-use augnerf::base::files::{AtomicDir, clean_temporaries, write_atomic};
+use augnerf::base::files::{AtomicDir, clean_temporaries, write_atomic, write_named};
 use augnerf::draw::{Reel, beside, depth_colour, depth_range, write_depth16, write_png8};
 use augnerf::run::{EventWriter, Existing, RunDir, Scalars};
 
@@ -110,12 +110,11 @@ fn a_kill_while_a_checkpoint_is_written_leaves_the_last_one() {
 #[cfg(target_os = "linux")]
 #[test]
 fn a_full_disk_is_an_output_error() {
-    let error = write_png8(Path::new("/dev/full"), &ramp(8, 8)).unwrap_err();
-    assert_eq!(error.exit_code(), 4);
-    let dir = tempfile::tempdir().unwrap();
-    let path = dir.path().join("scalars.csv");
-    std::os::unix::fs::symlink("/dev/full", &path).unwrap();
-    assert_eq!(Scalars::create(&path, &["loss"]).unwrap_err().exit_code(), 4);
+    let full = Path::new("/dev/full");
+    assert_eq!(write_named(full, b"x").unwrap_err().exit_code(), 4);
+    assert_eq!(write_png8(full, &ramp(8, 8)).unwrap_err().exit_code(), 4);
+    assert_eq!(Scalars::create(full, &["loss"]).unwrap_err().exit_code(), 4);
+    assert!(!full.metadata().unwrap().is_file());
 }
 
 fn ramp(width: usize, height: usize) -> Image {

@@ -4,13 +4,19 @@ use std::borrow::Cow;
 
 /// First characters that make a spreadsheet read a cell as a formula.
 const FORMULA: [char; 6] = ['=', '+', '-', '@', '\t', '\r'];
+/// Of these, those with which names begin, too. Such a cell is a formula only with one of [`CALLS`].
+const SIGNS: [char; 2] = ['+', '-'];
+/// Letters without which a formula calls nothing.
+const CALLS: [char; 4] = ['(', '|', '!', '='];
 /// Prefix that makes spreadsheets leave such a text alone.
 const TEXT: char = '\'';
 
-/// Returns a cell that no spreadsheet reads as a formula. Text that begins like one gets an apostrophe, as in
-/// `'+ TV Reg.`; numbers stay as they are. [`plain_cell`] removes the apostrophe.
+/// Returns a cell that makes no spreadsheet call anything. Text that begins like a formula gets an apostrophe, as in
+/// `'=cmd|...`; numbers, and names such as `+ TV Reg.`, stay as they are. [`plain_cell`] removes the apostrophe.
 pub fn safe_cell(cell: &str) -> Cow<'_, str> {
-    match cell.trim_start_matches(TEXT).starts_with(FORMULA) && cell.parse::<f64>().is_err() {
+    let bare = cell.trim_start_matches(TEXT);
+    let is_name = bare == cell && bare.starts_with(SIGNS) && !bare.contains(CALLS);
+    match bare.starts_with(FORMULA) && !is_name && cell.parse::<f64>().is_err() {
         true => format!("{TEXT}{cell}").into(),
         false => cell.into(),
     }
@@ -77,15 +83,36 @@ mod tests {
     }
 
     #[test]
-    fn no_cell_is_a_formula_and_numbers_stay_numbers() {
-        let cells =
-            ["=1+1", "+ TV Reg.", "-2", "-0.5e-3", "@SUM(A1)", "\tx", "-a", "'=1", "''", "'s", "=", "a=b", "", "-inf"];
+    fn no_cell_calls_anything_and_numbers_and_names_stay() {
+        let cells = [
+            "=1+1",
+            "+ TV Reg.",
+            "-2",
+            "-0.5e-3",
+            "@SUM(A1)",
+            "\tx",
+            "-a",
+            "'=1",
+            "''",
+            "'s",
+            "=",
+            "a=b",
+            "",
+            "-inf",
+            "+cmd|' /C calc'!A0",
+            "-SUM(A1)",
+            "'+ TV Reg.",
+            "'-a",
+            "+1=2",
+        ];
         let safe = cells.map(|cell| safe_cell(cell).into_owned());
-        assert_eq!(safe[..6], ["'=1+1", "'+ TV Reg.", "-2", "-0.5e-3", "'@SUM(A1)", "'\tx"]);
+        assert_eq!(safe[..7], ["'=1+1", "+ TV Reg.", "-2", "-0.5e-3", "'@SUM(A1)", "'\tx", "-a"]);
+        assert_eq!(safe[14..16], ["'+cmd|' /C calc'!A0", "'-SUM(A1)"]);
         for (cell, safe) in cells.iter().zip(&safe) {
             assert_eq!(plain_cell(safe), *cell);
-            assert!(!safe.starts_with(FORMULA) || safe.parse::<f64>().is_ok(), "{safe}");
+            let is_formula = safe.starts_with(FORMULA) && safe.parse::<f64>().is_err();
+            assert!(!is_formula || safe.starts_with(SIGNS) && !safe.contains(CALLS), "{safe}");
         }
-        assert_eq!(csv_text([vec!["+ l1".into(), "-1.5".into()]]), "'+ l1,-1.5\n");
+        assert_eq!(csv_text([vec!["+ l1".into(), "-1.5".into()]]), "+ l1,-1.5\n");
     }
 }

@@ -40,6 +40,9 @@ pub enum Error {
     /// A sweep that finished although the scenes of some of its points are not on this machine.
     #[error("{}", shown(.0))]
     PointsWithoutData(String),
+    /// A sweep of which some points are not done yet.
+    #[error("{}", shown(.0))]
+    PointsWaiting(String),
     /// A table whose rows differ in a setting that its definition does not vary.
     #[error("{}", shown(.0))]
     NotComparable(String),
@@ -106,11 +109,13 @@ pub enum Class {
     NotComparable,
     /// See [`Error::Mismatch`].
     Mismatch,
+    /// See [`Error::PointsWaiting`].
+    PointsWaiting,
 }
 
 impl Class {
     /// All classes, in the order of their codes.
-    pub const ALL: [Class; 10] = [
+    pub const ALL: [Class; 11] = [
         Class::Internal,
         Class::Config,
         Class::Data,
@@ -121,6 +126,7 @@ impl Class {
         Class::PointsWithoutData,
         Class::NotComparable,
         Class::Mismatch,
+        Class::PointsWaiting,
     ];
 
     /// Returns the exit code and its meaning for the list of codes. There is no other such list.
@@ -136,6 +142,7 @@ impl Class {
             Class::PointsWithoutData => (8, "points of a sweep have no data"),
             Class::NotComparable => (9, "rows of a table are not comparable"),
             Class::Mismatch => (10, "results do not verify"),
+            Class::PointsWaiting => (11, "points of a sweep are not done yet"),
         }
     }
 
@@ -171,6 +178,7 @@ impl Error {
             Error::PointsWithoutData(_) => Class::PointsWithoutData,
             Error::NotComparable(_) => Class::NotComparable,
             Error::Mismatch(_) => Class::Mismatch,
+            Error::PointsWaiting(_) => Class::PointsWaiting,
         };
         class.exit_code()
     }

@@ -14,14 +14,45 @@ use serde::{Deserialize, Serialize};
 use crate::base::input::{JSON_BYTES, read_bytes};
 use crate::base::{Error, Result};
 
-pub use super::temporaries::{REPLACED, TEMPORARY, clean_temporaries, is_temporary};
+pub use super::temporaries::{REPLACED, TEMPORARY, clean_temporaries, is_temporary, temporary_beside};
 use super::temporaries::{clean_where, folder_of, held_beside, name_of, prefixed};
 pub use super::temporaries::{discard, hold, remove, wait_and_hold};
 
 /// Writes `bytes` to `path` atomically. At every moment, and after a crash of the machine, the file has its old content
-/// or the new one. A symbolic link is followed. A device or pipe, which cannot be replaced, is written to directly.
+/// or the new one. A symbolic link is replaced, because in a folder of somebody else it might lead anywhere. A device or
+/// pipe is an error.
 pub fn write_atomic(path: &Path, bytes: &[u8]) -> Result<()> {
     try_write(path, bytes).map_err(|error| Error::unwritable(path, &error))
+}
+
+/// Writes to a file that the user named. A symbolic link is followed. A device or pipe, which cannot be replaced, is
+/// written to directly.
+pub fn write_named(path: &Path, bytes: &[u8]) -> Result<()> {
+    try_write_named(path, bytes).map_err(|error| Error::unwritable(path, &error))
+}
+
+/// Writes `value` with [`write_named`], as indented JSON with a newline at the end.
+pub fn write_named_json<T: Serialize>(path: &Path, value: &T) -> Result<()> {
+    write_named(path, &json_bytes(value).map_err(|error| Error::unwritable(path, &error))?)
+}
+
+/// Checks that an entry of a folder that the program writes into is what it would have made: a file, or a folder. It may
+/// not be there. A link would lead writes, and deletions, out of the folder.
+///
+/// # Errors
+/// [`Error::Output`].
+pub fn check_own(path: &Path, is_folder: bool) -> Result<()> {
+    let Ok(found) = path.symlink_metadata() else { return Ok(()) };
+    let sound = if is_folder { found.is_dir() } else { found.is_file() };
+    if sound {
+        return Ok(());
+    }
+    let kind = if found.is_symlink() { "a symbolic link" } else { "neither a file nor a folder of ours" };
+    let wanted = if is_folder { "a folder" } else { "a file" };
+    Err(Error::Output(format!(
+        "{} is {kind}, where {wanted} is written; put {wanted} there, or work on a copy without it",
+        path.display()
+    )))
 }
 
 /// Writes `value` with [`write_atomic`], as indented JSON with a newline at the end.
@@ -55,20 +86,32 @@ pub fn read_large_json<T: for<'de> Deserialize<'de>>(path: &Path, most: u64, adv
     serde_json::from_slice(&bytes).map(Some).map_err(damaged)
 }
 
-fn try_write(path: &Path, bytes: &[u8]) -> io::Result<()> {
-    let target = match fs::metadata(path) {
+fn try_write_named(path: &Path, bytes: &[u8]) -> io::Result<()> {
+    match fs::metadata(path) {
+        Ok(found) if !found.is_file() && !found.is_dir() => {
+            fs::OpenOptions::new().write(true).open(path)?.write_all(bytes)
+        }
+        Ok(_) => try_write(&fs::canonicalize(path)?, bytes),
+        Err(_) => try_write(path, bytes),
+    }
+}
+
+fn try_write(target: &Path, bytes: &[u8]) -> io::Result<()> {
+    match target.symlink_metadata() {
         Ok(found) if found.is_dir() => return Err(io::Error::other("it is a folder")),
-        Ok(found) if !found.is_file() => return fs::OpenOptions::new().write(true).open(path)?.write_all(bytes),
-        Ok(_) => fs::canonicalize(path)?,
-        Err(_) => path.to_path_buf(),
-    };
-    let (temporary, mut file) = held_beside(&target, |path| File::create_new(path), |file| Some(file))?;
+        // Root could replace the machine's own.
+        Ok(found) if !found.is_file() && !found.is_symlink() => {
+            return Err(io::Error::other("it is a device or a pipe"));
+        }
+        _ => {}
+    }
+    let (temporary, mut file) = held_beside(target, |path| File::create_new(path), |file| Some(file))?;
     // Locked until it has its name, so that no process treats it as a leftover.
-    let written = write_synced(&mut file, bytes).and_then(|()| fs::rename(&temporary, &target));
+    let written = write_synced(&mut file, bytes).and_then(|()| fs::rename(&temporary, target));
     if written.is_err() {
         let _ = fs::remove_file(&temporary);
     }
-    written.and_then(|()| sync_folder(folder_of(&target)))
+    written.and_then(|()| sync_folder(folder_of(target)))
 }
 
 /// Writes `bytes`, and waits until they have reached the disk.
@@ -213,21 +256,28 @@ mod tests {
     #[cfg(target_os = "linux")]
     #[test]
     fn a_full_device_is_an_output_error_and_stays_a_device() {
-        let error = write_atomic(Path::new("/dev/full"), b"x").unwrap_err();
+        let error = write_named(Path::new("/dev/full"), b"x").unwrap_err();
         assert!(matches!(&error, Error::Output(text) if text.contains("/dev/full")), "{error}");
+        assert_eq!(write_atomic(Path::new("/dev/full"), b"x").unwrap_err().exit_code(), 4);
         assert!(!fs::metadata("/dev/full").unwrap().is_file());
     }
 
     #[cfg(unix)]
     #[test]
-    fn a_symbolic_link_stays_one() {
+    fn a_symbolic_link_is_followed_where_the_user_named_it_alone() {
         let dir = tempfile::tempdir().unwrap();
         let (real, link) = (dir.path().join("real"), dir.path().join("link"));
         fs::write(&real, "old").unwrap();
         std::os::unix::fs::symlink(&real, &link).unwrap();
-        write_atomic(&link, b"new").unwrap();
+        assert_eq!(check_own(&link, false).unwrap_err().exit_code(), 4);
+        write_named(&link, b"new").unwrap();
         assert_eq!(fs::read(&real).unwrap(), b"new");
         assert!(link.symlink_metadata().unwrap().is_symlink());
+        write_atomic(&link, b"own").unwrap();
+        assert_eq!((fs::read(&real).unwrap(), fs::read(&link).unwrap()), (b"new".to_vec(), b"own".to_vec()));
+        assert!(
+            check_own(&link, false).is_ok() && check_own(&link, true).is_err() && check_own(dir.path(), true).is_ok()
+        );
     }
 
     #[test]

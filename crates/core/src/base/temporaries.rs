@@ -1,9 +1,12 @@
 //! The names of files and folders until they are complete, and the cleaning up after killed processes.
 
+use std::collections::hash_map::RandomState;
 use std::ffi::{OsStr, OsString};
 use std::fs::{self, File, TryLockError};
+use std::hash::BuildHasher;
 use std::io;
 use std::path::{Path, PathBuf};
+use std::sync::LazyLock;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use crate::base::{Error, Result};
@@ -115,14 +118,14 @@ pub(super) fn held_beside<T>(
     }
 }
 
-fn temporary_beside(target: &Path) -> io::Result<PathBuf> {
+/// Returns a name beside `target` that no other process has.
+pub fn temporary_beside(target: &Path) -> io::Result<PathBuf> {
     static COUNT: AtomicU64 = AtomicU64::new(0);
+    // Not the process's number: processes in containers have equal ones.
+    static PROCESS: LazyLock<u64> = LazyLock::new(|| RandomState::new().hash_one("process"));
     let count = COUNT.fetch_add(1, Ordering::Relaxed);
-    let prefix = format!("{TEMPORARY}{}-{count}-", std::process::id());
-    let temporary = folder_of(target).join(prefixed(&prefix, name_of(target)?));
-    // A killed process may have had this number, as the first one in a container always does.
-    remove(&temporary)?;
-    Ok(temporary)
+    let prefix = format!("{TEMPORARY}{}-{count}-", *PROCESS);
+    Ok(folder_of(target).join(prefixed(&prefix, name_of(target)?)))
 }
 
 pub(super) fn name_of(path: &Path) -> io::Result<&OsStr> {
@@ -238,14 +241,13 @@ mod tests {
         assert_eq!(names(dir.path()), [".augnerf-tmp-77-4-others", "pictures"], "another name is another's");
     }
 
+    /// Two processes of one number, as in two containers, write the same file: the names of one are not the other's.
     #[test]
-    fn a_leftover_of_the_same_process_number_is_no_obstacle() {
-        let dir = tempfile::tempdir().unwrap();
-        for count in 0..200 {
-            let name = format!("{TEMPORARY}{}-{count}-a", std::process::id());
-            fs::write(dir.path().join(name), "half").unwrap();
-        }
-        write_atomic(&dir.path().join("a"), b"whole").unwrap();
-        assert_eq!(fs::read(dir.path().join("a")).unwrap(), b"whole");
+    fn names_do_not_follow_from_the_process_number() {
+        let name = temporary_beside(Path::new("a")).unwrap();
+        let name = name.file_name().unwrap().to_str().unwrap();
+        assert!(!name.contains(&format!("-{}-", std::process::id())), "{name}");
+        assert_eq!(intended_name(OsStr::new(name)), Some("a".into()));
+        assert_ne!(name, temporary_beside(Path::new("a")).unwrap().to_str().unwrap());
     }
 }

@@ -69,7 +69,7 @@ impl Runtime {
         if threads == Some(0) {
             return Err(Error::Config("threads = 0 is out of range: it must be at least 1".into()));
         }
-        process::prepare();
+        process::prepare()?;
         let threads = threads.unwrap_or_else(|| std::thread::available_parallelism().map_or(1, usize::from));
         Runtime::with_threads(open(device)?, device.to_string(), threads)
     }

@@ -1,19 +1,27 @@
 //! Settings of the complete process, set once.
 
-use std::sync::{Once, OnceLock};
+use std::sync::OnceLock;
 
 use crate::base::{Error, Result};
 
 /// Prepares the process for fast training, at the first call: see [`super::Runtime`].
-pub(super) fn prepare() {
-    static DONE: Once = Once::new();
-    DONE.call_once(|| {
+///
+/// # Errors
+/// [`Error::Config`]: the system gives the process no threads.
+pub(super) fn prepare() -> Result<()> {
+    static DONE: OnceLock<Option<String>> = OnceLock::new();
+    let failed = DONE.get_or_init(|| {
         keep_freed_memory();
         // Rayon's global pool is not ours. Started now, it has the threads that it would have had without the
-        // variables.
-        rayon::current_num_threads();
+        // variables. A pool that is there already is no failure.
+        let started = rayon::ThreadPoolBuilder::new().build_global();
+        let failed = started.err().filter(|error| std::error::Error::source(error).is_some());
         keep_tensors_to_their_thread();
+        failed.map(|error| error.to_string())
     });
+    failed.as_ref().map_or(Ok(()), |error| {
+        Err(Error::Config(format!("no threads can be started ({error}); raise the limit of processes (ulimit -u)")))
+    })
 }
 
 /// Keeps freed memory with the process. By default glibc maps every block above 32 MiB anew, and unmaps it on free.

@@ -6,7 +6,9 @@ use std::fs::{self, File};
 use std::io;
 use std::path::{Path, PathBuf};
 
-use crate::base::files::{clean_temporaries, discard, is_temporary, read_json, remove, write_synced};
+use crate::base::files::{
+    check_own, clean_temporaries, discard, is_temporary, read_json, remove, temporary_beside, write_synced,
+};
 use crate::base::input::{TEXT_BYTES, read_text};
 use crate::base::{Error, Result};
 use crate::runtime::Timing;
@@ -64,6 +66,7 @@ impl RunDir {
             check_vacant(path, existing)?;
         }
         fs::create_dir_all(path).map_err(|error| Error::unwritable(path, &error))?;
+        check_entries(path)?;
         let lock = RunLock::acquire(path)?;
         // Again under the lock, since another process may have started a run here in between.
         check_vacant(path, existing)?;
@@ -126,6 +129,7 @@ impl RunDir {
     /// Those of [`RunDir::take`].
     pub fn take_to_read(path: &Path) -> Result<RunDir> {
         let mut run = RunDir::open(path)?;
+        check_entries(path)?;
         if run.is_writable() {
             return RunDir::take(path);
         }
@@ -171,6 +175,7 @@ impl RunDir {
     /// Locks the run for this process until the value is dropped.
     pub fn lock(&mut self) -> Result<()> {
         if self.lock.is_none() {
+            check_entries(&self.path)?;
             self.lock = Some(RunLock::acquire(&self.path)?);
         }
         Ok(())
@@ -304,6 +309,21 @@ fn check_vacant(path: &Path, existing: Existing) -> Result<()> {
     }
 }
 
+/// Checks that a run's own entries are files and folders, not links that would lead writes elsewhere.
+fn check_entries(path: &Path) -> Result<()> {
+    FILES.iter().chain(&[LOCK]).try_for_each(|name| check_own(&path.join(name), false))?;
+    let folders = FOLDERS.iter().chain(&[MESH, EVAL]).map(|name| path.join(name));
+    folders.chain([path.join(RENDERS).join("path")]).try_for_each(|folder| check_own(&folder, true))
+}
+
+/// Returns an error unless a run may take the place of what is at `path`.
+///
+/// # Errors
+/// [`Error::Output`].
+pub fn check_replaceable(path: &Path, existing: Existing) -> Result<()> {
+    if path.symlink_metadata().is_ok() { check_vacant(path, existing) } else { Ok(()) }
+}
+
 /// Content of a folder that a run is to be created in.
 struct Content {
     /// One of its entries. The lock, temporary entries, and run folders with only temporary entries do not count.
@@ -349,10 +369,10 @@ fn clear(path: &Path) -> io::Result<()> {
 
 /// Writes some blocks into `folder` through to the disk, and deletes them again.
 fn probe(folder: &Path) -> Result<()> {
-    let name = folder.join(format!("{}{}-probe", crate::base::files::TEMPORARY, std::process::id()));
+    let name = temporary_beside(&folder.join("probe")).map_err(|error| Error::unwritable(folder, &error))?;
     // Varying content, so that a compressing or sparse file system needs real blocks.
     let bytes: Vec<u8> = (0..PROBE_BYTES).map(|i| (i.wrapping_mul(2_654_435_761) >> 16) as u8).collect();
-    let written = remove(&name).and_then(|()| write_synced(&mut fs::File::create_new(&name)?, &bytes));
+    let written = fs::File::create_new(&name).and_then(|mut file| write_synced(&mut file, &bytes));
     let removed = remove(&name);
     written.and(removed).map_err(|error| Error::unwritable(folder, &error))
 }

@@ -38,7 +38,7 @@ pub use depth_errors::DepthErrors;
 pub use evaluate::{EVALUATING, RenderedView, Viewer};
 pub use exchange::{Foreign, Networks, export};
 pub use first_view::{FirstView, read_picture};
-pub use folder::{Existing, RunDir};
+pub use folder::{Existing, RunDir, check_replaceable};
 pub use inputs::{load_lpips, load_scene, load_scene_of, locate_scene, settings_to_go_on};
 pub use job::watch_memory;
 pub use job::{Finished, Job, Setup};

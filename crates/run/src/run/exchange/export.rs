@@ -8,7 +8,7 @@ use serde_json::{Value as Json, json};
 use super::nerf_pytorch::{NETWORKS, OPTIMIZER, STEP, check, name, order};
 use super::pickle::{Key, Value, dict, torch_file};
 use super::{Format, METADATA};
-use crate::base::files::write_atomic;
+use crate::base::files::write_named;
 use crate::base::{Error, Listener, Result};
 use crate::revision::version;
 use crate::run::{RunDir, Trained};
@@ -48,7 +48,7 @@ pub fn export(run: &Path, file: &Path, data: Option<&Path>, runtime: &Runtime, e
     let parameters = checkpoint::load_parameters(&newest, &config)?;
     let bytes = torch_file(&torch_checkpoint(&config, &parameters, &state)?)
         .map_err(|e| Error::Output(format!("cannot write {}: {e}", file.display())))?;
-    write_atomic(file, &bytes)?;
+    write_named(file, &bytes)?;
     Ok(state.step)
 }
 
@@ -118,7 +118,7 @@ fn safetensors(trained: &Trained, file: &Path) -> Result<u64> {
     let named: Vec<(String, Tensor)> = named.collect::<Result<_>>()?;
     let bytes = safetensors::serialize(named, Some([(METADATA.to_string(), said)].into()))
         .map_err(|e| Error::Output(format!("cannot write {}: {e}", file.display())))?;
-    write_atomic(file, &bytes)?;
+    write_named(file, &bytes)?;
     Ok(state.step)
 }
 

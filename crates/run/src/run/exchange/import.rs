@@ -16,6 +16,9 @@ use crate::metrics::Weights;
 use crate::model::Model;
 use crate::settings::{Config, short_hash};
 
+/// Largest step, that of `train.steps`.
+const MOST_STEPS: u64 = 1_000_000_000;
+
 /// Limit on octaves of an encoding, and on layers.
 const MOST: usize = 64;
 
@@ -43,6 +46,18 @@ pub enum Networks {
     },
 }
 
+impl Networks {
+    /// Returns whether a tensor is one of the networks.
+    fn have(&self, name: &str) -> bool {
+        match self {
+            Networks::Own { .. } => true,
+            Networks::NerfPytorch { prefixes } => prefixes
+                .iter()
+                .any(|(_, prefix)| name.strip_prefix(&**prefix).is_some_and(|rest| rest.contains("_linear"))),
+        }
+    }
+}
+
 impl Foreign {
     /// Opens a file of [`export`](super::export) or nerf-pytorch.
     ///
@@ -60,6 +75,7 @@ impl Foreign {
                 })?;
                 let config = said.get("config").and_then(Json::as_str).map(String::from);
                 let config = config.ok_or_else(|| wrong("its metadata lacks the configuration (\"config\")".into()))?;
+                Config::from_toml(&config, "its configuration").map_err(|error| wrong(error.to_string()))?;
                 (Networks::Own { config }, said.get("step").and_then(Json::as_u64))
             }
             Format::Torch => {
@@ -77,7 +93,13 @@ impl Foreign {
                 (networks, step.unwrap_or(Some(0)))
             }
         };
-        let step = step.ok_or_else(|| wrong("its step is not an integer from 0 up".into()))?;
+        // A tensor that cannot be read would otherwise count as one that is not there.
+        let own = |name: &str| networks.have(name);
+        if let Some((name, reason)) = weights.unreadable().into_iter().find(|(name, _)| own(name)) {
+            return Err(wrong(format!("{name} cannot be read ({reason}); get the complete file")));
+        }
+        let step = step.filter(|step| *step <= MOST_STEPS);
+        let step = step.ok_or_else(|| wrong(format!("its step is not an integer from 0 to {MOST_STEPS}")))?;
         Ok(Foreign { hash: hash(path)?, path: path.to_path_buf(), weights, networks, step })
     }
 
@@ -104,6 +126,16 @@ impl Foreign {
     pub fn settings(&self) -> Result<Vec<(Vec<String>, Value)>> {
         let Networks::NerfPytorch { prefixes } = &self.networks else { return Ok(Vec::new()) };
         let mut settings = self.shapes(&prefixes[0].1)?;
+        for (role, prefix) in &prefixes[1..] {
+            let other = self.shapes(prefix)?;
+            if let Some(((path, a), (_, b))) = settings.iter().zip(&other).find(|(a, b)| a != b) {
+                return Err(Error::Data(format!(
+                    "{}: its {} network has {path} = {a}, and its {role} network {b}; here both have the same layers",
+                    self.path.display(),
+                    prefixes[0].0
+                )));
+            }
+        }
         if prefixes.len() == 1 {
             settings.push(("sampling.fine", Value::Integer(0)));
         }
@@ -176,7 +208,19 @@ impl Foreign {
                 ))
             })
         };
-        Model::parameter_names(config).into_iter().map(value).collect()
+        let names = Model::parameter_names(config);
+        let taken: Vec<String> = names.iter().filter_map(|(ours, _)| self.name(ours)).collect();
+        let mut left: Vec<&str> = self.weights.names().filter(|name| self.networks.have(name)).collect();
+        left.retain(|name| !taken.iter().any(|taken| taken == name));
+        left.sort_unstable();
+        if let Some(first) = left.first() {
+            return Err(Error::Data(format!(
+                "{}: no layer takes {} of its tensors, such as {first}; a network would be another one without them",
+                self.path.display(),
+                left.len()
+            )));
+        }
+        names.into_iter().map(value).collect()
     }
 
     /// Returns a parameter's name in the file.

@@ -44,6 +44,9 @@ pub fn check(config: &Config) -> Result<()> {
     if field.density_activation != DensityActivation::Relu {
         return refused(format!("field.density_activation = \"{}\"", crate::settings::word(field.density_activation)));
     }
+    if field.rgb_limit != 0.0 {
+        return refused(format!("field.rgb_limit = {}", field.rgb_limit));
+    }
     if field.rgb_padding != 0.0 {
         return refused(format!("field.rgb_padding = {}", field.rgb_padding));
     }
