@@ -4,6 +4,7 @@ mod common;
 
 mod answers;
 mod attack_geometry;
+mod attacks;
 mod bad_data;
 mod browser;
 mod captures;
@@ -44,6 +45,7 @@ mod slurm;
 mod slurm_jobs;
 #[cfg(feature = "baselines")]
 mod srn;
+mod strangers;
 mod sweep_cli;
 mod sweep_controls;
 mod sweep_folder;

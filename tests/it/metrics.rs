@@ -193,10 +193,10 @@ fn missing_metrics_are_null_in_json_and_empty_in_csv() {
     assert_eq!(serde_json::from_str::<ViewMetrics>(&text).unwrap(), views[0]);
 
     let row: Vec<String> = columns(&views[0]).into_iter().map(|(name, value)| format!("{name}={value}")).collect();
-    let first =
-        ["name=v", "psnr=", "psnr_float=", "mse=0.0", "ssim=0.5", "lpips_alex=", "lpips_vgg=", "lpips_squeeze=0.25"];
-    assert_eq!(row[..8], first);
-    assert!(row.len() > 8 && row[8..].iter().all(|cell| cell.ends_with('=')), "geometry was not measured: {row:?}");
+    let first = ["name=v", "psnr=", "psnr_float=", "mse=0.0", "floor_psnr=", "ssim=0.5"];
+    assert_eq!(row[..6], first);
+    assert_eq!(row[6..9], ["lpips_alex=", "lpips_vgg=", "lpips_squeeze=0.25"]);
+    assert!(row.len() > 9 && row[9..].iter().all(|cell| cell.ends_with('=')), "geometry was not measured: {row:?}");
 
     // Files of programs that measured no geometry.
     let old = r#"{"name":"v","psnr":null,"psnr_float":null,"mse":0.0,"ssim":0.5,"lpips_alex":null,"lpips_vgg":null,

@@ -112,7 +112,7 @@ fn points_that_are_run_one_by_one_make_the_tables_of_a_sweep() {
     demand(&point("1"), dir, 7);
     assert_eq!(ends(), ended);
     demand(&[&point("1")[..], &["--retry-failed"]].concat(), dir, 7);
-    demand(&["sweep", "collect", "runs/tiny"], dir, 0);
+    demand(&["sweep", "collect", "runs/tiny"], dir, 7);
     assert_same_files(&whole.path().join("results/tiny"), &dir.join("results/tiny"), &["timing.csv"]);
 }
 
@@ -334,10 +334,10 @@ fn submitted_points_are_seen_in_the_queue_and_not_submitted_twice() {
     assert!(text(&folder.join("points.sbatch")).contains("#SBATCH --array=1-2%1\n"));
 
     cluster.queue("12|1|RUNNING|None\n12|2|PENDING|JobArrayTaskLimit\n13|N/A|PENDING|Dependency\n");
-    let status = cluster.demand(&["sweep", "status", "runs/tiny"], dir, 0);
+    let status = cluster.demand(&["sweep", "status", "runs/tiny"], dir, 11);
     let line = |word: &str| status.lines().find(|line| line.contains(word)).unwrap_or_else(|| panic!("{status}"));
     assert!(line("Aug-NeRF").ends_with("job 12_2 PENDING (JobArrayTaskLimit)"), "{status}");
-    assert!(line("broken").ends_with("job 12_1 RUNNING") && line("done").contains("dB"), "{status}");
+    assert!(line("broken").ends_with("job 12_1 RUNNING") && line("done  ").contains("dB"), "{status}");
     assert_says(&status, &["tables: job 13 PENDING (Dependency)"]);
     let said = cluster.demand(&submit, dir, 0);
     assert_says(&said, &["nothing to submit", "1 done, 2 in the queue already"]);
@@ -345,9 +345,10 @@ fn submitted_points_are_seen_in_the_queue_and_not_submitted_twice() {
     let said = cluster.demand(&[&submit[..], &["--dry-run"]].concat(), dir, 0);
     assert!(said.contains("nothing to submit") && !said.contains("--array="), "{said}");
     let answer = |code: &str| -> serde_json::Value {
-        serde_json::from_str(code.lines().last().unwrap()).unwrap_or_else(|_| panic!("{code}"))
+        serde_json::from_str(code.lines().find(|line| line.starts_with('{')).unwrap())
+            .unwrap_or_else(|_| panic!("{code}"))
     };
-    let status = answer(&cluster.demand(&["sweep", "status", "runs/tiny", "--json"], dir, 0));
+    let status = answer(&cluster.demand(&["sweep", "status", "runs/tiny", "--json"], dir, 11));
     assert_eq!(status["tables"][0], "job 13 PENDING (Dependency)");
     assert!(status["queue_error"].is_null());
     // Running tasks know their points by numbers, which a row in front would give to others.
@@ -374,12 +375,12 @@ fn submitted_points_are_seen_in_the_queue_and_not_submitted_twice() {
     assert_says(&cluster.demand(&["sweep", "cancel", "runs/tiny"], dir, 0), &["runs/tiny: nothing in the queue"]);
     // Without an answer, files still say how far the points are.
     cluster.stand_in("squeue", "echo 'slurm_load_jobs error: Unable to contact slurm controller' >&2; exit 1");
-    let status = cluster.demand(&["sweep", "status", "runs/tiny"], dir, 0);
+    let status = cluster.demand(&["sweep", "status", "runs/tiny"], dir, 11);
     assert_says(&status, &["queue not shown", "Unable to contact", "1 done, 2 waiting"]);
-    let status = answer(&cluster.demand(&["sweep", "status", "runs/tiny", "--json"], dir, 0));
+    let status = answer(&cluster.demand(&["sweep", "status", "runs/tiny", "--json"], dir, 11));
     assert!(status["queue_error"].as_str().unwrap().contains("Unable to contact"), "{status}");
     cluster.stand_in("squeue", "echo 'slurm_load_jobs error: Invalid job id specified' >&2; exit 1");
-    let status = cluster.demand(&["sweep", "status", "runs/tiny"], dir, 0);
+    let status = cluster.demand(&["sweep", "status", "runs/tiny"], dir, 11);
     assert_says(&status, &["2 waiting points are not in the queue", "augnerf sweep submit"]);
     assert!(!status.contains("not shown"), "{status}");
     std::fs::write(folder.join("jobs.json"), r#"{"jobs": [{"points": "1 --user=root", "tables": null}]}"#).unwrap();

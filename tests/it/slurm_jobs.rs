@@ -116,7 +116,7 @@ fn a_sweep_on_a_cluster_equals_one_at_home_whatever_befalls_its_tasks() {
     nodes.sort_unstable();
     nodes.dedup();
     assert_eq!(nodes.len(), 2, "{running:?}");
-    let status = demand(&["sweep", "status", "runs/tiny"], dir, 0);
+    let status = demand(&["sweep", "status", "runs/tiny"], dir, 11);
     assert_says(&status, &[&format!("job {job}_0 RUNNING"), "PENDING (Dependency)"]);
     assert_says(&demand(&["sweep", "submit", "tiny.toml"], dir, 0), &["nothing to submit", "in the queue already"]);
 
@@ -141,7 +141,7 @@ fn a_sweep_on_a_cluster_equals_one_at_home_whatever_befalls_its_tasks() {
         let disturbed = preempted.contains(&index) || others[..2].contains(&index);
         assert_eq!(sessions(&all[index]), if disturbed { 2 } else { 1 }, "{index}: {logs:#?}");
     }
-    let status = demand(&["sweep", "status", "runs/tiny"], dir, 0);
+    let status = demand(&["sweep", "status", "runs/tiny"], dir, 7);
     assert_says(&status, &["4 done, 2 failed", "not a number"]);
     assert_says(&demand(&["sweep", "submit", "tiny.toml"], dir, 0), &["nothing to submit", "4 done, 2 failed"]);
 

@@ -192,7 +192,10 @@ fn failures_are_listed_and_the_rest_is_done() {
         &message,
         &["2 of 6 points failed", "4 are done", "--retry-failed", "broken · builtin · seed 1", "not a number"],
     );
-    let status = demand(&["sweep", "status", "runs/tiny"], dir.path(), 0);
+    let status = demand(&["sweep", "status", "runs/tiny"], dir.path(), 7);
+    demand(&["sweep", "collect", "runs/tiny"], dir.path(), 7);
+    let said = demand(&["sweep", "status", "results/tiny"], dir.path(), 7);
+    assert!(said.contains("results, 4 done, 2 failed"), "{said}");
     assert!(status.contains("failed") && status.contains("not a number") && status.contains("4 done"), "{status}");
     let points = rows(&text(&dir.path().join("results/tiny/points.csv")));
     let failed: Vec<_> = points.iter().filter(|row| row["status"] == "failed").collect();
@@ -213,7 +216,10 @@ fn a_scene_that_is_missing_and_a_definition_that_changed_are_said() {
     let message = demand(&args(&["--scenes", "builtin,orchids"]), dir.path(), 8);
     assert_says(&message, &["2 of 4 points have no data", "2 are done", "orchids", "AUGNERF_DATA"]);
     let message = demand(&args(&[]), dir.path(), 2);
-    assert_says(&message, &["another definition", "lacks 2", "--extend", "--name"]);
+    assert_says(
+        &message,
+        &["another definition", "differs in scenes", "2 of the old ones are gone", "--extend", "--name"],
+    );
     demand(&args(&["--extend"]), dir.path(), 0);
     let plan = demand(&["sweep", "plan", "tiny.toml", "--seeds", "0"], dir.path(), 0);
     assert!(plan.contains("2 points") && plan.contains("s/step") && plan.contains("in total"), "{plan}");

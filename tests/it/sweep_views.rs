@@ -361,10 +361,10 @@ fn plans_without_data_say_so_and_points_that_begin_have_no_step() {
     let point = SweepFolder::new(&folder).point(&points[0].id);
     std::fs::remove_file(point.path().join("result.json")).unwrap();
     let claim = Claim::take(point.path(), Sharing::Locks).unwrap().unwrap();
-    let said = demand(dir.path(), &["sweep", "status", "runs/one"], 0);
+    let said = demand(dir.path(), &["sweep", "status", "runs/one"], 11);
     assert!(said.contains("starting") && !said.contains("of 0"), "{said}");
     claim.progress.begin(0, 250);
-    assert_says(&demand(dir.path(), &["sweep", "status", "runs/one"], 0), &["step 0 of 250"]);
+    assert_says(&demand(dir.path(), &["sweep", "status", "runs/one"], 11), &["step 0 of 250"]);
     drop(claim);
 }
 

@@ -89,6 +89,9 @@ impl Collector<'_> {
     pub fn write(&self, results: &Results) -> Result<Table> {
         self.outputs.archive(self.definition, self.points, &results.path)?;
         let (mut files, mut provenance) = (Vec::new(), Provenance::of(self.name, &self.outputs.records));
+        // What a person has written of points that are missing stays as long as they are.
+        provenance.missing = Provenance::read(&results.path)?.map_or(Vec::new(), |earlier| earlier.missing);
+        provenance.missing.retain(|missing| self.outputs.records.iter().any(|record| missing.names(record)));
         let spec = self.spec();
         let table = self.inputs(&spec).write(results, &mut files);
         for (name, bytes) in &files {

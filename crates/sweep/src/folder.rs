@@ -29,6 +29,7 @@ use super::definition::{Definition, scene_name};
 use super::extends::MOST_POINTS;
 use super::point_folder::PointFolder;
 use super::points::Point;
+use super::varied::Varied;
 use crate::report::{AxisValue, Record, Status};
 
 pub(super) const DEFINITION: &str = "sweep.toml";
@@ -189,7 +190,7 @@ impl SweepFolder {
     /// Returns all points as records, one for each position in the table, in the definition's order of scenes, rows,
     /// axes and seeds.
     pub fn records(&self, definition: &Definition, points: &[Point]) -> Result<Vec<Record>> {
-        let mut records = Vec::new();
+        let (mut records, varied) = (Vec::new(), Varied::of(definition, points));
         for point in points {
             let state = self.point(&point.id).state(point)?;
             for place in &point.places {
@@ -206,7 +207,10 @@ impl SweepFolder {
                         _ => String::new(),
                     },
                     metrics: state.result.metrics.clone(),
-                    protocol: state.result.protocol.clone(),
+                    protocol: match state.status {
+                        Status::Done => [state.result.protocol.clone(), varied.columns(point, &place.axes)].concat(),
+                        _ => state.result.protocol.clone(),
+                    },
                     inactive_levels: state.result.inactive_levels.clone(),
                 });
             }

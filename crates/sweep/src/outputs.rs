@@ -227,6 +227,7 @@ fn clocks(timing: &Timing) -> Vec<(String, Option<f64>)> {
         ("peak_memory_mib", timing.peak_memory_mib),
         ("threads", Some(timing.threads as f64)),
         ("sessions", Some(timing.sessions as f64)),
+        ("started_unix", Some(timing.started_unix as f64)),
     ];
     clocks.map(|(name, value)| (name.to_string(), value)).to_vec()
 }

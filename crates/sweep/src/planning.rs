@@ -8,6 +8,7 @@ use crate::settings::Config;
 
 use super::budget::StepCosts;
 use super::definition::Definition;
+use super::differences::differences;
 use super::folder::{Change, SweepFolder};
 use super::layout::{PlannedRun, lay_out};
 use super::points::{Point, apply_budgets};
@@ -15,17 +16,22 @@ use super::step_seconds::{KeptCosts, Unknown};
 use super::training::{Cost, Trainings};
 
 /// Returns the points of `folder`. A new folder is created with those of `definition`. A folder of another definition
-/// is an error, unless `extend` is set. `measure` gives the seconds of steps for budgets in seconds.
+/// is an error, unless `extend` is set or its points are the same. `measure` gives the seconds of steps for budgets in
+/// seconds. `check` is called with new points before anything is written.
 pub fn begin(
     folder: &SweepFolder,
     definition: &Definition,
     data_root: Option<&Path>,
     extend: bool,
     measure: &dyn StepCosts,
+    check: &dyn Fn(&[Point]) -> Result<()>,
 ) -> Result<Vec<Point>> {
     // A wrong definition must leave no folder.
     let planned = lay_out(definition, data_root)?;
-    apply_budgets(&planned, &Unmeasured)?;
+    let tried = apply_budgets(&planned, &Unmeasured)?;
+    if folder.compare(definition)? != Change::None {
+        check(&tried)?;
+    }
     let _lock = folder.lock()?;
     let change = folder.compare(definition)?;
     let begun = folder.points(data_root)?;
@@ -38,7 +44,7 @@ pub fn begin(
                 return Ok(points);
             }
             if !extend {
-                return Err(refusal(folder, &planned, &before));
+                return Err(refusal(folder, definition, &planned, &before)?);
             }
         }
         _ => {}
@@ -59,7 +65,7 @@ pub fn check_unchanged(folder: &SweepFolder, definition: &Definition, data_root:
     if reworded(&folder.definition()?, definition, &planned, &before).is_some() {
         return Ok(());
     }
-    Err(refusal(folder, &planned, &before))
+    Err(refusal(folder, definition, &planned, &before)?)
 }
 
 /// Points of equal cost: the same number of steps and the same shape.
@@ -125,27 +131,27 @@ fn reworded(
     apply_budgets(planned, &Unknown).ok().filter(|now| same(now))
 }
 
-fn refusal(folder: &SweepFolder, planned: &[PlannedRun], before: &[Point]) -> Error {
+fn refusal(folder: &SweepFolder, definition: &Definition, planned: &[PlannedRun], before: &[Point]) -> Result<Error> {
     let counted = match apply_budgets(planned, &Unknown) {
         Ok(now) => {
             let missing = |from: &[Point], other: &[Point]| {
                 let known: HashSet<&str> = other.iter().map(|point| point.id.as_str()).collect();
                 from.iter().filter(|point| !known.contains(point.id.as_str())).count()
             };
-            format!(
-                ": this one adds {} points and lacks {} of the old ones",
-                missing(&now, before),
-                missing(before, &now)
-            )
+            match (missing(&now, before), missing(before, &now)) {
+                (0, 0) => "; no point is new, so that --extend costs no training".to_string(),
+                (new, gone) => format!("; {new} points are new, and {gone} of the old ones are gone"),
+            }
         }
         // Budgets in seconds must be measured first.
         Err(_) => String::new(),
     };
-    Error::Config(format!(
-        "{} was created with another definition{counted}; --extend accepts this definition (nothing is deleted), \
-         another --name or --out starts a new sweep",
-        folder.path().display()
-    ))
+    Ok(Error::Config(format!(
+        "{} was created with another definition, which differs in {}{counted}. --extend accepts this definition (nothing is \
+         deleted); another --name or --out starts a new sweep",
+        folder.path().display(),
+        differences(&folder.definition()?, definition)
+    )))
 }
 
 /// Arbitrary seconds that differ between shapes; enough to check a definition.

@@ -62,6 +62,13 @@ pub struct Missing {
     pub why: String,
 }
 
+impl Missing {
+    /// Returns whether it gives the reason why a point is not done.
+    pub(super) fn names(&self, record: &Record) -> bool {
+        record.status != Status::Done && self.what.contains(&record.id)
+    }
+}
+
 impl Provenance {
     /// Returns the provenance of points that were all collected now.
     pub fn of(name: &str, records: &[Record]) -> Provenance {
@@ -72,13 +79,7 @@ impl Provenance {
                 revisions.push(revision);
             }
         }
-        let open = records.iter().filter(|record| record.status != Status::Done);
-        let missing = open.map(|record| Missing {
-            what: format!("the numbers of {} ({})", record.id, record.point_label()),
-            why: [record.status.name(), &record.reason].join(" ").trim().into(),
-        });
-        let missing = missing.collect();
-        Provenance { name: name.into(), code_revision: revisions.join(", "), missing, ..Provenance::default() }
+        Provenance { name: name.into(), code_revision: revisions.join(", "), ..Provenance::default() }
     }
 
     /// Reads the provenance of a results folder, or returns `None` if it has none.

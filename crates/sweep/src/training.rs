@@ -1,6 +1,6 @@
 //! Trains and measures points.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::atomic::AtomicUsize;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Instant;
@@ -106,6 +106,31 @@ impl<'a> Trainings<'a> {
         let mut corrupted = Scene::clone(&scene);
         corrupt(&mut corrupted, &corruption, config.seed)?;
         Ok((config, Arc::new(corrupted)))
+    }
+
+    /// Checks that points with data can start: settings that depend on each other or on the scene, such as the rays of a
+    /// step. Configurations that differ by the seed alone are checked once.
+    ///
+    /// # Errors
+    /// [`Error::Config`], for the first point that cannot. A scene that cannot be read is no error here: its points fail.
+    pub fn check_points(&self, points: &[Point]) -> Result<()> {
+        let mut checked = BTreeSet::new();
+        for point in points.iter().filter(|point| point.no_data.is_none()) {
+            let mut config = point.config.clone();
+            (config.seed, config.train.dead_start_share) = (0, 0.0);
+            if !checked.insert(config.hash()) {
+                continue;
+            }
+            let start = self
+                .scene(config)
+                .and_then(|(config, scene)| Trainer::check(&config, &scene, DType::F32, &self.runtime));
+            if let Err(error) = start
+                && error.is_of_settings()
+            {
+                return Err(error.within(&point.label()));
+            }
+        }
+        Ok(())
     }
 
     /// Returns a trainer at step 0, for measurements.

@@ -36,7 +36,7 @@ impl BeginArguments {
         let definition = self.changes.definition(&self.location)?;
         let (folder, points) = self.compute.run(|runtime, console| {
             let trainings = Trainings::new(runtime.clone(), (Vec::new(), String::new()), false, console);
-            begin_folder(&self.location, &definition, self.extend, &trainings, console)
+            begin_folder(&self.location, &definition, self.extend, (&trainings, &trainings), console)
         })?;
         let last = points.len().saturating_sub(1);
         let folder = folder.path().display().to_string();

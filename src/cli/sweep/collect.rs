@@ -12,14 +12,16 @@ use crate::report::tables::{Table, table_terminal};
 use crate::sweep::{Selection, View, check_name};
 
 use super::opened::Opened;
-use super::{How, RESULTS, RUNS, collect, name_of, table_json, terminal_width};
+use super::{How, RESULTS, RUNS, check_done, collect, name_of, table_json, terminal_width};
 
 pub const EXAMPLES: &str = "Examples:
   augnerf sweep collect runs/tab4_fern  # tables and figures, in results/
   augnerf sweep collect runs/tab4_fern --rows NeRF,Aug-NeRF --metrics psnr,ssim --out figures/two
   augnerf sweep collect runs/a --merge runs/b --out figures/both
 
---rows, --metrics, --baseline and --merge need --out. Intervals and corrected p values are over the chosen rows.";
+--rows, --metrics, --baseline and --merge need --out. Intervals and corrected p values are over the chosen rows.
+Exit codes: 0 all points are done; else the tables are written, and 7 points failed, 11 points are not done yet, 8 scenes are \
+missing, 9 rows are not comparable.";
 
 #[derive(Args)]
 #[command(next_help_heading = "Experiment")]
@@ -66,6 +68,7 @@ impl CollectArguments {
             check_name("the sweep's name", name).map_err(Error::Config)?;
             sweep.name.clone_from(name);
         }
+        let states = sweep.states()?;
         let (table, results) = match selection.is_all() && self.merge.is_empty() {
             true => {
                 sweep.check_runs()?;
@@ -79,7 +82,8 @@ impl CollectArguments {
             print(&table_terminal(&table, terminal_width()))?;
             print(&format!("tables: {}", results.display()))?;
             SVG_ALONE.into_iter().try_for_each(print)
-        })
+        })?;
+        check_done(&states)
     }
 
     fn open(&self, path: &Path) -> Result<Opened> {

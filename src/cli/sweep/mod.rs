@@ -9,13 +9,14 @@ use serde_json::json;
 use crate::base::csv::plain_cell;
 use crate::base::{Error, Result};
 use crate::metrics::{Lpips, Metric, Needs, Scope};
+use crate::report::Status;
 use crate::report::tables::{Table, table_csv};
 use crate::run::load_lpips;
 use crate::runtime::Runtime;
 use crate::settings::parse_assignment;
 use crate::sweep::{
-    Change, Collector, Definition, Overrides, Point, PublishedCosts, Results, StepCosts, SweepFolder, SweepOutputs,
-    Trainings, begin, check_name, expand,
+    AXIS, Change, Collector, Definition, Overrides, Point, PublishedCosts, Results, SETTING, StepCosts, SweepFolder,
+    SweepOutputs, Trainings, begin, check_name, expand,
 };
 
 use super::LpipsWeights;
@@ -198,7 +199,8 @@ pub(super) fn table_json(table: &Table, results: &Path) -> serde_json::Value {
     let of_metric = |name: &str| {
         table.metrics.iter().any(|metric| name.strip_prefix(metric).is_some_and(|rest| rest.starts_with('_')))
     };
-    let numeric = |name: &str| ["points", "done"].contains(&name) || of_metric(name);
+    let is_varied = |name: &str| name.starts_with(AXIS) || name.starts_with(SETTING);
+    let numeric = |name: &str| ["points", "done"].contains(&name) || of_metric(name) || is_varied(name);
     let cell = |name: &str, text: &str| match text.parse::<serde_json::Number>() {
         _ if text.is_empty() => serde_json::Value::Null,
         Ok(number) if numeric(name) => number.into(),
@@ -224,27 +226,29 @@ fn begun(folder: &SweepFolder, data_root: Option<&Path>) -> Result<Vec<Point>> {
     })
 }
 
-/// Creates or opens the folder of a sweep. `measure` gives the seconds of steps; their source is printed.
+/// Creates or opens the folder of a sweep, whose new points `trainings` checks. `measure` gives the seconds of steps;
+/// their source is printed.
 fn begin_folder(
     location: &Location,
     definition: &Definition,
     extend: bool,
-    measure: &dyn StepCosts,
+    (trainings, measure): (&Trainings, &dyn StepCosts),
     console: &Console,
 ) -> Result<(SweepFolder, Vec<Point>)> {
     let folder = location.folder()?;
     let costs = PublishedCosts::beside(&location.results()?, measure)?;
-    let points = begin(&folder, definition, location.data_root.as_deref(), extend, &costs)?;
+    let check = |points: &[Point]| trainings.check_points(points);
+    let points = begin(&folder, definition, location.data_root.as_deref(), extend, &costs, &check)?;
     costs.note().iter().for_each(|note| console.say(note));
     link_by_name(&folder, &points);
     Ok((folder, points))
 }
 
-/// Returns the points of a sweep, or those that its folder would get.
+/// Returns the points of a sweep, or those that its folder would get, checked by `trainings`.
 fn planned_points(
     location: &Location,
     definition: &Definition,
-    measure: &dyn StepCosts,
+    (trainings, measure): (&Trainings, &dyn StepCosts),
     console: &Console,
 ) -> Result<Vec<Point>> {
     let (folder, data_root) = (location.folder()?, location.data_root.as_deref());
@@ -253,6 +257,7 @@ fn planned_points(
         _ => {
             let costs = PublishedCosts::beside(&location.results()?, measure)?;
             let points = expand(definition, data_root, &costs)?;
+            trainings.check_points(&points)?;
             costs.note().iter().for_each(|note| console.say(note));
             Ok(points)
         }
@@ -308,6 +313,66 @@ fn name_of(folder: &Path) -> Result<String> {
 fn link_by_name(folder: &SweepFolder, points: &[Point]) {
     let said = folder.link_by_name(points).unwrap_or_else(|error| Some(error.to_string()));
     said.iter().for_each(|why| report(why));
+}
+
+/// How a point stands.
+struct PointState {
+    label: String,
+    status: Status,
+    /// Why it failed or has no data.
+    reason: String,
+}
+
+/// Returns how the points of a sweep's folder stand.
+fn states_of(folder: &SweepFolder, points: &[Point]) -> Result<Vec<PointState>> {
+    let of_point = |point: &Point| {
+        let state = folder.point(&point.id).state(point)?;
+        Ok(PointState { label: point.label(), status: state.status, reason: state.reason })
+    };
+    points.iter().map(of_point).collect()
+}
+
+/// Checks that all points of a sweep are done.
+///
+/// # Errors
+/// [`Error::PointsFailed`], [`Error::PointsWaiting`] or [`Error::PointsWithoutData`], with the reasons.
+fn check_done(states: &[PointState]) -> Result<()> {
+    let count = |status| states.iter().filter(|state| state.status == status).count();
+    let (all, done) = (states.len(), count(Status::Done));
+    let [failed, waiting, running, no_data] =
+        [Status::Failed, Status::Waiting, Status::Running, Status::NoData].map(count);
+    if failed > 0 {
+        return Err(Error::PointsFailed(format!(
+            "{failed} of {all} points failed ({done} are done); run them again with --retry-failed:{}",
+            reasons(states)
+        )));
+    }
+    if waiting + running > 0 {
+        return Err(Error::PointsWaiting(format!(
+            "{done} of {all} points are done, {running} are running and {waiting} are waiting; `augnerf sweep run` runs them"
+        )));
+    }
+    if no_data > 0 {
+        let first = states.iter().find(|state| state.status == Status::NoData).expect("counted");
+        return Err(Error::PointsWithoutData(format!(
+            "{no_data} of {all} points have no data here ({done} are done): {}; put the scenes into --data-root (AUGNERF_DATA) \
+             and run the sweep again",
+            first.reason
+        )));
+    }
+    Ok(())
+}
+
+/// Lists the reasons of failed points, each once with the points that it is of.
+fn reasons(states: &[PointState]) -> String {
+    let mut by_reason: Vec<(&str, Vec<&str>)> = Vec::new();
+    for state in states.iter().filter(|state| state.status == Status::Failed) {
+        match by_reason.iter_mut().find(|(reason, _)| *reason == state.reason) {
+            Some((_, labels)) => labels.push(&state.label),
+            None => by_reason.push((&state.reason, vec![&state.label])),
+        }
+    }
+    by_reason.iter().map(|(reason, labels)| format!("\n  {}: {reason}", labels.join("; "))).collect()
 }
 
 /// Options of tables.

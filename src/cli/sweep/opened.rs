@@ -3,10 +3,11 @@
 use std::path::Path;
 
 use crate::base::{Error, Result};
+use crate::report::Record;
 use crate::sweep::verify::Archive;
 use crate::sweep::{Definition, Point, Source, SweepFolder, SweepOutputs};
 
-use super::{begun, name_of};
+use super::{PointState, begun, name_of, states_of};
 
 /// A sweep in a folder.
 pub struct Opened {
@@ -56,6 +57,24 @@ impl Opened {
             Some(outputs) => Ok(outputs.clone()),
             None => SweepOutputs::of_folder(&self.folder, &self.definition, &self.points),
         }
+    }
+
+    /// Returns how the points stand: as the folder says, or as its results say.
+    pub fn states(&self) -> Result<Vec<PointState>> {
+        let of_record = |record: &Record| PointState {
+            label: record.point_label(),
+            status: record.status,
+            reason: record.reason.clone(),
+        };
+        match &self.kept {
+            Some(outputs) => Ok(outputs.records.iter().map(of_record).collect()),
+            None => states_of(&self.folder, &self.points),
+        }
+    }
+
+    /// Returns the outputs that results keep; `None` for a folder with the points themselves.
+    pub fn kept(&self) -> Option<&SweepOutputs> {
+        self.kept.as_ref()
     }
 
     /// Returns the sweep as the source of a view.

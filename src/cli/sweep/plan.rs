@@ -73,7 +73,7 @@ impl PlanArguments {
         let definition = self.changes.definition(&self.location)?;
         let folder = self.location.folder()?;
         let trainings = Trainings::new(runtime.clone(), (Vec::new(), String::new()), false, console);
-        let points = planned_points(&self.location, &definition, &trainings, console)?;
+        let points = planned_points(&self.location, &definition, (&trainings, &trainings), console)?;
         let say = |words: &str| if self.answer.json { Ok(()) } else { print(words) };
         say(&format!("{} points", points.len()))?;
         let left: Vec<&Point> =

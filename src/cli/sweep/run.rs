@@ -2,18 +2,20 @@
 
 use clap::Args;
 
-use crate::base::{Error, Result};
+use crate::base::Result;
 use crate::cli::answer::Answer;
 use crate::cli::progress::{Console, print};
 use crate::cli::signals::catch_signals;
 use crate::cli::{Compute, LpipsWeights};
 use crate::draw::SVG_ALONE;
-use crate::report::Status;
 use crate::report::tables::table_terminal;
 use crate::runtime::Runtime;
-use crate::sweep::{Options, Point, Runner, Sharing, SweepFolder};
+use crate::sweep::{Options, Runner, Sharing};
 
-use super::{Changes, How, Location, MaxDeaths, begin_folder, collect, table_json, terminal_width, trainings};
+use super::{
+    Changes, How, Location, MaxDeaths, begin_folder, check_done, collect, states_of, table_json, terminal_width,
+    trainings,
+};
 
 pub const EXAMPLES: &str = "Examples:
   augnerf sweep run sweeps/checks/smoke.toml                    # the built-in scene, three minutes
@@ -21,7 +23,8 @@ pub const EXAMPLES: &str = "Examples:
   augnerf sweep run sweeps/paper/tab1_llff.toml --retry-failed  # again, with the failed points
 
 The same command resumes a stopped sweep. Several commands on one folder share its points.
-Exit codes: 0 done, 7 points failed, 8 scenes are missing, 9 rows are not comparable (see --force), 130 or 143 stopped (run it \
+Exit codes: 0 done, 7 points failed, 8 scenes are missing, 9 rows are not comparable (see --force), 11 points are not \
+done yet (another worker has them), 130 or 143 stopped (run it \
 again), 2 the sweep file is wrong.";
 
 #[derive(Args)]
@@ -79,7 +82,8 @@ impl RunArguments {
         let definition = self.changes.definition(&self.location)?;
         let (trainings, measured) = trainings(&definition, &self.weights, runtime, &console)?;
         let (name, results) = (self.location.name()?, self.location.results()?);
-        let (folder, points) = begin_folder(&self.location, &definition, self.extend, &trainings, &console)?;
+        let (folder, points) =
+            begin_folder(&self.location, &definition, self.extend, (&trainings, &trainings), &console)?;
         let options = Options {
             jobs: usize::from(self.jobs),
             fail_fast: self.fail_fast,
@@ -111,37 +115,7 @@ impl RunArguments {
         console.say(&format!("tables: {}", results.display()));
         SVG_ALONE.into_iter().for_each(|note| console.say(note));
         // An error of points comes before an error of the table.
-        summarise(&folder, &points)?;
+        check_done(&states_of(&folder, &points)?)?;
         table.map(|_| ())
     }
-}
-
-/// Checks that all points are done.
-///
-/// # Errors
-/// [`Error::PointsFailed`] or [`Error::PointsWithoutData`], with the reasons.
-fn summarise(folder: &SweepFolder, points: &[Point]) -> Result<()> {
-    let states = points.iter().map(|point| folder.point(&point.id).state(point)).collect::<Result<Vec<_>>>()?;
-    let count = |status| states.iter().filter(|state| state.status == status).count();
-    let reasons = points.iter().zip(&states).filter(|(_, state)| state.status == Status::Failed);
-    let reasons: Vec<String> =
-        reasons.map(|(point, state)| format!("\n  {}: {}", point.label(), state.reason)).collect();
-    let (done, failed, no_data) = (count(Status::Done), count(Status::Failed), count(Status::NoData));
-    if failed > 0 {
-        return Err(Error::PointsFailed(format!(
-            "{failed} of {} points failed ({done} are done); run them again with --retry-failed:{}",
-            points.len(),
-            reasons.concat()
-        )));
-    }
-    if no_data > 0 {
-        let first = states.iter().find(|state| state.status == Status::NoData).expect("counted");
-        return Err(Error::PointsWithoutData(format!(
-            "{no_data} of {} points have no data here ({done} are done): {}; put the scenes into --data-root (AUGNERF_DATA) \
-             and run the sweep again",
-            points.len(),
-            first.reason
-        )));
-    }
-    Ok(())
 }

@@ -11,20 +11,23 @@ use crate::base::{Error, Result};
 use crate::cli::answer::Answer;
 use crate::cli::progress::print_shown;
 use crate::metrics::PSNR;
-use crate::report::Status;
+use crate::report::{Record, Status};
 use crate::sweep::slurm::{Queue, Slurm};
-use crate::sweep::{Pace, Point, SweepFolder};
+use crate::sweep::{Pace, Point, SweepFolder, SweepOutputs};
 
-use super::{begun, duration};
+use super::opened::Opened;
+use super::{check_done, duration, states_of};
 
 pub const EXAMPLES: &str = "Examples:
   augnerf sweep status runs/smoke
   augnerf sweep status runs/smoke --watch 10  # every 10 s until all points have ended
-  augnerf sweep status runs/smoke --json      # for a script";
+  augnerf sweep status results/checks/smoke   # what a results folder says
+
+Exit codes: 0 all points are done, 7 points failed, 11 points are waiting or running, 8 scenes are missing.";
 
 #[derive(Args)]
 pub struct StatusArguments {
-    /// Folder of a sweep: runs/NAME, or that of --out
+    /// Folder of a sweep: runs/NAME, that of --out, or results/NAME
     folder: PathBuf,
     /// Folder of the scenes
     #[arg(long, env = "AUGNERF_DATA", value_name = "DIR")]
@@ -44,7 +47,7 @@ struct PointStatus<'a> {
     status: &'static str,
     reason: String,
     step: Option<u64>,
-    steps: u64,
+    steps: Option<u64>,
     seconds_left: Option<f64>,
     host: Option<String>,
     process: Option<u32>,
@@ -53,12 +56,35 @@ struct PointStatus<'a> {
     task: Option<String>,
 }
 
+impl PointStatus<'_> {
+    /// What a results folder says of a point.
+    fn of_record(record: &Record) -> PointStatus<'_> {
+        PointStatus {
+            id: &record.id,
+            label: record.point_label(),
+            status: record.status.name(),
+            reason: record.reason.clone(),
+            step: None,
+            steps: record.protocol("steps").parse().ok(),
+            seconds_left: None,
+            host: None,
+            process: None,
+            psnr: record.metric(PSNR.key),
+            task: None,
+        }
+    }
+}
+
 impl StatusArguments {
     pub fn run(self) -> Result<()> {
-        let folder = SweepFolder::new(&self.folder);
-        let points = begun(&folder, self.data_root.as_deref())?;
+        let opened = Opened::read(&self.folder, self.data_root.as_deref())?;
+        if let Some(outputs) = opened.kept() {
+            return self.of_results(&opened, outputs);
+        }
+        let Opened { folder, points, .. } = opened;
         if self.answer.json {
-            return self.answer.give_silently(&statuses(&folder, &points)?);
+            self.answer.give_silently(&statuses(&folder, &points)?)?;
+            return check_done(&states_of(&folder, &points)?);
         }
         let terminal = console::Term::stdout();
         let mut shown = 0;
@@ -71,11 +97,38 @@ impl StatusArguments {
             lines.iter().try_for_each(|line| print_shown(line))?;
             match self.watch {
                 Some(seconds) if left > 0 => std::thread::sleep(std::time::Duration::from_secs(seconds.into())),
-                _ => return Ok(()),
+                _ => return check_done(&states_of(&folder, &points)?),
             }
             shown = if terminal.is_term() { screen_lines(&lines, terminal.size()) } else { 0 };
         }
     }
+
+    /// Shows what a results folder says of its points. Nothing runs there.
+    fn of_results(&self, opened: &Opened, outputs: &SweepOutputs) -> Result<()> {
+        let points: Vec<PointStatus> = outputs.records.iter().map(PointStatus::of_record).collect();
+        let counts = counts(&points);
+        if self.answer.json {
+            let folder = opened.folder.path().display().to_string();
+            let status =
+                json!({ "folder": folder, "counts": counts, "points": points, "tables": [], "queue_error": null });
+            self.answer.give_silently(&status)?;
+            return check_done(&opened.states()?);
+        }
+        for point in &points {
+            let what = point.psnr.map_or(point.reason.clone(), |psnr| format!("PSNR {psnr:.2} dB"));
+            print_shown(&format!("{:8} {} {}  {what}", point.status, point.id, point.label))?;
+        }
+        let counts = counts.iter().filter(|(_, count)| **count != 0);
+        let counts: Vec<String> = counts.map(|(status, count)| format!("{count} {status}")).collect();
+        print_shown(&format!("{}: results, {}", opened.folder.path().display(), counts.join(", ")))?;
+        check_done(&opened.states()?)
+    }
+}
+
+/// Counts the points in each state.
+fn counts(points: &[PointStatus]) -> serde_json::Map<String, serde_json::Value> {
+    let count = |status: Status| points.iter().filter(|point| point.status == status.name()).count();
+    Status::ALL.into_iter().map(|status| (status.name().into(), count(status).into())).collect()
 }
 
 /// Returns how many lines a terminal of `(rows, columns)` uses for these, at most those that it can clear.
@@ -96,7 +149,7 @@ fn statuses(folder: &SweepFolder, points: &[Point]) -> Result<serde_json::Value>
             label: point.label(),
             status: state.status.name(),
             step: claim.map(|claim| claim.step),
-            steps: point.config.train.steps,
+            steps: Some(point.config.train.steps),
             seconds_left: claim.and_then(|claim| claim.seconds_left),
             host: claim.map(|claim| claim.host.clone()),
             process: claim.map(|claim| claim.pid),
@@ -105,9 +158,7 @@ fn statuses(folder: &SweepFolder, points: &[Point]) -> Result<serde_json::Value>
             task: queue.iter().find_map(|queue| queue.task(index)).map(ToString::to_string),
         });
     }
-    let count = |status: Status| statuses.iter().filter(|point| point.status == status.name()).count();
-    let counts: serde_json::Map<String, serde_json::Value> =
-        Status::ALL.into_iter().map(|status| (status.name().into(), count(status).into())).collect();
+    let counts = counts(&statuses);
     let tables: Vec<String> = queue.iter().flat_map(Queue::tables).map(ToString::to_string).collect();
     Ok(json!({
         "folder": folder.path().display().to_string(),

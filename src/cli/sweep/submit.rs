@@ -12,7 +12,7 @@ use crate::cli::progress::{Console, print};
 use crate::runtime::Runtime;
 use crate::settings::Config;
 use crate::sweep::slurm::{Chosen, Request, Script, Slurm, Submitted, array};
-use crate::sweep::{Point, StepCosts, SweepFolder, check_unchanged};
+use crate::sweep::{Point, StepCosts, SweepFolder, Trainings, check_unchanged};
 
 use super::{Changes, Location, MaxDeaths, begin_folder, planned_points, trainings};
 
@@ -100,19 +100,21 @@ impl SubmitArguments {
         script.check()?;
         self.device.as_deref().map_or(Ok(()), Runtime::check_name)?;
         // Unreadable weights are an error here, not in every task.
-        trainings(&definition, &self.weights, &Runtime::new("cpu", Some(1))?, &console)?;
+        let runtime = Runtime::new("cpu", Some(1))?;
+        let (trainings, _) = trainings(&definition, &self.weights, &runtime, &console)?;
+        let costs: (&Trainings, &dyn StepCosts) = (&trainings, &Elsewhere);
         if self.dry_run {
             if !self.extend {
                 check_unchanged(&folder, &definition, self.location.data_root.as_deref())?;
             }
-            let points = planned_points(&self.location, &definition, &Elsewhere, &console)?;
+            let points = planned_points(&self.location, &definition, costs, &console)?;
             return self.show(&script, &folder, &points, &console);
         }
         if self.extend {
-            let points = planned_points(&self.location, &definition, &Elsewhere, &console)?;
+            let points = planned_points(&self.location, &definition, costs, &console)?;
             check_numbers(&folder, &points)?;
         }
-        let (folder, points) = begin_folder(&self.location, &definition, self.extend, &Elsewhere, &console)?;
+        let (folder, points) = begin_folder(&self.location, &definition, self.extend, costs, &console)?;
         self.submit(&script, &folder, &points, &console)
     }
 

@@ -5,7 +5,7 @@ use std::path::Path;
 use super::across::{self, Comparison};
 use super::files::Collected;
 use super::findings::Findings;
-use super::{Verifier, columns, files, gaps, ids, inputs, retrain, runs};
+use super::{Verifier, columns, derived, files, gaps, ids, inputs, retrain, runs};
 use crate::base::Result;
 
 /// One check.
@@ -36,7 +36,7 @@ pub(super) enum Run {
 pub(super) const PAGES: &str = "pages";
 
 /// All checks, in the order in which they run.
-pub const CHECKS: [Check; 10] = [
+pub const CHECKS: [Check; 11] = [
     Check {
         name: "files",
         what: "tables and figures are byte for byte what points.csv, timing.csv and scalars.csv.gz make; files that \
@@ -55,6 +55,12 @@ pub const CHECKS: [Check; 10] = [
         what: "columns of points.csv are what configurations, provenance.toml and logs say",
         left_out: "columns that need a scene's files, and inactive_levels of points without logs",
         run: Run::Sweep(columns::check),
+    },
+    Check {
+        name: "derived",
+        what: "gaps, averages and PSNR of points.csv are what their parts make",
+        left_out: "SSIM, LPIPS and depth, which need the images",
+        run: Run::Sweep(derived::check),
     },
     Check {
         name: "gaps",

@@ -13,6 +13,7 @@ pub fn check(_: &Verifier, sweep: &Collected, findings: &mut Findings) -> Result
     let archive = &sweep.archive;
     let records = &archive.outputs.records;
     let lacks = |record: &Record| archive.provenance.missing.iter().any(|missing| missing.what.contains(&record.id));
+    let done = records.iter().filter(|record| record.status == Status::Done).count();
     let mut wrong: Vec<String> = Vec::new();
     for record in records.iter().filter(|record| !lacks(record)) {
         if record.status != Status::Done {
@@ -32,7 +33,11 @@ pub fn check(_: &Verifier, sweep: &Collected, findings: &mut Findings) -> Result
             }
         }
     }
-    findings.of(format!("{} places are done and measured", records.len()), wrong);
+    let places = if done == records.len() { format!("{done}") } else { format!("{done} of {}", records.len()) };
+    if !wrong.is_empty() && done < records.len() {
+        wrong.insert(0, format!("{places} places are done"));
+    }
+    findings.of(format!("{places} places are done and measured"), wrong);
     Ok(())
 }
 

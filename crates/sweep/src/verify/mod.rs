@@ -11,6 +11,7 @@ mod across;
 mod archive;
 mod checks;
 mod columns;
+mod derived;
 mod files;
 mod findings;
 mod gaps;

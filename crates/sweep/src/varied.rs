@@ -1,0 +1,54 @@
+//! What a sweep varies, as columns of numbers: its axes, and the settings in which its points differ.
+
+use toml::{Table, Value};
+
+use crate::report::AxisValue;
+use crate::settings::registry::{Effect, REGISTRY};
+use crate::settings::value_at;
+
+use super::definition::Definition;
+use super::points::Point;
+
+/// Prefix of the columns of axes.
+pub const AXIS: &str = "axis.";
+/// Prefix of the columns of settings.
+pub const SETTING: &str = "set.";
+
+/// The settings in which the points of a sweep differ, but for the scene, the seed and what a seed brings with it.
+pub struct Varied(Vec<&'static str>);
+
+impl Varied {
+    /// Finds them.
+    pub fn of(definition: &Definition, points: &[Point]) -> Varied {
+        let tables: Vec<Table> = points.iter().map(|point| point.config.to_table()).collect();
+        let differs = |path: &&str| {
+            let mut values = tables.iter().map(|table| value_at(table, path));
+            let first = values.next().flatten();
+            values.any(|value| value != first)
+        };
+        let of_seed = |path: &str| path == "seed" || definition.by_seed.contains_key(path);
+        let settings = REGISTRY.settings.iter().filter(|setting| setting.rule.effect == Effect::Numbers);
+        let paths = settings.map(|setting| setting.path.as_str()).filter(|path| !of_seed(path) && *path != "data.name");
+        Varied(paths.filter(differs).collect())
+    }
+
+    /// Returns a point's columns: `axis.weight`, `set.regularizer.weight`.
+    pub fn columns(&self, point: &Point, axes: &[AxisValue]) -> Vec<(String, String)> {
+        let axis = |AxisValue { axis, panel, value }: &AxisValue| {
+            let space = if panel.is_empty() { "" } else { " " };
+            (format!("{AXIS}{panel}{space}{axis}"), value.clone())
+        };
+        let table = point.config.to_table();
+        let setting = |path: &&str| (format!("{SETTING}{path}"), value_at(&table, path).map_or(String::new(), text));
+        axes.iter().map(axis).chain(self.0.iter().map(setting)).collect()
+    }
+}
+
+/// A value as a cell: numbers and words as they are; a list of one as its only value.
+fn text(value: &Value) -> String {
+    match value {
+        Value::String(text) => text.clone(),
+        Value::Array(values) if values.len() == 1 => text(&values[0]),
+        other => other.to_string(),
+    }
+}
