@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 
 use clap::{Args, ValueEnum};
 
+use crate::base::files::check_own;
 use crate::base::{Error, Result};
 use crate::run::{OpenOptions, RunDir, Split, Trained, load_lpips};
 use crate::runtime::Runtime;
@@ -97,6 +98,8 @@ impl EvalArguments {
         }
         let split = self.split.and_then(|split| split.to_possible_value());
         let split = split.map_or(String::new(), |split| format!("_{}", split.get_name()));
-        made(&run.evaluations().join(format!("step_{step:09}{split}")))
+        let folder = run.evaluations().join(format!("step_{step:09}{split}"));
+        check_own(&folder, true)?;
+        made(&folder)
     }
 }

@@ -7,7 +7,7 @@ use serde_json::json;
 
 use crate::base::files::AtomicDir;
 use crate::base::{Error, Result};
-use crate::run::{Existing, Foreign, Job, Networks, Setup, check_replaceable, export, load_scene};
+use crate::run::{Existing, Foreign, Job, Networks, Setup, export, load_scene};
 use crate::runtime::Runtime;
 use crate::settings::Preset;
 use crate::train::Origin;
@@ -109,14 +109,16 @@ impl ImportArguments {
         let networks = crate::methods::Model::parts(&config).len();
         let (depth, width, name) = (config.field.depth, config.field.width, config.data.name.clone());
         let setup = Setup { config, scene: &scene, lpips: &[], runtime: runtime.clone() };
-        check_replaceable(&folder, if self.overwrite { Existing::Replace } else { Existing::Refuse })?;
-        // A run without its checkpoint is none, so that it appears as a whole.
-        let parent = folder.parent().filter(|parent| !parent.as_os_str().is_empty());
-        parent.map_or(Ok(()), std::fs::create_dir_all).map_err(|error| Error::unwritable(&folder, &error))?;
-        let hidden = AtomicDir::new(&folder)?;
+        let existing = if self.overwrite { Existing::Replace } else { Existing::Refuse };
         let origin = Origin::Weights { values, step: foreign.step() };
-        drop(Job::create_from(hidden.path(), Existing::Refuse, setup, origin)?);
-        hidden.commit()?;
+        if folder.symlink_metadata().is_ok() {
+            Job::create_from(&folder, existing, setup, origin)?;
+        } else {
+            // A run without its checkpoint is none, so that it appears as a whole.
+            let hidden = AtomicDir::vacant(&folder)?;
+            drop(Job::create_from(hidden.path(), existing, setup, origin)?);
+            hidden.commit_new()?;
+        }
         console.say(&format!(
             "{networks} networks of {depth} layers with {width} neurons, step {}, scene {name}",
             foreign.step()

@@ -9,7 +9,9 @@ use tempfile::NamedTempFile;
 
 use crate::base::{Error, Result};
 use crate::metrics::{Backbone, FLOOR_PSNR, LPIPS, PSNR, SSIM};
-use crate::run::{Existing, Finished, Job, RunDir, Setup, load_lpips, load_scene, load_scene_of, settings_to_go_on};
+use crate::run::{
+    Existing, Finished, Job, RunDir, Setup, check_replaceable, load_lpips, load_scene, load_scene_of, settings_to_go_on,
+};
 use crate::runtime::Runtime;
 use crate::settings::Config;
 use crate::train::checkpoint::{self, State};
@@ -100,6 +102,7 @@ impl TrainArguments {
         // Only the paper's own settings take so long that nobody should start them without having asked for them.
         let asks = self.from.is_none() && !self.experiment.names_length() && setup.config.train.steps >= PAPER_STEPS;
         if asks {
+            check_replaceable(&folder, existing)?;
             console.say(&words);
             self.ask_for_patience(&setup, console)?;
         }
@@ -139,7 +142,7 @@ impl TrainArguments {
             console.say(&text);
             return Ok(());
         }
-        if !std::io::stdin().is_terminal() {
+        if !std::io::stdin().is_terminal() || self.answer.json {
             console.say(&format!("warning: {text}"));
             return Ok(());
         }

@@ -174,6 +174,17 @@ impl AtomicDir {
         self.try_commit().map_err(|error| Error::unwritable(&self.target, &error))
     }
 
+    /// The same for a name that nobody has taken meanwhile.
+    pub fn commit_new(self) -> Result<()> {
+        let committed = sync_tree(&self.temporary).and_then(|()| match self.target.symlink_metadata() {
+            Ok(_) => Err(io::Error::from(io::ErrorKind::AlreadyExists)),
+            Err(_) => fs::rename(&self.temporary, &self.target),
+        });
+        committed
+            .and_then(|()| sync_folder(folder_of(&self.target)))
+            .map_err(|error| Error::unwritable(&self.target, &error))
+    }
+
     fn try_commit(&self) -> io::Result<()> {
         sync_tree(&self.temporary)?;
         let parent = folder_of(&self.target);

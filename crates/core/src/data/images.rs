@@ -24,6 +24,8 @@ const MOST_WEBP: u64 = 384 << 20;
 
 /// Most bytes of a decoded pixel: four channels of 16 bits.
 const MOST_PIXEL_BYTES: u64 = 8;
+/// Largest size of a decoded PNG image in bytes.
+const MOST_PNG: u64 = 512 << 20;
 /// Most bytes for a PNG's colour profile and texts, which are unpacked with it. Profiles take a few kB.
 const MOST_NOTES: u64 = 16 << 20;
 
@@ -162,7 +164,8 @@ pub(super) fn note_unused<'a>(scene: &Path, used: impl Iterator<Item = &'a PathB
 }
 
 /// Returns the only one of the images `below` a folder that a name means: its path ends in the name, or it lies in the
-/// folder itself under the end of the name. Letter case and an image's ending do not count.
+/// folder itself under the end of the name, unless the name begins with a split's. Letter case and an image's ending do
+/// not count. Masks and maps of depth are no photos.
 pub(super) fn place_of<'a>(name: &str, below: &'a [PathBuf]) -> Option<&'a Path> {
     let plain = |path: &Path| path.to_string_lossy().replace('\\', "/").to_lowercase();
     let without_ending = |text: String| match Path::new(&text) {
@@ -170,14 +173,16 @@ pub(super) fn place_of<'a>(name: &str, below: &'a [PathBuf]) -> Option<&'a Path>
         _ => text,
     };
     let wanted = without_ending(name.trim_start_matches('/').to_lowercase());
-    let last = wanted.rsplit('/').next().unwrap_or_default();
+    let is_of_split = ["train/", "test/", "val/"].iter().any(|split| wanted.contains(split));
+    let last = wanted.rsplit('/').next().filter(|_| !is_of_split);
+    let is_photo = |path: &str| !NO_PHOTOS.iter().any(|part| path.contains(part));
     let only = |fits: &dyn Fn(&str) -> bool| {
-        let mut fitting = below.iter().filter(|path| fits(&without_ending(plain(path))));
+        let mut fitting = below.iter().filter(|path| is_photo(&plain(path)) && fits(&without_ending(plain(path))));
         fitting.next().filter(|_| fitting.next().is_none()).map(PathBuf::as_path)
     };
     only(&|path| path == wanted)
         .or_else(|| only(&|path| path.strip_suffix(&wanted).is_some_and(|front| front.ends_with('/'))))
-        .or_else(|| only(&|path| path == last))
+        .or_else(|| only(&|path| Some(path) == last))
 }
 
 /// Returns width and height from a file's header.
@@ -292,7 +297,9 @@ pub fn decode(path: &Path) -> Result<DynamicImage> {
         return Err(undecodable(path, &"its end-of-image marker is missing"));
     }
     let reader = ImageReader::with_format(Cursor::new(&bytes), format);
-    limited(reader, png_pixels(&bytes).saturating_mul(MOST_PIXEL_BYTES)).decode().map_err(|e| undecodable(path, &e))
+    limited(reader, png_pixels(&bytes).saturating_mul(MOST_PIXEL_BYTES).min(MOST_PNG))
+        .decode()
+        .map_err(|e| undecodable(path, &e))
 }
 
 /// Returns whether an end-of-image marker closes the last scan of a JPEG. The decoder fills what is missing with grey,

@@ -1,6 +1,7 @@
 //! Masks: which pixels of a photo count. A capture's file names them (nerfstudio's `mask_path`), or they lie in a folder
 //! that `data.masks` names.
 
+use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
 use crate::base::{Error, Event, Image, Listener, Result};
@@ -10,6 +11,8 @@ use crate::settings::DataConfig;
 
 /// Folders in which masks usually lie.
 const FOLDERS: [&str; 4] = ["masks", "mask", "images_mask", "images_masks"];
+/// The value of `data.masks` for none at all.
+pub(in crate::data) const NONE: &str = "none";
 /// Begin of the names of instant-ngp's masks, in the photos' folder. White is left out there.
 const DYNAMIC: &str = "dynamic_mask_";
 
@@ -54,13 +57,27 @@ impl MaskFile {
         MaskFile { path, inverted: false }
     }
 
-    /// Finds a photo's mask in a folder: `NAME.png` of `NAME.jpg`, or `NAME.jpg.png` as COLMAP has it.
-    fn in_folder(folder: &Path, photo: &Path) -> Option<MaskFile> {
+    /// Finds a photo's mask in a folder of the scene: `NAME.png` of `NAME.jpg`, or `NAME.jpg.png` as COLMAP has it, in the
+    /// photo's own sub-folder, or in the folder itself if no other photo `has_name`.
+    fn in_folder(dir: &Path, folder: &str, photo: &Path, has_name: impl Fn(&str) -> usize) -> Option<MaskFile> {
         let (stem, name) = (photo.file_stem()?.to_string_lossy(), photo.file_name()?.to_string_lossy());
-        let names =
-            [&name, &stem].into_iter().flat_map(|base| images::ENDINGS.map(|ending| format!("{base}.{ending}")));
-        let path = names.map(|name| folder.join(name)).find(|path| path.is_file())?;
-        Some(MaskFile::of_black(path))
+        let within = photo.strip_prefix(dir).ok().and_then(Path::parent).unwrap_or(Path::new(""));
+        // Photos lie in images/ or the like, and masks in the same sub-folders of theirs.
+        let below = within.components().skip(1).collect::<PathBuf>();
+        let bare = (has_name(&stem) == 1).then(PathBuf::new);
+        let places = [Some(within.to_path_buf()), Some(below), bare];
+        let endings = || images::ENDINGS.iter().flat_map(|ending| [ending.to_string(), ending.to_ascii_uppercase()]);
+        let file = |place: PathBuf| {
+            let names =
+                [&name, &stem].into_iter().flat_map(|base| endings().map(move |ending| format!("{base}.{ending}")));
+            names.map(|name| dir.join(folder).join(&place).join(name)).find(|path| path.is_file())
+        };
+        places
+            .into_iter()
+            .flatten()
+            .filter(|place| has_name(&stem) == 1 || place.as_os_str() != "")
+            .find_map(file)
+            .map(MaskFile::of_black)
     }
 
     /// Finds instant-ngp's mask beside a photo.
@@ -99,8 +116,12 @@ impl Masks {
         events: &dyn Listener,
     ) -> Result<Masks> {
         let (photos, dir): (Vec<&Path>, _) = (photos.collect(), Path::new(&config.dir));
+        let stem = |photo: &Path| photo.file_stem().map(|stem| stem.to_string_lossy().into_owned());
+        let mut stems: HashMap<String, usize> = HashMap::new();
+        photos.iter().filter_map(|photo| stem(photo)).for_each(|stem| *stems.entry(stem).or_default() += 1);
+        let has_name = |stem: &str| stems.get(stem).copied().unwrap_or(0);
         let in_folder = |name: &str| -> Vec<Option<MaskFile>> {
-            photos.iter().map(|photo| MaskFile::in_folder(&dir.join(name), photo)).collect()
+            photos.iter().map(|photo| MaskFile::in_folder(dir, name, photo, has_name)).collect()
         };
         let beside = || photos.iter().map(|photo| MaskFile::beside(photo)).collect::<Vec<_>>();
         let count = |files: &[Option<MaskFile>]| files.iter().flatten().count();
@@ -118,7 +139,7 @@ impl Masks {
                 }
                 Ok(Masks { files: vec![None; photos.len()] })
             }
-            "none" => Ok(Masks { files: vec![None; photos.len()] }),
+            NONE => Ok(Masks { files: vec![None; photos.len()] }),
             name => {
                 let files = if name == "beside" { beside() } else { in_folder(name) };
                 let found = count(&files);

@@ -179,9 +179,10 @@ pub fn load(config: &DataConfig, seed: u64, events: &dyn Listener) -> Result<Sce
     scene.far = config.far.unwrap_or(scene.far);
     check(&scene, config)?;
     let folder = if config.dir.is_empty() { &scene.name } else { &config.dir };
-    for remark in remarks::of(&scene) {
-        events.on(Event::Note(&format!("{folder}: {remark}")));
-        scene.space.note("remark", remark);
+    let remarks = remarks::of(&scene);
+    remarks.iter().for_each(|remark| events.on(Event::Note(&format!("{folder}: {remark}"))));
+    if !remarks.is_empty() {
+        scene.space.note("remarks", remarks.join("; "));
     }
     views::keep_training_views(&mut scene, config)?;
     corruption::corrupt(&mut scene, &config.corruption, seed)?;

@@ -435,7 +435,7 @@ impl Field {
         let limit = self.config.rgb_limit;
         let rgb = match limit > 0.0 {
             // The value of one, the gradient of the other.
-            true => candle_nn::ops::sigmoid(&(raw + (raw.clamp(-limit, limit)? - raw)?.detach())?)?,
+            true => candle_nn::ops::sigmoid(&(raw.clamp(-limit, limit)?.detach() + (raw - raw.detach())?)?)?,
             false => candle_nn::ops::sigmoid(raw)?,
         };
         let padding = self.config.rgb_padding;

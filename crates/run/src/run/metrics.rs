@@ -13,6 +13,9 @@ use crate::methods::SiteSummary;
 use crate::metrics::{CHAMFER, F_SCORE, FLOOR_PSNR, MeanMetrics, Metric, PSNR, Scope, ViewMetrics};
 use crate::space::Chamfer;
 
+/// Steps before which a picture of one colour says nothing.
+const FEW_STEPS: u64 = 100;
+
 /// `metrics.json`.
 #[derive(Clone, Debug, Serialize)]
 pub struct Report {
@@ -63,7 +66,9 @@ impl Report {
     /// # Errors
     /// [`Error::Diverged`].
     pub fn check_learned(&self, folder: &Path) -> Result<()> {
-        if !self.is_one_colour {
+        // A run of few steps has learned nothing yet.
+        let is_short = self.protocol.text("steps").parse().is_ok_and(|steps: u64| steps < FEW_STEPS);
+        if !self.is_one_colour || is_short {
             return Ok(());
         }
         let numbers = self.no_better_than_one_colour().map_or(String::new(), |text| format!(" ({text})"));

@@ -12,7 +12,9 @@ use crate::report::{Record, Status};
 pub fn check(_: &Verifier, sweep: &Collected, findings: &mut Findings) -> Result<()> {
     let archive = &sweep.archive;
     let records = &archive.outputs.records;
-    let lacks = |record: &Record| archive.provenance.missing.iter().any(|missing| missing.what.contains(&record.id));
+    let lacks = |record: &Record| {
+        archive.provenance.missing.iter().any(|missing| missing.what.contains(&record.id) && !missing.is_of_program())
+    };
     let done = records.iter().filter(|record| record.status == Status::Done).count();
     let mut wrong: Vec<String> = Vec::new();
     for record in records.iter().filter(|record| !lacks(record)) {

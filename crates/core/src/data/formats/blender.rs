@@ -38,8 +38,7 @@ pub fn load(config: &DataConfig, events: &dyn Listener) -> Result<Scene> {
     };
     let (mut train, train_names) = frames::found(train);
     let (mut test, test_names) = frames::found(listed.into_iter().step_by(config.test_skip.max(1)).collect());
-    frames::find_masks(&mut train, config, events)?;
-    frames::find_masks(&mut test, config, events)?;
+    frames::find_masks(train.iter_mut().chain(&mut test), config, events)?;
     let both: Vec<&Frame> = train.iter().chain(&test).collect();
     let sizes = frames::working_sizes(&both, config)?;
     let cameras: Vec<Camera> = both.iter().zip(sizes).map(|(frame, size)| frame.camera(size, in_turn)).collect();

@@ -131,9 +131,13 @@ pub(super) fn points(file: &Path) -> Result<Vec<Point>> {
 }
 /// Returns how many photos a file of images announces.
 pub(super) fn photograph_count(file: &Path) -> Result<usize> {
+    /// Least bytes of an entry: numbers, pose, camera, an empty name, no observations.
+    const LEAST: u64 = 73;
     let mut count = [0; 8];
-    let read =
-        crate::base::input::open_regular(file).and_then(|mut open| std::io::Read::read_exact(&mut open, &mut count));
-    read.map_err(|e| Error::unreadable(file, &e))?;
-    Ok(usize::try_from(u64::from_le_bytes(count)).unwrap_or(0))
+    let read = crate::base::input::open_regular(file).and_then(|mut open| {
+        std::io::Read::read_exact(&mut open, &mut count)?;
+        Ok(open.metadata()?.len())
+    });
+    let (count, bytes) = (u64::from_le_bytes(count), read.map_err(|e| Error::unreadable(file, &e))?);
+    Ok(if count <= bytes / LEAST { count as usize } else { 0 })
 }

@@ -9,7 +9,7 @@ use crate::base::{Error, Event, Listener, Result};
 
 /// Folders of models within a scene's folder, each itself or with numbered folders in it.
 const FOLDERS: [&str; 2] = ["sparse", "colmap/sparse"];
-/// The folder of models of the photos before their distortion was removed. It counts if there is no other.
+/// The folder of models of the photos before their distortion was removed, looked at last.
 const DISTORTED: &str = "distorted/sparse";
 /// Most numbered folders that are looked at.
 const MOST_MODELS: usize = 1000;
@@ -44,19 +44,21 @@ impl Candidate {
     }
 }
 
-/// Returns the models of a scene's folder, in the order in which equal ones count: `sparse/0`, `sparse/1` and so on,
-/// `sparse`, then the same of `colmap/sparse`.
+/// Returns the models of the first of the folders that has any, in the order in which equal ones count: `sparse/0`,
+/// `sparse/1` and so on, `sparse`. Models of other folders may be of other images, such as those before undistortion.
 pub(super) fn candidates(dir: &Path) -> Vec<Candidate> {
     let below = |folder: &str| -> Vec<Candidate> {
         let names = std::fs::read_dir(dir.join(folder)).into_iter().flatten().flatten().map(|entry| entry.file_name());
-        let mut numbers: Vec<u32> = names.filter_map(|name| name.to_str()?.parse().ok()).collect();
+        let number =
+            |name: &std::ffi::OsStr| name.to_str()?.parse().ok().filter(|number: &u32| *name == *number.to_string());
+        let mut numbers: Vec<u32> = names.filter_map(|name| number(&name)).collect();
         numbers.sort_unstable();
         numbers.truncate(MOST_MODELS);
         let numbered = numbers.into_iter().map(|number| format!("{folder}/{number}"));
         numbered.chain([folder.to_string()]).filter_map(|folder| Candidate::at(dir, folder)).collect()
     };
-    let found: Vec<Candidate> = FOLDERS.iter().flat_map(|folder| below(folder)).collect();
-    if found.is_empty() { below(DISTORTED) } else { found }
+    let places = FOLDERS.iter().chain([&DISTORTED]).map(|folder| below(folder));
+    places.into_iter().find(|found| !found.is_empty()).unwrap_or_default()
 }
 
 /// Chooses the model with the most photos, or the `wanted` one. The second part names the others, if there are any.

@@ -136,6 +136,10 @@ fn check_count(source: &Source, poses: usize, file: &Path) -> Result<()> {
 /// Returns the names of the photos that have poses, if there are more photos: of `view_imgs.txt`, which LLFF writes, or of
 /// the COLMAP model in `sparse/0`. `None` if neither is there or has as many names as there are poses.
 fn registered(dir: &Path, poses: usize, events: &dyn Listener) -> Result<Option<BTreeSet<String>>> {
+    let all = images::list(&dir.join("images")).map_or(0, |paths| paths.len());
+    if all <= poses {
+        return Ok(None);
+    }
     let listed = read_text(&dir.join(VIEWS_FILE), TEXT_BYTES).ok().map(|text| {
         text.lines().map(str::trim).filter(|line| !line.is_empty()).map(String::from).collect::<BTreeSet<String>>()
     });
@@ -144,10 +148,7 @@ fn registered(dir: &Path, poses: usize, events: &dyn Listener) -> Result<Option<
         None => colmap::names(dir).filter(|names| names.len() == poses).map(|names| ("the COLMAP model", names)),
     };
     let Some((from, names)) = names else { return Ok(None) };
-    let all = images::list(&dir.join("images")).map_or(0, |paths| paths.len());
-    if all > poses {
-        events.on(Event::Note(&format!("{}: {poses} of {all} photos have poses, by {from}", dir.display())));
-    }
+    events.on(Event::Note(&format!("{}: {poses} of {all} photos have poses, by {from}", dir.display())));
     Ok(Some(names))
 }
 

@@ -153,9 +153,10 @@ fn entries<'a>(document: Object<'a>, axes: Axes, note: &dyn Fn(&str)) -> Result<
 }
 
 /// Looks for photos that are not where they are named: in another place below the document's folder that ends in the
-/// name, or without the name's folders, letter case apart. A place counts if it is the only one.
+/// name, or without the name's folders, letter case apart. A place counts if it is the only one. If most photos are where
+/// they are named, the others are missing.
 fn find_elsewhere(document: Object, entries: &mut [Entry], note: &dyn Fn(&str)) {
-    if entries.iter().all(|entry| entry.picture.path.is_some()) {
+    if 2 * entries.iter().filter(|entry| entry.picture.path.is_some()).count() >= entries.len() {
         return;
     }
     let folder = document.folder();
@@ -289,14 +290,19 @@ pub fn found(listed: Vec<Listed>) -> (Vec<Frame>, Vec<String>) {
     named.filter_map(|(Listed { pose, frame, .. }, name)| Some((Frame { pose, ..frame? }, name))).unzip()
 }
 
-/// Gives photos whose file names no mask those of `data.masks`.
-pub fn find_masks(frames: &mut [Frame], config: &DataConfig, events: &dyn Listener) -> Result<()> {
+/// Gives photos the masks of `data.masks`, before those that their file names.
+pub fn find_masks<'a>(
+    frames: impl Iterator<Item = &'a mut Frame>,
+    config: &DataConfig,
+    events: &dyn Listener,
+) -> Result<()> {
+    let mut frames: Vec<&mut Frame> = frames.collect();
     if frames.iter().any(|frame| frame.mask.is_some()) && config.masks.is_empty() {
         return Ok(());
     }
     let masks = Masks::of(config, frames.iter().map(|frame| &*frame.path), events)?;
     for (frame, mask) in frames.iter_mut().zip(masks.files) {
-        frame.mask = frame.mask.take().or(mask);
+        frame.mask = if config.masks == mask::NONE { None } else { mask.or(frame.mask.take()) };
     }
     Ok(())
 }

@@ -55,7 +55,7 @@ pub fn load(config: &DataConfig, events: &dyn Listener) -> Result<Scene> {
     let path = path::around(&listed.iter().map(|listed| listed.pose).collect::<Vec<Pose>>());
     let there: Vec<bool> = listed.iter().map(|listed| listed.frame.is_some()).collect();
     let (mut frames, names) = frames::found(listed);
-    frames::find_masks(&mut frames, config, events)?;
+    frames::find_masks(frames.iter_mut(), config, events)?;
     let used = frames.iter().map(|frame| &frame.path);
     images::note_unused(Path::new(&config.dir), used, "are not in transforms.json", events);
     let targets = frames::working_sizes(&frames.iter().collect::<Vec<_>>(), config)?;
